@@ -1,0 +1,2 @@
+//! The command line of gs4d.
+fn main() {}

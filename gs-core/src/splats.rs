@@ -1,0 +1,268 @@
+//! Gaussians ready to draw, and their cotangents.
+
+use crate::sh;
+use glam::Vec3;
+
+/// Gaussians ready to draw: activated values, one row each, `n` rows. Optional columns exist only where a scene
+/// needs them.
+#[derive(Clone, Debug, PartialEq, Default)]
+pub struct Splats {
+    /// Centres, world units.
+    pub means: Vec<Vec3>,
+    /// Rotations `(w, x, y, z)` of any length (normalised where used; zero is the identity).
+    pub quats: Vec<[f32; 4]>,
+    /// Standard deviations along the three axes, world units. Only their squares matter.
+    pub scales: Vec<Vec3>,
+    /// Opacities in `[0, 1]`.
+    pub opacities: Vec<f32>,
+    /// Colours.
+    pub color: Color,
+    /// The fall-off of a splat.
+    pub kernel: Kernel,
+}
+
+/// Colour of each splat.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Color {
+    /// One display-encoded colour, the same from every direction; drawn as it is (may be any number: overlays, flow).
+    Rgb(Vec<[f32; 3]>),
+    /// Spherical harmonics, `[n, (degree + 1)², 3]` flat: `rgb = max(0, 0.5 + Σ Y_k sh_k)`.
+    Sh {
+        /// 0 to 3.
+        degree: u8,
+        /// `n · (degree + 1)² · 3` coefficients.
+        coeffs: Vec<f32>,
+    },
+}
+
+impl Default for Color {
+    fn default() -> Self {
+        Color::Rgb(Vec::new())
+    }
+}
+
+/// How a splat falls off with the Gaussian `g = exp(−½ d²)` of its Mahalanobis distance `d`.
+#[derive(Clone, Debug, PartialEq, Default)]
+#[non_exhaustive]
+pub enum Kernel {
+    /// `ψ(g) = g`.
+    #[default]
+    Gaussian,
+}
+
+/// Cotangents of [`Splats`]: the same columns, `dL/d…` each. A type of its own, so value and cotangent never swap.
+#[derive(Clone, Debug, PartialEq, Default)]
+pub struct SplatsGrad {
+    /// `dL/d means`.
+    pub means: Vec<Vec3>,
+    /// `dL/d quats`, with respect to the raw, unnormalised quaternions.
+    pub quats: Vec<[f32; 4]>,
+    /// `dL/d scales`.
+    pub scales: Vec<Vec3>,
+    /// `dL/d opacities`.
+    pub opacities: Vec<f32>,
+    /// `dL/d` of the colour column, flat: `[n, 3]` for RGB, `[n, K, 3]` for SH.
+    pub color: Vec<f32>,
+}
+
+/// What is wrong with a set of splats: column and row.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum SplatsError {
+    /// A column has the wrong number of entries.
+    #[error("splats column `{column}` has {got} entries, {want} are needed for {rows} splats")]
+    Length {
+        /// Column name.
+        column: &'static str,
+        /// Entries needed.
+        want: usize,
+        /// Entries met.
+        got: usize,
+        /// Number of splats (rows of `means`).
+        rows: usize,
+    },
+    /// A value is not finite or out of its domain.
+    #[error("splats row {row}, column `{column}`: {value} is out of range ({rule})")]
+    Value {
+        /// Column name.
+        column: &'static str,
+        /// Row (splat index).
+        row: usize,
+        /// Value met.
+        value: f32,
+        /// What the column must satisfy.
+        rule: &'static str,
+    },
+    /// SH degree above 3.
+    #[error("SH degree {0} is not supported (0 to 3)")]
+    Degree(u8),
+}
+
+impl Splats {
+    /// Number of splats.
+    pub fn len(&self) -> usize {
+        self.means.len()
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.means.is_empty()
+    }
+
+    /// Verifies lengths, finiteness and domains once, at the border; inside, they are invariants.
+    ///
+    /// # Errors
+    /// The first offence, with column and row.
+    pub fn check(&self) -> Result<(), SplatsError> {
+        let rows = self.len();
+        let length = |column, got: usize, want: usize| {
+            if got == want { Ok(()) } else { Err(SplatsError::Length { column, want, got, rows }) }
+        };
+        length("quats", self.quats.len(), rows)?;
+        length("scales", self.scales.len(), rows)?;
+        length("opacities", self.opacities.len(), rows)?;
+        finite("means", self.means.iter().map(Vec3::as_ref))?;
+        finite("quats", self.quats.iter())?;
+        finite("scales", self.scales.iter().map(Vec3::as_ref))?;
+        for (row, &value) in self.opacities.iter().enumerate() {
+            if !(0.0..=1.0).contains(&value) {
+                return Err(SplatsError::Value { column: "opacities", row, value, rule: "0 to 1" });
+            }
+        }
+        match &self.color {
+            Color::Rgb(rgb) => {
+                length("rgb", rgb.len(), rows)?;
+                finite("rgb", rgb.iter())
+            }
+            Color::Sh { degree, coeffs } => {
+                if *degree > sh::MAX_DEGREE {
+                    return Err(SplatsError::Degree(*degree));
+                }
+                let width = 3 * sh::coeffs(*degree);
+                length("sh", coeffs.len(), rows * width)?;
+                finite("sh", coeffs.chunks_exact(width))
+            }
+        }
+    }
+}
+
+/// The first row of a column that holds a non-finite value.
+fn finite<R: AsRef<[f32]>>(column: &'static str, rows: impl Iterator<Item = R>) -> Result<(), SplatsError> {
+    for (row, values) in rows.enumerate() {
+        if let Some(&value) = values.as_ref().iter().find(|v| !v.is_finite()) {
+            return Err(SplatsError::Value { column, row, value, rule: "finite" });
+        }
+    }
+    Ok(())
+}
+
+impl Color {
+    /// Values per splat in the flat layout: 3 for RGB, `3 (degree + 1)²` for SH.
+    pub fn width(&self) -> usize {
+        match self {
+            Color::Rgb(_) => 3,
+            Color::Sh { degree, .. } => 3 * sh::coeffs(*degree),
+        }
+    }
+
+    /// All values, flat.
+    pub fn as_flat(&self) -> &[f32] {
+        match self {
+            Color::Rgb(rgb) => rgb.as_flattened(),
+            Color::Sh { coeffs, .. } => coeffs,
+        }
+    }
+}
+
+impl SplatsGrad {
+    /// Zero cotangents for `splats`.
+    pub fn zeros_like(splats: &Splats) -> Self {
+        let mut grad = Self::default();
+        grad.reset(splats);
+        grad
+    }
+
+    /// Makes this the zero cotangent of `splats`, reusing memory.
+    pub fn reset(&mut self, splats: &Splats) {
+        let n = splats.len();
+        refill(&mut self.means, n, Vec3::ZERO);
+        refill(&mut self.quats, n, [0.0; 4]);
+        refill(&mut self.scales, n, Vec3::ZERO);
+        refill(&mut self.opacities, n, 0.0);
+        refill(&mut self.color, n * splats.color.width(), 0.0);
+    }
+
+    /// First row with a non-finite entry, with its column, if any.
+    pub fn first_non_finite(&self) -> Option<(&'static str, usize)> {
+        let width = self.color.len() / self.means.len().max(1);
+        let checks = [
+            finite("d_means", self.means.iter().map(Vec3::as_ref)),
+            finite("d_quats", self.quats.iter()),
+            finite("d_scales", self.scales.iter().map(Vec3::as_ref)),
+            finite("d_opacities", self.opacities.iter().map(std::slice::from_ref)),
+            finite("d_color", self.color.chunks_exact(width.max(1))),
+        ];
+        checks.into_iter().find_map(|c| match c {
+            Err(SplatsError::Value { column, row, .. }) => Some((column, row)),
+            _ => None,
+        })
+    }
+}
+
+fn refill<T: Copy>(column: &mut Vec<T>, n: usize, value: T) {
+    column.clear();
+    column.resize(n, value);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn two() -> Splats {
+        Splats {
+            means: vec![Vec3::ZERO, Vec3::ONE],
+            quats: vec![[1.0, 0.0, 0.0, 0.0]; 2],
+            scales: vec![Vec3::ONE; 2],
+            opacities: vec![0.5, 1.0],
+            color: Color::Sh { degree: 1, coeffs: vec![0.0; 24] },
+            kernel: Kernel::Gaussian,
+        }
+    }
+
+    #[test]
+    fn good_splats_pass() {
+        assert_eq!(two().check(), Ok(()));
+        assert_eq!(Splats::default().check(), Ok(()));
+    }
+
+    #[test]
+    fn every_offence_names_column_and_row() {
+        let error = |f: &dyn Fn(&mut Splats)| {
+            let mut s = two();
+            f(&mut s);
+            s.check().unwrap_err().to_string()
+        };
+        assert!(error(&|s| s.means[1].y = f32::NAN).contains("row 1, column `means`"));
+        assert!(error(&|s| s.quats[0][3] = f32::INFINITY).contains("row 0, column `quats`"));
+        assert!(error(&|s| s.scales[1].x = f32::NEG_INFINITY).contains("row 1, column `scales`"));
+        assert!(error(&|s| s.opacities[0] = 1.5).contains("row 0, column `opacities`"));
+        assert!(error(&|s| s.opacities[0] = f32::NAN).contains("row 0, column `opacities`"));
+        assert!(error(&|s| s.opacities.truncate(1)).contains("`opacities` has 1 entries"));
+        assert!(error(&|s| s.color = Color::Sh { degree: 4, coeffs: vec![] }).contains("degree 4"));
+        assert!(error(&|s| s.color = Color::Rgb(vec![[0.0; 3]])).contains("`rgb` has 1 entries"));
+        let bad_sh = |s: &mut Splats| {
+            if let Color::Sh { coeffs, .. } = &mut s.color {
+                coeffs[13] = f32::NAN;
+            }
+        };
+        assert!(error(&bad_sh).contains("row 1, column `sh`"));
+    }
+
+    #[test]
+    fn gradients_mirror_shapes() {
+        let mut g = SplatsGrad::zeros_like(&two());
+        assert_eq!((g.means.len(), g.color.len()), (2, 24));
+        assert_eq!(g.first_non_finite(), None);
+        g.color[12] = f32::NAN;
+        assert_eq!(g.first_non_finite(), Some(("d_color", 1)));
+    }
+}
