@@ -16,6 +16,7 @@
 //! Distortion models (readers refuse or undistort), GPU buffers, scene graphs.
 
 pub mod camera;
+pub mod cloud;
 pub mod covariance;
 pub mod image;
 pub mod param;
@@ -27,6 +28,7 @@ pub mod splats;
 pub mod time;
 
 pub use camera::Camera;
+pub use cloud::Cloud;
 pub use image::Image;
 pub use param::{Param, Params, RowEdit};
 pub use real::Real;
