@@ -211,13 +211,8 @@ impl Cloud {
 
     /// All row blocks, in the order of [`Params::visit`].
     pub fn blocks_mut(&mut self) -> Vec<&mut Param> {
-        let fixed = [
-            &mut self.means,
-            &mut self.quats,
-            &mut self.log_scales,
-            &mut self.logit_opacities,
-            &mut self.sh_dc,
-        ];
+        let fixed =
+            [&mut self.means, &mut self.quats, &mut self.log_scales, &mut self.logit_opacities, &mut self.sh_dc];
         fixed.into_iter().chain(&mut self.sh_rest).collect()
     }
 
@@ -275,7 +270,8 @@ mod tests {
     /// A random linear functional of the drawable form, in f64.
     fn functional(s: &Splats, weights: &SplatsGrad) -> f64 {
         let dot = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum::<f64>();
-        let vec3 = |a: &[Vec3], b: &[Vec3]| a.iter().zip(b).map(|(a, b)| dot(&a.to_array(), &b.to_array())).sum::<f64>();
+        let vec3 =
+            |a: &[Vec3], b: &[Vec3]| a.iter().zip(b).map(|(a, b)| dot(&a.to_array(), &b.to_array())).sum::<f64>();
         vec3(&s.means, &weights.means)
             + dot(s.quats.as_flattened(), weights.quats.as_flattened())
             + vec3(&s.scales, &weights.scales)
