@@ -2,6 +2,7 @@
 
 pub mod frame;
 pub mod options;
+pub mod reference;
 
 pub use frame::{Frame, FrameGrad, ScreenStats};
 pub use options::{ClampGrad, RasterOptions};

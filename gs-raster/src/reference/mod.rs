@@ -1,0 +1,209 @@
+//! The readable twin of the rasteriser: plain loops, no tiles, no SIMD, generic over the scalar. In `f64` it is the
+//! truth that the fast path is measured against; its own gradient is checked by finite differences and golden data.
+//!
+//! Per splat (Zwicker et al. 2001, EWA splatting; Kerbl et al. 2023, 3DGS):
+//! ```text
+//! t  = R_v m + t_v                              drawn only if near < t_z < far
+//! u  = (fx t_x/t_z + cx, fy t_y/t_z + cy)
+//! J  = | fx/t_z  0       −fx t̃_x/t_z² |         t̃ = t_z · clamp(t/t_z, frustum ± 0.3 of half the image)
+//!      | 0       fy/t_z  −fy t̃_y/t_z² |
+//! F  = J R_v R diag(s)      Σ2 = F Fᵀ      Σ' = Σ2 + dilation·I      K = Σ'⁻¹
+//! o' = o · (antialias ? sqrt(max(|Σ2|/|Σ'|, 0.005²)) : 1)
+//! ```
+//! Per pixel, front to back by depth (ties by index):
+//! ```text
+//! d = u − p    q = dᵀ K d    α = min(max_alpha, o' ψ(exp(−q/2)))   skipped if α < min_alpha
+//! stop before the sample with T (1 − α) ≤ stop;   C += T α c;   D += T α t_z;   T ← T (1 − α)
+//! ```
+
+mod blend;
+mod project;
+
+pub use project::{Projected, project};
+
+use crate::options::RasterOptions;
+use gs_core::{Camera, Color, Real, Splats};
+
+/// A scalar with an order and an exponential: `f32` or `f64`.
+pub trait Scalar: Real + PartialOrd + Send + Sync + 'static {
+    /// From `f64`, rounded.
+    fn of(value: f64) -> Self;
+    /// To `f64`.
+    fn wide(self) -> f64;
+    /// Exponential.
+    fn exp(self) -> Self;
+}
+
+impl Scalar for f64 {
+    fn of(value: f64) -> Self {
+        value
+    }
+    fn wide(self) -> f64 {
+        self
+    }
+    fn exp(self) -> Self {
+        f64::exp(self)
+    }
+}
+
+impl Scalar for f32 {
+    fn of(value: f64) -> Self {
+        value as f32
+    }
+    fn wide(self) -> f64 {
+        f64::from(self)
+    }
+    fn exp(self) -> Self {
+        f32::exp(self)
+    }
+}
+
+/// Splats in the scalar of the reference. `color` is flat as in [`Splats`]; `degree` is `None` for plain RGB.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Scene<T> {
+    /// Centres.
+    pub means: Vec<[T; 3]>,
+    /// Raw quaternions `(w, x, y, z)`.
+    pub quats: Vec<[T; 4]>,
+    /// Standard deviations.
+    pub scales: Vec<[T; 3]>,
+    /// Opacities.
+    pub opacities: Vec<T>,
+    /// `[n, K, 3]` (SH) or `[n, 3]` (RGB), flat.
+    pub color: Vec<T>,
+    /// SH degree, or `None` for RGB.
+    pub degree: Option<u8>,
+}
+
+impl<T: Scalar> Scene<T> {
+    /// Widens splats to the scalar of the reference.
+    pub fn new(splats: &Splats) -> Self {
+        let of = |v: f32| T::of(f64::from(v));
+        Self {
+            means: splats.means.iter().map(|m| m.to_array().map(of)).collect(),
+            quats: splats.quats.iter().map(|q| q.map(of)).collect(),
+            scales: splats.scales.iter().map(|s| s.to_array().map(of)).collect(),
+            opacities: splats.opacities.iter().map(|&o| of(o)).collect(),
+            color: splats.color.as_flat().iter().map(|&c| of(c)).collect(),
+            degree: match splats.color {
+                Color::Rgb(_) => None,
+                Color::Sh { degree, .. } => Some(degree),
+            },
+        }
+    }
+
+    /// Zero cotangents of the same shape.
+    pub fn zeros_like(&self) -> Self {
+        let zero = T::of(0.0);
+        let n = self.means.len();
+        Self {
+            means: vec![[zero; 3]; n],
+            quats: vec![[zero; 4]; n],
+            scales: vec![[zero; 3]; n],
+            opacities: vec![zero; n],
+            color: vec![zero; self.color.len()],
+            degree: self.degree,
+        }
+    }
+
+    /// Colour values per splat.
+    pub fn color_width(&self) -> usize {
+        self.degree.map_or(3, |d| 3 * gs_core::sh::coeffs(d))
+    }
+}
+
+/// What happens to samples near `min_alpha`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum Cutoff {
+    /// Skipped below `min_alpha`, as published. Not differentiable there.
+    #[default]
+    Hard,
+    /// Faded in by a C¹ ramp between `min_alpha` and twice that; only for checking gradients by finite differences.
+    Smooth,
+}
+
+/// Frame of the reference; shapes as [`crate::Frame`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct Frame<T> {
+    /// `[h, w, 3]`.
+    pub rgb: Vec<[T; 3]>,
+    /// `[h, w]`.
+    pub alpha: Vec<T>,
+    /// `[h, w]`.
+    pub depth: Vec<T>,
+    /// `[h, w]`: smallest relative distance of any decision (α against `min_alpha` or `max_alpha`, T against `stop`)
+    /// from its threshold. Pixels with a small margin may differ between precisions by one whole sample.
+    pub margin: Vec<f64>,
+    /// Samples blended in total.
+    pub blends: u64,
+}
+
+/// Draws the scene.
+pub fn render<T: Scalar>(scene: &Scene<T>, camera: &Camera, options: &RasterOptions, cutoff: Cutoff) -> Frame<T> {
+    let splats = sorted(scene, camera, options);
+    let (width, height) = (camera.width as usize, camera.height as usize);
+    let zero = T::of(0.0);
+    let n = width * height;
+    let mut frame = Frame {
+        rgb: vec![[zero; 3]; n],
+        alpha: vec![zero; n],
+        depth: vec![zero; n],
+        margin: vec![f64::INFINITY; n],
+        blends: 0,
+    };
+    let background = options.background.map(|v| T::of(f64::from(v)));
+    for i in 0..n {
+        let pixel = [T::of((i % width) as f64 + 0.5), T::of((i / width) as f64 + 0.5)];
+        let (samples, end, margin) = blend::samples(&splats, pixel, options, cutoff);
+        for s in &samples {
+            let w = s.transmittance * s.alpha;
+            let p = &splats[s.splat].1;
+            for c in 0..3 {
+                frame.rgb[i][c] = frame.rgb[i][c] + w * p.rgb[c];
+            }
+            frame.depth[i] = frame.depth[i] + w * p.depth;
+        }
+        for (value, &b) in frame.rgb[i].iter_mut().zip(&background) {
+            *value = *value + end * b;
+        }
+        frame.alpha[i] = T::of(1.0) - end;
+        frame.margin[i] = margin;
+        frame.blends += samples.len() as u64;
+    }
+    frame
+}
+
+/// Cotangents into the frame, per pixel: `d_rgb`, `d_alpha`, `d_depth`.
+pub type PixelGrad<T> = ([T; 3], T, T);
+
+/// Gradient of `Σ (d_rgb·rgb + d_alpha·alpha + d_depth·depth)` with respect to every column, and `dL/d means2d`.
+pub fn render_backward<T: Scalar>(
+    scene: &Scene<T>,
+    camera: &Camera,
+    options: &RasterOptions,
+    cutoff: Cutoff,
+    d_frame: &[PixelGrad<T>],
+) -> (Scene<T>, Vec<[T; 2]>) {
+    let splats = sorted(scene, camera, options);
+    let width = camera.width as usize;
+    let mut sums = vec![blend::SplatSums::zero(); splats.len()];
+    for (i, d) in d_frame.iter().enumerate() {
+        let pixel = [T::of((i % width) as f64 + 0.5), T::of((i / width) as f64 + 0.5)];
+        blend::pixel_backward(&splats, pixel, options, cutoff, d, &mut sums);
+    }
+    let mut grad = scene.zeros_like();
+    let mut grad_means2d = vec![[T::of(0.0); 2]; scene.means.len()];
+    for ((index, _), s) in splats.iter().zip(&sums) {
+        grad_means2d[*index] = s.mean2d;
+        project::backward(scene, *index, camera, options, s, &mut grad);
+    }
+    (grad, grad_means2d)
+}
+
+/// Visible splats `(index, projected)`, front to back, ties in index order.
+fn sorted<T: Scalar>(scene: &Scene<T>, camera: &Camera, options: &RasterOptions) -> Vec<(usize, Projected<T>)> {
+    let mut list: Vec<_> =
+        (0..scene.means.len()).filter_map(|i| Some((i, project(scene, i, camera, options)?))).collect();
+    list.sort_by(|a, b| a.1.depth.wide().total_cmp(&b.1.depth.wide()));
+    list
+}
