@@ -1,3 +1,5 @@
 //! Work in progress.
 
 pub mod checkpoint;
+pub mod config;
+pub mod data;

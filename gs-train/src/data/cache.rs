@@ -1,0 +1,250 @@
+//! Decoded images on demand: 8 bit RGBA, shared, the least recently used dropped first when the bound is reached.
+
+use std::collections::HashMap;
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use gs_core::Camera;
+
+use super::decode::decode;
+use super::error::DataError;
+use super::lens::undistorted;
+use super::pixels::ImageU8;
+use super::{ImageSource, View};
+
+/// Lazily decoded images, bounded by bytes. May be shared by threads; decoding happens outside the lock, so several
+/// threads decode several images at once (and, at worst, one image twice with the same result).
+#[derive(Debug)]
+pub struct ImageCache {
+    max_bytes: usize,
+    max_image_bytes: Option<u64>,
+    scale: f64,
+    held: Mutex<Held>,
+}
+
+#[derive(Debug, Default)]
+struct Held {
+    images: HashMap<Key, Entry>,
+    bytes: usize,
+    clock: u64,
+    decoded: u64,
+}
+
+#[derive(Debug)]
+struct Entry {
+    image: Arc<ImageU8>,
+    last_use: u64,
+}
+
+/// What an image depends on: its file or memory, and the bits of camera and lens when it is resampled.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+struct Key {
+    file: PathBuf,
+    memory: usize,
+    bits: [u64; 9],
+}
+
+impl ImageCache {
+    /// A cache of at most `max_bytes` (0: keep nothing). `scale` in `(0, 1]` shrinks every image by area averaging of
+    /// premultiplied colour; outside that range it is taken as 1.
+    pub fn new(max_bytes: usize, scale: f64) -> Self {
+        let scale = if scale > 0.0 && scale < 1.0 { scale } else { 1.0 };
+        Self { max_bytes, max_image_bytes: None, scale, held: Mutex::default() }
+    }
+
+    /// Bounds the memory of decoding one image (`data.max_image_mib`); none: 64 MiB plus eight times its file.
+    pub fn with_max_image_mib(mut self, mib: Option<u32>) -> Self {
+        self.max_image_bytes = mib.map(|m| u64::from(m) << 20);
+        self
+    }
+
+    /// The scale of the images given.
+    pub fn scale(&self) -> f64 {
+        self.scale
+    }
+
+    /// The camera of the images given for a view: [`View::camera`], scaled.
+    pub fn camera(&self, v: &View) -> Camera {
+        if self.scale < 1.0 { v.camera.scaled(self.scale) } else { v.camera.clone() }
+    }
+
+    /// Bytes held now.
+    pub fn bytes(&self) -> usize {
+        self.lock().bytes
+    }
+
+    /// How many images were decoded so far.
+    pub fn decoded(&self) -> u64 {
+        self.lock().decoded
+    }
+
+    /// The image of a view, of the size of [`Self::camera`].
+    ///
+    /// # Errors
+    /// `data.image`, `limits.file` or `io.read` as decoding goes, `data.image_size` if the file's size is not the
+    /// camera's.
+    pub fn get(&self, v: &View) -> Result<Arc<ImageU8>, DataError> {
+        if let (ImageSource::Memory(image), None) = (&v.image, v.lens)
+            && self.scale == 1.0
+        {
+            check_size(v, image)?;
+            return Ok(image.clone());
+        }
+        let key = key_of(v);
+        if let Some(image) = self.lock().find(&key) {
+            return Ok(image);
+        }
+        let image = Arc::new(self.produce(v)?);
+        self.lock().keep(key, &image, self.max_bytes);
+        Ok(image)
+    }
+
+    fn produce(&self, v: &View) -> Result<ImageU8, DataError> {
+        let mut image = match &v.image {
+            ImageSource::File(file) => decode(file, self.max_image_bytes)?,
+            ImageSource::Memory(image) => ImageU8::clone(image),
+        };
+        check_size(v, &image)?;
+        if let Some(lens) = &v.lens {
+            image = undistorted(&image, &v.camera, lens);
+        }
+        if self.scale < 1.0 {
+            let c = self.camera(v);
+            image = image.box_downscaled(c.width as usize, c.height as usize);
+        }
+        Ok(image)
+    }
+
+    /// No code under the lock panics; a poisoned lock would still guard whole data.
+    fn lock(&self) -> MutexGuard<'_, Held> {
+        self.held.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Held {
+    fn find(&mut self, key: &Key) -> Option<Arc<ImageU8>> {
+        self.clock += 1;
+        let entry = self.images.get_mut(key)?;
+        entry.last_use = self.clock;
+        Some(entry.image.clone())
+    }
+
+    fn keep(&mut self, key: Key, image: &Arc<ImageU8>, max_bytes: usize) {
+        self.decoded += 1;
+        let size = image.data.len();
+        if size > max_bytes || self.images.contains_key(&key) {
+            return;
+        }
+        while self.bytes + size > max_bytes {
+            self.drop_oldest();
+        }
+        self.clock += 1;
+        self.bytes += size;
+        self.images.insert(key, Entry { image: image.clone(), last_use: self.clock });
+    }
+
+    /// A linear scan: it costs nothing beside the decoding that made it necessary.
+    fn drop_oldest(&mut self) {
+        let oldest = self.images.iter().min_by_key(|(_, e)| e.last_use).map(|(k, _)| k.clone());
+        if let Some(entry) = oldest.and_then(|k| self.images.remove(&k)) {
+            self.bytes -= entry.image.data.len();
+        }
+    }
+}
+
+fn key_of(v: &View) -> Key {
+    let mut bits = [0; 9];
+    if let Some(lens) = &v.lens {
+        let c = &v.camera;
+        let values = [c.fx, c.fy, c.cx, c.cy].into_iter().chain(lens.to_array());
+        bits.iter_mut().zip(values).for_each(|(b, value)| *b = value.to_bits());
+    }
+    match &v.image {
+        ImageSource::File(file) => Key { file: file.clone(), memory: 0, bits },
+        ImageSource::Memory(image) => Key { file: PathBuf::new(), memory: Arc::as_ptr(image).addr(), bits },
+    }
+}
+
+fn check_size(v: &View, image: &ImageU8) -> Result<(), DataError> {
+    let want = [v.camera.width, v.camera.height];
+    if [image.width, image.height] == want.map(|s| s as usize) {
+        return Ok(());
+    }
+    let file = match &v.image {
+        ImageSource::File(file) => file.clone(),
+        ImageSource::Memory(_) => PathBuf::from(&v.name),
+    };
+    Err(DataError::ImageSize { file, got: [image.width as u32, image.height as u32], want })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+    use gs_core::Time;
+
+    fn view(image: ImageSource, width: u32, height: u32) -> View {
+        let camera = Camera::look_at(width, height, 0.7, DVec3::X, DVec3::ZERO, DVec3::Z).unwrap();
+        View::new("v", camera, Time::default(), image, 0)
+    }
+
+    #[test]
+    fn the_least_recently_used_goes_first_and_the_bound_holds() {
+        let dir = tempfile::tempdir().unwrap();
+        let views: Vec<View> = (0..4u8)
+            .map(|k| {
+                let file = dir.path().join(format!("{k}.png"));
+                image::RgbaImage::from_pixel(8, 8, image::Rgba([k, 0, 0, 255])).save(&file).unwrap();
+                view(ImageSource::File(file), 8, 8)
+            })
+            .collect();
+        let cache = ImageCache::new(3 * 256, 1.0);
+        for k in [0, 1, 2, 0, 3] {
+            assert_eq!(cache.get(&views[k]).unwrap().pixel(3, 3), [k as u8, 0, 0, 255]);
+            assert!(cache.bytes() <= 3 * 256);
+        }
+        assert_eq!(cache.decoded(), 4, "0 came from the cache the second time");
+        cache.get(&views[0]).unwrap();
+        assert_eq!(cache.decoded(), 4, "0 was used after 1 and stayed");
+        cache.get(&views[1]).unwrap();
+        assert_eq!(cache.decoded(), 5, "1 was dropped for 3");
+        let none = ImageCache::new(0, 1.0);
+        none.get(&views[0]).unwrap();
+        assert_eq!(none.bytes(), 0);
+    }
+
+    #[test]
+    fn scaled_images_fit_their_scaled_camera() {
+        let data = (0..6 * 4).flat_map(|k| [k as u8 * 10, 0, 0, 255]).collect();
+        let image = Arc::new(ImageU8 { width: 6, height: 4, data });
+        let v = view(ImageSource::Memory(image.clone()), 6, 4);
+        let half = ImageCache::new(1 << 20, 0.5);
+        let small = half.get(&v).unwrap();
+        let c = half.camera(&v);
+        assert_eq!((small.width, small.height), (c.width as usize, c.height as usize));
+        assert_eq!(small.pixel(0, 0)[0], 35, "mean of 0, 10, 60, 70");
+        assert!(Arc::ptr_eq(&ImageCache::new(0, 1.0).get(&v).unwrap(), &image), "memory is not copied at full size");
+    }
+
+    #[test]
+    fn a_wrong_size_is_an_error() {
+        let image = Arc::new(ImageU8 { width: 2, height: 1, data: vec![0; 8] });
+        let e = ImageCache::new(0, 1.0).get(&view(ImageSource::Memory(image), 2, 2)).unwrap_err();
+        assert_eq!((e.code(), e.to_string().as_str()), ("data.image_size", "v is 2x1, its camera is 2x2"));
+    }
+
+    #[test]
+    fn threads_see_the_same_images() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("a.png");
+        image::RgbaImage::from_pixel(16, 16, image::Rgba([1, 2, 3, 4])).save(&file).unwrap();
+        let v = view(ImageSource::File(file), 16, 16);
+        let cache = ImageCache::new(1 << 20, 1.0);
+        std::thread::scope(|s| {
+            for _ in 0..4 {
+                s.spawn(|| assert_eq!(cache.get(&v).unwrap().pixel(0, 0), [1, 2, 3, 4]));
+            }
+        });
+        assert_eq!(cache.bytes(), 16 * 16 * 4);
+    }
+}

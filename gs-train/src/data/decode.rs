@@ -1,0 +1,169 @@
+//! Decoding PNG and JPEG under a memory limit, into one buffer that becomes the RGBA image.
+
+use std::fs::File;
+use std::io::BufReader;
+use std::path::Path;
+
+use gs_core::camera::MAX_SIDE;
+use image::codecs::{jpeg::JpegDecoder, png::PngDecoder};
+use image::{ColorType, ImageDecoder, Limits};
+
+use super::error::{DataError, Place};
+use super::header::{self, Format, ImageHeader};
+use super::pixels::ImageU8;
+
+/// Every image may take this much, however small its file.
+const FREE_BYTES: u64 = 64 << 20;
+/// Beyond that, bytes in memory per byte of file.
+const BYTES_PER_FILE_BYTE: u64 = 8;
+
+/// Decodes a file. `max_bytes` bounds the memory of decoding; none: 64 MiB plus eight times the size of the file.
+///
+/// # Errors
+/// `data.image` if the file is damaged, `limits.file` beyond the limit, `io.read` if it cannot be read.
+pub fn decode(file: &Path, max_bytes: Option<u64>) -> Result<ImageU8, DataError> {
+    let header = header::read(file)?;
+    let open = File::open(file).map_err(|e| DataError::read(file, e))?;
+    let file_bytes = open.metadata().map_err(|e| DataError::read(file, e))?.len();
+    let limit = max_bytes.unwrap_or(FREE_BYTES.saturating_add(file_bytes.saturating_mul(BYTES_PER_FILE_BYTE)));
+    check_size(file, &header, limit)?;
+    let mut limits = Limits::default();
+    limits.max_image_width = Some(MAX_SIDE);
+    limits.max_image_height = Some(MAX_SIDE);
+    limits.max_alloc = Some(limit);
+    let failed = |e: image::ImageError| DataError::decode(file, e);
+    let reader = BufReader::new(open);
+    match header.format {
+        Format::Png => rgba(file, PngDecoder::with_limits(reader, limits).map_err(failed)?, limit),
+        Format::Jpeg => {
+            let mut decoder = JpegDecoder::new(reader).map_err(failed)?;
+            decoder.set_limits(limits).map_err(failed)?;
+            rgba(file, decoder, limit)
+        }
+    }
+}
+
+fn check_size(file: &Path, header: &ImageHeader, limit: u64) -> Result<(), DataError> {
+    let pixels = u64::from(header.width) * u64::from(header.height);
+    let bytes = pixels.saturating_mul(header.bytes_per_pixel);
+    if header.width > MAX_SIDE || header.height > MAX_SIDE || bytes > limit {
+        let place = Place::new(file, format!("image of {}x{}", header.width, header.height));
+        return Err(DataError::TooLarge { place, bytes, limit });
+    }
+    Ok(())
+}
+
+fn rgba(file: &Path, decoder: impl ImageDecoder, limit: u64) -> Result<ImageU8, DataError> {
+    let (width, height) = decoder.dimensions();
+    let color = decoder.color_type();
+    let bytes_per_pixel = usize::from(color.bytes_per_pixel());
+    let header = ImageHeader {
+        width,
+        height,
+        has_alpha: false,
+        format: Format::Png,
+        bytes_per_pixel: bytes_per_pixel.max(4) as u64,
+    };
+    check_size(file, &header, limit)?;
+    let pixels = width as usize * height as usize;
+    let mut data = Vec::new();
+    let bytes = pixels * bytes_per_pixel.max(4);
+    data.try_reserve_exact(bytes).map_err(|e| DataError::decode(file, e))?;
+    data.resize(bytes, 0);
+    decoder.read_image(&mut data[..pixels * bytes_per_pixel]).map_err(|e| DataError::decode(file, e))?;
+    to_rgba8(&mut data, pixels, color).map_err(|m| DataError::decode(file, m))?;
+    Ok(ImageU8 { width: width as usize, height: height as usize, data })
+}
+
+/// Widens or narrows the pixels in place, in the direction in which no pixel is overwritten before it is read.
+fn to_rgba8(data: &mut Vec<u8>, pixels: usize, color: ColorType) -> Result<(), String> {
+    let step = usize::from(color.bytes_per_pixel());
+    let mut convert = |i: usize| {
+        let p = &data[i * step..(i + 1) * step];
+        let wide = |k: usize| narrow(u16::from_ne_bytes([p[2 * k], p[2 * k + 1]]));
+        let q = match color {
+            ColorType::L8 => [p[0], p[0], p[0], 255],
+            ColorType::La8 => [p[0], p[0], p[0], p[1]],
+            ColorType::Rgb8 => [p[0], p[1], p[2], 255],
+            ColorType::Rgba8 => [p[0], p[1], p[2], p[3]],
+            ColorType::L16 => [wide(0), wide(0), wide(0), 255],
+            ColorType::La16 => [wide(0), wide(0), wide(0), wide(1)],
+            ColorType::Rgb16 => [wide(0), wide(1), wide(2), 255],
+            ColorType::Rgba16 => [wide(0), wide(1), wide(2), wide(3)],
+            other => return Err(format!("pixels of kind {other:?} are not supported")),
+        };
+        data[i * 4..i * 4 + 4].copy_from_slice(&q);
+        Ok(())
+    };
+    if step <= 4 {
+        (0..pixels).rev().try_for_each(&mut convert)?;
+    } else {
+        (0..pixels).try_for_each(&mut convert)?;
+    }
+    data.truncate(pixels * 4);
+    data.shrink_to_fit();
+    Ok(())
+}
+
+/// 16 to 8 bit, rounded to nearest.
+fn narrow(v: u16) -> u8 {
+    ((u32::from(v) * 255 + 32_767) / 65_535) as u8
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use image::{DynamicImage, ImageBuffer};
+
+    /// The same 5×3 picture in every kind of pixel a PNG can hold, read back as RGBA.
+    #[test]
+    fn every_kind_of_pixel_becomes_rgba() {
+        let dir = tempfile::tempdir().unwrap();
+        let source = ImageBuffer::from_fn(5, 3, |x, y| {
+            image::Rgba([x as u16 * 9000, y as u16 * 20000, 700, 65535 - x as u16 * 5000])
+        });
+        let full = DynamicImage::ImageRgba16(source);
+        let kinds = [
+            full.to_rgba16().into(),
+            full.to_rgba8().into(),
+            full.to_rgb16().into(),
+            full.to_rgb8().into(),
+            full.to_luma16().into(),
+            full.to_luma8().into(),
+            full.to_luma_alpha16().into(),
+            DynamicImage::from(full.to_luma_alpha8()),
+        ];
+        for (k, kind) in kinds.iter().enumerate() {
+            let file = dir.path().join(format!("{k}.png"));
+            kind.save(&file).unwrap();
+            let got = decode(&file, None).unwrap();
+            let want = kind.to_rgba8();
+            for (a, b) in got.data.iter().zip(want.as_raw()) {
+                assert!(a.abs_diff(*b) <= 1, "kind {k}: {a} against {b}");
+            }
+            let header = header::read(&file).unwrap();
+            assert_eq!((header.width, header.height, header.has_alpha), (5, 3, kind.color().has_alpha()));
+        }
+    }
+
+    #[test]
+    fn jpeg_sizes_are_found_and_pixels_decoded() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("a.jpg");
+        image::RgbImage::from_pixel(17, 9, image::Rgb([200, 100, 50])).save(&file).unwrap();
+        let header = header::read(&file).unwrap();
+        assert_eq!((header.width, header.height, header.format), (17, 9, Format::Jpeg));
+        let got = decode(&file, None).unwrap();
+        assert_eq!((got.width, got.height, got.data.len()), (17, 9, 17 * 9 * 4));
+        assert!(got.pixel(8, 4)[0].abs_diff(200) < 4 && got.pixel(8, 4)[3] == 255);
+    }
+
+    #[test]
+    fn limits_come_before_allocation() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("a.png");
+        image::RgbImage::new(64, 64).save(&file).unwrap();
+        let e = decode(&file, Some(1000)).unwrap_err();
+        assert!(matches!(e, DataError::TooLarge { bytes: 16384, limit: 1000, .. }), "{e}");
+    }
+}

@@ -1,0 +1,126 @@
+//! The size of an image without decoding it: the PNG `IHDR` chunk (PNG specification, 11.2.2) or the JPEG frame header
+//! (ITU T.81, B.2.2).
+
+use std::fs::File;
+use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::path::Path;
+
+use super::error::DataError;
+
+/// What the first bytes of an image file say.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ImageHeader {
+    /// Pixels per row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// Whether the pixels carry alpha (PNG colour types 4 and 6).
+    pub has_alpha: bool,
+    /// The file format.
+    pub format: Format,
+    /// Largest number of bytes per pixel that decoding holds at once.
+    pub bytes_per_pixel: u64,
+}
+
+/// Image formats with a reader.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    /// Portable Network Graphics, 1 to 16 bit.
+    Png,
+    /// JPEG, baseline or progressive.
+    Jpeg,
+}
+
+const PNG_SIGNATURE: [u8; 8] = [0x89, b'P', b'N', b'G', b'\r', b'\n', 0x1a, b'\n'];
+/// Segments looked at before a JPEG must show its frame header.
+const MAX_JPEG_SEGMENTS: usize = 1000;
+
+/// Reads the header of an image file.
+///
+/// # Errors
+/// `io.read` if the file cannot be opened, `data.image` if it is neither PNG nor JPEG or ends before its size is known.
+pub fn read(file: &Path) -> Result<ImageHeader, DataError> {
+    let open = File::open(file).map_err(|e| DataError::read(file, e))?;
+    if !open.metadata().map_err(|e| DataError::read(file, e))?.is_file() {
+        return Err(DataError::decode(file, "it is no regular file"));
+    }
+    let mut r = BufReader::new(open);
+    let mut start = [0u8; 8];
+    r.read_exact(&mut start).map_err(|_| DataError::decode(file, "it ends within its first 8 bytes"))?;
+    let header = if start == PNG_SIGNATURE {
+        png(&mut r)
+    } else if start[..2] == [0xff, 0xd8] {
+        r.seek(SeekFrom::Start(2)).map_err(|e| DataError::read(file, e))?;
+        jpeg(&mut r)
+    } else {
+        return Err(DataError::decode(file, "it is neither PNG nor JPEG"));
+    };
+    let header = header.map_err(|_| DataError::decode(file, "it ends before its size is known"))?;
+    if header.width == 0 || header.height == 0 {
+        return Err(DataError::decode(file, "its size is zero"));
+    }
+    Ok(header)
+}
+
+fn ends() -> std::io::Error {
+    std::io::ErrorKind::UnexpectedEof.into()
+}
+
+fn png(r: &mut impl Read) -> std::io::Result<ImageHeader> {
+    let mut ihdr = [0u8; 18];
+    r.read_exact(&mut ihdr)?;
+    if ihdr[4..8] != *b"IHDR" {
+        return Err(ends());
+    }
+    let word = |at: usize| u32::from_be_bytes([ihdr[at], ihdr[at + 1], ihdr[at + 2], ihdr[at + 3]]);
+    let (depth, colour) = (ihdr[16], ihdr[17]);
+    let channels: u64 = match colour {
+        0 => 2, // a tRNS chunk may add alpha
+        4 => 2,
+        _ => 4,
+    };
+    Ok(ImageHeader {
+        width: word(8),
+        height: word(12),
+        has_alpha: colour & 4 != 0,
+        format: Format::Png,
+        bytes_per_pixel: (channels * if depth == 16 { 2 } else { 1 }).max(4),
+    })
+}
+
+fn jpeg(r: &mut (impl Read + Seek)) -> std::io::Result<ImageHeader> {
+    for _ in 0..MAX_JPEG_SEGMENTS {
+        let mut byte = [0u8; 1];
+        r.read_exact(&mut byte)?;
+        if byte[0] != 0xff {
+            return Err(ends());
+        }
+        while byte[0] == 0xff {
+            r.read_exact(&mut byte)?;
+        }
+        let marker = byte[0];
+        let mut length = [0u8; 2];
+        r.read_exact(&mut length)?;
+        let body = i64::from(u16::from_be_bytes(length)) - 2;
+        let is_frame = (0xc0..=0xcf).contains(&marker) && ![0xc4, 0xc8, 0xcc].contains(&marker);
+        if is_frame {
+            let mut frame = [0u8; 5];
+            r.read_exact(&mut frame)?;
+            let side = |at: usize| u32::from(u16::from_be_bytes([frame[at], frame[at + 1]]));
+            // Progressive frames keep 16-bit coefficients of up to three components beside the pixels.
+            let progressive = marker == 0xc2;
+            return Ok(ImageHeader {
+                width: side(3),
+                height: side(1),
+                has_alpha: false,
+                format: Format::Jpeg,
+                bytes_per_pixel: if progressive { 12 } else { 4 },
+            });
+        }
+        if body < 0 {
+            return Err(ends());
+        }
+        r.seek(SeekFrom::Current(body))?;
+    }
+    Err(ends())
+}

@@ -1,0 +1,146 @@
+//! Data sets: folders in, views out.
+//!
+//! A [`View`] is a camera, a moment and an image; a [`Dataset`] is three lists of them plus what else the folder holds.
+//! One file per layout (`blender.rs`, `nerfstudio.rs`, `colmap.rs`), one line each in [`LAYOUTS`].
+//!
+//! # Conventions
+//! * Readers turn every camera into OpenCV axes; OpenGL camera-to-world matrices have their y and z axes flipped.
+//! * [`Time::normalised`] is 0 at the first training time and 1 at the last; [`Time::seconds`] is the data's own clock.
+//! * [`View::camera`] has the size of the image file. An [`ImageCache`] with a scale gives the smaller camera.
+//! * Every assumption a reader makes is a line in [`Dataset::notes`].
+//! * Paths inside the data stay inside the folder; nothing is allocated on the word of a header alone.
+//!
+//! # What it leaves out
+//! EXR images, mask folders, fisheye lenses, video files.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use glam::Vec3;
+use gs_core::{Camera, Time};
+
+pub mod cache;
+pub mod decode;
+pub mod error;
+pub mod header;
+pub mod lens;
+pub mod options;
+pub mod pixels;
+
+pub use cache::ImageCache;
+pub use error::{DataError, Place};
+pub use lens::Lens;
+pub use options::{DataOptions, TimeFrom, TimeRange};
+pub use pixels::ImageU8;
+
+/// Where the pixels of a view are.
+#[derive(Clone, Debug, PartialEq)]
+pub enum ImageSource {
+    /// A PNG or JPEG file.
+    File(PathBuf),
+    /// An image made in memory.
+    Memory(Arc<ImageU8>),
+}
+
+/// One picture: who took it, when, and where it is.
+#[derive(Clone, Debug, PartialEq)]
+pub struct View {
+    /// Name within its split, for example `r_017`.
+    pub name: String,
+    /// The pinhole camera, of the size of the image file.
+    pub camera: Camera,
+    /// Distortion of the photograph; the [`ImageCache`] removes it. None for a pinhole.
+    pub lens: Option<Lens>,
+    /// The moment.
+    pub time: Time,
+    /// The pixels.
+    pub image: ImageSource,
+    /// The physical camera where the data name one, else the index of the view in its split.
+    pub camera_id: u32,
+}
+
+impl View {
+    /// A view without distortion.
+    pub fn new(name: impl Into<String>, camera: Camera, time: Time, image: ImageSource, camera_id: u32) -> Self {
+        Self { name: name.into(), camera, lens: None, time, image, camera_id }
+    }
+}
+
+/// The three lists of views.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Split {
+    /// Views to learn from.
+    Train,
+    /// Views to watch during training.
+    Val,
+    /// Held-out views.
+    Test,
+}
+
+/// Coloured points.
+#[derive(Clone, Debug, PartialEq, Default)]
+pub struct PointCloud {
+    /// World units.
+    pub positions: Vec<Vec3>,
+    /// Display-encoded RGB in 0..1, one per position.
+    pub colors: Vec<[f32; 3]>,
+}
+
+/// A data set after its reader.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Dataset {
+    /// The folder; empty for data made in memory.
+    pub root: PathBuf,
+    /// Name of the layout.
+    pub layout: &'static str,
+    /// Views to learn from, never empty.
+    pub train: Vec<View>,
+    /// Views to watch during training.
+    pub val: Vec<View>,
+    /// Held-out views.
+    pub test: Vec<View>,
+    /// Points the data bring along.
+    pub points: Option<PointCloud>,
+    /// Whether the training images carry alpha.
+    pub has_alpha: bool,
+    /// Whether training views have more than one time.
+    pub dynamic: bool,
+    /// Where the times come from, in words.
+    pub time_source: String,
+    /// Assumptions made while reading.
+    pub notes: Vec<String>,
+}
+
+impl Dataset {
+    /// The views of a split.
+    pub fn views(&self, split: Split) -> &[View] {
+        match split {
+            Split::Train => &self.train,
+            Split::Val => &self.val,
+            Split::Test => &self.test,
+        }
+    }
+}
+
+/// How sure a reader is that a folder is its own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Confidence {
+    /// Could be.
+    Possible,
+    /// The files have the right names.
+    Likely,
+    /// The files have the right names and no other layout uses them.
+    Certain,
+}
+
+/// A reader.
+pub struct Layout {
+    /// Short name, as in `--layout`.
+    pub name: &'static str,
+    /// One line for people.
+    pub about: &'static str,
+    /// Whether a folder looks like this layout; reads names only.
+    pub probe: fn(&Path) -> Option<Confidence>,
+    /// Reads the folder.
+    pub open: fn(&Path, &DataOptions) -> Result<Dataset, DataError>,
+}

@@ -1,0 +1,126 @@
+//! What a user may say about a data set (`[data]` in a run's configuration).
+
+use std::fmt;
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+
+/// A closed range of times in the data's own units, written `0..1.3`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub struct TimeRange {
+    /// First time; becomes normalised 0.
+    pub start: f64,
+    /// Last time; becomes normalised 1.
+    pub end: f64,
+}
+
+impl fmt::Display for TimeRange {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}..{}", self.start, self.end)
+    }
+}
+
+impl From<TimeRange> for String {
+    fn from(r: TimeRange) -> Self {
+        r.to_string()
+    }
+}
+
+impl FromStr for TimeRange {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let wrong = || format!("\"{text}\" is no time range; write for example 0..1.3");
+        let (a, b) = text.split_once("..").ok_or_else(wrong)?;
+        let number = |s: &str| s.trim().parse::<f64>().ok().filter(|v| v.is_finite()).ok_or_else(wrong);
+        let range = Self { start: number(a)?, end: number(b)? };
+        if range.end > range.start { Ok(range) } else { Err(wrong()) }
+    }
+}
+
+impl TryFrom<String> for TimeRange {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, String> {
+        text.parse()
+    }
+}
+
+/// Where a frame's time comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum TimeFrom {
+    /// What the files state; a layout without times is static.
+    #[default]
+    File,
+    /// The last number in the image's file name is its frame number.
+    Name,
+    /// The position of the image in sorted order of names. Only on request: it is an assumption about the capture.
+    Order,
+}
+
+/// Options of every reader. Unknown keys are refused.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DataOptions {
+    /// Name of the layout (see [`super::LAYOUTS`]); none: detect it.
+    pub layout: Option<String>,
+    /// Range of training times; mapped to 0..1. None: the layout's own range (D-NeRF 0..1) is required, and the span of
+    /// the training views is mapped to 0..1.
+    pub time_range: Option<TimeRange>,
+    /// Where times come from.
+    pub time_from: TimeFrom,
+    /// Frames per second for [`TimeFrom::Name`] and [`TimeFrom::Order`]; none: the clock equals the normalised time.
+    pub fps: Option<f64>,
+    /// Leave out views whose image is missing (with a note) instead of refusing the data.
+    pub allow_missing: bool,
+    /// Where the data give no split: every `hold_out`-th view, in order of names, starting with the first, is for tests.
+    /// 0: no test views.
+    pub hold_out: u32,
+    /// Resample distorted images to their pinhole camera; `false` refuses distorted cameras.
+    pub undistort: bool,
+    /// Image folder of a COLMAP model; none: the first of `images`, `images_2`, `images_4`, `images_8`, `input`.
+    pub images: Option<String>,
+    /// Largest decoded image in MiB; none: 64 MiB plus eight times the size of its file.
+    pub max_image_mib: Option<u32>,
+}
+
+impl Default for DataOptions {
+    fn default() -> Self {
+        Self {
+            layout: None,
+            time_range: None,
+            time_from: TimeFrom::File,
+            fps: None,
+            allow_missing: false,
+            hold_out: 8,
+            undistort: true,
+            images: None,
+            max_image_mib: None,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ranges_are_read_as_they_are_written() {
+        let r: TimeRange = "0..1.3".parse().unwrap();
+        assert_eq!(r, TimeRange { start: 0.0, end: 1.3 });
+        assert_eq!(r.to_string(), "0..1.3");
+        for bad in ["", "0", "1..0", "0..0", "0..nan", "a..b", "0..inf"] {
+            assert!(bad.parse::<TimeRange>().unwrap_err().contains("0..1.3"), "{bad}");
+        }
+    }
+
+    #[test]
+    fn options_are_read_from_toml_and_unknown_keys_refused() {
+        let o: DataOptions = toml::from_str("time_range = \"0..2\"\ntime_from = \"name\"\nhold_out = 4").unwrap();
+        assert_eq!((o.time_from, o.hold_out), (TimeFrom::Name, 4));
+        assert_eq!(o.time_range.unwrap().end, 2.0);
+        assert!(toml::from_str::<DataOptions>("time_rnage = \"0..2\"").unwrap_err().to_string().contains("time_rnage"));
+    }
+}
