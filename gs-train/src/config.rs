@@ -1,0 +1,477 @@
+//! Settings with a memory: every value knows where it came from.
+//!
+//! A [`Config`] is a tree of TOML values, kept flat by dotted key (`density.until`). It starts from the defaults, which
+//! also fix which keys exist and of what kind they are, and is then overlaid: defaults ← preset ← file ← flag. A key
+//! nobody knows is an error that names the nearest one, so a typing slip never trains with a default in silence.
+
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use std::collections::BTreeMap;
+use std::fmt::{self, Write as _};
+use toml::{Table, Value};
+
+/// Where a value came from.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Source {
+    /// The defaults in the program.
+    Default,
+    /// A named preset.
+    Preset(String),
+    /// A file.
+    File(String),
+    /// A flag of the command line, as written.
+    Flag(String),
+}
+
+impl fmt::Display for Source {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Source::Default => write!(f, "default"),
+            Source::Preset(name) => write!(f, "preset {name}"),
+            Source::File(name) => write!(f, "file {name}"),
+            Source::Flag(text) => write!(f, "flag {text}"),
+        }
+    }
+}
+
+/// One setting.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Setting {
+    /// The value.
+    pub value: Value,
+    /// Where it came from.
+    pub source: Source,
+    /// What it is and where its default was published; empty where the defaults give no comment.
+    pub about: String,
+}
+
+/// A tree of settings by dotted key.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Config {
+    settings: BTreeMap<String, Setting>,
+}
+
+/// Why settings were refused.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum ConfigError {
+    /// No such key.
+    #[error("unknown setting `{key}` ({origin}){}", hint(near))]
+    Unknown {
+        /// Key as given.
+        key: String,
+        /// Where it was given.
+        origin: Source,
+        /// What may have been meant: the nearest key, or the keys of the section.
+        near: Vec<String>,
+    },
+    /// The value is of another kind.
+    #[error("setting `{key}` ({origin}) must be {want}, got {got}")]
+    Kind {
+        /// Key.
+        key: String,
+        /// Where it was given.
+        origin: Source,
+        /// Kind needed.
+        want: &'static str,
+        /// Value met.
+        got: String,
+    },
+    /// Not TOML.
+    #[error("{origin}: {why}")]
+    Syntax {
+        /// Where it was given.
+        origin: Source,
+        /// The parser's reason, with line and column.
+        why: String,
+    },
+    /// Not of the form `key=value`.
+    #[error("`{0}` is not of the form key=value, for example density.until=5000")]
+    Assignment(String),
+    /// The values do not make a valid configuration (a negative count, an unknown choice).
+    #[error("settings are not valid: {0}")]
+    Invalid(String),
+}
+
+fn hint(near: &[String]) -> String {
+    match near {
+        [] => String::new(),
+        [one] => format!("; did you mean `{one}`?"),
+        many => format!("; its keys are {}", many.join(", ")),
+    }
+}
+
+impl Config {
+    /// The defaults of a configuration structure.
+    ///
+    /// # Errors
+    /// If it does not serialise to a TOML table.
+    pub fn of_defaults<T: Serialize>(defaults: &T) -> Result<Self, ConfigError> {
+        let table = Table::try_from(defaults).map_err(|e| ConfigError::Invalid(e.to_string()))?;
+        Ok(Self::of_table(&table))
+    }
+
+    /// Defaults written as TOML; the comment behind a value becomes its [`Setting::about`].
+    ///
+    /// # Errors
+    /// If the text is not TOML.
+    pub fn of_toml(text: &str) -> Result<Self, ConfigError> {
+        let mut config = Self::of_table(&parse(text, &Source::Default)?);
+        for (key, about) in comments(text) {
+            if let Some(setting) = config.settings.get_mut(&key) {
+                setting.about = about;
+            }
+        }
+        Ok(config)
+    }
+
+    fn of_table(table: &Table) -> Self {
+        let setting = |value| Setting { value, source: Source::Default, about: String::new() };
+        Self { settings: flatten(table).into_iter().map(|(k, v)| (k, setting(v))).collect() }
+    }
+
+    /// Overlays a TOML text.
+    ///
+    /// # Errors
+    /// If it is not TOML, names an unknown key or gives a value of another kind; nothing is changed then.
+    pub fn overlay_toml(&mut self, text: &str, source: &Source) -> Result<(), ConfigError> {
+        self.overlay(&parse(text, source)?, source)
+    }
+
+    /// Overlays a table.
+    ///
+    /// # Errors
+    /// If it names an unknown key or gives a value of another kind; nothing is changed then.
+    pub fn overlay(&mut self, table: &Table, source: &Source) -> Result<(), ConfigError> {
+        let mut checked = Vec::new();
+        for (key, value) in flatten(table) {
+            checked.push((key.clone(), self.checked(&key, value, source)?));
+        }
+        for (key, value) in checked {
+            self.store(&key, value, source);
+        }
+        Ok(())
+    }
+
+    /// Overlays one `key=value`. The value is TOML; a bare word is taken as a string where a string is needed.
+    ///
+    /// # Errors
+    /// If it is not of that form, names an unknown key or gives a value of another kind.
+    pub fn set(&mut self, assignment: &str) -> Result<(), ConfigError> {
+        let source = Source::Flag(format!("--set {assignment}"));
+        let (key, text) = assignment.split_once('=').ok_or_else(|| ConfigError::Assignment(assignment.to_owned()))?;
+        let (key, text) = (key.trim(), text.trim());
+        if key.is_empty() || text.is_empty() {
+            return Err(ConfigError::Assignment(assignment.to_owned()));
+        }
+        let wants_text = self.settings.get(key).is_some_and(|s| s.value.is_str());
+        let value = match text.parse::<Value>() {
+            Ok(value) if !wants_text || value.is_str() => value,
+            _ if wants_text => Value::String(text.to_owned()),
+            Ok(value) => value,
+            Err(e) => return Err(ConfigError::Syntax { origin: source, why: e.message().to_owned() }),
+        };
+        let value = self.checked(key, value, &source)?;
+        self.store(key, value, &source);
+        Ok(())
+    }
+
+    /// Gives one setting a value; `source` says on whose word.
+    ///
+    /// # Errors
+    /// If the key is unknown or the value of another kind.
+    pub fn put(&mut self, key: &str, value: impl Into<Value>, source: Source) -> Result<(), ConfigError> {
+        let value = self.checked(key, value.into(), &source)?;
+        self.store(key, value, &source);
+        Ok(())
+    }
+
+    /// One setting.
+    pub fn get(&self, key: &str) -> Option<&Setting> {
+        self.settings.get(key)
+    }
+
+    /// All settings in order of their keys.
+    pub fn iter(&self) -> impl Iterator<Item = (&str, &Setting)> {
+        self.settings.iter().map(|(k, s)| (k.as_str(), s))
+    }
+
+    /// The tree.
+    pub fn table(&self) -> Table {
+        let mut root = Table::new();
+        for (key, setting) in &self.settings {
+            let mut parts: Vec<&str> = key.split('.').collect();
+            let leaf = parts.pop().unwrap_or_default();
+            let mut at = &mut root;
+            for part in parts {
+                let next = at.entry(part).or_insert_with(|| Value::Table(Table::new()));
+                let Value::Table(table) = next else { unreachable!("a key is either a value or a section") };
+                at = table;
+            }
+            at.insert(leaf.to_owned(), setting.value.clone());
+        }
+        root
+    }
+
+    /// The configuration structure.
+    ///
+    /// # Errors
+    /// If a value lies outside what the structure accepts.
+    pub fn build<T: DeserializeOwned>(&self) -> Result<T, ConfigError> {
+        self.table().try_into().map_err(|e: toml::de::Error| ConfigError::Invalid(e.to_string().trim().to_owned()))
+    }
+
+    /// TOML with a comment behind each value that says where it came from (and what it is, if known). Reads back as TOML.
+    pub fn to_commented_toml(&self) -> String {
+        let mut lines: Vec<(Option<&str>, String, String)> = Vec::new();
+        for (key, setting) in &self.settings {
+            let (section, leaf) = key.rsplit_once('.').map_or((None, key.as_str()), |(s, l)| (Some(s), l));
+            let about = if setting.about.is_empty() { String::new() } else { format!("; {}", setting.about) };
+            let line = format!("{leaf} = {}", show(&setting.value));
+            lines.push((section, line, format!("# {}{about}", setting.source).replace(['\n', '\r'], " ")));
+        }
+        // Values of a section must not follow those of its subsections, and those without a section come first.
+        lines.sort_by(|a, b| a.0.cmp(&b.0));
+        let width = lines.iter().map(|l| l.1.chars().count()).max().unwrap_or(0).min(48);
+        let mut out = String::new();
+        let mut open = None;
+        for (section, line, comment) in lines {
+            if section != open {
+                let blank = if out.is_empty() { "" } else { "\n" };
+                let _ = writeln!(out, "{blank}[{}]", section.unwrap_or_default());
+                open = section;
+            }
+            let _ = writeln!(out, "{line:width$}  {comment}");
+        }
+        out
+    }
+
+    fn store(&mut self, key: &str, value: Value, source: &Source) {
+        if let Some(setting) = self.settings.get_mut(key) {
+            setting.value = value;
+            setting.source = source.clone();
+        }
+    }
+
+    /// The value as the key wants it: whole numbers become floats where floats stand.
+    fn checked(&self, key: &str, value: Value, source: &Source) -> Result<Value, ConfigError> {
+        let Some(setting) = self.settings.get(key) else { return Err(self.unknown(key, source)) };
+        let wrong = |want| ConfigError::Kind {
+            key: key.to_owned(),
+            origin: source.clone(),
+            want,
+            got: show(&value).chars().take(80).collect(),
+        };
+        match (&setting.value, &value) {
+            (Value::Float(_), Value::Integer(i)) => Ok(Value::Float(*i as f64)),
+            (Value::Float(_), Value::Float(f)) if !f.is_finite() => Err(wrong("a finite number")),
+            (Value::Array(old), Value::Array(_)) => {
+                like_array(old, &value).ok_or_else(|| wrong("a list of such values"))
+            }
+            (old, new) if old.same_type(new) => Ok(value),
+            (old, _) => Err(wrong(kind(old))),
+        }
+    }
+
+    fn unknown(&self, key: &str, source: &Source) -> ConfigError {
+        let section = format!("{key}.");
+        let mut near: Vec<String> = self.settings.keys().filter(|k| k.starts_with(&section)).cloned().collect();
+        if near.is_empty() {
+            let ranked = self.settings.keys().map(|known| (likeness(known, key), known));
+            let nearest = ranked.max_by(|a, b| a.0.total_cmp(&b.0)).filter(|(likeness, _)| *likeness > 0.6);
+            near.extend(nearest.map(|(_, known)| known.clone()));
+        }
+        ConfigError::Unknown { key: key.to_owned(), origin: source.clone(), near }
+    }
+}
+
+/// 1 for equal keys, 0 for unlike ones. A right name in the wrong section is close, too.
+fn likeness(known: &str, given: &str) -> f64 {
+    let leaf = |k: &str| k.rsplit('.').next().unwrap_or_default().to_owned();
+    let same = strsim::normalized_damerau_levenshtein;
+    same(known, given).max(0.9 * same(&leaf(known), &leaf(given)))
+}
+
+fn parse(text: &str, origin: &Source) -> Result<Table, ConfigError> {
+    text.parse::<Table>()
+        .map_err(|e| ConfigError::Syntax { origin: origin.clone(), why: e.to_string().trim().to_owned() })
+}
+
+/// Leaves by dotted key. Depth is bounded by the parser's own limit.
+fn flatten(table: &Table) -> Vec<(String, Value)> {
+    let mut leaves = Vec::new();
+    let mut open: Vec<(String, &Table)> = vec![(String::new(), table)];
+    while let Some((prefix, table)) = open.pop() {
+        for (key, value) in table {
+            let path = if prefix.is_empty() { key.clone() } else { format!("{prefix}.{key}") };
+            match value {
+                Value::Table(inner) if !inner.is_empty() => open.push((path, inner)),
+                Value::Table(_) => {}
+                value => leaves.push((path, value.clone())),
+            }
+        }
+    }
+    leaves
+}
+
+/// Comments behind values of hand-written TOML, by dotted key.
+fn comments(text: &str) -> Vec<(String, String)> {
+    let mut section = String::new();
+    let mut found = Vec::new();
+    for line in text.lines().map(str::trim) {
+        if let Some(name) = line.strip_prefix('[').and_then(|l| l.split(']').next()) {
+            section = name.trim().to_owned();
+            continue;
+        }
+        let Some((key, rest)) = line.split_once('=') else { continue };
+        // A `#` inside a quoted value opens no comment.
+        let after_value = match rest.trim_start().strip_prefix('"') {
+            Some(quoted) => quoted.split_once('"').map_or("", |(_, after)| after),
+            None => rest,
+        };
+        if let Some((_, about)) = after_value.split_once('#') {
+            let key = key.trim();
+            let path = if section.is_empty() { key.to_owned() } else { format!("{section}.{key}") };
+            found.push((path, about.trim().to_owned()));
+        }
+    }
+    found
+}
+
+fn kind(value: &Value) -> &'static str {
+    match value {
+        Value::String(_) => "a string",
+        Value::Integer(_) => "a whole number",
+        Value::Float(_) => "a number",
+        Value::Boolean(_) => "true or false",
+        Value::Datetime(_) => "a date",
+        Value::Array(_) => "a list",
+        Value::Table(_) => "a section",
+    }
+}
+
+/// A list whose members are of the kind the old members had (any kind if there were none).
+fn like_array(old: &[Value], new: &Value) -> Option<Value> {
+    let members = new.as_array()?.iter().map(|v| match (old.first(), v) {
+        (Some(Value::Float(_)), Value::Integer(i)) => Some(Value::Float(*i as f64)),
+        (Some(Value::Float(_)), Value::Float(f)) if !f.is_finite() => None,
+        (Some(o), v) if !o.same_type(v) => None,
+        (_, v) => Some(v.clone()),
+    });
+    members.collect::<Option<Vec<_>>>().map(Value::Array)
+}
+
+/// TOML text of a value. A float that is an `f32` in disguise is printed with the few digits it has.
+fn show(value: &Value) -> String {
+    match value {
+        Value::Float(f) if f64::from(*f as f32) == *f => {
+            Value::Float((*f as f32).to_string().parse().unwrap_or(*f)).to_string()
+        }
+        Value::Array(members) => format!("[{}]", members.iter().map(show).collect::<Vec<_>>().join(", ")),
+        other => other.to_string(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde::Deserialize;
+
+    #[derive(Serialize, Deserialize, Debug, PartialEq)]
+    #[serde(deny_unknown_fields)]
+    struct Density {
+        until: u32,
+        grad: f32,
+    }
+
+    #[derive(Serialize, Deserialize, Debug, PartialEq)]
+    #[serde(deny_unknown_fields)]
+    struct Demo {
+        steps: u32,
+        ssim: bool,
+        kind: String,
+        levels: Vec<f32>,
+        density: Density,
+    }
+
+    fn demo() -> Demo {
+        let density = Density { until: 15_000, grad: 2e-4 };
+        Demo { steps: 30_000, ssim: true, kind: "plain".into(), levels: vec![1.0, 2.0], density }
+    }
+
+    fn config() -> Config {
+        Config::of_defaults(&demo()).unwrap()
+    }
+
+    #[test]
+    fn later_sources_win_and_are_remembered() {
+        let mut c = config();
+        c.overlay_toml("steps = 100\n[density]\nuntil = 50", &Source::Preset("tiny".into())).unwrap();
+        c.overlay_toml("density.until = 60", &Source::File("my.toml".into())).unwrap();
+        c.set("density.grad = 1").unwrap();
+        c.set("kind=fancy").unwrap();
+        c.set("levels=[3, 4.5]").unwrap();
+        let built: Demo = c.build().unwrap();
+        let density = Density { until: 60, grad: 1.0 };
+        assert_eq!(built, Demo { steps: 100, ssim: true, kind: "fancy".into(), levels: vec![3.0, 4.5], density });
+        assert_eq!(c.get("ssim").unwrap().source, Source::Default);
+        assert_eq!(c.get("steps").unwrap().source, Source::Preset("tiny".into()));
+        assert_eq!(c.get("density.until").unwrap().source, Source::File("my.toml".into()));
+        assert_eq!(c.get("density.grad").unwrap().source, Source::Flag("--set density.grad = 1".into()));
+    }
+
+    #[test]
+    fn unknown_keys_name_the_nearest() {
+        let error = |text: &str| config().set(text).unwrap_err().to_string();
+        assert!(error("density.untl=5").contains("did you mean `density.until`?"));
+        assert!(error("until=5").contains("did you mean `density.until`?"));
+        assert!(error("density=5").contains("its keys are density.grad, density.until"));
+        let far = error("completely.other.thing=5");
+        assert!(far.contains("unknown setting") && !far.contains("did you mean"), "{far}");
+        let e = config().overlay_toml("steps = 5\nstps = 4", &Source::File("f.toml".into())).unwrap_err();
+        assert!(e.to_string().contains("`stps` (file f.toml); did you mean `steps`?"));
+    }
+
+    #[test]
+    fn wrong_kinds_and_values_are_refused() {
+        let error = |text: &str| config().set(text).unwrap_err().to_string();
+        assert!(error("steps=1.5").contains("must be a whole number, got 1.5"));
+        assert!(error("steps=\"many\"").contains("must be a whole number"));
+        assert!(error("density.grad=nan").contains("must be a finite number"));
+        assert!(error("levels=[1, inf]").contains("list of such values"));
+        assert!(error("ssim=1").contains("true or false"));
+        assert!(error("steps").contains("key=value") && error("=3").contains("key=value"));
+        assert!(matches!(config().set("steps=[").unwrap_err(), ConfigError::Syntax { .. }));
+        let mut c = config();
+        c.set("steps=-4").unwrap();
+        let why = c.build::<Demo>().unwrap_err().to_string();
+        assert!(why.contains("-4") && why.contains("steps"), "{why}");
+    }
+
+    #[test]
+    fn a_refused_overlay_changes_nothing() {
+        let mut c = config();
+        assert!(c.overlay_toml("steps = 7\nwrong = 1", &Source::File("f".into())).is_err());
+        assert_eq!(c, config());
+    }
+
+    #[test]
+    fn the_written_form_reads_back_and_says_whence() {
+        let mut c = config();
+        c.set("density.until=77").unwrap();
+        let text = c.to_commented_toml();
+        assert!(text.contains("grad = 0.0002") && text.contains("# default"), "{text}");
+        assert!(text.contains("# flag --set density.until=77"), "{text}");
+        let back: Demo = toml::from_str(&text).unwrap();
+        assert_eq!(back, c.build().unwrap());
+    }
+
+    #[test]
+    fn comments_become_descriptions() {
+        let text = "steps = 30 # optimiser steps [Kerbl 2023]\n[lr]\nmeans = 1.6e-4 # world units\nname = \"a#b\"\n";
+        let c = Config::of_toml(text).unwrap();
+        assert_eq!(c.get("steps").unwrap().about, "optimiser steps [Kerbl 2023]");
+        assert_eq!(c.get("lr.means").unwrap().about, "world units");
+        assert_eq!(c.get("lr.name").unwrap().about, "");
+        assert!(c.to_commented_toml().contains("# default; world units"));
+    }
+}
