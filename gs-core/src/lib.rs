@@ -19,6 +19,8 @@ pub mod camera;
 pub mod cloud;
 pub mod covariance;
 pub mod image;
+#[cfg(feature = "nn")]
+pub mod nn;
 pub mod param;
 pub mod real;
 pub mod rng;

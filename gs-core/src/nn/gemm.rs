@@ -1,0 +1,197 @@
+//! Matrix product on slices: a checked, serial face of the `gemm` crate.
+//!
+//! `dst = a · b` or `dst += a · b` for `a: [m, k]`, `b: [k, n]`, `dst: [m, n]`, single precision, on strided views.
+//! The call is serial on purpose: rows are parallelised by the caller, which keeps the summation order fixed.
+
+use ::gemm::Parallelism;
+
+/// A read-only matrix view: element `(r, c)` is `data[r · row_stride + c · col_stride]`.
+#[derive(Clone, Copy, Debug)]
+pub struct Mat<'a> {
+    data: &'a [f32],
+    rows: usize,
+    cols: usize,
+    row_stride: usize,
+    col_stride: usize,
+}
+
+impl<'a> Mat<'a> {
+    /// Row-major `[rows, cols]` without gaps.
+    pub fn new(data: &'a [f32], rows: usize, cols: usize) -> Self {
+        Self::strided(data, rows, cols, cols)
+    }
+
+    /// Row-major `[rows, cols]` whose rows begin `row_stride` values apart.
+    ///
+    /// # Panics
+    /// If the view would leave `data`.
+    pub fn strided(data: &'a [f32], rows: usize, cols: usize, row_stride: usize) -> Self {
+        assert!(extent(rows, cols, row_stride) <= data.len(), "matrix view {rows}×{cols} leaves its slice");
+        Self { data, rows, cols, row_stride, col_stride: 1 }
+    }
+
+    /// The transpose, without moving data.
+    pub fn transposed(self) -> Self {
+        let Self { data, rows, cols, row_stride, col_stride } = self;
+        Self { data, rows: cols, cols: rows, row_stride: col_stride, col_stride: row_stride }
+    }
+}
+
+/// A row-major matrix view to write to: rows of `cols` values, `row_stride ≥ cols` apart.
+#[derive(Debug)]
+pub struct MatMut<'a> {
+    data: &'a mut [f32],
+    rows: usize,
+    cols: usize,
+    row_stride: usize,
+}
+
+impl<'a> MatMut<'a> {
+    /// `[rows, cols]` without gaps.
+    pub fn new(data: &'a mut [f32], rows: usize, cols: usize) -> Self {
+        Self::strided(data, rows, cols, cols)
+    }
+
+    /// `[rows, cols]` whose rows begin `row_stride` values apart.
+    ///
+    /// # Panics
+    /// If rows would overlap or leave `data`.
+    pub fn strided(data: &'a mut [f32], rows: usize, cols: usize, row_stride: usize) -> Self {
+        assert!(row_stride >= cols, "rows of {cols} values overlap at stride {row_stride}");
+        assert!(extent(rows, cols, row_stride) <= data.len(), "matrix view {rows}×{cols} leaves its slice");
+        Self { data, rows, cols, row_stride }
+    }
+}
+
+/// Length a slice must have to hold the view; `usize::MAX` if that cannot be counted.
+fn extent(rows: usize, cols: usize, row_stride: usize) -> usize {
+    if rows == 0 || cols == 0 {
+        return 0;
+    }
+    (rows - 1).checked_mul(row_stride).and_then(|v| v.checked_add(cols)).unwrap_or(usize::MAX)
+}
+
+/// What happens to the former contents of the destination.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Write {
+    /// Overwritten.
+    Set,
+    /// Added to.
+    Add,
+}
+
+/// `dst = a · b` ([`Write::Set`]) or `dst += a · b` ([`Write::Add`]). With no inner dimension the product is zero.
+///
+/// # Panics
+/// If the shapes do not fit.
+#[allow(unsafe_code)]
+pub fn gemm(dst: MatMut<'_>, a: Mat<'_>, b: Mat<'_>, write: Write) {
+    assert!(
+        a.cols == b.rows && dst.rows == a.rows && dst.cols == b.cols,
+        "gemm: [{}, {}] · [{}, {}] into [{}, {}]",
+        a.rows,
+        a.cols,
+        b.rows,
+        b.cols,
+        dst.rows,
+        dst.cols
+    );
+    if dst.rows == 0 || dst.cols == 0 {
+        return;
+    }
+    if a.cols == 0 {
+        if write == Write::Set {
+            dst.data.chunks_mut(dst.row_stride).take(dst.rows).for_each(|row| row[..dst.cols].fill(0.0));
+        }
+        return;
+    }
+    // SAFETY: the three views were checked against their slices when they were made (`extent`; transposing permutes the
+    // same elements) and lengths of slices fit `isize`; shapes agree by the assertion above; `dst` is a unique borrow
+    // whose rows do not overlap (`row_stride ≥ cols`), so it aliases neither itself nor `a` nor `b`; every element is
+    // initialised.
+    unsafe {
+        ::gemm::gemm(
+            dst.rows,
+            dst.cols,
+            a.cols,
+            dst.data.as_mut_ptr(),
+            1,
+            dst.row_stride as isize,
+            write == Write::Add,
+            a.data.as_ptr(),
+            a.col_stride as isize,
+            a.row_stride as isize,
+            b.data.as_ptr(),
+            b.col_stride as isize,
+            b.row_stride as isize,
+            1.0,
+            1.0,
+            false,
+            false,
+            false,
+            Parallelism::None,
+        );
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rng::Rng;
+
+    fn random(n: usize, row: u64) -> Vec<f32> {
+        let mut rng = Rng::new(5, "gemm", 0, row);
+        (0..n).map(|_| rng.normal()).collect()
+    }
+
+    /// Every shape class the kernels treat differently, both write modes, all transpositions, and gaps left alone.
+    #[test]
+    fn agrees_with_three_loops() {
+        for (case, &(m, n, k)) in
+            [(0, 3, 2), (3, 4, 0), (1, 1, 1), (1, 7, 5), (5, 1, 9), (16, 16, 2), (17, 33, 65), (256, 3, 64)]
+                .iter()
+                .enumerate()
+        {
+            let (a, b) = (random(m * k, case as u64), random(k * n, 100 + case as u64));
+            let transpose = |v: &[f32], rows: usize, cols: usize| -> Vec<f32> {
+                (0..rows * cols).map(|i| v[(i % rows) * cols + i / rows]).collect()
+            };
+            let (at, bt) = (transpose(&a, m, k), transpose(&b, k, n));
+            for write in [Write::Set, Write::Add] {
+                for (a_view, b_view) in [
+                    (Mat::new(&a, m, k), Mat::new(&b, k, n)),
+                    (Mat::new(&at, k, m).transposed(), Mat::new(&b, k, n)),
+                    (Mat::new(&a, m, k), Mat::new(&bt, n, k).transposed()),
+                    (Mat::new(&at, k, m).transposed(), Mat::new(&bt, n, k).transposed()),
+                ] {
+                    let stride = n + 2;
+                    let mut dst = vec![0.5; m * stride];
+                    gemm(MatMut::strided(&mut dst, m, n, stride), a_view, b_view, write);
+                    for r in 0..m {
+                        for c in 0..n {
+                            let want: f64 =
+                                (0..k).map(|i| f64::from(a[r * k + i]) * f64::from(b[i * n + c])).sum::<f64>()
+                                    + if write == Write::Add { 0.5 } else { 0.0 };
+                            let got = f64::from(dst[r * stride + c]);
+                            assert!((got - want).abs() < 2e-5 * (1.0 + want.abs()), "{m}×{n}×{k}: {got} {want}");
+                        }
+                        assert_eq!(dst[r * stride + n..][..2], [0.5; 2], "the gap between rows was written");
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    #[should_panic(expected = "leaves its slice")]
+    fn a_view_beyond_its_slice_is_refused() {
+        let _ = Mat::strided(&[0.0; 10], 3, 3, 4);
+    }
+
+    #[test]
+    #[should_panic(expected = "gemm: [2, 3] · [2, 3]")]
+    fn shapes_must_fit() {
+        let v = [0.0; 6];
+        gemm(MatMut::new(&mut [0.0; 6], 2, 3), Mat::new(&v, 2, 3), Mat::new(&v, 2, 3), Write::Set);
+    }
+}

@@ -1,0 +1,235 @@
+//! A stack of dense layers with ReLU between them, for the rows of one block, activations kept for the way back.
+
+use super::dense::{Dense, DenseGrad, Init, relu, relu_backward};
+use super::gemm::Write;
+use crate::{Param, Params};
+
+/// `x → relu(W₀x + b₀) → … → W_L x + b_L`, with a ReLU after the last layer too if asked.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Mlp {
+    /// The layers, first to last; at least one.
+    layers: Vec<Dense>,
+    relu_last: bool,
+}
+
+/// Activations of one block, reused between steps.
+#[derive(Clone, Debug, Default)]
+pub struct MlpTape {
+    /// Output of each layer (after its ReLU), `[rows, outputs]`.
+    outputs: Vec<Vec<f32>>,
+    /// Cotangents on the way back: of the current layer's output and of its input.
+    d: [Vec<f32>; 2],
+}
+
+/// Gradient of all layers, summed over the rows of one chunk.
+#[derive(Clone, Debug, Default)]
+pub struct MlpGrad(Vec<DenseGrad>);
+
+impl Mlp {
+    /// Layers of the given widths (`[inputs, hidden…, outputs]`), named `{name}.0`, `{name}.1`, …; the last one starts
+    /// as `last`, the others as `init`.
+    ///
+    /// # Panics
+    /// With fewer than two widths.
+    pub fn new(name: &str, widths: &[usize], init: Init, last: Init, seed: u64) -> Self {
+        assert!(widths.len() >= 2, "a network needs an input and an output width");
+        let final_layer = widths.len() - 2;
+        let layer = |(i, w): (usize, &[usize])| {
+            Dense::new(&format!("{name}.{i}"), w[0], w[1], if i == final_layer { last } else { init }, seed)
+        };
+        Self { layers: widths.windows(2).enumerate().map(layer).collect(), relu_last: false }
+    }
+
+    /// The same with a ReLU after the last layer.
+    pub fn with_last_relu(mut self) -> Self {
+        self.relu_last = true;
+        self
+    }
+
+    /// The layers, first to last.
+    pub fn layers(&self) -> &[Dense] {
+        &self.layers
+    }
+
+    /// Values per input row.
+    pub fn inputs(&self) -> usize {
+        self.layers[0].inputs()
+    }
+
+    /// Values per output row.
+    pub fn outputs(&self) -> usize {
+        self.layers[self.layers.len() - 1].outputs()
+    }
+
+    fn has_relu(&self, layer: usize) -> bool {
+        self.relu_last || layer + 1 < self.layers.len()
+    }
+
+    /// Runs the block `x: [rows, inputs]`; the result is [`MlpTape::output`].
+    pub fn forward(&self, x: &[f32], tape: &mut MlpTape) {
+        let rows = x.len() / self.inputs().max(1);
+        tape.outputs.resize_with(self.layers.len(), Vec::new);
+        for (i, layer) in self.layers.iter().enumerate() {
+            let (before, rest) = tape.outputs.split_at_mut(i);
+            let y = &mut rest[0];
+            y.resize(rows * layer.outputs(), 0.0);
+            layer.forward(before.last().map_or(x, Vec::as_slice), y);
+            if self.has_relu(i) {
+                relu(y);
+            }
+        }
+    }
+
+    /// The way back of [`Mlp::forward`] for the same `x`: adds to `grad` and, where given, to `dx`.
+    pub fn backward(&self, x: &[f32], tape: &mut MlpTape, dy: &[f32], mut dx: Option<&mut [f32]>, grad: &mut MlpGrad) {
+        let rows = x.len() / self.inputs().max(1);
+        let MlpTape { outputs, d: [d_out, d_in] } = tape;
+        d_out.clear();
+        d_out.extend_from_slice(dy);
+        for (i, layer) in self.layers.iter().enumerate().rev() {
+            if self.has_relu(i) {
+                relu_backward(&outputs[i], d_out);
+            }
+            let grad = &mut grad.0[i];
+            if i > 0 {
+                d_in.resize(rows * layer.inputs(), 0.0);
+                layer.backward(&outputs[i - 1], d_out, None, grad);
+                layer.backward_input(0..layer.inputs(), d_out, d_in, Write::Set);
+                std::mem::swap(d_out, d_in);
+            } else {
+                layer.backward(x, d_out, dx.take(), grad);
+            }
+        }
+    }
+
+    /// Adds the chunks' gradients to the parameters, in the given order.
+    pub fn add_grads<'a>(&mut self, chunks: impl Iterator<Item = &'a MlpGrad> + Clone + Sync + Send) {
+        for (i, layer) in self.layers.iter_mut().enumerate() {
+            layer.add_grads(chunks.clone().map(move |g| &g.0[i]));
+        }
+    }
+}
+
+impl MlpTape {
+    /// Output of the last forward pass, `[rows, outputs]`.
+    pub fn output(&self) -> &[f32] {
+        self.outputs.last().map_or(&[], Vec::as_slice)
+    }
+}
+
+impl MlpGrad {
+    /// Makes this the zero gradient of `mlp`, reusing memory.
+    pub fn reset(&mut self, mlp: &Mlp) {
+        self.0.resize_with(mlp.layers.len(), DenseGrad::default);
+        self.0.iter_mut().zip(&mlp.layers).for_each(|(g, l)| g.reset(l));
+    }
+}
+
+impl Params for Mlp {
+    fn visit(&self, f: &mut dyn FnMut(&Param)) {
+        self.layers.iter().for_each(|l| l.visit(f));
+    }
+    fn visit_mut(&mut self, f: &mut dyn FnMut(&mut Param)) {
+        self.layers.iter_mut().for_each(|l| l.visit_mut(f));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Rng;
+
+    /// f32 output against the f64 loops (three layers of width ≤ 16, values of order one).
+    const VALUE: f64 = 2e-6;
+    /// f32 gradients against central differences of the f64 loops, relative to 1 + |gradient|.
+    const GRADIENT: f64 = 2e-5;
+
+    fn wide(mlp: &Mlp) -> Vec<Vec<f64>> {
+        let mut all = Vec::new();
+        mlp.visit(&mut |p| all.push(p.value.iter().map(|&v| f64::from(v)).collect()));
+        all
+    }
+
+    /// `Σ weight · mlp(x)` in f64 loops; `params` alternates weight and bias.
+    fn reference(params: &[Vec<f64>], relu_last: bool, inputs: usize, x: &[f64], weight: &[f64]) -> f64 {
+        let layers = params.len() / 2;
+        let mut loss = 0.0;
+        let outputs = params[params.len() - 1].len();
+        for (row, weight) in x.chunks(inputs).zip(weight.chunks(outputs)) {
+            let mut h = row.to_vec();
+            for (i, pair) in params.chunks(2).enumerate() {
+                let linear = pair[1].iter().zip(pair[0].chunks(h.len()));
+                h = linear.map(|(b, w)| b + w.iter().zip(&h).map(|(w, h)| w * h).sum::<f64>()).collect();
+                if relu_last || i + 1 < layers {
+                    h.iter_mut().for_each(|v| *v = v.max(0.0));
+                }
+            }
+            loss += h.iter().zip(weight).map(|(h, w)| h * w).sum::<f64>();
+        }
+        loss
+    }
+
+    #[test]
+    fn gradients_match_finite_differences_of_the_f64_loops() {
+        for (rows, relu_last) in [(1, false), (15, true), (17, false)] {
+            let mut mlp = Mlp::new("t", &[5, 16, 7, 3], Init::FanIn, Init::FanIn, 1);
+            if relu_last {
+                mlp = mlp.with_last_relu();
+            }
+            let mut rng = Rng::new(2, "mlp", 0, rows);
+            let x: Vec<f32> = (0..rows * 5).map(|_| rng.normal()).collect();
+            let dy: Vec<f32> = (0..rows * 3).map(|_| rng.normal()).collect();
+            let (mut tape, mut grad, mut dx) = (MlpTape::default(), MlpGrad::default(), vec![0.0; x.len()]);
+            mlp.forward(&x, &mut tape);
+            grad.reset(&mlp);
+            mlp.backward(&x, &mut tape, &dy, Some(&mut dx), &mut grad);
+            mlp.add_grads(std::iter::once(&grad));
+
+            let mut params = wide(&mlp);
+            let mut x: Vec<f64> = x.iter().map(|&v| f64::from(v)).collect();
+            let dy: Vec<f64> = dy.iter().map(|&v| f64::from(v)).collect();
+            let loss: f64 = tape.output().iter().zip(&dy).map(|(y, d)| f64::from(*y) * d).sum();
+            assert!((loss - reference(&params, relu_last, 5, &x, &dy)).abs() < VALUE * 20.0);
+
+            let h = 1e-6;
+            let check = |got: f32, hi: f64, lo: f64, what: &str| {
+                let want = (hi - lo) / (2.0 * h);
+                assert!((f64::from(got) - want).abs() < GRADIENT * (1.0 + want.abs()), "{what}: {got} {want}");
+            };
+            for i in 0..x.len() {
+                let at = x[i];
+                x[i] = at + h;
+                let hi = reference(&params, relu_last, 5, &x, &dy);
+                x[i] = at - h;
+                let lo = reference(&params, relu_last, 5, &x, &dy);
+                x[i] = at;
+                check(dx[i], hi, lo, "dx");
+            }
+            let mut grads = Vec::new();
+            mlp.visit(&mut |p| grads.push(p.grad.clone()));
+            for b in 0..params.len() {
+                for i in 0..params[b].len() {
+                    let at = params[b][i];
+                    params[b][i] = at + h;
+                    let hi = reference(&params, relu_last, 5, &x, &dy);
+                    params[b][i] = at - h;
+                    let lo = reference(&params, relu_last, 5, &x, &dy);
+                    params[b][i] = at;
+                    check(grads[b][i], hi, lo, "parameter");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn names_and_counts_follow_the_widths() {
+        let mlp = Mlp::new("head", &[4, 8, 2], Init::Xavier, Init::Zero, 0);
+        let mut names = Vec::new();
+        mlp.visit(&mut |p| names.push(p.name.clone()));
+        assert_eq!(names, ["head.0.weight", "head.0.bias", "head.1.weight", "head.1.bias"]);
+        assert_eq!((mlp.param_count(), mlp.inputs(), mlp.outputs()), (4 * 8 + 8 + 8 * 2 + 2, 4, 2));
+        let mut tape = MlpTape::default();
+        mlp.forward(&[1.0; 12], &mut tape);
+        assert_eq!(tape.output(), [0.0; 6], "a zero last layer says nothing");
+    }
+}

@@ -1,0 +1,28 @@
+//! A few plain network layers with hand-derived gradients: no tape, no graph, no framework.
+//!
+//! Rows (one per splat) are worked through in blocks of [`BLOCK`]; inside a block every matrix product is a serial call
+//! of [`gemm()`](gemm::gemm), and rayon runs over blocks. Parameter gradients are summed over at most [`CHUNKS`] runs of
+//! consecutive blocks, and the runs are added in order: the split depends on the number of rows alone, so results are
+//! bitwise equal for any number of threads.
+//!
+//! Everything here works on the rows of one block and is serial; the caller owns the loop over blocks, so that an
+//! encoder, several networks and the application of their output can share one pass through the cache.
+
+pub mod dense;
+pub mod encoding;
+pub mod gemm;
+pub mod mlp;
+
+pub use dense::{Dense, DenseGrad, Init};
+pub use mlp::{Mlp, MlpGrad, MlpTape};
+
+/// Rows worked on together: 256 × 64 values of `f32` fill 64 KiB, so a few activations fit the second-level cache.
+pub const BLOCK: usize = 256;
+
+/// Most partial sums of a parameter gradient, hence the width of the parallel part of a backward pass.
+pub const CHUNKS: usize = 8;
+
+/// Blocks in each chunk of a backward pass over `blocks` blocks (the last chunk may hold fewer).
+pub fn blocks_per_chunk(blocks: usize) -> usize {
+    blocks.div_ceil(CHUNKS).max(1)
+}
