@@ -1,0 +1,351 @@
+//! Adam (Kingma and Ba 2015), fused: one pass updates a parameter and both its moments and clears its gradient.
+//!
+//! ```text
+//! m ← β₁ m + (1 − β₁) g        v ← β₂ v + (1 − β₂) g²
+//! p ← p − lr · (m / (1 − β₁ᵗ)) / (sqrt(v / (1 − β₂ᵗ)) + ε)
+//! ```
+//! `t` counts the updates of each block. Gradients are guarded in the same pass: a row of a row block with a gradient
+//! that is not finite is left alone (value and moments), its gradient cleared, and counted; in a block shared by all
+//! splats such a gradient is reported, and nothing of its chunk is updated.
+//!
+//! The loop is plain arithmetic without fused multiply-add, compiled once per instruction set: the same bits at every
+//! SIMD level and for every number of threads.
+
+use fearless_simd::{Level, Simd, dispatch};
+use gs_core::Param;
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+
+/// Values per parallel piece, roughly: four arrays of this many stay in the first-level cache's neighbour.
+const PIECE: usize = 8192;
+
+/// Constants of Adam.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AdamOptions {
+    /// Decay of the first moment.
+    pub beta1: f32,
+    /// Decay of the second moment.
+    pub beta2: f32,
+    /// Added to the denominator.
+    pub eps: f32,
+    /// Rows whose gradient is exactly zero keep value and moments. Faster where few splats are seen, but not Adam: the
+    /// default (off) lets momentum run on.
+    pub sparse: bool,
+}
+
+impl Default for AdamOptions {
+    /// `β₁ = 0.9`, `β₂ = 0.999`, `ε = 1e-15` (3DGS), every row every time.
+    fn default() -> Self {
+        Self { beta1: 0.9, beta2: 0.999, eps: 1e-15, sparse: false }
+    }
+}
+
+/// Gradients met that were not finite.
+#[derive(Clone, Debug, PartialEq, Eq, Default)]
+pub struct Refused {
+    /// Rows of row blocks (the largest count of any block), which were skipped.
+    pub rows: u32,
+    /// Rows in the block of that count.
+    pub of: u32,
+    /// The first block and row refused.
+    pub first: Option<(String, u32)>,
+    /// The first shared block with such a gradient, if any: the run cannot go on.
+    pub shared: Option<String>,
+}
+
+/// The optimiser: constants, and the number of updates each block has had.
+#[derive(Clone, Debug)]
+pub struct Adam {
+    /// `β₁`, `β₂`, and the defaults of the rest.
+    pub options: AdamOptions,
+    updates: BTreeMap<String, u32>,
+    level: Level,
+}
+
+/// One update, its factors worked out.
+#[derive(Clone, Copy)]
+struct Factors {
+    beta1: f32,
+    beta2: f32,
+    /// `lr / (1 − β₁ᵗ)`.
+    rate: f32,
+    /// `1 / sqrt(1 − β₂ᵗ)`.
+    root: f32,
+    eps: f32,
+}
+
+impl Default for Adam {
+    fn default() -> Self {
+        Self::new(AdamOptions::default())
+    }
+}
+
+impl Adam {
+    /// An optimiser that has not made any update.
+    pub fn new(options: AdamOptions) -> Self {
+        Self { options, updates: BTreeMap::new(), level: Level::new() }
+    }
+
+    /// The number of updates of each block, for checkpoints.
+    pub fn updates(&self) -> &BTreeMap<String, u32> {
+        &self.updates
+    }
+
+    /// Restores the number of updates of each block.
+    pub fn set_updates(&mut self, updates: BTreeMap<String, u32>) {
+        self.updates = updates;
+    }
+
+    /// Forgets the number of updates; clear the moments of the blocks too.
+    pub fn restart(&mut self) {
+        self.updates.clear();
+    }
+
+    /// Updates one block at the learning rate `lr` with the given `eps` and clears its gradient. What was refused is
+    /// added to `refused`.
+    pub fn update(&mut self, p: &mut Param, lr: f32, eps: f32, refused: &mut Refused) {
+        let t = match self.updates.get_mut(&p.name) {
+            Some(t) => {
+                *t += 1;
+                *t
+            }
+            None => {
+                self.updates.insert(p.name.clone(), 1);
+                1
+            }
+        };
+        let o = self.options;
+        let correction = |beta: f32| 1.0 - f64::from(beta).powf(f64::from(t));
+        let factors = Factors {
+            beta1: o.beta1,
+            beta2: o.beta2,
+            rate: (f64::from(lr) / correction(o.beta1)) as f32,
+            root: (1.0 / correction(o.beta2).sqrt()) as f32,
+            eps,
+        };
+        let width = p.row_width.unwrap_or(1);
+        let piece = width * (PIECE / width).max(1);
+        let (sparse, shared, level) = (o.sparse, p.row_width.is_none(), self.level);
+        let bad: Vec<(u32, Option<u32>)> = (
+            p.value.par_chunks_mut(piece),
+            p.moment1.par_chunks_mut(piece),
+            p.moment2.par_chunks_mut(piece),
+            p.grad.par_chunks_mut(piece),
+        )
+            .into_par_iter()
+            .map(|(value, m, v, grad)| {
+                let piece = Piece { value, m, v, grad };
+                if !all_finite(level, piece.grad) {
+                    return piece.careful(&factors, if shared { usize::MAX } else { width }, sparse);
+                }
+                if sparse && !shared {
+                    piece.visible(&factors, width)
+                } else {
+                    piece.all(level, &factors)
+                }
+                (0, None)
+            })
+            .collect();
+        note_refused(p, &bad, (piece / width) as u32, refused);
+    }
+}
+
+/// Enters the counts of one block: rows refused per piece, and the first in its piece.
+fn note_refused(p: &Param, bad: &[(u32, Option<u32>)], rows_per_piece: u32, refused: &mut Refused) {
+    let rows: u32 = bad.iter().map(|b| b.0).sum();
+    if rows == 0 {
+        return;
+    }
+    let first = bad.iter().enumerate().find_map(|(i, b)| b.1.map(|row| i as u32 * rows_per_piece + row));
+    if refused.first.is_none() {
+        refused.first = first.map(|row| (p.name.clone(), row));
+    }
+    match p.row_count() {
+        None => refused.shared = refused.shared.take().or_else(|| Some(p.name.clone())),
+        Some(count) if rows > refused.rows => (refused.rows, refused.of) = (rows, count as u32),
+        Some(_) => {}
+    }
+}
+
+/// A stretch of one block.
+struct Piece<'a> {
+    value: &'a mut [f32],
+    m: &'a mut [f32],
+    v: &'a mut [f32],
+    grad: &'a mut [f32],
+}
+
+impl Piece<'_> {
+    /// Every value, compiled for the instruction set of this machine.
+    fn all(self, level: Level, f: &Factors) {
+        dispatch!(level, simd => update_all(simd, self.value, self.m, self.v, self.grad, f));
+    }
+
+    /// Only rows with some gradient.
+    fn visible(self, f: &Factors, width: usize) {
+        for at in (0..self.grad.len()).step_by(width) {
+            let row = at..(at + width).min(self.grad.len());
+            if self.grad[row.clone()].iter().any(|&g| g != 0.0) {
+                update_row(
+                    &mut self.value[row.clone()],
+                    &mut self.m[row.clone()],
+                    &mut self.v[row.clone()],
+                    &self.grad[row.clone()],
+                    f,
+                );
+                self.grad[row].fill(0.0);
+            }
+        }
+    }
+
+    /// Row by row, leaving out those with a gradient that is not finite. Gives their number and the first.
+    fn careful(self, f: &Factors, width: usize, sparse: bool) -> (u32, Option<u32>) {
+        let (mut count, mut first) = (0, None);
+        let width = width.min(self.grad.len());
+        for (r, at) in (0..self.grad.len()).step_by(width).enumerate() {
+            let row = at..(at + width).min(self.grad.len());
+            let grad = &mut self.grad[row.clone()];
+            if !grad.iter().all(|g| g.is_finite()) {
+                count += 1;
+                first = first.or(Some(r as u32));
+            } else if !(sparse && grad.iter().all(|&g| g == 0.0)) {
+                update_row(&mut self.value[row.clone()], &mut self.m[row.clone()], &mut self.v[row], grad, f);
+            }
+            grad.fill(0.0);
+        }
+        (count, first)
+    }
+}
+
+fn all_finite(level: Level, grad: &[f32]) -> bool {
+    dispatch!(level, simd => all_finite_in(simd, grad))
+}
+
+/// `g · 0` is NaN exactly where `g` is not finite; the sum keeps it.
+#[inline(always)]
+fn all_finite_in<S: Simd>(_simd: S, grad: &[f32]) -> bool {
+    let mut lanes = [0.0f32; 16];
+    let (chunks, tail) = grad.as_chunks::<16>();
+    for chunk in chunks {
+        for (l, g) in lanes.iter_mut().zip(chunk) {
+            *l += g * 0.0;
+        }
+    }
+    lanes.iter().chain(tail).all(|v| v.is_finite())
+}
+
+#[inline(always)]
+fn update_all<S: Simd>(_simd: S, value: &mut [f32], m: &mut [f32], v: &mut [f32], grad: &mut [f32], f: &Factors) {
+    update_row(value, m, v, grad, f);
+    grad.fill(0.0);
+}
+
+#[inline(always)]
+fn update_row(value: &mut [f32], m: &mut [f32], v: &mut [f32], grad: &[f32], f: &Factors) {
+    for (((p, m), v), g) in value.iter_mut().zip(m).zip(v).zip(grad) {
+        *m = f.beta1 * *m + (1.0 - f.beta1) * g;
+        *v = f.beta2 * *v + (1.0 - f.beta2) * (g * g);
+        *p -= f.rate * *m / (v.sqrt() * f.root + f.eps);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gs_core::Rng;
+
+    /// The definition, in f64.
+    fn reference(values: &mut [f64], grads: &[Vec<f64>], lr: f64) {
+        let (b1, b2, eps) = (0.9f32 as f64, 0.999f32 as f64, 1e-15);
+        let (mut m, mut v) = (vec![0.0; values.len()], vec![0.0; values.len()]);
+        for (t, g) in grads.iter().enumerate() {
+            for i in 0..values.len() {
+                m[i] = b1 * m[i] + (1.0 - b1) * g[i];
+                v[i] = b2 * v[i] + (1.0 - b2) * g[i] * g[i];
+                let (mh, vh) = (m[i] / (1.0 - b1.powi(t as i32 + 1)), v[i] / (1.0 - b2.powi(t as i32 + 1)));
+                values[i] -= lr * mh / (vh.sqrt() + eps);
+            }
+        }
+    }
+
+    #[test]
+    fn follows_the_definition_at_every_length_and_level() {
+        for n in [1usize, 5, 16, 17, 63, 20_000] {
+            let mut rng = Rng::new(1, "adam", 0, n as u64);
+            let start: Vec<f32> = (0..n).map(|_| rng.normal()).collect();
+            let grads: Vec<Vec<f64>> =
+                (0..10).map(|_| (0..n).map(|_| f64::from(rng.normal() * 1e-3)).collect()).collect();
+            let mut want: Vec<f64> = start.iter().map(|&v| f64::from(v)).collect();
+            reference(&mut want, &grads, 1e-2);
+            let mut kept: Vec<Vec<f32>> = Vec::new();
+            for level in [Level::new(), Level::baseline()] {
+                let mut p = Param::shared("w", start.clone());
+                let mut adam = Adam { level, ..Adam::default() };
+                for g in &grads {
+                    p.grad.iter_mut().zip(g).for_each(|(a, b)| *a = *b as f32);
+                    adam.update(&mut p, 1e-2, 1e-15, &mut Refused::default());
+                    assert!(p.grad.iter().all(|&g| g == 0.0));
+                }
+                let worst = p.value.iter().zip(&want).map(|(a, b)| (f64::from(*a) - b).abs()).fold(0.0, f64::max);
+                assert!(worst < 1e-6, "n = {n}: {worst:e}");
+                kept.push(p.value);
+            }
+            assert_eq!(kept[0], kept[1], "the same bits at every level");
+        }
+    }
+
+    fn rows() -> Param {
+        let mut p = Param::rows("r", 2, vec![1.0; 8]);
+        p.grad = vec![1.0, 1.0, f32::NAN, 1.0, 0.0, 0.0, 1.0, f32::INFINITY];
+        p.moment1.fill(0.5);
+        p
+    }
+
+    #[test]
+    fn bad_rows_are_left_alone_and_counted() {
+        let (mut p, mut refused) = (rows(), Refused::default());
+        Adam::default().update(&mut p, 0.1, 1e-15, &mut refused);
+        assert_eq!((refused.rows, refused.of, refused.first.clone()), (2, 4, Some(("r".into(), 1))));
+        assert_eq!((&p.value[2..4], &p.moment1[2..4]), (&[1.0f32; 2][..], &[0.5f32; 2][..]));
+        assert!(p.value[0] < 1.0 && p.value[4] < 1.0 && p.value.iter().all(|v| v.is_finite()));
+        assert!(p.grad.iter().all(|&g| g == 0.0) && refused.shared.is_none());
+    }
+
+    #[test]
+    fn a_bad_shared_gradient_is_reported_and_changes_nothing() {
+        let mut p = Param::shared("w", vec![1.0; 3]);
+        p.grad[1] = f32::NAN;
+        let mut refused = Refused::default();
+        Adam::default().update(&mut p, 0.1, 1e-15, &mut refused);
+        assert_eq!((refused.shared, p.value), (Some("w".into()), vec![1.0; 3]));
+    }
+
+    #[test]
+    fn sparse_rows_without_gradient_rest() {
+        let mut p = rows();
+        p.grad = vec![1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0];
+        let mut adam = Adam::new(AdamOptions { sparse: true, ..AdamOptions::default() });
+        adam.update(&mut p, 0.1, 1e-15, &mut Refused::default());
+        assert_eq!(
+            (&p.value[2..4], &p.moment1[2..4], &p.value[6..]),
+            (&[1.0f32; 2][..], &[0.5f32; 2][..], &[1.0f32; 2][..])
+        );
+        assert!(p.value[0] < 1.0 && p.value[4] < 1.0);
+    }
+
+    #[test]
+    fn updates_are_counted_per_block_and_restored() {
+        let (mut a, mut b) = (Param::shared("a", vec![0.0]), Param::shared("b", vec![0.0]));
+        let mut adam = Adam::default();
+        for _ in 0..3 {
+            adam.update(&mut a, 0.1, 1e-15, &mut Refused::default());
+        }
+        adam.update(&mut b, 0.1, 1e-15, &mut Refused::default());
+        assert_eq!((adam.updates()["a"], adam.updates()["b"]), (3, 1));
+        let kept = adam.updates().clone();
+        adam.restart();
+        assert!(adam.updates().is_empty());
+        adam.set_updates(kept);
+        assert_eq!(adam.updates()["a"], 3);
+    }
+}

@@ -1,0 +1,333 @@
+//! What changes over a run: stages, learning rates by parameter name, density control, SH degree and loss weights.
+//!
+//! A learning rate runs log-linearly from `start` to `end` over `steps` (3D Gaussian Splatting, Kerbl et al. 2023):
+//! ```text
+//! lr(s) = exp((1 − τ) ln start + τ ln end)        τ = clamp(s / steps, 0, 1)
+//! ```
+//! Steps count from 1; step `s` is the one being made. Everything here is a pure function of the step, so a resumed run
+//! needs no state of its own for it.
+
+use crate::density::DensityRules;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// The plan of a run.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Schedule {
+    /// Steps between two rises of the SH degree, from 0 (3DGS: 1000). 0: the full degree from the start.
+    pub sh_every: u32,
+    /// What is drawn behind the scene while training.
+    pub background: Background,
+    /// Weight λ of `1 − SSIM`; L1 has `1 − λ` (3DGS: 0.2; 4DGaussians: 0).
+    pub lambda_dssim: f32,
+    /// Adam updates only rows that received a gradient in this step.
+    pub sparse_adam: bool,
+    /// A gradient row is refused (not finite) at most for this share of rows; above it the run stops.
+    pub max_quarantine: f32,
+    /// Clone, split, prune and opacity reset.
+    pub density: DensityRules,
+    /// Adam's ε (3DGS: 1e-15).
+    pub adam_eps: f32,
+    /// The stages by name, followed in the order they state; their steps add up to the whole run.
+    pub stages: BTreeMap<String, Stage>,
+    /// Learning rates. A key names a dot-separated part of a parameter's name; the rightmost part that has a key wins:
+    /// `cloud.means` is ruled by `means` if present, else by `cloud`. A parameter without a rule does not learn.
+    pub lr: BTreeMap<String, LearningRate>,
+}
+
+/// A stretch of a run.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Stage {
+    /// Stages follow each other by this number.
+    pub order: u32,
+    /// Number of steps; 0 leaves the stage out.
+    pub steps: u32,
+    /// Whether the deformation field takes part.
+    pub dynamic: bool,
+    /// Training images are reduced by this factor (1: full size).
+    pub image_scale: f64,
+    /// Learning rates and density control count steps from the start of this stage, and the optimiser forgets its
+    /// moments there (4DGaussians). Otherwise they count from the start of the run (Deformable 3DGS).
+    pub own_clock: bool,
+}
+
+/// The learning rate of a group of parameters.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LearningRate {
+    /// At the first step.
+    pub start: f32,
+    /// After `steps` steps.
+    pub end: f32,
+    /// Length of the decay; 0: constant at `start`.
+    pub steps: u32,
+    /// Multiplied by the extent of the scene (the parameter is a length).
+    pub per_extent: bool,
+}
+
+/// What lies behind the scene.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Background {
+    /// `(0, 0, 0)`.
+    Black,
+    /// `(1, 1, 1)`.
+    White,
+    /// Another colour each step, uniform in the unit cube; evaluation is over black.
+    Random,
+}
+
+/// A schedule that cannot be followed.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("schedule: {field} = {value} is out of range; {rule}")]
+pub struct ScheduleError {
+    /// Name of the field.
+    pub field: String,
+    /// Value met.
+    pub value: f64,
+    /// What it must satisfy.
+    pub rule: &'static str,
+}
+
+/// Where a step lies.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Position {
+    /// Index of the stage.
+    pub stage: usize,
+    /// The step on the clock that learning rates and density control follow, from 1.
+    pub clock: u32,
+    /// Whether this is the first step of a stage with its own clock (the optimiser forgets its moments before it).
+    pub fresh: bool,
+}
+
+impl LearningRate {
+    /// A constant rate.
+    pub const fn constant(rate: f32) -> Self {
+        Self { start: rate, end: rate, steps: 0, per_extent: false }
+    }
+
+    /// A log-linear decay.
+    pub const fn decay(start: f32, end: f32, steps: u32) -> Self {
+        Self { start, end, steps, per_extent: false }
+    }
+
+    /// The same rate, multiplied by the extent of the scene.
+    pub const fn per_extent(mut self) -> Self {
+        self.per_extent = true;
+        self
+    }
+
+    /// The rate at a step, for a scene of the given extent (world units).
+    pub fn at(&self, step: u32, extent: f32) -> f32 {
+        let rate = if self.steps == 0 || self.start <= 0.0 || self.end <= 0.0 {
+            f64::from(self.start)
+        } else {
+            let tau = (f64::from(step) / f64::from(self.steps)).min(1.0);
+            ((1.0 - tau) * f64::from(self.start).ln() + tau * f64::from(self.end).ln()).exp()
+        };
+        (rate * if self.per_extent { f64::from(extent) } else { 1.0 }) as f32
+    }
+}
+
+impl Background {
+    /// The colour for a training step.
+    pub fn color(self, seed: u64, step: u32) -> [f32; 3] {
+        match self {
+            Background::Black => [0.0; 3],
+            Background::White => [1.0; 3],
+            Background::Random => {
+                let mut rng = gs_core::Rng::new(seed, "background", step, 0);
+                std::array::from_fn(|_| rng.uniform())
+            }
+        }
+    }
+
+    /// The colour evaluation is made over.
+    pub fn evaluation_color(self) -> [f32; 3] {
+        if self == Background::White { [1.0; 3] } else { [0.0; 3] }
+    }
+}
+
+impl Schedule {
+    /// Number of steps of the whole run.
+    pub fn steps(&self) -> u32 {
+        self.stages.values().map(|s| s.steps).sum()
+    }
+
+    /// The stages with their names, in the order they are followed.
+    pub fn ordered(&self) -> Vec<(&str, &Stage)> {
+        let mut stages: Vec<(&str, &Stage)> =
+            self.stages.iter().filter(|s| s.1.steps > 0).map(|(n, s)| (n.as_str(), s)).collect();
+        stages.sort_by_key(|(_, s)| s.order);
+        stages
+    }
+
+    /// Where step `step` (from 1) lies. Steps beyond the end belong to the last stage.
+    pub fn position(&self, step: u32) -> Position {
+        let mut start = 0;
+        let mut clock_start = 0;
+        let stages = self.ordered();
+        let last = stages.len().saturating_sub(1);
+        for (i, (_, stage)) in stages.into_iter().enumerate() {
+            if stage.own_clock {
+                clock_start = start;
+            }
+            if step <= start + stage.steps || i == last {
+                let fresh = stage.own_clock && start > 0 && step == start + 1;
+                return Position { stage: i, clock: step - clock_start, fresh };
+            }
+            start += stage.steps;
+        }
+        Position { stage: 0, clock: step, fresh: false }
+    }
+
+    /// The stage of step `step`, if there is any.
+    pub fn stage(&self, step: u32) -> Option<&Stage> {
+        self.ordered().get(self.position(step).stage).map(|s| s.1)
+    }
+
+    /// Whether the field takes part in step `step`.
+    pub fn dynamic(&self, step: u32) -> bool {
+        self.stage(step).is_some_and(|s| s.dynamic)
+    }
+
+    /// The SH degree drawn in step `step`, at most `max`.
+    pub fn sh_degree(&self, step: u32, max: u8) -> u8 {
+        step.checked_div(self.sh_every).map_or(max, |d| d.min(u32::from(max)) as u8)
+    }
+
+    /// The rule for a parameter, if it learns.
+    pub fn rule(&self, parameter: &str) -> Option<&LearningRate> {
+        parameter.rsplit('.').find_map(|part| self.lr.get(part))
+    }
+
+    /// Verifies every field.
+    ///
+    /// # Errors
+    /// The first field out of its domain.
+    pub fn check(&self) -> Result<(), ScheduleError> {
+        let need = |good: bool, field: &str, value: f64, rule| {
+            if good { Ok(()) } else { Err(ScheduleError { field: field.to_owned(), value, rule }) }
+        };
+        let share = |v: f32| (0.0..=1.0).contains(&v);
+        let total: u64 = self.stages.values().map(|s| u64::from(s.steps)).sum();
+        need(total > 0 && total < 1 << 31, "stages", total as f64, "the steps must add up to 1 to 2^31 - 1")?;
+        need(share(self.lambda_dssim), "lambda_dssim", self.lambda_dssim.into(), "0 to 1")?;
+        need(share(self.max_quarantine), "max_quarantine", self.max_quarantine.into(), "0 to 1")?;
+        need(self.adam_eps > 0.0 && self.adam_eps < 1.0, "adam_eps", self.adam_eps.into(), "above 0, below 1")?;
+        for (name, s) in &self.stages {
+            let good = s.image_scale > 0.0 && s.image_scale <= 1.0;
+            need(good, &format!("stages.{name}.image_scale"), s.image_scale, "above 0, at most 1")?;
+            let same = self.stages.values().filter(|o| o.order == s.order).count();
+            need(same == 1, &format!("stages.{name}.order"), s.order.into(), "each stage needs a number of its own")?;
+        }
+        for (name, rate) in &self.lr {
+            for (part, v) in [("start", rate.start), ("end", rate.end)] {
+                need(v >= 0.0 && v.is_finite(), &format!("lr.{name}.{part}"), v.into(), "finite, not negative")?;
+            }
+        }
+        self.density.check()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn stage(steps: u32, own_clock: bool) -> Stage {
+        Stage { order: 0, steps, dynamic: own_clock, image_scale: 1.0, own_clock }
+    }
+
+    /// Stages named so that their names sort the other way round.
+    fn named(stages: Vec<Stage>) -> BTreeMap<String, Stage> {
+        let name = |i: usize| char::from(b's' - i as u8).to_string();
+        stages.into_iter().enumerate().map(|(i, s)| (name(i), Stage { order: i as u32, ..s })).collect()
+    }
+
+    fn schedule(stages: Vec<Stage>) -> Schedule {
+        let mut lr = BTreeMap::new();
+        lr.insert("means".to_owned(), LearningRate::decay(1.6e-4, 1.6e-6, 100).per_extent());
+        lr.insert("field".to_owned(), LearningRate::constant(1e-3));
+        lr.insert("planes".to_owned(), LearningRate::constant(1e-2));
+        Schedule {
+            sh_every: 1000,
+            background: Background::Black,
+            lambda_dssim: 0.2,
+            sparse_adam: false,
+            max_quarantine: 1e-3,
+            density: DensityRules::kerbl2023(),
+            adam_eps: 1e-15,
+            stages: named(stages),
+            lr,
+        }
+    }
+
+    #[test]
+    fn rates_decay_log_linearly() {
+        let rate = LearningRate::decay(1e-2, 1e-4, 100);
+        for (step, want) in [(0, 1e-2), (50, 1e-3), (100, 1e-4), (1000, 1e-4)] {
+            assert!((rate.at(step, 7.0) / want - 1.0).abs() < 1e-6, "step {step}: {}", rate.at(step, 7.0));
+        }
+        assert!((rate.per_extent().at(50, 3.0) / 3e-3 - 1.0).abs() < 1e-6);
+        assert_eq!(LearningRate::constant(0.5).at(9, 1.0), 0.5);
+    }
+
+    #[test]
+    fn the_rightmost_named_part_rules() {
+        let s = schedule(vec![stage(10, false)]);
+        assert_eq!(s.rule("cloud.means").unwrap().start, 1.6e-4);
+        assert_eq!(s.rule("field.planes.xy.0").unwrap().start, 1e-2);
+        assert_eq!(s.rule("field.trunk.weight").unwrap().start, 1e-3);
+        assert!(s.rule("cloud.quats").is_none());
+    }
+
+    #[test]
+    fn clocks_restart_only_where_told() {
+        let s = schedule(vec![stage(10, false), stage(5, true), stage(5, false)]);
+        let at = |step| {
+            let p = s.position(step);
+            (p.stage, p.clock, p.fresh)
+        };
+        assert_eq!(at(1), (0, 1, false));
+        assert_eq!(at(10), (0, 10, false));
+        assert_eq!(at(11), (1, 1, true));
+        assert_eq!(at(12), (1, 2, false));
+        assert_eq!(at(16), (2, 6, false));
+        assert_eq!(at(99), (2, 89, false));
+        assert!(!s.dynamic(10) && s.dynamic(11) && !s.dynamic(16));
+        assert_eq!((s.steps(), s.sh_degree(999, 3), s.sh_degree(2500, 3), s.sh_degree(9000, 3)), (20, 0, 2, 3));
+    }
+
+    #[test]
+    fn faults_are_named_and_toml_round_trips() {
+        let good = schedule(vec![stage(10, false)]);
+        assert_eq!(good.check(), Ok(()));
+        assert_eq!(toml::from_str::<Schedule>(&toml::to_string(&good).unwrap()).unwrap(), good);
+        let fault = |f: &dyn Fn(&mut Schedule)| {
+            let mut s = good.clone();
+            f(&mut s);
+            s.check().unwrap_err().field
+        };
+        assert_eq!(fault(&|s| s.stages.clear()), "stages");
+        let first = |s: &mut Schedule, f: &dyn Fn(&mut Stage)| s.stages.values_mut().for_each(f);
+        assert_eq!(fault(&|s| first(s, &|s| s.steps = 0)), "stages");
+        assert_eq!(fault(&|s| first(s, &|s| s.image_scale = f64::NAN)), "stages.s.image_scale");
+        assert_eq!(fault(&|s| drop(s.stages.insert("r".into(), stage(1, false)))), "stages.r.order");
+        assert_eq!(fault(&|s| s.adam_eps = 0.0), "adam_eps");
+        assert_eq!(fault(&|s| s.lambda_dssim = 1.5), "lambda_dssim");
+        assert_eq!(fault(&|s| s.max_quarantine = f32::NAN), "max_quarantine");
+        assert_eq!(fault(&|s| s.lr.get_mut("means").unwrap().end = f32::INFINITY), "lr.means.end");
+        assert_eq!(fault(&|s| s.lr.get_mut("field").unwrap().start = -1.0), "lr.field.start");
+        assert_eq!(fault(&|s| s.density.split_factor = 0.5), "density.split_factor");
+    }
+
+    #[test]
+    fn random_backgrounds_are_pure_functions_of_the_step() {
+        let b = Background::Random;
+        assert_eq!(b.color(1, 5), b.color(1, 5));
+        assert_ne!(b.color(1, 5), b.color(1, 6));
+        assert_eq!((b.evaluation_color(), Background::White.color(0, 0)), ([0.0; 3], [1.0; 3]));
+    }
+}
