@@ -49,6 +49,8 @@ pub struct Setting {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Config {
     settings: BTreeMap<String, Setting>,
+    /// Keys that may be given but have no default, with an example of their kind.
+    optional: BTreeMap<String, Value>,
 }
 
 /// Why settings were refused.
@@ -126,7 +128,22 @@ impl Config {
 
     fn of_table(table: &Table) -> Self {
         let setting = |value| Setting { value, source: Source::Default, about: String::new() };
-        Self { settings: flatten(table).into_iter().map(|(k, v)| (k, setting(v))).collect() }
+        let settings = flatten(table).into_iter().map(|(k, v)| (k, setting(v))).collect();
+        Self { settings, optional: BTreeMap::new() }
+    }
+
+    /// Declares a key that has no value until it is given one, of the kind of `example`.
+    pub fn allow(&mut self, key: &str, example: impl Into<Value>) {
+        self.optional.insert(key.to_owned(), example.into());
+    }
+
+    /// The value, or else the example, that tells the kind of a key.
+    fn model(&self, key: &str) -> Option<&Value> {
+        self.settings.get(key).map(|s| &s.value).or_else(|| self.optional.get(key))
+    }
+
+    fn keys(&self) -> impl Iterator<Item = &String> {
+        self.settings.keys().chain(self.optional.keys())
     }
 
     /// Overlays a TOML text.
@@ -163,7 +180,7 @@ impl Config {
         if key.is_empty() || text.is_empty() {
             return Err(ConfigError::Assignment(assignment.to_owned()));
         }
-        let wants_text = self.settings.get(key).is_some_and(|s| s.value.is_str());
+        let wants_text = self.model(key).is_some_and(Value::is_str);
         let value = match text.parse::<Value>() {
             Ok(value) if !wants_text || value.is_str() => value,
             _ if wants_text => Value::String(text.to_owned()),
@@ -246,22 +263,20 @@ impl Config {
     }
 
     fn store(&mut self, key: &str, value: Value, source: &Source) {
-        if let Some(setting) = self.settings.get_mut(key) {
-            setting.value = value;
-            setting.source = source.clone();
-        }
+        let about = self.settings.get(key).map(|s| s.about.clone()).unwrap_or_default();
+        self.settings.insert(key.to_owned(), Setting { value, source: source.clone(), about });
     }
 
     /// The value as the key wants it: whole numbers become floats where floats stand.
     fn checked(&self, key: &str, value: Value, source: &Source) -> Result<Value, ConfigError> {
-        let Some(setting) = self.settings.get(key) else { return Err(self.unknown(key, source)) };
+        let Some(model) = self.model(key) else { return Err(self.unknown(key, source)) };
         let wrong = |want| ConfigError::Kind {
             key: key.to_owned(),
             origin: source.clone(),
             want,
             got: show(&value).chars().take(80).collect(),
         };
-        match (&setting.value, &value) {
+        match (model, &value) {
             (Value::Float(_), Value::Integer(i)) => Ok(Value::Float(*i as f64)),
             (Value::Float(_), Value::Float(f)) if !f.is_finite() => Err(wrong("a finite number")),
             (Value::Array(old), Value::Array(_)) => {
@@ -274,9 +289,9 @@ impl Config {
 
     fn unknown(&self, key: &str, source: &Source) -> ConfigError {
         let section = format!("{key}.");
-        let mut near: Vec<String> = self.settings.keys().filter(|k| k.starts_with(&section)).cloned().collect();
+        let mut near: Vec<String> = self.keys().filter(|k| k.starts_with(&section)).cloned().collect();
         if near.is_empty() {
-            let ranked = self.settings.keys().map(|known| (likeness(known, key), known));
+            let ranked = self.keys().map(|known| (likeness(known, key), known));
             let nearest = ranked.max_by(|a, b| a.0.total_cmp(&b.0)).filter(|(likeness, _)| *likeness > 0.6);
             near.extend(nearest.map(|(_, known)| known.clone()));
         }
@@ -463,6 +478,17 @@ mod tests {
         assert!(text.contains("# flag --set density.until=77"), "{text}");
         let back: Demo = toml::from_str(&text).unwrap();
         assert_eq!(back, c.build().unwrap());
+    }
+
+    #[test]
+    fn optional_keys_appear_once_given() {
+        let mut c = config();
+        assert!(c.set("range=0..2").is_err());
+        c.allow("range", "0..1");
+        assert!(!c.to_commented_toml().contains("range"));
+        c.set("range=0..2").unwrap();
+        assert_eq!(c.get("range").unwrap().value.as_str(), Some("0..2"));
+        assert!(c.set("rnage=0..2").unwrap_err().to_string().contains("did you mean `range`?"));
     }
 
     #[test]

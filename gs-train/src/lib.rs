@@ -5,5 +5,7 @@ pub mod checkpoint;
 pub mod config;
 pub mod data;
 pub mod density;
+pub mod loss;
 pub mod moment;
+pub mod report;
 pub mod schedule;

@@ -1,0 +1,191 @@
+//! Line charts as inline SVG.
+
+use super::ReportError;
+use plotters::coord::ranged1d::{AsRangedCoord, ValueFormatter};
+use plotters::prelude::*;
+
+/// Size of a chart in SVG units; the page scales it.
+const SIZE: (u32, u32) = (560, 260);
+/// Colours of the lines, told apart also without colour vision (Okabe and Ito).
+const COLORS: [RGBColor; 4] =
+    [RGBColor(0, 114, 178), RGBColor(213, 94, 0), RGBColor(0, 158, 115), RGBColor(204, 121, 167)];
+const INK: RGBColor = RGBColor(75, 85, 99);
+const GRID: RGBColor = RGBColor(229, 231, 235);
+/// More points than this are thinned: the chart has no more pixels.
+const MOST_POINTS: usize = 600;
+
+/// A named line.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Curve {
+    /// Shown in the legend when there are several.
+    pub name: String,
+    /// `(x, y)`, by rising x.
+    pub points: Vec<(f64, f64)>,
+}
+
+/// Spacing of the vertical axis.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scale {
+    /// Even.
+    Linear,
+    /// Logarithmic; points that are not positive are left out.
+    Log,
+}
+
+/// The chart as an `<svg>` element, or nothing if no finite point is left.
+pub fn chart(title: &str, x_name: &str, scale: Scale, curves: &[Curve]) -> Result<Option<String>, ReportError> {
+    let drawn = |y: f64| y.is_finite() && (scale == Scale::Linear || y > 0.0);
+    let curves: Vec<Curve> = curves
+        .iter()
+        .map(|c| {
+            let kept: Vec<_> = c.points.iter().copied().filter(|p| p.0.is_finite() && drawn(p.1)).collect();
+            Curve { name: c.name.clone(), points: thinned(&kept) }
+        })
+        .filter(|c| !c.points.is_empty())
+        .collect();
+    let all = || curves.iter().flat_map(|c| c.points.iter());
+    let Some((x, y)) = range(all().map(|p| p.0)).zip(range(all().map(|p| p.1))) else { return Ok(None) };
+    let mut svg = String::new();
+    let root = SVGBackend::with_string(&mut svg, SIZE).into_drawing_area();
+    let result = match scale {
+        Scale::Linear => {
+            let margin = 0.06 * (y.1 - y.0).max(1e-9 * y.1.abs()).max(1e-12);
+            draw(&root, title, x_name, wide(x), y.0 - margin..y.1 + margin, &curves)
+        }
+        Scale::Log => draw(&root, title, x_name, wide(x), (y.0 * 0.9..(y.1 * 1.1).max(y.0 * 1.5)).log_scale(), &curves),
+    };
+    result.and_then(|()| root.present().map_err(|e| e.to_string())).map_err(ReportError::Chart)?;
+    drop(root);
+    // The page sets the width; the height follows from the view box.
+    let fixed = format!("width=\"{}\" height=\"{}\" ", SIZE.0, SIZE.1);
+    Ok(Some(svg.replacen(&fixed, "role=\"img\" ", 1)))
+}
+
+fn draw<Y>(
+    root: &DrawingArea<SVGBackend<'_>, plotters::coord::Shift>,
+    title: &str,
+    x_name: &str,
+    x: std::ops::Range<f64>,
+    y: Y,
+    curves: &[Curve],
+) -> Result<(), String>
+where
+    Y: AsRangedCoord<Value = f64>,
+    Y::CoordDescType: ValueFormatter<f64>,
+{
+    let text = ("sans-serif", 13).into_font().color(&INK);
+    let mut chart = ChartBuilder::on(root)
+        .caption(title, ("sans-serif", 15).into_font().color(&RGBColor(17, 24, 39)))
+        .margin(8)
+        .margin_right(18)
+        .x_label_area_size(38)
+        .y_label_area_size(54)
+        .build_cartesian_2d(x, y)
+        .map_err(|e| e.to_string())?;
+    chart
+        .configure_mesh()
+        .disable_x_mesh()
+        .light_line_style(WHITE.mix(0.0))
+        .bold_line_style(GRID)
+        .axis_style(RGBColor(156, 163, 175))
+        .x_labels(7)
+        .y_labels(6)
+        .x_label_formatter(&|v| short(*v))
+        .y_label_formatter(&|v| short(*v))
+        .x_desc(x_name)
+        .label_style(text.clone())
+        .axis_desc_style(text.clone())
+        .draw()
+        .map_err(|e| e.to_string())?;
+    for (curve, color) in curves.iter().zip(COLORS.iter().cycle()) {
+        let line = LineSeries::new(curve.points.iter().copied(), color.stroke_width(2))
+            .point_size(u32::from(curve.points.len() < 20) * 3);
+        let series = chart.draw_series(line).map_err(|e| e.to_string())?;
+        series
+            .label(curve.name.clone())
+            .legend(move |(x, y)| Rectangle::new([(x, y - 2), (x + 16, y + 2)], color.filled()));
+    }
+    if curves.len() > 1 {
+        let mut legend = chart.configure_series_labels();
+        legend.background_style(WHITE.mix(0.85)).border_style(GRID).label_font(text);
+        legend.position(SeriesLabelPosition::LowerRight).draw().map_err(|e| e.to_string())?;
+    }
+    Ok(())
+}
+
+fn range(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
+    values.fold(None, |r: Option<(f64, f64)>, v| Some(r.map_or((v, v), |(lo, hi)| (lo.min(v), hi.max(v)))))
+}
+
+/// An axis of zero length has no ticks.
+fn wide((lo, hi): (f64, f64)) -> std::ops::Range<f64> {
+    if hi > lo { lo..hi } else { lo - 0.5..hi + 0.5 }
+}
+
+/// At most [`MOST_POINTS`] points: means of equal groups, in order.
+fn thinned(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
+    let group = points.len().div_ceil(MOST_POINTS).max(1);
+    let mean = |g: &[(f64, f64)]| {
+        let n = g.len() as f64;
+        (g.iter().map(|p| p.0).sum::<f64>() / n, g.iter().map(|p| p.1).sum::<f64>() / n)
+    };
+    points.chunks(group).map(mean).collect()
+}
+
+/// A tick label: `1500` as `1.5k`, small numbers with few digits.
+fn short(v: f64) -> String {
+    let a = v.abs();
+    let text = match a {
+        0.0 => return "0".to_owned(),
+        _ if a >= 1e6 => format!("{:.2}M", v / 1e6),
+        _ if a >= 1e4 => format!("{:.1}k", v / 1e3),
+        _ if a >= 100.0 => format!("{v:.0}"),
+        _ if a >= 1.0 => format!("{v:.2}"),
+        _ if a >= 1e-3 => format!("{v:.4}"),
+        _ => return format!("{v:.0e}"),
+    };
+    let (digits, unit) = text.split_at(text.trim_end_matches(['k', 'M']).len());
+    let digits = if digits.contains('.') { digits.trim_end_matches('0').trim_end_matches('.') } else { digits };
+    format!("{digits}{unit}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn labels_are_short() {
+        let cases = [
+            (0.0, "0"),
+            (25.0, "25"),
+            (1500.0, "1500"),
+            (12_000.0, "12k"),
+            (2.5e6, "2.5M"),
+            (0.05, "0.05"),
+            (2e-4, "2e-4"),
+        ];
+        for (v, want) in cases {
+            assert_eq!(short(v), want);
+        }
+    }
+
+    #[test]
+    fn odd_points_do_not_stop_a_chart() {
+        let curve = |points: Vec<(f64, f64)>| [Curve { name: "a".into(), points }];
+        let poor = vec![(0.0, f64::NAN), (1.0, f64::INFINITY)];
+        assert_eq!(chart("t", "x", Scale::Linear, &curve(poor)).unwrap(), None);
+        assert_eq!(chart("t", "x", Scale::Log, &curve(vec![(0.0, -1.0), (1.0, 0.0)])).unwrap(), None);
+        let one = chart("t", "x", Scale::Log, &curve(vec![(3.0, 0.25)])).unwrap().unwrap();
+        assert!(one.starts_with("<svg role=\"img\" viewBox=") && one.trim_end().ends_with("</svg>"), "{one}");
+        let flat = chart("a<b", "x", Scale::Linear, &curve(vec![(0.0, 0.0), (1.0, 0.0)])).unwrap().unwrap();
+        assert!(flat.contains("a&lt;b"));
+    }
+
+    #[test]
+    fn many_points_are_thinned_to_their_means() {
+        let points: Vec<_> = (0..6000).map(|i| (f64::from(i), 2.0)).collect();
+        let thin = thinned(&points);
+        assert_eq!(thin.len(), 600);
+        assert_eq!(thin[0], (4.5, 2.0));
+    }
+}
