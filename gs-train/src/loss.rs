@@ -1,0 +1,196 @@
+//! The image loss of the 3DGS family and its gradient:
+//!
+//! ```text
+//! L = (1 − λ) mean|x − y| + λ (1 − SSIM(x, y))        dL/dx = (1 − λ) sign(x − y) / n − λ dSSIM/dx
+//! ```
+//! over `n = H · W · 3` values; SSIM with an 11-tap Gaussian window and zero padding, `sign(0) = 0`
+//! (Kerbl et al. 2023, section 5; λ = 0.2). At λ = 0 no SSIM is computed.
+
+use gs_core::Image;
+use gs_metrics::{MetricError, Ssim, SsimOptions};
+use gs_raster::{Frame, FrameGrad};
+use rayon::prelude::*;
+
+/// Values per parallel piece; partial sums are added in the order of pieces.
+const PIECE: usize = 1 << 14;
+/// Values summed in `f32` before `f64` takes over.
+const RUN: usize = 512;
+/// Independent sums, so that the compiler may use vectors.
+const LANES: usize = 16;
+
+/// The terms of one evaluation.
+#[derive(Clone, Copy, Debug, PartialEq, Default)]
+pub struct LossTerms {
+    /// `(1 − λ) L1 + λ (1 − SSIM)`.
+    pub total: f64,
+    /// Mean absolute difference.
+    pub l1: f64,
+    /// Mean squared difference.
+    pub mse: f64,
+    /// Mean SSIM; absent at λ = 0.
+    pub ssim: Option<f64>,
+}
+
+/// The image loss, with buffers kept between calls.
+#[derive(Debug, Default)]
+pub struct ImageLoss {
+    ssim: Ssim,
+    drawn: Image,
+    ssim_grad: Image,
+}
+
+impl ImageLoss {
+    /// An evaluator with empty buffers.
+    pub fn new() -> Self {
+        Self { ssim: Ssim::new(SsimOptions::default()), ..Self::default() }
+    }
+
+    /// The loss of a frame against `target` (`[H, W, 3]`), its gradient written into `grad.rgb` (alpha and depth: none).
+    ///
+    /// # Errors
+    /// If the shapes differ or a value is not finite.
+    pub fn evaluate(
+        &mut self,
+        frame: &mut Frame,
+        target: &Image,
+        lambda: f32,
+        grad: &mut FrameGrad,
+    ) -> Result<LossTerms, MetricError> {
+        // The frame's pixels are lent to an image for the time of the call.
+        let data = std::mem::take(&mut frame.rgb);
+        self.drawn = Image { width: frame.width, height: frame.height, channels: 3, data };
+        let terms = self.evaluate_drawn(target, lambda, grad);
+        frame.rgb = std::mem::take(&mut self.drawn.data);
+        terms
+    }
+
+    fn evaluate_drawn(&mut self, target: &Image, lambda: f32, grad: &mut FrameGrad) -> Result<LossTerms, MetricError> {
+        let (first, second) = (self.drawn.shape(), target.shape());
+        if first != second {
+            return Err(MetricError::Shape { what: "drawn frame and photograph", first, second });
+        }
+        let ssim = match lambda > 0.0 {
+            true => Some(self.ssim.value_and_grad(&self.drawn, target, &mut self.ssim_grad)?),
+            false => None,
+        };
+        let data = &self.drawn.data;
+        grad.alpha.clear();
+        grad.depth.clear();
+        grad.rgb.resize(data.len(), 0.0);
+        let step = (1.0 - lambda) / data.len() as f32;
+        let ssim_grad = self.ssim_grad.data.as_slice();
+        let pairs = data.par_chunks(PIECE).zip(target.data.par_chunks(PIECE));
+        let pieces = grad.rgb.par_chunks_mut(PIECE).zip(pairs).enumerate();
+        let sums: Vec<[f64; 2]> = pieces
+            .map(|(i, (g, (x, y)))| {
+                let sums = l1_piece(x, y, step, g);
+                if ssim.is_some() {
+                    g.iter_mut().zip(&ssim_grad[i * PIECE..]).for_each(|(g, s)| *g -= lambda * s);
+                }
+                sums
+            })
+            .collect();
+        let n = data.len() as f64;
+        let [l1, mse] = sums.iter().fold([0.0; 2], |a, s| [a[0] + s[0] / n, a[1] + s[1] / n]);
+        let weight = f64::from(lambda);
+        let total = (1.0 - weight) * l1 + ssim.map_or(0.0, |s| weight * (1.0 - s));
+        if !total.is_finite() {
+            // The exact place comes from the metric's own check.
+            return Err(gs_metrics::mse(&self.drawn, target).err().unwrap_or(MetricError::Overflow { metric: "L1" }));
+        }
+        Ok(LossTerms { total, l1, mse, ssim })
+    }
+}
+
+/// Sums of absolute and squared differences; `step · sign(x − y)` goes to `grad`.
+fn l1_piece(x: &[f32], y: &[f32], step: f32, grad: &mut [f32]) -> [f64; 2] {
+    let mut sums = [0.0f64; 2];
+    for ((x, y), grad) in x.chunks(RUN).zip(y.chunks(RUN)).zip(grad.chunks_mut(RUN)) {
+        for ((x, y), g) in x.iter().zip(y).zip(grad) {
+            *g = sign(x - y) * step;
+        }
+        // Short sums in f32 lanes, long ones in f64.
+        let mut lanes = [[0.0f32; LANES]; 2];
+        for (x, y) in x.chunks(LANES).zip(y.chunks(LANES)) {
+            for (i, (x, y)) in x.iter().zip(y).enumerate() {
+                let d = x - y;
+                lanes[0][i] += d.abs();
+                lanes[1][i] += d * d;
+            }
+        }
+        for (sum, lanes) in sums.iter_mut().zip(lanes) {
+            *sum += lanes.iter().map(|&v| f64::from(v)).sum::<f64>();
+        }
+    }
+    sums
+}
+
+fn sign(d: f32) -> f32 {
+    f32::from(i8::from(d > 0.0) - i8::from(d < 0.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gs_core::Rng;
+
+    fn pair() -> (Frame, Image) {
+        let mut rng = Rng::new(1, "loss", 0, 0);
+        let (width, height) = (37, 23);
+        let mut noise = || (0..width * height * 3).map(|_| rng.uniform()).collect::<Vec<f32>>();
+        let frame = Frame { width, height, rgb: noise(), ..Frame::default() };
+        (frame, Image { width, height, channels: 3, data: noise() })
+    }
+
+    #[test]
+    fn gradient_matches_finite_differences() {
+        let (mut frame, target) = pair();
+        let (mut loss, mut grad) = (ImageLoss::new(), FrameGrad::default());
+        for lambda in [0.0, 0.2, 1.0] {
+            loss.evaluate(&mut frame, &target, lambda, &mut grad).unwrap();
+            for at in [0, 100, 1000, 2552] {
+                let mut value = |h: f32| {
+                    let mut moved = frame.clone();
+                    moved.rgb[at] += h;
+                    loss.evaluate(&mut moved, &target, lambda, &mut FrameGrad::default()).unwrap().total
+                };
+                let h = 0.25 * (frame.rgb[at] - target.data[at]).abs().min(0.02);
+                let want = (value(h) - value(-h)) / f64::from(2.0 * h);
+                let error = (f64::from(grad.rgb[at]) - want).abs();
+                assert!(error < 1e-2 * want.abs() + 2e-7, "λ {lambda}, value {at}: {} {want}", grad.rgb[at]);
+            }
+        }
+    }
+
+    #[test]
+    fn terms_are_the_definitions_and_the_frame_is_given_back() {
+        let (mut frame, target) = pair();
+        let before = frame.clone();
+        let mut grad = FrameGrad::default();
+        let terms = ImageLoss::new().evaluate(&mut frame, &target, 0.2, &mut grad).unwrap();
+        assert_eq!(frame, before);
+        let n = target.data.len() as f64;
+        let differences = frame.rgb.iter().zip(&target.data).map(|(a, b)| f64::from(*a) - f64::from(*b));
+        let (l1, mse) = differences.fold((0.0, 0.0), |s, d| (s.0 + d.abs() / n, s.1 + d * d / n));
+        assert!((terms.l1 / l1 - 1.0).abs() < 1e-6 && (terms.mse / mse - 1.0).abs() < 1e-6);
+        assert!((terms.total - 0.8 * terms.l1 - 0.2 * (1.0 - terms.ssim.unwrap())).abs() < 1e-7);
+        let same = Image { data: frame.rgb.clone(), ..target };
+        let none = ImageLoss::new().evaluate(&mut frame, &same, 0.0, &mut grad).unwrap();
+        assert_eq!((none.total, none.ssim), (0.0, None));
+        assert!(grad.rgb.iter().all(|&g| g == 0.0), "sign(0) = 0");
+    }
+
+    #[test]
+    fn bad_frames_are_refused() {
+        let (mut frame, target) = pair();
+        frame.rgb[7] = f32::NAN;
+        let mut grad = FrameGrad::default();
+        for lambda in [0.0, 0.2] {
+            let e = ImageLoss::new().evaluate(&mut frame, &target, lambda, &mut grad).unwrap_err();
+            assert!(matches!(e, MetricError::NotFinite { x: 2, y: 0, channel: 1, .. }), "{e}");
+        }
+        let small = Image::zeros(3, 3, 3);
+        let e = ImageLoss::new().evaluate(&mut frame, &small, 0.2, &mut grad).unwrap_err();
+        assert!(matches!(e, MetricError::Shape { .. }));
+    }
+}
