@@ -178,6 +178,17 @@ pub(crate) fn blur_row<S: Simd>(simd: S, g: &[f32; RADIUS + 1], channels: usize,
     }
 }
 
+/// Vertical blur of eleven rows at values `i..i + LEN`.
+#[inline(always)]
+fn vertical_blur<S: Simd>(simd: S, g: &[f32; RADIUS + 1], rows: &Rows, i: usize) -> S::f32s {
+    let at = |k: usize| S::f32s::from_slice(simd, &rows[k][i..i + S::f32s::LEN]);
+    let mut sum = at(RADIUS) * S::f32s::splat(simd, g[0]);
+    for k in 1..=RADIUS {
+        sum = S::f32s::splat(simd, g[k]).mul_add(at(RADIUS - k) + at(RADIUS + k), sum);
+    }
+    sum
+}
+
 /// One row of the gradient: `scale·(G∗u + 2(s − 1)·G∗v_s + 2d·G∗v_d)` from horizontally blurred rows.
 #[inline(always)]
 pub(crate) fn gradient_row<S: Simd>(
@@ -189,17 +200,11 @@ pub(crate) fn gradient_row<S: Simd>(
     out: &mut [f32],
 ) {
     let lanes = S::f32s::LEN;
-    let vertical = |rows: &Rows, i: usize| {
-        let at = |k: usize| S::f32s::from_slice(simd, &rows[k][i..i + lanes]);
-        let mut sum = at(RADIUS) * S::f32s::splat(simd, consts.g[0]);
-        for k in 1..=RADIUS {
-            sum = S::f32s::splat(simd, consts.g[k]).mul_add(at(RADIUS - k) + at(RADIUS + k), sum);
-        }
-        sum
-    };
     let (two, one) = (S::f32s::splat(simd, 2.0), S::f32s::splat(simd, 1.0));
     for i in (0..out.len()).step_by(lanes) {
-        let [u, v_s, v_d] = blurred.map(|rows| vertical(rows, i));
+        let u = vertical_blur(simd, &consts.g, blurred[0], i);
+        let v_s = vertical_blur(simd, &consts.g, blurred[1], i);
+        let v_d = vertical_blur(simd, &consts.g, blurred[2], i);
         let s = S::f32s::from_slice(simd, &s[i..i + lanes]) - one;
         let d = S::f32s::from_slice(simd, &d[i..i + lanes]);
         let sum = two.mul_add(s.mul_add(v_s, d * v_d), u);
