@@ -19,6 +19,8 @@ pub mod camera;
 pub mod cloud;
 pub mod covariance;
 pub mod image;
+#[cfg(feature = "io")]
+pub mod io;
 #[cfg(feature = "nn")]
 pub mod nn;
 pub mod param;

@@ -1,0 +1,200 @@
+//! From paths to values: bounded reads, formats told by their content, writes that are whole or absent.
+
+use super::error::{At, Source, os};
+use super::{IoError, Limits, RawSplats, ply, splat, spz};
+use std::fs;
+use std::io::{BufWriter, Read, Write};
+use std::path::Path;
+
+/// A splat file format that can be written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SplatFormat {
+    /// 3DGS `.ply`: exact.
+    Ply,
+    /// `.splat`: degree 0, 8-bit.
+    Splat,
+    /// `.spz` version 3: quantised.
+    Spz,
+}
+
+impl SplatFormat {
+    /// The format of a file name's extension.
+    pub fn of_path(path: &Path) -> Option<Self> {
+        match path.extension()?.to_str()?.to_ascii_lowercase().as_str() {
+            "ply" => Some(Self::Ply),
+            "splat" => Some(Self::Splat),
+            "spz" => Some(Self::Spz),
+            _ => None,
+        }
+    }
+}
+
+/// The bytes of a regular file of at most `limits.max_bytes`.
+///
+/// # Errors
+/// The system's, a size above the limit, or a path that is no regular file (device, pipe, folder).
+pub fn read_file(path: &Path, limits: &Limits) -> Result<Vec<u8>, IoError> {
+    let name = path.display().to_string();
+    let src = Source { file: &name, format: "file" };
+    let meta = fs::metadata(path).map_err(|e| os(path, "open", e))?;
+    if !meta.is_file() {
+        return Err(src.unsupported("a path that is not a regular file", "give a file"));
+    }
+    if meta.len() > limits.max_bytes {
+        return Err(src.limit("file size", meta.len(), limits.max_bytes, "max_bytes"));
+    }
+    let mut bytes = Vec::new();
+    let file = fs::File::open(path).map_err(|e| os(path, "open", e))?;
+    let size = usize::try_from(meta.len()).unwrap_or(usize::MAX);
+    bytes.try_reserve_exact(size).map_err(|e| os(path, "read", std::io::Error::other(e)))?;
+    // A file that grows meanwhile is cut at its size when opened.
+    file.take(meta.len()).read_to_end(&mut bytes).map_err(|e| os(path, "read", e))?;
+    Ok(bytes)
+}
+
+/// Splats from bytes, the format told by the content (`.splat` has no mark: it is what remains when the name ends in
+/// `.splat`). `file` is the name used in errors and for that last resort.
+///
+/// # Errors
+/// Those of the format's reader; an unknown or unsupported format by name.
+pub fn parse_splats(bytes: &[u8], file: &str, limits: &Limits) -> Result<RawSplats, IoError> {
+    let src = Source { file, format: "splat file" };
+    let ends_with = |extension: &str| file.to_ascii_lowercase().ends_with(extension);
+    if bytes.starts_with(b"ply") || bytes.starts_with(b"\xEF\xBB\xBFply") {
+        return ply::read(bytes, file, limits);
+    }
+    if bytes.starts_with(b"\x1f\x8b") || bytes.starts_with(b"NGSP") {
+        return spz::read(bytes, file, limits).map(|(_, splats)| splats);
+    }
+    // A .ksplat starts with its version (0.1) and a header of 4096 bytes.
+    if ends_with(".ksplat") || (bytes.starts_with(&[0, 1, 0, 0]) && bytes.len() >= 4096 && !ends_with(".splat")) {
+        return Err(src.unsupported("the .ksplat format", "convert it to .ply, .splat or .spz"));
+    }
+    if bytes.starts_with(b"PK") {
+        return Err(src.unsupported("a zip archive (.sog?)", "unpack or convert it to .ply, .splat or .spz"));
+    }
+    if ends_with(".splat") {
+        return splat::read(bytes, file, limits);
+    }
+    let what = "neither PLY, nor SPZ, and the name does not end in .splat";
+    Err(src.malformed(At::Byte(0), what, "give a .ply, .splat or .spz file"))
+}
+
+/// Reads a splat file of any supported format.
+///
+/// # Errors
+/// As [`read_file`] and [`parse_splats`].
+pub fn load_splats(path: &Path, limits: &Limits) -> Result<RawSplats, IoError> {
+    let bytes = read_file(path, limits)?;
+    parse_splats(&bytes, &path.display().to_string(), limits)
+}
+
+/// Writes splats in the format of the file name's extension.
+///
+/// # Errors
+/// An unknown extension, an existing file without `overwrite`, columns of unequal length, or the system's.
+pub fn save_splats(path: &Path, splats: &RawSplats, overwrite: bool) -> Result<(), IoError> {
+    splats.check_shape()?;
+    let format = SplatFormat::of_path(path).ok_or_else(|| IoError::Unsupported {
+        file: path.display().to_string(),
+        what: "writing splats to this extension".into(),
+        advice: "end the name in .ply, .splat or .spz",
+    })?;
+    write_file(path, overwrite, |out| match format {
+        SplatFormat::Ply => ply::write(splats, out),
+        SplatFormat::Splat => splat::write(splats, out),
+        SplatFormat::Spz => spz::write(splats, &spz::SpzOptions::default(), out),
+    })
+}
+
+/// Writes a file whole or not at all: a temporary file in the same folder, flushed to disk, then renamed. Without
+/// `overwrite` an existing target is left alone (it is looked for before and after the content is written).
+///
+/// # Errors
+/// [`IoError::Exists`], or the system's; the temporary file is removed.
+pub fn write_file(
+    path: &Path,
+    overwrite: bool,
+    content: impl FnOnce(&mut dyn Write) -> std::io::Result<()>,
+) -> Result<(), IoError> {
+    let free = || match path.symlink_metadata() {
+        Ok(_) if !overwrite => Err(IoError::Exists { file: path.display().to_string() }),
+        _ => Ok(()),
+    };
+    free()?;
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let temporary = path.with_file_name(format!(".{name}.{}.gs4d.tmp", std::process::id()));
+    let write = || {
+        let mut out = BufWriter::with_capacity(1 << 18, fs::File::create(&temporary)?);
+        content(&mut out)?;
+        out.flush()?;
+        out.get_ref().sync_all()
+    };
+    let result = write().map_err(|e| os(path, "write", e)).and_then(|()| {
+        free()?;
+        fs::rename(&temporary, path).map_err(|e| os(path, "rename the finished file to", e))
+    });
+    if result.is_err() {
+        // Best effort: the first error is the one worth telling.
+        let _ = fs::remove_file(&temporary);
+    }
+    result
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::raw::tests::cloud;
+    use super::*;
+
+    #[test]
+    fn every_format_is_told_by_content_and_nothing_is_overwritten_unasked() {
+        let dir = tempfile::tempdir().unwrap();
+        let splats = cloud(20, 1, 31);
+        for name in ["a.ply", "b.splat", "c.SPZ"] {
+            let path = dir.path().join(name);
+            save_splats(&path, &splats, false).unwrap();
+            let error = save_splats(&path, &splats, false).unwrap_err();
+            assert!(matches!(error, IoError::Exists { .. }), "{error}");
+            save_splats(&path, &splats, true).unwrap();
+            assert_eq!(load_splats(&path, &Limits::default()).unwrap().len(), 20);
+        }
+        // The content decides, whatever the name.
+        fs::rename(dir.path().join("a.ply"), dir.path().join("x.spz")).unwrap();
+        assert_eq!(load_splats(&dir.path().join("x.spz"), &Limits::default()).unwrap(), splats);
+        assert!(save_splats(&dir.path().join("a.obj"), &splats, false).unwrap_err().to_string().contains(".ply"));
+        let left: Vec<_> = fs::read_dir(dir.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
+        assert_eq!(left.len(), 3, "no temporary file stays: {left:?}");
+    }
+
+    #[test]
+    fn a_failed_write_leaves_the_old_file() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("keep.txt");
+        write_file(&path, false, |out| out.write_all(b"old")).unwrap();
+        let fail = |out: &mut dyn Write| {
+            out.write_all(b"new")?;
+            Err(std::io::Error::other("stop"))
+        };
+        assert!(write_file(&path, true, fail).unwrap_err().to_string().contains("stop"));
+        assert_eq!(fs::read(&path).unwrap(), b"old");
+        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);
+        assert!(write_file(&dir.path().join("no/such/folder"), false, |_| Ok(())).is_err());
+    }
+
+    #[test]
+    fn unknown_formats_and_paths_are_named() {
+        let parse = |bytes: &[u8], name: &str| parse_splats(bytes, name, &Limits::default()).unwrap_err().to_string();
+        assert!(parse(b"solid", "a.stl").contains("neither PLY"));
+        assert!(parse(b"PK\x03\x04", "a.sog").contains("zip archive"));
+        assert!(parse(&[0; 64], "a.ksplat").contains(".ksplat"));
+        assert!(parse_splats(&[0; 0], "a.splat", &Limits::default()).unwrap().is_empty());
+        let dir = tempfile::tempdir().unwrap();
+        let read = |path: &Path, limits: &Limits| read_file(path, limits).unwrap_err().to_string();
+        assert!(read(dir.path(), &Limits::default()).contains("not a regular file"));
+        assert!(read(&dir.path().join("none"), &Limits::default()).contains("cannot open"));
+        let path = dir.path().join("big");
+        fs::write(&path, [0; 100]).unwrap();
+        let tight = Limits { max_bytes: 99, ..Limits::default() };
+        assert!(read(&path, &tight).contains("file size = 100 is above the limit 99"));
+    }
+}

@@ -1,0 +1,89 @@
+//! How much a reader accepts: on by default, so that a wrong or hostile header cannot ask for memory.
+
+use super::error::{IoError, Source};
+
+/// Working memory granted to a decoder of a compressed format whatever the size of its file, bytes.
+const DECODE_BASE: u64 = 48 << 20;
+
+/// Bounds a reader keeps before it allocates.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Limits {
+    /// Most rows (splats, cameras, array entries) of a table.
+    pub max_rows: u64,
+    /// Largest file read, bytes.
+    pub max_bytes: u64,
+    /// Largest image side, pixels.
+    pub max_side: u32,
+    /// Most memory a decoded image may take with its intermediate copies, bytes.
+    pub max_image_bytes: u64,
+    /// Bytes a compressed file may grow to per byte of its size, above a base of 48 MiB.
+    pub max_expansion: u64,
+    /// Keep NaN and infinite values of splat files and arrays (for inspection); otherwise they are errors.
+    pub allow_non_finite: bool,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            max_rows: 1 << 30,
+            max_bytes: 16 << 30,
+            max_side: crate::camera::MAX_SIDE,
+            max_image_bytes: 1 << 30,
+            max_expansion: 64,
+            allow_non_finite: false,
+        }
+    }
+}
+
+impl Limits {
+    /// The number of rows as a `usize`, if it is allowed.
+    pub(super) fn rows(&self, src: Source<'_>, rows: u64) -> Result<usize, IoError> {
+        match usize::try_from(rows) {
+            Ok(n) if rows <= self.max_rows => Ok(n),
+            _ => Err(src.limit("rows", rows, self.max_rows, "max_rows")),
+        }
+    }
+
+    /// Verifies that `need` bytes of decoded data are plausible for a compressed file of `file_len` bytes.
+    pub(super) fn expansion(&self, src: Source<'_>, need: u64, file_len: usize) -> Result<(), IoError> {
+        let limit = DECODE_BASE.saturating_add((file_len as u64).saturating_mul(self.max_expansion));
+        if need <= limit { Ok(()) } else { Err(src.limit("decoded bytes", need, limit, "max_expansion")) }
+    }
+
+    /// Verifies an image's sides and the memory its decoding takes (`bytes_per_pixel` over all copies).
+    #[cfg(any(feature = "images", feature = "exr"))]
+    pub(super) fn image(
+        &self,
+        src: Source<'_>,
+        sides: (u64, u64),
+        bytes_per_pixel: u64,
+        file_len: usize,
+    ) -> Result<(), IoError> {
+        let side = sides.0.max(sides.1);
+        if side > u64::from(self.max_side) {
+            return Err(src.limit("image side", side, self.max_side.into(), "max_side"));
+        }
+        let need = sides.0.saturating_mul(sides.1).saturating_mul(bytes_per_pixel);
+        if need > self.max_image_bytes {
+            return Err(src.limit("image memory", need, self.max_image_bytes, "max_image_bytes"));
+        }
+        self.expansion(src, need, file_len)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn limits_refuse_by_name() {
+        let src = Source { file: "x", format: "T" };
+        let tight = Limits { max_rows: 10, max_expansion: 2, ..Limits::default() };
+        assert_eq!(tight.rows(src, 10).unwrap(), 10);
+        assert!(tight.rows(src, 11).unwrap_err().to_string().contains("`max_rows`"));
+        assert!(tight.rows(src, u64::MAX).is_err());
+        assert!(tight.expansion(src, DECODE_BASE + 20, 10).is_ok());
+        assert!(tight.expansion(src, DECODE_BASE + 21, 10).unwrap_err().to_string().contains("`max_expansion`"));
+        assert!(tight.expansion(src, u64::MAX, usize::MAX).is_ok(), "saturates, never overflows");
+    }
+}

@@ -1,0 +1,38 @@
+//! Files: splats (`.ply`, `.splat`, `.spz`), cameras, images and arrays.
+//!
+//! One invariant holds for every reader: **any bytes give a value or a typed error**. Sizes are computed with checked or
+//! saturating arithmetic and compared with the bytes present before anything is allocated; there is no recursion on
+//! input and no panicking path (the lints below are denied). What a file may ask for is said by [`Limits`]; what was
+//! wrong, where and what to do, by [`IoError`]. Writers go to a temporary file in the same folder, which is flushed and
+//! renamed, and never replace a file unless told to.
+//!
+//! | format | read | write | notes |
+//! |---|---|---|---|
+//! | 3DGS `.ply` | yes | yes | exact, degree 0 to 3 |
+//! | `.splat` | yes | yes | degree 0, 8-bit colour and rotation |
+//! | `.spz` 2, 3 | yes | yes | quantised; 1, 4 and raw payloads are refused by name |
+//! | `.ksplat`, compressed `.ply`, `.sog` | no | no | refused by name |
+//! | camera JSON | yes | yes | three layouts, see [`cameras`] |
+//! | `.npy` | yes | yes | f32 and f64 in, f32 out |
+//! | PNG, JPEG | feature `images` | PNG | see `images` |
+//! | EXR | feature `exr` | yes | see `exr` |
+#![cfg_attr(
+    not(test),
+    deny(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing, clippy::unreachable)
+)]
+
+mod error;
+mod files;
+mod limits;
+pub mod npy;
+pub mod ply;
+mod ply_header;
+mod raw;
+pub mod splat;
+pub mod spz;
+mod spz_quat;
+
+pub use error::{At, IoError};
+pub use files::{SplatFormat, load_splats, parse_splats, read_file, save_splats, write_file};
+pub use limits::Limits;
+pub use raw::{OPACITY_MARGIN, RawSplats, logit, sigmoid};

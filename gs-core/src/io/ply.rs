@@ -1,0 +1,444 @@
+//! 3D Gaussian Splatting `.ply`: properties found by name, in any order, text or binary of either byte order.
+//!
+//! Layout of the INRIA code (Kerbl et al. 2023): `x y z`, `nx ny nz` (zero, optional), `f_dc_0..2`,
+//! `f_rest_0..3(K−1)−1` **channel-major** (`f_rest[c (K−1) + k−1]` is coefficient `k` of channel `c`), `opacity`
+//! (logit), `scale_0..2` (natural logarithm), `rot_0..3` (w, x, y, z, not normalised). `K = (degree + 1)²` is inferred
+//! from the number of `f_rest` properties: 0, 9, 24 or 45. Other properties are skipped; numbers of any PLY type are
+//! converted to `f32`. Axes are taken as they are.
+//!
+//! The parser is ours because a row is a fixed list of byte offsets here: a serde visitor per value costs about fifteen
+//! times the copy, loses the row and property in its errors, and cannot bound a count by the bytes present first.
+
+use super::error::{At, Source};
+use super::ply_header::{Element, Encoding, Header, Property, Scalar, clip};
+use super::{IoError, Limits, RawSplats};
+use crate::sh;
+use glam::Vec3;
+use std::io::Write;
+
+const FORMAT: &str = "PLY";
+
+/// One wanted property: where it lies in a row and what it is.
+#[derive(Clone, Copy)]
+struct Column {
+    /// Position among the element's properties (text), or byte offset in a row (binary).
+    place: usize,
+    scalar: Scalar,
+}
+
+/// Reads the splats of a 3DGS `.ply` file held in memory. `file` is the name used in errors.
+///
+/// # Errors
+/// Truncation, malformed header, missing or repeated property, a value that is not finite (row and property named).
+pub fn read(bytes: &[u8], file: &str, limits: &Limits) -> Result<RawSplats, IoError> {
+    let src = Source { file, format: FORMAT };
+    let header = Header::parse(bytes, src)?;
+    let (element, _, _) = header.locate("vertex", bytes.len(), limits, src)?;
+    let degree = degree_of(element, &header, src)?;
+    let names = splat_columns(degree);
+    let mut out = RawSplats::with_capacity(0, degree);
+    for_each_row(bytes, &header, &names, src, limits, |total, row| {
+        if out.means.capacity() == 0 {
+            out = RawSplats::with_capacity(total, degree);
+        }
+        if let [x, y, z, qw, qx, qy, qz, sx, sy, sz, opacity, sh @ ..] = row {
+            out.means.push(Vec3::new(*x, *y, *z));
+            out.quats.push([*qw, *qx, *qy, *qz]);
+            out.log_scales.push(Vec3::new(*sx, *sy, *sz));
+            out.logit_opacities.push(*opacity);
+            out.sh.extend_from_slice(sh);
+        }
+    })?;
+    Ok(out)
+}
+
+/// Reads chosen properties of an element of any `.ply` as rows of `names.len()` values, flat (point clouds: `x y z red
+/// green blue`). Integers are converted as they are (`uchar` 0 to 255).
+///
+/// # Errors
+/// As [`read`].
+pub fn read_columns(bytes: &[u8], file: &str, limits: &Limits, names: &[&str]) -> Result<Vec<f32>, IoError> {
+    let src = Source { file, format: FORMAT };
+    let header = Header::parse(bytes, src)?;
+    let names: Vec<String> = names.iter().map(|&n| n.to_owned()).collect();
+    let mut out: Vec<f32> = Vec::new();
+    for_each_row(bytes, &header, &names, src, limits, |total, row| {
+        if out.capacity() == 0 {
+            out.reserve_exact(total.saturating_mul(row.len()));
+        }
+        out.extend_from_slice(row);
+    })?;
+    Ok(out)
+}
+
+/// Names of the `vertex` properties of a `.ply`, in file order.
+///
+/// # Errors
+/// A malformed header or no such element.
+pub fn property_names(bytes: &[u8], file: &str) -> Result<Vec<String>, IoError> {
+    let src = Source { file, format: FORMAT };
+    let header = Header::parse(bytes, src)?;
+    let vertex = header.elements.iter().find(|e| e.name == "vertex");
+    Ok(vertex.map(|e| e.properties.iter().map(|p| p.name.to_owned()).collect()).unwrap_or_default())
+}
+
+/// SH degree from the number of `f_rest_*` properties.
+fn degree_of(element: &Element<'_>, header: &Header<'_>, src: Source<'_>) -> Result<u8, IoError> {
+    let rest = element.properties.iter().filter(|p| p.name.starts_with("f_rest_")).count();
+    match (0..=sh::MAX_DEGREE).find(|&d| 3 * (sh::coeffs(d) - 1) == rest) {
+        Some(degree) => Ok(degree),
+        None => {
+            let what = format!("{rest} `f_rest` properties");
+            let advice = "0, 9, 24 or 45 are needed for SH degree 0, 1, 2 or 3";
+            Err(src.malformed(At::Byte(header.data_start as u64), what, advice))
+        }
+    }
+}
+
+/// Property names in the order [`read`] takes them: mean, quaternion, log-scale, opacity, SH `[K, 3]`.
+fn splat_columns(degree: u8) -> Vec<String> {
+    let fixed = ["x", "y", "z", "rot_0", "rot_1", "rot_2", "rot_3", "scale_0", "scale_1", "scale_2", "opacity"];
+    let rest = sh::coeffs(degree) - 1;
+    let mut names: Vec<String> = fixed.iter().map(|&s| s.to_owned()).collect();
+    names.extend((0..3).map(|c| format!("f_dc_{c}")));
+    for k in 0..rest {
+        names.extend((0..3).map(|c| format!("f_rest_{}", c * rest + k)));
+    }
+    names
+}
+
+/// Finds each wanted property once.
+fn find_columns(
+    element: &Element<'_>,
+    encoding: Encoding,
+    names: &[String],
+    at: usize,
+    src: Source<'_>,
+) -> Result<Vec<Column>, IoError> {
+    let find = |name: &String| {
+        let mut hits = element.properties.iter().enumerate().filter(|(_, p)| p.name == *name);
+        let Some((index, Property { scalar, offset, .. })) = hits.next() else {
+            let advice =
+                "a 3D Gaussian Splatting file has it; this may be a point cloud, a mesh or a compressed export";
+            return Err(src.missing(At::Byte(at as u64), format!("property {}", clip(name)), advice));
+        };
+        if hits.next().is_some() {
+            let what = format!("property `{}` stands twice", clip(name));
+            return Err(src.malformed(At::Byte(at as u64), what, "repair the header"));
+        }
+        let place = if encoding == Encoding::Ascii { index } else { *offset };
+        Ok(Column { place, scalar: *scalar })
+    };
+    names.iter().map(find).collect()
+}
+
+/// Calls `take(rows in all, values)` for each `vertex` row, with the values of `names` in that order.
+fn for_each_row(
+    bytes: &[u8],
+    header: &Header<'_>,
+    names: &[String],
+    src: Source<'_>,
+    limits: &Limits,
+    mut take: impl FnMut(usize, &[f32]),
+) -> Result<(), IoError> {
+    let (element, start, rows) = header.locate("vertex", bytes.len(), limits, src)?;
+    let columns = find_columns(element, header.encoding, names, header.data_start, src)?;
+    let data = bytes.get(start..).unwrap_or_default();
+    let mut checked = |row: usize, values: &[f32]| {
+        if !limits.allow_non_finite && !values.iter().all(|v| v.is_finite()) {
+            let bad = values.iter().zip(names).find(|(v, _)| !v.is_finite());
+            let (value, name) = bad.map_or((f64::NAN, "?"), |(v, n)| (f64::from(*v), n.as_str()));
+            return Err(src.value(row, name, value, "must be finite"));
+        }
+        take(rows, values);
+        Ok(())
+    };
+    match header.encoding {
+        Encoding::Ascii => return ascii_rows(data, start, header, rows, &columns, src, checked),
+        Encoding::Little | Encoding::Big => {
+            let big = header.encoding == Encoding::Big;
+            let mut values = vec![0.0f32; columns.len()];
+            for (row, raw) in data.chunks_exact(element.stride.max(1)).take(rows).enumerate() {
+                for (value, column) in values.iter_mut().zip(&columns) {
+                    *value = column.decode(raw, big);
+                }
+                checked(row, &values)?;
+            }
+        }
+    }
+    refuse_trailing(header, element, start, rows, bytes.len(), src)
+}
+
+impl Column {
+    /// This column's value in a binary row. The caller has verified that the row is whole.
+    #[inline(always)]
+    fn decode(self, row: &[u8], big: bool) -> f32 {
+        fn take<const N: usize>(row: &[u8], at: usize, big: bool) -> [u8; N] {
+            let mut bytes = row.get(at..).and_then(|r| r.first_chunk::<N>()).copied().unwrap_or([0; N]);
+            if big {
+                bytes.reverse();
+            }
+            bytes
+        }
+        let at = self.place;
+        match self.scalar {
+            Scalar::F32 => f32::from_le_bytes(take(row, at, big)),
+            Scalar::F64 => f64::from_le_bytes(take(row, at, big)) as f32,
+            Scalar::I8 => f32::from(i8::from_le_bytes(take(row, at, big))),
+            Scalar::U8 => f32::from(u8::from_le_bytes(take(row, at, big))),
+            Scalar::I16 => f32::from(i16::from_le_bytes(take(row, at, big))),
+            Scalar::U16 => f32::from(u16::from_le_bytes(take(row, at, big))),
+            Scalar::I32 => i32::from_le_bytes(take(row, at, big)) as f32,
+            Scalar::U32 => u32::from_le_bytes(take(row, at, big)) as f32,
+        }
+    }
+}
+
+/// Binary data must end with the last element, when the header lets us know where that is.
+fn refuse_trailing(
+    header: &Header<'_>,
+    element: &Element<'_>,
+    start: usize,
+    rows: usize,
+    len: usize,
+    src: Source<'_>,
+) -> Result<(), IoError> {
+    let mut end = start.saturating_add(rows.saturating_mul(element.stride));
+    for later in header.elements.iter().skip_while(|e| !std::ptr::eq(*e, element)).skip(1) {
+        if later.list.is_some() {
+            return Ok(());
+        }
+        let bytes = later.count.saturating_mul(later.stride as u64);
+        let have = len.saturating_sub(end);
+        if bytes > have as u64 {
+            return Err(src.truncated(format!("element {}", clip(later.name)), end, bytes, have));
+        }
+        end = end.saturating_add(bytes as usize);
+    }
+    if end != len {
+        let what = format!("{} bytes follow the last row", len.saturating_sub(end));
+        return Err(src.malformed(At::Byte(end as u64), what, "the row count or a property type is wrong"));
+    }
+    Ok(())
+}
+
+/// Text rows: values separated by white space, in the order of the header.
+fn ascii_rows(
+    data: &[u8],
+    start: usize,
+    header: &Header<'_>,
+    rows: usize,
+    columns: &[Column],
+    src: Source<'_>,
+    mut take: impl FnMut(usize, &[f32]) -> Result<(), IoError>,
+) -> Result<(), IoError> {
+    let text = std::str::from_utf8(data).map_err(|e| {
+        let at = At::Byte((start + e.valid_up_to()) as u64);
+        src.malformed(at, "a byte that is not text", "the format line says ascii: correct it or export again")
+    })?;
+    let mut words = text.split_ascii_whitespace();
+    let short = |name: &str| src.truncated(name, start, start as u64 + data.len() as u64 + 1, data.len());
+    let mut wanted: Vec<(usize, usize)> = columns.iter().enumerate().map(|(slot, c)| (c.place, slot)).collect();
+    wanted.sort_unstable();
+    let mut values = vec![0.0f32; columns.len()];
+    for element in &header.elements {
+        let is_vertex = element.name == "vertex";
+        if element.list.is_some() {
+            return Ok(());
+        }
+        let count = if is_vertex { rows as u64 } else { element.count };
+        for row in 0..if element.properties.is_empty() { 0 } else { count } {
+            let mut next = wanted.iter().peekable();
+            for (place, property) in element.properties.iter().enumerate() {
+                let word = words.next().ok_or_else(|| short(property.name))?;
+                while let Some((_, slot)) = next.next_if(|(p, _)| is_vertex && *p == place) {
+                    let Ok(value) = word.parse::<f32>() else {
+                        let what = format!("`{}` for property `{}`", clip(word), clip(property.name));
+                        return Err(src.malformed(At::Row(row), what, "write a number such as 0.25"));
+                    };
+                    if let Some(v) = values.get_mut(*slot) {
+                        *v = value;
+                    }
+                }
+            }
+            if is_vertex {
+                take(row as usize, &values)?;
+            }
+        }
+    }
+    match words.next() {
+        None => Ok(()),
+        Some(word) => {
+            let what = format!("`{}` follows the last row", clip(word));
+            Err(src.malformed(At::Row(rows as u64), what, "the row count or a property is wrong"))
+        }
+    }
+}
+
+/// Writes splats as binary little-endian `.ply` with INRIA's property order, normals zero. Every `f32` keeps its bits.
+///
+/// # Errors
+/// Columns of unequal length (as `InvalidInput`), or the writer's own.
+pub fn write(splats: &RawSplats, out: &mut dyn Write) -> std::io::Result<()> {
+    splats.check_shape().map_err(|e| std::io::Error::new(std::io::ErrorKind::InvalidInput, e))?;
+    let rest = sh::coeffs(splats.degree) - 1;
+    writeln!(out, "ply\nformat binary_little_endian 1.0\nelement vertex {}", splats.len())?;
+    let mut names: Vec<String> = ["x", "y", "z", "nx", "ny", "nz"].map(str::to_owned).into();
+    names.extend((0..3).map(|c| format!("f_dc_{c}")));
+    names.extend((0..3 * rest).map(|i| format!("f_rest_{i}")));
+    names.push("opacity".into());
+    names.extend((0..3).map(|i| format!("scale_{i}")));
+    names.extend((0..4).map(|i| format!("rot_{i}")));
+    for name in &names {
+        writeln!(out, "property float {name}")?;
+    }
+    writeln!(out, "end_header")?;
+    let mut row: Vec<u8> = Vec::with_capacity(4 * names.len());
+    let columns = splats.means.iter().zip(&splats.quats).zip(&splats.log_scales).zip(&splats.logit_opacities);
+    for ((((mean, quat), scale), opacity), sh) in columns.zip(splats.sh.chunks_exact(splats.sh_width())) {
+        row.clear();
+        let mut put = |v: &f32| row.extend_from_slice(&v.to_le_bytes());
+        mean.as_ref().iter().for_each(&mut put);
+        [0.0f32; 3].iter().for_each(&mut put);
+        sh.iter().take(3).for_each(&mut put);
+        for channel in 0..3 {
+            sh.iter().skip(3 + channel).step_by(3).for_each(&mut put);
+        }
+        put(opacity);
+        scale.as_ref().iter().for_each(&mut put);
+        quat.iter().for_each(&mut put);
+        out.write_all(&row)?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::raw::tests::cloud;
+    use super::*;
+
+    fn bytes(splats: &RawSplats) -> Vec<u8> {
+        let mut out = Vec::new();
+        write(splats, &mut out).unwrap();
+        out
+    }
+
+    fn read_ok(bytes: &[u8]) -> RawSplats {
+        read(bytes, "t.ply", &Limits::default()).unwrap()
+    }
+
+    fn read_err(bytes: &[u8]) -> String {
+        read(bytes, "t.ply", &Limits::default()).unwrap_err().to_string()
+    }
+
+    /// The same cloud written by hand: properties in reverse order with strangers between, in a chosen encoding.
+    fn shuffled(splats: &RawSplats, encoding: Encoding) -> Vec<u8> {
+        let names = splat_columns(splats.degree);
+        let word = ["ascii", "binary_little_endian", "binary_big_endian"][encoding as usize];
+        let mut out = format!("ply\r\nformat {word} 1.0\r\nelement junk 2\r\nproperty short s\r\n").into_bytes();
+        out.extend(format!("element vertex {}\r\nproperty uchar stranger\r\n", splats.len()).bytes());
+        for name in names.iter().rev() {
+            let kind = if name == "opacity" { "double" } else { "float32" };
+            out.extend(format!("property {kind} {name}\r\n").bytes());
+        }
+        out.extend(b"end_header\r\n");
+        let put = |out: &mut Vec<u8>, value: f64, size: usize| match (encoding, size) {
+            (Encoding::Ascii, 4) => out.extend(format!("{} ", value as f32).bytes()),
+            (Encoding::Ascii, _) => out.extend(format!("{value}\n").bytes()),
+            (_, 1) => out.push(value as u8),
+            (_, 2) => out.extend([0, 0]),
+            (Encoding::Little, 4) => out.extend((value as f32).to_le_bytes()),
+            (Encoding::Little, _) => out.extend(value.to_le_bytes()),
+            (Encoding::Big, 4) => out.extend((value as f32).to_be_bytes()),
+            (Encoding::Big, _) => out.extend(value.to_be_bytes()),
+        };
+        (0..2).for_each(|_| put(&mut out, 0.0, 2));
+        for i in 0..splats.len() {
+            put(&mut out, 200.0, 1);
+            let mut row: Vec<f32> = splats.means[i].to_array().to_vec();
+            row.extend(splats.quats[i]);
+            row.extend(splats.log_scales[i].to_array());
+            row.push(splats.logit_opacities[i]);
+            row.extend(&splats.sh[i * splats.sh_width()..(i + 1) * splats.sh_width()]);
+            for (value, name) in row.iter().zip(&names).rev() {
+                put(&mut out, f64::from(*value), if name == "opacity" { 8 } else { 4 });
+            }
+        }
+        out
+    }
+
+    #[test]
+    fn round_trip_keeps_every_bit() {
+        for degree in 0..=3 {
+            let mut splats = cloud(17, degree, 5);
+            splats.means[3].x = f32::MIN_POSITIVE / 8.0;
+            splats.quats[0] = [-0.0, 1e-30, 1e30, 0.0];
+            let again = read_ok(&bytes(&splats));
+            assert_eq!(again, splats);
+            assert_eq!(again.quats[0][0].to_bits(), (-0.0f32).to_bits());
+        }
+        assert_eq!(read_ok(&bytes(&cloud(0, 2, 1))).degree, 2);
+    }
+
+    #[test]
+    fn properties_are_found_by_name_in_every_encoding() {
+        for encoding in [Encoding::Ascii, Encoding::Little, Encoding::Big] {
+            for degree in [0, 1, 3] {
+                let splats = cloud(5, degree, 6);
+                assert_eq!(read_ok(&shuffled(&splats, encoding)), splats, "{encoding:?} degree {degree}");
+            }
+        }
+    }
+
+    #[test]
+    fn channel_major_rest() {
+        let text = bytes(&cloud(1, 1, 7));
+        let splats = read_ok(&text);
+        let rest: Vec<String> = (0..9).map(|i| format!("f_rest_{i}")).collect();
+        let names: Vec<&str> = rest.iter().map(String::as_str).collect();
+        let flat = read_columns(&text, "t.ply", &Limits::default(), &names).unwrap();
+        for c in 0..3 {
+            for k in 1..4 {
+                assert_eq!(flat[c * 3 + k - 1], splats.sh[3 * k + c]);
+            }
+        }
+        assert_eq!(property_names(&text, "t.ply").unwrap()[3], "nx");
+    }
+
+    #[test]
+    fn a_bad_value_is_named_by_row_and_property() {
+        let good = cloud(4, 1, 8);
+        for encoding in [Encoding::Ascii, Encoding::Little, Encoding::Big] {
+            let mut s = good.clone();
+            s.log_scales[2].y = f32::NAN;
+            assert!(read_err(&shuffled(&s, encoding)).contains("row 2, `scale_1` = NaN"));
+            let mut s = good.clone();
+            s.sh[12 + 3 * 2 + 1] = f32::NEG_INFINITY;
+            assert!(read_err(&shuffled(&s, encoding)).contains("row 1, `f_rest_4` = -inf"));
+            let lax = Limits { allow_non_finite: true, ..Limits::default() };
+            let kept = read(&shuffled(&s, encoding), "t.ply", &lax).unwrap();
+            assert_eq!(kept.non_finite_rows(), vec![(1, "sh")]);
+        }
+    }
+
+    #[test]
+    fn shape_offences_are_named() {
+        let good = String::from_utf8_lossy(&bytes(&cloud(0, 1, 9))).into_owned();
+        let error = |from: &str, to: &str| read_err(good.replacen(from, to, 1).as_bytes());
+        assert!(error("property float rot_3\n", "").contains("`property rot_3` is missing"));
+        assert!(error("float nx", "float x").contains("`x` stands twice"));
+        assert!(error("property float f_rest_8\n", "").contains("8 `f_rest` properties"));
+        assert!(error("f_rest_8", "f_rest_08").contains("`property f_rest_8` is missing"));
+        assert!(error("vertex 0", "vertex 1").contains("needs 104 bytes, only 0 are there"));
+        let mut long = bytes(&cloud(2, 0, 9));
+        long.push(0);
+        assert!(read_err(&long).contains("1 bytes follow the last row"));
+        long.truncate(long.len() - 2);
+        assert!(read_err(&long).contains("needs 136 bytes, only 135 are there"));
+        let text = shuffled(&cloud(2, 0, 9), Encoding::Ascii);
+        assert!(read_err(&[text.as_slice(), b" 7"].concat()).contains("`7` follows the last row"));
+        assert!(read_err(&text[..text.len() - 40]).contains("bytes"));
+        let broken = String::from_utf8_lossy(&text).replacen("200", "zzz", 1);
+        assert_eq!(read_ok(broken.as_bytes()), cloud(2, 0, 9), "a skipped property is not looked at");
+    }
+}

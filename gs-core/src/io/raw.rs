@@ -1,0 +1,234 @@
+//! Splats as files store them: logarithms of scales, logits of opacities, quaternions of any length, SH coefficients.
+//!
+//! Activation is that of 3D Gaussian Splatting (Kerbl et al. 2023, section 5): `scale = exp(log_scale)`,
+//! `opacity = 1 / (1 + exp(−logit))`.
+
+use super::error::Source;
+use super::{IoError, Limits};
+use crate::sh;
+use crate::splats::{Color, Kernel, Splats, SplatsError};
+use glam::Vec3;
+
+/// Opacities this close to 0 or 1 are moved here before their logit is taken, so that it stays finite (±13.8).
+pub const OPACITY_MARGIN: f32 = 1e-6;
+
+/// `n` splats before activation.
+#[derive(Clone, Debug, PartialEq, Default)]
+pub struct RawSplats {
+    /// Centres, world units, `[n]`.
+    pub means: Vec<Vec3>,
+    /// Rotations `(w, x, y, z)` of any length, `[n]`.
+    pub quats: Vec<[f32; 4]>,
+    /// Natural logarithms of the standard deviations, `[n]`.
+    pub log_scales: Vec<Vec3>,
+    /// Logits of the opacities, `[n]`.
+    pub logit_opacities: Vec<f32>,
+    /// SH coefficients `[n, (degree + 1)², 3]`, flat.
+    pub sh: Vec<f32>,
+    /// SH degree, 0 to 3.
+    pub degree: u8,
+}
+
+/// Logit of an opacity, finite for every opacity in `[0, 1]` (see [`OPACITY_MARGIN`]).
+pub fn logit(opacity: f32) -> f32 {
+    let o = f64::from(opacity.clamp(OPACITY_MARGIN, 1.0 - OPACITY_MARGIN));
+    (o / (1.0 - o)).ln() as f32
+}
+
+/// `1 / (1 + exp(−x))`.
+pub fn sigmoid(x: f32) -> f32 {
+    1.0 / (1.0 + (-x).exp())
+}
+
+/// Logarithm of a standard deviation: sign ignored, zero taken as the smallest normal number.
+pub(super) fn log_scale(scale: f32) -> f32 {
+    scale.abs().max(f32::MIN_POSITIVE).ln()
+}
+
+impl RawSplats {
+    /// Empty columns with room for `n` rows of a degree.
+    pub(super) fn with_capacity(n: usize, degree: u8) -> Self {
+        Self {
+            means: Vec::with_capacity(n),
+            quats: Vec::with_capacity(n),
+            log_scales: Vec::with_capacity(n),
+            logit_opacities: Vec::with_capacity(n),
+            sh: Vec::with_capacity(n * 3 * sh::coeffs(degree)),
+            degree,
+        }
+    }
+
+    /// Number of splats.
+    pub fn len(&self) -> usize {
+        self.means.len()
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.means.is_empty()
+    }
+
+    /// Values of one row of [`RawSplats::sh`]: `3 (degree + 1)²`.
+    pub fn sh_width(&self) -> usize {
+        3 * sh::coeffs(self.degree)
+    }
+
+    /// Verifies that all columns have `len()` rows and the degree is 0 to 3.
+    ///
+    /// # Errors
+    /// The first column that does not.
+    pub fn check_shape(&self) -> Result<(), SplatsError> {
+        if self.degree > sh::MAX_DEGREE {
+            return Err(SplatsError::Degree(self.degree));
+        }
+        let rows = self.len();
+        let columns = [
+            ("quats", self.quats.len(), rows),
+            ("log_scales", self.log_scales.len(), rows),
+            ("logit_opacities", self.logit_opacities.len(), rows),
+            ("sh", self.sh.len(), rows * self.sh_width()),
+        ];
+        for (column, got, want) in columns {
+            if got != want {
+                return Err(SplatsError::Length { column, want, got, rows });
+            }
+        }
+        Ok(())
+    }
+
+    /// Activates every column.
+    ///
+    /// # Errors
+    /// As [`Splats::check`]: a row that is not finite after activation (for instance a log-scale above 88).
+    pub fn to_splats(&self) -> Result<Splats, SplatsError> {
+        self.check_shape()?;
+        let splats = Splats {
+            means: self.means.clone(),
+            quats: self.quats.clone(),
+            scales: self.log_scales.iter().map(|s| Vec3::new(s.x.exp(), s.y.exp(), s.z.exp())).collect(),
+            opacities: self.logit_opacities.iter().map(|&o| sigmoid(o)).collect(),
+            color: Color::Sh { degree: self.degree, coeffs: self.sh.clone() },
+            kernel: Kernel::Gaussian,
+        };
+        splats.check()?;
+        Ok(splats)
+    }
+
+    /// The raw form of splats. Plain RGB becomes SH of degree 0. The way back is exact up to the rounding of `exp` and
+    /// `ln` (relative 1e-6 for usual sizes), except that opacities are kept off 0 and 1 by [`OPACITY_MARGIN`] and zero
+    /// scales become 1.2e-38.
+    ///
+    /// # Errors
+    /// As [`Splats::check`].
+    pub fn from_splats(splats: &Splats) -> Result<Self, SplatsError> {
+        splats.check()?;
+        let (degree, sh) = match &splats.color {
+            Color::Sh { degree, coeffs } => (*degree, coeffs.clone()),
+            Color::Rgb(rgb) => (0, rgb.as_flattened().iter().map(|&v| (v - 0.5) / sh::C0 as f32).collect()),
+        };
+        Ok(Self {
+            means: splats.means.clone(),
+            quats: splats.quats.clone(),
+            log_scales: splats.scales.iter().map(|s| Vec3::from_array(s.to_array().map(log_scale))).collect(),
+            logit_opacities: splats.opacities.iter().map(|&o| logit(o)).collect(),
+            sh,
+            degree,
+        })
+    }
+
+    /// Rows with a value that is not finite, each with the name of its first such column.
+    pub fn non_finite_rows(&self) -> Vec<(usize, &'static str)> {
+        let bad = |values: &[f32]| values.iter().any(|v| !v.is_finite());
+        let mut rows: Vec<(usize, &'static str)> = Vec::new();
+        let width = self.sh_width();
+        rows.extend(self.means.iter().enumerate().filter(|(_, v)| !v.is_finite()).map(|(i, _)| (i, "means")));
+        rows.extend(self.quats.iter().enumerate().filter(|(_, v)| bad(*v)).map(|(i, _)| (i, "quats")));
+        rows.extend(self.log_scales.iter().enumerate().filter(|(_, v)| !v.is_finite()).map(|(i, _)| (i, "log_scales")));
+        rows.extend(
+            self.logit_opacities
+                .iter()
+                .enumerate()
+                .filter(|(_, v)| !v.is_finite())
+                .map(|(i, _)| (i, "logit_opacities")),
+        );
+        rows.extend(self.sh.chunks_exact(width).enumerate().filter(|(_, v)| bad(v)).map(|(i, _)| (i, "sh")));
+        rows.sort_by_key(|(row, _)| *row);
+        rows.dedup_by_key(|(row, _)| *row);
+        rows
+    }
+
+    /// The first row with a value that is not finite becomes an error, unless the limits allow it.
+    pub(super) fn refuse_non_finite(&self, src: Source<'_>, limits: &Limits) -> Result<(), IoError> {
+        if limits.allow_non_finite {
+            return Ok(());
+        }
+        match self.non_finite_rows().first() {
+            Some(&(row, column)) => Err(src.value(row, column, f64::NAN, "must be finite")),
+            None => Ok(()),
+        }
+    }
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+    use crate::rng::Rng;
+
+    /// `n` splats of plausible statistics.
+    pub(in crate::io) fn cloud(n: usize, degree: u8, seed: u64) -> RawSplats {
+        let mut out = RawSplats::with_capacity(n, degree);
+        for row in 0..n {
+            let mut r = Rng::new(seed, "io cloud", 0, row as u64);
+            out.means.push(Vec3::new(r.normal(), r.normal(), r.normal()));
+            out.quats.push([r.normal(), r.normal(), r.normal(), r.normal()]);
+            out.log_scales.push(Vec3::new(r.range(-6.0, 0.0), r.range(-6.0, 0.0), r.range(-6.0, 0.0)));
+            out.logit_opacities.push(2.0 * r.normal());
+            out.sh.extend((0..3 * sh::coeffs(degree)).map(|_| 0.3 * r.normal()));
+        }
+        out
+    }
+
+    #[test]
+    fn activation_round_trip() {
+        for degree in 0..=3 {
+            let raw = cloud(50, degree, 1);
+            let splats = raw.to_splats().unwrap();
+            let again = RawSplats::from_splats(&splats).unwrap();
+            assert_eq!((&again.means, &again.quats, &again.sh), (&raw.means, &raw.quats, &raw.sh));
+            for (a, b) in again.log_scales.iter().zip(&raw.log_scales) {
+                assert!((*a - *b).abs().max_element() < 2e-6, "{a} {b}");
+            }
+            for (a, b) in again.logit_opacities.iter().zip(&raw.logit_opacities) {
+                assert!((a - b).abs() < 2e-5 * (1.0 + b.abs().exp()), "{a} {b}");
+            }
+        }
+    }
+
+    #[test]
+    fn ends_of_the_domain_stay_finite() {
+        assert!((sigmoid(logit(0.25)) - 0.25).abs() < 1e-7);
+        assert!((sigmoid(logit(1.0)) - 1.0).abs() < 2e-6 && logit(1.0).is_finite());
+        assert!(sigmoid(logit(0.0)) < 2e-6 && logit(0.0).is_finite());
+        assert!(log_scale(0.0).is_finite() && log_scale(-2.0) == log_scale(2.0));
+        assert_eq!((sigmoid(-1e30), sigmoid(1e30)), (0.0, 1.0));
+    }
+
+    #[test]
+    fn a_scale_that_overflows_is_named() {
+        let mut raw = cloud(3, 0, 2);
+        raw.log_scales[2].y = 90.0;
+        let text = raw.to_splats().unwrap_err().to_string();
+        assert!(text.contains("row 2, column `scales`"), "{text}");
+        raw.quats.pop();
+        assert!(raw.to_splats().unwrap_err().to_string().contains("`quats` has 2 entries"));
+    }
+
+    #[test]
+    fn non_finite_rows_are_listed_once() {
+        let mut raw = cloud(5, 1, 3);
+        raw.means[4].x = f32::NAN;
+        raw.quats[1][0] = f32::INFINITY;
+        raw.sh[12 + 3] = f32::NAN;
+        assert_eq!(raw.non_finite_rows(), vec![(1, "quats"), (4, "means")]);
+    }
+}
