@@ -9,7 +9,9 @@ pub const MAX_CHANNELS: usize = 4;
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum MetricError {
     /// Two images (or an image and its mask or gradient) differ in shape.
-    #[error("{what}: shapes (width, height, channels) {first:?} and {second:?} differ; resize or crop before comparing")]
+    #[error(
+        "{what}: shapes (width, height, channels) {first:?} and {second:?} differ; resize or crop before comparing"
+    )]
     Shape {
         /// Which pair.
         what: &'static str,
@@ -43,7 +45,9 @@ pub enum MetricError {
         hint: &'static str,
     },
     /// A value is NaN or infinite.
-    #[error("image {which} has a value that is not finite at pixel ({x}, {y}), channel {channel}; repair the image first")]
+    #[error(
+        "image {which} has a value that is not finite at pixel ({x}, {y}), channel {channel}; repair the image first"
+    )]
     NotFinite {
         /// Which image.
         which: &'static str,

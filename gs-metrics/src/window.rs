@@ -84,13 +84,7 @@ pub(crate) fn horizontal_moments<S: Simd>(
 
 /// Mean and variance of the whole window from the rows' means and variances, at values `i..i + LEN`.
 #[inline(always)]
-fn vertical_moments<S: Simd>(
-    simd: S,
-    g: &[f32; RADIUS + 1],
-    mean: &Rows,
-    var: &Rows,
-    i: usize,
-) -> (S::f32s, S::f32s) {
+fn vertical_moments<S: Simd>(simd: S, g: &[f32; RADIUS + 1], mean: &Rows, var: &Rows, i: usize) -> (S::f32s, S::f32s) {
     let load = |rows: &Rows, k: usize| S::f32s::from_slice(simd, &rows[k][i..i + S::f32s::LEN]);
     let centre = load(mean, RADIUS);
     let mut first = S::f32s::splat(simd, 0.0);

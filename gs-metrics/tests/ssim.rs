@@ -101,7 +101,8 @@ fn flat_images_do_not_cancel() {
 
 #[test]
 fn identical_images_score_exactly_one_with_no_gradient() {
-    for (image, margin) in [(constant(30, 30, 3, 0.9), 0), (noise(31, 29, 3, 0.0, 1.0, 1), 5), (picture(40, 40, 1), 0)] {
+    for (image, margin) in [(constant(30, 30, 3, 0.9), 0), (noise(31, 29, 3, 0.0, 1.0, 1), 5), (picture(40, 40, 1), 0)]
+    {
         let mut grad = Image::default();
         assert_eq!(ssim_with_grad(&image, &image, &options(margin), &mut grad).unwrap(), 1.0);
         assert!(grad.data.iter().all(|g| g.abs() < 1e-9));
