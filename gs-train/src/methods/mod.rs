@@ -1,0 +1,238 @@
+//! Methods: a moving scene under training. One file is one method is one line in [`METHODS`].
+//!
+//! Trainer, checkpoint, evaluation, viewer and command line see a method only through [`MethodEntry`] and [`Method`].
+
+use crate::density::Adapted;
+use crate::moment::Moment;
+use crate::schedule::{Schedule, ScheduleError};
+use gs_core::{Camera, Param, Params, Splats, SplatsGrad};
+use gs_raster::ScreenStats;
+
+pub mod canonical;
+pub mod scene;
+pub mod static3d;
+
+pub use scene::{InitConfig, SceneInfo};
+
+/// A colour per splat that shows something about it, drawn by the same rasteriser.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Overlay {
+    /// `velocity`, `gate`, `segment`, …
+    pub name: &'static str,
+    /// One colour per splat of [`Method::splats`] at the same moment, display-encoded, 0 to 1.
+    pub colors: Vec<[f32; 3]>,
+}
+
+/// A dynamic scene under training.
+pub trait Method: Params + Send + Sync {
+    /// The name in [`METHODS`].
+    fn name(&self) -> &'static str;
+
+    /// Stages, learning rates by name, loss weights.
+    fn schedule(&self) -> &Schedule;
+
+    /// The clock: step `step` (from 1) is about to be made, or was the last one made. Whatever depends on the step, such
+    /// as the SH degree or whether the field takes part, follows from it.
+    fn set_step(&mut self, step: u32);
+
+    /// The scene as `camera` would see it at this moment (no gradients kept).
+    fn splats(&self, at: &Moment, camera: &Camera) -> Splats;
+
+    /// The same on the way to a gradient: builds the splats, hands them to `draw`, which writes their cotangents into its
+    /// second argument (all zero on entry), and adds what comes back into every `grad`.
+    fn step(&mut self, at: &Moment, camera: &Camera, draw: &mut dyn FnMut(&Splats, &mut SplatsGrad));
+
+    /// Regularisers that need no image: adds their gradients, gives their values with weights applied.
+    fn penalties(&mut self, step: u32) -> Vec<(&'static str, f32)>;
+
+    /// Density control after the optimiser's update of step `step`; `seen` is what `camera` saw in it.
+    fn adapt(&mut self, step: u32, seen: &ScreenStats, camera: &Camera) -> Adapted;
+
+    /// What may be drawn over the scene at this moment.
+    fn overlays(&self, _at: &Moment) -> Vec<Overlay> {
+        Vec::new()
+    }
+
+    /// State that is not a parameter (growth statistics), for checkpoints.
+    fn columns(&self) -> Vec<(&'static str, &Vec<f32>)>;
+
+    /// The same, to be restored. Their lengths may be any before; afterwards they must fit the parameters.
+    fn columns_mut(&mut self) -> Vec<(&'static str, &mut Vec<f32>)>;
+
+    /// Number of splats.
+    fn len(&self) -> usize;
+
+    /// Whether there is none.
+    fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+}
+
+/// A method that cannot be built.
+#[derive(Debug, thiserror::Error)]
+pub enum MethodError {
+    /// No method of that name.
+    #[error("there is no method `{name}`; choose one of {known}")]
+    Unknown {
+        /// Name asked for.
+        name: String,
+        /// Names there are.
+        known: String,
+    },
+    /// The configuration does not fit the method.
+    #[error("configuration of method `{method}`: {why}")]
+    Config {
+        /// Name of the method.
+        method: &'static str,
+        /// What is wrong, and where.
+        why: String,
+    },
+    /// The schedule cannot be followed.
+    #[error(transparent)]
+    Schedule(#[from] ScheduleError),
+    /// The initial points cannot be used.
+    #[error(transparent)]
+    Cloud(#[from] gs_core::cloud::CloudError),
+    /// The scene or its initial points cannot be used.
+    #[error("scene: {0}")]
+    Scene(String),
+}
+
+/// What everybody else knows of a method.
+pub struct MethodEntry {
+    /// Short name, as in `--method`.
+    pub name: &'static str,
+    /// One line for people.
+    pub about: &'static str,
+    /// The whole configuration as published, TOML; the source of a value stands behind it.
+    pub defaults: &'static str,
+    /// Presets: name and the values that differ from the defaults, TOML.
+    pub presets: &'static [(&'static str, &'static str)],
+    /// Builds the method for a scene from a resolved configuration.
+    pub build: fn(&toml::Table, &SceneInfo) -> Result<Box<dyn Method>, MethodError>,
+}
+
+impl MethodEntry {
+    /// The entry of that name.
+    ///
+    /// # Errors
+    /// If there is none.
+    pub fn find(name: &str) -> Result<&'static Self, MethodError> {
+        METHODS.iter().find(|m| m.name == name).ok_or_else(|| {
+            let known: Vec<&str> = METHODS.iter().map(|m| m.name).collect();
+            MethodError::Unknown { name: name.to_owned(), known: known.join(", ") }
+        })
+    }
+
+    /// The defaults overlaid with a preset.
+    ///
+    /// # Errors
+    /// If there is no such preset.
+    pub fn config(&self, preset: &str) -> Result<toml::Table, MethodError> {
+        let wrong = |why: String| MethodError::Config { method: self.name, why };
+        let parse = |text: &str| text.parse::<toml::Table>().map_err(|e| wrong(e.to_string()));
+        let mut config = parse(self.defaults)?;
+        let Some((_, text)) = self.presets.iter().find(|p| p.0 == preset) else {
+            let known: Vec<&str> = self.presets.iter().map(|p| p.0).collect();
+            return Err(wrong(format!("there is no preset `{preset}`; choose one of {}", known.join(", "))));
+        };
+        overlay(&mut config, parse(text)?);
+        Ok(config)
+    }
+}
+
+/// Lays `over` on `under`, table by table.
+fn overlay(under: &mut toml::Table, over: toml::Table) {
+    for (key, value) in over {
+        match (under.get_mut(&key), value) {
+            (Some(toml::Value::Table(under)), toml::Value::Table(over)) => overlay(under, over),
+            (_, value) => {
+                under.insert(key, value);
+            }
+        }
+    }
+}
+
+/// Reads a method's configuration.
+fn parse_config<C: serde::de::DeserializeOwned>(method: &'static str, table: &toml::Table) -> Result<C, MethodError> {
+    table.clone().try_into().map_err(|e: toml::de::Error| MethodError::Config { method, why: e.to_string() })
+}
+
+/// The methods there are.
+pub const METHODS: &[MethodEntry] = &[static3d::ENTRY];
+
+/// Every block of a method with its name, values and moments, for checkpoints.
+pub fn export(method: &dyn Method, with_moments: bool) -> Vec<(String, Vec<f32>)> {
+    let mut tensors = Vec::new();
+    method.visit(&mut |p: &Param| {
+        tensors.push((p.name.clone(), p.value.clone()));
+        if with_moments {
+            tensors.push((format!("{}#m1", p.name), p.moment1.clone()));
+            tensors.push((format!("{}#m2", p.name), p.moment2.clone()));
+        }
+    });
+    if with_moments {
+        tensors.extend(method.columns().into_iter().map(|(name, column)| (name.to_owned(), column.clone())));
+    }
+    tensors
+}
+
+/// Restores what [`export`] gave. Row blocks take the number of rows of the tensors; moments and columns that are not
+/// there become zero.
+///
+/// # Errors
+/// Names the first tensor that is missing or does not fit; the method is then unusable.
+pub fn import(method: &mut dyn Method, tensors: &[(String, Vec<f32>)]) -> Result<(), String> {
+    let find = |name: &str| tensors.iter().find(|t| t.0 == name).map(|t| &t.1);
+    let mut fault = None;
+    let mut rows = None;
+    method.visit_mut(&mut |p| {
+        let restored = find(&p.name).ok_or_else(|| format!("tensor `{}` is missing", p.name));
+        let restored = restored.and_then(|value| fit(p, value, &mut rows));
+        if let Err(why) = restored {
+            fault.get_or_insert(why);
+            return;
+        }
+        for (suffix, moment) in [("#m1", &mut p.moment1), ("#m2", &mut p.moment2)] {
+            match find(&format!("{}{suffix}", p.name)) {
+                Some(m) if m.len() == moment.len() => moment.clone_from(m),
+                Some(m) => drop(fault.get_or_insert(format!("tensor `{}{suffix}` has {} values", p.name, m.len()))),
+                None => {}
+            }
+        }
+    });
+    let rows = rows.unwrap_or(0);
+    for (name, column) in method.columns_mut() {
+        match find(name) {
+            Some(c) if c.len() == rows => column.clone_from(c),
+            Some(c) => drop(fault.get_or_insert(format!("tensor `{name}` has {} values for {rows} splats", c.len()))),
+            None => *column = vec![0.0; rows],
+        }
+    }
+    fault.map_or(Ok(()), Err)
+}
+
+/// Gives a block new values and clears the rest of it.
+fn fit(p: &mut Param, value: &[f32], rows: &mut Option<usize>) -> Result<(), String> {
+    match p.row_width {
+        None if value.len() != p.len() => {
+            return Err(format!("tensor `{}` has {} values, {} are needed", p.name, value.len(), p.len()));
+        }
+        Some(w) if !value.len().is_multiple_of(w) || *rows.get_or_insert(value.len() / w) != value.len() / w => {
+            return Err(format!(
+                "tensor `{}` has {} values, rows of {w} as in the other blocks are needed",
+                p.name,
+                value.len()
+            ));
+        }
+        _ => {}
+    }
+    if let Some(at) = value.iter().position(|v| !v.is_finite()) {
+        return Err(format!("tensor `{}` has a value that is not finite at {at}", p.name));
+    }
+    p.value = value.to_vec();
+    for column in [&mut p.grad, &mut p.moment1, &mut p.moment2] {
+        *column = vec![0.0; value.len()];
+    }
+    Ok(())
+}

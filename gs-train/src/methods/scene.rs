@@ -1,0 +1,220 @@
+//! What a method is built from: the first points, the extent of the scene and the box around it.
+//!
+//! ```text
+//! log_scales = ½ ln(max(d², 1e-7)) on every axis,  d² = mean squared distance to the 3 nearest neighbours
+//! extent     = 1.1 max |c_i − mean c| over the training cameras, at least 0.1 × the diagonal of the box
+//! ```
+//! (3D Gaussian Splatting's reference code; the lower bound keeps scenes with a resting camera trainable.)
+
+use crate::data::{Dataset, PointCloud};
+use crate::methods::MethodError;
+use glam::{DVec3, Vec3};
+use gs_core::{Cloud, Rng};
+use kiddo::{ImmutableKdTree, SquaredEuclidean};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use std::num::NonZero;
+
+/// Squared neighbour distances below this count as this.
+const MIN_SQUARED_DISTANCE: f32 = 1e-7;
+/// Points per parallel block.
+const BLOCK: usize = 1024;
+
+/// Where the first points come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum InitFrom {
+    /// The data's points if there are any, else the visual hull if the images carry alpha, else random.
+    Auto,
+    /// The points of the data set.
+    Points,
+    /// Uniform in a cube around the origin, colours near grey (the published start for D-NeRF).
+    Random,
+}
+
+/// The first points.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct InitConfig {
+    /// Where they come from.
+    pub from: InitFrom,
+    /// At most so many (random: exactly so many).
+    pub points: u32,
+    /// Half side of the cube of random points, world units.
+    pub bound: f32,
+}
+
+/// The cloud made of them.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CloudConfig {
+    /// SH degree stored, 0 to 3.
+    pub sh_degree: u8,
+    /// Opacity of the first Gaussians, between 0 and 1.
+    pub opacity: f32,
+    /// The neighbour distance is multiplied by this to give the first standard deviations (3DGS: 1).
+    pub spread: f32,
+}
+
+/// What a method is built from.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SceneInfo {
+    /// The first points.
+    pub points: PointCloud,
+    /// Radius of the camera positions, world units: the length that learning rates and growth rules refer to.
+    pub extent: f32,
+    /// Lower and upper corner of a box around everything that moves, world units.
+    pub bounds: [Vec3; 2],
+    /// Number of training views.
+    pub views: u32,
+    /// Seed of the run.
+    pub seed: u64,
+}
+
+impl SceneInfo {
+    /// Gathers what `init` asks for from a data set.
+    ///
+    /// # Errors
+    /// If the points asked for are not there or cannot be used.
+    pub fn of(dataset: &Dataset, init: &InitConfig, seed: u64) -> Result<Self, MethodError> {
+        let points = first_points(dataset, init, seed)?;
+        let bounds = bounds_of(&points).ok_or_else(|| MethodError::Scene("there is no finite initial point".into()))?;
+        let extent = camera_extent(dataset).max(0.1 * bounds[0].distance(bounds[1]));
+        if !(extent > 0.0 && extent.is_finite()) {
+            return Err(MethodError::Scene(format!("its extent is {extent}; cameras and points coincide")));
+        }
+        Ok(Self { points, extent, bounds, views: dataset.train.len() as u32, seed })
+    }
+}
+
+fn first_points(dataset: &Dataset, init: &InitConfig, seed: u64) -> Result<PointCloud, MethodError> {
+    match (init.from, &dataset.points) {
+        (InitFrom::Points | InitFrom::Auto, Some(points)) => Ok(thinned(points, init.points as usize, seed)),
+        (InitFrom::Points, None) => {
+            Err(MethodError::Scene("the data set brings no points; use init.from = auto or random".into()))
+        }
+        (InitFrom::Auto | InitFrom::Random, _) => Ok(random_points(init, seed)),
+    }
+}
+
+/// At most `count` of the points, chosen at random, in their old order.
+fn thinned(points: &PointCloud, count: usize, seed: u64) -> PointCloud {
+    let n = points.positions.len();
+    if n <= count {
+        return points.clone();
+    }
+    let mut kept = Rng::new(seed, "init-thin", 0, 0).permutation(n);
+    kept.truncate(count);
+    kept.sort_unstable();
+    let positions = kept.iter().map(|&i| points.positions[i as usize]).collect();
+    PointCloud { positions, colors: kept.iter().map(|&i| points.colors[i as usize]).collect() }
+}
+
+fn random_points(init: &InitConfig, seed: u64) -> PointCloud {
+    let point = |i: u32| {
+        let mut rng = Rng::new(seed, "init-random", 0, u64::from(i));
+        let mut coordinate = || rng.range(-init.bound, init.bound);
+        let position = Vec3::new(coordinate(), coordinate(), coordinate());
+        // The reference draws SH coefficients U(0, 1) / 255 around grey.
+        (position, std::array::from_fn(|_| 0.5 + rng.uniform() / 255.0 * gs_core::sh::C0 as f32))
+    };
+    let (positions, colors) = (0..init.points).map(point).unzip();
+    PointCloud { positions, colors }
+}
+
+fn bounds_of(points: &PointCloud) -> Option<[Vec3; 2]> {
+    let finite = points.positions.iter().filter(|p| p.is_finite());
+    finite.fold(None, |b, &p| {
+        let [lo, hi] = b.unwrap_or([p, p]);
+        Some([lo.min(p), hi.max(p)])
+    })
+}
+
+/// 1.1 times the largest distance of a training camera from their mean, world units.
+fn camera_extent(dataset: &Dataset) -> f32 {
+    let centres: Vec<DVec3> = dataset.train.iter().map(|v| v.camera.position()).collect();
+    let mean = centres.iter().sum::<DVec3>() / centres.len().max(1) as f64;
+    (1.1 * centres.iter().map(|c| c.distance(mean)).fold(0.0, f64::max)) as f32
+}
+
+/// The first Gaussians: round, as large as the distance to their neighbours.
+///
+/// # Errors
+/// If there is no point or a value is out of its domain.
+pub fn cloud(points: &PointCloud, config: &CloudConfig) -> Result<Cloud, MethodError> {
+    if let Some(row) = points.positions.iter().position(|p| !p.is_finite()) {
+        return Err(gs_core::cloud::CloudError::Value { row, what: "position" }.into());
+    }
+    let distances = neighbour_distances(&points.positions)?;
+    let sigmas: Vec<f32> = distances.iter().map(|d| config.spread * d.max(MIN_SQUARED_DISTANCE).sqrt()).collect();
+    Ok(Cloud::from_points(&points.positions, &points.colors, &sigmas, config.opacity, config.sh_degree)?)
+}
+
+/// Mean squared distance of each point to its 3 nearest neighbours (fewer if there are fewer points; 1 for a lone point).
+fn neighbour_distances(positions: &[Vec3]) -> Result<Vec<f32>, MethodError> {
+    let near = positions.len().saturating_sub(1).min(3);
+    let Some(wanted) = NonZero::new(near + 1).filter(|_| near > 0) else { return Ok(vec![1.0; positions.len()]) };
+    let flat: Vec<[f32; 3]> = positions.iter().map(|p| p.to_array()).collect();
+    let tree: ImmutableKdTree<f32, 3> = ImmutableKdTree::new_from_slice(&flat)
+        .map_err(|e| MethodError::Scene(format!("initial points cannot be indexed: {e:?}")))?;
+    let mut out = vec![0.0; flat.len()];
+    out.par_chunks_mut(BLOCK).zip(flat.par_chunks(BLOCK)).for_each(|(out, points)| {
+        for (mean, point) in out.iter_mut().zip(points) {
+            // The nearest of all is the point itself.
+            let found = tree.query(point).nearest_n::<SquaredEuclidean<f32>>(wanted).execute();
+            *mean = found.iter().map(|f| f.distance).sum::<f32>() / near as f32;
+        }
+    });
+    Ok(out)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn config() -> CloudConfig {
+        CloudConfig { sh_degree: 0, opacity: 0.1, spread: 1.0 }
+    }
+
+    #[test]
+    fn neighbour_distances_match_brute_force_with_duplicates() {
+        let mut rng = Rng::new(2, "scene", 0, 0);
+        let mut positions: Vec<Vec3> = (0..300).map(|_| Vec3::new(rng.normal(), rng.normal(), rng.normal())).collect();
+        positions.extend([Vec3::splat(0.25); 200]);
+        let got = neighbour_distances(&positions).unwrap();
+        for (i, p) in positions.iter().enumerate() {
+            let others = positions.iter().enumerate().filter(|(j, _)| *j != i);
+            let mut d: Vec<f32> = others.map(|(_, q)| p.distance_squared(*q)).collect();
+            d.sort_by(f32::total_cmp);
+            let want = (d[0] + d[1] + d[2]) / 3.0;
+            assert!((got[i] - want).abs() <= 1e-5 * want, "{i}: {} {want}", got[i]);
+        }
+    }
+
+    #[test]
+    fn few_points_still_make_a_cloud() {
+        for n in 1..5usize {
+            let positions: Vec<Vec3> = (0..n).map(|i| Vec3::X * i as f32).collect();
+            let points = PointCloud { colors: vec![[0.5; 3]; n], positions };
+            let cloud = cloud(&points, &config()).unwrap();
+            assert_eq!(cloud.len(), n);
+            assert!(cloud.log_scales.value.iter().all(|s| s.is_finite()));
+        }
+        assert!(cloud(&PointCloud::default(), &config()).is_err());
+        let bad = PointCloud { positions: vec![Vec3::NAN], colors: vec![[0.5; 3]] };
+        assert!(cloud(&bad, &config()).is_err());
+    }
+
+    #[test]
+    fn random_and_thinned_points_depend_on_the_seed_only() {
+        let init = InitConfig { from: InitFrom::Random, points: 50, bound: 1.3 };
+        let points = random_points(&init, 1);
+        assert_eq!(points, random_points(&init, 1));
+        assert_ne!(points, random_points(&init, 2));
+        assert!(points.positions.iter().all(|p| p.abs().max_element() <= 1.3));
+        let few = thinned(&points, 20, 3);
+        assert_eq!((few.positions.len(), few.colors.len()), (20, 20));
+        assert!(few.positions.iter().all(|p| points.positions.contains(p)));
+        assert_eq!(thinned(&points, 50, 3), points);
+    }
+}
