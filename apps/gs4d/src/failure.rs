@@ -1,0 +1,162 @@
+//! What a user sees when something goes wrong: what, where, why it matters, what to do; and the exit code.
+
+use gs_core::io::IoError;
+use gs_metrics::MetricError;
+use gs_train::checkpoint::CheckpointError;
+use gs_train::config::ConfigError;
+use gs_train::data::DataError;
+use std::fmt;
+use std::path::Path;
+
+/// The kind of a failure; its number is the exit code.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Class {
+    /// A fault of this program.
+    Internal = 1,
+    /// Wrong use of the command line (the argument parser exits with this number, too).
+    Usage = 2,
+    /// Invalid data.
+    Data = 3,
+    /// Numerical failure.
+    Numeric = 4,
+    /// Memory, disk or time limit.
+    Resource = 5,
+    /// Input or output.
+    Io = 6,
+    /// Interrupted by the user, state saved.
+    Interrupted = 130,
+}
+
+impl Class {
+    /// The class of an exit code of a library's error.
+    fn of_code(code: u8) -> Self {
+        match code {
+            2 => Class::Usage,
+            3 => Class::Data,
+            4 => Class::Numeric,
+            5 => Class::Resource,
+            6 => Class::Io,
+            _ => Class::Internal,
+        }
+    }
+}
+
+/// A failure as it is told to the user.
+#[derive(Debug)]
+pub struct Failure {
+    /// Kind and exit code.
+    pub class: Class,
+    /// Stable name of the error, such as `data.time`.
+    pub id: String,
+    /// What happened.
+    pub what: String,
+    /// File, field, row.
+    pub place: String,
+    /// Why it matters.
+    pub why: String,
+    /// What to do.
+    pub remedy: String,
+}
+
+impl Failure {
+    /// A failure without place, reason and remedy.
+    pub fn new(class: Class, id: &str, what: impl Into<String>) -> Self {
+        let empty = String::new;
+        Self { class, id: id.to_owned(), what: what.into(), place: empty(), why: empty(), remedy: empty() }
+    }
+
+    /// Wrong use of the command line.
+    pub fn usage(what: impl Into<String>) -> Self {
+        Self::new(Class::Usage, "usage", what)
+    }
+
+    /// A path the system refused.
+    pub fn io(action: &str, path: &Path, source: &std::io::Error) -> Self {
+        Self::new(Class::Io, "io", format!("cannot {action}: {source}"))
+            .place(path.display())
+            .remedy("check the path, its permissions and the space on the disk")
+    }
+
+    /// Adds where it happened.
+    pub fn place(mut self, place: impl fmt::Display) -> Self {
+        self.place = place.to_string();
+        self
+    }
+
+    /// Adds why it matters.
+    pub fn why(mut self, why: impl fmt::Display) -> Self {
+        self.why = why.to_string();
+        self
+    }
+
+    /// Adds what to do.
+    pub fn remedy(mut self, remedy: impl fmt::Display) -> Self {
+        self.remedy = remedy.to_string();
+        self
+    }
+}
+
+impl fmt::Display for Failure {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "error[{}]: {}", self.id, self.what)?;
+        for (label, text) in [("in  ", &self.place), ("why ", &self.why), ("do  ", &self.remedy)] {
+            if !text.is_empty() {
+                write!(f, "\n  {label} {text}")?;
+            }
+        }
+        Ok(())
+    }
+}
+
+impl From<DataError> for Failure {
+    fn from(e: DataError) -> Self {
+        Self::new(Class::of_code(e.exit_code()), e.code(), e.to_string())
+            .place(e.place().map_or(String::new(), |p| p.to_string()))
+            .why(e.why())
+            .remedy(e.fix())
+    }
+}
+
+impl From<ConfigError> for Failure {
+    fn from(e: ConfigError) -> Self {
+        Self::new(Class::Usage, "config", e.to_string())
+            .why("a setting that is not understood would train with its default in silence")
+            .remedy("gs4d config METHOD lists every setting with its default and kind")
+    }
+}
+
+impl From<IoError> for Failure {
+    fn from(e: IoError) -> Self {
+        let (class, id) = match &e {
+            IoError::Os { source, .. } if source.kind() == std::io::ErrorKind::NotFound => (Class::Io, "io.missing"),
+            IoError::Os { .. } | IoError::Exists { .. } => (Class::Io, "io"),
+            IoError::Limit { .. } => (Class::Resource, "limits.file"),
+            IoError::Unsupported { .. } => (Class::Data, "data.unsupported"),
+            _ => (Class::Data, "data.file"),
+        };
+        Self::new(class, id, e.to_string())
+    }
+}
+
+impl From<CheckpointError> for Failure {
+    fn from(e: CheckpointError) -> Self {
+        let (class, id, remedy) = match &e {
+            CheckpointError::Io { .. } => (Class::Io, "checkpoint.io", "check the path and the space on the disk"),
+            CheckpointError::Damaged { .. } | CheckpointError::NoneUsable { .. } => {
+                (Class::Data, "checkpoint.damaged", "use an older checkpoint of the run, or train again")
+            }
+            CheckpointError::Version { .. } => (Class::Data, "checkpoint.version", "use the program that wrote it"),
+            CheckpointError::Tensor { .. } => {
+                (Class::Data, "checkpoint.tensor", "the run is of another method or version")
+            }
+            CheckpointError::State(_) => (Class::Internal, "checkpoint.state", "please report this"),
+        };
+        Self::new(class, id, e.to_string()).remedy(remedy)
+    }
+}
+
+impl From<MetricError> for Failure {
+    fn from(e: MetricError) -> Self {
+        Self::new(Class::Data, "data.metric", e.to_string())
+    }
+}
