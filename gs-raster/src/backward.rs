@@ -1,0 +1,209 @@
+//! The way back of a frame: tiles to records, records to splats, splats to parameters.
+//!
+//! Tiles run side by side and write the records of their own entries; then each splat adds its records in ascending tile
+//! order and goes back through projection and colour. Nothing depends on the number of threads.
+
+use crate::blend::Limits;
+use crate::blend_backward::{Stretch, TileBack, blend_backward};
+use crate::frame::{FrameGrad, ScreenStats};
+use crate::kernel::{Falloff, Gaussian};
+use crate::options::RasterOptions;
+use crate::project::{PixelSums, Shape, View, backward, project, sh_color_backward};
+use crate::simd;
+use crate::tiles::{Grid, LOG2_SCALE, TILE};
+use crate::workspace::{BLOCKS, Plane, Record, Workspace, pixel_of};
+use fearless_simd::dispatch;
+use glam::Vec3;
+use gs_core::{Camera, Color, Kernel, Splats, SplatsGrad};
+use rayon::prelude::*;
+
+/// Splats handled by one task.
+const SPLAT_BLOCK: usize = 512;
+
+/// Pulls `d` back to every column of `splats`, writing `grad` and `stats` (whatever they held before).
+///
+/// Must follow [`crate::render_into`] of the same splats, camera and options with the same workspace.
+pub fn render_backward_into(
+    splats: &Splats,
+    camera: &Camera,
+    options: &RasterOptions,
+    workspace: &mut Workspace,
+    d: &FrameGrad,
+    grad: &mut SplatsGrad,
+    stats: &mut ScreenStats,
+) {
+    let w = workspace;
+    debug_assert_eq!((w.grid.width, w.grid.height), (camera.width as usize, camera.height as usize));
+    place_records(w);
+    match splats.kernel {
+        Kernel::Gaussian if d.depth.is_empty() => tiles_backward::<_, false>(Gaussian, options, d, w),
+        Kernel::Gaussian => tiles_backward::<_, true>(Gaussian, options, d, w),
+        _ => unreachable!("every kernel has its arm"),
+    }
+    rank_splats(splats.len(), w);
+    splats_backward(splats, options, w, grad, stats);
+}
+
+/// Room for one record for each entry that some pixel of its tile blended.
+fn place_records(w: &mut Workspace) {
+    w.record_starts.clear();
+    w.record_starts.push(0);
+    let mut sum = 0;
+    for tile in &w.tiles {
+        sum += tile.used();
+        w.record_starts.push(sum);
+    }
+    w.records.resize(sum as usize, Record::default());
+}
+
+fn tiles_backward<K: Falloff, const DEPTH: bool>(kernel: K, options: &RasterOptions, d: &FrameGrad, w: &mut Workspace) {
+    let level = simd::level(options.simd);
+    let limits = Limits::new(options);
+    let chunks = &w.chunks[..w.chunk_count];
+    let mut rest = w.records.as_mut_slice();
+    let mut parts = Vec::with_capacity(w.tiles.len());
+    for span in w.record_starts.windows(2) {
+        let (part, tail) = rest.split_at_mut((span[1] - span[0]) as usize);
+        parts.push(part);
+        rest = tail;
+    }
+    let grid = &w.grid;
+    (&w.tiles, parts).into_par_iter().enumerate().for_each(|(tile, (state, records))| {
+        if records.is_empty() {
+            return;
+        }
+        let origin = grid.origin(tile);
+        let plane = |values: &[f32], channels: usize, c: usize| tile_plane(grid, origin, values, channels, c);
+        let d_rgb = [0, 1, 2].map(|c| plane(&d.rgb, 3, c));
+        let (d_alpha, d_depth) = (plane(&d.alpha, 1, 0), plane(&d.depth, 1, 0));
+        let mut back = TileBack::new(state, d_rgb, &d_alpha, d_depth, options.background);
+        for chunk in chunks.iter().rev() {
+            let first_number = chunk.seen_before[tile];
+            let stretch = Stretch { drawn: &chunk.drawn, list: chunk.tile_list(tile), first_number };
+            dispatch!(level, simd => blend_backward::<_, K, DEPTH>(simd, kernel, stretch, origin, limits, &mut back, records));
+        }
+    });
+}
+
+/// One channel of an image, cut out for a tile; zero outside the image or where there is no image.
+fn tile_plane(grid: &Grid, origin: [usize; 2], values: &[f32], channels: usize, channel: usize) -> Plane<f32> {
+    let mut plane = [[0.0; 16]; BLOCKS];
+    if values.is_empty() {
+        return plane;
+    }
+    let (width, height) = (TILE.min(grid.width - origin[0]), TILE.min(grid.height - origin[1]));
+    for (block, row) in plane.iter_mut().enumerate() {
+        for (lane, value) in row.iter_mut().enumerate() {
+            let [x, y] = pixel_of(block, lane);
+            if x < width && y < height {
+                *value = values[((origin[1] + y) * grid.width + origin[0] + x) * channels + channel];
+            }
+        }
+    }
+    plane
+}
+
+fn rank_splats(n: usize, w: &mut Workspace) {
+    w.rank_of.clear();
+    w.rank_of.resize(n, u32::MAX);
+    for chunk in &w.chunks[..w.chunk_count] {
+        for (i, span) in chunk.splat_starts.windows(2).enumerate() {
+            if span[1] > span[0] {
+                w.rank_of[chunk.drawn[i].index as usize] = (chunk.first + i) as u32;
+            }
+        }
+    }
+}
+
+fn splats_backward(
+    splats: &Splats,
+    options: &RasterOptions,
+    w: &Workspace,
+    grad: &mut SplatsGrad,
+    stats: &mut ScreenStats,
+) {
+    let Some(view) = &w.view else { return };
+    grad.reset(splats);
+    let n = splats.len();
+    stats.grad_means2d.clear();
+    stats.grad_means2d.resize(n, [0.0; 2]);
+    stats.radii.clear();
+    stats.radii.resize(n, 0.0);
+    let width = splats.color.width();
+    let b = SPLAT_BLOCK;
+    let columns = (
+        grad.means.par_chunks_mut(b),
+        grad.quats.par_chunks_mut(b),
+        grad.scales.par_chunks_mut(b),
+        grad.opacities.par_chunks_mut(b),
+        grad.color.par_chunks_mut(b * width),
+        stats.grad_means2d.par_chunks_mut(b),
+        stats.radii.par_chunks_mut(b),
+    );
+    columns.into_par_iter().enumerate().for_each(
+        |(block, (means, quats, scales, opacities, color, means2d, radii))| {
+            for k in 0..means.len() {
+                let i = block * b + k;
+                let Some(sums) = gather(w, w.rank_of[i]) else { continue };
+                let shape = Shape { mean: splats.means[i], quat: splats.quats[i], scale: splats.scales[i] };
+                let Some(footprint) = project(view, &shape, options) else { continue };
+                let g = backward(view, &shape, &footprint, f64::from(splats.opacities[i]), &sums, options);
+                let d_view = color_backward(splats, view, i, &sums, &mut color[k * width..][..width]);
+                means[k] = Vec3::from_array(g.mean.map(|v| v as f32)) + d_view;
+                quats[k] = g.quat.map(|v| v as f32);
+                scales[k] = Vec3::from_array(g.scale.map(|v| v as f32));
+                opacities[k] = g.opacity as f32;
+                means2d[k] = g.mean2d.map(|v| v as f32);
+                radii[k] = footprint.radius() as f32;
+            }
+        },
+    );
+}
+
+/// Sums of a splat's records in ascending tile order; `None` if it was not drawn.
+#[inline]
+fn gather(w: &Workspace, rank: u32) -> Option<PixelSums> {
+    if rank == u32::MAX {
+        return None;
+    }
+    let chunks = &w.chunks[..w.chunk_count];
+    let chunk = &chunks[chunks.partition_point(|c| c.first <= rank as usize) - 1];
+    let at = rank as usize - chunk.first;
+    let span = chunk.splat_starts[at] as usize..chunk.splat_starts[at + 1] as usize;
+    let mut sum = [0.0f64; 10];
+    for entry in &chunk.entries[span] {
+        let tile = entry.tile as usize;
+        let number = chunk.seen_before[tile] + entry.number;
+        let start = w.record_starts[tile];
+        if start + number < w.record_starts[tile + 1] {
+            for (to, from) in sum.iter_mut().zip(&w.records[(start + number) as usize]) {
+                *to += f64::from(*from);
+            }
+        }
+    }
+    // Whitened offsets were scaled so that log₂ g = −(a² + b²); undo it.
+    let (one, two) = (1.0 / LOG2_SCALE, 1.0 / (LOG2_SCALE * LOG2_SCALE));
+    Some(PixelSums {
+        s: sum[0],
+        first: [sum[1] * one, sum[2] * one],
+        second: [sum[3] * two, sum[4] * two, sum[5] * two],
+        rgb: [sum[6], sum[7], sum[8]],
+        depth: sum[9],
+    })
+}
+
+/// Writes the colour row's cotangents; returns the mean's through the view direction.
+#[inline]
+fn color_backward(splats: &Splats, view: &View, i: usize, sums: &PixelSums, d_row: &mut [f32]) -> Vec3 {
+    let d_rgb = sums.rgb.map(|v| v as f32);
+    match &splats.color {
+        Color::Rgb(_) => {
+            d_row.copy_from_slice(&d_rgb);
+            Vec3::ZERO
+        }
+        Color::Sh { degree, coeffs } => {
+            let row = &coeffs[i * d_row.len()..][..d_row.len()];
+            Vec3::from_array(sh_color_backward(splats.means[i], view.position, *degree, row, d_rgb, d_row))
+        }
+    }
+}

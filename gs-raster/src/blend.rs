@@ -1,0 +1,139 @@
+//! Front-to-back blending of one tile: sixteen pixels (a 4×4 block) a vector, a block's state in registers.
+//!
+//! ```text
+//! p = log₂ o' − a² − b²     α = min(max_alpha, ψ)   skipped below min_alpha
+//! stop a pixel before the sample with T (1 − α) ≤ stop
+//! C += T α c     D += T α z     T ← T (1 − α)
+//! ```
+
+use crate::kernel::Falloff;
+use crate::options::RasterOptions;
+use crate::rows::{GROUP, Row, Rows};
+use crate::tiles::Drawn;
+use crate::workspace::{BLOCKS, TileState, pixel_of};
+use fearless_simd::{f32x16, mask32x16, prelude::*, u32x16};
+use std::sync::atomic::AtomicU32;
+
+/// Thresholds of the blend, as the kernels need them.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Limits {
+    pub log2_min_alpha: f32,
+    pub max_alpha: f32,
+    pub stop: f32,
+    pub pass_through: bool,
+}
+
+impl Limits {
+    pub fn new(options: &RasterOptions) -> Self {
+        Self {
+            log2_min_alpha: f64::from(options.min_alpha).log2() as f32,
+            max_alpha: options.max_alpha,
+            stop: options.stop,
+            pass_through: options.clamp_grad == crate::ClampGrad::PassThrough,
+        }
+    }
+}
+
+/// Pixel offsets of a block from the tile's first pixel, one lane a pixel.
+#[inline(always)]
+pub(crate) fn block_pixels<S: Simd>(simd: S, block: usize) -> [f32x16<S>; 2] {
+    let axis = |k: usize| {
+        let values: [f32; 16] = std::array::from_fn(|lane| pixel_of(block, lane)[k] as f32);
+        f32x16::from_slice(simd, &values)
+    };
+    [axis(0), axis(1)]
+}
+
+/// Whitened offsets `(a, b)` of a block's pixels from a splat's centre.
+#[inline(always)]
+pub(crate) fn whitened<S: Simd>(simd: S, row: &Row, pixels: [f32x16<S>; 2]) -> [f32x16<S>; 2] {
+    let c = |v: f32| f32x16::splat(simd, v);
+    let a = pixels[0].mul_add(c(row.w[0]), pixels[1].mul_add(c(row.w[1]), c(row.a0)));
+    [a, pixels[1].mul_add(c(row.w[2]), c(row.b0))]
+}
+
+/// `lo − a² − b²`.
+#[inline(always)]
+pub(crate) fn log2_raw<S: Simd>(simd: S, row: &Row, [a, b]: [f32x16<S>; 2]) -> f32x16<S> {
+    let minus = |v: f32x16<S>| f32x16::splat(simd, 0.0) - v;
+    minus(a).mul_add(a, minus(b).mul_add(b, f32x16::splat(simd, row.lo)))
+}
+
+/// Blends `list` into the tile at `origin`, front to back; `list` follows what the tile has seen so far.
+#[inline(always)]
+pub(crate) fn blend<S: Simd, K: Falloff>(
+    simd: S,
+    _kernel: K,
+    drawn: &[Drawn],
+    list: &[AtomicU32],
+    origin: [usize; 2],
+    limits: Limits,
+    state: &mut TileState,
+) {
+    let mut rows = Rows::new();
+    let mut number = state.seen;
+    state.seen += list.len() as u32;
+    for group in list.chunks(GROUP) {
+        rows.fill(simd, drawn, group, origin);
+        for block in 0..BLOCKS {
+            if state.open[block] != 0 && rows.by_block[block] != 0 {
+                blend_block::<S, K>(simd, &rows, block, number, limits, state);
+            }
+        }
+        if !state.is_open() {
+            return;
+        }
+        number += group.len() as u32;
+    }
+}
+
+#[inline(always)]
+fn blend_block<S: Simd, K: Falloff>(
+    simd: S,
+    rows: &Rows,
+    block: usize,
+    number: u32,
+    limits: Limits,
+    state: &mut TileState,
+) {
+    let c = |v: f32| f32x16::splat(simd, v);
+    let load = |plane: &[[f32; 16]; BLOCKS]| f32x16::from_slice(simd, &plane[block]);
+    let pixels = block_pixels(simd, block);
+    let mut transmittance = load(&state.transmittance);
+    let mut rgb = [load(&state.rgb[0]), load(&state.rgb[1]), load(&state.rgb[2])];
+    let mut depth = load(&state.depth);
+    let mut last = u32x16::from_slice(simd, &state.last[block]);
+    let mut open = mask32x16::from_bitmask(simd, u64::from(state.open[block]));
+    let (threshold, max_alpha, stop) = (c(limits.log2_min_alpha), c(limits.max_alpha), c(limits.stop));
+    let mut bits = rows.by_block[block];
+    while bits != 0 {
+        let i = bits.trailing_zeros() as usize;
+        bits &= bits - 1;
+        let row = &rows.row[i];
+        let p = log2_raw(simd, row, whitened(simd, row, pixels));
+        let (raw, reached) = K::sample(simd, p, threshold);
+        let alpha = raw.min(max_alpha);
+        let next = (c(0.0) - alpha).mul_add(transmittance, transmittance);
+        let through = next.simd_gt(stop);
+        let seen = open & reached;
+        let blended = seen & through;
+        let weight = blended.select(transmittance * alpha, c(0.0));
+        for (to, from) in rgb.iter_mut().zip(row.rgb) {
+            *to = weight.mul_add(c(from), *to);
+        }
+        depth = weight.mul_add(c(row.depth), depth);
+        transmittance = blended.select(next, transmittance);
+        last = blended.select(u32x16::splat(simd, number + i as u32 + 1), last);
+        open = open & !(seen & !through);
+        if !open.any_true() {
+            break;
+        }
+    }
+    transmittance.store_slice(&mut state.transmittance[block]);
+    for (plane, value) in state.rgb.iter_mut().zip(rgb) {
+        value.store_slice(&mut plane[block]);
+    }
+    depth.store_slice(&mut state.depth[block]);
+    last.store_slice(&mut state.last[block]);
+    state.open[block] = open.to_bitmask() as u16;
+}

@@ -1,0 +1,159 @@
+//! One tile, back to front: every entry's gradient sums over the tile's pixels.
+//!
+//! ```text
+//! T   ← T / (1 − α)                       transmittance in front of the sample, recovered
+//! v_α = T (c·D + z D_z) − S / (1 − α)     S: light from behind, Σ w (c·D + z D_z) + T_end (background·D − D_α)
+//! S   ← S + T α (c·D + z D_z)
+//! s   = dL/d ln g = ψ-backward(v_α)       zero above the cap under the exact rule
+//! ```
+//! Entries are the outer loop, blocks the inner one, so an entry's ten sums stay in registers until they are reduced
+//! once; pixel state stays in the first-level cache. Each (tile, entry) writes one record of its own: no atomics, and
+//! the order of additions depends on nothing but the tile.
+
+use crate::blend::{Limits, block_pixels, log2_raw, whitened};
+use crate::kernel::Falloff;
+use crate::rows::{GROUP, Row, Rows};
+use crate::tiles::Drawn;
+use crate::workspace::{BLOCKS, Plane, Record, TileState};
+use fearless_simd::{f32x16, prelude::*, u32x16};
+use std::sync::atomic::AtomicU32;
+
+/// State of a tile's pixels on the way back.
+pub(crate) struct TileBack {
+    /// Transmittance behind the current entry.
+    transmittance: Plane<f32>,
+    /// Light from behind it, times the cotangents.
+    behind: Plane<f32>,
+    /// Cotangents of colour and depth.
+    pub d_rgb: [Plane<f32>; 3],
+    pub d_depth: Plane<f32>,
+    last: Plane<u32>,
+    /// Largest `last` of each block.
+    deepest: [u32; BLOCKS],
+}
+
+impl TileBack {
+    /// From the state the forward pass left; `d_alpha` is the cotangent of accumulated alpha.
+    pub fn new(
+        state: &TileState,
+        d_rgb: [Plane<f32>; 3],
+        d_alpha: &Plane<f32>,
+        d_depth: Plane<f32>,
+        background: [f32; 3],
+    ) -> Self {
+        let mut behind = [[0.0; 16]; BLOCKS];
+        for (block, row) in behind.iter_mut().enumerate() {
+            for (lane, value) in row.iter_mut().enumerate() {
+                let light: f32 = (0..3).map(|c| background[c] * d_rgb[c][block][lane]).sum();
+                *value = state.transmittance[block][lane] * (light - d_alpha[block][lane]);
+            }
+        }
+        let deepest = state.last.map(|lanes| lanes.into_iter().max().unwrap_or(0));
+        Self { transmittance: state.transmittance, behind, d_rgb, d_depth, last: state.last, deepest }
+    }
+}
+
+/// One chunk's part of a tile's list, with the running number of its first entry.
+#[derive(Clone, Copy)]
+pub(crate) struct Stretch<'a> {
+    pub drawn: &'a [Drawn],
+    pub list: &'a [AtomicU32],
+    pub first_number: u32,
+}
+
+/// Goes back through one stretch; `records` are the tile's, by running number.
+#[inline(always)]
+pub(crate) fn blend_backward<S: Simd, K: Falloff, const DEPTH: bool>(
+    simd: S,
+    _kernel: K,
+    stretch: Stretch,
+    origin: [usize; 2],
+    limits: Limits,
+    back: &mut TileBack,
+    records: &mut [Record],
+) {
+    let mut rows = Rows::new();
+    let used = records.len().saturating_sub(stretch.first_number as usize).min(stretch.list.len());
+    for start in (0..used.div_ceil(GROUP)).rev().map(|g| g * GROUP) {
+        let group = &stretch.list[start..stretch.list.len().min(start + GROUP)];
+        rows.fill(simd, stretch.drawn, group, origin);
+        for i in (0..group.len().min(used - start)).rev() {
+            let number = stretch.first_number + (start + i) as u32;
+            let sums = entry::<S, K, DEPTH>(simd, &rows.row[i], rows.by_entry[i], number, limits, back);
+            records[number as usize] = reduce(sums);
+        }
+    }
+}
+
+type Sums<S> = [f32x16<S>; 10];
+
+/// Gradient sums of one entry over the blocks it touches.
+#[inline(always)]
+fn entry<S: Simd, K: Falloff, const DEPTH: bool>(
+    simd: S,
+    row: &Row,
+    blocks: u32,
+    number: u32,
+    limits: Limits,
+    back: &mut TileBack,
+) -> Sums<S> {
+    let c = |v: f32| f32x16::splat(simd, v);
+    let (zero, one) = (c(0.0), c(1.0));
+    let mut sums = [zero; 10];
+    let mut bits = blocks;
+    while bits != 0 {
+        let block = bits.trailing_zeros() as usize;
+        bits &= bits - 1;
+        if back.deepest[block] <= number {
+            continue;
+        }
+        let load = |plane: &Plane<f32>| f32x16::from_slice(simd, &plane[block]);
+        let offset = whitened(simd, row, block_pixels(simd, block));
+        let (raw, reached) = K::sample(simd, log2_raw(simd, row, offset), c(limits.log2_min_alpha));
+        let last = u32x16::from_slice(simd, &back.last[block]);
+        let blended = reached & last.simd_gt(u32x16::splat(simd, number));
+        let alpha = blended.select(raw.min(c(limits.max_alpha)), zero);
+        let inverse = one / (one - alpha);
+        let transmittance = load(&back.transmittance) * inverse;
+        let behind = load(&back.behind);
+        let d = [load(&back.d_rgb[0]), load(&back.d_rgb[1]), load(&back.d_rgb[2])];
+        let mut light = d[0] * c(row.rgb[0]);
+        light = d[1].mul_add(c(row.rgb[1]), light);
+        light = d[2].mul_add(c(row.rgb[2]), light);
+        if DEPTH {
+            light = load(&back.d_depth).mul_add(c(row.depth), light);
+        }
+        let d_alpha = transmittance * light - behind * inverse;
+        let weight = transmittance * alpha;
+        transmittance.store_slice(&mut back.transmittance[block]);
+        weight.mul_add(light, behind).store_slice(&mut back.behind[block]);
+        let learns = if limits.pass_through { blended } else { blended & raw.simd_le(c(limits.max_alpha)) };
+        let s = learns.select(K::backward(raw, d_alpha), zero);
+        accumulate(&mut sums, s, offset, weight, d);
+        if DEPTH {
+            sums[9] = weight.mul_add(load(&back.d_depth), sums[9]);
+        }
+    }
+    sums
+}
+
+/// Adds one block's samples to `s, sa, sb, saa, sab, sbb, r, g, b`.
+#[inline(always)]
+fn accumulate<S: Simd>(sums: &mut Sums<S>, s: f32x16<S>, [a, b]: [f32x16<S>; 2], weight: f32x16<S>, d: [f32x16<S>; 3]) {
+    let (sa, sb) = (s * a, s * b);
+    sums[0] = sums[0] + s;
+    sums[1] = sums[1] + sa;
+    sums[2] = sums[2] + sb;
+    sums[3] = sa.mul_add(a, sums[3]);
+    sums[4] = sa.mul_add(b, sums[4]);
+    sums[5] = sb.mul_add(b, sums[5]);
+    for k in 0..3 {
+        sums[6 + k] = weight.mul_add(d[k], sums[6 + k]);
+    }
+}
+
+/// Sums of the lanes of each vector.
+#[inline(always)]
+fn reduce<S: Simd>(sums: Sums<S>) -> Record {
+    sums.map(|v| v.reduce_sum())
+}

@@ -1,0 +1,76 @@
+//! Instruction sets and the few vector functions the blend needs.
+//!
+//! `2^x` on `x ∈ [-126, 0]`: split `x = m + f` with `|f| ≤ ½` by adding `1.5·2²³`, a degree-5 relative-minimax
+//! polynomial for `2^f` (worst relative error 7.5e-8), and `m` added to the exponent bits.
+
+use crate::options::SimdLevel;
+use fearless_simd::{Level, f32x16, prelude::*, u32x16};
+
+/// Lanes of one vector: a 4×4 pixel block.
+pub const LANES: usize = 16;
+
+/// The level a caller's choice stands for on this machine.
+pub fn level(choice: SimdLevel) -> Level {
+    let best = Level::new();
+    match choice {
+        SimdLevel::Auto => best,
+        #[cfg(any(target_arch = "x86", target_arch = "x86_64"))]
+        SimdLevel::Avx2 => best.as_avx2().map_or(best, Level::Avx2),
+        #[cfg(not(any(target_arch = "x86", target_arch = "x86_64")))]
+        SimdLevel::Avx2 => best,
+        SimdLevel::Portable => Level::baseline(),
+    }
+}
+
+/// The name of a level, for reports.
+pub fn level_name(level: Level) -> String {
+    let text = format!("{level:?}");
+    text.split(['(', ' ', '{']).next().unwrap_or_default().to_lowercase()
+}
+
+const EXP2: [f32; 6] = [1.000_000_1, 0.693_146_94, 0.240_221_2, 0.055_507_13, 0.009_675_542, 0.001_327_647_3];
+const ROUND: f32 = 12_582_912.0; // 1.5 · 2²³
+
+/// `2^x`, relative error below 1.5e-7, for `-126 ≤ x ≤ 127`; anything outside gives an unspecified value.
+#[inline(always)]
+pub fn exp2<S: Simd>(simd: S, x: f32x16<S>) -> f32x16<S> {
+    let c = |v: f32| f32x16::splat(simd, v);
+    let shifted = x + c(ROUND);
+    let f = x - (shifted - c(ROUND));
+    let p = c(EXP2[5]).mul_add(f, c(EXP2[4]));
+    let p = p.mul_add(f, c(EXP2[3]));
+    let p = p.mul_add(f, c(EXP2[2]));
+    let p = p.mul_add(f, c(EXP2[1]));
+    let p = p.mul_add(f, c(EXP2[0]));
+    let exponent: u32x16<S> = shifted.bitcast();
+    let bits: u32x16<S> = p.bitcast();
+    (bits + (exponent << 23)).bitcast()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use fearless_simd::dispatch;
+
+    #[test]
+    fn exp2_is_accurate_at_every_level() {
+        for choice in [SimdLevel::Auto, SimdLevel::Avx2, SimdLevel::Portable] {
+            let mut worst = 0.0f64;
+            for i in 0..4000u32 {
+                let x: [f32; LANES] = std::array::from_fn(|k| -(i as f32 * 16.0 + k as f32) * (126.0 / 64_000.0));
+                let mut y = [0.0f32; LANES];
+                dispatch!(level(choice), simd => exp2(simd, f32x16::from_slice(simd, &x)).store_slice(&mut y));
+                for (a, b) in x.iter().zip(y) {
+                    let want = f64::from(*a).exp2();
+                    worst = worst.max((f64::from(b) / want - 1.0).abs());
+                }
+            }
+            assert!(worst < 1.5e-7, "{choice:?}: {worst:.2e}");
+        }
+    }
+
+    #[test]
+    fn levels_have_names() {
+        assert!(!level_name(level(SimdLevel::Auto)).is_empty());
+    }
+}
