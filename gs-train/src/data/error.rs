@@ -321,6 +321,16 @@ impl DataError {
         format!("error[{}]: {self}{place}\n  why  {}\n  do   {}", self.code(), self.why(), self.fix())
     }
 
+    /// A camera whose fields are out of their domain.
+    pub(crate) fn camera(place: &Place, e: &gs_core::camera::CameraError) -> Self {
+        Self::Field {
+            place: place.clone(),
+            value: format!("no usable camera ({e})"),
+            why: "every ray of the view depends on it",
+            fix: "correct the intrinsics, the pose or the size of the image",
+        }
+    }
+
     pub(crate) fn syntax(file: &Path, at: impl Into<String>, message: impl Into<String>) -> Self {
         Self::Syntax { place: Place::new(file, at), message: message.into() }
     }

@@ -19,13 +19,19 @@ use std::sync::Arc;
 use glam::Vec3;
 use gs_core::{Camera, Time};
 
+mod blender;
 pub mod cache;
 pub mod decode;
 pub mod error;
+mod files;
+mod frames;
 pub mod header;
+mod json;
 pub mod lens;
 pub mod options;
 pub mod pixels;
+mod pose;
+mod times;
 
 pub use cache::ImageCache;
 pub use error::{DataError, Place};
@@ -107,11 +113,33 @@ pub struct Dataset {
     pub dynamic: bool,
     /// Where the times come from, in words.
     pub time_source: String,
+    /// Lower and upper corner of the box that holds the scene, where the layout or its maker knows it.
+    pub bounds: Option<[Vec3; 2]>,
     /// Assumptions made while reading.
     pub notes: Vec<String>,
 }
 
 impl Dataset {
+    /// Reads a folder: with the layout named in the options, else with the one that is surest of it.
+    ///
+    /// # Errors
+    /// `data.path` if there is no folder, `data.layout` if no reader knows it, else what the reader finds.
+    pub fn open(dir: &Path, options: &DataOptions) -> Result<Self, DataError> {
+        if !dir.is_dir() {
+            return Err(DataError::NotFound { path: dir.to_path_buf() });
+        }
+        let names = || LAYOUTS.iter().map(|l| l.name).collect::<Vec<_>>().join(", ");
+        let unknown = |looked_for| DataError::Layout { path: dir.to_path_buf(), looked_for };
+        let layout = match &options.layout {
+            Some(name) => LAYOUTS
+                .iter()
+                .find(|l| l.name == name)
+                .ok_or_else(|| unknown(format!("\"{name}\" was asked for, known are {}", names())))?,
+            None => detect(dir).ok_or_else(|| unknown(format!("looked for {}", names())))?,
+        };
+        (layout.open)(dir, options)
+    }
+
     /// The views of a split.
     pub fn views(&self, split: Split) -> &[View] {
         match split {
@@ -143,4 +171,13 @@ pub struct Layout {
     pub probe: fn(&Path) -> Option<Confidence>,
     /// Reads the folder.
     pub open: fn(&Path, &DataOptions) -> Result<Dataset, DataError>,
+}
+
+/// Every reader.
+pub const LAYOUTS: &[Layout] = &[blender::LAYOUT];
+
+/// The reader that is surest of a folder; of equally sure ones the first.
+pub fn detect(dir: &Path) -> Option<&'static Layout> {
+    let sure = LAYOUTS.iter().filter_map(|l| (l.probe)(dir).map(|c| (c, l)));
+    sure.reduce(|best, next| if next.0 > best.0 { next } else { best }).map(|(_, l)| l)
 }

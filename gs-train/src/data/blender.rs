@@ -1,0 +1,140 @@
+//! D-NeRF and Blender scenes: `transforms_{train,val,test}.json` (Mildenhall et al. 2020; Pumarola et al. 2021).
+//!
+//! Top level `camera_angle_x` (horizontal field of view, radians); per frame `file_path` (with or without extension),
+//! `transform_matrix` (camera to world, OpenGL axes) and, for moving scenes, `time`, which D-NeRF keeps in 0..1. The
+//! principal point is the centre, pixels are square: `f = W / (2 tan(angle / 2))`. `val` and `test` may be absent.
+
+use std::path::Path;
+
+use glam::{DMat4, DVec2, Vec3};
+use gs_core::{Camera, Time};
+
+use super::error::{DataError, Place};
+use super::files::{Root, read_text};
+use super::frames::{Listed, locate, name_views, with_headers};
+use super::header::ImageHeader;
+use super::json::{Document, Fields, MAX_JSON_BYTES, quote_non_finite};
+use super::options::{DataOptions, TimeRange};
+use super::pose::{Pose, from_opengl};
+use super::times::{Draft, Drafts, settle};
+use super::{Confidence, Dataset, ImageSource, Layout, View};
+
+/// The entry in [`super::LAYOUTS`].
+pub(crate) const LAYOUT: Layout = Layout {
+    name: "blender",
+    about: "D-NeRF and Blender scenes: transforms_train.json, optional transforms_val.json and transforms_test.json",
+    probe,
+    open,
+};
+
+/// Half the side of the cube that holds the scene (Kerbl et al. 2023, random initialisation of Blender scenes).
+const HALF_SIDE: f32 = 1.3;
+
+fn probe(dir: &Path) -> Option<Confidence> {
+    dir.join("transforms_train.json").is_file().then_some(Confidence::Certain)
+}
+
+/// Reads a scene.
+///
+/// # Errors
+/// See [`DataError`]; every fault names file and field.
+fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
+    let root = Root::new(dir)?;
+    let mut notes = Vec::new();
+    let train_file = dir.join("transforms_train.json");
+    let train = read_split(&root, &train_file, options, &mut notes)?;
+    if train.drafts.is_empty() {
+        return Err(DataError::Empty { file: train_file });
+    }
+    let has_alpha = train.has_alpha;
+    let mut other = |split: &str| {
+        let file = dir.join(format!("transforms_{split}.json"));
+        if file.exists() {
+            read_split(&root, &file, options, &mut notes).map(|s| s.drafts)
+        } else {
+            notes.push(format!("there is no transforms_{split}.json: the {split} split is empty"));
+            Ok(Vec::new())
+        }
+    };
+    let (val, test) = (other("val")?, other("test")?);
+    let drafts = Drafts { train: train.drafts, val, test };
+    let settled = settle(drafts, options, Some(TimeRange { start: 0.0, end: 1.0 }))?;
+    notes.extend(settled.notes);
+    Ok(Dataset {
+        root: dir.to_path_buf(),
+        layout: LAYOUT.name,
+        train: settled.train,
+        val: settled.val,
+        test: settled.test,
+        points: None,
+        has_alpha,
+        dynamic: settled.dynamic,
+        time_source: settled.source,
+        bounds: Some([Vec3::splat(-HALF_SIDE), Vec3::splat(HALF_SIDE)]),
+        notes,
+    })
+}
+
+struct SplitRead {
+    drafts: Vec<Draft>,
+    has_alpha: bool,
+}
+
+/// What a frame states beside its image.
+struct Frame {
+    pose: Pose,
+    time: Option<f64>,
+    time_place: Place,
+    place: Place,
+}
+
+fn read_split(
+    root: &Root,
+    file: &Path,
+    options: &DataOptions,
+    notes: &mut Vec<String>,
+) -> Result<SplitRead, DataError> {
+    let text = read_text(file, MAX_JSON_BYTES)?;
+    let text = quote_non_finite(&text);
+    let document = Document::parse(file, &text)?;
+    let angle = field_of_view(&document.top())?;
+    let frames = (0..document.len()).map(|i| read_frame(root, &document.frame(i)?)).collect::<Result<Vec<_>, _>>()?;
+    let frames = with_headers(file, frames, options, notes)?;
+    let has_alpha = frames.iter().any(|(_, h)| h.has_alpha);
+    let shown: Vec<_> = frames.iter().map(|(f, _)| f.shown.clone()).collect();
+    let draft = |(k, (listed, header)): (usize, (Listed<Frame>, ImageHeader))| {
+        let frame = listed.rest;
+        let camera = pinhole(&header, angle, &frame.pose, &frame.place)?;
+        let view = View::new("", camera, Time::default(), ImageSource::File(listed.path), k as u32);
+        Ok(Draft { view, stated: frame.time, place: frame.time_place })
+    };
+    let mut drafts = frames.into_iter().enumerate().map(draft).collect::<Result<Vec<_>, DataError>>()?;
+    name_views(&mut drafts, &shown);
+    Ok(SplitRead { drafts, has_alpha })
+}
+
+fn field_of_view(top: &Fields) -> Result<f64, DataError> {
+    let (why, fix) = ("the horizontal field of view in radians lies between 0 and pi", "correct camera_angle_x");
+    match top.number("camera_angle_x")? {
+        None => Err(top.fault("camera_angle_x", "missing", why, fix)),
+        Some(a) if a > 0.0 && a < std::f64::consts::PI => Ok(a),
+        Some(a) => Err(top.fault("camera_angle_x", &a.to_string(), why, fix)),
+    }
+}
+
+fn read_frame(root: &Root, frame: &Fields) -> Result<Listed<Frame>, DataError> {
+    let (shown, path) = locate(root, frame.required_text("file_path")?, &frame.place("file_path"))?;
+    let place = frame.place("transform_matrix");
+    let pose = from_opengl(&frame.matrix("transform_matrix")?, &place)?;
+    let rest = Frame { pose, time: frame.number("time")?, time_place: frame.place("time"), place };
+    Ok(Listed { shown, path, rest })
+}
+
+fn pinhole(header: &ImageHeader, angle: f64, pose: &Pose, place: &Place) -> Result<Camera, DataError> {
+    let (w, h) = (f64::from(header.width), f64::from(header.height));
+    let f = 0.5 * w / (0.5 * angle).tan();
+    let mut viewmat = DMat4::from_mat3(pose.rotation);
+    viewmat.w_axis = pose.translation.extend(1.0);
+    Camera::from_viewmat(header.width, header.height, DVec2::splat(f), DVec2::new(0.5 * w, 0.5 * h), viewmat)
+        .map_err(|e| DataError::camera(place, &e))
+}

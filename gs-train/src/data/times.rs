@@ -1,0 +1,250 @@
+//! From the times of files to [`Time`]: the training span becomes 0..1, the clock keeps the data's seconds.
+
+use gs_core::Time;
+
+use super::error::{DataError, Place};
+use super::options::{DataOptions, TimeFrom, TimeRange};
+use super::{ImageSource, View};
+
+/// A view whose time is not settled yet.
+pub(crate) struct Draft {
+    /// The view, at time 0.
+    pub(crate) view: View,
+    /// The time the file states.
+    pub(crate) stated: Option<f64>,
+    /// Where it stands, or would stand.
+    pub(crate) place: Place,
+}
+
+/// Three lists of drafts.
+#[derive(Default)]
+pub(crate) struct Drafts {
+    pub(crate) train: Vec<Draft>,
+    pub(crate) val: Vec<Draft>,
+    pub(crate) test: Vec<Draft>,
+}
+
+/// Views with times, and how they came by them.
+pub(crate) struct Settled {
+    pub(crate) train: Vec<View>,
+    pub(crate) val: Vec<View>,
+    pub(crate) test: Vec<View>,
+    pub(crate) dynamic: bool,
+    pub(crate) source: String,
+    pub(crate) notes: Vec<String>,
+}
+
+/// Slack at the ends of a range: files print few digits.
+const SLACK: f64 = 1e-6;
+
+/// Settles the times of all views. `declared` is the range the layout prescribes for training times (D-NeRF: 0..1).
+///
+/// # Errors
+/// `data.time` if a training time lies outside [`DataOptions::time_range`] or `declared`; `data.field` if only some
+/// frames have times, or a file name holds no number when times come from names.
+pub(crate) fn settle(
+    mut drafts: Drafts,
+    options: &DataOptions,
+    declared: Option<TimeRange>,
+) -> Result<Settled, DataError> {
+    let mut notes = Vec::new();
+    let source = restate(&mut drafts, options)?;
+    complete(&drafts)?;
+    let required = options.time_range.or(declared);
+    if let Some(range) = required {
+        check_range(&drafts.train, range)?;
+    }
+    let span = options.time_range.or_else(|| span_of(&drafts.train));
+    let dynamic = span_of(&drafts.train).is_some();
+    let outside = span.map_or(0, |s| count_outside(&drafts.val, s) + count_outside(&drafts.test, s));
+    if outside > 0 {
+        notes.push(format!("{outside} val and test views lie outside the training span: they extrapolate"));
+    }
+    let clock = Clock { span, by_number: options.time_from != TimeFrom::File, fps: options.fps };
+    let finish = |list: Vec<Draft>| list.into_iter().map(|d| clock.apply(d)).collect::<Result<Vec<_>, _>>();
+    let (train, val, test) = (finish(drafts.train)?, finish(drafts.val)?, finish(drafts.test)?);
+    let source = if dynamic { source } else { "static: all training views show one moment".into() };
+    Ok(Settled { train, val, test, dynamic, source, notes })
+}
+
+/// Overrides the stated times when the user asked for names or order. Returns the source in words.
+fn restate(drafts: &mut Drafts, options: &DataOptions) -> Result<String, DataError> {
+    let mut all: Vec<&mut Draft> = drafts.train.iter_mut().chain(&mut drafts.val).chain(&mut drafts.test).collect();
+    match options.time_from {
+        TimeFrom::File => Ok("time of each frame, as the files state it".into()),
+        TimeFrom::Name => {
+            for d in all {
+                d.stated = Some(last_number(&stem(&d.view)).ok_or_else(|| DataError::Field {
+                    place: d.place.clone(),
+                    value: format!("in a file named \"{}\"", stem(&d.view)),
+                    why: "times come from the last number in each file name, and this one has none",
+                    fix: "rename the images, or pass --set data.time_from=file",
+                })?);
+            }
+            Ok(format!("last number in each file name{}", rate(options)))
+        }
+        TimeFrom::Order => {
+            all.sort_by(|a, b| stem(&a.view).cmp(&stem(&b.view)));
+            all.into_iter().enumerate().for_each(|(k, d)| d.stated = Some(k as f64));
+            Ok(format!("order of file names, as asked for{}", rate(options)))
+        }
+    }
+}
+
+fn rate(options: &DataOptions) -> String {
+    options.fps.map_or(String::new(), |fps| format!(", {fps} frames per second"))
+}
+
+/// The file name without folder and extension, or the view's name.
+fn stem(v: &View) -> String {
+    match &v.image {
+        ImageSource::File(f) => f.file_stem().map_or_else(|| v.name.clone(), |s| s.to_string_lossy().into_owned()),
+        ImageSource::Memory(_) => v.name.clone(),
+    }
+}
+
+fn last_number(name: &str) -> Option<f64> {
+    let upto = name.trim_end_matches(|c: char| !c.is_ascii_digit());
+    let start = upto.trim_end_matches(|c: char| c.is_ascii_digit()).len();
+    upto[start..].parse().ok().filter(|v: &f64| v.is_finite())
+}
+
+/// Either no view has a time or all have.
+fn complete(drafts: &Drafts) -> Result<(), DataError> {
+    let all = || drafts.train.iter().chain(&drafts.val).chain(&drafts.test);
+    if !drafts.train.iter().any(|d| d.stated.is_some()) {
+        return Ok(());
+    }
+    match all().find(|d| d.stated.is_none()) {
+        None => Ok(()),
+        Some(d) => Err(DataError::Field {
+            place: d.place.clone(),
+            value: "missing".into(),
+            why: "other frames have times, so this scene moves",
+            fix: "add the time, or remove all of them if the scene is static",
+        }),
+    }
+}
+
+fn inside(t: f64, r: TimeRange) -> bool {
+    let slack = SLACK * (r.end - r.start);
+    t >= r.start - slack && t <= r.end + slack
+}
+
+fn check_range(train: &[Draft], range: TimeRange) -> Result<(), DataError> {
+    let others = train.iter().filter(|d| d.stated.is_some_and(|t| inside(t, range))).count();
+    for d in train {
+        if let Some(value) = d.stated.filter(|&t| !inside(t, range)) {
+            let frame = d.view.name.clone();
+            return Err(DataError::Time { place: d.place.clone(), frame, value, others, range });
+        }
+    }
+    Ok(())
+}
+
+fn count_outside(list: &[Draft], span: TimeRange) -> usize {
+    list.iter().filter(|d| d.stated.is_some_and(|t| !inside(t, span))).count()
+}
+
+/// First and last time, if they differ.
+fn span_of(list: &[Draft]) -> Option<TimeRange> {
+    let times = || list.iter().filter_map(|d| d.stated);
+    let (start, end) = (times().fold(f64::INFINITY, f64::min), times().fold(f64::NEG_INFINITY, f64::max));
+    (end > start).then_some(TimeRange { start, end })
+}
+
+/// How stated times become [`Time`].
+struct Clock {
+    span: Option<TimeRange>,
+    by_number: bool,
+    fps: Option<f64>,
+}
+
+impl Clock {
+    fn apply(&self, d: Draft) -> Result<View, DataError> {
+        let time = match (d.stated, self.span) {
+            (Some(t), Some(r)) => {
+                let normalised = (t - r.start) / (r.end - r.start);
+                let seconds = match (self.by_number, self.fps) {
+                    (false, _) => t,
+                    (true, Some(fps)) => t / fps,
+                    (true, None) => normalised,
+                };
+                Time::with_seconds(normalised as f32, seconds).map_err(|e| DataError::Field {
+                    place: d.place.clone(),
+                    value: e.value.to_string(),
+                    why: "after mapping the training span to 0..1 it must be a finite number",
+                    fix: "correct the time, or data.time_range and data.fps",
+                })?
+            }
+            _ => Time::default(),
+        };
+        Ok(View { time, ..d.view })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+    use gs_core::Camera;
+    use std::path::Path;
+
+    fn drafts(stated: &[Option<f64>]) -> Vec<Draft> {
+        let draft = |(k, &stated): (usize, &Option<f64>)| {
+            let camera = Camera::look_at(2, 2, 0.7, DVec3::X, DVec3::ZERO, DVec3::Z).unwrap();
+            let image = ImageSource::File(format!("images/cam3_f{:03}.png", 2 * k + 10).into());
+            let view = View::new(format!("r_{k:03}"), camera, Time::default(), image, 0);
+            Draft { view, stated, place: Place::new(Path::new("t.json"), format!("frames[{k}].time")) }
+        };
+        stated.iter().enumerate().map(draft).collect()
+    }
+
+    fn settled(train: &[Option<f64>], test: &[Option<f64>], o: &DataOptions) -> Result<Settled, DataError> {
+        let d = Drafts { train: drafts(train), val: vec![], test: drafts(test) };
+        settle(d, o, None)
+    }
+
+    #[test]
+    fn the_training_span_becomes_zero_to_one() {
+        let s = settled(&[Some(2.0), Some(6.0), Some(3.0)], &[Some(8.0)], &DataOptions::default()).unwrap();
+        let t: Vec<f32> = s.train.iter().map(|v| v.time.normalised).collect();
+        assert_eq!(t, [0.0, 1.0, 0.25]);
+        assert_eq!((s.test[0].time.normalised, s.test[0].time.seconds, s.dynamic), (1.5, 8.0, true));
+        assert!(s.notes[0].starts_with("1 val and test views"));
+        let wide = DataOptions { time_range: Some(TimeRange { start: 0.0, end: 8.0 }), ..Default::default() };
+        let s = settled(&[Some(2.0), Some(6.0)], &[Some(8.0)], &wide).unwrap();
+        assert_eq!((s.train[0].time.normalised, s.test[0].time.normalised), (0.25, 1.0));
+    }
+
+    #[test]
+    fn times_outside_the_range_and_missing_ones_are_named() {
+        let d = Drafts { train: drafts(&[Some(0.0), Some(1.3), Some(1.0)]), ..Default::default() };
+        let unit = TimeRange { start: 0.0, end: 1.0 };
+        let e = settle(d, &DataOptions::default(), Some(unit)).err().unwrap();
+        assert_eq!(e.to_string(), "frame \"r_001\" has time 1.3, the other 2 lie in 0..1");
+        assert!(e.fix().ends_with("data.time_range=0..1.3"));
+        let e = settled(&[Some(0.0), None], &[], &DataOptions::default()).err().unwrap();
+        assert_eq!(e.to_string(), "frames[1].time is missing");
+    }
+
+    #[test]
+    fn one_moment_is_static() {
+        for stated in [&[None, None][..], &[Some(0.5), Some(0.5)]] {
+            let s = settled(stated, &[], &DataOptions::default()).unwrap();
+            assert!(!s.dynamic && s.train[1].time == Time::default());
+        }
+    }
+
+    #[test]
+    fn names_and_order_give_times_on_request() {
+        let by = |time_from, fps| DataOptions { time_from, fps, ..Default::default() };
+        let s = settled(&[None, None, None], &[], &by(TimeFrom::Name, Some(4.0))).unwrap();
+        assert_eq!((s.train[1].time.normalised, s.train[1].time.seconds), (0.5, 3.0), "frame 12 at 4 per second");
+        let s = settled(&[None, None, None], &[], &by(TimeFrom::Order, None)).unwrap();
+        assert_eq!((s.train[1].time.normalised, s.train[2].time.seconds), (0.5, 1.0));
+        for (name, want) in [("cam3_f012", Some(12.0)), ("7", Some(7.0)), ("é12x", Some(12.0)), ("none", None)] {
+            assert_eq!(last_number(name), want, "{name}");
+        }
+    }
+}

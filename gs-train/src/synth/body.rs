@@ -1,0 +1,269 @@
+//! Textured spheres, boxes and a waving sheet, and where a ray meets them.
+//!
+//! A ray is `o + s d` with any length of `d`. The sphere is a quadratic, the box three slabs, both in the body's frame;
+//! the sheet is a root of a function of one variable.
+
+use glam::{DVec2, DVec3};
+use serde::Serialize;
+
+use super::motion::{Motion, RigidPose};
+
+/// The shape of a body, around its own origin.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub enum Shape {
+    /// A ball.
+    Sphere {
+        /// Radius.
+        radius: f64,
+    },
+    /// An axis-aligned block.
+    Box {
+        /// Half the sides.
+        half: DVec3,
+    },
+    /// A sheet over `[-x, x] × [-y, y]` whose material points move along z only:
+    /// `z = amplitude · ramp(x) · sin(wave·(x, y) − rate·t)`, `ramp = (x/half.x + 1)/2`: it is held at `x = −half.x`.
+    Sheet {
+        /// Half the sides.
+        half: DVec2,
+        /// Largest height.
+        amplitude: f64,
+        /// Wave vector, radians per world unit.
+        wave: DVec2,
+        /// Radians per unit of time.
+        rate: f64,
+    },
+}
+
+/// A body: shape, motion and colours.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Body {
+    /// Name.
+    pub name: &'static str,
+    /// Shape in its own frame.
+    pub shape: Shape,
+    /// Motion of that frame.
+    pub motion: Motion,
+    /// The two display-encoded colours of the pattern.
+    pub colors: [[f64; 3]; 2],
+    /// Radians per world unit of the pattern.
+    pub pattern: f64,
+}
+
+/// Where a ray meets a body, in the body's frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct LocalHit {
+    /// Ray parameter.
+    pub(crate) s: f64,
+    /// The material point: for the sheet its rest position `(x, y, 0)`.
+    pub(crate) point: DVec3,
+    /// Unit normal in the body's frame.
+    pub(crate) normal: DVec3,
+}
+
+impl Body {
+    /// The colour at a material point, display-encoded: a smooth pattern fixed to the body.
+    pub(crate) fn color(&self, p: DVec3) -> [f64; 3] {
+        let q = p * self.pattern + DVec3::new(0.7, 1.1, 1.9);
+        let w = (0.5 + 1.5 * q.x.sin() * q.y.sin() * q.z.sin()).clamp(0.0, 1.0);
+        let [a, b] = self.colors;
+        std::array::from_fn(|c| a[c] + (b[c] - a[c]) * w)
+    }
+
+    /// Whether it is a sheet: two-sided and deforming.
+    pub(crate) fn is_sheet(&self) -> bool {
+        matches!(self.shape, Shape::Sheet { .. })
+    }
+
+    /// World position of a material point at time `t`.
+    pub(crate) fn position_of(&self, material: DVec3, t: f64) -> DVec3 {
+        let local = match self.shape {
+            Shape::Sheet { .. } => DVec3::new(material.x, material.y, self.shape.height(material.truncate(), t)),
+            _ => material,
+        };
+        self.motion.at(t).apply(local)
+    }
+}
+
+impl Shape {
+    /// Radius of a ball around the origin that holds the shape.
+    pub(crate) fn bounding_radius(&self) -> f64 {
+        match *self {
+            Self::Sphere { radius } => radius,
+            Self::Box { half } => half.length(),
+            Self::Sheet { half, amplitude, .. } => half.extend(amplitude).length(),
+        }
+    }
+
+    /// First hit with `s > 0` of the ray `o + s d` given in the body's frame.
+    pub(crate) fn hit(&self, o: DVec3, d: DVec3, t: f64) -> Option<LocalHit> {
+        match *self {
+            Self::Sphere { radius } => {
+                let s = sphere(o, d, radius)?;
+                let point = o + d * s;
+                Some(LocalHit { s, point, normal: point / radius })
+            }
+            Self::Box { half } => slabs(o, d, half).filter(|&(s, ..)| s > 0.0).map(|(s, _, axis)| {
+                let normal = DVec3::AXES[axis] * -d[axis].signum();
+                LocalHit { s, point: o + d * s, normal }
+            }),
+            Self::Sheet { .. } => self.sheet_hit(o, d, t),
+        }
+    }
+
+    /// Height of the sheet; 0 for other shapes.
+    pub(crate) fn height(&self, p: DVec2, t: f64) -> f64 {
+        let Self::Sheet { half, amplitude, wave, rate } = *self else { return 0.0 };
+        amplitude * 0.5 * (p.x / half.x + 1.0) * (wave.dot(p) - rate * t).sin()
+    }
+
+    /// Gradient of [`Self::height`].
+    fn height_slope(&self, p: DVec2, t: f64) -> DVec2 {
+        let Self::Sheet { half, amplitude, wave, rate } = *self else { return DVec2::ZERO };
+        let (sin, cos) = (wave.dot(p) - rate * t).sin_cos();
+        wave * (amplitude * 0.5 * (p.x / half.x + 1.0) * cos) + DVec2::X * (amplitude * 0.5 / half.x * sin)
+    }
+
+    /// Walks along the ray by steps that cannot jump over the sheet (|f| divided by a bound on |f'|), but never smaller
+    /// than a fraction of a pixel, until the sign changes; then bisects and polishes by Newton's method.
+    fn sheet_hit(&self, o: DVec3, d: DVec3, t: f64) -> Option<LocalHit> {
+        const LEAST_STEP: f64 = 4e-3;
+        let Self::Sheet { half, amplitude, wave, .. } = *self else { return None };
+        let (enter, leave, _) = slabs(o, d, half.extend(amplitude))?;
+        let f = |s: f64| {
+            let p = o + d * s;
+            p.z - self.height(p.truncate(), t)
+        };
+        let flat = d.truncate();
+        let slope = amplitude * wave.dot(flat).abs() + amplitude * 0.5 / half.x * flat.x.abs() + d.z.abs();
+        let least = LEAST_STEP / d.length();
+        let (mut a, mut fa) = (enter.max(0.0), f(enter.max(0.0)));
+        while a < leave {
+            let b = (a + (fa.abs() / slope).max(least)).min(leave);
+            let fb = f(b);
+            if fa * fb <= 0.0 {
+                return Some(self.sheet_root(o, d, t, a, b, fa));
+            }
+            (a, fa) = (b, fb);
+        }
+        None
+    }
+
+    fn sheet_root(&self, o: DVec3, d: DVec3, t: f64, mut a: f64, mut b: f64, fa: f64) -> LocalHit {
+        let f = |s: f64| {
+            let p = o + d * s;
+            p.z - self.height(p.truncate(), t)
+        };
+        for _ in 0..6 {
+            let mid = 0.5 * (a + b);
+            if fa * f(mid) <= 0.0 {
+                b = mid;
+            } else {
+                a = mid;
+            }
+        }
+        let mut s = 0.5 * (a + b);
+        for _ in 0..3 {
+            let slope = d.z - self.height_slope((o + d * s).truncate(), t).dot(d.truncate());
+            let next = s - f(s) / slope;
+            s = if next >= a && next <= b { next } else { 0.5 * (a + b) };
+        }
+        let p = o + d * s;
+        let g = self.height_slope(p.truncate(), t);
+        LocalHit { s, point: DVec3::new(p.x, p.y, 0.0), normal: DVec3::new(-g.x, -g.y, 1.0).normalize_or_zero() }
+    }
+}
+
+/// First positive root of `|o + s d| = radius` seen from outside.
+fn sphere(o: DVec3, d: DVec3, radius: f64) -> Option<f64> {
+    let (a, b, c) = (d.length_squared(), o.dot(d), o.length_squared() - radius * radius);
+    let disc = b * b - a * c;
+    (disc >= 0.0).then(|| (-b - disc.sqrt()) / a).filter(|&s| s > 0.0)
+}
+
+/// Where a ray enters and leaves the block `[-half, half]`, and the axis through which it enters.
+fn slabs(o: DVec3, d: DVec3, half: DVec3) -> Option<(f64, f64, usize)> {
+    let (mut enter, mut leave, mut axis) = (f64::NEG_INFINITY, f64::INFINITY, 0);
+    for k in 0..3 {
+        if d[k] == 0.0 {
+            if o[k].abs() > half[k] {
+                return None;
+            }
+            continue;
+        }
+        let (a, b) = ((-half[k] - o[k]) / d[k], (half[k] - o[k]) / d[k]);
+        if a.min(b) > enter {
+            (enter, axis) = (a.min(b), k);
+        }
+        leave = leave.min(a.max(b));
+    }
+    (enter <= leave && leave > 0.0).then_some((enter, leave, axis))
+}
+
+/// A body at one moment, ready for many rays from one point.
+pub(crate) struct Placed<'a> {
+    pub(crate) body: &'a Body,
+    pub(crate) pose: RigidPose,
+    origin: DVec3,
+    to_centre: DVec3,
+    far: f64,
+    t: f64,
+}
+
+impl<'a> Placed<'a> {
+    /// The body at time `t`, seen from `eye`.
+    pub(crate) fn new(body: &'a Body, t: f64, eye: DVec3) -> Self {
+        let pose = body.motion.at(t);
+        let (to_centre, r) = (eye - pose.translation, body.shape.bounding_radius());
+        Self { body, pose, origin: pose.invert(eye), to_centre, far: to_centre.length_squared() - r * r, t }
+    }
+
+    /// First hit of the ray from the eye along `d` (world).
+    pub(crate) fn hit(&self, d: DVec3) -> Option<LocalHit> {
+        let b = self.to_centre.dot(d);
+        if b * b < d.length_squared() * self.far {
+            return None;
+        }
+        self.body.shape.hit(self.origin, self.pose.rotation.transpose() * d, self.t)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn spheres_and_boxes_are_hit_where_they_are() {
+        let ball = Shape::Sphere { radius: 0.5 };
+        let h = ball.hit(DVec3::new(0.0, 0.0, -4.0), DVec3::Z * 2.0, 0.0).unwrap();
+        assert!((h.s - 1.75).abs() < 1e-12 && (h.normal + DVec3::Z).length() < 1e-12);
+        assert!(ball.hit(DVec3::new(0.0, 0.6, -4.0), DVec3::Z, 0.0).is_none());
+        assert!(ball.hit(DVec3::new(0.0, 0.0, 4.0), DVec3::Z, 0.0).is_none(), "behind the eye");
+        let block = Shape::Box { half: DVec3::new(1.0, 2.0, 3.0) };
+        let h = block.hit(DVec3::new(5.0, 0.5, 0.5), -DVec3::X, 0.0).unwrap();
+        assert_eq!((h.s, h.normal), (4.0, DVec3::X));
+        assert!(block.hit(DVec3::new(5.0, 2.5, 0.5), -DVec3::X, 0.0).is_none());
+    }
+
+    #[test]
+    fn hits_of_the_sheet_lie_on_the_sheet_and_nothing_is_missed() {
+        let sheet = Shape::Sheet { half: DVec2::new(1.0, 0.7), amplitude: 0.25, wave: DVec2::new(5.0, 2.0), rate: 6.0 };
+        let mut hits = 0;
+        for k in 0..400 {
+            let target = DVec3::new(f64::from(k % 20) / 10.0 - 0.97, f64::from(k / 20) / 15.0 - 0.66, 0.0);
+            let t = f64::from(k) / 400.0;
+            let eye = DVec3::new(2.0, -3.0, 1.7);
+            let d = target.with_z(sheet.height(target.truncate(), t)) - eye;
+            let h = sheet.hit(eye, d, t).unwrap();
+            let p = eye + d * h.s;
+            assert!((p.z - sheet.height(p.truncate(), t)).abs() < 1e-10, "on the sheet");
+            assert!(h.s <= 1.0 + 1e-9, "not behind the point aimed at");
+            hits += usize::from((h.s - 1.0).abs() < 1e-9);
+            let e = 1e-6;
+            let dz =
+                (sheet.height(p.truncate() + DVec2::X * e, t) - sheet.height(p.truncate() - DVec2::X * e, t)) / 2.0;
+            assert!(h.normal.dot(DVec3::new(e, 0.0, dz)).abs() < 1e-12, "normal to the sheet");
+        }
+        assert!(hits > 300, "most points are seen directly: {hits}");
+    }
+}

@@ -1,0 +1,150 @@
+//! Generated scenes whose truth is known exactly: geometry, motion, depth, flow and segments at every moment, without a
+//! download.
+//!
+//! Bodies follow closed-form motions ([`motion`]); a small ray tracer ([`trace`]) photographs them as D-NeRF does: one
+//! camera per time on the upper hemisphere for training, other cameras at other times held out. Everything is a function of the
+//! options alone, whatever the number of threads.
+
+use std::sync::Arc;
+
+use glam::{DVec3, Vec3};
+use gs_core::{Camera, Rng, Time};
+use serde::{Deserialize, Serialize};
+
+use crate::data::{DataError, Dataset, ImageSource, View};
+
+pub mod body;
+pub mod motion;
+pub mod scenes;
+pub mod trace;
+mod truth;
+mod write;
+
+pub use scenes::{SCENES, SynthScene};
+pub use truth::{FlowMap, Truth};
+pub use write::write;
+
+/// What to generate.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SynthOptions {
+    /// Side of the square images, pixels.
+    pub size: u32,
+    /// Training views; view `k` of `n` is taken at time `k / (n − 1)`.
+    pub train_views: u32,
+    /// Validation views.
+    pub val_views: u32,
+    /// Test views; view `k` of `n` is taken at time `(k + ½) / n`.
+    pub test_views: u32,
+    /// Seed of the cameras.
+    pub seed: u64,
+    /// Samples per pixel along each axis.
+    pub supersample: u32,
+    /// Part of the brightness that depends on the light, 0..1. 0: every material point keeps its colour.
+    pub shading: f64,
+}
+
+impl Default for SynthOptions {
+    fn default() -> Self {
+        Self { size: 200, train_views: 100, val_views: 10, test_views: 20, seed: 0, supersample: 3, shading: 0.2 }
+    }
+}
+
+/// A generated scene.
+#[derive(Clone, Debug)]
+pub struct SynthData {
+    /// Views with images in memory.
+    pub dataset: Dataset,
+    /// What really happened.
+    pub truth: Truth,
+}
+
+/// Horizontal field of view, radians, and distance of the cameras, as in D-NeRF's synthetic scenes.
+pub const FOV_X: f64 = 0.691_111_207_008_361_8;
+/// Distance of the cameras from the origin.
+pub const CAMERA_RADIUS: f64 = 4.0;
+/// Half the side of the cube that holds every scene.
+pub const HALF_SIDE: f32 = 1.3;
+/// Most memory that images may take.
+const MAX_IMAGE_BYTES: u64 = 8 << 30;
+
+/// Generates a scene in memory.
+///
+/// # Errors
+/// `data.option` if there is no such scene, or an option is out of its domain.
+pub fn generate(name: &str, options: &SynthOptions) -> Result<SynthData, DataError> {
+    let scene = SCENES.iter().find(|s| s.name == name).ok_or_else(|| DataError::Option {
+        name: "scene",
+        value: name.into(),
+        rule: format!("one of {}", SCENES.iter().map(|s| s.name).collect::<Vec<_>>().join(", ")),
+    })?;
+    check(options)?;
+    let truth = Truth::new((scene.bodies)(), scene.name, scene.dynamic, options);
+    let split = |purpose: &str, n: u32, time: &dyn Fn(u32) -> f64| {
+        (0..n).map(|k| photograph(&truth, purpose, k, time(k))).collect::<Result<Vec<_>, _>>()
+    };
+    let (n, val, test) = (options.train_views, options.val_views, options.test_views);
+    let held_out = |count: u32| move |k: u32| (f64::from(k) + 0.5) / f64::from(count);
+    let train = split("synth.train", n, &|k| f64::from(k) / f64::from((n - 1).max(1)))?;
+    let dataset = Dataset {
+        root: Default::default(),
+        layout: "synth",
+        train,
+        val: split("synth.val", val, &held_out(val))?,
+        test: split("synth.test", test, &held_out(test))?,
+        points: None,
+        has_alpha: true,
+        dynamic: scene.dynamic && n > 1,
+        time_source: if scene.dynamic { "generated: view index over 0..1" } else { "static" }.into(),
+        bounds: Some([Vec3::splat(-HALF_SIDE), Vec3::splat(HALF_SIDE)]),
+        notes: vec![format!("generated scene \"{name}\", seed {}", options.seed)],
+    };
+    Ok(SynthData { dataset, truth })
+}
+
+fn check(o: &SynthOptions) -> Result<(), DataError> {
+    let wrong = |name, value: String, rule: &str| Err(DataError::Option { name, value, rule: rule.into() });
+    if !(1..=4096).contains(&o.size) {
+        return wrong("size", o.size.to_string(), "1 to 4096 pixels");
+    }
+    if o.train_views == 0 {
+        return wrong("train_views", "0".into(), "at least one");
+    }
+    if !(1..=16).contains(&o.supersample) {
+        return wrong("supersample", o.supersample.to_string(), "1 to 16");
+    }
+    if !(0.0..=1.0).contains(&o.shading) {
+        return wrong("shading", o.shading.to_string(), "0 to 1");
+    }
+    let views = u64::from(o.train_views) + u64::from(o.val_views) + u64::from(o.test_views);
+    if views * u64::from(o.size) * u64::from(o.size) * 4 > MAX_IMAGE_BYTES {
+        return wrong("train_views", o.train_views.to_string(), "all images together below 8 GiB");
+    }
+    Ok(())
+}
+
+/// A view from a random point of the upper hemisphere.
+fn photograph(truth: &Truth, purpose: &str, k: u32, t: f64) -> Result<View, DataError> {
+    let camera = hemisphere_camera(truth.options(), purpose, k)?;
+    let image = truth.picture(&camera, t);
+    let time = if truth.dynamic() { Time::new(t as f32) } else { Ok(Time::default()) };
+    let time = time.map_err(|e| DataError::Option {
+        name: "time",
+        value: e.value.to_string(),
+        rule: "a finite number".into(),
+    })?;
+    Ok(View::new(format!("r_{k:03}"), camera, time, ImageSource::Memory(Arc::new(image)), k))
+}
+
+fn hemisphere_camera(o: &SynthOptions, purpose: &str, k: u32) -> Result<Camera, DataError> {
+    let mut rng = Rng::new(o.seed, purpose, 0, u64::from(k));
+    let azimuth = f64::from(rng.uniform()) * std::f64::consts::TAU;
+    let z = f64::from(rng.range(0.1, 0.95));
+    let flat = (1.0 - z * z).sqrt();
+    let eye = DVec3::new(flat * azimuth.cos(), flat * azimuth.sin(), z) * CAMERA_RADIUS;
+    Camera::look_at(o.size, o.size, FOV_X, eye, DVec3::ZERO, DVec3::Z).map_err(|e| DataError::Option {
+        name: "size",
+        value: o.size.to_string(),
+        rule: e.to_string(),
+    })
+}

@@ -1,0 +1,122 @@
+//! The generated scenes. All of them fit in the cube `[-1.3, 1.3]³`; up is +z.
+
+use glam::{DVec2, DVec3};
+
+use super::body::{Body, Shape};
+use super::motion::Motion;
+
+/// An entry in the list of scenes.
+pub struct SynthScene {
+    /// Name, as in `synth:NAME`.
+    pub name: &'static str,
+    /// One line for people.
+    pub about: &'static str,
+    /// Whether it moves.
+    pub dynamic: bool,
+    /// Its bodies.
+    pub bodies: fn() -> Vec<Body>,
+}
+
+/// Every scene.
+pub const SCENES: &[SynthScene] = &[
+    SynthScene {
+        name: "balls",
+        about: "two balls on an orbit, a turning block, a tumbling block and a slab at rest: rigid bodies",
+        dynamic: true,
+        bodies: balls,
+    },
+    SynthScene {
+        name: "sheet",
+        about: "a sheet held at one side with a wave travelling through it: motion without rigid parts",
+        dynamic: true,
+        bodies: sheet,
+    },
+    SynthScene {
+        name: "static",
+        about: "the bodies of \"balls\" at rest: for methods without motion",
+        dynamic: false,
+        bodies: at_rest,
+    },
+];
+
+const TURN: f64 = std::f64::consts::TAU;
+
+fn balls() -> Vec<Body> {
+    let body = |name, shape, motion, colors, pattern| Body { name, shape, motion, colors, pattern };
+    let orbit = Motion { orbit_radius: 0.7, orbit_rate: 0.5 * TURN, ..Motion::default() };
+    vec![
+        body(
+            "ball",
+            Shape::Sphere { radius: 0.28 },
+            Motion {
+                start: DVec3::new(0.0, 0.0, -0.25),
+                spin_axis: DVec3::new(0.3, 0.2, 1.0),
+                spin_rate: 0.75 * TURN,
+                ..orbit
+            },
+            [[0.86, 0.24, 0.18], [0.97, 0.88, 0.72]],
+            14.0,
+        ),
+        body(
+            "bobbing ball",
+            Shape::Sphere { radius: 0.2 },
+            Motion {
+                start: DVec3::new(0.0, 0.0, -0.15),
+                spin_axis: DVec3::X,
+                spin_rate: 0.5 * TURN,
+                orbit_phase: 0.5 * TURN,
+                bob: DVec3::Z * 0.25,
+                bob_rate: 1.0,
+                ..orbit
+            },
+            [[0.14, 0.42, 0.78], [0.80, 0.92, 0.95]],
+            18.0,
+        ),
+        body(
+            "turning block",
+            Shape::Box { half: DVec3::new(0.2, 0.16, 0.3) },
+            Motion { start: DVec3::Z * -0.35, spin_axis: DVec3::Z, spin_rate: -0.25 * TURN, ..Motion::default() },
+            [[0.20, 0.58, 0.30], [0.93, 0.85, 0.35]],
+            13.0,
+        ),
+        body(
+            "tumbling block",
+            Shape::Box { half: DVec3::new(0.17, 0.12, 0.14) },
+            Motion {
+                start: DVec3::new(-0.5, 0.1, 0.45),
+                velocity: DVec3::new(1.0, -0.2, 0.1),
+                spin_axis: DVec3::new(1.0, 1.0, 0.4),
+                spin_rate: 0.5 * TURN,
+                ..Motion::default()
+            },
+            [[0.56, 0.25, 0.62], [0.95, 0.72, 0.45]],
+            17.0,
+        ),
+        body(
+            "slab",
+            Shape::Box { half: DVec3::new(0.95, 0.95, 0.05) },
+            Motion { start: DVec3::Z * -0.72, ..Motion::default() },
+            [[0.42, 0.44, 0.48], [0.80, 0.80, 0.76]],
+            9.0,
+        ),
+    ]
+}
+
+fn at_rest() -> Vec<Body> {
+    let still = |b: Body| {
+        let pose = b.motion.at(0.3);
+        // The slab and the blocks keep their place; a turned block would need a rotation at rest, so it is left straight.
+        Body { motion: Motion { start: pose.translation, ..Motion::default() }, ..b }
+    };
+    balls().into_iter().map(still).collect()
+}
+
+fn sheet() -> Vec<Body> {
+    vec![Body {
+        name: "sheet",
+        shape: Shape::Sheet { half: DVec2::new(1.0, 0.7), amplitude: 0.3, wave: DVec2::new(4.5, 1.2), rate: TURN },
+        motion: Motion::default(),
+        colors: [[0.82, 0.30, 0.22], [0.92, 0.90, 0.80]],
+        pattern: 9.0,
+    }]
+}

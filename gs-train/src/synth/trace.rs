@@ -1,0 +1,99 @@
+//! The ray tracer of generated scenes: one ray per sample, box filter over a regular `k × k` grid in each pixel, straight
+//! alpha. Shading is Lambert's with a light fixed in the world, hence the same from every camera.
+
+use glam::DVec3;
+use gs_core::Camera;
+use rayon::prelude::*;
+
+use super::body::{Body, Placed};
+use crate::data::ImageU8;
+
+/// Direction to the light.
+const LIGHT: DVec3 = DVec3::new(0.36, -0.48, 0.8);
+
+/// What a ray meets first.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Hit {
+    /// Index of the body.
+    pub body: usize,
+    /// The material point in the body's frame.
+    pub local: DVec3,
+    /// The point in the world.
+    pub world: DVec3,
+    /// Depth: camera-space z.
+    pub depth: f64,
+    /// Display-encoded colour.
+    pub color: [f64; 3],
+}
+
+/// Bodies at one moment, seen by one camera.
+pub(crate) struct Tracer<'a> {
+    bodies: Vec<Placed<'a>>,
+    camera: &'a Camera,
+    eye: DVec3,
+    base: DVec3,
+    per_u: DVec3,
+    per_v: DVec3,
+    shading: f64,
+}
+
+impl<'a> Tracer<'a> {
+    pub(crate) fn new(bodies: &'a [Body], t: f64, camera: &'a Camera, shading: f64) -> Self {
+        let eye = camera.position();
+        let c2w = camera.rotation.transpose();
+        let per_u = c2w.x_axis / camera.fx;
+        let per_v = c2w.y_axis / camera.fy;
+        let base = c2w.z_axis - per_u * camera.cx - per_v * camera.cy;
+        let bodies = bodies.iter().map(|b| Placed::new(b, t, eye)).collect();
+        Self { bodies, camera, eye, base, per_u, per_v, shading }
+    }
+
+    /// What is seen at pixel coordinates `(u, v)`. The direction has camera-space z = 1, so its parameter is the depth.
+    pub(crate) fn hit(&self, u: f64, v: f64) -> Option<Hit> {
+        let d = self.base + self.per_u * u + self.per_v * v;
+        let mut best: Option<(usize, super::body::LocalHit)> = None;
+        for (k, b) in self.bodies.iter().enumerate() {
+            if let Some(h) = b.hit(d).filter(|h| best.is_none_or(|(_, old)| h.s < old.s)) {
+                best = Some((k, h));
+            }
+        }
+        let (body, h) = best?;
+        let placed = &self.bodies[body];
+        let facing = LIGHT.dot(placed.pose.rotation * h.normal);
+        // A sheet has two sides and no inside: both are lit alike, so no camera is told which side it sees.
+        let lambert = if placed.body.is_sheet() { facing.abs() } else { facing.max(0.0) };
+        let light = 1.0 - self.shading + self.shading * lambert;
+        let color = placed.body.color(h.point).map(|c| c * light);
+        Some(Hit { body, local: h.point, world: self.eye + d * h.s, depth: h.s, color })
+    }
+
+    /// The picture with `k × k` samples per pixel.
+    pub(crate) fn picture(&self, k: u32) -> ImageU8 {
+        let (width, height) = (self.camera.width as usize, self.camera.height as usize);
+        let mut data = vec![0u8; width * height * 4];
+        data.par_chunks_mut(width * 4).enumerate().for_each(|(j, row)| {
+            for (i, pixel) in row.chunks_exact_mut(4).enumerate() {
+                pixel.copy_from_slice(&self.pixel(i, j, k));
+            }
+        });
+        ImageU8 { width, height, data }
+    }
+
+    fn pixel(&self, i: usize, j: usize, k: u32) -> [u8; 4] {
+        let (mut sum, mut hits) = ([0.0f64; 3], 0u32);
+        for s in 0..k * k {
+            let u = i as f64 + (f64::from(s % k) + 0.5) / f64::from(k);
+            let v = j as f64 + (f64::from(s / k) + 0.5) / f64::from(k);
+            if let Some(hit) = self.hit(u, v) {
+                sum.iter_mut().zip(hit.color).for_each(|(a, c)| *a += c);
+                hits += 1;
+            }
+        }
+        if hits == 0 {
+            return [0; 4];
+        }
+        let to_u8 = |x: f64| (x * 255.0 + 0.5).clamp(0.0, 255.0) as u8;
+        let [r, g, b] = sum.map(|c| to_u8(c / f64::from(hits)));
+        [r, g, b, to_u8(f64::from(hits) / f64::from(k * k))]
+    }
+}

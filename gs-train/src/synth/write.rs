@@ -1,0 +1,97 @@
+//! A generated scene as a D-NeRF folder, with its truth beside it in `truth.json`.
+
+use std::path::Path;
+
+use glam::{DMat3, DQuat, DVec3};
+use gs_core::Camera;
+use rayon::prelude::*;
+use serde_json::{Value, json};
+
+use super::body::Shape;
+use super::{FOV_X, SynthData, SynthOptions, Truth, generate};
+use crate::data::{DataError, ImageSource, ImageU8, View};
+
+/// Poses in `truth.json` are given at this many times, evenly over 0..1.
+const TRUTH_TIMES: u32 = 101;
+
+/// Generates a scene and writes it to `dir`: `transforms_{train,val,test}.json`, `{train,val,test}/r_000.png` …,
+/// `truth.json`. Unless `overwrite` is set the folder must be empty or absent.
+///
+/// # Errors
+/// `io.exists` if the folder holds files, `io.write` if writing fails, else as [`generate`].
+pub fn write(dir: &Path, name: &str, options: &SynthOptions, overwrite: bool) -> Result<SynthData, DataError> {
+    let occupied = std::fs::read_dir(dir).is_ok_and(|mut entries| entries.next().is_some());
+    if dir.is_file() || (occupied && !overwrite) {
+        return Err(DataError::Occupied { path: dir.to_path_buf() });
+    }
+    let data = generate(name, options)?;
+    for (split, views) in [("train", &data.dataset.train), ("val", &data.dataset.val), ("test", &data.dataset.test)] {
+        let folder = dir.join(split);
+        std::fs::create_dir_all(&folder).map_err(|e| DataError::write(&folder, e))?;
+        views.par_iter().try_for_each(|v| match &v.image {
+            ImageSource::Memory(image) => save_png(&folder.join(format!("{}.png", v.name)), image),
+            ImageSource::File(_) => Ok(()),
+        })?;
+        write_json(&dir.join(format!("transforms_{split}.json")), &transforms(split, views, data.truth.dynamic()))?;
+    }
+    write_json(&dir.join("truth.json"), &truth_json(&data.truth))?;
+    Ok(data)
+}
+
+fn save_png(file: &Path, image: &ImageU8) -> Result<(), DataError> {
+    let (width, height) = (image.width as u32, image.height as u32);
+    image::save_buffer(file, &image.data, width, height, image::ExtendedColorType::Rgba8)
+        .map_err(|e| DataError::write(file, std::io::Error::other(e)))
+}
+
+fn write_json(file: &Path, value: &Value) -> Result<(), DataError> {
+    let text = format!("{value:#}\n");
+    std::fs::write(file, text).map_err(|e| DataError::write(file, e))
+}
+
+fn transforms(split: &str, views: &[View], dynamic: bool) -> Value {
+    let frame = |v: &View| {
+        let mut f = json!({
+            "file_path": format!("./{split}/{}", v.name),
+            "transform_matrix": opengl_c2w(&v.camera),
+        });
+        if dynamic {
+            f["time"] = json!(v.time.seconds);
+        }
+        f
+    };
+    json!({ "camera_angle_x": FOV_X, "frames": views.iter().map(frame).collect::<Vec<_>>() })
+}
+
+/// Camera to world with OpenGL axes: our y and z columns negated.
+fn opengl_c2w(camera: &Camera) -> [[f64; 4]; 4] {
+    let r = camera.rotation.transpose() * DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
+    let c = camera.position();
+    let row = |i: usize| [r.x_axis[i], r.y_axis[i], r.z_axis[i], c[i]];
+    [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]]
+}
+
+fn truth_json(truth: &Truth) -> Value {
+    let times: Vec<f64> = (0..TRUTH_TIMES).map(|k| f64::from(k) / f64::from(TRUTH_TIMES - 1)).collect();
+    let bodies: Vec<Value> = truth
+        .bodies()
+        .iter()
+        .map(|b| {
+            let poses: Vec<Value> = times.iter().map(|&t| pose_json(b.motion.at(t), t)).collect();
+            let deforms = matches!(b.shape, Shape::Sheet { .. });
+            json!({ "name": b.name, "shape": b.shape, "motion": b.motion, "deforms": deforms, "poses": poses })
+        })
+        .collect();
+    json!({
+        "about": "world = rotation(w,x,y,z) * body + translation; time is normalised; a sheet also moves along z in its frame, see its shape",
+        "scene": truth.scene(),
+        "options": truth.options(),
+        "bodies": bodies,
+    })
+}
+
+fn pose_json(pose: super::motion::RigidPose, t: f64) -> Value {
+    let q = DQuat::from_mat3(&pose.rotation);
+    let q = if q.w < 0.0 { -q } else { q };
+    json!({ "time": t, "rotation": [q.w, q.x, q.y, q.z], "translation": pose.translation.to_array() })
+}
