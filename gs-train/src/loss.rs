@@ -19,7 +19,7 @@ const RUN: usize = 512;
 const LANES: usize = 16;
 
 /// The terms of one evaluation.
-#[derive(Clone, Copy, Debug, PartialEq, Default)]
+#[derive(Clone, Copy, Debug, PartialEq, Default, serde::Serialize)]
 pub struct LossTerms {
     /// `(1 − λ) L1 + λ (1 − SSIM)`.
     pub total: f64,

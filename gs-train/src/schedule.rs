@@ -8,6 +8,7 @@
 //! needs no state of its own for it.
 
 use crate::density::DensityRules;
+use gs_raster::{ClampGrad, RasterOptions};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -25,6 +26,10 @@ pub struct Schedule {
     pub sparse_adam: bool,
     /// A gradient row is refused (not finite) at most for this share of rows; above it the run stops.
     pub max_quarantine: f32,
+    /// Splats nearer than this to the camera plane are not drawn, world units (INRIA 0.2, gsplat 0.01).
+    pub near: f64,
+    /// Opacities are compensated for the dilation of small splats (Mip-Splatting's 2D filter; 3DGS: off).
+    pub antialias: bool,
     /// Clone, split, prune and opacity reset.
     pub density: DensityRules,
     /// Adam's ε (3DGS: 1e-15).
@@ -203,6 +208,18 @@ impl Schedule {
         parameter.rsplit('.').find_map(|part| self.lr.get(part))
     }
 
+    /// How frames are drawn over a background, in training as in evaluation. Saturated splats keep learning, as in
+    /// INRIA's kernels.
+    pub fn raster_options(&self, background: [f32; 3]) -> RasterOptions {
+        RasterOptions {
+            background,
+            near: self.near,
+            antialias: self.antialias,
+            clamp_grad: ClampGrad::PassThrough,
+            ..RasterOptions::default()
+        }
+    }
+
     /// Verifies every field.
     ///
     /// # Errors
@@ -216,6 +233,7 @@ impl Schedule {
         need(total > 0 && total < 1 << 31, "stages", total as f64, "the steps must add up to 1 to 2^31 - 1")?;
         need(share(self.lambda_dssim), "lambda_dssim", self.lambda_dssim.into(), "0 to 1")?;
         need(share(self.max_quarantine), "max_quarantine", self.max_quarantine.into(), "0 to 1")?;
+        need(self.near > 0.0 && self.near.is_finite(), "near", self.near, "above 0, finite")?;
         need(self.adam_eps > 0.0 && self.adam_eps < 1.0, "adam_eps", self.adam_eps.into(), "above 0, below 1")?;
         for (name, s) in &self.stages {
             let good = s.image_scale > 0.0 && s.image_scale <= 1.0;
@@ -259,6 +277,8 @@ mod tests {
             max_quarantine: 1e-3,
             density: DensityRules::kerbl2023(),
             adam_eps: 1e-15,
+            near: 0.01,
+            antialias: false,
             stages: named(stages),
             lr,
         }
@@ -316,6 +336,7 @@ mod tests {
         assert_eq!(fault(&|s| first(s, &|s| s.image_scale = f64::NAN)), "stages.s.image_scale");
         assert_eq!(fault(&|s| drop(s.stages.insert("r".into(), stage(1, false)))), "stages.r.order");
         assert_eq!(fault(&|s| s.adam_eps = 0.0), "adam_eps");
+        assert_eq!(fault(&|s| s.near = -1.0), "near");
         assert_eq!(fault(&|s| s.lambda_dssim = 1.5), "lambda_dssim");
         assert_eq!(fault(&|s| s.max_quarantine = f32::NAN), "max_quarantine");
         assert_eq!(fault(&|s| s.lr.get_mut("means").unwrap().end = f32::INFINITY), "lr.means.end");

@@ -5,10 +5,11 @@
 use crate::density::Adapted;
 use crate::moment::Moment;
 use crate::schedule::{Schedule, ScheduleError};
-use gs_core::{Camera, Param, Params, Splats, SplatsGrad};
+use gs_core::{Camera, Params, Splats, SplatsGrad};
 use gs_raster::ScreenStats;
 
 pub mod canonical;
+pub mod saved;
 pub mod scene;
 pub mod static3d;
 
@@ -158,81 +159,15 @@ fn parse_config<C: serde::de::DeserializeOwned>(method: &'static str, table: &to
     table.clone().try_into().map_err(|e: toml::de::Error| MethodError::Config { method, why: e.to_string() })
 }
 
+/// Reads one section of a configuration.
+pub(crate) fn section<C: serde::de::DeserializeOwned>(
+    method: &'static str,
+    config: &toml::Table,
+    name: &str,
+) -> Result<C, MethodError> {
+    let missing = || MethodError::Config { method, why: format!("section `{name}` is missing") };
+    parse_config(method, config.get(name).and_then(toml::Value::as_table).ok_or_else(missing)?)
+}
+
 /// The methods there are.
 pub const METHODS: &[MethodEntry] = &[static3d::ENTRY];
-
-/// Every block of a method with its name, values and moments, for checkpoints.
-pub fn export(method: &dyn Method, with_moments: bool) -> Vec<(String, Vec<f32>)> {
-    let mut tensors = Vec::new();
-    method.visit(&mut |p: &Param| {
-        tensors.push((p.name.clone(), p.value.clone()));
-        if with_moments {
-            tensors.push((format!("{}#m1", p.name), p.moment1.clone()));
-            tensors.push((format!("{}#m2", p.name), p.moment2.clone()));
-        }
-    });
-    if with_moments {
-        tensors.extend(method.columns().into_iter().map(|(name, column)| (name.to_owned(), column.clone())));
-    }
-    tensors
-}
-
-/// Restores what [`export`] gave. Row blocks take the number of rows of the tensors; moments and columns that are not
-/// there become zero.
-///
-/// # Errors
-/// Names the first tensor that is missing or does not fit; the method is then unusable.
-pub fn import(method: &mut dyn Method, tensors: &[(String, Vec<f32>)]) -> Result<(), String> {
-    let find = |name: &str| tensors.iter().find(|t| t.0 == name).map(|t| &t.1);
-    let mut fault = None;
-    let mut rows = None;
-    method.visit_mut(&mut |p| {
-        let restored = find(&p.name).ok_or_else(|| format!("tensor `{}` is missing", p.name));
-        let restored = restored.and_then(|value| fit(p, value, &mut rows));
-        if let Err(why) = restored {
-            fault.get_or_insert(why);
-            return;
-        }
-        for (suffix, moment) in [("#m1", &mut p.moment1), ("#m2", &mut p.moment2)] {
-            match find(&format!("{}{suffix}", p.name)) {
-                Some(m) if m.len() == moment.len() => moment.clone_from(m),
-                Some(m) => drop(fault.get_or_insert(format!("tensor `{}{suffix}` has {} values", p.name, m.len()))),
-                None => {}
-            }
-        }
-    });
-    let rows = rows.unwrap_or(0);
-    for (name, column) in method.columns_mut() {
-        match find(name) {
-            Some(c) if c.len() == rows => column.clone_from(c),
-            Some(c) => drop(fault.get_or_insert(format!("tensor `{name}` has {} values for {rows} splats", c.len()))),
-            None => *column = vec![0.0; rows],
-        }
-    }
-    fault.map_or(Ok(()), Err)
-}
-
-/// Gives a block new values and clears the rest of it.
-fn fit(p: &mut Param, value: &[f32], rows: &mut Option<usize>) -> Result<(), String> {
-    match p.row_width {
-        None if value.len() != p.len() => {
-            return Err(format!("tensor `{}` has {} values, {} are needed", p.name, value.len(), p.len()));
-        }
-        Some(w) if !value.len().is_multiple_of(w) || *rows.get_or_insert(value.len() / w) != value.len() / w => {
-            return Err(format!(
-                "tensor `{}` has {} values, rows of {w} as in the other blocks are needed",
-                p.name,
-                value.len()
-            ));
-        }
-        _ => {}
-    }
-    if let Some(at) = value.iter().position(|v| !v.is_finite()) {
-        return Err(format!("tensor `{}` has a value that is not finite at {at}", p.name));
-    }
-    p.value = value.to_vec();
-    for column in [&mut p.grad, &mut p.moment1, &mut p.moment2] {
-        *column = vec![0.0; value.len()];
-    }
-    Ok(())
-}

@@ -1,0 +1,168 @@
+//! A method under training as a [`Checkpoint`], and back.
+//!
+//! `meta` holds the method's name, its resolved configuration, the scene it was built for (without the first points),
+//! the step and the optimiser's counters; tensors are every parameter `NAME`, its moments `NAME#m1`, `NAME#m2`, and the
+//! growth statistics.
+
+use super::{Method, MethodEntry, SceneInfo};
+use crate::checkpoint::Checkpoint;
+use crate::data::PointCloud;
+use glam::Vec3;
+use gs_core::Param;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// What a checkpoint says of a run beside its tensors.
+#[derive(Clone, Copy, Debug)]
+pub struct RunState<'a> {
+    /// Name of the method.
+    pub method: &'static str,
+    /// Its resolved configuration.
+    pub config: &'a toml::Table,
+    /// What it was built from.
+    pub scene: &'a SceneInfo,
+    /// Steps made.
+    pub step: u32,
+    /// Updates of each block by the optimiser.
+    pub adam_updates: &'a BTreeMap<String, u32>,
+    /// Seconds spent so far.
+    pub train_seconds: f64,
+}
+
+/// A method read from a checkpoint.
+pub struct Loaded {
+    /// The method, at the step of the checkpoint.
+    pub method: Box<dyn Method>,
+    /// Its configuration.
+    pub config: toml::Table,
+    /// What it was built from; the first points are not kept.
+    pub scene: SceneInfo,
+    /// Steps made.
+    pub step: u32,
+    /// Updates of each block by the optimiser.
+    pub adam_updates: BTreeMap<String, u32>,
+    /// Seconds spent in training.
+    pub train_seconds: f64,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Meta {
+    method: String,
+    config: toml::Table,
+    extent: f32,
+    bounds: [[f32; 3]; 2],
+    views: u32,
+    /// As text: JSON numbers do not hold every 64-bit integer in every reader.
+    seed: String,
+    step: u32,
+    adam_updates: BTreeMap<String, u32>,
+    train_seconds: f64,
+}
+
+/// The state of a method and its run.
+pub fn save(method: &dyn Method, run: &RunState) -> Checkpoint {
+    let meta = Meta {
+        method: run.method.to_owned(),
+        config: run.config.clone(),
+        extent: run.scene.extent,
+        bounds: run.scene.bounds.map(|b| b.to_array()),
+        views: run.scene.views,
+        seed: run.scene.seed.to_string(),
+        step: run.step,
+        adam_updates: run.adam_updates.clone(),
+        train_seconds: run.train_seconds,
+    };
+    // A structure of names and finite numbers always has a JSON form.
+    let meta = serde_json::to_value(meta).unwrap_or_default();
+    Checkpoint { meta, tensors: tensors(method) }
+}
+
+/// Every block of a method with its moments, then the columns beside them.
+fn tensors(method: &dyn Method) -> Vec<(String, Vec<f32>)> {
+    let mut tensors = Vec::new();
+    method.visit(&mut |p: &Param| {
+        tensors.push((p.name.clone(), p.value.clone()));
+        tensors.push((format!("{}#m1", p.name), p.moment1.clone()));
+        tensors.push((format!("{}#m2", p.name), p.moment2.clone()));
+    });
+    tensors.extend(method.columns().into_iter().map(|(name, column)| (name.to_owned(), column.clone())));
+    tensors
+}
+
+/// The method of a checkpoint, ready to draw or to train on; with another configuration if one is given.
+///
+/// # Errors
+/// Says what is missing or does not fit.
+pub fn load(checkpoint: &Checkpoint, config: Option<&toml::Table>) -> Result<Loaded, String> {
+    let meta = Meta::deserialize(&checkpoint.meta).map_err(|e| format!("meta: {e}"))?;
+    let entry = MethodEntry::find(&meta.method).map_err(|e| e.to_string())?;
+    let seed = meta.seed.parse().map_err(|_| format!("meta.seed `{}` is not a whole number", meta.seed))?;
+    let bounds = meta.bounds.map(Vec3::from_array);
+    if !(meta.extent > 0.0 && meta.extent.is_finite() && bounds.iter().all(|b| b.is_finite())) {
+        return Err("meta: extent or bounds are not finite".into());
+    }
+    // The blocks are given their rows below; one point stands in for the first cloud.
+    let points = PointCloud { positions: vec![0.5 * (bounds[0] + bounds[1])], colors: vec![[0.5; 3]] };
+    let scene = SceneInfo { points, extent: meta.extent, bounds, views: meta.views, seed };
+    let config = config.unwrap_or(&meta.config).clone();
+    let mut method = (entry.build)(&config, &scene).map_err(|e| e.to_string())?;
+    restore(method.as_mut(), &checkpoint.tensors)?;
+    method.set_step(meta.step);
+    let (adam_updates, train_seconds) = (meta.adam_updates, meta.train_seconds);
+    Ok(Loaded { method, config, scene, step: meta.step, adam_updates, train_seconds })
+}
+
+/// Fills a method's blocks and columns. Row blocks take the number of rows of the tensors; moments and columns that are
+/// absent become zero. Names the first tensor that is missing or does not fit; the method is then unusable.
+fn restore(method: &mut dyn Method, tensors: &[(String, Vec<f32>)]) -> Result<(), String> {
+    let tensors: BTreeMap<&str, &Vec<f32>> = tensors.iter().map(|(name, t)| (name.as_str(), t)).collect();
+    let mut rows = None;
+    let mut result = Ok(());
+    method.visit_mut(&mut |p| {
+        if result.is_ok() {
+            result = restore_block(p, &tensors, &mut rows);
+        }
+    });
+    result?;
+    let rows = rows.unwrap_or(0);
+    for (name, column) in method.columns_mut() {
+        *column = match tensors.get(name) {
+            Some(c) if c.len() == rows => c.to_vec(),
+            Some(c) => return Err(format!("tensor `{name}` has {} values for {rows} splats", c.len())),
+            None => vec![0.0; rows],
+        };
+    }
+    Ok(())
+}
+
+fn restore_block(p: &mut Param, tensors: &BTreeMap<&str, &Vec<f32>>, rows: &mut Option<usize>) -> Result<(), String> {
+    let name = &p.name;
+    let value = tensors.get(name.as_str()).ok_or_else(|| format!("tensor `{name}` is missing"))?;
+    match p.row_width {
+        None if value.len() != p.len() => {
+            return Err(format!("tensor `{name}` has {} values, {} are needed", value.len(), p.len()));
+        }
+        Some(w) if value.len() != w * *rows.get_or_insert(value.len() / w) => {
+            return Err(format!(
+                "tensor `{name}` has {} values; rows of {w}, as many as elsewhere, are needed",
+                value.len()
+            ));
+        }
+        _ => {}
+    }
+    if let Some(at) = value.iter().position(|v| !v.is_finite()) {
+        return Err(format!("tensor `{name}` has a value that is not finite at {at}"));
+    }
+    for (suffix, moment) in [("#m1", &mut p.moment1), ("#m2", &mut p.moment2)] {
+        *moment = match tensors.get(format!("{name}{suffix}").as_str()) {
+            Some(m) if m.len() == value.len() => m.to_vec(),
+            Some(m) => {
+                return Err(format!("tensor `{name}{suffix}` has {} values, {} are needed", m.len(), value.len()));
+            }
+            None => vec![0.0; value.len()],
+        };
+    }
+    p.value = value.to_vec();
+    p.grad = vec![0.0; p.value.len()];
+    Ok(())
+}
