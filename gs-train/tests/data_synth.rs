@@ -1,0 +1,207 @@
+//! Generated scenes: written and read again they are the same, their truth is true, and nothing depends on threads.
+
+use glam::{DVec2, DVec3};
+use gs_train::data::{DataOptions, Dataset, ImageCache, ImageSource, ImageU8, Split};
+use gs_train::synth::{self, SCENES, SynthOptions};
+
+fn small() -> SynthOptions {
+    SynthOptions { size: 48, train_views: 6, val_views: 2, test_views: 3, ..SynthOptions::default() }
+}
+
+fn memory(source: &ImageSource) -> &ImageU8 {
+    match source {
+        ImageSource::Memory(image) => image,
+        ImageSource::File(f) => panic!("{} is a file", f.display()),
+    }
+}
+
+#[test]
+fn a_written_scene_reads_back_as_it_was() {
+    for scene in SCENES {
+        let dir = tempfile::tempdir().unwrap();
+        let made = synth::write(dir.path(), scene.name, &small(), false).unwrap();
+        let read = Dataset::open(dir.path(), &DataOptions::default()).unwrap();
+        assert_eq!((read.layout, read.dynamic, read.has_alpha), ("blender", scene.dynamic, true));
+        let cache = ImageCache::new(64 << 20, 1.0);
+        for split in [Split::Train, Split::Val, Split::Test] {
+            let (a, b) = (made.dataset.views(split), read.views(split));
+            assert_eq!(a.len(), b.len());
+            for (a, b) in a.iter().zip(b) {
+                assert_eq!(*cache.get(b).unwrap(), *memory(&a.image), "{} {}", scene.name, a.name);
+                assert_eq!((&a.name, a.time.normalised), (&b.name, b.time.normalised));
+                assert!((a.camera.fx - b.camera.fx).abs() < 1e-9 && a.camera.width == b.camera.width);
+                assert!((a.camera.position() - b.camera.position()).length() < 1e-9);
+                let corner = DVec3::new(0.9, -0.8, 0.7);
+                let (pa, pb) = (a.camera.to_camera(corner), b.camera.to_camera(corner));
+                assert!((a.camera.to_pixel(pa) - b.camera.to_pixel(pb)).length() < 1e-6);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_folder_with_files_is_left_alone_unless_asked() {
+    let dir = tempfile::tempdir().unwrap();
+    std::fs::write(dir.path().join("mine.txt"), "keep").unwrap();
+    let e = synth::write(dir.path(), "balls", &small(), false).unwrap_err();
+    assert_eq!((e.code(), e.exit_code()), ("io.exists", 6));
+    assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1);
+    synth::write(dir.path(), "balls", &small(), true).unwrap();
+    assert_eq!(std::fs::read_to_string(dir.path().join("mine.txt")).unwrap(), "keep");
+}
+
+#[test]
+fn same_seed_same_bytes_for_any_number_of_threads() {
+    let bytes = |threads: usize, seed: u64| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let data = pool.install(|| synth::generate("balls", &SynthOptions { seed, ..small() }).unwrap());
+        data.dataset.train.iter().flat_map(|v| memory(&v.image).data.clone()).collect::<Vec<u8>>()
+    };
+    let one = bytes(1, 5);
+    assert_eq!(one, bytes(3, 5));
+    assert_ne!(one, bytes(1, 6));
+    let dirs = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
+    for d in &dirs {
+        synth::write(d.path(), "sheet", &small(), false).unwrap();
+    }
+    for file in ["truth.json", "transforms_train.json", "transforms_test.json", "train/r_003.png", "test/r_002.png"] {
+        let [a, b] = [0, 1].map(|k: usize| std::fs::read(dirs[k].path().join(file)).unwrap());
+        assert_eq!(a, b, "{file}");
+    }
+}
+
+/// The axes: a point above is higher in the image, one to the camera's right is further right, one nearer hides.
+#[test]
+fn axes_are_right() {
+    let data = synth::generate("balls", &small()).unwrap();
+    for v in &data.dataset.train {
+        let pixel = |p: DVec3| v.camera.to_pixel(v.camera.to_camera(p));
+        let middle = pixel(DVec3::ZERO);
+        assert!((middle - DVec2::splat(24.0)).length() < 1e-6, "cameras look at the origin");
+        assert!(pixel(DVec3::Z * 0.3).y < middle.y - 0.5, "above is higher");
+        let right = v.camera.forward().cross(DVec3::Z);
+        assert!(pixel(right * 0.3).x > middle.x + 1.0, "right is right");
+        assert!((v.camera.position().length() - 4.0).abs() < 1e-9 && v.camera.position().z > 0.0);
+    }
+}
+
+/// Material points, followed by the truth alone, land on pixels that show their body.
+#[test]
+fn the_truth_reprojects_onto_the_pictures() {
+    for name in ["balls", "sheet"] {
+        let data = synth::generate(name, &SynthOptions { size: 96, ..small() }).unwrap();
+        for v in &data.dataset.test {
+            let t = v.time.seconds;
+            let (depth, segments) = (data.truth.depth(&v.camera, t), data.truth.segments(&v.camera, t));
+            let image = memory(&v.image);
+            let mut covered = 0;
+            for k in 0..96 * 96 {
+                let Some(body) = segments[k] else {
+                    assert!(image.data[4 * k + 3] < 255, "the truth sees nothing, so the pixel is not full");
+                    continue;
+                };
+                let centre = DVec2::new((k % 96) as f64 + 0.5, (k / 96) as f64 + 0.5);
+                let hit = data.truth.hit(&v.camera, t, centre.x, centre.y).unwrap();
+                let again = data.truth.position_of(body as usize, hit.local, t).unwrap();
+                let seen = v.camera.to_camera(again);
+                assert!((v.camera.to_pixel(seen) - centre).length() < 1e-6);
+                assert!((seen.z - f64::from(depth.data[k])).abs() < 1e-5);
+                assert!(image.data[4 * k + 3] > 0);
+                covered += 1;
+            }
+            assert!(covered > 500, "{name}: the scene is in the picture ({covered} pixels)");
+            let alpha = image.data.chunks_exact(4).filter(|p| p[3] > 127).count();
+            assert!(alpha.abs_diff(covered) < 60, "{alpha} opaque pixels, {covered} in the truth");
+        }
+    }
+}
+
+/// With no shading, the picture at the place the flow points to shows the colour the point had.
+#[test]
+fn flow_carries_colours() {
+    for name in ["balls", "sheet"] {
+        let o = SynthOptions { size: 96, shading: 0.0, ..small() };
+        let data = synth::generate(name, &o).unwrap();
+        let c = &data.dataset.train[2].camera;
+        let (t0, t1) = (0.30, 0.36);
+        let map = data.truth.flow(c, t0, c, t1);
+        let (mut moved, mut compared) = (0, 0);
+        for k in 0..96 * 96 {
+            if !map.visible_after[k] {
+                continue;
+            }
+            let (u, v) = ((k % 96) as f64 + 0.5, (k / 96) as f64 + 0.5);
+            let (du, dv) = (f64::from(map.flow.data[2 * k]), f64::from(map.flow.data[2 * k + 1]));
+            let before = data.truth.hit(c, t0, u, v).unwrap();
+            let Some(after) = data.truth.hit(c, t1, u + du, v + dv) else { continue };
+            if after.body == before.body && (after.local - before.local).length() < 1e-3 {
+                compared += 1;
+                let worst = (0..3).map(|i| (before.color[i] - after.color[i]).abs()).fold(0.0, f64::max);
+                assert!(worst < 0.02, "{name}: colour changed by {worst}");
+            }
+            moved += usize::from(du.hypot(dv) > 0.5);
+        }
+        let seen = map.visible_after.iter().filter(|&&v| v).count();
+        assert!(compared * 100 > seen * 98, "{name}: {compared} of {seen} arrive at their point");
+        assert!(moved > 100, "{name}: it moves ({moved})");
+    }
+}
+
+#[test]
+fn a_static_scene_has_one_moment_and_bodies_that_stay() {
+    let data = synth::generate("static", &small()).unwrap();
+    assert!(!data.dataset.dynamic && data.dataset.train.iter().all(|v| v.time.normalised == 0.0));
+    for body in 0..data.truth.bodies().len() {
+        let at = |t| data.truth.position_of(body, DVec3::new(0.1, 0.05, -0.1), t).unwrap();
+        assert_eq!(at(0.0), at(0.83));
+    }
+    assert!(data.truth.position_of(99, DVec3::ZERO, 0.0).is_none());
+}
+
+#[test]
+fn bodies_stay_in_the_box_and_out_of_each_other() {
+    let data = synth::generate("balls", &SynthOptions { size: 8, train_views: 1, ..small() }).unwrap();
+    let n = data.truth.bodies().len();
+    for k in 0..=200 {
+        let t = f64::from(k) / 200.0;
+        let centre = |b: usize| data.truth.position_of(b, DVec3::ZERO, t).unwrap();
+        let radius = [0.28, 0.2, 0.395, 0.255];
+        for a in 0..n - 1 {
+            let c = centre(a);
+            assert!(c.abs().max_element() + radius[a] < 1.3, "body {a} at {t}");
+            assert!(c.z - radius[a] > -0.75 - 0.001, "body {a} above the slab at {t}");
+            for b in 0..a {
+                let gap = (c - centre(b)).length() - radius[a] - radius[b];
+                assert!(gap > 0.0, "bodies {b} and {a} touch at {t}: {gap}");
+            }
+        }
+    }
+}
+
+#[test]
+fn wrong_options_are_named() {
+    for (o, name) in [
+        (SynthOptions { size: 0, ..small() }, "size"),
+        (SynthOptions { train_views: 0, ..small() }, "train_views"),
+        (SynthOptions { train_views: u32::MAX, ..small() }, "train_views"),
+        (SynthOptions { supersample: 99, ..small() }, "supersample"),
+        (SynthOptions { shading: f64::NAN, ..small() }, "shading"),
+    ] {
+        let e = synth::generate("balls", &o).unwrap_err();
+        assert!(e.code() == "data.option" && e.exit_code() == 2 && e.to_string().starts_with(name), "{e}");
+    }
+    assert!(synth::generate("bals", &small()).unwrap_err().to_string().contains("balls, sheet, static"));
+}
+
+#[test]
+fn rendering_is_quick() {
+    let data = synth::generate("balls", &SynthOptions { size: 8, ..small() }).unwrap();
+    let camera = data.dataset.train[0].camera.scaled(25.0);
+    let start = std::time::Instant::now();
+    for k in 0..10 {
+        data.truth.picture(&camera, f64::from(k) / 10.0);
+    }
+    let ms = start.elapsed().as_secs_f64() * 100.0;
+    println!("200x200, 3x3 samples: {ms:.1} ms per view");
+    assert!(ms < 500.0, "{ms} ms");
+}
