@@ -21,8 +21,14 @@
     deny(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing, clippy::unreachable)
 )]
 
+mod camera_json;
+pub mod cameras;
 mod error;
+#[cfg(feature = "exr")]
+pub mod exr;
 mod files;
+#[cfg(feature = "images")]
+pub mod images;
 mod limits;
 pub mod npy;
 pub mod ply;
@@ -32,6 +38,7 @@ pub mod splat;
 pub mod spz;
 mod spz_quat;
 
+pub use cameras::{NamedCamera, load_cameras, parse_cameras, save_cameras};
 pub use error::{At, IoError};
 pub use files::{SplatFormat, load_splats, parse_splats, read_file, save_splats, write_file};
 pub use limits::Limits;

@@ -167,7 +167,7 @@ pub fn write(shape: &[usize], values: &[f32], out: &mut dyn Write) -> std::io::R
 /// Writes an image as `[height, width, channels]`.
 ///
 /// # Errors
-/// As [`write`].
+/// As [`write()`].
 pub fn write_image(image: &Image, out: &mut dyn Write) -> std::io::Result<()> {
     write(&[image.height, image.width, image.channels], &image.data, out)
 }
