@@ -143,7 +143,7 @@ impl MethodEntry {
 }
 
 /// Lays `over` on `under`, table by table.
-fn overlay(under: &mut toml::Table, over: toml::Table) {
+pub fn overlay(under: &mut toml::Table, over: toml::Table) {
     for (key, value) in over {
         match (under.get_mut(&key), value) {
             (Some(toml::Value::Table(under)), toml::Value::Table(over)) => overlay(under, over),

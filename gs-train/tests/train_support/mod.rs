@@ -1,0 +1,52 @@
+//! Small runs on generated scenes, shared by the training tests.
+
+use gs_core::Image;
+use gs_raster::{Workspace, render};
+use gs_train::data::{Dataset, ImageCache};
+use gs_train::methods::MethodEntry;
+use gs_train::moment::Moment;
+use gs_train::synth::{self, SynthOptions};
+use gs_train::trainer::{StepReport, TrainOptions, Trainer};
+use std::sync::Arc;
+
+/// A generated scene of small images.
+pub fn scene(name: &str, size: u32, views: u32) -> Arc<Dataset> {
+    let options =
+        SynthOptions { size, train_views: views, val_views: 0, test_views: 4, supersample: 2, ..SynthOptions::default() };
+    Arc::new(synth::generate(name, &options).expect("generated scene").dataset)
+}
+
+/// The `tiny` preset of a method, with TOML laid over its schedule.
+pub fn tiny(method: &str, schedule: &str) -> toml::Table {
+    let mut config = MethodEntry::find(method).and_then(|m| m.config("tiny")).expect("preset");
+    let over = format!("[schedule]\n{schedule}").parse().expect("TOML");
+    gs_train::methods::overlay(&mut config, over);
+    config
+}
+
+/// A run of that configuration, seed 1.
+pub fn trainer(data: &Arc<Dataset>, method: &str, schedule: &str) -> Trainer {
+    let options = TrainOptions { seed: 1, ..TrainOptions::default() };
+    Trainer::new(data.clone(), method, &tiny(method, schedule), options).expect("trainer")
+}
+
+/// Makes steps.
+pub fn run(trainer: &mut Trainer, steps: u32) -> Vec<StepReport> {
+    (0..steps).map(|_| trainer.step().expect("step")).collect()
+}
+
+/// Mean PSNR over the test views.
+pub fn psnr(trainer: &Trainer, data: &Dataset) -> f64 {
+    let schedule = trainer.method().schedule();
+    let background = schedule.background.evaluation_color();
+    let photographs = ImageCache::new(64 << 20, 1.0);
+    let mut sum = 0.0;
+    for view in &data.test {
+        let splats = trainer.method().splats(&Moment::new(view.time), &view.camera);
+        let frame = render(&splats, &view.camera, &schedule.raster_options(background), &mut Workspace::new());
+        let drawn = frame.rgb.iter().map(|v| v.clamp(0.0, 1.0)).collect();
+        let drawn = Image { width: frame.width, height: frame.height, channels: 3, data: drawn };
+        sum += gs_metrics::psnr(&drawn, &photographs.get(view).expect("photograph").over(background)).expect("psnr");
+    }
+    sum / data.test.len() as f64
+}
