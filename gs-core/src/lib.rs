@@ -29,6 +29,8 @@ pub mod rng;
 pub mod rot;
 pub mod sh;
 pub mod splats;
+#[cfg(feature = "testkit")]
+pub mod testkit;
 pub mod time;
 
 pub use camera::Camera;

@@ -26,9 +26,9 @@ pub(crate) struct Limits {
 impl Limits {
     pub fn new(options: &RasterOptions) -> Self {
         Self {
-            log2_min_alpha: f64::from(options.min_alpha).log2() as f32,
-            max_alpha: options.max_alpha,
-            stop: options.stop,
+            log2_min_alpha: options.min_alpha.log2() as f32,
+            max_alpha: options.max_alpha as f32,
+            stop: options.stop as f32,
             pass_through: options.clamp_grad == crate::ClampGrad::PassThrough,
         }
     }
@@ -124,7 +124,7 @@ fn blend_block<S: Simd, K: Falloff>(
         depth = weight.mul_add(c(row.depth), depth);
         transmittance = blended.select(next, transmittance);
         last = blended.select(u32x16::splat(simd, number + i as u32 + 1), last);
-        open = open & !(seen & !through);
+        open &= !(seen & !through);
         if !open.any_true() {
             break;
         }

@@ -141,9 +141,9 @@ fn entry<S: Simd, K: Falloff, const DEPTH: bool>(
 #[inline(always)]
 fn accumulate<S: Simd>(sums: &mut Sums<S>, s: f32x16<S>, [a, b]: [f32x16<S>; 2], weight: f32x16<S>, d: [f32x16<S>; 3]) {
     let (sa, sb) = (s * a, s * b);
-    sums[0] = sums[0] + s;
-    sums[1] = sums[1] + sa;
-    sums[2] = sums[2] + sb;
+    sums[0] += s;
+    sums[1] += sa;
+    sums[2] += sb;
     sums[3] = sa.mul_add(a, sums[3]);
     sums[4] = sa.mul_add(b, sums[4]);
     sums[5] = sb.mul_add(b, sums[5]);

@@ -55,7 +55,7 @@ pub fn render_into(
 }
 
 fn reset_tiles(tiles: &mut Vec<TileState>, grid: &Grid) {
-    tiles.resize_with(grid.len(), TileState::default);
+    tiles.resize_with(grid.tiles(), TileState::default);
     tiles.par_iter_mut().enumerate().for_each(|(i, t)| t.reset(grid.origin(i), grid));
 }
 
@@ -68,7 +68,7 @@ fn take_keys(splats: &Splats, view: &View, options: &RasterOptions, w: &mut Work
         let end = splats.len().min((block + 1) * KEY_BLOCK);
         for i in block * KEY_BLOCK..end {
             let depth = view.depth(splats.means[i]);
-            if depth > options.near && depth < options.far && splats.opacities[i] >= options.min_alpha {
+            if depth > options.near && depth < options.far && f64::from(splats.opacities[i]) >= options.min_alpha {
                 keys.push(Key { bits: (depth as f32).to_bits(), index: i as u32 });
             }
         }
@@ -166,7 +166,7 @@ fn bin_chunk<K: Falloff>(scene: &Scene<K>, keys: &[Key], bins: &mut Vec<Bin>, ch
     work.into_par_iter().for_each(|(bin, keys, drawn, counts)| {
         bin.tiles.clear();
         bin.places.clear();
-        bin.places.resize(scene.grid.len(), 0);
+        bin.places.resize(scene.grid.tiles(), 0);
         for ((key, drawn), count) in keys.iter().zip(drawn).zip(counts) {
             let Some(splat) = scene.drawn(key.index) else { continue };
             let before = bin.tiles.len();
@@ -182,7 +182,7 @@ fn bin_chunk<K: Falloff>(scene: &Scene<K>, keys: &[Key], bins: &mut Vec<Bin>, ch
             }
         }
     });
-    place(scene.grid.len(), bins, chunk);
+    place(scene.grid.tiles(), bins, chunk);
     fill_lists(size, bins, chunk);
 }
 
@@ -232,11 +232,11 @@ fn fill_lists(size: usize, bins: &mut [Bin], chunk: &mut Chunk) {
     work.enumerate().for_each(|(block, (bin, entries, spans))| {
         let base = spans.first().map_or(0, |s| s[0]);
         for (i, span) in spans.iter().enumerate() {
-            for e in (span[0] - base) as usize..(span[1] - base) as usize {
-                let tile = bin.tiles[e];
+            let own = (span[0] - base) as usize..(span[1] - base) as usize;
+            for (entry, &tile) in entries[own.clone()].iter_mut().zip(&bin.tiles[own]) {
                 let place = &mut bin.places[tile as usize];
                 list[*place as usize].store((block * size + i) as u32, Ordering::Relaxed);
-                entries[e] = Entry { tile, number: *place - tile_starts[tile as usize] };
+                *entry = Entry { tile, number: *place - tile_starts[tile as usize] };
                 *place += 1;
             }
         }

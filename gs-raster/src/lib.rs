@@ -6,6 +6,7 @@ mod blend_backward;
 mod forward;
 pub mod frame;
 mod kernel;
+pub mod measure;
 pub mod options;
 mod project;
 pub mod reference;

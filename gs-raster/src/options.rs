@@ -32,13 +32,13 @@ pub struct RasterOptions {
     /// Splats whose centre has camera depth ≥ `far` are not drawn, world units.
     pub far: f64,
     /// Cap of a sample's alpha (3DGS: 0.99).
-    pub max_alpha: f32,
+    pub max_alpha: f64,
     /// Samples below this alpha are skipped (3DGS: 1/255).
-    pub min_alpha: f32,
+    pub min_alpha: f64,
     /// A pixel stops before the sample that would bring its transmittance to this or below (3DGS: 1e-4).
-    pub stop: f32,
+    pub stop: f64,
     /// Added to both diagonal entries of the projected covariance, pixels² (3DGS: 0.3).
-    pub dilation: f32,
+    pub dilation: f64,
     /// Scales opacity by the square root of (covariance determinant before / after dilation), Mip-Splatting style.
     pub antialias: bool,
     /// Gradient above `max_alpha`.
@@ -48,7 +48,7 @@ pub struct RasterOptions {
 }
 
 /// Smallest anti-aliasing compensation (gsplat, INRIA): `comp = sqrt(max(det0/det, 0.005²))`.
-pub const MIN_COMPENSATION: f32 = 0.005;
+pub const MIN_COMPENSATION: f64 = 0.005;
 /// The projection Jacobian clamps `x/z` this fraction of half the image beyond its border (INRIA's 1.3 tan).
 pub const FRUSTUM_MARGIN: f64 = 0.3;
 

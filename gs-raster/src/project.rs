@@ -108,7 +108,7 @@ pub fn project(view: &View, shape: &Shape, options: &RasterOptions) -> Option<Fo
         let f = view.focal[r] * inv_z;
         std::array::from_fn(|k| f * (turned[r][k] - clamped[r] * turned[2][k]) * s[k])
     });
-    let dilation = f64::from(options.dilation);
+    let dilation = options.dilation;
     let (xx0, xy, yy0) = (dot3(factor[0], factor[0]), dot3(factor[0], factor[1]), dot3(factor[1], factor[1]));
     let cross = cross3(factor[0], factor[1]);
     let det0 = dot3(cross, cross);
@@ -118,7 +118,7 @@ pub fn project(view: &View, shape: &Shape, options: &RasterOptions) -> Option<Fo
         return None;
     }
     let along = (yy / det).sqrt();
-    let floor = f64::from(MIN_COMPENSATION).powi(2);
+    let floor = MIN_COMPENSATION.powi(2);
     Some(Footprint {
         center: [view.focal[0] * t[0] * inv_z + view.center[0], view.focal[1] * t[1] * inv_z + view.center[1]],
         point: t,
@@ -193,9 +193,9 @@ impl Footprint {
         let r = ab * w1 + bb * w2;
         let mut d = [0.5 * w0 * p, 0.5 * w0 * q, 0.5 * (w1 * q + w2 * r)];
         let ratio = self.det0 / self.det;
-        if options.antialias && ratio > f64::from(MIN_COMPENSATION).powi(2) {
+        if options.antialias && ratio > MIN_COMPENSATION.powi(2) {
             // ln comp = ½ (ln |Σ2| − ln |Σ'|), and Σ s is its cotangent; adj/det avoids dividing by |Σ2| alone.
-            let dilation = f64::from(options.dilation);
+            let dilation = options.dilation;
             let [xx, xy, yy] = self.covariance;
             let (k0, k) = (0.5 * sums.s / self.det0, 0.5 * sums.s / self.det);
             d[0] += k0 * (yy - dilation) - k * yy;

@@ -129,7 +129,7 @@ impl Lanes {
                 let block = strip * 4 + column;
                 bits[block] = hit.to_bitmask();
                 let one = u32x16::splat(simd, 1 << block);
-                entry_bits = entry_bits | hit.select(one, u32x16::splat(simd, 0));
+                entry_bits |= hit.select(one, u32x16::splat(simd, 0));
             }
         }
         entry_bits.store_slice(by_entry);

@@ -156,7 +156,7 @@ impl Grid {
     }
 
     /// Number of tiles.
-    pub fn len(&self) -> usize {
+    pub fn tiles(&self) -> usize {
         self.columns * self.rows
     }
 

@@ -42,7 +42,7 @@ struct Tally {
 
 fn check_scene(seed: u64, tally: &mut Tally) {
     let case = common::case(seed, 6);
-    let antialias = seed % 3 == 0;
+    let antialias = seed.is_multiple_of(3);
     // The transmittance stop is a jump by design; it is off here and covered by the golden scenes.
     let options = RasterOptions { antialias, stop: 0.0, background: case.background, ..Default::default() };
     let mut scene = Scene::<f64>::new(&case.splats);

@@ -43,7 +43,7 @@ impl<T: Scalar> SplatSums<T> {
 /// `(alpha, d alpha / d raw)` after cap and cutoff; alpha 0 where skipped.
 fn cut<T: Scalar>(raw: T, options: &RasterOptions, cutoff: Cutoff) -> (T, T) {
     let (zero, one) = (T::of(0.0), T::of(1.0));
-    let (max, min) = (T::of(f64::from(options.max_alpha)), T::of(f64::from(options.min_alpha)));
+    let (max, min) = (T::of(options.max_alpha), T::of(options.min_alpha));
     let exact = options.clamp_grad == ClampGrad::Exact;
     let (capped, slope) = if raw > max { (max, if exact { zero } else { one }) } else { (raw, one) };
     if capped < min {
@@ -67,12 +67,11 @@ pub(super) fn samples<T: Scalar>(
     cutoff: Cutoff,
 ) -> (Vec<Sample<T>>, T, f64) {
     let one = T::of(1.0);
-    let stop = T::of(f64::from(options.stop));
+    let stop = T::of(options.stop);
     let mut list = Vec::new();
     let mut transmittance = one;
     let mut margin = f64::INFINITY;
-    let mut near = |value: T, limit: f32| {
-        let limit = f64::from(limit);
+    let mut near = |value: T, limit: f64| {
         margin = margin.min(((value.wide() - limit) / limit.max(f64::MIN_POSITIVE)).abs());
     };
     for (index, (_, p)) in splats.iter().enumerate() {

@@ -80,14 +80,14 @@ fn steps<T: Scalar>(scene: &Scene<T>, i: usize, camera: &Camera, options: &Raste
     let factor: [[T; 3]; 2] = std::array::from_fn(|r| {
         std::array::from_fn(|k| dot(jacobian[r], [turned[0][k], turned[1][k], turned[2][k]]) * s[k])
     });
-    let dilation = lit(f64::from(options.dilation));
+    let dilation = lit(options.dilation);
     let (xx0, xy, yy0) = (dot(factor[0], factor[0]), dot(factor[0], factor[1]), dot(factor[1], factor[1]));
     let (xx, yy) = (xx0 + dilation, yy0 + dilation);
     // The determinant of F Fᵀ as a sum of squares (Cauchy–Binet) does not cancel for needles.
     let cross = gs_core::real::cross3(factor[0], factor[1]);
     let det0 = dot(cross, cross);
     let det = det0 + dilation * (xx0 + yy0) + dilation * dilation;
-    let floor = f64::from(MIN_COMPENSATION).powi(2);
+    let floor = MIN_COMPENSATION.powi(2);
     let compensation = if options.antialias { (det0 / det).max(lit(floor)).sqrt() } else { lit(1.0) };
     let projected = Projected {
         mean2d: [fx * t[0] * inv_z + lit(camera.cx), fy * t[1] * inv_z + lit(camera.cy)],
@@ -200,11 +200,11 @@ fn covariance2d_backward<T: Scalar>(opacity: T, options: &RasterOptions, st: &St
     let (m10, m11) = (half * gb * a + gc * b, half * gb * b + gc * c);
     let mut out = [-(a * m00 + b * m10), -(two * (a * m01 + b * m11)), -(b * m01 + c * m11)];
     let ratio = st.det0 / st.det;
-    if options.antialias && ratio.wide() > f64::from(MIN_COMPENSATION).powi(2) {
+    if options.antialias && ratio.wide() > MIN_COMPENSATION.powi(2) {
         // comp² = det0/det: d ln comp = ½ (d det0/det0 − d det/det); det0·Σ2⁻¹ is the adjugate, free of division.
         let d_comp = opacity * sums.opacity;
         let scale = d_comp * half / (st.compensation * st.det);
-        let dilation = T::of(f64::from(options.dilation));
+        let dilation = T::of(options.dilation);
         let [xx, xy, yy] = st.projected.cov2d;
         out[0] = out[0] + scale * ((yy - dilation) - ratio * yy);
         out[1] = out[1] - scale * two * (xy - ratio * xy);

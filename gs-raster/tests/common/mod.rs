@@ -83,10 +83,10 @@ fn row(kind: &str, i: usize, camera: &Camera, rng: &mut Rng) -> Row {
             r.quat = r.quat.map(|v| v * size);
         }
         "huge" => {
-            if i % 3 == 0 {
+            if i.is_multiple_of(3) {
                 r.scale *= 100.0;
             }
-            if i % 5 == 0 {
+            if i.is_multiple_of(5) {
                 r.scale.x = 0.0;
             }
         }
