@@ -36,9 +36,10 @@ pub struct Schedule {
     pub adam_eps: f32,
     /// The stages by name, followed in the order they state; their steps add up to the whole run.
     pub stages: BTreeMap<String, Stage>,
-    /// Learning rates. A key names a dot-separated part of a parameter's name; the rightmost part that has a key wins:
-    /// `cloud.means` is ruled by `means` if present, else by `cloud`. A parameter without a rule does not learn.
-    pub lr: BTreeMap<String, LearningRate>,
+    /// Learning rates by the first two parts of a parameter's name: `lr.cloud.means` rules `cloud.means`,
+    /// `lr.field.planes` all of `field.planes.…`. What has no rule of its own follows `all` of its first part, if there
+    /// is one, else it does not learn.
+    pub lr: BTreeMap<String, BTreeMap<String, LearningRate>>,
 }
 
 /// A stretch of a run.
@@ -205,7 +206,9 @@ impl Schedule {
 
     /// The rule for a parameter, if it learns.
     pub fn rule(&self, parameter: &str) -> Option<&LearningRate> {
-        parameter.rsplit('.').find_map(|part| self.lr.get(part))
+        let mut parts = parameter.split('.');
+        let group = self.lr.get(parts.next()?)?;
+        parts.next().and_then(|part| group.get(part)).or_else(|| group.get("all"))
     }
 
     /// How frames are drawn over a background, in training as in evaluation. Saturated splats keep learning, as in
@@ -241,7 +244,9 @@ impl Schedule {
             let same = self.stages.values().filter(|o| o.order == s.order).count();
             need(same == 1, &format!("stages.{name}.order"), s.order.into(), "each stage needs a number of its own")?;
         }
-        for (name, rate) in &self.lr {
+        let rates =
+            self.lr.iter().flat_map(|(group, rates)| rates.iter().map(move |r| (format!("{group}.{}", r.0), r.1)));
+        for (name, rate) in rates {
             for (part, v) in [("start", rate.start), ("end", rate.end)] {
                 need(v >= 0.0 && v.is_finite(), &format!("lr.{name}.{part}"), v.into(), "finite, not negative")?;
             }
@@ -265,10 +270,10 @@ mod tests {
     }
 
     fn schedule(stages: Vec<Stage>) -> Schedule {
-        let mut lr = BTreeMap::new();
-        lr.insert("means".to_owned(), LearningRate::decay(1.6e-4, 1.6e-6, 100).per_extent());
-        lr.insert("field".to_owned(), LearningRate::constant(1e-3));
-        lr.insert("planes".to_owned(), LearningRate::constant(1e-2));
+        let group = |rates: &[(&str, LearningRate)]| rates.iter().map(|(n, r)| ((*n).to_owned(), *r)).collect();
+        let means = ("means", LearningRate::decay(1.6e-4, 1.6e-6, 100).per_extent());
+        let field = [("all", LearningRate::constant(1e-3)), ("planes", LearningRate::constant(1e-2))];
+        let lr = BTreeMap::from([("cloud".to_owned(), group(&[means])), ("field".to_owned(), group(&field))]);
         Schedule {
             sh_every: 1000,
             background: Background::Black,
@@ -295,11 +300,11 @@ mod tests {
     }
 
     #[test]
-    fn the_rightmost_named_part_rules() {
+    fn rates_are_found_by_the_first_two_parts_of_a_name() {
         let s = schedule(vec![stage(10, false)]);
         assert_eq!(s.rule("cloud.means").unwrap().start, 1.6e-4);
         assert_eq!(s.rule("field.planes.xy.0").unwrap().start, 1e-2);
-        assert_eq!(s.rule("field.trunk.weight").unwrap().start, 1e-3);
+        assert_eq!(s.rule("field.means.0.weight").unwrap().start, 1e-3);
         assert!(s.rule("cloud.quats").is_none());
     }
 
@@ -318,6 +323,10 @@ mod tests {
         assert_eq!(at(99), (2, 89, false));
         assert!(!s.dynamic(10) && s.dynamic(11) && !s.dynamic(16));
         assert_eq!((s.steps(), s.sh_degree(999, 3), s.sh_degree(2500, 3), s.sh_degree(9000, 3)), (20, 0, 2, 3));
+    }
+
+    fn rate<'a>(s: &'a mut Schedule, group: &str, name: &str) -> &'a mut LearningRate {
+        s.lr.get_mut(group).and_then(|g| g.get_mut(name)).unwrap()
     }
 
     #[test]
@@ -339,8 +348,8 @@ mod tests {
         assert_eq!(fault(&|s| s.near = -1.0), "near");
         assert_eq!(fault(&|s| s.lambda_dssim = 1.5), "lambda_dssim");
         assert_eq!(fault(&|s| s.max_quarantine = f32::NAN), "max_quarantine");
-        assert_eq!(fault(&|s| s.lr.get_mut("means").unwrap().end = f32::INFINITY), "lr.means.end");
-        assert_eq!(fault(&|s| s.lr.get_mut("field").unwrap().start = -1.0), "lr.field.start");
+        assert_eq!(fault(&|s| rate(s, "cloud", "means").end = f32::INFINITY), "lr.cloud.means.end");
+        assert_eq!(fault(&|s| rate(s, "field", "all").start = -1.0), "lr.field.all.start");
         assert_eq!(fault(&|s| s.density.split_factor = 0.5), "density.split_factor");
     }
 

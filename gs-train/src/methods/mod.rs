@@ -9,6 +9,9 @@ use gs_core::{Camera, Params, Splats, SplatsGrad};
 use gs_raster::ScreenStats;
 
 pub mod canonical;
+pub mod defgs;
+pub mod deformed;
+pub mod fourdgs;
 pub mod saved;
 pub mod scene;
 pub mod static3d;
@@ -170,4 +173,4 @@ pub(crate) fn section<C: serde::de::DeserializeOwned>(
 }
 
 /// The methods there are.
-pub const METHODS: &[MethodEntry] = &[static3d::ENTRY];
+pub const METHODS: &[MethodEntry] = &[static3d::ENTRY, defgs::ENTRY, fourdgs::ENTRY];

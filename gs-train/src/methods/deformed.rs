@@ -1,0 +1,126 @@
+//! A canonical cloud and a deformation field: the common body of DefGS and 4DGS.
+//!
+//! ```text
+//! raw → activate → canonical splats → field(t) → splats at t → draw
+//! ```
+//! and back the same way. In stages without the field, the canonical splats are drawn at every time.
+
+use crate::density::Adapted;
+use crate::methods::canonical::Canonical;
+use crate::methods::{Method, Overlay};
+use crate::moment::Moment;
+use crate::schedule::Schedule;
+use gs_core::{Camera, Param, Params, Splats, SplatsGrad, Time};
+use gs_deform::Field;
+use gs_deform::field::anneal::{Anneal, smooth_time};
+use gs_raster::ScreenStats;
+
+/// A cloud moved by a field.
+pub struct Deformed<F: Field> {
+    name: &'static str,
+    canonical: Canonical,
+    field: F,
+    tape: F::Tape,
+    moved: Splats,
+    d_moved: SplatsGrad,
+    anneal: Anneal,
+    /// Spacing of training times, normalised.
+    interval: f32,
+}
+
+impl<F: Field> Deformed<F> {
+    /// A cloud and its field; training times are blurred as `anneal` says (strength 0: not at all), `views` of them.
+    pub fn new(name: &'static str, canonical: Canonical, field: F, anneal: Anneal, views: u32) -> Self {
+        let interval = 1.0 / views.max(1) as f32;
+        let (tape, moved, d_moved) = Default::default();
+        Self { name, canonical, field, tape, moved, d_moved, anneal, interval }
+    }
+
+    fn training_time(&self, t: Time) -> Time {
+        smooth_time(t, self.interval, &self.anneal, self.canonical.seed(), self.canonical.step())
+    }
+}
+
+impl<F: Field> Params for Deformed<F> {
+    fn visit(&self, f: &mut dyn FnMut(&Param)) {
+        self.canonical.cloud.visit(f);
+        self.field.visit(f);
+    }
+
+    fn visit_mut(&mut self, f: &mut dyn FnMut(&mut Param)) {
+        self.canonical.cloud.visit_mut(f);
+        self.field.visit_mut(f);
+    }
+}
+
+impl<F: Field> Method for Deformed<F>
+where
+    F::Tape: Sync,
+{
+    fn name(&self) -> &'static str {
+        self.name
+    }
+
+    fn schedule(&self) -> &Schedule {
+        &self.canonical.schedule
+    }
+
+    fn set_step(&mut self, step: u32) {
+        self.canonical.set_step(step);
+    }
+
+    fn splats(&self, at: &Moment, _camera: &Camera) -> Splats {
+        let canonical = self.canonical.activated();
+        if !self.canonical.dynamic() {
+            return canonical;
+        }
+        let mut moved = Splats::default();
+        self.field.forward(&canonical, at.t, &mut F::Tape::default(), &mut moved);
+        moved
+    }
+
+    fn step(&mut self, at: &Moment, _camera: &Camera, draw: &mut dyn FnMut(&Splats, &mut SplatsGrad)) {
+        self.canonical.forward();
+        if self.canonical.dynamic() {
+            let t = self.training_time(at.t);
+            let canonical = &mut self.canonical;
+            self.field.forward(&canonical.splats, t, &mut self.tape, &mut self.moved);
+            self.d_moved.reset(&self.moved);
+            draw(&self.moved, &mut self.d_moved);
+            self.field.backward(&canonical.splats, &mut self.tape, &self.d_moved, &mut canonical.d_splats);
+        } else {
+            draw(&self.canonical.splats, &mut self.canonical.d_splats);
+        }
+        self.canonical.backward();
+    }
+
+    fn penalties(&mut self, step: u32) -> Vec<(&'static str, f32)> {
+        if self.canonical.schedule.dynamic(step) { self.field.regularise() } else { Vec::new() }
+    }
+
+    fn adapt(&mut self, step: u32, seen: &ScreenStats, camera: &Camera) -> Adapted {
+        self.canonical.adapt(step, seen, camera)
+    }
+
+    /// `motion`: displacement from the canonical place, one colour channel per axis, grey for none.
+    fn overlays(&self, at: &Moment) -> Vec<Overlay> {
+        let canonical = self.canonical.activated();
+        let mut moved = Splats::default();
+        self.field.forward(&canonical, at.t, &mut F::Tape::default(), &mut moved);
+        let shifts: Vec<_> = moved.means.iter().zip(&canonical.means).map(|(a, b)| *a - *b).collect();
+        let largest = shifts.iter().map(|s| s.abs().max_element()).fold(f32::MIN_POSITIVE, f32::max);
+        vec![Overlay { name: "motion", colors: shifts.iter().map(|s| (0.5 + 0.5 * *s / largest).to_array()).collect() }]
+    }
+
+    fn columns(&self) -> Vec<(&'static str, &Vec<f32>)> {
+        self.canonical.density.columns().into()
+    }
+
+    fn columns_mut(&mut self) -> Vec<(&'static str, &mut Vec<f32>)> {
+        self.canonical.density.columns_mut().into()
+    }
+
+    fn len(&self) -> usize {
+        self.canonical.cloud.len()
+    }
+}
