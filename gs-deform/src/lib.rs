@@ -1,10 +1,13 @@
 //! Deformation fields: canonical splats and a time in, the splats at that time out, with exact gradients back.
 
 pub mod aabb;
+pub mod apply;
 pub mod encode;
+pub mod field;
 pub mod reference;
 
 pub use aabb::Aabb;
+pub use field::{DefGsConfig, DefMlp, Field, FourDgsConfig, HexPlaneField};
 use glam::Vec3;
 
 /// What is wrong with a field's configuration.

@@ -1,0 +1,318 @@
+//! Offsets to splats, and back: the step that fields share.
+//!
+//! With raw quaternion `q`, its unit form `q̂`, scale `s` and offsets `δx, δs, δr`:
+//!
+//! ```text
+//! means   μ + δx
+//! scales  Log: s · exp(δs)     Add: s + δs
+//! quats   Raw: q + δr          Unit: q + |q| δr          Compose: normalise(1 + δr) ⊗ q
+//! ```
+//! `Raw` and `Log` are 4D Gaussian Splatting's sums on raw parameters; `Unit` is the rotation of `q̂ + δr`, as Deformable
+//! 3D Gaussians adds it, written so that the length of `q` survives; `Compose` turns in the world frame (GVFi, TRACE).
+//! Quaternions are normalised where they are used. All rules leave a splat bit for bit as it was where its offsets are
+//! zero (a negative zero may become positive).
+
+use glam::Vec3;
+use gs_core::nn::BLOCK;
+use gs_core::rot;
+use gs_core::{Color, Splats, SplatsGrad};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+/// How an offset changes a scale.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ScaleRule {
+    /// `s · exp(δs)`: a sum on logarithms; scales stay positive.
+    Log,
+    /// `s + δs`, in world units; the sign is not constrained (only squares of scales matter).
+    Add,
+}
+
+/// How an offset changes a rotation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum QuatRule {
+    /// `q + δr` on the raw quaternion.
+    Raw,
+    /// The rotation of `q/|q| + δr`.
+    Unit,
+    /// `normalise((1,0,0,0) + δr) ⊗ q`.
+    Compose,
+}
+
+/// The pair of rules a field applies its offsets by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Apply {
+    /// For scales.
+    pub scale: ScaleRule,
+    /// For rotations.
+    pub quat: QuatRule,
+}
+
+/// Offsets of the rows of one block, row-major; an empty column means zero offsets.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Offsets<'a> {
+    /// `[rows, 3]`.
+    pub means: &'a [f32],
+    /// `[rows, 3]`.
+    pub scales: &'a [f32],
+    /// `[rows, 4]`.
+    pub quats: &'a [f32],
+}
+
+/// Owned columns shaped like [`Offsets`]: offsets, or their cotangents.
+#[derive(Clone, Debug, Default)]
+pub struct OffsetColumns {
+    /// `[rows, 3]`.
+    pub means: Vec<f32>,
+    /// `[rows, 3]`.
+    pub scales: Vec<f32>,
+    /// `[rows, 4]`.
+    pub quats: Vec<f32>,
+}
+
+impl OffsetColumns {
+    /// As offsets.
+    pub fn view(&self) -> Offsets<'_> {
+        Offsets { means: &self.means, scales: &self.scales, quats: &self.quats }
+    }
+}
+
+/// The moving columns of a run of splats.
+#[derive(Clone, Copy, Debug)]
+pub struct Rows<'a> {
+    /// Centres.
+    pub means: &'a [Vec3],
+    /// Rotations.
+    pub quats: &'a [[f32; 4]],
+    /// Scales.
+    pub scales: &'a [Vec3],
+}
+
+/// The moving columns of a run of splats (or of their cotangents), to write to.
+#[derive(Debug)]
+pub struct RowsMut<'a> {
+    /// Centres.
+    pub means: &'a mut [Vec3],
+    /// Rotations.
+    pub quats: &'a mut [[f32; 4]],
+    /// Scales.
+    pub scales: &'a mut [Vec3],
+}
+
+impl Apply {
+    /// Moves a run of splats.
+    pub fn forward(&self, from: Rows<'_>, by: Offsets<'_>, to: &mut RowsMut<'_>) {
+        to.means.copy_from_slice(from.means);
+        to.scales.copy_from_slice(from.scales);
+        to.quats.copy_from_slice(from.quats);
+        for (to, d) in to.means.iter_mut().zip(by.means.as_chunks().0) {
+            *to += Vec3::from_array(*d);
+        }
+        for (to, d) in to.scales.iter_mut().zip(by.scales.as_chunks().0) {
+            *to = match self.scale {
+                ScaleRule::Log => *to * Vec3::from_array(d.map(f32::exp)),
+                ScaleRule::Add => *to + Vec3::from_array(*d),
+            };
+        }
+        for (to, d) in to.quats.iter_mut().zip(by.quats.as_chunks().0) {
+            *to = self.turn(*to, *d);
+        }
+    }
+
+    fn turn(&self, q: [f32; 4], d: [f32; 4]) -> [f32; 4] {
+        match self.quat {
+            QuatRule::Raw => std::array::from_fn(|k| q[k] + d[k]),
+            QuatRule::Unit => {
+                let length = rot::normalise(q).inv_norm.recip();
+                std::array::from_fn(|k| q[k] + length * d[k])
+            }
+            QuatRule::Compose => rot::hamilton(rot::normalise(from_identity(d)).wxyz, q),
+        }
+    }
+
+    /// The way back of [`Apply::forward`]: adds to the cotangents of `from`, sets those of the offsets. `moved` is what
+    /// the forward pass wrote.
+    pub fn backward(
+        &self,
+        from: Rows<'_>,
+        by: Offsets<'_>,
+        d_moved: Rows<'_>,
+        d_from: &mut RowsMut<'_>,
+        d_by: &mut OffsetColumns,
+    ) {
+        d_from.means.iter_mut().zip(d_moved.means).for_each(|(d, m)| *d += *m);
+        fill(&mut d_by.means, by.means.len(), d_moved.means.iter().flat_map(|d| d.to_array()));
+        self.backward_scales(from, by, d_moved, d_from, d_by);
+        self.backward_quats(from, by, d_moved, d_from, d_by);
+    }
+
+    fn backward_scales(
+        &self,
+        from: Rows<'_>,
+        by: Offsets<'_>,
+        d_moved: Rows<'_>,
+        d_from: &mut RowsMut<'_>,
+        d_by: &mut OffsetColumns,
+    ) {
+        d_by.scales.clear();
+        if by.scales.is_empty() || self.scale == ScaleRule::Add {
+            d_from.scales.iter_mut().zip(d_moved.scales).for_each(|(d, m)| *d += *m);
+            fill(&mut d_by.scales, by.scales.len(), d_moved.scales.iter().flat_map(|d| d.to_array()));
+            return;
+        }
+        let rows = from.scales.iter().zip(by.scales.as_chunks().0).zip(d_moved.scales).zip(d_from.scales.iter_mut());
+        for (((s, d), d_moved), d_from) in rows {
+            let grown = Vec3::from_array(d.map(f32::exp)) * *d_moved;
+            *d_from += grown;
+            d_by.scales.extend((grown * *s).to_array());
+        }
+    }
+
+    fn backward_quats(
+        &self,
+        from: Rows<'_>,
+        by: Offsets<'_>,
+        d_moved: Rows<'_>,
+        d_from: &mut RowsMut<'_>,
+        d_by: &mut OffsetColumns,
+    ) {
+        d_by.quats.clear();
+        if by.quats.is_empty() {
+            d_from.quats.iter_mut().zip(d_moved.quats).for_each(|(d, m)| add4(d, *m));
+            return;
+        }
+        let rows = from.quats.iter().zip(by.quats.as_chunks().0).zip(d_moved.quats).zip(d_from.quats.iter_mut());
+        for (((q, d), g), d_from) in rows {
+            let (d_q, d_offset) = self.turn_backward(*q, *d, *g);
+            add4(d_from, d_q);
+            d_by.quats.extend(d_offset);
+        }
+    }
+
+    /// Cotangents of the quaternion and of its offset.
+    fn turn_backward(&self, q: [f32; 4], d: [f32; 4], g: [f32; 4]) -> ([f32; 4], [f32; 4]) {
+        match self.quat {
+            QuatRule::Raw => (g, g),
+            QuatRule::Unit => {
+                let unit = rot::normalise(q);
+                let length = unit.inv_norm.recip();
+                let stretch = unit.free * (0..4).map(|k| g[k] * d[k]).sum::<f32>();
+                (std::array::from_fn(|k| g[k] + stretch * unit.wxyz[k]), g.map(|v| v * length))
+            }
+            QuatRule::Compose => {
+                let turn = rot::normalise(from_identity(d));
+                let d_turn = rot::hamilton(g, conjugate(q));
+                (rot::hamilton(conjugate(turn.wxyz), g), rot::normalise_backward(&turn, d_turn))
+            }
+        }
+    }
+}
+
+fn from_identity(d: [f32; 4]) -> [f32; 4] {
+    [1.0 + d[0], d[1], d[2], d[3]]
+}
+
+fn conjugate([w, x, y, z]: [f32; 4]) -> [f32; 4] {
+    [w, -x, -y, -z]
+}
+
+fn add4(to: &mut [f32; 4], v: [f32; 4]) {
+    to.iter_mut().zip(v).for_each(|(t, v)| *t += v);
+}
+
+fn fill(column: &mut Vec<f32>, wanted: usize, values: impl Iterator<Item = f32>) {
+    column.clear();
+    if wanted > 0 {
+        column.extend(values);
+    }
+}
+
+/// Sizes `out` like `canonical` and copies what fields do not change: opacities, colours, kernel. Reuses memory.
+pub fn pass_through(canonical: &Splats, out: &mut Splats) {
+    let n = canonical.len();
+    out.means.resize(n, Vec3::ZERO);
+    out.scales.resize(n, Vec3::ZERO);
+    out.quats.resize(n, [0.0; 4]);
+    out.opacities.clone_from(&canonical.opacities);
+    out.kernel.clone_from(&canonical.kernel);
+    match (&canonical.color, &mut out.color) {
+        (Color::Sh { degree, coeffs }, Color::Sh { degree: to_degree, coeffs: to }) => {
+            *to_degree = *degree;
+            to.resize(coeffs.len(), 0.0);
+            to.par_chunks_mut(1 << 14).zip(coeffs.par_chunks(1 << 14)).for_each(|(to, from)| to.copy_from_slice(from));
+        }
+        (Color::Rgb(rgb), Color::Rgb(to)) => to.clone_from(rgb),
+        (color, to) => to.clone_from(color),
+    }
+}
+
+/// The way back of [`pass_through`]: adds the cotangents of opacities and colours.
+pub fn pass_through_backward(d_out: &SplatsGrad, d_canonical: &mut SplatsGrad) {
+    for (to, from) in [(&mut d_canonical.opacities, &d_out.opacities), (&mut d_canonical.color, &d_out.color)] {
+        to.par_chunks_mut(1 << 14).zip(from.par_chunks(1 << 14)).for_each(|(to, from)| {
+            to.iter_mut().zip(from).for_each(|(t, f)| *t += f);
+        });
+    }
+}
+
+/// The moving columns of all splats in runs of `rows` splats.
+pub fn chunks(splats: &Splats, rows: usize) -> impl IndexedParallelIterator<Item = Rows<'_>> {
+    columns(&splats.means, &splats.quats, &splats.scales, rows)
+}
+
+/// The moving columns of all cotangents in runs of `rows` splats.
+pub fn grad_chunks(grad: &SplatsGrad, rows: usize) -> impl IndexedParallelIterator<Item = Rows<'_>> {
+    columns(&grad.means, &grad.quats, &grad.scales, rows)
+}
+
+/// [`chunks`], to write to.
+pub fn chunks_mut(splats: &mut Splats, rows: usize) -> impl IndexedParallelIterator<Item = RowsMut<'_>> {
+    columns_mut(&mut splats.means, &mut splats.quats, &mut splats.scales, rows)
+}
+
+/// [`grad_chunks`], to add to.
+pub fn grad_chunks_mut(grad: &mut SplatsGrad, rows: usize) -> impl IndexedParallelIterator<Item = RowsMut<'_>> {
+    columns_mut(&mut grad.means, &mut grad.quats, &mut grad.scales, rows)
+}
+
+fn columns<'a>(
+    means: &'a [Vec3],
+    quats: &'a [[f32; 4]],
+    scales: &'a [Vec3],
+    rows: usize,
+) -> impl IndexedParallelIterator<Item = Rows<'a>> {
+    let (means, quats, scales) = (means.par_chunks(rows), quats.par_chunks(rows), scales.par_chunks(rows));
+    means.zip(quats).zip(scales).map(|((means, quats), scales)| Rows { means, quats, scales })
+}
+
+fn columns_mut<'a>(
+    means: &'a mut [Vec3],
+    quats: &'a mut [[f32; 4]],
+    scales: &'a mut [Vec3],
+    rows: usize,
+) -> impl IndexedParallelIterator<Item = RowsMut<'a>> {
+    let (means, quats) = (means.par_chunks_mut(rows), quats.par_chunks_mut(rows));
+    means.zip(quats).zip(scales.par_chunks_mut(rows)).map(|((means, quats), scales)| RowsMut { means, quats, scales })
+}
+
+impl<'a> Rows<'a> {
+    /// The rows of block `index` (of [`BLOCK`] rows) within this run.
+    pub fn block(&self, index: usize) -> Rows<'a> {
+        let range = index * BLOCK..((index + 1) * BLOCK).min(self.means.len());
+        Rows { means: &self.means[range.clone()], quats: &self.quats[range.clone()], scales: &self.scales[range] }
+    }
+}
+
+impl RowsMut<'_> {
+    /// The rows of block `index` (of [`BLOCK`] rows) within this run.
+    pub fn block(&mut self, index: usize) -> RowsMut<'_> {
+        let range = index * BLOCK..((index + 1) * BLOCK).min(self.means.len());
+        RowsMut {
+            means: &mut self.means[range.clone()],
+            quats: &mut self.quats[range.clone()],
+            scales: &mut self.scales[range],
+        }
+    }
+}

@@ -1,0 +1,185 @@
+//! The field of Deformable 3D Gaussians (Yang et al. 2024): one wide network from an encoded place and time to offsets.
+//!
+//! ```text
+//! e = (γ₁₀(μ), τ)        τ = W_b relu(W_a γ₆(t) + a) + b, or γ(t) itself without the time network
+//! h₀ = relu(W₀ e),  h_i = relu(W_i h_{i−1}),  h_{skip+1} = relu(W_{skip+1} (e, h_skip)),  …
+//! δx = W_x h,  δr = W_r h,  δs = W_s h                      three linear heads (with biases)
+//! μ' = μ + δx     q' = |q| (q/|q| + δr)     s' = s + δs     (activated scales; see apply for the other rules)
+//! ```
+//! * The centres are **detached** at the input, as in the reference: they receive the identity path only, and no
+//!   gradient of the encoding is needed.
+//! * Time is the same for all splats of a call, so its columns of the first and the skip layer are folded into their
+//!   biases: exact up to rounding, and a third of the first layer's work saved.
+//! * The heads start at **zero** (the identity, bit for bit); the reference starts them like the other layers, which
+//!   [`DefGsConfig::zero_init`] restores. Hidden layers start at U(±1/√fan-in).
+//! * Annealed smooth training of times is a function of its own: [`smooth_time`](super::anneal::smooth_time).
+
+use super::Field;
+use super::defgs_net::{Block, ChunkGrad, DefNet, DefNetTape};
+use crate::DeformError;
+use crate::apply::{self, Apply, QuatRule, ScaleRule};
+use gs_core::nn::{self, BLOCK, CHUNKS};
+use gs_core::{Param, Params, Splats, SplatsGrad, Time};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+/// Settings of a [`DefMlp`]; the defaults are the published ones for synthetic scenes.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DefGsConfig {
+    /// Width of the hidden layers.
+    pub width: usize,
+    /// Hidden layers.
+    pub depth: usize,
+    /// The input is joined again after hidden layer `skip` (counted from 0); no effect at `depth − 1` and beyond.
+    pub skip: usize,
+    /// Bands of the positional encoding of centres.
+    pub bands_position: usize,
+    /// Bands of the positional encoding of time (10 for real scenes).
+    pub bands_time: usize,
+    /// Hidden width of the time network; 0: none, the encoded time is used as it is (real scenes).
+    pub time_hidden: usize,
+    /// Outputs of the time network.
+    pub time_features: usize,
+    /// Factor on world coordinates before they are encoded. 1 in the reference; 1 / scene radius makes the bands mean
+    /// the same in every scene.
+    pub coordinate_scale: f32,
+    /// How offsets change scales.
+    pub scale_rule: ScaleRule,
+    /// How offsets change rotations.
+    pub quat_rule: QuatRule,
+    /// Start the heads at zero (identity field) instead of as the reference does.
+    pub zero_init: bool,
+}
+
+impl Default for DefGsConfig {
+    fn default() -> Self {
+        Self {
+            width: 256,
+            depth: 8,
+            skip: 4,
+            bands_position: 10,
+            bands_time: 6,
+            time_hidden: 256,
+            time_features: 30,
+            coordinate_scale: 1.0,
+            scale_rule: ScaleRule::Add,
+            quat_rule: QuatRule::Unit,
+            zero_init: true,
+        }
+    }
+}
+
+impl DefGsConfig {
+    /// Four layers of 128: about a tenth of the work of the default.
+    pub fn fast() -> Self {
+        Self { width: 128, depth: 4, skip: 2, time_hidden: 64, ..Self::default() }
+    }
+
+    fn check(&self) -> Result<(), DeformError> {
+        let within = |field, v: usize, lo: usize, hi: usize, rule| {
+            if (lo..=hi).contains(&v) { Ok(()) } else { Err(DeformError::Config { field, value: v.to_string(), rule }) }
+        };
+        within("width", self.width, 1, 4096, "1 to 4096")?;
+        within("depth", self.depth, 1, 64, "1 to 64")?;
+        within("bands_position", self.bands_position, 0, 24, "0 to 24")?;
+        within("bands_time", self.bands_time, 0, 24, "0 to 24")?;
+        within("time_hidden", self.time_hidden, 0, 4096, "0 to 4096")?;
+        within("time_features", self.time_features, 1, 4096, "1 to 4096")?;
+        if !self.coordinate_scale.is_finite() {
+            let value = self.coordinate_scale.to_string();
+            return Err(DeformError::Config { field: "coordinate_scale", value, rule: "finite" });
+        }
+        Ok(())
+    }
+}
+
+/// The field; see the [module](self).
+#[derive(Clone, Debug)]
+pub struct DefMlp {
+    config: DefGsConfig,
+    net: DefNet,
+}
+
+/// Scratch of a [`DefMlp`].
+#[derive(Clone, Debug, Default)]
+pub struct DefMlpTape {
+    net: DefNetTape,
+    blocks: Vec<Block>,
+    chunks: Vec<ChunkGrad>,
+}
+
+impl DefMlp {
+    /// A field, its parameters named `field.time.…`, `field.layer.…`, `field.means.…`, `field.quats.…`, `field.scales.…`.
+    ///
+    /// # Errors
+    /// If a setting cannot be built; the message names it.
+    pub fn new(config: &DefGsConfig, seed: u64) -> Result<Self, DeformError> {
+        config.check()?;
+        Ok(Self { config: config.clone(), net: DefNet::new(config, seed) })
+    }
+
+    /// The settings it was built from.
+    pub fn config(&self) -> &DefGsConfig {
+        &self.config
+    }
+
+    fn apply(&self) -> Apply {
+        Apply { scale: self.config.scale_rule, quat: self.config.quat_rule }
+    }
+}
+
+impl Field for DefMlp {
+    type Tape = DefMlpTape;
+
+    fn forward(&self, canonical: &Splats, t: Time, tape: &mut DefMlpTape, out: &mut Splats) {
+        apply::pass_through(canonical, out);
+        self.net.fold_time(t, &mut tape.net);
+        tape.blocks.resize_with(canonical.len().div_ceil(BLOCK), Block::default);
+        let columns = apply::chunks(canonical, BLOCK).zip(apply::chunks_mut(out, BLOCK));
+        tape.blocks.par_iter_mut().zip(columns).for_each(|(block, (from, mut to))| {
+            self.net.forward_block(&tape.net, from.means, block);
+            self.apply().forward(from, block.offsets.view(), &mut to);
+        });
+    }
+
+    fn backward(
+        &mut self,
+        canonical: &Splats,
+        tape: &mut DefMlpTape,
+        d_out: &SplatsGrad,
+        d_canonical: &mut SplatsGrad,
+    ) {
+        let DefMlpTape { net, blocks, chunks } = tape;
+        let per_chunk = nn::blocks_per_chunk(blocks.len());
+        let rows = per_chunk * BLOCK;
+        chunks.resize_with(CHUNKS, ChunkGrad::default);
+        let used = &mut chunks[..blocks.len().div_ceil(per_chunk)];
+        let columns = apply::chunks(canonical, rows).zip(apply::grad_chunks(d_out, rows));
+        let columns = columns.zip(apply::grad_chunks_mut(d_canonical, rows));
+        let runs = blocks.par_chunks_mut(per_chunk).zip(&mut *used).zip(columns);
+        runs.for_each(|((blocks, grad), ((from, d_to), mut d_from))| {
+            self.net.reset(grad);
+            for (i, block) in blocks.iter_mut().enumerate() {
+                let (offsets, d_offsets) = (block.offsets.view(), &mut block.d_offsets);
+                self.apply().backward(from.block(i), offsets, d_to.block(i), &mut d_from.block(i), d_offsets);
+                self.net.backward_block(block, grad);
+            }
+        });
+        self.net.add_grads(net, used);
+        apply::pass_through_backward(d_out, d_canonical);
+    }
+
+    fn regularise(&mut self) -> Vec<(&'static str, f32)> {
+        Vec::new()
+    }
+}
+
+impl Params for DefMlp {
+    fn visit(&self, f: &mut dyn FnMut(&Param)) {
+        self.net.visit(f);
+    }
+    fn visit_mut(&mut self, f: &mut dyn FnMut(&mut Param)) {
+        self.net.visit_mut(f);
+    }
+}
