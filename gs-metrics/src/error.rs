@@ -30,6 +30,16 @@ pub enum MetricError {
         /// Values present.
         len: usize,
     },
+    /// The metric is not defined for this number of channels.
+    #[error("{metric} needs {need} channels, the images have {got}; drop alpha or convert first")]
+    Channels {
+        /// Which metric.
+        metric: &'static str,
+        /// Channels of the images.
+        got: usize,
+        /// Channels it takes.
+        need: &'static str,
+    },
     /// An image is smaller than the windows the metric needs.
     #[error("{metric} needs both sides of at least {need} pixels, the image is {width}x{height}; {hint}")]
     TooSmall {

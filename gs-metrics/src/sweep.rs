@@ -77,7 +77,7 @@ pub(crate) fn run(task: &Task, a: &Image, b: &Image, grad: Option<&mut [f32]>, s
     let bands = 4 * a.height.div_ceil(4 * BAND_ROWS);
     let rows = a.height.div_ceil(bands);
     let row_len = a.width * a.channels;
-    let Scratch { pool, sums } = scratch;
+    let (pool, sums) = (&scratch.pool, &mut scratch.sums);
     sums.clear();
     sums.resize(a.height.div_ceil(rows), [0.0; 4]);
     let one = |index: usize, sum: &mut [f64; 4], out: Option<&mut [f32]>| {

@@ -71,9 +71,9 @@ pub(crate) fn horizontal_moments<S: Simd>(
         let centre = at(RADIUS);
         let mut first = S::f32s::splat(simd, 0.0);
         let mut second = first;
-        for k in 1..=RADIUS {
+        for (k, weight) in g.iter().enumerate().skip(1) {
             let (l, r) = (at(RADIUS - k) - centre, at(RADIUS + k) - centre);
-            let weight = S::f32s::splat(simd, g[k]);
+            let weight = S::f32s::splat(simd, *weight);
             first = weight.mul_add(l + r, first);
             second = weight.mul_add(l.mul_add(l, r * r), second);
         }
@@ -89,10 +89,10 @@ fn vertical_moments<S: Simd>(simd: S, g: &[f32; RADIUS + 1], mean: &Rows, var: &
     let centre = load(mean, RADIUS);
     let mut first = S::f32s::splat(simd, 0.0);
     let mut second = load(var, RADIUS) * S::f32s::splat(simd, g[0]);
-    for k in 1..=RADIUS {
+    for (k, weight) in g.iter().enumerate().skip(1) {
         let (l, r) = (load(mean, RADIUS - k) - centre, load(mean, RADIUS + k) - centre);
         let within = load(var, RADIUS - k) + load(var, RADIUS + k);
-        let weight = S::f32s::splat(simd, g[k]);
+        let weight = S::f32s::splat(simd, *weight);
         first = weight.mul_add(l + r, first);
         second = weight.mul_add(l.mul_add(l, r.mul_add(r, within)), second);
     }
@@ -165,8 +165,8 @@ pub(crate) fn blur_row<S: Simd>(simd: S, g: &[f32; RADIUS + 1], channels: usize,
     for i in (0..out.len()).step_by(lanes) {
         let at = |k: usize| S::f32s::from_slice(simd, &z[i + k * channels..][..lanes]);
         let mut sum = at(RADIUS) * S::f32s::splat(simd, g[0]);
-        for k in 1..=RADIUS {
-            sum = S::f32s::splat(simd, g[k]).mul_add(at(RADIUS - k) + at(RADIUS + k), sum);
+        for (k, weight) in g.iter().enumerate().skip(1) {
+            sum = S::f32s::splat(simd, *weight).mul_add(at(RADIUS - k) + at(RADIUS + k), sum);
         }
         sum.store_slice(&mut out[i..i + lanes]);
     }
@@ -177,8 +177,8 @@ pub(crate) fn blur_row<S: Simd>(simd: S, g: &[f32; RADIUS + 1], channels: usize,
 fn vertical_blur<S: Simd>(simd: S, g: &[f32; RADIUS + 1], rows: &Rows, i: usize) -> S::f32s {
     let at = |k: usize| S::f32s::from_slice(simd, &rows[k][i..i + S::f32s::LEN]);
     let mut sum = at(RADIUS) * S::f32s::splat(simd, g[0]);
-    for k in 1..=RADIUS {
-        sum = S::f32s::splat(simd, g[k]).mul_add(at(RADIUS - k) + at(RADIUS + k), sum);
+    for (k, weight) in g.iter().enumerate().skip(1) {
+        sum = S::f32s::splat(simd, *weight).mul_add(at(RADIUS - k) + at(RADIUS + k), sum);
     }
     sum
 }

@@ -1,0 +1,216 @@
+//! A perceptual **proxy**: a distance without learned weights. It is **not** LPIPS, its numbers cannot be compared with
+//! LPIPS numbers, and it was not fitted to human judgements.
+//!
+//! People forgive what moves a little and keeps its texture, and mind what loses detail (blur) or gains false detail
+//! (noise, blocks); pixelwise scores do the reverse. So local *statistics* of oriented detail are compared instead of
+//! pixels, in the manner of models of early vision:
+//!
+//! 1. Luma is taken to a binomial pyramid of up to five levels.
+//! 2. At each level four orientations (0°, 45°, 90°, 135°) of a first and a second directional derivative, each split into
+//!    its positive and its negative part, give 16 responses ("simple cells", which know light-dark from dark-light).
+//! 3. Their squares are averaged by a Gaussian of σ = 2 pixels of the level and the root is taken: 16 amplitudes `f_k ≥ 0`
+//!    which say how much of which detail is *near* a place, not where. That is the tolerance to small shifts; it doubles
+//!    with each level.
+//! 4. Amplitudes of both images are compared with divisive normalisation (masking: a change counts in proportion to the
+//!    detail that is there, and below a contrast of 0.02 it fades):
+//!    ```text
+//!    d(p) = √( Σ_k (f_k − g_k)² / (Σ_k (f_k² + g_k²) + 0.02²) )          in [0, 1], as f, g ≥ 0
+//!    ```
+//!    and averaged over places, then over levels with equal weights: `D_detail`.
+//! 5. Colours are compared where the eye compares them, over areas: luma and two chroma planes two levels above the
+//!    coarsest one, `d(p) = |Δ| / √(|Δ|² + 0.2²)`, averaged: `D_colour`.
+//!
+//! `proxy = 0.8·D_detail + 0.2·D_colour`.
+//!
+//! **Properties.** 0 for identical images, symmetric to the bit, in `[0, 1]`; grows with blur, noise, blocking and
+//! compression. The tolerances above are round numbers from the visibility of contrast, not fits. **Blind to**: chroma
+//! detail, who or what is shown, and rearrangements inside a neighbourhood of about 4 pixels of a level that keep all 16
+//! amplitudes. Fixed bands and orders: the same bits for any number of threads.
+//!
+//! Sources of the parts: oriented energy and pooling, Adelson & Bergen 1985; divisive normalisation, Heeger 1992;
+//! texture as pooled filter statistics, Portilla & Simoncelli 2000; why such comparisons predict people better than
+//! pixels, Zhang, Isola, Efros, Shechtman, Wang, *The unreasonable effectiveness of deep features as a perceptual
+//! metric*, CVPR 2018.
+
+use fearless_simd::{Level, Simd, SimdBase, SimdFloat, dispatch};
+use gs_core::Image;
+use rayon::prelude::*;
+
+use crate::error::{MetricError, check_finite, check_pair, explain_non_finite};
+use crate::plane::{Plane, opponent_planes};
+use crate::window::LANES;
+
+/// Levels of the pyramid at most.
+const MAX_LEVELS: usize = 5;
+/// A level has at least this many pixels on its shorter side (but for the first).
+const MIN_SIDE: usize = 16;
+/// Contrast below which differences of detail fade.
+const CONTRAST: f32 = 0.02;
+/// Difference of colour at which [`colour_distance`] reaches `1/√2`.
+const COLOUR: f32 = 0.2;
+/// Share of colour in the proxy.
+const COLOUR_SHARE: f64 = 0.2;
+/// Responses per place: 4 orientations × (first, second derivative) × (positive, negative part).
+const FEATURES: usize = 16;
+/// Pixels between pooled places.
+const STRIDE: usize = 4;
+/// Taps of the pooling window, centred on a block of [`STRIDE`] pixels.
+const POOL_TAPS: usize = 3 * STRIDE;
+/// Standard deviation of the pooling window in pixels.
+const POOL_SIGMA: f32 = 2.0;
+/// Pooled rows of one task.
+const BAND: usize = 4;
+
+/// The weight-free perceptual proxy of two `[H, W, 1 or 3]` images with values in `[0, 1]`: 0 for identical ones, at most
+/// 1, symmetric. **Not LPIPS**; see the [module](self) for what it is.
+///
+/// # Errors
+/// Different or empty shapes, a number of channels other than 1 and 3, or a value that is not finite.
+pub fn perceptual_proxy(a: &Image, b: &Image) -> Result<f64, MetricError> {
+    check_pair(a, b)?;
+    check_finite("a", a)?;
+    check_finite("b", b)?;
+    if a.channels != 1 && a.channels != 3 {
+        return Err(MetricError::Channels { metric: "the perceptual proxy", got: a.channels, need: "1 or 3" });
+    }
+    let (mut x, mut y) = (opponent_planes(a), opponent_planes(b));
+    let (mut detail, mut levels) = (0.0, 0);
+    loop {
+        detail += detail_distance(&x[0], &y[0]);
+        levels += 1;
+        if levels == MAX_LEVELS || x[0].width.min(x[0].height) < 2 * MIN_SIDE {
+            break;
+        }
+        (x, y) = (halve_all(&x), halve_all(&y));
+    }
+    (x, y) = (halve_all(&halve_all(&x)), halve_all(&halve_all(&y)));
+    let value = (1.0 - COLOUR_SHARE) * detail / f64::from(levels as u32) + COLOUR_SHARE * colour_distance(&x, &y);
+    if value.is_finite() { Ok(value) } else { Err(explain_non_finite("the perceptual proxy", a, b)) }
+}
+
+fn halve_all(planes: &[Plane]) -> Vec<Plane> {
+    planes.iter().map(Plane::halve).collect()
+}
+
+/// Mean over places of `|Δ| / √(|Δ|² + COLOUR²)`, `Δ` the difference of all planes.
+fn colour_distance(x: &[Plane], y: &[Plane]) -> f64 {
+    let n = x[0].data.len();
+    let one = |i: usize| {
+        let squared: f32 = x.iter().zip(y).map(|(p, q)| (p.data[i] - q.data[i]).powi(2)).sum();
+        f64::from((squared / (squared + COLOUR * COLOUR)).sqrt())
+    };
+    (0..n).map(one).sum::<f64>() / n as f64
+}
+
+/// Mean over pooled places of the normalised difference of amplitudes at one level.
+fn detail_distance(x: &Plane, y: &Plane) -> f64 {
+    let (rows, columns) = (x.height.div_ceil(STRIDE), x.width.div_ceil(STRIDE));
+    let band = |index: usize| {
+        let range = index * BAND..((index + 1) * BAND).min(rows);
+        let (f, g) = (band_amplitudes(x, range.clone()), band_amplitudes(y, range));
+        f.as_chunks::<FEATURES>().0.iter().zip(g.as_chunks::<FEATURES>().0).map(place_distance).sum::<f64>()
+    };
+    let sums: Vec<f64> = (0..rows.div_ceil(BAND)).into_par_iter().with_max_len(1).map(band).collect();
+    sums.iter().sum::<f64>() / (rows * columns) as f64
+}
+
+/// Normalised difference of the amplitudes at one place.
+fn place_distance((f, g): (&[f32; FEATURES], &[f32; FEATURES])) -> f64 {
+    let (mut difference, mut energy) = (0.0, CONTRAST * CONTRAST);
+    for (p, q) in f.iter().zip(g) {
+        difference += (p - q) * (p - q);
+        energy += p * p + q * q;
+    }
+    f64::from((difference / energy).sqrt())
+}
+
+/// Weights of the pooling window, with sum 1.
+fn pool_weights() -> [f32; POOL_TAPS] {
+    let middle = (POOL_TAPS as f32 - 1.0) / 2.0;
+    let w: [f32; POOL_TAPS] = std::array::from_fn(|t| (-((t as f32 - middle) / POOL_SIGMA).powi(2) / 2.0).exp());
+    let sum: f32 = w.iter().sum();
+    w.map(|v| v / sum)
+}
+
+/// Amplitudes of the pooled rows `range`, `[rows, columns, FEATURES]`.
+fn band_amplitudes(plane: &Plane, range: std::ops::Range<usize>) -> Vec<f32> {
+    let weights = pool_weights();
+    let stride = plane.width.next_multiple_of(LANES);
+    let mut sums = vec![0.0f32; range.len() * FEATURES * stride];
+    let mut rows: [Vec<f32>; 3] = std::array::from_fn(|_| vec![0.0; stride + 2]);
+    for r in (range.start * STRIDE) as isize - STRIDE as isize..(range.end * STRIDE + STRIDE) as isize {
+        let y = r.clamp(0, plane.height as isize - 1);
+        for (k, row) in rows.iter_mut().enumerate() {
+            pad_row(plane.row(y + k as isize - 1), row);
+        }
+        for (j, sums) in sums.chunks_exact_mut(FEATURES * stride).enumerate() {
+            let tap = r + STRIDE as isize - ((range.start + j) * STRIDE) as isize;
+            if let Some(weight) = usize::try_from(tap).ok().and_then(|t| weights.get(t)) {
+                let [up, mid, down] = &rows;
+                dispatch!(Level::new(), simd => add_energies(simd, [up, mid, down], *weight, stride, sums));
+            }
+        }
+    }
+    pool_columns(plane.width, stride, &weights, &sums)
+}
+
+/// Copies a row behind one value of padding, repeating the values at both ends.
+fn pad_row(row: &[f32], out: &mut [f32]) {
+    let (first, last) = (row[0], row[row.len() - 1]);
+    out[0] = first;
+    out[1..=row.len()].copy_from_slice(row);
+    out[row.len() + 1..].fill(last);
+}
+
+/// Adds `weight` times the squared rectified responses of one row to `sums`, `[FEATURES, stride]`.
+///
+/// `rows` are the row above, the row, and the row below, padded by one value. The second derivative is halved, so that both
+/// derivatives have one amplitude at a quarter of the sampling frequency.
+#[inline(always)]
+fn add_energies<S: Simd>(simd: S, rows: [&[f32]; 3], weight: f32, stride: usize, sums: &mut [f32]) {
+    let lanes = S::f32s::LEN;
+    let splat = |v: f32| S::f32s::splat(simd, v);
+    let (half, zero, weight, diagonal) =
+        (splat(0.5), splat(0.0), splat(weight), splat(std::f32::consts::FRAC_1_SQRT_2));
+    for i in (0..stride).step_by(lanes) {
+        let at = |row: usize, k: usize| S::f32s::from_slice(simd, &rows[row][i + k..i + k + lanes]);
+        let centre = at(1, 1);
+        let dx = half * (at(1, 2) - at(1, 0));
+        let dy = half * (at(2, 1) - at(0, 1));
+        let dxx = half * (at(1, 2) + at(1, 0)) - centre;
+        let dyy = half * (at(2, 1) + at(0, 1)) - centre;
+        let dxy = half * half * half * (at(2, 2) + at(0, 0) - at(0, 2) - at(2, 0));
+        let mean = half * (dxx + dyy);
+        let first = [dx, diagonal * (dx + dy), dy, diagonal * (dy - dx)];
+        let second = [dxx, mean + dxy, dyy, mean - dxy];
+        for k in 0..4 {
+            for (kind, response) in [first[k], second[k]].into_iter().enumerate() {
+                for (sign, part) in [response.max(zero), response.min(zero)].into_iter().enumerate() {
+                    let sum = &mut sums[(4 * k + 2 * kind + sign) * stride + i..][..lanes];
+                    let old = S::f32s::from_slice(simd, sum);
+                    (weight * part).mul_add(part, old).store_slice(sum);
+                }
+            }
+        }
+    }
+}
+
+/// Pools along the rows of `[rows, FEATURES, stride]`, takes roots, and gives `[rows, columns, FEATURES]`.
+fn pool_columns(width: usize, stride: usize, weights: &[f32; POOL_TAPS], sums: &[f32]) -> Vec<f32> {
+    let columns = width.div_ceil(STRIDE);
+    let mut out = vec![0.0f32; sums.len() / stride * columns];
+    let mut padded = vec![0.0f32; columns * STRIDE + POOL_TAPS];
+    for (j, rows) in sums.chunks_exact(FEATURES * stride).enumerate() {
+        for (f, row) in rows.chunks_exact(stride).enumerate() {
+            padded[..STRIDE].fill(row[0]);
+            padded[STRIDE..STRIDE + width].copy_from_slice(&row[..width]);
+            padded[STRIDE + width..].fill(row[width - 1]);
+            for c in 0..columns {
+                let window = &padded[c * STRIDE..c * STRIDE + POOL_TAPS];
+                let energy: f32 = window.iter().zip(weights).map(|(v, w)| v * w).sum();
+                out[(j * columns + c) * FEATURES + f] = energy.sqrt();
+            }
+        }
+    }
+    out
+}
