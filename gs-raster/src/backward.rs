@@ -12,7 +12,7 @@ use crate::project::{PixelSums, Shape, View, backward, project, sh_color_backwar
 use crate::simd;
 use crate::tiles::{Grid, LOG2_SCALE, TILE};
 use crate::workspace::{BLOCKS, Plane, Record, Workspace, pixel_of};
-use fearless_simd::dispatch;
+use fearless_simd::{dispatch, prelude::*};
 use glam::Vec3;
 use gs_core::{Camera, Color, Kernel, Splats, SplatsGrad};
 use rayon::prelude::*;
@@ -140,28 +140,53 @@ fn splats_backward(
         stats.grad_means2d.par_chunks_mut(b),
         stats.radii.par_chunks_mut(b),
     );
+    let level = simd::level(options.simd);
     columns.into_par_iter().enumerate().for_each(
         |(block, (means, quats, scales, opacities, color, means2d, radii))| {
-            for k in 0..means.len() {
-                let i = block * b + k;
-                let Some(sums) = gather(w, w.rank_of[i]) else { continue };
-                let shape = Shape { mean: splats.means[i], quat: splats.quats[i], scale: splats.scales[i] };
-                let Some(footprint) = project(view, &shape, options) else { continue };
-                let g = backward(view, &shape, &footprint, f64::from(splats.opacities[i]), &sums, options);
-                let d_view = color_backward(splats, view, i, &sums, &mut color[k * width..][..width]);
-                means[k] = Vec3::from_array(g.mean.map(|v| v as f32)) + d_view;
-                quats[k] = g.quat.map(|v| v as f32);
-                scales[k] = Vec3::from_array(g.scale.map(|v| v as f32));
-                opacities[k] = g.opacity as f32;
-                means2d[k] = g.mean2d.map(|v| v as f32);
-                radii[k] = footprint.radius() as f32;
-            }
+            let rows = RowsOut { first: block * b, means, quats, scales, opacities, color, means2d, radii };
+            dispatch!(level, simd => block_backward(simd, splats, options, w, view, rows));
         },
     );
 }
 
+/// The rows of one block of splats, to write.
+struct RowsOut<'a> {
+    first: usize,
+    means: &'a mut [Vec3],
+    quats: &'a mut [[f32; 4]],
+    scales: &'a mut [Vec3],
+    opacities: &'a mut [f32],
+    color: &'a mut [f32],
+    means2d: &'a mut [[f32; 2]],
+    radii: &'a mut [f32],
+}
+
+#[inline(always)]
+fn block_backward<S: Simd>(_: S, splats: &Splats, options: &RasterOptions, w: &Workspace, view: &View, out: RowsOut) {
+    let width = splats.color.width();
+    for k in 0..out.means.len() {
+        let i = out.first + k;
+        let Some(sums) = gather(w, w.rank_of[i]) else { continue };
+        let shape = Shape { mean: splats.means[i], quat: splats.quats[i], scale: splats.scales[i] };
+        let Some(footprint) = project(view, &shape, options) else { continue };
+        let g = backward(view, &shape, &footprint, f64::from(splats.opacities[i]), &sums, options);
+        let d_view = color_backward(splats, view, i, &sums, &mut out.color[k * width..][..width]);
+        out.means[k] = narrow(g.mean) + d_view;
+        out.quats[k] = [g.quat[0] as f32, g.quat[1] as f32, g.quat[2] as f32, g.quat[3] as f32];
+        out.scales[k] = narrow(g.scale);
+        out.opacities[k] = g.opacity as f32;
+        out.means2d[k] = [g.mean2d[0] as f32, g.mean2d[1] as f32];
+        out.radii[k] = footprint.radius() as f32;
+    }
+}
+
+#[inline(always)]
+fn narrow(v: [f64; 3]) -> Vec3 {
+    Vec3::new(v[0] as f32, v[1] as f32, v[2] as f32)
+}
+
 /// Sums of a splat's records in ascending tile order; `None` if it was not drawn.
-#[inline]
+#[inline(always)]
 fn gather(w: &Workspace, rank: u32) -> Option<PixelSums> {
     if rank == u32::MAX {
         return None;
@@ -170,7 +195,7 @@ fn gather(w: &Workspace, rank: u32) -> Option<PixelSums> {
     let chunk = &chunks[chunks.partition_point(|c| c.first <= rank as usize) - 1];
     let at = rank as usize - chunk.first;
     let span = chunk.splat_starts[at] as usize..chunk.splat_starts[at + 1] as usize;
-    let mut sum = [0.0f64; 10];
+    let mut sum = [0.0f64; 16];
     for entry in &chunk.entries[span] {
         let tile = entry.tile as usize;
         let number = chunk.seen_before[tile] + entry.number;
@@ -193,9 +218,9 @@ fn gather(w: &Workspace, rank: u32) -> Option<PixelSums> {
 }
 
 /// Writes the colour row's cotangents; returns the mean's through the view direction.
-#[inline]
+#[inline(always)]
 fn color_backward(splats: &Splats, view: &View, i: usize, sums: &PixelSums, d_row: &mut [f32]) -> Vec3 {
-    let d_rgb = sums.rgb.map(|v| v as f32);
+    let d_rgb = [sums.rgb[0] as f32, sums.rgb[1] as f32, sums.rgb[2] as f32];
     match &splats.color {
         Color::Rgb(_) => {
             d_row.copy_from_slice(&d_rgb);

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! p = log₂ o' − a² − b²     α = min(max_alpha, ψ)   skipped below min_alpha
-//! stop a pixel before the sample with T (1 − α) ≤ stop
+//! close a pixel before the sample with T (1 − α) ≤ stop
 //! C += T α c     D += T α z     T ← T (1 − α)
 //! ```
 
@@ -34,14 +34,24 @@ impl Limits {
     }
 }
 
+/// Pixel offsets of each block from the tile's first pixel, `x` then `y`, one lane a pixel.
+static PIXELS: [[[f32; 16]; 2]; BLOCKS] = {
+    let mut table = [[[0.0; 16]; 2]; BLOCKS];
+    let mut i = 0;
+    while i < BLOCKS * 16 {
+        let [x, y] = pixel_of(i / 16, i % 16);
+        table[i / 16][0][i % 16] = x as f32;
+        table[i / 16][1][i % 16] = y as f32;
+        i += 1;
+    }
+    table
+};
+
 /// Pixel offsets of a block from the tile's first pixel, one lane a pixel.
 #[inline(always)]
 pub(crate) fn block_pixels<S: Simd>(simd: S, block: usize) -> [f32x16<S>; 2] {
-    let axis = |k: usize| {
-        let values: [f32; 16] = std::array::from_fn(|lane| pixel_of(block, lane)[k] as f32);
-        f32x16::from_slice(simd, &values)
-    };
-    [axis(0), axis(1)]
+    let [x, y] = &PIXELS[block];
+    [f32x16::from_slice(simd, x), f32x16::from_slice(simd, y)]
 }
 
 /// Whitened offsets `(a, b)` of a block's pixels from a splat's centre.
@@ -112,19 +122,24 @@ fn blend_block<S: Simd, K: Falloff>(
         let row = &rows.row[i];
         let p = log2_raw(simd, row, whitened(simd, row, pixels));
         let (raw, reached) = K::sample(simd, p, threshold);
-        let alpha = raw.min(max_alpha);
-        let next = (c(0.0) - alpha).mul_add(transmittance, transmittance);
-        let through = next.simd_gt(stop);
-        let seen = open & reached;
-        let blended = seen & through;
-        let weight = blended.select(transmittance * alpha, c(0.0));
+        let mut blended = open & reached;
+        let mut alpha = blended.select(raw.min(max_alpha), c(0.0));
+        let mut next = (c(0.0) - alpha).mul_add(transmittance, transmittance);
+        let closing = next.simd_le(stop);
+        // A pixel closes once in its life, and stays above `stop`: the common path knows nothing of it.
+        if closing.any_true() {
+            blended &= !closing;
+            open &= !closing;
+            alpha = blended.select(alpha, c(0.0));
+            next = closing.select(transmittance, next);
+        }
+        let weight = transmittance * alpha;
         for (to, from) in rgb.iter_mut().zip(row.rgb) {
             *to = weight.mul_add(c(from), *to);
         }
         depth = weight.mul_add(c(row.depth), depth);
-        transmittance = blended.select(next, transmittance);
+        transmittance = next;
         last = blended.select(u32x16::splat(simd, number + i as u32 + 1), last);
-        open &= !(seen & !through);
         if !open.any_true() {
             break;
         }

@@ -10,9 +10,9 @@ use crate::options::RasterOptions;
 use crate::project::{Shape, View, project, sh_color};
 use crate::simd;
 use crate::sort::{Key, sort};
-use crate::tiles::{Drawn, Grid, TILE};
-use crate::workspace::{Bin, Chunk, Entry, TileState, Workspace, pixel_of};
-use fearless_simd::{Level, dispatch};
+use crate::tiles::{Drawn, Grid, LOG2_SCALE, OpenTiles, TILE};
+use crate::workspace::{Bin, Chunk, Entry, TileState, Workspace};
+use fearless_simd::{Level, dispatch, prelude::*};
 use gs_core::{Camera, Color, Kernel, Splats};
 use rayon::prelude::*;
 use std::marker::PhantomData;
@@ -83,11 +83,12 @@ fn draw_chunks<K: Falloff>(kernel: K, splats: &Splats, options: &RasterOptions, 
     let level = simd::level(options.simd);
     let limits = Limits::new(options);
     let Some(view) = w.view else { return };
-    let mut open: Vec<bool> = w.tiles.iter().map(TileState::is_open).collect();
+    w.open.update(&w.grid, w.tiles.iter().map(TileState::is_open));
+    let widest = K::support(0.0, f64::from(limits.log2_min_alpha)).sqrt() / LOG2_SCALE;
     let mut first = 0;
     let mut size = MIN_CHUNK.max(w.keys.len() / FIRST_SHARE);
     w.chunk_count = 0;
-    while first < w.keys.len() && open.iter().any(|&o| o) {
+    while first < w.keys.len() && w.open.any() {
         let end = w.keys.len().min(first + size);
         // A short rest is not worth a round of its own.
         let end = if w.keys.len() - end < size / 2 { w.keys.len() } else { end };
@@ -97,13 +98,19 @@ fn draw_chunks<K: Falloff>(kernel: K, splats: &Splats, options: &RasterOptions, 
         let chunk = &mut w.chunks[w.chunk_count];
         w.chunk_count += 1;
         chunk.first = first;
-        let scene =
-            Scene { kernel: PhantomData::<K>, splats, options, view: &view, limits, grid: &w.grid, open: &open };
+        let scene = Scene {
+            kernel: PhantomData::<K>,
+            splats,
+            options,
+            view: &view,
+            limits,
+            grid: &w.grid,
+            open: &w.open,
+            widest,
+        };
         bin_chunk(&scene, &w.keys[first..end], &mut w.bins, chunk);
         blend_chunk(kernel, level, limits, &w.grid, chunk, &mut w.tiles);
-        for (o, tile) in open.iter_mut().zip(&w.tiles) {
-            *o = *o && tile.is_open();
-        }
+        w.open.update(&w.grid, w.tiles.iter().map(TileState::is_open));
         first = end;
         size *= 2;
     }
@@ -117,22 +124,28 @@ struct Scene<'a, K> {
     view: &'a View,
     limits: Limits,
     grid: &'a Grid,
-    open: &'a [bool],
+    open: &'a OpenTiles,
+    /// Largest Mahalanobis distance at which an opaque splat is visible.
+    widest: f64,
 }
 
 impl<K: Falloff> Scene<'_, K> {
     /// Projects one splat; `None` if no pixel can see it.
-    #[inline]
+    #[inline(always)]
     fn drawn(&self, index: u32) -> Option<Drawn> {
         let (s, i) = (self.splats, index as usize);
         let shape = Shape { mean: s.means[i], quat: s.quats[i], scale: s.scales[i] };
+        let (center, radius) = self.view.bound(&shape, self.options.dilation, self.widest);
+        if !self.open.meets(self.grid, center, radius) {
+            return None;
+        }
         let footprint = project(self.view, &shape, self.options)?;
         let log2_opacity = (f64::from(s.opacities[i]) * footprint.compensation).log2();
         let support = K::support(log2_opacity, f64::from(self.limits.log2_min_alpha));
         Drawn::new(&footprint, log2_opacity, support, footprint.depth(), index)
     }
 
-    #[inline]
+    #[inline(always)]
     fn color(&self, index: u32) -> [f32; 3] {
         let i = index as usize;
         match &self.splats.color {
@@ -163,27 +176,41 @@ fn bin_chunk<K: Falloff>(scene: &Scene<K>, keys: &[Key], bins: &mut Vec<Bin>, ch
         chunk.drawn.par_chunks_mut(size),
         chunk.splat_starts[1..].par_chunks_mut(size),
     );
+    let level = simd::level(scene.options.simd);
     work.into_par_iter().for_each(|(bin, keys, drawn, counts)| {
-        bin.tiles.clear();
-        bin.places.clear();
-        bin.places.resize(scene.grid.tiles(), 0);
-        for ((key, drawn), count) in keys.iter().zip(drawn).zip(counts) {
-            let Some(splat) = scene.drawn(key.index) else { continue };
-            let before = bin.tiles.len();
-            scene.grid.touched(&splat, |tile| {
-                if scene.open[tile as usize] {
-                    bin.tiles.push(tile);
-                    bin.places[tile as usize] += 1;
-                }
-            });
-            *count = (bin.tiles.len() - before) as u32;
-            if *count > 0 {
-                *drawn = Drawn { rgb: scene.color(key.index), ..splat };
-            }
-        }
+        dispatch!(level, simd => bin_block(simd, scene, keys, bin, drawn, counts));
     });
     place(scene.grid.tiles(), bins, chunk);
     fill_lists(size, bins, chunk);
+}
+
+/// Projects a block of splats, colours those that some open tile may see, and lists the tiles of each.
+#[inline(always)]
+fn bin_block<S: Simd, K: Falloff>(
+    _: S,
+    scene: &Scene<K>,
+    keys: &[Key],
+    bin: &mut Bin,
+    drawn: &mut [Drawn],
+    counts: &mut [u32],
+) {
+    bin.tiles.clear();
+    bin.places.clear();
+    bin.places.resize(scene.grid.tiles(), 0);
+    for ((key, drawn), count) in keys.iter().zip(drawn).zip(counts) {
+        let Some(splat) = scene.drawn(key.index) else { continue };
+        let before = bin.tiles.len();
+        scene.grid.touched(&splat, |tile| {
+            if scene.open.is_open(tile) {
+                bin.tiles.push(tile);
+                bin.places[tile as usize] += 1;
+            }
+        });
+        *count = (bin.tiles.len() - before) as u32;
+        if *count > 0 {
+            *drawn = Drawn { rgb: scene.color(key.index), ..splat };
+        }
+    }
 }
 
 /// Turns counts into places: tile-major, within a tile in depth order.
@@ -281,25 +308,36 @@ fn assemble(tiles: &[TileState], grid: &Grid, background: [f32; 3], frame: &mut 
     let bands =
         (frame.rgb.par_chunks_mut(3 * band), frame.alpha.par_chunks_mut(band), frame.depth.par_chunks_mut(band));
     bands.into_par_iter().enumerate().for_each(|(row, (rgb, alpha, depth))| {
-        let height = alpha.len() / grid.width;
         for column in 0..grid.columns {
             let tile = &tiles[row * grid.columns + column];
-            let width = TILE.min(grid.width - column * TILE);
-            for block in 0..16 {
-                for lane in 0..16 {
-                    let [x, y] = pixel_of(block, lane);
-                    if x >= width || y >= height {
-                        continue;
-                    }
-                    let at = y * grid.width + column * TILE + x;
-                    let t = tile.transmittance[block][lane];
-                    for c in 0..3 {
-                        rgb[3 * at + c] = tile.rgb[c][block][lane] + t * background[c];
-                    }
-                    alpha[at] = 1.0 - t;
-                    depth[at] = tile.depth[block][lane];
-                }
+            for y in 0..alpha.len() / grid.width {
+                let x0 = column * TILE;
+                let width = TILE.min(grid.width - x0);
+                let at = y * grid.width + x0;
+                let row = &mut rgb[3 * at..3 * (at + width)];
+                tile.row(y, row.as_chunks_mut().0, background, &mut alpha[at..at + width], &mut depth[at..at + width]);
             }
         }
     });
+}
+
+impl TileState {
+    /// Writes row `y` of the tile, as many pixels as the slices hold.
+    fn row(&self, y: usize, rgb: &mut [[f32; 3]], background: [f32; 3], alpha: &mut [f32], depth: &mut [f32]) {
+        let pixels = rgb.chunks_mut(4).zip(alpha.chunks_mut(4)).zip(depth.chunks_mut(4));
+        for (column, ((rgb, alpha), depth)) in pixels.enumerate() {
+            let (block, lane) = (y / 4 * 4 + column, y % 4 * 4);
+            let [red, green, blue] = &self.rgb;
+            let t = &self.transmittance[block][lane..lane + 4];
+            for (x, ((rgb, alpha), depth)) in rgb.iter_mut().zip(alpha).zip(depth).enumerate() {
+                *rgb = [
+                    red[block][lane + x] + t[x] * background[0],
+                    green[block][lane + x] + t[x] * background[1],
+                    blue[block][lane + x] + t[x] * background[2],
+                ];
+                *alpha = 1.0 - t[x];
+                *depth = self.depth[block][lane + x];
+            }
+        }
+    }
 }

@@ -45,9 +45,31 @@ impl View {
     }
 
     /// Camera depth of a point.
-    #[inline]
+    #[inline(always)]
     pub fn depth(&self, mean: Vec3) -> f64 {
         dot3(self.rotation[2], mean.to_array().map(f64::from)) + self.translation[2]
+    }
+}
+
+impl View {
+    /// Centre in pixels and a radius that surely covers the splat out to `widest` standard deviations:
+    /// `λ_max(Σ') ≤ ‖J‖² max(s)² + dilation` with `‖J‖² ≤ (f/z)² (1 + x̃² + ỹ²)`.
+    #[inline(always)]
+    pub fn bound(&self, shape: &Shape, dilation: f64, widest: f64) -> ([f32; 2], f32) {
+        let m = [f64::from(shape.mean.x), f64::from(shape.mean.y), f64::from(shape.mean.z)];
+        let t = |r: usize| dot3(self.rotation[r], m) + self.translation[r];
+        let inv_z = 1.0 / t(2);
+        let (x, y) = (t(0) * inv_z, t(1) * inv_z);
+        let x_seen = x.clamp(self.limits[0][0], self.limits[0][1]);
+        let y_seen = y.clamp(self.limits[1][0], self.limits[1][1]);
+        let focal = self.focal[0].max(self.focal[1]) * inv_z;
+        let size = f64::from(shape.scale.abs().max_element()) * focal;
+        let spread = size * size * (1.0 + x_seen * x_seen + y_seen * y_seen) + dilation;
+        let radius = widest * spread.sqrt() * (1.0 + 1e-5) + 1e-2;
+        let center = [self.focal[0] * x + self.center[0], self.focal[1] * y + self.center[1]];
+        // Far centres lose absolute precision in f32; the radius makes up for it.
+        let reach = 1e-6 * (center[0].abs() + center[1].abs());
+        ([center[0] as f32, center[1] as f32], (radius + reach) as f32)
     }
 }
 
@@ -88,7 +110,7 @@ pub struct Shape {
 }
 
 /// Geometry of one splat whose depth lies within the range. `None` if its ellipse is not finite.
-#[inline]
+#[inline(always)]
 pub fn project(view: &View, shape: &Shape, options: &RasterOptions) -> Option<Footprint> {
     let m = shape.mean.to_array().map(f64::from);
     let t: [f64; 3] = std::array::from_fn(|r| dot3(view.rotation[r], m) + view.translation[r]);
@@ -135,7 +157,7 @@ pub fn project(view: &View, shape: &Shape, options: &RasterOptions) -> Option<Fo
     })
 }
 
-#[inline]
+#[inline(always)]
 fn multiply(a: &[[f64; 3]; 3], b: &[[f64; 3]; 3]) -> [[f64; 3]; 3] {
     std::array::from_fn(|r| std::array::from_fn(|k| a[r][0] * b[0][k] + a[r][1] * b[1][k] + a[r][2] * b[2][k]))
 }
@@ -184,7 +206,7 @@ impl Footprint {
     }
 
     /// `dL/dΣ2`, full symmetric: `xx, xy, yy` with one `xy` for each of the two off-diagonal entries.
-    #[inline]
+    #[inline(always)]
     fn covariance_backward(&self, sums: &PixelSums, options: &RasterOptions) -> [f64; 3] {
         let [w0, w1, w2] = self.whitening;
         let [aa, ab, bb] = sums.second;
@@ -207,7 +229,7 @@ impl Footprint {
 }
 
 /// Pulls one splat's pixel sums back to its geometry.
-#[inline]
+#[inline(always)]
 pub fn backward(
     view: &View,
     shape: &Shape,
@@ -253,7 +275,7 @@ pub fn backward(
     }
 }
 
-#[inline]
+#[inline(always)]
 fn point_backward(view: &View, fp: &Footprint, mean2d: [f64; 2], d_j: &[[f64; 2]; 2], d_depth: f64) -> [f64; 3] {
     let t = fp.point;
     let inv_z = 1.0 / t[2];
@@ -272,13 +294,13 @@ fn point_backward(view: &View, fp: &Footprint, mean2d: [f64; 2], d_j: &[[f64; 2]
 }
 
 /// Colour of SH coefficients `row` (`[K, 3]`) seen from `position`, clamped at zero.
-#[inline]
+#[inline(always)]
 pub fn sh_color(mean: Vec3, position: [f64; 3], degree: u8, row: &[f32]) -> [f32; 3] {
     let basis = view_basis(mean, position, degree).0;
     sh_color_unclamped(&basis, row).map(|v| v.max(0.0))
 }
 
-#[inline]
+#[inline(always)]
 fn view_basis(mean: Vec3, position: [f64; 3], degree: u8) -> ([f32; 16], [f32; 3], f32) {
     let (d, inv) = sh::direction(mean.to_array().map(f64::from), position);
     let d = d.map(|v| v as f32);
@@ -286,7 +308,7 @@ fn view_basis(mean: Vec3, position: [f64; 3], degree: u8) -> ([f32; 16], [f32; 3
 }
 
 /// Cotangents of SH coefficients (written to `d_row`) and of the mean through the view direction (returned).
-#[inline]
+#[inline(always)]
 pub fn sh_color_backward(
     mean: Vec3,
     position: [f64; 3],
@@ -307,7 +329,7 @@ pub fn sh_color_backward(
     sh::direction_backward(dir, inv, sh::basis_backward(dir, degree, &d_basis))
 }
 
-#[inline]
+#[inline(always)]
 fn sh_color_unclamped(basis: &[f32; 16], row: &[f32]) -> [f32; 3] {
     let mut rgb = [0.5f32; 3];
     for (y, c) in basis.iter().zip(row.as_chunks::<3>().0) {

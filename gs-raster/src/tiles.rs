@@ -30,6 +30,14 @@ pub struct Drawn {
     pub log2_opacity: f32,
     /// `r²`: support in the same units.
     pub support: f32,
+    /// `r`.
+    pub radius: f32,
+    /// `k r/√(1+k²)`: `−b` of the rightmost and `b` of the leftmost point.
+    pub extreme: f32,
+    /// `k = w₁/w₂`.
+    pub slope: f32,
+    /// `1/w₀`.
+    pub inv: f32,
     /// Colour from this camera.
     pub rgb: [f32; 3],
     /// Camera depth.
@@ -40,13 +48,24 @@ pub struct Drawn {
 
 impl Drawn {
     /// From a footprint; `None` if no pixel can reach `min_alpha`.
-    #[inline]
+    #[inline(always)]
     pub fn new(fp: &Footprint, log2_opacity: f64, support: f64, depth: f64, index: u32) -> Option<Self> {
-        (support >= 0.0).then(|| Self {
+        if support < 0.0 {
+            return None;
+        }
+        let [w0, w1, w2] = fp.whitening;
+        let slope = (w1 / w2) as f32;
+        let support = (support * 1.000_01 + 1e-4) as f32;
+        let radius = support.sqrt();
+        Some(Self {
             center: fp.center,
-            whitening: fp.whitening.map(|w| w * LOG2_SCALE),
+            whitening: [w0 * LOG2_SCALE, w1 * LOG2_SCALE, w2 * LOG2_SCALE],
             log2_opacity: log2_opacity as f32,
-            support: (support * 1.000_01 + 1e-4) as f32,
+            support,
+            radius,
+            extreme: slope / (1.0 + slope * slope).sqrt() * radius,
+            slope,
+            inv: (1.0 / (w0 * LOG2_SCALE)) as f32,
             rgb: [0.0; 3],
             depth: depth as f32,
             index,
@@ -54,27 +73,22 @@ impl Drawn {
     }
 
     /// The disc against strips, relative to `origin` (pixels).
-    #[inline]
+    #[inline(always)]
     pub fn ellipse(&self, origin: [f64; 2]) -> Ellipse {
         let [w0, w1, w2] = self.whitening;
         let (ox, oy) = (origin[0] - self.center[0], origin[1] - self.center[1]);
-        let r = self.support.sqrt();
-        let slope = (w1 / w2) as f32;
         let b0 = (w2 * oy) as f32;
-        let inv = (1.0 / w0) as f32;
-        let tilt = slope / (1.0 + slope * slope).sqrt();
-        let reach = slope.abs() * (b0.abs() + r) + r + (w0 * ox + w1 * oy).abs() as f32;
+        let reach = self.slope.abs() * (b0.abs() + self.radius) + self.radius + (w0 * ox + w1 * oy).abs() as f32;
         Ellipse {
             b0,
             step: w2 as f32,
-            radius: r,
+            radius: self.radius,
             support: self.support,
-            extreme: tilt * r,
-            slope,
-            inv,
-            // x where a = 0 and b = 0 is −ox; written through b so that rounding stays near the strip.
+            extreme: self.extreme,
+            slope: self.slope,
+            inv: self.inv,
             shift: -ox as f32,
-            margin: MARGIN + SLACK * reach * inv,
+            margin: MARGIN + SLACK * reach * self.inv,
         }
     }
 }
@@ -104,7 +118,7 @@ pub struct Ellipse {
 
 impl Ellipse {
     /// Columns `[left, right]` the disc covers between rows `y0` and `y1` (relative to the origin), or `None`.
-    #[inline]
+    #[inline(always)]
     pub fn columns(&self, y0: f32, y1: f32) -> Option<[f32; 2]> {
         let slack = self.slack();
         let lo = (self.b0 + self.step * y0 - slack).max(-self.radius);
@@ -122,7 +136,7 @@ impl Ellipse {
     }
 
     /// Rows `[top, bottom]` the disc covers, relative to the origin.
-    #[inline]
+    #[inline(always)]
     pub fn rows(&self) -> [f32; 2] {
         let inv = 1.0 / self.step;
         let slack = self.slack() * inv;
@@ -130,7 +144,7 @@ impl Ellipse {
     }
 
     /// Widening of an interval of `b` against rounding.
-    #[inline]
+    #[inline(always)]
     pub fn slack(&self) -> f32 {
         SLACK * (self.b0.abs() + self.radius) + MARGIN * self.step
     }
@@ -161,13 +175,13 @@ impl Grid {
     }
 
     /// First pixel `(x, y)` of a tile.
-    #[inline]
+    #[inline(always)]
     pub fn origin(&self, tile: usize) -> [usize; 2] {
         [tile % self.columns * TILE, tile / self.columns * TILE]
     }
 
     /// Calls `visit` with every tile the splat touches, in ascending order.
-    #[inline]
+    #[inline(always)]
     pub fn touched(&self, splat: &Drawn, mut visit: impl FnMut(u32)) {
         let ellipse = splat.ellipse([0.0, 0.0]);
         let [top, bottom] = ellipse.rows();
@@ -185,8 +199,58 @@ impl Grid {
     }
 }
 
+/// Which tiles still take light, with counts over any rectangle of tiles in constant time.
+#[derive(Clone, Debug, Default)]
+pub struct OpenTiles {
+    open: Vec<bool>,
+    /// Open tiles above and left of each corner of the grid (a summed-area table).
+    sums: Vec<u32>,
+    stride: usize,
+}
+
+impl OpenTiles {
+    /// Takes the state of every tile.
+    pub fn update(&mut self, grid: &Grid, is_open: impl Iterator<Item = bool>) {
+        self.open.clear();
+        self.open.extend(is_open);
+        self.stride = grid.columns + 1;
+        self.sums.clear();
+        self.sums.resize(self.stride * (grid.rows + 1), 0);
+        for row in 0..grid.rows {
+            let mut run = 0;
+            for column in 0..grid.columns {
+                run += u32::from(self.open[row * grid.columns + column]);
+                let at = (row + 1) * self.stride + column + 1;
+                self.sums[at] = self.sums[at - self.stride] + run;
+            }
+        }
+    }
+
+    /// Whether any tile is open.
+    pub fn any(&self) -> bool {
+        self.sums.last().is_some_and(|&n| n > 0)
+    }
+
+    /// Whether one tile is open.
+    #[inline(always)]
+    pub fn is_open(&self, tile: u32) -> bool {
+        self.open[tile as usize]
+    }
+
+    /// Whether an open tile meets the square of `radius` pixels around `center`.
+    #[inline(always)]
+    pub fn meets(&self, grid: &Grid, center: [f32; 2], radius: f32) -> bool {
+        let columns = span(center[0] - radius, center[0] + radius, grid.width);
+        let rows = span(center[1] - radius, center[1] + radius, grid.height);
+        let (Some((left, right)), Some((top, bottom))) = (columns, rows) else { return false };
+        let (left, right, top, bottom) = (left / TILE, right / TILE + 1, top / TILE, bottom / TILE + 1);
+        let at = |row: usize, column: usize| self.sums[row * self.stride + column];
+        at(bottom, right) + at(top, left) > at(top, right) + at(bottom, left)
+    }
+}
+
 /// First and last pixel whose centre lies in `[lo, hi]`, of `side` pixels.
-#[inline]
+#[inline(always)]
 fn span(lo: f32, hi: f32, side: usize) -> Option<(usize, usize)> {
     let from = (lo - 0.5).ceil().max(0.0);
     let to = (hi - 0.5).floor().min(side as f32 - 1.0);

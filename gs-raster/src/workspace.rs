@@ -2,7 +2,7 @@
 
 use crate::project::View;
 use crate::sort::Key;
-use crate::tiles::{Drawn, Grid};
+use crate::tiles::{Drawn, Grid, OpenTiles};
 use std::sync::atomic::AtomicU32;
 
 /// 4×4 blocks of a tile.
@@ -105,14 +105,15 @@ pub(crate) struct Bin {
     pub places: Vec<u32>,
 }
 
-/// Sums of one (tile, splat) pair: `s, sa, sb, saa, sab, sbb, r, g, b, depth`.
-pub(crate) type Record = [f32; 10];
+/// Sums of one (tile, splat) pair: `s, sa, sb, saa, sab, sbb, r, g, b, depth`, then padding to one vector.
+pub(crate) type Record = [f32; 16];
 
 /// Reusable memory for drawing. Nothing is allocated per frame once it is warm; one per thread of callers.
 #[derive(Debug, Default)]
 pub struct Workspace {
     pub(crate) grid: Grid,
     pub(crate) view: Option<View>,
+    pub(crate) open: OpenTiles,
     pub(crate) keys: Vec<Key>,
     pub(crate) key_scratch: Vec<Key>,
     pub(crate) key_blocks: Vec<Vec<Key>>,
