@@ -83,7 +83,7 @@ impl<'a> Context<'a> {
             self.failure.take().unwrap_or_else(|| {
                 let narrow = |v: usize| u32::try_from(v).unwrap_or(u32::MAX);
                 let text = (narrow(e.line()), narrow(e.column()));
-                let at = At::Entry { index: self.index.get(), field: self.field.take(), text };
+                let at = At::Entry { index: self.index.get(), field: self.field.take().into(), text };
                 let full = e.to_string();
                 let what = full.rsplit_once(" at line ").map_or(full.as_str(), |(head, _)| head);
                 self.src.malformed(at, what, "JSON has no NaN or Infinity; correct that place")

@@ -32,6 +32,9 @@ pub struct NamedCamera {
     pub time: Option<f32>,
 }
 
+/// Fewer characters than any frame with a matrix has.
+const SHORTEST_FRAME: usize = 48;
+
 /// Reads the cameras of a JSON file of any of the three layouts, in file order.
 ///
 /// # Errors
@@ -64,7 +67,9 @@ pub fn parse_cameras(text: &[u8], file: &str, limits: &Limits) -> Result<Vec<Nam
             let at = At::Entry { index: out.len(), field: "frames".into(), text: (0, 0) };
             return Err(src.malformed(at, "a transforms object inside a list of cameras", "give one layout per file"));
         }
-        out.reserve_exact(limits.rows(src, shared.frames.unwrap_or(0) as u64)?);
+        // A frame takes more text than this, so a list of empty objects reserves little.
+        let frames = limits.rows(src, shared.frames.unwrap_or(0) as u64)?;
+        out.reserve_exact(frames.min(text.len() / SHORTEST_FRAME));
         let context = Context::new(src);
         context.parse(text, true, &mut |index, frame| {
             out.push(frame_of(index, frame, &shared, src)?);
@@ -72,7 +77,7 @@ pub fn parse_cameras(text: &[u8], file: &str, limits: &Limits) -> Result<Vec<Nam
         })?;
     }
     if out.is_empty() {
-        let at = At::Entry { index: 0, field: String::new(), text: (0, 0) };
+        let at = At::Entry { index: 0, field: Box::default(), text: (0, 0) };
         return Err(src.missing(at, "cameras", "the file holds no camera; add one"));
     }
     Ok(out)
@@ -80,7 +85,7 @@ pub fn parse_cameras(text: &[u8], file: &str, limits: &Limits) -> Result<Vec<Nam
 
 /// A missing-field error for an entry.
 fn missing(index: usize, field: &'static str, advice: &'static str, src: Source<'_>) -> IoError {
-    let at = At::Entry { index, field: String::new(), text: (0, 0) };
+    let at = At::Entry { index, field: Box::default(), text: (0, 0) };
     src.missing(at, field, advice)
 }
 
@@ -103,7 +108,7 @@ fn finish(
 ) -> Result<NamedCamera, IoError> {
     let name = name.unwrap_or_else(|| index.to_string());
     if let Err(source) = camera.check() {
-        return Err(IoError::Camera { file: src.file.to_owned(), index, name, source });
+        return Err(IoError::Camera { file: src.file.into(), index, name, source });
     }
     let time = time.map(|t| t as f32);
     if let Some(t) = time.filter(|t| !t.is_finite()) {

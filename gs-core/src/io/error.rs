@@ -19,7 +19,7 @@ pub enum At {
         /// Index in the list (0 for a single object).
         index: usize,
         /// Field last met; empty before the first.
-        field: String,
+        field: Box<str>,
         /// Line and column, counted from 1; zero where unknown.
         text: (u32, u32),
     },
@@ -53,7 +53,7 @@ pub enum IoError {
     #[error("{file}: cannot {action}: {source}")]
     Os {
         /// File name as given.
-        file: String,
+        file: Box<str>,
         /// What was tried: `open`, `read`, `write` …
         action: &'static str,
         /// The system's reason.
@@ -63,7 +63,7 @@ pub enum IoError {
     #[error("{file}: {format}: {what} (at {at}); {advice}")]
     Malformed {
         /// File name as given.
-        file: String,
+        file: Box<str>,
         /// Format name.
         format: &'static str,
         /// Place of the offence.
@@ -80,7 +80,7 @@ pub enum IoError {
     )]
     Truncated {
         /// File name as given.
-        file: String,
+        file: Box<str>,
         /// Format name.
         format: &'static str,
         /// What was being read.
@@ -96,7 +96,7 @@ pub enum IoError {
     #[error("{file}: row {row}, `{field}` = {value} ({rule}); remove or repair that row")]
     Value {
         /// File name as given.
-        file: String,
+        file: Box<str>,
         /// Row (splat, pixel or list index), counted from 0.
         row: usize,
         /// Property or field name.
@@ -110,7 +110,7 @@ pub enum IoError {
     #[error("{file}: {format}: `{field}` is missing (at {at}); {advice}")]
     Missing {
         /// File name as given.
-        file: String,
+        file: Box<str>,
         /// Format name.
         format: &'static str,
         /// Where it was looked for.
@@ -124,7 +124,7 @@ pub enum IoError {
     #[error("{file}: {what} is not supported; {advice}")]
     Unsupported {
         /// File name as given.
-        file: String,
+        file: Box<str>,
         /// Format, version or feature.
         what: String,
         /// What to do.
@@ -134,7 +134,7 @@ pub enum IoError {
     #[error("{file}: {what} = {value} is above the limit {limit}; raise `{name}` in the limits if the file is sound")]
     Limit {
         /// File name as given.
-        file: String,
+        file: Box<str>,
         /// Quantity.
         what: &'static str,
         /// Value met.
@@ -148,13 +148,13 @@ pub enum IoError {
     #[error("{file}: exists already; choose another name or allow overwriting")]
     Exists {
         /// File name as given.
-        file: String,
+        file: Box<str>,
     },
     /// A camera entry is complete but not a camera.
     #[error("{file}: entry {index} (`{name}`): {source}; correct that entry")]
     Camera {
         /// File name as given.
-        file: String,
+        file: Box<str>,
         /// Index in the list.
         index: usize,
         /// Name of the entry.
@@ -176,34 +176,34 @@ pub(super) struct Source<'a> {
 
 impl Source<'_> {
     pub fn malformed(&self, at: At, what: impl Into<String>, advice: &'static str) -> IoError {
-        IoError::Malformed { file: self.file.to_owned(), format: self.format, at, what: what.into(), advice }
+        IoError::Malformed { file: self.file.into(), format: self.format, at, what: what.into(), advice }
     }
 
     pub fn truncated(&self, field: impl Into<String>, at: usize, need: u64, have: usize) -> IoError {
         let (at, have) = (at as u64, have as u64);
-        IoError::Truncated { file: self.file.to_owned(), format: self.format, field: field.into(), at, need, have }
+        IoError::Truncated { file: self.file.into(), format: self.format, field: field.into(), at, need, have }
     }
 
     pub fn value(&self, row: usize, field: impl Into<String>, value: f64, rule: &'static str) -> IoError {
-        IoError::Value { file: self.file.to_owned(), row, field: field.into(), value, rule }
+        IoError::Value { file: self.file.into(), row, field: field.into(), value, rule }
     }
 
     pub fn missing(&self, at: At, field: impl Into<String>, advice: &'static str) -> IoError {
-        IoError::Missing { file: self.file.to_owned(), format: self.format, at, field: field.into(), advice }
+        IoError::Missing { file: self.file.into(), format: self.format, at, field: field.into(), advice }
     }
 
     pub fn unsupported(&self, what: impl Into<String>, advice: &'static str) -> IoError {
-        IoError::Unsupported { file: self.file.to_owned(), what: what.into(), advice }
+        IoError::Unsupported { file: self.file.into(), what: what.into(), advice }
     }
 
     pub fn limit(&self, what: &'static str, value: u64, limit: u64, name: &'static str) -> IoError {
-        IoError::Limit { file: self.file.to_owned(), what, value, limit, name }
+        IoError::Limit { file: self.file.into(), what, value, limit, name }
     }
 }
 
 /// An operating-system error with its file and action.
 pub(super) fn os(path: &Path, action: &'static str, source: std::io::Error) -> IoError {
-    IoError::Os { file: path.display().to_string(), action, source }
+    IoError::Os { file: path.display().to_string().into(), action, source }
 }
 
 #[cfg(test)]

@@ -91,6 +91,9 @@ fn check_header<'a>(
     let stored: u64 = channels.iter().map(|c| if c.sample_type == SampleType::F16 { 2 } else { 4 }).sum();
     let (data, display) = (header.layer_size, header.shared_attributes.display_window.size);
     let wide = |v: usize| v as u64;
+    if [data.x(), data.y(), display.x(), display.y()].contains(&0) {
+        return Err(src.malformed(At::Byte(8), "the data or display window is empty", "export the image again"));
+    }
     // Decoded channels, with one copy in the block reader.
     limits.image(src, (wide(data.x()), wide(data.y())), 2 * stored, file_len)?;
     limits.image(src, (wide(display.x()), wide(display.y())), 4 * names.len() as u64, file_len)?;

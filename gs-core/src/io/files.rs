@@ -96,7 +96,7 @@ pub fn load_splats(path: &Path, limits: &Limits) -> Result<RawSplats, IoError> {
 pub fn save_splats(path: &Path, splats: &RawSplats, overwrite: bool) -> Result<(), IoError> {
     splats.check_shape()?;
     let format = SplatFormat::of_path(path).ok_or_else(|| IoError::Unsupported {
-        file: path.display().to_string(),
+        file: path.display().to_string().into(),
         what: "writing splats to this extension".into(),
         advice: "end the name in .ply, .splat or .spz",
     })?;
@@ -118,7 +118,7 @@ pub fn write_file(
     content: impl FnOnce(&mut dyn Write) -> std::io::Result<()>,
 ) -> Result<(), IoError> {
     let free = || match path.symlink_metadata() {
-        Ok(_) if !overwrite => Err(IoError::Exists { file: path.display().to_string() }),
+        Ok(_) if !overwrite => Err(IoError::Exists { file: path.display().to_string().into() }),
         _ => Ok(()),
     };
     free()?;

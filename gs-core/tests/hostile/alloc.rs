@@ -1,0 +1,75 @@
+//! An allocator that counts, per thread, the bytes held and the most ever held.
+#![allow(unsafe_code)]
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+
+struct Counting;
+
+thread_local! {
+    static HELD: Cell<isize> = const { Cell::new(0) };
+    static PEAK: Cell<isize> = const { Cell::new(0) };
+}
+
+/// Adds to what this thread holds. Memory freed by another thread than the one that took it makes counts drift apart;
+/// the readers tested here work on one thread.
+fn add(bytes: isize) {
+    // During thread shut-down the counters may be gone already: then nobody reads them either.
+    let _ = HELD.try_with(|held| {
+        held.set(held.get() + bytes);
+        let _ = PEAK.try_with(|peak| peak.set(peak.get().max(held.get())));
+    });
+}
+
+// SAFETY: every method hands its arguments unchanged to the system allocator, which keeps the contract; counting touches
+// only thread-local cells without destructors and never allocates.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        add(layout.size() as isize);
+        // SAFETY: the caller's contract is passed on.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
+        add(layout.size() as isize);
+        // SAFETY: the caller's contract is passed on.
+        unsafe { System.alloc_zeroed(layout) }
+    }
+
+    unsafe fn dealloc(&self, ptr: *mut u8, layout: Layout) {
+        add(-(layout.size() as isize));
+        // SAFETY: the caller's contract is passed on.
+        unsafe { System.dealloc(ptr, layout) }
+    }
+
+    unsafe fn realloc(&self, ptr: *mut u8, layout: Layout, new_size: usize) -> *mut u8 {
+        // Old and new block exist together for a moment.
+        add(new_size as isize);
+        add(-(layout.size() as isize));
+        // SAFETY: the caller's contract is passed on.
+        unsafe { System.realloc(ptr, layout, new_size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// Runs `work`; returns its result and the most bytes held during it beyond those held before.
+pub fn peak_of<T>(work: impl FnOnce() -> T) -> (T, usize) {
+    let before = HELD.get();
+    PEAK.set(before);
+    let result = work();
+    (result, usize::try_from(PEAK.get() - before).unwrap_or(0))
+}
+
+#[test]
+fn the_counter_counts() {
+    let ((), peak) = peak_of(|| drop(std::hint::black_box(vec![0u8; 1 << 20])));
+    assert!((1 << 20..(1 << 20) + 4096).contains(&peak), "{peak}");
+    let (_, peak) = peak_of(|| {
+        let mut v: Vec<u8> = std::hint::black_box(Vec::with_capacity(1000));
+        v.reserve_exact(3000);
+        v.len()
+    });
+    assert!((4000..8000).contains(&peak), "{peak}");
+}

@@ -1,0 +1,141 @@
+//! Real files of the field. They are not part of the repository: the tests look for a folder `shared` beside the workspace
+//! (or named by `GS4D_SHARED`) and say so when it is absent.
+#![cfg(feature = "io")]
+
+use glam::Vec3;
+use gs_core::io::{Limits, load_cameras, load_splats, npy, ply, read_file, sigmoid, spz};
+use gs_core::sh;
+use std::path::PathBuf;
+
+/// A file of the shared folder, if it is there.
+fn shared(path: &str) -> Option<PathBuf> {
+    let root = match std::env::var_os("GS4D_SHARED") {
+        Some(root) => PathBuf::from(root),
+        None => PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared")),
+    };
+    let file = root.join(path);
+    if file.exists() {
+        return Some(file);
+    }
+    println!("SKIPPED: {} is absent (set GS4D_SHARED to the folder of shared data)", file.display());
+    None
+}
+
+#[test]
+fn a_trained_ply_is_read_and_written_back_byte_for_byte() {
+    let Some(path) = shared("data/gauss_trained_ply/point_cloud_iter7000.ply") else { return };
+    let splats = load_splats(&path, &Limits::default()).unwrap();
+    assert_eq!((splats.len(), splats.degree), (9080, 3));
+    let ready = splats.to_splats().unwrap();
+    assert!(ready.scales.iter().all(|s| s.min_element() > 0.0));
+    let mut out = Vec::new();
+    ply::write(&splats, &mut out).unwrap();
+    let bytes = read_file(&path, &Limits::default()).unwrap();
+    // The data part: same length and, normals being zero there as well, the same bytes.
+    let data = splats.len() * 62 * 4;
+    assert_eq!(out[out.len() - data..], bytes[bytes.len() - data..]);
+}
+
+#[test]
+fn the_minimal_formats_agree_with_each_other() {
+    let Some(path) = shared("data/gauss_minimal_formats/minimal.splat") else { return };
+    let load = |name: &str| load_splats(&path.with_file_name(name), &Limits::default());
+    let (splat, v2, v3) =
+        (load("minimal.splat").unwrap(), load("minimal-v2.spz").unwrap(), load("minimal-v3.spz").unwrap());
+    let corners = [(-1.0, -1.0), (0.0, -1.0), (-1.0, 0.0), (0.0, 0.0)].map(|(x, z)| Vec3::new(x, 0.0, z));
+    assert_eq!((splat.means.as_slice(), v3.means.as_slice()), (corners.as_slice(), corners.as_slice()));
+    // This version-2 file was written without turning the axes, against the specification; we read by the specification.
+    assert_eq!(v2.means, corners.map(|m| Vec3::new(m.x, -m.y, -m.z)));
+    for i in 0..4 {
+        for other in [&v2, &v3] {
+            assert!((splat.log_scales[i] - other.log_scales[i]).abs().max_element() < 1.0 / 32.0);
+            assert!((sigmoid(splat.logit_opacities[i]) - sigmoid(other.logit_opacities[i])).abs() < 1.0 / 255.0);
+            for c in 0..3 {
+                let rgb = |s: &gs_core::io::RawSplats| 0.5 + sh::C0 as f32 * s.sh[3 * i + c];
+                assert!((rgb(&splat) - rgb(&v3)).abs() < 1.5 / 255.0);
+            }
+        }
+    }
+    for (name, text) in [
+        ("minimal-v4.spz", "SPZ version 4 is not supported"),
+        ("minimal-raw.spz", "not compressed"),
+        ("minimal.ksplat", ".ksplat format is not supported"),
+    ] {
+        assert!(load(name).unwrap_err().to_string().contains(text), "{name}");
+    }
+    let bytes = read_file(&path.with_file_name("minimal-v3.spz"), &Limits::default()).unwrap();
+    assert_eq!(spz::read(&bytes, "v3", &Limits::default()).unwrap().0.fraction_bits, 12);
+}
+
+#[test]
+fn camera_files_of_all_layouts() {
+    let load = |path: &str| shared(path).map(|p| load_cameras(&p, &Limits::default()));
+    if let Some(cameras) = load("data/gauss_trained_ply/inria_cameras_json/cameras.json") {
+        let cameras = cameras.unwrap();
+        assert_eq!((cameras.len(), cameras[0].name.as_str()), (193, "_DSC8679"));
+        let eye = cameras[0].camera.position();
+        assert!((eye - glam::DVec3::new(-3.79362068622298, 0.8065245954399215, -1.0985056479183641)).length() < 1e-6);
+    }
+    if let Some(cameras) = load("golden/g1_single/camera.json") {
+        let camera = &cameras.unwrap()[0].camera;
+        assert_eq!((camera.fx, camera.fy, camera.cx, camera.cy), (70.0, 66.0, 31.0, 33.5));
+        assert_eq!(camera.translation, glam::DVec3::new(0.05, 0.02, 1.5));
+    }
+    for path in
+        ["workload/cam256.json", "workload/cam800.json", "workload/garden_cam.json", "workload/bulba_cam800.json"]
+    {
+        if let Some(cameras) = load(path) {
+            assert_eq!(cameras.unwrap().len(), 1);
+        }
+    }
+    if let Some(cameras) = load("data/dnerf_mutant_400/transforms_train.json") {
+        assert!(cameras.unwrap_err().to_string().contains("`w` is missing (at entry 0)"));
+    }
+    if let Some(cameras) = load("data/fox_270x480/transforms.json") {
+        assert!(cameras.unwrap_err().to_string().contains("`k1` = 0.0578421"));
+    }
+}
+
+#[test]
+fn golden_arrays_and_scenes() {
+    let Some(path) = shared("golden/g1_single/image.npy") else { return };
+    let bytes = read_file(&path, &Limits::default()).unwrap();
+    let image = npy::read(&bytes, "image.npy", &Limits::default()).unwrap();
+    assert_eq!(image.shape, [64, 64, 4]);
+    let splats = load_splats(&path.with_file_name("scene.ply"), &Limits::default()).unwrap();
+    assert_eq!((splats.len(), splats.degree), (1, 3));
+}
+
+#[cfg(feature = "images")]
+#[test]
+fn photographs() {
+    let Some(path) = shared("data/fox_270x480/images/0001.jpg") else { return };
+    let image = gs_core::io::images::load_image(&path, &Limits::default()).unwrap();
+    assert_eq!(image.shape(), (270, 480, 3));
+    let Some(path) = shared("data/dnerf_mutant_400/train/r_000.png") else { return };
+    let image = gs_core::io::images::load_rgba8(&path, &Limits::default()).unwrap();
+    assert_eq!((image.width, image.height), (400, 400));
+}
+
+#[cfg(feature = "exr")]
+#[test]
+fn openexr_samples() {
+    let load =
+        |name: &str| shared(&format!("data/exr_public/{name}")).map(|p| gs_core::io::exr::load(&p, &Limits::default()));
+    let Some(grey) = load("GrayRampsHorizontal.exr") else { return };
+    assert_eq!(grey.unwrap().channels, 1);
+    assert!(load("WideFloatRange.exr").is_some_and(|r| r.is_ok_and(|i| i.channels == 1)));
+    let text = load("BrightRingsNanInf.exr").unwrap().unwrap_err().to_string();
+    assert!(text.contains("values are not finite"), "{text}");
+    // t08 has its data, 400 x 300 as t01, at (30, 40) of a display window of 501 x 401.
+    let (t01, t08) = (load("t01.exr").unwrap().unwrap(), load("t08.exr").unwrap().unwrap());
+    assert_eq!((t01.shape(), t08.shape()), ((400, 300, 3), (501, 401, 3)));
+    let outside = |x, y| x < 30 || y < 40 || x >= 430 || y >= 340;
+    let mut pixels = (0..300).flat_map(|y| (0..400).map(move |x| (x, y)));
+    assert!(pixels.all(|(x, y)| t01.pixel(x, y) == t08.pixel(x + 30, y + 40)), "the same picture in both");
+    for y in 0..401 {
+        for x in 0..501 {
+            assert!(!outside(x, y) || t08.pixel(x, y) == [0.0; 3], "{x} {y}");
+        }
+    }
+}
