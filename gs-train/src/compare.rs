@@ -1,0 +1,192 @@
+//! Scores of given images against given truths, with or without masks.
+//!
+//! PSNR in dB for a data range of 1; SSIM with an 11-tap Gaussian window and zeros outside, as the 3DGS family evaluates.
+//! Where a mask is given, PSNR and SSIM are those of DyCheck ([`gs_metrics::masked`]), and the other two have no meaning.
+
+use gs_core::Image;
+use gs_metrics::{
+    Mean, MetricError, MsSsim, MsSsimOptions, Ssim, SsimOptions, masked_mse, masked_ssim, mse, perceptual_proxy,
+    psnr_from_mse, psnr_of_mean_mse,
+};
+use serde::Serialize;
+use std::str::FromStr;
+
+/// A metric that may be asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Metric {
+    /// Peak signal-to-noise ratio.
+    Psnr,
+    /// Structural similarity.
+    Ssim,
+    /// Multi-scale SSIM; needs both sides above 160 pixels.
+    MsSsim,
+    /// Weight-free perceptual distance; not LPIPS.
+    PerceptualProxy,
+}
+
+impl Metric {
+    /// Every metric with its name.
+    pub const ALL: [(&'static str, Metric); 4] = [
+        ("psnr", Metric::Psnr),
+        ("ssim", Metric::Ssim),
+        ("ms_ssim", Metric::MsSsim),
+        ("perceptual_proxy", Metric::PerceptualProxy),
+    ];
+}
+
+impl FromStr for Metric {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let found = Self::ALL.iter().find(|(name, _)| *name == text);
+        found.map(|(_, m)| *m).ok_or_else(|| "choose from psnr, ssim, ms_ssim, perceptual_proxy".to_owned())
+    }
+}
+
+/// The scores of one image; what was not asked for, or has no value, is absent.
+#[derive(Clone, Debug, PartialEq, Default, Serialize)]
+pub struct ImageScores {
+    /// Name of the image.
+    pub name: String,
+    /// Mean squared error.
+    #[serde(skip)]
+    pub mse: Option<f64>,
+    /// dB; absent for an image without error (infinite).
+    pub psnr: Option<f64>,
+    /// Structural similarity.
+    pub ssim: Option<f64>,
+    /// SSIM over places that saw a pixel of the mask; absent without one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ssim_seen: Option<f64>,
+    /// Multi-scale SSIM.
+    pub ms_ssim: Option<f64>,
+    /// Perceptual distance.
+    pub perceptual_proxy: Option<f64>,
+}
+
+/// Means over images.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Means {
+    /// Mean of the finite PSNRs, dB.
+    pub psnr: Option<f64>,
+    /// Mean SSIM.
+    pub ssim: Option<f64>,
+    /// Mean MS-SSIM.
+    pub ms_ssim: Option<f64>,
+    /// Mean perceptual distance.
+    pub perceptual_proxy: Option<f64>,
+}
+
+/// The scores of a set of images.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct SetScores {
+    /// Means over images.
+    pub mean: Means,
+    /// PSNR of the mean squared error, dB; absent when it is infinite.
+    pub psnr_of_mean_mse: Option<f64>,
+    /// Images without any error, left out of the mean PSNR.
+    pub perfect_views: usize,
+    /// Whether masks were applied.
+    pub masked: bool,
+    /// The scores of each image.
+    pub views: Vec<ImageScores>,
+}
+
+/// Scores one image after the other.
+#[derive(Debug)]
+pub struct Comparer {
+    metrics: Vec<Metric>,
+    ssim: Ssim,
+    ms_ssim: MsSsim,
+    masked: bool,
+    views: Vec<ImageScores>,
+}
+
+impl Comparer {
+    /// A comparer for these metrics.
+    pub fn new(metrics: &[Metric]) -> Self {
+        let ssim = Ssim::new(SsimOptions::default());
+        Self { metrics: metrics.to_vec(), ssim, ms_ssim: MsSsim::default(), masked: false, views: Vec::new() }
+    }
+
+    /// Scores an image `[H, W, C]` against its truth, where the mask `[H, W, 1]` counts if there is one.
+    ///
+    /// # Errors
+    /// Different shapes, values that are not finite, an empty mask, an image too small for SSIM.
+    pub fn add(&mut self, name: &str, image: &Image, truth: &Image, mask: Option<&Image>) -> Result<(), MetricError> {
+        let mut scores = ImageScores { name: name.to_owned(), ..ImageScores::default() };
+        self.masked |= mask.is_some();
+        for metric in self.metrics.clone() {
+            match (metric, mask) {
+                (Metric::Psnr, None) => scores.mse = Some(mse(image, truth)?),
+                (Metric::Psnr, Some(mask)) => scores.mse = Some(masked_mse(image, truth, mask)?),
+                (Metric::Ssim, None) => scores.ssim = Some(self.ssim.value(image, truth)?),
+                (Metric::Ssim, Some(mask)) => {
+                    let both = masked_ssim(image, truth, mask)?;
+                    (scores.ssim, scores.ssim_seen) = (Some(both.whole), Some(both.seen));
+                }
+                (Metric::MsSsim, None) if image.width.min(image.height) > MsSsimOptions::default().side_limit() => {
+                    scores.ms_ssim = Some(self.ms_ssim.value(image, truth)?);
+                }
+                (Metric::PerceptualProxy, None) => scores.perceptual_proxy = Some(perceptual_proxy(image, truth)?),
+                (Metric::MsSsim, _) | (Metric::PerceptualProxy, Some(_)) => {}
+            }
+        }
+        scores.psnr = scores.mse.map(psnr_from_mse).filter(|p| p.is_finite());
+        self.views.push(scores);
+        Ok(())
+    }
+
+    /// The scores of all images added.
+    pub fn finish(self) -> SetScores {
+        let mean = |value: fn(&ImageScores) -> Option<f64>| Mean::of(self.views.iter().filter_map(value)).value;
+        let mses: Vec<f64> = self.views.iter().filter_map(|v| v.mse).collect();
+        SetScores {
+            mean: Means {
+                psnr: mean(|v| v.psnr),
+                ssim: mean(|v| v.ssim),
+                ms_ssim: mean(|v| v.ms_ssim),
+                perceptual_proxy: mean(|v| v.perceptual_proxy),
+            },
+            psnr_of_mean_mse: psnr_of_mean_mse(&mses).filter(|p| p.is_finite()),
+            perfect_views: mses.iter().filter(|m| **m == 0.0).count(),
+            masked: self.masked,
+            views: self.views,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn flat(v: f32) -> Image {
+        Image { width: 24, height: 16, channels: 3, data: vec![v; 24 * 16 * 3] }
+    }
+
+    #[test]
+    fn perfect_images_are_counted_and_means_are_of_the_rest() {
+        let all: Vec<Metric> = Metric::ALL.iter().map(|m| m.1).collect();
+        let mut c = Comparer::new(&all);
+        c.add("same", &flat(0.5), &flat(0.5), None).unwrap();
+        c.add("off", &flat(0.5), &flat(0.6), None).unwrap();
+        let s = c.finish();
+        assert!((s.mean.psnr.unwrap() - 20.0).abs() < 1e-4 && s.perfect_views == 1 && s.views[0].psnr.is_none());
+        assert!((s.psnr_of_mean_mse.unwrap() - psnr_from_mse(0.005)).abs() < 1e-4);
+        assert_eq!((s.views[0].ssim, s.mean.ms_ssim), (Some(1.0), None));
+    }
+
+    #[test]
+    fn masks_take_part_and_metrics_are_chosen() {
+        let mut image = flat(0.5);
+        image.pixel_mut(0, 0).fill(1.0);
+        let mut mask = Image { width: 24, height: 16, channels: 1, data: vec![1.0; 24 * 16] };
+        mask.data[0] = 0.0;
+        let mut c = Comparer::new(&[Metric::Psnr, Metric::PerceptualProxy]);
+        c.add("a", &image, &flat(0.5), Some(&mask)).unwrap();
+        let s = c.finish();
+        assert_eq!((s.perfect_views, s.masked, s.mean.ssim, s.mean.perceptual_proxy), (1, true, None, None));
+        assert!("lpips".parse::<Metric>().unwrap_err().contains("perceptual_proxy"));
+        assert!(Comparer::new(&[Metric::Psnr]).add("a", &image, &Image::zeros(3, 3, 3), None).is_err());
+    }
+}

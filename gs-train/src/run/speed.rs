@@ -1,0 +1,61 @@
+//! Speed against error of drawing a trained scene: each variant timed, and compared with the f64 reference that blends
+//! every sample.
+
+use crate::report::SpeedRow;
+use gs_core::{Camera, Splats};
+use gs_raster::reference::{self, Cutoff, Scene};
+use gs_raster::{Frame, RasterOptions, SimdLevel, Workspace, render_into};
+use std::time::Instant;
+
+/// Pixels times splats the reference may look at (about a second).
+const REFERENCE_WORK: f64 = 6e7;
+/// Each variant is timed this often; the median counts.
+const REPEATS: usize = 7;
+
+/// Measures the variants of drawing `splats` for a camera, reduced so that the reference takes about a second.
+pub fn speed_against_error(splats: &Splats, camera: &Camera, options: &RasterOptions) -> Vec<SpeedRow> {
+    if splats.is_empty() {
+        return Vec::new();
+    }
+    let work = f64::from(camera.width) * f64::from(camera.height) * splats.len() as f64;
+    let camera = camera.scaled((REFERENCE_WORK / work).sqrt().min(1.0));
+    let exact = RasterOptions { stop: 0.0, ..options.clone() };
+    let truth = reference::render(&Scene::<f64>::new(splats), &camera, &exact, Cutoff::Hard);
+    let truth: Vec<f64> = truth.rgb.into_iter().flatten().collect();
+    let variants = [
+        ("widest SIMD, stop at T < 1e-4 (default)", options.clone()),
+        ("AVX2 at most", RasterOptions { simd: SimdLevel::Avx2, ..options.clone() }),
+        ("portable", RasterOptions { simd: SimdLevel::Portable, ..options.clone() }),
+        ("stop at T < 1e-3", RasterOptions { stop: 1e-3, ..options.clone() }),
+        ("stop at T < 1e-2", RasterOptions { stop: 1e-2, ..options.clone() }),
+        ("no early stop", exact),
+        ("samples below 1/64 skipped", RasterOptions { min_alpha: 1.0 / 64.0, ..options.clone() }),
+    ];
+    variants.iter().map(|(name, o)| row(name, splats, &camera, o, &truth)).collect()
+}
+
+fn row(name: &str, splats: &Splats, camera: &Camera, options: &RasterOptions, truth: &[f64]) -> SpeedRow {
+    let (mut workspace, mut frame) = (Workspace::new(), Frame::default());
+    render_into(splats, camera, options, &mut workspace, &mut frame);
+    let error = frame.rgb.iter().zip(truth).map(|(a, b)| (f64::from(*a) - b).abs()).fold(0.0, f64::max);
+    let mut times: Vec<f64> = (0..REPEATS)
+        .map(|_| {
+            let begun = Instant::now();
+            render_into(splats, camera, options, &mut workspace, &mut frame);
+            begun.elapsed().as_secs_f64() * 1e3
+        })
+        .collect();
+    times.sort_unstable_by(f64::total_cmp);
+    let ms = times[REPEATS / 2];
+    SpeedRow {
+        crate_name: "gs-raster".to_owned(),
+        case: format!("draw {}x{}", camera.width, camera.height),
+        variant: name.to_owned(),
+        n: splats.len(),
+        threads: rayon::current_num_threads(),
+        ms,
+        work: f64::from(camera.width) * f64::from(camera.height) / ms * 1e3,
+        error,
+        error_kind: "largest colour difference from f64, every sample blended".to_owned(),
+    }
+}

@@ -1,0 +1,194 @@
+//! From a run to its report: figures, curves from the log, worst views, a strip through time, needs, speed against error.
+
+use super::folder::{self, RunFolder};
+use super::needs::needs;
+use super::picture::{Painter, moment};
+use super::speed::speed_against_error;
+use super::{Resolved, RunError};
+use crate::data::{Dataset, ImageCache, Split, View};
+use crate::evaluate::{EvalReport, ViewScores};
+use crate::inspect::bytes_text;
+use crate::methods::Method;
+use crate::report::{Comparison, Figure, Report, Sample, SpeedRow, Still};
+use serde_json::Value;
+use std::path::Path;
+
+/// Views shown beside their truth.
+const VIEWS_SHOWN: usize = 5;
+/// Pictures of the strip.
+const STRIP: usize = 8;
+
+/// What a report is made from.
+pub struct Material<'a> {
+    /// The run's folder: log and provenance.
+    pub folder: &'a RunFolder,
+    /// Its settings.
+    pub resolved: &'a Resolved,
+    /// The method as trained.
+    pub method: &'a dyn Method,
+    /// The data.
+    pub dataset: &'a Dataset,
+    /// Photographs.
+    pub photographs: &'a ImageCache,
+    /// Scores of a split.
+    pub scores: &'a EvalReport,
+    /// Radius of the scene, world units.
+    pub extent: f32,
+    /// Steps made.
+    pub step: u32,
+}
+
+/// Makes the report, with the rows of speed against error measured for it.
+///
+/// # Errors
+/// If the log or a photograph cannot be read.
+pub fn summarise(m: &Material) -> Result<(Report, Vec<SpeedRow>), RunError> {
+    let log = m.folder.log_lines()?;
+    let options = m.method.schedule().raster_options(m.scores.background);
+    let mut painter = Painter::new(options.clone());
+    let views = scored_views(m);
+    let mut report = Report {
+        title: format!("{} · {}", data_name(m), m.method.name()),
+        subtitle: subtitle(m),
+        loss: samples(&log, |line| line["loss"].as_f64()),
+        psnr: psnr_curves(&log),
+        splats: samples(&log, |line| line["splats"].as_f64()),
+        views: comparisons(m, &mut painter, &views)?,
+        settings: m
+            .resolved
+            .config
+            .iter()
+            .map(|(k, s)| [k.to_owned(), s.value.to_string(), s.source.to_string()])
+            .collect(),
+        provenance: provenance(m.folder)?,
+        ..Report::default()
+    };
+    if let Some(view) = views.first().copied().or(m.dataset.train.first()) {
+        let camera = m.photographs.camera(view);
+        if m.dataset.dynamic {
+            report.strip = strip(m.method, &mut painter, &camera);
+        }
+        report.needs = needs(m.method, &camera, m.extent);
+        report.speed = speed_against_error(&m.method.splats(&moment(view.time.normalised), &camera), &camera, &options);
+    }
+    report.figures = figures(m, report.speed.first());
+    let rows = report.speed.clone();
+    Ok((report, rows))
+}
+
+fn data_name(m: &Material) -> String {
+    let path = Path::new(&m.resolved.run.data);
+    let name = path.file_name().map(|n| n.to_string_lossy().into_owned());
+    name.unwrap_or_else(|| m.dataset.layout.to_owned())
+}
+
+fn subtitle(m: &Material) -> String {
+    let kind = if m.dataset.dynamic { "moving" } else { "still" };
+    format!(
+        "A {kind} scene from {} training views; step {}, preset {}, seed {}",
+        m.dataset.train.len(),
+        m.step,
+        m.resolved.run.preset,
+        m.resolved.run.seed
+    )
+}
+
+fn figures(m: &Material, drawing: Option<&SpeedRow>) -> Vec<Figure> {
+    let s = m.scores;
+    let figure = |value: String, name: &str, remark: String| Figure { value, name: name.to_owned(), remark };
+    let number = |v: Option<f64>, digits: usize| v.map_or("–".to_owned(), |v| format!("{v:.digits$}"));
+    let views = format!("mean of {} {} views over {}", s.views.len(), s.split, color_name(s.background));
+    let mut out = vec![
+        figure(format!("{} dB", number(s.mean.psnr, 2)), "PSNR", views),
+        figure(number(s.mean.ssim, 4), "SSIM", "11×11 window, zeros outside".into()),
+        figure(format!("{:.1} s", s.train_seconds.unwrap_or(0.0)), "training", format!("{} steps", m.step)),
+        figure(s.gaussians.to_string(), "splats", String::new()),
+        figure(bytes_text(s.parameter_bytes as usize), "scene", "parameters as f32".into()),
+    ];
+    if let Some(row) = drawing {
+        out.push(figure(format!("{:.2} ms", row.ms), "per frame", format!("{}, {} threads", row.case, row.threads)));
+    }
+    out
+}
+
+/// A name for black and white, else the three values.
+pub fn color_name(c: [f32; 3]) -> String {
+    match c {
+        [0.0, 0.0, 0.0] => "black".to_owned(),
+        [1.0, 1.0, 1.0] => "white".to_owned(),
+        [r, g, b] => format!("({r}, {g}, {b})"),
+    }
+}
+
+fn samples(log: &[Value], value: impl Fn(&Value) -> Option<f64>) -> Vec<Sample> {
+    let sample = |line: &Value| {
+        Some(Sample { step: line["step"].as_f64()?, seconds: line["seconds"].as_f64()?, value: value(line)? })
+    };
+    log.iter().filter_map(sample).collect()
+}
+
+fn psnr_curves(log: &[Value]) -> Vec<(String, Vec<Sample>)> {
+    let training = samples(log, |line| line["psnr"].as_f64());
+    let held_out = samples(log, |line| line["eval"]["mean"]["psnr"].as_f64());
+    let split = log.iter().find_map(|l| l["eval"]["split"].as_str()).unwrap_or("val").to_owned();
+    let curves = [("training views".to_owned(), training), (format!("{split} views, drawn anew"), held_out)];
+    curves.into_iter().filter(|(_, s)| !s.is_empty()).collect()
+}
+
+/// Views of the scored split with the worst first.
+fn scored_views<'a>(m: &Material<'a>) -> Vec<&'a View> {
+    let split = match m.scores.split.as_str() {
+        "train" => Split::Train,
+        "val" => Split::Val,
+        _ => Split::Test,
+    };
+    let mut ranked: Vec<_> = m.dataset.views(split).iter().zip(&m.scores.views).collect();
+    let psnr = |s: &ViewScores| s.psnr.unwrap_or(f64::INFINITY);
+    ranked.sort_by(|a, b| psnr(a.1).total_cmp(&psnr(b.1)));
+    ranked.into_iter().map(|(view, _)| view).collect()
+}
+
+fn comparisons(m: &Material, painter: &mut Painter, views: &[&View]) -> Result<Vec<Comparison>, RunError> {
+    let mut out = Vec::new();
+    for view in views.iter().take(VIEWS_SHOWN) {
+        let camera = m.photographs.camera(view);
+        let truth = m.photographs.get(view)?.over(m.scores.background);
+        let scores = m.scores.views.iter().find(|s| s.name == view.name);
+        let scores = scores.map_or(String::new(), |s| {
+            let psnr = s.psnr.map_or("perfect".to_owned(), |p| format!("{p:.2} dB"));
+            format!(" · PSNR {psnr} · SSIM {:.4}", s.ssim)
+        });
+        let caption = format!("{} · t = {:.3}{scores}", view.name, view.time.normalised);
+        out.push(Comparison { caption, truth, drawn: painter.view(m.method, view, &camera) });
+    }
+    Ok(out)
+}
+
+fn strip(method: &dyn Method, painter: &mut Painter, camera: &gs_core::Camera) -> Vec<Still> {
+    let time = |k: usize| k as f32 / (STRIP - 1) as f32;
+    let still = |k: usize| Still { caption: format!("t = {:.2}", time(k)), image: painter.at(method, time(k), camera) };
+    (0..STRIP).map(still).collect()
+}
+
+/// Provenance as rows `section.name`, value.
+fn provenance(folder: &RunFolder) -> Result<Vec<[String; 2]>, RunError> {
+    let text = folder.read(folder::PROVENANCE)?;
+    let value: Value = serde_json::from_str(&text).unwrap_or_default();
+    let mut rows = Vec::new();
+    for (key, entry) in value.as_object().into_iter().flatten() {
+        match entry.as_object() {
+            Some(inner) => rows.extend(inner.iter().map(|(k, v)| [format!("{key}.{k}"), plain(v)])),
+            None => rows.push([key.clone(), plain(entry)]),
+        }
+    }
+    Ok(rows)
+}
+
+fn plain(value: &Value) -> String {
+    match value {
+        Value::String(s) => s.clone(),
+        Value::Array(list) => list.iter().map(plain).collect::<Vec<_>>().join(", "),
+        Value::Null => "–".to_owned(),
+        other => other.to_string(),
+    }
+}

@@ -1,0 +1,337 @@
+//! The loop that trains: steps, log lines, checkpoints, evaluations, and the three ways to end.
+
+use super::RunError;
+use super::folder::{self, Log, RunFolder};
+use super::opened::metrics_json;
+use super::provenance::{DataOrigin, Machine, now_utc, peak_memory_mib};
+use super::settings::{self, Resolved};
+use super::summary::{Material, summarise};
+use crate::checkpoint::{self, Skipped};
+use crate::data::{Dataset, ImageCache, Split};
+use crate::evaluate::{EvalReport, evaluate};
+use crate::report::SpeedRow;
+use crate::trainer::{StepReport, TrainError, TrainOptions, Trainer};
+use serde_json::{Value, json};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// A run in progress, in memory and on the disk.
+pub struct Training {
+    trainer: Trainer,
+    resolved: Resolved,
+    folder: RunFolder,
+    log: Log,
+    window: Window,
+    /// Checkpoints that were passed over on resuming.
+    skipped: Vec<Skipped>,
+}
+
+/// How a run came to rest.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Outcome {
+    /// The schedule is at its end.
+    Finished,
+    /// The time budget is spent; the state is in this file.
+    BudgetSpent(PathBuf),
+    /// It was asked to stop; the state is in this file.
+    Interrupted(PathBuf),
+}
+
+/// Where a run stands, for a line of progress.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Progress {
+    /// Steps made.
+    pub step: u32,
+    /// Steps of the schedule.
+    pub steps: u32,
+    /// Loss, averaged over the steps since the last line of the log.
+    pub loss: f64,
+    /// PSNR of the training views since then, dB.
+    pub psnr: f64,
+    /// Number of splats.
+    pub splats: usize,
+    /// Gradient rows refused since then.
+    pub quarantined: u64,
+    /// Seconds of training.
+    pub seconds: f64,
+}
+
+/// Sums since the last line of the log.
+#[derive(Clone, Debug, Default)]
+struct Window {
+    steps: u32,
+    loss: f64,
+    l1: f64,
+    mse: f64,
+    ms: f64,
+    quarantined: u64,
+    cloned: u64,
+    split: u64,
+    pruned: u64,
+}
+
+impl Window {
+    fn add(&mut self, report: &StepReport) {
+        self.steps += 1;
+        self.loss += report.loss.total;
+        self.l1 += report.loss.l1;
+        self.mse += report.loss.mse;
+        self.ms += report.ms.total;
+        self.quarantined += u64::from(report.quarantined);
+        self.cloned += u64::from(report.adapted.cloned);
+        self.split += u64::from(report.adapted.split);
+        self.pruned += u64::from(report.adapted.pruned);
+    }
+
+    fn mean(&self, sum: f64) -> f64 {
+        sum / f64::from(self.steps.max(1))
+    }
+
+    fn psnr(&self) -> f64 {
+        gs_metrics::psnr_from_mse(self.mean(self.mse))
+    }
+}
+
+impl Training {
+    /// Begins a run in a new folder. `data` gives the data set where it is in memory; else the settings name its folder.
+    ///
+    /// # Errors
+    /// If the folder is taken, the data or the method cannot be used.
+    pub fn begin(root: &Path, overwrite: bool, resolved: Resolved, data: Option<Dataset>) -> Result<Self, RunError> {
+        let dataset = Arc::new(data.map_or_else(|| resolved.open_data(), Ok)?);
+        let options = TrainOptions { seed: resolved.run.seed, image_bytes: image_bytes(&resolved) };
+        let trainer = Trainer::new(dataset, &resolved.run.method, &resolved.method, options)?;
+        let folder = RunFolder::create(root, overwrite)?;
+        folder.write(folder::CONFIG, &resolved.config.to_commented_toml())?;
+        let provenance = json!({
+            "machine": Machine::here(),
+            "started": now_utc(),
+            "method": resolved.run.method,
+            "preset": resolved.run.preset,
+            "seed": resolved.run.seed,
+            "steps": trainer.steps(),
+            "data": DataOrigin::of(trainer.dataset()),
+        });
+        folder.write(folder::PROVENANCE, &format!("{provenance:#}\n"))?;
+        let log = folder.log()?;
+        Ok(Self { trainer, resolved, folder, log, window: Window::default(), skipped: Vec::new() })
+    }
+
+    /// Goes on with a run from its newest checkpoint that verifies. With `steps`, the schedule is given that many
+    /// ([`settings::lengthen`]).
+    ///
+    /// # Errors
+    /// If no checkpoint is usable, the data have changed in number, or the steps cannot be made.
+    pub fn resume(root: &Path, steps: Option<u32>, data: Option<Dataset>) -> Result<Self, RunError> {
+        let folder = RunFolder::open_to_write(root)?;
+        let newest = checkpoint::load_newest(&folder.checkpoints())?;
+        let mut resolved = Resolved::read(&folder.read(folder::CONFIG)?, folder::CONFIG)?;
+        let done = newest.checkpoint.meta["step"].as_u64().and_then(|s| u32::try_from(s).ok()).unwrap_or(0);
+        if let Some(steps) = steps {
+            resolved = settings::lengthen(&resolved, steps, done)?;
+            folder.write(folder::CONFIG, &resolved.config.to_commented_toml())?;
+        }
+        let dataset = Arc::new(data.map_or_else(|| resolved.open_data(), Ok)?);
+        let bytes = image_bytes(&resolved);
+        let trainer = Trainer::resume(dataset, &newest.checkpoint, Some(&resolved.method), bytes)?;
+        folder.cut_log(done)?;
+        let log = folder.log()?;
+        Ok(Self { trainer, resolved, folder, log, window: Window::default(), skipped: newest.skipped })
+    }
+
+    /// Trains until the schedule ends, the time budget is spent or `stop` is set; saves in every case.
+    ///
+    /// # Errors
+    /// If a step fails (the last checkpoint stays good) or something cannot be written.
+    pub fn train(&mut self, stop: &AtomicBool, tell: &mut dyn FnMut(Progress)) -> Result<Outcome, RunError> {
+        let budget = self.resolved.run.time_budget;
+        loop {
+            let step = self.trainer.steps_done();
+            if step >= self.trainer.steps() {
+                self.save()?;
+                return Ok(Outcome::Finished);
+            }
+            if stop.load(Ordering::Relaxed) {
+                return Ok(Outcome::Interrupted(self.save()?));
+            }
+            if budget > 0.0 && self.trainer.train_seconds() >= budget {
+                return Ok(Outcome::BudgetSpent(self.save()?));
+            }
+            self.step(tell)?;
+        }
+    }
+
+    fn step(&mut self, tell: &mut dyn FnMut(Progress)) -> Result<(), RunError> {
+        let report = match self.trainer.step() {
+            Ok(report) => report,
+            Err(error) => {
+                let at = self.trainer.steps_done();
+                self.log
+                    .add(&json!({"step": at, "seconds": self.trainer.train_seconds(), "error": error.to_string()}))?;
+                return Err(error.into());
+            }
+        };
+        self.window.add(&report);
+        let due = |every: u32| every > 0 && report.step.is_multiple_of(every);
+        let run = &self.resolved.run;
+        let (log, evaluation, save) = (due(run.log_every), due(run.eval_every), due(run.checkpoint_every));
+        tell(self.progress());
+        if log || report.step == self.trainer.steps() {
+            let line = self.log_line(&report);
+            self.log.add(&line)?;
+            self.window = Window::default();
+        }
+        if evaluation {
+            self.evaluate_while_training()?;
+        }
+        if save {
+            self.save()?;
+        }
+        Ok(())
+    }
+
+    fn progress(&self) -> Progress {
+        let w = &self.window;
+        Progress {
+            step: self.trainer.steps_done(),
+            steps: self.trainer.steps(),
+            loss: w.mean(w.loss),
+            psnr: w.psnr(),
+            splats: self.trainer.method().len(),
+            quarantined: w.quarantined,
+            seconds: self.trainer.train_seconds(),
+        }
+    }
+
+    fn log_line(&self, report: &StepReport) -> Value {
+        let w = &self.window;
+        json!({
+            "step": report.step,
+            "seconds": self.trainer.train_seconds(),
+            "stage": report.stage,
+            "loss": w.mean(w.loss),
+            "l1": w.mean(w.l1),
+            "psnr": w.psnr(),
+            "penalties": report.penalties.iter().map(|(n, v)| ((*n).to_owned(), json!(v))).collect::<serde_json::Map<_, _>>(),
+            "splats": report.splats,
+            "cloned": w.cloned,
+            "split": w.split,
+            "pruned": w.pruned,
+            "quarantined": w.quarantined,
+            "ms_per_step": w.mean(w.ms),
+            "ms_last": report.ms,
+            "memory_mib": peak_memory_mib(),
+        })
+    }
+
+    /// Scores a few validation views (test views are left for the end) and logs the means.
+    fn evaluate_while_training(&mut self) -> Result<(), RunError> {
+        let dataset = self.trainer.dataset();
+        let split = if dataset.val.is_empty() { Split::Train } else { Split::Val };
+        let few = few_views(dataset, split, self.resolved.run.eval_views as usize);
+        let report = self.evaluate_on(&few, split)?;
+        let line = json!({
+            "step": self.trainer.steps_done(),
+            "seconds": self.trainer.train_seconds(),
+            "eval": {"split": report.split, "views": report.views.len(), "mean": report.mean},
+        });
+        self.log.add(&line)
+    }
+
+    fn evaluate_on(&self, dataset: &Dataset, split: Split) -> Result<EvalReport, RunError> {
+        let method = self.trainer.method();
+        let background = method.schedule().background.evaluation_color();
+        let mut report = evaluate(method, dataset, split, background, &self.photographs())?;
+        report.train_seconds = Some(self.trainer.train_seconds());
+        Ok(report)
+    }
+
+    /// Scores the test views, or the training views where there are none; writes `metrics.json`.
+    ///
+    /// # Errors
+    /// If a photograph cannot be read or the file cannot be written.
+    pub fn score(&self) -> Result<EvalReport, RunError> {
+        let dataset = self.trainer.dataset();
+        let split = if dataset.test.is_empty() { Split::Train } else { Split::Test };
+        let report = self.evaluate_on(dataset, split)?;
+        self.folder.write(folder::METRICS, &format!("{:#}\n", metrics_json(&report, self.trainer.steps_done())))?;
+        Ok(report)
+    }
+
+    /// Writes `report.html` for these scores; gives the rows of speed against error measured for it.
+    ///
+    /// # Errors
+    /// If a photograph cannot be read or the file cannot be written.
+    pub fn report(&self, scores: &EvalReport) -> Result<Vec<SpeedRow>, RunError> {
+        let photographs = self.photographs();
+        let material = Material {
+            folder: &self.folder,
+            resolved: &self.resolved,
+            method: self.trainer.method(),
+            dataset: self.trainer.dataset(),
+            photographs: &photographs,
+            scores,
+            extent: self.trainer.scene().extent,
+            step: self.trainer.steps_done(),
+        };
+        let (report, rows) = summarise(&material)?;
+        self.folder.write(folder::REPORT, &report.html()?)?;
+        Ok(rows)
+    }
+
+    fn photographs(&self) -> ImageCache {
+        ImageCache::new(image_bytes(&self.resolved), 1.0).with_max_image_mib(self.resolved.data.max_image_mib)
+    }
+
+    /// Saves the state now.
+    ///
+    /// # Errors
+    /// If the system refuses; older checkpoints stay good.
+    pub fn save(&self) -> Result<PathBuf, RunError> {
+        Ok(self.trainer.state().save_step(&self.folder.checkpoints(), self.trainer.steps_done())?)
+    }
+
+    /// The trainer.
+    pub fn trainer(&self) -> &Trainer {
+        &self.trainer
+    }
+
+    /// The settings.
+    pub fn resolved(&self) -> &Resolved {
+        &self.resolved
+    }
+
+    /// The folder.
+    pub fn folder(&self) -> &RunFolder {
+        &self.folder
+    }
+
+    /// Checkpoints that did not verify when the run was resumed.
+    pub fn skipped(&self) -> &[Skipped] {
+        &self.skipped
+    }
+}
+
+/// Whether an error is a numerical failure, after which the last checkpoint is the state to go back to.
+pub fn is_numeric(error: &RunError) -> bool {
+    matches!(error, RunError::Train(TrainError::Numeric { .. }))
+}
+
+fn image_bytes(resolved: &Resolved) -> usize {
+    (resolved.run.image_mib as usize) << 20
+}
+
+/// A data set of at most `count` evenly spaced views of a split.
+fn few_views(dataset: &Dataset, split: Split, count: usize) -> Dataset {
+    let views = dataset.views(split);
+    let count = count.clamp(1, views.len().max(1));
+    let kept: Vec<_> = (0..count).filter_map(|i| views.get(i * views.len() / count).cloned()).collect();
+    let mut few = Dataset { train: Vec::new(), val: Vec::new(), test: Vec::new(), points: None, ..dataset.clone() };
+    match split {
+        Split::Train => few.train = kept,
+        Split::Val => few.val = kept,
+        Split::Test => few.test = kept,
+    }
+    few
+}
