@@ -8,9 +8,8 @@
 //! | gradient (f32) | reference | 1e-6 relative L2 | worst seen 5e-7 |
 //! | gradient, flat images that differ | reference | 1e-3 relative L2 | `d·G∗v − G∗(v·μd)` cancels; worst seen 3e-4 |
 
-mod common;
-
-use common::*;
+use crate::pictures::*;
+use crate::reference::*;
 use gs_core::Image;
 use gs_metrics::{MetricError, Padding, Ssim, SsimOptions, ssim, ssim_with_grad};
 

@@ -5,9 +5,8 @@
 //! | value (f32) | reference | 1e-7 absolute | five levels of an error of 1e-8 |
 //! | gradient (f32) | central differences (f64), h = 1e-4, sampled pixels | 1e-5 of its largest entry | pooled images are rounded to f32 |
 
-mod common;
-
-use common::*;
+use crate::pictures::*;
+use crate::reference::*;
 use gs_core::Image;
 use gs_metrics::ms_ssim::WEIGHTS;
 use gs_metrics::{MetricError, MsSsim, MsSsimOptions, ms_ssim, ms_ssim_with_grad};

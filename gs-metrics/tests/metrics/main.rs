@@ -1,0 +1,10 @@
+//! The metrics against independent `f64` references, central differences, published scores and human order.
+
+mod data;
+mod distort;
+mod ms_ssim;
+mod perceptual;
+mod pictures;
+mod published;
+mod reference;
+mod ssim;
