@@ -95,8 +95,8 @@ fn the_truth_reprojects_onto_the_pictures() {
             let (depth, segments) = (data.truth.depth(&v.camera, t), data.truth.segments(&v.camera, t));
             let image = memory(&v.image);
             let mut covered = 0;
-            for k in 0..96 * 96 {
-                let Some(body) = segments[k] else {
+            for (k, segment) in segments.iter().enumerate() {
+                let Some(body) = *segment else {
                     assert!(image.data[4 * k + 3] < 255, "the truth sees nothing, so the pixel is not full");
                     continue;
                 };
@@ -110,6 +110,8 @@ fn the_truth_reprojects_onto_the_pictures() {
                 covered += 1;
             }
             assert!(covered > 500, "{name}: the scene is in the picture ({covered} pixels)");
+            let on_border = |k: usize| [k % 96, k / 96].iter().any(|&side| side == 0 || side == 95);
+            assert!((0..96 * 96).all(|k| !on_border(k) || image.data[4 * k + 3] == 0), "{name}: whole in the picture");
             let alpha = image.data.chunks_exact(4).filter(|p| p[3] > 127).count();
             assert!(alpha.abs_diff(covered) < 60, "{alpha} opaque pixels, {covered} in the truth");
         }

@@ -174,6 +174,14 @@ pub enum DataError {
         /// The decoder's answer.
         message: String,
     },
+    /// Start points that cannot be read.
+    #[error("cannot read the points: {source}")]
+    Points {
+        /// The file.
+        file: PathBuf,
+        /// What its reader met.
+        source: Box<gs_core::io::IoError>,
+    },
     /// An image whose size is not that of its camera.
     #[error("{} is {}x{}, its camera is {}x{}", .file.display(), .got[0], .got[1], .want[0], .want[1])]
     ImageSize {
@@ -228,6 +236,7 @@ impl DataError {
             Self::Escape { .. } => "data.escape",
             Self::CameraModel { .. } => "data.camera_model",
             Self::Decode { .. } => "data.image",
+            Self::Points { .. } => "data.points",
             Self::ImageSize { .. } => "data.image_size",
             Self::Empty { .. } => "data.empty",
             Self::Option { .. } => "data.option",
@@ -257,6 +266,7 @@ impl DataError {
             | Self::CameraModel { place, .. } => Some(place.clone()),
             Self::Missing { listed_in: file, .. }
             | Self::Decode { file, .. }
+            | Self::Points { file, .. }
             | Self::ImageSize { file, .. }
             | Self::Empty { file }
             | Self::Read { file, .. }
@@ -281,6 +291,7 @@ impl DataError {
             Self::Escape { .. } => "data from elsewhere must not read files outside its own folder",
             Self::CameraModel { .. } => "its distortion would be ignored and every ray bent",
             Self::Decode { .. } => "the view cannot be compared",
+            Self::Points { .. } => "the file that names these points expects training to start from them",
             Self::ImageSize { .. } => "focal lengths and principal point are in pixels of the camera's size",
             Self::Empty { .. } => "there is nothing to learn from",
             Self::Option { .. } => "the value has no meaning here",
@@ -309,6 +320,7 @@ impl DataError {
                     .into()
             }
             Self::Decode { .. } => "open the image elsewhere; export it as 8 or 16 bit PNG or as JPEG".into(),
+            Self::Points { .. } => "export the points again, or remove ply_file_path to start without them".into(),
             Self::ImageSize { .. } => "resize the image, or correct w and h in the camera file".into(),
             Self::Empty { .. } => "list at least one training view whose image exists".into(),
             Self::Option { rule, .. } => format!("give a value that fits: {rule}"),

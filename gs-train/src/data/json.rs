@@ -283,7 +283,7 @@ pub(crate) fn quote_non_finite(text: &str) -> Cow<'_, str> {
             rest = &rest[token.len()..];
             continue;
         }
-        if quoted && !escaped && c == '"' || !quoted && c == '"' {
+        if c == '"' && !(quoted && escaped) {
             quoted = !quoted;
         }
         escaped = quoted && !escaped && c == '\\';

@@ -21,15 +21,21 @@ use gs_core::{Camera, Time};
 
 mod blender;
 pub mod cache;
+mod colmap;
 pub mod decode;
 pub mod error;
 mod files;
 mod frames;
+mod geometry;
 pub mod header;
+mod initial;
+mod intrinsics;
 mod json;
 pub mod lens;
+mod nerfstudio;
 pub mod options;
 pub mod pixels;
+mod ply;
 mod pose;
 mod times;
 
@@ -174,7 +180,7 @@ pub struct Layout {
 }
 
 /// Every reader.
-pub const LAYOUTS: &[Layout] = &[blender::LAYOUT];
+pub const LAYOUTS: &[Layout] = &[blender::LAYOUT, nerfstudio::LAYOUT, colmap::LAYOUT];
 
 /// The reader that is surest of a folder; of equally sure ones the first.
 pub fn detect(dir: &Path) -> Option<&'static Layout> {

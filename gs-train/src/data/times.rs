@@ -84,7 +84,7 @@ fn restate(drafts: &mut Drafts, options: &DataOptions) -> Result<String, DataErr
             Ok(format!("last number in each file name{}", rate(options)))
         }
         TimeFrom::Order => {
-            all.sort_by(|a, b| stem(&a.view).cmp(&stem(&b.view)));
+            all.sort_by_key(|d| stem(&d.view));
             all.into_iter().enumerate().for_each(|(k, d)| d.stated = Some(k as f64));
             Ok(format!("order of file names, as asked for{}", rate(options)))
         }

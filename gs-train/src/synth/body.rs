@@ -218,6 +218,14 @@ impl<'a> Placed<'a> {
         Self { body, pose, origin: pose.invert(eye), to_centre, far: to_centre.length_squared() - r * r, t }
     }
 
+    /// Whether rays within `spread · depth` of the one along `d` (world, camera-space z = 1) may meet the body.
+    pub(crate) fn may_meet(&self, d: DVec3, spread: f64) -> bool {
+        let r = self.body.shape.bounding_radius();
+        let near = r + spread * (self.to_centre.length() + r);
+        let b = self.to_centre.dot(d);
+        b * b >= d.length_squared() * (self.to_centre.length_squared() - near * near)
+    }
+
     /// First hit of the ray from the eye along `d` (world).
     pub(crate) fn hit(&self, d: DVec3) -> Option<LocalHit> {
         let b = self.to_centre.dot(d);

@@ -94,7 +94,7 @@ fn balls() -> Vec<Body> {
         ),
         body(
             "slab",
-            Shape::Box { half: DVec3::new(0.95, 0.95, 0.05) },
+            Shape::Box { half: DVec3::new(0.72, 0.72, 0.05) },
             Motion { start: DVec3::Z * -0.72, ..Motion::default() },
             [[0.42, 0.44, 0.48], [0.80, 0.80, 0.76]],
             9.0,

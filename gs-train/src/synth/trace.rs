@@ -80,6 +80,12 @@ impl<'a> Tracer<'a> {
     }
 
     fn pixel(&self, i: usize, j: usize, k: u32) -> [u8; 4] {
+        // Half a pixel's diagonal, and a little more for rounding.
+        let spread = 0.75 / self.camera.fx.min(self.camera.fy);
+        let centre = self.base + self.per_u * (i as f64 + 0.5) + self.per_v * (j as f64 + 0.5);
+        if !self.bodies.iter().any(|b| b.may_meet(centre, spread)) {
+            return [0; 4];
+        }
         let (mut sum, mut hits) = ([0.0f64; 3], 0u32);
         for s in 0..k * k {
             let u = i as f64 + (f64::from(s % k) + 0.5) / f64::from(k);

@@ -1,0 +1,250 @@
+//! COLMAP sparse models, text and binary (Schönberger and Frahm 2016; format: COLMAP documentation, "Output Format").
+//!
+//! `cameras`, `images` and `points3D` lie in `sparse/0`, `sparse`, `colmap/sparse/0` or the folder itself. Poses are world
+//! to camera as quaternion `(w, x, y, z)` and translation with OpenCV axes, pixel centres at +½: ours. Models
+//! SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL and OPENCV are read, others refused by name. A model knows no
+//! times: it is static unless `data.time_from` says otherwise.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use glam::{DVec2, DVec3};
+use gs_core::Time;
+
+use super::error::{DataError, Place};
+use super::files::Root;
+use super::frames::{Listed, name_views, with_headers};
+use super::header::ImageHeader;
+use super::intrinsics::{Adjusted, Intrinsics, hold_out, hold_out_note};
+use super::lens::Lens;
+use super::options::DataOptions;
+use super::pose::{Pose, from_quaternion};
+use super::times::{Draft, Drafts, settle};
+use super::{Confidence, Dataset, ImageSource, Layout, PointCloud, View};
+
+mod binary;
+mod text;
+
+/// The entry in [`super::LAYOUTS`].
+pub(crate) const LAYOUT: Layout =
+    Layout { name: "colmap", about: "COLMAP sparse model (text or binary) with an image folder", probe, open };
+
+const MODEL_FOLDERS: [&str; 4] = ["sparse/0", "sparse", "colmap/sparse/0", "."];
+const IMAGE_FOLDERS: [&str; 5] = ["images", "images_2", "images_4", "images_8", "input"];
+const EXTENSIONS: [&str; 6] = ["png", "jpg", "jpeg", "PNG", "JPG", "JPEG"];
+
+fn probe(dir: &Path) -> Option<Confidence> {
+    model_folder(dir).map(|_| Confidence::Likely)
+}
+
+/// The model's folder and whether it is binary.
+fn model_folder(dir: &Path) -> Option<(PathBuf, bool)> {
+    let all = |folder: &Path, ext: &str| {
+        ["cameras", "images"].iter().all(|name| folder.join(format!("{name}.{ext}")).is_file())
+    };
+    MODEL_FOLDERS.iter().map(|f| dir.join(f)).find_map(|folder| {
+        if all(&folder, "bin") { Some((folder, true)) } else { all(&folder, "txt").then_some((folder, false)) }
+    })
+}
+
+/// A row of `images`.
+struct ImageRow {
+    /// Its index, counted from 0.
+    row: usize,
+    name: String,
+    quat: [f64; 4],
+    translation: DVec3,
+    camera: u32,
+}
+
+/// A camera's model and parameters turned into intrinsics.
+fn intrinsics(model: &str, size: [u64; 2], params: &[f64], place: &Place) -> Result<Intrinsics, DataError> {
+    let field = |at: &str, value: String, why| DataError::Field {
+        place: Place::new(&place.file, format!("{}.{at}", place.at)),
+        value,
+        why,
+        fix: "export the model again",
+    };
+    if size.iter().any(|&s| s == 0 || s > u64::from(gs_core::camera::MAX_SIDE)) {
+        return Err(field("size", format!("{}x{}", size[0], size[1]), "sides lie between 1 and 32768 pixels"));
+    }
+    if let Some(k) = params.iter().position(|v| !v.is_finite()) {
+        return Err(field(&format!("params[{k}]"), params[k].to_string(), "it must be a finite number"));
+    }
+    let (focal, principal, lens) = match (model, params) {
+        ("SIMPLE_PINHOLE", &[f, cx, cy]) => ([f, f], [cx, cy], Lens::default()),
+        ("PINHOLE", &[fx, fy, cx, cy]) => ([fx, fy], [cx, cy], Lens::default()),
+        ("SIMPLE_RADIAL", &[f, cx, cy, k1]) => ([f, f], [cx, cy], Lens { k1, ..Lens::default() }),
+        ("RADIAL", &[f, cx, cy, k1, k2]) => ([f, f], [cx, cy], Lens { k1, k2, ..Lens::default() }),
+        ("OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2]) => ([fx, fy], [cx, cy], Lens { k1, k2, k3: 0.0, p1, p2 }),
+        ("SIMPLE_PINHOLE" | "PINHOLE" | "SIMPLE_RADIAL" | "RADIAL" | "OPENCV", _) => {
+            let value = format!("{} numbers", params.len());
+            return Err(field("params", value, "the camera model has another number of parameters"));
+        }
+        _ => return Err(DataError::CameraModel { place: place.clone(), model: model.into() }),
+    };
+    let size = DVec2::new(size[0] as f64, size[1] as f64);
+    Ok(Intrinsics { size, focal: focal.into(), principal: principal.into(), lens })
+}
+
+/// Reads a model.
+///
+/// # Errors
+/// See [`DataError`]; every fault names file and row.
+fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
+    let root = Root::new(dir)?;
+    let (folder, is_binary) = model_folder(dir).ok_or_else(|| DataError::Layout {
+        path: dir.to_path_buf(),
+        looked_for: format!("looked for cameras and images, .bin or .txt, in {}", MODEL_FOLDERS.join(", ")),
+    })?;
+    let file = |name: &str| folder.join(format!("{name}.{}", if is_binary { "bin" } else { "txt" }));
+    let (cameras_file, images_file, points_file) = (file("cameras"), file("images"), file("points3D"));
+    let (cameras, rows) = if is_binary {
+        (binary::cameras(&cameras_file)?, binary::images(&images_file)?)
+    } else {
+        (text::cameras(&cameras_file)?, text::images(&images_file)?)
+    };
+    let points = match (points_file.is_file(), is_binary) {
+        (false, _) => None,
+        (true, true) => Some(binary::points(&points_file)?),
+        (true, false) => Some(text::points(&points_file)?),
+    };
+    let mut notes = Vec::new();
+    let listed = find_images(&root, &images_file, rows, options, &mut notes)?;
+    let listed = with_headers(&images_file, listed, options, &mut notes)?;
+    let has_alpha = listed.iter().any(|(_, h)| h.has_alpha);
+    let drafts = split(drafts(listed, &cameras, &images_file, options, &mut notes)?, options, &mut notes);
+    if drafts.train.is_empty() {
+        return Err(DataError::Empty { file: images_file });
+    }
+    let settled = settle(drafts, options, None)?;
+    notes.extend(settled.notes);
+    Ok(Dataset {
+        root: dir.to_path_buf(),
+        layout: LAYOUT.name,
+        train: settled.train,
+        val: settled.val,
+        test: settled.test,
+        points,
+        has_alpha,
+        dynamic: settled.dynamic,
+        time_source: settled.source,
+        bounds: None,
+        notes,
+    })
+}
+
+/// The image folder: the one asked for, or the first usual one that exists.
+fn image_folder(root: &Root, options: &DataOptions) -> Result<String, DataError> {
+    if let Some(name) = &options.images {
+        root.resolve(name, &Place::new(root.dir(), "data.images"))?;
+        return Ok(name.clone());
+    }
+    let found = IMAGE_FOLDERS.iter().find(|f| root.dir().join(f).is_dir());
+    found.map(|f| (*f).to_string()).ok_or_else(|| DataError::Layout {
+        path: root.dir().to_path_buf(),
+        looked_for: format!("there is a COLMAP model, but no image folder: looked for {}", IMAGE_FOLDERS.join(", ")),
+    })
+}
+
+fn find_images(
+    root: &Root,
+    images_file: &Path,
+    rows: Vec<ImageRow>,
+    options: &DataOptions,
+    notes: &mut Vec<String>,
+) -> Result<Vec<Listed<ImageRow>>, DataError> {
+    let folder = image_folder(root, options)?;
+    notes.push(format!("images come from \"{folder}\""));
+    let mut renamed = 0;
+    let mut listed = Vec::with_capacity(rows.len());
+    for row in rows {
+        let place = Place::new(images_file, format!("images[{}].name", row.row));
+        let written = PathBuf::from(format!("{folder}/{}", row.name));
+        let resolve = |p: &Path| root.resolve(&p.to_string_lossy(), &place);
+        let mut path = resolve(&written)?;
+        if !path.exists() {
+            // Reduced copies often change the format: 0001.jpg becomes images_4/0001.png.
+            let other = EXTENSIONS.iter().map(|e| written.with_extension(e)).find(|p| root.dir().join(p).exists());
+            if let Some(other) = other {
+                path = resolve(&other)?;
+                renamed += 1;
+            }
+        }
+        listed.push(Listed { shown: written, path, rest: row });
+    }
+    if renamed > 0 {
+        notes.push(format!("{renamed} images have another extension than the model says"));
+    }
+    Ok(listed)
+}
+
+fn drafts(
+    listed: Vec<(Listed<ImageRow>, ImageHeader)>,
+    cameras: &BTreeMap<u32, Intrinsics>,
+    images_file: &Path,
+    options: &DataOptions,
+    notes: &mut Vec<String>,
+) -> Result<Vec<Draft>, DataError> {
+    let shown: Vec<PathBuf> = listed.iter().map(|(l, _)| l.shown.clone()).collect();
+    let mut adjusted = Adjusted::default();
+    let mut drafts = Vec::with_capacity(listed.len());
+    for (listed, header) in listed {
+        let row = listed.rest;
+        let at = |field: &str| Place::new(images_file, format!("images[{}].{field}", row.row));
+        let pose = pose(&row, &at)?;
+        let intrinsics = cameras.get(&row.camera).ok_or_else(|| DataError::Field {
+            place: at("camera_id"),
+            value: format!("{}, which cameras does not list", row.camera),
+            why: "the image's intrinsics are unknown",
+            fix: "export cameras and images together",
+        })?;
+        let (camera, rescaled) = intrinsics.camera(&header, &listed.path, &pose, &at("camera"))?;
+        let lens = intrinsics.lens(options.undistort, &at("camera"))?;
+        adjusted.count(intrinsics, &camera, rescaled, lens.as_ref());
+        let mut view = View::new("", camera, Time::default(), ImageSource::File(listed.path), row.camera);
+        view.lens = lens;
+        drafts.push(Draft { view, stated: None, place: at("name") });
+    }
+    notes.extend(adjusted.notes());
+    name_views(&mut drafts, &shown);
+    Ok(drafts)
+}
+
+fn pose(row: &ImageRow, at: &dyn Fn(&str) -> Place) -> Result<Pose, DataError> {
+    let named = ["qw", "qx", "qy", "qz", "tx", "ty", "tz"].into_iter();
+    let values = row.quat.iter().copied().chain(row.translation.to_array());
+    if let Some((field, value)) = named.zip(values).find(|(_, v)| !v.is_finite()) {
+        return Err(DataError::Field {
+            place: at(field),
+            value: value.to_string(),
+            why: "it must be a finite number",
+            fix: "remove the image from the model, or reconstruct again",
+        });
+    }
+    from_quaternion(row.quat, row.translation, &at("qvec"))
+}
+
+fn split(drafts: Vec<Draft>, options: &DataOptions, notes: &mut Vec<String>) -> Drafts {
+    let names: Vec<String> = drafts.iter().map(|d| d.view.name.clone()).collect();
+    let (train, test) = hold_out(&names, options.hold_out);
+    notes.push(hold_out_note(options.hold_out, test.len()));
+    let mut slots: Vec<Option<Draft>> = drafts.into_iter().map(Some).collect();
+    let mut take = |list: Vec<usize>| list.into_iter().filter_map(|i| slots[i].take()).collect();
+    Drafts { train: take(train), val: Vec::new(), test: take(test) }
+}
+
+/// A point of the cloud, checked.
+fn push_point(cloud: &mut PointCloud, p: [f64; 3], rgb: [u8; 3], file: &Path, row: usize) -> Result<(), DataError> {
+    if let Some(k) = p.iter().position(|v| !v.is_finite() || v.abs() > f64::from(f32::MAX)) {
+        return Err(DataError::Field {
+            place: Place::new(file, format!("points3D[{row}].{}", ["x", "y", "z"][k])),
+            value: p[k].to_string(),
+            why: "it must be a finite number",
+            fix: "remove the point from the model",
+        });
+    }
+    cloud.positions.push(DVec3::from(p).as_vec3());
+    cloud.colors.push(rgb.map(|c| f32::from(c) / 255.0));
+    Ok(())
+}

@@ -1,0 +1,147 @@
+//! Intrinsics as files state them, brought to the size of the image that is there.
+
+use glam::{DMat4, DVec2};
+use gs_core::Camera;
+
+use super::error::{DataError, Place};
+use super::header::ImageHeader;
+use super::lens::Lens;
+use super::pose::Pose;
+
+/// Intrinsics with the image size they are meant for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Intrinsics {
+    pub(crate) size: DVec2,
+    pub(crate) focal: DVec2,
+    pub(crate) principal: DVec2,
+    pub(crate) lens: Lens,
+}
+
+/// Width and height may scale by factors that differ this much: sizes are whole pixels.
+const ASPECT_SLACK: f64 = 0.01;
+
+impl Intrinsics {
+    /// The camera for an image, and whether its size called for rescaling: both axes are scaled by the exact ratio of
+    /// sizes. The lens acts on the plane `z = 1` and does not change.
+    ///
+    /// # Errors
+    /// `data.image_size` if the image has another shape, `data.field` if the camera is out of its domain.
+    pub(crate) fn camera(
+        &self,
+        header: &ImageHeader,
+        file: &std::path::Path,
+        pose: &Pose,
+        place: &Place,
+    ) -> Result<(Camera, bool), DataError> {
+        let size = DVec2::new(f64::from(header.width), f64::from(header.height));
+        let scale = size / self.size;
+        if (scale.x / scale.y - 1.0).abs() > ASPECT_SLACK {
+            let want = [self.size.x as u32, self.size.y as u32];
+            return Err(DataError::ImageSize { file: file.to_path_buf(), got: [header.width, header.height], want });
+        }
+        let mut viewmat = DMat4::from_mat3(pose.rotation);
+        viewmat.w_axis = pose.translation.extend(1.0);
+        let (focal, principal) = (self.focal * scale, self.principal * scale);
+        let camera = Camera::from_viewmat(header.width, header.height, focal, principal, viewmat)
+            .map_err(|e| DataError::camera(place, &e))?;
+        Ok((camera, scale != DVec2::ONE))
+    }
+
+    /// The lens to remove, or none for a pinhole.
+    ///
+    /// # Errors
+    /// `data.camera_model` if it bends and undistortion is switched off.
+    pub(crate) fn lens(&self, undistort: bool, place: &Place) -> Result<Option<Lens>, DataError> {
+        if self.lens.is_pinhole() {
+            return Ok(None);
+        }
+        if !undistort {
+            let model = format!("with distortion {:?} (data.undistort is false)", self.lens.to_array());
+            return Err(DataError::CameraModel { place: place.clone(), model });
+        }
+        Ok(Some(self.lens))
+    }
+}
+
+/// What rescaling and undistortion did, for the notes of a data set.
+#[derive(Default)]
+pub(crate) struct Adjusted {
+    rescaled: usize,
+    example: Option<(DVec2, [u32; 2])>,
+    bent: usize,
+    worst_outside: f64,
+}
+
+impl Adjusted {
+    /// Counts one view.
+    pub(crate) fn count(&mut self, intrinsics: &Intrinsics, camera: &Camera, rescaled: bool, lens: Option<&Lens>) {
+        if rescaled {
+            self.rescaled += 1;
+            self.example.get_or_insert((intrinsics.size, [camera.width, camera.height]));
+        }
+        if let Some(lens) = lens {
+            self.bent += 1;
+            // Views of one camera share the figure; a few samples of it are enough.
+            if self.bent <= 8 {
+                self.worst_outside = self.worst_outside.max(lens.outside_fraction(camera));
+            }
+        }
+    }
+
+    /// The notes.
+    pub(crate) fn notes(&self) -> Vec<String> {
+        let mut notes = Vec::new();
+        if let Some((from, to)) = self.example {
+            let (w, h) = (from.x, from.y);
+            let n = self.rescaled;
+            notes.push(format!(
+                "{n} images differ in size from their camera ({w}x{h} against {}x{}): intrinsics rescaled",
+                to[0], to[1]
+            ));
+        }
+        if self.bent > 0 {
+            let percent = 100.0 * self.worst_outside;
+            let n = self.bent;
+            notes.push(format!("{n} views are resampled to a pinhole; up to {percent:.1} % of their pixels lie outside the photograph and repeat its edge"));
+        }
+        notes
+    }
+}
+
+/// Sorts indices into training and held-out views: every `hold_out`-th in order of names, starting with the first, is
+/// held out, as in Mip-NeRF 360 and Kerbl et al. 2023. 0 holds out none; a single view is never held out.
+pub(crate) fn hold_out(names: &[String], every: u32) -> (Vec<usize>, Vec<usize>) {
+    let mut order: Vec<usize> = (0..names.len()).collect();
+    order.sort_by(|&a, &b| names[a].cmp(&names[b]).then(a.cmp(&b)));
+    let held = |rank: usize| every > 0 && names.len() > 1 && rank.is_multiple_of(every as usize);
+    let (mut train, mut test) = (Vec::new(), Vec::new());
+    for (rank, index) in order.into_iter().enumerate() {
+        if held(rank) { test.push(index) } else { train.push(index) }
+    }
+    (train, test)
+}
+
+/// The note for [`hold_out`].
+pub(crate) fn hold_out_note(every: u32, held: usize) -> String {
+    if every == 0 {
+        "the data give no split and data.hold_out is 0: all views train".into()
+    } else {
+        format!("the data give no split: every {every}th view in order of names is held out ({held} test views)")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_eighth_name_is_held_out() {
+        let names: Vec<String> = (0..20).rev().map(|k| format!("{k:02}")).collect();
+        let (train, test) = hold_out(&names, 8);
+        assert_eq!(test.iter().map(|&i| names[i].as_str()).collect::<Vec<_>>(), ["00", "08", "16"]);
+        assert_eq!((train.len(), names[train[0]].as_str()), (17, "01"));
+        assert_eq!(hold_out(&names, 0).1.len(), 0);
+        assert_eq!(hold_out(&names[..1], 8).0.len(), 1);
+        assert_eq!(hold_out(&names, 1).0.len(), 0, "the caller reports that no training view is left");
+    }
+}

@@ -1,0 +1,273 @@
+//! nerfstudio and instant-ngp: one `transforms.json` (Tancik et al. 2023; Müller et al. 2022).
+//!
+//! Intrinsics at top level or in each frame, the frame's winning: `fl_x fl_y cx cy w h`, or `camera_angle_x` (and
+//! `camera_angle_y`), and the distortion `k1 k2 k3 p1 p2` of OpenCV. Per frame `file_path`, `transform_matrix` (camera to
+//! world, OpenGL axes) and optionally `time`. `train_filenames`, `val_filenames`, `test_filenames` give the split, else
+//! every eighth view is held out. `ply_file_path` names a cloud of start points. `applied_transform` is left alone:
+//! poses and points already share the transformed world.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+use glam::DVec2;
+use gs_core::Time;
+
+use super::error::{DataError, Place};
+use super::files::{Root, read_text};
+use super::frames::{Listed, locate, name_views, with_headers};
+use super::header::ImageHeader;
+use super::intrinsics::{Adjusted, Intrinsics, hold_out, hold_out_note};
+use super::json::{Document, Fields, MAX_JSON_BYTES, quote_non_finite};
+use super::lens::Lens;
+use super::options::DataOptions;
+use super::pose::{Pose, from_opengl};
+use super::times::{Draft, Drafts, settle};
+use super::{Confidence, Dataset, ImageSource, Layout, PointCloud, View, ply};
+
+/// The entry in [`super::LAYOUTS`].
+pub(crate) const LAYOUT: Layout = Layout {
+    name: "nerfstudio",
+    about: "nerfstudio and instant-ngp: transforms.json with intrinsics and optional distortion",
+    probe,
+    open,
+};
+
+fn probe(dir: &Path) -> Option<Confidence> {
+    dir.join("transforms.json").is_file().then_some(Confidence::Likely)
+}
+
+/// What a frame states beside its image.
+struct Frame {
+    pose: Pose,
+    time: Option<f64>,
+    stated: Stated,
+    time_place: Place,
+    place: Place,
+    written: String,
+}
+
+/// Reads a capture.
+///
+/// # Errors
+/// See [`DataError`]; every fault names file and field.
+fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
+    let root = Root::new(dir)?;
+    let file = dir.join("transforms.json");
+    let text = read_text(&file, MAX_JSON_BYTES)?;
+    let text = quote_non_finite(&text);
+    let document = Document::parse(&file, &text)?;
+    check_model(&document.top())?;
+    let shared = Stated::read(&document.top())?;
+    let frames =
+        (0..document.len()).map(|i| read_frame(&root, &document.frame(i)?, &shared)).collect::<Result<_, _>>()?;
+    let mut notes = Vec::new();
+    let frames = with_headers(&file, frames, options, &mut notes)?;
+    let has_alpha = frames.iter().any(|(_, h)| h.has_alpha);
+    let written: Vec<String> = frames.iter().map(|(f, _)| f.rest.written.clone()).collect();
+    let drafts = drafts(frames, options, &mut notes)?;
+    let split = split(&document, &written, options, &mut notes)?;
+    let drafts = deal(drafts, &split);
+    if drafts.train.is_empty() {
+        return Err(DataError::Empty { file });
+    }
+    let settled = settle(drafts, options, None)?;
+    notes.extend(settled.notes);
+    Ok(Dataset {
+        root: dir.to_path_buf(),
+        layout: LAYOUT.name,
+        train: settled.train,
+        val: settled.val,
+        test: settled.test,
+        points: points(&root, &document.top())?,
+        has_alpha,
+        dynamic: settled.dynamic,
+        time_source: settled.source,
+        bounds: None,
+        notes,
+    })
+}
+
+/// Camera models other than pinhole and OpenCV's are refused by name.
+fn check_model(top: &Fields) -> Result<(), DataError> {
+    match top.text("camera_model")? {
+        None | Some("OPENCV" | "PINHOLE" | "SIMPLE_PINHOLE" | "SIMPLE_RADIAL" | "RADIAL" | "PERSPECTIVE") => Ok(()),
+        Some(other) => Err(DataError::CameraModel { place: top.place("camera_model"), model: other.into() }),
+    }
+}
+
+/// Intrinsics as far as an object states them.
+#[derive(Clone, Copy, Default)]
+struct Stated {
+    fl: [Option<f64>; 2],
+    angle: [Option<f64>; 2],
+    principal: [Option<f64>; 2],
+    size: [Option<f64>; 2],
+    lens: [Option<f64>; 5],
+}
+
+impl Stated {
+    fn read(o: &Fields) -> Result<Self, DataError> {
+        let pair = |a, b| Ok::<_, DataError>([o.number(a)?, o.number(b)?]);
+        for key in ["k4", "k5", "k6"] {
+            if let Some(v) = o.number(key)?.filter(|&v| v != 0.0) {
+                return Err(DataError::CameraModel { place: o.place(key), model: format!("with {key} = {v}") });
+            }
+        }
+        let stated = Self {
+            fl: pair("fl_x", "fl_y")?,
+            angle: pair("camera_angle_x", "camera_angle_y")?,
+            principal: pair("cx", "cy")?,
+            size: pair("w", "h")?,
+            lens: [o.number("k1")?, o.number("k2")?, o.number("k3")?, o.number("p1")?, o.number("p2")?],
+        };
+        let positive = "it must be positive";
+        for (value, key) in stated.size.iter().chain(&stated.fl).zip(["w", "h", "fl_x", "fl_y"]) {
+            if let Some(v) = value.filter(|&v| v <= 0.0) {
+                return Err(o.fault(key, &v.to_string(), positive, "correct the number"));
+            }
+        }
+        for (value, key) in stated.angle.iter().zip(["camera_angle_x", "camera_angle_y"]) {
+            if let Some(v) = value.filter(|v| !(*v > 0.0 && *v < std::f64::consts::PI)) {
+                return Err(o.fault(
+                    key,
+                    &v.to_string(),
+                    "a field of view lies between 0 and pi",
+                    "correct the number",
+                ));
+            }
+        }
+        Ok(stated)
+    }
+
+    /// A frame's own values before shared ones.
+    fn or(self, shared: &Self) -> Self {
+        fn first<const N: usize>(own: [Option<f64>; N], shared: [Option<f64>; N]) -> [Option<f64>; N] {
+            std::array::from_fn(|k| own[k].or(shared[k]))
+        }
+        Self {
+            fl: first(self.fl, shared.fl),
+            angle: first(self.angle, shared.angle),
+            principal: first(self.principal, shared.principal),
+            size: first(self.size, shared.size),
+            lens: first(self.lens, shared.lens),
+        }
+    }
+
+    /// Missing sizes are the image's, a missing principal point is the centre, a missing focal length comes from the field
+    /// of view, a missing second one equals the first.
+    fn complete(&self, header: &ImageHeader, place: &Place) -> Result<Intrinsics, DataError> {
+        let image = [f64::from(header.width), f64::from(header.height)];
+        let size = [0, 1].map(|k| self.size[k].unwrap_or(image[k]));
+        let from_angle = |k: usize| self.angle[k].map(|a: f64| 0.5 * size[k] / (0.5 * a).tan());
+        let focal = [0, 1].map(|k| self.fl[k].or(from_angle(k)));
+        let (Some(fx), Some(fy)) = (focal[0].or(focal[1]), focal[1].or(focal[0])) else {
+            return Err(DataError::Field {
+                place: place.clone(),
+                value: "without focal length".into(),
+                why: "neither fl_x nor camera_angle_x is given, for all frames or for this one",
+                fix: "add fl_x, fl_y, cx, cy, w and h",
+            });
+        };
+        let principal = [0, 1].map(|k| self.principal[k].unwrap_or(0.5 * size[k]));
+        let [k1, k2, k3, p1, p2] = self.lens.map(Option::unwrap_or_default);
+        Ok(Intrinsics {
+            size: size.into(),
+            focal: DVec2::new(fx, fy),
+            principal: principal.into(),
+            lens: Lens { k1, k2, k3, p1, p2 },
+        })
+    }
+}
+
+fn read_frame(root: &Root, frame: &Fields, shared: &Stated) -> Result<Listed<Frame>, DataError> {
+    let written = frame.required_text("file_path")?.to_string();
+    let (shown, path) = locate(root, &written, &frame.place("file_path"))?;
+    let place = frame.place("transform_matrix");
+    let rest = Frame {
+        pose: from_opengl(&frame.matrix("transform_matrix")?, &place)?,
+        time: frame.number("time")?,
+        stated: Stated::read(frame)?.or(shared),
+        time_place: frame.place("time"),
+        place: frame.place(""),
+        written,
+    };
+    Ok(Listed { shown, path, rest })
+}
+
+fn drafts(
+    frames: Vec<(Listed<Frame>, ImageHeader)>,
+    options: &DataOptions,
+    notes: &mut Vec<String>,
+) -> Result<Vec<Draft>, DataError> {
+    let shown: Vec<PathBuf> = frames.iter().map(|(f, _)| f.shown.clone()).collect();
+    let mut adjusted = Adjusted::default();
+    let mut drafts = Vec::with_capacity(frames.len());
+    for (k, (listed, header)) in frames.into_iter().enumerate() {
+        let frame = listed.rest;
+        let intrinsics = frame.stated.complete(&header, &frame.place)?;
+        let (camera, rescaled) = intrinsics.camera(&header, &listed.path, &frame.pose, &frame.place)?;
+        let lens = intrinsics.lens(options.undistort, &frame.place)?;
+        adjusted.count(&intrinsics, &camera, rescaled, lens.as_ref());
+        let mut view = View::new("", camera, Time::default(), ImageSource::File(listed.path), k as u32);
+        view.lens = lens;
+        drafts.push(Draft { view, stated: frame.time, place: frame.time_place });
+    }
+    notes.extend(adjusted.notes());
+    name_views(&mut drafts, &shown);
+    Ok(drafts)
+}
+
+/// Which list each frame goes to.
+#[derive(Clone, Copy)]
+enum Target {
+    Train,
+    Val,
+    Test,
+    Nowhere,
+}
+
+fn split(
+    document: &Document,
+    written: &[String],
+    options: &DataOptions,
+    notes: &mut Vec<String>,
+) -> Result<Vec<Target>, DataError> {
+    let mut targets = vec![Target::Nowhere; written.len()];
+    let Some(train) = document.names("train_filenames")? else {
+        let (_, held) = hold_out(written, options.hold_out);
+        targets.fill(Target::Train);
+        held.iter().for_each(|&i| targets[i] = Target::Test);
+        notes.push(hold_out_note(options.hold_out, held.len()));
+        return Ok(targets);
+    };
+    let index: HashMap<&str, usize> = written.iter().enumerate().map(|(i, w)| (w.as_str(), i)).collect();
+    let val = document.names("val_filenames")?.unwrap_or_default();
+    let test = document.names("test_filenames")?.unwrap_or_default();
+    for (list, target) in [(val, Target::Val), (test, Target::Test), (train, Target::Train)] {
+        list.iter().filter_map(|n| index.get(n.as_str())).for_each(|&i| targets[i] = target);
+    }
+    let unused = targets.iter().filter(|t| matches!(t, Target::Nowhere)).count();
+    if unused > 0 {
+        notes.push(format!("{unused} frames are in none of the lists of file names and are not used"));
+    }
+    Ok(targets)
+}
+
+fn deal(drafts: Vec<Draft>, targets: &[Target]) -> Drafts {
+    let mut dealt = Drafts::default();
+    for (draft, target) in drafts.into_iter().zip(targets) {
+        match target {
+            Target::Train => dealt.train.push(draft),
+            Target::Val => dealt.val.push(draft),
+            Target::Test => dealt.test.push(draft),
+            Target::Nowhere => {}
+        }
+    }
+    dealt
+}
+
+fn points(root: &Root, top: &Fields) -> Result<Option<PointCloud>, DataError> {
+    let Some(written) = top.text("ply_file_path")? else { return Ok(None) };
+    let path = root.resolve(written, &top.place("ply_file_path"))?;
+    ply::read_points(&path).map(Some)
+}
