@@ -64,6 +64,13 @@ pub struct ImageScores {
     pub perceptual_proxy: Option<f64>,
 }
 
+impl ImageScores {
+    /// Whether the image was found to be without any error.
+    pub fn mse_is_zero(&self) -> bool {
+        self.mse == Some(0.0)
+    }
+}
+
 /// Means over images.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Means {
@@ -149,7 +156,7 @@ impl Comparer {
                 perceptual_proxy: mean(|v| v.perceptual_proxy),
             },
             psnr_of_mean_mse: psnr_of_mean_mse(&mses).filter(|p| p.is_finite()),
-            perfect_views: mses.iter().filter(|m| **m == 0.0).count(),
+            perfect_views: self.views.iter().filter(|v| v.mse_is_zero()).count(),
             masked: self.masked,
             views: self.views,
         }

@@ -1,10 +1,13 @@
 //! What a user sees when something goes wrong: what, where, why it matters, what to do; and the exit code.
 
 use gs_core::io::IoError;
-use gs_metrics::MetricError;
 use gs_train::checkpoint::CheckpointError;
 use gs_train::config::ConfigError;
 use gs_train::data::DataError;
+use gs_train::evaluate::EvalError;
+use gs_train::methods::MethodError;
+use gs_train::run::RunError;
+use gs_train::trainer::TrainError;
 use std::fmt;
 use std::path::Path;
 
@@ -155,8 +158,67 @@ impl From<CheckpointError> for Failure {
     }
 }
 
-impl From<MetricError> for Failure {
-    fn from(e: MetricError) -> Self {
-        Self::new(Class::Data, "data.metric", e.to_string())
+impl From<MethodError> for Failure {
+    fn from(e: MethodError) -> Self {
+        let class = if matches!(e, MethodError::Scene(_) | MethodError::Cloud(_)) { Class::Data } else { Class::Usage };
+        Self::new(class, "method", e.to_string())
+            .remedy("gs4d methods lists methods and presets, gs4d config METHOD settings")
+    }
+}
+
+impl From<TrainError> for Failure {
+    fn from(e: TrainError) -> Self {
+        match e {
+            TrainError::Data(e) => e.into(),
+            TrainError::Method(e) => e.into(),
+            TrainError::Numeric { .. } => Self::new(Class::Numeric, "numeric", e.to_string())
+                .why("what is not finite spreads to everything it touches"),
+            TrainError::State(_) => Self::new(Class::Data, "checkpoint.state", e.to_string())
+                .remedy("resume with the data and the version the run began with"),
+            TrainError::Finished(_) => {
+                Self::new(Class::Usage, "finished", e.to_string()).remedy("gs4d resume RUN --steps N")
+            }
+        }
+    }
+}
+
+impl From<EvalError> for Failure {
+    fn from(e: EvalError) -> Self {
+        match e {
+            EvalError::Data(e) => e.into(),
+            EvalError::NoViews(_) => Self::new(Class::Data, "data.split", e.to_string()),
+            EvalError::Metric { .. } => Self::new(Class::Data, "data.metric", e.to_string()),
+        }
+    }
+}
+
+impl From<RunError> for Failure {
+    fn from(e: RunError) -> Self {
+        let text = e.to_string();
+        match e {
+            RunError::Occupied { is_run, .. } => {
+                Self::new(Class::Io, "io.exists", text).why("nothing is overwritten unless asked").remedy(if is_run {
+                    "choose another folder with -o, pass -f, or go on with gs4d resume"
+                } else {
+                    "choose another folder with -o"
+                })
+            }
+            RunError::NotARun { .. } => {
+                Self::new(Class::Data, "run", text).remedy("give the folder that gs4d train -o made")
+            }
+            RunError::Busy { .. } => Self::new(Class::Io, "run.busy", text).remedy("wait for it, or stop it"),
+            RunError::Steps(_) => Self::new(Class::Usage, "steps", text),
+            RunError::Os { .. } => {
+                Self::new(Class::Io, "io", text).remedy("check the path, its permissions and the space on the disk")
+            }
+            RunError::Report(_) => Self::new(Class::Internal, "report", text),
+            RunError::Io(e) => e.into(),
+            RunError::Config(e) => e.into(),
+            RunError::Data(e) => e.into(),
+            RunError::Method(e) => e.into(),
+            RunError::Checkpoint(e) => e.into(),
+            RunError::Train(e) => e.into(),
+            RunError::Eval(e) => e.into(),
+        }
     }
 }

@@ -6,6 +6,9 @@
 
 mod answer;
 mod failure;
+mod images;
+mod interrupt;
+mod parse;
 mod progress;
 mod verbs;
 
@@ -33,7 +36,7 @@ pub struct Global {
     /// Print the result as one JSON value on stdout.
     #[arg(long, global = true)]
     json: bool,
-    /// No progress on stderr.
+    /// No progress and no messages on stderr but errors.
     #[arg(short, long, global = true, conflicts_with = "verbose")]
     quiet: bool,
     /// More detail on stderr.
@@ -44,9 +47,32 @@ pub struct Global {
     threads: Option<u16>,
 }
 
+impl Global {
+    /// A message on stderr, unless quiet.
+    fn say(&self, message: impl std::fmt::Display) {
+        if !self.quiet {
+            eprintln!("{message}");
+        }
+    }
+
+    /// A message on stderr for those who asked for detail.
+    fn detail(&self, message: impl std::fmt::Display) {
+        if self.verbose {
+            eprintln!("{message}");
+        }
+    }
+}
+
 #[derive(Subcommand)]
 enum Verb {
+    Synth(verbs::synth::Synth),
+    Train(verbs::train::Train),
+    Resume(verbs::resume::Resume),
+    Eval(verbs::eval::Eval),
+    Render(verbs::render::Render),
     Inspect(verbs::inspect::Inspect),
+    Methods(verbs::methods::Methods),
+    Config(verbs::config::ShowConfig),
 }
 
 fn run(cli: Cli) -> Result<Answer, Failure> {
@@ -56,7 +82,14 @@ fn run(cli: Cli) -> Result<Answer, Failure> {
         pool.build_global().map_err(|e| Failure::new(Class::Resource, "limits.threads", e.to_string()))?;
     }
     match cli.verb {
+        Verb::Synth(verb) => verb.run(),
+        Verb::Train(verb) => verb.run(global),
+        Verb::Resume(verb) => verb.run(global),
+        Verb::Eval(verb) => verb.run(global),
+        Verb::Render(verb) => verb.run(global),
         Verb::Inspect(verb) => verb.run(),
+        Verb::Methods(verb) => Ok(verb.run()),
+        Verb::Config(verb) => verb.run(),
     }
 }
 

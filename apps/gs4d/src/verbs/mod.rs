@@ -1,3 +1,10 @@
 //! One file per verb.
 
+pub mod config;
+pub mod eval;
 pub mod inspect;
+pub mod methods;
+pub mod render;
+pub mod resume;
+pub mod synth;
+pub mod train;

@@ -1,0 +1,73 @@
+//! Values of flags.
+
+use std::time::Duration;
+
+/// A finite number.
+pub fn finite(text: &str) -> Result<f32, String> {
+    match text.trim().parse::<f32>() {
+        Ok(v) if v.is_finite() => Ok(v),
+        _ => Err("give a number, for example 0.25".to_owned()),
+    }
+}
+
+/// A finite number that is not negative.
+pub fn not_negative(text: &str) -> Result<f64, String> {
+    match text.trim().parse::<f64>() {
+        Ok(v) if v.is_finite() && v >= 0.0 => Ok(v),
+        _ => Err("give a number that is not negative, for example 0.01".to_owned()),
+    }
+}
+
+/// `black`, `white`, one grey or `r,g,b`, each in 0..1.
+pub fn color(text: &str) -> Result<[f32; 3], String> {
+    match text.trim() {
+        "black" => return Ok([0.0; 3]),
+        "white" => return Ok([1.0; 3]),
+        _ => {}
+    }
+    let wrong = || "give black, white, one grey, or r,g,b with values from 0 to 1".to_owned();
+    let channel = |part: &str| part.trim().parse::<f32>().ok().filter(|v| (0.0..=1.0).contains(v)).ok_or_else(wrong);
+    let parts: Vec<f32> = text.split(',').map(channel).collect::<Result<_, _>>()?;
+    match parts[..] {
+        [grey] => Ok([grey; 3]),
+        [r, g, b] => Ok([r, g, b]),
+        _ => Err(wrong()),
+    }
+}
+
+/// A time such as `90`, `90s`, `10m` or `1.5h`.
+pub fn duration(text: &str) -> Result<Duration, String> {
+    let text = text.trim();
+    let (number, unit) = text.split_at(text.find(|c: char| c.is_ascii_alphabetic()).unwrap_or(text.len()));
+    let factor = match unit {
+        "" | "s" => 1.0,
+        "m" | "min" => 60.0,
+        "h" => 3600.0,
+        _ => return Err(format!("the unit `{unit}` is not known; use s, m or h")),
+    };
+    match number.trim().parse::<f64>() {
+        Ok(v) if v > 0.0 && v * factor < 1e9 => Ok(Duration::from_secs_f64(v * factor)),
+        _ => Err("give a positive time, for example 90s, 10m or 1.5h".to_owned()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values() {
+        assert_eq!(color("1,0.5, 0").unwrap(), [1.0, 0.5, 0.0]);
+        assert_eq!((color("white").unwrap(), color("0.25").unwrap()), ([1.0; 3], [0.25; 3]));
+        for bad in ["-1", "1,2,3", "0,0", "nan", "", "red"] {
+            assert!(color(bad).is_err(), "{bad}");
+        }
+        assert_eq!(duration("10m").unwrap(), Duration::from_secs(600));
+        assert_eq!(duration("1.5h").unwrap(), Duration::from_secs(5400));
+        assert_eq!(duration("90").unwrap(), duration("90s").unwrap());
+        for bad in ["", "0", "-5m", "10 parsecs", "nan", "1e300h", "infs"] {
+            assert!(duration(bad).is_err(), "{bad}");
+        }
+        assert!(finite("-0.5").is_ok() && finite("inf").is_err() && not_negative("-1").is_err());
+    }
+}

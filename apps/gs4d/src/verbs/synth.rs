@@ -1,0 +1,68 @@
+//! `gs4d synth`: writes a generated scene with exact truth as a data set.
+
+use crate::answer::Answer;
+use crate::failure::Failure;
+use gs_train::synth::{self, SCENES, SynthOptions};
+use serde_json::json;
+use std::path::PathBuf;
+
+/// Generate a scene with exact truth, as a D-NeRF data set
+#[derive(clap::Args)]
+pub struct Synth {
+    /// Name of the scene; without it, the scenes are listed.
+    name: Option<String>,
+    /// Folder to write to.
+    #[arg(short, long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Side of the images, pixels.
+    #[arg(long, default_value_t = SynthOptions::default().size)]
+    size: u32,
+    /// Training views, evenly spaced in time.
+    #[arg(long, default_value_t = SynthOptions::default().train_views)]
+    train_views: u32,
+    /// Validation views.
+    #[arg(long, default_value_t = SynthOptions::default().val_views)]
+    val_views: u32,
+    /// Test views.
+    #[arg(long, default_value_t = SynthOptions::default().test_views)]
+    test_views: u32,
+    /// Seed of the cameras.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Write into a folder that is not empty.
+    #[arg(short, long)]
+    force: bool,
+}
+
+impl Synth {
+    pub fn run(self) -> Result<Answer, Failure> {
+        let Some(name) = &self.name else { return Ok(list()) };
+        let Some(out) = &self.out else {
+            return Err(Failure::usage("no folder to write to").remedy(format!("gs4d synth {name} -o DIR")));
+        };
+        let options = SynthOptions {
+            size: self.size,
+            train_views: self.train_views,
+            val_views: self.val_views,
+            test_views: self.test_views,
+            seed: self.seed,
+            ..SynthOptions::default()
+        };
+        let data = synth::write(out, name, &options, self.force)?.dataset;
+        let (train, val, test) = (data.train.len(), data.val.len(), data.test.len());
+        let size = options.size;
+        let text = format!(
+            "{}  {name}: {train} training, {val} validation, {test} test views of {size}x{size}; truth.json beside them\n",
+            out.display()
+        );
+        let json =
+            json!({"path": out.display().to_string(), "scene": name, "options": options, "views": [train, val, test]});
+        Ok(Answer::new(text, json))
+    }
+}
+
+fn list() -> Answer {
+    let text: String = SCENES.iter().map(|s| format!("{:10} {}\n", s.name, s.about)).collect();
+    let json: Vec<_> = SCENES.iter().map(|s| json!({"name": s.name, "about": s.about, "dynamic": s.dynamic})).collect();
+    Answer::new(text, json!(json))
+}

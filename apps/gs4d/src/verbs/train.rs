@@ -1,0 +1,173 @@
+//! `gs4d train`: learns a scene from a data set, into a run folder.
+
+use crate::answer::Answer;
+use crate::failure::{Class, Failure};
+use crate::progress::Progress;
+use crate::{Global, interrupt, parse};
+use gs_train::evaluate::EvalReport;
+use gs_train::run::opened::metrics_json;
+use gs_train::run::settings::{Request, resolve};
+use gs_train::run::summary::color_name;
+use gs_train::run::training::is_numeric;
+use gs_train::run::{Outcome, Training};
+use serde_json::json;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
+use std::time::Duration;
+
+/// Learn a scene from a data set
+#[derive(clap::Args)]
+pub struct Train {
+    /// Folder of the data.
+    #[arg(value_name = "DATA")]
+    data: PathBuf,
+    /// Name of the method; gs4d methods lists them.
+    #[arg(short, long)]
+    method: String,
+    /// Recipe: fast (minutes), paper (as published), tiny (seconds).
+    #[arg(long, default_value = "fast")]
+    preset: String,
+    /// A TOML file of settings, laid over the preset.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// One setting, the last word, for example density.until=5000 (repeatable); gs4d config METHOD lists them.
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    sets: Vec<String>,
+    /// Compress or stretch the recipe to so many steps.
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
+    steps: Option<u32>,
+    /// Stop with a checkpoint after so much training, for example 90s, 10m, 1.5h.
+    #[arg(long, value_name = "TIME", value_parser = parse::duration)]
+    time_budget: Option<Duration>,
+    /// Seed of every random number [default: 0].
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Folder of the run; made if missing.
+    #[arg(short, long, value_name = "RUN")]
+    out: PathBuf,
+    /// Overwrite an older run in that folder.
+    #[arg(short, long)]
+    force: bool,
+}
+
+impl Train {
+    pub fn run(self, global: &Global) -> Result<Answer, Failure> {
+        let request = Request {
+            method: self.method,
+            preset: self.preset,
+            data: Some(self.data),
+            file: self.config,
+            steps: self.steps,
+            time_budget: self.time_budget.map(|d| d.as_secs_f64()),
+            seed: self.seed,
+            sets: self.sets,
+        };
+        let resolved = resolve(&request)?;
+        let stop = interrupt::flag()?;
+        let mut training = Training::begin(&self.out, self.force, resolved, None)?;
+        carry_on(&mut training, &stop, global)
+    }
+}
+
+/// Trains to the end of the schedule, scores, writes the report; on interruption says how to go on.
+pub fn carry_on(training: &mut Training, stop: &AtomicBool, global: &Global) -> Result<Answer, Failure> {
+    describe(training, global);
+    let outcome = train(training, stop, global)?;
+    let root = training.folder().root().to_owned();
+    if let Outcome::Interrupted(saved) = outcome {
+        let what = format!("interrupted at step {}; saved {}", training.trainer().steps_done(), saved.display());
+        return Err(Failure::new(Class::Interrupted, "interrupted", what).remedy(resume_command(&root)));
+    }
+    global.say("scoring");
+    let scores = training.score()?;
+    let rows = training.report(&scores)?;
+    let step = training.trainer().steps_done();
+    let mut json = metrics_json(&scores, step);
+    json["run"] = json!(root.display().to_string());
+    json["finished"] = json!(outcome == Outcome::Finished);
+    json["speed_error"] = json!(rows);
+    let mut text = scores_text(&scores, step);
+    text.push_str(&format!("report  {}\n", root.join("report.html").display()));
+    if let Outcome::BudgetSpent(_) = outcome {
+        text.push_str(&format!("the time budget is spent; go on: {}\n", resume_command(&root)));
+    }
+    Ok(Answer::new(text, json))
+}
+
+fn train(training: &mut Training, stop: &AtomicBool, global: &Global) -> Result<Outcome, Failure> {
+    let mut progress = Progress::new(u64::from(training.trainer().steps()), "steps", global.quiet);
+    let outcome = training.train(stop, &mut |p| {
+        progress.at(u64::from(p.step), || {
+            let quarantined =
+                if p.quarantined > 0 { format!("  quarantined {}", p.quarantined) } else { String::new() };
+            let left = p.seconds / f64::from(p.step.max(1)) * f64::from(p.steps - p.step);
+            format!("loss {:.4}  {:.2} dB  {} splats{quarantined}  eta {}", p.loss, p.psnr, p.splats, time_text(left))
+        });
+    });
+    progress.finish();
+    outcome.map_err(|e| {
+        let numeric = is_numeric(&e);
+        let failure = Failure::from(e);
+        let run = training.folder().root().display();
+        if numeric {
+            failure.remedy(format!("the last checkpoint is good: gs4d inspect {run}; lower the learning rates"))
+        } else {
+            failure
+        }
+    })
+}
+
+fn describe(training: &Training, global: &Global) {
+    let data = training.trainer().dataset();
+    for skipped in training.skipped() {
+        global.say(format!("skipped {}", skipped.why));
+    }
+    let run = &training.resolved().run;
+    global.say(format!(
+        "{} with preset {} on {} ({}): {} training, {} test views; {} steps",
+        run.method,
+        run.preset,
+        data.root.display(),
+        data.layout,
+        data.train.len(),
+        data.test.len(),
+        training.trainer().steps()
+    ));
+    for note in &data.notes {
+        global.say(format!("note: {note}"));
+    }
+    global.detail(format!("time: {}; threads: {}", data.time_source, rayon::current_num_threads()));
+}
+
+fn resume_command(root: &Path) -> String {
+    format!("gs4d resume {}", root.display())
+}
+
+/// The scores of a split in two lines.
+pub fn scores_text(s: &EvalReport, step: u32) -> String {
+    let number = |v: Option<f64>, digits: usize| v.map_or("-".to_owned(), |v| format!("{v:.digits$}"));
+    let seconds = s.train_seconds.map_or(String::new(), |t| format!(" · {} of training", time_text(t)));
+    format!(
+        "{} · {} views · background {} · step {step} · {} splats{seconds}\n\
+         psnr {} (mean of views; {} from mean error)   ssim {}   ms-ssim {}   perceptual-proxy {}\n",
+        s.split,
+        s.views.len(),
+        color_name(s.background),
+        s.gaussians,
+        number(s.mean.psnr, 2),
+        number(s.psnr_of_mean_mse, 2),
+        number(s.mean.ssim, 4),
+        number(s.mean.ms_ssim, 4),
+        number(s.mean.perceptual_proxy, 4)
+    )
+}
+
+/// Seconds for people.
+pub fn time_text(seconds: f64) -> String {
+    match seconds {
+        s if s < 10.0 => format!("{s:.1} s"),
+        s if s < 120.0 => format!("{s:.0} s"),
+        s if s < 7200.0 => format!("{:.0} m", s / 60.0),
+        s => format!("{:.1} h", s / 3600.0),
+    }
+}
