@@ -1,43 +1,125 @@
-//! Time and error of the metrics. Each row goes to the terminal and to `target/speed-error/gs-metrics.jsonl`.
+//! Time and error of the metrics. Each row goes to the terminal and to `target/speed-error/gs-metrics.jsonl`; errors are
+//! against plain loops in `f64`.
+
+#[path = "../tests/metrics/reference.rs"]
+mod reference;
 
 use std::hint::black_box;
 use std::io::Write as _;
-use std::path::PathBuf;
+use std::path::Path;
 use std::time::Instant;
 
 use criterion::Criterion;
-use gs_core::Image;
-use gs_metrics::{Ssim, SsimOptions};
+use gs_core::{Image, Rng};
+use gs_metrics::{MsSsim, MsSsimOptions, Padding, Ssim, SsimOptions, mse, perceptual_proxy};
+use reference::{Image64, mean_ssim64, relative_l2, ssim_grad64};
+
+/// What a row says beside its time.
+struct Row<'a> {
+    case: &'a str,
+    variant: &'a str,
+    side: usize,
+    error: Option<f64>,
+    error_kind: &'a str,
+}
+
+/// A smooth picture with grain, and a noisier version of it.
+fn pair(side: usize) -> (Image, Image) {
+    let mut rng = Rng::new(1, "bench", 0, 0);
+    let shade = |i: usize| 0.5 + 0.3 * ((i / 3 % side) as f32 * 0.05).sin() * ((i / 3 / side) as f32 * 0.03).cos();
+    let a: Vec<f32> = (0..side * side * 3).map(|i| shade(i) + 0.1 * rng.uniform()).collect();
+    let b = a.iter().map(|v| v + 0.05 * rng.normal()).collect();
+    let image = |data| Image { width: side, height: side, channels: 3, data };
+    (image(a), image(b))
+}
+
+/// Times `f` with 1 and 2 threads and writes the rows.
+fn measure(criterion: &mut Criterion, row: &Row, mut f: impl FnMut() + Send) {
+    for threads in [1, 2] {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
+        let times = pool.install(|| {
+            let mut times: Vec<f64> = (0..15)
+                .map(|_| {
+                    let start = Instant::now();
+                    f();
+                    start.elapsed().as_secs_f64() * 1e3
+                })
+                .collect();
+            times.sort_by(f64::total_cmp);
+            times
+        });
+        let json = serde_json::json!({
+            "crate": "gs-metrics", "case": row.case, "variant": row.variant, "n": row.side, "threads": threads,
+            "ms": times[times.len() / 2], "work": row.side * row.side * 3, "error": row.error,
+            "error_kind": row.error_kind,
+        });
+        println!("{json}");
+        append(&json.to_string());
+        let name = format!("{}/{}/{}px/{}t", row.case, row.variant, row.side, threads);
+        criterion.bench_function(&name, |b| b.iter(|| pool.install(&mut f)));
+    }
+}
+
+fn append(line: &str) {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/speed-error");
+    let file = folder.join("gs-metrics.jsonl");
+    let written = std::fs::create_dir_all(&folder)
+        .and_then(|()| writeln!(std::fs::OpenOptions::new().create(true).append(true).open(&file)?, "{line}"));
+    if let Err(e) = written {
+        println!("no row written to {}: {e}", file.display());
+    }
+}
+
+fn ssim_rows(criterion: &mut Criterion, a: &Image, b: &Image, padding: Padding) {
+    let (variant, margin) = if padding == Padding::Zero { ("zero padding", 0) } else { ("valid area", 5) };
+    let (a64, b64) = (Image64::from(a), Image64::from(b));
+    let mut ssim = Ssim::new(SsimOptions { padding, ..SsimOptions::default() });
+    let mut grad = Image::default();
+    let value = ssim.value_and_grad(a, b, &mut grad).expect("a score");
+    let error = Some((value - mean_ssim64(&a64, &b64, margin)).abs());
+    let side = a.width;
+    measure(criterion, &Row { case: "ssim", variant, side, error, error_kind: "absolute" }, || {
+        black_box(ssim.value(a, b).expect("a score"));
+    });
+    let error = Some(relative_l2(&grad.data, &ssim_grad64(&a64, &b64, margin)));
+    let row = Row { case: "ssim and gradient", variant, side, error, error_kind: "gradient, relative L2" };
+    measure(criterion, &row, || {
+        black_box(ssim.value_and_grad(a, b, &mut grad).expect("a score"));
+    });
+}
+
+fn other_rows(criterion: &mut Criterion, a: &Image, b: &Image) {
+    let side = a.width;
+    let plain: f64 = a.data.iter().zip(&b.data).map(|(x, y)| (f64::from(*x) - f64::from(*y)).powi(2)).sum();
+    let want = plain / a.data.len() as f64;
+    let error = Some((mse(a, b).expect("a score") / want - 1.0).abs());
+    measure(criterion, &Row { case: "mse", variant: "f64 sums", side, error, error_kind: "relative" }, || {
+        black_box(mse(a, b).expect("a score"));
+    });
+    let mut ms = MsSsim::new(MsSsimOptions::default());
+    let mut grad = Image::default();
+    let own = |case, variant| Row { case, variant, side, error: None, error_kind: "see the tests" };
+    measure(criterion, &own("ms-ssim and gradient", "five levels"), || {
+        black_box(ms.value_and_grad(a, b, &mut grad).expect("a score"));
+    });
+    measure(criterion, &own("perceptual proxy", "no weights"), || {
+        black_box(perceptual_proxy(a, b).expect("a score"));
+    });
+}
 
 fn main() {
-    let a = Image { width: 400, height: 400, channels: 3, data: vec![0.5; 480000] };
-    for side in [400usize, 800] {
-        let data: Vec<f32> = (0..side * side * 3).map(|i| ((i as f32) * 0.37).sin() * 0.5 + 0.5).collect();
-        let a = Image { width: side, height: side, channels: 3, data };
-        let mut b = a.clone();
-        b.data.iter_mut().enumerate().for_each(|(i, v)| *v += ((i * 7919) % 101) as f32 * 1e-3);
-        let mut s = Ssim::new(SsimOptions::default());
-        let mut g = Image::default();
-        for t in [1, 2] {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(t).build().unwrap();
-            pool.install(|| {
-                let mut ts = vec![];
-                let mut vs = vec![];
-                for _ in 0..40 {
-                    let t0 = Instant::now();
-                    black_box(s.value_and_grad(&a, &b, &mut g).unwrap());
-                    ts.push(t0.elapsed().as_secs_f64() * 1e3);
-                    let t0 = Instant::now();
-                    black_box(s.value(&a, &b).unwrap());
-                    vs.push(t0.elapsed().as_secs_f64() * 1e3);
-                }
-                ts.sort_by(f64::total_cmp);
-                vs.sort_by(f64::total_cmp);
-                println!(
-                    "{side} threads {t}: grad {:.2} min {:.2}  value {:.2} min {:.2}",
-                    ts[20], ts[0], vs[20], vs[0]
-                );
-            });
-        }
+    let quick = std::time::Duration::from_millis(200);
+    let mut criterion = Criterion::default()
+        .sample_size(10)
+        .warm_up_time(quick / 4)
+        .measurement_time(quick)
+        .without_plots()
+        .configure_from_args();
+    for side in [400, 800] {
+        let (a, b) = pair(side);
+        ssim_rows(&mut criterion, &a, &b, Padding::Zero);
+        ssim_rows(&mut criterion, &a, &b, Padding::Valid);
+        other_rows(&mut criterion, &a, &b);
     }
+    criterion.final_summary();
 }

@@ -1,4 +1,36 @@
-//! Image metrics for rendering: PSNR, SSIM with its gradient, MS-SSIM, masked forms and a weight-free perceptual proxy.
+//! Scores of rendered images against true ones, the ones used for training with their gradients.
+//!
+//! | score | value | gradient | module |
+//! |---|---|---|---|
+//! | MSE, PSNR | [`mse`], [`psnr`](fn@psnr) | | [`psnr`](mod@psnr) |
+//! | SSIM, zero-padded (training loss) or valid area (published) | [`ssim`](fn@ssim) | [`ssim_with_grad`], [`Ssim`] | [`ssim`](mod@ssim) |
+//! | MS-SSIM | [`ms_ssim`](fn@ms_ssim) | [`ms_ssim_with_grad`], [`MsSsim`] | [`ms_ssim`](mod@ms_ssim) |
+//! | masked PSNR and SSIM (DyCheck) | [`masked_psnr`], [`masked_ssim`] | | [`masked`] |
+//! | perceptual **proxy**, without learned weights, not LPIPS | [`perceptual_proxy`] | | [`perceptual`] |
+//! | means over views | [`Scorer`], [`Summary`] | | [`report`] |
+//!
+//! # Conventions
+//! Images are [`gs_core::Image`]: row-major, channels interleaved, display-encoded values in `[0, 1]`, 1 to 4 channels
+//! (1 or 3 for the proxy), all channels alike. Values are not clamped or quantised here; a protocol which scores 8-bit
+//! files quantises first. Gradients are with respect to the **first** image, in its shape.
+//!
+//! Everything is bitwise equal for any number of threads of the rayon pool in scope. Bad input is a [`MetricError`] which
+//! says what, where, and what to do; a NaN pixel never becomes a score.
+//!
+//! ```
+//! use gs_core::Image;
+//! use gs_metrics::{Mean, SsimOptions, psnr, ssim};
+//! let grey = Image { width: 16, height: 16, channels: 3, data: vec![0.5; 768] };
+//! let darker = Image { data: vec![0.4; 768], ..grey.clone() };
+//! assert!((psnr(&grey, &darker)? - 20.0).abs() < 1e-5);
+//! assert_eq!(psnr(&grey, &grey)?, f64::INFINITY);
+//! assert_eq!(ssim(&grey, &grey, &SsimOptions::default())?, 1.0);
+//! assert_eq!(Mean::of([20.0, f64::INFINITY]).to_string(), "20.0000 (1 infinite)");
+//! # Ok::<(), gs_metrics::MetricError>(())
+//! ```
+//!
+//! # What it leaves out
+//! LPIPS and every other metric with learned weights, colour-managed and HDR comparisons, video metrics.
 
 pub mod error;
 pub mod masked;

@@ -9,9 +9,9 @@
 //! "same" padding), [`Padding::Valid`] scores only pixels whose whole window lies inside (the published metric).
 //!
 //! # Numbers
-//! `f32` filters with variances that do not cancel (see [`crate::window`] for the form), `f64` means. Identical images
-//! give exactly 1. The gradient has the shape of an image and is with respect to the first argument; SSIM itself is
-//! symmetric.
+//! `f32` filters whose variances are taken about the centre of each window, so that flat areas do not cancel; `f64` means.
+//! Identical images give exactly 1. The gradient has the shape of an image and is with respect to the first argument;
+//! SSIM itself is symmetric.
 //!
 //! Wang, Bovik, Sheikh, Simoncelli, IEEE TIP 13(4), 2004; K1, K2, window and σ are theirs.
 
