@@ -200,23 +200,24 @@ impl HexPlane {
                 let (a, b) = PAIRS[pair];
                 // Time rows that are never read count in the mean, as they do in the reference.
                 let height = if b == 3 { resolution[3] } else { level.nodes[b] };
-                let size = param.value.len() / groups;
-                let grads = param.grad.chunks_mut(size);
-                jobs.extend(param.value.chunks(size).zip(grads).map(|(v, g)| (b == 3, level.nodes[a], height, v, g)));
+                let (values, grads) = (param.value.as_chunks().0, param.grad.as_chunks_mut().0);
+                let size = values.len() / groups;
+                let shares = values.chunks(size).zip(grads.chunks_mut(size));
+                jobs.extend(shares.map(|(v, g)| (b == 3, level.nodes[a], height, v, g)));
             }
         }
+        let simd = self.simd;
         let values: Vec<[f64; 3]> = jobs
             .into_par_iter()
             .map(|(timed, width, height, value, grad)| {
                 let bends = channels * (height - 2) * width;
-                let row = width * LANES;
-                if timed {
-                    let smooth = smooth::second_difference(value, grad, row, bends, time_smoothness);
-                    let far = smooth::distance_to_one(value, grad, channels * height * width, time_l1);
-                    [0.0, smooth, far]
+                let all = channels * height * width;
+                dispatch!(simd, simd => if timed {
+                    let smooth = smooth::second_difference(simd, value, grad, width, bends, time_smoothness);
+                    [0.0, smooth, smooth::distance_to_one(simd, value, grad, width, all, time_l1)]
                 } else {
-                    [smooth::second_difference(value, grad, row, bends, plane_tv), 0.0, 0.0]
-                }
+                    [smooth::second_difference(simd, value, grad, width, bends, plane_tv), 0.0, 0.0]
+                })
             })
             .collect();
         let total = |k: usize, weight: f32| (f64::from(weight) * values.iter().map(|v| v[k]).sum::<f64>()) as f32;

@@ -3,6 +3,9 @@
 //! With `A B C` the bilinear samples of the planes xy, xz, yz and `X Y Z` the linear samples of the lines that the planes
 //! xt, yt, zt become at a fixed time, a feature is the product of the six. Its cotangent `g` reaches each factor as `g`
 //! times the other five, built from the pairs `AB`, `CX`, `YZ`: no division, so texels may be zero.
+//!
+//! Everything here is a function marked `inline(always)`, never a closure: only then does the instruction set chosen at
+//! run time reach it.
 
 use fearless_simd::{Simd, SimdBase, SimdFloat, f32x16};
 use glam::Vec3;
@@ -94,6 +97,19 @@ impl<'a> Group<'a> {
         let (y, z) = rest.split_at(nodes[1]);
         Self { nodes, planes, lines: [x, y, z] }
     }
+
+    /// Sample of spatial plane `P`.
+    #[inline(always)]
+    fn plane<S: Simd, const P: usize>(&self, simd: S, cell: &[Cell; 3]) -> Sample<S> {
+        let (a, b) = AXES[P];
+        sample_plane(simd, self.planes[P], self.nodes[a], cell[a], cell[b])
+    }
+
+    /// Value and derivative of the line along axis `A`.
+    #[inline(always)]
+    fn line<S: Simd, const A: usize>(&self, simd: S, cell: &[Cell; 3]) -> (f32x16<S>, f32x16<S>) {
+        sample_line(simd, self.lines[A], cell[A])
+    }
 }
 
 /// The axes of the three spatial planes, fast axis first.
@@ -110,12 +126,11 @@ pub(crate) fn forward<S: Simd>(
     at: usize,
 ) {
     for (cell, row) in cells.iter().zip(out.chunks_exact_mut(stride)) {
-        let plane = |p: usize| {
-            let (a, b) = AXES[p];
-            sample_plane(simd, group.planes[p], group.nodes[a], cell[a], cell[b]).value
-        };
-        let line = |axis: usize| sample_line(simd, group.lines[axis], cell[axis]).0;
-        let product = (plane(0) * plane(1)) * (plane(2) * line(0)) * (line(1) * line(2));
+        let (xy, xz, yz) =
+            (group.plane::<_, 0>(simd, cell), group.plane::<_, 1>(simd, cell), group.plane::<_, 2>(simd, cell));
+        let (x, y, z) =
+            (group.line::<_, 0>(simd, cell).0, group.line::<_, 1>(simd, cell).0, group.line::<_, 2>(simd, cell).0);
+        let product = (xy.value * xz.value) * (yz.value * x) * (y * z);
         product.store_slice(&mut row[at..at + LANES]);
     }
 }
@@ -164,13 +179,10 @@ pub(crate) fn backward<S: Simd>(
     mut d_means: Option<&mut [Vec3]>,
 ) {
     for (r, (cell, row)) in cells.iter().zip(d_out.chunks_exact(stride)).enumerate() {
-        let plane = |p: usize| {
-            let (a, b) = AXES[p];
-            sample_plane(simd, group.planes[p], group.nodes[a], cell[a], cell[b])
-        };
-        let (xy, xz, yz) = (plane(0), plane(1), plane(2));
-        let line = |axis: usize| sample_line(simd, group.lines[axis], cell[axis]);
-        let ((x, along_x), (y, along_y), (z, along_z)) = (line(0), line(1), line(2));
+        let (xy, xz, yz) =
+            (group.plane::<_, 0>(simd, cell), group.plane::<_, 1>(simd, cell), group.plane::<_, 2>(simd, cell));
+        let ((x, along_x), (y, along_y)) = (group.line::<_, 0>(simd, cell), group.line::<_, 1>(simd, cell));
+        let (z, along_z) = group.line::<_, 2>(simd, cell);
 
         let g = f32x16::from_slice(simd, &row[at..at + LANES]);
         let (first, second, third) = (xy.value * xz.value, yz.value * x, y * z);
@@ -189,8 +201,8 @@ pub(crate) fn backward<S: Simd>(
             let dx = d_lines[0].mul_add(along_x, d_planes[0].mul_add(xy.along_a, d_planes[1] * xz.along_a));
             let dy = d_lines[1].mul_add(along_y, d_planes[0].mul_add(xy.along_b, d_planes[2] * yz.along_a));
             let dz = d_lines[2].mul_add(along_z, d_planes[1].mul_add(xz.along_b, d_planes[2] * yz.along_b));
-            let sum = |v: f32x16<S>| simd.reduce_sum_f32x16(v);
-            let per_node = Vec3::new(sum(dx), sum(dy), sum(dz));
+            let sums = (simd.reduce_sum_f32x16(dx), simd.reduce_sum_f32x16(dy), simd.reduce_sum_f32x16(dz));
+            let per_node = Vec3::from(sums);
             d_means[r] += per_node * Vec3::from_array(cell.map(|c| c.slope));
         }
     }
