@@ -1,8 +1,6 @@
-//! Training of a static scene, end to end: it learns, it does not depend on threads, it resumes bit for bit.
+//! Every method learns a generated scene, end to end.
 
-mod train_support;
-
-use train_support::*;
+use crate::support::*;
 
 #[test]
 fn a_static_scene_is_learnt() {
@@ -17,4 +15,21 @@ fn a_static_scene_is_learnt() {
     assert!(reports.iter().any(|r| r.adapted.cloned + r.adapted.split > 0), "growth took part");
     assert!(reports.iter().any(|r| r.adapted.reset), "a reset took part");
     assert!(matches!(trainer.step(), Err(gs_train::trainer::TrainError::Finished(300))));
+}
+
+/// Moving scenes are learnt better with their field than a still cloud can.
+#[test]
+fn motion_is_learnt() {
+    let data = scene("balls", 48, 40);
+    let scored = |method: &str| {
+        let mut trainer = trainer(&data, method, "");
+        let steps = trainer.steps();
+        run(&mut trainer, steps);
+        psnr(&trainer, &data)
+    };
+    let still = scored("static3d");
+    for method in ["defgs", "fourdgs"] {
+        let moving = scored(method);
+        assert!(moving > still + 1.0, "{method}: {moving:.2} dB, a still cloud has {still:.2} dB");
+    }
 }

@@ -11,8 +11,14 @@ use std::sync::Arc;
 
 /// A generated scene of small images.
 pub fn scene(name: &str, size: u32, views: u32) -> Arc<Dataset> {
-    let options =
-        SynthOptions { size, train_views: views, val_views: 0, test_views: 4, supersample: 2, ..SynthOptions::default() };
+    let options = SynthOptions {
+        size,
+        train_views: views,
+        val_views: 0,
+        test_views: 4,
+        supersample: 2,
+        ..SynthOptions::default()
+    };
     Arc::new(synth::generate(name, &options).expect("generated scene").dataset)
 }
 
@@ -49,4 +55,33 @@ pub fn psnr(trainer: &Trainer, data: &Dataset) -> f64 {
         sum += gs_metrics::psnr(&drawn, &photographs.get(view).expect("photograph").over(background)).expect("psnr");
     }
     sum / data.test.len() as f64
+}
+
+/// A short schedule with growth, pruning, a reset and a change of stage inside its 60 steps.
+const SHORT: &str = "
+density.from = 5
+density.until = 55
+density.every = 10
+density.reset_every = 25
+density.max_splats = 300
+sh_every = 20
+";
+
+/// The `tiny` preset with that schedule.
+pub fn short(method: &str) -> toml::Table {
+    let mut config = tiny(method, SHORT);
+    let stages = config["schedule"]["stages"].as_table_mut().expect("stages");
+    let count = stages.len() as i64;
+    for (_, stage) in stages.iter_mut() {
+        let stage = stage.as_table_mut().expect("stage");
+        stage.insert("steps".into(), (60 / count).into());
+    }
+    config["init"].as_table_mut().expect("init").insert("points".into(), 150.into());
+    config
+}
+
+/// A run of that configuration, seed 3.
+pub fn start(method: &str, data: &Arc<Dataset>) -> Trainer {
+    Trainer::new(data.clone(), method, &short(method), TrainOptions { seed: 3, ..TrainOptions::default() })
+        .expect("trainer")
 }

@@ -1,0 +1,48 @@
+//! Trains 3D Gaussian Splatting on a generated scene in memory and prints how it improves.
+//!
+//! ```text
+//! cargo run --release -p gs-train --example train_static -- [SCENE] [PRESET] [METHOD]
+//! ```
+
+use gs_train::data::{ImageCache, Split};
+use gs_train::evaluate::evaluate;
+use gs_train::methods::MethodEntry;
+use gs_train::synth::{self, SynthOptions};
+use gs_train::trainer::{TrainOptions, Trainer};
+use std::sync::Arc;
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let mut arguments = std::env::args().skip(1);
+    let scene = arguments.next().unwrap_or_else(|| synth::SCENES[0].name.to_owned());
+    let preset = arguments.next().unwrap_or_else(|| "tiny".to_owned());
+    let method = arguments.next().unwrap_or_else(|| "static3d".to_owned());
+
+    let options = SynthOptions { size: 96, train_views: 40, val_views: 0, test_views: 8, ..SynthOptions::default() };
+    let data = synth::generate(&scene, &options)?;
+    let dataset = Arc::new(data.dataset);
+    let config = MethodEntry::find(&method)?.config(&preset)?;
+    let mut trainer = Trainer::new(dataset.clone(), &method, &config, TrainOptions::default())?;
+    let background = trainer.method().schedule().background.evaluation_color();
+    let photographs = ImageCache::new(64 << 20, 1.0);
+
+    println!("{method} ({preset}) on the generated scene `{scene}`, {} steps", trainer.steps());
+    let every = (trainer.steps() / 10).max(1);
+    while trainer.steps_done() < trainer.steps() {
+        let report = trainer.step()?;
+        if report.step % every == 0 {
+            let test = evaluate(trainer.method(), &dataset, Split::Test, background, &photographs)?;
+            println!(
+                "step {:6}  {:8}  loss {:.4}  test {:.2} dB, SSIM {:.4}  {} splats  {:.1} ms",
+                report.step,
+                report.stage,
+                report.loss.total,
+                test.mean.psnr.unwrap_or(f64::INFINITY),
+                test.mean.ssim.unwrap_or(1.0),
+                report.splats,
+                report.ms.total
+            );
+        }
+    }
+    println!("{:.1} s of training", trainer.train_seconds());
+    Ok(())
+}

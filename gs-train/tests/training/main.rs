@@ -1,0 +1,6 @@
+//! Training, method by method, on generated scenes of a few dozen pixels.
+
+mod learning;
+mod methods;
+mod resume;
+mod support;
