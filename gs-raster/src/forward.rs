@@ -324,20 +324,17 @@ fn assemble(tiles: &[TileState], grid: &Grid, background: [f32; 3], frame: &mut 
 impl TileState {
     /// Writes row `y` of the tile, as many pixels as the slices hold.
     fn row(&self, y: usize, rgb: &mut [[f32; 3]], background: [f32; 3], alpha: &mut [f32], depth: &mut [f32]) {
-        let pixels = rgb.chunks_mut(4).zip(alpha.chunks_mut(4)).zip(depth.chunks_mut(4));
-        for (column, ((rgb, alpha), depth)) in pixels.enumerate() {
-            let (block, lane) = (y / 4 * 4 + column, y % 4 * 4);
-            let [red, green, blue] = &self.rgb;
-            let t = &self.transmittance[block][lane..lane + 4];
-            for (x, ((rgb, alpha), depth)) in rgb.iter_mut().zip(alpha).zip(depth).enumerate() {
-                *rgb = [
-                    red[block][lane + x] + t[x] * background[0],
-                    green[block][lane + x] + t[x] * background[1],
-                    blue[block][lane + x] + t[x] * background[2],
-                ];
-                *alpha = 1.0 - t[x];
-                *depth = self.depth[block][lane + x];
-            }
+        let [red, green, blue] = &self.rgb;
+        for (x, ((rgb, alpha), depth)) in rgb.iter_mut().zip(alpha).zip(depth).enumerate() {
+            let (block, lane) = (y / 4 * 4 + x / 4, y % 4 * 4 + x % 4);
+            let t = self.transmittance[block][lane];
+            *rgb = [
+                red[block][lane] + t * background[0],
+                green[block][lane] + t * background[1],
+                blue[block][lane] + t * background[2],
+            ];
+            *alpha = 1.0 - t;
+            *depth = self.depth[block][lane];
         }
     }
 }

