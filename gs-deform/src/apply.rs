@@ -316,3 +316,50 @@ impl RowsMut<'_> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_unit_rule_turns_like_the_sum_of_unit_quaternions_and_survives_zero() {
+        let unit = Apply { scale: ScaleRule::Add, quat: QuatRule::Unit };
+        let (q, d) = ([3.0, 0.0, 4.0, 0.0], [0.1, -0.2, 0.3, 0.05]);
+        let got = rot::normalise(unit.turn(q, d)).wxyz;
+        let want = rot::normalise([0.7, -0.2, 1.1, 0.05]).wxyz;
+        assert!((0..4).all(|k| (got[k] - want[k]).abs() < 1e-6), "{got:?} {want:?}");
+        let (d_q, d_offset) = unit.turn_backward([0.0; 4], d, [1.0; 4]);
+        assert!(d_q.iter().chain(&d_offset).all(|v| v.is_finite()));
+    }
+
+    #[test]
+    fn columns_that_do_not_move_pass_everything() {
+        let (means, quats, scales) = ([Vec3::ONE; 3], [[1.0, 2.0, 3.0, 4.0]; 3], [Vec3::splat(0.5); 3]);
+        let rows = Rows { means: &means, quats: &quats, scales: &scales };
+        let apply = Apply { scale: ScaleRule::Log, quat: QuatRule::Compose };
+        let (mut m, mut q, mut s) = ([Vec3::ZERO; 3], [[0.0; 4]; 3], [Vec3::ZERO; 3]);
+        apply.forward(rows, Offsets::default(), &mut RowsMut { means: &mut m, quats: &mut q, scales: &mut s });
+        assert_eq!((m, q, s), (means, quats, scales));
+        let mut d_by = OffsetColumns { means: vec![7.0; 9], ..OffsetColumns::default() };
+        let mut d_from = RowsMut { means: &mut m, quats: &mut q, scales: &mut s };
+        apply.backward(rows, Offsets::default(), rows, &mut d_from, &mut d_by);
+        assert_eq!((m[0], q[0], s[0]), (means[0] * 2.0, quats[0].map(|v| v * 2.0), scales[0] * 2.0));
+        assert!(d_by.means.is_empty() && d_by.quats.is_empty() && d_by.scales.is_empty());
+    }
+
+    #[test]
+    fn what_fields_do_not_change_is_copied_whatever_stood_there() {
+        let from = Splats {
+            means: vec![Vec3::ONE; 2],
+            opacities: vec![0.25, 0.5],
+            color: Color::Rgb(vec![[0.1, 0.2, 0.3]; 2]),
+            ..Splats::default()
+        };
+        let sh = Splats { color: Color::Sh { degree: 0, coeffs: vec![0.5; 6] }, ..from.clone() };
+        let mut out = Splats::default();
+        for splats in [&from, &sh, &sh, &from] {
+            pass_through(splats, &mut out);
+            assert_eq!((&out.color, &out.opacities, out.quats.len()), (&splats.color, &splats.opacities, 2));
+        }
+    }
+}

@@ -71,7 +71,7 @@ impl Default for DefGsConfig {
 }
 
 impl DefGsConfig {
-    /// Four layers of 128: about a tenth of the work of the default.
+    /// Four layers of 128: about a seventh of the time of the default.
     pub fn fast() -> Self {
         Self { width: 128, depth: 4, skip: 2, time_hidden: 64, ..Self::default() }
     }
