@@ -33,6 +33,8 @@ struct Held {
 #[derive(Debug)]
 struct Entry {
     image: Arc<ImageU8>,
+    /// Keeps an image in memory alive, so that no other can take the address that names it.
+    _source: ImageSource,
     last_use: u64,
 }
 
@@ -95,7 +97,7 @@ impl ImageCache {
             return Ok(image);
         }
         let image = Arc::new(self.produce(v)?);
-        self.lock().keep(key, &image, self.max_bytes);
+        self.lock().keep(key, v, &image, self.max_bytes);
         Ok(image)
     }
 
@@ -129,7 +131,7 @@ impl Held {
         Some(entry.image.clone())
     }
 
-    fn keep(&mut self, key: Key, image: &Arc<ImageU8>, max_bytes: usize) {
+    fn keep(&mut self, key: Key, v: &View, image: &Arc<ImageU8>, max_bytes: usize) {
         self.decoded += 1;
         let size = image.data.len();
         if size > max_bytes || self.images.contains_key(&key) {
@@ -140,7 +142,7 @@ impl Held {
         }
         self.clock += 1;
         self.bytes += size;
-        self.images.insert(key, Entry { image: image.clone(), last_use: self.clock });
+        self.images.insert(key, Entry { image: image.clone(), _source: v.image.clone(), last_use: self.clock });
     }
 
     /// A linear scan: it costs nothing beside the decoding that made it necessary.
