@@ -4,7 +4,8 @@
 //! roofs, so that a figure can be carried to another machine. Without arguments it times a scene it makes itself.
 
 use gs_core::io::{Limits, load_cameras, load_splats};
-use gs_raster::measure::{Roofs, camera, median_seconds, scene};
+use gs_core::speed::median_seconds;
+use gs_raster::measure::{Roofs, camera, scene};
 use gs_raster::{
     Frame, FrameGrad, RasterOptions, ScreenStats, SimdLevel, Workspace, render_backward_into, render_into,
 };

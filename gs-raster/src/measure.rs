@@ -3,18 +3,22 @@
 //! Scenes follow the statistics that published CPU peers were timed on: centres uniform in the unit box, log-normal sizes
 //! (σ 0.5) times per-axis log-normal (σ 0.6), opacity logits N(0, 1.8²), unnormalised quaternions, SH degree 3.
 
-use crate::options::SimdLevel;
-use crate::simd;
+use crate::options::{RasterOptions, SimdLevel};
+use crate::reference::{self, Cutoff, Scene};
+use crate::{
+    Frame, FrameGrad, ScreenStats, Workspace, render, render_backward, render_backward_into, render_into, simd,
+};
 use fearless_simd::{dispatch, f32x16, prelude::*};
 use glam::{DMat3, DVec3, Vec3};
-use gs_core::{Camera, Color, Kernel, Rng, Splats, sh};
+use gs_core::speed::{SpeedError, median_seconds};
+use gs_core::{Camera, Color, Kernel, Rng, Splats, SplatsGrad, sh};
 use rayon::prelude::*;
 use std::hint::black_box;
 use std::time::Instant;
 
 /// A random scene of `n` splats of SH degree `degree`; median scale 0.020 for 10 000, 0.010 for 100 000 splats.
 pub fn scene(n: usize, degree: u8) -> Splats {
-    let median = 0.02 * (1e4 / n.max(1) as f64).powf(0.30103);
+    let median = 0.02 * (1e4 / n.max(1) as f64).powf(std::f64::consts::LOG10_2);
     let mut rng = Rng::new(20_240_817, "bench scene", 0, n as u64);
     let mut s = Splats { kernel: Kernel::Gaussian, ..Splats::default() };
     let width = 3 * sh::coeffs(degree);
@@ -106,16 +110,79 @@ fn exp2_rounds<S: Simd>(simd: S, rounds: usize) -> f32 {
     (sum[0] + sum[1] + sum[2] + sum[3]).reduce_sum()
 }
 
-/// Median seconds of `runs` calls after one warm-up.
-pub fn median_seconds(runs: usize, mut work: impl FnMut()) -> f64 {
-    work();
-    let mut times: Vec<f64> = (0..runs.max(1))
-        .map(|_| {
-            let start = Instant::now();
-            work();
-            start.elapsed().as_secs_f64()
-        })
-        .collect();
-    times.sort_by(f64::total_cmp);
-    times[times.len() / 2]
+/// Times one scene at one instruction set with the current pool: forward, and forward + backward, each with its error
+/// against the `f64` reference on a smaller view of the same scene (`error_side` pixels).
+pub fn rows(
+    case: &str,
+    splats: &Splats,
+    camera: &Camera,
+    choice: SimdLevel,
+    runs: usize,
+    error_side: u32,
+) -> [SpeedError; 2] {
+    let options = RasterOptions { simd: choice, ..RasterOptions::default() };
+    let (mut workspace, mut frame) = (Workspace::new(), Frame::default());
+    let n = (camera.width * camera.height) as usize;
+    let d = FrameGrad { rgb: cotangents(3 * n), ..FrameGrad::default() };
+    let (mut grad, mut stats) = (SplatsGrad::default(), ScreenStats::default());
+    let forward = median_seconds(runs, || render_into(splats, camera, &options, &mut workspace, &mut frame));
+    let both = median_seconds(runs, || {
+        render_into(splats, camera, &options, &mut workspace, &mut frame);
+        render_backward_into(splats, camera, &options, &mut workspace, &d, &mut grad, &mut stats);
+    });
+    let small = camera.scaled(f64::from(error_side) / f64::from(camera.width));
+    let (frame_error, grad_error, blends) = errors(splats, &small, &options);
+    let scale = n as f64 / f64::from(small.width * small.height);
+    let row = |variant: &str, seconds: f64, error, error_kind| SpeedError {
+        krate: "gs-raster",
+        case: format!("{case}@{}", camera.width),
+        variant: format!("{variant} {}", simd::level_name(simd::level(choice))),
+        n: splats.len(),
+        threads: rayon::current_num_threads(),
+        ms: 1e3 * seconds,
+        work: blends * scale,
+        error: Some(error),
+        error_kind,
+    };
+    [
+        row("forward", forward, frame_error, "frame max abs off the cutoff band"),
+        row("forward+backward", both, grad_error, "means gradient relative L2"),
+    ]
+}
+
+fn cotangents(n: usize) -> Vec<f32> {
+    let mut rng = Rng::new(1, "bench cotangents", 0, 0);
+    (0..n).map(|_| rng.range(-1.0, 1.0)).collect()
+}
+
+/// Largest frame error off the cutoff band, relative L2 of the gradient of the means, and blended samples.
+fn errors(splats: &Splats, camera: &Camera, options: &RasterOptions) -> (f64, f64, f64) {
+    let exact = Scene::<f64>::new(splats);
+    let want = reference::render(&exact, camera, options, Cutoff::Hard);
+    let mut workspace = Workspace::new();
+    let frame = render(splats, camera, options, &mut workspace);
+    let n = want.alpha.len();
+    let mut rgb = cotangents(3 * n);
+    let mut worst = 0.0f64;
+    for i in 0..n {
+        for c in 0..3 {
+            if want.margin[i] < 1e-5 {
+                rgb[3 * i + c] = 0.0;
+            } else {
+                worst = worst.max((f64::from(frame.rgb[3 * i + c]) - want.rgb[i][c]).abs());
+            }
+        }
+    }
+    let d: Vec<_> = rgb.as_chunks::<3>().0.iter().map(|d| (d.map(f64::from), 0.0, 0.0)).collect();
+    let (want_grad, _) = reference::render_backward(&exact, camera, options, Cutoff::Hard, &d);
+    let (grad, _) =
+        render_backward(splats, camera, options, &mut workspace, &FrameGrad { rgb, ..FrameGrad::default() });
+    let (mut distance, mut norm) = (0.0, 0.0);
+    for (got, want) in grad.means.iter().zip(&want_grad.means) {
+        for (g, w) in got.to_array().iter().zip(want) {
+            distance += (f64::from(*g) - w).powi(2);
+            norm += w * w;
+        }
+    }
+    (worst, (distance / norm.max(f64::MIN_POSITIVE)).sqrt(), want.blends as f64)
 }

@@ -1,0 +1,79 @@
+//! Time and error of a frame, and how cost grows with splats, pixels and depth complexity.
+//!
+//! `cargo bench -p gs-raster` prints criterion's statistics of the three reference cases, then one row per case,
+//! instruction set and thread count, with the machine's roofs beside; rows go to `target/speed-error/gs-raster.jsonl`.
+
+use criterion::Criterion;
+use gs_core::{Camera, Splats};
+use gs_raster::measure::{Roofs, camera, rows, scene};
+use gs_raster::{
+    Frame, FrameGrad, RasterOptions, ScreenStats, SimdLevel, Workspace, render_backward_into, render_into,
+};
+use std::path::Path;
+use std::time::Duration;
+
+fn pool(threads: usize) -> rayon::ThreadPool {
+    rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a thread pool")
+}
+
+fn criterion_cases(c: &mut Criterion) {
+    for (name, n, side) in [("syn10k@256", 10_000, 256), ("syn100k@800", 100_000, 800)] {
+        let (splats, camera) = (scene(n, 3), camera(side));
+        let options = RasterOptions::default();
+        let (mut workspace, mut frame) = (Workspace::new(), Frame::default());
+        let d = FrameGrad { rgb: vec![1.0; 3 * (side * side) as usize], ..FrameGrad::default() };
+        let (mut grad, mut stats) = (Default::default(), ScreenStats::default());
+        c.bench_function(&format!("{name} forward"), |b| {
+            b.iter(|| render_into(&splats, &camera, &options, &mut workspace, &mut frame));
+        });
+        c.bench_function(&format!("{name} forward+backward"), |b| {
+            b.iter(|| {
+                render_into(&splats, &camera, &options, &mut workspace, &mut frame);
+                render_backward_into(&splats, &camera, &options, &mut workspace, &d, &mut grad, &mut stats);
+            });
+        });
+    }
+}
+
+fn record(case: &str, splats: &Splats, camera: &Camera, simd: SimdLevel) {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/speed-error");
+    for row in rows(case, splats, camera, simd, 11, 48) {
+        if let Err(e) = row.record(&folder) {
+            eprintln!("{}: {e}", folder.display());
+        }
+    }
+}
+
+fn main() {
+    let mut criterion =
+        Criterion::default().sample_size(10).measurement_time(Duration::from_secs(2)).configure_from_args();
+    criterion_cases(&mut criterion);
+    criterion.final_summary();
+    let big = scene(100_000, 3);
+    for simd in [SimdLevel::Auto, SimdLevel::Avx2, SimdLevel::Portable] {
+        for threads in [1, 2] {
+            pool(threads).install(|| {
+                let roofs = Roofs::measure(simd);
+                println!("{threads} threads, {simd:?}: {:.0} GFLOP/s FMA, {:.1} Gexp/s", roofs.fma, roofs.exp2);
+                record("syn100k", &big, &camera(800), simd);
+            });
+        }
+    }
+    pool(2).install(|| {
+        println!("growth with the number of splats, at 400x400");
+        for n in [1_000, 10_000, 100_000, 300_000] {
+            record("splats", &scene(n, 3), &camera(400), SimdLevel::Auto);
+        }
+        println!("growth with pixels, 10 000 splats");
+        for side in [128, 256, 512, 1024] {
+            record("pixels", &scene(10_000, 3), &camera(side), SimdLevel::Auto);
+        }
+        println!("growth with depth complexity: the same splats, larger and fainter");
+        for grow in [1.0f32, 2.0, 4.0] {
+            let mut splats = scene(10_000, 3);
+            splats.scales.iter_mut().for_each(|s| *s *= grow);
+            splats.opacities.iter_mut().for_each(|o| *o *= 0.3 / grow);
+            record(&format!("depth x{grow}"), &splats, &camera(400), SimdLevel::Auto);
+        }
+    });
+}
