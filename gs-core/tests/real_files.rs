@@ -37,6 +37,14 @@ fn a_trained_ply_is_read_and_written_back_byte_for_byte() {
 }
 
 #[test]
+fn opacities_of_exactly_zero_are_legal() {
+    let Some(path) = shared("workload/bulba_sh3.ply") else { return };
+    let splats = load_splats(&path, &Limits::default()).unwrap();
+    assert_eq!(splats.len(), 11_982);
+    assert!(splats.to_splats().unwrap().opacities.iter().any(|&o| o < 2e-6));
+}
+
+#[test]
 fn the_minimal_formats_agree_with_each_other() {
     let Some(path) = shared("data/gauss_minimal_formats/minimal.splat") else { return };
     let load = |name: &str| load_splats(&path.with_file_name(name), &Limits::default());

@@ -6,6 +6,9 @@
 //! wrong, where and what to do, by [`IoError`]. Writers go to a temporary file in the same folder, which is flushed and
 //! renamed, and never replace a file unless told to.
 //!
+//! Memory held while reading stays below 8 × file size + 64 MiB for tables and JSON. Compressed formats (SPZ, PNG, JPEG,
+//! EXR) may honestly grow more: they get 48 MiB + 64 × file size (`Limits::max_expansion`), images at most 1 GiB.
+//!
 //! | format | read | write | notes |
 //! |---|---|---|---|
 //! | 3DGS `.ply` | yes | yes | exact, degree 0 to 3 |

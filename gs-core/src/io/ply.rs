@@ -4,13 +4,15 @@
 //! `f_rest_0..3(K−1)−1` **channel-major** (`f_rest[c (K−1) + k−1]` is coefficient `k` of channel `c`), `opacity`
 //! (logit), `scale_0..2` (natural logarithm), `rot_0..3` (w, x, y, z, not normalised). `K = (degree + 1)²` is inferred
 //! from the number of `f_rest` properties: 0, 9, 24 or 45. Other properties are skipped; numbers of any PLY type are
-//! converted to `f32`. Axes are taken as they are.
+//! converted to `f32`. Axes are taken as they are. An infinite opacity logit means opacity 0 or 1 exactly (files made from
+//! 8-bit formats hold it); it becomes the finite end of [`super::logit`]. Any other value that is not finite is an error.
 //!
 //! The parser is ours because a row is a fixed list of byte offsets here: a serde visitor per value costs about fifteen
 //! times the copy, loses the row and property in its errors, and cannot bound a count by the bytes present first.
 
 use super::error::{At, Source};
 use super::ply_header::{Element, Encoding, Header, Property, Scalar, clip};
+use super::raw::{logit, sigmoid};
 use super::{IoError, Limits, RawSplats};
 use crate::sh;
 use glam::Vec3;
@@ -37,7 +39,8 @@ pub fn read(bytes: &[u8], file: &str, limits: &Limits) -> Result<RawSplats, IoEr
     let degree = degree_of(element, &header, src)?;
     let names = splat_columns(degree);
     let mut out = RawSplats::with_capacity(0, degree);
-    for_each_row(bytes, &header, &names, src, limits, |total, row| {
+    let finite_end = |o: f32| if o.is_infinite() && !limits.allow_non_finite { logit(sigmoid(o)) } else { o };
+    for_each_row(bytes, &header, &names, "opacity", src, limits, |total, row| {
         if out.means.capacity() == 0 {
             out = RawSplats::with_capacity(total, degree);
         }
@@ -45,7 +48,7 @@ pub fn read(bytes: &[u8], file: &str, limits: &Limits) -> Result<RawSplats, IoEr
             out.means.push(Vec3::new(*x, *y, *z));
             out.quats.push([*qw, *qx, *qy, *qz]);
             out.log_scales.push(Vec3::new(*sx, *sy, *sz));
-            out.logit_opacities.push(*opacity);
+            out.logit_opacities.push(finite_end(*opacity));
             out.sh.extend_from_slice(sh);
         }
     })?;
@@ -62,7 +65,7 @@ pub fn read_columns(bytes: &[u8], file: &str, limits: &Limits, names: &[&str]) -
     let header = Header::parse(bytes, src)?;
     let names: Vec<String> = names.iter().map(|&n| n.to_owned()).collect();
     let mut out: Vec<f32> = Vec::new();
-    for_each_row(bytes, &header, &names, src, limits, |total, row| {
+    for_each_row(bytes, &header, &names, "", src, limits, |total, row| {
         if out.capacity() == 0 {
             out.reserve_exact(total.saturating_mul(row.len()));
         }
@@ -132,11 +135,13 @@ fn find_columns(
     names.iter().map(find).collect()
 }
 
-/// Calls `take(rows in all, values)` for each `vertex` row, with the values of `names` in that order.
+/// Calls `take(rows in all, values)` for each `vertex` row, with the values of `names` in that order. Values must be
+/// finite, those of `may_be_infinite` at least not NaN.
 fn for_each_row(
     bytes: &[u8],
     header: &Header<'_>,
     names: &[String],
+    may_be_infinite: &str,
     src: Source<'_>,
     limits: &Limits,
     mut take: impl FnMut(usize, &[f32]),
@@ -146,9 +151,10 @@ fn for_each_row(
     let data = bytes.get(start..).unwrap_or_default();
     let mut checked = |row: usize, values: &[f32]| {
         if !limits.allow_non_finite && !values.iter().all(|v| v.is_finite()) {
-            let bad = values.iter().zip(names).find(|(v, _)| !v.is_finite());
-            let (value, name) = bad.map_or((f64::NAN, "?"), |(v, n)| (f64::from(*v), n.as_str()));
-            return Err(src.value(row, name, value, "must be finite"));
+            let bad = |(v, n): &(&f32, &String)| !v.is_finite() && (v.is_nan() || *n != may_be_infinite);
+            if let Some((value, name)) = values.iter().zip(names).find(bad) {
+                return Err(src.value(row, name, f64::from(*value), "must be finite"));
+            }
         }
         take(rows, values);
         Ok(())
@@ -157,10 +163,15 @@ fn for_each_row(
         Encoding::Ascii => return ascii_rows(data, start, header, rows, &columns, src, checked),
         Encoding::Little | Encoding::Big => {
             let big = header.encoding == Encoding::Big;
+            // The usual case, floats of this machine's order, decodes twice as fast without the choice per value.
+            let plain = !big && columns.iter().all(|c| c.scalar == Scalar::F32);
             let mut values = vec![0.0f32; columns.len()];
             for (row, raw) in data.chunks_exact(element.stride.max(1)).take(rows).enumerate() {
-                for (value, column) in values.iter_mut().zip(&columns) {
-                    *value = column.decode(raw, big);
+                let pairs = values.iter_mut().zip(&columns);
+                if plain {
+                    pairs.for_each(|(value, c)| *value = Column { scalar: Scalar::F32, ..*c }.decode(raw, false));
+                } else {
+                    pairs.for_each(|(value, c)| *value = c.decode(raw, big));
                 }
                 checked(row, &values)?;
             }
@@ -419,6 +430,18 @@ mod tests {
             let kept = read(&shuffled(&s, encoding), "t.ply", &lax).unwrap();
             assert_eq!(kept.non_finite_rows(), vec![(1, "sh")]);
         }
+    }
+
+    #[test]
+    fn infinite_opacity_logits_are_the_ends_of_opacity() {
+        let mut s = cloud(3, 0, 10);
+        s.logit_opacities = vec![f32::INFINITY, f32::NEG_INFINITY, 20.0];
+        let got = read_ok(&bytes(&s)).logit_opacities;
+        assert_eq!(got, [logit(1.0), logit(0.0), 20.0]);
+        let lax = Limits { allow_non_finite: true, ..Limits::default() };
+        assert_eq!(read(&bytes(&s), "t.ply", &lax).unwrap(), s);
+        s.logit_opacities[1] = f32::NAN;
+        assert!(read_err(&bytes(&s)).contains("row 1, `opacity` = NaN"));
     }
 
     #[test]

