@@ -6,11 +6,10 @@
 use criterion::{Criterion, Throughput};
 use glam::Vec3;
 use gs_core::io::{Limits, RawSplats, parse_splats, ply, splat, spz};
+use gs_core::speed::{SpeedError, median_seconds};
 use gs_core::{Rng, covariance, rot, sh};
 use std::hint::black_box;
-use std::io::Write;
 use std::path::Path;
-use std::time::Instant;
 
 const ROWS: usize = 100_000;
 const REPEATS: usize = 15;
@@ -40,29 +39,21 @@ struct Case<'a> {
     run: Box<dyn FnMut() + 'a>,
 }
 
-fn median_ms(run: &mut dyn FnMut()) -> f64 {
-    let mut times: Vec<f64> = (0..REPEATS)
-        .map(|_| {
-            let start = Instant::now();
-            run();
-            start.elapsed().as_secs_f64() * 1e3
-        })
-        .collect();
-    times.sort_unstable_by(f64::total_cmp);
-    times[REPEATS / 2]
-}
-
-/// Prints the case and appends its JSON line.
-fn record(case: &mut Case<'_>, out: &mut dyn Write) {
-    let ms = median_ms(&mut case.run);
-    let rate = case.work as f64 / ms * 1e-3;
-    let Case { case, variant, work, unit, error, error_kind, .. } = case;
-    println!("{case:12} {variant:12} {ms:9.3} ms  {rate:9.1} M{unit}/s  error {error:.2e} ({error_kind})");
-    let line = serde_json::json!({
-        "crate": "gs-core", "case": case, "variant": variant, "n": ROWS, "threads": 1, "ms": ms, "work": work,
-        "error": error, "error_kind": error_kind,
-    });
-    writeln!(out, "{line}").expect("the speed-error file takes a line");
+/// Measures the case, prints its row and appends it to the folder's file.
+fn record(case: &mut Case<'_>, folder: &Path) {
+    let ms = 1e3 * median_seconds(REPEATS, &mut case.run);
+    let row = SpeedError {
+        krate: "gs-core",
+        case: case.case.into(),
+        variant: case.variant.into(),
+        n: ROWS,
+        threads: 1,
+        ms,
+        work: case.work as f64,
+        error: Some(case.error),
+        error_kind: case.error_kind,
+    };
+    row.record(folder).expect("the speed-error file takes a line");
 }
 
 fn file_cases(splats: &RawSplats) -> Vec<Case<'_>> {
@@ -170,11 +161,8 @@ fn main() {
     let mut criterion = Criterion::default().sample_size(10).configure_from_args();
     let splats = cloud(ROWS);
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/speed-error");
-    std::fs::create_dir_all(&folder).expect("the target folder can be written");
-    let file = std::fs::OpenOptions::new().create(true).append(true).open(folder.join("gs-core.jsonl"));
-    let mut file = file.expect("the speed-error file can be opened");
     for mut case in file_cases(&splats).into_iter().chain(math_cases(&splats)) {
-        record(&mut case, &mut file);
+        record(&mut case, &folder);
         let mut group = criterion.benchmark_group(case.case);
         group.throughput(if case.unit == "B" { Throughput::Bytes(case.work) } else { Throughput::Elements(case.work) });
         group.bench_function(case.variant, |b| b.iter(&mut case.run));
