@@ -130,6 +130,44 @@ impl SplatSummary {
     }
 }
 
+/// A summary of one block of values of a checkpoint.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct BlockSummary {
+    /// Name of the tensor.
+    pub name: String,
+    /// Number of values.
+    pub values: usize,
+    /// Values that are not finite.
+    pub non_finite: usize,
+    /// Smallest finite value.
+    pub min: f32,
+    /// Median.
+    pub median: f32,
+    /// Largest finite value.
+    pub max: f32,
+}
+
+impl BlockSummary {
+    /// The summary of a tensor.
+    pub fn of(name: &str, values: &[f32]) -> Self {
+        let column = Column::of("", values.iter().copied());
+        let non_finite = values.iter().filter(|v| !v.is_finite()).count();
+        let (min, median, max) = (column.min, column.median, column.max);
+        Self { name: name.to_owned(), values: values.len(), non_finite, min, median, max }
+    }
+
+    /// The first line of a table of blocks.
+    pub fn table_head() -> String {
+        format!("{:32}{:>11}{:>12}{:>11}{:>11}{:>11}\n", "", "values", "not finite", "min", "median", "max")
+    }
+
+    /// A line of that table.
+    pub fn to_text(&self) -> String {
+        let [min, median, max] = [self.min, self.median, self.max].map(number);
+        format!("{:32}{:>11}{:>12}{min:>11}{median:>11}{max:>11}\n", self.name, self.values, self.non_finite)
+    }
+}
+
 /// Bytes in a unit that suits their size.
 pub fn bytes_text(bytes: usize) -> String {
     match bytes as f64 {

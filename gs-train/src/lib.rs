@@ -1,6 +1,7 @@
 //! Work in progress.
 
 pub mod adam;
+pub mod bench;
 pub mod checkpoint;
 pub mod compare;
 pub mod config;

@@ -11,6 +11,7 @@ pub use chart::{Curve, Scale};
 pub use embed::{base64, png};
 
 use gs_core::Image;
+use gs_core::speed::SpeedError;
 
 /// What a report shows. Empty parts are left out of the page.
 #[derive(Clone, Debug, Default)]
@@ -34,7 +35,7 @@ pub struct Report {
     /// What the scene turned out to need.
     pub needs: Vec<Need>,
     /// Speed against error.
-    pub speed: Vec<SpeedRow>,
+    pub speed: Vec<SpeedError>,
     /// Key, value, source.
     pub settings: Vec<[String; 3]>,
     /// Name and value.
@@ -94,28 +95,13 @@ pub struct Need {
     pub meaning: String,
 }
 
-/// One row of speed against error.
-#[derive(Clone, Debug, PartialEq, serde::Serialize)]
-pub struct SpeedRow {
-    /// Crate measured.
-    #[serde(rename = "crate")]
-    pub crate_name: String,
-    /// What is computed, for example `render 160x160`.
-    pub case: String,
-    /// How, for example `stop at T < 1e-3`.
-    pub variant: String,
-    /// Size (splats, points, pixels).
-    pub n: usize,
-    /// Threads.
-    pub threads: usize,
-    /// Median milliseconds.
-    pub ms: f64,
-    /// Units of work per second, with its unit in [`SpeedRow::case`]; NaN where it has no meaning.
-    pub work: f64,
-    /// The error.
-    pub error: f64,
-    /// Of what kind, against what.
-    pub error_kind: String,
+/// Rows of speed against error as one JSON value.
+pub fn speed_json(rows: &[SpeedError]) -> serde_json::Value {
+    // Each row writes valid JSON of its own.
+    rows.iter()
+        .map(|r| serde_json::from_str(&r.to_json()).unwrap_or_default())
+        .collect::<Vec<serde_json::Value>>()
+        .into()
 }
 
 /// Why a report was not made.

@@ -65,6 +65,7 @@ impl Global {
 
 #[derive(Subcommand)]
 enum Verb {
+    Demo(verbs::demo::Demo),
     Synth(verbs::synth::Synth),
     Train(verbs::train::Train),
     Resume(verbs::resume::Resume),
@@ -73,6 +74,7 @@ enum Verb {
     Inspect(verbs::inspect::Inspect),
     Methods(verbs::methods::Methods),
     Config(verbs::config::ShowConfig),
+    Bench(verbs::bench::Bench),
 }
 
 fn run(cli: Cli) -> Result<Answer, Failure> {
@@ -82,6 +84,7 @@ fn run(cli: Cli) -> Result<Answer, Failure> {
         pool.build_global().map_err(|e| Failure::new(Class::Resource, "limits.threads", e.to_string()))?;
     }
     match cli.verb {
+        Verb::Demo(verb) => verb.run(global),
         Verb::Synth(verb) => verb.run(),
         Verb::Train(verb) => verb.run(global),
         Verb::Resume(verb) => verb.run(global),
@@ -90,6 +93,7 @@ fn run(cli: Cli) -> Result<Answer, Failure> {
         Verb::Inspect(verb) => verb.run(),
         Verb::Methods(verb) => Ok(verb.run()),
         Verb::Config(verb) => verb.run(),
+        Verb::Bench(verb) => verb.run(global),
     }
 }
 

@@ -52,7 +52,12 @@ pub fn chart(title: &str, x_name: &str, scale: Scale, curves: &[Curve]) -> Resul
             let margin = 0.06 * (y.1 - y.0).max(1e-9 * y.1.abs()).max(1e-12);
             draw(&root, title, x_name, wide(x), y.0 - margin..y.1 + margin, &curves)
         }
-        Scale::Log => draw(&root, title, x_name, wide(x), (y.0 * 0.9..(y.1 * 1.1).max(y.0 * 1.5)).log_scale(), &curves),
+        Scale::Log => {
+            let (low, high) = (y.0 * 0.9, (y.1 * 1.1).max(y.0 * 1.5));
+            // Over few decades, powers of two give more marks than powers of ten.
+            let base = if high / low < 64.0 { 2.0 } else { 10.0 };
+            draw(&root, title, x_name, wide(x), (low..high).log_scale().base(base), &curves)
+        }
     };
     result.and_then(|()| root.present().map_err(|e| e.to_string())).map_err(ReportError::Chart)?;
     drop(root);

@@ -157,8 +157,16 @@ fn needs(report: &Report) -> String {
 
 fn speed(report: &Report) -> String {
     let rows = report.speed.iter().map(|r| {
-        let (ms, error) = (format!("{:.3}", r.ms), format!("{:.1e}", r.error));
-        vec![r.case.clone(), r.variant.clone(), r.n.to_string(), r.threads.to_string(), ms, error, r.error_kind.clone()]
+        let (ms, error) = (format!("{:.3}", r.ms), r.error.map_or("–".to_owned(), |e| format!("{e:.1e}")));
+        vec![
+            r.case.clone(),
+            r.variant.clone(),
+            r.n.to_string(),
+            r.threads.to_string(),
+            ms,
+            error,
+            r.error_kind.to_owned(),
+        ]
     });
     let head = ["what", "how", "size", "threads", "ms", "error", "error is"];
     let remark = "Times are medians on the machine named below; errors are against the f64 reference.";

@@ -8,7 +8,7 @@ use super::picture::moment;
 use crate::inspect::{INVISIBLE_OPACITY, bytes_text};
 use crate::methods::Method;
 use crate::report::Need;
-use glam::Vec3;
+use glam::{DMat3, DVec3, Vec3};
 use gs_core::{Camera, Color, Params, Splats, rot};
 use std::collections::BTreeMap;
 
@@ -44,6 +44,20 @@ pub fn needs(method: &dyn Method, camera: &Camera, extent: f32) -> Vec<Need> {
     }
     storage(method, &mut out);
     out
+}
+
+/// A camera for questions whose answer does not depend on the camera.
+pub fn neutral_camera() -> Camera {
+    Camera {
+        width: 1,
+        height: 1,
+        fx: 1.0,
+        fy: 1.0,
+        cx: 0.5,
+        cy: 0.5,
+        rotation: DMat3::IDENTITY,
+        translation: DVec3::ZERO,
+    }
 }
 
 fn motion(scenes: &[Splats], extent: f32, out: &mut Vec<Need>) {

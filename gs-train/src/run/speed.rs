@@ -1,11 +1,10 @@
 //! Speed against error of drawing a trained scene: each variant timed, and compared with the f64 reference that blends
 //! every sample.
 
-use crate::report::SpeedRow;
+use gs_core::speed::{SpeedError, median_seconds};
 use gs_core::{Camera, Splats};
 use gs_raster::reference::{self, Cutoff, Scene};
 use gs_raster::{Frame, RasterOptions, SimdLevel, Workspace, render_into};
-use std::time::Instant;
 
 /// Pixels times splats the reference may look at (about a second).
 const REFERENCE_WORK: f64 = 6e7;
@@ -13,7 +12,7 @@ const REFERENCE_WORK: f64 = 6e7;
 const REPEATS: usize = 7;
 
 /// Measures the variants of drawing `splats` for a camera, reduced so that the reference takes about a second.
-pub fn speed_against_error(splats: &Splats, camera: &Camera, options: &RasterOptions) -> Vec<SpeedRow> {
+pub fn speed_against_error(splats: &Splats, camera: &Camera, options: &RasterOptions) -> Vec<SpeedError> {
     if splats.is_empty() {
         return Vec::new();
     }
@@ -34,28 +33,20 @@ pub fn speed_against_error(splats: &Splats, camera: &Camera, options: &RasterOpt
     variants.iter().map(|(name, o)| row(name, splats, &camera, o, &truth)).collect()
 }
 
-fn row(name: &str, splats: &Splats, camera: &Camera, options: &RasterOptions, truth: &[f64]) -> SpeedRow {
+fn row(name: &str, splats: &Splats, camera: &Camera, options: &RasterOptions, truth: &[f64]) -> SpeedError {
     let (mut workspace, mut frame) = (Workspace::new(), Frame::default());
     render_into(splats, camera, options, &mut workspace, &mut frame);
     let error = frame.rgb.iter().zip(truth).map(|(a, b)| (f64::from(*a) - b).abs()).fold(0.0, f64::max);
-    let mut times: Vec<f64> = (0..REPEATS)
-        .map(|_| {
-            let begun = Instant::now();
-            render_into(splats, camera, options, &mut workspace, &mut frame);
-            begun.elapsed().as_secs_f64() * 1e3
-        })
-        .collect();
-    times.sort_unstable_by(f64::total_cmp);
-    let ms = times[REPEATS / 2];
-    SpeedRow {
-        crate_name: "gs-raster".to_owned(),
+    let seconds = median_seconds(REPEATS, || render_into(splats, camera, options, &mut workspace, &mut frame));
+    SpeedError {
+        krate: "gs-raster",
         case: format!("draw {}x{}", camera.width, camera.height),
         variant: name.to_owned(),
         n: splats.len(),
         threads: rayon::current_num_threads(),
-        ms,
-        work: f64::from(camera.width) * f64::from(camera.height) / ms * 1e3,
-        error,
-        error_kind: "largest colour difference from f64, every sample blended".to_owned(),
+        ms: 1e3 * seconds,
+        work: f64::from(camera.width) * f64::from(camera.height),
+        error: Some(error),
+        error_kind: "largest colour difference from f64, every sample blended",
     }
 }

@@ -9,7 +9,8 @@ use crate::data::{Dataset, ImageCache, Split, View};
 use crate::evaluate::{EvalReport, ViewScores};
 use crate::inspect::bytes_text;
 use crate::methods::Method;
-use crate::report::{Comparison, Figure, Report, Sample, SpeedRow, Still};
+use crate::report::{Comparison, Figure, Report, Sample, Still};
+use gs_core::speed::SpeedError;
 use serde_json::Value;
 use std::path::Path;
 
@@ -42,7 +43,7 @@ pub struct Material<'a> {
 ///
 /// # Errors
 /// If the log or a photograph cannot be read.
-pub fn summarise(m: &Material) -> Result<(Report, Vec<SpeedRow>), RunError> {
+pub fn summarise(m: &Material) -> Result<(Report, Vec<SpeedError>), RunError> {
     let log = m.folder.log_lines()?;
     let options = m.method.schedule().raster_options(m.scores.background);
     let mut painter = Painter::new(options.clone());
@@ -93,7 +94,7 @@ fn subtitle(m: &Material) -> String {
     )
 }
 
-fn figures(m: &Material, drawing: Option<&SpeedRow>) -> Vec<Figure> {
+fn figures(m: &Material, drawing: Option<&SpeedError>) -> Vec<Figure> {
     let s = m.scores;
     let figure = |value: String, name: &str, remark: String| Figure { value, name: name.to_owned(), remark };
     let number = |v: Option<f64>, digits: usize| v.map_or("–".to_owned(), |v| format!("{v:.digits$}"));

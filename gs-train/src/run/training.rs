@@ -9,8 +9,8 @@ use super::summary::{Material, summarise};
 use crate::checkpoint::{self, Skipped};
 use crate::data::{Dataset, ImageCache, Split};
 use crate::evaluate::{EvalReport, evaluate};
-use crate::report::SpeedRow;
 use crate::trainer::{StepReport, TrainError, TrainOptions, Trainer};
+use gs_core::speed::SpeedError;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -263,7 +263,7 @@ impl Training {
     ///
     /// # Errors
     /// If a photograph cannot be read or the file cannot be written.
-    pub fn report(&self, scores: &EvalReport) -> Result<Vec<SpeedRow>, RunError> {
+    pub fn report(&self, scores: &EvalReport) -> Result<Vec<SpeedError>, RunError> {
         let photographs = self.photographs();
         let material = Material {
             folder: &self.folder,

@@ -1,6 +1,8 @@
 //! One file per verb.
 
+pub mod bench;
 pub mod config;
+pub mod demo;
 pub mod eval;
 pub mod inspect;
 pub mod methods;

@@ -5,6 +5,7 @@ use crate::failure::{Class, Failure};
 use crate::progress::Progress;
 use crate::{Global, interrupt, parse};
 use gs_train::evaluate::EvalReport;
+use gs_train::report::speed_json;
 use gs_train::run::opened::metrics_json;
 use gs_train::run::settings::{Request, resolve};
 use gs_train::run::summary::color_name;
@@ -71,8 +72,7 @@ impl Train {
 
 /// Trains to the end of the schedule, scores, writes the report; on interruption says how to go on.
 pub fn carry_on(training: &mut Training, stop: &AtomicBool, global: &Global) -> Result<Answer, Failure> {
-    describe(training, global);
-    let outcome = train(training, stop, global)?;
+    let outcome = drive(training, stop, global)?;
     let root = training.folder().root().to_owned();
     if let Outcome::Interrupted(saved) = outcome {
         let what = format!("interrupted at step {}; saved {}", training.trainer().steps_done(), saved.display());
@@ -85,7 +85,7 @@ pub fn carry_on(training: &mut Training, stop: &AtomicBool, global: &Global) -> 
     let mut json = metrics_json(&scores, step);
     json["run"] = json!(root.display().to_string());
     json["finished"] = json!(outcome == Outcome::Finished);
-    json["speed_error"] = json!(rows);
+    json["speed_error"] = speed_json(&rows);
     let mut text = scores_text(&scores, step);
     text.push_str(&format!("report  {}\n", root.join("report.html").display()));
     if let Outcome::BudgetSpent(_) = outcome {
@@ -94,7 +94,9 @@ pub fn carry_on(training: &mut Training, stop: &AtomicBool, global: &Global) -> 
     Ok(Answer::new(text, json))
 }
 
-fn train(training: &mut Training, stop: &AtomicBool, global: &Global) -> Result<Outcome, Failure> {
+/// Trains with a line of progress.
+pub fn drive(training: &mut Training, stop: &AtomicBool, global: &Global) -> Result<Outcome, Failure> {
+    describe(training, global);
     let mut progress = Progress::new(u64::from(training.trainer().steps()), "steps", global.quiet);
     let outcome = training.train(stop, &mut |p| {
         progress.at(u64::from(p.step), || {

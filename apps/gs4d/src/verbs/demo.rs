@@ -1,0 +1,171 @@
+//! `gs4d demo`: makes a moving scene, learns it, and shows what came of it.
+
+use super::train::{drive, time_text};
+use crate::answer::Answer;
+use crate::failure::{Class, Failure};
+use crate::{Global, interrupt};
+use gs_core::io::images::save_png;
+use gs_core::io::{RawSplats, save_splats};
+use gs_core::speed::SpeedError;
+use gs_train::inspect::bytes_text;
+use gs_train::report::speed_json;
+use gs_train::run::opened::metrics_json;
+use gs_train::run::picture::{Painter, moment};
+use gs_train::run::settings::{Request, resolve};
+use gs_train::run::{Outcome, Training};
+use gs_train::synth::{self, SynthOptions};
+use serde_json::json;
+use std::path::PathBuf;
+use std::time::Instant;
+
+/// Pictures of the scene through time.
+const FRAMES: usize = 24;
+
+/// Make a moving scene, learn it in under two minutes, and write a report, pictures and a splat file
+#[derive(clap::Args)]
+pub struct Demo {
+    /// Folder for everything.
+    #[arg(short, long, value_name = "DIR", default_value = "gs4d-demo")]
+    out: PathBuf,
+    /// Generated scene; gs4d synth lists them.
+    #[arg(long, default_value = "balls")]
+    scene: String,
+    /// Method; gs4d methods lists them.
+    #[arg(short, long, default_value = "fourdgs")]
+    method: String,
+    /// Recipe of the method.
+    #[arg(long, default_value = "fast")]
+    preset: String,
+    /// Steps; the recipe is compressed to them.
+    #[arg(long, default_value_t = 4000, value_parser = clap::value_parser!(u32).range(1..))]
+    steps: u32,
+    /// Side of the images, pixels.
+    #[arg(long, default_value_t = 160)]
+    size: u32,
+    /// Seed of scene and training.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Overwrite an older demo in that folder.
+    #[arg(short, long)]
+    force: bool,
+}
+
+impl Demo {
+    pub fn run(self, global: &Global) -> Result<Answer, Failure> {
+        let begun = Instant::now();
+        let stop = interrupt::flag()?;
+        let root = self.out.join("run");
+        let data_folder = self.out.join("data");
+        let options = SynthOptions { size: self.size, seed: self.seed, ..SynthOptions::default() };
+        if root.exists() && !self.force {
+            return Err(Failure::new(Class::Io, "io.exists", "an older demo is in that folder")
+                .place(self.out.display())
+                .why("nothing is overwritten unless asked")
+                .remedy("choose another folder with -o, or pass -f"));
+        }
+        global.say(format!("making the scene `{}` with {} training views", self.scene, options.train_views));
+        let data = synth::write(&data_folder, &self.scene, &options, self.force)?.dataset;
+        let request = Request {
+            method: self.method.clone(),
+            preset: self.preset.clone(),
+            data: Some(data_folder),
+            steps: Some(self.steps),
+            seed: Some(self.seed),
+            ..Request::default()
+        };
+        let mut training = Training::begin(&root, self.force, resolve(&request)?, Some(data))?;
+        if let Outcome::Interrupted(saved) = drive(&mut training, &stop, global)? {
+            return Err(Failure::new(Class::Interrupted, "interrupted", format!("saved {}", saved.display()))
+                .remedy(format!("gs4d resume {}", root.display())));
+        }
+        let scores = training.score()?;
+        let rows = training.report(&scores)?;
+        let files = self.leave(&training)?;
+        let seconds = begun.elapsed().as_secs_f64();
+        let mut json = metrics_json(&scores, training.trainer().steps_done());
+        json["speed_error"] = speed_json(&rows);
+        json["seconds"] = json!(seconds);
+        json["files"] = json!(files.iter().map(|f| f.display().to_string()).collect::<Vec<_>>());
+        let number = |v: Option<f64>, digits: usize| v.map_or("-".to_owned(), |v| format!("{v:.digits$}"));
+        let table = [
+            ("PSNR", format!("{} dB", number(scores.mean.psnr, 2)), "mean of the held-out views"),
+            ("SSIM", number(scores.mean.ssim, 4), ""),
+            ("training", time_text(training.trainer().train_seconds()), "of the seconds below"),
+            ("in all", time_text(seconds), "scene, training, scores, report"),
+            ("splats", scores.gaussians.to_string(), ""),
+            ("scene", bytes_text(scores.parameter_bytes as usize), "all parameters as f32"),
+        ];
+        let mut text: String =
+            table.iter().map(|(name, value, note)| format!("{name:10}{value:>12}  {note}\n")).collect();
+        text.push_str(&speed_text(&rows));
+        for file in &files {
+            text.push_str(&format!("{}\n", file.display()));
+        }
+        Ok(Answer::new(text, json))
+    }
+
+    /// Writes pictures through time and the splats of the middle moment; lists what a user may want to open.
+    fn leave(&self, training: &Training) -> Result<Vec<PathBuf>, Failure> {
+        let method = training.trainer().method();
+        let dataset = training.trainer().dataset();
+        let view = dataset.test.first().or(dataset.train.first());
+        let Some(view) = view else { return Ok(Vec::new()) };
+        let background = method.schedule().background.evaluation_color();
+        let mut painter = Painter::new(method.schedule().raster_options(background));
+        let frames = self.out.join("frames");
+        std::fs::create_dir_all(&frames).map_err(|e| Failure::io("create the folder", &frames, &e))?;
+        for k in 0..FRAMES {
+            let time = k as f32 / (FRAMES - 1) as f32;
+            save_png(&frames.join(format!("frame-{k:02}.png")), &painter.at(method, time, &view.camera), true)?;
+        }
+        let ply = self.out.join("scene-t0.50.ply");
+        let splats = method.splats(&moment(0.5), &view.camera);
+        let raw = RawSplats::from_splats(&splats);
+        let raw = raw.map_err(|e| Failure::new(Class::Internal, "splats", e.to_string()))?;
+        save_splats(&ply, &raw, true)?;
+        Ok(vec![training.folder().root().join("report.html"), frames, ply])
+    }
+}
+
+/// The rows of speed against error as a table.
+pub fn speed_text(rows: &[SpeedError]) -> String {
+    let mut out = String::new();
+    for (i, r) in rows.iter().enumerate() {
+        if i == 0 {
+            out.push_str(&format!(
+                "\n{:46}{:>8}{:>10}{:>9}  {}\n",
+                "speed against error", "size", "ms", "error", "error is"
+            ));
+        }
+        let what = format!("{} · {}", r.case, r.variant);
+        let error = r.error.map_or("-".to_owned(), |e| format!("{e:.0e}"));
+        out.push_str(&format!("{what:46}{:>8}{:>10.3}{error:>9}  {}\n", r.n, r.ms, r.error_kind));
+    }
+    if !rows.is_empty() {
+        out.push('\n');
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_are_aligned() {
+        let row = SpeedError {
+            krate: "c",
+            case: "draw".into(),
+            variant: "v".into(),
+            n: 1,
+            threads: 2,
+            ms: 1.5,
+            work: 1.0,
+            error: Some(2e-7),
+            error_kind: "max",
+        };
+        let text = speed_text(&[row]);
+        assert!(text.contains("draw · v") && text.contains("1.500") && text.contains("2e-7  max"), "{text}");
+        assert!(speed_text(&[]).is_empty());
+    }
+}

@@ -1,0 +1,92 @@
+//! A short set of measurements across the crates, each with its error: what `gs4d bench` prints.
+//!
+//! Every row has a time (median) and an error against the f64 reference or a value known in closed form. The crates' own
+//! criterion benches go deeper; these few run in seconds and need nothing but the program.
+
+mod field;
+mod image;
+mod optimiser;
+mod raster;
+
+use gs_core::speed::{SpeedError, median_seconds};
+use gs_raster::SimdLevel;
+use gs_raster::measure::Roofs;
+
+/// A group of measurements: the crate they concern and the function that makes them.
+pub struct Group {
+    /// Name of the crate.
+    pub name: &'static str,
+    /// Measures, in the rayon pool in scope.
+    pub measure: fn() -> Vec<SpeedError>,
+}
+
+/// The groups there are.
+pub const GROUPS: &[Group] = &[
+    Group { name: "gs-raster", measure: raster::rows },
+    Group { name: "gs-metrics", measure: image::rows },
+    Group { name: "gs-deform", measure: field::rows },
+    Group { name: "gs-train", measure: optimiser::rows },
+];
+
+/// What the machine does at most, for the threads in scope: `(GFLOP/s of fused multiply-adds, 10⁹ exponentials/s)`.
+pub fn roofs() -> (f64, f64) {
+    let roofs = Roofs::measure(SimdLevel::Auto);
+    (roofs.fma, roofs.exp2)
+}
+
+/// What a row says beside time, size and error.
+struct Case {
+    krate: &'static str,
+    case: String,
+    variant: &'static str,
+    error_kind: &'static str,
+}
+
+impl Case {
+    /// The row, with a median over `runs` calls of `call`.
+    fn row(self, n: usize, work: f64, error: f64, runs: usize, call: impl FnMut()) -> SpeedError {
+        SpeedError {
+            krate: self.krate,
+            case: self.case,
+            variant: self.variant.to_owned(),
+            n,
+            threads: rayon::current_num_threads(),
+            ms: 1e3 * median_seconds(runs, call),
+            work,
+            error: Some(error),
+            error_kind: self.error_kind,
+        }
+    }
+}
+
+/// `|a − b|₂ / |b|₂`; 0 where both are zero.
+fn relative_l2(got: impl Iterator<Item = f64>, want: impl Iterator<Item = f64>) -> f64 {
+    let (mut difference, mut norm) = (0.0f64, 0.0f64);
+    for (a, b) in got.zip(want) {
+        difference += (a - b).powi(2);
+        norm += b * b;
+    }
+    if difference == 0.0 { 0.0 } else { (difference / norm).sqrt() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn relative_differences() {
+        let l2 = |a: &[f64], b: &[f64]| relative_l2(a.iter().copied(), b.iter().copied());
+        assert_eq!(l2(&[3.0, 4.0], &[3.0, 4.0]), 0.0);
+        assert!((l2(&[3.0, 5.0], &[3.0, 4.0]) - 0.2).abs() < 1e-15);
+        assert_eq!(l2(&[0.0], &[0.0]), 0.0);
+    }
+
+    #[test]
+    fn cheap_groups_measure_and_are_accurate() {
+        for rows in [image::rows(), optimiser::rows()] {
+            for r in rows {
+                assert!(r.ms > 0.0 && r.error.is_some_and(|e| e < 1e-4), "{r:?}");
+            }
+        }
+    }
+}
