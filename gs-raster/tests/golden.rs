@@ -181,9 +181,9 @@ fn matches_gsplat_on_its_basic_scene() {
     let want = floats("out_img");
     let (mut ours, mut theirs) = (0.0f32, 0.0f64);
     for (i, w) in want.chunks_exact(4).enumerate() {
-        for c in 0..3 {
-            ours = ours.max((frame.rgb[3 * i + c] - w[c]).abs());
-            theirs = theirs.max((exact.rgb[i][c] - f64::from(w[c])).abs());
+        for (c, &value) in w[..3].iter().enumerate() {
+            ours = ours.max((frame.rgb[3 * i + c] - value).abs());
+            theirs = theirs.max((exact.rgb[i][c] - f64::from(value)).abs());
         }
         ours = ours.max((frame.alpha[i] - w[3]).abs());
         theirs = theirs.max((exact.alpha[i] - f64::from(w[3])).abs());
