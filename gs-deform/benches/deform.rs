@@ -8,12 +8,13 @@ use criterion::Criterion;
 use glam::Vec3;
 use gs_core::nn::gemm::{Mat, MatMut, Write, gemm};
 use gs_core::nn::{BLOCK, CHUNKS, Init, Mlp, MlpGrad, MlpTape, blocks_per_chunk};
+use gs_core::speed::SpeedError;
 use gs_core::{Color, Rng, Splats, SplatsGrad, Time};
 use gs_deform::encode::{HexPlane, HexPlaneConfig, HexTape};
 use gs_deform::reference::HexPlaneRef;
 use gs_deform::{Aabb, DefGsConfig, DefMlp, Field, FourDgsConfig, HexPlaneField};
 use rayon::prelude::*;
-use std::io::Write as _;
+use std::path::Path;
 use std::time::{Duration, Instant};
 
 /// What a row says beside its time.
@@ -43,19 +44,20 @@ fn measure(c: &mut Criterion, row: &Row, mut f: impl FnMut()) -> f64 {
     }
     times.sort_by(f64::total_cmp);
     let ms = times[times.len() / 2];
-    let Row { case, variant, n, work, error, error_kind } = row;
-    println!("  {case} {variant}: {ms:.2} ms, {:.3e} per second, error {error:.1e} ({error_kind})", work / ms * 1e3);
-    let json = serde_json::json!({
-        "crate": "gs-deform", "case": case, "variant": variant, "n": n, "threads": rayon::current_num_threads(),
-        "ms": ms, "work": work, "error": error, "error_kind": error_kind,
-    });
-    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../target/speed-error");
-    let path = format!("{folder}/gs-deform.jsonl");
-    let written = std::fs::create_dir_all(folder)
-        .and_then(|()| std::fs::OpenOptions::new().create(true).append(true).open(&path))
-        .and_then(|mut file| writeln!(file, "{json}"));
-    if let Err(e) = written {
-        eprintln!("cannot append to {path}: {e}");
+    let line = SpeedError {
+        krate: "gs-deform",
+        case: row.case.to_owned(),
+        variant: row.variant.to_owned(),
+        n: row.n,
+        threads: rayon::current_num_threads(),
+        ms,
+        work: row.work,
+        error: Some(row.error),
+        error_kind: row.error_kind,
+    };
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/speed-error");
+    if let Err(e) = line.record(&folder) {
+        eprintln!("cannot append to {}: {e}", folder.display());
     }
     ms
 }

@@ -5,11 +5,10 @@
 mod reference;
 
 use std::hint::black_box;
-use std::io::Write as _;
 use std::path::Path;
-use std::time::Instant;
 
 use criterion::Criterion;
+use gs_core::speed::{SpeedError, median_seconds};
 use gs_core::{Image, Rng};
 use gs_metrics::{MsSsim, MsSsimOptions, Padding, Ssim, SsimOptions, mse, perceptual_proxy};
 use reference::{Image64, mean_ssim64, relative_l2, ssim_grad64};
@@ -20,7 +19,7 @@ struct Row<'a> {
     variant: &'a str,
     side: usize,
     error: Option<f64>,
-    error_kind: &'a str,
+    error_kind: &'static str,
 }
 
 /// A smooth picture with grain, and a noisier version of it.
@@ -35,38 +34,26 @@ fn pair(side: usize) -> (Image, Image) {
 
 /// Times `f` with 1 and 2 threads and writes the rows.
 fn measure(criterion: &mut Criterion, row: &Row, mut f: impl FnMut() + Send) {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/speed-error");
     for threads in [1, 2] {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
-        let times = pool.install(|| {
-            let mut times: Vec<f64> = (0..15)
-                .map(|_| {
-                    let start = Instant::now();
-                    f();
-                    start.elapsed().as_secs_f64() * 1e3
-                })
-                .collect();
-            times.sort_by(f64::total_cmp);
-            times
-        });
-        let json = serde_json::json!({
-            "crate": "gs-metrics", "case": row.case, "variant": row.variant, "n": row.side, "threads": threads,
-            "ms": times[times.len() / 2], "work": row.side * row.side * 3, "error": row.error,
-            "error_kind": row.error_kind,
-        });
-        println!("{json}");
-        append(&json.to_string());
+        let seconds = pool.install(|| median_seconds(15, &mut f));
+        let line = SpeedError {
+            krate: "gs-metrics",
+            case: row.case.to_owned(),
+            variant: row.variant.to_owned(),
+            n: row.side,
+            threads,
+            ms: 1e3 * seconds,
+            work: (row.side * row.side * 3) as f64,
+            error: row.error,
+            error_kind: row.error_kind,
+        };
+        if let Err(e) = line.record(&folder) {
+            println!("no row written to {}: {e}", folder.display());
+        }
         let name = format!("{}/{}/{}px/{}t", row.case, row.variant, row.side, threads);
         criterion.bench_function(&name, |b| b.iter(|| pool.install(&mut f)));
-    }
-}
-
-fn append(line: &str) {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/speed-error");
-    let file = folder.join("gs-metrics.jsonl");
-    let written = std::fs::create_dir_all(&folder)
-        .and_then(|()| writeln!(std::fs::OpenOptions::new().create(true).append(true).open(&file)?, "{line}"));
-    if let Err(e) = written {
-        println!("no row written to {}: {e}", file.display());
     }
 }
 
