@@ -229,10 +229,10 @@ impl Density {
         let grows = self.growing(rules, n);
         let mut plan = Plan::default();
         let mut clones = Vec::new();
-        for i in 0..n {
+        for (i, grows) in grows.into_iter().enumerate() {
             let (s, row) = (largest(i), i as u32);
-            let split = grows[i] && s > rules.dense_share * at.extent;
-            if grows[i] && !split && !faint(i) && !too_large(s) {
+            let split = grows && s > rules.dense_share * at.extent;
+            if grows && !split && !faint(i) && !too_large(s) {
                 clones.push(row);
             }
             if split {

@@ -102,6 +102,9 @@ pub enum MethodError {
     Scene(String),
 }
 
+/// Builds a method for a scene from a resolved configuration.
+pub type Build = fn(&toml::Table, &SceneInfo) -> Result<Box<dyn Method>, MethodError>;
+
 /// What everybody else knows of a method.
 pub struct MethodEntry {
     /// Short name, as in `--method`.
@@ -113,7 +116,7 @@ pub struct MethodEntry {
     /// Presets: name and the values that differ from the defaults, TOML.
     pub presets: &'static [(&'static str, &'static str)],
     /// Builds the method for a scene from a resolved configuration.
-    pub build: fn(&toml::Table, &SceneInfo) -> Result<Box<dyn Method>, MethodError>,
+    pub build: Build,
 }
 
 impl MethodEntry {

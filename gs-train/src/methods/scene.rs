@@ -2,13 +2,13 @@
 //!
 //! ```text
 //! log_scales = ½ ln(max(d², 1e-7)) on every axis,  d² = mean squared distance to the 3 nearest neighbours
-//! extent     = 1.1 max |c_i − mean c| over the training cameras, at least 0.1 × the diagonal of the box
+//! extent     = 1.1 max |c_i − mean c| over the training cameras, at least 0.1 × the diagonal of the points' box
 //! ```
 //! (3D Gaussian Splatting's reference code; the lower bound keeps scenes with a resting camera trainable.)
 
 use crate::data::{Dataset, PointCloud};
 use crate::methods::MethodError;
-use glam::{DVec3, Vec3};
+use glam::Vec3;
 use gs_core::{Cloud, Rng};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
@@ -79,7 +79,7 @@ impl SceneInfo {
     pub fn of(dataset: &Dataset, init: &InitConfig, seed: u64) -> Result<Self, MethodError> {
         let points = first_points(dataset, init, seed)?;
         let bounds = bounds_of(&points).ok_or_else(|| MethodError::Scene("there is no finite initial point".into()))?;
-        let extent = camera_extent(dataset).max(0.1 * bounds[0].distance(bounds[1]));
+        let extent = dataset.scene_extent().max(0.1 * bounds[0].distance(bounds[1]));
         if !(extent > 0.0 && extent.is_finite()) {
             return Err(MethodError::Scene(format!("its extent is {extent}; cameras and points coincide")));
         }
@@ -88,26 +88,16 @@ impl SceneInfo {
 }
 
 fn first_points(dataset: &Dataset, init: &InitConfig, seed: u64) -> Result<PointCloud, MethodError> {
-    match (init.from, &dataset.points) {
-        (InitFrom::Points | InitFrom::Auto, Some(points)) => Ok(thinned(points, init.points as usize, seed)),
-        (InitFrom::Points, None) => {
+    let unreadable = |e: crate::data::DataError| MethodError::Scene(e.to_string());
+    match init.from {
+        InitFrom::Points if dataset.points.is_none() => {
             Err(MethodError::Scene("the data set brings no points; use init.from = auto or random".into()))
         }
-        (InitFrom::Auto | InitFrom::Random, _) => Ok(random_points(init, seed)),
+        InitFrom::Auto | InitFrom::Points if dataset.points.is_some() || dataset.has_alpha => {
+            dataset.initial_points(init.points as usize, seed).map_err(unreadable)
+        }
+        _ => Ok(random_points(init, seed)),
     }
-}
-
-/// At most `count` of the points, chosen at random, in their old order.
-fn thinned(points: &PointCloud, count: usize, seed: u64) -> PointCloud {
-    let n = points.positions.len();
-    if n <= count {
-        return points.clone();
-    }
-    let mut kept = Rng::new(seed, "init-thin", 0, 0).permutation(n);
-    kept.truncate(count);
-    kept.sort_unstable();
-    let positions = kept.iter().map(|&i| points.positions[i as usize]).collect();
-    PointCloud { positions, colors: kept.iter().map(|&i| points.colors[i as usize]).collect() }
 }
 
 fn random_points(init: &InitConfig, seed: u64) -> PointCloud {
@@ -128,13 +118,6 @@ fn bounds_of(points: &PointCloud) -> Option<[Vec3; 2]> {
         let [lo, hi] = b.unwrap_or([p, p]);
         Some([lo.min(p), hi.max(p)])
     })
-}
-
-/// 1.1 times the largest distance of a training camera from their mean, world units.
-fn camera_extent(dataset: &Dataset) -> f32 {
-    let centres: Vec<DVec3> = dataset.train.iter().map(|v| v.camera.position()).collect();
-    let mean = centres.iter().sum::<DVec3>() / centres.len().max(1) as f64;
-    (1.1 * centres.iter().map(|c| c.distance(mean)).fold(0.0, f64::max)) as f32
 }
 
 /// The first Gaussians: round, as large as the distance to their neighbours.
@@ -206,15 +189,11 @@ mod tests {
     }
 
     #[test]
-    fn random_and_thinned_points_depend_on_the_seed_only() {
+    fn random_points_depend_on_the_seed_only() {
         let init = InitConfig { from: InitFrom::Random, points: 50, bound: 1.3 };
         let points = random_points(&init, 1);
         assert_eq!(points, random_points(&init, 1));
         assert_ne!(points, random_points(&init, 2));
         assert!(points.positions.iter().all(|p| p.abs().max_element() <= 1.3));
-        let few = thinned(&points, 20, 3);
-        assert_eq!((few.positions.len(), few.colors.len()), (20, 20));
-        assert!(few.positions.iter().all(|p| points.positions.contains(p)));
-        assert_eq!(thinned(&points, 50, 3), points);
     }
 }

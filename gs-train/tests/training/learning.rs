@@ -20,7 +20,7 @@ fn a_static_scene_is_learnt() {
 /// Moving scenes are learnt better with their field than a still cloud can.
 #[test]
 fn motion_is_learnt() {
-    let data = scene("balls", 48, 40);
+    let data = scene("sheet", 48, 60);
     let scored = |method: &str| {
         let mut trainer = trainer(&data, method, "");
         let steps = trainer.steps();
@@ -30,6 +30,6 @@ fn motion_is_learnt() {
     let still = scored("static3d");
     for method in ["defgs", "fourdgs"] {
         let moving = scored(method);
-        assert!(moving > still + 1.0, "{method}: {moving:.2} dB, a still cloud has {still:.2} dB");
+        assert!(moving > still + 4.0, "{method}: {moving:.2} dB, a still cloud has {still:.2} dB");
     }
 }

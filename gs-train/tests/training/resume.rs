@@ -81,7 +81,7 @@ fn damaged_states_are_refused_by_name() {
         saved::load(&damaged, None).err().expect("refused")
     };
     assert!(refuse(&|c| c.tensors.retain(|t| t.0 != "cloud.quats")).contains("`cloud.quats` is missing"));
-    assert!(refuse(&|c| drop(c.tensors[0].1.pop())).contains("cloud.means"));
+    assert!(refuse(&|c| c.tensors[0].1.truncate(4)).contains("cloud.means"));
     assert!(refuse(&|c| c.tensors[3].1.truncate(8)).contains("cloud.quats"));
     assert!(refuse(&|c| c.tensors[1].1.truncate(3)).contains("cloud.means#m1"));
     assert!(refuse(&|c| c.tensors[0].1[4] = f32::NAN).contains("not finite at 4"));
