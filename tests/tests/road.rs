@@ -1,0 +1,110 @@
+//! The whole road, from files to files: a data set on disk, a trained scene, a checkpoint, a splat file, a picture.
+//!
+//! | step | must hold |
+//! |---|---|
+//! | data set written and read | the same pixels and cameras |
+//! | training | held-out PSNR rises by at least 5 dB |
+//! | checkpoint written and read | the same splats, bit for bit |
+//! | splat file written and read | pictures within 1e-4 of a channel (scales and opacities pass through log and logit) |
+
+use gs_core::Image;
+use gs_core::io::{Limits, RawSplats, load_splats, save_splats};
+use gs_raster::{Frame, Workspace, render};
+use gs_train::checkpoint::{self, Checkpoint};
+use gs_train::data::{DataOptions, Dataset, ImageCache, View};
+use gs_train::methods::{self, Method, MethodEntry, saved};
+use gs_train::moment::Moment;
+use gs_train::synth::{self, SynthOptions};
+use gs_train::trainer::{TrainOptions, Trainer};
+use std::path::Path;
+use std::sync::Arc;
+
+fn written(dir: &Path, name: &str) -> Arc<Dataset> {
+    let options =
+        SynthOptions { size: 48, train_views: 24, val_views: 0, test_views: 4, supersample: 2, ..Default::default() };
+    synth::write(dir, name, &options, false).expect("a folder to write to");
+    Arc::new(Dataset::open(dir, &DataOptions::default()).expect("what was written can be read"))
+}
+
+fn trainer(data: &Arc<Dataset>, method: &str, steps: i64) -> Trainer {
+    let mut config = MethodEntry::find(method).and_then(|m| m.config("tiny")).expect("the tiny preset");
+    let names: Vec<String> = config["schedule"]["stages"].as_table().expect("stages").keys().cloned().collect();
+    let share = steps / names.len() as i64;
+    for name in names {
+        let over = format!("[schedule.stages.{name}]\nsteps = {share}").parse().expect("TOML");
+        methods::overlay(&mut config, over);
+    }
+    Trainer::new(data.clone(), method, &config, TrainOptions { seed: 5, ..Default::default() }).expect("a trainer")
+}
+
+fn picture(method: &dyn Method, view: &View) -> Frame {
+    let background = method.schedule().background.evaluation_color();
+    let splats = method.splats(&Moment::new(view.time), &view.camera);
+    render(&splats, &view.camera, &method.schedule().raster_options(background), &mut Workspace::new())
+}
+
+fn held_out_psnr(method: &dyn Method, data: &Dataset) -> f64 {
+    let background = method.schedule().background.evaluation_color();
+    let photographs = ImageCache::new(64 << 20, 1.0);
+    let scores = data.test.iter().map(|view| {
+        let frame = picture(method, view);
+        let drawn = Image::from_data(frame.width, frame.height, 3, frame.rgb).expect("a frame is an image");
+        gs_metrics::psnr(&drawn, &photographs.get(view).expect("a photograph").over(background)).expect("a score")
+    });
+    scores.sum::<f64>() / data.test.len() as f64
+}
+
+#[test]
+fn from_a_folder_of_images_to_a_splat_file() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let data = written(&folder.path().join("data"), "static");
+    let mut trainer = trainer(&data, "static3d", 400);
+    let before = held_out_psnr(trainer.method(), &data);
+    while trainer.steps_done() < trainer.steps() {
+        trainer.step().expect("a step");
+    }
+    let after = held_out_psnr(trainer.method(), &data);
+    println!("static scene, 48x48, {} steps: {before:.2} -> {after:.2} dB", trainer.steps());
+    assert!(after > before + 5.0, "{before:.2} -> {after:.2} dB");
+
+    let kept = folder.path().join("checkpoints");
+    std::fs::create_dir(&kept).expect("a folder");
+    trainer.state().save_step(&kept, trainer.steps_done()).expect("a checkpoint");
+    let newest: Checkpoint = checkpoint::load_newest(&kept).expect("the newest checkpoint").checkpoint;
+    let again = saved::load(&newest, None).expect("a method").method;
+    let view = &data.test[0];
+    let splats = trainer.method().splats(&Moment::new(view.time), &view.camera);
+    assert_eq!(again.splats(&Moment::new(view.time), &view.camera), splats);
+
+    let ply = folder.path().join("scene.ply");
+    save_splats(&ply, &RawSplats::from_splats(&splats).expect("legal splats"), false).expect("a splat file");
+    let read = load_splats(&ply, &Limits::default()).and_then(|raw| Ok(raw.to_splats())).expect("a splat file");
+    let options = trainer.method().schedule().raster_options([1.0; 3]);
+    let draw = |s| render(s, &view.camera, &options, &mut Workspace::new());
+    let (want, got) = (draw(&splats), draw(&read.expect("legal splats")));
+    let worst = want.rgb.iter().zip(&got.rgb).fold(0.0f32, |m, (a, b)| m.max((a - b).abs()));
+    assert!(worst < 1e-4, "export changed the picture by {worst:.1e}");
+}
+
+#[test]
+fn threads_change_no_bit_of_a_run() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let data = written(&folder.path().join("data"), "sheet");
+    let run = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
+        pool.install(|| {
+            let mut trainer = trainer(&data, "fourdgs", 60);
+            while trainer.steps_done() < trainer.steps() {
+                trainer.step().expect("a step");
+            }
+            trainer.state().tensors
+        })
+    };
+    let bits = |tensors: &[(String, Vec<f32>)]| -> Vec<u32> {
+        tensors.iter().flat_map(|(_, v)| v.iter().map(|x| x.to_bits())).collect()
+    };
+    let one = bits(&run(1));
+    for threads in [2, 4] {
+        assert!(bits(&run(threads)) == one, "{threads} threads");
+    }
+}
