@@ -50,22 +50,26 @@ pub struct Failure {
     /// Kind and exit code.
     pub class: Class,
     /// Stable name of the error, such as `data.time`.
-    pub id: String,
+    id: &'static str,
+    text: Box<Text>,
+}
+
+#[derive(Debug, Default)]
+struct Text {
     /// What happened.
-    pub what: String,
+    what: String,
     /// File, field, row.
-    pub place: String,
+    place: String,
     /// Why it matters.
-    pub why: String,
+    why: String,
     /// What to do.
-    pub remedy: String,
+    remedy: String,
 }
 
 impl Failure {
     /// A failure without place, reason and remedy.
-    pub fn new(class: Class, id: &str, what: impl Into<String>) -> Self {
-        let empty = String::new;
-        Self { class, id: id.to_owned(), what: what.into(), place: empty(), why: empty(), remedy: empty() }
+    pub fn new(class: Class, id: &'static str, what: impl Into<String>) -> Self {
+        Self { class, id, text: Box::new(Text { what: what.into(), ..Text::default() }) }
     }
 
     /// Wrong use of the command line.
@@ -82,27 +86,28 @@ impl Failure {
 
     /// Adds where it happened.
     pub fn place(mut self, place: impl fmt::Display) -> Self {
-        self.place = place.to_string();
+        self.text.place = place.to_string();
         self
     }
 
     /// Adds why it matters.
     pub fn why(mut self, why: impl fmt::Display) -> Self {
-        self.why = why.to_string();
+        self.text.why = why.to_string();
         self
     }
 
     /// Adds what to do.
     pub fn remedy(mut self, remedy: impl fmt::Display) -> Self {
-        self.remedy = remedy.to_string();
+        self.text.remedy = remedy.to_string();
         self
     }
 }
 
 impl fmt::Display for Failure {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "error[{}]: {}", self.id, self.what)?;
-        for (label, text) in [("in  ", &self.place), ("why ", &self.why), ("do  ", &self.remedy)] {
+        let Text { what, place, why, remedy } = self.text.as_ref();
+        write!(f, "error[{}]: {what}", self.id)?;
+        for (label, text) in [("in  ", place), ("why ", why), ("do  ", remedy)] {
             if !text.is_empty() {
                 write!(f, "\n  {label} {text}")?;
             }

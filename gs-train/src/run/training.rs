@@ -23,6 +23,8 @@ pub struct Training {
     folder: RunFolder,
     log: Log,
     window: Window,
+    /// Seconds of training at which this session stops; 0: never.
+    stop_at: f64,
     /// Checkpoints that were passed over on resuming.
     skipped: Vec<Skipped>,
 }
@@ -114,16 +116,16 @@ impl Training {
             "data": DataOrigin::of(trainer.dataset()),
         });
         folder.write(folder::PROVENANCE, &format!("{provenance:#}\n"))?;
-        let log = folder.log()?;
-        Ok(Self { trainer, resolved, folder, log, window: Window::default(), skipped: Vec::new() })
+        let (log, stop_at) = (folder.log()?, resolved.run.time_budget);
+        Ok(Self { trainer, resolved, folder, log, window: Window::default(), stop_at, skipped: Vec::new() })
     }
 
     /// Goes on with a run from its newest checkpoint that verifies. With `steps`, the schedule is given that many
-    /// ([`settings::lengthen`]).
+    /// ([`settings::lengthen`]). `budget` is for this session alone, in seconds; the one the run began with is spent.
     ///
     /// # Errors
     /// If no checkpoint is usable, the data have changed in number, or the steps cannot be made.
-    pub fn resume(root: &Path, steps: Option<u32>, data: Option<Dataset>) -> Result<Self, RunError> {
+    pub fn resume(root: &Path, steps: Option<u32>, budget: Option<f64>) -> Result<Self, RunError> {
         let folder = RunFolder::open_to_write(root)?;
         let newest = checkpoint::load_newest(&folder.checkpoints())?;
         let mut resolved = Resolved::read(&folder.read(folder::CONFIG)?, folder::CONFIG)?;
@@ -132,12 +134,13 @@ impl Training {
             resolved = settings::lengthen(&resolved, steps, done)?;
             folder.write(folder::CONFIG, &resolved.config.to_commented_toml())?;
         }
-        let dataset = Arc::new(data.map_or_else(|| resolved.open_data(), Ok)?);
+        let dataset = Arc::new(resolved.open_data()?);
         let bytes = image_bytes(&resolved);
         let trainer = Trainer::resume(dataset, &newest.checkpoint, Some(&resolved.method), bytes)?;
         folder.cut_log(done)?;
         let log = folder.log()?;
-        Ok(Self { trainer, resolved, folder, log, window: Window::default(), skipped: newest.skipped })
+        let stop_at = budget.map_or(0.0, |b| trainer.train_seconds() + b);
+        Ok(Self { trainer, resolved, folder, log, window: Window::default(), stop_at, skipped: newest.skipped })
     }
 
     /// Trains until the schedule ends, the time budget is spent or `stop` is set; saves in every case.
@@ -145,7 +148,6 @@ impl Training {
     /// # Errors
     /// If a step fails (the last checkpoint stays good) or something cannot be written.
     pub fn train(&mut self, stop: &AtomicBool, tell: &mut dyn FnMut(Progress)) -> Result<Outcome, RunError> {
-        let budget = self.resolved.run.time_budget;
         loop {
             let step = self.trainer.steps_done();
             if step >= self.trainer.steps() {
@@ -155,7 +157,7 @@ impl Training {
             if stop.load(Ordering::Relaxed) {
                 return Ok(Outcome::Interrupted(self.save()?));
             }
-            if budget > 0.0 && self.trainer.train_seconds() >= budget {
+            if self.stop_at > 0.0 && self.trainer.train_seconds() >= self.stop_at {
                 return Ok(Outcome::BudgetSpent(self.save()?));
             }
             self.step(tell)?;

@@ -3,9 +3,10 @@
 use super::train::carry_on;
 use crate::answer::Answer;
 use crate::failure::Failure;
-use crate::{Global, interrupt};
+use crate::{Global, interrupt, parse};
 use gs_train::run::Training;
 use std::path::PathBuf;
+use std::time::Duration;
 
 /// Continue a run exactly, or lengthen a finished one
 ///
@@ -19,12 +20,15 @@ pub struct Resume {
     /// Steps in all, to lengthen (or shorten) the last stage.
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
     steps: Option<u32>,
+    /// Stop with a checkpoint after so much more training, for example 90s, 10m, 1.5h.
+    #[arg(long, value_name = "TIME", value_parser = parse::duration)]
+    time_budget: Option<Duration>,
 }
 
 impl Resume {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
         let stop = interrupt::flag()?;
-        let mut training = Training::resume(&self.run, self.steps, None)?;
+        let mut training = Training::resume(&self.run, self.steps, self.time_budget.map(|d| d.as_secs_f64()))?;
         global.say(format!("going on from step {}", training.trainer().steps_done()));
         carry_on(&mut training, &stop, global)
     }

@@ -1,0 +1,76 @@
+//! Scores of folders of images.
+
+use crate::support::{data, good, gs4d, text};
+use std::fs;
+use std::path::Path;
+
+/// Copies the test images of the shared data.
+fn copy(to: &Path) {
+    fs::create_dir_all(to).unwrap();
+    for entry in fs::read_dir(data().join("test")).unwrap() {
+        let entry = entry.unwrap();
+        fs::copy(entry.path(), to.join(entry.file_name())).unwrap();
+    }
+}
+
+#[test]
+fn equal_folders_are_perfect_and_others_are_not() {
+    let dir = tempfile::tempdir().unwrap();
+    let (a, b) = (dir.path().join("a"), dir.path().join("b"));
+    copy(&a);
+    copy(&b);
+    let json = good(&["eval", "--pred", text(&a), "--gt", text(&b), "--json"]).json();
+    assert_eq!((json["perfect_views"].as_u64(), json["mean"]["ssim"].as_f64()), (Some(2), Some(1.0)));
+    assert!(json["mean"]["psnr"].is_null(), "infinite values are counted, not averaged");
+    // The images have alpha: over white, the scored background differs from black.
+    fs::copy(data().join("train/r_000.png"), a.join("r_000.png")).unwrap();
+    let score = |background: &str| {
+        let call = good(&["eval", "--pred", text(&a), "--gt", text(&b), "--background", background, "--json"]);
+        call.json()["mean"]["psnr"].as_f64().unwrap()
+    };
+    let (black, white) = (score("black"), score("white"));
+    assert!(black > 5.0 && black < 40.0 && white > 5.0 && (black - white).abs() > 0.1, "{black} {white}");
+    let table = good(&["eval", "--pred", text(&a), "--gt", text(&b)]).out;
+    assert!(table.contains("r_000") && table.contains("mean") && table.contains("inf"), "{table}");
+}
+
+#[test]
+fn metrics_are_chosen_and_masks_apply() {
+    let dir = tempfile::tempdir().unwrap();
+    let (a, b) = (dir.path().join("a"), dir.path().join("b"));
+    copy(&a);
+    copy(&b);
+    fs::copy(data().join("train/r_000.png"), a.join("r_000.png")).unwrap();
+    let json = good(&["eval", "--pred", text(&a), "--gt", text(&b), "--metrics", "psnr", "--json"]).json();
+    assert!(json["mean"]["psnr"].is_f64() && json["mean"]["ssim"].is_null());
+    let masked =
+        good(&["eval", "--pred", text(&a), "--gt", text(&b), "--mask", text(&b), "--metrics", "psnr,ssim", "--json"]);
+    assert_eq!(masked.json()["masked"], true);
+    gs4d(&["eval", "--pred", text(&a), "--gt", text(&b), "--metrics", "lpips"]).fails(2, &["perceptual_proxy"]);
+}
+
+#[test]
+fn partners_must_exist_and_fit() {
+    let dir = tempfile::tempdir().unwrap();
+    let (a, b) = (dir.path().join("a"), dir.path().join("b"));
+    copy(&a);
+    copy(&b);
+    fs::rename(a.join("r_001.png"), a.join("other.png")).unwrap();
+    gs4d(&["eval", "--pred", text(&a), "--gt", text(&b)]).fails(3, &["other", text(&b)]);
+    fs::remove_file(a.join("other.png")).unwrap();
+    gs4d(&["eval", "--pred", text(&a), "--gt", text(&b)]).fails(3, &["r_001", text(&a)]);
+    fs::write(a.join("r_001.png"), b"no image").unwrap();
+    gs4d(&["eval", "--pred", text(&a), "--gt", text(&b)]).fails(3, &["r_001.png"]);
+    gs4d(&["eval", "--pred", text(dir.path()), "--gt", text(&b)]).fails(3, &["no image"]);
+    gs4d(&["eval", "--pred", text(&dir.path().join("none")), "--gt", text(&b)]).fails(6, &["none"]);
+}
+
+#[test]
+fn sizes_must_be_equal() {
+    let dir = tempfile::tempdir().unwrap();
+    let small = dir.path().join("small");
+    let views = ["--train-views", "1", "--test-views", "2"];
+    good(&[&["synth", "balls", "-o", text(&small), "--size", "24"][..], &views].concat());
+    let (a, b) = (small.join("test"), data().join("test"));
+    gs4d(&["eval", "--pred", text(&a), "--gt", text(&b)]).fails(3, &["(24, 24, 3)", "(48, 48, 3)", "r_000.png"]);
+}

@@ -1,0 +1,142 @@
+//! Inputs that are wrong on purpose: typed errors that name file and field, the right exit code, never a crash.
+
+use crate::support::{CAMERA, data, gs4d, ply, text, tiny_ply};
+use serde_json::{Value, json};
+use std::fs;
+use std::path::Path;
+
+/// A copy of the shared data set to spoil.
+fn copy_of_data(to: &Path) {
+    for folder in ["train", "val", "test"] {
+        fs::create_dir_all(to.join(folder)).unwrap();
+        for entry in fs::read_dir(data().join(folder)).unwrap() {
+            let entry = entry.unwrap();
+            fs::copy(entry.path(), to.join(folder).join(entry.file_name())).unwrap();
+        }
+        let name = format!("transforms_{folder}.json");
+        fs::copy(data().join(&name), to.join(&name)).unwrap();
+    }
+}
+
+/// Changes the training transforms, then trains; the message must name the file and the words given.
+fn refused(code: i32, words: &[&str], change: impl FnOnce(&mut Value, &Path)) {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join("data");
+    copy_of_data(&root);
+    let file = root.join("transforms_train.json");
+    let mut json: Value = serde_json::from_str(&fs::read_to_string(&file).unwrap()).unwrap();
+    change(&mut json, &root);
+    fs::write(&file, json.to_string()).unwrap();
+    let out = dir.path().join("run");
+    let recipe = ["-m", "static3d", "--preset", "tiny", "--steps", "2", "--set", "init.from=random"];
+    let call = gs4d(&[&["train", text(&root), "-o", text(&out)][..], &recipe].concat());
+    call.fails(code, words);
+    assert!(call.err.contains("\n  do "), "says what to do: {}", call.err);
+    assert!(!out.join("checkpoints/latest").exists(), "nothing was learnt");
+}
+
+#[test]
+fn data_faults_name_file_and_field() {
+    refused(3, &["data.time", "transforms_train.json", "frames[3].time"], |j, _| j["frames"][3]["time"] = json!(7.5));
+    refused(3, &["transforms_train.json", "transform_matrix"], |j, _| {
+        j["frames"][1]["transform_matrix"][0][0] = json!(9.0);
+    });
+    refused(3, &["transforms_train.json", "camera_angle_x"], |j, _| j["camera_angle_x"] = json!("wide"));
+    refused(3, &["r_002"], |_, root| fs::remove_file(root.join("train/r_002.png")).unwrap());
+    refused(3, &["leaves the data folder"], |j, _| j["frames"][0]["file_path"] = json!("../../secret"));
+    refused(3, &["r_004.png"], |_, root| fs::write(root.join("train/r_004.png"), b"\x89PNG\r\n\x1a\nshort").unwrap());
+}
+
+#[test]
+fn broken_json_and_unknown_folders_are_data_errors() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join("data");
+    copy_of_data(&root);
+    let whole = fs::read(root.join("transforms_train.json")).unwrap();
+    for cut in [0, 1, whole.len() / 3, whole.len() - 2] {
+        fs::write(root.join("transforms_train.json"), &whole[..cut]).unwrap();
+        let call = gs4d(&["train", text(&root), "-m", "static3d", "-o", text(&dir.path().join("run"))]);
+        call.fails(3, &["transforms_train.json"]);
+    }
+    let empty = dir.path().join("empty");
+    fs::create_dir(&empty).unwrap();
+    gs4d(&["train", text(&empty), "-m", "static3d", "-o", text(&dir.path().join("r"))]).fails(3, &["data.layout"]);
+    gs4d(&["train", text(&dir.path().join("none")), "-m", "static3d", "-o", text(&dir.path().join("r"))])
+        .fails(3, &["there is no folder"]);
+}
+
+#[test]
+fn an_image_that_asks_for_too_much_memory_is_a_limit() {
+    // A PNG header of 30000 x 30000 pixels and nothing behind it.
+    let mut png = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR".to_vec();
+    png.extend([30_000u32, 30_000].map(u32::to_be_bytes).concat());
+    png.extend([8, 6, 0, 0, 0]);
+    let crc = crc32(&png[12..]);
+    png.extend(crc.to_be_bytes());
+    png.extend(b"\0\0\0\0IEND\xae\x42\x60\x82");
+    refused(5, &["limits.file", ".png", "30000x30000"], |_, root| {
+        for view in fs::read_dir(root.join("train")).unwrap() {
+            fs::write(view.unwrap().path(), &png).unwrap();
+        }
+    });
+}
+
+/// CRC-32 as PNG uses it.
+fn crc32(bytes: &[u8]) -> u32 {
+    let step = |crc: u32, byte: u8| {
+        (0..8).fold(crc ^ u32::from(byte), |c, _| if c & 1 == 1 { c >> 1 ^ 0xedb8_8320 } else { c >> 1 })
+    };
+    !bytes.iter().fold(!0, |crc, &b| step(crc, b))
+}
+
+#[test]
+fn a_run_that_explodes_stops_with_four_and_keeps_its_checkpoint() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("run");
+    let base = ["train", text(data()), "-m", "static3d", "--preset", "tiny", "--steps", "60", "-o", text(&out)];
+    let sets = ["--set", "schedule.lr.cloud.log_scales.start=1e30", "--set", "schedule.lr.cloud.log_scales.end=1e30"];
+    let more = ["--set", "run.checkpoint_every=1", "--quiet"];
+    gs4d(&[&base[..], &sets, &more].concat()).fails(4, &["numeric", "step", "checkpoint"]);
+    assert!(gs_train::checkpoint::load_newest(&out.join("checkpoints")).is_ok());
+}
+
+#[test]
+fn splat_files_are_refused_by_row_and_place() {
+    let dir = tempfile::tempdir().unwrap();
+    let camera = dir.path().join("camera.json");
+    fs::write(&camera, CAMERA).unwrap();
+    let draw = |bytes: &[u8]| {
+        let path = dir.path().join("bad.ply");
+        fs::write(&path, bytes).unwrap();
+        gs4d(&["render", text(&path), "--camera", text(&camera), "-o", text(&dir.path().join("out"))])
+    };
+    draw(&tiny_ply(&[[0.0, 0.0, 3.0], [0.0, f32::NAN, 3.0]])).fails(3, &["bad.ply", "row 1"]);
+    let whole = tiny_ply(&[[0.0, 0.0, 3.0]]);
+    for cut in [3, 40, whole.len() - 1] {
+        draw(&whole[..cut]).fails(3, &["bad.ply"]);
+    }
+    let huge = String::from_utf8_lossy(&whole[..whole.len() - 56]).replace("vertex 1", "vertex 4000000000");
+    let call = draw(huge.as_bytes());
+    assert!(matches!(call.code, 3 | 5), "{}", call.err);
+    draw(b"solid cube").fails(3, &["bad.ply"]);
+    assert!(!dir.path().join("out").exists(), "a refused scene leaves no folder");
+}
+
+#[test]
+fn cameras_are_refused_by_entry_and_field() {
+    let dir = tempfile::tempdir().unwrap();
+    let camera = dir.path().join("camera.json");
+    let draw = |json: &str| {
+        fs::write(&camera, json).unwrap();
+        gs4d(&["render", text(ply()), "--camera", text(&camera), "-o", text(&dir.path().join("out"))])
+    };
+    draw(&CAMERA.replace("\"fx\": 20", "\"fx\": -3")).fails(3, &["camera.json", "fx"]);
+    draw(&CAMERA.replace("\"fx\": 20,", "")).fails(3, &["camera.json", "fx"]);
+    draw(&CAMERA.replace("[1,0,0,0]", "[5,0,0,0]")).fails(3, &["camera.json", "rotation"]);
+    draw(&format!("[{CAMERA}, {}]", CAMERA.replace("\"width\": 20", "\"width\": 1e9")))
+        .fails(3, &["camera.json", "1", "width"]);
+    draw("[]").fails(3, &["no camera"]);
+    draw("{").fails(3, &["camera.json"]);
+    fs::remove_file(&camera).unwrap();
+    gs4d(&["render", text(ply()), "--camera", text(&camera), "-o", "x"]).fails(6, &["camera.json"]);
+}

@@ -1,0 +1,8 @@
+//! The built program, called as a user calls it: every verb on tiny generated inputs, exit codes, JSON, refusals.
+
+mod folders;
+mod hostile;
+mod render;
+mod runs;
+mod support;
+mod usage;

@@ -1,0 +1,122 @@
+//! Pictures of splat files and runs.
+
+use crate::support::{CAMERA, data, good, gs4d, ply, run, text, tiny_ply};
+use gs_core::io::{Limits, exr, images, npy};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+fn camera(dir: &Path, json: &str) -> PathBuf {
+    let path = dir.join("camera.json");
+    fs::write(&path, json).unwrap();
+    path
+}
+
+#[test]
+fn every_format_holds_the_same_picture() {
+    let dir = tempfile::tempdir().unwrap();
+    let camera = camera(dir.path(), CAMERA);
+    let out = dir.path().join("out");
+    for format in ["png", "exr", "npy"] {
+        let call = ["render", text(ply()), "--camera", text(&camera), "--format", format, "-o", text(&out), "--json"];
+        assert!(good(&call).json()["files"][0].as_str().unwrap().ends_with(&format!("front.{format}")));
+    }
+    let limits = Limits::default();
+    let array = npy::read(&fs::read(out.join("front.npy")).unwrap(), "npy", &limits).unwrap();
+    assert_eq!(array.shape, [16, 20, 4]);
+    let values = array.to_f32();
+    let middle = &values[(8 * 20 + 10) * 4..][..4];
+    assert!(middle[0] > 0.5 && middle[1] < 0.1 && middle[3] > 0.5, "a red splat in the middle: {middle:?}");
+    assert!((middle[0] - 0.98 * middle[3]).abs() < 0.03, "premultiplied: {middle:?}");
+    let corner = &values[..4];
+    assert_eq!(corner, [0.0; 4]);
+    let exr = exr::load(&out.join("front.exr"), &limits).unwrap();
+    assert_eq!((exr.shape(), exr.data), ((20, 16, 4), values.clone()));
+    let png = images::load_image(&out.join("front.png"), &limits).unwrap();
+    for (p, v) in png.data.chunks_exact(3).zip(values.chunks_exact(4)) {
+        assert!((p[0] - v[0].clamp(0.0, 1.0)).abs() <= 0.5 / 255.0 + 1e-6);
+    }
+}
+
+#[test]
+fn nothing_is_overwritten_unasked() {
+    let dir = tempfile::tempdir().unwrap();
+    let camera = camera(dir.path(), CAMERA);
+    let call = ["render", text(ply()), "--camera", text(&camera), "-o", text(dir.path())];
+    good(&call);
+    gs4d(&call).fails(6, &["exists", "front.png", "-f"]);
+    good(&[&call[..], &["-f", "--background", "white"]].concat());
+    let png = images::load_image(&dir.path().join("front.png"), &Limits::default()).unwrap();
+    assert_eq!(png.pixel(0, 0), [1.0; 3]);
+}
+
+#[test]
+fn flags_take_negative_values_and_are_checked() {
+    let dir = tempfile::tempdir().unwrap();
+    let camera = camera(dir.path(), CAMERA);
+    let call = |more: &[&str]| {
+        gs4d(&[&["render", text(ply()), "--camera", text(&camera), "-o", text(dir.path()), "-f"], more].concat())
+    };
+    assert_eq!(call(&["--time", "-0.5"]).code, 0);
+    call(&["--background", "-1"]).fails(2, &["0 to 1"]);
+    call(&["--background", "-1,0,0"]).fails(2, &["0 to 1"]);
+    call(&["--time", "nan"]).fails(2, &["number"]);
+    call(&["--near", "-1"]).fails(2, &["not negative"]);
+    assert_eq!(call(&["--near", "4", "--antialias"]).code, 0);
+    let png = images::load_image(&dir.path().join("front.png"), &Limits::default()).unwrap();
+    assert!(png.data.iter().all(|v| *v == 0.0), "the splat is nearer than 4");
+}
+
+#[test]
+fn names_of_cameras_cannot_leave_the_folder() {
+    let dir = tempfile::tempdir().unwrap();
+    let evil = CAMERA.replace("front", "../../evil");
+    let camera = camera(dir.path(), &format!("[{evil}, {evil}]"));
+    let out = dir.path().join("a/b/out");
+    good(&["render", text(ply()), "--camera", text(&camera), "-o", text(&out)]);
+    let mut names: Vec<_> = fs::read_dir(&out).unwrap().map(|e| e.unwrap().file_name()).collect();
+    names.sort();
+    assert_eq!(names, ["evil-1.png", "evil.png"]);
+    assert!(!dir.path().join("evil.png").exists() && !dir.path().join("a/evil.png").exists());
+}
+
+#[test]
+fn a_run_is_drawn_at_any_time_on_any_number_of_threads() {
+    let dir = tempfile::tempdir().unwrap();
+    let camera = camera(dir.path(), &CAMERA.replace("[0,0,1,0]", "[0,0,1,4]"));
+    let draw = |name: &str, time: &str, threads: &str| {
+        let out = dir.path().join(name);
+        let call = ["render", text(run()), "--camera", text(&camera), "--format", "npy", "-o", text(&out)];
+        good(&[&call[..], &["--time", time, "--threads", threads]].concat());
+        npy::read(&fs::read(out.join("front.npy")).unwrap(), "npy", &Limits::default()).unwrap().to_f32()
+    };
+    let first = draw("first", "0", "1");
+    assert_eq!(first, draw("again", "0", "3"));
+    assert!(first.chunks_exact(4).any(|p| p[3] > 0.1), "something is drawn");
+    assert_ne!(first, draw("later", "1", "2"), "the scene moves");
+}
+
+#[test]
+fn transforms_files_are_cameras_too() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut json: serde_json::Value =
+        serde_json::from_str(&fs::read_to_string(data().join("transforms_test.json")).unwrap()).unwrap();
+    json["w"] = 32.into();
+    json["h"] = 24.into();
+    let camera = camera(dir.path(), &json.to_string());
+    let files = good(&["render", text(run()), "--camera", text(&camera), "-o", text(dir.path()), "--json"]).json();
+    assert_eq!(files["files"].as_array().unwrap().len(), 2);
+}
+
+#[test]
+fn many_splats_are_inspected() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("three.ply");
+    fs::write(&path, tiny_ply(&[[0.0, 1.0, 2.0], [f32::NAN, 0.0, 0.0], [1.0, 1.0, 4.0]])).unwrap();
+    let json = good(&["inspect", text(&path), "--json"]).json();
+    let s = &json["summary"];
+    assert_eq!((s["splats"].as_u64(), s["non_finite_rows"].as_u64()), (Some(3), Some(1)));
+    assert_eq!(s["non_finite_first"][0][0], 1);
+    let z = s["columns"].as_array().unwrap().iter().find(|c| c["name"] == "z").unwrap().clone();
+    assert_eq!((z["min"].as_f64(), z["max"].as_f64()), (Some(0.0), Some(4.0)));
+    assert!(good(&["inspect", text(&path)]).out.contains("row 1, column means"));
+}

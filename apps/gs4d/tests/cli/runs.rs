@@ -1,0 +1,178 @@
+//! Runs: what they leave behind, scores, exact resumption, interruption.
+
+use crate::support::{STEPS, data, good, gs4d, run, text, train};
+use gs_train::checkpoint::{Checkpoint, load_newest};
+use serde_json::Value;
+use std::fs;
+use std::path::Path;
+
+fn newest(run: &Path) -> Checkpoint {
+    load_newest(&run.join("checkpoints")).unwrap().checkpoint
+}
+
+/// Tensors as bits, and the parts of `meta` that do not tell the time.
+fn state(run: &Path) -> (Vec<(String, Vec<u32>)>, Value) {
+    let checkpoint = newest(run);
+    let bits = |v: &Vec<f32>| v.iter().map(|x| x.to_bits()).collect();
+    let mut meta = checkpoint.meta.clone();
+    meta.as_object_mut().unwrap().remove("train_seconds");
+    (checkpoint.tensors.iter().map(|(n, v)| (n.clone(), bits(v))).collect(), meta)
+}
+
+#[test]
+fn a_run_folder_is_complete() {
+    let root = run();
+    let config = fs::read_to_string(root.join("config.resolved.toml")).unwrap();
+    assert!(config.contains("# preset tiny") && config.contains("# flag --steps 40"), "{config}");
+    let provenance: Value = serde_json::from_str(&fs::read_to_string(root.join("provenance.json")).unwrap()).unwrap();
+    assert_eq!(provenance["data"]["views"], serde_json::json!([8, 2, 2]));
+    for key in ["version", "cpu", "threads", "simd"] {
+        assert!(!provenance["machine"][key].is_null(), "{key}");
+    }
+    let log = fs::read_to_string(root.join("log.jsonl")).unwrap();
+    let last: Value = serde_json::from_str(log.lines().last().unwrap()).unwrap();
+    assert_eq!(last["step"], STEPS);
+    assert!(last["loss"].as_f64().unwrap() > 0.0 && last["seconds"].as_f64().unwrap() > 0.0);
+    let html = fs::read_to_string(root.join("report.html")).unwrap();
+    assert!(html.contains("Truth beside drawing") && html.contains("Speed against error"));
+    assert!(root.join("checkpoints/step-000040.gs4d").is_file() && root.join("renders").is_dir());
+    assert!(root.join("metrics.json").is_file());
+}
+
+#[test]
+fn scores_have_a_fixed_shape() {
+    for split in ["train", "val", "test"] {
+        let json = good(&["eval", text(run()), "--split", split, "--json"]).json();
+        for key in ["psnr", "ssim", "perceptual_proxy"] {
+            assert!(json["mean"][key].is_f64(), "{split} {key}: {json}");
+        }
+        assert!(json["mean"].as_object().unwrap().contains_key("ms_ssim"), "absent below 161 pixels, but named");
+        assert_eq!((json["split"].as_str(), json["method"].as_str()), (Some(split), Some("fourdgs")));
+        assert_eq!((json["step"].as_u64(), json["background"].as_array().unwrap().len()), (Some(STEPS.into()), 3));
+        for key in ["psnr_of_mean_mse", "train_seconds", "gaussians", "bytes"] {
+            assert!(json[key].as_f64().unwrap() > 0.0, "{key}");
+        }
+        assert_eq!(json["views"].as_array().unwrap().len(), if split == "train" { 8 } else { 2 });
+    }
+    assert!(good(&["eval", text(run()), "--background", "black"]).out.contains("background black"));
+}
+
+#[test]
+fn a_run_is_not_overwritten_unasked() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("run");
+    train(data(), &out, &[]);
+    let call = ["train", text(data()), "-m", "static3d", "--preset", "tiny", "--steps", "2", "-o", text(&out)];
+    gs4d(&call).fails(6, &["holds a run already", "gs4d resume", "-f"]);
+    good(&[&call[..], &["-f", "--quiet"]].concat());
+    assert_eq!(newest(&out).meta["method"], "static3d");
+    fs::write(dir.path().join("mine.txt"), "x").unwrap();
+    let root = text(dir.path()).to_owned();
+    gs4d(&["train", text(data()), "-m", "static3d", "-o", &root, "-f"]).fails(6, &["not a run's"]);
+}
+
+#[test]
+fn resuming_is_exact_on_any_number_of_threads() {
+    let dir = tempfile::tempdir().unwrap();
+    let parts = dir.path().join("parts");
+    train(data(), &parts, &["--time-budget", "0.001s", "--threads", "1"]);
+    let first = newest(&parts).meta["step"].as_u64().unwrap();
+    assert!(first < u64::from(STEPS), "the budget stopped the run early");
+    good(&["resume", text(&parts), "--time-budget", "0.001s", "--threads", "3", "--quiet"]);
+    let second = newest(&parts).meta["step"].as_u64().unwrap();
+    assert!(second > first);
+    good(&["resume", text(&parts), "--quiet"]);
+    assert_eq!(state(&parts), state(run()));
+    let steps: Vec<u64> = fs::read_to_string(parts.join("log.jsonl"))
+        .unwrap()
+        .lines()
+        .map(|l| serde_json::from_str::<Value>(l).unwrap()["step"].as_u64().unwrap())
+        .collect();
+    assert!(steps.is_sorted() && steps.last() == Some(&STEPS.into()), "{steps:?}");
+}
+
+#[test]
+fn a_finished_run_is_lengthened() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("run");
+    train(data(), &out, &[]);
+    let json = good(&["resume", text(&out), "--steps", "55", "--json", "--quiet"]).json();
+    assert_eq!((json["step"].as_u64(), json["finished"].as_bool()), (Some(55), Some(true)));
+    gs4d(&["resume", text(&out), "--steps", "5"]).fails(2, &["55 steps are made"]);
+}
+
+#[test]
+fn a_damaged_checkpoint_is_skipped_and_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("run");
+    train(data(), &out, &["--set", "run.checkpoint_every=15"]);
+    let newest_file = out.join("checkpoints/step-000040.gs4d");
+    let mut bytes = fs::read(&newest_file).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    fs::write(&newest_file, &bytes).unwrap();
+    let call = good(&["resume", text(&out)]);
+    assert!(call.err.contains("step-000040.gs4d") && call.err.contains("checksum"), "{}", call.err);
+    assert!(call.err.contains("going on from step 30"), "{}", call.err);
+    assert_eq!(state(&out), state(run()));
+    for name in ["step-000030.gs4d", "step-000040.gs4d"] {
+        fs::write(out.join("checkpoints").join(name), b"rubbish").unwrap();
+    }
+    gs4d(&["resume", text(&out)]).fails(3, &["no usable checkpoint", "step-000030.gs4d", "step-000040.gs4d"]);
+    gs4d(&["resume", text(dir.path())]).fails(3, &["no run folder"]);
+}
+
+#[cfg(unix)]
+#[test]
+fn an_interrupted_run_is_saved_and_goes_on() {
+    use crate::support::{Call, command};
+    use std::process::Stdio;
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("run");
+    let steps = "4000";
+    let base = ["train", text(data()), "-m", "static3d", "--preset", "tiny", "--steps", steps, "-o", text(&out)];
+    let child = command(&base).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let pid = child.id().to_string();
+    let begun = std::time::Instant::now();
+    while fs::metadata(out.join("log.jsonl")).map_or(0, |m| m.len()) == 0 {
+        assert!(begun.elapsed().as_secs() < 60, "training does not begin");
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    assert!(std::process::Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
+    let call = Call::of(&child.wait_with_output().unwrap());
+    call.fails(130, &["interrupted at step", "saved", &format!("gs4d resume {}", out.display())]);
+    let stopped = newest(&out).meta["step"].as_u64().unwrap();
+    assert!(stopped > 0 && stopped < 4000);
+    let target = (stopped + 7).to_string();
+    good(&["resume", text(&out), "--steps", &target, "--quiet"]);
+    assert_eq!(newest(&out).meta["step"].as_u64().unwrap(), stopped + 7);
+}
+
+#[test]
+fn runs_and_checkpoints_are_inspected() {
+    let json = good(&["inspect", text(run()), "--json"]).json();
+    let names: Vec<&str> = json["needs"].as_array().unwrap().iter().map(|n| n["name"].as_str().unwrap()).collect();
+    for name in ["splats that move", "splats at rest", "storage in all", "splats of plain colour"] {
+        assert!(names.contains(&name), "{name} is not in {names:?}");
+    }
+    let file = run().join("checkpoints/step-000040.gs4d");
+    let json = good(&["inspect", text(&file), "--json"]).json();
+    assert_eq!(json["meta"]["step"], STEPS);
+    assert!(json["tensors"].as_array().unwrap().iter().any(|t| t["name"] == "cloud.means" && t["non_finite"] == 0));
+}
+
+#[test]
+fn the_demo_leaves_report_pictures_and_splats() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("demo");
+    let call = ["demo", "-o", text(&out), "--preset", "tiny", "--steps", "20", "--size", "32", "--quiet"];
+    let table = good(&call).out;
+    for word in ["PSNR", "SSIM", "splats", "speed against error", "report.html"] {
+        assert!(table.contains(word), "{word} is not in {table}");
+    }
+    assert!(out.join("run/report.html").is_file() && out.join("scene-t0.50.ply").is_file());
+    assert_eq!(fs::read_dir(out.join("frames")).unwrap().count(), 24);
+    assert!(good(&["inspect", text(&out.join("scene-t0.50.ply"))]).out.contains("splats"));
+    good(&["eval", text(&out.join("run"))]);
+    gs4d(&call).fails(6, &["older demo", "-f"]);
+}

@@ -1,0 +1,75 @@
+//! Verbs without a run, and wrong use.
+
+use crate::support::{command, good, gs4d, text};
+use std::process::Stdio;
+
+#[test]
+fn wrong_use_exits_with_two() {
+    gs4d(&["frobnicate"]).fails(2, &["unrecognized subcommand"]);
+    gs4d(&[]).fails(2, &["Usage"]);
+    gs4d(&["methods", "--no-such-flag"]).fails(2, &["--no-such-flag"]);
+    gs4d(&["--quiet", "-v", "methods"]).fails(2, &["cannot be used with"]);
+    gs4d(&["methods", "--threads", "0"]).fails(2, &["--threads"]);
+    gs4d(&["eval"]).fails(2, &["RUN"]);
+    gs4d(&["eval", "--pred", "x"]).fails(2, &["--gt"]);
+    gs4d(&["bench", "--crate", "gs-nothing"]).fails(2, &["gs-nothing", "gs-raster"]);
+    assert!(good(&["--version"]).out.starts_with("gs4d "));
+    assert!(good(&["--help"]).out.contains("Exit codes"));
+}
+
+#[test]
+fn methods_and_settings_are_listed() {
+    let methods = good(&["methods", "--json"]).json();
+    let names: Vec<&str> = methods.as_array().unwrap().iter().map(|m| m["name"].as_str().unwrap()).collect();
+    assert!(names.contains(&"static3d") && names.contains(&"fourdgs") && names.contains(&"defgs"), "{names:?}");
+    for name in names {
+        let toml = good(&["config", name]).out;
+        assert!(toml.contains("[schedule") && toml.contains("# default"), "{toml}");
+    }
+    let tiny = good(&["config", "static3d", "--preset", "tiny", "--set", "schedule.lambda_dssim=0.5", "--json"]).json();
+    let row = |key: &str| tiny.as_array().unwrap().iter().find(|r| r["key"] == key).unwrap().clone();
+    assert_eq!(row("schedule.lambda_dssim")["value"], 0.5);
+    assert_eq!(row("schedule.lambda_dssim")["source"], "flag --set schedule.lambda_dssim=0.5");
+    assert_eq!(row("init.points")["source"], "preset tiny");
+}
+
+#[test]
+fn wrong_settings_exit_with_two_and_name_the_nearest() {
+    gs4d(&["config", "nerf"]).fails(2, &["nerf", "static3d"]);
+    gs4d(&["config", "static3d", "--preset", "huge"]).fails(2, &["huge", "tiny"]);
+    gs4d(&["config", "static3d", "--set", "schedule.lambda_dsim=0.1"]).fails(2, &["schedule.lambda_dssim"]);
+    gs4d(&["config", "static3d", "--set", "schedule.lambda_dssim=nan"]).fails(2, &["finite"]);
+    gs4d(&["config", "static3d", "--set", "schedule.lambda_dssim=\"a\""]).fails(2, &["must be a number"]);
+    gs4d(&["config", "static3d", "--set", "schedule"]).fails(2, &["key=value"]);
+}
+
+#[test]
+fn scenes_are_written_once() {
+    assert!(good(&["synth"]).out.contains("balls"));
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("scene");
+    let call = ["synth", "static", "-o", text(&out), "--size", "16", "--train-views", "2", "--test-views", "1"];
+    let json = good(&[&call[..], &["--json"]].concat()).json();
+    assert_eq!((json["scene"].as_str(), json["views"][0].as_u64()), (Some("static"), Some(2)));
+    assert!(out.join("transforms_train.json").is_file() && out.join("truth.json").is_file());
+    gs4d(&call).fails(6, &["not empty", "-f"]);
+    good(&[&call[..], &["-f"]].concat());
+    gs4d(&["synth", "nowhere", "-o", text(&dir.path().join("x"))]).fails(2, &["nowhere", "balls"]);
+    gs4d(&["synth", "balls"]).fails(2, &["-o DIR"]);
+}
+
+#[test]
+fn bench_rows_have_time_and_error() {
+    let json = good(&["bench", "--crate", "gs-train", "--json", "--quiet"]).json();
+    let row = &json["rows"][0];
+    assert_eq!(row["crate"], "gs-train");
+    assert!(row["ms"].as_f64().unwrap() > 0.0 && row["error"].as_f64().unwrap() < 1e-4, "{row}");
+    assert!(json["roofs"]["fma_gflops"].as_f64().unwrap() > 0.1);
+}
+
+#[test]
+fn a_reader_that_leaves_is_no_failure() {
+    let mut child = command(&["config", "static3d"]).stdout(Stdio::piped()).spawn().unwrap();
+    drop(child.stdout.take());
+    assert!(child.wait().unwrap().success());
+}
