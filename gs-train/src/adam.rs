@@ -139,7 +139,7 @@ impl Adam {
                     return piece.careful(&factors, if shared { usize::MAX } else { width }, sparse);
                 }
                 if sparse && !shared {
-                    piece.visible(&factors, width)
+                    piece.visible(level, &factors, width)
                 } else {
                     piece.all(level, &factors)
                 }
@@ -182,20 +182,8 @@ impl Piece<'_> {
     }
 
     /// Only rows with some gradient.
-    fn visible(self, f: &Factors, width: usize) {
-        for at in (0..self.grad.len()).step_by(width) {
-            let row = at..(at + width).min(self.grad.len());
-            if self.grad[row.clone()].iter().any(|&g| g != 0.0) {
-                update_row(
-                    &mut self.value[row.clone()],
-                    &mut self.m[row.clone()],
-                    &mut self.v[row.clone()],
-                    &self.grad[row.clone()],
-                    f,
-                );
-                self.grad[row].fill(0.0);
-            }
-        }
+    fn visible(self, level: Level, f: &Factors, width: usize) {
+        dispatch!(level, simd => update_visible(simd, self.value, self.m, self.v, self.grad, f, width));
     }
 
     /// Row by row, leaving out those with a gradient that is not finite. Gives their number and the first.
@@ -238,6 +226,26 @@ fn all_finite_in<S: Simd>(_simd: S, grad: &[f32]) -> bool {
 fn update_all<S: Simd>(_simd: S, value: &mut [f32], m: &mut [f32], v: &mut [f32], grad: &mut [f32], f: &Factors) {
     update_row(value, m, v, grad, f);
     grad.fill(0.0);
+}
+
+#[inline(always)]
+fn update_visible<S: Simd>(
+    _simd: S,
+    value: &mut [f32],
+    m: &mut [f32],
+    v: &mut [f32],
+    grad: &mut [f32],
+    f: &Factors,
+    width: usize,
+) {
+    let rows = value.chunks_exact_mut(width).zip(m.chunks_exact_mut(width));
+    for ((value, m), (v, grad)) in rows.zip(v.chunks_exact_mut(width).zip(grad.chunks_exact_mut(width))) {
+        // All bits but the sign: zero exactly for a row of zeros.
+        if grad.iter().fold(0, |bits, g| bits | (g.to_bits() << 1)) != 0 {
+            update_row(value, m, v, grad, f);
+            grad.fill(0.0);
+        }
+    }
 }
 
 #[inline(always)]

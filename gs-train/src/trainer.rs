@@ -6,19 +6,24 @@
 
 use crate::adam::{Adam, AdamOptions, Refused};
 use crate::checkpoint::Checkpoint;
-use crate::data::{DataError, Dataset, ImageCache, View};
+use crate::data::{Dataset, ImageCache, View};
 use crate::density::Adapted;
-use crate::guard::{Quarantine, quarantine};
-use crate::loss::{ImageLoss, LossTerms};
-use crate::methods::{self, InitConfig, Method, MethodEntry, MethodError, SceneInfo};
+use crate::loss::LossTerms;
+use crate::methods::{self, InitConfig, Method, MethodEntry, SceneInfo};
 use crate::moment::Moment;
-use gs_core::{Camera, Image, Param, Rng, Splats, SplatsGrad};
-use gs_metrics::MetricError;
-use gs_raster::{Frame, FrameGrad, RasterOptions, ScreenStats, Workspace, render_backward_into, render_into};
+use gs_core::{Camera, Image, Param, Rng};
+use gs_raster::RasterOptions;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Instant;
+
+mod easel;
+mod error;
+
+pub use easel::Phases;
+use easel::{Drawn, Easel, ms_since};
+pub use error::TrainError;
 
 /// What a run needs beside data and configuration.
 #[derive(Clone, Debug, PartialEq)]
@@ -34,65 +39,6 @@ impl Default for TrainOptions {
     fn default() -> Self {
         Self { seed: 0, image_bytes: 512 << 20 }
     }
-}
-
-/// Why training cannot go on.
-#[derive(Debug, thiserror::Error)]
-pub enum TrainError {
-    /// The data cannot be read.
-    #[error(transparent)]
-    Data(#[from] DataError),
-    /// The method cannot be built.
-    #[error(transparent)]
-    Method(#[from] MethodError),
-    /// Gradients were not finite, too many or in a weight that all splats share. The parameters are to be thrown away.
-    #[error("step {step}, view {view}: {what}; go back to the last checkpoint and lower the learning rates")]
-    Numeric {
-        /// Step being made.
-        step: u32,
-        /// View being learnt from.
-        view: String,
-        /// What was met, and where.
-        what: String,
-    },
-    /// A checkpoint does not fit.
-    #[error("checkpoint: {0}")]
-    State(String),
-    /// The schedule is at its end.
-    #[error("the schedule ends at step {0}; lengthen a stage to go on")]
-    Finished(u32),
-}
-
-impl TrainError {
-    /// The exit code of the command line: 3 data, 4 numerical failure, 2 wrong usage.
-    pub fn exit_code(&self) -> u8 {
-        match self {
-            TrainError::Data(_) => 3,
-            TrainError::Numeric { .. } => 4,
-            TrainError::Method(_) | TrainError::State(_) | TrainError::Finished(_) => 2,
-        }
-    }
-}
-
-/// Milliseconds of the phases of a step.
-#[derive(Clone, Copy, Debug, PartialEq, Default, Serialize)]
-pub struct Phases {
-    /// Fetching and compositing the photograph.
-    pub data: f64,
-    /// Cloud and field, forward and backward, and penalties.
-    pub field: f64,
-    /// Drawing.
-    pub raster_forward: f64,
-    /// Image loss and its gradient.
-    pub loss: f64,
-    /// Drawing, backward.
-    pub raster_backward: f64,
-    /// The optimiser.
-    pub adam: f64,
-    /// Density control.
-    pub adapt: f64,
-    /// The whole step.
-    pub total: f64,
 }
 
 /// What a step did.
@@ -116,25 +62,6 @@ pub struct StepReport {
     pub adapted: Adapted,
     /// Milliseconds per phase.
     pub ms: Phases,
-}
-
-/// Scratch of the drawing side, reused between steps.
-#[derive(Default)]
-struct Easel {
-    workspace: Workspace,
-    frame: Frame,
-    d_frame: FrameGrad,
-    stats: ScreenStats,
-    loss: ImageLoss,
-}
-
-/// What drawing found.
-#[derive(Default)]
-struct Drawn {
-    terms: LossTerms,
-    quarantine: Quarantine,
-    error: Option<MetricError>,
-    ms: Phases,
 }
 
 /// A run in memory.
@@ -202,7 +129,7 @@ impl Trainer {
         let schedule = method.schedule();
         let adam = Adam::new(AdamOptions { sparse: schedule.sparse_adam, ..AdamOptions::default() });
         let cache = ImageCache::new(options.image_bytes, 1.0);
-        let easel = Easel { loss: ImageLoss::new(), ..Easel::default() };
+        let easel = Easel::new();
         let config = config.clone();
         Self { method, dataset, scene, config, options, adam, cache, easel, step: 0, seconds: 0.0 }
     }
@@ -378,38 +305,6 @@ impl Trainer {
     }
 }
 
-impl Easel {
-    /// Draws, compares, and pulls the loss back to the splats.
-    fn draw(
-        &mut self,
-        splats: &Splats,
-        camera: &Camera,
-        options: &RasterOptions,
-        target: &Image,
-        lambda: f32,
-        d: &mut SplatsGrad,
-    ) -> Drawn {
-        let mut drawn = Drawn::default();
-        let begun = Instant::now();
-        render_into(splats, camera, options, &mut self.workspace, &mut self.frame);
-        drawn.ms.raster_forward = ms_since(begun);
-        let begun = Instant::now();
-        match self.loss.evaluate(&mut self.frame, target, lambda, &mut self.d_frame) {
-            Ok(terms) => drawn.terms = terms,
-            Err(e) => {
-                drawn.error = Some(e);
-                return drawn;
-            }
-        }
-        drawn.ms.loss = ms_since(begun);
-        let begun = Instant::now();
-        render_backward_into(splats, camera, options, &mut self.workspace, &self.d_frame, d, &mut self.stats);
-        drawn.quarantine = quarantine(d);
-        drawn.ms.raster_backward = ms_since(begun);
-        drawn
-    }
-}
-
 /// Index of the view of a step (from 1): every view once per epoch, in a random order of its own.
 pub fn view_of_step(seed: u64, step: u32, views: usize) -> usize {
     let n = views.max(1) as u32;
@@ -417,6 +312,130 @@ pub fn view_of_step(seed: u64, step: u32, views: usize) -> usize {
     Rng::new(seed, "view-order", epoch, 0).permutation(n as usize)[at as usize] as usize
 }
 
-fn ms_since(begun: Instant) -> f64 {
-    begun.elapsed().as_secs_f64() * 1e3
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::schedule::Schedule;
+    use crate::synth::{self, SynthOptions};
+    use gs_core::{Params, Splats, SplatsGrad};
+    use gs_raster::ScreenStats;
+
+    /// Two blocks whose gradients are what the test wants.
+    struct Fake {
+        blocks: [Param; 2],
+        gradients: [Vec<f32>; 2],
+        schedule: Schedule,
+    }
+
+    impl Params for Fake {
+        fn visit(&self, f: &mut dyn FnMut(&Param)) {
+            self.blocks.iter().for_each(f);
+        }
+
+        fn visit_mut(&mut self, f: &mut dyn FnMut(&mut Param)) {
+            self.blocks.iter_mut().for_each(f);
+        }
+    }
+
+    impl Method for Fake {
+        fn name(&self) -> &'static str {
+            "fake"
+        }
+
+        fn schedule(&self) -> &Schedule {
+            &self.schedule
+        }
+
+        fn set_step(&mut self, _step: u32) {}
+
+        fn splats(&self, _at: &Moment, _camera: &Camera) -> Splats {
+            Splats::default()
+        }
+
+        fn step(&mut self, _at: &Moment, _camera: &Camera, _draw: &mut dyn FnMut(&Splats, &mut SplatsGrad)) {
+            self.blocks.iter_mut().zip(&self.gradients).for_each(|(p, g)| p.grad.clone_from(g));
+        }
+
+        fn penalties(&mut self, _step: u32) -> Vec<(&'static str, f32)> {
+            Vec::new()
+        }
+
+        fn adapt(&mut self, _step: u32, _seen: &ScreenStats, _camera: &Camera) -> Adapted {
+            Adapted::default()
+        }
+
+        fn columns(&self) -> Vec<(&'static str, &Vec<f32>)> {
+            Vec::new()
+        }
+
+        fn columns_mut(&mut self) -> Vec<(&'static str, &mut Vec<f32>)> {
+            Vec::new()
+        }
+
+        fn len(&self) -> usize {
+            1000
+        }
+    }
+
+    fn fake(bad_rows: usize, bad_shared: bool) -> Trainer {
+        let options = SynthOptions { size: 16, train_views: 2, val_views: 0, test_views: 0, ..Default::default() };
+        let dataset = Arc::new(synth::generate("static", &options).unwrap().dataset);
+        let config = MethodEntry::find("fourdgs").unwrap().config("tiny").unwrap();
+        let schedule: Schedule = methods::section("fourdgs", &config, "schedule").unwrap();
+        let init = methods::section("fourdgs", &config, "init").unwrap();
+        let scene = SceneInfo::of(&dataset, &init, 0).unwrap();
+        let blocks = [Param::rows("cloud.means", 1, vec![1.0; 1000]), Param::shared("field.trunk", vec![1.0; 3])];
+        let mut gradients = [vec![1.0; 1000], vec![1.0; 3]];
+        gradients[0][7..7 + bad_rows].fill(f32::NAN);
+        gradients[1][1] = if bad_shared { f32::INFINITY } else { 1.0 };
+        Trainer::of(dataset, Box::new(Fake { blocks, gradients, schedule }), scene, &config, TrainOptions::default())
+    }
+
+    #[test]
+    fn few_bad_rows_are_counted_and_left_alone() {
+        let mut trainer = fake(1, false);
+        assert_eq!(trainer.step().unwrap().quarantined, 1);
+        trainer.method().visit(&mut |p| {
+            if p.name == "cloud.means" {
+                assert!(p.value[7] == 1.0 && p.value[6] < 1.0 && p.value[8] < 1.0);
+            }
+        });
+    }
+
+    #[test]
+    fn many_bad_rows_or_one_bad_weight_end_the_run() {
+        for (mut trainer, culprit) in [(fake(2, false), "row 7 of `cloud.means`"), (fake(0, true), "`field.trunk`")] {
+            let error = trainer.step().unwrap_err();
+            assert_eq!(error.exit_code(), 4);
+            assert!(error.to_string().contains(culprit), "{error}");
+            assert_eq!(trainer.steps_done(), 0);
+        }
+    }
+
+    #[test]
+    fn unknown_methods_and_settings_are_refused() {
+        let trainer = fake(0, false);
+        let (data, config) = (trainer.dataset().clone(), trainer.config.clone());
+        let error = |method: &str, config: &toml::Table| {
+            Trainer::new(data.clone(), method, config, TrainOptions::default()).err().unwrap()
+        };
+        assert_eq!(error("none", &config).exit_code(), 2);
+        assert!(error("static3d", &config).to_string().contains("field"), "static3d has no field");
+        let mut wrong = config.clone();
+        wrong["schedule"].as_table_mut().unwrap().insert("lambda_dssim".into(), 2.0.into());
+        assert!(error("fourdgs", &wrong).to_string().contains("lambda_dssim"));
+        wrong.remove("init");
+        assert!(error("fourdgs", &wrong).to_string().contains("section `init` is missing"));
+    }
+
+    #[test]
+    fn every_view_comes_once_per_epoch() {
+        for epoch in 0..3u32 {
+            let mut seen: Vec<usize> = (1..=7).map(|s| view_of_step(5, 7 * epoch + s, 7)).collect();
+            seen.sort_unstable();
+            assert_eq!(seen, [0, 1, 2, 3, 4, 5, 6]);
+        }
+        let epoch = |e: u32| (1..=50).map(|s| view_of_step(5, 50 * e + s, 50)).collect::<Vec<_>>();
+        assert_ne!(epoch(0), epoch(1));
+    }
 }

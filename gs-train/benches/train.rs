@@ -1,0 +1,148 @@
+//! Time and error of training: Adam against its definition in `f64`, and the phases of a step of each method. Rows go to
+//! the terminal and to `target/speed-error/gs-train.jsonl`.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
+
+use criterion::Criterion;
+use gs_core::speed::{SpeedError, median_seconds};
+use gs_core::{Param, Rng};
+use gs_train::adam::{Adam, AdamOptions, Refused};
+use gs_train::methods::{METHODS, MethodEntry};
+use gs_train::synth::{self, SynthOptions};
+use gs_train::trainer::{Phases, TrainOptions, Trainer};
+
+fn record(line: SpeedError) {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/speed-error");
+    if let Err(e) = line.record(&folder) {
+        println!("no row written to {}: {e}", folder.display());
+    }
+}
+
+/// A block of `rows × 51` values (the parameters of a cloud at SH degree 3 but for its centres, quats and scales).
+fn block(rows: usize) -> Param {
+    let mut rng = Rng::new(1, "bench", 0, 0);
+    Param::rows("bench", 51, (0..rows * 51).map(|_| rng.normal()).collect())
+}
+
+/// Worst absolute difference from the definition in `f64` after ten updates at learning rate 1e-2.
+fn adam_error() -> f64 {
+    let (b1, b2, lr, eps) = (f64::from(0.9f32), f64::from(0.999f32), f64::from(1e-2f32), f64::from(1e-15f32));
+    let (mut p, mut adam, mut rng) = (block(100), Adam::default(), Rng::new(2, "bench", 0, 0));
+    let mut want: Vec<[f64; 3]> = p.value.iter().map(|&v| [f64::from(v), 0.0, 0.0]).collect();
+    for t in 1..=10 {
+        for (g, [value, m, v]) in p.grad.iter_mut().zip(&mut want) {
+            *g = 1e-3 * rng.normal();
+            let g = f64::from(*g);
+            *m = b1 * *m + (1.0 - b1) * g;
+            *v = b2 * *v + (1.0 - b2) * g * g;
+            *value -= lr * (*m / (1.0 - b1.powi(t))) / ((*v / (1.0 - b2.powi(t))).sqrt() + eps);
+        }
+        adam.update(&mut p, 1e-2, 1e-15, &mut Refused::default());
+    }
+    p.value.iter().zip(&want).map(|(a, b)| (f64::from(*a) - b[0]).abs()).fold(0.0, f64::max)
+}
+
+fn adam_rows(criterion: &mut Criterion) {
+    let error = adam_error();
+    for (variant, sparse, share) in [("exact", false, 1), ("rows seen, all", true, 1), ("rows seen, a tenth", true, 10)]
+    {
+        let (rows, mut adam) = (100_000, Adam::new(AdamOptions { sparse, ..AdamOptions::default() }));
+        let mut p = block(rows);
+        for threads in [1, 2] {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
+            let mut update = || {
+                // Gradients are cleared by an update: one value brings a row back to life.
+                p.grad.iter_mut().step_by(51 * share).for_each(|g| *g = 1e-3);
+                pool.install(|| adam.update(&mut p, 1e-3, 1e-15, &mut Refused::default()));
+            };
+            let ms = 1e3 * median_seconds(15, &mut update);
+            record(SpeedError {
+                krate: "gs-train",
+                case: "adam".into(),
+                variant: variant.into(),
+                n: rows * 51,
+                threads,
+                ms,
+                work: (rows * 51) as f64,
+                error: (!sparse).then_some(error),
+                error_kind: "worst absolute after 10 updates of 1e-2",
+            });
+            criterion.bench_function(&format!("adam/{variant}/5.1M/{threads}t"), |b| b.iter(&mut update));
+        }
+    }
+}
+
+/// Mean milliseconds of each phase over the last steps of a short run of the `fast` preset at 400×400.
+fn phases(method: &str, threads: usize) -> (BTreeMap<&'static str, f64>, usize) {
+    let options = SynthOptions { size: 400, train_views: 12, val_views: 0, test_views: 0, ..SynthOptions::default() };
+    let dataset = Arc::new(synth::generate("sheet", &options).expect("a scene").dataset);
+    let mut config = MethodEntry::find(method).and_then(|m| m.config("fast")).expect("a preset");
+    let still: toml::Table = "[schedule.density]\nuntil = 0".parse().expect("TOML");
+    gs_train::methods::overlay(&mut config, still);
+    for (_, stage) in config["schedule"]["stages"].as_table_mut().expect("stages").iter_mut() {
+        let dynamic = stage["dynamic"].as_bool().unwrap_or(false);
+        stage.as_table_mut().expect("a stage").insert("steps".into(), if dynamic { 30 } else { 20 }.into());
+    }
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
+    pool.install(|| {
+        let mut trainer = Trainer::new(dataset, method, &config, TrainOptions::default()).expect("a run");
+        let (skip, mut sums) = (trainer.steps() - 15, BTreeMap::new());
+        for step in 1..=trainer.steps() {
+            let ms = trainer.step().expect("a step").ms;
+            if step > skip {
+                named(&ms).into_iter().for_each(|(name, v)| *sums.entry(name).or_insert(0.0) += v / 15.0);
+            }
+        }
+        (sums, trainer.method().len())
+    })
+}
+
+fn named(ms: &Phases) -> [(&'static str, f64); 7] {
+    [
+        ("data", ms.data),
+        ("field", ms.field),
+        ("raster forward", ms.raster_forward),
+        ("loss", ms.loss),
+        ("raster backward", ms.raster_backward),
+        ("adam", ms.adam),
+        ("step", ms.total),
+    ]
+}
+
+fn phase_rows() {
+    for entry in METHODS {
+        for threads in [1, 2] {
+            let (ms, splats) = phases(entry.name, threads);
+            let line: Vec<String> = ms.iter().map(|(name, ms)| format!("{name} {ms:.2}")).collect();
+            println!("{:9} fast, {splats} splats, 400x400, {threads}t  ms: {}", entry.name, line.join("  "));
+            for (case, ms) in ms {
+                record(SpeedError {
+                    krate: "gs-train",
+                    case: format!("train {case}"),
+                    variant: entry.name.into(),
+                    n: splats,
+                    threads,
+                    ms,
+                    work: splats as f64,
+                    error: None,
+                    error_kind: "see the parts",
+                });
+            }
+        }
+    }
+}
+
+fn main() {
+    let quick = std::time::Duration::from_millis(200);
+    let mut criterion = Criterion::default()
+        .sample_size(10)
+        .warm_up_time(quick / 4)
+        .measurement_time(quick)
+        .without_plots()
+        .configure_from_args();
+    adam_rows(&mut criterion);
+    phase_rows();
+    criterion.final_summary();
+}
