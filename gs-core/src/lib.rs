@@ -28,8 +28,8 @@ pub mod real;
 pub mod rng;
 pub mod rot;
 pub mod sh;
+pub mod speed;
 pub mod splats;
-#[cfg(feature = "testkit")]
 pub mod testkit;
 pub mod time;
 

@@ -5,21 +5,7 @@
 use glam::Vec3;
 use gs_core::io::{Limits, load_cameras, load_splats, npy, ply, read_file, sigmoid, spz};
 use gs_core::sh;
-use std::path::PathBuf;
-
-/// A file of the shared folder, if it is there.
-fn shared(path: &str) -> Option<PathBuf> {
-    let root = match std::env::var_os("GS4D_SHARED") {
-        Some(root) => PathBuf::from(root),
-        None => PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared")),
-    };
-    let file = root.join(path);
-    if file.exists() {
-        return Some(file);
-    }
-    println!("SKIPPED: {} is absent (set GS4D_SHARED to the folder of shared data)", file.display());
-    None
-}
+use gs_core::testkit::shared;
 
 #[test]
 fn a_trained_ply_is_read_and_written_back_byte_for_byte() {
@@ -97,7 +83,13 @@ fn camera_files_of_all_layouts() {
         }
     }
     if let Some(cameras) = load("data/dnerf_mutant_400/transforms_train.json") {
-        assert!(cameras.unwrap_err().to_string().contains("`w` is missing (at entry 0)"));
+        // The sizes are in the pictures beside, which take a reader to look at.
+        if cfg!(feature = "images") {
+            let first = &cameras.unwrap()[0].camera;
+            assert_eq!((first.width, first.height), (400, 400));
+        } else {
+            assert!(cameras.unwrap_err().to_string().contains("`w` is missing (at entry 0)"));
+        }
     }
     if let Some(cameras) = load("data/fox_270x480/transforms.json") {
         assert!(cameras.unwrap_err().to_string().contains("`k1` = 0.0578421"));
@@ -145,5 +137,31 @@ fn openexr_samples() {
         for x in 0..501 {
             assert!(!outside(x, y) || t08.pixel(x, y) == [0.0; 3], "{x} {y}");
         }
+    }
+}
+
+/// D-NeRF files do not say how large their images are; the images beside them do.
+#[cfg(feature = "images")]
+#[test]
+fn transforms_without_a_size_take_it_from_the_picture_beside() {
+    let folder = tempfile::tempdir().expect("a folder");
+    std::fs::create_dir(folder.path().join("test")).expect("a folder");
+    let picture = gs_core::Image::zeros(6, 4, 3);
+    gs_core::io::images::save_png(&folder.path().join("test/r_000.png"), &picture, false).expect("a picture");
+    let file = folder.path().join("transforms_test.json");
+    let identity = "[[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]";
+    let text = |name: &str| {
+        format!(
+            r#"{{"camera_angle_x":0.7,"frames":[{{"file_path":"{name}","time":0.5,"transform_matrix":{identity}}}]}}"#
+        )
+    };
+    std::fs::write(&file, text("./test/r_000")).expect("a file");
+    let cameras = load_cameras(&file, &Limits::default()).expect("a camera");
+    assert_eq!((cameras[0].camera.width, cameras[0].camera.height, cameras[0].time), (6, 4, Some(0.5)));
+    // A name that leaves the folder is not followed.
+    for name in ["../test/r_000", "/test/r_000", "./test/r_404"] {
+        std::fs::write(&file, text(name)).expect("a file");
+        let error = load_cameras(&file, &Limits::default()).expect_err("no size").to_string();
+        assert!(error.contains("`w` is missing"), "{error}");
     }
 }

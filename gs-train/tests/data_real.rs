@@ -7,14 +7,7 @@ use glam::{DVec2, DVec3};
 use gs_train::data::{DataOptions, Dataset, ImageCache};
 
 fn capture(name: &str) -> Option<PathBuf> {
-    let shared = std::env::var_os("GS4D_SHARED")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared"), PathBuf::from);
-    let dir = shared.join("data").join(name);
-    if dir.is_dir() {
-        return Some(dir);
-    }
-    println!("SKIPPED: {} is not there", dir.display());
-    None
+    gs_core::testkit::shared(&format!("data/{name}"))
 }
 
 #[test]

@@ -78,7 +78,7 @@ fn from_a_folder_of_images_to_a_splat_file() {
 
     let ply = folder.path().join("scene.ply");
     save_splats(&ply, &RawSplats::from_splats(&splats).expect("legal splats"), false).expect("a splat file");
-    let read = load_splats(&ply, &Limits::default()).and_then(|raw| Ok(raw.to_splats())).expect("a splat file");
+    let read = load_splats(&ply, &Limits::default()).expect("a splat file").to_splats();
     let options = trainer.method().schedule().raster_options([1.0; 3]);
     let draw = |s| render(s, &view.camera, &options, &mut Workspace::new());
     let (want, got) = (draw(&splats), draw(&read.expect("legal splats")));

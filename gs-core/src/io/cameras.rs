@@ -8,7 +8,8 @@
 //! * **transforms** (nerfstudio, instant-ngp, Blender): an object with `frames`, each with `transform_matrix`
 //!   (camera→world, OpenGL axes: y up, z backward) and perhaps `time`; intrinsics for all frames or per frame: `w`, `h`,
 //!   and `fl_x`, `fl_y`, `cx`, `cy` or `camera_angle_x` (full horizontal angle, radians; `fx = w / (2 tan(angle/2))`).
-//!   Image files are not opened, so `w` and `h` must be there.
+//!   Where `w` and `h` are missing (D-NeRF), [`load_cameras`] takes the size of the frame's image beside the file
+//!   (feature `images`); [`parse_cameras`] opens nothing and asks for them.
 //!
 //! Distortion coefficients other than zero, and fisheye models, are refused: cameras here are pinholes.
 
@@ -40,14 +41,38 @@ const SHORTEST_FRAME: usize = 48;
 /// # Errors
 /// As [`read_file`] and [`parse_cameras`].
 pub fn load_cameras(path: &Path, limits: &Limits) -> Result<Vec<NamedCamera>, IoError> {
-    parse_cameras(&read_file(path, limits)?, &path.display().to_string(), limits)
+    let folder = path.parent().unwrap_or(Path::new("."));
+    parse(&read_file(path, limits)?, &path.display().to_string(), limits, &|name| picture_size(folder, name, limits))
 }
+
+/// Size of the picture `name` (with or without extension) inside `folder`, if it is there and readable.
+#[cfg(feature = "images")]
+fn picture_size(folder: &Path, name: &str, limits: &Limits) -> Option<(u32, u32)> {
+    use std::path::Component;
+    let inside = Path::new(name).components().all(|c| matches!(c, Component::Normal(_) | Component::CurDir));
+    let candidates = ["", ".png", ".jpg", ".jpeg"].map(|ending| folder.join(format!("{name}{ending}")));
+    let file = candidates.into_iter().find(|f| inside && f.is_file())?;
+    super::images::image_size(&read_file(&file, limits).ok()?, name, limits).ok()
+}
+
+/// Without an image reader no picture is looked at.
+#[cfg(not(feature = "images"))]
+fn picture_size(_: &Path, _: &str, _: &Limits) -> Option<(u32, u32)> {
+    None
+}
+
+/// Size of a frame's picture by the frame's name, where it can be told.
+type SizeOf<'a> = &'a dyn Fn(&str) -> Option<(u32, u32)>;
 
 /// Reads cameras from JSON text. `file` is the name used in errors.
 ///
 /// # Errors
 /// Not JSON, a missing field, a value out of its domain: each with entry index and field.
 pub fn parse_cameras(text: &[u8], file: &str, limits: &Limits) -> Result<Vec<NamedCamera>, IoError> {
+    parse(text, file, limits, &|_| None)
+}
+
+fn parse(text: &[u8], file: &str, limits: &Limits, size_of: SizeOf) -> Result<Vec<NamedCamera>, IoError> {
     let src = Source { file, format: "camera JSON" };
     let text = text.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(text);
     let mut out: Vec<NamedCamera> = Vec::new();
@@ -72,7 +97,7 @@ pub fn parse_cameras(text: &[u8], file: &str, limits: &Limits) -> Result<Vec<Nam
         out.reserve_exact(frames.min(text.len() / SHORTEST_FRAME));
         let context = Context::new(src);
         context.parse(text, true, &mut |index, frame| {
-            out.push(frame_of(index, frame, &shared, src)?);
+            out.push(frame_of(index, frame, &shared, src, size_of)?);
             Ok(())
         })?;
     }
@@ -148,12 +173,21 @@ fn camera_of(index: usize, record: Record, src: Source<'_>) -> Result<NamedCamer
 }
 
 /// A frame of a transforms file; what it does not say, `shared` says.
-fn frame_of(index: usize, frame: Record, shared: &Record, src: Source<'_>) -> Result<NamedCamera, IoError> {
+fn frame_of(
+    index: usize,
+    frame: Record,
+    shared: &Record,
+    src: Source<'_>,
+    size_of: SizeOf,
+) -> Result<NamedCamera, IoError> {
     refuse_distortion(index, shared, src)?;
     refuse_distortion(index, &frame, src)?;
     let number = |field| frame.number(field).or_else(|| shared.number(field));
-    let width = side(index, "w", number("w"), src)?;
-    let height = side(index, "h", number("h"), src)?;
+    let stated = number("w").zip(number("h"));
+    let pictured = || frame.name.as_deref().and_then(size_of).map(|(w, h)| (f64::from(w), f64::from(h)));
+    let size = stated.or_else(pictured);
+    let width = side(index, "w", size.map(|s| s.0).or(number("w")), src)?;
+    let height = side(index, "h", size.map(|s| s.1).or(number("h")), src)?;
     let Some(matrix) = frame.transform_matrix else {
         return Err(missing(index, "transform_matrix", "add it to that frame", src));
     };
