@@ -6,7 +6,7 @@
 //! sh[k]     = k = 0 ? sh_dc : sh_rest[k − 1]         means and quats pass through as they are
 //! ```
 //! (3D Gaussian Splatting, Kerbl et al. 2023, section 5.) The active SH degree may be below the stored one: rows above
-//! it are neither drawn nor trained. All loops run over blocks of [`BLOCK`] rows, so results do not depend on threads.
+//! it are neither drawn nor trained. All loops run over blocks of 2048 rows, so results do not depend on threads.
 
 use crate::param::{Param, Params, RowEdit, RowEditError};
 use crate::sh;
