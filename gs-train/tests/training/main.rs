@@ -3,4 +3,5 @@
 mod learning;
 mod methods;
 mod resume;
+mod scores;
 mod support;

@@ -1,10 +1,8 @@
 //! Small runs on generated scenes, shared by the training tests.
 
-use gs_core::Image;
-use gs_raster::{Workspace, render};
-use gs_train::data::{Dataset, ImageCache};
+use gs_train::data::{Dataset, ImageCache, Split};
+use gs_train::evaluate::evaluate;
 use gs_train::methods::MethodEntry;
-use gs_train::moment::Moment;
 use gs_train::synth::{self, SynthOptions};
 use gs_train::trainer::{StepReport, TrainOptions, Trainer};
 use std::sync::Arc;
@@ -41,20 +39,12 @@ pub fn run(trainer: &mut Trainer, steps: u32) -> Vec<StepReport> {
     (0..steps).map(|_| trainer.step().expect("step")).collect()
 }
 
-/// Mean PSNR over the test views.
+/// Mean PSNR over the test views, dB.
 pub fn psnr(trainer: &Trainer, data: &Dataset) -> f64 {
-    let schedule = trainer.method().schedule();
-    let background = schedule.background.evaluation_color();
+    let background = trainer.method().schedule().background.evaluation_color();
     let photographs = ImageCache::new(64 << 20, 1.0);
-    let mut sum = 0.0;
-    for view in &data.test {
-        let splats = trainer.method().splats(&Moment::new(view.time), &view.camera);
-        let frame = render(&splats, &view.camera, &schedule.raster_options(background), &mut Workspace::new());
-        let drawn = frame.rgb.iter().map(|v| v.clamp(0.0, 1.0)).collect();
-        let drawn = Image { width: frame.width, height: frame.height, channels: 3, data: drawn };
-        sum += gs_metrics::psnr(&drawn, &photographs.get(view).expect("photograph").over(background)).expect("psnr");
-    }
-    sum / data.test.len() as f64
+    let report = evaluate(trainer.method(), data, Split::Test, background, &photographs).expect("scores");
+    report.mean.psnr.expect("finite scores")
 }
 
 /// A short schedule with growth, pruning, a reset and a change of stage inside its 60 steps.

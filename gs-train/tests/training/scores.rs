@@ -1,0 +1,39 @@
+//! Scores of a split are those of its frames, computed here by hand.
+
+use crate::support::*;
+use gs_raster::{Workspace, render};
+use gs_train::data::{ImageCache, Split};
+use gs_train::evaluate::{EvalError, evaluate};
+use gs_train::moment::Moment;
+
+#[test]
+fn a_report_holds_the_scores_of_the_drawn_frames() {
+    let data = scene("balls", 32, 6);
+    let mut trainer = start("fourdgs", &data);
+    run(&mut trainer, 40);
+    let (method, white) = (trainer.method(), [1.0; 3]);
+    let photographs = ImageCache::new(1 << 20, 1.0);
+    let report = evaluate(method, &data, Split::Test, white, &photographs).expect("scores");
+    let mut errors = Vec::new();
+    for (view, scores) in data.test.iter().zip(&report.views) {
+        let splats = method.splats(&Moment::new(view.time), &view.camera);
+        let options = method.schedule().raster_options(white);
+        let frame = render(&splats, &view.camera, &options, &mut Workspace::new());
+        let truth = photographs.get(view).expect("photograph").over(white);
+        let square = |(a, b): (&f32, &f32)| f64::from(a.clamp(0.0, 1.0) - b).powi(2);
+        let mse = frame.rgb.iter().zip(&truth.data).map(square).sum::<f64>() / truth.data.len() as f64;
+        let psnr = scores.psnr.expect("not perfect");
+        assert!((psnr + 10.0 * mse.log10()).abs() < 1e-4, "{}: {psnr} {mse}", view.name);
+        assert!((0.0..1.0).contains(&scores.ssim) && scores.ms_ssim.is_none());
+        assert_eq!((&scores.name, scores.time), (&view.name, view.time.normalised));
+        errors.push(mse);
+    }
+    let mean = errors.iter().map(|e| -10.0 * e.log10()).sum::<f64>() / errors.len() as f64;
+    let of_mean = -10.0 * (errors.iter().sum::<f64>() / errors.len() as f64).log10();
+    assert!((report.mean.psnr.expect("mean") - mean).abs() < 1e-4);
+    assert!((report.psnr_of_mean_mse.expect("mean") - of_mean).abs() < 1e-4 && of_mean <= mean);
+    assert_eq!((report.gaussians, report.split.as_str(), report.perfect_views), (method.len(), "test", 0));
+    assert_eq!(report.parameter_bytes, 4 * method.param_count() as u64);
+    let empty = evaluate(method, &data, Split::Val, white, &photographs);
+    assert!(matches!(empty, Err(EvalError::NoViews("val"))));
+}
