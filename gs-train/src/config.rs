@@ -180,7 +180,7 @@ impl Config {
         if key.is_empty() || text.is_empty() {
             return Err(ConfigError::Assignment(assignment.to_owned()));
         }
-        let wants_text = self.model(key).is_some_and(Value::is_str);
+        let wants_text = self.model(key).ok_or_else(|| self.unknown(key, &source))?.is_str();
         let value = match text.parse::<Value>() {
             Ok(value) if !wants_text || value.is_str() => value,
             _ if wants_text => Value::String(text.to_owned()),

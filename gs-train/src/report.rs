@@ -67,6 +67,8 @@ pub struct Sample {
 /// A view beside its truth.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Comparison {
+    /// Time and name of the view.
+    pub name: String,
     /// Name of the view, time, metrics.
     pub caption: String,
     /// The photograph (3 channels).
@@ -140,7 +142,12 @@ mod tests {
             figures: vec![Figure { value: "31.4 dB".into(), name: "PSNR".into(), remark: "a & b".into() }],
             loss: samples.clone(),
             psnr: vec![("val".into(), samples)],
-            views: vec![Comparison { caption: "v\"1\"".into(), truth: image.clone(), drawn: image.clone() }],
+            views: vec![Comparison {
+                name: "v".into(),
+                caption: "v\"1\"".into(),
+                truth: image.clone(),
+                drawn: image.clone(),
+            }],
             strip: vec![Still { caption: "t = 0".into(), image }],
             settings: vec![["a.b".into(), "1".into(), "default".into()]],
             ..Report::default()

@@ -45,3 +45,40 @@ impl Painter {
         clamped(self.draw(&splats, camera))
     }
 }
+
+/// The name of a camera or view as a file name: the last part of a path, without an image extension and without anything a file system
+/// could take amiss.
+pub fn file_stem(name: &str) -> String {
+    let last = name.rsplit(['/', '\\']).find(|part| !part.is_empty()).unwrap_or("");
+    let lower = last.to_ascii_lowercase();
+    let cut = [".png", ".jpg", ".jpeg", ".exr"].iter().find(|e| lower.ends_with(**e)).map_or(0, |e| e.len());
+    let safe = |c: char| if c.is_alphanumeric() || matches!(c, '-' | '_' | '.' | ' ') { c } else { '_' };
+    let stem: String = last.chars().take(last.chars().count() - cut).map(safe).take(100).collect();
+    let stem = stem.trim().trim_matches('.');
+    if stem.is_empty() { "view".to_owned() } else { stem.to_owned() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_cannot_leave_the_folder() {
+        let cases = [
+            ("train/r_001.png", "r_001"),
+            ("../../etc/passwd", "passwd"),
+            ("..", "view"),
+            ("", "view"),
+            ("C:\\x\\y.JPG", "y"),
+            ("a:b*c?", "a_b_c_"),
+            ("/", "view"),
+            (".hidden", "hidden"),
+            ("nul\0l\n", "nul_l_"),
+            ("v1.5", "v1.5"),
+        ];
+        for (name, want) in cases {
+            assert_eq!(file_stem(name), want, "{name:?}");
+        }
+        assert_eq!(file_stem(&"x".repeat(5000)).len(), 100);
+    }
+}

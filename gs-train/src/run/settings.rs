@@ -23,7 +23,7 @@ pub struct RunSettings {
     pub method: String,
     /// Name of the preset.
     pub preset: String,
-    /// Folder of the data; empty for data made in memory.
+    /// Folder of the data.
     pub data: String,
     /// Seed of every random number.
     pub seed: u64,
@@ -48,7 +48,7 @@ pub struct Request {
     pub method: String,
     /// Name of the preset.
     pub preset: String,
-    /// Folder of the data; `None` for data made in memory.
+    /// Folder of the data; `None` to look at settings only.
     pub data: Option<PathBuf>,
     /// A TOML file of settings.
     pub file: Option<PathBuf>,
@@ -187,11 +187,10 @@ impl Resolved {
     /// The data set of these settings.
     ///
     /// # Errors
-    /// Those of its reader; also if the run learned from data made in memory.
+    /// Those of its reader; also if the settings name no folder.
     pub fn open_data(&self) -> Result<Dataset, RunError> {
         if self.run.data.is_empty() {
-            let why = "this run learned from a scene made in memory; its data are not on the disk".to_owned();
-            return Err(ConfigError::Invalid(why).into());
+            return Err(ConfigError::Invalid("run.data names no folder".into()).into());
         }
         Ok(Dataset::open(Path::new(&self.run.data), &self.data)?)
     }

@@ -10,7 +10,8 @@ use crate::evaluate::{EvalReport, ViewScores};
 use crate::inspect::bytes_text;
 use crate::methods::Method;
 use crate::report::{Comparison, Figure, Report, Sample, Still};
-use gs_core::speed::SpeedError;
+use gs_core::Camera;
+use gs_core::speed::{SpeedError, median_seconds};
 use serde_json::Value;
 use std::path::Path;
 
@@ -69,10 +70,10 @@ pub fn summarise(m: &Material) -> Result<(Report, Vec<SpeedError>), RunError> {
         if m.dataset.dynamic {
             report.strip = strip(m.method, &mut painter, &camera);
         }
+        report.figures = figures(m, &mut painter, view, &camera);
         report.needs = needs(m.method, &camera, m.extent);
         report.speed = speed_against_error(&m.method.splats(&moment(view.time.normalised), &camera), &camera, &options);
     }
-    report.figures = figures(m, report.speed.first());
     let rows = report.speed.clone();
     Ok((report, rows))
 }
@@ -94,22 +95,22 @@ fn subtitle(m: &Material) -> String {
     )
 }
 
-fn figures(m: &Material, drawing: Option<&SpeedError>) -> Vec<Figure> {
+fn figures(m: &Material, painter: &mut Painter, view: &View, camera: &Camera) -> Vec<Figure> {
     let s = m.scores;
     let figure = |value: String, name: &str, remark: String| Figure { value, name: name.to_owned(), remark };
     let number = |v: Option<f64>, digits: usize| v.map_or("–".to_owned(), |v| format!("{v:.digits$}"));
     let views = format!("mean of {} {} views over {}", s.views.len(), s.split, color_name(s.background));
-    let mut out = vec![
+    let frame = median_seconds(5, || drop(painter.view(m.method, view, camera)));
+    let size =
+        format!("{}×{}, field and drawing, {} threads", camera.width, camera.height, rayon::current_num_threads());
+    vec![
         figure(format!("{} dB", number(s.mean.psnr, 2)), "PSNR", views),
         figure(number(s.mean.ssim, 4), "SSIM", "11×11 window, zeros outside".into()),
         figure(format!("{:.1} s", s.train_seconds.unwrap_or(0.0)), "training", format!("{} steps", m.step)),
-        figure(s.gaussians.to_string(), "splats", String::new()),
+        figure(s.gaussians.to_string(), "splats", "in the canonical cloud".into()),
         figure(bytes_text(s.parameter_bytes as usize), "scene", "parameters as f32".into()),
-    ];
-    if let Some(row) = drawing {
-        out.push(figure(format!("{:.2} ms", row.ms), "per frame", format!("{}, {} threads", row.case, row.threads)));
-    }
-    out
+        figure(format!("{:.2} ms", 1e3 * frame), "per frame", size),
+    ]
 }
 
 /// A name for black and white, else the three values.
@@ -160,12 +161,13 @@ fn comparisons(m: &Material, painter: &mut Painter, views: &[&View]) -> Result<V
             format!(" · PSNR {psnr} · SSIM {:.4}", s.ssim)
         });
         let caption = format!("{} · t = {:.3}{scores}", view.name, view.time.normalised);
-        out.push(Comparison { caption, truth, drawn: painter.view(m.method, view, &camera) });
+        let name = format!("t{:.3}_{}", view.time.normalised, view.name);
+        out.push(Comparison { name, caption, truth, drawn: painter.view(m.method, view, &camera) });
     }
     Ok(out)
 }
 
-fn strip(method: &dyn Method, painter: &mut Painter, camera: &gs_core::Camera) -> Vec<Still> {
+fn strip(method: &dyn Method, painter: &mut Painter, camera: &Camera) -> Vec<Still> {
     let time = |k: usize| k as f32 / (STRIP - 1) as f32;
     let still = |k: usize| Still { caption: format!("t = {:.2}", time(k)), image: painter.at(method, time(k), camera) };
     (0..STRIP).map(still).collect()

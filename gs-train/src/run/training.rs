@@ -1,15 +1,17 @@
 //! The loop that trains: steps, log lines, checkpoints, evaluations, and the three ways to end.
 
-use super::RunError;
 use super::folder::{self, Log, RunFolder};
 use super::opened::metrics_json;
 use super::provenance::{DataOrigin, Machine, now_utc, peak_memory_mib};
 use super::settings::{self, Resolved};
 use super::summary::{Material, summarise};
+use super::{RunError, picture};
 use crate::checkpoint::{self, Skipped};
 use crate::data::{Dataset, ImageCache, Split};
 use crate::evaluate::{EvalReport, evaluate};
+use crate::report::png;
 use crate::trainer::{StepReport, TrainError, TrainOptions, Trainer};
+use gs_core::io::write_file;
 use gs_core::speed::SpeedError;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -96,12 +98,12 @@ impl Window {
 }
 
 impl Training {
-    /// Begins a run in a new folder. `data` gives the data set where it is in memory; else the settings name its folder.
+    /// Begins a run in a new folder.
     ///
     /// # Errors
     /// If the folder is taken, the data or the method cannot be used.
-    pub fn begin(root: &Path, overwrite: bool, resolved: Resolved, data: Option<Dataset>) -> Result<Self, RunError> {
-        let dataset = Arc::new(data.map_or_else(|| resolved.open_data(), Ok)?);
+    pub fn begin(root: &Path, overwrite: bool, resolved: Resolved) -> Result<Self, RunError> {
+        let dataset = Arc::new(resolved.open_data()?);
         let options = TrainOptions { seed: resolved.run.seed, image_bytes: image_bytes(&resolved) };
         let trainer = Trainer::new(dataset, &resolved.run.method, &resolved.method, options)?;
         let folder = RunFolder::create(root, overwrite)?;
@@ -261,7 +263,8 @@ impl Training {
         Ok(report)
     }
 
-    /// Writes `report.html` for these scores; gives the rows of speed against error measured for it.
+    /// Writes `report.html` for these scores, and the pictures shown in it to `renders/`; gives the rows of speed against
+    /// error measured for it.
     ///
     /// # Errors
     /// If a photograph cannot be read or the file cannot be written.
@@ -279,6 +282,11 @@ impl Training {
         };
         let (report, rows) = summarise(&material)?;
         self.folder.write(folder::REPORT, &report.html()?)?;
+        for view in &report.views {
+            let name = format!("step-{:06}_{}.png", material.step, picture::file_stem(&view.name));
+            let bytes = png(&view.drawn)?;
+            write_file(&self.folder.renders().join(name), true, |out| out.write_all(&bytes))?;
+        }
         Ok(rows)
     }
 

@@ -7,6 +7,7 @@ use crate::{Global, interrupt};
 use gs_core::io::images::save_png;
 use gs_core::io::{RawSplats, save_splats};
 use gs_core::speed::SpeedError;
+use gs_train::evaluate::EvalReport;
 use gs_train::inspect::bytes_text;
 use gs_train::report::speed_json;
 use gs_train::run::opened::metrics_json;
@@ -20,6 +21,11 @@ use std::time::Instant;
 
 /// Pictures of the scene through time.
 const FRAMES: usize = 24;
+/// Laid over the preset: as many splats as two cores learn in a minute.
+const SETS: [&str; 3] = ["init.points=6000", "schedule.density.max_splats=12000", "run.eval_every=500"];
+/// The same for the default method: a field fine enough for that many splats.
+const FIELD_SETS: [&str; 2] = ["field.width=32", "field.hexplane.resolution=[16, 16, 16, 33]"];
+const METHOD: &str = "fourdgs";
 
 /// Make a moving scene, learn it in under two minutes, and write a report, pictures and a splat file
 #[derive(clap::Args)]
@@ -28,19 +34,19 @@ pub struct Demo {
     #[arg(short, long, value_name = "DIR", default_value = "gs4d-demo")]
     out: PathBuf,
     /// Generated scene; gs4d synth lists them.
-    #[arg(long, default_value = "balls")]
+    #[arg(long, default_value = "sheet")]
     scene: String,
     /// Method; gs4d methods lists them.
-    #[arg(short, long, default_value = "fourdgs")]
+    #[arg(short, long, default_value = METHOD)]
     method: String,
     /// Recipe of the method.
-    #[arg(long, default_value = "fast")]
+    #[arg(long, default_value = "tiny")]
     preset: String,
     /// Steps; the recipe is compressed to them.
-    #[arg(long, default_value_t = 4000, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, default_value_t = 5000, value_parser = clap::value_parser!(u32).range(1..))]
     steps: u32,
     /// Side of the images, pixels.
-    #[arg(long, default_value_t = 160)]
+    #[arg(long, default_value_t = 200)]
     size: u32,
     /// Seed of scene and training.
     #[arg(long, default_value_t = 0)]
@@ -54,54 +60,40 @@ impl Demo {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
         let begun = Instant::now();
         let stop = interrupt::flag()?;
-        let root = self.out.join("run");
-        let data_folder = self.out.join("data");
-        let options = SynthOptions { size: self.size, seed: self.seed, ..SynthOptions::default() };
+        let mut training = self.begin(global)?;
+        if let Outcome::Interrupted(saved) = drive(&mut training, &stop, global)? {
+            return Err(Failure::new(Class::Interrupted, "interrupted", format!("saved {}", saved.display()))
+                .remedy(format!("gs4d resume {}", training.folder().root().display())));
+        }
+        let scores = training.score()?;
+        let rows = training.report(&scores)?;
+        let files = self.leave(&training)?;
+        Ok(answer(&scores, &rows, &files, training.trainer().steps_done(), begun.elapsed().as_secs_f64()))
+    }
+
+    /// Makes the data and a run that is ready to train.
+    fn begin(&self, global: &Global) -> Result<Training, Failure> {
+        let (root, data_folder) = (self.out.join("run"), self.out.join("data"));
         if root.exists() && !self.force {
             return Err(Failure::new(Class::Io, "io.exists", "an older demo is in that folder")
                 .place(self.out.display())
                 .why("nothing is overwritten unless asked")
                 .remedy("choose another folder with -o, or pass -f"));
         }
+        let options = SynthOptions { size: self.size, seed: self.seed, ..SynthOptions::default() };
         global.say(format!("making the scene `{}` with {} training views", self.scene, options.train_views));
-        let data = synth::write(&data_folder, &self.scene, &options, self.force)?.dataset;
+        synth::write(&data_folder, &self.scene, &options, self.force)?;
+        let field_sets = if self.method == METHOD { &FIELD_SETS[..] } else { &[] };
         let request = Request {
             method: self.method.clone(),
             preset: self.preset.clone(),
             data: Some(data_folder),
             steps: Some(self.steps),
             seed: Some(self.seed),
+            sets: SETS.iter().chain(field_sets).map(|s| (*s).to_owned()).collect(),
             ..Request::default()
         };
-        let mut training = Training::begin(&root, self.force, resolve(&request)?, Some(data))?;
-        if let Outcome::Interrupted(saved) = drive(&mut training, &stop, global)? {
-            return Err(Failure::new(Class::Interrupted, "interrupted", format!("saved {}", saved.display()))
-                .remedy(format!("gs4d resume {}", root.display())));
-        }
-        let scores = training.score()?;
-        let rows = training.report(&scores)?;
-        let files = self.leave(&training)?;
-        let seconds = begun.elapsed().as_secs_f64();
-        let mut json = metrics_json(&scores, training.trainer().steps_done());
-        json["speed_error"] = speed_json(&rows);
-        json["seconds"] = json!(seconds);
-        json["files"] = json!(files.iter().map(|f| f.display().to_string()).collect::<Vec<_>>());
-        let number = |v: Option<f64>, digits: usize| v.map_or("-".to_owned(), |v| format!("{v:.digits$}"));
-        let table = [
-            ("PSNR", format!("{} dB", number(scores.mean.psnr, 2)), "mean of the held-out views"),
-            ("SSIM", number(scores.mean.ssim, 4), ""),
-            ("training", time_text(training.trainer().train_seconds()), "of the seconds below"),
-            ("in all", time_text(seconds), "scene, training, scores, report"),
-            ("splats", scores.gaussians.to_string(), ""),
-            ("scene", bytes_text(scores.parameter_bytes as usize), "all parameters as f32"),
-        ];
-        let mut text: String =
-            table.iter().map(|(name, value, note)| format!("{name:10}{value:>12}  {note}\n")).collect();
-        text.push_str(&speed_text(&rows));
-        for file in &files {
-            text.push_str(&format!("{}\n", file.display()));
-        }
-        Ok(Answer::new(text, json))
+        Ok(Training::begin(&root, self.force, resolve(&request)?)?)
     }
 
     /// Writes pictures through time and the splats of the middle moment; lists what a user may want to open.
@@ -125,6 +117,29 @@ impl Demo {
         save_splats(&ply, &raw, true)?;
         Ok(vec![training.folder().root().join("report.html"), frames, ply])
     }
+}
+
+/// The table of results, then the files.
+fn answer(scores: &EvalReport, rows: &[SpeedError], files: &[PathBuf], step: u32, seconds: f64) -> Answer {
+    let mut json = metrics_json(scores, step);
+    json["speed_error"] = speed_json(rows);
+    json["seconds"] = json!(seconds);
+    json["files"] = json!(files.iter().map(|f| f.display().to_string()).collect::<Vec<_>>());
+    let number = |v: Option<f64>, digits: usize| v.map_or("-".to_owned(), |v| format!("{v:.digits$}"));
+    let table = [
+        ("PSNR", format!("{} dB", number(scores.mean.psnr, 2)), "mean of the held-out views"),
+        ("SSIM", number(scores.mean.ssim, 4), "the same views"),
+        ("training", time_text(scores.train_seconds.unwrap_or(0.0)), "in steps"),
+        ("in all", time_text(seconds), "with scene, scores, report and pictures"),
+        ("splats", scores.gaussians.to_string(), "in the canonical cloud"),
+        ("scene", bytes_text(scores.parameter_bytes as usize), "all parameters as f32"),
+    ];
+    let mut text: String = table.iter().map(|(name, value, note)| format!("{name:10}{value:>12}  {note}\n")).collect();
+    text.push_str(&speed_text(rows));
+    for file in files {
+        text.push_str(&format!("{}\n", file.display()));
+    }
+    Answer::new(text, json)
 }
 
 /// The rows of speed against error as a table.

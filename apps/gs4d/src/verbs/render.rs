@@ -10,7 +10,7 @@ use gs_core::io::{Limits, RawSplats, exr, load_splats, npy, write_file};
 use gs_core::{Camera, Image, Splats};
 use gs_raster::{Frame, RasterOptions};
 use gs_train::run::OpenRun;
-use gs_train::run::picture::{Painter, moment};
+use gs_train::run::picture::{Painter, file_stem, moment};
 use serde_json::json;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -21,7 +21,7 @@ pub struct Render {
     /// A .ply, .splat or .spz file, or a run folder.
     #[arg(value_name = "SCENE|RUN")]
     scene: PathBuf,
-    /// Cameras: INRIA cameras.json, a transforms file, or {width,height,fx,fy,cx,cy,world_to_camera[,name,time]}, one or a list.
+    /// Cameras: INRIA cameras.json, a transforms file, or {width,height,fx,fy,cx,cy,world_to_camera} (name, time optional), one or a list.
     #[arg(long, value_name = "FILE")]
     camera: PathBuf,
     /// Normalised time, 0 first to 1 last training frame; beyond extrapolates [default: the camera's own, else 0].
@@ -157,41 +157,4 @@ fn rgba(frame: &Frame) -> Image {
     let pixels = frame.rgb.chunks_exact(3).zip(&frame.alpha);
     let data = pixels.flat_map(|(rgb, &a)| [rgb[0], rgb[1], rgb[2], a]).collect();
     Image { width: frame.width, height: frame.height, channels: 4, data }
-}
-
-/// A camera's name as a file name: the last part of a path, without an image extension and without anything a file system
-/// could take amiss.
-fn file_stem(name: &str) -> String {
-    let last = name.rsplit(['/', '\\']).find(|part| !part.is_empty()).unwrap_or("");
-    let lower = last.to_ascii_lowercase();
-    let cut = [".png", ".jpg", ".jpeg", ".exr"].iter().find(|e| lower.ends_with(**e)).map_or(0, |e| e.len());
-    let safe = |c: char| if c.is_alphanumeric() || matches!(c, '-' | '_' | '.' | ' ') { c } else { '_' };
-    let stem: String = last.chars().take(last.chars().count() - cut).map(safe).take(100).collect();
-    let stem = stem.trim().trim_matches('.');
-    if stem.is_empty() { "view".to_owned() } else { stem.to_owned() }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn names_cannot_leave_the_folder() {
-        let cases = [
-            ("train/r_001.png", "r_001"),
-            ("../../etc/passwd", "passwd"),
-            ("..", "view"),
-            ("", "view"),
-            ("C:\\x\\y.JPG", "y"),
-            ("a:b*c?", "a_b_c_"),
-            ("/", "view"),
-            (".hidden", "hidden"),
-            ("nul\0l\n", "nul_l_"),
-            ("v1.5", "v1.5"),
-        ];
-        for (name, want) in cases {
-            assert_eq!(file_stem(name), want, "{name:?}");
-        }
-        assert_eq!(file_stem(&"x".repeat(5000)).len(), 100);
-    }
 }

@@ -65,7 +65,7 @@ impl Train {
         };
         let resolved = resolve(&request)?;
         let stop = interrupt::flag()?;
-        let mut training = Training::begin(&self.out, self.force, resolved, None)?;
+        let mut training = Training::begin(&self.out, self.force, resolved)?;
         carry_on(&mut training, &stop, global)
     }
 }

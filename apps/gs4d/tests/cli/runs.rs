@@ -35,8 +35,12 @@ fn a_run_folder_is_complete() {
     assert!(last["loss"].as_f64().unwrap() > 0.0 && last["seconds"].as_f64().unwrap() > 0.0);
     let html = fs::read_to_string(root.join("report.html")).unwrap();
     assert!(html.contains("Truth beside drawing") && html.contains("Speed against error"));
-    assert!(root.join("checkpoints/step-000040.gs4d").is_file() && root.join("renders").is_dir());
-    assert!(root.join("metrics.json").is_file());
+    assert!(root.join("checkpoints/step-000040.gs4d").is_file() && root.join("metrics.json").is_file());
+    let renders: Vec<_> = fs::read_dir(root.join("renders")).unwrap().map(|e| e.unwrap().file_name()).collect();
+    assert!(
+        renders.len() == 2 && renders.iter().all(|n| n.to_str().unwrap().starts_with("step-000040_t0.")),
+        "{renders:?}"
+    );
 }
 
 #[test]
