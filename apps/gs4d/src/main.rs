@@ -5,6 +5,7 @@
 //! 130 interrupted, state saved.
 
 mod answer;
+mod cameras;
 mod failure;
 mod images;
 mod interrupt;

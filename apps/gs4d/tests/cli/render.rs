@@ -98,13 +98,25 @@ fn a_run_is_drawn_at_any_time_on_any_number_of_threads() {
 #[test]
 fn transforms_files_are_cameras_too() {
     let dir = tempfile::tempdir().unwrap();
-    let mut json: serde_json::Value =
-        serde_json::from_str(&fs::read_to_string(data().join("transforms_test.json")).unwrap()).unwrap();
+    let own = data().join("transforms_test.json");
+    let draw = |camera: &Path, out: &str| {
+        let out = dir.path().join(out);
+        gs4d(&["render", text(run()), "--camera", text(camera), "-o", text(&out), "--json"])
+    };
+    // The size comes from the images beside the file, or from the file.
+    let files = draw(&own, "beside").json();
+    let first = files["files"][0].as_str().unwrap();
+    assert_eq!(files["files"].as_array().unwrap().len(), 2);
+    assert_eq!(images::load_image(Path::new(first), &Limits::default()).unwrap().shape(), (48, 48, 3));
+    let mut json: serde_json::Value = serde_json::from_str(&fs::read_to_string(&own).unwrap()).unwrap();
+    let bare = camera(dir.path(), &json.to_string());
+    draw(&bare, "bare").fails(3, &["camera.json", "`w`", "images beside"]);
     json["w"] = 32.into();
     json["h"] = 24.into();
-    let camera = camera(dir.path(), &json.to_string());
-    let files = good(&["render", text(run()), "--camera", text(&camera), "-o", text(dir.path()), "--json"]).json();
-    assert_eq!(files["files"].as_array().unwrap().len(), 2);
+    let sized = camera(dir.path(), &json.to_string());
+    let files = draw(&sized, "sized").json();
+    let first = images::load_image(Path::new(files["files"][0].as_str().unwrap()), &Limits::default()).unwrap();
+    assert_eq!(first.shape(), (32, 24, 3));
 }
 
 #[test]
