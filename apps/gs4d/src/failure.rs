@@ -116,12 +116,14 @@ impl fmt::Display for Failure {
     }
 }
 
+const LAYOUT_REMEDY: &str = "give the folder that holds the cameras, or name its layout with --set data.layout=NAME";
+
 impl From<DataError> for Failure {
     fn from(e: DataError) -> Self {
         Self::new(Class::of_code(e.exit_code()), e.code(), e.to_string())
             .place(e.place().map_or(String::new(), |p| p.to_string()))
             .why(e.why())
-            .remedy(e.fix())
+            .remedy(if matches!(e, DataError::Layout { .. }) { LAYOUT_REMEDY.to_owned() } else { e.fix() })
     }
 }
 
