@@ -5,7 +5,6 @@
 //! 130 interrupted, state saved.
 
 mod answer;
-mod cameras;
 mod failure;
 mod images;
 mod interrupt;

@@ -116,7 +116,8 @@ fn missing(index: usize, field: &'static str, advice: &'static str, src: Source<
 
 /// An image side: a whole number of pixels.
 fn side(index: usize, field: &'static str, value: Option<f64>, src: Source<'_>) -> Result<u32, IoError> {
-    let value = value.ok_or_else(|| missing(index, field, "add the image size in pixels to the file", src))?;
+    let value = value
+        .ok_or_else(|| missing(index, field, "add the size in pixels, or keep the images beside the file", src))?;
     if value.fract() != 0.0 || !(1.0..=f64::from(crate::camera::MAX_SIDE)).contains(&value) {
         return Err(src.value(index, field, value, "a whole number of pixels from 1 to 32768"));
     }

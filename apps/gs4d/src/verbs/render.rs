@@ -3,8 +3,8 @@
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use crate::progress::Progress;
-use crate::{Global, cameras, parse};
-use gs_core::io::cameras::NamedCamera;
+use crate::{Global, parse};
+use gs_core::io::cameras::{NamedCamera, load_cameras};
 use gs_core::io::images::save_png;
 use gs_core::io::{Limits, RawSplats, exr, load_splats, npy, write_file};
 use gs_core::{Camera, Image, Splats};
@@ -88,7 +88,7 @@ impl Scene {
 
 impl Render {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
-        let cameras = cameras::load(&self.camera)?;
+        let cameras = load_cameras(&self.camera, &Limits::default())?;
         let scene = Scene::open(&self.scene)?;
         let paths = self.paths(&cameras)?;
         std::fs::create_dir_all(&self.out).map_err(|e| Failure::io("create the folder", &self.out, &e))?;
