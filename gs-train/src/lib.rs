@@ -1,4 +1,20 @@
-//! Work in progress.
+//! From images to a moving scene: data sets, generated scenes, methods, training, scores and runs.
+//!
+//! ```text
+//! data set → moment → splats → frame → loss → gradients → parameters
+//! ```
+//! * [`data`]: readers (D-NeRF/Blender, nerfstudio, COLMAP), lazily decoded images; [`synth`]: scenes with exact truth.
+//! * [`methods`]: one file a method; [`schedule`], [`density`], [`adam`], [`loss`]: what training is made of.
+//! * [`trainer`]: one step, and the whole state in and out; [`guard`]: gradients that are not finite.
+//! * [`evaluate`], [`compare`], [`inspect`], [`report`]: what came of it.
+//! * [`config`], [`checkpoint`], [`run`]: settings that know their source, atomic checkpoints, run folders.
+//!
+//! # Promises
+//! A run is a function of data, configuration and seed: the same bits for any number of threads and after any
+//! interruption. Nothing is overwritten unless asked. Gradients that are not finite are refused, counted and named.
+//!
+//! # What it leaves out
+//! Several views per step, camera refinement, masks while training, downloading of data.
 
 pub mod adam;
 pub mod bench;
