@@ -343,7 +343,10 @@ mod tests {
         let first = |s: &mut Schedule, f: &dyn Fn(&mut Stage)| s.stages.values_mut().for_each(f);
         assert_eq!(fault(&|s| first(s, &|s| s.steps = 0)), "stages");
         assert_eq!(fault(&|s| first(s, &|s| s.image_scale = f64::NAN)), "stages.s.image_scale");
-        assert_eq!(fault(&|s| drop(s.stages.insert("r".into(), stage(1, false)))), "stages.r.order");
+        let twice = |s: &mut Schedule| {
+            s.stages.insert("r".into(), stage(1, false));
+        };
+        assert_eq!(fault(&twice), "stages.r.order");
         assert_eq!(fault(&|s| s.adam_eps = 0.0), "adam_eps");
         assert_eq!(fault(&|s| s.near = -1.0), "near");
         assert_eq!(fault(&|s| s.lambda_dssim = 1.5), "lambda_dssim");
