@@ -167,7 +167,11 @@ impl From<CheckpointError> for Failure {
 
 impl From<MethodError> for Failure {
     fn from(e: MethodError) -> Self {
-        let class = if matches!(e, MethodError::Scene(_) | MethodError::Cloud(_)) { Class::Data } else { Class::Usage };
+        let class = match e {
+            MethodError::Data(e) => return e.into(),
+            MethodError::Scene(_) | MethodError::Cloud(_) => Class::Data,
+            _ => Class::Usage,
+        };
         Self::new(class, "method", e.to_string())
             .remedy("gs4d methods lists methods and presets, gs4d config METHOD settings")
     }

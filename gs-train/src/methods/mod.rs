@@ -97,6 +97,9 @@ pub enum MethodError {
     /// The initial points cannot be used.
     #[error(transparent)]
     Cloud(#[from] gs_core::cloud::CloudError),
+    /// The photographs the first points are carved from cannot be read.
+    #[error(transparent)]
+    Data(#[from] crate::data::DataError),
     /// The scene or its initial points cannot be used.
     #[error("scene: {0}")]
     Scene(String),

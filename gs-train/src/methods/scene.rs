@@ -88,13 +88,12 @@ impl SceneInfo {
 }
 
 fn first_points(dataset: &Dataset, init: &InitConfig, seed: u64) -> Result<PointCloud, MethodError> {
-    let unreadable = |e: crate::data::DataError| MethodError::Scene(e.to_string());
     match init.from {
         InitFrom::Points if dataset.points.is_none() => {
             Err(MethodError::Scene("the data set brings no points; use init.from = auto or random".into()))
         }
         InitFrom::Auto | InitFrom::Points if dataset.points.is_some() || dataset.has_alpha => {
-            dataset.initial_points(init.points as usize, seed).map_err(unreadable)
+            Ok(dataset.initial_points(init.points as usize, seed)?)
         }
         _ => Ok(random_points(init, seed)),
     }

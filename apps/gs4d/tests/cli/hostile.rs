@@ -60,7 +60,8 @@ fn broken_json_and_unknown_folders_are_data_errors() {
     }
     let empty = dir.path().join("empty");
     fs::create_dir(&empty).unwrap();
-    gs4d(&["train", text(&empty), "-m", "static3d", "-o", text(&dir.path().join("r"))]).fails(3, &["data.layout", "--set data.layout=NAME"]);
+    gs4d(&["train", text(&empty), "-m", "static3d", "-o", text(&dir.path().join("r"))])
+        .fails(3, &["data.layout", "--set data.layout=NAME"]);
     gs4d(&["train", text(&dir.path().join("none")), "-m", "static3d", "-o", text(&dir.path().join("r"))])
         .fails(3, &["there is no folder"]);
 }
