@@ -74,12 +74,12 @@ fn adam_rows(criterion: &mut Criterion) {
     }
 }
 
-/// Mean milliseconds of each phase over the last steps of a short run of the `fast` preset at 400×400.
+/// Mean milliseconds of each phase over the last steps of a short run of the `fast` preset with 20 000 splats at 400×400.
 fn phases(method: &str, threads: usize) -> (BTreeMap<&'static str, f64>, usize) {
     let options = SynthOptions { size: 400, train_views: 12, val_views: 0, test_views: 0, ..SynthOptions::default() };
     let dataset = Arc::new(synth::generate("sheet", &options).expect("a scene").dataset);
     let mut config = MethodEntry::find(method).and_then(|m| m.config("fast")).expect("a preset");
-    let still: toml::Table = "[schedule.density]\nuntil = 0".parse().expect("TOML");
+    let still: toml::Table = "[init]\npoints = 20000\n[schedule.density]\nuntil = 0".parse().expect("TOML");
     gs_train::methods::overlay(&mut config, still);
     for (_, stage) in config["schedule"]["stages"].as_table_mut().expect("stages").iter_mut() {
         let dynamic = stage["dynamic"].as_bool().unwrap_or(false);
