@@ -8,9 +8,10 @@
 //! (3D Gaussian Splatting, Kerbl et al. 2023, section 5.) The active SH degree may be below the stored one: rows above
 //! it are neither drawn nor trained. All loops run over blocks of 2048 rows, so results do not depend on threads.
 
+use crate::kernel::Kernel;
 use crate::param::{Param, Params, RowEdit, RowEditError};
 use crate::sh;
-use crate::splats::{Color, Kernel, Splats, SplatsGrad};
+use crate::splats::{Color, Splats, SplatsGrad};
 use glam::Vec3;
 use rayon::prelude::*;
 

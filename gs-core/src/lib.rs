@@ -21,6 +21,7 @@ pub mod covariance;
 pub mod image;
 #[cfg(feature = "io")]
 pub mod io;
+pub mod kernel;
 #[cfg(feature = "nn")]
 pub mod nn;
 pub mod param;
@@ -36,8 +37,9 @@ pub mod time;
 pub use camera::Camera;
 pub use cloud::Cloud;
 pub use image::Image;
+pub use kernel::Kernel;
 pub use param::{Param, Params, RowEdit};
 pub use real::Real;
 pub use rng::Rng;
-pub use splats::{Color, Kernel, Splats, SplatsGrad};
+pub use splats::{Color, Splats, SplatsGrad};
 pub use time::Time;

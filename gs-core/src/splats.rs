@@ -1,5 +1,6 @@
 //! Gaussians ready to draw, and their cotangents.
 
+use crate::kernel::Kernel;
 use crate::sh;
 use glam::Vec3;
 
@@ -41,15 +42,6 @@ impl Default for Color {
     }
 }
 
-/// How a splat falls off with the Gaussian `g = exp(−½ d²)` of its Mahalanobis distance `d`.
-#[derive(Clone, Debug, PartialEq, Default)]
-#[non_exhaustive]
-pub enum Kernel {
-    /// `ψ(g) = g`.
-    #[default]
-    Gaussian,
-}
-
 /// Cotangents of [`Splats`]: the same columns, `dL/d…` each. A type of its own, so value and cotangent never swap.
 #[derive(Clone, Debug, PartialEq, Default)]
 pub struct SplatsGrad {
@@ -63,6 +55,8 @@ pub struct SplatsGrad {
     pub opacities: Vec<f32>,
     /// `dL/d` of the colour column, flat: `[n, 3]` for RGB, `[n, K, 3]` for SH.
     pub color: Vec<f32>,
+    /// `dL/d` of the kernel's columns, flat `[n, Kernel::width]`, in the order [`Kernel`] names them.
+    pub kernel: Vec<f32>,
 }
 
 /// What is wrong with a set of splats: column and row.
@@ -128,6 +122,12 @@ impl Splats {
                 return Err(SplatsError::Value { column: "opacities", row, value, rule: "0 to 1" });
             }
         }
+        for (column, values, [low, high], rule) in self.kernel.columns() {
+            length(column, values.len(), rows)?;
+            if let Some((row, &value)) = values.iter().enumerate().find(|(_, v)| !(low..=high).contains(*v)) {
+                return Err(SplatsError::Value { column, row, value, rule });
+            }
+        }
         match &self.color {
             Color::Rgb(rgb) => {
                 length("rgb", rgb.len(), rows)?;
@@ -189,17 +189,19 @@ impl SplatsGrad {
         refill(&mut self.scales, n, Vec3::ZERO);
         refill(&mut self.opacities, n, 0.0);
         refill(&mut self.color, n * splats.color.width(), 0.0);
+        refill(&mut self.kernel, n * splats.kernel.width(), 0.0);
     }
 
     /// First row with a non-finite entry, with its column, if any.
     pub fn first_non_finite(&self) -> Option<(&'static str, usize)> {
-        let width = self.color.len() / self.means.len().max(1);
+        let width = |column: &[f32]| (column.len() / self.means.len().max(1)).max(1);
         let checks = [
             finite("d_means", self.means.iter().map(Vec3::as_ref)),
             finite("d_quats", self.quats.iter()),
             finite("d_scales", self.scales.iter().map(Vec3::as_ref)),
             finite("d_opacities", self.opacities.iter().map(std::slice::from_ref)),
-            finite("d_color", self.color.chunks_exact(width.max(1))),
+            finite("d_color", self.color.chunks_exact(width(&self.color))),
+            finite("d_kernel", self.kernel.chunks_exact(width(&self.kernel))),
         ];
         checks.into_iter().find_map(|c| match c {
             Err(SplatsError::Value { column, row, .. }) => Some((column, row)),
@@ -255,6 +257,11 @@ mod tests {
             }
         };
         assert!(error(&bad_sh).contains("row 1, column `sh`"));
+        let kernel = |lambdas: [f32; 2], betas: Vec<f32>| Kernel::Frequency { lambdas: lambdas.into(), betas };
+        assert!(error(&|s| s.kernel = kernel([0.5, 1.5], vec![0.5; 2])).contains("row 1, column `lambdas`"));
+        assert!(error(&|s| s.kernel = kernel([0.5, f32::NAN], vec![0.5; 2])).contains("row 1, column `lambdas`"));
+        assert!(error(&|s| s.kernel = kernel([0.5; 2], vec![0.5])).contains("`betas` has 1 entries"));
+        assert!(error(&|s| s.kernel = Kernel::Acutance { acutances: vec![0.0, 1.0] }).contains("`acutances`"));
     }
 
     #[test]

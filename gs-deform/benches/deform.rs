@@ -209,9 +209,9 @@ fn field<F: Field>(c: &mut Criterion, case: &'static str, n: usize, mut field: F
         field.forward(&canonical, moment(), &mut tape, &mut out);
         field.backward(&canonical, &mut tape, &d_out, &mut d);
     });
-    if !field.regularise().is_empty() {
+    if !field.regularise(&canonical, moment(), 1).is_empty() {
         measure(c, &row("regularisers"), || {
-            field.regularise();
+            field.regularise(&canonical, moment(), 1);
         });
     }
 }

@@ -87,7 +87,7 @@ fn fit<F: Field>(mut field: F, steps: u32, rate: impl Fn(&str) -> f32) -> Result
         field.forward(&canonical, t, &mut tape, &mut moved);
         let value = loss(&canonical, &moved, t.normalised, &mut d);
         field.backward(&canonical, &mut tape, &d, &mut d_canonical);
-        field.regularise();
+        field.regularise(&canonical, t, step);
         let fade = 0.1f32.powf(step as f32 / steps as f32);
         field.visit_mut(&mut |p| adam(p, step as i32, rate(&p.name) * fade));
         if step == 1 || step % (steps / 8).max(1) == 0 {

@@ -248,9 +248,13 @@ pub fn pass_through(canonical: &Splats, out: &mut Splats) {
     }
 }
 
-/// The way back of [`pass_through`]: adds the cotangents of opacities and colours.
+/// The way back of [`pass_through`]: adds the cotangents of opacities, colours and kernel.
 pub fn pass_through_backward(d_out: &SplatsGrad, d_canonical: &mut SplatsGrad) {
-    for (to, from) in [(&mut d_canonical.opacities, &d_out.opacities), (&mut d_canonical.color, &d_out.color)] {
+    for (to, from) in [
+        (&mut d_canonical.opacities, &d_out.opacities),
+        (&mut d_canonical.color, &d_out.color),
+        (&mut d_canonical.kernel, &d_out.kernel),
+    ] {
         to.par_chunks_mut(1 << 14).zip(from.par_chunks(1 << 14)).for_each(|(to, from)| {
             to.iter_mut().zip(from).for_each(|(t, f)| *t += f);
         });

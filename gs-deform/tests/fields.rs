@@ -307,7 +307,7 @@ fn step<F: Field>(field: &mut F, tape: &mut F::Tape, n: usize, t: f32) -> Vec<u3
     field.forward(&s, time(t), tape, &mut out);
     let mut d = SplatsGrad::zeros_like(&s);
     field.backward(&s, tape, &cotangents(&s, 2), &mut d);
-    let terms = field.regularise();
+    let terms = field.regularise(&s, time(t), 1);
     let mut bits: Vec<u32> = terms.iter().map(|v| v.1.to_bits()).collect();
     for v in [&out.means, &out.scales, &d.means, &d.scales] {
         bits.extend(v.iter().flat_map(|v| v.to_array()).map(f32::to_bits));

@@ -5,8 +5,9 @@
 
 use super::error::Source;
 use super::{IoError, Limits};
+use crate::kernel::Kernel;
 use crate::sh;
-use crate::splats::{Color, Kernel, Splats, SplatsError};
+use crate::splats::{Color, Splats, SplatsError};
 use glam::Vec3;
 
 /// Opacities this close to 0 or 1 are moved here before their logit is taken, so that it stays finite (±13.8).

@@ -237,7 +237,7 @@ impl Field for HexPlaneField {
         apply::pass_through_backward(d_out, d_canonical);
     }
 
-    fn regularise(&mut self) -> Vec<(&'static str, f32)> {
+    fn regularise(&mut self, _canonical: &Splats, _t: Time, _step: u32) -> Vec<(&'static str, f32)> {
         self.hexplane.regularise().into()
     }
 }

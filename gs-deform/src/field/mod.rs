@@ -24,6 +24,12 @@ pub trait Field: Params + Send + Sync {
     /// overwrites. `tape` must come from [`Field::forward`] of the same splats with unchanged parameters.
     fn backward(&mut self, canonical: &Splats, tape: &mut Self::Tape, d_out: &SplatsGrad, d_canonical: &mut SplatsGrad);
 
-    /// Regularisers that need no image: adds their weighted gradients, returns their weighted values by name.
-    fn regularise(&mut self) -> Vec<(&'static str, f32)>;
+    /// Regularisers that need no image: adds their weighted gradients, returns their weighted values by name. `canonical`
+    /// and `t` are those of the step's [`Field::forward`]; `step` (from 1) picks the random numbers, if there are any.
+    fn regularise(&mut self, canonical: &Splats, t: Time, step: u32) -> Vec<(&'static str, f32)>;
+
+    /// Numbers about each splat at a time that are worth looking at, by name (a gate, say); one value per splat each.
+    fn quantities(&self, _canonical: &Splats, _t: Time) -> Vec<(&'static str, Vec<f32>)> {
+        Vec::new()
+    }
 }

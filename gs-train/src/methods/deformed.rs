@@ -6,8 +6,8 @@
 //! and back the same way. In stages without the field, the canonical splats are drawn at every time.
 
 use crate::density::Adapted;
-use crate::methods::canonical::Canonical;
-use crate::methods::{Method, Overlay};
+use crate::methods::canonical::{Canonical, kernel_quantities};
+use crate::methods::{Method, Overlay, Quantity};
 use crate::moment::Moment;
 use crate::schedule::Schedule;
 use gs_core::{Camera, Param, Params, Splats, SplatsGrad, Time};
@@ -23,6 +23,8 @@ pub struct Deformed<F: Field> {
     tape: F::Tape,
     moved: Splats,
     d_moved: SplatsGrad,
+    /// Time of the present step.
+    t: Time,
     anneal: Anneal,
     /// Spacing of training times, normalised.
     interval: f32,
@@ -32,8 +34,8 @@ impl<F: Field> Deformed<F> {
     /// A cloud and its field; training times are blurred as `anneal` says (strength 0: not at all), `views` of them.
     pub fn new(name: &'static str, canonical: Canonical, field: F, anneal: Anneal, views: u32) -> Self {
         let interval = 1.0 / views.max(1) as f32;
-        let (tape, moved, d_moved) = Default::default();
-        Self { name, canonical, field, tape, moved, d_moved, anneal, interval }
+        let (tape, moved, d_moved, t) = Default::default();
+        Self { name, canonical, field, tape, moved, d_moved, t, anneal, interval }
     }
 
     fn training_time(&self, t: Time) -> Time {
@@ -82,9 +84,9 @@ where
     fn step(&mut self, at: &Moment, _camera: &Camera, draw: &mut dyn FnMut(&Splats, &mut SplatsGrad)) {
         self.canonical.forward();
         if self.canonical.dynamic() {
-            let t = self.training_time(at.t);
+            self.t = self.training_time(at.t);
             let canonical = &mut self.canonical;
-            self.field.forward(&canonical.splats, t, &mut self.tape, &mut self.moved);
+            self.field.forward(&canonical.splats, self.t, &mut self.tape, &mut self.moved);
             self.d_moved.reset(&self.moved);
             draw(&self.moved, &mut self.d_moved);
             self.field.backward(&canonical.splats, &mut self.tape, &self.d_moved, &mut canonical.d_splats);
@@ -95,11 +97,24 @@ where
     }
 
     fn penalties(&mut self, step: u32) -> Vec<(&'static str, f32)> {
-        if self.canonical.schedule.dynamic(step) { self.field.regularise() } else { Vec::new() }
+        match self.canonical.schedule.dynamic(step) {
+            true => self.field.regularise(&self.canonical.splats, self.t, step),
+            false => Vec::new(),
+        }
     }
 
     fn adapt(&mut self, step: u32, seen: &ScreenStats, camera: &Camera) -> Adapted {
         self.canonical.adapt(step, seen, camera)
+    }
+
+    fn quantities(&self, at: &Moment) -> Vec<Quantity> {
+        let canonical = self.canonical.activated();
+        let mut all = kernel_quantities(&canonical.kernel);
+        if self.canonical.dynamic() {
+            let values = self.field.quantities(&canonical, at.t);
+            all.extend(values.into_iter().map(|(name, values)| Quantity::share(name, values)));
+        }
+        all
     }
 
     /// `motion`: displacement from the canonical place, one colour channel per axis, grey for none.
@@ -109,7 +124,9 @@ where
         self.field.forward(&canonical, at.t, &mut F::Tape::default(), &mut moved);
         let shifts: Vec<_> = moved.means.iter().zip(&canonical.means).map(|(a, b)| *a - *b).collect();
         let largest = shifts.iter().map(|s| s.abs().max_element()).fold(f32::MIN_POSITIVE, f32::max);
-        vec![Overlay { name: "motion", colors: shifts.iter().map(|s| (0.5 + 0.5 * *s / largest).to_array()).collect() }]
+        let motion =
+            Overlay { name: "motion", colors: shifts.iter().map(|s| (0.5 + 0.5 * *s / largest).to_array()).collect() };
+        std::iter::once(motion).chain(self.quantities(at).iter().map(Quantity::overlay)).collect()
     }
 
     fn columns(&self) -> Vec<(&'static str, &Vec<f32>)> {

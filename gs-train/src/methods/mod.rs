@@ -27,6 +27,45 @@ pub struct Overlay {
     pub colors: Vec<[f32; 3]>,
 }
 
+/// A number about each splat.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Quantity {
+    /// `lambda`, `beta`, `gate`, …
+    pub name: &'static str,
+    /// Its unit; empty for a pure number.
+    pub unit: &'static str,
+    /// The interval its colours and histograms span; from the smallest to the largest value if absent.
+    pub range: Option<[f32; 2]>,
+    /// One value per splat of [`Method::splats`] at the same moment.
+    pub values: Vec<f32>,
+}
+
+impl Quantity {
+    /// A pure number in `[0, 1]`.
+    pub fn share(name: &'static str, values: Vec<f32>) -> Self {
+        Self { name, unit: "", range: Some([0.0, 1.0]), values }
+    }
+
+    /// The interval its colours and histograms span.
+    pub fn span(&self) -> [f32; 2] {
+        self.range.unwrap_or_else(|| {
+            let whole = [f32::INFINITY, f32::NEG_INFINITY];
+            let [low, high] = self.values.iter().fold(whole, |[a, b], &v| [a.min(v), b.max(v)]);
+            if low < high { [low, high] } else { [low, low + 1.0] }
+        })
+    }
+
+    /// Blue at the low end of the span, white in the middle, red at the high end.
+    pub fn overlay(&self) -> Overlay {
+        let [low, high] = self.span();
+        let color = |&v: &f32| {
+            let x = ((v - low) / (high - low)).clamp(0.0, 1.0);
+            [(2.0 * x).min(1.0), 1.0 - (2.0 * x - 1.0).abs(), (2.0 - 2.0 * x).min(1.0)]
+        };
+        Overlay { name: self.name, colors: self.values.iter().map(color).collect() }
+    }
+}
+
 /// A dynamic scene under training.
 pub trait Method: Params + Send + Sync {
     /// The name in [`METHODS`].
@@ -52,9 +91,14 @@ pub trait Method: Params + Send + Sync {
     /// Density control after the optimiser's update of step `step`; `seen` is what `camera` saw in it.
     fn adapt(&mut self, step: u32, seen: &ScreenStats, camera: &Camera) -> Adapted;
 
-    /// What may be drawn over the scene at this moment.
-    fn overlays(&self, _at: &Moment) -> Vec<Overlay> {
+    /// Numbers about each splat at this moment that are worth looking at.
+    fn quantities(&self, _at: &Moment) -> Vec<Quantity> {
         Vec::new()
+    }
+
+    /// What may be drawn over the scene at this moment: at least every quantity as a colour.
+    fn overlays(&self, at: &Moment) -> Vec<Overlay> {
+        self.quantities(at).iter().map(Quantity::overlay).collect()
     }
 
     /// State that is not a parameter (growth statistics), for checkpoints.

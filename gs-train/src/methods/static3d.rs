@@ -1,9 +1,9 @@
 //! 3D Gaussian Splatting without time (Kerbl et al. 2023): the canonical cloud is the scene.
 
 use crate::density::Adapted;
-use crate::methods::canonical::Canonical;
+use crate::methods::canonical::{Canonical, kernel_quantities};
 use crate::methods::scene::{CloudConfig, InitConfig, SceneInfo};
-use crate::methods::{Method, MethodEntry, MethodError, parse_config};
+use crate::methods::{Method, MethodEntry, MethodError, Quantity, parse_config};
 use crate::moment::Moment;
 use crate::schedule::Schedule;
 use gs_core::{Camera, Param, Params, Splats, SplatsGrad};
@@ -83,6 +83,10 @@ impl Method for Static3d {
 
     fn adapt(&mut self, step: u32, seen: &ScreenStats, camera: &Camera) -> Adapted {
         self.canonical.adapt(step, seen, camera)
+    }
+
+    fn quantities(&self, _at: &Moment) -> Vec<Quantity> {
+        kernel_quantities(&self.canonical.activated().kernel)
     }
 
     fn columns(&self) -> Vec<(&'static str, &Vec<f32>)> {
