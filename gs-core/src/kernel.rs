@@ -1,4 +1,15 @@
 //! The fall-off of a splat: what stands between the Gaussian of the distance and alpha.
+//!
+//! [`Kernel`] holds the columns of a scene; [`Bend`] is the mathematics of one row, the same for every bent kernel;
+//! [`BetaMode`] says how far the frequency kernel's β may go.
+
+mod bend;
+mod beta;
+#[cfg(test)]
+mod tests;
+
+pub use bend::{Bend, Partials, acutance_vjp, frequency_vjp};
+pub use beta::{BetaMode, MIN_KNOT, effective_beta, effective_beta_vjp};
 
 /// How a splat falls off with the Gaussian `g = exp(−½ d²)` of its Mahalanobis distance `d`: `alpha = opacity · ψ(g)`.
 #[derive(Clone, Debug, PartialEq, Default)]
@@ -35,6 +46,40 @@ impl Kernel {
             Kernel::Gaussian => 0,
             Kernel::Frequency { .. } => 2,
             Kernel::Acutance { .. } => 1,
+        }
+    }
+
+    /// The bend of one row; `None` for the Gaussian.
+    #[inline]
+    pub fn bend(&self, row: usize) -> Option<Bend<f64>> {
+        match self {
+            Kernel::Gaussian => None,
+            Kernel::Frequency { lambdas, betas } => {
+                Some(Bend::frequency(f64::from(lambdas[row]), f64::from(betas[row])))
+            }
+            Kernel::Acutance { acutances } => Some(Bend::acutance(f64::from(acutances[row]))),
+        }
+    }
+
+    /// Whether every row draws as the Gaussian does, to the bit (`u = 0`).
+    pub fn is_neutral(&self) -> bool {
+        match self {
+            Kernel::Gaussian => true,
+            Kernel::Frequency { lambdas, .. } => lambdas.iter().all(|&l| l == 0.5),
+            Kernel::Acutance { acutances } => acutances.iter().all(|&a| a == 0.0),
+        }
+    }
+
+    /// Cotangents of one row's parameters, `[width]`, from `[Σ v outer, Σ v inner]` with `v = dL/dψ` ([`Partials`]).
+    #[inline]
+    pub fn vjp(&self, row: usize, sums: [f64; 2], d: &mut [f32]) {
+        match self {
+            Kernel::Gaussian => {}
+            Kernel::Frequency { lambdas, betas } => {
+                let v = frequency_vjp(f64::from(lambdas[row]), f64::from(betas[row]), sums);
+                d.copy_from_slice(&v.map(|v| v as f32));
+            }
+            Kernel::Acutance { acutances } => d[0] = acutance_vjp(f64::from(acutances[row]), sums) as f32,
         }
     }
 

@@ -37,7 +37,7 @@ pub mod time;
 pub use camera::Camera;
 pub use cloud::Cloud;
 pub use image::Image;
-pub use kernel::Kernel;
+pub use kernel::{BetaMode, Kernel};
 pub use param::{Param, Params, RowEdit};
 pub use real::Real;
 pub use rng::Rng;
