@@ -2,9 +2,13 @@
 
 mod backward;
 mod config;
+pub mod hash;
 pub mod hexplane;
 mod sample;
 mod smooth;
 
 pub use config::HexPlaneConfig;
+pub use hash::config::HashGridConfig;
+pub use hash::slice::Slice;
+pub use hash::{Columns, HashGrid};
 pub use hexplane::{HexBlock, HexPlane, HexTape};
