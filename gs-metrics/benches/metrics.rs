@@ -1,6 +1,8 @@
 //! Time and error of the metrics. Each row goes to the terminal and to `target/speed-error/gs-metrics.jsonl`; errors are
 //! against plain loops in `f64`.
 
+#[path = "../tests/metrics/fourier.rs"]
+mod fourier;
 #[path = "../tests/metrics/reference.rs"]
 mod reference;
 
@@ -8,9 +10,10 @@ use std::hint::black_box;
 use std::path::Path;
 
 use criterion::Criterion;
+use fourier::amplitude_loss64;
 use gs_core::speed::{SpeedError, median_seconds};
 use gs_core::{Image, Rng};
-use gs_metrics::{MsSsim, MsSsimOptions, Padding, Ssim, SsimOptions, mse, perceptual_proxy};
+use gs_metrics::{AmplitudeLoss, MsSsim, MsSsimOptions, Padding, Ssim, SsimOptions, mse, perceptual_proxy};
 use reference::{Image64, mean_ssim64, relative_l2, ssim_grad64};
 
 /// What a row says beside its time.
@@ -94,6 +97,29 @@ fn other_rows(criterion: &mut Criterion, a: &Image, b: &Image) {
     });
 }
 
+fn amplitude_rows(criterion: &mut Criterion, a: &Image, b: &Image) {
+    let mut loss = AmplitudeLoss::default();
+    let mut grad = Image::default();
+    let value = loss.value_and_grad(a, b, &mut grad).expect("a score");
+    let (want, slope) = amplitude_loss64(&Image64::from(a), &Image64::from(b));
+    let side = a.width;
+    let error = Some((value - want).abs());
+    let row = Row { case: "amplitude loss", variant: "both images", side, error, error_kind: "absolute" };
+    measure(criterion, &row, || {
+        black_box(loss.value(a, b).expect("a score"));
+    });
+    let error = Some(relative_l2(&grad.data, &slope));
+    let kind = "gradient, relative L2";
+    let row = |variant| Row { case: "amplitude loss, gradient", variant, side, error, error_kind: kind };
+    measure(criterion, &row("both images"), || {
+        black_box(loss.value_and_grad(a, b, &mut grad).expect("a score"));
+    });
+    let amplitudes = loss.amplitudes(b).expect("amplitudes");
+    measure(criterion, &row("kept amplitudes"), || {
+        black_box(loss.value_and_grad_to(a, &amplitudes, &mut grad).expect("a score"));
+    });
+}
+
 fn main() {
     let quick = std::time::Duration::from_millis(200);
     let mut criterion = Criterion::default()
@@ -107,6 +133,11 @@ fn main() {
         ssim_rows(&mut criterion, &a, &b, Padding::Zero);
         ssim_rows(&mut criterion, &a, &b, Padding::Valid);
         other_rows(&mut criterion, &a, &b);
+    }
+    // 397 is a prime number.
+    for side in [397, 400, 800] {
+        let (a, b) = pair(side);
+        amplitude_rows(&mut criterion, &a, &b);
     }
     criterion.final_summary();
 }

@@ -5,6 +5,7 @@
 //! | MSE, PSNR | [`mse`], [`psnr`](fn@psnr) | | [`psnr`](mod@psnr) |
 //! | SSIM, zero-padded (training loss) or valid area (published) | [`ssim`](fn@ssim) | [`ssim_with_grad`], [`Ssim`] | [`ssim`](mod@ssim) |
 //! | MS-SSIM | [`ms_ssim`](fn@ms_ssim) | [`ms_ssim_with_grad`], [`MsSsim`] | [`ms_ssim`](mod@ms_ssim) |
+//! | amplitude spectra | [`AmplitudeLoss::value`] | [`AmplitudeLoss::value_and_grad`] | [`spectrum`] |
 //! | masked PSNR and SSIM (DyCheck) | [`masked_psnr`], [`masked_ssim`] | | [`masked`] |
 //! | perceptual **proxy**, without learned weights, not LPIPS | [`perceptual_proxy`] | | [`perceptual`] |
 //! | means over views | [`Scorer`], [`Summary`] | | [`report`] |
@@ -33,6 +34,7 @@
 //! LPIPS and every other metric with learned weights, colour-managed and HDR comparisons, video metrics.
 
 pub mod error;
+mod fft2;
 pub mod masked;
 pub mod ms_ssim;
 pub mod perceptual;
@@ -40,6 +42,7 @@ mod plane;
 mod pool;
 pub mod psnr;
 pub mod report;
+pub mod spectrum;
 pub mod ssim;
 mod sweep;
 mod window;
@@ -50,4 +53,5 @@ pub use ms_ssim::{MsSsim, MsSsimOptions, ms_ssim, ms_ssim_with_grad};
 pub use perceptual::perceptual_proxy;
 pub use psnr::{mse, psnr, psnr_from_mse, psnr_of_mean_mse};
 pub use report::{Mean, Scorer, Scores, Summary};
+pub use spectrum::{AmplitudeLoss, AmplitudeOptions, Amplitudes, FftNorm, Reduce};
 pub use ssim::{Padding, Ssim, SsimOptions, ssim, ssim_with_grad};

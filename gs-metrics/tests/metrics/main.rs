@@ -2,9 +2,11 @@
 
 mod data;
 mod distort;
+mod fourier;
 mod ms_ssim;
 mod perceptual;
 mod pictures;
 mod published;
 mod reference;
+mod spectrum;
 mod ssim;

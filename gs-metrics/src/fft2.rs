@@ -1,0 +1,149 @@
+//! The two-dimensional discrete Fourier transform of one channel of an image, and the real part of its inverse.
+//!
+//! Rows are real, so only the columns `kx = 0 … ⌊W/2⌋` of the spectrum are kept: `F(−kx, −ky)` is the conjugate of
+//! `F(kx, ky)`. Every row and column is transformed as a whole by one task, so nothing depends on the number of threads.
+
+use std::sync::Arc;
+
+use gs_core::Image;
+use rayon::prelude::*;
+use realfft::num_complex::Complex32;
+use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
+use rustfft::{Fft, FftPlanner};
+
+/// Rows or columns of one task: eight complex values fill a line of the cache while a matrix is transposed.
+const BLOCK: usize = 8;
+
+/// Plans and buffers for images of one size.
+pub(crate) struct Fft2 {
+    width: usize,
+    height: usize,
+    row: Arc<dyn RealToComplex<f32>>,
+    row_back: Arc<dyn ComplexToReal<f32>>,
+    column: Arc<dyn Fft<f32>>,
+    column_back: Arc<dyn Fft<f32>>,
+    /// Spectra of the rows, `[H, W/2 + 1]`.
+    rows: Vec<Complex32>,
+    /// The spectrum, `[W/2 + 1, H]`.
+    columns: Vec<Complex32>,
+}
+
+impl std::fmt::Debug for Fft2 {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "Fft2({}x{})", self.width, self.height)
+    }
+}
+
+impl Fft2 {
+    /// Plans for images of `width` times `height` pixels, both at least 1, of any factors.
+    pub fn new(width: usize, height: usize) -> Self {
+        let (mut real, mut complex) = (RealFftPlanner::new(), FftPlanner::new());
+        let zeros = vec![Complex32::default(); height * (width / 2 + 1)];
+        Self {
+            width,
+            height,
+            row: real.plan_fft_forward(width),
+            row_back: real.plan_fft_inverse(width),
+            column: complex.plan_fft_forward(height),
+            column_back: complex.plan_fft_inverse(height),
+            columns: zeros.clone(),
+            rows: zeros,
+        }
+    }
+
+    /// Whether the plans are for images of this size.
+    pub fn fits(&self, image: &Image) -> bool {
+        (self.width, self.height) == (image.width, image.height)
+    }
+
+    /// Columns of the half spectrum.
+    pub fn half(&self) -> usize {
+        self.width / 2 + 1
+    }
+
+    /// How often a column of the half spectrum stands in the whole one: twice, but for `kx = 0` and, at even widths,
+    /// `kx = W/2`.
+    pub fn multiplicity(&self, kx: usize) -> f64 {
+        if kx == 0 || 2 * kx == self.width { 1.0 } else { 2.0 }
+    }
+
+    /// The spectrum `Σ f e^{−2πi(kx x/W + ky y/H)}` of a channel, column by column (`[H]` each, with the column's `kx` and
+    /// its row of `aside`, `[W/2 + 1, H]`) handed to `visit`, whose answers come back in order. With `back`, columns as
+    /// `visit` left them are transformed back at once, for [`Fft2::real_inverse`].
+    pub fn spectrum<T: Send>(
+        &mut self,
+        image: &Image,
+        channel: usize,
+        aside: &mut [T],
+        back: bool,
+        visit: impl Fn(usize, &mut [Complex32], &mut [T]) -> f64 + Sync,
+    ) -> Vec<f64> {
+        let (width, height, half) = (self.width, self.height, self.half());
+        let row = &self.row;
+        self.rows.par_chunks_mut(half * BLOCK).enumerate().for_each_init(
+            || (row.make_input_vec(), row.make_scratch_vec()),
+            |(line, scratch), (block, spectra)| {
+                for (k, spectrum) in spectra.chunks_exact_mut(half).enumerate() {
+                    let pixels = &image.data[(block * BLOCK + k) * width * image.channels..];
+                    let values = pixels.iter().skip(channel).step_by(image.channels);
+                    line.iter_mut().zip(values).for_each(|(l, v)| *l = *v);
+                    row.process_with_scratch(line, spectrum, scratch).expect("lengths are those of the plan");
+                }
+            },
+        );
+        let (rows, forth, inverse) = (&self.rows, &self.column, &self.column_back);
+        let scratch =
+            || vec![Complex32::default(); forth.get_inplace_scratch_len().max(inverse.get_inplace_scratch_len())];
+        let blocks = self.columns.par_chunks_mut(height * BLOCK).zip(aside.par_chunks_mut(height * BLOCK)).enumerate();
+        let answers = blocks.map_init(scratch, |scratch, (block, (columns, aside))| {
+            transpose(rows, half, block * BLOCK, columns, height);
+            let pairs = columns.chunks_exact_mut(height).zip(aside.chunks_exact_mut(height)).enumerate();
+            let one = |(k, (column, aside)): (usize, (&mut [Complex32], &mut [T]))| {
+                forth.process_with_scratch(column, scratch);
+                let answer = visit(block * BLOCK + k, column, aside);
+                if back {
+                    inverse.process_with_scratch(column, scratch);
+                }
+                answer
+            };
+            pairs.map(one).collect::<Vec<f64>>()
+        });
+        answers.collect::<Vec<_>>().concat()
+    }
+
+    /// `scale` times the real part of the inverse sum (no factor of its own) of what `visit` left, into a channel of `out`.
+    pub fn real_inverse(&mut self, scale: f32, channel: usize, out: &mut Image) {
+        let (width, height, half, channels) = (self.width, self.height, self.half(), out.channels);
+        let (columns, row) = (&self.columns, &self.row_back);
+        let buffers = || {
+            let line = row.make_output_vec();
+            (vec![Complex32::default(); BLOCK * half], line, row.make_scratch_vec())
+        };
+        out.data.par_chunks_mut(width * channels * BLOCK).enumerate().for_each_init(
+            buffers,
+            |(spectra, line, scratch), (block, out)| {
+                let spectra = &mut spectra[..out.len() / (width * channels) * half];
+                transpose(columns, height, block * BLOCK, spectra, half);
+                for (spectrum, out) in spectra.chunks_exact_mut(half).zip(out.chunks_exact_mut(width * channels)) {
+                    // What is left of the imaginary part there belongs to no real image.
+                    spectrum[0].im = 0.0;
+                    if width.is_multiple_of(2) {
+                        spectrum[half - 1].im = 0.0;
+                    }
+                    row.process_with_scratch(spectrum, line, scratch).expect("lengths are those of the plan");
+                    out.iter_mut().skip(channel).step_by(channels).zip(&*line).for_each(|(o, v)| *o = scale * v);
+                }
+            },
+        );
+    }
+}
+
+/// Columns `first …` of a matrix with rows of `width` values, as rows of `height` values of `out`.
+fn transpose(matrix: &[Complex32], width: usize, first: usize, out: &mut [Complex32], height: usize) {
+    let columns = out.len() / height;
+    for (y, row) in matrix.chunks_exact(width).enumerate() {
+        for (k, v) in row[first..first + columns].iter().enumerate() {
+            out[k * height + y] = *v;
+        }
+    }
+}
