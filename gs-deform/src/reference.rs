@@ -5,6 +5,9 @@ use crate::encode::HexPlane;
 use crate::encode::hexplane::PAIRS;
 use gs_core::{Params, Time};
 
+mod hash;
+pub use hash::{Corner, HashGridRef};
+
 /// A HexPlane in `f64`: see [`HexPlane`] for the mathematics.
 #[derive(Clone, Debug)]
 pub struct HexPlaneRef {
