@@ -5,8 +5,11 @@
 //! opacities = σ(logit_opacities)                     dL/d logit      = dL/d opacity · o (1 − o)
 //! sh[k]     = k = 0 ? sh_dc : sh_rest[k − 1]         means and quats pass through as they are
 //! ```
-//! (3D Gaussian Splatting, Kerbl et al. 2023, section 5.) The active SH degree may be below the stored one: rows above
+//! (3D Gaussian Splatting, Kerbl et al. 2023, section 5.) A cloud may have raw columns of a bent kernel ([`RawKernel`]);
+//! without them its splats are Gaussians. The active SH degree may be below the stored one: rows above
 //! it are neither drawn nor trained. All loops run over blocks of 2048 rows, so results do not depend on threads.
+
+mod kernel;
 
 use crate::kernel::Kernel;
 use crate::param::{Param, Params, RowEdit, RowEditError};
@@ -14,6 +17,8 @@ use crate::sh;
 use crate::splats::{Color, Splats, SplatsGrad};
 use glam::Vec3;
 use rayon::prelude::*;
+
+pub use kernel::{KernelInit, RawKernel};
 
 /// Rows per parallel block.
 const BLOCK: usize = 2048;
@@ -33,6 +38,8 @@ pub struct Cloud {
     pub sh_dc: Param,
     /// `cloud.sh_rest` `[n, (K − 1) · 3]`, coefficient by coefficient; absent at degree 0.
     pub sh_rest: Option<Param>,
+    /// Raw columns of a bent kernel; absent for Gaussians.
+    pub kernel: Option<RawKernel>,
     sh_degree: u8,
 }
 
@@ -63,6 +70,9 @@ pub enum CloudError {
     /// SH degree above 3.
     #[error("SH degree {0} is not supported (0 to 3)")]
     Degree(u8),
+    /// The upper end of β leaves no room above its start, or lies beyond its domain.
+    #[error("the upper end of beta is {0}; it must be above 0.5 and at most 1")]
+    BetaHi(f32),
 }
 
 impl Cloud {
@@ -112,8 +122,18 @@ impl Cloud {
             logit_opacities: Param::rows("cloud.logit_opacities", 1, vec![logit(opacity); n]),
             sh_dc: Param::rows("cloud.sh_dc", 3, colors.iter().flat_map(|c| c.map(dc)).collect()),
             sh_rest: (rest > 0).then(|| Param::rows("cloud.sh_rest", rest, vec![0.0; n * rest])),
+            kernel: None,
             sh_degree,
         })
+    }
+
+    /// The same cloud with the raw columns of a kernel, at a start that draws as the Gaussian does, to the bit.
+    ///
+    /// # Errors
+    /// If a setting of the kernel is out of its domain.
+    pub fn with_kernel(mut self, init: KernelInit) -> Result<Self, CloudError> {
+        self.kernel = Some(RawKernel::new(init, self.len())?);
+        Ok(self)
     }
 
     /// Number of Gaussians.
@@ -162,7 +182,10 @@ impl Cloud {
                 self.gather_sh(block * BLOCK, width, sh);
             });
         out.color = Color::Sh { degree, coeffs };
-        out.kernel = Kernel::Gaussian;
+        match &self.kernel {
+            Some(kernel) => kernel.activate(&mut out.kernel),
+            None => out.kernel = Kernel::Gaussian,
+        }
     }
 
     /// SH rows from row `first` on, `width` values each, interleaved from the two blocks.
@@ -208,13 +231,21 @@ impl Cloud {
                 }
             });
         }
+        if let Some(kernel) = &mut self.kernel {
+            kernel.activate_backward(&splats.kernel, &d.kernel);
+        }
     }
 
     /// All row blocks, in the order of [`Params::visit`].
     pub fn blocks_mut(&mut self) -> Vec<&mut Param> {
+        self.params_mut().into_iter().filter(|p| p.row_width.is_some()).collect()
+    }
+
+    fn params_mut(&mut self) -> Vec<&mut Param> {
         let fixed =
             [&mut self.means, &mut self.quats, &mut self.log_scales, &mut self.logit_opacities, &mut self.sh_dc];
-        fixed.into_iter().chain(&mut self.sh_rest).collect()
+        let kernel = self.kernel.iter_mut().flat_map(RawKernel::params_mut);
+        fixed.into_iter().chain(&mut self.sh_rest).chain(kernel).collect()
     }
 
     /// Applies a row edit to every block, or to none.
@@ -229,11 +260,12 @@ impl Cloud {
 impl Params for Cloud {
     fn visit(&self, f: &mut dyn FnMut(&Param)) {
         [&self.means, &self.quats, &self.log_scales, &self.logit_opacities, &self.sh_dc].into_iter().for_each(&mut *f);
-        self.sh_rest.iter().for_each(f);
+        self.sh_rest.iter().for_each(&mut *f);
+        self.kernel.iter().flat_map(RawKernel::params).for_each(f);
     }
 
     fn visit_mut(&mut self, f: &mut dyn FnMut(&mut Param)) {
-        self.blocks_mut().into_iter().for_each(f);
+        self.params_mut().into_iter().for_each(f);
     }
 }
 
