@@ -1,15 +1,19 @@
 //! The image loss of the 3DGS family and its gradient:
 //!
 //! ```text
-//! L = (1 − λ) mean|x − y| + λ (1 − SSIM(x, y))        dL/dx = (1 − λ) sign(x − y) / n − λ dSSIM/dx
+//! L = (1 − λ) mean|x − y| + λ (1 − SSIM(x, y)) + φ mean||F x| − |F y||
+//! dL/dx = (1 − λ) sign(x − y) / n − λ dSSIM/dx + φ dL_fre/dx
 //! ```
-//! over `n = H · W · 3` values; SSIM with an 11-tap Gaussian window and zero padding, `sign(0) = 0`
-//! (Kerbl et al. 2023, section 5; λ = 0.2). At λ = 0 no SSIM is computed.
+//! over `n = H · W · 3` values; SSIM with an 11-tap Gaussian window and zero padding, or MS-SSIM in its place,
+//! `sign(0) = 0` (Kerbl et al. 2023, section 5; λ = 0.2). `F` is the orthonormal Fourier transform of the whole image
+//! (FAGS, eq. 10; φ = 0.3; see [`gs_metrics::spectrum`]). At λ = 0 no SSIM is computed, at φ = 0 no transform.
 
+use crate::schedule::ScheduleError;
 use gs_core::Image;
-use gs_metrics::{MetricError, Ssim, SsimOptions};
+use gs_metrics::{AmplitudeLoss, MetricError, MsSsim, MsSsimOptions, Ssim, SsimOptions};
 use gs_raster::{Frame, FrameGrad};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 /// Values per parallel piece; partial sums are added in the order of pieces.
 const PIECE: usize = 1 << 14;
@@ -18,25 +22,67 @@ const RUN: usize = 512;
 /// Independent sums, so that the compiler may use vectors.
 const LANES: usize = 16;
 
+/// The likeness of structure that stands beside L1.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Dssim {
+    /// SSIM with zeros outside the image.
+    #[default]
+    Ssim,
+    /// MS-SSIM of five levels; both sides need more than 160 pixels.
+    MsSsim,
+}
+
+impl Dssim {
+    /// Verifies that images of `width` times `height` pixels can be compared.
+    ///
+    /// # Errors
+    /// If a side is too short.
+    pub fn check_size(self, width: u32, height: u32) -> Result<(), ScheduleError> {
+        let side = width.min(height);
+        if self == Dssim::Ssim || side as usize > MsSsimOptions::default().side_limit() {
+            return Ok(());
+        }
+        let rule = "ms_ssim needs training images with both sides above 160 pixels; use \"ssim\" or larger images";
+        Err(ScheduleError { field: "dssim".to_owned(), value: side.into(), rule })
+    }
+}
+
+/// Weights of the terms.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct LossWeights {
+    /// λ, `[0, 1]`.
+    pub dssim: f32,
+    /// What λ weighs.
+    pub structure: Dssim,
+    /// φ, at least 0.
+    pub fre: f32,
+}
+
 /// The terms of one evaluation.
-#[derive(Clone, Copy, Debug, PartialEq, Default, serde::Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Default, Serialize)]
 pub struct LossTerms {
-    /// `(1 − λ) L1 + λ (1 − SSIM)`.
+    /// `(1 − λ) L1 + λ (1 − SSIM) + φ L_fre`.
     pub total: f64,
     /// Mean absolute difference.
     pub l1: f64,
     /// Mean squared difference.
     pub mse: f64,
-    /// Mean SSIM; absent at λ = 0.
+    /// Mean SSIM, or MS-SSIM where that is asked for; absent at λ = 0.
     pub ssim: Option<f64>,
+    /// Mean difference of amplitudes; absent at φ = 0.
+    pub fre: Option<f64>,
 }
 
 /// The image loss, with buffers kept between calls.
 #[derive(Debug, Default)]
 pub struct ImageLoss {
     ssim: Ssim,
+    ms_ssim: MsSsim,
+    amplitudes: AmplitudeLoss,
     drawn: Image,
     ssim_grad: Image,
+    fre_grad: Image,
 }
 
 impl ImageLoss {
@@ -48,29 +94,40 @@ impl ImageLoss {
     /// The loss of a frame against `target` (`[H, W, 3]`), its gradient written into `grad.rgb` (alpha and depth: none).
     ///
     /// # Errors
-    /// If the shapes differ or a value is not finite.
+    /// If the shapes differ, a side is too short for MS-SSIM, or a value is not finite.
     pub fn evaluate(
         &mut self,
         frame: &mut Frame,
         target: &Image,
-        lambda: f32,
+        weights: &LossWeights,
         grad: &mut FrameGrad,
     ) -> Result<LossTerms, MetricError> {
         // The frame's pixels are lent to an image for the time of the call.
         let data = std::mem::take(&mut frame.rgb);
         self.drawn = Image { width: frame.width, height: frame.height, channels: 3, data };
-        let terms = self.evaluate_drawn(target, lambda, grad);
+        let terms = self.evaluate_drawn(target, weights, grad);
         frame.rgb = std::mem::take(&mut self.drawn.data);
         terms
     }
 
-    fn evaluate_drawn(&mut self, target: &Image, lambda: f32, grad: &mut FrameGrad) -> Result<LossTerms, MetricError> {
+    fn evaluate_drawn(
+        &mut self,
+        target: &Image,
+        weights: &LossWeights,
+        grad: &mut FrameGrad,
+    ) -> Result<LossTerms, MetricError> {
         let (first, second) = (self.drawn.shape(), target.shape());
         if first != second {
             return Err(MetricError::Shape { what: "drawn frame and photograph", first, second });
         }
-        let ssim = match lambda > 0.0 {
-            true => Some(self.ssim.value_and_grad(&self.drawn, target, &mut self.ssim_grad)?),
+        let (drawn, lambda, phi) = (&self.drawn, weights.dssim, weights.fre);
+        let ssim = match weights.structure {
+            _ if lambda <= 0.0 => None,
+            Dssim::Ssim => Some(self.ssim.value_and_grad(drawn, target, &mut self.ssim_grad)?),
+            Dssim::MsSsim => Some(self.ms_ssim.value_and_grad(drawn, target, &mut self.ssim_grad)?),
+        };
+        let fre = match phi > 0.0 {
+            true => Some(self.amplitudes.value_and_grad(drawn, target, &mut self.fre_grad)?),
             false => None,
         };
         let data = &self.drawn.data;
@@ -78,7 +135,7 @@ impl ImageLoss {
         grad.depth.clear();
         grad.rgb.resize(data.len(), 0.0);
         let step = (1.0 - lambda) / data.len() as f32;
-        let ssim_grad = self.ssim_grad.data.as_slice();
+        let (ssim_grad, fre_grad) = (self.ssim_grad.data.as_slice(), self.fre_grad.data.as_slice());
         let pairs = data.par_chunks(PIECE).zip(target.data.par_chunks(PIECE));
         let pieces = grad.rgb.par_chunks_mut(PIECE).zip(pairs).enumerate();
         let sums: Vec<[f64; 2]> = pieces
@@ -87,18 +144,22 @@ impl ImageLoss {
                 if ssim.is_some() {
                     g.iter_mut().zip(&ssim_grad[i * PIECE..]).for_each(|(g, s)| *g -= lambda * s);
                 }
+                if fre.is_some() {
+                    g.iter_mut().zip(&fre_grad[i * PIECE..]).for_each(|(g, f)| *g += phi * f);
+                }
                 sums
             })
             .collect();
         let n = data.len() as f64;
         let [l1, mse] = sums.iter().fold([0.0; 2], |a, s| [a[0] + s[0] / n, a[1] + s[1] / n]);
         let weight = f64::from(lambda);
-        let total = (1.0 - weight) * l1 + ssim.map_or(0.0, |s| weight * (1.0 - s));
+        let spectral = fre.map_or(0.0, |f| f64::from(phi) * f);
+        let total = (1.0 - weight) * l1 + ssim.map_or(0.0, |s| weight * (1.0 - s)) + spectral;
         if !total.is_finite() {
             // The exact place comes from the metric's own check.
             return Err(gs_metrics::mse(&self.drawn, target).err().unwrap_or(MetricError::Overflow { metric: "L1" }));
         }
-        Ok(LossTerms { total, l1, mse, ssim })
+        Ok(LossTerms { total, l1, mse, ssim, fre })
     }
 }
 
@@ -135,8 +196,15 @@ mod tests {
     use gs_core::Rng;
 
     fn pair() -> (Frame, Image) {
+        pair_of(37, 23)
+    }
+
+    fn plain(dssim: f32) -> LossWeights {
+        LossWeights { dssim, ..LossWeights::default() }
+    }
+
+    fn pair_of(width: usize, height: usize) -> (Frame, Image) {
         let mut rng = Rng::new(1, "loss", 0, 0);
-        let (width, height) = (37, 23);
         let mut noise = || (0..width * height * 3).map(|_| rng.uniform()).collect::<Vec<f32>>();
         let frame = Frame { width, height, rgb: noise(), ..Frame::default() };
         (frame, Image { width, height, channels: 3, data: noise() })
@@ -146,18 +214,18 @@ mod tests {
     fn gradient_matches_finite_differences() {
         let (mut frame, target) = pair();
         let (mut loss, mut grad) = (ImageLoss::new(), FrameGrad::default());
-        for lambda in [0.0, 0.2, 1.0] {
-            loss.evaluate(&mut frame, &target, lambda, &mut grad).unwrap();
+        for weights in [0.0, 0.2, 1.0].map(plain) {
+            loss.evaluate(&mut frame, &target, &weights, &mut grad).unwrap();
             for at in [0, 100, 1000, 2552] {
                 let mut value = |h: f32| {
                     let mut moved = frame.clone();
                     moved.rgb[at] += h;
-                    loss.evaluate(&mut moved, &target, lambda, &mut FrameGrad::default()).unwrap().total
+                    loss.evaluate(&mut moved, &target, &weights, &mut FrameGrad::default()).unwrap().total
                 };
                 let h = 0.25 * (frame.rgb[at] - target.data[at]).abs().min(0.02);
                 let want = (value(h) - value(-h)) / f64::from(2.0 * h);
                 let error = (f64::from(grad.rgb[at]) - want).abs();
-                assert!(error < 1e-2 * want.abs() + 2e-7, "λ {lambda}, value {at}: {} {want}", grad.rgb[at]);
+                assert!(error < 1e-2 * want.abs() + 2e-7, "{weights:?}, value {at}: {} {want}", grad.rgb[at]);
             }
         }
     }
@@ -167,7 +235,7 @@ mod tests {
         let (mut frame, target) = pair();
         let before = frame.clone();
         let mut grad = FrameGrad::default();
-        let terms = ImageLoss::new().evaluate(&mut frame, &target, 0.2, &mut grad).unwrap();
+        let terms = ImageLoss::new().evaluate(&mut frame, &target, &plain(0.2), &mut grad).unwrap();
         assert_eq!(frame, before);
         let n = target.data.len() as f64;
         let differences = frame.rgb.iter().zip(&target.data).map(|(a, b)| f64::from(*a) - f64::from(*b));
@@ -175,9 +243,45 @@ mod tests {
         assert!((terms.l1 / l1 - 1.0).abs() < 1e-6 && (terms.mse / mse - 1.0).abs() < 1e-6);
         assert!((terms.total - 0.8 * terms.l1 - 0.2 * (1.0 - terms.ssim.unwrap())).abs() < 1e-7);
         let same = Image { data: frame.rgb.clone(), ..target };
-        let none = ImageLoss::new().evaluate(&mut frame, &same, 0.0, &mut grad).unwrap();
-        assert_eq!((none.total, none.ssim), (0.0, None));
+        let none = ImageLoss::new().evaluate(&mut frame, &same, &plain(0.0), &mut grad).unwrap();
+        assert_eq!((none.total, none.ssim, none.fre), (0.0, None, None));
         assert!(grad.rgb.iter().all(|&g| g == 0.0), "sign(0) = 0");
+    }
+
+    #[test]
+    fn the_spectral_term_is_added_with_its_weight() {
+        let (mut frame, target) = pair();
+        let (mut grad, mut both, mut alone) = (FrameGrad::default(), FrameGrad::default(), Image::default());
+        let without = ImageLoss::new().evaluate(&mut frame, &target, &plain(0.2), &mut grad).unwrap();
+        let weights = LossWeights { fre: 0.3, ..plain(0.2) };
+        let with = ImageLoss::new().evaluate(&mut frame, &target, &weights, &mut both).unwrap();
+        let drawn = Image { data: frame.rgb.clone(), ..target.clone() };
+        let fre = AmplitudeLoss::default().value_and_grad(&drawn, &target, &mut alone).unwrap();
+        assert_eq!((without.fre, with.fre, with.ssim), (None, Some(fre), without.ssim));
+        assert_eq!(with.total, without.total + f64::from(0.3f32) * fre);
+        let sums = grad.rgb.iter().zip(&alone.data).map(|(g, f)| g + 0.3 * f);
+        assert!(both.rgb.iter().zip(sums).all(|(b, s)| *b == s));
+    }
+
+    #[test]
+    fn ms_ssim_stands_in_for_ssim_and_needs_room() {
+        let weights = LossWeights { structure: Dssim::MsSsim, ..plain(0.2) };
+        let (mut frame, target) = pair_of(170, 161);
+        let (mut grad, mut alone) = (FrameGrad::default(), Image::default());
+        let terms = ImageLoss::new().evaluate(&mut frame, &target, &weights, &mut grad).unwrap();
+        let drawn = Image { data: frame.rgb.clone(), ..target.clone() };
+        let value = MsSsim::default().value_and_grad(&drawn, &target, &mut alone).unwrap();
+        assert_eq!(terms.ssim, Some(value));
+        let step = 0.8 / target.data.len() as f32;
+        let at = |k: usize| sign(drawn.data[k] - target.data[k]) * step - 0.2 * alone.data[k];
+        assert!((0..target.data.len()).all(|k| (grad.rgb[k] - at(k)).abs() <= 1e-7 * step));
+        let (mut frame, target) = pair();
+        let e = ImageLoss::new().evaluate(&mut frame, &target, &weights, &mut grad).unwrap_err();
+        assert!(matches!(e, MetricError::TooSmall { need: 161, .. }), "{e}");
+        assert_eq!(Dssim::MsSsim.check_size(161, 400), Ok(()));
+        assert_eq!(Dssim::Ssim.check_size(1, 1), Ok(()));
+        let e = Dssim::MsSsim.check_size(400, 160).unwrap_err();
+        assert!(e.to_string().contains("dssim = 160") && e.to_string().contains("above 160 pixels"), "{e}");
     }
 
     #[test]
@@ -186,11 +290,11 @@ mod tests {
         frame.rgb[7] = f32::NAN;
         let mut grad = FrameGrad::default();
         for lambda in [0.0, 0.2] {
-            let e = ImageLoss::new().evaluate(&mut frame, &target, lambda, &mut grad).unwrap_err();
+            let e = ImageLoss::new().evaluate(&mut frame, &target, &plain(lambda), &mut grad).unwrap_err();
             assert!(matches!(e, MetricError::NotFinite { x: 2, y: 0, channel: 1, .. }), "{e}");
         }
         let small = Image::zeros(3, 3, 3);
-        let e = ImageLoss::new().evaluate(&mut frame, &small, 0.2, &mut grad).unwrap_err();
+        let e = ImageLoss::new().evaluate(&mut frame, &small, &plain(0.2), &mut grad).unwrap_err();
         assert!(matches!(e, MetricError::Shape { .. }));
     }
 }

@@ -8,6 +8,8 @@
 //! needs no state of its own for it.
 
 use crate::density::DensityRules;
+use crate::loss::{Dssim, LossWeights};
+use gs_core::Camera;
 use gs_raster::{ClampGrad, RasterOptions};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -22,6 +24,12 @@ pub struct Schedule {
     pub background: Background,
     /// Weight λ of `1 − SSIM`; L1 has `1 − λ` (3DGS: 0.2; 4DGaussians: 0).
     pub lambda_dssim: f32,
+    /// What λ weighs: `ssim`, or `ms_ssim` for images with both sides above 160 pixels.
+    #[serde(default)]
+    pub dssim: Dssim,
+    /// Weight φ of the amplitude-spectrum loss (FAGS: 0.3; others: 0).
+    #[serde(default)]
+    pub lambda_fre: f32,
     /// Adam updates only rows that received a gradient in this step.
     pub sparse_adam: bool,
     /// A gradient row is refused (not finite) at most for this share of rows; above it the run stops.
@@ -211,6 +219,11 @@ impl Schedule {
         parts.next().and_then(|part| group.get(part)).or_else(|| group.get("all"))
     }
 
+    /// The weights of the image loss.
+    pub fn loss(&self) -> LossWeights {
+        LossWeights { dssim: self.lambda_dssim, structure: self.dssim, fre: self.lambda_fre }
+    }
+
     /// How frames are drawn over a background, in training as in evaluation. Saturated splats keep learning, as in
     /// INRIA's kernels.
     pub fn raster_options(&self, background: [f32; 3]) -> RasterOptions {
@@ -221,6 +234,17 @@ impl Schedule {
             clamp_grad: ClampGrad::PassThrough,
             ..RasterOptions::default()
         }
+    }
+
+    /// Verifies that the loss can be computed on images of these cameras, reduced as the stages say.
+    ///
+    /// # Errors
+    /// If MS-SSIM is asked for and a side is too short.
+    pub fn check_images<'a>(&self, cameras: impl Iterator<Item = &'a Camera> + Clone) -> Result<(), ScheduleError> {
+        let needed = if self.lambda_dssim > 0.0 { self.dssim } else { Dssim::Ssim };
+        self.ordered().into_iter().try_for_each(|(_, stage)| {
+            cameras.clone().map(|c| c.scaled(stage.image_scale)).try_for_each(|c| needed.check_size(c.width, c.height))
+        })
     }
 
     /// Verifies every field.
@@ -235,6 +259,8 @@ impl Schedule {
         let total: u64 = self.stages.values().map(|s| u64::from(s.steps)).sum();
         need(total > 0 && total < 1 << 31, "stages", total as f64, "the steps must add up to 1 to 2^31 - 1")?;
         need(share(self.lambda_dssim), "lambda_dssim", self.lambda_dssim.into(), "0 to 1")?;
+        let fre = self.lambda_fre;
+        need(fre >= 0.0 && fre.is_finite(), "lambda_fre", fre.into(), "finite, not negative")?;
         need(share(self.max_quarantine), "max_quarantine", self.max_quarantine.into(), "0 to 1")?;
         need(self.near > 0.0 && self.near.is_finite(), "near", self.near, "above 0, finite")?;
         need(self.adam_eps > 0.0 && self.adam_eps < 1.0, "adam_eps", self.adam_eps.into(), "above 0, below 1")?;
@@ -258,6 +284,7 @@ impl Schedule {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use glam::DVec3;
 
     fn stage(steps: u32, own_clock: bool) -> Stage {
         Stage { order: 0, steps, dynamic: own_clock, image_scale: 1.0, own_clock }
@@ -278,6 +305,8 @@ mod tests {
             sh_every: 1000,
             background: Background::Black,
             lambda_dssim: 0.2,
+            dssim: Dssim::Ssim,
+            lambda_fre: 0.0,
             sparse_adam: false,
             max_quarantine: 1e-3,
             density: DensityRules::kerbl2023(),
@@ -350,10 +379,24 @@ mod tests {
         assert_eq!(fault(&|s| s.adam_eps = 0.0), "adam_eps");
         assert_eq!(fault(&|s| s.near = -1.0), "near");
         assert_eq!(fault(&|s| s.lambda_dssim = 1.5), "lambda_dssim");
+        assert_eq!(fault(&|s| s.lambda_fre = -0.1), "lambda_fre");
         assert_eq!(fault(&|s| s.max_quarantine = f32::NAN), "max_quarantine");
         assert_eq!(fault(&|s| rate(s, "cloud", "means").end = f32::INFINITY), "lr.cloud.means.end");
         assert_eq!(fault(&|s| rate(s, "field", "all").start = -1.0), "lr.field.all.start");
         assert_eq!(fault(&|s| s.density.split_factor = 0.5), "density.split_factor");
+    }
+
+    #[test]
+    fn ms_ssim_is_refused_for_small_images_before_the_first_step() {
+        let camera = Camera::look_at(200, 180, 0.7, DVec3::Z, DVec3::ZERO, DVec3::Y).unwrap();
+        let mut s = schedule(vec![stage(10, false), stage(10, false)]);
+        s.dssim = Dssim::MsSsim;
+        assert_eq!(s.check_images([&camera].into_iter()), Ok(()));
+        s.stages.values_mut().for_each(|stage| stage.image_scale = 0.5);
+        let e = s.check_images([&camera].into_iter()).unwrap_err();
+        assert_eq!((e.field.as_str(), e.value), ("dssim", 90.0));
+        s.lambda_dssim = 0.0;
+        assert_eq!(s.check_images([&camera].into_iter()), Ok(()));
     }
 
     #[test]

@@ -9,7 +9,7 @@ use crate::checkpoint::Checkpoint;
 use crate::data::{Dataset, ImageCache, View};
 use crate::density::Adapted;
 use crate::loss::LossTerms;
-use crate::methods::{self, InitConfig, Method, MethodEntry, SceneInfo};
+use crate::methods::{self, InitConfig, Method, MethodEntry, MethodError, SceneInfo};
 use crate::moment::Moment;
 use gs_core::{Camera, Image, Param, Rng};
 use gs_raster::RasterOptions;
@@ -93,6 +93,7 @@ impl Trainer {
         let init: InitConfig = methods::section(entry.name, config, "init")?;
         let scene = SceneInfo::of(&dataset, &init, options.seed)?;
         let method = (entry.build)(config, &scene)?;
+        check_images(method.as_ref(), &dataset)?;
         Ok(Self::of(dataset, method, scene, config, options))
     }
 
@@ -111,6 +112,7 @@ impl Trainer {
             let (now, then) = (dataset.train.len(), loaded.scene.views);
             return Err(TrainError::State(format!("the data have {now} training views, the run began with {then}")));
         }
+        check_images(loaded.method.as_ref(), &dataset)?;
         let options = TrainOptions { seed: loaded.scene.seed, image_bytes };
         let mut trainer = Self::of(dataset, loaded.method, loaded.scene, &loaded.config, options);
         trainer.step = loaded.step;
@@ -166,10 +168,10 @@ impl Trainer {
 
         let fielded = Instant::now();
         self.method.set_step(step);
-        let (mut drawn, lambda) = (Drawn::default(), self.method.schedule().lambda_dssim);
+        let (mut drawn, weights) = (Drawn::default(), self.method.schedule().loss());
         let easel = &mut self.easel;
         self.method.step(&Moment::new(view.time), &camera, &mut |splats, d| {
-            drawn = easel.draw(splats, &camera, &options, &target, lambda, d);
+            drawn = easel.draw(splats, &camera, &options, &target, &weights, d);
         });
         let penalties = self.method.penalties(step);
         let mut ms = Phases { data: data_ms, ..drawn.ms };
@@ -303,6 +305,11 @@ impl Trainer {
         let schedule = self.method.schedule();
         schedule.ordered().get(schedule.position(step).stage).map_or(String::new(), |s| s.0.to_owned())
     }
+}
+
+/// Refuses images the loss is not defined for before the first step.
+fn check_images(method: &dyn Method, dataset: &Dataset) -> Result<(), MethodError> {
+    Ok(method.schedule().check_images(dataset.train.iter().map(|v| &v.camera))?)
 }
 
 /// Index of the view of a step (from 1): every view once per epoch, in a random order of its own.

@@ -1,7 +1,7 @@
 //! The drawing side of a step: splats to a frame, the frame against its photograph, the difference back to the splats.
 
 use crate::guard::{Quarantine, quarantine};
-use crate::loss::{ImageLoss, LossTerms};
+use crate::loss::{ImageLoss, LossTerms, LossWeights};
 use gs_core::{Camera, Image, Splats, SplatsGrad};
 use gs_metrics::MetricError;
 use gs_raster::{Frame, FrameGrad, RasterOptions, ScreenStats, Workspace, render_backward_into, render_into};
@@ -62,7 +62,7 @@ impl Easel {
         camera: &Camera,
         options: &RasterOptions,
         target: &Image,
-        lambda: f32,
+        weights: &LossWeights,
         d: &mut SplatsGrad,
     ) -> Drawn {
         let mut drawn = Drawn::default();
@@ -70,7 +70,7 @@ impl Easel {
         render_into(splats, camera, options, &mut self.workspace, &mut self.frame);
         drawn.ms.raster_forward = ms_since(begun);
         let begun = Instant::now();
-        match self.loss.evaluate(&mut self.frame, target, lambda, &mut self.d_frame) {
+        match self.loss.evaluate(&mut self.frame, target, weights, &mut self.d_frame) {
             Ok(terms) => drawn.terms = terms,
             Err(e) => {
                 drawn.error = Some(e);
