@@ -6,7 +6,7 @@
 use crate::blend::Limits;
 use crate::blend_backward::{Stretch, TileBack, blend_backward};
 use crate::frame::{FrameGrad, ScreenStats};
-use crate::kernel::{Falloff, Gaussian};
+use crate::kernel::{Bent, Falloff, Gaussian};
 use crate::options::RasterOptions;
 use crate::project::{PixelSums, Shape, View, backward, project, sh_color_backward};
 use crate::simd;
@@ -35,10 +35,12 @@ pub fn render_backward_into(
     let w = workspace;
     debug_assert_eq!((w.grid.width, w.grid.height), (camera.width as usize, camera.height as usize));
     place_records(w);
-    match splats.kernel {
-        Kernel::Gaussian if d.depth.is_empty() => tiles_backward::<_, false>(Gaussian, options, d, w),
-        Kernel::Gaussian => tiles_backward::<_, true>(Gaussian, options, d, w),
-        _ => unreachable!("every kernel has its arm"),
+    let depth = !d.depth.is_empty();
+    match &splats.kernel {
+        Kernel::Gaussian if depth => tiles_backward::<_, true>(Gaussian, options, d, w),
+        Kernel::Gaussian => tiles_backward::<_, false>(Gaussian, options, d, w),
+        bent if depth => tiles_backward::<_, true>(Bent::new(bent, options.kernel_cut), options, d, w),
+        bent => tiles_backward::<_, false>(Bent::new(bent, options.kernel_cut), options, d, w),
     }
     rank_splats(splats.len(), w);
     splats_backward(splats, options, w, grad, stats);
@@ -131,19 +133,25 @@ fn splats_backward(
     stats.radii.resize(n, 0.0);
     let width = splats.color.width();
     let b = SPLAT_BLOCK;
+    // A kernel without parameters has no column to cut up.
+    let kernel_rows: Vec<&mut [f32]> = match splats.kernel.width() {
+        0 => (0..n.div_ceil(b)).map(|_| &mut [][..]).collect(),
+        width => grad.kernel.chunks_mut(b * width).collect(),
+    };
     let columns = (
         grad.means.par_chunks_mut(b),
         grad.quats.par_chunks_mut(b),
         grad.scales.par_chunks_mut(b),
         grad.opacities.par_chunks_mut(b),
         grad.color.par_chunks_mut(b * width),
+        kernel_rows,
         stats.grad_means2d.par_chunks_mut(b),
         stats.radii.par_chunks_mut(b),
     );
     let level = simd::level(options.simd);
     columns.into_par_iter().enumerate().for_each(
-        |(block, (means, quats, scales, opacities, color, means2d, radii))| {
-            let rows = RowsOut { first: block * b, means, quats, scales, opacities, color, means2d, radii };
+        |(block, (means, quats, scales, opacities, color, kernel, means2d, radii))| {
+            let rows = RowsOut { first: block * b, means, quats, scales, opacities, color, kernel, means2d, radii };
             dispatch!(level, simd => block_backward(simd, splats, options, w, view, rows));
         },
     );
@@ -157,13 +165,14 @@ struct RowsOut<'a> {
     scales: &'a mut [Vec3],
     opacities: &'a mut [f32],
     color: &'a mut [f32],
+    kernel: &'a mut [f32],
     means2d: &'a mut [[f32; 2]],
     radii: &'a mut [f32],
 }
 
 #[inline(always)]
 fn block_backward<S: Simd>(_: S, splats: &Splats, options: &RasterOptions, w: &Workspace, view: &View, out: RowsOut) {
-    let width = splats.color.width();
+    let (width, kernel_width) = (splats.color.width(), splats.kernel.width());
     for k in 0..out.means.len() {
         let i = out.first + k;
         let Some(sums) = gather(w, w.rank_of[i]) else { continue };
@@ -171,6 +180,7 @@ fn block_backward<S: Simd>(_: S, splats: &Splats, options: &RasterOptions, w: &W
         let Some(footprint) = project(view, &shape, options) else { continue };
         let g = backward(view, &shape, &footprint, f64::from(splats.opacities[i]), &sums, options);
         let d_view = color_backward(splats, view, i, &sums, &mut out.color[k * width..][..width]);
+        splats.kernel.vjp(i, sums.bend, &mut out.kernel[k * kernel_width..][..kernel_width]);
         out.means[k] = narrow(g.mean) + d_view;
         out.quats[k] = [g.quat[0] as f32, g.quat[1] as f32, g.quat[2] as f32, g.quat[3] as f32];
         out.scales[k] = narrow(g.scale);
@@ -209,11 +219,12 @@ fn gather(w: &Workspace, rank: u32) -> Option<PixelSums> {
     // Whitened offsets were scaled so that log₂ g = −(a² + b²); undo it.
     let (one, two) = (1.0 / LOG2_SCALE, 1.0 / (LOG2_SCALE * LOG2_SCALE));
     Some(PixelSums {
-        s: sum[0],
+        opacity: sum[0],
         first: [sum[1] * one, sum[2] * one],
         second: [sum[3] * two, sum[4] * two, sum[5] * two],
         rgb: [sum[6], sum[7], sum[8]],
         depth: sum[9],
+        bend: [sum[10], sum[11]],
     })
 }
 

@@ -1,7 +1,7 @@
 //! Front-to-back blending of one tile: sixteen pixels (a 4×4 block) a vector, a block's state in registers.
 //!
 //! ```text
-//! p = log₂ o' − a² − b²     α = min(max_alpha, ψ)   skipped below min_alpha
+//! p = log₂ o' − a² − b²     α = min(max_alpha, o' ψ)   skipped below min_alpha
 //! close a pixel before the sample with T (1 − α) ≤ stop
 //! C += T α c     D += T α z     T ← T (1 − α)
 //! ```
@@ -17,6 +17,7 @@ use std::sync::atomic::AtomicU32;
 /// Thresholds of the blend, as the kernels need them.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Limits {
+    pub min_alpha: f32,
     pub log2_min_alpha: f32,
     pub max_alpha: f32,
     pub stop: f32,
@@ -26,6 +27,7 @@ pub(crate) struct Limits {
 impl Limits {
     pub fn new(options: &RasterOptions) -> Self {
         Self {
+            min_alpha: options.min_alpha as f32,
             log2_min_alpha: options.min_alpha.log2() as f32,
             max_alpha: options.max_alpha as f32,
             stop: options.stop as f32,
@@ -73,7 +75,7 @@ pub(crate) fn log2_raw<S: Simd>(simd: S, row: &Row, [a, b]: [f32x16<S>; 2]) -> f
 #[inline(always)]
 pub(crate) fn blend<S: Simd, K: Falloff>(
     simd: S,
-    _kernel: K,
+    kernel: K,
     drawn: &[Drawn],
     list: &[AtomicU32],
     origin: [usize; 2],
@@ -84,7 +86,7 @@ pub(crate) fn blend<S: Simd, K: Falloff>(
     let mut number = state.seen;
     state.seen += list.len() as u32;
     for group in list.chunks(GROUP) {
-        rows.fill(simd, drawn, group, origin);
+        rows.fill(simd, kernel, drawn, group, origin);
         for block in 0..BLOCKS {
             if state.open[block] != 0 && rows.by_block[block] != 0 {
                 blend_block::<S, K>(simd, &rows, block, number, limits, state);
@@ -114,16 +116,16 @@ fn blend_block<S: Simd, K: Falloff>(
     let mut depth = load(&state.depth);
     let mut last = u32x16::from_slice(simd, &state.last[block]);
     let mut open = mask32x16::from_bitmask(simd, u64::from(state.open[block]));
-    let (threshold, max_alpha, stop) = (c(limits.log2_min_alpha), c(limits.max_alpha), c(limits.stop));
+    let (max_alpha, stop) = (c(limits.max_alpha), c(limits.stop));
     let mut bits = rows.by_block[block];
     while bits != 0 {
         let i = bits.trailing_zeros() as usize;
         bits &= bits - 1;
         let row = &rows.row[i];
         let p = log2_raw(simd, row, whitened(simd, row, pixels));
-        let (raw, reached) = K::sample(simd, p, threshold);
-        let mut blended = open & reached;
-        let mut alpha = blended.select(raw.min(max_alpha), c(0.0));
+        let sample = K::sample(simd, row, p, limits);
+        let mut blended = open & sample.reached;
+        let mut alpha = blended.select(sample.raw.min(max_alpha), c(0.0));
         let mut next = (c(0.0) - alpha).mul_add(transmittance, transmittance);
         let closing = next.simd_le(stop);
         // A pixel closes once in its life, and stays above `stop`: the common path knows nothing of it.

@@ -4,14 +4,14 @@
 //! T   ← T / (1 − α)                       transmittance in front of the sample, recovered
 //! v_α = T (c·D + z D_z) − S / (1 − α)     S: light from behind, Σ w (c·D + z D_z) + T_end (background·D − D_α)
 //! S   ← S + T α (c·D + z D_z)
-//! s   = dL/d ln g = ψ-backward(v_α)       zero above the cap under the exact rule
+//! s   = dL/d ln o', dL/d ln g             from v_α by the kernel; zero above the cap under the exact rule
 //! ```
-//! Entries are the outer loop, blocks the inner one, so an entry's ten sums stay in registers until they are reduced
+//! Entries are the outer loop, blocks the inner one, so an entry's sums stay in registers until they are reduced
 //! once; pixel state stays in the first-level cache. Each (tile, entry) writes one record of its own: no atomics, and
 //! the order of additions depends on nothing but the tile.
 
 use crate::blend::{Limits, block_pixels, log2_raw, whitened};
-use crate::kernel::Falloff;
+use crate::kernel::{Falloff, Pull};
 use crate::rows::{GROUP, Row, Rows};
 use crate::simd::LANES;
 use crate::tiles::Drawn;
@@ -66,7 +66,7 @@ pub(crate) struct Stretch<'a> {
 #[inline(always)]
 pub(crate) fn blend_backward<S: Simd, K: Falloff, const DEPTH: bool>(
     simd: S,
-    _kernel: K,
+    kernel: K,
     stretch: Stretch,
     origin: [usize; 2],
     limits: Limits,
@@ -77,16 +77,17 @@ pub(crate) fn blend_backward<S: Simd, K: Falloff, const DEPTH: bool>(
     let used = records.len().saturating_sub(stretch.first_number as usize).min(stretch.list.len());
     for start in (0..used.div_ceil(GROUP)).rev().map(|g| g * GROUP) {
         let group = &stretch.list[start..stretch.list.len().min(start + GROUP)];
-        rows.fill(simd, stretch.drawn, group, origin);
+        rows.fill(simd, kernel, stretch.drawn, group, origin);
         for i in (0..group.len().min(used - start)).rev() {
             let number = stretch.first_number + (start + i) as u32;
             let sums = entry::<S, K, DEPTH>(simd, &rows.row[i], rows.by_entry[i], number, limits, back);
-            records[number as usize] = reduce(simd, sums);
+            records[number as usize] = reduce::<S, K>(simd, sums);
         }
     }
 }
 
-type Sums<S> = [f32x16<S>; 10];
+/// In the order of a [`Record`]; the last two stay zero where the kernel has no parameters.
+type Sums<S> = [f32x16<S>; 12];
 
 /// Gradient sums of one entry over the blocks it touches.
 #[inline(always)]
@@ -100,7 +101,7 @@ fn entry<S: Simd, K: Falloff, const DEPTH: bool>(
 ) -> Sums<S> {
     let c = |v: f32| f32x16::splat(simd, v);
     let (zero, one) = (c(0.0), c(1.0));
-    let mut sums = [zero; 10];
+    let mut sums = [zero; 12];
     let mut bits = blocks;
     while bits != 0 {
         let block = bits.trailing_zeros() as usize;
@@ -110,10 +111,10 @@ fn entry<S: Simd, K: Falloff, const DEPTH: bool>(
         }
         let load = |plane: &Plane<f32>| f32x16::from_slice(simd, &plane[block]);
         let offset = whitened(simd, row, block_pixels(simd, block));
-        let (raw, reached) = K::sample(simd, log2_raw(simd, row, offset), c(limits.log2_min_alpha));
+        let sample = K::sample(simd, row, log2_raw(simd, row, offset), limits);
         let last = u32x16::from_slice(simd, &back.last[block]);
-        let blended = reached & last.simd_gt(u32x16::splat(simd, number));
-        let alpha = blended.select(raw.min(c(limits.max_alpha)), zero);
+        let blended = sample.reached & last.simd_gt(u32x16::splat(simd, number));
+        let alpha = blended.select(sample.raw.min(c(limits.max_alpha)), zero);
         let inverse = reciprocal(simd, one - alpha);
         let transmittance = load(&back.transmittance) * inverse;
         let behind = load(&back.behind);
@@ -128,9 +129,9 @@ fn entry<S: Simd, K: Falloff, const DEPTH: bool>(
         let weight = transmittance * alpha;
         transmittance.store_slice(&mut back.transmittance[block]);
         weight.mul_add(light, behind).store_slice(&mut back.behind[block]);
-        let learns = if limits.pass_through { blended } else { blended & raw.simd_le(c(limits.max_alpha)) };
-        let s = learns.select(K::backward(raw, d_alpha), zero);
-        accumulate(&mut sums, s, offset, weight, d);
+        let learns = if limits.pass_through { blended } else { blended & sample.raw.simd_le(c(limits.max_alpha)) };
+        let pull = K::backward(simd, row, sample, learns, d_alpha);
+        accumulate::<S, K>(&mut sums, pull, offset, weight, d);
         if DEPTH {
             sums[9] = weight.mul_add(load(&back.d_depth), sums[9]);
         }
@@ -148,11 +149,17 @@ fn reciprocal<S: Simd>(simd: S, x: f32x16<S>) -> f32x16<S> {
     if S::f32s::LEN == LANES { first } else { minus_x.mul_add(first, one).mul_add(first, first) }
 }
 
-/// Adds one block's samples to `s, sa, sb, saa, sab, sbb, r, g, b`.
+/// Adds one block's samples to `o, sa, sb, saa, sab, sbb, r, g, b` and the sums of the kernel's parameters.
 #[inline(always)]
-fn accumulate<S: Simd>(sums: &mut Sums<S>, s: f32x16<S>, [a, b]: [f32x16<S>; 2], weight: f32x16<S>, d: [f32x16<S>; 3]) {
-    let (sa, sb) = (s * a, s * b);
-    sums[0] += s;
+fn accumulate<S: Simd, K: Falloff>(
+    sums: &mut Sums<S>,
+    pull: Pull<S>,
+    [a, b]: [f32x16<S>; 2],
+    weight: f32x16<S>,
+    d: [f32x16<S>; 3],
+) {
+    let (sa, sb) = (pull.shape * a, pull.shape * b);
+    sums[0] += pull.opacity;
     sums[1] += sa;
     sums[2] += sb;
     sums[3] = sa.mul_add(a, sums[3]);
@@ -161,16 +168,21 @@ fn accumulate<S: Simd>(sums: &mut Sums<S>, s: f32x16<S>, [a, b]: [f32x16<S>; 2],
     for k in 0..3 {
         sums[6 + k] = weight.mul_add(d[k], sums[6 + k]);
     }
+    if K::BENT {
+        sums[10] += pull.bend[0];
+        sums[11] += pull.bend[1];
+    }
 }
 
 /// Sums of the lanes of each vector: lane `k` of the result is the sum of vector `k`. Four rounds of pairwise sums.
 #[inline(always)]
-fn reduce<S: Simd>(simd: S, v: Sums<S>) -> Record {
+fn reduce<S: Simd, K: Falloff>(simd: S, v: Sums<S>) -> Record {
     let zero = f32x16::splat(simd, 0.0);
     let (p0, p1) = (pairs(simd, v[0], v[1]), pairs(simd, v[2], v[3]));
     let (p2, p3) = (pairs(simd, v[4], v[5]), pairs(simd, v[6], v[7]));
     let (q0, q1) = (pairs(simd, p0, p1), pairs(simd, p2, p3));
-    let q2 = pairs(simd, pairs(simd, v[8], v[9]), zero);
+    let p5 = if K::BENT { pairs(simd, v[10], v[11]) } else { zero };
+    let q2 = pairs(simd, pairs(simd, v[8], v[9]), p5);
     let (r0, r1) = (pairs(simd, q0, q1), pairs(simd, q2, zero));
     let mut record = [0.0; 16];
     pairs(simd, r0, r1).store_slice(&mut record);

@@ -5,7 +5,7 @@
 
 use crate::blend::{Limits, blend};
 use crate::frame::Frame;
-use crate::kernel::{Falloff, Gaussian};
+use crate::kernel::{Bent, Falloff, Gaussian};
 use crate::options::RasterOptions;
 use crate::project::{Shape, View, project, sh_color};
 use crate::simd;
@@ -13,9 +13,8 @@ use crate::sort::{Key, sort};
 use crate::tiles::{Drawn, Grid, LOG2_SCALE, OpenTiles, TILE};
 use crate::workspace::{Bin, Chunk, Entry, TileState, Workspace};
 use fearless_simd::{Level, dispatch, prelude::*};
-use gs_core::{Camera, Color, Kernel, Splats};
+use gs_core::{Camera, Color, Splats};
 use rayon::prelude::*;
-use std::marker::PhantomData;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 /// Splats handled by one task when depths are taken.
@@ -39,7 +38,22 @@ pub fn render_into(
     workspace: &mut Workspace,
     frame: &mut Frame,
 ) {
-    let w = workspace;
+    if splats.kernel.is_neutral() {
+        draw(Gaussian, splats, camera, options, workspace, frame);
+    } else {
+        draw(Bent::new(&splats.kernel, options.kernel_cut), splats, camera, options, workspace, frame);
+    }
+}
+
+/// [`render_into`] with a fall-off of the caller's choice.
+pub(crate) fn draw<K: Falloff>(
+    kernel: K,
+    splats: &Splats,
+    camera: &Camera,
+    options: &RasterOptions,
+    w: &mut Workspace,
+    frame: &mut Frame,
+) {
     let view = View::new(camera);
     let grid = Grid::new(camera.width as usize, camera.height as usize);
     w.grid = grid;
@@ -47,10 +61,7 @@ pub fn render_into(
     reset_tiles(&mut w.tiles, &grid);
     take_keys(splats, &view, options, w);
     sort(&mut w.keys, &mut w.key_scratch, |i| view.depth(splats.means[i as usize]));
-    match splats.kernel {
-        Kernel::Gaussian => draw_chunks(Gaussian, splats, options, w),
-        _ => unreachable!("every kernel has its arm"),
-    }
+    draw_chunks(kernel, splats, options, w);
     assemble(&w.tiles, &grid, options.background, frame);
 }
 
@@ -84,7 +95,7 @@ fn draw_chunks<K: Falloff>(kernel: K, splats: &Splats, options: &RasterOptions, 
     let limits = Limits::new(options);
     let Some(view) = w.view else { return };
     w.open.update(&w.grid, w.tiles.iter().map(TileState::is_open));
-    let widest = K::support(0.0, f64::from(limits.log2_min_alpha)).sqrt() / LOG2_SCALE;
+    let widest = f64::from(-limits.log2_min_alpha).sqrt() / LOG2_SCALE;
     let mut first = 0;
     let mut size = MIN_CHUNK.max(w.keys.len() / FIRST_SHARE);
     w.chunk_count = 0;
@@ -98,16 +109,7 @@ fn draw_chunks<K: Falloff>(kernel: K, splats: &Splats, options: &RasterOptions, 
         let chunk = &mut w.chunks[w.chunk_count];
         w.chunk_count += 1;
         chunk.first = first;
-        let scene = Scene {
-            kernel: PhantomData::<K>,
-            splats,
-            options,
-            view: &view,
-            limits,
-            grid: &w.grid,
-            open: &w.open,
-            widest,
-        };
+        let scene = Scene { kernel, splats, options, view: &view, limits, grid: &w.grid, open: &w.open, widest };
         bin_chunk(&scene, &w.keys[first..end], &mut w.bins, chunk);
         blend_chunk(kernel, level, limits, &w.grid, chunk, &mut w.tiles);
         w.open.update(&w.grid, w.tiles.iter().map(TileState::is_open));
@@ -118,14 +120,14 @@ fn draw_chunks<K: Falloff>(kernel: K, splats: &Splats, options: &RasterOptions, 
 
 /// What binning reads.
 struct Scene<'a, K> {
-    kernel: PhantomData<K>,
+    kernel: K,
     splats: &'a Splats,
     options: &'a RasterOptions,
     view: &'a View,
     limits: Limits,
     grid: &'a Grid,
     open: &'a OpenTiles,
-    /// Largest Mahalanobis distance at which an opaque splat is visible.
+    /// Largest Mahalanobis distance at which an opaque Gaussian is visible.
     widest: f64,
 }
 
@@ -135,13 +137,15 @@ impl<K: Falloff> Scene<'_, K> {
     fn drawn(&self, index: u32) -> Option<Drawn> {
         let (s, i) = (self.splats, index as usize);
         let shape = Shape { mean: s.means[i], quat: s.quats[i], scale: s.scales[i] };
-        let (center, radius) = self.view.bound(&shape, self.options.dilation, self.widest);
+        let log2_min_alpha = f64::from(self.limits.log2_min_alpha);
+        let widest = self.kernel.widest(index, self.widest, log2_min_alpha);
+        let (center, radius) = self.view.bound(&shape, self.options.dilation, widest);
         if !self.open.meets(self.grid, center, radius) {
             return None;
         }
         let footprint = project(self.view, &shape, self.options)?;
         let log2_opacity = (f64::from(s.opacities[i]) * footprint.compensation).log2();
-        let support = K::support(log2_opacity, f64::from(self.limits.log2_min_alpha));
+        let support = self.kernel.support(index, log2_opacity, log2_min_alpha);
         Drawn::new(&footprint, log2_opacity, support, footprint.depth(), index)
     }
 

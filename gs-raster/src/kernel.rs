@@ -1,22 +1,78 @@
 //! The fall-off of a splat as a seam of the blend: what happens between the Mahalanobis distance and alpha.
 //!
 //! The blend hands a kernel `p = log₂(o' g)` of sixteen pixels and asks for `o' ψ(g)`; on the way back it hands over
-//! `dL/dα` and asks for `s = dL/d ln g`, for what the opacity gets, and for any sums of the kernel's own parameters.
-//! A kernel with parameters reads them from the tile row (see [`crate::tiles::Row`]) and keeps its sums in `Extra`.
+//! `dL/dα` and asks what opacity, geometry and the kernel's own parameters get. [`Bent`] works in units of the opacity,
+//! so that no sample is divided by it: with `R = o' g`, `O = o'` and the constants `u, κ` of [`gs_core::kernel::Bend`],
+//! ```text
+//! M = R − O/2     H = min(R, O − R)     o' ψ = R + u · clamp(M, −κ H, κ H)
+//! outer: κ H < |M|     o' dψ/d ln g = R · (outer ? k : 1 + u)
+//! sums of the parameters:  Σ v sign H over outer samples,  Σ v M over the others        v = dL/d(o' ψ)
+//! ```
+//! `O` is the vector exponential of the very `log₂ o'` that the samples start from. A row with `u = 0` takes the
+//! Gaussian's path, to the bit.
 
+use crate::blend::Limits;
+use crate::rows::Row;
 use crate::simd;
+use crate::tiles::LOG2_SCALE;
 use fearless_simd::{f32x16, mask32x16, prelude::*};
+use gs_core::Kernel;
 
-/// A fall-off. Implementors are zero-sized; the blend is compiled once per kernel.
+/// A fall-off. The blend is compiled once per implementor.
 pub(crate) trait Falloff: Copy + Send + Sync {
-    /// `o' ψ(g)` of each lane, and whether it reaches `min_alpha` (given as such and as its log₂).
-    fn sample<S: Simd>(simd: S, p: f32x16<S>, log2_min_alpha: f32x16<S>) -> (f32x16<S>, mask32x16<S>);
+    /// Whether rows carry a [`RowBend`] and records the two sums of its parameters.
+    const BENT: bool;
 
-    /// `s = dL/d ln g` from `o' ψ` and `dL/dα` (zero where capped or skipped).
-    fn backward<S: Simd>(raw: f32x16<S>, d_alpha: f32x16<S>) -> f32x16<S>;
+    /// Constants of the splat in row `index` of the caller's columns, but for its opacity.
+    fn bend(self, index: u32) -> RowBend;
 
-    /// Largest `a² + b²`, in the blend's log₂ units, at which a splat of `log₂ o'` still reaches `log₂ min_alpha`.
-    fn support(log2_opacity: f64, log2_min_alpha: f64) -> f64;
+    /// Sixteen samples of a row at `p = log₂(o' g)`.
+    fn sample<S: Simd>(simd: S, row: &Row, p: f32x16<S>, limits: Limits) -> Sample<S>;
+
+    /// Cotangents of the samples from `dL/dα`, zero in the lanes that do not learn.
+    fn backward<S: Simd>(simd: S, row: &Row, sample: Sample<S>, learns: mask32x16<S>, d_alpha: f32x16<S>) -> Pull<S>;
+
+    /// Largest `a² + b²`, in the blend's log₂ units, at which a splat of `log₂ o'` still reaches `log₂ min_alpha`;
+    /// negative if nowhere.
+    fn support(self, index: u32, log2_opacity: f64, log2_min_alpha: f64) -> f64;
+
+    /// Largest Mahalanobis distance at which an opaque splat is visible, given the Gaussian's.
+    fn widest(self, index: u32, gaussian: f64, log2_min_alpha: f64) -> f64;
+}
+
+/// Sixteen samples.
+#[derive(Clone, Copy)]
+pub(crate) struct Sample<S: Simd> {
+    /// `o' g`.
+    pub plain: f32x16<S>,
+    /// `o' ψ(g)`.
+    pub raw: f32x16<S>,
+    /// Whether `raw` reaches `min_alpha`.
+    pub reached: mask32x16<S>,
+}
+
+/// What sixteen samples give back.
+#[derive(Clone, Copy)]
+pub(crate) struct Pull<S: Simd> {
+    /// `dL/d ln o'`.
+    pub opacity: f32x16<S>,
+    /// `dL/d ln g`.
+    pub shape: f32x16<S>,
+    /// Sums of the kernel's parameters: foot and plateau, flank.
+    pub bend: [f32x16<S>; 2],
+}
+
+/// Constants of a bent row.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct RowBend {
+    pub u: f32,
+    pub kappa: f32,
+    /// Slope of foot and plateau.
+    pub foot: f32,
+    /// Samples more than this below `log₂ o'` are cut off (unbounded fall-offs only).
+    pub cut: f32,
+    /// `o'`.
+    pub opacity: f32,
 }
 
 /// The plain Gaussian, `ψ(g) = g`: opacity folds into the exponent and the threshold test needs no exponential.
@@ -24,18 +80,128 @@ pub(crate) trait Falloff: Copy + Send + Sync {
 pub(crate) struct Gaussian;
 
 impl Falloff for Gaussian {
+    const BENT: bool = false;
+
     #[inline(always)]
-    fn sample<S: Simd>(simd: S, p: f32x16<S>, log2_min_alpha: f32x16<S>) -> (f32x16<S>, mask32x16<S>) {
-        (simd::exp2(simd, p), p.simd_ge(log2_min_alpha))
+    fn bend(self, _: u32) -> RowBend {
+        RowBend::default()
     }
 
     #[inline(always)]
-    fn backward<S: Simd>(raw: f32x16<S>, d_alpha: f32x16<S>) -> f32x16<S> {
-        raw * d_alpha
+    fn sample<S: Simd>(simd: S, _: &Row, p: f32x16<S>, limits: Limits) -> Sample<S> {
+        let raw = simd::exp2(simd, p);
+        Sample { plain: raw, raw, reached: p.simd_ge(f32x16::splat(simd, limits.log2_min_alpha)) }
     }
 
     #[inline(always)]
-    fn support(log2_opacity: f64, log2_min_alpha: f64) -> f64 {
+    fn backward<S: Simd>(simd: S, _: &Row, sample: Sample<S>, learns: mask32x16<S>, d_alpha: f32x16<S>) -> Pull<S> {
+        let zero = f32x16::splat(simd, 0.0);
+        let s = learns.select(sample.raw * d_alpha, zero);
+        Pull { opacity: s, shape: s, bend: [zero; 2] }
+    }
+
+    #[inline(always)]
+    fn support(self, _: u32, log2_opacity: f64, log2_min_alpha: f64) -> f64 {
         log2_opacity - log2_min_alpha
+    }
+
+    #[inline(always)]
+    fn widest(self, _: u32, gaussian: f64, _: f64) -> f64 {
+        gaussian
+    }
+}
+
+/// The piecewise linear fall-offs of [`gs_core::Kernel`].
+#[derive(Clone, Copy)]
+pub(crate) struct Bent<'a> {
+    kernel: &'a Kernel,
+    /// Largest `a² + b²` of a splat that never decays.
+    cut: f64,
+}
+
+/// Keeps `κ H` of a clamped kernel (κ = 1e30) above any `|M|`, so that all its samples are inner ones.
+const LEAST: f32 = 1e-30;
+/// Lowest argument of the vector exponential.
+const LOWEST: f32 = -126.0;
+/// The inverse of ψ is taken at a threshold this much lower, against the rounding of ψ in `f32`.
+const CONSERVATIVE: f64 = 1.0 - 1e-6;
+
+impl<'a> Bent<'a> {
+    /// `kernel` must not be the Gaussian; `kernel_cut` is a squared Mahalanobis distance.
+    pub fn new(kernel: &'a Kernel, kernel_cut: f64) -> Self {
+        Self { kernel, cut: kernel_cut * LOG2_SCALE * LOG2_SCALE }
+    }
+}
+
+/// `M`, `H` and `κ H`.
+#[inline(always)]
+fn folded<S: Simd>(simd: S, bend: &RowBend, plain: f32x16<S>) -> [f32x16<S>; 3] {
+    let c = |v: f32| f32x16::splat(simd, v);
+    let h = plain.min(c(bend.opacity) - plain).max(c(LEAST));
+    [plain - c(0.5 * bend.opacity), h, h * c(bend.kappa)]
+}
+
+impl Falloff for Bent<'_> {
+    const BENT: bool = true;
+
+    #[inline(always)]
+    fn bend(self, index: u32) -> RowBend {
+        let Some(bend) = self.kernel.bend(index as usize) else { return RowBend::default() };
+        RowBend {
+            u: bend.u as f32,
+            kappa: bend.kappa as f32,
+            foot: bend.foot as f32,
+            cut: if bend.is_unbounded() { self.cut as f32 } else { f32::INFINITY },
+            opacity: 0.0,
+        }
+    }
+
+    #[inline(always)]
+    fn sample<S: Simd>(simd: S, row: &Row, p: f32x16<S>, limits: Limits) -> Sample<S> {
+        let bend = &row.bend;
+        let c = |v: f32| f32x16::splat(simd, v);
+        let plain = simd::exp2(simd, p.max(c(LOWEST)));
+        if bend.u == 0.0 {
+            return Sample { plain, raw: plain, reached: p.simd_ge(c(limits.log2_min_alpha)) };
+        }
+        let [m, _, reach] = folded(simd, bend, plain);
+        let residual = m.max(c(0.0) - reach).min(reach);
+        let raw = residual.mul_add(c(bend.u), plain);
+        let reached = raw.simd_ge(c(limits.min_alpha)) & p.simd_ge(c(row.lo - bend.cut));
+        Sample { plain, raw, reached }
+    }
+
+    #[inline(always)]
+    fn backward<S: Simd>(simd: S, row: &Row, sample: Sample<S>, learns: mask32x16<S>, d_alpha: f32x16<S>) -> Pull<S> {
+        let bend = &row.bend;
+        let c = |v: f32| f32x16::splat(simd, v);
+        let zero = c(0.0);
+        let v = learns.select(d_alpha, zero);
+        let [m, h, reach] = folded(simd, bend, sample.plain);
+        let outer = reach.simd_lt(m.abs());
+        let signed = m.simd_le(zero).select(h, zero - h);
+        let slope = outer.select(c(bend.foot), c(1.0 + bend.u));
+        Pull {
+            opacity: sample.raw * v,
+            shape: sample.plain * slope * v,
+            bend: [outer.select(signed * v, zero), outer.select(zero, m * v)],
+        }
+    }
+
+    #[inline(always)]
+    fn support(self, index: u32, log2_opacity: f64, log2_min_alpha: f64) -> f64 {
+        let plain = log2_opacity - log2_min_alpha;
+        match self.kernel.bend(index as usize) {
+            Some(bend) if bend.u != 0.0 => {
+                let reach = bend.support((-plain).exp2() * CONSERVATIVE).map_or(-1.0, |g| -g.log2());
+                if bend.is_unbounded() { reach.min(self.cut) } else { reach }
+            }
+            _ => plain,
+        }
+    }
+
+    #[inline(always)]
+    fn widest(self, index: u32, _: f64, log2_min_alpha: f64) -> f64 {
+        self.support(index, 0.0, log2_min_alpha).max(0.0).sqrt() / LOG2_SCALE
     }
 }

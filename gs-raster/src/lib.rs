@@ -34,6 +34,8 @@
 mod backward;
 mod blend;
 mod blend_backward;
+#[cfg(test)]
+mod brute_force;
 mod forward;
 pub mod frame;
 mod kernel;

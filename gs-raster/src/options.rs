@@ -41,6 +41,10 @@ pub struct RasterOptions {
     pub dilation: f64,
     /// Scales opacity by the square root of (covariance determinant before / after dilation), Mip-Splatting style.
     pub antialias: bool,
+    /// A fall-off that never decays (frequency kernel with `β ≥ ½ + λ`) is cut off beyond this squared
+    /// Mahalanobis distance, so that the picture does not depend on tiles. 9: the three standard deviations that the
+    /// published rasteriser's box implies.
+    pub kernel_cut: f64,
     /// Gradient above `max_alpha`.
     pub clamp_grad: ClampGrad,
     /// Instruction set.
@@ -63,6 +67,7 @@ impl Default for RasterOptions {
             stop: 1e-4,
             dilation: 0.3,
             antialias: false,
+            kernel_cut: 9.0,
             clamp_grad: ClampGrad::Exact,
             simd: SimdLevel::Auto,
         }

@@ -162,11 +162,11 @@ fn multiply(a: &[[f64; 3]; 3], b: &[[f64; 3]; 3]) -> [[f64; 3]; 3] {
     std::array::from_fn(|r| std::array::from_fn(|k| a[r][0] * b[0][k] + a[r][1] * b[1][k] + a[r][2] * b[2][k]))
 }
 
-/// Sums over the pixels of one splat, in whitened coordinates. With `s = dL/d ln(o'ψ)` of each sample:
+/// Sums over the pixels of one splat, in whitened coordinates. With `s = dL/d ln g` of each sample:
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PixelSums {
-    /// `Σ s`: `dL/d ln o'`.
-    pub s: f64,
+    /// `dL/d ln o'`.
+    pub opacity: f64,
     /// `Σ s a`, `Σ s b`.
     pub first: [f64; 2],
     /// `Σ s a²`, `Σ s ab`, `Σ s b²`.
@@ -175,6 +175,8 @@ pub struct PixelSums {
     pub rgb: [f64; 3],
     /// `dL/d depth`.
     pub depth: f64,
+    /// `Σ v outer`, `Σ v inner` with `v = dL/dψ` ([`gs_core::kernel::Partials`]).
+    pub bend: [f64; 2],
 }
 
 /// Cotangents of one splat's geometry.
@@ -216,10 +218,10 @@ impl Footprint {
         let mut d = [0.5 * w0 * p, 0.5 * w0 * q, 0.5 * (w1 * q + w2 * r)];
         let ratio = self.det0 / self.det;
         if options.antialias && ratio > MIN_COMPENSATION.powi(2) {
-            // ln comp = ½ (ln |Σ2| − ln |Σ'|), and Σ s is its cotangent; adj/det avoids dividing by |Σ2| alone.
+            // ln comp = ½ (ln |Σ2| − ln |Σ'|), and `sums.opacity` its cotangent; adj/det avoids dividing by |Σ2| alone.
             let dilation = options.dilation;
             let [xx, xy, yy] = self.covariance;
-            let (k0, k) = (0.5 * sums.s / self.det0, 0.5 * sums.s / self.det);
+            let (k0, k) = (0.5 * sums.opacity / self.det0, 0.5 * sums.opacity / self.det);
             d[0] += k0 * (yy - dilation) - k * yy;
             d[1] -= k0 * xy - k * xy;
             d[2] += k0 * (xx - dilation) - k * xx;
@@ -270,7 +272,7 @@ pub fn backward(
         mean: std::array::from_fn(|k| (0..3).map(|r| view.rotation[r][k] * d_point[r]).sum()),
         quat,
         scale,
-        opacity: if opacity > 0.0 { sums.s / opacity } else { 0.0 },
+        opacity: if opacity > 0.0 { sums.opacity / opacity } else { 0.0 },
         mean2d,
     }
 }

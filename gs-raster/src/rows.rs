@@ -1,5 +1,7 @@
 //! What a tile wants to know of up to 64 of its entries at once: blend constants, and which 4×4 blocks they touch.
 
+use crate::kernel::{Falloff, RowBend};
+use crate::simd;
 use crate::tiles::{BLOCK, Drawn};
 use crate::workspace::BLOCKS;
 use fearless_simd::{f32x16, prelude::*, u32x16};
@@ -19,6 +21,8 @@ pub(crate) struct Row {
     pub lo: f32,
     pub rgb: [f32; 3],
     pub depth: f32,
+    /// Of bent kernels only; stale otherwise.
+    pub bend: RowBend,
 }
 
 /// Rows of a group and the blocks they touch.
@@ -53,15 +57,29 @@ impl Rows {
 
     /// Fills in the entries `list` (at most [`GROUP`]) of the tile at `origin`.
     #[inline(always)]
-    pub fn fill<S: Simd>(&mut self, simd: S, drawn: &[Drawn], list: &[AtomicU32], origin: [usize; 2]) {
+    pub fn fill<S: Simd, K: Falloff>(
+        &mut self,
+        simd: S,
+        kernel: K,
+        drawn: &[Drawn],
+        list: &[AtomicU32],
+        origin: [usize; 2],
+    ) {
         let origin = origin.map(|v| v as f64);
         self.by_block = [0; BLOCKS];
         for (sixteen, part) in list.chunks(16).enumerate() {
             let mut lanes = Lanes { radius: [-1.0; 16], ..Lanes::default() };
             for (lane, at) in part.iter().enumerate() {
                 let splat = &drawn[at.load(Ordering::Relaxed) as usize];
-                self.row[16 * sixteen + lane] = row(splat, origin);
+                let row = &mut self.row[16 * sixteen + lane];
+                row.place(splat, origin);
+                if K::BENT {
+                    row.bend = kernel.bend(splat.index);
+                }
                 lanes.set(lane, splat, origin);
+            }
+            if K::BENT {
+                opacities(simd, &mut self.row[16 * sixteen..][..16]);
             }
             let blocks = lanes.blocks(simd, &mut self.by_entry[16 * sixteen..][..16]);
             for (all, bits) in self.by_block.iter_mut().zip(blocks) {
@@ -71,17 +89,32 @@ impl Rows {
     }
 }
 
+impl Row {
+    /// Everything but the bend.
+    #[inline(always)]
+    fn place(&mut self, splat: &Drawn, origin: [f64; 2]) {
+        let (dx, dy) = (origin[0] + 0.5 - splat.center[0], origin[1] + 0.5 - splat.center[1]);
+        let [w0, w1, w2] = splat.whitening;
+        self.a0 = (w0 * dx + w1 * dy) as f32;
+        self.b0 = (w2 * dy) as f32;
+        self.w = splat.whitening.map(|w| w as f32);
+        self.lo = splat.log2_opacity;
+        self.rgb = splat.rgb;
+        self.depth = splat.depth;
+    }
+}
+
+/// The opacities of sixteen rows, by the exponential of the samples: no sample exceeds its own row's by more than the
+/// rounding of that function.
 #[inline(always)]
-fn row(splat: &Drawn, origin: [f64; 2]) -> Row {
-    let (dx, dy) = (origin[0] + 0.5 - splat.center[0], origin[1] + 0.5 - splat.center[1]);
-    let [w0, w1, w2] = splat.whitening;
-    Row {
-        a0: (w0 * dx + w1 * dy) as f32,
-        b0: (w2 * dy) as f32,
-        w: splat.whitening.map(|w| w as f32),
-        lo: splat.log2_opacity,
-        rgb: splat.rgb,
-        depth: splat.depth,
+fn opacities<S: Simd>(simd: S, rows: &mut [Row]) {
+    let mut lanes = [0.0f32; 16];
+    for (lane, row) in lanes.iter_mut().zip(rows.iter()) {
+        *lane = row.lo;
+    }
+    simd::exp2(simd, f32x16::from_slice(simd, &lanes)).store_slice(&mut lanes);
+    for (row, lane) in rows.iter_mut().zip(lanes) {
+        row.bend.opacity = lane;
     }
 }
 

@@ -105,7 +105,8 @@ pub(crate) struct Bin {
     pub places: Vec<u32>,
 }
 
-/// Sums of one (tile, splat) pair: `s, sa, sb, saa, sab, sbb, r, g, b, depth`, then padding to one vector.
+/// Sums of one (tile, splat) pair: `o, sa, sb, saa, sab, sbb, r, g, b, depth`, the two of the kernel, then
+/// padding to one vector.
 pub(crate) type Record = [f32; 16];
 
 /// Reusable memory for drawing. Nothing is allocated per frame once it is warm; one per thread of callers.

@@ -13,7 +13,7 @@ use glam::Vec3;
 use gs_core::io::{Limits, RawSplats, load_cameras, load_splats, npy};
 use gs_core::testkit::shared;
 use gs_core::{Camera, Color, Kernel, Splats};
-use gs_raster::reference::{Cutoff, Scene, render as reference, render_backward as reference_backward};
+use gs_raster::reference::{Cutoff, Form, Scene, render as reference, render_backward as reference_backward};
 use gs_raster::{FrameGrad, RasterOptions, Workspace, render, render_backward};
 use std::path::Path;
 
@@ -42,6 +42,8 @@ fn load(dir: &Path) -> Golden {
         opacities: raw.logit_opacities.iter().map(|&o| 1.0 / (1.0 + (-f64::from(o)).exp())).collect(),
         color: raw.sh.iter().map(|&c| f64::from(c)).collect(),
         degree: Some(raw.degree),
+        kernel: Vec::new(),
+        form: Form::Gaussian,
     };
     let camera = load_cameras(&dir.join("camera.json"), &limits).expect("golden camera").remove(0).camera;
     Golden { raw, scene, camera, weights: array(dir, "W.npy") }

@@ -54,11 +54,15 @@ fn compare(got: &[f64], want: &[f64]) -> (f64, f64) {
     (dot(got, want) / (g * w).max(1e-300), dot(&diff, &diff).sqrt() / w)
 }
 
-fn check(seed: u64, simd: SimdLevel, tally: &mut Tally) {
-    let case = common::case(seed, 60);
-    let name = format!("scene {seed} ({})", case.kind);
+fn check(seed: u64, bent: bool, simd: SimdLevel, tally: &mut Tally) {
+    let mut case = common::case(seed, 60);
+    let mut name = format!("scene {seed} ({})", case.kind);
+    if bent {
+        case.splats.kernel = common::kernel(seed / 8, case.splats.len());
+        name += common::KERNELS[seed as usize / 8 % common::KERNELS.len()];
+    }
     let options =
-        RasterOptions { background: case.background, antialias: seed / 8 % 2 == 1, simd, ..Default::default() };
+        RasterOptions { background: case.background, antialias: seed / 32 % 2 == 1, simd, ..Default::default() };
     let mut workspace = Workspace::new();
     let frame = render(&case.splats, &case.camera, &options, &mut workspace);
     let scene = Scene::<f64>::new(&case.splats);
@@ -87,6 +91,7 @@ fn check(seed: u64, simd: SimdLevel, tally: &mut Tally) {
         ("scales", vec3(&got.scales), want.scales.as_flattened().to_vec()),
         ("opacities", flat(&got.opacities), want.opacities.clone()),
         ("color", flat(&got.color), want.color.clone()),
+        ("kernel", flat(&got.kernel), want.kernel.clone()),
         ("means2d", flat(stats.grad_means2d.as_flattened()), want2d.as_flattened().to_vec()),
     ];
     for (kind, got, want) in kinds {
@@ -97,9 +102,9 @@ fn check(seed: u64, simd: SimdLevel, tally: &mut Tally) {
     }
 }
 
-fn sweep(simd: SimdLevel, seeds: impl Iterator<Item = u64>) {
+fn sweep(simd: SimdLevel, bent: bool, seeds: impl Iterator<Item = u64>) {
     let mut tally = Tally::default();
-    seeds.for_each(|seed| check(seed, simd, &mut tally));
+    seeds.for_each(|seed| check(seed, bent, simd, &mut tally));
     println!(
         "{simd:?}: frame {:.1e}, 1 - cosine {:.1e}, relative L2 {:.1e}, {} of {} pixels on the band",
         tally.worst_frame, tally.worst_cosine, tally.worst_l2, tally.flips, tally.pixels
@@ -109,15 +114,22 @@ fn sweep(simd: SimdLevel, seeds: impl Iterator<Item = u64>) {
 
 #[test]
 fn best_level_matches_the_reference_on_500_hard_scenes() {
-    sweep(SimdLevel::Auto, 0..504);
+    sweep(SimdLevel::Auto, false, 0..504);
 }
 
 #[test]
 fn avx2_matches_the_reference() {
-    sweep(SimdLevel::Avx2, 1000..1160);
+    sweep(SimdLevel::Avx2, false, 1000..1160);
 }
 
 #[test]
 fn portable_matches_the_reference() {
-    sweep(SimdLevel::Portable, 2000..2160);
+    sweep(SimdLevel::Portable, false, 2000..2160);
+}
+
+#[test]
+fn bent_kernels_match_the_reference_at_every_level() {
+    sweep(SimdLevel::Auto, true, 0..256);
+    sweep(SimdLevel::Avx2, true, 1024..1088);
+    sweep(SimdLevel::Portable, true, 2048..2112);
 }

@@ -3,6 +3,7 @@
 use super::project::Projected;
 use super::{Cutoff, PixelGrad, Scalar};
 use crate::options::{ClampGrad, RasterOptions};
+use gs_core::kernel::Partials;
 
 /// One blended sample of a pixel.
 #[derive(Clone, Copy, Debug)]
@@ -13,8 +14,10 @@ pub(super) struct Sample<T> {
     pub transmittance: T,
     /// Its alpha.
     pub alpha: T,
-    /// `o' g`, before cap and ramp.
-    raw: T,
+    /// `g`.
+    plain: T,
+    /// `ψ(g)` and its derivatives.
+    psi: Partials<T>,
     /// `d alpha / d raw`.
     slope: T,
     /// `u − p`.
@@ -31,13 +34,21 @@ pub(super) struct SplatSums<T> {
     pub opacity: T,
     pub rgb: [T; 3],
     pub depth: T,
+    /// `Σ v outer`, `Σ v inner` with `v = dL/dψ`.
+    pub bend: [T; 2],
 }
 
 impl<T: Scalar> SplatSums<T> {
     pub fn zero() -> Self {
         let z = T::of(0.0);
-        Self { mean2d: [z; 2], conic: [z; 3], opacity: z, rgb: [z; 3], depth: z }
+        Self { mean2d: [z; 2], conic: [z; 3], opacity: z, rgb: [z; 3], depth: z, bend: [z; 2] }
     }
+}
+
+/// `ψ(g)` and its derivatives.
+fn fall_off<T: Scalar>(p: &Projected<T>, g: T) -> Partials<T> {
+    let zero = T::of(0.0);
+    p.bend.map_or(Partials { value: g, slope: T::of(1.0), outer: zero, inner: zero }, |b| b.partials(g))
 }
 
 /// `(alpha, d alpha / d raw)` after cap and cutoff; alpha 0 where skipped.
@@ -81,7 +92,18 @@ pub(super) fn samples<T: Scalar>(
         if half_q < T::of(0.0) {
             continue;
         }
-        let raw = p.opacity * (-half_q).exp();
+        let plain = (-half_q).exp();
+        let psi = fall_off(p, plain);
+        if let Some(bend) = &p.bend {
+            near(plain.min(one - plain), 0.5 / (1.0 + bend.kappa.wide()));
+            if bend.is_unbounded() {
+                near(half_q, 0.5 * options.kernel_cut);
+                if half_q > T::of(0.5 * options.kernel_cut) {
+                    continue;
+                }
+            }
+        }
+        let raw = p.opacity * psi.value;
         near(raw, options.min_alpha);
         let (alpha, slope) = cut(raw, options, cutoff);
         if alpha <= T::of(0.0) {
@@ -92,7 +114,7 @@ pub(super) fn samples<T: Scalar>(
         if next <= stop {
             break;
         }
-        list.push(Sample { splat: index, transmittance, alpha, raw, slope, offset });
+        list.push(Sample { splat: index, transmittance, alpha, plain, psi, slope, offset });
         transmittance = next;
     }
     (list, transmittance, margin)
@@ -124,9 +146,11 @@ pub(super) fn pixel_backward<T: Scalar>(
         }
         sum.depth = sum.depth + weight * d_depth;
         let v_raw = v_alpha * s.slope;
-        sum.opacity = sum.opacity + v_raw * s.raw / p.opacity;
-        // raw = o' exp(−q/2)
-        let v_half_q = -(v_raw * s.raw);
+        sum.opacity = sum.opacity + v_raw * s.psi.value;
+        // raw = o' ψ(exp(−q/2))
+        let v_psi = v_raw * p.opacity;
+        sum.bend = [sum.bend[0] + v_psi * s.psi.outer, sum.bend[1] + v_psi * s.psi.inner];
+        let v_half_q = -(v_psi * s.psi.slope * s.plain);
         let [dx, dy] = s.offset;
         let half = T::of(0.5);
         sum.conic[0] = sum.conic[0] + v_half_q * half * dx * dx;

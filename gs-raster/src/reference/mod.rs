@@ -13,6 +13,7 @@
 //! Per pixel, front to back by depth (ties by index):
 //! ```text
 //! d = u − p    q = dᵀ K d    α = min(max_alpha, o' ψ(exp(−q/2)))   skipped if α < min_alpha
+//!                            (ψ: [`gs_core::kernel`]; one that never decays is cut at q > kernel_cut)
 //! stop before the sample with T (1 − α) ≤ stop;   C += T α c;   D += T α t_z;   T ← T (1 − α)
 //! ```
 
@@ -22,7 +23,8 @@ mod project;
 pub use project::{Projected, project};
 
 use crate::options::RasterOptions;
-use gs_core::{Camera, Color, Real, Splats};
+use gs_core::kernel::{Bend, acutance_vjp, frequency_vjp};
+use gs_core::{Camera, Color, Kernel, Real, Splats};
 
 /// A scalar with an order and an exponential: `f32` or `f64`.
 pub trait Scalar: Real + PartialOrd + Send + Sync + 'static {
@@ -73,6 +75,21 @@ pub struct Scene<T> {
     pub color: Vec<T>,
     /// SH degree, or `None` for RGB.
     pub degree: Option<u8>,
+    /// The kernel's parameters, flat `[n, width]` as in [`gs_core::SplatsGrad::kernel`].
+    pub kernel: Vec<T>,
+    /// What they mean.
+    pub form: Form,
+}
+
+/// The kinds of [`Kernel`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Form {
+    /// No parameters.
+    Gaussian,
+    /// λ, β.
+    Frequency,
+    /// The acutance.
+    Acutance,
 }
 
 impl<T: Scalar> Scene<T> {
@@ -89,6 +106,39 @@ impl<T: Scalar> Scene<T> {
                 Color::Rgb(_) => None,
                 Color::Sh { degree, .. } => Some(degree),
             },
+            kernel: match &splats.kernel {
+                Kernel::Frequency { lambdas, betas } => {
+                    lambdas.iter().zip(betas).flat_map(|(&l, &b)| [of(l), of(b)]).collect()
+                }
+                Kernel::Acutance { acutances } => acutances.iter().map(|&a| of(a)).collect(),
+                _ => Vec::new(),
+            },
+            form: match splats.kernel {
+                Kernel::Frequency { .. } => Form::Frequency,
+                Kernel::Acutance { .. } => Form::Acutance,
+                _ => Form::Gaussian,
+            },
+        }
+    }
+
+    /// The bend of one splat; `None` for the Gaussian.
+    fn bend(&self, i: usize) -> Option<Bend<T>> {
+        match self.form {
+            Form::Gaussian => None,
+            Form::Frequency => Some(Bend::frequency(self.kernel[2 * i], self.kernel[2 * i + 1])),
+            Form::Acutance => Some(Bend::acutance(self.kernel[i])),
+        }
+    }
+
+    /// Writes one splat's kernel cotangents from its sums over pixels.
+    fn bend_backward(&self, i: usize, sums: [T; 2], grad: &mut [T]) {
+        match self.form {
+            Form::Gaussian => {}
+            Form::Frequency => {
+                let d = frequency_vjp(self.kernel[2 * i], self.kernel[2 * i + 1], sums);
+                grad[2 * i..2 * i + 2].copy_from_slice(&d);
+            }
+            Form::Acutance => grad[i] = acutance_vjp(self.kernel[i], sums),
         }
     }
 
@@ -103,6 +153,8 @@ impl<T: Scalar> Scene<T> {
             opacities: vec![zero; n],
             color: vec![zero; self.color.len()],
             degree: self.degree,
+            kernel: vec![zero; self.kernel.len()],
+            form: self.form,
         }
     }
 
@@ -131,7 +183,8 @@ pub struct Frame<T> {
     pub alpha: Vec<T>,
     /// `[h, w]`.
     pub depth: Vec<T>,
-    /// `[h, w]`: smallest relative distance of any decision (α against `min_alpha` or `max_alpha`, T against `stop`)
+    /// `[h, w]`: smallest relative distance of any decision (α against `min_alpha`, T against `stop`, `g` against the kernel's
+    /// knots and cut)
     /// from its threshold. Pixels with a small margin may differ between precisions by one whole sample.
     pub margin: Vec<f64>,
     /// Samples blended in total.
@@ -196,6 +249,7 @@ pub fn render_backward<T: Scalar>(
     for ((index, _), s) in splats.iter().zip(&sums) {
         grad_means2d[*index] = s.mean2d;
         project::backward(scene, *index, camera, options, s, &mut grad);
+        scene.bend_backward(*index, s.bend, &mut grad.kernel);
     }
     (grad, grad_means2d)
 }

@@ -3,6 +3,7 @@
 use super::blend::SplatSums;
 use super::{Scalar, Scene};
 use crate::options::{FRUSTUM_MARGIN, MIN_COMPENSATION, RasterOptions};
+use gs_core::kernel::Bend;
 use gs_core::{Camera, rot, sh};
 
 /// A splat on the screen.
@@ -20,6 +21,8 @@ pub struct Projected<T> {
     pub opacity: T,
     /// Colour seen from this camera.
     pub rgb: [T; 3],
+    /// The bend of its fall-off; `None` for the Gaussian.
+    pub bend: Option<Bend<T>>,
 }
 
 /// Everything on the way from world to screen, kept for the way back.
@@ -96,6 +99,7 @@ fn steps<T: Scalar>(scene: &Scene<T>, i: usize, camera: &Camera, options: &Raste
         depth: t[2],
         opacity: scene.opacities[i] * compensation,
         rgb: [lit(0.0); 3],
+        bend: scene.bend(i),
     };
     Some(Steps {
         rotation,

@@ -2,7 +2,8 @@
 #![allow(dead_code, reason = "each test binary uses its own part")]
 
 use glam::{DVec3, Vec3};
-use gs_core::{Camera, Color, Kernel, Rng, Splats};
+use gs_core::kernel::effective_beta;
+use gs_core::{BetaMode, Camera, Color, Kernel, Rng, Splats};
 
 /// The kinds of hard scenes (what the reader of a failure wants to know first).
 pub const KINDS: [&str; 8] =
@@ -38,6 +39,31 @@ pub fn case(seed: u64, most: usize) -> Case {
     };
     splats.check().expect("the generator makes legal scenes");
     Case { kind, splats, camera, background: std::array::from_fn(|_| rng.uniform()) }
+}
+
+/// The kinds of kernels: what a reader of a failure wants to know next.
+pub const KERNELS: [&str; 4] = ["frequency", "literal", "acutance", "neutral"];
+
+/// Kernel number `seed`, of kind `KERNELS[seed % 4]`, for `n` splats: the effective β of each mode, λ and β to the ends
+/// of their domain but for the vicinity of `β = ½ + λ`, where derivatives have no bound.
+pub fn kernel(seed: u64, n: usize) -> Kernel {
+    let mut rng = Rng::new(seed, "kernel", 0, 0);
+    match KERNELS[seed as usize % KERNELS.len()] {
+        "acutance" => Kernel::Acutance { acutances: (0..n).map(|_| rng.range(-0.9, 0.9)).collect() },
+        "neutral" => Kernel::Frequency { lambdas: vec![0.5; n], betas: (0..n).map(|_| rng.uniform()).collect() },
+        kind => {
+            let mode = if kind == "literal" { BetaMode::Literal } else { BetaMode::Capped };
+            let row = |_| loop {
+                let (l, b) = (rng.uniform(), rng.uniform());
+                let beta = effective_beta(mode, f64::from(l), f64::from(b)) as f32;
+                if (0.5 + l - beta).abs() > 0.05 {
+                    return (l, beta);
+                }
+            };
+            let (lambdas, betas) = (0..n).map(row).unzip();
+            Kernel::Frequency { lambdas, betas }
+        }
+    }
 }
 
 struct Row {

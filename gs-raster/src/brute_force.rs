@@ -1,0 +1,138 @@
+//! Lists against brute force: every splat offered to every pixel must give the same bits as the exact supports do, and
+//! a box of three standard deviations must not.
+
+use crate::blend::Limits;
+use crate::forward::draw;
+use crate::frame::Frame;
+use crate::kernel::{Bent, Falloff, Pull, RowBend, Sample};
+use crate::measure::{camera, scene};
+use crate::options::RasterOptions;
+use crate::rows::Row;
+use crate::tiles::LOG2_SCALE;
+use crate::workspace::Workspace;
+use fearless_simd::{f32x16, mask32x16, prelude::*};
+use gs_core::{Kernel, Rng, Splats};
+
+/// Another kernel with a support of its own.
+#[derive(Clone, Copy)]
+struct Reach<K> {
+    kernel: K,
+    /// `√(a² + b²)` bounds in the blend's units: least and largest.
+    between: [f64; 2],
+}
+
+impl<K: Falloff> Falloff for Reach<K> {
+    const BENT: bool = K::BENT;
+
+    fn bend(self, index: u32) -> RowBend {
+        self.kernel.bend(index)
+    }
+
+    #[inline(always)]
+    fn sample<S: Simd>(simd: S, row: &Row, p: f32x16<S>, limits: Limits) -> Sample<S> {
+        K::sample(simd, row, p, limits)
+    }
+
+    #[inline(always)]
+    fn backward<S: Simd>(simd: S, row: &Row, s: Sample<S>, learns: mask32x16<S>, d_alpha: f32x16<S>) -> Pull<S> {
+        K::backward(simd, row, s, learns, d_alpha)
+    }
+
+    fn support(self, index: u32, log2_opacity: f64, log2_min_alpha: f64) -> f64 {
+        let [least, largest] = self.between.map(|r| r * r);
+        self.kernel.support(index, log2_opacity, log2_min_alpha).clamp(least, largest)
+    }
+
+    fn widest(self, index: u32, gaussian: f64, log2_min_alpha: f64) -> f64 {
+        let [least, largest] = self.between.map(|r| r / LOG2_SCALE);
+        self.kernel.widest(index, gaussian, log2_min_alpha).clamp(least, largest)
+    }
+}
+
+/// Which kernels a scene takes.
+fn kernel(i: u64, n: usize) -> Kernel {
+    let mut rng = Rng::new(i, "kernels", 0, 0);
+    let mut column = |low: f32, high: f32| (0..n).map(|_| rng.range(low, high)).collect::<Vec<_>>();
+    match i % 5 {
+        0 => Kernel::Frequency { lambdas: vec![0.01; n], betas: vec![0.49; n] },
+        1 => Kernel::Frequency { lambdas: vec![1.0; n], betas: vec![0.98; n] },
+        2 => Kernel::Acutance { acutances: column(-0.95, 0.95) },
+        // Anything, splats that never decay among them.
+        3 => Kernel::Frequency { lambdas: column(0.0, 1.0), betas: column(0.0, 1.0) },
+        _ => Kernel::Frequency { lambdas: column(0.0, 0.3), betas: column(0.0, 0.49) },
+    }
+}
+
+fn scenes() -> impl Iterator<Item = (Splats, RasterOptions)> {
+    (0..200).map(|i| {
+        let mut splats = scene(20 + i as usize % 60, 0);
+        splats.kernel = kernel(i, splats.len());
+        splats.check().expect("legal splats");
+        (splats, RasterOptions { antialias: i % 2 == 1, ..RasterOptions::default() })
+    })
+}
+
+fn bits<K: Falloff>(kernel: K, splats: &Splats, options: &RasterOptions) -> Vec<u32> {
+    let mut frame = Frame::default();
+    draw(kernel, splats, &camera(50), options, &mut Workspace::new(), &mut frame);
+    [frame.rgb, frame.alpha, frame.depth].concat().iter().map(|v| v.to_bits()).collect()
+}
+
+const EVERYWHERE: [f64; 2] = [1e6, 1e6];
+const THREE_SIGMA: [f64; 2] = [0.0, 3.0 * LOG2_SCALE];
+
+#[test]
+fn exact_supports_lose_no_pixel_and_a_three_sigma_box_does() {
+    let (mut boxed, mut soft) = (0, 0);
+    for (i, (splats, options)) in scenes().enumerate() {
+        let kernel = Bent::new(&splats.kernel, options.kernel_cut);
+        let want = bits(Reach { kernel, between: EVERYWHERE }, &splats, &options);
+        assert!(bits(kernel, &splats, &options) == want, "scene {i}: a list lost a pixel");
+        soft += usize::from(i % 5 == 0);
+        boxed += usize::from(i % 5 == 0 && bits(Reach { kernel, between: THREE_SIGMA }, &splats, &options) != want);
+    }
+    assert!(boxed == soft && soft > 0, "a 3σ box must cut soft kernels: {boxed} of {soft} scenes");
+}
+
+/// A splat that never decays ends at the cut, wherever the tiles lie.
+#[test]
+fn the_cut_does_not_depend_on_tiles() {
+    let n = 12;
+    let mut splats = scene(n, 0);
+    splats.kernel = Kernel::Frequency { lambdas: vec![0.05; n], betas: vec![0.9; n] };
+    let options = RasterOptions::default();
+    let kernel = Bent::new(&splats.kernel, options.kernel_cut);
+    assert!(bits(kernel, &splats, &options) == bits(Reach { kernel, between: EVERYWHERE }, &splats, &options));
+    let render = |shift: u32| {
+        let mut camera = camera(64);
+        (camera.cx, camera.cy) = (camera.cx + f64::from(shift), camera.cy + f64::from(shift));
+        (camera.width, camera.height) = (64 + shift, 64 + shift);
+        let mut frame = Frame::default();
+        draw(kernel, &splats, &camera, &options, &mut Workspace::new(), &mut frame);
+        frame
+    };
+    let base = render(0);
+    for shift in [1usize, 5, 8, 11, 16] {
+        let moved = render(shift as u32);
+        let mut flips = 0;
+        for (i, &want) in base.alpha.iter().enumerate() {
+            let at = (i / 64 + shift) * (64 + shift) + i % 64 + shift;
+            flips += usize::from((moved.alpha[at] - want).abs() > 1e-5);
+        }
+        assert!(flips <= 2, "{flips} pixels changed with tiles moved by {shift}");
+    }
+}
+
+/// Neutral rows among bent ones draw and learn as in a scene of Gaussians; the whole scene, to the bit.
+#[test]
+fn neutral_kernels_are_the_gaussian_to_the_bit() {
+    let plain = scene(400, 0);
+    let options = RasterOptions::default();
+    let want = bits(crate::kernel::Gaussian, &plain, &options);
+    for beta in [0.0, 1e-7, 0.5, 1.0 - 1e-7, 1.0] {
+        let kernel = Kernel::Frequency { lambdas: vec![0.5; plain.len()], betas: vec![beta; plain.len()] };
+        assert!(bits(Bent::new(&kernel, 9.0), &plain, &options) == want, "β {beta}");
+    }
+    let kernel = Kernel::Acutance { acutances: vec![0.0; plain.len()] };
+    assert!(bits(Bent::new(&kernel, 9.0), &plain, &options) == want);
+}
