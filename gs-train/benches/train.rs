@@ -8,7 +8,7 @@ use std::sync::Arc;
 use criterion::Criterion;
 use gs_core::speed::{SpeedError, median_seconds};
 use gs_core::{Param, Rng};
-use gs_train::adam::{Adam, AdamOptions, Refused};
+use gs_train::adam::{Adam, Refused, Update};
 use gs_train::methods::{METHODS, MethodEntry};
 use gs_train::synth::{self, SynthOptions};
 use gs_train::trainer::{Phases, TrainOptions, Trainer};
@@ -39,7 +39,7 @@ fn adam_error() -> f64 {
             *v = b2 * *v + (1.0 - b2) * g * g;
             *value -= lr * (*m / (1.0 - b1.powi(t))) / ((*v / (1.0 - b2.powi(t))).sqrt() + eps);
         }
-        adam.update(&mut p, 1e-2, 1e-15, &mut Refused::default());
+        adam.update(&mut p, Update { rate: 1e-2, eps: 1e-15, sparse: false }, &mut Refused::default());
     }
     p.value.iter().zip(&want).map(|(a, b)| (f64::from(*a) - b[0]).abs()).fold(0.0, f64::max)
 }
@@ -48,14 +48,15 @@ fn adam_rows(criterion: &mut Criterion) {
     let error = adam_error();
     for (variant, sparse, share) in [("exact", false, 1), ("rows seen, all", true, 1), ("rows seen, a tenth", true, 10)]
     {
-        let (rows, mut adam) = (100_000, Adam::new(AdamOptions { sparse, ..AdamOptions::default() }));
+        let (rows, mut adam) = (100_000, Adam::default());
+        let update_rule = Update { rate: 1e-3, eps: 1e-15, sparse };
         let mut p = block(rows);
         for threads in [1, 2] {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
             let mut update = || {
                 // Gradients are cleared by an update: one value brings a row back to life.
                 p.grad.iter_mut().step_by(51 * share).for_each(|g| *g = 1e-3);
-                pool.install(|| adam.update(&mut p, 1e-3, 1e-15, &mut Refused::default()));
+                pool.install(|| adam.update(&mut p, update_rule, &mut Refused::default()));
             };
             let ms = 1e3 * median_seconds(15, &mut update);
             record(SpeedError {

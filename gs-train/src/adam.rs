@@ -4,7 +4,9 @@
 //! m ← β₁ m + (1 − β₁) g        v ← β₂ v + (1 − β₂) g²
 //! p ← p − lr · (m / (1 − β₁ᵗ)) / (sqrt(v / (1 − β₂ᵗ)) + ε)
 //! ```
-//! `t` counts the updates of each block. Gradients are guarded in the same pass: a row of a row block with a gradient
+//! `t` counts the updates of each block. A **sparse** update leaves rows whose gradient is exactly zero as they are, value
+//! and moments (in a block shared by all splats, such as a table of features, each value is a row): faster where few
+//! are touched, but not Adam, whose momentum runs on. Gradients are guarded in the same pass: a row of a row block with a gradient
 //! that is not finite is left alone (value and moments), its gradient cleared, and counted; in a block shared by all
 //! splats such a gradient is reported, and nothing of its chunk is updated.
 //!
@@ -18,6 +20,8 @@ use std::collections::BTreeMap;
 
 /// Values per parallel piece, roughly: four arrays of this many stay in the first-level cache's neighbour.
 const PIECE: usize = 8192;
+/// Values of a sparse shared block that are looked at together.
+const RUN: usize = 16;
 
 /// Constants of Adam.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,18 +30,24 @@ pub struct AdamOptions {
     pub beta1: f32,
     /// Decay of the second moment.
     pub beta2: f32,
-    /// Added to the denominator.
-    pub eps: f32,
-    /// Rows whose gradient is exactly zero keep value and moments. Faster where few splats are seen, but not Adam: the
-    /// default (off) lets momentum run on.
-    pub sparse: bool,
 }
 
 impl Default for AdamOptions {
-    /// `β₁ = 0.9`, `β₂ = 0.999`, `ε = 1e-15` (3DGS), every row every time.
+    /// `β₁ = 0.9`, `β₂ = 0.999` (3DGS).
     fn default() -> Self {
-        Self { beta1: 0.9, beta2: 0.999, eps: 1e-15, sparse: false }
+        Self { beta1: 0.9, beta2: 0.999 }
     }
+}
+
+/// How one block is updated.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Update {
+    /// Learning rate.
+    pub rate: f32,
+    /// ε, added to the denominator.
+    pub eps: f32,
+    /// Rows whose gradient is exactly zero keep value and moments.
+    pub sparse: bool,
 }
 
 /// Gradients met that were not finite.
@@ -56,7 +66,7 @@ pub struct Refused {
 /// The optimiser: constants, and the number of updates each block has had.
 #[derive(Clone, Debug)]
 pub struct Adam {
-    /// `β₁`, `β₂`, and the defaults of the rest.
+    /// `β₁` and `β₂`.
     pub options: AdamOptions,
     updates: BTreeMap<String, u32>,
     level: Level,
@@ -101,9 +111,8 @@ impl Adam {
         self.updates.clear();
     }
 
-    /// Updates one block at the learning rate `lr` with the given `eps` and clears its gradient. What was refused is
-    /// added to `refused`.
-    pub fn update(&mut self, p: &mut Param, lr: f32, eps: f32, refused: &mut Refused) {
+    /// Updates one block and clears its gradient. What was refused is added to `refused`.
+    pub fn update(&mut self, p: &mut Param, update: Update, refused: &mut Refused) {
         let t = match self.updates.get_mut(&p.name) {
             Some(t) => {
                 *t += 1;
@@ -119,13 +128,13 @@ impl Adam {
         let factors = Factors {
             beta1: o.beta1,
             beta2: o.beta2,
-            rate: (f64::from(lr) / correction(o.beta1)) as f32,
+            rate: (f64::from(update.rate) / correction(o.beta1)) as f32,
             root: (1.0 / correction(o.beta2).sqrt()) as f32,
-            eps,
+            eps: update.eps,
         };
         let width = p.row_width.unwrap_or(1);
         let piece = width * (PIECE / width).max(1);
-        let (sparse, shared, level) = (o.sparse, p.row_width.is_none(), self.level);
+        let (sparse, shared, level) = (update.sparse, p.row_width.is_none(), self.level);
         let bad: Vec<(u32, Option<u32>)> = (
             p.value.par_chunks_mut(piece),
             p.moment1.par_chunks_mut(piece),
@@ -138,10 +147,10 @@ impl Adam {
                 if !all_finite(level, piece.grad) {
                     return piece.careful(&factors, if shared { usize::MAX } else { width }, sparse);
                 }
-                if sparse && !shared {
-                    piece.visible(level, &factors, width)
-                } else {
-                    piece.all(level, &factors)
+                match (sparse, width) {
+                    (false, _) => piece.all(level, &factors),
+                    (true, 1) => piece.touched(level, &factors),
+                    (true, _) => piece.visible(level, &factors, width),
                 }
                 (0, None)
             })
@@ -179,6 +188,11 @@ impl Piece<'_> {
     /// Every value, compiled for the instruction set of this machine.
     fn all(self, level: Level, f: &Factors) {
         dispatch!(level, simd => update_all(simd, self.value, self.m, self.v, self.grad, f));
+    }
+
+    /// Only values with some gradient.
+    fn touched(self, level: Level, f: &Factors) {
+        dispatch!(level, simd => update_touched(simd, self.value, self.m, self.v, self.grad, f));
     }
 
     /// Only rows with some gradient.
@@ -228,6 +242,25 @@ fn update_all<S: Simd>(_simd: S, value: &mut [f32], m: &mut [f32], v: &mut [f32]
     grad.fill(0.0);
 }
 
+/// Values one by one; most lie in runs without any gradient, which cost one look.
+#[inline(always)]
+fn update_touched<S: Simd>(_simd: S, value: &mut [f32], m: &mut [f32], v: &mut [f32], grad: &mut [f32], f: &Factors) {
+    let runs = value.chunks_mut(RUN).zip(m.chunks_mut(RUN)).zip(v.chunks_mut(RUN).zip(grad.chunks_mut(RUN)));
+    for ((value, m), (v, grad)) in runs {
+        if all_zero(grad) {
+            continue;
+        }
+        for (((p, m), v), g) in value.iter_mut().zip(m).zip(v).zip(grad.iter()) {
+            let mut new = [*p, *m, *v];
+            let [p2, m2, v2] = &mut new;
+            update_value(p2, m2, v2, *g, f);
+            // A choice between two values, not a branch: compiles to masked lanes.
+            [*p, *m, *v] = if *g == 0.0 { [*p, *m, *v] } else { new };
+        }
+        grad.fill(0.0);
+    }
+}
+
 #[inline(always)]
 fn update_visible<S: Simd>(
     _simd: S,
@@ -240,8 +273,7 @@ fn update_visible<S: Simd>(
 ) {
     let rows = value.chunks_exact_mut(width).zip(m.chunks_exact_mut(width));
     for ((value, m), (v, grad)) in rows.zip(v.chunks_exact_mut(width).zip(grad.chunks_exact_mut(width))) {
-        // All bits but the sign: zero exactly for a row of zeros.
-        if grad.iter().fold(0, |bits, g| bits | (g.to_bits() << 1)) != 0 {
+        if !all_zero(grad) {
             update_row(value, m, v, grad, f);
             grad.fill(0.0);
         }
@@ -251,16 +283,31 @@ fn update_visible<S: Simd>(
 #[inline(always)]
 fn update_row(value: &mut [f32], m: &mut [f32], v: &mut [f32], grad: &[f32], f: &Factors) {
     for (((p, m), v), g) in value.iter_mut().zip(m).zip(v).zip(grad) {
-        *m = f.beta1 * *m + (1.0 - f.beta1) * g;
-        *v = f.beta2 * *v + (1.0 - f.beta2) * (g * g);
-        *p -= f.rate * *m / (v.sqrt() * f.root + f.eps);
+        update_value(p, m, v, *g, f);
     }
+}
+
+#[inline(always)]
+fn update_value(p: &mut f32, m: &mut f32, v: &mut f32, g: f32, f: &Factors) {
+    *m = f.beta1 * *m + (1.0 - f.beta1) * g;
+    *v = f.beta2 * *v + (1.0 - f.beta2) * (g * g);
+    *p -= f.rate * *m / (v.sqrt() * f.root + f.eps);
+}
+
+/// All bits but the sign are zero.
+#[inline(always)]
+fn all_zero(grad: &[f32]) -> bool {
+    grad.iter().fold(0, |bits, g| bits | (g.to_bits() << 1)) == 0
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use gs_core::Rng;
+
+    fn every(rate: f32) -> Update {
+        Update { rate, eps: 1e-15, sparse: false }
+    }
 
     /// The definition, in f64.
     fn reference(values: &mut [f64], grads: &[Vec<f64>], lr: f64) {
@@ -291,7 +338,7 @@ mod tests {
                 let mut adam = Adam { level, ..Adam::default() };
                 for g in &grads {
                     p.grad.iter_mut().zip(g).for_each(|(a, b)| *a = *b as f32);
-                    adam.update(&mut p, 1e-2, 1e-15, &mut Refused::default());
+                    adam.update(&mut p, every(1e-2), &mut Refused::default());
                     assert!(p.grad.iter().all(|&g| g == 0.0));
                 }
                 let worst = p.value.iter().zip(&want).map(|(a, b)| (f64::from(*a) - b).abs()).fold(0.0, f64::max);
@@ -312,7 +359,7 @@ mod tests {
     #[test]
     fn bad_rows_are_left_alone_and_counted() {
         let (mut p, mut refused) = (rows(), Refused::default());
-        Adam::default().update(&mut p, 0.1, 1e-15, &mut refused);
+        Adam::default().update(&mut p, every(0.1), &mut refused);
         assert_eq!((refused.rows, refused.of, refused.first.clone()), (2, 4, Some(("r".into(), 1))));
         assert_eq!((&p.value[2..4], &p.moment1[2..4]), (&[1.0f32; 2][..], &[0.5f32; 2][..]));
         assert!(p.value[0] < 1.0 && p.value[4] < 1.0 && p.value.iter().all(|v| v.is_finite()));
@@ -324,7 +371,7 @@ mod tests {
         let mut p = Param::shared("w", vec![1.0; 3]);
         p.grad[1] = f32::NAN;
         let mut refused = Refused::default();
-        Adam::default().update(&mut p, 0.1, 1e-15, &mut refused);
+        Adam::default().update(&mut p, every(0.1), &mut refused);
         assert_eq!((refused.shared, p.value), (Some("w".into()), vec![1.0; 3]));
     }
 
@@ -332,8 +379,7 @@ mod tests {
     fn sparse_rows_without_gradient_rest() {
         let mut p = rows();
         p.grad = vec![1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0];
-        let mut adam = Adam::new(AdamOptions { sparse: true, ..AdamOptions::default() });
-        adam.update(&mut p, 0.1, 1e-15, &mut Refused::default());
+        Adam::default().update(&mut p, Update { sparse: true, ..every(0.1) }, &mut Refused::default());
         assert_eq!(
             (&p.value[2..4], &p.moment1[2..4], &p.value[6..]),
             (&[1.0f32; 2][..], &[0.5f32; 2][..], &[1.0f32; 2][..])
@@ -342,13 +388,37 @@ mod tests {
     }
 
     #[test]
+    fn sparse_values_of_a_shared_block_rest_one_by_one() {
+        let n = 20_000;
+        let mut rng = Rng::new(2, "adam", 0, 0);
+        let mut start = Param::shared("table", (0..n).map(|_| rng.normal()).collect());
+        start.moment1.iter_mut().for_each(|m| *m = rng.normal());
+        start.moment2.fill(0.25);
+        // Runs of zeros, single zeros, negative zeros, and a tail shorter than a run.
+        start.grad = (0..n).map(|i| if i / 50 % 3 == 0 || i % 7 == 0 { -0.0 } else { rng.normal() }).collect();
+        let (mut all, mut some) = (start.clone(), start.clone());
+        Adam::default().update(&mut all, every(0.1), &mut Refused::default());
+        for level in [Level::new(), Level::baseline()] {
+            some.clone_from(&start);
+            let mut adam = Adam { level, ..Adam::default() };
+            adam.update(&mut some, Update { sparse: true, ..every(0.1) }, &mut Refused::default());
+            for i in 0..n {
+                let want = if start.grad[i] == 0.0 { &start } else { &all };
+                let got = (some.value[i], some.moment1[i], some.moment2[i]);
+                assert_eq!(got, (want.value[i], want.moment1[i], want.moment2[i]), "{i}");
+            }
+            assert!(some.grad.iter().all(|&g| g == 0.0));
+        }
+    }
+
+    #[test]
     fn updates_are_counted_per_block_and_restored() {
         let (mut a, mut b) = (Param::shared("a", vec![0.0]), Param::shared("b", vec![0.0]));
         let mut adam = Adam::default();
         for _ in 0..3 {
-            adam.update(&mut a, 0.1, 1e-15, &mut Refused::default());
+            adam.update(&mut a, every(0.1), &mut Refused::default());
         }
-        adam.update(&mut b, 0.1, 1e-15, &mut Refused::default());
+        adam.update(&mut b, every(0.1), &mut Refused::default());
         assert_eq!((adam.updates()["a"], adam.updates()["b"]), (3, 1));
         let kept = adam.updates().clone();
         adam.restart();

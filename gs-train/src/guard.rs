@@ -21,6 +21,7 @@ pub struct Quarantine {
 pub fn quarantine(d: &mut SplatsGrad) -> Quarantine {
     let bad = bad_rows(d);
     let width = d.color.len() / d.means.len().max(1);
+    let kernel = d.kernel.len() / d.means.len().max(1);
     for &row in &bad {
         let i = row as usize;
         d.means[i] = Vec3::ZERO;
@@ -28,33 +29,38 @@ pub fn quarantine(d: &mut SplatsGrad) -> Quarantine {
         d.scales[i] = Vec3::ZERO;
         d.opacities[i] = 0.0;
         d.color[i * width..(i + 1) * width].fill(0.0);
+        d.kernel[i * kernel..(i + 1) * kernel].fill(0.0);
     }
     Quarantine { rows: bad.len() as u32, first: bad.first().copied() }
 }
 
 fn bad_rows(d: &SplatsGrad) -> Vec<u32> {
     let n = d.means.len();
-    let width = d.color.len() / n.max(1);
     let blocks: Vec<Vec<u32>> = (0..n.div_ceil(BLOCK))
         .into_par_iter()
         .map(|block| {
             let rows = block * BLOCK..((block + 1) * BLOCK).min(n);
-            if block_is_finite(d, rows.clone(), width) {
+            if block_is_finite(d, rows.clone()) {
                 return Vec::new();
             }
-            rows.filter(|&i| !block_is_finite(d, i..i + 1, width)).map(|i| i as u32).collect()
+            rows.filter(|&i| !block_is_finite(d, i..i + 1)).map(|i| i as u32).collect()
         })
         .collect();
     blocks.concat()
 }
 
 /// `x · 0` is NaN exactly where `x` is not finite; a sum of them keeps it.
-fn block_is_finite(d: &SplatsGrad, rows: std::ops::Range<usize>, width: usize) -> bool {
+fn block_is_finite(d: &SplatsGrad, rows: std::ops::Range<usize>) -> bool {
+    let flat = |column: &'_ Vec<f32>| {
+        let width = column.len() / d.means.len().max(1);
+        probe(&column[rows.start * width..rows.end * width])
+    };
     let vectors = d.means[rows.clone()].iter().zip(&d.scales[rows.clone()]).map(|(a, b)| *a * 0.0 + *b * 0.0);
     let probe = vectors.sum::<Vec3>().element_sum()
         + probe(d.quats[rows.clone()].as_flattened())
         + probe(&d.opacities[rows.clone()])
-        + probe(&d.color[rows.start * width..rows.end * width]);
+        + flat(&d.color)
+        + flat(&d.kernel);
     probe.is_finite()
 }
 
@@ -81,7 +87,7 @@ mod tests {
             scales: vec![Vec3::ONE; n],
             opacities: vec![0.5; n],
             color: Color::Sh { degree: 1, coeffs: vec![0.0; 12 * n] },
-            kernel: Kernel::Gaussian,
+            kernel: Kernel::Frequency { lambdas: vec![0.5; n], betas: vec![0.5; n] },
         };
         let mut d = SplatsGrad::zeros_like(&splats);
         d.opacities.fill(1.0);
@@ -91,7 +97,8 @@ mod tests {
         d.scales[2101].z = f32::NEG_INFINITY;
         d.opacities[4000] = f32::NAN;
         d.color[12 * 4999 + 11] = f32::NAN;
-        assert_eq!(quarantine(&mut d), Quarantine { rows: 5, first: Some(7) });
+        d.kernel[2 * 4500 + 1] = f32::NAN;
+        assert_eq!(quarantine(&mut d), Quarantine { rows: 6, first: Some(7) });
         assert_eq!(d.first_non_finite(), None);
         assert_eq!((d.opacities[7], d.opacities[8], d.opacities[4999]), (0.0, 1.0, 0.0));
     }

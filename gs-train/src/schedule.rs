@@ -7,9 +7,10 @@
 //! Steps count from 1; step `s` is the one being made. Everything here is a pure function of the step, so a resumed run
 //! needs no state of its own for it.
 
+use crate::adam::Update;
 use crate::density::DensityRules;
 use crate::loss::{Dssim, LossWeights};
-use gs_core::Camera;
+use gs_core::{Camera, Param};
 use gs_raster::{ClampGrad, RasterOptions};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -30,7 +31,7 @@ pub struct Schedule {
     /// Weight φ of the amplitude-spectrum loss (FAGS: 0.3; others: 0).
     #[serde(default)]
     pub lambda_fre: f32,
-    /// Adam updates only rows that received a gradient in this step.
+    /// Adam updates only splats that received a gradient in this step.
     pub sparse_adam: bool,
     /// A gradient row is refused (not finite) at most for this share of rows; above it the run stops.
     pub max_quarantine: f32,
@@ -79,6 +80,15 @@ pub struct LearningRate {
     pub steps: u32,
     /// Multiplied by the extent of the scene (the parameter is a length).
     pub per_extent: bool,
+    /// Adam's ε of these parameters; 0: [`Schedule::adam_eps`].
+    #[serde(default)]
+    pub eps: f32,
+    /// Values that received no gradient in this step rest (large tables, of which a step touches little).
+    #[serde(default)]
+    pub sparse: bool,
+    /// No learning before this step of the clock.
+    #[serde(default)]
+    pub from: u32,
 }
 
 /// What lies behind the scene.
@@ -119,12 +129,12 @@ pub struct Position {
 impl LearningRate {
     /// A constant rate.
     pub const fn constant(rate: f32) -> Self {
-        Self { start: rate, end: rate, steps: 0, per_extent: false }
+        Self { start: rate, end: rate, steps: 0, per_extent: false, eps: 0.0, sparse: false, from: 0 }
     }
 
     /// A log-linear decay.
     pub const fn decay(start: f32, end: f32, steps: u32) -> Self {
-        Self { start, end, steps, per_extent: false }
+        Self { start, end, steps, ..Self::constant(start) }
     }
 
     /// The same rate, multiplied by the extent of the scene.
@@ -135,6 +145,9 @@ impl LearningRate {
 
     /// The rate at a step, for a scene of the given extent (world units).
     pub fn at(&self, step: u32, extent: f32) -> f32 {
+        if step < self.from {
+            return 0.0;
+        }
         let rate = if self.steps == 0 || self.start <= 0.0 || self.end <= 0.0 {
             f64::from(self.start)
         } else {
@@ -219,6 +232,21 @@ impl Schedule {
         parts.next().and_then(|part| group.get(part)).or_else(|| group.get("all"))
     }
 
+    /// How a parameter is updated at a step of the clock, if it learns then; `extent` is that of the scene, world units.
+    pub fn update(&self, p: &Param, clock: u32, extent: f32) -> Option<Update> {
+        let rule = self.rule(&p.name)?;
+        let eps = if rule.eps > 0.0 { rule.eps } else { self.adam_eps };
+        let sparse = rule.sparse || self.sparse_adam && p.row_width.is_some();
+        Some(Update { rate: rule.at(clock, extent), eps, sparse }).filter(|u| u.rate > 0.0)
+    }
+
+    /// Lets a parameter rest for the whole run.
+    pub fn freeze(&mut self, parameter: &str) {
+        if let Some((group, name)) = parameter.split_once('.') {
+            self.lr.entry(group.to_owned()).or_default().insert(name.to_owned(), LearningRate::constant(0.0));
+        }
+    }
+
     /// The weights of the image loss.
     pub fn loss(&self) -> LossWeights {
         LossWeights { dssim: self.lambda_dssim, structure: self.dssim, fre: self.lambda_fre }
@@ -276,6 +304,8 @@ impl Schedule {
             for (part, v) in [("start", rate.start), ("end", rate.end)] {
                 need(v >= 0.0 && v.is_finite(), &format!("lr.{name}.{part}"), v.into(), "finite, not negative")?;
             }
+            let eps = rate.eps;
+            need((0.0..1.0).contains(&eps), &format!("lr.{name}.eps"), eps.into(), "0 or more, below 1")?;
         }
         self.density.check()
     }
@@ -338,6 +368,30 @@ mod tests {
     }
 
     #[test]
+    fn groups_have_their_own_epsilon_and_may_rest() {
+        let mut s = schedule(vec![stage(10, false)]);
+        let (means, table) = (Param::rows("cloud.means", 3, vec![0.0; 3]), Param::shared("field.planes.xy", vec![0.0]));
+        let plain = Update { rate: 1e-2, eps: 1e-15, sparse: false };
+        assert_eq!(s.update(&table, 1, 1.0), Some(plain));
+        let rule = rate(&mut s, "field", "planes");
+        *rule = LearningRate { eps: 1e-8, sparse: true, from: 5, ..*rule };
+        assert_eq!(
+            (s.update(&table, 4, 1.0), s.update(&table, 5, 1.0).map(|u| (u.eps, u.sparse))),
+            (None, Some((1e-8, true)))
+        );
+        s.sparse_adam = true;
+        *rate(&mut s, "field", "planes") = LearningRate::constant(1e-2);
+        let sparse = |p| s.update(p, 1, 1.0).map(|u| u.sparse);
+        assert_eq!(
+            (sparse(&means), sparse(&table)),
+            (Some(true), Some(false)),
+            "tables only where their group says so"
+        );
+        s.freeze("cloud.means");
+        assert_eq!((s.update(&means, 1, 1.0), s.update(&Param::shared("other", vec![]), 1, 1.0)), (None, None));
+    }
+
+    #[test]
     fn clocks_restart_only_where_told() {
         let s = schedule(vec![stage(10, false), stage(5, true), stage(5, false)]);
         let at = |step| {
@@ -383,6 +437,7 @@ mod tests {
         assert_eq!(fault(&|s| s.max_quarantine = f32::NAN), "max_quarantine");
         assert_eq!(fault(&|s| rate(s, "cloud", "means").end = f32::INFINITY), "lr.cloud.means.end");
         assert_eq!(fault(&|s| rate(s, "field", "all").start = -1.0), "lr.field.all.start");
+        assert_eq!(fault(&|s| rate(s, "field", "all").eps = 1.0), "lr.field.all.eps");
         assert_eq!(fault(&|s| s.density.split_factor = 0.5), "density.split_factor");
     }
 

@@ -4,7 +4,7 @@
 //! views come in a random order that is drawn anew each epoch from `(seed, epoch)`, so a run stopped at any step and
 //! resumed from its [`Checkpoint`] continues bit for bit, on any number of threads.
 
-use crate::adam::{Adam, AdamOptions, Refused};
+use crate::adam::{Adam, Refused, Update};
 use crate::checkpoint::Checkpoint;
 use crate::data::{Dataset, ImageCache, View};
 use crate::density::Adapted;
@@ -128,8 +128,7 @@ impl Trainer {
         config: &toml::Table,
         options: TrainOptions,
     ) -> Self {
-        let schedule = method.schedule();
-        let adam = Adam::new(AdamOptions { sparse: schedule.sparse_adam, ..AdamOptions::default() });
+        let adam = Adam::default();
         let cache = ImageCache::new(options.image_bytes, 1.0);
         let easel = Easel::new();
         let config = config.clone();
@@ -255,16 +254,15 @@ impl Trainer {
         let mut refused = Refused::default();
         let schedule = self.method.schedule();
         let clock = schedule.position(step).clock;
-        let (eps, extent) = (schedule.adam_eps, self.scene.extent);
-        let mut rates: BTreeMap<String, f32> = BTreeMap::new();
+        let extent = self.scene.extent;
+        let mut updates: BTreeMap<String, Update> = BTreeMap::new();
         self.method.visit(&mut |p| {
-            let rate = schedule.rule(&p.name).map_or(0.0, |rule| rule.at(clock, extent));
-            rates.insert(p.name.clone(), rate);
+            updates.extend(schedule.update(p, clock, extent).map(|update| (p.name.clone(), update)));
         });
         let adam = &mut self.adam;
-        self.method.visit_mut(&mut |p| match rates.get(&p.name).copied() {
-            Some(rate) if rate > 0.0 => adam.update(p, rate, eps, &mut refused),
-            _ => p.clear_grad(),
+        self.method.visit_mut(&mut |p| match updates.get(&p.name) {
+            Some(update) => adam.update(p, *update, &mut refused),
+            None => p.clear_grad(),
         });
         refused
     }

@@ -1,14 +1,14 @@
 //! Adam, with its error against a closed form: under a constant gradient `g` each step is `−lr · sign(g)` (ε → 0).
 
 use super::Case;
-use crate::adam::{Adam, Refused};
+use crate::adam::{Adam, Refused, Update};
 use gs_core::Param;
 use gs_core::speed::SpeedError;
 
 const VALUES: usize = 1 << 20;
 const STEPS: usize = 50;
 const RATE: f32 = 1e-3;
-const EPS: f32 = 1e-15;
+const UPDATE: Update = Update { rate: RATE, eps: 1e-15, sparse: false };
 
 pub fn rows() -> Vec<SpeedError> {
     let error = constant_gradient_error();
@@ -22,7 +22,7 @@ pub fn rows() -> Vec<SpeedError> {
     };
     let row = case.row(VALUES, VALUES as f64, error, 9, || {
         p.grad.fill(0.5);
-        adam.update(&mut p, RATE, EPS, &mut refused);
+        adam.update(&mut p, UPDATE, &mut refused);
     });
     vec![row]
 }
@@ -33,7 +33,7 @@ fn constant_gradient_error() -> f64 {
     let (mut adam, mut refused) = (Adam::default(), Refused::default());
     for _ in 0..STEPS {
         p.grad.copy_from_slice(&gradients);
-        adam.update(&mut p, RATE, EPS, &mut refused);
+        adam.update(&mut p, UPDATE, &mut refused);
     }
     let want = |g: f32| -f64::from(RATE) * STEPS as f64 * f64::from(g.signum());
     p.value.iter().zip(gradients).map(|(v, g)| (f64::from(*v) - want(g)).abs()).fold(0.0, f64::max)

@@ -2,9 +2,9 @@
 
 use crate::density::{Adapted, Density, DensityContext};
 use crate::methods::scene::{CloudConfig, SceneInfo};
-use crate::methods::{MethodError, Quantity, scene};
+use crate::methods::{MethodError, scene};
 use crate::schedule::{Background, Schedule};
-use gs_core::{Camera, Cloud, Kernel, Splats, SplatsGrad};
+use gs_core::{Camera, Cloud, Splats, SplatsGrad};
 use gs_raster::ScreenStats;
 
 /// A canonical cloud under training, with the scratch of one step.
@@ -30,8 +30,9 @@ impl Canonical {
     ///
     /// # Errors
     /// If the schedule or the initial points cannot be used.
-    pub fn new(config: &CloudConfig, schedule: Schedule, scene: &SceneInfo) -> Result<Self, MethodError> {
+    pub fn new(config: &CloudConfig, mut schedule: Schedule, scene: &SceneInfo) -> Result<Self, MethodError> {
         schedule.check()?;
+        config.kernel.hold_back(&mut schedule);
         let cloud = scene::cloud(&scene.points, config)?;
         let density = Density::new(cloud.len());
         let (splats, d_splats) = Default::default();
@@ -100,19 +101,5 @@ impl Canonical {
 
     fn sh_degree(&self) -> u8 {
         self.schedule.sh_degree(self.step, self.cloud.sh_degree())
-    }
-}
-
-/// The parameters of a kernel as quantities.
-pub fn kernel_quantities(kernel: &Kernel) -> Vec<Quantity> {
-    match kernel {
-        Kernel::Frequency { lambdas, betas } => {
-            vec![Quantity::share("lambda", lambdas.clone()), Quantity::share("beta", betas.clone())]
-        }
-        Kernel::Acutance { acutances } => {
-            let range = Some([-1.0, 1.0]);
-            vec![Quantity { name: "acutance", unit: "", range, values: acutances.clone() }]
-        }
-        _ => Vec::new(),
     }
 }

@@ -1,4 +1,4 @@
-//! A canonical cloud and a deformation field: the common body of DefGS and 4DGS.
+//! A canonical cloud and a deformation field: the common body of DefGS, 4DGS, Grid4D and FAGS.
 //!
 //! ```text
 //! raw → activate → canonical splats → field(t) → splats at t → draw
@@ -6,7 +6,8 @@
 //! and back the same way. In stages without the field, the canonical splats are drawn at every time.
 
 use crate::density::Adapted;
-use crate::methods::canonical::{Canonical, kernel_quantities};
+use crate::methods::canonical::Canonical;
+use crate::methods::kernel::kernel_quantities;
 use crate::methods::{Method, Overlay, Quantity};
 use crate::moment::Moment;
 use crate::schedule::Schedule;
@@ -28,6 +29,8 @@ pub struct Deformed<F: Field> {
     anneal: Anneal,
     /// Spacing of training times, normalised.
     interval: f32,
+    /// First step of the field's regularisers.
+    regular_from: u32,
 }
 
 impl<F: Field> Deformed<F> {
@@ -35,7 +38,13 @@ impl<F: Field> Deformed<F> {
     pub fn new(name: &'static str, canonical: Canonical, field: F, anneal: Anneal, views: u32) -> Self {
         let interval = 1.0 / views.max(1) as f32;
         let (tape, moved, d_moved, t) = Default::default();
-        Self { name, canonical, field, tape, moved, d_moved, t, anneal, interval }
+        Self { name, canonical, field, tape, moved, d_moved, t, anneal, interval, regular_from: 0 }
+    }
+
+    /// The same without the field's regularisers before this step of the run.
+    pub fn regularised_from(mut self, step: u32) -> Self {
+        self.regular_from = step;
+        self
     }
 
     fn training_time(&self, t: Time) -> Time {
@@ -97,7 +106,7 @@ where
     }
 
     fn penalties(&mut self, step: u32) -> Vec<(&'static str, f32)> {
-        match self.canonical.schedule.dynamic(step) {
+        match self.canonical.schedule.dynamic(step) && step >= self.regular_from {
             true => self.field.regularise(&self.canonical.splats, self.t, step),
             false => Vec::new(),
         }

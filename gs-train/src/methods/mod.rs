@@ -12,6 +12,7 @@ pub mod canonical;
 pub mod defgs;
 pub mod deformed;
 pub mod fourdgs;
+pub mod kernel;
 pub mod saved;
 pub mod scene;
 pub mod static3d;

@@ -8,6 +8,7 @@
 
 use crate::data::{Dataset, PointCloud};
 use crate::methods::MethodError;
+use crate::methods::kernel::KernelConfig;
 use glam::Vec3;
 use gs_core::{Cloud, Rng};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
@@ -54,6 +55,9 @@ pub struct CloudConfig {
     pub opacity: f32,
     /// The neighbour distance is multiplied by this to give the first standard deviations (3DGS: 1).
     pub spread: f32,
+    /// The fall-off of a splat.
+    #[serde(default)]
+    pub kernel: KernelConfig,
 }
 
 /// What a method is built from.
@@ -129,7 +133,11 @@ pub fn cloud(points: &PointCloud, config: &CloudConfig) -> Result<Cloud, MethodE
     }
     let distances = neighbour_distances(&points.positions)?;
     let sigmas: Vec<f32> = distances.iter().map(|d| config.spread * d.max(MIN_SQUARED_DISTANCE).sqrt()).collect();
-    Ok(Cloud::from_points(&points.positions, &points.colors, &sigmas, config.opacity, config.sh_degree)?)
+    let cloud = Cloud::from_points(&points.positions, &points.colors, &sigmas, config.opacity, config.sh_degree)?;
+    Ok(match config.kernel.init() {
+        Some(init) => cloud.with_kernel(init)?,
+        None => cloud,
+    })
 }
 
 /// Mean squared distance of each point to its 3 nearest neighbours (fewer if there are fewer points; 1 for a lone point).
@@ -155,7 +163,7 @@ mod tests {
     use super::*;
 
     fn config() -> CloudConfig {
-        CloudConfig { sh_degree: 0, opacity: 0.1, spread: 1.0 }
+        CloudConfig { sh_degree: 0, opacity: 0.1, spread: 1.0, kernel: KernelConfig::default() }
     }
 
     #[test]

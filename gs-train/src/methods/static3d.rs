@@ -1,7 +1,8 @@
 //! 3D Gaussian Splatting without time (Kerbl et al. 2023): the canonical cloud is the scene.
 
 use crate::density::Adapted;
-use crate::methods::canonical::{Canonical, kernel_quantities};
+use crate::methods::canonical::Canonical;
+use crate::methods::kernel::kernel_quantities;
 use crate::methods::scene::{CloudConfig, InitConfig, SceneInfo};
 use crate::methods::{Method, MethodEntry, MethodError, Quantity, parse_config};
 use crate::moment::Moment;

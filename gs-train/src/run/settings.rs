@@ -246,8 +246,14 @@ fn stretch(config: &mut Config, total: u32) -> Result<(), RunError> {
 
 /// Whether a setting is a time on the clock of the schedule (not the pace of density control, which stays).
 fn is_length(key: &str) -> bool {
-    let times =
-        ["schedule.sh_every", "schedule.density.from", "schedule.density.until", "schedule.density.reset_every"];
+    let times = [
+        "schedule.sh_every",
+        "schedule.density.from",
+        "schedule.density.until",
+        "schedule.density.reset_every",
+        "cloud.kernel.from_step",
+        "smooth_from",
+    ];
     times.contains(&key) || key.starts_with("schedule.lr.") && key.ends_with(".steps")
 }
 
