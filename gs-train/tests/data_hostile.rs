@@ -169,6 +169,33 @@ fn json_bombs_are_cheap() {
     }
 }
 
+#[test]
+fn lists_and_arrays_of_captures_cannot_ask_for_memory() {
+    let dir = tempfile::tempdir().unwrap();
+    std::fs::create_dir(dir.path().join("camera")).unwrap();
+    let n = 1_000_000;
+    let flat = format!("{{\"ids\":[{}0]}}", "0,".repeat(n));
+    let keys = format!("{{{}\"z\":0}}", (0..n / 6).map(|k| format!("\"{k:x}\":0,")).collect::<String>());
+    let small = String::from("{\"center\":[0,0,0],\"scale\":1,\"ids\":[\"a\"],\"train_ids\":[\"a\"]}");
+    for (dataset, metadata) in [(&flat, &small), (&keys, &small), (&small, &flat), (&small, &keys)] {
+        put(&dir.path().join("scene.json"), small.as_bytes());
+        put(&dir.path().join("dataset.json"), dataset.as_bytes());
+        put(&dir.path().join("metadata.json"), metadata.as_bytes());
+        let bytes = dataset.len() + metadata.len();
+        let e = bounded(bytes, "capture", || open(dir.path())).unwrap_err();
+        assert!(["data.field", "data.layout", "data.empty"].contains(&e.code()), "{e}");
+    }
+    for shape in ["(99999999, 17)", "(0, 17)", "(17,)", "()", "(18446744073709551615, 17)", "(1, 17, 9)"] {
+        let mut dict = format!("{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}");
+        dict.extend(std::iter::repeat_n(' ', 118 - dict.len()));
+        let poses = [&b"\x93NUMPY\x01\x00\x76\x00"[..], dict.as_bytes(), &[0; 136]].concat();
+        std::fs::remove_file(dir.path().join("dataset.json")).ok();
+        put(&dir.path().join("poses_bounds.npy"), &poses);
+        let e = bounded(poses.len(), "poses", || open(dir.path())).unwrap_err();
+        assert!(["data.syntax", "data.field"].contains(&e.code()), "{shape}: {} {e}", e.code());
+    }
+}
+
 /// The three files of a small binary model: one camera, one image, two points.
 fn model() -> [(&'static str, Vec<u8>); 3] {
     let mut cameras = [1u64.to_le_bytes(), (1u64 | 1 << 32).to_le_bytes(), 12u64.to_le_bytes()].concat();

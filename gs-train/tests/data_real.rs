@@ -3,8 +3,9 @@
 
 use std::path::{Path, PathBuf};
 
-use glam::{DVec2, DVec3};
-use gs_train::data::{DataOptions, Dataset, ImageCache};
+use glam::{DMat3, DVec2, DVec3};
+use gs_core::Camera;
+use gs_train::data::{DataOptions, Dataset, ImageCache, View, detect};
 
 fn capture(name: &str) -> Option<PathBuf> {
     gs_core::testkit::shared(&format!("data/{name}"))
@@ -72,18 +73,94 @@ fn fox_with_missing_images_and_other_sizes() {
     assert!((a.fx - b.fx).abs() < 1e-9 && (a.cx - b.cx).abs() < 1e-9 && (a.width, a.height) == (270, 480));
 }
 
-/// The model calls its images 3, 5, 0, 14, 8 (.jpg); the folder holds 1 to 5 (.png), a case of wrong names.
+/// The model calls its images 3, 5, 0, 14, 8 (.jpg); the folder holds 1 to 5 (.png): they are paired in order of number.
 #[test]
 fn neu3d_colmap() {
     let Some(dir) = capture("neu3d_flame_steak_5view_llff_colmap") else { return };
-    let options = DataOptions { hold_out: 0, ..Default::default() };
-    let e = Dataset::open(&dir, &options).unwrap_err();
-    assert_eq!(e.to_string(), "3 of 5 images are missing: images_4/0.jpg, images_4/14.jpg, images_4/8.jpg");
-    // The numbers are camera numbers; the folder counts the same cameras in that order. Other orders show other pictures.
-    let right = colour_error(&renamed(&dir, ["0", "3", "5", "8", "14"]), &options);
-    let wrong = colour_error(&renamed(&dir, ["3", "5", "0", "14", "8"]), &options);
-    println!("median colour difference of projected points: {right:.3}, in another order {wrong:.3}");
-    assert!(right < 0.07 && wrong > 1.5 * right, "points land on their colours: {right} against {wrong}");
+    let options = DataOptions { hold_out: 0, layout: Some("colmap".into()), ..Default::default() };
+    let d = Dataset::open(&dir, &options).unwrap();
+    let pairs = "0.jpg is 1.png, 3.jpg is 2.png, 5.jpg is 3.png, 8.jpg is 4.png, 14.jpg is 5.png";
+    assert!(d.notes.iter().any(|n| n.contains(pairs)), "{:?}", d.notes);
+    // The pictures themselves say that the order is right: points land on their colours, in another order they do not.
+    let paired = colour_error(&d);
+    let other = renamed(&dir, ["3", "5", "0", "14", "8"]);
+    let wrong = colour_error(&Dataset::open(other.path(), &options).unwrap());
+    println!("median colour difference of projected points: {paired:.3}, in another order {wrong:.3}");
+    assert!(paired < 0.07 && wrong > 1.5 * paired, "points land on their colours: {paired} against {wrong}");
+}
+
+/// The same five photographs by `poses_bounds.npy` and by the model: one rig, up to the similarity between the two worlds.
+#[test]
+fn neu3d_llff_agrees_with_colmap() {
+    let Some(dir) = capture("neu3d_flame_steak_5view_llff_colmap") else { return };
+    let read = |layout: &str| {
+        let options = DataOptions { hold_out: 0, layout: Some(layout.into()), ..Default::default() };
+        let d = Dataset::open(&dir, &options).unwrap();
+        assert_eq!((d.layout, d.train.len(), d.dynamic), (layout, 5, false));
+        let mut views = d.train;
+        views.sort_by(|a, b| a.name.cmp(&b.name));
+        views
+    };
+    assert_eq!(detect(&dir).unwrap().name, "colmap", "a model beside the poses is preferred, as before");
+    let (llff, colmap) = (read("llff"), read("colmap"));
+    assert!(llff.iter().zip(&colmap).all(|(a, b)| a.image == b.image), "the same photographs");
+    let rig = |views: &[View]| views.iter().map(|v| v.camera.clone()).collect::<Vec<_>>();
+    let fit = residuals(&rig(&llff), &rig(&colmap));
+    println!(
+        "LLFF against COLMAP: centres {:.2} % of the rig, rotations {:.3} degrees, focal lengths {:.2} %, principal points {:.2} px",
+        100.0 * fit.centre,
+        fit.degrees,
+        100.0 * fit.focal,
+        fit.principal
+    );
+    assert!(fit.centre < 0.02 && fit.degrees < 0.5 && fit.focal < 0.01 && fit.principal < 0.5, "{fit:?}");
+    // Any other pairing of rows and photographs is far off.
+    let mut turned = rig(&colmap);
+    turned.rotate_left(1);
+    let wrong = residuals(&rig(&llff), &turned);
+    assert!(wrong.centre > 10.0 * fit.centre && wrong.degrees > 10.0 * fit.degrees, "{wrong:?}");
+}
+
+/// Largest differences of two rigs after the similarity between them is removed.
+#[derive(Debug)]
+struct Residuals {
+    /// Distance of centres, as a part of the largest distance of a centre from the mean.
+    centre: f64,
+    /// Angle between rotations.
+    degrees: f64,
+    /// Relative difference of focal lengths.
+    focal: f64,
+    /// Distance of principal points, pixels.
+    principal: f64,
+}
+
+/// The similarity takes `b` to `a`: the rotation nearest to the mean of `A_iᵀ B_i` (world-to-camera rotations), then scale
+/// and shift of the centres by least squares.
+fn residuals(a: &[Camera], b: &[Camera]) -> Residuals {
+    let sum = a.iter().zip(b).fold(DMat3::ZERO, |m, (a, b)| m + a.rotation.transpose() * b.rotation);
+    let mut turn = sum * (1.0 / a.len() as f64);
+    for _ in 0..20 {
+        turn = (turn + turn.inverse().transpose()) * 0.5;
+    }
+    let mean = |c: &[Camera]| c.iter().map(Camera::position).sum::<DVec3>() / c.len() as f64;
+    let (mean_a, mean_b) = (mean(a), mean(b));
+    let arms: Vec<(DVec3, DVec3)> =
+        a.iter().zip(b).map(|(a, b)| (a.position() - mean_a, turn * (b.position() - mean_b))).collect();
+    let dot: f64 = arms.iter().map(|(p, q)| p.dot(*q)).sum();
+    let scale = dot / arms.iter().map(|(_, q)| q.length_squared()).sum::<f64>();
+    let size = arms.iter().map(|(p, _)| p.length()).fold(0.0, f64::max);
+    let most = |values: Vec<f64>| values.into_iter().fold(0.0, f64::max);
+    let both = || a.iter().zip(b);
+    let angle = |(a, b): (&Camera, &Camera)| {
+        let r = a.rotation * turn * b.rotation.transpose();
+        (0.5 * (r.x_axis.x + r.y_axis.y + r.z_axis.z - 1.0)).clamp(-1.0, 1.0).acos().to_degrees()
+    };
+    Residuals {
+        centre: most(arms.iter().map(|(p, q)| (*p - *q * scale).length() / size).collect()),
+        degrees: most(both().map(angle).collect()),
+        focal: most(both().map(|(a, b)| (a.fx / b.fx - 1.0).abs().max((a.fy / b.fy - 1.0).abs())).collect()),
+        principal: most(both().map(|(a, b)| DVec2::new(a.cx - b.cx, a.cy - b.cy).length()).collect()),
+    }
 }
 
 /// A copy of the capture with images 1 to 5 under other names.
@@ -104,8 +181,7 @@ fn renamed(dir: &Path, names: [&str; 5]) -> tempfile::TempDir {
 }
 
 /// Median difference between the colours of points and of the pixels they project to.
-fn colour_error(copy: &tempfile::TempDir, options: &DataOptions) -> f32 {
-    let d = Dataset::open(copy.path(), options).unwrap();
+fn colour_error(d: &Dataset) -> f32 {
     assert_eq!((d.layout, d.train.len(), d.dynamic), ("colmap", 5, false));
     let points = d.points.as_ref().unwrap();
     assert_eq!(points.positions.len(), 2137);

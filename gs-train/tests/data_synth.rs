@@ -1,6 +1,6 @@
 //! Generated scenes: written and read again they are the same, their truth is true, and nothing depends on threads.
 
-use glam::{DVec2, DVec3};
+use glam::{DMat3, DVec2, DVec3};
 use gs_train::data::{DataOptions, Dataset, ImageCache, ImageSource, ImageU8, Split};
 use gs_train::synth::{self, SCENES, SynthOptions};
 
@@ -52,14 +52,16 @@ fn a_folder_with_files_is_left_alone_unless_asked() {
 
 #[test]
 fn same_seed_same_bytes_for_any_number_of_threads() {
-    let bytes = |threads: usize, seed: u64| {
+    let bytes = |scene: &str, threads: usize, seed: u64| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        let data = pool.install(|| synth::generate("balls", &SynthOptions { seed, ..small() }).unwrap());
+        let data = pool.install(|| synth::generate(scene, &SynthOptions { seed, ..small() }).unwrap());
         data.dataset.train.iter().flat_map(|v| memory(&v.image).data.clone()).collect::<Vec<u8>>()
     };
-    let one = bytes(1, 5);
-    assert_eq!(one, bytes(3, 5));
-    assert_ne!(one, bytes(1, 6));
+    for scene in ["balls", "waves"] {
+        let one = bytes(scene, 1, 5);
+        assert_eq!(one, bytes(scene, 3, 5));
+        assert_ne!(one, bytes(scene, 1, 6));
+    }
     let dirs = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
     for d in &dirs {
         synth::write(d.path(), "sheet", &small(), false).unwrap();
@@ -88,7 +90,7 @@ fn axes_are_right() {
 /// Material points, followed by the truth alone, land on pixels that show their body.
 #[test]
 fn the_truth_reprojects_onto_the_pictures() {
-    for name in ["balls", "sheet"] {
+    for name in ["balls", "sheet", "waves"] {
         let data = synth::generate(name, &SynthOptions { size: 96, ..small() }).unwrap();
         for v in &data.dataset.test {
             let t = v.time.seconds;
@@ -121,7 +123,7 @@ fn the_truth_reprojects_onto_the_pictures() {
 /// With no shading, the picture at the place the flow points to shows the colour the point had.
 #[test]
 fn flow_carries_colours() {
-    for name in ["balls", "sheet"] {
+    for name in ["balls", "sheet", "waves"] {
         let o = SynthOptions { size: 96, shading: 0.0, ..small() };
         let data = synth::generate(name, &o).unwrap();
         let c = &data.dataset.train[2].camera;
@@ -192,7 +194,7 @@ fn wrong_options_are_named() {
         let e = synth::generate("balls", &o).unwrap_err();
         assert!(e.code() == "data.option" && e.exit_code() == 2 && e.to_string().starts_with(name), "{e}");
     }
-    assert!(synth::generate("bals", &small()).unwrap_err().to_string().contains("balls, sheet, static"));
+    assert!(synth::generate("bals", &small()).unwrap_err().to_string().contains("balls, sheet, static, waves"));
 }
 
 #[test]
@@ -206,4 +208,63 @@ fn rendering_is_quick() {
     let ms = start.elapsed().as_secs_f64() * 100.0;
     println!("200x200, 3x3 samples: {ms:.1} ms per view");
     assert!(ms < 500.0, "{ms} ms");
+}
+
+/// Residual of the best `a + b cos 2πft + c sin 2πft` through evenly spaced values, as a part of their variance.
+fn residual(values: &[f64], cycles: f64) -> f64 {
+    let n = values.len();
+    let t = |k: usize| k as f64 / (n - 1) as f64;
+    let mean = values.iter().sum::<f64>() / n as f64;
+    let variance: f64 = values.iter().map(|v| (v - mean).powi(2)).sum();
+    let angle = |k: usize| std::f64::consts::TAU * cycles * t(k);
+    let basis = |k: usize| DVec3::new(1.0, angle(k).cos(), angle(k).sin());
+    let (mut a, mut b) = (DMat3::ZERO, DVec3::ZERO);
+    for (k, &v) in values.iter().enumerate() {
+        let e = basis(k);
+        a += DMat3::from_cols(e * e.x, e * e.y, e * e.z);
+        b += e * v;
+    }
+    let fit = a.inverse() * b;
+    values.iter().enumerate().map(|(k, v)| (v - fit.dot(basis(k))).powi(2)).sum::<f64>() / variance
+}
+
+/// Every trajectory of "waves" is a single sinusoid of its own frequency, seen at the training times.
+#[test]
+fn waves_have_their_energy_at_their_frequencies() {
+    let o = SynthOptions { size: 8, train_views: 100, val_views: 0, test_views: 0, ..SynthOptions::default() };
+    let data = synth::generate("waves", &o).unwrap();
+    assert_eq!(data.truth.options().supersample, 4, "4x4 samples although 3x3 were asked for");
+    let note = "the fastest motion makes 10 cycles; 100 training times resolve it (up to 49.5 cycles)";
+    assert!(data.dataset.notes.iter().any(|n| n == note), "{:?}", data.dataset.notes);
+    for (body, (axis, want)) in [(2, 0.5), (0, 2.0), (1, 4.0), (2, 10.0)].into_iter().enumerate() {
+        let at = |k: u32| data.truth.position_of(body, DVec3::splat(0.03), f64::from(k) / 99.0).unwrap();
+        let path: Vec<DVec3> = (0..100).map(at).collect();
+        let values: Vec<f64> = path.iter().map(|p| p[axis]).collect();
+        let left = residual(&values, want);
+        assert!(left < 1e-20, "body {body}: all energy at {want} cycles ({left:.1e} is elsewhere)");
+        let others = (1..=48).map(|k| 0.25 * f64::from(k)).filter(|&f| f != want);
+        let least = others.map(|f| residual(&values, f)).fold(f64::INFINITY, f64::min);
+        assert!(least > 1e-4, "body {body}: no other frequency explains it ({least:.1e})");
+        let swing = values.iter().fold(0.0f64, |m, v| m.max((v - values[0]).abs()));
+        assert!(swing > 0.1, "body {body} swings by {swing}");
+        assert!((0..3).filter(|&a| a != axis).all(|a| path.iter().all(|p| p[a] == path[0][a])), "one direction only");
+    }
+    let slab = |t| data.truth.position_of(4, DVec3::ONE, t).unwrap();
+    assert_eq!(slab(0.0), slab(0.7));
+    let few = synth::generate("waves", &SynthOptions { train_views: 20, ..o }).unwrap().dataset;
+    assert!(few.notes[1].contains("20 training times do not resolve it (up to 9.5 cycles)"), "{:?}", few.notes);
+}
+
+#[test]
+fn waves_stay_in_the_box_and_out_of_each_other() {
+    let data = synth::generate("waves", &SynthOptions { size: 8, train_views: 1, ..small() }).unwrap();
+    // Radii of balls around the bodies; the blocks are 0.36 × 0.36 × 0.4 and 0.32 × 0.4 × 0.36.
+    let radius = [0.22, 0.325, 0.2, 0.314];
+    for k in 0..=400 {
+        let centre = |b: usize| data.truth.position_of(b, DVec3::ZERO, f64::from(k) / 400.0).unwrap();
+        for a in 0..4 {
+            assert!(centre(a).abs().max_element() + radius[a] < 1.3 && centre(a).z - radius[a] > -0.67);
+            assert!((0..a).all(|b| (centre(b) - centre(a)).length() > radius[a] + radius[b]), "body {a} at {k}");
+        }
+    }
 }

@@ -43,7 +43,7 @@ struct Entry {
 struct Key {
     file: PathBuf,
     memory: usize,
-    bits: [u64; 9],
+    bits: [u64; 10],
 }
 
 impl ImageCache {
@@ -88,6 +88,7 @@ impl ImageCache {
     pub fn get(&self, v: &View) -> Result<Arc<ImageU8>, DataError> {
         if let (ImageSource::Memory(image), None) = (&v.image, v.lens)
             && self.scale == 1.0
+            && v.stored.is_none()
         {
             check_size(v, image)?;
             return Ok(image.clone());
@@ -107,6 +108,9 @@ impl ImageCache {
             ImageSource::Memory(image) => ImageU8::clone(image),
         };
         check_size(v, &image)?;
+        if v.stored.is_some() {
+            image = image.box_downscaled(v.camera.width as usize, v.camera.height as usize);
+        }
         if let Some(lens) = &v.lens {
             image = undistorted(&image, &v.camera, lens);
         }
@@ -155,7 +159,7 @@ impl Held {
 }
 
 fn key_of(v: &View) -> Key {
-    let mut bits = [0; 9];
+    let mut bits = [0; 10];
     if let Some(lens) = &v.lens {
         let c = &v.camera;
         let values = [c.fx, c.fy, c.cx, c.cy].into_iter().chain(lens.to_array());
@@ -168,7 +172,7 @@ fn key_of(v: &View) -> Key {
 }
 
 fn check_size(v: &View, image: &ImageU8) -> Result<(), DataError> {
-    let want = [v.camera.width, v.camera.height];
+    let want = v.stored.unwrap_or([v.camera.width, v.camera.height]);
     if [image.width, image.height] == want.map(|s| s as usize) {
         return Ok(());
     }

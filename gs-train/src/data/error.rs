@@ -150,6 +150,16 @@ pub enum DataError {
         /// Images listed in total.
         total: usize,
     },
+    /// Videos whose frames nobody has extracted.
+    #[error("{} holds {videos} videos without frames", .folder.display())]
+    Video {
+        /// The data folder.
+        folder: PathBuf,
+        /// How many.
+        videos: usize,
+        /// The shell command that extracts them, run in the folder.
+        command: String,
+    },
     /// A path inside the data leaves the data folder.
     #[error("path \"{path}\" leaves the data folder")]
     Escape {
@@ -233,6 +243,7 @@ impl DataError {
             Self::Pose { .. } => "data.pose",
             Self::Time { .. } => "data.time",
             Self::Missing { .. } => "data.missing",
+            Self::Video { .. } => "data.video",
             Self::Escape { .. } => "data.escape",
             Self::CameraModel { .. } => "data.camera_model",
             Self::Decode { .. } => "data.image",
@@ -271,7 +282,11 @@ impl DataError {
             | Self::Empty { file }
             | Self::Read { file, .. }
             | Self::Write { file, .. } => Some(Place::new(file, "")),
-            Self::NotFound { .. } | Self::Layout { .. } | Self::Occupied { .. } | Self::Option { .. } => None,
+            Self::NotFound { .. }
+            | Self::Layout { .. }
+            | Self::Occupied { .. }
+            | Self::Video { .. }
+            | Self::Option { .. } => None,
         }
     }
 
@@ -288,6 +303,7 @@ impl DataError {
             Self::Pose { .. } => "a scaled, sheared or mirrored camera sees another scene",
             Self::Time { .. } => "outside the training span it would train the extrapolation range",
             Self::Missing { .. } => "training on fewer views than listed changes the result without a word",
+            Self::Video { .. } => "videos are not decoded here, frames are read as images",
             Self::Escape { .. } => "data from elsewhere must not read files outside its own folder",
             Self::CameraModel { .. } => "its distortion would be ignored and every ray bent",
             Self::Decode { .. } => "the view cannot be compared",
@@ -314,6 +330,7 @@ impl DataError {
                 format!("fix the file, or pass --set data.time_range={wide}")
             }
             Self::Missing { .. } => "copy the files, or pass --set data.allow_missing=true to leave them out".into(),
+            Self::Video { command, .. } => format!("run in that folder: {command}"),
             Self::Escape { .. } => "copy the file into the data folder and use a relative path".into(),
             Self::CameraModel { .. } => {
                 "undistort first (colmap image_undistorter), or use SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL or OPENCV"

@@ -57,9 +57,12 @@ impl Dataset {
         h.text(&v.name);
         h.bytes(&[c.width.to_le_bytes(), c.height.to_le_bytes(), v.camera_id.to_le_bytes()].concat());
         let lens = v.lens.unwrap_or_default().to_array();
+        // Lenses without skew keep the digest they had before skew was read.
+        let lens = lens.into_iter().take(if lens[5] == 0.0 { 5 } else { 6 });
         let intrinsics = [c.fx, c.fy, c.cx, c.cy, f64::from(v.time.normalised), v.time.seconds];
         let pose = c.rotation.to_cols_array().into_iter().chain(c.translation.to_array());
         intrinsics.into_iter().chain(pose).chain(lens).for_each(|x| h.bytes(&x.to_bits().to_le_bytes()));
+        v.stored.iter().flatten().for_each(|side| h.bytes(&side.to_le_bytes()));
         match &v.image {
             ImageSource::File(file) => {
                 h.text(&file.strip_prefix(&self.root).unwrap_or(file).to_string_lossy());

@@ -14,6 +14,7 @@ use serde_json::value::RawValue;
 use serde_json::{Map, Value};
 
 use super::error::{DataError, Place};
+use super::files::read_text;
 
 /// Largest JSON file read.
 pub(crate) const MAX_JSON_BYTES: u64 = 64 << 20;
@@ -22,6 +23,8 @@ const MAX_FRAME_BYTES: usize = 64 << 10;
 /// Scalars beside the frames are kept up to this size and number.
 const MAX_FIELD_BYTES: usize = 4 << 10;
 const MAX_FIELDS: usize = 256;
+/// What to do about numbers of the wrong shape.
+const FIX: &str = "export the file again";
 /// No frame is shorter: a 4×4 matrix alone has 41 characters.
 const LEAST_FRAME_BYTES: usize = 41;
 
@@ -94,6 +97,15 @@ fn syntax(file: &Path, prefix: &str, e: &serde_json::Error) -> DataError {
     let text = e.to_string();
     let message = text.split(" at line ").next().unwrap_or(&text);
     DataError::syntax(file, line, message)
+}
+
+/// Reads a small file that is one object, wholly parsed.
+///
+/// # Errors
+/// `limits.file` above `limit` bytes, `io.read`, `data.syntax` with line and column.
+pub(crate) fn read_object(file: &Path, limit: u64) -> Result<Map<String, Value>, DataError> {
+    let text = read_text(file, limit)?;
+    serde_json::from_str(&quote_non_finite(&text)).map_err(|e| syntax(file, "", &e))
 }
 
 /// What a value looks like in an error text.
@@ -180,7 +192,12 @@ pub(crate) struct Fields<'a> {
     map: Cow<'a, Map<String, Value>>,
 }
 
-impl Fields<'_> {
+impl<'a> Fields<'a> {
+    /// The fields of `map`, which stands at `prefix` (empty: the whole file).
+    pub(crate) fn new(file: &'a Path, prefix: impl Into<String>, map: &'a Map<String, Value>) -> Self {
+        Self { file, prefix: prefix.into(), map: Cow::Borrowed(map) }
+    }
+
     /// File and JSON path of a field.
     pub(crate) fn place(&self, key: &str) -> Place {
         let dot = if self.prefix.is_empty() || key.is_empty() { "" } else { "." };
@@ -196,6 +213,58 @@ impl Fields<'_> {
             None | Some(Value::Null) => Ok(None),
             Some(v) => finite(v).map(Some).ok_or_else(|| not_finite(self.place(key), v)),
         }
+    }
+
+    /// A number that must be there.
+    ///
+    /// # Errors
+    /// `data.field` if it is not.
+    pub(crate) fn required_number(&self, key: &str) -> Result<f64, DataError> {
+        self.number(key)?.ok_or_else(|| self.fault(key, "missing", "the layout demands this number", "add the field"))
+    }
+
+    /// A list of exactly `N` finite numbers, if the field is there.
+    ///
+    /// # Errors
+    /// `data.field` naming the entry.
+    pub(crate) fn numbers<const N: usize>(&self, key: &str) -> Result<Option<[f64; N]>, DataError> {
+        let cells = match self.map.get(key) {
+            None | Some(Value::Null) => return Ok(None),
+            Some(Value::Array(cells)) if cells.len() == N => cells,
+            Some(v) => {
+                return Err(self.fault(key, &v.to_string(), "it must be a list of numbers of fixed length", FIX));
+            }
+        };
+        let mut out = [0.0; N];
+        for (i, (value, cell)) in out.iter_mut().zip(cells).enumerate() {
+            *value = finite(cell).ok_or_else(|| not_finite(self.place(&format!("{key}[{i}]")), cell))?;
+        }
+        Ok(Some(out))
+    }
+
+    /// Three rows of three finite numbers, which must be there.
+    ///
+    /// # Errors
+    /// `data.field` naming the entry.
+    pub(crate) fn rows3(&self, key: &str) -> Result<[[f64; 3]; 3], DataError> {
+        let rows = match self.map.get(key) {
+            Some(Value::Array(rows)) if rows.len() == 3 => rows,
+            v => {
+                let value = v.map_or("missing".into(), Value::to_string);
+                return Err(self.fault(key, &value, "it must be three rows of three numbers", FIX));
+            }
+        };
+        let mut m = [[0.0; 3]; 3];
+        for (i, row) in rows.iter().enumerate() {
+            let at = format!("{key}[{i}]");
+            let cells = row.as_array().filter(|c| c.len() == 3);
+            let cells =
+                cells.ok_or_else(|| self.fault(&at, &row.to_string(), "it must be a row of three numbers", FIX))?;
+            for (j, cell) in cells.iter().enumerate() {
+                m[i][j] = finite(cell).ok_or_else(|| not_finite(self.place(&format!("{at}[{j}]")), cell))?;
+            }
+        }
+        Ok(m)
     }
 
     /// A text, if the field is there.

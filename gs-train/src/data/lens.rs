@@ -7,6 +7,7 @@
 //! y' = y (1 + k1 r² + k2 r⁴ + k3 r⁶) + p1 (r² + 2 y²) + 2 p2 x y
 //! ```
 //! (OpenCV `calib3d`, "Detailed Description"). COLMAP's `SIMPLE_RADIAL`, `RADIAL` and `OPENCV` are special cases.
+//! A sensor whose columns lean adds `skew · y'` to `x'` (Hartley and Zisserman 2004, 6.2.4, with `skew = s / fx`).
 
 use glam::DVec2;
 use gs_core::Camera;
@@ -26,15 +27,17 @@ pub struct Lens {
     pub p1: f64,
     /// Tangential.
     pub p2: f64,
+    /// Lean of the pixel columns, as a part of the horizontal focal length.
+    pub skew: f64,
 }
 
 /// Newton steps of the inverse; four suffice for usual lenses.
 const MAX_STEPS: usize = 30;
 
 impl Lens {
-    /// The coefficients in a fixed order: `k1 k2 k3 p1 p2`.
-    pub fn to_array(&self) -> [f64; 5] {
-        [self.k1, self.k2, self.k3, self.p1, self.p2]
+    /// The coefficients in a fixed order: `k1 k2 k3 p1 p2 skew`.
+    pub fn to_array(&self) -> [f64; 6] {
+        [self.k1, self.k2, self.k3, self.p1, self.p2, self.skew]
     }
 
     /// Whether it bends nothing.
@@ -44,6 +47,12 @@ impl Lens {
 
     /// Where the lens shows the point `p` of the plane `z = 1`.
     pub fn distort(&self, p: DVec2) -> DVec2 {
+        let bent = self.bend(p);
+        DVec2::new(bent.x + self.skew * bent.y, bent.y)
+    }
+
+    /// The distortion without skew.
+    fn bend(&self, p: DVec2) -> DVec2 {
         let r2 = p.length_squared();
         let radial = 1.0 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3));
         let xy = p.x * p.y;
@@ -57,9 +66,10 @@ impl Lens {
     /// The point of the plane `z = 1` that the lens shows at `seen`, by Newton's method from `seen`. None where the
     /// model folds over and no inverse is found.
     pub fn undistort(&self, seen: DVec2) -> Option<DVec2> {
-        let mut p = seen;
+        let bent = DVec2::new(seen.x - self.skew * seen.y, seen.y);
+        let mut p = bent;
         for _ in 0..MAX_STEPS {
-            let error = self.distort(p) - seen;
+            let error = self.bend(p) - bent;
             if error.length() < 1e-13 {
                 return Some(p);
             }
@@ -70,10 +80,10 @@ impl Lens {
             }
             p -= DVec2::new(d * error.x - b * error.y, a * error.y - c * error.x) / det;
         }
-        ((self.distort(p) - seen).length() < 1e-9).then_some(p)
+        ((self.bend(p) - bent).length() < 1e-9).then_some(p)
     }
 
-    /// `(∂x'/∂x, ∂x'/∂y, ∂y'/∂x, ∂y'/∂y)`.
+    /// `(∂x'/∂x, ∂x'/∂y, ∂y'/∂x, ∂y'/∂y)` without skew.
     fn jacobian(&self, p: DVec2) -> (f64, f64, f64, f64) {
         let r2 = p.length_squared();
         let radial = 1.0 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3));
@@ -156,8 +166,8 @@ mod tests {
 
     /// The lens of a hand-held phone, and a stronger one.
     const LENSES: [Lens; 2] = [
-        Lens { k1: 0.0578421, k2: -0.0805099, k3: 0.0, p1: -0.000980296, p2: 0.00015575 },
-        Lens { k1: -0.28, k2: 0.07, k3: -0.004, p1: 0.002, p2: -0.003 },
+        Lens { k1: 0.0578421, k2: -0.0805099, k3: 0.0, p1: -0.000980296, p2: 0.00015575, skew: 0.0 },
+        Lens { k1: -0.28, k2: 0.07, k3: -0.004, p1: 0.002, p2: -0.003, skew: 0.02 },
     ];
 
     fn camera() -> Camera {
@@ -186,8 +196,8 @@ mod tests {
         for lens in LENSES {
             let (p, h) = (DVec2::new(0.31, -0.52), 1e-6);
             let (a, b, c, d) = lens.jacobian(p);
-            let dx = (lens.distort(p + DVec2::X * h) - lens.distort(p - DVec2::X * h)) / (2.0 * h);
-            let dy = (lens.distort(p + DVec2::Y * h) - lens.distort(p - DVec2::Y * h)) / (2.0 * h);
+            let dx = (lens.bend(p + DVec2::X * h) - lens.bend(p - DVec2::X * h)) / (2.0 * h);
+            let dy = (lens.bend(p + DVec2::Y * h) - lens.bend(p - DVec2::Y * h)) / (2.0 * h);
             assert!((dx - DVec2::new(a, c)).length() < 1e-8 && (dy - DVec2::new(b, d)).length() < 1e-8);
         }
     }

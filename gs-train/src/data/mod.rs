@@ -1,12 +1,13 @@
 //! Data sets: folders in, views out.
 //!
 //! A [`View`] is a camera, a moment and an image; a [`Dataset`] is three lists of them plus what else the folder holds.
-//! One file per layout (`blender.rs`, `nerfstudio.rs`, `colmap.rs`), one line each in [`LAYOUTS`].
+//! One file per layout (`blender.rs`, `nerfstudio.rs`, `colmap.rs`, `hypernerf.rs`, `llff.rs`), one line each in [`LAYOUTS`].
 //!
 //! # Conventions
 //! * Readers turn every camera into OpenCV axes; OpenGL camera-to-world matrices have their y and z axes flipped.
 //! * [`Time::normalised`] is 0 at the first training time and 1 at the last; [`Time::seconds`] is the data's own clock.
-//! * [`View::camera`] has the size of the image file. An [`ImageCache`] with a scale gives the smaller camera.
+//! * [`View::camera`] has the size of the image file, or that size times `data.scale`. An [`ImageCache`] with a scale of
+//!   its own gives the smaller camera.
 //! * Every assumption a reader makes is a line in [`Dataset::notes`].
 //! * Paths inside the data stay inside the folder; nothing is allocated on the word of a header alone.
 //!
@@ -21,6 +22,7 @@ use gs_core::{Camera, Time};
 
 mod blender;
 pub mod cache;
+mod cloud;
 mod colmap;
 pub mod decode;
 pub mod error;
@@ -28,15 +30,18 @@ mod files;
 mod frames;
 mod geometry;
 pub mod header;
+mod hypernerf;
 mod initial;
 mod intrinsics;
 mod json;
 pub mod lens;
+mod llff;
 mod nerfstudio;
 pub mod options;
 pub mod pixels;
 mod ply;
 mod pose;
+mod sight;
 mod times;
 
 pub use cache::ImageCache;
@@ -59,8 +64,10 @@ pub enum ImageSource {
 pub struct View {
     /// Name within its split, for example `r_017`.
     pub name: String,
-    /// The pinhole camera, of the size of the image file.
+    /// The pinhole camera, of the size of the image that is used.
     pub camera: Camera,
+    /// Width and height of the image as it is stored, where it is shrunk to the camera's (`data.scale`).
+    pub stored: Option<[u32; 2]>,
     /// Distortion of the photograph; the [`ImageCache`] removes it. None for a pinhole.
     pub lens: Option<Lens>,
     /// The moment.
@@ -74,7 +81,7 @@ pub struct View {
 impl View {
     /// A view without distortion.
     pub fn new(name: impl Into<String>, camera: Camera, time: Time, image: ImageSource, camera_id: u32) -> Self {
-        Self { name: name.into(), camera, lens: None, time, image, camera_id }
+        Self { name: name.into(), camera, stored: None, lens: None, time, image, camera_id }
     }
 }
 
@@ -143,7 +150,25 @@ impl Dataset {
                 .ok_or_else(|| unknown(format!("\"{name}\" was asked for, known are {}", names())))?,
             None => detect(dir).ok_or_else(|| unknown(format!("looked for {}", names())))?,
         };
-        (layout.open)(dir, options)
+        let scale = options.scale;
+        if !(scale > 0.0 && scale <= 1.0) {
+            let rule = "above 0, at most 1".into();
+            return Err(DataError::Option { name: "data.scale", value: scale.to_string(), rule });
+        }
+        let mut data = (layout.open)(dir, options)?;
+        if scale < 1.0 {
+            data.shrink(scale);
+        }
+        Ok(data)
+    }
+
+    /// Makes every view smaller; the [`ImageCache`] averages the images down to their cameras.
+    fn shrink(&mut self, scale: f64) {
+        for v in self.train.iter_mut().chain(&mut self.val).chain(&mut self.test) {
+            v.stored = Some([v.camera.width, v.camera.height]);
+            v.camera = v.camera.scaled(scale);
+        }
+        self.notes.push(format!("images are shrunk to {scale} of their size, as data.scale asks"));
     }
 
     /// The views of a split.
@@ -180,7 +205,7 @@ pub struct Layout {
 }
 
 /// Every reader.
-pub const LAYOUTS: &[Layout] = &[blender::LAYOUT, nerfstudio::LAYOUT, colmap::LAYOUT];
+pub const LAYOUTS: &[Layout] = &[blender::LAYOUT, nerfstudio::LAYOUT, colmap::LAYOUT, hypernerf::LAYOUT, llff::LAYOUT];
 
 /// The reader that is surest of a folder; of equally sure ones the first.
 pub fn detect(dir: &Path) -> Option<&'static Layout> {

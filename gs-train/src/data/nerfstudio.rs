@@ -174,7 +174,7 @@ impl Stated {
             size: size.into(),
             focal: DVec2::new(fx, fy),
             principal: principal.into(),
-            lens: Lens { k1, k2, k3, p1, p2 },
+            lens: Lens { k1, k2, k3, p1, p2, skew: 0.0 },
         })
     }
 }

@@ -82,6 +82,8 @@ pub struct DataOptions {
     pub undistort: bool,
     /// Image folder of a COLMAP model; none: the first of `images`, `images_2`, `images_4`, `images_8`, `input`.
     pub images: Option<String>,
+    /// Size of the images used, as a part of their stored size: above 0, at most 1. Shrinking averages areas.
+    pub scale: f64,
     /// Largest decoded image in MiB; none: 64 MiB plus eight times the size of its file.
     pub max_image_mib: Option<u32>,
 }
@@ -97,6 +99,7 @@ impl Default for DataOptions {
             hold_out: 8,
             undistort: true,
             images: None,
+            scale: 1.0,
             max_image_mib: None,
         }
     }

@@ -30,6 +30,16 @@ pub(crate) fn from_opengl(rows: &[[f64; 4]; 3], place: &Place) -> Result<Pose, D
     Ok(Pose { rotation, translation: -(rotation * centre) })
 }
 
+/// The pose of a camera whose axes right, down and forward are the columns of `axes`, in the world, and whose centre is
+/// `centre`.
+///
+/// # Errors
+/// `data.pose` if the axes are scaled, mirrored or sheared.
+pub(crate) fn from_axes(axes: DMat3, centre: DVec3, place: &Place) -> Result<Pose, DataError> {
+    let rotation = nearest_rotation(axes, place)?.transpose();
+    Ok(Pose { rotation, translation: -(rotation * centre) })
+}
+
 /// The pose of a world-to-camera quaternion `(w, x, y, z)` and translation, as COLMAP writes them.
 ///
 /// # Errors

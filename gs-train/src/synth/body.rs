@@ -75,6 +75,12 @@ impl Body {
         matches!(self.shape, Shape::Sheet { .. })
     }
 
+    /// Cycles per unit of time of its fastest periodic motion; 0 at rest.
+    pub(crate) fn cycles(&self) -> f64 {
+        let own = if let Shape::Sheet { rate, .. } = self.shape { rate.abs() / std::f64::consts::TAU } else { 0.0 };
+        own.max(self.motion.cycles())
+    }
+
     /// World position of a material point at time `t`.
     pub(crate) fn position_of(&self, material: DVec3, t: f64) -> DVec3 {
         let local = match self.shape {

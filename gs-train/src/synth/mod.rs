@@ -38,7 +38,7 @@ pub struct SynthOptions {
     pub test_views: u32,
     /// Seed of the cameras.
     pub seed: u64,
-    /// Samples per pixel along each axis.
+    /// Samples per pixel along each axis; a scene with fine texture takes at least its own number.
     pub supersample: u32,
     /// Part of the brightness that depends on the light, 0..1. 0: every material point keeps its colour.
     pub shading: f64,
@@ -79,6 +79,7 @@ pub fn generate(name: &str, options: &SynthOptions) -> Result<SynthData, DataErr
         rule: format!("one of {}", SCENES.iter().map(|s| s.name).collect::<Vec<_>>().join(", ")),
     })?;
     check(options)?;
+    let options = &SynthOptions { supersample: options.supersample.max(scene.least_supersample), ..*options };
     let truth = Truth::new((scene.bodies)(), scene.name, scene.dynamic, options);
     let split = |purpose: &str, n: u32, time: &dyn Fn(u32) -> f64| {
         (0..n).map(|k| photograph(&truth, purpose, k, time(k))).collect::<Result<Vec<_>, _>>()
@@ -97,9 +98,24 @@ pub fn generate(name: &str, options: &SynthOptions) -> Result<SynthData, DataErr
         dynamic: scene.dynamic && n > 1,
         time_source: if scene.dynamic { "generated: view index over 0..1" } else { "static" }.into(),
         bounds: Some([Vec3::splat(-HALF_SIDE), Vec3::splat(HALF_SIDE)]),
-        notes: vec![format!("generated scene \"{name}\", seed {}", options.seed)],
+        notes: notes(&truth, n),
     };
     Ok(SynthData { dataset, truth })
+}
+
+/// What was generated and, where bodies move periodically, whether the training times resolve it: evenly spaced times `1/(n −
+/// 1)` apart show up to `(n − 1)/2` cycles (Nyquist).
+fn notes(truth: &Truth, train_views: u32) -> Vec<String> {
+    let mut notes = vec![format!("generated scene \"{}\", seed {}", truth.scene(), truth.options().seed)];
+    let fastest = truth.bodies().iter().map(|b| b.cycles()).fold(0.0, f64::max);
+    if truth.dynamic() && fastest > 0.0 {
+        let nyquist = 0.5 * f64::from(train_views.saturating_sub(1));
+        let verdict = if fastest < nyquist { "resolve" } else { "do not resolve" };
+        notes.push(format!(
+            "the fastest motion makes {fastest} cycles; {train_views} training times {verdict} it (up to {nyquist} cycles)"
+        ));
+    }
+    notes
 }
 
 fn check(o: &SynthOptions) -> Result<(), DataError> {

@@ -52,6 +52,15 @@ impl RigidPose {
 }
 
 impl Motion {
+    /// Cycles per unit of time of the fastest of turn, orbit and bob.
+    pub fn cycles(&self) -> f64 {
+        const TURN: f64 = std::f64::consts::TAU;
+        let when = |moves: bool, cycles: f64| if moves { cycles.abs() } else { 0.0 };
+        when(self.spin_axis != DVec3::ZERO, self.spin_rate / TURN)
+            .max(when(self.orbit_radius != 0.0, self.orbit_rate / TURN))
+            .max(when(self.bob != DVec3::ZERO, self.bob_rate))
+    }
+
     /// The pose at time `t`.
     pub fn at(&self, t: f64) -> RigidPose {
         let axis = self.spin_axis.normalize_or_zero();

@@ -13,6 +13,8 @@ pub struct SynthScene {
     pub about: &'static str,
     /// Whether it moves.
     pub dynamic: bool,
+    /// Fewest samples per pixel along each axis; options may ask for more.
+    pub least_supersample: u32,
     /// Its bodies.
     pub bodies: fn() -> Vec<Body>,
 }
@@ -23,19 +25,29 @@ pub const SCENES: &[SynthScene] = &[
         name: "balls",
         about: "two balls on an orbit, a turning block, a tumbling block and a slab at rest: rigid bodies",
         dynamic: true,
+        least_supersample: 1,
         bodies: balls,
     },
     SynthScene {
         name: "sheet",
         about: "a sheet held at one side with a wave travelling through it: motion without rigid parts",
         dynamic: true,
+        least_supersample: 1,
         bodies: sheet,
     },
     SynthScene {
         name: "static",
         about: "the bodies of \"balls\" at rest: for methods without motion",
         dynamic: false,
+        least_supersample: 1,
         bodies: at_rest,
+    },
+    SynthScene {
+        name: "waves",
+        about: "four finely textured bodies that swing at 1/2, 2, 4 and 10 cycles over a slab at rest: low and high frequencies",
+        dynamic: true,
+        least_supersample: 4,
+        bodies: waves,
     },
 ];
 
@@ -119,4 +131,48 @@ fn sheet() -> Vec<Body> {
         colors: [[0.82, 0.30, 0.22], [0.92, 0.90, 0.80]],
         pattern: 9.0,
     }]
+}
+
+/// Cycles over the whole span of time, one per moving body of "waves".
+const WAVE_CYCLES: [f64; 4] = [0.5, 2.0, 4.0, 10.0];
+
+/// Bodies swing sinusoidally along one direction each, amplitudes such that none leaves its quarter of the slab. The
+/// patterns have a wavelength of about a tenth of the scene, which blurs away if a trajectory is smoothed.
+fn waves() -> Vec<Body> {
+    const FINE: f64 = 42.0;
+    let body = |name, shape, [x, y]: [f64; 2], swing: DVec3, cycles, colors| {
+        let motion = Motion { start: DVec3::new(x, y, -0.2), bob: swing, bob_rate: cycles, ..Motion::default() };
+        Body { name, shape, motion, colors, pattern: FINE }
+    };
+    let ball = |radius| Shape::Sphere { radius };
+    let block = |x, y, z| Shape::Box { half: DVec3::new(x, y, z) };
+    let [half, two, four, ten] = WAVE_CYCLES;
+    let slab = Motion { start: DVec3::Z * -0.72, ..Motion::default() };
+    vec![
+        body("half cycle", ball(0.22), [-0.42, -0.42], DVec3::Z * 0.3, half, [[0.86, 0.24, 0.18], [0.97, 0.88, 0.72]]),
+        body(
+            "two cycles",
+            block(0.18, 0.18, 0.2),
+            [0.42, -0.42],
+            DVec3::X * 0.2,
+            two,
+            [[0.14, 0.42, 0.78], [0.88, 0.95, 0.97]],
+        ),
+        body("four cycles", ball(0.2), [0.42, 0.42], DVec3::Y * 0.18, four, [[0.20, 0.58, 0.30], [0.95, 0.90, 0.40]]),
+        body(
+            "ten cycles",
+            block(0.16, 0.2, 0.18),
+            [-0.42, 0.42],
+            DVec3::Z * 0.12,
+            ten,
+            [[0.56, 0.25, 0.62], [0.97, 0.80, 0.55]],
+        ),
+        Body {
+            name: "slab",
+            shape: block(0.72, 0.72, 0.05),
+            motion: slab,
+            colors: [[0.30, 0.32, 0.36], [0.86, 0.86, 0.82]],
+            pattern: FINE,
+        },
+    ]
 }

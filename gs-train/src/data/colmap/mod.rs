@@ -3,7 +3,8 @@
 //! `cameras`, `images` and `points3D` lie in `sparse/0`, `sparse`, `colmap/sparse/0` or the folder itself. Poses are world
 //! to camera as quaternion `(w, x, y, z)` and translation with OpenCV axes, pixel centres at +½: ours. Models
 //! SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL and OPENCV are read, others refused by name. A model knows no
-//! times: it is static unless `data.time_from` says otherwise.
+//! times: it is static unless `data.time_from` says otherwise. Images that were numbered anew are paired in order of number
+//! (`numbered.rs`), with a note.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -23,6 +24,7 @@ use super::times::{Draft, Drafts, settle};
 use super::{Confidence, Dataset, ImageSource, Layout, PointCloud, View};
 
 mod binary;
+mod numbered;
 mod text;
 
 /// The entry in [`super::LAYOUTS`].
@@ -76,7 +78,9 @@ fn intrinsics(model: &str, size: [u64; 2], params: &[f64], place: &Place) -> Res
         ("PINHOLE", &[fx, fy, cx, cy]) => ([fx, fy], [cx, cy], Lens::default()),
         ("SIMPLE_RADIAL", &[f, cx, cy, k1]) => ([f, f], [cx, cy], Lens { k1, ..Lens::default() }),
         ("RADIAL", &[f, cx, cy, k1, k2]) => ([f, f], [cx, cy], Lens { k1, k2, ..Lens::default() }),
-        ("OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2]) => ([fx, fy], [cx, cy], Lens { k1, k2, k3: 0.0, p1, p2 }),
+        ("OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2]) => {
+            ([fx, fy], [cx, cy], Lens { k1, k2, p1, p2, ..Lens::default() })
+        }
         ("SIMPLE_PINHOLE" | "PINHOLE" | "SIMPLE_RADIAL" | "RADIAL" | "OPENCV", _) => {
             let value = format!("{} numbers", params.len());
             return Err(field("params", value, "the camera model has another number of parameters"));
@@ -156,11 +160,14 @@ fn find_images(
 ) -> Result<Vec<Listed<ImageRow>>, DataError> {
     let folder = image_folder(root, options)?;
     notes.push(format!("images come from \"{folder}\""));
+    let paired = numbered::pairing(&root.resolve(&folder, &Place::new(root.dir(), "data.images"))?, &rows)?;
+    notes.extend(paired.as_ref().map(|p| numbered::note(&folder, p)));
     let mut renamed = 0;
     let mut listed = Vec::with_capacity(rows.len());
     for row in rows {
         let place = Place::new(images_file, format!("images[{}].name", row.row));
-        let written = PathBuf::from(format!("{folder}/{}", row.name));
+        let name = paired.as_ref().and_then(|p| p.get(&row.name)).unwrap_or(&row.name);
+        let written = PathBuf::from(format!("{folder}/{name}"));
         let resolve = |p: &Path| root.resolve(&p.to_string_lossy(), &place);
         let mut path = resolve(&written)?;
         if !path.exists() {
