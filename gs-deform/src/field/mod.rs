@@ -5,9 +5,11 @@ pub mod anneal;
 pub mod defgs;
 mod defgs_net;
 pub mod fourdgs;
+pub mod grid4d;
 
 pub use defgs::{DefGsConfig, DefMlp};
 pub use fourdgs::{FourDgsConfig, HexPlaneField};
+pub use grid4d::{Grid4dConfig, Grid4dField};
 use gs_core::{Params, Splats, SplatsGrad, Time};
 
 /// A deformation field: canonical splats to splats at a time. Colours and opacities pass through unchanged.

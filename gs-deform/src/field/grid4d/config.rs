@@ -1,0 +1,276 @@
+//! Settings of a [`Grid4dField`](super::Grid4dField).
+
+use crate::DeformError;
+use crate::encode::HashGridConfig;
+use serde::{Deserialize, Serialize};
+
+/// Size of the field and what it does. The default is FAGS on the grids published for D-NeRF; without
+/// [`FourierConfig::on`] and [`GateConfig::on`] it is Grid4D.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Grid4dConfig {
+    /// Half the side of the cube `[−b, b]³` that is encoded, world units. What lies outside does not move.
+    pub bound: f32,
+    /// The grid over x, y, z.
+    pub canonical: HashGridConfig,
+    /// The three grids over two coordinates and time (time last).
+    pub temporal: HashGridConfig,
+    /// Width of the decoder.
+    pub width: usize,
+    /// Hidden layers between fusion and head.
+    pub depth: usize,
+    /// Attention in −1 … 1 (`2σ − 1`) instead of 0 … 1 (`σ`).
+    pub directional: bool,
+    /// Start the head at zero (nothing moves) instead of at ±1/√width, as the public code does.
+    pub zero_init: bool,
+    /// Let splats outside the cube move by the decoder's answer to zero features, as the public code does.
+    pub compat_grid4d: bool,
+    /// The Fourier branch.
+    pub fourier: FourierConfig,
+    /// The gate.
+    pub gate: GateConfig,
+    /// The smoothness regulariser.
+    pub smooth: SmoothConfig,
+    /// Savings that change results by rounding only.
+    pub exact: ExactConfig,
+}
+
+/// The Fourier branch (FAGS, Eqs. 5 to 7).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FourierConfig {
+    /// Whether there is one.
+    pub on: bool,
+    /// Frequencies `m`; `2m` must equal the width unless the fusion is `concat`.
+    pub bands: usize,
+    /// The time its waves run on.
+    pub time: WaveTime,
+    /// How it joins the features of the grids.
+    pub fusion: Fusion,
+    /// Widths of hidden layers between the spatial features and the amplitudes; none: one linear layer.
+    pub hidden: Vec<usize>,
+}
+
+/// The time a wave runs on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum WaveTime {
+    /// `t`, 0 to 1 over the training span: half a cycle to four.
+    Raw,
+    /// `0.9 b (2t − 1)`, the coordinate of the grids: `1.8 b` times as many cycles.
+    Scaled,
+}
+
+/// How two rows of features become one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Fusion {
+    /// `a ⊙ f_t + f_fre`.
+    Add,
+    /// A linear layer on both.
+    Concat,
+    /// `a ⊙ f_t ⊙ (1 + f_fre)`.
+    Mul,
+}
+
+/// The gate (FAGS, Eq. 8).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GateConfig {
+    /// Whether there is one; without it `η = 1`.
+    pub on: bool,
+    /// What it does to the rigid motion.
+    pub mode: GateMode,
+}
+
+/// What the gate `η` does to the rigid motion with quaternion parameters `ρ` and translation `τ`; `R(v)` turns by
+/// `normalise((1,0,0,0) + v)`. Rotation and scale offsets are multiplied by `η` in all of them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum GateMode {
+    /// `R(ηρ) μ + ητ`: rigid for every `η`, the identity at 0.
+    ScaleParam,
+    /// `(1 − η) μ + η (R(ρ) μ + τ)`.
+    LerpPosition,
+    /// `R(ρ) μ + ητ`.
+    TranslationOnly,
+    /// `η R(ρ) μ + ητ`, as printed in FAGS, Eq. 8: a closed gate sends the splat to the origin.
+    Literal,
+}
+
+/// The smoothness regulariser of Grid4D: features of nearby places should agree.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SmoothConfig {
+    /// Weight for the canonical grid; 0: no look-ups.
+    pub lambda_s: f32,
+    /// Weight for the temporal grids; 0: no look-ups.
+    pub lambda_t: f32,
+    /// Largest shift along x, y, z, world units.
+    pub eps: [f32; 3],
+    /// Largest shift of `0.9 b (2t − 1)`.
+    pub eps_t: f32,
+    /// Share of splats looked at per step, above 0, at most 1; drawn separately for space and time.
+    pub share: f32,
+    /// Leave out pairs of which one lies outside the cube; otherwise they pull features at the faces to zero.
+    pub drop_leaving: bool,
+}
+
+/// Savings that change results by rounding only; switchable for comparison.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ExactConfig {
+    /// Blend the temporal grids along time once per call: 4 corners per splat and level instead of 8.
+    pub time_slicing: bool,
+    /// Run a linear Fourier branch as one small matrix from the canonical features to the head.
+    pub fourier_collapse: bool,
+    /// Keep what does not depend on time when one cloud is drawn at many times
+    /// ([`Grid4dField::freeze`](super::Grid4dField::freeze)).
+    pub cached_attention: bool,
+}
+
+impl Default for Grid4dConfig {
+    fn default() -> Self {
+        Self {
+            bound: 1.6,
+            canonical: HashGridConfig { base: [16.0; 3], end: [2048.0; 3], levels: 16, log2_table: 19 },
+            temporal: HashGridConfig { base: [8.0; 3], end: [32.0, 32.0, 16.0], levels: 32, log2_table: 19 },
+            width: 256,
+            depth: 0,
+            directional: true,
+            zero_init: true,
+            compat_grid4d: false,
+            fourier: FourierConfig {
+                on: true,
+                bands: 128,
+                time: WaveTime::Raw,
+                fusion: Fusion::Add,
+                hidden: Vec::new(),
+            },
+            gate: GateConfig { on: true, mode: GateMode::ScaleParam },
+            smooth: SmoothConfig {
+                lambda_s: 0.5,
+                lambda_t: 0.5,
+                eps: [1e-2; 3],
+                eps_t: 1e-3,
+                share: 0.1,
+                drop_leaving: true,
+            },
+            exact: ExactConfig { time_slicing: true, fourier_collapse: true, cached_attention: true },
+        }
+    }
+}
+
+impl Grid4dConfig {
+    /// The default without Fourier branch and gate: Grid4D.
+    pub fn grid4d() -> Self {
+        let plain = Self::default();
+        Self {
+            fourier: FourierConfig { on: false, ..plain.fourier },
+            gate: GateConfig { on: false, ..plain.gate },
+            ..plain
+        }
+    }
+
+    /// Values in a row of the head: gate (if any), ρ 4, τ 3, Δr 4, Δs 3.
+    pub fn head_width(&self) -> usize {
+        14 + usize::from(self.gate.on)
+    }
+
+    /// Whether the Fourier branch is run as one small matrix.
+    pub fn collapses(&self) -> bool {
+        let linear = self.depth == 0 && self.fourier.fusion == Fusion::Add && self.fourier.hidden.is_empty();
+        self.fourier.on && linear && self.exact.fourier_collapse
+    }
+
+    pub(super) fn check(&self) -> Result<(), DeformError> {
+        let reject = |field, value: String, rule| Err(DeformError::Config { field, value, rule });
+        if !(self.bound.is_finite() && self.bound > 0.0) {
+            return reject("bound", self.bound.to_string(), "finite and above 0");
+        }
+        if !(1..=4096).contains(&self.width) {
+            return reject("width", self.width.to_string(), "1 to 4096");
+        }
+        if self.depth > 64 {
+            return reject("depth", self.depth.to_string(), "at most 64");
+        }
+        self.fourier.check(self.width)?;
+        self.smooth.check()
+    }
+}
+
+impl FourierConfig {
+    fn check(&self, width: usize) -> Result<(), DeformError> {
+        let reject = |field, value: String, rule| Err(DeformError::Config { field, value, rule });
+        if !self.on {
+            return Ok(());
+        }
+        if !(1..=4096).contains(&self.bands) {
+            return reject("bands", self.bands.to_string(), "1 to 4096");
+        }
+        if self.fusion != Fusion::Concat && 2 * self.bands != width {
+            return reject("bands", self.bands.to_string(), "half the width, unless the fusion is `concat`");
+        }
+        if self.hidden.len() > 64 || self.hidden.iter().any(|h| !(1..=4096).contains(h)) {
+            return reject("hidden", format!("{:?}", self.hidden), "at most 64 widths of 1 to 4096");
+        }
+        Ok(())
+    }
+}
+
+impl SmoothConfig {
+    fn check(&self) -> Result<(), DeformError> {
+        let reject = |field, value: String, rule| Err(DeformError::Config { field, value, rule });
+        let [x, y, z] = self.eps;
+        for (field, v) in [
+            ("lambda_s", self.lambda_s),
+            ("lambda_t", self.lambda_t),
+            ("eps", x),
+            ("eps", y),
+            ("eps", z),
+            ("eps_t", self.eps_t),
+        ] {
+            if !(v.is_finite() && v >= 0.0) {
+                return reject(field, v.to_string(), "finite and at least 0");
+            }
+        }
+        if !(self.share > 0.0 && self.share <= 1.0) {
+            return reject("share", self.share.to_string(), "above 0 and at most 1");
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_default_is_the_published_setting_for_synthetic_scenes() {
+        let c = Grid4dConfig::default();
+        assert_eq!(c.check(), Ok(()));
+        assert_eq!((c.head_width(), c.collapses()), (15, true));
+        let plain = Grid4dConfig::grid4d();
+        assert_eq!((plain.head_width(), plain.collapses()), (14, false));
+    }
+
+    #[test]
+    fn what_cannot_be_built_is_refused_by_name() {
+        let error = |change: &dyn Fn(&mut Grid4dConfig)| {
+            let mut c = Grid4dConfig::default();
+            change(&mut c);
+            c.check().unwrap_err().to_string()
+        };
+        assert!(error(&|c| c.bound = 0.0).contains("`bound` = 0"));
+        assert!(error(&|c| c.width = 0).contains("`width` = 0"));
+        assert!(error(&|c| c.depth = 65).contains("`depth` = 65"));
+        assert!(error(&|c| c.fourier.bands = 100).contains("`bands` = 100"));
+        assert!(error(&|c| c.fourier.hidden = vec![0]).contains("`hidden` = [0]"));
+        assert!(error(&|c| c.smooth.eps[1] = -1.0).contains("`eps` = -1"));
+        assert!(error(&|c| c.smooth.share = 0.0).contains("`share` = 0"));
+        assert!(error(&|c| c.smooth.lambda_t = f32::NAN).contains("`lambda_t` = NaN"));
+        let mut c = Grid4dConfig::grid4d();
+        c.fourier.bands = 0;
+        assert_eq!(c.check(), Ok(()), "a branch that is off is not looked at");
+    }
+}

@@ -1,0 +1,242 @@
+//! From a row of the head to the offsets of a splat, and back.
+//!
+//! ```text
+//! head row  [η_raw (with a gate) | ρ 4 | τ 3 | Δr 4 | Δs 3]         η = σ(η_raw), or 1 without a gate
+//! q_d = (1,0,0,0) + rρ      D = R(q_d/|q_d|) μ − μ                    r = η for `scale_param`, else 1
+//! δμ  = scale_param: D + ητ     lerp_position: η(D + τ)     translation_only: D + ητ     literal: η(μ + D + τ) − μ
+//! δr  = ηΔr                     δs = ηΔs
+//! ```
+//! `D = 2w (v × μ) + 2v × (v × μ)` for `q_d/|q_d| = (w, v)` has no cancellation: a small turn is as precise as a large one,
+//! and no turn moves nothing, bit for bit. Where `|q_d|² < 1e-12` the turn is the identity and has no gradient. Rows
+//! outside the cube have no offsets and no gradient.
+
+use super::config::{GateConfig, GateMode};
+use crate::apply::OffsetColumns;
+use glam::Vec3;
+use gs_core::rot;
+
+/// Below this `|q_d|²` there is no turn.
+const NO_TURN: f32 = 1e-12;
+
+/// A row of the head, taken apart.
+pub(super) struct Row {
+    /// `η`.
+    pub gate: f32,
+    /// `ρ`.
+    pub rho: [f32; 4],
+    /// `τ`.
+    pub tau: Vec3,
+    turn: [f32; 4],
+    stretch: [f32; 3],
+}
+
+impl Row {
+    /// Reads `[η_raw | ρ | τ | Δr | Δs]`.
+    pub fn read(row: &[f32], gate: GateConfig) -> Self {
+        let (raw, rest) = row.split_at(usize::from(gate.on));
+        let at = |k: usize| rest[k];
+        Self {
+            gate: raw.first().map_or(1.0, |v| 1.0 / (1.0 + (-v).exp())),
+            rho: [at(0), at(1), at(2), at(3)],
+            tau: Vec3::new(at(4), at(5), at(6)),
+            turn: [at(7), at(8), at(9), at(10)],
+            stretch: [at(11), at(12), at(13)],
+        }
+    }
+
+    /// `|Δr|` and the largest `|Δs|`.
+    pub fn shape_change(&self) -> (f32, f32) {
+        let turn = self.turn.iter().map(|v| v * v).sum::<f32>().sqrt();
+        (turn, self.stretch.iter().fold(0.0f32, |m, v| m.max(v.abs())))
+    }
+
+    /// `q_d` of the mode.
+    pub fn turn_raw(&self, mode: GateMode) -> [f32; 4] {
+        let r = if mode == GateMode::ScaleParam { self.gate } else { 1.0 };
+        [1.0 + r * self.rho[0], r * self.rho[1], r * self.rho[2], r * self.rho[3]]
+    }
+}
+
+/// Offsets of a block: `heads: [rows, 14 or 15]`, one mean and one "moves" per row.
+pub(super) fn forward(
+    gate: GateConfig,
+    heads: &[f32],
+    rows: impl ExactSizeIterator<Item = (Vec3, bool)>,
+    to: &mut OffsetColumns,
+) {
+    let width = 14 + usize::from(gate.on);
+    to.means.clear();
+    to.scales.clear();
+    to.quats.clear();
+    for (head, (mean, moves)) in heads.chunks_exact(width).zip(rows) {
+        if !moves {
+            to.means.extend([0.0; 3]);
+            to.scales.extend([0.0; 3]);
+            to.quats.extend([0.0; 4]);
+            continue;
+        }
+        let row = Row::read(head, gate);
+        to.means.extend(shift(&row, gate.mode, mean).to_array());
+        to.scales.extend(row.stretch.iter().map(|v| row.gate * v));
+        to.quats.extend(row.turn.iter().map(|v| row.gate * v));
+    }
+}
+
+fn shift(row: &Row, mode: GateMode, mean: Vec3) -> Vec3 {
+    let turned = turn(row.turn_raw(mode), mean);
+    match mode {
+        GateMode::ScaleParam | GateMode::TranslationOnly => turned + row.gate * row.tau,
+        GateMode::LerpPosition => row.gate * (turned + row.tau),
+        GateMode::Literal => row.gate * (mean + turned + row.tau) - mean,
+    }
+}
+
+fn turns(raw: [f32; 4]) -> bool {
+    raw.iter().map(|v| v * v).sum::<f32>() >= NO_TURN
+}
+
+/// `R(q/|q|) μ − μ`.
+fn turn(raw: [f32; 4], mean: Vec3) -> Vec3 {
+    if !turns(raw) {
+        return Vec3::ZERO;
+    }
+    let [w, x, y, z] = rot::normalise(raw).wxyz;
+    let axis = Vec3::new(x, y, z);
+    let across = axis.cross(mean);
+    2.0 * (w * across + axis.cross(across))
+}
+
+/// The way back of [`turn`]: `v_q`, and `(R − I)ᵀ g` for the mean.
+fn turn_backward(raw: [f32; 4], mean: Vec3, g: Vec3) -> ([f32; 4], Vec3) {
+    if !turns(raw) {
+        return ([0.0; 4], Vec3::ZERO);
+    }
+    let unit = rot::normalise(raw);
+    let (g3, m) = (g.to_array(), mean.to_array());
+    let outer = std::array::from_fn(|i| std::array::from_fn(|j| g3[i] * m[j]));
+    let d_raw = rot::normalise_backward(&unit, rot::matrix_backward(unit.wxyz, &outer));
+    let [w, x, y, z] = unit.wxyz;
+    (d_raw, turn([w, -x, -y, -z], g))
+}
+
+/// The way back of [`forward`] from the cotangents of the offsets: sets `d_heads`, adds to `d_means` what does not pass
+/// through the sum `μ + δμ`.
+pub(super) fn backward<'a>(
+    gate: GateConfig,
+    heads: &[f32],
+    rows: impl ExactSizeIterator<Item = (Vec3, bool, &'a mut Vec3)>,
+    d: &OffsetColumns,
+    d_heads: &mut Vec<f32>,
+) {
+    let width = 14 + usize::from(gate.on);
+    d_heads.clear();
+    let offsets = d.means.as_chunks::<3>().0.iter().zip(d.quats.as_chunks::<4>().0).zip(d.scales.as_chunks::<3>().0);
+    for ((head, (mean, moves, d_mean)), ((d_shift, d_quat), d_scale)) in heads.chunks_exact(width).zip(rows).zip(offsets) {
+        if !moves {
+            d_heads.extend(std::iter::repeat_n(0.0, width));
+            continue;
+        }
+        let row = Row::read(head, gate);
+        let eta = row.gate;
+        let pull = shift_backward(&row, gate.mode, mean, Vec3::from_array(*d_shift));
+        *d_mean += pull.mean;
+        if gate.on {
+            let turned: f32 = row.turn.iter().zip(d_quat).map(|(r, d)| r * d).sum();
+            let stretched: f32 = row.stretch.iter().zip(d_scale).map(|(s, d)| s * d).sum();
+            d_heads.push((pull.gate + turned + stretched) * eta * (1.0 - eta));
+        }
+        d_heads.extend(pull.rho);
+        d_heads.extend(pull.tau.to_array());
+        d_heads.extend(d_quat.map(|d| eta * d));
+        d_heads.extend(d_scale.map(|d| eta * d));
+    }
+}
+
+/// Cotangents of what [`shift`] reads.
+struct Pull {
+    gate: f32,
+    rho: [f32; 4],
+    tau: Vec3,
+    mean: Vec3,
+}
+
+fn shift_backward(row: &Row, mode: GateMode, mean: Vec3, g: Vec3) -> Pull {
+    let raw = row.turn_raw(mode);
+    let eta = row.gate;
+    let gated = matches!(mode, GateMode::LerpPosition | GateMode::Literal);
+    let (d_raw, d_mean) = turn_backward(raw, mean, if gated { eta * g } else { g });
+    let tau = eta * g;
+    match mode {
+        GateMode::ScaleParam => {
+            let along: f32 = row.rho.iter().zip(d_raw).map(|(r, d)| r * d).sum();
+            Pull { gate: along + row.tau.dot(g), rho: d_raw.map(|d| eta * d), tau, mean: d_mean }
+        }
+        GateMode::LerpPosition => Pull { gate: (turn(raw, mean) + row.tau).dot(g), rho: d_raw, tau, mean: d_mean },
+        GateMode::TranslationOnly => Pull { gate: row.tau.dot(g), rho: d_raw, tau, mean: d_mean },
+        GateMode::Literal => {
+            let gate = (mean + turn(raw, mean) + row.tau).dot(g);
+            Pull { gate, rho: d_raw, tau, mean: d_mean + eta * g - g }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MODES: [GateMode; 4] =
+        [GateMode::ScaleParam, GateMode::LerpPosition, GateMode::TranslationOnly, GateMode::Literal];
+
+    fn offsets(gate: GateConfig, head: &[f32], mean: Vec3) -> OffsetColumns {
+        let mut to = OffsetColumns::default();
+        forward(gate, head, std::iter::once((mean, true)), &mut to);
+        to
+    }
+
+    #[test]
+    fn a_closed_gate_keeps_every_splat_where_it_should() {
+        let mean = Vec3::new(1.0, -2.0, 3.0);
+        let head = [-200.0, 0.3, 0.2, -0.5, 0.1, 1.0, 2.0, 3.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7];
+        for mode in [GateMode::ScaleParam, GateMode::LerpPosition] {
+            let to = offsets(GateConfig { on: true, mode }, &head, mean);
+            assert!(to.means.iter().chain(&to.quats).chain(&to.scales).all(|v| *v == 0.0), "{mode:?}: {to:?}");
+        }
+        let to = offsets(GateConfig { on: true, mode: GateMode::Literal }, &head, mean);
+        assert_eq!(Vec3::from_slice(&to.means), -mean, "as printed, a closed gate sends the splat to the origin");
+    }
+
+    #[test]
+    fn open_gates_agree_with_the_rigid_motion() {
+        let mean = Vec3::new(1.0, -2.0, 3.0);
+        let open = [200.0, 0.3, 0.2, -0.5, 0.1, 1.0, 2.0, 3.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7];
+        let want = {
+            let m = rot::matrix(rot::normalise([1.3f64, 0.2, -0.5, 0.1]).wxyz);
+            Vec3::from_array(std::array::from_fn(|i| {
+                (m[i][0] - 2.0 * m[i][1] + 3.0 * m[i][2] + (i + 1) as f64) as f32 - mean[i]
+            }))
+        };
+        for mode in MODES {
+            for (on, head) in [(true, &open[..]), (false, &open[1..])] {
+                let to = offsets(GateConfig { on, mode }, head, mean);
+                let got = Vec3::from_slice(&to.means);
+                assert!((got - want).abs().max_element() < 1e-6, "{mode:?}, gate {on}: {got} {want}");
+                assert_eq!((to.quats[3], to.scales[0]), (0.4, 0.5));
+            }
+        }
+    }
+
+    #[test]
+    fn a_turn_that_vanishes_is_the_identity_without_gradient() {
+        let mean = Vec3::new(1.0, -2.0, 3.0);
+        for rho in [-1.0f32, -1.0 + 2e-7] {
+            let mut head = [0.0; 14];
+            head[0] = rho;
+            let gate = GateConfig { on: false, mode: GateMode::ScaleParam };
+            assert_eq!(offsets(gate, &head, mean).means, [0.0; 3]);
+            let d = OffsetColumns { means: vec![1.0; 3], scales: vec![0.0; 3], quats: vec![0.0; 4] };
+            let (mut d_heads, mut d_mean) = (Vec::new(), Vec3::ZERO);
+            backward(gate, &head, std::iter::once((mean, true, &mut d_mean)), &d, &mut d_heads);
+            assert_eq!((d_mean, &d_heads[..4], &d_heads[4..7]), (Vec3::ZERO, &[0.0; 4][..], &[1.0; 3][..]));
+        }
+    }
+}
