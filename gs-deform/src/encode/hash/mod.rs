@@ -26,6 +26,16 @@ use gs_core::{Param, Params, Rng};
 use level::Level;
 use place::{BLOCK, Cells, Points, Scratch};
 use rayon::prelude::*;
+use std::ops::Range;
+
+/// Points of a task on the way forward.
+const CHUNK: usize = 4096;
+
+/// Most levels of a group: the cotangents of eight fill a cache line.
+const GROUP: usize = 8;
+
+/// Most entries of a group of several levels: half a megabyte stays in the second-level cache.
+const GROUP_ENTRIES: usize = 1 << 16;
 
 /// Half the width of the interval that fresh tables are drawn from.
 const INIT: f32 = 1e-4;
@@ -44,6 +54,7 @@ pub struct Columns {
 pub struct HashGrid {
     config: HashGridConfig,
     levels: Vec<Level>,
+    groups: Vec<Range<usize>>,
     table: Param,
     simd: SimdLevel,
 }
@@ -63,7 +74,8 @@ impl HashGrid {
             let mut rng = Rng::new(seed, name, 0, l as u64);
             table.iter_mut().for_each(|v| *v = rng.range(-INIT, INIT));
         });
-        Ok(Self { config: *config, levels, table: Param::shared(name, value), simd: SimdLevel::new() })
+        let groups = groups(&levels);
+        Ok(Self { config: *config, levels, groups, table: Param::shared(name, value), simd: SimdLevel::new() })
     }
 
     /// The same grid on a given instruction set, to compare them.
@@ -94,24 +106,32 @@ impl HashGrid {
 
     /// The features of points of the unit cube, written to the columns `columns` of `out: [points, stride]`.
     pub fn forward(&self, points: &[[f32; 3]], out: &mut [f32], columns: Columns) {
-        let rows = points.par_chunks(BLOCK).zip(out.par_chunks_mut(BLOCK * columns.stride));
-        rows.for_each_init(Scratch::default, |(block, cells), (points, out)| {
-            block.load(points.iter().copied());
-            for l in 0..self.levels.len() {
-                self.read(l, block, cells, &mut out[columns.offset + FEATURES * l..], columns.stride);
+        let Columns { stride, offset } = columns;
+        let chunks = points.par_chunks(CHUNK).zip(out.par_chunks_mut(CHUNK * stride));
+        chunks.for_each_init(Scratch::default, |(block, cells), (points, out)| {
+            for group in &self.groups {
+                for (points, out) in points.chunks(BLOCK).zip(out.chunks_mut(BLOCK * stride)) {
+                    block.load(points.iter().copied());
+                    for l in group.clone() {
+                        self.read(l, block, cells, &mut out[offset + FEATURES * l..], stride);
+                    }
+                }
             }
         });
     }
 
     /// The way back of [`HashGrid::forward`]: adds to the tables' gradient.
     pub fn backward(&mut self, points: &[[f32; 3]], d_out: &[f32], columns: Columns) {
-        let Self { levels, table, simd, .. } = self;
-        let jobs = split(levels, &mut table.grad).into_par_iter().zip(&*levels).enumerate();
-        jobs.with_max_len(1).for_each_init(Scratch::default, |(block, cells), (l, (grad, level))| {
-            for (points, d_out) in points.chunks(BLOCK).zip(d_out.chunks(BLOCK * columns.stride)) {
+        let Self { levels, groups, table, simd, .. } = self;
+        let Columns { stride, offset } = columns;
+        let mut tables = split(levels, &mut table.grad);
+        let jobs = take_groups(groups, &mut tables);
+        jobs.into_par_iter().with_max_len(1).for_each_init(Scratch::default, |(block, cells), (group, tables)| {
+            for (points, d_out) in points.chunks(BLOCK).zip(d_out.chunks(BLOCK * stride)) {
                 block.load(points.iter().copied());
-                let d_out = &d_out[columns.offset + FEATURES * l..];
-                scatter(*simd, level, grad, block, cells, d_out, columns.stride);
+                for (l, grad) in group.clone().zip(tables.iter_mut()) {
+                    scatter(*simd, &levels[l], grad, block, cells, &d_out[offset + FEATURES * l..], stride);
+                }
             }
         });
     }
@@ -149,6 +169,34 @@ fn scatter(
             space::backward::<_, false>(simd, grad, cells, block.rows, d_out, stride);
         }
     });
+}
+
+/// Neighbouring levels that are worked on together.
+fn groups(levels: &[Level]) -> Vec<Range<usize>> {
+    let mut groups: Vec<Range<usize>> = Vec::new();
+    let mut entries = 0;
+    for (l, level) in levels.iter().enumerate() {
+        entries += level.entries;
+        match groups.last_mut() {
+            Some(group) if group.len() < GROUP && entries <= GROUP_ENTRIES => group.end = l + 1,
+            _ => {
+                groups.push(l..l + 1);
+                entries = level.entries;
+            }
+        }
+    }
+    groups
+}
+
+/// One item per group: its levels, and what stands for them in `all`.
+fn take_groups<'a, T>(groups: &[Range<usize>], mut all: &'a mut [T]) -> Vec<(Range<usize>, &'a mut [T])> {
+    let mut jobs = Vec::with_capacity(groups.len());
+    for group in groups {
+        let (here, rest) = all.split_at_mut(group.len());
+        jobs.push((group.clone(), here));
+        all = rest;
+    }
+    jobs
 }
 
 /// The table of each level.

@@ -12,8 +12,8 @@
 use super::config::FEATURES;
 use super::level::Level;
 use super::place::{BLOCK, Cells, Scratch};
-use super::{Columns, HashGrid, scatter, space, split};
-use fearless_simd::{Simd, SimdBase, SimdCombine, SimdFloat, dispatch, f32x4, f32x8};
+use super::{CHUNK, Columns, HashGrid, scatter, space, split, take_groups};
+use fearless_simd::{Simd, SimdBase, SimdFloat, dispatch, f32x4};
 use rayon::prelude::*;
 
 /// A level is blended if its plane has fewer nodes than this many times the points.
@@ -37,8 +37,8 @@ struct Plane {
     w: f32,
     /// `[res_y, res_x, 2]`.
     values: Vec<f32>,
-    /// What the corners of each cell get, `[res_y − 1, res_x − 1]` of `[y][x][2]`.
-    cells: Vec<[f32; 4 * FEATURES]>,
+    /// Gradient of `values`.
+    d_values: Vec<f32>,
 }
 
 impl Slice {
@@ -64,19 +64,24 @@ impl HashGrid {
 
     /// The features of points at the third coordinate of the slice; as [`HashGrid::forward`].
     pub fn forward_slice(&self, slice: &Slice, points: &[[f32; 2]], out: &mut [f32], columns: Columns) {
-        let t = slice.t;
-        let rows = points.par_chunks(BLOCK).zip(out.par_chunks_mut(BLOCK * columns.stride));
-        rows.for_each_init(Scratch::default, |(block, cells), (points, out)| {
-            block.load(points.iter().map(|&[x, y]| [x, y, t]));
-            for (l, (plane, level)) in slice.levels.iter().zip(self.levels()).enumerate() {
-                let out = &mut out[columns.offset + FEATURES * l..];
-                if plane.blended {
-                    dispatch!(self.simd, simd => {
-                        cells.plane(simd, level, block);
-                        forward(simd, plane, level, cells, block.rows, out, columns.stride);
-                    });
-                } else {
-                    self.read(l, block, cells, out, columns.stride);
+        let (t, Columns { stride, offset }) = (slice.t, columns);
+        let chunks = points.par_chunks(CHUNK).zip(out.par_chunks_mut(CHUNK * stride));
+        chunks.for_each_init(Scratch::default, |(block, cells), (points, out)| {
+            for group in &self.groups {
+                for (points, out) in points.chunks(BLOCK).zip(out.chunks_mut(BLOCK * stride)) {
+                    block.load(points.iter().map(|&[x, y]| [x, y, t]));
+                    for l in group.clone() {
+                        let (plane, level) = (&slice.levels[l], &self.levels[l]);
+                        let out = &mut out[offset + FEATURES * l..];
+                        if plane.blended {
+                            dispatch!(self.simd, simd => {
+                                cells.plane(simd, level, block);
+                                forward(simd, plane, level, cells, block.rows, out, stride);
+                            });
+                        } else {
+                            self.read(l, block, cells, out, stride);
+                        }
+                    }
                 }
             }
         });
@@ -84,24 +89,32 @@ impl HashGrid {
 
     /// The way back of [`HashGrid::forward_slice`] for the same points: adds to the tables' gradient.
     pub fn backward_slice(&mut self, slice: &mut Slice, points: &[[f32; 2]], d_out: &[f32], columns: Columns) {
-        let Self { levels, table, simd, .. } = self;
-        let t = slice.t;
-        let jobs = split(levels, &mut table.grad).into_par_iter().zip(&mut slice.levels).zip(&*levels).enumerate();
-        jobs.with_max_len(1).for_each_init(Scratch::default, |(block, cells), (l, ((grad, plane), level))| {
-            plane.clear_cells(level);
-            for (points, d_out) in points.chunks(BLOCK).zip(d_out.chunks(BLOCK * columns.stride)) {
+        let Self { levels, groups, table, simd, .. } = self;
+        let (t, Columns { stride, offset }) = (slice.t, columns);
+        let tables = split(levels, &mut table.grad);
+        let mut tables: Vec<_> = tables.into_iter().zip(&mut slice.levels).collect();
+        let jobs = take_groups(groups, &mut tables);
+        jobs.into_par_iter().with_max_len(1).for_each_init(Scratch::default, |(block, cells), (group, tables)| {
+            for (_, plane) in tables.iter_mut() {
+                plane.clear_grad();
+            }
+            for (points, d_out) in points.chunks(BLOCK).zip(d_out.chunks(BLOCK * stride)) {
                 block.load(points.iter().map(|&[x, y]| [x, y, t]));
-                let d_out = &d_out[columns.offset + FEATURES * l..];
-                if plane.blended {
-                    dispatch!(*simd, simd => {
-                        cells.plane(simd, level, block);
-                        backward(simd, plane, level, cells, block.rows, d_out, columns.stride);
-                    });
-                } else {
-                    scatter(*simd, level, grad, block, cells, d_out, columns.stride);
+                for (l, (grad, plane)) in group.clone().zip(tables.iter_mut()) {
+                    let (level, d_out) = (&levels[l], &d_out[offset + FEATURES * l..]);
+                    if plane.blended {
+                        dispatch!(*simd, simd => {
+                            cells.plane(simd, level, block);
+                            backward(simd, plane, level, cells, block.rows, d_out, stride);
+                        });
+                    } else {
+                        scatter(*simd, level, grad, block, cells, d_out, stride);
+                    }
                 }
             }
-            plane.spread(level, grad);
+            for (l, (grad, plane)) in group.zip(tables) {
+                plane.spread(&levels[l], grad);
+            }
         });
     }
 }
@@ -132,25 +145,25 @@ impl Plane {
         }
     }
 
-    fn clear_cells(&mut self, level: &Level) {
-        self.cells.clear();
-        if self.blended {
-            let cells = (level.res[0] as usize - 1) * (level.res[1] as usize - 1);
-            self.cells.resize(cells, [0.0; 4 * FEATURES]);
-        }
+    fn clear_grad(&mut self) {
+        self.d_values.clear();
+        self.d_values.resize(self.values.len(), 0.0);
     }
 
-    /// Hands what the cells' corners got to the two layers the plane was blended from.
-    fn spread(&mut self, level: &Level, grad: &mut [f32]) {
+    /// Hands the plane's gradient to the two layers it was blended from.
+    fn spread(&self, level: &Level, grad: &mut [f32]) {
+        let width = level.res[0] as usize;
         let entries: &mut [[f32; FEATURES]] = grad.as_chunks_mut().0;
-        let across = level.res[0] - 1;
-        for (cell, d) in self.cells.iter().enumerate() {
-            let (x, y) = (cell as u32 % across, cell as u32 / across);
-            for (corner, d) in d.as_chunks::<FEATURES>().0.iter().enumerate() {
-                let (x, y) = (x + (corner as u32 & 1), y + (corner as u32 >> 1));
-                for (k, w) in [(self.k, 1.0 - self.w), (self.k + 1, self.w)] {
-                    let entry = &mut entries[level.index([x, y, k])];
-                    entry.iter_mut().zip(d).for_each(|(g, d)| *g += w * d);
+        for (y, row) in self.d_values.chunks_exact(FEATURES * width).enumerate() {
+            for (k, w) in [(self.k, 1.0 - self.w), (self.k + 1, self.w)] {
+                if level.hashed {
+                    for (x, d) in row.as_chunks::<FEATURES>().0.iter().enumerate() {
+                        let entry = &mut entries[level.index([x as u32, y as u32, k])];
+                        *entry = [entry[0] + w * d[0], entry[1] + w * d[1]];
+                    }
+                } else {
+                    let layer = &mut entries[level.index([0, y as u32, k])..][..width];
+                    layer.as_flattened_mut().iter_mut().zip(row).for_each(|(g, d)| *g += w * d);
                 }
             }
         }
@@ -178,11 +191,10 @@ fn backward<S: Simd>(
     stride: usize,
 ) {
     for (r, d) in d_out.chunks(stride).take(rows).enumerate() {
-        let y = cells.rows[0][r] / level.res[0];
-        let cell = &mut plane.cells[(cells.x[r] + y * (level.res[0] - 1)) as usize];
+        let at = (cells.x[r] + cells.rows[0][r]) as usize;
         let share = space::share_pair(simd, cells.wx[r], d);
-        let low = share * f32x4::splat(simd, cells.rest[0][r]);
-        let both: f32x8<S> = low.combine(share * f32x4::splat(simd, cells.rest[1][r]));
-        (f32x8::load_array_ref(simd, cell) + both).store_array(cell);
+        space::add_pair(simd, &mut plane.d_values, at, share * f32x4::splat(simd, cells.rest[0][r]));
+        let above = at + level.res[0] as usize;
+        space::add_pair(simd, &mut plane.d_values, above, share * f32x4::splat(simd, cells.rest[1][r]));
     }
 }

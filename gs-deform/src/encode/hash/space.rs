@@ -15,7 +15,7 @@ pub(super) fn pair<S: Simd>(simd: S, table: &[f32], first: usize) -> f32x4<S> {
 
 /// Adds to the neighbours `x`, `x + 1` of a row of a dense table.
 #[inline(always)]
-fn add_pair<S: Simd>(simd: S, grad: &mut [f32], first: usize, d: f32x4<S>) {
+pub(super) fn add_pair<S: Simd>(simd: S, grad: &mut [f32], first: usize, d: f32x4<S>) {
     let here = &mut grad[FEATURES * first..][..2 * FEATURES];
     (f32x4::from_slice(simd, here) + d).store_slice(here);
 }
@@ -59,7 +59,8 @@ pub(super) fn forward<S: Simd, const HASHED: bool>(
         for corner in 0..4 {
             let (x, row) = (cells.x[r], cells.rows[corner][r]);
             let values = if HASHED {
-                let [a, b] = mixed(x, row, mask).map(|i| entries[i]);
+                let [a, b] = mixed(x, row, mask);
+                let (a, b) = (entries[a], entries[b]);
                 f32x4::load_array(simd, [a[0], a[1], b[0], b[1]])
             } else {
                 pair(simd, table, (x + row) as usize)
