@@ -70,14 +70,14 @@ impl Fft2 {
     /// The spectrum `Σ f e^{−2πi(kx x/W + ky y/H)}` of a channel, column by column (`[H]` each, with the column's `kx` and
     /// its row of `aside`, `[W/2 + 1, H]`) handed to `visit`, whose answers come back in order. With `back`, columns as
     /// `visit` left them are transformed back at once, for [`Fft2::real_inverse`].
-    pub fn spectrum<T: Send>(
+    pub fn spectrum<T: Send, R: Send>(
         &mut self,
         image: &Image,
         channel: usize,
         aside: &mut [T],
         back: bool,
-        visit: impl Fn(usize, &mut [Complex32], &mut [T]) -> f64 + Sync,
-    ) -> Vec<f64> {
+        visit: impl Fn(usize, &mut [Complex32], &mut [T]) -> R + Sync,
+    ) -> Vec<R> {
         let (width, height, half) = (self.width, self.height, self.half());
         let row = &self.row;
         self.rows.par_chunks_mut(half * BLOCK).enumerate().for_each_init(
@@ -106,9 +106,9 @@ impl Fft2 {
                 }
                 answer
             };
-            pairs.map(one).collect::<Vec<f64>>()
+            pairs.map(one).collect::<Vec<R>>()
         });
-        answers.collect::<Vec<_>>().concat()
+        answers.collect::<Vec<_>>().into_iter().flatten().collect()
     }
 
     /// `scale` times the real part of the inverse sum (no factor of its own) of what `visit` left, into a channel of `out`.

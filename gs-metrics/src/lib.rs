@@ -6,6 +6,8 @@
 //! | SSIM, zero-padded (training loss) or valid area (published) | [`ssim`](fn@ssim) | [`ssim_with_grad`], [`Ssim`] | [`ssim`](mod@ssim) |
 //! | MS-SSIM | [`ms_ssim`](fn@ms_ssim) | [`ms_ssim_with_grad`], [`MsSsim`] | [`ms_ssim`](mod@ms_ssim) |
 //! | amplitude spectra | [`AmplitudeLoss::value`] | [`AmplitudeLoss::value_and_grad`] | [`spectrum`] |
+//! | sharpness against the truth | [`Sharpness`] | | [`sharpness`] |
+//! | paths of points: temporal spectrum, second differences | [`high_energies`](trajectory::high_energies) | | [`trajectory`] |
 //! | masked PSNR and SSIM (DyCheck) | [`masked_psnr`], [`masked_ssim`] | | [`masked`] |
 //! | perceptual **proxy**, without learned weights, not LPIPS | [`perceptual_proxy`] | | [`perceptual`] |
 //! | means over views | [`Scorer`], [`Summary`] | | [`report`] |
@@ -42,9 +44,11 @@ mod plane;
 mod pool;
 pub mod psnr;
 pub mod report;
+pub mod sharpness;
 pub mod spectrum;
 pub mod ssim;
 mod sweep;
+pub mod trajectory;
 mod window;
 
 pub use error::MetricError;
@@ -53,5 +57,6 @@ pub use ms_ssim::{MsSsim, MsSsimOptions, ms_ssim, ms_ssim_with_grad};
 pub use perceptual::perceptual_proxy;
 pub use psnr::{mse, psnr, psnr_from_mse, psnr_of_mean_mse};
 pub use report::{Mean, Scorer, Scores, Summary};
+pub use sharpness::Sharpness;
 pub use spectrum::{AmplitudeLoss, AmplitudeOptions, Amplitudes, FftNorm, Reduce};
 pub use ssim::{Padding, Ssim, SsimOptions, ssim, ssim_with_grad};

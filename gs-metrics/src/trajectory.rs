@@ -1,0 +1,283 @@
+//! How points move: the energy of their paths at high temporal frequencies, and of their second differences.
+//!
+//! A path `x_k`, `k = 0 … T − 1`, sampled evenly in time, has with its mean removed the spectrum
+//! ```text
+//! X_f = Σ_k x̃_k e^{−2πi f k / T}        E = Σ_{f ≥ f_c} |X_f|²,   f = 0 … ⌊T/2⌋,   f_c = ⌈T/4⌉ by default
+//! ```
+//! summed over the three coordinates (FAGS, temporal power spectrum; the cut-off is ours, the upper half of the spectrum).
+//! A path that does not close leaks `1/f²` into every bin, so that a slow drift already scores; [`Window::Hann`] first
+//! removes the straight line of least squares and then weighs by `w_k = ½ − ½ cos(2πk/T)`, divided by `√mean w²` so that
+//! white noise scores as without.
+//!
+//! Jerkiness: `A(k) = |x_{k+1} − 2 x_k + x_{k−1}|²` per point and moment.
+//!
+//! Everything is in `f64`, path by path.
+
+use rayon::prelude::*;
+use realfft::num_complex::Complex64;
+use realfft::{RealFftPlanner, RealToComplex};
+
+/// Added to energies before logarithms are taken.
+pub const ENERGY_FLOOR: f64 = 1e-12;
+/// Paths of one task.
+const BLOCK: usize = 256;
+
+/// What is done to a path before its transform.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Window {
+    /// Only its mean is removed.
+    Raw,
+    /// Its straight line is removed, and it is faded at both ends.
+    Hann,
+}
+
+/// Why paths cannot be analysed.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum TrajectoryError {
+    /// Not enough moments.
+    #[error("{got} moments are too few, {need} are needed; sample the motion more often")]
+    TooFew {
+        /// Moments needed.
+        need: usize,
+        /// Moments given.
+        got: usize,
+    },
+    /// The number of points changes.
+    #[error("moment {moment} has {got} points, the first has {want}; paths need the same points at every moment")]
+    Uneven {
+        /// Index of the moment.
+        moment: usize,
+        /// Points there.
+        got: usize,
+        /// Points at the first.
+        want: usize,
+    },
+    /// The cut-off lies outside the spectrum.
+    #[error("cut-off {cutoff} is out of range: {moments} moments have frequencies 1 to {highest}")]
+    Cutoff {
+        /// Asked for.
+        cutoff: usize,
+        /// Moments given.
+        moments: usize,
+        /// The highest frequency.
+        highest: usize,
+    },
+}
+
+/// The cut-off where none is given: `⌈T/4⌉`.
+pub fn default_cutoff(moments: usize) -> usize {
+    moments.div_ceil(4)
+}
+
+/// `E` of every path; `frames[k][i]` is point `i` at moment `k`, in any unit of length (the energy is in its square).
+///
+/// # Errors
+/// Fewer than 4 moments, a changing number of points, a cut-off outside `1 … ⌊T/2⌋`.
+pub fn high_energies(frames: &[Vec<[f32; 3]>], cutoff: usize, window: Window) -> Result<Vec<f64>, TrajectoryError> {
+    let points = check(frames, 4)?;
+    let (moments, highest) = (frames.len(), frames.len() / 2);
+    if !(1..=highest).contains(&cutoff) {
+        return Err(TrajectoryError::Cutoff { cutoff, moments, highest });
+    }
+    let fft = RealFftPlanner::<f64>::new().plan_fft_forward(moments);
+    let mut out = vec![0.0; points];
+    out.par_chunks_mut(BLOCK).enumerate().for_each_init(
+        || Transform::new(&*fft),
+        |transform, (block, out)| {
+            for (k, energy) in out.iter_mut().enumerate() {
+                let path = |axis: usize| frames.iter().map(move |f| f64::from(f[block * BLOCK + k][axis]));
+                *energy = (0..3).map(|axis| transform.energy(&*fft, path(axis), cutoff, window)).sum();
+            }
+        },
+    );
+    Ok(out)
+}
+
+/// Buffers of one path.
+struct Transform {
+    path: Vec<f64>,
+    spectrum: Vec<Complex64>,
+    scratch: Vec<Complex64>,
+}
+
+impl Transform {
+    fn new(fft: &dyn RealToComplex<f64>) -> Self {
+        Self { path: fft.make_input_vec(), spectrum: fft.make_output_vec(), scratch: fft.make_scratch_vec() }
+    }
+
+    fn energy(
+        &mut self,
+        fft: &dyn RealToComplex<f64>,
+        path: impl Iterator<Item = f64>,
+        cutoff: usize,
+        window: Window,
+    ) -> f64 {
+        self.path.iter_mut().zip(path).for_each(|(p, v)| *p = v);
+        match window {
+            Window::Raw => remove_line(&mut self.path, false),
+            Window::Hann => {
+                remove_line(&mut self.path, true);
+                let n = self.path.len() as f64;
+                // The mean of w² is 3/8 for three samples and more.
+                let weight = |k: usize| (0.5 - 0.5 * (std::f64::consts::TAU * k as f64 / n).cos()) / 0.375f64.sqrt();
+                self.path.iter_mut().enumerate().for_each(|(k, v)| *v *= weight(k));
+            }
+        }
+        fft.process_with_scratch(&mut self.path, &mut self.spectrum, &mut self.scratch).expect("lengths of the plan");
+        self.spectrum[cutoff..].iter().map(Complex64::norm_sqr).sum()
+    }
+}
+
+/// Removes the mean, and with `slope` the straight line of least squares.
+fn remove_line(path: &mut [f64], slope: bool) {
+    let n = path.len() as f64;
+    let mean = path.iter().sum::<f64>() / n;
+    let centred = |k: usize| k as f64 - 0.5 * (n - 1.0);
+    let moment: f64 = path.iter().enumerate().map(|(k, v)| centred(k) * (v - mean)).sum();
+    // Σ (k − k̄)² = n (n² − 1) / 12.
+    let rise = if slope { moment * 12.0 / (n * (n * n - 1.0)) } else { 0.0 };
+    path.iter_mut().enumerate().for_each(|(k, v)| *v -= mean + rise * centred(k));
+}
+
+/// `A(k)` of every point at the inner moments: `[T − 2][points]`.
+///
+/// # Errors
+/// Fewer than 3 moments, or a changing number of points.
+pub fn second_differences(frames: &[Vec<[f32; 3]>]) -> Result<Vec<Vec<f64>>, TrajectoryError> {
+    check(frames, 3)?;
+    let squared = |i: usize, w: &[Vec<[f32; 3]>]| {
+        let along = |axis: usize| {
+            let [a, b, c] = [0, 1, 2].map(|k| f64::from(w[k][i][axis]));
+            (c - 2.0 * b + a).powi(2)
+        };
+        (0..3).map(along).sum()
+    };
+    Ok(frames.windows(3).map(|w| (0..w[0].len()).map(|i| squared(i, w)).collect()).collect())
+}
+
+fn check(frames: &[Vec<[f32; 3]>], need: usize) -> Result<usize, TrajectoryError> {
+    if frames.len() < need {
+        return Err(TrajectoryError::TooFew { need, got: frames.len() });
+    }
+    let want = frames[0].len();
+    match frames.iter().position(|f| f.len() != want) {
+        Some(moment) => Err(TrajectoryError::Uneven { moment, got: frames[moment].len(), want }),
+        None => Ok(want),
+    }
+}
+
+/// How values that are not negative are spread.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Spread {
+    /// Their mean.
+    pub mean: f64,
+    /// Median, nearest rank.
+    pub p50: f64,
+    /// 90 %.
+    pub p90: f64,
+    /// 99 %.
+    pub p99: f64,
+    /// Gini coefficient: 0 if all are equal, towards 1 if few have everything.
+    pub gini: f64,
+}
+
+impl Spread {
+    /// Of the finite ones among `values`; all zero if there is none.
+    pub fn of(values: impl IntoIterator<Item = f64>) -> Self {
+        let mut sorted: Vec<f64> = values.into_iter().filter(|v| v.is_finite()).collect();
+        sorted.sort_unstable_by(f64::total_cmp);
+        let n = sorted.len() as f64;
+        let sum: f64 = sorted.iter().sum();
+        if sorted.is_empty() {
+            return Self::default();
+        }
+        let rank = |share: f64| sorted[((share * n).ceil() as usize).max(1) - 1];
+        let weighted: f64 = sorted.iter().enumerate().map(|(k, v)| (2.0 * k as f64 + 1.0 - n) * v).sum();
+        let gini = if sum > 0.0 { weighted / (n * sum) } else { 0.0 };
+        Self { mean: sum / n, p50: rank(0.5), p90: rank(0.9), p99: rank(0.99), gini }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::f64::consts::{PI, TAU};
+
+    /// Paths `(f(k), 0, 0)`.
+    fn along_x(moments: usize, f: impl Fn(f64) -> f64) -> Vec<Vec<[f32; 3]>> {
+        (0..moments).map(|k| vec![[f(k as f64) as f32, 0.0, 0.0]]).collect()
+    }
+
+    fn energy(frames: &[Vec<[f32; 3]>], cutoff: usize, window: Window) -> f64 {
+        high_energies(frames, cutoff, window).unwrap()[0]
+    }
+
+    #[test]
+    fn a_wave_has_its_energy_at_its_frequency() {
+        for (moments, m) in [(32, 9), (31, 9), (50, 13)] {
+            let frames = along_x(moments, |k| 2.0 + 0.5 * (TAU * m as f64 * k / moments as f64).cos());
+            let want = (0.5 * moments as f64 / 2.0).powi(2);
+            assert!((energy(&frames, m, Window::Raw) / want - 1.0).abs() < 1e-5);
+            assert!((energy(&frames, default_cutoff(moments), Window::Raw) / want - 1.0).abs() < 1e-5);
+            assert!(energy(&frames, m + 1, Window::Raw) < 1e-8 * want);
+            // The window spreads it over three bins: 1 + ¼ + ¼ of w̄² = ¼, over 3/8; the line takes a little of it.
+            assert!((energy(&frames, m - 2, Window::Hann) / want - 1.0).abs() < 0.02);
+        }
+    }
+
+    /// `|X_f| = s T / (2 sin(π f / T))` for `x_k = s k`.
+    #[test]
+    fn a_drift_leaks_without_a_window_and_not_with_it() {
+        let (moments, s) = (40, 0.125);
+        let frames = along_x(moments, |k| s * k);
+        let bin = |f: usize| (s * moments as f64 / (2.0 * (PI * f as f64 / moments as f64).sin())).powi(2);
+        let want: f64 = (10..=20).map(bin).sum();
+        assert!((energy(&frames, 10, Window::Raw) / want - 1.0).abs() < 1e-9);
+        assert!(energy(&frames, 10, Window::Hann) < 1e-20);
+    }
+
+    #[test]
+    fn coordinates_add_up_and_points_keep_their_places() {
+        let wave = |k: usize| (TAU * 3.0 * k as f64 / 8.0).sin() as f32;
+        let frames: Vec<_> =
+            (0..8).map(|k| (0..600).map(|i| [wave(k), i as f32, wave(k) * (i % 7) as f32]).collect()).collect();
+        let energies = high_energies(&frames, 3, Window::Raw).unwrap();
+        for (i, e) in energies.iter().enumerate() {
+            let want = 16.0 * (1.0 + ((i % 7) as f64).powi(2));
+            assert!((e / want - 1.0).abs() < 1e-6, "{i}: {e} {want}");
+        }
+    }
+
+    #[test]
+    fn second_differences_of_a_parabola_are_even() {
+        let frames = along_x(9, |k| 3.0 + 0.5 * k + 0.25 * k * k);
+        let all = second_differences(&frames).unwrap();
+        assert_eq!(all.len(), 7);
+        assert!(all.iter().all(|a| a == &[0.25]), "(2 · 0.25)²");
+        let s = Spread::of(all.into_iter().flatten());
+        assert_eq!(s, Spread { mean: 0.25, p50: 0.25, p90: 0.25, p99: 0.25, gini: 0.0 });
+    }
+
+    #[test]
+    fn spreads_are_the_definitions() {
+        let one_of = |n: usize| Spread::of((0..n).map(|k| if k == 3 { 1.0 } else { 0.0 })).gini;
+        assert!((one_of(100) - 0.99).abs() < 1e-12);
+        let s = Spread::of((1..=100).map(f64::from).chain([f64::NAN]));
+        assert_eq!((s.mean, s.p50, s.p90, s.p99), (50.5, 50.0, 90.0, 99.0));
+        assert!((s.gini - 0.33).abs() < 1e-12, "(n − 1) / 3n for 1 … n");
+        assert_eq!(Spread::of([]), Spread::default());
+        assert_eq!(Spread::of([0.0, 0.0]).gini, 0.0);
+    }
+
+    #[test]
+    fn bad_paths_are_refused_by_name() {
+        let frames = along_x(8, |k| k);
+        let got = |cutoff| high_energies(&frames, cutoff, Window::Raw).unwrap_err().to_string();
+        assert!(got(0).contains("cut-off 0") && got(5).contains("1 to 4"), "{}", got(5));
+        assert!(matches!(second_differences(&frames[..2]), Err(TrajectoryError::TooFew { need: 3, got: 2 })));
+        let mut uneven = frames.clone();
+        uneven[5].push([0.0; 3]);
+        let e = high_energies(&uneven, 2, Window::Raw).unwrap_err();
+        assert_eq!(e, TrajectoryError::Uneven { moment: 5, got: 2, want: 1 });
+    }
+}
