@@ -224,6 +224,7 @@ mod tests {
             logit_opacities: vec![0.0; n],
             sh: vec![0.0; n * 12],
             degree: 1,
+            ..RawSplats::default()
         }
     }
 

@@ -11,9 +11,9 @@
 //!
 //! | format | read | write | notes |
 //! |---|---|---|---|
-//! | 3DGS `.ply` | yes | yes | exact, degree 0 to 3 |
-//! | `.splat` | yes | yes | degree 0, 8-bit colour and rotation |
-//! | `.spz` 2, 3 | yes | yes | quantised; 1, 4 and raw payloads are refused by name |
+//! | 3DGS `.ply` | yes | yes | exact, degree 0 to 3, bent kernels |
+//! | `.splat` | yes | yes | degree 0, 8-bit colour and rotation, Gaussians only |
+//! | `.spz` 2, 3 | yes | yes | quantised, Gaussians only; 1, 4 and raw payloads are refused by name |
 //! | `.ksplat`, compressed `.ply`, `.sog` | no | no | refused by name |
 //! | camera JSON | yes | yes | three layouts, see [`cameras`] |
 //! | `.npy` | yes | yes | f32 and f64 in, f32 out |

@@ -7,6 +7,9 @@
 //! converted to `f32`. Axes are taken as they are. An infinite opacity logit means opacity 0 or 1 exactly (files made from
 //! 8-bit formats hold it); it becomes the finite end of [`super::logit`]. Any other value that is not finite is an error.
 //!
+//! Splats of a bent kernel have further properties at the end: `lambda_raw beta_raw lambda beta` (logits, then the values
+//! themselves, which win where both stand) or `acutance`; a file without them holds Gaussians.
+//!
 //! The parser is ours because a row is a fixed list of byte offsets here: a serde visitor per value costs about fifteen
 //! times the copy, loses the row and property in its errors, and cannot bound a count by the bytes present first.
 
@@ -14,8 +17,10 @@ use super::error::{At, Source};
 use super::ply_header::{Element, Encoding, Header, Property, Scalar, clip};
 use super::raw::{logit, sigmoid};
 use super::{IoError, Limits, RawSplats};
+use crate::kernel::Kernel;
 use crate::sh;
 use glam::Vec3;
+use std::borrow::Cow;
 use std::io::Write;
 
 const FORMAT: &str = "PLY";
@@ -37,13 +42,19 @@ pub fn read(bytes: &[u8], file: &str, limits: &Limits) -> Result<RawSplats, IoEr
     let header = Header::parse(bytes, src)?;
     let (element, _, _) = header.locate("vertex", bytes.len(), limits, src)?;
     let degree = degree_of(element, &header, src)?;
-    let names = splat_columns(degree);
+    let mut names = splat_columns(degree);
+    let plain = names.len();
+    let kernel = kernel_columns(element);
+    names.extend(kernel.iter().map(|&n| n.to_owned()));
+    let mut bends: Vec<f32> = Vec::new();
     let mut out = RawSplats::with_capacity(0, degree);
     let finite_end = |o: f32| if o.is_infinite() && !limits.allow_non_finite { logit(sigmoid(o)) } else { o };
     for_each_row(bytes, &header, &names, "opacity", src, limits, |total, row| {
         if out.means.capacity() == 0 {
             out = RawSplats::with_capacity(total, degree);
         }
+        let (row, bend) = row.split_at_checked(plain).unwrap_or((row, &[]));
+        bends.extend_from_slice(bend);
         if let [x, y, z, qw, qx, qy, qz, sx, sy, sz, opacity, sh @ ..] = row {
             out.means.push(Vec3::new(*x, *y, *z));
             out.quats.push([*qw, *qx, *qy, *qz]);
@@ -52,7 +63,45 @@ pub fn read(bytes: &[u8], file: &str, limits: &Limits) -> Result<RawSplats, IoEr
             out.sh.extend_from_slice(sh);
         }
     })?;
+    let column = |i: usize| bends.iter().skip(i).step_by(kernel.len().max(1)).copied();
+    out.kernel = match kernel {
+        [] => Kernel::Gaussian,
+        ["acutance"] => Kernel::Acutance { acutances: bends },
+        ["lambda", ..] => Kernel::Frequency { lambdas: column(0).collect(), betas: column(1).collect() },
+        _ => Kernel::Frequency { lambdas: column(0).map(sigmoid).collect(), betas: column(1).map(sigmoid).collect() },
+    };
     Ok(out)
+}
+
+/// The properties a file's kernel is read from. `lambda` and `beta` alone are anybody's names.
+fn kernel_columns(element: &Element<'_>) -> &'static [&'static str] {
+    let has = |name: &str| element.properties.iter().any(|p| p.name == name);
+    match () {
+        () if !has("lambda_raw") && !has("beta_raw") => {
+            if has("acutance") {
+                &["acutance"]
+            } else {
+                &[]
+            }
+        }
+        () if has("lambda") && has("beta") => &["lambda", "beta"],
+        () => &["lambda_raw", "beta_raw"],
+    }
+}
+
+/// The properties of a kernel as written, in order, with their columns.
+fn kernel_properties(kernel: &Kernel) -> Vec<(&'static str, Cow<'_, [f32]>)> {
+    let logits = |values: &[f32]| values.iter().map(|&v| logit(v)).collect();
+    match kernel {
+        Kernel::Gaussian => Vec::new(),
+        Kernel::Frequency { lambdas, betas } => vec![
+            ("lambda_raw", Cow::Owned(logits(lambdas))),
+            ("beta_raw", Cow::Owned(logits(betas))),
+            ("lambda", Cow::Borrowed(lambdas)),
+            ("beta", Cow::Borrowed(betas)),
+        ],
+        Kernel::Acutance { acutances } => vec![("acutance", Cow::Borrowed(acutances))],
+    }
 }
 
 /// Reads chosen properties of an element of any `.ply` as rows of `names.len()` values, flat (point clouds: `x y z red
@@ -286,7 +335,8 @@ fn ascii_rows(
     }
 }
 
-/// Writes splats as binary little-endian `.ply` with INRIA's property order, normals zero. Every `f32` keeps its bits.
+/// Writes splats as binary little-endian `.ply` with INRIA's property order, normals zero, the kernel's last. Every `f32`
+/// keeps its bits. A viewer that does not know the kernel draws Gaussians.
 ///
 /// # Errors
 /// Columns of unequal length (as `InvalidInput`), or the writer's own.
@@ -300,13 +350,16 @@ pub fn write(splats: &RawSplats, out: &mut dyn Write) -> std::io::Result<()> {
     names.push("opacity".into());
     names.extend((0..3).map(|i| format!("scale_{i}")));
     names.extend((0..4).map(|i| format!("rot_{i}")));
+    let kernel = kernel_properties(&splats.kernel);
+    names.extend(kernel.iter().map(|(name, _)| (*name).to_owned()));
     for name in &names {
         writeln!(out, "property float {name}")?;
     }
     writeln!(out, "end_header")?;
     let mut row: Vec<u8> = Vec::with_capacity(4 * names.len());
     let columns = splats.means.iter().zip(&splats.quats).zip(&splats.log_scales).zip(&splats.logit_opacities);
-    for ((((mean, quat), scale), opacity), sh) in columns.zip(splats.sh.chunks_exact(splats.sh_width())) {
+    let rows = columns.zip(splats.sh.chunks_exact(splats.sh_width()));
+    for (i, ((((mean, quat), scale), opacity), sh)) in rows.enumerate() {
         row.clear();
         let mut put = |v: &f32| row.extend_from_slice(&v.to_le_bytes());
         mean.as_ref().iter().for_each(&mut put);
@@ -318,6 +371,7 @@ pub fn write(splats: &RawSplats, out: &mut dyn Write) -> std::io::Result<()> {
         put(opacity);
         scale.as_ref().iter().for_each(&mut put);
         quat.iter().for_each(&mut put);
+        kernel.iter().filter_map(|(_, values)| values.get(i)).for_each(&mut put);
         out.write_all(&row)?;
     }
     Ok(())
@@ -389,6 +443,51 @@ mod tests {
             assert_eq!(again.quats[0][0].to_bits(), (-0.0f32).to_bits());
         }
         assert_eq!(read_ok(&bytes(&cloud(0, 2, 1))).degree, 2);
+    }
+
+    #[test]
+    fn kernels_travel_and_gaussians_have_no_trace_of_them() {
+        let plain = cloud(9, 1, 5);
+        let header = |s: &RawSplats| property_names(&bytes(s), "t.ply").unwrap();
+        assert_eq!(header(&plain).last().unwrap(), "rot_3");
+        let column = |from: f32| (0..9u8).map(|i| (from + 0.1 * f32::from(i)).min(1.0)).collect::<Vec<f32>>();
+        let frequency = Kernel::Frequency { lambdas: column(0.0), betas: column(0.3) };
+        for kernel in [frequency.clone(), Kernel::Acutance { acutances: column(-0.4) }] {
+            let bent = RawSplats { kernel, ..plain.clone() };
+            assert_eq!(read_ok(&bytes(&bent)), bent);
+            assert_eq!(RawSplats::from_splats(&bent.to_splats().unwrap()).unwrap().kernel, bent.kernel);
+        }
+        let bent = RawSplats { kernel: frequency, ..plain };
+        assert_eq!(header(&bent)[header(&cloud(9, 1, 5)).len()..], ["lambda_raw", "beta_raw", "lambda", "beta"]);
+        // Without the plain values the logits serve, to their rounding; half of them is an error.
+        let text = bytes(&bent);
+        let end = text.windows(11).position(|w| w == b"end_header\n").unwrap();
+        let edited = |from: &str, to: &str| {
+            let head = String::from_utf8_lossy(&text[..end]).replacen(from, to, 1);
+            [head.as_bytes(), &text[end..]].concat()
+        };
+        let Kernel::Frequency { lambdas, betas } = read_ok(&edited("float lambda\n", "float stranger\n")).kernel else {
+            panic!("a frequency kernel")
+        };
+        for (got, want) in lambdas.iter().chain(&betas).zip(column(0.0).iter().chain(&column(0.3))) {
+            assert!((got - want).abs() < 2e-6, "{got} {want}");
+        }
+        let torn = edited("float beta_raw\n", "float stranger\n").to_vec();
+        let torn = String::from_utf8_lossy(&torn[..end]).replacen("float beta\n", "float other\n", 1).into_bytes();
+        assert!(read_err(&[&torn, &text[end..]].concat()).contains("`property beta_raw` is missing"));
+    }
+
+    #[test]
+    fn lossy_formats_refuse_bent_kernels() {
+        let kernel = |l: f32| Kernel::Frequency { lambdas: vec![l; 2], betas: vec![0.5; 2] };
+        let error = |s: &RawSplats| {
+            let spz = super::super::spz::write(s, &Default::default(), &mut Vec::new());
+            let splat = super::super::splat::write(s, &mut Vec::new());
+            [spz, splat].map(|r| r.err().map(|e| e.to_string()))
+        };
+        let bent = RawSplats { kernel: kernel(0.6), ..cloud(2, 0, 1) };
+        assert!(error(&bent).iter().flatten().filter(|e| e.contains("write a .ply")).count() == 2);
+        assert_eq!(error(&RawSplats { kernel: kernel(0.5), ..bent }), [None, None]);
     }
 
     #[test]

@@ -28,6 +28,8 @@ pub struct RawSplats {
     pub sh: Vec<f32>,
     /// SH degree, 0 to 3.
     pub degree: u8,
+    /// The fall-off, with the parameters it is drawn with.
+    pub kernel: Kernel,
 }
 
 /// Logit of an opacity, finite for every opacity in `[0, 1]` (see [`OPACITY_MARGIN`]).
@@ -56,6 +58,7 @@ impl RawSplats {
             logit_opacities: Vec::with_capacity(n),
             sh: Vec::with_capacity(n * 3 * sh::coeffs(degree)),
             degree,
+            kernel: Kernel::Gaussian,
         }
     }
 
@@ -89,7 +92,8 @@ impl RawSplats {
             ("logit_opacities", self.logit_opacities.len(), rows),
             ("sh", self.sh.len(), rows * self.sh_width()),
         ];
-        for (column, got, want) in columns {
+        let kernel = self.kernel.columns().into_iter().map(|(column, values, ..)| (column, values.len(), rows));
+        for (column, got, want) in columns.into_iter().chain(kernel) {
             if got != want {
                 return Err(SplatsError::Length { column, want, got, rows });
             }
@@ -109,7 +113,7 @@ impl RawSplats {
             scales: self.log_scales.iter().map(|s| Vec3::new(s.x.exp(), s.y.exp(), s.z.exp())).collect(),
             opacities: self.logit_opacities.iter().map(|&o| sigmoid(o)).collect(),
             color: Color::Sh { degree: self.degree, coeffs: self.sh.clone() },
-            kernel: Kernel::Gaussian,
+            kernel: self.kernel.clone(),
         };
         splats.check()?;
         Ok(splats)
@@ -134,6 +138,7 @@ impl RawSplats {
             logit_opacities: splats.opacities.iter().map(|&o| logit(o)).collect(),
             sh,
             degree,
+            kernel: splats.kernel.clone(),
         })
     }
 
@@ -153,9 +158,21 @@ impl RawSplats {
                 .map(|(i, _)| (i, "logit_opacities")),
         );
         rows.extend(self.sh.chunks_exact(width).enumerate().filter(|(_, v)| bad(v)).map(|(i, _)| (i, "sh")));
+        for (column, values, ..) in self.kernel.columns() {
+            rows.extend(values.iter().enumerate().filter(|(_, v)| !v.is_finite()).map(|(i, _)| (i, column)));
+        }
         rows.sort_by_key(|(row, _)| *row);
         rows.dedup_by_key(|(row, _)| *row);
         rows
+    }
+
+    /// A format without columns for kernels takes Gaussians only, and kernels that draw as they do.
+    pub(super) fn refuse_kernel(&self, format: &str) -> std::io::Result<()> {
+        if self.kernel.is_neutral() {
+            return Ok(());
+        }
+        let text = format!("{format} has no columns for the splats' bent kernel and would draw others; write a .ply");
+        Err(std::io::Error::new(std::io::ErrorKind::InvalidInput, text))
     }
 
     /// The first row with a value that is not finite becomes an error, unless the limits allow it.

@@ -71,9 +71,10 @@ fn byte(v: f32) -> u8 {
 /// Writes splats as `.splat`; SH above degree 0 is left out.
 ///
 /// # Errors
-/// Columns of unequal length (as `InvalidInput`), or the writer's own.
+/// Columns of unequal length or a bent kernel (as `InvalidInput`), or the writer's own.
 pub fn write(splats: &RawSplats, out: &mut dyn Write) -> std::io::Result<()> {
     splats.check_shape().map_err(|e| std::io::Error::new(std::io::ErrorKind::InvalidInput, e))?;
+    splats.refuse_kernel("the .splat format")?;
     let columns = splats.means.iter().zip(&splats.quats).zip(&splats.log_scales).zip(&splats.logit_opacities);
     let mut row: Vec<u8> = Vec::with_capacity(ROW);
     for ((((mean, quat), scale), opacity), sh) in columns.zip(splats.sh.chunks_exact(splats.sh_width())) {

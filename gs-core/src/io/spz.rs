@@ -232,6 +232,7 @@ const LEVEL: u32 = 4;
 pub fn write(splats: &RawSplats, options: &SpzOptions, out: &mut dyn Write) -> std::io::Result<()> {
     let invalid = |text: String| std::io::Error::new(std::io::ErrorKind::InvalidInput, text);
     splats.check_shape().map_err(|e| invalid(e.to_string()))?;
+    splats.refuse_kernel("the SPZ format")?;
     if let Some((row, column)) = splats.non_finite_rows().first() {
         return Err(invalid(format!("row {row}, `{column}` is not finite")));
     }
