@@ -29,7 +29,7 @@ pub mod field;
 pub mod reference;
 
 pub use aabb::Aabb;
-pub use field::{DefGsConfig, DefMlp, Field, FourDgsConfig, HexPlaneField};
+pub use field::{DefGsConfig, DefMlp, Field, FourDgsConfig, Grid4dConfig, Grid4dField, HexPlaneField};
 use glam::Vec3;
 
 /// What is wrong with a field's configuration.

@@ -5,7 +5,9 @@ use crate::encode::HexPlane;
 use crate::encode::hexplane::PAIRS;
 use gs_core::{Params, Time};
 
+mod grid4d;
 mod hash;
+pub use grid4d::Grid4dRef;
 pub use hash::{Corner, HashGridRef};
 
 /// A HexPlane in `f64`: see [`HexPlane`] for the mathematics.

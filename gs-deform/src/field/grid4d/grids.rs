@@ -5,13 +5,12 @@
 //! ```
 //! A point outside the cube has features of zero (in each grid that reads the coordinate that is outside) and trains none.
 
+use super::config::Grid4dConfig;
 use crate::DeformError;
 use crate::encode::{Columns, HashGrid, Slice};
 use glam::Vec3;
 use gs_core::{Param, Params, Time};
 use rayon::prelude::*;
-
-use super::config::Grid4dConfig;
 
 /// Coordinates read by the three temporal grids, in the order of their features.
 const PAIRS: [(usize, usize); 3] = [(0, 1), (1, 2), (0, 2)];
@@ -66,6 +65,17 @@ impl Grids {
     /// Values per row of canonical and of temporal features.
     pub fn widths(&self) -> [usize; 2] {
         [self.xyz.width(), self.timed.iter().map(HashGrid::width).sum()]
+    }
+
+    /// All four: xyz, xyt, yzt, xzt.
+    pub fn all(&self) -> [&HashGrid; 4] {
+        let [xyt, yzt, xzt] = &self.timed;
+        [&self.xyz, xyt, yzt, xzt]
+    }
+
+    /// Side of the cube, world units.
+    pub fn side(&self) -> f32 {
+        2.0 * self.bound
     }
 
     /// World units to the unit cube.

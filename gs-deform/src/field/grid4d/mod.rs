@@ -21,21 +21,26 @@ mod branch;
 mod config;
 mod decoder;
 mod fourier;
+mod frozen;
 mod fuse;
 mod gate;
 mod grids;
+mod smooth;
 
 pub use config::{ExactConfig, FourierConfig, Fusion, GateConfig, GateMode, Grid4dConfig, SmoothConfig, WaveTime};
 pub use fourier::frequency;
+pub use frozen::{FrozenField, StillOptions, StillReport};
 
 use super::Field;
 use crate::DeformError;
 use crate::apply::{self, Apply, QuatRule, Rows, RowsMut, ScaleRule};
+use crate::encode::HashGrid;
 use decoder::{ChunkGrad, DFeatures, Decoder, Features, Moving, Shared, Still};
 use grids::{Grids, TimedTape, Times};
 use gs_core::nn::{self, BLOCK, CHUNKS};
 use gs_core::{Param, Params, Splats, SplatsGrad, Time};
 use rayon::prelude::*;
+use smooth::{Draw, Smooth};
 
 const APPLY: Apply = Apply { scale: ScaleRule::Add, quat: QuatRule::Unit };
 
@@ -45,6 +50,8 @@ pub struct Grid4dField {
     config: Grid4dConfig,
     grids: Grids,
     decoder: Decoder,
+    smooth: Smooth,
+    seed: u64,
 }
 
 /// Scratch of a [`Grid4dField`].
@@ -92,12 +99,17 @@ impl Grid4dField {
         config.check()?;
         let grids = Grids::new(config, seed)?;
         let decoder = Decoder::new(config, grids.widths(), seed);
-        Ok(Self { config: config.clone(), grids, decoder })
+        Ok(Self { config: config.clone(), grids, decoder, smooth: Smooth::default(), seed })
     }
 
     /// The settings it was built from.
     pub fn config(&self) -> &Grid4dConfig {
         &self.config
+    }
+
+    /// The grids over xyz, xyt, yzt, xzt.
+    pub fn grids(&self) -> [&HashGrid; 4] {
+        self.grids.all()
     }
 
     /// Whether a splat at this place of the unit cube moves at all.
@@ -204,8 +216,12 @@ impl Field for Grid4dField {
         apply::pass_through_backward(d_out, d_canonical);
     }
 
-    fn regularise(&mut self, _canonical: &Splats, _t: Time, _step: u32) -> Vec<(&'static str, f32)> {
-        Vec::new()
+    fn regularise(&mut self, canonical: &Splats, t: Time, step: u32) -> Vec<(&'static str, f32)> {
+        let Self { config, grids, smooth, seed, .. } = self;
+        let (draw, means, t) = (Draw { seed: *seed, step }, &canonical.means, grids::normalised_time(t));
+        let space = smooth.space(grids, &config.smooth, means, draw);
+        let time = smooth.time(grids, &config.smooth, means, t, draw);
+        vec![("smooth_space", space as f32), ("smooth_time", time as f32)]
     }
 
     fn quantities(&self, canonical: &Splats, t: Time) -> Vec<(&'static str, Vec<f32>)> {

@@ -1,0 +1,397 @@
+//! The Grid4D field, with and without its Fourier branch and gate, against a plain f64 twin: values, and every kind of
+//! gradient against the twin's central differences. Then the exact savings on and off, and what must hold to the last bit.
+//!
+//! Tolerances (f32 against f64, relative to the largest entry of the column or block, worst seen times about four):
+//! | quantity | bound |
+//! |---|---|
+//! | moved splats | 2e-6 |
+//! | gradients of splats | 2e-5 |
+//! | gradients of parameters | 5e-5 |
+//! | exact savings, on against off, values and gradients | 1e-5 |
+
+use glam::Vec3;
+use gs_core::nn::BLOCK;
+use gs_core::{Camera, Color, Params, Rng, Splats, SplatsGrad, Time};
+use gs_deform::encode::HashGridConfig;
+use gs_deform::field::grid4d::{ExactConfig, FourierConfig, Fusion, GateConfig, GateMode, StillOptions, WaveTime};
+use gs_deform::reference::Grid4dRef;
+use gs_deform::{DeformError, Field, Grid4dConfig, Grid4dField};
+
+const MODES: [GateMode; 4] =
+    [GateMode::ScaleParam, GateMode::LerpPosition, GateMode::TranslationOnly, GateMode::Literal];
+
+fn time(t: f32) -> Time {
+    Time::new(t).unwrap()
+}
+
+/// Every eighth splat lies outside the cube; the first two sit on its faces.
+fn splats(n: usize) -> Splats {
+    let mut s = Splats { color: Color::Sh { degree: 0, coeffs: Vec::new() }, ..Splats::default() };
+    for row in 0..n {
+        let mut rng = Rng::new(4, "splats", 0, row as u64);
+        let mut vec3 = |lo, hi| Vec3::new(rng.range(lo, hi), rng.range(lo, hi), rng.range(lo, hi));
+        s.means.push(match row {
+            0 => Vec3::new(1.5, -1.5, 0.3),
+            1 => Vec3::new(0.0, 0.0, -1.5),
+            _ if row % 8 == 7 => Vec3::new(0.2, 1.6, -0.4),
+            _ => vec3(-1.4, 1.4),
+        });
+        // Scales of either sign: only their squares matter to whoever draws them.
+        s.scales.push(vec3(-0.1, 0.3));
+        s.quats.push([rng.normal(), rng.normal(), rng.normal(), rng.normal()]);
+        s.opacities.push(rng.uniform());
+        if let Color::Sh { coeffs, .. } = &mut s.color {
+            coeffs.extend((0..3).map(|_| rng.normal()));
+        }
+    }
+    s
+}
+
+fn cotangents(s: &Splats, seed: u64) -> SplatsGrad {
+    let mut g = SplatsGrad::zeros_like(s);
+    let mut rng = Rng::new(seed, "cotangents", 0, 0);
+    g.means.iter_mut().chain(&mut g.scales).for_each(|v| *v = Vec3::new(rng.normal(), rng.normal(), rng.normal()));
+    g.quats.as_flattened_mut().iter_mut().chain(&mut g.opacities).chain(&mut g.color).for_each(|v| *v = rng.normal());
+    g
+}
+
+/// The ten moving values of a row.
+fn row(means: &[Vec3], quats: &[[f32; 4]], scales: &[Vec3], r: usize) -> [f64; 10] {
+    let flat: Vec<f32> = means[r].to_array().into_iter().chain(quats[r]).chain(scales[r].to_array()).collect();
+    std::array::from_fn(|k| f64::from(flat[k]))
+}
+
+fn assert_close(got: &[f64], want: &[f64], bound: f64, what: &str) {
+    assert_eq!(got.len(), want.len(), "{what}");
+    let largest = want.iter().fold(1e-12f64, |m, v| m.max(v.abs()));
+    for (i, (g, w)) in got.iter().zip(want).enumerate() {
+        assert!((g - w).abs() <= bound * largest, "{what}[{i}]: {g} against {w}, error {:e}", (g - w).abs() / largest);
+    }
+}
+
+/// A small field with levels of every kind: dense, hashed, and of a size of its own along each axis.
+fn small() -> Grid4dConfig {
+    let plain = Grid4dConfig::default();
+    Grid4dConfig {
+        bound: 1.5,
+        canonical: HashGridConfig { base: [3.0; 3], end: [5.0, 6.0, 9.0], levels: 3, log2_table: 7 },
+        temporal: HashGridConfig { base: [2.0, 3.0, 4.0], end: [4.0, 5.0, 6.0], levels: 2, log2_table: 6 },
+        width: 16,
+        zero_init: false,
+        fourier: FourierConfig { bands: 8, ..plain.fourier },
+        ..plain
+    }
+}
+
+fn grid4d(config: Grid4dConfig) -> Grid4dConfig {
+    Grid4dConfig {
+        fourier: FourierConfig { on: false, ..config.fourier.clone() },
+        gate: GateConfig { on: false, ..config.gate },
+        ..config
+    }
+}
+
+/// A field whose every parameter matters: features and amplitudes of order one.
+fn field(config: &Grid4dConfig) -> Grid4dField {
+    let mut field = Grid4dField::new(config, 3).unwrap();
+    field.visit_mut(&mut |p| {
+        let mut rng = Rng::new(1, &p.name, 1, 0);
+        if p.name.starts_with("field.grids") {
+            p.value.iter_mut().for_each(|v| *v = rng.normal());
+        } else if p.name.starts_with("field.net.amplitude") {
+            p.value.iter_mut().for_each(|v| *v = 0.3 * rng.normal());
+        }
+    });
+    field
+}
+
+/// Runs a field and its way back on `n` splats and compares everything with the twin; `stride`: every how many
+/// parameter values are checked.
+fn compare(config: &Grid4dConfig, n: usize, t: f32, stride: usize) {
+    let (mut field, s, t) = (field(config), splats(n), time(t));
+    let (mut tape, mut out) = (Default::default(), Splats::default());
+    field.forward(&s, t, &mut tape, &mut out);
+    let (d_out, mut d) = (cotangents(&s, 1), SplatsGrad::zeros_like(&s));
+    field.backward(&s, &mut tape, &d_out, &mut d);
+    let twin = Grid4dRef::new(&field);
+    let place = |r: usize| s.means[r].to_array().map(f64::from);
+    let loss = |twin: &Grid4dRef, v: [f64; 10], r: usize| -> f64 {
+        let weights = row(&d_out.means, &d_out.quats, &d_out.scales, r);
+        twin.moved(place(r), v, t).iter().zip(weights).map(|(m, w)| m * w).sum()
+    };
+    let (mut got, mut want, mut got_d, mut want_d) = (vec![], vec![], vec![], vec![]);
+    let h = 1e-6;
+    for r in 0..n {
+        let v = row(&s.means, &s.quats, &s.scales, r);
+        got.extend(row(&out.means, &out.quats, &out.scales, r));
+        want.extend(twin.moved(place(r), v, t));
+        got_d.extend(row(&d.means, &d.quats, &d.scales, r));
+        want_d.extend((0..10).map(|k| {
+            let (mut hi, mut lo) = (v, v);
+            hi[k] += h;
+            lo[k] -= h;
+            (loss(&twin, hi, r) - loss(&twin, lo, r)) / (2.0 * h)
+        }));
+    }
+    assert_close(&got, &want, 2e-6, "moved splats");
+    assert_close(&got_d, &want_d, 2e-5, "gradients of splats");
+    assert_eq!((&out.opacities, out.color.as_flat()), (&s.opacities, s.color.as_flat()));
+    assert_eq!((&d.opacities, &d.color), (&d_out.opacities, &d_out.color));
+
+    field.visit(&mut |p| {
+        let (mut twin, mut got, mut want) = (twin.clone(), vec![], vec![]);
+        let largest = p.grad.iter().enumerate().max_by(|a, b| a.1.abs().total_cmp(&b.1.abs())).map_or(0, |m| m.0);
+        for i in (0..p.len()).step_by(stride).chain([largest]) {
+            let mut total = |step: f64| -> f64 {
+                twin.block(&p.name).unwrap()[i] = f64::from(p.value[i]) + step;
+                (0..n).map(|r| loss(&twin, row(&s.means, &s.quats, &s.scales, r), r)).sum()
+            };
+            want.push((total(h) - total(-h)) / (2.0 * h));
+            total(0.0);
+            got.push(f64::from(p.grad[i]));
+        }
+        assert!(p.grad[largest] != 0.0, "{} has no gradient", p.name);
+        assert_close(&got, &want, 5e-5, &p.name);
+    });
+}
+
+#[test]
+fn fags_agrees_with_its_twin_in_every_mode_of_the_gate() {
+    for mode in MODES {
+        compare(&Grid4dConfig { gate: GateConfig { on: true, mode }, ..small() }, 17, 0.37, 11);
+    }
+}
+
+#[test]
+fn every_fusion_and_depth_agrees_with_its_twin() {
+    let fourier = |fusion, bands, hidden: &[usize]| FourierConfig {
+        fusion,
+        bands,
+        hidden: hidden.to_vec(),
+        time: WaveTime::Scaled,
+        on: true,
+    };
+    let full = ExactConfig { time_slicing: false, fourier_collapse: false, cached_attention: false };
+    for (depth, fourier, exact) in [
+        (0, fourier(Fusion::Add, 8, &[]), full),
+        (0, fourier(Fusion::Add, 8, &[]), small().exact),
+        (2, fourier(Fusion::Add, 8, &[]), small().exact),
+        (0, fourier(Fusion::Add, 8, &[5]), small().exact),
+        (1, fourier(Fusion::Mul, 8, &[]), full),
+        (0, fourier(Fusion::Concat, 3, &[7, 4]), small().exact),
+    ] {
+        compare(&Grid4dConfig { depth, fourier, exact, ..small() }, 9, 0.8, 17);
+    }
+}
+
+#[test]
+fn grid4d_agrees_with_its_twin() {
+    compare(&grid4d(small()), 17, 0.0, 7);
+    compare(&Grid4dConfig { directional: false, depth: 1, ..grid4d(small()) }, 3, 1.0, 7);
+    compare(&Grid4dConfig { compat_grid4d: true, ..grid4d(small()) }, 17, 0.5, 13);
+    // Beyond the cube's time the grids hold their end values.
+    compare(&small(), 5, 1.4, 23);
+}
+
+#[test]
+fn an_untrained_field_is_the_identity_to_the_last_bit() {
+    let s = splats(2 * BLOCK + 5);
+    for gate in MODES[..3].iter().map(|&mode| GateConfig { on: true, mode }) {
+        let plain = Grid4dConfig { zero_init: true, gate, ..small() };
+        for config in [plain.clone(), grid4d(plain)] {
+            let (field, mut tape, mut out) = (field(&config), Default::default(), Splats::default());
+            for t in [-0.5, 0.0, 0.3, 1.0, 2.0] {
+                field.forward(&s, time(t), &mut tape, &mut out);
+                assert!(out == s, "t = {t}");
+            }
+        }
+    }
+}
+
+#[test]
+fn outside_the_cube_nothing_moves_and_nothing_learns() {
+    let far = Splats { means: vec![Vec3::new(0.0, 1.51, 0.0); 3], ..splats(3) };
+    let (mut field, mut tape, mut out) = (field(&small()), Default::default(), Splats::default());
+    field.forward(&far, time(0.6), &mut tape, &mut out);
+    assert_eq!(out, far);
+    let (d_out, mut d) = (cotangents(&far, 1), SplatsGrad::zeros_like(&far));
+    field.backward(&far, &mut tape, &d_out, &mut d);
+    assert_eq!((d.means, d.scales, d.quats), (d_out.means, d_out.scales, d_out.quats));
+    field.visit(&mut |p| assert!(p.grad.iter().all(|g| *g == 0.0), "{}", p.name));
+    assert_eq!(field.quantities(&far, time(0.6)), [("gate", vec![0.0; 3])]);
+}
+
+/// Everything a step produces, as numbers.
+fn step(field: &mut Grid4dField, tape: &mut <Grid4dField as Field>::Tape, n: usize, t: f32) -> Vec<Vec<f32>> {
+    let (s, mut out) = (splats(n), Splats::default());
+    field.clear_grads();
+    field.forward(&s, time(t), tape, &mut out);
+    let mut d = SplatsGrad::zeros_like(&s);
+    field.backward(&s, tape, &cotangents(&s, 2), &mut d);
+    let flat = |v: &[Vec3]| v.iter().flat_map(|v| v.to_array()).collect::<Vec<f32>>();
+    let mut all = vec![flat(&out.means), flat(&out.scales), flat(&d.means), flat(&d.scales)];
+    all.extend([out.quats.as_flattened().to_vec(), d.quats.as_flattened().to_vec()]);
+    field.visit(&mut |p| all.push(p.grad.clone()));
+    all
+}
+
+fn step_and_regularise(field: &mut Grid4dField, tape: &mut <Grid4dField as Field>::Tape, n: usize, t: f32) -> Vec<u32> {
+    let mut all = step(field, tape, n, t);
+    all.push(field.regularise(&splats(n), time(t), 5).iter().map(|v| v.1).collect());
+    field.visit(&mut |p| all.push(p.grad.clone()));
+    all.iter().flatten().map(|v| v.to_bits()).collect()
+}
+
+#[test]
+fn exact_savings_change_rounding_only() {
+    let off = ExactConfig { time_slicing: false, fourier_collapse: false, cached_attention: false };
+    let plain = small();
+    for config in [plain.clone(), Grid4dConfig { depth: 1, ..plain.clone() }, grid4d(plain)] {
+        let slow = Grid4dConfig { exact: off, ..config.clone() };
+        for t in [0.0, 0.41, 1.0] {
+            let fast = step(&mut field(&config), &mut Default::default(), BLOCK + 9, t);
+            let slow = step(&mut field(&slow), &mut Default::default(), BLOCK + 9, t);
+            for (i, (a, b)) in fast.iter().zip(&slow).enumerate() {
+                let wide = |v: &[f32]| v.iter().map(|&v| f64::from(v)).collect::<Vec<_>>();
+                assert_close(&wide(a), &wide(b), 1e-5, &format!("column {i} at {t}"));
+            }
+        }
+    }
+}
+
+#[test]
+fn threads_and_warm_tapes_change_no_bit() {
+    for config in [small(), Grid4dConfig { fourier: FourierConfig { hidden: vec![5], ..small().fourier }, ..small() }] {
+        // More blocks than chunks, and a ragged end.
+        let n = 11 * BLOCK + 17;
+        let on = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| step_and_regularise(&mut field(&config), &mut Default::default(), n, 0.4))
+        };
+        let one = on(1);
+        assert!(one == on(2) && one == on(8), "results depend on the number of threads");
+        let (mut warm, mut tape) = (field(&config), Default::default());
+        for n in [n + 300, 0, 1, 15, 16, 17, BLOCK, BLOCK + 1] {
+            let fresh = step_and_regularise(&mut field(&config), &mut Default::default(), n, 0.9);
+            assert!(step_and_regularise(&mut warm, &mut tape, n, 0.9) == fresh, "n = {n}");
+        }
+        assert!(step_and_regularise(&mut warm, &mut tape, n, 0.4) == one, "a warm tape changes the result");
+    }
+}
+
+#[test]
+fn gradients_are_added_not_overwritten() {
+    let (mut field, s, mut tape) = (field(&small()), splats(20), Default::default());
+    let d_out = cotangents(&s, 1);
+    field.forward(&s, time(0.5), &mut tape, &mut Splats::default());
+    let mut d = SplatsGrad::zeros_like(&s);
+    let grads = |field: &Grid4dField| {
+        let mut all = Vec::new();
+        field.visit(&mut |p| all.extend(p.grad.iter().map(|&g| f64::from(g))));
+        all
+    };
+    field.backward(&s, &mut tape, &d_out, &mut d);
+    let (once, first) = (grads(&field), d.means[3]);
+    field.backward(&s, &mut tape, &d_out, &mut d);
+    assert_close(&grads(&field), &once.iter().map(|g| 2.0 * g).collect::<Vec<_>>(), 1e-6, "parameters");
+    assert!((d.means[3] - 2.0 * first).abs().max_element() < 1e-5 * first.length());
+}
+
+#[test]
+fn a_frozen_field_draws_the_same_splats() {
+    for cached_attention in [true, false] {
+        for collapse in [true, false] {
+            let exact = ExactConfig { cached_attention, fourier_collapse: collapse, ..small().exact };
+            let (field, s) = (field(&Grid4dConfig { exact, ..small() }), splats(BLOCK + 40));
+            let (mut frozen, mut tape) = (field.freeze(&s), Default::default());
+            let (mut out, mut want) = (Splats::default(), Splats::default());
+            for t in [0.1, 0.9, 0.5] {
+                frozen.forward(time(t), &mut out);
+                field.forward(&s, time(t), &mut tape, &mut want);
+                assert!(out == want, "collapse {collapse}, cache {cached_attention}");
+            }
+        }
+    }
+}
+
+/// What is left still stays within its bound on screen, and a tolerance of 0 leaves only what never moves.
+#[test]
+fn splats_left_still_are_within_their_bound() {
+    let mut field = field(&small());
+    // Gates from nearly closed to half open.
+    field.visit_mut(&mut |p| {
+        if p.name == "field.net.head.bias" {
+            p.value[0] = -9.0;
+        } else if p.name == "field.net.head.weight" {
+            p.value[..16].iter_mut().for_each(|v| *v *= 30.0);
+        }
+    });
+    let s = splats(600);
+    let cameras = [4.0, 7.0].map(|z| {
+        let (rotation, translation) = (glam::DMat3::IDENTITY, glam::DVec3::new(0.1, 0.0, z));
+        Camera { width: 200, height: 160, fx: 180.0, fy: 180.0, cx: 90.0, cy: 80.0, rotation, translation }
+    });
+    let screen = |c: &Camera, m: Vec3| {
+        let p = c.rotation * m.as_dvec3() + c.translation;
+        [c.fx * p.x / p.z, c.fy * p.y / p.z]
+    };
+    let mut counts = Vec::new();
+    for pixels in [0.0, 0.2, 2.0, 20.0] {
+        let mut frozen = field.freeze(&s);
+        let report = frozen.leave_still(&StillOptions { pixels, probes: 9, cameras: &cameras });
+        assert!(report.bound_pixels <= pixels && report.splats == 600 && report.probes == 9);
+        let (mut out, mut want) = (Splats::default(), Splats::default());
+        for probe in 0..9 {
+            let t = time(probe as f32 / 8.0);
+            frozen.forward(t, &mut out);
+            field.forward(&s, t, &mut Default::default(), &mut want);
+            for (a, b) in out.means.iter().zip(&want.means) {
+                for c in &cameras {
+                    let (a, b) = (screen(c, *a), screen(c, *b));
+                    let error = (a[0] - b[0]).hypot(a[1] - b[1]);
+                    // 1e-3: fewer splats may choose other levels to blend along time, which changes rounding.
+                    assert!(error <= f64::from(pixels) + 1e-3, "{error} px at a tolerance of {pixels}");
+                }
+            }
+        }
+        counts.push(report.still);
+    }
+    assert_eq!(counts[0], (0..600).filter(|r| r % 8 == 7).count(), "those outside the cube");
+    assert!(counts.is_sorted() && counts[1] < counts[3], "{counts:?}");
+}
+
+#[test]
+fn the_gate_is_reported_only_where_there_is_one() {
+    let s = splats(9);
+    let gates = field(&small()).quantities(&s, time(0.3));
+    let twin = Grid4dRef::new(&field(&small()));
+    for (r, gate) in gates[0].1.iter().enumerate().filter(|(r, _)| r % 8 != 7) {
+        let raw = twin.head(s.means[r].to_array().map(f64::from), time(0.3))[0];
+        assert!((f64::from(*gate) - 1.0 / (1.0 + (-raw).exp())).abs() < 1e-6);
+    }
+    assert!(field(&grid4d(small())).quantities(&s, time(0.3)).is_empty());
+}
+
+#[test]
+fn names_are_those_of_the_parts() {
+    let mut names = Vec::new();
+    field(&Grid4dConfig { depth: 1, ..small() }).visit(&mut |p| names.push(p.name.clone()));
+    let layers = ["space", "time", "amplitude.0", "hidden.0", "head"];
+    let want: Vec<String> = ["xyz", "xyt", "yzt", "xzt"]
+        .iter()
+        .map(|g| format!("field.grids.{g}"))
+        .chain(layers.iter().flat_map(|l| ["weight", "bias"].map(|p| format!("field.net.{l}.{p}"))))
+        .collect();
+    assert_eq!(names, want);
+}
+
+#[test]
+fn bad_settings_are_named() {
+    let error = |config: Grid4dConfig| match Grid4dField::new(&config, 0) {
+        Err(DeformError::Config { field, .. }) => field,
+        other => panic!("{other:?}"),
+    };
+    assert_eq!(error(Grid4dConfig { bound: f32::NAN, ..small() }), "bound");
+    assert_eq!(error(Grid4dConfig { width: 10, ..small() }), "bands");
+    assert_eq!(error(Grid4dConfig { canonical: HashGridConfig { levels: 0, ..small().canonical }, ..small() }), "levels");
+}
