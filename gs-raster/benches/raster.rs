@@ -4,8 +4,8 @@
 //! instruction set and thread count, with the machine's roofs beside; rows go to `target/speed-error/gs-raster.jsonl`.
 
 use criterion::Criterion;
-use gs_core::{Camera, Splats};
-use gs_raster::measure::{Roofs, camera, rows, scene};
+use gs_core::{Camera, Kernel, Splats};
+use gs_raster::measure::{Roofs, camera, kernels, rows, scene};
 use gs_raster::{
     Frame, FrameGrad, RasterOptions, ScreenStats, SimdLevel, Workspace, render_backward_into, render_into,
 };
@@ -36,10 +36,31 @@ fn criterion_cases(c: &mut Criterion) {
 }
 
 fn record(case: &str, splats: &Splats, camera: &Camera, simd: SimdLevel) {
+    record_with(case, splats, camera, &RasterOptions { simd, ..RasterOptions::default() });
+}
+
+fn record_with(case: &str, splats: &Splats, camera: &Camera, options: &RasterOptions) {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/speed-error");
-    for row in rows(case, splats, camera, simd, 11, 48) {
+    for row in rows(case, splats, camera, options, 11, 48) {
         if let Err(e) = row.record(&folder) {
             eprintln!("{}: {e}", folder.display());
+        }
+    }
+}
+
+/// Every fall-off on the same splats, and what the published rasteriser's box of three standard deviations costs or saves
+/// beside exact supports, for soft and for sharp splats.
+fn kernel_rows(n: usize, side: u32) {
+    let camera = camera(side);
+    for (name, kernel) in kernels(n) {
+        record(name, &Splats { kernel, ..scene(n, 3) }, &camera, SimdLevel::Auto);
+    }
+    for (name, lambda, beta) in [("soft", 0.05, 0.5), ("sharp", 1.0, 0.9)] {
+        let kernel = Kernel::Frequency { lambdas: vec![lambda; n], betas: vec![beta; n] };
+        let splats = Splats { kernel, ..scene(n, 3) };
+        for (support, box_sigmas) in [("exact", f64::INFINITY), ("3 sigma", 3.0)] {
+            let options = RasterOptions { box_sigmas, ..RasterOptions::default() };
+            record_with(&format!("{name}, {support}"), &splats, &camera, &options);
         }
     }
 }
@@ -49,6 +70,10 @@ fn main() {
         Criterion::default().sample_size(10).measurement_time(Duration::from_secs(2)).configure_from_args();
     criterion_cases(&mut criterion);
     criterion.final_summary();
+    for threads in [1, 2] {
+        println!("kernels, {threads} threads");
+        pool(threads).install(|| kernel_rows(100_000, 800));
+    }
     let big = scene(100_000, 3);
     for simd in [SimdLevel::Auto, SimdLevel::Avx2, SimdLevel::Portable] {
         for threads in [1, 2] {

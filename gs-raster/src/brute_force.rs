@@ -13,19 +13,18 @@ use crate::workspace::Workspace;
 use fearless_simd::{f32x16, mask32x16, prelude::*};
 use gs_core::{Kernel, Rng, Splats};
 
-/// Another kernel with a support of its own.
+/// Another kernel, offered to every pixel.
 #[derive(Clone, Copy)]
-struct Reach<K> {
-    kernel: K,
-    /// `√(a² + b²)` bounds in the blend's units: least and largest.
-    between: [f64; 2],
-}
+struct Everywhere<K>(K);
 
-impl<K: Falloff> Falloff for Reach<K> {
+/// Its support, in the blend's units: beyond any image.
+const FAR: f64 = 1e6;
+
+impl<K: Falloff> Falloff for Everywhere<K> {
     const BENT: bool = K::BENT;
 
     fn bend(self, index: u32) -> RowBend {
-        self.kernel.bend(index)
+        self.0.bend(index)
     }
 
     #[inline(always)]
@@ -38,14 +37,12 @@ impl<K: Falloff> Falloff for Reach<K> {
         K::backward(simd, row, s, learns, d_alpha)
     }
 
-    fn support(self, index: u32, log2_opacity: f64, log2_min_alpha: f64) -> f64 {
-        let [least, largest] = self.between.map(|r| r * r);
-        self.kernel.support(index, log2_opacity, log2_min_alpha).clamp(least, largest)
+    fn support(self, _: u32, _: f64, _: f64) -> f64 {
+        FAR * FAR
     }
 
-    fn widest(self, index: u32, gaussian: f64, log2_min_alpha: f64) -> f64 {
-        let [least, largest] = self.between.map(|r| r / LOG2_SCALE);
-        self.kernel.widest(index, gaussian, log2_min_alpha).clamp(least, largest)
+    fn widest(self, _: u32, _: f64, _: f64) -> f64 {
+        FAR / LOG2_SCALE
     }
 }
 
@@ -78,18 +75,16 @@ fn bits<K: Falloff>(kernel: K, splats: &Splats, options: &RasterOptions) -> Vec<
     [frame.rgb, frame.alpha, frame.depth].concat().iter().map(|v| v.to_bits()).collect()
 }
 
-const EVERYWHERE: [f64; 2] = [1e6, 1e6];
-const THREE_SIGMA: [f64; 2] = [0.0, 3.0 * LOG2_SCALE];
-
 #[test]
 fn exact_supports_lose_no_pixel_and_a_three_sigma_box_does() {
     let (mut boxed, mut soft) = (0, 0);
     for (i, (splats, options)) in scenes().enumerate() {
         let kernel = Bent::new(&splats.kernel, options.kernel_cut);
-        let want = bits(Reach { kernel, between: EVERYWHERE }, &splats, &options);
+        let want = bits(Everywhere(kernel), &splats, &options);
         assert!(bits(kernel, &splats, &options) == want, "scene {i}: a list lost a pixel");
         soft += usize::from(i % 5 == 0);
-        boxed += usize::from(i % 5 == 0 && bits(Reach { kernel, between: THREE_SIGMA }, &splats, &options) != want);
+        let box_of_three = RasterOptions { box_sigmas: 3.0, ..options.clone() };
+        boxed += usize::from(i % 5 == 0 && bits(kernel, &splats, &box_of_three) != want);
     }
     assert!(boxed == soft && soft > 0, "a 3σ box must cut soft kernels: {boxed} of {soft} scenes");
 }
@@ -102,7 +97,7 @@ fn the_cut_does_not_depend_on_tiles() {
     splats.kernel = Kernel::Frequency { lambdas: vec![0.05; n], betas: vec![0.9; n] };
     let options = RasterOptions::default();
     let kernel = Bent::new(&splats.kernel, options.kernel_cut);
-    assert!(bits(kernel, &splats, &options) == bits(Reach { kernel, between: EVERYWHERE }, &splats, &options));
+    assert!(bits(kernel, &splats, &options) == bits(Everywhere(kernel), &splats, &options));
     let render = |shift: u32| {
         let mut camera = camera(64);
         (camera.cx, camera.cy) = (camera.cx + f64::from(shift), camera.cy + f64::from(shift));

@@ -145,7 +145,8 @@ impl<K: Falloff> Scene<'_, K> {
         }
         let footprint = project(self.view, &shape, self.options)?;
         let log2_opacity = (f64::from(s.opacities[i]) * footprint.compensation).log2();
-        let support = self.kernel.support(index, log2_opacity, log2_min_alpha);
+        let most = (self.options.box_sigmas * LOG2_SCALE).powi(2);
+        let support = self.kernel.support(index, log2_opacity, log2_min_alpha).min(most);
         Drawn::new(&footprint, log2_opacity, support, footprint.depth(), index)
     }
 

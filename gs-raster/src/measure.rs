@@ -35,6 +35,21 @@ pub fn scene(n: usize, degree: u8) -> Splats {
     s
 }
 
+/// The kernels of the benchmarks for `n` splats, by name: the Gaussian, the frequency kernel at rest (λ = β = ½), both
+/// bent kernels with parameters over most of their domain.
+pub fn kernels(n: usize) -> [(&'static str, Kernel); 4] {
+    let mut rng = Rng::new(20_240_817, "bench kernels", 0, n as u64);
+    let lambdas: Vec<f32> = (0..n).map(|_| rng.uniform()).collect();
+    let betas = lambdas.iter().map(|&l| rng.range(0.0, 0.98 * (0.5 + l).min(1.0))).collect();
+    let acutances = (0..n).map(|_| rng.range(-0.8, 0.8)).collect();
+    [
+        ("gaussian", Kernel::Gaussian),
+        ("frequency at rest", Kernel::Frequency { lambdas: vec![0.5; n], betas: vec![0.5; n] }),
+        ("frequency", Kernel::Frequency { lambdas, betas }),
+        ("acutance", Kernel::Acutance { acutances }),
+    ]
+}
+
 /// The camera of the scenes: 1.5 units off the centre, `fx = 1.2 · side`.
 pub fn camera(side: u32) -> Camera {
     let rotation = DMat3::from_rotation_x(0.12) * DMat3::from_rotation_y(0.21);
@@ -110,33 +125,32 @@ fn exp2_rounds<S: Simd>(simd: S, rounds: usize) -> f32 {
     (sum[0] + sum[1] + sum[2] + sum[3]).reduce_sum()
 }
 
-/// Times one scene at one instruction set with the current pool: forward, and forward + backward, each with its error
+/// Times one scene under some options with the current pool: forward, and forward + backward, each with its error
 /// against the `f64` reference on a smaller view of the same scene (`error_side` pixels).
 pub fn rows(
     case: &str,
     splats: &Splats,
     camera: &Camera,
-    choice: SimdLevel,
+    options: &RasterOptions,
     runs: usize,
     error_side: u32,
 ) -> [SpeedError; 2] {
-    let options = RasterOptions { simd: choice, ..RasterOptions::default() };
     let (mut workspace, mut frame) = (Workspace::new(), Frame::default());
     let n = (camera.width * camera.height) as usize;
     let d = FrameGrad { rgb: cotangents(3 * n), ..FrameGrad::default() };
     let (mut grad, mut stats) = (SplatsGrad::default(), ScreenStats::default());
-    let forward = median_seconds(runs, || render_into(splats, camera, &options, &mut workspace, &mut frame));
+    let forward = median_seconds(runs, || render_into(splats, camera, options, &mut workspace, &mut frame));
     let both = median_seconds(runs, || {
-        render_into(splats, camera, &options, &mut workspace, &mut frame);
-        render_backward_into(splats, camera, &options, &mut workspace, &d, &mut grad, &mut stats);
+        render_into(splats, camera, options, &mut workspace, &mut frame);
+        render_backward_into(splats, camera, options, &mut workspace, &d, &mut grad, &mut stats);
     });
     let small = camera.scaled(f64::from(error_side) / f64::from(camera.width));
-    let (frame_error, grad_error, blends) = errors(splats, &small, &options);
+    let (frame_error, grad_error, blends) = errors(splats, &small, options);
     let scale = n as f64 / f64::from(small.width * small.height);
     let row = |variant: &str, seconds: f64, error, error_kind| SpeedError {
         krate: "gs-raster",
         case: format!("{case}@{}", camera.width),
-        variant: format!("{variant} {}", simd::level_name(simd::level(choice))),
+        variant: format!("{variant} {}", simd::level_name(simd::level(options.simd))),
         n: splats.len(),
         threads: rayon::current_num_threads(),
         ms: 1e3 * seconds,

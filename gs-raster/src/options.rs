@@ -45,6 +45,9 @@ pub struct RasterOptions {
     /// Mahalanobis distance, so that the picture does not depend on tiles. 9: the three standard deviations that the
     /// published rasteriser's box implies.
     pub kernel_cut: f64,
+    /// Blocks of pixels farther than this many standard deviations are not looked at. Infinite: exact supports. 3 is
+    /// the published rasteriser's box; it truncates soft kernels visibly, by an amount that depends on the blocks.
+    pub box_sigmas: f64,
     /// Gradient above `max_alpha`.
     pub clamp_grad: ClampGrad,
     /// Instruction set.
@@ -68,6 +71,7 @@ impl Default for RasterOptions {
             dilation: 0.3,
             antialias: false,
             kernel_cut: 9.0,
+            box_sigmas: f64::INFINITY,
             clamp_grad: ClampGrad::Exact,
             simd: SimdLevel::Auto,
         }

@@ -10,7 +10,7 @@
 mod common;
 
 use gs_raster::reference::{Cutoff, Scene, render as reference, render_backward as reference_backward};
-use gs_raster::{Frame, FrameGrad, RasterOptions, SimdLevel, Workspace, render, render_backward};
+use gs_raster::{ClampGrad, Frame, FrameGrad, RasterOptions, SimdLevel, Workspace, render, render_backward};
 
 /// Pixels whose decisions lie closer than this (relative) to a threshold may flip.
 const BAND: f64 = 1e-5;
@@ -61,8 +61,13 @@ fn check(seed: u64, bent: bool, simd: SimdLevel, tally: &mut Tally) {
         case.splats.kernel = common::kernel(seed / 8, case.splats.len());
         name += common::KERNELS[seed as usize / 8 % common::KERNELS.len()];
     }
-    let options =
-        RasterOptions { background: case.background, antialias: seed / 32 % 2 == 1, simd, ..Default::default() };
+    let options = RasterOptions {
+        background: case.background,
+        antialias: seed / 32 % 2 == 1,
+        clamp_grad: if seed / 64 % 2 == 1 { ClampGrad::PassThrough } else { ClampGrad::Exact },
+        simd,
+        ..Default::default()
+    };
     let mut workspace = Workspace::new();
     let frame = render(&case.splats, &case.camera, &options, &mut workspace);
     let scene = Scene::<f64>::new(&case.splats);

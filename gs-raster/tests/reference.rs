@@ -52,6 +52,9 @@ fn check_scene(seed: u64, bent: bool, tally: &mut Tally) {
     let mut scene = Scene::<f64>::new(&case.splats);
     // Opacities inside (0, 1), so that both sides of a probe are legal.
     scene.opacities.iter_mut().for_each(|o| *o = o.clamp(0.02, 0.98));
+    // Parameters of kernels inside their domain likewise.
+    let least = if scene.form == Form::Frequency { 0.002 } else { -0.95 };
+    scene.kernel.iter_mut().for_each(|v| *v = v.clamp(least, 0.998));
     let n = (case.camera.width * case.camera.height) as usize;
     let w = common::weights(seed, n * 5);
     let d: Grad = w
@@ -60,11 +63,6 @@ fn check_scene(seed: u64, bent: bool, tally: &mut Tally) {
         .collect();
     let (mut grad, _) = render_backward(&scene, &case.camera, &options, Cutoff::Smooth, &d);
     let mut rng = gs_core::Rng::new(seed, "probe", 0, 0);
-    // λ and β inside their domain likewise.
-    scene
-        .kernel
-        .iter_mut()
-        .for_each(|v| *v = v.clamp(-0.95, 0.998).max(if scene.form == Form::Frequency { 0.002 } else { -0.95 }));
     for kind in if bent { 0..6 } else { 0..5 } {
         let count = [
             3 * scene.means.len(),
@@ -125,7 +123,7 @@ fn gradients_match_finite_differences_on_500_hard_scenes() {
 #[test]
 fn gradients_of_bent_kernels_match_finite_differences() {
     let mut tally = Tally { probes: 0, skipped: 0, worst: 0.0 };
-    for seed in (0..512).filter(|s| s % 8 != 3 || s % 24 == 3) {
+    for seed in (0..256).filter(|s| s % 8 != 3 || s % 24 == 3) {
         check_scene(seed, true, &mut tally);
     }
     println!("{} probes, {} on kinks, worst relative error {:.1e}", tally.probes, tally.skipped, tally.worst);

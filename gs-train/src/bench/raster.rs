@@ -20,7 +20,8 @@ pub fn rows() -> Vec<SpeedError> {
         let (splats, whole) = (scene(n, DEGREE), camera(side));
         let small = ((REFERENCE_WORK / n) as f64).sqrt().clamp(8.0, f64::from(side)) as u32;
         for level in [SimdLevel::Auto, SimdLevel::Avx2, SimdLevel::Portable] {
-            out.extend(measured("draw", &splats, &whole, level, RUNS, small));
+            let options = RasterOptions { simd: level, ..RasterOptions::default() };
+            out.extend(measured("draw", &splats, &whole, &options, RUNS, small));
         }
     }
     let (n, side) = SIZES[1];
