@@ -3,7 +3,8 @@
 //! ```text
 //! data set → moment → splats → frame → loss → gradients → parameters
 //! ```
-//! * [`data`]: readers (D-NeRF/Blender, nerfstudio, COLMAP), lazily decoded images; [`synth`]: scenes with exact truth.
+//! * [`data`]: readers (D-NeRF/Blender, nerfstudio, COLMAP, HyperNeRF, LLFF/Neu3D), lazily decoded images; [`synth`]:
+//!   scenes with exact truth.
 //! * [`methods`]: one file a method; [`schedule`], [`density`], [`adam`], [`loss`]: what training is made of.
 //! * [`trainer`]: one step, and the whole state in and out; [`guard`]: gradients that are not finite.
 //! * [`evaluate`], [`compare`], [`inspect`], [`report`]: what came of it.

@@ -318,7 +318,7 @@ impl DataError {
     pub fn fix(&self) -> String {
         match self {
             Self::NotFound { .. } => "check the path".into(),
-            Self::Layout { .. } => "see gs4d doctor for the layouts known, or pass --layout NAME".into(),
+            Self::Layout { .. } => "give the folder that holds the cameras, or name its layout with --set data.layout=NAME".into(),
             Self::Read { .. } | Self::Write { .. } => "check permissions and disk".into(),
             Self::Occupied { .. } => "choose another folder, or pass -f to overwrite".into(),
             Self::TooLarge { .. } => "make the file smaller, or raise --set data.max_image_mib for images".into(),

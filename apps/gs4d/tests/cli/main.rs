@@ -1,5 +1,6 @@
 //! The built program, called as a user calls it: every verb on tiny generated inputs, exit codes, JSON, refusals.
 
+mod captures;
 mod folders;
 mod hostile;
 mod render;
