@@ -4,7 +4,7 @@
 use std::path::Path;
 
 use glam::{DMat3, DQuat, DVec2, DVec3, EulerRot};
-use gs_train::data::{DataError, DataOptions, Dataset, ImageCache, detect};
+use gs_train::data::{DataError, DataOptions, Dataset, ImageCache, TimeFrom, detect};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
@@ -185,6 +185,9 @@ fn times_are_ids_over_the_largest_id_of_all() {
     assert!((d.train[1].time.normalised - 1.0 / 7.0).abs() < 1e-6 && d.time_source.contains("warp_id"));
     let wide = DataOptions { time_range: Some("0..14".parse().unwrap()), ..Default::default() };
     assert!((c.open(&wide).unwrap().test[3].time.normalised - 0.5).abs() < 1e-6);
+    let named = c.open(&DataOptions { time_from: TimeFrom::Name, ..Default::default() }).unwrap();
+    assert_eq!(named.train[3].time.normalised, 1.0, "numbers of names span the training views, as in other layouts");
+    assert!(named.time_source.contains("file name"), "{}", named.time_source);
 }
 
 #[test]

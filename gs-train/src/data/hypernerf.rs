@@ -31,7 +31,7 @@ use super::header::ImageHeader;
 use super::intrinsics::{Adjusted, Intrinsics};
 use super::json::{Fields, read_object};
 use super::lens::Lens;
-use super::options::{DataOptions, TimeRange};
+use super::options::{DataOptions, TimeFrom, TimeRange};
 use super::pose::{Pose, from_axes};
 use super::times::{Draft, Drafts, settle};
 use super::{Confidence, Dataset, ImageSource, Layout, PointCloud, View, cloud, sight};
@@ -79,7 +79,9 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     let (test, alpha) = reader.split(&lists, &lists.test, &mut notes)?;
     has_alpha |= alpha;
     let whole = TimeRange { start: 0.0, end: last };
-    let timed = DataOptions { time_range: options.time_range.or((last > 0.0).then_some(whole)), ..options.clone() };
+    let by_tags = options.time_from == TimeFrom::File;
+    let span = options.time_range.or((by_tags && last > 0.0).then_some(whole));
+    let timed = DataOptions { time_range: span, ..options.clone() };
     let settled = settle(Drafts { train, val: Vec::new(), test }, &timed, None)?;
     notes.extend(settled.notes);
     let points = frame.points(&root, &mut notes)?;
@@ -93,7 +95,7 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
         points,
         has_alpha,
         dynamic: settled.dynamic,
-        time_source: if settled.dynamic { format!("{} of metadata.json", tags.key) } else { settled.source },
+        time_source: if settled.dynamic && by_tags { format!("{} of metadata.json", tags.key) } else { settled.source },
         bounds,
         notes,
     })
