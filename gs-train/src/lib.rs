@@ -7,7 +7,8 @@
 //!   scenes with exact truth.
 //! * [`methods`]: one file a method; [`schedule`], [`density`], [`adam`], [`loss`]: what training is made of.
 //! * [`trainer`]: one step, and the whole state in and out; [`guard`]: gradients that are not finite.
-//! * [`evaluate`], [`compare`], [`inspect`], [`report`]: what came of it.
+//! * [`evaluate`], [`compare`], [`inspect`], [`report`], [`contest`]: what came of it.
+//! * [`analysis`]: what else can be said of a scene: quantities, motion, economy.
 //! * [`config`], [`checkpoint`], [`run`]: settings that know their source, atomic checkpoints, run folders.
 //!
 //! # Promises
@@ -18,10 +19,12 @@
 //! Several views per step, camera refinement, masks while training, downloading of data.
 
 pub mod adam;
+pub mod analysis;
 pub mod bench;
 pub mod checkpoint;
 pub mod compare;
 pub mod config;
+pub mod contest;
 pub mod data;
 pub mod density;
 pub mod evaluate;

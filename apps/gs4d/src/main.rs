@@ -74,6 +74,7 @@ enum Verb {
     Inspect(verbs::inspect::Inspect),
     Methods(verbs::methods::Methods),
     Config(verbs::config::ShowConfig),
+    Contest(verbs::contest::ContestVerb),
     Bench(verbs::bench::Bench),
 }
 
@@ -93,6 +94,7 @@ fn run(cli: Cli) -> Result<Answer, Failure> {
         Verb::Inspect(verb) => verb.run(),
         Verb::Methods(verb) => Ok(verb.run()),
         Verb::Config(verb) => verb.run(),
+        Verb::Contest(verb) => verb.run(global),
         Verb::Bench(verb) => verb.run(global),
     }
 }

@@ -3,13 +3,20 @@
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use gs_core::io::{Limits, RawSplats, load_splats};
+use gs_train::analysis::paths::moments_for;
+use gs_train::analysis::{Analysis, Economy};
 use gs_train::checkpoint::Checkpoint;
+use gs_train::data::Split;
 use gs_train::inspect::{BlockSummary, SplatSummary, bytes_text};
 use gs_train::run::OpenRun;
+use gs_train::run::folder::METRICS;
 use gs_train::run::needs::{needs, neutral_camera};
 use gs_train::run::picture::moment;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
+
+/// Views drawn to see what they take.
+const ECONOMY_VIEWS: usize = 5;
 
 /// Counts, ranges, needles and non-finite rows of a splat file or checkpoint; for a run, what its scene needed
 #[derive(clap::Args)]
@@ -17,13 +24,19 @@ pub struct Inspect {
     /// A .ply, .splat, .spz or .gs4d file, or a run folder.
     #[arg(value_name = "FILE|RUN")]
     path: PathBuf,
+    /// For a run: moments at which its motion is sampled [default: its training views, 8 to 200].
+    #[arg(long, value_parser = clap::value_parser!(u32).range(4..=2000))]
+    moments: Option<u32>,
+    /// For a run: lowest frequency that counts as fast motion, cycles over the training span [default: moments / 4].
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    cutoff: Option<u32>,
 }
 
 impl Inspect {
     pub fn run(self) -> Result<Answer, Failure> {
         let path = &self.path;
         if path.is_dir() {
-            run_folder(path)
+            self.run_folder(path)
         } else if path.extension().is_some_and(|e| e == "gs4d") {
             checkpoint_file(path)
         } else {
@@ -60,31 +73,63 @@ fn checkpoint_file(path: &Path) -> Result<Answer, Failure> {
     Ok(Answer::new(text, json))
 }
 
-fn run_folder(root: &Path) -> Result<Answer, Failure> {
-    let run = OpenRun::open(root)?;
-    let method = run.loaded.method.as_ref();
-    let camera = neutral_camera();
-    let needs = needs(method, &camera, run.loaded.scene.extent);
-    let raw = RawSplats::from_splats(&method.splats(&moment(0.0), &camera));
-    let raw = raw.map_err(|e| Failure::new(Class::Data, "data.splats", e.to_string()).place(run.path.display()))?;
-    let summary = SplatSummary::of(&raw);
-    let mut text = format!("{}  {} at step {}\n", run.path.display(), method.name(), run.loaded.step);
-    for n in &needs {
-        text.push_str(&format!("{:26}{:>22}  {}\n", n.name, n.value, n.meaning));
+impl Inspect {
+    fn run_folder(&self, root: &Path) -> Result<Answer, Failure> {
+        let run = OpenRun::open(root)?;
+        let method = run.loaded.method.as_ref();
+        let camera = neutral_camera();
+        let needs = needs(method, &camera, run.loaded.scene.extent);
+        let raw = RawSplats::from_splats(&method.splats(&moment(0.0), &camera));
+        let raw = raw.map_err(|e| Failure::new(Class::Data, "data.splats", e.to_string()).place(run.path.display()))?;
+        let summary = SplatSummary::of(&raw);
+        let mut text = format!("{}  {} at step {}\n", run.path.display(), method.name(), run.loaded.step);
+        for n in &needs {
+            text.push_str(&format!("{:26}{:>22}  {}\n", n.name, n.value, n.meaning));
+        }
+        let moments = self.moments.map_or_else(|| moments_for(run.loaded.scene.views as usize), |m| m as usize);
+        let cutoff = self.cutoff.map(|c| c as usize);
+        let highest = moments / 2;
+        if cutoff.is_some_and(|c| c > highest) {
+            return Err(Failure::usage(format!(
+                "--cutoff is above {highest}, the highest frequency of {moments} moments"
+            )));
+        }
+        let analysis = Analysis::of(method, moments, cutoff);
+        let economy = economy(&run);
+        text.push('\n');
+        for n in analysis.rows().into_iter().chain(economy.iter().flat_map(Economy::rows)) {
+            text.push_str(&format!("{:26}{:>38}  {}\n", n.name, n.value, n.meaning));
+        }
+        text.push_str("\nat time 0: ");
+        text.push_str(&summary.to_text());
+        let json = json!({
+            "run": root.display().to_string(),
+            "checkpoint": run.path.display().to_string(),
+            "method": method.name(),
+            "step": run.loaded.step,
+            "train_seconds": run.loaded.train_seconds,
+            "needs": needs,
+            "analysis": analysis,
+            "economy": economy,
+            "summary": summary,
+            "skipped": run.skipped.iter().map(|s| s.why.clone()).collect::<Vec<_>>(),
+        });
+        Ok(Answer::new(text, json))
     }
-    text.push_str("\nat time 0: ");
-    text.push_str(&summary.to_text());
-    let json = json!({
-        "run": root.display().to_string(),
-        "checkpoint": run.path.display().to_string(),
-        "method": method.name(),
-        "step": run.loaded.step,
-        "train_seconds": run.loaded.train_seconds,
-        "needs": needs,
-        "summary": summary,
-        "skipped": run.skipped.iter().map(|s| s.why.clone()).collect::<Vec<_>>(),
-    });
-    Ok(Answer::new(text, json))
+}
+
+/// What the run's test views (training views where there are none) take to draw; `None` if its data are out of reach.
+fn economy(run: &OpenRun) -> Option<Economy> {
+    let dataset = run.resolved.open_data().ok()?;
+    let split = if dataset.test.is_empty() { Split::Train } else { Split::Test };
+    let photographs = run.photographs();
+    let views: Vec<_> =
+        dataset.views(split).iter().take(ECONOMY_VIEWS).map(|v| (photographs.camera(v), v.time)).collect();
+    let method = run.loaded.method.as_ref();
+    let options = method.schedule().raster_options(run.background());
+    let scores: Option<Value> = run.folder.read(METRICS).ok().and_then(|text| serde_json::from_str(&text).ok());
+    let of_this_step = scores.filter(|s| s["step"] == run.loaded.step);
+    Economy::of(method, &views, &options, of_this_step.and_then(|s| s["mean"]["psnr"].as_f64()))
 }
 
 fn file_bytes(path: &Path) -> Result<usize, Failure> {

@@ -2,6 +2,7 @@
 
 use crate::answer::Answer;
 use crate::failure::Failure;
+use gs_train::analysis::blur::{Exposure, blur_training_views};
 use gs_train::synth::{self, SCENES, SynthOptions};
 use serde_json::json;
 use std::path::PathBuf;
@@ -29,6 +30,18 @@ pub struct Synth {
     /// Seed of the cameras.
     #[arg(long, default_value_t = 0)]
     seed: u64,
+    /// Give the training views motion blur: how long the shutter is open, normalised time (0..1).
+    #[arg(long, value_name = "TIME")]
+    exposure: Option<f64>,
+    /// Pictures averaged for motion blur.
+    #[arg(long, default_value_t = 17, requires = "exposure")]
+    exposure_samples: u32,
+    /// Average linear light, not display-encoded values.
+    #[arg(long, requires = "exposure")]
+    linear: bool,
+    /// Radians the camera turns by while the shutter is open.
+    #[arg(long, default_value_t = 0.0, requires = "exposure")]
+    shake: f64,
     /// Write into a folder that is not empty.
     #[arg(short, long)]
     force: bool,
@@ -48,15 +61,23 @@ impl Synth {
             seed: self.seed,
             ..SynthOptions::default()
         };
-        let data = synth::write(out, name, &options, self.force)?.dataset;
+        let exposure = self.exposure.map(|length| {
+            let (samples, linear, shake) = (self.exposure_samples, self.linear, self.shake);
+            Exposure { length, samples, linear, shake, seed: self.seed }
+        });
+        exposure.iter().try_for_each(Exposure::check)?;
+        let mut data = synth::write(out, name, &options, self.force)?;
+        if let Some(exposure) = &exposure {
+            blur_training_views(out, &mut data, exposure)?;
+        }
+        let data = data.dataset;
         let (train, val, test) = (data.train.len(), data.val.len(), data.test.len());
         let size = options.size;
         let text = format!(
             "{}  {name}: {train} training, {val} validation, {test} test views of {size}x{size}; truth.json beside them\n",
             out.display()
         );
-        let json =
-            json!({"path": out.display().to_string(), "scene": name, "options": options, "views": [train, val, test]});
+        let json = json!({"path": out.display().to_string(), "scene": name, "options": options, "views": [train, val, test], "exposure": exposure});
         Ok(Answer::new(text, json))
     }
 }

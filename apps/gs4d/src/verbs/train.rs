@@ -151,7 +151,8 @@ pub fn scores_text(s: &EvalReport, step: u32) -> String {
     let seconds = s.train_seconds.map_or(String::new(), |t| format!(" · {} of training", time_text(t)));
     format!(
         "{} · {} views · background {} · step {step} · {} splats{seconds}\n\
-         psnr {} (mean of views; {} from mean error)   ssim {}   ms-ssim {}   perceptual-proxy {}\n",
+         psnr {} (mean of views; {} from mean error)   ssim {}   ms-ssim {}   perceptual-proxy {}\n\
+         sharpness against the photographs   laplacian {}   high band {}\n",
         s.split,
         s.views.len(),
         color_name(s.background),
@@ -160,7 +161,9 @@ pub fn scores_text(s: &EvalReport, step: u32) -> String {
         number(s.psnr_of_mean_mse, 2),
         number(s.mean.ssim, 4),
         number(s.mean.ms_ssim, 4),
-        number(s.mean.perceptual_proxy, 4)
+        number(s.mean.perceptual_proxy, 4),
+        number(s.mean.laplacian_ratio, 3),
+        number(s.mean.high_band_ratio, 3)
     )
 }
 

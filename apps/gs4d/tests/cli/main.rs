@@ -1,6 +1,7 @@
 //! The built program, called as a user calls it: every verb on tiny generated inputs, exit codes, JSON, refusals.
 
 mod captures;
+mod contest;
 mod folders;
 mod hostile;
 mod render;

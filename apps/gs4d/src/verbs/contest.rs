@@ -1,0 +1,137 @@
+//! `gs4d contest`: several methods or settings on the same data, with the same seeds and the same time.
+
+use super::train::time_text;
+use crate::answer::Answer;
+use crate::failure::{Class, Failure};
+use crate::progress::Progress;
+use crate::{Global, interrupt, parse};
+use gs_train::contest::{Contest, ContestError, Entry, Length, Spread, Standing, Told};
+use gs_train::evaluate::EvalReport;
+use serde_json::{Value, json};
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// Compare methods or settings on the same data, with equal time and several seeds
+#[derive(clap::Args)]
+pub struct ContestVerb {
+    /// Folder of the data.
+    #[arg(value_name = "DATA")]
+    data: PathBuf,
+    /// A contestant: "METHOD[:PRESET] [KEY=VALUE ...]" (repeatable); the others are compared with the first.
+    #[arg(short, long = "entry", value_name = "ENTRY", required = true, value_parser = Entry::parse)]
+    entries: Vec<Entry>,
+    /// Preset of entries that name none.
+    #[arg(long, default_value = "fast")]
+    preset: String,
+    /// Seeds; every entry runs once with each.
+    #[arg(long, value_delimiter = ',', default_value = "0")]
+    seeds: Vec<u64>,
+    /// Training time of every trial: recipes are stretched or compressed to fill it.
+    #[arg(long, value_name = "TIME", value_parser = parse::duration, conflicts_with = "steps")]
+    time_budget: Option<Duration>,
+    /// Steps of every trial.
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
+    steps: Option<u32>,
+    /// A setting of all entries (repeatable).
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    sets: Vec<String>,
+    /// Folder of the trials; those that stand in it are not made again.
+    #[arg(short, long, value_name = "DIR")]
+    out: PathBuf,
+}
+
+impl ContestVerb {
+    pub fn run(self, global: &Global) -> Result<Answer, Failure> {
+        let length = match (self.time_budget, self.steps) {
+            (Some(time), _) => Length::Seconds(time.as_secs_f64()),
+            (None, Some(steps)) => Length::Steps(steps),
+            (None, None) => Length::Recipe,
+        };
+        let Self { data, entries, preset, seeds, sets, out: root, .. } = self;
+        let contest = Contest { data, root, preset, entries, seeds, length, sets };
+        let stop = interrupt::flag()?;
+        let mut progress: Option<Progress> = None;
+        let standings = contest.run(&stop, &mut |told| match told {
+            Told::Trial(name) => {
+                if let Some(done) = progress.take() {
+                    done.finish();
+                }
+                global.say(name);
+            }
+            Told::Step(p) => {
+                let line = progress.get_or_insert_with(|| Progress::new(u64::from(p.steps), "steps", global.quiet));
+                line.at(u64::from(p.step), || format!("{:.2} dB  {} splats", p.psnr, p.splats));
+            }
+        });
+        if let Some(done) = progress {
+            done.finish();
+        }
+        let standings = standings.map_err(failure)?;
+        Ok(Answer::new(table(&standings), to_json(&standings)))
+    }
+}
+
+fn failure(e: ContestError) -> Failure {
+    let again = "the same command goes on where it stopped";
+    match e {
+        ContestError::Run { trial, source } => Failure::from(source).why(format!("in the trial {trial}")),
+        ContestError::Other(_) => Failure::new(Class::Io, "io.exists", e.to_string())
+            .why("nothing is overwritten unless asked")
+            .remedy("choose another folder with -o"),
+        ContestError::Interrupted(_) => Failure::new(Class::Interrupted, "interrupted", e.to_string()).remedy(again),
+    }
+}
+
+type Score = (&'static str, usize, fn(&EvalReport) -> Option<f64>);
+
+/// Name, digits and value of each column.
+const SCORES: [Score; 6] = [
+    ("psnr", 2, |r| r.mean.psnr),
+    ("ssim", 4, |r| r.mean.ssim),
+    ("proxy", 4, |r| r.mean.perceptual_proxy),
+    ("splats", 0, |r| Some(r.gaussians as f64)),
+    ("MB", 2, |r| Some(r.parameter_bytes as f64 * 1e-6)),
+    ("seconds", 0, |r| r.train_seconds),
+];
+
+fn table(standings: &[Standing]) -> String {
+    let width = standings.iter().map(|s| s.label.len()).max().unwrap_or(0).max(5);
+    let mut text = format!("{:width$}  {:>8}  {:>7}", "entry", "steps", "dB");
+    SCORES.iter().for_each(|(name, ..)| text.push_str(&format!("  {name:>15}")));
+    text.push('\n');
+    let psnr = |s: &Standing| s.spread(|r| r.mean.psnr).map(|p| p.mean);
+    let first = standings.first().and_then(psnr);
+    for standing in standings {
+        let delta = psnr(standing).zip(first).map_or("-".to_owned(), |(p, f)| format!("{:+.2}", p - f));
+        text.push_str(&format!("{:width$}  {:>8}  {delta:>7}", standing.label, standing.steps));
+        for (_, digits, score) in SCORES {
+            text.push_str(&format!("  {:>15}", spread_text(standing.spread(score), digits)));
+        }
+        text.push('\n');
+    }
+    let seconds: f64 = standings.iter().flat_map(|s| &s.trials).filter_map(|t| t.scores.train_seconds).sum();
+    text.push_str(&format!(
+        "dB: mean PSNR against the first entry; ± one standard deviation over seeds; {} of training\n",
+        time_text(seconds)
+    ));
+    text
+}
+
+fn spread_text(spread: Option<Spread>, digits: usize) -> String {
+    match spread {
+        Some(s) if s.deviation > 0.0 => format!("{:.digits$} ±{:.digits$}", s.mean, s.deviation),
+        Some(s) => format!("{:.digits$}", s.mean),
+        None => "-".to_owned(),
+    }
+}
+
+fn to_json(standings: &[Standing]) -> Value {
+    let entry = |s: &Standing| {
+        let spreads: serde_json::Map<_, _> =
+            SCORES.iter().map(|(name, _, score)| ((*name).to_owned(), json!(s.spread(score)))).collect();
+        let trials: Vec<Value> =
+            s.trials.iter().map(|t| json!({"seed": t.seed, "run": t.run.display().to_string()})).collect();
+        json!({"entry": s.label, "steps": s.steps, "over_seeds": spreads, "trials": trials})
+    };
+    json!({"entries": standings.iter().map(entry).collect::<Vec<_>>()})
+}

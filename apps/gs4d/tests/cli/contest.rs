@@ -1,0 +1,37 @@
+//! Contests: fair trials, kept once made.
+
+use crate::support::{Call, data, good, gs4d, text};
+
+#[test]
+fn trials_are_scored_kept_and_never_mixed_up() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join("contest");
+    let base =
+        ["contest", text(data()), "--preset", "tiny", "-e", "static3d", "-e", "static3d schedule.lambda_dssim=0"];
+    let contest = |call: fn(&[&str]) -> Call, more: &[&str]| call(&[&base[..], &["-o", text(&root)], more].concat());
+    let call = contest(good, &["--steps", "12", "--seeds", "0,1", "--json"]);
+    let entries = call.json()["entries"].as_array().unwrap().clone();
+    assert_eq!(entries.len(), 2);
+    for entry in &entries {
+        assert_eq!((entry["steps"].as_u64(), entry["trials"].as_array().unwrap().len()), (Some(12), 2));
+        assert!(entry["over_seeds"]["psnr"]["mean"].as_f64().unwrap() > 5.0, "{entry}");
+    }
+    assert!(root.join("static3d/seed-1/metrics.json").is_file());
+
+    let again = contest(good, &["--steps", "12", "--seeds", "0,1"]);
+    assert!(!again.err.contains("seed-0"), "nothing is trained twice: {}", again.err);
+    assert!(again.out.contains("static3d schedule.lambda_dssim=0") && again.out.contains("+0.00"), "{}", again.out);
+    contest(gs4d, &["--steps", "13"]).fails(6, &["other settings", "-o"]);
+}
+
+#[test]
+fn bad_entries_are_refused_before_anything_is_trained() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join("contest");
+    let with = |entry: &str| gs4d(&["contest", text(data()), "-o", text(&root), "-e", "static3d:tiny", "-e", entry]);
+    with("nosuch").fails(2, &["nosuch", "static3d"]);
+    with("static3d:quick").fails(2, &["quick", "tiny"]);
+    with("static3d nosuch=1").fails(2, &["nosuch"]);
+    with("static3d quick").fails(2, &["KEY=VALUE"]);
+    assert!(!root.exists());
+}
