@@ -29,10 +29,10 @@ use rayon::prelude::*;
 use std::ops::Range;
 
 /// Points of a task on the way forward.
-const CHUNK: usize = 4096;
+const CHUNK: usize = 1024;
 
-/// Most levels of a group: the cotangents of eight fill a cache line.
-const GROUP: usize = 8;
+/// Most levels of a group. Together they read cotangents by the cache line; one group is one task on the way back.
+const GROUP: usize = 4;
 
 /// Most entries of a group of several levels: half a megabyte stays in the second-level cache.
 const GROUP_ENTRIES: usize = 1 << 16;
