@@ -146,6 +146,11 @@ impl Workspace {
         self.tiles.iter().map(|t| t.used() as usize).sum()
     }
 
+    /// Entries of their tile's list that all pixels went through up to their last blended one, in the last frame.
+    pub fn entries_walked(&self) -> u64 {
+        self.tiles.iter().flat_map(|t| t.last.as_flattened()).map(|&last| u64::from(last)).sum()
+    }
+
     /// Bytes held.
     pub fn bytes(&self) -> usize {
         let chunk = |c: &Chunk| {

@@ -8,7 +8,7 @@ use crate::data::{DataError, Dataset, ImageCache, Split};
 use crate::methods::Method;
 use crate::moment::Moment;
 use gs_core::{Image, Params};
-use gs_metrics::{MetricError, Scorer, Scores, SsimOptions, Summary};
+use gs_metrics::{Mean, MetricError, Scorer, Scores, Sharpness, SsimOptions, Summary};
 use gs_raster::{Frame, Workspace, render_into};
 use serde::{Deserialize, Serialize};
 
@@ -31,6 +31,12 @@ pub struct ViewScores {
     pub ms_ssim: Option<f64>,
     /// The weight-free perceptual distance of gs-metrics.
     pub perceptual_proxy: f64,
+    /// Variance of the Laplacian over that of the photograph: below 1 blurred; absent where the photograph is even.
+    #[serde(default)]
+    pub laplacian_ratio: Option<f64>,
+    /// Share of high frequencies over that of the photograph, likewise.
+    #[serde(default)]
+    pub high_band_ratio: Option<f64>,
 }
 
 /// Means over views.
@@ -44,6 +50,12 @@ pub struct MeanScores {
     pub ms_ssim: Option<f64>,
     /// Mean perceptual distance.
     pub perceptual_proxy: Option<f64>,
+    /// Mean ratio of Laplacian variances of the views that have one.
+    #[serde(default)]
+    pub laplacian_ratio: Option<f64>,
+    /// Mean ratio of high-frequency shares, likewise.
+    #[serde(default)]
+    pub high_band_ratio: Option<f64>,
 }
 
 /// The scores of a split.
@@ -122,16 +134,23 @@ pub fn evaluate(
     let (mut workspace, mut frame, mut scorer) =
         (Workspace::new(), Frame::default(), Scorer::new(SsimOptions::default()));
     let mut scores: Vec<Scores> = Vec::with_capacity(views.len());
+    let mut sharpness: Vec<Option<Sharpness>> = Vec::with_capacity(views.len());
     for view in views {
         let camera = photographs.camera(view);
         let splats = method.splats(&Moment::new(view.time), &camera);
         render_into(&splats, &camera, &options, &mut workspace, &mut frame);
         let truth = photographs.get(view)?.over(background);
-        let score = scorer.score(&clamped(&frame), &truth);
+        let image = clamped(&frame);
+        let score = scorer.score(&image, &truth);
+        // Images too small for a Laplacian have no sharpness.
+        sharpness.push(Sharpness::of(&image, &truth).ok());
         scores.push(score.map_err(|source| EvalError::Metric { view: view.name.clone(), source })?);
     }
     let summary = Summary::of(&scores);
-    let named = views.iter().zip(&scores).map(|(view, s)| view_scores(&view.name, view.time.normalised, s));
+    let all = views.iter().zip(&scores).zip(&sharpness);
+    let views: Vec<ViewScores> =
+        all.map(|((view, s), sharp)| view_scores(&view.name, view.time.normalised, s, *sharp)).collect();
+    let mean = |ratio: fn(&ViewScores) -> Option<f64>| Mean::of(views.iter().filter_map(ratio)).value;
     Ok(EvalReport {
         method: method.name().to_owned(),
         split: split_name(split).to_owned(),
@@ -143,17 +162,19 @@ pub fn evaluate(
             ssim: summary.ssim.value,
             ms_ssim: summary.ms_ssim.value,
             perceptual_proxy: summary.perceptual_proxy.value,
+            laplacian_ratio: mean(|v| v.laplacian_ratio),
+            high_band_ratio: mean(|v| v.high_band_ratio),
         },
         psnr_of_mean_mse: summary.psnr_of_mean_mse.filter(|v| v.is_finite()),
         perfect_views: summary.mean_psnr.infinite,
         gaussians: method.len(),
         parameter_bytes: 4 * Params::param_count(method) as u64,
         train_seconds: None,
-        views: named.collect(),
+        views,
     })
 }
 
-fn view_scores(name: &str, time: f32, s: &Scores) -> ViewScores {
+fn view_scores(name: &str, time: f32, s: &Scores, sharpness: Option<Sharpness>) -> ViewScores {
     ViewScores {
         name: name.to_owned(),
         time,
@@ -161,6 +182,8 @@ fn view_scores(name: &str, time: f32, s: &Scores) -> ViewScores {
         ssim: s.ssim,
         ms_ssim: s.ms_ssim,
         perceptual_proxy: s.perceptual_proxy,
+        laplacian_ratio: sharpness.and_then(|s| s.laplacian),
+        high_band_ratio: sharpness.and_then(|s| s.high_band),
     }
 }
 

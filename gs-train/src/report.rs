@@ -5,10 +5,12 @@
 
 mod chart;
 mod embed;
+mod heat;
 mod page;
 
 pub use chart::{Curve, Scale};
 pub use embed::{base64, png};
+pub use heat::HeatMap;
 
 use gs_core::Image;
 use gs_core::speed::SpeedError;
@@ -32,6 +34,12 @@ pub struct Report {
     pub views: Vec<Comparison>,
     /// The scene from one camera over time.
     pub strip: Vec<Still>,
+    /// Histograms of the splats' quantities over the steps of training.
+    pub heat_maps: Vec<HeatMap>,
+    /// How the splats move, how their kernels are bent, what they cost.
+    pub analysis: Vec<Need>,
+    /// Where the motion is jerky.
+    pub jerk: Vec<Still>,
     /// What the scene turned out to need.
     pub needs: Vec<Need>,
     /// Speed against error.

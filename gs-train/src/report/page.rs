@@ -30,6 +30,7 @@ pub fn page(report: &Report) -> Result<String, ReportError> {
         curves(report)?,
         views(report)?,
         strip(report)?,
+        kernels(report)?,
         needs(report),
         speed(report),
         settings(report),
@@ -148,6 +149,28 @@ fn table(head: &[&str], numeric: &[usize], rows: impl Iterator<Item = Vec<String
         "<div class=\"scroll\"><table>\n<thead><tr>{}</tr></thead>\n<tbody>\n{body}</tbody>\n</table></div>\n",
         head.concat()
     )
+}
+
+fn kernels(report: &Report) -> Result<String, ReportError> {
+    let mut maps = String::new();
+    for map in report.heat_maps.iter().filter(|m| !m.steps.is_empty()) {
+        let picture = picture(&map.image(), &map.name)?;
+        let [low, high] = map.span;
+        let (first, last) = (map.steps[0], map.steps[map.steps.len() - 1]);
+        let caption = format!("{}: {low} (bottom) to {high}, steps {first} to {last}", map.name);
+        let _ = writeln!(maps, "<span class=\"heat\">{picture}<small>{}</small></span>", escape(&caption));
+    }
+    for still in &report.jerk {
+        let caption = escape(&still.caption);
+        let _ = writeln!(maps, "<span>{}<small>{caption}</small></span>", picture(&still.image, &still.caption)?);
+    }
+    let maps = if maps.is_empty() { maps } else { format!("<div class=\"strip maps\">\n{maps}</div>\n") };
+    let rows = report.analysis.iter().map(|n| vec![n.name.clone(), n.value.clone(), n.meaning.clone()]);
+    let content = maps + &table(&["what", "how much", "meaning"], &[1], rows);
+    let remark =
+        "Heat maps: how often a quantity takes which value over training, each step by itself, the darker the more.";
+    let remark = if report.heat_maps.is_empty() { "" } else { remark };
+    Ok(section("Kernels and motion", remark, &content))
 }
 
 fn needs(report: &Report) -> String {

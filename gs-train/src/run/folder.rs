@@ -4,6 +4,7 @@
 //! RUN/config.resolved.toml   every value, with where it came from
 //! RUN/provenance.json        version, CPU, threads, seed, digest of the data, layout, time source, split sizes
 //! RUN/log.jsonl              one JSON object per line: step, seconds, loss terms, counts, milliseconds, memory
+//! RUN/histograms.jsonl       quantities of the splats every so many steps, where the method has any
 //! RUN/checkpoints/           step-012000.gs4d …, latest
 //! RUN/metrics.json           scores per view and their means
 //! RUN/renders/               pictures; names carry step, time and camera
@@ -24,6 +25,8 @@ pub const CONFIG: &str = "config.resolved.toml";
 pub const PROVENANCE: &str = "provenance.json";
 /// The log.
 pub const LOG: &str = "log.jsonl";
+/// Histograms of quantities while training.
+pub const HISTOGRAMS: &str = "histograms.jsonl";
 /// Scores.
 pub const METRICS: &str = "metrics.json";
 /// The report.
@@ -116,22 +119,22 @@ impl RunFolder {
         fs::read_to_string(&path).map_err(|e| RunError::io("read", &path, e))
     }
 
-    /// Opens the log to add lines.
+    /// Opens [`LOG`] or [`HISTOGRAMS`] to add lines.
     ///
     /// # Errors
     /// If the system refuses.
-    pub fn log(&self) -> Result<Log, RunError> {
-        let path = self.root.join(LOG);
+    pub fn log(&self, name: &str) -> Result<Log, RunError> {
+        let path = self.root.join(name);
         let file = OpenOptions::new().append(true).create(true).open(&path);
         Ok(Log { file: file.map_err(|e| RunError::io("open", &path, e))?, path })
     }
 
-    /// The lines of the log. A line cut short by a kill is left out.
+    /// The lines of [`LOG`] or [`HISTOGRAMS`]. A line cut short by a kill is left out.
     ///
     /// # Errors
-    /// If the system refuses; a missing log is empty.
-    pub fn log_lines(&self) -> Result<Vec<Value>, RunError> {
-        let path = self.root.join(LOG);
+    /// If the system refuses; a missing file is empty.
+    pub fn log_lines(&self, name: &str) -> Result<Vec<Value>, RunError> {
+        let path = self.root.join(name);
         let text = match fs::read_to_string(&path) {
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => String::new(),
             read => read.map_err(|e| RunError::io("read", &path, e))?,
@@ -139,15 +142,17 @@ impl RunFolder {
         Ok(text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect())
     }
 
-    /// Removes log lines of steps after `step`: they tell of work that will be done again.
+    /// Removes lines of [`LOG`] or [`HISTOGRAMS`] of steps after `step`: they tell of work that will be done again.
     ///
     /// # Errors
     /// If the system refuses.
-    pub fn cut_log(&self, step: u32) -> Result<Vec<Value>, RunError> {
-        let mut lines = self.log_lines()?;
+    pub fn cut_log(&self, name: &str, step: u32) -> Result<Vec<Value>, RunError> {
+        let mut lines = self.log_lines(name)?;
         lines.retain(|line| line["step"].as_u64().is_some_and(|s| s <= u64::from(step)));
         let text: String = lines.iter().map(|line| format!("{line}\n")).collect();
-        self.write(LOG, &text)?;
+        if self.root.join(name).exists() {
+            self.write(name, &text)?;
+        }
         Ok(lines)
     }
 }
@@ -195,7 +200,7 @@ fn remove_older(root: &Path) -> Result<(), RunError> {
         gone(&path, fs::remove_dir_all(&path))?;
     }
     // The configuration goes last: until then the folder is still known as a run.
-    for file in [PROVENANCE, LOG, METRICS, REPORT, CONFIG] {
+    for file in [PROVENANCE, LOG, HISTOGRAMS, METRICS, REPORT, CONFIG] {
         let path = root.join(file);
         gone(&path, fs::remove_file(&path))?;
     }
@@ -244,16 +249,17 @@ mod tests {
     fn the_log_survives_a_torn_line_and_is_cut_at_a_step() {
         let dir = tempfile::tempdir().unwrap();
         let run = RunFolder::create(dir.path(), false).unwrap();
-        assert!(run.log_lines().unwrap().is_empty());
-        let mut log = run.log().unwrap();
+        assert!(run.log_lines(LOG).unwrap().is_empty());
+        let mut log = run.log(LOG).unwrap();
         for step in [10, 20, 30] {
             log.add(&json!({"step": step, "loss": 0.5})).unwrap();
         }
         log.file.write_all(b"{\"step\": 40, \"lo").unwrap();
-        assert_eq!(run.log_lines().unwrap().len(), 3);
-        assert_eq!(run.cut_log(20).unwrap().len(), 2);
-        run.log().unwrap().add(&json!({"step": 21})).unwrap();
-        let steps: Vec<_> = run.log_lines().unwrap().iter().map(|l| l["step"].as_u64().unwrap()).collect();
+        assert_eq!(run.log_lines(LOG).unwrap().len(), 3);
+        assert_eq!(run.cut_log(LOG, 20).unwrap().len(), 2);
+        run.log(LOG).unwrap().add(&json!({"step": 21})).unwrap();
+        let steps: Vec<_> = run.log_lines(LOG).unwrap().iter().map(|l| l["step"].as_u64().unwrap()).collect();
         assert_eq!(steps, [10, 20, 21]);
+        assert!(run.cut_log(HISTOGRAMS, 20).unwrap().is_empty() && !dir.path().join(HISTOGRAMS).exists());
     }
 }

@@ -31,6 +31,8 @@ pub struct RunSettings {
     pub log_every: u32,
     /// Steps between checkpoints.
     pub checkpoint_every: u32,
+    /// Steps between histograms of the splats' quantities; 0: none.
+    pub histogram_every: u32,
     /// Steps between evaluations while training; 0: none.
     pub eval_every: u32,
     /// At most so many views in such an evaluation.

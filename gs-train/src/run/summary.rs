@@ -5,13 +5,16 @@ use super::needs::needs;
 use super::picture::{Painter, moment};
 use super::speed::speed_against_error;
 use super::{Resolved, RunError};
+use crate::analysis::paths::{jerk_overlay, moments_for, painted};
+use crate::analysis::{Analysis, Economy, Snapshot};
 use crate::data::{Dataset, ImageCache, Split, View};
-use crate::evaluate::{EvalReport, ViewScores};
+use crate::evaluate::{EvalReport, ViewScores, clamped};
 use crate::inspect::bytes_text;
 use crate::methods::Method;
-use crate::report::{Comparison, Figure, Report, Sample, Still};
+use crate::report::{Comparison, Figure, HeatMap, Need, Report, Sample, Still};
 use gs_core::Camera;
 use gs_core::speed::{SpeedError, median_seconds};
+use serde::Deserialize;
 use serde_json::Value;
 use std::path::Path;
 
@@ -45,7 +48,7 @@ pub struct Material<'a> {
 /// # Errors
 /// If the log or a photograph cannot be read.
 pub fn summarise(m: &Material) -> Result<(Report, Vec<SpeedError>), RunError> {
-    let log = m.folder.log_lines()?;
+    let log = m.folder.log_lines(folder::LOG)?;
     let options = m.method.schedule().raster_options(m.scores.background);
     let mut painter = Painter::new(options.clone());
     let views = scored_views(m);
@@ -63,13 +66,16 @@ pub fn summarise(m: &Material) -> Result<(Report, Vec<SpeedError>), RunError> {
             .map(|(k, s)| [k.to_owned(), s.value.to_string(), s.source.to_string()])
             .collect(),
         provenance: provenance(m.folder)?,
+        heat_maps: heat_maps(&m.folder.log_lines(folder::HISTOGRAMS)?),
         ..Report::default()
     };
     if let Some(view) = views.first().copied().or(m.dataset.train.first()) {
         let camera = m.photographs.camera(view);
         if m.dataset.dynamic {
             report.strip = strip(m.method, &mut painter, &camera);
+            report.jerk = jerk(m, view, &camera);
         }
+        report.analysis = analysis(m, &views);
         report.figures = figures(m, &mut painter, view, &camera);
         report.needs = needs(m.method, &camera, m.extent);
         report.speed = speed_against_error(&m.method.splats(&moment(view.time.normalised), &camera), &camera, &options);
@@ -171,6 +177,46 @@ fn strip(method: &dyn Method, painter: &mut Painter, camera: &Camera) -> Vec<Sti
     let time = |k: usize| k as f32 / (STRIP - 1) as f32;
     let still = |k: usize| Still { caption: format!("t = {:.2}", time(k)), image: painter.at(method, time(k), camera) };
     (0..STRIP).map(still).collect()
+}
+
+/// Where the motion jerks at the time of a view, over black.
+fn jerk(m: &Material, view: &View, camera: &Camera) -> Vec<Still> {
+    let mut painter = Painter::new(m.method.schedule().raster_options([0.0; 3]));
+    let (time, interval) = (view.time.normalised, 1.0 / m.dataset.train.len().max(2) as f32);
+    let overlay = jerk_overlay(m.method, time, interval, camera);
+    let still = overlay.map(|overlay| {
+        let splats = painted(m.method.splats(&moment(time), camera), overlay);
+        let caption = format!("second differences at t = {time:.2}: black at rest, white at the largest");
+        Still { caption, image: clamped(painter.draw(&splats, camera)) }
+    });
+    still.into_iter().collect()
+}
+
+fn analysis(m: &Material, views: &[&View]) -> Vec<Need> {
+    let moments = if m.dataset.dynamic { moments_for(m.dataset.train.len()) } else { 0 };
+    let mut rows = Analysis::of(m.method, moments, None).rows();
+    let seen: Vec<_> = views.iter().take(VIEWS_SHOWN).map(|v| (m.photographs.camera(v), v.time)).collect();
+    let options = m.method.schedule().raster_options(m.scores.background);
+    rows.extend(Economy::of(m.method, &seen, &options, m.scores.mean.psnr).iter().flat_map(Economy::rows));
+    rows
+}
+
+/// The quantities pooled over times, step by step.
+fn heat_maps(lines: &[Value]) -> Vec<HeatMap> {
+    let mut maps: Vec<HeatMap> = Vec::new();
+    for line in lines {
+        let (Some(step), Ok(snapshot)) = (line["step"].as_u64(), Snapshot::deserialize(line)) else { continue };
+        for h in snapshot.histograms.into_iter().filter(|h| h.time.is_none()) {
+            let known = maps.iter().position(|m| m.name == h.name);
+            let at = known.unwrap_or_else(|| {
+                maps.push(HeatMap { name: h.name, span: h.span, ..HeatMap::default() });
+                maps.len() - 1
+            });
+            maps[at].steps.push(step);
+            maps[at].counts.push(h.counts);
+        }
+    }
+    maps
 }
 
 /// Provenance as rows `section.name`, value.

@@ -6,6 +6,7 @@ use super::provenance::{DataOrigin, Machine, now_utc, peak_memory_mib};
 use super::settings::{self, Resolved};
 use super::summary::{Material, summarise};
 use super::{RunError, picture};
+use crate::analysis::Snapshot;
 use crate::checkpoint::{self, Skipped};
 use crate::data::{Dataset, ImageCache, Split};
 use crate::evaluate::{EvalReport, evaluate};
@@ -118,7 +119,7 @@ impl Training {
             "data": DataOrigin::of(trainer.dataset()),
         });
         folder.write(folder::PROVENANCE, &format!("{provenance:#}\n"))?;
-        let (log, stop_at) = (folder.log()?, resolved.run.time_budget);
+        let (log, stop_at) = (folder.log(folder::LOG)?, resolved.run.time_budget);
         Ok(Self { trainer, resolved, folder, log, window: Window::default(), stop_at, skipped: Vec::new() })
     }
 
@@ -139,8 +140,10 @@ impl Training {
         let dataset = Arc::new(resolved.open_data()?);
         let bytes = image_bytes(&resolved);
         let trainer = Trainer::resume(dataset, &newest.checkpoint, Some(&resolved.method), bytes)?;
-        folder.cut_log(done)?;
-        let log = folder.log()?;
+        for name in [folder::LOG, folder::HISTOGRAMS] {
+            folder.cut_log(name, done)?;
+        }
+        let log = folder.log(folder::LOG)?;
         let stop_at = budget.map_or(0.0, |b| trainer.train_seconds() + b);
         Ok(Self { trainer, resolved, folder, log, window: Window::default(), stop_at, skipped: newest.skipped })
     }
@@ -180,11 +183,15 @@ impl Training {
         let due = |every: u32| every > 0 && report.step.is_multiple_of(every);
         let run = &self.resolved.run;
         let (log, evaluation, save) = (due(run.log_every), due(run.eval_every), due(run.checkpoint_every));
+        let histograms = due(run.histogram_every);
         tell(self.progress());
         if log || report.step == self.trainer.steps() {
             let line = self.log_line(&report);
             self.log.add(&line)?;
             self.window = Window::default();
+        }
+        if histograms {
+            self.keep_histograms()?;
         }
         if evaluation {
             self.evaluate_while_training()?;
@@ -227,6 +234,18 @@ impl Training {
             "ms_last": report.ms,
             "memory_mib": peak_memory_mib(),
         })
+    }
+
+    /// Adds the quantities of the splats to their own log, if the method has any.
+    fn keep_histograms(&self) -> Result<(), RunError> {
+        let snapshot = Snapshot::of(self.trainer.method());
+        if snapshot.is_empty() {
+            return Ok(());
+        }
+        let mut line = json!(snapshot);
+        line["step"] = json!(self.trainer.steps_done());
+        line["seconds"] = json!(self.trainer.train_seconds());
+        self.folder.log(folder::HISTOGRAMS)?.add(&line)
     }
 
     /// Scores a few validation views (test views are left for the end) and logs the means.

@@ -1,0 +1,60 @@
+//! Histograms over time as a small picture: one column a step, one row a bin, the darker the fuller.
+
+use gs_core::Image;
+
+/// A histogram that changes over training.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct HeatMap {
+    /// The quantity.
+    pub name: String,
+    /// Values at the lower and the upper edge.
+    pub span: [f32; 2],
+    /// The step of each column.
+    pub steps: Vec<u64>,
+    /// Counts of each column, from the lowest bin up; all columns have the same number of bins.
+    pub counts: Vec<Vec<u32>>,
+}
+
+/// White, blue, dark blue.
+const INKS: [[f32; 3]; 3] = [[1.0, 1.0, 1.0], [0.0, 0.447, 0.698], [0.03, 0.08, 0.2]];
+
+impl HeatMap {
+    /// The picture, `[bins, columns, 3]`; the root of each count over the largest of its column gives its ink.
+    pub fn image(&self) -> Image {
+        let bins = self.counts.iter().map(Vec::len).min().unwrap_or(0);
+        let mut image = Image::zeros(self.counts.len(), bins, 3);
+        for (x, column) in self.counts.iter().enumerate() {
+            let largest = column.iter().copied().max().unwrap_or(0).max(1);
+            for y in 0..bins {
+                let share = (column[bins - 1 - y] as f32 / largest as f32).sqrt();
+                image.pixel_mut(x, y).copy_from_slice(&ink(share));
+            }
+        }
+        image
+    }
+}
+
+/// Along [`INKS`], 0 to 1.
+fn ink(share: f32) -> [f32; 3] {
+    let place = 2.0 * share.clamp(0.0, 1.0);
+    let k = usize::from(place >= 1.0);
+    let (from, to, part) = (INKS[k], INKS[k + 1], place - k as f32);
+    std::array::from_fn(|c| (1.0 - part) * from[c] + part * to[c])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn columns_are_steps_and_high_values_are_on_top() {
+        let map = HeatMap { counts: vec![vec![0, 0, 9], vec![4, 1, 0]], steps: vec![500, 1000], ..HeatMap::default() };
+        let image = map.image();
+        assert_eq!(image.shape(), (2, 3, 3));
+        assert_eq!(image.pixel(0, 0), INKS[2]);
+        assert_eq!(image.pixel(0, 2), INKS[0]);
+        assert_eq!(image.pixel(1, 2), INKS[2]);
+        assert_eq!(image.pixel(1, 1), INKS[1], "a quarter of the count has half the ink");
+        assert!(HeatMap::default().image().data.is_empty());
+    }
+}
