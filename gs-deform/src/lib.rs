@@ -6,16 +6,18 @@
 //! ```
 //! * [`HexPlaneField`]: six feature planes at several resolutions and small heads (4D Gaussian Splatting). The quick one.
 //! * [`DefMlp`]: one wide network on encoded places and times (Deformable 3D Gaussians).
+//! * [`Grid4dField`]: hash grids over space and space-time, a decoder with attention, a Fourier branch and a gate
+//!   (Grid4D, FAGS).
 //!
-//! Both are [`Field`]s: `forward`, `backward`, `regularise`, and a scratch tape the caller keeps. The parts are usable
+//! All are [`Field`]s: `forward`, `backward`, `regularise`, and a scratch tape the caller keeps. The parts are usable
 //! alone: [`encode::HexPlane`] maps points to features, [`apply`] adds offsets to splats, [`mod@reference`] is the `f64` twin
 //! that tests and benches measure against.
 //!
 //! # Conventions
 //! Points and scales in world units, quaternions `(w, x, y, z)` of any length, times normalised to 0 … 1 over the
-//! training span (a HexPlane holds its end values beyond, a network extrapolates). A field that was not trained is the
-//! identity, bit for bit. Gradients are added, never overwritten. Results are bitwise equal for any number of threads;
-//! other instruction sets differ by rounding only.
+//! training span (beyond it planes and hash grids hold their end values, networks and waves extrapolate). A field that
+//! was not trained is the identity, bit for bit. Gradients are added, never overwritten. Results are bitwise equal for
+//! any number of threads; other instruction sets differ by rounding only.
 //!
 //! # What it leaves out
 //! Opacities and colours do not change with time. Import of other codes' checkpoints: the reference mirrors its spatial

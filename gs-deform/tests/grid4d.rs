@@ -393,5 +393,8 @@ fn bad_settings_are_named() {
     };
     assert_eq!(error(Grid4dConfig { bound: f32::NAN, ..small() }), "bound");
     assert_eq!(error(Grid4dConfig { width: 10, ..small() }), "bands");
-    assert_eq!(error(Grid4dConfig { canonical: HashGridConfig { levels: 0, ..small().canonical }, ..small() }), "levels");
+    assert_eq!(
+        error(Grid4dConfig { canonical: HashGridConfig { levels: 0, ..small().canonical }, ..small() }),
+        "levels"
+    );
 }

@@ -43,7 +43,8 @@ impl Grid4dRef {
     }
 
     fn dense(&self, name: &str, x: &[f64]) -> Vec<f64> {
-        let (weight, bias) = (&self.layers[&format!("field.net.{name}.weight")], &self.layers[&format!("field.net.{name}.bias")]);
+        let (weight, bias) =
+            (&self.layers[&format!("field.net.{name}.weight")], &self.layers[&format!("field.net.{name}.bias")]);
         let dot = |(w, b): (&[f64], &f64)| w.iter().zip(x).map(|(w, x)| w * x).sum::<f64>() + b;
         weight.chunks(x.len()).zip(bias).map(dot).collect()
     }

@@ -67,7 +67,13 @@ impl Branch {
         let scale = 0.9 * f64::from(config.bound);
         Self {
             amplitudes: if config.collapses() {
-                Amplitudes::Collapsed(Box::new(Dense::new(&format!("{name}.0"), width, fourier.bands, Init::Zero, seed)))
+                Amplitudes::Collapsed(Box::new(Dense::new(
+                    &format!("{name}.0"),
+                    width,
+                    fourier.bands,
+                    Init::Zero,
+                    seed,
+                )))
             } else {
                 Amplitudes::Full(Mlp::new(name, &widths, Init::FanIn, Init::Zero, seed))
             },
@@ -130,7 +136,14 @@ impl Branch {
     }
 
     /// The way back of [`Branch::join`]: `d` holds `v_h` and becomes `v_p`; `product` is `p`.
-    pub fn join_backward(&self, times: &Waves, product: &[f32], scratch: &BranchScratch, d: &mut [f32], grad: &mut BranchGrad) {
+    pub fn join_backward(
+        &self,
+        times: &Waves,
+        product: &[f32],
+        scratch: &BranchScratch,
+        d: &mut [f32],
+        grad: &mut BranchGrad,
+    ) {
         if self.linear().is_some() {
             return;
         }

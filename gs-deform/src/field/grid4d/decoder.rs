@@ -109,10 +109,12 @@ impl Decoder {
 
     /// Works out what all blocks share at a time.
     pub fn set_time(&self, t: Time, shared: &mut Shared) {
-        let Some(branch) = &self.branch else { return };
-        branch.set_time(t, &mut shared.waves);
-        if let Some(amplitude) = branch.linear() {
-            shared.collapsed.set(&shared.waves, &self.space, amplitude, &self.head);
+        if let Some(branch) = &self.branch {
+            branch.set_time(t, &mut shared.waves);
+        }
+        match self.branch.as_ref().and_then(Branch::linear) {
+            Some(amplitude) => shared.collapsed.set(&shared.waves, &self.space, amplitude, &self.head),
+            None => shared.collapsed.layer = None,
         }
     }
 

@@ -102,7 +102,8 @@ impl Collapsed {
             self.waved.extend(pairs.map(|([a, b], (s, c))| s * a + c * b));
         }
         self.inner.resize(bands * inputs, 0.0);
-        let (w_a, w_s) = (Mat::new(&amplitude.weight.value, bands, width), Mat::new(&space.weight.value, width, inputs));
+        let (w_a, w_s) =
+            (Mat::new(&amplitude.weight.value, bands, width), Mat::new(&space.weight.value, width, inputs));
         gemm(MatMut::new(&mut self.inner, bands, inputs), w_a, w_s, Write::Set);
         amplitude.fold_constant(0..width, &space.bias.value, &mut self.inner_bias);
         let fits = |l: &Dense| l.inputs() == inputs && l.outputs() == outputs;
@@ -135,7 +136,8 @@ impl Collapsed {
         gemm(MatMut::new(&mut self.d_inner_bias, bands, 1), waved, v_beta, Write::Set);
 
         for (row, d) in head.weight.grad.chunks_exact_mut(width).zip(self.d_waved.chunks_exact(bands)) {
-            for ((pair, d), (s, c)) in row.as_chunks_mut::<2>().0.iter_mut().zip(d).zip(waves.sin.iter().zip(&waves.cos))
+            for ((pair, d), (s, c)) in
+                row.as_chunks_mut::<2>().0.iter_mut().zip(d).zip(waves.sin.iter().zip(&waves.cos))
             {
                 *pair = [pair[0] + s * d, pair[1] + c * d];
             }
@@ -143,7 +145,12 @@ impl Collapsed {
         let (d_inner, d_bias) = (Mat::new(&self.d_inner, bands, inputs), Mat::new(&self.d_inner_bias, bands, 1));
         let w_s = Mat::new(&space.weight.value, width, inputs).transposed();
         gemm(MatMut::new(&mut amplitude.weight.grad, bands, width), d_inner, w_s, Write::Add);
-        gemm(MatMut::new(&mut amplitude.weight.grad, bands, width), d_bias, Mat::new(&space.bias.value, 1, width), Write::Add);
+        gemm(
+            MatMut::new(&mut amplitude.weight.grad, bands, width),
+            d_bias,
+            Mat::new(&space.bias.value, 1, width),
+            Write::Add,
+        );
         amplitude.bias.grad.iter_mut().zip(&self.d_inner_bias).for_each(|(g, d)| *g += d);
         let w_a = Mat::new(&amplitude.weight.value, bands, width).transposed();
         gemm(MatMut::new(&mut space.weight.grad, width, inputs), w_a, d_inner, Write::Add);

@@ -122,8 +122,9 @@ impl FrozenField<'_> {
         }
         let pixels = |(reach, mean): (&[f32; 2], &Vec3)| bound(*reach, *mean, options.cameras);
         let bounds: Vec<f32> = reach.par_iter().zip(&canonical.means).map(pixels).collect();
-        let rows: Vec<u32> = (0..canonical.len()).filter(|&i| !(bounds[i] <= options.pixels)).map(|i| i as u32).collect();
-        let bound_pixels = bounds.iter().filter(|b| **b <= options.pixels).fold(0.0f32, |m, b| m.max(*b));
+        let is_still = |bound: f32| bound <= options.pixels;
+        let rows: Vec<u32> = (0..canonical.len()).filter(|&i| !is_still(bounds[i])).map(|i| i as u32).collect();
+        let bound_pixels = bounds.iter().filter(|b| is_still(**b)).fold(0.0f32, |m, b| m.max(*b));
         let (splats, still) = (canonical.len(), canonical.len() - rows.len());
         if still > 0 {
             let from = pick(canonical, &rows);

@@ -131,7 +131,9 @@ pub(super) fn backward<'a>(
     let width = 14 + usize::from(gate.on);
     d_heads.clear();
     let offsets = d.means.as_chunks::<3>().0.iter().zip(d.quats.as_chunks::<4>().0).zip(d.scales.as_chunks::<3>().0);
-    for ((head, (mean, moves, d_mean)), ((d_shift, d_quat), d_scale)) in heads.chunks_exact(width).zip(rows).zip(offsets) {
+    for ((head, (mean, moves, d_mean)), ((d_shift, d_quat), d_scale)) in
+        heads.chunks_exact(width).zip(rows).zip(offsets)
+    {
         if !moves {
             d_heads.extend(std::iter::repeat_n(0.0, width));
             continue;

@@ -146,7 +146,13 @@ impl Grid4dField {
         });
     }
 
-    fn backward_run(&self, shared: &Shared, run: Run<'_>, (from, d_to): (Rows<'_>, Rows<'_>), d_from: &mut RowsMut<'_>) {
+    fn backward_run(
+        &self,
+        shared: &Shared,
+        run: Run<'_>,
+        (from, d_to): (Rows<'_>, Rows<'_>),
+        d_from: &mut RowsMut<'_>,
+    ) {
         let Run { points, features, d, still, moving, grad } = run;
         self.decoder.reset(shared, grad);
         let [space, time] = self.grids.widths().map(|w| w * BLOCK);
@@ -231,9 +237,9 @@ impl Field for Grid4dField {
         let mut tape = Grid4dTape::default();
         self.forward(canonical, t, &mut tape, &mut Splats::default());
         let heads = tape.playing.blocks.iter().flat_map(|b| b.head.chunks_exact(self.config.head_width()));
-        let gate = heads.zip(&tape.standing.points).map(|(head, p)| {
-            if self.moves(p) { gate::Row::read(head, self.config.gate).gate } else { 0.0 }
-        });
+        let gate = heads
+            .zip(&tape.standing.points)
+            .map(|(head, p)| if self.moves(p) { gate::Row::read(head, self.config.gate).gate } else { 0.0 });
         vec![("gate", gate.collect())]
     }
 }

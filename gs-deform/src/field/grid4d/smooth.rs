@@ -103,18 +103,23 @@ impl Smooth {
         let piece = BLOCK * width;
         let values = first.par_chunks(piece).zip(second.par_chunks(piece));
         let cotangents = d_first.par_chunks_mut(piece).zip(d_second.par_chunks_mut(piece));
-        let part = |((first, second), (d_first, d_second)): ((&[f32], &[f32]), (&mut [f32], &mut [f32]))| {
-            let mut sum = 0.0;
-            for ((a, b), (d_a, d_b)) in first.iter().zip(second).zip(d_first.iter_mut().zip(d_second)) {
-                let difference = b - a;
-                sum += f64::from(difference) * f64::from(difference);
-                (*d_a, *d_b) = (-scale * difference, scale * difference);
-            }
-            sum
-        };
-        values.zip(cotangents).map(part).collect_into_vec(sums);
+        values
+            .zip(cotangents)
+            .map(|((first, second), (d_first, d_second))| difference(first, second, d_first, d_second, scale))
+            .collect_into_vec(sums);
         f64::from(weight) * sums.iter().sum::<f64>() / pairs as f64
     }
+}
+
+/// `Σ (second − first)²`; sets the cotangents to `±scale (second − first)`.
+fn difference(first: &[f32], second: &[f32], d_first: &mut [f32], d_second: &mut [f32], scale: f32) -> f64 {
+    let mut sum = 0.0;
+    for ((a, b), (d_a, d_b)) in first.iter().zip(second).zip(d_first.iter_mut().zip(d_second)) {
+        let difference = b - a;
+        sum += f64::from(difference) * f64::from(difference);
+        (*d_a, *d_b) = (-scale * difference, scale * difference);
+    }
+    sum
 }
 
 /// Run `j` of `count` equal runs of `0..n`.
@@ -224,7 +229,11 @@ mod tests {
                 for i in (0..grad.len()).step_by(7) {
                     let mut at = |step: f32| {
                         let mut moved = grids.clone();
-                        moved.visit_mut(&mut |p| if p.name == name { p.value[i] += step });
+                        moved.visit_mut(&mut |p| {
+                            if p.name == name {
+                                p.value[i] += step
+                            }
+                        });
                         value(&mut moved)
                     };
                     let want = (at(0.5) - at(-0.5)) as f32;

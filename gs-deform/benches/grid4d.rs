@@ -1,0 +1,281 @@
+//! Time and error of the Grid4D field with Fourier branch and gate (FAGS): its dense part against the roof of the machine,
+//! its hash grids, each exact saving on and off, and splats left still.
+//!
+//! Each row is printed and appended to `target/speed-error/gs-deform.jsonl`. `work` counts floating-point operations of
+//! matrix products (two per multiply-add), or splats. The roof is the machine's 1024³ product, one serial call per
+//! thread. The dense part is the whole field less its grids, which are measured alone on the same points.
+
+use glam::{DMat3, DVec3, Vec3};
+use gs_core::nn::gemm::{Mat, MatMut, Write, gemm};
+use gs_core::speed::{SpeedError, median_seconds};
+use gs_core::{Camera, Color, Params, Rng, Splats, SplatsGrad, Time};
+use gs_deform::encode::{Columns, HashGrid, HashGridConfig, Slice};
+use gs_deform::field::grid4d::{ExactConfig, StillOptions};
+use gs_deform::reference::Grid4dRef;
+use gs_deform::{DeformError, Field, Grid4dConfig, Grid4dField};
+use rayon::prelude::*;
+use std::path::Path;
+
+const SPLATS: usize = 50_000;
+const RUNS: usize = 9;
+
+/// Measures, prints and records; returns milliseconds.
+fn row(case: &str, variant: &str, work: f64, error: Option<(f64, &'static str)>, f: impl FnMut()) -> f64 {
+    let ms = 1e3 * median_seconds(RUNS, f);
+    record(case, variant, work, error, ms);
+    ms
+}
+
+fn record(case: &str, variant: &str, work: f64, error: Option<(f64, &'static str)>, ms: f64) {
+    let line = SpeedError {
+        krate: "gs-deform",
+        case: case.to_owned(),
+        variant: variant.to_owned(),
+        n: SPLATS,
+        threads: rayon::current_num_threads(),
+        ms,
+        work,
+        error: error.map(|e| e.0),
+        error_kind: error.map_or("measured elsewhere", |e| e.1),
+    };
+    if let Err(e) = line.record(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/speed-error")) {
+        eprintln!("cannot append: {e}");
+    }
+}
+
+fn moment(normalised: f32) -> Time {
+    Time { normalised, seconds: f64::from(normalised) }
+}
+
+/// Splats on a sphere inside the cube, as they lie on surfaces.
+fn splats() -> Splats {
+    let mean = |i| {
+        let mut rng = Rng::new(1, "splats", 0, i as u64);
+        Vec3::new(rng.normal(), rng.normal(), rng.normal()).normalize_or(Vec3::X)
+    };
+    Splats {
+        means: (0..SPLATS).map(mean).collect(),
+        quats: vec![[1.0, 0.2, 0.0, 0.0]; SPLATS],
+        scales: vec![Vec3::splat(0.01); SPLATS],
+        opacities: vec![0.5; SPLATS],
+        color: Color::Sh { degree: 0, coeffs: vec![0.0; 3 * SPLATS] },
+        ..Splats::default()
+    }
+}
+
+/// A field as after some training: features of order one, small motions, gates from nearly closed to half open.
+fn field(config: &Grid4dConfig) -> Result<Grid4dField, DeformError> {
+    let mut field = Grid4dField::new(&Grid4dConfig { zero_init: false, ..config.clone() }, 1)?;
+    let width = config.width;
+    field.visit_mut(&mut |p| {
+        let mut rng = Rng::new(2, &p.name, 0, 0);
+        match p.name.as_str() {
+            "field.net.head.weight" => p.value[..width].iter_mut().for_each(|v| *v *= 100.0),
+            "field.net.head.bias" => {
+                p.value.iter_mut().enumerate().for_each(|(i, v)| *v = if i == 0 { -9.0 } else { 0.0 })
+            }
+            name if name.starts_with("field.grids") => p.value.iter_mut().for_each(|v| *v = rng.normal()),
+            name if name.starts_with("field.net.amplitude") => {
+                p.value.iter_mut().for_each(|v| *v = 0.003 * rng.normal());
+            }
+            _ => {}
+        }
+    });
+    Ok(field)
+}
+
+/// Floating-point operations per second, in thousands of millions.
+fn roof() -> f64 {
+    let (side, threads) = (1024, rayon::current_num_threads());
+    let random = |name| -> Vec<f32> {
+        let mut rng = Rng::new(1, name, 0, 0);
+        (0..side * side).map(|_| rng.normal()).collect()
+    };
+    let (a, b) = (random("a"), random("b"));
+    let mut out = vec![vec![0.0; side * side]; threads];
+    let product = |out: &mut Vec<f32>| {
+        gemm(MatMut::new(out, side, side), Mat::new(&a, side, side), Mat::new(&b, side, side), Write::Set);
+    };
+    product(&mut out[0]);
+    let want: f64 = (0..side).map(|k| f64::from(a[k]) * f64::from(b[k * side])).sum();
+    let error = (f64::from(out[0][0]) - want).abs() / (side as f64).sqrt();
+    let work = 2.0 * (side * side * side * threads) as f64;
+    let ms =
+        row("gemm", "roof 1024^3", work, Some((error, "entry against f64")), || out.par_iter_mut().for_each(product));
+    work / ms / 1e6
+}
+
+/// Milliseconds of the four grids alone, forward and both ways, as the field runs them.
+fn grids(field: &Grid4dField, s: &Splats) -> [f64; 2] {
+    let bound = field.config().bound;
+    let points: Vec<[f32; 3]> = s.means.iter().map(|m| ((*m + bound) / (2.0 * bound)).to_array()).collect();
+    let pairs = [(0, 1), (1, 2), (0, 2)];
+    let planes = pairs.map(|(a, b)| points.iter().map(|p| [p[a], p[b]]).collect::<Vec<_>>());
+    let mut all: [HashGrid; 4] = field.grids().map(Clone::clone);
+    let mut slices: [Slice; 3] = Default::default();
+    let widths = [all[0].width(), 3 * all[1].width()];
+    let (mut space, mut time) = (vec![0.0; SPLATS * widths[0]], vec![0.0; SPLATS * widths[1]]);
+    let columns = |g: usize| match g {
+        0 => Columns { stride: widths[0], offset: 0 },
+        g => Columns { stride: widths[1], offset: (g - 1) * widths[1] / 3 },
+    };
+    let mut run = |back: bool| {
+        all[0].forward(&points, &mut space, columns(0));
+        for g in 0..3 {
+            all[g + 1].slice(0.4, SPLATS, &mut slices[g]);
+            all[g + 1].forward_slice(&slices[g], &planes[g], &mut time, columns(g + 1));
+        }
+        if back {
+            all[0].backward(&points, &space, columns(0));
+            (0..3).for_each(|g| all[g + 1].backward_slice(&mut slices[g], &planes[g], &time, columns(g + 1)));
+        }
+    };
+    let work = SPLATS as f64;
+    [
+        row("fags grids", "forward", work, None, || run(false)),
+        row("fags grids", "forward and backward", work, None, || run(true)),
+    ]
+}
+
+/// Everything a step produces.
+fn step(field: &mut Grid4dField, s: &Splats) -> (Splats, SplatsGrad, Vec<f32>) {
+    let (mut tape, mut out, mut d) = (Default::default(), Splats::default(), SplatsGrad::zeros_like(s));
+    field.clear_grads();
+    field.forward(s, moment(0.37), &mut tape, &mut out);
+    field.backward(s, &mut tape, &SplatsGrad { means: s.means.clone(), ..SplatsGrad::zeros_like(s) }, &mut d);
+    let mut grads = Vec::new();
+    field.visit(&mut |p| {
+        if p.name.starts_with("field.net") {
+            grads.extend_from_slice(&p.grad)
+        }
+    });
+    (out, d, grads)
+}
+
+fn largest(a: impl Iterator<Item = (f64, f64)>) -> f64 {
+    let (difference, size) = a.fold((0.0f64, 1e-30f64), |(d, s), (a, b)| (d.max((a - b).abs()), s.max(b.abs())));
+    difference / size
+}
+
+/// Error of moved means against the f64 twin, relative to the largest displacement.
+fn against_twin(field: &Grid4dField, s: &Splats) -> f64 {
+    let (twin, mut out, t) = (Grid4dRef::new(field), Splats::default(), moment(0.37));
+    field.forward(s, t, &mut Default::default(), &mut out);
+    let mut pairs = Vec::new();
+    for r in 0..100 {
+        let (m, q, z) = (s.means[r].to_array(), s.quats[r], s.scales[r].to_array());
+        let flat: Vec<f64> = m.iter().chain(&q).chain(&z).map(|&v| f64::from(v)).collect();
+        let want = twin.moved(m.map(f64::from), std::array::from_fn(|k| flat[k]), t);
+        pairs.extend((0..3).map(|k| (f64::from(out.means[r][k] - m[k]), want[k] - flat[k])));
+    }
+    largest(pairs.into_iter())
+}
+
+/// The field as a training step uses it, and the share of the roof its dense part reaches.
+fn training(s: &Splats, roof: f64) -> Result<(), DeformError> {
+    let mut field = field(&Grid4dConfig::default())?;
+    // Random values at resolution 2048 feel the rounding of coordinates; grids up to 32 show the decoder's own error.
+    let error = Some((against_twin(&field, s), "displacement relative to f64"));
+    let canonical = HashGridConfig { end: [32.0; 3], ..field.config().canonical };
+    let coarse = self::field(&Grid4dConfig { canonical, ..Grid4dConfig::default() })?;
+    let dense_error = Some((against_twin(&coarse, s), "displacement relative to f64, grids to 32"));
+    let [grid_forward, grid_both] = grids(&field, s);
+    let [space, time] = [field.grids()[0].width(), 3 * field.grids()[1].width()];
+    let (width, head) = (field.config().width, field.config().head_width());
+    let flops = 2.0 * (SPLATS * (space * width + time * width + width * head + head * space)) as f64;
+    let (mut tape, mut out, mut d) = (Default::default(), Splats::default(), SplatsGrad::zeros_like(s));
+    let d_out = SplatsGrad { means: s.means.clone(), ..SplatsGrad::zeros_like(s) };
+    let forward = row("fags", "forward", flops, error, || field.forward(s, moment(0.37), &mut tape, &mut out));
+    let both = row("fags", "forward and backward", 3.0 * flops, error, || {
+        field.forward(s, moment(0.37), &mut tape, &mut out);
+        field.backward(s, &mut tape, &d_out, &mut d);
+    });
+    for (variant, ms, work) in
+        [("forward", forward - grid_forward, flops), ("both ways", both - grid_both, 3.0 * flops)]
+    {
+        record("fags dense part", variant, work, dense_error, ms);
+        println!("    {:.0} % of the roof of {roof:.0} GFLOP/s", 100.0 * work / ms / 1e6 / roof);
+    }
+    row("fags", "smoothness, a tenth of the splats", SPLATS as f64, None, || {
+        field.regularise(s, moment(0.37), 1);
+    });
+    Ok(())
+}
+
+/// Each exact saving off, beside all on: what it costs, and how far results differ.
+fn savings(s: &Splats) -> Result<(), DeformError> {
+    let on = Grid4dConfig::default();
+    let (_, want_d, want) = step(&mut field(&on)?, s);
+    for (variant, exact) in [
+        ("all savings", on.exact),
+        ("without time slicing", ExactConfig { time_slicing: false, ..on.exact }),
+        ("without Fourier collapse", ExactConfig { fourier_collapse: false, ..on.exact }),
+    ] {
+        let mut field = field(&Grid4dConfig { exact, ..on.clone() })?;
+        let (_, d, grads) = step(&mut field, s);
+        let layers = grads.iter().zip(&want).map(|(a, b)| (f64::from(*a), f64::from(*b)));
+        let means = d
+            .means
+            .iter()
+            .zip(&want_d.means)
+            .flat_map(|(a, b)| (0..3).map(move |k| (f64::from(a[k]), f64::from(b[k]))));
+        let error = Some((largest(layers).max(largest(means)), "gradients against all savings"));
+        let (mut tape, mut out, mut d) = (Default::default(), Splats::default(), SplatsGrad::zeros_like(s));
+        let d_out = SplatsGrad { means: s.means.clone(), ..SplatsGrad::zeros_like(s) };
+        row("fags savings", variant, SPLATS as f64, error, || {
+            field.forward(s, moment(0.37), &mut tape, &mut out);
+            field.backward(s, &mut tape, &d_out, &mut d);
+        });
+    }
+    Ok(())
+}
+
+/// One cloud at many times: with and without the cache, then with splats left still.
+fn drawing(s: &Splats) -> Result<(), DeformError> {
+    let on = Grid4dConfig::default();
+    let (mut out, mut want) = (Splats::default(), Splats::default());
+    for (variant, cached_attention) in [("evaluated anew", false), ("frozen", true)] {
+        let field = field(&Grid4dConfig { exact: ExactConfig { cached_attention, ..on.exact }, ..on.clone() })?;
+        let mut frozen = field.freeze(s);
+        frozen.forward(moment(0.6), &mut out);
+        field.forward(s, moment(0.6), &mut Default::default(), &mut want);
+        let same = largest(out.means.iter().zip(&want.means).map(|(a, b)| (f64::from(a.x), f64::from(b.x))));
+        let error = Some((same, "against the field's own forward"));
+        row("fags drawing", variant, SPLATS as f64, error, || frozen.forward(moment(0.6), &mut out));
+    }
+    let field = field(&on)?;
+    let (rotation, translation) = (DMat3::IDENTITY, DVec3::new(0.0, 0.0, 4.0));
+    let camera =
+        Camera { width: 800, height: 800, fx: 1111.0, fy: 1111.0, cx: 400.0, cy: 400.0, rotation, translation };
+    let screen = |m: Vec3| {
+        let p = m.as_dvec3() + camera.translation;
+        [camera.fx * p.x / p.z, camera.fy * p.y / p.z]
+    };
+    for pixels in [0.0, 0.01, 0.05, 0.2] {
+        let mut frozen = field.freeze(s);
+        let report = frozen.leave_still(&StillOptions { pixels, probes: 65, cameras: std::slice::from_ref(&camera) });
+        let mut worst = 0.0f64;
+        for t in [0.03, 0.21, 0.47, 0.55, 0.98] {
+            frozen.forward(moment(t), &mut out);
+            field.forward(s, moment(t), &mut Default::default(), &mut want);
+            for (a, b) in out.means.iter().zip(&want.means) {
+                let (a, b) = (screen(*a), screen(*b));
+                worst = worst.max((a[0] - b[0]).hypot(a[1] - b[1]));
+            }
+        }
+        let variant = format!("still below {pixels} px");
+        row("fags drawing", &variant, SPLATS as f64, Some((worst, "px on screen, between probes")), || {
+            frozen.forward(moment(0.6), &mut out)
+        });
+        println!("    {} of {} left still, bound {:.3} px", report.still, report.splats, report.bound_pixels);
+    }
+    Ok(())
+}
+
+fn main() -> Result<(), DeformError> {
+    let s = splats();
+    let roof = roof();
+    training(&s, roof)?;
+    savings(&s)?;
+    drawing(&s)
+}
