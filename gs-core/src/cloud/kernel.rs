@@ -151,18 +151,23 @@ impl RawKernel {
 
 /// Adds the gradient of raw β; gives `dL/d` raw λ of every row, block by block.
 fn pull_frequency((mode, beta_hi): (BetaMode, f32), lambdas: &[f32], beta: &mut Param, d: &[f32]) -> Vec<Vec<f64>> {
-    let raw = beta.grad.par_chunks_mut(BLOCK).zip(beta.value.par_chunks(BLOCK));
-    let rows = raw.zip(lambdas.par_chunks(BLOCK)).zip(d.par_chunks(2 * BLOCK));
-    let pull = |(((g, raw), l), d): (((&mut f32, &f32), &f32), &[f32; 2])| {
-        let (l, hi, b) = (f64::from(*l), f64::from(beta_hi), f64::from(beta_hi * sigmoid(*raw)));
+    let pull = |g: &mut f32, raw: f32, l: f32, d: [f32; 2]| {
+        let (l, hi, b) = (f64::from(l), f64::from(beta_hi), f64::from(beta_hi * sigmoid(raw)));
         let [d_l, d_b] = effective_beta_vjp(mode, l, b, f64::from(d[1]));
         *g += (d_b * b * (1.0 - b / hi)) as f32;
         (f64::from(d[0]) + d_l) * l * (1.0 - l)
     };
-    let block = |(((g, raw), l), d): (((&mut [f32], &[f32]), &[f32]), &[f32])| {
-        g.iter_mut().zip(raw).zip(l).zip(d.as_chunks().0).map(pull).collect()
-    };
-    rows.map(block).collect()
+    (
+        beta.grad.par_chunks_mut(BLOCK),
+        beta.value.par_chunks(BLOCK),
+        lambdas.par_chunks(BLOCK),
+        d.as_chunks().0.par_chunks(BLOCK),
+    )
+        .into_par_iter()
+        .map(|(g, raw, l, d)| {
+            g.iter_mut().zip(raw).zip(l).zip(d).map(|(((g, raw), l), d)| pull(g, *raw, *l, *d)).collect()
+        })
+        .collect()
 }
 
 fn map(out: &mut [f32], raw: &[f32], f: impl Fn(&f32) -> f32 + Sync) {

@@ -8,10 +8,14 @@ use crate::schedule::{Schedule, ScheduleError};
 use gs_core::{Camera, Params, Splats, SplatsGrad};
 use gs_raster::ScreenStats;
 
+pub mod ablate;
 pub mod canonical;
 pub mod defgs;
 pub mod deformed;
+pub mod drk;
+pub mod fags;
 pub mod fourdgs;
+pub mod grid4d;
 pub mod kernel;
 pub mod saved;
 pub mod scene;
@@ -224,4 +228,5 @@ pub(crate) fn section<C: serde::de::DeserializeOwned>(
 }
 
 /// The methods there are.
-pub const METHODS: &[MethodEntry] = &[static3d::ENTRY, defgs::ENTRY, fourdgs::ENTRY];
+pub const METHODS: &[MethodEntry] = 
+    &[static3d::ENTRY, defgs::ENTRY, fourdgs::ENTRY, grid4d::ENTRY, fags::ENTRY, drk::ENTRY];
