@@ -50,7 +50,7 @@ impl Kernel {
     }
 
     /// The bend of one row; `None` for the Gaussian.
-    #[inline]
+    #[inline(always)]
     pub fn bend(&self, row: usize) -> Option<Bend<f64>> {
         match self {
             Kernel::Gaussian => None,
@@ -71,7 +71,7 @@ impl Kernel {
     }
 
     /// Cotangents of one row's parameters, `[width]`, from `[Σ v outer, Σ v inner]` with `v = dL/dψ` ([`Partials`]).
-    #[inline]
+    #[inline(always)]
     pub fn vjp(&self, row: usize, sums: [f64; 2], d: &mut [f32]) {
         match self {
             Kernel::Gaussian => {}

@@ -1,30 +1,38 @@
 //! Draws a splat file: `cargo run --release -p gs-raster --example draw_ply -- scene.ply cameras.json out.ppm`.
 //!
-//! Without arguments it draws a random scene of its own and prints the picture's statistics.
+//! The file's kernel, if it has one, is drawn. Without arguments it draws a random scene of its own under each kernel and
+//! prints the pictures' statistics.
 
 use gs_core::io::{Limits, load_cameras, load_splats};
-use gs_raster::measure::{camera, scene};
+use gs_core::{Camera, Splats};
+use gs_raster::measure::{camera, kernels, scene};
 use gs_raster::{Frame, RasterOptions, Workspace, render};
 use std::io::Write;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let args: Vec<String> = std::env::args().skip(1).collect();
-    let (splats, camera, out) = match args.as_slice() {
-        [ply, cameras, out] => {
-            let limits = Limits::default();
-            let splats = load_splats(ply.as_ref(), &limits)?.to_splats()?;
-            let first =
-                load_cameras(cameras.as_ref(), &limits)?.into_iter().next().ok_or("the camera file is empty")?;
-            (splats, first.camera, Some(out))
+    let [ply, cameras, out] = args.as_slice() else {
+        let n = 20_000;
+        for (name, kernel) in kernels(n) {
+            draw(name, &Splats { kernel, ..scene(n, 3) }, &camera(400));
         }
-        _ => (scene(20_000, 3), camera(400), None),
+        return Ok(());
     };
+    let limits = Limits::default();
+    let splats = load_splats(ply.as_ref(), &limits)?.to_splats()?;
+    let first = load_cameras(cameras.as_ref(), &limits)?.into_iter().next().ok_or("the camera file is empty")?;
+    write_ppm(&draw(ply, &splats, &first.camera), std::fs::File::create_new(out)?)?;
+    Ok(())
+}
+
+/// Draws, and prints what it took.
+fn draw(name: &str, splats: &Splats, camera: &Camera) -> Frame {
     let mut workspace = Workspace::new();
     let start = std::time::Instant::now();
-    let frame = render(&splats, &camera, &RasterOptions::default(), &mut workspace);
+    let frame = render(splats, camera, &RasterOptions::default(), &mut workspace);
     let mean = frame.alpha.iter().sum::<f32>() / frame.alpha.len() as f32;
     println!(
-        "{} splats, {}x{}: {:.1} ms, mean alpha {mean:.3}, {} of {} tile entries used",
+        "{name}: {} splats, {}x{}: {:.1} ms, mean alpha {mean:.3}, {} of {} tile entries used",
         splats.len(),
         frame.width,
         frame.height,
@@ -32,10 +40,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         workspace.entries_used(),
         workspace.entries(),
     );
-    if let Some(out) = out {
-        write_ppm(&frame, std::fs::File::create_new(out)?)?;
-    }
-    Ok(())
+    frame
 }
 
 /// Portable pixmap: the simplest picture format there is.

@@ -4,11 +4,11 @@
 //! `dL/dα` and asks what opacity, geometry and the kernel's own parameters get. [`Bent`] works in units of the opacity,
 //! so that no sample is divided by it: with `R = o' g`, `O = o'` and the constants `u, κ` of [`gs_core::kernel::Bend`],
 //! ```text
-//! M = R − O/2     H = min(R, O − R)     o' ψ = R + u · clamp(M, −κ H, κ H)
-//! outer: κ H < |M|     o' dψ/d ln g = R · (outer ? k : 1 + u)
+//! M = R − O/2     H = min(R, O − R)     E = κ H      o' ψ = R + u · clamp(M, −E, E)
+//! outer: E < |M|     o' dψ/d ln g = R · (outer ? k : 1 + u)
 //! sums of the parameters:  Σ v sign H over outer samples,  Σ v M over the others        v = dL/d(o' ψ)
 //! ```
-//! `O` is the vector exponential of the very `log₂ o'` that the samples start from. A row with `u = 0` takes the
+//! A kernel with clamped knots has `E = 1` instead, above any `|M|`. `O` is the vector exponential of the very `log₂ o'` that the samples start from. A row with `u = 0` takes the
 //! Gaussian's path, to the bit.
 
 use crate::blend::Limits;
@@ -66,10 +66,12 @@ pub(crate) struct Pull<S: Simd> {
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct RowBend {
     pub u: f32,
+    /// `E = κ H + bias`.
     pub kappa: f32,
+    pub bias: f32,
     /// Slope of foot and plateau.
     pub foot: f32,
-    /// Samples more than this below `log₂ o'` are cut off (unbounded fall-offs only).
+    /// Samples at `p` more than this below `log₂ o'` are cut off (unbounded fall-offs only).
     pub cut: f32,
     /// `o'`.
     pub opacity: f32,
@@ -119,8 +121,6 @@ pub(crate) struct Bent<'a> {
     cut: f64,
 }
 
-/// Keeps `κ H` of a clamped kernel (κ = 1e30) above any `|M|`, so that all its samples are inner ones.
-const LEAST: f32 = 1e-30;
 /// Lowest argument of the vector exponential.
 const LOWEST: f32 = -126.0;
 /// The inverse of ψ is taken at a threshold this much lower, against the rounding of ψ in `f32`.
@@ -133,12 +133,12 @@ impl<'a> Bent<'a> {
     }
 }
 
-/// `M`, `H` and `κ H`.
+/// `M`, `H` and `E`.
 #[inline(always)]
 fn folded<S: Simd>(simd: S, bend: &RowBend, plain: f32x16<S>) -> [f32x16<S>; 3] {
     let c = |v: f32| f32x16::splat(simd, v);
-    let h = plain.min(c(bend.opacity) - plain).max(c(LEAST));
-    [plain - c(0.5 * bend.opacity), h, h * c(bend.kappa)]
+    let h = plain.min(c(bend.opacity) - plain);
+    [plain - c(0.5 * bend.opacity), h, h.mul_add(c(bend.kappa), c(bend.bias))]
 }
 
 impl Falloff for Bent<'_> {
@@ -147,9 +147,11 @@ impl Falloff for Bent<'_> {
     #[inline(always)]
     fn bend(self, index: u32) -> RowBend {
         let Some(bend) = self.kernel.bend(index as usize) else { return RowBend::default() };
+        let (kappa, bias) = if bend.is_clamped() { (0.0, 1.0) } else { (bend.kappa as f32, 0.0) };
         RowBend {
             u: bend.u as f32,
-            kappa: bend.kappa as f32,
+            kappa,
+            bias,
             foot: bend.foot as f32,
             cut: if bend.is_unbounded() { self.cut as f32 } else { f32::INFINITY },
             opacity: 0.0,
@@ -160,14 +162,14 @@ impl Falloff for Bent<'_> {
     fn sample<S: Simd>(simd: S, row: &Row, p: f32x16<S>, limits: Limits) -> Sample<S> {
         let bend = &row.bend;
         let c = |v: f32| f32x16::splat(simd, v);
-        let plain = simd::exp2(simd, p.max(c(LOWEST)));
+        let plain = simd::exp2(simd, p);
         if bend.u == 0.0 {
             return Sample { plain, raw: plain, reached: p.simd_ge(c(limits.log2_min_alpha)) };
         }
         let [m, _, reach] = folded(simd, bend, plain);
         let residual = m.max(c(0.0) - reach).min(reach);
         let raw = residual.mul_add(c(bend.u), plain);
-        let reached = raw.simd_ge(c(limits.min_alpha)) & p.simd_ge(c(row.lo - bend.cut));
+        let reached = raw.simd_ge(c(limits.min_alpha)) & p.simd_ge(c((row.lo - bend.cut).max(LOWEST)));
         Sample { plain, raw, reached }
     }
 
@@ -177,31 +179,37 @@ impl Falloff for Bent<'_> {
         let c = |v: f32| f32x16::splat(simd, v);
         let zero = c(0.0);
         let v = learns.select(d_alpha, zero);
-        let [m, h, reach] = folded(simd, bend, sample.plain);
+        // Lanes that do not learn may hold anything, not a number among it.
+        let plain = learns.select(sample.plain, zero);
+        let [m, h, reach] = folded(simd, bend, plain);
         let outer = reach.simd_lt(m.abs());
         let signed = m.simd_le(zero).select(h, zero - h);
         let slope = outer.select(c(bend.foot), c(1.0 + bend.u));
         Pull {
-            opacity: sample.raw * v,
-            shape: sample.plain * slope * v,
+            opacity: learns.select(sample.raw * d_alpha, zero),
+            shape: plain * slope * v,
             bend: [outer.select(signed * v, zero), outer.select(zero, m * v)],
         }
     }
 
     #[inline(always)]
     fn support(self, index: u32, log2_opacity: f64, log2_min_alpha: f64) -> f64 {
-        let plain = log2_opacity - log2_min_alpha;
+        let gaussian = log2_opacity - log2_min_alpha;
         match self.kernel.bend(index as usize) {
             Some(bend) if bend.u != 0.0 => {
-                let reach = bend.support((-plain).exp2() * CONSERVATIVE).map_or(-1.0, |g| -g.log2());
+                let reach = bend.support((-gaussian).exp2() * CONSERVATIVE).map_or(-1.0, |g| -g.log2());
                 if bend.is_unbounded() { reach.min(self.cut) } else { reach }
             }
-            _ => plain,
+            _ => gaussian,
         }
     }
 
     #[inline(always)]
-    fn widest(self, index: u32, _: f64, log2_min_alpha: f64) -> f64 {
-        self.support(index, 0.0, log2_min_alpha).max(0.0).sqrt() / LOG2_SCALE
+    fn widest(self, index: u32, gaussian: f64, log2_min_alpha: f64) -> f64 {
+        match self.kernel.bend(index as usize) {
+            // Sharp kernels end before the Gaussian does.
+            Some(bend) if bend.u < 0.0 => self.support(index, 0.0, log2_min_alpha).max(0.0).sqrt() / LOG2_SCALE,
+            _ => gaussian,
+        }
     }
 }

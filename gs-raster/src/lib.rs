@@ -18,6 +18,13 @@
 //! [`RasterOptions`]; [`mod@reference`] states every formula in plain loops. Anti-aliasing scales opacities by the square root
 //! of the determinant ratio before and after dilation (Yu et al. 2024, Mip-Splatting).
 //!
+//! # Kernels
+//! A splat falls off as the Gaussian or as one of the bent kernels of [`gs_core::Kernel`]; their parameters get gradients
+//! in [`gs_core::SplatsGrad::kernel`]. Supports come from the exact inverse of the fall-off, so soft kernels keep their
+//! skirts and sharp ones cost fewer tiles. Kernels at rest (`λ = ½`, acutance 0) give the Gaussian's frame to the bit, by
+//! its own path, and still learn. The frequency kernel with `β ≥ ½ + λ` never decays; it ends at
+//! [`RasterOptions::kernel_cut`].
+//!
 //! # How the fast path goes
 //! 1. depths of all splats, one stable radix sort (exact to `f64`);
 //! 2. in chunks front to back: project in `f64`, list the open tiles an ellipse touches, colour what was listed;

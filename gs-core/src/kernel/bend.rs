@@ -47,8 +47,9 @@ impl<T: Real + PartialOrd> Bend<T> {
     pub const CLAMPED: f64 = 1e30;
 
     /// The frequency-differentiated kernel. Domain: `λ, β ∈ [0, 1]`.
+    #[inline(always)]
     pub fn frequency(lambda: T, beta: T) -> Self {
-        let [zero, half, one] = [0.0, 0.5, 1.0].map(|c| lambda.lit(c));
+        let (zero, half, one) = (lambda.lit(0.0), lambda.lit(0.5), lambda.lit(1.0));
         let (u, r) = (lambda - half, lambda + half);
         let d = r - beta;
         if d > zero {
@@ -59,6 +60,7 @@ impl<T: Real + PartialOrd> Bend<T> {
     }
 
     /// The kernel of Deformable Radial Kernels. Domain: `acutance ∈ (−1, 1)`.
+    #[inline(always)]
     pub fn acutance(acutance: T) -> Self {
         let one = acutance.lit(1.0);
         let slope = (one - acutance) / (one + acutance);
@@ -66,23 +68,27 @@ impl<T: Real + PartialOrd> Bend<T> {
     }
 
     /// Whether knots are clamped to 0 and 1 (`D ≤ 0`).
+    #[inline(always)]
     pub fn is_clamped(&self) -> bool {
         self.kappa >= self.u.lit(Self::CLAMPED)
     }
 
     /// Whether the fall-off never decays, so that only a cut can bound it.
+    #[inline(always)]
     pub fn is_unbounded(&self) -> bool {
         self.is_clamped() && self.u < self.u.lit(0.0)
     }
 
     /// `ψ(g)`, `g ∈ [0, 1]`.
+    #[inline(always)]
     pub fn psi(&self, g: T) -> T {
         self.partials(g).value
     }
 
     /// `ψ(g)` and what its gradients are made of; the flank's at the knots.
+    #[inline(always)]
     pub fn partials(&self, g: T) -> Partials<T> {
-        let [zero, half, one] = [0.0, 0.5, 1.0].map(|c| g.lit(c));
+        let (zero, half, one) = (g.lit(0.0), g.lit(0.5), g.lit(1.0));
         let h = g.min(one - g);
         let sign = if g > half { -one } else { one };
         let (foot, flank) = (-(self.kappa * h), h - half);
@@ -97,6 +103,7 @@ impl<T: Real + PartialOrd> Bend<T> {
 impl Bend<f64> {
     /// Smallest `g` with `ψ(g) ≥ threshold`: `None` if there is none, 0 where the support is unbounded. The splat's
     /// Mahalanobis distance reaches `q* = −2 ln g*`.
+    #[inline(always)]
     pub fn support(&self, threshold: f64) -> Option<f64> {
         let Self { u, kappa, foot } = *self;
         let r = 1.0 + u;
@@ -132,8 +139,9 @@ impl Bend<f64> {
 }
 
 /// `[dL/dλ, dL/dβ]` from `[Σ v outer, Σ v inner]` with `v = dL/dψ` ([`Partials`]).
+#[inline(always)]
 pub fn frequency_vjp<T: Real + PartialOrd>(lambda: T, beta: T, [outer, inner]: [T; 2]) -> [T; 2] {
-    let [zero, half, one] = [0.0, 0.5, 1.0].map(|c| lambda.lit(c));
+    let (zero, half, one) = (lambda.lit(0.0), lambda.lit(0.5), lambda.lit(1.0));
     let (u, r) = (lambda - half, lambda + half);
     let d = r - beta;
     if d <= zero {
@@ -145,6 +153,7 @@ pub fn frequency_vjp<T: Real + PartialOrd>(lambda: T, beta: T, [outer, inner]: [
 }
 
 /// `dL/d acutance` from `[Σ v outer, Σ v inner]` with `v = dL/dψ` ([`Partials`]).
+#[inline(always)]
 pub fn acutance_vjp<T: Real + PartialOrd>(acutance: T, [outer, inner]: [T; 2]) -> T {
     let (one, two) = (acutance.lit(1.0), acutance.lit(2.0));
     let (rise, fall) = (one - acutance, one + acutance);
