@@ -11,7 +11,7 @@
 //! * `q'` is the rotation of `q/|q| + ηΔr`; the public code hands the sum on without normalising it, which rescales the
 //!   covariance. Splats here have rotations of unit length wherever they are drawn, so that is not reproduced.
 //! * What lies **outside the cube** has features of zero and does not move, unless [`Grid4dConfig::compat_grid4d`].
-//! * Times beyond the cube (`t` below −0.05 or above 1.05) read the grids' end values; the waves run on.
+//! * Times beyond the cube (`t` below −1/18 or above 19/18) read the grids' end values; the waves run on.
 //! * Centres receive gradients through the rigid motion only, not through the grids.
 //!
 //! Savings that are exact up to rounding ([`ExactConfig`]): one blend of the temporal grids per call, the collapsed
@@ -21,7 +21,7 @@ mod branch;
 mod config;
 mod decoder;
 mod fourier;
-mod frozen;
+pub mod frozen;
 mod fuse;
 mod gate;
 mod grids;
