@@ -157,13 +157,21 @@ mod tests {
                 drawn: image.clone(),
             }],
             strip: vec![Still { caption: "t = 0".into(), image }],
+            heat_maps: vec![HeatMap {
+                name: "lambda".into(),
+                span: [0.0, 1.0],
+                steps: vec![500, 1000],
+                counts: vec![vec![4, 0], vec![1, 3]],
+            }],
+            analysis: vec![Need { name: "kernels".into(), value: "7 < 9".into(), meaning: "m".into() }],
             settings: vec![["a.b".into(), "1".into(), "default".into()]],
             ..Report::default()
         };
         let html = report.html().unwrap();
         assert!(html.contains("&lt;script&gt;alert(1)&lt;/script&gt;") && !html.contains("<script"));
         assert!(html.contains("a &amp; b") && html.contains("v&quot;1&quot;"));
-        assert_eq!(html.matches("data:image/png;base64,").count(), 4, "truth, drawn, difference, still");
+        assert_eq!(html.matches("data:image/png;base64,").count(), 5, "truth, drawn, difference, still, heat map");
+        assert!(html.contains("lambda: 0 (bottom) to 1, steps 500 to 1000") && html.contains("7 &lt; 9"));
         assert_eq!(html.matches("<svg").count(), 4, "loss and PSNR against steps and seconds");
         for outside in ["http://", "https://", "src=\"/", "@import", "url("] {
             let found = html.matches(outside).count();

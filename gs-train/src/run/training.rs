@@ -68,6 +68,7 @@ struct Window {
     steps: u32,
     loss: f64,
     l1: f64,
+    fre: f64,
     mse: f64,
     ms: f64,
     quarantined: u64,
@@ -81,6 +82,7 @@ impl Window {
         self.steps += 1;
         self.loss += report.loss.total;
         self.l1 += report.loss.l1;
+        self.fre += report.loss.fre.unwrap_or(0.0);
         self.mse += report.loss.mse;
         self.ms += report.ms.total;
         self.quarantined += u64::from(report.quarantined);
@@ -223,6 +225,7 @@ impl Training {
             "stage": report.stage,
             "loss": w.mean(w.loss),
             "l1": w.mean(w.l1),
+            "fre": report.loss.fre.map(|_| w.mean(w.fre)),
             "psnr": w.psnr(),
             "penalties": report.penalties.iter().map(|(n, v)| ((*n).to_owned(), json!(v))).collect::<serde_json::Map<_, _>>(),
             "splats": report.splats,

@@ -98,7 +98,7 @@ impl Inspect {
         let economy = economy(&run);
         text.push('\n');
         for n in analysis.rows().into_iter().chain(economy.iter().flat_map(Economy::rows)) {
-            text.push_str(&format!("{:26}{:>38}  {}\n", n.name, n.value, n.meaning));
+            text.push_str(&format!("{:26}{:>46}  {}\n", n.name, n.value, n.meaning));
         }
         text.push_str("\nat time 0: ");
         text.push_str(&summary.to_text());
