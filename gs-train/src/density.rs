@@ -8,8 +8,9 @@
 //! ḡ ≥ grad and s > dense_share E   split: two samples of the Gaussian with scales / split_factor; the parent goes
 //! opacity < min_opacity            prune; after the first opacity reset also s > max_world E, and radius > max_screen
 //! ```
-//! Samples come from the counter-based generator, one stream per (step, parent, child). Where the reference code clears
-//! the radii before it tests them, so that the screen rule never fires, here both size rules are live.
+//! Copies and children have the kernel of their parent; a reset of opacities leaves it alone. Samples come from the
+//! counter-based generator, one stream per (step, parent, child). Where the reference code clears the radii before it
+//! tests them, so that the screen rule never fires, here both size rules are live.
 
 use gs_core::cloud::{Cloud, logit, sigmoid};
 use gs_core::{Rng, RowEdit, rot};
@@ -408,6 +409,26 @@ mod tests {
         assert!(Density::new(2).adapt(&rules, &DensityContext { clock: 3000, ..AT }, &mut c).reset);
         assert!((sigmoid(c.logit_opacities.value[0]) - 0.01).abs() < 1e-6 && c.logit_opacities.value[1] == -5.0);
         assert_eq!(c.logit_opacities.moment2, [0.0; 2]);
+    }
+
+    #[test]
+    fn kernels_are_inherited_and_outlive_a_reset() {
+        let (mode, beta_hi) = (gs_core::kernel::BetaMode::Capped, 0.98);
+        let init = gs_core::cloud::KernelInit::Frequency { mode, beta_hi, shared_lambda: false };
+        let mut c = cloud(&[0.001, 0.5]).with_kernel(init).unwrap();
+        for p in c.kernel.as_mut().unwrap().params_mut() {
+            p.value.copy_from_slice(&[3.0, -2.0]);
+            p.moment2.fill(1.0);
+        }
+        let mut d = Density::new(2);
+        d.observe(&seen(&[1e-4, 1e-4]), 100, 100);
+        let rules = DensityRules { reset_every: 600, ..DensityRules::kerbl2023() };
+        let did = d.adapt(&rules, &AT, &mut c);
+        assert_eq!(did, Adapted { cloned: 1, split: 1, pruned: 0, reset: true });
+        for p in c.kernel.as_ref().unwrap().params() {
+            assert_eq!(p.value, [3.0, 3.0, -2.0, -2.0], "{}: the kept, its copy, two children", p.name);
+            assert_eq!(p.moment2, [1.0, 0.0, 0.0, 0.0], "{}", p.name);
+        }
     }
 
     #[test]

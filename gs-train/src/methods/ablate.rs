@@ -15,8 +15,10 @@ use crate::methods::grid4d::Config;
 use crate::methods::kernel::KernelKind;
 use serde::{Deserialize, Serialize};
 
+type LeaveOut = fn(&mut Config);
+
 /// The parts by name, and what leaves each out.
-const PARTS: &[(&str, fn(&mut Config))] = &[
+const PARTS: &[(&str, LeaveOut)] = &[
     ("fdgk", |c| c.cloud.kernel.kind = KernelKind::Gaussian),
     ("hfe", |c| c.field.fourier.on = false),
     ("gate", |c| c.field.gate.on = false),

@@ -47,7 +47,7 @@ fn a_run_folder_is_complete() {
 fn scores_have_a_fixed_shape() {
     for split in ["train", "val", "test"] {
         let json = good(&["eval", text(run()), "--split", split, "--json"]).json();
-        for key in ["psnr", "ssim", "perceptual_proxy"] {
+        for key in ["psnr", "ssim", "perceptual_proxy", "laplacian_ratio", "high_band_ratio"] {
             assert!(json["mean"][key].is_f64(), "{split} {key}: {json}");
         }
         assert!(json["mean"].as_object().unwrap().contains_key("ms_ssim"), "absent below 161 pixels, but named");
@@ -153,8 +153,37 @@ fn an_interrupted_run_is_saved_and_goes_on() {
 }
 
 #[test]
+fn exposures_blur_the_training_views() {
+    let dir = tempfile::tempdir().unwrap();
+    let small = ["--size", "24", "--train-views", "2", "--val-views", "1", "--test-views", "1"];
+    let synth = |out: &str, more: &[&str]| {
+        let out = dir.path().join(out);
+        (out.clone(), gs4d(&[&["synth", "balls", "-o", text(&out), "--json"][..], &small, more].concat()))
+    };
+    let (sharp, call) = synth("sharp", &[]);
+    assert!(call.json()["exposure"].is_null());
+    let (blurred, call) = synth("blurred", &["--exposure", "0.2", "--exposure-samples", "5", "--linear"]);
+    assert_eq!(call.json()["exposure"]["samples"], 5);
+    let same = |file: &str| fs::read(sharp.join(file)).unwrap() == fs::read(blurred.join(file)).unwrap();
+    assert!(same("test/r_000.png") && same("val/r_000.png") && !same("train/r_001.png"));
+    let told: Value = serde_json::from_str(&fs::read_to_string(blurred.join("exposure.json")).unwrap()).unwrap();
+    assert_eq!((told["exposure"]["length"].as_f64(), told["frames"].as_f64()), (Some(0.2), Some(0.2)));
+    synth("none", &["--shake", "0.1"]).1.fails(2, &["--exposure"]);
+    let (refused, call) = synth("long", &["--exposure", "2"]);
+    call.fails(2, &["exposure", "0 to 1"]);
+    assert!(!refused.exists(), "nothing is written before the options are checked");
+}
+
+#[test]
 fn runs_and_checkpoints_are_inspected() {
     let json = good(&["inspect", text(run()), "--json"]).json();
+    let paths = &json["analysis"]["paths"];
+    assert_eq!((paths["moments"].as_u64(), paths["cutoff"].as_u64()), (Some(8), Some(2)), "{paths}");
+    assert!(paths["jerk"]["gini"].is_f64() && paths["raw"]["histogram"]["counts"].as_array().unwrap().len() == 64);
+    assert!(json["economy"]["tiles_per_splat"].as_f64().unwrap() > 0.0, "{}", json["economy"]);
+    let finer = ["inspect", text(run()), "--moments", "30", "--cutoff", "15"];
+    assert!(good(&finer).out.contains("at 15 or more cycles over 30 moments"));
+    gs4d(&["inspect", text(run()), "--moments", "30", "--cutoff", "16"]).fails(2, &["above 15"]);
     let names: Vec<&str> = json["needs"].as_array().unwrap().iter().map(|n| n["name"].as_str().unwrap()).collect();
     for name in ["splats that move", "splats at rest", "storage in all", "splats of plain colour"] {
         assert!(names.contains(&name), "{name} is not in {names:?}");
@@ -163,6 +192,23 @@ fn runs_and_checkpoints_are_inspected() {
     let json = good(&["inspect", text(&file), "--json"]).json();
     assert_eq!(json["meta"]["step"], STEPS);
     assert!(json["tensors"].as_array().unwrap().iter().any(|t| t["name"] == "cloud.means" && t["non_finite"] == 0));
+}
+
+#[test]
+fn fags_is_trained_scored_and_ablated() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("run");
+    let base = ["train", text(data()), "-m", "fags", "--preset", "tiny", "--steps", "40", "-o", text(&out), "--quiet"];
+    gs4d(&[&base[..], &["--set", "ablate=gate,fog"]].concat()).fails(2, &["`fog`", "fdgk, hfe, gate"]);
+    good(&base);
+    let json = good(&["eval", text(&out), "--json"]).json();
+    assert!(json["method"] == "fags" && json["mean"]["psnr"].as_f64().unwrap() > 10.0, "{json}");
+    let tensors: Vec<String> = newest(&out).tensors.into_iter().map(|t| t.0).collect();
+    for name in ["cloud.lambda", "cloud.beta#m2", "field.grids.xyt"] {
+        assert!(tensors.iter().any(|t| t == name), "{name} is not in {tensors:?}");
+    }
+    good(&[&base[..], &["-f", "--set", "ablate=fdgk,hfe"]].concat());
+    assert!(newest(&out).tensors.iter().all(|t| t.0 != "cloud.lambda"));
 }
 
 #[test]
