@@ -1,13 +1,20 @@
-//! The amplitude loss by plain sums in `f64`, rows first, then columns.
+//! The amplitude loss in `f64`: plain sums, rows first, then columns; long lines by a fast transform.
 
 use crate::reference::Image64;
+use rustfft::{FftDirection, FftPlanner, num_complex::Complex64};
 
 /// A complex number.
 type Complex = [f64; 2];
 
+/// Longest line that is summed plainly.
+const PLAIN: usize = 128;
+
 /// `Σ_x f(x) e^{±2πi k x/n}` over a line.
 fn line(f: &[Complex], sign: f64) -> Vec<Complex> {
     let n = f.len();
+    if n > PLAIN {
+        return fast_line(f, sign);
+    }
     let turn: Vec<Complex> =
         (0..n).map(|k| (sign * std::f64::consts::TAU * k as f64 / n as f64).sin_cos()).map(|(s, c)| [c, s]).collect();
     let one = |k: usize| {
@@ -17,6 +24,13 @@ fn line(f: &[Complex], sign: f64) -> Vec<Complex> {
         })
     };
     (0..n).map(one).collect()
+}
+
+fn fast_line(f: &[Complex], sign: f64) -> Vec<Complex> {
+    let direction = if sign < 0.0 { FftDirection::Forward } else { FftDirection::Inverse };
+    let mut line: Vec<Complex64> = f.iter().map(|[re, im]| Complex64::new(*re, *im)).collect();
+    FftPlanner::new().plan_fft(line.len(), direction).process(&mut line);
+    line.iter().map(|v| [v.re, v.im]).collect()
 }
 
 /// The sum over a plane `[H, W]`.
