@@ -4,11 +4,14 @@
 //! m ← β₁ m + (1 − β₁) g        v ← β₂ v + (1 − β₂) g²
 //! p ← p − lr · (m / (1 − β₁ᵗ)) / (sqrt(v / (1 − β₂ᵗ)) + ε)
 //! ```
-//! `t` counts the updates of each block. A **sparse** update leaves rows whose gradient is exactly zero as they are, value
-//! and moments (in a block shared by all splats, such as a table of features, each value is a row): faster where few
-//! are touched, but not Adam, whose momentum runs on. Gradients are guarded in the same pass: a row of a row block with a gradient
+//! `t` counts the updates of each block. Gradients are guarded in the same pass: a row of a row block with a gradient
 //! that is not finite is left alone (value and moments), its gradient cleared, and counted; in a block shared by all
 //! splats such a gradient is reported, and nothing of its chunk is updated.
+//!
+//! A **sparse** update leaves rows whose gradient is exactly zero as they are, value and moments (in a block shared by
+//! all splats, such as a table of features, each value is a row). It is not Adam, whose momentum runs on, and it pays
+//! only where few rows are touched: of a table of 12 million values, one in 200 takes as long as a dense update of all,
+//! one in 20 more than twice as long.
 //!
 //! The loop is plain arithmetic without fused multiply-add, compiled once per instruction set: the same bits at every
 //! SIMD level and for every number of threads.
@@ -242,22 +245,31 @@ fn update_all<S: Simd>(_simd: S, value: &mut [f32], m: &mut [f32], v: &mut [f32]
     grad.fill(0.0);
 }
 
-/// Values one by one; most lie in runs without any gradient, which cost one look.
+/// Values one by one; runs without any gradient cost one look.
 #[inline(always)]
 fn update_touched<S: Simd>(_simd: S, value: &mut [f32], m: &mut [f32], v: &mut [f32], grad: &mut [f32], f: &Factors) {
-    let runs = value.chunks_mut(RUN).zip(m.chunks_mut(RUN)).zip(v.chunks_mut(RUN).zip(grad.chunks_mut(RUN)));
-    for ((value, m), (v, grad)) in runs {
-        if all_zero(grad) {
-            continue;
-        }
-        for (((p, m), v), g) in value.iter_mut().zip(m).zip(v).zip(grad.iter()) {
-            let mut new = [*p, *m, *v];
-            let [p2, m2, v2] = &mut new;
-            update_value(p2, m2, v2, *g, f);
-            // A choice between two values, not a branch: compiles to masked lanes.
-            [*p, *m, *v] = if *g == 0.0 { [*p, *m, *v] } else { new };
-        }
-        grad.fill(0.0);
+    let ((values, value), (ms, m)) = (value.as_chunks_mut::<RUN>(), m.as_chunks_mut::<RUN>());
+    let ((vs, v), (grads, grad)) = (v.as_chunks_mut::<RUN>(), grad.as_chunks_mut::<RUN>());
+    for (((value, m), v), grad) in values.iter_mut().zip(ms).zip(vs).zip(grads) {
+        // Whole runs, so that the choices below become masked lanes.
+        touch(value, m, v, grad, f);
+    }
+    touch(value, m, v, grad, f);
+}
+
+#[inline(always)]
+fn touch(value: &mut [f32], m: &mut [f32], v: &mut [f32], grad: &mut [f32], f: &Factors) {
+    if all_zero(grad) {
+        return;
+    }
+    for (((p, m), v), g) in value.iter_mut().zip(m).zip(v).zip(grad) {
+        let (mut p2, mut m2, mut v2) = (*p, *m, *v);
+        update_value(&mut p2, &mut m2, &mut v2, *g, f);
+        let rests = *g == 0.0;
+        *p = if rests { *p } else { p2 };
+        *m = if rests { *m } else { m2 };
+        *v = if rests { *v } else { v2 };
+        *g = 0.0;
     }
 }
 

@@ -83,7 +83,7 @@ pub struct LearningRate {
     /// Adam's ε of these parameters; 0: [`Schedule::adam_eps`].
     #[serde(default)]
     pub eps: f32,
-    /// Values that received no gradient in this step rest (large tables, of which a step touches little).
+    /// Values that received no gradient in this step rest (tables of which a step touches hardly anything).
     #[serde(default)]
     pub sparse: bool,
     /// No learning before this step of the clock.
