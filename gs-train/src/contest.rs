@@ -150,7 +150,7 @@ pub enum ContestError {
         trial: String,
         /// Its reason.
         #[source]
-        source: RunError,
+        source: Box<RunError>,
     },
     /// The folder of a trial holds a run with other settings.
     #[error("{} holds a run with other settings", .0.display())]
@@ -158,6 +158,12 @@ pub enum ContestError {
     /// The user asked to stop; the trial is saved and goes on when the contest is asked for again.
     #[error("interrupted; what was trained is saved in {}", .0.display())]
     Interrupted(PathBuf),
+}
+
+impl ContestError {
+    fn run(trial: &str, source: RunError) -> Self {
+        ContestError::Run { trial: trial.to_owned(), source: Box::new(source) }
+    }
 }
 
 impl Contest {
@@ -168,7 +174,7 @@ impl Contest {
     pub fn run(&self, stop: &AtomicBool, tell: &mut dyn FnMut(Told)) -> Result<Vec<Standing>, ContestError> {
         // Settings of all entries are verified before anything is trained.
         for entry in &self.entries {
-            self.resolved(entry, 0, None).map_err(|source| ContestError::Run { trial: entry.label.clone(), source })?;
+            self.resolved(entry, 0, None).map_err(|e| ContestError::run(&entry.label, e))?;
         }
         self.entries.iter().map(|entry| self.standing(entry, stop, tell)).collect()
     }
@@ -195,7 +201,7 @@ impl Contest {
             Length::Steps(steps) => return Ok(Some(steps)),
             Length::Seconds(seconds) => seconds,
         };
-        let failed = |source| ContestError::Run { trial: entry.label.clone(), source };
+        let failed = |e| ContestError::run(&entry.label, e);
         let recipe = self.resolved(entry, 0, None).map_err(failed)?.steps();
         let pilot = (PILOT_SHARE * recipe as f64).max(PILOT_STEPS) as u32;
         let run = self.root.join(entry.slug()).join("pilot");
@@ -218,7 +224,7 @@ impl Contest {
         tell: &mut dyn FnMut(Told),
     ) -> Result<Made, ContestError> {
         let trial = format!("{} / {}", entry.label, run.file_name().unwrap_or_default().to_string_lossy());
-        let failed = |source| ContestError::Run { trial: trial.clone(), source };
+        let failed = |e| ContestError::run(&trial, e);
         let resolved = self.resolved(entry, seed, steps).map_err(failed)?;
         if let Ok(open) = OpenRun::open(run) {
             if open.resolved.method != resolved.method || open.resolved.run.data != resolved.run.data {

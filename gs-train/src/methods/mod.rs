@@ -228,5 +228,5 @@ pub(crate) fn section<C: serde::de::DeserializeOwned>(
 }
 
 /// The methods there are.
-pub const METHODS: &[MethodEntry] = 
+pub const METHODS: &[MethodEntry] =
     &[static3d::ENTRY, defgs::ENTRY, fourdgs::ENTRY, grid4d::ENTRY, fags::ENTRY, drk::ENTRY];

@@ -74,7 +74,7 @@ impl ContestVerb {
 fn failure(e: ContestError) -> Failure {
     let again = "the same command goes on where it stopped";
     match e {
-        ContestError::Run { trial, source } => Failure::from(source).why(format!("in the trial {trial}")),
+        ContestError::Run { trial, source } => Failure::from(*source).why(format!("in the trial {trial}")),
         ContestError::Other(_) => Failure::new(Class::Io, "io.exists", e.to_string())
             .why("nothing is overwritten unless asked")
             .remedy("choose another folder with -o"),
