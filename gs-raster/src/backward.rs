@@ -39,8 +39,15 @@ pub fn render_backward_into(
     match &splats.kernel {
         Kernel::Gaussian if depth => tiles_backward::<_, true>(Gaussian, options, d, w),
         Kernel::Gaussian => tiles_backward::<_, false>(Gaussian, options, d, w),
-        bent if depth => tiles_backward::<_, true>(Bent::new(bent, options.kernel_cut), options, d, w),
-        bent => tiles_backward::<_, false>(Bent::new(bent, options.kernel_cut), options, d, w),
+        bent => {
+            let mut bends = std::mem::take(&mut w.bends);
+            let kernel = Bent::new(bent, splats.len(), options.kernel_cut, &mut bends);
+            match depth {
+                true => tiles_backward::<_, true>(kernel, options, d, w),
+                false => tiles_backward::<_, false>(kernel, options, d, w),
+            }
+            w.bends = bends;
+        }
     }
     rank_splats(splats.len(), w);
     splats_backward(splats, options, w, grad, stats);

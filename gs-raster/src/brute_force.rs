@@ -79,7 +79,8 @@ fn bits<K: Falloff>(kernel: K, splats: &Splats, options: &RasterOptions) -> Vec<
 fn exact_supports_lose_no_pixel_and_a_three_sigma_box_does() {
     let (mut boxed, mut soft) = (0, 0);
     for (i, (splats, options)) in scenes().enumerate() {
-        let kernel = Bent::new(&splats.kernel, options.kernel_cut);
+        let mut bends = Vec::new();
+        let kernel = Bent::new(&splats.kernel, splats.len(), options.kernel_cut, &mut bends);
         let want = bits(Everywhere(kernel), &splats, &options);
         assert!(bits(kernel, &splats, &options) == want, "scene {i}: a list lost a pixel");
         soft += usize::from(i % 5 == 0);
@@ -96,7 +97,8 @@ fn the_cut_does_not_depend_on_tiles() {
     let mut splats = scene(n, 0);
     splats.kernel = Kernel::Frequency { lambdas: vec![0.05; n], betas: vec![0.9; n] };
     let options = RasterOptions::default();
-    let kernel = Bent::new(&splats.kernel, options.kernel_cut);
+    let mut bends = Vec::new();
+    let kernel = Bent::new(&splats.kernel, splats.len(), options.kernel_cut, &mut bends);
     assert!(bits(kernel, &splats, &options) == bits(Everywhere(kernel), &splats, &options));
     let render = |shift: u32| {
         let mut camera = camera(64);
@@ -126,8 +128,8 @@ fn neutral_kernels_are_the_gaussian_to_the_bit() {
     let want = bits(crate::kernel::Gaussian, &plain, &options);
     for beta in [0.0, 1e-7, 0.5, 1.0 - 1e-7, 1.0] {
         let kernel = Kernel::Frequency { lambdas: vec![0.5; plain.len()], betas: vec![beta; plain.len()] };
-        assert!(bits(Bent::new(&kernel, 9.0), &plain, &options) == want, "β {beta}");
+        assert!(bits(Bent::new(&kernel, plain.len(), 9.0, &mut Vec::new()), &plain, &options) == want, "β {beta}");
     }
     let kernel = Kernel::Acutance { acutances: vec![0.0; plain.len()] };
-    assert!(bits(Bent::new(&kernel, 9.0), &plain, &options) == want);
+    assert!(bits(Bent::new(&kernel, plain.len(), 9.0, &mut Vec::new()), &plain, &options) == want);
 }

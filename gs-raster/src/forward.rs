@@ -41,7 +41,10 @@ pub fn render_into(
     if splats.kernel.is_neutral() {
         draw(Gaussian, splats, camera, options, workspace, frame);
     } else {
-        draw(Bent::new(&splats.kernel, options.kernel_cut), splats, camera, options, workspace, frame);
+        let mut bends = std::mem::take(&mut workspace.bends);
+        let kernel = Bent::new(&splats.kernel, splats.len(), options.kernel_cut, &mut bends);
+        draw(kernel, splats, camera, options, workspace, frame);
+        workspace.bends = bends;
     }
 }
 

@@ -17,6 +17,8 @@ use crate::simd;
 use crate::tiles::LOG2_SCALE;
 use fearless_simd::{f32x16, mask32x16, prelude::*};
 use gs_core::Kernel;
+use gs_core::kernel::Bend;
+use rayon::prelude::*;
 
 /// A fall-off. The blend is compiled once per implementor.
 pub(crate) trait Falloff: Copy + Send + Sync {
@@ -117,19 +119,38 @@ impl Falloff for Gaussian {
 #[derive(Clone, Copy)]
 pub(crate) struct Bent<'a> {
     kernel: &'a Kernel,
+    /// Constants of every splat of the caller: a splat has many entries, and its constants cost divisions.
+    bends: &'a [RowBend],
     /// Largest `a² + b²` of a splat that never decays.
     cut: f64,
 }
 
+/// Splats whose constants one task makes, at least.
+const BEND_BLOCK: usize = 2048;
 /// Lowest argument of the vector exponential.
 const LOWEST: f32 = -126.0;
 /// The inverse of ψ is taken at a threshold this much lower, against the rounding of ψ in `f32`.
 const CONSERVATIVE: f64 = 1.0 - 1e-6;
 
 impl<'a> Bent<'a> {
-    /// `kernel` must not be the Gaussian; `kernel_cut` is a squared Mahalanobis distance.
-    pub fn new(kernel: &'a Kernel, kernel_cut: f64) -> Self {
-        Self { kernel, cut: kernel_cut * LOG2_SCALE * LOG2_SCALE }
+    /// The fall-off of `n` splats; `kernel` must not be the Gaussian, `kernel_cut` is a squared Mahalanobis distance.
+    /// Their constants are written to `bends`.
+    pub fn new(kernel: &'a Kernel, n: usize, kernel_cut: f64, bends: &'a mut Vec<RowBend>) -> Self {
+        let cut = kernel_cut * LOG2_SCALE * LOG2_SCALE;
+        bends.resize(n, RowBend::default());
+        bends.par_iter_mut().with_min_len(BEND_BLOCK).enumerate().for_each(|(row, bend)| {
+            *bend = kernel.bend(row).map_or(RowBend::default(), |b| RowBend::new(&b, cut));
+        });
+        Self { kernel, bends, cut }
+    }
+}
+
+impl RowBend {
+    /// Constants of a splat but for its opacity; `cut` ends unbounded fall-offs.
+    fn new(bend: &Bend<f64>, cut: f64) -> Self {
+        let (kappa, bias) = if bend.is_clamped() { (0.0, 1.0) } else { (bend.kappa as f32, 0.0) };
+        let cut = if bend.is_unbounded() { cut as f32 } else { f32::INFINITY };
+        Self { u: bend.u as f32, kappa, bias, foot: bend.foot as f32, cut, opacity: 0.0 }
     }
 }
 
@@ -146,16 +167,7 @@ impl Falloff for Bent<'_> {
 
     #[inline(always)]
     fn bend(self, index: u32) -> RowBend {
-        let Some(bend) = self.kernel.bend(index as usize) else { return RowBend::default() };
-        let (kappa, bias) = if bend.is_clamped() { (0.0, 1.0) } else { (bend.kappa as f32, 0.0) };
-        RowBend {
-            u: bend.u as f32,
-            kappa,
-            bias,
-            foot: bend.foot as f32,
-            cut: if bend.is_unbounded() { self.cut as f32 } else { f32::INFINITY },
-            opacity: 0.0,
-        }
+        self.bends[index as usize]
     }
 
     #[inline(always)]

@@ -1,5 +1,6 @@
 //! Reused memory of a frame, and the layout of lists between forward and backward.
 
+use crate::kernel::RowBend;
 use crate::project::View;
 use crate::sort::Key;
 use crate::tiles::{Drawn, Grid, OpenTiles};
@@ -128,6 +129,8 @@ pub struct Workspace {
     /// Per tile, start of its records; one more at the end.
     pub(crate) record_starts: Vec<u32>,
     pub(crate) records: Vec<Record>,
+    /// Constants of bent kernels, per splat of the caller.
+    pub(crate) bends: Vec<RowBend>,
 }
 
 impl Workspace {
@@ -161,6 +164,7 @@ impl Workspace {
         self.chunks.iter().map(chunk).sum::<usize>()
             + size_of_val(self.tiles.as_slice())
             + size_of_val(self.records.as_slice())
+            + size_of_val(self.bends.as_slice())
             + 8 * (self.keys.len() + self.key_scratch.len())
             + 4 * (self.rank_of.len() + self.record_starts.len())
     }
