@@ -8,6 +8,8 @@
 //! | gradients of splats | 2e-5 |
 //! | gradients of parameters | 5e-5 |
 
+mod support;
+
 use glam::Vec3;
 use gs_core::nn::BLOCK;
 use gs_core::{Color, Params, Rng, Splats, SplatsGrad, Time};
@@ -16,15 +18,12 @@ use gs_deform::encode::HexPlaneConfig;
 use gs_deform::reference::HexPlaneRef;
 use gs_deform::{Aabb, DefGsConfig, DefMlp, DeformError, Field, FourDgsConfig, HexPlaneField};
 use std::collections::BTreeMap;
+use support::{cotangents, row, time};
 
 type Blocks = BTreeMap<String, Vec<f64>>;
 
 /// A field's f64 twin: one splat (mean, quat, scale flat) at a time; `query` is the place the field is read at.
 type Twin<'a> = dyn Fn(&Blocks, [f64; 3], [f64; 10]) -> [f64; 10] + 'a;
-
-fn time(t: f32) -> Time {
-    Time::new(t).unwrap()
-}
 
 fn splats(n: usize) -> Splats {
     let mut s = Splats { color: Color::Sh { degree: 1, coeffs: Vec::new() }, ..Splats::default() };
@@ -40,20 +39,6 @@ fn splats(n: usize) -> Splats {
         }
     }
     s
-}
-
-fn cotangents(s: &Splats, seed: u64) -> SplatsGrad {
-    let mut g = SplatsGrad::zeros_like(s);
-    let mut rng = Rng::new(seed, "cotangents", 0, 0);
-    g.means.iter_mut().chain(&mut g.scales).for_each(|v| *v = Vec3::new(rng.normal(), rng.normal(), rng.normal()));
-    g.quats.as_flattened_mut().iter_mut().chain(&mut g.opacities).chain(&mut g.color).for_each(|v| *v = rng.normal());
-    g
-}
-
-/// The ten moving values of a row.
-fn row(means: &[Vec3], quats: &[[f32; 4]], scales: &[Vec3], r: usize) -> [f64; 10] {
-    let flat: Vec<f32> = means[r].to_array().into_iter().chain(quats[r]).chain(scales[r].to_array()).collect();
-    std::array::from_fn(|k| f64::from(flat[k]))
 }
 
 fn blocks(params: &impl Params) -> Blocks {

@@ -9,20 +9,19 @@
 //! | gradients of parameters | 5e-5 |
 //! | exact savings, on against off, values and gradients | 1e-5 |
 
+mod support;
+
 use glam::Vec3;
 use gs_core::nn::BLOCK;
-use gs_core::{Camera, Color, Params, Rng, Splats, SplatsGrad, Time};
+use gs_core::{Camera, Color, Params, Rng, Splats, SplatsGrad};
 use gs_deform::encode::HashGridConfig;
 use gs_deform::field::grid4d::{ExactConfig, FourierConfig, Fusion, GateConfig, GateMode, StillOptions, WaveTime};
 use gs_deform::reference::Grid4dRef;
 use gs_deform::{DeformError, Field, Grid4dConfig, Grid4dField};
+use support::{cotangents, row, time};
 
 const MODES: [GateMode; 4] =
     [GateMode::ScaleParam, GateMode::LerpPosition, GateMode::TranslationOnly, GateMode::Literal];
-
-fn time(t: f32) -> Time {
-    Time::new(t).unwrap()
-}
 
 /// Every eighth splat lies outside the cube; the first two sit on its faces.
 fn splats(n: usize) -> Splats {
@@ -45,20 +44,6 @@ fn splats(n: usize) -> Splats {
         }
     }
     s
-}
-
-fn cotangents(s: &Splats, seed: u64) -> SplatsGrad {
-    let mut g = SplatsGrad::zeros_like(s);
-    let mut rng = Rng::new(seed, "cotangents", 0, 0);
-    g.means.iter_mut().chain(&mut g.scales).for_each(|v| *v = Vec3::new(rng.normal(), rng.normal(), rng.normal()));
-    g.quats.as_flattened_mut().iter_mut().chain(&mut g.opacities).chain(&mut g.color).for_each(|v| *v = rng.normal());
-    g
-}
-
-/// The ten moving values of a row.
-fn row(means: &[Vec3], quats: &[[f32; 4]], scales: &[Vec3], r: usize) -> [f64; 10] {
-    let flat: Vec<f32> = means[r].to_array().into_iter().chain(quats[r]).chain(scales[r].to_array()).collect();
-    std::array::from_fn(|k| f64::from(flat[k]))
 }
 
 fn assert_close(got: &[f64], want: &[f64], bound: f64, what: &str) {

@@ -1,22 +1,24 @@
 //! Contests: several entries on the same data, with the same seeds and the same time.
 //!
-//! An entry is a method with settings of its own. Under a time budget each entry first makes a short pilot run of its
-//! whole recipe, compressed; the pilot's seconds per step say how many steps fill the budget, and the recipe is stretched
-//! to that many. So every entry goes through all phases of its schedule, and none is cut off. Every trial is an ordinary
-//! run folder; a trial that stands is not made again, one that was interrupted goes on.
+//! An entry is a method with settings of its own. Under a time budget each entry first makes a pilot run: its recipe as it
+//! stands, stopped after a fifth of the budget. What a step took at the pilot's end says how many steps fill the budget,
+//! and the recipe is stretched or compressed to that many: every entry goes through all phases of its schedule, and none
+//! is cut off. The seconds they really took are part of the result. Every trial is an ordinary run folder; a trial that
+//! stands is not made again, one that was interrupted goes on.
 
 use crate::evaluate::EvalReport;
-use crate::run::folder::METRICS;
+use crate::run::folder::{LOG, METRICS};
 use crate::run::settings::{Request, resolve};
 use crate::run::{OpenRun, Outcome, Progress, Resolved, RunError, Training};
 use serde::Serialize;
+use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
-/// The pilot's share of the steps of the recipe.
-const PILOT_SHARE: f64 = 0.04;
-/// Steps of a pilot, at least.
-const PILOT_STEPS: f64 = 150.0;
+/// The pilot's share of the time budget.
+const PILOT_SHARE: f64 = 0.2;
+/// Share of the pilot, from its end, that says what a step takes.
+const SETTLED: f64 = 0.25;
 
 /// A contestant: `METHOD[:PRESET] [KEY=VALUE …]`.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -174,88 +176,88 @@ impl Contest {
     pub fn run(&self, stop: &AtomicBool, tell: &mut dyn FnMut(Told)) -> Result<Vec<Standing>, ContestError> {
         // Settings of all entries are verified before anything is trained.
         for entry in &self.entries {
-            self.resolved(entry, 0, None).map_err(|e| ContestError::run(&entry.label, e))?;
+            self.resolved(entry, 0, self.length).map_err(|e| ContestError::run(&entry.label, e))?;
         }
         self.entries.iter().map(|entry| self.standing(entry, stop, tell)).collect()
     }
 
     fn standing(&self, entry: &Entry, stop: &AtomicBool, tell: &mut dyn FnMut(Told)) -> Result<Standing, ContestError> {
-        let steps = self.steps(entry, stop, tell)?;
+        let length = self.length(entry, stop, tell)?;
         let mut trials = Vec::new();
         for &seed in &self.seeds {
             let run = self.root.join(entry.slug()).join(format!("seed-{seed}"));
-            let scores = self.trial(entry, seed, steps, &run, stop, tell)?.scores;
+            let scores = self.trial(entry, seed, length, &run, stop, tell)?;
             trials.push(Trial { seed, run, scores });
         }
-        let steps = match steps {
-            Some(steps) => u64::from(steps),
-            None => self.resolved(entry, 0, None).map_or(0, |r| r.steps()),
-        };
+        let resolved = self.resolved(entry, 0, length).map_err(|e| ContestError::run(&entry.label, e))?;
+        let steps = resolved.steps();
         Ok(Standing { label: entry.label.clone(), steps, trials })
     }
 
-    /// Steps of an entry's trials, if they are not those of its recipe.
-    fn steps(&self, entry: &Entry, stop: &AtomicBool, tell: &mut dyn FnMut(Told)) -> Result<Option<u32>, ContestError> {
-        let seconds = match self.length {
-            Length::Recipe => return Ok(None),
-            Length::Steps(steps) => return Ok(Some(steps)),
-            Length::Seconds(seconds) => seconds,
-        };
-        let failed = |e| ContestError::run(&entry.label, e);
-        let recipe = self.resolved(entry, 0, None).map_err(failed)?.steps();
-        let pilot = (PILOT_SHARE * recipe as f64).max(PILOT_STEPS) as u32;
+    /// Length of an entry's trials, in steps where there is a time budget.
+    fn length(&self, entry: &Entry, stop: &AtomicBool, tell: &mut dyn FnMut(Told)) -> Result<Length, ContestError> {
+        let Length::Seconds(seconds) = self.length else { return Ok(self.length) };
         let run = self.root.join(entry.slug()).join("pilot");
         let seed = self.seeds.first().copied().unwrap_or(0);
-        let made = self.trial(entry, seed, Some(pilot), &run, stop, tell)?;
-        let per_step = made.seconds / f64::from(pilot);
+        self.trial(entry, seed, Length::Seconds(PILOT_SHARE * seconds), &run, stop, tell)?;
+        let failed = |e| ContestError::run(&entry.label, e);
+        let pilot = OpenRun::open(&run).map_err(failed)?;
+        let lines = pilot.folder.log_lines(LOG).map_err(failed)?;
+        // A pilot too short for its log is known by its checkpoint.
+        let mean = || pilot.loaded.train_seconds / f64::from(pilot.loaded.step.max(1));
+        let per_step = settled_seconds(&lines).unwrap_or_else(mean);
         // Two leading digits: a repeated pilot gives the same number more often than not.
         let wanted = (seconds / per_step.max(1e-6)).clamp(1.0, 1e9);
         let unit = 10f64.powf(wanted.log10().floor() - 1.0).max(1.0);
-        Ok(Some(((wanted / unit).floor() * unit) as u32))
+        Ok(Length::Steps(((wanted / unit).floor() * unit) as u32))
     }
 
     fn trial(
         &self,
         entry: &Entry,
         seed: u64,
-        steps: Option<u32>,
+        length: Length,
         run: &Path,
         stop: &AtomicBool,
         tell: &mut dyn FnMut(Told),
-    ) -> Result<Made, ContestError> {
+    ) -> Result<EvalReport, ContestError> {
         let trial = format!("{} / {}", entry.label, run.file_name().unwrap_or_default().to_string_lossy());
         let failed = |e| ContestError::run(&trial, e);
-        let resolved = self.resolved(entry, seed, steps).map_err(failed)?;
+        let resolved = self.resolved(entry, seed, length).map_err(failed)?;
         if let Ok(open) = OpenRun::open(run) {
-            if open.resolved.method != resolved.method || open.resolved.run.data != resolved.run.data {
+            if open.resolved.method != resolved.method || open.resolved.run != resolved.run {
                 return Err(ContestError::Other(run.to_owned()));
             }
             let kept = open.folder.read(METRICS).ok().and_then(|text| serde_json::from_str(&text).ok());
             if let Some(scores) = kept {
-                return Ok(Made { scores, seconds: open.loaded.train_seconds });
+                return Ok(scores);
             }
         }
         tell(Told::Trial(&trial));
+        // A pilot that was interrupted begins anew: its budget is one of seconds, and short.
         let training = match OpenRun::open(run) {
-            Ok(_) => Training::resume(run, None, None),
-            Err(_) => Training::begin(run, true, resolved),
+            Ok(_) if !matches!(length, Length::Seconds(_)) => Training::resume(run, None, None),
+            _ => Training::begin(run, true, resolved),
         };
         let mut training = training.map_err(failed)?;
         match training.train(stop, &mut |p| tell(Told::Step(p))).map_err(failed)? {
             Outcome::Interrupted(_) => Err(ContestError::Interrupted(run.to_owned())),
-            _ => {
-                let seconds = training.trainer().train_seconds();
-                Ok(Made { scores: training.score().map_err(failed)?, seconds })
-            }
+            _ => training.score().map_err(failed),
         }
     }
 
-    fn resolved(&self, entry: &Entry, seed: u64, steps: Option<u32>) -> Result<Resolved, RunError> {
+    fn resolved(&self, entry: &Entry, seed: u64, length: Length) -> Result<Resolved, RunError> {
+        let (steps, time_budget) = match length {
+            Length::Recipe => (None, None),
+            Length::Steps(steps) => (Some(steps), None),
+            Length::Seconds(seconds) => (None, Some(seconds)),
+        };
         resolve(&Request {
             method: entry.method.clone(),
             preset: entry.preset.clone().unwrap_or_else(|| self.preset.clone()),
             data: Some(self.data.clone()),
             steps,
+            time_budget,
             seed: Some(seed),
             sets: self.sets.iter().chain(&entry.sets).cloned().collect(),
             ..Request::default()
@@ -263,9 +265,13 @@ impl Contest {
     }
 }
 
-struct Made {
-    scores: EvalReport,
-    seconds: f64,
+/// Seconds a step took in the last part of a log of at least two lines.
+fn settled_seconds(lines: &[Value]) -> Option<f64> {
+    let marks: Vec<[f64; 2]> =
+        lines.iter().filter_map(|l| Some([l["step"].as_f64()?, l["seconds"].as_f64()?])).collect();
+    let &[last_step, last] = marks.last()?;
+    let [step, seconds] = marks.iter().find(|m| m[1] >= (1.0 - SETTLED) * last && m[0] < last_step)?;
+    Some((last - seconds) / (last_step - step))
 }
 
 #[cfg(test)]
@@ -291,6 +297,14 @@ mod tests {
     }
 
     #[test]
+    fn a_step_takes_what_it_took_at_the_end_of_the_pilot() {
+        let line = |step: u32, seconds: f64| serde_json::json!({"step": step, "seconds": seconds});
+        assert_eq!(settled_seconds(&[line(10, 1.0), line(20, 4.0), line(30, 9.0), line(40, 12.0)]), Some(0.3));
+        assert_eq!(settled_seconds(&[line(10, 1.0)]), None);
+        assert_eq!(settled_seconds(&[]), None);
+    }
+
+    #[test]
     fn trials_stand_once_made_and_the_budget_sets_the_steps() {
         let folder = tempfile::tempdir().unwrap();
         let data = folder.path().join("data");
@@ -303,7 +317,7 @@ mod tests {
             entries: vec![Entry::parse("static3d").unwrap(), Entry::parse("static3d init.points=200").unwrap()],
             seeds: vec![0, 1],
             length: Length::Steps(20),
-            sets: vec!["run.log_every=10".into()],
+            sets: vec!["run.log_every=2".into()],
         };
         let stop = AtomicBool::new(false);
         let mut trials = 0;
@@ -316,9 +330,9 @@ mod tests {
 
         let other = Contest { length: Length::Steps(21), ..contest.clone() };
         assert!(matches!(other.run(&stop, &mut |_| {}), Err(ContestError::Other(_))));
-        let timed = Contest { length: Length::Seconds(0.5), root: folder.path().join("timed"), ..contest };
+        let timed = Contest { length: Length::Seconds(2.0), root: folder.path().join("timed"), ..contest };
         let timed = timed.run(&stop, &mut |_| {}).unwrap();
-        assert!(timed[0].steps > 20, "{} steps in half a second", timed[0].steps);
+        assert!(timed[0].steps > 20, "{} steps in two seconds", timed[0].steps);
     }
 
     #[test]

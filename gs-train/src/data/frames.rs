@@ -83,3 +83,25 @@ pub(crate) fn name_views(drafts: &mut [Draft], shown: &[PathBuf]) {
 fn without_folder(path: &Path) -> String {
     path.file_stem().map_or_else(|| path.to_string_lossy().into_owned(), |s| s.to_string_lossy().into_owned())
 }
+
+/// The image folder below `root`: the one asked for, or the first of the `usual` ones that exists; `missing` says what
+/// was found instead.
+///
+/// # Errors
+/// If the one asked for lies outside `root`, or there is none.
+pub(crate) fn image_folder(
+    root: &Root,
+    options: &DataOptions,
+    usual: &[&str],
+    missing: &str,
+) -> Result<String, DataError> {
+    if let Some(name) = &options.images {
+        root.resolve(name, &Place::new(root.dir(), "data.images"))?;
+        return Ok(name.clone());
+    }
+    let found = usual.iter().find(|f| root.dir().join(f).is_dir());
+    found.map(|f| (*f).to_owned()).ok_or_else(|| DataError::Layout {
+        path: root.dir().to_path_buf(),
+        looked_for: format!("{missing}: looked for {}", usual.join(", ")),
+    })
+}

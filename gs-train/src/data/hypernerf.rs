@@ -26,7 +26,7 @@ use serde_json::{Map, Value};
 
 use super::error::{DataError, Place};
 use super::files::Root;
-use super::frames::{Listed, locate, name_views, with_headers};
+use super::frames::{Listed, image_folder, locate, name_views, with_headers};
 use super::header::ImageHeader;
 use super::intrinsics::{Adjusted, Intrinsics};
 use super::json::{Fields, read_object};
@@ -69,7 +69,7 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     let lists = Lists::read(&dir.join("dataset.json"), &mut notes)?;
     let tags = Tags::read(&dir.join("metadata.json"), &mut notes)?;
     let last = lists.last_time(&tags)?;
-    let folder = image_folder(&root, options)?;
+    let folder = image_folder(&root, options, &IMAGE_FOLDERS, "it is a HyperNeRF capture without images")?;
     notes.push(format!("images come from \"{folder}\""));
     let reader = Reader { root: &root, folder: &folder, frame: &frame, tags: &tags, options };
     let (train, mut has_alpha) = reader.split(&lists, &lists.train, &mut notes)?;
@@ -98,19 +98,6 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
         time_source: if settled.dynamic && by_tags { format!("{} of metadata.json", tags.key) } else { settled.source },
         bounds,
         notes,
-    })
-}
-
-/// The picture folder: the one asked for, or the first usual one that exists.
-fn image_folder(root: &Root, options: &DataOptions) -> Result<String, DataError> {
-    if let Some(name) = &options.images {
-        root.resolve(name, &Place::new(root.dir(), "data.images"))?;
-        return Ok(name.clone());
-    }
-    let found = IMAGE_FOLDERS.iter().find(|f| root.dir().join(f).is_dir());
-    found.map(|f| (*f).to_string()).ok_or_else(|| DataError::Layout {
-        path: root.dir().to_path_buf(),
-        looked_for: format!("it is a HyperNeRF capture without images: looked for {}", IMAGE_FOLDERS.join(", ")),
     })
 }
 

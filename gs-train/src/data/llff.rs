@@ -22,7 +22,7 @@ use gs_core::Time;
 
 use super::error::{DataError, Place};
 use super::files::Root;
-use super::frames::{Listed, name_views, with_headers};
+use super::frames::{Listed, image_folder, name_views, with_headers};
 use super::header::ImageHeader;
 use super::intrinsics::{Adjusted, Intrinsics, hold_out, hold_out_note};
 use super::lens::Lens;
@@ -203,11 +203,8 @@ fn photographs(
     options: &DataOptions,
     notes: &mut Vec<String>,
 ) -> Result<Vec<Listed<Shot>>, DataError> {
-    let usual = || IMAGE_FOLDERS.iter().find(|f| root.dir().join(f).is_dir()).map(|f| (*f).to_string());
-    let folder = options.images.clone().or_else(usual).ok_or_else(|| DataError::Layout {
-        path: root.dir().to_path_buf(),
-        looked_for: format!("there is {POSES}, but neither folders camNN nor one of {}", IMAGE_FOLDERS.join(", ")),
-    })?;
+    let missing = format!("there is {POSES}, but neither folders camNN nor an image folder");
+    let folder = image_folder(root, options, &IMAGE_FOLDERS, &missing)?;
     let dir = root.resolve(&folder, &Place::new(root.dir(), "data.images"))?;
     let names = images(&dir)?;
     same_count(root.dir().to_path_buf(), &format!("images in \"{folder}\""), names.len(), rows)?;

@@ -14,7 +14,7 @@ use gs_core::Time;
 
 use super::error::{DataError, Place};
 use super::files::Root;
-use super::frames::{Listed, name_views, with_headers};
+use super::frames::{Listed, image_folder, name_views, with_headers};
 use super::header::ImageHeader;
 use super::intrinsics::{Adjusted, Intrinsics, hold_out, hold_out_note};
 use super::lens::Lens;
@@ -138,19 +138,6 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     })
 }
 
-/// The image folder: the one asked for, or the first usual one that exists.
-fn image_folder(root: &Root, options: &DataOptions) -> Result<String, DataError> {
-    if let Some(name) = &options.images {
-        root.resolve(name, &Place::new(root.dir(), "data.images"))?;
-        return Ok(name.clone());
-    }
-    let found = IMAGE_FOLDERS.iter().find(|f| root.dir().join(f).is_dir());
-    found.map(|f| (*f).to_string()).ok_or_else(|| DataError::Layout {
-        path: root.dir().to_path_buf(),
-        looked_for: format!("there is a COLMAP model, but no image folder: looked for {}", IMAGE_FOLDERS.join(", ")),
-    })
-}
-
 fn find_images(
     root: &Root,
     images_file: &Path,
@@ -158,7 +145,7 @@ fn find_images(
     options: &DataOptions,
     notes: &mut Vec<String>,
 ) -> Result<Vec<Listed<ImageRow>>, DataError> {
-    let folder = image_folder(root, options)?;
+    let folder = image_folder(root, options, &IMAGE_FOLDERS, "there is a COLMAP model, but no image folder")?;
     notes.push(format!("images come from \"{folder}\""));
     let paired = numbered::pairing(&root.resolve(&folder, &Place::new(root.dir(), "data.images"))?, &rows)?;
     notes.extend(paired.as_ref().map(|p| numbered::note(&folder, p)));
