@@ -143,7 +143,7 @@ fn compare(config: &Grid4dConfig, n: usize, t: f32, stride: usize) {
 #[test]
 fn fags_agrees_with_its_twin_in_every_mode_of_the_gate() {
     for mode in MODES {
-        compare(&Grid4dConfig { gate: GateConfig { on: true, mode }, ..small() }, 17, 0.37, 11);
+        compare(&Grid4dConfig { gate: GateConfig { on: true, mode, start: 0.5 }, ..small() }, 17, 0.37, 11);
     }
 }
 
@@ -181,7 +181,7 @@ fn grid4d_agrees_with_its_twin() {
 #[test]
 fn an_untrained_field_is_the_identity_to_the_last_bit() {
     let s = splats(2 * BLOCK + 5);
-    for gate in MODES[..3].iter().map(|&mode| GateConfig { on: true, mode }) {
+    for gate in MODES[..3].iter().map(|&mode| GateConfig { on: true, mode, start: 0.5 }) {
         let plain = Grid4dConfig { zero_init: true, gate, ..small() };
         for config in [plain.clone(), grid4d(plain)] {
             let (field, mut tape, mut out) = (field(&config), Default::default(), Splats::default());
@@ -190,6 +190,25 @@ fn an_untrained_field_is_the_identity_to_the_last_bit() {
                 assert!(out == s, "t = {t}");
             }
         }
+    }
+}
+
+#[test]
+fn the_gate_starts_where_it_is_told() {
+    let s = splats(16);
+    let config = |start| Grid4dConfig { zero_init: true, gate: GateConfig { start, ..small().gate }, ..small() };
+    for start in [0.05, 0.5, 0.9] {
+        let quantities = Grid4dField::new(&config(start), 1).unwrap().quantities(&s, time(0.3));
+        let (name, gate) = &quantities[0];
+        assert_eq!((*name, gate.len()), ("gate", 16));
+        for (row, &eta) in gate.iter().enumerate() {
+            let want = if row % 8 == 7 { 0.0 } else { start };
+            assert!((eta - want).abs() < 1e-6, "splat {row}: {eta}, {want} expected");
+        }
+    }
+    for start in [0.0, 1.0, f32::NAN] {
+        let refused = Grid4dField::new(&config(start), 1);
+        assert!(matches!(refused, Err(DeformError::Config { field: "start", .. })));
     }
 }
 

@@ -74,13 +74,16 @@ pub enum Fusion {
 }
 
 /// The gate (FAGS, Eq. 8).
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GateConfig {
     /// Whether there is one; without it `η = 1`.
     pub on: bool,
     /// What it does to the rigid motion.
     pub mode: GateMode,
+    /// `η` of every splat before training, inside `(0, 1)`: a gate that starts half closed halves what the first steps
+    /// learn.
+    pub start: f32,
 }
 
 /// What the gate `η` does to the rigid motion with quaternion parameters `ρ` and translation `τ`; `R(v)` turns by
@@ -147,7 +150,7 @@ impl Default for Grid4dConfig {
                 fusion: Fusion::Add,
                 hidden: Vec::new(),
             },
-            gate: GateConfig { on: true, mode: GateMode::ScaleParam },
+            gate: GateConfig { on: true, mode: GateMode::ScaleParam, start: 0.5 },
             smooth: SmoothConfig {
                 lambda_s: 0.5,
                 lambda_t: 0.5,
@@ -193,6 +196,9 @@ impl Grid4dConfig {
         }
         if self.depth > 64 {
             return reject("depth", self.depth.to_string(), "at most 64");
+        }
+        if !(self.gate.start > 0.0 && self.gate.start < 1.0) {
+            return reject("start", self.gate.start.to_string(), "above 0 and below 1");
         }
         self.fourier.check(self.width)?;
         self.smooth.check()

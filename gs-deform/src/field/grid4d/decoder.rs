@@ -13,6 +13,7 @@ use super::fourier::{Collapsed, Through, Waves};
 use super::fuse;
 use crate::apply::OffsetColumns;
 use fearless_simd::Level;
+use gs_core::cloud::logit;
 use gs_core::nn::dense::{relu, relu_backward};
 use gs_core::nn::gemm::Write;
 use gs_core::nn::{Dense, DenseGrad, Init};
@@ -96,12 +97,17 @@ impl Decoder {
         let width = config.width;
         let dense = |name: &str, i, o, init| Dense::new(&format!("field.net.{name}"), i, o, init, seed);
         let last = if config.zero_init { Init::Zero } else { Init::FanIn };
+        let mut head = dense("head", width, config.head_width(), last);
+        if config.gate.on {
+            // η comes first, through a logistic.
+            head.bias.value[0] += logit(config.gate.start);
+        }
         Self {
             space: dense("space", space, width, Init::FanIn),
             time: dense("time", time, width, Init::FanIn),
             branch: config.fourier.on.then(|| Branch::new(config, seed)),
             hidden: (0..config.depth).map(|i| dense(&format!("hidden.{i}"), width, width, Init::FanIn)).collect(),
-            head: dense("head", width, config.head_width(), last),
+            head,
             directional: config.directional,
             simd: Level::new(),
         }

@@ -200,10 +200,10 @@ mod tests {
         let mean = Vec3::new(1.0, -2.0, 3.0);
         let head = [-200.0, 0.3, 0.2, -0.5, 0.1, 1.0, 2.0, 3.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7];
         for mode in [GateMode::ScaleParam, GateMode::LerpPosition] {
-            let to = offsets(GateConfig { on: true, mode }, &head, mean);
+            let to = offsets(GateConfig { on: true, mode, start: 0.5 }, &head, mean);
             assert!(to.means.iter().chain(&to.quats).chain(&to.scales).all(|v| *v == 0.0), "{mode:?}: {to:?}");
         }
-        let to = offsets(GateConfig { on: true, mode: GateMode::Literal }, &head, mean);
+        let to = offsets(GateConfig { on: true, mode: GateMode::Literal, start: 0.5 }, &head, mean);
         assert_eq!(Vec3::from_slice(&to.means), -mean, "as printed, a closed gate sends the splat to the origin");
     }
 
@@ -219,7 +219,7 @@ mod tests {
         };
         for mode in MODES {
             for (on, head) in [(true, &open[..]), (false, &open[1..])] {
-                let to = offsets(GateConfig { on, mode }, head, mean);
+                let to = offsets(GateConfig { on, mode, start: 0.5 }, head, mean);
                 let got = Vec3::from_slice(&to.means);
                 assert!((got - want).abs().max_element() < 1e-6, "{mode:?}, gate {on}: {got} {want}");
                 assert_eq!((to.quats[3], to.scales[0]), (0.4, 0.5));
@@ -233,7 +233,7 @@ mod tests {
         for rho in [-1.0f32, -1.0 + 2e-7] {
             let mut head = [0.0; 14];
             head[0] = rho;
-            let gate = GateConfig { on: false, mode: GateMode::ScaleParam };
+            let gate = GateConfig { on: false, mode: GateMode::ScaleParam, start: 0.5 };
             assert_eq!(offsets(gate, &head, mean).means, [0.0; 3]);
             let d = OffsetColumns { means: vec![1.0; 3], scales: vec![0.0; 3], quats: vec![0.0; 4] };
             let (mut d_heads, mut d_mean) = (Vec::new(), Vec3::ZERO);
