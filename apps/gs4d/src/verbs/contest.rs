@@ -17,7 +17,8 @@ pub struct ContestVerb {
     /// Folder of the data.
     #[arg(value_name = "DATA")]
     data: PathBuf,
-    /// A contestant: "METHOD[:PRESET] [KEY=VALUE ...]" (repeatable); the others are compared with the first.
+    /// A contestant: a method and settings of its own in one argument, for example "fags" or "fags:tiny ablate=gate"
+    /// (repeatable). The others are compared with the first.
     #[arg(short, long = "entry", value_name = "ENTRY", required = true, value_parser = Entry::parse)]
     entries: Vec<Entry>,
     /// Preset of entries that name none.
