@@ -123,7 +123,9 @@ fn counts_must_agree() {
     assert!(open(&dir).unwrap_err().to_string().contains("2 frames that are not named as the 2"), "another moment");
     let dir = tempfile::tempdir().unwrap();
     put(dir.path(), "poses_bounds.npy", poses(&cameras(3).iter().map(row).collect::<Vec<_>>()));
-    assert!(open(&dir).unwrap_err().to_string().contains("neither folders camNN nor one of images"));
+    assert!(
+        open(&dir).unwrap_err().to_string().contains("neither folders camNN nor an image folder: looked for images")
+    );
     picture(dir.path(), "images/a.png", SIZE);
     assert!(open(&dir).unwrap_err().to_string().contains("3 rows for 1 images"));
 }
