@@ -59,19 +59,9 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     let (val, test) = (other("val")?, other("test")?);
     let drafts = Drafts { train: train.drafts, val, test };
     let settled = settle(drafts, options, Some(TimeRange { start: 0.0, end: 1.0 }))?;
-    notes.extend(settled.notes);
     Ok(Dataset {
-        root: dir.to_path_buf(),
-        layout: LAYOUT.name,
-        train: settled.train,
-        val: settled.val,
-        test: settled.test,
-        points: None,
-        has_alpha,
-        dynamic: settled.dynamic,
-        time_source: settled.source,
         bounds: Some([Vec3::splat(-HALF_SIDE), Vec3::splat(HALF_SIDE)]),
-        notes,
+        ..settled.dataset(dir, LAYOUT.name, has_alpha, notes)
     })
 }
 

@@ -82,23 +82,13 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     let by_tags = options.time_from == TimeFrom::File;
     let span = options.time_range.or((by_tags && last > 0.0).then_some(whole));
     let timed = DataOptions { time_range: span, ..options.clone() };
-    let settled = settle(Drafts { train, val: Vec::new(), test }, &timed, None)?;
-    notes.extend(settled.notes);
+    let mut settled = settle(Drafts { train, val: Vec::new(), test }, &timed, None)?;
     let points = frame.points(&root, &mut notes)?;
     let bounds = if points.is_none() { frame.bounds(&settled.train) } else { None };
-    Ok(Dataset {
-        root: dir.to_path_buf(),
-        layout: LAYOUT.name,
-        train: settled.train,
-        val: settled.val,
-        test: settled.test,
-        points,
-        has_alpha,
-        dynamic: settled.dynamic,
-        time_source: if settled.dynamic && by_tags { format!("{} of metadata.json", tags.key) } else { settled.source },
-        bounds,
-        notes,
-    })
+    if settled.dynamic && by_tags {
+        settled.source = format!("{} of metadata.json", tags.key);
+    }
+    Ok(Dataset { points, bounds, ..settled.dataset(dir, LAYOUT.name, has_alpha, notes) })
 }
 
 /// `scene.json`: the normalised frame.

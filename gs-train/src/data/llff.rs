@@ -92,7 +92,6 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
         return Err(DataError::Empty { file });
     }
     let settled = settle(drafts, &clock(options, frames, fps, &mut notes), None)?;
-    notes.extend(settled.notes);
     let points = points(&root, &mut notes)?;
     let depths = |v: &View| rows[v.camera_id as usize].depths;
     let seen = || sight::bounds(settled.train.iter().map(|v| (&v.camera, depths(v))));
@@ -100,19 +99,7 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     if bounds.is_some() {
         notes.push("the scene's box is all that is seen between the nearest and farthest depth".into());
     }
-    Ok(Dataset {
-        root: dir.to_path_buf(),
-        layout: LAYOUT.name,
-        train: settled.train,
-        val: settled.val,
-        test: settled.test,
-        points,
-        has_alpha,
-        dynamic: settled.dynamic,
-        time_source: settled.source,
-        bounds,
-        notes,
-    })
+    Ok(Dataset { points, bounds, ..settled.dataset(dir, LAYOUT.name, has_alpha, notes) })
 }
 
 fn read_poses(file: &Path) -> Result<Vec<Row>, DataError> {

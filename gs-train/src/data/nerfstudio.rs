@@ -71,20 +71,7 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
         return Err(DataError::Empty { file });
     }
     let settled = settle(drafts, options, None)?;
-    notes.extend(settled.notes);
-    Ok(Dataset {
-        root: dir.to_path_buf(),
-        layout: LAYOUT.name,
-        train: settled.train,
-        val: settled.val,
-        test: settled.test,
-        points: points(&root, &document.top())?,
-        has_alpha,
-        dynamic: settled.dynamic,
-        time_source: settled.source,
-        bounds: None,
-        notes,
-    })
+    Ok(Dataset { points: points(&root, &document.top())?, ..settled.dataset(dir, LAYOUT.name, has_alpha, notes) })
 }
 
 /// Camera models other than pinhole and OpenCV's are refused by name.

@@ -1,10 +1,12 @@
 //! From the times of files to [`Time`]: the training span becomes 0..1, the clock keeps the data's seconds.
 
+use std::path::Path;
+
 use gs_core::Time;
 
 use super::error::{DataError, Place};
 use super::options::{DataOptions, TimeFrom, TimeRange};
-use super::{ImageSource, View};
+use super::{Dataset, ImageSource, View};
 
 /// A view whose time is not settled yet.
 pub(crate) struct Draft {
@@ -32,6 +34,26 @@ pub(crate) struct Settled {
     pub(crate) dynamic: bool,
     pub(crate) source: String,
     pub(crate) notes: Vec<String>,
+}
+
+impl Settled {
+    /// The data set of these views, without points and box; `notes` are those made before.
+    pub(crate) fn dataset(self, dir: &Path, layout: &'static str, has_alpha: bool, mut notes: Vec<String>) -> Dataset {
+        notes.extend(self.notes);
+        Dataset {
+            root: dir.to_path_buf(),
+            layout,
+            train: self.train,
+            val: self.val,
+            test: self.test,
+            points: None,
+            has_alpha,
+            dynamic: self.dynamic,
+            time_source: self.source,
+            bounds: None,
+            notes,
+        }
+    }
 }
 
 /// Slack at the ends of a range: files print few digits.

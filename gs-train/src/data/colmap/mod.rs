@@ -122,20 +122,7 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
         return Err(DataError::Empty { file: images_file });
     }
     let settled = settle(drafts, options, None)?;
-    notes.extend(settled.notes);
-    Ok(Dataset {
-        root: dir.to_path_buf(),
-        layout: LAYOUT.name,
-        train: settled.train,
-        val: settled.val,
-        test: settled.test,
-        points,
-        has_alpha,
-        dynamic: settled.dynamic,
-        time_source: settled.source,
-        bounds: None,
-        notes,
-    })
+    Ok(Dataset { points, ..settled.dataset(dir, LAYOUT.name, has_alpha, notes) })
 }
 
 fn find_images(
