@@ -228,7 +228,7 @@ fn main() {
     hexplane(&mut c);
     mlp(&mut c, roof);
     for (case, config) in [("fourdgs default", FourDgsConfig::default()), ("fourdgs fast", FourDgsConfig::fast())] {
-        if let Ok(f) = HexPlaneField::new(&config, Aabb::cube(1.0), 1) {
+        if let Ok(f) = HexPlaneField::new("field", &config, Aabb::cube(1.0), 1) {
             field(&mut c, case, 20_000, f);
         }
     }

@@ -111,7 +111,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             let mut config = FourDgsConfig::fast();
             config.hexplane.resolution = [32, 32, 32, 32];
             let grid = |name: &str| if name.starts_with("field.planes") { 1e-2 } else { 2e-3 };
-            fit(HexPlaneField::new(&config, Aabb::around(&sheet(2).means, 0.1)?, 1)?, steps, grid)
+            fit(HexPlaneField::new("field", &config, Aabb::around(&sheet(2).means, 0.1)?, 1)?, steps, grid)
         }
         "defgs" => fit(
             DefMlp::new(&DefGsConfig { bands_position: 4, bands_time: 4, ..DefGsConfig::fast() }, 1)?,

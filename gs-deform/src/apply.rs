@@ -4,7 +4,7 @@
 //!
 //! ```text
 //! means   μ + δx
-//! scales  Log: s · exp(δs)     Add: s + δs
+//! scales  Log: s · exp(δs)     Add: s + δs        with a limit: min(|·|, limit)
 //! quats   Raw: q + δr          Unit: q + |q| δr          Compose: normalise(1 + δr) ⊗ q
 //! ```
 //! `Raw` and `Log` are 4D Gaussian Splatting's sums on raw parameters; `Unit` is the rotation of `q̂ + δr`, as Deformable
@@ -42,12 +42,15 @@ pub enum QuatRule {
 }
 
 /// The pair of rules a field applies its offsets by.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Apply {
     /// For scales.
     pub scale: ScaleRule,
     /// For rotations.
     pub quat: QuatRule,
+    /// Where given, a scale that an offset changed is written without its sign and at most this large (world units).
+    /// The sign comes back with the gradient, which is zero at zero and beyond the limit.
+    pub scale_limit: Option<f32>,
 }
 
 /// Offsets of the rows of one block, row-major; an empty column means zero offsets.
@@ -111,13 +114,21 @@ impl Apply {
             *to += Vec3::from_array(*d);
         }
         for (to, d) in to.scales.iter_mut().zip(by.scales.as_chunks().0) {
-            *to = match self.scale {
-                ScaleRule::Log => *to * Vec3::from_array(d.map(f32::exp)),
-                ScaleRule::Add => *to + Vec3::from_array(*d),
-            };
+            *to = self.grown(*to, *d);
+            if let Some(limit) = self.scale_limit {
+                *to = to.abs().min(Vec3::splat(limit));
+            }
         }
         for (to, d) in to.quats.iter_mut().zip(by.quats.as_chunks().0) {
             *to = self.turn(*to, *d);
+        }
+    }
+
+    /// The scale before any limit.
+    fn grown(&self, s: Vec3, d: [f32; 3]) -> Vec3 {
+        match self.scale {
+            ScaleRule::Log => s * Vec3::from_array(d.map(f32::exp)),
+            ScaleRule::Add => s + Vec3::from_array(d),
         }
     }
 
@@ -157,17 +168,30 @@ impl Apply {
         d_by: &mut OffsetColumns,
     ) {
         d_by.scales.clear();
-        if by.scales.is_empty() || self.scale == ScaleRule::Add {
+        if by.scales.is_empty() {
             d_from.scales.iter_mut().zip(d_moved.scales).for_each(|(d, m)| *d += *m);
-            fill(&mut d_by.scales, by.scales.len(), d_moved.scales.iter().flat_map(|d| d.to_array()));
             return;
         }
         let rows = from.scales.iter().zip(by.scales.as_chunks().0).zip(d_moved.scales).zip(d_from.scales.iter_mut());
         for (((s, d), d_moved), d_from) in rows {
-            let grown = Vec3::from_array(d.map(f32::exp)) * *d_moved;
-            *d_from += grown;
-            d_by.scales.extend((grown * *s).to_array());
+            let d_grown = *d_moved * self.slope(*s, *d);
+            let (d_s, d_offset) = match self.scale {
+                ScaleRule::Log => {
+                    let factor = Vec3::from_array(d.map(f32::exp));
+                    (factor * d_grown, factor * d_grown * *s)
+                }
+                ScaleRule::Add => (d_grown, d_grown),
+            };
+            *d_from += d_s;
+            d_by.scales.extend(d_offset.to_array());
         }
+    }
+
+    /// Derivative of the written scale in the grown one.
+    fn slope(&self, s: Vec3, d: [f32; 3]) -> Vec3 {
+        let Some(limit) = self.scale_limit else { return Vec3::ONE };
+        let slope = |v: f32| if v == 0.0 || v.abs() > limit { 0.0 } else { v.signum() };
+        Vec3::from_array(self.grown(s, d).to_array().map(slope))
     }
 
     fn backward_quats(
@@ -327,7 +351,7 @@ mod tests {
 
     #[test]
     fn the_unit_rule_turns_like_the_sum_of_unit_quaternions_and_survives_zero() {
-        let unit = Apply { scale: ScaleRule::Add, quat: QuatRule::Unit };
+        let unit = Apply { scale: ScaleRule::Add, quat: QuatRule::Unit, scale_limit: None };
         let (q, d) = ([3.0, 0.0, 4.0, 0.0], [0.1, -0.2, 0.3, 0.05]);
         let got = rot::normalise(unit.turn(q, d)).wxyz;
         let want = rot::normalise([0.7, -0.2, 1.1, 0.05]).wxyz;
@@ -337,10 +361,29 @@ mod tests {
     }
 
     #[test]
+    fn a_limit_writes_sizes_and_carries_the_sign_back() {
+        let apply = Apply { scale: ScaleRule::Add, quat: QuatRule::Raw, scale_limit: Some(2.0) };
+        let (means, quats) = ([Vec3::ZERO; 2], [[1.0, 0.0, 0.0, 0.0]; 2]);
+        let scales = [Vec3::new(0.5, 0.5, 0.5), Vec3::new(-0.25, 1.5, 2.0)];
+        let by = Offsets { scales: &[0.25, -0.5, -1.5, 0.0, 1.0, 0.0], ..Offsets::default() };
+        let from = Rows { means: &means, quats: &quats, scales: &scales };
+        let (mut m, mut q, mut s) = (means, quats, [Vec3::ZERO; 2]);
+        apply.forward(from, by, &mut RowsMut { means: &mut m, quats: &mut q, scales: &mut s });
+        assert_eq!(s, [Vec3::new(0.75, 0.0, 1.0), Vec3::new(0.25, 2.0, 2.0)]);
+        let d_moved = [Vec3::new(3.0, 5.0, 7.0); 2];
+        let (mut d_m, mut d_q, mut d_s) = ([Vec3::ZERO; 2], [[0.0; 4]; 2], [Vec3::ONE; 2]);
+        let mut d_by = OffsetColumns::default();
+        let mut d_from = RowsMut { means: &mut d_m, quats: &mut d_q, scales: &mut d_s };
+        apply.backward(from, by, Rows { scales: &d_moved, ..from }, &mut d_from, &mut d_by);
+        assert_eq!(d_by.scales, [3.0, 0.0, -7.0, -3.0, 0.0, 7.0]);
+        assert_eq!(d_s, [Vec3::new(4.0, 1.0, -6.0), Vec3::new(-2.0, 1.0, 8.0)]);
+    }
+
+    #[test]
     fn columns_that_do_not_move_pass_everything() {
         let (means, quats, scales) = ([Vec3::ONE; 3], [[1.0, 2.0, 3.0, 4.0]; 3], [Vec3::splat(0.5); 3]);
         let rows = Rows { means: &means, quats: &quats, scales: &scales };
-        let apply = Apply { scale: ScaleRule::Log, quat: QuatRule::Compose };
+        let apply = Apply { scale: ScaleRule::Log, quat: QuatRule::Compose, scale_limit: None };
         let (mut m, mut q, mut s) = ([Vec3::ZERO; 3], [[0.0; 4]; 3], [Vec3::ZERO; 3]);
         apply.forward(rows, Offsets::default(), &mut RowsMut { means: &mut m, quats: &mut q, scales: &mut s });
         assert_eq!((m, q, s), (means, quats, scales));

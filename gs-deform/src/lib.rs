@@ -5,6 +5,7 @@
 //! splats at t = apply(canonical, offsets(encode(means, t)))
 //! ```
 //! * [`HexPlaneField`]: six feature planes at several resolutions and small heads (4D Gaussian Splatting). The quick one.
+//!   Its body, [`PlaneNet`], takes any heads.
 //! * [`DefMlp`]: one wide network on encoded places and times (Deformable 3D Gaussians).
 //! * [`Grid4dField`]: hash grids over space and space-time, a decoder with attention, a Fourier branch and a gate
 //!   (Grid4D, FAGS).
@@ -32,6 +33,7 @@ pub mod reference;
 
 pub use aabb::Aabb;
 pub use field::{DefGsConfig, DefMlp, Field, FourDgsConfig, Grid4dConfig, Grid4dField, HexPlaneField};
+pub use field::{PlaneNet, PlaneNetConfig, PlaneNetTape};
 use glam::Vec3;
 
 /// What is wrong with a field's configuration.

@@ -77,11 +77,12 @@ fn fourdgs_twin<'a>(
         for i in 0..depth {
             h = relu(dense(blocks, &format!("field.trunk.{i}"), &h));
         }
+        // The first layers of the heads that exist lie one below the other.
+        let hidden = relu(dense(blocks, "field.hidden", &h));
+        let exists = |name: &&str| blocks.contains_key(&format!("field.{name}.weight"));
         let head = |name: &str, n: usize| {
-            if !blocks.contains_key(&format!("field.{name}.0.weight")) {
-                return vec![0.0; n];
-            }
-            dense(blocks, &format!("field.{name}.1"), &relu(dense(blocks, &format!("field.{name}.0"), &h)))
+            let place = ["means", "scales", "quats"].into_iter().filter(exists).position(|other| other == name);
+            place.map_or(vec![0.0; n], |k| dense(blocks, &format!("field.{name}"), &hidden[k * h.len()..][..h.len()]))
         };
         let (x, r, z) = (head("means", 3), head("quats", 4), head("scales", 3));
         std::array::from_fn(|k| match k {
@@ -209,7 +210,7 @@ fn small_fourdgs() -> FourDgsConfig {
 
 /// A field whose every parameter matters: time planes off 1, features of order one.
 fn fourdgs(config: &FourDgsConfig) -> HexPlaneField {
-    let mut field = HexPlaneField::new(config, Aabb::cube(1.0), 3).unwrap();
+    let mut field = HexPlaneField::new("field", config, Aabb::cube(1.0), 3).unwrap();
     field.visit_mut(&mut |p| {
         if p.name.starts_with("field.planes") {
             let mut rng = Rng::new(1, &p.name, 1, 0);
@@ -275,8 +276,13 @@ fn identity<F: Field>(field: F) {
 #[test]
 fn an_untrained_field_is_the_identity_to_the_last_bit() {
     identity(
-        HexPlaneField::new(&FourDgsConfig { hexplane: small_hexplane(), ..Default::default() }, Aabb::cube(1.0), 0)
-            .unwrap(),
+        HexPlaneField::new(
+            "field",
+            &FourDgsConfig { hexplane: small_hexplane(), ..Default::default() },
+            Aabb::cube(1.0),
+            0,
+        )
+        .unwrap(),
     );
     for quat_rule in [QuatRule::Raw, QuatRule::Unit, QuatRule::Compose] {
         for scale_rule in [ScaleRule::Add, ScaleRule::Log] {
@@ -355,10 +361,10 @@ fn blocks_of_grads(params: &impl Params) -> Vec<f32> {
 fn bad_settings_are_named() {
     let error = |e: Result<HexPlaneField, DeformError>| e.unwrap_err().to_string();
     let config = FourDgsConfig { width: 0, ..Default::default() };
-    assert!(error(HexPlaneField::new(&config, Aabb::cube(1.0), 0)).contains("`width` = 0"));
+    assert!(error(HexPlaneField::new("field", &config, Aabb::cube(1.0), 0)).contains("`width` = 0"));
     let mut config = FourDgsConfig::default();
     config.hexplane.channels = 5;
-    assert!(error(HexPlaneField::new(&config, Aabb::cube(1.0), 0)).contains("`channels` = 5"));
+    assert!(error(HexPlaneField::new("field", &config, Aabb::cube(1.0), 0)).contains("`channels` = 5"));
     let error = |config| DefMlp::new(&config, 0).unwrap_err().to_string();
     assert!(error(DefGsConfig { depth: 0, ..Default::default() }).contains("`depth` = 0"));
     assert!(

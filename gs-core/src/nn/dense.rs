@@ -72,6 +72,20 @@ impl Dense {
         Self { weight: draw("weight", inputs * outputs, w), bias: draw("bias", outputs, b), inputs, outputs }
     }
 
+    /// The layers one below the other, as one layer of the same inputs: outputs of the first come first.
+    ///
+    /// # Panics
+    /// If a part does not take `inputs` values.
+    pub fn stacked(name: &str, inputs: usize, parts: &[Self]) -> Self {
+        assert!(parts.iter().all(|p| p.inputs == inputs), "stacked layers must take the same input");
+        let join = |what: &str, part: &dyn Fn(&Self) -> &Param| {
+            let value = parts.iter().flat_map(|p| part(p).value.iter().copied()).collect();
+            Param::shared(format!("{name}.{what}"), value)
+        };
+        let outputs = parts.iter().map(|p| p.outputs).sum();
+        Self { weight: join("weight", &|p| &p.weight), bias: join("bias", &|p| &p.bias), inputs, outputs }
+    }
+
     /// Values per input row.
     pub fn inputs(&self) -> usize {
         self.inputs

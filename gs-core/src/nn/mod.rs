@@ -11,9 +11,11 @@
 pub mod dense;
 pub mod encoding;
 pub mod gemm;
+pub mod heads;
 pub mod mlp;
 
 pub use dense::{Dense, DenseGrad, Init};
+pub use heads::{Heads, HeadsGrad, HeadsTape};
 pub use mlp::{Mlp, MlpGrad, MlpTape};
 
 /// Rows worked on together: 256 × 64 values of `f32` fill 64 KiB, so a few activations fit the second-level cache.

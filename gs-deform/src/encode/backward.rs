@@ -1,7 +1,7 @@
 //! The way back through a HexPlane: one task per group of sixteen channels of a level, each owning its share of every
 //! gradient, all points in order.
 
-use super::hexplane::{HexBlock, HexPlane, HexTape, Level};
+use super::hexplane::{BlockPlaces, HexBlock, HexPlane, HexTape, Level};
 use super::sample::{self, Cell, Group, GroupGrad, LANES, Texel};
 use fearless_simd::{Simd, dispatch};
 use glam::Vec3;
@@ -36,8 +36,8 @@ impl HexPlane {
     /// gradients and, where given, to `d_means` (world units). Without `d_means` the points count as constants.
     pub fn backward(&mut self, tape: &mut HexTape, d_means: Option<&mut [Vec3]>) {
         let (groups, width, simd) = (self.groups(), self.width(), self.simd);
-        let HexTape { time, lines, blocks, tasks } = tape;
-        let points = if d_means.is_some() { blocks.iter().map(|b| b.rows).sum() } else { 0 };
+        let HexTape { time, lines, places, blocks, tasks } = tape;
+        let points = if d_means.is_some() { places.len() } else { 0 };
         tasks.resize_with(groups * self.levels.len(), TaskScratch::default);
         let mut jobs = Vec::with_capacity(tasks.len());
         let mut lines = lines.as_slice();
@@ -48,7 +48,7 @@ impl HexPlane {
         }
         jobs.par_iter_mut().with_max_len(1).for_each(|job| {
             job.scratch.reset(job.group.nodes.iter().sum(), points);
-            dispatch!(simd, simd => job.run(simd, blocks, width));
+            dispatch!(simd, simd => job.run(simd, &places.0, blocks, width));
             job.spread_lines(*time);
         });
         drop(jobs);
@@ -102,16 +102,16 @@ impl TaskScratch {
 
 impl Job<'_> {
     #[inline(always)]
-    fn run<S: Simd>(&mut self, simd: S, blocks: &[HexBlock], width: usize) {
+    fn run<S: Simd>(&mut self, simd: S, places: &[BlockPlaces], blocks: &[HexBlock], width: usize) {
         let Self { group, scratch: TaskScratch { d_lines, d_means }, .. } = self;
         let [xy, xz, yz] = &mut self.d_planes;
         let mut grad = GroupGrad { planes: [xy, xz, yz], lines: split_lines(group.nodes, d_lines) };
         let mut d_means = if d_means.is_empty() { None } else { Some(d_means.as_mut_slice()) };
-        for block in blocks {
-            let cells = &block.cells[self.level * block.rows..][..block.rows];
+        for (BlockPlaces { rows, cells }, block) in places.iter().zip(blocks) {
+            let cells = &cells[self.level * rows..][..*rows];
             let here = match d_means.take() {
                 Some(all) => {
-                    let (here, rest) = all.split_at_mut(block.rows);
+                    let (here, rest) = all.split_at_mut(*rows);
                     d_means = Some(rest);
                     Some(here)
                 }

@@ -14,6 +14,8 @@
 //! * **Layout**: `[channels / 16][nodes_b][nodes_a][16]`: sixteen channels of a node are one register and one load.
 //! * **One time per call**: the two rows of a time plane that the moment falls between are blended into a line once, so a
 //!   point reads 18 texels instead of 24 (exact up to rounding).
+//! * **Points that stay**: [`HexPlane::place`] finds their cells once, for any number of calls at any times while planes
+//!   learn ([`HexPlane::forward_placed`]; the same arithmetic, hence the same bits).
 //! * **Back**: channels are independent, so each group of sixteen channels of a level is one task that owns its slices of
 //!   all six gradients and walks the points in order: no private copies, no atomics, the same sums for any number of
 //!   threads. At most `levels · channels / 16` tasks run at once.
@@ -28,6 +30,7 @@ use glam::Vec3;
 use gs_core::nn::BLOCK;
 use gs_core::{Param, Params, Rng, Time};
 use rayon::prelude::*;
+use std::sync::Arc;
 
 /// Pairs of axes (x y z t = 0 1 2 3) in storage order, fast axis first.
 pub const PAIRS: [(usize, usize); 6] = [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)];
@@ -59,21 +62,44 @@ pub struct HexPlane {
 pub struct HexTape {
     pub(super) time: Cell,
     pub(super) lines: Vec<Texel>,
+    pub(super) places: Places,
     /// Points in blocks of [`BLOCK`]; the last may be shorter.
     pub blocks: Vec<HexBlock>,
     pub(super) tasks: Vec<TaskScratch>,
 }
 
+/// Where points lie in the grids of an encoder: the part of its work that only depends on points and resolutions. Made
+/// by [`HexPlane::place`] or kept by a tape; cheap to clone.
+#[derive(Clone, Debug, Default)]
+pub struct Places(pub(super) Arc<Vec<BlockPlaces>>);
+
+/// The places of one block of points.
+#[derive(Clone, Debug, Default)]
+pub(super) struct BlockPlaces {
+    pub rows: usize,
+    /// `[levels, rows]` cells along x, y, z.
+    pub cells: Vec<[Cell; 3]>,
+}
+
 /// One block of points.
 #[derive(Clone, Debug, Default)]
 pub struct HexBlock {
-    pub(super) rows: usize,
-    /// `[levels, rows]` cells along x, y, z.
-    pub(super) cells: Vec<[Cell; 3]>,
     /// Features, `[rows, width]`.
     pub features: Vec<f32>,
     /// Cotangents of `features`: to be filled in before [`HexPlane::backward`].
     pub d_features: Vec<f32>,
+}
+
+impl Places {
+    /// Number of points.
+    pub fn len(&self) -> usize {
+        self.0.iter().map(|b| b.rows).sum()
+    }
+
+    /// Whether there are no points.
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
 }
 
 impl HexPlane {
@@ -132,13 +158,34 @@ impl HexPlane {
 
     /// Encodes all points at one time; features are left in `tape.blocks`.
     pub fn forward(&self, means: &[Vec3], t: Time, tape: &mut HexTape) {
+        match Arc::get_mut(&mut tape.places.0) {
+            Some(own) => self.locate(means, own),
+            None => tape.places = self.place(means),
+        }
+        self.encode(t, tape);
+    }
+
+    /// Finds the cells of points that will be encoded many times. They hold for this encoder, and any other of the same
+    /// box, resolution and levels, whatever its planes become.
+    pub fn place(&self, means: &[Vec3]) -> Places {
+        let mut blocks = Vec::new();
+        self.locate(means, &mut blocks);
+        Places(Arc::new(blocks))
+    }
+
+    /// [`HexPlane::forward`] for points placed before: the same bits.
+    pub fn forward_placed(&self, places: &Places, t: Time, tape: &mut HexTape) {
+        tape.places = places.clone();
+        self.encode(t, tape);
+    }
+
+    fn encode(&self, t: Time, tape: &mut HexTape) {
         self.blend_time(t, tape);
-        tape.blocks.resize_with(means.len().div_ceil(BLOCK), HexBlock::default);
-        let lines = &tape.lines;
-        tape.blocks.par_iter_mut().zip(means.par_chunks(BLOCK)).for_each(|(block, means)| {
-            self.locate(means, block);
-            block.features.resize(means.len() * self.width(), 0.0);
-            dispatch!(self.simd, simd => self.sample(simd, lines, block));
+        let HexTape { lines, places, blocks, .. } = tape;
+        blocks.resize_with(places.0.len(), HexBlock::default);
+        blocks.par_iter_mut().zip(&*places.0).for_each(|(block, places)| {
+            block.features.resize(places.rows * self.width(), 0.0);
+            dispatch!(self.simd, simd => self.sample(simd, lines, places, &mut block.features));
         });
     }
 
@@ -161,30 +208,33 @@ impl HexPlane {
         }
     }
 
-    fn locate(&self, means: &[Vec3], block: &mut HexBlock) {
+    fn locate(&self, means: &[Vec3], blocks: &mut Vec<BlockPlaces>) {
         let inverse = self.aabb.inverse_size();
-        block.rows = means.len();
-        block.cells.clear();
-        for level in &self.levels {
-            let per_unit: [f32; 3] = std::array::from_fn(|k| inverse[k] * (level.nodes[k] - 1) as f32);
-            block.cells.extend(means.iter().map(|&p| {
-                let offset = p - self.aabb.min;
-                std::array::from_fn(|k| Cell::new(offset[k], per_unit[k], level.nodes[k]))
-            }));
-        }
+        blocks.resize_with(means.len().div_ceil(BLOCK), BlockPlaces::default);
+        blocks.par_iter_mut().zip(means.par_chunks(BLOCK)).for_each(|(block, means)| {
+            block.rows = means.len();
+            block.cells.clear();
+            for level in &self.levels {
+                let per_unit: [f32; 3] = std::array::from_fn(|k| inverse[k] * (level.nodes[k] - 1) as f32);
+                block.cells.extend(means.iter().map(|&p| {
+                    let offset = p - self.aabb.min;
+                    std::array::from_fn(|k| Cell::new(offset[k], per_unit[k], level.nodes[k]))
+                }));
+            }
+        });
     }
 
     #[inline(always)]
-    fn sample<S: Simd>(&self, simd: S, mut lines: &[Texel], block: &mut HexBlock) {
+    fn sample<S: Simd>(&self, simd: S, mut lines: &[Texel], places: &BlockPlaces, features: &mut [f32]) {
         let (width, groups) = (self.width(), self.groups());
         for (l, level) in self.levels.iter().enumerate() {
-            let cells = &block.cells[l * block.rows..][..block.rows];
+            let cells = &places.cells[l * places.rows..][..places.rows];
             for g in 0..groups {
                 let (line, rest) = lines.split_at(level.line_length());
                 lines = rest;
                 let nodes = [level.nodes[0], level.nodes[1], level.nodes[2]];
                 let group = Group::new(nodes, SPACE.map(|pair| level.texels(pair, g, groups)), line);
-                sample::forward(simd, &group, cells, &mut block.features, width, (l * groups + g) * LANES);
+                sample::forward(simd, &group, cells, features, width, (l * groups + g) * LANES);
             }
         }
     }

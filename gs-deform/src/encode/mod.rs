@@ -11,4 +11,4 @@ pub use config::HexPlaneConfig;
 pub use hash::config::HashGridConfig;
 pub use hash::slice::Slice;
 pub use hash::{Columns, HashGrid};
-pub use hexplane::{HexBlock, HexPlane, HexTape};
+pub use hexplane::{HexBlock, HexPlane, HexTape, Places};

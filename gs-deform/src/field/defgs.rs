@@ -125,7 +125,7 @@ impl DefMlp {
     }
 
     fn apply(&self) -> Apply {
-        Apply { scale: self.config.scale_rule, quat: self.config.quat_rule }
+        Apply { scale: self.config.scale_rule, quat: self.config.quat_rule, scale_limit: None }
     }
 }
 

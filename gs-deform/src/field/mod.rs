@@ -6,11 +6,13 @@ pub mod defgs;
 mod defgs_net;
 pub mod fourdgs;
 pub mod grid4d;
+pub mod plane_net;
 
 pub use defgs::{DefGsConfig, DefMlp};
 pub use fourdgs::{FourDgsConfig, HexPlaneField};
 pub use grid4d::{Grid4dConfig, Grid4dField};
 use gs_core::{Params, Splats, SplatsGrad, Time};
+pub use plane_net::{PlaneNet, PlaneNetConfig, PlaneNetTape};
 
 /// A deformation field: canonical splats to splats at a time. Colours and opacities pass through unchanged.
 ///

@@ -40,7 +40,7 @@ fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Box<dyn Method>, Meth
     let [min, max] = scene.bounds;
     let margin = config.margin * min.distance(max);
     let aabb = Aabb::new(min - margin, max + margin).map_err(wrong)?;
-    let field = HexPlaneField::new(&config.field, aabb, scene.seed).map_err(wrong)?;
+    let field = HexPlaneField::new("field", &config.field, aabb, scene.seed).map_err(wrong)?;
     let canonical = Canonical::new(&config.cloud, config.schedule, scene)?;
     let still = Anneal { strength: 0.0, ..Anneal::default() };
     Ok(Box::new(Deformed::new(ENTRY.name, canonical, field, still, scene.views)))

@@ -42,7 +42,7 @@ use gs_core::{Param, Params, Splats, SplatsGrad, Time};
 use rayon::prelude::*;
 use smooth::{Draw, Smooth};
 
-const APPLY: Apply = Apply { scale: ScaleRule::Add, quat: QuatRule::Unit };
+const APPLY: Apply = Apply { scale: ScaleRule::Add, quat: QuatRule::Unit, scale_limit: None };
 
 /// The field; see the [module](self).
 #[derive(Clone, Debug)]

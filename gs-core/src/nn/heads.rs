@@ -1,0 +1,146 @@
+//! Several small networks on one input: two layers each, the first ones worked out together.
+//!
+//! ```text
+//! g = relu(W₁ x + b₁)                 W₁: the heads' first layers one below the other, [heads · width, inputs]
+//! y_h = W₂ₕ g_h + b₂ₕ                 g_h: columns h·width … (h+1)·width of g
+//! ```
+//! One wide product instead of several narrow ones: `x` is read once and its cotangent is written once. Works on the
+//! rows of one block.
+
+use super::dense::{Dense, DenseGrad, Init, relu, relu_backward};
+use super::gemm::{Mat, MatMut, Write, gemm};
+use crate::{Param, Params};
+
+/// Networks `inputs → width → outputs` that share their input.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Heads {
+    /// The first layers, stacked.
+    first: Dense,
+    /// The last layer of each head.
+    last: Vec<Dense>,
+    width: usize,
+}
+
+/// What a block of rows leaves behind, reused between steps.
+#[derive(Clone, Debug, Default)]
+pub struct HeadsTape {
+    /// `g`, `[rows, heads · width]`.
+    hidden: Vec<f32>,
+    /// Output of each head, `[rows, outputs]`.
+    pub out: Vec<Vec<f32>>,
+    /// Cotangents of `out`, same shape: to be filled in before [`Heads::backward`].
+    pub d_out: Vec<Vec<f32>>,
+}
+
+/// Gradient of all layers, summed over the rows of one chunk, and scratch.
+#[derive(Clone, Debug, Default)]
+pub struct HeadsGrad {
+    first: DenseGrad,
+    last: Vec<DenseGrad>,
+    /// Cotangent of `g` of the current block.
+    d_hidden: Vec<f32>,
+}
+
+impl Heads {
+    /// Heads of the given names and outputs. First layers start Xavier-uniform as layers of their own, last ones as
+    /// `last`. Parameters: `{name}.hidden.weight`, `{name}.hidden.bias`, then `{name}.{head}.weight`, `{name}.{head}.bias`.
+    pub fn new(name: &str, [inputs, width]: [usize; 2], heads: &[(&str, usize)], last: Init, seed: u64) -> Self {
+        let parts: Vec<Dense> = heads
+            .iter()
+            .map(|(head, _)| Dense::new(&format!("{name}.{head}.0"), inputs, width, Init::Xavier, seed))
+            .collect();
+        let layer =
+            |(head, outputs): &(&str, usize)| Dense::new(&format!("{name}.{head}"), width, *outputs, last, seed);
+        Self {
+            first: Dense::stacked(&format!("{name}.hidden"), inputs, &parts),
+            last: heads.iter().map(layer).collect(),
+            width,
+        }
+    }
+
+    /// The first layers as one: head `h` owns outputs `h·width … (h+1)·width`.
+    pub fn first(&self) -> &Dense {
+        &self.first
+    }
+
+    /// The last layer of each head.
+    pub fn last(&self) -> &[Dense] {
+        &self.last
+    }
+
+    /// Runs the block `x: [rows, inputs]`; results are left in `tape.out`.
+    pub fn forward(&self, x: &[f32], tape: &mut HeadsTape) {
+        let rows = x.len() / self.first.inputs().max(1);
+        let stride = self.first.outputs();
+        tape.hidden.resize(rows * stride, 0.0);
+        self.first.forward(x, &mut tape.hidden);
+        relu(&mut tape.hidden);
+        tape.out.resize_with(self.last.len(), Vec::new);
+        tape.d_out.resize_with(self.last.len(), Vec::new);
+        for ((h, layer), (out, d_out)) in self.last.iter().enumerate().zip(tape.out.iter_mut().zip(&mut tape.d_out)) {
+            out.resize(rows * layer.outputs(), 0.0);
+            d_out.resize(out.len(), 0.0);
+            layer.start(&layer.bias.value, out);
+            let hidden = slice(&tape.hidden, h * self.width, rows, self.width, stride);
+            gemm(MatMut::new(out, rows, layer.outputs()), hidden, weight(layer).transposed(), Write::Add);
+        }
+    }
+
+    /// The way back of [`Heads::forward`] for the same `x` from `tape.d_out`: adds to `grad`, sets `dx`.
+    pub fn backward(&self, x: &[f32], tape: &HeadsTape, dx: &mut [f32], grad: &mut HeadsGrad) {
+        let rows = x.len() / self.first.inputs().max(1);
+        let stride = self.first.outputs();
+        let HeadsGrad { first, last, d_hidden } = grad;
+        d_hidden.resize(tape.hidden.len(), 0.0);
+        for (h, ((layer, grad), d_out)) in self.last.iter().zip(last).zip(&tape.d_out).enumerate() {
+            let at = h * self.width;
+            layer.backward_bias(d_out, grad);
+            let d = Mat::new(d_out, rows, layer.outputs());
+            let hidden = slice(&tape.hidden, at, rows, self.width, stride);
+            gemm(MatMut::new(&mut grad.weight, layer.outputs(), self.width), d.transposed(), hidden, Write::Add);
+            let end = if rows > 0 { at } else { 0 };
+            gemm(MatMut::strided(&mut d_hidden[end..], rows, self.width, stride), d, weight(layer), Write::Set);
+        }
+        relu_backward(&tape.hidden, d_hidden);
+        self.first.backward(x, d_hidden, None, first);
+        self.first.backward_input(0..self.first.inputs(), d_hidden, dx, Write::Set);
+    }
+
+    /// Adds the chunks' gradients to the parameters, in the given order.
+    pub fn add_grads<'a>(&mut self, chunks: impl Iterator<Item = &'a HeadsGrad> + Clone + Sync + Send) {
+        self.first.add_grads(chunks.clone().map(|g| &g.first));
+        for (h, layer) in self.last.iter_mut().enumerate() {
+            layer.add_grads(chunks.clone().map(move |g| &g.last[h]));
+        }
+    }
+}
+
+/// Columns `at … at + cols` of a row-major matrix of the given stride.
+fn slice(data: &[f32], at: usize, rows: usize, cols: usize, stride: usize) -> Mat<'_> {
+    Mat::strided(&data[at.min(data.len())..], rows, cols, stride)
+}
+
+/// The whole weight, `[outputs, inputs]`.
+fn weight(layer: &Dense) -> Mat<'_> {
+    Mat::new(&layer.weight.value, layer.outputs(), layer.inputs())
+}
+
+impl HeadsGrad {
+    /// Makes this the zero gradient of `heads`, reusing memory.
+    pub fn reset(&mut self, heads: &Heads) {
+        self.first.reset(&heads.first);
+        self.last.resize_with(heads.last.len(), DenseGrad::default);
+        self.last.iter_mut().zip(&heads.last).for_each(|(g, l)| g.reset(l));
+    }
+}
+
+impl Params for Heads {
+    fn visit(&self, f: &mut dyn FnMut(&Param)) {
+        self.first.visit(f);
+        self.last.iter().for_each(|l| l.visit(f));
+    }
+    fn visit_mut(&mut self, f: &mut dyn FnMut(&mut Param)) {
+        self.first.visit_mut(f);
+        self.last.iter_mut().for_each(|l| l.visit_mut(f));
+    }
+}
