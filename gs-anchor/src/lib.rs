@@ -4,5 +4,10 @@
 //! ("neural Gaussians"). Bytes are kept per anchor, not per Gaussian.
 
 pub mod anchors;
+pub mod decode;
+pub mod local;
+pub mod reference;
 
 pub use anchors::{AnchorShape, Anchors};
+pub use decode::{DecodeTape, Decoder, DecoderConfig, DecoderError, DistanceInputs, Visible};
+pub use local::{Local, LocalGrad};

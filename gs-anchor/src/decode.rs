@@ -1,0 +1,328 @@
+//! Anchors to Gaussians, as an eye sees them (Lu et al. 2024, Scaffold-GS, Eqs. 5–9), and back.
+//!
+//! ```text
+//! a   = tanh F_α(f', d)               k per anchor; only Gaussians with a > 0 exist, and a is their opacity
+//! rgb = σ(F_c(f', d, e))              3k
+//! q   = F_Σ(f', d)                    7k: three scale logits and a raw quaternion each
+//! μ   = x' + O' ⊙ l'[0:3]     s = |l'[3:6]| ⊙ σ(q[0:3])     r = q[3:7]
+//! ```
+//! `d` points from the eye to the anchor, `e` is one learned vector of appearance. All networks are
+//! `Linear · ReLU · Linear`. An extent `l'[3:6]` may be negative (deformation adds to it); only squares of scales matter,
+//! so its size is written and its sign returns on the way back. The distance `δ` and a bank of three feature resolutions
+//! are options, as published.
+//!
+//! Anchors nearer to the eye than [`MIN_DISTANCE`] have no direction and are dropped.
+
+mod bank;
+mod gaussians;
+mod heads;
+
+use crate::{AnchorShape, Local, LocalGrad};
+use bank::{Bank, BankGrad, BankTape};
+use gaussians::{Anchored, Columns, Said, Sight};
+use glam::{DVec3, Vec3};
+use gs_core::nn::{self, BLOCK, CHUNKS};
+use gs_core::{Param, Params, Splats, SplatsGrad};
+use heads::{Fused, Heads, HeadsGrad, HeadsTape};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+/// Anchors nearer to the eye than this are not decoded, world units.
+pub const MIN_DISTANCE: f64 = 1e-6;
+
+/// Which heads see the distance between eye and anchor; published default: none.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DistanceInputs {
+    /// The opacity head.
+    pub opacity: bool,
+    /// The colour head.
+    pub color: bool,
+    /// The covariance head.
+    pub covariance: bool,
+}
+
+impl DistanceInputs {
+    fn all(self) -> [bool; 3] {
+        [self.opacity, self.color, self.covariance]
+    }
+}
+
+/// Settings of a [`Decoder`]; the defaults are the published ones.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DecoderConfig {
+    /// Width of the appearance vector `e`; 0: none.
+    pub appearance: usize,
+    /// Which heads see the distance.
+    pub distance: DistanceInputs,
+    /// Mix three resolutions of the feature by direction and distance (needs features of a width divisible by 4).
+    pub feature_bank: bool,
+}
+
+impl Default for DecoderConfig {
+    fn default() -> Self {
+        Self { appearance: 16, distance: DistanceInputs::default(), feature_bank: false }
+    }
+}
+
+/// A decoder that cannot be built.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("decoder setting `{field}` = {value} cannot be built: it must be {rule}")]
+pub struct DecoderError {
+    /// The key.
+    pub field: &'static str,
+    /// The value met.
+    pub value: usize,
+    /// What it must satisfy.
+    pub rule: &'static str,
+}
+
+/// The anchors to decode.
+#[derive(Clone, Copy, Debug)]
+pub enum Visible<'a> {
+    /// All of them.
+    All,
+    /// These, in strictly increasing order.
+    List(&'a [u32]),
+}
+
+/// The networks that turn anchors into Gaussians; see the [module](self).
+#[derive(Clone, Debug)]
+pub struct Decoder {
+    config: DecoderConfig,
+    shape: AnchorShape,
+    heads: Heads,
+    bank: Option<Bank>,
+}
+
+/// What a decoding leaves behind for its way back and for statistics; reused between calls.
+#[derive(Clone, Debug, Default)]
+pub struct DecodeTape {
+    /// The anchors that were decoded, increasing.
+    pub visible: Vec<u32>,
+    /// `tanh` of the opacity head, `[visible, k]`; positive where there is a splat.
+    pub activations: Vec<f32>,
+    /// Of each splat, in order: `anchor · k + j`, its row in [`Local::offsets`].
+    pub rows: Vec<u32>,
+    fused: Fused,
+    blocks: Vec<Block>,
+    chunks: Vec<ChunkGrad>,
+}
+
+/// Activations of one block of anchors.
+#[derive(Clone, Debug, Default)]
+struct Block {
+    sights: Vec<Sight>,
+    bank: BankTape,
+    heads: HeadsTape,
+    color: Vec<f32>,
+    covariance: Vec<f32>,
+    /// Number of splats, and the row of the first one.
+    kept: usize,
+    first: usize,
+}
+
+/// Parameter gradients of one chunk of blocks.
+#[derive(Clone, Debug, Default)]
+struct ChunkGrad {
+    heads: HeadsGrad,
+    bank: BankGrad,
+}
+
+impl Decoder {
+    /// A decoder for anchors of the given shape; parameters `heads.opacity.…`, `heads.color.…`, `heads.covariance.…`,
+    /// `heads.appearance` and `heads.bank.…`. Weights and biases start uniform in `±1/√inputs`, `e` normal.
+    ///
+    /// # Errors
+    /// If the shape has no Gaussians or no features, or the feature bank is asked for a width not divisible by 4.
+    pub fn new(config: &DecoderConfig, shape: AnchorShape, seed: u64) -> Result<Self, DecoderError> {
+        let refuse = |field, value, rule| Err(DecoderError { field, value, rule });
+        if shape.offsets == 0 {
+            return refuse("offsets", 0, "at least 1");
+        }
+        if shape.features == 0 {
+            return refuse("features", 0, "at least 1");
+        }
+        if config.feature_bank && !shape.features.is_multiple_of(4) {
+            return refuse("features", shape.features, "a multiple of 4 with the feature bank");
+        }
+        let heads = Heads::new(config, shape, seed);
+        let bank = config.feature_bank.then(|| Bank::new(shape.features, seed));
+        Ok(Self { config: config.clone(), shape, heads, bank })
+    }
+
+    /// The settings it was built from.
+    pub fn config(&self) -> &DecoderConfig {
+        &self.config
+    }
+
+    /// The anchors it was built for.
+    pub fn shape(&self) -> AnchorShape {
+        self.shape
+    }
+
+    /// The same decoder without an appearance input: the vector is folded into a bias. Decodes to the same bits.
+    pub fn folded(&self) -> Self {
+        let config = DecoderConfig { appearance: 0, ..self.config.clone() };
+        Self { config, shape: self.shape, heads: self.heads.folded(), bank: self.bank.clone() }
+    }
+
+    /// Decodes anchors as seen from `eye` (world units) into `out`: plain colours, raw quaternions, scales ≥ 0.
+    ///
+    /// # Panics
+    /// If `local` is not of the decoder's shape, or a list is not increasing or names an anchor that does not exist.
+    pub fn forward(&self, local: &Local, visible: Visible<'_>, eye: DVec3, tape: &mut DecodeTape, out: &mut Splats) {
+        see(local, visible, eye, &mut tape.visible);
+        let DecodeTape { visible, activations, rows, fused, blocks, .. } = tape;
+        let k = self.shape.offsets;
+        self.heads.fuse(fused);
+        activations.resize(visible.len() * k, 0.0);
+        blocks.resize_with(visible.len().div_ceil(BLOCK), Block::default);
+        let work = blocks.par_iter_mut().zip(visible.par_chunks(BLOCK)).zip(activations.par_chunks_mut(BLOCK * k));
+        work.for_each(|((block, anchors), a)| self.forward_block(fused, local, anchors, eye, block, a));
+        let mut kept = 0;
+        for block in &mut *blocks {
+            block.first = kept;
+            kept += block.kept;
+        }
+        let mut columns = Columns::all(out, rows, kept);
+        let columns: Vec<Columns<'_>> = blocks.iter().map(|b| columns.take(b.kept)).collect();
+        let work = blocks.par_iter_mut().zip(visible.par_chunks(BLOCK)).zip(activations.par_chunks(BLOCK * k));
+        work.zip(columns).for_each(|(((block, anchors), a), to)| {
+            gaussians::write(local, anchors, block.said(a), to);
+        });
+    }
+
+    fn forward_block(
+        &self,
+        fused: &Fused,
+        local: &Local,
+        anchors: &[u32],
+        eye: DVec3,
+        block: &mut Block,
+        a: &mut [f32],
+    ) {
+        let (width, inputs, k) = (self.shape.features, self.heads.input_width(), self.shape.offsets);
+        let Block { sights, bank, heads, color, covariance, kept, .. } = block;
+        sights.clear();
+        sights.extend(anchors.iter().map(|&v| Sight::new(local.positions[v as usize], eye)));
+        if let Some(net) = &self.bank {
+            net.weigh(sights.iter().map(|s| s.direction.extend(s.distance).to_array()), bank);
+        }
+        heads.input.resize(anchors.len() * inputs, 0.0);
+        for (i, (row, sight)) in heads.input.chunks_exact_mut(inputs).zip(sights).enumerate() {
+            let feature = &local.features[anchors[i] as usize * width..][..width];
+            let (to, rest) = row.split_at_mut(width);
+            match &self.bank {
+                Some(net) => net.mix(bank, i, feature, to),
+                None => to.copy_from_slice(feature),
+            }
+            sight.direction.write_to_slice(rest);
+            rest[3..].fill(sight.distance);
+        }
+        color.resize(anchors.len() * 3 * k, 0.0);
+        covariance.resize(anchors.len() * 7 * k, 0.0);
+        self.heads.forward(fused, heads, [&mut *a, color, covariance]);
+        a.iter_mut().for_each(|a| *a = a.tanh());
+        *kept = a.iter().filter(|a| **a > 0.0).count();
+    }
+
+    /// The way back of [`Decoder::forward`] of the same anchors with unchanged parameters: adds to the gradients and to
+    /// `d_local` (shaped like `local`).
+    ///
+    /// # Panics
+    /// If `local`, the tape or a cotangent do not belong together.
+    pub fn backward(&mut self, local: &Local, tape: &mut DecodeTape, d_out: &SplatsGrad, d_local: &mut LocalGrad) {
+        let DecodeTape { visible, activations, fused, blocks, chunks, .. } = tape;
+        let k = self.shape.offsets;
+        let per_chunk = nn::blocks_per_chunk(blocks.len());
+        let rows = per_chunk * BLOCK;
+        chunks.resize_with(CHUNKS, ChunkGrad::default);
+        let used = &mut chunks[..blocks.len().div_ceil(per_chunk)];
+        let mut all = Anchored::all(d_local);
+        let ends = (1..=used.len()).map(|c| visible.get(c * rows).map_or(local.len(), |&v| v as usize));
+        let parts: Vec<Anchored<'_>> = ends.map(|end| all.take(end)).collect();
+        let work = blocks.par_chunks_mut(per_chunk).zip(visible.par_chunks(rows)).zip(activations.par_chunks(rows * k));
+        work.zip(&mut *used).zip(parts).for_each(|((((blocks, anchors), a), grad), mut d)| {
+            self.heads.reset(fused, &mut grad.heads);
+            if let Some(bank) = &self.bank {
+                bank.reset(&mut grad.bank);
+            }
+            for (block, (anchors, a)) in blocks.iter_mut().zip(anchors.chunks(BLOCK).zip(a.chunks(BLOCK * k))) {
+                let first = block.first;
+                gaussians::pull(local, anchors, block.said(a), (d_out, first), &mut d, &mut grad.heads.d_out);
+                self.heads.backward(fused, &block.heads, &mut grad.heads);
+                self.input_backward(local, anchors, block, grad, &mut d);
+            }
+        });
+        self.heads.add_grads(fused, used.iter().map(|g| &g.heads));
+        if let Some(bank) = &mut self.bank {
+            bank.add_grads(used.iter().map(|g| &g.bank));
+        }
+    }
+
+    /// From the cotangent of a block's input to its features and positions.
+    fn input_backward(
+        &self,
+        local: &Local,
+        anchors: &[u32],
+        block: &mut Block,
+        grad: &mut ChunkGrad,
+        d: &mut Anchored<'_>,
+    ) {
+        let (width, inputs) = (self.shape.features, self.heads.input_width());
+        let ChunkGrad { heads: HeadsGrad { d_input, .. }, bank: bank_grad } = grad;
+        for (row, (sight, &v)) in d_input.chunks_exact(inputs).zip(block.sights.iter().zip(anchors)) {
+            let at = d.row(v);
+            let d_distance = row.get(width + 3).map_or(0.0, |d| *d);
+            d.positions[at] += sight.backward(Vec3::from_slice(&row[width..]), d_distance);
+            if self.bank.is_none() {
+                d.feature(at, width).iter_mut().zip(row).for_each(|(d, g)| *d += g);
+            }
+        }
+        let Some(bank) = &self.bank else { return };
+        let tape = &block.bank;
+        let logits = d_input.chunks_exact(inputs).zip(anchors).enumerate().map(|(i, (row, &v))| {
+            let feature = &local.features[v as usize * width..][..width];
+            let at = d.row(v);
+            bank.mix_backward(tape, i, feature, &row[..width], d.feature(at, width))
+        });
+        let logits: Vec<[f32; 3]> = logits.collect();
+        bank.backward(&mut block.bank, logits.into_iter(), bank_grad);
+        for ((g, sight), &v) in bank_grad.d_view.as_chunks::<4>().0.iter().zip(&block.sights).zip(anchors) {
+            let at = d.row(v);
+            d.positions[at] += sight.backward(Vec3::from_slice(g), g[3]);
+        }
+    }
+}
+
+impl Block {
+    fn said<'a>(&'a mut self, activations: &'a [f32]) -> Said<'a> {
+        Said { activations, color: &mut self.color, covariance: &mut self.covariance }
+    }
+}
+
+/// The anchors to decode: those asked for, without those at the eye.
+fn see(local: &Local, visible: Visible<'_>, eye: DVec3, to: &mut Vec<u32>) {
+    let apart = |v: &u32| local.positions[*v as usize].as_dvec3().distance(eye) >= MIN_DISTANCE;
+    to.clear();
+    match visible {
+        Visible::All => to.extend((0..local.len() as u32).filter(apart)),
+        Visible::List(list) => {
+            assert!(list.is_sorted_by(|a, b| a < b), "the list of visible anchors must increase");
+            to.extend(list.iter().copied().filter(apart));
+        }
+    }
+}
+
+impl Params for Decoder {
+    fn visit(&self, f: &mut dyn FnMut(&Param)) {
+        self.heads.visit(f);
+        self.bank.iter().for_each(|b| b.visit(f));
+    }
+    fn visit_mut(&mut self, f: &mut dyn FnMut(&mut Param)) {
+        self.heads.visit_mut(f);
+        self.bank.iter_mut().for_each(|b| b.visit_mut(f));
+    }
+}

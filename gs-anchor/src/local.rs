@@ -1,0 +1,129 @@
+//! Anchors made concrete: activated, or moved to an interval, ready to be decoded; and their cotangents.
+//!
+//! ```text
+//! x' = x     O' = O     f' = f     l' = exp λ          at rest; gad moves all four
+//! d_x += d_x'     d_O += d_O'     d_f += d_f'     d_λ += d_l' ⊙ l'
+//! ```
+
+use crate::Anchors;
+use glam::Vec3;
+use rayon::prelude::*;
+
+/// Anchors as the decoder reads them; `V` rows. A clone of it is a cache: decoding it again gives the same bits.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Local {
+    /// Positions `x'`, world units.
+    pub positions: Vec<Vec3>,
+    /// Offsets `O'`, `[V, k, 3]`, in units of the first three scales.
+    pub offsets: Vec<f32>,
+    /// Features `f'`, `[V, C]`.
+    pub features: Vec<f32>,
+    /// Scales `l'`, `[V, 6]`, world units, linear: three multiply the offsets, three the extents. May be negative.
+    pub scales: Vec<f32>,
+}
+
+/// Cotangents of a [`Local`]: the same columns, `dL/d…` each. A type of its own, so value and cotangent never swap.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct LocalGrad {
+    /// `dL/d positions`.
+    pub positions: Vec<Vec3>,
+    /// `dL/d offsets`.
+    pub offsets: Vec<f32>,
+    /// `dL/d features`.
+    pub features: Vec<f32>,
+    /// `dL/d scales`, with respect to the linear scales.
+    pub scales: Vec<f32>,
+}
+
+/// Values worked on together by one task.
+const PIECE: usize = 1 << 14;
+
+impl Local {
+    /// Number of anchors.
+    pub fn len(&self) -> usize {
+        self.positions.len()
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.positions.is_empty()
+    }
+}
+
+impl LocalGrad {
+    /// Makes this the zero cotangent of `local`, reusing memory.
+    pub fn reset(&mut self, local: &Local) {
+        self.positions.clear();
+        self.positions.resize(local.len(), Vec3::ZERO);
+        for (d, n) in [
+            (&mut self.offsets, local.offsets.len()),
+            (&mut self.features, local.features.len()),
+            (&mut self.scales, local.scales.len()),
+        ] {
+            d.clear();
+            d.resize(n, 0.0);
+        }
+    }
+}
+
+impl Anchors {
+    /// Writes the anchors at rest to `out`, reusing memory.
+    pub fn activate(&self, out: &mut Local) {
+        out.positions.clear();
+        out.positions.extend(self.positions.value.as_chunks().0.iter().map(|p| Vec3::from_array(*p)));
+        out.offsets.clone_from(&self.offsets.value);
+        out.features.clone_from(&self.features.value);
+        out.scales.resize(self.log_scales.len(), 0.0);
+        out.scales.par_chunks_mut(PIECE).zip(self.log_scales.value.par_chunks(PIECE)).for_each(|(to, from)| {
+            to.iter_mut().zip(from).for_each(|(l, log)| *l = log.exp());
+        });
+    }
+
+    /// The way back of [`Anchors::activate`]: adds to the gradients. `local` is what it wrote.
+    pub fn activate_backward(&mut self, local: &Local, d: &LocalGrad) {
+        add(&mut self.positions.grad, d.positions.iter().flat_map(|p| p.to_array()));
+        add(&mut self.offsets.grad, d.offsets.iter().copied());
+        add(&mut self.features.grad, d.features.iter().copied());
+        add(&mut self.log_scales.grad, d.scales.iter().zip(&local.scales).map(|(d, l)| d * l));
+    }
+}
+
+fn add(grad: &mut [f32], d: impl Iterator<Item = f32>) {
+    grad.iter_mut().zip(d).for_each(|(g, d)| *g += d);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::AnchorShape;
+    use gs_core::Rng;
+
+    #[test]
+    fn activation_and_its_gradient() {
+        let shape = AnchorShape { offsets: 2, features: 3, dynamics: 0 };
+        let mut anchors = Anchors::new(shape, &[Vec3::ONE, Vec3::NEG_X], &[0.0, 2f32.ln()]);
+        let mut rng = Rng::new(1, "local", 0, 0);
+        for p in [&mut anchors.offsets, &mut anchors.features] {
+            p.value.iter_mut().for_each(|v| *v = rng.normal());
+        }
+        let mut local = Local { scales: vec![9.0; 40], ..Local::default() };
+        anchors.activate(&mut local);
+        assert_eq!((&local.positions[..], local.len()), (&[Vec3::ONE, Vec3::NEG_X][..], 2));
+        assert_eq!((&local.offsets, &local.features), (&anchors.offsets.value, &anchors.features.value));
+        assert_eq!((local.scales.len(), local.scales[0], local.scales[11]), (12, 1.0, 2.0));
+
+        let mut d = LocalGrad::default();
+        d.reset(&local);
+        d.positions[1] = Vec3::new(1.0, 2.0, 3.0);
+        d.offsets[5] = 4.0;
+        d.features[2] = 5.0;
+        d.scales[7] = 6.0;
+        for times in 1..=2 {
+            anchors.activate_backward(&local, &d);
+            let n = times as f32;
+            assert_eq!(anchors.positions.grad[3..], [n, 2.0 * n, 3.0 * n]);
+            assert_eq!((anchors.offsets.grad[5], anchors.features.grad[2]), (4.0 * n, 5.0 * n));
+            assert_eq!(anchors.log_scales.grad[7], 6.0 * 2.0 * n, "times exp λ");
+        }
+    }
+}

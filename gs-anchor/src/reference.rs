@@ -1,0 +1,243 @@
+//! The decoder in `f64`: one anchor at a time, plain loops, none of the savings. Tests and benches measure against it.
+
+use crate::{AnchorShape, Decoder, DecoderConfig, Local};
+use gs_core::Params;
+use std::collections::BTreeMap;
+
+/// Parameter blocks (or their gradients) by name.
+pub type Blocks = BTreeMap<String, Vec<f64>>;
+
+/// One anchor, made concrete; or its cotangent.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct AnchorRef {
+    /// `x'`.
+    pub position: [f64; 3],
+    /// `O'`, `[k, 3]` flat.
+    pub offsets: Vec<f64>,
+    /// `f'`.
+    pub features: Vec<f64>,
+    /// `l'`.
+    pub scales: [f64; 6],
+}
+
+/// One decoded Gaussian; or its cotangent.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct GaussianRef {
+    /// `a`; the Gaussian exists if it is positive, and has this opacity then.
+    pub activation: f64,
+    /// `μ`.
+    pub mean: [f64; 3],
+    /// `s`, its size.
+    pub scale: [f64; 3],
+    /// `r`.
+    pub quat: [f64; 4],
+    /// `rgb`.
+    pub color: [f64; 3],
+}
+
+/// A decoder in `f64`: see [`Decoder`] for the mathematics.
+#[derive(Clone, Debug)]
+pub struct DecoderRef {
+    config: DecoderConfig,
+    shape: AnchorShape,
+    /// The parameters by name.
+    pub blocks: Blocks,
+}
+
+/// What one anchor's heads see and say.
+struct Seen {
+    distance: f64,
+    direction: [f64; 3],
+    /// Logits of the bank made weights; `None` without a bank.
+    bank: Option<[f64; 3]>,
+    /// Inputs of the three heads.
+    inputs: [Vec<f64>; 3],
+    /// Their outputs, before activation.
+    outputs: [Vec<f64>; 3],
+}
+
+const HEADS: [&str; 3] = ["heads.opacity", "heads.color", "heads.covariance"];
+
+impl AnchorRef {
+    /// Anchor `v` of `local`, which has `k` Gaussians per anchor.
+    pub fn new(local: &Local, v: usize) -> Self {
+        let (k3, c) = (local.offsets.len() / local.len(), local.features.len() / local.len());
+        let wide = |v: &[f32]| -> Vec<f64> { v.iter().map(|&v| f64::from(v)).collect() };
+        Self {
+            position: local.positions[v].as_dvec3().to_array(),
+            offsets: wide(&local.offsets[k3 * v..][..k3]),
+            features: wide(&local.features[c * v..][..c]),
+            scales: std::array::from_fn(|i| f64::from(local.scales[6 * v + i])),
+        }
+    }
+}
+
+impl DecoderRef {
+    /// A copy of a decoder.
+    pub fn new(decoder: &Decoder) -> Self {
+        let mut blocks = Blocks::new();
+        decoder.visit(&mut |p| {
+            blocks.insert(p.name.clone(), p.value.iter().map(|&v| f64::from(v)).collect());
+        });
+        Self { config: decoder.config().clone(), shape: decoder.shape(), blocks }
+    }
+
+    /// All `k` Gaussians of an anchor, those that do not exist (`a ≤ 0`) included.
+    pub fn decode(&self, anchor: &AnchorRef, eye: [f64; 3]) -> Vec<GaussianRef> {
+        let [z, c, q] = self.see(anchor, eye).outputs;
+        let gaussian = |j: usize| GaussianRef {
+            activation: z[j].tanh(),
+            mean: std::array::from_fn(|i| anchor.position[i] + anchor.offsets[3 * j + i] * anchor.scales[i]),
+            scale: std::array::from_fn(|i| anchor.scales[3 + i].abs() * sigmoid(q[7 * j + i])),
+            quat: std::array::from_fn(|i| q[7 * j + 3 + i]),
+            color: std::array::from_fn(|i| sigmoid(c[3 * j + i])),
+        };
+        (0..self.shape.offsets).map(gaussian).collect()
+    }
+
+    fn see(&self, anchor: &AnchorRef, eye: [f64; 3]) -> Seen {
+        let u: [f64; 3] = std::array::from_fn(|i| anchor.position[i] - eye[i]);
+        let distance = (u[0] * u[0] + u[1] * u[1] + u[2] * u[2]).sqrt();
+        let direction = u.map(|v| v / distance);
+        let bank = self.config.feature_bank.then(|| {
+            let view = [direction[0], direction[1], direction[2], distance];
+            let z = self.network("heads.bank", &view).1;
+            let e: Vec<f64> = z.iter().map(|z| z.exp()).collect();
+            let total: f64 = e.iter().sum();
+            [e[0] / total, e[1] / total, e[2] / total]
+        });
+        let mut features = anchor.features.clone();
+        if let Some(w) = bank {
+            for (i, f) in features.iter_mut().enumerate() {
+                *f = (0..3).map(|m| w[m] * anchor.features[self.place(m, i)]).sum();
+            }
+        }
+        let distances = self.config.distance;
+        let sees = [distances.opacity, distances.color, distances.covariance];
+        let inputs: [Vec<f64>; 3] = std::array::from_fn(|h| {
+            let mut x = features.clone();
+            x.extend(direction);
+            x.extend(sees[h].then_some(distance));
+            if h == 1 {
+                x.extend(self.blocks.get("heads.appearance").into_iter().flatten());
+            }
+            x
+        });
+        let outputs = std::array::from_fn(|h| self.network(HEADS[h], &inputs[h]).1);
+        Seen { distance, direction, bank, inputs, outputs }
+    }
+
+    /// Where copy `m` of the bank reads entry `i`: strides 4, 2, 1.
+    fn place(&self, m: usize, i: usize) -> usize {
+        let stride = [4, 2, 1][m];
+        stride * (i % (self.shape.features / stride))
+    }
+
+    /// Hidden values and output of `Linear · ReLU · Linear`.
+    fn network(&self, name: &str, x: &[f64]) -> (Vec<f64>, Vec<f64>) {
+        let dense = |layer: usize, x: &[f64]| -> Vec<f64> {
+            let (w, b) =
+                (&self.blocks[&format!("{name}.{layer}.weight")], &self.blocks[&format!("{name}.{layer}.bias")]);
+            b.iter().zip(w.chunks(x.len())).map(|(b, w)| b + w.iter().zip(x).map(|(w, x)| w * x).sum::<f64>()).collect()
+        };
+        let hidden: Vec<f64> = dense(0, x).into_iter().map(|v| v.max(0.0)).collect();
+        let out = dense(1, &hidden);
+        (hidden, out)
+    }
+
+    /// Gradient of a network: adds to `grads`, returns the cotangent of its input.
+    fn network_backward(&self, name: &str, x: &[f64], d_out: &[f64], grads: &mut Blocks) -> Vec<f64> {
+        let hidden = self.network(name, x).0;
+        let mut dense = |layer: usize, x: &[f64], d: &[f64]| -> Vec<f64> {
+            let mut d_x = vec![0.0; x.len()];
+            let (weight, bias) = (format!("{name}.{layer}.weight"), format!("{name}.{layer}.bias"));
+            for (o, d) in d.iter().enumerate() {
+                add_at(grads, &bias, o, *d);
+                for (i, x) in x.iter().enumerate() {
+                    add_at(grads, &weight, o * d_x.len() + i, d * x);
+                    d_x[i] += d * self.blocks[&weight][o * d_x.len() + i];
+                }
+            }
+            d_x
+        };
+        let d_hidden = dense(1, &hidden, d_out);
+        let d_hidden: Vec<f64> = d_hidden.iter().zip(&hidden).map(|(d, h)| if *h > 0.0 { *d } else { 0.0 }).collect();
+        dense(0, x, &d_hidden)
+    }
+
+    /// Gradient of [`DecoderRef::decode`] from the cotangents of the Gaussians (those that do not exist pass nothing):
+    /// adds to `grads` (shaped like [`DecoderRef::blocks`]), returns the cotangent of the anchor.
+    pub fn backward(&self, anchor: &AnchorRef, eye: [f64; 3], d: &[GaussianRef], grads: &mut Blocks) -> AnchorRef {
+        let seen = self.see(anchor, eye);
+        let c = self.shape.features;
+        let (mut back, d_outputs) = self.gaussians_backward(anchor, &seen, d);
+        let (mut d_mixed, mut d_direction, mut d_distance) = (vec![0.0; c], [0.0; 3], 0.0);
+        for h in 0..3 {
+            let d_x = self.network_backward(HEADS[h], &seen.inputs[h], &d_outputs[h], grads);
+            (0..c).for_each(|i| d_mixed[i] += d_x[i]);
+            (0..3).for_each(|i| d_direction[i] += d_x[c + i]);
+            let appearance = if h == 1 { self.config.appearance } else { 0 };
+            if d_x.len() - appearance == c + 4 {
+                d_distance += d_x[c + 3];
+            }
+            for i in 0..appearance {
+                add_at(grads, "heads.appearance", i, d_x[d_x.len() - appearance + i]);
+            }
+        }
+        match seen.bank {
+            None => back.features = d_mixed,
+            Some(w) => {
+                let mut d_w = [0.0; 3];
+                for (m, i) in (0..3).flat_map(|m| (0..c).map(move |i| (m, i))) {
+                    d_w[m] += d_mixed[i] * anchor.features[self.place(m, i)];
+                    back.features[self.place(m, i)] += w[m] * d_mixed[i];
+                }
+                let mean: f64 = (0..3).map(|m| w[m] * d_w[m]).sum();
+                let d_logits: [f64; 3] = std::array::from_fn(|m| w[m] * (d_w[m] - mean));
+                let view = [seen.direction[0], seen.direction[1], seen.direction[2], seen.distance];
+                let d_view = self.network_backward("heads.bank", &view, &d_logits, grads);
+                (0..3).for_each(|i| d_direction[i] += d_view[i]);
+                d_distance += d_view[3];
+            }
+        }
+        let along: f64 = (0..3).map(|i| seen.direction[i] * d_direction[i]).sum();
+        for i in 0..3 {
+            let d = seen.direction[i];
+            back.position[i] += (d_direction[i] - d * along) / seen.distance + d * d_distance;
+        }
+        back
+    }
+
+    /// Cotangents of the anchor's own columns and of what the heads said.
+    fn gaussians_backward(&self, anchor: &AnchorRef, seen: &Seen, d: &[GaussianRef]) -> (AnchorRef, [Vec<f64>; 3]) {
+        let (k, c) = (self.shape.offsets, self.shape.features);
+        let mut back = AnchorRef { offsets: vec![0.0; 3 * k], features: vec![0.0; c], ..AnchorRef::default() };
+        let mut said = [vec![0.0; k], vec![0.0; 3 * k], vec![0.0; 7 * k]];
+        for (j, d) in d.iter().enumerate().filter(|(j, _)| seen.outputs[0][*j] > 0.0) {
+            let a = seen.outputs[0][j].tanh();
+            said[0][j] = d.activation * (1.0 - a * a);
+            for i in 0..3 {
+                let rgb = sigmoid(seen.outputs[1][3 * j + i]);
+                said[1][3 * j + i] = d.color[i] * rgb * (1.0 - rgb);
+                let (s, l) = (sigmoid(seen.outputs[2][7 * j + i]), anchor.scales[3 + i]);
+                said[2][7 * j + i] = d.scale[i] * l.abs() * s * (1.0 - s);
+                back.scales[3 + i] += d.scale[i] * s * l.signum();
+                back.position[i] += d.mean[i];
+                back.offsets[3 * j + i] = d.mean[i] * anchor.scales[i];
+                back.scales[i] += d.mean[i] * anchor.offsets[3 * j + i];
+            }
+            (0..4).for_each(|i| said[2][7 * j + 3 + i] = d.quat[i]);
+        }
+        (back, said)
+    }
+}
+
+fn add_at(grads: &mut Blocks, name: &str, at: usize, d: f64) {
+    if let Some(grad) = grads.get_mut(name) {
+        grad[at] += d;
+    }
+}
+
+fn sigmoid(x: f64) -> f64 {
+    1.0 / (1.0 + (-x).exp())
+}
