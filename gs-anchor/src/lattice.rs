@@ -1,0 +1,67 @@
+//! The lattice anchors stand on: cells as whole numbers, so that equality of positions is exact.
+//!
+//! ```text
+//! cell(p) = round_half_even(p / size) per axis,   position(cell) = cell · size
+//! ```
+//! Quotient and product are formed in `f64`; a position rounded to `f32` gives its cell back as long as no coordinate is
+//! beyond [`MAX_CELL`] cells from the origin.
+
+use glam::Vec3;
+
+/// A point of the lattice: whole numbers along x, y, z. Ordered by x, then y, then z.
+pub type Cell = [i32; 3];
+
+/// Largest coordinate of a cell: beyond it `f32` positions do not tell neighbouring cells apart.
+pub const MAX_CELL: i32 = 1 << 22;
+
+/// The cell of a point on the lattice of cells of `size`, world units; `None` if a coordinate is not finite or beyond
+/// [`MAX_CELL`].
+pub fn cell_of(point: Vec3, size: f32) -> Option<Cell> {
+    let mut cell = [0; 3];
+    for (c, p) in cell.iter_mut().zip(point.to_array()) {
+        let rounded = (f64::from(p) / f64::from(size)).round_ties_even();
+        // Comparison is false for NaN, too.
+        if !(rounded.abs() <= f64::from(MAX_CELL)) {
+            return None;
+        }
+        *c = rounded as i32;
+    }
+    Some(cell)
+}
+
+/// The point of a cell, world units.
+pub fn position_of(cell: Cell, size: f32) -> Vec3 {
+    Vec3::from_array(cell.map(|c| (f64::from(c) * f64::from(size)) as f32))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gs_core::Rng;
+
+    #[test]
+    fn halves_go_to_the_even_cell() {
+        let cells: Vec<Cell> =
+            [0.5, 1.5, 2.5, -0.5, -1.5].map(|x| cell_of(Vec3::splat(x), 1.0).unwrap()).into_iter().collect();
+        assert_eq!(cells, [[0; 3], [2; 3], [2; 3], [0; 3], [-2; 3]]);
+    }
+
+    #[test]
+    fn a_position_gives_its_cell_back() {
+        for size in [0.01f32, 0.16, 1.0 / 3.0, 7.3e-5, 123.4] {
+            let mut rng = Rng::new(1, "lattice", 0, u64::from(size.to_bits()));
+            for _ in 0..5000 {
+                let cell: Cell = std::array::from_fn(|_| rng.below(2 * MAX_CELL as u32 + 1) as i32 - MAX_CELL);
+                assert_eq!(cell_of(position_of(cell, size), size), Some(cell), "{size}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_has_no_cell_is_told() {
+        for x in [f32::NAN, f32::INFINITY, 1e9, -1e9] {
+            assert_eq!(cell_of(Vec3::new(0.0, x, 0.0), 0.01), None, "{x}");
+        }
+        assert_eq!(cell_of(Vec3::X, 0.0), None);
+    }
+}
