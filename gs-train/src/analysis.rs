@@ -52,7 +52,7 @@ mod tests {
     use super::*;
     use crate::analysis::paths::{jerk_overlay, painted};
     use crate::density::Adapted;
-    use crate::methods::{MethodEntry, Quantity, section};
+    use crate::methods::{Column, ColumnMut, MethodEntry, Quantity, section};
     use crate::moment::Moment;
     use crate::run::needs::neutral_camera;
     use crate::run::picture::moment;
@@ -117,7 +117,9 @@ mod tests {
             Vec::new()
         }
 
-        fn adapt(&mut self, _step: u32, _seen: &ScreenStats, _camera: &Camera) -> Adapted {
+        fn observe(&mut self, _at: &Moment, _seen: &ScreenStats, _camera: &Camera) {}
+
+        fn adapt(&mut self, _step: u32) -> Adapted {
             Adapted::default()
         }
 
@@ -126,11 +128,11 @@ mod tests {
             vec![lambda, Quantity::share("gate", vec![at.t.normalised; SPLATS])]
         }
 
-        fn columns(&self) -> Vec<(&'static str, &Vec<f32>)> {
+        fn columns(&self) -> Vec<Column<'_>> {
             Vec::new()
         }
 
-        fn columns_mut(&mut self) -> Vec<(&'static str, &mut Vec<f32>)> {
+        fn columns_mut(&mut self) -> Vec<ColumnMut<'_>> {
             Vec::new()
         }
 

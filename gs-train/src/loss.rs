@@ -1,8 +1,8 @@
 //! The image loss of the 3DGS family and its gradient:
 //!
 //! ```text
-//! L = (1 − λ) mean|x − y| + λ (1 − SSIM(x, y)) + φ mean||F x| − |F y||
-//! dL/dx = (1 − λ) sign(x − y) / n − λ dSSIM/dx + φ dL_fre/dx
+//! L = ω mean|x − y| + λ (1 − SSIM(x, y)) + φ mean||F x| − |F y||        ω = 1 − λ unless it is given
+//! dL/dx = ω sign(x − y) / n − λ dSSIM/dx + φ dL_fre/dx
 //! ```
 //! over `n = H · W · 3` values; SSIM with an 11-tap Gaussian window and zero padding, or MS-SSIM in its place,
 //! `sign(0) = 0` (Kerbl et al. 2023, section 5; λ = 0.2). `F` is the orthonormal Fourier transform of the whole image
@@ -55,14 +55,23 @@ pub struct LossWeights {
     pub dssim: f32,
     /// What λ weighs.
     pub structure: Dssim,
+    /// ω, at least 0; `1 − λ` if absent.
+    pub l1: Option<f32>,
     /// φ, at least 0.
     pub fre: f32,
+}
+
+impl LossWeights {
+    /// ω.
+    fn of_l1(&self) -> f32 {
+        self.l1.unwrap_or(1.0 - self.dssim)
+    }
 }
 
 /// The terms of one evaluation.
 #[derive(Clone, Copy, Debug, PartialEq, Default, Serialize)]
 pub struct LossTerms {
-    /// `(1 − λ) L1 + λ (1 − SSIM) + φ L_fre`.
+    /// `ω L1 + λ (1 − SSIM) + φ L_fre`.
     pub total: f64,
     /// Mean absolute difference.
     pub l1: f64,
@@ -134,7 +143,7 @@ impl ImageLoss {
         grad.alpha.clear();
         grad.depth.clear();
         grad.rgb.resize(data.len(), 0.0);
-        let step = (1.0 - lambda) / data.len() as f32;
+        let step = weights.of_l1() / data.len() as f32;
         let (ssim_grad, fre_grad) = (self.ssim_grad.data.as_slice(), self.fre_grad.data.as_slice());
         let pairs = data.par_chunks(PIECE).zip(target.data.par_chunks(PIECE));
         let pieces = grad.rgb.par_chunks_mut(PIECE).zip(pairs).enumerate();
@@ -154,7 +163,7 @@ impl ImageLoss {
         let [l1, mse] = sums.iter().fold([0.0; 2], |a, s| [a[0] + s[0] / n, a[1] + s[1] / n]);
         let weight = f64::from(lambda);
         let spectral = fre.map_or(0.0, |f| f64::from(phi) * f);
-        let total = (1.0 - weight) * l1 + ssim.map_or(0.0, |s| weight * (1.0 - s)) + spectral;
+        let total = f64::from(weights.of_l1()) * l1 + ssim.map_or(0.0, |s| weight * (1.0 - s)) + spectral;
         if !total.is_finite() {
             // The exact place comes from the metric's own check.
             return Err(gs_metrics::mse(&self.drawn, target).err().unwrap_or(MetricError::Overflow { metric: "L1" }));

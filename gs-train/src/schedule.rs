@@ -28,6 +28,12 @@ pub struct Schedule {
     /// What λ weighs: `ssim`, or `ms_ssim` for images with both sides above 160 pixels.
     #[serde(default)]
     pub dssim: Dssim,
+    /// Weight of L1; `1 − lambda_dssim` if absent (MoDec-GS: 1 beside 0.2).
+    #[serde(default)]
+    pub lambda_l1: Option<f32>,
+    /// Views a step learns from; their losses are averaged (MoDec-GS: 4; others: 1).
+    #[serde(default = "one")]
+    pub batch: u32,
     /// Weight φ of the amplitude-spectrum loss (FAGS: 0.3; others: 0).
     #[serde(default)]
     pub lambda_fre: f32,
@@ -39,7 +45,8 @@ pub struct Schedule {
     pub near: f64,
     /// Opacities are compensated for the dilation of small splats (Mip-Splatting's 2D filter; 3DGS: off).
     pub antialias: bool,
-    /// Clone, split, prune and opacity reset.
+    /// Clone, split, prune and opacity reset of methods with a cloud.
+    #[serde(default = "DensityRules::kerbl2023")]
     pub density: DensityRules,
     /// Adam's ε (3DGS: 1e-15).
     pub adam_eps: f32,
@@ -49,6 +56,10 @@ pub struct Schedule {
     /// `lr.field.planes` all of `field.planes.…`. What has no rule of its own follows `all` of its first part, if there
     /// is one, else it does not learn.
     pub lr: BTreeMap<String, BTreeMap<String, LearningRate>>,
+}
+
+fn one() -> u32 {
+    1
 }
 
 /// A stretch of a run.
@@ -249,7 +260,7 @@ impl Schedule {
 
     /// The weights of the image loss.
     pub fn loss(&self) -> LossWeights {
-        LossWeights { dssim: self.lambda_dssim, structure: self.dssim, fre: self.lambda_fre }
+        LossWeights { dssim: self.lambda_dssim, structure: self.dssim, l1: self.lambda_l1, fre: self.lambda_fre }
     }
 
     /// How frames are drawn over a background, in training as in evaluation. Saturated splats keep learning, as in
@@ -287,6 +298,11 @@ impl Schedule {
         let total: u64 = self.stages.values().map(|s| u64::from(s.steps)).sum();
         need(total > 0 && total < 1 << 31, "stages", total as f64, "the steps must add up to 1 to 2^31 - 1")?;
         need(share(self.lambda_dssim), "lambda_dssim", self.lambda_dssim.into(), "0 to 1")?;
+        let l1 = self.lambda_l1.unwrap_or(0.0);
+        need(l1 >= 0.0 && l1.is_finite(), "lambda_l1", l1.into(), "finite, not negative")?;
+        need((1..=256).contains(&self.batch), "batch", self.batch.into(), "1 to 256")?;
+        let drawn = total * u64::from(self.batch);
+        need(drawn < 1 << 32, "batch", self.batch.into(), "steps times batch below 2^32")?;
         let fre = self.lambda_fre;
         need(fre >= 0.0 && fre.is_finite(), "lambda_fre", fre.into(), "finite, not negative")?;
         need(share(self.max_quarantine), "max_quarantine", self.max_quarantine.into(), "0 to 1")?;
@@ -335,6 +351,8 @@ mod tests {
             sh_every: 1000,
             background: Background::Black,
             lambda_dssim: 0.2,
+            lambda_l1: None,
+            batch: 1,
             dssim: Dssim::Ssim,
             lambda_fre: 0.0,
             sparse_adam: false,

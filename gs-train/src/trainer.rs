@@ -1,7 +1,7 @@
-//! Training: one view per step, forward through method and rasteriser, back through both, one update of every parameter.
+//! Training: one view per step (or a batch of them), forward through method and rasteriser, back through both, one update of every parameter.
 //!
 //! Everything a step does is a function of the parameters, their moments, the growth statistics and the step number:
-//! views come in a random order that is drawn anew each epoch from `(seed, epoch)`, so a run stopped at any step and
+//! views come in a random order that is shuffled anew each epoch from `(seed, epoch)`, so a run stopped at any step and
 //! resumed from its [`Checkpoint`] continues bit for bit, on any number of threads.
 
 use crate::adam::{Adam, Refused, Update};
@@ -22,7 +22,7 @@ mod easel;
 mod error;
 
 pub use easel::Phases;
-use easel::{Drawn, Easel, ms_since};
+use easel::{Drawn, Easel, Sheet, ms_since};
 pub use error::TrainError;
 
 /// What a run needs beside data and configuration.
@@ -48,7 +48,7 @@ pub struct StepReport {
     pub step: u32,
     /// The stage it lies in.
     pub stage: String,
-    /// The view learnt from.
+    /// The views learnt from.
     pub view: String,
     /// The image loss.
     pub loss: LossTerms,
@@ -160,30 +160,20 @@ impl Trainer {
             return Err(TrainError::Finished(self.steps()));
         }
         self.begin_stage(step);
-        let dataset = self.dataset.clone();
-        let view = &dataset.train[view_of_step(self.options.seed, step, dataset.train.len())];
-        let (camera, target, options) = self.photograph(view, step)?;
-        let data_ms = ms_since(begun);
-
-        let fielded = Instant::now();
         self.method.set_step(step);
-        let (mut drawn, weights) = (Drawn::default(), self.method.schedule().loss());
-        let easel = &mut self.easel;
-        self.method.step(&Moment::new(view.time), &camera, &mut |splats, d| {
-            drawn = easel.draw(splats, &camera, &options, &target, &weights, d);
-        });
+        let (drawn, views) = self.learn(step)?;
+        let mut ms = drawn.ms;
+        let regular = Instant::now();
         let penalties = self.method.penalties(step);
-        let mut ms = Phases { data: data_ms, ..drawn.ms };
-        ms.field = ms_since(fielded) - ms.raster_forward - ms.loss - ms.raster_backward;
-        self.check_drawn(&drawn, step, view)?;
+        ms.field += ms_since(regular);
 
         let updated = Instant::now();
         let refused = self.update(step);
         ms.adam = ms_since(updated);
-        self.check_refused(&refused, step, view)?;
+        self.check_refused(&refused, step, &views)?;
 
         let adapting = Instant::now();
-        let adapted = self.method.adapt(step, &self.easel.stats, &camera);
+        let adapted = self.method.adapt(step);
         ms.adapt = ms_since(adapting);
         self.step = step;
         ms.total = ms_since(begun);
@@ -191,7 +181,7 @@ impl Trainer {
         Ok(StepReport {
             step,
             stage: self.stage_name(step),
-            view: view.name.clone(),
+            view: views,
             loss: drawn.terms,
             penalties,
             splats: self.method.len(),
@@ -199,6 +189,39 @@ impl Trainer {
             adapted,
             ms,
         })
+    }
+
+    /// Gradients of the mean loss of the step's views, and the names of these.
+    fn learn(&mut self, step: u32) -> Result<(Drawn, String), TrainError> {
+        let dataset = self.dataset.clone();
+        let batch = self.method.schedule().batch;
+        let (mut sum, mut names) = (Drawn::default(), Vec::new());
+        for draw in (step - 1) * batch + 1..=step * batch {
+            let view = &dataset.train[view_of_draw(self.options.seed, draw, dataset.train.len())];
+            let drawn = self.learn_view(view, draw, 1.0 / batch as f32)?;
+            self.check_drawn(&drawn, step, view)?;
+            sum.add(&drawn, f64::from(batch));
+            names.push(view.name.as_str());
+        }
+        Ok((sum, names.join(", ")))
+    }
+
+    /// One view, which counts with its share in the step: gradients and statistics.
+    fn learn_view(&mut self, view: &View, draw: u32, share: f32) -> Result<Drawn, TrainError> {
+        let begun = Instant::now();
+        let (camera, target, options) = self.photograph(view, draw)?;
+        let data = ms_since(begun);
+        let (mut drawn, at) = (Drawn::default(), Moment::new(view.time));
+        let sheet = Sheet { camera, options, target, weights: self.method.schedule().loss(), share };
+        let easel = &mut self.easel;
+        self.method.step(&at, &sheet.camera, &mut |splats, d| drawn = easel.draw(splats, &sheet, d));
+        if drawn.error.is_none() {
+            self.method.observe(&at, &self.easel.stats, &sheet.camera);
+        }
+        let ms = &mut drawn.ms;
+        ms.data = data;
+        ms.field = ms_since(begun) - data - ms.raster_forward - ms.loss - ms.raster_backward;
+        Ok(drawn)
     }
 
     /// Steps made.
@@ -214,6 +237,11 @@ impl Trainer {
     /// Seconds spent in steps, over all sessions of the run.
     pub fn train_seconds(&self) -> f64 {
         self.seconds
+    }
+
+    /// What the method has to tell since the last call; see [`Method::journal`]. Every line names its `step`.
+    pub fn journal(&mut self) -> Vec<serde_json::Value> {
+        self.method.journal()
     }
 
     /// The method under training.
@@ -243,9 +271,9 @@ impl Trainer {
         }
     }
 
-    fn photograph(&self, view: &View, step: u32) -> Result<(Camera, Image, RasterOptions), TrainError> {
+    fn photograph(&self, view: &View, draw: u32) -> Result<(Camera, Image, RasterOptions), TrainError> {
         let schedule = self.method.schedule();
-        let background = schedule.background.color(self.options.seed, step);
+        let background = schedule.background.color(self.options.seed, draw);
         let image = self.cache.get(view)?;
         Ok((self.cache.camera(view), image.over(background), schedule.raster_options(background)))
     }
@@ -281,8 +309,8 @@ impl Trainer {
         }
     }
 
-    fn check_refused(&self, refused: &Refused, step: u32, view: &View) -> Result<(), TrainError> {
-        let numeric = |what| Err(TrainError::Numeric { step, view: view.name.clone(), what });
+    fn check_refused(&self, refused: &Refused, step: u32, views: &str) -> Result<(), TrainError> {
+        let numeric = |what| Err(TrainError::Numeric { step, view: views.to_owned(), what });
         if let Some(name) = &refused.shared {
             return numeric(format!("the gradient of the shared weights `{name}` is not finite"));
         }
@@ -310,16 +338,18 @@ fn check_images(method: &dyn Method, dataset: &Dataset) -> Result<(), MethodErro
     Ok(method.schedule().check_images(dataset.train.iter().map(|v| &v.camera))?)
 }
 
-/// Index of the view of a step (from 1): every view once per epoch, in a random order of its own.
-pub fn view_of_step(seed: u64, step: u32, views: usize) -> usize {
+/// Index of the view that is drawn as number `draw` (from 1) of a run: every view once per epoch, in a random order of its
+/// own.
+pub fn view_of_draw(seed: u64, draw: u32, views: usize) -> usize {
     let n = views.max(1) as u32;
-    let (epoch, at) = ((step - 1) / n, (step - 1) % n);
+    let (epoch, at) = ((draw - 1) / n, (draw - 1) % n);
     Rng::new(seed, "view-order", epoch, 0).permutation(n as usize)[at as usize] as usize
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::methods::{Column, ColumnMut};
     use crate::schedule::Schedule;
     use crate::synth::{self, SynthOptions};
     use gs_core::{Params, Splats, SplatsGrad};
@@ -365,15 +395,17 @@ mod tests {
             Vec::new()
         }
 
-        fn adapt(&mut self, _step: u32, _seen: &ScreenStats, _camera: &Camera) -> Adapted {
+        fn observe(&mut self, _at: &Moment, _seen: &ScreenStats, _camera: &Camera) {}
+
+        fn adapt(&mut self, _step: u32) -> Adapted {
             Adapted::default()
         }
 
-        fn columns(&self) -> Vec<(&'static str, &Vec<f32>)> {
+        fn columns(&self) -> Vec<Column<'_>> {
             Vec::new()
         }
 
-        fn columns_mut(&mut self) -> Vec<(&'static str, &mut Vec<f32>)> {
+        fn columns_mut(&mut self) -> Vec<ColumnMut<'_>> {
             Vec::new()
         }
 
@@ -408,6 +440,36 @@ mod tests {
     }
 
     #[test]
+    fn a_batch_is_the_mean_of_its_views() {
+        let options = SynthOptions { size: 24, train_views: 4, val_views: 0, test_views: 0, ..Default::default() };
+        let dataset = Arc::new(synth::generate("static", &options).unwrap().dataset);
+        let gradients = |batch: u32, first: u32| {
+            let mut config = MethodEntry::find("static3d").unwrap().config("tiny").unwrap();
+            config["schedule"].as_table_mut().unwrap().insert("batch".into(), i64::from(batch).into());
+            let mut trainer =
+                Trainer::new(dataset.clone(), "static3d", &config, TrainOptions::default()).expect("trainer");
+            trainer.step = first - 1;
+            trainer.method.set_step(first);
+            let (drawn, views) = trainer.learn(first).expect("step");
+            let mut grads = Vec::new();
+            trainer.method.visit(&mut |p| grads.extend_from_slice(&p.grad));
+            let seen = trainer.method.columns()[0].values.clone();
+            (drawn.terms.total, views, grads, seen)
+        };
+        let (both, one, two) = (gradients(2, 1), gradients(1, 1), gradients(1, 2));
+        assert_eq!(both.1, format!("{}, {}", one.1, two.1));
+        assert!((both.0 - 0.5 * (one.0 + two.0)).abs() < 1e-12);
+        let largest = both.2.iter().fold(0.0f32, |m, g| m.max(g.abs()));
+        for (i, g) in both.2.iter().enumerate() {
+            assert!((g - 0.5 * (one.2[i] + two.2[i])).abs() < 1e-6 * largest, "gradient {i}");
+        }
+        for (i, s) in both.3.iter().enumerate() {
+            let sum = one.3[i] + two.3[i];
+            assert!((s - sum).abs() <= 1e-6 * sum.abs(), "growth statistics are of whole losses: {i}");
+        }
+    }
+
+    #[test]
     fn many_bad_rows_or_one_bad_weight_end_the_run() {
         for (mut trainer, culprit) in [(fake(2, false), "row 7 of `cloud.means`"), (fake(0, true), "`field.trunk`")] {
             let error = trainer.step().unwrap_err();
@@ -436,11 +498,11 @@ mod tests {
     #[test]
     fn every_view_comes_once_per_epoch() {
         for epoch in 0..3u32 {
-            let mut seen: Vec<usize> = (1..=7).map(|s| view_of_step(5, 7 * epoch + s, 7)).collect();
+            let mut seen: Vec<usize> = (1..=7).map(|s| view_of_draw(5, 7 * epoch + s, 7)).collect();
             seen.sort_unstable();
             assert_eq!(seen, [0, 1, 2, 3, 4, 5, 6]);
         }
-        let epoch = |e: u32| (1..=50).map(|s| view_of_step(5, 50 * e + s, 50)).collect::<Vec<_>>();
+        let epoch = |e: u32| (1..=50).map(|s| view_of_draw(5, 50 * e + s, 50)).collect::<Vec<_>>();
         assert_ne!(epoch(0), epoch(1));
     }
 }

@@ -78,17 +78,29 @@ impl Canonical {
         self.cloud.activate_backward(&self.splats, &self.d_splats);
     }
 
-    /// Observes what was seen, and clones, splits, prunes and resets when the schedule says so.
-    pub fn adapt(&mut self, step: u32, seen: &ScreenStats, camera: &Camera) -> Adapted {
-        let position = self.schedule.position(step);
-        if position.fresh {
+    /// Adds what a view of the present step has seen to the growth statistics.
+    pub fn observe(&mut self, seen: &ScreenStats, camera: &Camera) {
+        if self.schedule.position(self.step).clock < self.schedule.density.until {
+            self.density.observe(seen, camera.width, camera.height);
+        }
+    }
+
+    /// Clones, splits, prunes and resets when the schedule says so. Before a stage with a clock of its own the growth
+    /// statistics begin anew.
+    pub fn adapt(&mut self, step: u32) -> Adapted {
+        let adapted = self.adapt_cloud(step);
+        if self.schedule.position(step + 1).fresh {
             self.density.clear(self.cloud.len());
         }
+        adapted
+    }
+
+    fn adapt_cloud(&mut self, step: u32) -> Adapted {
+        let position = self.schedule.position(step);
         let rules = &self.schedule.density;
         if position.clock >= rules.until {
             return Adapted::default();
         }
-        self.density.observe(seen, camera.width, camera.height);
         let at = DensityContext {
             step,
             clock: position.clock,

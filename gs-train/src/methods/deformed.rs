@@ -8,7 +8,7 @@
 use crate::density::Adapted;
 use crate::methods::canonical::Canonical;
 use crate::methods::kernel::kernel_quantities;
-use crate::methods::{Method, Overlay, Quantity};
+use crate::methods::{Column, ColumnMut, Method, Overlay, Quantity, StageView};
 use crate::moment::Moment;
 use crate::schedule::Schedule;
 use gs_core::{Camera, Param, Params, Splats, SplatsGrad, Time};
@@ -105,6 +105,15 @@ where
         self.canonical.backward();
     }
 
+    fn stages(&self, at: &Moment, camera: &Camera) -> Vec<StageView> {
+        let canonical = self.canonical.activated();
+        let before = Some(canonical.means.clone());
+        vec![
+            StageView { name: "canonical", splats: canonical, before: None },
+            StageView { name: "full", splats: self.splats(at, camera), before },
+        ]
+    }
+
     fn penalties(&mut self, step: u32) -> Vec<(&'static str, f32)> {
         match self.canonical.schedule.dynamic(step) && step >= self.regular_from {
             true => self.field.regularise(&self.canonical.splats, self.t, step),
@@ -112,8 +121,12 @@ where
         }
     }
 
-    fn adapt(&mut self, step: u32, seen: &ScreenStats, camera: &Camera) -> Adapted {
-        self.canonical.adapt(step, seen, camera)
+    fn observe(&mut self, _at: &Moment, seen: &ScreenStats, camera: &Camera) {
+        self.canonical.observe(seen, camera);
+    }
+
+    fn adapt(&mut self, step: u32) -> Adapted {
+        self.canonical.adapt(step)
     }
 
     fn quantities(&self, at: &Moment) -> Vec<Quantity> {
@@ -138,12 +151,12 @@ where
         std::iter::once(motion).chain(self.quantities(at).iter().map(Quantity::overlay)).collect()
     }
 
-    fn columns(&self) -> Vec<(&'static str, &Vec<f32>)> {
-        self.canonical.density.columns().into()
+    fn columns(&self) -> Vec<Column<'_>> {
+        self.canonical.density.columns().map(Column::per_row).into()
     }
 
-    fn columns_mut(&mut self) -> Vec<(&'static str, &mut Vec<f32>)> {
-        self.canonical.density.columns_mut().into()
+    fn columns_mut(&mut self) -> Vec<ColumnMut<'_>> {
+        self.canonical.density.columns_mut().map(ColumnMut::per_row).into()
     }
 
     fn len(&self) -> usize {

@@ -5,6 +5,7 @@
 use crate::density::Adapted;
 use crate::moment::Moment;
 use crate::schedule::{Schedule, ScheduleError};
+use glam::Vec3;
 use gs_core::{Camera, Params, Splats, SplatsGrad};
 use gs_raster::ScreenStats;
 
@@ -71,6 +72,53 @@ impl Quantity {
     }
 }
 
+/// State of a method that is not a parameter: growth statistics, say.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Column<'a> {
+    /// Dotted name, unique within a method.
+    pub name: &'static str,
+    /// `Some(w)`: `w` values per row of the row blocks; `None`: as many as there are.
+    pub row_width: Option<usize>,
+    /// The values.
+    pub values: &'a Vec<f32>,
+}
+
+impl<'a> Column<'a> {
+    /// One value per row.
+    pub fn per_row((name, values): (&'static str, &'a Vec<f32>)) -> Self {
+        Self { name, row_width: Some(1), values }
+    }
+}
+
+/// A [`Column`] to be restored.
+#[derive(Debug)]
+pub struct ColumnMut<'a> {
+    /// Dotted name, unique within a method.
+    pub name: &'static str,
+    /// As in [`Column`].
+    pub row_width: Option<usize>,
+    /// The values.
+    pub values: &'a mut Vec<f32>,
+}
+
+impl<'a> ColumnMut<'a> {
+    /// One value per row.
+    pub fn per_row((name, values): (&'static str, &'a mut Vec<f32>)) -> Self {
+        Self { name, row_width: Some(1), values }
+    }
+}
+
+/// The scene part of the way to a moment.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StageView {
+    /// `canonical`, `global`, `local`, `full`.
+    pub name: &'static str,
+    /// What would be drawn at this stage.
+    pub splats: Splats,
+    /// Where the same splats were one stage earlier; absent in the first stage.
+    pub before: Option<Vec<Vec3>>,
+}
+
 /// A dynamic scene under training.
 pub trait Method: Params + Send + Sync {
     /// The name in [`METHODS`].
@@ -93,8 +141,23 @@ pub trait Method: Params + Send + Sync {
     /// Regularisers that need no image: adds their gradients, gives their values with weights applied.
     fn penalties(&mut self, step: u32) -> Vec<(&'static str, f32)>;
 
-    /// Density control after the optimiser's update of step `step`; `seen` is what `camera` saw in it.
-    fn adapt(&mut self, step: u32, seen: &ScreenStats, camera: &Camera) -> Adapted;
+    /// What a view told, once for each view of a step, after [`Method::step`] and before the optimiser's update. The
+    /// gradients in `seen` are those of this view's loss alone.
+    fn observe(&mut self, at: &Moment, seen: &ScreenStats, camera: &Camera);
+
+    /// Density control after the optimiser's update of step `step`, by what was observed.
+    fn adapt(&mut self, step: u32) -> Adapted;
+
+    /// What happened since the last call and is worth keeping (how interval boundaries moved, say); one line each,
+    /// with its `step`.
+    fn journal(&mut self) -> Vec<serde_json::Value> {
+        Vec::new()
+    }
+
+    /// The stages a scene passes on its way to this moment, as `camera` sees them, the last being [`Method::splats`].
+    fn stages(&self, at: &Moment, camera: &Camera) -> Vec<StageView> {
+        vec![StageView { name: "full", splats: self.splats(at, camera), before: None }]
+    }
 
     /// Numbers about each splat at this moment that are worth looking at.
     fn quantities(&self, _at: &Moment) -> Vec<Quantity> {
@@ -106,13 +169,13 @@ pub trait Method: Params + Send + Sync {
         self.quantities(at).iter().map(Quantity::overlay).collect()
     }
 
-    /// State that is not a parameter (growth statistics), for checkpoints.
-    fn columns(&self) -> Vec<(&'static str, &Vec<f32>)>;
+    /// State that is not a parameter, for checkpoints.
+    fn columns(&self) -> Vec<Column<'_>>;
 
-    /// The same, to be restored. Their lengths may be any before; afterwards they must fit the parameters.
-    fn columns_mut(&mut self) -> Vec<(&'static str, &mut Vec<f32>)>;
+    /// The same, to be restored. Those with rows may have any length before; afterwards they must fit the parameters.
+    fn columns_mut(&mut self) -> Vec<ColumnMut<'_>>;
 
-    /// Number of splats.
+    /// Number of splats, at most (an anchor counts with all it can be decoded to).
     fn len(&self) -> usize;
 
     /// Whether there is none.

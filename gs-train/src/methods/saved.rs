@@ -4,7 +4,7 @@
 //! the step and the optimiser's counters; tensors are every parameter `NAME`, its moments `NAME#m1`, `NAME#m2`, and the
 //! growth statistics.
 
-use super::{Method, MethodEntry, SceneInfo};
+use super::{ColumnMut, Method, MethodEntry, SceneInfo};
 use crate::checkpoint::Checkpoint;
 use crate::data::PointCloud;
 use glam::Vec3;
@@ -85,7 +85,7 @@ fn tensors(method: &dyn Method) -> Vec<(String, Vec<f32>)> {
         tensors.push((format!("{}#m1", p.name), p.moment1.clone()));
         tensors.push((format!("{}#m2", p.name), p.moment2.clone()));
     });
-    tensors.extend(method.columns().into_iter().map(|(name, column)| (name.to_owned(), column.clone())));
+    tensors.extend(method.columns().into_iter().map(|column| (column.name.to_owned(), column.values.clone())));
     tensors
 }
 
@@ -112,8 +112,8 @@ pub fn load(checkpoint: &Checkpoint, config: Option<&toml::Table>) -> Result<Loa
     Ok(Loaded { method, config, scene, step: meta.step, adam_updates, train_seconds })
 }
 
-/// Fills a method's blocks and columns. Row blocks take the number of rows of the tensors; moments and columns that are
-/// absent become zero. Names the first tensor that is missing or does not fit; the method is then unusable.
+/// Fills a method's blocks and columns. Row blocks take the number of rows of the tensors; moments and columns of rows that
+/// are absent become zero, other columns stay as the method was built. Names the first tensor that is missing or does not fit; the method is then unusable.
 fn restore(method: &mut dyn Method, tensors: &[(String, Vec<f32>)]) -> Result<(), String> {
     let tensors: BTreeMap<&str, &Vec<f32>> = tensors.iter().map(|(name, t)| (name.as_str(), t)).collect();
     let mut rows = None;
@@ -125,12 +125,17 @@ fn restore(method: &mut dyn Method, tensors: &[(String, Vec<f32>)]) -> Result<()
     });
     result?;
     let rows = rows.unwrap_or(0);
-    for (name, column) in method.columns_mut() {
-        *column = match tensors.get(name) {
-            Some(c) if c.len() == rows => c.to_vec(),
-            Some(c) => return Err(format!("tensor `{name}` has {} values for {rows} splats", c.len())),
-            None => vec![0.0; rows],
-        };
+    method.columns_mut().into_iter().try_for_each(|column| restore_column(column, &tensors, rows))
+}
+
+fn restore_column(column: ColumnMut, tensors: &BTreeMap<&str, &Vec<f32>>, rows: usize) -> Result<(), String> {
+    let ColumnMut { name, row_width, values } = column;
+    let needed = row_width.map_or(values.len(), |width| rows * width);
+    match tensors.get(name) {
+        Some(stored) if stored.len() == needed => values.clone_from(stored),
+        Some(stored) => return Err(format!("tensor `{name}` has {} values, {needed} are needed", stored.len())),
+        None if row_width.is_some() => *values = vec![0.0; rows * row_width.unwrap_or(1)],
+        None => {}
     }
     Ok(())
 }

@@ -4,7 +4,7 @@ use crate::density::Adapted;
 use crate::methods::canonical::Canonical;
 use crate::methods::kernel::kernel_quantities;
 use crate::methods::scene::{CloudConfig, InitConfig, SceneInfo};
-use crate::methods::{Method, MethodEntry, MethodError, Quantity, parse_config};
+use crate::methods::{Column, ColumnMut, Method, MethodEntry, MethodError, Quantity, parse_config};
 use crate::moment::Moment;
 use crate::schedule::Schedule;
 use gs_core::{Camera, Param, Params, Splats, SplatsGrad};
@@ -82,20 +82,24 @@ impl Method for Static3d {
         Vec::new()
     }
 
-    fn adapt(&mut self, step: u32, seen: &ScreenStats, camera: &Camera) -> Adapted {
-        self.canonical.adapt(step, seen, camera)
+    fn observe(&mut self, _at: &Moment, seen: &ScreenStats, camera: &Camera) {
+        self.canonical.observe(seen, camera);
+    }
+
+    fn adapt(&mut self, step: u32) -> Adapted {
+        self.canonical.adapt(step)
     }
 
     fn quantities(&self, _at: &Moment) -> Vec<Quantity> {
         kernel_quantities(&self.canonical.activated().kernel)
     }
 
-    fn columns(&self) -> Vec<(&'static str, &Vec<f32>)> {
-        self.canonical.density.columns().into()
+    fn columns(&self) -> Vec<Column<'_>> {
+        self.canonical.density.columns().map(Column::per_row).into()
     }
 
-    fn columns_mut(&mut self) -> Vec<(&'static str, &mut Vec<f32>)> {
-        self.canonical.density.columns_mut().into()
+    fn columns_mut(&mut self) -> Vec<ColumnMut<'_>> {
+        self.canonical.density.columns_mut().map(ColumnMut::per_row).into()
     }
 
     fn len(&self) -> usize {

@@ -27,6 +27,8 @@ pub const PROVENANCE: &str = "provenance.json";
 pub const LOG: &str = "log.jsonl";
 /// Histograms of quantities while training.
 pub const HISTOGRAMS: &str = "histograms.jsonl";
+/// What the method had to tell while training (moves of interval boundaries, say).
+pub const JOURNAL: &str = "journal.jsonl";
 /// Scores.
 pub const METRICS: &str = "metrics.json";
 /// The report.
@@ -119,7 +121,7 @@ impl RunFolder {
         fs::read_to_string(&path).map_err(|e| RunError::io("read", &path, e))
     }
 
-    /// Opens [`LOG`] or [`HISTOGRAMS`] to add lines.
+    /// Opens [`LOG`], [`HISTOGRAMS`] or [`JOURNAL`] to add lines.
     ///
     /// # Errors
     /// If the system refuses.
@@ -129,7 +131,7 @@ impl RunFolder {
         Ok(Log { file: file.map_err(|e| RunError::io("open", &path, e))?, path })
     }
 
-    /// The lines of [`LOG`] or [`HISTOGRAMS`]. A line cut short by a kill is left out.
+    /// The lines of [`LOG`], [`HISTOGRAMS`] or [`JOURNAL`]. A line cut short by a kill is left out.
     ///
     /// # Errors
     /// If the system refuses; a missing file is empty.
@@ -142,7 +144,7 @@ impl RunFolder {
         Ok(text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect())
     }
 
-    /// Removes lines of [`LOG`] or [`HISTOGRAMS`] of steps after `step`: they tell of work that will be done again.
+    /// Removes lines of [`LOG`], [`HISTOGRAMS`] or [`JOURNAL`] of steps after `step`: they tell of work that will be done again.
     ///
     /// # Errors
     /// If the system refuses.
@@ -200,7 +202,7 @@ fn remove_older(root: &Path) -> Result<(), RunError> {
         gone(&path, fs::remove_dir_all(&path))?;
     }
     // The configuration goes last: until then the folder is still known as a run.
-    for file in [PROVENANCE, LOG, HISTOGRAMS, METRICS, REPORT, CONFIG] {
+    for file in [PROVENANCE, LOG, HISTOGRAMS, JOURNAL, METRICS, REPORT, CONFIG] {
         let path = root.join(file);
         gone(&path, fs::remove_file(&path))?;
     }

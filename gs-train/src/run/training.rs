@@ -142,7 +142,7 @@ impl Training {
         let dataset = Arc::new(resolved.open_data()?);
         let bytes = image_bytes(&resolved);
         let trainer = Trainer::resume(dataset, &newest.checkpoint, Some(&resolved.method), bytes)?;
-        for name in [folder::LOG, folder::HISTOGRAMS] {
+        for name in [folder::LOG, folder::HISTOGRAMS, folder::JOURNAL] {
             folder.cut_log(name, done)?;
         }
         let log = folder.log(folder::LOG)?;
@@ -195,6 +195,7 @@ impl Training {
         if histograms {
             self.keep_histograms()?;
         }
+        self.keep_journal()?;
         if evaluation {
             self.evaluate_while_training()?;
         }
@@ -249,6 +250,16 @@ impl Training {
         line["step"] = json!(self.trainer.steps_done());
         line["seconds"] = json!(self.trainer.train_seconds());
         self.folder.log(folder::HISTOGRAMS)?.add(&line)
+    }
+
+    /// Adds what the method has to tell of the step to its own log.
+    fn keep_journal(&mut self) -> Result<(), RunError> {
+        let told = self.trainer.journal();
+        if told.is_empty() {
+            return Ok(());
+        }
+        let mut log = self.folder.log(folder::JOURNAL)?;
+        told.iter().try_for_each(|line| log.add(line))
     }
 
     /// Scores a few validation views (test views are left for the end) and logs the means.

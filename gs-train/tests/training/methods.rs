@@ -146,7 +146,9 @@ fn growth_edits_every_row_block_together() {
         let mut method = saved::load(&trainer.state(), None).expect("state").method;
         let n = method.len();
         let seen = ScreenStats { grad_means2d: vec![[1.0, 1.0]; n], radii: vec![2.0; n] };
-        let adapted = method.adapt(10, &seen, &data.train[0].camera);
+        method.set_step(10);
+        method.observe(&Moment::default(), &seen, &data.train[0].camera);
+        let adapted = method.adapt(10);
         assert!(adapted.cloned + adapted.split > 0 && method.len() > n, "{}", entry.name);
         method.visit(&mut |p| {
             if let Some(rows) = p.row_count() {
@@ -154,6 +156,9 @@ fn growth_edits_every_row_block_together() {
                 assert!(p.grad.len() == p.len() && p.moment1.len() == p.len() && p.moment2.len() == p.len());
             }
         });
-        method.columns().iter().for_each(|(name, c)| assert_eq!(c.len(), method.len(), "{} {name}", entry.name));
+        method.columns().iter().for_each(|c| {
+            let rows = c.row_width.map_or(c.values.len(), |w| w * method.len());
+            assert_eq!(c.values.len(), rows, "{} {}", entry.name, c.name);
+        });
     }
 }
