@@ -4,12 +4,19 @@
 
 pub mod adapt;
 pub mod anchors;
+pub mod decode;
 pub mod init;
 pub mod lattice;
+pub mod local;
 pub mod neighbours;
+pub mod reference;
 pub mod rule;
+pub mod visible;
 
 pub use adapt::{Adapt, AdaptAt, AdaptRules, AnchorView, Grown};
 pub use anchors::{AnchorShape, Anchors};
+pub use decode::{DecodeTape, Decoder, DecoderConfig, DecoderError, DistanceInputs, Visible};
 pub use init::{AnchorInit, InitError, Initial, anchors_from_points};
+pub use local::{Local, LocalGrad};
 pub use rule::RuleError;
+pub use visible::Reach;
