@@ -20,8 +20,7 @@ pub fn cell_of(point: Vec3, size: f32) -> Option<Cell> {
     let mut cell = [0; 3];
     for (c, p) in cell.iter_mut().zip(point.to_array()) {
         let rounded = (f64::from(p) / f64::from(size)).round_ties_even();
-        // Comparison is false for NaN, too.
-        if !(rounded.abs() <= f64::from(MAX_CELL)) {
+        if rounded.is_nan() || rounded.abs() > f64::from(MAX_CELL) {
             return None;
         }
         *c = rounded as i32;

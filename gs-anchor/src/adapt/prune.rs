@@ -22,7 +22,7 @@ pub(super) fn fate(statistics: &Adapt, rules: &AdaptRules, views: f32) -> Fate {
     let judged: Vec<u32> = (0..visits.len()).filter(|&v| visits[v] > views).map(|v| v as u32).collect();
     let mut stays = vec![true; visits.len()];
     for &v in &judged {
-        stays[v as usize] = !(opacity[v as usize] < rules.min_opacity * visits[v as usize]);
+        stays[v as usize] = opacity[v as usize] >= rules.min_opacity * visits[v as usize];
     }
     if !stays.contains(&true) {
         let strength = |v: usize| opacity[v] / visits[v];
