@@ -9,6 +9,7 @@
 //! | sharpness against the truth | [`Sharpness`] | | [`sharpness`] |
 //! | paths of points: temporal spectrum, second differences | [`high_energies`](trajectory::high_energies) | | [`trajectory`] |
 //! | masked PSNR and SSIM (DyCheck) | [`masked_psnr`], [`masked_ssim`] | | [`masked`] |
+//! | optical flow (Farneback), its pictures and statistics | [`farneback`](flow::farneback), [`Flow`] | | [`flow`] |
 //! | perceptual **proxy**, without learned weights, not LPIPS | [`perceptual_proxy`] | | [`perceptual`] |
 //! | means over views | [`Scorer`], [`Summary`] | | [`report`] |
 //!
@@ -33,10 +34,11 @@
 //! ```
 //!
 //! # What it leaves out
-//! LPIPS and every other metric with learned weights, colour-managed and HDR comparisons, video metrics.
+//! LPIPS and every other metric with learned weights, colour-managed and HDR comparisons.
 
 pub mod error;
 mod fft2;
+pub mod flow;
 pub mod masked;
 pub mod ms_ssim;
 pub mod perceptual;
@@ -52,6 +54,7 @@ pub mod trajectory;
 mod window;
 
 pub use error::MetricError;
+pub use flow::Flow;
 pub use masked::{MaskedSsim, masked_mse, masked_psnr, masked_ssim};
 pub use ms_ssim::{MsSsim, MsSsimOptions, ms_ssim, ms_ssim_with_grad};
 pub use perceptual::perceptual_proxy;

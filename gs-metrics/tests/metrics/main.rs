@@ -2,7 +2,9 @@
 
 mod data;
 mod distort;
+mod flow;
 mod fourier;
+mod frames;
 mod ms_ssim;
 mod perceptual;
 mod pictures;

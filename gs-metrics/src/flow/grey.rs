@@ -1,0 +1,58 @@
+//! Grey values of 8 bit.
+
+use gs_core::Image;
+
+use crate::error::{MetricError, check_finite, check_image};
+
+/// Weights of red, green and blue in units of `2⁻¹⁵` (BT.601), as OpenCV 4.10 rounds them.
+const WEIGHTS: [u32; 3] = [9798, 19235, 3735];
+/// Binary digits of the weights.
+const SHIFT: u32 = 15;
+
+/// The 8-bit grey values of an image in `[0, 1]`, `[H, W]`: channels are clamped, rounded to 8 bit, and mixed as
+/// `(9798 R + 19235 G + 3735 B + 2¹⁴) >> 15`. A grey image is rounded only.
+///
+/// # Errors
+/// If the image is malformed, has 2 or 4 channels, or a value is not finite.
+pub fn grey(image: &Image) -> Result<Vec<u8>, MetricError> {
+    check_image("frame", image)?;
+    check_finite("frame", image)?;
+    match image.channels {
+        1 => Ok(image.data.iter().map(|v| byte(*v)).collect()),
+        3 => Ok(image.data.chunks_exact(3).map(|p| mix([byte(p[0]), byte(p[1]), byte(p[2])])).collect()),
+        got => Err(MetricError::Channels { metric: "optical flow", got, need: "1 or 3" }),
+    }
+}
+
+/// The nearest of 256 steps, halves up.
+fn byte(v: f32) -> u8 {
+    (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8
+}
+
+fn mix(rgb: [u8; 3]) -> u8 {
+    let sum: u32 = rgb.iter().zip(WEIGHTS).map(|(v, w)| u32::from(*v) * w).sum();
+    ((sum + (1 << (SHIFT - 1))) >> SHIFT) as u8
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_byte_survives_and_greys_stay_grey() {
+        for v in 0..=255u8 {
+            assert_eq!(byte(f32::from(v) / 255.0), v);
+            assert_eq!(mix([v; 3]), v);
+        }
+        assert_eq!((byte(-1.0), byte(2.0), byte(0.5)), (0, 255, 128));
+    }
+
+    #[test]
+    fn refusals() {
+        let rgba = Image::zeros(2, 2, 4);
+        assert!(matches!(grey(&rgba), Err(MetricError::Channels { got: 4, .. })));
+        let mut nan = Image::zeros(2, 2, 3);
+        nan.data[7] = f32::NAN;
+        assert!(matches!(grey(&nan), Err(MetricError::NotFinite { x: 0, y: 1, channel: 1, .. })));
+    }
+}
