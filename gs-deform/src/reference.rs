@@ -7,8 +7,10 @@ use gs_core::{Params, Time};
 
 mod grid4d;
 mod hash;
+mod plane_net;
 pub use grid4d::Grid4dRef;
 pub use hash::{Corner, HashGridRef};
+pub use plane_net::{PlaneNetRef, PlaneNetRefGrad};
 
 /// A HexPlane in `f64`: see [`HexPlane`] for the mathematics.
 #[derive(Clone, Debug)]

@@ -64,6 +64,7 @@ fn fourdgs_twin<'a>(
     hex: &'a HexPlaneRef,
     t: Time,
     depth: usize,
+    scale_rule: ScaleRule,
 ) -> impl Fn(&Blocks, [f64; 3], [f64; 10]) -> [f64; 10] + 'a {
     move |blocks, query, s| {
         let mut hex = hex.clone();
@@ -88,7 +89,8 @@ fn fourdgs_twin<'a>(
         std::array::from_fn(|k| match k {
             0..3 => s[k] + x[k],
             3..7 => s[k] + r[k - 3],
-            _ => s[k] * z[k - 7].exp(),
+            _ if scale_rule == ScaleRule::Log => s[k] * z[k - 7].exp(),
+            _ => (s[k] + z[k - 7]).abs(),
         })
     }
 }
@@ -239,12 +241,13 @@ fn fourdgs_agrees_with_its_twin() {
     let t = time(0.37);
     for (n, config) in [
         (17, small_fourdgs()),
+        (19, FourDgsConfig { scale_rule: ScaleRule::Add, ..small_fourdgs() }),
         (3, FourDgsConfig { depth: 3, detach_coordinates: true, ..small_fourdgs() }),
         (2, FourDgsConfig { depth: 0, move_scales: false, move_quats: false, ..small_fourdgs() }),
     ] {
         let field = fourdgs(&config);
         let hex = HexPlaneRef::new(field.hexplane());
-        let twin = fourdgs_twin(&hex, t, config.depth.max(1));
+        let twin = fourdgs_twin(&hex, t, config.depth.max(1), config.scale_rule);
         compare(field, n, t, config.detach_coordinates, &twin, 37);
     }
 }

@@ -8,6 +8,7 @@
 //! | plane gradients | largest of the plane | 2e-5 |
 //! | coordinate gradients | largest | 5e-5 |
 //! | other instruction set | largest | 2e-6 |
+//! | features, R time rows | largest feature | 1e-5 + 4e-7 R: a moment's place among R rows is rounded to R · 6e-8 |
 
 use fearless_simd::Level;
 use glam::Vec3;
@@ -266,4 +267,104 @@ fn regularisers_match_finite_differences() {
             assert!((got - want).abs() < 1e-7, "plane {plane}, value {i}: {got} {want}");
         }
     }
+}
+
+/// A feature from the definition: 24 taps, the whole time axis, time fed raw into an axis made for −1 … 1.
+fn whole_axis(planes: &[Vec<f64>; 6], nodes: [usize; 4], u: [f64; 4], channel: usize) -> f64 {
+    let place = |k: usize| {
+        let position = ((u[k] + 1.0) / 2.0 * (nodes[k] - 1) as f64).clamp(0.0, (nodes[k] - 1) as f64);
+        let index = (position as usize).min(nodes[k] - 2);
+        (index, position - index as f64)
+    };
+    let mut product = 1.0;
+    for (plane, (a, b)) in planes.iter().zip([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]) {
+        let ((i, w), (j, z)) = (place(a), place(b));
+        let at = |i: usize, j: usize| plane[(j * nodes[a] + i) * 16 + channel];
+        product *= (1.0 - w) * (1.0 - z) * at(i, j)
+            + w * (1.0 - z) * at(i + 1, j)
+            + (1.0 - w) * z * at(i, j + 1)
+            + w * z * at(i + 1, j + 1);
+    }
+    product
+}
+
+/// Two exact savings: rows of the time axis that times 0 … 1 never reach are not stored, and the rows around a moment
+/// are blended once for all points.
+#[test]
+fn lines_of_the_stored_half_equal_the_whole_axis() {
+    for rows in [2, 3, 10, 75, 100] {
+        let resolution = [5, 4, 3, rows];
+        let config = HexPlaneConfig { resolution, levels: vec![1], channels: 16, ..Default::default() };
+        let (mut rng, mut whole) = (Rng::new(2, "whole", 0, 0), Vec::new());
+        for (a, b) in [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)] {
+            whole.push((0..resolution[a] * resolution[b] * 16).map(|_| rng.range(-1.2, 1.2)).collect::<Vec<f32>>());
+        }
+        let mut hex = HexPlane::new("hex", &config, Aabb::cube(1.0), 1).unwrap();
+        let mut left = whole.iter();
+        hex.visit_mut(&mut |p| {
+            let full = left.next().unwrap();
+            let unread = full.len() - p.len();
+            p.value.copy_from_slice(&full[unread..]);
+        });
+        let planes: [Vec<f64>; 6] = std::array::from_fn(|p| whole[p].iter().map(|&v| f64::from(v)).collect());
+        let (means, mut tape) = (points(33, 4), HexTape::default());
+        for t in [0.0, 1e-3, 0.26, 0.5, 0.999, 1.0] {
+            hex.forward(&means, time(t), &mut tape);
+            let want: Vec<f64> = means
+                .iter()
+                .flat_map(|p| {
+                    let [x, y, z] = wide(*p);
+                    let planes = &planes;
+                    (0..16).map(move |c| whole_axis(planes, resolution, [x, y, z, f64::from(t)], c))
+                })
+                .collect();
+            let error = worst(&tape.blocks[0].features, &want);
+            assert!(error < 1e-5 + 4e-7 * rows as f64, "{rows} rows, t = {t}: {error:e}");
+        }
+    }
+}
+
+/// The second difference runs along the second axis of each pair, and the means count the whole time axis.
+#[test]
+fn regularisers_of_parabolas_by_hand() {
+    let weights = HexPlaneConfig { plane_tv: 1.0, time_smoothness: 1.0, time_l1: 1.0, ..Default::default() };
+    let config = HexPlaneConfig { resolution: [3, 4, 5, 9], levels: vec![1], channels: 16, ..weights };
+    // Of nine time rows, five are stored: three second differences of seven.
+    for (name, nodes_a, along_a, along_b) in [
+        ("hex.xy.0", 3, [0.0, 0.0], [4.0, 0.0]),
+        ("hex.xz.0", 3, [0.0, 0.0], [4.0, 0.0]),
+        ("hex.yz.0", 4, [0.0, 0.0], [4.0, 0.0]),
+        ("hex.xt.0", 3, [0.0, 0.0], [0.0, 4.0 * 3.0 / 7.0]),
+        ("hex.zt.0", 5, [0.0, 0.0], [0.0, 4.0 * 3.0 / 7.0]),
+    ] {
+        for (along_second, want) in [(false, along_a), (true, along_b)] {
+            let mut hex = HexPlane::new("hex", &config, Aabb::cube(1.0), 0).unwrap();
+            hex.visit_mut(&mut |p| {
+                p.value.fill(1.0);
+                if p.name == name {
+                    for (i, texel) in p.value.chunks_mut(16).enumerate() {
+                        texel.fill((if along_second { i / nodes_a } else { i % nodes_a }).pow(2) as f32);
+                    }
+                }
+            });
+            let [tv, smooth, _] = hex.regularise().map(|v| f64::from(v.1));
+            assert!((tv - want[0]).abs() < 1e-6 && (smooth - want[1]).abs() < 1e-6, "{name}: {tv} {smooth}");
+        }
+    }
+    // |1 − P| of one row of y = 0 … 3 at distances 0, 1, 2, 3 from 1: 6 · 16 of 16 · 9 · 4 values, and ∓1 / 576 each.
+    let mut hex = HexPlane::new("hex", &config, Aabb::cube(1.0), 0).unwrap();
+    hex.visit_mut(&mut |p| {
+        p.value.fill(1.0);
+        if p.name == "hex.yt.0" {
+            p.value.chunks_mut(16).take(4).enumerate().for_each(|(i, texel)| texel.fill(1.0 - i as f32));
+        }
+    });
+    let [_, smooth, l1] = hex.regularise().map(|v| v.1);
+    assert!((l1 - 6.0 / 36.0).abs() < 1e-6, "{l1}");
+    // Only the first second difference sees the row: 0, 1, 4, 9 over 7 · 4.
+    assert!((smooth - 14.0 / 28.0).abs() < 1e-6, "{smooth}");
+    let grad = &hex.plane(0, 4).grad;
+    assert!(grad[0] == 0.0, "no gradient at 1: {}", grad[0]);
+    // Value −2 at y = 3: −1/576 of the distance, and 2 e / (16 · 7 · 4) with e = −3 of the bend.
+    assert!((grad[48] + 1.0 / 576.0 + 6.0 / 448.0).abs() < 1e-7, "{}", grad[48]);
 }
