@@ -3,18 +3,68 @@
 //! Frames are compared as they were drawn: `f32`, clamped to `[0, 1]`, not rounded to 8 bit. SSIM is that of the 3DGS
 //! family (zeros outside the image). Both averages of PSNR are given: the mean of the views' values (what papers of the
 //! family print) and the PSNR of the mean squared error.
+//!
+//! Views with a mask are scored once more where it counts ([`MaskedScores`]: DyCheck's masked PSNR and SSIM,
+//! [`gs_metrics::masked`]; DyCheck itself truncates drawings to 8 bit first).
 
 use crate::data::{DataError, Dataset, ImageCache, Split};
 use crate::methods::Method;
 use crate::moment::Moment;
 use gs_core::{Image, Params};
-use gs_metrics::{Mean, MetricError, Scorer, Scores, Sharpness, SsimOptions, Summary};
+use gs_metrics::{
+    Mean, MetricError, Scorer, Scores, Sharpness, SsimOptions, Summary, masked_mse, masked_ssim, psnr_from_mse,
+};
 use gs_raster::{Frame, Workspace, render_into};
 use serde::{Deserialize, Serialize};
 
 /// How the frames were compared, in words, for the report.
-pub const PROTOCOL: &str =
-    "f32 frames clamped to [0, 1], not quantised; SSIM 11x11 with zero padding; perceptual_proxy is not LPIPS";
+pub const PROTOCOL: &str = "f32 frames clamped to [0, 1], not quantised; SSIM 11x11 with zero padding; perceptual_proxy is not LPIPS; masked scores \
+     where views carry masks: PSNR over weighted pixels, SSIM by partial convolution (DyCheck)";
+
+/// Scores where the mask of a view counts, or their means over the views that have one with any weight.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MaskedScores {
+    /// dB; absent for no error (infinite).
+    pub psnr: Option<f64>,
+    /// SSIM over the whole map, where places that see nothing of the mask count 1: the published number. Absent where a
+    /// side has less than 11 pixels.
+    pub ssim: Option<f64>,
+    /// SSIM over places that see something of the mask.
+    pub ssim_seen: Option<f64>,
+    /// Part of the pixels that count.
+    pub part: f64,
+}
+
+impl MaskedScores {
+    /// The scores of an image against its truth, `[H, W, 3]`, where `mask`, `[H, W, 1]`, counts. None for an empty mask.
+    fn of(image: &Image, truth: &Image, mask: &Image) -> Result<Option<Self>, MetricError> {
+        let mse = match masked_mse(image, truth, mask) {
+            Err(MetricError::EmptyMask) => return Ok(None),
+            other => other?,
+        };
+        let ssim = match masked_ssim(image, truth, mask) {
+            Err(MetricError::TooSmall { .. }) => None,
+            other => Some(other?),
+        };
+        Ok(Some(Self {
+            psnr: Some(psnr_from_mse(mse)).filter(|v| v.is_finite()),
+            ssim: ssim.map(|s| s.whole),
+            ssim_seen: ssim.map(|s| s.seen),
+            part: mask.data.iter().map(|w| f64::from(*w)).sum::<f64>() / mask.data.len() as f64,
+        }))
+    }
+
+    /// Means over views, each over those that have a value; none without any.
+    fn mean(all: impl Iterator<Item = Self> + Clone) -> Option<Self> {
+        let of = |value: fn(&Self) -> Option<f64>| Mean::of(all.clone().filter_map(|s| value(&s))).value;
+        Some(Self {
+            part: of(|s| Some(s.part))?,
+            psnr: of(|s| s.psnr),
+            ssim: of(|s| s.ssim),
+            ssim_seen: of(|s| s.ssim_seen),
+        })
+    }
+}
 
 /// The scores of one view.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -37,6 +87,9 @@ pub struct ViewScores {
     /// Share of high frequencies over that of the photograph, likewise.
     #[serde(default)]
     pub high_band_ratio: Option<f64>,
+    /// Scores where the view's mask counts; absent without a mask, or with an empty one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub masked: Option<MaskedScores>,
 }
 
 /// Means over views.
@@ -56,6 +109,9 @@ pub struct MeanScores {
     /// Mean ratio of high-frequency shares, likewise.
     #[serde(default)]
     pub high_band_ratio: Option<f64>,
+    /// Means of the masked scores, where views have them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub masked: Option<MaskedScores>,
 }
 
 /// The scores of a split.
@@ -133,38 +189,26 @@ pub fn evaluate(
     let options = method.schedule().raster_options(background);
     let (mut workspace, mut frame, mut scorer) =
         (Workspace::new(), Frame::default(), Scorer::new(SsimOptions::default()));
-    let mut scores: Vec<Scores> = Vec::with_capacity(views.len());
-    let mut sharpness: Vec<Option<Sharpness>> = Vec::with_capacity(views.len());
+    let mut seen: Vec<Seen> = Vec::with_capacity(views.len());
     for view in views {
         let camera = photographs.camera(view);
         let splats = method.splats(&Moment::new(view.time), &camera);
         render_into(&splats, &camera, &options, &mut workspace, &mut frame);
         let truth = photographs.get(view)?.over(background);
-        let image = clamped(&frame);
-        let score = scorer.score(&image, &truth);
-        // Images too small for a Laplacian have no sharpness.
-        sharpness.push(Sharpness::of(&image, &truth).ok());
-        scores.push(score.map_err(|source| EvalError::Metric { view: view.name.clone(), source })?);
+        let mask = photographs.mask(view)?;
+        let scored = Seen::of(&mut scorer, &clamped(&frame), &truth, mask.as_ref());
+        seen.push(scored.map_err(|source| EvalError::Metric { view: view.name.clone(), source })?);
     }
+    let scores: Vec<Scores> = seen.iter().map(|s| s.scores).collect();
     let summary = Summary::of(&scores);
-    let all = views.iter().zip(&scores).zip(&sharpness);
-    let views: Vec<ViewScores> =
-        all.map(|((view, s), sharp)| view_scores(&view.name, view.time.normalised, s, *sharp)).collect();
-    let mean = |ratio: fn(&ViewScores) -> Option<f64>| Mean::of(views.iter().filter_map(ratio)).value;
+    let views: Vec<ViewScores> = views.iter().zip(&seen).map(|(v, s)| s.view(&v.name, v.time.normalised)).collect();
     Ok(EvalReport {
         method: method.name().to_owned(),
         split: split_name(split).to_owned(),
         background,
         scale: photographs.scale(),
         protocol: PROTOCOL.to_owned(),
-        mean: MeanScores {
-            psnr: summary.mean_psnr.value,
-            ssim: summary.ssim.value,
-            ms_ssim: summary.ms_ssim.value,
-            perceptual_proxy: summary.perceptual_proxy.value,
-            laplacian_ratio: mean(|v| v.laplacian_ratio),
-            high_band_ratio: mean(|v| v.high_band_ratio),
-        },
+        mean: mean_scores(&summary, &views),
         psnr_of_mean_mse: summary.psnr_of_mean_mse.filter(|v| v.is_finite()),
         perfect_views: summary.mean_psnr.infinite,
         gaussians: method.len(),
@@ -174,16 +218,49 @@ pub fn evaluate(
     })
 }
 
-fn view_scores(name: &str, time: f32, s: &Scores, sharpness: Option<Sharpness>) -> ViewScores {
-    ViewScores {
-        name: name.to_owned(),
-        time,
-        psnr: s.psnr.is_finite().then_some(s.psnr),
-        ssim: s.ssim,
-        ms_ssim: s.ms_ssim,
-        perceptual_proxy: s.perceptual_proxy,
-        laplacian_ratio: sharpness.and_then(|s| s.laplacian),
-        high_band_ratio: sharpness.and_then(|s| s.high_band),
+fn mean_scores(summary: &Summary, views: &[ViewScores]) -> MeanScores {
+    let mean = |ratio: fn(&ViewScores) -> Option<f64>| Mean::of(views.iter().filter_map(ratio)).value;
+    MeanScores {
+        psnr: summary.mean_psnr.value,
+        ssim: summary.ssim.value,
+        ms_ssim: summary.ms_ssim.value,
+        perceptual_proxy: summary.perceptual_proxy.value,
+        laplacian_ratio: mean(|v| v.laplacian_ratio),
+        high_band_ratio: mean(|v| v.high_band_ratio),
+        masked: MaskedScores::mean(views.iter().filter_map(|v| v.masked)),
+    }
+}
+
+/// Everything measured on one view.
+struct Seen {
+    scores: Scores,
+    sharpness: Option<Sharpness>,
+    masked: Option<MaskedScores>,
+}
+
+impl Seen {
+    fn of(scorer: &mut Scorer, image: &Image, truth: &Image, mask: Option<&Image>) -> Result<Self, MetricError> {
+        Ok(Self {
+            scores: scorer.score(image, truth)?,
+            // Images too small for a Laplacian have no sharpness.
+            sharpness: Sharpness::of(image, truth).ok(),
+            masked: mask.map(|m| MaskedScores::of(image, truth, m)).transpose()?.flatten(),
+        })
+    }
+
+    fn view(&self, name: &str, time: f32) -> ViewScores {
+        let s = &self.scores;
+        ViewScores {
+            name: name.to_owned(),
+            time,
+            psnr: s.psnr.is_finite().then_some(s.psnr),
+            ssim: s.ssim,
+            ms_ssim: s.ms_ssim,
+            perceptual_proxy: s.perceptual_proxy,
+            laplacian_ratio: self.sharpness.and_then(|s| s.laplacian),
+            high_band_ratio: self.sharpness.and_then(|s| s.high_band),
+            masked: self.masked,
+        }
     }
 }
 

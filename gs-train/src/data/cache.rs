@@ -4,11 +4,12 @@ use std::collections::HashMap;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use gs_core::Camera;
+use gs_core::{Camera, Image};
 
 use super::decode::decode;
 use super::error::DataError;
 use super::lens::undistorted;
+use super::mask;
 use super::pixels::ImageU8;
 use super::{ImageSource, View};
 
@@ -102,11 +103,29 @@ impl ImageCache {
         Ok(image)
     }
 
+    /// The weights of a view's mask, `[H, W, 1]` in 0..1, of the size of [`Self::camera`]; none without a mask. Masks are
+    /// read for scores, once per view: they are not kept.
+    ///
+    /// # Errors
+    /// As [`Self::get`], for the mask's file.
+    pub fn mask(&self, v: &View) -> Result<Option<Image>, DataError> {
+        let Some(source) = &v.mask else { return Ok(None) };
+        let image = self.pixels(source)?;
+        let want = [v.camera.width, v.camera.height];
+        mask::check_shape(&file_of(source, v), [image.width as u32, image.height as u32], want)?;
+        Ok(Some(mask::weights(&image, v, &self.camera(v))))
+    }
+
+    /// The pixels as they are stored.
+    fn pixels(&self, source: &ImageSource) -> Result<Arc<ImageU8>, DataError> {
+        match source {
+            ImageSource::File(file) => decode(file, self.max_image_bytes).map(Arc::new),
+            ImageSource::Memory(image) => Ok(image.clone()),
+        }
+    }
+
     fn produce(&self, v: &View) -> Result<ImageU8, DataError> {
-        let mut image = match &v.image {
-            ImageSource::File(file) => decode(file, self.max_image_bytes)?,
-            ImageSource::Memory(image) => ImageU8::clone(image),
-        };
+        let mut image = Arc::unwrap_or_clone(self.pixels(&v.image)?);
         check_size(v, &image)?;
         if v.stored.is_some() {
             image = image.box_downscaled(v.camera.width as usize, v.camera.height as usize);
@@ -176,11 +195,16 @@ fn check_size(v: &View, image: &ImageU8) -> Result<(), DataError> {
     if [image.width, image.height] == want.map(|s| s as usize) {
         return Ok(());
     }
-    let file = match &v.image {
+    let got = [image.width as u32, image.height as u32];
+    Err(DataError::ImageSize { file: file_of(&v.image, v), got, want })
+}
+
+/// The file, or the name of the view whose pixels are in memory.
+fn file_of(source: &ImageSource, v: &View) -> PathBuf {
+    match source {
         ImageSource::File(file) => file.clone(),
         ImageSource::Memory(_) => PathBuf::from(&v.name),
-    };
-    Err(DataError::ImageSize { file, got: [image.width as u32, image.height as u32], want })
+    }
 }
 
 #[cfg(test)]

@@ -36,7 +36,7 @@ impl Dataset {
         }
     }
 
-    /// A stable hash of the layout, the list of views with their cameras, lenses and times, and of file names and sizes
+    /// A stable hash of the layout, the list of views with their cameras, lenses, masks and times, and of file names and sizes
     /// (or pixels, for images in memory): 32 hexadecimal digits of 128-bit FNV-1a. Where the folder lies does not matter.
     pub fn digest(&self) -> String {
         let mut h = Fnv::default();
@@ -63,7 +63,12 @@ impl Dataset {
         let pose = c.rotation.to_cols_array().into_iter().chain(c.translation.to_array());
         intrinsics.into_iter().chain(pose).chain(lens).for_each(|x| h.bytes(&x.to_bits().to_le_bytes()));
         v.stored.iter().flatten().for_each(|side| h.bytes(&side.to_le_bytes()));
-        match &v.image {
+        self.digest_source(h, &v.image);
+        v.mask.iter().for_each(|mask| self.digest_source(h, mask));
+    }
+
+    fn digest_source(&self, h: &mut Fnv, source: &ImageSource) {
+        match source {
             ImageSource::File(file) => {
                 h.text(&file.strip_prefix(&self.root).unwrap_or(file).to_string_lossy());
                 h.bytes(&std::fs::metadata(file).map_or(0, |m| m.len()).to_le_bytes());
@@ -89,7 +94,7 @@ fn around_points(points: &[Vec3]) -> [Vec3; 2] {
 
 /// The point nearest to all lines of sight in least squares: `Σ (I − d dᵀ)(x − c) = 0`. Parallel lines give the mean
 /// camera centre.
-fn focus(views: &[View]) -> DVec3 {
+pub(crate) fn focus(views: &[View]) -> DVec3 {
     let (mut a, mut b, mut mean) = (DMat3::ZERO, DVec3::ZERO, DVec3::ZERO);
     for v in views {
         let (c, d) = (v.camera.position(), v.camera.forward());

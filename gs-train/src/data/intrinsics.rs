@@ -20,6 +20,12 @@ pub(crate) struct Intrinsics {
 /// Width and height may scale by factors that differ this much: sizes are whole pixels.
 const ASPECT_SLACK: f64 = 0.01;
 
+/// Whether one size is a multiple of the other.
+pub(crate) fn same_shape(a: DVec2, b: DVec2) -> bool {
+    let scale = a / b;
+    (scale.x / scale.y - 1.0).abs() <= ASPECT_SLACK
+}
+
 impl Intrinsics {
     /// The camera for an image, and whether its size called for rescaling: both axes are scaled by the exact ratio of
     /// sizes. The lens acts on the plane `z = 1` and does not change.
@@ -35,7 +41,7 @@ impl Intrinsics {
     ) -> Result<(Camera, bool), DataError> {
         let size = DVec2::new(f64::from(header.width), f64::from(header.height));
         let scale = size / self.size;
-        if (scale.x / scale.y - 1.0).abs() > ASPECT_SLACK {
+        if !same_shape(size, self.size) {
             let want = [self.size.x as u32, self.size.y as u32];
             return Err(DataError::ImageSize { file: file.to_path_buf(), got: [header.width, header.height], want });
         }

@@ -108,6 +108,15 @@ pub(crate) fn read_object(file: &Path, limit: u64) -> Result<Map<String, Value>,
     serde_json::from_str(&quote_non_finite(&text)).map_err(|e| syntax(file, "", &e))
 }
 
+/// The entries of a list as slices of its text, at most `max` of them.
+///
+/// # Errors
+/// If it is no list, or longer.
+pub(crate) fn slices(list: &RawValue, max: usize) -> serde_json::Result<Vec<&RawValue>> {
+    let mut json = serde_json::Deserializer::from_str(list.get());
+    serde::de::DeserializeSeed::deserialize(List(max), &mut json)
+}
+
 /// What a value looks like in an error text.
 fn shorten(text: &str) -> String {
     let mut short: String = text.chars().take(40).collect();
@@ -292,7 +301,7 @@ impl<'a> Fields<'a> {
     /// # Errors
     /// `data.field` naming the entry.
     pub(crate) fn matrix(&self, key: &str) -> Result<[[f64; 4]; 3], DataError> {
-        const WHY: &str = "a camera-to-world transform has 4 rows of 4 numbers, the last 0 0 0 1";
+        const WHY: &str = "a rigid transform has 4 rows of 4 numbers, the last 0 0 0 1";
         const FIX: &str = "export the matrix again";
         let fault = |place: String, value: String| DataError::Field {
             place: Place::new(self.file, place),

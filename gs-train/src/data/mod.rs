@@ -1,18 +1,23 @@
 //! Data sets: folders in, views out.
 //!
 //! A [`View`] is a camera, a moment and an image; a [`Dataset`] is three lists of them plus what else the folder holds.
-//! One file per layout (`blender.rs`, `nerfstudio.rs`, `colmap.rs`, `hypernerf.rs`, `llff.rs`), one line each in [`LAYOUTS`].
+//! One file per layout (`blender.rs`, `nerfstudio.rs`, `colmap.rs`, `hypernerf.rs`, `llff.rs`, `panoptic.rs`), one
+//! line each in [`LAYOUTS`].
 //!
 //! # Conventions
 //! * Readers turn every camera into OpenCV axes; OpenGL camera-to-world matrices have their y and z axes flipped.
 //! * [`Time::normalised`] is 0 at the first training time and 1 at the last; [`Time::seconds`] is the data's own clock.
 //! * [`View::camera`] has the size of the image file, or that size times `data.scale`. An [`ImageCache`] with a scale of
 //!   its own gives the smaller camera.
+//! * [`View::mask`] says which pixels count in masked scores; training sees all of them. [`ImageCache::mask`] gives it at the
+//!   size of the image.
+//! * `data.cameras`, `data.test_cameras`, `data.first_frame`, `data.frame_count` and `data.frame_step` choose views of any
+//!   layout.
 //! * Every assumption a reader makes is a line in [`Dataset::notes`].
 //! * Paths inside the data stay inside the folder; nothing is allocated on the word of a header alone.
 //!
 //! # What it leaves out
-//! EXR images, mask folders, fisheye lenses, video files.
+//! EXR images, mask folders of other layouts, fisheye lenses, video files.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -36,11 +41,15 @@ mod intrinsics;
 mod json;
 pub mod lens;
 mod llff;
+mod mask;
 mod nerfstudio;
+mod npz;
 pub mod options;
+mod panoptic;
 pub mod pixels;
 mod ply;
 mod pose;
+mod select;
 mod sight;
 mod times;
 
@@ -76,12 +85,17 @@ pub struct View {
     pub image: ImageSource,
     /// The physical camera where the data name one, else the index of the view in its split.
     pub camera_id: u32,
+    /// Which pixels count in masked scores (`mask.rs`): one channel, 255 counts.
+    pub mask: Option<ImageSource>,
+    /// Depth of the view, an `.npy` file, where the data bring one along.
+    pub depth: Option<PathBuf>,
 }
 
 impl View {
-    /// A view without distortion.
+    /// A view without distortion, mask and depth.
     pub fn new(name: impl Into<String>, camera: Camera, time: Time, image: ImageSource, camera_id: u32) -> Self {
-        Self { name: name.into(), camera, stored: None, lens: None, time, image, camera_id }
+        let (mask, depth) = (None, None);
+        Self { name: name.into(), camera, stored: None, lens: None, time, image, camera_id, mask, depth }
     }
 }
 
@@ -205,7 +219,8 @@ pub struct Layout {
 }
 
 /// Every reader.
-pub const LAYOUTS: &[Layout] = &[blender::LAYOUT, nerfstudio::LAYOUT, colmap::LAYOUT, hypernerf::LAYOUT, llff::LAYOUT];
+pub const LAYOUTS: &[Layout] =
+    &[blender::LAYOUT, nerfstudio::LAYOUT, colmap::LAYOUT, hypernerf::LAYOUT, llff::LAYOUT, panoptic::LAYOUT];
 
 /// The reader that is surest of a folder; of equally sure ones the first.
 pub fn detect(dir: &Path) -> Option<&'static Layout> {

@@ -78,6 +78,16 @@ pub struct DataOptions {
     /// Where the data give no split: every `hold_out`-th view, in order of names, starting with the first, is for tests.
     /// 0: no test views.
     pub hold_out: u32,
+    /// Cameras read, by [`super::View::camera_id`]; empty: all.
+    pub cameras: Vec<u32>,
+    /// Cameras held out, in place of the data's own split: all others train. Empty: the data's split.
+    pub test_cameras: Vec<u32>,
+    /// First moment read, counted from 0 over the different times of all views, in order.
+    pub first_frame: u32,
+    /// Moments read, from `first_frame` on, those that `frame_step` passes over included; 0: all.
+    pub frame_count: u32,
+    /// Of these every `frame_step`-th is read.
+    pub frame_step: u32,
     /// Resample distorted images to their pinhole camera; `false` refuses distorted cameras.
     pub undistort: bool,
     /// Image folder of a COLMAP model; none: the first of `images`, `images_2`, `images_4`, `images_8`, `input`.
@@ -97,6 +107,11 @@ impl Default for DataOptions {
             fps: None,
             allow_missing: false,
             hold_out: 8,
+            cameras: Vec::new(),
+            test_cameras: Vec::new(),
+            first_frame: 0,
+            frame_count: 0,
+            frame_step: 1,
             undistort: true,
             images: None,
             scale: 1.0,

@@ -40,6 +40,16 @@ pub(crate) fn from_axes(axes: DMat3, centre: DVec3, place: &Place) -> Result<Pos
     Ok(Pose { rotation, translation: -(rotation * centre) })
 }
 
+/// The pose of a world-to-camera matrix with OpenCV axes (three rows of four).
+///
+/// # Errors
+/// `data.pose` if its rotation is scaled, mirrored or sheared.
+pub(crate) fn from_world_to_camera(rows: &[[f64; 4]; 3], place: &Place) -> Result<Pose, DataError> {
+    let rotation = DMat3::from_cols_array_2d(&[0, 1, 2].map(|j| [0, 1, 2].map(|i| rows[i][j])));
+    let translation = DVec3::new(rows[0][3], rows[1][3], rows[2][3]);
+    Ok(Pose { rotation: nearest_rotation(rotation, place)?, translation })
+}
+
 /// The pose of a world-to-camera quaternion `(w, x, y, z)` and translation, as COLMAP writes them.
 ///
 /// # Errors

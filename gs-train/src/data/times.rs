@@ -6,6 +6,7 @@ use gs_core::Time;
 
 use super::error::{DataError, Place};
 use super::options::{DataOptions, TimeFrom, TimeRange};
+use super::select::select;
 use super::{Dataset, ImageSource, View};
 
 /// A view whose time is not settled yet.
@@ -63,7 +64,8 @@ const SLACK: f64 = 1e-6;
 ///
 /// # Errors
 /// `data.time` if a training time lies outside [`DataOptions::time_range`] or `declared`; `data.field` if only some
-/// frames have times, or a file name holds no number when times come from names.
+/// frames have times, or a file name holds no number when times come from names; `data.option` if no view is left by
+/// [`select`].
 pub(crate) fn settle(
     mut drafts: Drafts,
     options: &DataOptions,
@@ -72,6 +74,7 @@ pub(crate) fn settle(
     let mut notes = Vec::new();
     let source = restate(&mut drafts, options)?;
     complete(&drafts)?;
+    let drafts = select(drafts, options, &mut notes)?;
     let required = options.time_range.or(declared);
     if let Some(range) = required {
         check_range(&drafts.train, range)?;
