@@ -81,6 +81,11 @@ impl Anchors {
         Vec3::from_slice(&self.positions.value[3 * v..])
     }
 
+    /// Logits of motion of anchor `v`: none, one (shared) or two.
+    pub fn logits(&self, v: usize) -> &[f32] {
+        self.dynamics.as_ref().map_or(&[], |p| &p.value[v * self.shape.dynamics..][..self.shape.dynamics])
+    }
+
     /// Keeps, drops and copies whole anchors: every block, its gradient and its moments.
     ///
     /// # Errors
@@ -95,7 +100,10 @@ impl Anchors {
 
 impl Params for Anchors {
     fn visit(&self, f: &mut dyn FnMut(&Param)) {
-        [&self.positions, &self.offsets, &self.features, &self.log_scales].into_iter().chain(&self.dynamics).for_each(f);
+        [&self.positions, &self.offsets, &self.features, &self.log_scales]
+            .into_iter()
+            .chain(&self.dynamics)
+            .for_each(f);
     }
 
     fn visit_mut(&mut self, f: &mut dyn FnMut(&mut Param)) {

@@ -6,6 +6,7 @@
 pub mod adapt;
 pub mod anchors;
 pub mod decode;
+pub mod gad;
 pub mod init;
 pub mod intervals;
 pub mod lattice;
@@ -18,6 +19,7 @@ pub mod visible;
 pub use adapt::{Adapt, AdaptAt, AdaptRules, AnchorView, Grown};
 pub use anchors::{AnchorShape, Anchors};
 pub use decode::{DecodeTape, Decoder, DecoderConfig, DecoderError, DistanceInputs, Visible};
+pub use gad::{Gad, GadConfig, GadHead, GadTape};
 pub use init::{AnchorInit, InitError, Initial, anchors_from_points};
 pub use intervals::{Adjustment, IntervalConfig, Intervals};
 pub use local::{Local, LocalGrad};

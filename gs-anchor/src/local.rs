@@ -81,10 +81,15 @@ impl Anchors {
 
     /// The way back of [`Anchors::activate`]: adds to the gradients. `local` is what it wrote.
     pub fn activate_backward(&mut self, local: &Local, d: &LocalGrad) {
+        self.pull(&local.scales, d);
+    }
+
+    /// [`Anchors::activate_backward`] where `scales` are `exp λ`, whatever became of them later.
+    pub(crate) fn pull(&mut self, scales: &[f32], d: &LocalGrad) {
         add(&mut self.positions.grad, d.positions.iter().flat_map(|p| p.to_array()));
         add(&mut self.offsets.grad, d.offsets.iter().copied());
         add(&mut self.features.grad, d.features.iter().copied());
-        add(&mut self.log_scales.grad, d.scales.iter().zip(&local.scales).map(|(d, l)| d * l));
+        add(&mut self.log_scales.grad, d.scales.iter().zip(scales).map(|(d, l)| d * l));
     }
 }
 

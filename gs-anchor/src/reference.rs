@@ -1,8 +1,11 @@
-//! The decoder in `f64`: one anchor at a time, plain loops, none of the savings. Tests and benches measure against it.
+//! The decoder and the deformation of anchors in `f64`: one anchor at a time, plain loops, none of the savings. Tests and benches measure against it.
 
 use crate::{AnchorShape, Decoder, DecoderConfig, Local};
 use gs_core::Params;
 use std::collections::BTreeMap;
+
+mod gad;
+pub use gad::{GadRef, RestRef};
 
 /// Parameter blocks (or their gradients) by name.
 pub type Blocks = BTreeMap<String, Vec<f64>>;
@@ -201,9 +204,8 @@ impl DecoderRef {
             }
         }
         let along: f64 = (0..3).map(|i| seen.direction[i] * d_direction[i]).sum();
-        for i in 0..3 {
-            let d = seen.direction[i];
-            back.position[i] += (d_direction[i] - d * along) / seen.distance + d * d_distance;
+        for ((to, d), g) in back.position.iter_mut().zip(seen.direction).zip(d_direction) {
+            *to += (g - d * along) / seen.distance + d * d_distance;
         }
         back
     }

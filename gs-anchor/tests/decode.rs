@@ -16,7 +16,7 @@ use gs_anchor::reference::{AnchorRef, Blocks, DecoderRef, GaussianRef};
 use gs_anchor::{AnchorShape, DecodeTape, Decoder, DecoderConfig, DistanceInputs, Local, LocalGrad, Visible};
 use gs_core::nn::BLOCK;
 use gs_core::{Color, Kernel, Params, Rng, Splats, SplatsGrad};
-use support::{EYE, anchors, assert_close, wide};
+use support::{EYE, assert_close, wide};
 
 const SHAPE: AnchorShape = AnchorShape { offsets: 4, features: 8, dynamics: 0 };
 
@@ -36,6 +36,23 @@ fn configs() -> Vec<DecoderConfig> {
 
 fn decoder(config: &DecoderConfig) -> Decoder {
     Decoder::new(config, SHAPE, 5).unwrap()
+}
+
+/// `n` random anchors around the origin; every fourth has a negative extent, every fifth a negative spread.
+fn anchors(n: usize, k: usize, c: usize) -> Local {
+    let mut local = Local::default();
+    for v in 0..n {
+        let mut rng = Rng::new(11, "anchors", 0, v as u64);
+        let mut values = |n: usize, scale: f32| (0..n).map(|_| scale * rng.normal()).collect::<Vec<f32>>();
+        local.positions.push(Vec3::from_slice(&values(3, 0.5)));
+        local.offsets.extend(values(3 * k, 1.0));
+        local.features.extend(values(c, 1.0));
+        let mut scales: Vec<f32> = values(6, 0.5).iter().map(|s| 0.1 * s.exp()).collect();
+        scales[3 + v % 3] *= if v % 4 == 1 { -1.0 } else { 1.0 };
+        scales[v % 3] *= if v % 5 == 2 { -1.0 } else { 1.0 };
+        local.scales.extend(scales);
+    }
+    local
 }
 
 /// Cotangents that do not depend on which Gaussians exist: one per `anchor · k + j`.

@@ -98,8 +98,7 @@ pub(super) struct Said<'a> {
 /// Writes the kept Gaussians of a block.
 pub(super) fn write(local: &Local, anchors: &[u32], said: Said<'_>, to: Columns<'_>) {
     let k = said.activations.len() / anchors.len().max(1);
-    let mut n = 0;
-    for (i, &a) in said.activations.iter().enumerate().filter(|(_, a)| **a > 0.0) {
+    for (n, (i, &a)) in said.activations.iter().enumerate().filter(|(_, a)| **a > 0.0).enumerate() {
         let v = anchors[i / k] as usize;
         let row = v * k + i % k;
         let (rgb, q) = (&mut said.color[3 * i..][..3], &mut said.covariance[7 * i..][..7]);
@@ -111,7 +110,6 @@ pub(super) fn write(local: &Local, anchors: &[u32], said: Said<'_>, to: Columns<
         to.opacities[n] = a;
         to.rgb[n] = [rgb[0], rgb[1], rgb[2]];
         to.rows[n] = row as u32;
-        n += 1;
     }
 }
 
@@ -177,8 +175,8 @@ pub(super) fn pull(
         d.clear();
         d.resize(width * said.activations.len(), 0.0);
     }
-    let mut n = first;
-    for (i, &a) in said.activations.iter().enumerate().filter(|(_, a)| **a > 0.0) {
+    let kept = said.activations.iter().enumerate().filter(|(_, a)| **a > 0.0);
+    for (n, (i, &a)) in (first..).zip(kept) {
         let v = anchors[i / k] as usize;
         let (rgb, q) = (&said.color[3 * i..][..3], &said.covariance[7 * i..][..7]);
         d_opacity[i] = d_out.opacities[n] * (1.0 - a * a);
@@ -196,7 +194,6 @@ pub(super) fn pull(
         add(&mut d.offsets[3 * (row * k + i % k)..], d_mean * spread);
         add(&mut d.scales[6 * row..], d_mean * offset);
         add(&mut d.scales[6 * row + 3..], d_scale * sigma * extent.signum());
-        n += 1;
     }
 }
 

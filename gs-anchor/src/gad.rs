@@ -1,0 +1,261 @@
+//! Global anchor deformation (Kwak et al. 2025, MoDec-GS, Eqs. 6–7): the anchors of one time interval.
+//!
+//! A field on planes is read at each anchor's place at rest and at the interval's canonical time `t_c`; its heads say how
+//! the anchor changes there:
+//!
+//! ```text
+//! (Δx, Δf, ΔO, Δl) = net(x, t_c)                     3, C, 3k, 6 values; see gs_deform::PlaneNet
+//! x' = x + M Δx     f' = f + m Δf     O' = O + m ΔO     l' = exp(λ) + m Δl
+//! ```
+//! with the factors `M` (global) and `m` (local) of the anchor's logits ([`Dynamics`]). `Δl` is in world units and may
+//! turn a scale negative. On the way back
+//!
+//! ```text
+//! g_Δx = M g_x'     g_Δf = m g_f' …     g_M = ⟨g_x', Δx⟩     g_m = ⟨g_f', Δf⟩ + ⟨g_O', ΔO⟩ + ⟨g_l', Δl⟩
+//! g_x = g_x'     g_f = g_f'     g_O = g_O'     g_λ = g_l' ⊙ exp λ
+//! ```
+//! Places at rest are constants to the net. The result depends on the interval only: a [`Local`] kept per interval is an
+//! exact cache. With heads that start at zero the untrained result is the anchors at rest, bit for bit.
+
+mod dynamics;
+
+pub use dynamics::{Activation, Dynamics, Factor, Sparsity, Weight};
+
+use crate::{AnchorShape, Anchors, Local, LocalGrad};
+use dynamics::weights_backward;
+use glam::Vec3;
+use gs_core::nn::BLOCK;
+use gs_core::{Param, Params, Time};
+use gs_deform::encode::{HexPlaneConfig, Places};
+use gs_deform::{Aabb, DeformError, PlaneNet, PlaneNetConfig, PlaneNetTape};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use std::ops::Range;
+
+/// What the field may change about an anchor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum GadHead {
+    /// `Δx`.
+    Positions,
+    /// `Δf`.
+    Features,
+    /// `ΔO`.
+    Offsets,
+    /// `Δl`.
+    Scales,
+}
+
+impl GadHead {
+    /// All four.
+    pub const ALL: [GadHead; 4] = [GadHead::Positions, GadHead::Features, GadHead::Offsets, GadHead::Scales];
+
+    /// Its name in parameters and settings.
+    pub fn name(self) -> &'static str {
+        match self {
+            GadHead::Positions => "positions",
+            GadHead::Features => "features",
+            GadHead::Offsets => "offsets",
+            GadHead::Scales => "scales",
+        }
+    }
+
+    fn width(self, shape: AnchorShape) -> usize {
+        match self {
+            GadHead::Positions => 3,
+            GadHead::Features => shape.features,
+            GadHead::Offsets => 3 * shape.offsets,
+            GadHead::Scales => 6,
+        }
+    }
+}
+
+/// Settings of a [`Gad`]; the defaults are the published ones.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct GadConfig {
+    /// What changes; a head that is not listed is not built.
+    pub heads: Vec<GadHead>,
+    /// How the logits weigh the changes.
+    pub dynamics: Dynamics,
+    /// The field.
+    pub net: PlaneNetConfig,
+}
+
+impl Default for GadConfig {
+    fn default() -> Self {
+        let hexplane = HexPlaneConfig {
+            resolution: [32, 32, 32, 10],
+            channels: 16,
+            plane_tv: 1e-4,
+            time_smoothness: 5e-4,
+            time_l1: 5e-5,
+            ..HexPlaneConfig::default()
+        };
+        let net = PlaneNetConfig { hexplane, ..PlaneNetConfig::default() };
+        Self { heads: GadHead::ALL.to_vec(), dynamics: Dynamics::default(), net }
+    }
+}
+
+/// The field; see the [module](self).
+#[derive(Clone, Debug)]
+pub struct Gad {
+    config: GadConfig,
+    net: PlaneNet,
+}
+
+/// Scratch of a [`Gad`], reused between calls; it belongs to one field.
+#[derive(Clone, Debug, Default)]
+pub struct GadTape {
+    net: PlaneNetTape,
+    /// Places at rest, and their cells: found again only when they change.
+    points: Vec<Vec3>,
+    places: Places,
+    /// `exp λ`.
+    scales: Vec<f32>,
+    blocks: Vec<Block>,
+}
+
+/// The factors of one block of anchors.
+#[derive(Clone, Debug, Default)]
+struct Block {
+    weights: Vec<[Weight; 2]>,
+    d_weights: Vec<[f32; 2]>,
+    /// Cotangent of one column.
+    d: Vec<f32>,
+}
+
+impl Gad {
+    /// A field over the box for anchors of the given shape; parameters `gad.planes.…`, `gad.trunk.…`, `gad.hidden.…` and
+    /// `gad.positions.…`, `gad.features.…`, `gad.offsets.…`, `gad.scales.…`.
+    ///
+    /// # Errors
+    /// If a setting cannot be built; the message names it.
+    pub fn new(config: &GadConfig, shape: AnchorShape, aabb: Aabb, seed: u64) -> Result<Self, DeformError> {
+        let reject = |field, value, rule| Err(DeformError::Config { field, value, rule });
+        let twice = |h: &GadHead| config.heads.iter().filter(|o| *o == h).count() > 1;
+        if config.heads.is_empty() || config.heads.iter().any(twice) {
+            return reject("heads", format!("{:?}", config.heads), "one to four different heads");
+        }
+        if !(0.0..1.0).contains(&config.dynamics.threshold) {
+            return reject("threshold", config.dynamics.threshold.to_string(), "from 0 to below 1");
+        }
+        let heads: Vec<(&str, usize)> = config.heads.iter().map(|h| (h.name(), h.width(shape))).collect();
+        Ok(Self { config: config.clone(), net: PlaneNet::new("gad", &config.net, &heads, aabb, seed)? })
+    }
+
+    /// The settings it was built from.
+    pub fn config(&self) -> &GadConfig {
+        &self.config
+    }
+
+    /// The net.
+    pub fn net(&self) -> &PlaneNet {
+        &self.net
+    }
+
+    /// Writes the anchors at canonical time `t_c` to `out`, reusing memory.
+    pub fn forward(&self, anchors: &Anchors, t_c: Time, tape: &mut GadTape, out: &mut Local) {
+        anchors.activate(out);
+        let GadTape { net, points, places, scales, blocks } = tape;
+        scales.clone_from(&out.scales);
+        if *points != out.positions || points.is_empty() {
+            points.clone_from(&out.positions);
+            *places = self.net.place(points);
+        }
+        self.net.forward_placed(places, t_c, net);
+        let AnchorShape { offsets: k, features: c, .. } = anchors.shape();
+        blocks.resize_with(net.blocks().len(), Block::default);
+        let columns = out.offsets.par_chunks_mut(3 * k * BLOCK).zip(out.features.par_chunks_mut(c * BLOCK));
+        let rows = out.positions.par_chunks_mut(BLOCK).zip(out.scales.par_chunks_mut(6 * BLOCK)).zip(columns);
+        let work = net.blocks().par_iter().zip(blocks).zip(rows).enumerate();
+        work.for_each(|(b, ((said, Block { weights, .. }), ((positions, scales), (offsets, features))))| {
+            weights.clear();
+            weights
+                .extend((b * BLOCK..).take(positions.len()).map(|v| self.config.dynamics.weights(anchors.logits(v))));
+            for (h, head) in self.config.heads.iter().enumerate() {
+                let said = said.head(h);
+                match head {
+                    GadHead::Positions => move_points(positions, said, weights),
+                    GadHead::Features => change(features, said, weights),
+                    GadHead::Offsets => change(offsets, said, weights),
+                    GadHead::Scales => change(scales, said, weights),
+                }
+            }
+        });
+    }
+
+    /// The way back of [`Gad::forward`] of the same anchors with unchanged parameters: adds to the anchors' gradients
+    /// and to its own.
+    pub fn backward(&mut self, anchors: &mut Anchors, tape: &mut GadTape, d: &LocalGrad) {
+        let GadTape { net, scales, blocks, .. } = tape;
+        let shape = anchors.shape();
+        net.blocks_mut().par_iter_mut().zip(&mut *blocks).enumerate().for_each(|(b, (said, block))| {
+            let Block { weights, d_weights, d: d_column } = block;
+            d_weights.clear();
+            d_weights.resize(weights.len(), [0.0; 2]);
+            for (h, head) in self.config.heads.iter().enumerate() {
+                let (width, which) = (head.width(shape), usize::from(*head != GadHead::Positions));
+                head.gather(d, b * BLOCK..b * BLOCK + weights.len(), width, d_column);
+                let rows = said.head(h).chunks_exact(width).zip(d_column.chunks_exact(width));
+                for ((said, g), d_weight) in rows.zip(&mut *d_weights) {
+                    d_weight[which] += said.iter().zip(g).map(|(s, g)| s * g).sum::<f32>();
+                }
+                let rows = said.head_grad_mut(h).chunks_exact_mut(width).zip(d_column.chunks_exact(width));
+                for ((to, g), weight) in rows.zip(&*weights) {
+                    to.iter_mut().zip(g).for_each(|(to, g)| *to = weight[which].value * g);
+                }
+            }
+        });
+        self.net.backward(net, None);
+        anchors.pull(scales, d);
+        let Some(dynamics) = &mut anchors.dynamics else { return };
+        let rows = blocks.iter().flat_map(|b| b.weights.iter().zip(&b.d_weights));
+        for (to, (weights, d)) in dynamics.grad.chunks_exact_mut(shape.dynamics).zip(rows) {
+            weights_backward(*weights, *d, to);
+        }
+    }
+
+    /// Adds the weighted gradients of the planes' regularisers; returns their weighted values by name.
+    pub fn regularise(&mut self) -> [(&'static str, f32); 3] {
+        self.net.regularise()
+    }
+}
+
+impl GadHead {
+    /// Copies the cotangent of this column for some anchors.
+    fn gather(self, d: &LocalGrad, anchors: Range<usize>, width: usize, to: &mut Vec<f32>) {
+        to.clear();
+        let values = anchors.start * width..anchors.end * width;
+        match self {
+            GadHead::Positions => to.extend(d.positions[anchors].iter().flat_map(|g| g.to_array())),
+            GadHead::Features => to.extend_from_slice(&d.features[values]),
+            GadHead::Offsets => to.extend_from_slice(&d.offsets[values]),
+            GadHead::Scales => to.extend_from_slice(&d.scales[values]),
+        }
+    }
+}
+
+/// `x' = x + M Δx`.
+fn move_points(points: &mut [Vec3], said: &[f32], weights: &[[Weight; 2]]) {
+    for ((x, delta), [global, _]) in points.iter_mut().zip(said.as_chunks().0).zip(weights) {
+        *x += Vec3::from_array(*delta) * global.value;
+    }
+}
+
+/// `v' = v + m Δv`, row by row.
+fn change(values: &mut [f32], said: &[f32], weights: &[[Weight; 2]]) {
+    let width = values.len() / weights.len();
+    for ((row, delta), [_, local]) in values.chunks_exact_mut(width).zip(said.chunks_exact(width)).zip(weights) {
+        row.iter_mut().zip(delta).for_each(|(v, d)| *v += local.value * d);
+    }
+}
+
+impl Params for Gad {
+    fn visit(&self, f: &mut dyn FnMut(&Param)) {
+        self.net.visit(f);
+    }
+    fn visit_mut(&mut self, f: &mut dyn FnMut(&mut Param)) {
+        self.net.visit_mut(f);
+    }
+}
