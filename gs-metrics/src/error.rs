@@ -84,6 +84,16 @@ pub enum MetricError {
         /// What it must be.
         must: &'static str,
     },
+    /// A video is too short.
+    #[error("{metric} needs at least {need} frames, {got} were given; give more, or keep the ends (no trim)")]
+    TooFewFrames {
+        /// Which metric.
+        metric: &'static str,
+        /// Frames given.
+        got: usize,
+        /// Frames it needs.
+        need: usize,
+    },
     /// A mask has no positive weight, so there is nothing to average.
     #[error("the mask is zero everywhere: no pixel is left to compare")]
     EmptyMask,

@@ -74,6 +74,15 @@ impl Flow {
         [self.u[i], self.v[i]]
     }
 
+    /// The flow of a part of the image.
+    pub(crate) fn crop(&self, columns: std::ops::Range<usize>, rows: std::ops::Range<usize>) -> Self {
+        let cut = |plane: &[f32]| {
+            let lines = rows.clone().map(|y| y * self.width);
+            lines.flat_map(|at| &plane[at + columns.start..at + columns.end]).copied().collect()
+        };
+        Self { width: columns.len(), height: rows.len(), u: cut(&self.u), v: cut(&self.v) }
+    }
+
     /// The length of every displacement in pixels, `[H, W]`.
     pub fn magnitudes(&self) -> Vec<f32> {
         self.u.iter().zip(&self.v).map(|(u, v)| u.hypot(*v)).collect()

@@ -10,13 +10,14 @@
 //! | paths of points: temporal spectrum, second differences | [`high_energies`](trajectory::high_energies) | | [`trajectory`] |
 //! | masked PSNR and SSIM (DyCheck) | [`masked_psnr`], [`masked_ssim`] | | [`masked`] |
 //! | optical flow (Farneback), its pictures and statistics | [`farneback`](flow::farneback), [`Flow`] | | [`flow`] |
-//! | perceptual **proxy**, without learned weights, not LPIPS | [`perceptual_proxy`] | | [`perceptual`] |
+//! | tOF: motion against true motion | [`Tof`] | | [`tof`] |
+//! | perceptual **proxy**, without learned weights, not LPIPS | [`perceptual_proxy`], [`masked_perceptual_proxy`] | | [`perceptual`] |
 //! | means over views | [`Scorer`], [`Summary`] | | [`report`] |
 //!
 //! # Conventions
 //! Images are [`gs_core::Image`]: row-major, channels interleaved, display-encoded values in `[0, 1]`, 1 to 4 channels
 //! (1 or 3 for the proxy), all channels alike. Values are not clamped or quantised here; a protocol which scores 8-bit
-//! files quantises first. Gradients are with respect to the **first** image, in its shape.
+//! files quantises first ([`Quantise`]). Gradients are with respect to the **first** image, in its shape.
 //!
 //! Everything is bitwise equal for any number of threads of the rayon pool in scope. Bad input is a [`MetricError`] which
 //! says what, where, and what to do; a NaN pixel never becomes a score.
@@ -45,11 +46,13 @@ pub mod perceptual;
 mod plane;
 mod pool;
 pub mod psnr;
+mod quantise;
 pub mod report;
 pub mod sharpness;
 pub mod spectrum;
 pub mod ssim;
 mod sweep;
+pub mod tof;
 pub mod trajectory;
 mod window;
 
@@ -57,9 +60,11 @@ pub use error::MetricError;
 pub use flow::Flow;
 pub use masked::{MaskedSsim, masked_mse, masked_psnr, masked_ssim};
 pub use ms_ssim::{MsSsim, MsSsimOptions, ms_ssim, ms_ssim_with_grad};
-pub use perceptual::perceptual_proxy;
+pub use perceptual::{masked_perceptual_proxy, perceptual_proxy};
 pub use psnr::{mse, psnr, psnr_from_mse, psnr_of_mean_mse};
+pub use quantise::Quantise;
 pub use report::{Mean, Scorer, Scores, Summary};
 pub use sharpness::Sharpness;
 pub use spectrum::{AmplitudeLoss, AmplitudeOptions, Amplitudes, FftNorm, Reduce};
 pub use ssim::{Padding, Ssim, SsimOptions, ssim, ssim_with_grad};
+pub use tof::{Tof, TofOptions, TofScore};

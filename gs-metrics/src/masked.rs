@@ -12,11 +12,11 @@
 //! ```
 //! (normalised by the count of pixels, not by the weight of the window: that is how the published numbers were made). The
 //! variances are `max(E[z²] − μ², 0)`, the covariance is clamped to `±√(σx²σy²)`, and the rest is plain SSIM. Where nothing
-//! counts all statistics are 0 and the map is 1, so large empty areas **raise** the published mean; it is given as
-//! [`MaskedSsim::whole`], and beside it the mean over places which saw something, [`MaskedSsim::seen`].
+//! counts all statistics are 0 and the map is 1, so large empty areas **raise** the published mean, up to 1 for an empty
+//! mask; it is given as [`MaskedSsim::whole`], and beside it the mean over places which saw something, [`MaskedSsim::seen`].
 //!
-//! Everything here is `f64`, a metric without gradient. DyCheck also truncates predictions to 8 bits before scoring;
-//! that is the caller's.
+//! Everything here is `f64`, a metric without gradient. DyCheck also truncates predictions to 8 bits before scoring:
+//! [`Quantise::Truncate`](crate::Quantise).
 //!
 //! Gao, Li, Tulsiani, Russell, Kanazawa, *Monocular dynamic view synthesis: a reality check*, NeurIPS 2022.
 
@@ -32,7 +32,7 @@ use crate::window::{RADIUS, TAPS, half_window};
 pub struct MaskedSsim {
     /// Mean over the whole map, empty places counting as 1: the published number.
     pub whole: f64,
-    /// Mean over places whose window holds a pixel that counts; NaN-free: an empty mask is an error.
+    /// Mean over places whose window holds a pixel that counts; 1 where no place does.
     pub seen: f64,
 }
 
@@ -68,10 +68,10 @@ pub fn masked_psnr(a: &Image, b: &Image, mask: &Image) -> Result<f64, MetricErro
     masked_mse(a, b, mask).map(psnr_from_mse)
 }
 
-/// SSIM by partial convolution over a mask; see the [module](self). Both sides need at least 11 pixels.
+/// SSIM by partial convolution over a mask; see the [module](self). Both sides need at least 11 pixels; an empty mask gives 1.
 ///
 /// # Errors
-/// Those of [`masked_mse`], or an image that is too small.
+/// Those of [`masked_mse`] but for the empty mask, or an image that is too small.
 pub fn masked_ssim(a: &Image, b: &Image, mask: &Image) -> Result<MaskedSsim, MetricError> {
     check_masked(a, b, mask)?;
     let (width, height) = (a.width, a.height);
@@ -79,19 +79,13 @@ pub fn masked_ssim(a: &Image, b: &Image, mask: &Image) -> Result<MaskedSsim, Met
         let hint = "masked SSIM has no padded form";
         return Err(MetricError::TooSmall { metric: "masked SSIM", need: TAPS, width, height, hint });
     }
-    if mask.data.iter().all(|m| *m == 0.0) {
-        return Err(MetricError::EmptyMask);
-    }
     let channels: Vec<[f64; 3]> = (0..a.channels).into_par_iter().map(|c| channel_sums(a, b, mask, c)).collect();
     let [whole, seen, count] = channels.iter().fold([0.0; 3], |s, r| std::array::from_fn(|k| s[k] + r[k]));
     let places = (a.channels * (width - 2 * RADIUS) * (height - 2 * RADIUS)) as f64;
-    if count == 0.0 {
-        return Err(MetricError::EmptyMask);
-    }
-    Ok(MaskedSsim { whole: whole / places, seen: seen / count })
+    Ok(MaskedSsim { whole: whole / places, seen: if count > 0.0 { seen / count } else { 1.0 } })
 }
 
-fn check_masked(a: &Image, b: &Image, mask: &Image) -> Result<(), MetricError> {
+pub(crate) fn check_masked(a: &Image, b: &Image, mask: &Image) -> Result<(), MetricError> {
     check_pair(a, b)?;
     check_image("mask", mask)?;
     let want = (a.width, a.height, 1);
@@ -249,7 +243,8 @@ mod tests {
     fn bad_masks_are_refused() {
         let a = noise(20, 20, 3, 1);
         assert_eq!(masked_psnr(&a, &a, &mask(20, 20, |_, _| 0.0)).unwrap_err(), MetricError::EmptyMask);
-        assert_eq!(masked_ssim(&a, &a, &mask(20, 20, |_, _| 0.0)).unwrap_err(), MetricError::EmptyMask);
+        let empty = masked_ssim(&a, &noise(20, 20, 3, 2), &mask(20, 20, |_, _| 0.0)).unwrap();
+        assert_eq!(empty, MaskedSsim { whole: 1.0, seen: 1.0 });
         let negative = mask(20, 20, |x, y| if (x, y) == (3, 4) { -1.0 } else { 1.0 });
         assert_eq!(masked_ssim(&a, &a, &negative).unwrap_err(), MetricError::NegativeMask { x: 3, y: 4 });
         let nan = mask(20, 20, |x, _| if x == 2 { f32::NAN } else { 1.0 });

@@ -37,6 +37,7 @@ use gs_core::Image;
 use rayon::prelude::*;
 
 use crate::error::{MetricError, check_finite, check_pair, explain_non_finite};
+use crate::masked::check_masked;
 use crate::plane::{Plane, opponent_planes};
 use crate::window::LANES;
 
@@ -70,21 +71,45 @@ pub fn perceptual_proxy(a: &Image, b: &Image) -> Result<f64, MetricError> {
     check_pair(a, b)?;
     check_finite("a", a)?;
     check_finite("b", b)?;
+    distance(a, b, Plane { width: a.width, height: a.height, data: vec![1.0; a.width * a.height] })
+}
+
+/// The proxy where a mask counts: both images are multiplied by the mask `[H, W, 1]` (weights in `[0, 1]`), and every mean
+/// over places is weighted by the part of the mask around the place. What LPIPS is to the plain proxy, DyCheck's masked
+/// LPIPS is to this; with a mask of ones it is [`perceptual_proxy`].
+///
+/// # Errors
+/// Those of [`perceptual_proxy`]; a mask of another size, negative, not finite, or empty.
+pub fn masked_perceptual_proxy(a: &Image, b: &Image, mask: &Image) -> Result<f64, MetricError> {
+    check_masked(a, b, mask)?;
+    if mask.data.iter().all(|m| *m == 0.0) {
+        return Err(MetricError::EmptyMask);
+    }
+    let cut = |i: &Image| {
+        let pixels = i.data.chunks_exact(i.channels).zip(&mask.data);
+        Image { data: pixels.flat_map(|(p, m)| p.iter().map(move |v| v * m)).collect(), ..i.clone() }
+    };
+    distance(&cut(a), &cut(b), Plane { width: a.width, height: a.height, data: mask.data.clone() })
+}
+
+/// The proxy with a weight for each place.
+fn distance(a: &Image, b: &Image, mut weights: Plane) -> Result<f64, MetricError> {
     if a.channels != 1 && a.channels != 3 {
         return Err(MetricError::Channels { metric: "the perceptual proxy", got: a.channels, need: "1 or 3" });
     }
     let (mut x, mut y) = (opponent_planes(a), opponent_planes(b));
     let (mut detail, mut levels) = (0.0, 0);
     loop {
-        detail += detail_distance(&x[0], &y[0]);
+        detail += detail_distance(&x[0], &y[0], &weights);
         levels += 1;
         if levels == MAX_LEVELS || x[0].width.min(x[0].height) < 2 * MIN_SIDE {
             break;
         }
-        (x, y) = (halve_all(&x), halve_all(&y));
+        (x, y, weights) = (halve_all(&x), halve_all(&y), weights.halve());
     }
-    (x, y) = (halve_all(&halve_all(&x)), halve_all(&halve_all(&y)));
-    let value = (1.0 - COLOUR_SHARE) * detail / f64::from(levels as u32) + COLOUR_SHARE * colour_distance(&x, &y);
+    (x, y, weights) = (halve_all(&halve_all(&x)), halve_all(&halve_all(&y)), weights.halve().halve());
+    let colour = colour_distance(&x, &y, &weights);
+    let value = (1.0 - COLOUR_SHARE) * detail / f64::from(levels as u32) + COLOUR_SHARE * colour;
     if value.is_finite() { Ok(value) } else { Err(explain_non_finite("the perceptual proxy", a, b)) }
 }
 
@@ -92,26 +117,45 @@ fn halve_all(planes: &[Plane]) -> Vec<Plane> {
     planes.iter().map(Plane::halve).collect()
 }
 
-/// Mean over places of `|Δ| / √(|Δ|² + COLOUR²)`, `Δ` the difference of all planes.
-fn colour_distance(x: &[Plane], y: &[Plane]) -> f64 {
-    let n = x[0].data.len();
+/// Weighted mean over places of `|Δ| / √(|Δ|² + COLOUR²)`, `Δ` the difference of all planes.
+fn colour_distance(x: &[Plane], y: &[Plane], weights: &Plane) -> f64 {
     let one = |i: usize| {
         let squared: f32 = x.iter().zip(y).map(|(p, q)| (p.data[i] - q.data[i]).powi(2)).sum();
         f64::from((squared / (squared + COLOUR * COLOUR)).sqrt())
     };
-    (0..n).map(one).sum::<f64>() / n as f64
+    let total: f64 = weights.data.iter().map(|w| f64::from(*w)).sum();
+    weights.data.iter().enumerate().map(|(i, w)| f64::from(*w) * one(i)).sum::<f64>() / total
 }
 
-/// Mean over pooled places of the normalised difference of amplitudes at one level.
-fn detail_distance(x: &Plane, y: &Plane) -> f64 {
+/// Weighted mean over pooled places of the normalised difference of amplitudes at one level.
+fn detail_distance(x: &Plane, y: &Plane, weights: &Plane) -> f64 {
     let (rows, columns) = (x.height.div_ceil(STRIDE), x.width.div_ceil(STRIDE));
     let band = |index: usize| {
         let range = index * BAND..((index + 1) * BAND).min(rows);
-        let (f, g) = (band_amplitudes(x, range.clone()), band_amplitudes(y, range));
-        f.as_chunks::<FEATURES>().0.iter().zip(g.as_chunks::<FEATURES>().0).map(place_distance).sum::<f64>()
+        let (f, g) = (band_amplitudes(x, range.clone()), band_amplitudes(y, range.clone()));
+        let places = f.as_chunks::<FEATURES>().0.iter().zip(g.as_chunks::<FEATURES>().0).enumerate();
+        let mut sums = [0.0f64; 2];
+        for (i, pair) in places {
+            let weight = block_weight(weights, i % columns, range.start + i / columns);
+            sums[0] += weight * place_distance(pair);
+            sums[1] += weight;
+        }
+        sums
     };
-    let sums: Vec<f64> = (0..rows.div_ceil(BAND)).into_par_iter().with_max_len(1).map(band).collect();
-    sums.iter().sum::<f64>() / (rows * columns) as f64
+    let sums: Vec<[f64; 2]> = (0..rows.div_ceil(BAND)).into_par_iter().with_max_len(1).map(band).collect();
+    let [sum, total] = sums.iter().fold([0.0; 2], |t, s| [t[0] + s[0], t[1] + s[1]]);
+    sum / total
+}
+
+/// Mean weight of the block of pixels of a pooled place.
+fn block_weight(weights: &Plane, column: usize, row: usize) -> f64 {
+    let (columns, rows) = (
+        column * STRIDE..((column + 1) * STRIDE).min(weights.width),
+        row * STRIDE..((row + 1) * STRIDE).min(weights.height),
+    );
+    let count = columns.len() * rows.len();
+    let lines = rows.map(|y| &weights.data[y * weights.width..][columns.clone()]);
+    lines.flatten().map(|w| f64::from(*w)).sum::<f64>() / count as f64
 }
 
 /// Normalised difference of the amplitudes at one place.

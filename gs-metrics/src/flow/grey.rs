@@ -2,6 +2,7 @@
 
 use gs_core::Image;
 
+use crate::Quantise;
 use crate::error::{MetricError, check_finite, check_image};
 
 /// Weights of red, green and blue in units of `2⁻¹⁵` (BT.601), as OpenCV 4.10 rounds them.
@@ -18,15 +19,10 @@ pub fn grey(image: &Image) -> Result<Vec<u8>, MetricError> {
     check_image("frame", image)?;
     check_finite("frame", image)?;
     match image.channels {
-        1 => Ok(image.data.iter().map(|v| byte(*v)).collect()),
-        3 => Ok(image.data.chunks_exact(3).map(|p| mix([byte(p[0]), byte(p[1]), byte(p[2])])).collect()),
+        1 => Ok(image.data.iter().map(|v| Quantise::Round.step(*v)).collect()),
+        3 => Ok(image.data.as_chunks().0.iter().map(|p| mix(p.map(|v| Quantise::Round.step(v)))).collect()),
         got => Err(MetricError::Channels { metric: "optical flow", got, need: "1 or 3" }),
     }
-}
-
-/// The nearest of 256 steps, halves up.
-fn byte(v: f32) -> u8 {
-    (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8
 }
 
 fn mix(rgb: [u8; 3]) -> u8 {
@@ -39,12 +35,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_byte_survives_and_greys_stay_grey() {
+    fn greys_stay_grey() {
         for v in 0..=255u8 {
-            assert_eq!(byte(f32::from(v) / 255.0), v);
             assert_eq!(mix([v; 3]), v);
         }
-        assert_eq!((byte(-1.0), byte(2.0), byte(0.5)), (0, 255, 128));
+        let half = Image { width: 3, height: 1, channels: 1, data: vec![-1.0, 0.5, 2.0] };
+        assert_eq!(grey(&half).unwrap(), [0, 128, 255]);
     }
 
     #[test]

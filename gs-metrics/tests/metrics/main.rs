@@ -12,3 +12,4 @@ mod published;
 mod reference;
 mod spectrum;
 mod ssim;
+mod stored;
