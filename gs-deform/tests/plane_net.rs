@@ -1,14 +1,14 @@
 //! Nets on planes in three levels: what must hold by construction, the f64 twin against central differences, the fast net
 //! against the twin. Then what must hold to the last bit.
 //!
-//! Tolerances:
+//! Tolerances (f32: worst seen times about four):
 //! | quantity | against | relative to | bound |
 //! |---|---|---|---|
 //! | twin's gradients | its central differences | 1 + value | 1e-6 |
-//! | outputs, f32 | twin | largest of the head | 2e-5 |
-//! | gradients of layers, f32 | twin | largest of the block | 5e-5 |
-//! | gradients of planes, f32 | twin | largest of the plane | 5e-5 |
-//! | gradients of points, f32 | twin | largest | 1e-4 |
+//! | outputs, f32 | twin | largest of the head | 1.5e-5 |
+//! | gradients of layers, f32 | twin | largest of the block | 2e-5 |
+//! | gradients of planes, f32 | twin | largest of the plane | 2e-5 |
+//! | gradients of points, f32 | twin | largest | 2e-5 |
 
 use glam::Vec3;
 use gs_core::nn::BLOCK;
@@ -182,17 +182,17 @@ fn the_fast_net_agrees_with_the_twin() {
             want_d.extend(twin.backward(wide(*p), time(t), &d, &mut grad));
         }
         for ((got, want), (name, _)) in got.iter().zip(&want).zip(heads) {
-            assert_close(got, want, 2e-5, &format!("{name}, n = {n}"));
+            assert_close(got, want, 1.5e-5, &format!("{name}, n = {n}"));
         }
         let d_means: Vec<f32> = d_means.iter().flat_map(|d| d.to_array()).collect();
-        assert_close(&d_means, &want_d, 1e-4, &format!("points, n = {n}"));
+        assert_close(&d_means, &want_d, 2e-5, &format!("points, n = {n}"));
         let mut planes = grad.planes.iter();
         for (name, got) in grads(&net) {
             let want = match grad.layers.get(&name["gad.".len()..]) {
                 Some(layer) => layer,
                 None => planes.next().unwrap(),
             };
-            assert_close(&got, want, 5e-5, &format!("{name}, n = {n}"));
+            assert_close(&got, want, 2e-5, &format!("{name}, n = {n}"));
         }
     }
 }

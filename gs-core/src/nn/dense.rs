@@ -10,6 +10,7 @@
 
 use super::gemm::{Mat, MatMut, Write, gemm};
 use crate::{Param, Params, Rng};
+use fearless_simd::{Level, Simd, dispatch};
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -102,6 +103,14 @@ impl Dense {
         self.add_product(0..self.inputs, x, y);
     }
 
+    /// `y = max(x Wᵀ + b, 0)`: bias and kink in one pass over `y`.
+    pub fn forward_relu(&self, x: &[f32], y: &mut [f32]) {
+        let rows = y.len() / self.outputs.max(1);
+        let x = Mat::new(x, rows, self.inputs);
+        gemm(MatMut::new(y, rows, self.outputs), x, self.columns(0..self.inputs).transposed(), Write::Set);
+        dispatch!(Level::new(), simd => add_and_clip(simd, &self.bias.value, y));
+    }
+
     /// Sets every row of `y` to `bias` (the layer's own, or one that [`Dense::fold_constant`] made).
     pub fn start(&self, bias: &[f32], y: &mut [f32]) {
         y.chunks_exact_mut(self.outputs.max(1)).for_each(|row| row.copy_from_slice(bias));
@@ -149,9 +158,7 @@ impl Dense {
 
     /// Adds `Σ_r dy[r,:]` to the bias gradient.
     pub fn backward_bias(&self, dy: &[f32], grad: &mut DenseGrad) {
-        for row in dy.chunks_exact(self.outputs.max(1)) {
-            grad.bias.iter_mut().zip(row).for_each(|(g, d)| *g += d);
-        }
+        dispatch!(Level::new(), simd => add_rows(simd, dy, &mut grad.bias));
     }
 
     /// Adds `dyᵀ x` to the given columns of the weight gradient.
@@ -203,12 +210,40 @@ fn add_in_order<'a>(total: &mut [f32], parts: impl Iterator<Item = &'a [f32]> + 
 
 /// `y = max(y, 0)`.
 pub fn relu(y: &mut [f32]) {
-    y.iter_mut().for_each(|v| *v = v.max(0.0));
+    dispatch!(Level::new(), simd => clip(simd, y));
 }
 
 /// Gradient of [`relu`] in place, from its **output**: `dy = 0` where `y = 0` (so the kink itself passes nothing).
 pub fn relu_backward(y: &[f32], dy: &mut [f32]) {
+    dispatch!(Level::new(), simd => mask(simd, y, dy));
+}
+
+// Plain loops: each is compiled once per instruction set, at the width of its registers.
+
+#[inline(always)]
+fn clip<S: Simd>(_: S, y: &mut [f32]) {
+    y.iter_mut().for_each(|v| *v = v.max(0.0));
+}
+
+#[inline(always)]
+fn mask<S: Simd>(_: S, y: &[f32], dy: &mut [f32]) {
     dy.iter_mut().zip(y).for_each(|(d, y)| *d = if *y > 0.0 { *d } else { 0.0 });
+}
+
+/// `y[r,:] = max(y[r,:] + bias, 0)`.
+#[inline(always)]
+fn add_and_clip<S: Simd>(_: S, bias: &[f32], y: &mut [f32]) {
+    for row in y.chunks_exact_mut(bias.len().max(1)) {
+        row.iter_mut().zip(bias).for_each(|(v, b)| *v = (*v + b).max(0.0));
+    }
+}
+
+/// `sum += Σ_r rows[r,:]`.
+#[inline(always)]
+fn add_rows<S: Simd>(_: S, rows: &[f32], sum: &mut [f32]) {
+    for row in rows.chunks_exact(sum.len().max(1)) {
+        sum.iter_mut().zip(row).for_each(|(s, d)| *s += d);
+    }
 }
 
 #[cfg(test)]

@@ -7,7 +7,7 @@
 //! One wide product instead of several narrow ones: `x` is read once and its cotangent is written once. Works on the
 //! rows of one block.
 
-use super::dense::{Dense, DenseGrad, Init, relu, relu_backward};
+use super::dense::{Dense, DenseGrad, Init, relu_backward};
 use super::gemm::{Mat, MatMut, Write, gemm};
 use crate::{Param, Params};
 
@@ -73,8 +73,7 @@ impl Heads {
         let rows = x.len() / self.first.inputs().max(1);
         let stride = self.first.outputs();
         tape.hidden.resize(rows * stride, 0.0);
-        self.first.forward(x, &mut tape.hidden);
-        relu(&mut tape.hidden);
+        self.first.forward_relu(x, &mut tape.hidden);
         tape.out.resize_with(self.last.len(), Vec::new);
         tape.d_out.resize_with(self.last.len(), Vec::new);
         for ((h, layer), (out, d_out)) in self.last.iter().enumerate().zip(tape.out.iter_mut().zip(&mut tape.d_out)) {

@@ -1,6 +1,6 @@
 //! A stack of dense layers with ReLU between them, for the rows of one block, activations kept for the way back.
 
-use super::dense::{Dense, DenseGrad, Init, relu, relu_backward};
+use super::dense::{Dense, DenseGrad, Init, relu_backward};
 use super::gemm::Write;
 use crate::{Param, Params};
 
@@ -73,10 +73,8 @@ impl Mlp {
             let (before, rest) = tape.outputs.split_at_mut(i);
             let y = &mut rest[0];
             y.resize(rows * layer.outputs(), 0.0);
-            layer.forward(before.last().map_or(x, Vec::as_slice), y);
-            if self.has_relu(i) {
-                relu(y);
-            }
+            let x = before.last().map_or(x, Vec::as_slice);
+            if self.has_relu(i) { layer.forward_relu(x, y) } else { layer.forward(x, y) }
         }
     }
 
