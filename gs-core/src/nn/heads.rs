@@ -143,3 +143,77 @@ impl Params for Heads {
         self.last.iter_mut().for_each(|l| l.visit_mut(f));
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Rng;
+    use crate::nn::{Mlp, MlpGrad, MlpTape};
+
+    /// Both ways of summing the same products of order one, at most 32 terms.
+    const TOLERANCE: f32 = 1e-5;
+
+    const HEADS: [(&str, usize); 3] = [("a", 3), ("b", 1), ("c", 17)];
+
+    fn random(n: usize, name: &str) -> Vec<f32> {
+        let mut rng = Rng::new(2, name, 0, 0);
+        (0..n).map(|_| rng.normal()).collect()
+    }
+
+    fn close(got: &[f32], want: &[f32], what: &str) {
+        assert_eq!(got.len(), want.len(), "{what}");
+        for (i, (g, w)) in got.iter().zip(want).enumerate() {
+            assert!((g - w).abs() <= TOLERANCE * (1.0 + w.abs()), "{what}[{i}]: {g} against {w}");
+        }
+    }
+
+    /// Heads are networks of their own: the same start of the first layers, outputs, and gradients.
+    #[test]
+    fn heads_equal_networks_of_their_own() {
+        let (inputs, width) = (5, 12);
+        for rows in [0, 1, 16, 33] {
+            let mut heads = Heads::new("t", [inputs, width], &HEADS, Init::FanIn, 4);
+            let x = random(rows * inputs, "x");
+            let (mut tape, mut grad, mut dx) = (HeadsTape::default(), HeadsGrad::default(), vec![7.0; x.len()]);
+            heads.forward(&x, &mut tape);
+            for (d, (name, _)) in tape.d_out.iter_mut().zip(HEADS) {
+                *d = random(d.len(), name);
+            }
+            grad.reset(&heads);
+            heads.backward(&x, &tape, &mut dx, &mut grad);
+            heads.add_grads(std::iter::once(&grad));
+
+            let mut want_dx = vec![0.0; x.len()];
+            for (h, (name, outputs)) in HEADS.into_iter().enumerate() {
+                let mut net = Mlp::new(&format!("t.{name}"), &[inputs, width, outputs], Init::Xavier, Init::Zero, 4);
+                let mut layer = 0;
+                net.visit_mut(&mut |p| {
+                    match layer {
+                        2 => p.value.clone_from(&heads.last[h].weight.value),
+                        3 => p.value.clone_from(&heads.last[h].bias.value),
+                        _ => {}
+                    }
+                    layer += 1;
+                });
+                let (mut net_tape, mut net_grad) = (MlpTape::default(), MlpGrad::default());
+                net.forward(&x, &mut net_tape);
+                net_grad.reset(&net);
+                net.backward(&x, &mut net_tape, &tape.d_out[h], Some(&mut want_dx), &mut net_grad);
+                net.add_grads(std::iter::once(&net_grad));
+                close(&tape.out[h], net_tape.output(), name);
+                let (first, last) = (&net.layers()[0], &net.layers()[1]);
+                let share = h * width * inputs..(h + 1) * width * inputs;
+                assert_eq!(
+                    heads.first.weight.value[share.clone()],
+                    first.weight.value,
+                    "{name} starts as its own layer"
+                );
+                close(&heads.first.weight.grad[share], &first.weight.grad, "first weight");
+                close(&heads.first.bias.grad[h * width..(h + 1) * width], &first.bias.grad, "first bias");
+                close(&heads.last[h].weight.grad, &last.weight.grad, "last weight");
+                close(&heads.last[h].bias.grad, &last.bias.grad, "last bias");
+            }
+            close(&dx, &want_dx, "dx");
+        }
+    }
+}
