@@ -90,7 +90,7 @@ fn axes_are_right() {
 /// Material points, followed by the truth alone, land on pixels that show their body.
 #[test]
 fn the_truth_reprojects_onto_the_pictures() {
-    for name in ["balls", "sheet", "waves"] {
+    for name in ["balls", "sheet", "waves", "reach"] {
         let data = synth::generate(name, &SynthOptions { size: 96, ..small() }).unwrap();
         for v in &data.dataset.test {
             let t = v.time.seconds;
@@ -123,7 +123,7 @@ fn the_truth_reprojects_onto_the_pictures() {
 /// With no shading, the picture at the place the flow points to shows the colour the point had.
 #[test]
 fn flow_carries_colours() {
-    for name in ["balls", "sheet", "waves"] {
+    for name in ["balls", "sheet", "waves", "reach"] {
         let o = SynthOptions { size: 96, shading: 0.0, ..small() };
         let data = synth::generate(name, &o).unwrap();
         let c = &data.dataset.train[2].camera;
@@ -194,7 +194,7 @@ fn wrong_options_are_named() {
         let e = synth::generate("balls", &o).unwrap_err();
         assert!(e.code() == "data.option" && e.exit_code() == 2 && e.to_string().starts_with(name), "{e}");
     }
-    assert!(synth::generate("bals", &small()).unwrap_err().to_string().contains("balls, sheet, static, waves"));
+    assert!(synth::generate("bals", &small()).unwrap_err().to_string().contains("balls, sheet, static, waves, reach"));
 }
 
 #[test]
@@ -267,4 +267,140 @@ fn waves_stay_in_the_box_and_out_of_each_other() {
             assert!((0..a).all(|b| (centre(b) - centre(a)).length() > radius[a] + radius[b]), "body {a} at {k}");
         }
     }
+}
+
+/// A camera that sees the box of "reach" in front of its cloth.
+fn before_the_cloth() -> gs_core::Camera {
+    gs_core::Camera::look_at(96, 96, synth::FOV_X, DVec3::new(-3.2, 1.4, 1.9), DVec3::ZERO, DVec3::Z).unwrap()
+}
+
+/// The flow of the box of "reach" is what its planes induce: of the plane `n·x = d` of camera space that moves by `(R, T)`
+/// the image moves by the homography `K (R + T nᵀ/d) K⁻¹`.
+#[test]
+fn the_flow_of_a_box_is_a_homography_of_each_face() {
+    let data = synth::generate("reach", &SynthOptions { size: 96, ..small() }).unwrap();
+    let (truth, c) = (&data.truth, &before_the_cloth());
+    let (t0, t1) = (0.52, 0.58);
+    let map = truth.flow(c, t0, c, t1);
+    let [p0, p1] = [t0, t1].map(|t| truth.pose_of(0, t).unwrap());
+    let turn = c.rotation * p1.rotation * p0.rotation.transpose() * c.rotation.transpose();
+    let shift = c.to_camera(p1.translation) - turn * c.to_camera(p0.translation);
+    let k = DMat3::from_cols(DVec3::X * c.fx, DVec3::Y * c.fy, DVec3::new(c.cx, c.cy, 1.0));
+    let half = DVec3::new(0.2, 0.15, 0.22);
+    let (mut checked, mut farthest) = (0, 0.0f64);
+    for (i, body) in truth.segments(c, t0).into_iter().enumerate().filter(|(_, b)| *b == Some(0)) {
+        let from = DVec2::new((i % 96) as f64 + 0.5, (i / 96) as f64 + 0.5);
+        let local = truth.hit(c, t0, from.x, from.y).unwrap().local;
+        let axis = (0..3).max_by(|&a, &b| (local[a].abs() / half[a]).total_cmp(&(local[b].abs() / half[b]))).unwrap();
+        let normal = DVec3::AXES[axis] * local[axis].signum();
+        let n = c.rotation * p0.rotation * normal;
+        let d = n.dot(c.to_camera(p0.apply(normal * half[axis])));
+        let h = k * (turn + DMat3::from_cols(shift * n.x, shift * n.y, shift * n.z) * (1.0 / d)) * k.inverse();
+        let to = h * from.extend(1.0);
+        let flow = DVec2::new(to.x / to.z, to.y / to.z) - from;
+        let seen = DVec2::new(f64::from(map.flow.data[2 * i]), f64::from(map.flow.data[2 * i + 1]));
+        assert!((flow - seen).length() < 1e-4, "{from}, body {body:?}: {flow} against {seen}");
+        farthest = farthest.max(flow.length());
+        checked += 1;
+    }
+    assert!(checked > 100 && farthest > 4.0, "{checked} pixels, at most {farthest} px");
+}
+
+/// There and back again is nothing, a moment to itself is nothing, and points at rest stay.
+#[test]
+fn flow_there_and_back_is_nothing() {
+    let data = synth::generate("reach", &SynthOptions { size: 96, ..small() }).unwrap();
+    let (truth, c) = (&data.truth, &before_the_cloth());
+    assert!(truth.flow(c, 0.4, c, 0.4).flow.data.iter().all(|v| v.abs() < 1e-5));
+    let (there, back) = (truth.flow(c, 0.5, c, 0.53), truth.flow(c, 0.53, c, 0.5));
+    let (segments, landing) = (truth.segments(c, 0.5), truth.segments(c, 0.53));
+    let (mut compared, mut worst, mut farthest) = (0, 0.0f32, 0.0f32);
+    for k in (0..96 * 96).filter(|&k| there.visible_after[k]) {
+        let (du, dv) = (there.flow.data[2 * k], there.flow.data[2 * k + 1]);
+        if segments[k] == Some(2) {
+            assert!(du.hypot(dv) < 1e-5, "the floor rests");
+            continue;
+        }
+        let (x, y) = ((k % 96) as f32 + du, (k / 96) as f32 + dv);
+        let (fx, fy) = (x.floor(), y.floor());
+        let corner = |i: usize, j: usize| (fy as usize + j) * 96 + fx as usize + i;
+        let four = [(0, 0), (1, 0), (0, 1), (1, 1)];
+        if four.iter().any(|&(i, j)| landing[corner(i, j)] != segments[k]) {
+            continue;
+        }
+        let weigh = |i: usize, j: usize| {
+            (if i == 1 { x - fx } else { 1.0 - x + fx }) * (if j == 1 { y - fy } else { 1.0 - y + fy })
+        };
+        let at =
+            |c: usize| -> f32 { four.iter().map(|&(i, j)| weigh(i, j) * back.flow.data[2 * corner(i, j) + c]).sum() };
+        worst = worst.max((du + at(0)).hypot(dv + at(1)));
+        farthest = farthest.max(du.hypot(dv));
+        compared += 1;
+    }
+    // Flow bends at the edges of the box, where four pixels may lie on two faces.
+    assert!(
+        compared > 300 && worst < 0.15 && farthest > 2.0,
+        "{compared} points, {worst} px off, {farthest} px at most"
+    );
+}
+
+/// The box keeps clear of the cloth, the floor and the border; most of its way is made in the burst.
+#[test]
+fn the_box_reaches_mostly_in_its_burst() {
+    let data = synth::generate("reach", &SynthOptions { size: 8, train_views: 1, ..small() }).unwrap();
+    let centre = |t: f64| data.truth.position_of(0, DVec3::ZERO, t).unwrap();
+    let radius = DVec3::new(0.2, 0.15, 0.22).length();
+    let mut way = [0.0f64; 8];
+    for k in 0..800 {
+        let t = f64::from(k) / 800.0;
+        let c = centre(t);
+        assert!(
+            c.abs().max_element() + radius < 1.3 && c.z - radius > -0.68 && c.x + radius < 0.55 - 0.21,
+            "{c} at {t}"
+        );
+        way[k as usize / 100] += (centre(t + 1.0 / 800.0) - c).length();
+    }
+    let all: f64 = way.iter().sum();
+    assert!(way[4] > 0.6 * all && all > 1.0, "{way:?}");
+    let cloth = |u: f64, t: f64| data.truth.position_of(1, DVec3::new(u, 0.3, 0.0), t).unwrap();
+    assert_eq!(cloth(-0.55, 0.1), cloth(-0.55, 0.7), "it hangs by its upper edge");
+    assert!(cloth(-0.55, 0.0).z > 0.55 && cloth(0.55, 0.0).z < -0.45);
+    assert!(
+        (0..50).map(|k| (cloth(0.55, f64::from(k) / 50.0).x - 0.55).abs()).fold(0.0, f64::max) > 0.08,
+        "it wobbles"
+    );
+}
+
+/// Maps are written, numpy's format reads back, masks fit the segments, and the truth of a folder is found again.
+#[test]
+fn maps_hold_the_truth() {
+    let dir = tempfile::tempdir().unwrap();
+    let data = synth::write(dir.path(), "reach", &small(), false).unwrap();
+    synth::write_maps(dir.path(), &data, 5, false).unwrap();
+    assert_eq!(synth::write_maps(dir.path(), &data, 5, false).unwrap_err().code(), "io.exists");
+    let maps = dir.path().join("maps");
+    let free = gs_core::io::Limits { allow_non_finite: true, ..Default::default() };
+    let load = |name: &str| gs_core::io::npy::read(&std::fs::read(maps.join(name)).unwrap(), name, &free).unwrap();
+    let (depth, flow) = (load("test/r_001.depth.npy"), load("fixed/t_002.flow.npy"));
+    assert_eq!((depth.shape.clone(), flow.shape.clone()), (vec![48, 48], vec![48, 48, 2]));
+    let view = &data.dataset.test[1];
+    let (bodies, depth) = (data.truth.segments(&view.camera, view.time.seconds), depth.to_f32());
+    assert!(bodies.iter().zip(&depth).all(|(b, z)| b.is_some() == z.is_finite()));
+    for (name, body) in [("global", 0), ("local", 1)] {
+        let file = maps.join(format!("test/r_001.{name}.png"));
+        let mask = image::open(&file).unwrap().to_luma8();
+        let fits = bodies.iter().zip(mask.as_raw());
+        assert!(
+            fits.clone().all(|(b, m)| (*b == Some(body)) == (*m == 255))
+                && fits.filter(|(_, m)| **m == 255).count() > 20
+        );
+    }
+    let camera = &data.dataset.test[0].camera;
+    let want = data.truth.flow(camera, 0.5, camera, 0.75);
+    for (k, v) in flow.to_f32().iter().enumerate() {
+        assert!(if want.seen[k / 2] { *v == want.flow.data[k] } else { v.is_nan() });
+    }
+    assert!(!maps.join("fixed/t_004.flow.npy").exists() && maps.join("fixed/t_004.local.png").exists());
+    assert_eq!(synth::truth_of(dir.path()).as_ref(), Some(&data.truth));
+    assert!(synth::truth_of(&maps).is_none());
 }

@@ -22,17 +22,36 @@ pub enum Shape {
         half: DVec3,
     },
     /// A sheet over `[-x, x] × [-y, y]` whose material points move along z only:
-    /// `z = amplitude · ramp(x) · sin(wave·(x, y) − rate·t)`, `ramp = (x/half.x + 1)/2`: it is held at `x = −half.x`.
+    /// `z = ramp(x) Σ amplitude sin(wave·(x, y) − rate·t)`, `ramp = (x/half.x + 1)/2`: it is held at `x = −half.x`.
     Sheet {
         /// Half the sides.
         half: DVec2,
-        /// Largest height.
-        amplitude: f64,
-        /// Wave vector, radians per world unit.
-        wave: DVec2,
-        /// Radians per unit of time.
-        rate: f64,
+        /// The waves that run through it.
+        waves: &'static [Wave],
     },
+}
+
+/// One wave of a sheet.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Wave {
+    /// Largest height.
+    pub amplitude: f64,
+    /// Wave vector, radians per world unit.
+    pub wave: DVec2,
+    /// Radians per unit of time.
+    pub rate: f64,
+}
+
+/// How a body moves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum MotionClass {
+    /// Not at all.
+    Still,
+    /// As one rigid piece.
+    Global,
+    /// It deforms.
+    Local,
 }
 
 /// A body: shape, motion and colours.
@@ -75,10 +94,19 @@ impl Body {
         matches!(self.shape, Shape::Sheet { .. })
     }
 
+    /// How it moves.
+    pub fn class(&self) -> MotionClass {
+        match self.is_sheet() {
+            true => MotionClass::Local,
+            false if self.motion.moves() => MotionClass::Global,
+            false => MotionClass::Still,
+        }
+    }
+
     /// Cycles per unit of time of its fastest periodic motion; 0 at rest.
     pub(crate) fn cycles(&self) -> f64 {
-        let own = if let Shape::Sheet { rate, .. } = self.shape { rate.abs() / std::f64::consts::TAU } else { 0.0 };
-        own.max(self.motion.cycles())
+        let own = self.shape.waves().iter().map(|w| w.rate.abs() / std::f64::consts::TAU);
+        own.fold(self.motion.cycles(), f64::max)
     }
 
     /// World position of a material point at time `t`.
@@ -97,7 +125,7 @@ impl Shape {
         match *self {
             Self::Sphere { radius } => radius,
             Self::Box { half } => half.length(),
-            Self::Sheet { half, amplitude, .. } => half.extend(amplitude).length(),
+            Self::Sheet { half, .. } => half.extend(self.amplitude()).length(),
         }
     }
 
@@ -117,31 +145,48 @@ impl Shape {
         }
     }
 
+    /// The waves of a sheet; none for other shapes.
+    fn waves(&self) -> &'static [Wave] {
+        if let Self::Sheet { waves, .. } = *self { waves } else { &[] }
+    }
+
+    /// A bound on the height of the sheet.
+    fn amplitude(&self) -> f64 {
+        self.waves().iter().map(|w| w.amplitude.abs()).sum()
+    }
+
     /// Height of the sheet; 0 for other shapes.
     pub(crate) fn height(&self, p: DVec2, t: f64) -> f64 {
-        let Self::Sheet { half, amplitude, wave, rate } = *self else { return 0.0 };
-        amplitude * 0.5 * (p.x / half.x + 1.0) * (wave.dot(p) - rate * t).sin()
+        let Self::Sheet { half, waves } = *self else { return 0.0 };
+        let sum: f64 = waves.iter().map(|w| w.amplitude * (w.wave.dot(p) - w.rate * t).sin()).sum();
+        0.5 * (p.x / half.x + 1.0) * sum
     }
 
     /// Gradient of [`Self::height`].
     fn height_slope(&self, p: DVec2, t: f64) -> DVec2 {
-        let Self::Sheet { half, amplitude, wave, rate } = *self else { return DVec2::ZERO };
-        let (sin, cos) = (wave.dot(p) - rate * t).sin_cos();
-        wave * (amplitude * 0.5 * (p.x / half.x + 1.0) * cos) + DVec2::X * (amplitude * 0.5 / half.x * sin)
+        let Self::Sheet { half, waves } = *self else { return DVec2::ZERO };
+        let ramp = 0.5 * (p.x / half.x + 1.0);
+        let one = |w: &Wave| {
+            let (sin, cos) = (w.wave.dot(p) - w.rate * t).sin_cos();
+            w.wave * (w.amplitude * ramp * cos) + DVec2::X * (w.amplitude * 0.5 / half.x * sin)
+        };
+        waves.iter().map(one).sum()
     }
 
     /// Walks along the ray by steps that cannot jump over the sheet (|f| divided by a bound on |f'|), but never smaller
     /// than a fraction of a pixel, until the sign changes; then bisects and polishes by Newton's method.
     fn sheet_hit(&self, o: DVec3, d: DVec3, t: f64) -> Option<LocalHit> {
         const LEAST_STEP: f64 = 4e-3;
-        let Self::Sheet { half, amplitude, wave, .. } = *self else { return None };
+        let Self::Sheet { half, waves } = *self else { return None };
+        let amplitude = self.amplitude();
         let (enter, leave, _) = slabs(o, d, half.extend(amplitude))?;
         let f = |s: f64| {
             let p = o + d * s;
             p.z - self.height(p.truncate(), t)
         };
         let flat = d.truncate();
-        let slope = amplitude * wave.dot(flat).abs() + amplitude * 0.5 / half.x * flat.x.abs() + d.z.abs();
+        let steepest: f64 = waves.iter().map(|w| w.amplitude.abs() * w.wave.dot(flat).abs()).sum();
+        let slope = steepest + amplitude * 0.5 / half.x * flat.x.abs() + d.z.abs();
         let least = LEAST_STEP / d.length();
         let (mut a, mut fa) = (enter.max(0.0), f(enter.max(0.0)));
         while a < leave {
@@ -261,7 +306,11 @@ mod tests {
 
     #[test]
     fn hits_of_the_sheet_lie_on_the_sheet_and_nothing_is_missed() {
-        let sheet = Shape::Sheet { half: DVec2::new(1.0, 0.7), amplitude: 0.25, wave: DVec2::new(5.0, 2.0), rate: 6.0 };
+        const WAVES: &[Wave] = &[
+            Wave { amplitude: 0.2, wave: DVec2::new(5.0, 2.0), rate: 6.0 },
+            Wave { amplitude: 0.05, wave: DVec2::new(-3.0, 6.0), rate: 11.0 },
+        ];
+        let sheet = Shape::Sheet { half: DVec2::new(1.0, 0.7), waves: WAVES };
         let mut hits = 0;
         for k in 0..400 {
             let target = DVec3::new(f64::from(k % 20) / 10.0 - 0.97, f64::from(k / 20) / 15.0 - 0.66, 0.0);

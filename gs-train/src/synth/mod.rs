@@ -14,12 +14,14 @@ use serde::{Deserialize, Serialize};
 use crate::data::{DataError, Dataset, ImageSource, View};
 
 pub mod body;
+pub mod maps;
 pub mod motion;
 pub mod scenes;
 pub mod trace;
 mod truth;
 mod write;
 
+pub use maps::write_maps;
 pub use scenes::{SCENES, SynthScene};
 pub use truth::{FlowMap, Truth};
 pub use write::write;
@@ -68,11 +70,11 @@ pub const HALF_SIDE: f32 = 1.3;
 /// Most memory that images may take.
 const MAX_IMAGE_BYTES: u64 = 8 << 30;
 
-/// Generates a scene in memory.
+/// The truth of a scene, without taking its pictures.
 ///
 /// # Errors
-/// `data.option` if there is no such scene, or an option is out of its domain.
-pub fn generate(name: &str, options: &SynthOptions) -> Result<SynthData, DataError> {
+/// As [`generate`].
+pub fn truth(name: &str, options: &SynthOptions) -> Result<Truth, DataError> {
     let scene = SCENES.iter().find(|s| s.name == name).ok_or_else(|| DataError::Option {
         name: "scene",
         value: name.into(),
@@ -80,7 +82,29 @@ pub fn generate(name: &str, options: &SynthOptions) -> Result<SynthData, DataErr
     })?;
     check(options)?;
     let options = &SynthOptions { supersample: options.supersample.max(scene.least_supersample), ..*options };
-    let truth = Truth::new((scene.bodies)(), scene.name, scene.dynamic, options);
+    Ok(Truth::new((scene.bodies)(), scene.name, scene.dynamic, options))
+}
+
+/// The truth of the generated scene that was written to a folder; none if the folder holds no `truth.json` of a scene there is.
+pub fn truth_of(dir: &std::path::Path) -> Option<Truth> {
+    #[derive(Deserialize)]
+    struct Written {
+        scene: String,
+        options: SynthOptions,
+    }
+    let text = std::fs::read_to_string(dir.join("truth.json")).ok()?;
+    let written: Written = serde_json::from_str(&text).ok()?;
+    truth(&written.scene, &written.options).ok()
+}
+
+/// Generates a scene in memory.
+///
+/// # Errors
+/// `data.option` if there is no such scene, or an option is out of its domain.
+pub fn generate(name: &str, options: &SynthOptions) -> Result<SynthData, DataError> {
+    let truth = truth(name, options)?;
+    let options = truth.options();
+    let dynamic = truth.dynamic();
     let split = |purpose: &str, n: u32, time: &dyn Fn(u32) -> f64| {
         (0..n).map(|k| photograph(&truth, purpose, k, time(k))).collect::<Result<Vec<_>, _>>()
     };
@@ -95,8 +119,8 @@ pub fn generate(name: &str, options: &SynthOptions) -> Result<SynthData, DataErr
         test: split("synth.test", test, &held_out(test))?,
         points: None,
         has_alpha: true,
-        dynamic: scene.dynamic && n > 1,
-        time_source: if scene.dynamic { "generated: view index over 0..1" } else { "static" }.into(),
+        dynamic: dynamic && n > 1,
+        time_source: if dynamic { "generated: view index over 0..1" } else { "static" }.into(),
         bounds: Some([Vec3::splat(-HALF_SIDE), Vec3::splat(HALF_SIDE)]),
         notes: notes(&truth, n),
     };

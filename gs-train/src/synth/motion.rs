@@ -1,10 +1,10 @@
 //! Rigid motions with a closed form: a turn about a fixed axis, a drift, an orbit about the world's z, a bob.
 //!
-//! `x(t) = R(t) x_body + c(t)`, `R(t) = exp(rate·t [axis]×)`,
-//! `c(t) = start + velocity·t + radius (cos φ, sin φ, 0) + bob sin(2π·bob_rate·t)`, `φ = orbit_phase + orbit_rate·t`;
-//! `t` is the normalised time, angles are radians.
+//! `x(t) = R(s) x_body + c(s)`, `R(s) = exp(rate·s [axis]×) exp([tilt]×)`,
+//! `c(s) = start + velocity·s + radius (cos φ, sin φ, 0) + bob sin(2π·bob_rate·s)`, `φ = orbit_phase + orbit_rate·s`;
+//! `t` is the normalised time, `s(t)` the body's own clock (`s = t` without a [`Burst`]), angles are radians.
 
-use glam::{DMat3, DVec3};
+use glam::{DMat3, DQuat, DVec3};
 use serde::Serialize;
 
 /// Parameters of a motion. The default stands still at the origin.
@@ -12,6 +12,9 @@ use serde::Serialize;
 pub struct Motion {
     /// Centre at time 0, without orbit and bob.
     pub start: DVec3,
+    /// How the body is turned before it moves: axis times angle.
+    #[serde(skip_serializing_if = "at_zero")]
+    pub tilt: DVec3,
     /// World units per unit of time.
     pub velocity: DVec3,
     /// Axis of the body's own turn; any length, zero for none.
@@ -28,6 +31,39 @@ pub struct Motion {
     pub bob: DVec3,
     /// Turns per unit of time.
     pub bob_rate: f64,
+    /// Hurries through a part of the motion; none for an even pace.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub burst: Option<Burst>,
+}
+
+fn at_zero(v: &DVec3) -> bool {
+    *v == DVec3::ZERO
+}
+
+/// A clock that runs evenly but for a short while, in which it makes `share` of its whole way:
+/// `s(t) = (1 − share) t + share h((t − from)/(until − from))`, `h(x) = x²(3 − 2x)` on `[0, 1]`, constant outside.
+/// `s(0) = 0`, `s(1) = 1`, and `s` is continuously differentiable.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Burst {
+    /// Begin.
+    pub from: f64,
+    /// End; after the begin.
+    pub until: f64,
+    /// Part of the way, 0 to 1.
+    pub share: f64,
+}
+
+impl Burst {
+    /// The clock at time `t`.
+    fn clock(&self, t: f64) -> f64 {
+        let x = ((t - self.from) / (self.until - self.from)).clamp(0.0, 1.0);
+        (1.0 - self.share) * t + self.share * x * x * (3.0 - 2.0 * x)
+    }
+
+    /// Largest `ds/dt`, in the middle of the burst.
+    fn fastest(&self) -> f64 {
+        1.0 - self.share + 1.5 * self.share / (self.until - self.from)
+    }
 }
 
 /// A rigid transform from body to world: `world = rotation · body + translation`.
@@ -52,20 +88,28 @@ impl RigidPose {
 }
 
 impl Motion {
-    /// Cycles per unit of time of the fastest of turn, orbit and bob.
+    /// Whether the pose changes at all.
+    pub fn moves(&self) -> bool {
+        self.velocity != DVec3::ZERO || self.cycles() > 0.0
+    }
+
+    /// Cycles per unit of time of the fastest of turn, orbit and bob, when it is fastest.
     pub fn cycles(&self) -> f64 {
         const TURN: f64 = std::f64::consts::TAU;
         let when = |moves: bool, cycles: f64| if moves { cycles.abs() } else { 0.0 };
-        when(self.spin_axis != DVec3::ZERO, self.spin_rate / TURN)
+        let even = when(self.spin_axis != DVec3::ZERO, self.spin_rate / TURN)
             .max(when(self.orbit_radius != 0.0, self.orbit_rate / TURN))
-            .max(when(self.bob != DVec3::ZERO, self.bob_rate))
+            .max(when(self.bob != DVec3::ZERO, self.bob_rate));
+        even * self.burst.map_or(1.0, |b| b.fastest())
     }
 
     /// The pose at time `t`.
     pub fn at(&self, t: f64) -> RigidPose {
+        let t = self.burst.map_or(t, |b| b.clock(t));
         let axis = self.spin_axis.normalize_or_zero();
         let turns = axis != DVec3::ZERO;
         let rotation = if turns { DMat3::from_axis_angle(axis, self.spin_rate * t) } else { DMat3::IDENTITY };
+        let rotation = rotation * DMat3::from_quat(DQuat::from_scaled_axis(self.tilt));
         let angle = self.orbit_phase + self.orbit_rate * t;
         let orbit = DVec3::new(angle.cos(), angle.sin(), 0.0) * self.orbit_radius;
         let bob = self.bob * (std::f64::consts::TAU * self.bob_rate * t).sin();
@@ -92,5 +136,20 @@ mod tests {
         assert!((p.apply(DVec3::X) - DVec3::new(0.5, 3.0, 1.0)).length() < 1e-12, "{}", p.apply(DVec3::X));
         assert!((p.invert(p.apply(DVec3::new(0.3, 0.1, -0.7))) - DVec3::new(0.3, 0.1, -0.7)).length() < 1e-12);
         assert_eq!(Motion::default().at(0.7).apply(DVec3::ONE), DVec3::ONE);
+        let tilted = Motion { tilt: DVec3::Y * std::f64::consts::FRAC_PI_2, ..Motion::default() };
+        assert!((tilted.at(0.4).apply(DVec3::X) + DVec3::Z).length() < 1e-12 && !tilted.moves() && m.moves());
+    }
+
+    #[test]
+    fn a_burst_makes_most_of_the_way_in_little_time() {
+        let burst = Burst { from: 0.5, until: 0.625, share: 0.6 };
+        let m = Motion { velocity: DVec3::X, burst: Some(burst), ..Motion::default() };
+        let x = |t: f64| m.at(t).translation.x;
+        assert!(x(0.0).abs() < 1e-15 && (x(1.0) - 1.0).abs() < 1e-15);
+        assert!((x(0.625) - x(0.5) - (0.6 + 0.4 * 0.125)).abs() < 1e-12);
+        let speed = |t: f64| (x(t + 1e-6) - x(t - 1e-6)) / 2e-6;
+        assert!((speed(0.2) - 0.4).abs() < 1e-6 && (speed(0.8) - 0.4).abs() < 1e-6);
+        assert!((speed(0.5625) - burst.fastest()).abs() < 1e-6);
+        assert!((speed(0.5) - 0.4).abs() < 1e-3, "no jump of the speed");
     }
 }

@@ -2,8 +2,8 @@
 
 use glam::{DVec2, DVec3};
 
-use super::body::{Body, Shape};
-use super::motion::Motion;
+use super::body::{Body, Shape, Wave};
+use super::motion::{Burst, Motion};
 
 /// An entry in the list of scenes.
 pub struct SynthScene {
@@ -48,6 +48,13 @@ pub const SCENES: &[SynthScene] = &[
         dynamic: true,
         least_supersample: 4,
         bodies: waves,
+    },
+    SynthScene {
+        name: "reach",
+        about: "a box that is carried along an arc, most of the way in an eighth of the time, beside a hanging cloth that wobbles: global and local motion",
+        dynamic: true,
+        least_supersample: 4,
+        bodies: reach,
     },
 ];
 
@@ -126,7 +133,10 @@ fn at_rest() -> Vec<Body> {
 fn sheet() -> Vec<Body> {
     vec![Body {
         name: "sheet",
-        shape: Shape::Sheet { half: DVec2::new(1.0, 0.7), amplitude: 0.3, wave: DVec2::new(4.5, 1.2), rate: TURN },
+        shape: Shape::Sheet {
+            half: DVec2::new(1.0, 0.7),
+            waves: const { &[Wave { amplitude: 0.3, wave: DVec2::new(4.5, 1.2), rate: TURN }] },
+        },
         motion: Motion::default(),
         colors: [[0.82, 0.30, 0.22], [0.92, 0.90, 0.80]],
         pattern: 9.0,
@@ -173,6 +183,55 @@ fn waves() -> Vec<Body> {
             motion: slab,
             colors: [[0.30, 0.32, 0.36], [0.86, 0.86, 0.82]],
             pattern: FINE,
+        },
+    ]
+}
+
+/// Waves of the cloth of "reach": 1, 2 and 3½ cycles over the span of time.
+const CLOTH_WAVES: &[Wave] = &[
+    Wave { amplitude: 0.11, wave: DVec2::new(3.5, 1.0), rate: TURN },
+    Wave { amplitude: 0.06, wave: DVec2::new(-2.0, 5.0), rate: 2.0 * TURN },
+    Wave { amplitude: 0.04, wave: DVec2::new(6.0, -3.0), rate: 3.5 * TURN },
+];
+
+/// A box sweeps over 150 degrees of an arc, lifted and turned on its way, and a cloth hangs behind it. The box makes 60 % of
+/// its way while the time goes from 0.5 to 0.625, one of eight even intervals.
+fn reach() -> Vec<Body> {
+    let carried = Motion {
+        start: DVec3::new(-0.1, 0.0, -0.3),
+        orbit_radius: 0.65,
+        orbit_phase: TURN * 105.0 / 360.0,
+        orbit_rate: TURN * 150.0 / 360.0,
+        spin_axis: DVec3::new(0.2, 0.1, 1.0),
+        spin_rate: -0.3 * TURN,
+        bob: DVec3::Z * 0.3,
+        bob_rate: 0.5,
+        burst: Some(Burst { from: 0.5, until: 0.625, share: 0.6 }),
+        ..Motion::default()
+    };
+    // The sheet's x points down, so it hangs from its upper edge.
+    let hung = Motion { start: DVec3::new(0.55, 0.0, 0.05), tilt: DVec3::Y * (0.25 * TURN), ..Motion::default() };
+    vec![
+        Body {
+            name: "box",
+            shape: Shape::Box { half: DVec3::new(0.2, 0.15, 0.22) },
+            motion: carried,
+            colors: [[0.80, 0.22, 0.16], [0.98, 0.90, 0.70]],
+            pattern: 34.0,
+        },
+        Body {
+            name: "cloth",
+            shape: Shape::Sheet { half: DVec2::new(0.55, 0.6), waves: CLOTH_WAVES },
+            motion: hung,
+            colors: [[0.12, 0.36, 0.66], [0.85, 0.93, 0.96]],
+            pattern: 24.0,
+        },
+        Body {
+            name: "floor",
+            shape: Shape::Box { half: DVec3::new(0.85, 0.85, 0.04) },
+            motion: Motion { start: DVec3::Z * -0.72, ..Motion::default() },
+            colors: [[0.34, 0.36, 0.34], [0.82, 0.82, 0.76]],
+            pattern: 20.0,
         },
     ]
 }

@@ -4,7 +4,7 @@ use glam::{DVec2, DVec3};
 use gs_core::{Camera, Image};
 
 use super::SynthOptions;
-use super::body::Body;
+use super::body::{Body, MotionClass};
 use super::motion::RigidPose;
 use super::trace::{Hit, Tracer};
 use crate::data::ImageU8;
@@ -85,6 +85,14 @@ impl Truth {
     /// Index of the body seen at each pixel centre, row-major.
     pub fn segments(&self, camera: &Camera, t: f64) -> Vec<Option<u32>> {
         self.centres(camera, t).into_iter().map(|h| h.map(|h| h.body as u32)).collect()
+    }
+
+    /// 1 at pixel centres that see a body which moves in this way, else 0; 1 channel.
+    pub fn mask(&self, camera: &Camera, t: f64, class: MotionClass) -> Image {
+        let mut mask = Image::zeros(camera.width as usize, camera.height as usize, 1);
+        let of = |h: Option<Hit>| f32::from(h.is_some_and(|h| self.bodies[h.body].class() == class));
+        mask.data = self.centres(camera, t).into_iter().map(of).collect();
+        mask
     }
 
     /// Where the material points that `before` sees at pixel centres at time `t0` are in the image of `after` at `t1`.

@@ -79,7 +79,7 @@ fn truth_json(truth: &Truth) -> Value {
         .map(|b| {
             let poses: Vec<Value> = times.iter().map(|&t| pose_json(b.motion.at(t), t)).collect();
             let deforms = matches!(b.shape, Shape::Sheet { .. });
-            json!({ "name": b.name, "shape": b.shape, "motion": b.motion, "deforms": deforms, "poses": poses })
+            json!({ "name": b.name, "class": b.class(), "shape": b.shape, "motion": b.motion, "deforms": deforms, "poses": poses })
         })
         .collect();
     json!({

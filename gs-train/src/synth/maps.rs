@@ -1,0 +1,95 @@
+//! The truth of a generated scene as maps: depth and masks of every view, and flow of a camera that stands still.
+//!
+//! ```text
+//! maps/{train,val,test}/r_000.depth.npy             [H, W] camera-space z; NaN where nothing is seen
+//! maps/{train,val,test}/r_000.{global,local}.png    255 where a body moves rigidly, where one deforms
+//! maps/fixed/camera.json                            the first test view's camera
+//! maps/fixed/t_000.{depth.npy,global.png,local.png} the same from there at times k / (n − 1)
+//! maps/fixed/t_000.flow.npy                         [H, W, 2] pixels from time k to time k + 1; NaN where nothing is seen
+//! ```
+
+use std::path::{Path, PathBuf};
+
+use gs_core::io::cameras::{NamedCamera, save_cameras};
+use gs_core::io::{IoError, npy, write_file};
+use gs_core::{Camera, Image};
+use rayon::prelude::*;
+
+use super::body::MotionClass;
+use super::{SynthData, Truth};
+use crate::data::DataError;
+use crate::report::png;
+
+/// Folder of the maps in that of the data set.
+pub const FOLDER: &str = "maps";
+
+/// Writes the maps of a generated scene below its folder `dir`, with `moments` (at least 2) times of the camera that stands
+/// still. Maps that exist are written anew only if `overwrite` is set.
+///
+/// # Errors
+/// `io.exists` or `io.write`.
+pub fn write_maps(dir: &Path, data: &SynthData, moments: u32, overwrite: bool) -> Result<(), DataError> {
+    let root = dir.join(FOLDER);
+    let (truth, sets) = (&data.truth, &data.dataset);
+    for (split, views) in [("train", &sets.train), ("val", &sets.val), ("test", &sets.test)] {
+        let folder = made(root.join(split))?;
+        views.par_iter().try_for_each(|v| still(truth, &v.camera, v.time.seconds, &folder.join(&v.name), overwrite))?;
+    }
+    let Some(view) = sets.test.first().or(sets.train.first()) else { return Ok(()) };
+    let (camera, folder) = (&view.camera, made(root.join("fixed"))?);
+    let name = format!("test {}", view.name);
+    let named = NamedCamera { camera: camera.clone(), name, time: None };
+    saved(save_cameras(&folder.join("camera.json"), &[named], overwrite), &folder)?;
+    let last = moments.max(2) - 1;
+    let time = |k: u32| f64::from(k) / f64::from(last);
+    (0..=last).into_par_iter().try_for_each(|k| {
+        let stem = folder.join(format!("t_{k:03}"));
+        still(truth, camera, time(k), &stem, overwrite)?;
+        if k == last {
+            return Ok(());
+        }
+        let mut map = truth.flow(camera, time(k), camera, time(k + 1));
+        hide(&mut map.flow, &map.seen);
+        save_npy(&stem.with_extension("flow.npy"), &map.flow, overwrite)
+    })
+}
+
+/// Depth and masks of one camera at one time.
+fn still(truth: &Truth, camera: &Camera, t: f64, stem: &Path, overwrite: bool) -> Result<(), DataError> {
+    let mut depth = truth.depth(camera, t);
+    let seen: Vec<bool> = depth.data.iter().map(|&z| z > 0.0).collect();
+    hide(&mut depth, &seen);
+    save_npy(&stem.with_extension("depth.npy"), &depth, overwrite)?;
+    for (class, name) in [(MotionClass::Global, "global.png"), (MotionClass::Local, "local.png")] {
+        let file = stem.with_extension(name);
+        let bytes =
+            png(&truth.mask(camera, t, class)).map_err(|e| DataError::write(&file, std::io::Error::other(e)))?;
+        saved(write_file(&file, overwrite, |out| out.write_all(&bytes)), &file)?;
+    }
+    Ok(())
+}
+
+/// NaN where nothing is seen.
+fn hide(map: &mut Image, seen: &[bool]) {
+    for (values, _) in map.data.chunks_exact_mut(map.channels).zip(seen).filter(|(_, seen)| !**seen) {
+        values.fill(f32::NAN);
+    }
+}
+
+fn made(folder: PathBuf) -> Result<PathBuf, DataError> {
+    std::fs::create_dir_all(&folder).map_err(|e| DataError::write(&folder, e))?;
+    Ok(folder)
+}
+
+fn save_npy(file: &Path, map: &Image, overwrite: bool) -> Result<(), DataError> {
+    let shape = [map.height, map.width, map.channels];
+    let shape = if map.channels == 1 { &shape[..2] } else { &shape };
+    saved(write_file(file, overwrite, |out| npy::write(shape, &map.data, out)), file)
+}
+
+fn saved(result: Result<(), IoError>, place: &Path) -> Result<(), DataError> {
+    result.map_err(|e| match e {
+        IoError::Exists { .. } => DataError::Occupied { path: place.to_owned() },
+        other => DataError::write(place, std::io::Error::other(other)),
+    })
+}
