@@ -12,7 +12,7 @@
 
 use super::DecoderConfig;
 use crate::AnchorShape;
-use gs_core::nn::dense::{relu, relu_backward};
+use gs_core::nn::dense::relu_backward;
 use gs_core::nn::gemm::{Mat, MatMut, Write, gemm};
 use gs_core::nn::{Dense, DenseGrad, Init};
 use gs_core::{Param, Params, Rng};
@@ -131,8 +131,7 @@ impl Heads {
         let rows = input.len() / self.input_width();
         let Some(first) = &fused.layer else { return };
         hidden.resize(rows * first.outputs(), 0.0);
-        first.forward(input, hidden);
-        relu(hidden);
+        first.forward_relu(input, hidden);
         for (h, (layer, out)) in self.second.iter().zip(out).enumerate() {
             layer.start(&layer.bias.value, out);
             let weight = Mat::new(&layer.weight.value, layer.outputs(), self.width).transposed();

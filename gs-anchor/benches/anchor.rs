@@ -1,0 +1,219 @@
+//! Time and error of the anchors' own work at the published sizes: decoding, deformation per interval, visibility.
+//!
+//! Each row is printed and appended to `target/speed-error/gs-anchor.jsonl`. `work` counts floating-point operations of
+//! matrix products (two per multiply-add), or anchors where there are none.
+
+use glam::{DVec3, Vec3};
+use gs_anchor::reference::{AnchorRef, Blocks, DecoderRef, GadRef, GaussianRef, RestRef};
+use gs_anchor::{AnchorShape, Anchors, DecodeTape, Decoder, DecoderConfig, Gad, GadConfig, GadTape};
+use gs_anchor::{Local, LocalGrad, Reach, Visible, visible};
+use gs_core::speed::{SpeedError, median_seconds};
+use gs_core::{Camera, Params, Rng, Splats, SplatsGrad, Time};
+use gs_deform::{Aabb, PlaneNetConfig};
+use gs_raster::{RasterOptions, Workspace, render};
+use std::path::Path;
+
+/// Anchors in view, as the specification's cost model has them.
+const ANCHORS: usize = 12_000;
+/// Anchors compared with the reference.
+const COMPARED: usize = 300;
+const RUNS: usize = 15;
+const SHAPE: AnchorShape = AnchorShape { offsets: 10, features: 32, dynamics: 2 };
+const T: Time = Time { normalised: 0.37, seconds: 0.37 };
+type Failure = Box<dyn std::error::Error>;
+
+/// Measures, prints and records; returns milliseconds.
+fn row(case: &str, variant: &str, work: f64, (error, error_kind): (f64, &'static str), f: impl FnMut()) -> f64 {
+    let ms = 1e3 * median_seconds(RUNS, f);
+    let line = SpeedError {
+        krate: "gs-anchor",
+        case: case.to_owned(),
+        variant: variant.to_owned(),
+        n: ANCHORS,
+        threads: rayon::current_num_threads(),
+        ms,
+        work,
+        error: Some(error),
+        error_kind,
+    };
+    if let Err(e) = line.record(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/speed-error")) {
+        eprintln!("cannot append: {e}");
+    }
+    ms
+}
+
+/// Anchors on a sphere with everything learnt a little.
+fn anchors() -> Anchors {
+    let point = |row| {
+        let mut rng = Rng::new(1, "points", 0, row);
+        0.8 * Vec3::new(rng.normal(), rng.normal(), rng.normal()).normalize_or(Vec3::X)
+    };
+    let positions: Vec<Vec3> = (0..ANCHORS as u64).map(point).collect();
+    let mut anchors = Anchors::new(SHAPE, &positions, &vec![-3.5; ANCHORS]);
+    anchors.visit_mut(&mut |p| {
+        let mut rng = Rng::new(2, &p.name, 0, 0);
+        if p.name != "anchors.positions" {
+            p.value.iter_mut().for_each(|v| *v += 0.5 * rng.normal());
+        }
+    });
+    anchors
+}
+
+/// Largest difference relative to the largest wanted value.
+fn worst(got: &[f64], want: &[f64]) -> f64 {
+    let largest = want.iter().fold(1e-30f64, |m, v| m.max(v.abs()));
+    got.iter().zip(want).fold(0.0f64, |m, (g, w)| m.max((g - w).abs())) / largest
+}
+
+fn wide(v: &[f32]) -> Vec<f64> {
+    v.iter().map(|&v| f64::from(v)).collect()
+}
+
+/// One splat, with a cotangent of one for every value.
+fn flat(g: &GaussianRef) -> Vec<f64> {
+    [&[g.activation][..], &g.mean, &g.scale, &g.quat, &g.color].concat()
+}
+
+const ONES: GaussianRef =
+    GaussianRef { activation: 1.0, mean: [1.0; 3], scale: [1.0; 3], quat: [1.0; 4], color: [1.0; 3] };
+
+fn ones(splats: &Splats) -> SplatsGrad {
+    let mut d = SplatsGrad::zeros_like(splats);
+    d.means.fill(Vec3::ONE);
+    d.scales.fill(Vec3::ONE);
+    d.quats.fill([1.0; 4]);
+    d.opacities.fill(1.0);
+    d.color.fill(1.0);
+    d
+}
+
+fn flat_anchor(a: &AnchorRef) -> Vec<f64> {
+    [&a.position[..], &a.offsets, &a.features, &a.scales].concat()
+}
+
+fn local_row(d: &LocalGrad, v: usize) -> Vec<f64> {
+    let (k, c) = (3 * SHAPE.offsets, SHAPE.features);
+    let position = d.positions[v].to_array();
+    wide(&[&position[..], &d.offsets[v * k..][..k], &d.features[v * c..][..c], &d.scales[v * 6..][..6]].concat())
+}
+
+/// Worst splat and worst anchor's gradient against the reference.
+fn decode_errors(decoder: &Decoder, local: &Local, eye: DVec3, out: &Splats, d: &LocalGrad) -> (f64, f64) {
+    let twin = DecoderRef::new(decoder);
+    let mut grads: Blocks = twin.blocks.iter().map(|(n, b)| (n.clone(), vec![0.0; b.len()])).collect();
+    let (mut n, mut splats, mut gradients) = (0, 0.0f64, 0.0f64);
+    for v in 0..COMPARED {
+        let anchor = AnchorRef::new(local, v);
+        for g in twin.decode(&anchor, eye.to_array()).iter().filter(|g| g.activation > 0.0) {
+            let (mean, scale) = (out.means[n].to_array(), out.scales[n].to_array());
+            let rgb = &out.color.as_flat()[3 * n..][..3];
+            let got = [&[out.opacities[n]][..], &mean, &scale, &out.quats[n], rgb].concat();
+            splats = splats.max(worst(&wide(&got), &flat(g)));
+            n += 1;
+        }
+        let back = twin.backward(&anchor, eye.to_array(), &vec![ONES; SHAPE.offsets], &mut grads);
+        gradients = gradients.max(worst(&local_row(d, v), &flat_anchor(&back)));
+    }
+    (splats, gradients)
+}
+
+fn decode(anchors: &Anchors, camera: &Camera) -> Result<Splats, Failure> {
+    let mut decoder = Decoder::new(&DecoderConfig::default(), SHAPE, 1)?;
+    let (mut local, mut tape, mut out, mut d) = Default::default();
+    anchors.activate(&mut local);
+    let eye = camera.position();
+    decoder.forward(&local, Visible::All, eye, &mut tape, &mut out);
+    let d_out = ones(&out);
+    LocalGrad::reset(&mut d, &local);
+    decoder.backward(&local, &mut tape, &d_out, &mut d);
+    let (splats, gradients) = decode_errors(&decoder, &local, eye, &out, &d);
+    println!("    {} splats of {ANCHORS} anchors", out.len());
+    // Inputs of 35, three hidden layers of 32, eleven outputs per Gaussian.
+    let flops = 2.0 * (ANCHORS * (35 * 96 + 32 * 11 * SHAPE.offsets)) as f64;
+    let work = |tape: &mut DecodeTape, out: &mut Splats| decoder.forward(&local, Visible::All, eye, tape, out);
+    row("decode", "forward", flops, (splats, "splats relative to f64"), || work(&mut tape, &mut out));
+    row("decode", "forward and backward", 3.0 * flops, (gradients, "gradients relative to f64"), || {
+        decoder.forward(&local, Visible::All, eye, &mut tape, &mut out);
+        d.reset(&local);
+        decoder.backward(&local, &mut tape, &d_out, &mut d);
+    });
+    Ok(out)
+}
+
+fn deform(anchors: &mut Anchors) -> Result<(), Failure> {
+    let published = GadConfig::default();
+    let config = GadConfig { net: PlaneNetConfig { zero_init: false, ..published.net }, ..published };
+    let mut gad = Gad::new(&config, SHAPE, Aabb::cube(1.0), 1)?;
+    let (mut tape, mut out, mut d) = (GadTape::default(), Local::default(), LocalGrad::default());
+    gad.forward(anchors, T, &mut tape, &mut out);
+    d.reset(&out);
+    d.positions.fill(Vec3::ONE);
+    [&mut d.offsets, &mut d.features, &mut d.scales].into_iter().for_each(|d| d.fill(1.0));
+    gad.backward(anchors, &mut tape, &d);
+    let twin = GadRef::new(&gad);
+    let mut grad = twin.net.zero_grad();
+    let (mut values, mut gradients) = (0.0f64, 0.0f64);
+    for v in 0..COMPARED {
+        let rest = RestRef::new(anchors, v);
+        values = values.max(worst(&flat_anchor(&AnchorRef::new(&out, v)), &flat_anchor(&twin.moved(&rest, T))));
+        let d = AnchorRef { position: [1.0; 3], offsets: vec![1.0; 30], features: vec![1.0; 32], scales: [1.0; 6] };
+        let want = twin.backward(&rest, T, &d, &mut grad).logits;
+        let got = anchors.dynamics.as_ref().map_or(&[][..], |p| &p.grad[2 * v..][..2]);
+        gradients = gradients.max(worst(&wide(got), &want));
+    }
+    // Features of 32, trunk of 128, four hidden layers of 128, 71 outputs.
+    let flops = 2.0 * (ANCHORS * (32 * 128 + 128 * 512 + 128 * (3 + 32 + 30 + 6))) as f64;
+    row("gad, width 128", "forward", flops, (values, "anchors relative to f64"), || {
+        gad.forward(anchors, T, &mut tape, &mut out);
+    });
+    row(
+        "gad, width 128",
+        "forward and backward",
+        3.0 * flops,
+        (gradients, "logits' gradients relative to f64"),
+        || {
+            gad.forward(anchors, T, &mut tape, &mut out);
+            gad.backward(anchors, &mut tape, &d);
+        },
+    );
+    let kept = out.clone();
+    gad.forward(anchors, T, &mut GadTape::default(), &mut out);
+    let same = if kept == out { 0.0 } else { 1.0 };
+    row("gad, width 128", "kept per interval", ANCHORS as f64, (same, "difference from fresh"), || {
+        out.clone_from(&kept)
+    });
+    Ok(())
+}
+
+/// A camera that sees part of the sphere: the filter against drawing everything.
+fn visibility(anchors: &Anchors, camera: &Camera, all: &Splats) -> Result<(), Failure> {
+    let decoder = Decoder::new(&DecoderConfig::default(), SHAPE, 1)?;
+    let (mut local, mut seen, mut tape, mut some) = Default::default();
+    anchors.activate(&mut local);
+    visible::clean(&local, camera, &Reach::default(), &mut seen);
+    decoder.forward(&local, Visible::List(&seen), camera.position(), &mut tape, &mut some);
+    let draw = |s: &Splats| render(s, camera, &RasterOptions::default(), &mut Workspace::new()).rgb;
+    let error = worst(&wide(&draw(&some)), &wide(&draw(all)));
+    println!("    {} of {ANCHORS} anchors listed", seen.len());
+    row("visible", "clean", ANCHORS as f64, (error, "picture with and without"), || {
+        visible::clean(&local, camera, &Reach::default(), &mut seen);
+    });
+    row("decode", "forward, what is visible", ANCHORS as f64, (error, "picture with and without"), || {
+        decoder.forward(&local, Visible::List(&seen), camera.position(), &mut tape, &mut some);
+    });
+    visible::reference(anchors, camera, &mut seen);
+    decoder.forward(&local, Visible::List(&seen), camera.position(), &mut tape, &mut some);
+    let error = worst(&wide(&draw(&some)), &wide(&draw(all)));
+    row("visible", "published", ANCHORS as f64, (error, "picture with and without"), || {
+        visible::reference(anchors, camera, &mut seen);
+    });
+    Ok(())
+}
+
+fn main() -> Result<(), Failure> {
+    let mut anchors = anchors();
+    let camera = Camera::look_at(320, 240, 0.7, DVec3::new(0.4, 0.2, -1.6), DVec3::new(0.3, 0.2, 0.0), DVec3::Y)?;
+    let all = decode(&anchors, &camera)?;
+    visibility(&anchors, &camera, &all)?;
+    deform(&mut anchors)
+}

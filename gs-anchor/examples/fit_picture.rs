@@ -1,0 +1,84 @@
+//! A scaffold from points to a picture and back: `cargo run --release -p gs-anchor --example fit_picture [out.ppm]`.
+//!
+//! Points on a sphere become anchors, the anchors a camera sees become Gaussians, the Gaussians a picture; the
+//! difference to another picture then flows back into the networks, features, offsets and scales. Sixty crude steps show
+//! the loss fall; `gs-train` has the real optimiser.
+
+use glam::{DVec3, Vec3};
+use gs_anchor::{AnchorInit, AnchorShape, DecodeTape, Decoder, DecoderConfig, Local, LocalGrad, Reach, Visible};
+use gs_anchor::{anchors_from_points, visible};
+use gs_core::{Camera, Params, Rng, Splats};
+use gs_raster::{Frame, FrameGrad, RasterOptions, Workspace, render, render_backward};
+
+const STEPS: usize = 60;
+/// Every value moves by this much a step, towards where its gradient points.
+const RATE: f32 = 2e-3;
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let points: Vec<Vec3> = (0..20_000).map(|row| 0.5 * on_sphere(row)).collect();
+    let shape = AnchorShape { offsets: 5, features: 16, dynamics: 0 };
+    let start = anchors_from_points(&points, shape, &AnchorInit { voxel: 0.04, ..AnchorInit::default() })?;
+    let (mut anchors, mut decoder) = (start.anchors, Decoder::new(&DecoderConfig::default(), shape, 1)?);
+    let camera = Camera::look_at(128, 128, 0.8, DVec3::new(0.8, 0.4, -1.2), DVec3::ZERO, DVec3::Y)?;
+    let target = target(&camera);
+
+    let (mut local, mut tape, mut splats) = (Local::default(), DecodeTape::default(), Splats::default());
+    let (mut d_local, mut seen, mut workspace) = (LocalGrad::default(), Vec::new(), Workspace::new());
+    let mut picture = Frame::default();
+    for step in 0..=STEPS {
+        anchors.activate(&mut local);
+        visible::clean(&local, &camera, &Reach::default(), &mut seen);
+        decoder.forward(&local, Visible::List(&seen), camera.position(), &mut tape, &mut splats);
+        picture = render(&splats, &camera, &RasterOptions::default(), &mut workspace);
+        let error: Vec<f32> = picture.rgb.iter().zip(&target).map(|(p, t)| p - t).collect();
+        if step % 20 == 0 {
+            let mse = error.iter().map(|e| f64::from(e * e)).sum::<f64>() / error.len() as f64;
+            let (all, some, n) = (anchors.len(), seen.len(), splats.len());
+            println!("step {step:2}: {some} of {all} anchors, {n} Gaussians, PSNR {:.2} dB", -10.0 * mse.log10());
+        }
+        let d_frame = FrameGrad { rgb: error, ..FrameGrad::default() };
+        let (d_splats, _) = render_backward(&splats, &camera, &RasterOptions::default(), &mut workspace, &d_frame);
+        d_local.reset(&local);
+        decoder.backward(&local, &mut tape, &d_splats, &mut d_local);
+        anchors.activate_backward(&local, &d_local);
+        anchors.visit_mut(&mut descend);
+        decoder.visit_mut(&mut descend);
+    }
+    match std::env::args().nth(1) {
+        Some(path) => write_ppm(&picture, path.as_ref()),
+        None => Ok(()),
+    }
+}
+
+/// One step against the sign of the gradient; anchors stay where they are.
+fn descend(p: &mut gs_core::Param) {
+    if p.name != "anchors.positions" {
+        p.value.iter_mut().zip(&p.grad).for_each(|(v, g)| *v -= if *g == 0.0 { 0.0 } else { RATE * g.signum() });
+    }
+    p.clear_grad();
+}
+
+fn on_sphere(row: u64) -> Vec3 {
+    let mut rng = Rng::new(1, "sphere", 0, row);
+    Vec3::new(rng.normal(), rng.normal(), rng.normal()).normalize_or(Vec3::X)
+}
+
+/// A sphere coloured by its normals over black: where each pixel's ray hits it.
+fn target(camera: &Camera) -> Vec<f32> {
+    let eye = camera.position();
+    let mut rgb = Vec::new();
+    for (y, x) in (0..camera.height).flat_map(|y| (0..camera.width).map(move |x| (y, x))) {
+        let ray = camera.ray(f64::from(x) + 0.5, f64::from(y) + 0.5);
+        let (along, miss) = (-eye.dot(ray), 0.25 - eye.length_squared() + eye.dot(ray).powi(2));
+        let normal = 2.0 * (eye + ray * (along - miss.max(0.0).sqrt()));
+        rgb.extend(if miss > 0.0 { (normal * 0.5 + 0.5).as_vec3().to_array() } else { [0.0; 3] });
+    }
+    rgb
+}
+
+/// Portable pixmap: the simplest picture format there is.
+fn write_ppm(frame: &Frame, path: &std::path::Path) -> Result<(), Box<dyn std::error::Error>> {
+    let mut bytes = format!("P6\n{} {}\n255\n", frame.width, frame.height).into_bytes();
+    bytes.extend(frame.rgb.iter().map(|v| (v.clamp(0.0, 1.0) * 255.0).round() as u8));
+    Ok(std::fs::write(path, bytes)?)
+}
