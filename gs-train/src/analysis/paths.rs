@@ -111,7 +111,7 @@ impl Paths {
 /// Centres of all splats at evenly spaced times.
 fn centres(method: &dyn Method, camera: &Camera, moments: usize) -> Vec<Vec<[f32; 3]>> {
     let time = |k: usize| k as f32 / (moments.max(2) - 1) as f32;
-    let at = |k: usize| method.splats(&moment(time(k)), camera).means.iter().map(|m| m.to_array()).collect();
+    let at = |k: usize| method.tracked(&moment(time(k)), camera).means.iter().map(|m| m.to_array()).collect();
     (0..moments).map(at).collect()
 }
 
@@ -126,7 +126,7 @@ pub fn jerk_overlay(
     interval: f32,
     camera: &Camera,
 ) -> Result<Overlay, TrajectoryError> {
-    let at = |t: f32| method.splats(&moment(t), camera).means.iter().map(|m| m.to_array()).collect::<Vec<_>>();
+    let at = |t: f32| method.tracked(&moment(t), camera).means.iter().map(|m| m.to_array()).collect::<Vec<_>>();
     let frames = [at(time - interval), at(time), at(time + interval)];
     let values = second_differences(&frames)?.swap_remove(0);
     let reference = Spread::of(values.iter().copied().filter(|a| *a > REFERENCE)).p50.max(REFERENCE);

@@ -1,4 +1,6 @@
-//! Ablations: parts of [`fags`](super::fags) to leave out, by the names of the paper's table.
+//! Ablations: parts of a method to leave out, by the names of its paper's table.
+//!
+//! Of [`fags`](super::fags):
 //!
 //! | name | left out | how |
 //! |---|---|---|
@@ -9,16 +11,17 @@
 //! | `lambda` | λ per splat | one λ that all splats share, learnt (`λ = ½` would be `fdgk`, whatever β is) |
 //! | `beta` | β per splat | `β = ½` |
 //!
-//! All of the first four together are [`grid4d`](super::grid4d).
+//! All of the first four together are [`grid4d`](super::grid4d). Those of [`modec`](super::modec) stand there.
 
 use crate::methods::grid4d::Config;
 use crate::methods::kernel::KernelKind;
 use serde::{Deserialize, Serialize};
 
-type LeaveOut = fn(&mut Config);
+/// A part by its name, and what leaves it out of a configuration.
+pub type Part<C> = (&'static str, fn(&mut C));
 
-/// The parts by name, and what leaves each out.
-const PARTS: &[(&str, LeaveOut)] = &[
+/// The parts of everything on the body of Grid4D.
+pub(super) const GRID4D: &[Part<Config>] = &[
     ("fdgk", |c| c.cloud.kernel.kind = KernelKind::Gaussian),
     ("hfe", |c| c.field.fourier.on = false),
     ("gate", |c| c.field.gate.on = false),
@@ -29,28 +32,29 @@ const PARTS: &[(&str, LeaveOut)] = &[
 
 /// Parts to leave out: names with commas between them, or nothing.
 #[derive(Clone, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(try_from = "String", into = "String")]
+#[serde(from = "String", into = "String")]
 pub struct Ablations(Vec<String>);
 
 impl Ablations {
     /// Leaves the parts out.
-    pub fn apply(&self, config: &mut Config) {
-        PARTS.iter().filter(|(name, _)| self.0.iter().any(|n| n == name)).for_each(|(_, leave_out)| leave_out(config));
+    ///
+    /// # Errors
+    /// If there is no part of that name; says which there are.
+    pub fn apply<C>(&self, parts: &[Part<C>], config: &mut C) -> Result<(), String> {
+        for name in &self.0 {
+            let Some((_, leave_out)) = parts.iter().find(|part| part.0 == name) else {
+                let known: Vec<&str> = parts.iter().map(|part| part.0).collect();
+                return Err(format!("there is no part `{name}` to leave out; choose of {}", known.join(", ")));
+            };
+            leave_out(config);
+        }
+        Ok(())
     }
 }
 
-impl TryFrom<String> for Ablations {
-    type Error = String;
-
-    fn try_from(text: String) -> Result<Self, String> {
-        let names: Vec<String> = text.split(',').map(|n| n.trim().to_owned()).filter(|n| !n.is_empty()).collect();
-        match names.iter().find(|name| PARTS.iter().all(|part| part.0 != name.as_str())) {
-            None => Ok(Self(names)),
-            Some(name) => {
-                let known: Vec<&str> = PARTS.iter().map(|part| part.0).collect();
-                Err(format!("there is no part `{name}` to leave out; choose of {}", known.join(", ")))
-            }
-        }
+impl From<String> for Ablations {
+    fn from(text: String) -> Self {
+        Self(text.split(',').map(|n| n.trim().to_owned()).filter(|n| !n.is_empty()).collect())
     }
 }
 
@@ -69,7 +73,7 @@ mod tests {
         let mut table = MethodEntry::find(method).unwrap().config("tiny").unwrap();
         table.insert("ablate".into(), ablate.into());
         let mut config: Config = parse_config(method, &table).unwrap();
-        config.ablate.clone().apply(&mut config);
+        config.ablate.clone().apply(GRID4D, &mut config).unwrap();
         config
     }
 
@@ -92,8 +96,9 @@ mod tests {
 
     #[test]
     fn unknown_parts_are_refused_with_the_known_ones() {
-        let error = Ablations::try_from("gate,fdkg".to_owned()).unwrap_err();
+        let mut fags = config("fags", "");
+        let error = Ablations::from("gate,fdkg".to_owned()).apply(GRID4D, &mut fags).unwrap_err();
         assert!(error.contains("`fdkg`") && error.contains("fdgk, hfe, gate"), "{error}");
-        assert_eq!(Ablations::try_from(String::new()).unwrap(), Ablations::default());
+        assert_eq!(Ablations::from(String::new()), Ablations::default());
     }
 }

@@ -2,7 +2,7 @@
 //! [`fags`](super::fags), which adds a Fourier branch, a gate, a bent kernel and a loss on spectra, and of
 //! [`drk`](super::drk), which adds another kernel: one structure of settings, one way to build.
 
-use crate::methods::ablate::Ablations;
+use crate::methods::ablate::{Ablations, GRID4D};
 use crate::methods::canonical::Canonical;
 use crate::methods::deformed::Deformed;
 use crate::methods::scene::{CloudConfig, InitConfig, SceneInfo};
@@ -62,13 +62,13 @@ pub(super) fn build_as(
     scene: &SceneInfo,
 ) -> Result<Box<dyn Method>, MethodError> {
     let mut config: Config = parse_config(name, table)?;
-    config.ablate.clone().apply(&mut config);
+    let wrong = |why: String| MethodError::Config { method: name, why };
+    config.ablate.clone().apply(GRID4D, &mut config).map_err(wrong)?;
     if config.field.bound == 0.0 {
         config.field.bound =
             ROOM * scene.bounds.map(|corner| corner.abs().max_element()).into_iter().fold(0.0, f32::max);
     }
-    let wrong = |e: gs_deform::DeformError| MethodError::Config { method: name, why: e.to_string() };
-    let field = Grid4dField::new(&config.field, scene.seed).map_err(wrong)?;
+    let field = Grid4dField::new(&config.field, scene.seed).map_err(|e| wrong(e.to_string()))?;
     let canonical = Canonical::new(&config.cloud, config.schedule, scene)?;
     let still = Anneal { strength: 0.0, ..Anneal::default() };
     let method = Deformed::new(name, canonical, field, still, scene.views);

@@ -10,6 +10,7 @@ use gs_core::{Camera, Params, Splats, SplatsGrad};
 use gs_raster::ScreenStats;
 
 pub mod ablate;
+pub mod anchored;
 pub mod canonical;
 pub mod defgs;
 pub mod deformed;
@@ -18,7 +19,9 @@ pub mod fags;
 pub mod fourdgs;
 pub mod grid4d;
 pub mod kernel;
+pub mod modec;
 pub mod saved;
+pub mod scaffold;
 pub mod scene;
 pub mod static3d;
 
@@ -29,7 +32,7 @@ pub use scene::{InitConfig, SceneInfo};
 pub struct Overlay {
     /// `velocity`, `gate`, `segment`, …
     pub name: &'static str,
-    /// One colour per splat of [`Method::splats`] at the same moment, display-encoded, 0 to 1.
+    /// One colour per splat of [`Method::tracked`] at the same moment, display-encoded, 0 to 1.
     pub colors: Vec<[f32; 3]>,
 }
 
@@ -42,7 +45,7 @@ pub struct Quantity {
     pub unit: &'static str,
     /// The interval its colours and histograms span; from the smallest to the largest value if absent.
     pub range: Option<[f32; 2]>,
-    /// One value per splat of [`Method::splats`] at the same moment.
+    /// One value per splat of [`Method::tracked`] at the same moment.
     pub values: Vec<f32>,
 }
 
@@ -148,6 +151,12 @@ pub trait Method: Params + Send + Sync {
     /// Density control after the optimiser's update of step `step`, by what was observed.
     fn adapt(&mut self, step: u32) -> Adapted;
 
+    /// All splats there are, in the same order at every moment: [`Method::len`] of them, those that are not there at this
+    /// moment with opacity 0. What `camera` is matters only where looks depend on the view.
+    fn tracked(&self, at: &Moment, camera: &Camera) -> Splats {
+        self.splats(at, camera)
+    }
+
     /// What happened since the last call and is worth keeping (how interval boundaries moved, say); one line each,
     /// with its `step`.
     fn journal(&mut self) -> Vec<serde_json::Value> {
@@ -159,7 +168,7 @@ pub trait Method: Params + Send + Sync {
         vec![StageView { name: "full", splats: self.splats(at, camera), before: None }]
     }
 
-    /// Numbers about each splat at this moment that are worth looking at.
+    /// Numbers about each splat of [`Method::tracked`] at this moment that are worth looking at.
     fn quantities(&self, _at: &Moment) -> Vec<Quantity> {
         Vec::new()
     }
@@ -291,5 +300,13 @@ pub(crate) fn section<C: serde::de::DeserializeOwned>(
 }
 
 /// The methods there are.
-pub const METHODS: &[MethodEntry] =
-    &[static3d::ENTRY, defgs::ENTRY, fourdgs::ENTRY, grid4d::ENTRY, fags::ENTRY, drk::ENTRY];
+pub const METHODS: &[MethodEntry] = &[
+    static3d::ENTRY,
+    scaffold::ENTRY,
+    defgs::ENTRY,
+    fourdgs::ENTRY,
+    grid4d::ENTRY,
+    fags::ENTRY,
+    drk::ENTRY,
+    modec::ENTRY,
+];

@@ -52,6 +52,7 @@ struct Meta {
     extent: f32,
     bounds: [[f32; 3]; 2],
     views: u32,
+    moments: u32,
     /// As text: JSON numbers do not hold every 64-bit integer in every reader.
     seed: String,
     step: u32,
@@ -67,6 +68,7 @@ pub fn save(method: &dyn Method, run: &RunState) -> Checkpoint {
         extent: run.scene.extent,
         bounds: run.scene.bounds.map(|b| b.to_array()),
         views: run.scene.views,
+        moments: run.scene.moments,
         seed: run.scene.seed.to_string(),
         step: run.step,
         adam_updates: run.adam_updates.clone(),
@@ -103,7 +105,7 @@ pub fn load(checkpoint: &Checkpoint, config: Option<&toml::Table>) -> Result<Loa
     }
     // The blocks are given their rows below; one point stands in for the first cloud.
     let points = PointCloud { positions: vec![0.5 * (bounds[0] + bounds[1])], colors: vec![[0.5; 3]] };
-    let scene = SceneInfo { points, extent: meta.extent, bounds, views: meta.views, seed };
+    let scene = SceneInfo { points, extent: meta.extent, bounds, views: meta.views, moments: meta.moments, seed };
     let config = config.unwrap_or(&meta.config).clone();
     let mut method = (entry.build)(&config, &scene).map_err(|e| e.to_string())?;
     restore(method.as_mut(), &checkpoint.tensors)?;

@@ -14,6 +14,7 @@ use gs_core::{Cloud, Rng};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
 use std::num::NonZero;
 
 /// Squared neighbour distances below this count as this.
@@ -71,6 +72,8 @@ pub struct SceneInfo {
     pub bounds: [Vec3; 2],
     /// Number of training views.
     pub views: u32,
+    /// Number of different training times.
+    pub moments: u32,
     /// Seed of the run.
     pub seed: u64,
 }
@@ -87,8 +90,13 @@ impl SceneInfo {
         if !(extent > 0.0 && extent.is_finite()) {
             return Err(MethodError::Scene(format!("its extent is {extent}; cameras and points coincide")));
         }
-        Ok(Self { points, extent, bounds, views: dataset.train.len() as u32, seed })
+        Ok(Self { points, extent, bounds, views: dataset.train.len() as u32, moments: moments(dataset), seed })
     }
+}
+
+fn moments(dataset: &Dataset) -> u32 {
+    let times: BTreeSet<u32> = dataset.train.iter().map(|v| v.time.normalised.to_bits()).collect();
+    times.len() as u32
 }
 
 fn first_points(dataset: &Dataset, init: &InitConfig, seed: u64) -> Result<PointCloud, MethodError> {

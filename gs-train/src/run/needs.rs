@@ -26,7 +26,7 @@ pub const PLAIN: f32 = 1.0 / 255.0;
 /// What the scene of a method needs. `extent` is the length that motion is compared with, world units.
 pub fn needs(method: &dyn Method, camera: &Camera, extent: f32) -> Vec<Need> {
     let times: Vec<f32> = (0..MOMENTS).map(|k| k as f32 / (MOMENTS - 1) as f32).collect();
-    let scenes: Vec<Splats> = times.iter().map(|&t| method.splats(&moment(t), camera)).collect();
+    let scenes: Vec<Splats> = times.iter().map(|&t| method.tracked(&moment(t), camera)).collect();
     let Some(first) = scenes.first().filter(|s| !s.is_empty()) else { return Vec::new() };
     let n = first.len();
     let mut out = vec![need("splats", n.to_string(), "drawn at every moment")];

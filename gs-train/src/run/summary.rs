@@ -185,7 +185,7 @@ fn jerk(m: &Material, view: &View, camera: &Camera) -> Vec<Still> {
     let (time, interval) = (view.time.normalised, 1.0 / m.dataset.train.len().max(2) as f32);
     let overlay = jerk_overlay(m.method, time, interval, camera);
     let still = overlay.map(|overlay| {
-        let splats = painted(m.method.splats(&moment(time), camera), overlay);
+        let splats = painted(m.method.tracked(&moment(time), camera), overlay);
         let caption = format!("second differences at t = {time:.2}: black at rest, white at the largest");
         Still { caption, image: clamped(painter.draw(&splats, camera)) }
     });

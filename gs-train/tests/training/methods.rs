@@ -6,7 +6,7 @@
 
 use crate::support::*;
 use gs_core::{Rng, Splats, SplatsGrad, Time};
-use gs_raster::{ClampGrad, FrameGrad, RasterOptions, ScreenStats, Workspace, render, render_backward};
+use gs_raster::{ClampGrad, FrameGrad, RasterOptions, Workspace, render, render_backward};
 use gs_train::data::Dataset;
 use gs_train::methods::{METHODS, Method, MethodEntry, saved};
 use gs_train::moment::Moment;
@@ -66,7 +66,9 @@ fn gradients_match_directional_finite_differences() {
         // Few splats: the fewer pairs, the fewer that change their order in depth.
         let mut config = short(entry.name);
         config["init"].as_table_mut().expect("init").insert("points".into(), 40.into());
-        config["schedule"]["density"].as_table_mut().expect("density").insert("max_splats".into(), 60.into());
+        if let Some(density) = config["schedule"].get_mut("density").and_then(toml::Value::as_table_mut) {
+            density.insert("max_splats".into(), 60.into());
+        }
         let mut trainer = Trainer::new(data.clone(), entry.name, &config, TrainOptions::default()).expect("trainer");
         run(&mut trainer, 45);
         let mut method = saved::load(&trainer.state(), None).expect("state").method;
@@ -95,8 +97,11 @@ fn check_blocks(name: &str, method: &mut dyn Method, loss: &mut dyn FnMut(&dyn M
     assert!(total > 0.0, "{name}: there is a gradient");
     for (block, grad) in &blocks {
         let norm = grad.iter().map(|g| f64::from(*g).powi(2)).sum::<f64>().sqrt();
-        // These fields are read at detached centres: their gradient leaves that path out on purpose.
+        // These fields are read at detached centres: their gradient leaves that path out on purpose. A mask of motion has
+        // the gradient of the logistic function.
         let detached = ["defgs", "grid4d", "fags", "drk"].contains(&name) && block == "cloud.means";
+        let detached =
+            detached || name == "modec" && ["anchors.positions", "anchors.dynamics"].contains(&block.as_str());
         if norm < 1e-6 * total || detached {
             continue;
         }
@@ -112,7 +117,7 @@ fn check_blocks(name: &str, method: &mut dyn Method, loss: &mut dyn FnMut(&dyn M
         // Two splats that change their order in depth make a step in the loss: it lies on one side, or weighs less over a
         // longer way.
         let mut found = Vec::new();
-        for h in [5e-3, 2e-2] {
+        for h in [1e-3, 5e-3, 2e-2] {
             let (here, hi) = (moved(0.0), moved(h));
             let lo = moved(-2.0 * h);
             moved(h);
@@ -131,9 +136,12 @@ fn times_outside_the_range_give_finite_splats() {
         let mut trainer = start(entry.name, &data);
         run(&mut trainer, 40);
         for t in [-10.0, -0.5, 0.0, 1.0, 1.5, 1e6] {
-            let splats = trainer.method().splats(&Moment::new(Time::new(t).expect("time")), &data.train[0].camera);
-            assert_eq!(splats.check(), Ok(()), "{} at {t}", entry.name);
-            assert_eq!(splats.len(), trainer.method().len());
+            let (at, camera) = (Moment::new(Time::new(t).expect("time")), &data.train[0].camera);
+            let (drawn, all) = (trainer.method().splats(&at, camera), trainer.method().tracked(&at, camera));
+            assert_eq!((drawn.check(), all.check()), (Ok(()), Ok(())), "{} at {t}", entry.name);
+            assert_eq!(all.len(), trainer.method().len(), "{}", entry.name);
+            let there = all.opacities.iter().filter(|o| **o > 0.0).count();
+            assert!(!drawn.is_empty() && drawn.len() <= there, "{} at {t}", entry.name);
         }
     }
 }
@@ -142,23 +150,30 @@ fn times_outside_the_range_give_finite_splats() {
 fn growth_edits_every_row_block_together() {
     let data = scene("balls", 32, 4);
     for entry in METHODS {
-        let trainer = start(entry.name, &data);
-        let mut method = saved::load(&trainer.state(), None).expect("state").method;
-        let n = method.len();
-        let seen = ScreenStats { grad_means2d: vec![[1.0, 1.0]; n], radii: vec![2.0; n] };
-        method.set_step(10);
-        method.observe(&Moment::default(), &seen, &data.train[0].camera);
-        let adapted = method.adapt(10);
-        assert!(adapted.cloned + adapted.split > 0 && method.len() > n, "{}", entry.name);
-        method.visit(&mut |p| {
-            if let Some(rows) = p.row_count() {
-                assert_eq!(rows, method.len(), "{} {}", entry.name, p.name);
-                assert!(p.grad.len() == p.len() && p.moment1.len() == p.len() && p.moment2.len() == p.len());
-            }
-        });
-        method.columns().iter().for_each(|c| {
-            let rows = c.row_width.map_or(c.values.len(), |w| w * method.len());
-            assert_eq!(c.values.len(), rows, "{} {}", entry.name, c.name);
-        });
+        let mut trainer = start(entry.name, &data);
+        let (mut grown, mut removed) = (0, 0);
+        for report in (0..60).map(|_| trainer.step().expect("step")).collect::<Vec<_>>() {
+            grown += report.adapted.cloned + report.adapted.split;
+            removed += report.adapted.pruned;
+        }
+        assert!(grown > 0, "{} has not grown ({removed} removed)", entry.name);
+        check_rows(entry.name, trainer.method());
+    }
+}
+
+/// Every row block has as many rows as the others, with gradients and moments, and so have the columns beside them.
+fn check_rows(name: &str, method: &dyn Method) {
+    let mut rows = None;
+    method.visit(&mut |p| {
+        if let Some(count) = p.row_count() {
+            assert_eq!(*rows.get_or_insert(count), count, "{name} {}", p.name);
+            assert!(p.grad.len() == p.len() && p.moment1.len() == p.len() && p.moment2.len() == p.len());
+        }
+    });
+    let rows = rows.expect("row blocks");
+    assert!(method.len().is_multiple_of(rows), "{name}");
+    for c in method.columns() {
+        let wanted = c.row_width.map_or(c.values.len(), |w| w * rows);
+        assert_eq!(c.values.len(), wanted, "{name} {}", c.name);
     }
 }

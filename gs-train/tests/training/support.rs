@@ -47,7 +47,7 @@ pub fn psnr(trainer: &Trainer, data: &Dataset) -> f64 {
     report.mean.psnr.expect("finite scores")
 }
 
-/// A short schedule with growth, pruning, a reset and a change of stage inside its 60 steps.
+/// A short schedule with growth, pruning, a reset and a change of stage inside its 60 steps: of clouds …
 const SHORT: &str = "
 density.from = 5
 density.until = 55
@@ -57,9 +57,23 @@ density.max_splats = 300
 sh_every = 20
 ";
 
+/// … and of anchors.
+const SHORT_ANCHORS: &str = "
+[adapt]
+observe_from = 0
+from = 5
+until = 55
+every = 10
+grad = 2e-5
+";
+
 /// The `tiny` preset with that schedule.
 pub fn short(method: &str) -> toml::Table {
-    let mut config = tiny(method, SHORT);
+    let anchored = tiny(method, "").contains_key("adapt");
+    let mut config = tiny(method, if anchored { "" } else { SHORT });
+    if anchored {
+        gs_train::methods::overlay(&mut config, SHORT_ANCHORS.parse().expect("TOML"));
+    }
     let stages = config["schedule"]["stages"].as_table_mut().expect("stages");
     let count = stages.len() as i64;
     for (_, stage) in stages.iter_mut() {

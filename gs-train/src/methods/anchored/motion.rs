@@ -1,0 +1,125 @@
+//! What moves anchors and their Gaussians: GAD per interval, LGD per frame, and the intervals.
+
+use gs_anchor::gad::Sparsity;
+use gs_anchor::{Anchors, Gad, Intervals, Local};
+use gs_core::{Camera, Param, Params, Time};
+use gs_deform::{Field, HexPlaneField};
+use gs_raster::ScreenStats;
+use serde::{Deserialize, Serialize};
+
+/// What is penalised about the logits of motion.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum SparsityKind {
+    /// Nothing.
+    None,
+    /// The mean of `σ`.
+    Mean,
+    /// The mean of `−σ ln σ`.
+    Entropy,
+    /// The mean of `σ(d_G)`.
+    Global,
+}
+
+/// A penalty on the logits of motion, so that anchors rest unless the picture needs them to move.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SparsityConfig {
+    /// What is penalised.
+    pub kind: SparsityKind,
+    /// Its weight.
+    pub weight: f32,
+}
+
+impl SparsityConfig {
+    /// The penalty and its weight, if there is one.
+    pub fn penalty(&self) -> Option<(Sparsity, f32)> {
+        let kind = match self.kind {
+            SparsityKind::None => return None,
+            SparsityKind::Mean => Sparsity::Mean,
+            SparsityKind::Entropy => Sparsity::Entropy,
+            SparsityKind::Global => Sparsity::Global,
+        };
+        Some((kind, self.weight))
+    }
+}
+
+/// The parts of the motion; those that are absent leave the scene as it is.
+#[derive(Clone, Debug, Default)]
+pub struct Motion {
+    /// Global anchor deformation: anchors, per interval.
+    pub gad: Option<Gad>,
+    /// Local Gaussian deformation: decoded Gaussians, per frame.
+    pub lgd: Option<HexPlaneField>,
+    /// The intervals GAD is constant in.
+    pub intervals: Option<Intervals>,
+}
+
+impl Motion {
+    /// The time GAD is asked for at `t`: that of the interval, or `t` itself without intervals.
+    pub fn canonical_time(&self, t: Time) -> Time {
+        let normalised = self.intervals.as_ref().map_or(t.normalised, |i| i.canonical_time(t.normalised));
+        Time { normalised, ..t }
+    }
+
+    /// The local anchors at a canonical time.
+    pub fn local(&self, anchors: &Anchors, canonical: Time) -> Local {
+        let mut local = Local::default();
+        match &self.gad {
+            Some(gad) => gad.forward(anchors, canonical, &mut Default::default(), &mut local),
+            None => anchors.activate(&mut local),
+        }
+        local
+    }
+
+    /// Regularisers of both fields: gradients are added, weighted values given.
+    pub fn regularise(&mut self) -> Vec<(&'static str, f32)> {
+        let mut all = Vec::new();
+        if let Some(gad) = &mut self.gad {
+            let names = ["global_tv", "global_smoothness", "global_l1"];
+            all.extend(names.into_iter().zip(gad.regularise().map(|(_, value)| value)));
+        }
+        if let Some(lgd) = &mut self.lgd {
+            let names = ["local_tv", "local_smoothness", "local_l1"];
+            let values = lgd.regularise(&gs_core::Splats::default(), Time::default(), 0);
+            all.extend(names.into_iter().zip(values.into_iter().map(|(_, value)| value)));
+        }
+        all
+    }
+
+    /// Enters the screen gradients of a view into the statistic of its interval.
+    pub fn observe(&mut self, clock: u32, t: Time, seen: &ScreenStats, camera: &Camera) {
+        let Some(intervals) = self.intervals.as_mut().filter(|i| i.observes_at(clock)) else { return };
+        let (half_w, half_h) = (0.5 * camera.width as f32, 0.5 * camera.height as f32);
+        let lengths = seen.grad_means2d.iter().zip(&seen.radii).filter(|(_, radius)| **radius > 0.0);
+        let (mut sum, mut visible) = (0.0f64, 0);
+        for (g, _) in lengths {
+            sum += f64::from((g[0] * half_w).hypot(g[1] * half_h));
+            visible += 1;
+        }
+        intervals.observe(t.normalised, sum as f32, visible, 1.0);
+    }
+
+    /// How much each anchor takes part in the global and the local deformation, by name.
+    pub fn factors(&self, anchors: &Anchors) -> Vec<(&'static str, Vec<f32>)> {
+        let (Some(gad), Some(logits)) = (&self.gad, &anchors.dynamics) else { return Vec::new() };
+        let dynamics = gad.config().dynamics;
+        let rows = logits.value.chunks_exact(anchors.shape().dynamics);
+        let (global, local) = rows.map(|d| dynamics.weights(d)).map(|[g, l]| (g.value, l.value)).unzip();
+        vec![("global", global), ("local", local)]
+    }
+}
+
+impl Params for Motion {
+    fn visit(&self, f: &mut dyn FnMut(&Param)) {
+        self.gad.iter().for_each(|gad| gad.visit(f));
+        self.lgd.iter().for_each(|lgd| lgd.visit(f));
+        self.intervals.iter().for_each(|intervals| intervals.visit(f));
+    }
+
+    fn visit_mut(&mut self, f: &mut dyn FnMut(&mut Param)) {
+        self.gad.iter_mut().for_each(|gad| gad.visit_mut(f));
+        self.lgd.iter_mut().for_each(|lgd| lgd.visit_mut(f));
+        self.intervals.iter_mut().for_each(|intervals| intervals.visit_mut(f));
+    }
+}

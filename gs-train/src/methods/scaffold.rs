@@ -1,0 +1,52 @@
+//! Scaffold-GS (Lu et al. 2024) without time: anchors decoded as a camera sees them.
+
+use crate::methods::anchored::{AnchorConfig, Anchored, Motion, Parts};
+use crate::methods::scene::{InitConfig, SceneInfo};
+use crate::methods::{Method, MethodEntry, MethodError, parse_config};
+use crate::schedule::Schedule;
+use gs_anchor::{AdaptRules, DecoderConfig};
+use serde::{Deserialize, Serialize};
+
+/// The line in the list of methods.
+pub const ENTRY: MethodEntry = MethodEntry {
+    name: "scaffold",
+    about: "Scaffold-GS: anchors decoded as a camera sees them, one scaffold for all times (Lu et al. 2024)",
+    defaults: include_str!("scaffold.toml"),
+    presets: &[
+        ("paper", ""),
+        ("fast", include_str!("scaffold.fast.toml")),
+        ("tiny", include_str!("scaffold.tiny.toml")),
+    ],
+    build,
+};
+
+/// The configuration.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Config {
+    /// Where the first points come from.
+    pub init: InitConfig,
+    /// The anchors.
+    pub anchors: AnchorConfig,
+    /// Their decoder.
+    pub decoder: DecoderConfig,
+    /// Growth and pruning.
+    pub adapt: AdaptRules,
+    /// The plan of the run.
+    pub schedule: Schedule,
+}
+
+fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Box<dyn Method>, MethodError> {
+    let config: Config = parse_config(ENTRY.name, table)?;
+    let parts = Parts {
+        name: ENTRY.name,
+        schedule: config.schedule,
+        anchors: config.anchors,
+        decoder: config.decoder,
+        adapt: config.adapt,
+        dynamics: 0,
+        motion: Motion::default(),
+        sparsity: None,
+    };
+    Ok(Box::new(Anchored::new(parts, scene)?))
+}
