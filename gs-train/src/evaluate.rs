@@ -12,7 +12,8 @@ use crate::methods::Method;
 use crate::moment::Moment;
 use gs_core::{Image, Params};
 use gs_metrics::{
-    Mean, MetricError, Scorer, Scores, Sharpness, SsimOptions, Summary, masked_mse, masked_ssim, psnr_from_mse,
+    Mean, MetricError, Scorer, Scores, Sharpness, SsimOptions, Summary, masked_mse, masked_perceptual_proxy,
+    masked_ssim, psnr_from_mse,
 };
 use gs_raster::{Frame, Workspace, render_into};
 use serde::{Deserialize, Serialize};
@@ -31,6 +32,8 @@ pub struct MaskedScores {
     pub ssim: Option<f64>,
     /// SSIM over places that see something of the mask.
     pub ssim_seen: Option<f64>,
+    /// The weight-free perceptual distance under the mask; not LPIPS.
+    pub perceptual_proxy: f64,
     /// Part of the pixels that count.
     pub part: f64,
 }
@@ -50,6 +53,7 @@ impl MaskedScores {
             psnr: Some(psnr_from_mse(mse)).filter(|v| v.is_finite()),
             ssim: ssim.map(|s| s.whole),
             ssim_seen: ssim.map(|s| s.seen),
+            perceptual_proxy: masked_perceptual_proxy(image, truth, mask)?,
             part: mask.data.iter().map(|w| f64::from(*w)).sum::<f64>() / mask.data.len() as f64,
         }))
     }
@@ -62,6 +66,7 @@ impl MaskedScores {
             psnr: of(|s| s.psnr),
             ssim: of(|s| s.ssim),
             ssim_seen: of(|s| s.ssim_seen),
+            perceptual_proxy: of(|s| Some(s.perceptual_proxy))?,
         })
     }
 }

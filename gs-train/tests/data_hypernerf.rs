@@ -304,6 +304,115 @@ fn paths_and_sizes_are_bounded() {
     assert!(e.code() == "data.layout" && e.to_string().contains("rgb/16x"), "{e}");
 }
 
+/// The capture as DyCheck writes it: camera 0 trains, 1 and 2 are held out and have masks; alpha where there is depth.
+fn dycheck() -> Capture {
+    let mut c = Capture::new(6);
+    for k in 0..6 {
+        let camera = [0, 0, 0, 1, 1, 2][k];
+        c.metadata[id(k)] = json!({"warp_id": k % 3, "appearance_id": k % 3, "camera_id": camera});
+        let half = |x: u32, _| image::Rgba([200, 100, 50, if x < 10 { 0 } else { 255 }]);
+        image::RgbaImage::from_fn(20, 30, half).save(c.path().join(format!("rgb/2x/{}.png", id(k)))).unwrap();
+    }
+    for k in 0..3 {
+        c.put(&format!("depth/2x/{}.npy", id(k)), npy(&[30, 20], &[1.0; 600]));
+    }
+    std::fs::create_dir_all(c.path().join("covisible/2x/val")).unwrap();
+    for k in 3..5 {
+        let top = |_, y: u32| image::Luma([if y < 15 { 255u8 } else { 0 }]);
+        image::GrayImage::from_fn(20, 30, top).save(c.path().join(format!("covisible/2x/val/{}.png", id(k)))).unwrap();
+    }
+    c.put("splits/train.json", json!({"frame_names": [id(0), id(1), id(2)], "time_ids": [0, 1, 2]}).to_string());
+    c.put("splits/val.json", json!({"frame_names": [id(3), id(4), id(5)], "camera_ids": [1, 1, 2]}).to_string());
+    c.dataset["val_ids"] = json!([]);
+    let extra = json!({"factor": 2, "fps": 10.0, "bbox": [[-0.5, -0.4, -0.3], [0.5, 0.4, 0.3]], "lookat": [0, 0, 0]});
+    c.put("extra.json", extra.to_string());
+    c
+}
+
+#[test]
+fn dycheck_captures_have_masks_depth_and_a_clock() {
+    let c = dycheck();
+    let d = c.open(&DataOptions::default()).unwrap();
+    assert_eq!((d.train.len(), d.test.len(), d.has_alpha), (3, 3, false));
+    assert!(d.train.iter().all(|v| v.camera_id == 0 && v.mask.is_none() && v.depth.as_ref().unwrap().is_file()));
+    assert!(d.train[1].depth.as_ref().unwrap().ends_with("depth/2x/000001.npy"));
+    assert_eq!((d.train[2].time.normalised, d.train[2].time.seconds), (1.0, 0.2));
+    let cache = ImageCache::new(1 << 20, 1.0);
+    let opaque = cache.get(&d.train[0]).unwrap();
+    assert!(opaque.data.chunks_exact(4).all(|p| p == [200, 100, 50, 255]), "alpha is no transparency here");
+    let masks: Vec<_> = d.test.iter().map(|v| cache.mask(v).unwrap()).collect();
+    assert!(masks[2].is_none() && d.test[2].depth.is_none());
+    let mask = masks[0].as_ref().unwrap();
+    assert_eq!((mask.pixel(10, 5), mask.pixel(10, 25)), (&[1.0][..], &[0.0][..]));
+    let full = c.open(&DataOptions { images: Some("rgb/1x".into()), ..Default::default() }).unwrap();
+    assert_eq!(cache.mask(&full.test[0]).unwrap().unwrap().shape(), (40, 60, 1), "a mask fits pictures of any size");
+    let notes = d.notes.join("\n");
+    for part in ["splits/train.json", "alpha, which is not used", "2 of 3 held-out views have a mask"] {
+        assert!(notes.contains(part), "{part}: {notes}");
+    }
+    let other = c.open(&DataOptions { test_cameras: vec![2], ..Default::default() }).unwrap();
+    assert_eq!((other.train.len(), other.test.len()), (5, 1));
+    std::fs::remove_file(c.path().join("points.npy")).unwrap();
+    let box_of = |normalise| c.open(&DataOptions { normalise, ..Default::default() }).unwrap().bounds.unwrap();
+    assert_eq!(box_of(true)[1], glam::Vec3::new(0.5, 0.4, 0.3));
+    let raw = glam::Vec3::new(0.5, 0.4, 0.3) / SCALE as f32 + DVec3::from(CENTRE).as_vec3();
+    assert!((box_of(false)[1] - raw).length() < 1e-5);
+}
+
+#[test]
+fn the_raw_frame_and_the_bare_focal_length_are_on_request() {
+    let c = Capture::new(8);
+    let bare = DataOptions { center_pp: true, normalise: false, ..Default::default() };
+    let d = c.open(&bare).unwrap();
+    for v in &d.train {
+        let k: usize = v.name.parse().unwrap();
+        assert!((v.camera.position() - pose(k).1).length() < 1e-12, "the raw frame");
+        assert_eq!((v.camera.fx, v.camera.fy, v.camera.cx, v.camera.cy, v.lens), (25.0, 25.0, 10.0, 15.0, None));
+    }
+    assert!((d.points.unwrap().positions[1] - glam::Vec3::new(1.3, 0.8, 1.5)).length() < 1e-6);
+    assert!(d.notes.iter().any(|n| n.contains("data.center_pp")), "{:?}", d.notes);
+    let head = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n";
+    let color = "property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n";
+    c.put("points3D_downsample2.ply", format!("{head}{color}1.3 0.8 1.5 255 0 51\n"));
+    let cloud = c.open(&DataOptions::default()).unwrap().points.unwrap();
+    assert!((cloud.positions[0] - glam::Vec3::new(0.25, 0.25, 0.0)).length() < 1e-6, "the dense cloud goes first");
+    assert_eq!(cloud.colors, [[1.0, 0.0, 0.2]]);
+    let mut old = camera(1);
+    let j = old.as_object_mut().unwrap();
+    let tangential = j.remove("tangential_distortion").unwrap();
+    j.insert("tangential".into(), tangential);
+    c.put("camera/000001.json", old.to_string());
+    let d = c.open(&DataOptions::default()).unwrap();
+    assert_eq!(d.train[0].lens, d.train[1].lens, "files of 2021 call it tangential");
+}
+
+#[test]
+fn faults_of_dycheck_captures_are_named() {
+    type Edit = fn(&Capture);
+    let edits: [(Edit, &str, &str); 6] = [
+        (
+            |c| c.put("splits/val.json", "{\"frame_names\": [\"000003\"], \"time_ids\": []}"),
+            "data.field",
+            "time_ids is 0",
+        ),
+        (|c| c.put("splits/val.json", "{\"frame_names\": [\"../x\"]}"), "data.field", "../x is missing"),
+        (|c| c.put("extra.json", "{\"fps\": -1}"), "data.field", "fps is -1"),
+        (|c| c.put("extra.json", "{\"bbox\": [[0, 1, 2]]}"), "data.field", "bbox is [[0,1,2]]"),
+        (|c| c.put("extra.json", "{\"bbox\": [[0, 1, 2], [NaN, 1, 2]]}"), "data.field", "bbox[1][0] is NaN"),
+        (
+            |c| image::GrayImage::new(9, 9).save(c.path().join("covisible/2x/val/000004.png")).unwrap(),
+            "data.image_size",
+            "000004.png is 9x9",
+        ),
+    ];
+    for (edit, code, text) in edits {
+        let c = dycheck();
+        edit(&c);
+        let e = c.open(&DataOptions::default()).unwrap_err();
+        assert!(e.code() == code && e.to_string().contains(text), "{text}: {} {e}", e.code());
+    }
+}
+
 /// Any byte changed in any of the lists gives a data set or a typed error.
 #[test]
 fn mutated_lists_give_data_or_an_error() {

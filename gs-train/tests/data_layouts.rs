@@ -113,6 +113,29 @@ fn nerfstudio_cameras_are_the_cameras_and_every_eighth_is_held_out() {
     assert!(d.notes.iter().any(|n| n.contains("every 8th")), "{:?}", d.notes);
 }
 
+/// Blender's matrices with cameras that look past the origin, each with a shift sideways: a wrong sign of the translation
+/// along x is invisible while all cameras look at the origin.
+#[test]
+fn blender_cameras_need_not_look_at_the_origin() {
+    let mut f = Folder::new(5, "png");
+    for (k, c) in f.cameras.iter_mut().enumerate() {
+        c.translation += DVec3::new(0.7 - 0.1 * k as f64, 0.3, 0.2);
+        (c.cx, c.cy, c.fy) = (20.0, 15.0, c.fx);
+    }
+    let frames: Vec<Value> = (0..5)
+        .map(|k| json!({"file_path": format!("images/f{k:03}"), "time": 0.25 * k as f64, "transform_matrix": opengl(&f.cameras[k])}))
+        .collect();
+    f.put("transforms_train.json", json!({"camera_angle_x": 0.8, "frames": frames}).to_string());
+    let d = f.open(&DataOptions::default()).unwrap();
+    assert_eq!((d.layout, d.train.len()), ("blender", 5));
+    for v in &d.train {
+        let want = &f.cameras[number(&v.name)];
+        assert!(apart(&v.camera, want) < 1e-9, "{}", v.name);
+        let mirrored = Camera { translation: want.translation * DVec3::new(-1.0, 1.0, 1.0), ..want.clone() };
+        assert!(apart(&v.camera, &mirrored) > 1.0, "the test would see the sign");
+    }
+}
+
 #[test]
 fn nerfstudio_splits_times_frames_and_points_are_used() {
     let f = Folder::new(4, "png");

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DVec2, DVec3};
 use gs_core::Camera;
-use gs_train::data::{DataOptions, Dataset, ImageCache, View, detect};
+use gs_train::data::{DataOptions, Dataset, ImageCache, ImageU8, View, detect};
 
 fn capture(name: &str) -> Option<PathBuf> {
     gs_core::testkit::shared(&format!("data/{name}"))
@@ -119,6 +119,116 @@ fn neu3d_llff_agrees_with_colmap() {
     turned.rotate_left(1);
     let wrong = residuals(&rig(&llff), &turned);
     assert!(wrong.centre > 10.0 * fit.centre && wrong.degrees > 10.0 * fit.degrees, "{wrong:?}");
+}
+
+#[test]
+fn panoptic_basketball() {
+    let Some(dir) = capture("panoptic_basketball_f040-069") else { return };
+    let d = Dataset::open(&dir, &DataOptions { test_cameras: vec![1, 14], ..Default::default() }).unwrap();
+    assert_eq!((d.layout, d.train.len(), d.test.len(), d.dynamic), ("panoptic", 870, 60, true));
+    assert!(d.test.iter().all(|v| v.mask.is_some()), "cameras 1 and 14 are masked");
+    assert!((d.scene_extent() - 3.4).abs() < 0.1, "{}", d.scene_extent());
+    let [low, high] = d.scene_bounds();
+    assert!(
+        (0.5 * (low + high) - glam::Vec3::new(0.0, -1.3, 0.0)).length() < 0.1 && (high.x - low.x - 6.1).abs() < 0.2
+    );
+    let cache = ImageCache::new(0, 0.5);
+    let mask = cache.mask(&d.test[0]).unwrap().unwrap();
+    let part = mask.data.iter().sum::<f32>() / mask.data.len() as f32;
+    assert!(mask.shape() == (320, 180, 1) && part > 0.02 && part < 0.3, "{part}");
+    let cloud = d.initial_points(4000, 0).unwrap();
+    let people = &cloud.positions[..2000];
+    let mean: glam::Vec3 = people.iter().sum::<glam::Vec3>() / 2000.0;
+    println!("hull of the people: mean {mean}");
+    // The floor is at y = 0, y points down; players are less than 2.5 m tall with arms raised.
+    let inside = people.iter().filter(|p| p.y > -2.6 && p.y < 0.3 && p.x.hypot(p.z) < 2.6).count();
+    assert!(inside > 1900, "{inside} of 2000 points where players can be");
+}
+
+/// The pixel convention, by the pictures alone: the ball (red, in free flight in frames 50 to 66) is found in all views and
+/// triangulated. Cameras stand all around it, so pixel centres that are off by a constant leave that constant in the mean
+/// residual along x. Centres at +½ leave less than 0.2 pixels, centres at whole numbers 0.4.
+#[test]
+fn panoptic_pixel_centres_are_at_one_half() {
+    let Some(dir) = capture("panoptic_basketball_f040-069") else { return };
+    let track = std::fs::read_to_string(dir.join("derived_ball_track.csv")).unwrap();
+    let options = DataOptions { first_frame: 10, frame_count: 17, ..Default::default() };
+    let d = Dataset::open(&dir, &options).unwrap();
+    let cache = ImageCache::new(0, 1.0);
+    let (mut half, mut whole) = (Vec::new(), Vec::new());
+    for line in track.lines().filter(|l| l.starts_with(['5', '6'])) {
+        let row: Vec<f64> = line.split(',').map(|v| v.parse().unwrap()).collect();
+        let start = DVec3::new(row[1], row[2], row[3]);
+        let frame = format!("_{:06}", row[0] as u32);
+        let seen: Vec<(&Camera, DVec2)> = d
+            .train
+            .iter()
+            .filter(|v| v.name.ends_with(&frame))
+            .filter_map(|v| Some((&v.camera, ball(&cache.get(v).unwrap(), &v.camera, start)?)))
+            .collect();
+        if seen.len() >= 6 {
+            half.extend(residuals_x(&seen, start, 0.5));
+            whole.extend(residuals_x(&seen, start, 0.0));
+        }
+    }
+    let mean = |r: &[f64]| r.iter().sum::<f64>() / r.len() as f64;
+    println!(
+        "{} sightings; mean residual along x: {:+.3} px at +1/2, {:+.3} px at whole numbers",
+        half.len(),
+        mean(&half),
+        mean(&whole)
+    );
+    assert!(half.len() > 200 && mean(&half).abs() < 0.2 && mean(&whole) < -0.3, "{} {}", mean(&half), mean(&whole));
+}
+
+/// Mean index of the ball's pixels around where it should be; none unless all of a round red blob is in sight.
+fn ball(image: &ImageU8, c: &Camera, near: DVec3) -> Option<DVec2> {
+    let p = c.to_camera(near);
+    let (at, reach) = (c.to_pixel(p), 1.6 * 0.12 * c.fx / p.z);
+    let low = at - DVec2::splat(reach);
+    let high = at + DVec2::splat(reach);
+    if low.min_element() < 0.0 || high.x > f64::from(c.width) || high.y > f64::from(c.height) {
+        return None;
+    }
+    let (mut sum, mut count, mut rim) = (DVec2::ZERO, 0.0, 0);
+    let (mut first, mut last) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
+    for j in low.y as usize..high.y as usize {
+        for i in low.x as usize..high.x as usize {
+            let [r, g, b, _] = image.pixel(i, j).map(f64::from);
+            let index = DVec2::new(i as f64, j as f64);
+            let away = (index + DVec2::splat(0.5) - at).length();
+            if away < reach && r > 60.0 && r > 1.6 * g && r > 1.6 * b {
+                (sum, count, first, last) = (sum + index, count + 1.0, first.min(index), last.max(index));
+                rim += u32::from(away > reach - 1.5);
+            }
+        }
+    }
+    let size = last - first + DVec2::ONE;
+    let round = (size.x - size.y).abs() < 0.2 * size.max_element() && count > 0.7 * 0.785 * size.x * size.y;
+    (count > 50.0 && rim <= 3 && round).then(|| sum / count)
+}
+
+/// Residuals along x of the point nearest to all sightings, whose pixel centres lie at `index + offset`.
+fn residuals_x(seen: &[(&Camera, DVec2)], start: DVec3, offset: f64) -> Vec<f64> {
+    let mut at = start;
+    let residual = |c: &Camera, index: DVec2, at: DVec3| index + DVec2::splat(offset) - c.to_pixel(c.to_camera(at));
+    for _ in 0..8 {
+        let (mut a, mut b) = (DMat3::ZERO, DVec3::ZERO);
+        for (c, index) in seen {
+            let r = residual(c, *index, at);
+            let p = c.to_camera(at);
+            let turn = c.rotation.transpose();
+            for (row, r) in
+                [(DVec3::new(c.fx, 0.0, -c.fx * p.x / p.z), r.x), (DVec3::new(0.0, c.fy, -c.fy * p.y / p.z), r.y)]
+            {
+                let g = turn * (row / p.z);
+                a += DMat3::from_cols(g * g.x, g * g.y, g * g.z);
+                b += g * r;
+            }
+        }
+        at += a.inverse() * b;
+    }
+    seen.iter().map(|(c, index)| residual(c, *index, at)).filter(|r| r.length() < 4.0).map(|r| r.x).collect()
 }
 
 /// Largest differences of two rigs after the similarity between them is removed.

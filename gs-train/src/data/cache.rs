@@ -39,12 +39,13 @@ struct Entry {
     last_use: u64,
 }
 
-/// What an image depends on: its file or memory, and the bits of camera and lens when it is resampled.
+/// What an image depends on: its file or memory, the bits of camera and lens when it is resampled, and whether alpha counts.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 struct Key {
     file: PathBuf,
     memory: usize,
     bits: [u64; 10],
+    opaque: bool,
 }
 
 impl ImageCache {
@@ -90,6 +91,7 @@ impl ImageCache {
         if let (ImageSource::Memory(image), None) = (&v.image, v.lens)
             && self.scale == 1.0
             && v.stored.is_none()
+            && !v.opaque
         {
             check_size(v, image)?;
             return Ok(image.clone());
@@ -127,6 +129,9 @@ impl ImageCache {
     fn produce(&self, v: &View) -> Result<ImageU8, DataError> {
         let mut image = Arc::unwrap_or_clone(self.pixels(&v.image)?);
         check_size(v, &image)?;
+        if v.opaque {
+            image.data.chunks_exact_mut(4).for_each(|p| p[3] = 255);
+        }
         if v.stored.is_some() {
             image = image.box_downscaled(v.camera.width as usize, v.camera.height as usize);
         }
@@ -184,10 +189,11 @@ fn key_of(v: &View) -> Key {
         let values = [c.fx, c.fy, c.cx, c.cy].into_iter().chain(lens.to_array());
         bits.iter_mut().zip(values).for_each(|(b, value)| *b = value.to_bits());
     }
-    match &v.image {
-        ImageSource::File(file) => Key { file: file.clone(), memory: 0, bits },
-        ImageSource::Memory(image) => Key { file: PathBuf::new(), memory: Arc::as_ptr(image).addr(), bits },
-    }
+    let (file, memory) = match &v.image {
+        ImageSource::File(file) => (file.clone(), 0),
+        ImageSource::Memory(image) => (PathBuf::new(), Arc::as_ptr(image).addr()),
+    };
+    Key { file, memory, bits, opaque: v.opaque }
 }
 
 fn check_size(v: &View, image: &ImageU8) -> Result<(), DataError> {

@@ -63,6 +63,9 @@ impl Dataset {
         let pose = c.rotation.to_cols_array().into_iter().chain(c.translation.to_array());
         intrinsics.into_iter().chain(pose).chain(lens).for_each(|x| h.bytes(&x.to_bits().to_le_bytes()));
         v.stored.iter().flatten().for_each(|side| h.bytes(&side.to_le_bytes()));
+        if v.opaque {
+            h.text("opaque");
+        }
         self.digest_source(h, &v.image);
         v.mask.iter().for_each(|mask| self.digest_source(h, mask));
     }

@@ -7,6 +7,9 @@
 //! all): the union over time of the hulls of short stretches. Points are then drawn uniformly from the kept cells and
 //! take the mean colour that the views of the best run show there.
 //!
+//! Images without alpha whose views have masks ([`View::mask`]) are carved by these. Masks cut out what moves, so half of the
+//! points are drawn from that hull and the others from the whole box.
+//!
 //! Everything is a function of data set, count and seed.
 
 use std::sync::Arc;
@@ -50,7 +53,23 @@ impl Dataset {
                 return Ok(hull.draw(n, seed));
             }
         }
+        let masked = self.train.iter().filter(|v| v.mask.is_some()).count();
+        if !self.has_alpha && masked >= LEAST_RUN {
+            let hull = Hull::carve(self)?;
+            if !hull.cells.is_empty() {
+                let (mut cloud, rest) = (hull.draw(n / 2, seed), uniform(self.scene_bounds(), n - n / 2, seed));
+                cloud.positions.extend(rest.positions);
+                cloud.colors.extend(rest.colors);
+                return Ok(cloud);
+            }
+        }
         Ok(uniform(self.scene_bounds(), n, seed))
+    }
+
+    /// Whether the data say where the scene is: by points, silhouettes, a box, or masks.
+    pub fn has_start(&self) -> bool {
+        let masked = || self.train.iter().any(|v| v.mask.is_some());
+        self.points.is_some() || self.has_alpha || self.bounds.is_some() || masked()
     }
 }
 
@@ -113,7 +132,7 @@ struct Hull {
 
 impl Hull {
     fn carve(data: &Dataset) -> Result<Self, DataError> {
-        let views = silhouettes(&data.train)?;
+        let views = silhouettes(&data.train, !data.has_alpha)?;
         let run = if data.dynamic { LEAST_RUN.max(views.len() / RUN_PART) } else { views.len() }.min(views.len());
         let [low, high] = data.scene_bounds();
         let size = (high - low) / SIDE as f32;
@@ -145,15 +164,22 @@ impl Hull {
     }
 }
 
-/// The views in order of time, thinned and shrunk.
-fn silhouettes(train: &[View]) -> Result<Vec<Silhouette>, DataError> {
-    let mut order: Vec<usize> = (0..train.len()).collect();
-    order.sort_by(|&a, &b| train[a].time.normalised.total_cmp(&train[b].time.normalised).then(a.cmp(&b)));
+/// The views in order of time, thinned and shrunk; `by_mask` takes those with a mask, which becomes their alpha.
+fn silhouettes(train: &[View], by_mask: bool) -> Result<Vec<Silhouette>, DataError> {
+    let mut order: Vec<&View> = train.iter().filter(|v| !by_mask || v.mask.is_some()).collect();
+    order.sort_by(|a, b| a.time.normalised.total_cmp(&b.time.normalised));
     let count = order.len().min(MAX_VIEWS);
-    let chosen: Vec<&View> = (0..count).map(|k| &train[order[k * order.len() / count]]).collect();
+    let chosen: Vec<&View> = (0..count).map(|k| order[k * order.len() / count]).collect();
     let largest = chosen.iter().map(|v| v.camera.width.max(v.camera.height)).max().unwrap_or(1);
     let cache = ImageCache::new(0, IMAGE_SIDE / f64::from(largest));
-    let load = |v: &&View| cache.get(v).map(|image| Silhouette { camera: cache.camera(v), image });
+    let load = |v: &&View| {
+        let mut image = cache.get(v)?;
+        if let Some(mask) = cache.mask(v)?.filter(|_| by_mask) {
+            let pixels = Arc::make_mut(&mut image).data.chunks_exact_mut(4);
+            pixels.zip(&mask.data).for_each(|(p, w)| p[3] = (w * 255.0) as u8);
+        }
+        Ok(Silhouette { camera: cache.camera(v), image })
+    };
     // An indexed parallel map keeps the order; of several errors the first in order is reported.
     chosen.par_iter().map(load).collect::<Vec<_>>().into_iter().collect()
 }
@@ -194,6 +220,7 @@ fn agreed_color(verdicts: &[Verdict], run: usize) -> Option<[f32; 3]> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::data::ImageSource;
     use crate::synth::{SynthOptions, generate};
 
     fn options() -> SynthOptions {
@@ -253,6 +280,27 @@ mod tests {
         data.points = Some(cloud.clone());
         assert_eq!(data.initial_points(5000, 0).unwrap(), cloud);
         assert_eq!(data.initial_points(10, 0).unwrap().positions.len(), 10);
+    }
+
+    /// The same scene with its alpha moved into masks: half of the points lie in the hull of these.
+    #[test]
+    fn masks_carve_where_there_is_no_alpha() {
+        let mut data = generate("balls", &options()).unwrap().dataset;
+        let hull = data.initial_points(1000, 2).unwrap();
+        data.has_alpha = false;
+        for v in &mut data.train {
+            let ImageSource::Memory(image) = &v.image else { panic!("generated images are in memory") };
+            let mut mask = ImageU8::clone(image);
+            mask.data.chunks_exact_mut(4).for_each(|p| p.fill(p[3]));
+            v.mask = Some(ImageSource::Memory(Arc::new(mask)));
+        }
+        let cloud = data.initial_points(2000, 2).unwrap();
+        assert_eq!(cloud.positions.len(), 2000);
+        let near = |p: &Vec3| hull.positions.iter().any(|q| (*p - *q).length() < 0.1);
+        let inside = |points: &[Vec3]| points.iter().filter(|p| near(p)).count();
+        let (first, rest) = (inside(&cloud.positions[..1000]), inside(&cloud.positions[1000..]));
+        assert!(first > 900 && rest < 700, "{first} and {rest} of 1000 near the hull");
+        assert!(data.has_start() && cloud.colors[1500] == [0.5; 3]);
     }
 
     #[test]

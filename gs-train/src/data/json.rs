@@ -256,14 +256,20 @@ impl<'a> Fields<'a> {
     /// # Errors
     /// `data.field` naming the entry.
     pub(crate) fn rows3(&self, key: &str) -> Result<[[f64; 3]; 3], DataError> {
+        self.rows(key)?.ok_or_else(|| self.fault(key, "missing", "it must be three rows of three numbers", FIX))
+    }
+
+    /// `N` rows of three finite numbers, if the field is there.
+    ///
+    /// # Errors
+    /// `data.field` naming the entry.
+    pub(crate) fn rows<const N: usize>(&self, key: &str) -> Result<Option<[[f64; 3]; N]>, DataError> {
         let rows = match self.map.get(key) {
-            Some(Value::Array(rows)) if rows.len() == 3 => rows,
-            v => {
-                let value = v.map_or("missing".into(), Value::to_string);
-                return Err(self.fault(key, &value, "it must be three rows of three numbers", FIX));
-            }
+            None | Some(Value::Null) => return Ok(None),
+            Some(Value::Array(rows)) if rows.len() == N => rows,
+            Some(v) => return Err(self.fault(key, &v.to_string(), "it must be rows of three numbers", FIX)),
         };
-        let mut m = [[0.0; 3]; 3];
+        let mut m = [[0.0; 3]; N];
         for (i, row) in rows.iter().enumerate() {
             let at = format!("{key}[{i}]");
             let cells = row.as_array().filter(|c| c.len() == 3);
@@ -273,7 +279,7 @@ impl<'a> Fields<'a> {
                 m[i][j] = finite(cell).ok_or_else(|| not_finite(self.place(&format!("{at}[{j}]")), cell))?;
             }
         }
-        Ok(m)
+        Ok(Some(m))
     }
 
     /// A text, if the field is there.

@@ -87,6 +87,8 @@ pub struct View {
     pub camera_id: u32,
     /// Which pixels count in masked scores (`mask.rs`): one channel, 255 counts.
     pub mask: Option<ImageSource>,
+    /// Whether alpha in the image's file means nothing, as in photographs.
+    pub opaque: bool,
     /// Depth of the view, an `.npy` file, where the data bring one along.
     pub depth: Option<PathBuf>,
 }
@@ -94,8 +96,8 @@ pub struct View {
 impl View {
     /// A view without distortion, mask and depth.
     pub fn new(name: impl Into<String>, camera: Camera, time: Time, image: ImageSource, camera_id: u32) -> Self {
-        let (mask, depth) = (None, None);
-        Self { name: name.into(), camera, stored: None, lens: None, time, image, camera_id, mask, depth }
+        let name = name.into();
+        Self { name, camera, stored: None, lens: None, time, image, camera_id, mask: None, opaque: false, depth: None }
     }
 }
 
@@ -219,8 +221,15 @@ pub struct Layout {
 }
 
 /// Every reader.
-pub const LAYOUTS: &[Layout] =
-    &[blender::LAYOUT, nerfstudio::LAYOUT, colmap::LAYOUT, hypernerf::LAYOUT, llff::LAYOUT, panoptic::LAYOUT];
+pub const LAYOUTS: &[Layout] = &[
+    blender::LAYOUT,
+    nerfstudio::LAYOUT,
+    colmap::LAYOUT,
+    colmap::NVIDIA,
+    hypernerf::LAYOUT,
+    llff::LAYOUT,
+    panoptic::LAYOUT,
+];
 
 /// The reader that is surest of a folder; of equally sure ones the first.
 pub fn detect(dir: &Path) -> Option<&'static Layout> {

@@ -71,7 +71,8 @@ pub struct DataOptions {
     pub time_range: Option<TimeRange>,
     /// Where times come from.
     pub time_from: TimeFrom,
-    /// Frames per second for [`TimeFrom::Name`] and [`TimeFrom::Order`]; none: the clock equals the normalised time.
+    /// Frames per second for [`TimeFrom::Name`], [`TimeFrom::Order`] and layouts whose files count frames; none: the layout's
+    /// own rate, else the clock equals the normalised time.
     pub fps: Option<f64>,
     /// Leave out views whose image is missing (with a note) instead of refusing the data.
     pub allow_missing: bool,
@@ -90,6 +91,11 @@ pub struct DataOptions {
     pub frame_step: u32,
     /// Resample distorted images to their pinhole camera; `false` refuses distorted cameras.
     pub undistort: bool,
+    /// Nerfies and DyCheck captures: bring cameras and points to the normalised frame of `scene.json`; `false` trains in the
+    /// raw frame, as 4DGaussians does.
+    pub normalise: bool,
+    /// Nerfies and DyCheck captures: only the focal length of cameras counts, as in 4DGaussians.
+    pub center_pp: bool,
     /// Image folder of a COLMAP model; none: the first of `images`, `images_2`, `images_4`, `images_8`, `input`.
     pub images: Option<String>,
     /// Size of the images used, as a part of their stored size: above 0, at most 1. Shrinking averages areas.
@@ -113,6 +119,8 @@ impl Default for DataOptions {
             frame_count: 0,
             frame_step: 1,
             undistort: true,
+            normalise: true,
+            center_pp: false,
             images: None,
             scale: 1.0,
             max_image_mib: None,

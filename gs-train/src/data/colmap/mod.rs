@@ -18,7 +18,7 @@ use super::frames::{Listed, image_folder, name_views, with_headers};
 use super::header::ImageHeader;
 use super::intrinsics::{Adjusted, Intrinsics, hold_out, hold_out_note};
 use super::lens::Lens;
-use super::options::DataOptions;
+use super::options::{DataOptions, TimeFrom, TimeRange};
 use super::pose::{Pose, from_quaternion};
 use super::times::{Draft, Drafts, settle};
 use super::{Confidence, Dataset, ImageSource, Layout, PointCloud, View};
@@ -31,20 +31,34 @@ mod text;
 pub(crate) const LAYOUT: Layout =
     Layout { name: "colmap", about: "COLMAP sparse model (text or binary) with an image folder", probe, open };
 
+/// The entry of the layout of Nvidia's dynamic scenes.
+pub(crate) const NVIDIA: Layout = Layout {
+    name: "nvidia",
+    about: "Nvidia's dynamic scenes as one moving camera: a COLMAP model in dense/sparse, frames in dense/images",
+    probe: probe_dense,
+    open: open_dense,
+};
+
 const MODEL_FOLDERS: [&str; 4] = ["sparse/0", "sparse", "colmap/sparse/0", "."];
 const IMAGE_FOLDERS: [&str; 5] = ["images", "images_2", "images_4", "images_8", "input"];
+const DENSE_MODEL_FOLDERS: [&str; 2] = ["dense/sparse", "dense/sparse/0"];
+const DENSE_IMAGE_FOLDERS: [&str; 3] = ["dense/images", "dense/images_2", "dense/images_4"];
 const EXTENSIONS: [&str; 6] = ["png", "jpg", "jpeg", "PNG", "JPG", "JPEG"];
 
 fn probe(dir: &Path) -> Option<Confidence> {
-    model_folder(dir).map(|_| Confidence::Likely)
+    model_folder(dir, &MODEL_FOLDERS).map(|_| Confidence::Likely)
+}
+
+fn probe_dense(dir: &Path) -> Option<Confidence> {
+    model_folder(dir, &DENSE_MODEL_FOLDERS).map(|_| Confidence::Likely)
 }
 
 /// The model's folder and whether it is binary.
-fn model_folder(dir: &Path) -> Option<(PathBuf, bool)> {
+fn model_folder(dir: &Path, folders: &[&str]) -> Option<(PathBuf, bool)> {
     let all = |folder: &Path, ext: &str| {
         ["cameras", "images"].iter().all(|name| folder.join(format!("{name}.{ext}")).is_file())
     };
-    MODEL_FOLDERS.iter().map(|f| dir.join(f)).find_map(|folder| {
+    folders.iter().map(|f| dir.join(f)).find_map(|folder| {
         if all(&folder, "bin") { Some((folder, true)) } else { all(&folder, "txt").then_some((folder, false)) }
     })
 }
@@ -97,45 +111,95 @@ fn intrinsics(model: &str, size: [u64; 2], params: &[f64], place: &Place) -> Res
 /// See [`DataError`]; every fault names file and row.
 fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     let root = Root::new(dir)?;
-    let (folder, is_binary) = model_folder(dir).ok_or_else(|| DataError::Layout {
-        path: dir.to_path_buf(),
-        looked_for: format!("looked for cameras and images, .bin or .txt, in {}", MODEL_FOLDERS.join(", ")),
-    })?;
-    let file = |name: &str| folder.join(format!("{name}.{}", if is_binary { "bin" } else { "txt" }));
-    let (cameras_file, images_file, points_file) = (file("cameras"), file("images"), file("points3D"));
-    let (cameras, rows) = if is_binary {
-        (binary::cameras(&cameras_file)?, binary::images(&images_file)?)
-    } else {
-        (text::cameras(&cameras_file)?, text::images(&images_file)?)
-    };
-    let points = match (points_file.is_file(), is_binary) {
-        (false, _) => None,
-        (true, true) => Some(binary::points(&points_file)?),
-        (true, false) => Some(text::points(&points_file)?),
-    };
     let mut notes = Vec::new();
-    let listed = find_images(&root, &images_file, rows, options, &mut notes)?;
-    let listed = with_headers(&images_file, listed, options, &mut notes)?;
-    let has_alpha = listed.iter().any(|(_, h)| h.has_alpha);
-    let drafts = split(drafts(listed, &cameras, &images_file, options, &mut notes)?, options, &mut notes);
-    if drafts.train.is_empty() {
-        return Err(DataError::Empty { file: images_file });
-    }
+    let model = Model::read(dir, &MODEL_FOLDERS)?;
+    let (drafts, has_alpha) = model.drafts(&root, &IMAGE_FOLDERS, options, &mut notes)?;
     let settled = settle(drafts, options, None)?;
-    Ok(Dataset { points, ..settled.dataset(dir, LAYOUT.name, has_alpha, notes) })
+    Ok(Dataset { points: model.points, ..settled.dataset(dir, LAYOUT.name, has_alpha, notes) })
 }
 
-fn find_images(
+/// Reads frames of one moving camera (Yoon et al. 2020, one camera of the rig per moment): image `k` of `n`, in order of
+/// names, is at time `k / (n − 1)`, unless `data.time_from` asks for names.
+///
+/// # Errors
+/// As [`open`].
+fn open_dense(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
+    let root = Root::new(dir)?;
+    let mut notes = Vec::new();
+    let model = Model::read(dir, &DENSE_MODEL_FOLDERS)?;
+    let (drafts, has_alpha) = model.drafts(&root, &DENSE_IMAGE_FOLDERS, options, &mut notes)?;
+    let mut timed = options.clone();
+    if timed.time_from == TimeFrom::File {
+        let images = drafts.train.len() + drafts.test.len();
+        timed.time_from = TimeFrom::Order;
+        if images > 1 && timed.time_range.is_none() {
+            timed.time_range = Some(TimeRange { start: 0.0, end: images as f64 - 1.0 });
+        }
+        notes.push(format!("image k of {images}, in order of names, is at time k/{}", images.max(2) - 1));
+    }
+    let settled = settle(drafts, &timed, None)?;
+    Ok(Dataset { points: model.points, ..settled.dataset(dir, NVIDIA.name, has_alpha, notes) })
+}
+
+/// The three files of a model.
+struct Model {
+    cameras: BTreeMap<u32, Intrinsics>,
+    rows: Vec<ImageRow>,
+    points: Option<PointCloud>,
+    images_file: PathBuf,
+}
+
+impl Model {
+    fn read(dir: &Path, folders: &[&str]) -> Result<Self, DataError> {
+        let (folder, is_binary) = model_folder(dir, folders).ok_or_else(|| DataError::Layout {
+            path: dir.to_path_buf(),
+            looked_for: format!("looked for cameras and images, .bin or .txt, in {}", folders.join(", ")),
+        })?;
+        let file = |name: &str| folder.join(format!("{name}.{}", if is_binary { "bin" } else { "txt" }));
+        let (cameras_file, images_file, points_file) = (file("cameras"), file("images"), file("points3D"));
+        let (cameras, rows) = if is_binary {
+            (binary::cameras(&cameras_file)?, binary::images(&images_file)?)
+        } else {
+            (text::cameras(&cameras_file)?, text::images(&images_file)?)
+        };
+        let points = match (points_file.is_file(), is_binary) {
+            (false, _) => None,
+            (true, true) => Some(binary::points(&points_file)?),
+            (true, false) => Some(text::points(&points_file)?),
+        };
+        Ok(Self { cameras, rows, points, images_file })
+    }
+
+    /// The views, split, without times, and whether their images carry alpha.
+    fn drafts(
+        &self,
+        root: &Root,
+        image_folders: &[&str],
+        options: &DataOptions,
+        notes: &mut Vec<String>,
+    ) -> Result<(Drafts, bool), DataError> {
+        let folder = image_folder(root, options, image_folders, "there is a COLMAP model, but no image folder")?;
+        let listed = find_images(root, &self.images_file, &self.rows, &folder, notes)?;
+        let listed = with_headers(&self.images_file, listed, options, notes)?;
+        let has_alpha = listed.iter().any(|(_, h)| h.has_alpha);
+        let drafts = split(drafts(listed, &self.cameras, &self.images_file, options, notes)?, options, notes);
+        if drafts.train.is_empty() {
+            return Err(DataError::Empty { file: self.images_file.clone() });
+        }
+        Ok((drafts, has_alpha))
+    }
+}
+
+fn find_images<'a>(
     root: &Root,
     images_file: &Path,
-    rows: Vec<ImageRow>,
-    options: &DataOptions,
+    rows: &'a [ImageRow],
+    folder: &str,
     notes: &mut Vec<String>,
-) -> Result<Vec<Listed<ImageRow>>, DataError> {
-    let folder = image_folder(root, options, &IMAGE_FOLDERS, "there is a COLMAP model, but no image folder")?;
+) -> Result<Vec<Listed<&'a ImageRow>>, DataError> {
     notes.push(format!("images come from \"{folder}\""));
-    let paired = numbered::pairing(&root.resolve(&folder, &Place::new(root.dir(), "data.images"))?, &rows)?;
-    notes.extend(paired.as_ref().map(|p| numbered::note(&folder, p)));
+    let paired = numbered::pairing(&root.resolve(folder, &Place::new(root.dir(), "data.images"))?, rows)?;
+    notes.extend(paired.as_ref().map(|p| numbered::note(folder, p)));
     let mut renamed = 0;
     let mut listed = Vec::with_capacity(rows.len());
     for row in rows {
@@ -161,7 +225,7 @@ fn find_images(
 }
 
 fn drafts(
-    listed: Vec<(Listed<ImageRow>, ImageHeader)>,
+    listed: Vec<(Listed<&ImageRow>, ImageHeader)>,
     cameras: &BTreeMap<u32, Intrinsics>,
     images_file: &Path,
     options: &DataOptions,
@@ -173,7 +237,7 @@ fn drafts(
     for (listed, header) in listed {
         let row = listed.rest;
         let at = |field: &str| Place::new(images_file, format!("images[{}].{field}", row.row));
-        let pose = pose(&row, &at)?;
+        let pose = pose(row, &at)?;
         let intrinsics = cameras.get(&row.camera).ok_or_else(|| DataError::Field {
             place: at("camera_id"),
             value: format!("{}, which cameras does not list", row.camera),

@@ -1,0 +1,160 @@
+//! Which pictures train, which are held out, when and by which camera they were taken.
+
+use std::collections::HashSet;
+use std::path::{Path, PathBuf};
+
+use serde_json::{Map, Value};
+
+use super::super::error::{DataError, Place};
+use super::super::json::{Fields, read_object};
+
+/// Largest `dataset.json`, `metadata.json` and split: some 20 000 pictures.
+const MAX_LIST_BYTES: u64 = 2 << 20;
+/// Ids are whole numbers up to this, exact in `f64` and in `u32`.
+const MAX_ID: f64 = u32::MAX as f64;
+
+/// `dataset.json`: which ids train, and which are held out.
+pub(super) struct Lists {
+    pub(super) file: PathBuf,
+    all: Vec<String>,
+    pub(super) train: Vec<String>,
+    pub(super) test: Vec<String>,
+}
+
+impl Lists {
+    /// Reads the lists of a capture's folder.
+    ///
+    /// # Errors
+    /// `data.field` for lists that are none, and for a picture of both splits; `io.read`, `data.syntax`, `limits.file`.
+    pub(super) fn read(dir: &Path, notes: &mut Vec<String>) -> Result<Self, DataError> {
+        let file = &dir.join("dataset.json");
+        let map = read_object(file, MAX_LIST_BYTES)?;
+        let all = names(file, &map, "ids")?;
+        let (train, val) = (names(file, &map, "train_ids")?, names(file, &map, "val_ids")?);
+        if let Some(count) = Fields::new(file, "", &map).number("count")?.filter(|&c| c != all.len() as f64) {
+            notes.push(format!("dataset.json states a count of {count} and lists {} ids", all.len()));
+        }
+        let splits = ["train", "val"].map(|name| dir.join(format!("splits/{name}.json")));
+        let (train, test) = if splits.iter().all(|f| f.is_file()) {
+            notes.push("the split is that of splits/train.json and splits/val.json".into());
+            (frame_names(&splits[0])?, frame_names(&splits[1])?)
+        } else if val.is_empty() {
+            notes.push("val_ids is empty: of ids every 4th trains, those half-way between are held out".into());
+            let every_fourth = |start| all.iter().skip(start).step_by(4).cloned().collect::<Vec<_>>();
+            (every_fourth(0), every_fourth(2))
+        } else {
+            (train, val)
+        };
+        let trained: HashSet<&String> = train.iter().collect();
+        if let Some(i) = test.iter().position(|id| trained.contains(id)) {
+            return Err(DataError::Field {
+                place: Place::new(file, format!("val_ids[{i}]")),
+                value: format!("\"{}\", which train_ids lists too", test[i]),
+                why: "a view that trains cannot be held out",
+                fix: "remove it from one of the lists",
+            });
+        }
+        Ok(Self { file: file.to_path_buf(), all, train, test })
+    }
+
+    /// The largest time of all ids, those of no split included.
+    pub(super) fn last_time(&self, tags: &Tags) -> Result<f64, DataError> {
+        let mut last: f64 = 0.0;
+        for id in self.all.iter().chain(&self.train).chain(&self.test) {
+            last = last.max(tags.of(id)?.time);
+        }
+        Ok(last)
+    }
+}
+
+/// The names of a split of DyCheck; its lists of times and cameras repeat `metadata.json` and must be as long.
+fn frame_names(file: &Path) -> Result<Vec<String>, DataError> {
+    let map = read_object(file, MAX_LIST_BYTES)?;
+    let found = names(file, &map, "frame_names")?;
+    for key in ["time_ids", "camera_ids"] {
+        if let Some(list) = map.get(key).and_then(Value::as_array).filter(|list| list.len() != found.len()) {
+            return Err(DataError::Field {
+                place: Place::new(file, key),
+                value: format!("{} entries long, frame_names is {}", list.len(), found.len()),
+                why: "the lists of a split belong together entry by entry",
+                fix: "copy the split again, or remove the folder splits",
+            });
+        }
+    }
+    Ok(found)
+}
+
+/// A list of texts; a list that is not there is empty.
+fn names(file: &Path, map: &Map<String, Value>, key: &str) -> Result<Vec<String>, DataError> {
+    let fault = |at: String, value: &Value| DataError::Field {
+        place: Place::new(file, at),
+        value: value.to_string().chars().take(40).collect(),
+        why: "ids are a list of texts",
+        fix: "export dataset.json again",
+    };
+    match map.get(key) {
+        None | Some(Value::Null) => Ok(Vec::new()),
+        Some(Value::Array(list)) => {
+            let text = |(i, v): (usize, &Value)| match v {
+                Value::String(s) => Ok(s.clone()),
+                _ => Err(fault(format!("{key}[{i}]"), v)),
+            };
+            list.iter().enumerate().map(text).collect()
+        }
+        Some(v) => Err(fault(key.into(), v)),
+    }
+}
+
+/// `metadata.json`: when, and by which camera.
+pub(super) struct Tags {
+    pub(super) file: PathBuf,
+    map: Map<String, Value>,
+    /// The field that holds the time.
+    pub(super) key: &'static str,
+}
+
+/// Time and camera of a picture.
+pub(super) struct Tag {
+    pub(super) time: f64,
+    pub(super) camera: u32,
+}
+
+impl Tags {
+    /// Reads the file.
+    ///
+    /// # Errors
+    /// `io.read`, `data.syntax`, `limits.file`.
+    pub(super) fn read(file: &Path, notes: &mut Vec<String>) -> Result<Self, DataError> {
+        let map = read_object(file, MAX_LIST_BYTES)?;
+        let has = |key: &str| map.values().any(|v| v.get(key).is_some());
+        let key = if has("time_id") { "time_id" } else { "warp_id" };
+        if has("appearance_id") {
+            notes.push("appearance ids are not used: all pictures are taken as equally exposed".into());
+        }
+        Ok(Self { file: file.to_path_buf(), map, key })
+    }
+
+    /// The tag of a picture.
+    ///
+    /// # Errors
+    /// `data.field` if there is none, or its numbers are no ids.
+    pub(super) fn of(&self, id: &str) -> Result<Tag, DataError> {
+        let Some(Value::Object(map)) = self.map.get(id) else {
+            return Err(DataError::Field {
+                place: Place::new(&self.file, id),
+                value: "missing".into(),
+                why: "dataset.json lists this id, and its time is unknown",
+                fix: "copy metadata.json and dataset.json of the same capture",
+            });
+        };
+        let fields = Fields::new(&self.file, id, map);
+        let whole = |key: &str, value: f64| {
+            let good = (0.0..=MAX_ID).contains(&value) && value.fract() == 0.0;
+            let why = "ids are whole numbers from 0 to 4294967295";
+            if good { Ok(value) } else { Err(fields.fault(key, &value.to_string(), why, "correct the number")) }
+        };
+        let time = whole(self.key, fields.required_number(self.key)?)?;
+        let camera = whole("camera_id", fields.number("camera_id")?.unwrap_or(0.0))?;
+        Ok(Tag { time, camera: camera as u32 })
+    }
+}
