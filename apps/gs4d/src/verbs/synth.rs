@@ -42,6 +42,12 @@ pub struct Synth {
     /// Radians the camera turns by while the shutter is open.
     #[arg(long, default_value_t = 0.0, requires = "exposure")]
     shake: f64,
+    /// Write depth and masks of every view, and the flow of a camera that stands still, to DIR/maps (.npy and .png).
+    #[arg(long)]
+    truth: bool,
+    /// Moments of the camera that stands still.
+    #[arg(long, default_value_t = 25, requires = "truth", value_parser = clap::value_parser!(u32).range(2..=10_000))]
+    truth_times: u32,
     /// Write into a folder that is not empty.
     #[arg(short, long)]
     force: bool,
@@ -70,12 +76,16 @@ impl Synth {
         if let Some(exposure) = &exposure {
             blur_training_views(out, &mut data, exposure)?;
         }
+        if self.truth {
+            synth::write_maps(out, &data, self.truth_times, self.force)?;
+        }
         let data = data.dataset;
         let (train, val, test) = (data.train.len(), data.val.len(), data.test.len());
         let size = options.size;
         let text = format!(
-            "{}  {name}: {train} training, {val} validation, {test} test views of {size}x{size}; truth.json beside them\n",
-            out.display()
+            "{}  {name}: {train} training, {val} validation, {test} test views of {size}x{size}; truth.json{} beside them\n",
+            out.display(),
+            if self.truth { " and maps" } else { "" }
         );
         let json = json!({"path": out.display().to_string(), "scene": name, "options": options, "views": [train, val, test], "exposure": exposure});
         Ok(Answer::new(text, json))
