@@ -1,26 +1,26 @@
 //! Anchor deformation in three levels: the `f64` reference against its own central differences, production against the
 //! reference (alone, and with the decoder behind it), and what must hold to the last bit.
 //!
-//! Tolerances (relative to the largest entry of the column or block, worst seen times about four):
+//! Tolerances (relative to the largest entry of the column or block, at least four times the worst seen):
 //! | quantity | bound |
 //! |---|---|
 //! | reference's gradients, central differences | 1e-6 |
-//! | moved anchors | 2e-6 |
-//! | gradients of anchors, of planes and networks | 2e-5 |
+//! | moved anchors | 5e-7 |
+//! | gradients of anchors, of planes and networks | 4e-6 |
 
 mod support;
 
-use glam::{DVec3, Vec3};
+use glam::Vec3;
 use gs_anchor::gad::{Activation, Dynamics, Factor};
 use gs_anchor::reference::{AnchorRef, Blocks, DecoderRef, GadRef, GaussianRef, RestRef};
 use gs_anchor::{AnchorShape, Anchors, DecodeTape, Decoder, DecoderConfig, Gad, GadConfig, GadHead, GadTape};
 use gs_anchor::{Local, LocalGrad, Visible};
 use gs_core::nn::BLOCK;
-use gs_core::{Params, Rng, Splats, SplatsGrad, Time};
+use gs_core::{Params, Rng, Splats, Time};
 use gs_deform::encode::HexPlaneConfig;
 use gs_deform::reference::PlaneNetRefGrad;
 use gs_deform::{Aabb, DeformError, PlaneNetConfig};
-use support::{EYE, assert_close, wide};
+use support::{EYE, assert_close, cotangent, cotangents, flat_anchor, wide};
 
 const T: Time = Time { normalised: 0.3, seconds: 0.3 };
 
@@ -91,7 +91,7 @@ fn gad(config: &GadConfig, dynamics: usize) -> Gad {
     gad
 }
 
-fn cotangents(n: usize) -> LocalGrad {
+fn local_cotangents(n: usize) -> LocalGrad {
     let mut d = LocalGrad::default();
     for v in 0..n {
         let mut rng = Rng::new(23, "cotangents", 0, v as u64);
@@ -105,7 +105,7 @@ fn cotangents(n: usize) -> LocalGrad {
 }
 
 /// Row `v` of cotangents in `f64`.
-fn cotangent(d: &LocalGrad, v: usize) -> AnchorRef {
+fn local_cotangent(d: &LocalGrad, v: usize) -> AnchorRef {
     AnchorRef {
         position: d.positions[v].as_dvec3().to_array(),
         offsets: wide(&d.offsets[12 * v..][..12]),
@@ -114,12 +114,8 @@ fn cotangent(d: &LocalGrad, v: usize) -> AnchorRef {
     }
 }
 
-fn flat(a: &AnchorRef) -> Vec<f64> {
-    [&a.position[..], &a.offsets, &a.features, &a.scales].concat()
-}
-
 fn dot(a: &AnchorRef, b: &AnchorRef) -> f64 {
-    flat(a).iter().zip(flat(b)).map(|(a, b)| a * b).sum()
+    flat_anchor(a).iter().zip(flat_anchor(b)).map(|(a, b)| a * b).sum()
 }
 
 const STEP: f64 = 1e-5;
@@ -146,18 +142,18 @@ fn the_references_gradients_are_its_central_differences() {
     for (dynamics, config) in cases() {
         let mut twin = GadRef::new(&gad(&config, dynamics));
         twin.surrogate = true;
-        let (all, d) = (anchors(3, dynamics), cotangents(3));
+        let (all, d) = (anchors(3, dynamics), local_cotangents(3));
         let rest: Vec<RestRef> = (0..3).map(|v| RestRef::new(&all, v)).collect();
         let mut grad = twin.net.zero_grad();
         for (v, rest) in rest.iter().enumerate() {
-            let d = cotangent(&d, v);
+            let d = local_cotangent(&d, v);
             let got = twin.backward(rest, T, &d, &mut grad);
             assert_eq!(got.anchor.position, d.position, "the place is a constant to the net");
             let want = differences(rest, rest_slots, |r| dot(&twin.moved(r, T), &d));
             let got = [&got.anchor.offsets[..], &got.anchor.features, &got.anchor.scales, &got.logits].concat();
             assert_close(&got, &want, 1e-6, &format!("{config:?}: anchor {v}"));
         }
-        let total = |twin: &GadRef| (0..3).map(|v| dot(&twin.moved(&rest[v], T), &cotangent(&d, v))).sum::<f64>();
+        let total = |twin: &GadRef| (0..3).map(|v| dot(&twin.moved(&rest[v], T), &local_cotangent(&d, v))).sum::<f64>();
         for (p, got) in grad.planes.iter().enumerate() {
             let want = differences(&twin, |t| t.net.hexplane.planes[p].iter_mut().collect(), total);
             assert_close(got, &want, 1e-6, &format!("plane {p}"));
@@ -173,10 +169,10 @@ fn the_references_gradients_are_its_central_differences() {
 fn assert_net_close(gad: &Gad, want: &PlaneNetRefGrad, what: &str) {
     let mut planes = want.planes.iter();
     gad.visit(&mut |p| match p.name.strip_prefix("gad.planes.") {
-        Some(_) => assert_close(&wide(&p.grad), planes.next().unwrap(), 2e-5, &p.name),
+        Some(_) => assert_close(&wide(&p.grad), planes.next().unwrap(), 4e-6, &p.name),
         None => {
             let short = &p.name["gad.".len()..];
-            assert_close(&wide(&p.grad), &want.layers[short], 2e-5, &format!("{what}: {short}"));
+            assert_close(&wide(&p.grad), &want.layers[short], 4e-6, &format!("{what}: {short}"));
         }
     });
 }
@@ -185,7 +181,7 @@ fn assert_net_close(gad: &Gad, want: &PlaneNetRefGrad, what: &str) {
 fn assert_anchors_close(anchors: &Anchors, want: &[RestRef], what: &str) {
     let close = |p: &gs_core::Param, row: &dyn Fn(&RestRef) -> Vec<f64>| {
         let want: Vec<f64> = want.iter().flat_map(row).collect();
-        assert_close(&wide(&p.grad), &want, 2e-5, &format!("{what}: {}", p.name));
+        assert_close(&wide(&p.grad), &want, 4e-6, &format!("{what}: {}", p.name));
     };
     close(&anchors.positions, &|r| r.anchor.position.to_vec());
     close(&anchors.offsets, &|r| r.anchor.offsets.clone());
@@ -200,7 +196,7 @@ fn assert_anchors_close(anchors: &Anchors, want: &[RestRef], what: &str) {
 fn production_agrees_with_the_reference() {
     for (dynamics, config) in cases() {
         for n in [3, BLOCK + 20] {
-            let (mut gad, mut anchors, d) = (gad(&config, dynamics), anchors(n, dynamics), cotangents(n));
+            let (mut gad, mut anchors, d) = (gad(&config, dynamics), anchors(n, dynamics), local_cotangents(n));
             let (twin, mut tape, mut out) = (GadRef::new(&gad), GadTape::default(), Local::default());
             gad.forward(&anchors, T, &mut tape, &mut out);
             gad.backward(&mut anchors, &mut tape, &d);
@@ -209,8 +205,8 @@ fn production_agrees_with_the_reference() {
             for v in 0..n {
                 let rest = RestRef::new(&anchors, v);
                 let what = format!("{config:?}: anchor {v} of {n}");
-                assert_close(&flat(&AnchorRef::new(&out, v)), &flat(&twin.moved(&rest, T)), 2e-6, &what);
-                back.push(twin.backward(&rest, T, &cotangent(&d, v), &mut grad));
+                assert_close(&flat_anchor(&AnchorRef::new(&out, v)), &flat_anchor(&twin.moved(&rest, T)), 5e-7, &what);
+                back.push(twin.backward(&rest, T, &local_cotangent(&d, v), &mut grad));
             }
             assert_anchors_close(&anchors, &back, &format!("{config:?} at {n}"));
             assert_net_close(&gad, &grad, &format!("{config:?} at {n}"));
@@ -228,7 +224,7 @@ fn both_stages_agree_with_the_reference() {
     let (mut tape, mut decode, mut local, mut out, mut d) = Default::default();
     gad.forward(&anchors, T, &mut tape, &mut local);
     decoder.forward(&local, Visible::All, EYE, &mut decode, &mut out);
-    let d_out = splat_cotangents(&decode, &out);
+    let d_out = cotangents(&decode.rows, &out);
     LocalGrad::reset(&mut d, &local);
     decoder.backward(&local, &mut decode, &d_out, &mut d);
     gad.backward(&mut anchors, &mut tape, &d);
@@ -239,7 +235,7 @@ fn both_stages_agree_with_the_reference() {
     let back: Vec<RestRef> = (0..3)
         .map(|v| {
             let rest = RestRef::new(&anchors, v);
-            let d: Vec<GaussianRef> = (0..4).map(|j| splat_cotangent(4 * v + j)).collect();
+            let d: Vec<GaussianRef> = (0..4).map(|j| cotangent(4 * v + j)).collect();
             let d = decoder_twin.backward(&twin.moved(&rest, T), eye, &d, &mut heads);
             twin.backward(&rest, T, &d, &mut grad)
         })
@@ -247,25 +243,7 @@ fn both_stages_agree_with_the_reference() {
     assert!(!out.is_empty() && out.len() < 12);
     assert_anchors_close(&anchors, &back, "both stages");
     assert_net_close(&gad, &grad, "both stages");
-    decoder.visit(&mut |p| assert_close(&wide(&p.grad), &heads[&p.name], 2e-5, &p.name));
-}
-
-fn splat_cotangent(row: usize) -> GaussianRef {
-    let mut rng = Rng::new(24, "splats", 0, row as u64);
-    let mut v = || f64::from(rng.normal());
-    let (activation, mean, scale) = (v(), [v(), v(), v()], [v(), v(), v()]);
-    GaussianRef { activation, mean, scale, quat: [v(), v(), v(), v()], color: [v(), v(), v()] }
-}
-
-fn splat_cotangents(tape: &DecodeTape, splats: &Splats) -> SplatsGrad {
-    let mut d = SplatsGrad::zeros_like(splats);
-    for (n, &row) in tape.rows.iter().enumerate() {
-        let g = splat_cotangent(row as usize);
-        (d.means[n], d.scales[n]) = (DVec3::from_array(g.mean).as_vec3(), DVec3::from_array(g.scale).as_vec3());
-        (d.quats[n], d.opacities[n]) = (g.quat.map(|v| v as f32), g.activation as f32);
-        d.color[3 * n..][..3].copy_from_slice(&g.color.map(|v| v as f32));
-    }
-    d
+    decoder.visit(&mut |p| assert_close(&wide(&p.grad), &heads[&p.name], 4e-6, &p.name));
 }
 
 #[test]
@@ -279,7 +257,7 @@ fn an_untrained_field_leaves_the_anchors_as_they_are() {
 
 /// Everything a step produces, bit by bit.
 fn step(gad: &mut Gad, anchors: &mut Anchors, tape: &mut GadTape, t: Time) -> Vec<u32> {
-    let (mut out, d) = (Local::default(), cotangents(anchors.len()));
+    let (mut out, d) = (Local::default(), local_cotangents(anchors.len()));
     gad.clear_grads();
     anchors.clear_grads();
     gad.forward(anchors, t, tape, &mut out);
