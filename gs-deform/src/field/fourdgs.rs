@@ -64,6 +64,11 @@ impl Default for FourDgsConfig {
 }
 
 impl FourDgsConfig {
+    fn net(&self) -> PlaneNetConfig {
+        let Self { width, depth, zero_init, ref hexplane, .. } = *self;
+        PlaneNetConfig { width, depth, zero_init, hexplane: hexplane.clone() }
+    }
+
     /// Half the channels and a grid of 48³: about two thirds of the time and a third of the parameters of the default.
     pub fn fast() -> Self {
         let hexplane = HexPlaneConfig { resolution: [48, 48, 48, 75], channels: 16, ..HexPlaneConfig::default() };
@@ -96,8 +101,6 @@ impl HexPlaneField {
     /// # Errors
     /// If a setting cannot be built; the message names it.
     pub fn new(name: &str, config: &FourDgsConfig, aabb: Aabb, seed: u64) -> Result<Self, DeformError> {
-        let FourDgsConfig { width, depth, zero_init, ref hexplane, .. } = *config;
-        let net = PlaneNetConfig { width, depth, zero_init, hexplane: hexplane.clone() };
         let wanted = [config.move_means, config.move_scales, config.move_quats];
         let columns = [("means", 3), ("scales", 3), ("quats", 4)].into_iter().zip(wanted);
         let columns: Vec<(&str, usize)> = columns.filter_map(|(column, wanted)| wanted.then_some(column)).collect();
@@ -105,10 +108,15 @@ impl HexPlaneField {
         let limit = (config.scale_rule == ScaleRule::Add).then(|| aabb.max.distance(aabb.min));
         Ok(Self {
             config: config.clone(),
-            net: PlaneNet::new(name, &net, &columns, aabb, seed)?,
+            net: PlaneNet::new(name, &config.net(), &columns, aabb, seed)?,
             heads: [head(0), head(1), head(2)],
             apply: Apply { scale: config.scale_rule, quat: QuatRule::Raw, scale_limit: limit },
         })
+    }
+
+    /// The settings of its net.
+    pub fn net_config(&self) -> PlaneNetConfig {
+        self.config.net()
     }
 
     /// The settings it was built from.

@@ -6,6 +6,7 @@ use crate::density::Adapted;
 use crate::moment::Moment;
 use crate::schedule::{Schedule, ScheduleError};
 use glam::Vec3;
+use gs_anchor::StorageTable;
 use gs_core::{Camera, Params, Splats, SplatsGrad};
 use gs_raster::ScreenStats;
 
@@ -176,6 +177,22 @@ pub trait Method: Params + Send + Sync {
     /// What may be drawn over the scene at this moment: at least every quantity as a colour.
     fn overlays(&self, at: &Moment) -> Vec<Overlay> {
         self.quantities(at).iter().map(Quantity::overlay).collect()
+    }
+
+    /// What the scene takes on the disk by the rule of its paper, where there is one.
+    fn storage(&self) -> Option<StorageTable> {
+        None
+    }
+
+    /// The same scene for drawing alone, with what only training needs left out without changing a picture: its
+    /// configuration, made of this one, and the method. None if there is nothing to leave out.
+    fn folded(&self, _config: &toml::Table) -> Option<(toml::Table, Box<dyn Method>)> {
+        None
+    }
+
+    /// A block of rows whose values are whole multiples of a length, and that length, world units.
+    fn lattice(&self) -> Option<(&'static str, f32)> {
+        None
     }
 
     /// State that is not a parameter, for checkpoints.

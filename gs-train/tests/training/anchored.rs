@@ -147,3 +147,20 @@ fn boundaries_move_and_are_told_of() {
     assert_eq!(starts, last);
     assert!(starts[0] == 0.0 && starts.is_sorted_by(|a, b| a < b), "{starts:?}");
 }
+
+#[test]
+fn folding_leaves_out_what_pictures_do_not_need() {
+    let config = modec("");
+    let trainer = trained(&config, 60);
+    let (method, camera) = (trainer.method(), &trainer.dataset().train[0].camera);
+    let (slim_config, folded) = method.folded(&config).expect("an appearance to fold");
+    let (before, after) = (method.splats(&at(0.3), camera), folded.splats(&at(0.3), camera));
+    let pictures = (picture(method, &before, camera), picture(&*folded, &after, camera));
+    let worst = pictures.0.iter().zip(&pictures.1).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+    assert!(worst <= 1e-6, "{worst}");
+    assert_eq!(slim_config["decoder"]["appearance"].as_integer(), Some(0));
+    assert!(folded.param_count() < method.param_count());
+    let table = method.storage().expect("a table");
+    assert_eq!(table.needed_bytes(), 4 * folded.param_count(), "what is counted is what there is");
+    assert!(table.paper_bytes() > table.needed_bytes());
+}

@@ -20,7 +20,10 @@ use crate::schedule::Schedule;
 use drawing::Cache;
 use forward::Tape;
 use gs_anchor::gad::Sparsity;
-use gs_anchor::{Adapt, AdaptAt, AdaptRules, AnchorInit, AnchorShape, AnchorView, Anchors, Decoder, DecoderConfig};
+use gs_anchor::{
+    Adapt, AdaptAt, AdaptRules, AnchorInit, AnchorShape, AnchorView, Anchors, Decoder, DecoderConfig, Intervals,
+    StorageSizes, StorageTable,
+};
 use gs_core::{Camera, Param, Params, Splats, SplatsGrad};
 use gs_raster::ScreenStats;
 use serde::{Deserialize, Serialize};
@@ -85,6 +88,8 @@ pub struct Anchored {
     reach: Vec<f32>,
     diagonal: f32,
     seed: u64,
+    /// Training views: public code stores a row of appearance for each.
+    cameras: u32,
     step: u32,
     /// Views of the present step that were drawn.
     drawn: u32,
@@ -125,6 +130,7 @@ impl Anchored {
             reach: vec![0.0],
             diagonal: scene.bounds[0].distance(scene.bounds[1]),
             seed: scene.seed,
+            cameras: scene.views,
             step: 0,
             drawn: 0,
             tape: Tape::default(),
@@ -286,6 +292,43 @@ impl Method for Anchored {
         let k = self.config.offsets;
         let spread = |values: Vec<f32>| values.into_iter().flat_map(|v| std::iter::repeat_n(v, k)).collect();
         factors.into_iter().map(|(name, values)| Quantity::share(name, spread(values))).collect()
+    }
+
+    fn storage(&self) -> Option<StorageTable> {
+        Some(StorageTable::of(&StorageSizes {
+            anchors: self.anchors.len(),
+            shape: self.anchors.shape(),
+            decoder: self.decoder.config().clone(),
+            global: self.motion.gad.as_ref().map(|gad| gad.config().net.clone()),
+            local: self.motion.lgd.as_ref().map(|lgd| lgd.net_config()),
+            cameras: self.cameras as usize,
+            segments: self.motion.intervals.as_ref().map_or(0, Intervals::len),
+        }))
+    }
+
+    fn folded(&self, config: &toml::Table) -> Option<(toml::Table, Box<dyn Method>)> {
+        let mut config = config.clone();
+        config.get_mut("decoder")?.as_table_mut()?.insert("appearance".into(), 0.into());
+        let folded = Self {
+            schedule: self.schedule.clone(),
+            config: self.config.clone(),
+            rules: self.rules.clone(),
+            anchors: self.anchors.clone(),
+            decoder: self.decoder.folded(),
+            motion: self.motion.clone(),
+            adapt: self.adapt.clone(),
+            voxel: self.voxel.clone(),
+            reach: self.reach.clone(),
+            tape: Tape::default(),
+            cache: Cache::default(),
+            told: Vec::new(),
+            ..*self
+        };
+        Some((config, Box::new(folded)))
+    }
+
+    fn lattice(&self) -> Option<(&'static str, f32)> {
+        Some(("anchors.positions", self.voxel[0]))
     }
 
     fn columns(&self) -> Vec<Column<'_>> {
