@@ -145,14 +145,19 @@ fn resume_command(root: &Path) -> String {
     format!("gs4d resume {}", root.display())
 }
 
-/// The scores of a split in two lines.
+/// The scores of a split in three lines, and a fourth where views have masks.
 pub fn scores_text(s: &EvalReport, step: u32) -> String {
     let number = |v: Option<f64>, digits: usize| v.map_or("-".to_owned(), |v| format!("{v:.digits$}"));
+    let masked = s.mean.masked.map_or(String::new(), |m| {
+        let [psnr, ssim, seen] = [number(m.psnr, 2), number(m.ssim, 4), number(m.ssim_seen, 4)];
+        let (percent, proxy) = (100.0 * m.part, m.perceptual_proxy);
+        format!("where masks count ({percent:.1} % of the pixels)   psnr {psnr}   ssim {ssim} ({seen} where seen)   perceptual-proxy {proxy:.4}\n")
+    });
     let seconds = s.train_seconds.map_or(String::new(), |t| format!(" · {} of training", time_text(t)));
     format!(
         "{} · {} views · background {} · step {step} · {} splats{seconds}\n\
          psnr {} (mean of views; {} from mean error)   ssim {}   ms-ssim {}   perceptual-proxy {}\n\
-         sharpness against the photographs   laplacian {}   high band {}\n",
+         sharpness against the photographs   laplacian {}   high band {}\n{masked}",
         s.split,
         s.views.len(),
         color_name(s.background),
