@@ -26,7 +26,8 @@ const BLOCK: usize = 1024;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum InitFrom {
-    /// The data's points if there are any, else the visual hull if the images carry alpha, else random.
+    /// The data's points if there are any, else the visual hull of alpha or masks, else points in the box the layout knows,
+    /// else random.
     Auto,
     /// The points of the data set.
     Points,
@@ -104,7 +105,7 @@ fn first_points(dataset: &Dataset, init: &InitConfig, seed: u64) -> Result<Point
         InitFrom::Points if dataset.points.is_none() => {
             Err(MethodError::Scene("the data set brings no points; use init.from = auto or random".into()))
         }
-        InitFrom::Auto | InitFrom::Points if dataset.points.is_some() || dataset.has_alpha => {
+        InitFrom::Auto | InitFrom::Points if dataset.has_start() => {
             Ok(dataset.initial_points(init.points as usize, seed)?)
         }
         _ => Ok(random_points(init, seed)),
