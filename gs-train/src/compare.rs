@@ -1,15 +1,15 @@
 //! Scores of given images against given truths, with or without masks.
 //!
 //! PSNR in dB for a data range of 1; SSIM with an 11-tap Gaussian window and zeros outside, as the 3DGS family evaluates.
-//! Where a mask is given, PSNR and SSIM are those of DyCheck ([`gs_metrics::masked`]), and the other two have no meaning.
+//! Where a mask is given there are scores where it counts, too: PSNR and SSIM of DyCheck ([`gs_metrics::masked`]) and the
+//! masked proxy.
 
 use gs_core::Image;
 use gs_metrics::{
-    Mean, MetricError, MsSsim, MsSsimOptions, Ssim, SsimOptions, masked_mse, masked_ssim, mse, perceptual_proxy,
-    psnr_from_mse, psnr_of_mean_mse,
+    Mean, MetricError, MsSsim, MsSsimOptions, Ssim, SsimOptions, masked_perceptual_proxy, masked_psnr, masked_ssim,
+    mse, perceptual_proxy, psnr_from_mse, psnr_of_mean_mse,
 };
 use serde::Serialize;
-use std::str::FromStr;
 
 /// A metric that may be asked for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -25,22 +25,8 @@ pub enum Metric {
 }
 
 impl Metric {
-    /// Every metric with its name.
-    pub const ALL: [(&'static str, Metric); 4] = [
-        ("psnr", Metric::Psnr),
-        ("ssim", Metric::Ssim),
-        ("ms_ssim", Metric::MsSsim),
-        ("perceptual_proxy", Metric::PerceptualProxy),
-    ];
-}
-
-impl FromStr for Metric {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let found = Self::ALL.iter().find(|(name, _)| *name == text);
-        found.map(|(_, m)| *m).ok_or_else(|| "choose from psnr, ssim, ms_ssim, perceptual_proxy".to_owned())
-    }
+    /// All of them.
+    pub const ALL: [Metric; 4] = [Metric::Psnr, Metric::Ssim, Metric::MsSsim, Metric::PerceptualProxy];
 }
 
 /// The scores of one image; what was not asked for, or has no value, is absent.
@@ -55,13 +41,50 @@ pub struct ImageScores {
     pub psnr: Option<f64>,
     /// Structural similarity.
     pub ssim: Option<f64>,
-    /// SSIM over places that saw a pixel of the mask; absent without one.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub ssim_seen: Option<f64>,
     /// Multi-scale SSIM.
     pub ms_ssim: Option<f64>,
     /// Perceptual distance.
     pub perceptual_proxy: Option<f64>,
+    /// Scores where the mask counts; absent without one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub masked: Option<MaskedImageScores>,
+}
+
+/// The scores of one image where its mask counts, or their means.
+#[derive(Clone, Copy, Debug, PartialEq, Default, Serialize)]
+pub struct MaskedImageScores {
+    /// dB; absent for no error (infinite).
+    pub psnr: Option<f64>,
+    /// SSIM over the whole map, places that see nothing of the mask counting 1: the published number.
+    pub ssim: Option<f64>,
+    /// SSIM over places that see something of the mask.
+    pub ssim_seen: Option<f64>,
+    /// Masked perceptual distance; not LPIPS.
+    pub perceptual_proxy: Option<f64>,
+}
+
+impl MaskedImageScores {
+    fn of(image: &Image, truth: &Image, mask: &Image) -> Result<Self, MetricError> {
+        let ssim = masked_ssim(image, truth, mask)?;
+        Ok(Self {
+            psnr: Some(masked_psnr(image, truth, mask)?).filter(|p| p.is_finite()),
+            ssim: Some(ssim.whole),
+            ssim_seen: Some(ssim.seen),
+            perceptual_proxy: Some(masked_perceptual_proxy(image, truth, mask)?),
+        })
+    }
+
+    /// Means, each over the images that have a value; none without masks.
+    fn mean(views: &[ImageScores]) -> Option<Self> {
+        let of =
+            |value: fn(&Self) -> Option<f64>| Mean::of(views.iter().filter_map(|v| value(v.masked.as_ref()?))).value;
+        Some(Self {
+            psnr: of(|m| m.psnr),
+            ssim: Some(of(|m| m.ssim)?),
+            ssim_seen: of(|m| m.ssim_seen),
+            perceptual_proxy: of(|m| m.perceptual_proxy),
+        })
+    }
 }
 
 impl ImageScores {
@@ -82,6 +105,9 @@ pub struct Means {
     pub ms_ssim: Option<f64>,
     /// Mean perceptual distance.
     pub perceptual_proxy: Option<f64>,
+    /// Means of the masked scores, where there are masks.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub masked: Option<MaskedImageScores>,
 }
 
 /// The scores of a set of images.
@@ -93,8 +119,6 @@ pub struct SetScores {
     pub psnr_of_mean_mse: Option<f64>,
     /// Images without any error, left out of the mean PSNR.
     pub perfect_views: usize,
-    /// Whether masks were applied.
-    pub masked: bool,
     /// The scores of each image.
     pub views: Vec<ImageScores>,
 }
@@ -105,7 +129,6 @@ pub struct Comparer {
     metrics: Vec<Metric>,
     ssim: Ssim,
     ms_ssim: MsSsim,
-    masked: bool,
     views: Vec<ImageScores>,
 }
 
@@ -113,32 +136,27 @@ impl Comparer {
     /// A comparer for these metrics.
     pub fn new(metrics: &[Metric]) -> Self {
         let ssim = Ssim::new(SsimOptions::default());
-        Self { metrics: metrics.to_vec(), ssim, ms_ssim: MsSsim::default(), masked: false, views: Vec::new() }
+        Self { metrics: metrics.to_vec(), ssim, ms_ssim: MsSsim::default(), views: Vec::new() }
     }
 
-    /// Scores an image `[H, W, C]` against its truth, where the mask `[H, W, 1]` counts if there is one.
+    /// Scores an image `[H, W, C]` against its truth, and once more where the mask `[H, W, 1]` counts if there is one.
     ///
     /// # Errors
     /// Different shapes, values that are not finite, an empty mask, an image too small for SSIM.
     pub fn add(&mut self, name: &str, image: &Image, truth: &Image, mask: Option<&Image>) -> Result<(), MetricError> {
         let mut scores = ImageScores { name: name.to_owned(), ..ImageScores::default() };
-        self.masked |= mask.is_some();
         for metric in self.metrics.clone() {
-            match (metric, mask) {
-                (Metric::Psnr, None) => scores.mse = Some(mse(image, truth)?),
-                (Metric::Psnr, Some(mask)) => scores.mse = Some(masked_mse(image, truth, mask)?),
-                (Metric::Ssim, None) => scores.ssim = Some(self.ssim.value(image, truth)?),
-                (Metric::Ssim, Some(mask)) => {
-                    let both = masked_ssim(image, truth, mask)?;
-                    (scores.ssim, scores.ssim_seen) = (Some(both.whole), Some(both.seen));
-                }
-                (Metric::MsSsim, None) if image.width.min(image.height) > MsSsimOptions::default().side_limit() => {
+            match metric {
+                Metric::Psnr => scores.mse = Some(mse(image, truth)?),
+                Metric::Ssim => scores.ssim = Some(self.ssim.value(image, truth)?),
+                Metric::MsSsim if image.width.min(image.height) > MsSsimOptions::default().side_limit() => {
                     scores.ms_ssim = Some(self.ms_ssim.value(image, truth)?);
                 }
-                (Metric::PerceptualProxy, None) => scores.perceptual_proxy = Some(perceptual_proxy(image, truth)?),
-                (Metric::MsSsim, _) | (Metric::PerceptualProxy, Some(_)) => {}
+                Metric::MsSsim => {}
+                Metric::PerceptualProxy => scores.perceptual_proxy = Some(perceptual_proxy(image, truth)?),
             }
         }
+        scores.masked = mask.map(|m| MaskedImageScores::of(image, truth, m)).transpose()?;
         scores.psnr = scores.mse.map(psnr_from_mse).filter(|p| p.is_finite());
         self.views.push(scores);
         Ok(())
@@ -154,10 +172,10 @@ impl Comparer {
                 ssim: mean(|v| v.ssim),
                 ms_ssim: mean(|v| v.ms_ssim),
                 perceptual_proxy: mean(|v| v.perceptual_proxy),
+                masked: MaskedImageScores::mean(&self.views),
             },
             psnr_of_mean_mse: psnr_of_mean_mse(&mses).filter(|p| p.is_finite()),
             perfect_views: self.views.iter().filter(|v| v.mse_is_zero()).count(),
-            masked: self.masked,
             views: self.views,
         }
     }
@@ -173,8 +191,7 @@ mod tests {
 
     #[test]
     fn perfect_images_are_counted_and_means_are_of_the_rest() {
-        let all: Vec<Metric> = Metric::ALL.iter().map(|m| m.1).collect();
-        let mut c = Comparer::new(&all);
+        let mut c = Comparer::new(&Metric::ALL);
         c.add("same", &flat(0.5), &flat(0.5), None).unwrap();
         c.add("off", &flat(0.5), &flat(0.6), None).unwrap();
         let s = c.finish();
@@ -184,16 +201,18 @@ mod tests {
     }
 
     #[test]
-    fn masks_take_part_and_metrics_are_chosen() {
+    fn masks_score_apart_and_metrics_are_chosen() {
         let mut image = flat(0.5);
         image.pixel_mut(0, 0).fill(1.0);
         let mut mask = Image { width: 24, height: 16, channels: 1, data: vec![1.0; 24 * 16] };
         mask.data[0] = 0.0;
-        let mut c = Comparer::new(&[Metric::Psnr, Metric::PerceptualProxy]);
+        let mut c = Comparer::new(&[Metric::Psnr]);
         c.add("a", &image, &flat(0.5), Some(&mask)).unwrap();
         let s = c.finish();
-        assert_eq!((s.perfect_views, s.masked, s.mean.ssim, s.mean.perceptual_proxy), (1, true, None, None));
-        assert!("lpips".parse::<Metric>().unwrap_err().contains("perceptual_proxy"));
+        assert_eq!((s.perfect_views, s.mean.ssim, s.mean.perceptual_proxy), (0, None, None));
+        let masked = s.mean.masked.unwrap();
+        assert_eq!((masked.psnr, masked.ssim, masked.perceptual_proxy), (None, Some(1.0), Some(0.0)));
+        assert!(s.mean.psnr.unwrap() < 40.0, "the whole image has an error");
         assert!(Comparer::new(&[Metric::Psnr]).add("a", &image, &Image::zeros(3, 3, 3), None).is_err());
     }
 }

@@ -14,6 +14,7 @@ use serde::Serialize;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
+use std::time::Duration;
 
 /// The pilot's share of the time budget.
 const PILOT_SHARE: f64 = 0.2;
@@ -31,6 +32,12 @@ pub struct Entry {
 }
 
 impl Entry {
+    /// A method with the contest's preset and settings of its own.
+    pub fn new(method: &str, sets: Vec<String>) -> Self {
+        let label = std::iter::once(method).chain(sets.iter().map(String::as_str)).collect::<Vec<_>>().join(" ");
+        Self { label, method: method.to_owned(), preset: None, sets }
+    }
+
     /// Reads an entry.
     ///
     /// # Errors
@@ -65,6 +72,17 @@ pub enum Length {
     Steps(u32),
     /// As many steps as fill so many seconds.
     Seconds(f64),
+}
+
+impl Length {
+    /// The length of a time budget, else of a number of steps, else the recipe's.
+    pub fn of(time_budget: Option<Duration>, steps: Option<u32>) -> Self {
+        match (time_budget, steps) {
+            (Some(time), _) => Length::Seconds(time.as_secs_f64()),
+            (None, Some(steps)) => Length::Steps(steps),
+            (None, None) => Length::Recipe,
+        }
+    }
 }
 
 /// What is to be compared.
@@ -181,6 +199,16 @@ impl Contest {
         self.entries.iter().map(|entry| self.standing(entry, stop, tell)).collect()
     }
 
+    /// Whether two entries come to the same settings.
+    ///
+    /// # Errors
+    /// If settings are refused.
+    pub fn same(&self, a: &Entry, b: &Entry) -> Result<bool, ContestError> {
+        let of = |e: &Entry| self.resolved(e, 0, self.length).map_err(|s| ContestError::run(&e.label, s));
+        let (a, b) = (of(a)?, of(b)?);
+        Ok(a.method == b.method && a.run == b.run)
+    }
+
     fn standing(&self, entry: &Entry, stop: &AtomicBool, tell: &mut dyn FnMut(Told)) -> Result<Standing, ContestError> {
         let length = self.length(entry, stop, tell)?;
         let mut trials = Vec::new();
@@ -202,7 +230,7 @@ impl Contest {
         self.trial(entry, seed, Length::Seconds(PILOT_SHARE * seconds), &run, stop, tell)?;
         let failed = |e| ContestError::run(&entry.label, e);
         let pilot = OpenRun::open(&run).map_err(failed)?;
-        let lines = pilot.folder.log_lines(LOG).map_err(failed)?;
+        let lines = pilot.folder().and_then(|folder| folder.log_lines(LOG)).map_err(failed)?;
         // A pilot too short for its log is known by its checkpoint.
         let mean = || pilot.loaded.train_seconds / f64::from(pilot.loaded.step.max(1));
         let per_step = settled_seconds(&lines).unwrap_or_else(mean);
@@ -228,7 +256,8 @@ impl Contest {
             if open.resolved.method != resolved.method || open.resolved.run != resolved.run {
                 return Err(ContestError::Other(run.to_owned()));
             }
-            let kept = open.folder.read(METRICS).ok().and_then(|text| serde_json::from_str(&text).ok());
+            let kept = open.folder().and_then(|folder| folder.read(METRICS)).ok();
+            let kept = kept.and_then(|text| serde_json::from_str(&text).ok());
             if let Some(scores) = kept {
                 return Ok(scores);
             }

@@ -7,9 +7,10 @@
 //!   scenes with exact truth.
 //! * [`methods`]: one file a method; [`schedule`], [`density`], [`adam`], [`loss`]: what training is made of.
 //! * [`trainer`]: one step, and the whole state in and out; [`guard`]: gradients that are not finite.
-//! * [`evaluate`], [`compare`], [`inspect`], [`report`], [`contest`]: what came of it.
+//! * [`evaluate`], [`compare`], [`folders`], [`temporal`], [`inspect`], [`report`], [`contest`], [`sweep`]: what came of it.
 //! * [`analysis`]: what else can be said of a scene: quantities, motion, economy.
 //! * [`config`], [`checkpoint`], [`run`]: settings that know their source, atomic checkpoints, run folders.
+//! * [`storage`], [`compact`]: what a scene weighs, and a file of it in fewer bytes.
 //!
 //! # Promises
 //! A run is a function of data, configuration and seed: the same bits for any number of threads and after any
@@ -22,12 +23,14 @@ pub mod adam;
 pub mod analysis;
 pub mod bench;
 pub mod checkpoint;
+pub mod compact;
 pub mod compare;
 pub mod config;
 pub mod contest;
 pub mod data;
 pub mod density;
 pub mod evaluate;
+pub mod folders;
 pub mod guard;
 pub mod inspect;
 pub mod loss;
@@ -36,5 +39,8 @@ pub mod moment;
 pub mod report;
 pub mod run;
 pub mod schedule;
+pub mod storage;
+pub mod sweep;
 pub mod synth;
+pub mod temporal;
 pub mod trainer;

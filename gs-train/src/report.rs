@@ -6,8 +6,10 @@
 mod chart;
 mod embed;
 mod heat;
-mod page;
+pub(crate) mod page;
+pub mod sweep;
 
+pub(crate) use chart::chart;
 pub use chart::{Curve, Scale};
 pub use embed::{base64, png};
 pub use heat::HeatMap;

@@ -5,8 +5,10 @@ use gs_train::checkpoint::CheckpointError;
 use gs_train::config::ConfigError;
 use gs_train::data::DataError;
 use gs_train::evaluate::EvalError;
+use gs_train::folders::FolderError;
 use gs_train::methods::MethodError;
 use gs_train::run::RunError;
+use gs_train::temporal::TemporalError;
 use gs_train::trainer::TrainError;
 use std::fmt;
 use std::path::Path;
@@ -203,6 +205,43 @@ impl From<EvalError> for Failure {
     }
 }
 
+impl From<FolderError> for Failure {
+    fn from(e: FolderError) -> Self {
+        let text = e.to_string();
+        match e {
+            FolderError::List { folder, source } => Self::io("list the folder", &folder, &source),
+            FolderError::Empty { folder, .. } => Self::new(Class::Data, "data.empty", text)
+                .place(folder.display())
+                .remedy("give the folder that holds the images themselves"),
+            FolderError::Twins { first, .. } => Self::new(Class::Data, "data.names", text)
+                .place(first.display())
+                .why("images belong together by name, whatever their extension")
+                .remedy("remove one of them"),
+            FolderError::Unpaired { folder, .. } => Self::new(Class::Data, "data.missing", text)
+                .place(folder.display())
+                .why("a mean over fewer images than given is another number")
+                .remedy("add the missing files, or remove their partners"),
+            FolderError::Image { path, remedy, .. } => {
+                Self::new(Class::Data, "data.image", text).place(path.display()).remedy(remedy)
+            }
+            FolderError::Io(e) => e.into(),
+            FolderError::Metric { path, .. } => Self::new(Class::Data, "data.metric", text).place(path.display()),
+        }
+    }
+}
+
+impl From<TemporalError> for Failure {
+    fn from(e: TemporalError) -> Self {
+        match e {
+            TemporalError::Data(e) => e.into(),
+            TemporalError::Metric { .. } => Self::new(Class::Data, "data.metric", e.to_string()),
+            _ => Self::new(Class::Data, "data.video", e.to_string())
+                .why("flow between views that do not follow each other is noise")
+                .remedy("leave tof out of --metrics, or choose a split that is a video with --split"),
+        }
+    }
+}
+
 impl From<RunError> for Failure {
     fn from(e: RunError) -> Self {
         let text = e.to_string();
@@ -216,6 +255,9 @@ impl From<RunError> for Failure {
             }
             RunError::NotARun { .. } => {
                 Self::new(Class::Data, "run", text).remedy("give the folder that gs4d train -o made")
+            }
+            RunError::NoSettings { .. } => {
+                Self::new(Class::Data, "run", text).remedy("give the run folder, or a file that gs4d compact made")
             }
             RunError::Busy { .. } => Self::new(Class::Io, "run.busy", text).remedy("wait for it, or stop it"),
             RunError::Steps(_) => Self::new(Class::Usage, "steps", text),

@@ -6,7 +6,6 @@
 
 mod answer;
 mod failure;
-mod images;
 mod interrupt;
 mod parse;
 mod progress;
@@ -72,9 +71,11 @@ enum Verb {
     Eval(verbs::eval::Eval),
     Render(verbs::render::Render),
     Inspect(verbs::inspect::Inspect),
+    Compact(verbs::compact::Compact),
     Methods(verbs::methods::Methods),
     Config(verbs::config::ShowConfig),
     Contest(verbs::contest::ContestVerb),
+    Sweep(verbs::sweep::SweepVerb),
     Bench(verbs::bench::Bench),
 }
 
@@ -92,9 +93,11 @@ fn run(cli: Cli) -> Result<Answer, Failure> {
         Verb::Eval(verb) => verb.run(global),
         Verb::Render(verb) => verb.run(global),
         Verb::Inspect(verb) => verb.run(),
+        Verb::Compact(verb) => verb.run(global),
         Verb::Methods(verb) => Ok(verb.run()),
         Verb::Config(verb) => verb.run(),
         Verb::Contest(verb) => verb.run(global),
+        Verb::Sweep(verb) => verb.run(global),
         Verb::Bench(verb) => verb.run(global),
     }
 }

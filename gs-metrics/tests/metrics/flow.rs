@@ -13,11 +13,12 @@
 //! | motorcycle, left and right | 98 % | 1e-3 |
 //! | beach ball | 98 % | 1e-3 |
 
-use crate::frames::{captured, moved};
+use crate::data::captured;
+use crate::frames::{film, moved};
 use crate::pictures::in_pool;
 use gs_core::Image;
 use gs_metrics::flow::{Expansion, Farneback, Flow, end_point_error, farneback, grey};
-use gs_metrics::{MetricError, psnr};
+use gs_metrics::{MetricError, Tof, TofOptions, psnr};
 
 /// Agreement with OpenCV, pixels.
 const TOLERANCE: f32 = 1e-3;
@@ -45,11 +46,12 @@ fn compare(name: &str, flow: &Flow, stored: &[u8], stride: usize) -> (f32, f64, 
 
 #[test]
 fn generated_pairs_agree_everywhere() {
-    let cases: [(&str, [Image; 2], &[u8], usize); 4] = [
-        ("tiny", moved(29, 23, 24, -16), include_bytes!("flow/tiny.f32"), 1),
+    let cases = [
+        ("tiny", moved(29, 23, 24, -16), &include_bytes!("flow/tiny.f32")[..], 1),
         ("odd", moved(97, 75, 40, 23), include_bytes!("flow/odd.f32"), 2),
         ("four levels", moved(301, 259, -90, 61), include_bytes!("flow/four_levels.f32"), 6),
         ("large motion", moved(160, 121, 330, -200), include_bytes!("flow/large_motion.f32"), 4),
+        ("wide", moved(640, 360, 40, 23), include_bytes!("flow/wide.f32"), 24),
     ];
     for (name, [a, b], stored, stride) in cases {
         let (largest, _, mean) = compare(name, &farneback(&a, &b).unwrap(), stored, stride);
@@ -62,17 +64,30 @@ fn captured_pairs_agree_where_the_images_say_anything() {
     let ball = |f: &str| format!("beachball_flow_public/singlepart.{f}.exr");
     let court = |f: &str| format!("panoptic_basketball_f040-069/ims/3/{f}.jpg");
     let bike = |side: &str| format!("middlebury_motorcycle_flow/motorcycle_{side}.png");
-    let cases: [(String, String, &[u8], usize, f64, f64); 4] = [
-        (court("000042"), court("000043"), include_bytes!("flow/basketball_42.f32"), 24, 1.0, 1e-5),
-        (court("000057"), court("000058"), include_bytes!("flow/basketball_57.f32"), 24, 1.0, 1e-5),
-        (bike("left"), bike("right"), include_bytes!("flow/motorcycle.f32"), 24, 0.98, 1e-3),
-        (ball("0001"), ball("0002"), include_bytes!("flow/beachball.f32"), 64, 0.98, 1e-3),
+    let cases = [
+        ([court("000042"), court("000043")], &include_bytes!("flow/basketball_42.f32")[..], 24, (1.0, 1e-5)),
+        ([court("000057"), court("000058")], include_bytes!("flow/basketball_57.f32"), 24, (1.0, 1e-5)),
+        ([bike("left"), bike("right")], include_bytes!("flow/motorcycle.f32"), 24, (0.98, 1e-3)),
+        ([ball("0001"), ball("0002")], include_bytes!("flow/beachball.f32"), 64, (0.98, 1e-3)),
     ];
-    for (first, second, stored, stride, least, most) in cases {
+    for ([first, second], stored, stride, (least, most)) in cases {
         let Some([a, b]) = captured(&first, &second) else { continue };
         let (_, share, mean) = compare(&first, &farneback(&a, &b).unwrap(), stored, stride);
         assert!(share >= least && mean < most, "{first}: {share}, {mean}");
     }
+}
+
+#[test]
+fn the_motion_of_a_film_is_scored_as_with_opencv() {
+    let score = |options: TofOptions| {
+        let mut tof = Tof::new(options);
+        (0..8).for_each(|i| tof.add(&film(103, 85, i, [24, -10]), &film(103, 85, i, [20, -16])).unwrap());
+        tof.finish().unwrap()
+    };
+    let (published, whole) = (score(TofOptions::default()), score(TofOptions { trim: false, crop: false }));
+    assert_eq!((published.pairs.len(), whole.pairs.len()), (3, 7));
+    assert!((published.mean - 0.453_927_526_938_393_83).abs() < 1e-6, "{}", published.mean);
+    assert!((whole.mean - 0.453_423_571_449_385_33).abs() < 1e-6, "{}", whole.mean);
 }
 
 #[test]

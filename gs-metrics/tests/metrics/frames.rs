@@ -1,9 +1,6 @@
-//! Pairs of frames for flow: generated ones, in integers so that they are the same everywhere, and captured ones where a
-//! copy is at hand.
+//! Generated frames for flow, in integers so that they are the same everywhere.
 
 use gs_core::Image;
-use gs_core::io::{Limits, images};
-use gs_core::testkit::shared;
 
 /// A triangle wave between 0 and 255.
 fn triangle(at: i64, period: i64) -> i64 {
@@ -33,16 +30,7 @@ pub fn moved(width: usize, height: usize, dx: i64, dy: i64) -> [Image; 2] {
     [frame(width, height, |x, y| (16 * x, 16 * y)), frame(width, height, second)]
 }
 
-/// A captured pair by the names of its files, or nothing where they are absent. Linear images (EXR) are clamped to `[0, 1]`
-/// and shown by their square root.
-pub fn captured(first: &str, second: &str) -> Option<[Image; 2]> {
-    let read = |name: &str| {
-        let path = shared(&format!("data/{name}"))?;
-        let image = images::load_image(&path, &Limits::default()).expect("a readable image");
-        let linear = name.ends_with("exr");
-        let shown = |v: f32| if linear { v.clamp(0.0, 1.0).sqrt() } else { v };
-        let data = image.data.chunks_exact(image.channels).flat_map(|p| [shown(p[0]), shown(p[1]), shown(p[2])]);
-        Some(Image { width: image.width, height: image.height, channels: 3, data: data.collect() })
-    };
-    Some([read(first)?, read(second)?])
+/// Frame `i` of a film that moves by `(dx, dy)` sixteenths of a pixel a frame, and shears.
+pub fn film(width: usize, height: usize, i: i64, [dx, dy]: [i64; 2]) -> Image {
+    frame(width, height, |x, y| (16 * x - i * dx - i * y / 8, 16 * y - i * dy))
 }

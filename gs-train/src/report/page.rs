@@ -8,7 +8,7 @@ use std::fmt::Write as _;
 const STYLE: &str = include_str!("style.css");
 
 /// Text that is safe inside HTML, attributes included.
-fn escape(text: &str) -> String {
+pub(crate) fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {
         match c {
@@ -24,7 +24,6 @@ fn escape(text: &str) -> String {
 }
 
 pub fn page(report: &Report) -> Result<String, ReportError> {
-    let title = escape(&report.title);
     let parts = [
         figures(report),
         curves(report)?,
@@ -36,18 +35,24 @@ pub fn page(report: &Report) -> Result<String, ReportError> {
         settings(report),
         provenance(report),
     ];
-    Ok(format!(
+    Ok(document(&report.title, &report.subtitle, &parts.concat()))
+}
+
+/// A self-contained page around sections.
+pub fn document(title: &str, subtitle: &str, sections: &str) -> String {
+    let title = escape(title);
+    format!(
         "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
          <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n<title>{title}</title>\n\
          <style>\n{STYLE}</style>\n</head>\n<body>\n<header><h1>{title}</h1><p>{}</p></header>\n<main>\n{}</main>\n\
          </body>\n</html>\n",
-        escape(&report.subtitle),
-        parts.concat()
-    ))
+        escape(subtitle),
+        sections
+    )
 }
 
 /// A section, or nothing if it has no content.
-fn section(heading: &str, remark: &str, content: &str) -> String {
+pub fn section(heading: &str, remark: &str, content: &str) -> String {
     if content.is_empty() {
         return String::new();
     }
@@ -88,7 +93,8 @@ fn curves(report: &Report) -> Result<String, ReportError> {
     Ok(section("Course of training", "Each curve against optimiser steps and against seconds.", &grid))
 }
 
-fn picture(image: &Image, alt: &str) -> Result<String, ReportError> {
+/// An image of 1, 3 or 4 channels, inline.
+pub(crate) fn picture(image: &Image, alt: &str) -> Result<String, ReportError> {
     let data = base64(&png(image)?);
     let alt = escape(alt);
     Ok(format!(
@@ -133,7 +139,7 @@ fn strip(report: &Report) -> Result<String, ReportError> {
 }
 
 /// A table; `numeric` columns are aligned right. Cells are escaped here.
-fn table(head: &[&str], numeric: &[usize], rows: impl Iterator<Item = Vec<String>>) -> String {
+pub fn table(head: &[&str], numeric: &[usize], rows: impl Iterator<Item = Vec<String>>) -> String {
     let class = |i: usize| if numeric.contains(&i) { " class=\"n\"" } else { "" };
     let mut body = String::new();
     for row in rows {

@@ -2,9 +2,10 @@
 
 use crate::support::*;
 use gs_raster::{Workspace, render};
-use gs_train::data::{ImageCache, Split};
+use gs_train::data::{Dataset, ImageCache, Split};
 use gs_train::evaluate::{EvalError, evaluate};
 use gs_train::moment::Moment;
+use gs_train::temporal::{TemporalError, tof};
 
 #[test]
 fn a_report_holds_the_scores_of_the_drawn_frames() {
@@ -36,4 +37,44 @@ fn a_report_holds_the_scores_of_the_drawn_frames() {
     assert_eq!(report.parameter_bytes, 4 * method.param_count() as u64);
     let empty = evaluate(method, &data, Split::Val, white, &photographs);
     assert!(matches!(empty, Err(EvalError::NoViews("val"))));
+}
+
+/// The test views as a video: one camera, times one training moment apart.
+fn filmed(data: &Dataset, n: usize, step: f32) -> Dataset {
+    let first = data.train[0].clone();
+    let mut data = data.clone();
+    data.test = (0..n)
+        .map(|i| {
+            let mut view = first.clone();
+            view.name = format!("film {i}");
+            view.time.normalised = i as f32 * step;
+            view
+        })
+        .collect();
+    data
+}
+
+#[test]
+fn motion_is_scored_along_videos_only() {
+    let data = scene("balls", 48, 12);
+    let mut trainer = start("fourdgs", &data);
+    run(&mut trainer, 20);
+    let photographs = ImageCache::new(1 << 20, 1.0);
+    let whole = TofOptions { trim: false, crop: false };
+    let score = |data: &Dataset| tof(trainer.method(), data, Split::Test, [0.0; 3], &photographs, whole);
+    let film = score(&filmed(&data, 4, 0.02)).expect("a video");
+    assert_eq!(film.pairs.iter().map(|p| p.name.as_str()).collect::<Vec<_>>(), ["film 1", "film 2", "film 3"]);
+    assert!(film.mean.is_finite() && film.mean >= 0.0);
+
+    assert!(matches!(score(&data), Err(TemporalError::Cameras { .. })));
+    assert!(matches!(score(&filmed(&data, 1, 0.1)), Err(TemporalError::NoVideo(1))));
+    assert!(matches!(score(&filmed(&data, 3, 0.0)), Err(TemporalError::SameTime { .. })));
+    let mut sparse = filmed(&data, 2, 0.9);
+    (0..40).for_each(|i| {
+        let mut view = sparse.train[0].clone();
+        view.time.normalised = i as f32 * 0.02;
+        sparse.train.push(view);
+    });
+    let e = score(&sparse).unwrap_err();
+    assert!(matches!(e, TemporalError::Sparse { .. }) && e.to_string().contains("sparse times"), "{e}");
 }

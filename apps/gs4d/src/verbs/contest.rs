@@ -9,6 +9,7 @@ use gs_train::contest::{Contest, ContestError, Entry, Length, Spread, Standing, 
 use gs_train::evaluate::EvalReport;
 use serde_json::{Value, json};
 use std::path::PathBuf;
+use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 /// Compare methods or settings on the same data, with equal time and several seeds
@@ -43,36 +44,38 @@ pub struct ContestVerb {
 
 impl ContestVerb {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
-        let length = match (self.time_budget, self.steps) {
-            (Some(time), _) => Length::Seconds(time.as_secs_f64()),
-            (None, Some(steps)) => Length::Steps(steps),
-            (None, None) => Length::Recipe,
-        };
+        let length = Length::of(self.time_budget, self.steps);
         let Self { data, entries, preset, seeds, sets, out: root, .. } = self;
         let contest = Contest { data, root, preset, entries, seeds, length, sets };
-        let stop = interrupt::flag()?;
-        let mut progress: Option<Progress> = None;
-        let standings = contest.run(&stop, &mut |told| match told {
-            Told::Trial(name) => {
-                if let Some(done) = progress.take() {
-                    done.finish();
-                }
-                global.say(name);
-            }
-            Told::Step(p) => {
-                let line = progress.get_or_insert_with(|| Progress::new(u64::from(p.steps), "steps", global.quiet));
-                line.at(u64::from(p.step), || format!("{:.2} dB  {} splats", p.psnr, p.splats));
-            }
-        });
-        if let Some(done) = progress {
-            done.finish();
-        }
-        let standings = standings.map_err(failure)?;
+        let standings = follow(global, |stop, tell| contest.run(stop, tell))?.map_err(failure)?;
         Ok(Answer::new(table(&standings), to_json(&standings)))
     }
 }
 
-fn failure(e: ContestError) -> Failure {
+/// Runs trials under a progress line for each, until done or interrupted.
+pub fn follow<T>(global: &Global, run: impl FnOnce(&AtomicBool, &mut dyn FnMut(Told)) -> T) -> Result<T, Failure> {
+    let stop = interrupt::flag()?;
+    let mut progress: Option<Progress> = None;
+    let result = run(&stop, &mut |told| match told {
+        Told::Trial(name) => {
+            if let Some(done) = progress.take() {
+                done.finish();
+            }
+            global.say(name);
+        }
+        Told::Step(p) => {
+            let line = progress.get_or_insert_with(|| Progress::new(u64::from(p.steps), "steps", global.quiet));
+            line.at(u64::from(p.step), || format!("{:.2} dB  {} splats", p.psnr, p.splats));
+        }
+    });
+    if let Some(done) = progress {
+        done.finish();
+    }
+    Ok(result)
+}
+
+/// What went wrong in a trial.
+pub fn failure(e: ContestError) -> Failure {
     let again = "the same command goes on where it stopped";
     match e {
         ContestError::Run { trial, source } => Failure::from(*source).why(format!("in the trial {trial}")),

@@ -3,21 +3,22 @@
 use super::train::scores_text;
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
-use crate::images::{self, Pictures};
 use crate::{Global, parse};
-use gs_train::compare::{Comparer, Metric, SetScores};
+use gs_train::compare::{Metric, SetScores};
 use gs_train::data::Split;
+use gs_train::folders::{FolderScores, FolderTask, Quantise, TofOptions, VideoScore, score, tof_protocol};
 use gs_train::run::OpenRun;
 use gs_train::run::folder::METRICS;
 use gs_train::run::opened::metrics_json;
+use gs_train::temporal;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
 /// Score a run on its test views, or a folder of images against a folder of truths
 #[derive(clap::Args)]
 pub struct Eval {
-    /// Folder of the run.
-    #[arg(value_name = "RUN", required_unless_present = "pred", conflicts_with_all = ["pred", "gt", "mask", "metrics"])]
+    /// Folder of the run, or a .gs4d file: one of its checkpoints, or what gs4d compact made.
+    #[arg(value_name = "RUN|FILE", required_unless_present = "pred", conflicts_with_all = ["pred", "gt", "mask", "quantise"])]
     run: Option<PathBuf>,
     /// Which views of the run's data.
     #[arg(long, value_enum, default_value_t = SplitName::Test)]
@@ -25,22 +26,33 @@ pub struct Eval {
     /// Colour behind drawing and truth: black, white, one grey or r,g,b in 0..1 [default: the recipe's; folders: black].
     #[arg(long, allow_hyphen_values = true, value_parser = parse::color)]
     background: Option<[f32; 3]>,
-    /// Folder of images to score.
+    /// Folder of images to score, taken in the order of the numbers in their names.
     #[arg(long, value_name = "DIR", requires = "gt")]
     pred: Option<PathBuf>,
-    /// Folder of their truths; files belong together by name, whatever their extensions.
+    /// Folder of their truths; files belong together by name, or by order where names differ but hold numbers.
     #[arg(long, value_name = "DIR", requires = "pred")]
     gt: Option<PathBuf>,
-    /// Folder of masks: only bright pixels count.
+    /// Folder of masks: adds scores where pixels are bright (masked PSNR, SSIM and proxy).
     #[arg(long, value_name = "DIR", requires = "pred")]
     mask: Option<PathBuf>,
-    /// Metrics, separated by commas: psnr, ssim, ms_ssim, perceptual_proxy [default: all].
-    #[arg(long, value_delimiter = ',', requires = "pred", value_parser = |s: &str| s.parse::<Metric>())]
-    metrics: Option<Vec<Metric>>,
+    /// Metrics, separated by commas [default: those of single images; masked where there are masks]. A run always gets
+    /// those; tof (motion of consecutive frames, pixels) must be asked for.
+    #[arg(long, value_enum, value_delimiter = ',')]
+    metrics: Option<Vec<MetricName>>,
+    /// tof: keep the first and last two frames.
+    #[arg(long)]
+    no_trim: bool,
+    /// tof: keep the border.
+    #[arg(long)]
+    no_crop: bool,
+    /// Rounding of images to 8 bit before they are scored [default: none].
+    #[arg(long, value_enum)]
+    quantise: Option<QuantiseName>,
 }
 
+/// A split of the data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-enum SplitName {
+pub enum SplitName {
     Train,
     Val,
     Test,
@@ -56,6 +68,53 @@ impl From<SplitName> for Split {
     }
 }
 
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum MetricName {
+    Psnr,
+    Ssim,
+    #[value(name = "ms_ssim")]
+    MsSsim,
+    /// A perceptual distance without learned weights; not LPIPS.
+    #[value(alias = "perceptual_proxy")]
+    Proxy,
+    /// Motion against true motion.
+    Tof,
+    /// PSNR, SSIM and proxy where masks count.
+    Masked,
+}
+
+impl MetricName {
+    /// The metric of single images it names.
+    fn of_images(self) -> Option<Metric> {
+        match self {
+            MetricName::Psnr => Some(Metric::Psnr),
+            MetricName::Ssim => Some(Metric::Ssim),
+            MetricName::MsSsim => Some(Metric::MsSsim),
+            MetricName::Proxy => Some(Metric::PerceptualProxy),
+            MetricName::Tof | MetricName::Masked => None,
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum QuantiseName {
+    None,
+    /// To the nearest step, as writing PNG files does.
+    Round,
+    /// Images down to the next step (DyCheck), truths to the nearest.
+    Truncate,
+}
+
+impl From<QuantiseName> for Quantise {
+    fn from(name: QuantiseName) -> Self {
+        match name {
+            QuantiseName::None => Quantise::None,
+            QuantiseName::Round => Quantise::Round,
+            QuantiseName::Truncate => Quantise::Truncate,
+        }
+    }
+}
+
 impl Eval {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
         match (&self.run, &self.pred, &self.gt) {
@@ -65,64 +124,128 @@ impl Eval {
         }
     }
 
+    fn asks_for(&self, name: MetricName) -> bool {
+        self.metrics.as_ref().is_some_and(|m| m.contains(&name))
+    }
+
+    /// What tOF leaves out, if it is asked for.
+    fn tof(&self) -> Result<Option<TofOptions>, Failure> {
+        let asked = self.asks_for(MetricName::Tof);
+        if !asked && (self.no_trim || self.no_crop) {
+            return Err(Failure::usage("--no-trim and --no-crop belong to tof; add tof to --metrics"));
+        }
+        Ok(asked.then_some(TofOptions { trim: !self.no_trim, crop: !self.no_crop }))
+    }
+
     fn of_run(&self, root: &Path, global: &Global) -> Result<Answer, Failure> {
+        let tof = self.tof()?;
         let run = OpenRun::open(root)?;
         for skipped in &run.skipped {
             global.say(format!("skipped {}", skipped.why));
         }
         let dataset = run.resolved.open_data()?;
         let background = self.background.unwrap_or_else(|| run.background());
-        let scores = run.score(&dataset, self.split.into(), background)?;
+        let split = self.split.into();
+        let motion = tof.map(|options| {
+            let method = run.loaded.method.as_ref();
+            temporal::tof(method, &dataset, split, background, &run.photographs(), options).map(|s| (s, options))
+        });
+        let motion = motion.transpose()?;
+        let scores = run.score(&dataset, split, background)?;
+        if self.asks_for(MetricName::Masked) && scores.mean.masked.is_none() {
+            return Err(Failure::new(Class::Data, "data.mask", "no view of this split has a mask")
+                .remedy("leave masked out of --metrics"));
+        }
         let mut text = scores_text(&scores, run.loaded.step);
-        let json = metrics_json(&scores, run.loaded.step);
-        if self.split == SplitName::Test && self.background.is_none() {
-            run.folder.write(METRICS, &format!("{json:#}\n"))?;
+        let mut json = metrics_json(&scores, run.loaded.step);
+        if let Some((score, options)) = motion {
+            text.push_str(&motion_text(&score, options));
+            json["tof"] = json!(score);
+            json["tof_protocol"] = json!(tof_protocol(options));
+        }
+        if let Ok(folder) = run.folder()
+            && self.split == SplitName::Test
+            && self.background.is_none()
+        {
+            folder.write(METRICS, &format!("{json:#}\n"))?;
             text.push_str(&format!("-> {}\n", root.join(METRICS).display()));
         }
         Ok(Answer::new(text, json))
     }
 
     fn of_folders(&self, pred: &Path, gt: &Path) -> Result<Answer, Failure> {
+        if self.asks_for(MetricName::Masked) && self.mask.is_none() {
+            return Err(Failure::usage("masked needs masks: give their folder with --mask"));
+        }
         let background = self.background.unwrap_or_default();
-        let (images, truths) = (Pictures::of(pred)?, Pictures::of(gt)?);
-        let masks = self.mask.as_deref().map(Pictures::of).transpose()?;
-        images.same_names(&truths)?;
-        if let Some(masks) = &masks {
-            images.have_partners(masks)?;
-        }
-        let chosen = self.metrics.clone().unwrap_or_else(|| Metric::ALL.map(|m| m.1).to_vec());
-        let mut comparer = Comparer::new(&chosen);
-        for (name, path) in images.iter() {
-            let image = images::over(path, background)?;
-            let truth = images::over(truths.path(name)?, background)?;
-            let mask = masks.as_ref().map(|m| images::mask(m.path(name)?)).transpose()?;
-            let added = comparer.add(name, &image, &truth, mask.as_ref());
-            added.map_err(|e| Failure::new(Class::Data, "data.metric", e.to_string()).place(path.display()))?;
-        }
-        let scores = comparer.finish();
+        let named = |m: &Vec<MetricName>| m.iter().filter_map(|m| m.of_images()).collect();
+        let task = FolderTask {
+            pred: pred.to_owned(),
+            gt: gt.to_owned(),
+            mask: self.mask.clone(),
+            metrics: self.metrics.as_ref().map_or(Metric::ALL.to_vec(), named),
+            tof: self.tof()?,
+            quantise: self.quantise.map_or(Quantise::None, Into::into),
+            background,
+        };
+        let scores = score(&task)?;
         let mut json = json!(scores);
         json["pred"] = json!(pred.display().to_string());
         json["gt"] = json!(gt.display().to_string());
         json["background"] = json!(background);
-        json["protocol"] = json!("data range 1; SSIM 11x11 with zero padding; perceptual_proxy is not LPIPS");
         Ok(Answer::new(table(&scores), json))
     }
 }
 
-fn table(scores: &SetScores) -> String {
-    let cell = |v: Option<f64>, perfect: bool, digits: usize| match v {
-        Some(v) => format!("{v:>10.digits$}"),
-        None => format!("{:>10}", if perfect { "inf" } else { "-" }),
-    };
-    let mut out = format!("{:24}{:>10}{:>10}{:>10}{:>10}\n", "", "psnr", "ssim", "ms-ssim", "proxy");
-    for v in &scores.views {
-        let row = [cell(v.psnr, v.mse_is_zero(), 3), cell(v.ssim, false, 4), cell(v.ms_ssim, false, 4)].concat();
-        out.push_str(&format!("{:24}{row}{}\n", v.name, cell(v.perceptual_proxy, false, 4)));
+fn motion_text(score: &VideoScore, options: TofOptions) -> String {
+    format!("tof {:.3} px over {} pairs ({})\n", score.mean, score.pairs.len(), tof_protocol(options))
+}
+
+/// A column of the table: heading, digits, value of each row, value of the means.
+type Column = (&'static str, usize, Vec<Option<f64>>, Option<f64>);
+
+fn columns(scores: &FolderScores) -> Vec<Column> {
+    let SetScores { views, mean, .. } = &scores.images;
+    let plain: [(&str, usize, Vec<Option<f64>>, Option<f64>); 4] = [
+        ("psnr", 3, views.iter().map(|v| v.psnr.or(v.mse_is_zero().then_some(f64::INFINITY))).collect(), mean.psnr),
+        ("ssim", 4, views.iter().map(|v| v.ssim).collect(), mean.ssim),
+        ("ms-ssim", 4, views.iter().map(|v| v.ms_ssim).collect(), mean.ms_ssim),
+        ("proxy", 4, views.iter().map(|v| v.perceptual_proxy).collect(), mean.perceptual_proxy),
+    ];
+    let mut all = plain.to_vec();
+    if let Some(means) = mean.masked {
+        let of = |value: fn(&gs_train::compare::MaskedImageScores) -> Option<f64>| -> (Vec<Option<f64>>, Option<f64>) {
+            (views.iter().map(|v| value(v.masked.as_ref()?)).collect(), value(&means))
+        };
+        let [psnr, ssim, proxy] = [of(|m| m.psnr), of(|m| m.ssim), of(|m| m.perceptual_proxy)];
+        all.extend([("m-psnr", 3, psnr.0, psnr.1), ("m-ssim", 4, ssim.0, ssim.1), ("m-proxy", 4, proxy.0, proxy.1)]);
     }
-    let m = &scores.mean;
-    let row = [cell(m.psnr, scores.perfect_views > 0, 3), cell(m.ssim, false, 4), cell(m.ms_ssim, false, 4)].concat();
-    out.push_str(&format!("{:24}{row}{}\n", "mean", cell(m.perceptual_proxy, false, 4)));
-    let from_mean = scores.psnr_of_mean_mse.map_or(String::new(), |p| format!("psnr of the mean error {p:.3} dB; "));
-    out.push_str(&format!("{from_mean}{} views, {} without error\n", scores.views.len(), scores.perfect_views));
+    if let Some(tof) = &scores.tof {
+        let of = |i: usize| tof.pairs.iter().find(|p| p.frame == i).map(|p| p.tof);
+        all.push(("tof px", 3, (0..views.len()).map(of).collect(), Some(tof.mean)));
+    }
+    all.retain(|c| c.3.is_some() || c.2.iter().any(Option::is_some));
+    all
+}
+
+fn table(scores: &FolderScores) -> String {
+    let columns = columns(scores);
+    let cell = |v: Option<f64>, digits: usize| match v {
+        Some(v) => format!("{v:>10.digits$}"),
+        None => format!("{:>10}", "-"),
+    };
+    let mut out = format!("{:24}", "");
+    columns.iter().for_each(|c| out.push_str(&format!("{:>10}", c.0)));
+    out.push('\n');
+    for (i, view) in scores.images.views.iter().enumerate() {
+        let row: Vec<String> = columns.iter().map(|c| cell(c.2[i], c.1)).collect();
+        out.push_str(&format!("{:24}{}\n", view.name, row.concat()));
+    }
+    let row: Vec<String> = columns.iter().map(|c| cell(c.3, c.1)).collect();
+    out.push_str(&format!("{:24}{}\n", "mean", row.concat()));
+    let images = &scores.images;
+    let from_mean = images.psnr_of_mean_mse.map_or(String::new(), |p| format!("psnr of the mean error {p:.3} dB; "));
+    out.push_str(&format!("{from_mean}{} views, {} without error\n", images.views.len(), images.perfect_views));
+    out.push_str(&format!("{}\n", scores.protocol));
     out
 }

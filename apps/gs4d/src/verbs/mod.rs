@@ -1,6 +1,7 @@
 //! One file per verb.
 
 pub mod bench;
+pub mod compact;
 pub mod config;
 pub mod contest;
 pub mod demo;
@@ -9,5 +10,6 @@ pub mod inspect;
 pub mod methods;
 pub mod render;
 pub mod resume;
+pub mod sweep;
 pub mod synth;
 pub mod train;

@@ -1,6 +1,6 @@
 //! Scores of folders of images.
 
-use crate::support::{data, good, gs4d, text};
+use crate::support::{data, good, gs4d, run, text};
 use std::fs;
 use std::path::Path;
 
@@ -45,8 +45,12 @@ fn metrics_are_chosen_and_masks_apply() {
     assert!(json["mean"]["psnr"].is_f64() && json["mean"]["ssim"].is_null());
     let masked =
         good(&["eval", "--pred", text(&a), "--gt", text(&b), "--mask", text(&b), "--metrics", "psnr,ssim", "--json"]);
-    assert_eq!(masked.json()["masked"], true);
-    gs4d(&["eval", "--pred", text(&a), "--gt", text(&b), "--metrics", "lpips"]).fails(2, &["perceptual_proxy"]);
+    let mean = masked.json()["mean"].clone();
+    assert!(mean["psnr"].is_f64() && mean["masked"]["psnr"].is_f64() && mean["masked"]["ssim"].is_f64(), "{mean}");
+    assert_ne!(mean["psnr"], mean["masked"]["psnr"]);
+    gs4d(&["eval", "--pred", text(&a), "--gt", text(&b), "--metrics", "lpips"]).fails(2, &["proxy", "masked"]);
+    gs4d(&["eval", "--pred", text(&a), "--gt", text(&b), "--metrics", "masked"]).fails(2, &["--mask"]);
+    gs4d(&["eval", "--pred", text(&a), "--gt", text(&b), "--no-trim"]).fails(2, &["tof"]);
 }
 
 #[test]
@@ -63,6 +67,40 @@ fn partners_must_exist_and_fit() {
     gs4d(&["eval", "--pred", text(&a), "--gt", text(&b)]).fails(3, &["r_001.png"]);
     gs4d(&["eval", "--pred", text(dir.path()), "--gt", text(&b)]).fails(3, &["no image"]);
     gs4d(&["eval", "--pred", text(&dir.path().join("none")), "--gt", text(&b)]).fails(6, &["none"]);
+}
+
+#[test]
+fn videos_are_scored_by_motion() {
+    let dir = tempfile::tempdir().unwrap();
+    let (a, b) = (dir.path().join("a"), dir.path().join("b"));
+    fs::create_dir_all(&a).unwrap();
+    fs::create_dir_all(&b).unwrap();
+    // Eight views of the generated scene as if they were a video; other names than the truths.
+    for i in 0..8 {
+        let view = |k: usize| data().join(format!("train/r_{k:03}.png"));
+        fs::copy(view(i), a.join(format!("render_{i}.png"))).unwrap();
+        fs::copy(view(i.max(1)), b.join(format!("{:06}.png", 40 + i))).unwrap();
+    }
+    let base = ["eval", "--pred", text(&a), "--gt", text(&b), "--metrics", "psnr,tof"];
+    let with = |more: &[&str]| good(&[&base[..], more, &["--json"]].concat()).json();
+    let trimmed = with(&[]);
+    assert_eq!(trimmed["tof"]["pairs"].as_array().unwrap().len(), 3);
+    assert_eq!(trimmed["tof"]["mean"].as_f64(), Some(0.0), "the frames differ at the left-out end only");
+    let whole = with(&["--no-trim", "--no-crop", "--quantise", "round"]);
+    assert_eq!(whole["tof"]["pairs"][0]["name"], "render_1");
+    assert!(whole["tof"]["mean"].as_f64().unwrap() > 0.0);
+    assert!(whole["protocol"].as_str().unwrap().contains("rounded to 8 bit"), "{whole}");
+    let table = good(&[&base[..], &["--no-crop"]].concat()).out;
+    assert!(table.contains("tof px") && table.contains("whole frames") && !table.contains("ssim  "), "{table}");
+    fs::remove_file(b.join("000047.png")).unwrap();
+    gs4d(&base).fails(3, &["render_7", "8 and 7"]);
+}
+
+#[test]
+fn a_run_has_motion_only_along_a_video() {
+    // The test views of the generated scene are of several cameras.
+    gs4d(&["eval", text(run()), "--metrics", "tof"]).fails(3, &["one camera", "--split"]);
+    gs4d(&["eval", text(run()), "--metrics", "masked"]).fails(3, &["mask"]);
 }
 
 #[test]

@@ -1,10 +1,12 @@
 //! The built program, called as a user calls it: every verb on tiny generated inputs, exit codes, JSON, refusals.
 
 mod captures;
+mod compact;
 mod contest;
 mod folders;
 mod hostile;
 mod render;
 mod runs;
 mod support;
+mod sweep;
 mod usage;

@@ -1,0 +1,68 @@
+//! The page of a sweep: its table, and quality against bytes.
+
+use super::ReportError;
+use super::chart::{Curve, Scale, chart};
+use super::page::{document, section, table};
+use crate::sweep::Row;
+use std::fmt::Write as _;
+
+/// A quality of a row.
+type Quality = (&'static str, fn(&Row) -> Option<f64>);
+
+const QUALITIES: [Quality; 3] =
+    [("PSNR, dB", |r| r.psnr), ("SSIM", |r| r.ssim), ("Perceptual proxy (not LPIPS)", |r| r.proxy)];
+
+/// One self-contained HTML page.
+///
+/// # Errors
+/// If a chart cannot be drawn.
+pub fn page(title: &str, rows: &[Row]) -> Result<String, ReportError> {
+    let mut charts = String::new();
+    for (name, quality) in QUALITIES {
+        if let Some(svg) = chart(name, "MB (all parameters as f32)", Scale::Linear, &curves(rows, quality))? {
+            let _ = writeln!(charts, "<figure>{svg}</figure>");
+        }
+    }
+    let charts = if charts.is_empty() { charts } else { format!("<div class=\"charts\">\n{charts}</div>\n") };
+    let remark = "One line for each varied setting, through its values and the preset.";
+    let parts = section("Quality against bytes", remark, &charts) + &section("Settings", "", &rows_table(rows));
+    Ok(document(title, "One setting at a time around a preset; means over seeds.", &parts))
+}
+
+/// A line for each key, by rising bytes.
+fn curves(rows: &[Row], quality: fn(&Row) -> Option<f64>) -> Vec<Curve> {
+    let mut keys: Vec<&str> = Vec::new();
+    rows.iter().filter_map(|r| r.key.as_deref()).for_each(|k| {
+        if !keys.contains(&k) {
+            keys.push(k);
+        }
+    });
+    let of_key = |key: &str| {
+        // The preset is one of the values, or stands beside them.
+        let all = rows.iter().filter(|r| r.key.as_deref().is_none_or(|k| k == key));
+        let mut points: Vec<(f64, f64)> = all.filter_map(|r| r.megabytes.zip(quality(r))).collect();
+        points.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
+        points.dedup();
+        Curve { name: key.to_owned(), points }
+    };
+    keys.iter().map(|k| of_key(k)).collect()
+}
+
+fn rows_table(rows: &[Row]) -> String {
+    let number = |v: Option<f64>, digits: usize| v.map_or("–".to_owned(), |v| format!("{v:.digits$}"));
+    let cells = rows.iter().map(|r| {
+        let deviation = r.psnr_deviation.filter(|d| *d > 0.0).map_or(String::new(), |d| format!(" ± {d:.2}"));
+        vec![
+            r.label() + if r.preset && r.key.is_some() { " (the preset's)" } else { "" },
+            number(r.psnr, 2) + &deviation,
+            number(r.ssim, 4),
+            number(r.proxy, 4),
+            number(r.megabytes, 3),
+            number(r.seconds, 1),
+            number(r.splats, 0),
+            r.steps.to_string(),
+        ]
+    });
+    let head = ["setting", "PSNR, dB", "SSIM", "proxy", "MB", "seconds", "splats", "steps"];
+    table(&head, &[1, 2, 3, 4, 5, 6, 7], cells)
+}
