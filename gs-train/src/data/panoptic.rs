@@ -162,9 +162,10 @@ fn read(root: &Root, file: &Path) -> Result<Vec<Listed<Shot>>, DataError> {
         same_length(file, name, row.len(), frames, "frames")?;
     }
     let mut listed = Vec::new();
-    for t in 0..frames {
-        let [k, w2c, names, ids] = [0, 1, 2, 3].map(|i| row(file, tables[i].0, t, rows[i][t]));
-        let (k, w2c, names, ids) = (k?, w2c?, names?, ids?);
+    let columns = rows[0].iter().zip(&rows[1]).zip(rows[2].iter().zip(&rows[3]));
+    for (t, ((k, w2c), (names, ids))) in columns.enumerate() {
+        let (k, w2c) = (row(file, "k", t, k)?, row(file, "w2c", t, w2c)?);
+        let (names, ids) = (row(file, "fn", t, names)?, row(file, "cam_id", t, ids)?);
         for (at, list) in [("w2c", &w2c), ("fn", &names), ("cam_id", &ids)] {
             same_length(file, &format!("{at}[{t}]"), list.len(), k.len(), "cameras")?;
         }
