@@ -28,7 +28,7 @@
 //! * [`visible`]: which anchors to decode, without changing the picture.
 //! * [`Decoder`]: from what an anchor says to its Gaussians, and back.
 //! * [`Adapt`]: where anchors are grown and pruned; [`Intervals`]: where time is cut, and when the cuts move.
-//! * [`mod@reference`]: the `f64` twins of decoding and deformation.
+//! * [`storage`]: bytes, as published and as needed. [`mod@reference`]: the `f64` twins of decoding and deformation.
 //!
 //! Every forward pass has its way back written by hand next to it: gradients are added, never overwritten; tapes are kept
 //! by the caller and allocate nothing once warm.
@@ -55,6 +55,7 @@ pub mod local;
 pub mod neighbours;
 pub mod reference;
 pub mod rule;
+pub mod storage;
 pub mod visible;
 
 pub use adapt::{Adapt, AdaptAt, AdaptRules, AnchorView, Grown};
@@ -65,4 +66,5 @@ pub use init::{AnchorInit, InitError, Initial, anchors_from_points};
 pub use intervals::{Adjustment, IntervalConfig, Intervals};
 pub use local::{Local, LocalGrad};
 pub use rule::RuleError;
+pub use storage::{StorageSizes, StorageTable};
 pub use visible::Reach;

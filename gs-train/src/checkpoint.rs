@@ -6,9 +6,12 @@
 //! [`load_newest`] takes the newest file that verifies and tells which it skipped, and why.
 
 mod container;
+mod half;
+mod packed;
 
 use container::Fault;
-pub use container::VERSION;
+pub use container::{PACKED_VERSION, VERSION};
+pub use packed::{Coding, Encoding};
 use std::fs::{self, File};
 use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
@@ -49,7 +52,7 @@ pub enum CheckpointError {
         what: String,
     },
     /// Written by another version of the layout.
-    #[error("{} has checkpoint layout {found}, this program reads {VERSION}", path.display())]
+    #[error("{} has checkpoint layout {found}, this program reads {VERSION} and {PACKED_VERSION}", path.display())]
     Version {
         /// File.
         path: PathBuf,
@@ -135,12 +138,32 @@ impl Checkpoint {
     /// # Errors
     /// If the file system refuses: what was at `path` is untouched then, and no temporary file is left.
     pub fn save(&self, path: &Path) -> Result<(), CheckpointError> {
+        self.put_in_place(path, |out, meta| container::write(out, meta, &self.tensors))
+    }
+
+    /// Writes the file with packed tensors, the i-th by the i-th encoding, in the same safe way; gives the bytes of each.
+    ///
+    /// # Errors
+    /// As [`Checkpoint::save`].
+    pub fn save_packed(&self, path: &Path, encodings: &[Encoding]) -> Result<Vec<usize>, CheckpointError> {
+        if encodings.len() != self.tensors.len() {
+            let (n, m) = (encodings.len(), self.tensors.len());
+            return Err(CheckpointError::State(format!("{n} encodings for {m} tensors")));
+        }
+        self.put_in_place(path, |out, meta| container::write_packed(out, meta, &self.tensors, encodings))
+    }
+
+    fn put_in_place<T>(
+        &self,
+        path: &Path,
+        write: impl FnOnce(&mut BufWriter<File>, &[u8]) -> io::Result<T>,
+    ) -> Result<T, CheckpointError> {
         let mut temporary = path.as_os_str().to_owned();
         temporary.push(".tmp");
         let temporary = PathBuf::from(temporary);
-        let written = self.write_file(&temporary).and_then(|()| {
+        let written = self.write_file(&temporary, write).and_then(|written| {
             fs::rename(&temporary, path).map_err(io_error("put in place", path))?;
-            sync_folder_of(path)
+            sync_folder_of(path).map(|()| written)
         });
         if written.is_err() {
             // The error that matters is the first; a leftover would only be ignored and removed by the next save.
@@ -149,13 +172,18 @@ impl Checkpoint {
         written
     }
 
-    fn write_file(&self, path: &Path) -> Result<(), CheckpointError> {
+    fn write_file<T>(
+        &self,
+        path: &Path,
+        write: impl FnOnce(&mut BufWriter<File>, &[u8]) -> io::Result<T>,
+    ) -> Result<T, CheckpointError> {
         let meta = serde_json::to_vec(&self.meta).map_err(|e| CheckpointError::State(e.to_string()))?;
         let file = File::create(path).map_err(io_error("create", path))?;
         let mut out = BufWriter::with_capacity(1 << 16, file);
-        container::write(&mut out, &meta, &self.tensors).map_err(io_error("write", path))?;
+        let written = write(&mut out, &meta).map_err(io_error("write", path))?;
         let file = out.into_inner().map_err(|e| io_error("write", path)(e.into_error()))?;
-        file.sync_all().map_err(io_error("flush to disk", path))
+        file.sync_all().map_err(io_error("flush to disk", path))?;
+        Ok(written)
     }
 
     /// Reads a file and verifies every byte of it.

@@ -6,15 +6,18 @@
 //! header   "GS4DCKPT"  version u32  sections u32  crc32 u32 (of the 16 bytes before)
 //! section  name_len u32  payload_len u64  name  payload  crc32 u32 (of everything before, from name_len on)
 //! ```
-//! The first section is `meta` (JSON: step, configuration, schedule, counters); every other is a tensor of `f32`, kept bit
-//! for bit. CRC-32 finds every burst of up to 32 bits; a length is believed only as far as bytes are present.
+//! The first section is `meta` (JSON: step, configuration, schedule, counters); every other is a tensor: in a file of
+//! version 1 of `f32`, kept bit for bit, in one of version 2 packed (see [`packed`](super::packed)). CRC-32 finds every burst of up to 32 bits; a length is believed only as far as bytes are present.
 
 use super::Checkpoint;
+use super::packed::{self, Encoding};
 use std::io::{self, Read, Write};
 
 const MAGIC: &[u8; 8] = b"GS4DCKPT";
 /// Version of the file layout.
 pub const VERSION: u32 = 1;
+/// Version of the layout whose tensors are packed.
+pub const PACKED_VERSION: u32 = 2;
 const META: &str = "meta";
 const HEADER_BYTES: u64 = 20;
 /// A section without name and payload: two lengths and a checksum.
@@ -25,13 +28,7 @@ const CHUNK: usize = 4096;
 
 /// Writes header and sections.
 pub(super) fn write(out: &mut impl Write, meta: &[u8], tensors: &[(String, Vec<f32>)]) -> io::Result<()> {
-    let sections = u32::try_from(tensors.len() + 1).map_err(|_| io::Error::other("more than 2^32 tensors"))?;
-    let mut summed = Summed::new(&mut *out);
-    summed.write_all(MAGIC)?;
-    summed.write_all(&VERSION.to_le_bytes())?;
-    summed.write_all(&sections.to_le_bytes())?;
-    summed.finish()?;
-    write_section(out, META, meta.len() as u64, |w| w.write_all(meta))?;
+    write_head(out, VERSION, meta, tensors.len())?;
     for (name, values) in tensors {
         write_section(out, name, 4 * values.len() as u64, |w| {
             let mut bytes = [0u8; 4 * CHUNK];
@@ -45,6 +42,33 @@ pub(super) fn write(out: &mut impl Write, meta: &[u8], tensors: &[(String, Vec<f
         })?;
     }
     Ok(())
+}
+
+/// Writes header and sections, each tensor packed by its encoding; gives the bytes of each payload.
+pub(super) fn write_packed(
+    out: &mut impl Write,
+    meta: &[u8],
+    tensors: &[(String, Vec<f32>)],
+    encodings: &[Encoding],
+) -> io::Result<Vec<usize>> {
+    write_head(out, PACKED_VERSION, meta, tensors.len())?;
+    let mut bytes = Vec::with_capacity(tensors.len());
+    for ((name, values), encoding) in tensors.iter().zip(encodings) {
+        let payload = packed::pack(values, encoding);
+        write_section(out, name, payload.len() as u64, |w| w.write_all(&payload))?;
+        bytes.push(payload.len());
+    }
+    Ok(bytes)
+}
+
+fn write_head(out: &mut impl Write, version: u32, meta: &[u8], tensors: usize) -> io::Result<()> {
+    let sections = u32::try_from(tensors + 1).map_err(|_| io::Error::other("more than 2^32 tensors"))?;
+    let mut summed = Summed::new(&mut *out);
+    summed.write_all(MAGIC)?;
+    summed.write_all(&version.to_le_bytes())?;
+    summed.write_all(&sections.to_le_bytes())?;
+    summed.finish()?;
+    write_section(out, META, meta.len() as u64, |w| w.write_all(meta))
 }
 
 fn write_section<W: Write>(
@@ -146,15 +170,19 @@ pub(super) fn read(inner: &mut impl Read, bytes: u64) -> Result<Checkpoint, Faul
     let version = u32::from_le_bytes(source.array("the header")?);
     let sections = u32::from_le_bytes(source.array("the header")?);
     source.verify("the header")?;
-    if version != VERSION {
+    if ![VERSION, PACKED_VERSION].contains(&version) {
         return Err(Fault::Version(version));
     }
     debug_assert_eq!(source.offset, HEADER_BYTES);
     source.expect(u64::from(sections) * SECTION_OVERHEAD, "the list of sections")?;
     let meta = read_meta(&mut source)?;
     let mut tensors = Vec::new();
+    let mut values_left = packed::MAX_VALUES;
     for _ in 1..sections {
-        tensors.push(read_tensor(&mut source)?);
+        tensors.push(match version {
+            VERSION => read_tensor(&mut source)?,
+            _ => read_packed(&mut source, &mut values_left)?,
+        });
     }
     if source.left > 0 {
         return source.fault(format!("{} bytes stand behind the last section", source.left));
@@ -188,6 +216,17 @@ fn read_tensor<R: Read>(source: &mut Source<'_, R>) -> Result<(String, Vec<f32>)
         left -= part.len();
     }
     source.verify(&format!("tensor `{name}`"))?;
+    Ok((name, values))
+}
+
+fn read_packed<R: Read>(source: &mut Source<'_, R>, values_left: &mut u64) -> Result<(String, Vec<f32>), Fault> {
+    let (name, length) = read_section_head(source)?;
+    let mut payload = vec![0; length];
+    source.fill(&mut payload, "a packed tensor")?;
+    source.verify(&format!("tensor `{name}`"))?;
+    let values = packed::unpack(&payload, *values_left);
+    let values = values.or_else(|what| source.fault(format!("packed tensor `{name}` {what}")))?;
+    *values_left -= values.len() as u64;
     Ok((name, values))
 }
 

@@ -10,17 +10,13 @@ use crate::data::{Dataset, PointCloud};
 use crate::methods::MethodError;
 use crate::methods::kernel::KernelConfig;
 use glam::Vec3;
+use gs_anchor::neighbours::mean_squared_distances;
 use gs_core::{Cloud, Rng};
-use kiddo::{ImmutableKdTree, SquaredEuclidean};
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
-use std::num::NonZero;
 
 /// Squared neighbour distances below this count as this.
 const MIN_SQUARED_DISTANCE: f32 = 1e-7;
-/// Points per parallel block.
-const BLOCK: usize = 1024;
 
 /// Where the first points come from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -140,7 +136,8 @@ pub fn cloud(points: &PointCloud, config: &CloudConfig) -> Result<Cloud, MethodE
     if let Some(row) = points.positions.iter().position(|p| !p.is_finite()) {
         return Err(gs_core::cloud::CloudError::Value { row, what: "position" }.into());
     }
-    let distances = neighbour_distances(&points.positions)?;
+    let distances = mean_squared_distances(&points.positions);
+    let distances = distances.map_err(|e| MethodError::Scene(format!("initial points: {e}")))?;
     let sigmas: Vec<f32> = distances.iter().map(|d| config.spread * d.max(MIN_SQUARED_DISTANCE).sqrt()).collect();
     let cloud = Cloud::from_points(&points.positions, &points.colors, &sigmas, config.opacity, config.sh_degree)?;
     Ok(match config.kernel.init() {
@@ -149,45 +146,12 @@ pub fn cloud(points: &PointCloud, config: &CloudConfig) -> Result<Cloud, MethodE
     })
 }
 
-/// Mean squared distance of each point to its 3 nearest neighbours (fewer if there are fewer points; 1 for a lone point).
-fn neighbour_distances(positions: &[Vec3]) -> Result<Vec<f32>, MethodError> {
-    let near = positions.len().saturating_sub(1).min(3);
-    let Some(wanted) = NonZero::new(near + 1).filter(|_| near > 0) else { return Ok(vec![1.0; positions.len()]) };
-    let flat: Vec<[f32; 3]> = positions.iter().map(|p| p.to_array()).collect();
-    let tree: ImmutableKdTree<f32, 3> = ImmutableKdTree::new_from_slice(&flat)
-        .map_err(|e| MethodError::Scene(format!("initial points cannot be indexed: {e:?}")))?;
-    let mut out = vec![0.0; flat.len()];
-    out.par_chunks_mut(BLOCK).zip(flat.par_chunks(BLOCK)).for_each(|(out, points)| {
-        for (mean, point) in out.iter_mut().zip(points) {
-            // The nearest of all is the point itself.
-            let found = tree.query(point).nearest_n::<SquaredEuclidean<f32>>(wanted).execute();
-            *mean = found.iter().map(|f| f.distance).sum::<f32>() / near as f32;
-        }
-    });
-    Ok(out)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     fn config() -> CloudConfig {
         CloudConfig { sh_degree: 0, opacity: 0.1, spread: 1.0, kernel: KernelConfig::default() }
-    }
-
-    #[test]
-    fn neighbour_distances_match_brute_force_with_duplicates() {
-        let mut rng = Rng::new(2, "scene", 0, 0);
-        let mut positions: Vec<Vec3> = (0..300).map(|_| Vec3::new(rng.normal(), rng.normal(), rng.normal())).collect();
-        positions.extend([Vec3::splat(0.25); 200]);
-        let got = neighbour_distances(&positions).unwrap();
-        for (i, p) in positions.iter().enumerate() {
-            let others = positions.iter().enumerate().filter(|(j, _)| *j != i);
-            let mut d: Vec<f32> = others.map(|(_, q)| p.distance_squared(*q)).collect();
-            d.sort_by(f32::total_cmp);
-            let want = (d[0] + d[1] + d[2]) / 3.0;
-            assert!((got[i] - want).abs() <= 1e-5 * want, "{i}: {} {want}", got[i]);
-        }
     }
 
     #[test]

@@ -28,6 +28,12 @@ pub enum RunError {
         /// The folder.
         path: PathBuf,
     },
+    /// A checkpoint outside a run.
+    #[error("{} holds no settings and lies in no run folder", path.display())]
+    NoSettings {
+        /// The file.
+        path: PathBuf,
+    },
     /// Somebody else writes to it.
     #[error("another process is writing to {}", path.display())]
     Busy {

@@ -80,6 +80,17 @@ impl RunFolder {
         }
     }
 
+    /// Opens the run a checkpoint lies in, to read it.
+    ///
+    /// # Errors
+    /// If the checkpoint lies in no run folder.
+    pub fn around(checkpoint: &Path) -> Result<Self, RunError> {
+        match checkpoint.parent().and_then(Path::parent) {
+            Some(root) if checkpoint.parent() == Some(&root.join(CHECKPOINTS)) => Self::open(root),
+            _ => Err(RunError::NoSettings { path: checkpoint.to_owned() }),
+        }
+    }
+
     /// Opens a run to go on with it.
     ///
     /// # Errors

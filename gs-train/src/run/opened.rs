@@ -1,8 +1,10 @@
 //! A run read back: settings, the method at its newest checkpoint that verifies, the scores and pictures made from it.
+//! A single file does for drawing and scoring: a checkpoint of a run folder, or a compact scene (see [`crate::compact`]).
 
 use super::folder::{self, RunFolder};
 use super::{Resolved, RunError};
-use crate::checkpoint::{self, Skipped};
+use crate::checkpoint::{self, Checkpoint, Newest, Skipped};
+use crate::compact::SETTINGS;
 use crate::data::{Dataset, ImageCache, Split};
 use crate::evaluate::{EvalReport, evaluate};
 use crate::methods::saved::{self, Loaded};
@@ -11,8 +13,7 @@ use std::path::{Path, PathBuf};
 
 /// A run, open for reading.
 pub struct OpenRun {
-    /// The folder.
-    pub folder: RunFolder,
+    folder: Option<RunFolder>,
     /// The settings.
     pub resolved: Resolved,
     /// The method, its step and seconds.
@@ -24,16 +25,37 @@ pub struct OpenRun {
 }
 
 impl OpenRun {
-    /// Opens a run folder.
+    /// Opens a run folder, or a checkpoint or compact scene.
     ///
     /// # Errors
-    /// If it is no run, or no checkpoint of it is usable.
-    pub fn open(root: &Path) -> Result<Self, RunError> {
-        let folder = RunFolder::open(root)?;
-        let resolved = Resolved::read(&folder.read(folder::CONFIG)?, folder::CONFIG)?;
+    /// If it is no run, or no checkpoint of it is usable; for a file, if it holds no settings and lies in no run folder.
+    pub fn open(path: &Path) -> Result<Self, RunError> {
+        if path.is_file() {
+            let checkpoint = Checkpoint::load(path)?;
+            let settings = match checkpoint.meta.get(SETTINGS).and_then(Value::as_str) {
+                Some(text) => text.to_owned(),
+                None => RunFolder::around(path)?.read(folder::CONFIG)?,
+            };
+            return Self::of(None, &settings, Newest { checkpoint, path: path.to_owned(), skipped: Vec::new() });
+        }
+        let folder = RunFolder::open(path)?;
+        let settings = folder.read(folder::CONFIG)?;
         let newest = checkpoint::load_newest(&folder.checkpoints())?;
+        Self::of(Some(folder), &settings, newest)
+    }
+
+    fn of(folder: Option<RunFolder>, settings: &str, newest: Newest) -> Result<Self, RunError> {
+        let resolved = Resolved::read(settings, folder::CONFIG)?;
         let loaded = saved::load(&newest.checkpoint, None).map_err(crate::trainer::TrainError::State)?;
         Ok(Self { folder, resolved, loaded, path: newest.path, skipped: newest.skipped })
+    }
+
+    /// The folder of the run.
+    ///
+    /// # Errors
+    /// If a single file was opened.
+    pub fn folder(&self) -> Result<&RunFolder, RunError> {
+        self.folder.as_ref().ok_or_else(|| RunError::NotARun { path: self.path.clone() })
     }
 
     /// The colour behind the scene that the method is evaluated over.

@@ -12,6 +12,7 @@ use gs_train::run::OpenRun;
 use gs_train::run::folder::METRICS;
 use gs_train::run::needs::{needs, neutral_camera};
 use gs_train::run::picture::moment;
+use gs_train::storage::Storage;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -79,7 +80,7 @@ impl Inspect {
         let method = run.loaded.method.as_ref();
         let camera = neutral_camera();
         let needs = needs(method, &camera, run.loaded.scene.extent);
-        let raw = RawSplats::from_splats(&method.splats(&moment(0.0), &camera));
+        let raw = RawSplats::from_splats(&method.tracked(&moment(0.0), &camera));
         let raw = raw.map_err(|e| Failure::new(Class::Data, "data.splats", e.to_string()).place(run.path.display()))?;
         let summary = SplatSummary::of(&raw);
         let mut text = format!("{}  {} at step {}\n", run.path.display(), method.name(), run.loaded.step);
@@ -100,6 +101,8 @@ impl Inspect {
         for n in analysis.rows().into_iter().chain(economy.iter().flat_map(Economy::rows)) {
             text.push_str(&format!("{:26}{:>46}  {}\n", n.name, n.value, n.meaning));
         }
+        let storage = Storage::of(method, method.storage());
+        text.push_str(&format!("\n{}", storage.to_text()));
         text.push_str("\nat time 0: ");
         text.push_str(&summary.to_text());
         let json = json!({
@@ -111,6 +114,7 @@ impl Inspect {
             "needs": needs,
             "analysis": analysis,
             "economy": economy,
+            "storage": storage,
             "summary": summary,
             "skipped": run.skipped.iter().map(|s| s.why.clone()).collect::<Vec<_>>(),
         });
@@ -127,7 +131,8 @@ fn economy(run: &OpenRun) -> Option<Economy> {
         dataset.views(split).iter().take(ECONOMY_VIEWS).map(|v| (photographs.camera(v), v.time)).collect();
     let method = run.loaded.method.as_ref();
     let options = method.schedule().raster_options(run.background());
-    let scores: Option<Value> = run.folder.read(METRICS).ok().and_then(|text| serde_json::from_str(&text).ok());
+    let scores = run.folder().and_then(|folder| folder.read(METRICS)).ok();
+    let scores: Option<Value> = scores.and_then(|text| serde_json::from_str(&text).ok());
     let of_this_step = scores.filter(|s| s["step"] == run.loaded.step);
     Economy::of(method, &views, &options, of_this_step.and_then(|s| s["mean"]["psnr"].as_f64()))
 }

@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 /// Draw a splat file or a run from given cameras, as PNG, EXR or NPY
 #[derive(clap::Args)]
 pub struct Render {
-    /// A .ply, .splat or .spz file, or a run folder.
+    /// A .ply, .splat or .spz file, a run folder, or a .gs4d file (a checkpoint of a run, or what gs4d compact made).
     #[arg(value_name = "SCENE|RUN")]
     scene: PathBuf,
     /// Cameras: INRIA cameras.json, a transforms file, or {width,height,fx,fy,cx,cy,world_to_camera} (name, time optional), one or a list.
@@ -62,7 +62,7 @@ enum Scene {
 
 impl Scene {
     fn open(path: &Path) -> Result<Self, Failure> {
-        if path.is_dir() {
+        if path.is_dir() || path.extension().is_some_and(|e| e == "gs4d") {
             return Ok(Scene::Run(Box::new(OpenRun::open(path)?)));
         }
         let raw: RawSplats = load_splats(path, &Limits::default())?;

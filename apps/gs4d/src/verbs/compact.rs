@@ -1,0 +1,101 @@
+//! `gs4d compact`: a trained scene as one small file.
+
+use super::eval::SplitName;
+use crate::Global;
+use crate::answer::Answer;
+use crate::failure::{Class, Failure};
+use gs_train::compact::{Bits, CompactScene, Packing};
+use gs_train::data::Dataset;
+use gs_train::run::OpenRun;
+use serde_json::json;
+use std::path::PathBuf;
+
+/// Write a trained scene as one small file that draws, and say what that costs in PSNR
+#[derive(clap::Args)]
+pub struct Compact {
+    /// Folder of the run, or one of its checkpoints.
+    #[arg(value_name = "RUN|FILE")]
+    run: PathBuf,
+    /// The file to write, NAME.gs4d; gs4d eval, render and inspect read it.
+    #[arg(short, long, value_name = "FILE")]
+    out: PathBuf,
+    /// Bits per value: 32 exact, 16 half precision, 8 quantised; positions keep 16.
+    #[arg(long, value_enum, default_value_t = BitsName::Eight)]
+    bits: BitsName,
+    /// Do not deflate.
+    #[arg(long)]
+    no_deflate: bool,
+    /// Views to score before and after.
+    #[arg(long, value_enum, default_value_t = SplitName::Test, conflicts_with = "no_eval")]
+    split: SplitName,
+    /// Do not score.
+    #[arg(long)]
+    no_eval: bool,
+    /// Overwrite an existing file.
+    #[arg(short, long)]
+    force: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum BitsName {
+    #[value(name = "32")]
+    ThirtyTwo,
+    #[value(name = "16")]
+    Sixteen,
+    #[value(name = "8")]
+    Eight,
+}
+
+impl From<BitsName> for Bits {
+    fn from(name: BitsName) -> Self {
+        match name {
+            BitsName::ThirtyTwo => Bits::Full,
+            BitsName::Sixteen => Bits::Half,
+            BitsName::Eight => Bits::Byte,
+        }
+    }
+}
+
+impl Compact {
+    pub fn run(self, global: &Global) -> Result<Answer, Failure> {
+        self.check_out()?;
+        let run = OpenRun::open(&self.run)?;
+        // The data are opened first: nothing is written for a split that is not there.
+        let dataset = if self.no_eval { None } else { Some(run.resolved.open_data()?) };
+        let scene = CompactScene::of(run.loaded.method.as_ref(), &run.loaded.config);
+        let packing = Packing { bits: self.bits.into(), deflate: !self.no_deflate };
+        let before = self.psnr(&run, dataset.as_ref())?;
+        let report = scene.write(&self.out, &run.loaded, &run.resolved.config.table(), packing)?;
+        global.detail(format!("wrote {}", self.out.display()));
+        let after = self.psnr(&OpenRun::open(&self.out)?, dataset.as_ref())?;
+        let change = before.zip(after).map(|(b, a)| a - b);
+        let mut text = report.to_text();
+        if let (Some(before), Some(after), Some(change)) = (before, after, change) {
+            text.push_str(&format!("psnr {before:.3} dB before, {after:.3} dB after ({change:+.3} dB)\n"));
+        }
+        text.push_str(&format!("-> {}\n", self.out.display()));
+        let mut json = json!(report);
+        json["file"] = json!(self.out.display().to_string());
+        json["psnr"] = json!({"before": before, "after": after, "change": change});
+        Ok(Answer::new(text, json))
+    }
+
+    fn check_out(&self) -> Result<(), Failure> {
+        if self.out.extension().is_none_or(|e| e != "gs4d") {
+            return Err(Failure::usage("the file to write must be named NAME.gs4d, so that the other verbs know it"));
+        }
+        if self.out.exists() && !self.force {
+            return Err(Failure::new(Class::Io, "io.exists", "the file exists already")
+                .place(self.out.display())
+                .why("nothing is overwritten unless asked")
+                .remedy("choose another name with -o, or pass -f"));
+        }
+        Ok(())
+    }
+
+    /// Mean PSNR on the split, dB; `None` without data or where every view is perfect.
+    fn psnr(&self, run: &OpenRun, dataset: Option<&Dataset>) -> Result<Option<f64>, Failure> {
+        let Some(dataset) = dataset else { return Ok(None) };
+        Ok(run.score(dataset, self.split.into(), run.background())?.mean.psnr)
+    }
+}

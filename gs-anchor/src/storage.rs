@@ -1,0 +1,293 @@
+//! What a scene of anchors takes on the disk, block by block, under two rules (MB = 10⁶ bytes, `f32` throughout).
+//!
+//! * **Paper rule**: what the released code writes and counts: one row per anchor with fields that are never used
+//!   (normals, opacity, rotation), planes over the whole time axis, the unused networks of the deformation (a network of
+//!   time, the heads of opacity and spherical harmonics), one row of appearance per camera, the list of canonical times.
+//!   Two tensors it leaves in the folder are counted apart.
+//! * **As needed**: what drawing needs: no dead field, only the time rows that times 0 … 1 can reach, only the heads that
+//!   are read, appearance folded into a bias (exact).
+//!
+//! ```text
+//! planes      C_p Σ_m [ m² (XY + XZ + YZ) + m (X + Y + Z) R_t ]
+//! Linear(a→b) a b + b
+//! anchor      3 + 3k + C + 6 + logits   (paper: + 3 normals + 1 opacity + 4 rotation)
+//! ```
+
+use crate::anchors::AnchorShape;
+use crate::decode::DecoderConfig;
+use gs_deform::PlaneNetConfig;
+use gs_deform::encode::HexPlaneConfig;
+use serde::{Deserialize, Serialize};
+
+/// Sizes of everything a scene of anchors consists of.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StorageSizes {
+    /// Number of anchors, V.
+    pub anchors: usize,
+    /// Values per anchor.
+    pub shape: AnchorShape,
+    /// The networks that decode them.
+    pub decoder: DecoderConfig,
+    /// The global deformation of anchors; absent in a scene at rest.
+    pub global: Option<PlaneNetConfig>,
+    /// The local deformation of Gaussians, likewise.
+    pub local: Option<PlaneNetConfig>,
+    /// Rows of appearance the published code stores: one per camera.
+    pub cameras: usize,
+    /// Temporal intervals, N; 0: none.
+    pub segments: usize,
+}
+
+/// One block of the table.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct StorageRow {
+    /// What it is.
+    pub block: String,
+    /// Values by the paper rule.
+    pub paper_values: usize,
+    /// Values as needed.
+    pub needed_values: usize,
+}
+
+/// A tensor the released code leaves beside the scene.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Leftover {
+    /// What it is.
+    pub block: String,
+    /// Its bytes.
+    pub bytes: usize,
+}
+
+/// The table.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct StorageTable {
+    /// The blocks there are.
+    pub rows: Vec<StorageRow>,
+    /// What the released code leaves beside them; not in the sums.
+    pub leftovers: Vec<Leftover>,
+}
+
+impl StorageRow {
+    fn new(block: &str, paper_values: usize, needed_values: usize) -> Self {
+        Self { block: block.to_owned(), paper_values, needed_values }
+    }
+
+    /// Bytes by the paper rule.
+    pub fn paper_bytes(&self) -> usize {
+        4 * self.paper_values
+    }
+
+    /// Bytes as needed.
+    pub fn needed_bytes(&self) -> usize {
+        4 * self.needed_values
+    }
+}
+
+impl StorageTable {
+    /// The table of a scene of these sizes.
+    pub fn of(sizes: &StorageSizes) -> Self {
+        let s = &sizes.shape;
+        let needed = 3 + 3 * s.offsets + s.features + 6 + s.dynamics;
+        let mut rows = vec![StorageRow::new("anchors", sizes.anchors * (needed + DEAD), sizes.anchors * needed)];
+        rows.extend(decoder_rows(sizes));
+        for (name, net, outputs, unused) in [
+            ("global deformation", &sizes.global, vec![3, s.features, 3 * s.offsets, 6], vec![]),
+            ("local deformation", &sizes.local, vec![3, 3, 4], vec![1, UNUSED_SH]),
+        ] {
+            let Some(net) = net else { continue };
+            let [paper, needed] = plane_values(&net.hexplane);
+            rows.push(StorageRow::new(&format!("{name}, planes"), paper, needed));
+            let needed = network_values(net, &outputs);
+            let dead = TIME_NET + unused.iter().map(|&out| head_values(net.width, out)).sum::<usize>();
+            rows.push(StorageRow::new(&format!("{name}, networks"), needed + dead, needed));
+        }
+        if sizes.segments > 0 {
+            rows.push(StorageRow::new("canonical times", sizes.segments, sizes.segments));
+        }
+        let deformed = sizes.global.is_some() || sizes.local.is_some();
+        let leftovers = [("deformation table (bool)", 1), ("deformation accumulator", 12)]
+            .map(|(block, bytes)| Leftover { block: block.to_owned(), bytes: bytes * sizes.anchors });
+        Self { rows, leftovers: leftovers.into_iter().filter(|_| deformed).collect() }
+    }
+
+    /// Bytes of all blocks by the paper rule, leftovers not counted.
+    pub fn paper_bytes(&self) -> usize {
+        self.rows.iter().map(StorageRow::paper_bytes).sum()
+    }
+
+    /// Bytes of all blocks as needed.
+    pub fn needed_bytes(&self) -> usize {
+        self.rows.iter().map(StorageRow::needed_bytes).sum()
+    }
+
+    /// Bytes of what the released code leaves beside them.
+    pub fn leftover_bytes(&self) -> usize {
+        self.leftovers.iter().map(|l| l.bytes).sum()
+    }
+}
+
+/// Fields of an anchor's row that are never read: normals, opacity, rotation.
+const DEAD: usize = 3 + 1 + 4;
+/// The published network of time: 9 encoded inputs, 64 wide, 32 outputs; nothing reads it.
+const TIME_NET: usize = linear(9, 64) + linear(64, 32);
+/// Outputs of the unused head of spherical harmonics.
+const UNUSED_SH: usize = 48;
+
+const fn linear(inputs: usize, outputs: usize) -> usize {
+    inputs * outputs + outputs
+}
+
+fn head_values(width: usize, outputs: usize) -> usize {
+    linear(width, width) + linear(width, outputs)
+}
+
+/// Trunk and heads.
+fn network_values(net: &PlaneNetConfig, outputs: &[usize]) -> usize {
+    let trunk = linear(net.hexplane.channels * net.hexplane.levels.len(), net.width)
+        + net.depth.saturating_sub(1) * linear(net.width, net.width);
+    trunk + outputs.iter().map(|&out| head_values(net.width, out)).sum::<usize>()
+}
+
+/// Values of the planes over the whole time axis, and over the rows that can be reached.
+fn plane_values(planes: &HexPlaneConfig) -> [usize; 2] {
+    let [x, y, z, rows] = planes.resolution;
+    [rows, planes.time_rows()].map(|rows| {
+        let level = |m: &usize| m * m * (x * y + x * z + y * z) + m * (x + y + z) * rows;
+        planes.channels * planes.levels.iter().map(level).sum::<usize>()
+    })
+}
+
+fn decoder_rows(sizes: &StorageSizes) -> Vec<StorageRow> {
+    let (k, c, decoder) = (sizes.shape.offsets, sizes.shape.features, &sizes.decoder);
+    let head = |extra: usize, distance: bool, outputs: usize| {
+        linear(c + 3 + extra + usize::from(distance), c) + linear(c, outputs)
+    };
+    let color = head(decoder.appearance, decoder.distance.color, 3 * k);
+    // Folded into the bias, the appearance needs no columns of the first layer.
+    let folded = color - decoder.appearance * c;
+    let bank = linear(4, c) + linear(c, 3);
+    let opacity = head(0, decoder.distance.opacity, k);
+    let covariance = head(0, decoder.distance.covariance, 7 * k);
+    let mut rows = vec![
+        StorageRow::new("opacity head", opacity, opacity),
+        StorageRow::new("covariance head", covariance, covariance),
+        StorageRow::new("color head", color, folded),
+    ];
+    if decoder.feature_bank {
+        rows.push(StorageRow::new("feature bank", bank, bank));
+    }
+    if decoder.appearance > 0 {
+        rows.push(StorageRow::new("appearance", sizes.cameras * decoder.appearance, 0));
+    }
+    rows
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::decode::DistanceInputs;
+
+    fn net(resolution: [usize; 4]) -> PlaneNetConfig {
+        let hexplane = HexPlaneConfig { resolution, channels: 16, ..HexPlaneConfig::default() };
+        PlaneNetConfig { hexplane, ..PlaneNetConfig::default() }
+    }
+
+    fn published(offsets: usize) -> StorageSizes {
+        StorageSizes {
+            anchors: 27_000,
+            shape: AnchorShape { offsets, features: 32, dynamics: 2 },
+            decoder: DecoderConfig::default(),
+            global: Some(net([32, 32, 32, 10])),
+            local: Some(net([64, 64, 64, 100])),
+            cameras: 300,
+            segments: 8,
+        }
+    }
+
+    fn row<'a>(table: &'a StorageTable, block: &str) -> &'a StorageRow {
+        table.rows.iter().find(|r| r.block == block).unwrap()
+    }
+
+    /// The row of a block: paper, needed.
+    fn values(sizes: &StorageSizes, block: &str) -> [usize; 2] {
+        let table = StorageTable::of(sizes);
+        let row = row(&table, block);
+        [row.paper_values, row.needed_values]
+    }
+
+    #[test]
+    fn anchors_of_five_ten_and_twenty_offsets() {
+        for (k, paper) in [(5, 264), (10, 324), (20, 444)] {
+            let table = StorageTable::of(&published(k));
+            let anchors = row(&table, "anchors");
+            assert_eq!(anchors.paper_bytes(), paper * 27_000, "k = {k}");
+            assert_eq!(anchors.paper_bytes() - anchors.needed_bytes(), 32 * 27_000, "k = {k}");
+        }
+    }
+
+    #[test]
+    fn planes_of_the_published_sizes() {
+        for (resolution, paper) in [
+            ([32, 32, 32, 10], 291_840),
+            ([64, 64, 64, 100], 1_904_640),
+            ([32, 32, 32, 50], 476_160),
+            ([128, 128, 128, 150], 6_696_960),
+        ] {
+            let sizes = StorageSizes { local: Some(net(resolution)), ..published(10) };
+            assert_eq!(values(&sizes, "local deformation, planes")[0], paper, "{resolution:?}");
+        }
+        let [paper, needed] = values(&published(10), "local deformation, planes");
+        assert_eq!(4 * (paper - needed), 1_806_336, "49 of 100 time rows are out of reach");
+        assert_eq!(values(&published(10), "global deformation, planes"), [291_840, 291_840 - 16 * 3 * 96 * 4]);
+    }
+
+    #[test]
+    fn networks_of_the_published_sizes() {
+        let ten = published(10);
+        assert_eq!(values(&ten, "global deformation, networks"), [82_151, 79_431]);
+        assert_eq!(values(&ten, "local deformation, networks"), [97_115, 55_050]);
+        assert_eq!(values(&ten, "opacity head"), [1482; 2]);
+        assert_eq!(values(&ten, "covariance head"), [3462; 2]);
+        assert_eq!(values(&ten, "color head"), [2654, 2654 - 16 * 32]);
+        assert_eq!(values(&ten, "appearance"), [4800, 0]);
+        assert_eq!(values(&ten, "canonical times"), [8; 2]);
+        // Fewer or more offsets change the head of ΔO and the outputs of the decoder only.
+        for (k, difference) in [(5usize, -15i64 * 129), (20, 30 * 129)] {
+            let [paper, needed] = values(&published(k), "global deformation, networks");
+            assert_eq!([paper, needed].map(|v| v as i64), [82_151 + difference, 79_431 + difference], "k = {k}");
+            assert_eq!(values(&published(k), "opacity head")[0], 1152 + 33 * k);
+            assert_eq!(values(&published(k), "covariance head")[0], 1152 + 33 * 7 * k);
+            assert_eq!(values(&published(k), "color head")[0], 1664 + 33 * 3 * k);
+            assert_eq!(values(&published(k), "local deformation, networks"), [97_115, 55_050]);
+        }
+    }
+
+    #[test]
+    fn the_published_average_is_twenty_seven_thousand_anchors() {
+        let table = StorageTable::of(&published(10));
+        let fixed = table.paper_bytes() - 324 * 27_000;
+        assert_eq!(fixed, 4 * (291_840 + 1_904_640 + 82_151 + 97_115 + 1482 + 3462 + 2654 + 4800 + 8));
+        assert!((fixed as f64 / 1e6 - 9.54).abs() < 0.02, "{fixed}");
+        assert!((table.paper_bytes() as f64 / 1e6 - 18.3).abs() < 0.1);
+        assert_eq!(table.leftover_bytes(), 13 * 27_000);
+        assert!(table.needed_bytes() < table.paper_bytes());
+    }
+
+    #[test]
+    fn a_scene_at_rest_has_anchors_and_decoder_only() {
+        let shape = AnchorShape { offsets: 10, features: 32, dynamics: 0 };
+        let decoder = DecoderConfig {
+            appearance: 0,
+            distance: DistanceInputs { opacity: true, color: true, covariance: true },
+            feature_bank: true,
+        };
+        let sizes = StorageSizes { shape, decoder, global: None, local: None, segments: 0, ..published(10) };
+        let table = StorageTable::of(&sizes);
+        let blocks: Vec<&str> = table.rows.iter().map(|r| r.block.as_str()).collect();
+        assert_eq!(blocks, ["anchors", "opacity head", "covariance head", "color head", "feature bank"]);
+        assert_eq!(values(&sizes, "opacity head"), [1482 + 32; 2]);
+        assert_eq!(values(&sizes, "color head"), [2654 - 15 * 32; 2]);
+        assert_eq!(values(&sizes, "feature bank"), [4 * 32 + 32 + 32 * 3 + 3; 2]);
+        assert_eq!((table.leftover_bytes(), row(&table, "anchors").needed_values), (0, 27_000 * (3 + 30 + 32 + 6)));
+    }
+}
