@@ -1,10 +1,10 @@
 //! Growing and pruning of anchors (Scaffold-GS, Lu et al. 2024, section 3.3; MoDec-GS's release for the constants).
 //!
-//! Statistics, for every view observed ([`statistics`]): of an anchor the opacity its Gaussians had and how often it was
+//! Statistics, for every view observed (`statistics`): of an anchor the opacity its Gaussians had and how often it was
 //! visible, of each of its Gaussians the screen gradient and how often it was drawn. Every `every` steps:
 //! ```text
-//! grow   a Gaussian whose mean gradient reaches the threshold of a level asks for an anchor in its cell   ([`grow`])
-//! prune  an anchor seen often whose opacity stayed low goes                                              ([`prune`])
+//! grow   a Gaussian whose mean gradient reaches the threshold of a level asks for an anchor in its cell   (`grow`)
+//! prune  an anchor seen often whose opacity stayed low goes                                              (`prune`)
 //! cap    λ[3..6] ≤ extent_cap_log,  λ[0..3] ≤ ln(diagonal of the scene's box)
 //! ```
 //! Parameters, their moments and the statistics are edited by one [`RowEdit`]; new anchors have moments and statistics of
