@@ -15,7 +15,8 @@ fn loaded(method: &str) -> Loaded {
     let positions: Vec<Vec3> =
         (0..200).map(|_| Vec3::from_array(std::array::from_fn(|_| rng.range(-1.0, 1.0)))).collect();
     let points = PointCloud { colors: vec![[0.5; 3]; positions.len()], positions };
-    let scene = SceneInfo { points, extent: 2.0, bounds: [Vec3::NEG_ONE, Vec3::ONE], views: 4, seed: 1 };
+    let bounds = [Vec3::NEG_ONE, Vec3::ONE];
+    let scene = SceneInfo { points, extent: 2.0, bounds, views: 4, moments: 4, seed: 1 };
     let mut method = (entry.build)(&config, &scene).unwrap();
     method.visit_mut(&mut |p| {
         p.value.iter_mut().for_each(|v| *v += 0.05 * rng.normal());
