@@ -9,6 +9,7 @@
 //! * [`trainer`]: one step, and the whole state in and out; [`guard`]: gradients that are not finite.
 //! * [`evaluate`], [`compare`], [`folders`], [`temporal`], [`inspect`], [`report`], [`contest`], [`sweep`]: what came of it.
 //! * [`analysis`]: what else can be said of a scene: quantities, motion, economy.
+//! * [`glmd`]: what each stage of a model moves, in pictures and numbers.
 //! * [`config`], [`checkpoint`], [`run`]: settings that know their source, atomic checkpoints, run folders.
 //! * [`storage`], [`compact`]: what a scene weighs, and a file of it in fewer bytes.
 //!
@@ -31,6 +32,7 @@ pub mod data;
 pub mod density;
 pub mod evaluate;
 pub mod folders;
+pub mod glmd;
 pub mod guard;
 pub mod inspect;
 pub mod loss;

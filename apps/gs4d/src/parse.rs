@@ -18,6 +18,36 @@ pub fn not_negative(text: &str) -> Result<f64, String> {
     }
 }
 
+/// A number above 0 and up to 1.
+pub fn share(text: &str) -> Result<f64, String> {
+    match text.trim().parse::<f64>() {
+        Ok(v) if v > 0.0 && v <= 1.0 => Ok(v),
+        _ => Err("give a number above 0 and up to 1, for example 0.95".to_owned()),
+    }
+}
+
+/// Normalised times in order, at least one.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Times(pub Vec<f32>);
+
+/// Most times at once.
+const MOST_TIMES: usize = 10_000;
+
+/// `A..B:N` for N times from A to B, or one time.
+pub fn times(text: &str) -> Result<Times, String> {
+    let wrong = |_| format!("give A..B:N with N from 1 to {MOST_TIMES}, for example 0..1:9, or one time");
+    let Some((from, rest)) = text.split_once("..") else { return Ok(Times(vec![finite(text).map_err(wrong)?])) };
+    let (to, n) = rest.split_once(':').ok_or_else(|| wrong(String::new()))?;
+    let (a, b) = (finite(from).map_err(wrong)?, finite(to).map_err(wrong)?);
+    match n.trim().parse::<usize>() {
+        Ok(1) => Ok(Times(vec![a])),
+        Ok(n) if (2..=MOST_TIMES).contains(&n) => {
+            Ok(Times((0..n).map(|k| a + (b - a) * k as f32 / (n - 1) as f32).collect()))
+        }
+        _ => Err(wrong(String::new())),
+    }
+}
+
 /// `black`, `white`, one grey or `r,g,b`, each in 0..1.
 pub fn color(text: &str) -> Result<[f32; 3], String> {
     match text.trim() {
@@ -68,6 +98,12 @@ mod tests {
         for bad in ["", "0", "-5m", "10 parsecs", "nan", "1e300h", "infs"] {
             assert!(duration(bad).is_err(), "{bad}");
         }
+        assert_eq!(times("0..1:5").unwrap().0, [0.0, 0.25, 0.5, 0.75, 1.0]);
+        assert_eq!((times("0.3").unwrap().0, times("-1..2:1").unwrap().0), (vec![0.3], vec![-1.0]));
+        for bad in ["", "0..1", "0..1:0", "0..nan:3", "0..1:-2", "0..1:99999", "x"] {
+            assert!(times(bad).is_err(), "{bad}");
+        }
+        assert!(share("1").is_ok() && share("0").is_err() && share("1.1").is_err());
         assert!(finite("-0.5").is_ok() && finite("inf").is_err() && not_negative("-1").is_err());
     }
 }

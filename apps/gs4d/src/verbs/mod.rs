@@ -6,6 +6,7 @@ pub mod config;
 pub mod contest;
 pub mod demo;
 pub mod eval;
+pub mod glmd;
 pub mod inspect;
 pub mod methods;
 pub mod render;

@@ -4,6 +4,7 @@ mod captures;
 mod compact;
 mod contest;
 mod folders;
+mod glmd;
 mod hostile;
 mod render;
 mod runs;
