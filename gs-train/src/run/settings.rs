@@ -246,7 +246,7 @@ fn stretch(config: &mut Config, total: u32) -> Result<(), RunError> {
     Ok(())
 }
 
-/// Whether a setting is a time on the clock of the schedule (not the pace of density control, which stays).
+/// Whether a setting is a time on the clock of the schedule (not the pace of growth, which stays).
 fn is_length(key: &str) -> bool {
     let times = [
         "schedule.sh_every",
@@ -255,6 +255,12 @@ fn is_length(key: &str) -> bool {
         "schedule.density.reset_every",
         "cloud.kernel.from_step",
         "smooth_from",
+        "adapt.observe_from",
+        "adapt.from",
+        "adapt.until",
+        "intervals.from",
+        "intervals.until",
+        "intervals.period",
     ];
     times.contains(&key) || key.starts_with("schedule.lr.") && key.ends_with(".steps")
 }
@@ -316,6 +322,13 @@ mod tests {
         said.steps = Some(30);
         assert_eq!(value(&resolve(&said).unwrap(), "schedule.density.until"), 7, "--set has the last word");
         assert!(resolve(&Request { steps: Some(0), ..request(&[]) }).is_err());
+        let modec = Request { method: "modec".into(), preset: "tiny".into(), ..Request::default() };
+        let (plain, short) = (resolve(&modec).unwrap(), resolve(&Request { steps: Some(60), ..modec }).unwrap());
+        assert_eq!(plain.steps(), 600);
+        for key in ["adapt.observe_from", "adapt.from", "adapt.until", "intervals.until", "intervals.period"] {
+            assert_eq!(10 * value(&short, key), value(&plain, key), "{key}");
+        }
+        assert_eq!(value(&short, "adapt.every"), value(&plain, "adapt.every"));
     }
 
     #[test]
