@@ -160,7 +160,7 @@ pub(super) fn unpack(payload: &[u8], most: u64) -> Result<Vec<f32>, String> {
         3 => from_affine::<2>(&body, n, scales)?,
         _ => from_lattice(&body, n, columns)?,
     };
-    Ok(turn(&turned, if columns == 0 { 1 } else { n / columns }))
+    Ok(turn(&turned, n / columns))
 }
 
 fn from_affine<const BYTES: usize>(body: &[u8], n: usize, groups: Groups) -> Result<Vec<f32>, String> {
@@ -169,7 +169,7 @@ fn from_affine<const BYTES: usize>(body: &[u8], n: usize, groups: Groups) -> Res
     for (range, scale) in groups.zip(scales.chunks_exact(8)) {
         let [low, step] = [0, 4].map(|at| f32::from_le_bytes([scale[at], scale[at + 1], scale[at + 2], scale[at + 3]]));
         let top = f64::from(low) + f64::from(step) * f64::from((1u32 << (8 * BYTES)) - 1);
-        if !low.is_finite() || !(step >= 0.0) || top.abs() > f64::from(f32::MAX) {
+        if !low.is_finite() || !step.is_finite() || step < 0.0 || top.abs() > f64::from(f32::MAX) {
             return Err(format!("has a scale from {low} by steps of {step}, which is no range of finite values"));
         }
         let value = |i: usize| f64::from(low) + f64::from(from_planes::<BYTES>(codes, n, i)) * f64::from(step);
@@ -218,7 +218,7 @@ struct Groups {
 impl Groups {
     /// Number of groups in all.
     fn len(&self) -> usize {
-        if self.rows == 0 { 0 } else { self.n / self.rows * self.rows.div_ceil(self.group) }
+        self.n.checked_div(self.rows).unwrap_or(0) * self.rows.div_ceil(self.group)
     }
 }
 
