@@ -4,6 +4,7 @@ use crate::support::*;
 use gs_raster::{Workspace, render};
 use gs_train::data::{Dataset, ImageCache, Split};
 use gs_train::evaluate::{EvalError, evaluate};
+use gs_train::folders::TofOptions;
 use gs_train::moment::Moment;
 use gs_train::temporal::{TemporalError, tof};
 
