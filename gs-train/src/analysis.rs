@@ -4,15 +4,18 @@
 //! * [`histogram`]: 64 bins of every quantity, over time where it changes with time; kept while training;
 //! * [`paths`]: temporal spectra and second differences of the centres;
 //! * [`economy`]: splats, tiles per splat, entries per pixel at the run's PSNR;
+//! * [`journal`]: where boundaries of intervals went and why, how anchors grew;
 //! * [`blur`]: photographs with motion blur, for training on them.
 
 pub mod blur;
 pub mod economy;
 pub mod histogram;
+pub mod journal;
 pub mod paths;
 
 pub use economy::Economy;
 pub use histogram::{Histogram, Snapshot};
+pub use journal::Journal;
 pub use paths::Paths;
 
 use crate::methods::Method;

@@ -6,6 +6,7 @@
 mod chart;
 mod embed;
 mod heat;
+mod intervals;
 pub(crate) mod page;
 pub mod sweep;
 
@@ -14,6 +15,7 @@ pub use chart::{Curve, Scale};
 pub use embed::{base64, png};
 pub use heat::HeatMap;
 
+use crate::analysis::Journal;
 use gs_core::Image;
 use gs_core::speed::SpeedError;
 
@@ -42,6 +44,8 @@ pub struct Report {
     pub analysis: Vec<Need>,
     /// Where the motion is jerky.
     pub jerk: Vec<Still>,
+    /// Where boundaries of intervals went and why, how anchors grew.
+    pub journal: Journal,
     /// What the scene turned out to need.
     pub needs: Vec<Need>,
     /// Speed against error.

@@ -17,7 +17,7 @@ const MOST_POINTS: usize = 600;
 /// A named line.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Curve {
-    /// Shown in the legend when there are several.
+    /// Shown in the legend when there are several; curves without names have none.
     pub name: String,
     /// `(x, y)`, by rising x.
     pub points: Vec<(f64, f64)>,
@@ -110,7 +110,7 @@ where
             .label(curve.name.clone())
             .legend(move |(x, y)| Rectangle::new([(x, y - 2), (x + 16, y + 2)], color.filled()));
     }
-    if curves.len() > 1 {
+    if curves.len() > 1 && curves.iter().any(|c| !c.name.is_empty()) {
         let mut legend = chart.configure_series_labels();
         legend.background_style(WHITE.mix(0.85)).border_style(GRID).label_font(text);
         legend.position(SeriesLabelPosition::LowerRight).draw().map_err(|e| e.to_string())?;

@@ -1,6 +1,7 @@
 //! The HTML of a report.
 
 use super::chart::{Curve, Scale, chart};
+use super::intervals::intervals;
 use super::{Report, ReportError, Sample, base64, png};
 use gs_core::Image;
 use std::fmt::Write as _;
@@ -30,6 +31,7 @@ pub fn page(report: &Report) -> Result<String, ReportError> {
         views(report)?,
         strip(report)?,
         kernels(report)?,
+        intervals(&report.journal)?,
         needs(report),
         speed(report),
         settings(report),

@@ -6,7 +6,7 @@ use super::picture::{Painter, moment};
 use super::speed::speed_against_error;
 use super::{Resolved, RunError};
 use crate::analysis::paths::{jerk_overlay, moments_for, painted};
-use crate::analysis::{Analysis, Economy, Snapshot};
+use crate::analysis::{Analysis, Economy, Journal, Snapshot};
 use crate::data::{Dataset, ImageCache, Split, View};
 use crate::evaluate::{EvalReport, ViewScores, clamped};
 use crate::inspect::bytes_text;
@@ -67,6 +67,7 @@ pub fn summarise(m: &Material) -> Result<(Report, Vec<SpeedError>), RunError> {
             .collect(),
         provenance: provenance(m.folder)?,
         heat_maps: heat_maps(&m.folder.log_lines(folder::HISTOGRAMS)?),
+        journal: Journal::of(&m.folder.log_lines(folder::JOURNAL)?),
         ..Report::default()
     };
     if let Some(view) = views.first().copied().or(m.dataset.train.first()) {

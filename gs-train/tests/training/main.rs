@@ -2,6 +2,7 @@
 
 mod anchored;
 mod frequency;
+mod journal;
 mod learning;
 mod methods;
 mod resume;

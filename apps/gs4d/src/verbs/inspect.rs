@@ -4,12 +4,12 @@ use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use gs_core::io::{Limits, RawSplats, load_splats};
 use gs_train::analysis::paths::moments_for;
-use gs_train::analysis::{Analysis, Economy};
+use gs_train::analysis::{Analysis, Economy, Journal};
 use gs_train::checkpoint::Checkpoint;
 use gs_train::data::Split;
 use gs_train::inspect::{BlockSummary, SplatSummary, bytes_text};
 use gs_train::run::OpenRun;
-use gs_train::run::folder::METRICS;
+use gs_train::run::folder::{JOURNAL, METRICS};
 use gs_train::run::needs::{needs, neutral_camera};
 use gs_train::run::picture::moment;
 use gs_train::storage::Storage;
@@ -97,8 +97,10 @@ impl Inspect {
         }
         let analysis = Analysis::of(method, moments, cutoff);
         let economy = economy(&run);
+        let journal = Journal::of(&run.folder()?.log_lines(JOURNAL)?);
         text.push('\n');
-        for n in analysis.rows().into_iter().chain(economy.iter().flat_map(Economy::rows)) {
+        let rows = analysis.rows().into_iter().chain(economy.iter().flat_map(Economy::rows)).chain(journal.rows());
+        for n in rows {
             text.push_str(&format!("{:26}{:>46}  {}\n", n.name, n.value, n.meaning));
         }
         let storage = Storage::of(method, method.storage());
@@ -114,6 +116,7 @@ impl Inspect {
             "needs": needs,
             "analysis": analysis,
             "economy": economy,
+            "journal": (!journal.is_empty()).then_some(journal),
             "storage": storage,
             "summary": summary,
             "skipped": run.skipped.iter().map(|s| s.why.clone()).collect::<Vec<_>>(),
