@@ -18,6 +18,7 @@
 //! exact cache. With heads that start at zero the untrained result is the anchors at rest, bit for bit.
 
 mod dynamics;
+mod moving;
 
 pub use dynamics::{Activation, Dynamics, Factor, Sparsity, Weight};
 

@@ -253,6 +253,26 @@ fn fill(column: &mut Vec<f32>, wanted: usize, values: impl Iterator<Item = f32>)
     }
 }
 
+/// Means, rotations and scales of some rows.
+pub fn pick(splats: &Splats, rows: &[u32]) -> Splats {
+    let row = |r: &u32| *r as usize;
+    Splats {
+        means: rows.iter().map(|r| splats.means[row(r)]).collect(),
+        quats: rows.iter().map(|r| splats.quats[row(r)]).collect(),
+        scales: rows.iter().map(|r| splats.scales[row(r)]).collect(),
+        ..Splats::default()
+    }
+}
+
+/// Writes the columns of [`pick`] back to the rows they came from.
+pub fn put_back(picked: &Splats, rows: &[u32], out: &mut Splats) {
+    for (i, row) in rows.iter().map(|r| *r as usize).enumerate() {
+        out.means[row] = picked.means[i];
+        out.quats[row] = picked.quats[i];
+        out.scales[row] = picked.scales[i];
+    }
+}
+
 /// Sizes `out` like `canonical` and copies what fields do not change: opacities, colours, kernel. Reuses memory.
 pub fn pass_through(canonical: &Splats, out: &mut Splats) {
     let n = canonical.len();

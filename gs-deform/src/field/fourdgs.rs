@@ -18,6 +18,7 @@ use super::plane_net::{NetBlock, PlaneNet, PlaneNetConfig, PlaneNetTape};
 use crate::apply::{self, Apply, OffsetColumns, Offsets, QuatRule, ScaleRule};
 use crate::encode::{HexPlane, HexPlaneConfig};
 use crate::{Aabb, DeformError};
+use glam::Vec3;
 use gs_core::nn::BLOCK;
 use gs_core::{Param, Params, Splats, SplatsGrad, Time};
 use rayon::prelude::*;
@@ -127,6 +128,23 @@ impl HexPlaneField {
     /// The encoder.
     pub fn hexplane(&self) -> &HexPlane {
         self.net.hexplane()
+    }
+
+    /// How offsets change splats.
+    pub fn rule(&self) -> Apply {
+        self.apply
+    }
+
+    /// The offsets of splats with these centres at time `t`, without applying them; a column that does not move is empty.
+    pub fn offsets_at(&self, centers: &[Vec3], t: Time, tape: &mut HexPlaneTape, out: &mut OffsetColumns) {
+        self.net.forward(centers, t, &mut tape.net);
+        let OffsetColumns { means, scales, quats } = out;
+        [&mut *means, &mut *scales, &mut *quats].into_iter().for_each(Vec::clear);
+        for said in tape.net.blocks().iter().map(|block| self.offsets(block)) {
+            means.extend_from_slice(said.means);
+            scales.extend_from_slice(said.scales);
+            quats.extend_from_slice(said.quats);
+        }
     }
 
     /// The heads' outputs; one that does not exist is empty, which stands for zero offsets.

@@ -26,6 +26,7 @@ pub mod scaffold;
 pub mod scene;
 pub mod static3d;
 
+pub use anchored::{RestOptions, RestReport};
 pub use scene::{InitConfig, SceneInfo};
 
 /// A colour per splat that shows something about it, drawn by the same rasteriser.
@@ -187,6 +188,12 @@ pub trait Method: Params + Send + Sync {
     /// The same scene for drawing alone, with what only training needs left out without changing a picture: its
     /// configuration, made of this one, and the method. None if there is nothing to leave out.
     fn folded(&self, _config: &toml::Table) -> Option<(toml::Table, Box<dyn Method>)> {
+        None
+    }
+
+    /// The same scene for drawing alone with still parts left where they rest, an approximation, and what was left; any
+    /// change of a parameter ends it. None if the method has no such way or nothing moves.
+    fn resting(&self, _options: &RestOptions<'_>) -> Option<(Box<dyn Method>, RestReport)> {
         None
     }
 

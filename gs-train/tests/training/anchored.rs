@@ -6,11 +6,14 @@
 //! | pictures with the filter against pictures without | 1e-6 |
 //! | an appearance vector folded into a bias | 1e-6 |
 //! | local anchors kept per interval against fresh ones | same bits |
+//! | without GAD and LGD against the plain scaffold | same bits |
+//! | centres of baked rows at times between those looked at | 1.5 × the tolerance |
 
 use crate::support::*;
 use gs_core::{Camera, Splats, Time};
+use gs_deform::field::grid4d::{StillOptions, screen_bound};
 use gs_raster::{Workspace, render};
-use gs_train::methods::{Method, overlay, saved};
+use gs_train::methods::{Method, RestOptions, overlay, saved};
 use gs_train::moment::Moment;
 use gs_train::trainer::{TrainOptions, Trainer};
 use std::sync::Arc;
@@ -163,4 +166,66 @@ fn folding_leaves_out_what_pictures_do_not_need() {
     let table = method.storage().expect("a table");
     assert_eq!(table.needed_bytes(), 4 * folded.param_count(), "what is counted is what there is");
     assert!(table.paper_bytes() > table.needed_bytes());
+}
+
+#[test]
+fn a_static_scene_is_the_plain_scaffold() {
+    let scaffold = short("scaffold");
+    let mut config = modec("ablate = \"gad,lgd\"");
+    for part in ["init", "anchors", "decoder", "adapt", "schedule"] {
+        config.insert(part.into(), scaffold[part].clone());
+    }
+    let data = scene("sheet", 32, 6);
+    let drawn = |method: &str, config: &toml::Table| {
+        let mut trainer = Trainer::new(Arc::clone(&data), method, config, TrainOptions::default()).expect("trainer");
+        run(&mut trainer, 60);
+        let splats = data.train.iter().map(|view| trainer.method().splats(&at(view.time.normalised), &view.camera));
+        splats.collect::<Vec<_>>()
+    };
+    let (plain, emptied) = (drawn("scaffold", &scaffold), drawn("modec", &config));
+    assert!(plain.iter().all(|s| s.len() > 50));
+    assert!(plain == emptied, "bit for bit");
+}
+
+#[test]
+fn what_is_baked_stays_within_its_tolerance() {
+    let trainer = trained(&modec(""), 60);
+    let method = trainer.method();
+    let cameras: Vec<Camera> = trainer.dataset().train.iter().map(|v| v.camera.clone()).collect();
+    let mut still = Vec::new();
+    for (pixels, shape) in [(0.0, 0.0), (0.05, 1e-3), (0.5, 0.02), (4.0, 0.2)] {
+        let usual = RestOptions::usual(&cameras);
+        let options = RestOptions { shape, still: StillOptions { pixels, ..usual.still }, ..usual };
+        let (resting, report) = method.resting(&options).expect("a field");
+        assert!(report.rows.bound_pixels <= pixels && report.shape <= shape, "{report:?}");
+        still.push(report.rows.still);
+        for step in 0..=20 {
+            let t = at(step as f32 / 20.0 * 0.97);
+            let (a, b) = (method.tracked(&t, &cameras[0]), resting.tracked(&t, &cameras[0]));
+            for (a, b) in a.means.iter().zip(&b.means) {
+                let off = screen_bound([a.distance(*b), 0.0], *b, &cameras);
+                assert!(off <= 1.5 * pixels + 1e-3, "off by {off} pixels at {step}");
+            }
+        }
+        if pixels == 0.0 {
+            let pictures = [method, &*resting].map(|m| picture(m, &m.splats(&at(0.4), &cameras[2]), &cameras[2]));
+            let worst = pictures[0].iter().zip(&pictures[1]).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+            assert!(worst <= 1e-6, "{worst}");
+        }
+    }
+    assert!(still.is_sorted() && still[0] < still[3], "{still:?}");
+}
+
+#[test]
+fn a_change_of_a_parameter_ends_the_rest() {
+    let trainer = trained(&modec(""), 60);
+    let camera = &trainer.dataset().train[0].camera;
+    let usual = RestOptions::usual(std::slice::from_ref(camera));
+    let options = RestOptions { shape: 1.0, still: StillOptions { pixels: 1e3, ..usual.still }, ..usual };
+    let (mut resting, report) = trainer.method().resting(&options).expect("a field");
+    assert!(report.rows.still > 0, "{report:?}");
+    let exact = trainer.method().splats(&at(0.4), camera);
+    assert_ne!(resting.splats(&at(0.4), camera), exact);
+    resting.visit_mut(&mut |_| {});
+    assert_eq!(resting.splats(&at(0.4), camera), exact);
 }

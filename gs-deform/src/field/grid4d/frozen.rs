@@ -91,11 +91,7 @@ impl FrozenField<'_> {
         out.means.copy_from_slice(&canonical.means);
         out.quats.copy_from_slice(&canonical.quats);
         out.scales.copy_from_slice(&canonical.scales);
-        for (i, row) in rows.iter().map(|r| *r as usize).enumerate() {
-            out.means[row] = moved.means[i];
-            out.quats[row] = moved.quats[i];
-            out.scales[row] = moved.scales[i];
-        }
+        apply::put_back(moved, rows, out);
     }
 
     /// From now on leaves splats still whose error on screen is bounded by `options.pixels`; says which share that is.
@@ -120,14 +116,14 @@ impl FrozenField<'_> {
                 }
             }
         }
-        let pixels = |(reach, mean): (&[f32; 2], &Vec3)| bound(*reach, *mean, options.cameras);
+        let pixels = |(reach, mean): (&[f32; 2], &Vec3)| screen_bound(*reach, *mean, options.cameras);
         let bounds: Vec<f32> = reach.par_iter().zip(&canonical.means).map(pixels).collect();
         let is_still = |bound: f32| bound <= options.pixels;
         let rows: Vec<u32> = (0..canonical.len()).filter(|&i| !is_still(bounds[i])).map(|i| i as u32).collect();
         let bound_pixels = bounds.iter().filter(|b| is_still(**b)).fold(0.0f32, |m, b| m.max(*b));
         let (splats, still) = (canonical.len(), canonical.len() - rows.len());
         if still > 0 {
-            let from = pick(canonical, &rows);
+            let from = apply::pick(canonical, &rows);
             field.stand(&from, standing);
             *moving = Some(MovingRows { rows, canonical: from, moved: Splats::default() });
         }
@@ -151,8 +147,9 @@ fn row_reach(row: &gate::Row, gate: GateConfig, mean: Vec3, scale: Vec3) -> [f32
     [moved, eta * stretch + 2.0 * largest * (eta * turn).min(1.0)]
 }
 
-/// The largest bound in pixels over the cameras; 0 for what does not move, infinite if it may reach a camera's plane.
-fn bound([moved, changed]: [f32; 2], mean: Vec3, cameras: &[Camera]) -> f32 {
+/// Largest error on screen of a splat at `mean` whose centre is moved and whose extent is changed by so much (world
+/// units), pixels, over the cameras; 0 for what does not move, infinite if it may reach a camera's plane or there is none.
+pub fn screen_bound([moved, changed]: [f32; 2], mean: Vec3, cameras: &[Camera]) -> f32 {
     if moved == 0.0 && changed == 0.0 {
         return 0.0;
     }
@@ -173,15 +170,4 @@ fn bound([moved, changed]: [f32; 2], mean: Vec3, cameras: &[Camera]) -> f32 {
         let per_unit = c.fx.max(c.fy) / (depth - moved) * (1.0 + tan);
         most.max((per_unit * (moved + f64::from(changed))) as f32)
     })
-}
-
-/// Means, rotations and scales of some rows.
-fn pick(splats: &Splats, rows: &[u32]) -> Splats {
-    let row = |r: &u32| *r as usize;
-    Splats {
-        means: rows.iter().map(|r| splats.means[row(r)]).collect(),
-        quats: rows.iter().map(|r| splats.quats[row(r)]).collect(),
-        scales: rows.iter().map(|r| splats.scales[row(r)]).collect(),
-        ..Splats::default()
-    }
 }

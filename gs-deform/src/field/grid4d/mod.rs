@@ -29,7 +29,7 @@ mod smooth;
 
 pub use config::{ExactConfig, FourierConfig, Fusion, GateConfig, GateMode, Grid4dConfig, SmoothConfig, WaveTime};
 pub use fourier::frequency;
-pub use frozen::{FrozenField, StillOptions, StillReport};
+pub use frozen::{FrozenField, StillOptions, StillReport, screen_bound};
 
 use super::Field;
 use crate::DeformError;

@@ -2,6 +2,7 @@
 
 use super::Anchored;
 use super::forward::{Filter, ROOM, farthest};
+use super::rest::Rest;
 use crate::methods::StageView;
 use glam::Vec3;
 use gs_anchor::visible::{self, Reach};
@@ -21,12 +22,20 @@ const TRIES: usize = 3;
 #[derive(Default)]
 pub(super) struct Cache {
     locals: Mutex<BTreeMap<u32, Arc<Local>>>,
+    /// What is left where it rests, if anything is.
+    rest: Option<Rest>,
 }
 
 impl Cache {
     /// To be called before anything it depends on changes.
     pub fn forget(&mut self) {
         self.locals.get_mut().unwrap_or_else(PoisonError::into_inner).clear();
+        self.rest = None;
+    }
+
+    /// One that leaves what rests where it is.
+    pub fn resting(rest: Rest) -> Self {
+        Self { rest: Some(rest), ..Self::default() }
     }
 
     fn get(&self, canonical: Time, make: impl FnOnce() -> Local) -> Arc<Local> {
@@ -47,12 +56,19 @@ impl Cache {
 
 impl Anchored {
     /// The anchors of the interval that holds `t`.
-    fn local(&self, t: Time) -> Arc<Local> {
-        if !self.dynamic() || self.motion.gad.is_none() {
+    pub(super) fn local(&self, t: Time) -> Arc<Local> {
+        let Some(gad) = self.motion.gad.as_ref().filter(|_| self.dynamic()) else {
             return self.cache.get(Time::default(), || self.at_rest());
-        }
+        };
         let canonical = self.motion.canonical_time(t);
-        self.cache.get(canonical, || self.motion.local(&self.anchors, canonical))
+        self.cache.get(canonical, || {
+            let mut local = Local::default();
+            match &self.cache.rest {
+                Some(rest) => gad.forward_moving(&self.anchors, canonical, rest.below(), &mut local),
+                None => gad.forward(&self.anchors, canonical, &mut Default::default(), &mut local),
+            }
+            local
+        })
     }
 
     fn at_rest(&self) -> Local {
@@ -62,7 +78,7 @@ impl Anchored {
     }
 
     /// Decodes the anchors a camera may see.
-    fn decoded(&self, local: &Local, camera: &Camera, margin: Option<f64>) -> (Splats, DecodeTape) {
+    pub(super) fn decoded(&self, local: &Local, camera: &Camera, margin: Option<f64>) -> (Splats, DecodeTape) {
         let (mut splats, mut tape, mut listed) = <(Splats, DecodeTape, Vec<u32>)>::default();
         let visible = match margin {
             Some(margin) => {
@@ -75,10 +91,14 @@ impl Anchored {
         (splats, tape)
     }
 
-    fn moved(&self, neural: &Splats, t: Time) -> Option<Splats> {
+    /// Moves decoded Gaussians of these rows (`anchor · k + j`).
+    fn moved(&self, neural: &Splats, rows: &[u32], t: Time) -> Option<Splats> {
         let lgd = self.motion.lgd.as_ref().filter(|_| self.dynamic())?;
         let mut moved = Splats::default();
-        lgd.forward(neural, t, &mut Default::default(), &mut moved);
+        match &self.cache.rest {
+            Some(rest) => rest.forward(lgd, neural, rows, t, &mut moved),
+            None => lgd.forward(neural, t, &mut Default::default(), &mut moved),
+        }
         Some(moved)
     }
 
@@ -88,16 +108,16 @@ impl Anchored {
         let mut reach = self.reach[0];
         for _ in 0..TRIES {
             let margin = (self.config.filter == Filter::Clean).then_some(ROOM * f64::from(reach));
-            let (neural, _) = self.decoded(&local, camera, margin);
-            let Some(moved) = self.moved(&neural, t) else { return neural };
+            let (neural, tape) = self.decoded(&local, camera, margin);
+            let Some(moved) = self.moved(&neural, &tape.rows, t) else { return neural };
             let farthest = farthest(&neural, &moved);
             if margin.is_none_or(|margin| f64::from(farthest) <= margin) {
                 return moved;
             }
             reach = reach.max(farthest);
         }
-        let (neural, _) = self.decoded(&local, camera, None);
-        self.moved(&neural, t).unwrap_or(neural)
+        let (neural, tape) = self.decoded(&local, camera, None);
+        self.moved(&neural, &tape.rows, t).unwrap_or(neural)
     }
 
     /// Global, local and full: the anchors at rest, those of the interval, and their Gaussians at the moment.
@@ -107,7 +127,7 @@ impl Anchored {
         let mut stages = vec![StageView { name: "global", splats: global, before: None }];
         let local = self.local(t);
         let (neural, tape) = self.decoded(&local, camera, None);
-        let moved = self.moved(&neural, t);
+        let moved = self.moved(&neural, &tape.rows, t);
         let before_lgd = moved.is_some().then(|| neural.means.clone());
         if self.motion.gad.is_some() && self.dynamic() {
             let before = tape.rows.iter().map(|&row| self.center(&rest, row)).collect();
@@ -120,7 +140,7 @@ impl Anchored {
     }
 
     /// Centre of the Gaussian of a row before LGD.
-    fn center(&self, local: &Local, row: u32) -> Vec3 {
+    pub(super) fn center(&self, local: &Local, row: u32) -> Vec3 {
         let (row, k) = (row as usize, self.config.offsets);
         let anchor = row / k;
         local.positions[anchor]
@@ -147,6 +167,7 @@ impl Anchored {
             colors[row] = seen_colors[i];
         }
         all.color = Color::Rgb(colors);
-        self.moved(&all, t).unwrap_or(all)
+        let rows: Vec<u32> = (0..n as u32).collect();
+        self.moved(&all, &rows, t).unwrap_or(all)
     }
 }

@@ -9,9 +9,11 @@
 mod drawing;
 mod forward;
 mod motion;
+mod rest;
 
 pub use forward::{Filter, Statistics};
 pub use motion::{Motion, SparsityConfig, SparsityKind};
+pub use rest::{RestOptions, RestReport};
 
 use crate::density::Adapted;
 use crate::methods::{Column, ColumnMut, Method, MethodError, Quantity, SceneInfo, StageView};
@@ -137,6 +139,25 @@ impl Anchored {
             cache: Cache::default(),
             told: Vec::new(),
         })
+    }
+
+    /// The same state with scratch of its own.
+    fn copy(&self) -> Self {
+        Self {
+            schedule: self.schedule.clone(),
+            config: self.config.clone(),
+            rules: self.rules.clone(),
+            anchors: self.anchors.clone(),
+            decoder: self.decoder.clone(),
+            motion: self.motion.clone(),
+            adapt: self.adapt.clone(),
+            voxel: self.voxel.clone(),
+            reach: self.reach.clone(),
+            tape: Tape::default(),
+            cache: Cache::default(),
+            told: Vec::new(),
+            ..*self
+        }
     }
 
     fn dynamic(&self) -> bool {
@@ -309,22 +330,13 @@ impl Method for Anchored {
     fn folded(&self, config: &toml::Table) -> Option<(toml::Table, Box<dyn Method>)> {
         let mut config = config.clone();
         config.get_mut("decoder")?.as_table_mut()?.insert("appearance".into(), 0.into());
-        let folded = Self {
-            schedule: self.schedule.clone(),
-            config: self.config.clone(),
-            rules: self.rules.clone(),
-            anchors: self.anchors.clone(),
-            decoder: self.decoder.folded(),
-            motion: self.motion.clone(),
-            adapt: self.adapt.clone(),
-            voxel: self.voxel.clone(),
-            reach: self.reach.clone(),
-            tape: Tape::default(),
-            cache: Cache::default(),
-            told: Vec::new(),
-            ..*self
-        };
+        let folded = Self { decoder: self.decoder.folded(), ..self.copy() };
         Some((config, Box::new(folded)))
+    }
+
+    fn resting(&self, options: &RestOptions<'_>) -> Option<(Box<dyn Method>, RestReport)> {
+        let (rest, report) = self.rest(options)?;
+        Some((Box::new(Self { cache: Cache::resting(rest), ..self.copy() }), report))
     }
 
     fn lattice(&self) -> Option<(&'static str, f32)> {

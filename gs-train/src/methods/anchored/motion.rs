@@ -1,7 +1,7 @@
 //! What moves anchors and their Gaussians: GAD per interval, LGD per frame, and the intervals.
 
 use gs_anchor::gad::Sparsity;
-use gs_anchor::{Anchors, Gad, Intervals, Local};
+use gs_anchor::{Anchors, Gad, Intervals};
 use gs_core::{Camera, Param, Params, Time};
 use gs_deform::{Field, HexPlaneField};
 use gs_raster::ScreenStats;
@@ -60,16 +60,6 @@ impl Motion {
     pub fn canonical_time(&self, t: Time) -> Time {
         let normalised = self.intervals.as_ref().map_or(t.normalised, |i| i.canonical_time(t.normalised));
         Time { normalised, ..t }
-    }
-
-    /// The local anchors at a canonical time.
-    pub fn local(&self, anchors: &Anchors, canonical: Time) -> Local {
-        let mut local = Local::default();
-        match &self.gad {
-            Some(gad) => gad.forward(anchors, canonical, &mut Default::default(), &mut local),
-            None => anchors.activate(&mut local),
-        }
-        local
     }
 
     /// Regularisers of both fields: gradients are added, weighted values given.
