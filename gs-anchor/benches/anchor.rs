@@ -3,43 +3,64 @@
 //! Each row is printed and appended to `target/speed-error/gs-anchor.jsonl`. `work` counts floating-point operations of
 //! matrix products (two per multiply-add), or anchors where there are none.
 
+use criterion::Criterion;
 use glam::{DVec3, Vec3};
 use gs_anchor::reference::{AnchorRef, Blocks, DecoderRef, GadRef, GaussianRef, RestRef};
 use gs_anchor::{AnchorShape, Anchors, DecodeTape, Decoder, DecoderConfig, Gad, GadConfig, GadTape};
 use gs_anchor::{Local, LocalGrad, Reach, Visible, visible};
-use gs_core::speed::{SpeedError, median_seconds};
+use gs_core::speed::SpeedError;
 use gs_core::{Camera, Params, Rng, Splats, SplatsGrad, Time};
 use gs_deform::{Aabb, PlaneNetConfig};
 use gs_raster::{RasterOptions, Workspace, render};
 use std::path::Path;
+use std::time::{Duration, Instant};
 
 /// Anchors in view, as the specification's cost model has them.
 const ANCHORS: usize = 12_000;
 /// Anchors compared with the reference.
 const COMPARED: usize = 300;
-const RUNS: usize = 15;
 const SHAPE: AnchorShape = AnchorShape { offsets: 10, features: 32, dynamics: 2 };
 const T: Time = Time { normalised: 0.37, seconds: 0.37 };
 type Failure = Box<dyn std::error::Error>;
 
-/// Measures, prints and records; returns milliseconds.
-fn row(case: &str, variant: &str, work: f64, (error, error_kind): (f64, &'static str), f: impl FnMut()) -> f64 {
-    let ms = 1e3 * median_seconds(RUNS, f);
+/// What a row says beside its time.
+struct Row {
+    case: &'static str,
+    variant: &'static str,
+    work: f64,
+    error: f64,
+    error_kind: &'static str,
+}
+
+/// Measures `f`, prints the row with the median, and records it.
+fn measure(c: &mut Criterion, row: &Row, mut f: impl FnMut()) {
+    let mut times: Vec<f64> = Vec::new();
+    c.bench_function(&format!("{}/{}/{ANCHORS}", row.case, row.variant), |b| {
+        b.iter_custom(|iterations| {
+            let start = Instant::now();
+            (0..iterations).for_each(|_| f());
+            let spent = start.elapsed();
+            times.push(spent.as_secs_f64() * 1e3 / iterations as f64);
+            spent
+        });
+    });
+    times.sort_by(f64::total_cmp);
+    // None where the command line's filter leaves the case out.
+    let Some(&ms) = times.get(times.len() / 2) else { return };
     let line = SpeedError {
         krate: "gs-anchor",
-        case: case.to_owned(),
-        variant: variant.to_owned(),
+        case: row.case.to_owned(),
+        variant: row.variant.to_owned(),
         n: ANCHORS,
         threads: rayon::current_num_threads(),
         ms,
-        work,
-        error: Some(error),
-        error_kind,
+        work: row.work,
+        error: Some(row.error),
+        error_kind: row.error_kind,
     };
     if let Err(e) = line.record(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/speed-error")) {
         eprintln!("cannot append: {e}");
     }
-    ms
 }
 
 /// Anchors on a sphere with everything learnt a little.
@@ -117,7 +138,7 @@ fn decode_errors(decoder: &Decoder, local: &Local, eye: DVec3, out: &Splats, d: 
     (splats, gradients)
 }
 
-fn decode(anchors: &Anchors, camera: &Camera) -> Result<Splats, Failure> {
+fn decode(c: &mut Criterion, anchors: &Anchors, camera: &Camera) -> Result<Splats, Failure> {
     let mut decoder = Decoder::new(&DecoderConfig::default(), SHAPE, 1)?;
     let (mut local, mut tape, mut out, mut d) = Default::default();
     anchors.activate(&mut local);
@@ -131,8 +152,9 @@ fn decode(anchors: &Anchors, camera: &Camera) -> Result<Splats, Failure> {
     // Inputs of 35, three hidden layers of 32, eleven outputs per Gaussian.
     let flops = 2.0 * (ANCHORS * (35 * 96 + 32 * 11 * SHAPE.offsets)) as f64;
     let work = |tape: &mut DecodeTape, out: &mut Splats| decoder.forward(&local, Visible::All, eye, tape, out);
-    row("decode", "forward", flops, (splats, "splats relative to f64"), || work(&mut tape, &mut out));
-    row("decode", "forward and backward", 3.0 * flops, (gradients, "gradients relative to f64"), || {
+    let row = |variant, work, error, error_kind| Row { case: "decode", variant, work, error, error_kind };
+    measure(c, &row("forward", flops, splats, "splats relative to f64"), || work(&mut tape, &mut out));
+    measure(c, &row("forward and backward", 3.0 * flops, gradients, "gradients relative to f64"), || {
         decoder.forward(&local, Visible::All, eye, &mut tape, &mut out);
         d.reset(&local);
         decoder.backward(&local, &mut tape, &d_out, &mut d);
@@ -140,7 +162,7 @@ fn decode(anchors: &Anchors, camera: &Camera) -> Result<Splats, Failure> {
     Ok(out)
 }
 
-fn deform(anchors: &mut Anchors) -> Result<(), Failure> {
+fn deform(c: &mut Criterion, anchors: &mut Anchors) -> Result<(), Failure> {
     let published = GadConfig::default();
     let config = GadConfig { net: PlaneNetConfig { zero_init: false, ..published.net }, ..published };
     let mut gad = Gad::new(&config, SHAPE, Aabb::cube(1.0), 1)?;
@@ -163,30 +185,23 @@ fn deform(anchors: &mut Anchors) -> Result<(), Failure> {
     }
     // Features of 32, trunk of 128, four hidden layers of 128, 71 outputs.
     let flops = 2.0 * (ANCHORS * (32 * 128 + 128 * 512 + 128 * (3 + 32 + 30 + 6))) as f64;
-    row("gad, width 128", "forward", flops, (values, "anchors relative to f64"), || {
+    let row = |variant, work, error, error_kind| Row { case: "gad, width 128", variant, work, error, error_kind };
+    measure(c, &row("forward", flops, values, "anchors relative to f64"), || {
         gad.forward(anchors, T, &mut tape, &mut out);
     });
-    row(
-        "gad, width 128",
-        "forward and backward",
-        3.0 * flops,
-        (gradients, "logits' gradients relative to f64"),
-        || {
-            gad.forward(anchors, T, &mut tape, &mut out);
-            gad.backward(anchors, &mut tape, &d);
-        },
-    );
+    measure(c, &row("forward and backward", 3.0 * flops, gradients, "logits' gradients relative to f64"), || {
+        gad.forward(anchors, T, &mut tape, &mut out);
+        gad.backward(anchors, &mut tape, &d);
+    });
     let kept = out.clone();
     gad.forward(anchors, T, &mut GadTape::default(), &mut out);
     let same = if kept == out { 0.0 } else { 1.0 };
-    row("gad, width 128", "kept per interval", ANCHORS as f64, (same, "difference from fresh"), || {
-        out.clone_from(&kept)
-    });
+    measure(c, &row("kept per interval", ANCHORS as f64, same, "difference from fresh"), || out.clone_from(&kept));
     Ok(())
 }
 
 /// A camera that sees part of the sphere: the filter against drawing everything.
-fn visibility(anchors: &Anchors, camera: &Camera, all: &Splats) -> Result<(), Failure> {
+fn visibility(c: &mut Criterion, anchors: &Anchors, camera: &Camera, all: &Splats) -> Result<(), Failure> {
     let decoder = Decoder::new(&DecoderConfig::default(), SHAPE, 1)?;
     let (mut local, mut seen, mut tape, mut some) = Default::default();
     anchors.activate(&mut local);
@@ -195,25 +210,38 @@ fn visibility(anchors: &Anchors, camera: &Camera, all: &Splats) -> Result<(), Fa
     let draw = |s: &Splats| render(s, camera, &RasterOptions::default(), &mut Workspace::new()).rgb;
     let error = worst(&wide(&draw(&some)), &wide(&draw(all)));
     println!("    {} of {ANCHORS} anchors listed", seen.len());
-    row("visible", "clean", ANCHORS as f64, (error, "picture with and without"), || {
+    let row = |case, variant, error| Row {
+        case,
+        variant,
+        work: ANCHORS as f64,
+        error,
+        error_kind: "picture with and without",
+    };
+    measure(c, &row("visible", "clean", error), || {
         visible::clean(&local, camera, &Reach::default(), &mut seen);
     });
-    row("decode", "forward, what is visible", ANCHORS as f64, (error, "picture with and without"), || {
+    measure(c, &row("decode", "forward, what is visible", error), || {
         decoder.forward(&local, Visible::List(&seen), camera.position(), &mut tape, &mut some);
     });
     visible::reference(anchors, camera, &mut seen);
     decoder.forward(&local, Visible::List(&seen), camera.position(), &mut tape, &mut some);
     let error = worst(&wide(&draw(&some)), &wide(&draw(all)));
-    row("visible", "published", ANCHORS as f64, (error, "picture with and without"), || {
+    measure(c, &row("visible", "published", error), || {
         visible::reference(anchors, camera, &mut seen);
     });
     Ok(())
 }
 
 fn main() -> Result<(), Failure> {
+    let mut c = Criterion::default()
+        .sample_size(15)
+        .warm_up_time(Duration::from_millis(200))
+        .measurement_time(Duration::from_millis(900))
+        .without_plots()
+        .configure_from_args();
     let mut anchors = anchors();
     let camera = Camera::look_at(320, 240, 0.7, DVec3::new(0.4, 0.2, -1.6), DVec3::new(0.3, 0.2, 0.0), DVec3::Y)?;
-    let all = decode(&anchors, &camera)?;
-    visibility(&anchors, &camera, &all)?;
-    deform(&mut anchors)
+    let all = decode(&mut c, &anchors, &camera)?;
+    visibility(&mut c, &anchors, &camera, &all)?;
+    deform(&mut c, &mut anchors)
 }
