@@ -103,6 +103,13 @@ impl Lens {
         DVec2::new(camera.fx * p.x + camera.cx, camera.fy * p.y + camera.cy)
     }
 
+    /// The inverse of [`Self::source_pixel`]: pixel coordinates of the pinhole camera for those of the photograph. None as
+    /// [`Self::undistort`].
+    pub fn pinhole_pixel(&self, camera: &Camera, u: f64, v: f64) -> Option<DVec2> {
+        let p = self.undistort(DVec2::new((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy))?;
+        Some(DVec2::new(camera.fx * p.x + camera.cx, camera.fy * p.y + camera.cy))
+    }
+
     /// Fraction of the pinhole image that lies outside the photograph (and repeats its edge), on a 65×65 grid.
     pub fn outside_fraction(&self, camera: &Camera) -> f64 {
         const SIDE: u32 = 65;

@@ -11,7 +11,8 @@ use glam::{DVec3, Vec3};
 use gs_core::{Camera, Rng, Time};
 use serde::{Deserialize, Serialize};
 
-use crate::data::{DataError, Dataset, ImageSource, View};
+use crate::data::{DataError, Dataset, ImageSource, Lens, View};
+use write_nerfies::with_lens;
 
 pub mod body;
 pub mod maps;
@@ -20,11 +21,13 @@ pub mod scenes;
 pub mod trace;
 mod truth;
 mod write;
+mod write_nerfies;
 
 pub use maps::write_maps;
 pub use scenes::{SCENES, SynthScene};
 pub use truth::{FlowMap, Truth};
 pub use write::write;
+pub use write_nerfies::write_nerfies;
 
 /// What to generate.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -44,11 +47,22 @@ pub struct SynthOptions {
     pub supersample: u32,
     /// Part of the brightness that depends on the light, 0..1. 0: every material point keeps its colour.
     pub shading: f64,
+    /// Whether pictures are taken through a lens that distorts, with leaning columns and the principal point off centre.
+    pub lens: bool,
 }
 
 impl Default for SynthOptions {
     fn default() -> Self {
-        Self { size: 200, train_views: 100, val_views: 10, test_views: 20, seed: 0, supersample: 3, shading: 0.2 }
+        Self {
+            size: 200,
+            train_views: 100,
+            val_views: 10,
+            test_views: 20,
+            seed: 0,
+            supersample: 3,
+            shading: 0.2,
+            lens: false,
+        }
     }
 }
 
@@ -166,14 +180,19 @@ fn check(o: &SynthOptions) -> Result<(), DataError> {
 /// A view from a random point of the upper hemisphere.
 fn photograph(truth: &Truth, purpose: &str, k: u32, t: f64) -> Result<View, DataError> {
     let camera = hemisphere_camera(truth.options(), purpose, k)?;
-    let image = truth.picture(&camera, t);
+    let (camera, lens) = match truth.options().lens {
+        true => with_lens(camera),
+        false => (camera, Lens::default()),
+    };
+    let image = truth.photograph(&camera, &lens, t);
     let time = if truth.dynamic() { Time::new(t as f32) } else { Ok(Time::default()) };
     let time = time.map_err(|e| DataError::Option {
         name: "time",
         value: e.value.to_string(),
         rule: "a finite number".into(),
     })?;
-    Ok(View::new(format!("r_{k:03}"), camera, time, ImageSource::Memory(Arc::new(image)), k))
+    let view = View::new(format!("r_{k:03}"), camera, time, ImageSource::Memory(Arc::new(image)), k);
+    Ok(View { lens: (!lens.is_pinhole()).then_some(lens), ..view })
 }
 
 fn hemisphere_camera(o: &SynthOptions, purpose: &str, k: u32) -> Result<Camera, DataError> {

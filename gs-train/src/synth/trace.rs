@@ -1,12 +1,12 @@
 //! The ray tracer of generated scenes: one ray per sample, box filter over a regular `k × k` grid in each pixel, straight
 //! alpha. Shading is Lambert's with a light fixed in the world, hence the same from every camera.
 
-use glam::DVec3;
+use glam::{DVec2, DVec3};
 use gs_core::Camera;
 use rayon::prelude::*;
 
 use super::body::{Body, Placed};
-use crate::data::ImageU8;
+use crate::data::{ImageU8, Lens};
 
 /// Direction to the light.
 const LIGHT: DVec3 = DVec3::new(0.36, -0.48, 0.8);
@@ -30,6 +30,7 @@ pub struct Hit {
 pub(crate) struct Tracer<'a> {
     bodies: Vec<Placed<'a>>,
     camera: &'a Camera,
+    lens: Lens,
     eye: DVec3,
     base: DVec3,
     per_u: DVec3,
@@ -45,12 +46,18 @@ impl<'a> Tracer<'a> {
         let per_v = c2w.y_axis / camera.fy;
         let base = c2w.z_axis - per_u * camera.cx - per_v * camera.cy;
         let bodies = bodies.iter().map(|b| Placed::new(b, t, eye)).collect();
-        Self { bodies, camera, eye, base, per_u, per_v, shading }
+        Self { bodies, camera, lens: Lens::default(), eye, base, per_u, per_v, shading }
+    }
+
+    /// The same behind a lens.
+    pub(crate) fn through(self, lens: &Lens) -> Self {
+        Self { lens: *lens, ..self }
     }
 
     /// What is seen at pixel coordinates `(u, v)`. The direction has camera-space z = 1, so its parameter is the depth.
     pub(crate) fn hit(&self, u: f64, v: f64) -> Option<Hit> {
-        let d = self.base + self.per_u * u + self.per_v * v;
+        let at = if self.lens.is_pinhole() { DVec2::new(u, v) } else { self.lens.pinhole_pixel(self.camera, u, v)? };
+        let d = self.base + self.per_u * at.x + self.per_v * at.y;
         let mut best: Option<(usize, super::body::LocalHit)> = None;
         for (k, b) in self.bodies.iter().enumerate() {
             if let Some(h) = b.hit(d).filter(|h| best.is_none_or(|(_, old)| h.s < old.s)) {
@@ -83,7 +90,8 @@ impl<'a> Tracer<'a> {
         // Half a pixel's diagonal, and a little more for rounding.
         let spread = 0.75 / self.camera.fx.min(self.camera.fy);
         let centre = self.base + self.per_u * (i as f64 + 0.5) + self.per_v * (j as f64 + 0.5);
-        if !self.bodies.iter().any(|b| b.may_meet(centre, spread)) {
+        // A lens bends rays out of the cone.
+        if self.lens.is_pinhole() && !self.bodies.iter().any(|b| b.may_meet(centre, spread)) {
             return [0; 4];
         }
         let (mut sum, mut hits) = ([0.0f64; 3], 0u32);

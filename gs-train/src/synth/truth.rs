@@ -7,7 +7,7 @@ use super::SynthOptions;
 use super::body::{Body, MotionClass};
 use super::motion::RigidPose;
 use super::trace::{Hit, Tracer};
-use crate::data::ImageU8;
+use crate::data::{ImageU8, Lens};
 
 /// The truth of a scene. Times are normalised.
 #[derive(Clone, Debug, PartialEq)]
@@ -73,6 +73,12 @@ impl Truth {
     /// The picture a camera takes at time `t`.
     pub fn picture(&self, camera: &Camera, t: f64) -> ImageU8 {
         self.tracer(camera, t).picture(self.options.supersample)
+    }
+
+    /// The photograph taken at time `t` by a camera whose lens shows the plane `z = 1` distorted; empty where the lens shows
+    /// nothing.
+    pub fn photograph(&self, camera: &Camera, lens: &Lens, t: f64) -> ImageU8 {
+        self.tracer(camera, t).through(lens).picture(self.options.supersample)
     }
 
     /// Camera-space z at pixel centres, 1 channel; 0 where nothing is seen.

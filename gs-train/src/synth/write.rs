@@ -18,11 +18,13 @@ const TRUTH_TIMES: u32 = 101;
 /// `truth.json`. Unless `overwrite` is set the folder must be empty or absent.
 ///
 /// # Errors
-/// `io.exists` if the folder holds files, `io.write` if writing fails, else as [`generate`].
+/// `data.option` if there is a lens, `io.exists` if the folder holds files, `io.write` if writing fails, else as
+/// [`generate`].
 pub fn write(dir: &Path, name: &str, options: &SynthOptions, overwrite: bool) -> Result<SynthData, DataError> {
-    let occupied = std::fs::read_dir(dir).is_ok_and(|mut entries| entries.next().is_some());
-    if dir.is_file() || (occupied && !overwrite) {
-        return Err(DataError::Occupied { path: dir.to_path_buf() });
+    vacant(dir, overwrite)?;
+    if options.lens {
+        let rule = "false: the D-NeRF layout has pinholes only; the Nerfies layout has lenses".into();
+        return Err(DataError::Option { name: "lens", value: "true".into(), rule });
     }
     let data = generate(name, options)?;
     for (split, views) in [("train", &data.dataset.train), ("val", &data.dataset.val), ("test", &data.dataset.test)] {
@@ -38,13 +40,22 @@ pub fn write(dir: &Path, name: &str, options: &SynthOptions, overwrite: bool) ->
     Ok(data)
 }
 
-fn save_png(file: &Path, image: &ImageU8) -> Result<(), DataError> {
+/// Whether a data set may be written to a folder.
+pub(super) fn vacant(dir: &Path, overwrite: bool) -> Result<(), DataError> {
+    let occupied = std::fs::read_dir(dir).is_ok_and(|mut entries| entries.next().is_some());
+    if dir.is_file() || (occupied && !overwrite) {
+        return Err(DataError::Occupied { path: dir.to_path_buf() });
+    }
+    Ok(())
+}
+
+pub(super) fn save_png(file: &Path, image: &ImageU8) -> Result<(), DataError> {
     let (width, height) = (image.width as u32, image.height as u32);
     image::save_buffer(file, &image.data, width, height, image::ExtendedColorType::Rgba8)
         .map_err(|e| DataError::write(file, std::io::Error::other(e)))
 }
 
-fn write_json(file: &Path, value: &Value) -> Result<(), DataError> {
+pub(super) fn write_json(file: &Path, value: &Value) -> Result<(), DataError> {
     let text = format!("{value:#}\n");
     std::fs::write(file, text).map_err(|e| DataError::write(file, e))
 }
@@ -71,7 +82,7 @@ fn opengl_c2w(camera: &Camera) -> [[f64; 4]; 4] {
     [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]]
 }
 
-fn truth_json(truth: &Truth) -> Value {
+pub(super) fn truth_json(truth: &Truth) -> Value {
     let times: Vec<f64> = (0..TRUTH_TIMES).map(|k| f64::from(k) / f64::from(TRUTH_TIMES - 1)).collect();
     let bodies: Vec<Value> = truth
         .bodies()

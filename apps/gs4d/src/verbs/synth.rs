@@ -7,7 +7,16 @@ use gs_train::synth::{self, SCENES, SynthOptions};
 use serde_json::json;
 use std::path::PathBuf;
 
-/// Generate a scene with exact truth, as a D-NeRF data set
+/// How the data set lies on the disk.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Layout {
+    /// D-NeRF: transforms_*.json, pictures with alpha.
+    Dnerf,
+    /// Nerfies and HyperNeRF: one camera file per picture, photographs over white.
+    Nerfies,
+}
+
+/// Generate a scene with exact truth, as a data set of D-NeRF's or Nerfies' layout
 #[derive(clap::Args)]
 pub struct Synth {
     /// Name of the scene; without it, the scenes are listed.
@@ -15,6 +24,12 @@ pub struct Synth {
     /// Folder to write to.
     #[arg(short, long, value_name = "DIR")]
     out: Option<PathBuf>,
+    /// Layout of the folder.
+    #[arg(long, value_enum, default_value = "dnerf")]
+    layout: Layout,
+    /// Take pictures through a lens that distorts, off centre and with leaning columns (layout nerfies).
+    #[arg(long)]
+    lens: bool,
     /// Side of the images, pixels.
     #[arg(long, default_value_t = SynthOptions::default().size)]
     size: u32,
@@ -65,6 +80,7 @@ impl Synth {
             val_views: self.val_views,
             test_views: self.test_views,
             seed: self.seed,
+            lens: self.lens,
             ..SynthOptions::default()
         };
         let exposure = self.exposure.map(|length| {
@@ -72,7 +88,13 @@ impl Synth {
             Exposure { length, samples, linear, shake, seed: self.seed }
         });
         exposure.iter().try_for_each(Exposure::check)?;
-        let mut data = synth::write(out, name, &options, self.force)?;
+        let mut data = match self.layout {
+            Layout::Nerfies if exposure.is_some() => {
+                return Err(Failure::usage("motion blur is for the layout dnerf").remedy("leave out --exposure"));
+            }
+            Layout::Nerfies => synth::write_nerfies(out, name, &options, self.force)?,
+            Layout::Dnerf => synth::write(out, name, &options, self.force)?,
+        };
         if let Some(exposure) = &exposure {
             blur_training_views(out, &mut data, exposure)?;
         }
@@ -80,14 +102,18 @@ impl Synth {
             synth::write_maps(out, &data, self.truth_times, self.force)?;
         }
         let data = data.dataset;
-        let (train, val, test) = (data.train.len(), data.val.len(), data.test.len());
+        let (train, test) = (data.train.len(), data.test.len());
+        let (layout, val) = match self.layout {
+            Layout::Nerfies => ("nerfies", 0),
+            Layout::Dnerf => ("dnerf", data.val.len()),
+        };
         let size = options.size;
         let text = format!(
             "{}  {name}: {train} training, {val} validation, {test} test views of {size}x{size}; truth.json{} beside them\n",
             out.display(),
             if self.truth { " and maps" } else { "" }
         );
-        let json = json!({"path": out.display().to_string(), "scene": name, "options": options, "views": [train, val, test], "exposure": exposure});
+        let json = json!({"path": out.display().to_string(), "scene": name, "layout": layout, "options": options, "views": [train, val, test], "exposure": exposure});
         Ok(Answer::new(text, json))
     }
 }
