@@ -3,8 +3,9 @@
 //! ```text
 //! maps/{train,val,test}/r_000.depth.npy             [H, W] camera-space z; NaN where nothing is seen
 //! maps/{train,val,test}/r_000.{global,local}.png    255 where a body moves rigidly, where one deforms
-//! maps/fixed/camera.json                            the first test view's camera
-//! maps/fixed/t_000.{depth.npy,global.png,local.png} the same from there at times k / (n − 1)
+//! maps/fixed/camera.json                            the first test view's camera, once for each of the times k / (n − 1)
+//! maps/fixed/frames/t_000.png                       what it sees, with alpha
+//! maps/fixed/t_000.{depth.npy,global.png,local.png} depth and masks from there
 //! maps/fixed/t_000.flow.npy                         [H, W, 2] pixels from time k to time k + 1; NaN where nothing is seen
 //! ```
 
@@ -16,6 +17,7 @@ use gs_core::{Camera, Image};
 use rayon::prelude::*;
 
 use super::body::MotionClass;
+use super::write::save_png;
 use super::{SynthData, Truth};
 use crate::data::DataError;
 use crate::report::png;
@@ -37,14 +39,16 @@ pub fn write_maps(dir: &Path, data: &SynthData, moments: u32, overwrite: bool) -
     }
     let Some(view) = sets.test.first().or(sets.train.first()) else { return Ok(()) };
     let (camera, folder) = (&view.camera, made(root.join("fixed"))?);
-    let name = format!("test {}", view.name);
-    let named = NamedCamera { camera: camera.clone(), name, time: None };
-    saved(save_cameras(&folder.join("camera.json"), &[named], overwrite), &folder)?;
+    let frames = made(folder.join("frames"))?;
     let last = moments.max(2) - 1;
     let time = |k: u32| f64::from(k) / f64::from(last);
+    let named = |k: u32| NamedCamera { camera: camera.clone(), name: format!("t_{k:03}"), time: Some(time(k) as f32) };
+    let cameras: Vec<NamedCamera> = (0..=last).map(named).collect();
+    saved(save_cameras(&folder.join("camera.json"), &cameras, overwrite), &folder)?;
     (0..=last).into_par_iter().try_for_each(|k| {
         let stem = folder.join(format!("t_{k:03}"));
         still(truth, camera, time(k), &stem, overwrite)?;
+        save_png(&frames.join(format!("t_{k:03}.png")), &truth.picture(camera, time(k)))?;
         if k == last {
             return Ok(());
         }
