@@ -194,17 +194,17 @@ const CLOTH_WAVES: &[Wave] = &[
     Wave { amplitude: 0.04, wave: DVec2::new(6.0, -3.0), rate: 3.5 * TURN },
 ];
 
-/// A box sweeps over 150 degrees of an arc, lifted and turned on its way, and a cloth hangs behind it. The box makes 60 % of
+/// A box sweeps over 80 degrees of an arc, lifted and turned on its way, and a cloth hangs behind it. The box makes 60 % of
 /// its way while the time goes from 0.5 to 0.625, one of eight even intervals.
 fn reach() -> Vec<Body> {
     let carried = Motion {
-        start: DVec3::new(-0.1, 0.0, -0.3),
-        orbit_radius: 0.65,
-        orbit_phase: TURN * 105.0 / 360.0,
-        orbit_rate: TURN * 150.0 / 360.0,
+        start: DVec3::Z * -0.25,
+        orbit_radius: 0.5,
+        orbit_phase: TURN * 140.0 / 360.0,
+        orbit_rate: TURN * 80.0 / 360.0,
         spin_axis: DVec3::new(0.2, 0.1, 1.0),
-        spin_rate: -0.3 * TURN,
-        bob: DVec3::Z * 0.3,
+        spin_rate: -0.15 * TURN,
+        bob: DVec3::Z * 0.15,
         bob_rate: 0.5,
         burst: Some(Burst { from: 0.5, until: 0.625, share: 0.6 }),
         ..Motion::default()
@@ -214,24 +214,24 @@ fn reach() -> Vec<Body> {
     vec![
         Body {
             name: "box",
-            shape: Shape::Box { half: DVec3::new(0.2, 0.15, 0.22) },
+            shape: Shape::Box { half: DVec3::new(0.26, 0.2, 0.26) },
             motion: carried,
             colors: [[0.80, 0.22, 0.16], [0.98, 0.90, 0.70]],
-            pattern: 34.0,
+            pattern: 16.0,
         },
         Body {
             name: "cloth",
             shape: Shape::Sheet { half: DVec2::new(0.55, 0.6), waves: CLOTH_WAVES },
             motion: hung,
             colors: [[0.12, 0.36, 0.66], [0.85, 0.93, 0.96]],
-            pattern: 24.0,
+            pattern: 12.0,
         },
         Body {
             name: "floor",
-            shape: Shape::Box { half: DVec3::new(0.85, 0.85, 0.04) },
+            shape: Shape::Box { half: DVec3::new(0.75, 0.75, 0.04) },
             motion: Motion { start: DVec3::Z * -0.72, ..Motion::default() },
             colors: [[0.34, 0.36, 0.34], [0.82, 0.82, 0.76]],
-            pattern: 20.0,
+            pattern: 9.0,
         },
     ]
 }
