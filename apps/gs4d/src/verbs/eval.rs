@@ -4,7 +4,7 @@ use super::train::scores_text;
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use crate::{Global, parse};
-use gs_train::compare::{Metric, SetScores};
+use gs_train::compare::{MaskedImageScores, Metric, SetScores};
 use gs_train::data::Split;
 use gs_train::folders::{FolderScores, FolderTask, Quantise, TofOptions, VideoScore, score, tof_protocol};
 use gs_train::run::OpenRun;
@@ -206,19 +206,19 @@ type Column = (&'static str, usize, Vec<Option<f64>>, Option<f64>);
 
 fn columns(scores: &FolderScores) -> Vec<Column> {
     let SetScores { views, mean, .. } = &scores.images;
-    let plain: [(&str, usize, Vec<Option<f64>>, Option<f64>); 4] = [
+    let mut all: Vec<Column> = vec![
         ("psnr", 3, views.iter().map(|v| v.psnr.or(v.mse_is_zero().then_some(f64::INFINITY))).collect(), mean.psnr),
         ("ssim", 4, views.iter().map(|v| v.ssim).collect(), mean.ssim),
         ("ms-ssim", 4, views.iter().map(|v| v.ms_ssim).collect(), mean.ms_ssim),
         ("proxy", 4, views.iter().map(|v| v.perceptual_proxy).collect(), mean.perceptual_proxy),
     ];
-    let mut all = plain.to_vec();
     if let Some(means) = mean.masked {
-        let of = |value: fn(&gs_train::compare::MaskedImageScores) -> Option<f64>| -> (Vec<Option<f64>>, Option<f64>) {
-            (views.iter().map(|v| value(v.masked.as_ref()?)).collect(), value(&means))
+        let of = |name, digits, value: fn(&MaskedImageScores) -> Option<f64>| -> Column {
+            (name, digits, views.iter().map(|v| value(v.masked.as_ref()?)).collect(), value(&means))
         };
-        let [psnr, ssim, proxy] = [of(|m| m.psnr), of(|m| m.ssim), of(|m| m.perceptual_proxy)];
-        all.extend([("m-psnr", 3, psnr.0, psnr.1), ("m-ssim", 4, ssim.0, ssim.1), ("m-proxy", 4, proxy.0, proxy.1)]);
+        all.push(of("m-psnr", 3, |m| m.psnr));
+        all.push(of("m-ssim", 4, |m| m.ssim));
+        all.push(of("m-proxy", 4, |m| m.perceptual_proxy));
     }
     if let Some(tof) = &scores.tof {
         let of = |i: usize| tof.pairs.iter().find(|p| p.frame == i).map(|p| p.tof);
