@@ -12,7 +12,6 @@ use gs_core::speed::SpeedError;
 use gs_core::{Camera, Params, Rng, Splats, SplatsGrad, Time};
 use gs_deform::{Aabb, PlaneNetConfig};
 use gs_raster::{RasterOptions, Workspace, render};
-use std::path::Path;
 use std::time::{Duration, Instant};
 
 /// Anchors in view, as the specification's cost model has them.
@@ -58,9 +57,7 @@ fn measure(c: &mut Criterion, row: &Row, mut f: impl FnMut()) {
         error: Some(row.error),
         error_kind: row.error_kind,
     };
-    if let Err(e) = line.record(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/speed-error")) {
-        eprintln!("cannot append: {e}");
-    }
+    line.keep(env!("CARGO_MANIFEST_DIR"));
 }
 
 /// Anchors on a sphere with everything learnt a little.

@@ -9,7 +9,6 @@ use gs_core::io::{Limits, RawSplats, parse_splats, ply, splat, spz};
 use gs_core::speed::{SpeedError, median_seconds};
 use gs_core::{Rng, covariance, rot, sh};
 use std::hint::black_box;
-use std::path::Path;
 
 const ROWS: usize = 100_000;
 const REPEATS: usize = 15;
@@ -39,8 +38,8 @@ struct Case<'a> {
     run: Box<dyn FnMut() + 'a>,
 }
 
-/// Measures the case, prints its row and appends it to the folder's file.
-fn record(case: &mut Case<'_>, folder: &Path) {
+/// Measures the case and keeps its row.
+fn record(case: &mut Case<'_>) {
     let ms = 1e3 * median_seconds(REPEATS, &mut case.run);
     let row = SpeedError {
         krate: "gs-core",
@@ -53,7 +52,7 @@ fn record(case: &mut Case<'_>, folder: &Path) {
         error: Some(case.error),
         error_kind: case.error_kind,
     };
-    row.record(folder).expect("the speed-error file takes a line");
+    row.keep(env!("CARGO_MANIFEST_DIR"));
 }
 
 fn file_cases(splats: &RawSplats) -> Vec<Case<'_>> {
@@ -160,9 +159,8 @@ fn math_cases(splats: &RawSplats) -> Vec<Case<'_>> {
 fn main() {
     let mut criterion = Criterion::default().sample_size(10).configure_from_args();
     let splats = cloud(ROWS);
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/speed-error");
     for mut case in file_cases(&splats).into_iter().chain(math_cases(&splats)) {
-        record(&mut case, &folder);
+        record(&mut case);
         let mut group = criterion.benchmark_group(case.case);
         group.throughput(if case.unit == "B" { Throughput::Bytes(case.work) } else { Throughput::Elements(case.work) });
         group.bench_function(case.variant, |b| b.iter(&mut case.run));

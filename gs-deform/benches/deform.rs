@@ -14,7 +14,6 @@ use gs_deform::encode::{HexPlane, HexPlaneConfig, HexTape};
 use gs_deform::reference::HexPlaneRef;
 use gs_deform::{Aabb, DefGsConfig, DefMlp, Field, FourDgsConfig, HexPlaneField};
 use rayon::prelude::*;
-use std::path::Path;
 use std::time::{Duration, Instant};
 
 /// What a row says beside its time.
@@ -55,10 +54,7 @@ fn measure(c: &mut Criterion, row: &Row, mut f: impl FnMut()) -> f64 {
         error: Some(row.error),
         error_kind: row.error_kind,
     };
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/speed-error");
-    if let Err(e) = line.record(&folder) {
-        eprintln!("cannot append to {}: {e}", folder.display());
-    }
+    line.keep(env!("CARGO_MANIFEST_DIR"));
     ms
 }
 

@@ -7,41 +7,18 @@
 
 use glam::{DMat3, DVec3, Vec3};
 use gs_core::nn::gemm::{Mat, MatMut, Write, gemm};
-use gs_core::speed::{SpeedError, median_seconds};
 use gs_core::{Camera, Color, Params, Rng, Splats, SplatsGrad, Time};
 use gs_deform::encode::{Columns, HashGrid, HashGridConfig, Slice};
 use gs_deform::field::grid4d::{ExactConfig, StillOptions};
 use gs_deform::reference::Grid4dRef;
 use gs_deform::{DeformError, Field, Grid4dConfig, Grid4dField};
 use rayon::prelude::*;
-use std::path::Path;
+use rows::Rows;
+
+mod rows;
 
 const SPLATS: usize = 50_000;
-const RUNS: usize = 9;
-
-/// Measures, prints and records; returns milliseconds.
-fn row(case: &str, variant: &str, work: f64, error: Option<(f64, &'static str)>, f: impl FnMut()) -> f64 {
-    let ms = 1e3 * median_seconds(RUNS, f);
-    record(case, variant, work, error, ms);
-    ms
-}
-
-fn record(case: &str, variant: &str, work: f64, error: Option<(f64, &'static str)>, ms: f64) {
-    let line = SpeedError {
-        krate: "gs-deform",
-        case: case.to_owned(),
-        variant: variant.to_owned(),
-        n: SPLATS,
-        threads: rayon::current_num_threads(),
-        ms,
-        work,
-        error: error.map(|e| e.0),
-        error_kind: error.map_or("measured elsewhere", |e| e.1),
-    };
-    if let Err(e) = line.record(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/speed-error")) {
-        eprintln!("cannot append: {e}");
-    }
-}
+const ROWS: Rows = Rows { n: SPLATS, runs: 9 };
 
 fn moment(normalised: f32) -> Time {
     Time { normalised, seconds: f64::from(normalised) }
@@ -100,8 +77,9 @@ fn roof() -> f64 {
     let want: f64 = (0..side).map(|k| f64::from(a[k]) * f64::from(b[k * side])).sum();
     let error = (f64::from(out[0][0]) - want).abs() / (side as f64).sqrt();
     let work = 2.0 * (side * side * side * threads) as f64;
-    let ms =
-        row("gemm", "roof 1024^3", work, Some((error, "entry against f64")), || out.par_iter_mut().for_each(product));
+    let ms = ROWS.measured("gemm", "roof 1024^3", work, Some((error, "entry against f64")), || {
+        out.par_iter_mut().for_each(product)
+    });
     work / ms / 1e6
 }
 
@@ -132,8 +110,8 @@ fn grids(field: &Grid4dField, s: &Splats) -> [f64; 2] {
     };
     let work = SPLATS as f64;
     [
-        row("fags grids", "forward", work, None, || run(false)),
-        row("fags grids", "forward and backward", work, None, || run(true)),
+        ROWS.measured("fags grids", "forward", work, None, || run(false)),
+        ROWS.measured("fags grids", "forward and backward", work, None, || run(true)),
     ]
 }
 
@@ -185,18 +163,19 @@ fn training(s: &Splats, roof: f64) -> Result<(), DeformError> {
     let flops = 2.0 * (SPLATS * (space * width + time * width + width * head + head * space)) as f64;
     let (mut tape, mut out, mut d) = (Default::default(), Splats::default(), SplatsGrad::zeros_like(s));
     let d_out = SplatsGrad { means: s.means.clone(), ..SplatsGrad::zeros_like(s) };
-    let forward = row("fags", "forward", flops, error, || field.forward(s, moment(0.37), &mut tape, &mut out));
-    let both = row("fags", "forward and backward", 3.0 * flops, error, || {
+    let forward =
+        ROWS.measured("fags", "forward", flops, error, || field.forward(s, moment(0.37), &mut tape, &mut out));
+    let both = ROWS.measured("fags", "forward and backward", 3.0 * flops, error, || {
         field.forward(s, moment(0.37), &mut tape, &mut out);
         field.backward(s, &mut tape, &d_out, &mut d);
     });
     for (variant, ms, work) in
         [("forward", forward - grid_forward, flops), ("both ways", both - grid_both, 3.0 * flops)]
     {
-        record("fags dense part", variant, work, dense_error, ms);
+        ROWS.keep("fags dense part", variant, work, dense_error, ms);
         println!("    {:.0} % of the roof of {roof:.0} GFLOP/s", 100.0 * work / ms / 1e6 / roof);
     }
-    row("fags", "smoothness, a tenth of the splats", SPLATS as f64, None, || {
+    ROWS.measured("fags", "smoothness, a tenth of the splats", SPLATS as f64, None, || {
         field.regularise(s, moment(0.37), 1);
     });
     Ok(())
@@ -222,7 +201,7 @@ fn savings(s: &Splats) -> Result<(), DeformError> {
         let error = Some((largest(layers).max(largest(means)), "gradients against all savings"));
         let (mut tape, mut out, mut d) = (Default::default(), Splats::default(), SplatsGrad::zeros_like(s));
         let d_out = SplatsGrad { means: s.means.clone(), ..SplatsGrad::zeros_like(s) };
-        row("fags savings", variant, SPLATS as f64, error, || {
+        ROWS.measured("fags savings", variant, SPLATS as f64, error, || {
             field.forward(s, moment(0.37), &mut tape, &mut out);
             field.backward(s, &mut tape, &d_out, &mut d);
         });
@@ -241,7 +220,7 @@ fn drawing(s: &Splats) -> Result<(), DeformError> {
         field.forward(s, moment(0.6), &mut Default::default(), &mut want);
         let same = largest(out.means.iter().zip(&want.means).map(|(a, b)| (f64::from(a.x), f64::from(b.x))));
         let error = Some((same, "against the field's own forward"));
-        row("fags drawing", variant, SPLATS as f64, error, || frozen.forward(moment(0.6), &mut out));
+        ROWS.measured("fags drawing", variant, SPLATS as f64, error, || frozen.forward(moment(0.6), &mut out));
     }
     let field = field(&on)?;
     let (rotation, translation) = (DMat3::IDENTITY, DVec3::new(0.0, 0.0, 4.0));
@@ -264,7 +243,7 @@ fn drawing(s: &Splats) -> Result<(), DeformError> {
             }
         }
         let variant = format!("still below {pixels} px");
-        row("fags drawing", &variant, SPLATS as f64, Some((worst, "px on screen, between probes")), || {
+        ROWS.measured("fags drawing", &variant, SPLATS as f64, Some((worst, "px on screen, between probes")), || {
             frozen.forward(moment(0.6), &mut out)
         });
         println!("    {} of {} left still, bound {:.3} px", report.still, report.splats, report.bound_pixels);

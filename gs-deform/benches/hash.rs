@@ -12,7 +12,6 @@ use gs_core::{Params, Rng};
 use gs_deform::encode::{Columns, HashGrid, HashGridConfig, Slice};
 use gs_deform::reference::HashGridRef;
 use std::hint::black_box;
-use std::path::Path;
 
 const POINTS: usize = 50_000;
 
@@ -49,9 +48,7 @@ fn row(row: &Row, work: impl FnMut()) {
         error: Some(row.error),
         error_kind: row.error_kind,
     };
-    if let Err(e) = line.record(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/speed-error")) {
-        eprintln!("cannot append: {e}");
-    }
+    line.keep(env!("CARGO_MANIFEST_DIR"));
     println!("    {:.2} ns per point and level", 1e9 * seconds / (POINTS * row.levels) as f64);
 }
 

@@ -7,16 +7,17 @@
 
 use glam::Vec3;
 use gs_core::nn::gemm::{Mat, MatMut, Write, gemm};
-use gs_core::speed::{SpeedError, median_seconds};
 use gs_core::{Params, Rng, Time};
 use gs_deform::encode::{HexPlane, HexPlaneConfig, HexTape};
 use gs_deform::reference::PlaneNetRef;
 use gs_deform::{Aabb, DeformError, PlaneNet, PlaneNetConfig, PlaneNetTape};
 use rayon::prelude::*;
-use std::path::Path;
+use rows::Rows;
+
+mod rows;
 
 const POINTS: usize = 50_000;
-const RUNS: usize = 15;
+const ROWS: Rows = Rows { n: POINTS, runs: 15 };
 
 /// A net to measure.
 struct Case {
@@ -40,30 +41,6 @@ const CASES: [Case; 3] = [
         moving: false,
     },
 ];
-
-/// Measures, prints and records; returns milliseconds.
-fn row(case: &str, variant: &str, work: f64, error: Option<(f64, &'static str)>, f: impl FnMut()) -> f64 {
-    let ms = 1e3 * median_seconds(RUNS, f);
-    record(case, variant, work, error, ms);
-    ms
-}
-
-fn record(case: &str, variant: &str, work: f64, error: Option<(f64, &'static str)>, ms: f64) {
-    let line = SpeedError {
-        krate: "gs-deform",
-        case: case.to_owned(),
-        variant: variant.to_owned(),
-        n: POINTS,
-        threads: rayon::current_num_threads(),
-        ms,
-        work,
-        error: error.map(|e| e.0),
-        error_kind: error.map_or("measured elsewhere", |e| e.1),
-    };
-    if let Err(e) = line.record(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/speed-error")) {
-        eprintln!("cannot append: {e}");
-    }
-}
 
 fn random(n: usize, name: &str) -> Vec<f32> {
     let mut rng = Rng::new(1, name, 0, 0);
@@ -95,8 +72,9 @@ fn roof() -> f64 {
     let want: f64 = (0..side).map(|k| f64::from(a[k]) * f64::from(b[k * side])).sum();
     let error = (f64::from(out[0][0]) - want).abs() / (side as f64).sqrt();
     let work = 2.0 * (side * side * side * threads) as f64;
-    let ms =
-        row("gemm", "roof 1024^3", work, Some((error, "entry against f64")), || out.par_iter_mut().for_each(product));
+    let ms = ROWS.measured("gemm", "roof 1024^3", work, Some((error, "entry against f64")), || {
+        out.par_iter_mut().for_each(product)
+    });
     work / ms / 1e6
 }
 
@@ -171,8 +149,8 @@ fn planes(case: &Case, hex: &HexPlane, points: &[Vec3]) -> [f64; 2] {
     };
     let name = format!("planes of {}", case.name);
     [
-        row(&name, "forward", POINTS as f64, None, || run(false)),
-        row(&name, "forward and backward", POINTS as f64, None, || run(true)),
+        ROWS.measured(&name, "forward", POINTS as f64, None, || run(false)),
+        ROWS.measured(&name, "forward and backward", POINTS as f64, None, || run(true)),
     ]
 }
 
@@ -196,13 +174,13 @@ fn training(case: &Case, roof: f64) -> Result<(), DeformError> {
             net.backward(&mut tape, case.moving.then_some(d_points.as_mut_slice()));
         }
     };
-    let forward = row(case.name, "forward", flops, error[0], || run(false));
-    let both = row(case.name, "forward and backward", 3.0 * flops, error[1], || run(true));
+    let forward = ROWS.measured(case.name, "forward", flops, error[0], || run(false));
+    let both = ROWS.measured(case.name, "forward and backward", 3.0 * flops, error[1], || run(true));
     for (variant, ms, work, error) in [
         ("forward", forward - plane_forward, flops, error[0]),
         ("forward and backward", both - plane_both, 3.0 * flops, error[1]),
     ] {
-        record(&format!("dense of {}", case.name), variant, work, error, ms);
+        ROWS.keep(&format!("dense of {}", case.name), variant, work, error, ms);
         println!("    {:.0} % of the roof of {roof:.0} GFLOP/s", 100.0 * work / ms / 1e6 / roof);
     }
     Ok(())
@@ -217,10 +195,10 @@ fn places() -> Result<(), DeformError> {
     hex.forward_placed(&found, moment(), &mut tape);
     let differs = tape.blocks.iter().zip(&want.blocks).any(|(a, b)| a.features != b.features);
     let error = Some((f64::from(u8::from(differs)), "1 if a bit differs"));
-    let anew = row("planes, points that stay", "placed anew", POINTS as f64, error, || {
+    let anew = ROWS.measured("planes, points that stay", "placed anew", POINTS as f64, error, || {
         hex.forward(&points, moment(), &mut tape);
     });
-    let once = row("planes, points that stay", "placed once", POINTS as f64, error, || {
+    let once = ROWS.measured("planes, points that stay", "placed once", POINTS as f64, error, || {
         hex.forward_placed(&found, moment(), &mut want);
     });
     println!("    forward pass of the planes in {:.0} % of the time", 100.0 * once / anew);

@@ -7,7 +7,6 @@ mod fourier;
 mod reference;
 
 use std::hint::black_box;
-use std::path::Path;
 
 use criterion::Criterion;
 use fourier::amplitude_loss64;
@@ -37,7 +36,6 @@ fn pair(side: usize) -> (Image, Image) {
 
 /// Times `f` with 1 and 2 threads and writes the rows.
 fn measure(criterion: &mut Criterion, row: &Row, mut f: impl FnMut() + Send) {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/speed-error");
     for threads in [1, 2] {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
         let seconds = pool.install(|| median_seconds(15, &mut f));
@@ -52,9 +50,7 @@ fn measure(criterion: &mut Criterion, row: &Row, mut f: impl FnMut() + Send) {
             error: row.error,
             error_kind: row.error_kind,
         };
-        if let Err(e) = line.record(&folder) {
-            println!("no row written to {}: {e}", folder.display());
-        }
+        line.keep(env!("CARGO_MANIFEST_DIR"));
         let name = format!("{}/{}/{}px/{}t", row.case, row.variant, row.side, threads);
         criterion.bench_function(&name, |b| b.iter(|| pool.install(&mut f)));
     }

@@ -9,7 +9,6 @@ use gs_raster::measure::{Roofs, camera, kernels, rows, scene};
 use gs_raster::{
     Frame, FrameGrad, RasterOptions, ScreenStats, SimdLevel, Workspace, render_backward_into, render_into,
 };
-use std::path::Path;
 use std::time::Duration;
 
 fn pool(threads: usize) -> rayon::ThreadPool {
@@ -40,11 +39,8 @@ fn record(case: &str, splats: &Splats, camera: &Camera, simd: SimdLevel) {
 }
 
 fn record_with(case: &str, splats: &Splats, camera: &Camera, options: &RasterOptions) {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/speed-error");
     for row in rows(case, splats, camera, options, 11, 48) {
-        if let Err(e) = row.record(&folder) {
-            eprintln!("{}: {e}", folder.display());
-        }
+        row.keep(env!("CARGO_MANIFEST_DIR"));
     }
 }
 

@@ -2,7 +2,6 @@
 //! the terminal and to `target/speed-error/gs-train.jsonl`.
 
 use std::collections::BTreeMap;
-use std::path::Path;
 use std::sync::Arc;
 
 use criterion::Criterion;
@@ -12,13 +11,6 @@ use gs_train::adam::{Adam, Refused, Update};
 use gs_train::methods::{METHODS, MethodEntry};
 use gs_train::synth::{self, SynthOptions};
 use gs_train::trainer::{Phases, TrainOptions, Trainer};
-
-fn record(line: SpeedError) {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/speed-error");
-    if let Err(e) = line.record(&folder) {
-        println!("no row written to {}: {e}", folder.display());
-    }
-}
 
 /// A block of `rows × 51` values (the parameters of a cloud at SH degree 3 but for its centres, quats and scales).
 fn block(rows: usize) -> Param {
@@ -59,7 +51,7 @@ fn adam_rows(criterion: &mut Criterion) {
                 pool.install(|| adam.update(&mut p, update_rule, &mut Refused::default()));
             };
             let ms = 1e3 * median_seconds(15, &mut update);
-            record(SpeedError {
+            SpeedError {
                 krate: "gs-train",
                 case: "adam".into(),
                 variant: variant.into(),
@@ -69,7 +61,8 @@ fn adam_rows(criterion: &mut Criterion) {
                 work: (rows * 51) as f64,
                 error: (!sparse).then_some(error),
                 error_kind: "worst absolute after 10 updates of 1e-2",
-            });
+            }
+            .keep(env!("CARGO_MANIFEST_DIR"));
             criterion.bench_function(&format!("adam/{variant}/5.1M/{threads}t"), |b| b.iter(&mut update));
         }
     }
@@ -119,7 +112,7 @@ fn phase_rows() {
             let line: Vec<String> = ms.iter().map(|(name, ms)| format!("{name} {ms:.2}")).collect();
             println!("{:9} fast, {splats} splats, 400x400, {threads}t  ms: {}", entry.name, line.join("  "));
             for (case, ms) in ms {
-                record(SpeedError {
+                SpeedError {
                     krate: "gs-train",
                     case: format!("train {case}"),
                     variant: entry.name.into(),
@@ -129,7 +122,8 @@ fn phase_rows() {
                     work: splats as f64,
                     error: None,
                     error_kind: "see the parts",
-                });
+                }
+                .keep(env!("CARGO_MANIFEST_DIR"));
             }
         }
     }

@@ -4,10 +4,10 @@
 //! Where a mask is given there are scores where it counts, too: PSNR and SSIM of DyCheck ([`gs_metrics::masked`]) and the
 //! masked proxy.
 
+use crate::evaluate::MaskedScores;
 use gs_core::Image;
 use gs_metrics::{
-    Mean, MetricError, MsSsim, MsSsimOptions, Ssim, SsimOptions, masked_perceptual_proxy, masked_psnr, masked_ssim,
-    mse, perceptual_proxy, psnr_from_mse, psnr_of_mean_mse,
+    Mean, MetricError, MsSsim, MsSsimOptions, Ssim, SsimOptions, mse, perceptual_proxy, psnr_from_mse, psnr_of_mean_mse,
 };
 use serde::Serialize;
 
@@ -45,46 +45,9 @@ pub struct ImageScores {
     pub ms_ssim: Option<f64>,
     /// Perceptual distance.
     pub perceptual_proxy: Option<f64>,
-    /// Scores where the mask counts; absent without one.
+    /// Scores where the mask counts; absent without one, or with an empty one.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub masked: Option<MaskedImageScores>,
-}
-
-/// The scores of one image where its mask counts, or their means.
-#[derive(Clone, Copy, Debug, PartialEq, Default, Serialize)]
-pub struct MaskedImageScores {
-    /// dB; absent for no error (infinite).
-    pub psnr: Option<f64>,
-    /// SSIM over the whole map, places that see nothing of the mask counting 1: the published number.
-    pub ssim: Option<f64>,
-    /// SSIM over places that see something of the mask.
-    pub ssim_seen: Option<f64>,
-    /// Masked perceptual distance; not LPIPS.
-    pub perceptual_proxy: Option<f64>,
-}
-
-impl MaskedImageScores {
-    fn of(image: &Image, truth: &Image, mask: &Image) -> Result<Self, MetricError> {
-        let ssim = masked_ssim(image, truth, mask)?;
-        Ok(Self {
-            psnr: Some(masked_psnr(image, truth, mask)?).filter(|p| p.is_finite()),
-            ssim: Some(ssim.whole),
-            ssim_seen: Some(ssim.seen),
-            perceptual_proxy: Some(masked_perceptual_proxy(image, truth, mask)?),
-        })
-    }
-
-    /// Means, each over the images that have a value; none without masks.
-    fn mean(views: &[ImageScores]) -> Option<Self> {
-        let of =
-            |value: fn(&Self) -> Option<f64>| Mean::of(views.iter().filter_map(|v| value(v.masked.as_ref()?))).value;
-        Some(Self {
-            psnr: of(|m| m.psnr),
-            ssim: Some(of(|m| m.ssim)?),
-            ssim_seen: of(|m| m.ssim_seen),
-            perceptual_proxy: of(|m| m.perceptual_proxy),
-        })
-    }
+    pub masked: Option<MaskedScores>,
 }
 
 impl ImageScores {
@@ -107,7 +70,7 @@ pub struct Means {
     pub perceptual_proxy: Option<f64>,
     /// Means of the masked scores, where there are masks.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub masked: Option<MaskedImageScores>,
+    pub masked: Option<MaskedScores>,
 }
 
 /// The scores of a set of images.
@@ -142,7 +105,7 @@ impl Comparer {
     /// Scores an image `[H, W, C]` against its truth, and once more where the mask `[H, W, 1]` counts if there is one.
     ///
     /// # Errors
-    /// Different shapes, values that are not finite, an empty mask, an image too small for SSIM.
+    /// Different shapes, values that are not finite, an image too small for SSIM.
     pub fn add(&mut self, name: &str, image: &Image, truth: &Image, mask: Option<&Image>) -> Result<(), MetricError> {
         let mut scores = ImageScores { name: name.to_owned(), ..ImageScores::default() };
         for metric in self.metrics.clone() {
@@ -156,7 +119,7 @@ impl Comparer {
                 Metric::PerceptualProxy => scores.perceptual_proxy = Some(perceptual_proxy(image, truth)?),
             }
         }
-        scores.masked = mask.map(|m| MaskedImageScores::of(image, truth, m)).transpose()?;
+        scores.masked = mask.map(|m| MaskedScores::of(image, truth, m)).transpose()?.flatten();
         scores.psnr = scores.mse.map(psnr_from_mse).filter(|p| p.is_finite());
         self.views.push(scores);
         Ok(())
@@ -172,7 +135,7 @@ impl Comparer {
                 ssim: mean(|v| v.ssim),
                 ms_ssim: mean(|v| v.ms_ssim),
                 perceptual_proxy: mean(|v| v.perceptual_proxy),
-                masked: MaskedImageScores::mean(&self.views),
+                masked: MaskedScores::mean(self.views.iter().filter_map(|v| v.masked)),
             },
             psnr_of_mean_mse: psnr_of_mean_mse(&mses).filter(|p| p.is_finite()),
             perfect_views: self.views.iter().filter(|v| v.mse_is_zero()).count(),
@@ -211,7 +174,7 @@ mod tests {
         let s = c.finish();
         assert_eq!((s.perfect_views, s.mean.ssim, s.mean.perceptual_proxy), (0, None, None));
         let masked = s.mean.masked.unwrap();
-        assert_eq!((masked.psnr, masked.ssim, masked.perceptual_proxy), (None, Some(1.0), Some(0.0)));
+        assert_eq!((masked.psnr, masked.ssim, masked.perceptual_proxy), (None, Some(1.0), 0.0));
         assert!(s.mean.psnr.unwrap() < 40.0, "the whole image has an error");
         assert!(Comparer::new(&[Metric::Psnr]).add("a", &image, &Image::zeros(3, 3, 3), None).is_err());
     }

@@ -54,11 +54,11 @@ pub struct DensityRules {
 /// What a pass of density control did.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Adapted {
-    /// Splats copied.
+    /// Splats copied, or anchors added.
     pub cloned: u32,
     /// Splats replaced by two.
     pub split: u32,
-    /// Splats removed (parents of splits not counted).
+    /// Splats or anchors removed (parents of splits not counted).
     pub pruned: u32,
     /// Whether opacities were reset.
     pub reset: bool,

@@ -40,7 +40,7 @@ pub struct MaskedScores {
 
 impl MaskedScores {
     /// The scores of an image against its truth, `[H, W, 3]`, where `mask`, `[H, W, 1]`, counts. None for an empty mask.
-    fn of(image: &Image, truth: &Image, mask: &Image) -> Result<Option<Self>, MetricError> {
+    pub(crate) fn of(image: &Image, truth: &Image, mask: &Image) -> Result<Option<Self>, MetricError> {
         let mse = match masked_mse(image, truth, mask) {
             Err(MetricError::EmptyMask) => return Ok(None),
             other => other?,
@@ -59,7 +59,7 @@ impl MaskedScores {
     }
 
     /// Means over views, each over those that have a value; none without any.
-    fn mean(all: impl Iterator<Item = Self> + Clone) -> Option<Self> {
+    pub(crate) fn mean(all: impl Iterator<Item = Self> + Clone) -> Option<Self> {
         let of = |value: fn(&Self) -> Option<f64>| Mean::of(all.clone().filter_map(|s| value(&s))).value;
         Some(Self {
             part: of(|s| Some(s.part))?,

@@ -106,6 +106,23 @@ impl Row {
         }
     }
 
+    /// Headings of [`Row::cells`].
+    pub const HEADS: [&str; 7] = ["PSNR", "SSIM", "proxy", "MB", "seconds", "splats", "steps"];
+
+    /// Its numbers as text, `absent` for those it has not.
+    pub fn cells(&self, absent: &str) -> [String; 7] {
+        let number = |v: Option<f64>, digits: usize| v.map_or(absent.to_owned(), |v| format!("{v:.digits$}"));
+        [
+            number(self.psnr, 2),
+            number(self.ssim, 4),
+            number(self.proxy, 4),
+            number(self.megabytes, 3),
+            number(self.seconds, 1),
+            number(self.splats, 0),
+            self.steps.to_string(),
+        ]
+    }
+
     /// The setting in words.
     pub fn label(&self) -> String {
         match (&self.key, &self.value) {

@@ -159,6 +159,11 @@ pub trait Method: Params + Send + Sync {
         self.splats(at, camera)
     }
 
+    /// What of its configuration will not do what it seems to, for people.
+    fn warnings(&self) -> Vec<String> {
+        Vec::new()
+    }
+
     /// What happened since the last call and is worth keeping (how interval boundaries moved, say); one line each,
     /// with its `step`.
     fn journal(&mut self) -> Vec<serde_json::Value> {

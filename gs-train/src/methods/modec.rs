@@ -73,6 +73,12 @@ fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Box<dyn Method>, Meth
     let mut config: Config = parse_config(ENTRY.name, table)?;
     let wrong = |why: String| MethodError::Config { method: ENTRY.name, why };
     config.ablate.clone().apply(PARTS, &mut config).map_err(wrong)?;
+    if !(1..=2).contains(&config.logits) {
+        return Err(wrong(format!("logits = {}: 1 (shared) or 2", config.logits)));
+    }
+    if !(config.sparsity.weight >= 0.0 && config.sparsity.weight.is_finite()) {
+        return Err(wrong(format!("sparsity.weight = {}: finite, not negative", config.sparsity.weight)));
+    }
     let [min, max] = scene.bounds;
     let margin = config.margin * min.distance(max);
     let aabb = Aabb::new(min - margin, max + margin).map_err(|e| wrong(e.to_string()))?;
@@ -96,7 +102,7 @@ fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Box<dyn Method>, Meth
         adapt: config.adapt,
         dynamics,
         motion,
-        sparsity: config.sparsity.penalty(),
+        sparsity: Some(config.sparsity),
     };
     Ok(Box::new(Anchored::new(parts, scene)?))
 }

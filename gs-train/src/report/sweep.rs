@@ -49,20 +49,14 @@ fn curves(rows: &[Row], quality: fn(&Row) -> Option<f64>) -> Vec<Curve> {
 }
 
 fn rows_table(rows: &[Row]) -> String {
-    let number = |v: Option<f64>, digits: usize| v.map_or("–".to_owned(), |v| format!("{v:.digits$}"));
     let cells = rows.iter().map(|r| {
+        let label = r.label() + if r.preset && r.key.is_some() { " (the preset's)" } else { "" };
         let deviation = r.psnr_deviation.filter(|d| *d > 0.0).map_or(String::new(), |d| format!(" ± {d:.2}"));
-        vec![
-            r.label() + if r.preset && r.key.is_some() { " (the preset's)" } else { "" },
-            number(r.psnr, 2) + &deviation,
-            number(r.ssim, 4),
-            number(r.proxy, 4),
-            number(r.megabytes, 3),
-            number(r.seconds, 1),
-            number(r.splats, 0),
-            r.steps.to_string(),
-        ]
+        let mut cells = vec![label];
+        cells.extend(r.cells("–"));
+        cells[1].push_str(&deviation);
+        cells
     });
-    let head = ["setting", "PSNR, dB", "SSIM", "proxy", "MB", "seconds", "splats", "steps"];
+    let head = [&["setting"], &Row::HEADS[..]].concat();
     table(&head, &[1, 2, 3, 4, 5, 6, 7], cells)
 }

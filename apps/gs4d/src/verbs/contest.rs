@@ -25,27 +25,41 @@ pub struct ContestVerb {
     /// Preset of entries that name none.
     #[arg(long, default_value = "fast")]
     preset: String,
-    /// Seeds; every entry runs once with each.
+    #[command(flatten)]
+    trials: Trials,
+}
+
+/// How trials are made, the same for all.
+#[derive(clap::Args)]
+pub struct Trials {
+    /// Seeds; everything runs once with each.
     #[arg(long, value_delimiter = ',', default_value = "0")]
-    seeds: Vec<u64>,
+    pub seeds: Vec<u64>,
     /// Training time of every trial: recipes are stretched or compressed to fill it.
     #[arg(long, value_name = "TIME", value_parser = parse::duration, conflicts_with = "steps")]
     time_budget: Option<Duration>,
     /// Steps of every trial.
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
     steps: Option<u32>,
-    /// A setting of all entries (repeatable).
+    /// A setting of all trials (repeatable).
     #[arg(long = "set", value_name = "KEY=VALUE")]
-    sets: Vec<String>,
-    /// Folder of the trials; those that stand in it are not made again.
+    pub sets: Vec<String>,
+    /// Folder of the trials and of what comes of them; trials that stand in it are not made again.
     #[arg(short, long, value_name = "DIR")]
-    out: PathBuf,
+    pub out: PathBuf,
+}
+
+impl Trials {
+    /// How long each of them is.
+    pub fn length(&self) -> Length {
+        Length::of(self.time_budget, self.steps)
+    }
 }
 
 impl ContestVerb {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
-        let length = Length::of(self.time_budget, self.steps);
-        let Self { data, entries, preset, seeds, sets, out: root, .. } = self;
+        let length = self.trials.length();
+        let Self { data, entries, preset, trials: Trials { seeds, sets, out: root, .. } } = self;
         let contest = Contest { data, root, preset, entries, seeds, length, sets };
         let standings = follow(global, |stop, tell| contest.run(stop, tell))?.map_err(failure)?;
         Ok(Answer::new(table(&standings), to_json(&standings)))

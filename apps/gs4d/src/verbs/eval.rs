@@ -4,8 +4,9 @@ use super::train::scores_text;
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use crate::{Global, parse};
-use gs_train::compare::{MaskedImageScores, Metric, SetScores};
+use gs_train::compare::{Metric, SetScores};
 use gs_train::data::Split;
+use gs_train::evaluate::MaskedScores;
 use gs_train::folders::{FolderScores, FolderTask, Quantise, TofOptions, VideoScore, score, tof_protocol};
 use gs_train::run::OpenRun;
 use gs_train::run::folder::METRICS;
@@ -213,12 +214,12 @@ fn columns(scores: &FolderScores) -> Vec<Column> {
         ("proxy", 4, views.iter().map(|v| v.perceptual_proxy).collect(), mean.perceptual_proxy),
     ];
     if let Some(means) = mean.masked {
-        let of = |name, digits, value: fn(&MaskedImageScores) -> Option<f64>| -> Column {
+        let of = |name, digits, value: fn(&MaskedScores) -> Option<f64>| -> Column {
             (name, digits, views.iter().map(|v| value(v.masked.as_ref()?)).collect(), value(&means))
         };
         all.push(of("m-psnr", 3, |m| m.psnr));
         all.push(of("m-ssim", 4, |m| m.ssim));
-        all.push(of("m-proxy", 4, |m| m.perceptual_proxy));
+        all.push(of("m-proxy", 4, |m| Some(m.perceptual_proxy)));
     }
     if let Some(tof) = &scores.tof {
         let of = |i: usize| tof.pairs.iter().find(|p| p.frame == i).map(|p| p.tof);

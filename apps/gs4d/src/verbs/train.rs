@@ -138,6 +138,9 @@ fn describe(training: &Training, global: &Global) {
     for note in &data.notes {
         global.say(format!("note: {note}"));
     }
+    for warning in training.trainer().method().warnings() {
+        global.say(format!("warning: {warning}"));
+    }
     global.detail(format!("time: {}; threads: {}", data.time_source, rayon::current_num_threads()));
 }
 

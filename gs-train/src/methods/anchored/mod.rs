@@ -12,7 +12,7 @@ mod motion;
 mod rest;
 
 pub use forward::{Filter, Statistics};
-pub use motion::{Motion, SparsityConfig, SparsityKind};
+pub use motion::{Motion, SparsityConfig};
 pub use rest::{RestOptions, RestReport};
 
 use crate::density::Adapted;
@@ -21,7 +21,6 @@ use crate::moment::Moment;
 use crate::schedule::Schedule;
 use drawing::Cache;
 use forward::Tape;
-use gs_anchor::gad::Sparsity;
 use gs_anchor::{
     Adapt, AdaptAt, AdaptRules, AnchorInit, AnchorShape, AnchorView, Anchors, Decoder, DecoderConfig, Intervals,
     StorageSizes, StorageTable,
@@ -43,8 +42,6 @@ pub struct AnchorConfig {
     pub offsets: usize,
     /// Width of the feature, `C`.
     pub features: usize,
-    /// No more anchors than this.
-    pub max_anchors: u32,
     /// Which anchors are decoded.
     pub filter: Filter,
     /// Which views of a batch are observed for growth and intervals.
@@ -69,8 +66,8 @@ pub struct Parts {
     pub dynamics: usize,
     /// What moves.
     pub motion: Motion,
-    /// Penalty on the logits of motion and its weight.
-    pub sparsity: Option<(Sparsity, f32)>,
+    /// Penalty on the logits of motion.
+    pub sparsity: Option<SparsityConfig>,
 }
 
 /// Anchors under training.
@@ -79,7 +76,7 @@ pub struct Anchored {
     schedule: Schedule,
     config: AnchorConfig,
     rules: AdaptRules,
-    sparsity: Option<(Sparsity, f32)>,
+    sparsity: Option<SparsityConfig>,
     anchors: Anchors,
     decoder: Decoder,
     motion: Motion,
@@ -108,21 +105,21 @@ impl Anchored {
     pub fn new(parts: Parts, scene: &SceneInfo) -> Result<Self, MethodError> {
         parts.schedule.check()?;
         let wrong = |why: String| MethodError::Config { method: parts.name, why };
-        let AnchorConfig { voxel, stride, offsets, features, max_anchors, .. } = parts.anchors;
+        let AnchorConfig { voxel, stride, offsets, features, .. } = parts.anchors;
         if parts.anchors.gradient_batch == 0 {
             return Err(wrong("anchors.gradient_batch = 0: at least 1 view".into()));
         }
         parts.adapt.check().map_err(|e| wrong(format!("adapt: {e}")))?;
         let shape = AnchorShape { offsets, features, dynamics: parts.dynamics };
         let decoder = Decoder::new(&parts.decoder, shape, scene.seed).map_err(|e| wrong(e.to_string()))?;
-        let init = AnchorInit { voxel, stride, max_anchors };
+        let init = AnchorInit { voxel, stride, max_anchors: parts.adapt.max_anchors };
         let first = gs_anchor::anchors_from_points(&scene.points.positions, shape, &init)
             .map_err(|e| MethodError::Scene(e.to_string()))?;
         Ok(Self {
             name: parts.name,
             schedule: parts.schedule,
             config: parts.anchors,
-            rules: AdaptRules { max_anchors, ..parts.adapt },
+            rules: parts.adapt,
             sparsity: parts.sparsity,
             adapt: Adapt::new(&first.anchors),
             anchors: first.anchors,
@@ -252,8 +249,9 @@ impl Method for Anchored {
             return Vec::new();
         }
         let mut penalties = self.motion.regularise();
-        let anchors = &mut self.anchors;
-        penalties.extend(self.sparsity.map(|(kind, weight)| ("motion", kind.penalise(anchors, weight))));
+        if let Some(SparsityConfig { kind, weight }) = self.sparsity.filter(|s| s.weight > 0.0) {
+            penalties.push(("motion", kind.penalise(&mut self.anchors, weight)));
+        }
         penalties
     }
 
@@ -292,6 +290,10 @@ impl Method for Anchored {
         }
         self.cache.forget();
         adapted
+    }
+
+    fn warnings(&self) -> Vec<String> {
+        self.motion.intervals.iter().filter_map(Intervals::warning).collect()
     }
 
     fn journal(&mut self) -> Vec<Value> {

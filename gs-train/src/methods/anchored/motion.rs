@@ -7,41 +7,14 @@ use gs_deform::{Field, HexPlaneField};
 use gs_raster::ScreenStats;
 use serde::{Deserialize, Serialize};
 
-/// What is penalised about the logits of motion.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum SparsityKind {
-    /// Nothing.
-    None,
-    /// The mean of `σ`.
-    Mean,
-    /// The mean of `−σ ln σ`.
-    Entropy,
-    /// The mean of `σ(d_G)`.
-    Global,
-}
-
 /// A penalty on the logits of motion, so that anchors rest unless the picture needs them to move.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SparsityConfig {
     /// What is penalised.
-    pub kind: SparsityKind,
-    /// Its weight.
+    pub kind: Sparsity,
+    /// Its weight; 0: nothing is penalised.
     pub weight: f32,
-}
-
-impl SparsityConfig {
-    /// The penalty and its weight, if there is one.
-    pub fn penalty(&self) -> Option<(Sparsity, f32)> {
-        let kind = match self.kind {
-            SparsityKind::None => return None,
-            SparsityKind::Mean => Sparsity::Mean,
-            SparsityKind::Entropy => Sparsity::Entropy,
-            SparsityKind::Global => Sparsity::Global,
-        };
-        Some((kind, self.weight))
-    }
 }
 
 /// The parts of the motion; those that are absent leave the scene as it is.
