@@ -173,6 +173,7 @@ pub fn split_name(split: Split) -> &'static str {
         Split::Train => "train",
         Split::Val => "val",
         Split::Test => "test",
+        Split::Extrapolate => "extrapolate",
     }
 }
 

@@ -63,7 +63,7 @@ fn one() -> u32 {
 }
 
 /// A stretch of a run.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Stage {
     /// Stages follow each other by this number.
@@ -77,6 +77,16 @@ pub struct Stage {
     /// Learning rates and density control count steps from the start of this stage, and the optimiser forgets its
     /// moments there (4DGaussians). Otherwise they count from the start of the run (Deformable 3DGS).
     pub own_clock: bool,
+    /// Only views of the first moment are learnt from (TRACE's warm-up).
+    #[serde(default)]
+    pub first_moment: bool,
+    /// Views are let in by time: at first a part of the span, one part more every `window_every` steps (TRACE: 8). 0: all
+    /// views from the start.
+    #[serde(default)]
+    pub window_parts: u32,
+    /// Steps until the window of times grows by another part (TRACE: 1000).
+    #[serde(default)]
+    pub window_every: u32,
 }
 
 /// The learning rate of a group of parameters.
@@ -226,6 +236,14 @@ impl Schedule {
         self.ordered().get(self.position(step).stage).map(|s| s.1)
     }
 
+    /// The stage of step `step` and the number of steps made in it before, if there is any.
+    pub fn stage_and_offset(&self, step: u32) -> Option<(&Stage, u32)> {
+        let stages = self.ordered();
+        let at = self.position(step).stage;
+        let before: u32 = stages.iter().take(at).map(|s| s.1.steps).sum();
+        stages.get(at).map(|s| (s.1, step - 1 - before))
+    }
+
     /// Whether the field takes part in step `step`.
     pub fn dynamic(&self, step: u32) -> bool {
         self.stage(step).is_some_and(|s| s.dynamic)
@@ -333,7 +351,7 @@ mod tests {
     use glam::DVec3;
 
     fn stage(steps: u32, own_clock: bool) -> Stage {
-        Stage { order: 0, steps, dynamic: own_clock, image_scale: 1.0, own_clock }
+        Stage { steps, dynamic: own_clock, image_scale: 1.0, own_clock, ..Stage::default() }
     }
 
     /// Stages named so that their names sort the other way round.

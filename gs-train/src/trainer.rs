@@ -11,7 +11,7 @@ use crate::density::Adapted;
 use crate::loss::LossTerms;
 use crate::methods::{self, InitConfig, Method, MethodEntry, MethodError, SceneInfo};
 use crate::moment::Moment;
-use gs_core::{Camera, Image, Param, Rng};
+use gs_core::{Camera, Image, Param};
 use gs_raster::RasterOptions;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -20,10 +20,12 @@ use std::time::Instant;
 
 mod easel;
 mod error;
+mod order;
 
 pub use easel::Phases;
 use easel::{Drawn, Easel, Sheet, ms_since};
 pub use error::TrainError;
+use order::ViewOrder;
 
 /// What a run needs beside data and configuration.
 #[derive(Clone, Debug, PartialEq)]
@@ -74,6 +76,7 @@ pub struct Trainer {
     adam: Adam,
     cache: ImageCache,
     easel: Easel,
+    order: ViewOrder,
     step: u32,
     seconds: f64,
 }
@@ -131,8 +134,9 @@ impl Trainer {
         let adam = Adam::default();
         let cache = ImageCache::new(options.image_bytes, 1.0);
         let easel = Easel::new();
+        let order = ViewOrder::new(options.seed, dataset.train.iter().map(|v| v.time.normalised).collect());
         let config = config.clone();
-        Self { method, dataset, scene, config, options, adam, cache, easel, step: 0, seconds: 0.0 }
+        Self { method, dataset, scene, config, options, adam, cache, easel, order, step: 0, seconds: 0.0 }
     }
 
     /// The whole state, bit for bit.
@@ -197,7 +201,7 @@ impl Trainer {
         let batch = self.method.schedule().batch;
         let (mut sum, mut names) = (Drawn::default(), Vec::new());
         for draw in (step - 1) * batch + 1..=step * batch {
-            let view = &dataset.train[view_of_draw(self.options.seed, draw, dataset.train.len())];
+            let view = &dataset.train[self.order.view(self.method.schedule(), draw)];
             let drawn = self.learn_view(view, draw, 1.0 / batch as f32)?;
             self.check_drawn(&drawn, step, view)?;
             sum.add(&drawn, f64::from(batch));
@@ -336,14 +340,6 @@ impl Trainer {
 /// Refuses images the loss is not defined for before the first step.
 fn check_images(method: &dyn Method, dataset: &Dataset) -> Result<(), MethodError> {
     Ok(method.schedule().check_images(dataset.train.iter().map(|v| &v.camera))?)
-}
-
-/// Index of the view that is drawn as number `draw` (from 1) of a run: every view once per epoch, in a random order of its
-/// own.
-pub fn view_of_draw(seed: u64, draw: u32, views: usize) -> usize {
-    let n = views.max(1) as u32;
-    let (epoch, at) = ((draw - 1) / n, (draw - 1) % n);
-    Rng::new(seed, "view-order", epoch, 0).permutation(n as usize)[at as usize] as usize
 }
 
 #[cfg(test)]
@@ -493,16 +489,5 @@ mod tests {
         assert!(error("fourdgs", &wrong).to_string().contains("lambda_dssim"));
         wrong.remove("init");
         assert!(error("fourdgs", &wrong).to_string().contains("section `init` is missing"));
-    }
-
-    #[test]
-    fn every_view_comes_once_per_epoch() {
-        for epoch in 0..3u32 {
-            let mut seen: Vec<usize> = (1..=7).map(|s| view_of_draw(5, 7 * epoch + s, 7)).collect();
-            seen.sort_unstable();
-            assert_eq!(seen, [0, 1, 2, 3, 4, 5, 6]);
-        }
-        let epoch = |e: u32| (1..=50).map(|s| view_of_draw(5, 50 * e + s, 50)).collect::<Vec<_>>();
-        assert_ne!(epoch(0), epoch(1));
     }
 }

@@ -110,6 +110,8 @@ pub enum Split {
     Val,
     /// Held-out views.
     Test,
+    /// Views later than anything learnt from.
+    Extrapolate,
 }
 
 /// Coloured points.
@@ -134,6 +136,8 @@ pub struct Dataset {
     pub val: Vec<View>,
     /// Held-out views.
     pub test: Vec<View>,
+    /// Views of all cameras beyond `data.time_boundary`, or that the layout keeps for this: the future.
+    pub extrapolate: Vec<View>,
     /// Points the data bring along.
     pub points: Option<PointCloud>,
     /// Whether the training images carry alpha.
@@ -180,7 +184,8 @@ impl Dataset {
 
     /// Makes every view smaller; the [`ImageCache`] averages the images down to their cameras.
     fn shrink(&mut self, scale: f64) {
-        for v in self.train.iter_mut().chain(&mut self.val).chain(&mut self.test) {
+        let all = self.train.iter_mut().chain(&mut self.val).chain(&mut self.test).chain(&mut self.extrapolate);
+        for v in all {
             v.stored = Some([v.camera.width, v.camera.height]);
             v.camera = v.camera.scaled(scale);
         }
@@ -193,6 +198,7 @@ impl Dataset {
             Split::Train => &self.train,
             Split::Val => &self.val,
             Split::Test => &self.test,
+            Split::Extrapolate => &self.extrapolate,
         }
     }
 }

@@ -47,6 +47,7 @@ impl Settled {
             train: self.train,
             val: self.val,
             test: self.test,
+            extrapolate: Vec::new(),
             points: None,
             has_alpha,
             dynamic: self.dynamic,

@@ -8,6 +8,7 @@ use crate::schedule::{Schedule, ScheduleError};
 use glam::Vec3;
 use gs_anchor::StorageTable;
 use gs_core::{Camera, Params, Splats, SplatsGrad};
+use gs_physics::Motion;
 use gs_raster::ScreenStats;
 
 pub mod ablate;
@@ -124,6 +125,19 @@ pub struct StageView {
     pub before: Option<Vec<Vec3>>,
 }
 
+/// The splats of [`Method::tracked`] as rigid particles: where they are at one moment and how they move from there.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Particles {
+    /// The moment, normalised: the last one that the scene's deformation is asked for.
+    pub at: f64,
+    /// The splats at that moment.
+    pub splats: Splats,
+    /// How each moves from then on, per unit of normalised time.
+    pub motions: Vec<Motion<f32>>,
+    /// The origin that twists refer to, world units.
+    pub origin: Vec3,
+}
+
 /// A dynamic scene under training.
 pub trait Method: Params + Send + Sync {
     /// The name in [`METHODS`].
@@ -157,6 +171,11 @@ pub trait Method: Params + Send + Sync {
     /// moment with opacity 0. What `camera` is matters only where looks depend on the view.
     fn tracked(&self, at: &Moment, camera: &Camera) -> Splats {
         self.splats(at, camera)
+    }
+
+    /// The splats as particles whose motion the method has learnt, where it learns such a thing.
+    fn particles(&self, _camera: &Camera) -> Option<Particles> {
+        None
     }
 
     /// What of its configuration will not do what it seems to, for people.

@@ -53,6 +53,8 @@ struct Meta {
     bounds: [[f32; 3]; 2],
     views: u32,
     moments: u32,
+    last_time: f32,
+    frame_interval: f32,
     /// As text: JSON numbers do not hold every 64-bit integer in every reader.
     seed: String,
     step: u32,
@@ -69,6 +71,8 @@ pub fn save(method: &dyn Method, run: &RunState) -> Checkpoint {
         bounds: run.scene.bounds.map(|b| b.to_array()),
         views: run.scene.views,
         moments: run.scene.moments,
+        last_time: run.scene.last_time,
+        frame_interval: run.scene.frame_interval,
         seed: run.scene.seed.to_string(),
         step: run.step,
         adam_updates: run.adam_updates.clone(),
@@ -105,7 +109,8 @@ pub fn load(checkpoint: &Checkpoint, config: Option<&toml::Table>) -> Result<Loa
     }
     // The blocks are given their rows below; one point stands in for the first cloud.
     let points = PointCloud { positions: vec![0.5 * (bounds[0] + bounds[1])], colors: vec![[0.5; 3]] };
-    let scene = SceneInfo { points, extent: meta.extent, bounds, views: meta.views, moments: meta.moments, seed };
+    let Meta { extent, views, moments, last_time, frame_interval, .. } = meta;
+    let scene = SceneInfo { points, extent, bounds, views, moments, last_time, frame_interval, seed };
     let config = config.unwrap_or(&meta.config).clone();
     let mut method = (entry.build)(&config, &scene).map_err(|e| e.to_string())?;
     restore(method.as_mut(), &checkpoint.tensors)?;

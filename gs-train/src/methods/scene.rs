@@ -13,7 +13,6 @@ use glam::Vec3;
 use gs_anchor::neighbours::mean_squared_distances;
 use gs_core::{Cloud, Rng};
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeSet;
 
 /// Squared neighbour distances below this count as this.
 const MIN_SQUARED_DISTANCE: f32 = 1e-7;
@@ -71,6 +70,10 @@ pub struct SceneInfo {
     pub views: u32,
     /// Number of different training times.
     pub moments: u32,
+    /// Last training time, normalised: 1, or less where `data.time_boundary` keeps later views out.
+    pub last_time: f32,
+    /// Median distance of successive training times, normalised; 0 where there is one moment.
+    pub frame_interval: f32,
     /// Seed of the run.
     pub seed: u64,
 }
@@ -87,13 +90,26 @@ impl SceneInfo {
         if !(extent > 0.0 && extent.is_finite()) {
             return Err(MethodError::Scene(format!("its extent is {extent}; cameras and points coincide")));
         }
-        Ok(Self { points, extent, bounds, views: dataset.train.len() as u32, moments: moments(dataset), seed })
+        let views = dataset.train.len() as u32;
+        let times = moments(dataset);
+        let last_time = times.last().copied().unwrap_or(1.0);
+        let (moments, frame_interval) = (times.len() as u32, median_step(&times));
+        Ok(Self { points, extent, bounds, views, moments, last_time, frame_interval, seed })
     }
 }
 
-fn moments(dataset: &Dataset) -> u32 {
-    let times: BTreeSet<u32> = dataset.train.iter().map(|v| v.time.normalised.to_bits()).collect();
-    times.len() as u32
+/// The different training times, in order.
+fn moments(dataset: &Dataset) -> Vec<f32> {
+    let mut times: Vec<f32> = dataset.train.iter().map(|v| v.time.normalised).collect();
+    times.sort_by(f32::total_cmp);
+    times.dedup();
+    times
+}
+
+fn median_step(times: &[f32]) -> f32 {
+    let mut steps: Vec<f32> = times.windows(2).map(|t| t[1] - t[0]).collect();
+    steps.sort_by(f32::total_cmp);
+    steps.get(steps.len() / 2).copied().unwrap_or(0.0)
 }
 
 fn first_points(dataset: &Dataset, init: &InitConfig, seed: u64) -> Result<PointCloud, MethodError> {

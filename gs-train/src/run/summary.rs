@@ -149,6 +149,7 @@ fn scored_views<'a>(m: &Material<'a>) -> Vec<&'a View> {
     let split = match m.scores.split.as_str() {
         "train" => Split::Train,
         "val" => Split::Val,
+        "extrapolate" => Split::Extrapolate,
         _ => Split::Test,
     };
     let mut ranked: Vec<_> = m.dataset.views(split).iter().zip(&m.scores.views).collect();

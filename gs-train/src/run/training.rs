@@ -370,11 +370,19 @@ fn few_views(dataset: &Dataset, split: Split, count: usize) -> Dataset {
     let views = dataset.views(split);
     let count = count.clamp(1, views.len().max(1));
     let kept: Vec<_> = (0..count).filter_map(|i| views.get(i * views.len() / count).cloned()).collect();
-    let mut few = Dataset { train: Vec::new(), val: Vec::new(), test: Vec::new(), points: None, ..dataset.clone() };
+    let mut few = Dataset {
+        train: Vec::new(),
+        val: Vec::new(),
+        test: Vec::new(),
+        extrapolate: Vec::new(),
+        points: None,
+        ..dataset.clone()
+    };
     match split {
         Split::Train => few.train = kept,
         Split::Val => few.val = kept,
         Split::Test => few.test = kept,
+        Split::Extrapolate => few.extrapolate = kept,
     }
     few
 }

@@ -131,6 +131,7 @@ pub fn generate(name: &str, options: &SynthOptions) -> Result<SynthData, DataErr
         train,
         val: split("synth.val", val, &held_out(val))?,
         test: split("synth.test", test, &held_out(test))?,
+        extrapolate: Vec::new(),
         points: None,
         has_alpha: true,
         dynamic: dynamic && n > 1,

@@ -57,6 +57,8 @@ pub enum SplitName {
     Train,
     Val,
     Test,
+    /// Views later than anything learnt from (data.time_boundary).
+    Extrapolate,
 }
 
 impl From<SplitName> for Split {
@@ -65,6 +67,7 @@ impl From<SplitName> for Split {
             SplitName::Train => Split::Train,
             SplitName::Val => Split::Val,
             SplitName::Test => Split::Test,
+            SplitName::Extrapolate => Split::Extrapolate,
         }
     }
 }

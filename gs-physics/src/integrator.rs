@@ -1,0 +1,22 @@
+//! Ways to step along a twist.
+
+use serde::{Deserialize, Serialize};
+
+/// How a particle is carried over one step of length `h` (TRACE; orders of position / orientation). `m` are the twist's
+/// values at the middle of the step, `a` those at its begin.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Integrator {
+    /// `x + h (v_a + w_a × x)`, 1 / 1.
+    Euler,
+    /// `x + h (v_m + w_m × x)`, 1 / 2: as the paper prints it.
+    MidParams,
+    /// Midpoint rule, 2 / 2: as the authors' code does it. Not rigid: radii grow.
+    Rk2,
+    /// The classical rule for positions, 4 / 2.
+    Rk4,
+    /// `exp(h m)` on SE(3), 2 / 2: exactly rigid, exact for a constant twist.
+    Se3Mid,
+    /// Fourth-order Magnus series on SE(3), 4 / 4: for long steps and references.
+    Se3Magnus4,
+}

@@ -1,0 +1,21 @@
+//! Rigid-particle physics: twists and their integration, a learnt law of motion, roll-out past the last frame.
+//!
+//! ```text
+//! law(x, t) = (v̄, w, v̄', w')        v̄(τ) = v̄ + v̄' τ,  w(τ) = w + w' τ
+//! dx/dτ = v̄(τ) + w(τ) × (x − o)      dR/dτ = [w(τ)]× R
+//! ```
+//! Every particle of one rigid body has the same twist, which is why twists extrapolate and cluster (TRACE, Li, Song and
+//! Yang, ICCV 2025).
+//!
+//! # Conventions
+//! Positions in world units, quaternions `(w, x, y, z)`, rotations in the world frame (products from the left), angles in
+//! radians, times in any unit (gs-train: normalised). A twist is the velocity field `u(x) = v + w × (x − o)` about an
+//! origin `o` that all particles share.
+
+pub mod dynamics;
+pub mod integrator;
+pub mod twist;
+
+pub use dynamics::{Dynamics, Moves};
+pub use integrator::Integrator;
+pub use twist::{Motion, Twist};
