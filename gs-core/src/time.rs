@@ -1,7 +1,7 @@
 //! Time, normalised for the fields and in seconds for the physics.
 
-/// A moment of a scene. `normalised` is what fields see: 0 at the first training frame, 1 at the last; values outside
-/// `[0, 1]` extrapolate. `seconds` is the same moment on the data set's clock.
+/// A moment of a scene. `normalised` is what fields see: 0 at the first training frame, 1 at the last, or at the end of the whole
+/// sequence where a boundary keeps its later part out of training; values outside `[0, 1]` extrapolate. `seconds` is the same moment on the data set's clock.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd, Default)]
 pub struct Time {
     /// 0 … 1 over the training span; may lie outside to extrapolate.

@@ -100,7 +100,8 @@ fn video(dataset: &Dataset, split: Split) -> Result<Vec<&View>, TemporalError> {
     if let Some(w) = views.windows(2).find(|w| time(w[0]) == time(w[1])) {
         return Err(TemporalError::SameTime { first: w[0].name.clone(), second: w[1].name.clone() });
     }
-    let all = [Split::Train, Split::Val, Split::Test].map(|s| dataset.views(s).iter().map(time)).into_iter().flatten();
+    let splits = [Split::Train, Split::Val, Split::Test, Split::Extrapolate];
+    let all = splits.map(|s| dataset.views(s).iter().map(time)).into_iter().flatten();
     let (gap, step) = (typical_gap(views.iter().map(|v| time(v))), typical_gap(all));
     if gap > MOST_SKIPPED * step * (1.0 + 1e-6) { Err(TemporalError::Sparse { gap, step }) } else { Ok(views) }
 }

@@ -138,6 +138,27 @@ fn frames_are_seconds_and_the_training_span_is_zero_to_one() {
 }
 
 #[test]
+fn a_boundary_keeps_the_future_of_every_camera() {
+    let clip = Clip::new();
+    let half = DataOptions { time_boundary: Some(0.5), ..Default::default() };
+    let d = clip.open(&half).unwrap();
+    assert_eq!([d.train.len(), d.test.len(), d.extrapolate.len()], [9, 3, 8]);
+    assert_eq!(d.train[8].time.normalised, 0.5);
+    let seen =
+        |c: u32| d.extrapolate.iter().filter(|v| v.camera_id == c).map(|v| v.time.normalised).collect::<Vec<_>>();
+    for camera in TRAIN.into_iter().chain(TEST) {
+        assert_eq!(seen(camera), [0.75, 1.0]);
+    }
+    assert!(d.extrapolate.iter().any(|v| v.mask.is_some()), "masked scores work there, too");
+    std::fs::write(clip.path().join("scene.toml"), "[time]\nboundary = 0.8\n").unwrap();
+    assert_eq!(clip.open(&DataOptions::default()).unwrap().extrapolate.len(), 4);
+    assert_eq!(clip.open(&half).unwrap().extrapolate.len(), 8, "what the user sets wins");
+    std::fs::write(clip.path().join("scene.toml"), "[time]\nboundry = 0.8\n").unwrap();
+    let e = clip.open(&half).unwrap_err();
+    assert!(e.code() == "data.syntax" && e.report().contains("boundry"), "{}", e.report());
+}
+
+#[test]
 fn masks_belong_to_their_pictures_and_cameras_can_be_held_out() {
     let clip = Clip::new();
     let d = clip.open(&DataOptions { test_cameras: vec![2], scale: 0.5, ..Default::default() }).unwrap();

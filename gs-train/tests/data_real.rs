@@ -149,6 +149,21 @@ fn panoptic_basketball() {
 /// triangulated. Cameras stand all around it, so pixel centres that are off by a constant leave that constant in the mean
 /// residual along x. Centres at +½ leave less than 0.2 pixels, centres at whole numbers 0.4.
 #[test]
+fn panoptic_future() {
+    let Some(dir) = capture("panoptic_basketball_f040-069") else { return };
+    let whole = Dataset::open(&dir, &DataOptions::default()).unwrap();
+    let o = DataOptions { time_boundary: Some(0.75), ..Default::default() };
+    let d = Dataset::open(&dir, &o).unwrap();
+    // 30 frames: numbers 0 to 21 lie within 0.75 · 29.
+    let per_frame = [whole.train.len() / 30, whole.test.len() / 30];
+    assert_eq!([d.train.len(), d.test.len()], per_frame.map(|n| 22 * n));
+    assert_eq!(d.extrapolate.len(), 8 * (per_frame[0] + per_frame[1]));
+    let last = d.train.iter().map(|v| v.time.normalised).fold(0.0, f32::max);
+    assert!((f64::from(last) - 21.0 / 29.0).abs() < 1e-6, "{last}");
+    assert_eq!(d.extrapolate.iter().map(|v| v.time.normalised).fold(0.0, f32::max), 1.0);
+}
+
+#[test]
 fn panoptic_pixel_centres_are_at_one_half() {
     let Some(dir) = capture("panoptic_basketball_f040-069") else { return };
     let track = std::fs::read_to_string(dir.join("derived_ball_track.csv")).unwrap();

@@ -6,11 +6,14 @@
 //!
 //! # Conventions
 //! * Readers turn every camera into OpenCV axes; OpenGL camera-to-world matrices have their y and z axes flipped.
-//! * [`Time::normalised`] is 0 at the first training time and 1 at the last; [`Time::seconds`] is the data's own clock.
+//! * [`Time::normalised`] is 0 at the first training time and 1 at the last; with `data.time_boundary` 0 at the first and 1 at
+//!   the last time of the whole sequence, and training ends at the boundary. [`Time::seconds`] is the data's own clock.
 //! * [`View::camera`] has the size of the image file, or that size times `data.scale`. An [`ImageCache`] with a scale of
 //!   its own gives the smaller camera.
 //! * [`View::mask`] says which pixels count in masked scores; training sees all of them. [`ImageCache::mask`] gives it at the
 //!   size of the image.
+//! * `data.time_boundary`, or the `scene.toml` of a folder (`scene_file.rs`), keeps the end of the sequence out of training:
+//!   [`Dataset::extrapolate`], for every layout.
 //! * `data.cameras`, `data.test_cameras`, `data.first_frame`, `data.frame_count` and `data.frame_step` choose views of any
 //!   layout.
 //! * Every assumption a reader makes is a line in [`Dataset::notes`].
@@ -26,6 +29,7 @@ use glam::Vec3;
 use gs_core::{Camera, Time};
 
 mod blender;
+mod boundary;
 pub mod cache;
 mod cloud;
 mod colmap;
@@ -49,6 +53,7 @@ mod panoptic;
 pub mod pixels;
 mod ply;
 mod pose;
+mod scene_file;
 mod select;
 mod sight;
 mod times;
@@ -91,13 +96,26 @@ pub struct View {
     pub opaque: bool,
     /// Depth of the view, an `.npy` file, where the data bring one along.
     pub depth: Option<PathBuf>,
+    /// Labels of the view's pixels, an `.npy` file of whole numbers, where the data bring them along.
+    pub labels: Option<PathBuf>,
 }
 
 impl View {
-    /// A view without distortion, mask and depth.
+    /// A view without distortion, mask, depth and labels.
     pub fn new(name: impl Into<String>, camera: Camera, time: Time, image: ImageSource, camera_id: u32) -> Self {
-        let name = name.into();
-        Self { name, camera, stored: None, lens: None, time, image, camera_id, mask: None, opaque: false, depth: None }
+        Self {
+            name: name.into(),
+            camera,
+            stored: None,
+            lens: None,
+            time,
+            image,
+            camera_id,
+            mask: None,
+            opaque: false,
+            depth: None,
+            labels: None,
+        }
     }
 }
 
@@ -153,10 +171,12 @@ pub struct Dataset {
 }
 
 impl Dataset {
-    /// Reads a folder: with the layout named in the options, else with the one that is surest of it.
+    /// Reads a folder: with the layout named in the options, else with the one that is surest of it. What the options leave
+    /// open the folder's `scene.toml` may say.
     ///
     /// # Errors
-    /// `data.path` if there is no folder, `data.layout` if no reader knows it, else what the reader finds.
+    /// `data.path` if there is no folder, `data.layout` if no reader knows it, `data.syntax` for a `scene.toml` that is not
+    /// understood, else what the reader finds.
     pub fn open(dir: &Path, options: &DataOptions) -> Result<Self, DataError> {
         if !dir.is_dir() {
             return Err(DataError::NotFound { path: dir.to_path_buf() });
@@ -175,6 +195,7 @@ impl Dataset {
             let rule = "above 0, at most 1".into();
             return Err(DataError::Option { name: "data.scale", value: scale.to_string(), rule });
         }
+        let options = &scene_file::read(dir)?.under(options);
         let mut data = (layout.open)(dir, options)?;
         if scale < 1.0 {
             data.shrink(scale);

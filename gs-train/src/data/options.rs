@@ -66,9 +66,13 @@ pub enum TimeFrom {
 pub struct DataOptions {
     /// Name of the layout (see [`super::LAYOUTS`]); none: detect it.
     pub layout: Option<String>,
-    /// Range of training times; mapped to 0..1. None: the layout's own range (D-NeRF 0..1) is required, and the span of
+    /// Range of training times (with a boundary: of the whole sequence); mapped to 0..1. None: the layout's own range (D-NeRF 0..1) is required, and the span of
     /// the training views is mapped to 0..1.
     pub time_range: Option<TimeRange>,
+    /// Share of the whole sequence, above 0 and at most 1, that may be learnt from: views up to it keep their split, all later
+    /// ones, of every camera and split, are [`super::Split::Extrapolate`]. The whole sequence is `time_range`, else the span
+    /// of all views, and becomes 0..1. None: what `scene.toml` in the data folder says, else no boundary; 1: no boundary.
+    pub time_boundary: Option<f64>,
     /// Where times come from.
     pub time_from: TimeFrom,
     /// Frames per second for [`TimeFrom::Name`], [`TimeFrom::Order`] and layouts whose files count frames; none: the layout's
@@ -109,6 +113,7 @@ impl Default for DataOptions {
         Self {
             layout: None,
             time_range: None,
+            time_boundary: None,
             time_from: TimeFrom::File,
             fps: None,
             allow_missing: false,

@@ -1,9 +1,11 @@
-//! From the times of files to [`Time`]: the training span becomes 0..1, the clock keeps the data's seconds.
+//! From the times of files to [`Time`]: the training span becomes 0..1, the clock keeps the data's seconds. With
+//! `data.time_boundary` it is the whole sequence that becomes 0..1 ([`super::boundary`]).
 
 use std::path::Path;
 
 use gs_core::Time;
 
+use super::boundary;
 use super::error::{DataError, Place};
 use super::options::{DataOptions, TimeFrom, TimeRange};
 use super::select::select;
@@ -32,6 +34,7 @@ pub(crate) struct Settled {
     pub(crate) train: Vec<View>,
     pub(crate) val: Vec<View>,
     pub(crate) test: Vec<View>,
+    pub(crate) extrapolate: Vec<View>,
     pub(crate) dynamic: bool,
     pub(crate) source: String,
     pub(crate) notes: Vec<String>,
@@ -47,7 +50,7 @@ impl Settled {
             train: self.train,
             val: self.val,
             test: self.test,
-            extrapolate: Vec::new(),
+            extrapolate: self.extrapolate,
             points: None,
             has_alpha,
             dynamic: self.dynamic,
@@ -59,14 +62,14 @@ impl Settled {
 }
 
 /// Slack at the ends of a range: files print few digits.
-const SLACK: f64 = 1e-6;
+pub(super) const SLACK: f64 = 1e-6;
 
 /// Settles the times of all views. `declared` is the range the layout prescribes for training times (D-NeRF: 0..1).
 ///
 /// # Errors
 /// `data.time` if a training time lies outside [`DataOptions::time_range`] or `declared`; `data.field` if only some
 /// frames have times, or a file name holds no number when times come from names; `data.option` if no view is left by
-/// [`select`].
+/// [`select`], or the boundary leaves no past or no future.
 pub(crate) fn settle(
     mut drafts: Drafts,
     options: &DataOptions,
@@ -76,11 +79,13 @@ pub(crate) fn settle(
     let source = restate(&mut drafts, options)?;
     complete(&drafts)?;
     let drafts = select(drafts, options, &mut notes)?;
+    let (drafts, future) = boundary::cut(drafts, options, &mut notes)?;
     let required = options.time_range.or(declared);
     if let Some(range) = required {
         check_range(&drafts.train, range)?;
     }
-    let span = options.time_range.or_else(|| span_of(&drafts.train));
+    let (whole, beyond) = future.map_or((None, Vec::new()), |f| (Some(f.whole), f.beyond));
+    let span = whole.or(options.time_range).or_else(|| span_of(&drafts.train));
     let dynamic = span_of(&drafts.train).is_some();
     let outside = span.map_or(0, |s| count_outside(&drafts.val, s) + count_outside(&drafts.test, s));
     if outside > 0 {
@@ -89,8 +94,9 @@ pub(crate) fn settle(
     let clock = Clock { span, by_number: options.time_from != TimeFrom::File, fps: options.fps };
     let finish = |list: Vec<Draft>| list.into_iter().map(|d| clock.apply(d)).collect::<Result<Vec<_>, _>>();
     let (train, val, test) = (finish(drafts.train)?, finish(drafts.val)?, finish(drafts.test)?);
+    let extrapolate = finish(beyond)?;
     let source = if dynamic { source } else { "static: all training views show one moment".into() };
-    Ok(Settled { train, val, test, dynamic, source, notes })
+    Ok(Settled { train, val, test, extrapolate, dynamic, source, notes })
 }
 
 /// Overrides the stated times when the user asked for names or order. Returns the source in words.
@@ -173,8 +179,8 @@ fn count_outside(list: &[Draft], span: TimeRange) -> usize {
 }
 
 /// First and last time, if they differ.
-fn span_of(list: &[Draft]) -> Option<TimeRange> {
-    let times = || list.iter().filter_map(|d| d.stated);
+pub(super) fn span_of<'a>(list: impl IntoIterator<Item = &'a Draft> + Clone) -> Option<TimeRange> {
+    let times = || list.clone().into_iter().filter_map(|d| d.stated);
     let (start, end) = (times().fold(f64::INFINITY, f64::min), times().fold(f64::NEG_INFINITY, f64::max));
     (end > start).then_some(TimeRange { start, end })
 }

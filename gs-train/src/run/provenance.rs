@@ -36,6 +36,8 @@ pub struct DataOrigin {
     pub time_source: String,
     /// Numbers of training, validation and test views.
     pub views: [usize; 3],
+    /// Number of views beyond the last training time.
+    pub extrapolate: usize,
     /// Assumptions made while reading.
     pub notes: Vec<String>,
 }
@@ -64,6 +66,7 @@ impl DataOrigin {
             digest: digest(dataset),
             time_source: dataset.time_source.clone(),
             views: [dataset.train.len(), dataset.val.len(), dataset.test.len()],
+            extrapolate: dataset.extrapolate.len(),
             notes: dataset.notes.clone(),
         }
     }
@@ -79,7 +82,7 @@ fn digest(dataset: &Dataset) -> String {
         }
     };
     feed(dataset.layout.as_bytes());
-    for (split, views) in [(0u8, &dataset.train), (1, &dataset.val), (2, &dataset.test)] {
+    for (split, views) in [(0u8, &dataset.train), (1, &dataset.val), (2, &dataset.test), (3, &dataset.extrapolate)] {
         for view in views {
             feed(&[split]);
             feed(view.name.as_bytes());

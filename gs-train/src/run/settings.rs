@@ -89,7 +89,9 @@ pub fn defaults(method: &str) -> Result<Config, RunError> {
     for (key, example) in [("data.layout", "blender"), ("data.time_range", "0..1"), ("data.images", "images")] {
         config.allow(key, example);
     }
-    config.allow("data.fps", 30.0);
+    for (key, example) in [("data.fps", 30.0), ("data.time_boundary", 0.75)] {
+        config.allow(key, example);
+    }
     config.allow("data.max_image_mib", 64);
     config.put("run.method", method, Source::Default)?;
     Ok(config)
