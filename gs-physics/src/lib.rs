@@ -14,6 +14,7 @@
 
 pub mod dynamics;
 pub mod integrator;
+pub mod kabsch;
 pub mod twist;
 
 pub use dynamics::{Dynamics, Moves};
