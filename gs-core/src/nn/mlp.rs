@@ -1,29 +1,37 @@
-//! A stack of dense layers with ReLU between them, for the rows of one block, activations kept for the way back.
+//! A stack of dense layers with ReLU (or SiLU) between them, for the rows of one block, activations kept for the way
+//! back.
+//!
+//! Inputs that all rows share may be folded into the first bias, once per step instead of once per row: the last
+//! `v.len()` inputs by [`Mlp::fold`], the others go through [`Mlp::forward_folded`].
 
-use super::dense::{Dense, DenseGrad, Init, relu_backward};
+use super::activation::{Activation, scale};
+use super::dense::{Dense, DenseGrad, Init, relu, relu_backward};
 use super::gemm::Write;
 use crate::{Param, Params};
 
-/// `x → relu(W₀x + b₀) → … → W_L x + b_L`, with a ReLU after the last layer too if asked.
+/// `x → φ(W₀x + b₀) → … → W_L x + b_L`, with `φ` after the last layer too if asked.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mlp {
     /// The layers, first to last; at least one.
     layers: Vec<Dense>,
-    relu_last: bool,
+    activation: Activation,
+    activate_last: bool,
 }
 
 /// Activations of one block, reused between steps.
 #[derive(Clone, Debug, Default)]
 pub struct MlpTape {
-    /// Output of each layer (after its ReLU), `[rows, outputs]`.
+    /// Output of each layer (after its activation), `[rows, outputs]`.
     outputs: Vec<Vec<f32>>,
+    /// Slopes of the activations, `[rows, outputs]`; empty for ReLU, whose output says it.
+    slopes: Vec<Vec<f32>>,
     /// Cotangents on the way back: of the current layer's output and of its input.
     d: [Vec<f32>; 2],
 }
 
 /// Gradient of all layers, summed over the rows of one chunk.
 #[derive(Clone, Debug, Default)]
-pub struct MlpGrad(Vec<DenseGrad>);
+pub struct MlpGrad(pub(super) Vec<DenseGrad>);
 
 impl Mlp {
     /// Layers of the given widths (`[inputs, hidden…, outputs]`), named `{name}.0`, `{name}.1`, …; the last one starts
@@ -37,13 +45,25 @@ impl Mlp {
         let layer = |(i, w): (usize, &[usize])| {
             Dense::new(&format!("{name}.{i}"), w[0], w[1], if i == final_layer { last } else { init }, seed)
         };
-        Self { layers: widths.windows(2).enumerate().map(layer).collect(), relu_last: false }
+        let layers = widths.windows(2).enumerate().map(layer).collect();
+        Self { layers, activation: Activation::Relu, activate_last: false }
     }
 
-    /// The same with a ReLU after the last layer.
-    pub fn with_last_relu(mut self) -> Self {
-        self.relu_last = true;
+    /// The same with another activation than ReLU.
+    pub fn with_activation(mut self, activation: Activation) -> Self {
+        self.activation = activation;
         self
+    }
+
+    /// The same with the activation after the last layer too.
+    pub fn with_last_activation(mut self) -> Self {
+        self.activate_last = true;
+        self
+    }
+
+    /// What stands between the layers.
+    pub fn activation(&self) -> Activation {
+        self.activation
     }
 
     /// The layers, first to last.
@@ -61,42 +81,95 @@ impl Mlp {
         self.layers[self.layers.len() - 1].outputs()
     }
 
-    fn has_relu(&self, layer: usize) -> bool {
-        self.relu_last || layer + 1 < self.layers.len()
+    /// Whether the activation follows a layer.
+    pub(super) fn is_active(&self, layer: usize) -> bool {
+        self.activate_last || layer + 1 < self.layers.len()
     }
 
     /// Runs the block `x: [rows, inputs]`; the result is [`MlpTape::output`].
     pub fn forward(&self, x: &[f32], tape: &mut MlpTape) {
-        let rows = x.len() / self.inputs().max(1);
+        self.run(x, self.inputs(), None, tape);
+    }
+
+    /// The bias that stands for the first layer's own and for its last `v.len()` inputs, which all rows share.
+    pub fn fold(&self, v: &[f32], bias: &mut Vec<f32>) {
+        self.layers[0].fold_constant(self.inputs() - v.len()..self.inputs(), v, bias);
+    }
+
+    /// [`Mlp::forward`] for `x: [rows, columns]`, the first inputs, with the others in `bias` ([`Mlp::fold`]).
+    pub fn forward_folded(&self, x: &[f32], columns: usize, bias: &[f32], tape: &mut MlpTape) {
+        self.run(x, columns, Some(bias), tape);
+    }
+
+    fn run(&self, x: &[f32], columns: usize, bias: Option<&[f32]>, tape: &mut MlpTape) {
+        let rows = x.len() / columns.max(1);
         tape.outputs.resize_with(self.layers.len(), Vec::new);
+        tape.slopes.resize_with(self.layers.len(), Vec::new);
         for (i, layer) in self.layers.iter().enumerate() {
             let (before, rest) = tape.outputs.split_at_mut(i);
-            let y = &mut rest[0];
+            let (y, slope) = (&mut rest[0], &mut tape.slopes[i]);
             y.resize(rows * layer.outputs(), 0.0);
             let x = before.last().map_or(x, Vec::as_slice);
-            if self.has_relu(i) { layer.forward_relu(x, y) } else { layer.forward(x, y) }
+            let has_relu = self.is_active(i) && self.activation == Activation::Relu;
+            match bias.filter(|_| i == 0) {
+                Some(bias) => {
+                    layer.start(bias, y);
+                    layer.add_product(0..columns, x, y);
+                    if has_relu {
+                        relu(y);
+                    }
+                }
+                None if has_relu => layer.forward_relu(x, y),
+                None => layer.forward(x, y),
+            }
+            if self.is_active(i) && !has_relu {
+                slope.resize(y.len(), 0.0);
+                self.activation.apply(y, slope);
+            }
         }
     }
 
     /// The way back of [`Mlp::forward`] for the same `x`: adds to `grad` and, where given, to `dx`.
-    pub fn backward(&self, x: &[f32], tape: &mut MlpTape, dy: &[f32], mut dx: Option<&mut [f32]>, grad: &mut MlpGrad) {
-        let rows = x.len() / self.inputs().max(1);
-        let MlpTape { outputs, d: [d_out, d_in] } = tape;
+    pub fn backward(&self, x: &[f32], tape: &mut MlpTape, dy: &[f32], dx: Option<&mut [f32]>, grad: &mut MlpGrad) {
+        self.run_back(x, self.inputs(), tape, dy, dx, grad);
+    }
+
+    /// The way back of [`Mlp::forward_folded`]: adds to `grad`, whose folded columns [`Mlp::add_grads_folded`] fills.
+    pub fn backward_folded(&self, x: &[f32], columns: usize, tape: &mut MlpTape, dy: &[f32], grad: &mut MlpGrad) {
+        self.run_back(x, columns, tape, dy, None, grad);
+    }
+
+    fn run_back(
+        &self,
+        x: &[f32],
+        columns: usize,
+        tape: &mut MlpTape,
+        dy: &[f32],
+        dx: Option<&mut [f32]>,
+        grad: &mut MlpGrad,
+    ) {
+        let rows = x.len() / columns.max(1);
+        let MlpTape { outputs, slopes, d: [d_out, d_in] } = tape;
         d_out.clear();
         d_out.extend_from_slice(dy);
         for (i, layer) in self.layers.iter().enumerate().rev() {
-            if self.has_relu(i) {
-                relu_backward(&outputs[i], d_out);
+            match self.activation {
+                _ if !self.is_active(i) => {}
+                Activation::Relu => relu_backward(&outputs[i], d_out),
+                Activation::Silu => scale(&slopes[i], d_out),
             }
-            let grad = &mut grad.0[i];
             if i > 0 {
                 d_in.resize(rows * layer.inputs(), 0.0);
-                layer.backward(&outputs[i - 1], d_out, None, grad);
+                layer.backward(&outputs[i - 1], d_out, None, &mut grad.0[i]);
                 layer.backward_input(0..layer.inputs(), d_out, d_in, Write::Set);
                 std::mem::swap(d_out, d_in);
-            } else {
-                layer.backward(x, d_out, dx.take(), grad);
             }
+        }
+        let (first, grad) = (&self.layers[0], &mut grad.0[0]);
+        first.backward_bias(d_out, grad);
+        first.backward_weight(0..columns, x, d_out, grad);
+        if let Some(dx) = dx {
+            first.backward_input(0..columns, d_out, dx, Write::Add);
         }
     }
 
@@ -105,6 +178,18 @@ impl Mlp {
         for (i, layer) in self.layers.iter_mut().enumerate() {
             layer.add_grads(chunks.clone().map(move |g| &g.0[i]));
         }
+    }
+
+    /// As [`Mlp::add_grads`] after [`Mlp::backward_folded`]: from what is added to the first bias on to the columns of the
+    /// shared inputs `v`, which themselves have no gradient.
+    pub fn add_grads_folded<'a>(&mut self, v: &[f32], chunks: impl Iterator<Item = &'a MlpGrad> + Clone + Sync + Send) {
+        let mut d_bias = vec![0.0; self.layers[0].outputs()];
+        for chunk in chunks.clone() {
+            d_bias.iter_mut().zip(&chunk.0[0].bias).for_each(|(d, g)| *d += g);
+        }
+        self.add_grads(chunks);
+        let columns = self.inputs() - v.len()..self.inputs();
+        self.layers[0].fold_constant_backward(columns, v, &d_bias, &mut vec![0.0; v.len()]);
     }
 }
 
@@ -149,7 +234,13 @@ mod tests {
     }
 
     /// `Σ weight · mlp(x)` in f64 loops; `params` alternates weight and bias.
-    fn reference(params: &[Vec<f64>], relu_last: bool, inputs: usize, x: &[f64], weight: &[f64]) -> f64 {
+    fn reference(
+        params: &[Vec<f64>],
+        (activation, last): (Activation, bool),
+        inputs: usize,
+        x: &[f64],
+        weight: &[f64],
+    ) -> f64 {
         let layers = params.len() / 2;
         let mut loss = 0.0;
         let outputs = params[params.len() - 1].len();
@@ -158,8 +249,11 @@ mod tests {
             for (i, pair) in params.chunks(2).enumerate() {
                 let linear = pair[1].iter().zip(pair[0].chunks(h.len()));
                 h = linear.map(|(b, w)| b + w.iter().zip(&h).map(|(w, h)| w * h).sum::<f64>()).collect();
-                if relu_last || i + 1 < layers {
-                    h.iter_mut().for_each(|v| *v = v.max(0.0));
+                if last || i + 1 < layers {
+                    h.iter_mut().for_each(|v| match activation {
+                        Activation::Relu => *v = v.max(0.0),
+                        Activation::Silu => *v /= 1.0 + (-*v).exp(),
+                    });
                 }
             }
             loss += h.iter().zip(weight).map(|(h, w)| h * w).sum::<f64>();
@@ -169,11 +263,18 @@ mod tests {
 
     #[test]
     fn gradients_match_finite_differences_of_the_f64_loops() {
-        for (rows, relu_last) in [(1, false), (15, true), (17, false)] {
-            let mut mlp = Mlp::new("t", &[5, 16, 7, 3], Init::FanIn, Init::FanIn, 1);
-            if relu_last {
-                mlp = mlp.with_last_relu();
+        for (rows, activation, last) in [
+            (1, Activation::Relu, false),
+            (15, Activation::Relu, true),
+            (17, Activation::Relu, false),
+            (17, Activation::Silu, false),
+            (16, Activation::Silu, true),
+        ] {
+            let mut mlp = Mlp::new("t", &[5, 16, 7, 3], Init::FanIn, Init::FanIn, 1).with_activation(activation);
+            if last {
+                mlp = mlp.with_last_activation();
             }
+            let kind = (activation, last);
             let mut rng = Rng::new(2, "mlp", 0, rows);
             let x: Vec<f32> = (0..rows * 5).map(|_| rng.normal()).collect();
             let dy: Vec<f32> = (0..rows * 3).map(|_| rng.normal()).collect();
@@ -187,7 +288,7 @@ mod tests {
             let mut x: Vec<f64> = x.iter().map(|&v| f64::from(v)).collect();
             let dy: Vec<f64> = dy.iter().map(|&v| f64::from(v)).collect();
             let loss: f64 = tape.output().iter().zip(&dy).map(|(y, d)| f64::from(*y) * d).sum();
-            assert!((loss - reference(&params, relu_last, 5, &x, &dy)).abs() < VALUE * 20.0);
+            assert!((loss - reference(&params, kind, 5, &x, &dy)).abs() < VALUE * 20.0);
 
             let h = 1e-6;
             let check = |got: f32, hi: f64, lo: f64, what: &str| {
@@ -197,9 +298,9 @@ mod tests {
             for i in 0..x.len() {
                 let at = x[i];
                 x[i] = at + h;
-                let hi = reference(&params, relu_last, 5, &x, &dy);
+                let hi = reference(&params, kind, 5, &x, &dy);
                 x[i] = at - h;
-                let lo = reference(&params, relu_last, 5, &x, &dy);
+                let lo = reference(&params, kind, 5, &x, &dy);
                 x[i] = at;
                 check(dx[i], hi, lo, "dx");
             }
@@ -209,13 +310,48 @@ mod tests {
                 for i in 0..params[b].len() {
                     let at = params[b][i];
                     params[b][i] = at + h;
-                    let hi = reference(&params, relu_last, 5, &x, &dy);
+                    let hi = reference(&params, kind, 5, &x, &dy);
                     params[b][i] = at - h;
-                    let lo = reference(&params, relu_last, 5, &x, &dy);
+                    let lo = reference(&params, kind, 5, &x, &dy);
                     params[b][i] = at;
                     check(grads[b][i], hi, lo, "parameter");
                 }
             }
+        }
+    }
+
+    /// Sums of the same terms in another order.
+    #[test]
+    fn shared_inputs_fold_into_the_first_bias() {
+        let (rows, columns, shared) = (19, 4, [0.3, -0.7, 1.1]);
+        for activation in [Activation::Relu, Activation::Silu] {
+            let mut mlp = Mlp::new("t", &[7, 9, 2], Init::FanIn, Init::FanIn, 1).with_activation(activation);
+            let mut rng = Rng::new(2, "fold", 0, 0);
+            let x: Vec<f32> = (0..rows * columns).map(|_| rng.normal()).collect();
+            let dy: Vec<f32> = (0..rows * 2).map(|_| rng.normal()).collect();
+            let full: Vec<f32> = x.chunks(columns).flat_map(|row| row.iter().chain(&shared).copied()).collect();
+            let (mut tape, mut grad, mut bias) = (MlpTape::default(), MlpGrad::default(), Vec::new());
+            let grads = |mlp: &Mlp| {
+                let mut all = Vec::new();
+                mlp.visit(&mut |p| all.extend_from_slice(&p.grad));
+                all
+            };
+            mlp.forward(&full, &mut tape);
+            let y = tape.output().to_vec();
+            grad.reset(&mlp);
+            mlp.backward(&full, &mut tape, &dy, None, &mut grad);
+            mlp.add_grads(std::iter::once(&grad));
+            let want = grads(&mlp);
+            mlp.clear_grads();
+
+            mlp.fold(&shared, &mut bias);
+            mlp.forward_folded(&x, columns, &bias, &mut tape);
+            let close = |a: &[f32], b: &[f32]| a.iter().zip(b).all(|(a, b)| (a - b).abs() <= 1e-5 * (1.0 + b.abs()));
+            assert!(close(tape.output(), &y) && tape.output().len() == y.len());
+            grad.reset(&mlp);
+            mlp.backward_folded(&x, columns, &mut tape, &dy, &mut grad);
+            mlp.add_grads_folded(&shared, std::iter::once(&grad));
+            assert!(close(&grads(&mlp), &want));
         }
     }
 

@@ -8,12 +8,14 @@
 //! Everything here works on the rows of one block and is serial; the caller owns the loop over blocks, so that an
 //! encoder, several networks and the application of their output can share one pass through the cache.
 
+pub mod activation;
 pub mod dense;
 pub mod encoding;
 pub mod gemm;
 pub mod heads;
 pub mod mlp;
 
+pub use activation::Activation;
 pub use dense::{Dense, DenseGrad, Init};
 pub use heads::{Heads, HeadsGrad, HeadsTape};
 pub use mlp::{Mlp, MlpGrad, MlpTape};
