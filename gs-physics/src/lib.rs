@@ -12,11 +12,20 @@
 //! radians, times in any unit (gs-train: normalised). A twist is the velocity field `u(x) = v + w × (x − o)` about an
 //! origin `o` that all particles share.
 
+mod blocks;
 pub mod dynamics;
 pub mod integrator;
-pub mod kabsch;
+mod lanes;
+pub mod rollout;
+pub mod scalar;
+mod so3;
+pub mod step;
 pub mod twist;
+mod vec3;
 
 pub use dynamics::{Dynamics, Moves};
 pub use integrator::Integrator;
-pub use twist::{Motion, Twist};
+pub use rollout::{RollTape, Rollout};
+pub use scalar::Scalar;
+pub use step::{Affine, step_map};
+pub use twist::{Motion, Orders, Twist};

@@ -1,5 +1,10 @@
 //! Twists: the velocity fields of rigid bodies, and how they change.
 
+use crate::vec3::{V3, add, add_scaled, scale, sub};
+use gs_core::Real;
+use gs_core::real::cross3;
+use serde::{Deserialize, Serialize};
+
 /// The velocity field `u(x) = v + w × (x − o)` of a rigid body, about an origin `o` that is said beside it.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct Twist<T> {
@@ -18,4 +23,121 @@ pub struct Motion<T> {
     pub rate: Twist<T>,
     /// Second derivative; zero below the third order.
     pub jerk: Twist<T>,
+}
+
+/// How many coefficients of a [`Motion`] are used, for translation and rotation: 0 (stands still) … 3 (with jerk).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct Orders {
+    /// Of `v̄`.
+    pub t: u8,
+    /// Of `w`.
+    pub r: u8,
+}
+
+/// Values in a motion.
+pub(crate) const MOTION: usize = 18;
+
+impl<T: Real> Twist<T> {
+    /// `u(x)` at `x`, relative to the origin.
+    #[inline(always)]
+    pub fn velocity(&self, x: [T; 3]) -> [T; 3] {
+        add(self.v, cross3(self.w, x))
+    }
+
+    /// The same field about an origin that lies at `shift` from the present one.
+    #[inline(always)]
+    pub fn shifted(&self, shift: [T; 3]) -> Self {
+        Self { v: self.velocity(shift), w: self.w }
+    }
+
+    /// `self + s other`.
+    #[inline(always)]
+    pub fn add_scaled(&self, s: T, other: &Self) -> Self {
+        Self { v: add_scaled(self.v, s, other.v), w: add_scaled(self.w, s, other.w) }
+    }
+
+    /// `s self`.
+    #[inline(always)]
+    pub fn scaled(&self, s: T) -> Self {
+        Self { v: scale(self.v, s), w: scale(self.w, s) }
+    }
+
+    /// Lie bracket of se(3): `(w₁×v₂ − w₂×v₁, w₁×w₂)`.
+    #[inline(always)]
+    pub fn bracket(&self, other: &Self) -> Self {
+        Self { v: sub(cross3(self.w, other.v), cross3(other.w, self.v)), w: cross3(self.w, other.w) }
+    }
+}
+
+impl<T: Real> Motion<T> {
+    /// The twist at `τ`.
+    #[inline(always)]
+    pub fn at(&self, tau: T) -> Twist<T> {
+        self.weighed([tau, tau * tau * tau.lit(0.5)])
+    }
+
+    /// `twist + weights₀ rate + weights₁ jerk`.
+    #[inline(always)]
+    pub(crate) fn weighed(&self, weights: [T; 2]) -> Twist<T> {
+        self.twist.add_scaled(weights[0], &self.rate).add_scaled(weights[1], &self.jerk)
+    }
+
+    /// The same motion with `τ` counted from `tau`.
+    pub fn from(&self, tau: T) -> Self {
+        Self { twist: self.at(tau), rate: self.rate.add_scaled(tau, &self.jerk), jerk: self.jerk }
+    }
+
+    /// The same motion about an origin that lies at `shift` from the present one.
+    pub fn shifted(&self, shift: [T; 3]) -> Self {
+        let [twist, rate, jerk] = [&self.twist, &self.rate, &self.jerk].map(|t| t.shifted(shift));
+        Self { twist, rate, jerk }
+    }
+
+    /// Acceleration at `τ = 0` of the particle at `x`, relative to the origin: `ā + ε×x + w×u(x)`.
+    pub fn acceleration(&self, x: [T; 3]) -> [T; 3] {
+        add(self.rate.velocity(x), cross3(self.twist.w, self.twist.velocity(x)))
+    }
+
+    /// Without the coefficients beyond `orders`.
+    pub fn truncated(&self, orders: Orders) -> Self {
+        let keep = |t: &Twist<T>, order: u8| {
+            let cut = |a: V3<T>, kept: bool| if kept { a } else { [a[0].lit(0.0); 3] };
+            Twist { v: cut(t.v, orders.t >= order), w: cut(t.w, orders.r >= order) }
+        };
+        Self { twist: keep(&self.twist, 1), rate: keep(&self.rate, 2), jerk: keep(&self.jerk, 3) }
+    }
+
+    /// The values: twist, rate, jerk, `v` before `w` in each.
+    #[inline(always)]
+    pub fn to_array(&self) -> [T; MOTION] {
+        let (t, r, j) = (&self.twist, &self.rate, &self.jerk);
+        [
+            t.v[0], t.v[1], t.v[2], t.w[0], t.w[1], t.w[2], r.v[0], r.v[1], r.v[2], r.w[0], r.w[1], r.w[2], j.v[0],
+            j.v[1], j.v[2], j.w[0], j.w[1], j.w[2],
+        ]
+    }
+
+    /// From the values in the order of [`Motion::to_array`].
+    #[inline(always)]
+    pub fn from_array(a: [T; MOTION]) -> Self {
+        Self {
+            twist: Twist { v: [a[0], a[1], a[2]], w: [a[3], a[4], a[5]] },
+            rate: Twist { v: [a[6], a[7], a[8]], w: [a[9], a[10], a[11]] },
+            jerk: Twist { v: [a[12], a[13], a[14]], w: [a[15], a[16], a[17]] },
+        }
+    }
+}
+
+impl Motion<f32> {
+    /// In `f64`.
+    pub fn widened(&self) -> Motion<f64> {
+        Motion::from_array(self.to_array().map(f64::from))
+    }
+}
+
+impl Motion<f64> {
+    /// In `f32`.
+    pub fn narrowed(&self) -> Motion<f32> {
+        Motion::from_array(self.to_array().map(|v| v as f32))
+    }
 }

@@ -1,0 +1,173 @@
+//! Eight particles side by side: how states and motions lie in memory while they are rolled, and the loops over steps.
+//!
+//! A state is `(x − o, q)`, a motion its eighteen values; each value is a row of eight lanes. Particles never meet, so
+//! results do not depend on who shares a block.
+
+use crate::integrator::Integrator;
+use crate::lanes::{LANES, Lanes};
+use crate::step::{Tick, step, step_back};
+use crate::twist::{MOTION, Motion};
+use crate::vec3::{dot4, scale4};
+use fearless_simd::{Simd, SimdBase, f32x8};
+use glam::Vec3;
+use gs_core::Real;
+
+/// Values of a state.
+const STATE: usize = 7;
+/// Steps after which quaternions are brought back to unit length.
+const RENORMALISE: usize = 64;
+
+/// `(x − o, q)` of eight particles.
+pub(crate) type States = [[f32; LANES]; STATE];
+/// The motions of eight particles.
+pub(crate) type Motions = [[f32; LANES]; MOTION];
+
+/// A run of steps.
+#[derive(Clone, Copy)]
+pub(crate) struct Run<'a> {
+    pub rule: Integrator,
+    pub ticks: &'a [Tick<f64>],
+    /// Steps already taken since the start: they count for renormalisation.
+    pub done: usize,
+}
+
+/// Packs up to eight particles; idle lanes rest at the origin.
+pub(crate) fn pack_states(means: &[Vec3], quats: &[[f32; 4]], origin: Vec3) -> States {
+    let mut out = [[0.0; LANES]; STATE];
+    out[3] = [1.0; LANES];
+    for (lane, (x, q)) in means.iter().zip(quats).enumerate() {
+        let y = *x - origin;
+        for (row, v) in out.iter_mut().zip([y.x, y.y, y.z, q[0], q[1], q[2], q[3]]) {
+            row[lane] = v;
+        }
+    }
+    out
+}
+
+/// Packs up to eight motions; idle lanes stand still.
+pub(crate) fn pack_motions(motions: &[Motion<f32>]) -> Motions {
+    let mut out = [[0.0; LANES]; MOTION];
+    for (lane, m) in motions.iter().enumerate() {
+        for (row, v) in out.iter_mut().zip(m.to_array()) {
+            row[lane] = v;
+        }
+    }
+    out
+}
+
+/// Adds a block of motions (cotangents) to up to eight rows.
+pub(crate) fn add_motions(block: &Motions, rows: &mut [Motion<f32>]) {
+    for (lane, m) in rows.iter_mut().enumerate() {
+        let mut values = m.to_array();
+        for (v, row) in values.iter_mut().zip(block) {
+            *v += row[lane];
+        }
+        *m = Motion::from_array(values);
+    }
+}
+
+/// Moves particles by what their relative positions changed, so one that rests keeps its bits.
+pub(crate) fn unpack_states(start: &States, end: &States, means: &mut [Vec3], quats: &mut [[f32; 4]]) {
+    for (lane, (x, q)) in means.iter_mut().zip(quats).enumerate() {
+        *x += Vec3::from_array(std::array::from_fn(|c| end[c][lane] - start[c][lane]));
+        *q = std::array::from_fn(|c| end[3 + c][lane]);
+    }
+}
+
+/// Writes a block's rows over up to eight rows.
+pub(crate) fn set_states(block: &States, means: &mut [Vec3], quats: &mut [[f32; 4]]) {
+    for (lane, (x, q)) in means.iter_mut().zip(quats).enumerate() {
+        *x = Vec3::from_array(std::array::from_fn(|c| block[c][lane]));
+        *q = std::array::from_fn(|c| block[3 + c][lane]);
+    }
+}
+
+#[inline(always)]
+fn load<S: Simd, const N: usize>(simd: S, rows: &[[f32; LANES]; N]) -> [Lanes<S>; N] {
+    let mut out = [Lanes(f32x8::splat(simd, 0.0)); N];
+    for (o, row) in out.iter_mut().zip(rows) {
+        *o = Lanes(f32x8::load_array_ref(simd, row));
+    }
+    out
+}
+
+#[inline(always)]
+fn store<S: Simd, const N: usize>(values: [Lanes<S>; N], rows: &mut [[f32; LANES]; N]) {
+    for (v, row) in values.into_iter().zip(rows) {
+        v.0.store_array(row);
+    }
+}
+
+/// `q / |q|`; zero stays zero.
+#[inline(always)]
+fn unit<T: Real>(q: [T; 4]) -> [T; 4] {
+    scale4(q, q[0].lit(1.0) / dot4(q, q).sqrt().max(q[0].lit(1e-18)))
+}
+
+/// Gradient of [`unit`] at `q`.
+#[inline(always)]
+fn unit_back<T: Real>(q: [T; 4], d: [T; 4]) -> [T; 4] {
+    let inverse = q[0].lit(1.0) / dot4(q, q).sqrt().max(q[0].lit(1e-18));
+    let u = scale4(q, inverse);
+    let along = dot4(u, d);
+    let free = [d[0] - u[0] * along, d[1] - u[1] * along, d[2] - u[2] * along, d[3] - u[3] * along];
+    scale4(free, inverse)
+}
+
+/// Whether quaternions are renormalised after step `k`.
+#[inline(always)]
+fn renormalises(k: usize) -> bool {
+    (k + 1).is_multiple_of(RENORMALISE)
+}
+
+/// Rolls a block forth; `tape` takes the state before every step.
+#[inline(always)]
+pub(crate) fn roll<S: Simd>(
+    simd: S,
+    run: Run<'_>,
+    motions: &Motions,
+    state: &mut States,
+    mut tape: Option<&mut [States]>,
+) {
+    let m = Motion::from_array(load(simd, motions));
+    let [x0, x1, x2, q0, q1, q2, q3] = load(simd, state);
+    let (mut x, mut q) = ([x0, x1, x2], [q0, q1, q2, q3]);
+    for (k, tick) in run.ticks.iter().enumerate() {
+        if let Some(tape) = &mut tape {
+            store([x[0], x[1], x[2], q[0], q[1], q[2], q[3]], &mut tape[k]);
+        }
+        (x, q) = step(run.rule, &m, &tick.of(x[0]), x, q);
+        if renormalises(run.done + k) {
+            q = unit(q);
+        }
+    }
+    store([x[0], x[1], x[2], q[0], q[1], q[2], q[3]], state);
+}
+
+/// Walks a block back along its tape: `cotangent` goes from the end to the start. Gives the cotangents of the motions.
+#[inline(always)]
+pub(crate) fn roll_back<S: Simd>(
+    simd: S,
+    run: Run<'_>,
+    motions: &Motions,
+    tape: &[States],
+    cotangent: &mut States,
+) -> Motions {
+    let m = Motion::from_array(load(simd, motions));
+    let mut grad = Motion::from_array([Lanes(f32x8::splat(simd, 0.0)); MOTION]);
+    let [x0, x1, x2, q0, q1, q2, q3] = load(simd, cotangent);
+    let (mut lambda, mut mu) = ([x0, x1, x2], [q0, q1, q2, q3]);
+    for (k, (tick, before)) in run.ticks.iter().zip(tape).enumerate().rev() {
+        let [x0, x1, x2, q0, q1, q2, q3] = load(simd, before);
+        let (x, q) = ([x0, x1, x2], [q0, q1, q2, q3]);
+        let tick = tick.of(x0);
+        if renormalises(run.done + k) {
+            mu = unit_back(step(run.rule, &m, &tick, x, q).1, mu);
+        }
+        (lambda, mu) = step_back(run.rule, &m, &tick, (x, q), (lambda, mu), &mut grad);
+    }
+    store([lambda[0], lambda[1], lambda[2], mu[0], mu[1], mu[2], mu[3]], cotangent);
+    let mut out = [[0.0; LANES]; MOTION];
+    store(grad.to_array(), &mut out);
+    out
+}

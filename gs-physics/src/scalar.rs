@@ -1,0 +1,51 @@
+//! What rotations need of a number beyond arithmetic.
+
+use gs_core::Real;
+
+/// A [`Real`] with sine and cosine: `f64` for references, `f32`, or lanes of `f32` in the roll-out.
+pub trait Scalar: Real {
+    /// Squared angle up to which rotations use series in `θ²` instead of sine and cosine, so that nothing cancels.
+    const SERIES: f64;
+    /// Terms of those series.
+    const TERMS: usize;
+    /// Sine and cosine.
+    fn sin_cos(self) -> (Self, Self);
+    /// Whether the value, or any lane of it, lies above `limit`.
+    fn any_above(self, limit: f64) -> bool;
+}
+
+impl Scalar for f64 {
+    // Ten terms leave 1/23! of the last series; closed forms lose three bits just above.
+    const SERIES: f64 = 1.0;
+    const TERMS: usize = 10;
+
+    #[inline(always)]
+    fn sin_cos(self) -> (Self, Self) {
+        f64::sin_cos(self)
+    }
+
+    #[inline(always)]
+    fn any_above(self, limit: f64) -> bool {
+        self > limit
+    }
+}
+
+/// Half a turn per step: hardly any step leaves the series, so eight lanes rarely need the library.
+pub(crate) const SERIES_F32: f64 = 9.8;
+/// They leave 7e-10 there.
+pub(crate) const TERMS_F32: usize = 8;
+
+impl Scalar for f32 {
+    const SERIES: f64 = SERIES_F32;
+    const TERMS: usize = TERMS_F32;
+
+    #[inline(always)]
+    fn sin_cos(self) -> (Self, Self) {
+        f32::sin_cos(self)
+    }
+
+    #[inline(always)]
+    fn any_above(self, limit: f64) -> bool {
+        self > limit as f32
+    }
+}

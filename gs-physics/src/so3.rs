@@ -1,0 +1,176 @@
+//! Rotations from rotation vectors, rigid moves from twists, and the way back for gradients.
+//!
+//! ```text
+//! φ = h w,  x = φ·φ = θ²
+//! R = I + A [φ]× + B [φ]×²        A = sin θ / θ      B = (1 − cos θ) / θ² = ½ (sin(θ/2) / (θ/2))²
+//! p = V u,  V = I + B [φ]× + C [φ]×²                 C = (1 − A) / θ²
+//! q = (cos(θ/2), s φ)             s = sin(θ/2) / θ
+//! A = Σ (−x)ᵏ/(2k+1)!   B = Σ (−x)ᵏ/(2k+2)!   C = Σ (−x)ᵏ/(2k+3)!
+//! ```
+//! All of them are entire functions of `θ²`: series serve up to [`Scalar::SERIES`], so nothing is ever divided by a small
+//! `‖w‖` and values and gradients run on smoothly through zero. The half angle keeps `B` free of cancellation beyond.
+
+use crate::scalar::Scalar;
+use crate::vec3::{V3, add, add_scaled, conjugate, scale};
+use gs_core::real::{cross3, dot3};
+use gs_core::rot::hamilton;
+
+const TERMS: usize = 10;
+
+/// `(−1)ᵏ wₖ / (2k + offset)!` with `wₖ = 1`, or `2k + 2` where the series is a divided difference.
+const fn series(offset: u32, divided: bool) -> [f64; TERMS] {
+    let mut out = [0.0; TERMS];
+    let mut k = 0;
+    while k < TERMS {
+        let mut f = 1.0;
+        let mut i = 2 * k as u32 + offset;
+        while i > 1 {
+            f *= i as f64;
+            i -= 1;
+        }
+        let weight = if divided { (2 * k + 2) as f64 } else { 1.0 };
+        out[k] = if k % 2 == 0 { weight / f } else { -weight / f };
+        k += 1;
+    }
+    out
+}
+
+const COS: [f64; TERMS] = series(0, false);
+const SINC: [f64; TERMS] = series(1, false);
+const THIRD: [f64; TERMS] = series(3, false);
+const D_SINC: [f64; TERMS] = series(3, true);
+const D_SECOND: [f64; TERMS] = series(4, true);
+const D_THIRD: [f64; TERMS] = series(5, true);
+
+#[inline(always)]
+fn horner<T: Scalar>(c: &[f64; TERMS], x: T) -> T {
+    let mut sum = x.lit(c[T::TERMS - 1]);
+    for k in (0..T::TERMS - 1).rev() {
+        sum = sum.mul_add(x, x.lit(c[k]));
+    }
+    sum
+}
+
+/// A rotation vector with the functions of its angle.
+#[derive(Clone, Copy)]
+pub(crate) struct Rotation<T> {
+    phi: V3<T>,
+    /// `θ²`.
+    square: T,
+    /// `cos(θ/2)`.
+    cos_half: T,
+    /// `s = sin(θ/2) / θ`.
+    s: T,
+    a: T,
+    b: T,
+}
+
+impl<T: Scalar> Rotation<T> {
+    #[inline(always)]
+    pub fn new(phi: V3<T>) -> Self {
+        let x = dot3(phi, phi);
+        let quarter = x * x.lit(0.25);
+        let (mut cos_half, mut sinc_half) = (horner(&COS, quarter), horner(&SINC, quarter));
+        if x.any_above(T::SERIES) {
+            let limit = x.lit(T::SERIES);
+            let half = x.max(limit).sqrt() * x.lit(0.5);
+            let (sin, cos) = half.sin_cos();
+            cos_half = limit.select_lt(x, cos, cos_half);
+            sinc_half = limit.select_lt(x, sin / half, sinc_half);
+        }
+        let s = sinc_half * x.lit(0.5);
+        Self { phi, square: x, cos_half, s, a: sinc_half * cos_half, b: s * sinc_half }
+    }
+
+    /// `C = (1 − A) / θ²`.
+    #[inline(always)]
+    fn third(&self) -> T {
+        self.beyond(horner(&THIRD, self.square), self.square.lit(1.0) - self.a)
+    }
+
+    /// The series, or beyond them `closed / θ²`.
+    #[inline(always)]
+    fn beyond(&self, series: T, closed: T) -> T {
+        let x = self.square;
+        if !x.any_above(T::SERIES) {
+            return series;
+        }
+        let limit = x.lit(T::SERIES);
+        limit.select_lt(x, closed / x.max(limit), series)
+    }
+
+    /// The unit quaternion `(w, x, y, z)`.
+    #[inline(always)]
+    pub fn quaternion(&self) -> [T; 4] {
+        let [x, y, z] = scale(self.phi, self.s);
+        [self.cos_half, x, y, z]
+    }
+
+    /// `R x`.
+    #[inline(always)]
+    pub fn rotate(&self, x: V3<T>) -> V3<T> {
+        add(x, cross3(self.phi, add_scaled(scale(x, self.a), self.b, cross3(self.phi, x))))
+    }
+
+    /// `Rᵀ x`.
+    #[inline(always)]
+    fn rotate_back(&self, x: V3<T>) -> V3<T> {
+        add(x, cross3(self.phi, add_scaled(scale(x, -self.a), self.b, cross3(self.phi, x))))
+    }
+
+    /// `R x + V u`, as `x` plus a small change.
+    #[inline(always)]
+    pub fn carry(&self, u: V3<T>, x: V3<T>) -> V3<T> {
+        let inner = cross3(self.phi, add_scaled(scale(x, self.b), self.third(), u));
+        let outer = add(inner, add_scaled(scale(x, self.a), self.b, u));
+        add(x, add(u, cross3(self.phi, outer)))
+    }
+
+    /// Gradient by `φ` from one by the quaternion:
+    /// `−½ s g_w φ + s g_v + κ φ (φ·g_v)` with `κ = (½ cos(θ/2) − s) / θ²`.
+    #[inline(always)]
+    pub fn quaternion_back(&self, d: [T; 4]) -> V3<T> {
+        let x = self.square;
+        let quarter = x * x.lit(0.25);
+        let half = x.lit(0.5);
+        let kappa = self.beyond(horner(&D_SINC, quarter) * x.lit(-0.125), half * self.cos_half - self.s);
+        let v = [d[1], d[2], d[3]];
+        let along = kappa * dot3(self.phi, v) - half * self.s * d[0];
+        add_scaled(scale(v, self.s), along, self.phi)
+    }
+
+    /// Cotangents of [`Rotation::carry`] from `λ` at its result, with that of the quaternion: `(λ at x, by u, by φ)`.
+    ///
+    /// ```text
+    /// y = R x,  c₁ = φ×u,  c₂ = φ×c₁,  B̃ = (A − 2B)/θ²,  C̃ = (B − 3C)/θ²
+    /// g_u = Vᵀλ      g_φ = Vᵀ(y×λ) + B u×λ + C [c₁×λ + u×(λ×φ)] + φ [B̃ λ·c₁ + C̃ λ·c₂] + quaternion_back
+    /// ```
+    #[inline(always)]
+    pub fn carry_back(&self, u: V3<T>, x: V3<T>, lambda: V3<T>, d_q: [T; 4]) -> (V3<T>, V3<T>, V3<T>) {
+        let (phi, c) = (self.phi, self.third());
+        let two = self.square.lit(2.0);
+        let b_slope = self.beyond(-horner(&D_SECOND, self.square), self.a - two * self.b);
+        let c_slope = self.beyond(-horner(&D_THIRD, self.square), self.b - self.square.lit(3.0) * c);
+        let c1 = cross3(phi, u);
+        let c2 = cross3(phi, c1);
+        let along = b_slope * dot3(lambda, c1) + c_slope * dot3(lambda, c2);
+        let turned = self.left_transposed(cross3(self.rotate(x), lambda), c);
+        let shifted = add_scaled(scale(cross3(u, lambda), self.b), c, cross3(c1, lambda));
+        let shifted = add_scaled(shifted, c, cross3(u, cross3(lambda, phi)));
+        let d_phi = add(add(turned, self.quaternion_back(d_q)), add_scaled(shifted, along, phi));
+        (self.rotate_back(lambda), self.left_transposed(lambda, c), d_phi)
+    }
+
+    /// `Vᵀ l`.
+    #[inline(always)]
+    fn left_transposed(&self, l: V3<T>, c: T) -> V3<T> {
+        let once = cross3(self.phi, l);
+        add_scaled(add_scaled(l, -self.b, once), c, cross3(self.phi, once))
+    }
+}
+
+/// Cotangents of `d ⊗ q` from `μ`: `(by q, by d)`.
+#[inline(always)]
+pub(crate) fn product_back<T: Scalar>(d: [T; 4], q: [T; 4], mu: [T; 4]) -> ([T; 4], [T; 4]) {
+    (hamilton(conjugate(d), mu), hamilton(mu, conjugate(q)))
+}
