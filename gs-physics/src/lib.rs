@@ -15,6 +15,7 @@
 mod blocks;
 pub mod dynamics;
 pub mod integrator;
+pub mod kabsch;
 mod lanes;
 pub mod rollout;
 pub mod scalar;
