@@ -45,4 +45,5 @@ pub mod storage;
 pub mod sweep;
 pub mod synth;
 pub mod temporal;
+pub mod track;
 pub mod trainer;

@@ -26,6 +26,7 @@ pub mod saved;
 pub mod scaffold;
 pub mod scene;
 pub mod static3d;
+pub mod transported;
 
 pub use anchored::{RestOptions, RestReport};
 pub use scene::{InitConfig, SceneInfo};
