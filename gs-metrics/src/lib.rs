@@ -11,6 +11,7 @@
 //! | masked PSNR and SSIM (DyCheck) | [`masked_psnr`], [`masked_ssim`] | | [`masked`] |
 //! | optical flow (Farneback), its pictures and statistics | [`farneback`](flow::farneback), [`Flow`] | | [`flow`] |
 //! | tOF: motion against true motion | [`Tof`] | | [`tof`] |
+//! | instance masks: AP, PQ, F1, mIoU | [`Segmentation`] | | [`segmentation`] |
 //! | perceptual **proxy**, without learned weights, not LPIPS | [`perceptual_proxy`], [`masked_perceptual_proxy`] | | [`perceptual`] |
 //! | means over views | [`Scorer`], [`Summary`] | | [`report`] |
 //!
@@ -48,6 +49,7 @@ mod pool;
 pub mod psnr;
 mod quantise;
 pub mod report;
+pub mod segmentation;
 pub mod sharpness;
 pub mod spectrum;
 pub mod ssim;
@@ -64,6 +66,7 @@ pub use perceptual::{masked_perceptual_proxy, perceptual_proxy};
 pub use psnr::{mse, psnr, psnr_from_mse, psnr_of_mean_mse};
 pub use quantise::Quantise;
 pub use report::{Mean, Scorer, Scores, Summary};
+pub use segmentation::{Overlap, SegmentScores, Segmentation};
 pub use sharpness::Sharpness;
 pub use spectrum::{AmplitudeLoss, AmplitudeOptions, Amplitudes, FftNorm, Reduce};
 pub use ssim::{Padding, Ssim, SsimOptions, ssim, ssim_with_grad};
