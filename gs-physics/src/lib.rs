@@ -13,19 +13,28 @@
 //! origin `o` that all particles share.
 
 mod blocks;
+pub mod centre;
 pub mod dynamics;
+pub mod error;
 pub mod integrator;
 pub mod kabsch;
 mod lanes;
+pub mod law;
+pub mod reference;
 pub mod rollout;
 pub mod scalar;
+pub mod segment;
 mod so3;
 pub mod step;
+pub mod truth;
 pub mod twist;
 mod vec3;
 
+pub use centre::{Centre, Reduction};
 pub use dynamics::{Dynamics, Moves};
+pub use error::PhysicsError;
 pub use integrator::Integrator;
+pub use law::{AccelMap, Law, LawConfig, LawForm, LawInput, LawTape};
 pub use rollout::{RollTape, Rollout};
 pub use scalar::Scalar;
 pub use step::{Affine, step_map};
