@@ -1,0 +1,184 @@
+//! From outputs of the network to motions, and the way back.
+//!
+//! ```text
+//! twist12    (v̄, w | ā, ε | j_v, j_w)                  six numbers per order
+//! centre15   (P_c, v_c, w | a_c, ε)
+//! gvfi13     (P_c, v_c, w | a_c, e)                     ε = e w / √(|w|² + κ²)
+//! free       (v, w)                                     P_c = x, v_c = v
+//!
+//! v̄ = v_c − w × P_c     ā = a_c − ε × P_c − w × v_c     j_v = −2 ε × v_c − w × a_c  (third order)      (1)
+//! ```
+//! All about the origin of the law. Behind the bar stand derivatives, which pass the map of accelerations. (1) is the
+//! derivative of `v̄(t) = v_c(t) − w(t) × P_c(t)`; the paper's `ā` leaves out `−w × v_c`, as if the centre stood still.
+
+use super::config::{AccelMap, LawConfig, LawForm};
+use crate::twist::{Motion, Twist};
+use crate::vec3::{V3, add, add_scaled, scale, sub};
+use gs_core::Real;
+use gs_core::real::{cross3, dot3};
+
+/// Most outputs of any form.
+pub(crate) const MAX_OUTPUTS: usize = 18;
+
+/// `κ` of gvfi13, radians per unit of time: below it the axis fades away.
+const AXIS_FLOOR: f64 = 1e-3;
+
+/// How the outputs of a row are read.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Form {
+    kind: LawForm,
+    order: u8,
+    accel: AccelMap,
+    literal: bool,
+}
+
+/// A body by its centre, as far as one particle sees it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Hub<T> {
+    /// Relative to the origin of the law.
+    pub position: V3<T>,
+    pub velocity: V3<T>,
+    pub acceleration: V3<T>,
+    pub w: V3<T>,
+    pub spin: V3<T>,
+}
+
+impl<T: Real> Hub<T> {
+    fn zero(like: T) -> Self {
+        let o = [like.lit(0.0); 3];
+        Self { position: o, velocity: o, acceleration: o, w: o, spin: o }
+    }
+
+    /// Equation (1) up to an order.
+    fn motion(&self, order: u8, literal: bool) -> Motion<T> {
+        let Self { position, velocity, acceleration, w, spin } = *self;
+        let o = [w[0].lit(0.0); 3];
+        let printed = sub(acceleration, cross3(spin, position));
+        let rate = if literal { printed } else { sub(printed, cross3(w, velocity)) };
+        let third = scale(add_scaled(cross3(w, acceleration), w[0].lit(2.0), cross3(spin, velocity)), w[0].lit(-1.0));
+        Motion {
+            twist: Twist { v: sub(velocity, cross3(w, position)), w },
+            rate: Twist { v: if order > 1 { rate } else { o }, w: if order > 1 { spin } else { o } },
+            jerk: Twist { v: if order > 2 && !literal { third } else { o }, w: o },
+        }
+    }
+
+    /// Cotangents of [`Hub::motion`]. For `y = a × b`: `g_a = b × g`, `g_b = g × a`.
+    fn motion_back(&self, order: u8, literal: bool, d: &Motion<T>) -> Self {
+        let (minus, minus_two) = (self.w[0].lit(-1.0), self.w[0].lit(-2.0));
+        let mut out = Self::zero(minus);
+        let g = d.twist.v;
+        out.velocity = g;
+        out.w = sub(d.twist.w, cross3(self.position, g));
+        out.position = cross3(self.w, g);
+        if order > 1 {
+            let g = d.rate.v;
+            out.acceleration = g;
+            out.spin = sub(d.rate.w, cross3(self.position, g));
+            out.position = add(out.position, cross3(self.spin, g));
+            if !literal {
+                out.w = sub(out.w, cross3(self.velocity, g));
+                out.velocity = add(out.velocity, cross3(self.w, g));
+            }
+        }
+        if order > 2 && !literal {
+            let g = d.jerk.v;
+            out.spin = add_scaled(out.spin, minus_two, cross3(self.velocity, g));
+            out.velocity = add_scaled(out.velocity, minus_two, cross3(g, self.spin));
+            out.w = add_scaled(out.w, minus, cross3(self.acceleration, g));
+            out.acceleration = add_scaled(out.acceleration, minus, cross3(g, self.w));
+        }
+        out
+    }
+}
+
+fn triple<T: Real>(y: &[T], at: usize) -> V3<T> {
+    [y[at], y[at + 1], y[at + 2]]
+}
+
+/// `(1 / n, ŵ)` with `n = √(|w|² + κ²)`, `ŵ = w / n`.
+pub(super) fn axis<T: Real>(w: V3<T>) -> (T, V3<T>) {
+    let floor = w[0].lit(AXIS_FLOOR * AXIS_FLOOR);
+    let inverse = w[0].lit(1.0) / (dot3(w, w) + floor).sqrt();
+    (inverse, scale(w, inverse))
+}
+
+impl Form {
+    pub fn new(config: &LawConfig) -> Self {
+        let order = if config.form == LawForm::Free { 1 } else { config.order };
+        Self { kind: config.form, order, accel: config.accel, literal: config.literal }
+    }
+
+    pub fn literal(&self) -> bool {
+        self.literal
+    }
+
+    /// Values per row, and how many of them are of the first order.
+    pub fn outputs(&self) -> (usize, usize) {
+        let order = usize::from(self.order);
+        match self.kind {
+            LawForm::Twist12 => (6 * order, 6),
+            LawForm::Centre15 => (if order > 1 { 15 } else { 9 }, 9),
+            LawForm::Gvfi13 => (if order > 1 { 13 } else { 9 }, 9),
+            LawForm::Free => (6, 6),
+        }
+    }
+
+    /// Whether a closed form carries particles ([`arc`](super::arc)) instead of an integrator.
+    pub fn is_closed(&self) -> bool {
+        matches!(self.kind, LawForm::Gvfi13 | LawForm::Free)
+    }
+
+    /// Outputs with derivatives mapped; the rest of the array is 0.
+    pub fn mapped<T: Real>(&self, y: &[T]) -> [T; MAX_OUTPUTS] {
+        let mut out = [y[0].lit(0.0); MAX_OUTPUTS];
+        let first = self.outputs().1;
+        for (i, (o, &v)) in out.iter_mut().zip(y).enumerate() {
+            *o = if i < first || self.accel == AccelMap::Linear { v } else { v * v.max(-v) * v.lit(0.1) };
+        }
+        out
+    }
+
+    /// The way back of [`Form::mapped`], in place.
+    pub fn mapped_back<T: Real>(&self, y: &[T], d: &mut [T]) {
+        if self.accel == AccelMap::SignedSq10 {
+            let first = self.outputs().1;
+            d.iter_mut().zip(y).skip(first).for_each(|(d, &v)| *d = *d * v.max(-v) * v.lit(0.2));
+        }
+    }
+
+    /// The centre that mapped outputs speak of, for a particle at `x` about the origin.
+    pub fn centre<T: Real>(&self, m: &[T; MAX_OUTPUTS], x: V3<T>) -> Hub<T> {
+        let o = [x[0].lit(0.0); 3];
+        if self.kind == LawForm::Free {
+            return Hub { position: x, velocity: triple(m, 0), acceleration: o, w: triple(m, 3), spin: o };
+        }
+        let w = triple(m, 6);
+        let spin = if self.kind == LawForm::Gvfi13 { scale(axis(w).1, m[12]) } else { triple(m, 12) };
+        Hub { position: triple(m, 0), velocity: triple(m, 3), acceleration: triple(m, 9), w, spin }
+    }
+
+    /// The motion of a particle at `x` about the origin, from the network's outputs `y`.
+    pub fn motion<T: Real>(&self, y: &[T], x: V3<T>) -> Motion<T> {
+        let m = self.mapped(y);
+        match self.kind {
+            LawForm::Twist12 => Motion::from_array(m),
+            // A free particle is a body with its centre in the particle: its path is the straight line to any order.
+            LawForm::Free => self.centre(&m, x).motion(2, false),
+            _ => self.centre(&m, x).motion(self.order, self.literal),
+        }
+    }
+
+    /// Cotangents of the outputs from those of [`Form::motion`], for the forms that an integrator carries.
+    pub fn motion_back<T: Real>(&self, y: &[T], d: &Motion<T>, d_y: &mut [T]) {
+        if self.kind == LawForm::Twist12 {
+            d_y.iter_mut().zip(d.to_array()).for_each(|(to, from)| *to = from);
+        } else {
+            let centre = self.centre(&self.mapped(y), [y[0].lit(0.0); 3]);
+            let d = centre.motion_back(self.order, self.literal, d);
+            let all = [d.position, d.velocity, d.w, d.acceleration, d.spin];
+            d_y.iter_mut().zip(all.into_iter().flatten()).for_each(|(to, from)| *to = from);
+        }
+        self.mapped_back(y, d_y);
+    }
+}

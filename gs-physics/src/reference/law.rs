@@ -1,0 +1,80 @@
+//! A [`Law`] in `f64`, one particle at a time.
+
+use super::net::{NetRef, encode};
+use super::{Pose, adjoint, advance};
+use crate::law::arc::{self, Span};
+use crate::law::{Form, Law, LawConfig, LawInput};
+use crate::rollout::Rollout;
+use crate::twist::Motion;
+
+/// The law.
+#[derive(Clone, Debug)]
+pub struct LawRef {
+    /// Its network.
+    pub net: NetRef,
+    config: LawConfig,
+    form: Form,
+    rollout: Rollout,
+}
+
+impl LawRef {
+    /// The twin of `law`.
+    pub fn new(law: &Law) -> Self {
+        let (config, rollout) = (law.config().clone(), law.rollout());
+        Self { net: NetRef::new(law.net()), form: Form::new(&config), config, rollout }
+    }
+
+    fn input(&self, x: [f64; 3], t: f64) -> Vec<Vec<f64>> {
+        let [mut row, ..] = encode(&x, self.config.coordinate_scale.into(), self.config.bands);
+        if self.config.input == LawInput::Xt {
+            let [time, ..] = encode(&[t], 1.0, self.config.bands);
+            row.extend(time);
+        }
+        vec![row]
+    }
+
+    fn relative(&self, x: [f64; 3]) -> [f64; 3] {
+        crate::vec3::sub(x, self.rollout.origin.as_dvec3().to_array())
+    }
+
+    fn span(&self, [from, to]: [f64; 2]) -> Span<f64> {
+        let steps = self.form.literal().then(|| self.rollout.steps([0.0, to - from]));
+        Span::new(to - from, steps.as_deref())
+    }
+
+    /// As [`motions`](crate::Dynamics::motions).
+    pub fn motion(&self, x: [f64; 3], t: f64) -> Motion<f64> {
+        self.form.motion(&self.net.forward(&self.input(x, t))[0], self.relative(x))
+    }
+
+    /// As [`transport`](crate::Dynamics::transport) over `[from, to]`.
+    pub fn transport(&self, x: [f64; 3], span: [f64; 2]) -> Pose {
+        let start = [1.0, 0.0, 0.0, 0.0];
+        if span[0] == span[1] {
+            return (x, start);
+        }
+        if !self.form.is_closed() {
+            return advance(&self.rollout, &self.motion(x, span[0]), [0.0, span[1] - span[0]], (x, start));
+        }
+        let y = self.net.forward(&self.input(x, span[0]));
+        let (end, q) = arc::carry(&self.form, &y[0], self.relative(x), self.span(span));
+        (crate::vec3::add(end, self.rollout.origin.as_dvec3().to_array()), q)
+    }
+
+    /// Adds the gradient of the weights for cotangents `d` of [`LawRef::transport`]. Gradients of accelerations are not
+    /// clamped.
+    pub fn gradient(&self, x: [f64; 3], span: [f64; 2], d: Pose, grad: &mut [Vec<f64>]) {
+        let input = self.input(x, span[0]);
+        let y = self.net.forward(&input).swap_remove(0);
+        let mut d_y = vec![0.0; y.len()];
+        if self.form.is_closed() {
+            arc::carry_back(&self.form, &y, self.relative(x), self.span(span), d, &mut d_y);
+        } else {
+            let motion = self.form.motion(&y, self.relative(x));
+            let start = (x, [1.0, 0.0, 0.0, 0.0]);
+            let (d_motion, _) = adjoint(&self.rollout, &motion, [0.0, span[1] - span[0]], start, d);
+            self.form.motion_back(&y, &d_motion, &mut d_y);
+        }
+        self.net.backward(&input, &vec![d_y], grad);
+    }
+}

@@ -1,0 +1,299 @@
+//! The law in three levels: bodies whose paths are known, the `f64` twin against its own differences, production against
+//! the twin. Then what must hold to the last bit.
+//!
+//! Tolerances, relative to 1 + |value| (worst seen times about four):
+//! | quantity | bound |
+//! |---|---|
+//! | gradient of the twin against central differences | 1e-6 |
+//! | f32 positions and turns | 2e-6 |
+//! | f32 gradients of weights, relative to the largest of their block | 2e-5 |
+
+use glam::Vec3;
+use gs_core::nn::BLOCK;
+use gs_core::{Params, Rng};
+use gs_physics::reference::Pose;
+use gs_physics::reference::law::LawRef;
+use gs_physics::{AccelMap, Dynamics, Integrator, Law, LawConfig, LawForm, LawInput, LawTape, Moves, Rollout};
+
+const ORIGIN: Vec3 = Vec3::new(0.3, -0.2, 0.5);
+const STEP: f64 = 1.0 / 30.0;
+const FORMS: [LawForm; 4] = [LawForm::Twist12, LawForm::Centre15, LawForm::Gvfi13, LawForm::Free];
+
+/// Small, with outputs of order one so that every term counts.
+fn config(form: LawForm, order: u8) -> LawConfig {
+    LawConfig { form, order, hidden: 10, depth: 2, head_start: 1.0, accel_clamp: 0.0, ..LawConfig::default() }
+}
+
+fn law(config: &LawConfig) -> Law {
+    let mut law = Law::new(config, ORIGIN, STEP, 3).unwrap();
+    law.visit_mut(&mut |p| {
+        let mut rng = Rng::new(5, &p.name, 0, 0);
+        let spread = if p.name.ends_with("bias") { 0.6 } else { 1.6 };
+        p.value.iter_mut().for_each(|v| *v += spread * rng.range(-0.5, 0.5));
+    });
+    law
+}
+
+fn points(n: usize) -> Vec<Vec3> {
+    let mut rng = Rng::new(1, "points", 0, 0);
+    (0..n).map(|_| Vec3::new(rng.range(-1.0, 1.0), rng.range(-1.0, 1.0), rng.range(-1.0, 1.0))).collect()
+}
+
+fn cotangents(n: usize) -> Moves {
+    let mut rng = Rng::new(1, "cotangents", 0, 0);
+    let means = (0..n).map(|_| Vec3::new(rng.normal(), rng.normal(), rng.normal())).collect();
+    Moves { means, turns: (0..n).map(|_| std::array::from_fn(|_| rng.normal())).collect() }
+}
+
+fn pose(moves: &Moves, i: usize) -> Pose {
+    (moves.means[i].as_dvec3().to_array(), moves.turns[i].map(f64::from))
+}
+
+fn dot(a: Pose, b: Pose) -> f64 {
+    a.0.iter().chain(&a.1).zip(b.0.iter().chain(&b.1)).map(|(a, b)| a * b).sum()
+}
+
+/// Every form, order, map, input and switch, over one step and several, forth and back.
+fn cases() -> Vec<(LawConfig, [f64; 2])> {
+    let mut out = Vec::new();
+    for form in FORMS {
+        for order in 1..=3 {
+            for literal in [false, true] {
+                let span = if order == 2 { [0.6, 0.52] } else { [0.3, 0.3 + STEP] };
+                out.push((LawConfig { literal, ..config(form, order) }, span));
+            }
+        }
+        out.push((LawConfig { integrator: Integrator::Se3Mid, ..config(form, 2) }, [0.1, 0.25]));
+        let plain = LawConfig { input: LawInput::X, accel: AccelMap::Linear, ..config(form, 2) };
+        out.push((LawConfig { coordinate_scale: 0.4, local_origin: false, bands: 1, ..plain }, [0.7, 0.66]));
+    }
+    out
+}
+
+#[test]
+fn gradients_of_the_twin_are_its_differences() {
+    let (x, d) = (points(2), cotangents(2));
+    for (config, span) in cases() {
+        let mut twin = LawRef::new(&law(&config));
+        let mut grad = twin.net.zeros();
+        let at = |i: usize| x[i].as_dvec3().to_array();
+        (0..2).for_each(|i| twin.gradient(at(i), span, pose(&d, i), &mut grad));
+        let h = 1e-5;
+        for block in 0..grad.len() {
+            for k in (0..grad[block].len()).step_by(7) {
+                let value = twin.net.params[block][k];
+                let mut loss = |v: f64| -> f64 {
+                    twin.net.params[block][k] = v;
+                    (0..2).map(|i| dot(twin.transport(at(i), span), pose(&d, i))).sum()
+                };
+                let want = (loss(value + h) - loss(value - h)) / (2.0 * h);
+                loss(value);
+                let got = grad[block][k];
+                assert!((got - want).abs() < 1e-6 * (1.0 + want.abs()), "{config:?} {block} {k}: {got} {want}");
+            }
+        }
+    }
+}
+
+#[test]
+fn production_agrees_with_the_twin() {
+    let n = 21;
+    let (x, d) = (points(n), cotangents(n));
+    for (config, [from, to]) in cases() {
+        let mut law = law(&config);
+        let twin = LawRef::new(&law);
+        let (mut tape, mut out, mut grad) = (LawTape::default(), Moves::default(), twin.net.zeros());
+        law.transport(&x, from, to, &mut tape, &mut out);
+        law.transport_backward(&x, &mut tape, &d);
+        for i in 0..n {
+            let at = x[i].as_dvec3().to_array();
+            let ((mean, turn), want) = (pose(&out, i), twin.transport(at, [from, to]));
+            for (g, w) in mean.iter().chain(&turn).zip(want.0.iter().chain(&want.1)) {
+                assert!((g - w).abs() < 2e-6 * (1.0 + w.abs()), "{config:?} {i}: {g} {w}");
+            }
+            twin.gradient(at, [from, to], pose(&d, i), &mut grad);
+            let (got, want) = (law.motions(&x, from)[i].widened().to_array(), twin.motion(at, from).to_array());
+            for (g, w) in got.iter().zip(want) {
+                assert!((g - w).abs() < 2e-6 * (1.0 + w.abs()), "{config:?} {i}: {g} {w}");
+            }
+        }
+        let mut block = 0;
+        law.visit(&mut |p| {
+            let largest = grad[block].iter().fold(1e-9f64, |m, g| m.max(g.abs()));
+            for (g, w) in p.grad.iter().zip(&grad[block]) {
+                assert!((f64::from(*g) - w).abs() < 2e-5 * largest, "{config:?} {}: {g} {w} of {largest}", p.name);
+            }
+            block += 1;
+        });
+    }
+}
+
+/// A law that says the same everywhere: its last bias.
+fn constant(config: &LawConfig, outputs: &[f32]) -> Law {
+    let mut law = Law::new(config, ORIGIN, STEP, 0).unwrap();
+    let last = format!("physics.layer.{}.bias", config.depth);
+    law.visit_mut(&mut |p| {
+        p.value.fill(0.0);
+        if p.name == last {
+            p.value.copy_from_slice(outputs);
+        }
+    });
+    law
+}
+
+/// A wheel that rolls half a turn, as a twist and by its hub: where the rim ends, and that `−w × v_c` is what it takes.
+#[test]
+fn a_wheel_rolls() {
+    use std::f32::consts::PI;
+    let rim = [Vec3::new(0.0, 0.0, 1.0)];
+    let (hub, v, w) = (Vec3::new(0.0, 0.0, 0.5) - ORIGIN, Vec3::new(PI / 2.0, 0.0, 0.0), Vec3::new(0.0, PI, 0.0));
+    let end = Vec3::new(PI / 2.0, 0.0, 0.0);
+    let linear = |form| LawConfig { accel: AccelMap::Linear, integrator: Integrator::Se3Mid, ..config(form, 2) };
+    let miss = |config: &LawConfig, parts: &[Vec3], n: usize| {
+        let outputs: Vec<f32> = parts.iter().flat_map(|v| v.to_array()).take(n).collect();
+        let (law, mut out) = (constant(config, &outputs), Moves::default());
+        law.transport(&rim, 0.0, 1.0, &mut LawTape::default(), &mut out);
+        (out.means[0] - end).length()
+    };
+    let twist = [v - w.cross(hub), w, -w.cross(v), Vec3::ZERO];
+    let centre = [hub, v, w, Vec3::ZERO, Vec3::ZERO];
+    // The same motion; 9.1e-4 is what 30 steps of this rule miss (2.3e-4 at 60).
+    assert!((miss(&linear(LawForm::Twist12), &twist, 12) - 9.1e-4).abs() < 3e-5);
+    assert!((miss(&linear(LawForm::Centre15), &centre, 15) - 9.1e-4).abs() < 3e-5);
+    assert!(miss(&LawConfig { literal: true, ..linear(LawForm::Centre15) }, &centre, 15) > 1.0);
+    assert!(miss(&linear(LawForm::Gvfi13), &centre, 13) < 2e-6);
+}
+
+/// Half a turn in parts: θ = τ + 2 τ² about a fixed axis. The exact arc, and the printed one, which lags by 2 τ dt.
+#[test]
+fn angles_of_gvfi() {
+    let x = [ORIGIN + Vec3::new(1.0, 0.0, 0.0)];
+    for (literal, lag) in [(false, 0.0), (true, 2.0 * 0.5 * STEP)] {
+        let config = LawConfig { accel: AccelMap::Linear, literal, ..config(LawForm::Gvfi13, 2) };
+        let mut outputs = [0.0; 13];
+        (outputs[8], outputs[12]) = (1.0, 4.0);
+        let (law, mut out) = (constant(&config, &outputs), Moves::default());
+        law.transport(&x, 0.2, 0.7, &mut LawTape::default(), &mut out);
+        let angle = 2.0 * f64::from(out.turns[0][3]).atan2(out.turns[0][0].into());
+        assert!((angle - (0.5 + 0.5 - lag)).abs() < 5e-6, "{literal}: {angle}");
+        let p = out.means[0] - ORIGIN;
+        assert!((f64::from(p.y).atan2(p.x.into()) - angle).abs() < 1e-6);
+    }
+}
+
+/// The motion of a free particle, rolled out by mechanics, is its own straight line and turn.
+#[test]
+fn a_free_particle_goes_straight() {
+    let law = law(&config(LawForm::Free, 2));
+    let (x, mut out) = (points(30), Moves::default());
+    law.transport(&x, 0.4, 0.9, &mut LawTape::default(), &mut out);
+    let motions = law.motions(&x, 0.4);
+    let rollout = Rollout { rule: Integrator::Se3Magnus4, dt: 0.01, origin: law.origin() };
+    let (mut means, mut quats) = (x.clone(), vec![[1.0, 0.0, 0.0, 0.0]; 30]);
+    rollout.advance(&motions, [0.0, 0.5], &mut means, &mut quats);
+    for i in 0..30 {
+        assert!((means[i] - out.means[i]).length() < 1e-5, "{} {}", means[i], out.means[i]);
+        assert!(quats[i].iter().zip(out.turns[i]).all(|(a, b)| (a - b).abs() < 1e-5));
+    }
+}
+
+#[test]
+fn no_time_no_move() {
+    for form in FORMS {
+        let mut law = law(&config(form, 2));
+        let (x, mut tape, mut out) = (points(BLOCK + 3), LawTape::default(), Moves::default());
+        law.transport(&x, 0.2, 0.5, &mut tape, &mut out);
+        law.transport(&x, 0.4, 0.4, &mut tape, &mut out);
+        assert_eq!(out.means, x);
+        assert!(out.turns.iter().all(|q| *q == [1.0, 0.0, 0.0, 0.0]));
+        law.transport_backward(&x, &mut tape, &cotangents(x.len()));
+        law.visit(&mut |p| assert!(p.grad.iter().all(|g| *g == 0.0)));
+    }
+}
+
+/// Weights of the last layer start within their bounds, and none of them at zero.
+#[test]
+fn the_head_starts_small_but_alive() {
+    let law = Law::new(&LawConfig::default(), ORIGIN, STEP, 0).unwrap();
+    assert_eq!(law.param_count(), 104_332, "the authors' light network");
+    let bound = 1.0 / 128f32.sqrt();
+    law.visit(&mut |p| {
+        if p.name == "physics.layer.7.weight" {
+            let (twist, accel) = p.value.split_at(6 * 128);
+            assert!(twist.iter().all(|v| v.abs() <= 0.1 * bound) && accel.iter().all(|v| v.abs() <= bound));
+            assert!(accel.iter().fold(0.0f32, |m, v| m.max(v.abs())) > 0.9 * bound);
+            assert!(p.value.iter().all(|v| *v != 0.0));
+        }
+    });
+}
+
+/// One particle cannot push accelerations by more than the limit.
+#[test]
+fn gradients_of_accelerations_are_clamped() {
+    let last_bias = |accel_clamp: f32| {
+        let mut law = law(&LawConfig { accel_clamp, ..config(LawForm::Twist12, 2) });
+        let (x, mut tape, mut out) = (points(1), LawTape::default(), Moves::default());
+        law.transport(&x, 0.2, 0.5, &mut tape, &mut out);
+        let mut d = cotangents(1);
+        d.means[0] *= 1e3;
+        law.transport_backward(&x, &mut tape, &d);
+        let mut grad = Vec::new();
+        law.visit(&mut |p| grad.clone_from(&p.grad));
+        grad
+    };
+    let length = |g: &[f32]| g.iter().map(|v| v * v).sum::<f32>().sqrt();
+    let (free, held) = (last_bias(0.0), last_bias(1.0));
+    assert_eq!(free[..6], held[..6], "twists are not touched");
+    assert!(length(&free[6..]) > 2.0 && (length(&held[6..]) - 1.0).abs() < 1e-5);
+}
+
+/// Everything a step produces, as bits.
+fn step(law: &mut Law, tape: &mut LawTape, n: usize) -> Vec<u32> {
+    let (x, mut out) = (points(n), Moves::default());
+    law.clear_grads();
+    law.transport(&x, 0.3, 0.38, tape, &mut out);
+    law.transport_backward(&x, tape, &cotangents(n));
+    let mut bits: Vec<u32> = out.means.iter().flat_map(|v| v.to_array()).map(f32::to_bits).collect();
+    bits.extend(out.turns.iter().flatten().map(|v| v.to_bits()));
+    law.visit(&mut |p| bits.extend(p.grad.iter().map(|v| v.to_bits())));
+    bits
+}
+
+#[test]
+fn threads_and_warm_tapes_change_nothing() {
+    for form in FORMS {
+        // More blocks than chunks, and a ragged end.
+        let (n, make) = (11 * BLOCK + 17, || law(&config(form, 2)));
+        let on = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| step(&mut make(), &mut LawTape::default(), n))
+        };
+        let one = on(1);
+        assert!(one == on(2) && one == on(4), "results depend on the number of threads");
+        let (mut law, mut tape) = (make(), LawTape::default());
+        for n in [n + 300, 0, 1, BLOCK, BLOCK + 1] {
+            assert_eq!(step(&mut law, &mut tape, n), step(&mut make(), &mut LawTape::default(), n), "n = {n}");
+        }
+        assert!(step(&mut law, &mut tape, n) == one, "a warm tape changes the result");
+    }
+}
+
+#[test]
+fn wrong_settings_are_named() {
+    let error = |config| Law::new(&config, ORIGIN, STEP, 0).unwrap_err().to_string();
+    let default = LawConfig::default;
+    assert_eq!(
+        error(LawConfig { order: 4, ..default() }),
+        "physics setting `order` = 4 cannot be built: it must be 1 to 3"
+    );
+    for (config, name) in [
+        (LawConfig { depth: 0, ..default() }, "depth"),
+        (LawConfig { hidden: 0, ..default() }, "hidden"),
+        (LawConfig { bands: 99, ..default() }, "bands"),
+        (LawConfig { head_start: 0.0, ..default() }, "head_start"),
+        (LawConfig { accel_clamp: -1.0, ..default() }, "accel_clamp"),
+        (LawConfig { coordinate_scale: f32::NAN, ..default() }, "coordinate_scale"),
+    ] {
+        assert!(error(config).contains(name), "{name}");
+    }
+}
