@@ -218,8 +218,9 @@ fn turn_away<const N: usize>(a: &mut [[f64; N]; N], v: &mut [[f64; N]; N], p: us
         (row[p], row[q]) = (c * row[p] - s * row[q], s * row[p] + c * row[q]);
     }
     for m in [a, v] {
-        for k in 0..N {
-            (m[p][k], m[q][k]) = (c * m[p][k] - s * m[q][k], s * m[p][k] + c * m[q][k]);
+        let (above, below) = m.split_at_mut(q);
+        for (x, y) in above[p].iter_mut().zip(&mut below[0]) {
+            (*x, *y) = (c * *x - s * *y, s * *x + c * *y);
         }
     }
 }

@@ -127,6 +127,9 @@ fn far_from_the_origin() {
     assert!(pairs.iter().all(|&(p, q)| (fit.apply(p) - q).length() < 1e-8));
 }
 
+/// Changes a pair or its weight by a step.
+type Poke<'a> = dyn Fn(&mut (DVec3, DVec3), &mut f64, f64) + 'a;
+
 /// Analytic cotangents against central differences of the whole fit, for weights and both points.
 #[test]
 fn the_adjoint_is_the_derivative() {
@@ -147,7 +150,7 @@ fn the_adjoint_is_the_derivative() {
     let step = 1e-6;
     for i in 0..n {
         let (dw, dp, dq) = back.pair(weights[i], pairs[i].0, pairs[i].1);
-        let mut check = |poke: &dyn Fn(&mut (DVec3, DVec3), &mut f64, f64), want: f64| {
+        let mut check = |poke: &Poke<'_>, want: f64| {
             let (pair, weight) = (pairs[i], weights[i]);
             let [up, down] = [step, -step].map(|h| {
                 poke(&mut pairs[i], &mut weights[i], h);

@@ -1,0 +1,316 @@
+//! How many rigid bodies there are: clusters that share a twist are one.
+//!
+//! Too many clusters are made first; the two whose union is explained best by one twist are merged, and again, while that twist
+//! tells velocities apart no more than it may. The twist of a cluster is the least-squares one over velocities
+//! `u_i = v_i + w_i × (x_i − o)` of its particles,
+//! ```text
+//! R(C) = min over (v, w) of Σ_i weight |v + w × (x_i − o) − u_i|²      6 unknowns, sums that add up over clusters
+//! d²(A, B) = (R(A ∪ B) − R(A) − R(B)) (W_A + W_B) / (W_A W_B)         mean squared velocity that parts A from B
+//! ```
+//! and two clusters are one body if `d ≤ max(tolerance · u_rms, spread · r)`: `u_rms` the root mean square speed of moving
+//! particles, `r² = (R(A) + R(B)) / (W_A + W_B)` what their own twists leave unexplained, so that noise within a body does not
+//! count as a second body. Clusters lighter than [`MergeOptions::least_share`] are strays: they take the label of the one they
+//! fit best, and do not change its twist.
+
+use super::by_weight;
+use crate::twist::{Motion, Twist};
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
+
+/// Particles per parallel block.
+const BLOCK: usize = 1024;
+
+/// When clusters are one body.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MergeOptions {
+    /// Part of the root mean square speed that may part clusters of one body.
+    pub tolerance: f64,
+    /// How many times their own residual may part clusters of one body.
+    pub spread: f64,
+    /// Clusters with less of the weight are no bodies.
+    pub least_share: f64,
+}
+
+impl Default for MergeOptions {
+    fn default() -> Self {
+        Self { tolerance: 0.05, spread: 2.0, least_share: 0.005 }
+    }
+}
+
+/// Normal equations of the twist of a set of particles; sums of two sets are the sums of their union.
+#[derive(Clone, Copy, Debug, PartialEq, Default)]
+pub struct TwistSums {
+    /// Sum of the weights.
+    pub weight: f64,
+    normal: [[f64; 6]; 6],
+    right: [f64; 6],
+    square: f64,
+}
+
+impl TwistSums {
+    /// Adds a particle at `x` (about the origin) with velocity `u`.
+    pub fn add(&mut self, weight: f64, x: DVec3, u: DVec3) {
+        // Rows of [I, −[x]×].
+        let rows = [[1.0, 0.0, 0.0, 0.0, x.z, -x.y], [0.0, 1.0, 0.0, -x.z, 0.0, x.x], [0.0, 0.0, 1.0, x.y, -x.x, 0.0]];
+        for (row, u) in rows.iter().zip(u.to_array()) {
+            for (i, a) in row.iter().enumerate() {
+                self.right[i] += weight * a * u;
+                row.iter().zip(&mut self.normal[i]).for_each(|(b, n)| *n += weight * a * b);
+            }
+        }
+        self.weight += weight;
+        self.square += weight * u.length_squared();
+    }
+
+    /// Of two sets together.
+    pub fn joined(&self, other: &Self) -> Self {
+        let mut sum = *self;
+        sum.weight += other.weight;
+        sum.square += other.square;
+        for i in 0..6 {
+            sum.right[i] += other.right[i];
+            (0..6).for_each(|j| sum.normal[i][j] += other.normal[i][j]);
+        }
+        sum
+    }
+
+    /// Mean of the squared speeds.
+    pub fn mean_square(&self) -> f64 {
+        if self.weight > 0.0 { self.square / self.weight } else { 0.0 }
+    }
+
+    /// The twist of least squares; where the particles leave it open (a line, a point) the shortest, by a ridge of `1e-9`.
+    pub fn twist(&self) -> Twist<f64> {
+        let x = cholesky(self.normal, self.right);
+        Twist { v: [x[0], x[1], x[2]], w: [x[3], x[4], x[5]] }
+    }
+
+    /// `R`: what the twist of least squares leaves, `Σ weight |·|²`.
+    pub fn residual(&self) -> f64 {
+        let x = cholesky(self.normal, self.right);
+        let quadratic: f64 = (0..6).map(|i| x[i] * (0..6).map(|j| self.normal[i][j] * x[j]).sum::<f64>()).sum();
+        let linear: f64 = (0..6).map(|i| x[i] * self.right[i]).sum();
+        (self.square - 2.0 * linear + quadratic).max(0.0)
+    }
+}
+
+/// `a⁻¹ b` of a symmetric positive semi-definite matrix with a ridge on its diagonal.
+fn cholesky(mut a: [[f64; 6]; 6], mut b: [f64; 6]) -> [f64; 6] {
+    let ridge = 1e-9 * (0..6).map(|i| a[i][i]).fold(0.0, f64::max) + f64::MIN_POSITIVE;
+    for i in 0..6 {
+        a[i][i] += ridge;
+        for j in 0..=i {
+            let sum: f64 = (0..j).map(|k| a[i][k] * a[j][k]).sum();
+            a[i][j] = if i == j { (a[i][i] - sum).max(ridge * 1e-3).sqrt() } else { (a[i][j] - sum) / a[j][j] };
+        }
+    }
+    for i in 0..6 {
+        b[i] = (b[i] - (0..i).map(|k| a[i][k] * b[k]).sum::<f64>()) / a[i][i];
+    }
+    for i in (0..6).rev() {
+        b[i] = (b[i] - (i + 1..6).map(|k| a[k][i] * b[k]).sum::<f64>()) / a[i][i];
+    }
+    b
+}
+
+/// Sums of each of `k` labels. Particles whose position or twist is not finite do not count.
+pub fn twist_sums(
+    positions: &[Vec3],
+    motions: &[Motion<f32>],
+    origin: Vec3,
+    weights: Option<&[f32]>,
+    labels: &[u32],
+    k: usize,
+) -> Vec<TwistSums> {
+    let block = |b: usize| {
+        let mut sums = vec![TwistSums::default(); k];
+        for i in b * BLOCK..((b + 1) * BLOCK).min(labels.len()) {
+            let x = (positions[i] - origin).as_dvec3();
+            let [v, w] = [motions[i].twist.v, motions[i].twist.w].map(|a| Vec3::from_array(a).as_dvec3());
+            let u = v + w.cross(x);
+            if x.is_finite() && u.is_finite() {
+                sums[labels[i] as usize].add(weights.map_or(1.0, |w| w[i].into()), x, u);
+            }
+        }
+        sums
+    };
+    let blocks: Vec<_> = (0..labels.len().div_ceil(BLOCK)).into_par_iter().map(block).collect();
+    let mut total = vec![TwistSums::default(); k];
+    for sums in blocks {
+        total.iter_mut().zip(&sums).for_each(|(t, s)| *t = t.joined(s));
+    }
+    total
+}
+
+/// Bodies, heaviest first.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Merged {
+    /// The body of each particle.
+    pub labels: Vec<u32>,
+    /// Sums of each body, without strays.
+    pub bodies: Vec<TwistSums>,
+    /// Velocity that parted the pair of each merger, in order, world units per unit of time.
+    pub distances: Vec<f64>,
+    /// The one that would part the next pair; none if one body is left.
+    pub next: Option<f64>,
+}
+
+/// Merges the clusters `labels < k` of particles into bodies.
+pub fn merged(
+    positions: &[Vec3],
+    motions: &[Motion<f32>],
+    origin: Vec3,
+    weights: Option<&[f32]>,
+    (labels, k): (&[u32], usize),
+    options: &MergeOptions,
+) -> Merged {
+    let mut sums = twist_sums(positions, motions, origin, weights, labels, k);
+    let all = sums.iter().fold(TwistSums::default(), |a, b| a.joined(b));
+    let least = options.least_share * all.weight;
+    let floor = options.tolerance * moving_speed(&sums, least);
+    let heavy = sums.iter().position(|s| s.weight > 0.0).unwrap_or(0);
+    let mut home: Vec<usize> = (0..k).map(|c| if sums[c].weight > 0.0 { c } else { heavy }).collect();
+    let mut residual: Vec<f64> = sums.iter().map(TwistSums::residual).collect();
+    let (mut distances, mut next) = (Vec::new(), None);
+    loop {
+        let here: Vec<usize> = (0..k).filter(|&c| home[c] == c && sums[c].weight > 0.0).collect();
+        let small = here.iter().copied().filter(|&c| sums[c].weight < least);
+        let small = small.min_by(|&a, &b| sums[a].weight.total_cmp(&sums[b].weight));
+        let pairs = here.iter().flat_map(|&a| here.iter().map(move |&b| (a, b))).filter(|(a, b)| a < b);
+        let pairs = pairs.filter(|&(a, b)| small.is_none_or(|s| a == s || b == s));
+        let parted = |(a, b): (usize, usize)| {
+            let (sa, sb) = (&sums[a], &sums[b]);
+            let own = residual[a] + residual[b];
+            let d2 = (sa.joined(sb).residual() - own).max(0.0) * (sa.weight + sb.weight) / (sa.weight * sb.weight);
+            let noise = options.spread * (own / (sa.weight + sb.weight)).sqrt();
+            (d2.sqrt(), floor.max(noise), a, b)
+        };
+        // By how far they are apart in terms of what is allowed: noisy pairs are not kept from merging by a clean one.
+        let best = pairs.map(parted).min_by(|x, y| (x.0 / x.1).total_cmp(&(y.0 / y.1)));
+        let Some((distance, allowed, a, b)) = best else { break };
+        if small.is_none() && distance > allowed {
+            next = Some(distance);
+            break;
+        }
+        let (from, to) = if small == Some(a) { (a, b) } else { (b, a) };
+        if small.is_none() {
+            distances.push(distance);
+            sums[to] = sums[to].joined(&sums[from]);
+            residual[to] = sums[to].residual();
+        }
+        home.iter_mut().filter(|h| **h == from).for_each(|h| *h = to);
+    }
+    let mut new: Vec<u32> = labels.iter().map(|l| home[*l as usize] as u32).collect();
+    let order = by_weight(&mut new, |i| weights.map_or(1.0, |w| w[i].into()), k);
+    Merged { labels: new, bodies: order.iter().map(|&c| sums[c]).collect(), distances, next }
+}
+
+/// Root mean square speed over clusters of at least this weight that move at least a tenth as fast as the fastest of them.
+fn moving_speed(sums: &[TwistSums], least: f64) -> f64 {
+    let heavy = || sums.iter().filter(|s| s.weight >= least);
+    let fastest = heavy().map(TwistSums::mean_square).fold(0.0, f64::max);
+    let moving = heavy().filter(|s| s.mean_square() >= 0.01 * fastest);
+    moving.fold(TwistSums::default(), |a, b| a.joined(b)).mean_square().sqrt().max(f64::MIN_POSITIVE)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{FeatureOptions, KMeansOptions, features, kmeans};
+    use super::*;
+    use gs_core::Rng;
+
+    const ORIGIN: Vec3 = Vec3::new(0.2, -0.1, 0.3);
+
+    /// Bodies as (centre, v, w, particles) with relative noise on their twists: positions, motions, labels.
+    fn scene(bodies: &[(Vec3, Vec3, Vec3, usize)], noise: f32) -> (Vec<Vec3>, Vec<Motion<f32>>, Vec<u32>) {
+        let (mut x, mut m, mut truth) = (Vec::new(), Vec::new(), Vec::new());
+        for (label, &(centre, v, w, n)) in bodies.iter().enumerate() {
+            for i in 0..n {
+                let mut rng = Rng::new(8, "bodies", label as u32, i as u64);
+                let mut draw = || Vec3::new(rng.normal(), rng.normal(), rng.normal());
+                x.push(centre + 0.15 * draw());
+                let (v, w) = (v + noise * v.length() * draw(), w + noise * w.length() * draw());
+                m.push(Motion { twist: Twist { v: v.to_array(), w: w.to_array() }, ..Motion::default() });
+                truth.push(label as u32);
+            }
+        }
+        (x, m, truth)
+    }
+
+    fn bodies(x: &[Vec3], m: &[Motion<f32>]) -> Merged {
+        let (rows, width) = features(m, &FeatureOptions::default());
+        let found = kmeans(&rows, width, None, &KMeansOptions { k: 12, ..KMeansOptions::default() });
+        merged(x, m, ORIGIN, None, (&found.labels, found.k), &MergeOptions::default())
+    }
+
+    fn four() -> [(Vec3, Vec3, Vec3, usize); 4] {
+        [
+            (Vec3::ZERO, Vec3::ZERO, Vec3::ZERO, 900),
+            (Vec3::X, Vec3::new(0.0, 1.0, 0.2), Vec3::ZERO, 500),
+            (Vec3::Y, Vec3::new(-0.5, 0.0, 0.0), Vec3::new(0.0, 0.0, 6.0), 400),
+            (-Vec3::X, Vec3::new(0.0, 0.0, -0.3), Vec3::new(2.0, 0.0, 0.0), 300),
+        ]
+    }
+
+    #[test]
+    fn bodies_are_counted_with_and_without_noise() {
+        for noise in [0.0, 0.02, 0.05] {
+            let (x, m, truth) = scene(&four(), noise);
+            let found = bodies(&x, &m);
+            assert_eq!(found.bodies.len(), 4, "noise {noise}: {:?} next {:?}", found.distances, found.next);
+            let wrong = found.labels.iter().zip(&truth).filter(|(a, b)| a != b).count();
+            assert!(wrong * 100 < truth.len(), "noise {noise}: {wrong} of {}", truth.len());
+            let twist = found.bodies[2].twist();
+            assert!((twist.w[2] - 6.0).abs() < 0.02 + noise as f64 && twist.w[0].abs() < 0.1, "{twist:?}");
+        }
+    }
+
+    #[test]
+    fn one_body_is_one_and_rest_is_one() {
+        let (x, m, _) = scene(&four()[2..3], 0.03);
+        assert_eq!(bodies(&x, &m).bodies.len(), 1);
+        let (x, m, _) = scene(&four()[..1], 0.0);
+        let rest = bodies(&x, &m);
+        assert_eq!((rest.bodies.len(), rest.next), (1, None));
+    }
+
+    /// A bending sheet is no rigid body, nor a few.
+    #[test]
+    fn what_bends_stays_in_many_pieces() {
+        let x: Vec<Vec3> =
+            (0..2000).map(|i| Vec3::new((i % 50) as f32 / 25.0 - 1.0, (i / 50) as f32 / 20.0, 0.0)).collect();
+        let wave = |x: &Vec3| Twist { v: [0.0, 0.0, (6.0 * x.x).sin()], w: [0.0; 3] };
+        let m: Vec<_> = x.iter().map(|x| Motion { twist: wave(x), ..Motion::default() }).collect();
+        assert!(bodies(&x, &m).bodies.len() >= 4);
+    }
+
+    #[test]
+    fn a_handful_of_strays_is_no_body() {
+        let (mut x, mut m, _) = scene(&four(), 0.02);
+        for k in 0..5 {
+            x.push(Vec3::splat(k as f32 * 0.1));
+            m.push(Motion { twist: Twist { v: [0.0, 0.0, 40.0], w: [0.0; 3] }, ..Motion::default() });
+        }
+        assert_eq!(bodies(&x, &m).bodies.len(), 4);
+    }
+
+    /// Sums of a screw motion give back its twist and leave nothing; sums add up.
+    #[test]
+    fn least_squares_twists() {
+        let (v, w) = (DVec3::new(0.3, -1.0, 0.5), DVec3::new(2.0, 0.1, -4.0));
+        let mut parts = [TwistSums::default(); 2];
+        for i in 0..40u64 {
+            let mut rng = Rng::new(1, "screw", 0, i);
+            let x = DVec3::new(rng.normal().into(), rng.normal().into(), rng.normal().into());
+            parts[i as usize % 2].add(0.5 + i as f64, x, v + w.cross(x));
+        }
+        let both = parts[0].joined(&parts[1]);
+        let twist = both.twist();
+        assert!((DVec3::from_array(twist.v) - v).length() < 1e-7 && (DVec3::from_array(twist.w) - w).length() < 1e-7);
+        assert!(both.residual() < 1e-10 * both.weight);
+        let mut point = TwistSums::default();
+        point.add(2.0, DVec3::X, DVec3::Y);
+        assert!(point.residual() < 1e-12 && point.twist().v.iter().all(|v| v.is_finite()));
+        assert_eq!(TwistSums::default().residual(), 0.0);
+    }
+}
