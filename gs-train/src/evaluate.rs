@@ -124,7 +124,7 @@ pub struct MeanScores {
 pub struct EvalReport {
     /// Name of the method.
     pub method: String,
-    /// `train`, `val` or `test`.
+    /// `train`, `val`, `test` or `extrapolate`.
     pub split: String,
     /// Colour behind the scene, in drawing and photograph alike.
     pub background: [f32; 3],
@@ -146,6 +146,16 @@ pub struct EvalReport {
     pub train_seconds: Option<f64>,
     /// The scores of each view.
     pub views: Vec<ViewScores>,
+    /// The scores beyond the last training time, in `metrics.json` of a run whose data have such views.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub extrapolate: Option<Box<EvalReport>>,
+}
+
+impl EvalReport {
+    /// Mean PSNR beyond the last training time, dB, where it was scored.
+    pub fn extrapolated_psnr(&self) -> Option<f64> {
+        self.extrapolate.as_ref()?.mean.psnr
+    }
 }
 
 /// Why an evaluation failed.
@@ -221,7 +231,27 @@ pub fn evaluate(
         parameter_bytes: 4 * Params::param_count(method) as u64,
         train_seconds: None,
         views,
+        extrapolate: None,
     })
+}
+
+/// The scores of a split and, beside them, those of the views beyond the last training time, where there are any.
+///
+/// # Errors
+/// As [`evaluate`].
+pub fn evaluate_with_future(
+    method: &dyn Method,
+    dataset: &Dataset,
+    split: Split,
+    background: [f32; 3],
+    photographs: &ImageCache,
+) -> Result<EvalReport, EvalError> {
+    let mut report = evaluate(method, dataset, split, background, photographs)?;
+    if !dataset.extrapolate.is_empty() {
+        let future = evaluate(method, dataset, Split::Extrapolate, background, photographs)?;
+        report.extrapolate = Some(Box::new(future));
+    }
+    Ok(report)
 }
 
 fn mean_scores(summary: &Summary, views: &[ViewScores]) -> MeanScores {

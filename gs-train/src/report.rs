@@ -36,6 +36,8 @@ pub struct Report {
     pub splats: Vec<Sample>,
     /// Views with their truth, worst first.
     pub views: Vec<Comparison>,
+    /// Views beyond the last training time with their truth, worst first.
+    pub future: Vec<Comparison>,
     /// The scene from one camera over time.
     pub strip: Vec<Still>,
     /// Histograms of the splats' quantities over the steps of training.

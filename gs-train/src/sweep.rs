@@ -58,6 +58,33 @@ pub struct Sweep {
     pub sets: Vec<String>,
 }
 
+/// A column of a table of rows.
+#[derive(Clone, Copy, Debug)]
+pub struct Column {
+    /// Its heading.
+    pub head: &'static str,
+    digits: usize,
+    value: fn(&Row) -> Option<f64>,
+}
+
+const COLUMNS: [Column; 8] = [
+    Column { head: "PSNR", digits: 2, value: |r| r.psnr },
+    Column { head: "ext dB", digits: 2, value: |r| r.extrapolated },
+    Column { head: "SSIM", digits: 4, value: |r| r.ssim },
+    Column { head: "proxy", digits: 4, value: |r| r.proxy },
+    Column { head: "MB", digits: 3, value: |r| r.megabytes },
+    Column { head: "seconds", digits: 1, value: |r| r.seconds },
+    Column { head: "splats", digits: 0, value: |r| r.splats },
+    Column { head: "steps", digits: 0, value: |r| Some(r.steps as f64) },
+];
+
+impl Column {
+    /// The number of a row as text, `absent` if it has none.
+    pub fn cell(&self, row: &Row, absent: &str) -> String {
+        (self.value)(row).map_or(absent.to_owned(), |v| format!("{v:.*}", self.digits))
+    }
+}
+
 /// One setting and what it came to, means over seeds.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Row {
@@ -71,6 +98,8 @@ pub struct Row {
     pub psnr: Option<f64>,
     /// Its standard deviation over seeds.
     pub psnr_deviation: Option<f64>,
+    /// Mean PSNR beyond the last training time, dB, where the data have such views.
+    pub extrapolated: Option<f64>,
     /// Mean SSIM.
     pub ssim: Option<f64>,
     /// Mean perceptual proxy; not LPIPS.
@@ -96,6 +125,7 @@ impl Row {
             preset,
             psnr: mean(|r| r.mean.psnr),
             psnr_deviation: standing.spread(|r| r.mean.psnr).map(|s| s.deviation),
+            extrapolated: mean(EvalReport::extrapolated_psnr),
             ssim: mean(|r| r.mean.ssim),
             proxy: mean(|r| r.mean.perceptual_proxy),
             megabytes: mean(|r| Some(r.parameter_bytes as f64 * 1e-6)),
@@ -106,21 +136,9 @@ impl Row {
         }
     }
 
-    /// Headings of [`Row::cells`].
-    pub const HEADS: [&str; 7] = ["PSNR", "SSIM", "proxy", "MB", "seconds", "splats", "steps"];
-
-    /// Its numbers as text, `absent` for those it has not.
-    pub fn cells(&self, absent: &str) -> [String; 7] {
-        let number = |v: Option<f64>, digits: usize| v.map_or(absent.to_owned(), |v| format!("{v:.digits$}"));
-        [
-            number(self.psnr, 2),
-            number(self.ssim, 4),
-            number(self.proxy, 4),
-            number(self.megabytes, 3),
-            number(self.seconds, 1),
-            number(self.splats, 0),
-            self.steps.to_string(),
-        ]
+    /// The columns of a table of rows: those that any row has a number for.
+    pub fn columns(rows: &[Self]) -> Vec<Column> {
+        COLUMNS.iter().filter(|c| rows.iter().any(|r| (c.value)(r).is_some())).copied().collect()
     }
 
     /// The setting in words.
@@ -172,9 +190,11 @@ impl Sweep {
 pub fn csv(rows: &[Row]) -> String {
     let number = |v: Option<f64>| v.map_or(String::new(), |v| v.to_string());
     let quoted = |text: &str| format!("\"{}\"", text.replace('"', "\"\""));
-    let mut out = "setting,psnr,psnr_deviation,ssim,proxy,megabytes,seconds,splats,steps\n".to_owned();
+    let mut out =
+        "setting,psnr,psnr_deviation,psnr_extrapolated,ssim,proxy,megabytes,seconds,splats,steps\n".to_owned();
     for r in rows {
-        let numbers = [r.psnr, r.psnr_deviation, r.ssim, r.proxy, r.megabytes, r.seconds, r.splats].map(number);
+        let numbers =
+            [r.psnr, r.psnr_deviation, r.extrapolated, r.ssim, r.proxy, r.megabytes, r.seconds, r.splats].map(number);
         out.push_str(&format!("{},{},{}\n", quoted(&r.label()), numbers.join(","), r.steps));
     }
     out

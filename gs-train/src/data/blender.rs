@@ -3,6 +3,8 @@
 //! Top level `camera_angle_x` (horizontal field of view, radians); per frame `file_path` (with or without extension),
 //! `transform_matrix` (camera to world, OpenGL axes) and, for moving scenes, `time`, which D-NeRF keeps in 0..1. The
 //! principal point is the centre, pixels are square: `f = W / (2 tan(angle / 2))`. `val` and `test` may be absent.
+//!
+//! Folders whose test views are all later than the training views, or whose `scene.toml` states a boundary, are [`super::nvfi`]'s.
 
 use std::path::Path;
 
@@ -71,11 +73,11 @@ struct SplitRead {
 }
 
 /// What a frame states beside its image.
-struct Frame {
-    pose: Pose,
-    time: Option<f64>,
-    time_place: Place,
-    place: Place,
+pub(super) struct Frame {
+    pub(super) pose: Pose,
+    pub(super) time: Option<f64>,
+    pub(super) time_place: Place,
+    pub(super) place: Place,
 }
 
 fn read_split(
@@ -88,7 +90,8 @@ fn read_split(
     let text = quote_non_finite(&text);
     let document = Document::parse(file, &text)?;
     let angle = field_of_view(&document.top())?;
-    let frames = (0..document.len()).map(|i| read_frame(root, &document.frame(i)?)).collect::<Result<Vec<_>, _>>()?;
+    let frame = |i| read_frame(root, &document.frame(i)?, "file_path");
+    let frames = (0..document.len()).map(frame).collect::<Result<Vec<_>, _>>()?;
     let frames = with_headers(file, frames, options, notes)?;
     let has_alpha = frames.iter().any(|(_, h)| h.has_alpha);
     let shown: Vec<_> = frames.iter().map(|(f, _)| f.shown.clone()).collect();
@@ -103,7 +106,7 @@ fn read_split(
     Ok(SplitRead { drafts, has_alpha })
 }
 
-fn field_of_view(top: &Fields) -> Result<f64, DataError> {
+pub(super) fn field_of_view(top: &Fields) -> Result<f64, DataError> {
     let (why, fix) = ("the horizontal field of view in radians lies between 0 and pi", "correct camera_angle_x");
     match top.number("camera_angle_x")? {
         None => Err(top.fault("camera_angle_x", "missing", why, fix)),
@@ -112,15 +115,16 @@ fn field_of_view(top: &Fields) -> Result<f64, DataError> {
     }
 }
 
-fn read_frame(root: &Root, frame: &Fields) -> Result<Listed<Frame>, DataError> {
-    let (shown, path) = locate(root, frame.required_text("file_path")?, &frame.place("file_path"))?;
+/// A frame whose image stands in the field `image`.
+pub(super) fn read_frame(root: &Root, frame: &Fields, image: &str) -> Result<Listed<Frame>, DataError> {
+    let (shown, path) = locate(root, frame.required_text(image)?, &frame.place(image))?;
     let place = frame.place("transform_matrix");
     let pose = from_opengl(&frame.matrix("transform_matrix")?, &place)?;
     let rest = Frame { pose, time: frame.number("time")?, time_place: frame.place("time"), place };
     Ok(Listed { shown, path, rest })
 }
 
-fn pinhole(header: &ImageHeader, angle: f64, pose: &Pose, place: &Place) -> Result<Camera, DataError> {
+pub(super) fn pinhole(header: &ImageHeader, angle: f64, pose: &Pose, place: &Place) -> Result<Camera, DataError> {
     let (w, h) = (f64::from(header.width), f64::from(header.height));
     let f = 0.5 * w / (0.5 * angle).tan();
     let mut viewmat = DMat4::from_mat3(pose.rotation);

@@ -41,7 +41,10 @@ impl Dataset {
     pub fn digest(&self) -> String {
         let mut h = Fnv::default();
         h.text(self.layout);
-        for (name, views) in [("train", &self.train), ("val", &self.val), ("test", &self.test)] {
+        let splits =
+            [("train", &self.train), ("val", &self.val), ("test", &self.test), ("extrapolate", &self.extrapolate)];
+        // Data without a future keep the digest they had before there was one.
+        for (name, views) in splits.into_iter().filter(|(name, views)| *name != "extrapolate" || !views.is_empty()) {
             h.text(name);
             h.bytes(&(views.len() as u64).to_le_bytes());
             views.iter().for_each(|v| self.digest_view(&mut h, v));

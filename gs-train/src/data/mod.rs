@@ -1,8 +1,8 @@
 //! Data sets: folders in, views out.
 //!
 //! A [`View`] is a camera, a moment and an image; a [`Dataset`] is three lists of them plus what else the folder holds.
-//! One file per layout (`blender.rs`, `nerfstudio.rs`, `colmap.rs`, `hypernerf.rs`, `llff.rs`, `panoptic.rs`), one
-//! line each in [`LAYOUTS`].
+//! One file or folder per layout (`blender`, `nvfi`, `nerfstudio`, `colmap`, `hypernerf`, `llff`, `panoptic`), one line each in
+//! [`LAYOUTS`].
 //!
 //! # Conventions
 //! * Readers turn every camera into OpenCV axes; OpenGL camera-to-world matrices have their y and z axes flipped.
@@ -48,6 +48,7 @@ mod llff;
 mod mask;
 mod nerfstudio;
 mod npz;
+mod nvfi;
 pub mod options;
 mod panoptic;
 pub mod pixels;
@@ -249,6 +250,7 @@ pub struct Layout {
 
 /// Every reader.
 pub const LAYOUTS: &[Layout] = &[
+    nvfi::LAYOUT,
     blender::LAYOUT,
     nerfstudio::LAYOUT,
     colmap::LAYOUT,

@@ -79,9 +79,12 @@ pub(crate) fn settle(
     let source = restate(&mut drafts, options)?;
     complete(&drafts)?;
     let drafts = select(drafts, options, &mut notes)?;
+    if let Some(range) = declared.filter(|_| options.time_range.is_none()) {
+        check_range(&drafts.train, range)?;
+    }
     let (drafts, future) = boundary::cut(drafts, options, &mut notes)?;
-    let required = options.time_range.or(declared);
-    if let Some(range) = required {
+    // A range of the user's may end before the sequence does, where a boundary keeps what is later out of training.
+    if let Some(range) = options.time_range {
         check_range(&drafts.train, range)?;
     }
     let (whole, beyond) = future.map_or((None, Vec::new()), |f| (Some(f.whole), f.beyond));
@@ -163,7 +166,11 @@ fn inside(t: f64, r: TimeRange) -> bool {
     t >= r.start - slack && t <= r.end + slack
 }
 
-fn check_range(train: &[Draft], range: TimeRange) -> Result<(), DataError> {
+/// Verifies that training times lie in a range.
+///
+/// # Errors
+/// `data.time`.
+pub(super) fn check_range(train: &[Draft], range: TimeRange) -> Result<(), DataError> {
     let others = train.iter().filter(|d| d.stated.is_some_and(|t| inside(t, range))).count();
     for d in train {
         if let Some(value) = d.stated.filter(|&t| !inside(t, range)) {

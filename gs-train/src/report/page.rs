@@ -2,7 +2,7 @@
 
 use super::chart::{Curve, Scale, chart};
 use super::intervals::intervals;
-use super::{Report, ReportError, Sample, base64, png};
+use super::{Comparison, Report, ReportError, Sample, base64, png};
 use gs_core::Image;
 use std::fmt::Write as _;
 
@@ -28,7 +28,8 @@ pub fn page(report: &Report) -> Result<String, ReportError> {
     let parts = [
         figures(report),
         curves(report)?,
-        views(report)?,
+        views("Truth beside drawing", "Held-out views, the worst first.", &report.views)?,
+        views("The future", "Views beyond the last training time, the worst first.", &report.future)?,
         strip(report)?,
         kernels(report)?,
         intervals(&report.journal)?,
@@ -105,9 +106,9 @@ pub(crate) fn picture(image: &Image, alt: &str) -> Result<String, ReportError> {
     ))
 }
 
-fn views(report: &Report) -> Result<String, ReportError> {
+fn views(heading: &str, remark: &str, views: &[Comparison]) -> Result<String, ReportError> {
     let mut out = String::new();
-    for view in &report.views {
+    for view in views {
         let difference = difference(&view.truth, &view.drawn);
         let caption = escape(&view.caption);
         let _ = write!(out, "<figure class=\"pair\"><div>");
@@ -118,7 +119,7 @@ fn views(report: &Report) -> Result<String, ReportError> {
         }
         let _ = writeln!(out, "</div><figcaption>{caption}</figcaption></figure>");
     }
-    Ok(section("Truth beside drawing", "Held-out views, the worst first.", &out))
+    Ok(section(heading, remark, &out))
 }
 
 /// Four times the absolute difference; empty if the shapes differ.

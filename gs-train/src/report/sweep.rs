@@ -49,14 +49,16 @@ fn curves(rows: &[Row], quality: fn(&Row) -> Option<f64>) -> Vec<Curve> {
 }
 
 fn rows_table(rows: &[Row]) -> String {
+    let columns = Row::columns(rows);
     let cells = rows.iter().map(|r| {
         let label = r.label() + if r.preset && r.key.is_some() { " (the preset's)" } else { "" };
         let deviation = r.psnr_deviation.filter(|d| *d > 0.0).map_or(String::new(), |d| format!(" ± {d:.2}"));
         let mut cells = vec![label];
-        cells.extend(r.cells("–"));
+        cells.extend(columns.iter().map(|c| c.cell(r, "–")));
         cells[1].push_str(&deviation);
         cells
     });
-    let head = [&["setting"], &Row::HEADS[..]].concat();
-    table(&head, &[1, 2, 3, 4, 5, 6, 7], cells)
+    let head: Vec<&str> = std::iter::once("setting").chain(columns.iter().map(|c| c.head)).collect();
+    let numeric: Vec<usize> = (1..head.len()).collect();
+    table(&head, &numeric, cells)
 }

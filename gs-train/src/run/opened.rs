@@ -6,7 +6,7 @@ use super::{Resolved, RunError};
 use crate::checkpoint::{self, Checkpoint, Newest, Skipped};
 use crate::compact::SETTINGS;
 use crate::data::{Dataset, ImageCache, Split};
-use crate::evaluate::{EvalReport, evaluate};
+use crate::evaluate::{EvalReport, evaluate, evaluate_with_future};
 use crate::methods::saved::{self, Loaded};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -75,6 +75,19 @@ impl OpenRun {
     /// If the split is empty or a photograph cannot be read.
     pub fn score(&self, dataset: &Dataset, split: Split, background: [f32; 3]) -> Result<EvalReport, RunError> {
         let mut report = evaluate(self.loaded.method.as_ref(), dataset, split, background, &self.photographs())?;
+        report.train_seconds = Some(self.loaded.train_seconds);
+        Ok(report)
+    }
+
+    /// Scores the test views over the recipe's background, and the views beyond the last training time where there are any:
+    /// what `metrics.json` holds.
+    ///
+    /// # Errors
+    /// If there are no test views or a photograph cannot be read.
+    pub fn score_for_folder(&self, dataset: &Dataset) -> Result<EvalReport, RunError> {
+        let method = self.loaded.method.as_ref();
+        let photographs = self.photographs();
+        let mut report = evaluate_with_future(method, dataset, Split::Test, self.background(), &photographs)?;
         report.train_seconds = Some(self.loaded.train_seconds);
         Ok(report)
     }

@@ -51,14 +51,15 @@ pub fn summarise(m: &Material) -> Result<(Report, Vec<SpeedError>), RunError> {
     let log = m.folder.log_lines(folder::LOG)?;
     let options = m.method.schedule().raster_options(m.scores.background);
     let mut painter = Painter::new(options.clone());
-    let views = scored_views(m);
+    let views = scored_views(m.dataset, m.scores);
     let mut report = Report {
         title: format!("{} · {}", data_name(m), m.method.name()),
         subtitle: subtitle(m),
         loss: samples(&log, |line| line["loss"].as_f64()),
         psnr: psnr_curves(&log),
         splats: samples(&log, |line| line["splats"].as_f64()),
-        views: comparisons(m, &mut painter, &views)?,
+        views: comparisons(m, &mut painter, &views, m.scores)?,
+        future: future(m, &mut painter)?,
         settings: m
             .resolved
             .config
@@ -110,14 +111,20 @@ fn figures(m: &Material, painter: &mut Painter, view: &View, camera: &Camera) ->
     let frame = median_seconds(5, || drop(painter.view(m.method, view, camera)));
     let size =
         format!("{}×{}, field and drawing, {} threads", camera.width, camera.height, rayon::current_num_threads());
-    vec![
-        figure(format!("{} dB", number(s.mean.psnr, 2)), "PSNR", views),
+    let beyond = s.extrapolate.as_ref().map(|f| {
+        let remark = format!("mean of {} views beyond the last training time", f.views.len());
+        figure(format!("{} dB", number(f.mean.psnr, 2)), "PSNR of the future", remark)
+    });
+    let mut figures = vec![figure(format!("{} dB", number(s.mean.psnr, 2)), "PSNR", views)];
+    figures.extend(beyond);
+    figures.extend([
         figure(number(s.mean.ssim, 4), "SSIM", "11×11 window, zeros outside".into()),
         figure(format!("{:.1} s", s.train_seconds.unwrap_or(0.0)), "training", format!("{} steps", m.step)),
         figure(s.gaussians.to_string(), "splats", "in the canonical cloud".into()),
         figure(bytes_text(s.parameter_bytes as usize), "scene", "parameters as f32".into()),
         figure(format!("{:.2} ms", 1e3 * frame), "per frame", size),
-    ]
+    ]);
+    figures
 }
 
 /// A name for black and white, else the three values.
@@ -145,25 +152,36 @@ fn psnr_curves(log: &[Value]) -> Vec<(String, Vec<Sample>)> {
 }
 
 /// Views of the scored split with the worst first.
-fn scored_views<'a>(m: &Material<'a>) -> Vec<&'a View> {
-    let split = match m.scores.split.as_str() {
+fn scored_views<'a>(dataset: &'a Dataset, scores: &EvalReport) -> Vec<&'a View> {
+    let split = match scores.split.as_str() {
         "train" => Split::Train,
         "val" => Split::Val,
         "extrapolate" => Split::Extrapolate,
         _ => Split::Test,
     };
-    let mut ranked: Vec<_> = m.dataset.views(split).iter().zip(&m.scores.views).collect();
+    let mut ranked: Vec<_> = dataset.views(split).iter().zip(&scores.views).collect();
     let psnr = |s: &ViewScores| s.psnr.unwrap_or(f64::INFINITY);
     ranked.sort_by(|a, b| psnr(a.1).total_cmp(&psnr(b.1)));
     ranked.into_iter().map(|(view, _)| view).collect()
 }
 
-fn comparisons(m: &Material, painter: &mut Painter, views: &[&View]) -> Result<Vec<Comparison>, RunError> {
+/// The worst views beyond the last training time, where there are any.
+fn future(m: &Material, painter: &mut Painter) -> Result<Vec<Comparison>, RunError> {
+    let Some(scores) = &m.scores.extrapolate else { return Ok(Vec::new()) };
+    comparisons(m, painter, &scored_views(m.dataset, scores), scores)
+}
+
+fn comparisons(
+    m: &Material,
+    painter: &mut Painter,
+    views: &[&View],
+    report: &EvalReport,
+) -> Result<Vec<Comparison>, RunError> {
     let mut out = Vec::new();
     for view in views.iter().take(VIEWS_SHOWN) {
         let camera = m.photographs.camera(view);
         let truth = m.photographs.get(view)?.over(m.scores.background);
-        let scores = m.scores.views.iter().find(|s| s.name == view.name);
+        let scores = report.views.iter().find(|s| s.name == view.name);
         let scores = scores.map_or(String::new(), |s| {
             let psnr = s.psnr.map_or("perfect".to_owned(), |p| format!("{p:.2} dB"));
             format!(" · PSNR {psnr} · SSIM {:.4}", s.ssim)

@@ -9,7 +9,7 @@ use super::{RunError, picture};
 use crate::analysis::Snapshot;
 use crate::checkpoint::{self, Skipped};
 use crate::data::{Dataset, ImageCache, Split};
-use crate::evaluate::{EvalReport, evaluate};
+use crate::evaluate::{EvalReport, evaluate, evaluate_with_future};
 use crate::report::png;
 use crate::trainer::{StepReport, TrainError, TrainOptions, Trainer};
 use gs_core::io::write_file;
@@ -267,7 +267,7 @@ impl Training {
         let dataset = self.trainer.dataset();
         let split = if dataset.val.is_empty() { Split::Train } else { Split::Val };
         let few = few_views(dataset, split, self.resolved.run.eval_views as usize);
-        let report = self.evaluate_on(&few, split)?;
+        let report = evaluate(self.trainer.method(), &few, split, self.background(), &self.photographs())?;
         let line = json!({
             "step": self.trainer.steps_done(),
             "seconds": self.trainer.train_seconds(),
@@ -276,22 +276,21 @@ impl Training {
         self.log.add(&line)
     }
 
-    fn evaluate_on(&self, dataset: &Dataset, split: Split) -> Result<EvalReport, RunError> {
-        let method = self.trainer.method();
-        let background = method.schedule().background.evaluation_color();
-        let mut report = evaluate(method, dataset, split, background, &self.photographs())?;
-        report.train_seconds = Some(self.trainer.train_seconds());
-        Ok(report)
+    fn background(&self) -> [f32; 3] {
+        self.trainer.method().schedule().background.evaluation_color()
     }
 
-    /// Scores the test views, or the training views where there are none; writes `metrics.json`.
+    /// Scores the test views, or the training views where there are none, and beside them the views beyond the last training
+    /// time where there are any; writes `metrics.json`.
     ///
     /// # Errors
     /// If a photograph cannot be read or the file cannot be written.
     pub fn score(&self) -> Result<EvalReport, RunError> {
         let dataset = self.trainer.dataset();
         let split = if dataset.test.is_empty() { Split::Train } else { Split::Test };
-        let report = self.evaluate_on(dataset, split)?;
+        let photographs = self.photographs();
+        let mut report = evaluate_with_future(self.trainer.method(), dataset, split, self.background(), &photographs)?;
+        report.train_seconds = Some(self.trainer.train_seconds());
         self.folder.write(folder::METRICS, &format!("{:#}\n", metrics_json(&report, self.trainer.steps_done())))?;
         Ok(report)
     }

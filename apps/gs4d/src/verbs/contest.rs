@@ -102,9 +102,10 @@ pub fn failure(e: ContestError) -> Failure {
 
 type Score = (&'static str, usize, fn(&EvalReport) -> Option<f64>);
 
-/// Name, digits and value of each column.
-const SCORES: [Score; 6] = [
+/// Name, digits and value of each column; those that nobody has a number for are left out.
+const SCORES: [Score; 7] = [
     ("psnr", 2, |r| r.mean.psnr),
+    ("ext dB", 2, EvalReport::extrapolated_psnr),
     ("ssim", 4, |r| r.mean.ssim),
     ("proxy", 4, |r| r.mean.perceptual_proxy),
     ("splats", 0, |r| Some(r.gaussians as f64)),
@@ -115,15 +116,17 @@ const SCORES: [Score; 6] = [
 fn table(standings: &[Standing]) -> String {
     let width = standings.iter().map(|s| s.label.len()).max().unwrap_or(0).max(5);
     let mut text = format!("{:width$}  {:>8}  {:>7}", "entry", "steps", "dB");
-    SCORES.iter().for_each(|(name, ..)| text.push_str(&format!("  {name:>15}")));
+    let scores: Vec<Score> =
+        SCORES.into_iter().filter(|(_, _, score)| standings.iter().any(|s| s.spread(score).is_some())).collect();
+    scores.iter().for_each(|(name, ..)| text.push_str(&format!("  {name:>15}")));
     text.push('\n');
     let psnr = |s: &Standing| s.spread(|r| r.mean.psnr).map(|p| p.mean);
     let first = standings.first().and_then(psnr);
     for standing in standings {
         let delta = psnr(standing).zip(first).map_or("-".to_owned(), |(p, f)| format!("{:+.2}", p - f));
         text.push_str(&format!("{:width$}  {:>8}  {delta:>7}", standing.label, standing.steps));
-        for (_, digits, score) in SCORES {
-            text.push_str(&format!("  {:>15}", spread_text(standing.spread(score), digits)));
+        for (_, digits, score) in &scores {
+            text.push_str(&format!("  {:>15}", spread_text(standing.spread(score), *digits)));
         }
         text.push('\n');
     }

@@ -1,6 +1,6 @@
 //! `gs4d eval`: scores a run on a split of its data, or a folder of images against a folder of truths.
 
-use super::train::scores_text;
+use super::train::all_scores_text;
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use crate::{Global, parse};
@@ -155,22 +155,24 @@ impl Eval {
             temporal::tof(method, &dataset, split, background, &run.photographs(), options).map(|s| (s, options))
         });
         let motion = motion.transpose()?;
-        let scores = run.score(&dataset, split, background)?;
+        // What the folder keeps has the future beside the test views.
+        let kept = run.folder().ok().filter(|_| self.split == SplitName::Test && self.background.is_none());
+        let scores = match kept {
+            Some(_) => run.score_for_folder(&dataset)?,
+            None => run.score(&dataset, split, background)?,
+        };
         if self.asks_for(MetricName::Masked) && scores.mean.masked.is_none() {
             return Err(Failure::new(Class::Data, "data.mask", "no view of this split has a mask")
                 .remedy("leave masked out of --metrics"));
         }
-        let mut text = scores_text(&scores, run.loaded.step);
+        let mut text = all_scores_text(&scores, run.loaded.step);
         let mut json = metrics_json(&scores, run.loaded.step);
         if let Some((score, options)) = motion {
             text.push_str(&motion_text(&score, options));
             json["tof"] = json!(score);
             json["tof_protocol"] = json!(tof_protocol(options));
         }
-        if let Ok(folder) = run.folder()
-            && self.split == SplitName::Test
-            && self.background.is_none()
-        {
+        if let Some(folder) = kept {
             folder.write(METRICS, &format!("{json:#}\n"))?;
             text.push_str(&format!("-> {}\n", root.join(METRICS).display()));
         }

@@ -50,11 +50,12 @@ impl SweepVerb {
 fn table(rows: &[Row], root: &Path) -> String {
     let width = rows.iter().map(|r| r.label().len()).max().unwrap_or(0).max(7);
     let mut text = format!("{:width$}", "setting");
-    Row::HEADS.iter().for_each(|name| text.push_str(&format!("  {name:>9}")));
+    let columns = Row::columns(rows);
+    columns.iter().for_each(|c| text.push_str(&format!("  {:>9}", c.head)));
     text.push('\n');
     for r in rows {
         text.push_str(&format!("{:width$}", r.label()));
-        r.cells("-").iter().for_each(|c| text.push_str(&format!("  {c:>9}")));
+        columns.iter().for_each(|c| text.push_str(&format!("  {:>9}", c.cell(r, "-"))));
         text.push_str(if r.preset && r.key.is_some() { "  the preset's\n" } else { "\n" });
     }
     let trained = rows.iter().filter(|r| r.key.is_none() || !r.preset);

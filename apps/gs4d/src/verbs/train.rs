@@ -86,7 +86,7 @@ pub fn carry_on(training: &mut Training, stop: &AtomicBool, global: &Global) -> 
     json["run"] = json!(root.display().to_string());
     json["finished"] = json!(outcome == Outcome::Finished);
     json["speed_error"] = speed_json(&rows);
-    let mut text = scores_text(&scores, step);
+    let mut text = all_scores_text(&scores, step);
     text.push_str(&format!("report  {}\n", root.join("report.html").display()));
     if let Outcome::BudgetSpent(_) = outcome {
         text.push_str(&format!("the time budget is spent; go on: {}\n", resume_command(&root)));
@@ -146,6 +146,12 @@ fn describe(training: &Training, global: &Global) {
 
 fn resume_command(root: &Path) -> String {
     format!("gs4d resume {}", root.display())
+}
+
+/// The scores of a split, then those beyond the last training time where there are any.
+pub fn all_scores_text(s: &EvalReport, step: u32) -> String {
+    let future = s.extrapolate.as_ref().map_or(String::new(), |f| scores_text(f, step));
+    scores_text(s, step) + &future
 }
 
 /// The scores of a split in three lines, and a fourth where views have masks.

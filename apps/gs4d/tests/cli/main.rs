@@ -4,6 +4,7 @@ mod captures;
 mod compact;
 mod contest;
 mod folders;
+mod future;
 mod glmd;
 mod hostile;
 mod render;

@@ -1,0 +1,251 @@
+//! NVFi's dynamic scenes (Li et al. 2023), as GVFi, FreeGave and TRACE use them: still cameras, a past to learn from and a
+//! future to be foretold.
+//!
+//! # Files
+//! * **Nested**, the original release: `transforms_{train,val,test}.json` with `camera_angle_x` and
+//!   `data: {camera: {transform_matrix, frames: [{file_path, time}]}}`.
+//! * **Flat**, the re-release, and the generated scenes of this project: the frames of [`super::blender`]. The folder is taken
+//!   for one of these where its `scene.toml` states a boundary, or where all test views are later than all training views.
+//! * **Labelled**, the indoor scenes with segmentations: one `transforms.json` whose frames have `img_path` and `segm_path`;
+//!   `segm_path` with `.npy` is [`View::labels`](super::View::labels). All views train, but for those that
+//!   `data.test_cameras` and the boundary hold out.
+//!
+//! Cameras are Blender's: camera to world, OpenGL axes, principal point in the centre.
+//!
+//! # Splits and times
+//! Views of `train` train. Those of `val` (other cameras) and `test` are held out; views of any list later than the boundary
+//! are the future. The boundary is `data.time_boundary`, else the one of `scene.toml`, else the last training time if held-out
+//! views are later, else 0.75. Times are the authors' virtual time: one sequence is 0..1, frame `k` of `F` is at `k/F`, so times
+//! are used as they stand unless `data.time_range` says otherwise (ParticleNeRF: the frame that is 1).
+//! Views with the same pose are of one camera; cameras are numbered in order of appearance, so `data.test_cameras` can hold
+//! out some.
+//!
+//! # Start
+//! `points3d.ply`; else the box of the scene: the cube ±1.5 for objects (images with alpha), NVFi's room where all cameras stand
+//! inside it, else a cube of the size of the rig.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use glam::Vec3;
+use gs_core::Time;
+
+use super::blender::{Frame, field_of_view, pinhole, read_frame};
+use super::error::{DataError, Place};
+use super::files::{Root, read_text};
+use super::frames::{Listed, name_views, with_headers};
+use super::json::{Document, Fields, MAX_JSON_BYTES, quote_non_finite};
+use super::options::{DataOptions, TimeRange};
+use super::times::{Draft, Drafts, check_range, settle};
+use super::{Confidence, Dataset, ImageSource, Layout, PointCloud, View, ply};
+
+mod kind;
+mod nested;
+
+use kind::Kind;
+
+/// The entry in [`super::LAYOUTS`].
+pub(crate) const LAYOUT: Layout = Layout {
+    name: "nvfi",
+    about: "NVFi, TRACE, ParticleNeRF: transforms_{train,val,test}.json with a future, by cameras or by frames; labelled transforms.json",
+    probe,
+    open,
+};
+
+/// Half the side of the cube that holds an object.
+const HALF_SIDE: f32 = 1.5;
+/// The room of the indoor scenes.
+const ROOM: [Vec3; 2] = [Vec3::new(-3.03, -3.03, -0.03), Vec3::new(3.03, 3.03, 6.03)];
+/// The boundary where nothing states one.
+const BOUNDARY: f64 = 0.75;
+/// Start points, where the data bring them along.
+const POINTS: &str = "points3d.ply";
+
+fn probe(dir: &Path) -> Option<Confidence> {
+    Kind::of(dir).map(|_| Confidence::Certain)
+}
+
+/// A frame and the label map that belongs to it.
+struct Shot {
+    frame: Frame,
+    labels: Option<PathBuf>,
+}
+
+/// The views of one file.
+#[derive(Default)]
+struct List {
+    drafts: Vec<Draft>,
+    shown: Vec<PathBuf>,
+    has_alpha: bool,
+}
+
+impl List {
+    /// The views of this file, then those of another.
+    fn and(mut self, other: Self) -> Self {
+        self.drafts.extend(other.drafts);
+        self.shown.extend(other.shown);
+        self.has_alpha |= other.has_alpha;
+        self
+    }
+
+    /// The views with their names.
+    fn named(mut self) -> Vec<Draft> {
+        name_views(&mut self.drafts, &self.shown);
+        self.drafts
+    }
+}
+
+/// Reads a scene.
+///
+/// # Errors
+/// See [`DataError`]; every fault names file and field.
+fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
+    let root = Root::new(dir)?;
+    let mut notes = Vec::new();
+    let kind = Kind::of(dir).unwrap_or(if dir.join(kind::TRAIN).is_file() { Kind::Flat } else { Kind::Labelled });
+    let (train, held) = match kind {
+        Kind::Labelled => (read_list(&root, kind, kind::LABELLED, options, &mut notes)?, List::default()),
+        Kind::Nested | Kind::Flat => {
+            let train = read_list(&root, kind, kind::TRAIN, options, &mut notes)?;
+            let val = optional(&root, kind, kind::VAL, options, &mut notes)?;
+            (train, val.and(optional(&root, kind, kind::TEST, options, &mut notes)?))
+        }
+    };
+    if train.drafts.is_empty() {
+        let name = if kind == Kind::Labelled { kind::LABELLED } else { kind::TRAIN };
+        return Err(DataError::Empty { file: dir.join(name) });
+    }
+    let has_alpha = train.has_alpha;
+    let virtual_time = TimeRange { start: 0.0, end: 1.0 };
+    if options.time_range.is_none() {
+        check_range(&train.drafts, virtual_time)?;
+    }
+    let whole = options.time_range.unwrap_or(virtual_time);
+    let boundary = options.time_boundary.unwrap_or_else(|| own_boundary(&train.drafts, &held.drafts, whole));
+    let mut drafts = Drafts { train: train.named(), val: Vec::new(), test: held.named() };
+    let cameras = number_cameras(&mut drafts);
+    notes.push(format!("{cameras} cameras, told apart by their poses and numbered in order of appearance"));
+    notes.push("the authors score at data.scale=0.5 where images have 800 pixels, truncated to 8 bit; scores here are of unrounded frames".into());
+    let options = DataOptions { time_boundary: Some(boundary), time_range: Some(whole), ..options.clone() };
+    let mut data = settle(drafts, &options, None)?.dataset(dir, LAYOUT.name, has_alpha, notes);
+    data.points = points(&root, &mut data.notes)?;
+    if data.points.is_none() {
+        data.bounds = Some(bounds(&data));
+    }
+    Ok(data)
+}
+
+/// The share of the sequence that training views cover if held-out views are later, else the published one.
+fn own_boundary(train: &[Draft], held: &[Draft], whole: TimeRange) -> f64 {
+    let last = |list: &[Draft]| list.iter().filter_map(|d| d.stated).fold(f64::NEG_INFINITY, f64::max);
+    let share = (last(train) - whole.start) / (whole.end - whole.start);
+    if last(held) > last(train) && share > 0.0 && share < 1.0 { share } else { BOUNDARY }
+}
+
+/// The views of a file that may be absent.
+fn optional(
+    root: &Root,
+    kind: Kind,
+    name: &str,
+    options: &DataOptions,
+    notes: &mut Vec<String>,
+) -> Result<List, DataError> {
+    if root.dir().join(name).is_file() {
+        return read_list(root, kind, name, options, notes);
+    }
+    notes.push(format!("there is no {name}"));
+    Ok(List::default())
+}
+
+fn read_list(
+    root: &Root,
+    kind: Kind,
+    name: &str,
+    options: &DataOptions,
+    notes: &mut Vec<String>,
+) -> Result<List, DataError> {
+    let file = root.dir().join(name);
+    let text = read_text(&file, MAX_JSON_BYTES)?;
+    let text = quote_non_finite(&text);
+    let (angle, frames) = match kind {
+        Kind::Nested => nested::read(root, &file, &text)?,
+        Kind::Flat => flat(&file, &text, |frame| {
+            let Listed { shown, path, rest } = read_frame(root, frame, "file_path")?;
+            Ok(Listed { shown, path, rest: Shot { frame: rest, labels: None } })
+        })?,
+        Kind::Labelled => flat(&file, &text, |frame| labelled(root, frame))?,
+    };
+    let listed = with_headers(&file, frames, options, notes)?;
+    let mut list = List::default();
+    for (listed, header) in listed {
+        let Shot { frame, labels } = listed.rest;
+        let camera = pinhole(&header, angle, &frame.pose, &frame.place)?;
+        let view = View::new("", camera, Time::default(), ImageSource::File(listed.path), 0);
+        list.drafts.push(Draft { view: View { labels, ..view }, stated: frame.time, place: frame.time_place });
+        list.shown.push(listed.shown);
+        list.has_alpha |= header.has_alpha;
+    }
+    Ok(list)
+}
+
+/// The frames of a file that lists them one by one.
+fn flat(
+    file: &Path,
+    text: &str,
+    read: impl Fn(&Fields) -> Result<Listed<Shot>, DataError>,
+) -> Result<(f64, Vec<Listed<Shot>>), DataError> {
+    let document = Document::parse(file, text)?;
+    let angle = field_of_view(&document.top())?;
+    let frames = (0..document.len()).map(|i| read(&document.frame(i)?)).collect::<Result<_, _>>()?;
+    Ok((angle, frames))
+}
+
+/// A frame with its label map.
+fn labelled(root: &Root, frame: &Fields) -> Result<Listed<Shot>, DataError> {
+    let Listed { shown, path, rest } = read_frame(root, frame, "img_path")?;
+    let written = frame.required_text("segm_path")?;
+    let place = frame.place("segm_path");
+    let labels = root.resolve(&with_npy(written), &place)?;
+    if !labels.is_file() {
+        let missing = vec![PathBuf::from(with_npy(written))];
+        return Err(DataError::Missing { listed_in: place.file, missing, total: 1 });
+    }
+    Ok(Listed { shown, path, rest: Shot { frame: rest, labels: Some(labels) } })
+}
+
+fn with_npy(written: &str) -> String {
+    if written.ends_with(".npy") { written.to_owned() } else { format!("{written}.npy") }
+}
+
+/// Gives views of one pose one number; their count.
+fn number_cameras(drafts: &mut Drafts) -> usize {
+    let mut known: BTreeMap<[u64; 12], u32> = BTreeMap::new();
+    for d in drafts.train.iter_mut().chain(&mut drafts.val).chain(&mut drafts.test) {
+        let (r, t) = (d.view.camera.rotation.to_cols_array(), d.view.camera.translation.to_array());
+        let pose = std::array::from_fn(|i| if i < 9 { r[i] } else { t[i - 9] }.to_bits());
+        let next = known.len() as u32;
+        d.view.camera_id = *known.entry(pose).or_insert(next);
+    }
+    known.len()
+}
+
+/// The box of the scene.
+fn bounds(data: &Dataset) -> [Vec3; 2] {
+    if data.has_alpha {
+        return [Vec3::splat(-HALF_SIDE), Vec3::splat(HALF_SIDE)];
+    }
+    let inside = |v: &View| {
+        let p = v.camera.position().as_vec3();
+        p.cmpge(ROOM[0]).all() && p.cmple(ROOM[1]).all()
+    };
+    if data.train.iter().all(inside) { ROOM } else { data.scene_bounds() }
+}
+
+fn points(root: &Root, notes: &mut Vec<String>) -> Result<Option<PointCloud>, DataError> {
+    let file = root.resolve(POINTS, &Place::new(root.dir(), POINTS))?;
+    if !file.is_file() {
+        return Ok(None);
+    }
+    notes.push(format!("start points come from {POINTS}"));
+    ply::read_points(&file).map(Some)
+}
