@@ -1,7 +1,7 @@
-//! Textured spheres, boxes and a waving sheet, and where a ray meets them.
+//! Textured spheres, boxes, wheels and a waving sheet, and where a ray meets them.
 //!
-//! A ray is `o + s d` with any length of `d`. The sphere is a quadratic, the box three slabs, both in the body's frame;
-//! the sheet is a root of a function of one variable.
+//! A ray is `o + s d` with any length of `d`. The sphere is a quadratic, the box three slabs, the wheel a quadratic and a slab,
+//! all in the body's frame; the sheet is a root of a function of one variable.
 
 use glam::{DVec2, DVec3};
 use serde::Serialize;
@@ -20,6 +20,13 @@ pub enum Shape {
     Box {
         /// Half the sides.
         half: DVec3,
+    },
+    /// A disc with its axis along z.
+    Wheel {
+        /// Radius.
+        radius: f64,
+        /// Half the width along the axis.
+        half_width: f64,
     },
     /// A sheet over `[-x, x] × [-y, y]` whose material points move along z only:
     /// `z = ramp(x) Σ amplitude sin(wave·(x, y) − rate·t)`, `ramp = (x/half.x + 1)/2`: it is held at `x = −half.x`.
@@ -125,6 +132,7 @@ impl Shape {
         match *self {
             Self::Sphere { radius } => radius,
             Self::Box { half } => half.length(),
+            Self::Wheel { radius, half_width } => radius.hypot(half_width),
             Self::Sheet { half, .. } => half.extend(self.amplitude()).length(),
         }
     }
@@ -141,6 +149,7 @@ impl Shape {
                 let normal = DVec3::AXES[axis] * -d[axis].signum();
                 LocalHit { s, point: o + d * s, normal }
             }),
+            Self::Wheel { radius, half_width } => wheel(o, d, radius, half_width),
             Self::Sheet { .. } => self.sheet_hit(o, d, t),
         }
     }
@@ -163,7 +172,7 @@ impl Shape {
     }
 
     /// Gradient of [`Self::height`].
-    fn height_slope(&self, p: DVec2, t: f64) -> DVec2 {
+    pub(super) fn height_slope(&self, p: DVec2, t: f64) -> DVec2 {
         let Self::Sheet { half, waves } = *self else { return DVec2::ZERO };
         let ramp = 0.5 * (p.x / half.x + 1.0);
         let one = |w: &Wave| {
@@ -230,6 +239,25 @@ fn sphere(o: DVec3, d: DVec3, radius: f64) -> Option<f64> {
     let (a, b, c) = (d.length_squared(), o.dot(d), o.length_squared() - radius * radius);
     let disc = b * b - a * c;
     (disc >= 0.0).then(|| (-b - disc.sqrt()) / a).filter(|&s| s > 0.0)
+}
+
+/// First hit of a wheel seen from outside: the later of entering the endless cylinder and entering the slab.
+fn wheel(o: DVec3, d: DVec3, radius: f64, half_width: f64) -> Option<LocalHit> {
+    let (across, from) = (d.truncate(), o.truncate());
+    let (a, b, c) = (across.length_squared(), from.dot(across), from.length_squared() - radius * radius);
+    let (side, out) = match (a > 0.0, b * b - a * c) {
+        (true, disc) if disc >= 0.0 => ((-b - disc.sqrt()) / a, (-b + disc.sqrt()) / a),
+        (false, _) if c <= 0.0 => (f64::NEG_INFINITY, f64::INFINITY),
+        _ => return None,
+    };
+    let (face, back, _) = slabs(o, d, DVec3::new(f64::INFINITY, f64::INFINITY, half_width))?;
+    let s = side.max(face);
+    if s > out.min(back) || s <= 0.0 {
+        return None;
+    }
+    let point = o + d * s;
+    let normal = if side > face { point.with_z(0.0) / radius } else { DVec3::Z * -d.z.signum() };
+    Some(LocalHit { s, point, normal })
 }
 
 /// Where a ray enters and leaves the block `[-half, half]`, and the axis through which it enters.
@@ -302,6 +330,25 @@ mod tests {
         let h = block.hit(DVec3::new(5.0, 0.5, 0.5), -DVec3::X, 0.0).unwrap();
         assert_eq!((h.s, h.normal), (4.0, DVec3::X));
         assert!(block.hit(DVec3::new(5.0, 2.5, 0.5), -DVec3::X, 0.0).is_none());
+    }
+
+    #[test]
+    fn wheels_are_hit_on_the_tread_and_on_the_faces() {
+        let wheel = Shape::Wheel { radius: 0.5, half_width: 0.2 };
+        let h = wheel.hit(DVec3::new(4.0, 0.0, 0.1), DVec3::X * -2.0, 0.0).unwrap();
+        assert!((h.s - 1.75).abs() < 1e-12 && (h.normal - DVec3::X).length() < 1e-12);
+        let h = wheel.hit(DVec3::new(0.3, 0.3, 4.0), -DVec3::Z, 0.0).unwrap();
+        assert!((h.s - 3.8).abs() < 1e-12 && h.normal == DVec3::Z);
+        let h = wheel.hit(DVec3::new(3.0, 0.0, 3.0), DVec3::new(-1.0, 0.0, -1.0), 0.0).unwrap();
+        assert!((h.point - DVec3::new(0.2, 0.0, 0.2)).length() < 1e-12 && h.normal == DVec3::Z, "{h:?}");
+        for (o, d) in [
+            (DVec3::new(0.4, 0.4, 4.0), -DVec3::Z),
+            (DVec3::new(4.0, 0.0, 0.3), -DVec3::X),
+            (DVec3::new(4.0, 0.0, 0.1), DVec3::X),
+            (DVec3::new(3.0, 0.0, 3.0), DVec3::new(-1.0, 0.0, -1.6)),
+        ] {
+            assert!(wheel.hit(o, d, 0.0).is_none(), "{o} {d}");
+        }
     }
 
     #[test]

@@ -2,22 +2,28 @@
 //! download.
 //!
 //! Bodies follow closed-form motions ([`motion`]); a small ray tracer ([`trace`]) photographs them as D-NeRF does: one
-//! camera per time on the upper hemisphere for training, other cameras at other times held out. Everything is a function of the
-//! options alone, whatever the number of threads.
+//! camera per time on the upper hemisphere for training, other cameras at other times held out; or, with
+//! [`SynthOptions::cameras`], as NVFi does: cameras at rest that photograph every moment, of which the last are the future.
+//! Everything is a function of the options alone, whatever the number of threads.
 
 use std::sync::Arc;
 
-use glam::{DVec3, Vec3};
-use gs_core::{Camera, Rng, Time};
+use glam::Vec3;
+use gs_core::Time;
 use serde::{Deserialize, Serialize};
 
 use crate::data::{DataError, Dataset, ImageSource, Lens, View};
+use shots::{Shot, Shots};
 use write_nerfies::with_lens;
 
 pub mod body;
 pub mod maps;
+mod mechanics;
 pub mod motion;
+pub mod rates;
 pub mod scenes;
+mod shots;
+mod surface;
 pub mod trace;
 mod truth;
 mod write;
@@ -35,12 +41,20 @@ pub use write_nerfies::write_nerfies;
 pub struct SynthOptions {
     /// Side of the square images, pixels.
     pub size: u32,
-    /// Training views; view `k` of `n` is taken at time `k / (n − 1)`.
+    /// Training views; view `k` of `n` is taken at time `k / (n − 1)`. With `cameras`, this and the next two do nothing.
     pub train_views: u32,
     /// Validation views.
     pub val_views: u32,
     /// Test views; view `k` of `n` is taken at time `(k + ½) / n`.
     pub test_views: u32,
+    /// Training cameras at rest, each of which photographs every moment; 0: a camera for each view.
+    pub cameras: u32,
+    /// Cameras at rest beside them whose pictures are held out.
+    pub held_out: u32,
+    /// Moments the cameras at rest photograph; moment `k` of `n` is at time `k / (n − 1)`.
+    pub moments: u32,
+    /// Pictures of cameras at rest that are later than this (0 to 1) are the future: [`Dataset::extrapolate`].
+    pub boundary: f64,
     /// Seed of the cameras.
     pub seed: u64,
     /// Samples per pixel along each axis; a scene with fine texture takes at least its own number.
@@ -58,6 +72,10 @@ impl Default for SynthOptions {
             train_views: 100,
             val_views: 10,
             test_views: 20,
+            cameras: 0,
+            held_out: 2,
+            moments: 40,
+            boundary: 0.75,
             seed: 0,
             supersample: 3,
             shading: 0.2,
@@ -117,41 +135,38 @@ pub fn truth_of(dir: &std::path::Path) -> Option<Truth> {
 /// `data.option` if there is no such scene, or an option is out of its domain.
 pub fn generate(name: &str, options: &SynthOptions) -> Result<SynthData, DataError> {
     let truth = truth(name, options)?;
-    let options = truth.options();
     let dynamic = truth.dynamic();
-    let split = |purpose: &str, n: u32, time: &dyn Fn(u32) -> f64| {
-        (0..n).map(|k| photograph(&truth, purpose, k, time(k))).collect::<Result<Vec<_>, _>>()
-    };
-    let (n, val, test) = (options.train_views, options.val_views, options.test_views);
-    let held_out = |count: u32| move |k: u32| (f64::from(k) + 0.5) / f64::from(count);
-    let train = split("synth.train", n, &|k| f64::from(k) / f64::from((n - 1).max(1)))?;
+    let shots = Shots::of(truth.options(), dynamic)?;
+    let take = |shots: Vec<Shot>| shots.into_iter().map(|s| photograph(&truth, s)).collect::<Result<Vec<_>, _>>();
+    let source = if dynamic { shots.time_source } else { "static" };
     let dataset = Dataset {
         root: Default::default(),
         layout: "synth",
-        train,
-        val: split("synth.val", val, &held_out(val))?,
-        test: split("synth.test", test, &held_out(test))?,
-        extrapolate: Vec::new(),
+        train: take(shots.train)?,
+        val: take(shots.val)?,
+        test: take(shots.test)?,
+        extrapolate: take(shots.extrapolate)?,
         points: None,
         has_alpha: true,
-        dynamic: dynamic && n > 1,
-        time_source: if dynamic { "generated: view index over 0..1" } else { "static" }.into(),
+        dynamic: dynamic && shots.training_moments > 1,
+        time_source: source.into(),
         bounds: Some([Vec3::splat(-HALF_SIDE), Vec3::splat(HALF_SIDE)]),
-        notes: notes(&truth, n),
+        notes: notes(&truth, shots.moments),
     };
     Ok(SynthData { dataset, truth })
 }
 
 /// What was generated and, where bodies move periodically, whether the training times resolve it: evenly spaced times `1/(n −
 /// 1)` apart show up to `(n − 1)/2` cycles (Nyquist).
-fn notes(truth: &Truth, train_views: u32) -> Vec<String> {
+fn notes(truth: &Truth, moments: u32) -> Vec<String> {
     let mut notes = vec![format!("generated scene \"{}\", seed {}", truth.scene(), truth.options().seed)];
     let fastest = truth.bodies().iter().map(|b| b.cycles()).fold(0.0, f64::max);
     if truth.dynamic() && fastest > 0.0 {
-        let nyquist = 0.5 * f64::from(train_views.saturating_sub(1));
+        let nyquist = 0.5 * f64::from(moments.saturating_sub(1));
+        let times = if truth.options().cameras > 0 { "moments" } else { "training times" };
         let verdict = if fastest < nyquist { "resolve" } else { "do not resolve" };
         notes.push(format!(
-            "the fastest motion makes {fastest} cycles; {train_views} training times {verdict} it (up to {nyquist} cycles)"
+            "the fastest motion makes {fastest} cycles; {moments} {times} {verdict} it (up to {nyquist} cycles)"
         ));
     }
     notes
@@ -162,8 +177,18 @@ fn check(o: &SynthOptions) -> Result<(), DataError> {
     if !(1..=4096).contains(&o.size) {
         return wrong("size", o.size.to_string(), "1 to 4096 pixels");
     }
-    if o.train_views == 0 {
+    if o.cameras == 0 && o.train_views == 0 {
         return wrong("train_views", "0".into(), "at least one");
+    }
+    if o.cameras > 0 && o.moments < 2 {
+        return wrong("moments", o.moments.to_string(), "at least two");
+    }
+    if !(o.boundary > 0.0 && o.boundary <= 1.0) {
+        return wrong(
+            "boundary",
+            o.boundary.to_string(),
+            "above 0, at most 1: the part of the time that may be learnt from",
+        );
     }
     if !(1..=16).contains(&o.supersample) {
         return wrong("supersample", o.supersample.to_string(), "1 to 16");
@@ -171,40 +196,32 @@ fn check(o: &SynthOptions) -> Result<(), DataError> {
     if !(0.0..=1.0).contains(&o.shading) {
         return wrong("shading", o.shading.to_string(), "0 to 1");
     }
-    let views = u64::from(o.train_views) + u64::from(o.val_views) + u64::from(o.test_views);
-    if views * u64::from(o.size) * u64::from(o.size) * 4 > MAX_IMAGE_BYTES {
-        return wrong("train_views", o.train_views.to_string(), "all images together below 8 GiB");
+    let (name, value, views) = match o.cameras {
+        0 => {
+            ("train_views", o.train_views, u64::from(o.train_views) + u64::from(o.val_views) + u64::from(o.test_views))
+        }
+        n => ("cameras", n, (u64::from(n) + u64::from(o.held_out)).saturating_mul(u64::from(o.moments))),
+    };
+    let bytes = views.saturating_mul(u64::from(o.size) * u64::from(o.size) * 4);
+    if bytes > MAX_IMAGE_BYTES {
+        return wrong(name, value.to_string(), "all images together below 8 GiB");
     }
     Ok(())
 }
 
-/// A view from a random point of the upper hemisphere.
-fn photograph(truth: &Truth, purpose: &str, k: u32, t: f64) -> Result<View, DataError> {
-    let camera = hemisphere_camera(truth.options(), purpose, k)?;
+/// Takes a picture.
+fn photograph(truth: &Truth, shot: Shot) -> Result<View, DataError> {
     let (camera, lens) = match truth.options().lens {
-        true => with_lens(camera),
-        false => (camera, Lens::default()),
+        true => with_lens(shot.camera),
+        false => (shot.camera, Lens::default()),
     };
-    let image = truth.photograph(&camera, &lens, t);
-    let time = if truth.dynamic() { Time::new(t as f32) } else { Ok(Time::default()) };
+    let image = truth.photograph(&camera, &lens, shot.time);
+    let time = if truth.dynamic() { Time::new(shot.time as f32) } else { Ok(Time::default()) };
     let time = time.map_err(|e| DataError::Option {
         name: "time",
         value: e.value.to_string(),
         rule: "a finite number".into(),
     })?;
-    let view = View::new(format!("r_{k:03}"), camera, time, ImageSource::Memory(Arc::new(image)), k);
+    let view = View::new(shot.name, camera, time, ImageSource::Memory(Arc::new(image)), shot.camera_id);
     Ok(View { lens: (!lens.is_pinhole()).then_some(lens), ..view })
-}
-
-fn hemisphere_camera(o: &SynthOptions, purpose: &str, k: u32) -> Result<Camera, DataError> {
-    let mut rng = Rng::new(o.seed, purpose, 0, u64::from(k));
-    let azimuth = f64::from(rng.uniform()) * std::f64::consts::TAU;
-    let z = f64::from(rng.range(0.1, 0.95));
-    let flat = (1.0 - z * z).sqrt();
-    let eye = DVec3::new(flat * azimuth.cos(), flat * azimuth.sin(), z) * CAMERA_RADIUS;
-    Camera::look_at(o.size, o.size, FOV_X, eye, DVec3::ZERO, DVec3::Z).map_err(|e| DataError::Option {
-        name: "size",
-        value: o.size.to_string(),
-        rule: e.to_string(),
-    })
 }

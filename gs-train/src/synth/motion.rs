@@ -1,8 +1,12 @@
-//! Rigid motions with a closed form: a turn about a fixed axis, a drift, an orbit about the world's z, a bob.
+//! Rigid motions with a closed form: a turn about a fixed axis, a drift or throw, an orbit about the world's z, a bob.
 //!
-//! `x(t) = R(s) x_body + c(s)`, `R(s) = exp(rate·s [axis]×) exp([tilt]×)`,
-//! `c(s) = start + velocity·s + radius (cos φ, sin φ, 0) + bob sin(2π·bob_rate·s)`, `φ = orbit_phase + orbit_rate·s`;
-//! `t` is the normalised time, `s(t)` the body's own clock (`s = t` without a [`Burst`]), angles are radians.
+//! ```text
+//! x(t) = Q(s) exp([tilt]×) x_body + c(s),   Q(s) = exp(θ(s) [axis]×),   θ(s) = rate·s + ½ gain·s²
+//! c(s) = start + (I − Q(s)) pivot + velocity·s + ½ gravity·s² + radius (cos φ, sin φ, 0) + bob sin(2π·bob_rate·s)
+//! φ(s) = orbit_phase + orbit_rate·s
+//! ```
+//! `t` is the normalised time, `s(t)` the body's own clock (`s = t` without a [`Burst`]), angles are radians. Velocities and
+//! twists: [`super::rates`].
 
 use glam::{DMat3, DQuat, DVec3};
 use serde::Serialize;
@@ -15,12 +19,21 @@ pub struct Motion {
     /// How the body is turned before it moves: axis times angle.
     #[serde(skip_serializing_if = "at_zero")]
     pub tilt: DVec3,
-    /// World units per unit of time.
+    /// World units per unit of time, at time 0.
     pub velocity: DVec3,
+    /// Constant acceleration, world units per squared unit of time.
+    #[serde(skip_serializing_if = "at_zero")]
+    pub gravity: DVec3,
     /// Axis of the body's own turn; any length, zero for none.
     pub spin_axis: DVec3,
-    /// Radians per unit of time.
+    /// Radians per unit of time, at time 0.
     pub spin_rate: f64,
+    /// Angular acceleration about the axis, radians per squared unit of time.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub spin_gain: f64,
+    /// The point that the turn leaves where it is: an offset from `start`, zero for the body's own centre.
+    #[serde(skip_serializing_if = "at_zero")]
+    pub pivot: DVec3,
     /// Radius of the orbit.
     pub orbit_radius: f64,
     /// Radians per unit of time.
@@ -38,6 +51,10 @@ pub struct Motion {
 
 fn at_zero(v: &DVec3) -> bool {
     *v == DVec3::ZERO
+}
+
+fn is_zero(v: &f64) -> bool {
+    *v == 0.0
 }
 
 /// A clock that runs evenly but for a short while, in which it makes `share` of its whole way:
@@ -58,6 +75,18 @@ impl Burst {
     fn clock(&self, t: f64) -> f64 {
         let x = ((t - self.from) / (self.until - self.from)).clamp(0.0, 1.0);
         (1.0 - self.share) * t + self.share * x * x * (3.0 - 2.0 * x)
+    }
+
+    /// First three derivatives of the clock at time `t`; where the second jumps, its value within the burst.
+    pub(super) fn rates(&self, t: f64) -> [f64; 3] {
+        let length = self.until - self.from;
+        let x = (t - self.from) / length;
+        if !(0.0..=1.0).contains(&x) {
+            return [1.0 - self.share, 0.0, 0.0];
+        }
+        let part = self.share / length;
+        let first = 1.0 - self.share + part * 6.0 * x * (1.0 - x);
+        [first, part / length * (6.0 - 12.0 * x), -12.0 * part / (length * length)]
     }
 
     /// Largest `ds/dt`, in the middle of the burst.
@@ -90,30 +119,44 @@ impl RigidPose {
 impl Motion {
     /// Whether the pose changes at all.
     pub fn moves(&self) -> bool {
-        self.velocity != DVec3::ZERO || self.cycles() > 0.0
+        self.velocity != DVec3::ZERO || self.gravity != DVec3::ZERO || self.cycles() > 0.0
     }
 
-    /// Cycles per unit of time of the fastest of turn, orbit and bob, when it is fastest.
+    /// Cycles per unit of time of the fastest of turn, orbit and bob, when it is fastest in `[0, 1]`.
     pub fn cycles(&self) -> f64 {
         const TURN: f64 = std::f64::consts::TAU;
         let when = |moves: bool, cycles: f64| if moves { cycles.abs() } else { 0.0 };
-        let even = when(self.spin_axis != DVec3::ZERO, self.spin_rate / TURN)
+        let spin = self.spin_rate.abs().max((self.spin_rate + self.spin_gain).abs());
+        let even = when(self.spin_axis != DVec3::ZERO, spin / TURN)
             .max(when(self.orbit_radius != 0.0, self.orbit_rate / TURN))
             .max(when(self.bob != DVec3::ZERO, self.bob_rate));
         even * self.burst.map_or(1.0, |b| b.fastest())
     }
 
+    /// The body's own clock at time `t`.
+    pub(super) fn clock(&self, t: f64) -> f64 {
+        self.burst.map_or(t, |b| b.clock(t))
+    }
+
+    /// `Q(s)`: the turn since the clock's zero.
+    pub(super) fn turn(&self, s: f64) -> DMat3 {
+        match self.spin_axis.try_normalize() {
+            Some(axis) => DMat3::from_axis_angle(axis, self.spin_rate * s + 0.5 * self.spin_gain * s * s),
+            None => DMat3::IDENTITY,
+        }
+    }
+
     /// The pose at time `t`.
     pub fn at(&self, t: f64) -> RigidPose {
-        let t = self.burst.map_or(t, |b| b.clock(t));
-        let axis = self.spin_axis.normalize_or_zero();
-        let turns = axis != DVec3::ZERO;
-        let rotation = if turns { DMat3::from_axis_angle(axis, self.spin_rate * t) } else { DMat3::IDENTITY };
-        let rotation = rotation * DMat3::from_quat(DQuat::from_scaled_axis(self.tilt));
+        let t = self.clock(t);
+        let turn = self.turn(t);
+        let rotation = turn * DMat3::from_quat(DQuat::from_scaled_axis(self.tilt));
         let angle = self.orbit_phase + self.orbit_rate * t;
         let orbit = DVec3::new(angle.cos(), angle.sin(), 0.0) * self.orbit_radius;
         let bob = self.bob * (std::f64::consts::TAU * self.bob_rate * t).sin();
-        RigidPose { rotation, translation: self.start + self.velocity * t + orbit + bob }
+        let swing = self.pivot - turn * self.pivot;
+        let way = self.velocity * t + 0.5 * self.gravity * t * t;
+        RigidPose { rotation, translation: self.start + swing + way + orbit + bob }
     }
 }
 
@@ -138,6 +181,30 @@ mod tests {
         assert_eq!(Motion::default().at(0.7).apply(DVec3::ONE), DVec3::ONE);
         let tilted = Motion { tilt: DVec3::Y * std::f64::consts::FRAC_PI_2, ..Motion::default() };
         assert!((tilted.at(0.4).apply(DVec3::X) + DVec3::Z).length() < 1e-12 && !tilted.moves() && m.moves());
+    }
+
+    #[test]
+    fn throws_gains_and_pivots() {
+        let thrown = Motion { velocity: DVec3::X, gravity: DVec3::Z * -2.0, ..Motion::default() };
+        assert!((thrown.at(0.5).translation - DVec3::new(0.5, 0.0, -0.25)).length() < 1e-15);
+        let dropped = Motion { velocity: DVec3::ZERO, ..thrown };
+        assert!(dropped.moves() && dropped.cycles() == 0.0);
+        // A door: hinge one unit to the left of its centre, a quarter turn after half the time.
+        let (axis, rate) = (DVec3::Z * 2.0, 0.5 * std::f64::consts::PI);
+        let door =
+            Motion { start: DVec3::X, spin_axis: axis, spin_rate: rate, spin_gain: 2.0 * rate, ..Motion::default() };
+        let door = Motion { pivot: -DVec3::X, ..door };
+        let turned = |t| door.at(t).apply(DVec3::X);
+        assert!((turned(0.0) - DVec3::X * 2.0).length() < 1e-15);
+        assert!((turned(1.0) + DVec3::X * 2.0).length() < 1e-12, "half a turn");
+        assert!(
+            (turned(0.5)
+                - DVec3::new((0.375 * std::f64::consts::PI).cos(), (0.375 * std::f64::consts::PI).sin(), 0.0) * 2.0)
+                .length()
+                < 1e-12
+        );
+        assert!(door.at(0.73).apply(-DVec3::X).length() < 1e-12, "the hinge stays");
+        assert!((door.cycles() - 0.75).abs() < 1e-12, "three times as fast at the end");
     }
 
     #[test]

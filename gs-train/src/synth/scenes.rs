@@ -3,6 +3,7 @@
 use glam::{DVec2, DVec3};
 
 use super::body::{Body, Shape, Wave};
+use super::mechanics;
 use super::motion::{Burst, Motion};
 
 /// An entry in the list of scenes.
@@ -56,7 +57,18 @@ pub const SCENES: &[SynthScene] = &[
         least_supersample: 4,
         bodies: reach,
     },
+    rigid("falling", "a ball thrown in an arc over a slab, without turning: constant acceleration", mechanics::falling),
+    rigid("screw", "a block that winds around an axis while it advances along it: a constant twist", mechanics::screw),
+    rigid("wheel", "a wheel that rolls over a slab: even hub, even spin, a twist that changes", mechanics::wheel),
+    rigid("projectile", "a block that is thrown and turns on its way", mechanics::projectile),
+    rigid("hinge", "a box with a lid, a door, an arm and a disc that turn about axes of their own", mechanics::hinge),
+    rigid("twins", "two bodies apart that move as one, and a third that does not", mechanics::twins),
 ];
+
+/// A scene of rigid bodies.
+const fn rigid(name: &'static str, about: &'static str, bodies: fn() -> Vec<Body>) -> SynthScene {
+    SynthScene { name, about, dynamic: true, least_supersample: 1, bodies }
+}
 
 const TURN: f64 = std::f64::consts::TAU;
 

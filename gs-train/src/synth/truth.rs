@@ -6,6 +6,7 @@ use gs_core::{Camera, Image};
 use super::SynthOptions;
 use super::body::{Body, MotionClass};
 use super::motion::RigidPose;
+use super::rates::Rates;
 use super::trace::{Hit, Tracer};
 use crate::data::{ImageU8, Lens};
 
@@ -63,6 +64,17 @@ impl Truth {
     /// Pose of a body's frame at time `t`.
     pub fn pose_of(&self, body: usize, t: f64) -> Option<RigidPose> {
         self.bodies.get(body).map(|b| b.motion.at(t))
+    }
+
+    /// The spatial twist of a body about `origin` at time `t`, with its first two derivatives, per unit of normalised time;
+    /// none if there is no such body or it deforms.
+    pub fn twist_of(&self, body: usize, t: f64, origin: DVec3) -> Option<gs_physics::Motion<f64>> {
+        self.rates_of(body, t).map(|r| r.twist(origin))
+    }
+
+    /// Velocities and accelerations of a body at time `t`; none if there is no such body or it deforms.
+    pub fn rates_of(&self, body: usize, t: f64) -> Option<Rates> {
+        self.bodies.get(body).filter(|b| !b.is_sheet()).map(|b| b.motion.rates(t))
     }
 
     /// What a camera sees at pixel coordinates `(u, v)` at time `t`.

@@ -7,7 +7,7 @@ use gs_core::Camera;
 use rayon::prelude::*;
 use serde_json::{Value, json};
 
-use super::body::Shape;
+use super::body::Body;
 use super::{FOV_X, SynthData, SynthOptions, Truth, generate};
 use crate::data::{DataError, ImageSource, ImageU8, View};
 
@@ -15,7 +15,9 @@ use crate::data::{DataError, ImageSource, ImageU8, View};
 const TRUTH_TIMES: u32 = 101;
 
 /// Generates a scene and writes it to `dir`: `transforms_{train,val,test}.json`, `{train,val,test}/r_000.png` …,
-/// `truth.json`. Unless `overwrite` is set the folder must be empty or absent.
+/// `truth.json`. With cameras at rest there is no validation split, the pictures of training cameras (`train`) and of held-out
+/// ones (`test`) are `c00_t000.png` …, those of the future among them, and `scene.toml` holds the boundary. Unless
+/// `overwrite` is set the folder must be empty or absent.
 ///
 /// # Errors
 /// `data.option` if there is a lens, `io.exists` if the folder holds files, `io.write` if writing fails, else as
@@ -27,17 +29,35 @@ pub fn write(dir: &Path, name: &str, options: &SynthOptions, overwrite: bool) ->
         return Err(DataError::Option { name: "lens", value: "true".into(), rule });
     }
     let data = generate(name, options)?;
-    for (split, views) in [("train", &data.dataset.train), ("val", &data.dataset.val), ("test", &data.dataset.test)] {
+    for (split, views) in splits(&data) {
         let folder = dir.join(split);
         std::fs::create_dir_all(&folder).map_err(|e| DataError::write(&folder, e))?;
         views.par_iter().try_for_each(|v| match &v.image {
             ImageSource::Memory(image) => save_png(&folder.join(format!("{}.png", v.name)), image),
             ImageSource::File(_) => Ok(()),
         })?;
-        write_json(&dir.join(format!("transforms_{split}.json")), &transforms(split, views, data.truth.dynamic()))?;
+        write_json(&dir.join(format!("transforms_{split}.json")), &transforms(split, &views, data.truth.dynamic()))?;
+    }
+    if !data.dataset.extrapolate.is_empty() {
+        let file = dir.join("scene.toml");
+        let text =
+            format!("# Later pictures, of every camera, are the future.\n[time]\nboundary = {:?}\n", options.boundary);
+        std::fs::write(&file, text).map_err(|e| DataError::write(&file, e))?;
     }
     write_json(&dir.join("truth.json"), &truth_json(&data.truth))?;
     Ok(data)
+}
+
+/// The views by the folder their pictures lie in: those of the future are with the others of their camera.
+pub(super) fn splits(data: &SynthData) -> Vec<(&'static str, Vec<&View>)> {
+    let (sets, cameras) = (&data.dataset, data.truth.options().cameras);
+    let (seen, held_out): (Vec<_>, Vec<_>) = sets.extrapolate.iter().partition(|v| v.camera_id < cameras);
+    let train = ("train", sets.train.iter().chain(seen).collect());
+    let test = ("test", sets.test.iter().chain(held_out).collect());
+    match cameras {
+        0 => vec![train, ("val", sets.val.iter().collect()), test],
+        _ => vec![train, test],
+    }
 }
 
 /// Whether a data set may be written to a folder.
@@ -60,8 +80,8 @@ pub(super) fn write_json(file: &Path, value: &Value) -> Result<(), DataError> {
     std::fs::write(file, text).map_err(|e| DataError::write(file, e))
 }
 
-fn transforms(split: &str, views: &[View], dynamic: bool) -> Value {
-    let frame = |v: &View| {
+fn transforms(split: &str, views: &[&View], dynamic: bool) -> Value {
+    let frame = |v: &&View| {
         let mut f = json!({
             "file_path": format!("./{split}/{}", v.name),
             "transform_matrix": opengl_c2w(&v.camera),
@@ -84,25 +104,38 @@ fn opengl_c2w(camera: &Camera) -> [[f64; 4]; 4] {
 
 pub(super) fn truth_json(truth: &Truth) -> Value {
     let times: Vec<f64> = (0..TRUTH_TIMES).map(|k| f64::from(k) / f64::from(TRUTH_TIMES - 1)).collect();
-    let bodies: Vec<Value> = truth
-        .bodies()
-        .iter()
-        .map(|b| {
-            let poses: Vec<Value> = times.iter().map(|&t| pose_json(b.motion.at(t), t)).collect();
-            let deforms = matches!(b.shape, Shape::Sheet { .. });
-            json!({ "name": b.name, "class": b.class(), "shape": b.shape, "motion": b.motion, "deforms": deforms, "poses": poses })
-        })
-        .collect();
+    let bodies: Vec<Value> = truth.bodies().iter().map(|b| body_json(b, &times)).collect();
     json!({
-        "about": "world = rotation(w,x,y,z) * body + translation; time is normalised; a sheet also moves along z in its frame, see its shape",
+        "about": "world = rotation(w,x,y,z) * body + translation; time is normalised; a sheet also moves along z in its frame, see its shape; \
+                  twist: the velocity field v + w x position and its first derivative, about the world's origin; \
+                  tracks: where material points of the surface are at the times of the poses",
         "scene": truth.scene(),
         "options": truth.options(),
         "bodies": bodies,
     })
 }
 
-fn pose_json(pose: super::motion::RigidPose, t: f64) -> Value {
+fn body_json(b: &Body, times: &[f64]) -> Value {
+    let poses: Vec<Value> = times.iter().map(|&t| pose_json(b, t)).collect();
+    let track = |p: DVec3| -> Value {
+        let at: Vec<[f64; 3]> = times.iter().map(|&t| b.position_of(p, t).to_array()).collect();
+        json!({ "body": p.to_array(), "world": at })
+    };
+    let tracks: Vec<Value> = b.shape.landmarks().into_iter().map(track).collect();
+    json!({
+        "name": b.name, "class": b.class(), "shape": b.shape, "motion": b.motion, "deforms": b.is_sheet(),
+        "poses": poses, "tracks": tracks,
+    })
+}
+
+fn pose_json(b: &Body, t: f64) -> Value {
+    let pose = b.motion.at(t);
     let q = DQuat::from_mat3(&pose.rotation);
     let q = if q.w < 0.0 { -q } else { q };
-    json!({ "time": t, "rotation": [q.w, q.x, q.y, q.z], "translation": pose.translation.to_array() })
+    let mut json = json!({ "time": t, "rotation": [q.w, q.x, q.y, q.z], "translation": pose.translation.to_array() });
+    if !b.is_sheet() {
+        let m = b.motion.rates(t).twist(DVec3::ZERO);
+        json["twist"] = json!({ "v": m.twist.v, "w": m.twist.w, "v_rate": m.rate.v, "w_rate": m.rate.w });
+    }
+    json
 }

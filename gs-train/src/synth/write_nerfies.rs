@@ -37,10 +37,14 @@ struct Shot<'a> {
 /// the folder must be empty or absent.
 ///
 /// # Errors
-/// `data.option` for an odd size, which has no half, and for more moments than the layout can number; `io.exists` if the
+/// `data.option` for cameras at rest, for an odd size, which has no half, and for more moments than the layout can number; `io.exists` if the
 /// folder holds files, `io.write` if writing fails, else as [`generate`].
 pub fn write_nerfies(dir: &Path, name: &str, options: &SynthOptions, overwrite: bool) -> Result<SynthData, DataError> {
     vacant(dir, overwrite)?;
+    if options.cameras > 0 {
+        let rule = "0: the Nerfies layout is for one moving camera; the D-NeRF layout has cameras at rest".into();
+        return Err(DataError::Option { name: "cameras", value: options.cameras.to_string(), rule });
+    }
     if options.size % 2 == 1 {
         let rule = "an even number: the layout also holds pictures of half the size".into();
         return Err(DataError::Option { name: "size", value: options.size.to_string(), rule });

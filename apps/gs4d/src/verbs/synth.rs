@@ -7,6 +7,9 @@ use gs_train::synth::{self, SCENES, SynthOptions};
 use serde_json::json;
 use std::path::PathBuf;
 
+/// Side of the pictures of cameras at rest, of which there are many.
+const SIZE_OF_CAMERAS_AT_REST: u32 = 100;
+
 /// How the data set lies on the disk.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Layout {
@@ -30,18 +33,30 @@ pub struct Synth {
     /// Take pictures through a lens that distorts, off centre and with leaning columns (layout nerfies).
     #[arg(long)]
     lens: bool,
-    /// Side of the images, pixels.
-    #[arg(long, default_value_t = SynthOptions::default().size)]
-    size: u32,
+    /// Side of the images, pixels [default: 200, with --cameras 100].
+    #[arg(long)]
+    size: Option<u32>,
     /// Training views, evenly spaced in time.
-    #[arg(long, default_value_t = SynthOptions::default().train_views)]
+    #[arg(long, default_value_t = SynthOptions::default().train_views, conflicts_with = "cameras")]
     train_views: u32,
     /// Validation views.
-    #[arg(long, default_value_t = SynthOptions::default().val_views)]
+    #[arg(long, default_value_t = SynthOptions::default().val_views, conflicts_with = "cameras")]
     val_views: u32,
     /// Test views.
-    #[arg(long, default_value_t = SynthOptions::default().test_views)]
+    #[arg(long, default_value_t = SynthOptions::default().test_views, conflicts_with = "cameras")]
     test_views: u32,
+    /// Training cameras at rest, each of which photographs every moment, in place of a camera for each view (8, say).
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    cameras: Option<u32>,
+    /// Cameras at rest beside them whose pictures are held out for tests.
+    #[arg(long, value_name = "N", default_value_t = SynthOptions::default().held_out, requires = "cameras", value_parser = clap::value_parser!(u32).range(..=1000))]
+    held_out: u32,
+    /// Moments that cameras at rest photograph, evenly spaced in time.
+    #[arg(long, value_name = "N", default_value_t = SynthOptions::default().moments, requires = "cameras")]
+    moments: u32,
+    /// Part of the time that may be learnt from: later pictures, of every camera, are for extrapolation (0..1).
+    #[arg(long, value_name = "TIME", default_value_t = SynthOptions::default().boundary, requires = "cameras")]
+    boundary: f64,
     /// Seed of the cameras.
     #[arg(long, default_value_t = 0)]
     seed: u64,
@@ -74,15 +89,7 @@ impl Synth {
         let Some(out) = &self.out else {
             return Err(Failure::usage("no folder to write to").remedy(format!("gs4d synth {name} -o DIR")));
         };
-        let options = SynthOptions {
-            size: self.size,
-            train_views: self.train_views,
-            val_views: self.val_views,
-            test_views: self.test_views,
-            seed: self.seed,
-            lens: self.lens,
-            ..SynthOptions::default()
-        };
+        let options = self.options();
         let exposure = self.exposure.map(|length| {
             let (samples, linear, shake) = (self.exposure_samples, self.linear, self.shake);
             Exposure { length, samples, linear, shake, seed: self.seed }
@@ -102,19 +109,37 @@ impl Synth {
             synth::write_maps(out, &data, self.truth_times, self.force)?;
         }
         let data = data.dataset;
-        let (train, test) = (data.train.len(), data.test.len());
+        let (train, test, future) = (data.train.len(), data.test.len(), data.extrapolate.len());
         let (layout, val) = match self.layout {
             Layout::Nerfies => ("nerfies", 0),
             Layout::Dnerf => ("dnerf", data.val.len()),
         };
         let size = options.size;
+        let later = if future > 0 { format!(", {future} extrapolation") } else { String::new() };
         let text = format!(
-            "{}  {name}: {train} training, {val} validation, {test} test views of {size}x{size}; truth.json{} beside them\n",
+            "{}  {name}: {train} training, {val} validation, {test} test{later} views of {size}x{size}; truth.json{} beside them\n",
             out.display(),
             if self.truth { " and maps" } else { "" }
         );
-        let json = json!({"path": out.display().to_string(), "scene": name, "layout": layout, "options": options, "views": [train, val, test], "exposure": exposure});
+        let json = json!({"path": out.display().to_string(), "scene": name, "layout": layout, "options": options, "views": [train, val, test], "extrapolation_views": future, "exposure": exposure});
         Ok(Answer::new(text, json))
+    }
+
+    fn options(&self) -> SynthOptions {
+        let default = SynthOptions::default();
+        SynthOptions {
+            size: self.size.unwrap_or(if self.cameras.is_some() { SIZE_OF_CAMERAS_AT_REST } else { default.size }),
+            train_views: self.train_views,
+            val_views: self.val_views,
+            test_views: self.test_views,
+            cameras: self.cameras.unwrap_or(0),
+            held_out: self.held_out,
+            moments: self.moments,
+            boundary: self.boundary,
+            seed: self.seed,
+            lens: self.lens,
+            ..default
+        }
     }
 }
 
