@@ -14,6 +14,7 @@
 
 mod blocks;
 pub mod centre;
+pub mod complexity;
 pub mod dynamics;
 pub mod error;
 pub mod extrapolate;

@@ -17,10 +17,10 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 /// Blocks per task.
-const TASK: usize = 64;
+pub(crate) const TASK: usize = 64;
 /// Particles per task.
 pub(crate) const PARTICLES: usize = TASK * LANES;
-/// No roll-out takes more steps than this: beyond, they grow longer.
+/// No roll-out takes more steps than this: what is left is one long step.
 const MAX_STEPS: f64 = 1e6;
 
 /// How particles are rolled.
@@ -49,10 +49,7 @@ impl Rollout {
         if count == 0 {
             return Vec::new();
         }
-        let full = match self.dt > 0.0 && count < MAX_STEPS as usize {
-            true => self.dt.copysign(to - from),
-            false => (to - from) / count as f64,
-        };
+        let full = self.dt.copysign(to - from);
         let begin = |k: usize| from + k as f64 * full;
         let last = count - 1;
         (0..count).map(|k| (begin(k), if k < last { full } else { to - begin(last) })).collect()
@@ -156,7 +153,7 @@ impl Rollout {
 }
 
 /// `⌈|span| / dt − 1e-6⌉`, at least one step for a span that is not empty.
-pub(crate) fn step_count(span: f64, dt: f64) -> usize {
+fn step_count(span: f64, dt: f64) -> usize {
     if span == 0.0 || span.is_nan() {
         return 0;
     }

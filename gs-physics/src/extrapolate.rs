@@ -1,0 +1,277 @@
+//! Where particles are at any time after (or before) their motions were read, asked again and again.
+//!
+//! ```text
+//! n = ⌈|t − t₀| / Δt − 1e-6⌉:  n − 1 full steps, kept as nodes, then one to t itself
+//! ```
+//! The answer has the bits of a fresh [`Rollout::advance`] from `t₀`, whatever was asked before. Nodes are kept every
+//! eighth step, and the last one reached: a time that follows another costs at most two steps, any other at most nine.
+
+use crate::blocks::{self, Motions, Run, States};
+use crate::integrator::Integrator;
+use crate::lanes::LANES;
+use crate::rollout::{PARTICLES, Rollout, TASK};
+use crate::step::Tick;
+use crate::twist::Motion;
+use fearless_simd::{Level, dispatch};
+use glam::Vec3;
+use rayon::prelude::*;
+
+/// Steps between kept nodes.
+const NODE: usize = 8;
+
+/// Particles that cannot be extrapolated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{what}: {got} rows for {want} particles; give one row each")]
+pub struct RowsError {
+    /// Of what there are too few or too many.
+    pub what: &'static str,
+    /// Rows given.
+    pub got: usize,
+    /// Rows wanted.
+    pub want: usize,
+}
+
+/// Refuses `got` rows of `what` for `want` particles.
+pub(crate) fn same_rows(what: &'static str, got: usize, want: usize) -> Result<(), RowsError> {
+    if got == want { Ok(()) } else { Err(RowsError { what, got, want }) }
+}
+
+/// Particles with their motions, ready to be shown at any time.
+#[derive(Clone, Debug)]
+pub struct Extrapolator {
+    rollout: Rollout,
+    t0: f64,
+    start: Poses,
+    motions: Vec<Motion<f32>>,
+    stepped: Stepped,
+    now: Poses,
+}
+
+/// Positions and orientations, row by row.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Poses {
+    pub means: Vec<Vec3>,
+    pub quats: Vec<[f32; 4]>,
+}
+
+impl Extrapolator {
+    /// Particles at `t0`, when their motions were read: positions, orientations `(w, x, y, z)` of unit length. `t0` and all
+    /// times asked for are finite.
+    ///
+    /// # Errors
+    /// If rows do not match.
+    pub fn new(
+        rollout: Rollout,
+        t0: f64,
+        motions: Vec<Motion<f32>>,
+        means: Vec<Vec3>,
+        quats: Vec<[f32; 4]>,
+    ) -> Result<Self, RowsError> {
+        same_rows("motions", motions.len(), means.len())?;
+        same_rows("orientations", quats.len(), means.len())?;
+        let start = Poses { means, quats };
+        let rows = (0..motions.len() as u32).collect();
+        let stepped = Stepped::new(rows, &motions, &start, rollout.origin);
+        Ok(Self { rollout, t0, now: start.clone(), start, motions, stepped })
+    }
+
+    /// Positions and orientations at time `t`.
+    pub fn at(&mut self, t: f64) -> (&[Vec3], &[[f32; 4]]) {
+        let tau = t - self.t0;
+        self.now.means.clone_from(&self.start.means);
+        self.now.quats.clone_from(&self.start.quats);
+        self.stepped.go(&self.rollout, tau, &mut self.now);
+        (&self.now.means, &self.now.quats)
+    }
+
+    /// The motions, as given.
+    pub fn motions(&self) -> &[Motion<f32>] {
+        &self.motions
+    }
+
+    /// Bytes of all kept nodes.
+    pub fn node_bytes(&self) -> usize {
+        self.stepped.node_bytes()
+    }
+}
+
+/// Some of the particles, packed in blocks.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Packed {
+    /// Which.
+    pub rows: Vec<u32>,
+    pub motions: Vec<Motions>,
+    pub start: Vec<States>,
+}
+
+impl Packed {
+    /// Packs `rows` of `motions` and `poses`.
+    pub fn new(rows: Vec<u32>, motions: &[Motion<f32>], poses: &Poses, origin: Vec3) -> Self {
+        let block = |rows: &[u32]| {
+            let pick = |r: &u32| *r as usize;
+            let m: Vec<_> = rows.iter().map(|r| motions[pick(r)]).collect();
+            let x: Vec<_> = rows.iter().map(|r| poses.means[pick(r)]).collect();
+            let q: Vec<_> = rows.iter().map(|r| poses.quats[pick(r)]).collect();
+            (blocks::pack_motions(&m), blocks::pack_states(&x, &q, origin))
+        };
+        let (motions, start) = rows.chunks(LANES).map(block).unzip();
+        Self { rows, motions, start }
+    }
+
+    /// Takes `states` through a run of steps.
+    pub fn roll(&self, run: Run<'_>, states: &mut [States]) {
+        states.par_chunks_mut(TASK).zip(self.motions.par_chunks(TASK)).for_each(|(states, motions)| {
+            for (state, motions) in states.iter_mut().zip(motions) {
+                dispatch!(Level::new(), simd => blocks::roll(simd, run, motions, state, None));
+            }
+        });
+    }
+
+    /// Takes `states` through a run of steps and moves the rows of `poses`, which are at the start, to where that ends.
+    pub fn place(&self, run: Run<'_>, states: &[States], poses: &mut Poses) {
+        if self.rows.len() < poses.means.len() {
+            let mut end = states.to_vec();
+            self.roll(run, &mut end);
+            return self.scatter(&end, poses);
+        }
+        let poses = poses.means.par_chunks_mut(PARTICLES).zip(poses.quats.par_chunks_mut(PARTICLES));
+        let given = self.motions.par_chunks(TASK).zip(self.start.par_chunks(TASK).zip(states.par_chunks(TASK)));
+        poses.zip(given).for_each(|((means, quats), (motions, (start, states)))| {
+            let rows = means.chunks_mut(LANES).zip(quats.chunks_mut(LANES));
+            for ((means, quats), (motions, (start, state))) in rows.zip(motions.iter().zip(start.iter().zip(states))) {
+                let mut end = *state;
+                dispatch!(Level::new(), simd => blocks::roll(simd, run, motions, &mut end, None));
+                blocks::unpack_states(start, &end, means, quats);
+            }
+        });
+    }
+
+    fn scatter(&self, end: &[States], poses: &mut Poses) {
+        for (rows, (start, end)) in self.rows.chunks(LANES).zip(self.start.iter().zip(end)) {
+            for (lane, row) in rows.iter().enumerate() {
+                let (x, q) = (&mut poses.means[*row as usize], &mut poses.quats[*row as usize]);
+                blocks::unpack_lane(start, end, lane, x, q);
+            }
+        }
+    }
+}
+
+/// States after some full steps from the start.
+#[derive(Clone, Debug, Default)]
+struct Node {
+    steps: usize,
+    states: Vec<States>,
+}
+
+/// Nodes of one direction of time.
+#[derive(Clone, Debug, Default)]
+struct Nodes {
+    /// After every eighth step.
+    kept: Vec<Node>,
+    /// Where the last question led.
+    latest: Node,
+}
+
+impl Nodes {
+    /// Makes the node after all of `full` the latest, and keeps every eighth on the way.
+    fn reach(&mut self, packed: &Packed, rule: Integrator, full: &[Tick<f64>]) {
+        let mut node = self.before(full.len(), &packed.start);
+        while node.steps < full.len() {
+            let stop = (node.steps / NODE * NODE + NODE).min(full.len());
+            packed.roll(Run { rule, ticks: &full[node.steps..stop], done: node.steps }, &mut node.states);
+            node.steps = stop;
+            if stop.is_multiple_of(NODE) && self.kept.len() < stop / NODE {
+                self.kept.push(node.clone());
+            }
+        }
+        self.latest = node;
+    }
+
+    /// The nearest known node within `steps` steps; the latest one is taken out, a kept one or the start copied.
+    fn before(&mut self, steps: usize, start: &[States]) -> Node {
+        let kept = &self.kept[..self.kept.len().min(steps / NODE)];
+        let known = kept.last().map_or(0, |n| n.steps);
+        if self.latest.steps > known && self.latest.steps <= steps {
+            return std::mem::take(&mut self.latest);
+        }
+        kept.last().cloned().unwrap_or_else(|| Node { steps: 0, states: start.to_vec() })
+    }
+
+    fn bytes(&self) -> usize {
+        self.kept.iter().chain(Some(&self.latest)).map(|n| size_of_val(n.states.as_slice())).sum()
+    }
+}
+
+/// Particles that need their steps.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Stepped {
+    packed: Packed,
+    /// Ahead of the start, and behind it.
+    nodes: [Nodes; 2],
+}
+
+impl Stepped {
+    pub fn new(rows: Vec<u32>, motions: &[Motion<f32>], start: &Poses, origin: Vec3) -> Self {
+        Self { packed: Packed::new(rows, motions, start, origin), nodes: Default::default() }
+    }
+
+    pub fn node_bytes(&self) -> usize {
+        self.nodes.iter().map(Nodes::bytes).sum()
+    }
+
+    /// Moves its rows of `poses` from the start to `tau` later.
+    pub fn go(&mut self, rollout: &Rollout, tau: f64, poses: &mut Poses) {
+        let ticks = rollout.ticks([0.0, tau]);
+        let Some((last, full)) = ticks.split_last() else { return };
+        if self.packed.rows.is_empty() {
+            return;
+        }
+        let nodes = &mut self.nodes[usize::from(tau < 0.0)];
+        nodes.reach(&self.packed, rollout.rule, full);
+        let run = Run { rule: rollout.rule, ticks: std::slice::from_ref(last), done: full.len() };
+        self.packed.place(run, &nodes.latest.states, poses);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gs_core::Rng;
+
+    fn particles(n: usize) -> (Vec<Motion<f32>>, Poses) {
+        let mut rng = Rng::new(1, "extrapolate", 0, 0);
+        let motions = (0..n).map(|_| Motion::from_array(std::array::from_fn(|_| rng.normal()))).collect();
+        let means = (0..n).map(|_| Vec3::new(rng.normal(), rng.normal(), rng.normal())).collect();
+        (motions, Poses { means, quats: vec![[1.0, 0.0, 0.0, 0.0]; n] })
+    }
+
+    fn ready(rollout: Rollout, n: usize) -> Extrapolator {
+        let (motions, poses) = particles(n);
+        Extrapolator::new(rollout, 0.7, motions, poses.means, poses.quats).unwrap()
+    }
+
+    #[test]
+    fn any_time_in_any_order_has_the_bits_of_a_fresh_roll_out() {
+        let rollout = Rollout { rule: Integrator::Se3Mid, dt: 1.0 / 90.0, origin: Vec3::new(0.3, 0.0, -0.2) };
+        let (motions, start) = particles(1100);
+        let mut asked = ready(rollout, 1100);
+        // Past the 64th step, where quaternions are renormalised; back; behind the start; the start itself.
+        let times =
+            [0.705, 0.9, 0.75, 1.5, 1.51, 1.2, 0.7, -0.2, 0.1, 1.5, 0.7 + 8.0 / 90.0, 0.7 + 72.0 / 90.0, 0.6999];
+        for t in times {
+            let (mut means, mut quats) = (start.means.clone(), start.quats.clone());
+            rollout.advance(&motions, [0.0, t - 0.7], &mut means, &mut quats);
+            let got = asked.at(t);
+            assert!(got.0 == means && got.1 == quats, "{t}");
+        }
+        // 72 steps ahead and 81 back: ten and ten kept nodes, and the two latest ones.
+        assert!(asked.node_bytes() <= 22 * 138 * size_of::<States>(), "{}", asked.node_bytes());
+    }
+
+    #[test]
+    fn rows_must_match() {
+        let rollout = Rollout { rule: Integrator::Rk2, dt: 0.1, origin: Vec3::ZERO };
+        let error = Extrapolator::new(rollout, 0.0, vec![Motion::default()], vec![Vec3::ZERO; 2], vec![]).unwrap_err();
+        assert_eq!(error, RowsError { what: "motions", got: 1, want: 2 });
+    }
+}
