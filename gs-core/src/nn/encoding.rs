@@ -45,6 +45,29 @@ pub fn encode_backward(encoded: &[f32], d_encoded: &[f32], dims: usize, bands: u
     }
 }
 
+/// Derivative of one encoded row along coordinate `axis`, from the row: 1, then `2ᵏ cos`, `−2ᵏ sin`; 0 in the entries of
+/// other coordinates.
+pub fn tangent(encoded: &[f32], dims: usize, axis: usize, out: &mut [f32]) {
+    out.fill(0.0);
+    out[axis] = 1.0;
+    let mut frequency = 1.0;
+    for (pair, out) in encoded[dims..].chunks_exact(2 * dims).zip(out[dims..].chunks_exact_mut(2 * dims)) {
+        out[axis] = frequency * pair[dims + axis];
+        out[dims + axis] = -frequency * pair[axis];
+        frequency *= 2.0;
+    }
+}
+
+/// Gradient of [`tangent`] by the coordinate itself.
+pub fn tangent_backward(encoded: &[f32], d_tangent: &[f32], dims: usize, axis: usize) -> f32 {
+    let (mut sum, mut square) = (0.0, 1.0);
+    for (pair, d) in encoded[dims..].chunks_exact(2 * dims).zip(d_tangent[dims..].chunks_exact(2 * dims)) {
+        sum -= square * (d[axis] * pair[axis] + d[dims + axis] * pair[dims + axis]);
+        square *= 4.0;
+    }
+    sum
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -92,6 +115,31 @@ mod tests {
             let h = 1e-6;
             let want = (loss(f64::from(v) + h) - loss(f64::from(v) - h)) / (2.0 * h);
             assert!((f64::from(d_p[i]) - want).abs() < 1e-4 * (1.0 + want.abs()), "{}: {} {want}", i, d_p[i]);
+        }
+    }
+
+    /// Tolerance: differences of waves of frequency 8 with this step, and their rounding.
+    #[test]
+    fn tangents_are_derivatives_along_an_axis() {
+        let (dims, bands, p) = (2, 4, [0.7f32, -1.2]);
+        let mut rng = Rng::new(3, "encoding", 0, 0);
+        let d: Vec<f32> = (0..width(dims, bands)).map(|_| rng.normal()).collect();
+        let (mut encoded, mut along) = (vec![0.0; d.len()], vec![7.0; d.len()]);
+        encode(&p, dims, bands, &mut encoded);
+        for axis in 0..dims {
+            tangent(&encoded, dims, axis, &mut along);
+            let (v, h) = (f64::from(p[axis]), 1e-4);
+            let [lo, at, hi] = [v - h, v, v + h].map(|v| reference(v, bands));
+            let mut bent = 0.0;
+            for e in 0..d.len() {
+                let mine = e % dims == axis;
+                let k = e / dims;
+                let want = if mine { (hi[k] - lo[k]) / (2.0 * h) } else { 0.0 };
+                assert!((f64::from(along[e]) - want).abs() < 1e-5, "{axis} {e}: {} {want}", along[e]);
+                bent += if mine { f64::from(d[e]) * (hi[k] - 2.0 * at[k] + lo[k]) / (h * h) } else { 0.0 };
+            }
+            let got = f64::from(tangent_backward(&encoded, &d, dims, axis));
+            assert!((got - bent).abs() < 1e-5 * (1.0 + bent.abs()), "{axis}: {got} {bent}");
         }
     }
 }

@@ -13,11 +13,13 @@ pub mod dense;
 pub mod encoding;
 pub mod gemm;
 pub mod heads;
+pub mod jet;
 pub mod mlp;
 
 pub use activation::Activation;
 pub use dense::{Dense, DenseGrad, Init};
 pub use heads::{Heads, HeadsGrad, HeadsTape};
+pub use jet::JetTape;
 pub use mlp::{Mlp, MlpGrad, MlpTape};
 
 /// Rows worked on together: 256 × 64 values of `f32` fill 64 KiB, so a few activations fit the second-level cache.
