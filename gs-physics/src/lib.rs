@@ -14,6 +14,7 @@
 
 mod blocks;
 pub mod centre;
+pub mod classes;
 pub mod complexity;
 pub mod dynamics;
 pub mod error;
@@ -22,6 +23,7 @@ pub mod integrator;
 pub mod kabsch;
 mod lanes;
 pub mod law;
+pub mod order;
 pub mod reference;
 pub mod rollout;
 pub mod scalar;
@@ -33,9 +35,10 @@ pub mod twist;
 mod vec3;
 
 pub use centre::{Centre, Reduction};
+pub use classes::{ClassRule, Classified, MotionClass};
 pub use dynamics::{Dynamics, Moves};
 pub use error::PhysicsError;
-pub use extrapolate::Extrapolator;
+pub use extrapolate::{Extrapolator, RowsError};
 pub use integrator::Integrator;
 pub use law::{AccelMap, Law, LawConfig, LawForm, LawInput, LawTape};
 pub use rollout::{RollTape, Rollout};

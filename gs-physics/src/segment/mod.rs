@@ -2,7 +2,8 @@
 //!
 //! Every particle of one rigid body has the same twist, so twists cluster into bodies without any label:
 //! [`features`](features::features) turns motions into rows, [`kmeans`](kmeans::kmeans) clusters them (TRACE; GVFi 4.2), and
-//! [`merged`] counts the bodies where nobody says how many there are.
+//! [`merged`] counts the bodies where nobody says how many there are. For scenes without physics, [`Ogc`] learns labels from where
+//! points go.
 //!
 //! Labels are `0 …`, ordered by the weight of their particles, heaviest first. Everything is bitwise equal for any number
 //! of threads.
@@ -10,10 +11,13 @@
 pub mod choose;
 pub mod features;
 pub mod kmeans;
+mod near;
+pub mod ogc;
 
 pub use choose::{MergeOptions, Merged, TwistSums, merged, twist_sums};
 pub use features::{Feature, FeatureOptions, features};
 pub use kmeans::{Clusters, KMeansOptions, kmeans};
+pub use ogc::{Ogc, OgcOptions};
 
 /// New labels by decreasing weight (ties: the old order); and the old label of each new one. Labels that no particle has
 /// are left out.
