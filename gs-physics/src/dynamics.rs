@@ -1,5 +1,6 @@
 //! The seam between a law of motion and whoever trains it.
 
+use crate::rollout::Rollout;
 use crate::twist::Motion;
 use glam::Vec3;
 use gs_core::Params;
@@ -48,6 +49,12 @@ pub trait Dynamics: Params + Send + Sync {
     /// Whether [`Dynamics::motions`] of one moment rule all later times (a law), or the field must be read again at every
     /// step (a velocity field).
     fn rules_ahead(&self) -> bool;
+
+    /// How [`Dynamics::motions`] of one moment are carried on, where twists are; none where motion has a closed form or is
+    /// read again at every step.
+    fn carried_by(&self) -> Option<Rollout> {
+        None
+    }
 
     /// The origin that twists refer to, world units.
     fn origin(&self) -> Vec3;

@@ -238,6 +238,10 @@ impl Dynamics for Law {
         true
     }
 
+    fn carried_by(&self) -> Option<Rollout> {
+        (!self.form.is_closed()).then_some(self.rollout)
+    }
+
     fn origin(&self) -> Vec3 {
         self.rollout.origin
     }
