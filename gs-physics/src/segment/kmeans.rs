@@ -78,7 +78,7 @@ pub fn kmeans(rows: &[f32], width: usize, weights: Option<&[f32]>, options: &KMe
     if all.len() == 0 {
         return Clusters::default();
     }
-    let picked: Vec<usize> = sample(all.len(), options.sample.max(options.k));
+    let picked: Vec<usize> = sample(all.len(), options.sample.max(options.k), options.seed);
     let data: Vec<f32> = picked.iter().flat_map(|&i| all.row(i)).copied().collect();
     let share: Option<Vec<f32>> = weights.map(|w| picked.iter().map(|&i| w[i]).collect());
     let few = Rows { data: &data, width, weights: share.as_deref() };
@@ -95,9 +95,13 @@ pub fn kmeans(rows: &[f32], width: usize, weights: Option<&[f32]>, options: &KMe
     Clusters { labels, k: order.len(), centres, inertia }
 }
 
-/// At most `most` of `0..n`, evenly drawn.
-pub(super) fn sample(n: usize, most: usize) -> Vec<usize> {
-    if n <= most { (0..n).collect() } else { (0..most).map(|k| k * n / most).collect() }
+/// At most `most` of `0..n`, one drawn from each of as many equal stretches.
+pub(super) fn sample(n: usize, most: usize, seed: u64) -> Vec<usize> {
+    let stretch = |k: usize| k * n / most;
+    let draw = |k: usize| {
+        stretch(k) + Rng::new(seed, "sample", 0, k as u64).below((stretch(k + 1) - stretch(k)) as u32) as usize
+    };
+    if n <= most { (0..n).collect() } else { (0..most).map(draw).collect() }
 }
 
 /// `Σ w |row − mean|² / Σ w`.

@@ -8,10 +8,11 @@
 //! L_smooth = (1/N) Σ_p (1/H) Σ_h |o_p − o_h|₁                 H nearest neighbours within a radius, the point itself beyond
 //! L        = L_dyn + λ L_smooth from a step on
 //! ```
-//! by Adam on the logits. With more objects than bodies, mixtures of wrong motions explain points as well as right ones do:
-//! the objective has no answer to how many there are. Points beyond [`OgcOptions::points`] take the label of the nearest one that was learnt.
+//! by Adam on the logits; objects that no point belongs to at the end are dropped. Points beyond [`OgcOptions::points`] take the
+//! label of the nearest one that was learnt.
 
 use super::by_weight;
+use super::kmeans::sample;
 use super::near::nearest;
 use crate::kabsch::{PairSums, Rigid};
 use glam::{DVec3, Vec3};
@@ -97,7 +98,7 @@ impl Ogc {
         if !frames.iter().all(sound) || options.k == 0 {
             return None;
         }
-        let picked = super::kmeans::sample(first.len(), options.points.max(1));
+        let picked = sample(first.len(), options.points.max(1), options.seed);
         let places: Vec<Vec<DVec3>> =
             frames.iter().map(|f| picked.iter().map(|&i| f[i].as_dvec3()).collect()).collect();
         let near: Vec<Vec3> = picked.iter().map(|&i| first[i]).collect();
@@ -312,7 +313,7 @@ mod tests {
     fn balls_are_told_apart() {
         let (frames, truth) = balls(3, 900);
         for options in
-            [OgcOptions { k: 3, ..OgcOptions::default() }, OgcOptions { k: 3, points: 300, ..OgcOptions::default() }]
+            [OgcOptions { k: 3, ..OgcOptions::default() }, OgcOptions { points: 300, ..OgcOptions::default() }]
         {
             let found = Ogc::learn(&frames, &options).unwrap();
             let mut counts = vec![[0usize; 3]; found.k];
