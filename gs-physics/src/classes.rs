@@ -13,12 +13,11 @@
 //! `sup|x''''| H⁴/24`, plus `r` times its turn, which is dropped. All this holds against the true path; roll-outs differ
 //! from that by the error of their integrator.
 
-use crate::extrapolate::same_rows;
+use crate::extrapolate::{RowsError, same_rows};
 use crate::integrator::Integrator;
 use crate::step::{Tick, step};
 use crate::twist::{Motion, Twist};
 use crate::vec3::{add, add_scaled, norm, scale};
-use crate::{RowsError, vec3};
 use glam::Vec3;
 use gs_core::real::{cross3, dot3};
 use rayon::prelude::*;
@@ -171,8 +170,8 @@ impl Classified {
 mod tests {
     use super::*;
     use crate::truth;
+    use crate::vec3::sub;
     use gs_core::Rng;
-    use vec3::sub;
 
     fn off(found: &Classified, motion: &Motion<f64>, tau: f64, x: [f64; 3], reach: f64) -> f64 {
         let (got, q) = found.closed_form(tau, x).unwrap();
@@ -213,7 +212,7 @@ mod tests {
         let mut rng = Rng::new(1, "classes", 0, 0);
         let mut used = [0.0f64; 4];
         let mut seen = [0; 5];
-        for case in 0..4000 {
+        for case in 0..1500 {
             let mut vec = |s: f64| -> [f64; 3] { std::array::from_fn(|_| s * f64::from(rng.normal())) };
             let size = |k: i32| 10f64.powf(-0.5 * f64::from(k));
             let (v, w, rate, jerk) = (size(case % 7), size(case / 7 % 6), size(2 + case / 42 % 5), size(3 + case % 3));

@@ -5,8 +5,13 @@
 //! ```
 //! The answer has the bits of a fresh [`Rollout::advance`] from `t₀`, whatever was asked before. Nodes are kept every
 //! eighth step, and the last one reached: a time that follows another costs at most two steps, any other at most nine.
+//!
+//! [`Extrapolator::reduce`] spends less where less will do: particles at rest stay, those with a closed form take one
+//! exponential, rigid groups share one map, and only the others take steps.
 
 use crate::blocks::{self, Motions, Run, States};
+use crate::classes::{ClassRule, MotionClass};
+use crate::groups::{FREE, Groups};
 use crate::integrator::Integrator;
 use crate::lanes::LANES;
 use crate::rollout::{PARTICLES, Rollout, TASK};
@@ -44,7 +49,29 @@ pub struct Extrapolator {
     start: Poses,
     motions: Vec<Motion<f32>>,
     stepped: Stepped,
+    reduced: Option<Reduced>,
     now: Poses,
+}
+
+/// What does not take steps, up to a horizon.
+#[derive(Clone, Debug)]
+struct Reduced {
+    horizon: f64,
+    groups: Option<Groups>,
+    /// Particles with a closed form, under their models.
+    leapt: Packed,
+    /// The others.
+    stepped: Stepped,
+    counts: Counts,
+}
+
+/// How many particles go which way.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub struct Counts {
+    /// With their group.
+    pub grouped: usize,
+    /// By class, in the order of [`MotionClass`]; the last take steps.
+    pub classes: [usize; 5],
 }
 
 /// Positions and orientations, row by row.
@@ -72,7 +99,48 @@ impl Extrapolator {
         let start = Poses { means, quats };
         let rows = (0..motions.len() as u32).collect();
         let stepped = Stepped::new(rows, &motions, &start, rollout.origin);
-        Ok(Self { rollout, t0, now: start.clone(), start, motions, stepped })
+        Ok(Self { rollout, t0, now: start.clone(), start, motions, stepped, reduced: None })
+    }
+
+    /// Serves every particle by the least motion that is within the tolerance of `rule`, and by its group where it has
+    /// one. `reach` is the [`crate::classes::turn_reach`] of every particle. Times beyond the horizon stay as they were
+    /// without this.
+    ///
+    /// # Errors
+    /// If rows do not match.
+    pub fn reduce(mut self, rule: &ClassRule, reach: &[f32], groups: Option<Groups>) -> Result<Self, RowsError> {
+        let found = rule.classify_all(&self.motions, &self.start.means, self.rollout.origin, reach)?;
+        if let Some(groups) = &groups {
+            same_rows("labels", groups.of.len(), found.len())?;
+        }
+        let mut counts = Counts::default();
+        let (mut leapt, mut stepped, mut models) = (Vec::new(), Vec::new(), self.motions.clone());
+        for (row, found) in found.iter().enumerate() {
+            if groups.as_ref().is_some_and(|g| g.of[row] != FREE) {
+                counts.grouped += 1;
+                continue;
+            }
+            counts.classes[found.class as usize] += 1;
+            match found.class {
+                MotionClass::Static => {}
+                MotionClass::General => stepped.push(row as u32),
+                _ => {
+                    models[row] = found.model.narrowed();
+                    leapt.push(row as u32);
+                }
+            }
+        }
+        let origin = self.rollout.origin;
+        let leapt = Packed::new(leapt, &models, &self.start, origin);
+        let stepped = Stepped::new(stepped, &self.motions, &self.start, origin);
+        self.reduced = Some(Reduced { horizon: rule.horizon, groups, leapt, stepped, counts });
+        Ok(self)
+    }
+
+    /// How many particles go which way; all take steps unless [`Extrapolator::reduce`] said otherwise.
+    pub fn counts(&self) -> Counts {
+        let all = Counts { grouped: 0, classes: [0, 0, 0, 0, self.motions.len()] };
+        self.reduced.as_ref().map_or(all, |r| r.counts)
     }
 
     /// Positions and orientations at time `t`.
@@ -80,7 +148,10 @@ impl Extrapolator {
         let tau = t - self.t0;
         self.now.means.clone_from(&self.start.means);
         self.now.quats.clone_from(&self.start.quats);
-        self.stepped.go(&self.rollout, tau, &mut self.now);
+        match &mut self.reduced {
+            Some(reduced) if tau.abs() <= reduced.horizon => reduced.go(&self.rollout, tau, &mut self.now),
+            _ => self.stepped.go(&self.rollout, tau, &mut self.now),
+        }
         (&self.now.means, &self.now.quats)
     }
 
@@ -91,7 +162,21 @@ impl Extrapolator {
 
     /// Bytes of all kept nodes.
     pub fn node_bytes(&self) -> usize {
-        self.stepped.node_bytes()
+        self.stepped.node_bytes() + self.reduced.as_ref().map_or(0, |r| r.stepped.node_bytes())
+    }
+}
+
+impl Reduced {
+    fn go(&mut self, rollout: &Rollout, tau: f64, poses: &mut Poses) {
+        if tau == 0.0 {
+            return;
+        }
+        if let Some(groups) = &self.groups {
+            groups.place(rollout, tau, poses);
+        }
+        let leap = [Tick::leap(tau)];
+        self.leapt.place(Run { rule: Integrator::Se3Mid, ticks: &leap, done: 0 }, &self.leapt.start, poses);
+        self.stepped.go(rollout, tau, poses);
     }
 }
 
@@ -236,6 +321,7 @@ impl Stepped {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::truth;
     use gs_core::Rng;
 
     fn particles(n: usize) -> (Vec<Motion<f32>>, Poses) {
@@ -266,6 +352,43 @@ mod tests {
         }
         // 72 steps ahead and 81 back: ten and ten kept nodes, and the two latest ones.
         assert!(asked.node_bytes() <= 22 * 138 * size_of::<States>(), "{}", asked.node_bytes());
+    }
+
+    /// Particles of every class and of two rigid groups: reduced answers are off by no more than the tolerance (and the
+    /// integrator's own error), particles that take steps keep their bits, and beyond the horizon all do.
+    #[test]
+    fn reductions_stay_within_their_tolerance() {
+        let n = 1200;
+        let (mut motions, start) = particles(n);
+        for (i, m) in motions.iter_mut().enumerate() {
+            match i % 6 {
+                0 => *m = Motion::default(),
+                1 => *m = Motion { twist: m.twist, ..Motion::default() },
+                2 => (m.twist.w, m.rate.w, m.jerk.w) = ([0.0; 3], [0.0; 3], [0.0; 3]),
+                3 => (m.rate, m.jerk) = (m.twist.scaled(0.5), m.twist.scaled(-0.2)),
+                4 => *m = truth::wheel().motion.narrowed(),
+                _ => {}
+            }
+        }
+        let labels: Vec<u32> = (0..n).map(|i| if i % 6 == 4 { (i / 600) as u32 } else { FREE }).collect();
+        let rollout = Rollout { rule: Integrator::Se3Magnus4, dt: 1.0 / 60.0, origin: Vec3::ZERO };
+        let (rule, reach) = (ClassRule { tolerance: 1e-4, horizon: 0.8 }, vec![0.02; n]);
+        let groups = Groups::fit(&rule, &labels, &motions, &start.means, rollout.origin, &reach).unwrap();
+        let plain = Extrapolator::new(rollout, 0.0, motions, start.means.clone(), start.quats.clone()).unwrap();
+        let mut reduced = plain.clone().reduce(&rule, &reach, Some(groups)).unwrap();
+        let mut plain = plain;
+        assert_eq!(reduced.counts(), Counts { grouped: 200, classes: [200, 200, 200, 200, 200] });
+        assert_eq!(plain.counts().classes, [0, 0, 0, 0, n]);
+        for t in [0.0, 0.33, 0.8, -0.6, 0.9] {
+            let (got, want) = (reduced.at(t), plain.at(t));
+            let far = |i: &usize| (got.0[*i] - want.0[*i]).length();
+            let worst = (0..n).map(|i| far(&i)).fold(0.0, f32::max);
+            assert!(worst <= 1e-4, "{t}: {worst}");
+            let turned = (0..n).map(|i| (0..4).map(|c| got.1[i][c] * want.1[i][c]).sum::<f32>().abs());
+            assert!(turned.fold(1.0, f32::min) > 1.0 - 1e-5, "{t}");
+            let same = |i: usize| got.0[i] == want.0[i] && got.1[i] == want.1[i];
+            assert!((0..n).all(|i| same(i) || (t != 0.9 && t != 0.0 && i % 6 != 0 && i % 6 != 5)), "{t}");
+        }
     }
 
     #[test]

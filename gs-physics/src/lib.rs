@@ -15,10 +15,12 @@
 mod blocks;
 pub mod centre;
 pub mod classes;
+pub mod clip;
 pub mod complexity;
 pub mod dynamics;
 pub mod error;
 pub mod extrapolate;
+pub mod groups;
 pub mod integrator;
 pub mod kabsch;
 mod lanes;
@@ -38,9 +40,11 @@ pub mod velocity;
 
 pub use centre::{Centre, Reduction};
 pub use classes::{ClassRule, Classified, MotionClass};
+pub use clip::clip_fast;
 pub use dynamics::{Dynamics, Moves};
 pub use error::PhysicsError;
 pub use extrapolate::{Extrapolator, RowsError};
+pub use groups::{Group, Groups};
 pub use integrator::Integrator;
 pub use law::{AccelMap, Law, LawConfig, LawForm, LawInput, LawTape};
 pub use rollout::{RollTape, Rollout};

@@ -1,0 +1,331 @@
+//! Particles of one rigid body share one motion: fitted by least squares, stepped once for all of them.
+//!
+//! For particles at `y` (relative to the origin) whose motions have the coefficients `(v_i, w_i)`, each of twist, rate and
+//! jerk is refitted to the velocities they mean, with `r = y − ȳ`, `c_i = v_i + w_i × y_i`:
+//!
+//! ```text
+//! min Σ ‖V + W × y_i − c_i‖²:     (Σ ‖r‖² I − r rᵀ + μI) W = Σ r × c_i + μ w̄,    V = c̄ − W × ȳ
+//! ```
+//! `μ`, 1e-6 of the spread, settles what a line or a point leaves open with the members' own mean `w̄`. Members whose path
+//! the shared motion misses by more than the tolerance (bound of [`crate::classes`]) leave and the rest is fitted again,
+//! first those that are off by more than twice the median, so that strangers do not drag the fit away from the body.
+//! A group is carried by one affine map ([`Group::map`]), composed in `f64`.
+
+use crate::classes::ClassRule;
+use crate::extrapolate::{Poses, RowsError, same_rows};
+use crate::rollout::{PARTICLES, Rollout};
+use crate::step::{Affine, step_map};
+use crate::twist::{Motion, Twist};
+use glam::{DMat3, DVec3, Vec3};
+use gs_core::rot::hamilton;
+use rayon::prelude::*;
+
+/// The label of a particle that belongs to no group.
+pub const FREE: u32 = u32::MAX;
+/// Most fits of a group.
+const FITS: usize = 8;
+/// Members within this times the median bound are not strangers.
+const STRANGE: f64 = 2.0;
+/// Weight of the members' own turning, of their spread.
+const RIDGE: f64 = 1e-6;
+
+/// One rigid body.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Group {
+    /// Its motion, about the origin.
+    pub motion: Motion<f64>,
+    /// Particles that follow it.
+    pub members: usize,
+    /// Root mean squared difference between its velocities and theirs at `τ = 0`, world units per unit of time.
+    pub residual: f64,
+    /// The worst bound on how far a member is off within the horizon, world units.
+    pub bound: f64,
+}
+
+/// Rigid bodies and who belongs to them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Groups {
+    /// The bodies; those nobody follows have no members.
+    pub list: Vec<Group>,
+    /// Index into `list` for every particle, or [`FREE`].
+    pub of: Vec<u32>,
+}
+
+/// What a fit looks at.
+struct Scene<'a> {
+    rule: &'a ClassRule,
+    motions: &'a [Motion<f32>],
+    means: &'a [Vec3],
+    origin: Vec3,
+    reach: &'a [f32],
+}
+
+impl Groups {
+    /// Fits one motion to the particles of each label (labels from 0, [`FREE`] for none). `reach` is the
+    /// [`crate::classes::turn_reach`] of every particle. Particles that would be off by more than the tolerance within the
+    /// horizon are freed, and so is a group of one.
+    ///
+    /// # Errors
+    /// If rows do not match.
+    pub fn fit(
+        rule: &ClassRule,
+        labels: &[u32],
+        motions: &[Motion<f32>],
+        means: &[Vec3],
+        origin: Vec3,
+        reach: &[f32],
+    ) -> Result<Self, RowsError> {
+        for (what, got) in [("labels", labels.len()), ("motions", motions.len()), ("reaches", reach.len())] {
+            same_rows(what, got, means.len())?;
+        }
+        let scene = Scene { rule, motions, means, origin, reach };
+        let count = labels.iter().filter(|l| **l != FREE).max().map_or(0, |l| *l as usize + 1).min(means.len());
+        let mut members = vec![Vec::new(); count];
+        for (i, label) in labels.iter().enumerate() {
+            if let Some(group) = members.get_mut(*label as usize) {
+                group.push(i);
+            }
+        }
+        let mut of = vec![FREE; labels.len()];
+        let mut list = Vec::with_capacity(count);
+        for (label, mut members) in members.into_iter().enumerate() {
+            list.push(scene.settle(&mut members));
+            members.iter().for_each(|i| of[*i] = label as u32);
+        }
+        Ok(Self { list, of })
+    }
+
+    /// Particles that follow a group.
+    pub fn members(&self) -> usize {
+        self.list.iter().map(|g| g.members).sum()
+    }
+
+    /// Moves the members among `poses`, which are at the start, to `tau` later.
+    pub(crate) fn place(&self, rollout: &Rollout, tau: f64, poses: &mut Poses) {
+        let maps: Vec<_> = self.list.iter().map(|g| Moved::new(g.map(rollout, [0.0, tau]))).collect();
+        let rows = poses.means.par_chunks_mut(PARTICLES).zip(poses.quats.par_chunks_mut(PARTICLES));
+        rows.zip(self.of.par_chunks(PARTICLES)).for_each(|((means, quats), of)| {
+            for ((x, q), label) in means.iter_mut().zip(quats).zip(of) {
+                if let Some(map) = maps.get(*label as usize) {
+                    *x += map.change * (*x - rollout.origin) + map.shift;
+                    *q = hamilton(map.turn, *q);
+                }
+            }
+        });
+    }
+}
+
+impl Group {
+    /// How the group is carried over `span`: its affine map about the origin and its turn.
+    pub fn map(&self, rollout: &Rollout, span: [f64; 2]) -> (Affine<f64>, [f64; 4]) {
+        let start = (Affine::identity(0.0), [1.0, 0.0, 0.0, 0.0]);
+        rollout.steps(span).into_iter().fold(start, |(map, q), (tau, h)| {
+            let (step, turn) = step_map(&self.motion, tau, h, rollout.rule);
+            (map.then(&step), hamilton(turn, q))
+        })
+    }
+}
+
+/// A map as what it changes, so that a group at rest keeps its bits.
+struct Moved {
+    change: glam::Mat3,
+    shift: Vec3,
+    turn: [f32; 4],
+}
+
+impl Moved {
+    fn new((map, q): (Affine<f64>, [f64; 4])) -> Self {
+        let rows = map.a.map(DVec3::from_array);
+        let change = DMat3::from_cols(rows[0], rows[1], rows[2]).transpose() - DMat3::IDENTITY;
+        Self { change: change.as_mat3(), shift: DVec3::from_array(map.b).as_vec3(), turn: q.map(|v| v as f32) }
+    }
+}
+
+impl Scene<'_> {
+    /// Fits the members, frees those that do not belong, and fits again.
+    fn settle(&self, members: &mut Vec<usize>) -> Group {
+        let mut motion = Motion::default();
+        for _ in 0..FITS {
+            motion = self.fit(members);
+            let off: Vec<f64> = members.iter().map(|i| self.off(&motion, *i)).collect();
+            let limit = self.rule.tolerance.max(STRANGE * median(off.clone()));
+            if off.iter().all(|o| *o <= limit) {
+                break;
+            }
+            let mut off = off.into_iter();
+            members.retain(|_| off.next().is_some_and(|o| o <= limit));
+        }
+        members.retain(|i| self.off(&motion, *i) <= self.rule.tolerance);
+        if members.len() < 2 {
+            members.clear();
+        }
+        let square = |i: &usize| {
+            let y = self.at(*i).to_array();
+            let (shared, own) = (motion.twist.velocity(y), self.motions[*i].widened().twist.velocity(y));
+            DVec3::from_array(shared).distance_squared(DVec3::from_array(own))
+        };
+        let mean = members.iter().map(square).sum::<f64>() / members.len().max(1) as f64;
+        let bound = members.iter().map(|i| self.off(&motion, *i)).fold(0.0, f64::max);
+        Group { motion, members: members.len(), residual: mean.sqrt(), bound }
+    }
+
+    fn at(&self, i: usize) -> DVec3 {
+        (self.means[i] - self.origin).as_dvec3()
+    }
+
+    /// How far particle `i` may be off under the shared motion.
+    fn off(&self, motion: &Motion<f64>, i: usize) -> f64 {
+        let y = self.at(i).to_array();
+        self.rule.bound(&self.motions[i].widened().shifted(y), &motion.shifted(y), f64::from(self.reach[i]))
+    }
+
+    fn fit(&self, members: &[usize]) -> Motion<f64> {
+        let of = |part: fn(&Motion<f64>) -> Twist<f64>| {
+            let sample = |i: &usize| (self.at(*i), part(&self.motions[*i].widened()));
+            fit_twist(&members.iter().map(sample).collect::<Vec<_>>())
+        };
+        Motion { twist: of(|m| m.twist), rate: of(|m| m.rate), jerk: of(|m| m.jerk) }
+    }
+}
+
+/// Zero for none.
+fn median(mut values: Vec<f64>) -> f64 {
+    let middle = values.len() / 2;
+    match values.is_empty() {
+        true => 0.0,
+        false => *values.select_nth_unstable_by(middle, f64::total_cmp).1,
+    }
+}
+
+/// The twist nearest to the velocities that `(position, twist)` mean, by least squares; zero for none.
+fn fit_twist(samples: &[(DVec3, Twist<f64>)]) -> Twist<f64> {
+    if samples.is_empty() {
+        return Twist::default();
+    }
+    let n = samples.len() as f64;
+    let velocity = |(y, t): &(DVec3, Twist<f64>)| DVec3::from_array(t.velocity(y.to_array()));
+    let middle = samples.iter().map(|s| s.0).sum::<DVec3>() / n;
+    let mean = samples.iter().map(velocity).sum::<DVec3>() / n;
+    let own = samples.iter().map(|s| DVec3::from_array(s.1.w)).sum::<DVec3>() / n;
+    let (mut inertia, mut moment, mut spread) = (DMat3::ZERO, DVec3::ZERO, 0.0);
+    for s in samples {
+        let r = s.0 - middle;
+        inertia += DMat3::from_diagonal(DVec3::splat(r.length_squared())) - outer(r);
+        moment += r.cross(velocity(s) - mean);
+        spread += r.length_squared();
+    }
+    let ridge = RIDGE * spread;
+    let w = match ridge > 0.0 {
+        true => (inertia + DMat3::from_diagonal(DVec3::splat(ridge))).inverse() * (moment + ridge * own),
+        false => own,
+    };
+    Twist { v: (mean - w.cross(middle)).to_array(), w: w.to_array() }
+}
+
+fn outer(r: DVec3) -> DMat3 {
+    DMat3::from_cols(r * r.x, r * r.y, r * r.z)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::integrator::Integrator;
+    use crate::truth;
+    use gs_core::Rng;
+
+    const ORIGIN: Vec3 = Vec3::new(0.5, 0.25, -1.0);
+
+    fn normal(rng: &mut Rng) -> Vec3 {
+        Vec3::new(rng.normal(), rng.normal(), rng.normal())
+    }
+
+    fn motion() -> Motion<f64> {
+        let m = truth::tumble().motion;
+        Motion { jerk: Twist { v: [0.2, 0.1, -0.4], w: [0.3, -0.2, 0.1] }, ..m }
+    }
+
+    fn rule(tolerance: f64) -> ClassRule {
+        ClassRule { tolerance, horizon: 0.8 }
+    }
+
+    #[test]
+    fn a_noisy_body_is_refitted_and_strangers_leave() {
+        let mut rng = Rng::new(1, "groups", 0, 0);
+        let means: Vec<Vec3> = (0..400).map(|_| normal(&mut rng)).collect();
+        let noisy = |rng: &mut Rng| {
+            Motion::from_array(motion().to_array().map(|v| (v + 2e-3 * f64::from(rng.normal())) as f32))
+        };
+        let mut motions: Vec<_> = (0..400).map(|_| noisy(&mut rng)).collect();
+        for m in motions.iter_mut().step_by(20) {
+            m.twist.v[0] += 3.0;
+        }
+        let groups = Groups::fit(&rule(0.1), &[0; 400], &motions, &means, ORIGIN, &[0.05; 400]).unwrap();
+        let group = &groups.list[0];
+        assert!(group.members == 380 && groups.members() == 380, "{group:?}");
+        assert!((0..400).all(|i| (groups.of[i] == FREE) == (i % 20 == 0)));
+        assert!(group.bound <= 0.1 && (group.residual - 6.8e-3).abs() < 1e-3, "{group:?}");
+        for (got, want) in group.motion.to_array().iter().zip(motion().to_array()) {
+            assert!((got - want).abs() < 1e-3, "{got} {want}");
+        }
+    }
+
+    #[test]
+    fn exact_bodies_are_found_exactly_even_lines_points_and_pairs() {
+        let mut rng = Rng::new(2, "groups", 0, 0);
+        let shapes: [Vec<Vec3>; 4] = [
+            (0..50).map(|_| normal(&mut rng)).collect(),
+            (0..5).map(|k| Vec3::new(1.0, 2.0, 3.0) * k as f32 * 0.1).collect(),
+            vec![Vec3::ONE; 4],
+            vec![Vec3::ZERO, Vec3::X],
+        ];
+        for means in shapes {
+            let n = means.len();
+            let motions = vec![motion().narrowed(); n];
+            let groups = Groups::fit(&rule(1e-5), &vec![0; n], &motions, &means, ORIGIN, &vec![0.1; n]).unwrap();
+            assert_eq!(groups.members(), n);
+            for (got, want) in groups.list[0].motion.to_array().iter().zip(motions[0].widened().to_array()) {
+                assert!((got - want).abs() < 1e-7, "{n}: {got} {want}");
+            }
+        }
+        let alone = Groups::fit(&rule(1.0), &[0, FREE, 7], &[motion().narrowed(); 3], &[Vec3::X; 3], ORIGIN, &[0.0; 3]);
+        let alone = alone.unwrap();
+        assert!(alone.members() == 0 && alone.of == [FREE; 3], "{alone:?}");
+        let error = Groups::fit(&rule(1.0), &[], &[], &[Vec3::X], ORIGIN, &[]).unwrap_err();
+        assert_eq!((error.what, error.got, error.want), ("labels", 0, 1));
+    }
+
+    /// T12: the map of a group moves its members as their own steps do, to 4 units in the last place of where they are
+    /// (relative to the origin); over a long way, to 1e-6 of it.
+    #[test]
+    fn a_groups_map_is_its_members_steps() {
+        let mut rng = Rng::new(3, "groups", 0, 0);
+        let means: Vec<Vec3> = (0..300).map(|_| normal(&mut rng)).collect();
+        let motions = vec![motion().narrowed(); 300];
+        let groups = Groups::fit(&rule(1e-3), &[0; 300], &motions, &means, ORIGIN, &[0.1; 300]).unwrap();
+        for rule in [Integrator::Rk2, Integrator::Se3Mid, Integrator::Se3Magnus4] {
+            let rollout = Rollout { rule, dt: 1.0 / 30.0, origin: ORIGIN };
+            for (tau, ulps) in [(1.0 / 30.0, 4.0), (-1.0 / 30.0, 4.0), (0.8, 16.0)] {
+                let mut own = Poses { means: means.clone(), quats: vec![[1.0, 0.0, 0.0, 0.0]; 300] };
+                let mut shared = own.clone();
+                rollout.advance(&motions, [0.0, tau], &mut own.means, &mut own.quats);
+                groups.place(&rollout, tau, &mut shared);
+                for (i, start) in means.iter().enumerate() {
+                    let size = (*start - ORIGIN).length().max(own.means[i].length()).max(1.0) * f32::EPSILON;
+                    let off = (own.means[i] - shared.means[i]).abs().max_element();
+                    assert!(off <= ulps * size, "{rule:?} {tau}: {off} is {} ulp", off / size);
+                    let turned = (0..4).map(|c| (own.quats[i][c] - shared.quats[i][c]).abs()).fold(0.0, f32::max);
+                    assert!(turned <= ulps * f32::EPSILON, "{rule:?} {tau}: {turned}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_group_at_rest_keeps_its_bits() {
+        let means = vec![Vec3::new(0.1, 0.2, 0.3), Vec3::new(1e3, -7.0, 0.7)];
+        let groups = Groups::fit(&rule(0.0), &[0; 2], &[Motion::default(); 2], &means, ORIGIN, &[0.1; 2]).unwrap();
+        let mut poses = Poses { means: means.clone(), quats: vec![[0.5; 4]; 2] };
+        groups.place(&Rollout { rule: Integrator::Se3Mid, dt: 0.1, origin: ORIGIN }, 0.7, &mut poses);
+        assert!(groups.members() == 2 && poses.means == means && poses.quats == [[0.5; 4]; 2]);
+    }
+}
