@@ -2,6 +2,7 @@
 
 pub mod law;
 pub mod net;
+pub mod velocity;
 
 use crate::rollout::Rollout;
 use crate::step::{Tick, step, step_back};

@@ -1,0 +1,196 @@
+//! A velocity field (NVFi, Li et al., NeurIPS 2023, as TRACE's baseline DefGS_nvfi has it): particles drift along it, and
+//! it is read again at every step.
+//!
+//! ```text
+//! u(x, t) = Σ_i c_i(x, t) b_i(x) = v + w × (x − o)         (v, w) = net(γ(s x), γ(t)), five layers with SiLU
+//! x_m = x + ½h u(x, t)         x ← x + h u(x_m, t + ½h)    q ← q(h ω) ⊗ q,  ω = ½ ∇ × u at (x_m, t + ½h)
+//! ```
+//! * NVFi's rotational basis vectors are `−e_i × x`: the same span.
+//! * `I + h ∇u` turns a particle by the rotation `exp(h ω)` to first order in `h`: the antisymmetric part of the gradient,
+//!   put through the exponential, so that the turn is a rotation for any step and exact for a rigid flow.
+//! * Positions at the start are constants, those of later steps depend on the weights: the way back goes through `∇u`
+//!   and, for turns, through second derivatives of the network.
+//! * Activations are not kept between the passes: the way back reads the network again, block by block.
+//! * [`regularise`](Dynamics::regularise) is NVFi's physics-informed loss, see [`pinn`](crate::pinn).
+
+mod config;
+pub(crate) mod flow;
+pub(crate) mod read;
+mod step;
+
+pub use config::VelocityConfig;
+
+use crate::dynamics::{Dynamics, Moves};
+use crate::error::PhysicsError;
+use crate::integrator::Integrator;
+use crate::rollout::Rollout;
+use crate::twist::{Motion, Twist};
+use crate::vec3::sub;
+use flow::BASIS;
+use glam::Vec3;
+use gs_core::nn::{self, Activation, BLOCK, CHUNKS, Init, Mlp, MlpGrad};
+use gs_core::real::cross3;
+use gs_core::{Param, Params};
+use rayon::prelude::*;
+use read::{Along, Reading};
+use step::Step;
+
+/// The field; see the [module](self).
+#[derive(Clone, Debug)]
+pub struct VelocityField {
+    pub(crate) config: VelocityConfig,
+    pub(crate) bounds: [Vec3; 2],
+    rollout: Rollout,
+    pub(crate) net: Mlp,
+    pub(crate) acceleration: Mlp,
+}
+
+/// Scratch of a [`VelocityField`].
+#[derive(Clone, Debug, Default)]
+pub struct VelocityTape {
+    /// `(time, length)` of each step.
+    steps: Vec<(f64, f64)>,
+    chunks: Vec<Chunk>,
+}
+
+/// A run of blocks of particles.
+#[derive(Clone, Debug, Default)]
+struct Chunk {
+    /// The states of each block before each step.
+    states: Vec<Vec<Moves>>,
+    step: Step,
+    grad: MlpGrad,
+}
+
+impl VelocityField {
+    /// A field for a scene within `bounds` (lowest and highest corner, world units), followed in steps of at most `step`
+    /// (the unit of time of all calls). Parameters are named `velocity.layer.…` and `acceleration.layer.…`.
+    ///
+    /// # Errors
+    /// If a setting or the box cannot be used; the message names it.
+    pub fn new(config: &VelocityConfig, bounds: [Vec3; 2], step: f64, seed: u64) -> Result<Self, PhysicsError> {
+        config.check(bounds)?;
+        let mut widths = vec![config.hidden; config.depth + 2];
+        widths[0] = read::inputs(config.bands);
+        widths[config.depth + 1] = BASIS;
+        let net = |name: &str, activation| {
+            Mlp::new(name, &widths, Init::FanIn, Init::FanIn, seed).with_activation(activation)
+        };
+        let origin = if config.local_origin { 0.5 * (bounds[0] + bounds[1]) } else { Vec3::ZERO };
+        Ok(Self {
+            config: config.clone(),
+            bounds,
+            rollout: Rollout { rule: Integrator::Rk2, dt: step, origin },
+            net: net("velocity.layer", Activation::Silu),
+            acceleration: net("acceleration.layer", Activation::Relu),
+        })
+    }
+
+    /// The settings it was built from.
+    pub fn config(&self) -> &VelocityConfig {
+        &self.config
+    }
+
+    /// Position about the origin.
+    pub(crate) fn relative(&self, x: Vec3) -> [f32; 3] {
+        (x - self.rollout.origin).to_array()
+    }
+
+    pub(crate) fn rollout(&self) -> Rollout {
+        self.rollout
+    }
+
+    /// Particles per chunk.
+    fn rows_per_chunk(&self, n: usize) -> usize {
+        nn::blocks_per_chunk(n.div_ceil(BLOCK)) * BLOCK
+    }
+}
+
+impl Dynamics for VelocityField {
+    type Tape = VelocityTape;
+
+    fn transport(&self, x: &[Vec3], from: f64, to: f64, tape: &mut VelocityTape, out: &mut Moves) {
+        out.means.clear();
+        out.means.extend_from_slice(x);
+        out.turns.clear();
+        out.turns.resize(x.len(), [1.0, 0.0, 0.0, 0.0]);
+        tape.steps = self.rollout.steps([from, to]);
+        tape.chunks.resize_with(CHUNKS, Chunk::default);
+        let per_chunk = self.rows_per_chunk(x.len());
+        let rows = out.means.par_chunks_mut(per_chunk).zip(out.turns.par_chunks_mut(per_chunk));
+        let VelocityTape { steps, chunks } = tape;
+        chunks.par_iter_mut().zip(rows).for_each(|(chunk, (means, turns))| {
+            chunk.states.resize_with(means.len().div_ceil(BLOCK), Vec::new);
+            let rows = means.chunks_mut(BLOCK).zip(turns.chunks_mut(BLOCK));
+            for (states, (means, turns)) in chunk.states.iter_mut().zip(rows) {
+                states.resize_with(steps.len(), Moves::default);
+                for (step, state) in steps.iter().zip(states) {
+                    state.means.clear();
+                    state.means.extend_from_slice(means);
+                    state.turns.clear();
+                    state.turns.extend_from_slice(turns);
+                    chunk.step.forward(self, *step, means, turns);
+                }
+            }
+        });
+    }
+
+    fn transport_backward(&mut self, x: &[Vec3], tape: &mut VelocityTape, d: &Moves) {
+        let VelocityTape { steps, chunks } = tape;
+        if steps.is_empty() {
+            return;
+        }
+        let per_chunk = self.rows_per_chunk(x.len());
+        let rows = d.means.par_chunks(per_chunk).zip(d.turns.par_chunks(per_chunk));
+        let used = &mut chunks[..x.len().div_ceil(per_chunk)];
+        used.par_iter_mut().zip(rows).for_each(|(chunk, (means, turns))| {
+            chunk.grad.reset(&self.net);
+            let rows = means.chunks(BLOCK).zip(turns.chunks(BLOCK));
+            for (states, (means, turns)) in chunk.states.iter().zip(rows) {
+                let mut d = Moves { means: means.to_vec(), turns: turns.to_vec() };
+                for (step, state) in steps.iter().zip(states).rev() {
+                    chunk.step.backward(self, *step, state, &mut d, &mut chunk.grad);
+                }
+            }
+        });
+        self.net.add_grads(used.iter().map(|c| &c.grad));
+    }
+
+    fn regularise(&mut self, seed: u64, step: u32) -> Vec<(&'static str, f32)> {
+        crate::pinn::regularise(self, seed, step)
+    }
+
+    fn motions(&self, x: &[Vec3], t: f64) -> Vec<Motion<f32>> {
+        let mut out = vec![Motion::default(); x.len()];
+        out.par_chunks_mut(BLOCK).zip(x.par_chunks(BLOCK)).for_each(|(out, x)| {
+            let mut reading = Reading::default();
+            reading.forward(&self.net, &self.config, x, &vec![t as f32; x.len()], Along::Space);
+            for (i, (m, x)) in out.iter_mut().zip(x).enumerate() {
+                let r = self.relative(*x);
+                let flow = reading.flow(i, r);
+                let w = flow.turning();
+                m.twist = Twist { v: sub(flow.u, cross3(w, r)), w };
+            }
+        });
+        out
+    }
+
+    fn rules_ahead(&self) -> bool {
+        false
+    }
+
+    fn origin(&self) -> Vec3 {
+        self.rollout.origin
+    }
+}
+
+impl Params for VelocityField {
+    fn visit(&self, f: &mut dyn FnMut(&Param)) {
+        self.net.visit(f);
+        self.acceleration.visit(f);
+    }
+    fn visit_mut(&mut self, f: &mut dyn FnMut(&mut Param)) {
+        self.net.visit_mut(f);
+        self.acceleration.visit_mut(f);
+    }
+}

@@ -1,0 +1,78 @@
+//! One step of a block of particles along the velocity, and the way back.
+
+use super::VelocityField;
+use super::flow::Flow;
+use super::read::{Along, Reading};
+use crate::dynamics::Moves;
+use crate::so3::{Rotation, product_back};
+use crate::vec3::scale;
+use glam::Vec3;
+use gs_core::nn::MlpGrad;
+use gs_core::rot::hamilton;
+
+/// Scratch of a step: what was read at its begin and middle.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Step {
+    begin: Reading,
+    middle: Reading,
+    midpoints: Vec<Vec3>,
+    d_midpoints: Vec<Vec3>,
+    times: Vec<f32>,
+}
+
+impl Step {
+    fn read(&mut self, field: &VelocityField, x: &[Vec3], (t, h): (f64, f64)) {
+        let Self { begin, middle, midpoints, times, .. } = self;
+        times.clear();
+        times.resize(x.len(), t as f32);
+        begin.forward(&field.net, &field.config, x, times, Along::Nothing);
+        let half = (0.5 * h) as f32;
+        let midpoint = |(i, x): (usize, &Vec3)| *x + half * Vec3::from_array(begin.flow(i, field.relative(*x)).u);
+        midpoints.clear();
+        midpoints.extend(x.iter().enumerate().map(midpoint));
+        times.fill((t + 0.5 * h) as f32);
+        middle.forward(&field.net, &field.config, midpoints, times, Along::Space);
+    }
+
+    /// Moves particles by the step `(time, length)`.
+    pub fn forward(&mut self, field: &VelocityField, step: (f64, f64), means: &mut [Vec3], turns: &mut [[f32; 4]]) {
+        self.read(field, means, step);
+        let h = step.1 as f32;
+        for (i, (x, q)) in means.iter_mut().zip(turns).enumerate() {
+            let flow = self.middle.flow(i, field.relative(self.midpoints[i]));
+            *x += h * Vec3::from_array(flow.u);
+            *q = hamilton(Rotation::new(scale(flow.turning(), h)).quaternion(), *q);
+        }
+    }
+
+    /// From cotangents `d` of what stands after the step to those of the `state` before it and to the weights.
+    pub fn backward(
+        &mut self,
+        field: &VelocityField,
+        step: (f64, f64),
+        state: &Moves,
+        d: &mut Moves,
+        grad: &mut MlpGrad,
+    ) {
+        self.read(field, &state.means, step);
+        let Self { begin, middle, midpoints, d_midpoints, .. } = self;
+        let h = step.1 as f32;
+        d_midpoints.clear();
+        for (i, (x, mu)) in midpoints.iter().zip(&mut d.turns).enumerate() {
+            let r = field.relative(*x);
+            let rotation = Rotation::new(scale(middle.flow(i, r).turning(), h));
+            let (before, d_turn) = product_back(rotation.quaternion(), state.turns[i], *mu);
+            let mut d_flow = Flow { u: (h * d.means[i]).to_array(), ..Flow::zero(0.0) };
+            d_flow.add_turning(scale(rotation.quaternion_back(d_turn), h));
+            d_midpoints.push(Vec3::from_array(middle.set_cotangent(i, r, &d_flow)));
+            *mu = before;
+        }
+        middle.backward(&field.net, &field.config, Some(d_midpoints), grad);
+        for (i, (x, d_x)) in state.means.iter().zip(&mut d.means).enumerate() {
+            let d_flow = Flow { u: (0.5 * h * d_midpoints[i]).to_array(), ..Flow::zero(0.0) };
+            let own = begin.set_cotangent(i, field.relative(*x), &d_flow);
+            *d_x += d_midpoints[i] + Vec3::from_array(own);
+        }
+        begin.backward(&field.net, &field.config, Some(&mut d.means), grad);
+    }
+}
