@@ -19,7 +19,7 @@ use crate::twist::{Motion, Twist};
 use crate::vec3::{V3, add, add_scaled, scale};
 use gs_core::Real;
 use gs_core::real::cross3;
-use gs_core::rot::{Mat3, hamilton};
+use gs_core::rot::Mat3;
 
 /// `x -> a x + b`, about the origin of the twists.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -131,14 +131,14 @@ pub(crate) fn step<T: Scalar>(rule: Integrator, m: &Motion<T>, tick: &Tick<T>, x
         Integrator::Se3Mid | Integrator::Se3Magnus4 => {
             let omega = exponent(rule, m, tick);
             let rotation = Rotation::new(omega.w);
-            (rotation.carry(omega.v, x), hamilton(rotation.quaternion(), q))
+            (rotation.carry(omega.v, x), rotation.turn(q))
         }
     }
 }
 
 #[inline(always)]
 fn turned<T: Scalar>(phi: V3<T>, q: [T; 4]) -> [T; 4] {
-    hamilton(Rotation::new(phi).quaternion(), q)
+    Rotation::new(phi).turn(q)
 }
 
 /// What the rules on SE(3) take the exponential of.
