@@ -28,8 +28,8 @@ struct Chunk {
     sums: [f64; 2],
 }
 
-/// Place and time of point `row`.
-pub(crate) fn point(field: &VelocityField, seed: u64, step: u32, row: usize) -> (Vec3, f32) {
+/// Place and time of the loss's point `row` in a step.
+pub fn point(field: &VelocityField, seed: u64, step: u32, row: usize) -> (Vec3, f32) {
     let mut rng = Rng::new(seed, "collocation", step, row as u64);
     let [lo, hi] = field.bounds;
     let x = Vec3::new(rng.range(lo.x, hi.x), rng.range(lo.y, hi.y), rng.range(lo.z, hi.z));

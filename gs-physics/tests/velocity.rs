@@ -11,6 +11,7 @@
 use glam::Vec3;
 use gs_core::nn::BLOCK;
 use gs_core::{Params, Rng};
+use gs_physics::pinn::point;
 use gs_physics::reference::Pose;
 use gs_physics::reference::velocity::VelocityRef;
 use gs_physics::{Dynamics, Moves, VelocityConfig, VelocityField, VelocityTape};
@@ -63,15 +64,10 @@ fn close(got: f64, want: f64, tolerance: f64, what: &str) {
     assert!((got - want).abs() < tolerance * (1.0 + want.abs()), "{what}: {got} {want}");
 }
 
-/// The places and times that the loss of a step is taken at, as the crate draws them.
-fn collocation(n: usize, seed: u64, step: u32) -> Vec<([f64; 3], f64)> {
-    let point = |row| {
-        let mut rng = Rng::new(seed, "collocation", step, row);
-        let [lo, hi] = BOUNDS;
-        let x = Vec3::new(rng.range(lo.x, hi.x), rng.range(lo.y, hi.y), rng.range(lo.z, hi.z));
-        (x.as_dvec3().to_array(), f64::from(rng.uniform()))
-    };
-    (0..n as u64).map(point).collect()
+/// The places and times that the loss of a step is taken at.
+fn collocation(field: &VelocityField, n: usize, seed: u64, step: u32) -> Vec<([f64; 3], f64)> {
+    let wide = |(x, t): (Vec3, f32)| (x.as_dvec3().to_array(), f64::from(t));
+    (0..n).map(|row| wide(point(field, seed, step, row))).collect()
 }
 
 /// The twin's own derivatives of space are differences of its velocity.
@@ -103,7 +99,7 @@ fn gradients_of_the_twin_are_its_differences() {
         let mut twin = VelocityRef::new(&field(&config));
         let mut grad = twin.net.zeros();
         (0..2).for_each(|i| twin.gradient(at(i), span, pose(&d, i), &mut grad));
-        let places = collocation(5, 1, 2);
+        let places = collocation(&field(&config), 5, 1, 2);
         let (mut grad_l, mut grad_a) = (twin.net.zeros(), twin.acceleration.zeros());
         twin.losses(&places, [&mut grad_l, &mut grad_a]);
         let h = 1e-5;
@@ -187,7 +183,7 @@ fn production_agrees_with_the_twin() {
         field.clear_grads();
         let terms = field.regularise(9, 4);
         let (mut grad, mut grad_a) = (twin.net.zeros(), twin.acceleration.zeros());
-        let want = twin.losses(&collocation(config.points, 9, 4), [&mut grad, &mut grad_a]);
+        let want = twin.losses(&collocation(&field, config.points, 9, 4), [&mut grad, &mut grad_a]);
         assert_eq!(terms.iter().map(|t| t.0).collect::<Vec<_>>(), ["divergence", "transport"]);
         terms.iter().zip(want).for_each(|(got, want)| close(got.1.into(), want, 3e-6, got.0));
         compare(&field, "velocity", &grad);
