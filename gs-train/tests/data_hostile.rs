@@ -170,6 +170,35 @@ fn json_bombs_are_cheap() {
 }
 
 #[test]
+fn scenes_by_camera_cannot_ask_for_memory() {
+    let (dir, _) = scene();
+    let n = 1_000_000;
+    let keys = |entry: &str| (0..n / 8).map(|k| format!("\"{k:x}\":{entry},")).collect::<String>();
+    let matrix = "[[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]";
+    let camera = |frames: &str| format!("\"a\":{{\"transform_matrix\":{matrix},\"frames\":[{frames}]}}");
+    let bombs = [
+        ("many cameras", keys("0") + "\"z\":0"),
+        ("empty cameras", keys("{}") + "\"z\":0"),
+        ("deep", format!("\"a\":{}{}", "[".repeat(n), "]".repeat(n))),
+        ("many frames", camera(&("{},".repeat(n) + "{}"))),
+        ("one huge frame", camera(&format!("{{\"x\":[{}0]}}", "0,".repeat(n)))),
+        ("huge matrix", format!("\"a\":{{\"transform_matrix\":[{}0],\"frames\":[]}}", "0,".repeat(n))),
+        ("long text", camera(&format!("{{\"file_path\":\"{}\"}}", "x".repeat(n)))),
+    ];
+    for (what, data) in &bombs {
+        let text = format!("{{\"camera_angle_x\":1,\"data\":{{{data}}}}}");
+        put(&dir.path().join("transforms_train.json"), text.as_bytes());
+        let options = DataOptions { layout: Some("nvfi".into()), ..DataOptions::default() };
+        let e = bounded(text.len(), what, || Dataset::open(dir.path(), &options)).unwrap_err();
+        assert!(["data.syntax", "data.field", "limits.file"].contains(&e.code()), "{what}: {} {e}", e.code());
+        assert!(e.to_string().len() < 400, "{what}: {}", e.to_string().len());
+    }
+    let huge = format!("[time]\nboundary = 0.{}", "5".repeat(1 << 17));
+    put(&dir.path().join("scene.toml"), huge.as_bytes());
+    assert_eq!(bounded(huge.len(), "scene.toml", || open(dir.path())).unwrap_err().code(), "limits.file");
+}
+
+#[test]
 fn lists_and_arrays_of_captures_cannot_ask_for_memory() {
     let dir = tempfile::tempdir().unwrap();
     std::fs::create_dir(dir.path().join("camera")).unwrap();

@@ -465,7 +465,7 @@ fn folders_layouts_and_images_that_are_not_there() {
     assert_eq!((nowhere.code(), nowhere.exit_code()), ("data.path", 3));
     let f = Folder::new(2, "png");
     let e = f.open(&DataOptions::default()).unwrap_err();
-    assert!(e.code() == "data.layout" && e.to_string().contains("looked for blender, nerfstudio, colmap"), "{e}");
+    assert!(e.code() == "data.layout" && e.to_string().contains("looked for nvfi, blender, nerfstudio, colmap"), "{e}");
     let e = f.open(&DataOptions { layout: Some("blend".into()), ..Default::default() }).unwrap_err();
     assert!(e.to_string().contains("\"blend\" was asked for"), "{e}");
     f.put("transforms.json", f.nerfstudio().to_string());
