@@ -4,6 +4,9 @@
 //! matrix products, two per multiply-add. Errors are against the `f64` twins: of positions and turns, or of the gradients
 //! of weights relative to the largest of their block; the twins follow a few particles only.
 
+#[path = "../tests/support/particles.rs"]
+mod particles;
+
 use glam::Vec3;
 use gs_core::speed::{SpeedError, median_seconds};
 use gs_core::{Params, Rng};
@@ -12,6 +15,7 @@ use gs_physics::reference::Pose;
 use gs_physics::reference::law::LawRef;
 use gs_physics::reference::velocity::VelocityRef;
 use gs_physics::{Dynamics, Integrator, Law, LawConfig, LawForm, Moves, VelocityConfig, VelocityField};
+use particles::{cotangents, points};
 
 const N: usize = 20_000;
 /// Particles the twins follow.
@@ -35,17 +39,6 @@ fn row(case: &str, variant: &str, (n, work): (usize, f64), (error, error_kind): 
         error_kind,
     };
     line.keep(env!("CARGO_MANIFEST_DIR"));
-}
-
-fn points(n: usize) -> Vec<Vec3> {
-    let mut rng = Rng::new(1, "points", 0, 0);
-    (0..n).map(|_| Vec3::new(rng.range(-1.0, 1.0), rng.range(-1.0, 1.0), rng.range(-1.0, 1.0))).collect()
-}
-
-fn cotangents(n: usize) -> Moves {
-    let mut rng = Rng::new(1, "cotangents", 0, 0);
-    let means = (0..n).map(|_| Vec3::new(rng.normal(), rng.normal(), rng.normal())).collect();
-    Moves { means, turns: (0..n).map(|_| std::array::from_fn(|_| rng.normal())).collect() }
 }
 
 /// Weights of a trained size, so that particles move.

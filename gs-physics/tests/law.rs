@@ -8,12 +8,14 @@
 //! | f32 positions and turns | 2e-6 |
 //! | f32 gradients of weights, relative to the largest of their block | 2e-5 |
 
+mod support;
+
 use glam::Vec3;
-use gs_core::nn::BLOCK;
-use gs_core::{Params, Rng};
-use gs_physics::reference::Pose;
+use gs_core::Params;
 use gs_physics::reference::law::LawRef;
 use gs_physics::{AccelMap, Dynamics, Integrator, Law, LawConfig, LawForm, LawInput, LawTape, Moves, Rollout};
+use support::particles::{cotangents, points};
+use support::{close, compare_gradients, dot, enliven, flat, no_time_no_move, pose, reproducible};
 
 const ORIGIN: Vec3 = Vec3::new(0.3, -0.2, 0.5);
 const STEP: f64 = 1.0 / 30.0;
@@ -26,31 +28,8 @@ fn config(form: LawForm, order: u8) -> LawConfig {
 
 fn law(config: &LawConfig) -> Law {
     let mut law = Law::new(config, ORIGIN, STEP, 3).unwrap();
-    law.visit_mut(&mut |p| {
-        let mut rng = Rng::new(5, &p.name, 0, 0);
-        let spread = if p.name.ends_with("bias") { 0.6 } else { 1.6 };
-        p.value.iter_mut().for_each(|v| *v += spread * rng.range(-0.5, 0.5));
-    });
+    enliven(&mut law, 1.6);
     law
-}
-
-fn points(n: usize) -> Vec<Vec3> {
-    let mut rng = Rng::new(1, "points", 0, 0);
-    (0..n).map(|_| Vec3::new(rng.range(-1.0, 1.0), rng.range(-1.0, 1.0), rng.range(-1.0, 1.0))).collect()
-}
-
-fn cotangents(n: usize) -> Moves {
-    let mut rng = Rng::new(1, "cotangents", 0, 0);
-    let means = (0..n).map(|_| Vec3::new(rng.normal(), rng.normal(), rng.normal())).collect();
-    Moves { means, turns: (0..n).map(|_| std::array::from_fn(|_| rng.normal())).collect() }
-}
-
-fn pose(moves: &Moves, i: usize) -> Pose {
-    (moves.means[i].as_dvec3().to_array(), moves.turns[i].map(f64::from))
-}
-
-fn dot(a: Pose, b: Pose) -> f64 {
-    a.0.iter().chain(&a.1).zip(b.0.iter().chain(&b.1)).map(|(a, b)| a * b).sum()
 }
 
 /// Every form, order, map, input and switch, over one step and several, forth and back.
@@ -88,8 +67,7 @@ fn gradients_of_the_twin_are_its_differences() {
                 };
                 let want = (loss(value + h) - loss(value - h)) / (2.0 * h);
                 loss(value);
-                let got = grad[block][k];
-                assert!((got - want).abs() < 1e-6 * (1.0 + want.abs()), "{config:?} {block} {k}: {got} {want}");
+                close(grad[block][k], want, 1e-6, &format!("{config:?} {block} {k}"));
             }
         }
     }
@@ -107,24 +85,14 @@ fn production_agrees_with_the_twin() {
         law.transport_backward(&x, &mut tape, &d);
         for i in 0..n {
             let at = x[i].as_dvec3().to_array();
-            let ((mean, turn), want) = (pose(&out, i), twin.transport(at, [from, to]));
-            for (g, w) in mean.iter().chain(&turn).zip(want.0.iter().chain(&want.1)) {
-                assert!((g - w).abs() < 2e-6 * (1.0 + w.abs()), "{config:?} {i}: {g} {w}");
+            for (got, want) in flat(pose(&out, i)).iter().zip(flat(twin.transport(at, [from, to]))) {
+                close(*got, want, 2e-6, &format!("{config:?} {i}"));
             }
             twin.gradient(at, [from, to], pose(&d, i), &mut grad);
             let (got, want) = (law.motions(&x, from)[i].widened().to_array(), twin.motion(at, from).to_array());
-            for (g, w) in got.iter().zip(want) {
-                assert!((g - w).abs() < 2e-6 * (1.0 + w.abs()), "{config:?} {i}: {g} {w}");
-            }
+            got.iter().zip(want).for_each(|(got, want)| close(*got, want, 2e-6, &format!("{config:?} {i}")));
         }
-        let mut block = 0;
-        law.visit(&mut |p| {
-            let largest = grad[block].iter().fold(1e-9f64, |m, g| m.max(g.abs()));
-            for (g, w) in p.grad.iter().zip(&grad[block]) {
-                assert!((f64::from(*g) - w).abs() < 2e-5 * largest, "{config:?} {}: {g} {w} of {largest}", p.name);
-            }
-            block += 1;
-        });
+        compare_gradients(&law, "physics", &grad, 2e-5);
     }
 }
 
@@ -198,17 +166,8 @@ fn a_free_particle_goes_straight() {
 }
 
 #[test]
-fn no_time_no_move() {
-    for form in FORMS {
-        let mut law = law(&config(form, 2));
-        let (x, mut tape, mut out) = (points(BLOCK + 3), LawTape::default(), Moves::default());
-        law.transport(&x, 0.2, 0.5, &mut tape, &mut out);
-        law.transport(&x, 0.4, 0.4, &mut tape, &mut out);
-        assert_eq!(out.means, x);
-        assert!(out.turns.iter().all(|q| *q == [1.0, 0.0, 0.0, 0.0]));
-        law.transport_backward(&x, &mut tape, &cotangents(x.len()));
-        law.visit(&mut |p| assert!(p.grad.iter().all(|g| *g == 0.0)));
-    }
+fn an_empty_span_changes_nothing() {
+    FORMS.into_iter().for_each(|form| no_time_no_move(law(&config(form, 2))));
 }
 
 /// Weights of the last layer start within their bounds, and none of them at zero.
@@ -247,35 +206,9 @@ fn gradients_of_accelerations_are_clamped() {
     assert!(length(&free[6..]) > 2.0 && (length(&held[6..]) - 1.0).abs() < 1e-5);
 }
 
-/// Everything a step produces, as bits.
-fn step(law: &mut Law, tape: &mut LawTape, n: usize) -> Vec<u32> {
-    let (x, mut out) = (points(n), Moves::default());
-    law.clear_grads();
-    law.transport(&x, 0.3, 0.38, tape, &mut out);
-    law.transport_backward(&x, tape, &cotangents(n));
-    let mut bits: Vec<u32> = out.means.iter().flat_map(|v| v.to_array()).map(f32::to_bits).collect();
-    bits.extend(out.turns.iter().flatten().map(|v| v.to_bits()));
-    law.visit(&mut |p| bits.extend(p.grad.iter().map(|v| v.to_bits())));
-    bits
-}
-
 #[test]
 fn threads_and_warm_tapes_change_nothing() {
-    for form in FORMS {
-        // More blocks than chunks, and a ragged end.
-        let (n, make) = (11 * BLOCK + 17, || law(&config(form, 2)));
-        let on = |threads: usize| {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            pool.install(|| step(&mut make(), &mut LawTape::default(), n))
-        };
-        let one = on(1);
-        assert!(one == on(2) && one == on(4), "results depend on the number of threads");
-        let (mut law, mut tape) = (make(), LawTape::default());
-        for n in [n + 300, 0, 1, BLOCK, BLOCK + 1] {
-            assert_eq!(step(&mut law, &mut tape, n), step(&mut make(), &mut LawTape::default(), n), "n = {n}");
-        }
-        assert!(step(&mut law, &mut tape, n) == one, "a warm tape changes the result");
-    }
+    FORMS.into_iter().for_each(|form| reproducible(|| law(&config(form, 2))));
 }
 
 #[test]

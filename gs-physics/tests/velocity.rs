@@ -8,13 +8,16 @@
 //! | f32 positions, turns and losses | 3e-6 |
 //! | f32 gradients of weights, relative to the largest of their block | 3e-5 |
 
+mod support;
+
 use glam::Vec3;
+use gs_core::Params;
 use gs_core::nn::BLOCK;
-use gs_core::{Params, Rng};
 use gs_physics::pinn::point;
-use gs_physics::reference::Pose;
 use gs_physics::reference::velocity::VelocityRef;
 use gs_physics::{Dynamics, Moves, VelocityConfig, VelocityField, VelocityTape};
+use support::particles::{cotangents, points};
+use support::{close, compare_gradients, dot, enliven, flat, no_time_no_move, pose, reproducible};
 
 const BOUNDS: [Vec3; 2] = [Vec3::new(-1.0, -0.8, -1.2), Vec3::new(1.4, 1.0, 0.9)];
 const STEP: f64 = 0.05;
@@ -33,35 +36,8 @@ fn cases() -> Vec<VelocityConfig> {
 
 fn field(config: &VelocityConfig) -> VelocityField {
     let mut field = VelocityField::new(config, BOUNDS, STEP, 3).unwrap();
-    field.visit_mut(&mut |p| {
-        let mut rng = Rng::new(5, &p.name, 0, 0);
-        let spread = if p.name.ends_with("bias") { 0.6 } else { 1.2 };
-        p.value.iter_mut().for_each(|v| *v += spread * rng.range(-0.5, 0.5));
-    });
+    enliven(&mut field, 1.2);
     field
-}
-
-fn points(n: usize) -> Vec<Vec3> {
-    let mut rng = Rng::new(1, "points", 0, 0);
-    (0..n).map(|_| Vec3::new(rng.range(-1.0, 1.0), rng.range(-1.0, 1.0), rng.range(-1.0, 1.0))).collect()
-}
-
-fn cotangents(n: usize) -> Moves {
-    let mut rng = Rng::new(1, "cotangents", 0, 0);
-    let means = (0..n).map(|_| Vec3::new(rng.normal(), rng.normal(), rng.normal())).collect();
-    Moves { means, turns: (0..n).map(|_| std::array::from_fn(|_| rng.normal())).collect() }
-}
-
-fn pose(moves: &Moves, i: usize) -> Pose {
-    (moves.means[i].as_dvec3().to_array(), moves.turns[i].map(f64::from))
-}
-
-fn flat(p: Pose) -> [f64; 7] {
-    std::array::from_fn(|k| if k < 3 { p.0[k] } else { p.1[k - 3] })
-}
-
-fn close(got: f64, want: f64, tolerance: f64, what: &str) {
-    assert!((got - want).abs() < tolerance * (1.0 + want.abs()), "{what}: {got} {want}");
 }
 
 /// The places and times that the loss of a step is taken at.
@@ -103,10 +79,8 @@ fn gradients_of_the_twin_are_its_differences() {
         let (mut grad_l, mut grad_a) = (twin.net.zeros(), twin.acceleration.zeros());
         twin.losses(&places, [&mut grad_l, &mut grad_a]);
         let h = 1e-5;
-        let transported = |twin: &VelocityRef| -> f64 {
-            let dot = |a: Pose, b: Pose| flat(a).iter().zip(flat(b)).map(|(a, b)| a * b).sum::<f64>();
-            (0..2).map(|i| dot(twin.transport(at(i), span), pose(&d, i))).sum()
-        };
+        let transported =
+            |twin: &VelocityRef| -> f64 { (0..2).map(|i| dot(twin.transport(at(i), span), pose(&d, i))).sum() };
         let lost = |twin: &VelocityRef| {
             let (mut a, mut b) = (twin.net.zeros(), twin.acceleration.zeros());
             twin.losses(&places, [&mut a, &mut b]).iter().sum::<f64>()
@@ -137,21 +111,6 @@ fn gradients_of_the_twin_are_its_differences() {
     }
 }
 
-/// Gradients of the blocks whose names start with `prefix` against the twin's.
-fn compare(field: &VelocityField, prefix: &str, want: &[Vec<f64>]) {
-    let mut want = want.iter();
-    field.visit(&mut |p| {
-        if p.name.starts_with(prefix) {
-            let want = want.next().unwrap();
-            let largest = want.iter().fold(1e-9f64, |m, g| m.max(g.abs()));
-            for (g, w) in p.grad.iter().zip(want) {
-                assert!((f64::from(*g) - w).abs() < 3e-5 * largest, "{}: {g} {w} of {largest}", p.name);
-            }
-        }
-    });
-    assert!(want.next().is_none());
-}
-
 #[test]
 fn production_agrees_with_the_twin() {
     let n = 21;
@@ -178,7 +137,7 @@ fn production_agrees_with_the_twin() {
                     close(f64::from(*got), *want, 3e-6, "motion");
                 }
             }
-            compare(&field, "velocity", &grad);
+            compare_gradients(&field, "velocity", &grad, 3e-5);
         }
         field.clear_grads();
         let terms = field.regularise(9, 4);
@@ -186,8 +145,8 @@ fn production_agrees_with_the_twin() {
         let want = twin.losses(&collocation(&field, config.points, 9, 4), [&mut grad, &mut grad_a]);
         assert_eq!(terms.iter().map(|t| t.0).collect::<Vec<_>>(), ["divergence", "transport"]);
         terms.iter().zip(want).for_each(|(got, want)| close(got.1.into(), want, 3e-6, got.0));
-        compare(&field, "velocity", &grad);
-        compare(&field, "acceleration", &grad_a);
+        compare_gradients(&field, "velocity", &grad, 3e-5);
+        compare_gradients(&field, "acceleration", &grad_a, 3e-5);
     }
 }
 
@@ -231,46 +190,15 @@ fn a_turntable() {
 }
 
 #[test]
-fn no_time_no_move_and_no_points_no_loss() {
+fn an_empty_span_changes_nothing_and_no_points_lose_nothing() {
     let mut field = field(&VelocityConfig { points: 0, ..config() });
-    let (x, mut tape, mut out) = (points(BLOCK + 3), VelocityTape::default(), Moves::default());
-    field.transport(&x, 0.2, 0.5, &mut tape, &mut out);
-    field.transport(&x, 0.4, 0.4, &mut tape, &mut out);
-    assert_eq!(out.means, x);
-    assert!(out.turns.iter().all(|q| *q == [1.0, 0.0, 0.0, 0.0]));
-    field.transport_backward(&x, &mut tape, &cotangents(x.len()));
     assert!(field.regularise(1, 1).is_empty());
-    field.visit(&mut |p| assert!(p.grad.iter().all(|g| *g == 0.0)));
-}
-
-/// Everything a step produces, as bits.
-fn step(field: &mut VelocityField, tape: &mut VelocityTape, n: usize) -> Vec<u32> {
-    let (x, mut out) = (points(n), Moves::default());
-    field.clear_grads();
-    field.transport(&x, 0.3, 0.38, tape, &mut out);
-    field.transport_backward(&x, tape, &cotangents(n));
-    let mut bits: Vec<u32> = out.means.iter().flat_map(|v| v.to_array()).map(f32::to_bits).collect();
-    bits.extend(out.turns.iter().flatten().map(|v| v.to_bits()));
-    bits.extend(field.regularise(3, 7).iter().map(|v| v.1.to_bits()));
-    field.visit(&mut |p| bits.extend(p.grad.iter().map(|v| v.to_bits())));
-    bits
+    no_time_no_move(field);
 }
 
 #[test]
 fn threads_and_warm_tapes_change_nothing() {
-    // More blocks than chunks, and a ragged end.
-    let (n, make) = (11 * BLOCK + 17, || field(&VelocityConfig { points: 9 * BLOCK + 5, ..config() }));
-    let on = |threads: usize| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| step(&mut make(), &mut VelocityTape::default(), n))
-    };
-    let one = on(1);
-    assert!(one == on(2) && one == on(4), "results depend on the number of threads");
-    let (mut field, mut tape) = (make(), VelocityTape::default());
-    for n in [n + 300, 0, 1, BLOCK, BLOCK + 1] {
-        assert_eq!(step(&mut field, &mut tape, n), step(&mut make(), &mut VelocityTape::default(), n), "n = {n}");
-    }
-    assert!(step(&mut field, &mut tape, n) == one, "a warm tape changes the result");
+    reproducible(|| field(&VelocityConfig { points: 9 * BLOCK + 5, ..config() }));
 }
 
 #[test]

@@ -126,9 +126,9 @@ mod tests {
         let d: Vec<f32> = (0..width(dims, bands)).map(|_| rng.normal()).collect();
         let (mut encoded, mut along) = (vec![0.0; d.len()], vec![7.0; d.len()]);
         encode(&p, dims, bands, &mut encoded);
-        for axis in 0..dims {
+        for (axis, &at) in p.iter().enumerate() {
             tangent(&encoded, dims, axis, &mut along);
-            let (v, h) = (f64::from(p[axis]), 1e-4);
+            let (v, h) = (f64::from(at), 1e-4);
             let [lo, at, hi] = [v - h, v, v + h].map(|v| reference(v, bands));
             let mut bent = 0.0;
             for e in 0..d.len() {

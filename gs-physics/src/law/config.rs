@@ -4,7 +4,7 @@ use crate::error::{PhysicsError, check, within};
 use crate::integrator::Integrator;
 use serde::{Deserialize, Serialize};
 
-/// Which numbers the network predicts; the mathematics stands in [`form`](super::form).
+/// Which numbers the network predicts; [`Centre`](crate::Centre) says how a centre and a twist hang together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LawForm {

@@ -1,0 +1,16 @@
+//! Random particles and cotangents, for tests and benches.
+
+use glam::Vec3;
+use gs_core::Rng;
+use gs_physics::Moves;
+
+pub fn points(n: usize) -> Vec<Vec3> {
+    let mut rng = Rng::new(1, "points", 0, 0);
+    (0..n).map(|_| Vec3::new(rng.range(-1.0, 1.0), rng.range(-1.0, 1.0), rng.range(-1.0, 1.0))).collect()
+}
+
+pub fn cotangents(n: usize) -> Moves {
+    let mut rng = Rng::new(1, "cotangents", 0, 0);
+    let means = (0..n).map(|_| Vec3::new(rng.normal(), rng.normal(), rng.normal())).collect();
+    Moves { means, turns: (0..n).map(|_| std::array::from_fn(|_| rng.normal())).collect() }
+}
