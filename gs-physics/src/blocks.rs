@@ -1,24 +1,29 @@
 //! Eight particles side by side: how states and motions lie in memory while they are rolled, and the loops over steps.
 //!
-//! A state is `(x − o, q)`, a motion its eighteen values; each value is a row of eight lanes. Particles never meet, so
-//! results do not depend on who shares a block.
+//! A state is `(x − o, q, r)`, a motion its eighteen values; each value is a row of eight lanes. `r` is what rounding has
+//! left out of `x − o` so far (Kahan), so that hundreds of steps round like a few. Particles never meet, so results do
+//! not depend on who shares a block.
 
 use crate::integrator::Integrator;
 use crate::lanes::{LANES, Lanes};
-use crate::step::{Tick, step, step_back};
+use crate::step::{Tick, change, step_back};
 use crate::twist::{MOTION, Motion};
-use crate::vec3::{dot4, scale4};
+use crate::vec3::{add, dot4, scale4, sub};
 use fearless_simd::{Simd, SimdBase, f32x8};
 use glam::Vec3;
 use gs_core::Real;
 
 /// Values of a state.
-const STATE: usize = 7;
+const STATE: usize = 10;
+/// Values of a state that the way back needs.
+const POSE: usize = 7;
 /// Steps after which quaternions are brought back to unit length.
 const RENORMALISE: usize = 64;
 
-/// `(x − o, q)` of eight particles.
+/// `(x − o, q, r)` of eight particles.
 pub(crate) type States = [[f32; LANES]; STATE];
+/// `(x − o, q)` of eight particles, or their cotangents.
+pub(crate) type Posed = [[f32; LANES]; POSE];
 /// The motions of eight particles.
 pub(crate) type Motions = [[f32; LANES]; MOTION];
 
@@ -34,6 +39,13 @@ pub(crate) struct Run<'a> {
 /// Packs up to eight particles; idle lanes rest at the origin.
 pub(crate) fn pack_states(means: &[Vec3], quats: &[[f32; 4]], origin: Vec3) -> States {
     let mut out = [[0.0; LANES]; STATE];
+    out[..POSE].copy_from_slice(&pack_poses(means, quats, origin));
+    out
+}
+
+/// As [`pack_states`], without what rounding leaves out.
+pub(crate) fn pack_poses(means: &[Vec3], quats: &[[f32; 4]], origin: Vec3) -> Posed {
+    let mut out = [[0.0; LANES]; POSE];
     out[3] = [1.0; LANES];
     for (lane, (x, q)) in means.iter().zip(quats).enumerate() {
         let y = *x - origin;
@@ -75,12 +87,12 @@ pub(crate) fn unpack_states(start: &States, end: &States, means: &mut [Vec3], qu
 
 /// As [`unpack_states`], for one of the eight.
 pub(crate) fn unpack_lane(start: &States, end: &States, lane: usize, x: &mut Vec3, q: &mut [f32; 4]) {
-    *x += Vec3::from_array(std::array::from_fn(|c| end[c][lane] - start[c][lane]));
+    *x += Vec3::from_array(std::array::from_fn(|c| (end[c][lane] - start[c][lane]) + end[POSE + c][lane]));
     *q = std::array::from_fn(|c| end[3 + c][lane]);
 }
 
 /// Writes a block's rows over up to eight rows.
-pub(crate) fn set_states(block: &States, means: &mut [Vec3], quats: &mut [[f32; 4]]) {
+pub(crate) fn set_poses(block: &Posed, means: &mut [Vec3], quats: &mut [[f32; 4]]) {
     for (lane, (x, q)) in means.iter_mut().zip(quats).enumerate() {
         *x = Vec3::from_array(std::array::from_fn(|c| block[c][lane]));
         *q = std::array::from_fn(|c| block[3 + c][lane]);
@@ -125,28 +137,32 @@ fn renormalises(k: usize) -> bool {
     (k + 1).is_multiple_of(RENORMALISE)
 }
 
-/// Rolls a block forth; `tape` takes the state before every step.
+/// Rolls a block forth; `tape` takes the pose before every step.
 #[inline(always)]
 pub(crate) fn roll<S: Simd>(
     simd: S,
     run: Run<'_>,
     motions: &Motions,
     state: &mut States,
-    mut tape: Option<&mut [States]>,
+    mut tape: Option<&mut [Posed]>,
 ) {
     let m = Motion::from_array(load(simd, motions));
-    let [x0, x1, x2, q0, q1, q2, q3] = load(simd, state);
-    let (mut x, mut q) = ([x0, x1, x2], [q0, q1, q2, q3]);
+    let [x0, x1, x2, q0, q1, q2, q3, r0, r1, r2] = load(simd, state);
+    let (mut x, mut q, mut rest) = ([x0, x1, x2], [q0, q1, q2, q3], [r0, r1, r2]);
     for (k, tick) in run.ticks.iter().enumerate() {
         if let Some(tape) = &mut tape {
             store([x[0], x[1], x[2], q[0], q[1], q[2], q[3]], &mut tape[k]);
         }
-        (x, q) = step(run.rule, &m, &tick.of(x[0]), x, q);
+        let (moved, turned) = change(run.rule, &m, &tick.of(x[0]), x, q);
+        let moved = add(moved, rest);
+        let next = add(x, moved);
+        rest = sub(moved, sub(next, x));
+        (x, q) = (next, turned);
         if renormalises(run.done + k) {
             q = unit(q);
         }
     }
-    store([x[0], x[1], x[2], q[0], q[1], q[2], q[3]], state);
+    store([x[0], x[1], x[2], q[0], q[1], q[2], q[3], rest[0], rest[1], rest[2]], state);
 }
 
 /// Walks a block back along its tape: `cotangent` goes from the end to the start. Gives the cotangents of the motions.
@@ -155,8 +171,8 @@ pub(crate) fn roll_back<S: Simd>(
     simd: S,
     run: Run<'_>,
     motions: &Motions,
-    tape: &[States],
-    cotangent: &mut States,
+    tape: &[Posed],
+    cotangent: &mut Posed,
 ) -> Motions {
     let m = Motion::from_array(load(simd, motions));
     let mut grad = Motion::from_array([Lanes(f32x8::splat(simd, 0.0)); MOTION]);
@@ -167,7 +183,7 @@ pub(crate) fn roll_back<S: Simd>(
         let (x, q) = ([x0, x1, x2], [q0, q1, q2, q3]);
         let tick = tick.of(x0);
         if renormalises(run.done + k) {
-            mu = unit_back(step(run.rule, &m, &tick, x, q).1, mu);
+            mu = unit_back(change(run.rule, &m, &tick, x, q).1, mu);
         }
         (lambda, mu) = step_back(run.rule, &m, &tick, (x, q), (lambda, mu), &mut grad);
     }

@@ -149,7 +149,9 @@ impl Extrapolator {
         self.now.means.clone_from(&self.start.means);
         self.now.quats.clone_from(&self.start.quats);
         match &mut self.reduced {
-            Some(reduced) if tau.abs() <= reduced.horizon => reduced.go(&self.rollout, tau, &mut self.now),
+            Some(reduced) if tau.abs() <= reduced.horizon * (1.0 + 1e-9) => {
+                reduced.go(&self.rollout, tau, &mut self.now)
+            }
             _ => self.stepped.go(&self.rollout, tau, &mut self.now),
         }
         (&self.now.means, &self.now.quats)

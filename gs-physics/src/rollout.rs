@@ -6,7 +6,7 @@
 //! Clocks are `f64`, twists are evaluated at the absolute time since they were read (nothing is added up), quaternions are
 //! renormalised every 64 steps. Particles are carried in blocks of eight, on however many threads: the bits are the same.
 
-use crate::blocks::{self, Run, States};
+use crate::blocks::{self, Posed, Run};
 use crate::dynamics::Moves;
 use crate::integrator::Integrator;
 use crate::lanes::LANES;
@@ -34,12 +34,12 @@ pub struct Rollout {
     pub origin: Vec3,
 }
 
-/// What [`Rollout::advance_taped`] leaves for [`Rollout::adjoint`]: the states before every step.
+/// What [`Rollout::advance_taped`] leaves for [`Rollout::adjoint`]: the poses before every step.
 #[derive(Clone, Debug, Default)]
 pub struct RollTape {
     ticks: Vec<Tick<f64>>,
     /// Block by block, step by step.
-    states: Vec<States>,
+    poses: Vec<Posed>,
 }
 
 impl Rollout {
@@ -87,9 +87,9 @@ impl Rollout {
         tape: &mut RollTape,
     ) {
         tape.ticks = self.ticks(span);
-        let RollTape { ticks, states } = tape;
-        states.resize(motions.len().div_ceil(LANES) * ticks.len(), Default::default());
-        self.roll(motions, ticks, means, quats, Some(states));
+        let RollTape { ticks, poses } = tape;
+        poses.resize(motions.len().div_ceil(LANES) * ticks.len(), Default::default());
+        self.roll(motions, ticks, means, quats, Some(poses));
     }
 
     fn roll(
@@ -98,14 +98,14 @@ impl Rollout {
         ticks: &[Tick<f64>],
         means: &mut [Vec3],
         quats: &mut [[f32; 4]],
-        tape: Option<&mut [States]>,
+        tape: Option<&mut [Posed]>,
     ) {
         let steps = ticks.len();
         if steps == 0 {
             return;
         }
         let tasks = motions.len().div_ceil(PARTICLES);
-        let tapes: Vec<Option<&mut [States]>> = match tape {
+        let tapes: Vec<Option<&mut [Posed]>> = match tape {
             Some(tape) => tape.chunks_mut(TASK * steps).map(Some).collect(),
             None => (0..tasks).map(|_| None).collect(),
         };
@@ -135,17 +135,16 @@ impl Rollout {
         }
         let run = Run { rule: self.rule, ticks: &tape.ticks, done: 0 };
         let rows = start.means.par_chunks_mut(PARTICLES).zip(start.turns.par_chunks_mut(PARTICLES));
-        let given = motions.par_chunks(PARTICLES).zip(tape.states.par_chunks(TASK * steps));
+        let given = motions.par_chunks(PARTICLES).zip(tape.poses.par_chunks(TASK * steps));
         given.zip(d_motions.par_chunks_mut(PARTICLES)).zip(rows).for_each(|(((m, tape), d_m), (means, turns))| {
             let rows = means.chunks_mut(LANES).zip(turns.chunks_mut(LANES));
             let given = m.chunks(LANES).zip(tape.chunks(steps));
             for (((m, tape), d_m), (means, turns)) in given.zip(d_m.chunks_mut(LANES)).zip(rows) {
                 let packed = blocks::pack_motions(m);
-                let end = blocks::pack_states(means, turns, Vec3::ZERO);
-                let mut state = end;
-                let grad = dispatch!(Level::new(), simd => blocks::roll_back(simd, run, &packed, tape, &mut state));
+                let mut d = blocks::pack_poses(means, turns, Vec3::ZERO);
+                let grad = dispatch!(Level::new(), simd => blocks::roll_back(simd, run, &packed, tape, &mut d));
                 blocks::add_motions(&grad, d_m);
-                blocks::set_states(&state, means, turns);
+                blocks::set_poses(&d, means, turns);
             }
         });
         start

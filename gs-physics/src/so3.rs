@@ -149,12 +149,13 @@ impl<T: Scalar> Rotation<T> {
         add(x, cross3(self.phi, add_scaled(scale(x, -self.a), self.b, cross3(self.phi, x))))
     }
 
-    /// `R x + V u`, as `x` plus a small change.
+    /// `R x + V u − x`. `A` enters as `A − 1 = −θ² C`: rounded as it is, it would let every radius drift the same way.
     #[inline(always)]
-    pub fn carry(&self, u: V3<T>, x: V3<T>) -> V3<T> {
-        let inner = cross3(self.phi, add_scaled(scale(x, self.b), self.third(), u));
-        let outer = add(inner, add_scaled(scale(x, self.a), self.b, u));
-        add(x, add(u, cross3(self.phi, outer)))
+    pub fn change(&self, u: V3<T>, x: V3<T>) -> V3<T> {
+        let c = self.third();
+        let inner = cross3(self.phi, add_scaled(scale(x, self.b), c, u));
+        let outer = add(inner, add_scaled(scale(x, -self.square * c), self.b, u));
+        add(add(u, cross3(self.phi, x)), cross3(self.phi, outer))
     }
 
     /// Gradient by `φ` from one by the quaternion:
@@ -166,7 +167,7 @@ impl<T: Scalar> Rotation<T> {
         add_scaled(scale(v, self.s), along, self.phi)
     }
 
-    /// Cotangents of [`Rotation::carry`] from `λ` at its result, with that of the quaternion: `(λ at x, by u, by φ)`.
+    /// Cotangents of `R x + V u` from `λ`, with that of the quaternion: `(λ at x, by u, by φ)`.
     ///
     /// ```text
     /// y = R x,  c₁ = φ×u,  c₂ = φ×c₁,  B̃ = (A − 2B)/θ²,  C̃ = (B − 3C)/θ²

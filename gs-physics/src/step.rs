@@ -99,39 +99,52 @@ pub fn step_map<T: Scalar>(m: &Motion<T>, tau: T, h: T, rule: Integrator) -> (Af
     let tick = Tick::new(tau, h);
     let still = |t: &Twist<T>| Twist { v: [o; 3], w: t.w };
     let turning = Motion { twist: still(&m.twist), rate: still(&m.rate), jerk: still(&m.jerk) };
-    let columns = [[i, o, o], [o, i, o], [o, o, i]].map(|e| step(rule, &turning, &tick, e, [i, o, o, o]).0);
+    let column = |e| add(e, change(rule, &turning, &tick, e, [i, o, o, o]).0);
+    let columns = [[i, o, o], [o, i, o], [o, o, i]].map(column);
     let a = std::array::from_fn(|r| std::array::from_fn(|c| columns[c][r]));
-    let (b, q) = step(rule, m, &tick, [o; 3], [i, o, o, o]);
+    let (b, q) = change(rule, m, &tick, [o; 3], [i, o, o, o]);
     (Affine { a, b }, q)
 }
 
 /// Position and orientation after a step.
 #[inline(always)]
 pub(crate) fn step<T: Scalar>(rule: Integrator, m: &Motion<T>, tick: &Tick<T>, x: V3<T>, q: [T; 4]) -> (V3<T>, [T; 4]) {
+    let (moved, q) = change(rule, m, tick, x, q);
+    (add(x, moved), q)
+}
+
+/// What a step adds to the position, and the orientation after it.
+#[inline(always)]
+pub(crate) fn change<T: Scalar>(
+    rule: Integrator,
+    m: &Motion<T>,
+    tick: &Tick<T>,
+    x: V3<T>,
+    q: [T; 4],
+) -> (V3<T>, [T; 4]) {
     let h = tick.h;
-    let half = h * h.lit(0.5);
     match rule {
         Integrator::Euler => {
             let a = m.weighed(tick.begin);
-            (add_scaled(x, h, a.velocity(x)), turned(scale(a.w, h), q))
+            (scale(a.velocity(x), h), turned(scale(a.w, h), q))
         }
         Integrator::MidParams => {
             let mid = m.weighed(tick.middle);
-            (add_scaled(x, h, mid.velocity(x)), turned(scale(mid.w, h), q))
+            (scale(mid.velocity(x), h), turned(scale(mid.w, h), q))
         }
         Integrator::Rk2 => {
             let (a, mid) = (m.weighed(tick.begin), m.weighed(tick.middle));
-            let x_m = add_scaled(x, half, a.velocity(x));
-            (add_scaled(x, h, mid.velocity(x_m)), turned(scale(mid.w, h), q))
+            let x_m = add_scaled(x, h * h.lit(0.5), a.velocity(x));
+            (scale(mid.velocity(x_m), h), turned(scale(mid.w, h), q))
         }
         Integrator::Rk4 => {
             let mid = m.weighed(tick.middle);
-            (Classical::new(m, tick, x).end(x, h), turned(scale(mid.w, h), q))
+            (Classical::new(m, tick, x).change(h), turned(scale(mid.w, h), q))
         }
         Integrator::Se3Mid | Integrator::Se3Magnus4 => {
             let omega = exponent(rule, m, tick);
             let rotation = Rotation::new(omega.w);
-            (rotation.carry(omega.v, x), rotation.turn(q))
+            (rotation.change(omega.v, x), rotation.turn(q))
         }
     }
 }
@@ -176,10 +189,10 @@ impl<T: Scalar> Classical<T> {
     }
 
     #[inline(always)]
-    fn end(&self, x: V3<T>, h: T) -> V3<T> {
+    fn change(&self, h: T) -> V3<T> {
         let inner = add(self.k[1], self.k[2]);
         let sum = add_scaled(add(self.k[0], self.k[3]), h.lit(2.0), inner);
-        add_scaled(x, h * h.lit(1.0 / 6.0), sum)
+        scale(sum, h * h.lit(1.0 / 6.0))
     }
 }
 
