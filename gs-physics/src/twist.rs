@@ -141,3 +141,63 @@ impl Motion<f64> {
         Motion::from_array(self.to_array().map(|v| v as f32))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gs_core::Rng;
+
+    fn motion(seed: u64) -> Motion<f64> {
+        let mut rng = Rng::new(seed, "twist", 0, 0);
+        Motion::from_array(std::array::from_fn(|_| f64::from(rng.normal())))
+    }
+
+    fn near(a: [f64; 3], b: [f64; 3]) -> bool {
+        (0..3).all(|c| (a[c] - b[c]).abs() < 1e-13)
+    }
+
+    #[test]
+    fn a_motion_is_a_polynomial_from_any_moment_and_about_any_origin() {
+        let (m, shift, x) = (motion(1), [0.3, -2.0, 5.0], [1.0, 0.5, -0.7]);
+        let moved = m.shifted(shift);
+        for (tau, later) in [(0.0, 0.4), (0.7, -1.1)] {
+            let (a, b) = (m.at(tau + later), m.from(tau).at(later));
+            assert!(near(a.v, b.v) && near(a.w, b.w));
+            assert!(near(moved.at(tau).velocity(sub(x, shift)), m.at(tau).velocity(x)));
+        }
+        assert!(near(moved.acceleration(sub(x, shift)), m.acceleration(x)));
+        assert_eq!(Motion::from_array(m.to_array()), m);
+        assert_eq!(m.narrowed().widened().narrowed(), m.narrowed());
+    }
+
+    /// Along the path of a particle: velocity and acceleration are its derivatives.
+    #[test]
+    fn velocity_and_acceleration_are_derivatives_of_the_path() {
+        let (m, x, h) = (motion(2), [0.4, -0.3, 0.8], 1e-3);
+        let [ahead, behind] = [h, -h].map(|tau| crate::truth::follow(&m, tau, x).0);
+        let slope = scale(sub(ahead, behind), 0.5 / h);
+        let bend = scale(add(sub(ahead, x), sub(behind, x)), 1.0 / (h * h));
+        let (v, a) = (m.twist.velocity(x), m.acceleration(x));
+        assert!((0..3).all(|c| (slope[c] - v[c]).abs() < 1e-4 && (bend[c] - a[c]).abs() < 1e-4), "{bend:?} {a:?}");
+    }
+
+    #[test]
+    fn orders_keep_what_they_name() {
+        let m = motion(3);
+        assert_eq!(m.truncated(Orders { t: 3, r: 3 }), m);
+        assert_eq!(m.truncated(Orders { t: 0, r: 0 }), Motion::default());
+        let some = m.truncated(Orders { t: 2, r: 1 });
+        let still = [0.0; 3];
+        assert_eq!((some.twist, some.rate.v, some.rate.w, some.jerk.v), (m.twist, m.rate.v, still, still));
+    }
+
+    #[test]
+    fn the_bracket_is_antisymmetric_and_obeys_jacobi() {
+        let [a, b, c] = [motion(4).twist, motion(5).twist, motion(6).twist];
+        let sum = a.bracket(&b).add_scaled(1.0, &b.bracket(&a));
+        assert!(near(sum.v, [0.0; 3]) && near(sum.w, [0.0; 3]));
+        let cyclic = a.bracket(&b.bracket(&c)).add_scaled(1.0, &b.bracket(&c.bracket(&a)));
+        let jacobi = cyclic.add_scaled(1.0, &c.bracket(&a.bracket(&b)));
+        assert!(near(jacobi.v, [0.0; 3]) && near(jacobi.w, [0.0; 3]));
+    }
+}

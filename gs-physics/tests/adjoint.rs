@@ -155,14 +155,23 @@ fn rollout(rule: Integrator) -> Rollout {
     Rollout { rule, dt: 1.0 / 24.0, origin: Vec3::new(0.2, -0.1, 0.4) }
 }
 
-/// Everything the production code gives: positions, quaternions, gradients of motions, cotangents at the start.
-fn produce(rollout: &Rollout, scene: &Scene, span: [f64; 2]) -> (Vec<Vec3>, Vec<[f32; 4]>, Vec<Motion<f32>>, Moves) {
+/// Everything the production code gives.
+#[derive(PartialEq)]
+struct Produced {
+    means: Vec<Vec3>,
+    quats: Vec<[f32; 4]>,
+    grads: Vec<Motion<f32>>,
+    /// Cotangents at the start.
+    start: Moves,
+}
+
+fn produce(rollout: &Rollout, scene: &Scene, span: [f64; 2]) -> Produced {
     let (mut means, mut quats) = (scene.means.clone(), scene.quats.clone());
     let mut tape = RollTape::default();
     rollout.advance_taped(&scene.motions, span, &mut means, &mut quats, &mut tape);
     let mut grads = vec![Motion::default(); means.len()];
     let start = rollout.adjoint(&scene.motions, &tape, &scene.d, &mut grads);
-    (means, quats, grads, start)
+    Produced { means, quats, grads, start }
 }
 
 fn worst(got: &[f32], want: &[f64]) -> f64 {
@@ -177,7 +186,7 @@ fn production_follows_the_reference() {
     for rule in ALL {
         for span in [[0.1, 0.6], [0.3, -0.2]] {
             let rollout = rollout(rule);
-            let (means, quats, grads, start) = produce(&rollout, &scene, span);
+            let Produced { means, quats, grads, start } = produce(&rollout, &scene, span);
             let mut errors = [0.0f64; 4];
             for i in 0..means.len() {
                 let m = scene.motions[i].widened();
@@ -218,9 +227,11 @@ fn bits_do_not_depend_on_threads_nor_on_neighbours() {
             quats: scene.quats[611..640].to_vec(),
             d: Moves { means: scene.d.means[611..640].to_vec(), turns: scene.d.turns[611..640].to_vec() },
         };
-        let (means, quats, grads, start) = produce(&rollout, &part, [0.0, 0.5]);
-        assert!(means == all.0[611..640] && quats == all.1[611..640] && grads == all.2[611..640]);
-        assert!(start.means == all.3.means[611..640] && start.turns == all.3.turns[611..640]);
+        let alone = produce(&rollout, &part, [0.0, 0.5]);
+        let rows = 611..640;
+        assert!(alone.means == all.means[rows.clone()] && alone.quats == all.quats[rows.clone()]);
+        assert!(alone.grads == all.grads[rows.clone()] && alone.start.means == all.start.means[rows.clone()]);
+        assert!(alone.start.turns == all.start.turns[rows]);
     }
 }
 

@@ -198,15 +198,21 @@ fn t9_radii_and_energies_under_rk2_and_on_se3() {
         assert!((got - (1.0 + z.powi(4) / 4.0).powf(0.5 * steps)).abs() < 1e-12);
         assert!((radius(roll(Integrator::Se3Mid, &t, steps).0) - 1.0).abs() < 1e-14);
     }
-    // A cloud keeps its distances on SE(3), for any motion; under Rk2 they grow as the radius does.
+    // Under Rk2 distances within a body grow as its radii do, and its kinetic energy with their square.
+    let far = Truth { start: [-0.2, 1.1, 0.0], ..t };
+    let (a, b) = (roll(Integrator::Rk2, &t, 30.0).0, roll(Integrator::Rk2, &far, 30.0).0);
+    let length = |a: [f64; 3], b: [f64; 3]| (0..3).map(|c| (a[c] - b[c]).powi(2)).sum::<f64>().sqrt();
+    assert!((length(a, b) / length(t.start, far.start) / radius(a) - 1.0).abs() < 1e-13);
+    let speed = |x| t.motion.twist.velocity(x).iter().map(|v| v * v).sum::<f64>();
+    assert!((speed(a) / speed(t.start) / radius(a).powi(2) - 1.0).abs() < 1e-13);
+    // A cloud keeps its distances on SE(3), for any motion.
     let m = truth::tumble().motion;
     let cloud = [[0.1, 0.2, 0.3], [-0.7, 0.4, 0.2], [0.5, -0.9, 0.8]];
-    let apart = |a: [f64; 3], b: [f64; 3]| (0..3).map(|c| (a[c] - b[c]).powi(2)).sum::<f64>().sqrt();
     for rule in [Integrator::Se3Mid, Integrator::Se3Magnus4] {
         let rollout = Rollout { rule, dt: 1.0 / 30.0, origin: Vec3::ZERO };
         let moved = cloud.map(|x| advance(&rollout, &m, [0.0, 1.0], (x, UNIT)).0);
         for (i, j) in [(0, 1), (1, 2), (0, 2)] {
-            assert!((apart(moved[i], moved[j]) / apart(cloud[i], cloud[j]) - 1.0).abs() < 1e-13);
+            assert!((length(moved[i], moved[j]) / length(cloud[i], cloud[j]) - 1.0).abs() < 1e-13);
         }
     }
 }
