@@ -10,6 +10,7 @@
 //! * [`evaluate`], [`compare`], [`folders`], [`temporal`], [`inspect`], [`report`], [`contest`], [`sweep`]: what came of it.
 //! * [`analysis`]: what else can be said of a scene: quantities, motion, economy.
 //! * [`glmd`]: what each stage of a model moves, in pictures and numbers.
+//! * [`physics_check`]: motions that were learnt against the truth of a generated scene.
 //! * [`config`], [`checkpoint`], [`run`]: settings that know their source, atomic checkpoints, run folders.
 //! * [`storage`], [`compact`]: what a scene weighs, and a file of it in fewer bytes.
 //!
@@ -38,6 +39,7 @@ pub mod inspect;
 pub mod loss;
 pub mod methods;
 pub mod moment;
+pub mod physics_check;
 pub mod report;
 pub mod run;
 pub mod schedule;

@@ -178,6 +178,7 @@ fn a_written_future_reads_back_as_it_was() {
             assert_eq!(a.len(), b.len(), "{scene} {split:?}");
             for (a, b) in a.iter().zip(b) {
                 assert_eq!((&a.name, a.time), (&b.name, b.time), "{scene}");
+                assert!(!made.dynamic || a.camera_id == b.camera_id, "{scene} {}: camera {}", a.name, b.camera_id);
                 assert!((a.camera.position() - b.camera.position()).length() < 1e-9);
                 assert_eq!(*cache.get(b).unwrap(), *memory(&a.image), "{scene} {}", a.name);
             }
@@ -204,6 +205,27 @@ fn truth_of_bodies_is_written() {
     }
     let world = truth.position_of(0, vec(&track["body"]), t).unwrap();
     assert!(vec(&track["world"][40]).distance(world) < 1e-12 && wheel["tracks"].as_array().unwrap().len() == 16);
+}
+
+#[test]
+fn every_picture_has_labels() {
+    let dir = tempfile::tempdir().unwrap();
+    let data = synth::write(dir.path(), "hinge", &small(), false).unwrap();
+    synth::write_maps(dir.path(), &data, 2, false).unwrap();
+    let read = Dataset::open(dir.path(), &DataOptions::default()).unwrap();
+    let mut seen = [0usize; 256];
+    for (split, folder) in SPLITS.into_iter().zip(["train", "val", "test", "extrapolate"]) {
+        for v in read.views(split) {
+            let file = dir.path().join("maps").join("labels").join(folder).join(format!("{}.png", v.name));
+            let image::DynamicImage::ImageLuma8(labels) = image::open(file).unwrap() else { panic!("one channel") };
+            let truth = data.truth.segments(&v.camera, v.time.seconds);
+            for (label, body) in labels.as_raw().iter().zip(&truth) {
+                assert_eq!(u32::from(*label), body.map_or(0, |k| k + 1), "{}", v.name);
+                seen[usize::from(*label)] += 1;
+            }
+        }
+    }
+    assert!(seen[..6].iter().all(|&n| n > 20) && seen[6..] == [0; 250], "{seen:?}");
 }
 
 #[test]

@@ -1,13 +1,17 @@
-//! The truth of a generated scene as maps: depth and masks of every view, and flow of a camera that stands still.
+//! The truth of a generated scene as maps: depth, masks and labels of every view, and flow of a camera that stands still.
 //!
 //! ```text
 //! maps/{train,val,test}/r_000.depth.npy             [H, W] camera-space z; NaN where nothing is seen
 //! maps/{train,val,test}/r_000.{global,local}.png    255 where a body moves rigidly, where one deforms
+//! maps/labels/SPLIT/r_000.png                       8 bits: 0 where nothing is seen, k for the k-th body of truth.json;
+//!                                                   SPLIT: train, val, test, extrapolate
 //! maps/fixed/camera.json                            the first test view's camera, once for each of the times k / (n − 1)
 //! maps/fixed/frames/t_000.png                       what it sees, with alpha
 //! maps/fixed/t_000.{depth.npy,global.png,local.png} depth and masks from there
 //! maps/fixed/t_000.flow.npy                         [H, W, 2] pixels from time k to time k + 1; NaN where nothing is seen
 //! ```
+//! Names are those of the pictures, and below `maps` folders, too: with cameras at rest, those of the future are in `train` and
+//! `test`.
 
 use std::path::{Path, PathBuf};
 
@@ -17,13 +21,15 @@ use gs_core::{Camera, Image};
 use rayon::prelude::*;
 
 use super::body::MotionClass;
-use super::write::save_png;
+use super::write::{save_png, splits};
 use super::{SynthData, Truth};
 use crate::data::DataError;
 use crate::report::png;
 
 /// Folder of the maps in that of the data set.
 pub const FOLDER: &str = "maps";
+/// Folder of the labels in that of the maps.
+pub const LABELS: &str = "labels";
 
 /// Writes the maps of a generated scene below its folder `dir`, with `moments` (at least 2) times of the camera that stands
 /// still. Maps that exist are written anew only if `overwrite` is set.
@@ -33,9 +39,17 @@ pub const FOLDER: &str = "maps";
 pub fn write_maps(dir: &Path, data: &SynthData, moments: u32, overwrite: bool) -> Result<(), DataError> {
     let root = dir.join(FOLDER);
     let (truth, sets) = (&data.truth, &data.dataset);
-    for (split, views) in [("train", &sets.train), ("val", &sets.val), ("test", &sets.test)] {
+    for (split, views) in splits(data) {
         let folder = made(root.join(split))?;
         views.par_iter().try_for_each(|v| still(truth, &v.camera, v.time.seconds, &folder.join(&v.name), overwrite))?;
+    }
+    let all = [("train", &sets.train), ("val", &sets.val), ("test", &sets.test), ("extrapolate", &sets.extrapolate)];
+    for (split, views) in all {
+        let folder = made(root.join(LABELS).join(split))?;
+        views.par_iter().try_for_each(|v| {
+            let map = truth.labels(&v.camera, v.time.seconds);
+            save_mask(&folder.join(format!("{}.png", v.name)), &map, overwrite)
+        })?;
     }
     let Some(view) = sets.test.first().or(sets.train.first()) else { return Ok(()) };
     let (camera, folder) = (&view.camera, made(root.join("fixed"))?);
@@ -65,12 +79,15 @@ fn still(truth: &Truth, camera: &Camera, t: f64, stem: &Path, overwrite: bool) -
     hide(&mut depth, &seen);
     save_npy(&stem.with_extension("depth.npy"), &depth, overwrite)?;
     for (class, name) in [(MotionClass::Global, "global.png"), (MotionClass::Local, "local.png")] {
-        let file = stem.with_extension(name);
-        let bytes =
-            png(&truth.mask(camera, t, class)).map_err(|e| DataError::write(&file, std::io::Error::other(e)))?;
-        saved(write_file(&file, overwrite, |out| out.write_all(&bytes)), &file)?;
+        save_mask(&stem.with_extension(name), &truth.mask(camera, t, class), overwrite)?;
     }
     Ok(())
+}
+
+/// One channel, 0 to 1, as 8 bits.
+fn save_mask(file: &Path, mask: &Image, overwrite: bool) -> Result<(), DataError> {
+    let bytes = png(mask).map_err(|e| DataError::write(file, std::io::Error::other(e)))?;
+    saved(write_file(file, overwrite, |out| out.write_all(&bytes)), file)
 }
 
 /// NaN where nothing is seen.

@@ -164,9 +164,10 @@ fn notes(truth: &Truth, moments: u32) -> Vec<String> {
     if truth.dynamic() && fastest > 0.0 {
         let nyquist = 0.5 * f64::from(moments.saturating_sub(1));
         let times = if truth.options().cameras > 0 { "moments" } else { "training times" };
+        let shown = (1e3 * fastest).round() / 1e3;
         let verdict = if fastest < nyquist { "resolve" } else { "do not resolve" };
         notes.push(format!(
-            "the fastest motion makes {fastest} cycles; {moments} {times} {verdict} it (up to {nyquist} cycles)"
+            "the fastest motion makes {shown} cycles; {moments} {times} {verdict} it (up to {nyquist} cycles)"
         ));
     }
     notes

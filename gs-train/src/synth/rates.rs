@@ -124,7 +124,7 @@ mod tests {
 
     /// `f'(t)` by central differences of fourth order.
     fn slope(f: impl Fn(f64) -> DVec3, t: f64) -> DVec3 {
-        let h = 1e-3;
+        let h = 2e-4;
         (8.0 * (f(t + h) - f(t - h)) - (f(t + 2.0 * h) - f(t - 2.0 * h))) / (12.0 * h)
     }
 

@@ -105,6 +105,13 @@ impl Truth {
         self.centres(camera, t).into_iter().map(|h| h.map(|h| h.body as u32)).collect()
     }
 
+    /// Label of what is seen at each pixel centre, in parts of 255: 0 for nothing, `k / 255` for the `k`-th body; 1 channel.
+    pub(super) fn labels(&self, camera: &Camera, t: f64) -> Image {
+        let mut labels = Image::zeros(camera.width as usize, camera.height as usize, 1);
+        labels.data = self.segments(camera, t).into_iter().map(|s| s.map_or(0.0, |k| (k + 1) as f32 / 255.0)).collect();
+        labels
+    }
+
     /// 1 at pixel centres that see a body which moves in this way, else 0; 1 channel.
     pub fn mask(&self, camera: &Camera, t: f64, class: MotionClass) -> Image {
         let mut mask = Image::zeros(camera.width as usize, camera.height as usize, 1);

@@ -38,7 +38,7 @@ pub fn write(dir: &Path, name: &str, options: &SynthOptions, overwrite: bool) ->
         })?;
         write_json(&dir.join(format!("transforms_{split}.json")), &transforms(split, &views, data.truth.dynamic()))?;
     }
-    if !data.dataset.extrapolate.is_empty() {
+    if options.cameras > 0 && data.truth.dynamic() {
         let file = dir.join("scene.toml");
         let text =
             format!("# Later pictures, of every camera, are the future.\n[time]\nboundary = {:?}\n", options.boundary);

@@ -8,11 +8,13 @@ use gs_train::analysis::{Analysis, Economy, Journal};
 use gs_train::checkpoint::Checkpoint;
 use gs_train::data::Split;
 use gs_train::inspect::{BlockSummary, SplatSummary, bytes_text};
+use gs_train::physics_check::{self, PhysicsOptions, PhysicsReport};
 use gs_train::run::OpenRun;
 use gs_train::run::folder::{JOURNAL, METRICS};
 use gs_train::run::needs::{needs, neutral_camera};
 use gs_train::run::picture::moment;
 use gs_train::storage::Storage;
+use gs_train::synth;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -105,6 +107,10 @@ impl Inspect {
         }
         let storage = Storage::of(method, method.storage());
         text.push_str(&format!("\n{}", storage.to_text()));
+        let physics = physics(&run);
+        if let Some(physics) = &physics {
+            text.push_str(&format!("\n{}", physics.to_text()));
+        }
         text.push_str("\nat time 0: ");
         text.push_str(&summary.to_text());
         let json = json!({
@@ -118,6 +124,7 @@ impl Inspect {
             "economy": economy,
             "journal": (!journal.is_empty()).then_some(journal),
             "storage": storage,
+            "physics": physics,
             "summary": summary,
             "skipped": run.skipped.iter().map(|s| s.why.clone()).collect::<Vec<_>>(),
         });
@@ -138,6 +145,16 @@ fn economy(run: &OpenRun) -> Option<Economy> {
     let scores: Option<Value> = scores.and_then(|text| serde_json::from_str(&text).ok());
     let of_this_step = scores.filter(|s| s["step"] == run.loaded.step);
     Economy::of(method, &views, &options, of_this_step.and_then(|s| s["mean"]["psnr"].as_f64()))
+}
+
+/// Motions against the truth, where the method has learnt them and the run's data are a generated scene whose times are those
+/// of the run.
+fn physics(run: &OpenRun) -> Option<PhysicsReport> {
+    let particles = run.loaded.method.particles(&neutral_camera())?;
+    let truth = synth::truth_of(Path::new(&run.resolved.run.data))?;
+    let dataset = run.resolved.open_data().ok()?;
+    let same_clock = dataset.train.iter().all(|v| (f64::from(v.time.normalised) - v.time.seconds).abs() < 1e-6);
+    same_clock.then(|| physics_check::check(&particles, &truth, &PhysicsOptions::of(&particles, &truth)))
 }
 
 fn file_bytes(path: &Path) -> Result<usize, Failure> {

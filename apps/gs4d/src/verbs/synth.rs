@@ -72,7 +72,8 @@ pub struct Synth {
     /// Radians the camera turns by while the shutter is open.
     #[arg(long, default_value_t = 0.0, requires = "exposure")]
     shake: f64,
-    /// Write depth and masks of every view, and the flow of a camera that stands still, to DIR/maps (.npy and .png).
+    /// Write depth, masks and labels of every view, and the flow of a camera that stands still, to DIR/maps (.npy and .png;
+    /// labels for `gs4d segment` in DIR/maps/labels).
     #[arg(long)]
     truth: bool,
     /// Moments of the camera that stands still.

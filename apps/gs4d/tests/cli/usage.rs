@@ -59,6 +59,22 @@ fn scenes_are_written_once() {
 }
 
 #[test]
+fn cameras_at_rest_have_a_future() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("scene");
+    let rig = ["--cameras", "2", "--held-out", "1", "--moments", "5", "--size", "16", "--truth", "--truth-times", "2"];
+    let json = good(&[&["synth", "falling", "-o", text(&out), "--json"][..], &rig].concat()).json();
+    assert_eq!((&json["views"], &json["extrapolation_views"]), (&serde_json::json!([8, 0, 4]), &3.into()));
+    assert_eq!(json["options"]["boundary"], 0.75);
+    assert!(out.join("scene.toml").is_file() && out.join("maps/labels/extrapolate/c02_t004.png").is_file());
+    let rest = dir.path().join("rest");
+    gs4d(&["synth", "falling", "-o", text(&rest), "--cameras", "2", "--train-views", "9"]).fails(2, &["--train-views"]);
+    gs4d(&["synth", "falling", "-o", text(&rest), "--boundary", "0.5"]).fails(2, &["--cameras"]);
+    gs4d(&["synth", "falling", "-o", text(&rest), "--cameras", "2", "--boundary", "0"])
+        .fails(2, &["boundary", "above 0"]);
+}
+
+#[test]
 fn bench_rows_have_time_and_error() {
     let json = good(&["bench", "--crate", "gs-train", "--json", "--quiet"]).json();
     let row = &json["rows"][0];
