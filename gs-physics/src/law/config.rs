@@ -12,7 +12,8 @@ pub enum LawForm {
     Twist12,
     /// Centre, its velocity and acceleration, rotation vector, angular acceleration: TRACE without the equivalent form.
     Centre15,
-    /// The same with a scalar angular acceleration about the axis, carried along its exact arc (GVFi).
+    /// The same with a scalar angular acceleration about the axis, carried along its exact arc (GVFi, which reads it at
+    /// canonical places for time 0; here it is read where and when a particle sets out).
     Gvfi13,
     /// A free velocity and angular velocity that know nothing of each other: no rigid motion, no accelerations.
     Free,
@@ -62,6 +63,9 @@ pub struct LawConfig {
     pub coordinate_scale: f32,
     /// Twists refer to the centre of the scene instead of the world's origin.
     pub local_origin: bool,
+    /// Factor on the network's outputs. The authors' is 1; with more a short training reaches fast motion sooner, because
+    /// the steps of Adam do not grow with what is missing.
+    pub gain: f32,
     /// Factor on the start of the outputs that give velocities. Accelerations always start as the other layers do: a
     /// signed square has no gradient at 0.
     pub head_start: f32,
@@ -85,6 +89,7 @@ impl Default for LawConfig {
             integrator: Integrator::Rk2,
             coordinate_scale: 1.0,
             local_origin: true,
+            gain: 1.0,
             head_start: 0.1,
             accel_clamp: 1.0,
             literal: false,
@@ -105,8 +110,9 @@ impl LawConfig {
         within("bands", self.bands, 0, 24, "0 to 24")?;
         let scale = self.coordinate_scale;
         check("coordinate_scale", scale, scale.is_finite(), "finite")?;
-        let start = self.head_start;
-        check("head_start", start, start.is_finite() && start > 0.0, "above 0 and finite")?;
+        for (name, factor) in [("gain", self.gain), ("head_start", self.head_start)] {
+            check(name, factor, factor.is_finite() && factor > 0.0, "above 0 and finite")?;
+        }
         let clamp = self.accel_clamp;
         check("accel_clamp", clamp, clamp.is_finite() && clamp >= 0.0, "0 or more, finite")
     }
