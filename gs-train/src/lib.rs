@@ -8,6 +8,7 @@
 //! * [`methods`]: one file a method; [`schedule`], [`density`], [`adam`], [`loss`]: what training is made of.
 //! * [`trainer`]: one step, and the whole state in and out; [`guard`]: gradients that are not finite.
 //! * [`evaluate`], [`compare`], [`folders`], [`temporal`], [`inspect`], [`report`], [`contest`], [`sweep`]: what came of it.
+//! * [`forecast`], [`continual`]: what comes after the last training time, once and while that time moves on.
 //! * [`analysis`]: what else can be said of a scene: quantities, motion, economy.
 //! * [`glmd`]: what each stage of a model moves, in pictures and numbers.
 //! * [`physics_check`]: motions that were learnt against the truth of a generated scene.
@@ -29,10 +30,12 @@ pub mod compact;
 pub mod compare;
 pub mod config;
 pub mod contest;
+pub mod continual;
 pub mod data;
 pub mod density;
 pub mod evaluate;
 pub mod folders;
+pub mod forecast;
 pub mod glmd;
 pub mod guard;
 pub mod inspect;

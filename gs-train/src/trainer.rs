@@ -124,6 +124,18 @@ impl Trainer {
         Ok(trainer)
     }
 
+    /// The same run on data that hold more views, with another configuration (a longer schedule): parameters, moments of the
+    /// optimiser and growth statistics go on bit for bit, and the method is built for the new last training time.
+    ///
+    /// # Errors
+    /// As [`Trainer::resume`].
+    pub fn with_more_views(self, dataset: Arc<Dataset>, config: &toml::Table) -> Result<Self, TrainError> {
+        let scene = self.scene.clone().seen_in(&dataset);
+        let state = self.state_as(config, &scene);
+        let next = Self::resume(dataset, &state, None, self.options.image_bytes)?;
+        Ok(Self { cache: self.cache, ..next })
+    }
+
     fn of(
         dataset: Arc<Dataset>,
         method: Box<dyn Method>,
@@ -141,10 +153,14 @@ impl Trainer {
 
     /// The whole state, bit for bit.
     pub fn state(&self) -> Checkpoint {
+        self.state_as(&self.config, &self.scene)
+    }
+
+    fn state_as(&self, config: &toml::Table, scene: &SceneInfo) -> Checkpoint {
         let run = methods::saved::RunState {
             method: self.method.name(),
-            config: &self.config,
-            scene: &self.scene,
+            config,
+            scene,
             step: self.step,
             adam_updates: self.adam.updates(),
             train_seconds: self.seconds,

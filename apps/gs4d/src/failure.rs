@@ -6,6 +6,7 @@ use gs_train::config::ConfigError;
 use gs_train::data::DataError;
 use gs_train::evaluate::EvalError;
 use gs_train::folders::FolderError;
+use gs_train::forecast::ForecastError;
 use gs_train::methods::MethodError;
 use gs_train::run::RunError;
 use gs_train::temporal::TemporalError;
@@ -230,6 +231,19 @@ impl From<FolderError> for Failure {
     }
 }
 
+impl From<ForecastError> for Failure {
+    fn from(e: ForecastError) -> Self {
+        let text = e.to_string();
+        match e {
+            ForecastError::Eval(e) => e.into(),
+            ForecastError::NoView { .. } => Self::new(Class::Data, "data.view", text),
+            ForecastError::Empty { .. } | ForecastError::Frames { .. } => {
+                Self::usage(text).remedy("times are normalised: the last training time is 1, or data.time_boundary")
+            }
+        }
+    }
+}
+
 impl From<TemporalError> for Failure {
     fn from(e: TemporalError) -> Self {
         match e {
@@ -261,6 +275,7 @@ impl From<RunError> for Failure {
             }
             RunError::Busy { .. } => Self::new(Class::Io, "run.busy", text).remedy("wait for it, or stop it"),
             RunError::Steps(_) => Self::new(Class::Usage, "steps", text),
+            RunError::Rounds(_) => Self::new(Class::Usage, "rounds", text),
             RunError::Os { .. } => {
                 Self::new(Class::Io, "io", text).remedy("check the path, its permissions and the space on the disk")
             }

@@ -45,7 +45,7 @@ mod intrinsics;
 mod json;
 pub mod lens;
 mod llff;
-mod mask;
+pub(crate) mod mask;
 mod nerfstudio;
 mod npz;
 mod nvfi;
@@ -61,6 +61,7 @@ mod times;
 
 pub use cache::ImageCache;
 pub use error::{DataError, Place};
+pub(crate) use geometry::focus;
 pub use lens::Lens;
 pub use options::{DataOptions, TimeFrom, TimeRange};
 pub use pixels::ImageU8;
@@ -212,6 +213,24 @@ impl Dataset {
             v.camera = v.camera.scaled(scale);
         }
         self.notes.push(format!("images are shrunk to {scale} of their size, as data.scale asks"));
+    }
+
+    /// The same data without any view and without points.
+    pub(crate) fn without_views(&self) -> Self {
+        Self {
+            root: self.root.clone(),
+            layout: self.layout,
+            train: Vec::new(),
+            val: Vec::new(),
+            test: Vec::new(),
+            extrapolate: Vec::new(),
+            points: None,
+            has_alpha: self.has_alpha,
+            dynamic: self.dynamic,
+            time_source: self.time_source.clone(),
+            bounds: self.bounds,
+            notes: self.notes.clone(),
+        }
     }
 
     /// The views of a split.

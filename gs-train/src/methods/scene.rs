@@ -90,11 +90,16 @@ impl SceneInfo {
         if !(extent > 0.0 && extent.is_finite()) {
             return Err(MethodError::Scene(format!("its extent is {extent}; cameras and points coincide")));
         }
-        let views = dataset.train.len() as u32;
+        let (views, moments, last_time, frame_interval) = Default::default();
+        Ok(Self { points, extent, bounds, views, moments, last_time, frame_interval, seed }.seen_in(dataset))
+    }
+
+    /// The same scene as the training views of a data set show it, which may hold more than it was made from: its numbers of
+    /// views and moments, its last time and the distance of moments.
+    pub fn seen_in(self, dataset: &Dataset) -> Self {
         let times = moments(dataset);
-        let last_time = times.last().copied().unwrap_or(1.0);
-        let (moments, frame_interval) = (times.len() as u32, median_step(&times));
-        Ok(Self { points, extent, bounds, views, moments, last_time, frame_interval, seed })
+        let (views, last_time) = (dataset.train.len() as u32, times.last().copied().unwrap_or(1.0));
+        Self { views, moments: times.len() as u32, last_time, frame_interval: median_step(&times), ..self }
     }
 }
 

@@ -40,6 +40,9 @@ pub enum RunError {
         /// The folder.
         path: PathBuf,
     },
+    /// The rounds asked for cannot be made.
+    #[error("{0}")]
+    Rounds(String),
     /// The number of steps asked for cannot be made.
     #[error("{0}")]
     Steps(String),

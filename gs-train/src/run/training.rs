@@ -107,6 +107,14 @@ impl Training {
     /// If the folder is taken, the data or the method cannot be used.
     pub fn begin(root: &Path, overwrite: bool, resolved: Resolved) -> Result<Self, RunError> {
         let dataset = Arc::new(resolved.open_data()?);
+        Self::begin_on(root, overwrite, resolved, dataset)
+    }
+
+    /// The same on a part of the data of the settings.
+    ///
+    /// # Errors
+    /// If the folder is taken or the method cannot be used.
+    pub fn begin_on(root: &Path, overwrite: bool, resolved: Resolved, dataset: Arc<Dataset>) -> Result<Self, RunError> {
         let options = TrainOptions { seed: resolved.run.seed, image_bytes: image_bytes(&resolved) };
         let trainer = Trainer::new(dataset, &resolved.run.method, &resolved.method, options)?;
         let folder = RunFolder::create(root, overwrite)?;
@@ -148,6 +156,16 @@ impl Training {
         let log = folder.log(folder::LOG)?;
         let stop_at = budget.map_or(0.0, |b| trainer.train_seconds() + b);
         Ok(Self { trainer, resolved, folder, log, window: Window::default(), stop_at, skipped: newest.skipped })
+    }
+
+    /// Goes on with more views and other settings ([`Trainer::with_more_views`]).
+    ///
+    /// # Errors
+    /// If the method cannot be built anew or the settings cannot be written.
+    pub fn grow(self, resolved: Resolved, dataset: Arc<Dataset>) -> Result<Self, RunError> {
+        let trainer = self.trainer.with_more_views(dataset, &resolved.method)?;
+        self.folder.write(folder::CONFIG, &resolved.config.to_commented_toml())?;
+        Ok(Self { trainer, resolved, window: Window::default(), ..self })
     }
 
     /// Trains until the schedule ends, the time budget is spent or `stop` is set; saves in every case.
@@ -322,7 +340,8 @@ impl Training {
         Ok(rows)
     }
 
-    fn photographs(&self) -> ImageCache {
+    /// Photographs of this run's data.
+    pub fn photographs(&self) -> ImageCache {
         ImageCache::new(image_bytes(&self.resolved), 1.0).with_max_image_mib(self.resolved.data.max_image_mib)
     }
 
@@ -365,18 +384,11 @@ fn image_bytes(resolved: &Resolved) -> usize {
 }
 
 /// A data set of at most `count` evenly spaced views of a split.
-fn few_views(dataset: &Dataset, split: Split, count: usize) -> Dataset {
+pub(crate) fn few_views(dataset: &Dataset, split: Split, count: usize) -> Dataset {
     let views = dataset.views(split);
     let count = count.clamp(1, views.len().max(1));
     let kept: Vec<_> = (0..count).filter_map(|i| views.get(i * views.len() / count).cloned()).collect();
-    let mut few = Dataset {
-        train: Vec::new(),
-        val: Vec::new(),
-        test: Vec::new(),
-        extrapolate: Vec::new(),
-        points: None,
-        ..dataset.clone()
-    };
+    let mut few = dataset.without_views();
     match split {
         Split::Train => few.train = kept,
         Split::Val => few.val = kept,

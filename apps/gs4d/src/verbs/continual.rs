@@ -1,0 +1,165 @@
+//! `gs4d continual`: learns while the sequence goes on, and says after each round what was foretold.
+
+use super::train::time_text;
+use crate::answer::Answer;
+use crate::failure::{Class, Failure};
+use crate::progress::Progress;
+use crate::{Global, interrupt};
+use gs_train::continual::{FILE, Plan, RoundScores, Rounds, Told, run};
+use gs_train::evaluate::MeanScores;
+use gs_train::run::settings::Request;
+use serde_json::json;
+use std::path::{Path, PathBuf};
+
+/// Learn while the sequence goes on: rounds that each let in more of it, scored on what comes next
+///
+/// Parameters and the optimiser's state go on from round to round. Times are normalised over the whole sequence, 0 to 1.
+#[derive(clap::Args)]
+pub struct ContinualVerb {
+    /// Folder of the data.
+    #[arg(value_name = "DATA")]
+    data: PathBuf,
+    /// Name of the method.
+    #[arg(short, long)]
+    method: String,
+    /// Recipe of the first round.
+    #[arg(long, default_value = "fast")]
+    preset: String,
+    /// Last training time of each round.
+    #[arg(long, value_name = "T,T,…", value_delimiter = ',', default_value = "0.15,0.30,0.45,0.60,0.75")]
+    rounds: Vec<f64>,
+    /// How far beyond it views are scored.
+    #[arg(long, value_name = "T", default_value_t = 0.15)]
+    future: f64,
+    /// In place of --rounds: frames of the first round (PanopticSports: 15).
+    #[arg(long, value_name = "N", conflicts_with_all = ["rounds", "future"])]
+    frames_first: Option<usize>,
+    /// Frames that each later round adds.
+    #[arg(long, value_name = "N", default_value_t = 1, requires = "frames_first")]
+    frames_per_round: usize,
+    /// Frames of the future that are scored.
+    #[arg(long, value_name = "N", default_value_t = 10, requires = "frames_first")]
+    score_next: usize,
+    /// Most frames seen (PanopticSports: 135) [default: as long as a whole future is left].
+    #[arg(long, value_name = "N", requires = "frames_first")]
+    frames_last: Option<usize>,
+    /// Steps of the first round: compresses or stretches the recipe.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    steps_first: Option<u32>,
+    /// Steps of every later round.
+    #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u32).range(1..))]
+    steps_later: u32,
+    /// A setting (repeatable).
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    sets: Vec<String>,
+    /// A setting of later rounds alone (repeatable). Without one, rates that decay are held at an eighth of their start.
+    #[arg(long = "later-set", value_name = "KEY=VALUE")]
+    later_sets: Vec<String>,
+    /// Most views scored of each split in a round, evenly spaced; 0: all.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    score_views: usize,
+    /// Seed of every random number.
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Folder of the run; made if missing.
+    #[arg(short, long, value_name = "RUN")]
+    out: PathBuf,
+    /// Overwrite an older run in that folder.
+    #[arg(short, long)]
+    force: bool,
+}
+
+impl ContinualVerb {
+    pub fn run(self, global: &Global) -> Result<Answer, Failure> {
+        let rounds = match self.frames_first {
+            None => Rounds::Times { until: self.rounds, future: self.future },
+            Some(first) => Rounds::Frames {
+                first,
+                per_round: self.frames_per_round,
+                next: self.score_next,
+                last: self.frames_last,
+            },
+        };
+        let request = Request {
+            method: self.method,
+            preset: self.preset,
+            data: Some(self.data),
+            steps: self.steps_first,
+            seed: self.seed,
+            sets: self.sets,
+            ..Request::default()
+        };
+        let plan = Plan {
+            request,
+            rounds,
+            later_steps: self.steps_later,
+            later_sets: self.later_sets,
+            score_views: self.score_views,
+        };
+        match follow(&plan, &self.out, self.force, global)? {
+            Some(rounds) => Ok(Answer::new(table(&rounds, &self.out), json!({"rounds": rounds}))),
+            None => {
+                let kept = format!("interrupted; the rounds that were done are in {}", self.out.join(FILE).display());
+                Err(Failure::new(Class::Interrupted, "interrupted", kept).remedy("begin again with -f"))
+            }
+        }
+    }
+}
+
+/// Runs the rounds under a line of progress for each.
+fn follow(plan: &Plan, out: &Path, force: bool, global: &Global) -> Result<Option<Vec<RoundScores>>, Failure> {
+    let stop = interrupt::flag()?;
+    let mut progress: Option<Progress> = None;
+    let rounds = run(plan, out, force, &stop, &mut |told| match told {
+        Told::Round(k, n, round) => global.say(format!("round {k} of {n}: up to {:.4}", round.last)),
+        Told::Step(p) => {
+            let line = progress.get_or_insert_with(|| Progress::new(u64::from(p.steps), "steps", global.quiet));
+            line.at(u64::from(p.step), || format!("{:.2} dB  {} splats", p.psnr, p.splats));
+        }
+        Told::Done(scores) => {
+            if let Some(done) = progress.take() {
+                done.finish();
+            }
+            global.say(format!("{}\n{}", HEAD.join("  "), row(scores)));
+        }
+    });
+    if let Some(done) = progress {
+        done.finish();
+    }
+    Ok(rounds?)
+}
+
+const HEAD: [&str; 8] = ["   T_obs", "views", "  steps", "splats", "int. dB", "int. SSIM", "ext. dB", "ext. SSIM"];
+
+fn number(v: Option<f64>, digits: usize) -> String {
+    v.map_or("-".to_owned(), |v| format!("{v:.digits$}"))
+}
+
+fn pair(m: Option<&MeanScores>) -> [String; 2] {
+    [number(m.and_then(|m| m.psnr), 2), number(m.and_then(|m| m.ssim), 4)]
+}
+
+fn row(r: &RoundScores) -> String {
+    let ([ip, is], [ep, es]) = (pair(r.interpolation.as_ref()), pair(r.extrapolation.as_ref()));
+    format!(
+        "{:>8.4}  {:>5}  {:>7}  {:>6}  {ip:>7}  {is:>9}  {ep:>7}  {es:>9}",
+        r.round.last, r.views, r.steps, r.splats
+    )
+}
+
+fn table(rounds: &[RoundScores], out: &Path) -> String {
+    let mut text = HEAD.join("  ") + "\n";
+    rounds.iter().for_each(|r| text.push_str(&format!("{}\n", row(r))));
+    let mean = |score: fn(&RoundScores) -> Option<f64>| {
+        let all: Vec<f64> = rounds.iter().filter_map(score).collect();
+        number((!all.is_empty()).then(|| all.iter().sum::<f64>() / all.len() as f64), 2)
+    };
+    let (inside, beyond) = (mean(|r| r.interpolation.as_ref()?.psnr), mean(|r| r.extrapolation.as_ref()?.psnr));
+    let seconds = rounds.last().map_or(0.0, |r| r.seconds);
+    text.push_str(&format!(
+        "mean over rounds: {inside} dB inside, {beyond} dB beyond; {} of training\n",
+        time_text(seconds)
+    ));
+    text.push_str(&format!("-> {}\n", out.join(FILE).display()));
+    text
+}

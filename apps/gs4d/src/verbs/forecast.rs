@@ -1,0 +1,253 @@
+//! `gs4d forecast`: frames after the last training time, scores where the truth is known, what was learnt of the motion.
+
+use crate::answer::Answer;
+use crate::failure::{Class, Failure};
+use crate::progress::Progress;
+use crate::{Global, parse};
+use gs_core::io::images::save_png;
+use gs_core::io::{Limits, cameras::load_cameras, write_file};
+use gs_train::data::Dataset;
+use gs_train::forecast::physics::Steps;
+use gs_train::forecast::{CameraPath, Clock, MomentScores, Physics, Spacing, Truth, draw, times};
+use gs_train::run::OpenRun;
+use gs_train::run::picture::Painter;
+use serde_json::{Value, json};
+use std::path::{Path, PathBuf};
+
+/// Name of what is kept beside the frames.
+const FILE: &str = "forecast.json";
+
+/// Draw what comes after the last training time
+///
+/// Times are normalised: with data.time_boundary the whole sequence is 0 to 1, without it training ends at 1. Where the
+/// data hold views of the future, they are scored up to the last time asked for.
+#[derive(clap::Args)]
+pub struct ForecastVerb {
+    /// Folder of the run, or a .gs4d file.
+    #[arg(value_name = "RUN|FILE")]
+    run: PathBuf,
+    /// Last time, for example 1.5: half a sequence beyond its end.
+    #[arg(long, value_name = "T", allow_hyphen_values = true, value_parser = parse::finite)]
+    until: f32,
+    /// Frames come after this time [default: the last training time].
+    #[arg(long, value_name = "T", allow_hyphen_values = true, value_parser = parse::finite)]
+    from: Option<f32>,
+    /// Frames per unit of the data's clock [default: as far apart as training frames].
+    #[arg(long, value_name = "N", value_parser = parse::not_negative, conflicts_with = "frames")]
+    fps: Option<f64>,
+    /// So many frames.
+    #[arg(long, value_name = "N")]
+    frames: Option<usize>,
+    /// Where the camera is: view:NAME (a view of the data), orbit (one turn around the scene), or a file of cameras as for
+    /// render, followed one by one [default: the first view of the future, else of the test views].
+    #[arg(long, value_name = "FILE|view:NAME|orbit")]
+    camera: Option<String>,
+    /// Do not score the views of the future.
+    #[arg(long)]
+    no_scores: bool,
+    /// Folder for the frames and forecast.json; made if missing.
+    #[arg(short, long, value_name = "DIR")]
+    out: PathBuf,
+    /// Overwrite existing frames.
+    #[arg(short, long)]
+    force: bool,
+}
+
+impl ForecastVerb {
+    pub fn run(self, global: &Global) -> Result<Answer, Failure> {
+        let run = OpenRun::open(&self.run)?;
+        let dataset = run.resolved.open_data()?;
+        let clock = Clock::of(&dataset);
+        let path = self.path(&run, &dataset)?;
+        let (last, interval) = (f64::from(run.loaded.scene.last_time), f64::from(run.loaded.scene.frame_interval));
+        let from = self.from.map_or(last, f64::from);
+        let times = times(from, f64::from(self.until), self.spacing(clock, interval))?;
+        let files: Vec<PathBuf> = times.iter().enumerate().map(|(k, t)| self.out.join(file_name(k, *t))).collect();
+        self.refuse_taken(&files)?;
+        std::fs::create_dir_all(&self.out).map_err(|e| Failure::io("create the folder", &self.out, &e))?;
+        let (truth, background) = (self.truth(&run, &dataset)?, run.background());
+        let method = run.loaded.method.as_ref();
+        let mut painter = Painter::new(method.schedule().raster_options(background));
+        let mut progress = Progress::new(times.len() as u64, "frames", global.quiet);
+        let mut frames = Vec::with_capacity(times.len());
+        for (k, (&t, file)) in times.iter().zip(&files).enumerate() {
+            let (camera, time) = (path.at(k, times.len()), Clock::time(clock, t));
+            let frame = draw(method, &mut painter, &camera, time);
+            save_png(file, &frame.image, self.force)?;
+            let scores = truth.as_ref().and_then(|truth| truth.frame(&camera, t, interval.max(1e-6)));
+            frames.push(Shown {
+                file,
+                time: t,
+                seconds: time.seconds,
+                ms: [frame.motion_ms, frame.drawing_ms],
+                scores,
+            });
+            progress.at(k as u64 + 1, || format!("t = {t:.3}"));
+        }
+        progress.finish();
+        let particles = method.particles(&path.at(0, 1));
+        let steps = Steps::of(&run.loaded.config, run.loaded.scene.frame_interval);
+        let physics = particles.map(|p| Physics::of(&p, clock, steps));
+        let moments = truth.as_ref().map(|t| t.moments(last));
+        let told = Told { last, clock, frames: &frames, truth: truth.as_ref(), moments: moments.as_deref(), physics };
+        let json = told.json(&self.run);
+        write_file(&self.out.join(FILE), true, |out| writeln!(out, "{json:#}"))?;
+        Ok(Answer::new(told.text(&self.out), json))
+    }
+
+    fn path(&self, run: &OpenRun, dataset: &Dataset) -> Result<CameraPath, Failure> {
+        let photographs = run.photographs();
+        Ok(match self.camera.as_deref() {
+            None => CameraPath::of_view(dataset, None, &photographs)?,
+            Some("orbit") => CameraPath::orbit(dataset, &photographs)?,
+            Some(text) => match text.strip_prefix("view:") {
+                Some(name) => CameraPath::of_view(dataset, Some(name), &photographs)?,
+                None => {
+                    let cameras = load_cameras(Path::new(text), &Limits::default())?;
+                    if cameras.is_empty() {
+                        return Err(Failure::new(Class::Data, "data.cameras", "the file lists no camera").place(text));
+                    }
+                    CameraPath::List(cameras.into_iter().map(|c| c.camera).collect())
+                }
+            },
+        })
+    }
+
+    fn spacing(&self, clock: Option<Clock>, interval: f64) -> Spacing {
+        match (self.frames, self.fps) {
+            (Some(n), _) => Spacing::Count(n),
+            (None, Some(fps)) => Spacing::Interval(1.0 / (fps * clock.map_or(1.0, |c| c.rate))),
+            (None, None) if interval > 0.0 => Spacing::Interval(interval),
+            (None, None) => Spacing::Count(1),
+        }
+    }
+
+    fn truth(&self, run: &OpenRun, dataset: &Dataset) -> Result<Option<Truth>, Failure> {
+        if self.no_scores {
+            return Ok(None);
+        }
+        let (method, until) = (run.loaded.method.as_ref(), f64::from(self.until));
+        Ok(Truth::of(method, dataset, until, run.background(), &run.photographs())?)
+    }
+
+    fn refuse_taken(&self, files: &[PathBuf]) -> Result<(), Failure> {
+        match files.iter().find(|f| !self.force && f.exists()) {
+            None => Ok(()),
+            Some(file) => Err(Failure::new(Class::Io, "io.exists", "the frame exists already")
+                .place(file.display())
+                .why("nothing is overwritten unless asked")
+                .remedy("choose another folder with -o, or pass -f")),
+        }
+    }
+}
+
+/// Sorted by name is sorted by time.
+fn file_name(k: usize, t: f64) -> String {
+    format!("frame-{:04}_t{t:.4}.png", k + 1)
+}
+
+/// A frame that was drawn.
+struct Shown<'a> {
+    file: &'a Path,
+    time: f64,
+    seconds: f64,
+    /// Milliseconds of motion and of drawing.
+    ms: [f64; 2],
+    scores: Option<&'a gs_train::evaluate::ViewScores>,
+}
+
+/// What the forecast has to tell.
+struct Told<'a> {
+    last: f64,
+    clock: Option<Clock>,
+    frames: &'a [Shown<'a>],
+    truth: Option<&'a Truth>,
+    moments: Option<&'a [MomentScores]>,
+    physics: Option<Physics>,
+}
+
+impl Told<'_> {
+    /// Medians over the frames after the first, which also pays for what is kept of the future: motion and drawing.
+    fn medians(&self) -> [f64; 2] {
+        [0, 1].map(|i| {
+            let mut all: Vec<f64> =
+                self.frames.iter().skip(usize::from(self.frames.len() > 1)).map(|f| f.ms[i]).collect();
+            all.sort_by(f64::total_cmp);
+            all.get(all.len() / 2).copied().unwrap_or(0.0)
+        })
+    }
+
+    fn json(&self, run: &Path) -> Value {
+        let frame = |f: &Shown| {
+            let name = f.file.file_name().map(|n| n.to_string_lossy().into_owned());
+            json!({
+                "file": name, "time": f.time, "beyond": f.time - self.last, "seconds": f.seconds,
+                "motion_ms": f.ms[0], "drawing_ms": f.ms[1],
+                "view": f.scores.map(|s| &s.name), "psnr": f.scores.and_then(|s| s.psnr), "ssim": f.scores.map(|s| s.ssim),
+            })
+        };
+        let [motion, drawing] = self.medians();
+        json!({
+            "run": run.display().to_string(),
+            "last_training_time": self.last,
+            "clock": self.clock,
+            "frames": self.frames.iter().map(frame).collect::<Vec<_>>(),
+            "ms": {"motion": motion, "drawing": drawing, "first_motion": self.frames.first().map(|f| f.ms[0])},
+            "truth": self.truth.map(|t| json!({
+                "views": t.report.views.len(), "mean": t.report.mean, "moments": self.moments, "protocol": t.report.protocol,
+            })),
+            "physics": self.physics,
+        })
+    }
+
+    fn text(&self, out: &Path) -> String {
+        let ([motion, drawing], n) = (self.medians(), self.frames.len());
+        let first = self.frames.first().map_or(0.0, |f| f.ms[0]);
+        let mut text = format!(
+            "{n} frames after {:.4} -> {}\nper frame: motion {motion:.2} ms, drawing {drawing:.2} ms (medians; motion of the first \
+             {first:.2} ms)\n",
+            self.last,
+            out.display()
+        );
+        if let (Some(truth), Some(moments)) = (self.truth, self.moments) {
+            text.push_str(&scores_table(truth, moments));
+        }
+        if let Some(physics) = &self.physics {
+            text.push_str(&physics_table(physics));
+        }
+        text
+    }
+}
+
+fn scores_table(truth: &Truth, moments: &[MomentScores]) -> String {
+    let number = |v: Option<f64>| v.map_or("-".to_owned(), |v| format!("{v:.2}"));
+    let masked = moments.iter().any(|m| m.masked_psnr.is_some());
+    let mut text = format!("{:>8}  {:>8}  {:>6}  {:>7}  {:>7}", "time", "beyond", "views", "PSNR", "SSIM");
+    text.push_str(if masked { "   m-PSNR\n" } else { "\n" });
+    for m in moments {
+        let (psnr, ssim) = (number(m.psnr), m.ssim);
+        text.push_str(&format!("{:>8.4}  {:>8.4}  {:>6}  {psnr:>7}  {ssim:>7.4}", m.time, m.beyond, m.views));
+        text.push_str(&if masked { format!("  {:>7}\n", number(m.masked_psnr)) } else { "\n".to_owned() });
+    }
+    let mean = &truth.report.mean;
+    text.push_str(&format!("mean of {} views: {} dB\n", truth.report.views.len(), number(mean.psnr)));
+    text
+}
+
+fn physics_table(p: &Physics) -> String {
+    let mut text = format!("learnt motion of {} splats at t = {:.4}\n", p.splats, p.at);
+    text.push_str(&format!("{:16}  {:>10}  {:>10}  {:>10}  {:>10}\n", "", "median", "90 %", "99 %", "largest"));
+    for s in &p.spreads {
+        text.push_str(&format!("{:16}", s.name));
+        [s.median, s.p90, s.p99, s.max].iter().for_each(|v| text.push_str(&format!("  {v:>10.4}")));
+        text.push_str(&format!("  {}\n", s.unit));
+    }
+    if let Some(fast) = &p.fast {
+        text.push_str(&format!(
+            "warning: {} splats turn by more than 0.3 rad in a step of {:.4} (at most {:.2}): their radii grow by more than 0.1 % \
+             a step; use law.integrator = \"se3_mid\" or a smaller physics.step_frames\n",
+            fast.splats, fast.step, fast.turn
+        ));
+    }
+    text
+}
