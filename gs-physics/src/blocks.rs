@@ -81,13 +81,13 @@ pub(crate) fn add_motions(block: &Motions, rows: &mut [Motion<f32>]) {
 /// Moves particles by what their relative positions changed, so one that rests keeps its bits.
 pub(crate) fn unpack_states(start: &States, end: &States, means: &mut [Vec3], quats: &mut [[f32; 4]]) {
     for (lane, (x, q)) in means.iter_mut().zip(quats).enumerate() {
-        unpack_lane(start, end, lane, x, q);
+        unpack_lane(start, end, lane, *x, (x, q));
     }
 }
 
-/// As [`unpack_states`], for one of the eight.
-pub(crate) fn unpack_lane(start: &States, end: &States, lane: usize, x: &mut Vec3, q: &mut [f32; 4]) {
-    *x += Vec3::from_array(std::array::from_fn(|c| (end[c][lane] - start[c][lane]) + end[POSE + c][lane]));
+/// As [`unpack_states`], for one of the eight, that started at `from`.
+pub(crate) fn unpack_lane(start: &States, end: &States, lane: usize, from: Vec3, (x, q): (&mut Vec3, &mut [f32; 4])) {
+    *x = from + Vec3::from_array(std::array::from_fn(|c| (end[c][lane] - start[c][lane]) + end[POSE + c][lane]));
     *q = std::array::from_fn(|c| end[3 + c][lane]);
 }
 

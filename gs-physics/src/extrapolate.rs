@@ -51,6 +51,8 @@ pub struct Extrapolator {
     stepped: Stepped,
     reduced: Option<Reduced>,
     now: Poses,
+    /// Whether `now` is the work of `reduced`.
+    shows_reduced: bool,
 }
 
 /// What does not take steps, up to a horizon.
@@ -99,7 +101,7 @@ impl Extrapolator {
         let start = Poses { means, quats };
         let rows = (0..motions.len() as u32).collect();
         let stepped = Stepped::new(rows, &motions, &start, rollout.origin);
-        Ok(Self { rollout, t0, now: start.clone(), start, motions, stepped, reduced: None })
+        Ok(Self { rollout, t0, now: start.clone(), start, motions, stepped, reduced: None, shows_reduced: false })
     }
 
     /// Serves every particle by the least motion that is within the tolerance of `rule`, and by its group where it has
@@ -146,13 +148,16 @@ impl Extrapolator {
     /// Positions and orientations at time `t`.
     pub fn at(&mut self, t: f64) -> (&[Vec3], &[[f32; 4]]) {
         let tau = t - self.t0;
-        self.now.means.clone_from(&self.start.means);
-        self.now.quats.clone_from(&self.start.quats);
-        match &mut self.reduced {
-            Some(reduced) if tau.abs() <= reduced.horizon * (1.0 + 1e-9) => {
-                reduced.go(&self.rollout, tau, &mut self.now)
-            }
-            _ => self.stepped.go(&self.rollout, tau, &mut self.now),
+        let reduced = self.reduced.as_mut().filter(|r| tau.abs() <= r.horizon * (1.0 + 1e-9));
+        // Rows that nothing moves keep what they have, so they are set only when others begin to move.
+        if tau == 0.0 || self.shows_reduced != reduced.is_some() {
+            self.now.means.clone_from(&self.start.means);
+            self.now.quats.clone_from(&self.start.quats);
+        }
+        self.shows_reduced = reduced.is_some();
+        match reduced {
+            Some(reduced) => reduced.go(&self.rollout, tau, &self.start, &mut self.now),
+            None => self.stepped.go(&self.rollout, tau, &self.start, &mut self.now),
         }
         (&self.now.means, &self.now.quats)
     }
@@ -169,23 +174,23 @@ impl Extrapolator {
 }
 
 impl Reduced {
-    fn go(&mut self, rollout: &Rollout, tau: f64, poses: &mut Poses) {
+    fn go(&mut self, rollout: &Rollout, tau: f64, start: &Poses, now: &mut Poses) {
         if tau == 0.0 {
             return;
         }
         if let Some(groups) = &self.groups {
-            groups.place(rollout, tau, poses);
+            groups.place(rollout, tau, start, now);
         }
         let leap = [Tick::leap(tau)];
-        self.leapt.place(Run { rule: Integrator::Se3Mid, ticks: &leap, done: 0 }, &self.leapt.start, poses);
-        self.stepped.go(rollout, tau, poses);
+        self.leapt.place(Run { rule: Integrator::Se3Mid, ticks: &leap, done: 0 }, &self.leapt.start, start, now);
+        self.stepped.go(rollout, tau, start, now);
     }
 }
 
 /// Some of the particles, packed in blocks.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Packed {
-    /// Which.
+    /// Which, ascending.
     pub rows: Vec<u32>,
     pub motions: Vec<Motions>,
     pub start: Vec<States>,
@@ -214,33 +219,44 @@ impl Packed {
         });
     }
 
-    /// Takes `states` through a run of steps and moves the rows of `poses`, which are at the start, to where that ends.
-    pub fn place(&self, run: Run<'_>, states: &[States], poses: &mut Poses) {
-        if self.rows.len() < poses.means.len() {
-            let mut end = states.to_vec();
-            self.roll(run, &mut end);
-            return self.scatter(&end, poses);
-        }
-        let poses = poses.means.par_chunks_mut(PARTICLES).zip(poses.quats.par_chunks_mut(PARTICLES));
-        let given = self.motions.par_chunks(TASK).zip(self.start.par_chunks(TASK).zip(states.par_chunks(TASK)));
-        poses.zip(given).for_each(|((means, quats), (motions, (start, states)))| {
-            let rows = means.chunks_mut(LANES).zip(quats.chunks_mut(LANES));
-            for ((means, quats), (motions, (start, state))) in rows.zip(motions.iter().zip(start.iter().zip(states))) {
+    /// Takes `states` through a run of steps and sets its rows of `now` to where that ends, from `first` on.
+    pub fn place(&self, run: Run<'_>, states: &[States], first: &Poses, now: &mut Poses) {
+        let tasks = self.split(now);
+        let packed = self.motions.par_chunks(TASK).zip(self.start.par_chunks(TASK).zip(states.par_chunks(TASK)));
+        tasks.into_par_iter().zip(packed).for_each(|(task, (motions, (start, states)))| {
+            let blocks = motions.iter().zip(start.iter().zip(states));
+            for (rows, (motions, (start, state))) in task.rows.chunks(LANES).zip(blocks) {
                 let mut end = *state;
                 dispatch!(Level::new(), simd => blocks::roll(simd, run, motions, &mut end, None));
-                blocks::unpack_states(start, &end, means, quats);
+                for (lane, row) in rows.iter().enumerate() {
+                    let (row, at) = (*row as usize, *row as usize - task.begin);
+                    let to = (&mut task.means[at], &mut task.quats[at]);
+                    blocks::unpack_lane(start, &end, lane, first.means[row], to);
+                }
             }
         });
     }
 
-    fn scatter(&self, end: &[States], poses: &mut Poses) {
-        for (rows, (start, end)) in self.rows.chunks(LANES).zip(self.start.iter().zip(end)) {
-            for (lane, row) in rows.iter().enumerate() {
-                let (x, q) = (&mut poses.means[*row as usize], &mut poses.quats[*row as usize]);
-                blocks::unpack_lane(start, end, lane, x, q);
-            }
-        }
+    /// Cuts `now` where tasks meet: rows ascend, so no two tasks share any.
+    fn split<'a>(&'a self, now: &'a mut Poses) -> Vec<Task<'a>> {
+        let (mut means, mut quats, mut begin) = (&mut now.means[..], &mut now.quats[..], 0);
+        let mut cut = |rows: &'a [u32]| {
+            let end = rows.last().map_or(begin, |r| *r as usize + 1);
+            let (m, q) = (means.split_off_mut(..end - begin), quats.split_off_mut(..end - begin));
+            let task = Task { rows, begin, means: m.unwrap_or_default(), quats: q.unwrap_or_default() };
+            begin = end;
+            task
+        };
+        self.rows.chunks(PARTICLES).map(&mut cut).collect()
     }
+}
+
+/// Rows of one task, and the stretch of all rows, from `begin` on, that they lie in.
+struct Task<'a> {
+    rows: &'a [u32],
+    begin: usize,
+    means: &'a mut [Vec3],
+    quats: &'a mut [[f32; 4]],
 }
 
 /// States after some full steps from the start.
@@ -306,8 +322,8 @@ impl Stepped {
         self.nodes.iter().map(Nodes::bytes).sum()
     }
 
-    /// Moves its rows of `poses` from the start to `tau` later.
-    pub fn go(&mut self, rollout: &Rollout, tau: f64, poses: &mut Poses) {
+    /// Sets its rows of `now` to where they are `tau` after `start`.
+    pub fn go(&mut self, rollout: &Rollout, tau: f64, start: &Poses, now: &mut Poses) {
         let ticks = rollout.ticks([0.0, tau]);
         let Some((last, full)) = ticks.split_last() else { return };
         if self.packed.rows.is_empty() {
@@ -316,7 +332,7 @@ impl Stepped {
         let nodes = &mut self.nodes[usize::from(tau < 0.0)];
         nodes.reach(&self.packed, rollout.rule, full);
         let run = Run { rule: rollout.rule, ticks: std::slice::from_ref(last), done: full.len() };
-        self.packed.place(run, &nodes.latest.states, poses);
+        self.packed.place(run, &nodes.latest.states, start, now);
     }
 }
 
@@ -381,7 +397,7 @@ mod tests {
         let mut plain = plain;
         assert_eq!(reduced.counts(), Counts { grouped: 200, classes: [200, 200, 200, 200, 200] });
         assert_eq!(plain.counts().classes, [0, 0, 0, 0, n]);
-        for t in [0.0, 0.33, 0.8, -0.6, 0.9] {
+        for t in [0.0, 0.33, 0.8, 0.0, -0.6, 0.9, 0.2, 0.0] {
             let (got, want) = (reduced.at(t), plain.at(t));
             let far = |i: &usize| (got.0[*i] - want.0[*i]).length();
             let worst = (0..n).map(|i| far(&i)).fold(0.0, f32::max);

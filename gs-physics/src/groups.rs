@@ -100,15 +100,16 @@ impl Groups {
         self.list.iter().map(|g| g.members).sum()
     }
 
-    /// Moves the members among `poses`, which are at the start, to `tau` later.
-    pub(crate) fn place(&self, rollout: &Rollout, tau: f64, poses: &mut Poses) {
+    /// Sets the members among `now` to where they are `tau` after `start`.
+    pub(crate) fn place(&self, rollout: &Rollout, tau: f64, start: &Poses, now: &mut Poses) {
         let maps: Vec<_> = self.list.iter().map(|g| Moved::new(g.map(rollout, [0.0, tau]))).collect();
-        let rows = poses.means.par_chunks_mut(PARTICLES).zip(poses.quats.par_chunks_mut(PARTICLES));
-        rows.zip(self.of.par_chunks(PARTICLES)).for_each(|((means, quats), of)| {
-            for ((x, q), label) in means.iter_mut().zip(quats).zip(of) {
+        let rows = now.means.par_chunks_mut(PARTICLES).zip(now.quats.par_chunks_mut(PARTICLES));
+        let first = start.means.par_chunks(PARTICLES).zip(start.quats.par_chunks(PARTICLES));
+        rows.zip(first).zip(self.of.par_chunks(PARTICLES)).for_each(|(((means, quats), (x0, q0)), of)| {
+            for (i, label) in of.iter().enumerate() {
                 if let Some(map) = maps.get(*label as usize) {
-                    *x += map.change * (*x - rollout.origin) + map.shift;
-                    *q = hamilton(map.turn, *q);
+                    means[i] = x0[i] + (map.change * (x0[i] - rollout.origin) + map.shift);
+                    quats[i] = hamilton(map.turn, q0[i]);
                 }
             }
         });
@@ -306,9 +307,10 @@ mod tests {
             let rollout = Rollout { rule, dt: 1.0 / 30.0, origin: ORIGIN };
             for (tau, ulps) in [(1.0 / 30.0, 4.0), (-1.0 / 30.0, 4.0), (0.8, 16.0)] {
                 let mut own = Poses { means: means.clone(), quats: vec![[1.0, 0.0, 0.0, 0.0]; 300] };
+                let start = own.clone();
                 let mut shared = own.clone();
                 rollout.advance(&motions, [0.0, tau], &mut own.means, &mut own.quats);
-                groups.place(&rollout, tau, &mut shared);
+                groups.place(&rollout, tau, &start, &mut shared);
                 for (i, start) in means.iter().enumerate() {
                     let size = (*start - ORIGIN).length().max(own.means[i].length()).max(1.0) * f32::EPSILON;
                     let off = (own.means[i] - shared.means[i]).abs().max_element();
@@ -324,8 +326,9 @@ mod tests {
     fn a_group_at_rest_keeps_its_bits() {
         let means = vec![Vec3::new(0.1, 0.2, 0.3), Vec3::new(1e3, -7.0, 0.7)];
         let groups = Groups::fit(&rule(0.0), &[0; 2], &[Motion::default(); 2], &means, ORIGIN, &[0.1; 2]).unwrap();
-        let mut poses = Poses { means: means.clone(), quats: vec![[0.5; 4]; 2] };
-        groups.place(&Rollout { rule: Integrator::Se3Mid, dt: 0.1, origin: ORIGIN }, 0.7, &mut poses);
-        assert!(groups.members() == 2 && poses.means == means && poses.quats == [[0.5; 4]; 2]);
+        let start = Poses { means: means.clone(), quats: vec![[0.5; 4]; 2] };
+        let mut now = Poses { means: vec![Vec3::ZERO; 2], quats: vec![[0.0; 4]; 2] };
+        groups.place(&Rollout { rule: Integrator::Se3Mid, dt: 0.1, origin: ORIGIN }, 0.7, &start, &mut now);
+        assert!(groups.members() == 2 && now.means == means && now.quats == start.quats);
     }
 }
