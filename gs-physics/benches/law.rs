@@ -63,13 +63,14 @@ fn errors<D: Dynamics>(
     dynamics.transport_backward(&x, &mut tape, &d);
     let mut worst = [0.0f64; 2];
     let mut want: Vec<Vec<f64>> = Vec::new();
-    for i in 0..COMPARED {
-        let at = x[i].as_dvec3().to_array();
-        let (mean, turn) = transport(at);
-        let got = out.means[i].to_array().into_iter().chain(out.turns[i]);
-        let far = got.zip(mean.into_iter().chain(turn)).map(|(g, w)| (f64::from(g) - w).abs());
+    let ends = out.means.iter().zip(&out.turns).zip(d.means.iter().zip(&d.turns));
+    for (x, ((mean, turn), (d_mean, d_turn))) in x.iter().zip(ends) {
+        let at = x.as_dvec3().to_array();
+        let want_pose = transport(at);
+        let got = mean.to_array().into_iter().chain(*turn);
+        let far = got.zip(want_pose.0.into_iter().chain(want_pose.1)).map(|(g, w)| (f64::from(g) - w).abs());
         worst[0] = far.fold(worst[0], f64::max);
-        let one = gradient(at, (d.means[i].as_dvec3().to_array(), d.turns[i].map(f64::from)));
+        let one = gradient(at, (d_mean.as_dvec3().to_array(), d_turn.map(f64::from)));
         want.resize_with(one.len(), Vec::new);
         for (sum, one) in want.iter_mut().zip(&one) {
             sum.resize(one.len(), 0.0);

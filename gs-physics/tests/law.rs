@@ -58,8 +58,8 @@ fn gradients_of_the_twin_are_its_differences() {
         let at = |i: usize| x[i].as_dvec3().to_array();
         (0..2).for_each(|i| twin.gradient(at(i), span, pose(&d, i), &mut grad));
         let h = 1e-5;
-        for block in 0..grad.len() {
-            for k in (0..grad[block].len()).step_by(7) {
+        for (block, grad) in grad.iter().enumerate() {
+            for (k, &got) in grad.iter().enumerate().step_by(7) {
                 let value = twin.net.params[block][k];
                 let mut loss = |v: f64| -> f64 {
                     twin.net.params[block][k] = v;
@@ -67,7 +67,7 @@ fn gradients_of_the_twin_are_its_differences() {
                 };
                 let want = (loss(value + h) - loss(value - h)) / (2.0 * h);
                 loss(value);
-                close(grad[block][k], want, 1e-8, &format!("{config:?} {block} {k}"));
+                close(got, want, 1e-8, &format!("{config:?} {block} {k}"));
             }
         }
     }

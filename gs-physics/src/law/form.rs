@@ -187,3 +187,37 @@ impl Form {
         self.mapped_back(y, d_y);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::centre::{Centre, Reduction};
+    use gs_core::Rng;
+
+    /// Up to the rate it is [`Centre`]; the third order is the second derivative of `v_c(t) − w(t) × P_c(t)`.
+    #[test]
+    fn motions_of_hubs_are_those_of_centres() {
+        let mut rng = Rng::new(1, "hubs", 0, 0);
+        let mut random = || -> V3<f64> { std::array::from_fn(|_| f64::from(rng.normal())) };
+        for _ in 0..50 {
+            let [position, velocity, acceleration] = [random(), random(), random()];
+            let hub = Hub { position, velocity, acceleration, w: random(), spin: random() };
+            let centre = Centre { at: position, velocity, acceleration, w: hub.w, spin_up: hub.spin };
+            for (literal, reduction) in [(false, Reduction::Exact), (true, Reduction::Paper)] {
+                let (got, want) = (hub.motion(2, literal), centre.motion(reduction));
+                for (got, want) in got.to_array().iter().zip(want.to_array()) {
+                    assert!((got - want).abs() < 1e-13, "{got} {want}");
+                }
+            }
+            let v = |t: f64| {
+                let at = add_scaled(add_scaled(position, t, velocity), 0.5 * t * t, acceleration);
+                sub(add_scaled(velocity, t, acceleration), cross3(add_scaled(hub.w, t, hub.spin), at))
+            };
+            let h = 1e-3;
+            let bent = scale(sub(add(v(h), v(-h)), scale(v(0.0), 2.0)), 1.0 / (h * h));
+            for (got, want) in hub.motion(3, false).jerk.v.iter().zip(bent) {
+                assert!((got - want).abs() < 1e-7, "{got} {want}");
+            }
+        }
+    }
+}
