@@ -175,16 +175,18 @@ fn errors(particles: &Particles, rows: &[usize], truth: &Truth, body: usize, tim
     let is = rates.twist(origin);
     let place = |i: usize| particles.splats.means[i].as_dvec3();
     let learnt: Vec<(DVec3, Motion<f64>)> = rows.iter().map(|&i| (place(i), particles.motions[i].widened())).collect();
-    let all = |of: &dyn Fn(DVec3, &Motion<f64>) -> (DVec3, DVec3)| Spread::of(learnt.iter().map(|(x, m)| of(*x, m)));
-    let same = |of: fn(&Motion<f64>) -> [f64; 3]| all(&|_, m| (of(m).into(), of(&is).into()));
+    let twist =
+        |of: fn(&Motion<f64>) -> [f64; 3]| Spread::of(learnt.iter().map(|(_, m)| (of(m).into(), of(&is).into())));
     let arm = |x: DVec3| (x - origin).to_array();
+    let moves = |(x, m): &(DVec3, Motion<f64>)| (m.twist.velocity(arm(*x)).into(), rates.velocity(*x));
+    let hurries = |(x, m): &(DVec3, Motion<f64>)| (m.acceleration(arm(*x)).into(), rates.acceleration(*x));
     Some(BodyErrors {
-        velocity: all(&|x, m| (m.twist.velocity(arm(x)).into(), rates.velocity(x))),
-        v: same(|m| m.twist.v),
-        w: same(|m| m.twist.w),
-        acceleration: all(&|x, m| (m.acceleration(arm(x)).into(), rates.acceleration(x))),
-        v_rate: same(|m| m.rate.v),
-        w_rate: same(|m| m.rate.w),
+        velocity: Spread::of(learnt.iter().map(moves)),
+        v: twist(|m| m.twist.v),
+        w: twist(|m| m.twist.w),
+        acceleration: Spread::of(learnt.iter().map(hurries)),
+        v_rate: twist(|m| m.rate.v),
+        w_rate: twist(|m| m.rate.w),
         way: times.iter().map(|&t| way(particles, rows, truth, body, t)).collect(),
     })
 }

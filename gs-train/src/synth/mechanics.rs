@@ -14,6 +14,7 @@ const GREEN: [[f64; 3]; 2] = [[0.20, 0.58, 0.30], [0.93, 0.85, 0.35]];
 const VIOLET: [[f64; 3]; 2] = [[0.56, 0.25, 0.62], [0.95, 0.72, 0.45]];
 const GREY: [[f64; 3]; 2] = [[0.42, 0.44, 0.48], [0.80, 0.80, 0.76]];
 
+/// A body whose `pattern` leaves no face of one colour.
 fn body(name: &'static str, shape: Shape, motion: Motion, colors: [[f64; 3]; 2], pattern: f64) -> Body {
     Body { name, shape, motion, colors, pattern }
 }
@@ -50,7 +51,7 @@ pub(super) fn screw() -> Vec<Body> {
         pivot: DVec3::new(-0.45, 0.0, 0.0),
         ..Motion::default()
     };
-    vec![body("block", block(0.26, 0.16, 0.18), winding, BLUE, 14.0), slab(-0.67)]
+    vec![body("block", block(0.26, 0.16, 0.18), winding, BLUE, 18.0), slab(-0.67)]
 }
 
 /// A wheel that rolls: the hub goes straight ahead, the tread rests where it is lowest.
@@ -81,7 +82,7 @@ pub(super) fn projectile() -> Vec<Body> {
         spin_rate: 4.0,
         ..Motion::default()
     };
-    vec![body("block", block(0.26, 0.18, 0.14), thrown, GREEN, 14.0), slab(-0.67)]
+    vec![body("block", block(0.26, 0.18, 0.14), thrown, GREEN, 18.6), slab(-0.67)]
 }
 
 /// A box at rest with a lid, a door and an arm that turn about hinges, and a disc that turns about its own axis.
@@ -104,9 +105,9 @@ pub(super) fn hinge() -> Vec<Body> {
         Motion { tilt: DVec3::X * std::f64::consts::FRAC_PI_2, ..hung([0.0, -edge, -0.4], [0.0; 3], DVec3::Y, -4.5) };
     let still = Motion { start: DVec3::Z * -0.4, ..Motion::default() };
     vec![
-        body("lid", block(SIDE, SIDE, THIN), lid, RED, 14.0),
-        body("door", block(THIN, SIDE, 0.28), door, BLUE, 14.0),
-        body("arm", block(THIN, 0.42, 0.09), arm, GREEN, 16.0),
+        body("lid", block(SIDE, SIDE, THIN), lid, RED, 11.0),
+        body("door", block(THIN, SIDE, 0.28), door, BLUE, 11.0),
+        body("arm", block(THIN, 0.42, 0.09), arm, GREEN, 11.0),
         body("disc", Shape::Wheel { radius: 0.24, half_width: THIN }, disc, VIOLET, 17.0),
         body("base", block(SIDE, SIDE, SIDE), still, GREY, 11.0),
     ]
@@ -132,8 +133,8 @@ pub(super) fn twins() -> Vec<Body> {
     };
     vec![
         body("first twin", Shape::Sphere { radius: 0.24 }, twin(1.0), RED, 14.0),
-        body("second twin", block(0.17, 0.17, 0.2), twin(-1.0), BLUE, 15.0),
-        body("other", block(0.16, 0.14, 0.2), other, GREEN, 16.0),
+        body("second twin", block(0.17, 0.17, 0.2), twin(-1.0), BLUE, 18.4),
+        body("other", block(0.16, 0.14, 0.2), other, GREEN, 19.0),
         slab(-0.67),
     ]
 }
