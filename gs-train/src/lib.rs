@@ -10,7 +10,7 @@
 //! * [`evaluate`], [`compare`], [`folders`], [`temporal`], [`inspect`], [`report`], [`contest`], [`sweep`]: what came of it.
 //! * [`forecast`], [`continual`]: what comes after the last training time, once and while that time moves on.
 //! * [`analysis`]: what else can be said of a scene: quantities, motion, economy.
-//! * [`glmd`]: what each stage of a model moves, in pictures and numbers.
+//! * [`glmd`]: what each stage of a model moves, in pictures and numbers; [`segment`]: the rigid parts of a scene.
 //! * [`physics_check`]: motions that were learnt against the truth of a generated scene.
 //! * [`config`], [`checkpoint`], [`run`]: settings that know their source, atomic checkpoints, run folders.
 //! * [`storage`], [`compact`]: what a scene weighs, and a file of it in fewer bytes.
@@ -46,6 +46,7 @@ pub mod physics_check;
 pub mod report;
 pub mod run;
 pub mod schedule;
+pub mod segment;
 pub mod storage;
 pub mod sweep;
 pub mod synth;

@@ -1,4 +1,4 @@
-//! NumPy's `.npy`: one array of `f32` or `f64`, little-endian, C order.
+//! NumPy's `.npy`: one array of `f32`, `f64` or whole numbers, little-endian, C order.
 //!
 //! Source: numpy.lib.format, versions 1 to 3: `\x93NUMPY`, two version bytes, header length (u16, or u32 from version
 //! 2), then a Python dict `{'descr': '<f4', 'fortran_order': False, 'shape': (4, 3), }` padded with spaces to a multiple
@@ -17,7 +17,7 @@ const MAGIC: &[u8; 6] = b"\x93NUMPY";
 pub enum Values {
     /// `<f4`.
     F32(Vec<f32>),
-    /// `<f8`.
+    /// `<f8`, and whole numbers of any width (exact up to 2⁵³).
     F64(Vec<f64>),
 }
 
@@ -56,13 +56,10 @@ pub fn read(bytes: &[u8], file: &str, limits: &Limits) -> Result<NpyArray, IoErr
     let src = Source { file, format: "NPY" };
     let (dict, start) = header(bytes, src)?;
     let at = At::Byte(10);
-    let item = match field(dict, "descr", src)?.trim_matches(['\'', '"']) {
-        "<f4" => 4u64,
-        "<f8" => 8,
-        other => {
-            let what = format!("NPY of type `{}`", clip(other));
-            return Err(src.unsupported(what, "save it as little-endian float32 or float64"));
-        }
+    let descr = field(dict, "descr", src)?.trim_matches(['\'', '"']);
+    let Some(item) = width(descr) else {
+        let what = format!("NPY of type `{}`", clip(descr));
+        return Err(src.unsupported(what, "save it as little-endian float32, float64 or whole numbers"));
     };
     if field(dict, "fortran_order", src)? != "False" {
         return Err(src.unsupported("NPY in Fortran order", "save numpy.ascontiguousarray(x)"));
@@ -85,10 +82,10 @@ pub fn read(bytes: &[u8], file: &str, limits: &Limits) -> Result<NpyArray, IoErr
         let what = format!("{} bytes follow the last value", data.len() as u64 - need);
         return Err(src.malformed(At::Byte(start as u64 + need), what, "the shape in the header is wrong"));
     }
-    let values = if item == 4 {
-        Values::F32(data.as_chunks().0.iter().map(|b| f32::from_le_bytes(*b)).collect())
-    } else {
-        Values::F64(data.as_chunks().0.iter().map(|b| f64::from_le_bytes(*b)).collect())
+    let values = match descr {
+        "<f4" => Values::F32(data.as_chunks().0.iter().map(|b| f32::from_le_bytes(*b)).collect()),
+        "<f8" => Values::F64(data.as_chunks().0.iter().map(|b| f64::from_le_bytes(*b)).collect()),
+        _ => Values::F64(data.chunks_exact(item as usize).map(|b| whole(descr, b)).collect()),
     };
     let bad = match &values {
         Values::F32(v) => v.iter().position(|x| !x.is_finite()),
@@ -98,6 +95,25 @@ pub fn read(bytes: &[u8], file: &str, limits: &Limits) -> Result<NpyArray, IoErr
         Some(row) if !limits.allow_non_finite => Err(src.value(row, "value", f64::NAN, "must be finite")),
         _ => Ok(NpyArray { shape, values }),
     }
+}
+
+/// Bytes of a value of a type that can be read.
+fn width(descr: &str) -> Option<u64> {
+    match descr {
+        "|u1" | "|i1" | "|b1" => Some(1),
+        "<u2" | "<i2" => Some(2),
+        "<f4" | "<u4" | "<i4" => Some(4),
+        "<f8" | "<u8" | "<i8" => Some(8),
+        _ => None,
+    }
+}
+
+/// A whole number, little-endian, of at most 8 bytes.
+fn whole(descr: &str, bytes: &[u8]) -> f64 {
+    let negative = descr.as_bytes()[1] == b'i' && bytes.last().is_some_and(|b| b & 0x80 != 0);
+    let mut wide = [if negative { 0xff } else { 0 }; 8];
+    wide[..bytes.len()].copy_from_slice(bytes);
+    if descr.as_bytes()[1] == b'i' { i64::from_le_bytes(wide) as f64 } else { u64::from_le_bytes(wide) as f64 }
 }
 
 /// The header text and the offset of the data.
@@ -215,12 +231,29 @@ mod tests {
     }
 
     #[test]
+    fn whole_numbers_of_every_width() {
+        let two = |descr: &str, data: &[u8]| {
+            let dict = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': (2,), }}");
+            read_all(&with_header(&dict, data)).unwrap().to_f64()
+        };
+        assert_eq!(two("|u1", &[3, 255]), [3.0, 255.0]);
+        assert_eq!(two("|i1", &[3, 255]), [3.0, -1.0]);
+        assert_eq!(two("|b1", &[1, 0]), [1.0, 0.0]);
+        assert_eq!(two("<u2", &[1, 2, 255, 255]), [513.0, 65535.0]);
+        assert_eq!(two("<i2", &[1, 2, 254, 255]), [513.0, -2.0]);
+        assert_eq!(two("<i4", &[7, 0, 0, 0, 255, 255, 255, 255]), [7.0, -1.0]);
+        let wide = [300i64.to_le_bytes(), (-(1i64 << 40)).to_le_bytes()].concat();
+        assert_eq!(two("<i8", &wide), [300.0, -(2.0f64.powi(40))]);
+    }
+
+    #[test]
     fn offences_are_named() {
         let dict = |descr: &str, order: &str, shape: &str| {
             format!("{{'descr': '{descr}', 'fortran_order': {order}, 'shape': ({shape}), }}")
         };
         let error = |dict: &str, data: &[u8]| read_all(&with_header(dict, data)).unwrap_err().to_string();
-        assert!(error(&dict("<i4", "False", "1,"), &[0; 4]).contains("type `<i4`"));
+        assert!(error(&dict("<c8", "False", "1,"), &[0; 8]).contains("type `<c8`"));
+        assert!(error(&dict(">i4", "False", "1,"), &[0; 4]).contains("type `>i4`"));
         assert!(error(&dict("<f4", "True", "1,"), &[0; 4]).contains("Fortran"));
         assert!(error(&dict("<f4", "False", "-1,"), &[0; 4]).contains("side `-1`"));
         assert!(error(&dict("<f4", "False", "2,"), &[0; 4]).contains("needs 8 bytes, only 4"));

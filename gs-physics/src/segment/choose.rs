@@ -9,7 +9,7 @@
 //! ```
 //! and two clusters are one body if `d ≤ max(tolerance · u_rms, spread · r)`: `u_rms` the root mean square speed of moving
 //! particles, `r² = (R(A) + R(B)) / (W_A + W_B)` what their own twists leave unexplained, so that noise within a body does not
-//! count as a second body. Clusters lighter than [`MergeOptions::least_share`] are strays: they take the label of the one they
+//! count as a second body: the halves of a normal distribution have `d = 2.65 r`. Clusters lighter than [`MergeOptions::least_share`] are strays: they take the label of the one they
 //! fit best, and do not change its twist.
 
 use super::by_weight;
@@ -33,7 +33,7 @@ pub struct MergeOptions {
 
 impl Default for MergeOptions {
     fn default() -> Self {
-        Self { tolerance: 0.05, spread: 2.0, least_share: 0.005 }
+        Self { tolerance: 0.05, spread: 3.0, least_share: 0.005 }
     }
 }
 

@@ -36,21 +36,29 @@ pub(crate) fn check_shape(file: &Path, got: [u32; 2], want: [u32; 2]) -> Result<
 
 /// The weights of a view's mask for `camera`: [`View::camera`], or that camera scaled. `[H, W, 1]`, in 0..1.
 pub(crate) fn weights(mask: &ImageU8, v: &View, camera: &Camera) -> Image {
+    let value = |at: Option<[usize; 2]>| at.map_or(0.0, |[x, y]| f32::from(mask.pixel(x, y)[0]) / 255.0);
+    let data = nearest([mask.width, mask.height], v, camera).map(value).collect();
+    Image { width: camera.width as usize, height: camera.height as usize, channels: 1, data }
+}
+
+/// For every pixel of `camera`, row by row, the nearest one `[x, y]` of a map of `size` that has the shape of the view's
+/// photograph; none where the photograph does not reach.
+pub(crate) fn nearest<'a>(
+    [width, height]: [usize; 2],
+    v: &'a View,
+    camera: &'a Camera,
+) -> impl Iterator<Item = Option<[usize; 2]>> + 'a {
     let size = |width: u32, height: u32| DVec2::new(f64::from(width), f64::from(height));
     let full = size(v.camera.width, v.camera.height);
     let to_full = full / size(camera.width, camera.height);
-    let stored = DVec2::new(mask.width as f64, mask.height as f64);
-    let mut data = Vec::with_capacity(camera.width as usize * camera.height as usize);
-    for j in 0..camera.height {
-        for i in 0..camera.width {
-            let at = DVec2::new(f64::from(i) + 0.5, f64::from(j) + 0.5) * to_full;
-            let seen = v.lens.map_or(at, |lens| lens.source_pixel(&v.camera, at)) * stored / full;
-            let inside = seen.x >= 0.0 && seen.x < stored.x && seen.y >= 0.0 && seen.y < stored.y;
-            let value = if inside { mask.pixel(seen.x as usize, seen.y as usize)[0] } else { 0 };
-            data.push(f32::from(value) / 255.0);
-        }
-    }
-    Image { width: camera.width as usize, height: camera.height as usize, channels: 1, data }
+    let stored = DVec2::new(width as f64, height as f64);
+    let pixels = (0..camera.height).flat_map(|j| (0..camera.width).map(move |i| [i, j]));
+    pixels.map(move |[i, j]| {
+        let at = DVec2::new(f64::from(i) + 0.5, f64::from(j) + 0.5) * to_full;
+        let seen = v.lens.map_or(at, |lens| lens.source_pixel(&v.camera, at)) * stored / full;
+        let inside = seen.x >= 0.0 && seen.x < stored.x && seen.y >= 0.0 && seen.y < stored.y;
+        inside.then_some([seen.x as usize, seen.y as usize])
+    })
 }
 
 #[cfg(test)]
