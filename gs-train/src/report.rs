@@ -5,6 +5,7 @@
 
 mod chart;
 mod embed;
+pub mod forecast;
 mod heat;
 mod intervals;
 pub(crate) mod page;

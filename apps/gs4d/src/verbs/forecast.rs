@@ -9,13 +9,17 @@ use gs_core::io::{Limits, cameras::load_cameras, write_file};
 use gs_train::data::Dataset;
 use gs_train::forecast::physics::Steps;
 use gs_train::forecast::{CameraPath, Clock, MomentScores, Physics, Spacing, Truth, draw, times};
+use gs_train::report::{Still, forecast::page};
 use gs_train::run::OpenRun;
 use gs_train::run::picture::Painter;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
-/// Name of what is kept beside the frames.
+/// Names of what is kept beside the frames.
 const FILE: &str = "forecast.json";
+const PAGE: &str = "forecast.html";
+/// Frames shown on the page.
+const SHOWN: usize = 8;
 
 /// Draw what comes after the last training time
 ///
@@ -45,7 +49,7 @@ pub struct ForecastVerb {
     /// Do not score the views of the future.
     #[arg(long)]
     no_scores: bool,
-    /// Folder for the frames and forecast.json; made if missing.
+    /// Folder for the frames, forecast.json and forecast.html; made if missing.
     #[arg(short, long, value_name = "DIR")]
     out: PathBuf,
     /// Overwrite existing frames.
@@ -69,7 +73,7 @@ impl ForecastVerb {
         let method = run.loaded.method.as_ref();
         let mut painter = Painter::new(method.schedule().raster_options(background));
         let mut progress = Progress::new(times.len() as u64, "frames", global.quiet);
-        let mut frames = Vec::with_capacity(times.len());
+        let (mut frames, mut strip) = (Vec::with_capacity(times.len()), Vec::new());
         for (k, (&t, file)) in times.iter().zip(&files).enumerate() {
             let (camera, time) = (path.at(k, times.len()), Clock::time(clock, t));
             let frame = draw(method, &mut painter, &camera, time);
@@ -82,6 +86,9 @@ impl ForecastVerb {
                 ms: [frame.motion_ms, frame.drawing_ms],
                 scores,
             });
+            if strip.len() * times.len() <= k * SHOWN {
+                strip.push(Still { caption: format!("t = {t:.3}"), image: frame.image });
+            }
             progress.at(k as u64 + 1, || format!("t = {t:.3}"));
         }
         progress.finish();
@@ -92,6 +99,9 @@ impl ForecastVerb {
         let told = Told { last, clock, frames: &frames, truth: truth.as_ref(), moments: moments.as_deref(), physics };
         let json = told.json(&self.run);
         write_file(&self.out.join(FILE), true, |out| writeln!(out, "{json:#}"))?;
+        let html = page(&title(&self.run), told.moments.unwrap_or_default(), &strip, told.physics.as_ref());
+        let html = html.map_err(gs_train::run::RunError::from)?;
+        write_file(&self.out.join(PAGE), true, |out| out.write_all(html.as_bytes()))?;
         Ok(Answer::new(told.text(&self.out), json))
     }
 
@@ -139,6 +149,11 @@ impl ForecastVerb {
                 .remedy("choose another folder with -o, or pass -f")),
         }
     }
+}
+
+fn title(run: &Path) -> String {
+    let name = run.file_name().map_or_else(|| run.display().to_string(), |n| n.to_string_lossy().into_owned());
+    format!("Forecast of {name}")
 }
 
 /// Sorted by name is sorted by time.

@@ -87,6 +87,8 @@ fn frames_after_the_last_training_time_are_drawn_and_scored() {
     assert_eq!((&frames[0]["view"], &frames[0]["psnr"]), (&first["name"], &first["psnr"]), "{frames:?}");
     let kept: Value = serde_json::from_slice(&std::fs::read(out.join("forecast.json")).unwrap()).unwrap();
     assert_eq!(kept["truth"], *truth);
+    let page = std::fs::read_to_string(out.join("forecast.html")).unwrap();
+    assert!(page.contains("<svg") && page.contains("data:image/png"));
     let again = gs4d(&["forecast", text(run()), "--until", "1", "-o", text(&out)]);
     again.fails(6, &["exists already", "-f"]);
 }
