@@ -13,6 +13,7 @@ pub mod inspect;
 pub mod methods;
 pub mod render;
 pub mod resume;
+pub mod segment;
 pub mod sweep;
 pub mod synth;
 pub mod train;

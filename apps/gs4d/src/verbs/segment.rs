@@ -1,0 +1,283 @@
+//! `gs4d segment`: the rigid parts of a run's scene, as masks, numbers and a table.
+
+use super::eval::SplitName;
+use crate::answer::Answer;
+use crate::failure::{Class, Failure};
+use crate::progress::Progress;
+use crate::{Global, parse};
+use gs_core::io::images::{save_png, write_png8};
+use gs_core::io::{npy, write_file};
+use gs_train::data::{Dataset, Split, View};
+use gs_train::evaluate::split_name;
+use gs_train::run::OpenRun;
+use gs_train::run::picture::file_stem;
+use gs_train::segment::{
+    self, Complexity, Count, Feature, Labels, Options, Part, Scores, SegmentError, TrueLabels, ViewMask, parts,
+    scene_complexity, study,
+};
+use gs_train::synth;
+use serde_json::{Value, json};
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+/// Folders that are written below the one asked for.
+const FOLDERS: [&str; 3] = ["masks", "labels", "overlays"];
+/// Files that are written beside them.
+const FILES: [&str; 2] = ["labels.npy", "segment.json"];
+
+/// Find the rigid parts of a scene: masks of its views, scores against true masks, and how each part moves
+#[derive(clap::Args)]
+pub struct Segment {
+    /// Folder of the run, or a .gs4d file.
+    #[arg(value_name = "RUN|FILE")]
+    run: PathBuf,
+    /// How many parts: a number from 1 to 254, or auto for as many as do not share a rigid motion.
+    #[arg(long, default_value = "auto", value_parser = count)]
+    k: Count,
+    /// Normalised time at which motions are compared [default: where the method's law of motion begins, else the last
+    /// training time].
+    #[arg(long, value_name = "T", allow_hyphen_values = true, value_parser = parse::finite)]
+    at: Option<f32>,
+    /// What twists are compared by.
+    #[arg(long, value_enum, default_value_t = Compare::Polar)]
+    feature: Compare,
+    /// Weight of places beside motions: parts that move alike but are apart.
+    #[arg(long, default_value = "0", value_name = "BETA", allow_hyphen_values = true, value_parser = parse::not_negative)]
+    positions: f64,
+    /// Which views get masks.
+    #[arg(long, value_enum, default_value_t = SplitName::Test)]
+    split: SplitName,
+    /// Folder of true label images by the names of views, .png or .npy; 0 is the background
+    /// [default: those of the data, or the bodies of a generated scene].
+    #[arg(long, value_name = "DIR")]
+    truth: Option<PathBuf>,
+    /// At most so many views, evenly spread.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    limit: Option<u32>,
+    /// Folder for labels.npy (a label per splat), segment.json, and masks, labels (8 bits: 0 background, label + 1) and
+    /// overlays of each view; made if missing.
+    #[arg(short, long, value_name = "DIR")]
+    out: PathBuf,
+    /// Overwrite existing files.
+    #[arg(short, long)]
+    force: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Compare {
+    /// Lengths and directions, as published.
+    Polar,
+    /// The twist itself.
+    Plain,
+}
+
+fn count(text: &str) -> Result<Count, String> {
+    match text.trim().parse::<usize>() {
+        _ if text.trim() == "auto" => Ok(Count::Auto),
+        Ok(k) if (1..=254).contains(&k) => Ok(Count::Fixed(k)),
+        _ => Err("give a number from 1 to 254, or auto".to_owned()),
+    }
+}
+
+impl From<SegmentError> for Failure {
+    fn from(e: SegmentError) -> Self {
+        let text = e.to_string();
+        match e {
+            SegmentError::NoPaths(_) => Self::new(Class::Data, "segment.paths", text)
+                .remedy("give a run of a method that deforms or moves its splats, such as trace or defgs"),
+            SegmentError::Labels { .. } => Self::new(Class::Data, "data.labels", text)
+                .remedy("a label image is [H, W] whole numbers, 0 the background"),
+            SegmentError::Io(e) => e.into(),
+            SegmentError::Data(e) => e.into(),
+            SegmentError::Metric(_) => Self::new(Class::Data, "data.metric", text),
+        }
+    }
+}
+
+impl Segment {
+    pub fn run(self, global: &Global) -> Result<Answer, Failure> {
+        let run = OpenRun::open(&self.run)?;
+        let dataset = run.resolved.open_data()?;
+        let split: Split = self.split.into();
+        let views = self.chosen(dataset.views(split))?;
+        let names = stems(&views);
+        self.prepare(&names)?;
+        let method = run.loaded.method.as_ref();
+        let labels = segment::segment(method, &self.options(&dataset))?;
+        let truth = self.truth(&run, &views);
+        let mut progress = Progress::new(views.len() as u64, "views", global.quiet);
+        let mut done = 0;
+        let drawn = (&run.photographs(), run.background());
+        let scores = study(method, &labels, (split_name(split), &views), truth.as_ref(), drawn, |seen| {
+            self.save(&seen, &names[done])?;
+            done += 1;
+            progress.at(done as u64, || seen.view.name.clone());
+            Ok::<(), Failure>(())
+        })?;
+        progress.finish();
+        let (table, motion) = (parts::table(&labels), scene_complexity(method, &dataset));
+        let values: Vec<f32> = labels.of.iter().map(|l| *l as f32).collect();
+        self.write(FILES[0], |out| npy::write(&[values.len()], &values, out))?;
+        let source = truth.as_ref().map(TrueLabels::source);
+        let json = self.json(&run, &labels, (&table, &motion), (&scores, &source), views.len());
+        self.write(FILES[1], |out| out.write_all(format!("{json:#}\n").as_bytes()))?;
+        Ok(Answer::new(text(&labels, &table, &motion, (&scores, &source), &self.out), json))
+    }
+
+    fn options(&self, dataset: &Dataset) -> Options {
+        let last = dataset.train.iter().map(|v| v.time.normalised).fold(0.0, f32::max);
+        Options {
+            count: self.k,
+            feature: if self.feature == Compare::Polar { Feature::Polar } else { Feature::Plain },
+            at: self.at,
+            observed: last,
+            positions: self.positions as f32,
+            ..Options::default()
+        }
+    }
+
+    /// At most `limit` of the views.
+    fn chosen(&self, views: &[View]) -> Result<Vec<View>, Failure> {
+        if views.is_empty() {
+            return Err(
+                Failure::new(Class::Data, "data.split", "the split has no views").remedy("choose another --split")
+            );
+        }
+        let most = self.limit.map_or(views.len(), |n| n as usize).min(views.len());
+        Ok((0..most).map(|k| views[k * views.len() / most].clone()).collect())
+    }
+
+    fn truth(&self, run: &OpenRun, views: &[View]) -> Option<TrueLabels> {
+        if let Some(folder) = &self.truth {
+            return Some(TrueLabels::Folder(folder.clone()));
+        }
+        if views.iter().any(|v| v.labels.is_some()) {
+            return Some(TrueLabels::Views);
+        }
+        synth::truth_of(Path::new(&run.resolved.run.data)).map(|t| TrueLabels::Scene(Box::new(t)))
+    }
+
+    /// Makes the folders; nothing in the way of what will be written, unless forced.
+    fn prepare(&self, names: &[String]) -> Result<(), Failure> {
+        let pictures = FOLDERS.iter().flat_map(|f| names.iter().map(move |n| format!("{f}/{n}.png")));
+        let files = pictures.chain(FILES.map(str::to_owned)).map(|f| self.out.join(f));
+        if let Some(taken) = files.into_iter().find(|f| !self.force && f.exists()) {
+            return Err(Failure::new(Class::Io, "io.exists", "the file exists already")
+                .place(taken.display())
+                .why("nothing is overwritten unless asked")
+                .remedy("choose another folder with -o, or pass -f"));
+        }
+        FOLDERS.iter().map(|f| self.out.join(f)).try_for_each(|folder| {
+            std::fs::create_dir_all(&folder).map_err(|e| Failure::io("create the folder", &folder, &e))
+        })
+    }
+
+    fn save(&self, seen: &ViewMask<'_>, name: &str) -> Result<(), Failure> {
+        let [masks, labels, overlays] = FOLDERS.map(|f| self.out.join(f).join(format!("{name}.png")));
+        save_png(&masks, &seen.colored(), self.force)?;
+        save_png(&overlays, &seen.overlaid(), self.force)?;
+        let ids: Vec<u8> = seen.mask.ids.iter().map(|id| *id as u8).collect();
+        let (width, height) = (seen.mask.width, seen.mask.height);
+        Ok(write_file(&labels, self.force, |out| write_png8(width, height, 1, &ids, out))?)
+    }
+
+    fn write(
+        &self,
+        name: &str,
+        fill: impl FnOnce(&mut dyn std::io::Write) -> std::io::Result<()>,
+    ) -> Result<(), Failure> {
+        Ok(write_file(&self.out.join(name), self.force, fill)?)
+    }
+
+    fn json(
+        &self,
+        run: &OpenRun,
+        labels: &Labels,
+        (table, motion): (&[Part], &Complexity),
+        (scores, source): (&Option<Scores>, &Option<String>),
+        views: usize,
+    ) -> Value {
+        json!({
+            "run": self.run.display().to_string(),
+            "method": run.loaded.method.name(),
+            "step": run.loaded.step,
+            "labels_from": labels.source,
+            "at": labels.particles.at,
+            "asked": if let Count::Fixed(k) = self.k { json!(k) } else { json!("auto") },
+            "parts": table,
+            "radius": labels.radius,
+            "resting": labels.resting.iter().filter(|r| **r).count(),
+            "merged_at": labels.distances.0,
+            "next_merger_at": labels.distances.1,
+            "split": split_name(self.split.into()),
+            "views": views,
+            "truth": source,
+            "protocol": segment::score::PROTOCOL,
+            "scores": scores,
+            "motion": motion_json(motion),
+        })
+    }
+}
+
+fn motion_json(m: &Complexity) -> Value {
+    json!({
+        "velocity": m.velocity,
+        "acceleration": m.acceleration,
+        "acceleration_per_time": m.acceleration_per_time,
+        "tracks": m.tracks,
+        "moving": m.moving,
+    })
+}
+
+/// A file name for each view: its own, numbered where two have the same.
+fn stems(views: &[View]) -> Vec<String> {
+    let own: Vec<String> = views.iter().map(|v| file_stem(&v.name)).collect();
+    if own.iter().collect::<BTreeSet<_>>().len() == own.len() {
+        return own;
+    }
+    own.iter().enumerate().map(|(k, stem)| format!("{k:04}_{stem}")).collect()
+}
+
+fn text(
+    labels: &Labels,
+    table: &[Part],
+    motion: &Complexity,
+    (scores, source): (&Option<Scores>, &Option<String>),
+    out: &Path,
+) -> String {
+    let mut text = format!(
+        "{:>5}{:>9}{:>8}{:>9}{:>10}{:>10}{:>10}{:>11}{:>11}\n",
+        "part", "splats", "share", "resting", "speed", "spin", "pitch", "followers", "residual"
+    );
+    for p in table {
+        let pitch = p.pitch.map_or("-".to_owned(), |v| format!("{v:.3}"));
+        let (share, resting) = (100.0 * p.share, 100.0 * p.resting);
+        text.push_str(&format!(
+            "{:>5}{:>9}{share:>7.1}%{resting:>8.1}%{:>10.4}{:>10.4}{pitch:>10}{:>11}{:>11.4}\n",
+            p.id, p.splats, p.speed, p.spin, p.followers, p.residual
+        ));
+    }
+    let (v, a) = (motion.velocity, motion.acceleration);
+    text.push_str(&format!("scene motion velocity {v:.4}, acceleration {a:.4} (parts of the image per span)\n"));
+    if let (Some(s), Some(source)) = (scores, source) {
+        text.push_str(&format!(
+            "AP {:.2}  PQ {:.2}  F1 {:.2}  Pre {:.2}  Rec {:.2}  mIoU {:.2} (strict {:.2})  over {} views, against {source}\n",
+            100.0 * s.ap,
+            100.0 * s.pq,
+            100.0 * s.f1,
+            100.0 * s.precision,
+            100.0 * s.recall,
+            100.0 * s.miou,
+            100.0 * s.miou_strict,
+            s.views
+        ));
+    }
+    let from = if labels.source == segment::Source::Twists { "twists" } else { "paths" };
+    text.push_str(&format!(
+        "{} parts from {from} at time {:.3}\n-> {}\n",
+        labels.k,
+        labels.particles.at,
+        out.display()
+    ));
+    text
+}
