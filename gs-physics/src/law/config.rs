@@ -66,6 +66,9 @@ pub struct LawConfig {
     /// Factor on the network's outputs. The authors' is 1; with more a short training reaches fast motion sooner, because
     /// the steps of Adam do not grow with what is missing.
     pub gain: f32,
+    /// Factor on the outputs that say how particles turn, beside the gain (the authors': 1). A turn about a far origin moves
+    /// a particle as a velocity does; below 1 what moves straight is learnt as such, and turns where only they explain it.
+    pub spin_gain: f32,
     /// Factor on the start of the outputs that give velocities. Accelerations always start as the other layers do: a
     /// signed square has no gradient at 0.
     pub head_start: f32,
@@ -90,6 +93,7 @@ impl Default for LawConfig {
             coordinate_scale: 1.0,
             local_origin: true,
             gain: 1.0,
+            spin_gain: 1.0,
             head_start: 0.1,
             accel_clamp: 1.0,
             literal: false,
@@ -110,7 +114,8 @@ impl LawConfig {
         within("bands", self.bands, 0, 24, "0 to 24")?;
         let scale = self.coordinate_scale;
         check("coordinate_scale", scale, scale.is_finite(), "finite")?;
-        for (name, factor) in [("gain", self.gain), ("head_start", self.head_start)] {
+        let factors = [("gain", self.gain), ("spin_gain", self.spin_gain), ("head_start", self.head_start)];
+        for (name, factor) in factors {
             check(name, factor, factor.is_finite() && factor > 0.0, "above 0 and finite")?;
         }
         let clamp = self.accel_clamp;

@@ -8,7 +8,8 @@
 //!
 //! v̄ = v_c − w × P_c     ā = a_c − ε × P_c − w × v_c     j_v = −2 ε × v_c − w × a_c  (third order)      (1)
 //! ```
-//! All are the network's outputs times the gain, about the origin of the law. Behind the bar stand derivatives, which pass the map of accelerations. (1) is the
+//! All are the network's outputs times a gain, about the origin of the law. Behind the bar stand derivatives, which pass the
+//! map of accelerations. (1) is the
 //! derivative of `v̄(t) = v_c(t) − w(t) × P_c(t)`; the paper's `ā` leaves out `−w × v_c`, as if the centre stood still.
 
 use super::config::{AccelMap, LawConfig, LawForm};
@@ -31,6 +32,7 @@ pub(crate) struct Form {
     accel: AccelMap,
     literal: bool,
     gain: f64,
+    spin_gain: f64,
 }
 
 /// A body by its centre, as far as one particle sees it.
@@ -107,7 +109,8 @@ pub(super) fn axis<T: Real>(w: V3<T>) -> (T, V3<T>) {
 impl Form {
     pub fn new(config: &LawConfig) -> Self {
         let order = if config.form == LawForm::Free { 1 } else { config.order };
-        Self { kind: config.form, order, accel: config.accel, literal: config.literal, gain: config.gain.into() }
+        let (gain, spin_gain) = (f64::from(config.gain), f64::from(config.gain) * f64::from(config.spin_gain));
+        Self { kind: config.form, order, accel: config.accel, literal: config.literal, gain, spin_gain }
     }
 
     pub fn literal(&self) -> bool {
@@ -130,12 +133,21 @@ impl Form {
         matches!(self.kind, LawForm::Gvfi13 | LawForm::Free)
     }
 
-    /// Outputs times the gain, derivatives mapped; the rest of the array is 0.
+    /// The factor on output `i`.
+    fn gain(&self, i: usize) -> f64 {
+        let turns = match self.kind {
+            LawForm::Twist12 | LawForm::Free => i % 6 >= 3,
+            LawForm::Centre15 | LawForm::Gvfi13 => (6..9).contains(&i) || i >= 12,
+        };
+        if turns { self.spin_gain } else { self.gain }
+    }
+
+    /// Outputs times their gains, derivatives mapped; the rest of the array is 0.
     pub fn mapped<T: Real>(&self, y: &[T]) -> [T; MAX_OUTPUTS] {
         let mut out = [y[0].lit(0.0); MAX_OUTPUTS];
         let first = self.outputs().1;
         for (i, (o, &v)) in out.iter_mut().zip(y).enumerate() {
-            let v = v * v.lit(self.gain);
+            let v = v * v.lit(self.gain(i));
             *o = if i < first || self.accel == AccelMap::Linear { v } else { v * v.max(-v) * v.lit(0.1) };
         }
         out
@@ -145,9 +157,9 @@ impl Form {
     pub fn mapped_back<T: Real>(&self, y: &[T], d: &mut [T]) {
         let first = self.outputs().1;
         for (i, (d, &v)) in d.iter_mut().zip(y).enumerate() {
-            *d = *d * v.lit(self.gain);
+            *d = *d * v.lit(self.gain(i));
             if i >= first && self.accel == AccelMap::SignedSq10 {
-                *d = *d * v.max(-v) * v.lit(0.2 * self.gain);
+                *d = *d * v.max(-v) * v.lit(0.2 * self.gain(i));
             }
         }
     }

@@ -15,6 +15,7 @@ pub mod ablate;
 pub mod anchored;
 pub mod canonical;
 pub mod defgs;
+pub mod defgs_nvfi;
 pub mod deformed;
 pub mod drk;
 pub mod fags;
@@ -26,6 +27,8 @@ pub mod saved;
 pub mod scaffold;
 pub mod scene;
 pub mod static3d;
+pub mod trace;
+pub mod trace_4dgs;
 pub mod transported;
 
 pub use anchored::{RestOptions, RestReport};
@@ -358,4 +361,7 @@ pub const METHODS: &[MethodEntry] = &[
     fags::ENTRY,
     drk::ENTRY,
     modec::ENTRY,
+    trace::ENTRY,
+    trace_4dgs::ENTRY,
+    defgs_nvfi::ENTRY,
 ];

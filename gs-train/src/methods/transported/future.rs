@@ -1,25 +1,38 @@
-//! What is known of the time after the last one the field is read at: the law is read once, and the splats at whole steps
-//! are kept, so that a later frame costs one step.
+//! What is known of the time after the last one the field is read at: field and law are read once, and whole steps on
+//! the way are kept, so that a later frame costs a step or two.
 
 use super::carry;
 use gs_core::Splats;
-use gs_physics::{Dynamics, Moves};
+use gs_physics::{Dynamics, Extrapolator, Moves};
 
 /// The scene at `T_def`, and how it goes on.
 pub(super) struct Future {
     begin: Splats,
     from: f64,
+    /// The particles without their own rotations, where twists rule all that follows.
+    particles: Option<Extrapolator>,
 }
 
 impl Future {
-    pub fn new<D: Dynamics>(begin: Splats, from: f64, _dynamics: &D) -> Self {
-        Self { begin, from }
+    /// The scene that begins as `begin` at time `from`.
+    pub fn new<D: Dynamics>(begin: Splats, from: f64, dynamics: &D) -> Self {
+        let particles = dynamics.carried_by().and_then(|rollout| {
+            let (motions, still) = (dynamics.motions(&begin.means, from), vec![[1.0, 0.0, 0.0, 0.0]; begin.len()]);
+            Extrapolator::new(rollout, from, motions, begin.means.clone(), still).ok()
+        });
+        Self { begin, from, particles }
     }
 
-    /// The splats at a time `t ≥ from`.
-    pub fn at<D: Dynamics>(&self, t: f64, dynamics: &D) -> Splats {
-        let (mut tape, mut moves) = (D::Tape::default(), Moves::default());
-        dynamics.transport(&self.begin.means, self.from, t, &mut tape, &mut moves);
+    /// The splats at a time after the begin.
+    pub fn at<D: Dynamics>(&mut self, t: f64, dynamics: &D) -> Splats {
+        let mut moves = Moves::default();
+        match &mut self.particles {
+            Some(particles) => {
+                let (means, turns) = particles.at(t);
+                (moves.means, moves.turns) = (means.to_vec(), turns.to_vec());
+            }
+            None => dynamics.transport(&self.begin.means, self.from, t, &mut D::Tape::default(), &mut moves),
+        }
         let mut splats = self.begin.clone();
         carry(&mut splats, &moves);
         splats

@@ -6,7 +6,7 @@
 //! x' = x₀ + δx(x₀, t')      x_t, q_phys = dynamics(x', t' → t)
 //! mean = x₀ + δx + sg(x_t − x')      q = q_phys ⊗ q_def(t') ⊗ q₀      s = s(t')
 //! ```
-//! (TRACE, its code's training loop.) `sg` stops gradients: centres and offsets learn as if the physical displacement were a
+//! (TRACE, its code's training loop; Δt may be drawn from several of its multiples, [`PhysicsConfig::reach`].) `sg` stops gradients: centres and offsets learn as if the physical displacement were a
 //! constant, the dynamics learn from the same cotangent at its end, and nothing flows through the place they are read at.
 //! Moments before the first step of Δt are the field's alone.
 //!
@@ -18,13 +18,12 @@ use crate::methods::kernel::kernel_quantities;
 use crate::methods::{Column, ColumnMut, Method, Particles, Quantity, SceneInfo, StageView};
 use crate::moment::Moment;
 use crate::schedule::Schedule;
-use glam::Vec3;
 use gs_core::{Camera, Param, Params, Rng, Splats, SplatsGrad, Time, rot};
 use gs_deform::Field;
 use gs_physics::{Dynamics, Moves};
 use gs_raster::ScreenStats;
 use serde::{Deserialize, Serialize};
-use std::sync::{Arc, Mutex};
+use std::sync::Mutex;
 
 mod future;
 mod looks;
@@ -39,6 +38,9 @@ use future::Future;
 pub struct PhysicsConfig {
     /// Δt, the step from the field's time to the photograph's, in intervals between frames.
     pub step_frames: f32,
+    /// In training the dynamics carry splats over 1 to so many steps Δt, drawn anew each time (TRACE: 1). The farther, the
+    /// better accelerations can be told: they move a particle by ½ a (n Δt)². The range opens over the first half of the stage.
+    pub reach: u32,
     /// The field is read up to `T_def`, this many intervals between frames before the last training time (one Δt at least).
     pub back_frames: f32,
     /// Before this share of the training span only the field moves splats (scenes that stand still at first).
@@ -67,6 +69,7 @@ impl PhysicsConfig {
             if good { Ok(()) } else { Err(format!("physics.{name} = {value}: {rule}")) }
         };
         need(self.step_frames > 0.0 && self.step_frames.is_finite(), "step_frames", self.step_frames, "above 0")?;
+        need((1..=1000).contains(&self.reach), "reach", self.reach as f32, "1 to 1000")?;
         need(self.back_frames >= 0.0 && self.back_frames.is_finite(), "back_frames", self.back_frames, "0 or more")?;
         need((0.0..1.0).contains(&self.start), "start", self.start, "0 or more, below 1")
     }
@@ -110,7 +113,7 @@ pub struct Transported<F: Field, D: Dynamics> {
     times: Times,
     scratch: Scratch<F, D>,
     /// What is known of the time after `T_def`; gone with any change of a parameter.
-    future: Mutex<Option<Arc<Future>>>,
+    future: Mutex<Option<Future>>,
 }
 
 /// Buffers of one step.
@@ -170,12 +173,21 @@ impl<F: Field, D: Dynamics> Transported<F, D> {
         if t > last_field {
             return Span { from: last_field, to: t };
         }
-        let forward = Rng::new(self.canonical.seed(), "side-of-time", self.canonical.step(), 0).uniform() < 0.5;
-        let from = if forward { t - step } else { t + step };
+        let mut rng = Rng::new(self.canonical.seed(), "side-of-time", self.canonical.step(), 0);
+        let forward = rng.uniform() < 0.5;
+        let steps = 1.0 + (f64::from(rng.uniform()) * self.reach()).floor();
+        let from = if forward { t - steps * step } else { t + steps * step };
         Span { from: from.clamp(start, last_field), to: t }
     }
 
-    /// The same for drawing.
+    /// Steps Δt that the dynamics carry splats at most in the present step of training.
+    fn reach(&self) -> f64 {
+        let open = self.canonical.schedule.stage_and_offset(self.canonical.step());
+        let open = open.map_or(1.0, |(stage, made)| (2.0 * f64::from(made) / f64::from(stage.steps)).min(1.0));
+        1.0 + open * f64::from(self.config.reach - 1)
+    }
+
+    /// From where to where the dynamics act in drawing.
     fn drawing_span(&self, t: f64) -> Span {
         let Times { step, last_field, start, .. } = self.times;
         match self.config.inside {
@@ -220,9 +232,9 @@ impl<F: Field, D: Dynamics> Transported<F, D> {
         let mut known = self.future.lock().unwrap_or_else(|e| e.into_inner());
         let future = known.get_or_insert_with(|| {
             let begin = self.deformed(&self.canonical.activated(), self.times.last_field);
-            Arc::new(Future::new(begin, self.times.last_field, &self.dynamics))
+            Future::new(begin, self.times.last_field, &self.dynamics)
         });
-        future.clone().at(t, &self.dynamics)
+        future.at(t, &self.dynamics)
     }
 
     fn forget(&mut self) {
@@ -406,17 +418,5 @@ impl<F: Field, D: Dynamics> Transported<F, D> {
     /// The time from which the dynamics rule alone.
     fn first_ahead(&self) -> f64 {
         if self.config.field { self.times.last_field } else { 0.0 }
-    }
-
-    /// Velocities of the splats drawn at a time, world units per unit of normalised time, with the splats.
-    fn velocities(&self, t: f64) -> (Splats, Vec<gs_physics::Motion<f32>>, Vec<Vec3>) {
-        let splats = self.transported(self.drawing_span(t));
-        let motions = self.motions_at(&splats, t);
-        let o = self.dynamics.origin();
-        let along = |(m, x): (&gs_physics::Motion<f32>, &Vec3)| {
-            Vec3::from_array(m.twist.v) + Vec3::from_array(m.twist.w).cross(*x - o)
-        };
-        let velocities = motions.iter().zip(&splats.means).map(along).collect();
-        (splats, motions, velocities)
     }
 }

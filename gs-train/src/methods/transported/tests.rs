@@ -2,6 +2,7 @@ use super::*;
 use crate::data::PointCloud;
 use crate::methods::scene::CloudConfig;
 use crate::methods::{MethodEntry, section};
+use glam::Vec3;
 use gs_core::Camera;
 use gs_deform::{DefGsConfig, DefMlp};
 use gs_physics::{Motion, Twist};
@@ -60,7 +61,7 @@ impl Dynamics for OneTwist {
 }
 
 const CONFIG: PhysicsConfig =
-    PhysicsConfig { step_frames: 2.0, back_frames: 3.0, start: 0.0, inside: Inside::Field, field: true };
+    PhysicsConfig { step_frames: 2.0, reach: 1, back_frames: 3.0, start: 0.0, inside: Inside::Field, field: true };
 
 /// Twelve points, frames a twentieth apart, the last at 0.75: Δt = 0.1, T_def = 0.6.
 fn method(config: PhysicsConfig, zero_init: bool) -> Transported<DefMlp, OneTwist> {
@@ -114,6 +115,24 @@ fn training_reads_the_field_on_either_side_and_never_past_its_end() {
     assert!(late.training_span(0.29).from == 0.29 && late.training_span(0.31).from >= 0.3 - 1e-7);
     let bare = method(PhysicsConfig { field: false, ..CONFIG }, true);
     assert_eq!(bare.training_span(0.3), Span { from: 0.0, to: 0.3 });
+}
+
+#[test]
+fn the_reach_opens_over_half_of_the_stage() {
+    let mut m = method(PhysicsConfig { reach: 3, ..CONFIG }, true);
+    // The stage has steps 121 to 1000.
+    let mut lengths = |steps: std::ops::Range<u32>| {
+        let mut lengths = [0; 4];
+        for step in steps {
+            m.set_step(step);
+            let Span { from, to } = m.training_span(0.3);
+            lengths[(f64::abs(from - to) / 0.1).round() as usize] += 1;
+        }
+        lengths
+    };
+    assert_eq!(lengths(121..141)[2..], [0, 0]);
+    let whole = lengths(600..900);
+    assert!(whole[0] == 0 && whole[1..].iter().all(|n| *n > 60), "{whole:?}");
 }
 
 #[test]
