@@ -110,10 +110,11 @@ fn width(descr: &str) -> Option<u64> {
 
 /// A whole number, little-endian, of at most 8 bytes.
 fn whole(descr: &str, bytes: &[u8]) -> f64 {
-    let negative = descr.as_bytes()[1] == b'i' && bytes.last().is_some_and(|b| b & 0x80 != 0);
+    let signed = descr.contains('i');
+    let negative = signed && bytes.last().is_some_and(|b| b & 0x80 != 0);
     let mut wide = [if negative { 0xff } else { 0 }; 8];
-    wide[..bytes.len()].copy_from_slice(bytes);
-    if descr.as_bytes()[1] == b'i' { i64::from_le_bytes(wide) as f64 } else { u64::from_le_bytes(wide) as f64 }
+    wide.iter_mut().zip(bytes).for_each(|(w, b)| *w = *b);
+    if signed { i64::from_le_bytes(wide) as f64 } else { u64::from_le_bytes(wide) as f64 }
 }
 
 /// The header text and the offset of the data.
