@@ -4,6 +4,7 @@
 //! opacity and cross-section. Their weighted centre is followed to the other moments, so a method is not told where the
 //! body is after the boundary. The offset of the centre at that moment is part of the error.
 
+use crate::data::{Dataset, Split};
 use crate::methods::Method;
 use crate::moment::Moment;
 use glam::{DMat3, DVec3};
@@ -47,34 +48,60 @@ pub enum TrackError {
         /// The moment, normalised.
         t: f32,
     },
+    /// The track has more frames than the data have moments.
+    #[error(
+        "frame {frame} of the track lies beyond the {moments} moments of the data; the first line is the first moment"
+    )]
+    Beyond {
+        /// Frame met.
+        frame: f64,
+        /// Different times of all views.
+        moments: usize,
+    },
     /// The track has no place at or before the last training time.
     #[error("the track has no place at or before the last training time {0}")]
     NoStart(f32),
 }
 
 impl Track {
-    /// Reads lines `frame,x,y,z` (`#` begins a comment); frame `f` is at `time(f)`.
+    /// Reads lines `frame,x,y,z` (`#` begins a comment). The smallest frame is the first moment of the data, and frames
+    /// count on from there.
     ///
     /// # Errors
-    /// If the file cannot be read or a line is not four finite numbers.
-    pub fn read(path: &Path, time: impl Fn(f64) -> Time) -> Result<Self, TrackError> {
-        let name = path.display().to_string();
-        let text =
-            std::fs::read_to_string(path).map_err(|e| TrackError::Read { path: name.clone(), why: e.to_string() })?;
-        let mut places = Vec::new();
-        for (i, line) in text.lines().enumerate() {
-            if line.trim().is_empty() || line.trim_start().starts_with('#') {
-                continue;
-            }
-            let numbers: Vec<f64> = line.split(',').filter_map(|n| n.trim().parse().ok()).collect();
-            match numbers[..] {
-                [f, x, y, z] if numbers.iter().all(|n| n.is_finite()) => places.push((time(f), DVec3::new(x, y, z))),
-                _ => return Err(TrackError::Line { path: name, line: i + 1, text: line.chars().take(60).collect() }),
-            }
-        }
+    /// If the file cannot be read, a line is not four finite numbers, or there are more frames than moments.
+    pub fn read(path: &Path, dataset: &Dataset) -> Result<Self, TrackError> {
+        let mut moments: Vec<Time> = Split::ALL.iter().flat_map(|s| dataset.views(*s)).map(|v| v.time).collect();
+        moments.sort_by(|a, b| a.normalised.total_cmp(&b.normalised));
+        moments.dedup_by_key(|t| t.normalised);
+        let lines = lines(path)?;
+        let first = lines.iter().map(|l| l.0).fold(f64::INFINITY, f64::min);
+        let place = |(frame, x): (f64, DVec3)| {
+            let time = moments.get((frame - first).round() as usize);
+            time.map(|t| (*t, x)).ok_or(TrackError::Beyond { frame, moments: moments.len() })
+        };
+        let mut places = lines.into_iter().map(place).collect::<Result<Vec<_>, _>>()?;
         places.sort_by(|a, b| a.0.normalised.total_cmp(&b.0.normalised));
         Ok(Self { places })
     }
+}
+
+/// Frame and place of every line.
+fn lines(path: &Path) -> Result<Vec<(f64, DVec3)>, TrackError> {
+    let name = path.display().to_string();
+    let text =
+        std::fs::read_to_string(path).map_err(|e| TrackError::Read { path: name.clone(), why: e.to_string() })?;
+    let mut all = Vec::new();
+    for (i, line) in text.lines().enumerate() {
+        if line.trim().is_empty() || line.trim_start().starts_with('#') {
+            continue;
+        }
+        let numbers: Vec<f64> = line.split(',').filter_map(|n| n.trim().parse().ok()).collect();
+        match numbers[..] {
+            [f, x, y, z] if numbers.iter().all(|n| n.is_finite()) => all.push((f, DVec3::new(x, y, z))),
+            _ => return Err(TrackError::Line { path: name, line: i + 1, text: line.chars().take(60).collect() }),
+        }
+    }
+    Ok(all)
 }
 
 /// A method's place of the body at one moment.
@@ -105,6 +132,24 @@ pub struct TrackReport {
     pub acceleration: Option<[f64; 3]>,
     /// The same of the measured places of these moments.
     pub measured_acceleration: Option<[f64; 3]>,
+}
+
+impl TrackReport {
+    /// The moments after the last training time as a table, then the accelerations.
+    pub fn text(&self) -> String {
+        let mut text = format!("a body of {} splats against its measured track\n", self.splats);
+        text.push_str(&format!("{:>8}  {:>6}  {:>10}  {:>17}\n", "time", "ahead", "error", "constant velocity"));
+        for m in self.moments.iter().filter(|m| m.ahead >= 0) {
+            let line = format!("{:>8.4}  {:>6}  {:>10.4}  {:>17.4}\n", m.t, m.ahead, m.error, m.constant_velocity);
+            text.push_str(&line);
+        }
+        for (name, a) in [("forecast", self.acceleration), ("measured", self.measured_acceleration)] {
+            if let Some([x, y, z]) = a {
+                text.push_str(&format!("acceleration, {name}: {x:.2} {y:.2} {z:.2} units/s²\n"));
+            }
+        }
+        text
+    }
 }
 
 /// Follows the body of a track through a method; `last_time` is the last training time.
@@ -204,6 +249,7 @@ fn acceleration(places: &[(f64, DVec3)]) -> Option<DVec3> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::synth::{self, SynthOptions};
 
     #[test]
     fn the_acceleration_of_a_parabola_is_found() {
@@ -220,14 +266,15 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("track.csv");
         std::fs::write(&path, "# frame,x,y,z\n41,1,2,3\n40, 0.5,0,-1e-1\n\n").unwrap();
-        let time = |f: f64| Time::with_seconds((f - 40.0) as f32 / 10.0, f / 30.0).unwrap();
-        let track = Track::read(&path, time).unwrap();
+        let options = SynthOptions { size: 8, train_views: 3, val_views: 0, test_views: 0, ..SynthOptions::default() };
+        let data = synth::generate("balls", &options).unwrap().dataset;
+        let track = Track::read(&path, &data).unwrap();
         assert_eq!(track.places[0].1, DVec3::new(0.5, 0.0, -0.1));
-        assert_eq!(track.places[1].0, time(41.0));
-        std::fs::write(&path, "40,1,2\n").unwrap();
-        assert!(Track::read(&path, time).unwrap_err().to_string().contains("line 1"));
-        std::fs::write(&path, "40,1,2,nan\n").unwrap();
-        assert!(Track::read(&path, time).is_err());
-        assert!(Track::read(&dir.path().join("none"), time).is_err());
+        assert_eq!((track.places[0].0, track.places[1].0), (data.train[0].time, data.train[1].time));
+        for (text, fault) in [("40,1,2\n", "line 1"), ("40,1,2,nan\n", "line 1"), ("1,0,0,0\n9,0,0,0", "3 moments")] {
+            std::fs::write(&path, text).unwrap();
+            assert!(Track::read(&path, &data).unwrap_err().to_string().contains(fault), "{text}");
+        }
+        assert!(Track::read(&dir.path().join("none"), &data).is_err());
     }
 }

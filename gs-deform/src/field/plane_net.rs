@@ -124,7 +124,8 @@ impl PlaneNet {
         let hexplane = HexPlane::new(&format!("{name}.planes"), &config.hexplane, aabb, seed)?;
         let mut widths = vec![config.width; config.depth.max(1) + 1];
         widths[0] = hexplane.width();
-        let trunk = Mlp::new(&format!("{name}.trunk"), &widths, Init::Xavier, Init::Xavier, seed).with_last_activation();
+        let trunk =
+            Mlp::new(&format!("{name}.trunk"), &widths, Init::Xavier, Init::Xavier, seed).with_last_activation();
         let last = if config.zero_init { Init::Zero } else { Init::Xavier };
         Ok(Self { hexplane, trunk, heads: Heads::new(name, [config.width; 2], heads, last, seed) })
     }

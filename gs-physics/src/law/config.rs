@@ -69,6 +69,9 @@ pub struct LawConfig {
     /// Factor on the outputs that say how particles turn, beside the gain (the authors': 1). A turn about a far origin moves
     /// a particle as a velocity does; below 1 what moves straight is learnt as such, and turns where only they explain it.
     pub spin_gain: f32,
+    /// Weight of a penalty on turning, half the mean of `|w|²` over the particles of a call (the authors': 0). What a moving
+    /// scene cannot tell apart, a turn or a velocity that changes from place to place, is then learnt as the latter.
+    pub spin_weight: f32,
     /// Factor on the start of the outputs that give velocities. Accelerations always start as the other layers do: a
     /// signed square has no gradient at 0.
     pub head_start: f32,
@@ -94,6 +97,7 @@ impl Default for LawConfig {
             local_origin: true,
             gain: 1.0,
             spin_gain: 1.0,
+            spin_weight: 0.0,
             head_start: 0.1,
             accel_clamp: 1.0,
             literal: false,
@@ -118,6 +122,8 @@ impl LawConfig {
         for (name, factor) in factors {
             check(name, factor, factor.is_finite() && factor > 0.0, "above 0 and finite")?;
         }
+        let weight = self.spin_weight;
+        check("spin_weight", weight, weight.is_finite() && weight >= 0.0, "0 or more, finite")?;
         let clamp = self.accel_clamp;
         check("accel_clamp", clamp, clamp.is_finite() && clamp >= 0.0, "0 or more, finite")
     }

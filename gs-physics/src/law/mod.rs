@@ -175,6 +175,15 @@ impl Law {
         });
     }
 
+    /// Adds the gradient of the penalty on turning.
+    fn shrink_turns(&self, tape: &mut LawTape) {
+        let weight = self.config.spin_weight / tape.motions.len().max(1) as f32;
+        if weight > 0.0 {
+            let rows = tape.d_motions.iter_mut().zip(&tape.motions);
+            rows.for_each(|(d, m)| (0..3).for_each(|k| d.twist.w[k] += weight * m.twist.w[k]));
+        }
+    }
+
     /// From cotangents of outputs to the weights.
     fn learn(&mut self, tape: &mut LawTape) {
         let LawTape { blocks, chunks, time, .. } = tape;
@@ -222,6 +231,7 @@ impl Dynamics for Law {
             tape.d_motions.clear();
             tape.d_motions.resize(x.len(), Motion::default());
             self.rollout.adjoint(&tape.motions, &tape.roll, d, &mut tape.d_motions);
+            self.shrink_turns(tape);
         }
         self.fill_cotangents(x, tape, d);
         self.learn(tape);

@@ -134,6 +134,11 @@ pub enum Split {
     Extrapolate,
 }
 
+impl Split {
+    /// Every list of views.
+    pub const ALL: [Self; 4] = [Self::Train, Self::Val, Self::Test, Self::Extrapolate];
+}
+
 /// Coloured points.
 #[derive(Clone, Debug, PartialEq, Default)]
 pub struct PointCloud {

@@ -98,8 +98,9 @@ fn check_blocks(name: &str, method: &mut dyn Method, loss: &mut dyn FnMut(&dyn M
     for (block, grad) in &blocks {
         let norm = grad.iter().map(|g| f64::from(*g).powi(2)).sum::<f64>().sqrt();
         // These fields are read at detached centres: their gradient leaves that path out on purpose. A mask of motion has
-        // the gradient of the logistic function.
-        let detached = ["defgs", "grid4d", "fags", "drk"].contains(&name) && block == "cloud.means";
+        // the gradient of the logistic function. Dynamics rest at this moment (their gradients have tests of their own).
+        let detached = ["defgs", "grid4d", "fags", "drk", "trace", "trace-4dgs", "defgs-nvfi"].contains(&name);
+        let detached = detached && block == "cloud.means";
         let detached =
             detached || name == "modec" && ["anchors.positions", "anchors.dynamics"].contains(&block.as_str());
         if norm < 1e-6 * total || detached {

@@ -4,14 +4,17 @@ use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use crate::progress::Progress;
 use crate::{Global, parse};
+use gs_core::Camera;
 use gs_core::io::images::save_png;
 use gs_core::io::{Limits, cameras::load_cameras, write_file};
 use gs_train::data::Dataset;
 use gs_train::forecast::physics::Steps;
 use gs_train::forecast::{CameraPath, Clock, MomentScores, Physics, Spacing, Truth, draw, times};
+use gs_train::methods::Method;
 use gs_train::report::{Still, forecast::page};
 use gs_train::run::OpenRun;
 use gs_train::run::picture::Painter;
+use gs_train::track::{Track, TrackError, TrackReport, follow};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -46,6 +49,12 @@ pub struct ForecastVerb {
     /// render, followed one by one [default: the first view of the future, else of the test views].
     #[arg(long, value_name = "FILE|view:NAME|orbit")]
     camera: Option<String>,
+    /// Measured places of a body, lines frame,x,y,z from the first moment of the data on: how far the forecast is off.
+    #[arg(long, value_name = "FILE")]
+    track: Option<PathBuf>,
+    /// Splats this near the track at the last training time are the body, world units.
+    #[arg(long, value_name = "R", default_value_t = 0.15, requires = "track", value_parser = parse::not_negative)]
+    track_radius: f64,
     /// Do not score the views of the future.
     #[arg(long)]
     no_scores: bool,
@@ -96,7 +105,16 @@ impl ForecastVerb {
         let steps = Steps::of(&run.loaded.config, run.loaded.scene.frame_interval);
         let physics = particles.map(|p| Physics::of(&p, clock, steps));
         let moments = truth.as_ref().map(|t| t.moments(last));
-        let told = Told { last, clock, frames: &frames, truth: truth.as_ref(), moments: moments.as_deref(), physics };
+        let followed = self.follow(method, &path.at(0, 1), &dataset, run.loaded.scene.last_time)?;
+        let told = Told {
+            last,
+            clock,
+            frames: &frames,
+            truth: truth.as_ref(),
+            moments: moments.as_deref(),
+            physics,
+            followed,
+        };
         let json = told.json(&self.run);
         write_file(&self.out.join(FILE), true, |out| writeln!(out, "{json:#}"))?;
         let html = page(&title(&self.run), told.moments.unwrap_or_default(), &strip, told.physics.as_ref());
@@ -130,6 +148,19 @@ impl ForecastVerb {
             (None, None) if interval > 0.0 => Spacing::Interval(interval),
             (None, None) => Spacing::Count(1),
         }
+    }
+
+    fn follow(
+        &self,
+        method: &dyn Method,
+        camera: &Camera,
+        dataset: &Dataset,
+        last: f32,
+    ) -> Result<Option<TrackReport>, Failure> {
+        let wrong = |e: TrackError| Failure::new(Class::Data, "data.track", e.to_string());
+        let Some(file) = &self.track else { return Ok(None) };
+        let track = Track::read(file, dataset).map_err(wrong)?;
+        follow(method, camera, &track, last, self.track_radius).map(Some).map_err(wrong)
     }
 
     fn truth(&self, run: &OpenRun, dataset: &Dataset) -> Result<Option<Truth>, Failure> {
@@ -179,6 +210,7 @@ struct Told<'a> {
     truth: Option<&'a Truth>,
     moments: Option<&'a [MomentScores]>,
     physics: Option<Physics>,
+    followed: Option<TrackReport>,
 }
 
 impl Told<'_> {
@@ -212,6 +244,7 @@ impl Told<'_> {
                 "views": t.report.views.len(), "mean": t.report.mean, "moments": self.moments, "protocol": t.report.protocol,
             })),
             "physics": self.physics,
+            "track": self.followed,
         })
     }
 
@@ -226,6 +259,9 @@ impl Told<'_> {
         );
         if let (Some(truth), Some(moments)) = (self.truth, self.moments) {
             text.push_str(&scores_table(truth, moments));
+        }
+        if let Some(followed) = &self.followed {
+            text.push_str(&followed.text());
         }
         if let Some(physics) = &self.physics {
             text.push_str(&physics_table(physics));

@@ -21,7 +21,22 @@ fn wrong_use_exits_with_two() {
 fn methods_and_settings_are_listed() {
     let methods = good(&["methods", "--json"]).json();
     let names: Vec<&str> = methods.as_array().unwrap().iter().map(|m| m["name"].as_str().unwrap()).collect();
-    assert_eq!(names, ["static3d", "scaffold", "defgs", "fourdgs", "grid4d", "fags", "drk", "modec"]);
+    assert_eq!(
+        names,
+        [
+            "static3d",
+            "scaffold",
+            "defgs",
+            "fourdgs",
+            "grid4d",
+            "fags",
+            "drk",
+            "modec",
+            "trace",
+            "trace-4dgs",
+            "defgs-nvfi"
+        ]
+    );
     for name in names {
         let toml = good(&["config", name]).out;
         assert!(toml.contains("[schedule") && toml.contains("# default"), "{toml}");

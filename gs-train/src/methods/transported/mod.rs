@@ -32,6 +32,9 @@ mod tests;
 
 use future::Future;
 
+/// Farthest that dynamics carry splats, in steps Δt: at moments beyond, the scene stands as it is there.
+const FARTHEST: f64 = 4096.0;
+
 /// When physics acts.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -190,6 +193,7 @@ impl<F: Field, D: Dynamics> Transported<F, D> {
     /// From where to where the dynamics act in drawing.
     fn drawing_span(&self, t: f64) -> Span {
         let Times { step, last_field, start, .. } = self.times;
+        let t = t.clamp(-FARTHEST * step, last_field + FARTHEST * step);
         match self.config.inside {
             _ if !self.config.field => Span { from: 0.0, to: t },
             _ if t > last_field => Span { from: last_field, to: t },
