@@ -5,6 +5,7 @@ mod frequency;
 mod journal;
 mod learning;
 mod methods;
+mod physics;
 mod resume;
 mod scores;
 mod support;
