@@ -6,6 +6,7 @@
 mod field;
 mod image;
 mod optimiser;
+mod physics;
 mod raster;
 
 use gs_core::speed::{SpeedError, median_seconds};
@@ -25,6 +26,7 @@ pub const GROUPS: &[Group] = &[
     Group { name: "gs-raster", measure: raster::rows },
     Group { name: "gs-metrics", measure: image::rows },
     Group { name: "gs-deform", measure: field::rows },
+    Group { name: "gs-physics", measure: physics::rows },
     Group { name: "gs-train", measure: optimiser::rows },
 ];
 
