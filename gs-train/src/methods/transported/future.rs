@@ -1,7 +1,7 @@
 //! What is known of the time after the last one the field is read at: field and law are read once, and whole steps on
 //! the way are kept, so that a later frame costs a step or two.
 
-use super::carry;
+use super::carry_drawn;
 use gs_core::Splats;
 use gs_physics::{Dynamics, Extrapolator, Moves};
 
@@ -34,7 +34,7 @@ impl Future {
             None => dynamics.transport(&self.begin.means, self.from, t, &mut D::Tape::default(), &mut moves),
         }
         let mut splats = self.begin.clone();
-        carry(&mut splats, &moves);
+        carry_drawn(&mut splats, &mut moves);
         splats
     }
 }

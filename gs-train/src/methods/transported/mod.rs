@@ -226,7 +226,7 @@ impl<F: Field, D: Dynamics> Transported<F, D> {
         if span.from != span.to {
             let (mut tape, mut moves) = Default::default();
             self.dynamics.transport(&moved.means, span.from, span.to, &mut tape, &mut moves);
-            carry(&mut moved, &moves);
+            carry_drawn(&mut moved, &mut moves);
         }
         moved
     }
@@ -285,6 +285,16 @@ fn carry(splats: &mut Splats, moves: &Moves) {
     for (q, turn) in splats.quats.iter_mut().zip(&moves.turns) {
         *q = rot::hamilton(*turn, *q);
     }
+}
+
+/// The same for drawing: what a velocity field has carried beyond all numbers stays where it was.
+fn carry_drawn(splats: &mut Splats, moves: &mut Moves) {
+    for ((to, turn), from) in moves.means.iter_mut().zip(&mut moves.turns).zip(&splats.means) {
+        if !(to.is_finite() && turn.iter().all(|v| v.is_finite())) {
+            (*to, *turn) = (*from, [1.0, 0.0, 0.0, 0.0]);
+        }
+    }
+    carry(splats, moves);
 }
 
 /// The cotangents of what was carried (`d_drawn`), for the dynamics (`d_moves`) and for the splats before (`d_moved`, whose
