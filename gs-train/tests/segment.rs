@@ -8,6 +8,7 @@ use gs_train::data::{ImageCache, View};
 use gs_train::density::Adapted;
 use gs_train::methods::{Column, ColumnMut, Method, MethodEntry, Particles};
 use gs_train::moment::Moment;
+use gs_train::run::needs::neutral_camera;
 use gs_train::run::picture::moment;
 use gs_train::schedule::Schedule;
 use gs_train::segment::*;
@@ -107,7 +108,7 @@ impl Method for Cast {
         }
     }
 
-    fn particles(&self, camera: &Camera) -> Option<Particles> {
+    fn particles(&self) -> Option<Particles> {
         let noise = self.noise?;
         let motion = |(i, (body, _)): (usize, &(usize, DVec3))| {
             let mut m = self.data.truth.twist_of(*body, AT, ORIGIN).unwrap().narrowed();
@@ -115,7 +116,7 @@ impl Method for Cast {
             m.twist.v.iter_mut().chain(&mut m.twist.w).for_each(|x| *x += noise * x.abs().max(0.2) * rng.normal());
             m
         };
-        let splats = self.splats(&moment(AT as f32), camera);
+        let splats = self.splats(&moment(AT as f32), &neutral_camera());
         let motions = self.points.iter().enumerate().map(motion).collect();
         Some(Particles { at: AT, splats, motions, origin: ORIGIN.as_vec3() })
     }

@@ -178,7 +178,7 @@ pub trait Method: Params + Send + Sync {
     }
 
     /// The splats as particles whose motion the method has learnt, where it learns such a thing.
-    fn particles(&self, _camera: &Camera) -> Option<Particles> {
+    fn particles(&self) -> Option<Particles> {
         None
     }
 

@@ -98,7 +98,7 @@ pub struct Labels {
 pub fn segment(method: &dyn Method, options: &Options) -> Result<Labels, SegmentError> {
     let camera = neutral_camera();
     let none = || SegmentError::NoPaths(method.name().to_owned());
-    let learnt = method.particles(&camera);
+    let learnt = method.particles();
     let at = options.at.unwrap_or_else(|| learnt.as_ref().map_or(options.observed, |p| p.at as f32));
     let steps = options.moments.max(2);
     let times: Vec<f32> = (0..steps).map(|k| at * k as f32 / (steps - 1) as f32).collect();

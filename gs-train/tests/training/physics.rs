@@ -41,8 +41,7 @@ fn a_thrown_ball_is_forecast_and_a_field_alone_cannot() {
     let alone = score(&field, &data, Split::Extrapolate);
     println!("trace {inside:.2} dB inside, {beyond:.2} beyond; defgs {alone:.2} beyond");
     assert!(beyond > alone + 2.0, "{beyond} against {alone}");
-    let camera = &data.train[0].camera;
-    let particles = trace.method().particles(camera).expect("a law");
+    let particles = trace.method().particles().expect("a law");
     let report = check(&particles, &scene.truth, &PhysicsOptions::of(&particles, &scene.truth));
     println!("{}", report.to_text());
 }

@@ -101,7 +101,7 @@ impl ForecastVerb {
             progress.at(k as u64 + 1, || format!("t = {t:.3}"));
         }
         progress.finish();
-        let particles = method.particles(&path.at(0, 1));
+        let particles = method.particles();
         let steps = Steps::of(&run.loaded.config, run.loaded.scene.frame_interval);
         let physics = particles.map(|p| Physics::of(&p, clock, steps));
         let moments = truth.as_ref().map(|t| t.moments(last));

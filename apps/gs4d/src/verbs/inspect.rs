@@ -150,7 +150,7 @@ fn economy(run: &OpenRun) -> Option<Economy> {
 /// Motions against the truth, where the method has learnt them and the run's data are a generated scene whose times are those
 /// of the run.
 fn physics(run: &OpenRun) -> Option<PhysicsReport> {
-    let particles = run.loaded.method.particles(&neutral_camera())?;
+    let particles = run.loaded.method.particles()?;
     let truth = synth::truth_of(Path::new(&run.resolved.run.data))?;
     let dataset = run.resolved.open_data().ok()?;
     let same_clock = dataset.train.iter().all(|v| (f64::from(v.time.normalised) - v.time.seconds).abs() < 1e-6);

@@ -89,8 +89,6 @@ impl PhysicsConfig {
 struct Times {
     /// Δt.
     step: f64,
-    /// `T_def − T_obs`, not positive.
-    back: f64,
     /// Last time the field is read at.
     last_field: f64,
     /// Before this only the field moves splats.
@@ -100,9 +98,9 @@ struct Times {
 impl Times {
     fn new(config: &PhysicsConfig, scene: &SceneInfo) -> Self {
         let step = config.step(scene);
-        let back = -step.max(f64::from(config.back_frames) * step / f64::from(config.step_frames));
+        let back = step.max(f64::from(config.back_frames) * step / f64::from(config.step_frames));
         let last = f64::from(scene.last_time);
-        Self { step, back, last_field: (last + back).max(0.0), start: f64::from(config.start) * last }
+        Self { step, last_field: (last - back).max(0.0), start: f64::from(config.start) * last }
     }
 }
 
@@ -397,7 +395,7 @@ where
         self.canonical.adapt(step)
     }
 
-    fn particles(&self, _camera: &Camera) -> Option<Particles> {
+    fn particles(&self) -> Option<Particles> {
         let splats = self.deformed(&self.canonical.activated(), self.first_ahead());
         let motions = self.dynamics.motions(&splats.means, self.first_ahead());
         Some(Particles { at: self.first_ahead(), splats, motions, origin: self.dynamics.origin() })
