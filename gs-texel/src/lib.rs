@@ -1,0 +1,17 @@
+//! People from few cameras: a skinned template, its pose, the texels of its surface, which camera sees which texel, and
+//! what the cameras say about it.
+//!
+//! ```text
+//! template ──pose──▶ posed mesh ──unproject──▶ texture ──GeoNet──▶ offsets ──pose──▶ deformed mesh ──unproject──▶ texture
+//!                                                                                            ──GauNet──▶ texel Gaussians
+//! ```
+//! (DUT: "Real-time Free-view Human Rendering from Sparse-view RGB Videos using Double Unprojected Textures".)
+//!
+//! # Conventions
+//! Cameras, quaternions, pixels and images are those of [`gs_core`]. Lengths are metres where the asset's are. A texture
+//! coordinate is `(u, v)` in `[0, 1]²` with row 0 of the texture at `v = 0`, `v` downwards (glTF's; OBJ's is turned when
+//! read); texel `(x, y)` of an `S × S` map has its centre at `((x + ½)/S, (y + ½)/S)`.
+
+pub mod template;
+
+pub use template::{Material, Morph, SkinWeights, Template};
