@@ -12,6 +12,12 @@
 //! coordinate is `(u, v)` in `[0, 1]²` with row 0 of the texture at `v = 0`, `v` downwards (glTF's; OBJ's is turned when
 //! read); texel `(x, y)` of an `S × S` map has its centre at `((x + ½)/S, (y + ½)/S)`.
 
+pub mod clip;
+pub mod skeleton;
+pub mod skin;
 pub mod template;
 
-pub use template::{Material, Morph, SkinWeights, Template};
+pub use clip::Clip;
+pub use skeleton::{Joint, Node, Pose, Skeleton, Trs};
+pub use skin::Skinning;
+pub use template::{Material, Morph, SkinWeights, Template, Wrap};
