@@ -13,6 +13,7 @@
 //! read); texel `(x, y)` of an `S × S` map has its centre at `((x + ½)/S, (y + ½)/S)`.
 
 pub mod clip;
+pub mod scale_refine;
 pub mod skeleton;
 pub mod skin;
 pub mod template;
