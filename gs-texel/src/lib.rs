@@ -12,11 +12,18 @@
 //! coordinate is `(u, v)` in `[0, 1]²` with row 0 of the texture at `v = 0`, `v` downwards (glTF's; OBJ's is turned when
 //! read); texel `(x, y)` of an `S × S` map has its centre at `((x + ½)/S, (y + ½)/S)`.
 
+pub mod bvh;
 pub mod clip;
+mod coverage;
 pub mod scale_refine;
 pub mod skeleton;
 pub mod skin;
+pub mod surface;
 pub mod template;
+pub mod texels;
+pub mod unproject;
+pub mod visibility;
+pub mod zbuffer;
 
 pub use clip::Clip;
 pub use skeleton::{Joint, Node, Pose, Skeleton, Trs};

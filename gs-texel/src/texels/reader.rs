@@ -1,0 +1,195 @@
+//! Maps read at texture coordinates, and the way back: a fixed sparse matrix, since coordinates never move.
+
+use super::TexelTable;
+use crate::surface::{CHUNK, NONE, Rows};
+use glam::Vec2;
+use gs_core::Image;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+/// What a vertex on a seam reads, which has a coordinate in each of several charts.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SeamRead {
+    /// The mean over its coordinates.
+    #[default]
+    Mean,
+    /// The first met when faces are walked in order (the authors' code).
+    First,
+}
+
+/// Bilinear reads at fixed places: `out_i = Σ w_it map_t`.
+///
+/// A texel counts only if it is valid or in the gutter, and the weights of those that count sum to 1; a place without any
+/// reads the nearest valid texel.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct MapReader {
+    size: usize,
+    /// Row `i` is `begins[i]..begins[i + 1]`.
+    begins: Vec<u32>,
+    texels: Vec<u32>,
+    weights: Vec<f32>,
+}
+
+impl MapReader {
+    /// Reads at texture coordinates, one row each.
+    pub fn at_uvs(table: &TexelTable, uvs: &[Vec2]) -> Self {
+        let taps: Vec<_> = uvs.par_iter().with_min_len(CHUNK).map(|&uv| vec![(uv, 1.0)]).collect();
+        Self::new(table, &taps)
+    }
+
+    /// Reads at the vertices of a mesh, one row each; a vertex of no face reads 0. `faces` and `face_uvs` are the
+    /// table's.
+    pub fn at_vertices(
+        table: &TexelTable,
+        vertices: usize,
+        faces: &[[u32; 3]],
+        uvs: &[Vec2],
+        face_uvs: &[[u32; 3]],
+        seams: SeamRead,
+    ) -> Self {
+        let pairs = faces.iter().flatten().copied().zip(face_uvs.iter().flatten().copied());
+        let of_vertex = Rows::from_pairs(vertices, pairs);
+        let places = |v: usize| {
+            let mut met: Vec<Vec2> = Vec::new();
+            for &k in of_vertex.row(v) {
+                let uv = uvs[k as usize];
+                let full = !met.is_empty() && seams == SeamRead::First;
+                if !full && !met.contains(&uv) {
+                    met.push(uv);
+                }
+            }
+            let share = 1.0 / met.len().max(1) as f64;
+            met.into_iter().map(|uv| (uv, share)).collect()
+        };
+        Self::new(table, &(0..vertices).map(places).collect::<Vec<_>>())
+    }
+
+    fn new(table: &TexelTable, places: &[Vec<(Vec2, f64)>]) -> Self {
+        let mut counts: Vec<bool> = table.row.iter().map(|&r| r != NONE).collect();
+        table.gutter.iter().for_each(|g| counts[g[0] as usize] = true);
+        let taps = |places: &Vec<(Vec2, f64)>| {
+            let mut row: Vec<(u32, f64)> = places
+                .iter()
+                .flat_map(|&(uv, w)| taps(table, &counts, uv).into_iter().map(move |t| (t.0, w * t.1)))
+                .collect();
+            row.sort_unstable_by_key(|t| t.0);
+            row.dedup_by(|b, a| {
+                a.0 == b.0 && {
+                    a.1 += b.1;
+                    true
+                }
+            });
+            row
+        };
+        let rows: Vec<Vec<(u32, f64)>> = places.par_iter().with_min_len(CHUNK).map(taps).collect();
+        let mut out = Self { size: table.size, begins: vec![0], ..Self::default() };
+        for row in rows {
+            out.texels.extend(row.iter().map(|t| t.0));
+            out.weights.extend(row.iter().map(|t| t.1 as f32));
+            out.begins.push(out.texels.len() as u32);
+        }
+        out
+    }
+
+    /// Rows read.
+    pub fn len(&self) -> usize {
+        self.begins.len().saturating_sub(1)
+    }
+
+    /// Whether nothing is read.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// The map at every place: `len · C` values.
+    ///
+    /// # Panics
+    /// If the map has not the side of the table.
+    pub fn read(&self, map: &Image) -> Vec<f32> {
+        assert_eq!((map.width, map.height), (self.size, self.size), "a map of the table's size is read");
+        let c = map.channels;
+        let mut out = vec![0.0; self.len() * c];
+        out.par_chunks_mut(c).with_min_len(CHUNK).enumerate().for_each(|(i, out)| {
+            for (texel, weight) in self.row(i) {
+                let at = &map.data[texel * c..(texel + 1) * c];
+                out.iter_mut().zip(at).for_each(|(o, m)| *o += weight * m);
+            }
+        });
+        out
+    }
+
+    /// The adjoint of [`MapReader::read`]: cotangents of the values read (`len · channels`) as cotangents of the map.
+    ///
+    /// # Panics
+    /// If the length is another.
+    pub fn adjoint(&self, d_read: &[f32], channels: usize) -> Image {
+        assert_eq!(d_read.len(), self.len() * channels, "a cotangent for every value read");
+        let mut map = Image::zeros(self.size, self.size, channels);
+        for (i, d) in d_read.chunks_exact(channels.max(1)).enumerate() {
+            for (texel, weight) in self.row(i) {
+                let at = &mut map.data[texel * channels..(texel + 1) * channels];
+                at.iter_mut().zip(d).for_each(|(m, d)| *m += weight * d);
+            }
+        }
+        map
+    }
+
+    fn row(&self, i: usize) -> impl Iterator<Item = (usize, f32)> + '_ {
+        let range = self.begins[i] as usize..self.begins[i + 1] as usize;
+        self.texels[range.clone()].iter().map(|&t| t as usize).zip(self.weights[range].iter().copied())
+    }
+}
+
+/// The texels one place reads and their weights, which sum to 1.
+fn taps(table: &TexelTable, counts: &[bool], uv: Vec2) -> Vec<(u32, f64)> {
+    let (size, last) = (table.size, table.size as i64 - 1);
+    let p = uv.as_dvec2() * size as f64 - 0.5;
+    let (floor, part) = (p.floor(), p - p.floor());
+    let mut out = Vec::with_capacity(4);
+    for (dy, wy) in [(0, 1.0 - part.y), (1, part.y)] {
+        for (dx, wx) in [(0, 1.0 - part.x), (1, part.x)] {
+            let x = (floor.x as i64 + dx).clamp(0, last) as usize;
+            let y = (floor.y as i64 + dy).clamp(0, last) as usize;
+            if wx * wy > 0.0 && counts[y * size + x] {
+                out.push(((y * size + x) as u32, wx * wy));
+            }
+        }
+    }
+    let total: f64 = out.iter().map(|t| t.1).sum();
+    // A share this small is a corner that only rounding touches.
+    if total < 1e-6 {
+        return nearest(table, p).map_or_else(Vec::new, |t| vec![(t, 1.0)]);
+    }
+    out.iter_mut().for_each(|t| t.1 /= total);
+    out
+}
+
+/// The valid texel nearest to a place in texels, searched in growing squares.
+fn nearest(table: &TexelTable, p: glam::DVec2) -> Option<u32> {
+    let size = table.size as i64;
+    let inside = p.clamp(glam::DVec2::ZERO, glam::DVec2::splat((size - 1) as f64));
+    let (cx, cy) = (inside.x.round() as i64, inside.y.round() as i64);
+    let mut best: Option<(f64, u32)> = None;
+    for r in 0..=size {
+        // Texels of square r are at least r − ½ away.
+        if best.is_some_and(|b| b.0.sqrt() < r as f64 - 0.5) {
+            break;
+        }
+        for y in (cy - r).max(0)..=(cy + r).min(size - 1) {
+            let edge = (y - cy).abs() == r;
+            let step = if edge || r == 0 { 1 } else { 2 * r };
+            let mut x = cx - r;
+            while x <= cx + r {
+                if (0..size).contains(&x) && table.row[(y * size + x) as usize] != NONE {
+                    let d = (inside - glam::DVec2::new(x as f64, y as f64)).length_squared();
+                    if best.is_none_or(|b| d < b.0) {
+                        best = Some((d, (y * size + x) as u32));
+                    }
+                }
+                x += step;
+            }
+        }
+    }
+    best.map(|b| b.1)
+}

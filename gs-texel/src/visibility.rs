@@ -1,0 +1,319 @@
+//! Which camera sees which texel.
+//!
+//! A texel must face the camera, project with its whole bilinear footprint into the frame, lie inside the mask, and be in
+//! front of everything else. How the last is decided is the [`Rule`]. The tests run in that order, cheapest first: on a
+//! closed body the first rejects about three quarters.
+//!
+//! A point that is truly visible but within a pixel of an occluding edge still reads the colour of the other surface
+//! there, so what counts is whether its **footprint** is visible: exact rays alone make a worse texture than a depth map
+//! whose four taps must all agree.
+
+use crate::bvh::Tracer;
+use crate::surface::{Mesh, NONE};
+use crate::unproject::{Compat, MaskUse, UnprojectConfig, View};
+use crate::zbuffer::{DepthMap, Screen, face_map};
+use glam::{Mat3, Vec3};
+use gs_core::Image;
+use serde::{Deserialize, Serialize};
+
+/// How occlusion is decided. `D` is the depth map of the mesh, `z` the depth of the texel, `ε` the tolerance.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Rule {
+    /// `|D(p) − z| < ε` with `D` read bilinearly (DUT, DVA).
+    Bilinear,
+    /// `|D_k − z| < ε` at all four taps of the footprint.
+    #[default]
+    FourTap,
+    /// A ray to the camera centre meets nothing: exact at the point, silent about its footprint.
+    Ray,
+    /// [`Rule::Ray`], and rays through the four taps meet a surface within `ε` of `z`: exact, and no depth map.
+    RayFootprint,
+    /// Its face owns at least one pixel (GHG). Wrong for faces that are partly hidden or smaller than a pixel.
+    FaceTag,
+    /// The surface at the nearest pixel lies within `ε` of the texel in space; colours are of that pixel (HoloChar).
+    PointDistance,
+}
+
+impl Rule {
+    /// Every rule, in the order of the documentation.
+    pub const ALL: [Self; 6] =
+        [Self::Bilinear, Self::FourTap, Self::Ray, Self::RayFootprint, Self::FaceTag, Self::PointDistance];
+
+    /// Its name in settings and tables.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Bilinear => "bilinear",
+            Self::FourTap => "four_tap",
+            Self::Ray => "ray",
+            Self::RayFootprint => "ray_footprint",
+            Self::FaceTag => "face_tag",
+            Self::PointDistance => "point_distance",
+        }
+    }
+
+    /// Whether a depth map is needed.
+    pub(crate) fn needs_depth(self) -> bool {
+        matches!(self, Self::Bilinear | Self::FourTap | Self::PointDistance)
+    }
+
+    /// Whether a tracer is needed.
+    pub(crate) fn needs_rays(self) -> bool {
+        matches!(self, Self::Ray | Self::RayFootprint)
+    }
+}
+
+/// Where a texel lands in an image.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Footprint {
+    /// First tap.
+    x: usize,
+    y: usize,
+    /// Shares of the second column and row.
+    wx: f32,
+    wy: f32,
+    /// Camera space.
+    q: Vec3,
+}
+
+impl Footprint {
+    #[inline(always)]
+    fn weights(&self) -> [f32; 4] {
+        let (ux, uy) = (1.0 - self.wx, 1.0 - self.wy);
+        [ux * uy, self.wx * uy, ux * self.wy, self.wx * self.wy]
+    }
+}
+
+/// What a view says about a texel.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Sighting {
+    pub color: [f32; 3],
+    /// Opacity of the mask at the footprint.
+    pub mask: f32,
+    /// Cosine between normal and direction to the camera.
+    pub cos: f32,
+}
+
+/// A view made ready for a mesh.
+pub(crate) struct Eye<'a> {
+    origin: Vec3,
+    rotation: Mat3,
+    focal: [f32; 2],
+    principal: [f32; 2],
+    image: &'a Image,
+    mask: Option<&'a Image>,
+    /// Whether enough of the mesh lies in front of it.
+    pub used: bool,
+    pub depth: Option<DepthMap>,
+    tags: Option<Vec<bool>>,
+}
+
+impl<'a> Eye<'a> {
+    pub fn new(view: &View<'a>) -> Self {
+        let c = view.camera;
+        Self {
+            origin: c.position().as_vec3(),
+            rotation: c.rotation.as_mat3(),
+            focal: [c.fx as f32, c.fy as f32],
+            principal: [c.cx as f32, c.cy as f32],
+            image: view.image,
+            mask: view.mask,
+            used: true,
+            depth: None,
+            tags: None,
+        }
+    }
+
+    /// Draws what the rule needs of a mesh. A view with more than half of the vertices behind it is not used.
+    pub fn look(&mut self, view: &View<'_>, mesh: &Mesh<'_>, config: &UnprojectConfig) {
+        let screen = Screen::new(mesh.vertices, mesh.faces, view.camera, config.near);
+        let behind = screen.corners.iter().filter(|c| c.camera.z <= config.near).count();
+        self.used = 2 * behind <= mesh.vertices.len();
+        if self.used && config.rule.needs_depth() {
+            let (width, height) = (self.image.width, self.image.height);
+            let mut map = DepthMap { width, height, depth: vec![f32::INFINITY; width * height] };
+            map.fill(&screen, map.frame());
+            self.depth = Some(map);
+        }
+        self.tag(view, mesh, config);
+    }
+
+    /// Marks the faces that own a pixel, where the rule asks for it.
+    pub fn tag(&mut self, view: &View<'_>, mesh: &Mesh<'_>, config: &UnprojectConfig) {
+        if self.used && config.rule == Rule::FaceTag {
+            let mut tags = vec![false; mesh.faces.len()];
+            let map = face_map(mesh.vertices, mesh.faces, view.camera, config.near);
+            map.into_iter().filter(|&f| f != NONE).for_each(|f| tags[f as usize] = true);
+            self.tags = Some(tags);
+        }
+    }
+
+    /// What this view says about the point `p` of face `face` with normal `n` (any length), if it sees it.
+    #[inline]
+    pub fn sees(
+        &self,
+        p: Vec3,
+        n: Vec3,
+        face: u32,
+        config: &UnprojectConfig,
+        tracer: Option<&Tracer>,
+    ) -> Option<Sighting> {
+        let to_eye = self.origin - p;
+        let cos = n.dot(to_eye) / (n.length_squared() * to_eye.length_squared()).sqrt();
+        // False also for NaN, of a normal without length.
+        let facing = cos > config.min_cos;
+        if !(self.used && facing) {
+            return None;
+        }
+        let at = self.footprint(p, config)?;
+        let mask = self.opacity(&at, config.mask);
+        if mask <= config.mask.least() || !self.unoccluded(&at, p, n, face, config, tracer) {
+            return None;
+        }
+        Some(Sighting { color: self.color(&at, config.mask), mask, cos })
+    }
+
+    /// The footprint, if all of it lies in the frame.
+    #[inline]
+    fn footprint(&self, p: Vec3, config: &UnprojectConfig) -> Option<Footprint> {
+        let q = self.rotation * (p - self.origin);
+        if q.z <= config.near as f32 {
+            return None;
+        }
+        let (width, height) = (self.image.width, self.image.height);
+        let pixel = |i: usize, side: usize| {
+            let p = self.focal[i] * q[i] / q.z + self.principal[i];
+            if config.compat.align_corners { p * (side as f32 - 1.0) / side as f32 } else { p - 0.5 }
+        };
+        let (u, v) = (pixel(0, width), pixel(1, height));
+        let whole = if config.rule == Rule::PointDistance { (u.round(), v.round()) } else { (u.floor(), v.floor()) };
+        let inside = |first: f32, side: usize| first >= 0.0 && first + 1.0 < side as f32;
+        if !(inside(whole.0, width) && inside(whole.1, height)) {
+            return None;
+        }
+        let (wx, wy) = if config.rule == Rule::PointDistance { (0.0, 0.0) } else { (u - whole.0, v - whole.1) };
+        Some(Footprint { x: whole.0 as usize, y: whole.1 as usize, wx, wy, q })
+    }
+
+    /// The mask's values at the four taps.
+    #[inline]
+    fn taps_of_mask(&self, at: &Footprint, mode: MaskUse) -> [f32; 4] {
+        let (map, channel) = match (mode, self.mask) {
+            (MaskUse::Ignore, _) => return [1.0; 4],
+            (_, Some(mask)) => (mask, 0),
+            (_, None) if self.image.channels == 4 => (self.image, 3),
+            _ => return [1.0; 4],
+        };
+        let first = (at.y * map.width + at.x) * map.channels + channel;
+        let (right, down) = (map.channels, map.width * map.channels);
+        let taps = [first, first + right, first + down, first + down + right].map(|i| map.data[i]);
+        if mode == MaskUse::Binary { taps.map(|a| if a >= 0.5 { 1.0 } else { 0.0 }) } else { taps }
+    }
+
+    #[inline]
+    fn opacity(&self, at: &Footprint, mode: MaskUse) -> f32 {
+        at.weights().iter().zip(self.taps_of_mask(at, mode)).map(|(w, a)| w * a).sum()
+    }
+
+    /// The colour of what the mask shows: `Σ w α c / Σ w α`, so that what lies beyond the silhouette does not mix in.
+    #[inline]
+    fn color(&self, at: &Footprint, mode: MaskUse) -> [f32; 3] {
+        let mut weights = at.weights();
+        if mode == MaskUse::Soft {
+            let taps = self.taps_of_mask(at, mode);
+            weights.iter_mut().zip(taps).for_each(|(w, a)| *w *= a);
+            let total: f32 = weights.iter().sum();
+            weights.iter_mut().for_each(|w| *w /= total);
+        }
+        let c = self.image.channels;
+        let first = (at.y * self.image.width + at.x) * c;
+        let second = first + self.image.width * c;
+        let (top, bottom) = (&self.image.data[first..first + 2 * c], &self.image.data[second..second + 2 * c]);
+        std::array::from_fn(|i| {
+            weights[0] * top[i] + weights[1] * top[c + i] + weights[2] * bottom[i] + weights[3] * bottom[c + i]
+        })
+    }
+
+    /// The last test.
+    #[inline]
+    fn unoccluded(
+        &self,
+        at: &Footprint,
+        p: Vec3,
+        n: Vec3,
+        face: u32,
+        config: &UnprojectConfig,
+        tracer: Option<&Tracer>,
+    ) -> bool {
+        let tolerance = config.depth_tolerance;
+        let close = |d: f32| (d - at.q.z).abs() < tolerance;
+        match config.rule {
+            Rule::Bilinear => {
+                let taps = self.taps_of_depth(at, config.compat);
+                // A tap of no weight does not count, even where it is infinite.
+                let weighted = at.weights().into_iter().zip(taps).filter(|t| t.0 > 0.0);
+                close(weighted.map(|(w, d)| w * d).sum())
+            }
+            Rule::FourTap => self.taps_of_depth(at, config.compat).into_iter().all(close),
+            Rule::Ray => self.reaches(p, n, config, tracer),
+            Rule::RayFootprint => {
+                self.reaches(p, n, config, tracer)
+                    && [(0, 0), (1, 0), (0, 1), (1, 1)].into_iter().all(|(dx, dy)| {
+                        let ray = self.ray(at.x + dx, at.y + dy);
+                        tracer.and_then(|t| t.hit(self.origin, ray)).is_some_and(|hit| close(hit.t))
+                    })
+            }
+            Rule::FaceTag => self.tags.as_ref().is_some_and(|t| t[face as usize]),
+            Rule::PointDistance => {
+                let d = self.taps_of_depth(at, config.compat)[0];
+                d.is_finite() && (self.direction(at.x, at.y) * d - at.q).length() < tolerance
+            }
+        }
+    }
+
+    #[inline]
+    fn taps_of_depth(&self, at: &Footprint, compat: Compat) -> [f32; 4] {
+        let Some(map) = &self.depth else { return [f32::INFINITY; 4] };
+        let first = at.y * map.width + at.x;
+        let taps = [first, first + 1, first + map.width, first + map.width + 1].map(|i| map.depth[i]);
+        if compat == Compat::default() { taps } else { taps.map(|d| compat.depth(d)) }
+    }
+
+    fn reaches(&self, p: Vec3, n: Vec3, config: &UnprojectConfig, tracer: Option<&Tracer>) -> bool {
+        let from = p + n.normalize_or_zero() * config.ray_offset;
+        tracer.is_some_and(|t| !t.occluded(from, self.origin))
+    }
+
+    /// Direction through the centre of pixel `(x, y)` with z = 1, in camera space.
+    fn direction(&self, x: usize, y: usize) -> Vec3 {
+        let [x, y] = [x as f32 + 0.5 - self.principal[0], y as f32 + 0.5 - self.principal[1]];
+        Vec3::new(x / self.focal[0], y / self.focal[1], 1.0)
+    }
+
+    /// The same in world space: along it, distance is depth.
+    fn ray(&self, x: usize, y: usize) -> Vec3 {
+        self.rotation.transpose() * self.direction(x, y)
+    }
+}
+
+/// How often a rule errs against another, over pairs of texel and view.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Rates {
+    /// Pairs the oracle sees.
+    pub visible: usize,
+    /// Pairs seen that the oracle does not see, as a share of those it sees.
+    pub false_visible: f64,
+    /// Pairs the oracle sees that are not seen, as a share of those it sees.
+    pub false_hidden: f64,
+}
+
+impl Rates {
+    /// The rates of `tested` against `oracle`: weights per pair, above 0 where seen.
+    pub fn of(tested: &[f32], oracle: &[f32]) -> Self {
+        let count =
+            |f: &dyn Fn(bool, bool) -> bool| tested.iter().zip(oracle).filter(|(t, o)| f(**t > 0.0, **o > 0.0)).count();
+        let visible = count(&|_, o| o);
+        let share = |n: usize| n as f64 / visible.max(1) as f64;
+        Self { visible, false_visible: share(count(&|t, o| t && !o)), false_hidden: share(count(&|t, o| o && !t)) }
+    }
+}
