@@ -13,8 +13,10 @@
 //! read); texel `(x, y)` of an `S × S` map has its centre at `((x + ½)/S, (y + ½)/S)`.
 
 pub mod bvh;
+pub mod character;
 pub mod clip;
 mod coverage;
+pub mod read;
 pub mod scale_refine;
 pub mod skeleton;
 pub mod skin;
@@ -23,9 +25,12 @@ pub mod template;
 pub mod texels;
 pub mod unproject;
 pub mod visibility;
+pub mod write_mesh;
 pub mod zbuffer;
 
+pub use character::{Character, Fallbacks};
 pub use clip::Clip;
+pub use read::{CharacterError, ReadOptions, load_character, parse_character};
 pub use skeleton::{Joint, Node, Pose, Skeleton, Trs};
 pub use skin::Skinning;
 pub use template::{Material, Morph, SkinWeights, Template, Wrap};

@@ -2,6 +2,7 @@
 
 use glam::{Vec2, Vec3, Vec4};
 use gs_core::Image;
+use std::sync::Arc;
 
 /// A skinned mesh in its bind pose.
 ///
@@ -64,7 +65,7 @@ impl SkinWeights {
                 continue;
             }
             match self.joints[start..].iter().position(|&j| j == joint) {
-                Some(at) => self.weights[start + at] += weight,
+                Some(at) => self.weights[start + at] = (self.weights[start + at] + weight).min(f32::MAX),
                 None => {
                     self.joints.push(joint);
                     self.weights.push(weight);
@@ -105,8 +106,8 @@ pub struct Material {
     pub name: String,
     /// Display-encoded colour and opacity that the texture is multiplied by.
     pub factor: Vec4,
-    /// Colour `[0, 1]`, display-encoded, 4 channels; none: the factor alone.
-    pub texture: Option<Image>,
+    /// Colour `[0, 1]`, display-encoded, 4 channels; materials may share one. None: the factor alone.
+    pub texture: Option<Arc<Image>>,
     /// Texels of less opacity are holes; none: no holes.
     pub cutout: Option<f32>,
     /// Seen from behind too.
@@ -233,7 +234,7 @@ mod tests {
         assert_eq!(mirrored, [0, 2, 0, 1, 2, 1, 1, 2, 0]);
         let texture = Image { width: 2, height: 1, channels: 4, data: vec![0., 0., 0., 1., 1., 1., 1., 1.] };
         let mut material =
-            Material { texture: Some(texture), factor: Vec4::new(1.0, 0.5, 1.0, 1.0), ..Material::default() };
+            Material { texture: Some(Arc::new(texture)), factor: Vec4::new(1.0, 0.5, 1.0, 1.0), ..Material::default() };
         assert_eq!(material.colour(Vec2::new(0.25, 0.5)), Vec4::new(0.0, 0.0, 0.0, 1.0));
         assert_eq!(material.colour(Vec2::new(0.5, 7.5)), Vec4::new(0.5, 0.25, 0.5, 1.0));
         assert_eq!(material.colour(Vec2::new(0.0, 0.5)), Vec4::new(0.5, 0.25, 0.5, 1.0), "across the border");

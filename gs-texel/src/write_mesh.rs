@@ -1,0 +1,69 @@
+//! Posed meshes as OBJ and PLY text.
+
+use crate::character::Character;
+use glam::Vec3;
+use std::io::Write;
+
+/// Writes a character's mesh with these positions of its template's vertices as OBJ: a `v x y z` line for each vertex as
+/// its file lists them, `vt` lines (`v` upwards, as OBJ has it) where there are texture coordinates, and `f` lines.
+///
+/// # Errors
+/// The writer's.
+pub fn write_obj(character: &Character, posed: &[Vec3], out: &mut dyn Write) -> std::io::Result<()> {
+    let template = &character.template;
+    let rows = Rows::of(character, posed.len());
+    for &v in &rows.vertices {
+        let p = posed[v as usize];
+        writeln!(out, "v {} {} {}", p.x, p.y, p.z)?;
+    }
+    for uv in &template.uvs {
+        writeln!(out, "vt {} {}", uv.x, 1.0 - uv.y)?;
+    }
+    for (k, face) in template.faces.iter().enumerate() {
+        let [a, b, c] = face.map(|v| rows.first[v as usize] + 1);
+        match template.face_uvs.get(k).map(|t| t.map(|t| t + 1)) {
+            Some([s, t, u]) => writeln!(out, "f {a}/{s} {b}/{t} {c}/{u}")?,
+            None => writeln!(out, "f {a} {b} {c}")?,
+        }
+    }
+    Ok(())
+}
+
+/// The same as PLY text: vertices and triangles.
+///
+/// # Errors
+/// The writer's.
+pub fn write_ply(character: &Character, posed: &[Vec3], out: &mut dyn Write) -> std::io::Result<()> {
+    let rows = Rows::of(character, posed.len());
+    let faces = &character.template.faces;
+    writeln!(out, "ply\nformat ascii 1.0\nelement vertex {}", rows.vertices.len())?;
+    writeln!(out, "property float x\nproperty float y\nproperty float z")?;
+    writeln!(out, "element face {}\nproperty list uchar int vertex_indices\nend_header", faces.len())?;
+    for &v in &rows.vertices {
+        let p = posed[v as usize];
+        writeln!(out, "{} {} {}", p.x, p.y, p.z)?;
+    }
+    for face in faces {
+        let [a, b, c] = face.map(|v| rows.first[v as usize]);
+        writeln!(out, "3 {a} {b} {c}")?;
+    }
+    Ok(())
+}
+
+/// Vertices as the file lists them, and where a template's vertex comes first.
+struct Rows {
+    vertices: Vec<u32>,
+    first: Vec<u32>,
+}
+
+impl Rows {
+    fn of(character: &Character, count: usize) -> Self {
+        let listed = &character.file_vertices;
+        let vertices = if listed.is_empty() { (0..count as u32).collect() } else { listed.clone() };
+        let mut first = vec![0; count];
+        for (row, &v) in vertices.iter().enumerate().rev() {
+            first[v as usize] = row as u32;
+        }
+        Self { vertices, first }
+    }
+}
