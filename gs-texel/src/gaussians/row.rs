@@ -1,0 +1,159 @@
+//! One texel, in `f32` for production and in `f64` as its reference.
+
+use super::affine;
+use super::channels::{OFFSET, OPACITY, QUAT, SCALE};
+use super::decode::Covariance;
+use gs_core::Real;
+use gs_core::rot::{self, Mat3};
+
+/// A [`Real`] with an exponential.
+pub trait Number: Real + PartialOrd {
+    /// `e^self`.
+    fn exp(self) -> Self;
+    /// In `f64`.
+    fn wide(self) -> f64;
+}
+
+impl Number for f32 {
+    fn exp(self) -> Self {
+        f32::exp(self)
+    }
+    fn wide(self) -> f64 {
+        f64::from(self)
+    }
+}
+
+impl Number for f64 {
+    fn exp(self) -> Self {
+        f64::exp(self)
+    }
+    fn wide(self) -> f64 {
+        self
+    }
+}
+
+/// What the surface gives one texel: see [`super::TexelBase`].
+#[derive(Clone, Copy, Debug)]
+pub struct Base<T> {
+    /// `c`.
+    pub point: [T; 3],
+    /// `R`, rows.
+    pub linear: Mat3<T>,
+    /// `τ`.
+    pub shift: [T; 3],
+    /// `q_R`.
+    pub turn: [T; 4],
+    /// `κ`.
+    pub kappa: T,
+}
+
+/// One texel's Gaussian, or its cotangents.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Gaussian<T> {
+    /// Centre.
+    pub mean: [T; 3],
+    /// Rotation `(w, x, y, z)`.
+    pub quat: [T; 4],
+    /// Standard deviations.
+    pub scale: [T; 3],
+    /// Opacity.
+    pub opacity: T,
+}
+
+/// `1/(1 + e^−x)`, without overflow.
+fn sigmoid<T: Number>(x: T) -> T {
+    let one = x.lit(1.0);
+    // e^−88 is the smallest that f32 can hold.
+    one / (one + (-x).min(x.lit(88.0)).exp())
+}
+
+/// `ŝ` within its range, and 1 where it was, else 0.
+fn clamp<T: Number>(x: T, [low, high]: [f64; 2]) -> (T, T) {
+    let (low, high) = (x.lit(low), x.lit(high));
+    let inside = x >= low && x <= high;
+    (x.max(low).min(high), x.lit(if inside { 1.0 } else { 0.0 }))
+}
+
+fn take<T: Copy, const N: usize>(row: &[T], from: usize) -> [T; N] {
+    std::array::from_fn(|i| row[from + i])
+}
+
+fn apply<T: Number>(m: &Mat3<T>, v: [T; 3]) -> [T; 3] {
+    m.map(|r| gs_core::real::dot3(r, v))
+}
+
+fn transposed<T: Copy>(m: &Mat3<T>) -> Mat3<T> {
+    std::array::from_fn(|r| std::array::from_fn(|c| m[c][r]))
+}
+
+fn has_length<T: Number>(raw: &rot::UnitQuat<T>) -> bool {
+    raw.free > raw.free.lit(0.5)
+}
+
+/// `r`, normalised, and `r̂`: the identity, without a gradient, where `r` has no length.
+fn turn_of<T: Number>(row: &[T]) -> (rot::UnitQuat<T>, [T; 4]) {
+    let raw = rot::normalise(take::<T, 4>(row, QUAT.start));
+    let identity = [1.0, 0.0, 0.0, 0.0].map(|v| raw.free.lit(v));
+    (raw, if has_length(&raw) { raw.wxyz } else { identity })
+}
+
+/// The standard deviations before skinning, `exp(clamp ŝ) κ`, with the derivative by `ŝ` of each.
+fn spread<T: Number>(row: &[T], base: &Base<T>, range: [f64; 2]) -> [[T; 3]; 2] {
+    let clamped = take::<T, 3>(row, SCALE.start).map(|x| clamp(x, range));
+    let scale = clamped.map(|(x, _)| x.exp() * base.kappa);
+    [scale, std::array::from_fn(|i| scale[i] * clamped[i].1)]
+}
+
+/// The Gaussian of a row of channels. `range` bounds the log-scales.
+pub fn decode<T: Number>(row: &[T], base: &Base<T>, covariance: Covariance, range: [f64; 2]) -> Gaussian<T> {
+    let offset: [T; 3] = take(row, OFFSET.start);
+    let moved = apply(&base.linear, std::array::from_fn(|i| base.point[i] + offset[i]));
+    let mean = std::array::from_fn(|i| moved[i] + base.shift[i]);
+    let (_, unit) = turn_of(row);
+    let [scale, _] = spread(row, base, range);
+    let opacity = sigmoid(row[OPACITY]);
+    let (quat, scale) = match covariance {
+        Covariance::Polar => (rot::hamilton(base.turn, unit), scale),
+        Covariance::Affine => {
+            let axes = affine::Axes::of(&base.linear, unit, scale);
+            let (quat, scale) = axes.gaussian();
+            let lit = |v: f64| base.kappa.lit(v);
+            (quat.map(lit), scale.map(lit))
+        }
+    };
+    Gaussian { mean, quat, scale, opacity }
+}
+
+/// Pulls a Gaussian's cotangents back: adds to the row's, returns `dL/dc` (which is `dL/dd` too).
+pub fn backward<T: Number>(
+    row: &[T],
+    base: &Base<T>,
+    covariance: Covariance,
+    range: [f64; 2],
+    d: &Gaussian<T>,
+    grad: &mut [T],
+) -> [T; 3] {
+    let d_point = apply(&transposed(&base.linear), d.mean);
+    let (raw, unit) = turn_of(row);
+    let [scale, slope] = spread(row, base, range);
+    let (d_unit, d_scale) = match covariance {
+        Covariance::Polar => {
+            let [w, x, y, z] = base.turn;
+            (rot::hamilton([w, -x, -y, -z], d.quat), d.scale)
+        }
+        Covariance::Affine => {
+            let axes = affine::Axes::of(&base.linear, unit, scale);
+            let (d_unit, d_scale) = axes.backward(d.quat.map(T::wide), d.scale.map(T::wide));
+            let lit = |v: f64| base.kappa.lit(v);
+            (d_unit.map(lit), d_scale.map(lit))
+        }
+    };
+    let opacity = sigmoid(row[OPACITY]);
+    let mut add = |at: usize, v: T| grad[at] = grad[at] + v;
+    (0..3).for_each(|i| add(SCALE.start + i, d_scale[i] * slope[i]));
+    let d_raw = rot::normalise_backward(&raw, d_unit);
+    (0..4).filter(|_| has_length(&raw)).for_each(|i| add(QUAT.start + i, d_raw[i]));
+    add(OPACITY, d.opacity * opacity * (opacity.lit(1.0) - opacity));
+    (0..3).for_each(|i| add(OFFSET.start + i, d_point[i]));
+    d_point
+}

@@ -1,0 +1,141 @@
+//! Neighbouring normals alike:
+//!
+//! ```text
+//! faces:    L = (1/|E₂|) Σ_{edges between faces f, g} (1 − n_f·n_g)          n = m/|m|,  m = (b − a) × (c − a)
+//! vertices: L = (1/N) Σ_i (1/|N_i|) Σ_{j∈N_i} (1 − n_i·n_j)                  n_i = Σ_f θ_if n_f / |·|
+//! back:     g_m = (I − n nᵀ) g_n / |m|        ∂θ/∂u = (û cos θ − ŵ)/(|u| sin θ) for the sides u, w of a corner
+//! ```
+//! Vertex normals are weighted by the angles `θ` of the corners. A face without area contributes nothing, and pairs it is part
+//! of keep their share, so that other pairs do not gain weight when a face collapses.
+
+use super::{DEGENERATE, Point, SurfaceLoss, area_normal, area_normal_backward, ring_shares};
+use crate::surface::{NONE, Topology};
+use glam::DVec3;
+
+/// Which normals are compared.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum NormalRule {
+    /// Those of faces that share an edge.
+    #[default]
+    FacePairs,
+    /// Those of vertices that share an edge.
+    VertexRing,
+}
+
+/// The pairs whose normals are compared, with their shares.
+#[derive(Clone, Debug)]
+pub struct NormalConsistency {
+    faces: Vec<[u32; 3]>,
+    rule: NormalRule,
+    pairs: Vec<([u32; 2], f64)>,
+}
+
+impl NormalConsistency {
+    /// From the faces of a mesh and their topology. Edges of one face give no pair of faces, edges of more than two one.
+    pub fn new(faces: &[[u32; 3]], topology: &Topology, rule: NormalRule) -> Self {
+        let pairs = match rule {
+            NormalRule::FacePairs => {
+                let sides = topology.edge_faces.iter();
+                let pairs: Vec<[u32; 2]> = sides.filter(|[f, g]| *g != NONE && f != g).copied().collect();
+                let each = 1.0 / pairs.len() as f64;
+                pairs.into_iter().map(|p| (p, each)).collect()
+            }
+            NormalRule::VertexRing => topology.edges.iter().copied().zip(ring_shares(&topology.edges)).collect(),
+        };
+        Self { faces: faces.to_vec(), rule, pairs }
+    }
+
+    /// The loss of the deformed bind pose.
+    pub fn evaluate<P: Point>(&self, points: &[P]) -> SurfaceLoss {
+        let mut loss = SurfaceLoss::none(points.len());
+        let areas: Vec<DVec3> = self.faces.iter().map(|f| area_normal(points, *f)).collect();
+        let flat: Vec<DVec3> = areas.iter().map(|m| unit(*m)).collect();
+        let (sums, normals) = match self.rule {
+            NormalRule::FacePairs => (areas.clone(), flat.clone()),
+            NormalRule::VertexRing => {
+                let sums = self.vertex_sums(points, &flat);
+                let normals = sums.iter().map(|s| unit(*s)).collect();
+                (sums, normals)
+            }
+        };
+        let mut d_normals = vec![DVec3::ZERO; normals.len()];
+        for ([i, j], share) in &self.pairs {
+            let (a, b) = (normals[*i as usize], normals[*j as usize]);
+            if a == DVec3::ZERO || b == DVec3::ZERO {
+                continue;
+            }
+            // Half the squared chord: 1 − cos without cancellation.
+            loss.value += 0.5 * share * (a - b).length_squared();
+            d_normals[*i as usize] -= *share * b;
+            d_normals[*j as usize] -= *share * a;
+        }
+        for ((d, n), sum) in d_normals.iter_mut().zip(&normals).zip(&sums) {
+            *d = (*d - *n * n.dot(*d)) / sum.length().max(DEGENERATE);
+        }
+        match self.rule {
+            NormalRule::FacePairs => {
+                for (face, d) in self.faces.iter().zip(d_normals) {
+                    area_normal_backward(points, *face, d, &mut loss.grad);
+                }
+            }
+            NormalRule::VertexRing => self.vertex_sums_backward(points, &areas, &flat, &d_normals, &mut loss.grad),
+        }
+        loss
+    }
+
+    /// `Σ_f θ_if n_f` of each vertex.
+    fn vertex_sums<P: Point>(&self, points: &[P], flat: &[DVec3]) -> Vec<DVec3> {
+        let mut sums = vec![DVec3::ZERO; points.len()];
+        for (face, n) in self.faces.iter().zip(flat).filter(|(_, n)| **n != DVec3::ZERO) {
+            for corner in corners(*face) {
+                let [u, w] = arms(points, corner);
+                sums[corner[0] as usize] += *n * u.cross(w).length().atan2(u.dot(w));
+            }
+        }
+        sums
+    }
+
+    fn vertex_sums_backward<P: Point>(
+        &self,
+        points: &[P],
+        areas: &[DVec3],
+        flat: &[DVec3],
+        d_sums: &[DVec3],
+        grad: &mut [DVec3],
+    ) {
+        for ((face, m), n) in self.faces.iter().zip(areas).zip(flat).filter(|(_, n)| **n != DVec3::ZERO) {
+            let mut d_n = DVec3::ZERO;
+            for corner in corners(*face) {
+                let [u, w] = arms(points, corner);
+                let d = d_sums[corner[0] as usize];
+                d_n += d * u.cross(w).length().atan2(u.dot(w));
+                // An arm turned away from the other, in the plane of the face, opens the angle by 1/|arm|.
+                let d_angle = n.dot(d);
+                let d_u = u.cross(*n) * (d_angle / u.length_squared());
+                let d_w = n.cross(w) * (d_angle / w.length_squared());
+                grad[corner[1] as usize] += d_u;
+                grad[corner[2] as usize] += d_w;
+                grad[corner[0] as usize] -= d_u + d_w;
+            }
+            let d_m = (d_n - *n * n.dot(d_n)) / m.length();
+            area_normal_backward(points, *face, d_m, grad);
+        }
+    }
+}
+
+/// A face seen from each of its corners, in its own sense of turning.
+fn corners([a, b, c]: [u32; 3]) -> [[u32; 3]; 3] {
+    [[a, b, c], [b, c, a], [c, a, b]]
+}
+
+fn arms<P: Point>(points: &[P], [at, next, last]: [u32; 3]) -> [DVec3; 2] {
+    let tip = points[at as usize].wide();
+    [points[next as usize].wide() - tip, points[last as usize].wide() - tip]
+}
+
+/// The direction of `m`; zero where it has none.
+fn unit(m: DVec3) -> DVec3 {
+    let length = m.length();
+    if length < DEGENERATE { DVec3::ZERO } else { m / length }
+}

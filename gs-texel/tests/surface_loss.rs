@@ -1,0 +1,313 @@
+//! Losses of a surface: analytic truths, gradients against differences of definitions written out plainly, `f32` against
+//! `f64`, degenerate meshes.
+//!
+//! | what | tolerance |
+//! |---|---|
+//! | value against the definition, `f64` | 1e-12 relative |
+//! | gradient against central differences, `f64` | 1e-5 of the largest entry |
+//! | `f32` positions against `f64` ones | 2e-4 of the largest entry (positions are rounded, stretches are differences) |
+
+use glam::{DVec3, Vec3};
+use gs_core::Rng;
+use gs_texel::surface::Topology;
+use gs_texel::surface_loss::{
+    Chamfer, ChamferError, Isometry, IsometryRule, NormalConsistency, NormalRule, SurfaceLoss, laplacian,
+};
+use std::collections::BTreeSet;
+
+const DIFFERENCE: f64 = 1e-5;
+const PRODUCTION: f64 = 2e-4;
+
+/// A bumpy sheet of `n × n` vertices, of about a metre, with an open border.
+fn sheet(n: usize, seed: u64) -> (Vec<DVec3>, Vec<[u32; 3]>) {
+    let mut rng = Rng::new(seed, "sheet", 0, 0);
+    let mut jitter = || 0.2 / n as f64 * f64::from(rng.normal());
+    let at = |i: usize| i as f64 / n as f64;
+    let mut points = Vec::new();
+    for i in 0..n * n {
+        points.push(DVec3::new(at(i % n) + jitter(), at(i / n) + jitter(), 0.1 * (6.0 * at(i % n)).sin() + jitter()));
+    }
+    let mut faces = Vec::new();
+    for i in (0..n * (n - 1)).filter(|i| i % n + 1 < n) {
+        let [a, b, c, d] = [i, i + 1, i + n, i + n + 1].map(|v| v as u32);
+        faces.extend([[a, b, c], [b, d, c]]);
+    }
+    (points, faces)
+}
+
+fn moved(points: &[DVec3], by: f64, seed: u64) -> Vec<DVec3> {
+    let mut rng = Rng::new(seed, "moved", 0, 0);
+    let mut some = || f64::from(rng.normal()) * by;
+    points.iter().map(|p| *p + DVec3::new(some(), some(), some())).collect()
+}
+
+fn topology(faces: &[[u32; 3]], vertices: usize) -> Topology {
+    Topology::new(faces, vertices).unwrap()
+}
+
+fn rings(faces: &[[u32; 3]], vertices: usize) -> Vec<Vec<u32>> {
+    let mut rings = vec![BTreeSet::new(); vertices];
+    for &[a, b, c] in faces {
+        for (u, v) in [(a, b), (b, c), (c, a), (b, a), (c, b), (a, c)] {
+            rings[u as usize].insert(v);
+        }
+    }
+    rings.into_iter().map(|r| r.into_iter().collect()).collect()
+}
+
+/// Largest difference of gradient and central differences, relative to the largest entry of either.
+fn against_differences(points: &[DVec3], grad: &[DVec3], value: impl Fn(&[DVec3]) -> f64) -> f64 {
+    let h = 1e-6;
+    let (mut worst, mut largest) = (0.0f64, 1e-30f64);
+    for i in 0..points.len() {
+        for k in 0..3 {
+            let at = |step: f64| {
+                let mut p = points.to_vec();
+                p[i][k] += step;
+                value(&p)
+            };
+            let want = (at(h) - at(-h)) / (2.0 * h);
+            worst = worst.max((grad[i][k] - want).abs());
+            largest = largest.max(want.abs()).max(grad[i][k].abs());
+        }
+    }
+    worst / largest
+}
+
+fn narrow(points: &[DVec3]) -> Vec<Vec3> {
+    points.iter().map(|p| p.as_vec3()).collect()
+}
+
+/// How far the loss of rounded positions is from that of exact ones.
+fn apart(a: &SurfaceLoss, b: &SurfaceLoss) -> f64 {
+    let largest = b.grad.iter().map(|g| g.abs().max_element()).fold(1e-30, f64::max);
+    let worst = a.grad.iter().zip(&b.grad).map(|(a, b)| (*a - *b).abs().max_element()).fold(0.0, f64::max);
+    (worst / largest).max((a.value - b.value).abs() / b.value)
+}
+
+#[test]
+fn chamfer_is_its_definition_by_brute_force() {
+    let (points, _) = sheet(9, 1);
+    let target = moved(&sheet(13, 2).0, 0.01, 3);
+    let plain = |p: &[DVec3]| {
+        let near = |a: &[DVec3], b: &[DVec3]| {
+            let nearest = |x: &DVec3| b.iter().map(|y| x.distance_squared(*y)).fold(f64::INFINITY, f64::min);
+            a.iter().map(nearest).sum::<f64>() / a.len() as f64
+        };
+        near(p, &target) + near(&target, p)
+    };
+    let chamfer = Chamfer::new(&target).unwrap();
+    let loss = chamfer.evaluate(&points).unwrap();
+    assert!((loss.value / plain(&points) - 1.0).abs() < 1e-12);
+    let error = against_differences(&points, &loss.grad, plain);
+    assert!(error < DIFFERENCE, "{error:e}");
+    let production = Chamfer::new(&narrow(&target)).unwrap().evaluate(&narrow(&points)).unwrap();
+    assert!(apart(&production, &loss) < PRODUCTION, "{:e}", apart(&production, &loss));
+}
+
+#[test]
+fn chamfer_far_from_the_origin_keeps_its_neighbours() {
+    let (points, _) = sheet(9, 1);
+    let target = moved(&sheet(13, 2).0, 0.01, 3);
+    let far = DVec3::new(3e6, -2e6, 1e6);
+    let shift = |p: &[DVec3]| p.iter().map(|p| *p + far).collect::<Vec<_>>();
+    let here = Chamfer::new(&target).unwrap().evaluate(&points).unwrap();
+    let there = Chamfer::new(&shift(&target)).unwrap().evaluate(&shift(&points)).unwrap();
+    assert!(apart(&there, &here) < 1e-7, "{:e}", apart(&there, &here));
+}
+
+#[test]
+fn chamfer_of_a_shifted_plane_is_twice_its_squared_distance() {
+    let grid: Vec<DVec3> = (0..100).map(|i| DVec3::new(f64::from(i % 10), f64::from(i / 10), 0.0)).collect();
+    let lifted: Vec<DVec3> = grid.iter().map(|p| *p + 0.25 * DVec3::Z).collect();
+    let loss = Chamfer::new(&grid).unwrap().evaluate(&lifted).unwrap();
+    assert!((loss.value - 2.0 * 0.0625).abs() < 1e-15);
+    assert!(loss.grad.iter().all(|g| (*g - 0.01 * DVec3::Z).length() < 1e-15));
+}
+
+#[test]
+fn chamfer_refuses_what_has_no_nearest() {
+    let good = [Vec3::ZERO, Vec3::X];
+    assert_eq!(Chamfer::new::<Vec3>(&[]).err(), Some(ChamferError::Empty("measured points")));
+    let bad = Chamfer::new(&[Vec3::ZERO, Vec3::NAN]).err();
+    assert_eq!(bad, Some(ChamferError::NotFinite { what: "measured points", row: 1 }));
+    let chamfer = Chamfer::new(&good).unwrap();
+    assert_eq!(chamfer.evaluate::<Vec3>(&[]).err(), Some(ChamferError::Empty("vertices")));
+    let e = chamfer.evaluate(&[Vec3::INFINITY]).unwrap_err();
+    assert!(e.to_string().contains("row 0 of the vertices is not finite"), "{e}");
+}
+
+#[test]
+fn laplacian_is_its_definition() {
+    let (points, faces) = sheet(7, 4);
+    let (rings, topology) = (rings(&faces, points.len()), topology(&faces, points.len()));
+    let plain = |p: &[DVec3]| {
+        let one = |i: usize| {
+            let mean = rings[i].iter().map(|&j| p[j as usize]).sum::<DVec3>() / rings[i].len() as f64;
+            (mean - p[i]).length_squared()
+        };
+        (0..p.len()).map(one).sum::<f64>() / (3 * p.len()) as f64
+    };
+    let loss = laplacian(&points, &topology);
+    assert!((loss.value / plain(&points) - 1.0).abs() < 1e-12);
+    let error = against_differences(&points, &loss.grad, plain);
+    assert!(error < DIFFERENCE, "{error:e}");
+    let production = laplacian(&narrow(&points), &topology);
+    assert!(apart(&production, &loss) < PRODUCTION, "{:e}", apart(&production, &loss));
+    let alone = Topology::new(&[], points.len()).unwrap();
+    assert_eq!(laplacian(&points, &alone), SurfaceLoss { value: 0.0, grad: vec![DVec3::ZERO; points.len()] });
+}
+
+/// Each form from its own definition.
+fn plain_isometry(rest: &[DVec3], faces: &[[u32; 3]], rule: IsometryRule, p: &[DVec3]) -> f64 {
+    let one = |a: u32, b: u32| {
+        let length = |p: &[DVec3]| p[a as usize].distance(p[b as usize]);
+        (length(p) - length(rest)).powi(2)
+    };
+    let rings = rings(faces, rest.len());
+    match rule {
+        IsometryRule::AllEdges => {
+            let all: Vec<f64> = (0..).zip(&rings).flat_map(|(i, r)| r.iter().map(move |&j| one(i, j))).collect();
+            all.iter().sum::<f64>() / all.len() as f64
+        }
+        IsometryRule::RingMean => {
+            let mean = |(i, r): (u32, &Vec<u32>)| r.iter().map(|&j| one(i, j)).sum::<f64>() / r.len() as f64;
+            (0..).zip(&rings).map(mean).sum::<f64>() / rest.len() as f64
+        }
+        IsometryRule::FirstEdge => faces.iter().map(|f| one(f[0], f[1])).sum::<f64>() / faces.len() as f64,
+    }
+}
+
+#[test]
+fn isometry_in_its_three_forms() {
+    let (rest, faces) = sheet(7, 5);
+    let topology = topology(&faces, rest.len());
+    let points = moved(&rest, 0.02, 6);
+    let mut values = Vec::new();
+    for rule in [IsometryRule::AllEdges, IsometryRule::RingMean, IsometryRule::FirstEdge] {
+        let plain = |p: &[DVec3]| plain_isometry(&rest, &faces, rule, p);
+        let loss = Isometry::new(&rest, &faces, &topology, rule).evaluate(&points);
+        assert!((loss.value / plain(&points) - 1.0).abs() < 1e-12, "{rule:?}");
+        let error = against_differences(&points, &loss.grad, plain);
+        assert!(error < DIFFERENCE, "{rule:?}: {error:e}");
+        let production = Isometry::new(&narrow(&rest), &faces, &topology, rule).evaluate(&narrow(&points));
+        assert!(apart(&production, &loss) < PRODUCTION, "{rule:?}: {:e}", apart(&production, &loss));
+        values.push(loss.value);
+        assert_eq!(Isometry::new(&rest, &faces, &topology, rule).evaluate(&rest).value, 0.0, "a template at rest");
+    }
+    assert!(values[0] != values[1] && values[1] != values[2]);
+}
+
+#[test]
+fn isometry_does_not_feel_rigid_motion_and_feels_stretch() {
+    let (rest, faces) = sheet(6, 7);
+    let turn = glam::DQuat::from_axis_angle(DVec3::new(1.0, 2.0, 2.0) / 3.0, 0.7);
+    let rigid: Vec<DVec3> = rest.iter().map(|p| turn * *p + DVec3::new(1.0, 2.0, 3.0)).collect();
+    let isometry = Isometry::new(&rest, &faces, &topology(&faces, rest.len()), IsometryRule::AllEdges);
+    assert!(isometry.evaluate(&rigid).value < 1e-29);
+    let twice: Vec<DVec3> = rest.iter().map(|p| 2.0 * *p).collect();
+    let squares: f64 = (0..)
+        .zip(rings(&faces, rest.len()))
+        .flat_map(|(i, r)| r.into_iter().map(move |j| (i, j)))
+        .map(|(i, j): (usize, u32)| rest[i].distance_squared(rest[j as usize]))
+        .sum();
+    let want = squares / (2.0 * isometry.len() as f64);
+    assert!((isometry.evaluate(&twice).value / want - 1.0).abs() < 1e-12);
+}
+
+/// Both forms from their definitions, without degenerate faces.
+fn plain_normals(faces: &[[u32; 3]], rule: NormalRule, p: &[DVec3]) -> f64 {
+    let normal = |f: &[u32; 3]| {
+        let [a, b, c] = f.map(|v| p[v as usize]);
+        (b - a).cross(c - a).normalize()
+    };
+    match rule {
+        NormalRule::FacePairs => {
+            let shared = |f: &[u32; 3], g: &[u32; 3]| f.iter().filter(|v| g.contains(v)).count() == 2;
+            let mut cosines = Vec::new();
+            for (i, f) in faces.iter().enumerate() {
+                cosines.extend(faces[..i].iter().filter(|g| shared(f, g)).map(|g| normal(f).dot(normal(g))));
+            }
+            1.0 - cosines.iter().sum::<f64>() / cosines.len() as f64
+        }
+        NormalRule::VertexRing => {
+            let mut normals = vec![DVec3::ZERO; p.len()];
+            for f in faces {
+                for k in 0..3 {
+                    let [a, b, c] = [0, 1, 2].map(|j| p[f[(k + j) % 3] as usize]);
+                    normals[f[k] as usize] += (b - a).angle_between(c - a) * normal(f);
+                }
+            }
+            let n: Vec<DVec3> = normals.iter().map(|n| n.normalize()).collect();
+            let rings = rings(faces, p.len());
+            let mean =
+                |i: usize| rings[i].iter().map(|&j| 1.0 - n[i].dot(n[j as usize])).sum::<f64>() / rings[i].len() as f64;
+            (0..p.len()).map(mean).sum::<f64>() / p.len() as f64
+        }
+    }
+}
+
+#[test]
+fn normal_consistency_in_both_forms() {
+    let (points, faces) = sheet(6, 8);
+    for rule in [NormalRule::FacePairs, NormalRule::VertexRing] {
+        let plain = |p: &[DVec3]| plain_normals(&faces, rule, p);
+        let consistency = NormalConsistency::new(&faces, &topology(&faces, points.len()), rule);
+        let loss = consistency.evaluate(&points);
+        assert!((loss.value / plain(&points) - 1.0).abs() < 1e-12, "{rule:?}");
+        let error = against_differences(&points, &loss.grad, plain);
+        assert!(error < DIFFERENCE, "{rule:?}: {error:e}");
+        let production = consistency.evaluate(&narrow(&points));
+        assert!(apart(&production, &loss) < PRODUCTION, "{rule:?}: {:e}", apart(&production, &loss));
+        let flat: Vec<DVec3> = points.iter().map(|p| DVec3::new(p.x, p.y, 0.5)).collect();
+        assert!(consistency.evaluate(&flat).value.abs() < 1e-15, "{rule:?}: a plane");
+    }
+}
+
+#[test]
+fn a_right_angled_fold_costs_one_pair() {
+    let points = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::new(0.5, 0.0, 1.0)];
+    let faces = [[0, 1, 2], [1, 0, 3]];
+    let consistency = NormalConsistency::new(&faces, &topology(&faces, 4), NormalRule::FacePairs);
+    assert!((consistency.evaluate(&points).value - 1.0).abs() < 1e-15);
+}
+
+/// A sheet with a face of no area, in the middle of things: nothing changes and nothing is NaN.
+#[test]
+fn degenerate_faces_contribute_nothing() {
+    let (rest, mut faces) = sheet(5, 9);
+    let points = moved(&rest, 0.02, 10);
+    let with = |faces: &[[u32; 3]]| {
+        let iso = [IsometryRule::AllEdges, IsometryRule::RingMean, IsometryRule::FirstEdge]
+            .map(|r| Isometry::new(&rest, faces, &topology(faces, rest.len()), r).evaluate(&points));
+        iso.to_vec()
+    };
+    let before = with(&faces);
+    faces.extend([[3, 3, 20], [7, 7, 7], [0, 24, 24]]);
+    assert_eq!(with(&faces), before);
+
+    // Faces that collapse under the deformation, by two corners and by three.
+    for rule in [NormalRule::FacePairs, NormalRule::VertexRing] {
+        let (mut points, faces) = sheet(5, 9);
+        points[6] = points[7];
+        points[12] = points[7];
+        let loss = NormalConsistency::new(&faces, &topology(&faces, points.len()), rule).evaluate(&points);
+        assert!(loss.value.is_finite() && loss.grad.iter().all(|g| g.is_finite()), "{rule:?}");
+        let flat = [[0, 0, 1], [0, 1, 1]];
+        let all = NormalConsistency::new(&flat, &topology(&flat, 2), rule).evaluate(&[DVec3::ZERO, DVec3::X]);
+        assert_eq!(all, SurfaceLoss { value: 0.0, grad: vec![DVec3::ZERO; 2] }, "{rule:?}");
+    }
+    let point = Isometry::new(&[DVec3::ZERO; 3], &[[0, 1, 2]], &topology(&[[0, 1, 2]], 3), IsometryRule::AllEdges);
+    assert!(point.is_empty());
+}
+
+/// The Chamfer queries are the only parallel part.
+#[test]
+fn threads_do_not_change_bits() {
+    let (points, target) = (sheet(40, 11).0, moved(&sheet(50, 12).0, 0.01, 13));
+    let run = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| Chamfer::new(&target).unwrap().evaluate(&points).unwrap())
+    };
+    assert_eq!(run(1), run(4));
+}
