@@ -17,6 +17,8 @@ pub mod character;
 pub mod clip;
 mod coverage;
 pub mod gaussians;
+pub mod inpaint;
+pub mod maps_exr;
 pub mod read;
 pub mod scale_refine;
 pub mod skeleton;

@@ -76,7 +76,7 @@ pub enum TexelError {
 pub struct TexelOptions {
     /// Accept any number of overlapping texels (mirrored halves that share texels on purpose).
     pub allow_overlap: bool,
-    /// Rings of texels around the charts that copy their nearest valid texel where maps are read or convolved.
+    /// Rings of texels around the charts that copy their nearest valid texel where maps are convolved or filtered.
     pub gutter: usize,
 }
 

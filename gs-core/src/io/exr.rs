@@ -4,7 +4,8 @@
 //! display-encoded: the caller converts where that matters. Reading takes the first layer at its largest resolution; the
 //! image is the **display window**, zero where the data window does not reach. Half floats become `f32`. Deep, luminance-
 //! chroma and subsampled images are refused by name; values that are not finite are refused with their number.
-//! Writing stores `f32` with ZIP compression (lossless).
+//! Writing stores `f32` with ZIP compression (lossless). [`save_channels`] and [`read_channels`] carry any number of
+//! named channels.
 
 use super::error::{At, Source};
 use super::{IoError, Limits, read_file, write_file};
@@ -13,7 +14,7 @@ use ::exr::image::{AnyChannel, AnyChannels, Encoding, FlatSamples, Image as ExrI
 use ::exr::meta::MetaData;
 use ::exr::meta::attribute::{LineOrder, SampleType};
 use ::exr::meta::header::{Header, LayerAttributes};
-use ::exr::prelude::{Blocks, Compression, ReadChannels, ReadLayers, WritableImage};
+use ::exr::prelude::{Blocks, Compression, ReadChannels, ReadLayers, WritableImage, f16};
 use std::io::{Cursor, Write};
 use std::path::Path;
 
@@ -39,10 +40,7 @@ pub fn read(bytes: &[u8], file: &str, limits: &Limits) -> Result<Image, IoError>
         return Err(src.malformed(At::Byte(8), "no layer", "export the image again"));
     };
     let names = check_header(header, meta.headers.len(), bytes.len(), limits, src)?;
-    let reader = ::exr::prelude::read().no_deep_data().largest_resolution_level().all_channels();
-    let reader = reader.first_valid_layer().all_attributes().non_parallel();
-    let file = reader.from_buffered(Cursor::new(bytes)).map_err(|e| broken(&e, src))?;
-    let image = assemble(&file, header, names);
+    let image = assemble(&decode(bytes, src)?, header, names);
     let bad = image.data.iter().filter(|v| !v.is_finite()).count();
     if let (Some(at), false) = (image.first_non_finite(), limits.allow_non_finite) {
         let (pixel, width) = (at / image.channels, image.width);
@@ -56,6 +54,13 @@ pub fn read(bytes: &[u8], file: &str, limits: &Limits) -> Result<Image, IoError>
         return Err(src.malformed(At::Row(pixel as u64), what, "repair the image"));
     }
     Ok(image)
+}
+
+/// The first layer, at its largest resolution.
+fn decode(bytes: &[u8], src: Source<'_>) -> Result<Flat, IoError> {
+    let reader = ::exr::prelude::read().no_deep_data().largest_resolution_level().all_channels();
+    let reader = reader.first_valid_layer().all_attributes().non_parallel();
+    reader.from_buffered(Cursor::new(bytes)).map_err(|e| broken(&e, src))
 }
 
 fn broken(error: &::exr::error::Error, src: Source<'_>) -> IoError {
@@ -74,13 +79,8 @@ fn check_header<'a>(
     limits: &Limits,
     src: Source<'_>,
 ) -> Result<&'a [&'a str], IoError> {
-    if header.deep {
-        return Err(src.unsupported("deep EXR", "flatten it"));
-    }
+    check_kind(header, src)?;
     let channels = &header.channels.list;
-    if let Some(c) = channels.iter().find(|c| c.sampling.x() != 1 || c.sampling.y() != 1) {
-        return Err(src.unsupported(format!("EXR with subsampled channel {}", c.name), "export it as RGB"));
-    }
     let has = |name: &str| channels.iter().any(|c| c.name.eq(name));
     let names: &[&str] = match (has("R") && has("G") && has("B"), has("A"), channels.len()) {
         (true, true, _) => &["R", "G", "B", "A"],
@@ -101,6 +101,17 @@ fn check_header<'a>(
         return Err(src.unsupported(format!("EXR with {layers} layers"), "export the one to be read"));
     }
     Ok(names)
+}
+
+/// Refuses what is not a plain grid of samples.
+fn check_kind(header: &Header, src: Source<'_>) -> Result<(), IoError> {
+    if header.deep {
+        return Err(src.unsupported("deep EXR", "flatten it"));
+    }
+    match header.channels.list.iter().find(|c| c.sampling.x() != 1 || c.sampling.y() != 1) {
+        Some(c) => Err(src.unsupported(format!("EXR with subsampled channel {}", c.name), "export it as RGB")),
+        None => Ok(()),
+    }
 }
 
 type Flat = ExrImage<Layer<AnyChannels<FlatSamples>>>;
@@ -150,10 +161,13 @@ pub fn write(image: &Image, out: &mut dyn Write) -> std::io::Result<()> {
         let values = image.data.iter().skip(slot).step_by(image.channels).copied().collect();
         AnyChannel::new(*name, FlatSamples::F32(values))
     };
-    let channels = AnyChannels::sort(names.iter().enumerate().map(channel).collect());
+    encode((image.width, image.height), names.iter().enumerate().map(channel).collect(), out)
+}
+
+fn encode(size: (usize, usize), channels: Vec<AnyChannel<FlatSamples>>, out: &mut dyn Write) -> std::io::Result<()> {
     let encoding =
         Encoding { compression: Compression::ZIP16, blocks: Blocks::ScanLines, line_order: LineOrder::Increasing };
-    let layer = Layer::new((image.width, image.height), LayerAttributes::default(), encoding, channels);
+    let layer = Layer::new(size, LayerAttributes::default(), encoding, AnyChannels::sort(channels.into()));
     let mut bytes = Cursor::new(Vec::new());
     ExrImage::from_layer(layer).write().non_parallel().to_buffered(&mut bytes).map_err(std::io::Error::other)?;
     out.write_all(bytes.get_ref())
@@ -165,6 +179,99 @@ pub fn write(image: &Image, out: &mut dyn Write) -> std::io::Result<()> {
 /// As [`write()`] and [`write_file`].
 pub fn save(path: &Path, image: &Image, overwrite: bool) -> Result<(), IoError> {
     write_file(path, overwrite, |out| write(image, out))
+}
+
+/// One named channel of a file: a value per pixel, row-major.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Channel {
+    /// Its name; `layer.component` puts it into a layer.
+    pub name: String,
+    /// Stored as half floats.
+    pub half: bool,
+    /// `width · height` values.
+    pub values: Vec<f32>,
+}
+
+/// Writes any channels of one size `(width, height)` as an EXR file, whole or not at all; half floats where a channel says
+/// so.
+///
+/// # Errors
+/// No channel or pixel, another number of values, names that are doubled or have an empty part, values beyond the range of
+/// half floats (as `InvalidInput`), and those of [`write_file`].
+pub fn save_channels(
+    path: &Path,
+    (width, height): (usize, usize),
+    channels: &[Channel],
+    overwrite: bool,
+) -> Result<(), IoError> {
+    let sample = |c: &Channel| {
+        let half = || FlatSamples::F16(c.values.iter().map(|&v| f16::from_f32(v)).collect());
+        AnyChannel::new(c.name.as_str(), if c.half { half() } else { FlatSamples::F32(c.values.clone()) })
+    };
+    write_file(path, overwrite, |out| {
+        check_channels(width, height, channels)
+            .map_err(|text| std::io::Error::new(std::io::ErrorKind::InvalidInput, text))?;
+        encode((width, height), channels.iter().map(sample).collect(), out)
+    })
+}
+
+fn check_channels(width: usize, height: usize, channels: &[Channel]) -> Result<(), String> {
+    let pixels = width.saturating_mul(height);
+    if channels.is_empty() || pixels == 0 {
+        return Err(format!("{} channels of {width}x{height}; EXR needs at least one of each", channels.len()));
+    }
+    let mut names: Vec<&str> = channels.iter().map(|c| c.name.as_str()).collect();
+    names.sort_unstable();
+    if let Some(pair) = names.windows(2).find(|pair| pair.first() == pair.last()) {
+        return Err(format!("channel {pair:?} is there twice"));
+    }
+    for c in channels {
+        if c.name.split('.').any(str::is_empty) || !c.name.is_ascii() || c.name.len() > 31 {
+            return Err(format!("channel name `{}` must be 1 to 31 ASCII letters without an empty part", c.name));
+        }
+        if c.values.len() != pixels {
+            return Err(format!("channel {} has {} values for {width}x{height}", c.name, c.values.len()));
+        }
+        let bad = c.values.iter().find(|v| c.half && v.is_finite() && v.abs() > f16::MAX.to_f32());
+        if let Some(v) = bad {
+            return Err(format!("channel {} holds {v}, beyond half floats; store it as f32", c.name));
+        }
+    }
+    Ok(())
+}
+
+/// Reads all channels of an EXR file's first layer, over its data window: `((width, height), channels)`, by name. `file` is
+/// the name used in errors.
+///
+/// # Errors
+/// Damaged or unsupported content, more than the limits allow, values that are not finite.
+pub fn read_channels(bytes: &[u8], file: &str, limits: &Limits) -> Result<((usize, usize), Vec<Channel>), IoError> {
+    let src = Source { file, format: "EXR" };
+    let meta = MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(|e| broken(&e, src))?;
+    let Some(header) = meta.headers.first() else {
+        return Err(src.malformed(At::Byte(8), "no layer", "export the image again"));
+    };
+    check_kind(header, src)?;
+    let (width, height) = (header.layer_size.x(), header.layer_size.y());
+    if width == 0 || height == 0 {
+        return Err(src.malformed(At::Byte(8), "the data window is empty", "export the image again"));
+    }
+    // As stored, in the block reader and as f32.
+    let per_pixel = 12 * header.channels.list.len() as u64;
+    limits.image(src, (width as u64, height as u64), per_pixel, bytes.len())?;
+    let file = decode(bytes, src)?;
+    let mut out = Vec::new();
+    for channel in &file.layer_data.channel_data.list {
+        let values: Vec<f32> = channel.sample_data.values_as_f32().collect();
+        let bad = values.iter().position(|v| !v.is_finite());
+        if let (Some(at), false) = (bad, limits.allow_non_finite) {
+            let what = format!("channel {} is not finite at x {} y {}", channel.name, at % width, at / width);
+            return Err(src.malformed(At::Row(at as u64), what, "repair the image"));
+        }
+        let half = matches!(channel.sample_data, FlatSamples::F16(_));
+        out.push(Channel { name: channel.name.to_string(), half, values });
+    }
+    Ok(((width, height), out))
 }
 
 #[cfg(test)]
@@ -215,5 +322,36 @@ mod tests {
         for cut in 0..whole.len() {
             assert!(read(&whole[..cut], "t.exr", &Limits::default()).is_err(), "{cut}");
         }
+    }
+
+    #[test]
+    fn named_channels_come_back_and_wrong_ones_are_refused() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("named.exr");
+        let channel = |name: &str, half, scale: f32| {
+            let values = (0..35).map(|i| i as f32 * scale).collect();
+            Channel { name: name.into(), half, values }
+        };
+        let sorted = [channel("D.X", false, 0.37), channel("T1.G", true, 0.5), channel("T1.R", true, -2.0)];
+        let given = [sorted[2].clone(), sorted[0].clone(), sorted[1].clone()];
+        save_channels(&path, (7, 5), &given, false).unwrap();
+        let bytes = std::fs::read(&path).unwrap();
+        let (size, back) = read_channels(&bytes, "t.exr", &Limits::default()).unwrap();
+        assert_eq!((size, back), ((7, 5), sorted.to_vec()));
+        for cut in 0..bytes.len() {
+            assert!(read_channels(&bytes[..cut], "t.exr", &Limits::default()).is_err(), "{cut}");
+        }
+        let tight = Limits { max_image_bytes: 300, ..Limits::default() };
+        assert!(read_channels(&bytes, "t.exr", &tight).unwrap_err().to_string().contains("image memory"));
+        let fails = |channels: &[Channel], part: &str| {
+            let text = save_channels(&path, (7, 5), channels, true).unwrap_err().to_string();
+            assert!(text.contains(part), "{text}");
+        };
+        fails(&[], "0 channels");
+        fails(&[channel("a", false, 1.0), channel("a", true, 1.0)], "twice");
+        fails(&[channel("a..b", false, 1.0)], "empty part");
+        fails(&[channel("a", true, 1e4)], "beyond half floats");
+        fails(&[Channel { name: "a".into(), half: false, values: vec![0.0; 34] }], "34 values");
+        assert_eq!(std::fs::read(&path).unwrap(), bytes, "a refused file leaves the old one");
     }
 }

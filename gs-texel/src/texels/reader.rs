@@ -20,8 +20,8 @@ pub enum SeamRead {
 
 /// Bilinear reads at fixed places: `out_i = Σ w_it map_t`.
 ///
-/// A texel counts only if it is valid or in the gutter, and the weights of those that count sum to 1; a place without any
-/// reads the nearest valid texel.
+/// Only valid texels count, whatever the map holds beside them, and their weights sum to 1; a place without any reads the
+/// nearest valid texel.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct MapReader {
     size: usize,
@@ -66,13 +66,9 @@ impl MapReader {
     }
 
     fn new(table: &TexelTable, places: &[Vec<(Vec2, f64)>]) -> Self {
-        let mut counts: Vec<bool> = table.row.iter().map(|&r| r != NONE).collect();
-        table.gutter.iter().for_each(|g| counts[g[0] as usize] = true);
         let taps = |places: &Vec<(Vec2, f64)>| {
-            let mut row: Vec<(u32, f64)> = places
-                .iter()
-                .flat_map(|&(uv, w)| taps(table, &counts, uv).into_iter().map(move |t| (t.0, w * t.1)))
-                .collect();
+            let mut row: Vec<(u32, f64)> =
+                places.iter().flat_map(|&(uv, w)| taps(table, uv).into_iter().map(move |t| (t.0, w * t.1))).collect();
             row.sort_unstable_by_key(|t| t.0);
             row.dedup_by(|b, a| {
                 a.0 == b.0 && {
@@ -142,7 +138,7 @@ impl MapReader {
 }
 
 /// The texels one place reads and their weights, which sum to 1.
-fn taps(table: &TexelTable, counts: &[bool], uv: Vec2) -> Vec<(u32, f64)> {
+fn taps(table: &TexelTable, uv: Vec2) -> Vec<(u32, f64)> {
     let (size, last) = (table.size, table.size as i64 - 1);
     let p = uv.as_dvec2() * size as f64 - 0.5;
     let (floor, part) = (p.floor(), p - p.floor());
@@ -151,7 +147,7 @@ fn taps(table: &TexelTable, counts: &[bool], uv: Vec2) -> Vec<(u32, f64)> {
         for (dx, wx) in [(0, 1.0 - part.x), (1, part.x)] {
             let x = (floor.x as i64 + dx).clamp(0, last) as usize;
             let y = (floor.y as i64 + dy).clamp(0, last) as usize;
-            if wx * wy > 0.0 && counts[y * size + x] {
+            if wx * wy > 0.0 && table.row[y * size + x] != NONE {
                 out.push(((y * size + x) as u32, wx * wy));
             }
         }

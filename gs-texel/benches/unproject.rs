@@ -1,0 +1,185 @@
+//! Time and error of what happens to the texels of a figure each frame: depth maps, rays, unprojection by every rule, the
+//! second unprojection where little moved, in-painting. The figure is two spheres of 18.8 thousand triangles, painted
+//! `½ + 0.4 sin(12x) cos(12y)` and photographed from four sides.
+//!
+//! Each row is printed and appended to `target/speed-error/gs-texel.jsonl`; `work` counts pixels, rays or texels.
+
+#[path = "../tests/scenes/mod.rs"]
+mod scenes;
+
+use criterion::Criterion;
+use glam::Vec3;
+use gs_core::speed::SpeedError;
+use gs_core::{Camera, Image};
+use gs_texel::bvh::Tracer;
+use gs_texel::inpaint::{Unseen, inpaint};
+use gs_texel::texels::TexelTable;
+use gs_texel::unproject::{Compat, UnprojectConfig, unproject};
+use gs_texel::visibility::Rule;
+use gs_texel::zbuffer::DepthMap;
+use scenes::{Figure, psnr, render, ring, two_spheres, views, waves};
+use std::hint::black_box;
+use std::time::{Duration, Instant};
+
+type Failure = Box<dyn std::error::Error>;
+
+/// What a row says beside its time.
+struct Row {
+    case: String,
+    variant: String,
+    n: usize,
+    error: Option<f64>,
+    error_kind: &'static str,
+}
+
+/// Measures `f`, prints the row with the median, and records it.
+fn measure(c: &mut Criterion, row: Row, mut f: impl FnMut()) {
+    let mut times: Vec<f64> = Vec::new();
+    c.bench_function(&format!("{}/{}", row.case, row.variant), |b| {
+        b.iter_custom(|iterations| {
+            let start = Instant::now();
+            (0..iterations).for_each(|_| f());
+            let spent = start.elapsed();
+            times.push(spent.as_secs_f64() * 1e3 / iterations as f64);
+            spent
+        });
+    });
+    times.sort_by(f64::total_cmp);
+    // None where the command line's filter leaves the case out.
+    let Some(&ms) = times.get(times.len() / 2) else { return };
+    let (krate, threads, work) = ("gs-texel", rayon::current_num_threads(), row.n as f64);
+    let Row { case, variant, n, error, error_kind } = row;
+    SpeedError { krate, case, variant, n, threads, ms, work, error, error_kind }.keep(env!("CARGO_MANIFEST_DIR"));
+}
+
+/// Amplitude of the error of so many decibels.
+fn rms(db: f64) -> Option<f64> {
+    Some(10f64.powf(-db / 20.0))
+}
+
+fn geometry(c: &mut Criterion, figure: &Figure, camera: &Camera) -> Result<(), Failure> {
+    let map = DepthMap::new(&figure.vertices, &figure.faces, camera, 0.05);
+    let covered = map.depth.iter().filter(|d| d.is_finite()).count();
+    let mut tracer = Tracer::new(&figure.vertices, &figure.faces)?;
+    let origin = camera.position().as_vec3();
+    let ray = |i: usize| camera.ray((i % map.width) as f64 + 0.5, (i / map.width) as f64 + 0.5).as_vec3();
+    let every = 7;
+    let worst = (0..map.depth.len()).step_by(every).fold(0.0f64, |worst, i| {
+        let (z, hit) = (map.depth[i], tracer.hit(origin, ray(i)));
+        let depth = |t: f32| camera.to_camera((origin + ray(i) * t).as_dvec3()).z;
+        hit.filter(|_| z.is_finite()).map_or(worst, |h| worst.max((depth(h.t) - f64::from(z)).abs()))
+    });
+    let row = |case: &str, variant: &str, n, error, error_kind| Row {
+        case: case.into(),
+        variant: variant.into(),
+        n,
+        error,
+        error_kind,
+    };
+    let kind = "m, worst, against rays";
+    measure(c, row("depth map 1024", "covered pixels", covered, Some(worst), kind), || {
+        black_box(DepthMap::new(&figure.vertices, &figure.faces, camera, 0.05));
+    });
+    measure(c, row("tracer", "build", figure.faces.len(), None, ""), || {
+        black_box(Tracer::new(&figure.vertices, &figure.faces).is_ok());
+    });
+    measure(c, row("tracer", "refit", figure.faces.len(), Some(0.0), "against brute force"), || {
+        black_box(tracer.refit(&figure.vertices).is_ok());
+    });
+    let rays: Vec<Vec3> = (0..map.depth.len()).step_by(every).map(ray).collect();
+    measure(c, row("tracer", "closest, one thread", rays.len(), Some(0.0), "against brute force"), || {
+        black_box(rays.iter().filter(|&&d| tracer.hit(origin, d).is_some()).count());
+    });
+    measure(c, row("texel table", "512", 512 * 512, Some(0.0), "texels owned twice"), || {
+        black_box(figure.table(512));
+    });
+    Ok(())
+}
+
+fn rules(c: &mut Criterion, figure: &Figure, table: &TexelTable) -> Result<(), Failure> {
+    let color = waves(12.0);
+    for side in [512, 1024, 2048] {
+        let cameras = ring(4, side);
+        let images: Vec<Image> = cameras.iter().map(|c| render(figure, c, &color)).collect();
+        let views = views(&cameras, &images);
+        let mut run = |variant: &str, config: UnprojectConfig| -> Result<(), Failure> {
+            let texture = unproject(&figure.mesh(), table, &views, &config)?;
+            let row = Row {
+                case: format!("unproject 4x{side} to {}", table.size),
+                variant: variant.into(),
+                n: table.len(),
+                error: rms(psnr(&texture, figure, table, &color)),
+                error_kind: "rms, seen texels",
+            };
+            measure(c, row, || drop(black_box(unproject(&figure.mesh(), table, &views, &config))));
+            Ok(())
+        };
+        for rule in Rule::ALL {
+            run(rule.name(), UnprojectConfig { rule, ..UnprojectConfig::default() })?;
+        }
+        let compat = Compat { align_corners: true, ..Compat::default() };
+        run("bilinear, align corners", UnprojectConfig { rule: Rule::Bilinear, compat, ..Default::default() })?;
+    }
+    Ok(())
+}
+
+/// The second unprojection when only the small sphere (a tenth of the vertices) has moved.
+fn again(c: &mut Criterion, figure: &Figure, table: &TexelTable) -> Result<(), Failure> {
+    let (cameras, config) = (ring(4, 1024), UnprojectConfig::default());
+    let images: Vec<Image> = cameras.iter().map(|c| render(figure, c, &waves(12.0))).collect();
+    let views = views(&cameras, &images);
+    let mut texture = unproject(&figure.mesh(), table, &views, &config)?;
+    let mut other = figure.clone();
+    let small = other.vertices.len() - 758;
+    other.vertices[small..].iter_mut().for_each(|v| v.x -= 0.03);
+    let redone = texture.clone().update(&other.mesh(), table, &views, &config, 0.0)?;
+    let mut turn = false;
+    let row = Row {
+        case: "second unprojection 1024".into(),
+        variant: "update, 8 % moved".into(),
+        n: redone.texels,
+        error: Some(0.0),
+        error_kind: "against a fresh one",
+    };
+    measure(c, row, || {
+        turn = !turn;
+        let mesh = if turn { other.mesh() } else { figure.mesh() };
+        black_box(texture.update(&mesh, table, &views, &config, 0.0).is_ok());
+    });
+    Ok(())
+}
+
+fn holes(c: &mut Criterion, figure: &Figure, table: &TexelTable) -> Result<(), Failure> {
+    let truth: Vec<[f32; 3]> =
+        table.interp_vec3(&figure.faces, &figure.vertices).iter().map(|p| waves(4.0)(p.as_dvec3())).collect();
+    let known: Vec<bool> = (0..table.len()).map(|k| (table.uv(k) - 0.5).length() > 0.06).collect();
+    for (how, variant) in [(Unseen::Nearest, "nearest"), (Unseen::Delaunay, "delaunay"), (Unseen::Natural, "natural")] {
+        let mut rows = truth.clone();
+        let done = inpaint(table, &mut rows, &known, how)?;
+        let sum: f64 = rows.iter().zip(&truth).map(|(a, b)| f64::from(a[0] - b[0]).powi(2)).sum();
+        let row = Row {
+            case: "in-paint a disc".into(),
+            variant: variant.into(),
+            n: done.filled,
+            error: Some((sum / done.filled as f64).sqrt()),
+            error_kind: "rms, k = 4",
+        };
+        measure(c, row, || drop(black_box(inpaint(table, &mut rows, &known, how))));
+    }
+    Ok(())
+}
+
+fn main() -> Result<(), Failure> {
+    let mut c = Criterion::default()
+        .without_plots()
+        .warm_up_time(Duration::from_millis(200))
+        .measurement_time(Duration::from_millis(800))
+        .sample_size(10)
+        .configure_from_args();
+    let figure = two_spheres();
+    let table = figure.table(512);
+    geometry(&mut c, &figure, &ring(4, 1024)[0])?;
+    rules(&mut c, &figure, &table)?;
+    again(&mut c, &figure, &table)?;
+    holes(&mut c, &figure, &table)
+}
