@@ -199,7 +199,7 @@ impl Params for Dense {
 }
 
 /// `total += part_0; total += part_1; …`, element by element in this order, in parallel over elements.
-fn add_in_order<'a>(total: &mut [f32], parts: impl Iterator<Item = &'a [f32]> + Clone + Sync + Send) {
+pub(super) fn add_in_order<'a>(total: &mut [f32], parts: impl Iterator<Item = &'a [f32]> + Clone + Sync + Send) {
     const PIECE: usize = 1 << 14;
     total.par_chunks_mut(PIECE).enumerate().for_each(|(i, piece)| {
         for part in parts.clone() {

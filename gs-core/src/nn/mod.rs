@@ -9,18 +9,27 @@
 //! encoder, several networks and the application of their output can share one pass through the cache.
 
 pub mod activation;
+pub mod conv;
 pub mod dense;
 pub mod encoding;
+mod gather;
 pub mod gemm;
 pub mod heads;
 pub mod jet;
+pub mod map;
+pub mod map_reference;
 pub mod mlp;
+pub mod norm;
+pub mod resample;
 
 pub use activation::Activation;
+pub use conv::{Conv, ConvSpec, ConvTranspose};
 pub use dense::{Dense, DenseGrad, Init};
 pub use heads::{Heads, HeadsGrad, HeadsTape};
 pub use jet::JetTape;
+pub use map::{Map, Sites};
 pub use mlp::{Mlp, MlpGrad, MlpTape};
+pub use norm::{GroupNorm, NormTape};
 
 /// Rows worked on together: 256 × 64 values of `f32` fill 64 KiB, so a few activations fit the second-level cache.
 pub const BLOCK: usize = 256;
