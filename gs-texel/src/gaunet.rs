@@ -1,0 +1,283 @@
+//! GauNet: from the second unprojected texture and the root-free normals to the Gaussian of every texel.
+//!
+//! The classic U-Net (Ronneberger et al. 2015), with zero padding and group normalisation in eight groups:
+//! ```text
+//! double   (conv 3×3 without bias, GN(8 groups), ReLU) × 2
+//! down     double → w;  then per level: 2 × 2 maximum, double → twice the channels
+//! up       per level: transposed conv 2×2 halves the channels, [skip, ·], double
+//! out      conv 1×1 → 11 + 3 (L + 1)²
+//! ```
+//! Channels out: log-scale (3), quaternion (4), opacity logit (1), offset (3), colour coefficients (3 for degree 0, then
+//! the rest, colour running fastest); `L` is the degree of the spherical harmonics.
+
+use crate::net::block::{Slot, Unit, UnitTape};
+use crate::net::{Level, NetError, NormOver, load};
+use gs_core::nn::gemm::Write;
+use gs_core::nn::{Conv, ConvSpec, ConvTranspose, Init, Map, resample};
+use gs_core::{Param, Params};
+use serde::{Deserialize, Serialize};
+
+/// Groups of every normalisation.
+const GROUPS: usize = 8;
+
+/// Shape of a [`GauNet`] and how it is run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct GauNetConfig {
+    /// Channels in: texture (3) and normals (3).
+    pub inputs: usize,
+    /// Channels of the finest level, a multiple of 8; each coarser level has twice as many.
+    pub width: usize,
+    /// How often the map is halved.
+    pub levels: u32,
+    /// Degree of spherical harmonics the output has room for.
+    pub sh_degree: u32,
+    /// Where the network exists.
+    pub norm_over: NormOver,
+    /// Whether only valid texels are computed (exact; matters with [`NormOver::Mask`]).
+    pub sparse: bool,
+}
+
+impl Default for GauNetConfig {
+    fn default() -> Self {
+        Self { inputs: 6, width: 64, levels: 4, sh_degree: 1, norm_over: NormOver::All, sparse: true }
+    }
+}
+
+impl GauNetConfig {
+    /// A quarter of the published cost at the same size: 32 channels, 4 levels.
+    pub fn small() -> Self {
+        Self { width: 32, ..Self::default() }
+    }
+
+    /// For tests and small machines: 16 channels, 3 levels, colour without direction.
+    pub fn tiny() -> Self {
+        Self { width: 16, levels: 3, sh_degree: 0, ..Self::default() }
+    }
+
+    /// Channels out.
+    pub fn outputs(&self) -> usize {
+        11 + 3 * (self.sh_degree as usize + 1).pow(2)
+    }
+
+    fn check(&self) -> Result<(), NetError> {
+        if self.inputs == 0 || self.levels == 0 {
+            let what = if self.levels == 0 { "level" } else { "input channel" };
+            return Err(NetError::Empty { net: "GauNet", what });
+        }
+        if self.width == 0 || !self.width.is_multiple_of(GROUPS) {
+            return Err(NetError::Width { net: "GauNet", width: self.width, multiple: GROUPS });
+        }
+        Ok(())
+    }
+
+    /// Channels of a level.
+    fn channels(&self, level: usize) -> usize {
+        self.width << level
+    }
+}
+
+type Double = [Unit; 2];
+type DoubleTape = [UnitTape; 2];
+
+/// The network.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GauNet {
+    config: GauNetConfig,
+    /// Finest first, one more than there are levels.
+    down: Vec<Double>,
+    /// Finest first.
+    up: Vec<(ConvTranspose, Double)>,
+    out: Conv,
+}
+
+/// Memory of a pass of a [`GauNet`] over maps of one size, for one mask; made once, reused by every pass.
+#[derive(Clone, Debug)]
+pub struct GauNetTape {
+    levels: Vec<Level>,
+    input: Map,
+    down: Vec<DoubleTape>,
+    /// Pooled input of `down[i + 1]`.
+    pooled: Vec<Slot>,
+    up: Vec<UpTape>,
+    out: Slot,
+    output: Vec<f32>,
+}
+
+/// Memory of one level on the way up.
+#[derive(Clone, Debug)]
+struct UpTape {
+    doubled: Slot,
+    joined: Slot,
+    double: DoubleTape,
+}
+
+fn forward_double(double: &Double, x: &Map, [a, b]: &mut DoubleTape, level: &Level) {
+    double[0].forward(x, a, level);
+    double[1].forward(&a.out.y, b, level);
+}
+
+fn backward_double(double: &mut Double, x: &Map, [a, b]: &mut DoubleTape, level: &Level, dx: Option<&mut Map>) {
+    let [first, second] = double;
+    second.backward(&a.out.y, b, [level, level], Some((&mut a.out.d, Write::Set)));
+    first.backward(x, a, [level, level], dx.map(|dx| (dx, Write::Set)));
+}
+
+impl GauNet {
+    /// A network whose parameters begin with `name`.
+    ///
+    /// # Errors
+    /// If the configuration cannot be built.
+    pub fn new(name: &str, config: GauNetConfig, seed: u64) -> Result<Self, NetError> {
+        config.check()?;
+        let double = |part: String, inputs, outputs| {
+            let unit = |i: usize, inputs| {
+                let spec = ConvSpec { kernel: 3, stride: 1, inputs, outputs, bias: false };
+                Unit::new(&format!("{name}.{part}.{i}"), spec, GROUPS, true, seed)
+            };
+            [unit(0, inputs), unit(1, outputs)]
+        };
+        let channels = |level: usize| config.channels(level);
+        let below = |l: usize| if l == 0 { config.inputs } else { channels(l - 1) };
+        let levels = config.levels as usize;
+        let up = |l: usize| {
+            let double = double(format!("up{l}"), 2 * channels(l), channels(l));
+            (ConvTranspose::new(&format!("{name}.up{l}.grow"), channels(l + 1), channels(l), Init::FanIn, seed), double)
+        };
+        let last = ConvSpec { kernel: 1, stride: 1, inputs: config.width, outputs: config.outputs(), bias: true };
+        Ok(Self {
+            config,
+            down: (0..=levels).map(|l| double(format!("down{l}"), below(l), channels(l))).collect(),
+            up: (0..levels).map(up).collect(),
+            out: Conv::new(&format!("{name}.out"), last, Init::FanIn, seed),
+        })
+    }
+
+    /// Its configuration.
+    pub fn config(&self) -> &GauNetConfig {
+        &self.config
+    }
+
+    /// Memory for maps of `size × size`. `mask` says which texels are valid, row by row; it is needed with
+    /// [`NormOver::Mask`] and not looked at otherwise.
+    ///
+    /// # Errors
+    /// If `size` cannot be halved as often as there are levels, or the mask is missing, of another size or empty.
+    pub fn tape(&self, size: usize, mask: Option<&[bool]>) -> Result<GauNetTape, NetError> {
+        let config = &self.config;
+        let levels = Level::pyramid(size, config.levels, config.norm_over, config.sparse, mask)?;
+        let double = |double: &Double, level: &Level| double.each_ref().map(|u| u.tape(level));
+        let up = |(l, up): (usize, &(ConvTranspose, Double))| UpTape {
+            doubled: Slot::new(&levels[l], config.channels(l)),
+            joined: Slot::new(&levels[l], 2 * config.channels(l)),
+            double: double(&up.1, &levels[l]),
+        };
+        Ok(GauNetTape {
+            input: levels[0].map(config.inputs),
+            down: self.down.iter().zip(&levels).map(|(d, level)| double(d, level)).collect(),
+            pooled: levels[1..].iter().enumerate().map(|(l, level)| Slot::new(level, config.channels(l))).collect(),
+            up: self.up.iter().enumerate().map(up).collect(),
+            out: Slot::new(&levels[0], config.outputs()),
+            output: vec![0.0; size * size * config.outputs()],
+            levels,
+        })
+    }
+
+    /// Values `[size, size, outputs]` from `map: [size, size, inputs]`; zero where texels are not valid.
+    ///
+    /// # Errors
+    /// If the map has another length or a value that is not finite.
+    pub fn forward<'t>(&self, map: &[f32], tape: &'t mut GauNetTape) -> Result<&'t [f32], NetError> {
+        let GauNetTape { levels, input, down, pooled, up, out, output } = tape;
+        load("input of GauNet", map, input, &levels[0])?;
+        forward_double(&self.down[0], input, &mut down[0], &levels[0]);
+        for l in 1..levels.len() {
+            let (above, here) = down.split_at_mut(l);
+            let pooled = &mut pooled[l - 1].y;
+            resample::max_pool(&above[l - 1][1].out.y, pooled, &levels[l].valid);
+            forward_double(&self.down[l], pooled, &mut here[0], &levels[l]);
+        }
+        for l in (0..up.len()).rev() {
+            let (here, below) = up.split_at_mut(l + 1);
+            let coarse = below.first().map_or(&down[l + 1][1].out.y, |b| &b.double[1].out.y);
+            let (tape, level, (grow, double)) = (&mut here[l], &levels[l], &self.up[l]);
+            grow.forward(coarse, &mut tape.doubled.y, level.compute());
+            level.tidy(&mut tape.doubled.y);
+            resample::concat(&down[l][1].out.y, &tape.doubled.y, &mut tape.joined.y, &level.valid);
+            forward_double(double, &tape.joined.y, &mut tape.double, level);
+        }
+        levels[0].conv(&self.out, &up[0].double[1].out.y, &mut out.y);
+        out.y.store(output);
+        Ok(output)
+    }
+
+    /// Adds the gradients of all parameters, from `d_out: [size, size, outputs]` of the pass that `tape` holds. What it
+    /// says about texels that are not valid is not used.
+    ///
+    /// # Errors
+    /// If `d_out` has another length or a value that is not finite; nothing was added then.
+    pub fn backward(&mut self, tape: &mut GauNetTape, d_out: &[f32]) -> Result<(), NetError> {
+        let GauNetTape { levels, input, down, pooled, up, out, .. } = tape;
+        load("gradient of GauNet's output", d_out, &mut out.d, &levels[0])?;
+        let Slot { y, d } = &mut up[0].double[1].out;
+        self.out.backward_params(y, &out.d, &levels[0].valid);
+        levels[0].conv_input(&self.out, &out.d, d, Write::Set);
+        for l in 0..up.len() {
+            let (here, below) = up.split_at_mut(l + 1);
+            let (tape, level, (grow, double)) = (&mut here[l], &levels[l], &mut self.up[l]);
+            let Slot { y, d } = &mut tape.joined;
+            backward_double(double, y, &mut tape.double, level, Some(&mut *d));
+            let skip = &mut down[l][1].out.d;
+            resample::concat_backward(d, 0, skip, &level.valid, Write::Set);
+            resample::concat_backward(d, skip.channels(), &mut tape.doubled.d, &level.valid, Write::Set);
+            let coarse = below.first_mut().map_or(&mut down[l + 1], |b| &mut b.double);
+            let (Slot { y, d }, under) = (&mut coarse[1].out, &levels[l + 1]);
+            grow.backward_params(y, &tape.doubled.d, &under.valid, &level.valid);
+            grow.backward_input(&tape.doubled.d, d, under.compute(), Write::Set);
+            under.tidy(d);
+        }
+        for l in (1..levels.len()).rev() {
+            let (above, here) = down.split_at_mut(l);
+            let (Slot { y, d }, fine) = (&mut pooled[l - 1], &mut above[l - 1][1].out);
+            backward_double(&mut self.down[l], y, &mut here[0], &levels[l], Some(&mut *d));
+            resample::max_pool_backward(&fine.y, y, d, &mut fine.d, &levels[l - 1].valid, Write::Add);
+        }
+        backward_double(&mut self.down[0], input, &mut down[0], &levels[0], None);
+        Ok(())
+    }
+}
+
+impl GauNetTape {
+    /// Texels per side.
+    pub fn size(&self) -> usize {
+        self.levels[0].size()
+    }
+
+    /// Bytes of maps held.
+    pub fn bytes(&self) -> usize {
+        let double = |d: &DoubleTape| d.iter().map(UnitTape::bytes).sum::<usize>();
+        let up = |u: &UpTape| u.doubled.bytes() + u.joined.bytes() + double(&u.double);
+        let pooled = self.pooled.iter().map(Slot::bytes).sum::<usize>();
+        let both = self.down.iter().map(double).sum::<usize>() + self.up.iter().map(up).sum::<usize>();
+        self.input.bytes() + self.out.bytes() + pooled + both
+    }
+}
+
+impl Params for GauNet {
+    fn visit(&self, f: &mut dyn FnMut(&Param)) {
+        self.down.iter().flatten().for_each(|u| u.visit(f));
+        for (grow, double) in &self.up {
+            grow.visit(f);
+            double.iter().for_each(|u| u.visit(f));
+        }
+        self.out.visit(f);
+    }
+    fn visit_mut(&mut self, f: &mut dyn FnMut(&mut Param)) {
+        self.down.iter_mut().flatten().for_each(|u| u.visit_mut(f));
+        for (grow, double) in &mut self.up {
+            grow.visit_mut(f);
+            double.iter_mut().for_each(|u| u.visit_mut(f));
+        }
+        self.out.visit_mut(f);
+    }
+}

@@ -1,0 +1,171 @@
+//! Convolution, normalisation and ReLU as one unit; two of them with a way around; memory for both.
+
+use super::Level;
+use gs_core::nn::gemm::Write;
+use gs_core::nn::{Conv, ConvSpec, GroupNorm, Init, Map, NormTape, resample};
+use gs_core::{Param, Params};
+
+/// A result and its gradient.
+#[derive(Clone, Debug)]
+pub(crate) struct Slot {
+    pub y: Map,
+    pub d: Map,
+}
+
+impl Slot {
+    pub fn new(level: &Level, channels: usize) -> Self {
+        Self { y: level.map(channels), d: level.map(channels) }
+    }
+
+    pub fn bytes(&self) -> usize {
+        self.y.bytes() + self.d.bytes()
+    }
+}
+
+/// Convolution, then group normalisation, then ReLU if wanted.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Unit {
+    conv: Conv,
+    norm: GroupNorm,
+}
+
+/// Memory of a [`Unit`].
+#[derive(Clone, Debug)]
+pub(crate) struct UnitTape {
+    /// The convolution's result.
+    z: Map,
+    norm: NormTape,
+    /// The unit's result; its gradient becomes that of `z` on the way back.
+    pub out: Slot,
+}
+
+impl Unit {
+    pub fn new(name: &str, spec: ConvSpec, groups: usize, relu: bool, seed: u64) -> Self {
+        let conv = Conv::new(&format!("{name}.conv"), spec, Init::FanIn, seed);
+        Self { conv, norm: GroupNorm::new(&format!("{name}.norm"), spec.outputs, groups, relu) }
+    }
+
+    pub fn tape(&self, level: &Level) -> UnitTape {
+        let channels = self.conv.outputs();
+        UnitTape { z: level.map(channels), norm: NormTape::default(), out: Slot::new(level, channels) }
+    }
+
+    /// `tape.out.y` from `x`.
+    pub fn forward(&self, x: &Map, tape: &mut UnitTape, to: &Level) {
+        to.conv(&self.conv, x, &mut tape.z);
+        self.norm.forward(&tape.z, &mut tape.out.y, &to.valid, &mut tape.norm);
+    }
+
+    /// Pulls `tape.out.d` into the parameters and, where the input wants it, into `dx`.
+    pub fn backward(&mut self, x: &Map, tape: &mut UnitTape, [from, to]: [&Level; 2], dx: Option<(&mut Map, Write)>) {
+        self.norm.backward(&tape.z, &mut tape.out.d, &to.valid, &mut tape.norm);
+        self.conv.backward_params(x, &tape.out.d, &to.valid);
+        if let Some((dx, write)) = dx {
+            from.conv_input(&self.conv, &tape.out.d, dx, write);
+        }
+    }
+}
+
+impl UnitTape {
+    pub fn bytes(&self) -> usize {
+        self.z.bytes() + self.out.bytes()
+    }
+}
+
+impl Params for Unit {
+    fn visit(&self, f: &mut dyn FnMut(&Param)) {
+        self.conv.visit(f);
+        self.norm.visit(f);
+    }
+    fn visit_mut(&mut self, f: &mut dyn FnMut(&mut Param)) {
+        self.conv.visit_mut(f);
+        self.norm.visit_mut(f);
+    }
+}
+
+/// `y = ReLU(GN(conv3×3 ReLU(GN(conv3×3_s x)))⁺ + skip)`; `skip` is `x`, or `GN(conv1×1_s x)` where shapes change.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Residual {
+    first: Unit,
+    second: Unit,
+    skip: Option<Unit>,
+}
+
+/// Memory of a [`Residual`].
+#[derive(Clone, Debug)]
+pub(crate) struct ResidualTape {
+    first: UnitTape,
+    second: UnitTape,
+    skip: Option<UnitTape>,
+    pub out: Slot,
+}
+
+impl Residual {
+    /// From `inputs` to `outputs` channels; groups of eight.
+    pub fn new(name: &str, inputs: usize, outputs: usize, stride: usize, seed: u64) -> Self {
+        let unit = |part: &str, kernel, stride, inputs, relu| {
+            let spec = ConvSpec { kernel, stride, inputs, outputs, bias: true };
+            Unit::new(&format!("{name}.{part}"), spec, outputs / 8, relu, seed)
+        };
+        Self {
+            first: unit("first", 3, stride, inputs, true),
+            second: unit("second", 3, 1, outputs, true),
+            skip: (inputs != outputs || stride != 1).then(|| unit("skip", 1, stride, inputs, false)),
+        }
+    }
+
+    pub fn tape(&self, to: &Level) -> ResidualTape {
+        let [first, second] = [&self.first, &self.second].map(|u| u.tape(to));
+        let channels = self.first.conv.outputs();
+        ResidualTape { first, second, skip: self.skip.as_ref().map(|s| s.tape(to)), out: Slot::new(to, channels) }
+    }
+
+    pub fn forward(&self, x: &Map, tape: &mut ResidualTape, to: &Level) {
+        let ResidualTape { first, second, skip, out } = tape;
+        self.first.forward(x, first, to);
+        self.second.forward(&first.out.y, second, to);
+        let around = match (&self.skip, skip) {
+            (Some(unit), Some(tape)) => {
+                unit.forward(x, tape, to);
+                &tape.out.y
+            }
+            _ => x,
+        };
+        resample::add_relu(&second.out.y, around, &mut out.y, &to.valid);
+    }
+
+    /// Pulls `tape.out.d` into the parameters and into `dx`.
+    pub fn backward(&mut self, x: &Map, tape: &mut ResidualTape, levels: [&Level; 2], (dx, write): (&mut Map, Write)) {
+        let ([from, to], ResidualTape { first, second, skip, out }) = (levels, tape);
+        resample::relu_map_backward(&out.y, &mut out.d, &to.valid);
+        match (&mut self.skip, skip) {
+            (Some(unit), Some(tape)) => {
+                resample::copy(&out.d, &mut tape.out.d, &to.valid, Write::Set);
+                unit.backward(x, tape, levels, Some((&mut *dx, write)));
+            }
+            _ => resample::copy(&out.d, dx, &from.valid, write),
+        }
+        resample::copy(&out.d, &mut second.out.d, &to.valid, Write::Set);
+        self.second.backward(&first.out.y, second, [to, to], Some((&mut first.out.d, Write::Set)));
+        self.first.backward(x, first, levels, Some((dx, Write::Add)));
+    }
+}
+
+impl ResidualTape {
+    pub fn bytes(&self) -> usize {
+        self.first.bytes() + self.second.bytes() + self.skip.as_ref().map_or(0, UnitTape::bytes) + self.out.bytes()
+    }
+}
+
+impl Params for Residual {
+    fn visit(&self, f: &mut dyn FnMut(&Param)) {
+        self.first.visit(f);
+        self.second.visit(f);
+        self.skip.iter().for_each(|s| s.visit(f));
+    }
+    fn visit_mut(&mut self, f: &mut dyn FnMut(&mut Param)) {
+        self.first.visit_mut(f);
+        self.second.visit_mut(f);
+        self.skip.iter_mut().for_each(|s| s.visit_mut(f));
+    }
+}
