@@ -16,6 +16,7 @@ pub mod bvh;
 pub mod character;
 pub mod clip;
 mod coverage;
+pub mod figure;
 pub mod gaunet;
 pub mod gaussians;
 pub mod geonet;
