@@ -421,7 +421,7 @@ impl Sum {
             }
             return weight;
         }
-        let weighted = |c: f32| (f64::from(weight) * f64::from(c) * UNIT).round() as i64;
+        let weighted = |c: f32| (f64::from(weight) * f64::from(c) * UNIT) as i64;
         self.colors.iter_mut().zip(s.color).for_each(|(sum, c)| *sum = sum.saturating_add(weighted(c)));
         self.weight += weighted(1.0);
         weight

@@ -186,13 +186,16 @@ impl<'a> Eye<'a> {
             if config.compat.align_corners { p * (side as f32 - 1.0) / side as f32 } else { p - 0.5 }
         };
         let (u, v) = (pixel(0, width), pixel(1, height));
-        let whole = if config.rule == Rule::PointDistance { (u.round(), v.round()) } else { (u.floor(), v.floor()) };
-        let inside = |first: f32, side: usize| first >= 0.0 && first + 1.0 < side as f32;
-        if !(inside(whole.0, width) && inside(whole.1, height)) {
+        // The nearest pixel stands for a whole footprint.
+        let (shift, part) = if config.rule == Rule::PointDistance { (0.5, 0.0) } else { (0.0, 1.0) };
+        let inside = |v: f32, side: usize| v >= 0.0 && v + 1.0 + shift < side as f32;
+        if !(inside(u, width) && inside(v, height)) {
             return None;
         }
-        let (wx, wy) = if config.rule == Rule::PointDistance { (0.0, 0.0) } else { (u - whole.0, v - whole.1) };
-        Some(Footprint { x: whole.0 as usize, y: whole.1 as usize, wx, wy, q })
+        // Not negative, so that cutting is rounding down.
+        let (x, y) = ((u + shift) as u32, (v + shift) as u32);
+        let (wx, wy) = (part * (u - x as f32), part * (v - y as f32));
+        Some(Footprint { x: x as usize, y: y as usize, wx, wy, q })
     }
 
     /// The mask's values at the four taps.
