@@ -193,12 +193,12 @@ impl ConvTranspose {
 
     /// Channels in.
     pub fn inputs(&self) -> usize {
-        self.shape.outputs
+        self.weight.len() / (4 * self.bias.len()).max(1)
     }
 
     /// Channels out.
     pub fn outputs(&self) -> usize {
-        self.shape.inputs
+        self.bias.len()
     }
 
     /// `y`, twice the size of `x`, at `sites`.
@@ -349,7 +349,7 @@ impl Group<'_> {
         for (a, sum) in sum.iter().enumerate() {
             let grad = &mut grad[a * self.outputs + first..][..live];
             let mut total: [f32x16<S>; V] = load(simd, grad);
-            total.iter_mut().zip(sum).for_each(|(t, s)| *t = *t + *s);
+            total.iter_mut().zip(sum).for_each(|(t, s)| *t += *s);
             store(&total, grad);
         }
         V

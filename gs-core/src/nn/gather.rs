@@ -286,7 +286,7 @@ impl Piece<'_> {
     ) {
         let stride = self.input.row_stride() as isize;
         let width = V * LANES;
-        let depth = self.inputs.min(DEPTH / 2).max(1);
+        let depth = self.inputs.clamp(1, DEPTH / 2);
         let together = (DEPTH / depth).max(1);
         let mut start = self.start;
         let mut spans = [Span { step: 0, panel: &[] }; DEPTH];

@@ -127,7 +127,7 @@ pub fn concat(a: &Map, b: &Map, y: &mut Map, sites: &Sites) {
     });
 }
 
-/// Gradient of [`concat`] for the part that begins at channel `first`, at `sites`, set or added.
+/// Gradient of [`concat()`] for the part that begins at channel `first`, at `sites`, set or added.
 ///
 /// # Panics
 /// If shapes do not fit.
