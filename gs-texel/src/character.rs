@@ -7,7 +7,7 @@ use crate::template::Template;
 use glam::Vec3;
 
 /// What a file of a rigged character, or a procedure, gives.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Character {
     /// The mesh in its bind pose.
     pub template: Template,

@@ -8,7 +8,7 @@ use std::sync::Arc;
 ///
 /// Vertices are welded: one row per distinct point of the surface, whatever seams of texture or normals run through it.
 /// Texture coordinates belong to corners of faces.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Template {
     /// `v̄`: positions in the bind pose, `N` rows.
     pub vertices: Vec<Vec3>,
@@ -91,7 +91,7 @@ impl SkinWeights {
 }
 
 /// A morph target.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Morph {
     /// Its name, empty if the file gives none.
     pub name: String,
@@ -100,7 +100,7 @@ pub struct Morph {
 }
 
 /// The appearance of some faces.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Material {
     /// Its name, empty if the file gives none.
     pub name: String,

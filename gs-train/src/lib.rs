@@ -5,6 +5,7 @@
 //! ```
 //! * [`data`]: readers (D-NeRF/Blender, nerfstudio, COLMAP, HyperNeRF, LLFF/Neu3D), lazily decoded images; [`synth`]:
 //!   scenes with exact truth.
+//! * [`avatar`]: filmed people, with template, poses and inputs.
 //! * [`methods`]: one file a method; [`schedule`], [`density`], [`adam`], [`loss`]: what training is made of.
 //! * [`trainer`]: one step, and the whole state in and out; [`guard`]: gradients that are not finite.
 //! * [`evaluate`], [`compare`], [`folders`], [`temporal`], [`inspect`], [`report`], [`contest`], [`sweep`]: what came of it.
@@ -24,6 +25,7 @@
 
 pub mod adam;
 pub mod analysis;
+pub mod avatar;
 pub mod bench;
 pub mod checkpoint;
 pub mod compact;

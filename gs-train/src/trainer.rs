@@ -94,6 +94,7 @@ impl Trainer {
     ) -> Result<Self, TrainError> {
         let entry = MethodEntry::find(method)?;
         let init: InitConfig = methods::section(entry.name, config, "init")?;
+        entry.avatar(&dataset)?;
         let scene = SceneInfo::of(&dataset, &init, options.seed)?;
         let method = (entry.build)(config, &scene)?;
         check_images(method.as_ref(), &dataset)?;
@@ -110,7 +111,7 @@ impl Trainer {
         config: Option<&toml::Table>,
         image_bytes: usize,
     ) -> Result<Self, TrainError> {
-        let loaded = methods::saved::load(checkpoint, config).map_err(TrainError::State)?;
+        let loaded = methods::saved::load_with(checkpoint, config, dataset.avatar.clone()).map_err(TrainError::State)?;
         if dataset.train.len() as u32 != loaded.scene.views {
             let (now, then) = (dataset.train.len(), loaded.scene.views);
             return Err(TrainError::State(format!("the data have {now} training views, the run began with {then}")));

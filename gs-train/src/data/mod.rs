@@ -28,6 +28,8 @@ use std::sync::Arc;
 use glam::Vec3;
 use gs_core::{Camera, Time};
 
+use crate::avatar::AvatarScene;
+
 mod blender;
 mod boundary;
 pub mod cache;
@@ -52,7 +54,7 @@ mod nvfi;
 pub mod options;
 mod panoptic;
 pub mod pixels;
-mod ply;
+pub(crate) mod ply;
 mod pose;
 mod scene_file;
 mod select;
@@ -173,6 +175,8 @@ pub struct Dataset {
     pub time_source: String,
     /// Lower and upper corner of the box that holds the scene, where the layout or its maker knows it.
     pub bounds: Option<[Vec3; 2]>,
+    /// The person that was filmed: template, poses and inputs, where the data bring them along.
+    pub avatar: Option<Arc<AvatarScene>>,
     /// Assumptions made while reading.
     pub notes: Vec<String>,
 }
@@ -212,8 +216,9 @@ impl Dataset {
 
     /// Makes every view smaller; the [`ImageCache`] averages the images down to their cameras.
     fn shrink(&mut self, scale: f64) {
+        let inputs = self.avatar.as_mut().map(|a| Arc::make_mut(a).inputs_mut()).into_iter().flatten();
         let all = self.train.iter_mut().chain(&mut self.val).chain(&mut self.test).chain(&mut self.extrapolate);
-        for v in all {
+        for v in all.chain(inputs) {
             v.stored = Some([v.camera.width, v.camera.height]);
             v.camera = v.camera.scaled(scale);
         }
@@ -234,6 +239,7 @@ impl Dataset {
             dynamic: self.dynamic,
             time_source: self.time_source.clone(),
             bounds: self.bounds,
+            avatar: self.avatar.clone(),
             notes: self.notes.clone(),
         }
     }

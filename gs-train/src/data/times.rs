@@ -56,6 +56,7 @@ impl Settled {
             dynamic: self.dynamic,
             time_source: self.source,
             bounds: None,
+            avatar: None,
             notes,
         }
     }

@@ -15,6 +15,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
     about: "Deformable 3D Gaussians: a cloud moved by a network of place and time (Yang et al. 2024)",
     defaults: include_str!("defgs.toml"),
     presets: &[("paper", ""), ("fast", include_str!("defgs.fast.toml")), ("tiny", include_str!("defgs.tiny.toml"))],
+    needs_avatar: false,
     build,
 };
 

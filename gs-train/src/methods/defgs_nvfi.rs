@@ -20,6 +20,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
         ("fast", include_str!("defgs_nvfi.fast.toml")),
         ("tiny", include_str!("defgs_nvfi.tiny.toml")),
     ],
+    needs_avatar: false,
     build,
 };
 

@@ -10,6 +10,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
     about: "Grid4D with the acutance of Deformable Radial Kernels",
     defaults: concat!(include_str!("drk.parts.toml"), include_str!("grid4d.toml")),
     presets: PRESETS,
+    needs_avatar: false,
     build,
 };
 

@@ -10,6 +10,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
     about: "FAGS: Grid4D with learnt fall-offs, a Fourier branch, a gate and a loss on spectra",
     defaults: concat!(include_str!("fags.parts.toml"), include_str!("grid4d.toml")),
     presets: PRESETS,
+    needs_avatar: false,
     build,
 };
 

@@ -15,6 +15,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
     about: "4D Gaussian Splatting: a cloud moved by six feature planes over space and time (Wu et al. 2024)",
     defaults: include_str!("fourdgs.toml"),
     presets: &[("paper", ""), ("fast", include_str!("fourdgs.fast.toml")), ("tiny", include_str!("fourdgs.tiny.toml"))],
+    needs_avatar: false,
     build,
 };
 

@@ -18,6 +18,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
     about: "Grid4D: a cloud moved by hash grids over space and time (Xu et al. 2024)",
     defaults: concat!(include_str!("grid4d.parts.toml"), include_str!("grid4d.toml")),
     presets: PRESETS,
+    needs_avatar: false,
     build,
 };
 

@@ -2,6 +2,8 @@
 //!
 //! Trainer, checkpoint, evaluation, viewer and command line see a method only through [`MethodEntry`] and [`Method`].
 
+use crate::avatar::AvatarScene;
+use crate::data::Dataset;
 use crate::density::Adapted;
 use crate::moment::Moment;
 use crate::schedule::{Schedule, ScheduleError};
@@ -10,6 +12,8 @@ use gs_anchor::StorageTable;
 use gs_core::{Camera, Params, Splats, SplatsGrad};
 use gs_physics::Motion;
 use gs_raster::ScreenStats;
+use std::path::PathBuf;
+use std::sync::Arc;
 
 pub mod ablate;
 pub mod anchored;
@@ -273,6 +277,18 @@ pub enum MethodError {
     /// The photographs the first points are carved from cannot be read.
     #[error(transparent)]
     Data(#[from] crate::data::DataError),
+    /// The data show no person with a template.
+    #[error(
+        "method `{method}` needs a filmed person with template and poses (layout avatar), and {} holds none; make one \
+         with `gs4d synth avatar`, or choose another method",
+        if folder.as_os_str().is_empty() { "the data set".into() } else { folder.display().to_string() }
+    )]
+    NoAvatar {
+        /// Name of the method.
+        method: &'static str,
+        /// The folder of the data.
+        folder: PathBuf,
+    },
     /// The scene or its initial points cannot be used.
     #[error("scene: {0}")]
     Scene(String),
@@ -291,6 +307,8 @@ pub struct MethodEntry {
     pub defaults: &'static str,
     /// Presets: name and the values that differ from the defaults, TOML.
     pub presets: &'static [(&'static str, &'static str)],
+    /// Whether it can be built only for a filmed person: [`SceneInfo::avatar`].
+    pub needs_avatar: bool,
     /// Builds the method for a scene from a resolved configuration.
     pub build: Build,
 }
@@ -305,6 +323,17 @@ impl MethodEntry {
             let known: Vec<&str> = METHODS.iter().map(|m| m.name).collect();
             MethodError::Unknown { name: name.to_owned(), known: known.join(", ") }
         })
+    }
+
+    /// The filmed person of a data set, if this method needs one.
+    ///
+    /// # Errors
+    /// [`MethodError::NoAvatar`] if it does and the data bring none.
+    pub fn avatar(&self, dataset: &Dataset) -> Result<Option<Arc<AvatarScene>>, MethodError> {
+        match &dataset.avatar {
+            None if self.needs_avatar => Err(MethodError::NoAvatar { method: self.name, folder: dataset.root.clone() }),
+            avatar => Ok(avatar.clone().filter(|_| self.needs_avatar)),
+        }
     }
 
     /// The defaults overlaid with a preset.

@@ -29,6 +29,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
         ("fast", include_str!("modec.fast.toml")),
         ("tiny", include_str!("modec.tiny.toml")),
     ],
+    needs_avatar: false,
     build,
 };
 

@@ -4,13 +4,15 @@
 //! the step and the optimiser's counters; tensors are every parameter `NAME`, its moments `NAME#m1`, `NAME#m2`, and the
 //! growth statistics.
 
-use super::{ColumnMut, Method, MethodEntry, SceneInfo};
+use super::{ColumnMut, Method, MethodEntry, MethodError, SceneInfo};
+use crate::avatar::AvatarScene;
 use crate::checkpoint::Checkpoint;
 use crate::data::PointCloud;
 use glam::Vec3;
 use gs_core::Param;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 /// What a checkpoint says of a run beside its tensors.
 #[derive(Clone, Copy, Debug)]
@@ -100,8 +102,24 @@ fn tensors(method: &dyn Method) -> Vec<(String, Vec<f32>)> {
 /// # Errors
 /// Says what is missing or does not fit.
 pub fn load(checkpoint: &Checkpoint, config: Option<&toml::Table>) -> Result<Loaded, String> {
+    load_with(checkpoint, config, None)
+}
+
+/// As [`load`], for a method that needs the filmed person of the data it was trained on.
+///
+/// # Errors
+/// As [`load`].
+pub fn load_with(
+    checkpoint: &Checkpoint,
+    config: Option<&toml::Table>,
+    avatar: Option<Arc<AvatarScene>>,
+) -> Result<Loaded, String> {
     let meta = Meta::deserialize(&checkpoint.meta).map_err(|e| format!("meta: {e}"))?;
     let entry = MethodEntry::find(&meta.method).map_err(|e| e.to_string())?;
+    if entry.needs_avatar && avatar.is_none() {
+        let folder = Default::default();
+        return Err(MethodError::NoAvatar { method: entry.name, folder }.to_string());
+    }
     let seed = meta.seed.parse().map_err(|_| format!("meta.seed `{}` is not a whole number", meta.seed))?;
     let bounds = meta.bounds.map(Vec3::from_array);
     if !(meta.extent > 0.0 && meta.extent.is_finite() && bounds.iter().all(|b| b.is_finite())) {
@@ -110,7 +128,7 @@ pub fn load(checkpoint: &Checkpoint, config: Option<&toml::Table>) -> Result<Loa
     // The blocks are given their rows below; one point stands in for the first cloud.
     let points = PointCloud { positions: vec![0.5 * (bounds[0] + bounds[1])], colors: vec![[0.5; 3]] };
     let Meta { extent, views, moments, last_time, frame_interval, .. } = meta;
-    let scene = SceneInfo { points, extent, bounds, views, moments, last_time, frame_interval, seed };
+    let scene = SceneInfo { points, extent, bounds, views, moments, last_time, frame_interval, seed, avatar };
     let config = config.unwrap_or(&meta.config).clone();
     let mut method = (entry.build)(&config, &scene).map_err(|e| e.to_string())?;
     restore(method.as_mut(), &checkpoint.tensors)?;

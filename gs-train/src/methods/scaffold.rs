@@ -17,6 +17,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
         ("fast", include_str!("scaffold.fast.toml")),
         ("tiny", include_str!("scaffold.tiny.toml")),
     ],
+    needs_avatar: false,
     build,
 };
 

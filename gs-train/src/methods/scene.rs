@@ -6,6 +6,7 @@
 //! ```
 //! (3D Gaussian Splatting's reference code; the lower bound keeps scenes with a resting camera trainable.)
 
+use crate::avatar::AvatarScene;
 use crate::data::{Dataset, PointCloud};
 use crate::methods::MethodError;
 use crate::methods::kernel::KernelConfig;
@@ -13,6 +14,7 @@ use glam::Vec3;
 use gs_anchor::neighbours::mean_squared_distances;
 use gs_core::{Cloud, Rng};
 use serde::{Deserialize, Serialize};
+use std::sync::Arc;
 
 /// Squared neighbour distances below this count as this.
 const MIN_SQUARED_DISTANCE: f32 = 1e-7;
@@ -76,6 +78,8 @@ pub struct SceneInfo {
     pub frame_interval: f32,
     /// Seed of the run.
     pub seed: u64,
+    /// The filmed person, where the data bring one along; not kept in checkpoints.
+    pub avatar: Option<Arc<AvatarScene>>,
 }
 
 impl SceneInfo {
@@ -91,7 +95,8 @@ impl SceneInfo {
             return Err(MethodError::Scene(format!("its extent is {extent}; cameras and points coincide")));
         }
         let (views, moments, last_time, frame_interval) = Default::default();
-        Ok(Self { points, extent, bounds, views, moments, last_time, frame_interval, seed }.seen_in(dataset))
+        let avatar = dataset.avatar.clone();
+        Ok(Self { points, extent, bounds, views, moments, last_time, frame_interval, seed, avatar }.seen_in(dataset))
     }
 
     /// The same scene as the training views of a data set show it, which may hold more than it was made from: its numbers of

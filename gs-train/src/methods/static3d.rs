@@ -21,6 +21,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
         ("fast", include_str!("static3d.fast.toml")),
         ("tiny", include_str!("static3d.tiny.toml")),
     ],
+    needs_avatar: false,
     build,
 };
 

@@ -35,6 +35,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
         ("fast", include_str!("trace.fast.toml")),
         ("tiny", include_str!("trace.tiny.toml")),
     ],
+    needs_avatar: false,
     build,
 };
 

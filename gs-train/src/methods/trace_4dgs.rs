@@ -15,6 +15,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
         ("fast", include_str!("trace_4dgs.fast.toml")),
         ("tiny", include_str!("trace_4dgs.tiny.toml")),
     ],
+    needs_avatar: false,
     build,
 };
 

@@ -7,6 +7,7 @@ use crate::checkpoint::{self, Checkpoint, Newest, Skipped};
 use crate::compact::SETTINGS;
 use crate::data::{Dataset, ImageCache, Split};
 use crate::evaluate::{EvalReport, evaluate, evaluate_with_future};
+use crate::methods::MethodEntry;
 use crate::methods::saved::{self, Loaded};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -46,7 +47,10 @@ impl OpenRun {
 
     fn of(folder: Option<RunFolder>, settings: &str, newest: Newest) -> Result<Self, RunError> {
         let resolved = Resolved::read(settings, folder::CONFIG)?;
-        let loaded = saved::load(&newest.checkpoint, None).map_err(crate::trainer::TrainError::State)?;
+        let entry = MethodEntry::find(&resolved.run.method)?;
+        // Only a method that cannot be built without the data's template has its data opened here.
+        let avatar = if entry.needs_avatar { entry.avatar(&resolved.open_data()?)? } else { None };
+        let loaded = saved::load_with(&newest.checkpoint, None, avatar).map_err(crate::trainer::TrainError::State)?;
         Ok(Self { folder, resolved, loaded, path: newest.path, skipped: newest.skipped })
     }
 

@@ -151,6 +151,7 @@ pub fn generate(name: &str, options: &SynthOptions) -> Result<SynthData, DataErr
         dynamic: dynamic && shots.training_moments > 1,
         time_source: source.into(),
         bounds: Some([Vec3::splat(-HALF_SIDE), Vec3::splat(HALF_SIDE)]),
+        avatar: None,
         notes: notes(&truth, shots.moments),
     };
     Ok(SynthData { dataset, truth })

@@ -78,6 +78,7 @@ fn method(config: PhysicsConfig, zero_init: bool) -> Transported<DefMlp, OneTwis
         last_time: 0.75,
         frame_interval: 0.05,
         seed: 5,
+        avatar: None,
     };
     let defgs = MethodEntry::find("defgs").and_then(|m| m.config("tiny")).unwrap();
     let cloud: CloudConfig = section("defgs", &defgs, "cloud").unwrap();
