@@ -4,12 +4,31 @@
 //! [`Dataset::avatar`](crate::data::Dataset::avatar). A method finds its frame by time: [`AvatarScene::frame_at`].
 
 use crate::data::ply::read_points;
-use crate::data::{DataError, View};
+use crate::data::{DataError, ImageCache, ImageU8, View};
 use glam::Vec3;
 use gs_core::Time;
+use gs_texel::figure::{self, Cylinder};
 use gs_texel::{Character, Pose, Skinning};
 use std::path::PathBuf;
 use std::sync::Arc;
+
+pub(crate) mod sample;
+
+/// What names of characters that need no file begin with.
+pub const BUILTIN: &str = "builtin:";
+/// Names of characters that need no file.
+pub const BUILTINS: &str = "builtin:person, builtin:sphere, builtin:cylinder or builtin:plate";
+
+/// The character that needs no file, by its name without [`BUILTIN`].
+pub fn builtin(name: &str) -> Option<Character> {
+    match name {
+        "person" => Some(figure::person()),
+        "sphere" => Some(figure::sphere(0.9, 24, 48)),
+        "cylinder" => Some(figure::cylinder(&Cylinder::default())),
+        "plate" => Some(figure::plate(1.0, 8)),
+        _ => None,
+    }
+}
 
 /// A filmed person.
 #[derive(Clone, Debug, PartialEq)]
@@ -92,6 +111,24 @@ impl AvatarScene {
     pub fn true_surface(&self, frame: &AvatarFrame) -> Vec<Vec3> {
         let morphs = frame.true_morphs.as_ref().unwrap_or(&frame.pose.morphs).clone();
         self.character.posed(&Pose { morphs, ..frame.pose.clone() }, self.skinning)
+    }
+
+    /// Colour and coverage of an input, of the size of its camera: the mask gives alpha where there is one, colour is zero
+    /// where nothing is.
+    ///
+    /// # Errors
+    /// As decoding goes.
+    pub fn input_pixels(view: &View, cache: &ImageCache) -> Result<Arc<ImageU8>, DataError> {
+        let image = cache.get(view)?;
+        let Some(mask) = cache.mask(view)? else { return Ok(image) };
+        let mut cut = Arc::unwrap_or_clone(image);
+        for (pixel, m) in cut.data.chunks_exact_mut(4).zip(mask.data) {
+            pixel[3] = (f32::from(pixel[3]) * m).round() as u8;
+            if pixel[3] == 0 {
+                pixel[..3].fill(0);
+            }
+        }
+        Ok(Arc::new(cut))
     }
 
     /// Number of conditioning cameras of the first frame.

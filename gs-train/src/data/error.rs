@@ -192,6 +192,14 @@ pub enum DataError {
         /// What its reader met.
         source: Box<gs_core::io::IoError>,
     },
+    /// A template that cannot be read.
+    #[error("cannot read the template: {source}")]
+    Character {
+        /// The file.
+        file: PathBuf,
+        /// What its reader met.
+        source: Box<gs_texel::CharacterError>,
+    },
     /// An image whose size is not that of its camera.
     #[error("{} is {}x{}, its camera is {}x{}", .file.display(), .got[0], .got[1], .want[0], .want[1])]
     ImageSize {
@@ -248,6 +256,7 @@ impl DataError {
             Self::CameraModel { .. } => "data.camera_model",
             Self::Decode { .. } => "data.image",
             Self::Points { .. } => "data.points",
+            Self::Character { .. } => "data.character",
             Self::ImageSize { .. } => "data.image_size",
             Self::Empty { .. } => "data.empty",
             Self::Option { .. } => "data.option",
@@ -278,6 +287,7 @@ impl DataError {
             Self::Missing { listed_in: file, .. }
             | Self::Decode { file, .. }
             | Self::Points { file, .. }
+            | Self::Character { file, .. }
             | Self::ImageSize { file, .. }
             | Self::Empty { file }
             | Self::Read { file, .. }
@@ -308,6 +318,7 @@ impl DataError {
             Self::CameraModel { .. } => "its distortion would be ignored and every ray bent",
             Self::Decode { .. } => "the view cannot be compared",
             Self::Points { .. } => "the file that names these points expects training to start from them",
+            Self::Character { .. } => "the scene's poses are those of this template",
             Self::ImageSize { .. } => "focal lengths and principal point are in pixels of the camera's size",
             Self::Empty { .. } => "there is nothing to learn from",
             Self::Option { .. } => "the value has no meaning here",
@@ -337,6 +348,7 @@ impl DataError {
                     .into()
             }
             Self::Decode { .. } => "open the image elsewhere; export it as 8 or 16 bit PNG or as JPEG".into(),
+            Self::Character { .. } => "export the character again as glTF or GLB".into(),
             Self::Points { .. } => "export the points again, or remove ply_file_path to start without them".into(),
             Self::ImageSize { .. } => "resize the image, or correct w and h in the camera file".into(),
             Self::Empty { .. } => "list at least one training view whose image exists".into(),

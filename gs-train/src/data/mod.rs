@@ -1,7 +1,8 @@
 //! Data sets: folders in, views out.
 //!
 //! A [`View`] is a camera, a moment and an image; a [`Dataset`] is three lists of them plus what else the folder holds.
-//! One file or folder per layout (`blender`, `nvfi`, `nerfstudio`, `colmap`, `hypernerf`, `llff`, `panoptic`), one line each in
+//! One file or folder per layout (`blender`, `nvfi`, `nerfstudio`, `colmap`, `hypernerf`, `llff`, `panoptic`,
+//! `avatar`), one line each in
 //! [`LAYOUTS`].
 //!
 //! # Conventions
@@ -30,6 +31,7 @@ use gs_core::{Camera, Time};
 
 use crate::avatar::AvatarScene;
 
+pub(crate) mod avatar;
 mod blender;
 mod boundary;
 pub mod cache;
@@ -288,6 +290,7 @@ pub const LAYOUTS: &[Layout] = &[
     hypernerf::LAYOUT,
     llff::LAYOUT,
     panoptic::LAYOUT,
+    avatar::LAYOUT,
 ];
 
 /// The reader that is surest of a folder; of equally sure ones the first.

@@ -37,6 +37,7 @@ pub(crate) struct Settled {
     pub(crate) extrapolate: Vec<View>,
     pub(crate) dynamic: bool,
     pub(crate) source: String,
+    pub(crate) clock: Clock,
     pub(crate) notes: Vec<String>,
 }
 
@@ -100,7 +101,7 @@ pub(crate) fn settle(
     let (train, val, test) = (finish(drafts.train)?, finish(drafts.val)?, finish(drafts.test)?);
     let extrapolate = finish(beyond)?;
     let source = if dynamic { source } else { "static: all training views show one moment".into() };
-    Ok(Settled { train, val, test, extrapolate, dynamic, source, notes })
+    Ok(Settled { train, val, test, extrapolate, dynamic, source, clock, notes })
 }
 
 /// Overrides the stated times when the user asked for names or order. Returns the source in words.
@@ -194,7 +195,8 @@ pub(super) fn span_of<'a>(list: impl IntoIterator<Item = &'a Draft> + Clone) -> 
 }
 
 /// How stated times become [`Time`].
-struct Clock {
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Clock {
     span: Option<TimeRange>,
     by_number: bool,
     fps: Option<f64>,
@@ -202,24 +204,25 @@ struct Clock {
 
 impl Clock {
     fn apply(&self, d: Draft) -> Result<View, DataError> {
-        let time = match (d.stated, self.span) {
-            (Some(t), Some(r)) => {
-                let normalised = (t - r.start) / (r.end - r.start);
-                let seconds = match (self.by_number, self.fps) {
-                    (false, _) => t,
-                    (true, Some(fps)) => t / fps,
-                    (true, None) => normalised,
-                };
-                Time::with_seconds(normalised as f32, seconds).map_err(|e| DataError::Field {
-                    place: d.place.clone(),
-                    value: e.value.to_string(),
-                    why: "after mapping the training span to 0..1 it must be a finite number",
-                    fix: "correct the time, or data.time_range and data.fps",
-                })?
-            }
-            _ => Time::default(),
-        };
+        let time = self.time(d.stated, &d.place)?;
         Ok(View { time, ..d.view })
+    }
+
+    /// The moment of a stated time, which stands at `place`.
+    pub(crate) fn time(&self, stated: Option<f64>, place: &Place) -> Result<Time, DataError> {
+        let (Some(t), Some(r)) = (stated, self.span) else { return Ok(Time::default()) };
+        let normalised = (t - r.start) / (r.end - r.start);
+        let seconds = match (self.by_number, self.fps) {
+            (false, _) => t,
+            (true, Some(fps)) => t / fps,
+            (true, None) => normalised,
+        };
+        Time::with_seconds(normalised as f32, seconds).map_err(|e| DataError::Field {
+            place: place.clone(),
+            value: e.value.to_string(),
+            why: "after mapping the training span to 0..1 it must be a finite number",
+            fix: "correct the time, or data.time_range and data.fps",
+        })
     }
 }
 

@@ -16,6 +16,7 @@ use crate::data::{DataError, Dataset, ImageSource, Lens, View};
 use shots::{Shot, Shots};
 use write_nerfies::with_lens;
 
+pub mod avatar;
 pub mod body;
 pub mod maps;
 mod mechanics;

@@ -1,0 +1,281 @@
+//! Generated films of a person: a built-in or a glTF character, filmed by rings of cameras while it moves.
+//!
+//! The data set is that of the layout `avatar`, in memory or as a folder ([`write()`]): multi-view pictures with alpha,
+//! poses, and points of the true surface. With [`Morphs::Gt`] the pictures show morph targets that the poses do not know of:
+//! offsets in the bind pose whose truth is exact. Everything is a function of the options alone.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use glam::Vec3;
+use gs_texel::surface::Topology;
+use gs_texel::{Character, Clip, Pose, ReadOptions, Skinning, load_character};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use crate::avatar::{BUILTIN, BUILTINS, SurfacePoints, builtin, sample};
+use crate::data::avatar::{Film, FrameUse, Role, Shot, Still, shot_name};
+use crate::data::{DataError, DataOptions, Dataset, ImageSource, Place, View};
+use gs_core::{Camera, Time};
+use shade::Stage;
+
+mod rig;
+mod shade;
+mod write;
+
+pub use shade::Light;
+pub use write::write;
+
+/// What pictures and poses make of morph targets.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Morphs {
+    /// Pictures show them, poses are at rest: their offsets are to be found.
+    #[default]
+    Gt,
+    /// Pictures show them and poses know them.
+    Apply,
+    /// Nobody does.
+    Ignore,
+}
+
+/// What to film.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct AvatarOptions {
+    /// `builtin:person`, `builtin:sphere`, `builtin:cylinder`, `builtin:plate`, or a glTF or GLB file.
+    pub template: String,
+    /// Name of the motion; none: the first there is.
+    pub clip: Option<String>,
+    /// Cameras in each ring, a multiple of 4.
+    pub per_ring: u32,
+    /// Rings, 1 to 3.
+    pub rings: u32,
+    /// Frames.
+    pub frames: u32,
+    /// Frames per second; none: such that the frames span the motion once.
+    pub fps: Option<f64>,
+    /// Every so manyth frame, beginning in the middle of the first run, is for tests alone (novel poses); 0: none.
+    pub test_every: u32,
+    /// Side of the square pictures, pixels.
+    pub size: u32,
+    /// Samples per pixel along each axis, 4 to 16.
+    pub supersample: u32,
+    /// What becomes of morph targets.
+    pub morph: Morphs,
+    /// How joints are blended.
+    pub skinning: Skinning,
+    /// None: the texture's colour as it is.
+    pub light: Option<Light>,
+    /// Points of the true surface at each frame, uniform by area; 0: none.
+    pub points: u32,
+    /// Seed of the points.
+    pub seed: u64,
+}
+
+impl Default for AvatarOptions {
+    fn default() -> Self {
+        Self {
+            template: "builtin:person".into(),
+            clip: None,
+            per_ring: 8,
+            rings: 2,
+            frames: 24,
+            fps: None,
+            test_every: 0,
+            size: 256,
+            supersample: 4,
+            morph: Morphs::Gt,
+            skinning: Skinning::Lbs,
+            light: None,
+            points: 20_000,
+            seed: 0,
+        }
+    }
+}
+
+/// Frames a second where a motion has no length.
+const FPS: f64 = 24.0;
+/// Most memory that pictures may take.
+const MAX_IMAGE_BYTES: u64 = 8 << 30;
+
+/// Films a person in memory.
+///
+/// # Errors
+/// `data.option` if an option is out of its domain or names a motion that is not there, `data.character` if the template
+/// cannot be read.
+pub fn generate(options: &AvatarOptions) -> Result<Dataset, DataError> {
+    let set = Set::new(options)?;
+    set.film()?.into_dataset(&DataOptions::default())
+}
+
+/// Everything but the pictures.
+struct Set<'a> {
+    options: &'a AvatarOptions,
+    character: Character,
+    topology: Topology,
+    clip: Option<Clip>,
+    fps: f64,
+    stills: Vec<StillLife>,
+    cameras: Vec<rig::Rigged>,
+}
+
+/// A frame and its true surface.
+struct StillLife {
+    list: FrameUse,
+    pose: Pose,
+    true_morphs: Vec<f32>,
+    surface: Vec<Vec3>,
+    points: Option<Arc<Vec<Vec3>>>,
+}
+
+fn wrong(name: &'static str, value: impl ToString, rule: impl Into<String>) -> DataError {
+    DataError::Option { name, value: value.to_string(), rule: rule.into() }
+}
+
+impl<'a> Set<'a> {
+    fn new(options: &'a AvatarOptions) -> Result<Self, DataError> {
+        check(options)?;
+        let character = character(&options.template)?;
+        let template = &character.template;
+        let topology = Topology::new(&template.faces, template.vertices.len());
+        let topology = topology.map_err(|e| wrong("template", &options.template, e.to_string()))?;
+        let clip = clip(&character, options.clip.as_deref())?;
+        let length = clip.as_ref().map_or(0.0, Clip::duration);
+        let usual = if length > 0.0 { f64::from(options.frames) / length } else { FPS };
+        let fps = options.fps.unwrap_or(usual);
+        let mut set = Self { options, character, topology, clip, fps, stills: Vec::new(), cameras: Vec::new() };
+        set.stills = (0..options.frames).into_par_iter().map(|n| set.still(n)).collect();
+        set.cameras = rig::rings(options.per_ring, options.rings, options.size, set.bounds()?)?;
+        Ok(set)
+    }
+
+    fn still(&self, number: u32) -> StillLife {
+        let (options, skeleton) = (self.options, &self.character.skeleton);
+        let seconds = f64::from(number) / self.fps;
+        let rest = || skeleton.rest_pose();
+        let shown = self.clip.as_ref().map_or_else(rest, |c| c.pose(skeleton, seconds));
+        let (known, true_morphs) = match options.morph {
+            Morphs::Gt => (rest().morphs, shown.morphs),
+            Morphs::Apply => (shown.morphs.clone(), shown.morphs),
+            Morphs::Ignore => (rest().morphs, rest().morphs),
+        };
+        let truth = Pose { locals: shown.locals.clone(), morphs: true_morphs.clone() };
+        let surface = self.character.posed(&truth, options.skinning);
+        let faces = &self.character.template.faces;
+        let points = (options.points > 0).then(|| {
+            let on = sample::on_faces(&surface, faces, options.points as usize, options.seed, number);
+            Arc::new(sample::places(&on, &surface, faces))
+        });
+        let every = options.test_every;
+        let list = if every > 0 && number % every == every / 2 { FrameUse::Test } else { FrameUse::Train };
+        StillLife { list, pose: Pose { locals: shown.locals, morphs: known }, true_morphs, surface, points }
+    }
+
+    /// The box around the surface at every frame.
+    fn bounds(&self) -> Result<[Vec3; 2], DataError> {
+        let mut all = self.stills.iter().flat_map(|s| &s.surface).copied();
+        let first = all.next().ok_or_else(|| wrong("template", &self.options.template, "one with vertices"))?;
+        let [low, high] = all.fold([first; 2], |[low, high], p| [low.min(p), high.max(p)]);
+        if !(low.is_finite() && high.is_finite()) {
+            return Err(wrong("template", &self.options.template, "one whose poses are finite"));
+        }
+        Ok([low, high])
+    }
+
+    /// A person at a frame, ready to be seen.
+    fn stage(&self, frame: usize) -> Stage<'_> {
+        let surface = self.stills[frame].surface.clone();
+        Stage::new(&self.character.template, &self.topology, surface, self.options.light)
+    }
+
+    /// With pictures in memory.
+    fn film(&self) -> Result<Film, DataError> {
+        let (cameras, frames) = (self.cameras.len(), self.stills.len());
+        let stages: Vec<Stage> = (0..frames).into_par_iter().map(|k| self.stage(k)).collect();
+        let shot = |i: usize| {
+            let (id, frame) = (i / frames, i % frames);
+            let rig::Rigged { camera, role } = &self.cameras[id];
+            let image = Arc::new(stages[frame].picture(camera, self.options.supersample));
+            self.shot(id as u32, frame as u32, *role, camera, ImageSource::Memory(image))
+        };
+        let shots = (0..cameras * frames).into_par_iter().map(shot).collect();
+        let still = |(number, s): (usize, &StillLife)| Still {
+            number: number as u32,
+            list: s.list,
+            pose: s.pose.clone(),
+            true_morphs: Some(s.true_morphs.clone()),
+            points: s.points.clone().map(SurfacePoints::Memory),
+        };
+        Ok(Film {
+            root: PathBuf::new(),
+            layout: "synth",
+            place: Place { file: "generated".into(), at: String::new() },
+            character: self.character.clone(),
+            skinning: self.options.skinning,
+            fps: self.fps,
+            stills: self.stills.iter().enumerate().map(still).collect(),
+            shots,
+            has_alpha: true,
+            notes: vec![format!("generated film of {}", self.options.template)],
+        })
+    }
+
+    fn shot(&self, id: u32, frame: u32, role: Role, camera: &Camera, image: ImageSource) -> Shot {
+        let view = View::new(shot_name(id, frame), camera.clone(), Time::default(), image, id);
+        Shot { number: frame, role, view }
+    }
+}
+
+fn check(o: &AvatarOptions) -> Result<(), DataError> {
+    let ranges = [
+        ("rings", o.rings, 1..=3),
+        ("per_ring", o.per_ring, 4..=64),
+        ("frames", o.frames, 1..=100_000),
+        ("size", o.size, 1..=2048),
+        ("supersample", o.supersample, 4..=16),
+        ("points", o.points, 0..=10_000_000),
+    ];
+    for (name, value, range) in ranges {
+        if !range.contains(&value) {
+            return Err(wrong(name, value, format!("{} to {}", range.start(), range.end())));
+        }
+    }
+    if !o.per_ring.is_multiple_of(4) {
+        return Err(wrong("per_ring", o.per_ring, "a multiple of 4: there is a conditioning camera every 90 degrees"));
+    }
+    if o.test_every == 1 {
+        return Err(wrong("test_every", 1, "0, or at least 2: some frames must train"));
+    }
+    if let Some(fps) = o.fps.filter(|f| !(*f > 0.0 && f.is_finite())) {
+        return Err(wrong("fps", fps, "above 0: frames per second"));
+    }
+    if let Some(light) = &o.light {
+        let length = light.direction.iter().map(|v| v * v).sum::<f64>();
+        if !(length > 0.0 && length.is_finite() && (0.0..=1.0).contains(&light.ambient)) {
+            return Err(wrong("light", format!("{light:?}"), "a finite direction that is not zero, ambient 0 to 1"));
+        }
+    }
+    let pictures = u64::from(o.per_ring * o.rings) * u64::from(o.frames);
+    if pictures * u64::from(o.size) * u64::from(o.size) * 4 > MAX_IMAGE_BYTES {
+        return Err(wrong("frames", o.frames, "all pictures together below 8 GiB"));
+    }
+    Ok(())
+}
+
+fn character(template: &str) -> Result<Character, DataError> {
+    if let Some(name) = template.strip_prefix(BUILTIN) {
+        return builtin(name).ok_or_else(|| wrong("template", template, format!("{BUILTINS}, or a glTF or GLB file")));
+    }
+    let options = ReadOptions { need_uvs: true, ..ReadOptions::default() };
+    let file = PathBuf::from(template);
+    load_character(&file, &options).map_err(|source| DataError::Character { file, source: Box::new(source) })
+}
+
+/// The motion of that name, or the first there is.
+fn clip(character: &Character, name: Option<&str>) -> Result<Option<Clip>, DataError> {
+    let Some(name) = name else { return Ok(character.clips.first().cloned()) };
+    let known = || character.clips.iter().map(|c| c.name.as_str()).collect::<Vec<_>>().join(", ");
+    let found = character.clip(name);
+    found.cloned().map(Some).ok_or_else(|| wrong("clip", name, format!("one of the template's motions: {}", known())))
+}

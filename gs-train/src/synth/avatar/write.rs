@@ -1,0 +1,143 @@
+//! A generated film as a folder of the layout `avatar`.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use glam::Vec3;
+use gs_core::Camera;
+use gs_core::io::write_file;
+use gs_texel::maps_exr::{Kind, Layer, save_layers};
+use rayon::prelude::*;
+use serde_json::{Value, json};
+
+use super::super::write::{save_png, vacant, write_json};
+use super::{AvatarOptions, Set};
+use crate::avatar::{BUILTIN, SurfacePoints};
+use crate::data::avatar::{FrameUse, Role};
+use crate::data::{DataError, DataOptions, Dataset, ImageSource};
+
+/// Films a person and writes the film to `dir`: `scene.json`, `cameras.json`, `images/CAMERA/FRAME.png` (straight alpha),
+/// `points/FRAME.ply`, a copy of the template and, with `truth`, `gt/CAMERA/FRAME.exr` with the layers `depth` (camera-space
+/// z), `N` (normal, world) and `P` (position, world) at pixel centres, 0 where nothing is. Gives the film in memory. Unless
+/// `overwrite` is set the folder must be empty or absent.
+///
+/// # Errors
+/// `io.exists` if the folder holds files, `io.write` if writing fails, else as [`super::generate`].
+pub fn write(dir: &Path, options: &AvatarOptions, truth: bool, overwrite: bool) -> Result<Dataset, DataError> {
+    vacant(dir, overwrite)?;
+    let set = Set::new(options)?;
+    made(dir.to_path_buf())?;
+    let template = copy_template(dir, &options.template)?;
+    let film = set.film()?;
+    for id in 0..set.cameras.len() {
+        made(dir.join(format!("images/{id:03}")))?;
+    }
+    film.shots.par_iter().try_for_each(|shot| match &shot.view.image {
+        ImageSource::Memory(image) => {
+            save_png(&dir.join(format!("images/{:03}/{:06}.png", shot.view.camera_id, shot.number)), image)
+        }
+        ImageSource::File(_) => Ok(()),
+    })?;
+    for still in &film.stills {
+        if let Some(SurfacePoints::Memory(points)) = &still.points {
+            let folder = made(dir.join("points"))?;
+            save_points(&folder.join(format!("{:06}.ply", still.number)), points)?;
+        }
+    }
+    if truth {
+        save_truth(dir, &set)?;
+    }
+    let cameras = set.cameras.iter().enumerate().map(|(id, c)| camera_json(id, &c.camera, c.role));
+    write_json(&dir.join("cameras.json"), &cameras.collect())?;
+    write_json(&dir.join("scene.json"), &scene_json(&set, &template))?;
+    film.into_dataset(&DataOptions::default())
+}
+
+fn made(folder: PathBuf) -> Result<PathBuf, DataError> {
+    std::fs::create_dir_all(&folder).map_err(|e| DataError::write(&folder, e))?;
+    Ok(folder)
+}
+
+/// Puts a template's file into the folder; gives the name the scene knows it by.
+fn copy_template(dir: &Path, template: &str) -> Result<String, DataError> {
+    if template.starts_with(BUILTIN) {
+        return Ok(template.to_owned());
+    }
+    let from = Path::new(template);
+    let bytes = std::fs::read(from).map_err(|e| DataError::read(from, e))?;
+    let is_glb = bytes.starts_with(b"glTF");
+    let name = if is_glb { "actor.glb" } else { "actor.gltf" };
+    let to = dir.join(name);
+    std::fs::write(&to, &bytes).map_err(|e| DataError::write(&to, e))?;
+    if is_glb {
+        return Ok(name.to_owned());
+    }
+    // The reader has read these files from the template's own folder, so they are inside it.
+    let gltf: Value = serde_json::from_slice(&bytes).map_err(|e| DataError::syntax(from, "", e.to_string()))?;
+    let beside = ["buffers", "images"].into_iter().flat_map(|list| gltf[list].as_array().into_iter().flatten());
+    for uri in beside.filter_map(|entry| entry["uri"].as_str()).filter(|uri| !uri.starts_with("data:")) {
+        let (from, to) = (from.with_file_name(uri), dir.join(uri));
+        made(to.parent().unwrap_or(dir).to_path_buf())?;
+        std::fs::copy(&from, &to).map_err(|e| DataError::write(&to, e))?;
+    }
+    Ok(name.to_owned())
+}
+
+fn save_points(file: &Path, points: &[Vec3]) -> Result<(), DataError> {
+    let head = format!(
+        "ply\nformat binary_little_endian 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\nend_header\n",
+        points.len()
+    );
+    let content = |out: &mut dyn Write| {
+        out.write_all(head.as_bytes())?;
+        points.iter().flat_map(|p| p.to_array()).try_for_each(|v| out.write_all(&v.to_le_bytes()))
+    };
+    write_file(file, true, content).map_err(|e| DataError::write(file, std::io::Error::other(e)))
+}
+
+/// Truth at the pixel centres of every picture.
+fn save_truth(dir: &Path, set: &Set) -> Result<(), DataError> {
+    let (cameras, frames) = (set.cameras.len(), set.stills.len());
+    for id in 0..cameras {
+        made(dir.join(format!("gt/{id:03}")))?;
+    }
+    let layer = |name: &str, kind, map| Layer { name: name.into(), kind, half: false, map };
+    (0..frames).into_par_iter().try_for_each(|frame| {
+        let stage = set.stage(frame);
+        (0..cameras).try_for_each(|id| {
+            let maps = stage.truth(&set.cameras[id].camera);
+            let file = dir.join(format!("gt/{id:03}/{frame:06}.exr"));
+            let layers = [
+                layer("depth", Kind::Plain, maps.depth),
+                layer("N", Kind::Vector, maps.normal),
+                layer("P", Kind::Vector, maps.position),
+            ];
+            save_layers(&file, &layers, true).map_err(|e| DataError::write(&file, std::io::Error::other(e)))
+        })
+    })
+}
+
+fn camera_json(id: usize, c: &Camera, role: Role) -> Value {
+    let name = Role::NAMES.iter().find(|(_, r)| *r == role).map(|(name, _)| *name);
+    let (r, t) = (c.rotation.transpose(), c.translation);
+    let row = |axis: glam::DVec3, t: f64| [axis.x, axis.y, axis.z, t];
+    let e = [row(r.x_axis, t.x), row(r.y_axis, t.y), row(r.z_axis, t.z), [0.0, 0.0, 0.0, 1.0]];
+    json!({
+        "id": id, "w": c.width, "h": c.height, "role": name, "dist": null, "pixel_center": "half",
+        "K": [c.fx, 0.0, c.cx, 0.0, c.fy, c.cy, 0.0, 0.0, 1.0],
+        "E": e.concat(),
+    })
+}
+
+fn scene_json(set: &Set, template: &str) -> Value {
+    let o = set.options;
+    let list = |of: FrameUse| -> Vec<usize> { (0..set.stills.len()).filter(|&n| set.stills[n].list == of).collect() };
+    json!({
+        "version": 1, "units": "m", "up": "y", "fps": set.fps,
+        "frames": { "start": 0, "count": o.frames, "step": 1 },
+        "template": template, "clip": set.clip.as_ref().map(|c| c.name.as_str()),
+        "skinning": o.skinning, "morph": o.morph, "background": [0, 0, 0],
+        "splits": { "train": list(FrameUse::Train), "test": list(FrameUse::Test), "ood": list(FrameUse::Ood) },
+        "generated": o,
+    })
+}
