@@ -49,7 +49,7 @@ const JOINTS: [(&str, Option<u32>, [f64; 3]); 17] = [
     ("right foot", Some(SHIN + 1), [-0.1, 0.09, 0.0]),
 ];
 
-/// A person of 1.75 m in a T-pose (bind and rest), about 3500 vertices, eight charts.
+/// A person of 1.75 m in a T-pose (bind and rest), about 3900 vertices, eight charts.
 ///
 /// Clips: `walk` (1 s, on the spot), `wave` (2 s, right arm), `turn` (4 s, once about the vertical); each ends where it
 /// begins. Morphs: `breathe` (the chest, 2 cm at weight 1), `swing` (the lower torso to its left, 6 cm), moved by every clip:
@@ -139,7 +139,7 @@ fn leg(body: &mut Builder, side: u32) {
     let joints = [HIPS, THIGH + side, SHIN + side, FOOT + side];
     let weights = |p: Vec3| chain(&joints, &[-0.9, -0.5, -0.09], BLEND, -p.y);
     let u = 0.27 * side as f32;
-    body.lathe(Cell::new([u, u + 0.27], [0.44, 1.0]), [32, 20], &point, &weights);
+    body.lathe(Cell::new([u, u + 0.27], [0.44, 1.0]), [28, 20], &point, &weights);
 }
 
 fn foot(body: &mut Builder, side: u32) {
