@@ -15,7 +15,7 @@ use gs_physics::reference::Pose;
 use gs_physics::reference::law::LawRef;
 use gs_physics::reference::velocity::VelocityRef;
 use gs_physics::{Dynamics, Integrator, Law, LawConfig, LawForm, Moves, VelocityConfig, VelocityField};
-use particles::{cotangents, points};
+use particles::{MIDDLE, cotangents, points, start};
 
 const N: usize = 20_000;
 /// Particles the twins follow.
@@ -59,8 +59,8 @@ fn errors<D: Dynamics>(
     let (x, d) = (points(COMPARED), cotangents(COMPARED));
     let (mut tape, mut out) = (D::Tape::default(), Moves::default());
     dynamics.clear_grads();
-    dynamics.transport(&x, SPAN[0], SPAN[1], &mut tape, &mut out);
-    dynamics.transport_backward(&x, &mut tape, &d);
+    dynamics.transport(start(&x, SPAN[0]), SPAN[1], &mut tape, &mut out);
+    dynamics.transport_backward(start(&x, SPAN[0]), &mut tape, &d);
     let mut worst = [0.0f64; 2];
     let mut want: Vec<Vec<f64>> = Vec::new();
     let ends = out.means.iter().zip(&out.turns).zip(d.means.iter().zip(&d.turns));
@@ -97,10 +97,10 @@ fn train<D: Dynamics>(case: &str, mut dynamics: D, products: [usize; 2], [value,
     let (mut tape, mut out) = (D::Tape::default(), Moves::default());
     let work = |k: usize| (N, 2.0 * (products[k] * N) as f64);
     row(case, "forward", work(0), (value, "positions and turns against f64"), || {
-        dynamics.transport(&x, SPAN[0], SPAN[1], &mut tape, &mut out);
+        dynamics.transport(start(&x, SPAN[0]), SPAN[1], &mut tape, &mut out);
     });
     row(case, "backward", work(1), (gradient, "weights' gradients relative to f64"), || {
-        dynamics.transport_backward(&x, &mut tape, &d);
+        dynamics.transport_backward(start(&x, SPAN[0]), &mut tape, &d);
     });
 }
 
@@ -113,7 +113,8 @@ fn products(inputs: usize, hidden: usize, depth: usize, outputs: usize) -> [usiz
 fn law(case: &str, config: &LawConfig) -> Result<(), Box<dyn std::error::Error>> {
     let mut law = Law::new(config, Vec3::ZERO, STEP, 1)?;
     enliven(&mut law);
-    let twin = LawRef::new(&law);
+    let mut twin = LawRef::new(&law);
+    twin.middle = MIDDLE.as_dvec3().to_array();
     let transport = |x| twin.transport(x, SPAN);
     let gradient = |x, d| {
         let mut grad = twin.net.zeros();

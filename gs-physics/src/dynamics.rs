@@ -24,6 +24,17 @@ impl Moves {
     }
 }
 
+/// Particles at the moment from which they are carried.
+#[derive(Clone, Copy, Debug)]
+pub struct Start<'a> {
+    /// Positions, world units.
+    pub x: &'a [Vec3],
+    /// The moment, in the unit of time of all calls.
+    pub t: f64,
+    /// The middle of what moves among them, world units; [`Dynamics::origin`] where nothing is known of it.
+    pub middle: Vec3,
+}
+
 /// Something learnt that moves particles through time: a law of twists, a velocity field.
 ///
 /// Positions that go in are constants (no gradient reaches them), as both TRACE and NVFi train it.
@@ -31,20 +42,20 @@ pub trait Dynamics: Params + Send + Sync {
     /// Scratch of one transport.
     type Tape: Default + Send + Sync;
 
-    /// Carries particles from `x` at time `from` to time `to`, in either direction, in sub-steps. `from = to` gives `x` and
-    /// identities, bit for bit.
-    fn transport(&self, x: &[Vec3], from: f64, to: f64, tape: &mut Self::Tape, out: &mut Moves);
+    /// Carries particles to time `to`, in either direction, in sub-steps. `to = start.t` gives `start.x` and identities, bit
+    /// for bit.
+    fn transport(&self, start: Start<'_>, to: f64, tape: &mut Self::Tape, out: &mut Moves);
 
-    /// The way back of [`Dynamics::transport`] for the same `x`: adds to the gradients of the parameters.
-    fn transport_backward(&mut self, x: &[Vec3], tape: &mut Self::Tape, d: &Moves);
+    /// The way back of [`Dynamics::transport`] from the same start: adds to the gradients of the parameters.
+    fn transport_backward(&mut self, start: Start<'_>, tape: &mut Self::Tape, d: &Moves);
 
     /// Regularisers that need no image: adds their gradients, gives their values with weights applied.
     fn regularise(&mut self, _seed: u64, _step: u32) -> Vec<(&'static str, f32)> {
         Vec::new()
     }
 
-    /// The motion of particles at `x` from time `t` on, about [`Dynamics::origin`]; for a velocity field its local twist.
-    fn motions(&self, x: &[Vec3], t: f64) -> Vec<Motion<f32>>;
+    /// The motion of particles from their start on, about [`Dynamics::origin`]; for a velocity field its local twist.
+    fn motions(&self, start: Start<'_>) -> Vec<Motion<f32>>;
 
     /// Whether [`Dynamics::motions`] of one moment rule all later times (a law), or the field must be read again at every
     /// step (a velocity field).

@@ -41,7 +41,7 @@ pub mod velocity;
 pub use centre::{Centre, Reduction};
 pub use classes::{ClassRule, Classified, MotionClass};
 pub use clip::clip_fast;
-pub use dynamics::{Dynamics, Moves};
+pub use dynamics::{Dynamics, Moves, Start};
 pub use error::PhysicsError;
 pub use extrapolate::{Extrapolator, RowsError};
 pub use groups::{Group, Groups};

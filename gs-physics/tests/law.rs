@@ -13,8 +13,8 @@ mod support;
 use glam::Vec3;
 use gs_core::Params;
 use gs_physics::reference::law::LawRef;
-use gs_physics::{AccelMap, Dynamics, Integrator, Law, LawConfig, LawForm, LawInput, LawTape, Moves, Rollout};
-use support::particles::{cotangents, points};
+use gs_physics::{AccelMap, Dynamics, Integrator, Law, LawConfig, LawForm, LawInput, LawTape, Moves, Rollout, Start};
+use support::particles::{MIDDLE, cotangents, points, start};
 use support::{close, compare_gradients, dot, enliven, flat, no_time_no_move, pose, reproducible};
 
 const ORIGIN: Vec3 = Vec3::new(0.3, -0.2, 0.5);
@@ -32,9 +32,21 @@ fn law(config: &LawConfig) -> Law {
     law
 }
 
+/// The `f64` twin, with the same middle.
+fn twin(law: &Law) -> LawRef {
+    let mut twin = LawRef::new(law);
+    twin.middle = MIDDLE.as_dvec3().to_array();
+    twin
+}
+
 /// Every form, order, map, input and switch, over one step and several, forth and back.
 fn cases() -> Vec<(LawConfig, [f64; 2])> {
     let mut out = Vec::new();
+    for order in 1..=3 {
+        let span = if order == 1 { [0.3, 0.3 + STEP] } else { [0.6, 0.5] };
+        let own = LawConfig { own_turn: true, spin_gain: 0.7, ..config(LawForm::Twist12, order) };
+        out.push((LawConfig { integrator: Integrator::Se3Mid, gain: 1.3, ..own }, span));
+    }
     for form in FORMS {
         for order in 1..=3 {
             for literal in [false, true] {
@@ -53,7 +65,7 @@ fn cases() -> Vec<(LawConfig, [f64; 2])> {
 fn gradients_of_the_twin_are_its_differences() {
     let (x, d) = (points(2), cotangents(2));
     for (config, span) in cases() {
-        let mut twin = LawRef::new(&law(&config));
+        let mut twin = twin(&law(&config));
         let mut grad = twin.net.zeros();
         let at = |i: usize| x[i].as_dvec3().to_array();
         (0..2).for_each(|i| twin.gradient(at(i), span, pose(&d, i), &mut grad));
@@ -79,17 +91,17 @@ fn production_agrees_with_the_twin() {
     let (x, d) = (points(n), cotangents(n));
     for (config, [from, to]) in cases() {
         let mut law = law(&config);
-        let twin = LawRef::new(&law);
+        let twin = twin(&law);
         let (mut tape, mut out, mut grad) = (LawTape::default(), Moves::default(), twin.net.zeros());
-        law.transport(&x, from, to, &mut tape, &mut out);
-        law.transport_backward(&x, &mut tape, &d);
+        law.transport(start(&x, from), to, &mut tape, &mut out);
+        law.transport_backward(start(&x, from), &mut tape, &d);
         for i in 0..n {
             let at = x[i].as_dvec3().to_array();
             for (got, want) in flat(pose(&out, i)).iter().zip(flat(twin.transport(at, [from, to]))) {
                 close(*got, want, 5e-6, &format!("{config:?} {i}"));
             }
             twin.gradient(at, [from, to], pose(&d, i), &mut grad);
-            let (got, want) = (law.motions(&x, from)[i].widened().to_array(), twin.motion(at, from).to_array());
+            let (got, want) = (law.motions(start(&x, from))[i].widened().to_array(), twin.motion(at, from).to_array());
             got.iter().zip(want).for_each(|(got, want)| close(*got, want, 5e-6, &format!("{config:?} {i}")));
         }
         compare_gradients(&law, "physics", &grad, 5e-6);
@@ -120,7 +132,7 @@ fn a_wheel_rolls() {
     let miss = |config: &LawConfig, parts: &[Vec3], n: usize| {
         let outputs: Vec<f32> = parts.iter().flat_map(|v| v.to_array()).take(n).collect();
         let (law, mut out) = (constant(config, &outputs), Moves::default());
-        law.transport(&rim, 0.0, 1.0, &mut LawTape::default(), &mut out);
+        law.transport(start(&rim, 0.0), 1.0, &mut LawTape::default(), &mut out);
         (out.means[0] - end).length()
     };
     let twist = [v - w.cross(hub), w, -w.cross(v), Vec3::ZERO];
@@ -132,6 +144,24 @@ fn a_wheel_rolls() {
     assert!(miss(&linear(LawForm::Gvfi13), &centre, 13) < 2e-6);
 }
 
+/// A ball that flies and spins about its middle: by its own turn, with the velocity and the fall of the middle alone.
+#[test]
+fn an_own_turn_leaves_the_middle_alone() {
+    let (spin, velocity, fall) = (Vec3::new(0.4, -2.0, 1.0), Vec3::new(1.4, 0.5, -0.6), Vec3::new(0.0, 0.0, -4.9));
+    let own = LawConfig { accel: AccelMap::Linear, own_turn: true, ..config(LawForm::Twist12, 2) };
+    let plain = LawConfig { integrator: Integrator::Se3Magnus4, ..own };
+    let parts = [velocity, Vec3::ZERO, fall, Vec3::ZERO, spin];
+    let law = constant(&plain, &parts.iter().flat_map(|v| v.to_array()).collect::<Vec<_>>());
+    let x = [MIDDLE, MIDDLE + Vec3::new(0.1, 0.0, 0.05)];
+    let (h, mut out) = (0.1, Moves::default());
+    law.transport(start(&x, 0.5), 0.5 + f64::from(h), &mut LawTape::default(), &mut out);
+    let middle = MIDDLE + h * velocity + 0.5 * h * h * fall;
+    // What is left is of third order: w × a h³ / 6.
+    assert!((out.means[0] - middle).length() < 1.1 * spin.cross(fall).length() * h * h * h / 6.0, "{}", out.means[0]);
+    let arm = glam::Quat::from_scaled_axis(h * spin) * (x[1] - x[0]);
+    assert!((out.means[1] - out.means[0] - arm).length() < 1e-5);
+}
+
 /// Half a turn in parts: θ = τ + 2 τ² about a fixed axis. The exact arc, and the printed one, which lags by 2 τ dt.
 #[test]
 fn angles_of_gvfi() {
@@ -141,7 +171,7 @@ fn angles_of_gvfi() {
         let mut outputs = [0.0; 13];
         (outputs[8], outputs[12]) = (1.0, 4.0);
         let (law, mut out) = (constant(&config, &outputs), Moves::default());
-        law.transport(&x, 0.2, 0.7, &mut LawTape::default(), &mut out);
+        law.transport(start(&x, 0.2), 0.7, &mut LawTape::default(), &mut out);
         let angle = 2.0 * f64::from(out.turns[0][3]).atan2(out.turns[0][0].into());
         assert!((angle - (0.5 + 0.5 - lag)).abs() < 5e-6, "{literal}: {angle}");
         let p = out.means[0] - ORIGIN;
@@ -154,8 +184,8 @@ fn angles_of_gvfi() {
 fn a_free_particle_goes_straight() {
     let law = law(&config(LawForm::Free, 2));
     let (x, mut out) = (points(30), Moves::default());
-    law.transport(&x, 0.4, 0.9, &mut LawTape::default(), &mut out);
-    let motions = law.motions(&x, 0.4);
+    law.transport(start(&x, 0.4), 0.9, &mut LawTape::default(), &mut out);
+    let motions = law.motions(start(&x, 0.4));
     let rollout = Rollout { rule: Integrator::Se3Magnus4, dt: 0.01, origin: law.origin() };
     let (mut means, mut quats) = (x.clone(), vec![[1.0, 0.0, 0.0, 0.0]; 30]);
     rollout.advance(&motions, [0.0, 0.5], &mut means, &mut quats);
@@ -204,12 +234,12 @@ fn a_law_learns_and_extrapolates() {
         let mut rng = gs_core::Rng::new(1, "times", step, 0);
         let (to, side) = (0.75 * f64::from(rng.uniform()), if rng.uniform() < 0.5 { STEP } else { -STEP });
         let from = (to - side).clamp(0.0, 0.7);
-        let (start, end, turn) = (at(from).means, at(to).means, at(to - from).turns);
-        law.transport(&start, from, to, &mut tape, &mut out);
+        let (begin, end, turn) = (at(from).means, at(to).means, at(to - from).turns);
+        law.transport(Start { x: &begin, t: from, middle: Vec3::ZERO }, to, &mut tape, &mut out);
         let means = out.means.iter().zip(&end).map(|(a, b)| *a - *b).collect();
         let off = |(a, b): (&[f32; 4], &[f32; 4])| std::array::from_fn(|k| 0.02 * (a[k] - b[k]));
         law.transport_backward(
-            &start,
+            Start { x: &begin, t: from, middle: Vec3::ZERO },
             &mut tape,
             &Moves { means, turns: out.turns.iter().zip(&turn).map(off).collect() },
         );
@@ -217,7 +247,7 @@ fn a_law_learns_and_extrapolates() {
     }
     let (mut last, want) = (at(0.7), at(1.0).means);
     let still = last.means.clone();
-    law.rollout().advance(&law.motions(&still, 0.7), [0.0, 0.3], &mut last.means, &mut last.turns);
+    law.rollout().advance(&law.motions(start(&still, 0.7)), [0.0, 0.3], &mut last.means, &mut last.turns);
     let miss = |got: &[Vec3]| got.iter().zip(&want).map(|(a, b)| (*a - *b).length()).sum::<f32>() / x.len() as f32;
     let (rolled, still) = (miss(&last.means), miss(&still));
     assert!(rolled < 0.1 * still, "{rolled} of {still}");
@@ -245,10 +275,10 @@ fn gradients_of_accelerations_are_clamped() {
     let last_bias = |accel_clamp: f32| {
         let mut law = law(&LawConfig { accel_clamp, ..config(LawForm::Twist12, 2) });
         let (x, mut tape, mut out) = (points(1), LawTape::default(), Moves::default());
-        law.transport(&x, 0.2, 0.5, &mut tape, &mut out);
+        law.transport(start(&x, 0.2), 0.5, &mut tape, &mut out);
         let mut d = cotangents(1);
         d.means[0] *= 1e3;
-        law.transport_backward(&x, &mut tape, &d);
+        law.transport_backward(start(&x, 0.2), &mut tape, &d);
         let mut grad = Vec::new();
         law.visit(&mut |p| grad.clone_from(&p.grad));
         grad

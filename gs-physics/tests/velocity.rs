@@ -16,7 +16,7 @@ use gs_core::nn::BLOCK;
 use gs_physics::pinn::point;
 use gs_physics::reference::velocity::VelocityRef;
 use gs_physics::{Dynamics, Moves, VelocityConfig, VelocityField, VelocityTape};
-use support::particles::{cotangents, points};
+use support::particles::{cotangents, points, start};
 use support::{close, compare_gradients, dot, enliven, flat, no_time_no_move, pose, reproducible};
 
 const BOUNDS: [Vec3; 2] = [Vec3::new(-1.0, -0.8, -1.2), Vec3::new(1.4, 1.0, 0.9)];
@@ -121,9 +121,9 @@ fn production_agrees_with_the_twin() {
         for [from, to] in [[0.6, 0.48], [0.3, 0.35]] {
             let (mut tape, mut out, mut grad) = (VelocityTape::default(), Moves::default(), twin.net.zeros());
             field.clear_grads();
-            field.transport(&x, from, to, &mut tape, &mut out);
-            field.transport_backward(&x, &mut tape, &d);
-            let motions = field.motions(&x, from);
+            field.transport(start(&x, from), to, &mut tape, &mut out);
+            field.transport_backward(start(&x, from), &mut tape, &d);
+            let motions = field.motions(start(&x, from));
             for i in 0..n {
                 let at = x[i].as_dvec3().to_array();
                 for (got, want) in flat(pose(&out, i)).iter().zip(flat(twin.transport(at, [from, to]))) {
@@ -172,7 +172,7 @@ fn a_turntable() {
     let mut field = constant([0.0, 0.0, 0.0, 0.0, 0.0, w], [0.0; 6]);
     let r = Vec3::new(0.5, 0.1, 0.3);
     let (x, mut out) = ([field.origin() + r], Moves::default());
-    field.transport(&x, 0.0, 0.5, &mut VelocityTape::default(), &mut out);
+    field.transport(start(&x, 0.0), 0.5, &mut VelocityTape::default(), &mut out);
     let angle = 2.0 * out.turns[0][3].atan2(out.turns[0][0]);
     assert!((angle - 1.0).abs() < 1e-6, "{angle}");
     // Ten steps of z = w h: radius √(1 + z⁴/4), angle atan(z / (1 − z²/2)) each.
@@ -180,7 +180,7 @@ fn a_turntable() {
     let (grown, turned) = ((1.0 + z.powi(4) / 4.0).powi(5), 10.0 * z.atan2(1.0 - z * z / 2.0));
     let want = glam::Quat::from_rotation_z(turned) * Vec3::new(r.x, r.y, 0.0) * grown + Vec3::new(0.0, 0.0, r.z);
     assert!((out.means[0] - field.origin() - want).length() < 1e-5);
-    let motion = field.motions(&x, 0.2)[0];
+    let motion = field.motions(start(&x, 0.2))[0];
     assert!((motion.twist.w[2] - w).abs() < 1e-6 && motion.twist.v.iter().all(|v| v.abs() < 1e-6));
 
     let terms = field.regularise(1, 1);

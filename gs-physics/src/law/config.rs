@@ -69,9 +69,13 @@ pub struct LawConfig {
     /// Factor on the outputs that say how particles turn, beside the gain (the authors': 1). A turn about a far origin moves
     /// a particle as a velocity does; below 1 what moves straight is learnt as such, and turns where only they explain it.
     pub spin_gain: f32,
-    /// Weight of a penalty on turning, half the mean of `|w|²` over the particles of a call (the authors': 0). What a moving
-    /// scene cannot tell apart, a turn or a velocity that changes from place to place, is then learnt as the latter.
-    pub spin_weight: f32,
+    /// Weight of a penalty on changes of turning, half the mean of `|ε|²` over the particles of a call (the authors': 0). A
+    /// change of turning hardly shows within the steps that are learnt from, but adds up beyond them.
+    pub spin_up_weight: f32,
+    /// [`LawForm::Twist12`] also predicts a turn of bodies about the middle of what moves, beside the twist about the origin
+    /// (the authors': no). The sum says no more than the twist alone, but descends better: about a far origin a turn can
+    /// hardly change without a velocity and an acceleration that make up for it.
+    pub own_turn: bool,
     /// Factor on the start of the outputs that give velocities. Accelerations always start as the other layers do: a
     /// signed square has no gradient at 0.
     pub head_start: f32,
@@ -97,7 +101,8 @@ impl Default for LawConfig {
             local_origin: true,
             gain: 1.0,
             spin_gain: 1.0,
-            spin_weight: 0.0,
+            spin_up_weight: 0.0,
+            own_turn: false,
             head_start: 0.1,
             accel_clamp: 1.0,
             literal: false,
@@ -122,8 +127,8 @@ impl LawConfig {
         for (name, factor) in factors {
             check(name, factor, factor.is_finite() && factor > 0.0, "above 0 and finite")?;
         }
-        let weight = self.spin_weight;
-        check("spin_weight", weight, weight.is_finite() && weight >= 0.0, "0 or more, finite")?;
+        let weight = self.spin_up_weight;
+        check("spin_up_weight", weight, weight.is_finite() && weight >= 0.0, "0 or more, finite")?;
         let clamp = self.accel_clamp;
         check("accel_clamp", clamp, clamp.is_finite() && clamp >= 0.0, "0 or more, finite")
     }

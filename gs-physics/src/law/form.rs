@@ -1,12 +1,16 @@
 //! From outputs of the network to motions, and the way back.
 //!
 //! ```text
-//! twist12    (v̄, w | ā, ε | j_v, j_w)                  six numbers per order
+//! twist12    (v̄, w | ā, ε | j_v, j_w | w_b)            six numbers per order, three for a turn of the body's own
 //! centre15   (P_c, v_c, w | a_c, ε)
 //! gvfi13     (P_c, v_c, w | a_c, e)                     ε = e w / √(|w|² + κ²)
 //! free       (v, w)                                     P_c = x, v_c = v
 //!
 //! v̄ = v_c − w × P_c     ā = a_c − ε × P_c − w × v_c     j_v = −2 ε × v_c − w × a_c  (third order)      (1)
+//! ```
+//! The own turn `w_b` is one about the middle `m` of what moves, a place of this moment:
+//! ```text
+//! w += w_b     v̄ −= w_b × m     ā −= w_b × u(m)         u(m) = v̄ + w × m without w_b                       (2)
 //! ```
 //! All are the network's outputs times a gain, about the origin of the law. Behind the bar stand derivatives, which pass the
 //! map of accelerations. (1) is the
@@ -17,9 +21,10 @@ use crate::twist::{Motion, Twist};
 use crate::vec3::{V3, add, add_scaled, scale, sub};
 use gs_core::Real;
 use gs_core::real::{cross3, dot3};
+use std::ops::Range;
 
 /// Most outputs of any form.
-pub(crate) const MAX_OUTPUTS: usize = 18;
+pub(crate) const MAX_OUTPUTS: usize = 21;
 
 /// `κ` of gvfi13, radians per unit of time: below it the axis fades away.
 const AXIS_FLOOR: f64 = 1e-3;
@@ -31,6 +36,7 @@ pub(crate) struct Form {
     order: u8,
     accel: AccelMap,
     literal: bool,
+    own_turn: bool,
     gain: f64,
     spin_gain: f64,
 }
@@ -106,11 +112,37 @@ pub(super) fn axis<T: Real>(w: V3<T>) -> (T, V3<T>) {
     (inverse, scale(w, inverse))
 }
 
+/// Equation (2): `motion` with a turn `own` about `middle` added.
+fn turned<T: Real>(motion: Motion<T>, own: V3<T>, middle: V3<T>, order: u8) -> Motion<T> {
+    let mut m = motion;
+    let carried = m.twist.velocity(middle);
+    m.twist = Twist { v: sub(m.twist.v, cross3(own, middle)), w: add(m.twist.w, own) };
+    if order > 1 {
+        m.rate.v = sub(m.rate.v, cross3(own, carried));
+    }
+    m
+}
+
+/// Cotangents of the motion and of the turn in [`turned`]. For `y = a × b`: `g_a = b × g`, `g_b = g × a`.
+fn turned_back<T: Real>(motion: &Motion<T>, own: V3<T>, middle: V3<T>, order: u8, d: &Motion<T>) -> (Motion<T>, V3<T>) {
+    let mut d_motion = *d;
+    let mut d_own = sub(d.twist.w, cross3(middle, d.twist.v));
+    if order > 1 {
+        let (g, carried) = (d.rate.v, motion.twist.velocity(middle));
+        d_own = sub(d_own, cross3(carried, g));
+        let d_carried = cross3(own, g);
+        d_motion.twist.v = add(d_motion.twist.v, d_carried);
+        d_motion.twist.w = add(d_motion.twist.w, cross3(middle, d_carried));
+    }
+    (d_motion, d_own)
+}
+
 impl Form {
     pub fn new(config: &LawConfig) -> Self {
         let order = if config.form == LawForm::Free { 1 } else { config.order };
         let (gain, spin_gain) = (f64::from(config.gain), f64::from(config.gain) * f64::from(config.spin_gain));
-        Self { kind: config.form, order, accel: config.accel, literal: config.literal, gain, spin_gain }
+        let own_turn = config.own_turn && config.form == LawForm::Twist12;
+        Self { kind: config.form, order, accel: config.accel, literal: config.literal, own_turn, gain, spin_gain }
     }
 
     pub fn literal(&self) -> bool {
@@ -121,7 +153,7 @@ impl Form {
     pub fn outputs(&self) -> (usize, usize) {
         let order = usize::from(self.order);
         match self.kind {
-            LawForm::Twist12 => (6 * order, 6),
+            LawForm::Twist12 => (6 * order + if self.own_turn { 3 } else { 0 }, 6),
             LawForm::Centre15 => (if order > 1 { 15 } else { 9 }, 9),
             LawForm::Gvfi13 => (if order > 1 { 13 } else { 9 }, 9),
             LawForm::Free => (6, 6),
@@ -133,10 +165,21 @@ impl Form {
         matches!(self.kind, LawForm::Gvfi13 | LawForm::Free)
     }
 
+    /// The first output of the own turn.
+    fn own_at(&self) -> usize {
+        6 * usize::from(self.order)
+    }
+
+    /// The outputs that are derivatives.
+    pub fn rates(&self) -> Range<usize> {
+        let (all, first) = self.outputs();
+        first..if self.own_turn { self.own_at() } else { all }
+    }
+
     /// The factor on output `i`.
     fn gain(&self, i: usize) -> f64 {
         let turns = match self.kind {
-            LawForm::Twist12 | LawForm::Free => i % 6 >= 3,
+            LawForm::Twist12 | LawForm::Free => i % 6 >= 3 || i >= self.own_at(),
             LawForm::Centre15 | LawForm::Gvfi13 => (6..9).contains(&i) || i >= 12,
         };
         if turns { self.spin_gain } else { self.gain }
@@ -144,21 +187,20 @@ impl Form {
 
     /// Outputs times their gains, derivatives mapped; the rest of the array is 0.
     pub fn mapped<T: Real>(&self, y: &[T]) -> [T; MAX_OUTPUTS] {
-        let mut out = [y[0].lit(0.0); MAX_OUTPUTS];
-        let first = self.outputs().1;
+        let (mut out, rates) = ([y[0].lit(0.0); MAX_OUTPUTS], self.rates());
         for (i, (o, &v)) in out.iter_mut().zip(y).enumerate() {
             let v = v * v.lit(self.gain(i));
-            *o = if i < first || self.accel == AccelMap::Linear { v } else { v * v.max(-v) * v.lit(0.1) };
+            *o = if rates.contains(&i) && self.accel != AccelMap::Linear { v * v.max(-v) * v.lit(0.1) } else { v };
         }
         out
     }
 
     /// The way back of [`Form::mapped`], in place.
     pub fn mapped_back<T: Real>(&self, y: &[T], d: &mut [T]) {
-        let first = self.outputs().1;
+        let rates = self.rates();
         for (i, (d, &v)) in d.iter_mut().zip(y).enumerate() {
             *d = *d * v.lit(self.gain(i));
-            if i >= first && self.accel == AccelMap::SignedSq10 {
+            if rates.contains(&i) && self.accel == AccelMap::SignedSq10 {
                 *d = *d * v.max(-v) * v.lit(0.2 * self.gain(i));
             }
         }
@@ -175,11 +217,18 @@ impl Form {
         Hub { position: triple(m, 0), velocity: triple(m, 3), acceleration: triple(m, 9), w, spin }
     }
 
-    /// The motion of a particle at `x` about the origin, from the network's outputs `y`.
-    pub fn motion<T: Real>(&self, y: &[T], x: V3<T>) -> Motion<T> {
+    /// The twist that mapped outputs speak of, without the own turn.
+    fn twist<T: Real>(&self, m: &[T; MAX_OUTPUTS]) -> Motion<T> {
+        let kept = if self.own_turn { self.own_at() } else { MAX_OUTPUTS };
+        Motion::from_array(std::array::from_fn(|i| if i < kept { m[i] } else { m[i].lit(0.0) }))
+    }
+
+    /// The motion of a particle at `x`, from the network's outputs `y`; `middle` is that of what moves. Both about the origin.
+    pub fn motion<T: Real>(&self, y: &[T], x: V3<T>, middle: V3<T>) -> Motion<T> {
         let m = self.mapped(y);
         match self.kind {
-            LawForm::Twist12 => Motion::from_array(m),
+            LawForm::Twist12 if self.own_turn => turned(self.twist(&m), triple(&m, self.own_at()), middle, self.order),
+            LawForm::Twist12 => self.twist(&m),
             // A free particle is a body with its centre in the particle: its path is the straight line to any order.
             LawForm::Free => self.centre(&m, x).motion(2, false),
             _ => self.centre(&m, x).motion(self.order, self.literal),
@@ -187,8 +236,13 @@ impl Form {
     }
 
     /// Cotangents of the outputs from those of [`Form::motion`], for the forms that an integrator carries.
-    pub fn motion_back<T: Real>(&self, y: &[T], d: &Motion<T>, d_y: &mut [T]) {
-        if self.kind == LawForm::Twist12 {
+    pub fn motion_back<T: Real>(&self, y: &[T], middle: V3<T>, d: &Motion<T>, d_y: &mut [T]) {
+        if self.kind == LawForm::Twist12 && self.own_turn {
+            let (m, at) = (self.mapped(y), self.own_at());
+            let (twist, own) = turned_back(&self.twist(&m), triple(&m, at), middle, self.order, d);
+            d_y[..at].iter_mut().zip(twist.to_array()).for_each(|(to, from)| *to = from);
+            d_y[at..].copy_from_slice(&own);
+        } else if self.kind == LawForm::Twist12 {
             d_y.iter_mut().zip(d.to_array()).for_each(|(to, from)| *to = from);
         } else {
             let centre = self.centre(&self.mapped(y), [y[0].lit(0.0); 3]);

@@ -18,7 +18,7 @@ mod form;
 
 pub use config::{AccelMap, LawConfig, LawForm, LawInput};
 
-use crate::dynamics::{Dynamics, Moves};
+use crate::dynamics::{Dynamics, Moves, Start};
 use crate::error::PhysicsError;
 use crate::rollout::{RollTape, Rollout};
 use crate::twist::Motion;
@@ -106,7 +106,7 @@ impl Law {
         encoding::width(3, self.config.bands)
     }
 
-    /// Position about the origin.
+    /// A place about the origin.
     fn relative(&self, x: Vec3) -> [f32; 3] {
         (x - self.rollout.origin).to_array()
     }
@@ -132,12 +132,14 @@ impl Law {
     }
 
     /// Motions from the outputs in the tape.
-    fn form_motions(&self, x: &[Vec3], blocks: &[Block], motions: &mut Vec<Motion<f32>>) {
+    fn form_motions(&self, start: Start<'_>, blocks: &[Block], motions: &mut Vec<Motion<f32>>) {
+        let Start { x, middle, .. } = start;
+        let middle = self.relative(middle);
         motions.resize(x.len(), Motion::default());
         let rows = x.par_chunks(BLOCK).zip(motions.par_chunks_mut(BLOCK));
         blocks.par_iter().zip(rows).for_each(|(block, (x, motions))| {
             for ((y, x), m) in block.net.output().chunks_exact(self.net.outputs()).zip(x).zip(motions) {
-                *m = self.form.motion(y, self.relative(*x));
+                *m = self.form.motion(y, self.relative(*x), middle);
             }
         });
     }
@@ -156,7 +158,8 @@ impl Law {
     }
 
     /// Cotangents of the network's outputs, from those of motions or of closed forms.
-    fn fill_cotangents(&self, x: &[Vec3], tape: &mut LawTape, d: &Moves) {
+    fn fill_cotangents(&self, start: Start<'_>, tape: &mut LawTape, d: &Moves) {
+        let (x, middle) = (start.x, self.relative(start.middle));
         let LawTape { blocks, d_motions, span, .. } = tape;
         let (outputs, span) = (self.net.outputs(), span.narrowed());
         blocks.par_iter_mut().enumerate().for_each(|(b, block)| {
@@ -168,19 +171,19 @@ impl Law {
                     let ends = (d.means[i].to_array(), d.turns[i]);
                     arc::carry_back(&self.form, y, self.relative(x[i]), span, ends, d_y);
                 } else {
-                    self.form.motion_back(y, &d_motions[i], d_y);
+                    self.form.motion_back(y, middle, &d_motions[i], d_y);
                 }
-                shorten(&mut d_y[self.form.outputs().1..], self.config.accel_clamp);
+                shorten(&mut d_y[self.form.rates()], self.config.accel_clamp);
             }
         });
     }
 
-    /// Adds the gradient of the penalty on turning.
-    fn shrink_turns(&self, tape: &mut LawTape) {
-        let weight = self.config.spin_weight / tape.motions.len().max(1) as f32;
+    /// Adds the gradient of the penalty on changes of turning.
+    fn shrink_spin_up(&self, tape: &mut LawTape) {
+        let weight = self.config.spin_up_weight / tape.motions.len().max(1) as f32;
         if weight > 0.0 {
             let rows = tape.d_motions.iter_mut().zip(&tape.motions);
-            rows.for_each(|(d, m)| (0..3).for_each(|k| d.twist.w[k] += weight * m.twist.w[k]));
+            rows.for_each(|(d, m)| (0..3).for_each(|k| d.rate.w[k] += weight * m.rate.w[k]));
         }
     }
 
@@ -203,7 +206,8 @@ impl Law {
 impl Dynamics for Law {
     type Tape = LawTape;
 
-    fn transport(&self, x: &[Vec3], from: f64, to: f64, tape: &mut LawTape, out: &mut Moves) {
+    fn transport(&self, start: Start<'_>, to: f64, tape: &mut LawTape, out: &mut Moves) {
+        let Start { x, t: from, .. } = start;
         out.means.clear();
         out.means.extend_from_slice(x);
         out.turns.clear();
@@ -218,12 +222,13 @@ impl Dynamics for Law {
         if self.form.is_closed() {
             self.carry(tape, out);
         } else {
-            self.form_motions(x, &tape.blocks, &mut tape.motions);
+            self.form_motions(start, &tape.blocks, &mut tape.motions);
             self.rollout.advance_taped(&tape.motions, span, &mut out.means, &mut out.turns, &mut tape.roll);
         }
     }
 
-    fn transport_backward(&mut self, x: &[Vec3], tape: &mut LawTape, d: &Moves) {
+    fn transport_backward(&mut self, start: Start<'_>, tape: &mut LawTape, d: &Moves) {
+        let x = start.x;
         if tape.span.tau == 0.0 {
             return;
         }
@@ -231,16 +236,16 @@ impl Dynamics for Law {
             tape.d_motions.clear();
             tape.d_motions.resize(x.len(), Motion::default());
             self.rollout.adjoint(&tape.motions, &tape.roll, d, &mut tape.d_motions);
-            self.shrink_turns(tape);
+            self.shrink_spin_up(tape);
         }
-        self.fill_cotangents(x, tape, d);
+        self.fill_cotangents(start, tape, d);
         self.learn(tape);
     }
 
-    fn motions(&self, x: &[Vec3], t: f64) -> Vec<Motion<f32>> {
+    fn motions(&self, start: Start<'_>) -> Vec<Motion<f32>> {
         let (mut tape, mut motions) = (LawTape::default(), Vec::new());
-        self.read(x, t, &mut tape);
-        self.form_motions(x, &tape.blocks, &mut motions);
+        self.read(start.x, start.t, &mut tape);
+        self.form_motions(start, &tape.blocks, &mut motions);
         motions
     }
 

@@ -12,6 +12,8 @@ use crate::twist::Motion;
 pub struct LawRef {
     /// Its network.
     pub net: NetRef,
+    /// The middle of what moves, world units; at first the law's origin.
+    pub middle: [f64; 3],
     config: LawConfig,
     form: Form,
     rollout: Rollout,
@@ -21,7 +23,8 @@ impl LawRef {
     /// The twin of `law`.
     pub fn new(law: &Law) -> Self {
         let (config, rollout) = (law.config().clone(), law.rollout());
-        Self { net: NetRef::new(law.net()), form: Form::new(&config), config, rollout }
+        let middle = rollout.origin.as_dvec3().to_array();
+        Self { net: NetRef::new(law.net()), middle, form: Form::new(&config), config, rollout }
     }
 
     fn input(&self, x: [f64; 3], t: f64) -> Vec<Vec<f64>> {
@@ -44,7 +47,7 @@ impl LawRef {
 
     /// As [`motions`](crate::Dynamics::motions).
     pub fn motion(&self, x: [f64; 3], t: f64) -> Motion<f64> {
-        self.form.motion(&self.net.forward(&self.input(x, t))[0], self.relative(x))
+        self.form.motion(&self.net.forward(&self.input(x, t))[0], self.relative(x), self.relative(self.middle))
     }
 
     /// As [`transport`](crate::Dynamics::transport) over `[from, to]`.
@@ -70,10 +73,10 @@ impl LawRef {
         if self.form.is_closed() {
             arc::carry_back(&self.form, &y, self.relative(x), self.span(span), d, &mut d_y);
         } else {
-            let motion = self.form.motion(&y, self.relative(x));
+            let motion = self.form.motion(&y, self.relative(x), self.relative(self.middle));
             let start = (x, [1.0, 0.0, 0.0, 0.0]);
             let (d_motion, _) = adjoint(&self.rollout, &motion, [0.0, span[1] - span[0]], start, d);
-            self.form.motion_back(&y, &d_motion, &mut d_y);
+            self.form.motion_back(&y, self.relative(self.middle), &d_motion, &mut d_y);
         }
         self.net.backward(&input, &vec![d_y], grad);
     }

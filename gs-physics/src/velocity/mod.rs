@@ -20,7 +20,7 @@ mod step;
 
 pub use config::VelocityConfig;
 
-use crate::dynamics::{Dynamics, Moves};
+use crate::dynamics::{Dynamics, Moves, Start};
 use crate::error::PhysicsError;
 use crate::integrator::Integrator;
 use crate::rollout::Rollout;
@@ -109,7 +109,8 @@ impl VelocityField {
 impl Dynamics for VelocityField {
     type Tape = VelocityTape;
 
-    fn transport(&self, x: &[Vec3], from: f64, to: f64, tape: &mut VelocityTape, out: &mut Moves) {
+    fn transport(&self, start: Start<'_>, to: f64, tape: &mut VelocityTape, out: &mut Moves) {
+        let Start { x, t: from, .. } = start;
         out.means.clear();
         out.means.extend_from_slice(x);
         out.turns.clear();
@@ -135,7 +136,8 @@ impl Dynamics for VelocityField {
         });
     }
 
-    fn transport_backward(&mut self, x: &[Vec3], tape: &mut VelocityTape, d: &Moves) {
+    fn transport_backward(&mut self, start: Start<'_>, tape: &mut VelocityTape, d: &Moves) {
+        let x = start.x;
         let VelocityTape { steps, chunks } = tape;
         if steps.is_empty() {
             return;
@@ -160,7 +162,8 @@ impl Dynamics for VelocityField {
         crate::pinn::regularise(self, seed, step)
     }
 
-    fn motions(&self, x: &[Vec3], t: f64) -> Vec<Motion<f32>> {
+    fn motions(&self, start: Start<'_>) -> Vec<Motion<f32>> {
+        let Start { x, t, .. } = start;
         let mut out = vec![Motion::default(); x.len()];
         out.par_chunks_mut(BLOCK).zip(x.par_chunks(BLOCK)).for_each(|(out, x)| {
             let mut reading = Reading::default();

@@ -6,7 +6,7 @@ use gs_core::nn::BLOCK;
 use gs_core::{Params, Rng};
 use gs_physics::reference::Pose;
 use gs_physics::{Dynamics, Moves};
-use particles::{cotangents, points};
+use particles::{cotangents, points, start};
 
 /// Row `i` in `f64`.
 pub fn pose(moves: &Moves, i: usize) -> Pose {
@@ -53,11 +53,11 @@ pub fn compare_gradients(params: &impl Params, prefix: &str, want: &[Vec<f64>], 
 /// An empty span: positions and turns to the last bit, no gradient, even where the tape is warm.
 pub fn no_time_no_move<D: Dynamics>(mut dynamics: D) {
     let (x, mut tape, mut out) = (points(BLOCK + 3), D::Tape::default(), Moves::default());
-    dynamics.transport(&x, 0.2, 0.5, &mut tape, &mut out);
-    dynamics.transport(&x, 0.4, 0.4, &mut tape, &mut out);
+    dynamics.transport(start(&x, 0.2), 0.5, &mut tape, &mut out);
+    dynamics.transport(start(&x, 0.4), 0.4, &mut tape, &mut out);
     assert_eq!(out.means, x);
     assert!(out.turns.iter().all(|q| *q == [1.0, 0.0, 0.0, 0.0]));
-    dynamics.transport_backward(&x, &mut tape, &cotangents(x.len()));
+    dynamics.transport_backward(start(&x, 0.4), &mut tape, &cotangents(x.len()));
     dynamics.visit(&mut |p| assert!(p.grad.iter().all(|g| *g == 0.0)));
 }
 
@@ -65,8 +65,8 @@ pub fn no_time_no_move<D: Dynamics>(mut dynamics: D) {
 fn step<D: Dynamics>(dynamics: &mut D, tape: &mut D::Tape, n: usize) -> Vec<u32> {
     let (x, mut out) = (points(n), Moves::default());
     dynamics.clear_grads();
-    dynamics.transport(&x, 0.3, 0.38, tape, &mut out);
-    dynamics.transport_backward(&x, tape, &cotangents(n));
+    dynamics.transport(start(&x, 0.3), 0.38, tape, &mut out);
+    dynamics.transport_backward(start(&x, 0.3), tape, &cotangents(n));
     let mut bits: Vec<u32> = out.means.iter().flat_map(|v| v.to_array()).map(f32::to_bits).collect();
     bits.extend(out.turns.iter().flatten().map(|v| v.to_bits()));
     bits.extend(dynamics.regularise(3, 7).iter().map(|v| v.1.to_bits()));

@@ -2,7 +2,15 @@
 
 use glam::Vec3;
 use gs_core::Rng;
-use gs_physics::Moves;
+use gs_physics::{Moves, Start};
+
+/// A middle that is not the origin.
+pub const MIDDLE: Vec3 = Vec3::new(0.2, -0.5, 0.4);
+
+/// Particles at a time, what moves among them about [`MIDDLE`].
+pub fn start(x: &[Vec3], t: f64) -> Start<'_> {
+    Start { x, t, middle: MIDDLE }
+}
 
 pub fn points(n: usize) -> Vec<Vec3> {
     let mut rng = Rng::new(1, "points", 0, 0);

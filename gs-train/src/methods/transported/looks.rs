@@ -24,12 +24,13 @@ impl<F: Field, D: Dynamics> Transported<F, D> {
     /// The motions that rule splats drawn at a time. A law is read once, at `T_def`, for all later times.
     fn motions_at(&self, splats: &Splats, t: f64) -> Vec<Motion<f32>> {
         let first = self.first_ahead();
+        let canonical = self.canonical.activated();
         if t <= first || !self.dynamics.rules_ahead() {
-            return self.dynamics.motions(&splats.means, t);
+            return self.dynamics.motions(self.start(&canonical, splats, t));
         }
-        let begin = self.deformed(&self.canonical.activated(), first);
+        let begin = self.deformed(&canonical, first);
         let tau = (t - first) as f32;
-        self.dynamics.motions(&begin.means, first).iter().map(|m| m.from(tau)).collect()
+        self.dynamics.motions(self.start(&canonical, &begin, first)).iter().map(|m| m.from(tau)).collect()
     }
 
     /// `speed`, `spin` and `acceleration` of every splat, per unit of normalised time.

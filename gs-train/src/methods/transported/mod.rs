@@ -18,9 +18,10 @@ use crate::methods::kernel::kernel_quantities;
 use crate::methods::{Column, ColumnMut, Method, Particles, Quantity, SceneInfo, StageView};
 use crate::moment::Moment;
 use crate::schedule::Schedule;
+use glam::{DVec3, Vec3};
 use gs_core::{Camera, Param, Params, Rng, Splats, SplatsGrad, Time, rot};
 use gs_deform::Field;
-use gs_physics::{Dynamics, Moves};
+use gs_physics::{Dynamics, Moves, Start};
 use gs_raster::ScreenStats;
 use serde::{Deserialize, Serialize};
 use std::sync::Mutex;
@@ -34,6 +35,8 @@ use future::Future;
 
 /// Farthest that dynamics carry splats, in steps Δt: at moments beyond, the scene stands as it is there.
 const FARTHEST: f64 = 4096.0;
+/// How far a splat goes before it tells what moves, of the extent of the scene.
+const LITTLE: f32 = 0.01;
 
 /// When physics acts.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -42,8 +45,11 @@ pub struct PhysicsConfig {
     /// Δt, the step from the field's time to the photograph's, in intervals between frames.
     pub step_frames: f32,
     /// In training the dynamics carry splats over 1 to so many steps Δt, drawn anew each time (TRACE: 1). The farther, the
-    /// better accelerations can be told: they move a particle by ½ a (n Δt)². The range opens over the first half of the stage.
+    /// better accelerations can be told: they move a particle by ½ a (n Δt)². The range opens over the stage.
     pub reach: u32,
+    /// Share of the training steps, up to `T_def`, in which the field alone draws the photograph, at its own time (TRACE: 0).
+    /// What moves is then kept while the dynamics are still wrong, and seen moments are learnt as without dynamics.
+    pub direct: f32,
     /// The field is read up to `T_def`, this many intervals between frames before the last training time (one Δt at least).
     pub back_frames: f32,
     /// Before this share of the training span only the field moves splats (scenes that stand still at first).
@@ -73,6 +79,7 @@ impl PhysicsConfig {
         };
         need(self.step_frames > 0.0 && self.step_frames.is_finite(), "step_frames", self.step_frames, "above 0")?;
         need((1..=1000).contains(&self.reach), "reach", self.reach as f32, "1 to 1000")?;
+        need((0.0..1.0).contains(&self.direct), "direct", self.direct, "0 or more, below 1")?;
         need(self.back_frames >= 0.0 && self.back_frames.is_finite(), "back_frames", self.back_frames, "0 or more")?;
         need((0.0..1.0).contains(&self.start), "start", self.start, "0 or more, below 1")
     }
@@ -112,6 +119,8 @@ pub struct Transported<F: Field, D: Dynamics> {
     dynamics: D,
     config: PhysicsConfig,
     times: Times,
+    /// Splats that moved less than this hardly say where the middle of what moves is, world units.
+    little: f32,
     scratch: Scratch<F, D>,
     /// What is known of the time after `T_def`; gone with any change of a parameter.
     future: Mutex<Option<Future>>,
@@ -159,7 +168,8 @@ impl<F: Field, D: Dynamics> Transported<F, D> {
     ) -> Result<Self, String> {
         config.check()?;
         let (times, scratch, future) = (Times::new(&config, scene), Scratch::default(), Mutex::new(None));
-        Ok(Self { name, canonical, field, dynamics, config, times, scratch, future })
+        let little = LITTLE * scene.extent;
+        Ok(Self { name, canonical, field, dynamics, config, times, little, scratch, future })
     }
 
     /// From where to where the dynamics act in training for a photograph at time `t`.
@@ -176,6 +186,9 @@ impl<F: Field, D: Dynamics> Transported<F, D> {
         }
         let mut rng = Rng::new(self.canonical.seed(), "side-of-time", self.canonical.step(), 0);
         let forward = rng.uniform() < 0.5;
+        if rng.uniform() < self.config.direct {
+            return Span { from: t, to: t };
+        }
         let steps = 1.0 + (f64::from(rng.uniform()) * self.reach()).floor();
         let from = if forward { t - steps * step } else { t + steps * step };
         Span { from: from.clamp(start, last_field), to: t }
@@ -184,7 +197,7 @@ impl<F: Field, D: Dynamics> Transported<F, D> {
     /// Steps Δt that the dynamics carry splats at most in the present step of training.
     fn reach(&self) -> f64 {
         let open = self.canonical.schedule.stage_and_offset(self.canonical.step());
-        let open = open.map_or(1.0, |(stage, made)| (2.0 * f64::from(made) / f64::from(stage.steps)).min(1.0));
+        let open = open.map_or(1.0, |(stage, made)| f64::from(made) / f64::from(stage.steps));
         1.0 + open * f64::from(self.config.reach - 1)
     }
 
@@ -223,7 +236,7 @@ impl<F: Field, D: Dynamics> Transported<F, D> {
         let mut moved = self.deformed(&canonical, span.from);
         if span.from != span.to {
             let (mut tape, mut moves) = Default::default();
-            self.dynamics.transport(&moved.means, span.from, span.to, &mut tape, &mut moves);
+            self.dynamics.transport(self.start(&canonical, &moved, span.from), span.to, &mut tape, &mut moves);
             carry_drawn(&mut moved, &mut moves);
         }
         moved
@@ -233,10 +246,18 @@ impl<F: Field, D: Dynamics> Transported<F, D> {
     fn ahead(&self, t: f64) -> Splats {
         let mut known = self.future.lock().unwrap_or_else(|e| e.into_inner());
         let future = known.get_or_insert_with(|| {
-            let begin = self.deformed(&self.canonical.activated(), self.times.last_field);
-            Future::new(begin, self.times.last_field, &self.dynamics)
+            let canonical = self.canonical.activated();
+            let begin = self.deformed(&canonical, self.times.last_field);
+            let middle = self.start(&canonical, &begin, self.times.last_field).middle;
+            Future::new(begin, self.times.last_field, middle, &self.dynamics)
         });
         future.at(t, &self.dynamics)
+    }
+
+    /// Deformed splats as particles that set out at a time.
+    fn start<'a>(&self, canonical: &Splats, moved: &'a Splats, t: f64) -> Start<'a> {
+        let middle = middle(&canonical.means, &moved.means, self.dynamics.origin(), self.little);
+        Start { x: &moved.means, t, middle }
     }
 
     fn forget(&mut self) {
@@ -253,9 +274,11 @@ impl<F: Field, D: Dynamics> Transported<F, D> {
             false => moved.clone_from(&canonical.splats),
         }
         let travels = span.from != span.to;
+        let middle = middle(&canonical.splats.means, &moved.means, self.dynamics.origin(), self.little);
         drawn.clone_from(moved);
         if travels {
-            self.dynamics.transport(&moved.means, span.from, span.to, dynamics, moves);
+            let start = Start { x: &moved.means, t: span.from, middle };
+            self.dynamics.transport(start, span.to, dynamics, moves);
             carry(drawn, moves);
         }
         d_drawn.reset(drawn);
@@ -263,13 +286,27 @@ impl<F: Field, D: Dynamics> Transported<F, D> {
         d_moved.clone_from(d_drawn);
         if travels {
             turn_back(moved, moves, d_drawn, d_moves, d_moved);
-            self.dynamics.transport_backward(&moved.means, dynamics, d_moves);
+            let start = Start { x: &moved.means, t: span.from, middle };
+            self.dynamics.transport_backward(start, dynamics, d_moves);
         }
         match self.config.field {
             true => self.field.backward(&canonical.splats, field, d_moved, &mut canonical.d_splats),
             false => canonical.d_splats.clone_from(d_moved),
         }
     }
+}
+
+/// The middle of what moved: the mean of the positions weighted by the squared distance from rest, drawn to `origin` where
+/// splats moved by no more than `little`.
+fn middle(rest: &[Vec3], now: &[Vec3], origin: Vec3, little: f32) -> Vec3 {
+    let origin = origin.as_dvec3();
+    let (mut sum, mut weight) = (DVec3::ZERO, f64::from(little * little) * rest.len() as f64);
+    for (rest, now) in rest.iter().zip(now) {
+        let w = f64::from((*now - *rest).length_squared());
+        sum += w * (now.as_dvec3() - origin);
+        weight += w;
+    }
+    if weight > 0.0 { (origin + sum / weight).as_vec3() } else { origin.as_vec3() }
 }
 
 /// A time for the field; its clock is the normalised one.
@@ -396,8 +433,9 @@ where
     }
 
     fn particles(&self) -> Option<Particles> {
-        let splats = self.deformed(&self.canonical.activated(), self.first_ahead());
-        let motions = self.dynamics.motions(&splats.means, self.first_ahead());
+        let canonical = self.canonical.activated();
+        let splats = self.deformed(&canonical, self.first_ahead());
+        let motions = self.dynamics.motions(self.start(&canonical, &splats, self.first_ahead()));
         Some(Particles { at: self.first_ahead(), splats, motions, origin: self.dynamics.origin() })
     }
 

@@ -30,7 +30,7 @@ impl Dynamics for OneTwist {
     /// The step.
     type Tape = f32;
 
-    fn transport(&self, x: &[Vec3], from: f64, to: f64, h: &mut f32, out: &mut Moves) {
+    fn transport(&self, Start { x, t: from, .. }: Start<'_>, to: f64, h: &mut f32, out: &mut Moves) {
         let [v, w] = self.parts();
         *h = (to - from) as f32;
         out.means = x.iter().map(|&x| x + *h * (v + w.cross(x))).collect();
@@ -38,17 +38,17 @@ impl Dynamics for OneTwist {
         out.turns = vec![[1.0, half.x, half.y, half.z]; x.len()];
     }
 
-    fn transport_backward(&mut self, x: &[Vec3], h: &mut f32, d: &Moves) {
-        for ((x, d_mean), d_turn) in x.iter().zip(&d.means).zip(&d.turns) {
+    fn transport_backward(&mut self, start: Start<'_>, h: &mut f32, d: &Moves) {
+        for ((x, d_mean), d_turn) in start.x.iter().zip(&d.means).zip(&d.turns) {
             let d_w = *h * (x.cross(*d_mean) + 0.5 * Vec3::from_slice(&d_turn[1..]));
             let all = (*h * *d_mean).to_array().into_iter().chain(d_w.to_array());
             self.0.grad.iter_mut().zip(all).for_each(|(g, d)| *g += d);
         }
     }
 
-    fn motions(&self, x: &[Vec3], _t: f64) -> Vec<Motion<f32>> {
+    fn motions(&self, start: Start<'_>) -> Vec<Motion<f32>> {
         let [v, w] = self.parts().map(|p| p.to_array());
-        vec![Motion { twist: Twist { v, w }, ..Motion::default() }; x.len()]
+        vec![Motion { twist: Twist { v, w }, ..Motion::default() }; start.x.len()]
     }
 
     fn rules_ahead(&self) -> bool {
@@ -213,7 +213,7 @@ fn what_comes_after_starts_from_the_last_deformation() {
     let begin = m.deformed(&canonical, m.times.last_field);
     let mut moves = Moves::default();
     let t = f64::from(1.5f32);
-    m.dynamics.transport(&begin.means, m.times.last_field, t, &mut 0.0, &mut moves);
+    m.dynamics.transport(m.start(&canonical, &begin, m.times.last_field), t, &mut 0.0, &mut moves);
     let ahead = splats(&m, 1.5);
     assert_eq!(ahead.means, moves.means);
     assert_eq!(splats(&m, 1.5), ahead, "what is kept gives the same again");
