@@ -65,6 +65,7 @@ mod times;
 
 pub use cache::ImageCache;
 pub use error::{DataError, Place};
+pub(crate) use files::Root;
 pub(crate) use geometry::focus;
 pub use lens::Lens;
 pub use options::{DataOptions, TimeFrom, TimeRange};

@@ -124,13 +124,19 @@ impl Film {
         let mut first = None;
         for s in self.stills {
             let time = settled.clock.time(stated(s.number), &place)?;
-            let mut views = inputs.remove(&s.number).unwrap_or_default();
+            let Some(mut views) = inputs.remove(&s.number) else {
+                self.notes.push(format!("frame {} has no input, so nothing can be made of it", s.number));
+                continue;
+            };
             views.iter_mut().for_each(|v| v.time = time);
             if s.list == FrameUse::Train {
                 first.get_or_insert(frames.len());
             }
             let (number, pose, points, true_morphs) = (s.number, s.pose, s.points, s.true_morphs);
             frames.push(AvatarFrame { number, time, pose, inputs: views, points, true_morphs });
+        }
+        if frames.is_empty() {
+            return Err(DataError::Empty { file: place.file });
         }
         let scene = AvatarScene { character: self.character, skinning: self.skinning, fps, frames };
         self.notes.push(format!("frame n is at n / {fps} seconds; data.fps sets another rate"));

@@ -14,7 +14,7 @@ use super::super::write::{save_png, vacant, write_json};
 use super::{AvatarOptions, Set};
 use crate::avatar::{BUILTIN, SurfacePoints};
 use crate::data::avatar::{FrameUse, Role};
-use crate::data::{DataError, DataOptions, Dataset, ImageSource};
+use crate::data::{DataError, DataOptions, Dataset, ImageSource, Place, Root};
 
 /// Films a person and writes the film to `dir`: `scene.json`, `cameras.json`, `images/CAMERA/FRAME.png` (straight alpha),
 /// `points/FRAME.ply`, a copy of the template and, with `truth`, `gt/CAMERA/FRAME.exr` with the layers `depth` (camera-space
@@ -58,27 +58,32 @@ fn made(folder: PathBuf) -> Result<PathBuf, DataError> {
     Ok(folder)
 }
 
-/// Puts a template's file into the folder; gives the name the scene knows it by.
+/// Puts a template's file, and the files it refers to, into the folder; gives the name the scene knows it by.
 fn copy_template(dir: &Path, template: &str) -> Result<String, DataError> {
     if template.starts_with(BUILTIN) {
         return Ok(template.to_owned());
     }
     let from = Path::new(template);
     let bytes = std::fs::read(from).map_err(|e| DataError::read(from, e))?;
-    let is_glb = bytes.starts_with(b"glTF");
-    let name = if is_glb { "actor.glb" } else { "actor.gltf" };
+    let binary = bytes.starts_with(b"glTF");
+    let name = if binary { "actor.glb" } else { "actor.gltf" };
     let to = dir.join(name);
     std::fs::write(&to, &bytes).map_err(|e| DataError::write(&to, e))?;
-    if is_glb {
-        return Ok(name.to_owned());
-    }
-    // The reader has read these files from the template's own folder, so they are inside it.
-    let gltf: Value = serde_json::from_slice(&bytes).map_err(|e| DataError::syntax(from, "", e.to_string()))?;
-    let beside = ["buffers", "images"].into_iter().flat_map(|list| gltf[list].as_array().into_iter().flatten());
-    for uri in beside.filter_map(|entry| entry["uri"].as_str()).filter(|uri| !uri.starts_with("data:")) {
-        let (from, to) = (from.with_file_name(uri), dir.join(uri));
-        made(to.parent().unwrap_or(dir).to_path_buf())?;
-        std::fs::copy(&from, &to).map_err(|e| DataError::write(&to, e))?;
+    // A GLB's JSON chunk stands behind 20 bytes of headers (glTF 2.0, 4.4); its length is at byte 12.
+    let length = || bytes.get(12..16).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]) as usize);
+    let text = if binary { length().and_then(|n| bytes.get(20..20 + n)).unwrap_or_default() } else { &bytes[..] };
+    let gltf: Value = serde_json::from_slice(text).map_err(|e| DataError::syntax(from, "", e.to_string()))?;
+    let folder = from.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let root = Root::new(folder)?;
+    for list in ["buffers", "images"] {
+        for (i, entry) in gltf[list].as_array().into_iter().flatten().enumerate() {
+            let Some(uri) = entry["uri"].as_str().filter(|uri| !uri.starts_with("data:")) else { continue };
+            let place = Place::new(from, format!("{list}[{i}].uri"));
+            let beside = root.resolve(uri, &place)?;
+            let to = dir.join(beside.strip_prefix(folder).unwrap_or(Path::new(uri)));
+            made(to.parent().unwrap_or(dir).to_path_buf())?;
+            std::fs::copy(&beside, &to).map_err(|e| DataError::read(&beside, e))?;
+        }
     }
     Ok(name.to_owned())
 }
