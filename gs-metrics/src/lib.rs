@@ -13,6 +13,7 @@
 //! | tOF: motion against true motion | [`Tof`] | | [`tof`] |
 //! | instance masks: AP, PQ, F1, mIoU | [`Segmentation`] | | [`segmentation`] |
 //! | perceptual **proxy**, without learned weights, not LPIPS | [`perceptual_proxy`], [`masked_perceptual_proxy`] | | [`perceptual`] |
+//! | texture against texture (MRF loss), proxy or the user's VGG-19 | [`Mrf::value`](mrf::Mrf::value) | [`Mrf::value_and_grad`](mrf::Mrf::value_and_grad) | [`mrf`] |
 //! | means over views | [`Scorer`], [`Summary`] | | [`report`] |
 //!
 //! # Conventions
@@ -36,12 +37,13 @@
 //! ```
 //!
 //! # What it leaves out
-//! LPIPS and every other metric with learned weights, colour-managed and HDR comparisons.
+//! LPIPS; learned weights of any kind (a network for [`mrf`] is read from a file of the user's); colour-managed and HDR comparisons.
 
 pub mod error;
 mod fft2;
 pub mod flow;
 pub mod masked;
+pub mod mrf;
 pub mod ms_ssim;
 pub mod perceptual;
 mod plane;

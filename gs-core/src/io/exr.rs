@@ -18,9 +18,6 @@ use ::exr::prelude::{Blocks, Compression, ReadChannels, ReadLayers, WritableImag
 use std::io::{Cursor, Write};
 use std::path::Path;
 
-/// First bytes of every EXR file.
-pub(super) const MAGIC: [u8; 4] = [0x76, 0x2f, 0x31, 0x01];
-
 /// Reads an EXR file.
 ///
 /// # Errors

@@ -12,6 +12,10 @@ use ::image::{DynamicImage, ExtendedColorType, ImageDecoder, ImageEncoder, Image
 use std::io::{Cursor, Write};
 use std::path::Path;
 
+/// First bytes of every EXR file.
+#[cfg(feature = "exr")]
+const EXR_MAGIC: [u8; 4] = [0x76, 0x2f, 0x31, 0x01];
+
 /// An 8-bit image, row-major RGBA with straight alpha.
 #[derive(Clone, Debug, PartialEq, Eq, Default)]
 pub struct Rgba8 {
@@ -75,7 +79,7 @@ pub fn decode_rgba8(bytes: &[u8], file: &str, limits: &Limits) -> Result<Rgba8, 
 /// As [`decode_rgba8`].
 pub fn decode_image(bytes: &[u8], file: &str, limits: &Limits) -> Result<Image, IoError> {
     #[cfg(feature = "exr")]
-    if bytes.starts_with(&super::exr::MAGIC) {
+    if bytes.starts_with(&EXR_MAGIC) {
         return super::exr::read(bytes, file, limits);
     }
     let src = Source { file, format: "image" };
