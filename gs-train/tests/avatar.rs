@@ -381,7 +381,7 @@ fn faults_of_cameras_are_named() {
     e[0] = json!(3.0);
     names(&film.camera("E", e), "data.pose", &[file, "[1].E"]);
     names(&film.camera("pixel_center", json!("corner")), "data.field", &[file, "[1].pixel_center", "corner"]);
-    names(&film.camera("dist", json!([0.1; 8])), "data.camera_model", &[file, "[1].dist", "8 distortion"]);
+    names(&film.camera("dist", json!(vec![0.1; 8])), "data.camera_model", &[file, "[1].dist", "8 distortion"]);
     names(&film.camera("dist", json!("fisheye")), "data.camera_model", &[file, "[1].dist", "fisheye"]);
     film.put(file, "[]");
     names(&open(film.dir.path()).unwrap_err(), "data.empty", &[file]);
