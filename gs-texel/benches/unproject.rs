@@ -8,7 +8,7 @@
 mod scenes;
 
 use criterion::Criterion;
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use gs_core::speed::SpeedError;
 use gs_core::{Camera, Image};
 use gs_texel::bvh::Tracer;
@@ -57,6 +57,28 @@ fn rms(db: f64) -> Option<f64> {
     Some(10f64.powf(-db / 20.0))
 }
 
+/// Largest distance between what the tracer hits and what the nearest of all triangles is, in `f64`; infinite if one is hit
+/// and the other is not.
+fn off_brute_force(tracer: &Tracer, vertices: &[Vec3], faces: &[[u32; 3]], origin: Vec3, rays: &[Vec3]) -> f64 {
+    let nearest = |d: DVec3| {
+        let of = |f: &[u32; 3]| {
+            let [a, b, c] = f.map(|v| vertices[v as usize].as_dvec3());
+            let (ab, ac, from) = (b - a, c - a, origin.as_dvec3() - a);
+            let (p, q) = (d.cross(ac), from.cross(ab));
+            let det = ab.dot(p);
+            let (u, v, t) = (from.dot(p) / det, d.dot(q) / det, ac.dot(q) / det);
+            (u >= 0.0 && v >= 0.0 && u + v <= 1.0 && t > 0.0).then_some(t)
+        };
+        faces.iter().filter_map(of).min_by(f64::total_cmp)
+    };
+    let off = |&d: &Vec3| match (tracer.hit(origin, d), nearest(d.as_dvec3())) {
+        (Some(hit), Some(t)) => (f64::from(hit.t) - t).abs() * d.as_dvec3().length(),
+        (None, None) => 0.0,
+        _ => f64::INFINITY,
+    };
+    rays.iter().map(off).fold(0.0, f64::max)
+}
+
 fn geometry(c: &mut Criterion, figure: &Figure, camera: &Camera) -> Result<(), Failure> {
     let map = DepthMap::new(&figure.vertices, &figure.faces, camera, 0.05);
     let covered = map.depth.iter().filter(|d| d.is_finite()).count();
@@ -83,14 +105,22 @@ fn geometry(c: &mut Criterion, figure: &Figure, camera: &Camera) -> Result<(), F
     measure(c, row("tracer", "build", figure.faces.len(), None, ""), || {
         black_box(Tracer::new(&figure.vertices, &figure.faces).is_ok());
     });
-    measure(c, row("tracer", "refit", figure.faces.len(), Some(0.0), "against brute force"), || {
-        black_box(tracer.refit(&figure.vertices).is_ok());
-    });
     let rays: Vec<Vec3> = (0..map.depth.len()).step_by(every).map(ray).collect();
-    measure(c, row("tracer", "closest, one thread", rays.len(), Some(0.0), "against brute force"), || {
+    let probes: Vec<Vec3> = rays.iter().step_by(500).copied().collect();
+    let kind = "m, worst of 300 rays, against all triangles";
+    let bent: Vec<Vec3> = figure.vertices.iter().map(|v| *v + 0.1 * (4.0 * v.y).sin() * Vec3::X).collect();
+    tracer.refit(&bent)?;
+    let refit = Some(off_brute_force(&tracer, &bent, &figure.faces, origin, &probes));
+    measure(c, row("tracer", "refit", figure.faces.len(), refit, kind), || {
+        black_box(tracer.refit(&bent).is_ok());
+    });
+    tracer.refit(&figure.vertices)?;
+    let closest = Some(off_brute_force(&tracer, &figure.vertices, &figure.faces, origin, &probes));
+    measure(c, row("tracer", "closest, one thread", rays.len(), closest, kind), || {
         black_box(rays.iter().filter(|&&d| tracer.hit(origin, d).is_some()).count());
     });
-    measure(c, row("texel table", "512", 512 * 512, Some(0.0), "texels owned twice"), || {
+    let twice = Some(figure.table(512).report.overlaps as f64);
+    measure(c, row("texel table", "512", 512 * 512, twice, "texels owned twice"), || {
         black_box(figure.table(512));
     });
     Ok(())
@@ -132,14 +162,18 @@ fn again(c: &mut Criterion, figure: &Figure, table: &TexelTable) -> Result<(), F
     let mut other = figure.clone();
     let small = other.vertices.len() - 758;
     other.vertices[small..].iter_mut().for_each(|v| v.x -= 0.03);
-    let redone = texture.clone().update(&other.mesh(), table, &views, &config, 0.0)?;
+    let mut updated = texture.clone();
+    let redone = updated.update(&other.mesh(), table, &views, &config, 0.0)?;
+    let fresh = unproject(&other.mesh(), table, &views, &config)?;
+    let apart = |(a, b): (&[f32; 3], &[f32; 3])| (0..3).map(|i| f64::from((a[i] - b[i]).abs())).fold(0.0, f64::max);
+    let worst = updated.colors.iter().zip(&fresh.colors).map(apart).fold(0.0, f64::max);
     let mut turn = false;
     let row = Row {
         case: "second unprojection 1024".into(),
         variant: "update, 8 % moved".into(),
         n: redone.texels,
-        error: Some(0.0),
-        error_kind: "against a fresh one",
+        error: Some(worst),
+        error_kind: "largest, against a fresh one",
     };
     measure(c, row, || {
         turn = !turn;

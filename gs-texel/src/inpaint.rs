@@ -102,7 +102,7 @@ pub fn inpaint<const C: usize>(
     (0..table.len()).filter(|&k| !known[k]).for_each(|k| holes[usize::from(table.chart[k])].push(k as u32));
     let from: &[[f32; C]] = rows;
     let fill = |holes: &Vec<u32>| fill_chart(table, from, known, holes, how);
-    let filled: Vec<Result<Vec<(u32, [f32; C])>, InpaintError>> = holes.par_iter().map(fill).collect();
+    let filled: Vec<Result<Vec<_>, InpaintError>> = holes.par_iter().map(fill).collect();
     let mut report = Inpainted { filled: 0, left: unknown };
     for chart in filled {
         let chart = chart?;

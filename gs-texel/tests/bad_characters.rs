@@ -324,7 +324,7 @@ fn every_cut_is_an_error() {
 }
 
 /// One random change.
-fn mutate(bytes: &mut Vec<u8>, r: &mut Rng) {
+fn mutate(bytes: &mut [u8], r: &mut Rng) {
     const TOKENS: [&str; 10] =
         ["-1", "1e999", "4294967295", "null", "[", "}", "99", "0", "1e39", "18446744073709551616"];
     let at = r.below(bytes.len().max(1) as u32) as usize;

@@ -215,7 +215,7 @@ fn row_backward<T: Number>(row: &mut [T], stats: &RowStats<T>, chosen: &[u32], d
         let own = if chosen.next_if(|k| **k as usize == j).is_some() { d_c } else { zero };
         // dL/d d̃ = −(w/h) dL/dw, and c = w/Σw.
         let d_scaled = -(c(s) * sharpness) * (own - common);
-        d_least = d_least - (d_scaled * distance(s) * stats.inverse * stats.inverse).wide();
+        d_least -= (d_scaled * distance(s) * stats.inverse * stats.inverse).wide();
         let free = s >= -one && s <= one;
         let d_s = if free { -(half * d_scaled * stats.inverse) } else { zero };
         *slot = d_s;

@@ -103,8 +103,8 @@ impl<'a> Data<'a> {
         if let Some(sparse) = &accessor.sparse {
             self.scatter(sparse, (width, component, scale), &mut values, &place)?;
         }
-        if let Some(at) = values.iter().position(|v| !v.is_finite()) {
-            let (row, component, value) = (at / width, at % width, values[at]);
+        if let Some((at, &value)) = values.iter().enumerate().find(|(_, v)| !v.is_finite()) {
+            let (row, component) = (at / width, at % width);
             return Err(CharacterError::NotFinite { file: self.file.into(), place, row, component, value });
         }
         Ok(Table { width, values, integers: component != ComponentType::F32 && scale.is_none() })

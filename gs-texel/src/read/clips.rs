@@ -69,7 +69,7 @@ fn channel(
         Checked::Invalid => return Err(data.malformed(place, "has an unknown interpolation")),
     };
     let times = data.table(sampler.input, &[Type::Scalar])?.values;
-    if times.is_empty() || times.is_sorted_by(|a, b| a <= b) == false {
+    if times.is_empty() || !times.is_sorted_by(|a, b| a <= b) {
         return Err(data.malformed(place, "has no keys, or keys that go back in time"));
     }
     let kind = match target {
