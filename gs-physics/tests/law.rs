@@ -150,7 +150,9 @@ fn an_own_turn_leaves_the_middle_alone() {
     let (spin, velocity, fall) = (Vec3::new(0.4, -2.0, 1.0), Vec3::new(1.4, 0.5, -0.6), Vec3::new(0.0, 0.0, -4.9));
     let own = LawConfig { accel: AccelMap::Linear, own_turn: true, ..config(LawForm::Twist12, 2) };
     let plain = LawConfig { integrator: Integrator::Se3Magnus4, ..own };
-    let parts = [velocity, Vec3::ZERO, fall, Vec3::ZERO, spin];
+    // The turn passes a |a| / 10.
+    let root = spin.to_array().map(|v: f32| v.signum() * (10.0 * v.abs()).sqrt());
+    let parts = [velocity, Vec3::ZERO, fall, Vec3::ZERO, Vec3::from_array(root)];
     let law = constant(&plain, &parts.iter().flat_map(|v| v.to_array()).collect::<Vec<_>>());
     let x = [MIDDLE, MIDDLE + Vec3::new(0.1, 0.0, 0.05)];
     let (h, mut out) = (0.1, Moves::default());

@@ -8,7 +8,7 @@
 //!
 //! v̄ = v_c − w × P_c     ā = a_c − ε × P_c − w × v_c     j_v = −2 ε × v_c − w × a_c  (third order)      (1)
 //! ```
-//! The own turn `w_b` is one about the middle `m` of what moves, a place of this moment:
+//! The own turn `w_b`, which passes `a |a| / 10` so that it stays small where nothing tells of it, is one about the middle `m` of what moves, a place of this moment:
 //! ```text
 //! w += w_b     v̄ −= w_b × m     ā −= w_b × u(m)         u(m) = v̄ + w × m without w_b                       (2)
 //! ```
@@ -176,6 +176,12 @@ impl Form {
         first..if self.own_turn { self.own_at() } else { all }
     }
 
+    /// Whether output `i` passes `a |a| / 10`.
+    fn is_squared(&self, i: usize) -> bool {
+        let own = self.own_turn && i >= self.own_at();
+        own || (self.accel == AccelMap::SignedSq10 && self.rates().contains(&i))
+    }
+
     /// The factor on output `i`.
     fn gain(&self, i: usize) -> f64 {
         let turns = match self.kind {
@@ -187,20 +193,19 @@ impl Form {
 
     /// Outputs times their gains, derivatives mapped; the rest of the array is 0.
     pub fn mapped<T: Real>(&self, y: &[T]) -> [T; MAX_OUTPUTS] {
-        let (mut out, rates) = ([y[0].lit(0.0); MAX_OUTPUTS], self.rates());
+        let mut out = [y[0].lit(0.0); MAX_OUTPUTS];
         for (i, (o, &v)) in out.iter_mut().zip(y).enumerate() {
             let v = v * v.lit(self.gain(i));
-            *o = if rates.contains(&i) && self.accel != AccelMap::Linear { v * v.max(-v) * v.lit(0.1) } else { v };
+            *o = if self.is_squared(i) { v * v.max(-v) * v.lit(0.1) } else { v };
         }
         out
     }
 
     /// The way back of [`Form::mapped`], in place.
     pub fn mapped_back<T: Real>(&self, y: &[T], d: &mut [T]) {
-        let rates = self.rates();
         for (i, (d, &v)) in d.iter_mut().zip(y).enumerate() {
             *d = *d * v.lit(self.gain(i));
-            if rates.contains(&i) && self.accel == AccelMap::SignedSq10 {
+            if self.is_squared(i) {
                 *d = *d * v.max(-v) * v.lit(0.2 * self.gain(i));
             }
         }
