@@ -30,5 +30,5 @@ pub mod thin;
 pub mod warm_up;
 
 pub use base::{BaseError, TexelBase, about, camera_about};
-pub use channels::{Channels, ChannelsError};
+pub use channels::{COLOR, Channels, ChannelsError, OFFSET, OPACITY, QUAT, SCALE};
 pub use decode::{Covariance, DecodeOptions, decode, decode_backward, offset_penalty};

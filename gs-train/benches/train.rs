@@ -106,7 +106,7 @@ fn named(ms: &Phases) -> [(&'static str, f64); 7] {
 }
 
 fn phase_rows() {
-    for entry in METHODS {
+    for entry in METHODS.iter().filter(|m| !m.needs_avatar) {
         for threads in [1, 2] {
             let (ms, splats) = phases(entry.name, threads);
             let line: Vec<String> = ms.iter().map(|(name, ms)| format!("{name} {ms:.2}")).collect();

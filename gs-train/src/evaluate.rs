@@ -4,8 +4,9 @@
 //! family (zeros outside the image). Both averages of PSNR are given: the mean of the views' values (what papers of the
 //! family print) and the PSNR of the mean squared error.
 //!
-//! Views with a mask are scored once more where it counts ([`MaskedScores`]: DyCheck's masked PSNR and SSIM,
-//! [`gs_metrics::masked`]; DyCheck itself truncates drawings to 8 bit first).
+//! Views with a mask, and those of filmed people by their coverage, are scored once more where it counts
+//! ([`MaskedScores`]: DyCheck's masked PSNR and SSIM, [`gs_metrics::masked`]; DyCheck itself truncates drawings to 8 bit
+//! first).
 
 use crate::data::{DataError, Dataset, ImageCache, Split};
 use crate::methods::Method;
@@ -167,6 +168,14 @@ pub enum EvalError {
     /// A photograph cannot be read.
     #[error(transparent)]
     Data(#[from] DataError),
+    /// The method cannot draw a view.
+    #[error("view {view}: {why}")]
+    Method {
+        /// Name of the view.
+        view: String,
+        /// The method's reason.
+        why: String,
+    },
     /// A frame cannot be compared.
     #[error("view {view}: {source}")]
     Metric {
@@ -210,8 +219,13 @@ pub fn evaluate(
         let camera = photographs.camera(view);
         let splats = method.splats(&Moment::new(view.time), &camera);
         render_into(&splats, &camera, &options, &mut workspace, &mut frame);
-        let truth = photographs.get(view)?.over(background);
-        let mask = photographs.mask(view)?;
+        if let Some(why) = method.trouble() {
+            return Err(EvalError::Method { view: view.name.clone(), why });
+        }
+        let photograph = photographs.get(view)?;
+        let truth = photograph.over(background);
+        // Of a filmed person, the person counts.
+        let mask = photographs.mask(view)?.or_else(|| dataset.avatar.is_some().then(|| photograph.alpha()));
         let scored = Seen::of(&mut scorer, &clamped(&frame), &truth, mask.as_ref());
         seen.push(scored.map_err(|source| EvalError::Metric { view: view.name.clone(), source })?);
     }

@@ -230,12 +230,18 @@ impl Trainer {
     /// One view, which counts with its share in the step: gradients and statistics.
     fn learn_view(&mut self, view: &View, draw: u32, share: f32) -> Result<Drawn, TrainError> {
         let begun = Instant::now();
+        let (mut drawn, at) = (Drawn::default(), Moment::new(view.time));
+        if !self.method.looks() {
+            self.method.step(&at, &self.cache.camera(view), &mut |_, _| ());
+            drawn.ms.field = ms_since(begun);
+            return self.check_trouble().map(|()| drawn);
+        }
         let (camera, target, options) = self.photograph(view, draw)?;
         let data = ms_since(begun);
-        let (mut drawn, at) = (Drawn::default(), Moment::new(view.time));
         let sheet = Sheet { camera, options, target, weights: self.method.schedule().loss(), share };
         let easel = &mut self.easel;
         self.method.step(&at, &sheet.camera, &mut |splats, d| drawn = easel.draw(splats, &sheet, d));
+        self.check_trouble()?;
         if drawn.error.is_none() {
             self.method.observe(&at, &self.easel.stats, &sheet.camera);
         }
@@ -314,6 +320,10 @@ impl Trainer {
             None => p.clear_grad(),
         });
         refused
+    }
+
+    fn check_trouble(&self) -> Result<(), TrainError> {
+        self.method.trouble().map_or(Ok(()), |why| Err(MethodError::Scene(why).into()))
     }
 
     fn check_drawn(&self, drawn: &Drawn, step: u32, view: &View) -> Result<(), TrainError> {

@@ -22,6 +22,7 @@ pub mod defgs;
 pub mod defgs_nvfi;
 pub mod deformed;
 pub mod drk;
+pub mod dut;
 pub mod fags;
 pub mod fourdgs;
 pub mod grid4d;
@@ -183,6 +184,17 @@ pub trait Method: Params + Send + Sync {
 
     /// The splats as particles whose motion the method has learnt, where it learns such a thing.
     fn particles(&self) -> Option<Particles> {
+        None
+    }
+
+    /// Whether the present step looks at a photograph. One that does not has nothing to draw.
+    fn looks(&self) -> bool {
+        true
+    }
+
+    /// What went wrong when something was drawn or learnt: a file that cannot be read, say. What was drawn since is not to
+    /// be believed.
+    fn trouble(&self) -> Option<String> {
         None
     }
 
@@ -393,4 +405,5 @@ pub const METHODS: &[MethodEntry] = &[
     trace::ENTRY,
     trace_4dgs::ENTRY,
     defgs_nvfi::ENTRY,
+    dut::ENTRY,
 ];

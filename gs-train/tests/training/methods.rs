@@ -1,4 +1,4 @@
-//! What every method must keep, run over [`METHODS`]: presets, rates, gradients, row edits, odd times.
+//! What every method must keep, run over those of generated scenes: presets, rates, gradients, row edits, odd times.
 //!
 //! | property | tolerance |
 //! |---|---|
@@ -8,14 +8,14 @@ use crate::support::*;
 use gs_core::{Rng, Splats, SplatsGrad, Time};
 use gs_raster::{ClampGrad, FrameGrad, RasterOptions, Workspace, render, render_backward};
 use gs_train::data::Dataset;
-use gs_train::methods::{METHODS, Method, MethodEntry, saved};
+use gs_train::methods::{Method, MethodEntry, saved};
 use gs_train::moment::Moment;
 use gs_train::trainer::{TrainOptions, Trainer};
 
 #[test]
 fn presets_parse_and_build() {
     let data = scene("balls", 32, 4);
-    for entry in METHODS {
+    for entry in of_scenes() {
         for (preset, _) in entry.presets {
             let mut config = entry.config(preset).expect("preset");
             config["init"].as_table_mut().expect("init").insert("points".into(), 100.into());
@@ -32,7 +32,7 @@ fn presets_parse_and_build() {
 #[test]
 fn every_parameter_has_a_learning_rate() {
     let data = scene("balls", 32, 4);
-    for entry in METHODS {
+    for entry in of_scenes() {
         let trainer = start(entry.name, &data);
         let schedule = trainer.method().schedule();
         trainer.method().visit(&mut |p| assert!(schedule.rule(&p.name).is_some(), "{} {}", entry.name, p.name));
@@ -40,7 +40,7 @@ fn every_parameter_has_a_learning_rate() {
 }
 
 /// Drawing without the visible steps at α = 1/255 and T = 1e-4, which a finite difference would trip over.
-fn smooth(method: &dyn Method) -> RasterOptions {
+pub fn smooth(method: &dyn Method) -> RasterOptions {
     let options = method.schedule().raster_options([0.2, 0.4, 0.6]);
     RasterOptions { min_alpha: 1e-7, stop: 1e-9, clamp_grad: ClampGrad::Exact, ..options }
 }
@@ -62,7 +62,7 @@ fn functional(method: &dyn Method, at: &Moment, data: &Dataset, weights: &[f32])
 #[test]
 fn gradients_match_directional_finite_differences() {
     let data = scene("balls", 32, 6);
-    for entry in METHODS {
+    for entry in of_scenes() {
         // Few splats: the fewer pairs, the fewer that change their order in depth.
         let mut config = short(entry.name);
         config["init"].as_table_mut().expect("init").insert("points".into(), 40.into());
@@ -90,7 +90,7 @@ fn gradients_match_directional_finite_differences() {
 const ROUNDING: f64 = 1e-5;
 
 /// Moves each block along its own gradient and compares the change of the loss with what the gradient promises.
-fn check_blocks(name: &str, method: &mut dyn Method, loss: &mut dyn FnMut(&dyn Method) -> f64) {
+pub fn check_blocks(name: &str, method: &mut dyn Method, loss: &mut dyn FnMut(&dyn Method) -> f64) {
     let mut blocks = Vec::new();
     method.visit(&mut |p| blocks.push((p.name.clone(), p.grad.clone())));
     let total: f64 = blocks.iter().flat_map(|b| &b.1).map(|g| f64::from(*g).powi(2)).sum::<f64>().sqrt();
@@ -133,7 +133,7 @@ fn check_blocks(name: &str, method: &mut dyn Method, loss: &mut dyn FnMut(&dyn M
 #[test]
 fn times_outside_the_range_give_finite_splats() {
     let data = scene("balls", 32, 4);
-    for entry in METHODS {
+    for entry in of_scenes() {
         let mut trainer = start(entry.name, &data);
         run(&mut trainer, 40);
         for t in [-10.0, -0.5, 0.0, 1.0, 1.5, 1e6] {
@@ -150,7 +150,7 @@ fn times_outside_the_range_give_finite_splats() {
 #[test]
 fn growth_edits_every_row_block_together() {
     let data = scene("balls", 32, 4);
-    for entry in METHODS {
+    for entry in of_scenes() {
         let mut trainer = start(entry.name, &data);
         let (mut grown, mut removed) = (0, 0);
         for report in (0..60).map(|_| trainer.step().expect("step")).collect::<Vec<_>>() {

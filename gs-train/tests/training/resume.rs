@@ -3,7 +3,7 @@
 use crate::support::*;
 use gs_core::Rng;
 use gs_train::checkpoint::Checkpoint;
-use gs_train::methods::{METHODS, saved};
+use gs_train::methods::saved;
 use gs_train::trainer::{TrainOptions, Trainer};
 use std::sync::Arc;
 
@@ -16,7 +16,7 @@ fn timeless(mut state: Checkpoint) -> Checkpoint {
 #[test]
 fn resuming_at_any_step_continues_bit_for_bit() {
     let data = scene("balls", 32, 7);
-    for entry in METHODS {
+    for entry in of_scenes() {
         let mut whole = start(entry.name, &data);
         let mut states = vec![whole.state()];
         let mut grown = 0;
@@ -42,7 +42,7 @@ fn resuming_at_any_step_continues_bit_for_bit() {
 #[test]
 fn threads_do_not_change_a_bit() {
     let data = scene("balls", 32, 7);
-    for entry in METHODS {
+    for entry in of_scenes() {
         let states: Vec<Checkpoint> = [1, 2, 4]
             .iter()
             .map(|&threads| {

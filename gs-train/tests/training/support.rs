@@ -2,7 +2,7 @@
 
 use gs_train::data::{Dataset, ImageCache, Split};
 use gs_train::evaluate::evaluate;
-use gs_train::methods::MethodEntry;
+use gs_train::methods::{METHODS, MethodEntry};
 use gs_train::synth::{self, SynthOptions};
 use gs_train::trainer::{StepReport, TrainOptions, Trainer};
 use std::sync::Arc;
@@ -18,6 +18,11 @@ pub fn scene(name: &str, size: u32, views: u32) -> Arc<Dataset> {
         ..SynthOptions::default()
     };
     Arc::new(synth::generate(name, &options).expect("generated scene").dataset)
+}
+
+/// The methods that need no filmed person.
+pub fn of_scenes() -> impl Iterator<Item = &'static MethodEntry> {
+    METHODS.iter().filter(|m| !m.needs_avatar)
 }
 
 /// The `tiny` preset of a method, with TOML laid over its schedule.

@@ -1,0 +1,330 @@
+//! What of a filmed person never changes, and what a frame gives: the posed template, what the cameras say about its
+//! texels, and the same once GeoNet's offsets have moved it.
+
+use super::config::{Config, TextureSizes};
+use crate::avatar::{AvatarFrame, AvatarScene};
+use crate::data::{DataError, ImageCache, ImageU8};
+use glam::{Affine3A, Vec3};
+use gs_core::{Camera, Image, Time};
+use gs_texel::gaussians::warm_up::WarmUpError;
+use gs_texel::gaussians::{BaseError, ChannelsError, TexelBase};
+use gs_texel::inpaint::InpaintError;
+use gs_texel::net::NetError;
+use gs_texel::scale_refine::ScaleRefine;
+use gs_texel::skin::{rotations, skin};
+use gs_texel::surface::{Mesh, MeshError, Topology};
+use gs_texel::surface_loss::ChamferError;
+use gs_texel::texels::{MapReader, TexelError, TexelOptions, TexelTable, resize};
+use gs_texel::unproject::{self, UnprojectConfig, UnprojectError, unproject};
+use std::sync::Arc;
+
+/// Bytes of decoded input images kept.
+const IMAGE_BYTES: usize = 256 << 20;
+
+/// What a frame cannot be made of.
+#[derive(Debug, thiserror::Error)]
+pub enum FrameError {
+    /// An image of a conditioning camera.
+    #[error(transparent)]
+    Image(#[from] DataError),
+    /// Mesh, cameras and images do not fit.
+    #[error(transparent)]
+    Unproject(#[from] UnprojectError),
+    /// A network.
+    #[error(transparent)]
+    Net(#[from] NetError),
+    /// Pose or offsets.
+    #[error(transparent)]
+    Base(#[from] BaseError),
+    /// Texel values.
+    #[error(transparent)]
+    Channels(#[from] ChannelsError),
+    /// Reference Gaussians.
+    #[error(transparent)]
+    WarmUp(#[from] WarmUpError),
+    /// Colours of texels that are not seen.
+    #[error(transparent)]
+    Inpaint(#[from] InpaintError),
+    /// Measured points.
+    #[error(transparent)]
+    Chamfer(#[from] ChamferError),
+    /// There are no measured points.
+    #[error(
+        "it has no points of the surface to learn geometry from; make the data with points, or set input = \"single\""
+    )]
+    NoPoints,
+}
+
+/// A template that no texels can be laid on.
+#[derive(Debug, thiserror::Error)]
+pub enum ActorError {
+    /// Faces.
+    #[error("template: {0}")]
+    Mesh(#[from] MeshError),
+    /// Texture coordinates.
+    #[error("template: {0}")]
+    Texels(#[from] TexelError),
+    /// A setting.
+    #[error(transparent)]
+    Unproject(#[from] UnprojectError),
+}
+
+/// Everything of a person that does not depend on the moment.
+pub struct Actor {
+    /// The data.
+    pub scene: Arc<AvatarScene>,
+    /// Edges and rings of the template.
+    pub topology: Topology,
+    /// Normals of the bind pose, per vertex.
+    rest_normals: Vec<Vec3>,
+    /// Texels that are unprojected.
+    fine: TexelTable,
+    /// Texels of GeoNet.
+    pub geo: TexelTable,
+    /// Texels of GauNet: the Gaussians.
+    pub gau: TexelTable,
+    /// GeoNet's map at the vertices.
+    pub reader: MapReader,
+    refine: ScaleRefine,
+    unproject: UnprojectConfig,
+    images: ImageCache,
+    rgb: bool,
+    normals: bool,
+    kappa: bool,
+}
+
+/// The template at a pose.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Posed {
+    /// The bind pose with the morphs the pose knows of, `N` rows.
+    pub canonical: Vec<Vec3>,
+    /// Blended skinning matrices, `N` rows.
+    pub transforms: Vec<Affine3A>,
+    /// Their rotations `(w, x, y, z)`.
+    turns: Vec<[f32; 4]>,
+    /// `κ`.
+    kappas: Vec<f32>,
+    /// Normals of the posed template without the rotation of its root.
+    root_free: Vec<Vec3>,
+}
+
+/// What the cameras say about the texels of a table.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Seen {
+    /// Display-encoded colours, 0 where unseen; `K` rows.
+    pub colors: Vec<[f32; 3]>,
+    /// Number of views, 0 where unseen; a mean where texels were resized.
+    pub views: Vec<f32>,
+}
+
+/// A frame before GeoNet.
+#[derive(Clone, Debug, PartialEq)]
+pub struct First {
+    /// The template.
+    pub posed: Posed,
+    /// What is seen on it, at the size of unprojection.
+    pub seen: Seen,
+    /// GeoNet's input, `[S, S, 6]`.
+    pub input: Vec<f32>,
+}
+
+/// A frame behind GeoNet.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Second {
+    /// `D`, metres in the bind pose, `N` rows.
+    pub offsets: Vec<Vec3>,
+    /// Where texels lie and how they are turned.
+    pub base: TexelBase,
+    /// What is seen on them.
+    pub seen: Seen,
+    /// GauNet's input, `[S, S, 6]`.
+    pub input: Vec<f32>,
+}
+
+impl Actor {
+    /// Lays texels on the template.
+    ///
+    /// # Errors
+    /// If that is not possible.
+    pub fn new(scene: Arc<AvatarScene>, config: &Config) -> Result<Self, ActorError> {
+        config.unproject.check()?;
+        let t = &scene.character.template;
+        let topology = Topology::new(&t.faces, t.vertices.len())?;
+        let table = |size| TexelTable::build(&t.faces, &t.uvs, &t.face_uvs, size, &TexelOptions::default());
+        let TextureSizes { unproject, geo, gau } = config.textures;
+        let (fine, geo, gau) = (table(unproject)?, table(geo)?, table(gau)?);
+        let (vertices, seams) = (t.vertices.len(), config.surface.seams);
+        Ok(Self {
+            rest_normals: topology.normals(&t.vertices, &t.faces),
+            reader: MapReader::at_vertices(&geo, vertices, &t.faces, &t.uvs, &t.face_uvs, seams),
+            refine: ScaleRefine::new(&t.vertices, &t.faces, config.refine),
+            unproject: config.unproject,
+            images: ImageCache::new(IMAGE_BYTES, 1.0),
+            rgb: config.rgb,
+            normals: config.normals,
+            kappa: config.kappa,
+            topology,
+            fine,
+            geo,
+            gau,
+            scene,
+        })
+    }
+
+    /// The frame of a moment.
+    pub fn frame_at(&self, t: Time) -> &AvatarFrame {
+        self.scene.frame_at(t)
+    }
+
+    /// Bytes a prepared frame takes, roughly.
+    pub fn frame_bytes(&self) -> usize {
+        let vertices = self.rest_normals.len() * 160;
+        vertices + 16 * self.fine.len() + 24 * (self.geo.row.len() + self.gau.row.len()) + 160 * self.gau.len()
+    }
+
+    /// Joints to vertices: what skinning needs of a frame.
+    pub fn pose(&self, frame: &AvatarFrame) -> Posed {
+        let character = &self.scene.character;
+        let (t, skeleton) = (&character.template, &character.skeleton);
+        let joints = skeleton.skinning(&frame.pose);
+        let transforms = self.scene.skinning.blend(&t.weights, &joints);
+        let turns = rotations(&t.weights, &joints, &transforms);
+        let canonical = t.morphed(&frame.pose.morphs);
+        let kappas = match self.kappa {
+            true => self.refine.kappas(&skin(&t.vertices, &transforms)),
+            false => vec![1.0; canonical.len()],
+        };
+        let back = skeleton.root_rotation(&frame.pose).transpose().as_mat3();
+        let turned = |(n, m): (&Vec3, &Affine3A)| back * (m.matrix3 * *n).normalize_or_zero();
+        let root_free = self.rest_normals.iter().zip(&transforms).map(turned).collect();
+        Posed { canonical, transforms, turns, kappas, root_free }
+    }
+
+    /// The images of a frame's conditioning cameras, decoded; colours are straight, the fourth channel is coverage.
+    ///
+    /// # Errors
+    /// If one cannot be read.
+    pub fn photographs(&self, frame: &AvatarFrame) -> Result<Vec<(Camera, Image)>, DataError> {
+        let decoded = |v| {
+            let image = self.images.get(v)?;
+            Ok((self.images.camera(v), straight(&image)))
+        };
+        frame.inputs.iter().map(decoded).collect()
+    }
+
+    /// What photographs say about the texels of a surface, `N` world positions.
+    ///
+    /// # Errors
+    /// If positions are not finite or images do not fit.
+    pub fn look(&self, surface: &[Vec3], photographs: &[(Camera, Image)]) -> Result<Seen, FrameError> {
+        let faces = &self.scene.character.template.faces;
+        let normals = self.topology.normals(surface, faces);
+        let mesh = Mesh { vertices: surface, normals: &normals, faces };
+        let views: Vec<_> =
+            photographs.iter().map(|(camera, image)| unproject::View { camera, image, mask: None }).collect();
+        let texture = unproject(&mesh, &self.fine, &views, &self.unproject)?;
+        Ok(Seen { colors: texture.colors, views: texture.seen.iter().map(|&n| f32::from(n)).collect() })
+    }
+
+    /// The posed surface with offsets.
+    pub fn surface(&self, posed: &Posed, offsets: &[Vec3]) -> Vec<Vec3> {
+        let moved: Vec<Vec3> = posed.canonical.iter().zip(offsets).map(|(&p, &d)| p + d).collect();
+        skin(&moved, &posed.transforms)
+    }
+
+    /// The frame before GeoNet.
+    ///
+    /// # Errors
+    /// As reading images and unprojecting them goes.
+    pub fn first(&self, frame: &AvatarFrame) -> Result<First, FrameError> {
+        self.first_of(self.pose(frame), &self.photographs(frame)?)
+    }
+
+    /// The same of a posed template and its photographs.
+    ///
+    /// # Errors
+    /// As [`Self::look`].
+    pub fn first_of(&self, posed: Posed, photographs: &[(Camera, Image)]) -> Result<First, FrameError> {
+        let seen = self.look(&skin(&posed.canonical, &posed.transforms), photographs)?;
+        let input = self.input(&self.geo, &self.resized(&seen, &self.geo), &posed);
+        Ok(First { posed, seen, input })
+    }
+
+    /// The frame behind GeoNet, whose offsets are absent if the template is believed.
+    ///
+    /// # Errors
+    /// As reading images and unprojecting them goes; if offsets are not finite.
+    pub fn second(&self, frame: &AvatarFrame, first: &First, offsets: Option<Vec<Vec3>>) -> Result<Second, FrameError> {
+        let photographs = if offsets.is_some() { self.photographs(frame)? } else { Vec::new() };
+        self.second_of(first, offsets, &photographs)
+    }
+
+    /// The same of photographs, which are not looked at without offsets.
+    ///
+    /// # Errors
+    /// As [`Self::look`]; if offsets are not finite.
+    pub fn second_of(
+        &self,
+        first: &First,
+        offsets: Option<Vec<Vec3>>,
+        photographs: &[(Camera, Image)],
+    ) -> Result<Second, FrameError> {
+        let posed = &first.posed;
+        let seen = match &offsets {
+            Some(d) => &self.look(&self.surface(posed, d), photographs)?,
+            None => &first.seen,
+        };
+        let offsets = offsets.unwrap_or_else(|| vec![Vec3::ZERO; posed.canonical.len()]);
+        let seen = self.resized(seen, &self.gau);
+        let input = self.input(&self.gau, &seen, posed);
+        Ok(Second { base: self.base(posed, &offsets)?, offsets, seen, input })
+    }
+
+    /// Where the Gaussians' texels lie.
+    ///
+    /// # Errors
+    /// If pose or offsets are not finite.
+    pub fn base(&self, posed: &Posed, offsets: &[Vec3]) -> Result<TexelBase, FrameError> {
+        let points: Vec<Vec3> = posed.canonical.iter().zip(offsets).map(|(&p, &d)| p + d).collect();
+        let faces = &self.scene.character.template.faces;
+        Ok(TexelBase::new(&self.gau, faces, &points, &posed.transforms, &posed.turns, &posed.kappas)?)
+    }
+
+    /// What is seen at the texels of another table: the mean over seen texels nearby, unseen where there is none.
+    pub fn resized(&self, seen: &Seen, table: &TexelTable) -> Seen {
+        if table.size == self.fine.size {
+            return seen.clone();
+        }
+        let row = |(c, &n): (&[f32; 3], &f32)| [c[0], c[1], c[2], n];
+        let rows: Vec<[f32; 4]> = seen.colors.iter().zip(&seen.views).map(row).collect();
+        let map = self.fine.to_map(&rows, 0.0);
+        let known: Vec<f32> = map.data.chunks_exact(4).map(|p| if p[3] > 0.0 { 1.0 } else { 0.0 }).collect();
+        let (map, _) = resize(&map, Some(&known), table.size);
+        let (colors, views) = table.from_map::<4>(&map).iter().map(|p| ([p[0], p[1], p[2]], p[3])).unzip();
+        Seen { colors, views }
+    }
+
+    /// A network's input `[S, S, 6]`: colours as `2 T − 1`, black where nothing is seen, and the root-free normals.
+    fn input(&self, table: &TexelTable, seen: &Seen, posed: &Posed) -> Vec<f32> {
+        let faces = &self.scene.character.template.faces;
+        let empty = if self.rgb { -1.0 } else { 0.0 };
+        let mut map = vec![0.0; table.row.len() * 6];
+        map.chunks_exact_mut(6).for_each(|p| p[..3].fill(empty));
+        for (k, (&t, color)) in table.valid.iter().zip(&seen.colors).enumerate() {
+            let at = &mut map[t as usize * 6..][..6];
+            if self.rgb {
+                at.iter_mut().zip(color).for_each(|(v, c)| *v = 2.0 * c - 1.0);
+            }
+            if self.normals {
+                at[3..].copy_from_slice(&table.at(faces, &posed.root_free, k).to_array());
+            }
+        }
+        map
+    }
+}
+
+/// Straight colours and coverage, 4 channels in 0..1.
+fn straight(image: &ImageU8) -> Image {
+    let data = image.data.iter().map(|&v| f32::from(v) / 255.0).collect();
+    Image { width: image.width, height: image.height, channels: 4, data }
+}

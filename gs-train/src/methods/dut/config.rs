@@ -1,0 +1,221 @@
+//! The settings of the method.
+
+use crate::methods::{InitConfig, MethodError};
+use crate::schedule::Schedule;
+use gs_texel::gaussians::DecodeOptions;
+use gs_texel::scale_refine::ScaleRefineOptions;
+use gs_texel::surface_loss::{IsometryRule, NormalRule};
+use gs_texel::texels::SeamRead;
+use gs_texel::unproject::UnprojectConfig;
+use gs_texel::{GauNetConfig, GeoNetConfig};
+use serde::{Deserialize, Serialize};
+
+/// What says of each texel which Gaussian it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Mode {
+    /// GauNet, from the texture.
+    Networks,
+    /// Values of its own, the same at all moments.
+    Direct,
+}
+
+/// How often the images are brought to the surface.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Input {
+    /// Twice: before and after GeoNet has deformed it.
+    Double,
+    /// Once: the template is believed.
+    Single,
+}
+
+/// Texels per side.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TextureSizes {
+    /// Of the textures unprojected.
+    pub unproject: usize,
+    /// Of GeoNet's maps.
+    pub geo: usize,
+    /// Of GauNet's maps: one Gaussian per valid texel.
+    pub gau: usize,
+}
+
+/// The texel Gaussians.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GaussianConfig {
+    /// Degree of spherical harmonics there is room for, 0 to 3.
+    pub sh_degree: u8,
+    /// How values become Gaussians.
+    pub decode: DecodeOptions,
+    /// Weight of the mean squared offset, per square metre.
+    pub reg: f32,
+}
+
+/// Values of the texels' own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum DirectColor {
+    /// The same at all moments.
+    Learnt,
+    /// `T a + b` of the moment's texture, where a camera sees the texel; of its mean elsewhere.
+    Texture,
+}
+
+/// The texels' own values.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DirectConfig {
+    /// What colours are made of.
+    pub color: DirectColor,
+    /// The first opacity, between 0 and 1.
+    pub opacity: f32,
+    /// First standard deviations over the distance of neighbouring texels.
+    pub spread: f32,
+}
+
+/// What GeoNet learns from.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SurfaceConfig {
+    /// Weight of the Laplacian.
+    pub laplacian: f32,
+    /// Weight of the lengths of edges.
+    pub isometry: f32,
+    /// Which edges count.
+    pub isometry_rule: IsometryRule,
+    /// Weight of neighbouring normals.
+    pub normals: f32,
+    /// Which are neighbours.
+    pub normal_rule: NormalRule,
+    /// What vertices on seams read of the map of offsets.
+    pub seams: SeamRead,
+}
+
+/// GauNet beside its shape.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GauConfig {
+    /// The network; its number of inputs and its degree follow from elsewhere.
+    pub net: GauNetConfig,
+    /// Whether its values are added to the reference Gaussians of the warm-up.
+    pub residual: bool,
+    /// Longest gradient of all its weights in a step; 0: any.
+    pub clip: f32,
+}
+
+/// The configuration.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Config {
+    /// Where texel Gaussians come from.
+    pub mode: Mode,
+    /// How often images are unprojected.
+    pub input: Input,
+    /// Whether the networks see colours.
+    pub rgb: bool,
+    /// Whether they see normals.
+    pub normals: bool,
+    /// Whether Gaussians grow where the surface is stretched.
+    pub kappa: bool,
+    /// Memory for frames once prepared, MiB.
+    pub cache_mib: u32,
+    /// Points, which only the extent of the scene is read from.
+    pub init: InitConfig,
+    /// Texels per side.
+    pub textures: TextureSizes,
+    /// The unprojection.
+    pub unproject: UnprojectConfig,
+    /// The bounds of κ.
+    pub refine: ScaleRefineOptions,
+    /// The texel Gaussians.
+    pub gaussians: GaussianConfig,
+    /// The texels' own values.
+    pub direct: DirectConfig,
+    /// GeoNet.
+    pub geonet: GeoNetConfig,
+    /// What it learns from.
+    pub surface: SurfaceConfig,
+    /// GauNet.
+    pub gaunet: GauConfig,
+    /// The plan of the run.
+    pub schedule: Schedule,
+}
+
+/// What a step learns.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Phase {
+    /// GeoNet, from points.
+    Geometry,
+    /// GauNet, from reference Gaussians.
+    WarmUp,
+    /// Texel Gaussians, from photographs.
+    Main,
+}
+
+/// Names of the stages, in their order.
+const PHASES: [(&str, Phase); 3] = [("geometry", Phase::Geometry), ("warm_up", Phase::WarmUp), ("main", Phase::Main)];
+
+impl Phase {
+    /// What step `step` of a schedule learns.
+    pub fn of(schedule: &Schedule, step: u32) -> Self {
+        let name = schedule.ordered().get(schedule.position(step).stage).map(|s| s.0);
+        PHASES.iter().find(|p| Some(p.0) == name).map_or(Self::Main, |p| p.1)
+    }
+}
+
+impl Config {
+    /// Verifies what the parts cannot see by themselves.
+    ///
+    /// # Errors
+    /// The first setting that does not fit.
+    pub fn check(&self, method: &'static str) -> Result<(), MethodError> {
+        self.schedule.check()?;
+        let wrong = |why: String| Err(MethodError::Config { method, why });
+        let steps = |name: &str| self.schedule.stages.get(name).map_or(0, |s| s.steps);
+        if let Some(name) = self.schedule.stages.keys().find(|n| PHASES.iter().all(|p| p.0 != n.as_str())) {
+            return wrong(format!("schedule.stages.{name}: the stages are geometry, warm_up and main"));
+        }
+        let ordered: Vec<&str> = self.schedule.ordered().into_iter().map(|s| s.0).collect();
+        let mut expected: Vec<&str> = PHASES.map(|p| p.0).into();
+        expected.retain(|n| steps(n) > 0);
+        if ordered != expected {
+            return wrong(format!(
+                "schedule.stages: the order must be {}, not {}",
+                expected.join(", "),
+                ordered.join(", ")
+            ));
+        }
+        if let Some((name, _)) = self.schedule.ordered().into_iter().skip(1).find(|(_, s)| !s.own_clock) {
+            return wrong(format!(
+                "schedule.stages.{name}.own_clock: must be true, or what was learnt before goes on moving"
+            ));
+        }
+        if steps("geometry") > 0 && self.input == Input::Single {
+            return wrong("input = \"single\" has no GeoNet: set schedule.stages.geometry.steps = 0".into());
+        }
+        if steps("warm_up") > 0 && self.mode == Mode::Direct {
+            return wrong("mode = \"direct\" has no GauNet: set schedule.stages.warm_up.steps = 0".into());
+        }
+        let positive = |name: &str, v: f32, most: f32| match v > 0.0 && v < most {
+            true => Ok(()),
+            false => wrong(format!("{name} = {v}: above 0, below {most}")),
+        };
+        positive("direct.opacity", self.direct.opacity, 1.0)?;
+        positive("direct.spread", self.direct.spread, 100.0)?;
+        let surface = &self.surface;
+        let weights = [
+            ("gaussians.reg", self.gaussians.reg),
+            ("gaunet.clip", self.gaunet.clip),
+            ("surface.laplacian", surface.laplacian),
+            ("surface.isometry", surface.isometry),
+            ("surface.normals", surface.normals),
+        ];
+        match weights.into_iter().find(|(_, w)| !(*w >= 0.0 && w.is_finite())) {
+            Some((name, w)) => wrong(format!("{name} = {w}: finite, not negative")),
+            None => Ok(()),
+        }
+    }
+}

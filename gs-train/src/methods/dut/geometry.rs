@@ -1,0 +1,143 @@
+//! GeoNet under training: offsets of the bind pose that bring the posed template to measured points.
+//!
+//! ```text
+//! p_i = T_i (v̄_i + D_i)      L = L_cham(P) + λ_lap L_lap(P) + λ_iso L_iso(v̄ + D) + λ_nc L_nc(v̄ + D)
+//! ```
+//! (DUT, supplement.) What the pose's known morphs do to the bind pose is left out of the last two.
+
+use super::actor::{Actor, First, FrameError};
+use super::cache::Cache;
+use super::config::{Config, SurfaceConfig};
+use crate::avatar::AvatarFrame;
+use glam::Vec3;
+use gs_core::{Image, Param, Params};
+use gs_texel::net::NetError;
+use gs_texel::skin::skin_backward;
+use gs_texel::surface_loss::{Chamfer, Isometry, NormalConsistency, SurfaceLoss, laplacian};
+use gs_texel::{GeoNet, GeoNetConfig, GeoNetTape};
+use std::sync::{Mutex, PoisonError};
+
+/// Frames whose points are kept with their index.
+const FRAMES: usize = 256;
+
+/// GeoNet, and what it learns from.
+pub struct Geometry {
+    net: GeoNet,
+    tape: Mutex<GeoNetTape>,
+    weights: SurfaceConfig,
+    isometry: Isometry,
+    normals: NormalConsistency,
+    points: Cache<Chamfer>,
+}
+
+/// Values of the terms, weights applied.
+pub type Terms = [(&'static str, f32); 4];
+
+impl Geometry {
+    /// A network that leaves the template as it is.
+    ///
+    /// # Errors
+    /// If its shape does not fit.
+    pub fn new(config: &Config, actor: &Actor, seed: u64) -> Result<Self, NetError> {
+        let net = GeoNet::new("geo", GeoNetConfig { inputs: 6, ..config.geonet }, seed)?;
+        let mask: Vec<bool> = actor.geo.mask().iter().map(|m| *m > 0.0).collect();
+        let t = &actor.scene.character.template;
+        let weights = config.surface;
+        Ok(Self {
+            tape: Mutex::new(net.tape(actor.geo.size, Some(&mask))?),
+            net,
+            isometry: Isometry::new(&t.vertices, &t.faces, &actor.topology, weights.isometry_rule),
+            normals: NormalConsistency::new(&t.faces, &actor.topology, weights.normal_rule),
+            weights,
+            points: Cache::new(FRAMES),
+        })
+    }
+
+    /// `D`, `N` rows.
+    ///
+    /// # Errors
+    /// If the input is not finite.
+    pub fn offsets(&self, actor: &Actor, first: &First) -> Result<Vec<Vec3>, FrameError> {
+        let mut tape = self.tape.lock().unwrap_or_else(PoisonError::into_inner);
+        Ok(read(actor, self.net.forward(&first.input, &mut tape)?))
+    }
+
+    /// Adds the gradient of a frame's loss, times `share`, to the weights.
+    ///
+    /// # Errors
+    /// If the frame has no points or values are not finite.
+    pub fn learn(
+        &mut self,
+        actor: &Actor,
+        frame: &AvatarFrame,
+        first: &First,
+        share: f32,
+    ) -> Result<Terms, FrameError> {
+        let points = self.points.get(frame.number, || {
+            let points = frame.points.as_ref().ok_or(FrameError::NoPoints)?.read()?;
+            Ok::<_, FrameError>(Chamfer::new(points.as_slice())?)
+        })?;
+        let tape = self.tape.get_mut().unwrap_or_else(PoisonError::into_inner);
+        let offsets = read(actor, self.net.forward(&first.input, tape)?);
+        let (terms, d_offsets) = self.loss(actor, first, &offsets, &points)?;
+        let d_read: Vec<f32> = d_offsets.iter().flat_map(|d| (*d * share).to_array()).collect();
+        let tape = self.tape.get_mut().unwrap_or_else(PoisonError::into_inner);
+        self.net.backward(tape, &actor.reader.adjoint(&d_read, 3).data)?;
+        Ok(terms.map(|(name, v)| (name, v * share)))
+    }
+
+    /// The loss of offsets, term by term, and its gradient.
+    fn loss(
+        &self,
+        actor: &Actor,
+        first: &First,
+        offsets: &[Vec3],
+        points: &Chamfer,
+    ) -> Result<(Terms, Vec<Vec3>), FrameError> {
+        let t = &actor.scene.character.template;
+        let posed = actor.surface(&first.posed, offsets);
+        let deformed: Vec<Vec3> = t.vertices.iter().zip(offsets).map(|(&v, &d)| v + d).collect();
+        let SurfaceConfig { laplacian: lap, isometry, normals, .. } = self.weights;
+        let mut world = points.evaluate(&posed)?;
+        let chamfer = world.value;
+        let smooth = term(lap, || laplacian(&posed, &actor.topology), posed.len());
+        world.add(lap.into(), &smooth);
+        let lengths = term(isometry, || self.isometry.evaluate(&deformed), posed.len());
+        let creases = term(normals, || self.normals.evaluate(&deformed), posed.len());
+        let d_world: Vec<Vec3> = world.grad.iter().map(|g| g.as_vec3()).collect();
+        let mut d_offsets = skin_backward(&first.posed.transforms, &d_world);
+        for (weight, loss) in [(isometry, &lengths), (normals, &creases)] {
+            d_offsets.iter_mut().zip(&loss.grad).for_each(|(d, g)| *d += (f64::from(weight) * *g).as_vec3());
+        }
+        let weighted = |weight: f32, loss: &SurfaceLoss| (f64::from(weight) * loss.value) as f32;
+        let terms = [
+            ("chamfer", chamfer as f32),
+            ("laplacian", weighted(lap, &smooth)),
+            ("isometry", weighted(isometry, &lengths)),
+            ("normals", weighted(normals, &creases)),
+        ];
+        Ok((terms, d_offsets))
+    }
+}
+
+/// A loss, not looked at without weight.
+fn term(weight: f32, loss: impl FnOnce() -> SurfaceLoss, vertices: usize) -> SurfaceLoss {
+    if weight > 0.0 { loss() } else { SurfaceLoss { value: 0.0, grad: vec![Default::default(); vertices] } }
+}
+
+/// The offsets of the vertices from a map `[S, S, 3]`.
+fn read(actor: &Actor, map: &[f32]) -> Vec<Vec3> {
+    let size = actor.geo.size;
+    let map = Image { width: size, height: size, channels: 3, data: map.to_vec() };
+    actor.reader.read(&map).chunks_exact(3).map(Vec3::from_slice).collect()
+}
+
+impl Params for Geometry {
+    fn visit(&self, f: &mut dyn FnMut(&Param)) {
+        self.net.visit(f);
+    }
+
+    fn visit_mut(&mut self, f: &mut dyn FnMut(&mut Param)) {
+        self.net.visit_mut(f);
+    }
+}
