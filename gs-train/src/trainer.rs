@@ -111,7 +111,8 @@ impl Trainer {
         config: Option<&toml::Table>,
         image_bytes: usize,
     ) -> Result<Self, TrainError> {
-        let loaded = methods::saved::load_with(checkpoint, config, dataset.avatar.clone()).map_err(TrainError::State)?;
+        let loaded =
+            methods::saved::load_with(checkpoint, config, dataset.avatar.clone()).map_err(TrainError::State)?;
         if dataset.train.len() as u32 != loaded.scene.views {
             let (now, then) = (dataset.train.len(), loaded.scene.views);
             return Err(TrainError::State(format!("the data have {now} training views, the run began with {then}")));

@@ -201,6 +201,7 @@ impl From<EvalError> for Failure {
         match e {
             EvalError::Data(e) => e.into(),
             EvalError::NoViews(_) => Self::new(Class::Data, "data.split", e.to_string()),
+            EvalError::Method { .. } => Self::new(Class::Data, "method.moment", e.to_string()),
             EvalError::Metric { .. } => Self::new(Class::Data, "data.metric", e.to_string()),
         }
     }

@@ -80,6 +80,7 @@ enum Verb {
     Contest(verbs::contest::ContestVerb),
     Continual(verbs::continual::ContinualVerb),
     Sweep(verbs::sweep::SweepVerb),
+    Pose(verbs::pose::PoseVerb),
     Bench(verbs::bench::Bench),
 }
 
@@ -106,6 +107,7 @@ fn run(cli: Cli) -> Result<Answer, Failure> {
         Verb::Contest(verb) => verb.run(global),
         Verb::Continual(verb) => verb.run(global),
         Verb::Sweep(verb) => verb.run(global),
+        Verb::Pose(verb) => verb.run(global),
         Verb::Bench(verb) => verb.run(global),
     }
 }

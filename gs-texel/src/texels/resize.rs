@@ -85,10 +85,10 @@ mod tests {
         // Left half 0.7 and valid, right half −5 and not.
         let mut map = Image::zeros(16, 16, 2);
         let mut mask = vec![0.0; 256];
-        for i in 0..256 {
+        for (i, (mask, texel)) in mask.iter_mut().zip(map.data.chunks_exact_mut(2)).enumerate() {
             let valid = i % 16 < 7;
-            mask[i] = if valid { 1.0 } else { 0.0 };
-            map.data[2 * i..2 * i + 2].fill(if valid { 0.7 } else { -5.0 });
+            *mask = if valid { 1.0 } else { 0.0 };
+            texel.fill(if valid { 0.7 } else { -5.0 });
         }
         let (masked, share) = resize(&map, Some(&mask), 8);
         for (i, p) in masked.data.chunks(2).enumerate() {

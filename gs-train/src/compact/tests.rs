@@ -16,8 +16,17 @@ fn loaded(method: &str) -> Loaded {
         (0..200).map(|_| Vec3::from_array(std::array::from_fn(|_| rng.range(-1.0, 1.0)))).collect();
     let points = PointCloud { colors: vec![[0.5; 3]; positions.len()], positions };
     let bounds = [Vec3::NEG_ONE, Vec3::ONE];
-    let scene =
-        SceneInfo { points, extent: 2.0, bounds, views: 4, moments: 4, last_time: 1.0, frame_interval: 0.25, seed: 1, avatar: None };
+    let scene = SceneInfo {
+        points,
+        extent: 2.0,
+        bounds,
+        views: 4,
+        moments: 4,
+        last_time: 1.0,
+        frame_interval: 0.25,
+        seed: 1,
+        avatar: None,
+    };
     let mut method = (entry.build)(&config, &scene).unwrap();
     method.visit_mut(&mut |p| {
         p.value.iter_mut().for_each(|v| *v += 0.05 * rng.normal());

@@ -1,6 +1,7 @@
 //! Training, method by method, on generated scenes of a few dozen pixels.
 
 mod anchored;
+mod dut;
 mod frequency;
 mod journal;
 mod learning;

@@ -11,6 +11,7 @@ pub mod forecast;
 pub mod glmd;
 pub mod inspect;
 pub mod methods;
+pub mod pose;
 pub mod render;
 pub mod resume;
 pub mod segment;

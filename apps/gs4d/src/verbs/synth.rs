@@ -7,6 +7,10 @@ use gs_train::synth::{self, SCENES, SynthOptions};
 use serde_json::json;
 use std::path::PathBuf;
 
+mod avatar;
+
+use avatar::AvatarFlags;
+
 /// Side of the pictures of cameras at rest, of which there are many.
 const SIZE_OF_CAMERAS_AT_REST: u32 = 100;
 
@@ -33,7 +37,7 @@ pub struct Synth {
     /// Take pictures through a lens that distorts, off centre and with leaning columns (layout nerfies).
     #[arg(long)]
     lens: bool,
-    /// Side of the images, pixels [default: 200, with --cameras 100].
+    /// Side of the images, pixels [default: 200, with --cameras 100, of the scene avatar 256].
     #[arg(long)]
     size: Option<u32>,
     /// Training views, evenly spaced in time.
@@ -73,7 +77,7 @@ pub struct Synth {
     #[arg(long, default_value_t = 0.0, requires = "exposure")]
     shake: f64,
     /// Write depth, masks and labels of every view, and the flow of a camera that stands still, to DIR/maps (.npy and .png;
-    /// labels for `gs4d segment` in DIR/maps/labels).
+    /// labels for `gs4d segment` in DIR/maps/labels); of the scene avatar depth, normals and positions to DIR/gt (.exr).
     #[arg(long)]
     truth: bool,
     /// Moments of the camera that stands still.
@@ -82,6 +86,8 @@ pub struct Synth {
     /// Write into a folder that is not empty.
     #[arg(short, long)]
     force: bool,
+    #[command(flatten)]
+    avatar: AvatarFlags,
 }
 
 impl Synth {
@@ -90,6 +96,18 @@ impl Synth {
         let Some(out) = &self.out else {
             return Err(Failure::usage("no folder to write to").remedy(format!("gs4d synth {name} -o DIR")));
         };
+        if name == avatar::NAME {
+            if self.cameras.is_some() || self.lens || self.exposure.is_some() || self.layout != Layout::Dnerf {
+                let what = "--cameras, --lens, --exposure and --layout are not for the scene avatar";
+                return Err(Failure::usage(what).remedy("choose its cameras with --cams, for example --cams 8x2"));
+            }
+            return self.avatar.run(out, self.size, self.seed, self.truth, self.force);
+        }
+        if let Some(flag) = self.avatar.given() {
+            return Err(
+                Failure::usage(format!("{flag} is for the scene avatar, not for {name}")).remedy("leave it out")
+            );
+        }
         let options = self.options();
         let exposure = self.exposure.map(|length| {
             let (samples, linear, shake) = (self.exposure_samples, self.linear, self.shake);
@@ -145,7 +163,9 @@ impl Synth {
 }
 
 fn list() -> Answer {
-    let text: String = SCENES.iter().map(|s| format!("{:10} {}\n", s.name, s.about)).collect();
-    let json: Vec<_> = SCENES.iter().map(|s| json!({"name": s.name, "about": s.about, "dynamic": s.dynamic})).collect();
+    let scenes = SCENES.iter().map(|s| (s.name, s.about, s.dynamic)).chain([(avatar::NAME, avatar::ABOUT, true)]);
+    let text: String = scenes.clone().map(|(name, about, _)| format!("{name:10} {about}\n")).collect();
+    let json: Vec<_> =
+        scenes.map(|(name, about, dynamic)| json!({"name": name, "about": about, "dynamic": dynamic})).collect();
     Answer::new(text, json!(json))
 }

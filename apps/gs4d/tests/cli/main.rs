@@ -1,5 +1,6 @@
 //! The built program, called as a user calls it: every verb on tiny generated inputs, exit codes, JSON, refusals.
 
+mod avatar;
 mod captures;
 mod compact;
 mod contest;
@@ -7,6 +8,7 @@ mod folders;
 mod future;
 mod glmd;
 mod hostile;
+mod pose;
 mod render;
 mod runs;
 mod support;

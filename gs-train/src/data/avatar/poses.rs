@@ -18,12 +18,11 @@ use crate::data::json::{Fields, quote_non_finite};
 const MAX_BYTES: u64 = 256 << 20;
 const MAX_FRAME_BYTES: usize = 1 << 20;
 
+/// A pose, and the morphs its pictures show where they are known.
+type Posed = (Pose, Option<Vec<f32>>);
+
 /// The pose of every frame of some list, and the morphs its pictures show.
-pub(super) fn read(
-    file: &Path,
-    manifest: &Manifest,
-    character: &Character,
-) -> Result<Vec<(Pose, Option<Vec<f32>>)>, DataError> {
+pub(super) fn read(file: &Path, manifest: &Manifest, character: &Character) -> Result<Vec<Posed>, DataError> {
     let text = if file.is_file() { read_text(file, MAX_BYTES)? } else { "{}".into() };
     let text = quote_non_finite(&text);
     let broken = |e: serde_json::Error| {

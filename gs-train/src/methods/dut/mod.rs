@@ -196,11 +196,7 @@ impl Dut {
         trouble.get_or_insert_with(|| format!("frame {} of the filmed person: {error}", frame.number));
     }
 
-    fn learn(
-        &mut self,
-        frame: &AvatarFrame,
-        draw: &mut dyn FnMut(&Splats, &mut SplatsGrad),
-    ) -> Result<(), FrameError> {
+    fn learn(&mut self, frame: &AvatarFrame, draw: &mut dyn FnMut(&Splats, &mut SplatsGrad)) -> Result<(), FrameError> {
         let share = 1.0 / self.config.schedule.batch as f32;
         let phase = self.phase();
         if phase == Phase::Geometry {

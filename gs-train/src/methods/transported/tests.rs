@@ -60,8 +60,15 @@ impl Dynamics for OneTwist {
     }
 }
 
-const CONFIG: PhysicsConfig =
-    PhysicsConfig { step_frames: 2.0, reach: 1, back_frames: 3.0, start: 0.0, inside: Inside::Field, field: true };
+const CONFIG: PhysicsConfig = PhysicsConfig {
+    step_frames: 2.0,
+    reach: 1,
+    direct: 0.0,
+    back_frames: 3.0,
+    start: 0.0,
+    inside: Inside::Field,
+    field: true,
+};
 
 /// Twelve points, frames a twentieth apart, the last at 0.75: Δt = 0.1, T_def = 0.6.
 fn method(config: PhysicsConfig, zero_init: bool) -> Transported<DefMlp, OneTwist> {

@@ -1,0 +1,40 @@
+//! Films of people: made, read, trained on by a method that knows nothing of templates.
+
+use crate::support::{good, gs4d, text};
+
+const SMALL: [&str; 8] = ["--cams", "8x1", "--frames", "4", "--size", "40", "--points", "500"];
+
+#[test]
+fn a_film_is_made_and_trained_on() {
+    let dir = tempfile::tempdir().unwrap();
+    let (film, run) = (dir.path().join("film"), dir.path().join("run"));
+    let made = good(&[&["synth", "avatar", "-o", text(&film), "--truth", "--json"][..], &SMALL].concat()).json();
+    assert_eq!(made["views"], serde_json::json!([16, 0, 16]));
+    assert_eq!((made["conditioning_cameras"].as_u64(), made["layout"].as_str()), (Some(4), Some("avatar")));
+    for file in ["scene.json", "cameras.json", "images/007/000003.png", "points/000000.ply", "gt/000/000001.exr"] {
+        assert!(film.join(file).is_file(), "{file}");
+    }
+    let recipe = ["-m", "defgs", "--preset", "tiny", "--steps", "30", "--quiet"];
+    good(&[&["train", text(&film), "-o", text(&run)][..], &recipe].concat());
+    let scores = good(&["eval", text(&run), "--json"]).json();
+    let psnr = scores["mean"]["psnr"].as_f64().unwrap_or_default();
+    assert!(psnr > 10.0, "{scores}");
+    gs4d(&["synth", "avatar", "-o", text(&film)]).fails(6, &["is not empty", "-f"]);
+}
+
+#[test]
+fn wrong_flags_are_told() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("film");
+    let film = |more: &[&str]| gs4d(&[&["synth", "avatar", "-o", text(&out)][..], more].concat());
+    film(&["--clip", "fly"]).fails(2, &["fly", "walk, wave, turn"]);
+    film(&["--cams", "6x2"]).fails(2, &["multiple of 4"]);
+    film(&["--cams", "8"]).fails(2, &["8x2"]);
+    film(&["--template", "builtin:horse"]).fails(2, &["builtin:horse", "builtin:person"]);
+    film(&["--template", "nobody.glb"]).fails(3, &["nobody.glb"]);
+    film(&["--light", "0,0,0"]).fails(2, &["direction"]);
+    film(&["--cameras", "3"]).fails(2, &["--cams 8x2"]);
+    gs4d(&["synth", "balls", "-o", text(&out), "--frames", "9"]).fails(2, &["--frames", "avatar"]);
+    assert!(good(&["synth"]).out.contains("avatar "));
+    assert!(!out.exists(), "nothing was written");
+}

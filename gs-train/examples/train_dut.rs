@@ -1,0 +1,135 @@
+//! Films the built-in person, trains DUT on it and prints scores where the person is, how well GeoNet knows the surface,
+//! and what each stage of a new frame takes.
+//!
+//! ```text
+//! cargo run --release -p gs-train --example train_dut -- [PRESET] [TEMPLATE] [KEY=VALUE ...]
+//! ```
+//! Keys `film.*` are of the film, others of the method (`film.frames=12`, `input="single"`, `schedule.stages.main.steps=500`).
+
+use gs_raster::{RasterOptions, Workspace, render};
+use gs_train::avatar::AvatarScene;
+use gs_train::data::{Dataset, ImageCache, Split};
+use gs_train::evaluate::evaluate;
+use gs_train::methods::dut::{Config, Dut, FrameError};
+use gs_train::methods::{InitConfig, Method, MethodEntry, SceneInfo, overlay};
+use gs_train::synth::avatar::{self, AvatarOptions};
+use gs_train::trainer::{TrainOptions, Trainer};
+use std::error::Error;
+use std::sync::Arc;
+use std::time::Instant;
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let mut arguments = std::env::args().skip(1);
+    let preset = arguments.next().unwrap_or_else(|| "tiny".to_owned());
+    let template = arguments.next().unwrap_or_else(|| "builtin:person".to_owned());
+    let mut config = MethodEntry::find("dut")?.config(&preset)?;
+    let film = AvatarOptions { template, size: 256, frames: 16, test_every: 5, ..AvatarOptions::default() };
+    let mut film = toml::Table::try_from(film)?;
+    for setting in arguments {
+        match setting.strip_prefix("film.") {
+            Some(of_film) => overlay(&mut film, of_film.parse()?),
+            None => overlay(&mut config, setting.parse()?),
+        }
+    }
+    let begun = Instant::now();
+    let dataset = Arc::new(avatar::generate(&film.try_into()?)?);
+    println!(
+        "filmed in {:.1} s: {} training views, {} test views",
+        begun.elapsed().as_secs_f64(),
+        dataset.train.len(),
+        dataset.test.len()
+    );
+    let mut trainer = Trainer::new(dataset.clone(), "dut", &config, TrainOptions::default())?;
+    println!("dut ({preset}): {} texels, {} steps", trainer.method().len(), trainer.steps());
+    let every = (trainer.steps() / 10).max(1);
+    while trainer.steps_done() < trainer.steps() {
+        let report = trainer.step()?;
+        if report.step % every == 0 || report.step == 1 {
+            let seconds = trainer.train_seconds();
+            let penalties = &report.penalties;
+            println!(
+                "{seconds:6.0} s  step {:5} {:8} loss {:.5} {penalties:?}",
+                report.step, report.stage, report.loss.total
+            );
+        }
+    }
+    for split in [Split::Train, Split::Test] {
+        print_scores(&trainer, &dataset, split)?;
+    }
+    let scene = SceneInfo::of(&dataset, &config["init"].clone().try_into::<InitConfig>()?, 0)?;
+    let mut dut = Dut::new(config.try_into::<Config>()?, &scene)?;
+    copy(trainer.method(), &mut dut);
+    dut.set_step(trainer.steps());
+    let avatar = dataset.avatar.clone().ok_or("a film of a person")?;
+    geometry(&dut, &avatar)?;
+    Ok(times(&dut, &avatar)?)
+}
+
+/// Gives a method the values of another of the same configuration.
+fn copy(from: &dyn Method, to: &mut dyn Method) {
+    let mut values = Vec::new();
+    from.visit(&mut |p| values.push(p.value.clone()));
+    let mut values = values.into_iter();
+    to.visit_mut(&mut |p| p.value = values.next().unwrap_or_default());
+}
+
+fn print_scores(trainer: &Trainer, dataset: &Dataset, split: Split) -> Result<(), Box<dyn Error>> {
+    let report = evaluate(trainer.method(), dataset, split, [0.0; 3], &ImageCache::new(256 << 20, 1.0))?;
+    let trained: Vec<f32> = dataset.train.iter().map(|v| v.time.normalised).collect();
+    let mean = |seen: bool| {
+        let views = report.views.iter().filter(|v| trained.contains(&v.time) == seen);
+        let values: Vec<f64> = views.filter_map(|v| v.masked?.psnr).collect();
+        (values.iter().sum::<f64>() / values.len() as f64, values.len())
+    };
+    let ((seen, a), (unseen, b)) = (mean(true), mean(false));
+    let whole = report.mean.psnr.unwrap_or(f64::INFINITY);
+    println!(
+        "{split:?}: in-mask PSNR {seen:.2} dB over {a} views of trained frames, {unseen:.2} dB over {b} of others; whole picture {whole:.2} dB"
+    );
+    Ok(())
+}
+
+/// Error of the offsets over the length of the true ones.
+fn geometry(dut: &Dut, avatar: &AvatarScene) -> Result<(), FrameError> {
+    let (mut error, mut truth) = (0.0f64, 0.0f64);
+    for frame in &avatar.frames {
+        let first = dut.first(frame)?;
+        let (Some(found), Some(wanted)) = (dut.offsets(&first)?, avatar.true_offsets(frame)) else { continue };
+        error += found.iter().zip(&wanted).map(|(a, b)| f64::from(a.distance_squared(*b))).sum::<f64>();
+        truth += wanted.iter().map(|b| f64::from(b.length_squared())).sum::<f64>();
+    }
+    println!("offsets: RMS error / RMS length = {:.3}", (error / truth).sqrt());
+    Ok(())
+}
+
+/// Mean milliseconds of the stages of a frame, everything computed anew.
+fn times(dut: &Dut, avatar: &AvatarScene) -> Result<(), FrameError> {
+    const NAMES: [&str; 6] = ["pose", "first texture", "GeoNet", "second texture", "texel values", "render 512x512"];
+    let mut sums = [0.0f64; 6];
+    let (actor, mut workspace, mut rows) = (dut.actor(), Workspace::new(), Vec::new());
+    for frame in &avatar.frames {
+        let photographs = actor.photographs(frame)?;
+        let camera = frame.inputs[0].camera.scaled(512.0 / f64::from(frame.inputs[0].camera.width));
+        let mut marks = vec![Instant::now()];
+        let posed = actor.pose(frame);
+        marks.push(Instant::now());
+        let first = actor.first_of(posed, &photographs)?;
+        marks.push(Instant::now());
+        let offsets = dut.offsets(&first)?;
+        marks.push(Instant::now());
+        let second = actor.second_of(&first, offsets, &photographs)?;
+        marks.push(Instant::now());
+        dut.rows(&second, &mut rows)?;
+        let splats = dut.decode(&rows, &second)?;
+        marks.push(Instant::now());
+        let options = RasterOptions { antialias: true, ..RasterOptions::default() };
+        render(&splats, &camera, &options, &mut workspace);
+        marks.push(Instant::now());
+        sums.iter_mut().zip(marks.windows(2)).for_each(|(s, m)| *s += (m[1] - m[0]).as_secs_f64() * 1e3);
+    }
+    let frames = avatar.frames.len() as f64;
+    let line: Vec<String> = NAMES.iter().zip(sums).map(|(name, s)| format!("{name} {:.1}", s / frames)).collect();
+    let total = sums.iter().sum::<f64>() / frames;
+    println!("ms: {}; {total:.1} in all, {:.1} frames/s", line.join(", "), 1e3 / total);
+    Ok(())
+}

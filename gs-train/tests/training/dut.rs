@@ -1,0 +1,321 @@
+//! DUT on small films of simple bodies.
+//!
+//! | property | tolerance |
+//! |---|---|
+//! | directional derivative of photometric and geometric losses against the gradient | as in `methods` |
+//! | in-mask PSNR of values of the texels' own, seen frames | 32 dB |
+//! | GeoNet's offsets of a known morph, RMS error over RMS length | 10 % |
+
+use crate::methods::{check_blocks, smooth};
+use crate::support::*;
+use gs_core::{Params, Rng, Splats, SplatsGrad};
+use gs_raster::{FrameGrad, Workspace, render, render_backward};
+use gs_train::avatar::AvatarScene;
+use gs_train::checkpoint::Checkpoint;
+use gs_train::data::{Dataset, ImageCache, ImageSource, Split};
+use gs_train::evaluate::evaluate;
+use gs_train::methods::dut::{Config, Dut};
+use gs_train::methods::{InitConfig, Method, MethodEntry, SceneInfo, overlay, saved};
+use gs_train::moment::Moment;
+use gs_train::synth::avatar::{self, AvatarOptions};
+use gs_train::trainer::{TrainError, TrainOptions, Trainer};
+use std::sync::Arc;
+
+/// A film of a body made here.
+fn film(template: &str, size: u32, frames: u32) -> Arc<Dataset> {
+    let template = format!("builtin:{template}");
+    let options = AvatarOptions { template, size, frames, rings: 1, points: 4000, ..AvatarOptions::default() };
+    Arc::new(avatar::generate(&options).expect("film"))
+}
+
+/// Networks of 32 texels a side, one stage after the other.
+const SHORT: &str = "
+cache_mib = 64
+[textures]
+unproject = 32
+geo = 16
+gau = 32
+[gaunet]
+residual = false
+[gaunet.net]
+width = 8
+levels = 2
+[geonet]
+width = 16
+[schedule]
+stages.geometry.steps = 5
+stages.warm_up.steps = 4
+stages.main.steps = 6
+";
+
+fn config(over: &[&str]) -> toml::Table {
+    let mut config = MethodEntry::find("dut").and_then(|m| m.config("tiny")).expect("preset");
+    over.iter().for_each(|o| overlay(&mut config, o.parse().expect("TOML")));
+    config
+}
+
+fn start(data: &Arc<Dataset>, config: &toml::Table) -> Trainer {
+    Trainer::new(data.clone(), "dut", config, TrainOptions { seed: 3, ..TrainOptions::default() }).expect("trainer")
+}
+
+fn timeless(mut state: Checkpoint) -> Checkpoint {
+    state.meta["train_seconds"] = 0.into();
+    state
+}
+
+/// Mean in-mask PSNR of a split, dB.
+fn in_mask(trainer: &Trainer, data: &Dataset, split: Split) -> f64 {
+    let report = evaluate(trainer.method(), data, split, [0.0; 3], &ImageCache::new(64 << 20, 1.0)).expect("scores");
+    report.mean.masked.and_then(|m| m.psnr).expect("masks")
+}
+
+const DIRECT: &str = "
+mode = \"direct\"
+[schedule]
+stages.warm_up.steps = 0
+";
+
+#[test]
+fn presets_build_and_every_parameter_learns() {
+    let data = film("cylinder", 32, 2);
+    for (preset, _) in MethodEntry::find("dut").unwrap().presets {
+        let mut config = MethodEntry::find("dut").and_then(|m| m.config(preset)).expect("preset");
+        overlay(&mut config, "textures = { unproject = 64, geo = 32, gau = 64 }".parse().unwrap());
+        let trainer = start(&data, &config);
+        let method = trainer.method();
+        method.visit(&mut |p| assert!(method.schedule().rule(&p.name).is_some(), "{preset} {}", p.name));
+        let at = Moment::new(data.train[0].time);
+        let splats = method.splats(&at, &data.train[0].camera);
+        assert_eq!((splats.check(), splats.len()), (Ok(()), method.len()), "{preset}: {:?}", method.trouble());
+        assert_eq!(method.quantities(&at).iter().map(|q| q.values.len()).collect::<Vec<_>>(), [method.len(); 4]);
+    }
+}
+
+#[test]
+fn gradients_match_directional_finite_differences() {
+    let data = film("cylinder", 32, 2);
+    let texture = [
+        SHORT,
+        DIRECT,
+        "[gaussians]\nsh_degree = 1\ndecode.sh_active = 1",
+        "input = \"single\"",
+        "schedule.stages.geometry.steps = 0",
+    ];
+    for over in [&[SHORT][..], &[SHORT, "gaunet.residual = true"], &[SHORT, DIRECT], &texture] {
+        let mut trainer = start(&data, &config(over));
+        while trainer.steps_done() < trainer.steps() {
+            trainer.step().expect("step");
+        }
+        let mut method = saved::load_with(&trainer.state(), None, data.avatar.clone()).expect("state").method;
+        let (at, camera) = (Moment::new(data.train[0].time), data.train[0].camera.clone());
+        let options = smooth(method.as_ref());
+        let weight =
+            |i: usize| Rng::new(1, "weights", (i % 3) as u32, (i / 3 / 256 * 4 + i / 3 % 32 / 8) as u64).normal();
+        let weights: Vec<f32> = (0..32 * 32 * 3).map(weight).collect();
+        method.step(&at, &camera, &mut |s: &Splats, d: &mut SplatsGrad| {
+            let mut workspace = Workspace::new();
+            render(s, &camera, &options, &mut workspace);
+            let upstream = FrameGrad { rgb: weights.clone(), ..FrameGrad::default() };
+            *d = render_backward(s, &camera, &options, &mut workspace, &upstream).0;
+        });
+        // The penalty of offsets is part of the gradient, but below its tolerance.
+        check_blocks("dut", method.as_mut(), &mut |m| {
+            let frame = render(&m.splats(&at, &camera), &camera, &options, &mut Workspace::new());
+            frame.rgb.iter().zip(&weights).map(|(v, w)| f64::from(*v) * f64::from(*w)).sum()
+        });
+    }
+}
+
+/// A bare method of a film at a step.
+fn bare(data: &Dataset, config: &toml::Table, step: u32) -> Dut {
+    let init: InitConfig = config["init"].clone().try_into().expect("init");
+    let scene = SceneInfo::of(data, &init, 3).expect("scene");
+    let mut dut = Dut::new(config.clone().try_into::<Config>().expect("settings"), &scene).expect("method");
+    dut.set_step(step);
+    dut
+}
+
+#[test]
+fn geometry_and_warm_up_have_the_gradients_of_their_losses() {
+    let data = film("cylinder", 32, 2);
+    let at = Moment::new(data.train[0].time);
+    let camera = data.train[0].camera.clone();
+    let config = config(&[SHORT, "gaunet.clip = 0.0"]);
+    for step in [1, 6] {
+        let mut method = bare(&data, &config, step);
+        assert!(!method.looks());
+        // The last layers begin at zero: moved, or nothing before them has a gradient.
+        method.visit_mut(&mut |p| {
+            let mut rng = Rng::new(5, &p.name, 0, 0);
+            p.value.iter_mut().for_each(|v| *v += 0.02 * rng.normal());
+        });
+        let loss = |m: &mut Dut| {
+            m.step(&at, &camera, &mut |_, _| panic!("nothing is drawn"));
+            m.penalties(step).iter().map(|p| f64::from(p.1)).sum::<f64>()
+        };
+        loss(&mut method);
+        let mut blocks = Vec::new();
+        method.visit(&mut |p| blocks.push((p.name.clone(), p.grad.clone())));
+        let whole: f64 = blocks.iter().flat_map(|b| &b.1).map(|g| f64::from(*g).powi(2)).sum::<f64>().sqrt();
+        assert!(whole > 0.0 && method.trouble().is_none(), "{:?}", method.trouble());
+        // Along the whole gradient.
+        let mut moved = |h: f64| {
+            let mut grads = blocks.iter();
+            method.visit_mut(&mut |p| {
+                let grad = &grads.next().expect("block").1;
+                p.value.iter_mut().zip(grad).for_each(|(v, g)| *v += (h / whole * f64::from(*g)) as f32);
+                p.clear_grad();
+            });
+            loss(&mut method)
+        };
+        let found: Vec<f64> = [3e-4, 1e-3, 3e-3]
+            .map(|h| {
+                let (hi, lo) = (moved(h), moved(-2.0 * h));
+                moved(h);
+                (hi - lo) / (2.0 * h)
+            })
+            .into();
+        assert!(found.iter().any(|f| (f / whole - 1.0).abs() < 0.02), "step {step}: {found:?}, {whole} expected");
+    }
+}
+
+#[test]
+fn interruptions_and_threads_do_not_change_a_bit() {
+    let data = film("cylinder", 32, 3);
+    for over in [&[SHORT][..], &[SHORT, DIRECT]] {
+        let config = config(over);
+        let steps = start(&data, &config).steps();
+        let mut whole = start(&data, &config);
+        let mut states = vec![whole.state()];
+        for _ in 0..steps {
+            whole.step().expect("step");
+            states.push(whole.state());
+        }
+        let last = timeless(whole.state());
+        for from in [0, 3, 5, 7, steps - 1] {
+            let mut resumed = Trainer::resume(data.clone(), &states[from as usize], None, 1 << 20).expect("resume");
+            run(&mut resumed, steps - from);
+            assert!(timeless(resumed.state()) == last, "resumed at {from}");
+        }
+        for threads in [1, 4] {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("pool");
+            let state = pool.install(|| {
+                let mut trainer = start(&data, &config);
+                run(&mut trainer, steps);
+                timeless(trainer.state())
+            });
+            assert!(state == last, "{threads} threads");
+        }
+    }
+}
+
+#[test]
+fn a_small_cache_changes_nothing() {
+    let data = film("cylinder", 32, 3);
+    let states = ["cache_mib = 0", "cache_mib = 64"].map(|cache| {
+        let mut trainer = start(&data, &config(&[SHORT, cache]));
+        run(&mut trainer, 15);
+        trainer.state().tensors
+    });
+    assert!(states[0] == states[1]);
+}
+
+#[test]
+fn data_without_a_person_are_refused() {
+    let data = scene("balls", 32, 4);
+    let error = Trainer::new(data, "dut", &config(&[]), TrainOptions::default()).err().expect("refused").to_string();
+    assert!(error.contains("method `dut` needs a filmed person"), "{error}");
+    let state = start(&film("cylinder", 32, 2), &config(&[SHORT])).state();
+    let error = saved::load(&state, None).err().expect("refused");
+    assert!(error.contains("needs a filmed person"), "{error}");
+}
+
+#[test]
+fn settings_that_do_not_fit_are_refused() {
+    let data = film("cylinder", 32, 2);
+    let refuse = |over: &[&str]| {
+        let trainer = Trainer::new(data.clone(), "dut", &config(over), TrainOptions::default());
+        trainer.err().unwrap_or_else(|| panic!("{over:?} was taken")).to_string()
+    };
+    for (over, why) in [
+        (&["input = \"single\""][..], "has no GeoNet"),
+        (&["mode = \"direct\"", "schedule.stages.warm_up.steps = 3"], "has no GauNet"),
+        (&["schedule.stages.main.own_clock = false"], "own_clock"),
+        (&["schedule.stages.main.order = 0", "schedule.stages.geometry.order = 3"], "the order must be"),
+        (&["textures.geo = 60"], "multiple of 8"),
+        (&["gaussians.sh_degree = 4"], "SH degree 4"),
+        (&["surface.isometry = -1.0"], "surface.isometry = -1"),
+        (&["unproject.min_cos = 2.0"], "min_cos"),
+        (&["direct.opacity = 1.0"], "direct.opacity"),
+    ] {
+        let error = refuse(over);
+        assert!(error.contains(why), "{over:?}: {error}");
+    }
+}
+
+#[test]
+fn a_frame_that_cannot_be_made_stops_training_with_its_number() {
+    let mut data = film("cylinder", 32, 2);
+    let person = Arc::make_mut(Arc::make_mut(&mut data).avatar.as_mut().expect("person"));
+    person.frames[1].inputs[0].image = ImageSource::File("/nowhere/0.png".into());
+    person.frames[0].points = None;
+    let mut trainer = start(&data, &config(&[SHORT]));
+    let error = (0..5).find_map(|_| trainer.step().err()).expect("stopped");
+    assert!(matches!(error, TrainError::Method(_)), "{error}");
+    let text = error.to_string();
+    assert!(text.contains("frame 0") && text.contains("no points") || text.contains("frame 1"), "{text}");
+}
+
+#[test]
+fn values_of_the_texels_own_show_what_was_filmed() {
+    let data = film("cylinder", 64, 3);
+    let over = "
+[textures]
+unproject = 64
+geo = 32
+gau = 64
+[schedule]
+stages.geometry.steps = 0
+stages.main.steps = 300
+lr.texels.log_scales.steps = 300
+lr.texels.sh_dc.steps = 300
+lr.texels.offsets.steps = 300
+lr.texels.gain.steps = 300
+";
+    let mut trainer = start(&data, &config(&[DIRECT, "input = \"single\"", over]));
+    let before = in_mask(&trainer, &data, Split::Train);
+    run(&mut trainer, 300);
+    let after = in_mask(&trainer, &data, Split::Train);
+    assert!(after > 32.0 && after > before + 2.0, "{before:.2} dB before, {after:.2} dB after");
+}
+
+/// RMS error of the offsets over the RMS length of the true ones.
+fn offset_error(method: &Dut, person: &AvatarScene) -> f64 {
+    let (mut error, mut truth) = (0.0f64, 0.0f64);
+    for frame in &person.frames {
+        let first = method.first(frame).expect("frame");
+        let found = method.offsets(&first).expect("offsets").expect("GeoNet");
+        let wanted = person.true_offsets(frame).expect("truth");
+        error += found.iter().zip(&wanted).map(|(a, b)| f64::from(a.distance_squared(*b))).sum::<f64>();
+        truth += wanted.iter().map(|b| f64::from(b.length_squared())).sum::<f64>();
+    }
+    (error / truth).sqrt()
+}
+
+/// `cargo test --release -p gs-train --test training -- --ignored geonet_finds`
+#[test]
+#[ignore = "minutes"]
+fn geonet_finds_a_morph() {
+    let data = film("person", 128, 8);
+    let config = config(&["schedule.stages.main.steps = 1"]);
+    let mut trainer = start(&data, &config);
+    let steps = trainer.steps() - 1;
+    run(&mut trainer, steps);
+    let mut method = bare(&data, &config, steps + 1);
+    let mut values = Vec::new();
+    trainer.method().visit(&mut |p| values.push(p.value.clone()));
+    let mut values = values.into_iter();
+    method.visit_mut(&mut |p| p.value = values.next().expect("block"));
+    let error = offset_error(&method, data.avatar.as_ref().expect("person"));
+    assert!(error < 0.1, "{error:.3}");
+}
