@@ -276,15 +276,15 @@ geo = 32
 gau = 64
 [schedule]
 stages.geometry.steps = 0
-stages.main.steps = 300
-lr.texels.log_scales.steps = 300
-lr.texels.sh_dc.steps = 300
-lr.texels.offsets.steps = 300
-lr.texels.gain.steps = 300
+stages.main.steps = 1500
+lr.texels.log_scales.steps = 1500
+lr.texels.sh_dc.steps = 1500
+lr.texels.offsets.steps = 1500
+lr.texels.gain.steps = 1500
 ";
     let mut trainer = start(&data, &config(&[DIRECT, "input = \"single\"", over]));
     let before = in_mask(&trainer, &data, Split::Train);
-    run(&mut trainer, 300);
+    run(&mut trainer, 1500);
     let after = in_mask(&trainer, &data, Split::Train);
     assert!(after > 32.0 && after > before + 2.0, "{before:.2} dB before, {after:.2} dB after");
 }

@@ -118,7 +118,7 @@ pub fn check_blocks(name: &str, method: &mut dyn Method, loss: &mut dyn FnMut(&d
         // Two splats that change their order in depth make a step in the loss: it lies on one side, or weighs less over a
         // longer way.
         let mut found = Vec::new();
-        for h in [1e-3, 5e-3, 2e-2] {
+        for h in [2e-5, 1e-4, 1e-3, 5e-3, 2e-2] {
             let (here, hi) = (moved(0.0), moved(h));
             let lo = moved(-2.0 * h);
             moved(h);

@@ -34,7 +34,8 @@ fn methods_and_settings_are_listed() {
             "modec",
             "trace",
             "trace-4dgs",
-            "defgs-nvfi"
+            "defgs-nvfi",
+            "dut"
         ]
     );
     for name in names {
