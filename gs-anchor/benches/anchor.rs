@@ -8,11 +8,11 @@ use glam::{DVec3, Vec3};
 use gs_anchor::reference::{AnchorRef, Blocks, DecoderRef, GadRef, GaussianRef, RestRef};
 use gs_anchor::{AnchorShape, Anchors, DecodeTape, Decoder, DecoderConfig, Gad, GadConfig, GadTape};
 use gs_anchor::{Local, LocalGrad, Reach, Visible, visible};
-use gs_core::speed::SpeedError;
+use gs_core::speed::{Laps, SpeedError};
 use gs_core::{Camera, Params, Rng, Splats, SplatsGrad, Time};
 use gs_deform::{Aabb, PlaneNetConfig};
 use gs_raster::{RasterOptions, Workspace, render};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// Anchors in view, as the specification's cost model has them.
 const ANCHORS: usize = 12_000;
@@ -33,19 +33,11 @@ struct Row {
 
 /// Measures `f`, prints the row with the median, and records it.
 fn measure(c: &mut Criterion, row: &Row, mut f: impl FnMut()) {
-    let mut times: Vec<f64> = Vec::new();
+    let mut laps = Laps::default();
     c.bench_function(&format!("{}/{}/{ANCHORS}", row.case, row.variant), |b| {
-        b.iter_custom(|iterations| {
-            let start = Instant::now();
-            (0..iterations).for_each(|_| f());
-            let spent = start.elapsed();
-            times.push(spent.as_secs_f64() * 1e3 / iterations as f64);
-            spent
-        });
+        b.iter_custom(|calls| laps.run(calls, &mut f))
     });
-    times.sort_by(f64::total_cmp);
-    // None where the command line's filter leaves the case out.
-    let Some(&ms) = times.get(times.len() / 2) else { return };
+    let Some(ms) = laps.median_ms() else { return };
     let line = SpeedError {
         krate: "gs-anchor",
         case: row.case.to_owned(),

@@ -2,7 +2,7 @@
 
 use std::io::Write;
 use std::path::Path;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// One measured case. Rows of all crates have this shape, so they can share one plot.
 #[derive(Clone, Debug, PartialEq)]
@@ -88,9 +88,45 @@ pub fn median_seconds(runs: usize, mut work: impl FnMut()) -> f64 {
     times[times.len() / 2]
 }
 
+/// Times of a bench's rounds, kept beside the bencher's own so that a row can show their median.
+#[derive(Clone, Debug, Default)]
+pub struct Laps {
+    /// Milliseconds per call, one per round.
+    times: Vec<f64>,
+}
+
+impl Laps {
+    /// Calls `work` `calls` times; gives what they took together.
+    pub fn run(&mut self, calls: u64, mut work: impl FnMut()) -> Duration {
+        let start = Instant::now();
+        (0..calls).for_each(|_| work());
+        let spent = start.elapsed();
+        self.times.push(spent.as_secs_f64() * 1e3 / calls.max(1) as f64);
+        spent
+    }
+
+    /// Median milliseconds per call; none if nothing ran, as where a command line's filter leaves a case out.
+    pub fn median_ms(&self) -> Option<f64> {
+        let mut times = self.times.clone();
+        times.sort_by(f64::total_cmp);
+        times.get(times.len() / 2).copied()
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn laps_know_their_median() {
+        let (mut laps, mut calls) = (Laps::default(), 0);
+        assert_eq!(laps.median_ms(), None);
+        let spent: Vec<Duration> = [3, 1, 2].map(|n| laps.run(n, || calls += 1)).into();
+        let each = |k: usize, n: f64| spent[k].as_secs_f64() * 1e3 / n;
+        let mut expected = [each(0, 3.0), each(1, 1.0), each(2, 2.0)];
+        expected.sort_by(f64::total_cmp);
+        assert_eq!((calls, laps.median_ms()), (6, Some(expected[1])));
+    }
 
     #[test]
     fn rows_are_json_and_unknown_errors_are_null() {

@@ -8,13 +8,13 @@ use criterion::Criterion;
 use glam::Vec3;
 use gs_core::nn::gemm::{Mat, MatMut, Write, gemm};
 use gs_core::nn::{BLOCK, CHUNKS, Init, Mlp, MlpGrad, MlpTape, blocks_per_chunk};
-use gs_core::speed::SpeedError;
+use gs_core::speed::{Laps, SpeedError};
 use gs_core::{Color, Rng, Splats, SplatsGrad, Time};
 use gs_deform::encode::{HexPlane, HexPlaneConfig, HexTape};
 use gs_deform::reference::HexPlaneRef;
 use gs_deform::{Aabb, DefGsConfig, DefMlp, Field, FourDgsConfig, HexPlaneField};
 use rayon::prelude::*;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// What a row says beside its time.
 struct Row {
@@ -28,21 +28,11 @@ struct Row {
 
 /// Measures `f`, prints the row, appends it, returns the median in milliseconds.
 fn measure(c: &mut Criterion, row: &Row, mut f: impl FnMut()) -> f64 {
-    let mut times: Vec<f64> = Vec::new();
+    let mut laps = Laps::default();
     c.bench_function(&format!("{}/{}/{}", row.case, row.variant, row.n), |b| {
-        b.iter_custom(|iterations| {
-            let start = Instant::now();
-            (0..iterations).for_each(|_| f());
-            let spent = start.elapsed();
-            times.push(spent.as_secs_f64() * 1e3 / iterations as f64);
-            spent
-        });
+        b.iter_custom(|calls| laps.run(calls, &mut f))
     });
-    if times.is_empty() {
-        return f64::NAN; // left out by the command line's filter
-    }
-    times.sort_by(f64::total_cmp);
-    let ms = times[times.len() / 2];
+    let Some(ms) = laps.median_ms() else { return f64::NAN };
     let line = SpeedError {
         krate: "gs-deform",
         case: row.case.to_owned(),

@@ -12,9 +12,9 @@
 //! than to anything else: blur, which is a little like everything, is dear. It is not symmetric and not 0 for equal images
 //! whose patches repeat.
 //!
-//! **Networks.** [`Vgg19`] takes the published network's weights from a file of the user's; with it this is the published
-//! loss. [`FixedBank`], the default, has no learned weights: oriented derivatives and random orthogonal convolutions of the
-//! same strides. Its value is the "mrf-proxy" and not comparable with the other's.
+//! **Networks.** [`FeatureNet::vgg19`] takes the published network's weights from a file of the user's; with it this is the
+//! published loss. [`FeatureNet::fixed_bank`], the default, has no learned weights: oriented derivatives and random
+//! orthogonal convolutions of the same strides. Its value is the "mrf-proxy" and not comparable with the other's.
 //!
 //! **Cost** grows with the fourth power of `side`: at 256 the first layer compares 4096 places with 4096. Half the side, or
 //! every few steps only, is what a CPU bears.
@@ -24,32 +24,17 @@
 //! number of threads.
 
 mod bank;
-mod chain;
 pub mod head;
+mod net;
 mod resample;
 mod vgg;
 
-pub use bank::FixedBank;
-pub use chain::{Chain, Tape};
-pub use vgg::{Vgg19, VggError};
+pub use net::{FeatureNet, Tape};
+pub use vgg::VggError;
 
 use crate::error::{MetricError, check_finite, check_pair};
 use gs_core::Image;
 use head::HeadOptions;
-
-/// Something that sees more in an image than its pixels, and can be walked backwards.
-pub trait FeatureNet: Send + Sync {
-    /// What a score made with it is called in reports.
-    fn name(&self) -> &'static str;
-    /// Weight of each layer in the loss.
-    fn weights(&self) -> &[f64];
-    /// The smallest side of an image it takes, pixels.
-    fn least_side(&self) -> usize;
-    /// Features of an `[H, W, 3]` image, all layers, with what the way back needs.
-    fn forward(&self, image: &Image) -> Tape;
-    /// `dL/d image` from the cotangents of all layers, each shaped as its layer.
-    fn backward(&self, tape: &Tape, d_layers: &[Image]) -> Image;
-}
 
 /// Options of the loss.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -77,14 +62,14 @@ pub struct MrfTerms {
 
 /// The loss with its network.
 pub struct Mrf {
-    net: Box<dyn FeatureNet>,
+    net: FeatureNet,
     options: MrfOptions,
 }
 
 impl Default for Mrf {
     /// The proxy at the published size.
     fn default() -> Self {
-        Self { net: Box::new(FixedBank::new()), options: MrfOptions::default() }
+        Self { net: FeatureNet::fixed_bank(), options: MrfOptions::default() }
     }
 }
 
@@ -93,7 +78,7 @@ impl Mrf {
     ///
     /// # Errors
     /// If the side is smaller than the network takes.
-    pub fn new(net: Box<dyn FeatureNet>, options: MrfOptions) -> Result<Self, MetricError> {
+    pub fn new(net: FeatureNet, options: MrfOptions) -> Result<Self, MetricError> {
         if options.side < net.least_side() {
             let value = options.side.to_string();
             return Err(MetricError::Option { name: "side", value, must: "at least the network's smallest side" });

@@ -10,7 +10,7 @@
 use gs_core::{Image, Rng};
 use gs_metrics::MetricError;
 use gs_metrics::mrf::head::{HeadOptions, layer};
-use gs_metrics::mrf::{FeatureNet, FixedBank, Mrf, MrfOptions, Vgg19};
+use gs_metrics::mrf::{FeatureNet, Mrf, MrfOptions};
 use safetensors::tensor::{Dtype, TensorView};
 use std::path::Path;
 
@@ -149,7 +149,7 @@ fn blurred(image: &Image) -> Image {
 }
 
 fn small() -> Mrf {
-    Mrf::new(Box::new(FixedBank::new()), MrfOptions { side: 64, ..MrfOptions::default() }).unwrap()
+    Mrf::new(FeatureNet::fixed_bank(), MrfOptions { side: 64, ..MrfOptions::default() }).unwrap()
 }
 
 #[test]
@@ -225,7 +225,7 @@ fn bad_images_and_options_are_refused() {
     assert!(matches!(e, MetricError::Channels { .. }), "{e}");
     assert!(matches!(small().value(&good, &Image::zeros(4, 4, 3)), Err(MetricError::Shape { .. })));
     assert!(matches!(small().value(&Image::default(), &Image::default()), Err(MetricError::Malformed { .. })));
-    let e = Mrf::new(Box::new(FixedBank::new()), MrfOptions { side: 7, ..MrfOptions::default() }).err();
+    let e = Mrf::new(FeatureNet::fixed_bank(), MrfOptions { side: 7, ..MrfOptions::default() }).err();
     assert!(matches!(e, Some(MetricError::Option { name: "side", .. })));
 }
 
@@ -278,7 +278,7 @@ fn a_file_of_weights_is_read_in_its_own_order() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("vgg19.safetensors");
     write_network(&path, |_, _, _| ());
-    let net = Vgg19::open(&path).unwrap();
+    let net = FeatureNet::vgg19(&path).unwrap();
     assert_eq!((net.name(), net.least_side()), ("id-mrf", 8));
     // One bright pixel at (4, 3) arrives at row 4, and pooled by 4 at (1, 1).
     let mut image = Image::zeros(16, 16, 3);
@@ -304,7 +304,7 @@ fn a_file_of_weights_is_read_in_its_own_order() {
 fn files_without_the_network_are_refused_by_name() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("vgg19.safetensors");
-    let error = || Vgg19::open(&path).unwrap_err().to_string();
+    let error = || FeatureNet::vgg19(&path).unwrap_err().to_string();
     assert!(error().contains("cannot read"), "{}", error());
     std::fs::write(&path, b"not a network").unwrap();
     assert!(error().contains("is not a safetensors file"), "{}", error());

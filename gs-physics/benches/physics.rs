@@ -7,11 +7,11 @@
 use criterion::Criterion;
 use glam::Vec3;
 use gs_core::Rng;
-use gs_core::speed::SpeedError;
+use gs_core::speed::{Laps, SpeedError};
 use gs_physics::groups::FREE;
 use gs_physics::truth::{self, Truth};
 use gs_physics::{ClassRule, Extrapolator, Groups, Integrator, Motion, Moves, RollTape, Rollout, Twist};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 const PARTICLES: usize = 50_000;
 const STEPS: f64 = 30.0;
@@ -38,19 +38,11 @@ struct Row {
 
 /// Measures `f`, prints the row with the median, and records it.
 fn measure(c: &mut Criterion, row: Row, mut f: impl FnMut()) {
-    let mut times: Vec<f64> = Vec::new();
+    let mut laps = Laps::default();
     c.bench_function(&format!("{}/{}/{PARTICLES}", row.case, row.variant), |b| {
-        b.iter_custom(|iterations| {
-            let start = Instant::now();
-            (0..iterations).for_each(|_| f());
-            let spent = start.elapsed();
-            times.push(spent.as_secs_f64() * 1e3 / iterations as f64);
-            spent
-        });
+        b.iter_custom(|calls| laps.run(calls, &mut f))
     });
-    times.sort_by(f64::total_cmp);
-    // None where the command line's filter leaves the case out.
-    let Some(&ms) = times.get(times.len() / 2) else { return };
+    let Some(ms) = laps.median_ms() else { return };
     let line = SpeedError {
         krate: "gs-physics",
         case: row.case,

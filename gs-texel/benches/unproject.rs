@@ -9,7 +9,7 @@ mod scenes;
 
 use criterion::Criterion;
 use glam::{DVec3, Vec3};
-use gs_core::speed::SpeedError;
+use gs_core::speed::{Laps, SpeedError};
 use gs_core::{Camera, Image};
 use gs_texel::bvh::Tracer;
 use gs_texel::inpaint::{Unseen, inpaint};
@@ -19,7 +19,7 @@ use gs_texel::visibility::Rule;
 use gs_texel::zbuffer::DepthMap;
 use scenes::{Figure, psnr, render, ring, two_spheres, views, waves};
 use std::hint::black_box;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 type Failure = Box<dyn std::error::Error>;
 
@@ -34,19 +34,9 @@ struct Row {
 
 /// Measures `f`, prints the row with the median, and records it.
 fn measure(c: &mut Criterion, row: Row, mut f: impl FnMut()) {
-    let mut times: Vec<f64> = Vec::new();
-    c.bench_function(&format!("{}/{}", row.case, row.variant), |b| {
-        b.iter_custom(|iterations| {
-            let start = Instant::now();
-            (0..iterations).for_each(|_| f());
-            let spent = start.elapsed();
-            times.push(spent.as_secs_f64() * 1e3 / iterations as f64);
-            spent
-        });
-    });
-    times.sort_by(f64::total_cmp);
-    // None where the command line's filter leaves the case out.
-    let Some(&ms) = times.get(times.len() / 2) else { return };
+    let mut laps = Laps::default();
+    c.bench_function(&format!("{}/{}", row.case, row.variant), |b| b.iter_custom(|calls| laps.run(calls, &mut f)));
+    let Some(ms) = laps.median_ms() else { return };
     let (krate, threads, work) = ("gs-texel", rayon::current_num_threads(), row.n as f64);
     let Row { case, variant, n, error, error_kind } = row;
     SpeedError { krate, case, variant, n, threads, ms, work, error, error_kind }.keep(env!("CARGO_MANIFEST_DIR"));

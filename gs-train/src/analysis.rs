@@ -54,15 +54,14 @@ fn row(name: impl Into<String>, value: String, meaning: &str) -> Need {
 mod tests {
     use super::*;
     use crate::analysis::paths::{jerk_overlay, painted};
-    use crate::density::Adapted;
-    use crate::methods::{Column, ColumnMut, MethodEntry, Quantity, section};
+    use crate::methods::{MethodEntry, Quantity, section};
     use crate::moment::Moment;
     use crate::run::needs::neutral_camera;
     use crate::run::picture::moment;
     use crate::schedule::Schedule;
     use glam::{DVec3, Vec3};
     use gs_core::{Camera, Color, Param, Params, Splats, SplatsGrad};
-    use gs_raster::{RasterOptions, ScreenStats};
+    use gs_raster::RasterOptions;
 
     /// Splat `i` of `SPLATS` swings along x with amplitude `i`, [`TURNS`] times over the span; λ rests, a gate opens.
     struct Swing {
@@ -116,27 +115,9 @@ mod tests {
 
         fn step(&mut self, _at: &Moment, _camera: &Camera, _draw: &mut dyn FnMut(&Splats, &mut SplatsGrad)) {}
 
-        fn penalties(&mut self, _step: u32) -> Vec<(&'static str, f32)> {
-            Vec::new()
-        }
-
-        fn observe(&mut self, _at: &Moment, _seen: &ScreenStats, _camera: &Camera) {}
-
-        fn adapt(&mut self, _step: u32) -> Adapted {
-            Adapted::default()
-        }
-
         fn quantities(&self, at: &Moment) -> Vec<Quantity> {
             let lambda = Quantity::share("lambda", vec![0.1, 0.2, 0.5, 0.7, 0.3]);
             vec![lambda, Quantity::share("gate", vec![at.t.normalised; SPLATS])]
-        }
-
-        fn columns(&self) -> Vec<Column<'_>> {
-            Vec::new()
-        }
-
-        fn columns_mut(&mut self) -> Vec<ColumnMut<'_>> {
-            Vec::new()
         }
 
         fn len(&self) -> usize {

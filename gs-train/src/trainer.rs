@@ -373,11 +373,9 @@ fn check_images(method: &dyn Method, dataset: &Dataset) -> Result<(), MethodErro
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::methods::{Column, ColumnMut};
     use crate::schedule::Schedule;
     use crate::synth::{self, SynthOptions};
     use gs_core::{Params, Splats, SplatsGrad};
-    use gs_raster::ScreenStats;
 
     /// Two blocks whose gradients are what the test wants.
     struct Fake {
@@ -413,24 +411,6 @@ mod tests {
 
         fn step(&mut self, _at: &Moment, _camera: &Camera, _draw: &mut dyn FnMut(&Splats, &mut SplatsGrad)) {
             self.blocks.iter_mut().zip(&self.gradients).for_each(|(p, g)| p.grad.clone_from(g));
-        }
-
-        fn penalties(&mut self, _step: u32) -> Vec<(&'static str, f32)> {
-            Vec::new()
-        }
-
-        fn observe(&mut self, _at: &Moment, _seen: &ScreenStats, _camera: &Camera) {}
-
-        fn adapt(&mut self, _step: u32) -> Adapted {
-            Adapted::default()
-        }
-
-        fn columns(&self) -> Vec<Column<'_>> {
-            Vec::new()
-        }
-
-        fn columns_mut(&mut self) -> Vec<ColumnMut<'_>> {
-            Vec::new()
         }
 
         fn len(&self) -> usize {

@@ -3,10 +3,8 @@
 use glam::{DVec3, Vec3};
 use gs_core::{Camera, Color, Param, Params, Rng, Splats, SplatsGrad};
 use gs_physics::complexity::{ImageTracks, STATIC_PATH, complexity};
-use gs_raster::ScreenStats;
 use gs_train::data::{ImageCache, View};
-use gs_train::density::Adapted;
-use gs_train::methods::{Column, ColumnMut, Method, MethodEntry, Particles};
+use gs_train::methods::{Method, MethodEntry, Particles};
 use gs_train::moment::Moment;
 use gs_train::run::needs::neutral_camera;
 use gs_train::run::picture::moment;
@@ -122,24 +120,6 @@ impl Method for Cast {
     }
 
     fn step(&mut self, _at: &Moment, _camera: &Camera, _draw: &mut dyn FnMut(&Splats, &mut SplatsGrad)) {}
-
-    fn penalties(&mut self, _step: u32) -> Vec<(&'static str, f32)> {
-        Vec::new()
-    }
-
-    fn observe(&mut self, _at: &Moment, _seen: &ScreenStats, _camera: &Camera) {}
-
-    fn adapt(&mut self, _step: u32) -> Adapted {
-        Adapted::default()
-    }
-
-    fn columns(&self) -> Vec<Column<'_>> {
-        Vec::new()
-    }
-
-    fn columns_mut(&mut self) -> Vec<ColumnMut<'_>> {
-        Vec::new()
-    }
 
     fn len(&self) -> usize {
         self.points.len()

@@ -7,9 +7,8 @@
 //!
 //! The strides are those of `relu3_2` and `relu4_2` of VGG-19.
 
-use super::FeatureNet;
-use super::chain::{Chain, Frozen, Link, Tape};
-use gs_core::{Image, Rng};
+use super::net::{FeatureNet, Frozen, Link};
+use gs_core::Rng;
 
 /// Side of the oriented filters.
 const SIDE: usize = 7;
@@ -22,48 +21,14 @@ const WAVE: f64 = 1.4;
 /// Rec. 601 luma, red minus green, blue minus yellow.
 const COLORS: [[f64; 3]; 3] = [[0.299, 0.587, 0.114], [0.5, -0.5, 0.0], [-0.25, -0.25, 0.5]];
 
-/// The default network of the MRF loss; the same for everybody, on every machine.
-#[derive(Clone, Debug)]
-pub struct FixedBank {
-    chain: Chain,
-}
-
-impl Default for FixedBank {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
-impl FixedBank {
-    /// The bank.
-    pub fn new() -> Self {
+impl FeatureNet {
+    /// The default network of the MRF loss; the same for everybody, on every machine.
+    pub fn fixed_bank() -> Self {
         let first = oriented();
         let second = orthogonal("mrf.stride4", first.outputs, 64);
         let third = orthogonal("mrf.stride8", second.outputs, 128);
         let links = [first, second, third].map(Link::Conv).to_vec();
-        Self { chain: Chain { links, taps: vec![1, 2], normal: [[0.5; 3], [0.5; 3]] } }
-    }
-}
-
-impl FeatureNet for FixedBank {
-    fn name(&self) -> &'static str {
-        "mrf-proxy"
-    }
-
-    fn weights(&self) -> &[f64] {
-        &[1.0, 2.0]
-    }
-
-    fn least_side(&self) -> usize {
-        self.chain.least_side()
-    }
-
-    fn forward(&self, image: &Image) -> Tape {
-        self.chain.forward(image)
-    }
-
-    fn backward(&self, tape: &Tape, d_layers: &[Image]) -> Image {
-        self.chain.backward(tape, d_layers)
+        Self { name: "mrf-proxy", links, taps: vec![1, 2], weights: vec![1.0, 2.0], normal: [[0.5; 3], [0.5; 3]] }
     }
 }
 
@@ -121,10 +86,11 @@ fn frozen(kernel: usize, inputs: usize, filters: &[Vec<f64>]) -> Frozen {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use gs_core::Image;
 
     #[test]
     fn layers_have_the_strides_of_the_published_network() {
-        let bank = FixedBank::new();
+        let bank = FeatureNet::fixed_bank();
         let tape = bank.forward(&Image::zeros(64, 64, 3));
         let shapes: Vec<_> = tape.layers().map(Image::shape).collect();
         assert_eq!(shapes, [(16, 16, 64), (8, 8, 128)]);

@@ -4,9 +4,7 @@
 //! 3]`, and `features.{k}.bias`, `[outputs]`, for `k` of 0, 2, 5, 7, 10, 12, 14, 16, 19, 21. Others are not read. No weights come
 //! with this project.
 
-use super::FeatureNet;
-use super::chain::{Chain, Frozen, Link, Tape};
-use gs_core::Image;
+use super::net::{FeatureNet, Frozen, Link};
 use safetensors::{Dtype, SafeTensors};
 use std::path::{Path, PathBuf};
 
@@ -71,18 +69,12 @@ pub enum VggError {
     },
 }
 
-/// The published network of the MRF loss.
-#[derive(Clone, Debug)]
-pub struct Vgg19 {
-    chain: Chain,
-}
-
-impl Vgg19 {
-    /// Reads the weights.
+impl FeatureNet {
+    /// The published network of the MRF loss with weights from a file.
     ///
     /// # Errors
     /// If the file cannot be read, or a tensor is missing, misshapen or not finite.
-    pub fn open(path: &Path) -> Result<Self, VggError> {
+    pub fn vgg19(path: &Path) -> Result<Self, VggError> {
         let bytes = std::fs::read(path).map_err(|source| VggError::Read { path: path.to_owned(), source })?;
         let format = |e: safetensors::SafeTensorError| VggError::Format { path: path.to_owned(), why: e.to_string() };
         let file = SafeTensors::deserialize(&bytes).map_err(format)?;
@@ -101,7 +93,8 @@ impl Vgg19 {
                 taps.push(links.len() - 1);
             }
         }
-        Ok(Self { chain: Chain { links, taps, normal: IMAGENET } })
+        // relu4_2 counts as style and as content.
+        Ok(Self { name: "id-mrf", links, taps, weights: vec![1.0, 2.0], normal: IMAGENET })
     }
 }
 
@@ -117,28 +110,5 @@ fn tensor(path: &Path, file: &SafeTensors<'_>, name: &str, want: Vec<usize>) -> 
     match values.iter().position(|v| !v.is_finite()) {
         Some(at) => Err(VggError::NotFinite { path: path.to_owned(), tensor: name.to_owned(), at }),
         None => Ok(values),
-    }
-}
-
-impl FeatureNet for Vgg19 {
-    fn name(&self) -> &'static str {
-        "id-mrf"
-    }
-
-    fn weights(&self) -> &[f64] {
-        // relu4_2 counts as style and as content.
-        &[1.0, 2.0]
-    }
-
-    fn least_side(&self) -> usize {
-        self.chain.least_side()
-    }
-
-    fn forward(&self, image: &Image) -> Tape {
-        self.chain.forward(image)
-    }
-
-    fn backward(&self, tape: &Tape, d_layers: &[Image]) -> Image {
-        self.chain.backward(tape, d_layers)
     }
 }

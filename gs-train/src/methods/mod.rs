@@ -167,14 +167,18 @@ pub trait Method: Params + Send + Sync {
     fn step(&mut self, at: &Moment, camera: &Camera, draw: &mut dyn FnMut(&Splats, &mut SplatsGrad));
 
     /// Regularisers that need no image: adds their gradients, gives their values with weights applied.
-    fn penalties(&mut self, step: u32) -> Vec<(&'static str, f32)>;
+    fn penalties(&mut self, _step: u32) -> Vec<(&'static str, f32)> {
+        Vec::new()
+    }
 
     /// What a view told, once for each view of a step, after [`Method::step`] and before the optimiser's update. The
     /// gradients in `seen` are those of this view's loss alone.
-    fn observe(&mut self, at: &Moment, seen: &ScreenStats, camera: &Camera);
+    fn observe(&mut self, _at: &Moment, _seen: &ScreenStats, _camera: &Camera) {}
 
     /// Density control after the optimiser's update of step `step`, by what was observed.
-    fn adapt(&mut self, step: u32) -> Adapted;
+    fn adapt(&mut self, _step: u32) -> Adapted {
+        Adapted::default()
+    }
 
     /// All splats there are, in the same order at every moment: [`Method::len`] of them, those that are not there at this
     /// moment with opacity 0. What `camera` is matters only where looks depend on the view.
@@ -247,10 +251,14 @@ pub trait Method: Params + Send + Sync {
     }
 
     /// State that is not a parameter, for checkpoints.
-    fn columns(&self) -> Vec<Column<'_>>;
+    fn columns(&self) -> Vec<Column<'_>> {
+        Vec::new()
+    }
 
     /// The same, to be restored. Those with rows may have any length before; afterwards they must fit the parameters.
-    fn columns_mut(&mut self) -> Vec<ColumnMut<'_>>;
+    fn columns_mut(&mut self) -> Vec<ColumnMut<'_>> {
+        Vec::new()
+    }
 
     /// Number of splats, at most (an anchor counts with all it can be decoded to).
     fn len(&self) -> usize;

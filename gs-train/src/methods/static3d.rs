@@ -79,10 +79,6 @@ impl Method for Static3d {
         self.canonical.backward();
     }
 
-    fn penalties(&mut self, _step: u32) -> Vec<(&'static str, f32)> {
-        Vec::new()
-    }
-
     fn observe(&mut self, _at: &Moment, seen: &ScreenStats, camera: &Camera) {
         self.canonical.observe(seen, camera);
     }

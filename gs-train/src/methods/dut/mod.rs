@@ -20,15 +20,13 @@ pub use config::{
 };
 
 use crate::avatar::AvatarFrame;
-use crate::density::Adapted;
-use crate::methods::{Column, ColumnMut, Method, MethodEntry, MethodError, Quantity, SceneInfo, parse_config};
+use crate::methods::{Method, MethodEntry, MethodError, Quantity, SceneInfo, parse_config};
 use crate::moment::Moment;
 use crate::schedule::Schedule;
 use cache::Cache;
 use direct::Direct;
 use geometry::Geometry;
 use gs_core::{Camera, Param, Params, Splats, SplatsGrad};
-use gs_raster::ScreenStats;
 use gs_texel::gaussians::{Channels, DecodeOptions, OFFSET, OPACITY, decode, decode_backward, offset_penalty};
 use network::Network;
 use std::path::PathBuf;
@@ -315,12 +313,6 @@ impl Method for Dut {
         std::mem::take(&mut self.penalties)
     }
 
-    fn observe(&mut self, _at: &Moment, _seen: &ScreenStats, _camera: &Camera) {}
-
-    fn adapt(&mut self, _step: u32) -> Adapted {
-        Adapted::default()
-    }
-
     fn quantities(&self, at: &Moment) -> Vec<Quantity> {
         let (second, rows) = match self.drawn(at) {
             Ok(drawn) => drawn,
@@ -339,14 +331,6 @@ impl Method for Dut {
             number("kappa", "", second.base.kappas.clone()),
             Quantity::share("opacity", each(&|row| 1.0 / (1.0 + (-row[OPACITY]).exp()))),
         ]
-    }
-
-    fn columns(&self) -> Vec<Column<'_>> {
-        Vec::new()
-    }
-
-    fn columns_mut(&mut self) -> Vec<ColumnMut<'_>> {
-        Vec::new()
     }
 
     fn len(&self) -> usize {

@@ -1,4 +1,5 @@
-//! A chain of frozen convolutions (each followed by `max(·, 0)`) and pools, some of whose results are the features.
+//! A network that sees more in an image than its pixels and can be walked backwards: a chain of frozen convolutions (each
+//! followed by `max(·, 0)`) and pools, some of whose results are the features.
 //!
 //! Nothing here learns: there are no gradients of weights and no moments, so a network of 10 million weights costs 40 MB.
 
@@ -28,17 +29,21 @@ pub(super) struct Frozen {
     pub bias: Vec<f32>,
 }
 
-/// A chain of links.
+/// Frozen features of images.
 #[derive(Clone, Debug)]
-pub struct Chain {
+pub struct FeatureNet {
+    /// What a score made with it is called in reports.
+    pub(super) name: &'static str,
     pub(super) links: Vec<Link>,
     /// Links whose results are features, ascending.
     pub(super) taps: Vec<usize>,
+    /// Weight of each layer of features in the loss.
+    pub(super) weights: Vec<f64>,
     /// Subtracted from, and divided into, the channels of an image.
     pub(super) normal: [[f32; 3]; 2],
 }
 
-/// Results of all links of a chain.
+/// Results of all links.
 #[derive(Clone, Debug)]
 pub struct Tape {
     /// The normalised image and the results of all links.
@@ -53,8 +58,19 @@ impl Tape {
     }
 }
 
-impl Chain {
-    pub(super) fn forward(&self, image: &Image) -> Tape {
+impl FeatureNet {
+    /// What a score made with it is called in reports.
+    pub fn name(&self) -> &'static str {
+        self.name
+    }
+
+    /// Weight of each layer in the loss.
+    pub fn weights(&self) -> &[f64] {
+        &self.weights
+    }
+
+    /// Features of an `[H, W, 3]` image, all layers, with what the way back needs.
+    pub fn forward(&self, image: &Image) -> Tape {
         let [mean, deviation] = self.normal;
         let normal = |(k, v): (usize, &f32)| (v - mean[k % 3]) / deviation[k % 3];
         let data = image.data.iter().enumerate().map(normal).collect();
@@ -70,7 +86,8 @@ impl Chain {
         Tape { maps, taps: self.taps.clone() }
     }
 
-    pub(super) fn backward(&self, tape: &Tape, d_layers: &[Image]) -> Image {
+    /// `dL/d image` from the cotangents of all layers, each shaped as its layer.
+    pub fn backward(&self, tape: &Tape, d_layers: &[Image]) -> Image {
         let mut d = Image::default();
         for (k, link) in self.links.iter().enumerate().rev() {
             if let Some(tap) = self.taps.iter().position(|t| *t == k) {
@@ -94,7 +111,7 @@ impl Chain {
     }
 
     /// Rows of the smallest image that has a pixel in every layer.
-    pub(super) fn least_side(&self) -> usize {
+    pub fn least_side(&self) -> usize {
         let halvings = self.links.iter().filter(|l| !matches!(l, Link::Conv(c) if c.stride == 1)).count();
         1 << halvings
     }
