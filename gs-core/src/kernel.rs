@@ -5,6 +5,7 @@
 
 mod bend;
 mod beta;
+mod plain;
 #[cfg(test)]
 mod tests;
 

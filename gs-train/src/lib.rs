@@ -14,7 +14,7 @@
 //! * [`glmd`]: what each stage of a model moves, in pictures and numbers; [`segment`]: the rigid parts of a scene.
 //! * [`physics_check`]: motions that were learnt against the truth of a generated scene.
 //! * [`config`], [`checkpoint`], [`run`]: settings that know their source, atomic checkpoints, run folders.
-//! * [`storage`], [`compact`]: what a scene weighs, and a file of it in fewer bytes.
+//! * [`storage`], [`compact`]: what a scene weighs, and a file of it in fewer bytes; [`export`]: files for other programs.
 //!
 //! # Promises
 //! A run is a function of data, configuration and seed: the same bits for any number of threads and after any
@@ -36,6 +36,7 @@ pub mod continual;
 pub mod data;
 pub mod density;
 pub mod evaluate;
+pub mod export;
 pub mod folders;
 pub mod forecast;
 pub mod glmd;

@@ -29,6 +29,8 @@ pub enum Class {
     Resource = 5,
     /// Input or output.
     Io = 6,
+    /// What was made does not keep what was asked for.
+    Verification = 7,
     /// Interrupted by the user, state saved.
     Interrupted = 130,
 }
@@ -42,6 +44,7 @@ impl Class {
             4 => Class::Numeric,
             5 => Class::Resource,
             6 => Class::Io,
+            7 => Class::Verification,
             _ => Class::Internal,
         }
     }

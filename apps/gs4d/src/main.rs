@@ -2,7 +2,7 @@
 //!
 //! Results go to stdout (text, or one JSON value with `--json`), progress and messages to stderr. Exit codes: 0 done ·
 //! 1 internal fault · 2 wrong usage · 3 invalid data · 4 numerical failure · 5 resource limit · 6 input or output ·
-//! 130 interrupted, state saved.
+//! 7 verification failed · 130 interrupted, state saved.
 
 mod answer;
 mod failure;
@@ -27,7 +27,7 @@ struct Cli {
 }
 
 const EXIT_CODES: &str = "Exit codes: 0 done, 1 internal fault, 2 wrong usage, 3 invalid data, 4 numerical failure, \
-    5 resource limit, 6 input or output, 130 interrupted (state saved)";
+    5 resource limit, 6 input or output, 7 verification failed, 130 interrupted (state saved)";
 
 /// Flags every verb takes.
 #[derive(Args, Clone, Debug)]
@@ -70,11 +70,13 @@ enum Verb {
     Resume(verbs::resume::Resume),
     Eval(verbs::eval::Eval),
     Render(verbs::render::Render),
+    View(verbs::view::View),
     Forecast(verbs::forecast::ForecastVerb),
     Glmd(verbs::glmd::Glmd),
     Segment(verbs::segment::Segment),
     Inspect(verbs::inspect::Inspect),
     Compact(verbs::compact::Compact),
+    Export(verbs::export::Export),
     Methods(verbs::methods::Methods),
     Config(verbs::config::ShowConfig),
     Contest(verbs::contest::ContestVerb),
@@ -97,11 +99,13 @@ fn run(cli: Cli) -> Result<Answer, Failure> {
         Verb::Resume(verb) => verb.run(global),
         Verb::Eval(verb) => verb.run(global),
         Verb::Render(verb) => verb.run(global),
+        Verb::View(verb) => verb.run(global),
         Verb::Forecast(verb) => verb.run(global),
         Verb::Glmd(verb) => verb.run(global),
         Verb::Segment(verb) => verb.run(global),
         Verb::Inspect(verb) => verb.run(),
         Verb::Compact(verb) => verb.run(global),
+        Verb::Export(verb) => verb.run(global),
         Verb::Methods(verb) => Ok(verb.run()),
         Verb::Config(verb) => verb.run(),
         Verb::Contest(verb) => verb.run(global),

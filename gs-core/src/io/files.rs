@@ -1,7 +1,7 @@
 //! From paths to values: bounded reads, formats told by their content, writes that are whole or absent.
 
 use super::error::{At, Source, os};
-use super::{IoError, Limits, RawSplats, ply, splat, spz};
+use super::{IoError, Limits, RawSplats, glb, ply, splat, spz};
 use std::fs;
 use std::io::{BufWriter, Read, Write};
 use std::path::Path;
@@ -15,6 +15,8 @@ pub enum SplatFormat {
     Splat,
     /// `.spz` version 3: quantised.
     Spz,
+    /// `.glb` with `KHR_gaussian_splatting`: exact.
+    Glb,
 }
 
 impl SplatFormat {
@@ -24,7 +26,18 @@ impl SplatFormat {
             "ply" => Some(Self::Ply),
             "splat" => Some(Self::Splat),
             "spz" => Some(Self::Spz),
+            "glb" => Some(Self::Glb),
             _ => None,
+        }
+    }
+
+    /// The extension of its files.
+    pub fn extension(self) -> &'static str {
+        match self {
+            Self::Ply => "ply",
+            Self::Splat => "splat",
+            Self::Spz => "spz",
+            Self::Glb => "glb",
         }
     }
 }
@@ -66,18 +79,21 @@ pub fn parse_splats(bytes: &[u8], file: &str, limits: &Limits) -> Result<RawSpla
     if bytes.starts_with(b"\x1f\x8b") || bytes.starts_with(b"NGSP") {
         return spz::read(bytes, file, limits).map(|(_, splats)| splats);
     }
+    if bytes.starts_with(b"glTF") {
+        return glb::read(bytes, file, limits);
+    }
     // A .ksplat starts with its version (0.1) and a header of 4096 bytes.
     if ends_with(".ksplat") || (bytes.starts_with(&[0, 1, 0, 0]) && bytes.len() >= 4096 && !ends_with(".splat")) {
-        return Err(src.unsupported("the .ksplat format", "convert it to .ply, .splat or .spz"));
+        return Err(src.unsupported("the .ksplat format", "convert it to .ply, .splat, .spz or .glb"));
     }
     if bytes.starts_with(b"PK") {
-        return Err(src.unsupported("a zip archive (.sog?)", "unpack or convert it to .ply, .splat or .spz"));
+        return Err(src.unsupported("a zip archive (.sog?)", "unpack or convert it to .ply, .splat, .spz or .glb"));
     }
     if ends_with(".splat") {
         return splat::read(bytes, file, limits);
     }
-    let what = "neither PLY, nor SPZ, and the name does not end in .splat";
-    Err(src.malformed(At::Byte(0), what, "give a .ply, .splat or .spz file"))
+    let what = "neither PLY, nor SPZ, nor GLB, and the name does not end in .splat";
+    Err(src.malformed(At::Byte(0), what, "give a .ply, .splat, .spz or .glb file"))
 }
 
 /// Reads a splat file of any supported format.
@@ -98,13 +114,27 @@ pub fn save_splats(path: &Path, splats: &RawSplats, overwrite: bool) -> Result<(
     let format = SplatFormat::of_path(path).ok_or_else(|| IoError::Unsupported {
         file: path.display().to_string().into(),
         what: "writing splats to this extension".into(),
-        advice: "end the name in .ply, .splat or .spz",
+        advice: "end the name in .ply, .splat, .spz or .glb",
     })?;
-    write_file(path, overwrite, |out| match format {
+    write_file(path, overwrite, |out| write_in(format, splats, out))
+}
+
+fn write_in(format: SplatFormat, splats: &RawSplats, out: &mut dyn Write) -> std::io::Result<()> {
+    match format {
         SplatFormat::Ply => ply::write(splats, out),
         SplatFormat::Splat => splat::write(splats, out),
         SplatFormat::Spz => spz::write(splats, &spz::SpzOptions::default(), out),
-    })
+        SplatFormat::Glb => glb::write(splats, out),
+    }
+}
+
+/// Appends splats in a format to bytes.
+///
+/// # Errors
+/// What the format cannot hold.
+pub fn write_splats(format: SplatFormat, splats: &RawSplats, out: &mut Vec<u8>) -> Result<(), IoError> {
+    let name = format!("memory.{}", format.extension());
+    write_in(format, splats, out).map_err(|e| os(Path::new(&name), "write", e))
 }
 
 /// Writes a file whole or not at all: a temporary file in the same folder, flushed to disk, then renamed. Without

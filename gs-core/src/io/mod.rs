@@ -1,4 +1,4 @@
-//! Files: splats (`.ply`, `.splat`, `.spz`), cameras, images and arrays.
+//! Files: splats (`.ply`, `.splat`, `.spz`, `.glb`), cameras, images and arrays.
 //!
 //! One invariant holds for every reader: **any bytes give a value or a typed error**. Sizes are computed with checked or
 //! saturating arithmetic and compared with the bytes present before anything is allocated; there is no recursion on
@@ -14,6 +14,7 @@
 //! | 3DGS `.ply` | yes | yes | exact, degree 0 to 3, bent kernels |
 //! | `.splat` | yes | yes | degree 0, 8-bit colour and rotation, Gaussians only |
 //! | `.spz` 2, 3 | yes | yes | quantised, Gaussians only; 1, 4 and raw payloads are refused by name |
+//! | `.glb` | yes | yes | `KHR_gaussian_splatting`, exact, degree 0 to 3, Gaussians only |
 //! | `.ksplat`, compressed `.ply`, `.sog` | no | no | refused by name |
 //! | camera JSON | yes | yes | three layouts, see [`cameras`] |
 //! | `.npy` | yes | yes | f32 and f64 in, f32 out |
@@ -30,6 +31,7 @@ mod error;
 #[cfg(feature = "exr")]
 pub mod exr;
 mod files;
+pub mod glb;
 #[cfg(feature = "images")]
 pub mod images;
 mod limits;
@@ -43,6 +45,6 @@ mod spz_quat;
 
 pub use cameras::{NamedCamera, load_cameras, parse_cameras, save_cameras};
 pub use error::{At, IoError};
-pub use files::{SplatFormat, load_splats, parse_splats, read_file, save_splats, write_file};
+pub use files::{SplatFormat, load_splats, parse_splats, read_file, save_splats, write_file, write_splats};
 pub use limits::Limits;
 pub use raw::{OPACITY_MARGIN, RawSplats, logit, sigmoid};

@@ -1,0 +1,35 @@
+//! Shows a splat file, or two red and blue splats, until Enter is pressed.
+//!
+//! ```text
+//! cargo run --release -p gs4d-view --example show -- [scene.ply]
+//! ```
+
+use gs_core::io::{Limits, load_splats};
+use gs_core::{Color, Kernel, Splats};
+use gs4d_view::picture::Packing;
+use gs4d_view::{Options, Show, Stage, start};
+use std::error::Error;
+use std::net::Ipv4Addr;
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let splats = match std::env::args().nth(1) {
+        Some(path) => load_splats(path.as_ref(), &Limits::default())?.to_splats()?,
+        None => two(),
+    };
+    let stage = Stage { shows: vec![Show::splats("scene".into(), splats)] };
+    let server = start(stage, &Options { host: Ipv4Addr::LOCALHOST.into(), port: 7007, packing: Packing::Png })?;
+    println!("{}\nEnter ends it", server.url);
+    std::io::stdin().read_line(&mut String::new())?;
+    Ok(())
+}
+
+fn two() -> Splats {
+    Splats {
+        means: vec![glam::Vec3::ZERO, glam::Vec3::new(0.3, 0.0, 0.5)],
+        quats: vec![[1.0, 0.0, 0.0, 0.0]; 2],
+        scales: vec![glam::Vec3::splat(0.2); 2],
+        opacities: vec![0.9, 0.8],
+        color: Color::Rgb(vec![[0.9, 0.2, 0.1], [0.1, 0.3, 0.9]]),
+        kernel: Kernel::Gaussian,
+    }
+}

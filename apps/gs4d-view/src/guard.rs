@@ -1,0 +1,100 @@
+//! Who may ask: those who know the token, from a page of ours.
+//!
+//! A page of another site can make a browser connect to loopback, and a name that first points elsewhere can be made to point
+//! here (DNS rebinding). So every request must name this host, a WebSocket's origin must be this server, and nothing is
+//! answered without the token of the printed address.
+
+use std::hash::{BuildHasher, Hasher, RandomState};
+use std::net::SocketAddr;
+
+/// What a request must carry.
+#[derive(Clone, Debug)]
+pub struct Guard {
+    token: String,
+    /// `host:port` this server is called by.
+    names: Vec<String>,
+}
+
+impl Guard {
+    /// A guard of an address, with a token nobody knows yet. Behind a wildcard address any numeric host is this server.
+    pub fn new(address: SocketAddr) -> Self {
+        let port = address.port();
+        let mut names = vec![format!("{address}")];
+        if address.ip().is_loopback() {
+            names.extend([format!("localhost:{port}"), format!("127.0.0.1:{port}"), format!("[::1]:{port}")]);
+        }
+        Self { token: token(), names }
+    }
+
+    /// The token.
+    pub fn token(&self) -> &str {
+        &self.token
+    }
+
+    /// Whether a `Host` header names this server.
+    pub fn host(&self, host: Option<&str>) -> bool {
+        host.is_some_and(|h| self.names.iter().any(|n| n.eq_ignore_ascii_case(h)))
+    }
+
+    /// Whether an `Origin` header is a page of this server. Programs that are no browsers send none.
+    pub fn origin(&self, origin: Option<&str>) -> bool {
+        match origin {
+            None => true,
+            Some(o) => o.strip_prefix("http://").is_some_and(|h| self.host(Some(h))),
+        }
+    }
+
+    /// Whether the token is right. The time it takes does not depend on where it is wrong.
+    pub fn knows(&self, token: Option<&str>) -> bool {
+        let Some(given) = token.filter(|t| t.len() == self.token.len()) else { return false };
+        given.bytes().zip(self.token.bytes()).fold(0, |bad, (a, b)| bad | (a ^ b)) == 0
+    }
+}
+
+/// 128 bits of the system's randomness as hexadecimal digits: the keys of the standard library's hashers come from there.
+fn token() -> String {
+    let word = || {
+        let mut hasher = RandomState::new().build_hasher();
+        hasher.write_u32(std::process::id());
+        if let Ok(now) = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH) {
+            hasher.write_u128(now.as_nanos());
+        }
+        hasher.finish()
+    };
+    // A thread's second hasher has the keys of the first plus one: each word asks in a thread of its own.
+    let apart = || std::thread::spawn(word).join().unwrap_or_else(|_| word());
+    format!("{:016x}{:016x}", apart(), apart())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn guard() -> Guard {
+        Guard::new("127.0.0.1:7007".parse().unwrap())
+    }
+
+    #[test]
+    fn only_our_names_pass() {
+        let guard = guard();
+        for good in ["127.0.0.1:7007", "localhost:7007", "LOCALHOST:7007", "[::1]:7007"] {
+            assert!(guard.host(Some(good)) && guard.origin(Some(&format!("http://{good}"))), "{good}");
+        }
+        for bad in ["evil.example:7007", "127.0.0.1:80", "127.0.0.1", "localhost:7007.evil.example", ""] {
+            assert!(!guard.host(Some(bad)) && !guard.origin(Some(&format!("http://{bad}"))), "{bad}");
+        }
+        assert!(!guard.host(None) && !guard.origin(Some("null")) && !guard.origin(Some("https://localhost:7007")));
+        assert!(guard.origin(None));
+    }
+
+    #[test]
+    fn tokens_differ_and_must_match_whole() {
+        let (a, b) = (guard(), guard());
+        assert_eq!(a.token().len(), 32);
+        assert_ne!(a.token(), b.token());
+        assert!(a.knows(Some(a.token())));
+        for bad in [None, Some(""), Some(&a.token()[1..]), Some(b.token())] {
+            assert!(!a.knows(bad));
+        }
+    }
+}

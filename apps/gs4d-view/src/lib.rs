@@ -1,0 +1,45 @@
+//! A viewer of moving splat scenes: this machine's rasteriser draws, any browser shows.
+//!
+//! ```text
+//! browser ── question (JSON) ──▶ guard ──▶ newest question ──▶ stage ──▶ picture ──▶ browser
+//! ```
+//! * [`stage`]: what can be seen: runs with their data, splat files.
+//! * [`question`]: what a browser may ask, and how little of it is believed.
+//! * [`picture`]: a question to pixels: colours, depth, coverage, quantities of the method, photographs.
+//! * [`pick`]: which splats made a pixel, and where they go.
+//! * [`server`]: loopback, token, host and origin checks; a newer question replaces the older one that waits.
+//!
+//! One page of plain HTML, script and style is embedded; nothing is loaded from elsewhere.
+
+pub mod guard;
+pub mod pick;
+pub mod picture;
+pub mod question;
+pub mod server;
+pub mod stage;
+
+pub use server::{Options, Server, start};
+pub use stage::{Show, Stage};
+
+/// What keeps the viewer from starting.
+#[derive(Debug, thiserror::Error)]
+pub enum ViewError {
+    /// No port was free.
+    #[error("no free port from {first} to {last} on {host}: {source}")]
+    Port {
+        /// Address asked for.
+        host: std::net::IpAddr,
+        /// First port tried.
+        first: u16,
+        /// Last port tried.
+        last: u16,
+        /// What the system said of the last.
+        source: std::io::Error,
+    },
+    /// The server's threads.
+    #[error("cannot start the server: {0}")]
+    Threads(std::io::Error),
+    /// Nothing to show.
+    #[error("there is nothing to show: give a run or a splat file")]
+    Nothing,
+}

@@ -1,0 +1,200 @@
+//! The viewer as a browser meets it: what is answered, and what is refused.
+
+use gs_core::{Color, Kernel, Splats};
+use gs4d_view::picture::Packing;
+use gs4d_view::{Options, Server, Show, Stage, start};
+use serde_json::{Value, json};
+use std::io::{Read, Write};
+use std::net::{IpAddr, Ipv4Addr, TcpStream};
+use std::time::Duration;
+use tungstenite::client::IntoClientRequest;
+use tungstenite::{Message, WebSocket};
+
+const LOCAL: IpAddr = IpAddr::V4(Ipv4Addr::LOCALHOST);
+
+fn scene() -> Splats {
+    Splats {
+        means: vec![glam::Vec3::ZERO, glam::Vec3::new(0.0, 0.0, 0.5)],
+        quats: vec![[1.0, 0.0, 0.0, 0.0]; 2],
+        scales: vec![glam::Vec3::splat(0.2); 2],
+        opacities: vec![0.9, 0.8],
+        color: Color::Rgb(vec![[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
+        kernel: Kernel::Gaussian,
+    }
+}
+
+fn server(packing: Packing) -> Server {
+    let stage = Stage { shows: vec![Show::splats("red".into(), scene())] };
+    start(stage, &Options { host: LOCAL, port: 18_200, packing }).unwrap()
+}
+
+/// The status line and body of a plain request.
+fn get(server: &Server, path: &str, host: &str) -> String {
+    let mut stream = TcpStream::connect(server.address).unwrap();
+    write!(stream, "GET {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n").unwrap();
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).unwrap();
+    answer
+}
+
+fn key(server: &Server) -> &str {
+    server.url.split_once("k=").unwrap().1
+}
+
+/// A browser's WebSocket, with headers of our choice.
+fn connect(server: &Server, key: &str, origin: Option<&str>) -> Result<WebSocket<TcpStream>, String> {
+    let mut request = format!("ws://{}/ws?k={key}", server.address).into_client_request().unwrap();
+    if let Some(origin) = origin {
+        request.headers_mut().insert("origin", origin.parse().unwrap());
+    }
+    let stream = TcpStream::connect(server.address).unwrap();
+    stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+    tungstenite::client(request, stream).map(|(socket, _)| socket).map_err(|e| e.to_string())
+}
+
+fn greeted(server: &Server) -> (WebSocket<TcpStream>, Value) {
+    let mut socket = connect(server, key(server), None).unwrap();
+    let text = socket.read().unwrap();
+    let about = serde_json::from_str(text.to_text().unwrap()).unwrap();
+    (socket, about)
+}
+
+fn question(id: u64, layer: &str) -> Value {
+    json!({
+        "id": id, "show": 0, "layer": layer, "time": 0.0, "width": 64, "height": 48,
+        "look": {"free": [[0.0, 0.0, -4.0], [0.0, 0.0, 0.0], [0.0, -1.0, 0.0], 0.8]},
+    })
+}
+
+fn ask(socket: &mut WebSocket<TcpStream>, question: &Value) -> (Value, Vec<u8>) {
+    socket.send(Message::Text(question.to_string().into())).unwrap();
+    match socket.read().unwrap() {
+        Message::Binary(bytes) => {
+            let length = u32::from_le_bytes(bytes[..4].try_into().unwrap()) as usize;
+            (serde_json::from_slice(&bytes[4..4 + length]).unwrap(), bytes[4 + length..].to_vec())
+        }
+        Message::Text(text) => (serde_json::from_str(&text).unwrap(), Vec::new()),
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn a_scene_is_announced_drawn_and_picked() {
+    let server = server(Packing::Png);
+    let (mut socket, about) = greeted(&server);
+    assert_eq!(about["shows"][0]["name"], "red");
+    assert_eq!(about["shows"][0]["layers"], json!(["color", "depth", "alpha"]));
+    let (header, png) = ask(&mut socket, &question(7, "color"));
+    assert_eq!((&header["id"], &header["width"], &header["splats"]), (&json!(7), &json!(64), &json!(2)));
+    let picture = gs_core::io::images::decode_rgba8(&png, "answer.png", &gs_core::io::Limits::default()).unwrap();
+    let middle = &picture.data[4 * (24 * 64 + 32)..][..3];
+    // Red in front of blue.
+    assert!(middle[0] > 220 && middle[2] > 10 && middle[2] < 30, "{middle:?}");
+    let mut picking = question(8, "color");
+    picking["pick"] = json!([0.5, 0.5]);
+    let picked = ask(&mut socket, &picking).0["picked"].clone();
+    assert_eq!(picked["splats"][0]["splat"], 0);
+    let weights: Vec<f64> = (0..2).map(|k| picked["splats"][k]["weight"].as_f64().unwrap()).collect();
+    // Half a pixel beside both centres.
+    assert!((weights[0] - 0.9).abs() < 0.03 && (weights[1] - 0.08).abs() < 0.02, "{weights:?}");
+    let shown = [f64::from(middle[0]) / 255.0, f64::from(middle[2]) / 255.0];
+    assert!(weights.iter().zip(shown).all(|(w, s)| (w - s).abs() < 3e-3), "{weights:?} {shown:?}");
+    let (header, _) = ask(&mut socket, &question(9, "depth"));
+    assert!((header["legend"]["low"].as_f64().unwrap() - 4.0).abs() < 0.2, "{header}");
+}
+
+#[test]
+fn a_blank_picture_says_why() {
+    let server = server(Packing::Jpeg);
+    let (mut socket, _) = greeted(&server);
+    let mut away = question(1, "color");
+    away["look"] = json!({"free": [[0.0, 0.0, -4.0], [0.0, 0.0, -8.0], [0.0, -1.0, 0.0], 0.8]});
+    let (header, jpeg) = ask(&mut socket, &away);
+    assert!(header["blank"].as_str().unwrap().contains("2 lie behind the camera"), "{header}");
+    assert_eq!(jpeg[..2], [0xff, 0xd8]);
+}
+
+#[test]
+fn what_makes_no_sense_is_answered_with_a_reason() {
+    let server = server(Packing::Png);
+    let (mut socket, _) = greeted(&server);
+    let mut cases = vec![json!("x"), json!({"id": 1}), question(1, "gate"), question(2, "truth")];
+    for (field, value) in
+        [("show", json!(9)), ("width", json!(1_000_000)), ("time", json!(1e30)), ("look", json!({"view": 3}))]
+    {
+        let mut bad = question(3, "color");
+        bad[field] = value;
+        cases.push(bad);
+    }
+    for case in cases {
+        let (answer, _) = ask(&mut socket, &case);
+        assert!(answer["error"].as_str().is_some_and(|e| !e.is_empty()), "{case}: {answer}");
+    }
+    assert_eq!(ask(&mut socket, &question(4, "color")).0["id"], 4, "and goes on");
+}
+
+#[test]
+fn strangers_are_refused() {
+    let server = server(Packing::Png);
+    let own = server.address.to_string();
+    let good = format!("/?k={}", key(&server));
+    let page = get(&server, &good, &own);
+    assert!(page.starts_with("HTTP/1.1 200") && page.contains("content-security-policy: default-src 'none'"), "{page}");
+    for (path, host) in [("/", &own[..]), ("/?k=0", &own), (&good, "evil.example"), ("/app.js", "evil.example:80")] {
+        assert!(get(&server, path, host).starts_with("HTTP/1.1 403"), "{path} {host}");
+    }
+    for path in ["/../Cargo.toml", "/etc/passwd", "/app.js/..%2f..%2fsecret"] {
+        assert!(get(&server, path, &own).starts_with("HTTP/1.1 404"), "{path}");
+    }
+    assert!(connect(&server, "0123", None).is_err());
+    for origin in ["http://evil.example", "null", "https://127.0.0.1"] {
+        assert!(connect(&server, key(&server), Some(origin)).is_err(), "{origin}");
+    }
+    assert!(connect(&server, key(&server), Some(&format!("http://{own}"))).is_ok());
+}
+
+#[test]
+fn floods_and_long_messages_are_bounded() {
+    let server = server(Packing::Png);
+    let (mut socket, _) = greeted(&server);
+    // Of many questions at once only the newest is worth an answer; it comes last.
+    let mut large = question(0, "color");
+    (large["width"], large["height"]) = (json!(1600), json!(1200));
+    for id in 1..=200u64 {
+        large["id"] = json!(id);
+        socket.send(Message::Text(large.to_string().into())).unwrap();
+    }
+    let (mut answers, mut last) = (0, 0);
+    while last != 200 {
+        let Message::Binary(bytes) = socket.read().unwrap() else { continue };
+        let length = u32::from_le_bytes(bytes[..4].try_into().unwrap()) as usize;
+        let header: Value = serde_json::from_slice(&bytes[4..4 + length]).unwrap();
+        let id = header["id"].as_u64().unwrap();
+        assert!(id > last, "answers come in order");
+        (answers, last) = (answers + 1, id);
+    }
+    assert!(answers < 200, "{answers} pictures drawn for 200 questions");
+    // Longer than the limit: the line is cut.
+    socket.send(Message::Text(format!("\"{}\"", "x".repeat(100 << 10)).into())).ok();
+    assert!(matches!(socket.read(), Err(_) | Ok(Message::Close(_))));
+    greeted(&server);
+}
+
+#[test]
+fn viewers_are_counted_and_a_taken_port_is_left_alone() {
+    let (first, second) = (server(Packing::Png), server(Packing::Png));
+    assert_ne!(first.address.port(), second.address.port());
+    let mut held: Vec<_> = (0..32).map(|_| connect(&first, key(&first), None).unwrap()).collect();
+    assert!(connect(&first, key(&first), None).unwrap_err().contains("503"));
+    held.pop();
+    let again = (0..100).any(|_| {
+        std::thread::sleep(Duration::from_millis(50));
+        connect(&first, key(&first), None).is_ok()
+    });
+    assert!(again, "a place is free again");
+    drop(held);
+    let url = first.url.clone();
+    drop(first);
+    let gone = url.strip_prefix("http://").unwrap().split('/').next().unwrap().to_owned();
+    assert!(TcpStream::connect(gone).is_err(), "stopped");
+}

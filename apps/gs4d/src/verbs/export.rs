@@ -1,0 +1,266 @@
+//! `gs4d export`: a trained scene, or a splat file, as files of plain splats.
+
+use super::eval::SplitName;
+use crate::answer::Answer;
+use crate::failure::{Class, Failure};
+use crate::progress::Progress;
+use crate::{Global, parse};
+use gs_core::io::{Limits, SplatFormat, load_splats, save_splats};
+use gs_train::data::{Dataset, ImageCache};
+use gs_train::evaluate::{EvalReport, evaluate};
+use gs_train::export::{AsExported, Baker, ExportError, cut};
+use gs_train::run::OpenRun;
+use gs_train::run::picture::moment;
+use serde_json::{Value, json};
+use std::path::PathBuf;
+
+/// Write a trained scene at one or many moments as .ply, .splat, .spz or .glb, and say what that costs in PSNR
+#[derive(clap::Args)]
+pub struct Export {
+    /// A run folder or .gs4d file, or a splat file to convert (.ply, .splat, .spz, .glb).
+    #[arg(value_name = "RUN|SCENE")]
+    scene: PathBuf,
+    /// The file to write, named by its format; with several times the folder for time-0000.EXT and times.json.
+    #[arg(short, long, value_name = "FILE|DIR")]
+    out: PathBuf,
+    /// Normalised times, A..B:N or one; 0 first to 1 last training frame [default: 0].
+    #[arg(long, value_name = "TIMES", allow_hyphen_values = true, value_parser = parse::times)]
+    times: Option<parse::Times>,
+    /// Format of the files in a folder [default: ply].
+    #[arg(long, value_enum)]
+    format: Option<FormatName>,
+    /// Keep spherical harmonics up to this degree; colours a network decodes per camera are fitted with it.
+    #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u8).range(0..=3))]
+    sh_degree: u8,
+    /// Views whose PSNR is measured before and after.
+    #[arg(long, value_enum, default_value_t = SplitName::Test, conflicts_with = "no_eval")]
+    split: SplitName,
+    /// Do not measure.
+    #[arg(long, conflicts_with = "max_error")]
+    no_eval: bool,
+    /// Exit with code 7 if the mean PSNR falls by more decibels than this.
+    #[arg(long, value_name = "DB", value_parser = parse::not_negative)]
+    max_error: Option<f64>,
+    /// Overwrite existing files.
+    #[arg(short, long)]
+    force: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum FormatName {
+    Ply,
+    Splat,
+    Spz,
+    Glb,
+}
+
+impl From<FormatName> for SplatFormat {
+    fn from(name: FormatName) -> Self {
+        match name {
+            FormatName::Ply => SplatFormat::Ply,
+            FormatName::Splat => SplatFormat::Splat,
+            FormatName::Spz => SplatFormat::Spz,
+            FormatName::Glb => SplatFormat::Glb,
+        }
+    }
+}
+
+/// Where each time goes.
+struct Plan {
+    format: SplatFormat,
+    files: Vec<(f32, PathBuf)>,
+    /// The folder and its table of times, for a sequence.
+    folder: Option<PathBuf>,
+}
+
+impl Export {
+    pub fn run(self, global: &Global) -> Result<Answer, Failure> {
+        let plan = self.plan()?;
+        self.check_free(&plan)?;
+        let is_file = self.scene.is_file() && self.scene.extension().is_none_or(|e| e != "gs4d");
+        if is_file { self.convert(&plan) } else { self.bake(&plan, global) }
+    }
+
+    fn plan(&self) -> Result<Plan, Failure> {
+        let times = self.times.as_ref().map_or_else(|| vec![0.0], |t| t.0.clone());
+        let of_name = SplatFormat::of_path(&self.out);
+        let asked = self.format.map(SplatFormat::from);
+        match (&times[..], of_name) {
+            (&[time], Some(format)) if asked.is_none_or(|f| f == format) => {
+                Ok(Plan { format, files: vec![(time, self.out.clone())], folder: None })
+            }
+            (_, Some(_)) if times.len() > 1 => Err(Failure::usage(
+                "several times make a folder of files: give -o DIR without an extension, and --format",
+            )),
+            (_, Some(_)) => Err(Failure::usage("--format and the extension of -o disagree")),
+            (_, None) => {
+                let format = asked.unwrap_or(SplatFormat::Ply);
+                let path = |k: usize| self.out.join(format!("time-{k:04}.{}", format.extension()));
+                let files = times.iter().enumerate().map(|(k, &t)| (t, path(k))).collect();
+                Ok(Plan { format, files, folder: Some(self.out.clone()) })
+            }
+        }
+    }
+
+    /// Nothing is overwritten unless asked; a folder is made only when there is something to put there.
+    fn check_free(&self, plan: &Plan) -> Result<(), Failure> {
+        let table = plan.folder.as_ref().map(|f| f.join(TABLE));
+        let taken = plan.files.iter().map(|f| &f.1).chain(&table).find(|p| p.exists());
+        match taken.filter(|_| !self.force) {
+            None => Ok(()),
+            Some(path) => Err(Failure::new(Class::Io, "io.exists", "the file exists already")
+                .place(path.display())
+                .why("nothing is overwritten unless asked")
+                .remedy("choose another name with -o, or pass -f")),
+        }
+    }
+
+    /// One splat file as another.
+    fn convert(&self, plan: &Plan) -> Result<Answer, Failure> {
+        if self.times.is_some() || self.max_error.is_some() {
+            return Err(Failure::usage(
+                "a splat file has one moment and no photographs: --times and --max-error need a run",
+            ));
+        }
+        let raw = load_splats(&self.scene, &Limits::default())?;
+        let splats = raw.to_splats().map_err(|source| ExportError::Splats { time: 0.0, source })?;
+        let plain = gs_core::io::RawSplats::from_splats(&splats.with_plain_kernel());
+        let plain = cut(plain.map_err(|source| ExportError::Splats { time: 0.0, source })?, self.sh_degree);
+        // A file that changes neither kernel nor degree keeps its own numbers.
+        let kept = if raw.kernel.is_neutral() { cut(raw, self.sh_degree) } else { plain };
+        let Some((_, path)) = plan.files.first() else { return Err(Failure::usage("no time to write")) };
+        make_folder(plan)?;
+        save_splats(path, &kept, self.force)?;
+        let again = load_splats(path, &Limits::default())?;
+        let text =
+            format!("{} splats, SH degree {}; read back whole\n-> {}\n", again.len(), again.degree, path.display());
+        Ok(Answer::new(
+            text,
+            json!({"files": [path.display().to_string()], "splats": again.len(), "psnr": Value::Null}),
+        ))
+    }
+
+    fn bake(&self, plan: &Plan, global: &Global) -> Result<Answer, Failure> {
+        let run = OpenRun::open(&self.scene)?;
+        let dataset = run.resolved.open_data()?;
+        let method = run.loaded.method.as_ref();
+        let baker = || Baker::new(method, &dataset.train, self.sh_degree);
+        make_folder(plan)?;
+        let mut progress = Progress::new(plan.files.len() as u64, "moments", global.quiet);
+        let mut written = Vec::new();
+        for (done, (time, path)) in plan.files.iter().enumerate() {
+            let raw = baker().bake(&moment(*time))?;
+            save_splats(path, &raw, self.force)?;
+            let again = load_splats(path, &Limits::default())?;
+            written.push(json!({"time": time, "file": path.display().to_string(), "splats": again.len()}));
+            progress.at(done as u64 + 1, || format!("{} splats", again.len()));
+        }
+        progress.finish();
+        if let Some(trouble) = method.trouble() {
+            return Err(Failure::new(Class::Data, "method.moment", trouble));
+        }
+        if let Some(folder) = &plan.folder {
+            let table = serde_json::to_vec_pretty(&written).unwrap_or_default();
+            gs_core::io::write_file(&folder.join(TABLE), self.force, |out| out.write_all(&table))?;
+        }
+        let loss = if self.no_eval { None } else { Some(self.measure(&run, &dataset, baker(), plan.format)?) };
+        let bytes: u64 = plan.files.iter().filter_map(|f| f.1.metadata().ok()).map(|m| m.len()).sum();
+        let mut text = format!("{} file(s), {:.2} MB, read back whole\n", plan.files.len(), bytes as f64 / 1e6);
+        if let Some(loss) = &loss {
+            text.push_str(&loss.to_text());
+        }
+        text.push_str(&format!("-> {}\n", self.out.display()));
+        let answer = json!({"files": written, "bytes": bytes, "psnr": loss.as_ref().map(Loss::to_json)});
+        self.verdict(loss.as_ref())?;
+        Ok(Answer::new(text, answer))
+    }
+
+    fn measure(&self, run: &OpenRun, data: &Dataset, baker: Baker<'_>, format: SplatFormat) -> Result<Loss, Failure> {
+        let photographs: ImageCache = run.photographs();
+        let score = |m| evaluate(m, data, self.split.into(), run.background(), &photographs);
+        let before = score(run.loaded.method.as_ref())?;
+        let after = score(&AsExported::new(baker, format))?;
+        Ok(Loss::of(&before, &after))
+    }
+
+    fn verdict(&self, loss: Option<&Loss>) -> Result<(), Failure> {
+        let (Some(most), Some(lost)) = (self.max_error, loss.and_then(Loss::mean)) else { return Ok(()) };
+        if lost <= most {
+            return Ok(());
+        }
+        Err(Failure::new(
+            Class::Verification,
+            "export.loss",
+            format!("the files lose {lost:.3} dB, --max-error allows {most}"),
+        )
+        .place(self.out.display())
+        .why("the files are written and draw, but not as well as asked for")
+        .remedy("try --format ply or glb, a higher --sh-degree, or gs4d compact, which keeps the method"))
+    }
+}
+
+/// The times of a folder's files.
+const TABLE: &str = "times.json";
+
+fn make_folder(plan: &Plan) -> Result<(), Failure> {
+    let Some(folder) = &plan.folder else { return Ok(()) };
+    std::fs::create_dir_all(folder).map_err(|e| Failure::io("make the folder", folder, &e))
+}
+
+/// What plain files cost.
+struct Loss {
+    before: Option<f64>,
+    after: Option<f64>,
+    /// Largest loss of a view, dB, and its time.
+    worst: Option<(f64, f32)>,
+    split: String,
+    views: usize,
+}
+
+impl Loss {
+    fn of(before: &EvalReport, after: &EvalReport) -> Self {
+        let pairs = before.views.iter().zip(&after.views);
+        let losses = pairs.filter_map(|(b, a)| Some((b.psnr? - a.psnr?, b.time)));
+        Self {
+            before: before.mean.psnr,
+            after: after.mean.psnr,
+            worst: losses.reduce(|a, b| if b.0 > a.0 { b } else { a }),
+            split: before.split.clone(),
+            views: before.views.len(),
+        }
+    }
+
+    /// dB; none where either is perfect.
+    fn mean(&self) -> Option<f64> {
+        Some(self.before? - self.after?)
+    }
+
+    fn to_text(&self) -> String {
+        let (Some(before), Some(after), Some(lost)) = (self.before, self.after, self.mean()) else {
+            return "psnr: every view is perfect\n".to_owned();
+        };
+        let worst = self.worst.map_or(String::new(), |(db, t)| format!(", worst {db:.3} dB at t = {t:.3}"));
+        format!(
+            "psnr over {} {} views: {before:.3} dB as trained, {after:.3} dB as written (mean loss {lost:.3} dB{worst})\n",
+            self.views, self.split
+        )
+    }
+
+    fn to_json(&self) -> Value {
+        let worst = self.worst.map(|(db, time)| json!({"loss": db, "time": time}));
+        json!({
+            "before": self.before, "after": self.after, "loss": self.mean(), "worst": worst,
+            "split": self.split, "views": self.views,
+        })
+    }
+}
+
+impl From<ExportError> for Failure {
+    fn from(e: ExportError) -> Self {
+        match e {
+            ExportError::Io(e) => e.into(),
+            other => Self::new(Class::Data, "export", other.to_string())
+                .remedy("gs4d inspect shows what the scene holds; choose another time"),
+        }
+    }
+}

@@ -1,0 +1,86 @@
+//! `gs4d view`: runs and splat files in the browser.
+
+use crate::Global;
+use crate::answer::Answer;
+use crate::failure::{Class, Failure};
+use crate::interrupt;
+use gs_core::io::{Limits, load_splats};
+use gs_train::run::OpenRun;
+use gs4d_view::picture::Packing;
+use gs4d_view::{Options, Show, Stage, ViewError, start};
+use serde_json::json;
+use std::net::{IpAddr, Ipv4Addr};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+/// Look at runs and splat files in a browser: orbit, scrub time, compare, pick
+#[derive(clap::Args)]
+pub struct View {
+    /// Run folders, .gs4d files or splat files; the first is shown, the others can be compared with it.
+    #[arg(value_name = "RUN|SCENE", required = true)]
+    scenes: Vec<PathBuf>,
+    /// Port; if it is taken, one of the next twenty.
+    #[arg(long, default_value_t = 7007)]
+    port: u16,
+    /// Address to listen at. Others than 127.0.0.1 let other machines look, if they know the key.
+    #[arg(long, default_value_t = IpAddr::V4(Ipv4Addr::LOCALHOST))]
+    host: IpAddr,
+    /// Send JPEG instead of PNG: a tenth of the bytes, for a browser on another machine.
+    #[arg(long)]
+    remote: bool,
+    /// Stop by itself after so many seconds.
+    #[arg(long, value_name = "SECONDS")]
+    seconds: Option<u64>,
+}
+
+impl View {
+    pub fn run(self, global: &Global) -> Result<Answer, Failure> {
+        let shows = self.scenes.iter().map(|p| self.show(p, global)).collect::<Result<Vec<_>, _>>()?;
+        let packing = if self.remote { Packing::Jpeg } else { Packing::Png };
+        let options = Options { host: self.host, port: self.port, packing };
+        let server = start(Stage { shows }, &options)?;
+        if !self.host.is_loopback() {
+            global.say("warning: other machines can reach this viewer; whoever has the key below sees the scene");
+        }
+        // The address is what the verb is for: it goes out at once, whatever is quiet.
+        eprintln!("view   {}", server.url);
+        global.say(format!("       from another machine: ssh -L {0}:127.0.0.1:{0} THIS_HOST", server.address.port()));
+        global.say("       Ctrl-C ends it");
+        let stop = interrupt::flag()?;
+        let begun = Instant::now();
+        let over = |s: u64| begun.elapsed() >= Duration::from_secs(s);
+        while !stop.load(Ordering::SeqCst) && !self.seconds.is_some_and(over) {
+            std::thread::sleep(Duration::from_millis(50));
+        }
+        Ok(Answer::new(String::new(), json!({"url": server.url})))
+    }
+
+    fn show(&self, path: &Path, global: &Global) -> Result<Show, Failure> {
+        let name = path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
+        if path.is_dir() || path.extension().is_some_and(|e| e == "gs4d") {
+            let run = OpenRun::open(path)?;
+            let dataset = run.resolved.open_data();
+            if let Err(e) = &dataset {
+                global.say(format!("warning: {name} is shown without its photographs: {e}"));
+            }
+            return Ok(Show::run(name, run, dataset.ok().as_ref()));
+        }
+        let splats = load_splats(path, &Limits::default())?.to_splats();
+        let wrong = |e: gs_core::splats::SplatsError| Failure::new(Class::Data, "data.splats", e.to_string());
+        Ok(Show::splats(name, splats.map_err(|e| wrong(e).place(path.display()))?))
+    }
+}
+
+impl From<ViewError> for Failure {
+    fn from(e: ViewError) -> Self {
+        let text = e.to_string();
+        match e {
+            ViewError::Port { .. } => {
+                Self::new(Class::Io, "view.port", text).remedy("choose another with --port, or end the other viewers")
+            }
+            ViewError::Threads(_) => Self::new(Class::Resource, "view.threads", text),
+            ViewError::Nothing => Self::usage(text),
+        }
+    }
+}

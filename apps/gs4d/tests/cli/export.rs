@@ -1,0 +1,102 @@
+//! `gs4d export`: files of plain splats that draw as the run does, and what they lose.
+
+use crate::support::{good, gs4d, text};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
+use tempfile::TempDir;
+
+/// From in front of the sheet, which lies around the origin with z up.
+const CAMERA: &str = r#"{"width": 48, "height": 48, "fx": 50, "fy": 50, "cx": 24, "cy": 24, "name": "front",
+    "world_to_camera": [[1,0,0,0],[0,0,-1,0],[0,1,0,4],[0,0,0,1]]}"#;
+
+/// A short run on a moving scene.
+fn run() -> &'static Path {
+    static MADE: OnceLock<(TempDir, PathBuf)> = OnceLock::new();
+    let make = || {
+        let dir = tempfile::tempdir().unwrap();
+        let (data, run) = (dir.path().join("sheet"), dir.path().join("run"));
+        good(&["synth", "sheet", "--size", "48", "-o", text(&data)]);
+        let all = ["train", text(&data), "-m", "fourdgs", "--preset", "tiny", "--steps", "200", "-q", "-o"];
+        good(&[&all[..], &[text(&run)]].concat());
+        (dir, run)
+    };
+    &MADE.get_or_init(make).1
+}
+
+#[test]
+fn every_format_is_read_back_and_measured() {
+    let dir = tempfile::tempdir().unwrap();
+    for (extension, allowed) in [("ply", 0.02), ("glb", 0.02), ("spz", 1.5), ("splat", 3.0)] {
+        let file = dir.path().join(format!("scene.{extension}"));
+        let json = good(&["export", text(run()), "-o", text(&file), "--json", "--quiet"]).json();
+        let loss = json["psnr"]["loss"].as_f64().unwrap();
+        // The run moves, the file is baked at each view's own time for the measurement: only the format costs.
+        assert!(loss.abs() <= allowed, "{extension}: {loss} dB");
+        assert_eq!(json["bytes"].as_u64().unwrap(), fs::metadata(&file).unwrap().len());
+        assert!(json["files"][0]["splats"].as_u64().unwrap() > 100);
+    }
+}
+
+#[test]
+fn a_file_draws_what_the_run_draws_at_its_time() {
+    let dir = tempfile::tempdir().unwrap();
+    let (file, camera) = (dir.path().join("half.glb"), dir.path().join("camera.json"));
+    fs::write(&camera, CAMERA).unwrap();
+    good(&["export", text(run()), "--times", "0.5", "--no-eval", "-o", text(&file)]);
+    let draw = |scene: &Path, name: &str, more: &[&str]| {
+        let out = dir.path().join(name);
+        let all = ["render", text(scene), "--camera", text(&camera), "--near", "0.2", "--background", "black", "-o"];
+        good(&[&all[..], &[text(&out)], more].concat());
+        image(&out.join("front.png"))
+    };
+    let (a, b) = (draw(&file, "a", &[]), draw(run(), "b", &["--time", "0.5"]));
+    assert_eq!(a.len(), b.len());
+    let worst = a.iter().zip(&b).map(|(x, y)| x.abs_diff(*y)).max().unwrap();
+    assert!(worst <= 2, "{worst} of 255");
+    let other = draw(run(), "c", &["--time", "0"]);
+    assert!(a.iter().zip(&other).any(|(x, y)| x.abs_diff(*y) > 8), "the scene moves");
+}
+
+fn image(path: &Path) -> Vec<u8> {
+    let picture = gs_core::io::images::load_rgba8(path, &gs_core::io::Limits::default()).unwrap();
+    picture.data
+}
+
+#[test]
+fn a_sequence_is_a_folder_with_its_times() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("moments");
+    let all = ["export", text(run()), "--times", "0..1:3", "--no-eval", "-o", text(&out)];
+    let answer = good(&[&all[..], &["--format", "splat", "--json"]].concat()).json();
+    let table: serde_json::Value = serde_json::from_slice(&fs::read(out.join("times.json")).unwrap()).unwrap();
+    assert_eq!(table, answer["files"]);
+    assert_eq!((table[1]["time"].as_f64(), table.as_array().unwrap().len()), (Some(0.5), 3));
+    assert!(out.join("time-0002.splat").exists());
+    gs4d(&all).fails(6, &["exists already", "-f"]);
+}
+
+#[test]
+fn files_become_other_files() {
+    let dir = tempfile::tempdir().unwrap();
+    let (ply, glb, again) = (dir.path().join("a.ply"), dir.path().join("a.glb"), dir.path().join("b.ply"));
+    good(&["export", text(run()), "--no-eval", "-o", text(&ply)]);
+    good(&["export", text(&ply), "-o", text(&glb)]);
+    good(&["export", text(&glb), "-o", text(&again)]);
+    let load = |p: &Path| gs_core::io::load_splats(p, &gs_core::io::Limits::default()).unwrap();
+    assert_eq!(load(&ply).means, load(&again).means);
+    assert_eq!(load(&ply).sh, load(&again).sh);
+    gs4d(&["export", text(&ply), "--times", "0..1:2", "-o", text(&dir.path().join("d"))]).fails(2, &["one moment"]);
+}
+
+#[test]
+fn too_much_loss_is_an_exit_code_of_its_own() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("s.splat");
+    let all = ["export", text(run()), "-o", text(&file), "--quiet", "--max-error"];
+    gs4d(&[&all[..], &["0"]].concat()).fails(7, &["--max-error allows 0", "gs4d compact"]);
+    assert!(file.exists(), "the file stays");
+    good(&[&all[..], &["30", "-f"]].concat());
+    gs4d(&["export", text(run()), "-o", "x.ply", "--times", "0..1:2"]).fails(2, &["-o DIR"]);
+    gs4d(&["export", text(run()), "-o", "x.ply", "--format", "glb"]).fails(2, &["disagree"]);
+}
