@@ -31,7 +31,11 @@ fn adam_error() -> f64 {
             *v = b2 * *v + (1.0 - b2) * g * g;
             *value -= lr * (*m / (1.0 - b1.powi(t))) / ((*v / (1.0 - b2.powi(t))).sqrt() + eps);
         }
-        adam.update(&mut p, Update { rate: 1e-2, eps: 1e-15, sparse: false }, &mut Refused::default());
+        adam.update(
+            &mut p,
+            Update { rate: 1e-2, eps: 1e-15, sparse: false, weight_decay: 0.0 },
+            &mut Refused::default(),
+        );
     }
     p.value.iter().zip(&want).map(|(a, b)| (f64::from(*a) - b[0]).abs()).fold(0.0, f64::max)
 }
@@ -41,7 +45,7 @@ fn adam_rows(criterion: &mut Criterion) {
     for (variant, sparse, share) in [("exact", false, 1), ("rows seen, all", true, 1), ("rows seen, a tenth", true, 10)]
     {
         let (rows, mut adam) = (100_000, Adam::default());
-        let update_rule = Update { rate: 1e-3, eps: 1e-15, sparse };
+        let update_rule = Update { rate: 1e-3, eps: 1e-15, sparse, weight_decay: 0.0 };
         let mut p = block(rows);
         for threads in [1, 2] {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");

@@ -4,17 +4,23 @@
 //! ```text
 //! cargo run --release -p gs-train --example train_dut -- [PRESET] [TEMPLATE] [KEY=VALUE ...]
 //! ```
-//! Keys `film.*` are of the film, others of the method (`film.frames=12`, `input="single"`, `schedule.stages.main.steps=500`).
+//! `seed=N` is that of the training, `look=DIR` a folder for pictures of the test views (truth, drawn, three times their
+//! difference); keys `film.*` are of the film, others of the method (`film.frames=12`, `input="single"`,
+//! `schedule.stages.main.steps=500`).
 
-use gs_raster::{RasterOptions, Workspace, render};
+use gs_core::Image;
+use gs_core::io::images::save_png;
+use gs_raster::{Workspace, render};
 use gs_train::avatar::AvatarScene;
 use gs_train::data::{Dataset, ImageCache, Split};
-use gs_train::evaluate::evaluate;
+use gs_train::evaluate::{clamped, evaluate};
 use gs_train::methods::dut::{Config, Dut, FrameError};
 use gs_train::methods::{InitConfig, Method, MethodEntry, SceneInfo, overlay};
+use gs_train::moment::Moment;
 use gs_train::synth::avatar::{self, AvatarOptions};
 use gs_train::trainer::{TrainOptions, Trainer};
 use std::error::Error;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -25,10 +31,13 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut config = MethodEntry::find("dut")?.config(&preset)?;
     let film = AvatarOptions { template, size: 256, frames: 16, test_every: 5, ..AvatarOptions::default() };
     let mut film = toml::Table::try_from(film)?;
+    let (mut look, mut training) = (None, TrainOptions::default());
     for setting in arguments {
-        match setting.strip_prefix("film.") {
-            Some(of_film) => overlay(&mut film, of_film.parse()?),
-            None => overlay(&mut config, setting.parse()?),
+        match setting.split_once(['=', '.']) {
+            Some(("look", folder)) => look = Some(PathBuf::from(folder)),
+            Some(("seed", seed)) => training.seed = seed.parse()?,
+            Some(("film", of_film)) => overlay(&mut film, of_film.parse()?),
+            _ => overlay(&mut config, setting.parse()?),
         }
     }
     let begun = Instant::now();
@@ -39,7 +48,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         dataset.train.len(),
         dataset.test.len()
     );
-    let mut trainer = Trainer::new(dataset.clone(), "dut", &config, TrainOptions::default())?;
+    let mut trainer = Trainer::new(dataset.clone(), "dut", &config, training.clone())?;
     println!("dut ({preset}): {} texels, {} steps", trainer.method().len(), trainer.steps());
     let every = (trainer.steps() / 10).max(1);
     while trainer.steps_done() < trainer.steps() {
@@ -56,7 +65,10 @@ fn main() -> Result<(), Box<dyn Error>> {
     for split in [Split::Train, Split::Test] {
         print_scores(&trainer, &dataset, split)?;
     }
-    let scene = SceneInfo::of(&dataset, &config["init"].clone().try_into::<InitConfig>()?, 0)?;
+    if let Some(folder) = look {
+        pictures(trainer.method(), &dataset, &folder)?;
+    }
+    let scene = SceneInfo::of(&dataset, &config["init"].clone().try_into::<InitConfig>()?, training.seed)?;
     let mut dut = Dut::new(config.try_into::<Config>()?, &scene)?;
     copy(trainer.method(), &mut dut);
     dut.set_step(trainer.steps());
@@ -89,16 +101,51 @@ fn print_scores(trainer: &Trainer, dataset: &Dataset, split: Split) -> Result<()
     Ok(())
 }
 
-/// Error of the offsets over the length of the true ones.
+/// Test views beside what is drawn, one in five.
+fn pictures(method: &dyn Method, dataset: &Dataset, folder: &Path) -> Result<(), Box<dyn Error>> {
+    std::fs::create_dir_all(folder)?;
+    let (photographs, options) = (ImageCache::new(256 << 20, 1.0), method.schedule().raster_options([0.0; 3]));
+    for view in dataset.test.iter().step_by(5) {
+        let splats = method.splats(&Moment::new(view.time), &view.camera);
+        let drawn = clamped(&render(&splats, &view.camera, &options, &mut Workspace::new()));
+        let truth = photographs.get(view)?.over([0.0; 3]);
+        let mut panel = Image::zeros(3 * truth.width, truth.height, 3);
+        for (y, x) in (0..truth.height).flat_map(|y| (0..truth.width).map(move |x| (y, x))) {
+            let (a, b) = (truth.pixel(x, y), drawn.pixel(x, y));
+            let difference: Vec<f32> = a.iter().zip(b).map(|(a, b)| 3.0 * (a - b).abs()).collect();
+            for (k, value) in [a, b, &difference].into_iter().enumerate() {
+                panel.pixel_mut(k * truth.width + x, y).copy_from_slice(value);
+            }
+        }
+        save_png(&folder.join(format!("{}.png", view.name.replace(['/', '\\'], "_"))), &panel, true)?;
+    }
+    Ok(())
+}
+
+/// Error of the offsets over the length of the true ones: in all, and along the normals of the bind pose.
 fn geometry(dut: &Dut, avatar: &AvatarScene) -> Result<(), FrameError> {
-    let (mut error, mut truth) = (0.0f64, 0.0f64);
+    let template = &avatar.character.template;
+    let normals = dut.actor().topology.normals(&template.vertices, &template.faces);
+    let (mut all, mut along) = ([0.0f64; 2], [0.0f64; 2]);
     for frame in &avatar.frames {
         let first = dut.first(frame)?;
         let (Some(found), Some(wanted)) = (dut.offsets(&first)?, avatar.true_offsets(frame)) else { continue };
-        error += found.iter().zip(&wanted).map(|(a, b)| f64::from(a.distance_squared(*b))).sum::<f64>();
-        truth += wanted.iter().map(|b| f64::from(b.length_squared())).sum::<f64>();
+        for ((found, wanted), normal) in found.iter().zip(&wanted).zip(&normals) {
+            for (k, v) in [*found - *wanted, *wanted].into_iter().enumerate() {
+                all[k] += f64::from(v.length_squared());
+                along[k] += f64::from(v.dot(*normal).powi(2));
+            }
+        }
     }
-    println!("offsets: RMS error / RMS length = {:.3}", (error / truth).sqrt());
+    let count = (avatar.frames.len() * template.vertices.len()) as f64;
+    let ratio = |[error, truth]: [f64; 2]| (error / truth).sqrt();
+    println!(
+        "offsets: RMS error / RMS length = {:.3} of {:.1} mm; along normals {:.3} of {:.1} mm",
+        ratio(all),
+        1e3 * (all[1] / count).sqrt(),
+        ratio(along),
+        1e3 * (along[1] / count).sqrt()
+    );
     Ok(())
 }
 
@@ -122,8 +169,7 @@ fn times(dut: &Dut, avatar: &AvatarScene) -> Result<(), FrameError> {
         dut.rows(&second, &mut rows)?;
         let splats = dut.decode(&rows, &second)?;
         marks.push(Instant::now());
-        let options = RasterOptions { antialias: true, ..RasterOptions::default() };
-        render(&splats, &camera, &options, &mut workspace);
+        render(&splats, &camera, &dut.schedule().raster_options([0.0; 3]), &mut workspace);
         marks.push(Instant::now());
         sums.iter_mut().zip(marks.windows(2)).for_each(|(s, m)| *s += (m[1] - m[0]).as_secs_f64() * 1e3);
     }

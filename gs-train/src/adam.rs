@@ -2,9 +2,10 @@
 //!
 //! ```text
 //! m ← β₁ m + (1 − β₁) g        v ← β₂ v + (1 − β₂) g²
-//! p ← p − lr · (m / (1 − β₁ᵗ)) / (sqrt(v / (1 − β₂ᵗ)) + ε)
+//! p ← (1 − lr · λ) p − lr · (m / (1 − β₁ᵗ)) / (sqrt(v / (1 − β₂ᵗ)) + ε)
 //! ```
-//! `t` counts the updates of each block. Gradients are guarded in the same pass: a row of a row block with a gradient
+//! `λ` is weight decay, decoupled from the gradient (AdamW, Loshchilov and Hutter 2019); 0 unless asked for. `t` counts the
+//! updates of each block. Gradients are guarded in the same pass: a row of a row block with a gradient
 //! that is not finite is left alone (value and moments), its gradient cleared, and counted; in a block shared by all
 //! splats such a gradient is reported, and nothing of its chunk is updated.
 //!
@@ -51,6 +52,8 @@ pub struct Update {
     pub eps: f32,
     /// Rows whose gradient is exactly zero keep value and moments.
     pub sparse: bool,
+    /// Weight decay λ.
+    pub weight_decay: f32,
 }
 
 /// Gradients met that were not finite.
@@ -85,6 +88,8 @@ struct Factors {
     /// `1 / sqrt(1 − β₂ᵗ)`.
     root: f32,
     eps: f32,
+    /// `1 − lr λ`.
+    keep: f32,
 }
 
 impl Default for Adam {
@@ -134,6 +139,7 @@ impl Adam {
             rate: (f64::from(update.rate) / correction(o.beta1)) as f32,
             root: (1.0 / correction(o.beta2).sqrt()) as f32,
             eps: update.eps,
+            keep: (1.0 - f64::from(update.rate) * f64::from(update.weight_decay)) as f32,
         };
         let width = p.row_width.unwrap_or(1);
         let piece = width * (PIECE / width).max(1);
@@ -303,7 +309,7 @@ fn update_row(value: &mut [f32], m: &mut [f32], v: &mut [f32], grad: &[f32], f: 
 fn update_value(p: &mut f32, m: &mut f32, v: &mut f32, g: f32, f: &Factors) {
     *m = f.beta1 * *m + (1.0 - f.beta1) * g;
     *v = f.beta2 * *v + (1.0 - f.beta2) * (g * g);
-    *p -= f.rate * *m / (v.sqrt() * f.root + f.eps);
+    *p = *p * f.keep - f.rate * *m / (v.sqrt() * f.root + f.eps);
 }
 
 /// All bits but the sign are zero.
@@ -318,7 +324,7 @@ mod tests {
     use gs_core::Rng;
 
     fn every(rate: f32) -> Update {
-        Update { rate, eps: 1e-15, sparse: false }
+        Update { rate, eps: 1e-15, sparse: false, weight_decay: 0.0 }
     }
 
     /// The definition, in f64.
@@ -359,6 +365,23 @@ mod tests {
             }
             assert_eq!(kept[0], kept[1], "the same bits at every level");
         }
+    }
+
+    #[test]
+    fn weight_decay_is_decoupled_from_the_gradient() {
+        let mut decayed = Param::shared("w", vec![2.0, -3.0]);
+        let mut plain = decayed.clone();
+        let (mut decays, mut adam) = (Adam::default(), Adam::default());
+        for step in 1..=20 {
+            for (adam, p, weight_decay) in [(&mut decays, &mut decayed, 0.5), (&mut adam, &mut plain, 0.0)] {
+                p.grad = vec![0.3, 0.0];
+                adam.update(p, Update { weight_decay, ..every(1e-2) }, &mut Refused::default());
+            }
+            // No gradient: decay alone.
+            let want = -3.0 * (1.0f64 - 0.5e-2).powi(step);
+            assert!((f64::from(decayed.value[1]) / want - 1.0).abs() < 1e-6 && plain.value[1] == -3.0);
+        }
+        assert_eq!((&decayed.moment1, &decayed.moment2), (&plain.moment1, &plain.moment2));
     }
 
     fn rows() -> Param {

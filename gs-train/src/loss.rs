@@ -8,6 +8,7 @@
 //! `sign(0) = 0` (Kerbl et al. 2023, section 5; λ = 0.2). `F` is the orthonormal Fourier transform of the whole image
 //! (FAGS, eq. 10; φ = 0.3; see [`gs_metrics::spectrum`]). At λ = 0 no SSIM is computed, at φ = 0 no transform.
 
+use crate::data::ImageU8;
 use crate::schedule::ScheduleError;
 use gs_core::Image;
 use gs_metrics::{AmplitudeLoss, MetricError, MsSsim, MsSsimOptions, Ssim, SsimOptions};
@@ -29,6 +30,8 @@ pub enum Dssim {
     /// SSIM with zeros outside the image.
     #[default]
     Ssim,
+    /// The same over the box of what the photograph shows (DUT: the person's), with zeros outside the box.
+    SsimBox,
     /// MS-SSIM of five levels; both sides need more than 160 pixels.
     MsSsim,
 }
@@ -40,7 +43,7 @@ impl Dssim {
     /// If a side is too short.
     pub fn check_size(self, width: u32, height: u32) -> Result<(), ScheduleError> {
         let side = width.min(height);
-        if self == Dssim::Ssim || side as usize > MsSsimOptions::default().side_limit() {
+        if self != Dssim::MsSsim || side as usize > MsSsimOptions::default().side_limit() {
             return Ok(());
         }
         let rule = "ms_ssim needs training images with both sides above 160 pixels; use \"ssim\" or larger images";
@@ -59,6 +62,47 @@ pub struct LossWeights {
     pub l1: Option<f32>,
     /// φ, at least 0.
     pub fre: f32,
+    /// The box of [`Dssim::SsimBox`]; the whole image if absent.
+    pub region: Option<Region>,
+}
+
+/// A rectangle of pixels; `high` is the first row and column beyond it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Region {
+    /// Column and row of the first pixel.
+    pub low: [usize; 2],
+    /// Column and row behind the last pixel.
+    pub high: [usize; 2],
+}
+
+impl Region {
+    /// The smallest that holds all pixels of some opacity; none if there is no such pixel.
+    pub fn shown(image: &ImageU8) -> Option<Self> {
+        let opaque = (0..image.data.len() / 4).filter(|i| image.data[4 * i + 3] > 0);
+        opaque.map(|i| [i % image.width, i / image.width]).fold(None, |found, [x, y]| {
+            let Self { low, high } = found.unwrap_or(Self { low: [x, y], high: [x, y] });
+            Some(Self { low: [low[0].min(x), low[1].min(y)], high: [high[0].max(x + 1), high[1].max(y + 1)] })
+        })
+    }
+
+    fn crop(self, from: &Image, to: &mut Image) {
+        let ([x0, y0], [x1, y1], c) = (self.low, self.high, from.channels);
+        (to.width, to.height, to.channels) = (x1 - x0, y1 - y0, c);
+        to.data.clear();
+        (y0..y1)
+            .for_each(|y| to.data.extend_from_slice(&from.data[(y * from.width + x0) * c..(y * from.width + x1) * c]));
+    }
+
+    /// `from`, of the region's size, into zeros of the shape of `like`.
+    fn paste(self, from: &Image, like: &Image, to: &mut Image) {
+        (to.width, to.height, to.channels) = like.shape();
+        to.data.clear();
+        to.data.resize(like.data.len(), 0.0);
+        let ([x0, y0], width) = (self.low, from.width * from.channels);
+        for (y, row) in from.data.chunks_exact(width.max(1)).enumerate() {
+            to.data[((y0 + y) * like.width + x0) * like.channels..][..width].copy_from_slice(row);
+        }
+    }
 }
 
 impl LossWeights {
@@ -92,6 +136,8 @@ pub struct ImageLoss {
     drawn: Image,
     ssim_grad: Image,
     fre_grad: Image,
+    /// Drawn frame, photograph and gradient within a region.
+    cropped: [Image; 3],
 }
 
 impl ImageLoss {
@@ -133,6 +179,16 @@ impl ImageLoss {
         let ssim = match weights.structure {
             _ if lambda <= 0.0 => None,
             Dssim::Ssim => Some(self.ssim.value_and_grad(drawn, target, &mut self.ssim_grad)?),
+            Dssim::SsimBox => {
+                let [a, b, d] = &mut self.cropped;
+                let all = Region { low: [0; 2], high: [drawn.width, drawn.height] };
+                let region = weights.region.unwrap_or(all);
+                region.crop(drawn, a);
+                region.crop(target, b);
+                let value = self.ssim.value_and_grad(a, b, d)?;
+                region.paste(d, drawn, &mut self.ssim_grad);
+                Some(value)
+            }
             Dssim::MsSsim => Some(self.ms_ssim.value_and_grad(drawn, target, &mut self.ssim_grad)?),
         };
         let fre = match phi > 0.0 {
@@ -270,6 +326,33 @@ mod tests {
         assert_eq!(with.total, without.total + f64::from(0.3f32) * fre);
         let sums = grad.rgb.iter().zip(&alone.data).map(|(g, f)| g + 0.3 * f);
         assert!(both.rgb.iter().zip(sums).all(|(b, s)| *b == s));
+    }
+
+    #[test]
+    fn within_a_box_only_the_box_is_looked_at() {
+        let region = Region { low: [3, 5], high: [30, 21] };
+        let (mut frame, target) = pair();
+        let (mut grad, mut alone) = (FrameGrad::default(), Image::default());
+        let weights = LossWeights { structure: Dssim::SsimBox, region: Some(region), ..plain(1.0) };
+        let terms = ImageLoss::new().evaluate(&mut frame, &target, &weights, &mut grad).unwrap();
+        let drawn = Image { data: frame.rgb.clone(), ..target.clone() };
+        let [mut a, mut b] = [Image::default(), Image::default()];
+        region.crop(&drawn, &mut a);
+        region.crop(&target, &mut b);
+        let value = Ssim::new(SsimOptions::default()).value_and_grad(&a, &b, &mut alone).unwrap();
+        assert_eq!((a.shape(), terms.ssim), ((27, 16, 3), Some(value)));
+        for (k, g) in grad.rgb.iter().enumerate() {
+            let (x, y) = (k / 3 % 37, k / 3 / 37);
+            let inside = (3..30).contains(&x) && (5..21).contains(&y);
+            let want = if inside { -alone.pixel(x - 3, y - 5)[k % 3] } else { 0.0 };
+            assert_eq!(*g, want, "({x}, {y})");
+        }
+        let mut image = ImageU8 { width: 37, height: 23, data: vec![0; 37 * 23 * 4] };
+        assert_eq!(Region::shown(&image), None);
+        for [x, y] in [[3, 7], [29, 20], [11, 5]] {
+            image.data[(y * 37 + x) * 4 + 3] = 1;
+        }
+        assert_eq!(Region::shown(&image), Some(region));
     }
 
     #[test]

@@ -25,7 +25,8 @@ pub struct Schedule {
     pub background: Background,
     /// Weight λ of `1 − SSIM`; L1 has `1 − λ` (3DGS: 0.2; 4DGaussians: 0).
     pub lambda_dssim: f32,
-    /// What λ weighs: `ssim`, or `ms_ssim` for images with both sides above 160 pixels.
+    /// What λ weighs: `ssim`, `ssim_box` over the box of what photographs show, or `ms_ssim` for images with both sides
+    /// above 160 pixels.
     #[serde(default)]
     pub dssim: Dssim,
     /// Weight of L1; `1 − lambda_dssim` if absent (MoDec-GS: 1 beside 0.2).
@@ -45,6 +46,9 @@ pub struct Schedule {
     pub near: f64,
     /// Opacities are compensated for the dilation of small splats (Mip-Splatting's 2D filter; 3DGS: off).
     pub antialias: bool,
+    /// Added to the variances of projected splats, pixels² (3DGS: 0.3; DUT: 0.1).
+    #[serde(default = "kerbl_dilation")]
+    pub dilation: f64,
     /// Clone, split, prune and opacity reset of methods with a cloud.
     #[serde(default = "DensityRules::kerbl2023")]
     pub density: DensityRules,
@@ -60,6 +64,10 @@ pub struct Schedule {
 
 fn one() -> u32 {
     1
+}
+
+fn kerbl_dilation() -> f64 {
+    RasterOptions::default().dilation
 }
 
 /// A stretch of a run.
@@ -110,6 +118,9 @@ pub struct LearningRate {
     /// No learning before this step of the clock.
     #[serde(default)]
     pub from: u32,
+    /// Weight decay of these parameters, times the rate, per step (AdamW).
+    #[serde(default)]
+    pub weight_decay: f32,
 }
 
 /// What lies behind the scene.
@@ -150,7 +161,16 @@ pub struct Position {
 impl LearningRate {
     /// A constant rate.
     pub const fn constant(rate: f32) -> Self {
-        Self { start: rate, end: rate, steps: 0, per_extent: false, eps: 0.0, sparse: false, from: 0 }
+        Self {
+            start: rate,
+            end: rate,
+            steps: 0,
+            per_extent: false,
+            eps: 0.0,
+            sparse: false,
+            from: 0,
+            weight_decay: 0.0,
+        }
     }
 
     /// A log-linear decay.
@@ -266,7 +286,8 @@ impl Schedule {
         let rule = self.rule(&p.name)?;
         let eps = if rule.eps > 0.0 { rule.eps } else { self.adam_eps };
         let sparse = rule.sparse || self.sparse_adam && p.row_width.is_some();
-        Some(Update { rate: rule.at(clock, extent), eps, sparse }).filter(|u| u.rate > 0.0)
+        Some(Update { rate: rule.at(clock, extent), eps, sparse, weight_decay: rule.weight_decay })
+            .filter(|u| u.rate > 0.0)
     }
 
     /// Lets a parameter rest for the whole run.
@@ -278,7 +299,13 @@ impl Schedule {
 
     /// The weights of the image loss.
     pub fn loss(&self) -> LossWeights {
-        LossWeights { dssim: self.lambda_dssim, structure: self.dssim, l1: self.lambda_l1, fre: self.lambda_fre }
+        LossWeights {
+            dssim: self.lambda_dssim,
+            structure: self.dssim,
+            l1: self.lambda_l1,
+            fre: self.lambda_fre,
+            region: None,
+        }
     }
 
     /// How frames are drawn over a background, in training as in evaluation. Saturated splats keep learning, as in
@@ -288,6 +315,7 @@ impl Schedule {
             background,
             near: self.near,
             antialias: self.antialias,
+            dilation: self.dilation,
             clamp_grad: ClampGrad::PassThrough,
             ..RasterOptions::default()
         }
@@ -325,6 +353,8 @@ impl Schedule {
         need(fre >= 0.0 && fre.is_finite(), "lambda_fre", fre.into(), "finite, not negative")?;
         need(share(self.max_quarantine), "max_quarantine", self.max_quarantine.into(), "0 to 1")?;
         need(self.near > 0.0 && self.near.is_finite(), "near", self.near, "above 0, finite")?;
+        let dilation = self.dilation;
+        need(dilation >= 0.0 && dilation.is_finite(), "dilation", dilation, "finite, not negative")?;
         need(self.adam_eps > 0.0 && self.adam_eps < 1.0, "adam_eps", self.adam_eps.into(), "above 0, below 1")?;
         for (name, s) in &self.stages {
             let good = s.image_scale > 0.0 && s.image_scale <= 1.0;
@@ -340,6 +370,8 @@ impl Schedule {
             }
             let eps = rate.eps;
             need((0.0..1.0).contains(&eps), &format!("lr.{name}.eps"), eps.into(), "0 or more, below 1")?;
+            let decay = rate.weight_decay;
+            need((0.0..=1.0).contains(&decay), &format!("lr.{name}.weight_decay"), decay.into(), "0 to 1")?;
         }
         self.density.check()
     }
@@ -379,6 +411,7 @@ mod tests {
             adam_eps: 1e-15,
             near: 0.01,
             antialias: false,
+            dilation: 0.3,
             stages: named(stages),
             lr,
         }
@@ -407,7 +440,7 @@ mod tests {
     fn groups_have_their_own_epsilon_and_may_rest() {
         let mut s = schedule(vec![stage(10, false)]);
         let (means, table) = (Param::rows("cloud.means", 3, vec![0.0; 3]), Param::shared("field.planes.xy", vec![0.0]));
-        let plain = Update { rate: 1e-2, eps: 1e-15, sparse: false };
+        let plain = Update { rate: 1e-2, eps: 1e-15, sparse: false, weight_decay: 0.0 };
         assert_eq!(s.update(&table, 1, 1.0), Some(plain));
         let rule = rate(&mut s, "field", "planes");
         *rule = LearningRate { eps: 1e-8, sparse: true, from: 5, ..*rule };
@@ -474,6 +507,8 @@ mod tests {
         assert_eq!(fault(&|s| rate(s, "cloud", "means").end = f32::INFINITY), "lr.cloud.means.end");
         assert_eq!(fault(&|s| rate(s, "field", "all").start = -1.0), "lr.field.all.start");
         assert_eq!(fault(&|s| rate(s, "field", "all").eps = 1.0), "lr.field.all.eps");
+        assert_eq!(fault(&|s| rate(s, "field", "all").weight_decay = -0.1), "lr.field.all.weight_decay");
+        assert_eq!(fault(&|s| s.dilation = -0.1), "dilation");
         assert_eq!(fault(&|s| s.density.split_factor = 0.5), "density.split_factor");
     }
 

@@ -8,11 +8,10 @@ use crate::adam::{Adam, Refused, Update};
 use crate::checkpoint::Checkpoint;
 use crate::data::{Dataset, ImageCache, View};
 use crate::density::Adapted;
-use crate::loss::LossTerms;
+use crate::loss::{Dssim, LossTerms, Region};
 use crate::methods::{self, InitConfig, Method, MethodEntry, MethodError, SceneInfo};
 use crate::moment::Moment;
-use gs_core::{Camera, Image, Param};
-use gs_raster::RasterOptions;
+use gs_core::Param;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -237,9 +236,8 @@ impl Trainer {
             drawn.ms.field = ms_since(begun);
             return self.check_trouble().map(|()| drawn);
         }
-        let (camera, target, options) = self.photograph(view, draw)?;
+        let sheet = self.photograph(view, draw, share)?;
         let data = ms_since(begun);
-        let sheet = Sheet { camera, options, target, weights: self.method.schedule().loss(), share };
         let easel = &mut self.easel;
         self.method.step(&at, &sheet.camera, &mut |splats, d| drawn = easel.draw(splats, &sheet, d));
         self.check_trouble()?;
@@ -299,11 +297,21 @@ impl Trainer {
         }
     }
 
-    fn photograph(&self, view: &View, draw: u32) -> Result<(Camera, Image, RasterOptions), TrainError> {
+    fn photograph(&self, view: &View, draw: u32, share: f32) -> Result<Sheet, TrainError> {
         let schedule = self.method.schedule();
         let background = schedule.background.color(self.options.seed, draw);
         let image = self.cache.get(view)?;
-        Ok((self.cache.camera(view), image.over(background), schedule.raster_options(background)))
+        let mut weights = schedule.loss();
+        if weights.structure == Dssim::SsimBox {
+            weights.region = Region::shown(&image);
+        }
+        Ok(Sheet {
+            camera: self.cache.camera(view),
+            options: schedule.raster_options(background),
+            target: image.over(background),
+            weights,
+            share,
+        })
     }
 
     fn update(&mut self, step: u32) -> Refused {
@@ -375,6 +383,7 @@ mod tests {
     use super::*;
     use crate::schedule::Schedule;
     use crate::synth::{self, SynthOptions};
+    use gs_core::Camera;
     use gs_core::{Params, Splats, SplatsGrad};
 
     /// Two blocks whose gradients are what the test wants.

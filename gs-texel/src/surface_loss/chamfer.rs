@@ -4,6 +4,12 @@
 //! L = (1/N) Σ_p min_q |p − q|² + (1/|Q|) Σ_q min_p |q − p|²                                   (squared metres)
 //! g_p = (2/N)(p − q_near(p)) + (2/|Q|) Σ_{q whose nearest is p} (p − q)
 //! ```
+//! Vertices are neither as many nor as even as points, so these distances also push vertices along the surface to where there
+//! are few of them. With unit normals `n` held still, the part along the surface may count less, by `s` from 0 to 1
+//! (0: distances to planes, Chen and Medioni 1992):
+//! ```text
+//! |e|²  becomes  (n·e)² + s |e − n (n·e)|²        e = p − q
+//! ```
 //! Neighbours come from k-d trees in `f32` about the middle of `Q`: of points equally near to rounding either may be taken,
 //! which moves the value by rounding. Distances are then taken in `f64`.
 
@@ -65,6 +71,33 @@ impl Chamfer {
     /// # Errors
     /// As [`Chamfer::new`], for the vertices.
     pub fn evaluate<P: Point>(&self, points: &[P]) -> Result<SurfaceLoss, ChamferError> {
+        self.evaluate_along(points, |_, away| away)
+    }
+
+    /// The same, where distances along the surface count `slide` times as much as those along its unit normals; a vertex
+    /// without a normal counts `slide` in all directions.
+    ///
+    /// # Errors
+    /// As [`Chamfer::evaluate`].
+    pub fn evaluate_sliding<P: Point>(
+        &self,
+        points: &[P],
+        normals: &[P],
+        slide: f64,
+    ) -> Result<SurfaceLoss, ChamferError> {
+        let along = |i: usize, away: DVec3| {
+            let n = normals.get(i).map_or(DVec3::ZERO, |n| n.wide());
+            (1.0 - slide) * n.dot(away) * n + slide * away
+        };
+        self.evaluate_along(points, along)
+    }
+
+    /// `along` gives of a vertex and its distance `e` the vector `M e` of the loss `eᵀ M e`.
+    fn evaluate_along<P: Point>(
+        &self,
+        points: &[P],
+        along: impl Fn(usize, DVec3) -> DVec3,
+    ) -> Result<SurfaceLoss, ChamferError> {
         const WHAT: &str = "vertices";
         let points: Vec<DVec3> = points.iter().map(|p| p.wide()).collect();
         check(&points, WHAT)?;
@@ -73,14 +106,16 @@ impl Chamfer {
         let share = 1.0 / points.len() as f64;
         for (i, q) in nearest(&self.tree, &points, self.middle).into_iter().enumerate() {
             let away = points[i] - self.target[q as usize];
-            loss.value += share * away.length_squared();
-            loss.grad[i] += 2.0 * share * away;
+            let counts = along(i, away);
+            loss.value += share * away.dot(counts);
+            loss.grad[i] += 2.0 * share * counts;
         }
         let share = 1.0 / self.target.len() as f64;
         for (q, i) in nearest(&moving, &self.target, self.middle).into_iter().enumerate() {
             let away = points[i as usize] - self.target[q];
-            loss.value += share * away.length_squared();
-            loss.grad[i as usize] += 2.0 * share * away;
+            let counts = along(i as usize, away);
+            loss.value += share * away.dot(counts);
+            loss.grad[i as usize] += 2.0 * share * counts;
         }
         Ok(loss)
     }

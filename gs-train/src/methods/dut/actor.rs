@@ -8,7 +8,7 @@ use glam::{Affine3A, Vec3};
 use gs_core::{Camera, Image, Time};
 use gs_texel::gaussians::warm_up::WarmUpError;
 use gs_texel::gaussians::{BaseError, ChannelsError, TexelBase};
-use gs_texel::inpaint::InpaintError;
+use gs_texel::inpaint::{InpaintError, Unseen, inpaint};
 use gs_texel::net::NetError;
 use gs_texel::scale_refine::ScaleRefine;
 use gs_texel::skin::{rotations, skin};
@@ -20,6 +20,9 @@ use std::sync::Arc;
 
 /// Bytes of decoded input images kept.
 const IMAGE_BYTES: usize = 256 << 20;
+
+/// The mean texture is that of so many frames, spread over the recording.
+const MEAN_FRAMES: usize = 8;
 
 /// What a frame cannot be made of.
 #[derive(Debug, thiserror::Error)]
@@ -67,6 +70,9 @@ pub enum ActorError {
     /// A setting.
     #[error(transparent)]
     Unproject(#[from] UnprojectError),
+    /// A frame of the mean texture.
+    #[error("mean texture: {0}")]
+    Frame(#[from] Box<FrameError>),
 }
 
 /// Everything of a person that does not depend on the moment.
@@ -86,8 +92,10 @@ pub struct Actor {
     /// GeoNet's map at the vertices.
     pub reader: MapReader,
     refine: ScaleRefine,
-    unproject: UnprojectConfig,
+    pub(super) unproject: UnprojectConfig,
     images: ImageCache,
+    /// What GeoNet sees its colours less of, one row per texel of it.
+    middle: Option<Vec<[f32; 3]>>,
     rgb: bool,
     normals: bool,
     kappa: bool,
@@ -104,7 +112,9 @@ pub struct Posed {
     turns: Vec<[f32; 4]>,
     /// `κ`.
     kappas: Vec<f32>,
-    /// Normals of the posed template without the rotation of its root.
+    /// Normals of the posed template.
+    pub normals: Vec<Vec3>,
+    /// The same without the rotation of its root.
     root_free: Vec<Vec3>,
 }
 
@@ -154,12 +164,13 @@ impl Actor {
         let TextureSizes { unproject, geo, gau } = config.textures;
         let (fine, geo, gau) = (table(unproject)?, table(geo)?, table(gau)?);
         let (vertices, seams) = (t.vertices.len(), config.surface.seams);
-        Ok(Self {
+        let mut actor = Self {
             rest_normals: topology.normals(&t.vertices, &t.faces),
             reader: MapReader::at_vertices(&geo, vertices, &t.faces, &t.uvs, &t.face_uvs, seams),
             refine: ScaleRefine::new(&t.vertices, &t.faces, config.refine),
             unproject: config.unproject,
             images: ImageCache::new(IMAGE_BYTES, 1.0),
+            middle: None,
             rgb: config.rgb,
             normals: config.normals,
             kappa: config.kappa,
@@ -168,7 +179,11 @@ impl Actor {
             geo,
             gau,
             scene,
-        })
+        };
+        if config.centred && config.rgb {
+            actor.middle = Some(actor.mean_texture(&actor.geo).map_err(Box::new)?);
+        }
+        Ok(actor)
     }
 
     /// The frame of a moment.
@@ -195,9 +210,10 @@ impl Actor {
             false => vec![1.0; canonical.len()],
         };
         let back = skeleton.root_rotation(&frame.pose).transpose().as_mat3();
-        let turned = |(n, m): (&Vec3, &Affine3A)| back * (m.matrix3 * *n).normalize_or_zero();
-        let root_free = self.rest_normals.iter().zip(&transforms).map(turned).collect();
-        Posed { canonical, transforms, turns, kappas, root_free }
+        let turned = |(n, m): (&Vec3, &Affine3A)| (m.matrix3 * *n).normalize_or_zero();
+        let normals: Vec<Vec3> = self.rest_normals.iter().zip(&transforms).map(turned).collect();
+        let root_free = normals.iter().map(|n| back * *n).collect();
+        Posed { canonical, transforms, turns, kappas, normals, root_free }
     }
 
     /// The images of a frame's conditioning cameras, decoded; colours are straight, the fourth channel is coverage.
@@ -246,7 +262,7 @@ impl Actor {
     /// As [`Self::look`].
     pub fn first_of(&self, posed: Posed, photographs: &[(Camera, Image)]) -> Result<First, FrameError> {
         let seen = self.look(&skin(&posed.canonical, &posed.transforms), photographs)?;
-        let input = self.input(&self.geo, &self.resized(&seen, &self.geo), &posed);
+        let input = self.input(&self.geo, &self.resized(&seen, &self.geo), &posed, self.middle.as_deref());
         Ok(First { posed, seen, input })
     }
 
@@ -276,7 +292,7 @@ impl Actor {
         };
         let offsets = offsets.unwrap_or_else(|| vec![Vec3::ZERO; posed.canonical.len()]);
         let seen = self.resized(seen, &self.gau);
-        let input = self.input(&self.gau, &seen, posed);
+        let input = self.input(&self.gau, &seen, posed, None);
         Ok(Second { base: self.base(posed, &offsets)?, offsets, seen, input })
     }
 
@@ -288,6 +304,30 @@ impl Actor {
         let points: Vec<Vec3> = posed.canonical.iter().zip(offsets).map(|(&p, &d)| p + d).collect();
         let faces = &self.scene.character.template.faces;
         Ok(TexelBase::new(&self.gau, faces, &points, &posed.transforms, &posed.turns, &posed.kappas)?)
+    }
+
+    /// The mean of first textures at the texels of a table where they are seen, in-painted elsewhere.
+    ///
+    /// # Errors
+    /// As [`Self::first`].
+    pub fn mean_texture(&self, table: &TexelTable) -> Result<Vec<[f32; 3]>, FrameError> {
+        let (mut sums, mut counts) = (vec![[0.0f32; 3]; table.len()], vec![0.0f32; table.len()]);
+        let step = self.scene.frames.len().div_ceil(MEAN_FRAMES).max(1);
+        for frame in self.scene.frames.iter().step_by(step) {
+            let posed = self.pose(frame);
+            let seen = self.look(&skin(&posed.canonical, &posed.transforms), &self.photographs(frame)?)?;
+            let seen = self.resized(&seen, table);
+            for (k, (color, views)) in seen.colors.iter().zip(&seen.views).enumerate() {
+                if *views > 0.0 {
+                    sums[k].iter_mut().zip(color).for_each(|(s, c)| *s += c);
+                    counts[k] += 1.0;
+                }
+            }
+        }
+        let mut colors: Vec<[f32; 3]> = sums.iter().zip(&counts).map(|(s, n)| s.map(|v| v / n.max(1.0))).collect();
+        let known: Vec<bool> = counts.iter().map(|n| *n > 0.0).collect();
+        inpaint(table, &mut colors, &known, Unseen::Nearest)?;
+        Ok(colors)
     }
 
     /// What is seen at the texels of another table: the mean over seen texels nearby, unseen where there is none.
@@ -304,16 +344,20 @@ impl Actor {
         Seen { colors, views }
     }
 
-    /// A network's input `[S, S, 6]`: colours as `2 T − 1`, black where nothing is seen, and the root-free normals.
-    fn input(&self, table: &TexelTable, seen: &Seen, posed: &Posed) -> Vec<f32> {
+    /// A network's input `[S, S, 6]`: colours as `2 T − 1`, black where nothing is seen, and the root-free normals. Colours
+    /// less a `middle` are `2 (T − middle)`, 0 where nothing is seen.
+    fn input(&self, table: &TexelTable, seen: &Seen, posed: &Posed, middle: Option<&[[f32; 3]]>) -> Vec<f32> {
         let faces = &self.scene.character.template.faces;
-        let empty = if self.rgb { -1.0 } else { 0.0 };
+        let empty = if self.rgb && middle.is_none() { -1.0 } else { 0.0 };
         let mut map = vec![0.0; table.row.len() * 6];
         map.chunks_exact_mut(6).for_each(|p| p[..3].fill(empty));
         for (k, (&t, color)) in table.valid.iter().zip(&seen.colors).enumerate() {
             let at = &mut map[t as usize * 6..][..6];
-            if self.rgb {
-                at.iter_mut().zip(color).for_each(|(v, c)| *v = 2.0 * c - 1.0);
+            match middle {
+                _ if !self.rgb => {}
+                Some(middle) if seen.views[k] > 0.0 => (0..3).for_each(|i| at[i] = 2.0 * (color[i] - middle[k][i])),
+                Some(_) => {}
+                None => (0..3).for_each(|i| at[i] = 2.0 * color[i] - 1.0),
             }
             if self.normals {
                 at[3..].copy_from_slice(&table.at(faces, &posed.root_free, k).to_array());

@@ -70,18 +70,38 @@ pub enum DirectColor {
 pub struct DirectConfig {
     /// What colours are made of.
     pub color: DirectColor,
-    /// The first opacity, between 0 and 1.
+}
+
+/// The Gaussians that learning begins with.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ReferenceConfig {
+    /// Opacity, between 0 and 1.
     pub opacity: f32,
-    /// First standard deviations over the distance of neighbouring texels.
+    /// Standard deviations over the distance of neighbouring texels.
     pub spread: f32,
+}
+
+/// What is smooth.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum LaplacianRule {
+    /// The deformed surface.
+    Positions,
+    /// What moves it: the template keeps its shape.
+    Offsets,
 }
 
 /// What GeoNet learns from.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SurfaceConfig {
+    /// How much distances along the surface count, 0 to 1.
+    pub slide: f32,
     /// Weight of the Laplacian.
     pub laplacian: f32,
+    /// What it is of.
+    pub laplacian_rule: LaplacianRule,
     /// Weight of the lengths of edges.
     pub isometry: f32,
     /// Which edges count.
@@ -90,8 +110,20 @@ pub struct SurfaceConfig {
     pub normals: f32,
     /// Which are neighbours.
     pub normal_rule: NormalRule,
+    /// Weight of the colours of texels against their mean.
+    pub texture: f32,
     /// What vertices on seams read of the map of offsets.
     pub seams: SeamRead,
+}
+
+/// The reference colour of texels that no camera sees at a moment.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum UnseenColor {
+    /// Black.
+    Black,
+    /// The mean over moments that see them, in-painted where none does.
+    Mean,
 }
 
 /// GauNet beside its shape.
@@ -102,6 +134,12 @@ pub struct GauConfig {
     pub net: GauNetConfig,
     /// Whether its values are added to the reference Gaussians of the warm-up.
     pub residual: bool,
+    /// Colours of reference Gaussians that no camera sees.
+    pub unseen: UnseenColor,
+    /// Whether every texel adds values of its own, the same at all moments.
+    pub own: bool,
+    /// Metres of an offset of one that the network gives.
+    pub offset_unit: f32,
     /// Longest gradient of all its weights in a step; 0: any.
     pub clip: f32,
 }
@@ -118,6 +156,8 @@ pub struct Config {
     pub rgb: bool,
     /// Whether they see normals.
     pub normals: bool,
+    /// Whether GeoNet sees colours less their mean over the recording.
+    pub centred: bool,
     /// Whether Gaussians grow where the surface is stretched.
     pub kappa: bool,
     /// Memory for frames once prepared, MiB.
@@ -132,6 +172,8 @@ pub struct Config {
     pub refine: ScaleRefineOptions,
     /// The texel Gaussians.
     pub gaussians: GaussianConfig,
+    /// The Gaussians that learning begins with.
+    pub reference: ReferenceConfig,
     /// The texels' own values.
     pub direct: DirectConfig,
     /// GeoNet.
@@ -203,15 +245,18 @@ impl Config {
             true => Ok(()),
             false => wrong(format!("{name} = {v}: above 0, below {most}")),
         };
-        positive("direct.opacity", self.direct.opacity, 1.0)?;
-        positive("direct.spread", self.direct.spread, 100.0)?;
+        positive("reference.opacity", self.reference.opacity, 1.0)?;
+        positive("reference.spread", self.reference.spread, 100.0)?;
+        positive("gaunet.offset_unit", self.gaunet.offset_unit, 100.0)?;
         let surface = &self.surface;
         let weights = [
             ("gaussians.reg", self.gaussians.reg),
             ("gaunet.clip", self.gaunet.clip),
+            ("surface.slide", surface.slide),
             ("surface.laplacian", surface.laplacian),
             ("surface.isometry", surface.isometry),
             ("surface.normals", surface.normals),
+            ("surface.texture", surface.texture),
         ];
         match weights.into_iter().find(|(_, w)| !(*w >= 0.0 && w.is_finite())) {
             Some((name, w)) => wrong(format!("{name} = {w}: finite, not negative")),

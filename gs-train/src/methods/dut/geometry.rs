@@ -7,12 +7,12 @@
 
 use super::actor::{Actor, First, FrameError};
 use super::cache::Cache;
-use super::config::{Config, SurfaceConfig};
+use super::config::{Config, LaplacianRule, SurfaceConfig};
+use super::texture::texture_loss;
 use crate::avatar::AvatarFrame;
 use glam::Vec3;
-use gs_core::{Image, Param, Params};
-use gs_texel::net::NetError;
-use gs_texel::skin::skin_backward;
+use gs_core::{Camera, Image, Param, Params};
+use gs_texel::skin::{skin, skin_backward};
 use gs_texel::surface_loss::{Chamfer, Isometry, NormalConsistency, SurfaceLoss, laplacian};
 use gs_texel::{GeoNet, GeoNetConfig, GeoNetTape};
 use std::sync::{Mutex, PoisonError};
@@ -28,17 +28,19 @@ pub struct Geometry {
     isometry: Isometry,
     normals: NormalConsistency,
     points: Cache<Chamfer>,
+    /// Mean colours of GauNet's texels, if they count.
+    colors: Option<Vec<[f32; 3]>>,
 }
 
 /// Values of the terms, weights applied.
-pub type Terms = [(&'static str, f32); 4];
+pub type Terms = [(&'static str, f32); 5];
 
 impl Geometry {
     /// A network that leaves the template as it is.
     ///
     /// # Errors
-    /// If its shape does not fit.
-    pub fn new(config: &Config, actor: &Actor, seed: u64) -> Result<Self, NetError> {
+    /// If its shape does not fit, or the first frames cannot be prepared where their mean colours count.
+    pub fn new(config: &Config, actor: &Actor, seed: u64) -> Result<Self, FrameError> {
         let net = GeoNet::new("geo", GeoNetConfig { inputs: 6, ..config.geonet }, seed)?;
         let mask: Vec<bool> = actor.geo.mask().iter().map(|m| *m > 0.0).collect();
         let t = &actor.scene.character.template;
@@ -50,6 +52,7 @@ impl Geometry {
             normals: NormalConsistency::new(&t.faces, &actor.topology, weights.normal_rule),
             weights,
             points: Cache::new(FRAMES),
+            colors: (weights.texture > 0.0).then(|| actor.mean_texture(&actor.gau)).transpose()?,
         })
     }
 
@@ -79,7 +82,8 @@ impl Geometry {
         })?;
         let tape = self.tape.get_mut().unwrap_or_else(PoisonError::into_inner);
         let offsets = read(actor, self.net.forward(&first.input, tape)?);
-        let (terms, d_offsets) = self.loss(actor, first, &offsets, &points)?;
+        let photographs = if self.colors.is_some() { actor.photographs(frame)? } else { Vec::new() };
+        let (terms, d_offsets) = self.loss(actor, first, &offsets, &points, &photographs)?;
         let d_read: Vec<f32> = d_offsets.iter().flat_map(|d| (*d * share).to_array()).collect();
         let tape = self.tape.get_mut().unwrap_or_else(PoisonError::into_inner);
         self.net.backward(tape, &actor.reader.adjoint(&d_read, 3).data)?;
@@ -93,15 +97,22 @@ impl Geometry {
         first: &First,
         offsets: &[Vec3],
         points: &Chamfer,
+        photographs: &[(Camera, Image)],
     ) -> Result<(Terms, Vec<Vec3>), FrameError> {
         let t = &actor.scene.character.template;
         let posed = actor.surface(&first.posed, offsets);
         let deformed: Vec<Vec3> = t.vertices.iter().zip(offsets).map(|(&v, &d)| v + d).collect();
         let SurfaceConfig { laplacian: lap, isometry, normals, .. } = self.weights;
-        let mut world = points.evaluate(&posed)?;
+        let mut world = points.evaluate_sliding(&posed, &first.posed.normals, self.weights.slide.into())?;
         let chamfer = world.value;
-        let smooth = term(lap, || laplacian(&posed, &actor.topology), posed.len());
+        let smooth = term(lap, || self.smooth(actor, first, &posed), posed.len());
         world.add(lap.into(), &smooth);
+        let mut drift = 0.0;
+        if let Some(mean) = &self.colors {
+            let texture = texture_loss(actor, &posed, photographs, mean)?;
+            drift = f64::from(self.weights.texture) * texture.value;
+            world.add(self.weights.texture.into(), &texture);
+        }
         let lengths = term(isometry, || self.isometry.evaluate(&deformed), posed.len());
         let creases = term(normals, || self.normals.evaluate(&deformed), posed.len());
         let d_world: Vec<Vec3> = world.grad.iter().map(|g| g.as_vec3()).collect();
@@ -115,8 +126,20 @@ impl Geometry {
             ("laplacian", weighted(lap, &smooth)),
             ("isometry", weighted(isometry, &lengths)),
             ("normals", weighted(normals, &creases)),
+            ("texture", drift as f32),
         ];
         Ok((terms, d_offsets))
+    }
+
+    fn smooth(&self, actor: &Actor, first: &First, posed: &[Vec3]) -> SurfaceLoss {
+        match self.weights.laplacian_rule {
+            LaplacianRule::Positions => laplacian(posed, &actor.topology),
+            LaplacianRule::Offsets => {
+                let still = skin(&first.posed.canonical, &first.posed.transforms);
+                let moved: Vec<Vec3> = posed.iter().zip(&still).map(|(p, s)| *p - *s).collect();
+                laplacian(&moved, &actor.topology)
+            }
+        }
     }
 }
 

@@ -13,10 +13,13 @@ mod config;
 mod direct;
 mod geometry;
 mod network;
+mod texels;
+mod texture;
 
 pub use actor::{Actor, ActorError, First, FrameError, Posed, Second, Seen};
 pub use config::{
-    Config, DirectColor, DirectConfig, GauConfig, GaussianConfig, Input, Mode, Phase, SurfaceConfig, TextureSizes,
+    Config, DirectColor, DirectConfig, GauConfig, GaussianConfig, Input, LaplacianRule, Mode, Phase, ReferenceConfig,
+    SurfaceConfig, TextureSizes, UnseenColor,
 };
 
 use crate::avatar::AvatarFrame;
@@ -210,7 +213,7 @@ impl Dut {
         d_rows.clear();
         d_rows.resize(rows.len(), 0.0);
         if let (Phase::WarmUp, Source::Network(net)) = (phase, &self.source) {
-            let loss = net.warm_up(&self.actor, &second, &rows, share, &mut d_rows)?;
+            let loss = net.warm_up(&second, &rows, share, &mut d_rows)?;
             self.add_penalty("warm_up", loss);
         } else {
             self.draw(&second, &rows, &mut d_rows, draw)?;

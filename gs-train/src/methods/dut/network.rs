@@ -1,10 +1,10 @@
 //! GauNet under training: rows of texel Gaussians from a frame's second texture.
 
-use super::actor::{Actor, FrameError, Second};
-use super::config::Config;
+use super::actor::{Actor, FrameError, Second, Seen};
+use super::config::{Config, UnseenColor};
+use super::texels::{TexelRows, coefficient, reference};
 use gs_core::{Image, Param, Params};
-use gs_texel::gaussians::{Channels, warm_up};
-use gs_texel::net::NetError;
+use gs_texel::gaussians::{COLOR, Channels, OFFSET, warm_up};
 use gs_texel::{GauNet, GauNetConfig, GauNetTape};
 use std::sync::{Mutex, PoisonError};
 
@@ -15,15 +15,20 @@ pub struct Network {
     channels: Channels,
     residual: bool,
     clip: f32,
-    scale_range: [f64; 2],
+    /// Reference rows `[K, width]` without the moment's colours.
+    reference: Vec<f32>,
+    /// Values of the texels' own, beside the network's.
+    own: Option<TexelRows>,
+    /// Metres of an offset of one.
+    unit: f32,
 }
 
 impl Network {
     /// A network with random weights; one whose values are added to reference Gaussians begins with these.
     ///
     /// # Errors
-    /// If its shape does not fit.
-    pub fn new(config: &Config, actor: &Actor, channels: Channels, seed: u64) -> Result<Self, NetError> {
+    /// If its shape does not fit, or texels have no neighbours.
+    pub fn new(config: &Config, actor: &Actor, channels: Channels, seed: u64) -> Result<Self, FrameError> {
         let shape = GauNetConfig { inputs: 6, sh_degree: u32::from(channels.degree()), ..config.gaunet.net };
         let mut net = GauNet::new("gau", shape, seed)?;
         if config.gaunet.residual {
@@ -34,25 +39,34 @@ impl Network {
             });
         }
         let mask: Vec<bool> = actor.gau.mask().iter().map(|m| *m > 0.0).collect();
+        let unseen = match config.gaunet.unseen {
+            UnseenColor::Black => vec![[0.0; 3]; actor.gau.len()],
+            UnseenColor::Mean => actor.mean_texture(&actor.gau)?,
+        };
+        let reference = reference(config, actor, channels, &unseen)?;
+        let own = || TexelRows::new(channels, &vec![0.0; reference.len()]);
         Ok(Self {
             tape: Mutex::new(net.tape(actor.gau.size, Some(&mask))?),
             net,
             channels,
             residual: config.gaunet.residual,
             clip: config.gaunet.clip,
-            scale_range: config.gaussians.decode.scale_range,
+            own: config.gaunet.own.then(own),
+            unit: config.gaunet.offset_unit,
+            reference,
         })
     }
 
     /// The Gaussians that stand for a frame's texels before anything is learnt.
-    ///
-    /// # Errors
-    /// If texels have no neighbours.
-    pub fn reference(&self, actor: &Actor, second: &Second) -> Result<Vec<f32>, FrameError> {
-        let t = &actor.scene.character.template;
-        let normals = actor.gau.interp_vec3(&t.faces, &actor.topology.normals(&t.vertices, &t.faces));
-        let (colors, points) = (&second.seen.colors, &second.base.points);
-        Ok(warm_up::targets(self.channels, colors, points, &normals, self.scale_range)?)
+    fn reference(&self, seen: &Seen) -> Vec<f32> {
+        let mut rows = self.reference.clone();
+        let of_texels = rows.chunks_exact_mut(self.channels.width()).zip(seen.colors.iter().zip(&seen.views));
+        for (row, (color, views)) in of_texels {
+            if *views > 0.0 {
+                row[COLOR..COLOR + 3].copy_from_slice(&color.map(coefficient));
+            }
+        }
+        rows
     }
 
     /// Rows `[K, width]` of a frame.
@@ -65,9 +79,11 @@ impl Network {
         let size = actor.gau.size;
         let map = Image { width: size, height: size, channels: self.channels.width(), data };
         *rows = self.channels.gather(&map, &actor.gau.valid)?;
+        self.scale_offsets(rows);
         if self.residual {
-            rows.iter_mut().zip(self.reference(actor, second)?).for_each(|(v, r)| *v += r);
+            rows.iter_mut().zip(self.reference(&second.seen)).for_each(|(v, r)| *v += r);
         }
+        self.own.iter().for_each(|own| own.add_to(rows));
         Ok(())
     }
 
@@ -76,24 +92,28 @@ impl Network {
     /// # Errors
     /// If cotangents are not finite.
     pub fn backward(&mut self, actor: &Actor, d_rows: &[f32]) -> Result<(), FrameError> {
-        let d_map = self.channels.scatter(d_rows, &actor.gau.valid, actor.gau.size)?;
+        self.own.iter_mut().for_each(|own| own.backward(d_rows));
+        let mut d_rows = d_rows.to_vec();
+        self.scale_offsets(&mut d_rows);
+        let d_map = self.channels.scatter(&d_rows, &actor.gau.valid, actor.gau.size)?;
         let tape = self.tape.get_mut().unwrap_or_else(PoisonError::into_inner);
         Ok(self.net.backward(tape, &d_map.data)?)
+    }
+
+    /// The network's offsets in metres, or the cotangents of such in its units.
+    fn scale_offsets(&self, rows: &mut [f32]) {
+        if self.unit != 1.0 {
+            let offsets = rows.chunks_exact_mut(self.channels.width()).flat_map(|row| &mut row[OFFSET]);
+            offsets.for_each(|d| *d *= self.unit);
+        }
     }
 
     /// Adds the gradient of the distance of rows to reference Gaussians, times `share`, and gives that distance.
     ///
     /// # Errors
     /// As [`Self::rows`].
-    pub fn warm_up(
-        &self,
-        actor: &Actor,
-        second: &Second,
-        rows: &[f32],
-        share: f32,
-        d_rows: &mut [f32],
-    ) -> Result<f32, FrameError> {
-        let targets = self.reference(actor, second)?;
+    pub fn warm_up(&self, second: &Second, rows: &[f32], share: f32, d_rows: &mut [f32]) -> Result<f32, FrameError> {
+        let targets = self.reference(&second.seen);
         let loss = warm_up::loss(rows, &targets, self.channels, d_rows)?;
         d_rows.iter_mut().for_each(|d| *d *= share);
         Ok(loss as f32 * share)
@@ -114,9 +134,11 @@ impl Network {
 impl Params for Network {
     fn visit(&self, f: &mut dyn FnMut(&Param)) {
         self.net.visit(f);
+        self.own.iter().for_each(|own| own.visit(f));
     }
 
     fn visit_mut(&mut self, f: &mut dyn FnMut(&mut Param)) {
         self.net.visit_mut(f);
+        self.own.iter_mut().for_each(|own| own.visit_mut(f));
     }
 }
