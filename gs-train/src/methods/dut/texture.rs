@@ -85,7 +85,37 @@ fn compare(camera: &Camera, image: &Image, x: DVec3, wanted: [f32; 3]) -> Option
 
 #[cfg(test)]
 mod tests {
+    use super::super::Config;
     use super::*;
+    use crate::methods::MethodEntry;
+    use crate::synth::avatar::{AvatarOptions, generate};
+    use glam::Mat3;
+    use gs_texel::skin::skin;
+
+    /// A turn about the axis slides a cylinder along itself: no point says so.
+    #[test]
+    fn texture_says_how_far_a_surface_slid() {
+        let film =
+            AvatarOptions { template: "builtin:cylinder".into(), size: 128, frames: 2, ..AvatarOptions::default() };
+        let scene = generate(&film).unwrap().avatar.unwrap();
+        let config = MethodEntry::find("dut").unwrap().config("tiny").unwrap();
+        let actor = Actor::new(scene.clone(), &config.try_into::<Config>().unwrap()).unwrap();
+        let (frame, mean) = (&scene.frames[0], actor.mean_texture(&actor.gau).unwrap());
+        let (posed, photographs) = (actor.pose(frame), actor.photographs(frame).unwrap());
+        let still = skin(&posed.canonical, &posed.transforms);
+        let turned = |angle: f32| -> Vec<Vec3> { still.iter().map(|p| Mat3::from_rotation_y(angle) * *p).collect() };
+        let loss = |angle: f32| texture_loss(&actor, &turned(angle), &photographs, &mean).unwrap();
+        let slope = |angle: f32| -> f64 {
+            let along = turned(angle).into_iter().map(|p| Vec3::Y.cross(p).as_dvec3());
+            loss(angle).grad.iter().zip(along).map(|(g, a)| g.dot(a)).sum()
+        };
+        for angle in [-0.1, 0.1] {
+            assert!(loss(angle).value > 4.0 * loss(0.0).value, "{angle}: {} {}", loss(angle).value, loss(0.0).value);
+            assert!(slope(angle) * f64::from(angle) > 0.0, "{angle}: {}", slope(angle));
+            let difference = (loss(angle + 0.01).value - loss(angle - 0.01).value) / 0.02;
+            assert!((slope(angle) / difference - 1.0).abs() < 0.15, "{angle}: {} {difference}", slope(angle));
+        }
+    }
 
     #[test]
     fn gradient_matches_differences() {
