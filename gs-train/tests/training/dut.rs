@@ -308,7 +308,7 @@ lr.texels = { log_scales.steps = 150, sh_dc.steps = 150, offsets.steps = 150 }
     let before = in_mask(&trainer, &data, Split::Test);
     run(&mut trainer, 150);
     let after = in_mask(&trainer, &data, Split::Test);
-    assert!(after > 26.0 && after > before + 5.0, "{before:.2} dB before, {after:.2} dB after");
+    assert!(after > 23.0 && after > before + 5.0, "{before:.2} dB before, {after:.2} dB after");
 }
 
 /// RMS error of the offsets over the RMS length of the true ones: in all, and along the normals of the bind pose.
