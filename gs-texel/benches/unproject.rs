@@ -177,7 +177,14 @@ fn holes(c: &mut Criterion, figure: &Figure, table: &TexelTable) -> Result<(), F
     let truth: Vec<[f32; 3]> =
         table.interp_vec3(&figure.faces, &figure.vertices).iter().map(|p| waves(4.0)(p.as_dvec3())).collect();
     let known: Vec<bool> = (0..table.len()).map(|k| (table.uv(k) - 0.5).length() > 0.06).collect();
-    for (how, variant) in [(Unseen::Nearest, "nearest"), (Unseen::Delaunay, "delaunay"), (Unseen::Natural, "natural")] {
+    let ways = [
+        (Unseen::Nearest, "nearest"),
+        (Unseen::Delaunay, "delaunay"),
+        (Unseen::Natural, "natural"),
+        (Unseen::PushPull, "push-pull"),
+        (Unseen::Harmonic, "harmonic"),
+    ];
+    for (how, variant) in ways {
         let mut rows = truth.clone();
         let done = inpaint(table, &mut rows, &known, how)?;
         let sum: f64 = rows.iter().zip(&truth).map(|(a, b)| f64::from(a[0] - b[0]).powi(2)).sum();

@@ -25,7 +25,7 @@ pub struct Character {
 /// What a reader repaired or left out, counted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct Fallbacks {
-    /// Vertices without a positive weight: bound to the first joint of their skin.
+    /// Vertices without a positive weight: bound to the nearest joint of their skin.
     pub unbound_vertices: usize,
     /// Vertices whose weights were negative or did not sum to 1 within 1e-2: left out, made to sum to 1.
     pub mended_weights: usize,
@@ -39,22 +39,19 @@ pub struct Fallbacks {
     pub ignored_primitives: usize,
     /// Animation channels of things that are not read (or of nothing): left out.
     pub ignored_channels: usize,
-    /// Materials whose texture is absent or of a kind that is not read: their factor alone.
-    pub missing_textures: usize,
 }
 
 impl Fallbacks {
     /// The counters that are not 0, by name.
     pub fn list(&self) -> Vec<(&'static str, usize)> {
         let all = [
-            ("vertices without weights, bound to the first joint", self.unbound_vertices),
+            ("vertices without weights, bound to the nearest joint", self.unbound_vertices),
             ("vertices with mended weights", self.mended_weights),
             ("collapsed triangles dropped", self.collapsed_faces),
             ("triangles of no area", self.flat_faces),
             ("triangles of no area in the texture", self.flat_face_uvs),
             ("primitives ignored", self.ignored_primitives),
             ("animation channels ignored", self.ignored_channels),
-            ("textures not read", self.missing_textures),
         ];
         all.into_iter().filter(|(_, n)| *n > 0).collect()
     }

@@ -2,6 +2,8 @@
 //!
 //! In-painting is for showing and measuring: the networks see unseen texels as black.
 
+mod diffuse;
+
 use crate::texels::TexelTable;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -25,6 +27,10 @@ pub enum Unseen {
     Delaunay,
     /// Natural neighbours of the seen texels around: smooth, slower; the nearest beyond their hull.
     Natural,
+    /// Means of ever larger neighbourhoods in the chart: smooth, fast.
+    PushPull,
+    /// The smoothest function that meets the seen texels: `Δ = 0` in the chart.
+    Harmonic,
 }
 
 /// What in-painting cannot do.
@@ -101,8 +107,15 @@ pub fn inpaint<const C: usize>(
     let mut holes = vec![Vec::new(); charts];
     (0..table.len()).filter(|&k| !known[k]).for_each(|k| holes[usize::from(table.chart[k])].push(k as u32));
     let from: &[[f32; C]] = rows;
-    let fill = |holes: &Vec<u32>| fill_chart(table, from, known, holes, how);
-    let filled: Vec<Result<Vec<_>, InpaintError>> = holes.par_iter().map(fill).collect();
+    let diffuse = matches!(how, Unseen::PushPull | Unseen::Harmonic);
+    let boxes = if diffuse { diffuse::boxes(table) } else { Vec::new() };
+    let fill = |(chart, rows): (usize, &Vec<u32>)| {
+        let Some(&window) = boxes.get(chart) else { return fill_chart(table, from, known, rows, how) };
+        let holes = diffuse::Holes { rows, window };
+        let fill = if how == Unseen::Harmonic { diffuse::harmonic } else { diffuse::push_pull };
+        Ok(fill(table, from, known, holes))
+    };
+    let filled: Vec<Result<Vec<_>, InpaintError>> = holes.par_iter().enumerate().map(fill).collect();
     let mut report = Inpainted { filled: 0, left: unknown };
     for chart in filled {
         let chart = chart?;
@@ -133,7 +146,7 @@ fn fill_chart<const C: usize>(
         match how {
             Unseen::Delaunay => linear.get_weights(at, &mut weights),
             Unseen::Natural => natural.get_weights(at, &mut weights),
-            Unseen::Nearest | Unseen::Black => {}
+            _ => {}
         }
         if weights.is_empty() {
             weights.extend(mesh.nearest_neighbor(at).map(|v| (v.fix(), 1.0)));

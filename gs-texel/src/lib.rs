@@ -32,6 +32,7 @@ pub mod surface_loss;
 pub mod template;
 pub mod texels;
 pub mod unproject;
+pub mod unwrap;
 pub mod visibility;
 pub mod write_mesh;
 pub mod zbuffer;

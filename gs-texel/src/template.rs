@@ -23,6 +23,9 @@ pub struct Template {
     /// Where the corners of each triangle lie in their material's texture, which repeats or not as that says; `F` rows,
     /// or none where that is where they lie in the atlas (`uvs`).
     pub paint: Vec<[Vec2; 3]>,
+    /// Display-encoded colour and opacity of each triangle's corners, which materials without a texture are multiplied by;
+    /// `F` rows, or none where the mesh has no colours.
+    pub face_colors: Vec<[Vec4; 3]>,
     /// What the surface looks like.
     pub materials: Vec<Material>,
     /// Which joints move a vertex, and how much.
@@ -193,7 +196,9 @@ impl Template {
     pub fn colour(&self, face: usize, bary: [f32; 3]) -> Vec4 {
         let material = self.face_materials.get(face).and_then(|&m| self.materials.get(usize::from(m)));
         let uv = self.painted(face).map(|c| c[0] * bary[0] + c[1] * bary[1] + c[2] * bary[2]);
-        material.map_or(Vec4::ONE, |m| uv.map_or(m.factor, |uv| m.colour(uv)))
+        let corners = self.face_colors.get(face).filter(|_| material.is_none_or(|m| m.texture.is_none()));
+        let own = corners.map_or(Vec4::ONE, |c| c[0] * bary[0] + c[1] * bary[1] + c[2] * bary[2]);
+        own * material.map_or(Vec4::ONE, |m| uv.map_or(m.factor, |uv| m.colour(uv)))
     }
 
     /// `v̄ + Σ_k w_k Δ_k`: the vertices with morphs of these weights, in the bind pose.

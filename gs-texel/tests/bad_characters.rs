@@ -162,9 +162,48 @@ fn what_can_be_mended_is_mended_and_counted() {
     assert_eq!((f.unbound_vertices, f.mended_weights), (1, 2 * ROWS - 1));
     assert_eq!((f.flat_faces, f.flat_face_uvs), (6, 6));
     assert_eq!((f.ignored_primitives, f.ignored_channels), (1, 1), "weights of a mesh without morphs");
+    // All bind matrices are the identity: of joints equally near the first.
     assert_eq!(c.template.weights.row(0).collect::<Vec<_>>(), [(0, 1.0)]);
     assert_eq!(c.template.weights.row(1).collect::<Vec<_>>(), [(1, 1.0)]);
     assert_eq!(f.list().len(), 6);
+}
+
+#[test]
+fn vertices_without_weights_follow_the_nearest_joint() {
+    let mut s = small();
+    let at = |y: f32| [1., 0., 0., 0., 0., 1., 0., 0., 0., 0., 1., 0., 0., -y, 0., 1.];
+    let binds = s.floats(&[at(0.0), at(2.0)].concat(), "MAT4", 16);
+    s.json["skins"][0]["inverseBindMatrices"] = json!(binds);
+    let weights = s.floats(&[0.0; 8 * ROWS], "VEC4", 4);
+    s.primitive()["attributes"]["WEIGHTS_0"] = json!(weights);
+    let c = read(&s.glb()).unwrap();
+    assert_eq!(c.fallbacks.unbound_vertices, 2 * ROWS);
+    for (i, v) in c.template.vertices.iter().enumerate() {
+        let near = u32::from(v.y > 1.0);
+        // Row 1 is as far from both.
+        assert!(v.y == 1.0 || c.template.weights.row(i).eq([(near, 1.0)]), "{v}");
+    }
+}
+
+#[test]
+fn colours_of_vertices_show_where_there_is_no_texture() {
+    let mut s = small();
+    let red: Vec<u16> = (0..2 * ROWS).flat_map(|i| [if i < 2 { u16::MAX } else { 0 }, 0, 0]).collect();
+    let red = s.shorts(&red, "VEC3", 3);
+    s.json["accessors"][red]["normalized"] = json!(true);
+    s.primitive()["attributes"]["COLOR_0"] = json!(red);
+    let c = read(&s.glb()).unwrap();
+    let t = &c.template;
+    assert_eq!(t.face_colors.len(), t.faces.len());
+    let factor = t.materials[0].factor;
+    for (face, corners) in t.faces.iter().enumerate() {
+        for (k, &v) in corners.iter().enumerate() {
+            let bary = std::array::from_fn(|i| if i == k { 1.0 } else { 0.0 });
+            let lit = if t.vertices[v as usize].y == 0.0 { 1.0 } else { 0.0 };
+            assert_eq!(t.colour(face, bary), factor * glam::Vec4::new(lit, 0.0, 0.0, 1.0));
+        }
+    }
+    assert!(read(&small().glb()).unwrap().template.face_colors.is_empty());
 }
 
 #[test]
@@ -176,7 +215,7 @@ fn missing_texture_coordinates_are_an_error_only_where_they_are_needed() {
     let need = ReadOptions { need_uvs: true, ..ReadOptions::default() };
     assert!(matches!(read(&need), Err(CharacterError::NoUv { .. })));
     let c = read(&ReadOptions { auto_uv: true, ..need }).unwrap();
-    assert_eq!((c.template.face_uvs.len(), c.template.uvs.len()), (6, 18));
+    assert_eq!((c.template.face_uvs.len(), c.template.uvs.len()), (6, 2 * ROWS), "one chart");
 }
 
 /// A fault put into the JSON, and words of the error.

@@ -10,7 +10,7 @@ use gs_texel::maps_exr::{Kind, Layer, load_layers, save_layers};
 use gs_texel::texels::TexelTable;
 use scenes::plate;
 
-const HOW: [Unseen; 3] = [Unseen::Nearest, Unseen::Delaunay, Unseen::Natural];
+const HOW: [Unseen; 5] = [Unseen::Nearest, Unseen::Delaunay, Unseen::Natural, Unseen::PushPull, Unseen::Harmonic];
 
 /// Two charts side by side, a texel or two apart.
 fn two_charts() -> TexelTable {
@@ -27,7 +27,7 @@ fn a_linear_field_is_restored_in_a_hole() {
     let table = two_charts();
     let truth = |uv: Vec2| [0.2 + 0.5 * uv.x, 1.0 - 0.7 * uv.y];
     let known: Vec<bool> = (0..table.len()).map(|k| !in_hole(table.uv(k))).collect();
-    for (how, limit) in HOW.into_iter().zip([0.12, 1e-6, 1e-5]) {
+    for (how, limit) in HOW.into_iter().zip([0.12, 1e-6, 1e-5, 0.12, 1e-5]) {
         let mut rows: Vec<[f32; 2]> =
             (0..table.len()).map(|k| if known[k] { truth(table.uv(k)) } else { [9.0; 2] }).collect();
         let done = inpaint(&table, &mut rows, &known, how).unwrap();
@@ -37,6 +37,33 @@ fn a_linear_field_is_restored_in_a_hole() {
             m.max((rows[k][0] - want[0]).abs()).max((rows[k][1] - want[1]).abs())
         });
         assert!(worst < limit, "{how:?} {worst}");
+    }
+}
+
+#[test]
+fn a_harmonic_fill_is_the_mean_of_its_neighbours_and_keeps_within_its_border() {
+    let table = two_charts();
+    let wild = |uv: Vec2| [(40.0 * uv.x).sin() * (31.0 * uv.y).cos()];
+    // Up to the chart's border, over which nothing flows.
+    let known: Vec<bool> = (0..table.len()).map(|k| table.uv(k).x > 0.1 || table.chart[k] == 1).collect();
+    let mut rows: Vec<[f32; 1]> = (0..table.len()).map(|k| wild(table.uv(k))).collect();
+    let before = rows.clone();
+    inpaint(&table, &mut rows, &known, Unseen::Harmonic).unwrap();
+    let (low, high) = rows.iter().fold((f32::MAX, f32::MIN), |(l, h), r| (l.min(r[0]), h.max(r[0])));
+    for k in 0..table.len() {
+        if known[k] {
+            assert_eq!(rows[k], before[k]);
+            continue;
+        }
+        let t = table.valid[k] as usize;
+        let (x, y) = (t % table.size, t / table.size);
+        let near = [(x.wrapping_sub(1), y), (x + 1, y), (x, y.wrapping_sub(1)), (x, y + 1)];
+        let inside =
+            near.into_iter().filter(|(x, y)| x.max(y) < &table.size).map(|(x, y)| table.row[y * table.size + x]);
+        let values: Vec<f32> = inside.filter(|&r| (r as usize) < table.len()).map(|r| rows[r as usize][0]).collect();
+        let mean = values.iter().sum::<f32>() / values.len() as f32;
+        assert!((rows[k][0] - mean).abs() < 1e-5, "{} {mean}", rows[k][0]);
+        assert!(rows[k][0] >= low && rows[k][0] <= high);
     }
 }
 

@@ -5,7 +5,8 @@ use glam::{DAffine3, DMat3, DVec3, Vec3};
 use gs_core::{Rng, rot};
 use gs_texel::skeleton::{rotation_matrix, turn_about};
 use gs_texel::skin::{blend, blend_dual, quat_of, rotation_of, rotations, skin, skin_backward};
-use gs_texel::{SkinWeights, Skinning};
+use gs_texel::surface::Topology;
+use gs_texel::{Pose, SkinWeights, Skinning};
 
 const IDENTITY: [f32; 4] = [1.0, 0.0, 0.0, 0.0];
 
@@ -190,4 +191,24 @@ fn any_number_of_threads_gives_the_same_bits() {
     assert!(one.0.iter().all(|q| q[0] >= 0.0 && (q.iter().map(|v| v * v).sum::<f32>() - 1.0).abs() < 1e-5));
     let m = rot::matrix(one.0[0]);
     assert!(m.iter().flatten().all(|v| v.is_finite()));
+}
+
+#[test]
+fn where_the_root_faces_is_not_in_the_root_free_normals() {
+    let person = gs_texel::figure::person();
+    let (t, skeleton) = (&person.template, &person.skeleton);
+    let normals = Topology::new(&t.faces, t.vertices.len()).unwrap().normals(&t.vertices, &t.faces);
+    let root_free = |pose: &Pose| -> Vec<Vec3> {
+        let transforms = Skinning::Lbs.blend(&t.weights, &skeleton.skinning(pose));
+        let back = skeleton.root_rotation(pose).transpose().as_mat3();
+        normals.iter().zip(&transforms).map(|(n, m)| back * (m.matrix3 * *n)).collect()
+    };
+    let walking = person.clips[0].pose(skeleton, 0.3);
+    let mut turned = walking.clone();
+    turned.turn(skeleton.root, DVec3::new(0.3, 1.0, -0.2), 1.9);
+    turned.locals[skeleton.root as usize].translation += DVec3::new(4.0, -1.0, 2.0);
+    let off = |(a, b): (Vec3, Vec3)| (a - b).length();
+    let worst = |a: Vec<Vec3>, b: Vec<Vec3>| a.into_iter().zip(b).map(off).fold(0.0f32, f32::max);
+    assert!(worst(root_free(&walking), root_free(&turned)) < 1e-5);
+    assert!(worst(root_free(&walking), root_free(&skeleton.rest_pose())) > 0.5, "other joints are in them");
 }

@@ -231,3 +231,21 @@ fn settings_are_read_by_name_and_the_authors_depth_is_theirs() {
     let clip = UnprojectConfig { compat: Compat { clip_depth: true, ..Compat::default() }, ..tight };
     assert_eq!(shot.texture(&clip).coverage(), 0.0);
 }
+
+#[test]
+fn the_second_unprojection_pays() {
+    // The pictures show a body with a bulge of 4 cm at most that its first geometry lacks.
+    let plain = sphere(Vec3::ZERO, 0.9, 96, 64, Vec2::ZERO, Vec2::ONE);
+    let mut bulged = plain.clone();
+    bulged.vertices.iter_mut().for_each(|v| *v *= 1.0 + 0.045 * (3.0 * v.y).cos() * (2.0 * v.x).sin());
+    bulged.settle();
+    let color = waves(12.0);
+    let shot = Shot::new(bulged, 256, 512, &color);
+    let config = rule(Rule::FourTap);
+    let db = |mesh: &Figure| {
+        let texture = unproject(&mesh.mesh(), &shot.table, &shot.views(), &config).unwrap();
+        psnr(&texture, &shot.figure, &shot.table, &color)
+    };
+    let (first, second) = (db(&plain), db(&shot.figure));
+    assert!(second >= first + 6.0, "{first} dB, then {second} dB");
+}

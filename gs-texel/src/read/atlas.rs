@@ -3,17 +3,15 @@
 use super::ReadOptions;
 use crate::character::Fallbacks;
 use crate::template::Template;
+use crate::unwrap::unwrap;
 use glam::Vec2;
 use std::collections::HashMap;
 
-/// Border of a cell of the grid of triangles, as a share of the cell.
-const MARGIN: f32 = 0.08;
-
-/// Fills `uvs` and `face_uvs`: as painted (moved by whole textures into `[0, 1]²`), one cell per material, or one half
-/// cell per triangle. Leaves them empty where coordinates are missing and no grid is asked for.
+/// Fills `uvs` and `face_uvs`: as painted (moved by whole textures into `[0, 1]²`), one cell per material, or laid out anew.
+/// Leaves them empty where coordinates are missing and none are asked for.
 pub(super) fn lay_out(template: &mut Template, options: &ReadOptions) {
     let corners: Vec<[Vec2; 3]> = if options.auto_uv {
-        grid(template.faces.len())
+        unwrap(&template.vertices, &template.faces)
     } else if template.paint.is_empty() {
         return;
     } else {
@@ -42,20 +40,6 @@ pub(super) fn lay_out(template: &mut Template, options: &ReadOptions) {
         };
         template.face_uvs.push([number(0), number(1), number(2)]);
     }
-}
-
-/// Two triangles to a square cell, a margin apart.
-fn grid(faces: usize) -> Vec<[Vec2; 3]> {
-    let side = (faces.div_ceil(2) as f64).sqrt().ceil().max(1.0) as usize;
-    let (near, far) = (MARGIN, 1.0 - MARGIN);
-    let lower = [Vec2::new(near, near), Vec2::new(far - near, near), Vec2::new(near, far - near)];
-    let upper = lower.map(|c| Vec2::ONE - c);
-    let corner = |face: usize| {
-        let cell = Vec2::new((face / 2 % side) as f32, (face / 2 / side) as f32);
-        let half = if face.is_multiple_of(2) { lower } else { upper };
-        half.map(|c| (cell + c) / side as f32)
-    };
-    (0..faces).map(corner).collect()
 }
 
 /// One cell of a square grid per material in use.

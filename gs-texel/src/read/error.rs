@@ -70,7 +70,7 @@ pub enum CharacterError {
         what: String,
     },
     /// Texture coordinates are needed and absent.
-    #[error("{file}: {what} has no texture coordinates; unwrap the mesh, or ask for a grid of triangles (auto_uv)")]
+    #[error("{file}: {what} has no texture coordinates; unwrap the mesh, or have it laid out anew (auto_uv)")]
     NoUv {
         /// File name as given.
         file: Box<str>,

@@ -119,7 +119,7 @@ fn layout(info: &json::texture::Info) -> Layout {
 }
 
 /// A linear colour as sRGB displays it.
-fn display(linear: f32) -> f32 {
+pub(super) fn display(linear: f32) -> f32 {
     if linear <= 0.003_130_8 { 12.92 * linear.max(0.0) } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 }
 }
 

@@ -2,13 +2,13 @@
 
 use super::accessors::{Data, Table};
 use super::error::CharacterError;
-use super::materials::Layout;
+use super::materials::{Layout, display};
 use super::nodes::Nodes;
 use super::weld::Soup;
 use crate::character::Fallbacks;
 use crate::skeleton::Joint;
 use crate::template::Material;
-use glam::{DAffine3, DMat4, DVec3, Vec2};
+use glam::{DAffine3, DMat4, DVec3, Vec2, Vec4};
 use gltf::Semantic;
 use gltf::json::accessor::Type;
 use gltf::json::mesh::{Mode, Primitive};
@@ -204,6 +204,8 @@ impl<'a> Meshes<'a> {
         };
         let base = self.soup.points.len() as u32;
         let influences = self.influences(&attribute, skin, place, &of_this)?;
+        let colors = attribute(Semantic::Colors(0)).map(|c| data.table(c, &[Type::Vec3, Type::Vec4]).and_then(of_this));
+        self.colors(colors.transpose()?, n);
         let bind = if influences.is_some() { None } else { Some(self.rigid_joint(node)) };
         let mut targets = Vec::new();
         for target in primitive.targets.iter().flatten() {
@@ -215,7 +217,7 @@ impl<'a> Meshes<'a> {
             let (joint, frame) = bind.unwrap_or((0, DAffine3::IDENTITY));
             self.soup.points.push(frame.transform_point3(DVec3::from_slice(position)).as_vec3());
             match &influences {
-                Some(rows) => self.bind_vertex(rows, i, place)?,
+                Some(rows) => self.bind_vertex(rows, (i, DVec3::from_slice(position)), place)?,
                 None => {
                     self.soup.weights.push([(joint, 1.0)], joint);
                 }
@@ -257,12 +259,39 @@ impl<'a> Meshes<'a> {
         Ok((!sets.is_empty()).then(|| Influences { sets, joints: joints.clone() }))
     }
 
-    fn bind_vertex(&mut self, rows: &Influences, i: usize, place: &str) -> Result<(), CharacterError> {
+    /// Colours of the vertices of a primitive, as they are displayed; white without any.
+    fn colors(&mut self, table: Option<Table>, n: usize) {
+        match table {
+            None => self.soup.colors.resize(self.soup.colors.len() + n, Vec4::ONE),
+            Some(table) => {
+                self.soup.painted = true;
+                self.soup.colors.extend(table.rows().map(|row| {
+                    let [r, g, b, a] = std::array::from_fn(|k| row.get(k).map_or(1.0, |v| v.clamp(0.0, 1.0) as f32));
+                    Vec4::new(display(r), display(g), display(b), a)
+                }));
+            }
+        }
+    }
+
+    /// The joint of a skin that stands nearest to a point of the bind pose.
+    fn nearest(&self, joints: &[u32], point: DVec3, place: &str) -> Result<u32, CharacterError> {
+        // A look at a joint counts like a byte, so that no file asks for more of them than its size allows.
+        self.data.spend(joints.len() as u64, place)?;
+        let distance = |number: &u32| {
+            let joint = self.joints.get(*number as usize);
+            let at = joint.map(|j| j.inverse_bind.inverse().translation.distance_squared(point));
+            at.filter(|d| d.is_finite()).unwrap_or(f64::INFINITY)
+        };
+        let nearest = joints.iter().map(|j| (distance(j), *j)).reduce(|a, b| if b.0 < a.0 { b } else { a });
+        Ok(nearest.map_or(0, |(_, joint)| joint))
+    }
+
+    fn bind_vertex(&mut self, rows: &Influences, (i, at): (usize, DVec3), place: &str) -> Result<(), CharacterError> {
         let (mut row, mut sum, mut mended) = (Vec::with_capacity(4 * rows.sets.len()), 0.0, false);
         for (joints, weights) in &rows.sets {
             for (&joint, &weight) in joints.row(i).into_iter().flatten().zip(weights.row(i).into_iter().flatten()) {
                 mended |= weight < 0.0;
-                if weight > 0.0 {
+                if weight as f32 > 0.0 {
                     let number = rows.joints.get(joint as usize).ok_or_else(|| {
                         let what = format!("vertex {i} is bound to joint {joint} of {}", rows.joints.len());
                         self.data.malformed(place, what)
@@ -274,8 +303,9 @@ impl<'a> Meshes<'a> {
         }
         mended |= sum > 0.0 && (sum - 1.0).abs() > WEIGHT_SUM;
         self.fallbacks.mended_weights += usize::from(mended);
-        let bound = self.soup.weights.push(row, rows.joints.first().copied().unwrap_or(0));
-        self.fallbacks.unbound_vertices += usize::from(!bound);
+        let nearest = if row.is_empty() { self.nearest(&rows.joints, at, place)? } else { 0 };
+        self.fallbacks.unbound_vertices += usize::from(row.is_empty());
+        self.soup.weights.push(row, nearest);
         Ok(())
     }
 

@@ -7,8 +7,8 @@
 //!
 //! | of glTF 2.0 | |
 //! |---|---|
-//! | read | triangles, strips, fans, indexed or not; sparse and normalised accessors; any number of meshes, primitives, materials, skins and influences; rigid parts (bound to their node); morph targets; STEP, LINEAR, CUBICSPLINE; base colour, cut-out, wrap modes; `KHR_texture_transform`, `KHR_mesh_quantization` |
-//! | passed over | normals and tangents, vertex colours, points and lines, cameras, lights, other parts of materials |
+//! | read | triangles, strips, fans, indexed or not; sparse and normalised accessors; any number of meshes, primitives, materials, skins and influences; rigid parts (bound to their node); morph targets; STEP, LINEAR, CUBICSPLINE; base colour, colours of vertices where there is no texture, cut-out, wrap modes; `KHR_texture_transform`, `KHR_mesh_quantization` |
+//! | passed over | normals and tangents, points and lines, cameras, lights, other parts of materials |
 //! | refused by name | Draco, meshopt, KTX2 and every other required extension; matrices with shear |
 #![cfg_attr(
     not(test),
@@ -40,7 +40,8 @@ use std::path::Path;
 pub struct ReadOptions {
     /// Whether texture coordinates must be there (a texel table needs them).
     pub need_uvs: bool,
-    /// Give every triangle its own half of a cell of a grid as texture coordinates.
+    /// Lay the surface out anew, see [`crate::unwrap`]: for meshes without texture coordinates, or whose faces are points of a
+    /// palette. Colours stay.
     pub auto_uv: bool,
     /// Give every material its own cell of a grid, where charts of several share `[0, 1]²`.
     pub repack: bool,

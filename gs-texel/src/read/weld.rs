@@ -5,7 +5,7 @@
 
 use crate::character::Character;
 use crate::template::{Morph, SkinWeights};
-use glam::{Vec2, Vec3};
+use glam::{Vec2, Vec3, Vec4};
 use std::collections::HashMap;
 
 /// Tolerance, as a share of the longest side of the bounding box.
@@ -20,6 +20,9 @@ const CROWD: usize = 32;
 pub(super) struct Soup {
     pub points: Vec<Vec3>,
     pub weights: SkinWeights,
+    /// Display-encoded colours, one per point, and whether the file has any.
+    pub colors: Vec<Vec4>,
+    pub painted: bool,
     /// `(vertex, morph, offset)`, vertices in order, morphs in order for each.
     pub deltas: Vec<(u32, u32, Vec3)>,
     /// Names of the morphs.
@@ -102,6 +105,9 @@ pub(super) fn weld(soup: Soup, character: &mut Character) {
         }
         template.faces.push([a, b, c]);
         template.face_materials.push(material);
+        if soup.painted {
+            template.face_colors.push(face.map(|v| soup.colors.get(v as usize).copied().unwrap_or(Vec4::ONE)));
+        }
         if any_paint {
             template.paint.push(paint.unwrap_or([Vec2::ZERO; 3]));
         }

@@ -1,0 +1,309 @@
+//! Whole sheets of texel Gaussians: base maps, warm-up, what is left out or merged and what that costs.
+//!
+//! | what | tolerance |
+//! |---|---|
+//! | pictures about the root against pictures in the world | 2e-5 |
+
+mod sheet;
+
+use glam::{Affine3A, DAffine3, DQuat, DVec3, Mat3A, Quat, Vec3};
+use gs_core::rot::{self, Mat3};
+use gs_core::{Camera, Color, Rng, Splats, SplatsGrad, covariance};
+use gs_raster::{RasterOptions, Workspace, render};
+use gs_texel::gaussians::merge::{MergeOptions, merge};
+use gs_texel::gaussians::thin::{ThinOptions, select, worth_drawing};
+use gs_texel::gaussians::{
+    BaseError, ChannelsError, Covariance, DecodeOptions, TexelBase, about, camera_about, decode, decode_backward,
+    offset_penalty, warm_up,
+};
+use gs_texel::texels::TexelTable;
+use sheet::{WIDTH, at_rest, channels, square};
+
+/// Rows of an opaque sheet whose colour is a slow wave of amplitude `wave`.
+fn painted(base: &TexelBase, size: usize, wave: f32) -> Vec<f32> {
+    let shade = |p: &Vec3| {
+        let at = |f: f32, x: f32| 0.5 + wave * (f * x).sin();
+        [at(7.0, p.x), at(9.0, p.y), at(5.0, p.x + p.y)]
+    };
+    let colors: Vec<[f32; 3]> = base.points.iter().map(shade).collect();
+    let normals = vec![Vec3::Z; base.len()];
+    let mut rows = warm_up::targets(channels(), &colors, &base.points, &normals, [1e-5, 0.5]).unwrap();
+    for row in rows.chunks_exact_mut(WIDTH) {
+        row[0] = (0.02 / size as f32).ln();
+        row[7] = 3.0;
+    }
+    rows
+}
+
+fn camera(eye: DVec3, target: DVec3) -> Camera {
+    Camera::look_at(96, 96, 0.8, eye, target, DVec3::Y).unwrap()
+}
+
+fn facing() -> Camera {
+    camera(DVec3::new(0.5, 0.5, 1.6), DVec3::new(0.5, 0.5, 0.0))
+}
+
+/// Nothing but the middle of the square.
+fn close() -> Camera {
+    camera(DVec3::new(0.5, 0.5, 0.5), DVec3::new(0.5, 0.5, 0.0))
+}
+
+fn picture(splats: &Splats, camera: &Camera) -> Vec<f32> {
+    render(splats, camera, &RasterOptions::default(), &mut Workspace::default()).rgb
+}
+
+fn psnr(a: &[f32], b: &[f32]) -> f64 {
+    let mse: f64 = a.iter().zip(b).map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>() / a.len() as f64;
+    -10.0 * mse.log10()
+}
+
+#[test]
+fn base_maps_are_blends_of_vertices() {
+    let (points, faces, table) = square(8);
+    let turns: Vec<[f32; 4]> = [0.1f32, 0.2, 0.3, 0.4].map(|a| rot::from_glam(Quat::from_rotation_y(a))).to_vec();
+    let flipped: Vec<[f32; 4]> = turns.iter().zip([1.0, -1.0, 1.0, -1.0]).map(|(q, s)| q.map(|v| s * v)).collect();
+    let transforms: Vec<Affine3A> =
+        points.iter().map(|p| Affine3A::from_mat3_translation(glam::Mat3::IDENTITY * (1.0 + p.x), *p)).collect();
+    let kappas = [1.0, 2.0, 1.0, 2.0];
+    let base = TexelBase::new(&table, &faces, &points, &transforms, &turns, &kappas).unwrap();
+    let other = TexelBase::new(&table, &faces, &points, &transforms, &flipped, &kappas).unwrap();
+    for k in 0..table.len() {
+        let uv = table.uv(k);
+        assert!((base.points[k] - uv.extend(0.0)).length() < 1e-6);
+        assert!((base.kappas[k] - 1.0 - uv.x).abs() < 1e-6);
+        assert!((base.transforms[k].matrix3.x_axis.x - 1.0 - uv.x).abs() < 1e-6);
+        let same: f32 = base.turns[k].iter().zip(other.turns[k]).map(|(a, b)| a * b).sum();
+        assert!((same.abs() - 1.0).abs() < 1e-6, "the sign of a quaternion does not matter");
+    }
+    let e = TexelBase::new(&table, &faces, &points, &transforms, &turns, &kappas[1..]).unwrap_err();
+    assert_eq!(e, BaseError::Length { column: "kappas", got: 3, want: 4 });
+    let mut bad = transforms.clone();
+    bad[2].matrix3 = Mat3A::from_diagonal(Vec3::NAN);
+    let e = TexelBase::new(&table, &faces, &points, &bad, &turns, &kappas).unwrap_err();
+    assert_eq!(e, BaseError::NotFinite { column: "transforms", row: 2 });
+    let e = TexelBase::new(&table, &[[0, 1, 2], [1, 9, 2]], &points, &transforms, &turns, &kappas).unwrap_err();
+    assert_eq!(e, BaseError::Face { face: 1, vertices: 4 });
+}
+
+#[test]
+fn a_root_far_away_costs_no_precision() {
+    let root = DVec3::new(4e6, -3e6, 2e6);
+    let joints = [DAffine3::from_rotation_translation(DQuat::from_rotation_z(0.3), root)];
+    let (points, faces, table) = square(16);
+    let make = |joint: &DAffine3| {
+        let m = joint.matrix3;
+        let column = |v: DVec3| glam::Vec3A::from(v.as_vec3());
+        let matrix3 = Mat3A::from_cols(column(m.x_axis), column(m.y_axis), column(m.z_axis));
+        let one = Affine3A { matrix3, translation: column(joint.translation) };
+        let turn = rot::from_glam(Quat::from_rotation_z(0.3));
+        TexelBase::new(&table, &faces, &points, &[one; 4], &[turn; 4], &[1.0; 4]).unwrap()
+    };
+    let near = DAffine3::from_rotation_translation(DQuat::from_rotation_z(0.3), DVec3::ZERO);
+    let local = about(&joints, root);
+    assert_eq!(local[0], near);
+    let rows = painted(&make(&near), 16, 0.3);
+    let draw = |joint: &DAffine3, camera: &Camera| {
+        let splats = decode(&rows, channels(), &make(joint), &DecodeOptions::default()).unwrap();
+        picture(&splats, camera)
+    };
+    let view = facing();
+    let far = Camera { translation: view.translation - view.rotation * root, ..view };
+    let want = draw(&near, &view);
+    let got = draw(&local[0], &camera_about(&far, root));
+    let worst = got.iter().zip(&want).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+    assert!(worst < 2e-5, "{worst}");
+    // Without it, f32 means have a quarter of a metre.
+    assert!(psnr(&draw(&joints[0], &far), &want) < 40.0);
+}
+
+#[test]
+fn warm_up_targets_are_what_they_say() {
+    let (_, base) = at_rest(8);
+    let mut rng = Rng::new(6, "normals", 0, 0);
+    let mut normals: Vec<Vec3> =
+        (0..base.len()).map(|_| Vec3::new(rng.normal(), rng.normal(), rng.normal()).normalize()).collect();
+    normals[0] = -Vec3::X;
+    normals[1] = Vec3::X;
+    normals[2] = Vec3::new(-1.0, 1e-4, 0.0).normalize();
+    let colors: Vec<[f32; 3]> = (0..base.len()).map(|i| [i as f32 / 64.0, 0.5, 1.0]).collect();
+    let rows = warm_up::targets(channels(), &colors, &base.points, &normals, [1e-5, 0.5]).unwrap();
+    let splats = decode(&rows, channels(), &base, &DecodeOptions::default()).unwrap();
+    let Color::Sh { coeffs, .. } = &splats.color else { panic!("texels have harmonics") };
+    for (k, n) in normals.iter().enumerate() {
+        assert!((rot::to_glam(splats.quats[k]) * Vec3::X - *n).length() < 1e-6, "{n}");
+        assert_eq!((splats.opacities[k], splats.means[k]), (0.5, base.points[k]));
+        let shown: [f32; 3] = std::array::from_fn(|c| 0.5 + coeffs[12 * k + c] * gs_core::sh::C0 as f32);
+        assert!(shown.iter().zip(colors[k]).all(|(a, b)| (a - b).abs() < 1e-6));
+        assert!(coeffs[12 * k + 3..12 * k + 12].iter().all(|v| *v == 0.0));
+    }
+    // On a lattice of spacing h: h inside, more at corners, never less than the mean.
+    let h = 1.0f32 / 8.0;
+    let inside = splats.scales[27].x;
+    assert!(inside >= h && inside < 1.05 * h, "{inside}");
+    assert!(splats.scales.iter().all(|s| s.x == s.y && s.y == s.z && s.x >= inside));
+    let e = warm_up::targets(channels(), &colors[1..], &base.points, &normals, [1e-5, 0.5]).unwrap_err();
+    assert!(e.to_string().contains("`colours` holds 63 values"), "{e}");
+}
+
+#[test]
+fn warm_up_loss_is_a_weighted_sum_of_means() {
+    let mut rng = Rng::new(7, "rows", 0, 0);
+    let mut noise = || (0..2000 * WIDTH).map(|_| rng.normal()).collect::<Vec<f32>>();
+    let (rows, targets) = (noise(), noise());
+    let mut grad = vec![0.0; rows.len()];
+    let value = warm_up::loss(&rows, &targets, channels(), &mut grad).unwrap();
+    let group = |range: std::ops::Range<usize>| {
+        let sum: f64 = (0..rows.len())
+            .filter(|i| range.contains(&(i % WIDTH)))
+            .map(|i| (f64::from(rows[i]) - f64::from(targets[i])).powi(2))
+            .sum();
+        sum / (2000 * range.len()) as f64
+    };
+    let want = group(0..3) + group(3..7) + 0.1 * group(7..8) + group(8..11) + group(11..14) + group(14..23);
+    assert!((value / want - 1.0).abs() < 1e-12, "{value} {want}");
+    // Quadratic, so a central difference is exact but for rounding.
+    for at in [0, 5, 7, 9, 12, 20, 19 * WIDTH + 7] {
+        let value = |h: f32| {
+            let mut moved = rows.clone();
+            moved[at] += h;
+            warm_up::loss(&moved, &targets, channels(), &mut vec![0.0; rows.len()]).unwrap()
+        };
+        let want = (value(0.5) - value(-0.5)) / 1.0;
+        assert!((f64::from(grad[at]) - want).abs() < 1e-5 * want.abs().max(1e-6), "{at}: {} {want}", grad[at]);
+    }
+    let mut grad = vec![0.0; rows.len()];
+    assert_eq!(warm_up::loss(&rows, &rows, channels(), &mut grad).unwrap(), 0.0);
+    assert!(grad.iter().all(|g| *g == 0.0));
+    assert!(warm_up::loss(&rows, &targets[1..], channels(), &mut grad).is_err());
+}
+
+#[test]
+fn dropping_the_transparent_changes_no_bit() {
+    let (_, base) = at_rest(24);
+    let mut rows = painted(&base, 24, 0.3);
+    rows.chunks_exact_mut(WIDTH).step_by(3).for_each(|row| row[7] = -6.0);
+    let splats = decode(&rows, channels(), &base, &DecodeOptions::default()).unwrap();
+    let kept = worth_drawing(&splats, Some(&facing()), &ThinOptions::default());
+    assert_eq!(kept.len(), 2 * splats.len() / 3);
+    let thin = select(&splats, &kept);
+    thin.check().unwrap();
+    assert_eq!(picture(&thin, &facing()), picture(&splats, &facing()));
+    // Off: everything stays.
+    let off = ThinOptions { min_opacity: 0.0, min_pixels: 0.0 };
+    assert_eq!(select(&splats, &worth_drawing(&splats, None, &off)), splats);
+}
+
+#[test]
+fn dropping_the_small_costs_little() {
+    let (_, base) = at_rest(24);
+    let mut rows = painted(&base, 24, 0.3);
+    rows.chunks_exact_mut(WIDTH).step_by(4).for_each(|row| row[0..3].fill(-9.0));
+    let splats = decode(&rows, channels(), &base, &DecodeOptions::default()).unwrap();
+    let options = ThinOptions { min_pixels: 0.3, ..ThinOptions::default() };
+    let kept = worth_drawing(&splats, Some(&facing()), &options);
+    let near = psnr(&picture(&select(&splats, &kept), &facing()), &picture(&splats, &facing()));
+    println!("{} of {} kept, {near:.1} dB", kept.len(), splats.len());
+    assert_eq!(kept.len(), 3 * splats.len() / 4);
+    assert!(near > 30.0, "{near}");
+    assert_eq!(worth_drawing(&splats, None, &options).len(), splats.len(), "no camera, no size");
+}
+
+#[test]
+fn merging_a_plain_sheet_leaves_a_quarter_and_the_picture() {
+    let size = 32;
+    let (table, base) = at_rest(size);
+    let (normals, offsets) = (vec![Vec3::Z; base.len()], vec![Vec3::ZERO; base.len()]);
+    let plain = decode(&painted(&base, size, 0.0), channels(), &base, &DecodeOptions::default()).unwrap();
+    let waved = decode(&painted(&base, size, 0.05), channels(), &base, &DecodeOptions::default()).unwrap();
+    let run = |splats: &Splats, options: MergeOptions| merge(splats, &table, &normals, &offsets, &options).unwrap();
+    let off = run(&plain, MergeOptions { levels: 0, ..MergeOptions::default() });
+    assert_eq!(off.1.after, plain.len());
+    assert_eq!(psnr(&picture(&off.0, &facing()), &picture(&plain, &facing())), f64::INFINITY);
+    let bare = MergeOptions { keep_borders: false, ..MergeOptions::default() };
+    for (levels, part, least) in [(1, 4, 60.0), (2, 16, 60.0)] {
+        let (merged, report) = run(&plain, MergeOptions { levels, ..bare });
+        merged.check().unwrap();
+        assert_eq!((report.after, report.blocks[levels as usize]), (plain.len() / part, plain.len() / part));
+        assert!(report.color_rms < 1e-6);
+        // From so near that no border is seen: the surface stays closed and of one colour.
+        let near = psnr(&picture(&merged, &close()), &picture(&plain, &close()));
+        let (kept, bordered) = run(&plain, MergeOptions { levels, ..MergeOptions::default() });
+        let outline = |splats: &Splats| psnr(&picture(splats, &facing()), &picture(&plain, &facing()));
+        println!(
+            "levels {levels}: {} of {}, {near:.1} dB inside, {:.1} dB outside; borders kept: {}, {:.1} dB",
+            report.after,
+            report.before,
+            outline(&merged),
+            bordered.after,
+            outline(&kept)
+        );
+        assert!(near > least, "{near}");
+        assert!(outline(&kept) > outline(&merged) + 10.0);
+    }
+    // A wave merges where it is flat only, and the tolerance bounds what colours change.
+    let (_, report) = run(&waved, bare);
+    assert!(report.after > plain.len() / 4 && report.after < plain.len(), "{report:?}");
+    assert!(report.color_rms > 0.0 && report.color_rms < 2.0 / 255.0);
+    assert_eq!(report.blocks[0] + 4 * report.blocks[1], plain.len());
+}
+
+#[test]
+fn what_differs_is_not_merged() {
+    let size = 8;
+    let (table, base) = at_rest(size);
+    let rows = painted(&base, size, 0.0);
+    let splats = decode(&rows, channels(), &base, &DecodeOptions::default()).unwrap();
+    let (normals, offsets) = (vec![Vec3::Z; base.len()], vec![Vec3::ZERO; base.len()]);
+    let count = |splats: &Splats, table: &TexelTable, normals: &[Vec3], offsets: &[Vec3]| {
+        let options = MergeOptions { keep_borders: false, ..MergeOptions::default() };
+        merge(splats, table, normals, offsets, &options).unwrap().1.after
+    };
+    assert_eq!(count(&splats, &table, &normals, &offsets), 16);
+    let mut bent = normals.clone();
+    bent[0] = Vec3::new(0.2, 0.0, 1.0).normalize();
+    assert_eq!(count(&splats, &table, &bent, &offsets), 19);
+    let mut moved = offsets.clone();
+    moved[0] = 0.1 * Vec3::Z;
+    assert_eq!(count(&splats, &table, &normals, &moved), 19);
+    let mut faint = splats.clone();
+    faint.opacities[0] = 0.5;
+    assert_eq!(count(&faint, &table, &normals, &offsets), 19);
+    let mut tinted = splats.clone();
+    if let Color::Sh { coeffs, .. } = &mut tinted.color {
+        // A degree-1 coefficient alone: the colour differs from some directions.
+        coeffs[4] = 0.05;
+    }
+    assert_eq!(count(&tinted, &table, &normals, &offsets), 19);
+    let mut cut = table.clone();
+    cut.chart[0] = 1;
+    assert_eq!(count(&splats, &cut, &normals, &offsets), 19);
+    let mut hole = table.clone();
+    hole.row[0] = gs_texel::surface::NONE;
+    assert_eq!(count(&splats, &hole, &normals, &offsets), 18, "the hole itself is gone");
+    let e = merge(&splats, &table, &normals[1..], &offsets, &MergeOptions::default()).unwrap_err();
+    assert!(matches!(e, ChannelsError::Length { column: "normals", .. }));
+}
+
+#[test]
+fn threads_do_not_change_bits() {
+    let (_, base) = at_rest(64);
+    let mut rng = Rng::new(9, "rows", 0, 0);
+    let rows: Vec<f32> = (0..base.len() * WIDTH).map(|_| rng.normal()).collect();
+    let run = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            let options = DecodeOptions { covariance: Covariance::Affine, ..DecodeOptions::default() };
+            let splats = decode(&rows, channels(), &base, &options).unwrap();
+            let mut d = SplatsGrad::zeros_like(&splats);
+            d.means.iter_mut().zip(&splats.means).for_each(|(d, m)| *d = *m);
+            d.quats.clone_from(&splats.quats);
+            d.scales.clone_from(&splats.scales);
+            let mut grad = vec![0.0; rows.len()];
+            decode_backward(&rows, channels(), &base, &options, &d, &mut grad, None).unwrap();
+            let penalty = offset_penalty(&rows, channels(), 0.01, &mut grad);
+            let warm = warm_up::loss(&rows, &grad.clone(), channels(), &mut grad).unwrap();
+            (splats, grad, penalty.to_bits(), warm.to_bits())
+        })
+    };
+    assert!(run(1) == run(5));
+}
