@@ -3,10 +3,10 @@
 //! A data set of the layout `avatar` (or made by [`crate::synth::avatar`]) carries one in
 //! [`Dataset::avatar`](crate::data::Dataset::avatar). A method finds its frame by time: [`AvatarScene::frame_at`].
 
-use crate::data::ply::read_points;
+use crate::data::avatar::points;
 use crate::data::{DataError, ImageCache, ImageU8, View};
 use glam::Vec3;
-use gs_core::Time;
+use gs_core::{Camera, Image, Time};
 use gs_texel::figure::{self, Cylinder};
 use gs_texel::{Character, Pose, Skinning};
 use std::path::PathBuf;
@@ -63,7 +63,7 @@ pub struct AvatarFrame {
 /// Points of a surface.
 #[derive(Clone, Debug, PartialEq)]
 pub enum SurfacePoints {
-    /// A PLY file of positions.
+    /// A file of positions.
     File(PathBuf),
     /// World units.
     Memory(Arc<Vec<Vec3>>),
@@ -77,7 +77,7 @@ impl SurfacePoints {
     pub fn read(&self) -> Result<Arc<Vec<Vec3>>, DataError> {
         match self {
             Self::Memory(points) => Ok(points.clone()),
-            Self::File(file) => Ok(Arc::new(read_points(file)?.positions)),
+            Self::File(file) => Ok(Arc::new(points::read(file)?)),
         }
     }
 }
@@ -129,6 +129,19 @@ impl AvatarScene {
             }
         }
         Ok(Arc::new(cut))
+    }
+
+    /// Inputs decoded, with their cameras: straight colours in 0..1, the fourth channel is coverage.
+    ///
+    /// # Errors
+    /// As decoding goes.
+    pub fn photographs(inputs: &[View], cache: &ImageCache) -> Result<Vec<(Camera, Image)>, DataError> {
+        let decoded = |view| {
+            let ImageU8 { width, height, data } = &*Self::input_pixels(view, cache)?;
+            let data = data.iter().map(|&v| f32::from(v) / 255.0).collect();
+            Ok((cache.camera(view), Image { width: *width, height: *height, channels: 4, data }))
+        };
+        inputs.iter().map(decoded).collect()
     }
 
     /// Number of conditioning cameras of the first frame.

@@ -1,10 +1,12 @@
 //! People filmed by calibrated cameras, with a rigged template: `scene.json` (specification: `manifest.rs`), `cameras.json`,
-//! `images/CAMERA/FRAME.png`, and where they are there `masks/`, `poses.json`, `crops.json`, `points/FRAME.ply`.
+//! `images/CAMERA/FRAME.png`, and where they are there `masks/`, `poses.json` or `poses.bin`, `crops.json`, `points/FRAME.ply`
+//! (or `.obj`, or `.bin`: `x y z` as little-endian `f32`).
 //!
 //! ```text
 //! scene.json    frames, splits, template, motion         cameras.json  [{id, w, h, K, E, dist, role, pixel_center}]
 //! crops.json    {frame: {camera: [x0, y0]}}: the picture shows this corner of the sensor on
 //! poses.json    {frame: {nodes: {NAME: {translation, rotation, scale}}, morphs: […]}}: over the motion's pose
+//! poses.bin     the same as numbers (`poses_bin.rs`)
 //! ```
 //! Camera ids are three digits or more in names of folders, frame numbers six. `E` is world to camera with OpenCV axes, row by
 //! row; `K` and `E` are lists of 9 and 16 numbers. With `pixel_center: "integer"` the first pixel's centre is at 0 in `K`.
@@ -27,12 +29,13 @@ use super::header;
 use super::mask;
 use super::options::DataOptions;
 use super::{Confidence, Dataset, ImageSource, Layout, View};
-use crate::avatar::SurfacePoints;
 
 mod cameras;
 mod film;
 mod manifest;
+pub(crate) mod points;
 mod poses;
+mod poses_bin;
 
 pub(crate) use film::{Film, FrameUse, Role, Shot, Still, shot_name};
 
@@ -65,7 +68,7 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     let cameras = cameras::read(&dir.join("cameras.json"))?;
     let crops = Crops::read(&dir.join("crops.json"))?;
     let character = manifest.character(&root)?;
-    let poses = poses::read(&dir.join("poses.json"), &manifest, &character)?;
+    let poses = poses::read(dir, &manifest, &character)?;
     let mut notes: Vec<String> =
         character.fallbacks.list().into_iter().map(|(what, n)| format!("template: {n} {what}")).collect();
     let mut shots = Shots { root: &root, options, crops: &crops, notes: Vec::new(), opaque: 0, masked: 0 };
@@ -75,7 +78,7 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     notes.push(format!("{} of {} pictures have a mask in masks/", shots.masked, shots_of.len()));
     let mut stills = Vec::with_capacity(manifest.lists.len());
     for ((&number, &list), (pose, true_morphs)) in manifest.lists.iter().zip(poses) {
-        let points = points(&root, number)?;
+        let points = points::find(&root, number)?;
         stills.push(Still { number, list, pose, true_morphs, points });
     }
     let film = Film {
@@ -91,13 +94,6 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
         notes,
     };
     film.into_dataset(options)
-}
-
-/// The points of a frame, if they are there.
-fn points(root: &Root, number: u32) -> Result<Option<SurfacePoints>, DataError> {
-    let name = format!("points/{number:06}.ply");
-    let file = root.resolve(&name, &Place::new(root.dir(), name.as_str()))?;
-    Ok(file.is_file().then_some(SurfacePoints::File(file)))
 }
 
 /// Pictures being listed.

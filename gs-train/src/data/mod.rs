@@ -46,7 +46,7 @@ pub mod header;
 mod hypernerf;
 mod initial;
 mod intrinsics;
-mod json;
+pub(crate) mod json;
 pub mod lens;
 mod llff;
 pub(crate) mod mask;

@@ -386,7 +386,10 @@ pub fn overlay(under: &mut toml::Table, over: toml::Table) {
 }
 
 /// Reads a method's configuration.
-fn parse_config<C: serde::de::DeserializeOwned>(method: &'static str, table: &toml::Table) -> Result<C, MethodError> {
+pub(crate) fn parse_config<C: serde::de::DeserializeOwned>(
+    method: &'static str,
+    table: &toml::Table,
+) -> Result<C, MethodError> {
     table.clone().try_into().map_err(|e: toml::de::Error| MethodError::Config { method, why: e.to_string() })
 }
 

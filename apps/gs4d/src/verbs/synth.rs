@@ -1,5 +1,6 @@
 //! `gs4d synth`: writes a generated scene with exact truth as a data set.
 
+use crate::Global;
 use crate::answer::Answer;
 use crate::failure::Failure;
 use gs_train::analysis::blur::{Exposure, blur_training_views};
@@ -7,9 +8,9 @@ use gs_train::synth::{self, SCENES, SynthOptions};
 use serde_json::json;
 use std::path::PathBuf;
 
-mod avatar;
+pub mod avatar;
 
-use avatar::AvatarFlags;
+use avatar::{AvatarFlags, Shared};
 
 /// Side of the pictures of cameras at rest, of which there are many.
 const SIZE_OF_CAMERAS_AT_REST: u32 = 100;
@@ -91,7 +92,7 @@ pub struct Synth {
 }
 
 impl Synth {
-    pub fn run(self) -> Result<Answer, Failure> {
+    pub fn run(self, global: &Global) -> Result<Answer, Failure> {
         let Some(name) = &self.name else { return Ok(list()) };
         let Some(out) = &self.out else {
             return Err(Failure::usage("no folder to write to").remedy(format!("gs4d synth {name} -o DIR")));
@@ -101,7 +102,8 @@ impl Synth {
                 let what = "--cameras, --lens, --exposure and --layout are not for the scene avatar";
                 return Err(Failure::usage(what).remedy("choose its cameras with --cams, for example --cams 8x2"));
             }
-            return self.avatar.run(out, self.size, self.seed, self.truth, self.force);
+            let Self { size, seed, truth, force, .. } = self;
+            return self.avatar.run(out, Shared { size, seed, truth, force }, global);
         }
         if let Some(flag) = self.avatar.given() {
             return Err(

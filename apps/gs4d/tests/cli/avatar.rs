@@ -1,6 +1,7 @@
 //! Films of people: made, read, trained on by a method that knows nothing of templates.
 
 use crate::support::{good, gs4d, text};
+use gs_core::testkit::shared;
 
 const SMALL: [&str; 8] = ["--cams", "8x1", "--frames", "4", "--size", "40", "--points", "500"];
 
@@ -20,6 +21,23 @@ fn a_film_is_made_and_trained_on() {
     let psnr = scores["mean"]["psnr"].as_f64().unwrap_or_default();
     assert!(psnr > 10.0, "{scores}");
     gs4d(&["synth", "avatar", "-o", text(&film)]).fails(6, &["is not empty", "-f"]);
+}
+
+#[test]
+fn a_palette_is_laid_out_anew_and_told() {
+    let Some(knight) = shared("data/gltf_public/KayKit_Knight.glb") else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let film = dir.path().join("film");
+    let few = ["--cams", "4x1", "--frames", "1", "--size", "64", "--points", "0"];
+    let made = good(&[&["synth", "avatar", "-o", text(&film), "--template", text(&knight)][..], &few].concat());
+    assert!(made.err.contains("laid out anew"), "{}", made.err);
+    let scene: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(film.join("scene.json")).unwrap()).unwrap();
+    assert_eq!((&scene["auto_uv"], &scene["generated"]["atlas"]), (&true.into(), &"anew".into()));
+    let tex =
+        ["lab", "tex", "--sizes", "128", "--template", text(&knight), "--film-frames", "1", "--size", "96", "--json"];
+    let found = good(&[&tex[..], &["-o", text(&dir.path().join("lab"))]].concat()).json();
+    assert!(found["rows"][0]["texture dB"].as_f64().unwrap() > 20.0, "{found}");
 }
 
 #[test]

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! version 1   units "m"   up "y"   fps   frames {start, count, step}   splits {train, test, ood}: frame numbers
-//! template    a glTF, GLB or OBJ file of the folder, or builtin:NAME      uv_set, auto_uv: how its texture lies
+//! template    a glTF, GLB or OBJ file of the folder, or builtin:NAME      uv_set, auto_uv, repack: how its texture lies
 //! clip        a motion of the template, or null: at rest                 skinning "lbs" | "dqs"
 //! morph       gt: pictures show the motion's morphs, poses do not know them; apply: both; ignore: neither
 //! background  colour behind the person where alpha is 0: black           generated: options of the generator
@@ -27,7 +27,7 @@ use crate::synth::avatar::Morphs;
 const MAX_BYTES: u64 = 8 << 20;
 /// Frames without a list of splits.
 const MAX_FRAMES: f64 = 1e6;
-const KEYS: [&str; 15] = [
+const KEYS: [&str; 16] = [
     "version",
     "units",
     "up",
@@ -37,6 +37,7 @@ const KEYS: [&str; 15] = [
     "template",
     "uv_set",
     "auto_uv",
+    "repack",
     "clip",
     "skinning",
     "morph",
@@ -44,6 +45,9 @@ const KEYS: [&str; 15] = [
     "generated",
     "about",
 ];
+
+/// Yes and no.
+const WORDS: [(&str, bool); 2] = [("true", true), ("false", false)];
 
 /// What the file says.
 pub(super) struct Manifest {
@@ -55,6 +59,7 @@ pub(super) struct Manifest {
     template: String,
     uv_set: Option<u32>,
     auto_uv: bool,
+    repack: bool,
     clip: Option<String>,
     morph: Morphs,
 }
@@ -91,7 +96,8 @@ impl Manifest {
             lists: lists(&f, file, &map)?,
             template: f.required_text("template")?.to_owned(),
             uv_set,
-            auto_uv: choose(&f, "auto_uv", &map, &[("true", true), ("false", false)])?.unwrap_or(false),
+            auto_uv: choose(&f, "auto_uv", &map, &WORDS)?.unwrap_or(false),
+            repack: choose(&f, "repack", &map, &WORDS)?.unwrap_or(false),
             clip: f.text("clip")?.map(str::to_owned),
             morph: choose(&f, "morph", &map, &morphs)?.unwrap_or(Morphs::Apply),
         })
@@ -111,8 +117,8 @@ impl Manifest {
                 .ok_or_else(|| self.fault("template", &self.template, "no such character is built in", BUILTINS))?
         } else {
             let file = root.resolve(&self.template, &Place::new(&self.file, "template"))?;
-            let (uv_set, auto_uv) = (self.uv_set, self.auto_uv);
-            let options = ReadOptions { need_uvs: true, auto_uv, uv_set, ..ReadOptions::default() };
+            let Self { uv_set, auto_uv, repack, .. } = *self;
+            let options = ReadOptions { need_uvs: true, auto_uv, repack, uv_set, ..ReadOptions::default() };
             load_character(&file, &options).map_err(|source| DataError::Character { file, source: Box::new(source) })?
         };
         match &self.clip {

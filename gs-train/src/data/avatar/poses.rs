@@ -1,4 +1,4 @@
-//! `poses.json`: poses over those of the motion, frame by frame.
+//! `poses.json` or `poses.bin`: poses over those of the motion, frame by frame.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -10,6 +10,7 @@ use serde_json::{Map, Value};
 
 use super::cameras::key;
 use super::manifest::Manifest;
+use super::poses_bin::Stated;
 use crate::data::error::{DataError, Place};
 use crate::data::files::read_text;
 use crate::data::json::{Fields, quote_non_finite};
@@ -22,7 +23,14 @@ const MAX_FRAME_BYTES: usize = 1 << 20;
 type Posed = (Pose, Option<Vec<f32>>);
 
 /// The pose of every frame of some list, and the morphs its pictures show.
-pub(super) fn read(file: &Path, manifest: &Manifest, character: &Character) -> Result<Vec<Posed>, DataError> {
+pub(super) fn read(dir: &Path, manifest: &Manifest, character: &Character) -> Result<Vec<Posed>, DataError> {
+    let (file, numbers) = (&dir.join("poses.json"), &dir.join("poses.bin"));
+    let stated = Stated::read(numbers, character)?;
+    if !stated.is_empty() && file.is_file() {
+        let (place, value) = (Place::new(numbers, ""), "there is a poses.json, too".to_owned());
+        let why = "one pose of a frame would silently win over the other";
+        return Err(DataError::Field { place, value, why, fix: "keep one of the two files" });
+    }
     let text = if file.is_file() { read_text(file, MAX_BYTES)? } else { "{}".into() };
     let text = quote_non_finite(&text);
     let broken = |e: serde_json::Error| {
@@ -40,6 +48,7 @@ pub(super) fn read(file: &Path, manifest: &Manifest, character: &Character) -> R
         let seconds = f64::from(number) / manifest.fps;
         let rest = || character.skeleton.rest_pose();
         let mut pose = clip.map_or_else(rest, |c| c.pose(&character.skeleton, seconds));
+        stated.amend(&mut pose, number);
         if let Some((frame, raw)) = by_number.get(&number) {
             amend(&mut pose, file, frame, raw, character)?;
         }

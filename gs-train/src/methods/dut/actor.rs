@@ -3,7 +3,7 @@
 
 use super::config::{Config, TextureSizes};
 use crate::avatar::{AvatarFrame, AvatarScene};
-use crate::data::{DataError, ImageCache, ImageU8};
+use crate::data::{DataError, ImageCache};
 use glam::{Affine3A, Vec3};
 use gs_core::{Camera, Image, Time};
 use gs_texel::gaussians::warm_up::WarmUpError;
@@ -84,7 +84,7 @@ pub struct Actor {
     /// Normals of the bind pose, per vertex.
     rest_normals: Vec<Vec3>,
     /// Texels that are unprojected.
-    fine: TexelTable,
+    pub fine: TexelTable,
     /// Texels of GeoNet.
     pub geo: TexelTable,
     /// Texels of GauNet: the Gaussians.
@@ -221,11 +221,7 @@ impl Actor {
     /// # Errors
     /// If one cannot be read.
     pub fn photographs(&self, frame: &AvatarFrame) -> Result<Vec<(Camera, Image)>, DataError> {
-        let decoded = |v| {
-            let image = self.images.get(v)?;
-            Ok((self.images.camera(v), straight(&image)))
-        };
-        frame.inputs.iter().map(decoded).collect()
+        AvatarScene::photographs(&frame.inputs, &self.images)
     }
 
     /// What photographs say about the texels of a surface, `N` world positions.
@@ -365,10 +361,4 @@ impl Actor {
         }
         map
     }
-}
-
-/// Straight colours and coverage, 4 channels in 0..1.
-fn straight(image: &ImageU8) -> Image {
-    let data = image.data.iter().map(|&v| f32::from(v) / 255.0).collect();
-    Image { width: image.width, height: image.height, channels: 4, data }
 }

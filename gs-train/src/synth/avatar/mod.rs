@@ -4,26 +4,31 @@
 //! poses, and points of the true surface. With [`Morphs::Gt`] the pictures show morph targets that the poses do not know of:
 //! offsets in the bind pose whose truth is exact. Everything is a function of the options alone.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use glam::Vec3;
 use gs_texel::surface::Topology;
-use gs_texel::{Character, Clip, Pose, ReadOptions, Skinning, load_character};
+use gs_texel::{Character, Clip, Pose, Skinning};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
-use crate::avatar::{BUILTIN, BUILTINS, SurfacePoints, builtin, sample};
+use crate::avatar::{BUILTIN, SurfacePoints, sample};
 use crate::data::avatar::{Film, FrameUse, Role, Shot, Still, shot_name};
+use crate::data::json::read_object;
 use crate::data::{DataError, DataOptions, Dataset, ImageSource, Place, View};
 use gs_core::{Camera, Time};
 use shade::Stage;
+use template::Chosen;
 
 mod rig;
 mod shade;
+mod template;
 mod write;
 
 pub use shade::Light;
+pub use template::Atlas;
 pub use write::write;
 
 /// What pictures and poses make of morph targets.
@@ -45,6 +50,8 @@ pub enum Morphs {
 pub struct AvatarOptions {
     /// `builtin:person`, `builtin:sphere`, `builtin:cylinder`, `builtin:plate`, or a glTF or GLB file.
     pub template: String,
+    /// Where the faces of a file's template lie in its atlas.
+    pub atlas: Atlas,
     /// Name of the motion; none: the first there is.
     pub clip: Option<String>,
     /// Cameras in each ring, a multiple of 4.
@@ -77,6 +84,7 @@ impl Default for AvatarOptions {
     fn default() -> Self {
         Self {
             template: "builtin:person".into(),
+            atlas: Atlas::Auto,
             clip: None,
             per_ring: 8,
             rings: 2,
@@ -99,6 +107,9 @@ const FPS: f64 = 24.0;
 /// Most memory that pictures may take.
 const MAX_IMAGE_BYTES: u64 = 8 << 30;
 
+/// Largest `scene.json`.
+const MAX_SCENE_BYTES: u64 = 8 << 20;
+
 /// Films a person in memory.
 ///
 /// # Errors
@@ -109,10 +120,31 @@ pub fn generate(options: &AvatarOptions) -> Result<Dataset, DataError> {
     set.film()?.into_dataset(&DataOptions::default())
 }
 
+/// The options a film in the folder `dir` was generated with, its template named by where it lies now; none if it was not
+/// generated.
+///
+/// # Errors
+/// As reading its `scene.json` goes.
+pub fn options_of(dir: &Path) -> Result<Option<AvatarOptions>, DataError> {
+    let file = dir.join("scene.json");
+    let map = read_object(&file, MAX_SCENE_BYTES)?;
+    let Some(generated) = map.get("generated").filter(|v| !v.is_null()) else { return Ok(None) };
+    let options: Result<AvatarOptions, _> = serde_json::from_value(generated.clone());
+    let mut options = options.map_err(|e| DataError::syntax(&file, "generated", e.to_string()))?;
+    if !options.template.starts_with(BUILTIN) {
+        let name = map.get("template").and_then(Value::as_str).unwrap_or_default();
+        options.template = dir.join(name).display().to_string();
+    }
+    Ok(Some(options))
+}
+
 /// Everything but the pictures.
 struct Set<'a> {
     options: &'a AvatarOptions,
     character: Character,
+    /// How its atlas was chosen and, if not as its file says, why.
+    atlas: Atlas,
+    why: Option<String>,
     topology: Topology,
     clip: Option<Clip>,
     fps: f64,
@@ -136,7 +168,7 @@ fn wrong(name: &'static str, value: impl ToString, rule: impl Into<String>) -> D
 impl<'a> Set<'a> {
     fn new(options: &'a AvatarOptions) -> Result<Self, DataError> {
         check(options)?;
-        let character = character(&options.template)?;
+        let Chosen { character, atlas, why } = template::choose(&options.template, options.atlas)?;
         let template = &character.template;
         let topology = Topology::new(&template.faces, template.vertices.len());
         let topology = topology.map_err(|e| wrong("template", &options.template, e.to_string()))?;
@@ -144,7 +176,8 @@ impl<'a> Set<'a> {
         let length = clip.as_ref().map_or(0.0, Clip::duration);
         let usual = if length > 0.0 { f64::from(options.frames) / length } else { FPS };
         let fps = options.fps.unwrap_or(usual);
-        let mut set = Self { options, character, topology, clip, fps, stills: Vec::new(), cameras: Vec::new() };
+        let (stills, cameras) = Default::default();
+        let mut set = Self { options, character, atlas, why, topology, clip, fps, stills, cameras };
         set.stills = (0..options.frames).into_par_iter().map(|n| set.still(n)).collect();
         set.cameras = rig::rings(options.per_ring, options.rings, options.size, set.bounds()?)?;
         Ok(set)
@@ -217,8 +250,14 @@ impl<'a> Set<'a> {
             stills: self.stills.iter().enumerate().map(still).collect(),
             shots,
             has_alpha: true,
-            notes: vec![format!("generated film of {}", self.options.template)],
+            notes: self.notes(),
         })
+    }
+
+    fn notes(&self) -> Vec<String> {
+        let mut notes = vec![format!("generated film of {}", self.options.template)];
+        notes.extend(self.why.iter().map(|why| format!("template: {why}")));
+        notes
     }
 
     fn shot(&self, id: u32, frame: u32, role: Role, camera: &Camera, image: ImageSource) -> Shot {
@@ -261,15 +300,6 @@ fn check(o: &AvatarOptions) -> Result<(), DataError> {
         return Err(wrong("frames", o.frames, "all pictures together below 8 GiB"));
     }
     Ok(())
-}
-
-fn character(template: &str) -> Result<Character, DataError> {
-    if let Some(name) = template.strip_prefix(BUILTIN) {
-        return builtin(name).ok_or_else(|| wrong("template", template, format!("{BUILTINS}, or a glTF or GLB file")));
-    }
-    let options = ReadOptions { need_uvs: true, ..ReadOptions::default() };
-    let file = PathBuf::from(template);
-    load_character(&file, &options).map_err(|source| DataError::Character { file, source: Box::new(source) })
 }
 
 /// The motion of that name, or the first there is.

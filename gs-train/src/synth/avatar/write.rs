@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use serde_json::{Value, json};
 
 use super::super::write::{save_png, vacant, write_json};
-use super::{AvatarOptions, Set};
+use super::{Atlas, AvatarOptions, Set};
 use crate::avatar::{BUILTIN, SurfacePoints};
 use crate::data::avatar::{FrameUse, Role};
 use crate::data::{DataError, DataOptions, Dataset, ImageSource, Place, Root};
@@ -135,12 +135,12 @@ fn camera_json(id: usize, c: &Camera, role: Role) -> Value {
 }
 
 fn scene_json(set: &Set, template: &str) -> Value {
-    let o = set.options;
+    let o = AvatarOptions { atlas: set.atlas, ..set.options.clone() };
     let list = |of: FrameUse| -> Vec<usize> { (0..set.stills.len()).filter(|&n| set.stills[n].list == of).collect() };
     json!({
         "version": 1, "units": "m", "up": "y", "fps": set.fps,
         "frames": { "start": 0, "count": o.frames, "step": 1 },
-        "template": template, "clip": set.clip.as_ref().map(|c| c.name.as_str()),
+        "template": template, "auto_uv": set.atlas == Atlas::Anew, "repack": set.atlas == Atlas::Repack, "clip": set.clip.as_ref().map(|c| c.name.as_str()),
         "skinning": o.skinning, "morph": o.morph, "background": [0, 0, 0],
         "splits": { "train": list(FrameUse::Train), "test": list(FrameUse::Test), "ood": list(FrameUse::Ood) },
         "generated": o,

@@ -1,9 +1,10 @@
 //! `gs4d synth avatar`: films a rigged character.
 
+use crate::Global;
 use crate::answer::Answer;
 use crate::failure::Failure;
 use gs_train::avatar::BUILTIN;
-use gs_train::synth::avatar::{AvatarOptions, Light, Morphs, write};
+use gs_train::synth::avatar::{Atlas, AvatarOptions, Light, Morphs, write};
 use serde_json::json;
 use std::path::Path;
 
@@ -32,6 +33,12 @@ pub struct AvatarFlags {
     /// The character: builtin, builtin:NAME (person, sphere, cylinder, plate), or a glTF or GLB file [default: builtin].
     #[arg(long, value_name = "builtin|FILE")]
     template: Option<String>,
+    /// Lay the character's surface out anew, colours kept [default: where its file's atlas will not do].
+    #[arg(long, conflicts_with = "repack")]
+    auto_uv: bool,
+    /// Give every material a cell of its own in the atlas [default: where they share places].
+    #[arg(long)]
+    repack: bool,
     /// The motion [default: the character's first].
     #[arg(long, value_name = "NAME")]
     clip: Option<String>,
@@ -61,6 +68,14 @@ pub struct AvatarFlags {
     supersample: Option<u32>,
 }
 
+/// Flags of all scenes that this one has, too.
+pub struct Shared {
+    pub size: Option<u32>,
+    pub seed: u64,
+    pub truth: bool,
+    pub force: bool,
+}
+
 /// `8x2`.
 fn rings(text: &str) -> Result<[u32; 2], String> {
     let wrong = || "give cameras in each ring and rings, for example 8x2".to_owned();
@@ -69,7 +84,7 @@ fn rings(text: &str) -> Result<[u32; 2], String> {
 }
 
 /// `x,y,z` or `x,y,z,ambient`.
-fn light(text: &str) -> Result<Light, String> {
+pub fn light(text: &str) -> Result<Light, String> {
     let number = |part: &str| part.trim().parse::<f64>().ok().filter(|v| v.is_finite());
     let numbers: Option<Vec<f64>> = text.split(',').map(number).collect();
     match numbers.as_deref() {
@@ -84,6 +99,8 @@ impl AvatarFlags {
     pub fn given(&self) -> Option<&'static str> {
         let flags = [
             ("--template", self.template.is_some()),
+            ("--auto-uv", self.auto_uv),
+            ("--repack", self.repack),
             ("--clip", self.clip.is_some()),
             ("--cams", self.cams.is_some()),
             ("--frames", self.frames.is_some()),
@@ -109,8 +126,14 @@ impl AvatarFlags {
             MorphFlag::Apply => Morphs::Apply,
             MorphFlag::Ignore => Morphs::Ignore,
         });
+        let atlas = match (self.auto_uv, self.repack) {
+            (true, _) => Atlas::Anew,
+            (_, true) => Atlas::Repack,
+            _ => default.atlas,
+        };
         AvatarOptions {
             template,
+            atlas,
             clip: self.clip.clone(),
             per_ring,
             rings,
@@ -128,9 +151,11 @@ impl AvatarFlags {
     }
 
     /// Films the character.
-    pub fn run(&self, out: &Path, size: Option<u32>, seed: u64, truth: bool, force: bool) -> Result<Answer, Failure> {
+    pub fn run(&self, out: &Path, shared: Shared, global: &Global) -> Result<Answer, Failure> {
+        let Shared { size, seed, truth, force } = shared;
         let options = self.options(size, seed);
         let data = write(out, &options, truth, force)?;
+        data.notes.iter().filter(|n| n.starts_with("template:")).for_each(|note| global.say(note));
         let cond = data.avatar.as_ref().map_or(0, |a| a.input_count());
         let (train, test) = (data.train.len(), data.test.len());
         let who = options.template.strip_prefix(BUILTIN).unwrap_or(&options.template);
