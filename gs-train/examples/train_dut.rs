@@ -12,6 +12,7 @@ use gs_core::Image;
 use gs_core::io::images::save_png;
 use gs_raster::{Workspace, render};
 use gs_train::avatar::AvatarScene;
+use gs_train::bench::{StageOptions, stage_times};
 use gs_train::data::{Dataset, ImageCache, Split};
 use gs_train::evaluate::{clamped, evaluate};
 use gs_train::methods::dut::{Config, Dut, FrameError};
@@ -74,7 +75,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     dut.set_step(trainer.steps());
     let avatar = dataset.avatar.clone().ok_or("a film of a person")?;
     geometry(&dut, &avatar)?;
-    Ok(times(&dut, &avatar)?)
+    let stages = StageOptions { warm_up: 2, frames: avatar.frames.len(), repeats: 1, size: 512 };
+    print!("{}", stage_times(&dut, &stages)?.text());
+    Ok(())
 }
 
 /// Gives a method the values of another of the same configuration.
@@ -146,36 +149,5 @@ fn geometry(dut: &Dut, avatar: &AvatarScene) -> Result<(), FrameError> {
         ratio(along),
         1e3 * (along[1] / count).sqrt()
     );
-    Ok(())
-}
-
-/// Mean milliseconds of the stages of a frame, everything computed anew.
-fn times(dut: &Dut, avatar: &AvatarScene) -> Result<(), FrameError> {
-    const NAMES: [&str; 6] = ["pose", "first texture", "GeoNet", "second texture", "texel values", "render 512x512"];
-    let mut sums = [0.0f64; 6];
-    let (actor, mut workspace, mut rows) = (dut.actor(), Workspace::new(), Vec::new());
-    for frame in &avatar.frames {
-        let photographs = actor.photographs(frame)?;
-        let camera = frame.inputs[0].camera.scaled(512.0 / f64::from(frame.inputs[0].camera.width));
-        let mut marks = vec![Instant::now()];
-        let posed = actor.pose(frame);
-        marks.push(Instant::now());
-        let first = actor.first_of(posed, &photographs)?;
-        marks.push(Instant::now());
-        let offsets = dut.offsets(&first)?;
-        marks.push(Instant::now());
-        let second = actor.second_of(&first, offsets, &photographs)?;
-        marks.push(Instant::now());
-        dut.rows(&second, &mut rows)?;
-        let splats = dut.decode(&rows, &second)?;
-        marks.push(Instant::now());
-        render(&splats, &camera, &dut.schedule().raster_options([0.0; 3]), &mut workspace);
-        marks.push(Instant::now());
-        sums.iter_mut().zip(marks.windows(2)).for_each(|(s, m)| *s += (m[1] - m[0]).as_secs_f64() * 1e3);
-    }
-    let frames = avatar.frames.len() as f64;
-    let line: Vec<String> = NAMES.iter().zip(sums).map(|(name, s)| format!("{name} {:.1}", s / frames)).collect();
-    let total = sums.iter().sum::<f64>() / frames;
-    println!("ms: {}; {total:.1} in all, {:.1} frames/s", line.join(", "), 1e3 / total);
     Ok(())
 }

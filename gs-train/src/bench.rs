@@ -8,6 +8,9 @@ mod image;
 mod optimiser;
 mod physics;
 mod raster;
+mod stages;
+
+pub use stages::{STAGES, Stage, StageOptions, StageTimes, stage_times};
 
 use gs_core::speed::{SpeedError, median_seconds};
 use gs_raster::SimdLevel;

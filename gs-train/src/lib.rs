@@ -42,6 +42,7 @@ pub mod forecast;
 pub mod glmd;
 pub mod guard;
 pub mod inspect;
+pub mod lab;
 pub mod loss;
 pub mod methods;
 pub mod moment;

@@ -83,6 +83,7 @@ enum Verb {
     Continual(verbs::continual::ContinualVerb),
     Sweep(verbs::sweep::SweepVerb),
     Pose(verbs::pose::PoseVerb),
+    Lab(verbs::lab::Lab),
     Bench(verbs::bench::Bench),
 }
 
@@ -94,7 +95,7 @@ fn run(cli: Cli) -> Result<Answer, Failure> {
     }
     match cli.verb {
         Verb::Demo(verb) => verb.run(global),
-        Verb::Synth(verb) => verb.run(),
+        Verb::Synth(verb) => verb.run(global),
         Verb::Train(verb) => verb.run(global),
         Verb::Resume(verb) => verb.run(global),
         Verb::Eval(verb) => verb.run(global),
@@ -112,6 +113,7 @@ fn run(cli: Cli) -> Result<Answer, Failure> {
         Verb::Continual(verb) => verb.run(global),
         Verb::Sweep(verb) => verb.run(global),
         Verb::Pose(verb) => verb.run(global),
+        Verb::Lab(verb) => verb.run(global),
         Verb::Bench(verb) => verb.run(global),
     }
 }

@@ -1,24 +1,67 @@
-//! `gs4d bench`: speed against error of the crates, on this machine.
+//! `gs4d bench`: speed against error of the crates, or the stages of a frame of a run, on this machine.
 
 use super::demo::speed_text;
 use crate::Global;
 use crate::answer::Answer;
-use crate::failure::Failure;
+use crate::failure::{Class, Failure};
 use gs_core::speed::SpeedError;
-use gs_train::bench::{GROUPS, roofs};
+use gs_train::bench::{GROUPS, StageOptions, StageTimes, roofs, stage_times};
+use gs_train::lab::{LabError, Trained};
 use gs_train::report::speed_json;
+use gs_train::run::OpenRun;
 use serde_json::json;
+use std::path::{Path, PathBuf};
 
-/// Measure speed and error of drawing, metrics, fields and optimiser on this machine
+/// Measure speed and error of drawing, metrics, fields and optimiser on this machine, or the stages of a frame of a dut run
 #[derive(clap::Args)]
 pub struct Bench {
+    /// A run of the method dut: what each stage of a new frame takes, on one thread and on all.
+    #[arg(value_name = "RUN", conflicts_with = "only")]
+    run: Option<PathBuf>,
     /// Only this crate, for example gs-raster.
     #[arg(long = "crate", value_name = "C")]
     only: Option<String>,
+    /// Frames that count, of a run.
+    #[arg(long, value_name = "N", requires = "run", default_value_t = StageOptions::default().frames as u32, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    frames: u32,
+    /// Frames thrown away before.
+    #[arg(long, value_name = "N", requires = "run", default_value_t = StageOptions::default().warm_up as u32)]
+    warm_up: u32,
+    /// How often frames are measured.
+    #[arg(long, value_name = "N", requires = "run", default_value_t = StageOptions::default().repeats as u32, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    repeats: u32,
+    /// Side of the frame drawn, pixels.
+    #[arg(long, value_name = "PX", requires = "run", default_value_t = StageOptions::default().size, value_parser = clap::value_parser!(u32).range(1..=4096))]
+    size: u32,
 }
 
 impl Bench {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
+        match &self.run {
+            Some(run) => self.stages(run, global),
+            None => self.crates(global),
+        }
+    }
+
+    fn stages(&self, run: &Path, global: &Global) -> Result<Answer, Failure> {
+        let run = OpenRun::open(run)?;
+        let film = run.resolved.open_data()?;
+        let dut = Trained::of_run(&run)?.on(&film, &[])?;
+        let (warm_up, frames, repeats) = (self.warm_up as usize, self.frames as usize, self.repeats as usize);
+        let options = StageOptions { warm_up, frames, repeats, size: self.size };
+        let one = rayon::ThreadPoolBuilder::new().num_threads(1).build();
+        let one = one.map_err(|e| Failure::new(Class::Resource, "limits.threads", e.to_string()))?;
+        global.say("measuring on one thread");
+        let mut all = vec![one.install(|| stage_times(&dut, &options)).map_err(LabError::from)?];
+        if rayon::current_num_threads() > 1 {
+            global.say(format!("measuring on {} threads", rayon::current_num_threads()));
+            all.push(stage_times(&dut, &options).map_err(LabError::from)?);
+        }
+        let text = all.iter().map(StageTimes::text).collect::<Vec<_>>().join("\n");
+        Ok(Answer::new(text, json!({"run": run.path, "size": self.size, "times": all})))
+    }
+
+    fn crates(&self, global: &Global) -> Result<Answer, Failure> {
         let known: Vec<&str> = GROUPS.iter().map(|g| g.name).collect();
         if let Some(name) = self.only.as_deref().filter(|n| !known.contains(n)) {
             return Err(Failure::usage(format!("there are no measurements of `{name}`"))

@@ -11,6 +11,7 @@ pub mod export;
 pub mod forecast;
 pub mod glmd;
 pub mod inspect;
+pub mod lab;
 pub mod methods;
 pub mod pose;
 pub mod render;

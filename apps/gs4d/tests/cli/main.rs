@@ -9,6 +9,7 @@ mod folders;
 mod future;
 mod glmd;
 mod hostile;
+mod lab;
 mod pose;
 mod render;
 mod runs;

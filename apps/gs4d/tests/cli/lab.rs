@@ -1,0 +1,125 @@
+//! Experiments about filmed people, each at its smallest.
+
+use crate::support::{good, gs4d, text};
+use serde_json::Value;
+use std::path::Path;
+
+const SMALL: [&str; 10] =
+    ["--film-frames", "4", "--size", "48", "--frames", "2", "--texels", "48", "--quiet", "--json"];
+/// The smallest that learns something.
+const LEARN: [&str; 10] = [
+    "--preset",
+    "direct",
+    "--steps",
+    "12",
+    "--set",
+    "textures.unproject=48",
+    "--set",
+    "textures.geo=32",
+    "--set",
+    "textures.gau=48",
+];
+
+/// Rows of an experiment, whose files must be there.
+fn rows(name: &str, dir: &Path, more: &[&str]) -> Vec<Value> {
+    let out = dir.join(name);
+    let found = good(&[&["lab", name, "-o", text(&out)][..], &SMALL, more].concat()).json();
+    for kind in ["json", "csv", "md"] {
+        assert!(out.join(format!("{name}.{kind}")).is_file(), "{name}.{kind}");
+    }
+    let rows = found["rows"].as_array().unwrap().clone();
+    let csv = std::fs::read_to_string(out.join(format!("{name}.csv"))).unwrap();
+    assert_eq!(csv.lines().count(), rows.len() + 1, "{csv}");
+    rows
+}
+
+fn number(row: &Value, column: &str) -> f64 {
+    row[column].as_f64().unwrap_or_else(|| panic!("no {column} in {row}"))
+}
+
+#[test]
+fn textures_need_no_training() {
+    let dir = tempfile::tempdir().unwrap();
+    let tex = rows("tex", dir.path(), &["--sizes", "32,64"]);
+    assert_eq!(tex.len(), 2);
+    assert!(number(&tex[0], "texels") * 3.0 < number(&tex[1], "texels"));
+    assert!(tex.iter().all(|r| number(r, "texture dB") > 15.0 && number(r, "seen %") > 30.0), "{tex:?}");
+    assert!(dir.path().join("tex/tex.svg").is_file());
+    gs4d(&["lab", "tex", "-o", text(&dir.path().join("tex"))]).fails(6, &["tex.json", "-f"]);
+}
+
+#[test]
+fn visibility_is_measured_against_rays() {
+    let dir = tempfile::tempdir().unwrap();
+    let vis = rows("vis", dir.path(), &[]);
+    let of = |name: &str| vis.iter().find(|r| r["rule"] == name).unwrap();
+    assert_eq!(vis.len(), 11);
+    assert_eq!(number(of("ray"), "false visible %") + number(of("ray"), "false hidden %"), 0.0);
+    assert!(number(of("ray_footprint"), "false visible %") == 0.0);
+    assert!(number(of("four_tap"), "texture dB") > number(of("ray"), "texture dB"));
+    let grid = rows("thresholds", dir.path(), &[]);
+    assert_eq!(grid.len(), 20);
+    // A stricter gate on the angle sees less.
+    assert!(number(&grid[0], "seen %") > number(&grid[4], "seen %"));
+}
+
+#[test]
+fn wrong_poses_and_fewer_views_cost() {
+    let dir = tempfile::tempdir().unwrap();
+    let motion = rows("motion", dir.path(), &[]);
+    assert_eq!(motion.iter().filter(|r| r["mode"] == "ramp").count(), 2);
+    assert!(number(&motion[0], "1st texture dB") > number(&motion[6], "1st texture dB") + 1.0, "{motion:?}");
+    assert_eq!(number(&motion[6], "angle deg"), number(&motion[8], "angle deg"), "the ramp ends at the largest");
+    let mocap = rows("mocap", dir.path(), &[]);
+    assert!(number(&mocap[0], "1st texture dB") > number(&mocap[5], "1st texture dB") + 1.0, "{mocap:?}");
+    let views = rows("views", dir.path(), &[]);
+    let seen = |n: usize| number(&views[n], "seen %");
+    assert!(views.len() == 10 && (1..6).all(|n| seen(n) > seen(n - 1)), "{views:?}");
+    assert!(seen(6) < seen(3), "one left out");
+}
+
+#[test]
+fn methods_are_trained_for_what_needs_them() {
+    let dir = tempfile::tempdir().unwrap();
+    let ood = rows("ood", dir.path(), &LEARN);
+    assert!(ood.iter().all(|r| number(r, "in-mask PSNR") > 8.0), "{ood:?}");
+    assert_eq!(ood[ood.len() - 1]["motion"], "not learnt: wave");
+    let light = rows("light", dir.path(), &[&LEARN[..], &["--tuning", "5"]].concat());
+    assert_eq!((light.len(), number(&light[2], "steps under it")), (3, 5.0));
+    let parts = rows("ablate", dir.path(), &LEARN);
+    assert!(parts.len() == 6 && number(&parts[0], "dB") == 0.0, "{parts:?}");
+    gs4d(&["lab", "ood", "-o", text(&dir.path().join("x"))]).fails(2, &["ood", "--run", "--steps"]);
+}
+
+#[test]
+fn a_run_brings_its_film() {
+    let dir = tempfile::tempdir().unwrap();
+    let (film, run) = (dir.path().join("film"), dir.path().join("run"));
+    let small = ["--cams", "8x1", "--frames", "4", "--size", "48", "--points", "300", "--test-every", "2"];
+    good(&[&["synth", "avatar", "-o", text(&film)][..], &small].concat());
+    let sets: Vec<&str> = LEARN[4..].to_vec();
+    let train = ["train", text(&film), "-m", "dut", "--preset", "direct", "--steps", "12", "-o", text(&run), "--quiet"];
+    good(&[&train[..], &sets].concat());
+    let from = ["--frames", "2", "--texels", "48", "--run", text(&run), "--json", "--quiet"];
+    for (name, count) in [("motion", 9), ("ablate", 6), ("ood", 2)] {
+        let out = dir.path().join(name);
+        let found = good(&[&["lab", name, "-o", text(&out)][..], &from].concat()).json();
+        let rows = found["rows"].as_array().unwrap();
+        assert!(rows.len() == count && rows.iter().all(|r| number(r, "in-mask PSNR") > 8.0), "{name}: {rows:?}");
+    }
+}
+
+#[test]
+fn wrong_words_are_told() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("x");
+    let lab = |more: &[&str]| gs4d(&[&["lab"][..], more, &["-o", text(&out)]].concat());
+    lab(&["topology"]).fails(2, &["topology", "motion, mocap"]);
+    lab(&["motion", "--joint", "tail", "--film-frames", "2", "--size", "24", "-q"])
+        .fails(2, &["tail", "left fore arm"]);
+    lab(&["vis", "--run", text(dir.path())]).fails(3, &["no run folder"]);
+    gs4d(&["lab", "vis"]).fails(2, &["-o DIR"]);
+    let list = good(&["lab"]).out;
+    assert!(list.lines().count() == 9 && list.contains("thresholds"), "{list}");
+    assert!(!out.exists(), "nothing was written");
+}
