@@ -7,8 +7,8 @@
 mod sheet;
 
 use glam::{Affine3A, DAffine3, DQuat, DVec3, Mat3A, Quat, Vec3};
-use gs_core::rot::{self, Mat3};
-use gs_core::{Camera, Color, Rng, Splats, SplatsGrad, covariance};
+use gs_core::rot;
+use gs_core::{Camera, Color, Rng, Splats, SplatsGrad};
 use gs_raster::{RasterOptions, Workspace, render};
 use gs_texel::gaussians::merge::{MergeOptions, merge};
 use gs_texel::gaussians::thin::{ThinOptions, select, worth_drawing};
