@@ -4,6 +4,7 @@ mod error;
 pub mod folder;
 pub mod needs;
 pub mod opened;
+pub mod orbit;
 pub mod picture;
 pub mod provenance;
 pub mod settings;

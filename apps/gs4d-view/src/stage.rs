@@ -5,6 +5,7 @@ use gs_raster::RasterOptions;
 use gs_train::data::{Dataset, ImageCache, View};
 use gs_train::methods::Method;
 use gs_train::run::OpenRun;
+use gs_train::run::orbit::middle;
 use gs_train::run::picture::moment;
 use serde_json::{Value, json};
 
@@ -153,16 +154,7 @@ impl Show {
         let neutral = gs_train::run::needs::neutral_camera();
         let camera = self.views.first().map_or(neutral, |v| v.camera.clone());
         let means = self.at(self.times.first().copied().unwrap_or(0.0), &camera).means;
-        if means.is_empty() {
-            return ([0.0; 3], 1.0);
-        }
-        let middle = |mut values: Vec<f32>, share: usize| {
-            values.sort_by(f32::total_cmp);
-            values[(values.len() - 1) * share / 4]
-        };
-        let centre: [f32; 3] = std::array::from_fn(|k| middle(means.iter().map(|m| m[k]).collect(), 2));
-        let away = means.iter().map(|m| m.distance(glam::Vec3::from_array(centre))).collect();
-        (centre, middle(away, 3).max(1e-3))
+        middle(&means).map_or(([0.0; 3], 1.0), |(centre, away)| (centre.to_array(), away))
     }
 }
 

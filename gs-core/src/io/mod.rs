@@ -19,6 +19,7 @@
 //! | camera JSON | yes | yes | three layouts, see [`cameras`] |
 //! | `.npy` | yes | yes | f32 and f64 in, f32 out |
 //! | PNG, JPEG | feature `images` | PNG | see `images` |
+//! | YUV4MPEG2 | no | yes | video as a stream, see [`y4m`] |
 //! | EXR | feature `exr` | yes | see `exr` |
 #![cfg_attr(
     not(test),
@@ -42,6 +43,7 @@ mod raw;
 pub mod splat;
 pub mod spz;
 mod spz_quat;
+pub mod y4m;
 
 pub use cameras::{NamedCamera, load_cameras, parse_cameras, save_cameras};
 pub use error::{At, IoError};

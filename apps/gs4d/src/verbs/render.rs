@@ -1,4 +1,4 @@
-//! `gs4d render`: draws a splat file or a run from given cameras.
+//! `gs4d render`: draws a splat file or a run from given cameras, or around it, as pictures or video.
 
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
@@ -6,27 +6,32 @@ use crate::progress::Progress;
 use crate::{Global, parse};
 use gs_core::io::cameras::{NamedCamera, load_cameras};
 use gs_core::io::images::save_png;
-use gs_core::io::{Limits, RawSplats, exr, load_splats, npy, write_file};
+use gs_core::io::{Limits, RawSplats, exr, load_splats, npy, write_file, y4m};
 use gs_core::{Camera, Image, Splats};
 use gs_raster::{Frame, RasterOptions};
 use gs_train::run::OpenRun;
+use gs_train::run::orbit::Orbit;
 use gs_train::run::picture::{Painter, file_stem, moment};
 use serde_json::json;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-/// Draw a splat file or a run from given cameras, as PNG, EXR or NPY
+/// Draw a splat file or a run from given cameras or around it, as PNG, EXR, NPY or video
 #[derive(clap::Args)]
 pub struct Render {
-    /// A .ply, .splat or .spz file, a run folder, or a .gs4d file (a checkpoint of a run, or what gs4d compact made).
+    /// A .ply, .splat, .spz or .glb file, a run folder, or a .gs4d file (a checkpoint of a run, or what gs4d compact made).
     #[arg(value_name = "SCENE|RUN")]
     scene: PathBuf,
-    /// Cameras: INRIA cameras.json, a transforms file, or {width,height,fx,fy,cx,cy,world_to_camera} (name, time optional), one or a list.
-    #[arg(long, value_name = "FILE")]
+    /// Cameras: INRIA cameras.json, a transforms file, or {width,height,fx,fy,cx,cy,world_to_camera} (name, time optional), one or a list;
+    /// or `dataset:N`, the N-th held-out view of a run's data; or `orbit`, once around the scene.
+    #[arg(long, value_name = "FILE|dataset:N|orbit")]
     camera: PathBuf,
     /// Normalised time, 0 first to 1 last training frame; beyond extrapolates [default: the camera's own, else 0].
-    #[arg(long, allow_hyphen_values = true, value_parser = parse::finite)]
+    #[arg(long, allow_hyphen_values = true, value_parser = parse::finite, conflicts_with = "times")]
     time: Option<f32>,
+    /// Times of a sequence, A..B:N: one camera at all of them, or a camera each.
+    #[arg(long, value_name = "A..B:N", allow_hyphen_values = true, value_parser = parse::times)]
+    times: Option<parse::Times>,
     /// Splats nearer than this are not drawn, world units [default: 0.01 for files, the recipe's for runs].
     #[arg(long, allow_hyphen_values = true, value_parser = parse::not_negative)]
     near: Option<f64>,
@@ -37,8 +42,12 @@ pub struct Render {
     #[arg(long)]
     antialias: bool,
     /// PNG: 8 bit RGB over the background. EXR, NPY: float32 RGB over the background, then alpha (premultiplied over black).
+    /// Y4M: one uncompressed video, video.y4m.
     #[arg(long, value_enum, default_value_t = Format::Png)]
     format: Format,
+    /// Pictures per second of a video.
+    #[arg(long, default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    fps: u32,
     /// Folder for the pictures; made if missing.
     #[arg(short, long, value_name = "DIR")]
     out: PathBuf,
@@ -52,7 +61,11 @@ enum Format {
     Png,
     Exr,
     Npy,
+    Y4m,
 }
+
+/// Pictures of a turn whose times are not given.
+const TURN: usize = 60;
 
 /// What is drawn.
 enum Scene {
@@ -78,6 +91,14 @@ impl Scene {
         }
     }
 
+    /// The way around it: that of the data's cameras, or around the splats.
+    fn orbit(&self) -> Result<Option<Orbit>, Failure> {
+        match self {
+            Scene::File(splats) => Ok(Orbit::of_splats(&splats.means)),
+            Scene::Run(run) => Ok(Orbit::of_views(&run.resolved.open_data()?.train)),
+        }
+    }
+
     fn draw<'a>(&self, painter: &'a mut Painter, camera: &Camera, time: f32) -> &'a Frame {
         match self {
             Scene::File(splats) => painter.draw(splats, camera),
@@ -88,21 +109,92 @@ impl Scene {
 
 impl Render {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
-        let cameras = load_cameras(&self.camera, &Limits::default())?;
         let scene = Scene::open(&self.scene)?;
-        let paths = self.paths(&cameras)?;
-        std::fs::create_dir_all(&self.out).map_err(|e| Failure::io("create the folder", &self.out, &e))?;
+        let cameras = self.sequence(self.cameras(&scene)?)?;
         let mut painter = Painter::new(self.options(&scene));
         let mut progress = Progress::new(cameras.len() as u64, "pictures", global.quiet);
-        for (done, (camera, path)) in cameras.iter().zip(&paths).enumerate() {
-            let frame = scene.draw(&mut painter, &camera.camera, self.time.or(camera.time).unwrap_or(0.0));
-            self.save(frame, path)?;
+        let mut draw = |done: usize, camera: &NamedCamera| {
+            let frame = scene.draw(&mut painter, &camera.camera, self.time.or(camera.time).unwrap_or(0.0)).clone();
             progress.at(done as u64 + 1, || camera.name.clone());
-        }
+            frame
+        };
+        let paths = if self.format == Format::Y4m {
+            vec![self.video(&cameras, &mut draw)?]
+        } else {
+            let paths = self.paths(&cameras)?;
+            std::fs::create_dir_all(&self.out).map_err(|e| Failure::io("create the folder", &self.out, &e))?;
+            for (done, (camera, path)) in cameras.iter().zip(&paths).enumerate() {
+                self.save(&draw(done, camera), path)?;
+            }
+            paths
+        };
         progress.finish();
         let files: Vec<String> = paths.iter().map(|p| p.display().to_string()).collect();
         let text: String = files.iter().map(|f| format!("{f}\n")).collect();
         Ok(Answer::new(text, json!({"files": files, "background": painter.options.background})))
+    }
+
+    /// The cameras that were asked for.
+    fn cameras(&self, scene: &Scene) -> Result<Vec<NamedCamera>, Failure> {
+        let name = self.camera.to_string_lossy();
+        if name == "orbit" {
+            let n = self.times.as_ref().map_or(TURN, |t| t.0.len());
+            let orbit = scene.orbit()?.ok_or_else(|| {
+                Failure::usage("there is nothing to go around: the cameras look in one direction, or there is no splat")
+            })?;
+            let at = |k: usize| Some((k, orbit.at(k as f64 / n as f64)?));
+            let named = |(k, camera)| NamedCamera { name: format!("orbit-{k:04}"), camera, time: None };
+            return Ok((0..n).filter_map(at).map(named).collect());
+        }
+        let Some(number) = name.strip_prefix("dataset:") else {
+            return Ok(load_cameras(&self.camera, &Limits::default())?);
+        };
+        let Scene::Run(run) = scene else { return Err(Failure::usage("--camera dataset:N needs a run")) };
+        let dataset = run.resolved.open_data()?;
+        let held_out = if dataset.test.is_empty() { &dataset.train } else { &dataset.test };
+        let view = number.parse::<usize>().ok().and_then(|n| held_out.get(n));
+        let view =
+            view.ok_or_else(|| Failure::usage(format!("--camera dataset:N: N from 0 to {}", held_out.len() - 1)))?;
+        Ok(vec![NamedCamera { name: view.name.clone(), camera: view.camera.clone(), time: Some(view.time.normalised) }])
+    }
+
+    /// Cameras with the times of `--times`.
+    fn sequence(&self, cameras: Vec<NamedCamera>) -> Result<Vec<NamedCamera>, Failure> {
+        let Some(times) = &self.times else { return Ok(cameras) };
+        let n = times.0.len();
+        if cameras.len() != 1 && cameras.len() != n {
+            return Err(Failure::usage(format!(
+                "--times gives {n} moments for {} cameras: one, or as many",
+                cameras.len()
+            )));
+        }
+        let at = |(k, &t): (usize, &f32)| {
+            let camera = &cameras[k.min(cameras.len() - 1)];
+            let name = if cameras.len() == 1 { format!("{}-{k:04}", camera.name) } else { camera.name.clone() };
+            NamedCamera { name, time: Some(t), camera: camera.camera.clone() }
+        };
+        Ok(times.0.iter().enumerate().map(at).collect())
+    }
+
+    /// All cameras as one video.
+    fn video(
+        &self,
+        cameras: &[NamedCamera],
+        draw: &mut dyn FnMut(usize, &NamedCamera) -> Frame,
+    ) -> Result<PathBuf, Failure> {
+        let size = |c: &NamedCamera| (c.camera.width, c.camera.height);
+        let Some(first) = cameras.first().map(size) else { return Err(Failure::usage("there is no camera")) };
+        if let Some(other) = cameras.iter().find(|c| size(c) != first) {
+            let what = format!("camera {} has another size than the first; a video has one", other.name);
+            return Err(Failure::usage(what));
+        }
+        std::fs::create_dir_all(&self.out).map_err(|e| Failure::io("create the folder", &self.out, &e))?;
+        let path = self.out.join("video.y4m");
+        write_file(&path, self.force, |out| {
+            y4m::write_header(first.0 as usize, first.1 as usize, self.fps, out)?;
+            cameras.iter().enumerate().try_for_each(|(k, camera)| y4m::write_frame(&rgb(&draw(k, camera)), out))
+        })?;
+        Ok(path)
     }
 
     fn options(&self, scene: &Scene) -> RasterOptions {
@@ -119,6 +211,7 @@ impl Render {
             Format::Png => "png",
             Format::Exr => "exr",
             Format::Npy => "npy",
+            Format::Y4m => "y4m",
         };
         let mut taken = BTreeSet::new();
         let mut paths = Vec::with_capacity(cameras.len());
@@ -144,6 +237,7 @@ impl Render {
             Format::Png => save_png(path, &rgb(frame), self.force)?,
             Format::Exr => exr::save(path, &rgba(frame), self.force)?,
             Format::Npy => write_file(path, self.force, |out| npy::write_image(&rgba(frame), out))?,
+            Format::Y4m => unreachable!("a video is written as a whole"),
         }
         Ok(())
     }

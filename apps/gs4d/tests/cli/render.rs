@@ -132,3 +132,33 @@ fn many_splats_are_inspected() {
     assert_eq!((z["min"].as_f64(), z["max"].as_f64()), (Some(0.0), Some(4.0)));
     assert!(good(&["inspect", text(&path)]).out.contains("row 1, column means"));
 }
+
+#[test]
+fn a_video_goes_around_the_scene_while_time_passes() {
+    let dir = tempfile::tempdir().unwrap();
+    let all = ["render", text(run()), "--camera", "orbit", "--times", "0..1:5", "--format", "y4m", "--fps", "12"];
+    let call = [&all[..], &["-o", text(dir.path()), "--json"]].concat();
+    let answer = good(&call).json();
+    let path = dir.path().join("video.y4m");
+    assert_eq!(answer["files"][0], text(&path));
+    let bytes = fs::read(&path).unwrap();
+    let head = b"YUV4MPEG2 W48 H48 F12:1 Ip A1:1 C444\n";
+    assert!(bytes.starts_with(head));
+    assert_eq!(bytes.len(), head.len() + 5 * (6 + 3 * 48 * 48));
+    let frame = |k: usize| &bytes[head.len() + k * (6 + 3 * 48 * 48)..][6..6 + 48 * 48];
+    assert_ne!(frame(0), frame(2), "the camera goes on");
+    gs4d(&call).fails(6, &["exists"]);
+}
+
+#[test]
+fn a_view_of_the_data_is_a_camera_at_any_time() {
+    let dir = tempfile::tempdir().unwrap();
+    let all = ["render", text(run()), "--camera", "dataset:1", "-o", text(dir.path())];
+    good(&[&all[..], &["--times", "0..1:3"]].concat());
+    assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 3);
+    gs4d(&["render", text(run()), "--camera", "dataset:9", "-o", text(dir.path())]).fails(2, &["N from 0 to 1"]);
+    gs4d(&["render", text(ply()), "--camera", "dataset:0", "-o", text(dir.path())]).fails(2, &["needs a run"]);
+    let around = ["render", text(ply()), "--camera", "orbit", "--times", "0..1:2", "-o", text(dir.path())];
+    good(&around);
+    assert!(dir.path().join("orbit-0001.png").exists());
+}
