@@ -10,6 +10,9 @@
 //! Images without alpha whose views have masks ([`View::mask`]) are carved by these. Masks cut out what moves, so half of the
 //! points are drawn from that hull and the others from the whole box.
 //!
+//! Where masks cut parts out of a single moment ([`Dataset::at_first_moment`]) all views must agree, and the box of what they
+//! keep is carved again, so that small things keep their shape.
+//!
 //! Everything is a function of data set, count and seed.
 
 use std::sync::Arc;
@@ -64,6 +67,14 @@ impl Dataset {
             }
         }
         Ok(uniform(self.scene_bounds(), n, seed))
+    }
+
+    /// The data as if only the first training moment had been photographed.
+    pub fn at_first_moment(&self) -> Self {
+        let first = self.train.iter().map(|v| v.time.normalised).fold(f32::INFINITY, f32::min);
+        let train = self.train.iter().filter(|v| v.time.normalised == first).cloned().collect();
+        let (points, bounds) = (self.points.clone(), Some(self.scene_bounds()));
+        Self { train, points, bounds, dynamic: false, ..self.without_views() }
     }
 
     /// Whether the data say where the scene is: by points, silhouettes, a box, or masks.
@@ -134,7 +145,13 @@ impl Hull {
     fn carve(data: &Dataset) -> Result<Self, DataError> {
         let views = silhouettes(&data.train, !data.has_alpha)?;
         let run = if data.dynamic { LEAST_RUN.max(views.len() / RUN_PART) } else { views.len() }.min(views.len());
-        let [low, high] = data.scene_bounds();
+        let hull = Self::carve_box(&views, run, data.scene_bounds());
+        let again = if data.dynamic || data.has_alpha { None } else { hull.bounds() };
+        Ok(again.map_or(hull, |bounds| Self::carve_box(&views, run, bounds)))
+    }
+
+    /// The cells of a box that agree with some run of so many views.
+    fn carve_box(views: &[Silhouette], run: usize, [low, high]: [Vec3; 2]) -> Self {
         let size = (high - low) / SIDE as f32;
         let slab = |k: usize| {
             let centre = |i: usize, j: usize| low + size * Vec3::new(i as f32 + 0.5, j as f32 + 0.5, k as f32 + 0.5);
@@ -142,13 +159,19 @@ impl Hull {
             let mut kept = Vec::new();
             for cell in 0..SIDE * SIDE {
                 let p = centre(cell % SIDE, cell / SIDE);
-                verdicts.iter_mut().zip(&views).for_each(|(out, v)| *out = v.verdict(p.as_dvec3()));
+                verdicts.iter_mut().zip(views).for_each(|(out, v)| *out = v.verdict(p.as_dvec3()));
                 kept.extend(agreed_color(&verdicts, run).map(|color| (p, color)));
             }
             kept
         };
         let slabs: Vec<Vec<(Vec3, [f32; 3])>> = (0..SIDE).into_par_iter().map(slab).collect();
-        Ok(Self { cells: slabs.concat(), size })
+        Self { cells: slabs.concat(), size }
+    }
+
+    /// The box of the kept cells and one more all around; none without cells.
+    fn bounds(&self) -> Option<[Vec3; 2]> {
+        let grown = |c: &(Vec3, [f32; 3])| [c.0 - 1.5 * self.size, c.0 + 1.5 * self.size];
+        self.cells.iter().map(grown).reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])])
     }
 
     fn draw(&self, n: usize, seed: u64) -> PointCloud {
@@ -282,11 +305,8 @@ mod tests {
         assert_eq!(data.initial_points(10, 0).unwrap().positions.len(), 10);
     }
 
-    /// The same scene with its alpha moved into masks: half of the points lie in the hull of these.
-    #[test]
-    fn masks_carve_where_there_is_no_alpha() {
-        let mut data = generate("balls", &options()).unwrap().dataset;
-        let hull = data.initial_points(1000, 2).unwrap();
+    /// The same data with alpha moved into masks.
+    fn masked(mut data: Dataset) -> Dataset {
         data.has_alpha = false;
         for v in &mut data.train {
             let ImageSource::Memory(image) = &v.image else { panic!("generated images are in memory") };
@@ -294,6 +314,15 @@ mod tests {
             mask.data.chunks_exact_mut(4).for_each(|p| p.fill(p[3]));
             v.mask = Some(ImageSource::Memory(Arc::new(mask)));
         }
+        data
+    }
+
+    /// Half of the points lie in the hull of these.
+    #[test]
+    fn masks_carve_where_there_is_no_alpha() {
+        let data = generate("balls", &options()).unwrap().dataset;
+        let hull = data.initial_points(1000, 2).unwrap();
+        let data = masked(data);
         let cloud = data.initial_points(2000, 2).unwrap();
         assert_eq!(cloud.positions.len(), 2000);
         let near = |p: &Vec3| hull.positions.iter().any(|q| (*p - *q).length() < 0.1);
@@ -301,6 +330,18 @@ mod tests {
         let (first, rest) = (inside(&cloud.positions[..1000]), inside(&cloud.positions[1000..]));
         assert!(first > 900 && rest < 700, "{first} and {rest} of 1000 near the hull");
         assert!(data.has_start() && cloud.colors[1500] == [0.5; 3]);
+    }
+
+    #[test]
+    fn small_things_have_points_where_they_are_at_the_first_moment() {
+        let options = SynthOptions { cameras: 12, moments: 4, ..options() };
+        let made = generate("falling", &options).unwrap();
+        let first = masked(made.dataset).at_first_moment();
+        assert!(!first.dynamic && first.train.len() == 12);
+        let cloud = first.initial_points(2000, 2).unwrap();
+        let ball = made.truth.position_of(0, DVec3::ZERO, 0.0).unwrap().as_vec3();
+        let near = cloud.positions[..1000].iter().filter(|p| p.distance(ball) < 0.3).count();
+        assert!(near > 20, "{near} points of the hull in the ball");
     }
 
     #[test]

@@ -19,6 +19,9 @@ use std::sync::Arc;
 /// Squared neighbour distances below this count as this.
 const MIN_SQUARED_DISTANCE: f32 = 1e-7;
 
+/// Least photographs of the first moment that tell its hull.
+const FIRST_VIEWS: usize = 8;
+
 /// Where the first points come from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -42,6 +45,10 @@ pub struct InitConfig {
     pub points: u32,
     /// Half side of the cube of random points, world units.
     pub bound: f32,
+    /// Only photographs of the first moment carve the hull: for a cloud that is the scene of that moment and is deformed
+    /// later. They must be several.
+    #[serde(default)]
+    pub first_moment: bool,
 }
 
 /// The cloud made of them.
@@ -128,7 +135,14 @@ fn first_points(dataset: &Dataset, init: &InitConfig, seed: u64) -> Result<Point
             Err(MethodError::Scene("the data set brings no points; use init.from = auto or random".into()))
         }
         InitFrom::Auto | InitFrom::Points if dataset.has_start() => {
-            Ok(dataset.initial_points(init.points as usize, seed)?)
+            let n = init.points as usize;
+            let first = init.first_moment.then(|| dataset.at_first_moment());
+            match first.as_ref().map(|d| d.train.len()) {
+                Some(views @ ..FIRST_VIEWS) => Err(MethodError::Scene(format!(
+                    "init.first_moment needs {FIRST_VIEWS} photographs of the first moment; there are {views}"
+                ))),
+                _ => Ok(first.as_ref().unwrap_or(dataset).initial_points(n, seed)?),
+            }
         }
         _ => Ok(random_points(init, seed)),
     }
@@ -196,7 +210,7 @@ mod tests {
 
     #[test]
     fn random_points_depend_on_the_seed_only() {
-        let init = InitConfig { from: InitFrom::Random, points: 50, bound: 1.3 };
+        let init = InitConfig { from: InitFrom::Random, points: 50, bound: 1.3, first_moment: false };
         let points = random_points(&init, 1);
         assert_eq!(points, random_points(&init, 1));
         assert_ne!(points, random_points(&init, 2));

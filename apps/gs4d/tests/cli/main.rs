@@ -13,6 +13,7 @@ mod lab;
 mod pose;
 mod render;
 mod runs;
+mod segment;
 mod support;
 mod sweep;
 mod usage;

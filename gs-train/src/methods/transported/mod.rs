@@ -21,6 +21,7 @@ use crate::schedule::Schedule;
 use glam::{DVec3, Vec3};
 use gs_core::{Camera, Param, Params, Rng, Splats, SplatsGrad, Time, rot};
 use gs_deform::Field;
+use gs_physics::classes::ClassRule;
 use gs_physics::{Dynamics, Moves, Start};
 use gs_raster::ScreenStats;
 use serde::{Deserialize, Serialize};
@@ -31,7 +32,7 @@ mod looks;
 #[cfg(test)]
 mod tests;
 
-use future::Future;
+use future::{Future, Thrift};
 
 /// Farthest that dynamics carry splats, in steps Δt: at moments beyond, the scene stands as it is there.
 const FARTHEST: f64 = 4096.0;
@@ -58,6 +59,13 @@ pub struct PhysicsConfig {
     pub inside: Inside,
     /// Whether the field takes part. Without it the dynamics carry splats from time 0.
     pub field: bool,
+    /// How far a forecast may put a splat off to save work, of the scene's extent, up to the end of the sequence: closed forms
+    /// instead of steps, one motion for a body. 0: only what is exact.
+    #[serde(default)]
+    pub slack: f32,
+    /// Most bodies whose splats share one motion in a forecast, as far as `slack` allows; 0: every splat follows its own.
+    #[serde(default)]
+    pub bodies: u32,
 }
 
 /// How moments that were seen are drawn.
@@ -81,7 +89,9 @@ impl PhysicsConfig {
         need((1..=1000).contains(&self.reach), "reach", self.reach as f32, "1 to 1000")?;
         need((0.0..1.0).contains(&self.direct), "direct", self.direct, "0 or more, below 1")?;
         need(self.back_frames >= 0.0 && self.back_frames.is_finite(), "back_frames", self.back_frames, "0 or more")?;
-        need((0.0..1.0).contains(&self.start), "start", self.start, "0 or more, below 1")
+        need((0.0..1.0).contains(&self.start), "start", self.start, "0 or more, below 1")?;
+        need(self.slack >= 0.0 && self.slack.is_finite(), "slack", self.slack, "0 or more")?;
+        need(self.bodies <= 1000, "bodies", self.bodies as f32, "0 to 1000")
     }
 
     /// Δt of a scene, normalised; a hundredth of the span where there is one moment only.
@@ -119,6 +129,8 @@ pub struct Transported<F: Field, D: Dynamics> {
     dynamics: D,
     config: PhysicsConfig,
     times: Times,
+    /// What forecasts may leave out.
+    thrift: Thrift,
     /// Splats that moved less than this hardly say where the middle of what moves is, world units.
     little: f32,
     scratch: Scratch<F, D>,
@@ -169,7 +181,14 @@ impl<F: Field, D: Dynamics> Transported<F, D> {
         config.check()?;
         let (times, scratch, future) = (Times::new(&config, scene), Scratch::default(), Mutex::new(None));
         let little = LITTLE * scene.extent;
-        Ok(Self { name, canonical, field, dynamics, config, times, little, scratch, future })
+        let thrift = Thrift {
+            rule: ClassRule {
+                tolerance: f64::from(config.slack * scene.extent),
+                horizon: (1.0 - if config.field { times.last_field } else { 0.0 }).max(times.step),
+            },
+            bodies: config.bodies as usize,
+        };
+        Ok(Self { name, canonical, field, dynamics, config, times, thrift, little, scratch, future })
     }
 
     /// From where to where the dynamics act in training for a photograph at time `t`.
@@ -249,7 +268,7 @@ impl<F: Field, D: Dynamics> Transported<F, D> {
             let canonical = self.canonical.activated();
             let begin = self.deformed(&canonical, self.times.last_field);
             let middle = self.start(&canonical, &begin, self.times.last_field).middle;
-            Future::new(begin, self.times.last_field, middle, &self.dynamics)
+            Future::new(begin, self.times.last_field, middle, &self.dynamics, self.thrift)
         });
         future.at(t, &self.dynamics)
     }

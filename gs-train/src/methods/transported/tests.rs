@@ -68,6 +68,8 @@ const CONFIG: PhysicsConfig = PhysicsConfig {
     start: 0.0,
     inside: Inside::Field,
     field: true,
+    slack: 0.0,
+    bodies: 0,
 };
 
 /// Twelve points, frames a twentieth apart, the last at 0.75: Δt = 0.1, T_def = 0.6.
@@ -237,6 +239,8 @@ fn impossible_settings_are_named() {
         (PhysicsConfig { step_frames: 0.0, ..CONFIG }, "step_frames"),
         (PhysicsConfig { back_frames: f32::NAN, ..CONFIG }, "back_frames"),
         (PhysicsConfig { start: 1.0, ..CONFIG }, "start"),
+        (PhysicsConfig { slack: -0.1, ..CONFIG }, "slack"),
+        (PhysicsConfig { bodies: 1001, ..CONFIG }, "bodies"),
     ] {
         assert!(config.check().unwrap_err().contains(name));
     }
