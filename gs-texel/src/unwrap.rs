@@ -32,11 +32,9 @@ pub fn unwrap(vertices: &[Vec3], faces: &[[u32; 3]]) -> Vec<[Vec2; 3]> {
     if folded.is_empty() {
         return packed;
     }
-    let mut next = chart.iter().max().map_or(0, |c| c + 1);
-    for c in chart.iter_mut().filter(|c| folded.contains(c)) {
-        *c = next;
-        next += 1;
-    }
+    let first = chart.iter().max().map_or(0, |c| c + 1);
+    let apart = chart.iter_mut().filter(|c| folded.contains(c));
+    apart.zip(first..).for_each(|(c, own)| *c = own);
     pack(&flat, &chart)
 }
 

@@ -193,7 +193,7 @@ pub enum LabError {
     Data(#[from] DataError),
     /// The run.
     #[error(transparent)]
-    Run(#[from] RunError),
+    Run(Box<RunError>),
     /// The method.
     #[error(transparent)]
     Method(#[from] MethodError),
@@ -215,4 +215,10 @@ pub enum LabError {
     /// Unprojection.
     #[error(transparent)]
     Unproject(#[from] UnprojectError),
+}
+
+impl From<RunError> for LabError {
+    fn from(e: RunError) -> Self {
+        Self::Run(Box::new(e))
+    }
 }

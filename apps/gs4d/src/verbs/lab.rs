@@ -158,7 +158,7 @@ impl From<LabError> for Failure {
             LabError::Unknown { .. } => Self::usage(text).remedy("choose one of them by name"),
             LabError::Unfit(_) => Self::usage(text),
             LabError::Data(e) => e.into(),
-            LabError::Run(e) => e.into(),
+            LabError::Run(e) => (*e).into(),
             LabError::Method(e) => e.into(),
             LabError::Train(e) => e.into(),
             LabError::Eval(e) => e.into(),
