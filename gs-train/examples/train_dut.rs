@@ -11,11 +11,10 @@
 use gs_core::Image;
 use gs_core::io::images::save_png;
 use gs_raster::{Workspace, render};
-use gs_train::avatar::AvatarScene;
 use gs_train::bench::{StageOptions, stage_times};
 use gs_train::data::{Dataset, ImageCache, Split};
 use gs_train::evaluate::{clamped, evaluate};
-use gs_train::methods::dut::{Config, Dut, FrameError};
+use gs_train::methods::dut::{Config, Dut, OffsetErrors};
 use gs_train::methods::{InitConfig, Method, MethodEntry, SceneInfo, overlay};
 use gs_train::moment::Moment;
 use gs_train::synth::avatar::{self, AvatarOptions};
@@ -73,9 +72,15 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut dut = Dut::new(config.try_into::<Config>()?, &scene)?;
     copy(trainer.method(), &mut dut);
     dut.set_step(trainer.steps());
-    let avatar = dataset.avatar.clone().ok_or("a film of a person")?;
-    geometry(&dut, &avatar)?;
-    let stages = StageOptions { warm_up: 2, frames: avatar.frames.len(), repeats: 1, size: 512 };
+    let OffsetErrors { ratio, length } = dut.offset_errors()?;
+    println!(
+        "offsets: RMS error / RMS length = {:.3} of {:.1} mm; along normals {:.3} of {:.1} mm",
+        ratio[0],
+        1e3 * length[0],
+        ratio[1],
+        1e3 * length[1]
+    );
+    let stages = StageOptions { warm_up: 2, frames: dut.actor().scene.frames.len(), repeats: 1, size: 512 };
     print!("{}", stage_times(&dut, &stages)?.text());
     Ok(())
 }
@@ -122,32 +127,5 @@ fn pictures(method: &dyn Method, dataset: &Dataset, folder: &Path) -> Result<(),
         }
         save_png(&folder.join(format!("{}.png", view.name.replace(['/', '\\'], "_"))), &panel, true)?;
     }
-    Ok(())
-}
-
-/// Error of the offsets over the length of the true ones: in all, and along the normals of the bind pose.
-fn geometry(dut: &Dut, avatar: &AvatarScene) -> Result<(), FrameError> {
-    let template = &avatar.character.template;
-    let normals = dut.actor().topology.normals(&template.vertices, &template.faces);
-    let (mut all, mut along) = ([0.0f64; 2], [0.0f64; 2]);
-    for frame in &avatar.frames {
-        let first = dut.first(frame)?;
-        let (Some(found), Some(wanted)) = (dut.offsets(&first)?, avatar.true_offsets(frame)) else { continue };
-        for ((found, wanted), normal) in found.iter().zip(&wanted).zip(&normals) {
-            for (k, v) in [*found - *wanted, *wanted].into_iter().enumerate() {
-                all[k] += f64::from(v.length_squared());
-                along[k] += f64::from(v.dot(*normal).powi(2));
-            }
-        }
-    }
-    let count = (avatar.frames.len() * template.vertices.len()) as f64;
-    let ratio = |[error, truth]: [f64; 2]| (error / truth).sqrt();
-    println!(
-        "offsets: RMS error / RMS length = {:.3} of {:.1} mm; along normals {:.3} of {:.1} mm",
-        ratio(all),
-        1e3 * (all[1] / count).sqrt(),
-        ratio(along),
-        1e3 * (along[1] / count).sqrt()
-    );
     Ok(())
 }

@@ -50,6 +50,8 @@ pub struct AvatarFrame {
     pub number: u32,
     /// The moment, on the clock of the data set's views.
     pub time: Time,
+    /// Whether training views show it: what is learnt of all frames at once leaves out the others.
+    pub learnt: bool,
     /// Where the joints are, and the weights of the morphs as far as they are known: what a method may use.
     pub pose: Pose,
     /// What the conditioning cameras saw, in order of their ids: RGBA, alpha is coverage. At least one.
@@ -167,6 +169,7 @@ mod tests {
         let frame = |(k, &t): (usize, &f32)| AvatarFrame {
             number: k as u32,
             time: at(t),
+            learnt: true,
             pose: Pose::default(),
             inputs: Vec::new(),
             points: None,

@@ -171,30 +171,8 @@ fn truth(show: &Show, question: &Question, camera: &Camera) -> Result<Image, Str
     };
     let view = show.views.get(number).ok_or("there is no such view")?;
     let photographs = show.photographs().ok_or("there are no photographs")?;
-    let image = photographs.get(view).map_err(|e| e.to_string())?.over(show.background());
-    Ok(shrunk(&image, camera.width as usize, camera.height as usize))
-}
-
-/// The mean of the pixels under each smaller pixel.
-fn shrunk(image: &Image, width: usize, height: usize) -> Image {
-    if (image.width, image.height) == (width, height) {
-        return image.clone();
-    }
-    let span = |k: usize, from: usize, to: usize| (k * from / to, ((k + 1) * from).div_ceil(to).min(from));
-    let mut out = Image::zeros(width, height, image.channels);
-    for y in 0..height {
-        let (top, bottom) = span(y, image.height, height);
-        for x in 0..width {
-            let (left, right) = span(x, image.width, width);
-            let pixel = out.pixel_mut(x, y);
-            for (j, i) in (top..bottom).flat_map(|j| (left..right).map(move |i| (j, i))) {
-                pixel.iter_mut().zip(image.pixel(i, j)).for_each(|(sum, v)| *sum += v);
-            }
-            let share = 1.0 / ((bottom - top) * (right - left)).max(1) as f32;
-            pixel.iter_mut().for_each(|v| *v *= share);
-        }
-    }
-    out
+    let image = photographs.get(view).map_err(|e| e.to_string())?;
+    Ok(image.box_downscaled(camera.width as usize, camera.height as usize).over(show.background()))
 }
 
 /// A scale from dark blue over teal to pale yellow whose lightness grows evenly, for all eyes.
@@ -245,16 +223,6 @@ fn pack(image: &Image, packing: Packing) -> Result<Vec<u8>, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn shrinking_keeps_the_mean() {
-        let data = (0..6 * 4 * 3).map(|k| (k % 7) as f32 / 7.0).collect();
-        let image = Image { width: 6, height: 4, channels: 3, data };
-        let small = shrunk(&image, 3, 2);
-        let mean = |im: &Image| im.data.iter().sum::<f32>() / im.data.len() as f32;
-        assert!((mean(&small) - mean(&image)).abs() < 1e-6);
-        assert_eq!(shrunk(&image, 6, 4), image);
-    }
 
     #[test]
     fn the_scale_grows_lighter() {

@@ -10,7 +10,6 @@ use crate::methods::{check_blocks, smooth};
 use crate::support::*;
 use gs_core::{Params, Rng, Splats, SplatsGrad};
 use gs_raster::{FrameGrad, Workspace, render, render_backward};
-use gs_train::avatar::AvatarScene;
 use gs_train::checkpoint::Checkpoint;
 use gs_train::data::{Dataset, ImageCache, ImageSource, Split};
 use gs_train::evaluate::evaluate;
@@ -311,25 +310,6 @@ lr.texels = { log_scales.steps = 150, sh_dc.steps = 150, offsets.steps = 150 }
     assert!(after > 23.0 && after > before + 5.0, "{before:.2} dB before, {after:.2} dB after");
 }
 
-/// RMS error of the offsets over the RMS length of the true ones: in all, and along the normals of the bind pose.
-fn offset_errors(method: &Dut, person: &AvatarScene) -> [f64; 2] {
-    let template = &person.character.template;
-    let normals = method.actor().topology.normals(&template.vertices, &template.faces);
-    let (mut error, mut truth) = ([0.0f64; 2], [0.0f64; 2]);
-    for frame in &person.frames {
-        let first = method.first(frame).expect("frame");
-        let found = method.offsets(&first).expect("offsets").expect("GeoNet");
-        let wanted = person.true_offsets(frame).expect("truth");
-        for ((found, wanted), normal) in found.iter().zip(&wanted).zip(&normals) {
-            for (sum, v) in [(&mut error, *found - *wanted), (&mut truth, *wanted)] {
-                sum[0] += f64::from(v.length_squared());
-                sum[1] += f64::from(v.dot(*normal).powi(2));
-            }
-        }
-    }
-    [0, 1].map(|k| (error[k] / truth[k]).sqrt())
-}
-
 #[test]
 #[ignore = "minutes long: cargo test -p gs-train --test training -- --ignored geonet_finds"]
 fn geonet_finds_a_morph() {
@@ -343,7 +323,7 @@ fn geonet_finds_a_morph() {
     trainer.method().visit(&mut |p| values.push(p.value.clone()));
     let mut values = values.into_iter();
     method.visit_mut(&mut |p| p.value = values.next().expect("block"));
-    let [all, along] = offset_errors(&method, data.avatar.as_ref().expect("person"));
+    let [all, along] = method.offset_errors().expect("frames").ratio;
     println!("RMS error / RMS length: {all:.3}, along normals {along:.3}");
     assert!(all < 0.1, "{all:.3}, along normals {along:.3}");
 }

@@ -5,7 +5,7 @@ use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use crate::progress::Progress;
 use crate::{Global, parse};
-use gs_core::io::{Limits, SplatFormat, load_splats, save_splats};
+use gs_core::io::{Limits, RawSplats, SplatFormat, load_splats, save_splats, write_file};
 use gs_train::data::{Dataset, ImageCache};
 use gs_train::evaluate::{EvalReport, evaluate};
 use gs_train::export::{AsExported, Baker, ExportError, cut};
@@ -123,11 +123,9 @@ impl Export {
             ));
         }
         let raw = load_splats(&self.scene, &Limits::default())?;
-        let splats = raw.to_splats().map_err(|source| ExportError::Splats { time: 0.0, source })?;
-        let plain = gs_core::io::RawSplats::from_splats(&splats.with_plain_kernel());
-        let plain = cut(plain.map_err(|source| ExportError::Splats { time: 0.0, source })?, self.sh_degree);
-        // A file that changes neither kernel nor degree keeps its own numbers.
-        let kept = if raw.kernel.is_neutral() { cut(raw, self.sh_degree) } else { plain };
+        // A file without a bent kernel keeps its own numbers.
+        let plain = if raw.kernel.is_neutral() { raw } else { straightened(&raw)? };
+        let kept = cut(plain, self.sh_degree);
         let Some((_, path)) = plan.files.first() else { return Err(Failure::usage("no time to write")) };
         make_folder(plan)?;
         save_splats(path, &kept, self.force)?;
@@ -161,7 +159,7 @@ impl Export {
         }
         if let Some(folder) = &plan.folder {
             let table = serde_json::to_vec_pretty(&written).unwrap_or_default();
-            gs_core::io::write_file(&folder.join(TABLE), self.force, |out| out.write_all(&table))?;
+            write_file(&folder.join(TABLE), self.force, |out| out.write_all(&table))?;
         }
         let loss = if self.no_eval { None } else { Some(self.measure(&run, &dataset, baker(), plan.format)?) };
         let bytes: u64 = plan.files.iter().filter_map(|f| f.1.metadata().ok()).map(|m| m.len()).sum();
@@ -197,6 +195,12 @@ impl Export {
         .why("the files are written and draw, but not as well as asked for")
         .remedy("try --format ply or glb, a higher --sh-degree, or gs4d compact, which keeps the method"))
     }
+}
+
+/// The plain Gaussians nearest to splats with a bent kernel.
+fn straightened(raw: &RawSplats) -> Result<RawSplats, ExportError> {
+    let plain = raw.to_splats().and_then(|s| RawSplats::from_splats(&s.with_plain_kernel()));
+    plain.map_err(|source| ExportError::Splats { time: 0.0, source })
 }
 
 /// The times of a folder's files.

@@ -237,7 +237,10 @@ impl Render {
             Format::Png => save_png(path, &rgb(frame), self.force)?,
             Format::Exr => exr::save(path, &rgba(frame), self.force)?,
             Format::Npy => write_file(path, self.force, |out| npy::write_image(&rgba(frame), out))?,
-            Format::Y4m => unreachable!("a video is written as a whole"),
+            Format::Y4m => write_file(path, self.force, |out| {
+                y4m::write_header(frame.width, frame.height, self.fps, out)?;
+                y4m::write_frame(&rgb(frame), out)
+            })?,
         }
         Ok(())
     }

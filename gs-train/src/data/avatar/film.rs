@@ -132,8 +132,9 @@ impl Film {
             if s.list == FrameUse::Train {
                 first.get_or_insert(frames.len());
             }
+            let learnt = settled.train.iter().any(|v| v.time == time);
             let (number, pose, points, true_morphs) = (s.number, s.pose, s.points, s.true_morphs);
-            frames.push(AvatarFrame { number, time, pose, inputs: views, points, true_morphs });
+            frames.push(AvatarFrame { number, time, learnt, pose, inputs: views, points, true_morphs });
         }
         if frames.is_empty() {
             return Err(DataError::Empty { file: place.file });

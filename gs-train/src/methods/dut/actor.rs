@@ -302,14 +302,19 @@ impl Actor {
         Ok(TexelBase::new(&self.gau, faces, &points, &posed.transforms, &posed.turns, &posed.kappas)?)
     }
 
-    /// The mean of first textures at the texels of a table where they are seen, in-painted elsewhere.
+    /// The mean of first textures at the texels of a table where they are seen, in-painted elsewhere, over frames that
+    /// training views show (over any, if none is).
     ///
     /// # Errors
     /// As [`Self::first`].
     pub fn mean_texture(&self, table: &TexelTable) -> Result<Vec<[f32; 3]>, FrameError> {
         let (mut sums, mut counts) = (vec![[0.0f32; 3]; table.len()], vec![0.0f32; table.len()]);
-        let step = self.scene.frames.len().div_ceil(MEAN_FRAMES).max(1);
-        for frame in self.scene.frames.iter().step_by(step) {
+        let mut frames: Vec<&AvatarFrame> = self.scene.frames.iter().filter(|f| f.learnt).collect();
+        if frames.is_empty() {
+            frames = self.scene.frames.iter().collect();
+        }
+        let step = frames.len().div_ceil(MEAN_FRAMES).max(1);
+        for frame in frames.into_iter().step_by(step) {
             let posed = self.pose(frame);
             let seen = self.look(&skin(&posed.canonical, &posed.transforms), &self.photographs(frame)?)?;
             let seen = self.resized(&seen, table);

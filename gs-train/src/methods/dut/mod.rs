@@ -58,6 +58,15 @@ enum Source {
     Direct(Box<Direct>),
 }
 
+/// Offsets against the true ones: in all, and along the normals of the bind pose.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct OffsetErrors {
+    /// RMS error over RMS length; NaN where no truth is known.
+    pub ratio: [f64; 2],
+    /// RMS length of the true ones, metres.
+    pub length: [f64; 2],
+}
+
 /// The method.
 pub struct Dut {
     config: Config,
@@ -138,6 +147,31 @@ impl Dut {
     /// As [`Actor::first`].
     pub fn offsets(&self, first: &First) -> Result<Option<Vec<glam::Vec3>>, FrameError> {
         self.geometry.as_ref().map(|g| g.offsets(&self.actor, first)).transpose()
+    }
+
+    /// How well GeoNet knows the surface, over all frames whose true offsets are known: RMS error over RMS length.
+    ///
+    /// # Errors
+    /// As [`Actor::first`].
+    pub fn offset_errors(&self) -> Result<OffsetErrors, FrameError> {
+        let (scene, mut sums) = (&self.actor.scene, OffsetErrors::default());
+        let template = &scene.character.template;
+        let normals = self.actor.topology.normals(&template.vertices, &template.faces);
+        let (mut error, mut count) = ([0.0f64; 2], 0usize);
+        for frame in &scene.frames {
+            let first = self.first(frame)?;
+            let found = self.offsets(&first)?;
+            let (Some(found), Some(wanted)) = (found, scene.true_offsets(frame)) else { continue };
+            for ((found, wanted), normal) in found.iter().zip(&wanted).zip(&normals) {
+                let squares = |v: glam::Vec3| [v.length_squared(), v.dot(*normal).powi(2)].map(f64::from);
+                error.iter_mut().zip(squares(*found - *wanted)).for_each(|(sum, v)| *sum += v);
+                sums.length.iter_mut().zip(squares(*wanted)).for_each(|(sum, v)| *sum += v);
+            }
+            count += found.len();
+        }
+        sums.ratio = [0, 1].map(|k| (error[k] / sums.length[k]).sqrt());
+        sums.length = sums.length.map(|v| (v / count.max(1) as f64).sqrt());
+        Ok(sums)
     }
 
     /// A frame behind GeoNet.
