@@ -12,6 +12,7 @@
 //! * [`forecast`], [`continual`]: what comes after the last training time, once and while that time moves on.
 //! * [`analysis`]: what else can be said of a scene: quantities, motion, economy.
 //! * [`glmd`]: what each stage of a model moves, in pictures and numbers; [`segment`]: the rigid parts of a scene.
+//! * [`doctor`]: what is wrong with a data set, before it is trained on.
 //! * [`physics_check`]: motions that were learnt against the truth of a generated scene.
 //! * [`config`], [`checkpoint`], [`run`]: settings that know their source, atomic checkpoints, run folders.
 //! * [`storage`], [`compact`]: what a scene weighs, and a file of it in fewer bytes; [`export`]: files for other programs.
@@ -35,6 +36,7 @@ pub mod contest;
 pub mod continual;
 pub mod data;
 pub mod density;
+pub mod doctor;
 pub mod evaluate;
 pub mod export;
 pub mod folders;

@@ -65,6 +65,8 @@ impl Global {
 #[derive(Subcommand)]
 enum Verb {
     Demo(verbs::demo::Demo),
+    Doctor(verbs::doctor::Doctor),
+    Init(verbs::init::Init),
     Synth(verbs::synth::Synth),
     Train(verbs::train::Train),
     Resume(verbs::resume::Resume),
@@ -95,6 +97,8 @@ fn run(cli: Cli) -> Result<Answer, Failure> {
     }
     match cli.verb {
         Verb::Demo(verb) => verb.run(global),
+        Verb::Doctor(verb) => verb.run(global),
+        Verb::Init(verb) => verb.run(global),
         Verb::Synth(verb) => verb.run(global),
         Verb::Train(verb) => verb.run(global),
         Verb::Resume(verb) => verb.run(global),

@@ -17,6 +17,7 @@
 //!   [`Dataset::extrapolate`], for every layout.
 //! * `data.cameras`, `data.test_cameras`, `data.first_frame`, `data.frame_count` and `data.frame_step` choose views of any
 //!   layout.
+//! * The same file may name points to begin with and the box of the scene ([`write_start`] writes them).
 //! * Every assumption a reader makes is a line in [`Dataset::notes`].
 //! * Paths inside the data stay inside the folder; nothing is allocated on the word of a header alone.
 //!
@@ -43,6 +44,7 @@ mod files;
 mod frames;
 mod geometry;
 pub mod header;
+pub(crate) mod hull;
 mod hypernerf;
 mod initial;
 mod intrinsics;
@@ -61,6 +63,7 @@ mod pose;
 mod scene_file;
 mod select;
 mod sight;
+mod start;
 mod times;
 
 pub use cache::ImageCache;
@@ -70,6 +73,7 @@ pub(crate) use geometry::focus;
 pub use lens::Lens;
 pub use options::{DataOptions, TimeFrom, TimeRange};
 pub use pixels::ImageU8;
+pub use start::{Start, StartFrom, cube, write_start};
 
 /// Where the pixels of a view are.
 #[derive(Clone, Debug, PartialEq)]
@@ -209,8 +213,9 @@ impl Dataset {
             let rule = "above 0, at most 1".into();
             return Err(DataError::Option { name: "data.scale", value: scale.to_string(), rule });
         }
-        let options = &scene_file::read(dir)?.under(options);
-        let mut data = (layout.open)(dir, options)?;
+        let file = scene_file::read(dir)?;
+        let mut data = (layout.open)(dir, &file.under(options))?;
+        file.begin(&mut data)?;
         if scale < 1.0 {
             data.shrink(scale);
         }

@@ -1,5 +1,6 @@
-//! Start points from a `.ply`: `x y z` and, where present, `red green blue` (0 to 255).
+//! Start points in a `.ply`: `x y z` and, where present, `red green blue` (0 to 255).
 
+use std::io::Write;
 use std::path::Path;
 
 use glam::Vec3;
@@ -31,6 +32,22 @@ pub(crate) fn read_points(file: &Path) -> Result<PointCloud, DataError> {
     Ok(PointCloud { positions, colors })
 }
 
+/// Writes points with colours, binary.
+///
+/// # Errors
+/// Whatever the writer meets.
+pub(crate) fn write_points(cloud: &PointCloud, out: &mut dyn Write) -> std::io::Result<()> {
+    writeln!(out, "ply\nformat binary_little_endian 1.0\nelement vertex {}", cloud.positions.len())?;
+    ["x", "y", "z"].iter().try_for_each(|c| writeln!(out, "property float {c}"))?;
+    ["red", "green", "blue"].iter().try_for_each(|c| writeln!(out, "property uchar {c}"))?;
+    writeln!(out, "end_header")?;
+    for (p, c) in cloud.positions.iter().zip(&cloud.colors) {
+        p.to_array().iter().try_for_each(|v| out.write_all(&v.to_le_bytes()))?;
+        out.write_all(&c.map(|v| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8))?;
+    }
+    Ok(())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -49,5 +66,17 @@ mod tests {
         std::fs::write(&file, format!("{head}end_header\n1 2 nan\n4 5 6\n")).unwrap();
         let e = read_points(&file).unwrap_err();
         assert!(e.code() == "data.points" && e.to_string().contains('z'), "{e}");
+    }
+
+    #[test]
+    fn what_is_written_is_read() {
+        let cloud = PointCloud {
+            positions: vec![Vec3::new(1.5, -2.0, 3e-7), Vec3::ZERO],
+            colors: vec![[0.0, 1.0, 0.2], [1.0, 0.4, 0.6]],
+        };
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("points.ply");
+        write_points(&cloud, &mut std::fs::File::create(&file).unwrap()).unwrap();
+        assert_eq!(read_points(&file).unwrap(), cloud);
     }
 }

@@ -4,27 +4,42 @@
 //! [time]
 //! boundary = 0.75      # data.time_boundary
 //! range = "0..4.67"    # data.time_range
+//!
+//! [start]
+//! points = "start.ply"                      # points to begin with, in place of the layout's own
+//! bounds = [[-1, -1, -1], [1, 1, 1]]        # corners of the box that holds the scene
 //! ```
 //! Settings of the user win. Unknown keys are refused: a misspelt boundary would train on the future.
 
 use std::path::Path;
 
+use glam::Vec3;
 use serde::Deserialize;
 
-use super::error::DataError;
-use super::files::read_text;
+use super::error::{DataError, Place};
+use super::files::{Root, read_text};
 use super::options::{DataOptions, TimeRange};
+use super::{Dataset, ply};
 
 /// Its name.
 pub(crate) const NAME: &str = "scene.toml";
 /// Largest file read; a usual one has a few lines.
-const MAX_BYTES: u64 = 64 << 10;
+pub(crate) const MAX_BYTES: u64 = 64 << 10;
 
 /// What the file says.
 #[derive(Debug, Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct SceneFile {
     pub(crate) time: TimeSection,
+    pub(crate) start: StartSection,
+}
+
+/// The section `[start]`.
+#[derive(Debug, Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub(crate) struct StartSection {
+    pub(crate) points: Option<String>,
+    pub(crate) bounds: Option<[[f32; 3]; 2]>,
 }
 
 /// The section `[time]`.
@@ -61,6 +76,32 @@ impl SceneFile {
             ..options.clone()
         }
     }
+
+    /// Gives a data set the points and the box that the file names.
+    ///
+    /// # Errors
+    /// `data.escape`, `data.points`; `data.field` for a box without an inside.
+    pub(crate) fn begin(&self, data: &mut Dataset) -> Result<(), DataError> {
+        let file = data.root.join(NAME);
+        if let Some(written) = &self.start.points {
+            let path = Root::new(&data.root)?.resolve(written, &Place::new(&file, "start.points"))?;
+            let points = ply::read_points(&path)?;
+            data.notes.push(format!("{} points to begin with from {written}, as {NAME} says", points.positions.len()));
+            data.points = Some(points);
+        }
+        if let Some([low, high]) = self.start.bounds {
+            if !(0..3).all(|k| low[k] < high[k] && low[k].is_finite() && high[k].is_finite()) {
+                return Err(DataError::Field {
+                    place: Place::new(&file, "start.bounds"),
+                    value: format!("{low:?} to {high:?}"),
+                    why: "the first corner must lie below the second on every axis",
+                    fix: "correct the corners, or remove the line",
+                });
+            }
+            data.bounds = Some([low, high].map(Vec3::from));
+        }
+        Ok(())
+    }
 }
 
 #[cfg(test)]
@@ -91,6 +132,7 @@ mod tests {
             (b"[time]\nboundary = \"0.75\"", "invalid type"),
             (b"[time]\nrange = \"2..1\"", "no time range"),
             (b"[time\n", "line 1"),
+            (b"[start]\npiont = 1", "piont"),
             (b"\xff", "UTF-8"),
         ] {
             let e = read_from(text).unwrap_err();

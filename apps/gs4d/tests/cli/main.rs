@@ -4,6 +4,7 @@ mod avatar;
 mod captures;
 mod compact;
 mod contest;
+mod doctor;
 mod export;
 mod folders;
 mod future;

@@ -141,6 +141,19 @@ fn open_dense(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     Ok(Dataset { points: model.points, ..settled.dataset(dir, NVIDIA.name, has_alpha, notes) })
 }
 
+/// The points of the COLMAP model of a folder of any layout, where there is one.
+///
+/// # Errors
+/// See [`DataError`].
+pub(super) fn points_beside(dir: &Path) -> Result<Option<PointCloud>, DataError> {
+    for folders in [&MODEL_FOLDERS[..], &DENSE_MODEL_FOLDERS] {
+        if model_folder(dir, folders).is_some() {
+            return Ok(Model::read(dir, folders)?.points);
+        }
+    }
+    Ok(None)
+}
+
 /// The three files of a model.
 struct Model {
     cameras: BTreeMap<u32, Intrinsics>,

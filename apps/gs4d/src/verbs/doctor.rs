@@ -1,0 +1,119 @@
+//! `gs4d doctor`: what is wrong with a data set, before it is trained on.
+
+use crate::Global;
+use crate::answer::Answer;
+use crate::failure::{Class, Failure};
+use gs_core::io::write_file;
+use gs_train::data::DataOptions;
+use gs_train::doctor::{Checkup, CostOptions, Exam, Finding, Verdict, examine, page};
+use gs_train::run::settings::{Request, resolve};
+use serde_json::json;
+use std::path::PathBuf;
+
+/// Look at a data set: layout, images, times, poses, points, box, memory and time; say what is wrong and how to mend it
+#[derive(clap::Args)]
+pub struct Doctor {
+    /// The folder.
+    #[arg(value_name = "DATA")]
+    data: PathBuf,
+    /// Read it with this layout [default: the one that fits].
+    #[arg(long)]
+    layout: Option<String>,
+    /// A setting of [data], for example data.scale=0.5, or of the run that is tried (repeatable).
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    sets: Vec<String>,
+    /// The method whose memory and time are estimated.
+    #[arg(short, long, default_value = "fourdgs")]
+    method: String,
+    /// Its preset.
+    #[arg(long, default_value = "fast")]
+    preset: String,
+    /// Estimate neither memory nor time.
+    #[arg(long)]
+    no_cost: bool,
+    /// Memory a run may take, MiB [default: what is free].
+    #[arg(long, value_name = "MIB")]
+    max_mem: Option<f64>,
+    /// The page with pictures.
+    #[arg(short, long, value_name = "FILE", default_value = "doctor.html")]
+    out: PathBuf,
+    /// Overwrite it.
+    #[arg(short, long)]
+    force: bool,
+    /// Exit with 7 on warnings as well.
+    #[arg(long)]
+    strict: bool,
+}
+
+impl Doctor {
+    pub fn run(self, global: &Global) -> Result<Answer, Failure> {
+        let data = self.data_options()?;
+        let cost = CostOptions {
+            method: self.method.clone(),
+            preset: self.preset.clone(),
+            sets: self.sets.clone(),
+            limit_mib: self.max_mem,
+        };
+        let checkup = examine(&self.data, &Exam { data, cost: (!self.no_cost).then_some(cost) });
+        let html = page(&checkup).map_err(|e| Failure::new(Class::Internal, "report", e.to_string()))?;
+        write_file(&self.out, self.force, |out| out.write_all(html.as_bytes()))?;
+        let text = text(&checkup, &self.out.display().to_string());
+        let answer = Answer::new(text, json!({"checkup": checkup, "page": self.out.display().to_string()}));
+        self.judge(&checkup, &answer, global)?;
+        Ok(answer)
+    }
+
+    fn data_options(&self) -> Result<DataOptions, Failure> {
+        let (method, preset, sets) = (self.method.clone(), self.preset.clone(), self.sets.clone());
+        let data = resolve(&Request { method, preset, sets, ..Request::default() })?.data;
+        Ok(DataOptions { layout: self.layout.clone().or(data.layout.clone()), ..data })
+    }
+
+    /// Prints the answer and fails where the data are not fit.
+    fn judge(&self, checkup: &Checkup, answer: &Answer, global: &Global) -> Result<(), Failure> {
+        let [problems, warnings] = [Verdict::Problem, Verdict::Warning].map(|v| checkup.count(v));
+        let told = |class, id, what: String| {
+            answer.print(global.json)?;
+            Err(Failure::new(class, id, what).place(self.data.display()).remedy("see what to do behind each finding"))
+        };
+        if problems > 0 {
+            return told(Class::Data, "doctor.problems", format!("{problems} problems, {warnings} warnings"));
+        }
+        if self.strict && warnings > 0 {
+            return told(
+                Class::Verification,
+                "doctor.strict",
+                format!("{warnings} warnings, and --strict was asked for"),
+            );
+        }
+        Ok(())
+    }
+}
+
+/// Findings as lines of a table.
+fn text(c: &Checkup, page: &str) -> String {
+    let mut out = String::new();
+    for f in &c.findings {
+        out.push_str(&line(f));
+    }
+    let count = |v| c.count(v);
+    let (problems, warnings) = (count(Verdict::Problem), count(Verdict::Warning));
+    out + &format!("{problems} problems, {warnings} warnings - see {page}\n")
+}
+
+fn line(f: &Finding) -> String {
+    let word = match f.verdict {
+        Verdict::Ok => "ok".to_owned(),
+        Verdict::Note => "note".to_owned(),
+        Verdict::Warning => format!("warning[{}]", f.code),
+        Verdict::Problem => format!("problem[{}]", f.code),
+    };
+    let mut out = format!("{:<9} {}  {word}\n", f.topic, f.what);
+    if !f.places.is_empty() {
+        out.push_str(&format!("{:<9}   in   {}\n", "", f.places.join(", ")));
+    }
+    if let Some(fix) = &f.fix {
+        out.push_str(&format!("{:<9}   do   {fix}\n", ""));
+    }
+    out
+}

@@ -1,0 +1,187 @@
+//! Corners of photographs and their partners in another photograph.
+//!
+//! Corners are where the smaller eigenvalue of the structure tensor is large (Shi and Tomasi 1994); each is described by a
+//! 9×9 patch of the smoothed image, brought to mean 0 and length 1, so that the scalar product of two is their normalised
+//! correlation. Partners must be each other's best, be alike, and leave the second best behind (Lowe 2004).
+
+use gs_core::Image;
+use rayon::prelude::*;
+
+/// Samples along each side of a patch, and pixels between them.
+const SIDE: usize = 9;
+const STEP: usize = 2;
+/// Pixels around a corner that its patch needs.
+const REACH: usize = SIDE / 2 * STEP + 1;
+/// Most corners of an image, and the least distance between two, pixels.
+const CORNERS: usize = 700;
+const APART: usize = 5;
+/// Least smaller eigenvalue of a corner, of intensities in 0..1.
+const STRENGTH: f32 = 2e-4;
+/// Least correlation of partners, and the largest ratio of unlikeness (1 − correlation) of best and second best.
+const ALIKE: f32 = 0.85;
+const RATIO: f32 = 0.7;
+
+/// A corner.
+#[derive(Clone, Debug)]
+pub(super) struct Corner {
+    /// Centre of its pixel.
+    pub(super) at: [f64; 2],
+    patch: [f32; SIDE * SIDE],
+}
+
+/// The corners of a grey image whose `inside` is set wherever a patch reaches, the strongest first.
+pub(super) fn corners(grey: &Image, inside: &[bool]) -> Vec<Corner> {
+    let (w, h) = (grey.width, grey.height);
+    if w <= 2 * REACH || h <= 2 * REACH {
+        return Vec::new();
+    }
+    let smooth = smoothed(&smoothed(grey));
+    let strength = strengths(&smooth);
+    let mut found: Vec<(f32, usize)> = Vec::new();
+    for y in REACH..h - REACH {
+        for x in REACH..w - REACH {
+            let i = y * w + x;
+            let s = strength[i];
+            let peak = (0..9).all(|k| strength[(y + k / 3 - 1) * w + x + k % 3 - 1] <= s);
+            let whole = [(0, 0), (REACH, 0), (0, REACH), (REACH, REACH)];
+            let whole = || whole.iter().all(|&(a, b)| inside[(y - REACH / 2 + b) * w + x - REACH / 2 + a]);
+            if s > STRENGTH && peak && whole() {
+                found.push((s, i));
+            }
+        }
+    }
+    found.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+    let mut taken = vec![false; (w / APART + 1) * (h / APART + 1)];
+    let mut out = Vec::new();
+    for (_, i) in found {
+        let (x, y) = (i % w, i / w);
+        let cell = &mut taken[y / APART * (w / APART + 1) + x / APART];
+        if !std::mem::replace(cell, true) {
+            out.push(Corner { at: [x as f64 + 0.5, y as f64 + 0.5], patch: patch(&smooth, x, y) });
+        }
+        if out.len() == CORNERS {
+            break;
+        }
+    }
+    out
+}
+
+/// Pairs of corners of two images that show the same thing, as indices.
+pub(super) fn partners(a: &[Corner], b: &[Corner]) -> Vec<(usize, usize)> {
+    let forth: Vec<Option<(usize, bool)>> = a.par_iter().map(|c| best(c, b)).collect();
+    let back: Vec<Option<(usize, bool)>> = b.par_iter().map(|c| best(c, a)).collect();
+    let mutual = |(i, found): (usize, &Option<(usize, bool)>)| {
+        let (j, clear) = (*found)?;
+        (clear && back[j].is_some_and(|(k, _)| k == i)).then_some((i, j))
+    };
+    forth.iter().enumerate().filter_map(mutual).collect()
+}
+
+/// The most alike of others, and whether it is alike enough and clearly more so than the next.
+fn best(c: &Corner, others: &[Corner]) -> Option<(usize, bool)> {
+    let (mut first, mut second, mut at) = (f32::NEG_INFINITY, f32::NEG_INFINITY, None);
+    for (j, o) in others.iter().enumerate() {
+        let likeness: f32 = c.patch.iter().zip(&o.patch).map(|(x, y)| x * y).sum();
+        if likeness > first {
+            (second, first, at) = (first, likeness, Some(j));
+        } else if likeness > second {
+            second = likeness;
+        }
+    }
+    at.map(|j| (j, first >= ALIKE && 1.0 - first <= RATIO * (1.0 - second)))
+}
+
+fn patch(image: &Image, x: usize, y: usize) -> [f32; SIDE * SIDE] {
+    let half = SIDE / 2 * STEP;
+    let mut p: [f32; SIDE * SIDE] =
+        std::array::from_fn(|k| image.data[(y + k / SIDE * STEP - half) * image.width + x + k % SIDE * STEP - half]);
+    let mean = p.iter().sum::<f32>() / p.len() as f32;
+    let length = p.iter().map(|v| (v - mean).powi(2)).sum::<f32>().sqrt().max(1e-6);
+    p.iter_mut().for_each(|v| *v = (*v - mean) / length);
+    p
+}
+
+/// Smoothed by (1 4 6 4 1)/16 along both axes; borders are repeated.
+fn smoothed(image: &Image) -> Image {
+    let (w, h) = (image.width as isize, image.height as isize);
+    let kernel = [1.0f32, 4.0, 6.0, 4.0, 1.0];
+    let along = |from: &[f32], dx: isize, dy: isize| -> Vec<f32> {
+        let at = |x: isize, y: isize| from[(y.clamp(0, h - 1) * w + x.clamp(0, w - 1)) as usize];
+        let sum = |x: isize, y: isize| -> f32 {
+            (-2isize..=2).zip(kernel).map(|(k, c)| c * at(x + k * dx, y + k * dy)).sum::<f32>() / 16.0
+        };
+        (0..h).flat_map(|y| (0..w).map(move |x| (x, y))).map(|(x, y)| sum(x, y)).collect()
+    };
+    let data = along(&along(&image.data, 1, 0), 0, 1);
+    Image { width: image.width, height: image.height, channels: 1, data }
+}
+
+/// The smaller eigenvalue of the structure tensor over 5×5 pixels; 0 at the border.
+fn strengths(image: &Image) -> Vec<f32> {
+    let (w, h) = (image.width, image.height);
+    let mut tensor = vec![[0.0f32; 3]; w * h];
+    for y in 1..h - 1 {
+        for x in 1..w - 1 {
+            let i = y * w + x;
+            let gx = 0.5 * (image.data[i + 1] - image.data[i - 1]);
+            let gy = 0.5 * (image.data[i + w] - image.data[i - w]);
+            tensor[i] = [gx * gx, gx * gy, gy * gy];
+        }
+    }
+    let mut out = vec![0.0; w * h];
+    for y in 3..h.saturating_sub(3) {
+        for x in 3..w.saturating_sub(3) {
+            let mut sum = [0.0f32; 3];
+            for row in y - 2..=y + 2 {
+                for t in &tensor[row * w + x - 2..=row * w + x + 2] {
+                    (0..3).for_each(|k| sum[k] += t[k]);
+                }
+            }
+            let [a, b, c] = sum;
+            out[y * w + x] = 0.5 * (a + c) - (0.25 * (a - c).powi(2) + b * b).sqrt();
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gs_core::Rng;
+
+    /// Random blobs.
+    fn texture(width: usize, height: usize) -> Image {
+        let mut r = Rng::new(3, "test", 0, 0);
+        let noise = Image { width, height, channels: 1, data: (0..width * height).map(|_| r.uniform()).collect() };
+        smoothed(&noise)
+    }
+
+    fn cut(image: &Image, x0: usize, y0: usize, width: usize, height: usize) -> Image {
+        let data = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
+        let data = data.map(|(x, y)| 0.3 + 0.5 * image.data[(y + y0) * image.width + x + x0]).collect();
+        Image { width, height, channels: 1, data }
+    }
+
+    #[test]
+    fn a_shifted_image_has_its_corners_shifted() {
+        let whole = texture(160, 120);
+        let (a, b) = (cut(&whole, 0, 0, 140, 100), cut(&whole, 11, 7, 140, 100));
+        let inside = vec![true; 140 * 100];
+        let (a, b) = (corners(&a, &inside), corners(&b, &inside));
+        let pairs = partners(&a, &b);
+        assert!(pairs.len() > 60, "{} pairs of {} corners", pairs.len(), a.len());
+        let right = pairs.iter().filter(|&&(i, j)| {
+            (a[i].at[0] - b[j].at[0] - 11.0).abs() < 1.1 && (a[i].at[1] - b[j].at[1] - 7.0).abs() < 1.1
+        });
+        assert!(right.count() * 10 > pairs.len() * 9);
+    }
+
+    #[test]
+    fn flat_small_and_hidden_images_have_none() {
+        let flat = Image { width: 60, height: 60, channels: 1, data: vec![0.5; 3600] };
+        assert!(corners(&flat, &vec![true; 3600]).is_empty());
+        assert!(corners(&texture(60, 60), &vec![false; 3600]).is_empty());
+        assert!(corners(&texture(8, 8), &[true; 64]).is_empty());
+        assert!(partners(&[], &[]).is_empty());
+    }
+}
