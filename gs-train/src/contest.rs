@@ -269,7 +269,7 @@ impl Contest {
             _ => Training::begin(run, true, resolved),
         };
         let mut training = training.map_err(failed)?;
-        match training.train(stop, &mut |p| tell(Told::Step(p))).map_err(failed)? {
+        match training.train(stop, &mut |p, _| tell(Told::Step(p))).map_err(failed)? {
             Outcome::Interrupted(_) => Err(ContestError::Interrupted(run.to_owned())),
             _ => training.score().map_err(failed),
         }

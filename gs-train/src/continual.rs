@@ -226,7 +226,7 @@ pub fn run(
                 before.grow(longer, seen)?
             }
         };
-        if now.train(stop, &mut |p| tell(Told::Step(p)))? != Outcome::Finished {
+        if now.train(stop, &mut |p, _| tell(Told::Step(p)))? != Outcome::Finished {
             return Ok(None);
         }
         done.push(scored(&now, round, plan.score_views)?);
@@ -380,7 +380,7 @@ mod tests {
         let whole = resolved.open_data().unwrap();
         let of = |last| Arc::new(part(&whole, Round { last, end: 1.0 }));
         let mut training = Training::begin_on(&dir.path().join("run"), false, resolved.clone(), of(0.3)).unwrap();
-        training.train(&AtomicBool::new(false), &mut |_| {}).unwrap();
+        training.train(&AtomicBool::new(false), &mut |_, _| {}).unwrap();
         let before = training.trainer().state();
         let grown = training.grow(settings::lengthen(&resolved, 20, 12).unwrap(), of(0.6)).unwrap();
         let after = grown.trainer().state();

@@ -92,8 +92,8 @@ impl<'a> Baker<'a> {
     }
 }
 
-/// Some rows of a scene.
-fn rows(splats: &Splats, kept: &[usize]) -> Splats {
+/// Some rows of a scene, with the Gaussian for a kernel.
+pub fn rows(splats: &Splats, kept: &[usize]) -> Splats {
     let width = splats.color.width();
     let color = match &splats.color {
         Color::Rgb(rgb) => Color::Rgb(kept.iter().map(|&i| rgb[i]).collect()),

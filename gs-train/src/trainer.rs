@@ -157,16 +157,24 @@ impl Trainer {
         self.state_as(&self.config, &self.scene)
     }
 
+    /// What drawing the scene as it stands needs ([`methods::saved::look`]).
+    pub fn look(&self) -> Checkpoint {
+        methods::saved::look(self.method.as_ref(), &self.run_state(&self.config, &self.scene))
+    }
+
     fn state_as(&self, config: &toml::Table, scene: &SceneInfo) -> Checkpoint {
-        let run = methods::saved::RunState {
+        methods::saved::save(self.method.as_ref(), &self.run_state(config, scene))
+    }
+
+    fn run_state<'a>(&'a self, config: &'a toml::Table, scene: &'a SceneInfo) -> methods::saved::RunState<'a> {
+        methods::saved::RunState {
             method: self.method.name(),
             config,
             scene,
             step: self.step,
             adam_updates: self.adam.updates(),
             train_seconds: self.seconds,
-        };
-        methods::saved::save(self.method.as_ref(), &run)
+        }
     }
 
     /// Makes the next step.

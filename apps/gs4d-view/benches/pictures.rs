@@ -7,9 +7,9 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use gs_core::io::{Limits, images::decode_image};
 use gs_core::speed::{Laps, SpeedError};
 use gs_raster::measure;
-use gs4d_view::picture::{Packing, Painter};
+use gs4d_view::picture::Painter;
 use gs4d_view::question::Question;
-use gs4d_view::{Show, Stage};
+use gs4d_view::{Packing, Show, Stage};
 
 /// Splats of the scene.
 const SPLATS: usize = 100_000;
@@ -21,7 +21,7 @@ fn question(shrink: u32) -> Question {
     let (eye, target) = (camera.position(), camera.position() + camera.forward());
     let [width, height] = SIZE.map(|v| v / shrink);
     let text = serde_json::json!({
-        "id": 1, "show": 0, "layer": "color", "time": 0.0, "width": width, "height": height,
+        "id": 1, "what": {"show": 0, "layer": "color"}, "time": 0.0, "width": width, "height": height,
         "look": {"free": [eye.to_array(), target.to_array(), (-camera.rotation.row(1)).to_array(), 0.8]},
     });
     Question::parse(&text.to_string()).expect("a sound question")
@@ -30,7 +30,7 @@ fn question(shrink: u32) -> Question {
 fn pictures(c: &mut Criterion) {
     let stage = Stage { shows: vec![Show::splats("scene".into(), measure::scene(SPLATS, 3))] };
     let mut painter = Painter::default();
-    let exact = |painter: &mut Painter, q: &Question| painter.answer(&stage, q, Packing::Png).expect("a picture").image;
+    let exact = |painter: &mut Painter, q: &Question| painter.answer(&stage, q, Packing::Png).expect("a picture").bytes;
     for (case, shrink) in [("at rest", 1), ("moving", 4)] {
         let question = question(shrink);
         let truth = exact(&mut painter, &question);
@@ -40,7 +40,7 @@ fn pictures(c: &mut Criterion) {
             let mut image = Vec::new();
             c.bench_function(&format!("{case}/{variant}"), |b| {
                 b.iter_custom(|calls| {
-                    laps.run(calls, || image = painter.answer(&stage, &question, packing).expect("a picture").image)
+                    laps.run(calls, || image = painter.answer(&stage, &question, packing).expect("a picture").bytes)
                 });
             });
             let Some(ms) = laps.median_ms() else { continue };

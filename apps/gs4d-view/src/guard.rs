@@ -13,17 +13,20 @@ pub struct Guard {
     token: String,
     /// `host:port` this server is called by.
     names: Vec<String>,
+    /// Listening everywhere, the server does not know all its addresses: any number with this port is one.
+    everywhere: Option<u16>,
 }
 
 impl Guard {
-    /// A guard of an address, with a token nobody knows yet. Behind a wildcard address any numeric host is this server.
+    /// A guard of an address, with a token nobody knows yet.
     pub fn new(address: SocketAddr) -> Self {
         let port = address.port();
         let mut names = vec![format!("{address}")];
         if address.ip().is_loopback() {
             names.extend([format!("localhost:{port}"), format!("127.0.0.1:{port}"), format!("[::1]:{port}")]);
         }
-        Self { token: token(), names }
+        let everywhere = address.ip().is_unspecified().then_some(port);
+        Self { token: token(), names, everywhere }
     }
 
     /// The token.
@@ -33,7 +36,8 @@ impl Guard {
 
     /// Whether a `Host` header names this server.
     pub fn host(&self, host: Option<&str>) -> bool {
-        host.is_some_and(|h| self.names.iter().any(|n| n.eq_ignore_ascii_case(h)))
+        let number = |h: &str| h.parse::<SocketAddr>().is_ok_and(|a| Some(a.port()) == self.everywhere);
+        host.is_some_and(|h| self.names.iter().any(|n| n.eq_ignore_ascii_case(h)) || number(h))
     }
 
     /// Whether an `Origin` header is a page of this server. Programs that are no browsers send none.
@@ -85,6 +89,15 @@ mod tests {
         }
         assert!(!guard.host(None) && !guard.origin(Some("null")) && !guard.origin(Some("https://localhost:7007")));
         assert!(guard.origin(None));
+    }
+
+    #[test]
+    fn a_server_that_listens_everywhere_goes_by_numbers_not_by_names() {
+        let guard = Guard::new("0.0.0.0:7007".parse().unwrap());
+        assert!(guard.host(Some("192.168.1.5:7007")) && guard.origin(Some("http://[fe80::1]:7007")));
+        for bad in ["192.168.1.5:80", "evil.example:7007", "192.168.1.5", "192.168.1.5.evil.example:7007"] {
+            assert!(!guard.host(Some(bad)), "{bad}");
+        }
     }
 
     #[test]

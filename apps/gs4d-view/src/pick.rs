@@ -1,7 +1,7 @@
 //! Which splats made a pixel: their weights are the derivative of the pixel by their colours, which the rasteriser's own way
 //! back gives exactly.
 
-use crate::stage::Show;
+use crate::shot::Shot;
 use gs_core::{Camera, Color};
 use gs_raster::{FrameGrad, Workspace, render, render_backward};
 use serde_json::{Value, json};
@@ -12,22 +12,26 @@ const MOST: usize = 8;
 const POINTS: usize = 33;
 
 /// The splats behind a pixel at shares `at` of the picture, heaviest first, with their properties and paths over 0..1.
-pub fn pick(show: &Show, time: f32, camera: &Camera, at: [f32; 2]) -> Value {
+///
+/// # Errors
+/// As [`Shot::tracked`].
+pub fn pick(shot: &Shot, at: [f32; 2]) -> Result<Value, String> {
+    let camera = &shot.camera;
     let pixel = [at[0] * camera.width as f32, at[1] * camera.height as f32].map(|v| f64::from(v.floor()));
     let one = Camera { width: 1, height: 1, cx: camera.cx - pixel[0], cy: camera.cy - pixel[1], ..camera.clone() };
-    let splats = show.tracked(time, camera);
-    let mut grey = splats.clone();
+    let splats = shot.tracked()?;
+    let mut grey = splats.clone().into_owned();
     grey.color = Color::Rgb(vec![[0.5; 3]; splats.len()]);
     let mut workspace = Workspace::new();
-    let frame = render(&grey, &one, show.options(), &mut workspace);
+    let frame = render(&grey, &one, shot.show.options(), &mut workspace);
     let d = FrameGrad { rgb: vec![1.0, 0.0, 0.0], ..FrameGrad::default() };
-    let (grad, _) = render_backward(&grey, &one, show.options(), &mut workspace, &d);
+    let (grad, _) = render_backward(&grey, &one, shot.show.options(), &mut workspace, &d);
     let weights: Vec<f32> = grad.color.chunks_exact(3).map(|c| c[0]).collect();
     let mut order: Vec<usize> = (0..splats.len()).filter(|&i| weights[i] > 0.0).collect();
     order.sort_by(|&a, &b| weights[b].total_cmp(&weights[a]).then(a.cmp(&b)));
     order.truncate(MOST);
-    let paths = paths(show, camera, &order);
-    let quantities = show.method().map(|m| m.quantities(&gs_train::run::picture::moment(time))).unwrap_or_default();
+    let paths = paths(shot, &order);
+    let quantities = shot.scene.quantities(shot.time);
     let about = |(k, &i): (usize, &usize)| {
         let of: serde_json::Map<String, Value> = quantities
             .iter()
@@ -39,15 +43,15 @@ pub fn pick(show: &Show, time: f32, camera: &Camera, at: [f32; 2]) -> Value {
         })
     };
     let found: Vec<Value> = order.iter().enumerate().map(about).collect();
-    json!({"alpha": frame.alpha.first(), "splats": found, "pixel": pixel})
+    Ok(json!({"alpha": frame.alpha.first(), "splats": found, "pixel": pixel}))
 }
 
 /// Where splats are at times from 0 to 1, `[splats, POINTS, 3]`; one point each for a scene at rest.
-fn paths(show: &Show, camera: &Camera, of: &[usize]) -> Vec<Vec<[f32; 3]>> {
-    let n = if show.method().is_some() && !of.is_empty() { POINTS } else { 1 };
+fn paths(shot: &Shot, of: &[usize]) -> Vec<Vec<[f32; 3]>> {
+    let n = if shot.show.moving() && !of.is_empty() { POINTS } else { 1 };
     let mut paths = vec![Vec::with_capacity(n); of.len()];
     for k in 0..n {
-        let splats = show.tracked(k as f32 / (n.max(2) - 1) as f32, camera);
+        let splats = shot.scene.tracked(k as f32 / (n.max(2) - 1) as f32, &shot.camera);
         for (path, &i) in paths.iter_mut().zip(of) {
             path.extend(splats.means.get(i).map(|m| m.to_array()));
         }

@@ -2,8 +2,10 @@
 
 use crate::ViewError;
 use crate::guard::Guard;
-use crate::picture::{Packing, Painter};
-use crate::question::{MOST_BYTES, Question};
+use crate::live::{Feed, Pace, THREADS};
+use crate::packing::Packing;
+use crate::picture::Painter;
+use crate::question::{MOST_BYTES, MOST_NESTING, Question, nesting};
 use crate::stage::Stage;
 use axum::Router;
 use axum::extract::State;
@@ -11,19 +13,22 @@ use axum::extract::ws::{CloseFrame, Message, WebSocket, WebSocketUpgrade};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
+use gs_train::avatar::AvatarScene;
 use serde_json::{Value, json};
 use std::net::{IpAddr, SocketAddr, TcpListener};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tokio::sync::{mpsc, oneshot, watch};
 
 /// Ports tried after the one asked for.
 const MORE_PORTS: u16 = 20;
 /// Browsers at once.
 const MOST_CLIENTS: usize = 32;
-/// A browser that does not take a picture in this time is let go.
+/// A browser that does not take a message in this time and at [`LEAST_RATE`] is let go.
 const SLOW: Duration = Duration::from_secs(10);
+/// Bytes a second.
+const LEAST_RATE: f64 = 100e3;
 /// So is one that asks nothing for this long.
 const IDLE: Duration = Duration::from_secs(3600);
 /// What a page may load and do: itself, pictures made of answers, a connection to where it came from.
@@ -39,6 +44,8 @@ pub struct Options {
     pub port: u16,
     /// How pictures are packed.
     pub packing: Packing,
+    /// The share of the machine that drawing may take, by one thread; none: all of it.
+    pub share: Option<f64>,
 }
 
 /// A viewer that runs until it is stopped or dropped.
@@ -47,8 +54,20 @@ pub struct Server {
     pub address: SocketAddr,
     /// What to open: holds the token.
     pub url: String,
+    shared: Arc<Shared>,
     stop: Option<oneshot::Sender<()>>,
     thread: Option<std::thread::JoinHandle<()>>,
+}
+
+impl Server {
+    /// Where a run under training, the first show, brings its state.
+    ///
+    /// # Errors
+    /// If there is no thread for it.
+    pub fn feed(&self, avatar: Option<Arc<AvatarScene>>) -> Result<Feed, ViewError> {
+        let share = self.shared.half.unwrap_or(1.0);
+        Feed::start(self.shared.clone(), avatar, share).map_err(ViewError::Threads)
+    }
 }
 
 impl Drop for Server {
@@ -64,12 +83,47 @@ impl Drop for Server {
 }
 
 /// What all connections share.
-struct Shared {
-    stage: Stage,
+pub(crate) struct Shared {
+    pub(crate) stage: Stage,
     guard: Guard,
     packing: Packing,
     painter: Mutex<Painter>,
-    clients: AtomicUsize,
+    /// Browsers that are connected.
+    pub(crate) clients: AtomicUsize,
+    /// What all browsers are told, the newest.
+    pub(crate) news: watch::Sender<Option<String>>,
+    /// Half of the share of the machine, where there is one.
+    half: Option<f64>,
+    pace: Option<Pace>,
+    /// The one thread that draws, where a share is to be kept.
+    pool: Option<rayon::ThreadPool>,
+}
+
+impl Shared {
+    fn new(stage: Stage, guard: Guard, options: &Options) -> Result<Self, ViewError> {
+        let half = options.share.map(|s| 0.5 * s);
+        let one = || rayon::ThreadPoolBuilder::new().num_threads(1).thread_name(|_| THREADS.into()).build();
+        let pool = half.map(|_| one()).transpose();
+        Ok(Self {
+            stage,
+            guard,
+            packing: options.packing,
+            painter: Mutex::default(),
+            clients: AtomicUsize::new(0),
+            news: watch::Sender::new(None),
+            half,
+            pace: half.map(Pace::of),
+            pool: pool.map_err(|e| ViewError::Threads(std::io::Error::other(e)))?,
+        })
+    }
+
+    /// Works on the one thread if a share is to be kept, on all of them otherwise.
+    pub(crate) fn alone<T: Send>(&self, work: impl FnOnce() -> T + Send) -> T {
+        match &self.pool {
+            Some(pool) => pool.install(work),
+            None => work(),
+        }
+    }
 }
 
 /// Starts serving in threads of its own.
@@ -84,27 +138,23 @@ pub fn start(stage: Stage, options: &Options) -> Result<Server, ViewError> {
     let address = listener.local_addr().map_err(ViewError::Threads)?;
     let guard = Guard::new(address);
     let url = format!("http://{address}/?k={}", guard.token());
-    let shared = Arc::new(Shared {
-        stage,
-        guard,
-        packing: options.packing,
-        painter: Mutex::default(),
-        clients: AtomicUsize::new(0),
-    });
-    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build();
+    let shared = Arc::new(Shared::new(stage, guard, options)?);
+    let kept = shared.clone();
+    let mut runtime = tokio::runtime::Builder::new_multi_thread();
+    let runtime = runtime.worker_threads(2).thread_name(THREADS).enable_all().build();
     let runtime = runtime.map_err(ViewError::Threads)?;
     let (stop, stopped) = oneshot::channel();
-    let thread = std::thread::Builder::new().name("gs4d-view".into()).spawn(move || {
+    let thread = std::thread::Builder::new().name(THREADS.into()).spawn(move || {
         runtime.block_on(async {
             let Ok(listener) = tokio::net::TcpListener::from_std(listener) else { return };
             tokio::select! {
-                _ = axum::serve(listener, routes(shared)) => {}
+                _ = axum::serve(listener, routes(kept)) => {}
                 _ = stopped => {}
             }
         });
         runtime.shutdown_timeout(Duration::from_secs(1));
     });
-    Ok(Server { address, url, stop: Some(stop), thread: Some(thread.map_err(ViewError::Threads)?) })
+    Ok(Server { address, url, shared, stop: Some(stop), thread: Some(thread.map_err(ViewError::Threads)?) })
 }
 
 /// The first free port from `first` on.
@@ -120,19 +170,21 @@ fn listen(host: IpAddr, first: u16) -> Result<TcpListener, ViewError> {
     Err(ViewError::Port { host, first, last, source })
 }
 
+/// Parts of the page: path, kind and content.
+const PARTS: [(&str, &str, &str); 5] = [
+    ("/look.js", "text/javascript", include_str!("page/look.js")),
+    ("/tell.js", "text/javascript", include_str!("page/tell.js")),
+    ("/ask.js", "text/javascript", include_str!("page/ask.js")),
+    ("/app.js", "text/javascript", include_str!("page/app.js")),
+    ("/app.css", "text/css", include_str!("page/app.css")),
+];
+
 fn routes(shared: Arc<Shared>) -> Router {
-    Router::new()
-        .route("/", get(page))
-        .route(
-            "/app.js",
-            get(|s: State<Arc<Shared>>, h: HeaderMap| file(s, h, "text/javascript", include_str!("page/app.js"))),
-        )
-        .route(
-            "/app.css",
-            get(|s: State<Arc<Shared>>, h: HeaderMap| file(s, h, "text/css", include_str!("page/app.css"))),
-        )
-        .route("/ws", get(connect))
-        .with_state(shared)
+    let mut router = Router::new().route("/", get(page)).route("/ws", get(connect));
+    for (path, kind, content) in PARTS {
+        router = router.route(path, get(move |s: State<Arc<Shared>>, h: HeaderMap| file(s, h, kind, content)));
+    }
+    router.with_state(shared)
 }
 
 fn text_of(headers: &HeaderMap, name: header::HeaderName) -> Option<&str> {
@@ -208,28 +260,19 @@ async fn connect(
         })
 }
 
-/// One browser: questions come in, of which only the newest waits; answers go out.
+/// One browser: questions come in, of which only the newest waits; answers and news go out.
 async fn talk(mut socket: WebSocket, shared: &Arc<Shared>) {
-    let (wanted, mut newest) = watch::channel::<Option<Question>>(None);
+    let (wanted, newest) = watch::channel::<Option<Question>>(None);
     let (done, mut answers) = mpsc::channel::<Message>(1);
-    let drawing = shared.clone();
-    let worker = tokio::spawn(async move {
-        while newest.changed().await.is_ok() {
-            let Some(question) = newest.borrow_and_update().clone() else { continue };
-            let shared = drawing.clone();
-            let answer = tokio::task::spawn_blocking(move || answer(&shared, &question)).await;
-            let answer = answer.unwrap_or_else(|_| say(&json!({"error": "the picture could not be made"})));
-            if done.send(answer).await.is_err() {
-                break;
-            }
-        }
-    });
+    let mut news = shared.news.subscribe();
+    let worker = tokio::spawn(draw(shared.clone(), newest, done));
     let mut greeting = shared.stage.about();
     greeting["version"] = json!(env!("CARGO_PKG_VERSION"));
     if send(&mut socket, say(&greeting)).await {
         loop {
             let alive = tokio::select! {
                 message = tokio::time::timeout(IDLE, socket.recv()) => match message {
+                    Ok(Some(Ok(Message::Text(text)))) if nesting(&text) > MOST_NESTING => false,
                     Ok(Some(Ok(Message::Text(text)))) => match Question::parse(&text) {
                         Ok(question) => {
                             wanted.send_replace(Some(question));
@@ -241,6 +284,10 @@ async fn talk(mut socket: WebSocket, shared: &Arc<Shared>) {
                     _ => false,
                 },
                 Some(answer) = answers.recv() => send(&mut socket, answer).await,
+                Ok(()) = news.changed() => {
+                    let told = news.borrow_and_update().clone();
+                    send(&mut socket, Message::Text(told.unwrap_or_default().into())).await
+                }
             };
             if !alive {
                 break;
@@ -252,9 +299,30 @@ async fn talk(mut socket: WebSocket, shared: &Arc<Shared>) {
     let _ = tokio::time::timeout(SLOW, socket.send(Message::Close(Some(bye)))).await;
 }
 
+/// Answers the newest question, again and again, at the pace there is.
+async fn draw(shared: Arc<Shared>, mut newest: watch::Receiver<Option<Question>>, done: mpsc::Sender<Message>) {
+    while newest.changed().await.is_ok() {
+        if let Some(pace) = &shared.pace {
+            tokio::time::sleep_until(pace.ready().into()).await;
+        }
+        let Some(question) = newest.borrow_and_update().clone() else { continue };
+        let drawing = shared.clone();
+        let answer = tokio::task::spawn_blocking(move || answer(&drawing, &question)).await;
+        let answer = answer.unwrap_or_else(|_| say(&json!({"error": "the picture could not be made"})));
+        if done.send(answer).await.is_err() {
+            break;
+        }
+    }
+}
+
 /// Whether a message went out in time.
 async fn send(socket: &mut WebSocket, message: Message) -> bool {
-    matches!(tokio::time::timeout(SLOW, socket.send(message)).await, Ok(Ok(())))
+    let bytes = match &message {
+        Message::Binary(bytes) => bytes.len(),
+        _ => 0,
+    };
+    let time = SLOW + Duration::from_secs_f64(bytes as f64 / LEAST_RATE);
+    matches!(tokio::time::timeout(time, socket.send(message)).await, Ok(Ok(())))
 }
 
 fn say(value: &Value) -> Message {
@@ -264,13 +332,19 @@ fn say(value: &Value) -> Message {
 /// The length of the header in four bytes, little end first, the header as JSON, the picture.
 fn answer(shared: &Shared, question: &Question) -> Message {
     let mut painter = shared.painter.lock().unwrap_or_else(PoisonError::into_inner);
-    match painter.answer(&shared.stage, question, shared.packing) {
+    let painter: &mut Painter = &mut painter;
+    let begun = Instant::now();
+    let answer = shared.alone(|| painter.answer(&shared.stage, question, shared.packing));
+    if let Some(pace) = &shared.pace {
+        pace.spent(begun.elapsed());
+    }
+    match answer {
         Ok(answer) => {
             let header = answer.header.to_string().into_bytes();
-            let mut bytes = Vec::with_capacity(4 + header.len() + answer.image.len());
+            let mut bytes = Vec::with_capacity(4 + header.len() + answer.bytes.len());
             bytes.extend((header.len() as u32).to_le_bytes());
             bytes.extend(header);
-            bytes.extend(answer.image);
+            bytes.extend(answer.bytes);
             Message::Binary(bytes.into())
         }
         Err(why) => say(&json!({"id": question.id, "error": why})),

@@ -1,37 +1,36 @@
-//! What can be seen: trained runs with their data, and splat files.
+//! What can be seen: trained runs with their data, runs under training, and splat files.
 
+use crate::checkpoints::Checkpoints;
+use crate::pose;
+use crate::scene::Scene;
 use gs_core::{Camera, Splats};
 use gs_raster::RasterOptions;
 use gs_train::data::{Dataset, ImageCache, View};
-use gs_train::methods::Method;
-use gs_train::run::OpenRun;
 use gs_train::run::orbit::middle;
-use gs_train::run::picture::moment;
+use gs_train::run::{OpenRun, Training};
 use serde_json::{Value, json};
+use std::sync::{Arc, PoisonError, RwLock};
 
 /// Views of the data that the page lists, at most, spread evenly.
 const MOST_VIEWS: usize = 200;
 /// Marks of training times on the slider, at most.
 const MOST_MARKS: usize = 400;
-
-/// Where splats come from.
-enum Source {
-    Method(Box<dyn Method>),
-    Splats(Box<Splats>),
-}
+/// Bytes of photographs kept beside a run under training.
+const LIVE_PHOTOGRAPHS: usize = 64 << 20;
 
 /// One thing to look at.
 pub struct Show {
     /// What the page calls it.
     pub name: String,
-    source: Source,
+    scene: RwLock<Arc<Scene>>,
+    checkpoints: Option<Checkpoints>,
     options: RasterOptions,
     /// Views of the data, training and held out.
     pub views: Vec<View>,
     photographs: Option<ImageCache>,
     /// Training times, normalised, ascending.
     times: Vec<f32>,
-    /// Seconds of the last training time, if times stand for seconds.
+    /// Seconds from normalised time 0 to 1.
     seconds: f64,
     background: [f32; 3],
 }
@@ -42,21 +41,40 @@ impl Show {
         let background = run.background();
         let options = run.loaded.method.schedule().raster_options(background);
         let photographs = dataset.map(|_| run.photographs());
-        let mut show = Self::new(name, Source::Method(run.loaded.method), options, background);
-        show.photographs = photographs;
-        if let Some(data) = dataset {
-            show.bring(data);
-        }
+        let checkpoints = run.folder().ok().map(|f| Checkpoints::of(f.checkpoints()));
+        let mut show = Self::new(name, Scene::method(run.loaded.method), options, background);
+        (show.photographs, show.checkpoints) = (photographs, checkpoints);
+        dataset.into_iter().for_each(|data| show.bring(data));
         show
+    }
+
+    /// A run under training, as it stands; what comes of it is brought by [`Self::replace`].
+    ///
+    /// # Errors
+    /// In words, if its state cannot be read back.
+    pub fn live(name: String, training: &Training) -> Result<Self, String> {
+        let trainer = training.trainer();
+        let data = trainer.dataset();
+        let copy = gs_train::methods::saved::load_with(&trainer.look(), None, data.avatar.clone())?;
+        let background = copy.method.schedule().background.evaluation_color();
+        let options = copy.method.schedule().raster_options(background);
+        let mut show = Self::new(name, Scene::method(copy.method), options, background);
+        let limit = training.resolved().data.max_image_mib;
+        show.photographs = Some(ImageCache::new(LIVE_PHOTOGRAPHS, 1.0).with_max_image_mib(limit));
+        show.checkpoints = Some(Checkpoints::of(training.folder().checkpoints()));
+        show.bring(data);
+        Ok(show)
     }
 
     /// A splat file.
     pub fn splats(name: String, splats: Splats) -> Self {
-        Self::new(name, Source::Splats(Box::new(splats)), RasterOptions::default(), [0.0; 3])
+        Self::new(name, Scene::splats(splats), RasterOptions::default(), [0.0; 3])
     }
 
-    fn new(name: String, source: Source, options: RasterOptions, background: [f32; 3]) -> Self {
-        Self { name, source, options, views: Vec::new(), photographs: None, times: vec![0.0], seconds: 1.0, background }
+    fn new(name: String, scene: Scene, options: RasterOptions, background: [f32; 3]) -> Self {
+        let (scene, times) = (RwLock::new(Arc::new(scene)), vec![0.0]);
+        let (checkpoints, photographs) = (None, None);
+        Self { name, scene, checkpoints, options, views: Vec::new(), photographs, times, seconds: 1.0, background }
     }
 
     fn bring(&mut self, data: &Dataset) {
@@ -77,28 +95,25 @@ impl Show {
         self.times.extend(times.last().filter(|t| self.times.last() != Some(t)));
     }
 
-    /// The splats at a normalised time.
-    pub fn at(&self, time: f32, camera: &Camera) -> Splats {
-        match &self.source {
-            Source::Method(method) => method.splats(&moment(time), camera),
-            Source::Splats(splats) => (**splats).clone(),
+    /// The scene as it is, or as a checkpoint has it.
+    ///
+    /// # Errors
+    /// In words, if there is no such checkpoint.
+    pub fn scene(&self, checkpoint: Option<u32>) -> Result<Arc<Scene>, String> {
+        match (checkpoint, &self.checkpoints) {
+            (None, _) => Ok(self.now()),
+            (Some(step), Some(all)) => all.at(step),
+            (Some(_), None) => Err(format!("{} has no checkpoints", self.name)),
         }
     }
 
-    /// All splats in the same order at every moment.
-    pub fn tracked(&self, time: f32, camera: &Camera) -> Splats {
-        match &self.source {
-            Source::Method(method) => method.tracked(&moment(time), camera),
-            Source::Splats(splats) => (**splats).clone(),
-        }
+    fn now(&self) -> Arc<Scene> {
+        self.scene.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// The method, if it is one.
-    pub fn method(&self) -> Option<&dyn Method> {
-        match &self.source {
-            Source::Method(method) => Some(method.as_ref()),
-            Source::Splats(_) => None,
-        }
+    /// Shows another state from now on. Pictures that are being drawn keep the older one.
+    pub fn replace(&self, scene: Scene) {
+        *self.scene.write().unwrap_or_else(PoisonError::into_inner) = Arc::new(scene);
     }
 
     /// How it is drawn.
@@ -116,17 +131,31 @@ impl Show {
         self.background
     }
 
-    /// Names of what can be drawn.
-    fn layers(&self) -> Vec<String> {
-        let mut layers: Vec<String> = ["color", "depth", "alpha"].map(String::from).into();
+    /// Seconds from normalised time 0 to 1.
+    pub fn seconds(&self) -> f64 {
+        self.seconds
+    }
+
+    /// Mean distance of training times, normalised.
+    pub fn interval(&self) -> f32 {
+        let [first, .., last] = self.times[..] else { return 1.0 };
+        (last - first) / (self.times.len() - 1) as f32
+    }
+
+    /// Whether it can move.
+    pub fn moving(&self) -> bool {
+        self.now().as_method().is_some() && self.times.len() > 1
+    }
+
+    /// What of it changes while it is trained: names of what can be drawn, steps of its checkpoints.
+    pub fn changing(&self) -> Value {
+        let mut layers: Vec<&str> = vec!["color", "depth", "alpha"];
         if self.photographs.is_some() && !self.views.is_empty() {
-            layers.push("truth".into());
+            layers.push("truth");
         }
-        if let Some(method) = self.method() {
-            let mid = moment(self.times.get(self.times.len() / 2).copied().unwrap_or(0.0));
-            layers.extend(method.quantities(&mid).iter().map(|q| q.name.to_owned()));
-        }
-        layers
+        layers.extend(self.now().overlays(self.times.get(self.times.len() / 2).copied().unwrap_or(0.0)));
+        let steps = self.checkpoints.as_ref().map(Checkpoints::steps).unwrap_or_default();
+        json!({"layers": layers, "checkpoints": steps})
     }
 
     /// What the page must know of it.
@@ -140,21 +169,26 @@ impl Show {
                 "eye": eye.to_array(), "forward": c.forward().to_array(), "up": (-down).to_array(),
             })
         };
-        let moving = self.method().is_some() && self.times.len() > 1;
         let centre = self.centre();
-        json!({
-            "name": self.name, "layers": self.layers(), "times": self.times, "seconds": self.seconds, "moving": moving,
+        let mut about = json!({
+            "name": self.name, "times": self.times, "seconds": self.seconds, "moving": self.moving(),
             "views": self.views.iter().map(view).collect::<Vec<_>>(),
-            "centre": centre.0, "radius": centre.1,
-        })
+            "centre": centre.0, "radius": centre.1, "joints": self.now().figure().map(pose::joints),
+        });
+        let changing = self.changing();
+        for name in ["layers", "checkpoints"] {
+            about[name] = changing[name].clone();
+        }
+        about
     }
 
     /// Median of the centres at the first time and the distance that three quarters of them lie within.
     fn centre(&self) -> ([f32; 3], f32) {
         let neutral = gs_train::run::needs::neutral_camera();
-        let camera = self.views.first().map_or(neutral, |v| v.camera.clone());
-        let means = self.at(self.times.first().copied().unwrap_or(0.0), &camera).means;
-        middle(&means).map_or(([0.0; 3], 1.0), |(centre, away)| (centre.to_array(), away))
+        let camera: &Camera = self.views.first().map_or(&neutral, |v| &v.camera);
+        let scene = self.now();
+        let splats = scene.at(self.times.first().copied().unwrap_or(0.0), camera);
+        middle(&splats.means).map_or(([0.0; 3], 1.0), |(centre, away)| (centre.to_array(), away))
     }
 }
 
@@ -168,5 +202,21 @@ impl Stage {
     /// What the page is told first.
     pub fn about(&self) -> Value {
         json!({"shows": self.shows.iter().map(Show::about).collect::<Vec<_>>()})
+    }
+
+    /// A show by its number.
+    ///
+    /// # Errors
+    /// In words, if there is none.
+    pub fn show(&self, number: usize) -> Result<&Show, String> {
+        self.shows.get(number).ok_or_else(|| "there is no such show".to_owned())
+    }
+
+    /// A view of a show's data.
+    ///
+    /// # Errors
+    /// In words, if there is none.
+    pub fn view(&self, show: usize, number: usize) -> Result<&View, String> {
+        self.show(show)?.views.get(number).ok_or_else(|| "there is no such view".to_owned())
     }
 }

@@ -1,14 +1,15 @@
 //! The viewer as a browser meets it: what is answered, and what is refused.
 
+mod support;
+
 use gs_core::{Color, Kernel, Splats};
-use gs4d_view::picture::Packing;
-use gs4d_view::{Options, Server, Show, Stage, start};
+use gs4d_view::{Options, Packing, Server, Show, Stage, start};
 use serde_json::{Value, json};
 use std::io::{Read, Write};
 use std::net::{IpAddr, Ipv4Addr, TcpStream};
-use std::time::Duration;
-use tungstenite::client::IntoClientRequest;
-use tungstenite::{Message, WebSocket};
+use std::time::{Duration, Instant};
+use support::{ask, connect, greeted, key};
+use tungstenite::Message;
 
 const LOCAL: IpAddr = IpAddr::V4(Ipv4Addr::LOCALHOST);
 
@@ -25,7 +26,7 @@ fn scene() -> Splats {
 
 fn server(packing: Packing) -> Server {
     let stage = Stage { shows: vec![Show::splats("red".into(), scene())] };
-    start(stage, &Options { host: LOCAL, port: 18_200, packing }).unwrap()
+    start(stage, &Options { host: LOCAL, port: 18_200, packing, share: None }).unwrap()
 }
 
 /// The status line and body of a plain request.
@@ -37,45 +38,12 @@ fn get(server: &Server, path: &str, host: &str) -> String {
     answer
 }
 
-fn key(server: &Server) -> &str {
-    server.url.split_once("k=").unwrap().1
-}
-
-/// A browser's WebSocket, with headers of our choice.
-fn connect(server: &Server, key: &str, origin: Option<&str>) -> Result<WebSocket<TcpStream>, String> {
-    let mut request = format!("ws://{}/ws?k={key}", server.address).into_client_request().unwrap();
-    if let Some(origin) = origin {
-        request.headers_mut().insert("origin", origin.parse().unwrap());
-    }
-    let stream = TcpStream::connect(server.address).unwrap();
-    stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
-    tungstenite::client(request, stream).map(|(socket, _)| socket).map_err(|e| e.to_string())
-}
-
-fn greeted(server: &Server) -> (WebSocket<TcpStream>, Value) {
-    let mut socket = connect(server, key(server), None).unwrap();
-    let text = socket.read().unwrap();
-    let about = serde_json::from_str(text.to_text().unwrap()).unwrap();
-    (socket, about)
-}
-
+/// A picture of the first show.
 fn question(id: u64, layer: &str) -> Value {
     json!({
-        "id": id, "show": 0, "layer": layer, "time": 0.0, "width": 64, "height": 48,
+        "id": id, "what": {"show": 0, "layer": layer}, "time": 0.0, "width": 64, "height": 48,
         "look": {"free": [[0.0, 0.0, -4.0], [0.0, 0.0, 0.0], [0.0, -1.0, 0.0], 0.8]},
     })
-}
-
-fn ask(socket: &mut WebSocket<TcpStream>, question: &Value) -> (Value, Vec<u8>) {
-    socket.send(Message::Text(question.to_string().into())).unwrap();
-    match socket.read().unwrap() {
-        Message::Binary(bytes) => {
-            let length = u32::from_le_bytes(bytes[..4].try_into().unwrap()) as usize;
-            (serde_json::from_slice(&bytes[4..4 + length]).unwrap(), bytes[4 + length..].to_vec())
-        }
-        Message::Text(text) => (serde_json::from_str(&text).unwrap(), Vec::new()),
-        other => panic!("{other:?}"),
-    }
 }
 
 #[test]
@@ -119,9 +87,13 @@ fn what_makes_no_sense_is_answered_with_a_reason() {
     let server = server(Packing::Png);
     let (mut socket, _) = greeted(&server);
     let mut cases = vec![json!("x"), json!({"id": 1}), question(1, "gate"), question(2, "truth")];
-    for (field, value) in
-        [("show", json!(9)), ("width", json!(1_000_000)), ("time", json!(1e30)), ("look", json!({"view": 3}))]
-    {
+    for (field, value) in [
+        ("what", json!({"show": 9, "layer": "color"})),
+        ("what", json!({"show": 0, "layer": "color", "checkpoint": 5})),
+        ("width", json!(1_000_000)),
+        ("time", json!(1e30)),
+        ("look", json!({"view": [0, 3]})),
+    ] {
         let mut bad = question(3, "color");
         bad[field] = value;
         cases.push(bad);
@@ -178,6 +150,120 @@ fn floods_and_long_messages_are_bounded() {
     socket.send(Message::Text(format!("\"{}\"", "x".repeat(100 << 10)).into())).ok();
     assert!(matches!(socket.read(), Err(_) | Ok(Message::Close(_))));
     greeted(&server);
+}
+
+#[test]
+fn deep_nesting_ends_the_talk() {
+    let server = server(Packing::Png);
+    for deep in [16, 17, 5000] {
+        let (mut socket, _) = greeted(&server);
+        socket.send(Message::Text(format!("{}{}", "[".repeat(deep), "]".repeat(deep)).into())).unwrap();
+        let answered = matches!(socket.read(), Ok(Message::Text(_)));
+        assert_eq!(answered, deep <= 16, "{deep}");
+    }
+    greeted(&server);
+}
+
+#[test]
+fn a_hundred_idle_clients_and_half_requests_keep_nobody_out() {
+    let server = server(Packing::Png);
+    let mut half: Vec<_> = (0..100).map(|_| TcpStream::connect(server.address).unwrap()).collect();
+    half.iter_mut().for_each(|s| s.write_all(b"GET /?k=").unwrap());
+    // Connections that ask for nothing, with the key: only so many are let in.
+    let idle: Vec<_> = (0..100).filter_map(|_| connect(&server, key(&server), None).ok()).collect();
+    assert_eq!(idle.len(), 32);
+    let page = get(&server, &format!("/?k={}", key(&server)), &server.address.to_string());
+    assert!(page.starts_with("HTTP/1.1 200"), "{page}");
+    drop(idle);
+    let free = (0..100).any(|_| {
+        std::thread::sleep(Duration::from_millis(50));
+        connect(&server, key(&server), None).is_ok()
+    });
+    assert!(free);
+}
+
+#[test]
+fn a_slow_reader_delays_nobody_and_holds_few_pictures() {
+    let server = server(Packing::Png);
+    let (mut slow, _) = greeted(&server);
+    // It asks and asks and reads nothing: what the line does not take is not even drawn.
+    slow.get_mut().set_write_timeout(Some(Duration::from_millis(200))).unwrap();
+    let mut large = question(0, "color");
+    (large["width"], large["height"]) = (json!(1600), json!(1200));
+    for id in 1..=300u64 {
+        large["id"] = json!(id);
+        if slow.send(Message::Text(large.to_string().into())).is_err() {
+            break;
+        }
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    let (mut quick, _) = greeted(&server);
+    let begun = Instant::now();
+    assert_eq!(ask(&mut quick, &question(5, "color")).0["id"], 5);
+    assert!(begun.elapsed() < Duration::from_secs(5), "{:?}", begun.elapsed());
+}
+
+#[test]
+fn boxes_are_described_hidden_and_saved() {
+    let server = server(Packing::Png);
+    let (mut socket, _) = greeted(&server);
+    let red_only = json!({
+        "show": 0, "look": {"free": [[0.0, 4.0, 0.25], [0.0, 0.0, 0.25], [0.0, 0.0, 1.0], 0.8]}, "time": 0.0,
+        "width": 64, "height": 48, "at": [0.0, 0.5, 1.0, 1.0],
+    });
+    let mut with = question(1, "color");
+    with["chosen"] = red_only.clone();
+    let told = ask(&mut socket, &with).0["chosen"].clone();
+    assert_eq!((&told["count"], &told["of"], &told["spread"][0]["name"]), (&json!(1), &json!(2), &json!("opacity")));
+    let mut without = question(2, "color");
+    without["hidden"] = json!([red_only]);
+    let (_, png) = ask(&mut socket, &without);
+    let picture = gs_core::io::images::decode_rgba8(&png, "answer.png", &gs_core::io::Limits::default()).unwrap();
+    let middle = &picture.data[4 * (24 * 64 + 32)..][..3];
+    assert!(middle[0] == 0 && middle[2] > 150, "blue alone: {middle:?}");
+    for (part, color) in [("chosen", 0), ("rest", 2)] {
+        with["save"] = json!(part);
+        let (header, ply) = ask(&mut socket, &with);
+        assert_eq!(header["file"], format!("red_t0.000_{part}.ply"));
+        let limits = gs_core::io::Limits::default();
+        let saved = gs_core::io::ply::read(&ply, "saved.ply", &limits).unwrap().to_splats().unwrap();
+        assert_eq!(saved.len(), 1);
+        let kept = scene();
+        assert!(saved.means[0].distance(kept.means[color / 2]) < 1e-6);
+        assert!(saved.color.as_flat()[color] > 0.0 && saved.color.as_flat()[2 - color] < 0.0);
+    }
+    without["hidden"] = json!([with["chosen"], {"show": 0, "look": with["look"], "time": 0.0, "width": 9, "height": 9, "at": [0, 0, 1, 1]}]);
+    without["save"] = json!("rest");
+    assert!(ask(&mut socket, &without).0["error"].as_str().unwrap().contains("no splat"));
+}
+
+#[test]
+fn two_pictures_are_subtracted_and_fine_ones_are_means() {
+    let server = server(Packing::Png);
+    let (mut socket, _) = greeted(&server);
+    let pixels = |png: &[u8]| {
+        let decoded = gs_core::io::images::decode_rgba8(png, "answer.png", &gs_core::io::Limits::default()).unwrap();
+        decoded.data.chunks_exact(4).map(|p| [p[0], p[1], p[2]]).collect::<Vec<_>>()
+    };
+    let mut with = question(1, "color");
+    (with["against"], with["gain"]) = (json!({"show": 0, "layer": "color"}), json!(8.0));
+    let (header, png) = ask(&mut socket, &with);
+    assert!(header["psnr"].is_null() && pixels(&png).iter().all(|p| *p == [128; 3]), "nothing is left: {header}");
+    with["against"]["layer"] = json!("alpha");
+    with["gain"] = json!(1.0);
+    let (header, png) = ask(&mut socket, &with);
+    assert!(header["psnr"].as_f64().unwrap() > 0.0);
+    // Red over white coverage: red nearly stays, green and blue go.
+    let middle = pixels(&png)[24 * 64 + 32];
+    assert!((i32::from(middle[0]) - 120).abs() < 9 && middle[1] < 10, "{middle:?}");
+    let mut fine = question(2, "color");
+    let coarse = pixels(&ask(&mut socket, &fine).1);
+    fine["fine"] = json!(true);
+    let (header, png) = ask(&mut socket, &fine);
+    let fine = pixels(&png);
+    assert_eq!((&header["width"], fine.len()), (&json!(64), coarse.len()));
+    let apart = fine.iter().zip(&coarse).map(|(a, b)| a[0].abs_diff(b[0])).max();
+    assert!(fine != coarse && apart < Some(25), "{apart:?}");
 }
 
 #[test]

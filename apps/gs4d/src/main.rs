@@ -126,6 +126,10 @@ fn main() -> ExitCode {
     let default_hook = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |info| {
         default_hook(info);
+        // What is only looked at ends neither training nor the other pictures.
+        if std::thread::current().name() == Some(gs4d_view::live::THREADS) {
+            return;
+        }
         eprintln!("error[internal]: this is a fault of gs4d; please report it with the lines above");
         std::process::exit(Class::Internal as i32);
     }));

@@ -18,11 +18,16 @@ pub fn not_negative(text: &str) -> Result<f64, String> {
     }
 }
 
-/// A number above 0 and up to 1.
+/// A number above 0 and up to 1, or percent.
 pub fn share(text: &str) -> Result<f64, String> {
-    match text.trim().parse::<f64>() {
+    let text = text.trim();
+    let value = match text.strip_suffix('%') {
+        Some(percent) => percent.trim().parse::<f64>().map(|v| v / 100.0),
+        None => text.parse::<f64>(),
+    };
+    match value {
         Ok(v) if v > 0.0 && v <= 1.0 => Ok(v),
-        _ => Err("give a number above 0 and up to 1, for example 0.95".to_owned()),
+        _ => Err("give a number above 0 and up to 1, for example 0.95 or 95%".to_owned()),
     }
 }
 

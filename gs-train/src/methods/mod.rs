@@ -76,15 +76,22 @@ impl Quantity {
         })
     }
 
-    /// Blue at the low end of the span, white in the middle, red at the high end.
+    /// The span on [`color_scale`].
     pub fn overlay(&self) -> Overlay {
         let [low, high] = self.span();
-        let color = |&v: &f32| {
-            let x = ((v - low) / (high - low)).clamp(0.0, 1.0);
-            [(2.0 * x).min(1.0), 1.0 - (2.0 * x - 1.0).abs(), (2.0 - 2.0 * x).min(1.0)]
-        };
-        Overlay { name: self.name, colors: self.values.iter().map(color).collect() }
+        let colors = self.values.iter().map(|v| color_scale((v - low) / (high - low))).collect();
+        Overlay { name: self.name, colors }
     }
+}
+
+/// A colour for a share: from dark blue over teal to pale yellow, ever lighter, so that it can be read in grey and by
+/// colour-blind eyes. What is not finite is dark.
+pub fn color_scale(share: f32) -> [f32; 3] {
+    const STOPS: [[f32; 3]; 5] =
+        [[0.05, 0.03, 0.30], [0.10, 0.25, 0.55], [0.10, 0.50, 0.53], [0.45, 0.74, 0.35], [0.99, 0.93, 0.55]];
+    let at = if share.is_finite() { share.clamp(0.0, 1.0) * 4.0 } else { 0.0 };
+    let k = (at as usize).min(3);
+    std::array::from_fn(|c| STOPS[k][c] + (STOPS[k + 1][c] - STOPS[k][c]) * (at - k as f32))
 }
 
 /// State of a method that is not a parameter: growth statistics, say.
@@ -147,6 +154,19 @@ pub struct Particles {
     pub origin: Vec3,
 }
 
+/// A filmed person that can be put into other poses than those it was filmed in.
+pub trait Figure {
+    /// The character and what was filmed of it.
+    fn scene(&self) -> &AvatarScene;
+
+    /// The splats that the images of a moment's frame give in the pose of that frame, carried by the skinning of another
+    /// pose: looks stay those of the images.
+    ///
+    /// # Errors
+    /// In words, if the images cannot be read or the pose does not fit.
+    fn posed(&self, at: &Moment, pose: &gs_texel::Pose) -> Result<Splats, String>;
+}
+
 /// A dynamic scene under training.
 pub trait Method: Params + Send + Sync {
     /// The name in [`METHODS`].
@@ -188,6 +208,11 @@ pub trait Method: Params + Send + Sync {
 
     /// The splats as particles whose motion the method has learnt, where it learns such a thing.
     fn particles(&self) -> Option<Particles> {
+        None
+    }
+
+    /// The person, for a method that draws one who can be posed.
+    fn figure(&self) -> Option<&dyn Figure> {
         None
     }
 

@@ -66,6 +66,15 @@ struct Meta {
 
 /// The state of a method and its run.
 pub fn save(method: &dyn Method, run: &RunState) -> Checkpoint {
+    Checkpoint { meta: meta(run), tensors: tensors(method, true) }
+}
+
+/// The same without moments of the optimiser, a third of the bytes: enough to draw.
+pub fn look(method: &dyn Method, run: &RunState) -> Checkpoint {
+    Checkpoint { meta: meta(run), tensors: tensors(method, false) }
+}
+
+fn meta(run: &RunState) -> serde_json::Value {
     let meta = Meta {
         method: run.method.to_owned(),
         config: run.config.clone(),
@@ -81,17 +90,18 @@ pub fn save(method: &dyn Method, run: &RunState) -> Checkpoint {
         train_seconds: run.train_seconds,
     };
     // A structure of names and finite numbers always has a JSON form.
-    let meta = serde_json::to_value(meta).unwrap_or_default();
-    Checkpoint { meta, tensors: tensors(method) }
+    serde_json::to_value(meta).unwrap_or_default()
 }
 
-/// Every block of a method with its moments, then the columns beside them.
-fn tensors(method: &dyn Method) -> Vec<(String, Vec<f32>)> {
+/// Every block of a method, with its moments if wanted, then the columns beside them.
+fn tensors(method: &dyn Method, moments: bool) -> Vec<(String, Vec<f32>)> {
     let mut tensors = Vec::new();
     method.visit(&mut |p: &Param| {
         tensors.push((p.name.clone(), p.value.clone()));
-        tensors.push((format!("{}#m1", p.name), p.moment1.clone()));
-        tensors.push((format!("{}#m2", p.name), p.moment2.clone()));
+        if moments {
+            tensors.push((format!("{}#m1", p.name), p.moment1.clone()));
+            tensors.push((format!("{}#m2", p.name), p.moment2.clone()));
+        }
     });
     tensors.extend(method.columns().into_iter().map(|column| (column.name.to_owned(), column.values.clone())));
     tensors

@@ -168,11 +168,12 @@ impl Training {
         Ok(Self { trainer, resolved, window: Window::default(), ..self })
     }
 
-    /// Trains until the schedule ends, the time budget is spent or `stop` is set; saves in every case.
+    /// Trains until the schedule ends, the time budget is spent or `stop` is set; saves in every case. Between two steps
+    /// `tell` hears where the run stands and may look at it.
     ///
     /// # Errors
     /// If a step fails (the last checkpoint stays good) or something cannot be written.
-    pub fn train(&mut self, stop: &AtomicBool, tell: &mut dyn FnMut(Progress)) -> Result<Outcome, RunError> {
+    pub fn train(&mut self, stop: &AtomicBool, tell: &mut dyn FnMut(Progress, &Trainer)) -> Result<Outcome, RunError> {
         loop {
             let step = self.trainer.steps_done();
             if step >= self.trainer.steps() {
@@ -189,7 +190,7 @@ impl Training {
         }
     }
 
-    fn step(&mut self, tell: &mut dyn FnMut(Progress)) -> Result<(), RunError> {
+    fn step(&mut self, tell: &mut dyn FnMut(Progress, &Trainer)) -> Result<(), RunError> {
         let report = match self.trainer.step() {
             Ok(report) => report,
             Err(error) => {
@@ -204,7 +205,7 @@ impl Training {
         let run = &self.resolved.run;
         let (log, evaluation, save) = (due(run.log_every), due(run.eval_every), due(run.checkpoint_every));
         let histograms = due(run.histogram_every);
-        tell(self.progress());
+        tell(self.progress(), &self.trainer);
         if log || report.step == self.trainer.steps() {
             let line = self.log_line(&report);
             self.log.add(&line)?;

@@ -35,7 +35,7 @@ fn a_report_shows_where_boundaries_went() {
         ..Request::default()
     };
     let mut training = Training::begin(&root, false, settings::resolve(&request).expect("settings")).expect("a run");
-    assert_eq!(training.train(&AtomicBool::new(false), &mut |_| ()).expect("training"), Outcome::Finished);
+    assert_eq!(training.train(&AtomicBool::new(false), &mut |_, _| ()).expect("training"), Outcome::Finished);
     training.report(&training.score().expect("scores")).expect("a report");
 
     let journal = Journal::of(&training.folder().log_lines(folder::JOURNAL).expect("the journal"));

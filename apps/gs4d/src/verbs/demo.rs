@@ -67,7 +67,7 @@ impl Demo {
         let begun = Instant::now();
         let stop = interrupt::flag()?;
         let mut training = self.begin(global)?;
-        if let Outcome::Interrupted(saved) = drive(&mut training, &stop, global)? {
+        if let Outcome::Interrupted(saved) = drive(&mut training, &stop, global, None)? {
             return Err(Failure::new(Class::Interrupted, "interrupted", format!("saved {}", saved.display()))
                 .remedy(format!("gs4d resume {}", training.folder().root().display())));
         }

@@ -1,6 +1,7 @@
 //! `gs4d resume`: goes on with a run exactly where its newest good checkpoint stands.
 
 use super::train::carry_on;
+use super::view::Watch;
 use crate::answer::Answer;
 use crate::failure::Failure;
 use crate::{Global, interrupt, parse};
@@ -23,6 +24,8 @@ pub struct Resume {
     /// Stop with a checkpoint after so much more training, for example 90s, 10m, 1.5h.
     #[arg(long, value_name = "TIME", value_parser = parse::duration)]
     time_budget: Option<Duration>,
+    #[command(flatten)]
+    watch: Watch,
 }
 
 impl Resume {
@@ -30,6 +33,6 @@ impl Resume {
         let stop = interrupt::flag()?;
         let mut training = Training::resume(&self.run, self.steps, self.time_budget.map(|d| d.as_secs_f64()))?;
         global.say(format!("going on from step {}", training.trainer().steps_done()));
-        carry_on(&mut training, &stop, global)
+        carry_on(&mut training, &self.watch, &stop, global)
     }
 }

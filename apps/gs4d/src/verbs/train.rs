@@ -1,5 +1,6 @@
 //! `gs4d train`: learns a scene from a data set, into a run folder.
 
+use super::view::{Watch, Watched};
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use crate::progress::Progress;
@@ -49,6 +50,8 @@ pub struct Train {
     /// Overwrite an older run in that folder.
     #[arg(short, long)]
     force: bool,
+    #[command(flatten)]
+    watch: Watch,
 }
 
 impl Train {
@@ -66,13 +69,14 @@ impl Train {
         let resolved = resolve(&request)?;
         let stop = interrupt::flag()?;
         let mut training = Training::begin(&self.out, self.force, resolved)?;
-        carry_on(&mut training, &stop, global)
+        carry_on(&mut training, &self.watch, &stop, global)
     }
 }
 
 /// Trains to the end of the schedule, scores, writes the report; on interruption says how to go on.
-pub fn carry_on(training: &mut Training, stop: &AtomicBool, global: &Global) -> Result<Answer, Failure> {
-    let outcome = drive(training, stop, global)?;
+pub fn carry_on(training: &mut Training, watch: &Watch, stop: &AtomicBool, global: &Global) -> Result<Answer, Failure> {
+    let mut watched = watch.start(training, global);
+    let outcome = drive(training, stop, global, watched.as_mut())?;
     let root = training.folder().root().to_owned();
     if let Outcome::Interrupted(saved) = outcome {
         let what = format!("interrupted at step {}; saved {}", training.trainer().steps_done(), saved.display());
@@ -94,11 +98,19 @@ pub fn carry_on(training: &mut Training, stop: &AtomicBool, global: &Global) -> 
     Ok(Answer::new(text, json))
 }
 
-/// Trains with a line of progress.
-pub fn drive(training: &mut Training, stop: &AtomicBool, global: &Global) -> Result<Outcome, Failure> {
+/// Trains with a line of progress, and for those who watch.
+pub fn drive(
+    training: &mut Training,
+    stop: &AtomicBool,
+    global: &Global,
+    mut watched: Option<&mut Watched>,
+) -> Result<Outcome, Failure> {
     describe(training, global);
     let mut progress = Progress::new(u64::from(training.trainer().steps()), "steps", global.quiet);
-    let outcome = training.train(stop, &mut |p| {
+    let outcome = training.train(stop, &mut |p, trainer| {
+        if let Some(watched) = &mut watched {
+            watched.feed.offer(p, trainer);
+        }
         progress.at(u64::from(p.step), || {
             let quarantined =
                 if p.quarantined > 0 { format!("  quarantined {}", p.quarantined) } else { String::new() };

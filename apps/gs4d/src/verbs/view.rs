@@ -1,13 +1,11 @@
 //! `gs4d view`: runs and splat files in the browser.
 
-use crate::Global;
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
-use crate::interrupt;
+use crate::{Global, interrupt, parse};
 use gs_core::io::{Limits, load_splats};
-use gs_train::run::OpenRun;
-use gs4d_view::picture::Packing;
-use gs4d_view::{Options, Show, Stage, ViewError, start};
+use gs_train::run::{OpenRun, Training};
+use gs4d_view::{Feed, Options, Packing, Server, Show, Stage, ViewError, start};
 use serde_json::json;
 use std::net::{IpAddr, Ipv4Addr};
 use std::path::{Path, PathBuf};
@@ -38,14 +36,12 @@ impl View {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
         let shows = self.scenes.iter().map(|p| self.show(p, global)).collect::<Result<Vec<_>, _>>()?;
         let packing = if self.remote { Packing::Jpeg } else { Packing::Png };
-        let options = Options { host: self.host, port: self.port, packing };
+        let options = Options { host: self.host, port: self.port, packing, share: None };
         let server = start(Stage { shows }, &options)?;
         if !self.host.is_loopback() {
             global.say("warning: other machines can reach this viewer; whoever has the key below sees the scene");
         }
-        // The address is what the verb is for: it goes out at once, whatever is quiet.
-        eprintln!("view   {}", server.url);
-        global.say(format!("       from another machine: ssh -L {0}:127.0.0.1:{0} THIS_HOST", server.address.port()));
+        announce(&server, global);
         global.say("       Ctrl-C ends it");
         let stop = interrupt::flag()?;
         let begun = Instant::now();
@@ -57,7 +53,7 @@ impl View {
     }
 
     fn show(&self, path: &Path, global: &Global) -> Result<Show, Failure> {
-        let name = path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
+        let name = name_of(path);
         if path.is_dir() || path.extension().is_some_and(|e| e == "gs4d") {
             let run = OpenRun::open(path)?;
             let dataset = run.resolved.open_data();
@@ -70,6 +66,57 @@ impl View {
         let wrong = |e: gs_core::splats::SplatsError| Failure::new(Class::Data, "data.splats", e.to_string());
         Ok(Show::splats(name, splats.map_err(|e| wrong(e).place(path.display()))?))
     }
+}
+
+/// The address is what was asked for: it goes out at once, whatever is quiet.
+fn announce(server: &Server, global: &Global) {
+    eprintln!("view   {}", server.url);
+    global.say(format!("       from another machine: ssh -L {0}:127.0.0.1:{0} THIS_HOST", server.address.port()));
+}
+
+/// Flags of verbs that train: the run in a browser while it goes on.
+#[derive(clap::Args)]
+pub struct Watch {
+    /// Show the run in a browser while it trains. The result stays the same, bit for bit.
+    #[arg(long)]
+    view: bool,
+    /// Port of --view; if it is taken, one of the next twenty.
+    #[arg(long, value_name = "PORT", default_value_t = 7007, requires = "view")]
+    view_port: u16,
+    /// Share of the machine that --view may take from training.
+    #[arg(long, value_name = "SHARE", default_value = "10%", value_parser = parse::share, requires = "view")]
+    view_share: f64,
+}
+
+/// A viewer of a run under training.
+pub struct Watched {
+    /// Where training brings its state.
+    pub feed: Feed,
+    /// Serves until it is dropped.
+    _server: Server,
+}
+
+impl Watch {
+    /// The viewer, if one is wanted. Training goes on without one that cannot start.
+    pub fn start(&self, training: &Training, global: &Global) -> Option<Watched> {
+        let begin = || {
+            let root = training.folder().root();
+            let show = Show::live(name_of(root), training)?;
+            let (host, packing, share) = (Ipv4Addr::LOCALHOST.into(), Packing::Png, Some(self.view_share));
+            let server = start(Stage { shows: vec![show] }, &Options { host, port: self.view_port, packing, share });
+            let server = server.map_err(|e| e.to_string())?;
+            let feed = server.feed(training.trainer().dataset().avatar.clone()).map_err(|e| e.to_string())?;
+            announce(&server, global);
+            Ok(Watched { feed, _server: server })
+        };
+        let wanted = self.view.then(begin)?;
+        wanted.inspect_err(|e: &String| global.say(format!("warning: training goes on without a viewer: {e}"))).ok()
+    }
+}
+
+/// The last part of a path.
+fn name_of(path: &Path) -> String {
+    path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned())
 }
 
 impl From<ViewError> for Failure {

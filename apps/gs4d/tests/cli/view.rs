@@ -1,8 +1,10 @@
 //! `gs4d view`: prints an address that answers those who have its key, and ends.
 
-use crate::support::{command, gs4d, ply, run, text};
+use crate::support::{STEPS, command, data, gs4d, ply, run, text};
+use gs_train::checkpoint::{Checkpoint, file_name};
 use std::io::{BufRead, BufReader, Read, Write};
-use std::net::TcpStream;
+use std::net::{TcpListener, TcpStream};
+use std::path::Path;
 use std::process::Stdio;
 
 #[test]
@@ -22,8 +24,44 @@ fn the_printed_address_shows_a_run_and_a_file() {
     let page = get(&format!("/{path}"));
     assert!(page.starts_with("HTTP/1.1 200") && page.contains("app.js"), "{page}");
     assert!(get("/").starts_with("HTTP/1.1 403"));
-    assert!(get("/app.js").contains("WebSocket"));
+    assert!(get("/ask.js").contains("WebSocket"));
     assert!(child.wait().unwrap().success(), "it ends by itself");
+}
+
+/// Everything a finished run has learnt.
+fn learnt(run: &Path) -> Vec<(String, Vec<f32>)> {
+    Checkpoint::load(&run.join("checkpoints").join(file_name(STEPS))).unwrap().tensors
+}
+
+#[test]
+fn training_is_served_beside_a_taken_port_and_comes_out_the_same() {
+    let dir = tempfile::tempdir().unwrap();
+    let watched = dir.path().join("watched");
+    let taken = TcpListener::bind(("127.0.0.1", 18_440));
+    let steps = STEPS.to_string();
+    let recipe = ["-m", "fourdgs", "--preset", "tiny", "--steps", &steps, "--view", "--view-port", "18440"];
+    let all = [&["train", text(data()), "-o", text(&watched)][..], &recipe, &["--view-share", "5%"]].concat();
+    let mut child = command(&all).stderr(Stdio::piped()).stdout(Stdio::null()).spawn().unwrap();
+    let said: Vec<String> = BufReader::new(child.stderr.take().unwrap()).lines().map(Result::unwrap).collect();
+    assert!(child.wait().unwrap().success(), "{said:?}");
+    let address = said.iter().find(|l| l.contains("http://127.0.0.1:184") && l.contains("/?k=")).unwrap();
+    assert!(taken.is_err() || !address.contains(":18440/"), "{address}");
+    assert!(said.iter().any(|l| l.contains("ssh -L 184")), "{said:?}");
+    assert_eq!(learnt(&watched), learnt(run()));
+}
+
+#[test]
+fn training_goes_on_without_a_viewer_that_cannot_start() {
+    let dir = tempfile::tempdir().unwrap();
+    let lone = dir.path().join("lone");
+    let held: Vec<_> = (0..=20).map(|k| TcpListener::bind(("127.0.0.1", 18_460 + k))).collect();
+    let recipe = ["-m", "fourdgs", "--preset", "tiny", "--steps", "3", "--view", "--view-port", "18460"];
+    let call = gs4d(&[&["train", text(data()), "-o", text(&lone)][..], &recipe].concat());
+    assert_eq!(call.code, 0, "{}", call.err);
+    assert!(call.err.contains("training goes on without a viewer: no free port"), "{}", call.err);
+    drop(held);
+    gs4d(&["train", text(data()), "-m", "fourdgs", "-o", "x", "--view-share", "0", "--view"]).fails(2, &["up to 1"]);
+    gs4d(&["resume", text(&lone), "--view-port", "9000"]).fails(2, &["--view"]);
 }
 
 #[test]

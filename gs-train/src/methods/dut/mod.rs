@@ -22,14 +22,15 @@ pub use config::{
     SurfaceConfig, TextureSizes, UnseenColor,
 };
 
-use crate::avatar::AvatarFrame;
-use crate::methods::{Method, MethodEntry, MethodError, Quantity, SceneInfo, parse_config};
+use crate::avatar::{AvatarFrame, AvatarScene};
+use crate::methods::{Figure, Method, MethodEntry, MethodError, Quantity, SceneInfo, parse_config};
 use crate::moment::Moment;
 use crate::schedule::Schedule;
 use cache::Cache;
 use direct::Direct;
 use geometry::Geometry;
 use gs_core::{Camera, Param, Params, Splats, SplatsGrad};
+use gs_texel::Pose;
 use gs_texel::gaussians::{Channels, DecodeOptions, OFFSET, OPACITY, decode, decode_backward, offset_penalty};
 use network::Network;
 use std::path::PathBuf;
@@ -302,6 +303,22 @@ impl Params for Dut {
     }
 }
 
+impl Figure for Dut {
+    fn scene(&self) -> &AvatarScene {
+        &self.actor.scene
+    }
+
+    fn posed(&self, at: &Moment, pose: &Pose) -> Result<Splats, String> {
+        let carried = || {
+            let (second, rows) = self.drawn(at)?;
+            let frame = AvatarFrame { pose: pose.clone(), ..self.actor.frame_at(at.t).clone() };
+            let base = self.actor.base(&self.actor.pose(&frame), &second.offsets)?;
+            Ok(decode(&rows, self.channels, &base, &self.decoding())?)
+        };
+        carried().map_err(|e: FrameError| e.to_string())
+    }
+}
+
 impl Method for Dut {
     fn name(&self) -> &'static str {
         ENTRY.name
@@ -332,6 +349,10 @@ impl Method for Dut {
         if let Err(e) = self.learn(frame, draw) {
             self.note(frame, &e);
         }
+    }
+
+    fn figure(&self) -> Option<&dyn Figure> {
+        Some(self)
     }
 
     fn looks(&self) -> bool {

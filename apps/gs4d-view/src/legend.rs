@@ -1,0 +1,62 @@
+//! What colours mean: name, unit, range, and how often each value is met.
+
+use gs_train::methods::color_scale;
+use serde_json::{Value, json};
+
+/// Bars of a histogram.
+const BARS: usize = 24;
+
+/// Name, unit, range and histogram of values; the range is theirs if none is given.
+pub fn histogram(name: &str, unit: &str, span: Option<[f32; 2]>, values: &[f32]) -> Value {
+    let known = || values.iter().copied().filter(|v| v.is_finite());
+    let [low, high] = span.unwrap_or_else(|| {
+        let [low, high] = known().fold([f32::INFINITY, f32::NEG_INFINITY], |[a, b], v| [a.min(v), b.max(v)]);
+        match low.is_finite() {
+            true => [low, high],
+            false => [0.0; 2],
+        }
+    });
+    let mut bars = [0u32; BARS];
+    for v in known() {
+        let at = (v - low) / (high - low).max(1e-12) * BARS as f32;
+        bars[(at.max(0.0) as usize).min(BARS - 1)] += 1;
+    }
+    json!({"name": name, "unit": unit, "low": low, "high": high, "bars": bars})
+}
+
+/// A histogram with the colour of each bar on the scale of quantities.
+pub fn scaled(name: &str, unit: &str, span: [f32; 2], values: &[f32]) -> Value {
+    colored(histogram(name, unit, Some(span), values), color_scale)
+}
+
+/// A histogram with greys from black to white.
+pub fn grey(name: &str, values: &[f32]) -> Value {
+    colored(histogram(name, "", Some([0.0, 1.0]), values), |share| [share; 3])
+}
+
+fn colored(mut legend: Value, color: impl Fn(f32) -> [f32; 3]) -> Value {
+    let text = |k: usize| {
+        let [r, g, b] = color(k as f32 / (BARS - 1) as f32).map(|v| (v * 255.0).round() as u8);
+        format!("#{r:02x}{g:02x}{b:02x}")
+    };
+    legend["colors"] = json!((0..BARS).map(text).collect::<Vec<_>>());
+    legend
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_finite_value_is_in_one_bar() {
+        let values = [0.0, 0.5, 1.0, 7.0, -3.0, f32::NAN];
+        let counted = |v: &Value| v["bars"].as_array().unwrap().iter().map(|n| n.as_u64().unwrap()).sum::<u64>();
+        let given = histogram("x", "m", Some([0.0, 1.0]), &values);
+        assert_eq!((counted(&given), &given["bars"][0], &given["bars"][23]), (5, &json!(2), &json!(2)));
+        let own = histogram("x", "m", None, &values);
+        assert_eq!((own["low"].as_f64(), own["high"].as_f64(), counted(&own)), (Some(-3.0), Some(7.0), 5));
+        assert_eq!(counted(&histogram("x", "m", None, &[2.0, 2.0])), 2);
+        assert_eq!(counted(&histogram("x", "m", None, &[])), 0);
+        assert_eq!(grey("alpha", &[])["colors"][23], "#ffffff");
+    }
+}

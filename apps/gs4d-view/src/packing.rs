@@ -1,0 +1,38 @@
+//! Pictures as bytes.
+
+use gs_core::Image;
+use gs_core::io::images::write_png8;
+
+/// JPEG's quality, 1 to 100.
+const QUALITY: u8 = 80;
+
+/// How pictures are packed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Packing {
+    /// Lossless: for this machine.
+    Png,
+    /// A tenth of the bytes: for a far one.
+    Jpeg,
+}
+
+/// A PNG or JPEG file of an image whose values are clamped to 0..1.
+///
+/// # Errors
+/// In words, if the format cannot hold so many pixels.
+pub fn pack(image: &Image, packing: Packing) -> Result<Vec<u8>, String> {
+    let bytes: Vec<u8> = image.data.iter().map(|v| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8).collect();
+    let mut out = Vec::new();
+    let (width, height) = (image.width, image.height);
+    match packing {
+        Packing::Png => {
+            write_png8(width, height, 3, &bytes, &mut out).map_err(|e| e.to_string())?;
+            Ok(out)
+        }
+        Packing::Jpeg => {
+            let side = |n: usize| u16::try_from(n).map_err(|_| "a picture is too wide".to_owned());
+            let encoder = jpeg_encoder::Encoder::new(&mut out, QUALITY);
+            let written = encoder.encode(&bytes, side(width)?, side(height)?, jpeg_encoder::ColorType::Rgb);
+            written.map_err(|e| e.to_string()).map(|()| out)
+        }
+    }
+}

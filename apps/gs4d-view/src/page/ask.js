@@ -1,0 +1,112 @@
+"use strict";
+// The page asks for one picture at a time, the two sides in turn; a newer wish of a side replaces one not yet asked.
+const key = new URLSearchParams(location.search).get("k") || "";
+const FAST = 80; // milliseconds a picture may take while something moves
+const COARSE = 0, REST = 1, FINE = 2;
+let socket = null, next = 1, busy = null, playing = false, moving = 0, shrink = 1, training = false, file = null, chosen = null;
+const sides = { a: { want: null, is: -1 }, b: { want: null, is: -1 } };
+const wanted = () => (state.compare === "wipe" || state.compare === "flicker" ? ["a", "b"] : ["a"]);
+function target(side) {
+  const [show, layer, checkpoint] = state[side];
+  return checkpoint >= 0 ? { show, layer, checkpoint } : { show, layer };
+}
+function ask(side, level) { sides[side].want = level; pump(); }
+function size(level) {
+  const factor = Math.min(devicePixelRatio || 1, 2) / (level === COARSE ? shrink : 1), side = (v) => Math.max(16, Math.round(v * factor));
+  return { width: side(stage.clientWidth), height: side(stage.clientHeight) };
+}
+function pump() {
+  if (busy || !socket || socket.readyState !== 1 || !shows.length) return;
+  if (file) return send({ side: "file" }, { ...scene("a", REST), ...file });
+  const order = pump.last === "a" ? ["b", "a"] : ["a", "b"], side = order.find((s) => sides[s].want !== null && wanted().includes(s));
+  if (side) {
+    const s = sides[side], level = s.want, question = scene(side, level);
+    if (level === FINE) question.fine = true;
+    if (side === "a" && level >= REST) {
+      if (state.arrows) question.arrows = true;
+      if (chosen) question.chosen = chosen;
+      if (s.pick) { question.pick = s.pick; s.pick = null; }
+    }
+    s.want = null; pump.last = side;
+    return send({ side, level }, question);
+  }
+  const thumb = thumbs.find((t) => !t.asked);
+  if (thumb && !playing && performance.now() - moving > 500) {
+    thumb.asked = true;
+    send({ side: "thumb", thumb }, { what: { show: state.a[0], layer: "truth" }, time: 0, look: { view: [state.a[0], thumb.number] }, width: 96, height: 72 });
+  }
+}
+function scene(side, level) {
+  const question = { what: target(side), time: state.t, look: look(), ...size(level) };
+  if (state.compare === "difference" && side === "a") Object.assign(question, { against: target("b"), gain: state.gain });
+  if (state.hidden.length) question.hidden = state.hidden;
+  const turns = Object.entries(state.pose.turns).filter(([, a]) => a.some(Boolean)).map(([j, a]) => [Number(j), a.map((d) => (d * Math.PI) / 180)]);
+  if (about().joints && (turns.length || state.pose.from !== null)) question.pose = { from: state.pose.from, turns };
+  return question;
+}
+function send(what, question) {
+  busy = { id: next++, sent: performance.now(), ...what };
+  socket.send(JSON.stringify({ id: busy.id, ...question }));
+}
+function changed() { moving = performance.now(); save(); again(); }
+function again() { lines(); for (const side of ["a", "b"]) { sides[side].is = -1; document.body.dataset[side] = "waiting"; ask(side, COARSE); } }
+// Asks for what is finer than what is shown once nothing has moved for a while; a run under training gets no finest pictures.
+function settle() {
+  const still = performance.now() - moving, best = training || still < 600 ? REST : FINE;
+  for (const side of wanted()) {
+    const s = sides[side], idle = s.want === null && !(busy && busy.side === side);
+    if (idle && s.is < best && !playing && still > 180) ask(side, Math.max(s.is + 1, REST));
+  }
+  if (busy && performance.now() - busy.sent > 60000) busy = null;
+  pump();
+}
+async function received(data) {
+  const length = new DataView(data).getUint32(0, true);
+  const header = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length))), rest = new Uint8Array(data, 4 + length);
+  if (!busy || header.id !== busy.id) return;
+  const { side, level, sent, thumb } = busy, spent = performance.now() - sent;
+  if (sides[side]) sides[side].is = level;
+  busy = null;
+  if (side === "file") { file = null; pump(); return download(header.file, rest); }
+  pump();
+  if (level === COARSE) shrink = Math.min(8, Math.max(1, shrink * (spent > FAST ? 1.25 : spent < FAST / 2 ? 0.85 : 1)));
+  const bitmap = await createImageBitmap(new Blob([rest])), canvas = thumb ? thumb.canvas : $(side);
+  canvas.width = bitmap.width; canvas.height = bitmap.height;
+  canvas.getContext("2d").drawImage(bitmap, 0, 0);
+  if (thumb) return;
+  const fit = Math.min(stage.clientWidth / bitmap.width, stage.clientHeight / bitmap.height);
+  canvas.style.width = bitmap.width * fit + "px"; canvas.style.height = bitmap.height * fit + "px";
+  document.body.dataset[side] = `${header.layer} ${header.width}x${header.height} ${["moving", "rest", "fine"][level]}`;
+  if (side === "a") tell(header, spent);
+  place();
+}
+function download(name, bytes) {
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(new Blob([bytes])); link.download = name;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 10000);
+  $("status").textContent = `saved ${name}, ${bytes.length.toLocaleString("en")} bytes: plain Gaussians, looks as this camera sees them`;
+}
+function open() {
+  socket = new WebSocket(`ws://${location.host}/ws?k=${encodeURIComponent(key)}`);
+  socket.binaryType = "arraybuffer";
+  socket.onmessage = (m) => {
+    if (typeof m.data !== "string") return void received(m.data);
+    const said = JSON.parse(m.data);
+    if (said.shows) return begin(said);
+    if (said.news) return news(said.news);
+    notice(said.error);
+    if (busy) { if (sides[busy.side]) sides[busy.side].is = FINE; if (busy.side === "file") file = null; busy = null; pump(); }
+  };
+  socket.onclose = () => { notice(training ? "Training has ended, or the line is cut; trying again." : "The viewer has stopped or the line is cut; trying again."); busy = null; setTimeout(open, 2000); };
+}
+// A run under training has moved on.
+function news({ layers: names, checkpoints, training: at }) {
+  training = true;
+  Object.assign(shows[0], { layers: names, checkpoints });
+  const words = [`training: step ${at.step} of ${at.steps}`, `${at.splats.toLocaleString("en")} splats`];
+  if (at.psnr !== null) words.push(`${at.psnr.toFixed(2)} dB on training views`);
+  $("training").textContent = words.join(" · "); $("training").hidden = false;
+  layers();
+  for (const side of ["a", "b"]) if (state[side][0] === 0 && state[side][2] < 0) sides[side].is = Math.min(sides[side].is, COARSE);
+}

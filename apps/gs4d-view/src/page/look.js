@@ -1,0 +1,91 @@
+"use strict";
+// Where the camera is and how it moves: vectors, orbit, pan, fly, views of the data.
+const $ = (id) => document.getElementById(id);
+const stage = $("stage");
+let shows = [];
+const state = {
+  eye: [0, 0, -4], target: [0, 0, 0], up: [0, -1, 0], fov: 0.8, t: 0, view: -1, a: [0, "color", -1], b: [0, "truth", -1], compare: "", cut: 0.5, gain: 4,
+  cameras: false, arrows: false, hidden: [], pose: { from: null, turns: {} },
+};
+const about = () => shows[state.a[0]];
+
+const add = (a, b, k = 1) => a.map((v, i) => v + k * b[i]);
+const dot = (a, b) => a.reduce((s, v, i) => s + v * b[i], 0);
+const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+const unit = (a) => { const n = Math.hypot(...a); return n > 0 ? a.map((v) => v / n) : [0, 0, 1]; };
+function turn(v, axis, angle) {
+  const c = Math.cos(angle), s = Math.sin(angle), along = dot(v, axis) * (1 - c), side = cross(axis, v);
+  return v.map((x, i) => x * c + side[i] * s + axis[i] * along);
+}
+const forward = () => unit(add(state.target, state.eye, -1));
+const right = () => unit(cross(forward(), state.up));
+const distance = () => Math.hypot(...add(state.eye, state.target, -1));
+
+function orbit(dx, dy) {
+  leaveView();
+  let away = add(state.eye, state.target, -1);
+  away = turn(away, unit(state.up), -dx);
+  const tilted = turn(away, right(), -dy);
+  if (Math.abs(dot(unit(tilted), unit(state.up))) < 0.995) away = tilted;
+  state.eye = add(state.target, away);
+  changed();
+}
+function shift(by) { leaveView(); state.eye = add(state.eye, by); state.target = add(state.target, by); changed(); }
+function pan(dx, dy) {
+  const far = distance() * Math.tan(state.fov / 2) * 2;
+  shift(add(right().map((v) => -v * dx * far), cross(right(), forward()).map((v) => v * dy * far)));
+}
+function dolly(factor) { leaveView(); state.eye = add(state.target, add(state.eye, state.target, -1), factor); changed(); }
+function fly(ahead, aside) { const far = 0.05 * distance(); shift(add(forward().map((v) => v * ahead * far), right(), aside * far)); }
+function frameScene() {
+  leaveView();
+  const back = unit(add(state.eye, state.target, -1));
+  state.target = about().centre;
+  state.eye = add(state.target, back, (2.2 * about().radius) / Math.tan(state.fov / 2));
+  changed();
+}
+// The next of y, z and x, towards either side, becomes up.
+function nextUp() {
+  leaveView();
+  const all = [[0, -1, 0], [0, 1, 0], [0, 0, 1], [0, 0, -1], [1, 0, 0], [-1, 0, 0]], now = unit(state.up);
+  const nearest = all.reduce((best, v, k) => (dot(v, now) > dot(all[best], now) ? k : best), 0);
+  const next = (k) => all[k % all.length];
+  // An axis along the line of sight cannot be up.
+  let k = nearest + 1;
+  while (Math.abs(dot(next(k), forward())) > 0.98) k += 1;
+  state.up = next(k);
+  changed();
+}
+// A free camera fills the stage; what is seen keeps the size it had in the narrower picture of a view.
+function leaveView() {
+  if (state.view < 0) return;
+  const shown = $("a").getBoundingClientRect().width;
+  if (shown > 0) state.fov = Math.min(2.5, 2 * Math.atan((Math.tan(state.fov / 2) * stage.clientWidth) / shown));
+  state.view = -1; $("view").value = "-1";
+  layers();
+}
+function snap(number) {
+  const v = about().views[number];
+  state.view = v ? number : -1;
+  $("view").value = state.view;
+  if (v) {
+    const far = Math.max(Math.abs(dot(add(about().centre, v.eye, -1), v.forward)), 1e-3);
+    Object.assign(state, { eye: v.eye, target: add(v.eye, v.forward, far), up: v.up, fov: v.fov, t: v.time });
+    $("t").value = state.t; showTime();
+  }
+  layers(); changed();
+}
+const look = () => (state.view >= 0 ? { view: [state.a[0], state.view] } : { free: [state.eye, state.target, state.up, state.fov] });
+
+// A point of the world on the stage.
+function project(p) {
+  const f = forward(), r = right(), d = cross(f, r), v = add(p, state.eye, -1), z = dot(v, f);
+  if (z <= 1e-6) return null;
+  const c = $("a").getBoundingClientRect(), s = stage.getBoundingClientRect(), focal = c.width / 2 / Math.tan(state.fov / 2);
+  return [c.left - s.left + c.width / 2 + (focal * dot(v, r)) / z, c.top - s.top + c.height / 2 + (focal * dot(v, d)) / z];
+}
+// Corners of what a view of the data sees at a distance, from its eye.
+function frustum(v, far) {
+  const r = unit(cross(v.forward, v.up)), w = Math.tan(v.fov / 2) * far, h = (w * v.height) / v.width, ahead = add(v.eye, v.forward, far);
+  return [[-1, -1], [1, -1], [1, 1], [-1, 1]].map(([x, y]) => add(add(ahead, r, x * w), v.up, y * h));
+}

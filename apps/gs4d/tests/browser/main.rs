@@ -1,0 +1,325 @@
+//! The viewer as a person uses it: headless Chromium opens runs of every method, drags, scrubs, compares, picks, poses.
+//!
+//! Screenshots are left in `target/tmp/browser`. Without Chromium the tests say so and pass.
+
+mod chromium;
+
+use chromium::Chromium;
+use gs_train::methods::METHODS;
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use tempfile::TempDir;
+
+/// Whether the side of that name shows its picture at rest.
+fn at_rest(side: char) -> String {
+    format!(
+        "/ (rest|fine)$/.test(document.body.dataset.{side}) && !busy && sides.{side}.want === null && sides.{side}.is >= REST"
+    )
+}
+
+/// The pixels shown, as text.
+const PIXELS: &str = "$('a').toDataURL()";
+/// Distinct colours shown.
+const COLORS: &str = "new Set(new Uint32Array($('a').getContext('2d').getImageData(0, 0, $('a').width, $('a').height).data.buffer)).size";
+
+/// A served viewer.
+struct Viewer {
+    child: Child,
+    url: String,
+}
+
+impl Drop for Viewer {
+    fn drop(&mut self) {
+        // It may have ended already.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+fn gs4d(arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_gs4d"));
+    command.args(arguments);
+    command
+}
+
+fn good(arguments: &[&str]) {
+    let output = gs4d(arguments).output().unwrap();
+    assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+impl Viewer {
+    /// A call that prints the address of a viewer.
+    fn start(arguments: &[&str]) -> Self {
+        let mut child = gs4d(arguments).stderr(Stdio::piped()).stdout(Stdio::null()).spawn().unwrap();
+        let mut lines = BufReader::new(child.stderr.take().unwrap()).lines().map(Result::unwrap);
+        let url = lines.find_map(|l| l.split_once("http://").map(|(_, url)| format!("http://{url}"))).unwrap();
+        std::thread::spawn(move || lines.for_each(drop));
+        Self { child, url }
+    }
+}
+
+/// Folders for data and runs, a browser, and where screenshots go.
+struct Desk {
+    dir: TempDir,
+    browser: Chromium,
+    shots: PathBuf,
+}
+
+impl Desk {
+    fn new() -> Option<Self> {
+        let Some(program) = chromium::find() else {
+            println!("SKIPPED: no chromium on the path");
+            return None;
+        };
+        let shots = Path::new(env!("CARGO_TARGET_TMPDIR")).join("browser");
+        std::fs::create_dir_all(&shots).unwrap();
+        Some(Self { dir: tempfile::tempdir().unwrap(), browser: Chromium::start(&program), shots })
+    }
+
+    /// Balls that bounce, 64×64 pixels.
+    fn balls(&self) -> PathBuf {
+        let data = self.dir.path().join("balls");
+        let views = ["--size", "64", "--train-views", "16", "--val-views", "0", "--test-views", "3"];
+        good(&[&["synth", "balls", "-o", text(&data)][..], &views].concat());
+        data
+    }
+
+    /// A filmed person.
+    fn film(&self) -> PathBuf {
+        let data = self.dir.path().join("film");
+        let small = ["--cams", "8x1", "--frames", "4", "--size", "64", "--points", "500"];
+        good(&[&["synth", "avatar", "-o", text(&data)][..], &small].concat());
+        data
+    }
+
+    fn train(&self, data: &Path, method: &str, more: &[&str]) -> PathBuf {
+        let run = self.dir.path().join(format!("run-{method}"));
+        let recipe = ["-m", method, "--preset", "tiny", "--quiet", "-o", text(&run)];
+        good(&[&["train", text(data)][..], &recipe, more].concat());
+        run
+    }
+
+    fn shot(&mut self, name: &str) {
+        let file = self.shots.join(format!("{name}.png"));
+        self.browser.shot(&file);
+    }
+
+    /// Opens an address and waits for its first picture.
+    fn open(&mut self, url: &str) {
+        self.browser.resize(1000, 800);
+        self.browser.open(url);
+        self.browser.until("document.readyState === 'complete' && typeof sides !== 'undefined'");
+        self.browser.until(&at_rest('a'));
+    }
+
+    /// Waits for the next picture at rest; whether it is another one.
+    fn changed(&mut self, before: &serde_json::Value) -> bool {
+        self.browser.until(&at_rest('a'));
+        self.browser.eval(PIXELS) != *before
+    }
+
+    fn no_complaints(&mut self, of: &str) {
+        assert!(self.browser.complaints.is_empty(), "{of}: {:?}", self.browser.complaints);
+        assert_eq!(
+            self.browser.eval("$('notice').hidden"),
+            true,
+            "{of}: {}",
+            self.browser.eval("$('notice').textContent")
+        );
+    }
+
+    /// Drags across the scene.
+    fn drag(&mut self) {
+        let [x, y] = self.browser.middle("stage");
+        let places: Vec<_> = (0..8).map(|k| [x + 12.0 * f64::from(k), y + 4.0 * f64::from(k)]).collect();
+        self.browser.drag(&places);
+        self.browser.until("performance.now() - moving > 200");
+    }
+}
+
+#[test]
+#[ignore = "minutes: cargo test -p gs4d --test browser -- --ignored --nocapture"]
+fn every_method_is_opened_dragged_scrubbed_compared_and_picked() {
+    let Some(mut desk) = Desk::new() else { return };
+    let (balls, film) = (desk.balls(), desk.film());
+    for method in METHODS {
+        let data = if method.needs_avatar { &film } else { &balls };
+        let run = desk.train(data, method.name, &["--steps", "80"]);
+        let viewer = Viewer::start(&["view", text(&run), "--port", "18500"]);
+        println!("{}", method.name);
+        look_at(&mut desk, &viewer.url, method.name);
+    }
+}
+
+fn look_at(desk: &mut Desk, url: &str, name: &str) {
+    desk.open(url);
+    let first = desk.browser.eval(PIXELS);
+    assert!(desk.browser.eval(COLORS).as_u64() > Some(50), "{name} is blank");
+    assert!(desk.browser.eval("$('status').textContent").as_str().unwrap().contains("PSNR of this view"), "{name}");
+    desk.shot(&format!("{name}-1-opened"));
+
+    desk.drag();
+    assert!(desk.changed(&first), "{name}: dragging turns the scene");
+    let turned = desk.browser.eval(PIXELS);
+    desk.browser.set("t", "0.6");
+    let still = ["static3d", "scaffold"].contains(&name);
+    assert_eq!(desk.changed(&turned), !still, "{name}: time moves what moves");
+    assert!(desk.browser.eval("$('seconds').textContent").as_str().unwrap().contains("(0.600)"));
+
+    let [x, y] = desk.browser.middle("stage");
+    desk.browser.drag(&[[x, y]]);
+    desk.browser.until("$('picked').querySelector('td') !== null");
+    desk.shot(&format!("{name}-2-picked"));
+
+    desk.browser.set("view", "0");
+    desk.browser.set("compare", "wipe");
+    desk.browser.set("layer-b", "truth");
+    desk.browser.until(&at_rest('b'));
+    desk.browser.until("$('label-b').textContent.endsWith('truth')");
+    desk.shot(&format!("{name}-3-compared"));
+    desk.browser.set("compare", "");
+
+    let layers = desk.browser.eval("about().layers");
+    for layer in layers.as_array().unwrap().iter().filter_map(|l| l.as_str()) {
+        desk.browser.set("layer-a", layer);
+        desk.browser.until(&format!("document.body.dataset.a.startsWith('{layer} ')"));
+        desk.browser.until(&at_rest('a'));
+    }
+    desk.shot(&format!("{name}-4-{}", layers.as_array().unwrap().last().unwrap().as_str().unwrap().replace(' ', "-")));
+    desk.browser.set("layer-a", "color");
+    desk.browser.resize(360, 740);
+    desk.browser.until(&at_rest('a'));
+    let wide = desk.browser.eval("document.documentElement.scrollWidth - innerWidth");
+    assert!(wide.as_i64() <= Some(0), "{name}: {wide} pixels too wide");
+    desk.shot(&format!("{name}-5-narrow"));
+    desk.no_complaints(name);
+    // A page whose viewer has ended would rightly complain.
+    desk.browser.leave();
+}
+
+#[test]
+#[ignore = "a minute: cargo test -p gs4d --test browser -- --ignored --nocapture"]
+fn checkpoints_differences_boxes_and_cameras() {
+    let Some(mut desk) = Desk::new() else { return };
+    let balls = desk.balls();
+    let run = desk.train(&balls, "fourdgs", &["--steps", "200", "--set", "run.checkpoint_every=100"]);
+    let other = desk.train(&balls, "static3d", &["--steps", "100"]);
+    let viewer = Viewer::start(&["view", text(&run), text(&other), "--port", "18520"]);
+    desk.open(&viewer.url);
+    let end = desk.browser.eval(PIXELS);
+    assert_eq!(desk.browser.eval("about().checkpoints"), serde_json::json!([200, 100]));
+    desk.browser.set("step-a", "100");
+    assert!(desk.changed(&end), "step 100 looks otherwise");
+    desk.browser.set("step-a", "-1");
+    desk.browser.set("compare", "difference");
+    desk.browser.set("show-b", "0");
+    desk.browser.set("step-b", "100");
+    desk.browser.until("$('status').textContent.includes('PSNR between the two')");
+    desk.browser.until(&at_rest('a'));
+    desk.shot("difference");
+    desk.browser.set("compare", "flicker");
+    desk.browser.until(&at_rest('b'));
+    desk.browser.eval("stage.focus()");
+    desk.browser.key("x");
+    desk.browser.until("!$('b').hidden && $('label-a').textContent.includes('step 100')");
+    desk.browser.key("x");
+    desk.browser.until("$('b').hidden");
+    desk.browser.set("compare", "");
+    desk.browser.until(&at_rest('a'));
+
+    desk.browser.eval("stage.focus()");
+    desk.browser.key("v");
+    desk.browser.until("document.querySelectorAll('#lines .arrow').length > 10");
+    desk.shot("velocities");
+    desk.browser.key("v");
+    desk.browser.click("cameras");
+    desk.browser.until("thumbs.length > 2 && thumbs.every((t) => t.canvas.width > 20 && t.asked)");
+    desk.browser.eval("stage.focus()");
+    (0..12).for_each(|_| desk.browser.key("-"));
+    desk.browser.until(&at_rest('a'));
+    assert!(desk.browser.eval("document.querySelectorAll('#lines .camera').length").as_u64() > Some(3));
+    desk.shot("cameras");
+    desk.browser.click("cameras");
+
+    desk.browser.key("Escape");
+    desk.browser.set("view", "0");
+    desk.browser.until(&at_rest('a'));
+    let whole = desk.browser.eval(PIXELS);
+    desk.browser.click("boxing");
+    let [x, y] = desk.browser.middle("stage");
+    desk.browser.drag(&[[x - 60.0, y - 60.0], [x, y], [x + 60.0, y + 60.0]]);
+    desk.browser.until("$('count').textContent.includes('centre in the box') && $('spread').children.length > 2");
+    desk.shot("box");
+    desk.browser.click("save-chosen");
+    desk.browser.until("$('status').textContent.startsWith('saved')");
+    good(&["inspect", text(&desk.browser.downloaded("_chosen.ply"))]);
+    desk.browser.click("hide");
+    assert!(desk.changed(&whole), "what is hidden is not seen");
+    // The address holds all of it.
+    desk.browser.until("location.hash.includes('%22h%22%3A%5B%7B')");
+    let again = desk.browser.eval("location.href");
+    desk.open(again.as_str().unwrap());
+    desk.browser.until("!$('unhide').hidden && state.hidden.length === 1");
+    desk.browser.until("document.body.dataset.a.endsWith('fine')");
+    desk.browser.click("unhide");
+    desk.browser.until("state.hidden.length === 0");
+    desk.browser.eval("stage.focus()");
+    desk.browser.key("u");
+    desk.browser.until("state.view === -1");
+    desk.browser.until(&at_rest('a'));
+    desk.no_complaints("the end");
+}
+
+#[test]
+#[ignore = "a minute: cargo test -p gs4d --test browser -- --ignored --nocapture"]
+fn a_person_takes_other_poses() {
+    let Some(mut desk) = Desk::new() else { return };
+    let film = desk.film();
+    let run = desk.train(&film, "dut", &["--steps", "60"]);
+    let viewer = Viewer::start(&["view", text(&run), "--port", "18540"]);
+    desk.open(&viewer.url);
+    let inputs = desk.browser.eval("$('inputs').textContent");
+    assert!(inputs.as_str().unwrap().contains("in the pose it was filmed in"), "{inputs}");
+    let filmed = desk.browser.eval(PIXELS);
+    let arm = desk.browser.eval("about().joints.findIndex((n) => /arm|elbow|shoulder/i.test(n))");
+    desk.browser.set("joint", &arm.to_string());
+    desk.browser.set("turn-0", "60");
+    desk.browser.set("turn-2", "60");
+    assert!(desk.changed(&filmed), "a turned arm is seen");
+    let inputs = desk.browser.eval("$('inputs').textContent");
+    assert!(inputs.as_str().unwrap().contains("turned by you"), "{inputs}");
+    desk.shot("posed");
+    let turned = desk.browser.eval(PIXELS);
+    desk.browser.click("unpose");
+    assert!(desk.changed(&turned));
+    let filmed = desk.browser.eval(PIXELS);
+    desk.browser.click("borrow");
+    desk.browser.set("from", "1");
+    assert!(desk.changed(&filmed), "the pose of another time");
+    desk.shot("borrowed");
+    desk.no_complaints("dut");
+}
+
+#[test]
+#[ignore = "a minute: cargo test -p gs4d --test browser -- --ignored --nocapture"]
+fn training_is_watched() {
+    let Some(mut desk) = Desk::new() else { return };
+    let (balls, run) = (desk.balls(), desk.dir.path().join("live"));
+    let recipe = ["-m", "fourdgs", "--preset", "fast", "--view", "--view-port", "18560", "--quiet"];
+    let viewer = Viewer::start(&[&["train", text(&balls), "-o", text(&run)][..], &recipe].concat());
+    desk.open(&viewer.url);
+    desk.browser.until("!$('training').hidden && $('training').textContent.includes('step')");
+    desk.browser.until(&at_rest('a'));
+    let (before, early) = (desk.browser.eval(PIXELS), desk.browser.eval("$('training').textContent"));
+    desk.browser.until(&format!("$('training').textContent !== {early}"));
+    desk.browser.until(&format!("{PIXELS} !== {before}"));
+    desk.shot("training");
+    desk.drag();
+    desk.browser.until(&at_rest('a'));
+    desk.no_complaints("training");
+}
