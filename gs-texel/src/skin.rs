@@ -176,6 +176,14 @@ pub fn quat_of(rotation: &DMat3) -> [f64; 4] {
     [q.w, q.x, q.y, q.z].map(|v| sign * v)
 }
 
+/// What the conversion of rotations makes of the rows of any matrix: `(w, x, y, z)`, not of unit length unless it is a
+/// rotation, `w ≥ 0`; the identity where it makes nothing finite.
+pub fn raw_quat(linear: &rot::Mat3<f64>) -> [f64; 4] {
+    let q = DQuat::from_mat3(&DMat3::from_cols_array_2d(linear).transpose());
+    let sign = if q.w < 0.0 { -1.0 } else { 1.0 };
+    if q.is_finite() { [q.w, q.x, q.y, q.z].map(|v| sign * v) } else { [1.0, 0.0, 0.0, 0.0] }
+}
+
 /// The rotation of every `T_i` as a quaternion `(w, x, y, z)`, `w ≥ 0`: the nearest one; where `T_i` collapses or turns
 /// inside out, the heaviest joint's; the identity where that one has none either. Never NaN.
 pub fn rotations(weights: &SkinWeights, joints: &[DAffine3], transforms: &[Affine3A]) -> Vec<[f32; 4]> {

@@ -4,7 +4,7 @@
 //! |---|---|
 //! | gradient of a row in `f64` against central differences | 1e-5 of the largest entry |
 //! | `f32` rows against `f64` ones, polar | 1e-5 of the largest entry |
-//! | `f32` rows against `f64` ones, affine | 1e-4 (differences of standard deviations are divided by) |
+//! | `f32` rows against `f64` ones, affine and raw | 1e-4 (differences of standard deviations are divided by) |
 
 mod sheet;
 
@@ -18,7 +18,7 @@ use gs_texel::gaussians::{
 use sheet::{WIDTH, at_rest, channels};
 
 const DIFFERENCE: f64 = 1e-5;
-const BOTH: [Covariance; 2] = [Covariance::Polar, Covariance::Affine];
+const ALL: [Covariance; 3] = [Covariance::Polar, Covariance::Affine, Covariance::Raw];
 const RANGE: [f64; 2] = [-11.5, -0.7];
 
 /// A row, a matrix that stretches and shears a little, and its rotation.
@@ -90,7 +90,7 @@ fn a_texel_at_rest_is_what_its_channels_say() {
     let quarter = std::f64::consts::FRAC_1_SQRT_2;
     let turn = [quarter, 0.0, 0.0, quarter];
     let base = Base { point: [1.0, 2.0, 3.0], linear, shift: [10.0, 0.0, 0.0], turn, kappa: 2.0 };
-    for mode in BOTH {
+    for mode in ALL {
         let g = row::decode(&row, &base, mode, RANGE);
         assert!(g.mean.iter().zip([7.75, 1.0, 3.0]).all(|(a, b)| (a - b).abs() < 1e-15), "{mode:?}: {:?}", g.mean);
         assert!((g.opacity - 1.0 / (1.0 + (-1.5f64).exp())).abs() < 1e-15);
@@ -124,29 +124,61 @@ fn affine_covariance_is_that_of_the_mapped_ellipsoid() {
 }
 
 #[test]
-fn both_modes_agree_where_the_surface_is_rigid() {
+fn all_modes_agree_where_the_surface_is_rigid() {
     for seed in 0..20 {
         let (row, mut base) = random_texel(seed);
         base.linear = rot::matrix(base.turn);
-        let [a, b] = BOTH.map(|mode| sigma(&row::decode(&row, &base, mode, RANGE)));
-        assert!(a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-15), "{a:?} {b:?}");
+        let [a, b, c] = ALL.map(|mode| sigma(&row::decode(&row, &base, mode, RANGE)));
+        assert!([b, c].iter().all(|o| a.iter().zip(o).all(|(a, o)| (a - o).abs() < 1e-15)), "{a:?} {b:?} {c:?}");
         // Also on the way back, even where all standard deviations are one.
         let mut round = row.clone();
         round[0..3].fill(-3.0);
         let d = Gaussian { mean: [0.0; 3], quat: [0.0; 4], scale: [1.0, 2.0, 3.0], opacity: 0.0 };
-        let [a, b] = BOTH.map(|mode| {
+        let [a, b, c] = ALL.map(|mode| {
             let mut grad = vec![0.0; WIDTH];
             row::backward(&round, &base, mode, RANGE, &d, &mut grad);
             grad
         });
-        assert!(a.iter().zip(&b).all(|(a, b)| (a - b).abs() < 1e-12), "{a:?} {b:?}");
+        assert!([&b, &c].iter().all(|o| a.iter().zip(*o).all(|(a, o)| (a - o).abs() < 1e-12)), "{a:?} {b:?} {c:?}");
     }
+}
+
+/// Two bones at half the weight each, 60° apart about z: the quaternion of the mean of their matrices is 0.964 long and turns
+/// by 27.8° where 30° are right, and it is drawn as it is.
+#[test]
+fn raw_turns_fall_short_and_shrink() {
+    let (row, mut base) = random_texel(3);
+    let bend = DMat3::from_rotation_z(60f64.to_radians());
+    let mean = (DMat3::IDENTITY + bend) * 0.5;
+    base.linear = mean.transpose().to_cols_array_2d();
+    let half = 30f64.to_radians() / 2.0;
+    base.turn = [half.cos(), 0.0, 0.0, half.sin()];
+    let raw = gs_texel::skin::raw_quat(&base.linear);
+    let length = raw.iter().map(|v| v * v).sum::<f64>().sqrt();
+    assert!((length - 0.964).abs() < 5e-4 && raw[1] == 0.0 && raw[2] == 0.0, "{raw:?}");
+    assert!((2.0 * raw[3].atan2(raw[0]).to_degrees() - 27.8).abs() < 0.05, "{raw:?}");
+    let unit = rot::normalise([row[3], row[4], row[5], row[6]]).wxyz;
+    let turned = rot::hamilton(raw, unit);
+    let right = rot::matrix(rot::normalise(turned).wxyz);
+    // (1 − n²) I + n² R.
+    let share = length * length;
+    let drawn: Mat3<f64> = std::array::from_fn(|r| {
+        std::array::from_fn(|c| share * right[r][c] + (1.0 - share) * f64::from(u8::from(r == c)))
+    });
+    let scale: [f64; 3] = std::array::from_fn(|i| row[i].clamp(RANGE[0], RANGE[1]).exp() * base.kappa);
+    let want = covariance::covariance(&covariance::factor(&drawn, scale));
+    let [polar, raw] = [Covariance::Polar, Covariance::Raw].map(|c| sigma(&row::decode(&row, &base, c, RANGE)));
+    let largest = want.iter().fold(0.0f64, |a, b| a.max(b.abs()));
+    let worst = |got: &[f64; 6]| got.iter().zip(want).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max) / largest;
+    assert!(worst(&raw) < 1e-12 && worst(&polar) > 1e-3, "{:e} {:e}", worst(&raw), worst(&polar));
+    // No rotation, nothing finite: the identity.
+    assert_eq!(gs_texel::skin::raw_quat(&[[f64::NAN; 3]; 3]), [1.0, 0.0, 0.0, 0.0]);
 }
 
 #[test]
 fn gradient_of_a_row_matches_differences() {
-    let mut worst = [0.0f64; 2];
-    for (slot, mode) in BOTH.into_iter().enumerate() {
+    let mut worst = [0.0f64; 3];
+    for (slot, mode) in ALL.into_iter().enumerate() {
         for seed in 0..40 {
             let (row, base) = random_texel(seed);
             let mut rng = Rng::new(seed, "weights", 0, 0);
@@ -177,8 +209,8 @@ fn gradient_of_a_row_matches_differences() {
 /// `f32` production against the `f64` reference, value and gradient.
 #[test]
 fn production_follows_the_reference() {
-    let mut worst = [0.0f64; 2];
-    for (slot, (mode, limit)) in BOTH.into_iter().zip([1e-5, 1e-4]).enumerate() {
+    let mut worst = [0.0f64; 3];
+    for (slot, (mode, limit)) in ALL.into_iter().zip([1e-5, 1e-4, 1e-4]).enumerate() {
         for seed in 0..40 {
             let (row, base) = random_texel(seed);
             let narrow: Vec<f32> = row.iter().map(|v| *v as f32).collect();
@@ -228,7 +260,7 @@ fn log_scales_out_of_range_are_held_and_learn_nothing() {
     let g = row::decode(&row, &base, Covariance::Polar, RANGE);
     assert_eq!(g.scale[0], RANGE[0].exp() * base.kappa);
     assert_eq!(g.scale[1], RANGE[1].exp() * base.kappa);
-    for mode in BOTH {
+    for mode in ALL {
         let d = Gaussian { mean: [1.0; 3], quat: [1.0; 4], scale: [1.0; 3], opacity: 1.0 };
         let mut grad = vec![0.0; WIDTH];
         row::backward(&row, &base, mode, RANGE, &d, &mut grad);
@@ -249,7 +281,7 @@ fn extreme_rows_stay_finite() {
     for (row, v) in rows.chunks_exact_mut(WIDTH).zip([1e30f32, -1e30, 0.0, 1e-30]) {
         row[..8].fill(v);
     }
-    for covariance in BOTH {
+    for covariance in ALL {
         let options = DecodeOptions { covariance, ..DecodeOptions::default() };
         let splats = decode(&rows, channels(), &base, &options).unwrap();
         splats.check().unwrap();

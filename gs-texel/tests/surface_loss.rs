@@ -151,6 +151,52 @@ fn chamfer_along_normals_lets_vertices_slide() {
 }
 
 #[test]
+fn chamfer_to_faces_is_its_definition_and_rests_on_the_surface() {
+    let (points, faces) = sheet(9, 1);
+    let topology = topology(&faces, points.len());
+    let target = moved(&sheet(13, 2).0, 0.01, 3);
+    let chamfer = Chamfer::new(&target).unwrap();
+    let value = |p: &[DVec3]| chamfer.evaluate_faces(p, &faces, &topology).unwrap().value;
+    let loss = chamfer.evaluate_faces(&points, &faces, &topology).unwrap();
+    let error = against_differences(&points, &loss.grad, value);
+    assert!(error < DIFFERENCE, "{error:e}");
+    // The nearest face may lie beyond those at the nearest vertex, but hardly ever: the definition by walking all faces.
+    let nearest = |q: &DVec3| {
+        let steps = (0..=60).flat_map(|i| (0..=60 - i).map(move |j| [i, j].map(|v| f64::from(v) / 60.0)));
+        let on = |f: &[u32; 3], [s, t]: [f64; 2]| {
+            let [a, b, c] = f.map(|v| points[v as usize]);
+            a + s * (b - a) + t * (c - a)
+        };
+        let to_face = |f: &[u32; 3]| steps.clone().map(|w| on(f, w).distance_squared(*q)).fold(f64::INFINITY, f64::min);
+        faces.iter().map(to_face).fold(f64::INFINITY, f64::min)
+    };
+    let plain = target.iter().map(nearest).sum::<f64>() / target.len() as f64;
+    assert!((loss.value / plain - 1.0).abs() < 0.02, "{} {plain}", loss.value);
+    // Points on the faces leave the surface where it is; points beside a triangle pull at its border.
+    let near_corner = |f: &[u32; 3]| {
+        let [a, b, c] = f.map(|v| points[v as usize]);
+        0.8 * a + 0.1 * b + 0.1 * c
+    };
+    let on: Vec<DVec3> = faces.iter().map(near_corner).collect();
+    let resting = Chamfer::new(&on).unwrap().evaluate_faces(&points, &faces, &topology).unwrap();
+    assert!(resting.value < 1e-30 && resting.grad.iter().all(|g| g.length() < 1e-16));
+    let triangle = [DVec3::ZERO, DVec3::X, DVec3::Y];
+    let one = Topology::new(&[[0, 1, 2]], 3).unwrap();
+    for (q, want) in [
+        (DVec3::new(-1.0, -1.0, 0.0), 2.0),
+        (DVec3::new(2.0, -0.5, 0.0), 1.25),
+        (DVec3::new(-0.5, 3.0, 0.0), 4.25),
+        (DVec3::new(0.5, -1.0, 1.0), 2.0),
+        (DVec3::new(-1.0, 0.5, 0.0), 1.0),
+        (DVec3::new(1.0, 1.0, 0.0), 0.5),
+        (DVec3::new(0.2, 0.3, -3.0), 9.0),
+    ] {
+        let loss = Chamfer::new(&[q]).unwrap().evaluate_faces(&triangle, &[[0, 1, 2]], &one).unwrap();
+        assert!((loss.value - want).abs() < 1e-12, "{q}: {} {want}", loss.value);
+    }
+}
+
+#[test]
 fn chamfer_refuses_what_has_no_nearest() {
     let good = [Vec3::ZERO, Vec3::X];
     assert_eq!(Chamfer::new::<Vec3>(&[]).err(), Some(ChamferError::Empty("measured points")));

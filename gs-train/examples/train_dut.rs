@@ -6,7 +6,8 @@
 //! ```
 //! `seed=N` is that of the training, `look=DIR` a folder for pictures of the test views (truth, drawn, three times their
 //! difference); keys `film.*` are of the film, others of the method (`film.frames=12`, `input="single"`,
-//! `schedule.stages.main.steps=500`).
+//! `schedule.stages.main.steps=500`). `oracle=STEPS` trains nothing: it looks for every frame's offsets by themselves, by
+//! GeoNet's losses alone, in `rounds=N` rounds (3) with new mean colours after each.
 
 use gs_core::Image;
 use gs_core::io::images::save_png;
@@ -14,7 +15,7 @@ use gs_raster::{Workspace, render};
 use gs_train::bench::{StageOptions, stage_times};
 use gs_train::data::{Dataset, ImageCache, Split};
 use gs_train::evaluate::{clamped, evaluate};
-use gs_train::methods::dut::{Config, Dut, OffsetErrors};
+use gs_train::methods::dut::{Config, Dut, OffsetErrors, OracleOptions};
 use gs_train::methods::{InitConfig, Method, MethodEntry, SceneInfo, overlay};
 use gs_train::moment::Moment;
 use gs_train::synth::avatar::{self, AvatarOptions};
@@ -32,9 +33,12 @@ fn main() -> Result<(), Box<dyn Error>> {
     let film = AvatarOptions { template, size: 256, frames: 16, test_every: 5, ..AvatarOptions::default() };
     let mut film = toml::Table::try_from(film)?;
     let (mut look, mut training) = (None, TrainOptions::default());
+    let mut oracle = OracleOptions { steps: 0, rounds: 3, rate: 2e-3 };
     for setting in arguments {
         match setting.split_once(['=', '.']) {
             Some(("look", folder)) => look = Some(PathBuf::from(folder)),
+            Some(("oracle", steps)) => oracle.steps = steps.parse()?,
+            Some(("rounds", rounds)) => oracle.rounds = rounds.parse()?,
             Some(("seed", seed)) => training.seed = seed.parse()?,
             Some(("film", of_film)) => overlay(&mut film, of_film.parse()?),
             _ => overlay(&mut config, setting.parse()?),
@@ -48,6 +52,12 @@ fn main() -> Result<(), Box<dyn Error>> {
         dataset.train.len(),
         dataset.test.len()
     );
+    let scene = SceneInfo::of(&dataset, &config["init"].clone().try_into::<InitConfig>()?, training.seed)?;
+    if oracle.steps > 0 {
+        let mut dut = Dut::new(config.try_into::<Config>()?, &scene)?;
+        dut.oracle(&oracle)?.iter().for_each(print_offsets);
+        return Ok(());
+    }
     let mut trainer = Trainer::new(dataset.clone(), "dut", &config, training.clone())?;
     println!("dut ({preset}): {} texels, {} steps", trainer.method().len(), trainer.steps());
     let every = (trainer.steps() / 10).max(1);
@@ -68,11 +78,16 @@ fn main() -> Result<(), Box<dyn Error>> {
     if let Some(folder) = look {
         pictures(trainer.method(), &dataset, &folder)?;
     }
-    let scene = SceneInfo::of(&dataset, &config["init"].clone().try_into::<InitConfig>()?, training.seed)?;
     let mut dut = Dut::new(config.try_into::<Config>()?, &scene)?;
     copy(trainer.method(), &mut dut);
     dut.set_step(trainer.steps());
-    let OffsetErrors { ratio, length } = dut.offset_errors()?;
+    print_offsets(&dut.offset_errors()?);
+    let stages = StageOptions { warm_up: 2, frames: dut.actor().scene.frames.len(), repeats: 1, size: 512 };
+    print!("{}", stage_times(&dut, &stages)?.text());
+    Ok(())
+}
+
+fn print_offsets(OffsetErrors { ratio, length }: &OffsetErrors) {
     println!(
         "offsets: RMS error / RMS length = {:.3} of {:.1} mm; along normals {:.3} of {:.1} mm",
         ratio[0],
@@ -80,17 +95,15 @@ fn main() -> Result<(), Box<dyn Error>> {
         ratio[1],
         1e3 * length[1]
     );
-    let stages = StageOptions { warm_up: 2, frames: dut.actor().scene.frames.len(), repeats: 1, size: 512 };
-    print!("{}", stage_times(&dut, &stages)?.text());
-    Ok(())
 }
 
-/// Gives a method the values of another of the same configuration.
+/// Gives a method the state of another of the same configuration.
 fn copy(from: &dyn Method, to: &mut dyn Method) {
     let mut values = Vec::new();
     from.visit(&mut |p| values.push(p.value.clone()));
     let mut values = values.into_iter();
     to.visit_mut(&mut |p| p.value = values.next().unwrap_or_default());
+    to.columns_mut().into_iter().zip(from.columns()).for_each(|(to, from)| to.values.clone_from(from.values));
 }
 
 fn print_scores(trainer: &Trainer, dataset: &Dataset, split: Split) -> Result<(), Box<dyn Error>> {

@@ -1,16 +1,18 @@
 //! The image loss of the 3DGS family and its gradient:
 //!
 //! ```text
-//! L = ω mean|x − y| + λ (1 − SSIM(x, y)) + φ mean||F x| − |F y||        ω = 1 − λ unless it is given
-//! dL/dx = ω sign(x − y) / n − λ dSSIM/dx + φ dL_fre/dx
+//! L = ω mean|x − y| + λ (1 − SSIM(x, y)) + φ mean||F x| − |F y|| + μ L_mrf        ω = 1 − λ unless it is given
+//! dL/dx = ω sign(x − y) / n − λ dSSIM/dx + φ dL_fre/dx + μ dL_mrf/dx
 //! ```
 //! over `n = H · W · 3` values; SSIM with an 11-tap Gaussian window and zero padding, or MS-SSIM in its place,
 //! `sign(0) = 0` (Kerbl et al. 2023, section 5; λ = 0.2). `F` is the orthonormal Fourier transform of the whole image
-//! (FAGS, eq. 10; φ = 0.3; see [`gs_metrics::spectrum`]). At λ = 0 no SSIM is computed, at φ = 0 no transform.
+//! (FAGS, eq. 10; φ = 0.3; see [`gs_metrics::spectrum`]). `L_mrf` compares textures over the box of what the photograph shows
+//! (DUT; μ = 0.01; see [`gs_metrics::mrf`], whose own features stand for VGG-19's). Terms of weight 0 are not computed.
 
 use crate::data::ImageU8;
 use crate::schedule::ScheduleError;
 use gs_core::Image;
+use gs_metrics::mrf::{FeatureNet, Mrf, MrfOptions};
 use gs_metrics::{AmplitudeLoss, MetricError, MsSsim, MsSsimOptions, Ssim, SsimOptions};
 use gs_raster::{Frame, FrameGrad};
 use rayon::prelude::*;
@@ -62,7 +64,11 @@ pub struct LossWeights {
     pub l1: Option<f32>,
     /// φ, at least 0.
     pub fre: f32,
-    /// The box of [`Dssim::SsimBox`]; the whole image if absent.
+    /// μ, at least 0.
+    pub mrf: f32,
+    /// Side of the square that `L_mrf` resizes its box to, pixels.
+    pub mrf_side: u32,
+    /// The box of [`Dssim::SsimBox`] and of `L_mrf`; the whole image if absent.
     pub region: Option<Region>,
 }
 
@@ -115,7 +121,7 @@ impl LossWeights {
 /// The terms of one evaluation.
 #[derive(Clone, Copy, Debug, PartialEq, Default, Serialize)]
 pub struct LossTerms {
-    /// `ω L1 + λ (1 − SSIM) + φ L_fre`.
+    /// `ω L1 + λ (1 − SSIM) + φ L_fre + μ L_mrf`.
     pub total: f64,
     /// Mean absolute difference.
     pub l1: f64,
@@ -125,10 +131,12 @@ pub struct LossTerms {
     pub ssim: Option<f64>,
     /// Mean difference of amplitudes; absent at φ = 0.
     pub fre: Option<f64>,
+    /// Likeness of textures; absent at μ = 0.
+    pub mrf: Option<f64>,
 }
 
 /// The image loss, with buffers kept between calls.
-#[derive(Debug, Default)]
+#[derive(Default)]
 pub struct ImageLoss {
     ssim: Ssim,
     ms_ssim: MsSsim,
@@ -136,6 +144,9 @@ pub struct ImageLoss {
     drawn: Image,
     ssim_grad: Image,
     fre_grad: Image,
+    /// With the side it resizes to.
+    mrf: Option<(u32, Mrf)>,
+    mrf_grad: Image,
     /// Drawn frame, photograph and gradient within a region.
     cropped: [Image; 3],
 }
@@ -175,14 +186,14 @@ impl ImageLoss {
         if first != second {
             return Err(MetricError::Shape { what: "drawn frame and photograph", first, second });
         }
-        let (drawn, lambda, phi) = (&self.drawn, weights.dssim, weights.fre);
+        let (drawn, lambda, phi, mu) = (&self.drawn, weights.dssim, weights.fre, weights.mrf);
+        let all = Region { low: [0; 2], high: [drawn.width, drawn.height] };
+        let region = weights.region.unwrap_or(all);
         let ssim = match weights.structure {
             _ if lambda <= 0.0 => None,
             Dssim::Ssim => Some(self.ssim.value_and_grad(drawn, target, &mut self.ssim_grad)?),
             Dssim::SsimBox => {
                 let [a, b, d] = &mut self.cropped;
-                let all = Region { low: [0; 2], high: [drawn.width, drawn.height] };
-                let region = weights.region.unwrap_or(all);
                 region.crop(drawn, a);
                 region.crop(target, b);
                 let value = self.ssim.value_and_grad(a, b, d)?;
@@ -195,12 +206,29 @@ impl ImageLoss {
             true => Some(self.amplitudes.value_and_grad(drawn, target, &mut self.fre_grad)?),
             false => None,
         };
+        let mrf = match mu > 0.0 {
+            true => {
+                let side = weights.mrf_side;
+                if self.mrf.as_ref().is_none_or(|kept| kept.0 != side) {
+                    let options = MrfOptions { side: side as usize, ..MrfOptions::default() };
+                    self.mrf = Some((side, Mrf::new(FeatureNet::fixed_bank(), options)?));
+                }
+                let [a, b, d] = &mut self.cropped;
+                region.crop(drawn, a);
+                region.crop(target, b);
+                let value = self.mrf.as_ref().map(|kept| kept.1.value_and_grad(a, b, d)).transpose()?;
+                region.paste(d, drawn, &mut self.mrf_grad);
+                value.map(|terms| terms.total)
+            }
+            false => None,
+        };
         let data = &self.drawn.data;
         grad.alpha.clear();
         grad.depth.clear();
         grad.rgb.resize(data.len(), 0.0);
         let step = weights.of_l1() / data.len() as f32;
-        let (ssim_grad, fre_grad) = (self.ssim_grad.data.as_slice(), self.fre_grad.data.as_slice());
+        let [ssim_grad, fre_grad, mrf_grad] =
+            [&self.ssim_grad, &self.fre_grad, &self.mrf_grad].map(|g| g.data.as_slice());
         let pairs = data.par_chunks(PIECE).zip(target.data.par_chunks(PIECE));
         let pieces = grad.rgb.par_chunks_mut(PIECE).zip(pairs).enumerate();
         let sums: Vec<[f64; 2]> = pieces
@@ -212,6 +240,9 @@ impl ImageLoss {
                 if fre.is_some() {
                     g.iter_mut().zip(&fre_grad[i * PIECE..]).for_each(|(g, f)| *g += phi * f);
                 }
+                if mrf.is_some() {
+                    g.iter_mut().zip(&mrf_grad[i * PIECE..]).for_each(|(g, m)| *g += mu * m);
+                }
                 sums
             })
             .collect();
@@ -219,12 +250,13 @@ impl ImageLoss {
         let [l1, mse] = sums.iter().fold([0.0; 2], |a, s| [a[0] + s[0] / n, a[1] + s[1] / n]);
         let weight = f64::from(lambda);
         let spectral = fre.map_or(0.0, |f| f64::from(phi) * f);
-        let total = f64::from(weights.of_l1()) * l1 + ssim.map_or(0.0, |s| weight * (1.0 - s)) + spectral;
+        let textural = mrf.map_or(0.0, |m| f64::from(mu) * m);
+        let total = f64::from(weights.of_l1()) * l1 + ssim.map_or(0.0, |s| weight * (1.0 - s)) + spectral + textural;
         if !total.is_finite() {
             // The exact place comes from the metric's own check.
             return Err(gs_metrics::mse(&self.drawn, target).err().unwrap_or(MetricError::Overflow { metric: "L1" }));
         }
-        Ok(LossTerms { total, l1, mse, ssim, fre })
+        Ok(LossTerms { total, l1, mse, ssim, fre, mrf })
     }
 }
 
@@ -326,6 +358,34 @@ mod tests {
         assert_eq!(with.total, without.total + f64::from(0.3f32) * fre);
         let sums = grad.rgb.iter().zip(&alone.data).map(|(g, f)| g + 0.3 * f);
         assert!(both.rgb.iter().zip(sums).all(|(b, s)| *b == s));
+    }
+
+    #[test]
+    fn likeness_of_textures_is_added_over_the_box() {
+        let (mut frame, target) = pair();
+        let region = Region { low: [3, 5], high: [30, 21] };
+        let (mut grad, mut both, mut alone) = (FrameGrad::default(), FrameGrad::default(), Image::default());
+        let off = LossWeights { mrf_side: 16, region: Some(region), ..plain(0.2) };
+        let without = ImageLoss::new().evaluate(&mut frame, &target, &off, &mut grad).unwrap();
+        let with = ImageLoss::new().evaluate(&mut frame, &target, &LossWeights { mrf: 0.3, ..off }, &mut both).unwrap();
+        let drawn = Image { data: frame.rgb.clone(), ..target.clone() };
+        let [mut a, mut b] = [Image::default(), Image::default()];
+        region.crop(&drawn, &mut a);
+        region.crop(&target, &mut b);
+        let options = MrfOptions { side: 16, ..MrfOptions::default() };
+        let mrf =
+            Mrf::new(FeatureNet::fixed_bank(), options).unwrap().value_and_grad(&a, &b, &mut alone).unwrap().total;
+        assert_eq!((without.mrf, with.mrf, with.ssim), (None, Some(mrf), without.ssim));
+        assert_eq!(with.total, without.total + f64::from(0.3f32) * mrf);
+        assert!(alone.data.iter().any(|g| *g != 0.0));
+        for (k, (g, without)) in both.rgb.iter().zip(&grad.rgb).enumerate() {
+            let (x, y) = (k / 3 % 37, k / 3 / 37);
+            let inside = (3..30).contains(&x) && (5..21).contains(&y);
+            let more = if inside { 0.3 * alone.pixel(x - 3, y - 5)[k % 3] } else { 0.0 };
+            assert_eq!(*g, without + more, "({x}, {y})");
+        }
+        let small = LossWeights { mrf: 0.3, mrf_side: 4, ..off };
+        assert!(ImageLoss::new().evaluate(&mut frame, &target, &small, &mut grad).is_err());
     }
 
     #[test]

@@ -11,6 +11,7 @@ use crate::adam::Update;
 use crate::density::DensityRules;
 use crate::loss::{Dssim, LossWeights};
 use gs_core::{Camera, Param};
+use gs_metrics::mrf::MrfOptions;
 use gs_raster::{ClampGrad, RasterOptions};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -38,6 +39,12 @@ pub struct Schedule {
     /// Weight φ of the amplitude-spectrum loss (FAGS: 0.3; others: 0).
     #[serde(default)]
     pub lambda_fre: f32,
+    /// Weight μ of the likeness of textures over the box of what photographs show (DUT: 0.01, with VGG-19; others: 0).
+    #[serde(default)]
+    pub lambda_mrf: f32,
+    /// Side that box is resized to for it, pixels (DUT: 256); time grows with its fourth power.
+    #[serde(default = "mrf_side")]
+    pub mrf_side: u32,
     /// Adam updates only splats that received a gradient in this step.
     pub sparse_adam: bool,
     /// A gradient row is refused (not finite) at most for this share of rows; above it the run stops.
@@ -64,6 +71,10 @@ pub struct Schedule {
 
 fn one() -> u32 {
     1
+}
+
+fn mrf_side() -> u32 {
+    MrfOptions::default().side as u32
 }
 
 fn kerbl_dilation() -> f64 {
@@ -304,6 +315,8 @@ impl Schedule {
             structure: self.dssim,
             l1: self.lambda_l1,
             fre: self.lambda_fre,
+            mrf: self.lambda_mrf,
+            mrf_side: self.mrf_side,
             region: None,
         }
     }
@@ -351,6 +364,9 @@ impl Schedule {
         need(drawn < 1 << 32, "batch", self.batch.into(), "steps times batch below 2^32")?;
         let fre = self.lambda_fre;
         need(fre >= 0.0 && fre.is_finite(), "lambda_fre", fre.into(), "finite, not negative")?;
+        let mrf = self.lambda_mrf;
+        need(mrf >= 0.0 && mrf.is_finite(), "lambda_mrf", mrf.into(), "finite, not negative")?;
+        need((8..=512).contains(&self.mrf_side), "mrf_side", self.mrf_side.into(), "8 to 512")?;
         need(share(self.max_quarantine), "max_quarantine", self.max_quarantine.into(), "0 to 1")?;
         need(self.near > 0.0 && self.near.is_finite(), "near", self.near, "above 0, finite")?;
         let dilation = self.dilation;
@@ -405,6 +421,8 @@ mod tests {
             batch: 1,
             dssim: Dssim::Ssim,
             lambda_fre: 0.0,
+            lambda_mrf: 0.0,
+            mrf_side: 256,
             sparse_adam: false,
             max_quarantine: 1e-3,
             density: DensityRules::kerbl2023(),
@@ -503,6 +521,8 @@ mod tests {
         assert_eq!(fault(&|s| s.near = -1.0), "near");
         assert_eq!(fault(&|s| s.lambda_dssim = 1.5), "lambda_dssim");
         assert_eq!(fault(&|s| s.lambda_fre = -0.1), "lambda_fre");
+        assert_eq!(fault(&|s| s.lambda_mrf = f32::NAN), "lambda_mrf");
+        assert_eq!(fault(&|s| s.mrf_side = 4), "mrf_side");
         assert_eq!(fault(&|s| s.max_quarantine = f32::NAN), "max_quarantine");
         assert_eq!(fault(&|s| rate(s, "cloud", "means").end = f32::INFINITY), "lr.cloud.means.end");
         assert_eq!(fault(&|s| rate(s, "field", "all").start = -1.0), "lr.field.all.start");

@@ -310,7 +310,7 @@ impl Trainer {
         let background = schedule.background.color(self.options.seed, draw);
         let image = self.cache.get(view)?;
         let mut weights = schedule.loss();
-        if weights.structure == Dssim::SsimBox {
+        if weights.structure == Dssim::SsimBox || weights.mrf > 0.0 {
             weights.region = Region::shown(&image);
         }
         Ok(Sheet {

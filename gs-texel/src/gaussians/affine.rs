@@ -42,7 +42,8 @@ pub(super) struct Axes {
 }
 
 impl Axes {
-    /// Of the linear part `R` (rows), the unit quaternion `r̂` and the standard deviations before skinning.
+    /// Of the linear part `R` (rows), the quaternion `r̂` (any other than of unit length stands for [`rot::matrix`] of it) and
+    /// the standard deviations before skinning.
     pub fn of<T: Number>(linear: &rot::Mat3<T>, unit: [T; 4], scale: [T; 3]) -> Self {
         let linear = from_rows(linear.map(|r| r.map(T::wide)));
         let (unit, before) = (unit.map(T::wide), scale.map(T::wide));

@@ -20,6 +20,9 @@ pub enum Covariance {
     Polar,
     /// Mapped by the matrix itself: it shrinks and shears with the surface.
     Affine,
+    /// Turned by the quaternion that the conversion of rotations makes of the blended matrix, which is none: not of unit
+    /// length where joints bend, and drawn as it is. The published code's; for comparison.
+    Raw,
 }
 
 /// How rows become Gaussians.

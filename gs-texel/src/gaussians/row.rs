@@ -3,6 +3,7 @@
 use super::affine;
 use super::channels::{OFFSET, OPACITY, QUAT, SCALE};
 use super::decode::Covariance;
+use crate::skin::raw_quat;
 use gs_core::Real;
 use gs_core::rot::{self, Mat3};
 
@@ -104,6 +105,13 @@ fn spread<T: Number>(row: &[T], base: &Base<T>, range: [f64; 2]) -> [[T; 3]; 2] 
     [scale, std::array::from_fn(|i| scale[i] * clamped[i].1)]
 }
 
+/// The axes under `q = q_R ⊗ r̂` of any length, whose matrix is `(1 − |q|²) I + |q|² Rot(q/|q|)` (3DGS's rasteriser).
+fn raw_axes<T: Number>(base: &Base<T>, unit: [T; 4], scale: [T; 3]) -> affine::Axes {
+    const IDENTITY: Mat3<f64> = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+    let turn = raw_quat(&base.linear.map(|r| r.map(T::wide)));
+    affine::Axes::of(&IDENTITY, rot::hamilton(turn, unit.map(T::wide)), scale.map(T::wide))
+}
+
 /// The Gaussian of a row of channels. `range` bounds the log-scales.
 pub fn decode<T: Number>(row: &[T], base: &Base<T>, covariance: Covariance, range: [f64; 2]) -> Gaussian<T> {
     let offset: [T; 3] = take(row, OFFSET.start);
@@ -117,6 +125,11 @@ pub fn decode<T: Number>(row: &[T], base: &Base<T>, covariance: Covariance, rang
         Covariance::Affine => {
             let axes = affine::Axes::of(&base.linear, unit, scale);
             let (quat, scale) = axes.gaussian();
+            let lit = |v: f64| base.kappa.lit(v);
+            (quat.map(lit), scale.map(lit))
+        }
+        Covariance::Raw => {
+            let (quat, scale) = raw_axes(base, unit, scale).gaussian();
             let lit = |v: f64| base.kappa.lit(v);
             (quat.map(lit), scale.map(lit))
         }
@@ -146,6 +159,12 @@ pub fn backward<T: Number>(
             let (d_unit, d_scale) = axes.backward(d.quat.map(T::wide), d.scale.map(T::wide));
             let lit = |v: f64| base.kappa.lit(v);
             (d_unit.map(lit), d_scale.map(lit))
+        }
+        Covariance::Raw => {
+            let (d_quat, d_scale) = raw_axes(base, unit, scale).backward(d.quat.map(T::wide), d.scale.map(T::wide));
+            let [w, x, y, z] = raw_quat(&base.linear.map(|r| r.map(T::wide)));
+            let lit = |v: f64| base.kappa.lit(v);
+            (rot::hamilton([w, -x, -y, -z], d_quat).map(lit), d_scale.map(lit))
         }
     };
     let opacity = sigmoid(row[OPACITY]);

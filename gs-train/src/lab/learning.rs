@@ -87,12 +87,20 @@ pub(super) fn other_light(setup: &Setup, tell: &mut Tell<'_>) -> Result<Findings
     };
     add("learnt", 0, &trained.scores(&first, &[])?);
     add("other", 0, &trained.scores(&other, &[])?);
+    if let (None, Some(recipe)) = (&setup.run, &setup.recipe) {
+        let varied = Trained::learn(&subject.full_film, recipe, &[JITTER], tell)?;
+        add("learnt, colours varied in training", 0, &varied.scores(&first, &[])?);
+        add("other, colours varied in training", 0, &varied.scores(&other, &[])?);
+    }
     if setup.tuning > 0 {
         let tuned = trained.go_on(&inputs_alone(&other), setup.tuning, setup.film.seed, tell)?;
         add("other", setup.tuning, &tuned.scores(&other, &[])?);
     }
     Ok(out)
 }
+
+/// Colours of textures vary by a third while it learns.
+const JITTER: &str = "jitter=0.3";
 
 /// A film whose test views are those of frames that nothing learns from.
 fn held_out(mut film: Dataset) -> Dataset {
@@ -113,16 +121,20 @@ fn inputs_alone(film: &Dataset) -> Dataset {
 }
 
 /// What is left out, and the settings of that when drawing and when learning.
-const PARTS: [(&str, &[&str], &[&str]); 6] = [
+const PARTS: [(&str, &[&str], &[&str]); 7] = [
     ("nothing", &[], &[]),
     ("second unprojection", SINGLE, SINGLE),
     ("colours", &["rgb=false"], &["rgb=false"]),
     ("normals", &["normals=false"], &["normals=false"]),
     ("kappa", &["kappa=false"], &["kappa=false"]),
+    ("orthonormal turns of joints", RAW, RAW),
     ("directions (SH)", &["gaussians.decode.sh_active=0"], &["gaussians.sh_degree=0", "gaussians.decode.sh_active=0"]),
 ];
 /// The template is believed.
 const SINGLE: &[&str] = &["input=\"single\"", "schedule.stages.geometry.steps=0"];
+
+/// The published turns of the texels.
+const RAW: &[&str] = &["gaussians.decode.covariance=\"raw\""];
 
 /// Parts left out of a run when drawing; without a run, when learning.
 pub(super) fn parts(setup: &Setup, tell: &mut Tell<'_>) -> Result<Findings, LabError> {

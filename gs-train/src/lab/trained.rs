@@ -69,6 +69,7 @@ impl Trained {
         method.visit(&mut |p| {
             values.insert(p.name.clone(), p.value.clone());
         });
+        values.extend(method.columns().into_iter().map(|c| (c.name.to_owned(), c.values.clone())));
         Self { config, values, step }
     }
 
@@ -114,6 +115,14 @@ impl Trained {
             Some(values) if values.len() == p.len() => p.value.clone_from(values),
             _ => wrong = Some(p.name.clone()),
         });
+        for column in dut.columns_mut() {
+            match self.values.get(column.name) {
+                Some(values) if values.len() == column.values.len() => column.values.clone_from(values),
+                // Not asked for when it learnt.
+                None => {}
+                Some(_) => wrong = Some(column.name.to_owned()),
+            }
+        }
         if let Some(name) = wrong {
             let what =
                 format!("the values of `{name}` do not fit; film and settings must be of the person learnt from");

@@ -69,6 +69,7 @@ struct Window {
     loss: f64,
     l1: f64,
     fre: f64,
+    mrf: f64,
     mse: f64,
     ms: f64,
     quarantined: u64,
@@ -83,6 +84,7 @@ impl Window {
         self.loss += report.loss.total;
         self.l1 += report.loss.l1;
         self.fre += report.loss.fre.unwrap_or(0.0);
+        self.mrf += report.loss.mrf.unwrap_or(0.0);
         self.mse += report.loss.mse;
         self.ms += report.ms.total;
         self.quarantined += u64::from(report.quarantined);
@@ -246,6 +248,7 @@ impl Training {
             "loss": w.mean(w.loss),
             "l1": w.mean(w.l1),
             "fre": report.loss.fre.map(|_| w.mean(w.fre)),
+            "mrf": report.loss.mrf.map(|_| w.mean(w.mrf)),
             "psnr": w.psnr(),
             "penalties": report.penalties.iter().map(|(n, v)| ((*n).to_owned(), json!(v))).collect::<serde_json::Map<_, _>>(),
             "splats": report.splats,

@@ -82,6 +82,7 @@ impl Drawn {
             mse: sum.mse + terms.mse / batch,
             ssim: mean(sum.ssim, terms.ssim),
             fre: mean(sum.fre, terms.fre),
+            mrf: mean(sum.mrf, terms.mrf),
         };
         if view.quarantine.rows > self.quarantine.rows {
             self.quarantine = view.quarantine;

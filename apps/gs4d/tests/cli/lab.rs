@@ -86,9 +86,10 @@ fn methods_are_trained_for_what_needs_them() {
     assert!(ood.iter().all(|r| number(r, "in-mask PSNR") > 8.0), "{ood:?}");
     assert_eq!(ood[ood.len() - 1]["motion"], "not learnt: wave");
     let light = rows("light", dir.path(), &[&LEARN[..], &["--tuning", "5"]].concat());
-    assert_eq!((light.len(), number(&light[2], "steps under it")), (3, 5.0));
+    assert_eq!((light.len(), number(&light[4], "steps under it")), (5, 5.0));
+    assert_eq!(light[3]["light"], "other, colours varied in training");
     let parts = rows("ablate", dir.path(), &LEARN);
-    assert!(parts.len() == 6 && number(&parts[0], "dB") == 0.0, "{parts:?}");
+    assert!(parts.len() == 7 && number(&parts[0], "dB") == 0.0, "{parts:?}");
     gs4d(&["lab", "ood", "-o", text(&dir.path().join("x"))]).fails(2, &["ood", "--run", "--steps"]);
 }
 
@@ -102,12 +103,25 @@ fn a_run_brings_its_film() {
     let train = ["train", text(&film), "-m", "dut", "--preset", "direct", "--steps", "12", "-o", text(&run), "--quiet"];
     good(&[&train[..], &sets].concat());
     let from = ["--frames", "2", "--texels", "48", "--run", text(&run), "--json", "--quiet"];
-    for (name, count) in [("motion", 9), ("ablate", 6), ("ood", 2)] {
+    for (name, count) in [("motion", 9), ("ablate", 7), ("ood", 2)] {
         let out = dir.path().join(name);
         let found = good(&[&["lab", name, "-o", text(&out)][..], &from].concat()).json();
         let rows = found["rows"].as_array().unwrap();
         assert!(rows.len() == count && rows.iter().all(|r| number(r, "in-mask PSNR") > 8.0), "{name}: {rows:?}");
     }
+    let stages = ["--frames", "3", "--warm-up", "1", "--repeats", "2", "--size", "32", "--threads", "2", "--quiet"];
+    let times = good(&[&["bench", text(&run), "--json"][..], &stages].concat()).json();
+    for (times, threads) in times["times"].as_array().unwrap().iter().zip([1.0, 2.0]) {
+        assert_eq!((number(times, "threads"), number(times, "frames")), (threads, 6.0));
+        let stages = times["stages"].as_array().unwrap();
+        assert_eq!(stages.len(), 6);
+        let ms = |stage: &Value, what: &str| number(&stage[what], "mean");
+        let sum: f64 = stages.iter().map(|s| ms(s, "ms")).sum();
+        assert!((sum / ms(&stages[5], "accumulated") - 1.0).abs() < 1e-9 && ms(&stages[1], "ms") > 0.0, "{stages:?}");
+    }
+    let table = good(&[&["bench", text(&run)][..], &stages].concat()).out;
+    assert!(table.contains("second texture") && table.contains("frames a second"), "{table}");
+    gs4d(&["bench", text(dir.path())]).fails(3, &["no run folder"]);
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! What of a filmed person never changes, and what a frame gives: the posed template, what the cameras say about its
 //! texels, and the same once GeoNet's offsets have moved it.
 
-use super::config::{Config, TextureSizes};
+use super::config::{Config, Input, Mode, ResizeRule, TextureSizes, UnseenColor};
 use crate::avatar::{AvatarFrame, AvatarScene};
 use crate::data::{DataError, ImageCache};
 use glam::{Affine3A, Vec3};
@@ -94,11 +94,28 @@ pub struct Actor {
     refine: ScaleRefine,
     pub(super) unproject: UnprojectConfig,
     images: ImageCache,
-    /// What GeoNet sees its colours less of, one row per texel of it.
-    middle: Option<Vec<[f32; 3]>>,
+    resize: ResizeRule,
+    /// Mean textures: state of the method, saved with it.
+    pub(super) mean: MeanTextures,
     rgb: bool,
     normals: bool,
     kappa: bool,
+}
+
+/// Mean colours over the recording, three per texel; empty where nothing asks for them.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct MeanTextures {
+    /// Of first textures, at GeoNet's texels: what GeoNet sees its colours less of.
+    pub geo: Vec<f32>,
+    /// At GauNet's texels: what GeoNet holds photographs against, and what Gaussians that no camera sees look like.
+    pub gau: Vec<f32>,
+}
+
+impl MeanTextures {
+    /// The rows of a texture.
+    pub fn rows(values: &[f32]) -> &[[f32; 3]] {
+        values.as_chunks().0
+    }
 }
 
 /// The template at a pose.
@@ -170,7 +187,8 @@ impl Actor {
             refine: ScaleRefine::new(&t.vertices, &t.faces, config.refine),
             unproject: config.unproject,
             images: ImageCache::new(IMAGE_BYTES, 1.0),
-            middle: None,
+            resize: config.resize,
+            mean: MeanTextures::default(),
             rgb: config.rgb,
             normals: config.normals,
             kappa: config.kappa,
@@ -180,9 +198,17 @@ impl Actor {
             gau,
             scene,
         };
-        if config.centred && config.rgb {
-            actor.middle = Some(actor.mean_texture(&actor.geo).map_err(Box::new)?);
-        }
+        let double = config.input == Input::Double;
+        let of_gau = match config.mode {
+            Mode::Direct => true,
+            Mode::Networks => config.gaunet.unseen == UnseenColor::Mean,
+        };
+        let wanted = [
+            (double && config.centred && config.rgb).then_some(&actor.geo),
+            (of_gau || double && config.surface.texture > 0.0).then_some(&actor.gau),
+        ];
+        let [geo, gau] = actor.mean_textures(wanted, |_| Ok(None)).map_err(Box::new)?;
+        actor.mean = MeanTextures { geo, gau };
         Ok(actor)
     }
 
@@ -258,7 +284,8 @@ impl Actor {
     /// As [`Self::look`].
     pub fn first_of(&self, posed: Posed, photographs: &[(Camera, Image)]) -> Result<First, FrameError> {
         let seen = self.look(&skin(&posed.canonical, &posed.transforms), photographs)?;
-        let input = self.input(&self.geo, &self.resized(&seen, &self.geo), &posed, self.middle.as_deref());
+        let middle = (!self.mean.geo.is_empty()).then(|| MeanTextures::rows(&self.mean.geo));
+        let input = self.input(&self.geo, &self.resized(&seen, &self.geo), &posed, middle);
         Ok(First { posed, seen, input })
     }
 
@@ -302,36 +329,50 @@ impl Actor {
         Ok(TexelBase::new(&self.gau, faces, &points, &posed.transforms, &posed.turns, &posed.kappas)?)
     }
 
-    /// The mean of first textures at the texels of a table where they are seen, in-painted elsewhere, over frames that
-    /// training views show (over any, if none is).
+    /// The means of textures at the texels of tables where they are seen, in-painted elsewhere, over frames that training
+    /// views show (over any, if none is); three values per texel, none for an absent table. `offsets` gives those of a frame,
+    /// none for its first texture.
     ///
     /// # Errors
-    /// As [`Self::first`].
-    pub fn mean_texture(&self, table: &TexelTable) -> Result<Vec<[f32; 3]>, FrameError> {
-        let (mut sums, mut counts) = (vec![[0.0f32; 3]; table.len()], vec![0.0f32; table.len()]);
+    /// As reading images and unprojecting them goes; as `offsets`.
+    pub fn mean_textures<const N: usize>(
+        &self,
+        tables: [Option<&TexelTable>; N],
+        offsets: impl Fn(&AvatarFrame) -> Result<Option<Vec<Vec3>>, FrameError>,
+    ) -> Result<[Vec<f32>; N], FrameError> {
+        let mut means = tables.map(|t| Mean::new(t.map_or(0, TexelTable::len)));
+        if tables.iter().any(Option::is_some) {
+            for frame in self.mean_frames() {
+                let posed = self.pose(frame);
+                let surface = match offsets(frame)? {
+                    Some(offsets) => self.surface(&posed, &offsets),
+                    None => skin(&posed.canonical, &posed.transforms),
+                };
+                let seen = self.look(&surface, &self.photographs(frame)?)?;
+                for (mean, table) in means.iter_mut().zip(tables) {
+                    table.iter().for_each(|t| mean.add(&self.resized(&seen, t)));
+                }
+            }
+        }
+        let mut colors = [const { Vec::new() }; N];
+        for ((out, mean), table) in colors.iter_mut().zip(means).zip(tables) {
+            *out = table.map(|t| mean.colors(t)).transpose()?.unwrap_or_default().into_flattened();
+        }
+        Ok(colors)
+    }
+
+    /// The frames a mean texture is of.
+    fn mean_frames(&self) -> impl Iterator<Item = &AvatarFrame> {
         let mut frames: Vec<&AvatarFrame> = self.scene.frames.iter().filter(|f| f.learnt).collect();
         if frames.is_empty() {
             frames = self.scene.frames.iter().collect();
         }
         let step = frames.len().div_ceil(MEAN_FRAMES).max(1);
-        for frame in frames.into_iter().step_by(step) {
-            let posed = self.pose(frame);
-            let seen = self.look(&skin(&posed.canonical, &posed.transforms), &self.photographs(frame)?)?;
-            let seen = self.resized(&seen, table);
-            for (k, (color, views)) in seen.colors.iter().zip(&seen.views).enumerate() {
-                if *views > 0.0 {
-                    sums[k].iter_mut().zip(color).for_each(|(s, c)| *s += c);
-                    counts[k] += 1.0;
-                }
-            }
-        }
-        let mut colors: Vec<[f32; 3]> = sums.iter().zip(&counts).map(|(s, n)| s.map(|v| v / n.max(1.0))).collect();
-        let known: Vec<bool> = counts.iter().map(|n| *n > 0.0).collect();
-        inpaint(table, &mut colors, &known, Unseen::Nearest)?;
-        Ok(colors)
+        frames.into_iter().step_by(step)
     }
 
-    /// What is seen at the texels of another table: the mean over seen texels nearby, unseen where there is none.
+    /// What is seen at the texels of another table: the mean over texels nearby, by the rule of the settings; unseen where none
+    /// of them is seen.
     pub fn resized(&self, seen: &Seen, table: &TexelTable) -> Seen {
         if table.size == self.fine.size {
             return seen.clone();
@@ -339,10 +380,27 @@ impl Actor {
         let row = |(c, &n): (&[f32; 3], &f32)| [c[0], c[1], c[2], n];
         let rows: Vec<[f32; 4]> = seen.colors.iter().zip(&seen.views).map(row).collect();
         let map = self.fine.to_map(&rows, 0.0);
-        let known: Vec<f32> = map.data.chunks_exact(4).map(|p| if p[3] > 0.0 { 1.0 } else { 0.0 }).collect();
-        let (map, _) = resize(&map, Some(&known), table.size);
+        let seen = |p: &[f32]| if p[3] > 0.0 { 1.0 } else { 0.0 };
+        let known: Option<Vec<f32>> =
+            (self.resize == ResizeRule::Masked).then(|| map.data.chunks_exact(4).map(seen).collect());
+        let (map, _) = resize(&map, known.as_deref(), table.size);
         let (colors, views) = table.from_map::<4>(&map).iter().map(|p| ([p[0], p[1], p[2]], p[3])).unzip();
         Seen { colors, views }
+    }
+
+    /// A frame behind GeoNet under another light: its colours times `gain`, at most 1.
+    pub fn relit(&self, second: &Second, gain: [f32; 3]) -> Second {
+        let mut relit = second.clone();
+        let of_texels = self.gau.valid.iter().zip(&mut relit.seen.colors).zip(&second.seen.views);
+        for ((&t, color), _) in of_texels.filter(|(_, views)| **views > 0.0) {
+            for (i, (c, gain)) in color.iter_mut().zip(gain).enumerate() {
+                *c = (*c * gain).min(1.0);
+                if self.rgb {
+                    relit.input[t as usize * 6 + i] = 2.0 * *c - 1.0;
+                }
+            }
+        }
+        relit
     }
 
     /// A network's input `[S, S, 6]`: colours as `2 T − 1`, black where nothing is seen, and the root-free normals. Colours
@@ -365,5 +423,33 @@ impl Actor {
             }
         }
         map
+    }
+}
+
+/// Colours of texels while they are added up.
+struct Mean {
+    sums: Vec<[f32; 3]>,
+    counts: Vec<f32>,
+}
+
+impl Mean {
+    fn new(texels: usize) -> Self {
+        Self { sums: vec![[0.0; 3]; texels], counts: vec![0.0; texels] }
+    }
+
+    fn add(&mut self, seen: &Seen) {
+        for (k, (color, _)) in seen.colors.iter().zip(&seen.views).enumerate().filter(|(_, (_, views))| **views > 0.0) {
+            self.sums[k].iter_mut().zip(color).for_each(|(s, c)| *s += c);
+            self.counts[k] += 1.0;
+        }
+    }
+
+    /// The means, in-painted where nothing was seen.
+    fn colors(self, table: &TexelTable) -> Result<Vec<[f32; 3]>, FrameError> {
+        let mean = |(s, n): (&[f32; 3], &f32)| s.map(|v| v / n.max(1.0));
+        let mut colors: Vec<[f32; 3]> = self.sums.iter().zip(&self.counts).map(mean).collect();
+        let known: Vec<bool> = self.counts.iter().map(|n| *n > 0.0).collect();
+        inpaint(table, &mut colors, &known, Unseen::Nearest)?;
+        Ok(colors)
     }
 }

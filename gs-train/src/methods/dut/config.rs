@@ -30,6 +30,16 @@ pub enum Input {
     Single,
 }
 
+/// What a texel of a smaller texture is the mean of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ResizeRule {
+    /// Texels nearby that some camera sees.
+    Masked,
+    /// All texels nearby, black where no camera sees them or no chart lies: the published one, which bleeds over borders.
+    Plain,
+}
+
 /// Texels per side.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -92,11 +102,23 @@ pub enum LaplacianRule {
     Offsets,
 }
 
+/// What measured points are held against.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum PointRule {
+    /// Vertices, both ways.
+    Vertices,
+    /// Faces: points to the surface alone.
+    Faces,
+}
+
 /// What GeoNet learns from.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SurfaceConfig {
-    /// How much distances along the surface count, 0 to 1.
+    /// What measured points are held against.
+    pub points: PointRule,
+    /// How much distances of vertices along the surface count, 0 to 1.
     pub slide: f32,
     /// Weight of the Laplacian.
     pub laplacian: f32,
@@ -112,6 +134,8 @@ pub struct SurfaceConfig {
     pub normal_rule: NormalRule,
     /// Weight of the colours of texels against their mean.
     pub texture: f32,
+    /// Steps of GeoNet after which the mean colours are made anew, of second textures; 0: they stay those of first ones.
+    pub refresh: u32,
     /// What vertices on seams read of the map of offsets.
     pub seams: SeamRead,
 }
@@ -160,6 +184,10 @@ pub struct Config {
     pub centred: bool,
     /// Whether Gaussians grow where the surface is stretched.
     pub kappa: bool,
+    /// How textures are brought to the networks' sizes.
+    pub resize: ResizeRule,
+    /// Most that a step scales each colour of the Gaussians' textures by, as a logarithm; 0: not at all.
+    pub jitter: f32,
     /// Memory for frames once prepared, MiB.
     pub cache_mib: u32,
     /// Points, which only the extent of the scene is read from.
@@ -250,6 +278,7 @@ impl Config {
         positive("gaunet.offset_unit", self.gaunet.offset_unit, 100.0)?;
         let surface = &self.surface;
         let weights = [
+            ("jitter", self.jitter),
             ("gaussians.reg", self.gaussians.reg),
             ("gaunet.clip", self.gaunet.clip),
             ("surface.slide", surface.slide),

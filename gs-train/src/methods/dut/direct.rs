@@ -2,10 +2,10 @@
 //! what the cameras see.
 //!
 //! ```text
-//! h_dc(t) = b + a ∘ (T(t) − ½)/C0        T: the moment's texture where seen, else its mean over the first frames
+//! h_dc(t) = b + a ∘ (T(t) − ½)/C0        T: the moment's texture where seen, else its mean over the recording
 //! ```
 
-use super::actor::{Actor, FrameError, Seen};
+use super::actor::{Actor, FrameError, MeanTextures, Seen};
 use super::config::{Config, DirectColor};
 use super::texels::{TexelRows, coefficient, reference};
 use gs_core::{Param, Params};
@@ -17,53 +17,51 @@ pub struct Direct {
     texels: TexelRows,
     /// `a`, if colours follow the texture.
     gain: Option<Param>,
-    /// `(T̄ − ½)/C0`, three per texel.
-    mean: Vec<[f32; 3]>,
 }
 
 impl Direct {
     /// Gaussians as large as their texels, of the mean colour that the cameras see.
     ///
     /// # Errors
-    /// If the first frames cannot be prepared.
+    /// If texels have no neighbours.
     pub fn new(config: &Config, actor: &Actor, channels: Channels) -> Result<Self, FrameError> {
-        let colors = actor.mean_texture(&actor.gau)?;
-        let mut rows = reference(config, actor, channels, &colors)?;
+        let mut rows = reference(config, actor, channels, MeanTextures::rows(&actor.mean.gau))?;
         let follows = config.direct.color == DirectColor::Texture;
         if follows {
             rows.chunks_exact_mut(channels.width()).for_each(|row| row[COLOR..COLOR + 3].fill(0.0));
         }
-        let gain = follows.then(|| Param::rows("texels.gain", 3, vec![1.0; 3 * colors.len()]));
-        let mean = colors.iter().map(|c| c.map(coefficient)).collect();
-        Ok(Self { width: channels.width(), texels: TexelRows::new(channels, &rows), gain, mean })
+        let gain = follows.then(|| Param::rows("texels.gain", 3, vec![1.0; 3 * actor.gau.len()]));
+        Ok(Self { width: channels.width(), texels: TexelRows::new(channels, &rows), gain })
     }
 
     /// Rows `[K, width]` at a moment that shows `seen`.
-    pub fn rows(&self, seen: &Seen, rows: &mut Vec<f32>) {
+    pub fn rows(&self, actor: &Actor, seen: &Seen, rows: &mut Vec<f32>) {
         rows.clear();
-        rows.resize(self.mean.len() * self.width, 0.0);
+        rows.resize(actor.gau.len() * self.width, 0.0);
         self.texels.add_to(rows);
         let Some(gain) = &self.gain else { return };
         for (k, (row, a)) in rows.chunks_exact_mut(self.width).zip(gain.value.chunks_exact(3)).enumerate() {
-            let texture = self.texture(seen, k);
+            let texture = texture(actor, seen, k);
             (0..3).for_each(|i| row[COLOR + i] += a[i] * texture[i]);
         }
     }
 
     /// Adds to the gradients what rows of the same moment got.
-    pub fn backward(&mut self, seen: &Seen, d_rows: &[f32]) {
+    pub fn backward(&mut self, actor: &Actor, seen: &Seen, d_rows: &[f32]) {
         self.texels.backward(d_rows);
         let Some(mut gain) = self.gain.take() else { return };
         for (k, (grad, d)) in gain.grad.chunks_exact_mut(3).zip(d_rows.chunks_exact(self.width)).enumerate() {
-            let texture = self.texture(seen, k);
+            let texture = texture(actor, seen, k);
             (0..3).for_each(|i| grad[i] += d[COLOR + i] * texture[i]);
         }
         self.gain = Some(gain);
     }
+}
 
-    fn texture(&self, seen: &Seen, k: usize) -> [f32; 3] {
-        if seen.views[k] > 0.0 { seen.colors[k].map(coefficient) } else { self.mean[k] }
-    }
+/// `(T − ½)/C0` of a texel.
+fn texture(actor: &Actor, seen: &Seen, k: usize) -> [f32; 3] {
+    let color = if seen.views[k] > 0.0 { seen.colors[k] } else { MeanTextures::rows(&actor.mean.gau)[k] };
+    color.map(coefficient)
 }
 
 impl Params for Direct {

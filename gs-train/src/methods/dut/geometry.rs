@@ -5,13 +5,13 @@
 //! ```
 //! (DUT, supplement.) What the pose's known morphs do to the bind pose is left out of the last two.
 
-use super::actor::{Actor, First, FrameError};
+use super::actor::{Actor, First, FrameError, MeanTextures};
 use super::cache::Cache;
-use super::config::{Config, LaplacianRule, SurfaceConfig};
+use super::config::{Config, LaplacianRule, PointRule, SurfaceConfig};
 use super::texture::texture_loss;
 use crate::avatar::AvatarFrame;
 use glam::Vec3;
-use gs_core::{Camera, Image, Param, Params};
+use gs_core::{Image, Param, Params};
 use gs_texel::skin::{skin, skin_backward};
 use gs_texel::surface_loss::{Chamfer, Isometry, NormalConsistency, SurfaceLoss, laplacian};
 use gs_texel::{GeoNet, GeoNetConfig, GeoNetTape};
@@ -28,8 +28,6 @@ pub struct Geometry {
     isometry: Isometry,
     normals: NormalConsistency,
     points: Cache<Chamfer>,
-    /// Mean colours of GauNet's texels, if they count.
-    colors: Option<Vec<[f32; 3]>>,
 }
 
 /// Values of the terms, weights applied.
@@ -39,7 +37,7 @@ impl Geometry {
     /// A network that leaves the template as it is.
     ///
     /// # Errors
-    /// If its shape does not fit, or the first frames cannot be prepared where their mean colours count.
+    /// If its shape does not fit.
     pub fn new(config: &Config, actor: &Actor, seed: u64) -> Result<Self, FrameError> {
         let net = GeoNet::new("geo", GeoNetConfig { inputs: 6, ..config.geonet }, seed)?;
         let mask: Vec<bool> = actor.geo.mask().iter().map(|m| *m > 0.0).collect();
@@ -52,7 +50,6 @@ impl Geometry {
             normals: NormalConsistency::new(&t.faces, &actor.topology, weights.normal_rule),
             weights,
             points: Cache::new(FRAMES),
-            colors: (weights.texture > 0.0).then(|| actor.mean_texture(&actor.gau)).transpose()?,
         })
     }
 
@@ -76,40 +73,45 @@ impl Geometry {
         first: &First,
         share: f32,
     ) -> Result<Terms, FrameError> {
-        let points = self.points.get(frame.number, || {
-            let points = frame.points.as_ref().ok_or(FrameError::NoPoints)?.read()?;
-            Ok::<_, FrameError>(Chamfer::new(points.as_slice())?)
-        })?;
         let tape = self.tape.get_mut().unwrap_or_else(PoisonError::into_inner);
         let offsets = read(actor, self.net.forward(&first.input, tape)?);
-        let photographs = if self.colors.is_some() { actor.photographs(frame)? } else { Vec::new() };
-        let (terms, d_offsets) = self.loss(actor, first, &offsets, &points, &photographs)?;
+        let (terms, d_offsets) = self.loss(actor, frame, first, &offsets)?;
         let d_read: Vec<f32> = d_offsets.iter().flat_map(|d| (*d * share).to_array()).collect();
         let tape = self.tape.get_mut().unwrap_or_else(PoisonError::into_inner);
         self.net.backward(tape, &actor.reader.adjoint(&d_read, 3).data)?;
         Ok(terms.map(|(name, v)| (name, v * share)))
     }
 
-    /// The loss of offsets, term by term, and its gradient.
-    fn loss(
+    /// The loss of a frame's offsets, term by term, and its gradient.
+    ///
+    /// # Errors
+    /// If the frame has no points or values are not finite.
+    pub fn loss(
         &self,
         actor: &Actor,
+        frame: &AvatarFrame,
         first: &First,
         offsets: &[Vec3],
-        points: &Chamfer,
-        photographs: &[(Camera, Image)],
     ) -> Result<(Terms, Vec<Vec3>), FrameError> {
+        let points = self.points.get(frame.number, || {
+            let points = frame.points.as_ref().ok_or(FrameError::NoPoints)?.read()?;
+            Ok::<_, FrameError>(Chamfer::new(points.as_slice())?)
+        })?;
         let t = &actor.scene.character.template;
         let posed = actor.surface(&first.posed, offsets);
         let deformed: Vec<Vec3> = t.vertices.iter().zip(offsets).map(|(&v, &d)| v + d).collect();
         let SurfaceConfig { laplacian: lap, isometry, normals, .. } = self.weights;
-        let mut world = points.evaluate_sliding(&posed, &first.posed.normals, self.weights.slide.into())?;
+        let mut world = match self.weights.points {
+            PointRule::Vertices => points.evaluate_sliding(&posed, &first.posed.normals, self.weights.slide.into())?,
+            PointRule::Faces => points.evaluate_faces(&posed, &t.faces, &actor.topology)?,
+        };
         let chamfer = world.value;
         let smooth = term(lap, || self.smooth(actor, first, &posed), posed.len());
         world.add(lap.into(), &smooth);
         let mut drift = 0.0;
-        if let Some(mean) = &self.colors {
-            let texture = texture_loss(actor, &posed, photographs, mean)?;
+        if self.weights.texture > 0.0 {
+            let mean = MeanTextures::rows(&actor.mean.gau);
+            let texture = texture_loss(actor, &posed, &actor.photographs(frame)?, mean)?;
             drift = f64::from(self.weights.texture) * texture.value;
             world.add(self.weights.texture.into(), &texture);
         }

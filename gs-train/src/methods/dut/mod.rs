@@ -13,23 +13,26 @@ mod config;
 mod direct;
 mod geometry;
 mod network;
+mod oracle;
 mod texels;
 mod texture;
 
-pub use actor::{Actor, ActorError, First, FrameError, Posed, Second, Seen};
+pub use actor::{Actor, ActorError, First, FrameError, MeanTextures, Posed, Second, Seen};
 pub use config::{
-    Config, DirectColor, DirectConfig, GauConfig, GaussianConfig, Input, LaplacianRule, Mode, Phase, ReferenceConfig,
-    SurfaceConfig, TextureSizes, UnseenColor,
+    Config, DirectColor, DirectConfig, GauConfig, GaussianConfig, Input, LaplacianRule, Mode, Phase, PointRule,
+    ReferenceConfig, ResizeRule, SurfaceConfig, TextureSizes, UnseenColor,
 };
+pub use oracle::OracleOptions;
 
 use crate::avatar::{AvatarFrame, AvatarScene};
-use crate::methods::{Figure, Method, MethodEntry, MethodError, Quantity, SceneInfo, parse_config};
+use crate::density::Adapted;
+use crate::methods::{Column, ColumnMut, Figure, Method, MethodEntry, MethodError, Quantity, SceneInfo, parse_config};
 use crate::moment::Moment;
 use crate::schedule::Schedule;
 use cache::Cache;
 use direct::Direct;
 use geometry::Geometry;
-use gs_core::{Camera, Param, Params, Splats, SplatsGrad};
+use gs_core::{Camera, Param, Params, Rng, Splats, SplatsGrad, Time};
 use gs_texel::Pose;
 use gs_texel::gaussians::{Channels, DecodeOptions, OFFSET, OPACITY, decode, decode_backward, offset_penalty};
 use network::Network;
@@ -77,6 +80,7 @@ pub struct Dut {
     source: Source,
     firsts: Cache<First>,
     seconds: Cache<Second>,
+    seed: u64,
     step: u32,
     /// Regularisers of the present step.
     penalties: Vec<(&'static str, f32)>,
@@ -118,6 +122,7 @@ impl Dut {
             source,
             firsts: Cache::new(frames),
             seconds: Cache::new(frames),
+            seed: scene.seed,
             step: 0,
             penalties: Vec::new(),
             rows: Vec::new(),
@@ -155,13 +160,20 @@ impl Dut {
     /// # Errors
     /// As [`Actor::first`].
     pub fn offset_errors(&self) -> Result<OffsetErrors, FrameError> {
+        self.errors_of(|_, first| self.offsets(first))
+    }
+
+    /// The same of any offsets.
+    fn errors_of(
+        &self,
+        offsets: impl Fn(&AvatarFrame, &First) -> Result<Option<Vec<glam::Vec3>>, FrameError>,
+    ) -> Result<OffsetErrors, FrameError> {
         let (scene, mut sums) = (&self.actor.scene, OffsetErrors::default());
         let template = &scene.character.template;
         let normals = self.actor.topology.normals(&template.vertices, &template.faces);
         let (mut error, mut count) = ([0.0f64; 2], 0usize);
         for frame in &scene.frames {
-            let first = self.first(frame)?;
-            let found = self.offsets(&first)?;
+            let found = offsets(frame, &self.first(frame)?)?;
             let (Some(found), Some(wanted)) = (found, scene.true_offsets(frame)) else { continue };
             for ((found, wanted), normal) in found.iter().zip(&wanted).zip(&normals) {
                 let squares = |v: glam::Vec3| [v.length_squared(), v.dot(*normal).powi(2)].map(f64::from);
@@ -196,7 +208,7 @@ impl Dut {
         match &self.source {
             Source::Network(net) => net.rows(&self.actor, second, rows),
             Source::Direct(direct) => {
-                direct.rows(&second.seen, rows);
+                direct.rows(&self.actor, &second.seen, rows);
                 Ok(())
             }
         }
@@ -242,13 +254,13 @@ impl Dut {
             terms.into_iter().for_each(|(name, value)| self.add_penalty(name, value));
             return Ok(());
         }
-        let second = self.second(frame)?;
+        let second = self.jittered(self.second(frame)?, frame.number);
         let (mut rows, mut d_rows) = (std::mem::take(&mut self.rows), std::mem::take(&mut self.d_rows));
         self.rows(&second, &mut rows)?;
         d_rows.clear();
         d_rows.resize(rows.len(), 0.0);
         if let (Phase::WarmUp, Source::Network(net)) = (phase, &self.source) {
-            let loss = net.warm_up(&second, &rows, share, &mut d_rows)?;
+            let loss = net.warm_up(&self.actor, &second, &rows, share, &mut d_rows)?;
             self.add_penalty("warm_up", loss);
         } else {
             self.draw(&second, &rows, &mut d_rows, draw)?;
@@ -257,10 +269,21 @@ impl Dut {
         }
         match &mut self.source {
             Source::Network(net) => net.backward(&self.actor, &d_rows)?,
-            Source::Direct(direct) => direct.backward(&second.seen, &d_rows),
+            Source::Direct(direct) => direct.backward(&self.actor, &second.seen, &d_rows),
         }
         (self.rows, self.d_rows) = (rows, d_rows);
         Ok(())
+    }
+
+    /// The frame under a light of this step's own, if the settings ask for that.
+    fn jittered(&self, second: Arc<Second>, number: u32) -> Arc<Second> {
+        let most = self.config.jitter;
+        if most == 0.0 || self.phase() != Phase::Main {
+            return second;
+        }
+        let mut rng = Rng::new(self.seed, "dut.jitter", self.step, number.into());
+        let gain = std::array::from_fn(|_| (most * (2.0 * rng.uniform() - 1.0)).exp());
+        Arc::new(self.actor.relit(&second, gain))
     }
 
     /// Texels' values to an image, and what it asks of them.
@@ -369,6 +392,35 @@ impl Method for Dut {
             net.clip();
         }
         std::mem::take(&mut self.penalties)
+    }
+
+    /// Makes the mean colours anew while GeoNet learns, if asked for.
+    fn adapt(&mut self, step: u32) -> Adapted {
+        let every = self.config.surface.refresh;
+        if every > 0 && step % every == 0 && self.phase() == Phase::Geometry && !self.actor.mean.gau.is_empty() {
+            let through = |frame: &AvatarFrame| self.offsets(&self.first(frame)?);
+            match self.actor.mean_textures([Some(&self.actor.gau)], through) {
+                Ok([gau]) => self.actor.mean.gau = gau,
+                Err(e) => self.note(self.actor.frame_at(Time::default()), &e),
+            }
+        }
+        Adapted::default()
+    }
+
+    /// The mean textures, which another film would give other values of.
+    fn columns(&self) -> Vec<Column<'_>> {
+        let MeanTextures { geo, gau } = &self.actor.mean;
+        let column = |(name, values)| Column { name, row_width: None, values };
+        [("mean.geo", geo), ("mean.gau", gau)].into_iter().filter(|c| !c.1.is_empty()).map(column).collect()
+    }
+
+    fn columns_mut(&mut self) -> Vec<ColumnMut<'_>> {
+        // They hold inputs of GeoNet less its mean texture.
+        self.firsts.clear();
+        self.seconds.clear();
+        let MeanTextures { geo, gau } = &mut self.actor.mean;
+        let column = |(name, values)| ColumnMut { name, row_width: None, values };
+        [("mean.geo", geo), ("mean.gau", gau)].into_iter().filter(|c| !c.1.is_empty()).map(column).collect()
     }
 
     fn quantities(&self, at: &Moment) -> Vec<Quantity> {

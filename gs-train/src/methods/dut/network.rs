@@ -1,6 +1,6 @@
 //! GauNet under training: rows of texel Gaussians from a frame's second texture.
 
-use super::actor::{Actor, FrameError, Second, Seen};
+use super::actor::{Actor, FrameError, MeanTextures, Second, Seen};
 use super::config::{Config, UnseenColor};
 use super::texels::{TexelRows, coefficient, reference};
 use gs_core::{Image, Param, Params};
@@ -15,8 +15,10 @@ pub struct Network {
     channels: Channels,
     residual: bool,
     clip: f32,
-    /// Reference rows `[K, width]` without the moment's colours.
+    /// Reference rows `[K, width]`, black.
     reference: Vec<f32>,
+    /// Their colours where no camera sees them.
+    unseen: UnseenColor,
     /// Values of the texels' own, beside the network's.
     own: Option<TexelRows>,
     /// Metres of an offset of one.
@@ -39,11 +41,7 @@ impl Network {
             });
         }
         let mask: Vec<bool> = actor.gau.mask().iter().map(|m| *m > 0.0).collect();
-        let unseen = match config.gaunet.unseen {
-            UnseenColor::Black => vec![[0.0; 3]; actor.gau.len()],
-            UnseenColor::Mean => actor.mean_texture(&actor.gau)?,
-        };
-        let reference = reference(config, actor, channels, &unseen)?;
+        let reference = reference(config, actor, channels, &vec![[0.0; 3]; actor.gau.len()])?;
         let own = || TexelRows::new(channels, &vec![0.0; reference.len()]);
         Ok(Self {
             tape: Mutex::new(net.tape(actor.gau.size, Some(&mask))?),
@@ -53,18 +51,23 @@ impl Network {
             clip: config.gaunet.clip,
             own: config.gaunet.own.then(own),
             unit: config.gaunet.offset_unit,
+            unseen: config.gaunet.unseen,
             reference,
         })
     }
 
     /// The Gaussians that stand for a frame's texels before anything is learnt.
-    fn reference(&self, seen: &Seen) -> Vec<f32> {
+    fn reference(&self, actor: &Actor, seen: &Seen) -> Vec<f32> {
         let mut rows = self.reference.clone();
+        let mean = MeanTextures::rows(&actor.mean.gau);
         let of_texels = rows.chunks_exact_mut(self.channels.width()).zip(seen.colors.iter().zip(&seen.views));
-        for (row, (color, views)) in of_texels {
-            if *views > 0.0 {
-                row[COLOR..COLOR + 3].copy_from_slice(&color.map(coefficient));
-            }
+        for (k, (row, (color, views))) in of_texels.enumerate() {
+            let color = match self.unseen {
+                _ if *views > 0.0 => color,
+                UnseenColor::Mean => &mean[k],
+                UnseenColor::Black => continue,
+            };
+            row[COLOR..COLOR + 3].copy_from_slice(&color.map(coefficient));
         }
         rows
     }
@@ -81,7 +84,7 @@ impl Network {
         *rows = self.channels.gather(&map, &actor.gau.valid)?;
         self.scale_offsets(rows);
         if self.residual {
-            rows.iter_mut().zip(self.reference(&second.seen)).for_each(|(v, r)| *v += r);
+            rows.iter_mut().zip(self.reference(actor, &second.seen)).for_each(|(v, r)| *v += r);
         }
         self.own.iter().for_each(|own| own.add_to(rows));
         Ok(())
@@ -112,8 +115,15 @@ impl Network {
     ///
     /// # Errors
     /// As [`Self::rows`].
-    pub fn warm_up(&self, second: &Second, rows: &[f32], share: f32, d_rows: &mut [f32]) -> Result<f32, FrameError> {
-        let targets = self.reference(&second.seen);
+    pub fn warm_up(
+        &self,
+        actor: &Actor,
+        second: &Second,
+        rows: &[f32],
+        share: f32,
+        d_rows: &mut [f32],
+    ) -> Result<f32, FrameError> {
+        let targets = self.reference(actor, &second.seen);
         let loss = warm_up::loss(rows, &targets, self.channels, d_rows)?;
         d_rows.iter_mut().for_each(|d| *d *= share);
         Ok(loss as f32 * share)

@@ -86,6 +86,7 @@ fn compare(camera: &Camera, image: &Image, x: DVec3, wanted: [f32; 3]) -> Option
 #[cfg(test)]
 mod tests {
     use super::super::Config;
+    use super::super::actor::MeanTextures;
     use super::*;
     use crate::methods::MethodEntry;
     use crate::synth::avatar::{AvatarOptions, generate};
@@ -100,11 +101,11 @@ mod tests {
         let scene = generate(&film).unwrap().avatar.unwrap();
         let config = MethodEntry::find("dut").unwrap().config("tiny").unwrap();
         let actor = Actor::new(scene.clone(), &config.try_into::<Config>().unwrap()).unwrap();
-        let (frame, mean) = (&scene.frames[0], actor.mean_texture(&actor.gau).unwrap());
+        let (frame, mean) = (&scene.frames[0], MeanTextures::rows(&actor.mean.gau));
         let (posed, photographs) = (actor.pose(frame), actor.photographs(frame).unwrap());
         let still = skin(&posed.canonical, &posed.transforms);
         let turned = |angle: f32| -> Vec<Vec3> { still.iter().map(|p| Mat3::from_rotation_y(angle) * *p).collect() };
-        let loss = |angle: f32| texture_loss(&actor, &turned(angle), &photographs, &mean).unwrap();
+        let loss = |angle: f32| texture_loss(&actor, &turned(angle), &photographs, mean).unwrap();
         let slope = |angle: f32| -> f64 {
             let along = turned(angle).into_iter().map(|p| Vec3::Y.cross(p).as_dvec3());
             loss(angle).grad.iter().zip(along).map(|(g, a)| g.dot(a)).sum()
