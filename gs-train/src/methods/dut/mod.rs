@@ -173,7 +173,8 @@ impl Dut {
         let normals = self.actor.topology.normals(&template.vertices, &template.faces);
         let (mut error, mut count) = ([0.0f64; 2], 0usize);
         for frame in &scene.frames {
-            let found = offsets(frame, &self.first(frame)?)?;
+            let first = self.first(frame)?;
+            let found = offsets(frame, &first)?;
             let (Some(found), Some(wanted)) = (found, scene.true_offsets(frame)) else { continue };
             for ((found, wanted), normal) in found.iter().zip(&wanted).zip(&normals) {
                 let squares = |v: glam::Vec3| [v.length_squared(), v.dot(*normal).powi(2)].map(f64::from);
@@ -397,8 +398,9 @@ impl Method for Dut {
     /// Makes the mean colours anew while GeoNet learns, if asked for.
     fn adapt(&mut self, step: u32) -> Adapted {
         let every = self.config.surface.refresh;
-        if every > 0 && step % every == 0 && self.phase() == Phase::Geometry && !self.actor.mean.gau.is_empty() {
-            let through = |frame: &AvatarFrame| self.offsets(&self.first(frame)?);
+        if every > 0 && step.is_multiple_of(every) && self.phase() == Phase::Geometry && !self.actor.mean.gau.is_empty()
+        {
+            let through = |frame: &AvatarFrame| self.first(frame).and_then(|first| self.offsets(&first));
             match self.actor.mean_textures([Some(&self.actor.gau)], through) {
                 Ok([gau]) => self.actor.mean.gau = gau,
                 Err(e) => self.note(self.actor.frame_at(Time::default()), &e),
