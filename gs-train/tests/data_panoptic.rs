@@ -178,6 +178,22 @@ fn masks_belong_to_their_pictures_and_cameras_can_be_held_out() {
 }
 
 #[test]
+fn only_what_masks_show_is_left_when_asked() {
+    let clip = Clip::new();
+    let d = clip.open(&DataOptions { cut_out: true, scale: 0.5, ..Default::default() }).unwrap();
+    let all = clip.open(&DataOptions::default()).unwrap();
+    let masked = |views: &[gs_train::data::View]| views.iter().filter(|v| v.mask.is_some()).count();
+    assert!(masked(&all.test) < all.test.len(), "camera 7 has no masks");
+    assert_eq!((d.train.len(), d.test.len()), (masked(&all.train), masked(&all.test)));
+    assert!(d.notes.iter().any(|n| n.contains("5 views without a mask are left out")), "{:?}", d.notes);
+    let image = ImageCache::new(0, 1.0).get(&d.train[0]).unwrap();
+    assert!(image.pixel(8, 6)[3] == 255 && image.pixel(12, 6)[3] == 0);
+    std::fs::remove_dir_all(clip.path().join("seg")).unwrap();
+    let e = clip.open(&DataOptions { cut_out: true, ..Default::default() }).unwrap_err();
+    assert!(e.to_string().contains("data.cut_out"), "{e}");
+}
+
+#[test]
 fn points_come_from_arrays() {
     let clip = Clip::new();
     let row = [1.0f32, 2.0, 3.0, 1.0, 0.5, 2.0, 1.0];

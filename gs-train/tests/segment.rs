@@ -17,12 +17,13 @@ const ORIGIN: DVec3 = DVec3::new(0.05, -0.1, 0.02);
 const AT: f64 = 0.7;
 /// Side of the views, pixels.
 const SIDE: u32 = 200;
-/// Standard deviation of a splat, world units.
-const SCALE: f32 = 0.01;
+/// Standard deviation of a splat, world units: a fifth of a pixel, so that outlines are as sharp as the rasteriser draws them.
+const SCALE: f32 = 0.003;
 
-/// Splats lie so far below the surface that the outlines of their union are those of the body.
+/// Splats lie so far below the surface that the outlines of their union, blurred by the rasteriser's dilation, are those of
+/// the body: where half of the light is theirs was found by trying.
 fn inset(local: DVec3) -> DVec3 {
-    local.signum() * (local.abs() - 0.012).max(DVec3::ZERO)
+    local.signum() * (local.abs() - 0.0105).max(DVec3::ZERO)
 }
 
 /// A generated scene as a method: small splats on what its views see, moved by the truth itself.
@@ -143,13 +144,25 @@ fn bodies_are_found_from_their_twists() {
                 "{scene}, {count:?}: splats mIoU {:.4}; views F1 {:.4}, mIoU {:.4}",
                 splats.miou, masks.f1, masks.miou
             );
-            if scene != "hinge" {
-                assert_eq!(masks.f1, 1.0, "{scene} {count:?}: {masks:?}");
-            }
-            if scene == "projectile" {
-                assert!(masks.miou > 0.95, "{scene} {count:?}: {masks:?}");
+            if scene == "hinge" {
+                assert!(masks.miou > 0.92, "{count:?}: {masks:?}");
+            } else {
+                assert!(masks.f1 == 1.0 && masks.miou > 0.95, "{scene} {count:?}: {masks:?}");
             }
         }
+    }
+}
+
+/// A thrown ball, a rolling wheel, a block that rises and turns, and a slab at rest: four parts, with and without their number.
+#[test]
+fn three_bodies_and_what_rests_are_four_parts() {
+    let cast = Cast::new("trio", Some(0.05));
+    for count in [Count::Fixed(4), Count::Auto] {
+        let labels = segment(&cast, &Options { count, ..Options::default() }).unwrap();
+        let (splats, masks) = (cast.score_of_splats(&labels), cast.study(&labels));
+        println!("trio, {count:?}: splats mIoU {:.4}; views F1 {:.4}, mIoU {:.4}", splats.miou, masks.f1, masks.miou);
+        assert_eq!((labels.k, splats.f1, masks.f1), (4, 1.0, 1.0), "{count:?}: {masks:?}");
+        assert!(splats.miou > 0.95 && masks.miou > 0.95, "{count:?}: {splats:?} {masks:?}");
     }
 }
 

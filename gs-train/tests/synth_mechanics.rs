@@ -7,7 +7,7 @@ use gs_train::data::{DataOptions, Dataset, ImageCache, ImageSource, ImageU8, Spl
 use gs_train::synth::body::MotionClass;
 use gs_train::synth::{self, SynthOptions, Truth};
 
-const MECHANICS: [&str; 6] = ["falling", "screw", "wheel", "projectile", "hinge", "twins"];
+const MECHANICS: [&str; 7] = ["falling", "screw", "wheel", "projectile", "hinge", "twins", "trio"];
 const SPLITS: [Split; 4] = [Split::Train, Split::Val, Split::Test, Split::Extrapolate];
 
 /// Three cameras and one held out, nine moments: two after 0.75.

@@ -39,13 +39,14 @@ struct Entry {
     last_use: u64,
 }
 
-/// What an image depends on: its file or memory, the bits of camera and lens when it is resampled, and whether alpha counts.
+/// What an image depends on: its file or memory, the bits of camera and lens when it is resampled, and whether alpha and the mask count.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 struct Key {
     file: PathBuf,
     memory: usize,
     bits: [u64; 10],
     opaque: bool,
+    cut_out: bool,
 }
 
 impl ImageCache {
@@ -92,6 +93,7 @@ impl ImageCache {
             && self.scale == 1.0
             && v.stored.is_none()
             && !v.opaque
+            && !v.cut_out
         {
             check_size(v, image)?;
             return Ok(image.clone());
@@ -131,6 +133,12 @@ impl ImageCache {
         check_size(v, &image)?;
         if v.opaque {
             image.data.chunks_exact_mut(4).for_each(|p| p[3] = 255);
+        }
+        if let Some(source) = v.mask.as_ref().filter(|_| v.cut_out) {
+            let mask = self.pixels(source)?;
+            let sizes = [&mask, &image].map(|i| [i.width as u32, i.height as u32]);
+            mask::check_shape(&file_of(source, v), sizes[0], sizes[1])?;
+            mask::cut(&mut image, &mask);
         }
         if v.stored.is_some() {
             image = image.box_downscaled(v.camera.width as usize, v.camera.height as usize);
@@ -193,7 +201,7 @@ fn key_of(v: &View) -> Key {
         ImageSource::File(file) => (file.clone(), 0),
         ImageSource::Memory(image) => (PathBuf::new(), Arc::as_ptr(image).addr()),
     };
-    Key { file, memory, bits, opaque: v.opaque }
+    Key { file, memory, bits, opaque: v.opaque, cut_out: v.cut_out }
 }
 
 fn check_size(v: &View, image: &ImageU8) -> Result<(), DataError> {

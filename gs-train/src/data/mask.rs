@@ -41,6 +41,16 @@ pub(crate) fn weights(mask: &ImageU8, v: &View, camera: &Camera) -> Image {
     Image { width: camera.width as usize, height: camera.height as usize, channels: 1, data }
 }
 
+/// Takes away, by its alpha, what the mask of a photograph leaves out: every stored pixel has the weight of the nearest one of the mask.
+pub(crate) fn cut(image: &mut ImageU8, mask: &ImageU8) {
+    let (width, height) = (image.width, image.height);
+    for (k, pixel) in image.data.chunks_exact_mut(4).enumerate() {
+        let at = |i: usize, side: usize, of: usize| (2 * i + 1) * of / (2 * side);
+        let weight = mask.pixel(at(k % width, width, mask.width), at(k / width, height, mask.height))[0];
+        pixel[3] = (u32::from(pixel[3]) * u32::from(weight) / 255) as u8;
+    }
+}
+
 /// For every pixel of `camera`, row by row, the nearest one `[x, y]` of a map of `size` that has the shape of the view's
 /// photograph; none where the photograph does not reach.
 pub(crate) fn nearest<'a>(
@@ -97,6 +107,25 @@ mod tests {
             }
         }
         assert!(ImageCache::new(0, 1.0).mask(&View { mask: None, ..view(2, 2, mask(2, 2, 1)) }).unwrap().is_none());
+    }
+
+    #[test]
+    fn what_a_mask_leaves_out_is_transparent_at_every_scale() {
+        for (mw, mh, split) in [(12, 8, 6), (6, 4, 3), (24, 16, 12)] {
+            let mut v = view(12, 8, mask(mw, mh, split));
+            let white = ImageU8 { width: 12, height: 8, data: vec![255; 12 * 8 * 4] };
+            v.image = ImageSource::Memory(Arc::new(white));
+            let whole = ImageCache::new(1 << 20, 1.0);
+            assert!(whole.get(&v).unwrap().data.iter().all(|b| *b == 255), "unasked, all is seen");
+            v.cut_out = true;
+            for scale in [1.0, 0.5] {
+                let cache = ImageCache::new(1 << 20, scale);
+                let image = cache.get(&v).unwrap();
+                let alpha = |k: usize| image.data[4 * k + 3];
+                let half = image.width / 2;
+                assert!((0..image.width * image.height).all(|k| alpha(k) == 255 * u8::from(k % image.width < half)));
+            }
+        }
     }
 
     #[test]

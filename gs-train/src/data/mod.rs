@@ -11,7 +11,8 @@
 //!   the last time of the whole sequence, and training ends at the boundary. [`Time::seconds`] is the data's own clock.
 //! * [`View::camera`] has the size of the image file, or that size times `data.scale`. An [`ImageCache`] with a scale of
 //!   its own gives the smaller camera.
-//! * [`View::mask`] says which pixels count in masked scores; training sees all of them. [`ImageCache::mask`] gives it at the
+//! * [`View::mask`] says which pixels count in masked scores; training sees all of them, unless `data.cut_out`
+//!   makes the others transparent. [`ImageCache::mask`] gives it at the
 //!   size of the image.
 //! * `data.time_boundary`, or the `scene.toml` of a folder (`scene_file.rs`), keeps the end of the sequence out of training:
 //!   [`Dataset::extrapolate`], for every layout.
@@ -105,6 +106,8 @@ pub struct View {
     pub mask: Option<ImageSource>,
     /// Whether alpha in the image's file means nothing, as in photographs.
     pub opaque: bool,
+    /// Whether pixels outside the mask are transparent (`data.cut_out`).
+    pub cut_out: bool,
     /// Depth of the view, an `.npy` file, where the data bring one along.
     pub depth: Option<PathBuf>,
     /// Labels of the view's pixels, an `.npy` file of whole numbers, where the data bring them along.
@@ -124,6 +127,7 @@ impl View {
             camera_id,
             mask: None,
             opaque: false,
+            cut_out: false,
             depth: None,
             labels: None,
         }
@@ -214,12 +218,34 @@ impl Dataset {
             return Err(DataError::Option { name: "data.scale", value: scale.to_string(), rule });
         }
         let file = scene_file::read(dir)?;
-        let mut data = (layout.open)(dir, &file.under(options))?;
+        let options = &file.under(options);
+        let mut data = (layout.open)(dir, options)?;
         file.begin(&mut data)?;
+        if options.cut_out {
+            data.cut_out()?;
+        }
         if scale < 1.0 {
             data.shrink(scale);
         }
         Ok(data)
+    }
+
+    /// Leaves only what masks show.
+    fn cut_out(&mut self) -> Result<(), DataError> {
+        let mut left = 0;
+        for views in [&mut self.train, &mut self.val, &mut self.test, &mut self.extrapolate] {
+            left += views.len();
+            views.retain(|v| v.mask.is_some());
+            left -= views.len();
+            views.iter_mut().for_each(|v| v.cut_out = true);
+        }
+        if self.train.is_empty() {
+            let rule = "false where no training view has a mask".into();
+            return Err(DataError::Option { name: "data.cut_out", value: "true".into(), rule });
+        }
+        let without = if left > 0 { format!("; {left} views without a mask are left out") } else { String::new() };
+        self.notes.push(format!("pixels outside masks are transparent, as data.cut_out asks{without}"));
+        Ok(())
     }
 
     /// Makes every view smaller; the [`ImageCache`] averages the images down to their cameras.

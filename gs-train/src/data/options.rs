@@ -104,6 +104,9 @@ pub struct DataOptions {
     pub images: Option<String>,
     /// Size of the images used, as a part of their stored size: above 0, at most 1. Shrinking averages areas.
     pub scale: f64,
+    /// Only what masks show counts: pixels that a view's mask leaves out are transparent, so that the background of training
+    /// stands there, and views without a mask are left out.
+    pub cut_out: bool,
     /// Largest decoded image in MiB; none: 64 MiB plus eight times the size of its file.
     pub max_image_mib: Option<u32>,
 }
@@ -128,6 +131,7 @@ impl Default for DataOptions {
             center_pp: false,
             images: None,
             scale: 1.0,
+            cut_out: false,
             max_image_mib: None,
         }
     }

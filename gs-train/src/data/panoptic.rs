@@ -68,7 +68,9 @@ fn probe(dir: &Path) -> Option<Confidence> {
 fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     let root = Root::new(dir)?;
     let file = dir.join("train_meta.json");
-    let mut notes = vec!["the background is black: the masks cut out people, but all pixels train".to_owned()];
+    let mut notes = vec![
+        "the background is black: the masks cut out people, but all pixels train unless data.cut_out is set".to_owned(),
+    ];
     let train = drafts(&root, &file, options, &mut notes)?;
     if train.is_empty() {
         return Err(DataError::Empty { file });

@@ -138,3 +138,37 @@ pub(super) fn twins() -> Vec<Body> {
         slab(-0.67),
     ]
 }
+
+/// A ball that is thrown, a wheel that rolls, and a block that rises while it turns.
+pub(super) fn trio() -> Vec<Body> {
+    const RADIUS: f64 = 0.3;
+    /// Between tread and slab.
+    const GAP: f64 = 0.02;
+    let thrown = Motion {
+        start: DVec3::new(-0.85, 0.45, -0.1),
+        velocity: DVec3::new(1.3, 0.2, 2.0),
+        gravity: DVec3::Z * -4.4,
+        ..Motion::default()
+    };
+    let rolling = Motion {
+        start: DVec3::new(-0.6, -0.5, -0.67 + GAP + RADIUS),
+        tilt: DVec3::X * std::f64::consts::FRAC_PI_2,
+        velocity: DVec3::X,
+        spin_axis: DVec3::Y,
+        spin_rate: 1.0 / RADIUS,
+        ..Motion::default()
+    };
+    let rising = Motion {
+        start: DVec3::new(0.6, 0.1, -0.35),
+        velocity: DVec3::Z * 0.5,
+        spin_axis: DVec3::Z,
+        spin_rate: 2.5,
+        ..Motion::default()
+    };
+    vec![
+        body("ball", Shape::Sphere { radius: 0.28 }, thrown, RED, 14.0),
+        body("wheel", Shape::Wheel { radius: RADIUS, half_width: 0.13 }, rolling, VIOLET, 15.0),
+        body("block", block(0.2, 0.18, 0.2), rising, BLUE, 18.0),
+        slab(-0.67),
+    ]
+}

@@ -63,6 +63,7 @@ pub const SCENES: &[SynthScene] = &[
     rigid("projectile", "a block that is thrown and turns on its way", mechanics::projectile),
     rigid("hinge", "a box with a lid, a door, an arm and a disc that turn about axes of their own", mechanics::hinge),
     rigid("twins", "two bodies apart that move as one, and a third that does not", mechanics::twins),
+    rigid("trio", "a thrown ball, a rolling wheel and a block that rises and turns, over a slab", mechanics::trio),
 ];
 
 /// A scene of rigid bodies.

@@ -61,3 +61,55 @@ fn a_forecast_does_not_depend_on_what_was_asked_before() {
         }
     }
 }
+
+/// Short enough to see that a setting acts, not what it is worth.
+const SHORT: &str = "[schedule.stages.warm_up]\nsteps = 20\n[schedule.stages.dynamic]\nsteps = 60\n";
+
+/// The rows of the paper's Table 9: parts left out, steps and orders.
+#[test]
+fn parts_of_the_law_can_be_left_out() {
+    let data = Arc::new(mechanics("falling").dataset);
+    let of = |over: &str| trained(&data, "trace", &format!("{over}\n{SHORT}"));
+    let at = |t: f32| Moment::new(Time::new(t).expect("time"));
+    let ahead = |trainer: &Trainer| trainer.method().splats(&at(1.0), &data.train[0].camera).means;
+    let outputs = |trainer: &Trainer| {
+        let mut last = 0;
+        trainer.method().visit(&mut |p| last = if p.name.starts_with("physics.") { p.value.len() } else { last });
+        last
+    };
+    let has_field = |trainer: &Trainer| {
+        let mut found = false;
+        trainer.method().visit(&mut |p| found |= p.name.starts_with("field."));
+        found
+    };
+    let full = of("");
+    assert!(has_field(&full) && outputs(&full) == 12);
+    let variants = [
+        ("ablate = \"field\"", 12),
+        ("ablate = \"physics\"", 6),
+        ("ablate = \"equivalent\"", 15),
+        ("[physics]\nstep_frames = 1.0", 12),
+        ("[physics]\nstep_frames = 3.0", 12),
+        ("[law]\norder = 1", 6),
+        ("[law]\norder = 3", 18),
+    ];
+    for (over, rows) in variants {
+        let other = of(over);
+        assert_eq!((outputs(&other), has_field(&other)), (rows, !over.contains("field")), "{over}");
+        let (means, particles) = (ahead(&other), other.method().particles().expect("a law"));
+        assert!(means.iter().all(|x| x.is_finite()) && means != ahead(&full), "{over}");
+        assert_eq!(particles.at == 0.0, over.contains("field"), "{over}: who rules from the first moment on");
+        let rates = particles.motions.iter().any(|m| m.rate.v != [0.0; 3]);
+        let jerks = particles.motions.iter().any(|m| m.jerk.v != [0.0; 3]);
+        let order = if over.contains("order = 1") {
+            1
+        } else if over.contains("order = 3") {
+            3
+        } else {
+            2
+        };
+        if !over.contains("ablate") {
+            assert_eq!((rates, jerks), (order > 1, order > 2), "{over}");
+        }
+    }
+}
