@@ -48,6 +48,13 @@ mod tests {
     use super::*;
 
     #[test]
+    fn the_scale_grows_lighter() {
+        let light = |x: f32| color_scale(x).iter().zip([0.2126, 0.7152, 0.0722]).map(|(c, w)| c * w).sum::<f32>();
+        assert!((0..20).all(|k| light((k + 1) as f32 / 20.0) > light(k as f32 / 20.0)));
+        assert_eq!(color_scale(f32::NAN), color_scale(0.0));
+    }
+
+    #[test]
     fn every_finite_value_is_in_one_bar() {
         let values = [0.0, 0.5, 1.0, 7.0, -3.0, f32::NAN];
         let counted = |v: &Value| v["bars"].as_array().unwrap().iter().map(|n| n.as_u64().unwrap()).sum::<u64>();
