@@ -144,6 +144,12 @@ impl Workspace {
         self.chunks[..self.chunk_count].iter().map(|c| c.entries.len()).sum()
     }
 
+    /// Splats listed in at least one tile in the last frame.
+    pub fn splats_listed(&self) -> usize {
+        let listed = |c: &Chunk| c.splat_starts.windows(2).filter(|w| w[0] < w[1]).count();
+        self.chunks[..self.chunk_count].iter().map(listed).sum()
+    }
+
     /// (tile, splat) pairs some pixel blended in the last frame.
     pub fn entries_used(&self) -> usize {
         self.tiles.iter().map(|t| t.used() as usize).sum()

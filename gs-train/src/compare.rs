@@ -2,7 +2,10 @@
 //!
 //! PSNR in dB for a data range of 1; SSIM with an 11-tap Gaussian window and zeros outside, as the 3DGS family evaluates.
 //! Where a mask is given there are scores where it counts, too: PSNR and SSIM of DyCheck ([`gs_metrics::masked`]) and the
-//! masked proxy.
+//! masked proxy. [`runs`] sets trained runs beside each other.
+
+pub mod runs;
+mod sides;
 
 use crate::evaluate::MaskedScores;
 use gs_core::Image;

@@ -152,6 +152,20 @@ impl Standing {
     }
 }
 
+/// A score: its name in tables, its digits, its value.
+pub type Score = (&'static str, usize, fn(&EvalReport) -> Option<f64>);
+
+/// Columns of tables that set entries or runs beside each other; those that nobody has a number for are left out there.
+pub const SCORES: [Score; 7] = [
+    ("psnr", 2, |r| r.mean.psnr),
+    ("ext dB", 2, EvalReport::extrapolated_psnr),
+    ("ssim", 4, |r| r.mean.ssim),
+    ("proxy", 4, |r| r.mean.perceptual_proxy),
+    ("splats", 0, |r| Some(r.gaussians as f64)),
+    ("MB", 2, |r| Some(r.parameter_bytes as f64 * 1e-6)),
+    ("seconds", 0, |r| r.train_seconds),
+];
+
 /// What a contest tells while it runs.
 pub enum Told<'a> {
     /// A trial begins (or goes on): its name.

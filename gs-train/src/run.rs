@@ -5,12 +5,15 @@ pub mod folder;
 pub mod needs;
 pub mod opened;
 pub mod orbit;
+pub mod overlays;
 pub mod picture;
 pub mod provenance;
 pub mod settings;
+pub mod shown;
 pub mod speed;
 pub mod summary;
 pub mod training;
+pub mod work;
 
 pub use error::RunError;
 pub use folder::RunFolder;

@@ -1,15 +1,24 @@
 //! Line charts as inline SVG.
 
 use super::ReportError;
-use plotters::coord::ranged1d::{AsRangedCoord, ValueFormatter};
+use super::page::escape;
+use plotters::coord::ranged1d::{AsRangedCoord, Ranged, ValueFormatter};
 use plotters::prelude::*;
 
 /// Size of a chart in SVG units; the page scales it.
 const SIZE: (u32, u32) = (560, 260);
 /// Colours of the lines, told apart also without colour vision (Okabe and Ito).
-const COLORS: [RGBColor; 4] =
-    [RGBColor(0, 114, 178), RGBColor(213, 94, 0), RGBColor(0, 158, 115), RGBColor(204, 121, 167)];
-const INK: RGBColor = RGBColor(75, 85, 99);
+const COLORS: [RGBColor; 6] = [
+    RGBColor(0, 114, 178),
+    RGBColor(213, 94, 0),
+    RGBColor(0, 158, 115),
+    RGBColor(204, 121, 167),
+    RGBColor(230, 159, 0),
+    RGBColor(86, 180, 233),
+];
+/// Text; the style sheet of the page has others for the dark.
+pub(super) const INK: RGBColor = RGBColor(75, 85, 99);
+const TITLE: RGBColor = RGBColor(17, 24, 39);
 const GRID: RGBColor = RGBColor(229, 231, 235);
 /// More points than this are thinned: the chart has no more pixels.
 const MOST_POINTS: usize = 600;
@@ -45,42 +54,59 @@ pub fn chart(title: &str, x_name: &str, scale: Scale, curves: &[Curve]) -> Resul
         .collect();
     let all = || curves.iter().flat_map(|c| c.points.iter());
     let Some((x, y)) = range(all().map(|p| p.0)).zip(range(all().map(|p| p.1))) else { return Ok(None) };
-    let mut svg = String::new();
-    let root = SVGBackend::with_string(&mut svg, SIZE).into_drawing_area();
-    let result = match scale {
+    let draw = |root: &Area<'_>| match scale {
         Scale::Linear => {
             let margin = 0.06 * (y.1 - y.0).max(1e-9 * y.1.abs()).max(1e-12);
-            draw(&root, title, x_name, wide(x), y.0 - margin..y.1 + margin, &curves)
+            lines(framed(root, title, x_name, wide(x), y.0 - margin..y.1 + margin)?, &curves)
         }
         Scale::Log => {
             let (low, high) = (y.0 * 0.9, (y.1 * 1.1).max(y.0 * 1.5));
             // Over few decades, powers of two give more marks than powers of ten.
             let base = if high / low < 64.0 { 2.0 } else { 10.0 };
-            draw(&root, title, x_name, wide(x), (low..high).log_scale().base(base), &curves)
+            lines(framed(root, title, x_name, wide(x), (low..high).log_scale().base(base))?, &curves)
         }
     };
-    result.and_then(|()| root.present().map_err(|e| e.to_string())).map_err(ReportError::Chart)?;
+    svg(&format!("{title}, against {x_name}"), draw).map(Some)
+}
+
+/// What a chart is drawn on.
+pub(super) type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
+
+/// An `<svg>` element that fills its place; `name` is for those who do not see it.
+pub(super) fn svg(name: &str, draw: impl FnOnce(&Area<'_>) -> Result<(), String>) -> Result<String, ReportError> {
+    let mut svg = String::new();
+    let root = SVGBackend::with_string(&mut svg, SIZE).into_drawing_area();
+    draw(&root).and_then(|()| root.present().map_err(|e| e.to_string())).map_err(ReportError::Chart)?;
     drop(root);
     // The page sets the width; the height follows from the view box.
     let fixed = format!("width=\"{}\" height=\"{}\" ", SIZE.0, SIZE.1);
-    Ok(Some(svg.replacen(&fixed, "role=\"img\" ", 1)))
+    Ok(svg.replacen(&fixed, &format!("role=\"img\" aria-label=\"{}\" ", escape(name)), 1))
 }
 
-fn draw<Y>(
-    root: &DrawingArea<SVGBackend<'_>, plotters::coord::Shift>,
+/// A chart with its axes.
+type Framed<'a, 'b, X, Y> = ChartContext<
+    'a,
+    SVGBackend<'b>,
+    Cartesian2d<<X as AsRangedCoord>::CoordDescType, <Y as AsRangedCoord>::CoordDescType>,
+>;
+
+/// Title, axes and grid.
+pub(super) fn framed<'a, 'b, X, Y>(
+    root: &'a Area<'b>,
     title: &str,
     x_name: &str,
-    x: std::ops::Range<f64>,
+    x: X,
     y: Y,
-    curves: &[Curve],
-) -> Result<(), String>
+) -> Result<Framed<'a, 'b, X, Y>, String>
 where
+    X: AsRangedCoord<Value = f64>,
     Y: AsRangedCoord<Value = f64>,
+    X::CoordDescType: ValueFormatter<f64>,
     Y::CoordDescType: ValueFormatter<f64>,
 {
     let text = ("sans-serif", 13).into_font().color(&INK);
     let mut chart = ChartBuilder::on(root)
-        .caption(title, ("sans-serif", 15).into_font().color(&RGBColor(17, 24, 39)))
+        .caption(title, ("sans-serif", 15).into_font().color(&TITLE))
         .margin(8)
         .margin_right(18)
         .x_label_area_size(38)
@@ -99,9 +125,21 @@ where
         .y_label_formatter(&|v| short(*v))
         .x_desc(x_name)
         .label_style(text.clone())
-        .axis_desc_style(text.clone())
+        .axis_desc_style(text)
         .draw()
         .map_err(|e| e.to_string())?;
+    Ok(chart)
+}
+
+fn lines<'a, 'b: 'a, X, Y>(
+    mut chart: ChartContext<'a, SVGBackend<'b>, Cartesian2d<X, Y>>,
+    curves: &[Curve],
+) -> Result<(), String>
+where
+    X: Ranged<ValueType = f64>,
+    Y: Ranged<ValueType = f64>,
+{
+    let text = ("sans-serif", 13).into_font().color(&INK);
     for (curve, color) in curves.iter().zip(COLORS.iter().cycle()) {
         let line = LineSeries::new(curve.points.iter().copied(), color.stroke_width(2))
             .point_size(u32::from(curve.points.len() < 20) * 3);
@@ -181,7 +219,11 @@ mod tests {
         assert_eq!(chart("t", "x", Scale::Linear, &curve(poor)).unwrap(), None);
         assert_eq!(chart("t", "x", Scale::Log, &curve(vec![(0.0, -1.0), (1.0, 0.0)])).unwrap(), None);
         let one = chart("t", "x", Scale::Log, &curve(vec![(3.0, 0.25)])).unwrap().unwrap();
-        assert!(one.starts_with("<svg role=\"img\" viewBox=") && one.trim_end().ends_with("</svg>"), "{one}");
+        assert!(
+            one.starts_with("<svg role=\"img\" aria-label=\"t, against x\" viewBox=")
+                && one.trim_end().ends_with("</svg>"),
+            "{one}"
+        );
         let flat = chart("a<b", "x", Scale::Linear, &curve(vec![(0.0, 0.0), (1.0, 0.0)])).unwrap().unwrap();
         assert!(flat.contains("a&lt;b"));
     }

@@ -1,8 +1,76 @@
-//! Pictures inside a text file.
+//! Pictures inside a text file, of bounded size.
 
 use super::ReportError;
 use gs_core::Image;
-use image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
+use image::codecs::{jpeg::JpegEncoder, png::PngEncoder};
+use image::{ExtendedColorType, ImageEncoder};
+use std::borrow::Cow;
+
+/// Longest side of a picture in a page, pixels.
+const MOST_SIDE: usize = 640;
+/// A picture that takes more bytes than this as PNG is kept as JPEG.
+const MOST_PNG: usize = 96 << 10;
+/// JPEG qualities, tried until one gives no more than [`MOST_PNG`] bytes; the last one is taken in any case.
+const QUALITIES: [u8; 4] = [90, 80, 65, 45];
+
+/// The picture as it stands in a page: pixels per row, rows, and a `data:` address.
+pub(super) struct Inline {
+    pub width: usize,
+    pub height: usize,
+    pub address: String,
+}
+
+impl Inline {
+    /// Of an image of 1, 3 or 4 channels; large ones are reduced, and kept as JPEG where PNG takes too much.
+    pub fn of(image: &Image) -> Result<Self, ReportError> {
+        let image = reduced(image, MOST_SIDE);
+        let (width, height, channels) = image.shape();
+        let mut bytes = png(&image)?;
+        let mut kind = "png";
+        if bytes.len() > MOST_PNG && channels == 3 {
+            (bytes, kind) = (jpeg(&image)?, "jpeg");
+        }
+        Ok(Self { width, height, address: format!("data:image/{kind};base64,{}", base64(&bytes)) })
+    }
+}
+
+/// An image whose longer side has at most `most` pixels: each is the mean of the pixels it stands for.
+pub(super) fn reduced(image: &Image, most: usize) -> Cow<'_, Image> {
+    let longest = image.width.max(image.height);
+    if longest <= most {
+        return Cow::Borrowed(image);
+    }
+    let side = |n: usize| (n * most / longest).max(1);
+    let mut small = Image::zeros(side(image.width), side(image.height), image.channels);
+    let span = |k: usize, from: usize, to: usize| k * from / to..(k + 1) * from / to;
+    for y in 0..small.height {
+        for x in 0..small.width {
+            let (rows, columns) = (span(y, image.height, small.height), span(x, image.width, small.width));
+            let part = 1.0 / (rows.len() * columns.len()) as f32;
+            for (row, column) in rows.flat_map(|row| columns.clone().map(move |column| (row, column))) {
+                let sum = small.pixel_mut(x, y).iter_mut().zip(image.pixel(column, row));
+                sum.for_each(|(sum, v)| *sum += part * v);
+            }
+        }
+    }
+    Cow::Owned(small)
+}
+
+/// An RGB image as JPEG of the best quality that is small enough.
+fn jpeg(image: &Image) -> Result<Vec<u8>, ReportError> {
+    let (bytes, width, height) = bytes_of(image)?;
+    let mut out = Vec::new();
+    for quality in QUALITIES {
+        out.clear();
+        let encoder = JpegEncoder::new_with_quality(&mut out, quality);
+        let written = encoder.write_image(&bytes, width, height, ExtendedColorType::Rgb8);
+        written.map_err(|e| ReportError::Png(e.to_string()))?;
+        if out.len() <= MOST_PNG {
+            break;
+        }
+    }
+    Ok(out)
+}
 
 /// An image of 1, 3 or 4 channels as 8-bit PNG; values are clamped to 0..1, NaN becomes 0.
 ///
@@ -15,16 +83,22 @@ pub fn png(image: &Image) -> Result<Vec<u8>, ReportError> {
         4 => ExtendedColorType::Rgba8,
         n => return Err(ReportError::Png(format!("{n} channels"))),
     };
+    let (bytes, width, height) = bytes_of(image)?;
+    let mut out = Vec::new();
+    let encoder = PngEncoder::new(&mut out);
+    encoder.write_image(&bytes, width, height, color).map_err(|e| ReportError::Png(e.to_string()))?;
+    Ok(out)
+}
+
+/// The values in 8 bit, pixels per row, rows.
+fn bytes_of(image: &Image) -> Result<(Vec<u8>, u32, u32), ReportError> {
     let bytes: Vec<u8> = image.data.iter().map(|v| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8).collect();
     let side = |n: usize| u32::try_from(n).map_err(|_| ReportError::Png(format!("{n} pixels on one side")));
     let (width, height) = (side(image.width)?, side(image.height)?);
     if bytes.is_empty() || bytes.len() != image.width * image.height * image.channels {
         return Err(ReportError::Png(format!("{width}x{height} with {} values", bytes.len())));
     }
-    let mut out = Vec::new();
-    let encoder = PngEncoder::new(&mut out);
-    encoder.write_image(&bytes, width, height, color).map_err(|e| ReportError::Png(e.to_string()))?;
-    Ok(out)
+    Ok((bytes, width, height))
 }
 
 /// Base64 (RFC 4648, with padding).
@@ -65,5 +139,26 @@ mod tests {
         let back = image::load_from_memory(&png(&im).unwrap()).unwrap().to_rgb8();
         assert_eq!(back.as_raw(), &[0, 128, 255, 255, 0, 0]);
         assert!(png(&Image::zeros(0, 4, 3)).is_err() && png(&Image::zeros(2, 2, 2)).is_err());
+    }
+
+    #[test]
+    fn large_pictures_are_reduced_to_means_and_kept_small() {
+        let mut seed = 1u32;
+        let mut noise = || {
+            seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (seed >> 8) as f32 / (1 << 24) as f32
+        };
+        let large =
+            Image { width: 1280, height: 700, channels: 3, data: (0..1280 * 700 * 3).map(|_| noise()).collect() };
+        let inline = Inline::of(&large).unwrap();
+        assert_eq!((inline.width, inline.height), (640, 350));
+        assert!(inline.address.starts_with("data:image/jpeg;base64,"));
+        assert!(inline.address.len() < 160 << 10, "{} bytes of noise", inline.address.len());
+        let stripes = (0..1280 * 2).flat_map(|i| [(i % 2) as f32; 3]).collect();
+        let small = reduced(&Image { width: 1280, height: 2, channels: 3, data: stripes }, 640).into_owned();
+        assert_eq!(small.shape(), (640, 1, 3));
+        assert!(small.data.iter().all(|v| (v - 0.5).abs() < 1e-6), "means over areas");
+        let flat = Inline::of(&Image { width: 2, height: 3, channels: 1, data: vec![0.5; 6] }).unwrap();
+        assert!((flat.width, flat.height) == (2, 3) && flat.address.starts_with("data:image/png;base64,"));
     }
 }

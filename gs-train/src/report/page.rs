@@ -1,10 +1,22 @@
-//! The HTML of a report.
+//! The HTML of a report, and the parts that pages of other kinds share.
 
 use super::chart::{Curve, Scale, chart};
+use super::embed::{Inline, reduced};
 use super::intervals::intervals;
-use super::{Comparison, Report, ReportError, Sample, base64, png};
+use super::overlay::overlays;
+use super::ramp::Ramp;
+use super::scatter::scatter;
+use super::views::{comparisons, script};
+use super::{Comparison, Need, Report, ReportError, Sample};
+use crate::storage::Storage;
 use gs_core::Image;
 use std::fmt::Write as _;
+
+/// Longest side of a picture of the strip, pixels.
+const STRIP_SIDE: usize = 320;
+/// Nothing is loaded from anywhere, whatever the page holds.
+const POLICY: &str = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'; \
+    base-uri 'none'; form-action 'none'";
 
 const STYLE: &str = include_str!("style.css");
 
@@ -27,16 +39,19 @@ pub(crate) fn escape(text: &str) -> String {
 pub fn page(report: &Report) -> Result<String, ReportError> {
     let parts = [
         figures(report),
+        scores(report),
         curves(report)?,
-        views("Truth beside drawing", "Held-out views, the worst first.", &report.views)?,
-        views("The future", "Views beyond the last training time, the worst first.", &report.future)?,
+        views("Truth beside drawing", &report.conditions, &report.views)?,
+        views("The future", &report.future_conditions, &report.future)?,
         strip(report)?,
+        overlays(&report.overlay_view, &report.overlays)?,
         kernels(report)?,
         intervals(&report.journal)?,
         needs(report),
-        speed(report),
+        speed(report)?,
         settings(report),
         provenance(report),
+        script(!(report.views.is_empty() && report.future.is_empty())),
     ];
     Ok(document(&report.title, &report.subtitle, &parts.concat()))
 }
@@ -46,6 +61,7 @@ pub fn document(title: &str, subtitle: &str, sections: &str) -> String {
     let title = escape(title);
     format!(
         "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
+         <meta http-equiv=\"Content-Security-Policy\" content=\"{POLICY}\">\n\
          <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n<title>{title}</title>\n\
          <style>\n{STYLE}</style>\n</head>\n<body>\n<header><h1>{title}</h1><p>{}</p></header>\n<main>\n{}</main>\n\
          </body>\n</html>\n",
@@ -70,6 +86,12 @@ fn figures(report: &Report) -> String {
         let _ = writeln!(out, "<div class=\"card\"><b>{value}</b><span>{name}</span><small>{remark}</small></div>");
     }
     if out.is_empty() { out } else { format!("<div class=\"cards\">\n{out}</div>\n") }
+}
+
+fn scores(report: &Report) -> String {
+    let rows = report.scores.iter().map(|r| r.to_vec());
+    let content = table(&["metric", "mean", "median", "worst", "view"], &[1, 2, 3], rows);
+    section("Scores", &escape(&report.conditions), &content)
 }
 
 fn curves(report: &Report) -> Result<String, ReportError> {
@@ -98,44 +120,31 @@ fn curves(report: &Report) -> Result<String, ReportError> {
 
 /// An image of 1, 3 or 4 channels, inline.
 pub(crate) fn picture(image: &Image, alt: &str) -> Result<String, ReportError> {
-    let data = base64(&png(image)?);
-    let alt = escape(alt);
-    Ok(format!(
-        "<img alt=\"{alt}\" width=\"{}\" height=\"{}\" src=\"data:image/png;base64,{data}\">",
-        image.width, image.height
-    ))
+    let Inline { width, height, address } = Inline::of(image)?;
+    Ok(format!("<img alt=\"{}\" width=\"{width}\" height=\"{height}\" src=\"{address}\">", escape(alt)))
 }
 
-fn views(heading: &str, remark: &str, views: &[Comparison]) -> Result<String, ReportError> {
-    let mut out = String::new();
-    for view in views {
-        let difference = difference(&view.truth, &view.drawn);
-        let caption = escape(&view.caption);
-        let _ = write!(out, "<figure class=\"pair\"><div>");
-        for (name, image) in [("truth", &view.truth), ("drawn", &view.drawn), ("difference × 4", &difference)] {
-            if !image.data.is_empty() {
-                let _ = write!(out, "<span>{}<small>{name}</small></span>", picture(image, name)?);
-            }
-        }
-        let _ = writeln!(out, "</div><figcaption>{caption}</figcaption></figure>");
-    }
-    Ok(section(heading, remark, &out))
+/// A bar of colours with texts below it.
+pub(super) fn ramp_legend(name: &str, ramp: &Ramp, ticks: &[String]) -> String {
+    let ticks: String = ticks.iter().map(|t| format!("<span>{}</span>", escape(t))).collect();
+    let name = escape(name);
+    format!(
+        "<div class=\"legend\"><small>{name}</small><i style=\"background:{}\"></i><small class=\"ticks\">{ticks}</small></div>\n",
+        ramp.css()
+    )
 }
 
-/// Four times the absolute difference; empty if the shapes differ.
-fn difference(a: &Image, b: &Image) -> Image {
-    if a.shape() != b.shape() {
-        return Image::default();
-    }
-    let data = a.data.iter().zip(&b.data).map(|(x, y)| 4.0 * (x - y).abs()).collect();
-    Image { width: a.width, height: a.height, channels: a.channels, data }
+fn views(heading: &str, conditions: &str, views: &[Comparison]) -> Result<String, ReportError> {
+    let remark = format!("The worst views first, then those in the middle. {}", escape(conditions));
+    Ok(section(heading, &remark, &comparisons(views)?))
 }
 
 fn strip(report: &Report) -> Result<String, ReportError> {
     let mut out = String::new();
     for still in &report.strip {
         let caption = escape(&still.caption);
-        let _ = writeln!(out, "<span>{}<small>{caption}</small></span>", picture(&still.image, &still.caption)?);
+        let image = reduced(&still.image, STRIP_SIDE);
+        let _ = writeln!(out, "<span>{}<small>{caption}</small></span>", picture(&image, &still.caption)?);
     }
     let strip = if out.is_empty() { out } else { format!("<div class=\"strip\">\n{out}</div>\n") };
     Ok(section("Through time", "One camera, evenly spaced moments.", &strip))
@@ -183,14 +192,41 @@ fn kernels(report: &Report) -> Result<String, ReportError> {
 }
 
 fn needs(report: &Report) -> String {
-    let rows = report.needs.iter().map(|n| vec![n.name.clone(), n.value.clone(), n.meaning.clone()]);
-    section("What the scene needed", "", &table(&["what", "how much", "meaning"], &[1], rows))
+    let rows = |list: &[Need]| {
+        let rows = list.iter().map(|n| vec![n.name.clone(), n.value.clone(), n.meaning.clone()]);
+        table(&["what", "how much", "meaning"], &[1], rows)
+    };
+    let part = |name: &str, content: String| match content.is_empty() {
+        true => content,
+        false => format!("<h3>{name}</h3>\n{content}"),
+    };
+    let content = part("Splats", rows(&report.needs))
+        + &part("Work done and skipped", rows(&report.work))
+        + &report.storage.as_ref().map_or(String::new(), |s| part("Bytes", bytes(s)));
+    section("What the scene needed", "", &content)
 }
 
-fn speed(report: &Report) -> String {
-    let rows = report.speed.iter().map(|r| {
+/// The bytes of a scene block by block, and by the rule of its paper where there is one.
+fn bytes(storage: &Storage) -> String {
+    let mb = |bytes: usize| format!("{:.3}", bytes as f64 / 1e6);
+    let row = |name: &str, values: usize| vec![name.to_owned(), values.to_string(), mb(4 * values), mb(2 * values)];
+    let blocks = storage.blocks.iter().map(|b| row(&b.block, b.values));
+    let all = std::iter::once(row("all", storage.bytes() / 4));
+    let mut out = table(&["parameters of", "values", "f32 MB", "f16 MB"], &[1, 2, 3], blocks.chain(all));
+    if let Some(paper) = &storage.paper {
+        let row = |name: &str, paper: usize, needed: usize| vec![name.to_owned(), mb(paper), mb(needed)];
+        let blocks = paper.rows.iter().map(|r| row(&r.block, r.paper_bytes(), r.needed_bytes()));
+        let all = std::iter::once(row("all", paper.paper_bytes(), paper.needed_bytes()));
+        out += &table(&["as its paper counts", "paper MB", "as needed MB"], &[1, 2], blocks.chain(all));
+    }
+    out
+}
+
+fn speed(report: &Report) -> Result<String, ReportError> {
+    let rows = report.speed.iter().enumerate().map(|(k, r)| {
         let (ms, error) = (format!("{:.3}", r.ms), r.error.map_or("–".to_owned(), |e| format!("{e:.1e}")));
         vec![
+            (k + 1).to_string(),
             r.case.clone(),
             r.variant.clone(),
             r.n.to_string(),
@@ -200,9 +236,12 @@ fn speed(report: &Report) -> String {
             r.error_kind.to_owned(),
         ]
     });
-    let head = ["what", "how", "size", "threads", "ms", "error", "error is"];
-    let remark = "Times are medians on the machine named below; errors are against the f64 reference.";
-    section("Speed against error", remark, &table(&head, &[2, 3, 4, 5], rows))
+    let head = ["", "what", "how", "size", "threads", "ms", "error", "error is"];
+    let remark = "Times are medians on the machine named below; errors are against the f64 reference. Numbers of points are \
+                  those of rows.";
+    let chart = scatter(&report.speed)?;
+    let chart = chart.map_or(String::new(), |svg| format!("<div class=\"charts\"><figure>{svg}</figure></div>\n"));
+    Ok(section("Speed against error", remark, &(chart + &table(&head, &[0, 3, 4, 5, 6], rows))))
 }
 
 fn settings(report: &Report) -> String {

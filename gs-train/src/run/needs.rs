@@ -10,7 +10,6 @@ use crate::methods::Method;
 use crate::report::Need;
 use glam::{DMat3, DVec3, Vec3};
 use gs_core::{Camera, Color, Params, Splats, rot};
-use std::collections::BTreeMap;
 
 /// Moments looked at.
 pub const MOMENTS: usize = 9;
@@ -42,7 +41,7 @@ pub fn needs(method: &dyn Method, camera: &Camera, extent: f32) -> Vec<Need> {
         let meaning = format!("their colour hardly depends on the view: degree 0 instead of {degree} would do");
         out.push(need("splats of plain colour", count(&plain), &meaning));
     }
-    storage(method, &mut out);
+    out.push(need("storage in all", bytes_text(4 * Params::param_count(method)), "parameters as f32"));
     out
 }
 
@@ -105,22 +104,6 @@ fn breath(scenes: &[Splats], i: usize) -> f32 {
 fn is_plain(row: &[f32]) -> bool {
     let rest = |c: usize| row.iter().skip(3 + c).step_by(3).map(|v| v.abs()).sum::<f32>();
     (0..3).all(|c| rest(c) < PLAIN)
-}
-
-fn storage(method: &dyn Method, out: &mut Vec<Need>) {
-    let mut parts: BTreeMap<String, usize> = BTreeMap::new();
-    method.visit(&mut |p| {
-        let part = p.name.split('.').next().unwrap_or_default().to_owned();
-        *parts.entry(part).or_default() += 4 * p.len();
-    });
-    for (part, bytes) in parts {
-        out.push(need(
-            &format!("storage of {part}"),
-            bytes_text(bytes),
-            "parameters as f32, without the optimiser's moments",
-        ));
-    }
-    out.push(need("storage in all", bytes_text(4 * Params::param_count(method)), "parameters as f32"));
 }
 
 fn need(name: &str, value: String, meaning: &str) -> Need {

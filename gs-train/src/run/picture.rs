@@ -4,6 +4,7 @@ use crate::data::View;
 use crate::evaluate::clamped;
 use crate::methods::Method;
 use crate::moment::Moment;
+use gs_core::speed::median_seconds;
 use gs_core::{Camera, Image, Splats, Time};
 use gs_raster::{Frame, RasterOptions, Workspace, render_into};
 
@@ -37,6 +38,11 @@ impl Painter {
     pub fn view(&mut self, method: &dyn Method, view: &View, camera: &Camera) -> Image {
         let splats = method.splats(&Moment::new(view.time), camera);
         clamped(self.draw(&splats, camera))
+    }
+
+    /// Seconds from the moment to the picture: the median of five frames of a view.
+    pub fn seconds(&mut self, method: &dyn Method, view: &View, camera: &Camera) -> f64 {
+        median_seconds(5, || drop(self.view(method, view, camera)))
     }
 
     /// Draws a method at a normalised time, as an image in `[0, 1]`.

@@ -1,25 +1,29 @@
-//! From a run to its report: figures, curves from the log, worst views, a strip through time, needs, speed against error.
+//! From a run to its report: figures, curves from the log, worst and median views, a strip through time, needs, speed against error.
 
 use super::folder::{self, RunFolder};
 use super::needs::needs;
+use super::overlays::overlay_figures;
 use super::picture::{Painter, moment};
 use super::speed::speed_against_error;
-use super::{Resolved, RunError};
+use super::work::{drawing_rows, resting_rows, training_rows};
+use super::{Resolved, RunError, shown};
 use crate::analysis::paths::{jerk_overlay, moments_for, painted};
 use crate::analysis::{Analysis, Economy, Journal, Snapshot};
-use crate::data::{Dataset, ImageCache, Split, View};
-use crate::evaluate::{EvalReport, ViewScores, clamped};
+use crate::data::{Dataset, ImageCache, View};
+use crate::evaluate::{EvalReport, clamped};
 use crate::inspect::bytes_text;
 use crate::methods::Method;
-use crate::report::{Comparison, Figure, HeatMap, Need, Report, Sample, Still};
-use gs_core::Camera;
-use gs_core::speed::{SpeedError, median_seconds};
+use crate::report::{Figure, HeatMap, Need, Report, Sample, Still};
+use crate::storage::Storage;
+use gs_core::speed::SpeedError;
+use gs_core::{Camera, Time};
+use gs_raster::RasterOptions;
 use serde::Deserialize;
 use serde_json::Value;
 use std::path::Path;
 
-/// Views shown beside their truth.
-const VIEWS_SHOWN: usize = 5;
+/// Views that are drawn to see what drawing takes.
+const LOOKED_AT: usize = 5;
 /// Pictures of the strip.
 const STRIP: usize = 8;
 
@@ -51,15 +55,24 @@ pub fn summarise(m: &Material) -> Result<(Report, Vec<SpeedError>), RunError> {
     let log = m.folder.log_lines(folder::LOG)?;
     let options = m.method.schedule().raster_options(m.scores.background);
     let mut painter = Painter::new(options.clone());
-    let views = scored_views(m.dataset, m.scores);
+    let views: Vec<&View> = shown::ranked(m.dataset, m.scores).into_iter().map(|(view, _)| view).collect();
     let mut report = Report {
         title: format!("{} · {}", data_name(m), m.method.name()),
         subtitle: subtitle(m),
         loss: samples(&log, |line| line["loss"].as_f64()),
         psnr: psnr_curves(&log),
         splats: samples(&log, |line| line["splats"].as_f64()),
-        views: comparisons(m, &mut painter, &views, m.scores)?,
-        future: future(m, &mut painter)?,
+        conditions: shown::conditions(m.dataset, m.photographs, m.scores),
+        future_conditions: match &m.scores.extrapolate {
+            Some(future) => shown::conditions(m.dataset, m.photographs, future),
+            None => String::new(),
+        },
+        scores: shown::score_rows(m.scores),
+        views: shown::comparisons(m, &mut painter, m.scores)?,
+        future: match &m.scores.extrapolate {
+            Some(future) => shown::comparisons(m, &mut painter, future)?,
+            None => Vec::new(),
+        },
         settings: m
             .resolved
             .config
@@ -69,6 +82,7 @@ pub fn summarise(m: &Material) -> Result<(Report, Vec<SpeedError>), RunError> {
         provenance: provenance(m.folder)?,
         heat_maps: heat_maps(&m.folder.log_lines(folder::HISTOGRAMS)?),
         journal: Journal::of(&m.folder.log_lines(folder::JOURNAL)?),
+        storage: Some(Storage::of(m.method, m.method.storage())),
         ..Report::default()
     };
     if let Some(view) = views.first().copied().or(m.dataset.train.first()) {
@@ -77,11 +91,17 @@ pub fn summarise(m: &Material) -> Result<(Report, Vec<SpeedError>), RunError> {
             report.strip = strip(m.method, &mut painter, &camera);
             report.jerk = jerk(m, view, &camera);
         }
-        report.analysis = analysis(m, &views);
+        report.overlays = overlay_figures(m.method, view, &camera);
+        report.overlay_view = format!("{} at t = {:.3}, the worst view, over black.", view.name, view.time.normalised);
+        let seen: Vec<_> = views.iter().take(LOOKED_AT).map(|v| (m.photographs.camera(v), v.time)).collect();
+        report.analysis = analysis(m, &seen, &options);
+        report.work = drawing_rows(m.method, &seen, &options);
+        report.work.extend(resting_rows(m.method, &seen));
         report.figures = figures(m, &mut painter, view, &camera);
         report.needs = needs(m.method, &camera, m.extent);
         report.speed = speed_against_error(&m.method.splats(&moment(view.time.normalised), &camera), &camera, &options);
     }
+    report.work.extend(training_rows(&log));
     let rows = report.speed.clone();
     Ok((report, rows))
 }
@@ -107,18 +127,21 @@ fn figures(m: &Material, painter: &mut Painter, view: &View, camera: &Camera) ->
     let s = m.scores;
     let figure = |value: String, name: &str, remark: String| Figure { value, name: name.to_owned(), remark };
     let number = |v: Option<f64>, digits: usize| v.map_or("–".to_owned(), |v| format!("{v:.digits$}"));
-    let views = format!("mean of {} {} views over {}", s.views.len(), s.split, color_name(s.background));
-    let frame = median_seconds(5, || drop(painter.view(m.method, view, camera)));
+    let of = shown::conditions(m.dataset, m.photographs, s);
+    let frame = painter.seconds(m.method, view, camera);
     let size =
-        format!("{}×{}, field and drawing, {} threads", camera.width, camera.height, rayon::current_num_threads());
+        format!("{}×{}, field and drawing, threads: {}", camera.width, camera.height, rayon::current_num_threads());
     let beyond = s.extrapolate.as_ref().map(|f| {
-        let remark = format!("mean of {} views beyond the last training time", f.views.len());
-        figure(format!("{} dB", number(f.mean.psnr, 2)), "PSNR of the future", remark)
+        let of = shown::conditions(m.dataset, m.photographs, f);
+        figure(format!("{} dB", number(f.mean.psnr, 2)), "PSNR of the future", format!("mean of {of}"))
     });
-    let mut figures = vec![figure(format!("{} dB", number(s.mean.psnr, 2)), "PSNR", views)];
-    figures.extend(beyond);
+    let from_mean = s
+        .psnr_of_mean_mse
+        .map(|p| figure(format!("{p:.2} dB"), "PSNR of the mean error", format!("one mean square over {of}")));
+    let mut figures = vec![figure(format!("{} dB", number(s.mean.psnr, 2)), "PSNR", format!("mean of {of}"))];
+    figures.extend(from_mean.into_iter().chain(beyond));
     figures.extend([
-        figure(number(s.mean.ssim, 4), "SSIM", "11×11 window, zeros outside".into()),
+        figure(number(s.mean.ssim, 4), "SSIM", format!("11×11 window, zeros outside; mean of {of}")),
         figure(format!("{:.1} s", s.train_seconds.unwrap_or(0.0)), "training", format!("{} steps", m.step)),
         figure(s.gaussians.to_string(), "splats", "in the canonical cloud".into()),
         figure(bytes_text(s.parameter_bytes as usize), "scene", "parameters as f32".into()),
@@ -136,7 +159,7 @@ pub fn color_name(c: [f32; 3]) -> String {
     }
 }
 
-fn samples(log: &[Value], value: impl Fn(&Value) -> Option<f64>) -> Vec<Sample> {
+pub(crate) fn samples(log: &[Value], value: impl Fn(&Value) -> Option<f64>) -> Vec<Sample> {
     let sample = |line: &Value| {
         Some(Sample { step: line["step"].as_f64()?, seconds: line["seconds"].as_f64()?, value: value(line)? })
     };
@@ -149,48 +172,6 @@ fn psnr_curves(log: &[Value]) -> Vec<(String, Vec<Sample>)> {
     let split = log.iter().find_map(|l| l["eval"]["split"].as_str()).unwrap_or("val").to_owned();
     let curves = [("training views".to_owned(), training), (format!("{split} views, drawn anew"), held_out)];
     curves.into_iter().filter(|(_, s)| !s.is_empty()).collect()
-}
-
-/// Views of the scored split with the worst first.
-fn scored_views<'a>(dataset: &'a Dataset, scores: &EvalReport) -> Vec<&'a View> {
-    let split = match scores.split.as_str() {
-        "train" => Split::Train,
-        "val" => Split::Val,
-        "extrapolate" => Split::Extrapolate,
-        _ => Split::Test,
-    };
-    let mut ranked: Vec<_> = dataset.views(split).iter().zip(&scores.views).collect();
-    let psnr = |s: &ViewScores| s.psnr.unwrap_or(f64::INFINITY);
-    ranked.sort_by(|a, b| psnr(a.1).total_cmp(&psnr(b.1)));
-    ranked.into_iter().map(|(view, _)| view).collect()
-}
-
-/// The worst views beyond the last training time, where there are any.
-fn future(m: &Material, painter: &mut Painter) -> Result<Vec<Comparison>, RunError> {
-    let Some(scores) = &m.scores.extrapolate else { return Ok(Vec::new()) };
-    comparisons(m, painter, &scored_views(m.dataset, scores), scores)
-}
-
-fn comparisons(
-    m: &Material,
-    painter: &mut Painter,
-    views: &[&View],
-    report: &EvalReport,
-) -> Result<Vec<Comparison>, RunError> {
-    let mut out = Vec::new();
-    for view in views.iter().take(VIEWS_SHOWN) {
-        let camera = m.photographs.camera(view);
-        let truth = m.photographs.get(view)?.over(m.scores.background);
-        let scores = report.views.iter().find(|s| s.name == view.name);
-        let scores = scores.map_or(String::new(), |s| {
-            let psnr = s.psnr.map_or("perfect".to_owned(), |p| format!("{p:.2} dB"));
-            format!(" · PSNR {psnr} · SSIM {:.4}", s.ssim)
-        });
-        let caption = format!("{} · t = {:.3}{scores}", view.name, view.time.normalised);
-        let name = format!("t{:.3}_{}", view.time.normalised, view.name);
-        out.push(Comparison { name, caption, truth, drawn: painter.view(m.method, view, &camera) });
-    }
-    Ok(out)
 }
 
 fn strip(method: &dyn Method, painter: &mut Painter, camera: &Camera) -> Vec<Still> {
@@ -212,12 +193,10 @@ fn jerk(m: &Material, view: &View, camera: &Camera) -> Vec<Still> {
     still.into_iter().collect()
 }
 
-fn analysis(m: &Material, views: &[&View]) -> Vec<Need> {
+fn analysis(m: &Material, seen: &[(Camera, Time)], options: &RasterOptions) -> Vec<Need> {
     let moments = if m.dataset.dynamic { moments_for(m.dataset.train.len()) } else { 0 };
     let mut rows = Analysis::of(m.method, moments, None).rows();
-    let seen: Vec<_> = views.iter().take(VIEWS_SHOWN).map(|v| (m.photographs.camera(v), v.time)).collect();
-    let options = m.method.schedule().raster_options(m.scores.background);
-    rows.extend(Economy::of(m.method, &seen, &options, m.scores.mean.psnr).iter().flat_map(Economy::rows));
+    rows.extend(Economy::of(m.method, seen, options, m.scores.mean.psnr).iter().flat_map(Economy::rows));
     rows
 }
 

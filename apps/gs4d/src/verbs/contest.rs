@@ -5,8 +5,7 @@ use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use crate::progress::Progress;
 use crate::{Global, interrupt, parse};
-use gs_train::contest::{Contest, ContestError, Entry, Length, Spread, Standing, Told};
-use gs_train::evaluate::EvalReport;
+use gs_train::contest::{Contest, ContestError, Entry, Length, SCORES, Score, Spread, Standing, Told};
 use serde_json::{Value, json};
 use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
@@ -99,19 +98,6 @@ pub fn failure(e: ContestError) -> Failure {
         ContestError::Interrupted(_) => Failure::new(Class::Interrupted, "interrupted", e.to_string()).remedy(again),
     }
 }
-
-type Score = (&'static str, usize, fn(&EvalReport) -> Option<f64>);
-
-/// Name, digits and value of each column; those that nobody has a number for are left out.
-const SCORES: [Score; 7] = [
-    ("psnr", 2, |r| r.mean.psnr),
-    ("ext dB", 2, EvalReport::extrapolated_psnr),
-    ("ssim", 4, |r| r.mean.ssim),
-    ("proxy", 4, |r| r.mean.perceptual_proxy),
-    ("splats", 0, |r| Some(r.gaussians as f64)),
-    ("MB", 2, |r| Some(r.parameter_bytes as f64 * 1e-6)),
-    ("seconds", 0, |r| r.train_seconds),
-];
 
 fn table(standings: &[Standing]) -> String {
     let width = standings.iter().map(|s| s.label.len()).max().unwrap_or(0).max(5);

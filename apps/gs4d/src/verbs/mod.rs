@@ -2,6 +2,7 @@
 
 pub mod bench;
 pub mod compact;
+pub mod compare;
 pub mod config;
 pub mod contest;
 pub mod continual;

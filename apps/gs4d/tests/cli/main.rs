@@ -3,6 +3,7 @@
 mod avatar;
 mod captures;
 mod compact;
+mod compare;
 mod contest;
 mod doctor;
 mod export;

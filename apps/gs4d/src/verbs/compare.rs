@@ -1,0 +1,119 @@
+//! `gs4d compare`: two or more runs on the same data, as a table and as a page.
+
+use super::eval::SplitName;
+use crate::answer::Answer;
+use crate::failure::{Class, Failure};
+use crate::{Global, parse};
+use gs_core::io::write_file;
+use gs_train::compare::runs::{CompareError, Compared, Options, Row, Side, columns, compare};
+use gs_train::report::compare::page;
+use gs_train::run::RunError;
+use serde_json::json;
+use std::path::PathBuf;
+
+/// Compare runs of any methods on the same data: scores, paired differences, and the views they disagree about
+#[derive(clap::Args)]
+pub struct Compare {
+    /// Run folders, or .gs4d files; differences are against the first.
+    #[arg(value_name = "RUN", required = true, num_args = 2..)]
+    runs: Vec<PathBuf>,
+    /// The page to write: one file that opens offline.
+    #[arg(short, long, value_name = "HTML")]
+    out: Option<PathBuf>,
+    /// What error maps hold the drawings against.
+    #[arg(long, value_enum, default_value_t = Against::Gt, requires = "out")]
+    against: Against,
+    /// Which views.
+    #[arg(long, value_enum, default_value_t = SplitName::Test)]
+    split: SplitName,
+    /// Colour behind drawings and photographs: black, white, one grey or r,g,b in 0..1 [default: the recipes', which must
+    /// agree].
+    #[arg(long, allow_hyphen_values = true, value_parser = parse::color)]
+    background: Option<[f32; 3]>,
+    /// Views shown with pictures: those whose drawings differ most.
+    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u8).range(1..=20))]
+    views: u8,
+    /// Overwrite an existing file.
+    #[arg(short, long)]
+    force: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Against {
+    /// The photographs.
+    Gt,
+    /// The drawings of the first run.
+    First,
+}
+
+impl Compare {
+    pub fn run(self, global: &Global) -> Result<Answer, Failure> {
+        if let Some(out) = self.out.as_ref().filter(|out| out.exists() && !self.force) {
+            return Err(Failure::new(Class::Io, "io.exists", "the file exists already")
+                .place(out.display())
+                .why("nothing is overwritten unless asked")
+                .remedy("choose another name with -o, or pass -f"));
+        }
+        let mut sides = Vec::new();
+        for path in &self.runs {
+            let side = Side::open(path)?;
+            for skipped in &side.run.skipped {
+                global.say(format!("{}: skipped {}", path.display(), skipped.why));
+            }
+            sides.push(side);
+        }
+        let options = Options { split: self.split.into(), background: self.background, shown: self.views.into() };
+        global.say(format!("drawing and scoring {} runs", sides.len()));
+        let (compared, pictures) = compare(&sides, &options)?;
+        let mut text = table(&compared);
+        let mut json = json!(compared);
+        if let Some(out) = &self.out {
+            let html = page(&compared, &pictures, &sides, self.against == Against::First).map_err(RunError::from)?;
+            write_file(out, self.force, |file| file.write_all(html.as_bytes()))?;
+            text.push_str(&format!("-> {}\n", out.display()));
+            json["page"] = json!(out.display().to_string());
+        }
+        Ok(Answer::new(text, json))
+    }
+}
+
+impl From<CompareError> for Failure {
+    fn from(e: CompareError) -> Self {
+        let text = e.to_string();
+        match e {
+            CompareError::Differ { other, background_only, .. } => Self::new(Class::Data, "data.differ", text)
+                .place(other.display())
+                .why("scores of other photographs, sizes or backgrounds are other numbers")
+                .remedy(if background_only {
+                    "score all over one background with --background"
+                } else {
+                    "compare runs of one data set with the same data settings"
+                }),
+            CompareError::Eval(e) => Self::from(*e),
+        }
+    }
+}
+
+/// A line for each run, then the paired differences.
+fn table(c: &Compared) -> String {
+    let columns = columns(&c.runs);
+    let label = |r: &Row| format!("{} ({})", r.name, r.method);
+    let width = c.runs.iter().map(|r| label(r).chars().count()).max().unwrap_or(0).max(5);
+    let wide = |name: &str, values: &[String]| values.iter().map(String::len).max().unwrap_or(0).max(name.len());
+    let mut text = format!("{:width$}", "run");
+    columns.iter().for_each(|(name, values)| text.push_str(&format!("  {name:>w$}", w = wide(name, values))));
+    for (k, run) in c.runs.iter().enumerate() {
+        text.push_str(&format!("\n{:width$}", label(run)));
+        columns.iter().for_each(|(n, v)| text.push_str(&format!("  {:>w$}", v[k], w = wide(n, v))));
+    }
+    text.push('\n');
+    for d in &c.differences {
+        let (Some(over), Some([low, high])) = (d.over_views, d.range) else { continue };
+        text.push_str(&format!(
+            "{} against {}: {:+.2} dB, ± {:.2} over views ({low:+.2} to {high:+.2}), better in {} of {}\n",
+            d.name, c.runs[0].name, over.mean, over.deviation, d.better, d.of
+        ));
+    }
+    text.push_str(&format!("{}\n{} Data {}.\n", c.seeds, c.conditions, c.data_digest));
+    text
+}
