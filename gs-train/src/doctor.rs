@@ -128,9 +128,10 @@ impl Checkup {
         self.findings.iter().filter(|f| f.verdict == verdict).count()
     }
 
-    /// The worst of all findings.
-    pub fn worst(&self) -> Verdict {
-        self.findings.iter().map(|f| f.verdict).max().unwrap_or(Verdict::Ok)
+    /// Problems and warnings in words.
+    pub fn summary(&self) -> String {
+        let of = |n: usize, what: &str| format!("{n} {what}{}", if n == 1 { "" } else { "s" });
+        format!("{}, {}", of(self.count(Verdict::Problem), "problem"), of(self.count(Verdict::Warning), "warning"))
     }
 
     fn add(&mut self, findings: impl IntoIterator<Item = Finding>) {
@@ -164,7 +165,10 @@ pub fn examine(dir: &Path, exam: &Exam) -> Checkup {
     let eyes = ImageCache::new(256 << 20, looked.small_scale()).with_max_image_mib(options.max_image_mib);
     let silhouettes = silhouettes::look(&readable);
     let (mut findings, mut pictures) = poses::look(&readable, &eyes, silhouettes.as_ref());
-    findings.extend(start::look(&readable));
+    // Under poses of another convention nothing is where it should be.
+    if !findings.iter().any(|f| f.code == "poses.convention") {
+        findings.extend(start::look(&readable));
+    }
     checkup.add(findings);
     pictures.extend(pictures::all(&readable, &eyes, silhouettes.as_ref()));
     checkup.pictures = pictures;

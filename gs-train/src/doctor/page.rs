@@ -10,8 +10,6 @@ use std::fmt::Write as _;
 /// # Errors
 /// If a picture cannot be packed.
 pub fn page(c: &Checkup) -> Result<String, ReportError> {
-    let count = |v| c.count(v);
-    let subtitle = format!("{} problems, {} warnings", count(Verdict::Problem), count(Verdict::Warning));
     let mut sections = section("Findings", "", &findings(&c.findings));
     let mut topics: Vec<&str> = c.pictures.iter().map(|p| p.topic).collect();
     topics.dedup();
@@ -38,7 +36,7 @@ pub fn page(c: &Checkup) -> Result<String, ReportError> {
     }
     let notes = c.notes.iter().map(|n| vec![n.clone()]);
     sections += &section("What was assumed while reading", "", &table(&[""], &[], notes));
-    Ok(document(&format!("doctor · {}", c.root.display()), &subtitle, &sections))
+    Ok(document(&format!("doctor · {}", c.root.display()), &c.summary(), &sections))
 }
 
 fn findings(list: &[Finding]) -> String {

@@ -50,7 +50,7 @@ fn hulls(s: &Silhouettes) -> Vec<Picture> {
             }
         }
         let caption = format!(
-            "{}: green is carved and seen, red is seen and not carved, blue is carved and not seen",
+            "{}: green is carved and seen, red is seen and not carved, blue is carved and not seen (where things move: seen at another time)",
             s.carved.names[k]
         );
         Picture { topic: "poses", caption, image: out }

@@ -163,11 +163,12 @@ impl<'a> Matches<'a> {
         let errors = self.errors(&|c| c.clone());
         let now = share(errors.iter().flatten(), self.tolerance);
         let near: Vec<f64> = errors.iter().flatten().copied().filter(|e| *e < self.tolerance).collect();
-        let text = format!(
-            "{:.0} % of {count} matched corners agree with the poses, {:.2} px off (median of these, at full size)",
-            100.0 * now,
-            median(&near) / scale
-        );
+        let off = if near.is_empty() {
+            String::new()
+        } else {
+            format!(", {:.2} px off (median of these, at full size)", median(&near) / scale)
+        };
+        let text = format!("{:.0} % of {count} matched corners agree with the poses{off}", 100.0 * now);
         let best = |list: Vec<(f64, String, String)>| list.into_iter().max_by(|a, b| a.0.total_cmp(&b.0));
         let readings =
             Suspect::ALL.iter().map(|s| (self.share(&|c| s.camera(c)), s.what().to_owned(), s.fix().to_owned()));

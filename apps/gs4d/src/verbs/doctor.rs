@@ -77,14 +77,11 @@ impl Doctor {
             Err(Failure::new(class, id, what).place(self.data.display()).remedy("see what to do behind each finding"))
         };
         if problems > 0 {
-            return told(Class::Data, "doctor.problems", format!("{problems} problems, {warnings} warnings"));
+            return told(Class::Data, "doctor.problems", checkup.summary());
         }
         if self.strict && warnings > 0 {
-            return told(
-                Class::Verification,
-                "doctor.strict",
-                format!("{warnings} warnings, and --strict was asked for"),
-            );
+            let what = format!("{}, and --strict was asked for", checkup.summary());
+            return told(Class::Verification, "doctor.strict", what);
         }
         Ok(())
     }
@@ -96,9 +93,7 @@ fn text(c: &Checkup, page: &str) -> String {
     for f in &c.findings {
         out.push_str(&line(f));
     }
-    let count = |v| c.count(v);
-    let (problems, warnings) = (count(Verdict::Problem), count(Verdict::Warning));
-    out + &format!("{problems} problems, {warnings} warnings - see {page}\n")
+    out + &format!("{} - see {page}\n", c.summary())
 }
 
 fn line(f: &Finding) -> String {

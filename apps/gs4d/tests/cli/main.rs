@@ -10,6 +10,7 @@ mod export;
 mod folders;
 mod future;
 mod glmd;
+mod guide;
 mod hostile;
 mod lab;
 mod pose;
