@@ -24,6 +24,8 @@ impl Folder {
             synth::write(&dir.path().join("balls"), "balls", &still, false).expect("scene");
             let rig = SynthOptions { size: 96, cameras: 8, moments: 12, ..Default::default() };
             synth::write(&dir.path().join("falling"), "falling", &rig, false).expect("scene");
+            let rig = SynthOptions { size: 64, cameras: 6, moments: 28, ..Default::default() };
+            synth::write(&dir.path().join("reach"), "reach", &rig, false).expect("scene");
             dir
         });
         let copy = tempfile::tempdir().expect("folder");
@@ -312,6 +314,24 @@ fn times_that_cannot_be_are_named() {
         std::fs::copy(&first, folder.photo(k)).expect("copied");
     });
     must_name(&folder.look(), "time.frozen", Verdict::Warning);
+}
+
+#[test]
+fn cameras_that_run_late_are_named() {
+    let folder = Folder::of("reach");
+    assert_eq!(codes(&folder.look()), Vec::<&str>::new());
+    let text = std::fs::read_to_string(folder.path("transforms_train.json")).expect("file");
+    let v: Value = serde_json::from_str(&text).expect("JSON");
+    let frames = v["frames"].as_array().expect("frames");
+    let own: Vec<usize> =
+        (0..frames.len()).filter(|&k| frames[k]["transform_matrix"] == frames[0]["transform_matrix"]).collect();
+    let photos: Vec<Vec<u8>> = own.iter().map(|&k| std::fs::read(folder.photo(k)).expect("photo")).collect();
+    for k in 3..own.len() {
+        std::fs::write(folder.photo(own[k]), &photos[k - 3]).expect("written");
+    }
+    let name = folder.photo(own[0]).file_stem().expect("name").to_string_lossy().into_owned();
+    let text = must_name(&folder.look(), "time.late", Verdict::Warning);
+    assert!(text.contains(&format!("{name} (+3 moments)")), "{text}");
 }
 
 #[test]

@@ -20,6 +20,9 @@ const SHARPNESS: f64 = 0.3;
 /// Size of the corners in which alpha is looked at, as a part of the sides.
 const CORNER: f64 = 0.06;
 
+/// Cells along each side of a thumbnail.
+const THUMB: usize = 24;
+
 /// What a photograph is like.
 #[derive(Clone, Debug)]
 struct Traits {
@@ -33,6 +36,15 @@ struct Traits {
     corners: f64,
     /// FNV-1a of the pixels.
     hash: u64,
+    /// Mean luma, over black, of cells of the picture, [`THUMB`]² of them, row by row.
+    thumb: Vec<f32>,
+}
+
+/// What tells a photograph from others.
+pub(super) struct Print<'a> {
+    pub(super) view: &'a View,
+    pub(super) hash: u64,
+    pub(super) thumb: &'a [f32],
 }
 
 /// A photograph that was looked at.
@@ -120,7 +132,20 @@ fn traits(image: &ImageU8) -> Traits {
         opaque: share(&solid),
         corners: share(&corners),
         hash,
+        thumb: thumbnail(image, &grey),
     }
+}
+
+/// Mean luma of the cells of a picture, over black.
+fn thumbnail(image: &ImageU8, grey: &[f64]) -> Vec<f32> {
+    let (mut sums, mut counts) = (vec![0.0f64; THUMB * THUMB], vec![0.0f64; THUMB * THUMB]);
+    for (i, g) in grey.iter().enumerate() {
+        let (x, y) = (i % image.width, i / image.width);
+        let cell = y * THUMB / image.height * THUMB + x * THUMB / image.width;
+        sums[cell] += g * f64::from(image.data[4 * i + 3]) / 255.0;
+        counts[cell] += 1.0;
+    }
+    sums.iter().zip(counts).map(|(s, c)| (s / c.max(1.0)) as f32).collect()
 }
 
 impl Looked {
@@ -136,9 +161,9 @@ impl Looked {
         Dataset { train: kept, ..data.clone() }
     }
 
-    /// A hash of the pixels of each photograph.
-    pub(super) fn hashes<'d>(&self, data: &'d Dataset) -> Vec<(&'d View, u64)> {
-        self.good(data).map(|(v, _, t)| (v, t.hash)).collect()
+    /// A hash of the pixels of each photograph, and its thumbnail.
+    pub(super) fn prints<'a>(&'a self, data: &'a Dataset) -> Vec<Print<'a>> {
+        self.good(data).map(|(view, _, t)| Print { view, hash: t.hash, thumb: &t.thumb }).collect()
     }
 
     fn good<'s, 'd>(&'s self, data: &'d Dataset) -> impl Iterator<Item = (&'d View, Split, &'s Traits)> {
