@@ -133,6 +133,16 @@ fn commands_about_methods() {
 }
 
 #[test]
+fn commands_about_the_viewer() {
+    chapter("viewer.md");
+}
+
+#[test]
+fn commands_about_reports() {
+    chapter("report.md");
+}
+
+#[test]
 fn commands_about_tables() {
     chapter("tables.md");
 }
