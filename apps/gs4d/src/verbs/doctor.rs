@@ -19,7 +19,7 @@ pub struct Doctor {
     /// Read it with this layout [default: the one that fits].
     #[arg(long)]
     layout: Option<String>,
-    /// A setting of [data], for example data.scale=0.5, or of the run that is tried (repeatable).
+    /// A setting of the data, for example data.scale=0.5, or of the run that is tried (repeatable).
     #[arg(long = "set", value_name = "KEY=VALUE")]
     sets: Vec<String>,
     /// The method whose memory and time are estimated.

@@ -31,10 +31,10 @@ pub struct Init {
     /// Read the folder with this layout [default: the one that fits].
     #[arg(long)]
     layout: Option<String>,
-    /// A setting of [data] (repeatable).
+    /// A setting of the data, data.KEY=VALUE (repeatable).
     #[arg(long = "set", value_name = "KEY=VALUE")]
     sets: Vec<String>,
-    /// Overwrite start.ply and the section [start] of scene.toml.
+    /// Overwrite start.ply and the section `start` of scene.toml.
     #[arg(short, long)]
     force: bool,
 }
@@ -59,7 +59,7 @@ fn positive(text: &str) -> Result<f32, String> {
 impl Init {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
         if let Some(other) = self.sets.iter().find(|s| !s.starts_with("data.")) {
-            return Err(Failure::usage(format!("`{other}` is no setting of [data]")));
+            return Err(Failure::usage(format!("`{other}` is no setting of the data")));
         }
         // Every method reads its data by the same settings.
         let method = METHODS[0].name.to_owned();
