@@ -17,6 +17,7 @@ use gs_core::{Rng, RowEdit, rot};
 use gs_raster::ScreenStats;
 use serde::{Deserialize, Serialize};
 
+use crate::methods::Growth;
 use crate::schedule::ScheduleError;
 
 /// When and what to clone, split, prune and reset. Steps are those of the schedule's clock.
@@ -117,6 +118,11 @@ impl DensityRules {
             reset_on_white: true,
             max_splats: 1_000_000,
         }
+    }
+
+    /// How far and when a cloud grows.
+    pub fn growth(&self) -> Growth {
+        Growth { most: self.max_splats as usize, from: self.from, until: self.until }
     }
 
     /// Whether growth and pruning happen at this step.

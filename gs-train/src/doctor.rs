@@ -173,7 +173,7 @@ pub fn examine(dir: &Path, exam: &Exam) -> Checkup {
     pictures.extend(pictures::all(&readable, &eyes, silhouettes.as_ref()));
     checkup.pictures = pictures;
     if let Some(options) = &exam.cost {
-        let (findings, cost) = cost::look(&data, options);
+        let (findings, cost) = cost::look(&readable, options);
         checkup.add(findings);
         checkup.cost = cost;
     }
@@ -256,4 +256,16 @@ fn layout(dir: &Path, options: &DataOptions, data: Option<&Dataset>) -> Option<F
     }
     let text = format!("{text}; the files would also do for {}", close.join(", "));
     Some(Finding::new("layout", "layout.ambiguous", Verdict::Note, text).fix(format!("--layout {}", close[0])))
+}
+
+/// The middle value; NaN without any.
+fn median(values: &[f64]) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted.get(sorted.len() / 2).copied().unwrap_or(f64::NAN)
+}
+
+/// Brightness of a colour as encoded (BT.601).
+fn luma(rgb: [f32; 3]) -> f32 {
+    0.299 * rgb[0] + 0.587 * rgb[1] + 0.114 * rgb[2]
 }

@@ -66,7 +66,8 @@ impl Settled {
 /// Slack at the ends of a range: files print few digits.
 pub(super) const SLACK: f64 = 1e-6;
 
-/// Settles the times of all views. `declared` is the range the layout prescribes for training times (D-NeRF: 0..1).
+/// Settles the times of all views. `declared` is the range the layout prescribes for the training times it states
+/// (D-NeRF: 0..1).
 ///
 /// # Errors
 /// `data.time` if a training time lies outside [`DataOptions::time_range`] or `declared`; `data.field` if only some
@@ -81,7 +82,8 @@ pub(crate) fn settle(
     let source = restate(&mut drafts, options)?;
     complete(&drafts)?;
     let drafts = select(drafts, options, &mut notes)?;
-    if let Some(range) = declared.filter(|_| options.time_range.is_none()) {
+    // Numbers of files are no times of the layout.
+    if let Some(range) = declared.filter(|_| options.time_range.is_none() && options.time_from == TimeFrom::File) {
         check_range(&drafts.train, range)?;
     }
     let (drafts, future) = boundary::cut(drafts, options, &mut notes)?;

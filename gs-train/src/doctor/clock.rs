@@ -1,8 +1,7 @@
 //! Times: where they come from, whether they are even, whether a camera took two pictures at once, whether one runs late.
 
 use super::images::{Looked, Print};
-use super::silhouettes::median;
-use super::{Finding, Verdict};
+use super::{Finding, Verdict, median};
 use crate::data::{Dataset, Split, View};
 use std::collections::BTreeMap;
 

@@ -1,7 +1,7 @@
 //! What a training run would take: a few steps of each stage are made, at two numbers of splats.
 //!
 //! A step of a stage takes `a + b N` for `N` splats. Growth is taken to be even, from the first points to the most the settings
-//! allow, between the steps that bound it; so a scene that needs fewer splats takes less than this. Memory is counted:
+//! allow, over the steps at which it may happen; so a scene that needs fewer splats takes less than this. Memory is counted:
 //! ```text
 //! 16 B per parameter (value, gradient, two moments) + 3000 B per splat (projected, tile lists, tapes, cotangents)
 //! + 130 B per pixel (frame, cotangents, loss) + 24 MiB (the program)
@@ -9,12 +9,14 @@
 //! ```
 //! The constants are fitted to measured peaks of `fourdgs`, `grid4d` and `modec`.
 
-use super::{Finding, Verdict};
+use super::{Finding, Verdict, median};
 use crate::data::{Dataset, View};
+use crate::methods::Growth;
 use crate::run::settings::{Request, Resolved, resolve};
 use crate::schedule::Schedule;
 use crate::trainer::{TrainOptions, Trainer};
-use gs_core::Params;
+use glam::Vec3;
+use gs_core::{Params, Rng};
 use serde::Serialize;
 use std::sync::Arc;
 use toml::{Table, Value};
@@ -22,6 +24,10 @@ use toml::{Table, Value};
 /// Steps made before times count, and those that count.
 const WARM_UP: u32 = 3;
 const COUNTED: u32 = 10;
+/// The first points are multiplied by at most this, to see what more of them cost.
+const MORE: usize = 8;
+/// Points that are added for it lie this far from the scene's own, as a part of its diagonal.
+const NEAR: f32 = 0.005;
 /// Bytes per parameter, splat, pixel, and of the program itself.
 const PER_VALUE: f64 = 16.0;
 const PER_SPLAT: f64 = 3000.0;
@@ -66,8 +72,8 @@ pub struct Cost {
     pub splats: [usize; 2],
     /// Seconds if the scene never grows, and if it grows to the most.
     pub seconds: [f64; 2],
-    /// MiB with the most splats.
-    pub memory_mib: f64,
+    /// MiB with the first splats, and with the most.
+    pub memory_mib: [f64; 2],
     /// MiB of decoded images, all of them.
     pub images_mib: f64,
 }
@@ -85,13 +91,14 @@ pub(super) fn look(data: &Dataset, options: &CostOptions) -> (Vec<Finding>, Opti
 
 fn findings(cost: &Cost, options: &CostOptions) -> Vec<Finding> {
     let [few, most] = cost.splats;
-    let text = format!("about {:.0} MiB with {most} splats ({:.0} MiB of images)", cost.memory_mib, cost.images_mib);
-    let limit = options.limit_mib.or_else(machine_mib);
-    let memory = match limit {
-        Some(limit) if cost.memory_mib > limit => {
-            let what = format!("{text}; there are {limit:.0} MiB");
+    let [least, whole] = cost.memory_mib;
+    let text = format!("about {whole:.0} MiB with {most} splats ({:.0} MiB of images)", cost.images_mib);
+    let memory = match options.limit_mib.or_else(machine_mib) {
+        Some(limit) if whole > limit => {
+            let verdict = if least > limit { Verdict::Problem } else { Verdict::Warning };
+            let what = format!("{text}, {least:.0} with {few}; there are {limit:.0} MiB");
             let fix = "--set data.scale=0.5, or --set run.image_mib=256, or fewer splats: --set schedule.density.max_splats=N";
-            Finding::new("memory", "memory.limit", Verdict::Problem, what).fix(fix)
+            Finding::new("memory", "memory.limit", verdict, what).fix(fix)
         }
         Some(limit) => Finding::ok("memory", format!("{text} of {limit:.0}")),
         None => Finding::ok("memory", text),
@@ -123,55 +130,90 @@ fn measure(data: &Dataset, options: &CostOptions) -> Result<Cost, String> {
         ..Request::default()
     };
     let resolved = resolve(&request).map_err(|e| e.to_string())?;
-    let data = Arc::new(data.clone());
-    let whole = trainer(&data, &resolved, &resolved.method)?;
-    let schedule = whole.method().schedule().clone();
-    let few = whole.method().len();
-    let values = |t: &Trainer| count(t.method());
-    let (few_values, cap) = (values(&whole), cap(&resolved.method).filter(|c| *c > few));
+    let trial = Trial { data: Arc::new(data.clone()), resolved: &resolved };
+    let whole = trial.trainer(trial.data.clone(), &resolved.method)?;
+    let (schedule, growth) = (whole.method().schedule().clone(), whole.method().growth());
+    let few = Size::of(&whole);
     drop(whole);
-    let order: Vec<(String, u32)> = {
-        let mut stages: Vec<_> = schedule.stages.iter().filter(|(_, s)| s.steps > 0).collect();
-        stages.sort_by_key(|(_, s)| s.order);
-        stages.into_iter().map(|(name, s)| (name.clone(), s.steps)).collect()
-    };
+    let growth = growth.filter(|g| g.most > few.splats);
+    let most = growth.map_or(few.splats, |g| g.most);
     let mut stages = Vec::new();
-    let mut many = (few, few_values);
-    for (name, steps) in &order {
-        let alone = only(&resolved.method, name, None);
-        let first = pace(&mut trainer(&data, &resolved, &alone)?, &data)?;
+    let mut values = few.values as f64;
+    for (name, stage) in schedule.ordered() {
+        let (first, _) = trial.pace(name, None)?;
         let mut ms = [first; 2];
-        if let Some(cap) = cap {
-            let mut more = trainer(&data, &resolved, &only(&resolved.method, name, Some(cap)))?;
-            many = (more.method().len(), values(&more));
-            if many.0 > few {
-                let other = pace(&mut more, &data)?;
-                let slope = ((other - first) / (many.0 - few) as f64).max(0.0);
-                ms[1] = first + slope * (cap - few) as f64;
+        if growth.is_some() {
+            let (other, many) = trial.pace(name, Some((most / few.splats.max(1)).clamp(2, MORE)))?;
+            if many.splats > few.splats {
+                let more = (most - few.splats) as f64 / (many.splats - few.splats) as f64;
+                ms[1] = first + more * (other - first).max(0.0);
+                values = few.values as f64 + more * (many.values - few.values) as f64;
             }
         }
-        stages.push(StageCost { name: name.clone(), steps: *steps, ms });
+        stages.push(StageCost { name: name.to_owned(), steps: stage.steps, ms });
     }
-    let most = cap.unwrap_or(few);
-    let per_splat = if many.0 > few {
-        (many.1 - few_values) as f64 / (many.0 - few) as f64
-    } else {
-        few_values as f64 / few.max(1) as f64
+    let (images, largest) = decoded(data, &schedule);
+    let kept = images.map(|i| i.min(f64::from(resolved.run.image_mib) * MIB)).iter().sum::<f64>();
+    let memory = |values: f64, splats: usize| {
+        (PER_VALUE * values + PER_SPLAT * splats as f64 + PER_PIXEL * largest + kept + PROGRAM) / MIB
     };
-    let model = few_values as f64 + per_splat * (most - few) as f64;
-    let (images, largest) = decoded(&data, &schedule);
-    let cached = images.map(|i| i.min(f64::from(resolved.run.image_mib) * MIB)).iter().sum::<f64>();
-    let bytes = PER_VALUE * model + PER_SPLAT * most as f64 + PER_PIXEL * largest + cached + PROGRAM;
-    let growth = [schedule.density.from, schedule.density.until].map(f64::from);
     Ok(Cost {
         run: format!("{} --preset {}", options.method, options.preset),
         threads: rayon::current_num_threads(),
-        splats: [few, most],
-        seconds: [0.0, 1.0].map(|share| seconds(&stages, growth, share)),
+        splats: [few.splats, most],
+        seconds: [0.0, 1.0].map(|share| seconds(&stages, &schedule, growth, share)),
         stages,
-        memory_mib: bytes / MIB,
+        memory_mib: [memory(few.values as f64, few.splats), memory(values, most)],
         images_mib: images.iter().sum::<f64>() / MIB,
     })
+}
+
+/// How large a scene is.
+#[derive(Clone, Copy)]
+struct Size {
+    splats: usize,
+    /// Numbers that are learnt.
+    values: usize,
+}
+
+impl Size {
+    fn of(trainer: &Trainer) -> Self {
+        let mut values = 0;
+        Params::visit(trainer.method(), &mut |p| values += p.value.len());
+        Self { splats: trainer.method().len(), values }
+    }
+}
+
+/// What runs are begun with.
+struct Trial<'a> {
+    data: Arc<Dataset>,
+    resolved: &'a Resolved,
+}
+
+impl Trial<'_> {
+    fn trainer(&self, data: Arc<Dataset>, method: &Table) -> Result<Trainer, String> {
+        let run = &self.resolved.run;
+        let options = TrainOptions { seed: run.seed, image_bytes: (run.image_mib as usize) << 20 };
+        Trainer::new(data, &run.method, method, options).map_err(|e| e.to_string())
+    }
+
+    /// The median time of some steps of a stage, ms, with so many times the first points, and the size that was tried.
+    /// Decoding is left out where the cache keeps all images.
+    fn pace(&self, stage: &str, times: Option<usize>) -> Result<(f64, Size), String> {
+        let data = times.map_or_else(|| self.data.clone(), |times| Arc::new(denser(&self.data, times)));
+        let mut trainer = self.trainer(data, &only(&self.resolved.method, stage, times))?;
+        let size = Size::of(&trainer);
+        let [training, _] = decoded(&self.data, trainer.method().schedule()).0;
+        let kept = training <= f64::from(self.resolved.run.image_mib) * MIB;
+        let mut counted = Vec::new();
+        for k in 0..(WARM_UP + COUNTED).min(trainer.steps()) {
+            let ms = trainer.step().map_err(|e| e.to_string())?.ms;
+            if k >= WARM_UP {
+                counted.push(if kept { ms.total - ms.data } else { ms.total });
+            }
+        }
+        Ok((median(&counted), size))
+    }
 }
 
 /// Bytes of decoded images of training, at every scale that stages ask for, and of tests; pixels of the largest.
@@ -186,73 +228,52 @@ fn decoded(data: &Dataset, schedule: &Schedule) -> ([f64; 2], f64) {
     ([share * sum(&data.train), sum(&data.test) + sum(&data.extrapolate)], largest)
 }
 
-/// Seconds of all stages, if so much of the growth happens that is possible.
-fn seconds(stages: &[StageCost], [from, until]: [f64; 2], share: f64) -> f64 {
-    let (mut at, mut sum) = (0.0, 0.0);
-    for s in stages {
-        let steps = f64::from(s.steps);
-        // The mean over the stage of a number of splats that rises evenly between two steps.
-        let grown = |step: f64| ((step - from) / (until - from).max(1.0)).clamp(0.0, 1.0);
-        let mean = (0..=20).map(|k| grown(at + steps * f64::from(k) / 20.0)).sum::<f64>() / 21.0;
-        sum += steps * (s.ms[0] + share * mean * (s.ms[1] - s.ms[0]));
-        at += steps;
+/// Seconds of all stages, if so much of the growth happens that is possible: evenly, over the steps at which it may.
+fn seconds(stages: &[StageCost], schedule: &Schedule, growth: Option<Growth>, share: f64) -> f64 {
+    let clocks: Vec<_> = (1..=schedule.steps()).map(|step| schedule.position(step)).collect();
+    let grows = |clock: u32| growth.is_some_and(|g| clock > g.from && clock < g.until);
+    let all = clocks.iter().filter(|at| grows(at.clock)).count().max(1) as f64;
+    let (mut grown, mut ms) = (0.0, 0.0);
+    for at in clocks {
+        grown += f64::from(u8::from(grows(at.clock)));
+        let [few, many] = stages[at.stage].ms;
+        ms += few + share * grown / all * (many - few);
     }
-    1e-3 * sum
+    1e-3 * ms
 }
 
-fn trainer(data: &Arc<Dataset>, resolved: &Resolved, method: &Table) -> Result<Trainer, String> {
-    let options = TrainOptions { seed: resolved.run.seed, image_bytes: (resolved.run.image_mib as usize) << 20 };
-    Trainer::new(data.clone(), &resolved.run.method, method, options).map_err(|e| e.to_string())
-}
-
-/// The median time of some steps, ms; decoding is left out where the cache keeps all images.
-fn pace(trainer: &mut Trainer, data: &Dataset) -> Result<f64, String> {
-    let all: usize = data.train.iter().map(|v| 4 * v.camera.width as usize * v.camera.height as usize).sum();
-    let kept = all <= 512 << 20;
-    let mut times = Vec::new();
-    for k in 0..(WARM_UP + COUNTED).min(trainer.steps()) {
-        let ms = trainer.step().map_err(|e| e.to_string())?.ms;
-        if k >= WARM_UP {
-            times.push(if kept { ms.total - ms.data } else { ms.total });
-        }
-    }
-    Ok(super::silhouettes::median(&times))
-}
-
-/// The settings with one stage alone, and with so many first points.
-fn only(method: &Table, stage: &str, points: Option<usize>) -> Table {
+/// The settings with one stage alone, and with so many times the first points.
+fn only(method: &Table, stage: &str, times: Option<usize>) -> Table {
     let mut table = method.clone();
     if let Some(Value::Table(stages)) = table.get_mut("schedule").and_then(|s| s.get_mut("stages")) {
-        for (name, s) in stages.iter_mut() {
-            if let (Value::Table(s), false) = (s, name == stage) {
+        for (_, s) in stages.iter_mut().filter(|(name, _)| *name != stage) {
+            if let Value::Table(s) = s {
                 s.insert("steps".into(), Value::Integer(0));
             }
         }
     }
-    if let (Some(points), Some(Value::Table(init))) = (points, table.get_mut("init")) {
-        init.insert("points".into(), Value::Integer(points as i64));
+    if let (Some(times), Some(Value::Integer(points))) =
+        (times, table.get_mut("init").and_then(|init| init.get_mut("points")))
+    {
+        *points *= times as i64;
     }
     table
 }
 
-/// The most splats or anchors that settings allow.
-fn cap(method: &Table) -> Option<usize> {
-    let at = |path: [&str; 3]| {
-        let mut v = method.get(path[0])?;
-        for key in &path[1..] {
-            if !key.is_empty() {
-                v = v.get(key)?;
-            }
+/// The data with so many times its points, near the first ones.
+fn denser(data: &Dataset, times: usize) -> Dataset {
+    let mut more = data.clone();
+    if let Some(points) = &mut more.points {
+        let [low, high] = data.scene_bounds();
+        let (near, mut rng) = (NEAR * low.distance(high), Rng::new(0, "denser points", 0, 0));
+        let first = points.clone();
+        for _ in 1..times {
+            let beside = |p: &Vec3| *p + near * Vec3::from_array(std::array::from_fn(|_| rng.normal()));
+            points.positions.extend(first.positions.iter().map(beside));
+            points.colors.extend_from_slice(&first.colors);
         }
-        v.as_integer().and_then(|n| usize::try_from(n).ok())
-    };
-    at(["schedule", "density", "max_splats"])
-}
-
-fn count(params: &dyn crate::methods::Method) -> usize {
-    let mut sum = 0;
-    Params::visit(params, &mut |p| sum += p.value.len());
-    sum
+    }
+    more
 }
 
 /// Memory that is free on this machine, MiB.

@@ -1,11 +1,11 @@
 //! Photographs: can they be read, do they show something, is one of them there twice, are they alike in exposure and
 //! sharpness, do alpha and masks make sense.
 
-use super::silhouettes::median;
-use super::{Finding, Verdict};
+use super::{Finding, Verdict, luma, median};
 use crate::data::{Dataset, ImageCache, ImageU8, Split, View};
 use rayon::prelude::*;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+use std::hash::{DefaultHasher, Hasher};
 
 /// Most photographs looked at; of more, evenly.
 const MOST: usize = 1500;
@@ -34,7 +34,7 @@ struct Traits {
     /// Share of the picture that is opaque, and of its corners.
     opaque: f64,
     corners: f64,
-    /// FNV-1a of the pixels.
+    /// Alike where all pixels are.
     hash: u64,
     /// Mean luma, over black, of cells of the picture, [`THUMB`]² of them, row by row.
     thumb: Vec<f32>,
@@ -94,13 +94,10 @@ fn mask(v: &View, photographs: &ImageCache) -> Option<(String, Option<bool>)> {
     Some((v.name.clone(), state))
 }
 
-fn luma(p: &[u8]) -> f64 {
-    0.299 * f64::from(p[0]) + 0.587 * f64::from(p[1]) + 0.114 * f64::from(p[2])
-}
-
 fn traits(image: &ImageU8) -> Traits {
     let (w, h) = (image.width, image.height);
-    let grey: Vec<f64> = image.data.chunks_exact(4).map(luma).collect();
+    let grey: Vec<f64> =
+        image.data.as_chunks().0.iter().map(|&[r, g, b, _]| f64::from(luma([r, g, b].map(f32::from)))).collect();
     let solid: Vec<bool> = image.data.chunks_exact(4).map(|p| p[3] > 127).collect();
     let inside = || grey.iter().zip(&solid).filter(|(_, s)| **s).map(|(g, _)| *g);
     let count = inside().count().max(1) as f64;
@@ -123,15 +120,15 @@ fn traits(image: &ImageU8) -> Traits {
     };
     let corners: Vec<bool> = (0..w * h).filter(|&i| at_corner(i)).map(|i| solid[i]).collect();
     let share = |s: &[bool]| s.iter().filter(|v| **v).count() as f64 / s.len().max(1) as f64;
-    let hash =
-        image.data.iter().fold(0xcbf2_9ce4_8422_2325u64, |h, b| (h ^ u64::from(*b)).wrapping_mul(0x0100_0000_01b3));
+    let mut hash = DefaultHasher::new();
+    hash.write(&image.data);
     Traits {
         mean,
         spread,
         detail: detail / places.max(1) as f64,
         opaque: share(&solid),
         corners: share(&corners),
-        hash,
+        hash: hash.finish(),
         thumb: thumbnail(image, &grey),
     }
 }
@@ -179,8 +176,7 @@ impl Looked {
         out.extend(self.blurred(data));
         out.extend(self.alpha(data));
         if out.is_empty() {
-            let sizes: std::collections::BTreeSet<_> =
-                self.good(data).map(|(v, _, _)| (v.camera.width, v.camera.height)).collect();
+            let sizes: BTreeSet<_> = self.good(data).map(|(v, _, _)| (v.camera.width, v.camera.height)).collect();
             let size = match sizes.iter().next() {
                 Some((w, h)) if sizes.len() == 1 => format!("{w}x{h}"),
                 _ => format!("{} sizes", sizes.len()),

@@ -7,9 +7,9 @@
 //! and other readings of the same numbers ([`Suspect`]) or other focal lengths can be compared with them.
 
 use super::features::{Corner, corners, partners};
-use super::silhouettes::{Silhouettes, median};
+use super::silhouettes::Silhouettes;
 use super::suspects::Suspect;
-use super::{Finding, Picture, Verdict, pictures};
+use super::{Finding, Picture, Verdict, luma, median, pictures};
 use crate::data::{Dataset, ImageCache, View, focus};
 use glam::{DMat3, DVec2, DVec3};
 use gs_core::{Camera, Image};
@@ -265,7 +265,7 @@ fn tolerance(cameras: &[Camera]) -> f64 {
 fn corners_of(v: &View, eyes: &ImageCache) -> Vec<Corner> {
     let Ok(image) = eyes.get(v) else { return Vec::new() };
     let over = image.over([0.5; 3]);
-    let grey: Vec<f32> = over.data.chunks_exact(3).map(|p| 0.299 * p[0] + 0.587 * p[1] + 0.114 * p[2]).collect();
+    let grey = over.data.as_chunks().0.iter().map(|p| luma(*p)).collect();
     let inside: Vec<bool> = image.data.chunks_exact(4).map(|p| p[3] > 200).collect();
     corners(&Image { width: over.width, height: over.height, channels: 1, data: grey }, &inside)
 }

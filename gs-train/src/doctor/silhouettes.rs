@@ -2,7 +2,7 @@
 //! or what is left is elsewhere.
 
 use super::suspects::Suspect;
-use super::{Finding, Verdict};
+use super::{Finding, Verdict, median};
 use crate::data::Dataset;
 use crate::data::hull::{Carved, carve};
 
@@ -84,11 +84,4 @@ impl Silhouettes {
 /// The mean share of silhouettes that cells cover.
 fn filled(fits: &[[f64; 2]]) -> f64 {
     fits.iter().map(|f| f[0]).sum::<f64>() / fits.len().max(1) as f64
-}
-
-/// The middle value; NaN without any.
-pub(super) fn median(values: &[f64]) -> f64 {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    sorted.get(sorted.len() / 2).copied().unwrap_or(f64::NAN)
 }

@@ -288,10 +288,26 @@ pub trait Method: Params + Send + Sync {
     /// Number of splats, at most (an anchor counts with all it can be decoded to).
     fn len(&self) -> usize;
 
+    /// How far and when the number of splats grows; none if it stays.
+    fn growth(&self) -> Option<Growth> {
+        Some(self.schedule().density.growth())
+    }
+
     /// Whether there is none.
     fn is_empty(&self) -> bool {
         self.len() == 0
     }
+}
+
+/// What bounds the growth of a scene.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Growth {
+    /// Splats, at most.
+    pub most: usize,
+    /// It grows after this step of the schedule's clock,
+    pub from: u32,
+    /// and before this one.
+    pub until: u32,
 }
 
 /// A method that cannot be built.

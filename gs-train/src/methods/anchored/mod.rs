@@ -16,7 +16,7 @@ pub use motion::{Motion, SparsityConfig};
 pub use rest::{RestOptions, RestReport};
 
 use crate::density::Adapted;
-use crate::methods::{Column, ColumnMut, Method, MethodError, Quantity, SceneInfo, StageView};
+use crate::methods::{Column, ColumnMut, Growth, Method, MethodError, Quantity, SceneInfo, StageView};
 use crate::moment::Moment;
 use crate::schedule::Schedule;
 use drawing::Cache;
@@ -364,5 +364,10 @@ impl Method for Anchored {
 
     fn len(&self) -> usize {
         self.anchors.len() * self.config.offsets
+    }
+
+    fn growth(&self) -> Option<Growth> {
+        let AdaptRules { from, until, max_anchors, .. } = self.rules;
+        Some(Growth { most: max_anchors as usize * self.config.offsets, from, until })
     }
 }

@@ -26,7 +26,9 @@ pub use oracle::OracleOptions;
 
 use crate::avatar::{AvatarFrame, AvatarScene};
 use crate::density::Adapted;
-use crate::methods::{Column, ColumnMut, Figure, Method, MethodEntry, MethodError, Quantity, SceneInfo, parse_config};
+use crate::methods::{
+    Column, ColumnMut, Figure, Growth, Method, MethodEntry, MethodError, Quantity, SceneInfo, parse_config,
+};
 use crate::moment::Moment;
 use crate::schedule::Schedule;
 use cache::Cache;
@@ -447,5 +449,9 @@ impl Method for Dut {
 
     fn len(&self) -> usize {
         self.actor.gau.len()
+    }
+
+    fn growth(&self) -> Option<Growth> {
+        None
     }
 }
