@@ -43,6 +43,7 @@ mod blend;
 mod blend_backward;
 #[cfg(test)]
 mod brute_force;
+mod count;
 mod forward;
 pub mod frame;
 mod kernel;
@@ -57,6 +58,7 @@ pub mod tiles;
 mod workspace;
 
 pub use backward::render_backward_into;
+pub use count::blend_counts;
 pub use forward::render_into;
 pub use frame::{Frame, FrameGrad, ScreenStats};
 pub use options::{ClampGrad, RasterOptions, SimdLevel};

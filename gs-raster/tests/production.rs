@@ -10,7 +10,9 @@
 mod common;
 
 use gs_raster::reference::{Cutoff, Scene, render as reference, render_backward as reference_backward};
-use gs_raster::{ClampGrad, Frame, FrameGrad, RasterOptions, SimdLevel, Workspace, render, render_backward};
+use gs_raster::{
+    ClampGrad, Frame, FrameGrad, RasterOptions, SimdLevel, Workspace, blend_counts, render, render_backward,
+};
 
 /// Pixels whose decisions lie closer than this (relative) to a threshold may flip.
 const BAND: f64 = 1e-5;
@@ -19,6 +21,7 @@ const BAND: f64 = 1e-5;
 struct Tally {
     pixels: usize,
     flips: usize,
+    counted: usize,
     worst_frame: f64,
     worst_cosine: f64,
     worst_l2: f64,
@@ -73,6 +76,12 @@ fn check(seed: u64, bent: bool, simd: SimdLevel, tally: &mut Tally) {
     let scene = Scene::<f64>::new(&case.splats);
     let want = reference(&scene, &case.camera, &options, Cutoff::Hard);
     frame_error(&frame, &want, tally, &name);
+    if want.margin.iter().all(|m| *m >= BAND) {
+        let counts = blend_counts(&case.splats, &options, &mut workspace);
+        assert_eq!(counts.iter().map(|c| u64::from(*c)).sum::<u64>(), want.blends, "{name}: samples counted");
+        assert!(counts.iter().zip(&frame.alpha).all(|(c, a)| (*c == 0) == (*a == 0.0)), "{name}");
+        tally.counted += 1;
+    }
 
     // Cotangents vanish where a sample may be in or out: there the two gradients differ by a whole sample.
     let n = want.alpha.len();
@@ -114,6 +123,7 @@ fn sweep(simd: SimdLevel, bent: bool, seeds: impl Iterator<Item = u64>) {
         "{simd:?}: frame {:.1e}, 1 - cosine {:.1e}, relative L2 {:.1e}, {} of {} pixels on the band",
         tally.worst_frame, tally.worst_cosine, tally.worst_l2, tally.flips, tally.pixels
     );
+    assert!(tally.counted > 20, "samples were counted in {} scenes", tally.counted);
     assert!(tally.flips * 200 < tally.pixels, "the cutoff band must be rare: {} of {}", tally.flips, tally.pixels);
 }
 

@@ -34,13 +34,23 @@ pub fn grey(name: &str, values: &[f32]) -> Value {
     colored(histogram(name, "", Some([0.0, 1.0]), values), |share| [share; 3])
 }
 
+/// How many have each of `k` labels, with the colour of each.
+pub fn named(name: &str, unit: &str, labels: &[u32], k: usize, color: impl Fn(u32) -> [f32; 3]) -> Value {
+    let mut bars = vec![0u32; k];
+    labels.iter().filter_map(|l| usize::try_from(*l).ok()).filter(|l| *l < k).for_each(|l| bars[l] += 1);
+    let colors: Vec<String> = (0..k as u32).map(|label| hexadecimal(color(label))).collect();
+    json!({"name": name, "unit": unit, "low": 1, "high": k, "bars": bars, "colors": colors})
+}
+
 fn colored(mut legend: Value, color: impl Fn(f32) -> [f32; 3]) -> Value {
-    let text = |k: usize| {
-        let [r, g, b] = color(k as f32 / (BARS - 1) as f32).map(|v| (v * 255.0).round() as u8);
-        format!("#{r:02x}{g:02x}{b:02x}")
-    };
-    legend["colors"] = json!((0..BARS).map(text).collect::<Vec<_>>());
+    let of = |k: usize| hexadecimal(color(k as f32 / (BARS - 1) as f32));
+    legend["colors"] = json!((0..BARS).map(of).collect::<Vec<_>>());
     legend
+}
+
+fn hexadecimal(color: [f32; 3]) -> String {
+    let [r, g, b] = color.map(|v| (v * 255.0).round() as u8);
+    format!("#{r:02x}{g:02x}{b:02x}")
 }
 
 #[cfg(test)]
@@ -65,5 +75,7 @@ mod tests {
         assert_eq!(counted(&histogram("x", "m", None, &[2.0, 2.0])), 2);
         assert_eq!(counted(&histogram("x", "m", None, &[])), 0);
         assert_eq!(grey("alpha", &[])["colors"][23], "#ffffff");
+        let parts = named("x", "", &[0, 1, 1, 7], 2, |k| [k as f32, 0.0, 0.0]);
+        assert_eq!((&parts["bars"], &parts["colors"]), (&json!([1, 2]), &json!(["#000000", "#ff0000"])));
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::arrows::arrows;
 use crate::choice;
-use crate::legend::{grey, scaled};
+use crate::legend::{grey, named, scaled};
 use crate::packing::{Packing, pack};
 use crate::pick::pick;
 use crate::pose::inputs;
@@ -11,10 +11,11 @@ use crate::shot::{Chosen, FAINTEST, Shot};
 use crate::stage::{Show, Stage};
 use gs_core::{Camera, Color, Image, Splats};
 use gs_metrics::psnr;
-use gs_raster::{Frame, RasterOptions, Workspace, render_into};
+use gs_raster::{Frame, RasterOptions, Workspace, blend_counts, render_into};
 use gs_train::evaluate::clamped;
 use gs_train::methods::color_scale;
 use gs_train::run::picture::moment;
+use gs_train::segment;
 use serde_json::{Value, json};
 use std::time::Instant;
 
@@ -103,6 +104,8 @@ impl Painter {
                 self.draw(&*shot.splats()?, shot);
                 self.depth(header)
             }
+            "count" => self.count(shot, header)?,
+            "segment" => self.parts(shot, header)?,
             name => self.overlay(shot, name, header)?,
         };
         let image = if fine { halved(&image) } else { image };
@@ -147,6 +150,27 @@ impl Painter {
         let share = |d: &f32| (d - span[0]) / (span[1] - span[0]).max(1e-9);
         let color = |d: &f32| if d.is_finite() { color_scale(share(d)) } else { [0.0; 3] };
         self.image(depths.iter().flat_map(color).collect())
+    }
+
+    /// How many splats were blended into each pixel.
+    fn count(&mut self, shot: &Shot, header: &mut Value) -> Result<Image, String> {
+        let splats = shot.splats()?;
+        self.draw(&splats, shot);
+        let counts = blend_counts(&splats, shot.show.options(), &mut self.workspace);
+        let counts: Vec<f32> = counts.into_iter().map(|c| c as f32).collect();
+        let most = counts.iter().copied().fold(1.0, f32::max);
+        header["legend"] = scaled("count", "splats per pixel", [0.0, most], &counts);
+        Ok(self.image(counts.iter().flat_map(|c| color_scale(c / most)).collect()))
+    }
+
+    /// The rigid parts, each in a colour.
+    fn parts(&mut self, shot: &Shot, header: &mut Value) -> Result<Image, String> {
+        let parts = shot.scene.parts(shot.show.observed())?;
+        let mut splats = shot.tracked()?.into_owned();
+        let color = |part: u32| segment::color(part + 1);
+        header["legend"] = named("segment", "(rigid parts by their splats)", &parts.of, parts.k, color);
+        splats.color = Color::Rgb(parts.of.iter().map(|part| color(*part)).collect());
+        Ok(clamped(self.draw(&splats, shot)))
     }
 
     /// A colour that the method gives each splat.

@@ -75,7 +75,7 @@ fn one() -> f32 {
 pub struct Target {
     /// Index of the show.
     pub show: usize,
-    /// `color`, `truth`, `depth`, `alpha`, or one of the method's.
+    /// `color`, `truth`, `depth`, `alpha`, `count`, `segment`, or one of the method's.
     pub layer: String,
     /// Step of a checkpoint.
     #[serde(default)]

@@ -3,7 +3,9 @@
 use gs_core::{Camera, Splats};
 use gs_train::methods::{Figure, Method, Quantity};
 use gs_train::run::picture::moment;
+use gs_train::segment::{Labels, Options, segment};
 use std::borrow::Cow;
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// A scene that does not change while it is looked at.
@@ -11,6 +13,8 @@ pub struct Scene {
     /// Differs from that of every other scene of this process.
     pub id: u64,
     source: Source,
+    /// Its rigid parts, once asked for.
+    parts: OnceLock<Result<Labels, String>>,
 }
 
 enum Source {
@@ -31,7 +35,7 @@ impl Scene {
 
     fn of(source: Source) -> Self {
         static SCENES: AtomicU64 = AtomicU64::new(0);
-        Self { id: SCENES.fetch_add(1, Ordering::Relaxed), source }
+        Self { id: SCENES.fetch_add(1, Ordering::Relaxed), source, parts: OnceLock::new() }
     }
 
     /// The method, if it is one.
@@ -66,6 +70,19 @@ impl Scene {
     /// Numbers about each of the [`Self::tracked`] splats.
     pub fn quantities(&self, time: f32) -> Vec<Quantity> {
         self.as_method().map(|m| m.quantities(&moment(time))).unwrap_or_default()
+    }
+
+    /// The rigid part of each of the [`Self::tracked`] splats, by their motion up to the last time that was learnt from;
+    /// found when first asked for.
+    ///
+    /// # Errors
+    /// In words, where nothing moves.
+    pub fn parts(&self, observed: f32) -> Result<&Labels, String> {
+        let find = || {
+            let method = self.as_method().ok_or("a splat file does not move")?;
+            segment(method, &Options { observed, ..Options::default() }).map_err(|e| e.to_string())
+        };
+        self.parts.get_or_init(find).as_ref().map_err(Clone::clone)
     }
 
     /// Names of quantities and of other colours a method offers.

@@ -142,6 +142,11 @@ impl Show {
         (last - first) / (self.times.len() - 1) as f32
     }
 
+    /// The last time that was learnt from, normalised.
+    pub fn observed(&self) -> f32 {
+        self.times.last().copied().unwrap_or(0.0)
+    }
+
     /// Whether it can move.
     pub fn moving(&self) -> bool {
         self.now().as_method().is_some() && self.times.len() > 1
@@ -149,9 +154,12 @@ impl Show {
 
     /// What of it changes while it is trained: names of what can be drawn, steps of its checkpoints.
     pub fn changing(&self) -> Value {
-        let mut layers: Vec<&str> = vec!["color", "depth", "alpha"];
+        let mut layers: Vec<&str> = vec!["color", "depth", "alpha", "count"];
         if self.photographs.is_some() && !self.views.is_empty() {
             layers.push("truth");
+        }
+        if self.moving() {
+            layers.push("segment");
         }
         layers.extend(self.now().overlays(self.times.get(self.times.len() / 2).copied().unwrap_or(0.0)));
         let steps = self.checkpoints.as_ref().map(Checkpoints::steps).unwrap_or_default();

@@ -72,6 +72,10 @@ fn a_watched_run_moves_on_and_ends_as_an_unwatched_one() {
                     }
                     pictures += 1;
                 }
+                let mut parts = picture(id + 2);
+                parts["what"]["layer"] = json!("segment");
+                let legend = ask(&mut socket, &parts).0["legend"].clone();
+                assert_eq!((&legend["name"], &legend["low"]), (&json!("segment"), &json!(1)), "{legend}");
                 (steps, pictures, ask(&mut socket, &picture(id + 1)).1)
             });
             let outcome = watched.train(&AtomicBool::new(false), &mut |p, trainer| {

@@ -51,7 +51,7 @@ fn a_scene_is_announced_drawn_and_picked() {
     let server = server(Packing::Png);
     let (mut socket, about) = greeted(&server);
     assert_eq!(about["shows"][0]["name"], "red");
-    assert_eq!(about["shows"][0]["layers"], json!(["color", "depth", "alpha"]));
+    assert_eq!(about["shows"][0]["layers"], json!(["color", "depth", "alpha", "count"]));
     let (header, png) = ask(&mut socket, &question(7, "color"));
     assert_eq!((&header["id"], &header["width"], &header["splats"]), (&json!(7), &json!(64), &json!(2)));
     let picture = gs_core::io::images::decode_rgba8(&png, "answer.png", &gs_core::io::Limits::default()).unwrap();
@@ -69,6 +69,13 @@ fn a_scene_is_announced_drawn_and_picked() {
     assert!(weights.iter().zip(shown).all(|(w, s)| (w - s).abs() < 3e-3), "{weights:?} {shown:?}");
     let (header, _) = ask(&mut socket, &question(9, "depth"));
     assert!((header["legend"]["low"].as_f64().unwrap() - 4.0).abs() < 0.2, "{header}");
+    let (header, png) = ask(&mut socket, &question(10, "count"));
+    assert_eq!((&header["legend"]["high"], &header["legend"]["unit"]), (&json!(2.0), &json!("splats per pixel")));
+    let bars: Vec<u64> = serde_json::from_value(header["legend"]["bars"].clone()).unwrap();
+    // None, one and both.
+    assert!(bars[0] > 1000 && bars[12] > 10 && bars[23] > 10 && bars.iter().sum::<u64>() == 64 * 48, "{bars:?}");
+    let picture = gs_core::io::images::decode_rgba8(&png, "answer.png", &gs_core::io::Limits::default()).unwrap();
+    assert!(picture.data[4 * (24 * 64 + 32)] > 240 && picture.data[0] < 20);
 }
 
 #[test]

@@ -5,13 +5,14 @@ use crate::methods::{Method, RestOptions};
 use crate::moment::Moment;
 use crate::report::Need;
 use gs_core::{Camera, Time};
-use gs_raster::{Frame, RasterOptions, Workspace, render_into};
+use gs_raster::{Frame, RasterOptions, Workspace, blend_counts, render_into};
 use serde_json::Value;
 
 /// What drawing these views does not do.
 pub fn drawing_rows(method: &dyn Method, views: &[(Camera, Time)], options: &RasterOptions) -> Vec<Need> {
     let (mut workspace, mut frame) = (Workspace::new(), Frame::default());
     let (mut all, mut given, mut listed, mut entries, mut used) = (0usize, 0usize, 0usize, 0usize, 0usize);
+    let (mut blended, mut pixels, mut deepest) = (0u64, 0usize, 0u32);
     for (camera, time) in views {
         let splats = method.splats(&Moment::new(*time), camera);
         render_into(&splats, camera, options, &mut workspace, &mut frame);
@@ -20,6 +21,10 @@ pub fn drawing_rows(method: &dyn Method, views: &[(Camera, Time)], options: &Ras
         listed += workspace.splats_listed();
         entries += workspace.entries();
         used += workspace.entries_used();
+        let counts = blend_counts(&splats, options, &mut workspace);
+        blended += counts.iter().map(|c| u64::from(*c)).sum::<u64>();
+        pixels += counts.len();
+        deepest = counts.into_iter().fold(deepest, u32::max);
     }
     if all == 0 {
         return Vec::new();
@@ -38,6 +43,11 @@ pub fn drawing_rows(method: &dyn Method, views: &[(Camera, Time)], options: &Ras
     }
     rows.extend([
         row("culled", of(given - listed, given), "behind, outside, below α 1/255, or hidden by closed tiles"),
+        row(
+            "blended",
+            format!("{:.1} a pixel, at most {deepest}", blended as f64 / pixels.max(1) as f64),
+            "splats of α 1/255 or more, up to the one that fills the pixel",
+        ),
         row("never reached", of(entries - used, entries), "tile entries behind what is opaque already"),
         row("scratch of drawing", bytes_text(workspace.bytes()), "held by the rasteriser, reused from frame to frame"),
     ]);
@@ -108,10 +118,14 @@ mod tests {
         away.rotation = glam::DMat3::from_diagonal(glam::DVec3::new(-1.0, 1.0, -1.0)) * away.rotation;
         away.translation = glam::DVec3::new(-1.0, 1.0, -1.0) * away.translation;
         let at = moment(0.0).t;
-        let value =
-            |views: &[(Camera, Time)]| drawing_rows(method.as_ref(), views, &RasterOptions::default())[0].value.clone();
-        assert_eq!(value(&[(away, at)]), format!("{} a view (100.0 %)", method.len()));
-        assert_ne!(value(&[(camera.clone(), at)]), format!("{} a view (100.0 %)", method.len()));
+        let values = |camera: &Camera| {
+            let rows = drawing_rows(method.as_ref(), &[(camera.clone(), at)], &RasterOptions::default());
+            (rows[0].value.clone(), rows[1].value.clone())
+        };
+        let all = format!("{} a view (100.0 %)", method.len());
+        assert_eq!(values(&away), (all.clone(), "0.0 a pixel, at most 0".to_owned()));
+        let (culled, blended) = values(camera);
+        assert!(culled != all && !blended.starts_with("0.0"), "{blended}");
         assert!(drawing_rows(method.as_ref(), &[], &RasterOptions::default()).is_empty());
         assert!(resting_rows(method.as_ref(), &[(camera.clone(), at)]).is_empty(), "it has no such way");
     }
