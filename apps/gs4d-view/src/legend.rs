@@ -34,12 +34,12 @@ pub fn grey(name: &str, values: &[f32]) -> Value {
     colored(histogram(name, "", Some([0.0, 1.0]), values), |share| [share; 3])
 }
 
-/// How many have each of `k` labels, with the colour of each.
-pub fn named(name: &str, unit: &str, labels: &[u32], k: usize, color: impl Fn(u32) -> [f32; 3]) -> Value {
+/// How many have each of `k` labels, with the colour of each, and what to say of it.
+pub fn named(name: &str, words: &str, labels: &[u32], k: usize, color: impl Fn(u32) -> [f32; 3]) -> Value {
     let mut bars = vec![0u32; k];
     labels.iter().filter_map(|l| usize::try_from(*l).ok()).filter(|l| *l < k).for_each(|l| bars[l] += 1);
     let colors: Vec<String> = (0..k as u32).map(|label| hexadecimal(color(label))).collect();
-    json!({"name": name, "unit": unit, "low": 1, "high": k, "bars": bars, "colors": colors})
+    json!({"name": name, "words": words, "bars": bars, "colors": colors})
 }
 
 fn colored(mut legend: Value, color: impl Fn(f32) -> [f32; 3]) -> Value {

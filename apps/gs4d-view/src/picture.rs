@@ -159,7 +159,9 @@ impl Painter {
         let counts = blend_counts(&splats, shot.show.options(), &mut self.workspace);
         let counts: Vec<f32> = counts.into_iter().map(|c| c as f32).collect();
         let most = counts.iter().copied().fold(1.0, f32::max);
-        header["legend"] = scaled("count", "splats per pixel", [0.0, most], &counts);
+        // Empty pixels are mostly many: bars are of the others.
+        let covered: Vec<f32> = counts.iter().copied().filter(|c| *c > 0.0).collect();
+        header["legend"] = scaled("count", "splats per pixel", [0.0, most], &covered);
         Ok(self.image(counts.iter().flat_map(|c| color_scale(c / most)).collect()))
     }
 
@@ -168,7 +170,8 @@ impl Painter {
         let parts = shot.scene.parts(shot.show.observed())?;
         let mut splats = shot.tracked()?.into_owned();
         let color = |part: u32| segment::color(part + 1);
-        header["legend"] = named("segment", "(rigid parts by their splats)", &parts.of, parts.k, color);
+        let words = format!("rigid parts: {}, bars are their splats", parts.k);
+        header["legend"] = named("segment", &words, &parts.of, parts.k, color);
         splats.color = Color::Rgb(parts.of.iter().map(|part| color(*part)).collect());
         Ok(clamped(self.draw(&splats, shot)))
     }

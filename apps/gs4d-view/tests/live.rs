@@ -75,7 +75,7 @@ fn a_watched_run_moves_on_and_ends_as_an_unwatched_one() {
                 let mut parts = picture(id + 2);
                 parts["what"]["layer"] = json!("segment");
                 let legend = ask(&mut socket, &parts).0["legend"].clone();
-                assert_eq!((&legend["name"], &legend["low"]), (&json!("segment"), &json!(1)), "{legend}");
+                assert!(legend["words"].as_str().unwrap().starts_with("rigid parts: "), "{legend}");
                 (steps, pictures, ask(&mut socket, &picture(id + 1)).1)
             });
             let outcome = watched.train(&AtomicBool::new(false), &mut |p, trainer| {

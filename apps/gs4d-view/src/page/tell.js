@@ -33,7 +33,7 @@ function legend(l) {
     if (l.colors) bar(26, 8);
   });
   const words = document.createElement("span");
-  words.textContent = `${l.name}: ${number(l.low)} to ${number(l.high)} ${l.unit}`;
+  words.textContent = l.words ?? `${l.name}: ${number(l.low)} to ${number(l.high)} ${l.unit}`;
   svg.setAttribute("aria-label", words.textContent);
   return [svg, words];
 }
