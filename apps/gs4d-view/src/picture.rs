@@ -21,8 +21,6 @@ use std::time::Instant;
 
 /// Depths are shown between these shares of the covered pixels.
 const DEPTH_SHARES: [f64; 2] = [0.02, 0.98];
-/// What is said of colours that stand for vectors.
-const VECTORS: &str = "red, green and blue are x, y and z; grey is none";
 
 /// A picture, or a file, with what is to be said about it.
 pub struct Answer {
@@ -187,8 +185,9 @@ impl Painter {
             None => {
                 let method = shot.scene.as_method().ok_or("a splat file has no such layer")?;
                 let found = method.overlays(&moment(shot.time)).into_iter().find(|o| o.name == name);
-                header["note"] = json!(VECTORS);
-                found.ok_or("there is no such layer")?
+                let found = found.ok_or("there is no such layer")?;
+                header["note"] = json!(found.meaning);
+                found
             }
         };
         let mut splats = shot.tracked()?.into_owned();

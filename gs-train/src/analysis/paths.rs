@@ -135,7 +135,8 @@ pub fn jerk_overlay(
         let x = 3.0 * ((1.0 + a / reference).ln() / largest) as f32;
         [0.0, 1.0, 2.0].map(|from: f32| (x - from).clamp(0.0, 1.0))
     };
-    Ok(Overlay { name: "second differences", colors: values.iter().map(color).collect() })
+    let colors = values.iter().map(color).collect();
+    Ok(Overlay { name: "second differences", colors, meaning: "black at rest, white at the largest" })
 }
 
 /// Splats in the colours of an overlay.

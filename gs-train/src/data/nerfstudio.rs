@@ -2,7 +2,7 @@
 //!
 //! Intrinsics at top level or in each frame, the frame's winning: `fl_x fl_y cx cy w h`, or `camera_angle_x` (and
 //! `camera_angle_y`), and the distortion `k1 k2 k3 p1 p2` of OpenCV. Per frame `file_path`, `transform_matrix` (camera to
-//! world, OpenGL axes) and optionally `time`. `train_filenames`, `val_filenames`, `test_filenames` give the split, else
+//! world, OpenGL axes) and optionally `time` and `mask_path` (white counts, black does not). `train_filenames`, `val_filenames`, `test_filenames` give the split, else
 //! every eighth view is held out. `ply_file_path` names a cloud of start points. `applied_transform` is left alone:
 //! poses and points already share the transformed world.
 
@@ -22,7 +22,7 @@ use super::lens::Lens;
 use super::options::DataOptions;
 use super::pose::{Pose, from_opengl};
 use super::times::{Draft, Drafts, settle};
-use super::{Confidence, Dataset, ImageSource, Layout, PointCloud, View, ply};
+use super::{Confidence, Dataset, ImageSource, Layout, PointCloud, View, mask, ply};
 
 /// The entry in [`super::LAYOUTS`].
 pub(crate) const LAYOUT: Layout = Layout {
@@ -44,6 +44,7 @@ struct Frame {
     time_place: Place,
     place: Place,
     written: String,
+    mask: Option<PathBuf>,
 }
 
 /// Reads a capture.
@@ -177,6 +178,7 @@ fn read_frame(root: &Root, frame: &Fields, shared: &Stated) -> Result<Listed<Fra
         time_place: frame.place("time"),
         place: frame.place(""),
         written,
+        mask: frame.text("mask_path")?.map(|m| root.resolve(m, &frame.place("mask_path"))).transpose()?,
     };
     Ok(Listed { shown, path, rest })
 }
@@ -197,6 +199,10 @@ fn drafts(
         adjusted.count(&intrinsics, &camera, rescaled, lens.as_ref());
         let mut view = View::new("", camera, Time::default(), ImageSource::File(listed.path), k as u32);
         view.lens = lens;
+        if let Some(file) = frame.mask {
+            mask::check(&file, [header.width, header.height])?;
+            view.mask = Some(ImageSource::File(file));
+        }
         drafts.push(Draft { view, stated: frame.time, place: frame.time_place });
     }
     notes.extend(adjusted.notes());

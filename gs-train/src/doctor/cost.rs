@@ -252,10 +252,11 @@ fn only(method: &Table, stage: &str, times: Option<usize>) -> Table {
             }
         }
     }
-    if let (Some(times), Some(Value::Integer(points))) =
-        (times, table.get_mut("init").and_then(|init| init.get_mut("points")))
-    {
-        *points *= times as i64;
+    // Anchors are refused beyond their bound from the start.
+    for (section, key) in [("init", "points"), ("adapt", "max_anchors")] {
+        if let (Some(times), Some(Value::Integer(n))) = (times, table.get_mut(section).and_then(|s| s.get_mut(key))) {
+            *n *= times as i64;
+        }
     }
     table
 }

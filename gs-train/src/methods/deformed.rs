@@ -8,7 +8,7 @@
 use crate::density::Adapted;
 use crate::methods::canonical::Canonical;
 use crate::methods::kernel::kernel_quantities;
-use crate::methods::{Column, ColumnMut, Method, Overlay, Quantity, StageView};
+use crate::methods::{Column, ColumnMut, DIRECTIONS, Method, Overlay, Quantity, StageView};
 use crate::moment::Moment;
 use crate::schedule::Schedule;
 use gs_core::{Camera, Param, Params, Splats, SplatsGrad, Time};
@@ -146,8 +146,8 @@ where
         self.field.forward(&canonical, at.t, &mut F::Tape::default(), &mut moved);
         let shifts: Vec<_> = moved.means.iter().zip(&canonical.means).map(|(a, b)| *a - *b).collect();
         let largest = shifts.iter().map(|s| s.abs().max_element()).fold(f32::MIN_POSITIVE, f32::max);
-        let motion =
-            Overlay { name: "motion", colors: shifts.iter().map(|s| (0.5 + 0.5 * *s / largest).to_array()).collect() };
+        let colors = shifts.iter().map(|s| (0.5 + 0.5 * *s / largest).to_array()).collect();
+        let motion = Overlay { name: "motion", colors, meaning: DIRECTIONS };
         std::iter::once(motion).chain(self.quantities(at).iter().map(Quantity::overlay)).collect()
     }
 

@@ -46,7 +46,13 @@ pub struct Overlay {
     pub name: &'static str,
     /// One colour per splat of [`Method::tracked`] at the same moment, display-encoded, 0 to 1.
     pub colors: Vec<[f32; 3]>,
+    /// What the colours say.
+    pub meaning: &'static str,
 }
+
+/// What colours say that stand for vectors.
+pub const DIRECTIONS: &str = "red, green and blue are the x, y and z of a vector: grey for none, the longest component of all at the end of \
+     its channel";
 
 /// A number about each splat.
 #[derive(Clone, Debug, PartialEq)]
@@ -80,7 +86,7 @@ impl Quantity {
     pub fn overlay(&self) -> Overlay {
         let [low, high] = self.span();
         let colors = self.values.iter().map(|v| color_scale((v - low) / (high - low))).collect();
-        Overlay { name: self.name, colors }
+        Overlay { name: self.name, colors, meaning: "dark blue is least, pale yellow most" }
     }
 }
 

@@ -16,10 +16,6 @@ use gs_raster::RasterOptions;
 const STOPS: usize = 9;
 /// A quantity without an interval of its own is drawn from this share of its values to that one: few may be far out.
 const HELD: [f64; 2] = [0.01, 0.99];
-/// What vectors as colours mean.
-const DIRECTIONS: &str = "red, green and blue are the x, y and z of a vector: grey for none, the longest component of all at the end of \
-     its channel";
-
 /// All there is to see at the time of a view, over black.
 pub fn overlay_figures(method: &dyn Method, view: &View, camera: &Camera) -> Vec<OverlayFigure> {
     let at = Moment::new(view.time);
@@ -38,7 +34,7 @@ pub fn overlay_figures(method: &dyn Method, view: &View, camera: &Camera) -> Vec
     }
     let known = |o: &Overlay| quantities.iter().any(|q| q.name == o.name);
     for overlay in method.overlays(&at).into_iter().filter(|o| !known(o) && o.colors.len() == splats.len()) {
-        let (name, legend) = (overlay.name.to_owned(), Legend::Words(DIRECTIONS.to_owned()));
+        let (name, legend) = (overlay.name.to_owned(), Legend::Words(overlay.meaning.to_owned()));
         figures.push(OverlayFigure { name, image: draw(&splats, overlay), legend, histogram: None });
     }
     figures.extend(parts_figure(method, &splats, &mut draw));
@@ -69,7 +65,7 @@ fn parts_figure(
         (segment::color(p.id), text)
     };
     let legend = Legend::Kinds(parts::table(&labels).iter().map(kind).collect());
-    let image = draw(splats, Overlay { name: "parts", colors });
+    let image = draw(splats, Overlay { name: "parts", colors, meaning: "" });
     Some(OverlayFigure { name: "parts that share a motion".to_owned(), image, legend, histogram: None })
 }
 
@@ -136,6 +132,8 @@ mod tests {
         let trace = names("trace");
         let wanted = ["speed, units/span", "spin, rad/span", "velocity", "axis", "parts that share a motion"];
         assert!(wanted.iter().all(|n| trace.iter().any(|f| f == n)), "{trace:?}");
+        let modec = names("modec");
+        assert!(["global", "local", "anchor", "interval"].iter().all(|n| modec.iter().any(|f| f == n)), "{modec:?}");
         for f in figures("trace") {
             assert_eq!(f.image.shape(), (32, 32, 3), "{}", f.name);
             let numbers = matches!(f.legend, Legend::Numbers(..));

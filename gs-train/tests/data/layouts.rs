@@ -161,6 +161,28 @@ fn nerfstudio_splits_times_frames_and_points_are_used() {
 }
 
 #[test]
+fn nerfstudio_masks_say_what_counts() {
+    let f = Folder::new(3, "png");
+    let mut j = f.nerfstudio();
+    j["frames"][2]["mask_path"] = json!("masks/f002.png");
+    f.put("transforms.json", j.to_string());
+    assert_eq!(f.open(&DataOptions::default()).unwrap_err().code(), "io.read");
+    std::fs::create_dir(f.path().join("masks")).unwrap();
+    let left = |x: u32, _| image::Luma([if x < 20 { 255u8 } else { 0 }]);
+    image::GrayImage::from_fn(40, 30, left).save(f.path().join("masks/f002.png")).unwrap();
+    let d = f.open(&DataOptions::default()).unwrap();
+    let masked: Vec<_> = d.train.iter().chain(&d.test).filter(|v| v.mask.is_some()).collect();
+    assert!(masked.len() == 1 && masked[0].name == "f002");
+    let weights = ImageCache::new(0, 1.0).mask(masked[0]).unwrap().unwrap();
+    assert_eq!((weights.pixel(3, 3)[0], weights.pixel(36, 3)[0]), (1.0, 0.0));
+    image::GrayImage::new(30, 40).save(f.path().join("masks/f002.png")).unwrap();
+    assert_eq!(f.open(&DataOptions::default()).unwrap_err().code(), "data.image_size");
+    j["frames"][2]["mask_path"] = json!("../elsewhere.png");
+    f.put("transforms.json", j.to_string());
+    assert_eq!(f.open(&DataOptions::default()).unwrap_err().code(), "data.escape");
+}
+
+#[test]
 fn distortion_is_kept_with_the_view_or_refused() {
     let f = Folder::new(3, "png");
     let mut j = f.nerfstudio();

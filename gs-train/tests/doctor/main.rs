@@ -243,6 +243,9 @@ fn a_run_is_tried() {
             && cost.memory_mib[1] < 400.0,
         "{cost:?}"
     );
+    let anchored = CostOptions { method: "modec".into(), ..options(&[]) };
+    let cost = examine(folder.dir(), &exam(anchored)).cost.expect("cost");
+    assert!(cost.splats[0] < 3200 && cost.splats[1] == 3200 && cost.memory_mib[1] > cost.memory_mib[0], "{cost:?}");
     let limit = CostOptions { limit_mib: Some(10.0), ..options(&[]) };
     must_name(&examine(folder.dir(), &exam(limit)), "memory.limit", Verdict::Problem);
     let broken = examine(folder.dir(), &exam(options(&["no.such=1"])));

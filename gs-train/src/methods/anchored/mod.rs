@@ -16,9 +16,10 @@ pub use motion::{Motion, SparsityConfig};
 pub use rest::{RestOptions, RestReport};
 
 use crate::density::Adapted;
-use crate::methods::{Column, ColumnMut, Growth, Method, MethodError, Quantity, SceneInfo, StageView};
+use crate::methods::{Column, ColumnMut, Growth, Method, MethodError, Overlay, Quantity, SceneInfo, StageView};
 use crate::moment::Moment;
 use crate::schedule::Schedule;
+use crate::segment;
 use drawing::Cache;
 use forward::Tape;
 use gs_anchor::{
@@ -315,6 +316,24 @@ impl Method for Anchored {
         let k = self.config.offsets;
         let spread = |values: Vec<f32>| values.into_iter().flat_map(|v| std::iter::repeat_n(v, k)).collect();
         factors.into_iter().map(|(name, values)| Quantity::share(name, spread(values))).collect()
+    }
+
+    /// `anchor`: what belongs together; `interval`: which one the moment lies in, where there are any.
+    fn overlays(&self, at: &Moment) -> Vec<Overlay> {
+        let of_anchor = (0..self.len() / self.config.offsets).map(|i| segment::color(i as u32 + 1));
+        let k = self.config.offsets;
+        let colors = of_anchor.flat_map(|c| std::iter::repeat_n(c, k)).collect();
+        let anchor = Overlay { name: "anchor", colors, meaning: "the Gaussians of an anchor share a colour" };
+        let interval = self.motion.intervals.as_ref().filter(|_| self.dynamic()).map(|intervals| {
+            let color = segment::color(intervals.locate(at.t.normalised) as u32 + 1);
+            Overlay {
+                name: "interval",
+                colors: vec![color; self.len()],
+                meaning: "every interval of time has a colour",
+            }
+        });
+        let quantities = self.quantities(at);
+        quantities.iter().map(Quantity::overlay).chain([anchor]).chain(interval).collect()
     }
 
     fn storage(&self) -> Option<StorageTable> {

@@ -1,7 +1,7 @@
 //! What of the learnt physics can be looked at: speed, spin, acceleration, direction and axis of every splat.
 
 use super::Transported;
-use crate::methods::{Overlay, Quantity};
+use crate::methods::{DIRECTIONS, Overlay, Quantity};
 use glam::Vec3;
 use gs_core::Splats;
 use gs_deform::Field;
@@ -64,6 +64,8 @@ impl<F: Field, D: Dynamics> Transported<F, D> {
         let along = |(m, x): (&Motion<f32>, &Vec3)| Vec3::from_array(m.twist.velocity((*x - o).to_array()));
         let velocities: Vec<Vec3> = motions.iter().zip(&places).map(along).collect();
         let axes: Vec<Vec3> = motions.iter().map(|m| Vec3::from_array(m.twist.w)).collect();
-        [("velocity", &velocities), ("axis", &axes)].map(|(name, v)| Overlay { name, colors: colors(v) }).into()
+        [("velocity", &velocities), ("axis", &axes)]
+            .map(|(name, v)| Overlay { name, colors: colors(v), meaning: DIRECTIONS })
+            .into()
     }
 }
