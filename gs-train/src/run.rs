@@ -1,6 +1,7 @@
 //! A run: settings resolved from all their sources, a folder on the disk, the loop that trains, and what it leaves behind.
 
 mod error;
+pub mod flight;
 pub mod folder;
 pub mod needs;
 pub mod opened;

@@ -104,7 +104,7 @@ pub struct Unlike {
 }
 
 /// Everything but pictures.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Compared {
     /// Split, number of views, size, background, mask, in words.
     pub conditions: String,
@@ -138,7 +138,7 @@ pub struct Pictures {
 /// # Errors
 /// If they are not of the same data, or a view cannot be drawn.
 pub fn compare(sides: &[Side], options: &Options) -> Result<(Compared, Vec<Pictures>), CompareError> {
-    let Some(first) = sides.first() else { return Ok((Compared::empty(), Vec::new())) };
+    let Some(first) = sides.first() else { return Ok(Default::default()) };
     sides.iter().skip(1).try_for_each(|other| same_data(first, other, options))?;
     let background = options.background.unwrap_or_else(|| first.run.background());
     let (dataset, photographs) = (&first.dataset, first.run.photographs());
@@ -148,10 +148,37 @@ pub fn compare(sides: &[Side], options: &Options) -> Result<(Compared, Vec<Pictu
     for ((side, name), painter) in sides.iter().zip(names(sides)).zip(&mut painters) {
         runs.push(row(side, name, painter, (dataset, &photographs), options.split, background)?);
     }
-    let mut rows: Vec<ViewRow> = Vec::with_capacity(views.len());
-    let mut to_first = vec![0.0; sides.len()];
+    let mut draw = |view: &View| draw(sides, &mut painters, view, &photographs);
+    let rows = disagreements(&mut runs, views, &mut draw)?;
+    let mut order: Vec<usize> = (0..rows.len()).collect();
+    order.sort_by(|a, b| rows[*b].disagreement.total_cmp(&rows[*a].disagreement).then(a.cmp(b)));
+    let mut pictures = Vec::new();
+    for &k in order.iter().take(options.shown) {
+        let truth = photographs.get(&views[k]).map_err(EvalError::from)?.over(background);
+        pictures.push(Pictures { caption: caption(&rows[k], &runs), truth, drawn: draw(&views[k]) });
+    }
+    let compared = Compared {
+        conditions: conditions(dataset, &photographs, &runs[0].scores),
+        data_digest: DataOrigin::of(dataset).digest,
+        differences: runs.iter().skip(1).map(|r| paired(&runs[0], r)).collect(),
+        seeds: seeds(sides, &runs),
+        settings: unlike(sides),
+        runs,
+        views: rows,
+    };
+    Ok((compared, pictures))
+}
+
+/// How far apart the drawings of each view are; tells the runs how far theirs are from the first one's over all views.
+fn disagreements(
+    runs: &mut [Row],
+    views: &[View],
+    draw: &mut impl FnMut(&View) -> Vec<Image>,
+) -> Result<Vec<ViewRow>, CompareError> {
+    let mut rows = Vec::with_capacity(views.len());
+    let mut to_first = vec![0.0; runs.len()];
     for (k, view) in views.iter().enumerate() {
-        let drawn = draw(sides, &mut painters, view, &photographs);
+        let drawn = draw(view);
         let between =
             |a: &Image, b: &Image| mse(a, b).map_err(|source| EvalError::Metric { view: view.name.clone(), source });
         let mut largest = 0.0f64;
@@ -167,32 +194,7 @@ pub fn compare(sides: &[Side], options: &Options) -> Result<(Compared, Vec<Pictu
     for (run, sum) in runs.iter_mut().zip(to_first) {
         run.psnr_to_first = Some(psnr_from_mse(sum / views.len() as f64)).filter(|p| p.is_finite());
     }
-    let mut order: Vec<usize> = (0..rows.len()).collect();
-    order.sort_by(|a, b| rows[*b].disagreement.total_cmp(&rows[*a].disagreement).then(a.cmp(b)));
-    let mut pictures = Vec::new();
-    for &k in order.iter().take(options.shown) {
-        let truth = photographs.get(&views[k]).map_err(EvalError::from)?.over(background);
-        let drawn = draw(sides, &mut painters, &views[k], &photographs);
-        pictures.push(Pictures { caption: caption(&rows[k], &runs), truth, drawn });
-    }
-    let compared = Compared {
-        conditions: conditions(dataset, &photographs, &runs[0].scores),
-        data_digest: DataOrigin::of(dataset).digest,
-        differences: runs.iter().skip(1).map(|r| paired(&runs[0], r)).collect(),
-        seeds: seeds(sides, &runs),
-        settings: unlike(sides),
-        runs,
-        views: rows,
-    };
-    Ok((compared, pictures))
-}
-
-impl Compared {
-    fn empty() -> Self {
-        let (conditions, data_digest, seeds) = Default::default();
-        let (runs, differences, views, settings) = Default::default();
-        Self { conditions, data_digest, runs, differences, seeds, views, settings }
-    }
+    Ok(rows)
 }
 
 fn painter(side: &Side, background: [f32; 3]) -> Painter {

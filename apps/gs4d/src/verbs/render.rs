@@ -9,7 +9,9 @@ use gs_core::io::images::save_png;
 use gs_core::io::{Limits, RawSplats, exr, load_splats, npy, write_file, y4m};
 use gs_core::{Camera, Image, Splats};
 use gs_raster::{Frame, RasterOptions};
+use gs_train::data::Dataset;
 use gs_train::run::OpenRun;
+use gs_train::run::flight::Flight;
 use gs_train::run::orbit::Orbit;
 use gs_train::run::picture::{Painter, file_stem, moment};
 use serde_json::json;
@@ -23,8 +25,9 @@ pub struct Render {
     #[arg(value_name = "SCENE|RUN")]
     scene: PathBuf,
     /// Cameras: INRIA cameras.json, a transforms file, or {width,height,fx,fy,cx,cy,world_to_camera} (name, time optional), one or a list;
-    /// or `dataset:N`, the N-th held-out view of a run's data; or `orbit`, once around the scene.
-    #[arg(long, value_name = "FILE|dataset:N|orbit")]
+    /// or `dataset:N`, the N-th held-out view of a run's data; `orbit`, once around the scene; `path`, smoothly through a few training
+    /// cameras of a run's data; `path:FILE`, through those of a file.
+    #[arg(long, value_name = "FILE|dataset:N|orbit|path|path:FILE")]
     camera: PathBuf,
     /// Normalised time, 0 first to 1 last training frame; beyond extrapolates [default: the camera's own, else 0].
     #[arg(long, allow_hyphen_values = true, value_parser = parse::finite, conflicts_with = "times")]
@@ -91,6 +94,14 @@ impl Scene {
         }
     }
 
+    /// The data it was learnt from.
+    fn data(&self, what: &str) -> Result<Dataset, Failure> {
+        match self {
+            Scene::File(_) => Err(Failure::usage(format!("{what} needs a run"))),
+            Scene::Run(run) => Ok(run.resolved.open_data()?),
+        }
+    }
+
     /// The way around it: that of the data's cameras, or around the splats.
     fn orbit(&self) -> Result<Option<Orbit>, Failure> {
         match self {
@@ -138,24 +149,38 @@ impl Render {
     fn cameras(&self, scene: &Scene) -> Result<Vec<NamedCamera>, Failure> {
         let name = self.camera.to_string_lossy();
         if name == "orbit" {
-            let n = self.times.as_ref().map_or(TURN, |t| t.0.len());
             let orbit = scene.orbit()?.ok_or_else(|| {
                 Failure::usage("there is nothing to go around: the cameras look in one direction, or there is no splat")
             })?;
-            let at = |k: usize| Some((k, orbit.at(k as f64 / n as f64)?));
-            let named = |(k, camera)| NamedCamera { name: format!("orbit-{k:04}"), camera, time: None };
-            return Ok((0..n).filter_map(at).map(named).collect());
+            return Ok(self.series("orbit", |k, n| orbit.at(k as f64 / n as f64)));
+        }
+        if name == "path" || name.starts_with("path:") {
+            let flight = match name.strip_prefix("path:") {
+                Some(file) => {
+                    let keys = load_cameras(Path::new(file), &Limits::default())?;
+                    Flight::through(&keys.into_iter().map(|k| k.camera).collect::<Vec<_>>())
+                }
+                None => Flight::of_views(&scene.data("--camera path")?.train),
+            };
+            let flight = flight.ok_or_else(|| Failure::usage("a path leads through two cameras or more"))?;
+            return Ok(self.series("path", |k, n| Some(flight.at(k as f64 / (n.max(2) - 1) as f64))));
         }
         let Some(number) = name.strip_prefix("dataset:") else {
             return Ok(load_cameras(&self.camera, &Limits::default())?);
         };
-        let Scene::Run(run) = scene else { return Err(Failure::usage("--camera dataset:N needs a run")) };
-        let dataset = run.resolved.open_data()?;
+        let dataset = scene.data("--camera dataset:N")?;
         let held_out = if dataset.test.is_empty() { &dataset.train } else { &dataset.test };
         let view = number.parse::<usize>().ok().and_then(|n| held_out.get(n));
         let view =
             view.ok_or_else(|| Failure::usage(format!("--camera dataset:N: N from 0 to {}", held_out.len() - 1)))?;
         Ok(vec![NamedCamera { name: view.name.clone(), camera: view.camera.clone(), time: Some(view.time.normalised) }])
+    }
+
+    /// As many cameras as there are times, or a turn of them, by their number and how many there are.
+    fn series(&self, name: &str, at: impl Fn(usize, usize) -> Option<Camera>) -> Vec<NamedCamera> {
+        let n = self.times.as_ref().map_or(TURN, |t| t.0.len());
+        let named = |k: usize| Some(NamedCamera { name: format!("{name}-{k:04}"), camera: at(k, n)?, time: None });
+        (0..n).filter_map(named).collect()
     }
 
     /// Cameras with the times of `--times`.

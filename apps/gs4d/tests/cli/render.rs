@@ -2,6 +2,7 @@
 
 use crate::support::{CAMERA, data, good, gs4d, ply, run, text, tiny_ply};
 use gs_core::io::{Limits, exr, images, npy};
+use serde_json::json;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -161,4 +162,25 @@ fn a_view_of_the_data_is_a_camera_at_any_time() {
     let around = ["render", text(ply()), "--camera", "orbit", "--times", "0..1:2", "-o", text(dir.path())];
     good(&around);
     assert!(dir.path().join("orbit-0001.png").exists());
+}
+
+#[test]
+fn a_camera_flies_through_those_of_a_run_or_a_file() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = ["--times", "0..1:3", "-o", text(dir.path())];
+    good(&[&["render", text(run()), "--camera", "path"][..], &out].concat());
+    let frame = |k: usize| fs::read(dir.path().join(format!("path-{k:04}.png"))).unwrap();
+    assert!(frame(0) != frame(1) && frame(1) != frame(2));
+    let key = |x: f64| {
+        json!({"width": 32, "height": 24, "fx": 30, "fy": 30, "cx": 16, "cy": 12,
+        "world_to_camera": [[1, 0, 0, x], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]]})
+    };
+    let keys = dir.path().join("keys.json");
+    let file = format!("path:{}", text(&keys));
+    let call = ["render", text(ply()), "--camera", &file, "-f"];
+    fs::write(&keys, json!([key(0.0), key(1.0)]).to_string()).unwrap();
+    good(&[&call[..], &out].concat());
+    fs::write(&keys, json!([key(0.0)]).to_string()).unwrap();
+    gs4d(&[&call[..], &out].concat()).fails(2, &["two cameras"]);
+    gs4d(&[&["render", text(ply()), "--camera", "path"][..], &out].concat()).fails(2, &["needs a run"]);
 }
