@@ -106,6 +106,10 @@ pub struct Stage {
     /// Steps until the window of times grows by another part (TRACE: 1000).
     #[serde(default)]
     pub window_every: u32,
+    /// Only the field learns, and it alone moves splats: the canonical cloud rests, so a body that moves far between frames
+    /// cannot fade where it was, and dynamics take no part (ours).
+    #[serde(default)]
+    pub field_alone: bool,
 }
 
 /// The learning rate of a group of parameters.
@@ -280,6 +284,11 @@ impl Schedule {
         self.stage(step).is_some_and(|s| s.dynamic)
     }
 
+    /// Whether only the field learns in step `step`.
+    pub fn field_alone(&self, step: u32) -> bool {
+        self.stage(step).is_some_and(|s| s.field_alone)
+    }
+
     /// The SH degree drawn in step `step`, at most `max`.
     pub fn sh_degree(&self, step: u32, max: u8) -> u8 {
         step.checked_div(self.sh_every).map_or(max, |d| d.min(u32::from(max)) as u8)
@@ -292,9 +301,12 @@ impl Schedule {
         parts.next().and_then(|part| group.get(part)).or_else(|| group.get("all"))
     }
 
-    /// How a parameter is updated at a step of the clock, if it learns then; `extent` is that of the scene, world units.
-    pub fn update(&self, p: &Param, clock: u32, extent: f32) -> Option<Update> {
-        let rule = self.rule(&p.name)?;
+    /// How a parameter is updated in a step, if it learns then; `extent` is that of the scene, world units.
+    pub fn update(&self, p: &Param, step: u32, extent: f32) -> Option<Update> {
+        if self.field_alone(step) && !p.name.starts_with("field.") {
+            return None;
+        }
+        let (rule, clock) = (self.rule(&p.name)?, self.position(step).clock);
         let eps = if rule.eps > 0.0 { rule.eps } else { self.adam_eps };
         let sparse = rule.sparse || self.sparse_adam && p.row_width.is_some();
         Some(Update { rate: rule.at(clock, extent), eps, sparse, weight_decay: rule.weight_decay })

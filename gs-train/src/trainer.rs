@@ -325,11 +325,10 @@ impl Trainer {
     fn update(&mut self, step: u32) -> Refused {
         let mut refused = Refused::default();
         let schedule = self.method.schedule();
-        let clock = schedule.position(step).clock;
         let extent = self.scene.extent;
         let mut updates: BTreeMap<String, Update> = BTreeMap::new();
         self.method.visit(&mut |p| {
-            updates.extend(schedule.update(p, clock, extent).map(|update| (p.name.clone(), update)));
+            updates.extend(schedule.update(p, step, extent).map(|update| (p.name.clone(), update)));
         });
         let adam = &mut self.adam;
         self.method.visit_mut(&mut |p| match updates.get(&p.name) {

@@ -80,7 +80,7 @@ impl Canonical {
 
     /// Adds what a view of the present step has seen to the growth statistics.
     pub fn observe(&mut self, seen: &ScreenStats, camera: &Camera) {
-        if self.schedule.position(self.step).clock < self.schedule.density.until {
+        if self.grows(self.step) {
             self.density.observe(seen, camera.width, camera.height);
         }
     }
@@ -96,19 +96,23 @@ impl Canonical {
     }
 
     fn adapt_cloud(&mut self, step: u32) -> Adapted {
-        let position = self.schedule.position(step);
-        let rules = &self.schedule.density;
-        if position.clock >= rules.until {
+        if !self.grows(step) {
             return Adapted::default();
         }
+        let rules = &self.schedule.density;
         let at = DensityContext {
             step,
-            clock: position.clock,
+            clock: self.schedule.position(step).clock,
             extent: self.extent,
             seed: self.seed,
             white: self.schedule.background == Background::White,
         };
         self.density.adapt(rules, &at, &mut self.cloud)
+    }
+
+    /// Whether density control acts in a step.
+    fn grows(&self, step: u32) -> bool {
+        self.schedule.position(step).clock < self.schedule.density.until && !self.schedule.field_alone(step)
     }
 
     fn sh_degree(&self) -> u8 {

@@ -47,6 +47,30 @@ fn a_thrown_ball_is_forecast_and_a_field_alone_cannot() {
 }
 
 #[test]
+fn a_field_alone_follows_while_the_cloud_and_the_law_rest() {
+    let data = Arc::new(mechanics("falling").dataset);
+    let stages = "stages.warm_up.steps = 20\nstages.follow.steps = 30\nstages.dynamic.steps = 10";
+    let mut trainer = trainer(&data, "trace", &format!("density.from = 5\ndensity.every = 10\n{stages}"));
+    let values = |trainer: &Trainer, field: bool| {
+        let mut all = Vec::new();
+        trainer.method().visit(&mut |p| {
+            if p.name.starts_with("field.") == field {
+                all.extend(p.value.iter().map(|v| v.to_bits()));
+            }
+        });
+        all
+    };
+    run(&mut trainer, 20);
+    let [rest, field] = [false, true].map(|f| values(&trainer, f));
+    let reports = run(&mut trainer, 30);
+    assert!(reports.iter().all(|r| r.stage == "follow"));
+    assert!(values(&trainer, false) == rest, "cloud and law rest, and no splat comes or goes");
+    assert!(values(&trainer, true) != field, "the field learns");
+    run(&mut trainer, 10);
+    assert!(values(&trainer, false) != rest, "then all learns");
+}
+
+#[test]
 fn a_forecast_does_not_depend_on_what_was_asked_before() {
     let data = Arc::new(mechanics("wheel").dataset);
     let short = "[schedule.stages.warm_up]\nsteps = 20\n[schedule.stages.dynamic]\nsteps = 40";

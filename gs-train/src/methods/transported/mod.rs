@@ -10,7 +10,8 @@
 //! constant, the dynamics learn from the same cotangent at its end, and nothing flows through the place they are read at.
 //! Moments before the first step of Δt are the field's alone.
 //!
-//! Past `T_def` the scene is drawn from the deformation at `T_def` and the dynamics; the field never sees a later time.
+//! Past `T_def` the scene is drawn from the deformation at `T_def` and the dynamics; the field is read at a later time in stages
+//! of its own only ([`Stage::field_alone`](crate::schedule::Stage::field_alone)), where it moves splats by itself.
 
 use crate::density::Adapted;
 use crate::methods::canonical::Canonical;
@@ -197,7 +198,7 @@ impl<F: Field, D: Dynamics> Transported<F, D> {
         if !self.config.field {
             return Span { from: 0.0, to: t };
         }
-        if t < step.max(start) {
+        if t < step.max(start) || self.canonical.schedule.field_alone(self.canonical.step()) {
             return Span { from: t, to: t };
         }
         if t > last_field {

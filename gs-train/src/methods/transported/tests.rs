@@ -128,6 +128,18 @@ fn training_reads_the_field_on_either_side_and_never_past_its_end() {
 }
 
 #[test]
+fn a_field_alone_is_read_at_the_time_of_the_photograph() {
+    let mut m = method(CONFIG, true);
+    let dynamic = m.canonical.schedule.stages.get_mut("dynamic").unwrap();
+    dynamic.field_alone = true;
+    for t in [0.0, 0.3, 0.7] {
+        assert_eq!(m.training_span(t), Span { from: t, to: t });
+    }
+    learn(&mut m, 0.7);
+    assert!(m.dynamics.0.grad.iter().all(|g| *g == 0.0));
+}
+
+#[test]
 fn the_reach_opens_over_the_stage() {
     let mut m = method(PhysicsConfig { reach: 3, ..CONFIG }, true);
     // The stage has steps 121 to 1000.
