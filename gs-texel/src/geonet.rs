@@ -12,7 +12,7 @@
 //! dec1   [·, f1] RB 96→48, RB 48, ×2                            S
 //! head   [·, input] conv 3×3 → 32, ReLU, conv 3×3, ReLU, conv 1×1 → 3
 //! ```
-//! Offsets are metres along canonical axes, without any function behind them. The last layer begins at zero, so that
+//! Offsets are along canonical axes, in metres or another unit, without any function behind them. The last layer begins at zero, so that
 //! training begins at the undeformed template.
 
 use crate::net::block::{Residual, ResidualTape, Slot, Unit, UnitTape};
@@ -28,13 +28,15 @@ const OUTPUTS: usize = 3;
 const HALVINGS: u32 = 3;
 
 /// Shape of a [`GeoNet`] and how it is run.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct GeoNetConfig {
     /// Channels in: texture (3) and normals (3).
     pub inputs: usize,
     /// Channels of the first stage, a multiple of 16; the others are in proportion.
     pub width: usize,
+    /// Metres of an output of one, above 0. Offsets are centimetres while steps of training suit values about one.
+    pub offset_unit: f32,
     /// Where the network exists.
     pub norm_over: NormOver,
     /// Whether only valid texels are computed (exact; matters with [`NormOver::Mask`]).
@@ -43,7 +45,7 @@ pub struct GeoNetConfig {
 
 impl Default for GeoNetConfig {
     fn default() -> Self {
-        Self { inputs: 6, width: 32, norm_over: NormOver::All, sparse: true }
+        Self { inputs: 6, width: 32, offset_unit: 1.0, norm_over: NormOver::All, sparse: true }
     }
 }
 
@@ -144,7 +146,7 @@ impl GeoNet {
     /// # Errors
     /// If `size` is no multiple of 8, or the mask is missing, of another size or empty.
     pub fn tape(&self, size: usize, mask: Option<&[bool]>) -> Result<GeoNetTape, NetError> {
-        let GeoNetConfig { inputs, width: w, norm_over, sparse } = self.config;
+        let GeoNetConfig { inputs, width: w, norm_over, sparse, .. } = self.config;
         let levels = Level::pyramid(size, HALVINGS, norm_over, sparse, mask)?;
         let mut at = 0..;
         let stages = self.stages.each_ref().map(|s| {
@@ -189,6 +191,7 @@ impl GeoNet {
         join([&dec1[1].out.y, input], &mut doubled[2], &mut joined[2], &levels[0]);
         self.forward_head(&joined[2].y, head, &levels[0]);
         head[2].y.store(output);
+        output.iter_mut().for_each(|v| *v *= self.config.offset_unit);
         Ok(output)
     }
 
@@ -208,7 +211,8 @@ impl GeoNet {
     /// If `d_out` has another length or a value that is not finite; nothing was added then.
     pub fn backward(&mut self, tape: &mut GeoNetTape, d_out: &[f32]) -> Result<(), NetError> {
         let GeoNetTape { levels, input, stem, stages, doubled, joined, head, .. } = tape;
-        load("gradient of GeoNet's output", d_out, &mut head[2].d, &levels[0])?;
+        let d_out: Vec<f32> = d_out.iter().map(|d| d * self.config.offset_unit).collect();
+        load("gradient of GeoNet's output", &d_out, &mut head[2].d, &levels[0])?;
         self.backward_head(&mut joined[2], head, &levels[0]);
         let [enc1, enc2, enc3, dec3, dec2, dec1] = stages;
         // To the doubled map and through the doubling; `fine` is what it was joined with.

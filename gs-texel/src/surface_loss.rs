@@ -12,11 +12,13 @@
 //! Positions must be finite, and numbers of vertices in range.
 
 mod chamfer;
+mod faces;
 mod isometry;
 mod laplacian;
 mod normals;
 
 pub use chamfer::{Chamfer, ChamferError};
+pub use faces::{Colors, NEIGHBOURS, Paint};
 pub use isometry::{Isometry, IsometryRule};
 pub use laplacian::laplacian;
 pub use normals::{NormalConsistency, NormalRule};

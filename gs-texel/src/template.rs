@@ -141,6 +141,15 @@ impl Wrap {
         }
     }
 
+    /// The derivative of that coordinate.
+    fn slope(self, x: f32) -> f32 {
+        match self {
+            Wrap::Repeat => 1.0,
+            Wrap::Clamp => f32::from(u8::from((0.0..=1.0).contains(&x))),
+            Wrap::Mirror => 1.0 - 2.0 * (x.floor().rem_euclid(2.0)),
+        }
+    }
+
     /// The texel that is read for texel number `x` of a row of `n`.
     fn texel(self, x: i64, n: usize) -> usize {
         let n = n as i64;
@@ -169,8 +178,13 @@ impl Default for Material {
 impl Material {
     /// Colour and opacity at a place of the texture: bilinear, display-encoded.
     pub fn colour(&self, uv: Vec2) -> Vec4 {
+        self.colour_and_slope(uv).0
+    }
+
+    /// The same, and its derivatives along `u` and `v`.
+    pub fn colour_and_slope(&self, uv: Vec2) -> (Vec4, [Vec4; 2]) {
         let Some(texture) = self.texture.as_ref().filter(|t| t.width * t.height > 0 && t.channels == 4) else {
-            return self.factor;
+            return (self.factor, [Vec4::ZERO; 2]);
         };
         let x = self.wrap[0].at(uv.x) * texture.width as f32 - 0.5;
         let y = self.wrap[1].at(uv.y) * texture.height as f32 - 0.5;
@@ -180,8 +194,11 @@ impl Material {
             let v = self.wrap[1].texel(y0 as i64 + dy, texture.height);
             Vec4::from_slice(texture.pixel(u, v))
         };
-        let row = |dy| texel(0, dy).lerp(texel(1, dy), x - x0);
-        row(0).lerp(row(1), y - y0) * self.factor
+        let [[a, b], [c, d]] = [0, 1].map(|dy| [0, 1].map(|dx| texel(dx, dy)));
+        let (above, below) = (a.lerp(b, x - x0), c.lerp(d, x - x0));
+        let along_u = (b - a).lerp(d - c, y - y0) * (texture.width as f32 * self.wrap[0].slope(uv.x));
+        let along_v = (below - above) * (texture.height as f32 * self.wrap[1].slope(uv.y));
+        (above.lerp(below, y - y0) * self.factor, [along_u * self.factor, along_v * self.factor])
     }
 }
 
@@ -194,11 +211,20 @@ impl Template {
 
     /// Display-encoded colour and opacity of a point of a triangle, by its three barycentric coordinates.
     pub fn colour(&self, face: usize, bary: [f32; 3]) -> Vec4 {
+        self.colour_and_slopes(face, bary).0
+    }
+
+    /// The same, and its derivatives with respect to the barycentric coordinates.
+    pub fn colour_and_slopes(&self, face: usize, bary: [f32; 3]) -> (Vec4, [Vec4; 3]) {
         let material = self.face_materials.get(face).and_then(|&m| self.materials.get(usize::from(m)));
-        let uv = self.painted(face).map(|c| c[0] * bary[0] + c[1] * bary[1] + c[2] * bary[2]);
         let corners = self.face_colors.get(face).filter(|_| material.is_none_or(|m| m.texture.is_none()));
-        let own = corners.map_or(Vec4::ONE, |c| c[0] * bary[0] + c[1] * bary[1] + c[2] * bary[2]);
-        own * material.map_or(Vec4::ONE, |m| uv.map_or(m.factor, |uv| m.colour(uv)))
+        let corners = corners.copied().unwrap_or([Vec4::ONE; 3]);
+        let own = corners[0] * bary[0] + corners[1] * bary[1] + corners[2] * bary[2];
+        let Some(material) = material else { return (own, corners) };
+        let Some(at) = self.painted(face) else { return (own * material.factor, corners.map(|c| c * material.factor)) };
+        let (color, [u, v]) = material.colour_and_slope(at[0] * bary[0] + at[1] * bary[1] + at[2] * bary[2]);
+        let slope = |k: usize| corners[k] * color + own * (u * at[k].x + v * at[k].y);
+        (own * color, [0, 1, 2].map(slope))
     }
 
     /// `v̄ + Σ_k w_k Δ_k`: the vertices with morphs of these weights, in the bind pose.

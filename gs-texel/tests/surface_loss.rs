@@ -11,7 +11,7 @@ use glam::{DVec3, Vec3};
 use gs_core::Rng;
 use gs_texel::surface::Topology;
 use gs_texel::surface_loss::{
-    Chamfer, ChamferError, Isometry, IsometryRule, NormalConsistency, NormalRule, SurfaceLoss, laplacian,
+    Chamfer, ChamferError, Colors, Isometry, IsometryRule, NormalConsistency, NormalRule, Paint, SurfaceLoss, laplacian,
 };
 use std::collections::BTreeSet;
 
@@ -156,11 +156,11 @@ fn chamfer_to_faces_is_its_definition_and_rests_on_the_surface() {
     let topology = topology(&faces, points.len());
     let target = moved(&sheet(13, 2).0, 0.01, 3);
     let chamfer = Chamfer::new(&target).unwrap();
-    let value = |p: &[DVec3]| chamfer.evaluate_faces(p, &faces, &topology).unwrap().value;
-    let loss = chamfer.evaluate_faces(&points, &faces, &topology).unwrap();
+    let value = |p: &[DVec3]| chamfer.evaluate_faces(p, &faces, &topology, None).unwrap().value;
+    let loss = chamfer.evaluate_faces(&points, &faces, &topology, None).unwrap();
     let error = against_differences(&points, &loss.grad, value);
     assert!(error < DIFFERENCE, "{error:e}");
-    // The nearest face may lie beyond those at the nearest vertex, but hardly ever: the definition by walking all faces.
+    // The nearest face may lie beyond those at the nearest vertices, but hardly ever: the definition by walking all faces.
     let nearest = |q: &DVec3| {
         let steps = (0..=60).flat_map(|i| (0..=60 - i).map(move |j| [i, j].map(|v| f64::from(v) / 60.0)));
         let on = |f: &[u32; 3], [s, t]: [f64; 2]| {
@@ -178,7 +178,7 @@ fn chamfer_to_faces_is_its_definition_and_rests_on_the_surface() {
         0.8 * a + 0.1 * b + 0.1 * c
     };
     let on: Vec<DVec3> = faces.iter().map(near_corner).collect();
-    let resting = Chamfer::new(&on).unwrap().evaluate_faces(&points, &faces, &topology).unwrap();
+    let resting = Chamfer::new(&on).unwrap().evaluate_faces(&points, &faces, &topology, None).unwrap();
     assert!(resting.value < 1e-30 && resting.grad.iter().all(|g| g.length() < 1e-16));
     let triangle = [DVec3::ZERO, DVec3::X, DVec3::Y];
     let one = Topology::new(&[[0, 1, 2]], 3).unwrap();
@@ -191,9 +191,72 @@ fn chamfer_to_faces_is_its_definition_and_rests_on_the_surface() {
         (DVec3::new(1.0, 1.0, 0.0), 0.5),
         (DVec3::new(0.2, 0.3, -3.0), 9.0),
     ] {
-        let loss = Chamfer::new(&[q]).unwrap().evaluate_faces(&triangle, &[[0, 1, 2]], &one).unwrap();
+        let loss = Chamfer::new(&[q]).unwrap().evaluate_faces(&triangle, &[[0, 1, 2]], &one, None).unwrap();
         assert!((loss.value - want).abs() < 1e-12, "{q}: {} {want}", loss.value);
     }
+}
+
+/// Colours by place in the rest pose of a sheet.
+struct Waves {
+    rest: Vec<DVec3>,
+    faces: Vec<[u32; 3]>,
+}
+
+impl Waves {
+    fn color(x: DVec3) -> DVec3 {
+        DVec3::new((5.0 * x.x).sin(), (4.0 * x.y + 1.0).sin(), (4.0 * (x.x - x.y)).cos())
+    }
+}
+
+impl Paint for Waves {
+    fn at(&self, face: usize, bary: [f64; 3]) -> (DVec3, [DVec3; 3]) {
+        let at = self.faces[face].map(|v| self.rest[v as usize]);
+        let x = bary[0] * at[0] + bary[1] * at[1] + bary[2] * at[2];
+        let along = |d: DVec3| {
+            let diagonal = -4.0 * (4.0 * (x.x - x.y)).sin() * (d.x - d.y);
+            DVec3::new(5.0 * (5.0 * x.x).cos() * d.x, 4.0 * (4.0 * x.y + 1.0).cos() * d.y, diagonal)
+        };
+        (Self::color(x), at.map(along))
+    }
+}
+
+#[test]
+fn colours_of_points_say_how_far_a_surface_slid() {
+    let (rest, faces) = sheet(9, 1);
+    let paint = &Waves { rest: rest.clone(), faces: faces.clone() };
+    let topology = topology(&faces, rest.len());
+    // Points of the sheet, and some beside its border.
+    let on = |k: usize, f: &[u32; 3]| {
+        let [a, b, c] = f.map(|v| rest[v as usize]);
+        let s = 0.1 + 0.8 * (k % 7) as f64 / 7.0;
+        s * a + (1.0 - s) * (0.3 * b + 0.7 * c)
+    };
+    let mut target: Vec<DVec3> = faces.iter().enumerate().map(|(k, f)| on(k, f)).collect();
+    let colors: Vec<[f32; 3]> = target.iter().map(|q| Waves::color(*q).as_vec3().to_array()).collect();
+    let weighing = |weight| Colors { paint, points: &colors, weight };
+    let resting = Chamfer::new(&target).unwrap();
+    let at_rest = resting.evaluate_faces(&rest, &faces, &topology, Some(&weighing(0.05))).unwrap();
+    assert!(at_rest.value < 1e-12 && at_rest.grad.iter().all(|g| g.length() < 1e-7), "{}", at_rest.value);
+    let slid: Vec<DVec3> = rest.iter().map(|p| *p + 0.02 * DVec3::X).collect();
+    let pull = |colors: Option<&Colors<'_>>| -> f64 {
+        let loss = resting.evaluate_faces(&slid, &faces, &topology, colors).unwrap();
+        loss.grad.iter().map(|g| g.x).sum()
+    };
+    assert!(pull(Some(&weighing(0.05))) > 4.0 * pull(None).abs(), "{} {}", pull(Some(&weighing(0.05))), pull(None));
+    target.iter_mut().step_by(3).for_each(|q| *q += DVec3::new(0.03, -0.02, 0.04));
+    let chamfer = Chamfer::new(&target).unwrap();
+    for weight in [0.0, 0.05, 1.0] {
+        let colors = weighing(weight);
+        let evaluate = |p: &[DVec3]| chamfer.evaluate_faces(p, &faces, &topology, Some(&colors)).unwrap();
+        let loss = evaluate(&slid);
+        let error = against_differences(&slid, &loss.grad, |p| evaluate(p).value);
+        assert!(error < DIFFERENCE, "{weight}: {error:e}");
+        let narrowed = chamfer.evaluate_faces(&narrow(&slid), &faces, &topology, Some(&colors)).unwrap();
+        assert!(apart(&narrowed, &loss) < PRODUCTION, "{weight}: {:e}", apart(&narrowed, &loss));
+    }
+    let few = Colors { points: &colors[1..], ..weighing(1.0) };
+    let e = chamfer.evaluate_faces(&rest, &faces, &topology, Some(&few)).unwrap_err();
+    assert_eq!(e, ChamferError::Colors { got: colors.len() - 1, want: colors.len() });
 }
 
 #[test]

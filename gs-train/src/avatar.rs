@@ -65,18 +65,34 @@ pub struct AvatarFrame {
 /// Points of a surface.
 #[derive(Clone, Debug, PartialEq)]
 pub enum SurfacePoints {
-    /// A file of positions.
+    /// A file of them.
     File(PathBuf),
+    /// The points themselves.
+    Memory(Arc<MeasuredPoints>),
+}
+
+/// Points of a surface, and what they look like.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct MeasuredPoints {
     /// World units.
-    Memory(Arc<Vec<Vec3>>),
+    pub positions: Vec<Vec3>,
+    /// Display-encoded RGB in 0..1, one per position, where they were measured.
+    pub colors: Option<Vec<[f32; 3]>>,
+}
+
+impl MeasuredPoints {
+    /// Points of unknown colour.
+    pub fn uncoloured(positions: Vec<Vec3>) -> Self {
+        Self { positions, colors: None }
+    }
 }
 
 impl SurfacePoints {
-    /// The points, world units.
+    /// The points.
     ///
     /// # Errors
     /// As reading the file goes.
-    pub fn read(&self) -> Result<Arc<Vec<Vec3>>, DataError> {
+    pub fn read(&self) -> Result<Arc<MeasuredPoints>, DataError> {
         match self {
             Self::Memory(points) => Ok(points.clone()),
             Self::File(file) => Ok(Arc::new(points::read(file)?)),

@@ -2,6 +2,8 @@
 
 use gs_core::io::Limits;
 use gs_texel::maps_exr::load_layers;
+use gs_texel::surface::Topology;
+use gs_texel::surface_loss::{Chamfer, Colors};
 use gs_texel::zbuffer::DepthMap;
 use gs_train::avatar::AvatarScene;
 use gs_train::data::{DataError, DataOptions, Dataset, ImageCache, ImageSource, ImageU8, TimeFrom, View, detect};
@@ -142,13 +144,37 @@ fn morphs_are_shown_known_or_left_out() {
 }
 
 #[test]
+fn morphs_act_one_by_one() {
+    let with = |names: &[&str]| {
+        let only_morphs = names.iter().map(|n| n.to_string()).collect();
+        generate(&AvatarOptions { per_ring: 4, rings: 1, only_morphs, ..small() }).unwrap()
+    };
+    let films = [with(&[]), with(&["breathe"]), with(&["swing"]), with(&["swing", "breathe"])];
+    let [all, breathe, swing, both] = films.each_ref().map(|f| scene(f).frames[1].true_morphs.clone().unwrap());
+    assert!(all.iter().all(|w| w.abs() > 0.1), "{all:?}");
+    assert_eq!((breathe, swing, both), (vec![all[0], 0.0], vec![0.0, all[1]], all));
+}
+
+#[test]
+fn a_template_that_is_not_in_metres_is_named() {
+    let noted = |template: &str| {
+        let options = AvatarOptions { template: template.into(), per_ring: 4, rings: 1, frames: 1, ..small() };
+        generate(&options).unwrap().notes.iter().any(|n| n.contains("a unit is taken for a metre"))
+    };
+    assert!(!noted("builtin:person"));
+    let Some(folder) = gs_core::testkit::shared("data/gltf_public") else { return };
+    assert!(noted(folder.join("Fox.glb").to_str().unwrap()));
+    assert!(!noted(folder.join("CesiumMan.glb").to_str().unwrap()));
+}
+
+#[test]
 fn points_lie_on_the_true_surface() {
     let s = scene(film());
     let frame = &s.frames[2];
     let points = frame.points.as_ref().unwrap().read().unwrap();
-    assert_eq!(points.len(), 400);
+    assert_eq!(points.positions.len(), 400);
     let (surface, faces) = (s.true_surface(frame), &s.character.template.faces);
-    for p in points.iter().step_by(20) {
+    for p in points.positions.iter().step_by(20) {
         let off = |f: &[u32; 3]| {
             let [a, b, c] = f.map(|v| surface[v as usize]);
             let n = (b - a).cross(c - a).normalize_or_zero();
@@ -158,6 +184,15 @@ fn points_lie_on_the_true_surface() {
         };
         assert!(faces.iter().map(off).fold(f32::INFINITY, f32::min) < 1e-5);
     }
+    // They have the colours of the surface there.
+    let colors = points.colors.as_ref().unwrap();
+    let topology = Topology::new(faces, surface.len()).unwrap();
+    let chamfer = Chamfer::new(&points.positions).unwrap();
+    let away = |points: &[[f32; 3]]| {
+        let colors = Colors { paint: &s.character.template, points, weight: 0.05 };
+        chamfer.evaluate_faces(&surface, faces, &topology, Some(&colors)).unwrap().value
+    };
+    assert!(away(colors) < 1e-5 && away(&[[0.5; 3]; 400]) > 1e-3, "{} {}", away(colors), away(&[[0.5; 3]; 400]));
 }
 
 /// Whether a film read back is the one in memory: everything exactly but cameras, whose files go through decimal matrices
@@ -496,6 +531,7 @@ fn options_of_the_generator_have_domains() {
         (AvatarOptions { frames: 100_000, size: 2048, ..o() }, "8 GiB"),
         (AvatarOptions { clip: Some("fly".into()), ..o() }, "walk, wave, turn"),
         (AvatarOptions { template: "builtin:horse".into(), ..o() }, "builtin:person"),
+        (AvatarOptions { only_morphs: vec!["fly".into()], ..o() }, "breathe, swing"),
     ] {
         names(&generate(&options).unwrap_err(), "data.option", &[words]);
     }

@@ -10,22 +10,18 @@
 //! ```text
 //! |e|²  becomes  (n·e)² + s |e − n (n·e)|²        e = p − q
 //! ```
-//! Between vertices a surface is its faces, so points may also be held against these ([`Chamfer::evaluate_faces`]), which
-//! nothing pulls off a surface that the points lie on:
-//! ```text
-//! L = (1/|Q|) Σ_q |q − c|²     g_k = (2/|Q|) Σ_q b_k (c − q)     c = Σ b_k p_k, the nearest of the faces at q's nearest vertex
-//! ```
+//! Points may also be held against faces: [`Chamfer::evaluate_faces`].
+//!
 //! Neighbours come from k-d trees in `f32` about the middle of `Q`: of points equally near to rounding either may be taken,
 //! which moves the value by rounding. Distances are then taken in `f64`.
 
 use super::{Point, SurfaceLoss};
-use crate::surface::Topology;
 use glam::DVec3;
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
 
 /// Queries per parallel block.
-const BLOCK: usize = 512;
+pub(super) const BLOCK: usize = 512;
 
 /// Points that no Chamfer distance can be taken of.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -41,6 +37,14 @@ pub enum ChamferError {
         /// The first such row.
         row: usize,
     },
+    /// There are not as many colours as points.
+    #[error("{got} colours of {want} measured points: every point needs one, or none has")]
+    Colors {
+        /// Colours present.
+        got: usize,
+        /// Points.
+        want: usize,
+    },
     /// No tree can be built (too many points in one place).
     #[error("the {what} cannot be indexed: {why}; thin out points that coincide")]
     Tree {
@@ -53,10 +57,12 @@ pub enum ChamferError {
 
 /// The measured points `Q` of a frame, indexed once.
 pub struct Chamfer {
-    target: Vec<DVec3>,
-    middle: DVec3,
-    tree: ImmutableKdTree<f32, 3>,
+    pub(super) target: Vec<DVec3>,
+    pub(super) middle: DVec3,
+    tree: Tree,
 }
+
+type Tree = ImmutableKdTree<f32, 3>;
 
 impl Chamfer {
     /// Indexes the measured points.
@@ -98,40 +104,13 @@ impl Chamfer {
         self.evaluate_along(points, along)
     }
 
-    /// The mean squared distance of the measured points to the faces of a surface: to the nearest of those at the vertex that
-    /// is nearest. `topology` is that of `faces`.
-    ///
-    /// # Errors
-    /// As [`Chamfer::evaluate`].
-    pub fn evaluate_faces<P: Point>(
-        &self,
-        points: &[P],
-        faces: &[[u32; 3]],
-        topology: &Topology,
-    ) -> Result<SurfaceLoss, ChamferError> {
+    /// A surface's vertices, verified and indexed.
+    pub(super) fn vertices<P: Point>(&self, points: &[P]) -> Result<(Vec<DVec3>, Tree), ChamferError> {
         const WHAT: &str = "vertices";
         let points: Vec<DVec3> = points.iter().map(|p| p.wide()).collect();
         check(&points, WHAT)?;
-        let moving = index(&points, self.middle, WHAT)?;
-        let mut loss = SurfaceLoss::none(points.len());
-        let share = 1.0 / self.target.len() as f64;
-        for (&q, i) in self.target.iter().zip(nearest(&moving, &self.target, self.middle)) {
-            let mut best = ([i; 3], [1.0, 0.0, 0.0], points[i as usize] - q);
-            for &corner in topology.corners.row(i as usize) {
-                let face = faces[corner as usize / 3];
-                let corners = face.map(|v| points[v as usize]);
-                let bary = nearest_in_triangle(q, corners);
-                let away = (0..3).map(|k| bary[k] * corners[k]).sum::<DVec3>() - q;
-                // False where a face has no area.
-                if away.length_squared() < best.2.length_squared() {
-                    best = (face, bary, away);
-                }
-            }
-            let (face, bary, away) = best;
-            loss.value += share * away.length_squared();
-            (0..3).for_each(|k| loss.grad[face[k] as usize] += 2.0 * share * bary[k] * away);
-        }
-        Ok(loss)
+        let tree = index(&points, self.middle, WHAT)?;
+        Ok((points, tree))
     }
 
     /// `along` gives of a vertex and its distance `e` the vector `M e` of the loss `eᵀ M e`.
@@ -140,10 +119,7 @@ impl Chamfer {
         points: &[P],
         along: impl Fn(usize, DVec3) -> DVec3,
     ) -> Result<SurfaceLoss, ChamferError> {
-        const WHAT: &str = "vertices";
-        let points: Vec<DVec3> = points.iter().map(|p| p.wide()).collect();
-        check(&points, WHAT)?;
-        let moving = index(&points, self.middle, WHAT)?;
+        let (points, moving) = self.vertices(points)?;
         let mut loss = SurfaceLoss::none(points.len());
         let share = 1.0 / points.len() as f64;
         for (i, q) in nearest(&self.tree, &points, self.middle).into_iter().enumerate() {
@@ -170,17 +146,17 @@ fn check(points: &[DVec3], what: &'static str) -> Result<(), ChamferError> {
     points.iter().position(|p| !p.is_finite()).map_or(Ok(()), |row| Err(ChamferError::NotFinite { what, row }))
 }
 
-fn local(point: DVec3, middle: DVec3) -> [f32; 3] {
+pub(super) fn local(point: DVec3, middle: DVec3) -> [f32; 3] {
     (point - middle).as_vec3().to_array()
 }
 
-fn index(points: &[DVec3], middle: DVec3, what: &'static str) -> Result<ImmutableKdTree<f32, 3>, ChamferError> {
+fn index(points: &[DVec3], middle: DVec3, what: &'static str) -> Result<Tree, ChamferError> {
     let flat: Vec<[f32; 3]> = points.iter().map(|p| local(*p, middle)).collect();
     ImmutableKdTree::new_from_slice(&flat).map_err(|e| ChamferError::Tree { what, why: format!("{e:?}") })
 }
 
 /// Row of the nearest indexed point, for each query.
-fn nearest(tree: &ImmutableKdTree<f32, 3>, queries: &[DVec3], middle: DVec3) -> Vec<u32> {
+fn nearest(tree: &Tree, queries: &[DVec3], middle: DVec3) -> Vec<u32> {
     let mut out = vec![0; queries.len()];
     out.par_chunks_mut(BLOCK).zip(queries.par_chunks(BLOCK)).for_each(|(out, queries)| {
         for (row, query) in out.iter_mut().zip(queries) {
@@ -188,36 +164,4 @@ fn nearest(tree: &ImmutableKdTree<f32, 3>, queries: &[DVec3], middle: DVec3) -> 
         }
     });
     out
-}
-
-/// Barycentric coordinates of the point of a triangle that is nearest to `q` (Ericson 2005, "Real-Time Collision
-/// Detection", 5.1.5). Not numbers where it has no area.
-fn nearest_in_triangle(q: DVec3, [a, b, c]: [DVec3; 3]) -> [f64; 3] {
-    let (ab, ac) = (b - a, c - a);
-    let (d1, d2) = (ab.dot(q - a), ac.dot(q - a));
-    let (d3, d4) = (ab.dot(q - b), ac.dot(q - b));
-    let (d5, d6) = (ab.dot(q - c), ac.dot(q - c));
-    if d1 <= 0.0 && d2 <= 0.0 {
-        return [1.0, 0.0, 0.0];
-    }
-    if d3 >= 0.0 && d4 <= d3 {
-        return [0.0, 1.0, 0.0];
-    }
-    if d6 >= 0.0 && d5 <= d6 {
-        return [0.0, 0.0, 1.0];
-    }
-    let (of_a, of_b, of_c) = (d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2);
-    if of_c <= 0.0 && d1 >= 0.0 && d3 <= 0.0 {
-        let t = d1 / (d1 - d3);
-        return [1.0 - t, t, 0.0];
-    }
-    if of_b <= 0.0 && d2 >= 0.0 && d6 <= 0.0 {
-        let t = d2 / (d2 - d6);
-        return [1.0 - t, 0.0, t];
-    }
-    if of_a <= 0.0 && d4 >= d3 && d5 >= d6 {
-        let t = (d4 - d3) / ((d4 - d3) + (d5 - d6));
-        return [0.0, 1.0 - t, t];
-    }
-    [of_a, of_b, of_c].map(|v| v / (of_a + of_b + of_c))
 }

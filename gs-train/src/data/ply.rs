@@ -9,11 +9,24 @@ use gs_core::io::{self, Limits};
 use super::PointCloud;
 use super::error::DataError;
 
-/// Reads the points of a file.
+/// Reads the points of a file; those without colours are grey.
 ///
 /// # Errors
 /// `data.points` with whatever the PLY reader finds.
 pub(crate) fn read_points(file: &Path) -> Result<PointCloud, DataError> {
+    let (positions, colors) = read_measured(file)?;
+    let colors = colors.unwrap_or_else(|| vec![[0.5; 3]; positions.len()]);
+    Ok(PointCloud { positions, colors })
+}
+
+/// Positions and, where the file has them, colours in 0..1.
+type Measured = (Vec<Vec3>, Option<Vec<[f32; 3]>>);
+
+/// Reads the points of a file.
+///
+/// # Errors
+/// As [`read_points`].
+pub(crate) fn read_measured(file: &Path) -> Result<Measured, DataError> {
     let failed = |source| DataError::Points { file: file.to_path_buf(), source: Box::new(source) };
     let limits = Limits::default();
     let bytes = io::read_file(file, &limits).map_err(failed)?;
@@ -23,13 +36,11 @@ pub(crate) fn read_points(file: &Path) -> Result<PointCloud, DataError> {
     let positions: Vec<Vec3> = triples(columns(&["x", "y", "z"])?).into_iter().map(Vec3::from).collect();
     let properties = io::ply::property_names(&bytes, &name).map_err(failed)?;
     let colored = ["red", "green", "blue"].iter().all(|c| properties.iter().any(|p| p == c));
-    let colors = if colored {
-        let bytes = triples(columns(&["red", "green", "blue"])?);
-        bytes.into_iter().map(|c| c.map(|v| (v / 255.0).clamp(0.0, 1.0))).collect()
-    } else {
-        vec![[0.5; 3]; positions.len()]
-    };
-    Ok(PointCloud { positions, colors })
+    if !colored {
+        return Ok((positions, None));
+    }
+    let bytes = triples(columns(&["red", "green", "blue"])?);
+    Ok((positions, Some(bytes.into_iter().map(|c| c.map(|v| (v / 255.0).clamp(0.0, 1.0))).collect())))
 }
 
 /// Writes points with colours, binary.

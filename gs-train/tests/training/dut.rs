@@ -141,9 +141,12 @@ fn geometry_and_warm_up_have_the_gradients_of_their_losses() {
     let at = Moment::new(data.train[0].time);
     let camera = data.train[0].camera.clone();
     // What cameras see of texels jumps; its gradient is tested where it stands.
-    let config = config(&[SHORT, "gaunet.clip = 0.0\nsurface.texture = 0.0"]);
-    for step in [1, 6] {
-        let mut method = bare(&data, &config, step);
+    let vertices = config(&[SHORT, "gaunet.clip = 0.0\nsurface.texture = 0.0"]);
+    let mut faces = vertices.clone();
+    let colored = "geonet.offset_unit = 0.1\nsurface = { points = \"faces\", color = 0.05 }";
+    overlay(&mut faces, colored.parse().expect("TOML"));
+    for (step, config) in [(1, &vertices), (6, &vertices), (1, &faces)] {
+        let mut method = bare(&data, config, step);
         assert!(!method.looks());
         // The last layers begin at zero: moved, or nothing before them has a gradient.
         method.visit_mut(&mut |p| {
@@ -267,6 +270,7 @@ fn settings_that_do_not_fit_are_refused() {
         (&["textures.geo = 60"], "multiple of 8"),
         (&["gaussians.sh_degree = 4"], "SH degree 4"),
         (&["surface.isometry = -1.0"], "surface.isometry = -1"),
+        (&["surface.color = 0.05"], "surface.points = \"faces\""),
         (&["unproject.min_cos = 2.0"], "min_cos"),
         (&["reference.opacity = 1.0"], "reference.opacity"),
     ] {
@@ -468,14 +472,33 @@ fn published_behaviour_can_be_asked_for() {
     assert!(raw.means == turned.means && raw.quats != turned.quats && raw.scales != turned.scales);
 }
 
-#[test]
-#[ignore = "minutes long: cargo test -p gs-train --test training -- --ignored geonet_finds"]
-fn geonet_finds_a_morph() {
-    let data = film("person", 128, 8);
-    let config = config(&["schedule.stages.main.steps = 1"]);
+/// Trains GeoNet on eight frames that one morph moves; says how far its offsets are from the true ones, over all vertices
+/// and frames, and the mean loss of each sixth of the steps.
+fn geonet_on(morph: &str, steps: u32) -> (f64, Vec<f64>) {
+    let options = AvatarOptions {
+        only_morphs: vec![morph.into()],
+        frames: 8,
+        rings: 1,
+        points: 5000,
+        ..AvatarOptions::default()
+    };
+    let data = Arc::new(avatar::generate(&options).expect("film"));
+    let over = format!(
+        "
+geonet.offset_unit = 0.1
+surface = {{ points = \"faces\", color = 0.05, texture = 0.0 }}
+[schedule]
+batch = 2
+stages.geometry.steps = {steps}
+stages.main.steps = 1
+lr.geo.all = {{ start = 3e-4, end = 1e-5, steps = {steps} }}
+"
+    );
+    let config = config(&[&over]);
     let mut trainer = start(&data, &config);
-    let steps = trainer.steps() - 1;
-    run(&mut trainer, steps);
+    let mut loss = || trainer.step().expect("step").penalties.iter().map(|p| f64::from(p.1)).sum::<f64>();
+    let losses: Vec<f64> = (0..steps).map(|_| loss()).collect();
+    let means = losses.chunks_exact(steps as usize / 6).map(|c| c.iter().sum::<f64>() / c.len() as f64).collect();
     let mut method = bare(&data, &config, steps + 1);
     let mut values = Vec::new();
     trainer.method().visit(&mut |p| values.push(p.value.clone()));
@@ -484,6 +507,22 @@ fn geonet_finds_a_morph() {
     let columns = trainer.method().columns();
     method.columns_mut().into_iter().zip(columns).for_each(|(to, from)| to.values.clone_from(from.values));
     let [all, along] = method.offset_errors().expect("frames").ratio;
-    println!("RMS error / RMS length: {all:.3}, along normals {along:.3}");
-    assert!(all < 0.1, "{all:.3}, along normals {along:.3}");
+    println!("{morph}: RMS error / RMS length {all:.3}, along normals {along:.3}; losses {means:?}");
+    (all, means)
+}
+
+#[test]
+#[ignore = "minutes long: cargo test -p gs-train --test training -- --ignored geonet_finds"]
+fn geonet_finds_a_morph() {
+    let (error, losses) = geonet_on("swing", 1400);
+    assert!(losses.windows(2).all(|w| w[1] < w[0]), "{losses:?}");
+    assert!(error < 0.1, "{error:.3}");
+}
+
+#[test]
+#[ignore = "minutes long: cargo test -p gs-train --test training -- --ignored geonet_finds"]
+fn geonet_finds_a_small_morph() {
+    let (error, losses) = geonet_on("breathe", 1400);
+    assert!(losses.windows(2).all(|w| w[1] < w[0]), "{losses:?}");
+    assert!(error < 0.1, "{error:.3}");
 }

@@ -26,7 +26,7 @@ pub struct Train {
     /// Name of the method; gs4d methods lists them.
     #[arg(short, long)]
     method: String,
-    /// Recipe: fast (minutes), paper (as published), tiny (seconds).
+    /// Recipe: fast (minutes), paper (as published), tiny (seconds; of dut minutes).
     #[arg(long, default_value = "fast")]
     preset: String,
     /// A TOML file of settings, laid over the preset.

@@ -4,10 +4,10 @@ use std::path::Path;
 
 use glam::Vec3;
 
-use crate::avatar::SurfacePoints;
+use crate::avatar::{MeasuredPoints, SurfacePoints};
 use crate::data::error::{DataError, Place};
 use crate::data::files::{Root, read_bytes, read_text};
-use crate::data::ply::read_points;
+use crate::data::ply::read_measured;
 
 /// What a frame's points may be called behind its number; the first that is there is read.
 const EXTENSIONS: [&str; 3] = ["ply", "obj", "bin"];
@@ -32,11 +32,11 @@ pub(super) fn find(root: &Root, number: u32) -> Result<Option<SurfacePoints>, Da
 ///
 /// # Errors
 /// `data.points`, `data.syntax`, `data.truncated` or `data.field` with what is wrong.
-pub(crate) fn read(file: &Path) -> Result<Vec<Vec3>, DataError> {
+pub(crate) fn read(file: &Path) -> Result<MeasuredPoints, DataError> {
     match file.extension().and_then(|e| e.to_str()) {
-        Some("obj") => of_obj(file),
-        Some("bin") => of_bin(file),
-        _ => Ok(read_points(file)?.positions),
+        Some("obj") => of_obj(file).map(MeasuredPoints::uncoloured),
+        Some("bin") => of_bin(file).map(MeasuredPoints::uncoloured),
+        _ => read_measured(file).map(|(positions, colors)| MeasuredPoints { positions, colors }),
     }
 }
 
@@ -85,10 +85,10 @@ mod tests {
     fn points_of_every_kind_are_the_same() {
         let want = vec![Vec3::new(1.0, -2.5, 3.0), Vec3::new(0.0, 1e-3, 4.0)];
         let (_a, obj) = written("0.obj", b"# scan\nv 1 -2.5 3\nvn 0 0 1\n  v 0 1e-3 4 0.5 0.5 0.5\nf 1 1 1\n");
-        assert_eq!(read(&obj).unwrap(), want);
+        assert_eq!(read(&obj).unwrap(), MeasuredPoints::uncoloured(want.clone()));
         let bytes: Vec<u8> = want.iter().flat_map(|p| p.to_array()).flat_map(f32::to_le_bytes).collect();
         let (_b, bin) = written("0.bin", &bytes);
-        assert_eq!(read(&bin).unwrap(), want);
+        assert_eq!(read(&bin).unwrap(), MeasuredPoints::uncoloured(want.clone()));
         let (_c, cut) = written("0.bin", &bytes[..20]);
         assert_eq!(read(&cut).unwrap_err().code(), "data.truncated");
         let (_d, odd) = written("0.bin", &[0xff; 12]);

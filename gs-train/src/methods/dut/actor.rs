@@ -56,6 +56,16 @@ pub enum FrameError {
         "it has no points of the surface to learn geometry from; make the data with points, or set input = \"single\""
     )]
     NoPoints,
+    /// No camera sees anything of it.
+    #[error(
+        "no conditioning camera sees any texel of it; where the template is not in metres, scale it with its cameras, or set unproject.depth_tolerance in its units"
+    )]
+    Unseen,
+    /// Its points have no colours.
+    #[error(
+        "its points have no colours; make the data with coloured points (PLY with red, green, blue), or set surface.color = 0"
+    )]
+    NoColors,
 }
 
 /// A template that no texels can be laid on.
@@ -449,6 +459,9 @@ impl Mean {
         let mean = |(s, n): (&[f32; 3], &f32)| s.map(|v| v / n.max(1.0));
         let mut colors: Vec<[f32; 3]> = self.sums.iter().zip(&self.counts).map(mean).collect();
         let known: Vec<bool> = self.counts.iter().map(|n| *n > 0.0).collect();
+        if !known.contains(&true) {
+            return Err(FrameError::Unseen);
+        }
         inpaint(table, &mut colors, &known, Unseen::Nearest)?;
         Ok(colors)
     }

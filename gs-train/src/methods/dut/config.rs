@@ -134,6 +134,10 @@ pub struct SurfaceConfig {
     pub normal_rule: NormalRule,
     /// Weight of the colours of texels against their mean.
     pub texture: f32,
+    /// Weight of the colours of measured points against those the template is painted with, where points are held against
+    /// faces; squared metres. Runs from before it have none.
+    #[serde(default)]
+    pub color: f32,
     /// Steps of GeoNet after which the mean colours are made anew, of second textures; 0: they stay those of first ones.
     pub refresh: u32,
     /// What vertices on seams read of the map of offsets.
@@ -275,6 +279,7 @@ impl Config {
         };
         positive("reference.opacity", self.reference.opacity, 1.0)?;
         positive("reference.spread", self.reference.spread, 100.0)?;
+        positive("geonet.offset_unit", self.geonet.offset_unit, 100.0)?;
         positive("gaunet.offset_unit", self.gaunet.offset_unit, 100.0)?;
         let surface = &self.surface;
         let weights = [
@@ -286,10 +291,14 @@ impl Config {
             ("surface.isometry", surface.isometry),
             ("surface.normals", surface.normals),
             ("surface.texture", surface.texture),
+            ("surface.color", surface.color),
         ];
-        match weights.into_iter().find(|(_, w)| !(*w >= 0.0 && w.is_finite())) {
-            Some((name, w)) => wrong(format!("{name} = {w}: finite, not negative")),
-            None => Ok(()),
+        if let Some((name, w)) = weights.into_iter().find(|(_, w)| !(*w >= 0.0 && w.is_finite())) {
+            return wrong(format!("{name} = {w}: finite, not negative"));
         }
+        if surface.color > 0.0 && surface.points == PointRule::Vertices {
+            return wrong("surface.color holds points against faces: set surface.points = \"faces\"".into());
+        }
+        Ok(())
     }
 }

@@ -9,13 +9,13 @@ use super::actor::{Actor, First, FrameError, MeanTextures};
 use super::cache::Cache;
 use super::config::{Config, LaplacianRule, PointRule, SurfaceConfig};
 use super::texture::texture_loss;
-use crate::avatar::AvatarFrame;
+use crate::avatar::{AvatarFrame, MeasuredPoints};
 use glam::Vec3;
 use gs_core::{Image, Param, Params};
 use gs_texel::skin::{skin, skin_backward};
-use gs_texel::surface_loss::{Chamfer, Isometry, NormalConsistency, SurfaceLoss, laplacian};
+use gs_texel::surface_loss::{Chamfer, Colors, Isometry, NormalConsistency, SurfaceLoss, laplacian};
 use gs_texel::{GeoNet, GeoNetConfig, GeoNetTape};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Frames whose points are kept with their index.
 const FRAMES: usize = 256;
@@ -27,7 +27,7 @@ pub struct Geometry {
     weights: SurfaceConfig,
     isometry: Isometry,
     normals: NormalConsistency,
-    points: Cache<Chamfer>,
+    points: Cache<(Chamfer, Arc<MeasuredPoints>)>,
 }
 
 /// Values of the terms, weights applied.
@@ -95,15 +95,24 @@ impl Geometry {
     ) -> Result<(Terms, Vec<Vec3>), FrameError> {
         let points = self.points.get(frame.number, || {
             let points = frame.points.as_ref().ok_or(FrameError::NoPoints)?.read()?;
-            Ok::<_, FrameError>(Chamfer::new(points.as_slice())?)
+            Ok::<_, FrameError>((Chamfer::new(&points.positions)?, points))
         })?;
+        let (points, measured) = &*points;
         let t = &actor.scene.character.template;
         let posed = actor.surface(&first.posed, offsets);
         let deformed: Vec<Vec3> = t.vertices.iter().zip(offsets).map(|(&v, &d)| v + d).collect();
         let SurfaceConfig { laplacian: lap, isometry, normals, .. } = self.weights;
         let mut world = match self.weights.points {
             PointRule::Vertices => points.evaluate_sliding(&posed, &first.posed.normals, self.weights.slide.into())?,
-            PointRule::Faces => points.evaluate_faces(&posed, &t.faces, &actor.topology)?,
+            PointRule::Faces => {
+                let weight = f64::from(self.weights.color);
+                let colors = match measured.colors.as_deref() {
+                    _ if weight == 0.0 => None,
+                    Some(points) => Some(Colors { paint: t, points, weight }),
+                    None => return Err(FrameError::NoColors),
+                };
+                points.evaluate_faces(&posed, &t.faces, &actor.topology, colors.as_ref())?
+            }
         };
         let chamfer = world.value;
         let smooth = term(lap, || self.smooth(actor, first, &posed), posed.len());

@@ -9,12 +9,12 @@ use std::sync::Arc;
 
 use glam::Vec3;
 use gs_texel::surface::Topology;
-use gs_texel::{Character, Clip, Pose, Skinning};
+use gs_texel::{Character, Clip, Morph, Pose, Skinning};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::avatar::{BUILTIN, SurfacePoints, sample};
+use crate::avatar::{BUILTIN, MeasuredPoints, SurfacePoints, sample};
 use crate::data::avatar::{Film, FrameUse, Role, Shot, Still, shot_name};
 use crate::data::json::read_object;
 use crate::data::{DataError, DataOptions, Dataset, ImageSource, Place, View};
@@ -70,6 +70,8 @@ pub struct AvatarOptions {
     pub supersample: u32,
     /// What becomes of morph targets.
     pub morph: Morphs,
+    /// Names of the morph targets that the motion moves, the others stay at rest; none: all.
+    pub only_morphs: Vec<String>,
     /// How joints are blended.
     pub skinning: Skinning,
     /// None: the texture's colour as it is.
@@ -94,6 +96,7 @@ impl Default for AvatarOptions {
             size: 256,
             supersample: 4,
             morph: Morphs::Gt,
+            only_morphs: Vec::new(),
             skinning: Skinning::Lbs,
             light: None,
             points: 20_000,
@@ -104,6 +107,8 @@ impl Default for AvatarOptions {
 
 /// Frames a second where a motion has no length.
 const FPS: f64 = 24.0;
+/// Lengths of characters that are presumably given in metres.
+const METRES: std::ops::RangeInclusive<f32> = 0.1..=10.0;
 /// Most memory that pictures may take.
 const MAX_IMAGE_BYTES: u64 = 8 << 30;
 
@@ -150,6 +155,8 @@ struct Set<'a> {
     fps: f64,
     stills: Vec<StillLife>,
     cameras: Vec<rig::Rigged>,
+    /// Longest side of the box around all frames, world units.
+    length: f32,
 }
 
 /// A frame and its true surface.
@@ -158,7 +165,7 @@ struct StillLife {
     pose: Pose,
     true_morphs: Vec<f32>,
     surface: Vec<Vec3>,
-    points: Option<Arc<Vec<Vec3>>>,
+    points: Option<Arc<MeasuredPoints>>,
 }
 
 fn wrong(name: &'static str, value: impl ToString, rule: impl Into<String>) -> DataError {
@@ -173,13 +180,19 @@ impl<'a> Set<'a> {
         let topology = Topology::new(&template.faces, template.vertices.len());
         let topology = topology.map_err(|e| wrong("template", &options.template, e.to_string()))?;
         let clip = clip(&character, options.clip.as_deref())?;
+        let names: Vec<&str> = template.morphs.iter().map(|m| m.name.as_str()).collect();
+        if let Some(unknown) = options.only_morphs.iter().find(|n| !names.contains(&n.as_str())) {
+            return Err(wrong("only_morphs", unknown, format!("of the template's morphs: {}", names.join(", "))));
+        }
         let length = clip.as_ref().map_or(0.0, Clip::duration);
         let usual = if length > 0.0 { f64::from(options.frames) / length } else { FPS };
         let fps = options.fps.unwrap_or(usual);
-        let (stills, cameras) = Default::default();
-        let mut set = Self { options, character, atlas, why, topology, clip, fps, stills, cameras };
+        let (stills, cameras, length) = Default::default();
+        let mut set = Self { options, character, atlas, why, topology, clip, fps, stills, cameras, length };
         set.stills = (0..options.frames).into_par_iter().map(|n| set.still(n)).collect();
-        set.cameras = rig::rings(options.per_ring, options.rings, options.size, set.bounds()?)?;
+        let [low, high] = set.bounds()?;
+        set.length = (high - low).max_element();
+        set.cameras = rig::rings(options.per_ring, options.rings, options.size, [low, high])?;
         Ok(set)
     }
 
@@ -187,7 +200,11 @@ impl<'a> Set<'a> {
         let (options, skeleton) = (self.options, &self.character.skeleton);
         let seconds = f64::from(number) / self.fps;
         let rest = || skeleton.rest_pose();
-        let shown = self.clip.as_ref().map_or_else(rest, |c| c.pose(skeleton, seconds));
+        let mut shown = self.clip.as_ref().map_or_else(rest, |c| c.pose(skeleton, seconds));
+        let acts = |m: &Morph| options.only_morphs.is_empty() || options.only_morphs.contains(&m.name);
+        let weights = shown.morphs.iter_mut().zip(rest().morphs);
+        let still = weights.zip(&self.character.template.morphs).filter(|(_, m)| !acts(m));
+        still.for_each(|((weight, rest), _)| *weight = rest);
         let (known, true_morphs) = match options.morph {
             Morphs::Gt => (rest().morphs, shown.morphs),
             Morphs::Apply => (shown.morphs.clone(), shown.morphs),
@@ -198,7 +215,9 @@ impl<'a> Set<'a> {
         let faces = &self.character.template.faces;
         let points = (options.points > 0).then(|| {
             let on = sample::on_faces(&surface, faces, options.points as usize, options.seed, number);
-            Arc::new(sample::places(&on, &surface, faces))
+            let stage = Stage::new(&self.character.template, &self.topology, surface.clone(), options.light);
+            let colors = on.iter().map(|(face, bary)| stage.color(*face, *bary)).collect();
+            Arc::new(MeasuredPoints { positions: sample::places(&on, &surface, faces), colors: Some(colors) })
         });
         let every = options.test_every;
         let list = if every > 0 && number % every == every / 2 { FrameUse::Test } else { FrameUse::Train };
@@ -257,6 +276,13 @@ impl<'a> Set<'a> {
     fn notes(&self) -> Vec<String> {
         let mut notes = vec![format!("generated film of {}", self.options.template)];
         notes.extend(self.why.iter().map(|why| format!("template: {why}")));
+        if !METRES.contains(&self.length) {
+            notes.push(format!(
+                "template: it is {:.3} units long, but a unit is taken for a metre: `dut` holds depths apart by \
+                 unproject.depth_tolerance (0.02) and may see nothing of it; scale the file",
+                self.length
+            ));
+        }
         notes
     }
 

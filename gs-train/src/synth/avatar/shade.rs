@@ -97,6 +97,12 @@ impl<'a> Stage<'a> {
         image
     }
 
+    /// What a point of a face looks like, to the 255 steps that pictures have too.
+    pub(super) fn color(&self, face: u32, bary: [f32; 3]) -> [f32; 3] {
+        let lit = self.lit(face, bary, self.template.colour(face as usize, bary));
+        lit.truncate().to_array().map(|v| (255.0 * v + 0.5).clamp(0.0, 255.0).floor() / 255.0)
+    }
+
     /// Colour of a sample that a face covers; none if it looks through holes into nothing.
     fn sample(&self, fine: &Camera, seen: &[DVec3], face: u32, [i, j]: [usize; 2]) -> Option<Vec4> {
         let ray = pixel_ray(fine, i, j);

@@ -3,7 +3,6 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use glam::Vec3;
 use gs_core::Camera;
 use gs_core::io::write_file;
 use gs_texel::maps_exr::{Kind, Layer, save_layers};
@@ -12,9 +11,10 @@ use serde_json::{Value, json};
 
 use super::super::write::{save_png, vacant, write_json};
 use super::{Atlas, AvatarOptions, Set};
-use crate::avatar::{BUILTIN, SurfacePoints};
+use crate::avatar::{BUILTIN, MeasuredPoints, SurfacePoints};
 use crate::data::avatar::{FrameUse, Role};
-use crate::data::{DataError, DataOptions, Dataset, ImageSource, Place, Root};
+use crate::data::ply::write_points;
+use crate::data::{DataError, DataOptions, Dataset, ImageSource, Place, PointCloud, Root};
 
 /// Films a person and writes the film to `dir`: `scene.json`, `cameras.json`, `images/CAMERA/FRAME.png` (straight alpha),
 /// `points/FRAME.ply`, a copy of the template and, with `truth`, `gt/CAMERA/FRAME.exr` with the layers `depth` (camera-space
@@ -88,15 +88,10 @@ fn copy_template(dir: &Path, template: &str) -> Result<String, DataError> {
     Ok(name.to_owned())
 }
 
-fn save_points(file: &Path, points: &[Vec3]) -> Result<(), DataError> {
-    let head = format!(
-        "ply\nformat binary_little_endian 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\nend_header\n",
-        points.len()
-    );
-    let content = |out: &mut dyn Write| {
-        out.write_all(head.as_bytes())?;
-        points.iter().flat_map(|p| p.to_array()).try_for_each(|v| out.write_all(&v.to_le_bytes()))
-    };
+fn save_points(file: &Path, points: &MeasuredPoints) -> Result<(), DataError> {
+    let colors = points.colors.clone().unwrap_or_else(|| vec![[0.5; 3]; points.positions.len()]);
+    let cloud = PointCloud { positions: points.positions.clone(), colors };
+    let content = |out: &mut dyn Write| write_points(&cloud, out);
     write_file(file, true, content).map_err(|e| DataError::write(file, std::io::Error::other(e)))
 }
 

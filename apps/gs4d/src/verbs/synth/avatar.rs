@@ -57,6 +57,9 @@ pub struct AvatarFlags {
     /// What becomes of morph targets [default: gt].
     #[arg(long, value_enum)]
     morph: Option<MorphFlag>,
+    /// The morph targets that the motion moves, the others stay at rest [default: all].
+    #[arg(long, value_name = "NAME,...", value_delimiter = ',')]
+    only_morphs: Vec<String>,
     /// A light from direction X,Y,Z; AMBIENT is what a point that faces away gets [default: no light, ambient 0.3].
     #[arg(long, value_name = "X,Y,Z[,AMBIENT]", value_parser = light, allow_hyphen_values = true)]
     light: Option<Light>,
@@ -107,6 +110,7 @@ impl AvatarFlags {
             ("--fps", self.fps.is_some()),
             ("--test-every", self.test_every.is_some()),
             ("--morph", self.morph.is_some()),
+            ("--only-morphs", !self.only_morphs.is_empty()),
             ("--light", self.light.is_some()),
             ("--points", self.points.is_some()),
             ("--supersample", self.supersample.is_some()),
@@ -143,6 +147,7 @@ impl AvatarFlags {
             size: size.unwrap_or(default.size),
             supersample: self.supersample.unwrap_or(default.supersample),
             morph,
+            only_morphs: self.only_morphs.clone(),
             light: self.light,
             points: self.points.unwrap_or(default.points),
             seed,
