@@ -288,7 +288,7 @@ mod tests {
 
     #[test]
     fn the_truth_has_errors_of_rounding() {
-        for scene in ["falling", "screw", "wheel", "projectile", "hinge", "twins"] {
+        for scene in ["falling", "screw", "wheel", "projectile", "hinge", "spinner", "twins"] {
             let (particles, truth) = seen(scene, Vec3::new(0.1, -0.2, 0.3));
             let report = report(&particles, &truth);
             assert_eq!(report.bodies.iter().map(|b| b.particles).sum::<usize>(), particles.motions.len());

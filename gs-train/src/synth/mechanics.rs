@@ -23,10 +23,14 @@ fn block(x: f64, y: f64, z: f64) -> Shape {
     Shape::Box { half: DVec3::new(x, y, z) }
 }
 
+/// At rest here.
+fn at_rest(start: DVec3) -> Motion {
+    Motion { start, ..Motion::default() }
+}
+
 /// A slab at rest with its upper side at this height.
 fn slab(top: f64) -> Body {
-    let motion = Motion { start: DVec3::Z * (top - 0.05), ..Motion::default() };
-    body("slab", block(0.72, 0.72, 0.05), motion, GREY, 9.0)
+    body("slab", block(0.72, 0.72, 0.05), at_rest(DVec3::Z * (top - 0.05)), GREY, 9.0)
 }
 
 /// A ball thrown in an arc, without turning: `u = v + gravity t`.
@@ -85,31 +89,46 @@ pub(super) fn projectile() -> Vec<Body> {
     vec![body("block", block(0.26, 0.18, 0.14), thrown, GREEN, 18.6), slab(-0.67)]
 }
 
-/// A box at rest with a lid, a door and an arm that turn about hinges, and a disc that turns about its own axis.
+/// A box at rest with a lid, a door and an arm that turn about hinges.
 pub(super) fn hinge() -> Vec<Body> {
-    const SIDE: f64 = 0.3;
-    const GAP: f64 = 0.05;
-    const THIN: f64 = 0.04;
+    const SIDE: f64 = 0.38;
+    const GAP: f64 = 0.06;
+    const THIN: f64 = 0.05;
+    /// The box's middle, so that all that its parts sweep over lies around the origin and fills the pictures.
+    const MIDDLE: DVec3 = DVec3::new(-0.33, 0.1, -0.43);
     let edge = SIDE + GAP + THIN;
-    let hung = |start: [f64; 3], pivot: [f64; 3], axis: DVec3, rate: f64| Motion {
-        start: start.into(),
+    let hung = |from_middle: [f64; 3], pivot: [f64; 3], axis: DVec3, rate: f64| Motion {
+        start: MIDDLE + DVec3::from(from_middle),
         pivot: pivot.into(),
         spin_axis: axis,
         spin_rate: rate,
         ..Motion::default()
     };
-    let lid = Motion { spin_gain: 1.2, ..hung([0.0, 0.0, -0.1 + GAP + THIN], [0.0, SIDE, 0.0], DVec3::NEG_X, 1.3) };
-    let door = hung([edge, 0.0, -0.4], [0.0, -SIDE, 0.0], DVec3::NEG_Z, 1.8);
-    let arm = hung([-edge, 0.15, -0.2], [0.0, -0.3, 0.0], DVec3::X, 2.6);
-    let disc =
-        Motion { tilt: DVec3::X * std::f64::consts::FRAC_PI_2, ..hung([0.0, -edge, -0.4], [0.0; 3], DVec3::Y, -4.5) };
-    let still = Motion { start: DVec3::Z * -0.4, ..Motion::default() };
+    let lid = Motion { spin_gain: 1.2, ..hung([0.0, 0.0, edge], [0.0, SIDE, 0.0], DVec3::NEG_X, 1.3) };
+    let door = hung([edge, 0.0, 0.0], [0.0, -SIDE, 0.0], DVec3::NEG_Z, 1.8);
+    let arm = hung([-edge, 0.19, 0.25], [0.0, -SIDE, 0.0], DVec3::X, 2.6);
     vec![
-        body("lid", block(SIDE, SIDE, THIN), lid, RED, 11.0),
-        body("door", block(THIN, SIDE, 0.28), door, BLUE, 11.0),
-        body("arm", block(THIN, 0.42, 0.09), arm, GREEN, 11.0),
-        body("disc", Shape::Wheel { radius: 0.24, half_width: THIN }, disc, VIOLET, 17.0),
-        body("base", block(SIDE, SIDE, SIDE), still, GREY, 11.0),
+        body("lid", block(SIDE, SIDE, THIN), lid, RED, 8.7),
+        body("door", block(THIN, SIDE, 0.35), door, BLUE, 8.7),
+        body("arm", block(THIN, 0.53, 0.115), arm, GREEN, 8.7),
+        body("base", block(SIDE, SIDE, SIDE), at_rest(MIDDLE), GREY, 8.7),
+    ]
+}
+
+/// A disc that turns about its own axis close before a box: nothing but its pattern tells that it moves.
+pub(super) fn spinner() -> Vec<Body> {
+    const SIDE: f64 = 0.45;
+    const THIN: f64 = 0.055;
+    let turning = Motion {
+        start: DVec3::new(0.0, -(SIDE + 0.065 + THIN), 0.0),
+        tilt: DVec3::X * std::f64::consts::FRAC_PI_2,
+        spin_axis: DVec3::Y,
+        spin_rate: -4.5,
+        ..Motion::default()
+    };
+    vec![
+        body("disc", Shape::Wheel { radius: 0.38, half_width: THIN }, turning, VIOLET, 10.7),
+        body("base", block(SIDE, SIDE, SIDE), Motion::default(), GREY, 7.3),
     ]
 }
 

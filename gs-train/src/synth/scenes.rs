@@ -61,7 +61,8 @@ pub const SCENES: &[SynthScene] = &[
     rigid("screw", "a block that winds around an axis while it advances along it: a constant twist", mechanics::screw),
     rigid("wheel", "a wheel that rolls over a slab: even hub, even spin, a twist that changes", mechanics::wheel),
     rigid("projectile", "a block that is thrown and turns on its way", mechanics::projectile),
-    rigid("hinge", "a box with a lid, a door, an arm and a disc that turn about axes of their own", mechanics::hinge),
+    rigid("hinge", "a box with a lid, a door and an arm that turn about hinges", mechanics::hinge),
+    rigid("spinner", "a disc that turns about its own axis close before a box", mechanics::spinner),
     rigid("twins", "two bodies apart that move as one, and a third that does not", mechanics::twins),
     rigid("trio", "a thrown ball, a rolling wheel and a block that rises and turns, over a slab", mechanics::trio),
 ];

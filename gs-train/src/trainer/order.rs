@@ -2,11 +2,21 @@
 //!
 //! Views come without replacement: every one of a pool once, in a random order of its own, then the pool is made anew.
 //! The pool is all views, or those of the first moment, or those up to a time that grows with the steps
-//! ([`Stage::first_moment`], [`Stage::window_parts`](crate::schedule::Stage::window_parts): TRACE). All of it is a function
-//! of `(seed, draw)`, so a resumed run goes on as if it had never stopped.
+//! ([`Stage`](crate::schedule::Stage): `first_moment`, `window_parts`; TRACE). It is made anew when it grows, too: what is let
+//! in is seen at once, before it has gone far. All of it is a function of `(seed, draw)`, so a resumed run goes on as if it
+//! had never stopped.
 
-use crate::schedule::{Schedule, Stage};
+use crate::schedule::Schedule;
 use gs_core::Rng;
+
+/// Where views are drawn from.
+#[derive(Clone, Copy, Debug)]
+struct Pool {
+    /// Views up to this time.
+    to: f32,
+    /// The last draw before the pool is made anew, at the latest.
+    until: u32,
+}
 
 /// Times this close to a limit, normalised, lie inside.
 const SLACK: f32 = 1e-6;
@@ -33,29 +43,35 @@ impl ViewOrder {
     pub fn view(&self, schedule: &Schedule, draw: u32) -> usize {
         let (mut epoch, mut begin) = (0, 0);
         loop {
-            let limit = self.limit(schedule, begin + 1);
-            let pool = self.sorted.partition_point(|&t| t <= limit + SLACK).max(1) as u32;
-            let end = (begin + pool).min(next_break(schedule, begin));
+            let pool = self.pool(schedule, begin + 1);
+            let views = self.sorted.partition_point(|&t| t <= pool.to + SLACK).max(1);
+            let end = (begin + views as u32).min(pool.until);
             if draw <= end {
                 let at = (draw - begin - 1) as usize;
-                let chosen = Rng::new(self.seed, "view-order", epoch, 0).permutation(pool as usize)[at] as usize;
-                return self.nth_within(limit, chosen);
+                let chosen = Rng::new(self.seed, "view-order", epoch, 0).permutation(views)[at] as usize;
+                return self.nth_within(pool.to, chosen);
             }
             (epoch, begin) = (epoch + 1, end);
         }
     }
 
-    /// Last time of the pool that is made at a draw.
-    fn limit(&self, schedule: &Schedule, draw: u32) -> f32 {
+    /// The pool that is made at a draw.
+    fn pool(&self, schedule: &Schedule, draw: u32) -> Pool {
         let step = (draw - 1) / schedule.batch + 1;
-        let (Some(&first), Some(&last)) = (self.sorted.first(), self.sorted.last()) else { return 0.0 };
-        match schedule.stage_and_offset(step) {
-            Some((stage, _)) if stage.first_moment => first,
-            Some((stage, offset)) if stage.window_parts > 0 => {
-                let open = (offset / stage.window_every.max(1) + 1).min(stage.window_parts);
-                first + (last - first) * (open as f32 / stage.window_parts as f32)
-            }
-            _ => last,
+        let (first, last) = (self.sorted.first().copied().unwrap_or(0.0), self.sorted.last().copied().unwrap_or(0.0));
+        let all = Pool { to: last, until: u32::MAX };
+        let Some((stage, offset)) = schedule.stage_and_offset(step) else { return all };
+        let begin = step - 1 - offset;
+        let end = (begin + stage.steps).saturating_mul(schedule.batch);
+        let (parts, every) = (stage.window_parts, stage.window_every.max(1));
+        let open = offset / every + 1;
+        if stage.first_moment {
+            Pool { to: first, until: end }
+        } else if open < parts {
+            let grows = begin.saturating_add(open.saturating_mul(every)).saturating_mul(schedule.batch);
+            Pool { to: first + (last - first) * (open as f32 / parts as f32), until: grows.min(end) }
+        } else {
+            all
         }
     }
 
@@ -66,23 +82,12 @@ impl ViewOrder {
     }
 }
 
-/// The last draw before the pool is made anew because a stage of first moments ends.
-fn next_break(schedule: &Schedule, begin: u32) -> u32 {
-    let mut end = 0;
-    for (_, stage) in schedule.ordered() {
-        let Stage { steps, first_moment, .. } = *stage;
-        end += steps * schedule.batch;
-        if first_moment && begin < end {
-            return end;
-        }
-    }
-    u32::MAX
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::methods::MethodEntry;
+    use crate::schedule::Stage;
+    use std::collections::BTreeSet;
 
     fn schedule(edit: impl Fn(&mut Schedule)) -> Schedule {
         let config = MethodEntry::find("defgs").unwrap().config("tiny").unwrap();
@@ -126,8 +131,13 @@ mod tests {
         let mut first: Vec<usize> = (11..=18).map(|d| order.view(&schedule, d)).collect();
         first.sort_unstable();
         assert_eq!(first, (0..8).collect::<Vec<_>>());
-        let latest = |from: u32| (from..from + 24).map(moment).max().unwrap();
-        assert_eq!([latest(20), latest(200)], [2, 5]);
-        assert!((30..40).all(|d| moment(d) <= 2));
+        // It is made anew whenever the window grows: at draws 31, 51, 71 and 91, and shows all of it once more.
+        let seen = |from: u32, n: u32| (from..from + n).map(|d| order.view(&schedule, d)).collect::<BTreeSet<_>>();
+        for (part, from) in [31, 51, 71, 91].into_iter().enumerate() {
+            let open = 4 * (part as u32 + 3);
+            assert!(seen(from, 20.min(open)).iter().all(|v| *v < open as usize), "{part}");
+            assert_eq!(seen(from, open.min(20)).len() as u32, open.min(20), "{part}: every one at most once");
+        }
+        assert_eq!(seen(91, 24).len(), 24);
     }
 }
