@@ -144,11 +144,7 @@ fn bodies_are_found_from_their_twists() {
                 "{scene}, {count:?}: splats mIoU {:.4}; views F1 {:.4}, mIoU {:.4}",
                 splats.miou, masks.f1, masks.miou
             );
-            if scene == "hinge" {
-                assert!(masks.miou > 0.92, "{count:?}: {masks:?}");
-            } else {
-                assert!(masks.f1 == 1.0 && masks.miou > 0.95, "{scene} {count:?}: {masks:?}");
-            }
+            assert!(masks.f1 == 1.0 && masks.miou > 0.95, "{scene} {count:?}: {masks:?}");
         }
     }
 }
