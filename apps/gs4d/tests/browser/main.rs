@@ -1,6 +1,6 @@
 //! The viewer as a person uses it: headless Chromium opens runs of every method, drags, scrubs, compares, picks, poses.
 //!
-//! Screenshots are left in `target/tmp/browser`. Without Chromium the tests say so and pass.
+//! Screenshots are left in `tmp/browser` of the build folder. Without Chromium the tests say so and pass.
 
 mod chromium;
 
