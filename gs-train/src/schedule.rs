@@ -81,6 +81,9 @@ fn kerbl_dilation() -> f64 {
     RasterOptions::default().dilation
 }
 
+/// How the names of a field's parameters begin.
+pub(crate) const FIELD: &str = "field.";
+
 /// A stretch of a run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -303,7 +306,7 @@ impl Schedule {
 
     /// How a parameter is updated in a step, if it learns then; `extent` is that of the scene, world units.
     pub fn update(&self, p: &Param, step: u32, extent: f32) -> Option<Update> {
-        if self.field_alone(step) && !p.name.starts_with("field.") {
+        if self.field_alone(step) && !p.name.starts_with(FIELD) {
             return None;
         }
         let (rule, clock) = (self.rule(&p.name)?, self.position(step).clock);

@@ -11,6 +11,7 @@ use crate::density::Adapted;
 use crate::loss::{Dssim, LossTerms, Region};
 use crate::methods::{self, InitConfig, Method, MethodEntry, MethodError, SceneInfo};
 use crate::moment::Moment;
+use crate::schedule::FIELD;
 use gs_core::Param;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -96,7 +97,7 @@ impl Trainer {
         entry.avatar(&dataset)?;
         let scene = SceneInfo::of(&dataset, &init, options.seed)?;
         let method = (entry.build)(config, &scene)?;
-        check_images(method.as_ref(), &dataset)?;
+        check_run(method.as_ref(), &dataset)?;
         Ok(Self::of(dataset, method, scene, config, options))
     }
 
@@ -116,7 +117,7 @@ impl Trainer {
             let (now, then) = (dataset.train.len(), loaded.scene.views);
             return Err(TrainError::State(format!("the data have {now} training views, the run began with {then}")));
         }
-        check_images(loaded.method.as_ref(), &dataset)?;
+        check_run(loaded.method.as_ref(), &dataset)?;
         let options = TrainOptions { seed: loaded.scene.seed, image_bytes };
         let mut trainer = Self::of(dataset, loaded.method, loaded.scene, &loaded.config, options);
         trainer.step = loaded.step;
@@ -183,6 +184,11 @@ impl Trainer {
     /// At the end of the schedule, if the photograph cannot be read, or if gradients are not finite. After a numerical
     /// failure the parameters are to be thrown away.
     pub fn step(&mut self) -> Result<StepReport, TrainError> {
+        // Entered once, the pool runs a step's many short loops without a change of threads for each.
+        rayon::scope(|_| self.step_in_pool())
+    }
+
+    fn step_in_pool(&mut self) -> Result<StepReport, TrainError> {
         let begun = Instant::now();
         let step = self.step + 1;
         if step > self.steps() {
@@ -380,9 +386,21 @@ impl Trainer {
     }
 }
 
-/// Refuses images the loss is not defined for before the first step.
-fn check_images(method: &dyn Method, dataset: &Dataset) -> Result<(), MethodError> {
-    Ok(method.schedule().check_images(dataset.train.iter().map(|v| &v.camera))?)
+/// Refuses, before the first step, images the loss is not defined for and stages in which nothing would learn.
+fn check_run(method: &dyn Method, dataset: &Dataset) -> Result<(), MethodError> {
+    let schedule = method.schedule();
+    schedule.check_images(dataset.train.iter().map(|v| &v.camera))?;
+    let mut has_field = false;
+    method.visit(&mut |p| has_field |= p.name.starts_with(FIELD));
+    match schedule.ordered().into_iter().find(|(_, stage)| stage.field_alone && !has_field) {
+        None => Ok(()),
+        Some((name, _)) => {
+            let why = format!(
+                "only the field learns in stage `{name}` (field_alone), and this method has none; set it false"
+            );
+            Err(MethodError::Config { method: method.name(), why })
+        }
+    }
 }
 
 #[cfg(test)]
@@ -511,6 +529,11 @@ mod tests {
         let mut wrong = config.clone();
         wrong["schedule"].as_table_mut().unwrap().insert("lambda_dssim".into(), 2.0.into());
         assert!(error("fourdgs", &wrong).to_string().contains("lambda_dssim"));
+        let mut still = MethodEntry::find("static3d").unwrap().config("tiny").unwrap();
+        for (_, stage) in still["schedule"]["stages"].as_table_mut().unwrap().iter_mut() {
+            stage.as_table_mut().unwrap().insert("field_alone".into(), true.into());
+        }
+        assert!(error("static3d", &still).to_string().contains("field_alone"), "nothing would learn");
         wrong.remove("init");
         assert!(error("fourdgs", &wrong).to_string().contains("section `init` is missing"));
     }
