@@ -8,6 +8,10 @@
 
 use crate::real::{Real, dot3};
 
+mod turn;
+
+pub use turn::ShTurn;
+
 /// Coefficients per channel at degree 3.
 pub const MAX_COEFFS: usize = 16;
 /// Highest degree supported.

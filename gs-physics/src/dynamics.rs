@@ -22,6 +22,14 @@ impl Moves {
         self.turns.clear();
         self.turns.resize(n, [0.0; 4]);
     }
+
+    /// Copies rows, reusing memory.
+    pub(crate) fn set(&mut self, means: &[Vec3], turns: &[[f32; 4]]) {
+        self.means.clear();
+        self.means.extend_from_slice(means);
+        self.turns.clear();
+        self.turns.extend_from_slice(turns);
+    }
 }
 
 /// Particles at the moment from which they are carried.

@@ -109,19 +109,30 @@ impl Rollout {
             Some(tape) => tape.chunks_mut(TASK * steps).map(Some).collect(),
             None => (0..tasks).map(|_| None).collect(),
         };
-        let run = Run { rule: self.rule, ticks, done: 0 };
         let rows = means.par_chunks_mut(PARTICLES).zip(quats.par_chunks_mut(PARTICLES));
-        motions.par_chunks(PARTICLES).zip(rows).zip(tapes).for_each(|((motions, (means, quats)), mut tape)| {
-            let rows = means.chunks_mut(LANES).zip(quats.chunks_mut(LANES));
-            for (b, (motions, (means, quats))) in motions.chunks(LANES).zip(rows).enumerate() {
-                let packed = blocks::pack_motions(motions);
-                let start = blocks::pack_states(means, quats, self.origin);
-                let mut state = start;
-                let tape = tape.as_mut().map(|t| &mut t[b * steps..][..steps]);
-                dispatch!(Level::new(), simd => blocks::roll(simd, run, &packed, &mut state, tape));
-                blocks::unpack_states(&start, &state, means, quats);
-            }
+        motions.par_chunks(PARTICLES).zip(rows).zip(tapes).for_each(|((motions, (means, quats)), tape)| {
+            self.roll_rows(motions, ticks, (means, quats), tape);
         });
+    }
+
+    /// Rolls the rows of one task in place; `tape` takes the poses before every step, block by block.
+    pub(crate) fn roll_rows(
+        &self,
+        motions: &[Motion<f32>],
+        ticks: &[Tick<f64>],
+        (means, quats): (&mut [Vec3], &mut [[f32; 4]]),
+        mut tape: Option<&mut [Posed]>,
+    ) {
+        let (run, steps) = (Run { rule: self.rule, ticks, done: 0 }, ticks.len());
+        let rows = means.chunks_mut(LANES).zip(quats.chunks_mut(LANES));
+        for (b, (motions, (means, quats))) in motions.chunks(LANES).zip(rows).enumerate() {
+            let packed = blocks::pack_motions(motions);
+            let start = blocks::pack_states(means, quats, self.origin);
+            let mut state = start;
+            let tape = tape.as_mut().map(|t| &mut t[b * steps..][..steps]);
+            dispatch!(Level::new(), simd => blocks::roll(simd, run, &packed, &mut state, tape));
+            blocks::unpack_states(&start, &state, means, quats);
+        }
     }
 
     /// The way back of [`Rollout::advance_taped`] with the same rule and motions: `d` are cotangents of positions and
@@ -129,25 +140,37 @@ impl Rollout {
     /// quaternions at the start (which training against constants discards).
     pub fn adjoint(&self, motions: &[Motion<f32>], tape: &RollTape, d: &Moves, d_motions: &mut [Motion<f32>]) -> Moves {
         let mut start = d.clone();
-        let steps = tape.ticks.len();
-        if steps == 0 {
+        let RollTape { ticks, poses } = tape;
+        if ticks.is_empty() {
             return start;
         }
-        let run = Run { rule: self.rule, ticks: &tape.ticks, done: 0 };
         let rows = start.means.par_chunks_mut(PARTICLES).zip(start.turns.par_chunks_mut(PARTICLES));
-        let given = motions.par_chunks(PARTICLES).zip(tape.poses.par_chunks(TASK * steps));
-        given.zip(d_motions.par_chunks_mut(PARTICLES)).zip(rows).for_each(|(((m, tape), d_m), (means, turns))| {
-            let rows = means.chunks_mut(LANES).zip(turns.chunks_mut(LANES));
-            let given = m.chunks(LANES).zip(tape.chunks(steps));
-            for (((m, tape), d_m), (means, turns)) in given.zip(d_m.chunks_mut(LANES)).zip(rows) {
-                let packed = blocks::pack_motions(m);
-                let mut d = blocks::pack_poses(means, turns, Vec3::ZERO);
-                let grad = dispatch!(Level::new(), simd => blocks::roll_back(simd, run, &packed, tape, &mut d));
-                blocks::add_motions(&grad, d_m);
-                blocks::set_poses(&d, means, turns);
-            }
+        let given = motions.par_chunks(PARTICLES).zip(poses.par_chunks(TASK * ticks.len()));
+        given.zip(d_motions.par_chunks_mut(PARTICLES)).zip(rows).for_each(|(((m, poses), d_m), rows)| {
+            self.roll_rows_back(m, (ticks, poses), rows, d_m);
         });
         start
+    }
+
+    /// The way back of [`Rollout::roll_rows`] over one step or more: cotangents go from the end to the start in place, those
+    /// of the motions are added to `d_motions`.
+    pub(crate) fn roll_rows_back(
+        &self,
+        motions: &[Motion<f32>],
+        (ticks, poses): (&[Tick<f64>], &[Posed]),
+        (means, turns): (&mut [Vec3], &mut [[f32; 4]]),
+        d_motions: &mut [Motion<f32>],
+    ) {
+        let run = Run { rule: self.rule, ticks, done: 0 };
+        let rows = means.chunks_mut(LANES).zip(turns.chunks_mut(LANES));
+        let given = motions.chunks(LANES).zip(poses.chunks(ticks.len()));
+        for (((m, poses), d_m), (means, turns)) in given.zip(d_motions.chunks_mut(LANES)).zip(rows) {
+            let packed = blocks::pack_motions(m);
+            let mut d = blocks::pack_poses(means, turns, Vec3::ZERO);
+            let grad = dispatch!(Level::new(), simd => blocks::roll_back(simd, run, &packed, poses, &mut d));
+            blocks::add_motions(&grad, d_m);
+            blocks::set_poses(&d, means, turns);
+        }
     }
 }
 

@@ -47,6 +47,10 @@ fn cases() -> Vec<(LawConfig, [f64; 2])> {
         let own = LawConfig { own_turn: true, spin_gain: 0.7, ..config(LawForm::Twist12, order) };
         out.push((LawConfig { integrator: Integrator::Se3Mid, gain: 1.3, ..own }, span));
     }
+    for order in 2..=3 {
+        out.push((LawConfig { spin_order: order - 1, own_turn: true, ..config(LawForm::Twist12, order) }, [0.6, 0.5]));
+        out.push((LawConfig { spin_order: 1, ..config(LawForm::Centre15, order) }, [0.3, 0.35]));
+    }
     for form in FORMS {
         for order in 1..=3 {
             for literal in [false, true] {
@@ -162,6 +166,23 @@ fn an_own_turn_leaves_the_middle_alone() {
     assert!((out.means[0] - middle).length() < 1.1 * spin.cross(fall).length() * h * h * h / 6.0, "{}", out.means[0]);
     let arm = glam::Quat::from_scaled_axis(h * spin) * (x[1] - x[0]);
     assert!((out.means[1] - out.means[0] - arm).length() < 1e-5);
+}
+
+/// Changes of turning are left out, those of velocity stay.
+#[test]
+fn turns_may_be_even_where_velocities_change() {
+    let parts: Vec<f32> = (1..=18).map(|i| i as f32).collect();
+    let motion = |spin_order| {
+        let config = LawConfig { accel: AccelMap::Linear, spin_order, ..config(LawForm::Twist12, 3) };
+        constant(&config, &parts).motions(start(&[MIDDLE], 0.0))[0]
+    };
+    let all = motion(0);
+    assert_eq!((all.rate.w, all.jerk.w), ([10.0, 11.0, 12.0], [16.0, 17.0, 18.0]));
+    let mut want = all;
+    want.jerk.w = [0.0; 3];
+    assert_eq!(motion(2), want);
+    want.rate.w = [0.0; 3];
+    assert_eq!(motion(1), want);
 }
 
 /// Half a turn in parts: θ = τ + 2 τ² about a fixed axis. The exact arc, and the printed one, which lags by 2 τ dt.
@@ -305,6 +326,7 @@ fn wrong_settings_are_named() {
         "physics setting `order` = 4 cannot be built: it must be 1 to 3"
     );
     for (config, name) in [
+        (LawConfig { spin_order: 3, ..default() }, "spin_order"),
         (LawConfig { depth: 0, ..default() }, "depth"),
         (LawConfig { hidden: 0, ..default() }, "hidden"),
         (LawConfig { bands: 99, ..default() }, "bands"),

@@ -47,6 +47,8 @@ pub struct LawConfig {
     pub form: LawForm,
     /// 1: constant twists; 2: with accelerations; 3: with jerks. No effect on [`LawForm::Free`].
     pub order: u8,
+    /// The order of the turning alone, where it is lower: with 1, bodies turn evenly however they are accelerated. 0: `order`.
+    pub spin_order: u8,
     /// Width of the hidden layers.
     pub hidden: usize,
     /// Hidden layers, SiLU after each.
@@ -91,6 +93,7 @@ impl Default for LawConfig {
         Self {
             form: LawForm::Twist12,
             order: 2,
+            spin_order: 0,
             hidden: 128,
             depth: 7,
             bands: 3,
@@ -118,6 +121,7 @@ impl LawConfig {
 
     pub(super) fn check(&self) -> Result<(), PhysicsError> {
         within("order", self.order.into(), 1, 3, "1 to 3")?;
+        within("spin_order", self.spin_order.into(), 0, self.order.into(), "0 to `order`")?;
         within("hidden", self.hidden, 1, 4096, "1 to 4096")?;
         within("depth", self.depth, 1, 64, "1 to 64")?;
         within("bands", self.bands, 0, 24, "0 to 24")?;

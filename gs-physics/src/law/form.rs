@@ -34,11 +34,17 @@ const AXIS_FLOOR: f64 = 1e-3;
 pub(crate) struct Form {
     kind: LawForm,
     order: u8,
-    accel: AccelMap,
     literal: bool,
     own_turn: bool,
+    /// How each output is mapped.
+    maps: [OutputMap; MAX_OUTPUTS],
+}
+
+/// How one output is read: times a gain, and perhaps `a |a| / 10` of that.
+#[derive(Clone, Copy, Debug, PartialEq, Default)]
+struct OutputMap {
     gain: f64,
-    spin_gain: f64,
+    squared: bool,
 }
 
 /// A body by its centre, as far as one particle sees it.
@@ -140,9 +146,21 @@ fn turned_back<T: Real>(motion: &Motion<T>, own: V3<T>, middle: V3<T>, order: u8
 impl Form {
     pub fn new(config: &LawConfig) -> Self {
         let order = if config.form == LawForm::Free { 1 } else { config.order };
-        let (gain, spin_gain) = (f64::from(config.gain), f64::from(config.gain) * f64::from(config.spin_gain));
         let own_turn = config.own_turn && config.form == LawForm::Twist12;
-        Self { kind: config.form, order, accel: config.accel, literal: config.literal, own_turn, gain, spin_gain }
+        let (kind, literal, maps) = (config.form, config.literal, [OutputMap::default(); MAX_OUTPUTS]);
+        let mut form = Self { kind, order, literal, own_turn, maps };
+        let spin_order = if config.spin_order == 0 { order } else { config.spin_order };
+        for i in 0..form.outputs().0 {
+            let rate = form.rates().contains(&i);
+            let factor = match form.turns(i) {
+                true if rate && form.order_of(i) > spin_order => 0.0,
+                true => f64::from(config.spin_gain),
+                false => 1.0,
+            };
+            let squared = form.own(i) || (config.accel == AccelMap::SignedSq10 && rate);
+            form.maps[i] = OutputMap { gain: f64::from(config.gain) * factor, squared };
+        }
+        form
     }
 
     pub fn literal(&self) -> bool {
@@ -176,37 +194,40 @@ impl Form {
         first..if self.own_turn { self.own_at() } else { all }
     }
 
-    /// Whether output `i` passes `a |a| / 10`.
-    fn is_squared(&self, i: usize) -> bool {
-        let own = self.own_turn && i >= self.own_at();
-        own || (self.accel == AccelMap::SignedSq10 && self.rates().contains(&i))
+    /// Whether output `i` is of the own turn.
+    fn own(&self, i: usize) -> bool {
+        self.own_turn && i >= self.own_at()
     }
 
-    /// The factor on output `i`.
-    fn gain(&self, i: usize) -> f64 {
-        let turns = match self.kind {
+    /// Whether output `i` says how particles turn.
+    fn turns(&self, i: usize) -> bool {
+        match self.kind {
             LawForm::Twist12 | LawForm::Free => i % 6 >= 3 || i >= self.own_at(),
             LawForm::Centre15 | LawForm::Gvfi13 => (6..9).contains(&i) || i >= 12,
-        };
-        if turns { self.spin_gain } else { self.gain }
+        }
+    }
+
+    /// The order of motion that output `i`, a derivative, belongs to.
+    fn order_of(&self, i: usize) -> u8 {
+        if self.kind == LawForm::Twist12 { i as u8 / 6 + 1 } else { 2 }
     }
 
     /// Outputs times their gains, derivatives mapped; the rest of the array is 0.
     pub fn mapped<T: Real>(&self, y: &[T]) -> [T; MAX_OUTPUTS] {
         let mut out = [y[0].lit(0.0); MAX_OUTPUTS];
-        for (i, (o, &v)) in out.iter_mut().zip(y).enumerate() {
-            let v = v * v.lit(self.gain(i));
-            *o = if self.is_squared(i) { v * v.max(-v) * v.lit(0.1) } else { v };
+        for ((o, &v), map) in out.iter_mut().zip(y).zip(&self.maps) {
+            let v = v * v.lit(map.gain);
+            *o = if map.squared { v * v.max(-v) * v.lit(0.1) } else { v };
         }
         out
     }
 
     /// The way back of [`Form::mapped`], in place.
     pub fn mapped_back<T: Real>(&self, y: &[T], d: &mut [T]) {
-        for (i, (d, &v)) in d.iter_mut().zip(y).enumerate() {
-            *d = *d * v.lit(self.gain(i));
-            if self.is_squared(i) {
-                *d = *d * v.max(-v) * v.lit(0.2 * self.gain(i));
+        for ((d, &v), map) in d.iter_mut().zip(y).zip(&self.maps) {
+            *d = *d * v.lit(map.gain);
+            if map.squared {
+                *d = *d * v.max(-v) * v.lit(0.2 * map.gain);
             }
         }
     }

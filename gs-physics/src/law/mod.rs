@@ -10,6 +10,7 @@
 //!   would not.
 //! * Positions are constants: gradients go to the weights alone.
 //! * The time is the same for all particles of a call, so it is folded into the first bias.
+//! * A block of particles goes through the network, its motion and its steps at once, and back the same way.
 //! * Results are bitwise equal for any number of threads.
 
 pub(crate) mod arc;
@@ -18,9 +19,12 @@ mod form;
 
 pub use config::{AccelMap, LawConfig, LawForm, LawInput};
 
+use crate::blocks::Posed;
 use crate::dynamics::{Dynamics, Moves, Start};
 use crate::error::PhysicsError;
-use crate::rollout::{RollTape, Rollout};
+use crate::lanes::LANES;
+use crate::rollout::Rollout;
+use crate::step::Tick;
 use crate::twist::Motion;
 use arc::Span;
 pub(crate) use form::Form;
@@ -49,22 +53,32 @@ pub struct LawTape {
     time: Vec<f32>,
     /// The first bias with the time folded in.
     bias: Vec<f32>,
-    blocks: Vec<Block>,
-    motions: Vec<Motion<f32>>,
-    d_motions: Vec<Motion<f32>>,
-    roll: RollTape,
+    ticks: Vec<Tick<f64>>,
     span: Span<f64>,
+    blocks: Vec<Block>,
     chunks: Vec<MlpGrad>,
 }
 
-/// Activations of one block of particles.
+/// What one block of particles leaves for the way back.
 #[derive(Clone, Debug, Default)]
 struct Block {
     /// Encoded positions.
     position: Vec<f32>,
     net: MlpTape,
-    /// Cotangents of the network's outputs.
-    d_out: Vec<f32>,
+    motions: Vec<Motion<f32>>,
+    /// Poses before every step.
+    poses: Vec<Posed>,
+    d: BlockGrad,
+}
+
+/// Cotangents of one block.
+#[derive(Clone, Debug, Default)]
+struct BlockGrad {
+    /// Of the ends, then of the starts.
+    moves: Moves,
+    motions: Vec<Motion<f32>>,
+    /// Of the network's outputs.
+    out: Vec<f32>,
 }
 
 impl Law {
@@ -111,103 +125,107 @@ impl Law {
         (x - self.rollout.origin).to_array()
     }
 
-    /// Runs the network at `(x, t)`.
-    fn read(&self, x: &[Vec3], t: f64, tape: &mut LawTape) {
+    /// What all particles share: the time, folded into the first bias.
+    fn fold_time(&self, t: f64, time: &mut Vec<f32>, bias: &mut Vec<f32>) {
+        time.clear();
+        time.resize(self.net.inputs() - self.columns(), 0.0);
+        if !time.is_empty() {
+            encoding::encode(&[t as f32], 1, self.config.bands, time);
+        }
+        self.net.fold(time, bias);
+    }
+
+    /// Runs the network at the places of a block.
+    fn read(&self, x: &[Vec3], bias: &[f32], block: &mut Block) {
         let columns = self.columns();
-        tape.time.clear();
-        tape.time.resize(self.net.inputs() - columns, 0.0);
-        if !tape.time.is_empty() {
-            encoding::encode(&[t as f32], 1, self.config.bands, &mut tape.time);
+        block.position.resize(x.len() * columns, 0.0);
+        for (x, row) in x.iter().zip(block.position.chunks_exact_mut(columns)) {
+            let x = *x * self.config.coordinate_scale;
+            encoding::encode(&x.to_array(), 3, self.config.bands, row);
         }
-        self.net.fold(&tape.time, &mut tape.bias);
-        tape.blocks.resize_with(x.len().div_ceil(BLOCK), Block::default);
-        tape.blocks.par_iter_mut().zip(x.par_chunks(BLOCK)).for_each(|(block, x)| {
-            block.position.resize(x.len() * columns, 0.0);
-            for (x, row) in x.iter().zip(block.position.chunks_exact_mut(columns)) {
-                let x = *x * self.config.coordinate_scale;
-                encoding::encode(&x.to_array(), 3, self.config.bands, row);
-            }
-            self.net.forward_folded(&block.position, columns, &tape.bias, &mut block.net);
-        });
+        self.net.forward_folded(&block.position, columns, bias, &mut block.net);
     }
 
-    /// Motions from the outputs in the tape.
-    fn form_motions(&self, start: Start<'_>, blocks: &[Block], motions: &mut Vec<Motion<f32>>) {
-        let Start { x, middle, .. } = start;
-        let middle = self.relative(middle);
-        motions.resize(x.len(), Motion::default());
-        let rows = x.par_chunks(BLOCK).zip(motions.par_chunks_mut(BLOCK));
-        blocks.par_iter().zip(rows).for_each(|(block, (x, motions))| {
-            for ((y, x), m) in block.net.output().chunks_exact(self.net.outputs()).zip(x).zip(motions) {
-                *m = self.form.motion(y, self.relative(*x), middle);
-            }
-        });
+    /// Motions of the particles of a block from what the network said; the middle is about the origin.
+    fn form_motions(&self, x: &[Vec3], middle: [f32; 3], block: &mut Block) {
+        block.motions.clear();
+        let rows = block.net.output().chunks_exact(self.net.outputs()).zip(x);
+        block.motions.extend(rows.map(|(y, x)| self.form.motion(y, self.relative(*x), middle)));
     }
 
-    /// Carries all rows of `out`, which are at their start, along closed forms.
-    fn carry(&self, tape: &LawTape, out: &mut Moves) {
-        let span = tape.span.narrowed();
-        let rows = out.means.par_chunks_mut(BLOCK).zip(out.turns.par_chunks_mut(BLOCK));
-        tape.blocks.par_iter().zip(rows).for_each(|(block, (means, turns))| {
-            for ((y, x), q) in block.net.output().chunks_exact(self.net.outputs()).zip(means).zip(turns) {
-                let (end, turn) = arc::carry(&self.form, y, self.relative(*x), span);
-                *x = self.rollout.origin + Vec3::from_array(end);
-                *q = turn;
-            }
-        });
+    /// Carries the rows of a block, which are at their start, by steps.
+    fn roll(&self, ticks: &[Tick<f64>], block: &mut Block, rows: (&mut [Vec3], &mut [[f32; 4]])) {
+        block.poses.resize(block.motions.len().div_ceil(LANES) * ticks.len(), Posed::default());
+        self.rollout.roll_rows(&block.motions, ticks, rows, Some(&mut block.poses));
     }
 
-    /// Cotangents of the network's outputs, from those of motions or of closed forms.
-    fn fill_cotangents(&self, start: Start<'_>, tape: &mut LawTape, d: &Moves) {
-        let (x, middle) = (start.x, self.relative(start.middle));
-        let LawTape { blocks, d_motions, span, .. } = tape;
-        let (outputs, span) = (self.net.outputs(), span.narrowed());
-        blocks.par_iter_mut().enumerate().for_each(|(b, block)| {
-            let y = block.net.output();
-            block.d_out.resize(y.len(), 0.0);
-            let rows = y.chunks_exact(outputs).zip(block.d_out.chunks_exact_mut(outputs));
-            for (i, (y, d_y)) in (b * BLOCK..).zip(rows) {
-                if self.form.is_closed() {
-                    let ends = (d.means[i].to_array(), d.turns[i]);
-                    arc::carry_back(&self.form, y, self.relative(x[i]), span, ends, d_y);
-                } else {
-                    self.form.motion_back(y, middle, &d_motions[i], d_y);
-                }
-                shorten(&mut d_y[self.form.rates()], self.config.accel_clamp);
-            }
-        });
-    }
-
-    /// Adds the gradient of the penalty on changes of turning.
-    fn shrink_spin_up(&self, tape: &mut LawTape) {
-        let weight = self.config.spin_up_weight / tape.motions.len().max(1) as f32;
-        if weight > 0.0 {
-            let rows = tape.d_motions.iter_mut().zip(&tape.motions);
-            rows.for_each(|(d, m)| (0..3).for_each(|k| d.rate.w[k] += weight * m.rate.w[k]));
+    /// Carries the rows of a block, which are at their start, along closed forms.
+    fn carry(&self, span: Span<f32>, block: &Block, (means, turns): (&mut [Vec3], &mut [[f32; 4]])) {
+        for ((y, x), q) in block.net.output().chunks_exact(self.net.outputs()).zip(means).zip(turns) {
+            let (end, turn) = arc::carry(&self.form, y, self.relative(*x), span);
+            *x = self.rollout.origin + Vec3::from_array(end);
+            *q = turn;
         }
     }
 
-    /// From cotangents of outputs to the weights.
-    fn learn(&mut self, tape: &mut LawTape) {
-        let LawTape { blocks, chunks, time, .. } = tape;
-        let (per_chunk, columns) = (nn::blocks_per_chunk(blocks.len()), self.columns());
-        chunks.resize_with(CHUNKS, MlpGrad::default);
-        let used = &mut chunks[..blocks.len().div_ceil(per_chunk)];
-        blocks.par_chunks_mut(per_chunk).zip(&mut *used).for_each(|(blocks, grad)| {
-            grad.reset(&self.net);
-            for Block { position, net, d_out } in blocks {
-                self.net.backward_folded(position, columns, net, d_out, grad);
-            }
-        });
-        self.net.add_grads_folded(time, used.iter());
+    /// Cotangents of the network's outputs from those of the ends, `block.d.moves`, through motions and steps. `spin_up` is
+    /// the weight of the penalty on changes of turning for one particle.
+    fn roll_back(&self, ticks: &[Tick<f64>], middle: [f32; 3], spin_up: f32, block: &mut Block) {
+        let Block { net, motions, poses, d, .. } = block;
+        d.motions.clear();
+        d.motions.resize(motions.len(), Motion::default());
+        let ends = (d.moves.means.as_mut_slice(), d.moves.turns.as_mut_slice());
+        self.rollout.roll_rows_back(motions, (ticks, poses), ends, &mut d.motions);
+        for (d, m) in d.motions.iter_mut().zip(motions) {
+            (0..3).for_each(|k| d.rate.w[k] += spin_up * m.rate.w[k]);
+        }
+        let outputs = self.net.outputs();
+        d.out.resize(net.output().len(), 0.0);
+        let rows = net.output().chunks_exact(outputs).zip(d.out.chunks_exact_mut(outputs));
+        for ((y, d_y), d_motion) in rows.zip(&d.motions) {
+            self.form.motion_back(y, middle, d_motion, d_y);
+        }
     }
+
+    /// The same through closed forms.
+    fn carry_back(&self, x: &[Vec3], span: Span<f32>, block: &mut Block) {
+        let (Block { net, d, .. }, outputs) = (block, self.net.outputs());
+        d.out.resize(net.output().len(), 0.0);
+        let rows = net.output().chunks_exact(outputs).zip(d.out.chunks_exact_mut(outputs));
+        for (i, (y, d_y)) in rows.enumerate() {
+            let ends = (d.moves.means[i].to_array(), d.moves.turns[i]);
+            arc::carry_back(&self.form, y, self.relative(x[i]), span, ends, d_y);
+        }
+    }
+
+    /// From the cotangents of a block's ends to the weights.
+    fn learn(&self, shared: &Shared<'_>, x: &[Vec3], block: &mut Block, grad: &mut MlpGrad) {
+        if self.form.is_closed() {
+            self.carry_back(x, shared.span, block);
+        } else {
+            self.roll_back(shared.ticks, shared.middle, shared.spin_up, block);
+        }
+        let BlockGrad { out, .. } = &mut block.d;
+        for d_y in out.chunks_exact_mut(self.net.outputs()) {
+            shorten(&mut d_y[self.form.rates()], self.config.accel_clamp);
+        }
+        self.net.backward_folded(&block.position, self.columns(), &mut block.net, out, grad);
+    }
+}
+
+/// What all blocks share on the way back.
+struct Shared<'a> {
+    ticks: &'a [Tick<f64>],
+    span: Span<f32>,
+    middle: [f32; 3],
+    spin_up: f32,
 }
 
 impl Dynamics for Law {
     type Tape = LawTape;
 
     fn transport(&self, start: Start<'_>, to: f64, tape: &mut LawTape, out: &mut Moves) {
-        let Start { x, t: from, .. } = start;
+        let Start { x, t: from, middle } = start;
         out.means.clear();
         out.means.extend_from_slice(x);
         out.turns.clear();
@@ -218,35 +236,59 @@ impl Dynamics for Law {
         if span[1] == 0.0 {
             return;
         }
-        self.read(x, from, tape);
-        if self.form.is_closed() {
-            self.carry(tape, out);
-        } else {
-            self.form_motions(start, &tape.blocks, &mut tape.motions);
-            self.rollout.advance_taped(&tape.motions, span, &mut out.means, &mut out.turns, &mut tape.roll);
-        }
+        tape.ticks = self.rollout.ticks(span);
+        self.fold_time(from, &mut tape.time, &mut tape.bias);
+        tape.blocks.resize_with(x.len().div_ceil(BLOCK), Block::default);
+        let LawTape { bias, ticks, span, blocks, .. } = tape;
+        let (bias, ticks, span, middle) = (&*bias, &*ticks, span.narrowed(), self.relative(middle));
+        let ends = out.means.par_chunks_mut(BLOCK).zip(out.turns.par_chunks_mut(BLOCK));
+        blocks.par_iter_mut().zip(x.par_chunks(BLOCK)).zip(ends).for_each(|((block, x), ends)| {
+            self.read(x, bias, block);
+            if self.form.is_closed() {
+                self.carry(span, block, ends);
+            } else {
+                self.form_motions(x, middle, block);
+                self.roll(ticks, block, ends);
+            }
+        });
     }
 
     fn transport_backward(&mut self, start: Start<'_>, tape: &mut LawTape, d: &Moves) {
-        let x = start.x;
+        let Start { x, middle, .. } = start;
         if tape.span.tau == 0.0 {
             return;
         }
-        if !self.form.is_closed() {
-            tape.d_motions.clear();
-            tape.d_motions.resize(x.len(), Motion::default());
-            self.rollout.adjoint(&tape.motions, &tape.roll, d, &mut tape.d_motions);
-            self.shrink_spin_up(tape);
-        }
-        self.fill_cotangents(start, tape, d);
-        self.learn(tape);
+        let LawTape { time, ticks, span, blocks, chunks, .. } = tape;
+        let spin_up = self.config.spin_up_weight / x.len().max(1) as f32;
+        let shared = Shared { ticks, span: span.narrowed(), middle: self.relative(middle), spin_up };
+        let per_chunk = nn::blocks_per_chunk(blocks.len());
+        chunks.resize_with(CHUNKS, MlpGrad::default);
+        let used = &mut chunks[..blocks.len().div_ceil(per_chunk)];
+        let rows = x.par_chunks(per_chunk * BLOCK).zip(d.means.par_chunks(per_chunk * BLOCK));
+        let rows = rows.zip(d.turns.par_chunks(per_chunk * BLOCK));
+        let runs = blocks.par_chunks_mut(per_chunk).zip(&mut *used).zip(rows);
+        runs.for_each(|((blocks, grad), ((x, d_means), d_turns))| {
+            grad.reset(&self.net);
+            let rows = x.chunks(BLOCK).zip(d_means.chunks(BLOCK)).zip(d_turns.chunks(BLOCK));
+            for (block, ((x, d_means), d_turns)) in blocks.iter_mut().zip(rows) {
+                block.d.moves.set(d_means, d_turns);
+                self.learn(&shared, x, block, grad);
+            }
+        });
+        self.net.add_grads_folded(time, used.iter());
     }
 
     fn motions(&self, start: Start<'_>) -> Vec<Motion<f32>> {
-        let (mut tape, mut motions) = (LawTape::default(), Vec::new());
-        self.read(start.x, start.t, &mut tape);
-        self.form_motions(start, &tape.blocks, &mut motions);
-        motions
+        let (mut time, mut bias) = (Vec::new(), Vec::new());
+        self.fold_time(start.t, &mut time, &mut bias);
+        let middle = self.relative(start.middle);
+        let of_block = |x: &[Vec3]| {
+            let mut block = Block::default();
+            self.read(x, &bias, &mut block);
+            self.form_motions(x, middle, &mut block);
+            block.motions
+        };
+        start.x.par_chunks(BLOCK).flat_map_iter(of_block).collect()
     }
 
     fn rules_ahead(&self) -> bool {

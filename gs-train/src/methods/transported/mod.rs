@@ -28,6 +28,7 @@ use gs_raster::ScreenStats;
 use serde::{Deserialize, Serialize};
 use std::sync::Mutex;
 
+mod colours;
 mod future;
 mod looks;
 #[cfg(test)]
@@ -60,6 +61,9 @@ pub struct PhysicsConfig {
     pub inside: Inside,
     /// Whether the field takes part. Without it the dynamics carry splats from time 0.
     pub field: bool,
+    /// Whether the lobes of colours turn with their splats (TRACE: no, they keep to the axes of the world).
+    #[serde(default)]
+    pub turn_colours: bool,
     /// How far a forecast may put a splat off to save work, of the scene's extent, up to the end of the sequence: closed forms
     /// instead of steps, one motion for a body. 0: only what is exact.
     #[serde(default)]
@@ -250,13 +254,22 @@ impl<F: Field, D: Dynamics> Transported<F, D> {
         if !self.canonical.dynamic() {
             return canonical;
         }
-        if span.from == self.times.last_field && span.to > span.from {
-            return self.ahead(span.to);
+        let mut moved = match span.from == self.times.last_field && span.to > span.from {
+            true => self.ahead(span.to),
+            false => self.near(&canonical, span),
+        };
+        if self.config.turn_colours {
+            colours::turn(&canonical, &mut moved);
         }
-        let mut moved = self.deformed(&canonical, span.from);
+        moved
+    }
+
+    /// The splats at a time that the field is read at or near to.
+    fn near(&self, canonical: &Splats, span: Span) -> Splats {
+        let mut moved = self.deformed(canonical, span.from);
         if span.from != span.to {
             let (mut tape, mut moves) = Default::default();
-            self.dynamics.transport(self.start(&canonical, &moved, span.from), span.to, &mut tape, &mut moves);
+            self.dynamics.transport(self.start(canonical, &moved, span.from), span.to, &mut tape, &mut moves);
             carry_drawn(&mut moved, &mut moves);
         }
         moved
@@ -301,8 +314,15 @@ impl<F: Field, D: Dynamics> Transported<F, D> {
             self.dynamics.transport(start, span.to, dynamics, moves);
             carry(drawn, moves);
         }
+        let turn_colours = self.config.turn_colours;
+        if turn_colours {
+            colours::turn(&canonical.splats, drawn);
+        }
         d_drawn.reset(drawn);
         draw(drawn, d_drawn);
+        if turn_colours {
+            colours::turn_back(&canonical.splats, drawn, &mut d_drawn.color);
+        }
         d_moved.clone_from(d_drawn);
         if travels {
             turn_back(moved, moves, d_drawn, d_moves, d_moved);

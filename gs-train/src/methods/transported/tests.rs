@@ -68,6 +68,7 @@ const CONFIG: PhysicsConfig = PhysicsConfig {
     start: 0.0,
     inside: Inside::Field,
     field: true,
+    turn_colours: false,
     slack: 0.0,
     bodies: 0,
 };
@@ -225,6 +226,68 @@ fn turns_hand_their_cotangent_on_by_the_product_rule() {
         let unit: [f32; 4] = std::array::from_fn(|i| f32::from(u8::from(i == k)));
         assert!((f64::from(d_p[k]) - dot(rot::hamilton(unit, r))).abs() < 1e-6, "linear in the turn");
         assert!((f64::from(d_r[k]) - dot(rot::hamilton(p, unit))).abs() < 1e-6, "linear in what was turned");
+    }
+}
+
+/// Coefficients learn through their turn: the loss is linear in them. At every time drawn, a turn keeps lengths and leaves
+/// the first coefficient alone.
+#[test]
+fn colours_turn_with_their_splats() {
+    let mut m = method(PhysicsConfig { turn_colours: true, ..CONFIG }, false);
+    let plain = method(CONFIG, false);
+    let mut rng = Rng::new(8, "lobes", 0, 0);
+    let mut fill = |p: &mut Param| {
+        if p.name == "cloud.sh_rest" {
+            p.value.iter_mut().for_each(|v| *v = rng.normal());
+        }
+    };
+    m.visit_mut(&mut fill);
+    let lobes = |m: &Transported<DefMlp, OneTwist>| {
+        let mut all = Vec::new();
+        m.visit(&mut |p| all.extend(if p.name == "cloud.sh_rest" { p.grad.clone() } else { Vec::new() }));
+        all
+    };
+    let camera = Camera::look_at(8, 8, 0.7, glam::DVec3::Z * 5.0, glam::DVec3::ZERO, glam::DVec3::Y).unwrap();
+    let step = |m: &mut Transported<DefMlp, OneTwist>| {
+        let mut loss = 0.0;
+        m.visit_mut(&mut Param::clear_grad);
+        m.step(&Moment::new(at(f64::from(0.3f32))), &camera, &mut |s, d| {
+            let (mut rng, gs_core::Color::Sh { coeffs, .. }) = (Rng::new(9, "weights", 0, 0), &s.color) else {
+                panic!("a cloud has spherical harmonics")
+            };
+            d.color.iter_mut().for_each(|d| *d = rng.normal());
+            loss = coeffs.iter().zip(&d.color).map(|(c, d)| f64::from(c * d)).sum();
+        });
+        loss
+    };
+    step(&mut m);
+    let got = lobes(&m);
+    for k in [0, 7, got.len() - 1] {
+        let mut at = |h: f32| {
+            m.visit_mut(&mut |p| {
+                if p.name == "cloud.sh_rest" {
+                    p.value[k] += h
+                }
+            });
+            step(&mut m)
+        };
+        let (hi, lo) = (at(0.5), at(-1.0));
+        at(0.5);
+        assert!((f64::from(got[k]) - (hi - lo)).abs() < 1e-4 * (1.0 + (hi - lo).abs()), "{k}: {} {}", got[k], hi - lo);
+    }
+    for t in [0.3, 0.7, 1.5] {
+        let (turned, still) = (splats(&m, t), m.canonical.activated());
+        assert_eq!(turned.means, splats(&plain, t).means, "only colours differ");
+        let (gs_core::Color::Sh { degree, coeffs: a }, gs_core::Color::Sh { coeffs: b, .. }) =
+            (turned.color, still.color)
+        else {
+            panic!("a cloud has spherical harmonics")
+        };
+        assert!(degree >= 1 && a != b, "the test has lobes, and they turn");
+        for (a, b) in a.chunks(3 * gs_core::sh::coeffs(degree)).zip(b.chunks(3 * gs_core::sh::coeffs(degree))) {
+            let length = |v: &[f32]| v[3..].iter().map(|v| v * v).sum::<f32>();
+            assert!(a[..3] == b[..3] && (length(a) - length(b)).abs() < 1e-4 * length(b));
+        }
     }
 }
 
