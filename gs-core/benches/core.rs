@@ -1,4 +1,4 @@
-//! Time and error of gs-core: splat files, the SH basis, covariance from quaternion and scales.
+//! Time and error of gs-core: splat files, the SH basis and its turns, covariance from quaternion and scales.
 //!
 //! Criterion measures the time; each case is also timed here (median) and written with its error, against what was
 //! encoded or against `f64`, as a JSON line to `target/speed-error/gs-core.jsonl`.
@@ -117,6 +117,27 @@ fn covariances(splats: &RawSplats) -> f32 {
     .sum()
 }
 
+/// Coefficients that turn with the splats.
+fn turned(splats: &RawSplats) -> Vec<f32> {
+    let mut coeffs = splats.sh.clone();
+    for (row, q) in coeffs.chunks_exact_mut(48).zip(&splats.quats) {
+        sh::ShTurn::new(&rot::matrix(rot::normalise(*q).wxyz), 3).apply(row);
+    }
+    coeffs
+}
+
+/// Worst difference of [`turned`] from the same in `f64`.
+fn turned_error(splats: &RawSplats) -> f64 {
+    let rows = turned(splats);
+    let rows = rows.chunks_exact(48).zip(splats.sh.chunks_exact(48)).zip(&splats.quats);
+    let worst = rows.map(|((got, sh), q)| {
+        let mut wide: Vec<f64> = sh.iter().map(|v| f64::from(*v)).collect();
+        sh::ShTurn::new(&rot::matrix(rot::normalise(q.map(f64::from)).wxyz), 3).apply(&mut wide);
+        got.iter().zip(&wide).map(|(a, b)| (f64::from(*a) - b).abs()).fold(0.0, f64::max)
+    });
+    worst.fold(0.0, f64::max)
+}
+
 fn math_cases(splats: &RawSplats) -> Vec<Case<'_>> {
     let basis_error = |m: &Vec3| {
         let wide = sh::basis(sh::direction(m.to_array().map(f64::from), [0.0; 3]).0, 3);
@@ -146,6 +167,12 @@ fn math_cases(splats: &RawSplats) -> Vec<Case<'_>> {
             splats.means.iter().map(basis_error).fold(0.0, f64::max),
             "max abs against f64",
             Box::new(|| _ = black_box(basis_sums(splats))) as Box<dyn FnMut()>,
+        ),
+        case(
+            "sh turn, degree 3",
+            turned_error(splats),
+            "max abs against f64, coefficients of 0.2",
+            Box::new(|| _ = black_box(turned(splats))),
         ),
         case(
             "covariance",

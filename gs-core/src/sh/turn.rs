@@ -9,9 +9,10 @@
 //! functions of a band up to the third. Both factors have the parity of their band, so one of each two opposite points is
 //! enough. `D` is orthogonal: the way back is that of the inverse turn, and lengths of coefficients stay.
 
-use super::{MAX_COEFFS, basis, coeffs};
+use super::{MAX_COEFFS, MAX_DEGREE, basis, coeffs};
 use crate::real::Real;
 use crate::rot::Mat3;
+use std::sync::LazyLock;
 
 /// Weights of an axis, an edge and a corner, for the whole rule to add up to 1; doubled, as half of the points are used.
 const WEIGHTS: [f64; 3] = [2.0 / 21.0, 8.0 / 105.0, 9.0 / 140.0];
@@ -33,6 +34,18 @@ const POINTS: [[i8; 3]; 13] = [
     [1, -1, -1],
 ];
 
+/// The points as unit vectors, and `4π w Y_k` there.
+type Rule = [([f64; 3], [f64; MAX_COEFFS]); POINTS.len()];
+
+static RULE: LazyLock<Rule> = LazyLock::new(|| {
+    POINTS.map(|point| {
+        let squares: i8 = point.iter().map(|v| v * v).sum();
+        let n = point.map(|v| f64::from(v) / f64::from(squares).sqrt());
+        let weight = 4.0 * std::f64::consts::PI * WEIGHTS[squares as usize - 1];
+        (n, basis(n, MAX_DEGREE).map(|y| weight * y))
+    })
+});
+
 /// How coefficients up to a degree turn.
 #[derive(Clone, Copy, Debug)]
 pub struct ShTurn<T> {
@@ -46,17 +59,14 @@ impl<T: Real> ShTurn<T> {
     pub fn new(r: &Mat3<T>, degree: u8) -> Self {
         let zero = r[0][0].lit(0.0);
         let mut matrix = [[zero; MAX_COEFFS]; MAX_COEFFS];
-        for point in POINTS {
-            let squares = point.iter().map(|v| v * v).sum::<i8>();
-            let scale = 1.0 / f64::from(squares).sqrt();
-            let n = point.map(|v| zero.lit(f64::from(v) * scale));
-            let weight = zero.lit(4.0 * std::f64::consts::PI * WEIGHTS[squares as usize - 1]);
+        for (n, here) in RULE.iter() {
+            let n = n.map(|v| zero.lit(v));
             let turned: [T; 3] = std::array::from_fn(|b| r[0][b] * n[0] + r[1][b] * n[1] + r[2][b] * n[2]);
-            let (here, there) = (basis(n, degree), basis(turned, degree));
-            for band in 1..=degree {
-                for k in coeffs(band - 1)..coeffs(band) {
-                    for m in coeffs(band - 1)..coeffs(band) {
-                        matrix[k][m] = matrix[k][m] + weight * here[k] * there[m];
+            let there = basis(turned, degree);
+            for band in (1..=degree).map(|band| coeffs(band - 1)..coeffs(band)) {
+                for k in band.clone() {
+                    for m in band.clone() {
+                        matrix[k][m] = matrix[k][m] + zero.lit(here[k]) * there[m];
                     }
                 }
             }
