@@ -2,6 +2,7 @@
 //! what else the machine does meets both. Rows go to the terminal and to `target/speed-error/gs-train.jsonl`.
 
 use gs_core::speed::SpeedError;
+use gs_train::data::Dataset;
 use gs_train::methods::{MethodEntry, overlay};
 use gs_train::synth::{self, SynthOptions};
 use gs_train::trainer::{TrainOptions, Trainer};
@@ -16,7 +17,7 @@ const LAST: u32 = 200;
 
 const METHODS: [&str; 2] = ["defgs", "trace"];
 
-fn trainer(scene: &Arc<gs_train::data::Dataset>, method: &str, splats: usize) -> Trainer {
+fn trainer(scene: &Arc<Dataset>, method: &str, splats: usize) -> Trainer {
     let mut config = MethodEntry::find(method).and_then(|m| m.config("fast")).expect("a preset");
     let still = format!(
         "[init]\npoints = {splats}\n[schedule.density]\nuntil = 0\n\
@@ -28,7 +29,7 @@ fn trainer(scene: &Arc<gs_train::data::Dataset>, method: &str, splats: usize) ->
 }
 
 /// Milliseconds a step and mean absolute difference from the photographs, in the order of [`METHODS`].
-fn turns(scene: &Arc<gs_train::data::Dataset>, splats: usize) -> [[f64; 2]; 2] {
+fn take_turns(scene: &Arc<Dataset>, splats: usize) -> [[f64; 2]; 2] {
     let mut trainers = METHODS.map(|m| trainer(scene, m, splats));
     let mut sums = [[0.0; 2]; 2];
     for step in 1..=BEFORE + TIMED {
@@ -51,7 +52,7 @@ fn main() {
         let scene = Arc::new(synth::generate("falling", &options).expect("a scene").dataset);
         for threads in [1, 2] {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
-            let rows = pool.install(|| turns(&scene, splats));
+            let rows = pool.install(|| take_turns(&scene, splats));
             for (method, [ms, l1]) in METHODS.into_iter().zip(rows) {
                 SpeedError {
                     krate: "gs-train",
