@@ -7,9 +7,9 @@ use std::sync::Arc;
 use criterion::Criterion;
 use gs_core::speed::{SpeedError, median_seconds};
 use gs_core::{Param, Rng};
+use gs_synth::{self as synth, SynthOptions};
 use gs_train::adam::{Adam, Refused, Update};
-use gs_train::methods::{METHODS, MethodEntry};
-use gs_train::synth::{self, SynthOptions};
+
 use gs_train::trainer::{Phases, TrainOptions, Trainer};
 
 /// A block of `rows × 51` values (the parameters of a cloud at SH degree 3 but for its centres, quats and scales).
@@ -76,16 +76,17 @@ fn adam_rows(criterion: &mut Criterion) {
 fn phases(method: &str, threads: usize) -> (BTreeMap<&'static str, f64>, usize) {
     let options = SynthOptions { size: 400, train_views: 12, val_views: 0, test_views: 0, ..SynthOptions::default() };
     let dataset = Arc::new(synth::generate("sheet", &options).expect("a scene").dataset);
-    let mut config = MethodEntry::find(method).and_then(|m| m.config("fast")).expect("a preset");
+    let mut config = gs_methods::registry().find(method).and_then(|m| m.config("fast")).expect("a preset");
     let still: toml::Table = "[init]\npoints = 20000\n[schedule.density]\nuntil = 0".parse().expect("TOML");
-    gs_train::methods::overlay(&mut config, still);
+    gs_train::method::overlay(&mut config, still);
     for (_, stage) in config["schedule"]["stages"].as_table_mut().expect("stages").iter_mut() {
         let dynamic = stage["dynamic"].as_bool().unwrap_or(false);
         stage.as_table_mut().expect("a stage").insert("steps".into(), if dynamic { 30 } else { 20 }.into());
     }
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
     pool.install(|| {
-        let mut trainer = Trainer::new(dataset, method, &config, TrainOptions::default()).expect("a run");
+        let mut trainer =
+            Trainer::new(gs_methods::registry(), dataset, method, &config, TrainOptions::default()).expect("a run");
         let (skip, mut sums) = (trainer.steps() - 15, BTreeMap::new());
         for step in 1..=trainer.steps() {
             let ms = trainer.step().expect("a step").ms;
@@ -110,7 +111,7 @@ fn named(ms: &Phases) -> [(&'static str, f64); 7] {
 }
 
 fn phase_rows() {
-    for entry in METHODS.iter().filter(|m| !m.needs_avatar) {
+    for entry in gs_methods::registry().iter().filter(|m| !m.needs_avatar) {
         for threads in [1, 2] {
             let (ms, splats) = phases(entry.name, threads);
             let line: Vec<String> = ms.iter().map(|(name, ms)| format!("{name} {ms:.2}")).collect();

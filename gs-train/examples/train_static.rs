@@ -4,10 +4,9 @@
 //! cargo run --release -p gs-train --example train_static -- [SCENE] [PRESET] [METHOD]
 //! ```
 
-use gs_train::data::{ImageCache, Split};
+use gs_data::{ImageCache, Split};
+use gs_synth::{self as synth, SynthOptions};
 use gs_train::evaluate::evaluate;
-use gs_train::methods::MethodEntry;
-use gs_train::synth::{self, SynthOptions};
 use gs_train::trainer::{TrainOptions, Trainer};
 use std::sync::Arc;
 
@@ -20,8 +19,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let options = SynthOptions { size: 96, train_views: 40, val_views: 0, test_views: 8, ..SynthOptions::default() };
     let data = synth::generate(&scene, &options)?;
     let dataset = Arc::new(data.dataset);
-    let config = MethodEntry::find(&method)?.config(&preset)?;
-    let mut trainer = Trainer::new(dataset.clone(), &method, &config, TrainOptions::default())?;
+    let config = gs_methods::registry().find(&method)?.config(&preset)?;
+    let mut trainer = Trainer::new(gs_methods::registry(), dataset.clone(), &method, &config, TrainOptions::default())?;
     let background = trainer.method().schedule().background.evaluation_color();
     let photographs = ImageCache::new(64 << 20, 1.0);
 

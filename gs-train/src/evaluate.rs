@@ -8,10 +8,10 @@
 //! ([`MaskedScores`]: DyCheck's masked PSNR and SSIM, [`gs_metrics::masked`]; DyCheck itself truncates drawings to 8 bit
 //! first).
 
-use crate::data::{DataError, Dataset, ImageCache, Split};
-use crate::methods::Method;
-use crate::moment::Moment;
+use crate::method::Method;
+use crate::timestamp::Moment;
 use gs_core::{Image, Params};
+use gs_data::{DataError, Dataset, ImageCache, Split};
 use gs_metrics::{
     Mean, MetricError, Scorer, Scores, Sharpness, SsimOptions, Summary, masked_mse, masked_perceptual_proxy,
     masked_ssim, psnr_from_mse,
@@ -41,7 +41,7 @@ pub struct MaskedScores {
 
 impl MaskedScores {
     /// The scores of an image against its truth, `[H, W, 3]`, where `mask`, `[H, W, 1]`, counts. None for an empty mask.
-    pub(crate) fn of(image: &Image, truth: &Image, mask: &Image) -> Result<Option<Self>, MetricError> {
+    pub fn of(image: &Image, truth: &Image, mask: &Image) -> Result<Option<Self>, MetricError> {
         let mse = match masked_mse(image, truth, mask) {
             Err(MetricError::EmptyMask) => return Ok(None),
             other => other?,
@@ -60,7 +60,7 @@ impl MaskedScores {
     }
 
     /// Means over views, each over those that have a value; none without any.
-    pub(crate) fn mean(all: impl Iterator<Item = Self> + Clone) -> Option<Self> {
+    pub fn mean(all: impl Iterator<Item = Self> + Clone) -> Option<Self> {
         let of = |value: fn(&Self) -> Option<f64>| Mean::of(all.clone().filter_map(|s| value(&s))).value;
         Some(Self {
             part: of(|s| Some(s.part))?,

@@ -9,9 +9,9 @@
 //! (FAGS, eq. 10; φ = 0.3; see [`gs_metrics::spectrum`]). `L_mrf` compares textures over the box of what the photograph shows
 //! (DUT; μ = 0.01; see [`gs_metrics::mrf`], whose own features stand for VGG-19's). Terms of weight 0 are not computed.
 
-use crate::data::ImageU8;
 use crate::schedule::ScheduleError;
 use gs_core::Image;
+use gs_data::ImageU8;
 use gs_metrics::mrf::{FeatureNet, Mrf, MrfOptions};
 use gs_metrics::{AmplitudeLoss, MetricError, MsSsim, MsSsimOptions, Ssim, SsimOptions};
 use gs_raster::{Frame, FrameGrad};

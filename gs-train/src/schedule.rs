@@ -8,7 +8,7 @@
 //! needs no state of its own for it.
 
 use crate::adam::Update;
-use crate::density::DensityRules;
+use crate::densify::DensityRules;
 use crate::loss::{Dssim, LossWeights};
 use gs_core::{Camera, Param};
 use gs_metrics::mrf::MrfOptions;
@@ -82,7 +82,7 @@ fn kerbl_dilation() -> f64 {
 }
 
 /// How the names of a field's parameters begin.
-pub(crate) const FIELD: &str = "field.";
+pub const FIELD: &str = "field.";
 
 /// A stretch of a run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -409,7 +409,7 @@ impl Schedule {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use glam::DVec3;
 
@@ -423,7 +423,7 @@ mod tests {
         stages.into_iter().enumerate().map(|(i, s)| (name(i), Stage { order: i as u32, ..s })).collect()
     }
 
-    fn schedule(stages: Vec<Stage>) -> Schedule {
+    pub(crate) fn schedule(stages: Vec<Stage>) -> Schedule {
         let group = |rates: &[(&str, LearningRate)]| rates.iter().map(|(n, r)| ((*n).to_owned(), *r)).collect();
         let means = ("means", LearningRate::decay(1.6e-4, 1.6e-6, 100).per_extent());
         let field = [("all", LearningRate::constant(1e-3)), ("planes", LearningRate::constant(1e-2))];

@@ -6,26 +6,28 @@
 
 use crate::adam::{Adam, Refused, Update};
 use crate::checkpoint::Checkpoint;
-use crate::data::{Dataset, ImageCache, View};
-use crate::density::Adapted;
+use crate::densify::Adapted;
 use crate::loss::{Dssim, LossTerms, Region};
-use crate::methods::{self, InitConfig, Method, MethodEntry, MethodError, SceneInfo};
-use crate::moment::Moment;
+use crate::method::{InitConfig, Method, MethodError, SceneInfo, section};
+use crate::registry::Registry;
+use crate::saved;
 use crate::schedule::FIELD;
+use crate::timestamp::Moment;
 use gs_core::Param;
+use gs_data::{Dataset, ImageCache, View};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Instant;
 
-mod easel;
 mod error;
-mod order;
+mod render_pass;
+mod view_order;
 
-pub use easel::Phases;
-use easel::{Drawn, Easel, Sheet, ms_since};
 pub use error::TrainError;
-use order::ViewOrder;
+pub use render_pass::Phases;
+use render_pass::{Drawn, Easel, Sheet, ms_since};
+use view_order::ViewOrder;
 
 /// What a run needs beside data and configuration.
 #[derive(Clone, Debug, PartialEq)]
@@ -87,13 +89,14 @@ impl Trainer {
     /// # Errors
     /// If the method, its configuration or the first points cannot be used.
     pub fn new(
+        registry: &Registry,
         dataset: Arc<Dataset>,
         method: &str,
         config: &toml::Table,
         options: TrainOptions,
     ) -> Result<Self, TrainError> {
-        let entry = MethodEntry::find(method)?;
-        let init: InitConfig = methods::section(entry.name, config, "init")?;
+        let entry = registry.find(method)?;
+        let init: InitConfig = section(entry.name, config, "init")?;
         entry.avatar(&dataset)?;
         let scene = SceneInfo::of(&dataset, &init, options.seed)?;
         let method = (entry.build)(config, &scene)?;
@@ -106,13 +109,14 @@ impl Trainer {
     /// # Errors
     /// If the checkpoint does not fit the method, its configuration or the data.
     pub fn resume(
+        registry: &Registry,
         dataset: Arc<Dataset>,
         checkpoint: &Checkpoint,
         config: Option<&toml::Table>,
         image_bytes: usize,
     ) -> Result<Self, TrainError> {
         let loaded =
-            methods::saved::load_with(checkpoint, config, dataset.avatar.clone()).map_err(TrainError::State)?;
+            saved::load_with(registry, checkpoint, config, dataset.avatar.clone()).map_err(TrainError::State)?;
         if dataset.train.len() as u32 != loaded.scene.views {
             let (now, then) = (dataset.train.len(), loaded.scene.views);
             return Err(TrainError::State(format!("the data have {now} training views, the run began with {then}")));
@@ -131,10 +135,15 @@ impl Trainer {
     ///
     /// # Errors
     /// As [`Trainer::resume`].
-    pub fn with_more_views(self, dataset: Arc<Dataset>, config: &toml::Table) -> Result<Self, TrainError> {
+    pub fn with_more_views(
+        self,
+        registry: &Registry,
+        dataset: Arc<Dataset>,
+        config: &toml::Table,
+    ) -> Result<Self, TrainError> {
         let scene = self.scene.clone().seen_in(&dataset);
         let state = self.state_as(config, &scene);
-        let next = Self::resume(dataset, &state, None, self.options.image_bytes)?;
+        let next = Self::resume(registry, dataset, &state, None, self.options.image_bytes)?;
         Ok(Self { cache: self.cache, ..next })
     }
 
@@ -158,17 +167,17 @@ impl Trainer {
         self.state_as(&self.config, &self.scene)
     }
 
-    /// What drawing the scene as it stands needs ([`methods::saved::look`]).
+    /// What drawing the scene as it stands needs ([`saved::look`]).
     pub fn look(&self) -> Checkpoint {
-        methods::saved::look(self.method.as_ref(), &self.run_state(&self.config, &self.scene))
+        saved::look(self.method.as_ref(), &self.run_state(&self.config, &self.scene))
     }
 
     fn state_as(&self, config: &toml::Table, scene: &SceneInfo) -> Checkpoint {
-        methods::saved::save(self.method.as_ref(), &self.run_state(config, scene))
+        saved::save(self.method.as_ref(), &self.run_state(config, scene))
     }
 
-    fn run_state<'a>(&'a self, config: &'a toml::Table, scene: &'a SceneInfo) -> methods::saved::RunState<'a> {
-        methods::saved::RunState {
+    fn run_state<'a>(&'a self, config: &'a toml::Table, scene: &'a SceneInfo) -> saved::RunState<'a> {
+        saved::RunState {
             method: self.method.name(),
             config,
             scene,
@@ -400,141 +409,5 @@ fn check_run(method: &dyn Method, dataset: &Dataset) -> Result<(), MethodError> 
             );
             Err(MethodError::Config { method: method.name(), why })
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::schedule::Schedule;
-    use crate::synth::{self, SynthOptions};
-    use gs_core::Camera;
-    use gs_core::{Params, Splats, SplatsGrad};
-
-    /// Two blocks whose gradients are what the test wants.
-    struct Fake {
-        blocks: [Param; 2],
-        gradients: [Vec<f32>; 2],
-        schedule: Schedule,
-    }
-
-    impl Params for Fake {
-        fn visit(&self, f: &mut dyn FnMut(&Param)) {
-            self.blocks.iter().for_each(f);
-        }
-
-        fn visit_mut(&mut self, f: &mut dyn FnMut(&mut Param)) {
-            self.blocks.iter_mut().for_each(f);
-        }
-    }
-
-    impl Method for Fake {
-        fn name(&self) -> &'static str {
-            "fake"
-        }
-
-        fn schedule(&self) -> &Schedule {
-            &self.schedule
-        }
-
-        fn set_step(&mut self, _step: u32) {}
-
-        fn splats(&self, _at: &Moment, _camera: &Camera) -> Splats {
-            Splats::default()
-        }
-
-        fn step(&mut self, _at: &Moment, _camera: &Camera, _draw: &mut dyn FnMut(&Splats, &mut SplatsGrad)) {
-            self.blocks.iter_mut().zip(&self.gradients).for_each(|(p, g)| p.grad.clone_from(g));
-        }
-
-        fn len(&self) -> usize {
-            1000
-        }
-    }
-
-    fn fake(bad_rows: usize, bad_shared: bool) -> Trainer {
-        let options = SynthOptions { size: 16, train_views: 2, val_views: 0, test_views: 0, ..Default::default() };
-        let dataset = Arc::new(synth::generate("static", &options).unwrap().dataset);
-        let config = MethodEntry::find("fourdgs").unwrap().config("tiny").unwrap();
-        let schedule: Schedule = methods::section("fourdgs", &config, "schedule").unwrap();
-        let init = methods::section("fourdgs", &config, "init").unwrap();
-        let scene = SceneInfo::of(&dataset, &init, 0).unwrap();
-        let blocks = [Param::rows("cloud.means", 1, vec![1.0; 1000]), Param::shared("field.trunk", vec![1.0; 3])];
-        let mut gradients = [vec![1.0; 1000], vec![1.0; 3]];
-        gradients[0][7..7 + bad_rows].fill(f32::NAN);
-        gradients[1][1] = if bad_shared { f32::INFINITY } else { 1.0 };
-        Trainer::of(dataset, Box::new(Fake { blocks, gradients, schedule }), scene, &config, TrainOptions::default())
-    }
-
-    #[test]
-    fn few_bad_rows_are_counted_and_left_alone() {
-        let mut trainer = fake(1, false);
-        assert_eq!(trainer.step().unwrap().quarantined, 1);
-        trainer.method().visit(&mut |p| {
-            if p.name == "cloud.means" {
-                assert!(p.value[7] == 1.0 && p.value[6] < 1.0 && p.value[8] < 1.0);
-            }
-        });
-    }
-
-    #[test]
-    fn a_batch_is_the_mean_of_its_views() {
-        let options = SynthOptions { size: 24, train_views: 4, val_views: 0, test_views: 0, ..Default::default() };
-        let dataset = Arc::new(synth::generate("static", &options).unwrap().dataset);
-        let gradients = |batch: u32, first: u32| {
-            let mut config = MethodEntry::find("static3d").unwrap().config("tiny").unwrap();
-            config["schedule"].as_table_mut().unwrap().insert("batch".into(), i64::from(batch).into());
-            let mut trainer =
-                Trainer::new(dataset.clone(), "static3d", &config, TrainOptions::default()).expect("trainer");
-            trainer.step = first - 1;
-            trainer.method.set_step(first);
-            let (drawn, views) = trainer.learn(first).expect("step");
-            let mut grads = Vec::new();
-            trainer.method.visit(&mut |p| grads.extend_from_slice(&p.grad));
-            let seen = trainer.method.columns()[0].values.clone();
-            (drawn.terms.total, views, grads, seen)
-        };
-        let (both, one, two) = (gradients(2, 1), gradients(1, 1), gradients(1, 2));
-        assert_eq!(both.1, format!("{}, {}", one.1, two.1));
-        assert!((both.0 - 0.5 * (one.0 + two.0)).abs() < 1e-12);
-        let largest = both.2.iter().fold(0.0f32, |m, g| m.max(g.abs()));
-        for (i, g) in both.2.iter().enumerate() {
-            assert!((g - 0.5 * (one.2[i] + two.2[i])).abs() < 1e-6 * largest, "gradient {i}");
-        }
-        for (i, s) in both.3.iter().enumerate() {
-            let sum = one.3[i] + two.3[i];
-            assert!((s - sum).abs() <= 1e-6 * sum.abs(), "growth statistics are of whole losses: {i}");
-        }
-    }
-
-    #[test]
-    fn many_bad_rows_or_one_bad_weight_end_the_run() {
-        for (mut trainer, culprit) in [(fake(2, false), "row 7 of `cloud.means`"), (fake(0, true), "`field.trunk`")] {
-            let error = trainer.step().unwrap_err();
-            assert_eq!(error.exit_code(), 4);
-            assert!(error.to_string().contains(culprit), "{error}");
-            assert_eq!(trainer.steps_done(), 0);
-        }
-    }
-
-    #[test]
-    fn unknown_methods_and_settings_are_refused() {
-        let trainer = fake(0, false);
-        let (data, config) = (trainer.dataset().clone(), trainer.config.clone());
-        let error = |method: &str, config: &toml::Table| {
-            Trainer::new(data.clone(), method, config, TrainOptions::default()).err().unwrap()
-        };
-        assert_eq!(error("none", &config).exit_code(), 2);
-        assert!(error("static3d", &config).to_string().contains("field"), "static3d has no field");
-        let mut wrong = config.clone();
-        wrong["schedule"].as_table_mut().unwrap().insert("lambda_dssim".into(), 2.0.into());
-        assert!(error("fourdgs", &wrong).to_string().contains("lambda_dssim"));
-        let mut still = MethodEntry::find("static3d").unwrap().config("tiny").unwrap();
-        for (_, stage) in still["schedule"]["stages"].as_table_mut().unwrap().iter_mut() {
-            stage.as_table_mut().unwrap().insert("field_alone".into(), true.into());
-        }
-        assert!(error("static3d", &still).to_string().contains("field_alone"), "nothing would learn");
-        wrong.remove("init");
-        assert!(error("fourdgs", &wrong).to_string().contains("section `init` is missing"));
     }
 }

@@ -9,12 +9,13 @@
 
 use gs_core::Image;
 use gs_core::io::{Limits, RawSplats, load_splats, save_splats};
+use gs_data::{DataOptions, Dataset, ImageCache, View};
 use gs_raster::{Frame, Workspace, render};
+use gs_synth::{self as synth, SynthOptions};
 use gs_train::checkpoint::{self, Checkpoint};
-use gs_train::data::{DataOptions, Dataset, ImageCache, View};
-use gs_train::methods::{self, Method, MethodEntry, saved};
-use gs_train::moment::Moment;
-use gs_train::synth::{self, SynthOptions};
+use gs_train::method::{self as methods, Method};
+use gs_train::saved;
+use gs_train::timestamp::Moment;
 use gs_train::trainer::{TrainOptions, Trainer};
 use std::path::Path;
 use std::sync::Arc;
@@ -27,14 +28,15 @@ fn written(dir: &Path, name: &str) -> Arc<Dataset> {
 }
 
 fn trainer(data: &Arc<Dataset>, method: &str, steps: i64) -> Trainer {
-    let mut config = MethodEntry::find(method).and_then(|m| m.config("tiny")).expect("the tiny preset");
+    let mut config = gs_methods::registry().find(method).and_then(|m| m.config("tiny")).expect("the tiny preset");
     let names: Vec<String> = config["schedule"]["stages"].as_table().expect("stages").keys().cloned().collect();
     let share = steps / names.len() as i64;
     for name in names {
         let over = format!("[schedule.stages.{name}]\nsteps = {share}").parse().expect("TOML");
         methods::overlay(&mut config, over);
     }
-    Trainer::new(data.clone(), method, &config, TrainOptions { seed: 5, ..Default::default() }).expect("a trainer")
+    Trainer::new(gs_methods::registry(), data.clone(), method, &config, TrainOptions { seed: 5, ..Default::default() })
+        .expect("a trainer")
 }
 
 fn picture(method: &dyn Method, view: &View) -> Frame {
@@ -71,7 +73,7 @@ fn from_a_folder_of_images_to_a_splat_file() {
     std::fs::create_dir(&kept).expect("a folder");
     trainer.state().save_step(&kept, trainer.steps_done()).expect("a checkpoint");
     let newest: Checkpoint = checkpoint::load_newest(&kept).expect("the newest checkpoint").checkpoint;
-    let again = saved::load(&newest, None).expect("a method").method;
+    let again = saved::load(gs_methods::registry(), &newest, None).expect("a method").method;
     let view = &data.test[0];
     let splats = trainer.method().splats(&Moment::new(view.time), &view.camera);
     assert_eq!(again.splats(&Moment::new(view.time), &view.camera), splats);

@@ -2,7 +2,8 @@
 
 use crate::scene::Scene;
 use gs_train::checkpoint::{file_name, steps_in};
-use gs_train::run::OpenRun;
+use gs_train::registry::Registry;
+use gs4d_run::OpenRun;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -11,6 +12,7 @@ const OPEN: usize = 2;
 
 /// The folder of a run's checkpoints.
 pub struct Checkpoints {
+    registry: Registry,
     folder: PathBuf,
     /// Steps and scenes, the last used at the end.
     open: Mutex<Vec<(u32, Arc<Scene>)>>,
@@ -18,8 +20,8 @@ pub struct Checkpoints {
 
 impl Checkpoints {
     /// Those in a folder.
-    pub fn of(folder: PathBuf) -> Self {
-        Self { folder, open: Mutex::default() }
+    pub fn of(registry: Registry, folder: PathBuf) -> Self {
+        Self { registry, folder, open: Mutex::default() }
     }
 
     /// Steps there are now, newest first; none if the folder cannot be read.
@@ -36,7 +38,8 @@ impl Checkpoints {
         let scene = match open.iter().position(|(s, _)| *s == step) {
             Some(at) => open.remove(at).1,
             None => {
-                let run = OpenRun::open(&self.folder.join(file_name(step))).map_err(|e| e.to_string())?;
+                let run =
+                    OpenRun::open(&self.registry, &self.folder.join(file_name(step))).map_err(|e| e.to_string())?;
                 Arc::new(Scene::method(run.loaded.method))
             }
         };

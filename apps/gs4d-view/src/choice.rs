@@ -6,8 +6,8 @@ use crate::shot::{Chosen, FAINTEST, Shot};
 use crate::stage::Stage;
 use gs_core::io::RawSplats;
 use gs_core::io::ply;
-use gs_train::export::rows;
-use gs_train::run::picture::file_stem;
+use gs_train::renderer::file_stem;
+use gs4d_eval::export::rows;
 use serde_json::{Value, json};
 
 /// How many splats a box holds and how their properties are spread.

@@ -1,6 +1,6 @@
 //! What colours mean: name, unit, range, and how often each value is met.
 
-use gs_train::methods::color_scale;
+use gs_train::palette::color_scale;
 use serde_json::{Value, json};
 
 /// Bars of a histogram.

@@ -9,11 +9,12 @@
 
 use crate::scene::Scene;
 use crate::server::Shared;
-use gs_train::avatar::AvatarScene;
+use gs_data::avatar::AvatarScene;
 use gs_train::checkpoint::Checkpoint;
-use gs_train::methods::saved::load_with;
-use gs_train::run::Progress;
+use gs_train::registry::Registry;
+use gs_train::saved::load_with;
 use gs_train::trainer::Trainer;
+use gs4d_run::Progress;
 use serde_json::{Value, json};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -66,11 +67,16 @@ impl Feed {
     ///
     /// # Errors
     /// The system's, if there is no thread.
-    pub(crate) fn start(shared: Arc<Shared>, avatar: Option<Arc<AvatarScene>>, share: f64) -> std::io::Result<Self> {
+    pub(crate) fn start(
+        registry: Registry,
+        shared: Arc<Shared>,
+        avatar: Option<Arc<AvatarScene>>,
+        share: f64,
+    ) -> std::io::Result<Self> {
         let (copies, brought) = sync_channel(1);
         let (building, pace) = (Arc::new(AtomicBool::new(false)), Arc::new(Pace::of(share)));
         let feed = Self { copies, shared: shared.clone(), building: building.clone(), pace: pace.clone(), shown: 0 };
-        let work = move || build(&brought, &shared, avatar.as_ref(), &building, &pace);
+        let work = move || build(&registry, &brought, &shared, avatar.as_ref(), &building, &pace);
         std::thread::Builder::new().name(THREADS.into()).spawn(work)?;
         Ok(feed)
     }
@@ -98,6 +104,7 @@ impl Feed {
 
 /// Makes scenes of copies until the feed is dropped.
 fn build(
+    registry: &Registry,
     brought: &Receiver<(Checkpoint, Progress, Duration)>,
     shared: &Shared,
     avatar: Option<&Arc<AvatarScene>>,
@@ -106,7 +113,7 @@ fn build(
 ) {
     while let Ok((copy, progress, copied)) = brought.recv() {
         let begun = Instant::now();
-        let news = match shared.alone(|| load_with(&copy, None, avatar.cloned())) {
+        let news = match shared.alone(|| load_with(registry, &copy, None, avatar.cloned())) {
             Ok(loaded) => {
                 shared.stage.shows[0].replace(Scene::method(loaded.method));
                 told(progress, shared)

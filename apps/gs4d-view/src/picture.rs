@@ -13,9 +13,9 @@ use gs_core::{Camera, Color, Image, Splats};
 use gs_metrics::psnr;
 use gs_raster::{Frame, RasterOptions, Workspace, blend_counts, render_into};
 use gs_train::evaluate::clamped;
-use gs_train::methods::color_scale;
-use gs_train::run::picture::moment;
-use gs_train::segment;
+use gs_train::palette::color_scale;
+use gs_train::renderer::moment;
+use gs4d_eval::segment;
 use serde_json::{Value, json};
 use std::time::Instant;
 

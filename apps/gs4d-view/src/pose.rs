@@ -2,8 +2,8 @@
 
 use glam::DVec3;
 use gs_texel::Pose;
-use gs_train::methods::Figure;
-use gs_train::run::picture::moment;
+use gs_train::method::Figure;
+use gs_train::renderer::moment;
 use serde::Deserialize;
 use serde_json::{Value, json};
 

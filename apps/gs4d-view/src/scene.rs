@@ -1,9 +1,9 @@
 //! What is drawn: a trained method, or splats at rest.
 
 use gs_core::{Camera, Splats};
-use gs_train::methods::{Figure, Method, Quantity};
-use gs_train::run::picture::moment;
-use gs_train::segment::{Labels, Options, segment};
+use gs_train::method::{Figure, Method, Quantity};
+use gs_train::renderer::moment;
+use gs4d_eval::segment::{Labels, Options, segment};
 use std::borrow::Cow;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU64, Ordering};

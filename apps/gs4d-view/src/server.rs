@@ -13,7 +13,8 @@ use axum::extract::ws::{CloseFrame, Message, WebSocket, WebSocketUpgrade};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
-use gs_train::avatar::AvatarScene;
+use gs_data::avatar::AvatarScene;
+use gs_train::registry::Registry;
 use serde_json::{Value, json};
 use std::net::{IpAddr, SocketAddr, TcpListener};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -64,9 +65,9 @@ impl Server {
     ///
     /// # Errors
     /// If there is no thread for it.
-    pub fn feed(&self, avatar: Option<Arc<AvatarScene>>) -> Result<Feed, ViewError> {
+    pub fn feed(&self, registry: Registry, avatar: Option<Arc<AvatarScene>>) -> Result<Feed, ViewError> {
         let share = self.shared.half.unwrap_or(1.0);
-        Feed::start(self.shared.clone(), avatar, share).map_err(ViewError::Threads)
+        Feed::start(registry, self.shared.clone(), avatar, share).map_err(ViewError::Threads)
     }
 }
 

@@ -5,7 +5,7 @@ use crate::scene::Scene;
 use crate::stage::{Show, Stage};
 use gs_core::{Camera, Splats};
 use gs_texel::Pose;
-use gs_train::run::picture::moment;
+use gs_train::renderer::moment;
 use std::borrow::Cow;
 use std::sync::Arc;
 

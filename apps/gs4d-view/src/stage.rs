@@ -4,10 +4,10 @@ use crate::checkpoints::Checkpoints;
 use crate::pose;
 use crate::scene::Scene;
 use gs_core::{Camera, Splats};
+use gs_data::{Dataset, ImageCache, View};
 use gs_raster::RasterOptions;
-use gs_train::data::{Dataset, ImageCache, View};
-use gs_train::run::orbit::middle;
-use gs_train::run::{OpenRun, Training};
+use gs4d_run::orbit::middle;
+use gs4d_run::{OpenRun, Training};
 use serde_json::{Value, json};
 use std::sync::{Arc, PoisonError, RwLock};
 
@@ -41,7 +41,7 @@ impl Show {
         let background = run.background();
         let options = run.loaded.method.schedule().raster_options(background);
         let photographs = dataset.map(|_| run.photographs());
-        let checkpoints = run.folder().ok().map(|f| Checkpoints::of(f.checkpoints()));
+        let checkpoints = run.folder().ok().map(|f| Checkpoints::of(run.resolved.registry.clone(), f.checkpoints()));
         let mut show = Self::new(name, Scene::method(run.loaded.method), options, background);
         (show.photographs, show.checkpoints) = (photographs, checkpoints);
         dataset.into_iter().for_each(|data| show.bring(data));
@@ -55,13 +55,14 @@ impl Show {
     pub fn live(name: String, training: &Training) -> Result<Self, String> {
         let trainer = training.trainer();
         let data = trainer.dataset();
-        let copy = gs_train::methods::saved::load_with(&trainer.look(), None, data.avatar.clone())?;
+        let copy =
+            gs_train::saved::load_with(&training.resolved().registry, &trainer.look(), None, data.avatar.clone())?;
         let background = copy.method.schedule().background.evaluation_color();
         let options = copy.method.schedule().raster_options(background);
         let mut show = Self::new(name, Scene::method(copy.method), options, background);
         let limit = training.resolved().data.max_image_mib;
         show.photographs = Some(ImageCache::new(LIVE_PHOTOGRAPHS, 1.0).with_max_image_mib(limit));
-        show.checkpoints = Some(Checkpoints::of(training.folder().checkpoints()));
+        show.checkpoints = Some(Checkpoints::of(training.resolved().registry.clone(), training.folder().checkpoints()));
         show.bring(data);
         Ok(show)
     }
@@ -192,7 +193,7 @@ impl Show {
 
     /// Median of the centres at the first time and the distance that three quarters of them lie within.
     fn centre(&self) -> ([f32; 3], f32) {
-        let neutral = gs_train::run::needs::neutral_camera();
+        let neutral = gs4d_report::needs::neutral_camera();
         let camera: &Camera = self.views.first().map_or(&neutral, |v| &v.camera);
         let scene = self.now();
         let splats = scene.at(self.times.first().copied().unwrap_or(0.0), camera);

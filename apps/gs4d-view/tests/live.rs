@@ -2,9 +2,9 @@
 
 mod support;
 
+use gs_synth::{self as synth, SynthOptions};
 use gs_train::checkpoint::Checkpoint;
-use gs_train::run::{Outcome, Request, Training, settings};
-use gs_train::synth::{self, SynthOptions};
+use gs4d_run::{Outcome, Request, Training, settings};
 use gs4d_view::{Options, Packing, Show, Stage, start};
 use serde_json::{Value, json};
 use std::path::Path;
@@ -20,7 +20,7 @@ fn training(data: &Path, run: &Path, method: &str) -> Training {
         steps: Some(160),
         ..Request::default()
     };
-    Training::begin(run, false, settings::resolve(&request).unwrap()).unwrap()
+    Training::begin(run, false, settings::resolve(gs_methods::registry(), &request).unwrap()).unwrap()
 }
 
 /// Everything of a state that does not tell the time.
@@ -48,7 +48,7 @@ fn a_watched_run_moves_on_and_ends_as_an_unwatched_one() {
         let show = Show::live("run".into(), &watched).unwrap();
         let options = Options { host: [127, 0, 0, 1].into(), port: 18_300, packing: Packing::Png, share: Some(0.5) };
         let server = start(Stage { shows: vec![show] }, &options).unwrap();
-        let mut feed = server.feed(None).unwrap();
+        let mut feed = server.feed(gs_methods::registry().clone(), None).unwrap();
         let (mut socket, about) = greeted(&server);
         assert!(about["shows"][0]["layers"].as_array().unwrap().contains(&json!("truth")));
         let first = ask(&mut socket, &picture(0)).1;

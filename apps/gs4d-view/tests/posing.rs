@@ -1,8 +1,7 @@
 //! A filmed person in poses of the user's.
 
-use gs_train::methods::MethodEntry;
-use gs_train::run::picture::moment;
-use gs_train::synth::avatar::{self, AvatarOptions};
+use gs_synth::avatar::{self, AvatarOptions};
+use gs_train::renderer::moment;
 use gs_train::trainer::{TrainOptions, Trainer};
 use gs4d_view::pose::{Posing, inputs, joints};
 use std::sync::Arc;
@@ -12,8 +11,8 @@ fn its_own_pose_changes_nothing_and_a_turned_arm_moves_alone() {
     let template = "builtin:person".to_owned();
     let options = AvatarOptions { template, size: 32, frames: 3, rings: 1, points: 200, ..AvatarOptions::default() };
     let film = Arc::new(avatar::generate(&options).unwrap());
-    let config = MethodEntry::find("dut").unwrap().config("tiny").unwrap();
-    let trainer = Trainer::new(film.clone(), "dut", &config, TrainOptions::default()).unwrap();
+    let config = gs_methods::registry().find("dut").unwrap().config("tiny").unwrap();
+    let trainer = Trainer::new(gs_methods::registry(), film.clone(), "dut", &config, TrainOptions::default()).unwrap();
     let method = trainer.method();
     let figure = method.figure().expect("a person");
     let filmed = method.splats(&moment(0.0), &film.train[0].camera);

@@ -1,16 +1,16 @@
 //! What a user sees when something goes wrong: what, where, why it matters, what to do; and the exit code.
 
 use gs_core::io::IoError;
+use gs_data::DataError;
 use gs_train::checkpoint::CheckpointError;
-use gs_train::config::ConfigError;
-use gs_train::data::DataError;
 use gs_train::evaluate::EvalError;
-use gs_train::folders::FolderError;
-use gs_train::forecast::ForecastError;
-use gs_train::methods::MethodError;
-use gs_train::run::RunError;
-use gs_train::temporal::TemporalError;
+use gs_train::method::MethodError;
 use gs_train::trainer::TrainError;
+use gs4d_eval::folders::FolderError;
+use gs4d_eval::forecast::ForecastError;
+use gs4d_eval::temporal::TemporalError;
+use gs4d_run::RunError;
+use gs4d_run::config::ConfigError;
 use std::fmt;
 use std::path::Path;
 

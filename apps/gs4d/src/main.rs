@@ -6,13 +6,16 @@
 
 mod answer;
 mod failure;
+mod global;
 mod interrupt;
 mod parse;
 mod progress;
 mod verbs;
 
+use global::Global;
+
 use answer::Answer;
-use clap::{Args, Parser, Subcommand};
+use clap::{Parser, Subcommand};
 use failure::{Class, Failure};
 use std::process::ExitCode;
 
@@ -28,39 +31,6 @@ struct Cli {
 
 const EXIT_CODES: &str = "Exit codes: 0 done, 1 internal fault, 2 wrong usage, 3 invalid data, 4 numerical failure, \
     5 resource limit, 6 input or output, 7 verification failed, 130 interrupted (state saved)";
-
-/// Flags every verb takes.
-#[derive(Args, Clone, Debug)]
-pub struct Global {
-    /// Print the result as one JSON value on stdout.
-    #[arg(long, global = true)]
-    json: bool,
-    /// No progress and no messages on stderr but errors.
-    #[arg(short, long, global = true, conflicts_with = "verbose")]
-    quiet: bool,
-    /// More detail on stderr.
-    #[arg(short, long, global = true)]
-    verbose: bool,
-    /// Threads to use; results are the same for any number [default: all cores].
-    #[arg(long, global = true, value_name = "T", value_parser = clap::value_parser!(u16).range(1..=1024))]
-    threads: Option<u16>,
-}
-
-impl Global {
-    /// A message on stderr, unless quiet.
-    fn say(&self, message: impl std::fmt::Display) {
-        if !self.quiet {
-            eprintln!("{message}");
-        }
-    }
-
-    /// A message on stderr for those who asked for detail.
-    fn detail(&self, message: impl std::fmt::Display) {
-        if self.verbose {
-            eprintln!("{message}");
-        }
-    }
-}
 
 #[derive(Subcommand)]
 enum Verb {

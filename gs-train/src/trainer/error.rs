@@ -1,7 +1,7 @@
 //! Why training stops.
 
-use crate::data::DataError;
-use crate::methods::MethodError;
+use crate::method::MethodError;
+use gs_data::DataError;
 
 /// Why training cannot go on.
 #[derive(Debug, thiserror::Error)]

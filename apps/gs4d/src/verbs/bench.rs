@@ -1,14 +1,14 @@
 //! `gs4d bench`: speed against error of the crates, or the stages of a frame of a run, on this machine.
 
 use super::demo::speed_text;
-use crate::Global;
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
+use crate::global::Global;
 use gs_core::speed::SpeedError;
-use gs_train::bench::{GROUPS, StageOptions, StageTimes, roofs, stage_times};
-use gs_train::lab::{LabError, Trained};
-use gs_train::report::speed_json;
-use gs_train::run::OpenRun;
+use gs4d_lab::bench::{GROUPS, StageOptions, StageTimes, roofs, stage_times};
+use gs4d_lab::people::{LabError, Trained};
+use gs4d_report::speed_json;
+use gs4d_run::OpenRun;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
@@ -44,7 +44,7 @@ impl Bench {
     }
 
     fn stages(&self, run: &Path, global: &Global) -> Result<Answer, Failure> {
-        let run = OpenRun::open(run)?;
+        let run = OpenRun::open(gs_methods::registry(), run)?;
         let film = run.resolved.open_data()?;
         let dut = Trained::of_run(&run)?.on(&film, &[])?;
         let (warm_up, frames, repeats) = (self.warm_up as usize, self.frames as usize, self.repeats as usize);

@@ -1,12 +1,12 @@
 //! `gs4d compact`: a trained scene as one small file.
 
 use super::eval::SplitName;
-use crate::Global;
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
-use gs_train::compact::{Bits, CompactScene, Packing};
-use gs_train::data::Dataset;
-use gs_train::run::OpenRun;
+use crate::global::Global;
+use gs_data::Dataset;
+use gs4d_run::OpenRun;
+use gs4d_run::compact::{Bits, CompactScene, Packing};
 use serde_json::json;
 use std::path::PathBuf;
 
@@ -59,7 +59,7 @@ impl From<BitsName> for Bits {
 impl Compact {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
         self.check_out()?;
-        let run = OpenRun::open(&self.run)?;
+        let run = OpenRun::open(gs_methods::registry(), &self.run)?;
         // The data are opened first: nothing is written for a split that is not there.
         let dataset = if self.no_eval { None } else { Some(run.resolved.open_data()?) };
         let scene = CompactScene::of(run.loaded.method.as_ref(), &run.loaded.config);
@@ -67,7 +67,7 @@ impl Compact {
         let before = self.psnr(&run, dataset.as_ref())?;
         let report = scene.write(&self.out, &run.loaded, &run.resolved.config.table(), packing)?;
         global.detail(format!("wrote {}", self.out.display()));
-        let after = self.psnr(&OpenRun::open(&self.out)?, dataset.as_ref())?;
+        let after = self.psnr(&OpenRun::open(gs_methods::registry(), &self.out)?, dataset.as_ref())?;
         let change = before.zip(after).map(|(b, a)| a - b);
         let mut text = report.to_text();
         if let (Some(before), Some(after), Some(change)) = (before, after, change) {

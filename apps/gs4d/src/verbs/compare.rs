@@ -3,11 +3,12 @@
 use super::eval::SplitName;
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
-use crate::{Global, parse};
+use crate::global::Global;
+use crate::parse;
 use gs_core::io::write_file;
-use gs_train::compare::runs::{CompareError, Compared, Options, Row, Side, columns, compare};
-use gs_train::report::compare::page;
-use gs_train::run::RunError;
+use gs4d_run::RunError;
+use gs4d_run::compare::page::page;
+use gs4d_run::compare::{CompareError, Compared, Options, Row, Side, columns, compare};
 use serde_json::json;
 use std::path::PathBuf;
 
@@ -56,7 +57,7 @@ impl Compare {
         }
         let mut sides = Vec::new();
         for path in &self.runs {
-            let side = Side::open(path)?;
+            let side = Side::open(gs_methods::registry(), path)?;
             for skipped in &side.run.skipped {
                 global.say(format!("{}: skipped {}", path.display(), skipped.why));
             }

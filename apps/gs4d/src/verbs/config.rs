@@ -2,7 +2,7 @@
 
 use crate::answer::Answer;
 use crate::failure::Failure;
-use gs_train::run::settings::{Request, resolve};
+use gs4d_run::settings::{Request, resolve};
 use serde_json::json;
 
 /// Print every setting of a method as TOML, each with where it comes from
@@ -22,7 +22,7 @@ pub struct ShowConfig {
 impl ShowConfig {
     pub fn run(self) -> Result<Answer, Failure> {
         let request = Request { method: self.method, preset: self.preset, sets: self.sets, ..Request::default() };
-        let config = resolve(&request)?.config;
+        let config = resolve(gs_methods::registry(), &request)?.config;
         let rows: Vec<_> = config
             .iter()
             .map(|(key, s)| json!({"key": key, "value": s.value, "source": s.source.to_string(), "about": s.about}))

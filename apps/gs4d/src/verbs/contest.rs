@@ -3,9 +3,10 @@
 use super::train::time_text;
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
+use crate::global::Global;
 use crate::progress::Progress;
-use crate::{Global, interrupt, parse};
-use gs_train::contest::{Contest, ContestError, Entry, Length, SCORES, Score, Spread, Standing, Told};
+use crate::{interrupt, parse};
+use gs4d_lab::contest::{Contest, ContestError, Entry, Length, SCORES, Score, Spread, Standing, Told};
 use serde_json::{Value, json};
 use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
@@ -59,7 +60,8 @@ impl ContestVerb {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
         let length = self.trials.length();
         let Self { data, entries, preset, trials: Trials { seeds, sets, out: root, .. } } = self;
-        let contest = Contest { data, root, preset, entries, seeds, length, sets };
+        let contest =
+            Contest { registry: gs_methods::registry().clone(), data, root, preset, entries, seeds, length, sets };
         let standings = follow(global, |stop, tell| contest.run(stop, tell))?.map_err(failure)?;
         Ok(Answer::new(table(&standings), to_json(&standings)))
     }

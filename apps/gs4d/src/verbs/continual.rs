@@ -3,11 +3,12 @@
 use super::train::time_text;
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
+use crate::global::Global;
+use crate::interrupt;
 use crate::progress::Progress;
-use crate::{Global, interrupt};
-use gs_train::continual::{FILE, Plan, RoundScores, Rounds, Told, run};
 use gs_train::evaluate::MeanScores;
-use gs_train::run::settings::Request;
+use gs4d_lab::continual::{FILE, Plan, RoundScores, Rounds, Told, run};
+use gs4d_run::settings::Request;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
@@ -90,6 +91,7 @@ impl ContinualVerb {
             ..Request::default()
         };
         let plan = Plan {
+            registry: gs_methods::registry().clone(),
             request,
             rounds,
             later_steps: self.steps_later,

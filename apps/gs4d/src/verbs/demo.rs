@@ -3,18 +3,19 @@
 use super::train::{drive, time_text};
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
-use crate::{Global, interrupt};
+use crate::global::Global;
+use crate::interrupt;
 use gs_core::io::images::save_png;
 use gs_core::io::{RawSplats, save_splats};
 use gs_core::speed::SpeedError;
+use gs_synth::{self as synth, SynthOptions};
 use gs_train::evaluate::EvalReport;
-use gs_train::inspect::bytes_text;
-use gs_train::report::speed_json;
-use gs_train::run::opened::metrics_json;
-use gs_train::run::picture::{Painter, moment};
-use gs_train::run::settings::{Request, resolve};
-use gs_train::run::{Outcome, Training};
-use gs_train::synth::{self, SynthOptions};
+use gs_train::renderer::{Painter, moment};
+use gs4d_report::inspect::bytes_text;
+use gs4d_report::speed_json;
+use gs4d_run::opened::metrics_json;
+use gs4d_run::settings::{Request, resolve};
+use gs4d_run::{Outcome, Training};
 use serde_json::json;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -99,7 +100,7 @@ impl Demo {
             sets: SETS.iter().chain(field_sets).map(|s| (*s).to_owned()).collect(),
             ..Request::default()
         };
-        Ok(Training::begin(&root, self.force, resolve(&request)?)?)
+        Ok(Training::begin(&root, self.force, resolve(gs_methods::registry(), &request)?)?)
     }
 
     /// Writes pictures through time and the splats of the middle moment; lists what a user may want to open.

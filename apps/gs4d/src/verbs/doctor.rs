@@ -1,12 +1,12 @@
 //! `gs4d doctor`: what is wrong with a data set, before it is trained on.
 
-use crate::Global;
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
+use crate::global::Global;
 use gs_core::io::write_file;
-use gs_train::data::DataOptions;
-use gs_train::doctor::{Checkup, CostOptions, Exam, Finding, Verdict, examine, page};
-use gs_train::run::settings::{Request, resolve};
+use gs_data::DataOptions;
+use gs4d_doctor::{Checkup, CostOptions, Exam, Finding, Verdict, examine, page};
+use gs4d_run::settings::{Request, resolve};
 use serde_json::json;
 use std::path::PathBuf;
 
@@ -49,6 +49,7 @@ impl Doctor {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
         let data = self.data_options()?;
         let cost = CostOptions {
+            registry: gs_methods::registry().clone(),
             method: self.method.clone(),
             preset: self.preset.clone(),
             sets: self.sets.clone(),
@@ -65,7 +66,7 @@ impl Doctor {
 
     fn data_options(&self) -> Result<DataOptions, Failure> {
         let (method, preset, sets) = (self.method.clone(), self.preset.clone(), self.sets.clone());
-        let data = resolve(&Request { method, preset, sets, ..Request::default() })?.data;
+        let data = resolve(gs_methods::registry(), &Request { method, preset, sets, ..Request::default() })?.data;
         Ok(DataOptions { layout: self.layout.clone().or(data.layout.clone()), ..data })
     }
 

@@ -3,15 +3,16 @@
 use super::train::all_scores_text;
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
-use crate::{Global, parse};
-use gs_train::compare::{Metric, SetScores};
-use gs_train::data::Split;
+use crate::global::Global;
+use crate::parse;
+use gs_data::Split;
 use gs_train::evaluate::MaskedScores;
-use gs_train::folders::{FolderScores, FolderTask, Quantise, TofOptions, VideoScore, score, tof_protocol};
-use gs_train::run::OpenRun;
-use gs_train::run::folder::METRICS;
-use gs_train::run::opened::metrics_json;
-use gs_train::temporal;
+use gs4d_eval::compare::{Metric, SetScores};
+use gs4d_eval::folders::{FolderScores, FolderTask, Quantise, TofOptions, VideoScore, score, tof_protocol};
+use gs4d_eval::temporal;
+use gs4d_run::OpenRun;
+use gs4d_run::folder::METRICS;
+use gs4d_run::opened::metrics_json;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
@@ -143,7 +144,7 @@ impl Eval {
 
     fn of_run(&self, root: &Path, global: &Global) -> Result<Answer, Failure> {
         let tof = self.tof()?;
-        let run = OpenRun::open(root)?;
+        let run = OpenRun::open(gs_methods::registry(), root)?;
         for skipped in &run.skipped {
             global.say(format!("skipped {}", skipped.why));
         }

@@ -3,14 +3,15 @@
 use super::eval::SplitName;
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
+use crate::global::Global;
+use crate::parse;
 use crate::progress::Progress;
-use crate::{Global, parse};
 use gs_core::io::{Limits, RawSplats, SplatFormat, load_splats, save_splats, write_file};
-use gs_train::data::{Dataset, ImageCache};
+use gs_data::{Dataset, ImageCache};
 use gs_train::evaluate::{EvalReport, evaluate};
-use gs_train::export::{AsExported, Baker, ExportError, cut};
-use gs_train::run::OpenRun;
-use gs_train::run::picture::moment;
+use gs_train::renderer::moment;
+use gs4d_eval::export::{AsExported, Baker, ExportError, cut};
+use gs4d_run::OpenRun;
 use serde_json::{Value, json};
 use std::path::PathBuf;
 
@@ -139,7 +140,7 @@ impl Export {
     }
 
     fn bake(&self, plan: &Plan, global: &Global) -> Result<Answer, Failure> {
-        let run = OpenRun::open(&self.scene)?;
+        let run = OpenRun::open(gs_methods::registry(), &self.scene)?;
         let dataset = run.resolved.open_data()?;
         let method = run.loaded.method.as_ref();
         let baker = || Baker::new(method, &dataset.train, self.sh_degree);

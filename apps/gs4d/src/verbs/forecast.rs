@@ -2,19 +2,21 @@
 
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
+use crate::global::Global;
+use crate::parse;
 use crate::progress::Progress;
-use crate::{Global, parse};
 use gs_core::Camera;
 use gs_core::io::images::save_png;
 use gs_core::io::{Limits, cameras::load_cameras, write_file};
-use gs_train::data::Dataset;
-use gs_train::forecast::physics::Steps;
-use gs_train::forecast::{CameraPath, Clock, MomentScores, Physics, Spacing, Truth, draw, times};
-use gs_train::methods::Method;
-use gs_train::report::{Still, forecast::page};
-use gs_train::run::OpenRun;
-use gs_train::run::picture::Painter;
-use gs_train::track::{Track, TrackError, TrackReport, follow};
+use gs_data::Dataset;
+use gs_train::method::Method;
+use gs_train::renderer::Painter;
+use gs4d_eval::forecast::page::page;
+use gs4d_eval::forecast::physics::Steps;
+use gs4d_eval::forecast::{CameraPath, Clock, MomentScores, Physics, Spacing, Truth, draw, times};
+use gs4d_eval::track::{Track, TrackError, TrackReport, follow};
+use gs4d_report::Still;
+use gs4d_run::OpenRun;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -68,7 +70,7 @@ pub struct ForecastVerb {
 
 impl ForecastVerb {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
-        let run = OpenRun::open(&self.run)?;
+        let run = OpenRun::open(gs_methods::registry(), &self.run)?;
         let dataset = run.resolved.open_data()?;
         let clock = Clock::of(&dataset);
         let path = self.path(&run, &dataset)?;
@@ -118,7 +120,7 @@ impl ForecastVerb {
         let json = told.json(&self.run);
         write_file(&self.out.join(FILE), true, |out| writeln!(out, "{json:#}"))?;
         let html = page(&title(&self.run), told.moments.unwrap_or_default(), &strip, told.physics.as_ref());
-        let html = html.map_err(gs_train::run::RunError::from)?;
+        let html = html.map_err(gs4d_run::RunError::from)?;
         write_file(&self.out.join(PAGE), true, |out| out.write_all(html.as_bytes()))?;
         Ok(Answer::new(told.text(&self.out), json))
     }

@@ -2,16 +2,17 @@
 
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
+use crate::global::Global;
+use crate::parse;
 use crate::progress::Progress;
-use crate::{Global, parse};
 use gs_core::Camera;
 use gs_core::io::cameras::load_cameras;
 use gs_core::io::images::save_png;
 use gs_core::io::{Limits, write_file};
-use gs_train::data::Split;
-use gs_train::glmd::{self, Anchor, GlmdError, Masks, Mean, Options, Reference, Still, Study, Switches};
-use gs_train::run::OpenRun;
-use gs_train::synth;
+use gs_data::Split;
+use gs_synth as synth;
+use gs4d_lab::glmd::{self, Anchor, GlmdError, Masks, Mean, Options, Reference, Still, Study, Switches};
+use gs4d_run::OpenRun;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -76,7 +77,7 @@ impl From<GlmdError> for Failure {
 
 impl Glmd {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
-        let run = OpenRun::open(&self.run)?;
+        let run = OpenRun::open(gs_methods::registry(), &self.run)?;
         let method = run.loaded.method.as_ref();
         let camera = self.camera(&run)?;
         let masks = self.masks(&run)?;

@@ -1,12 +1,11 @@
 //! `gs4d init`: points to begin with, and the box of the scene.
 
-use crate::Global;
 use crate::answer::Answer;
 use crate::failure::Failure;
+use crate::global::Global;
 use clap::ValueEnum;
-use gs_train::data::{DataOptions, Dataset, StartFrom, cube, write_start};
-use gs_train::methods::METHODS;
-use gs_train::run::settings::{Request, resolve};
+use gs_data::{DataOptions, Dataset, StartFrom, cube, write_start};
+use gs4d_run::settings::{Request, resolve};
 use serde_json::json;
 use std::path::PathBuf;
 
@@ -62,9 +61,9 @@ impl Init {
             return Err(Failure::usage(format!("`{other}` is no setting of the data")));
         }
         // Every method reads its data by the same settings.
-        let method = METHODS[0].name.to_owned();
+        let method = "static3d".to_owned();
         let request = Request { method, preset: "fast".into(), sets: self.sets.clone(), ..Request::default() };
-        let options = resolve(&request)?.data;
+        let options = resolve(gs_methods::registry(), &request)?.data;
         let options = DataOptions { layout: self.layout.clone().or(options.layout.clone()), ..options };
         let mut data = Dataset::open(&self.data, &options)?;
         let bounds = self.bound.map(cube);

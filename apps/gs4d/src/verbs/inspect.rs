@@ -3,18 +3,18 @@
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use gs_core::io::{Limits, RawSplats, load_splats};
-use gs_train::analysis::paths::moments_for;
-use gs_train::analysis::{Analysis, Economy, Journal};
+use gs_data::Split;
+use gs_synth as synth;
 use gs_train::checkpoint::Checkpoint;
-use gs_train::data::Split;
-use gs_train::inspect::{BlockSummary, SplatSummary, bytes_text};
-use gs_train::physics_check::{self, PhysicsOptions, PhysicsReport};
-use gs_train::run::OpenRun;
-use gs_train::run::folder::{JOURNAL, METRICS};
-use gs_train::run::needs::{needs, neutral_camera};
-use gs_train::run::picture::moment;
-use gs_train::storage::Storage;
-use gs_train::synth;
+use gs_train::renderer::moment;
+use gs4d_eval::physics_check::{self, PhysicsOptions, PhysicsReport};
+use gs4d_report::analysis::paths::moments_for;
+use gs4d_report::analysis::{Analysis, Economy, Journal};
+use gs4d_report::inspect::{BlockSummary, SplatSummary, bytes_text};
+use gs4d_report::needs::{needs, neutral_camera};
+use gs4d_report::storage::Storage;
+use gs4d_run::OpenRun;
+use gs4d_run::folder::{JOURNAL, METRICS};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -78,7 +78,7 @@ fn checkpoint_file(path: &Path) -> Result<Answer, Failure> {
 
 impl Inspect {
     fn run_folder(&self, root: &Path) -> Result<Answer, Failure> {
-        let run = OpenRun::open(root)?;
+        let run = OpenRun::open(gs_methods::registry(), root)?;
         let method = run.loaded.method.as_ref();
         let camera = neutral_camera();
         let needs = needs(method, &camera, run.loaded.scene.extent);

@@ -2,11 +2,11 @@
 
 use super::synth::avatar::light;
 use super::train::time_text;
-use crate::Global;
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
-use gs_train::lab::{EXPERIMENTS, Experiment, Findings, LabError, Recipe, Setup, Training, WriteError};
-use gs_train::synth::avatar::{AvatarOptions, Light};
+use crate::global::Global;
+use gs_synth::avatar::{AvatarOptions, Light};
+use gs4d_lab::people::{EXPERIMENTS, Experiment, Findings, LabError, Recipe, Setup, Training, WriteError};
 use serde_json::json;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -143,7 +143,7 @@ impl From<WriteError> for Failure {
     fn from(e: WriteError) -> Self {
         match e {
             WriteError::Io(e) => e.into(),
-            WriteError::Chart(e) => gs_train::run::RunError::from(e).into(),
+            WriteError::Chart(e) => gs4d_run::RunError::from(e).into(),
         }
     }
 }

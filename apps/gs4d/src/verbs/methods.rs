@@ -1,7 +1,6 @@
 //! `gs4d methods`: what there is to choose from.
 
 use crate::answer::Answer;
-use gs_train::methods::METHODS;
 use serde_json::json;
 
 /// List the methods and their presets
@@ -10,13 +9,14 @@ pub struct Methods {}
 
 impl Methods {
     pub fn run(self) -> Answer {
-        let presets = |m: &gs_train::methods::MethodEntry| m.presets.iter().map(|p| p.0).collect::<Vec<_>>();
-        let text: String = METHODS
+        let registry = gs_methods::registry();
+        let presets = |m: &gs_train::method::MethodEntry| m.presets.iter().map(|p| p.0).collect::<Vec<_>>();
+        let text: String = registry
             .iter()
             .map(|m| format!("{:10} {}\n{:10} presets: {}\n", m.name, m.about, "", presets(m).join(", ")))
             .collect();
         let json: Vec<_> =
-            METHODS.iter().map(|m| json!({"name": m.name, "about": m.about, "presets": presets(m)})).collect();
+            registry.iter().map(|m| json!({"name": m.name, "about": m.about, "presets": presets(m)})).collect();
         Answer::new(text, json!(json))
     }
 }

@@ -1,8 +1,8 @@
 //! `gs4d pose`: a rigged character at a moment of one of its motions, as a mesh.
 
-use crate::Global;
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
+use crate::global::Global;
 use gs_core::io::write_file;
 use gs_texel::write_mesh::{write_obj, write_ply};
 use gs_texel::{Character, CharacterError, ReadOptions, Skinning, load_character};

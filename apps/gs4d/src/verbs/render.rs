@@ -2,18 +2,19 @@
 
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
+use crate::global::Global;
+use crate::parse;
 use crate::progress::Progress;
-use crate::{Global, parse};
 use gs_core::io::cameras::{NamedCamera, load_cameras};
 use gs_core::io::images::save_png;
 use gs_core::io::{Limits, RawSplats, exr, load_splats, npy, write_file, y4m};
 use gs_core::{Camera, Image, Splats};
+use gs_data::Dataset;
 use gs_raster::{Frame, RasterOptions};
-use gs_train::data::Dataset;
-use gs_train::run::OpenRun;
-use gs_train::run::flight::Flight;
-use gs_train::run::orbit::Orbit;
-use gs_train::run::picture::{Painter, file_stem, moment};
+use gs_train::renderer::{Painter, file_stem, moment};
+use gs4d_run::OpenRun;
+use gs4d_run::flight::Flight;
+use gs4d_run::orbit::Orbit;
 use serde_json::json;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -79,7 +80,7 @@ enum Scene {
 impl Scene {
     fn open(path: &Path) -> Result<Self, Failure> {
         if path.is_dir() || path.extension().is_some_and(|e| e == "gs4d") {
-            return Ok(Scene::Run(Box::new(OpenRun::open(path)?)));
+            return Ok(Scene::Run(Box::new(OpenRun::open(gs_methods::registry(), path)?)));
         }
         let raw: RawSplats = load_splats(path, &Limits::default())?;
         let splats = raw.to_splats();

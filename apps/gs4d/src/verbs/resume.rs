@@ -4,8 +4,9 @@ use super::train::carry_on;
 use super::view::Watch;
 use crate::answer::Answer;
 use crate::failure::Failure;
-use crate::{Global, interrupt, parse};
-use gs_train::run::Training;
+use crate::global::Global;
+use crate::{interrupt, parse};
+use gs4d_run::Training;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -31,7 +32,8 @@ pub struct Resume {
 impl Resume {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
         let stop = interrupt::flag()?;
-        let mut training = Training::resume(&self.run, self.steps, self.time_budget.map(|d| d.as_secs_f64()))?;
+        let mut training =
+            Training::resume(gs_methods::registry(), &self.run, self.steps, self.time_budget.map(|d| d.as_secs_f64()))?;
         global.say(format!("going on from step {}", training.trainer().steps_done()));
         carry_on(&mut training, &self.watch, &stop, global)
     }

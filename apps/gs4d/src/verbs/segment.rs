@@ -3,19 +3,20 @@
 use super::eval::SplitName;
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
+use crate::global::Global;
+use crate::parse;
 use crate::progress::Progress;
-use crate::{Global, parse};
 use gs_core::io::images::{save_png, write_png8};
 use gs_core::io::{npy, write_file};
-use gs_train::data::{Dataset, Split, View};
+use gs_data::{Dataset, Split, View};
+use gs_synth as synth;
 use gs_train::evaluate::split_name;
-use gs_train::run::OpenRun;
-use gs_train::run::picture::file_stem;
-use gs_train::segment::{
+use gs_train::renderer::file_stem;
+use gs4d_eval::segment::{
     self, Complexity, Count, Feature, Labels, Options, Part, Scores, SegmentError, TrueLabels, ViewMask, parts,
     scene_complexity, study,
 };
-use gs_train::synth;
+use gs4d_run::OpenRun;
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -96,7 +97,7 @@ impl From<SegmentError> for Failure {
 
 impl Segment {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
-        let run = OpenRun::open(&self.run)?;
+        let run = OpenRun::open(gs_methods::registry(), &self.run)?;
         let dataset = run.resolved.open_data()?;
         let split: Split = self.split.into();
         let views = self.chosen(dataset.views(split))?;

@@ -2,11 +2,11 @@
 
 use super::contest::{Trials, failure, follow};
 use super::train::time_text;
-use crate::Global;
 use crate::answer::Answer;
 use crate::failure::Failure;
-use gs_train::report::sweep::page;
-use gs_train::sweep::{Row, Sweep, Vary, csv};
+use crate::global::Global;
+use gs4d_lab::sweep::page::page;
+use gs4d_lab::sweep::{Row, Sweep, Vary, csv};
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
@@ -34,10 +34,20 @@ impl SweepVerb {
         let length = self.trials.length();
         let Self { data, method, preset, vary, trials: Trials { seeds, sets, out: root, .. } } = self;
         let title = format!("{method}, preset {preset}");
-        let sweep = Sweep { data, root: root.clone(), method, preset, vary, seeds, length, sets };
+        let sweep = Sweep {
+            registry: gs_methods::registry().clone(),
+            data,
+            root: root.clone(),
+            method,
+            preset,
+            vary,
+            seeds,
+            length,
+            sets,
+        };
         let rows = follow(global, |stop, tell| sweep.run(stop, tell))?.map_err(failure)?;
         let json = json!({"title": title, "rows": rows});
-        let html = page(&title, &rows).map_err(|e| Failure::from(gs_train::run::RunError::from(e)))?;
+        let html = page(&title, &rows).map_err(|e| Failure::from(gs4d_run::RunError::from(e)))?;
         for (name, content) in [("sweep.json", format!("{json:#}\n")), ("sweep.csv", csv(&rows)), ("sweep.html", html)]
         {
             let path = root.join(name);

@@ -1,10 +1,10 @@
 //! `gs4d synth`: writes a generated scene with exact truth as a data set.
 
-use crate::Global;
 use crate::answer::Answer;
 use crate::failure::Failure;
-use gs_train::analysis::blur::{Exposure, blur_training_views};
-use gs_train::synth::{self, SCENES, SynthOptions};
+use crate::global::Global;
+use gs_synth::blur::{Exposure, blur_training_views};
+use gs_synth::{self as synth, SCENES, SynthOptions};
 use serde_json::json;
 use std::path::PathBuf;
 

@@ -3,15 +3,16 @@
 use super::view::{Watch, Watched};
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
+use crate::global::Global;
 use crate::progress::Progress;
-use crate::{Global, interrupt, parse};
+use crate::{interrupt, parse};
 use gs_train::evaluate::EvalReport;
-use gs_train::report::speed_json;
-use gs_train::run::opened::metrics_json;
-use gs_train::run::settings::{Request, resolve};
-use gs_train::run::summary::color_name;
-use gs_train::run::training::is_numeric;
-use gs_train::run::{Outcome, Training};
+use gs4d_report::speed_json;
+use gs4d_run::opened::metrics_json;
+use gs4d_run::settings::{Request, resolve};
+use gs4d_run::summary::color_name;
+use gs4d_run::training::is_numeric;
+use gs4d_run::{Outcome, Training};
 use serde_json::json;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
@@ -66,7 +67,7 @@ impl Train {
             seed: self.seed,
             sets: self.sets,
         };
-        let resolved = resolve(&request)?;
+        let resolved = resolve(gs_methods::registry(), &request)?;
         let stop = interrupt::flag()?;
         let mut training = Training::begin(&self.out, self.force, resolved)?;
         carry_on(&mut training, &self.watch, &stop, global)

@@ -2,9 +2,10 @@
 
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
-use crate::{Global, interrupt, parse};
+use crate::global::Global;
+use crate::{interrupt, parse};
 use gs_core::io::{Limits, load_splats};
-use gs_train::run::{OpenRun, Training};
+use gs4d_run::{OpenRun, Training};
 use gs4d_view::{Feed, Options, Packing, Server, Show, Stage, ViewError, start};
 use serde_json::json;
 use std::net::{IpAddr, Ipv4Addr};
@@ -55,7 +56,7 @@ impl View {
     fn show(&self, path: &Path, global: &Global) -> Result<Show, Failure> {
         let name = name_of(path);
         if path.is_dir() || path.extension().is_some_and(|e| e == "gs4d") {
-            let run = OpenRun::open(path)?;
+            let run = OpenRun::open(gs_methods::registry(), path)?;
             let dataset = run.resolved.open_data();
             if let Err(e) = &dataset {
                 global.say(format!("warning: {name} is shown without its photographs: {e}"));
@@ -105,7 +106,9 @@ impl Watch {
             let (host, packing, share) = (Ipv4Addr::LOCALHOST.into(), Packing::Png, Some(self.view_share));
             let server = start(Stage { shows: vec![show] }, &Options { host, port: self.view_port, packing, share });
             let server = server.map_err(|e| e.to_string())?;
-            let feed = server.feed(training.trainer().dataset().avatar.clone()).map_err(|e| e.to_string())?;
+            let feed = server
+                .feed(gs_methods::registry().clone(), training.trainer().dataset().avatar.clone())
+                .map_err(|e| e.to_string())?;
             announce(&server, global);
             Ok(Watched { feed, _server: server })
         };

@@ -5,7 +5,6 @@
 mod chromium;
 
 use chromium::Chromium;
-use gs_train::methods::METHODS;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -147,7 +146,7 @@ impl Desk {
 fn every_method_is_opened_dragged_scrubbed_compared_and_picked() {
     let Some(mut desk) = Desk::new() else { return };
     let (balls, film) = (desk.balls(), desk.film());
-    for method in METHODS {
+    for method in gs_methods::registry() {
         let data = if method.needs_avatar { &film } else { &balls };
         let run = desk.train(data, method.name, &["--steps", "80"]);
         let viewer = Viewer::start(&["view", text(&run), "--port", "18500"]);

@@ -3,7 +3,7 @@
 use crate::support::{STEPS, good, gs4d, text, train};
 use gs_core::Camera;
 use gs_core::io::images::write_png8;
-use gs_train::synth::{self, SynthData, SynthOptions};
+use gs_synth::{self as synth, SynthData, SynthOptions};
 use serde_json::{Value, json};
 use std::fs;
 use std::path::Path;

@@ -1,10 +1,10 @@
 //! `gs4d synth avatar`: films a rigged character.
 
-use crate::Global;
 use crate::answer::Answer;
 use crate::failure::Failure;
-use gs_train::avatar::BUILTIN;
-use gs_train::synth::avatar::{Atlas, AvatarOptions, Light, Morphs, write};
+use crate::global::Global;
+use gs_data::avatar::BUILTIN;
+use gs_synth::avatar::{Atlas, AvatarOptions, Light, Morphs, write};
 use serde_json::json;
 use std::path::Path;
 

@@ -1,0 +1,174 @@
+//! Pictures of a check-up: what the hull fills, where points fall, how the cameras stand, which corners agree.
+
+use super::Picture;
+use super::silhouettes::Silhouettes;
+use glam::{DVec2, DVec3, Vec3};
+use gs_core::Image;
+use gs_data::{Dataset, ImageCache, View};
+
+/// Sides of the plan, pixels.
+const PLAN: usize = 420;
+/// Views shown in each kind of picture.
+const SHOWN: usize = 3;
+/// Most points drawn over a photograph.
+const DOTS: usize = 4000;
+
+const GREEN: [f32; 3] = [0.2, 0.8, 0.35];
+const RED: [f32; 3] = [0.95, 0.25, 0.2];
+const BLUE: [f32; 3] = [0.25, 0.5, 1.0];
+const GREY: [f32; 3] = [0.6, 0.6, 0.65];
+
+/// Every picture but that of corners.
+pub(super) fn all(data: &Dataset, eyes: &ImageCache, silhouettes: Option<&Silhouettes>) -> Vec<Picture> {
+    let mut out: Vec<Picture> = silhouettes.into_iter().flat_map(hulls).collect();
+    let count = data.train.len().min(SHOWN);
+    let chosen = (0..count).map(|k| &data.train[(2 * k + 1) * data.train.len() / (2 * count)]);
+    if let Some(points) = &data.points {
+        out.extend(chosen.filter_map(|v| dotted(v, &points.positions, eyes)));
+    }
+    let cells = silhouettes.map_or(Vec::new(), |s| s.carved.cells().iter().map(|c| c.0).collect());
+    let points = data.points.as_ref().map_or(cells, |p| p.positions.clone());
+    out.extend(plans(data, &points));
+    out
+}
+
+/// Silhouettes with what the hull covers: green inside both, red what is not covered, blue what lies outside.
+fn hulls(s: &Silhouettes) -> Vec<Picture> {
+    let n = s.carved.names.len();
+    let show = |k: usize| {
+        let (image, covered) = s.carved.shown(k);
+        let mut out = image.over([0.12; 3]);
+        for (i, (p, covered)) in image.data.chunks_exact(4).zip(covered).enumerate() {
+            let tint = match (p[3] > 127, covered) {
+                (true, true) => Some((GREEN, 0.25)),
+                (true, false) => Some((RED, 0.75)),
+                (false, true) => Some((BLUE, 0.5)),
+                (false, false) => None,
+            };
+            if let Some((color, share)) = tint {
+                blend(&mut out.data[3 * i..3 * i + 3], color, share);
+            }
+        }
+        let caption = format!(
+            "{}: green is carved and seen, red is seen and not carved, blue is carved and not seen (where things move: seen at another time)",
+            s.carved.names[k]
+        );
+        Picture { topic: "poses", caption, image: out }
+    };
+    let count = n.min(SHOWN);
+    (0..count).map(|k| show((2 * k + 1) * n / (2 * count))).collect()
+}
+
+/// A photograph with the points that fall into it, near ones bright.
+fn dotted(v: &View, points: &[Vec3], eyes: &ImageCache) -> Option<Picture> {
+    let mut image = eyes.get(v).ok()?.over([0.12; 3]);
+    image.data.iter_mut().for_each(|c| *c *= 0.6);
+    let camera = eyes.camera(v);
+    let step = points.len().div_ceil(DOTS).max(1);
+    let mut inside = 0usize;
+    let seen: Vec<(DVec2, f64)> = points
+        .iter()
+        .step_by(step)
+        .map(|p| camera.to_camera(p.as_dvec3()))
+        .filter(|c| c.z > 0.0)
+        .map(|c| (camera.to_pixel(c), c.z))
+        .collect();
+    let near = seen.iter().map(|s| s.1).fold(f64::INFINITY, f64::min);
+    let far = seen.iter().map(|s| s.1).fold(0.0, f64::max).max(near + 1e-9);
+    for (at, z) in &seen {
+        let share = ((far - z) / (far - near)) as f32;
+        let color: [f32; 3] = std::array::from_fn(|c| RED[c] * share + BLUE[c] * (1.0 - share));
+        inside += usize::from(dot(&mut image, *at, color));
+    }
+    let caption = format!(
+        "{}: {inside} of {} points fall into it (near ones red, far ones blue)",
+        v.name,
+        points.len().div_ceil(step)
+    );
+    Some(Picture { topic: "init", caption, image })
+}
+
+/// Cameras, box and points (or cells of the hull) from above and from the side.
+fn plans(data: &Dataset, points: &[Vec3]) -> Vec<Picture> {
+    [("from +z (x to the right, y up)", [0, 1]), ("from −y (x to the right, z up)", [0, 2])]
+        .map(|(name, axes)| Picture {
+            topic: "bound",
+            caption: format!("cameras (blue, with their lines of sight), box (grey) and points (green) {name}"),
+            image: plan(data, points, axes),
+        })
+        .into()
+}
+
+fn plan(data: &Dataset, points: &[Vec3], [i, j]: [usize; 2]) -> Image {
+    let [low, high] = data.scene_bounds().map(Vec3::as_dvec3);
+    let centres: Vec<DVec3> = data.train.iter().map(|v| v.camera.position()).collect();
+    let corners = centres.iter().copied().chain([low, high]);
+    let (mut from, mut to) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+    corners.for_each(|c| (from, to) = (from.min(c), to.max(c)));
+    let size = (to - from).max_element().max(1e-9) * 1.1;
+    let middle = 0.5 * (from + to);
+    let scale = PLAN as f64 / size;
+    let put = |p: DVec3| {
+        DVec2::new((p[i] - middle[i]) * scale, -(p[j] - middle[j]) * scale) + DVec2::splat(0.5 * PLAN as f64)
+    };
+    let mut image = Image { width: PLAN, height: PLAN, channels: 3, data: vec![0.07; PLAN * PLAN * 3] };
+    let box_corners = [(low[i], low[j]), (high[i], low[j]), (high[i], high[j]), (low[i], high[j])].map(|(a, b)| {
+        let mut p = DVec3::ZERO;
+        (p[i], p[j]) = (a, b);
+        put(p)
+    });
+    (0..4).for_each(|k| line(&mut image, box_corners[k], box_corners[(k + 1) % 4], GREY));
+    points.iter().step_by(points.len().div_ceil(DOTS).max(1)).for_each(|p| {
+        dot(&mut image, put(p.as_dvec3()), GREEN);
+    });
+    for (v, c) in data.train.iter().zip(&centres).step_by(data.train.len().div_ceil(200)) {
+        line(&mut image, put(*c), put(*c + 0.08 * size * v.camera.forward()), BLUE.map(|v| 0.6 * v));
+        dot(&mut image, put(*c), BLUE);
+    }
+    image
+}
+
+/// Two photographs with lines between pixels: green where they agree, red where not.
+pub(super) fn side_by_side(a: &Image, b: &Image, marks: &[([DVec2; 2], bool)]) -> Image {
+    let (width, height) = (a.width + b.width, a.height.max(b.height));
+    let mut out = Image { width, height, channels: 3, data: vec![0.0; width * height * 3] };
+    for (image, left) in [(a, 0), (b, a.width)] {
+        for y in 0..image.height {
+            let to = (y * width + left) * 3;
+            let row = &image.data[y * image.width * 3..(y + 1) * image.width * 3];
+            out.data[to..to + row.len()].iter_mut().zip(row).for_each(|(o, v)| *o = 0.6 * v);
+        }
+    }
+    let shift = DVec2::new(a.width as f64, 0.0);
+    for ([p, q], agrees) in marks.iter().step_by(marks.len().div_ceil(120)) {
+        line(&mut out, *p, *q + shift, if *agrees { GREEN } else { RED });
+    }
+    out
+}
+
+fn blend(pixel: &mut [f32], color: [f32; 3], share: f32) {
+    pixel.iter_mut().zip(color).for_each(|(p, c)| *p += share * (c - *p));
+}
+
+/// A dot of 3×3 pixels; whether its middle is inside.
+fn dot(image: &mut Image, at: DVec2, color: [f32; 3]) -> bool {
+    let (x, y) = (at.x.floor() as i64, at.y.floor() as i64);
+    for k in 0..9 {
+        paint(image, x + k % 3 - 1, y + k / 3 - 1, color, if k == 4 { 1.0 } else { 0.5 });
+    }
+    x >= 0 && y >= 0 && x < image.width as i64 && y < image.height as i64
+}
+
+fn line(image: &mut Image, from: DVec2, to: DVec2, color: [f32; 3]) {
+    let steps = (to - from).abs().max_element().clamp(1.0, 4000.0) as usize;
+    for k in 0..=steps {
+        let p = from.lerp(to, k as f64 / steps as f64);
+        paint(image, p.x.floor() as i64, p.y.floor() as i64, color, 0.7);
+    }
+}
+
+fn paint(image: &mut Image, x: i64, y: i64, color: [f32; 3], share: f32) {
+    if x >= 0 && y >= 0 && x < image.width as i64 && y < image.height as i64 {
+        blend(image.pixel_mut(x as usize, y as usize), color, share);
+    }
+}

@@ -1,0 +1,181 @@
+//! Scores of given images against given truths, with or without masks.
+//!
+//! PSNR in dB for a data range of 1; SSIM with an 11-tap Gaussian window and zeros outside, as the 3DGS family evaluates.
+//! Where a mask is given there are scores where it counts, too: PSNR and SSIM of DyCheck ([`gs_metrics::masked`]) and the
+//! masked proxy.
+
+use gs_core::Image;
+use gs_metrics::{
+    Mean, MetricError, MsSsim, MsSsimOptions, Ssim, SsimOptions, mse, perceptual_proxy, psnr_from_mse, psnr_of_mean_mse,
+};
+use gs_train::evaluate::MaskedScores;
+use serde::Serialize;
+
+/// A metric that may be asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Metric {
+    /// Peak signal-to-noise ratio.
+    Psnr,
+    /// Structural similarity.
+    Ssim,
+    /// Multi-scale SSIM; needs both sides above 160 pixels.
+    MsSsim,
+    /// Weight-free perceptual distance; not LPIPS.
+    PerceptualProxy,
+}
+
+impl Metric {
+    /// All of them.
+    pub const ALL: [Metric; 4] = [Metric::Psnr, Metric::Ssim, Metric::MsSsim, Metric::PerceptualProxy];
+}
+
+/// The scores of one image; what was not asked for, or has no value, is absent.
+#[derive(Clone, Debug, PartialEq, Default, Serialize)]
+pub struct ImageScores {
+    /// Name of the image.
+    pub name: String,
+    /// Mean squared error.
+    #[serde(skip)]
+    pub mse: Option<f64>,
+    /// dB; absent for an image without error (infinite).
+    pub psnr: Option<f64>,
+    /// Structural similarity.
+    pub ssim: Option<f64>,
+    /// Multi-scale SSIM.
+    pub ms_ssim: Option<f64>,
+    /// Perceptual distance.
+    pub perceptual_proxy: Option<f64>,
+    /// Scores where the mask counts; absent without one, or with an empty one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub masked: Option<MaskedScores>,
+}
+
+impl ImageScores {
+    /// Whether the image was found to be without any error.
+    pub fn mse_is_zero(&self) -> bool {
+        self.mse == Some(0.0)
+    }
+}
+
+/// Means over images.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Means {
+    /// Mean of the finite PSNRs, dB.
+    pub psnr: Option<f64>,
+    /// Mean SSIM.
+    pub ssim: Option<f64>,
+    /// Mean MS-SSIM.
+    pub ms_ssim: Option<f64>,
+    /// Mean perceptual distance.
+    pub perceptual_proxy: Option<f64>,
+    /// Means of the masked scores, where there are masks.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub masked: Option<MaskedScores>,
+}
+
+/// The scores of a set of images.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct SetScores {
+    /// Means over images.
+    pub mean: Means,
+    /// PSNR of the mean squared error, dB; absent when it is infinite.
+    pub psnr_of_mean_mse: Option<f64>,
+    /// Images without any error, left out of the mean PSNR.
+    pub perfect_views: usize,
+    /// The scores of each image.
+    pub views: Vec<ImageScores>,
+}
+
+/// Scores one image after the other.
+#[derive(Debug)]
+pub struct Comparer {
+    metrics: Vec<Metric>,
+    ssim: Ssim,
+    ms_ssim: MsSsim,
+    views: Vec<ImageScores>,
+}
+
+impl Comparer {
+    /// A comparer for these metrics.
+    pub fn new(metrics: &[Metric]) -> Self {
+        let ssim = Ssim::new(SsimOptions::default());
+        Self { metrics: metrics.to_vec(), ssim, ms_ssim: MsSsim::default(), views: Vec::new() }
+    }
+
+    /// Scores an image `[H, W, C]` against its truth, and once more where the mask `[H, W, 1]` counts if there is one.
+    ///
+    /// # Errors
+    /// Different shapes, values that are not finite, an image too small for SSIM.
+    pub fn add(&mut self, name: &str, image: &Image, truth: &Image, mask: Option<&Image>) -> Result<(), MetricError> {
+        let mut scores = ImageScores { name: name.to_owned(), ..ImageScores::default() };
+        for metric in self.metrics.clone() {
+            match metric {
+                Metric::Psnr => scores.mse = Some(mse(image, truth)?),
+                Metric::Ssim => scores.ssim = Some(self.ssim.value(image, truth)?),
+                Metric::MsSsim if image.width.min(image.height) > MsSsimOptions::default().side_limit() => {
+                    scores.ms_ssim = Some(self.ms_ssim.value(image, truth)?);
+                }
+                Metric::MsSsim => {}
+                Metric::PerceptualProxy => scores.perceptual_proxy = Some(perceptual_proxy(image, truth)?),
+            }
+        }
+        scores.masked = mask.map(|m| MaskedScores::of(image, truth, m)).transpose()?.flatten();
+        scores.psnr = scores.mse.map(psnr_from_mse).filter(|p| p.is_finite());
+        self.views.push(scores);
+        Ok(())
+    }
+
+    /// The scores of all images added.
+    pub fn finish(self) -> SetScores {
+        let mean = |value: fn(&ImageScores) -> Option<f64>| Mean::of(self.views.iter().filter_map(value)).value;
+        let mses: Vec<f64> = self.views.iter().filter_map(|v| v.mse).collect();
+        SetScores {
+            mean: Means {
+                psnr: mean(|v| v.psnr),
+                ssim: mean(|v| v.ssim),
+                ms_ssim: mean(|v| v.ms_ssim),
+                perceptual_proxy: mean(|v| v.perceptual_proxy),
+                masked: MaskedScores::mean(self.views.iter().filter_map(|v| v.masked)),
+            },
+            psnr_of_mean_mse: psnr_of_mean_mse(&mses).filter(|p| p.is_finite()),
+            perfect_views: self.views.iter().filter(|v| v.mse_is_zero()).count(),
+            views: self.views,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn flat(v: f32) -> Image {
+        Image { width: 24, height: 16, channels: 3, data: vec![v; 24 * 16 * 3] }
+    }
+
+    #[test]
+    fn perfect_images_are_counted_and_means_are_of_the_rest() {
+        let mut c = Comparer::new(&Metric::ALL);
+        c.add("same", &flat(0.5), &flat(0.5), None).unwrap();
+        c.add("off", &flat(0.5), &flat(0.6), None).unwrap();
+        let s = c.finish();
+        assert!((s.mean.psnr.unwrap() - 20.0).abs() < 1e-4 && s.perfect_views == 1 && s.views[0].psnr.is_none());
+        assert!((s.psnr_of_mean_mse.unwrap() - psnr_from_mse(0.005)).abs() < 1e-4);
+        assert_eq!((s.views[0].ssim, s.mean.ms_ssim), (Some(1.0), None));
+    }
+
+    #[test]
+    fn masks_score_apart_and_metrics_are_chosen() {
+        let mut image = flat(0.5);
+        image.pixel_mut(0, 0).fill(1.0);
+        let mut mask = Image { width: 24, height: 16, channels: 1, data: vec![1.0; 24 * 16] };
+        mask.data[0] = 0.0;
+        let mut c = Comparer::new(&[Metric::Psnr]);
+        c.add("a", &image, &flat(0.5), Some(&mask)).unwrap();
+        let s = c.finish();
+        assert_eq!((s.perfect_views, s.mean.ssim, s.mean.perceptual_proxy), (0, None, None));
+        let masked = s.mean.masked.unwrap();
+        assert_eq!((masked.psnr, masked.ssim, masked.perceptual_proxy), (None, Some(1.0), 0.0));
+        assert!(s.mean.psnr.unwrap() < 40.0, "the whole image has an error");
+        assert!(Comparer::new(&[Metric::Psnr]).add("a", &image, &Image::zeros(3, 3, 3), None).is_err());
+    }
+}

@@ -1,0 +1,201 @@
+//! A trained scene as files of plain splats, which other programs read: baked at a moment, written, read back and measured.
+//!
+//! Files know less than methods do. Kernels that bend become the Gaussians nearest to them; splats whose looks a network
+//! decodes for a camera (anchors) get the mean of what the training cameras see, colours as spherical harmonics fitted to
+//! it; motion becomes a file per moment. What all that costs is measured on photographs, drawn from what the written bytes
+//! say ([`AsExported`]).
+
+mod fit;
+
+use fit::Fit;
+use gs_core::io::{IoError, Limits, RawSplats, SplatFormat, parse_splats, write_splats};
+use gs_core::splats::SplatsError;
+use gs_core::{Camera, Color, Param, Params, Splats, sh};
+use gs_data::View;
+use gs_train::method::Method;
+use gs_train::schedule::Schedule;
+use gs_train::timestamp::Moment;
+use std::collections::HashMap;
+use std::sync::{Mutex, PoisonError};
+
+/// Training cameras that looks are averaged over, at most.
+pub const LOOKS: usize = 24;
+/// Splats fainter than this at a moment are not written: no pixel would show them.
+pub const FAINTEST: f32 = 1.0 / 255.0;
+
+/// A scene that cannot be written.
+#[derive(Debug, thiserror::Error)]
+pub enum ExportError {
+    /// The splats at a moment.
+    #[error("the scene at time {time}: {source}")]
+    Splats {
+        /// Normalised.
+        time: f32,
+        /// Row and column.
+        source: SplatsError,
+    },
+    /// A file.
+    #[error(transparent)]
+    Io(#[from] IoError),
+    /// Nothing to write.
+    #[error("the scene has no visible splat at time {time}")]
+    Empty {
+        /// Normalised.
+        time: f32,
+    },
+}
+
+/// Makes plain splats of a method.
+pub struct Baker<'a> {
+    method: &'a dyn Method,
+    cameras: Vec<Camera>,
+    degree: u8,
+}
+
+impl<'a> Baker<'a> {
+    /// A baker that looks with up to [`LOOKS`] of these views, spread evenly, and keeps SH up to `degree`.
+    pub fn new(method: &'a dyn Method, views: &[View], degree: u8) -> Self {
+        let kept = views.len().clamp(1, LOOKS);
+        let cameras = (0..kept).filter_map(|k| views.get(k * views.len() / kept)).map(|v| v.camera.clone()).collect();
+        Self { method, cameras, degree: degree.min(sh::MAX_DEGREE) }
+    }
+
+    /// The visible splats at a moment, in the form files have.
+    ///
+    /// # Errors
+    /// A splat that is not sound, or none at all.
+    pub fn bake(&self, at: &Moment) -> Result<RawSplats, ExportError> {
+        let time = at.t.normalised;
+        let splats = self.seen(at).with_plain_kernel();
+        let visible: Vec<usize> = (0..splats.len()).filter(|&i| splats.opacities[i] >= FAINTEST).collect();
+        if visible.is_empty() {
+            return Err(ExportError::Empty { time });
+        }
+        let raw = RawSplats::from_splats(&rows(&splats, &visible));
+        Ok(cut(raw.map_err(|source| ExportError::Splats { time, source })?, self.degree))
+    }
+
+    /// What all cameras see together.
+    fn seen(&self, at: &Moment) -> Splats {
+        let Some((first, others)) = self.cameras.split_first() else { return Splats::default() };
+        let splats = self.method.tracked(at, first);
+        let depends = |c: &Camera| self.method.tracked(at, c) != splats;
+        // One other camera tells whether looks depend on the camera at all.
+        if !others.last().is_some_and(depends) {
+            return splats;
+        }
+        let mut fit = Fit::new(&splats, self.degree);
+        for camera in &self.cameras {
+            fit.add(&self.method.tracked(at, camera), camera);
+        }
+        fit.finish()
+    }
+}
+
+/// Some rows of a scene, with the Gaussian for a kernel.
+pub fn rows(splats: &Splats, kept: &[usize]) -> Splats {
+    let width = splats.color.width();
+    let color = match &splats.color {
+        Color::Rgb(rgb) => Color::Rgb(kept.iter().map(|&i| rgb[i]).collect()),
+        Color::Sh { degree, coeffs } => {
+            let row = |&i: &usize| coeffs[i * width..][..width].iter().copied();
+            Color::Sh { degree: *degree, coeffs: kept.iter().flat_map(row).collect() }
+        }
+    };
+    Splats {
+        means: kept.iter().map(|&i| splats.means[i]).collect(),
+        quats: kept.iter().map(|&i| splats.quats[i]).collect(),
+        scales: kept.iter().map(|&i| splats.scales[i]).collect(),
+        opacities: kept.iter().map(|&i| splats.opacities[i]).collect(),
+        color,
+        kernel: gs_core::Kernel::Gaussian,
+    }
+}
+
+/// SH up to a degree.
+pub fn cut(mut raw: RawSplats, degree: u8) -> RawSplats {
+    if degree < raw.degree {
+        let kept = 3 * sh::coeffs(degree);
+        raw.sh = raw.sh.chunks_exact(raw.sh_width()).flat_map(|row| row[..kept].iter().copied()).collect();
+        raw.degree = degree;
+    }
+    raw
+}
+
+/// A method as its files draw it: every moment is baked, written and read back before it is drawn.
+pub struct AsExported<'a> {
+    baker: Baker<'a>,
+    format: SplatFormat,
+    made: Mutex<HashMap<u32, Splats>>,
+    trouble: Mutex<Option<String>>,
+}
+
+impl<'a> AsExported<'a> {
+    /// The files of a baker in a format.
+    pub fn new(baker: Baker<'a>, format: SplatFormat) -> Self {
+        Self { baker, format, made: Mutex::default(), trouble: Mutex::default() }
+    }
+
+    fn through_bytes(&self, at: &Moment) -> Result<Splats, ExportError> {
+        let mut bytes = Vec::new();
+        write_splats(self.format, &self.baker.bake(at)?, &mut bytes)?;
+        let name = format!("moment.{}", self.format.extension());
+        let raw = parse_splats(&bytes, &name, &Limits::default())?;
+        raw.to_splats().map_err(|source| ExportError::Splats { time: at.t.normalised, source })
+    }
+}
+
+impl Params for AsExported<'_> {
+    fn visit(&self, _f: &mut dyn FnMut(&Param)) {}
+    fn visit_mut(&mut self, _f: &mut dyn FnMut(&mut Param)) {}
+}
+
+impl Method for AsExported<'_> {
+    fn name(&self) -> &'static str {
+        self.baker.method.name()
+    }
+
+    fn schedule(&self) -> &Schedule {
+        self.baker.method.schedule()
+    }
+
+    fn set_step(&mut self, _step: u32) {}
+
+    fn splats(&self, at: &Moment, _camera: &Camera) -> Splats {
+        let mut made = self.made.lock().unwrap_or_else(PoisonError::into_inner);
+        let new = || {
+            self.through_bytes(at).unwrap_or_else(|e| {
+                let mut trouble = self.trouble.lock().unwrap_or_else(PoisonError::into_inner);
+                trouble.get_or_insert_with(|| e.to_string());
+                Splats::default()
+            })
+        };
+        made.entry(at.t.normalised.to_bits()).or_insert_with(new).clone()
+    }
+
+    fn step(&mut self, _at: &Moment, _camera: &Camera, _draw: &mut dyn FnMut(&Splats, &mut gs_core::SplatsGrad)) {}
+
+    fn trouble(&self) -> Option<String> {
+        self.trouble.lock().unwrap_or_else(PoisonError::into_inner).clone().or_else(|| self.baker.method.trouble())
+    }
+
+    fn len(&self) -> usize {
+        self.baker.method.len()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gs_core::io::RawSplats;
+
+    #[test]
+    fn a_lower_degree_keeps_the_first_coefficients() {
+        let sh: Vec<f32> = (0..2 * 27).map(|k| k as f32).collect();
+        let raw = RawSplats { degree: 2, sh, ..RawSplats::default() };
+        let less = cut(raw.clone(), 1);
+        assert_eq!((less.degree, less.sh.len()), (1, 24));
+        assert_eq!((less.sh[0], less.sh[12]), (0.0, 27.0));
+        assert_eq!(cut(raw.clone(), 3), raw);
+    }
+}

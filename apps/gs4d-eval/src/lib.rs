@@ -1,0 +1,17 @@
+//! What a trained scene is worth: scores of folders of images, forecasts, segments, tracks, and files for other programs.
+//!
+//! * [`folders`], [`compare`], [`temporal`]: given images against ground truth, frame by frame and over time.
+//! * [`forecast`]: frames past the last training time; [`physics_check`]: learnt motion against known twists.
+//! * [`segment`]: rigid parts; [`track`]: the path of one part; [`stage_motion`]: what each stage of a method moves.
+//! * [`export`]: plain splats per timestamp (`.ply`, `.splat`, `.spz`, `.glb`) and the PSNR this costs.
+
+pub mod compare;
+pub mod export;
+pub mod folders;
+pub mod forecast;
+pub mod physics_check;
+pub mod segment;
+pub mod spread;
+pub mod stage_motion;
+pub mod temporal;
+pub mod track;

@@ -1,0 +1,61 @@
+//! Masks of views: what part a pixel shows (TRACE, as Gaussian Grouping).
+//!
+//! ```text
+//! P_k(p) = Σ_i w_i(p) [label_i = k]      P_background = Π (1 − α)      label(p) = argmax P
+//! ```
+//! Splats are drawn in the one-hot colour of their label, three labels at a time.
+
+use gs_core::{Camera, Color, Splats};
+
+use gs_raster::RasterOptions;
+use gs_train::renderer::Painter;
+
+/// What part each pixel shows. 0 is the background, `k + 1` the part `k`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Mask {
+    /// Pixels per row.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// One id per pixel.
+    pub ids: Vec<u32>,
+    /// The part of the pixel's light that comes from there.
+    pub confidence: Vec<f32>,
+}
+
+/// Draws masks, reusing memory.
+pub struct Masker {
+    painter: Painter,
+}
+
+impl Masker {
+    /// Draws as `options` say, over nothing.
+    pub fn new(options: RasterOptions) -> Self {
+        Self { painter: Painter::new(RasterOptions { background: [0.0; 3], ..options }) }
+    }
+
+    /// The mask of `splats` with labels `< k`, one each.
+    pub fn draw(&mut self, splats: &Splats, labels: &[u32], k: usize, camera: &Camera) -> Mask {
+        debug_assert_eq!(splats.len(), labels.len());
+        let (width, height) = (camera.width as usize, camera.height as usize);
+        let mut drawn = splats.clone();
+        let mut mask = Mask { width, height, ids: vec![0; width * height], confidence: vec![0.0; width * height] };
+        for first in (0..k.max(1) as u32).step_by(3) {
+            let one_hot = |l: &u32| std::array::from_fn(|c| f32::from(*l == first + c as u32));
+            drawn.color = Color::Rgb(labels.iter().map(one_hot).collect());
+            let frame = self.painter.draw(&drawn, camera);
+            if first == 0 {
+                mask.confidence.iter_mut().zip(&frame.alpha).for_each(|(c, a)| *c = 1.0 - a);
+            }
+            let best = mask.ids.iter_mut().zip(&mut mask.confidence);
+            for ((id, sure), parts) in best.zip(frame.rgb.chunks_exact(3)) {
+                for (part, k) in parts.iter().zip(first + 1..) {
+                    if *part > *sure {
+                        (*id, *sure) = (k, *part);
+                    }
+                }
+            }
+        }
+        mask
+    }
+}

@@ -1,0 +1,83 @@
+//! Scene motion velocity and acceleration of a trained scene ([`gs_physics::complexity`]).
+//!
+//! Instead of a learned tracker: pixels on a lattice are followed by what they see at the first time, the mean of its splats by
+//! their weights in the pixel ([`model_motion`]), also where something hides it later.
+
+use glam::DVec2;
+use gs_core::Camera;
+use gs_physics::complexity::{Complexity, ImageTracks, STATIC_PATH, complexity};
+
+use crate::stage_motion::{Anchor, Motion, model_motion};
+use gs_data::Dataset;
+use gs_train::method::Method;
+use gs_train::renderer::{Painter, moment};
+
+/// Most pixels of one view that are followed (the paper follows 40 000).
+pub const POINTS: usize = 10_000;
+/// Most cameras and times that are looked at.
+const VIEWS: usize = 4;
+const TIMES: usize = 61;
+
+/// Of a method as the training cameras of a data set see it (at most 4, at most 61 of the training times).
+pub fn scene_complexity(method: &dyn Method, data: &Dataset) -> Complexity {
+    let mut times: Vec<f32> = data.train.iter().map(|v| v.time.normalised).collect();
+    times.sort_unstable_by(f32::total_cmp);
+    times.dedup();
+    let times: Vec<f32> = times.iter().copied().step_by(times.len().div_ceil(TIMES).max(1)).collect();
+    let mut ids: Vec<u32> = data.train.iter().map(|v| v.camera_id).collect();
+    ids.sort_unstable();
+    ids.dedup();
+    let chosen = ids.iter().step_by(ids.len().div_ceil(VIEWS).max(1));
+    let cameras = chosen.filter_map(|id| data.train.iter().find(|v| v.camera_id == *id)).map(|v| v.camera.clone());
+    complexity(&tracks(method, &cameras.collect::<Vec<_>>(), &times, POINTS), STATIC_PATH)
+}
+
+/// Follows at most `points` pixels of each camera, on a lattice, from the first time on.
+pub fn tracks(method: &dyn Method, cameras: &[Camera], times: &[f32], points: usize) -> Vec<ImageTracks> {
+    let (Some(start), Some(looks)) = (times.first(), cameras.first()) else { return Vec::new() };
+    let mut painter = Painter::new(method.schedule().raster_options([0.0; 3]));
+    let mut followed: Vec<Lattice> = cameras.iter().map(|c| Lattice::new(c, points)).collect();
+    let first = method.tracked(&moment(*start), looks);
+    for time in times {
+        let mut later = first.clone();
+        later.means = method.tracked(&moment(*time), looks).means;
+        for (lattice, camera) in followed.iter_mut().zip(cameras) {
+            let motion = model_motion(&mut painter, camera, &later, &first.means, Anchor::Earlier);
+            lattice.add(&motion);
+        }
+    }
+    followed.into_iter().map(|lattice| lattice.finish(times)).collect()
+}
+
+/// The pixels of one camera that are followed.
+struct Lattice {
+    size: [usize; 2],
+    pixels: Vec<usize>,
+    tracks: Vec<Vec<Option<DVec2>>>,
+}
+
+impl Lattice {
+    fn new(camera: &Camera, points: usize) -> Self {
+        let [width, height] = [camera.width as usize, camera.height as usize];
+        let stride = (((width * height) as f64 / points.max(1) as f64).sqrt().ceil() as usize).max(1);
+        let lattice = |side: usize| (stride / 2..side).step_by(stride);
+        let pixels: Vec<usize> = lattice(height).flat_map(|y| lattice(width).map(move |x| y * width + x)).collect();
+        Self { size: [width, height], tracks: vec![Vec::new(); pixels.len()], pixels }
+    }
+
+    /// Where each pixel's matter is at the next time.
+    fn add(&mut self, motion: &Motion) {
+        let (seen, width) = (motion.seen(), self.size[0]);
+        for (track, &k) in self.tracks.iter_mut().zip(&self.pixels) {
+            let moved = DVec2::new(motion.flow.u[k].into(), motion.flow.v[k].into());
+            let start = DVec2::new((k % width) as f64 + 0.5, (k / width) as f64 + 0.5);
+            track.push(seen[k].then_some(start + moved));
+        }
+    }
+
+    fn finish(mut self, times: &[f32]) -> ImageTracks {
+        self.tracks.retain(|track| track.iter().any(Option::is_some));
+        let times = times.iter().map(|t| f64::from(*t)).collect();
+        ImageTracks { size: self.size.map(|s| s as f64), times, tracks: self.tracks }
+    }
+}

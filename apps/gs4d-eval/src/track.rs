@@ -1,0 +1,280 @@
+//! A measured track of one body against what a method says of it, before and after the last training time.
+//!
+//! The body is whatever is dense near the track at the last moment that was learnt from: splats within a radius of it there, weighted by
+//! opacity and cross-section. Their weighted centre is followed to the other moments, so a method is not told where the
+//! body is after the boundary. The offset of the centre at that moment is part of the error.
+
+use glam::{DMat3, DVec3};
+use gs_core::{Camera, Splats, Time};
+use gs_data::{Dataset, Split};
+use gs_train::method::Method;
+use gs_train::timestamp::Moment;
+use serde::Serialize;
+use std::path::Path;
+
+/// Places of a body at moments.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Track {
+    /// Time and place of each measurement, in order of time.
+    pub places: Vec<(Time, DVec3)>,
+}
+
+/// A track that cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum TrackError {
+    /// The file cannot be read.
+    #[error("cannot read {path}: {why}")]
+    Read {
+        /// The file.
+        path: String,
+        /// The reason.
+        why: String,
+    },
+    /// A line is not `frame,x,y,z`.
+    #[error("{path}, line {line}: \"{text}\" is not frame,x,y,z with finite numbers")]
+    Line {
+        /// The file.
+        path: String,
+        /// Its line, from 1.
+        line: usize,
+        /// What stands there.
+        text: String,
+    },
+    /// Nothing of the scene is near the track.
+    #[error("no splat lies within {radius} of the track at time {t}; give a larger radius, or train longer")]
+    Nothing {
+        /// The radius, world units.
+        radius: f64,
+        /// The moment, normalised.
+        t: f32,
+    },
+    /// The track has more frames than the data have moments.
+    #[error(
+        "frame {frame} of the track lies beyond the {moments} moments of the data; the first line is the first moment"
+    )]
+    Beyond {
+        /// Frame met.
+        frame: f64,
+        /// Different times of all views.
+        moments: usize,
+    },
+    /// The track has no place at or before the last training time.
+    #[error("the track has no place at or before the last training time {0}")]
+    NoStart(f32),
+}
+
+impl Track {
+    /// Reads lines `frame,x,y,z` (`#` begins a comment). The smallest frame is the first moment of the data, and frames
+    /// count on from there.
+    ///
+    /// # Errors
+    /// If the file cannot be read, a line is not four finite numbers, or there are more frames than moments.
+    pub fn read(path: &Path, dataset: &Dataset) -> Result<Self, TrackError> {
+        let mut moments: Vec<Time> = Split::ALL.iter().flat_map(|s| dataset.views(*s)).map(|v| v.time).collect();
+        moments.sort_by(|a, b| a.normalised.total_cmp(&b.normalised));
+        moments.dedup_by_key(|t| t.normalised);
+        let lines = lines(path)?;
+        let first = lines.iter().map(|l| l.0).fold(f64::INFINITY, f64::min);
+        let place = |(frame, x): (f64, DVec3)| {
+            let time = moments.get((frame - first).round() as usize);
+            time.map(|t| (*t, x)).ok_or(TrackError::Beyond { frame, moments: moments.len() })
+        };
+        let mut places = lines.into_iter().map(place).collect::<Result<Vec<_>, _>>()?;
+        places.sort_by(|a, b| a.0.normalised.total_cmp(&b.0.normalised));
+        Ok(Self { places })
+    }
+}
+
+/// Frame and place of every line.
+fn lines(path: &Path) -> Result<Vec<(f64, DVec3)>, TrackError> {
+    let name = path.display().to_string();
+    let text =
+        std::fs::read_to_string(path).map_err(|e| TrackError::Read { path: name.clone(), why: e.to_string() })?;
+    let mut all = Vec::new();
+    for (i, line) in text.lines().enumerate() {
+        if line.trim().is_empty() || line.trim_start().starts_with('#') {
+            continue;
+        }
+        let numbers: Vec<f64> = line.split(',').filter_map(|n| n.trim().parse().ok()).collect();
+        match numbers[..] {
+            [f, x, y, z] if numbers.iter().all(|n| n.is_finite()) => all.push((f, DVec3::new(x, y, z))),
+            _ => return Err(TrackError::Line { path: name, line: i + 1, text: line.chars().take(60).collect() }),
+        }
+    }
+    Ok(all)
+}
+
+/// A method's place of the body at one moment.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Followed {
+    /// Normalised time.
+    pub t: f32,
+    /// The clock of the data.
+    pub seconds: f64,
+    /// Frames after the last training time; 0 or less for moments that were seen.
+    pub ahead: i64,
+    /// Where the method has the centre of the body.
+    pub place: [f64; 3],
+    /// Distance from the measured place, world units.
+    pub error: f64,
+    /// The same for a body that goes on with the velocity of its last two measured places.
+    pub constant_velocity: f64,
+}
+
+/// A method on a track.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct TrackReport {
+    /// Splats taken for the body.
+    pub splats: usize,
+    /// Every moment of the track.
+    pub moments: Vec<Followed>,
+    /// Acceleration of the forecast, world units per second squared: a parabola through its centres after the last training time.
+    pub acceleration: Option<[f64; 3]>,
+    /// The same of the measured places of these moments.
+    pub measured_acceleration: Option<[f64; 3]>,
+}
+
+impl TrackReport {
+    /// The moments after the last training time as a table, then the accelerations.
+    pub fn text(&self) -> String {
+        let mut text = format!("a body of {} splats against its measured track\n", self.splats);
+        text.push_str(&format!("{:>8}  {:>6}  {:>10}  {:>17}\n", "time", "ahead", "error", "constant velocity"));
+        for m in self.moments.iter().filter(|m| m.ahead >= 0) {
+            let line = format!("{:>8.4}  {:>6}  {:>10.4}  {:>17.4}\n", m.t, m.ahead, m.error, m.constant_velocity);
+            text.push_str(&line);
+        }
+        for (name, a) in [("forecast", self.acceleration), ("measured", self.measured_acceleration)] {
+            if let Some([x, y, z]) = a {
+                text.push_str(&format!("acceleration, {name}: {x:.2} {y:.2} {z:.2} units/s²\n"));
+            }
+        }
+        text
+    }
+}
+
+/// Follows the body of a track through a method; `last_time` is the last training time.
+///
+/// # Errors
+/// If the track begins too late or nothing is near it.
+pub fn follow(
+    method: &dyn Method,
+    camera: &Camera,
+    track: &Track,
+    last_time: f32,
+    radius: f64,
+) -> Result<TrackReport, TrackError> {
+    const SLACK: f32 = 1e-6;
+    let seen = track.places.iter().filter(|p| p.0.normalised <= last_time + SLACK).count();
+    let Some(anchor) = seen.checked_sub(1) else { return Err(TrackError::NoStart(last_time)) };
+    let (begin, from) = track.places[anchor];
+    let body = Body::near(&method.tracked(&Moment::new(begin), camera), from, radius);
+    let Some(body) = body else { return Err(TrackError::Nothing { radius, t: begin.normalised }) };
+    let velocity = match anchor.checked_sub(1).map(|i| track.places[i]) {
+        Some((t, x)) if begin.normalised > t.normalised => (from - x) / f64::from(begin.normalised - t.normalised),
+        _ => DVec3::ZERO,
+    };
+    let moments: Vec<Followed> = track
+        .places
+        .iter()
+        .enumerate()
+        .map(|(i, &(t, x))| {
+            let place = body.centre(&method.tracked(&Moment::new(t), camera));
+            let straight = from + velocity * f64::from(t.normalised - begin.normalised);
+            Followed {
+                t: t.normalised,
+                seconds: t.seconds,
+                ahead: i as i64 - anchor as i64,
+                place: place.to_array(),
+                error: place.distance(x),
+                constant_velocity: straight.distance(x),
+            }
+        })
+        .collect();
+    let ahead = anchor..track.places.len();
+    let (ours, theirs) = ahead
+        .map(|i| (track.places[i].0.seconds, DVec3::from_array(moments[i].place), track.places[i].1))
+        .map(|(t, a, b)| ((t, a), (t, b)))
+        .unzip::<_, _, Vec<_>, Vec<_>>();
+    Ok(TrackReport {
+        splats: body.rows.len(),
+        moments,
+        acceleration: acceleration(&ours).map(|a| a.to_array()),
+        measured_acceleration: acceleration(&theirs).map(|a| a.to_array()),
+    })
+}
+
+/// Rows of splats with weights that add up to 1.
+struct Body {
+    rows: Vec<(usize, f64)>,
+}
+
+impl Body {
+    fn near(splats: &Splats, place: DVec3, radius: f64) -> Option<Self> {
+        let near = |i: &usize| splats.means[*i].as_dvec3().distance(place) <= radius;
+        let weight = |i: usize| {
+            let s = splats.scales[i].abs().as_dvec3();
+            // Mean cross-section of an ellipsoid, up to a factor: needles and dust count little.
+            (i, f64::from(splats.opacities[i]) * (s.x * s.y + s.y * s.z + s.z * s.x))
+        };
+        let mut rows: Vec<(usize, f64)> = (0..splats.len()).filter(near).map(weight).collect();
+        let sum: f64 = rows.iter().map(|r| r.1).sum();
+        rows.iter_mut().for_each(|r| r.1 /= sum);
+        (sum > 0.0).then_some(Self { rows })
+    }
+
+    fn centre(&self, splats: &Splats) -> DVec3 {
+        self.rows.iter().map(|&(i, w)| splats.means[i].as_dvec3() * w).sum()
+    }
+}
+
+/// Acceleration of the parabola that fits places best; none with fewer than four.
+fn acceleration(places: &[(f64, DVec3)]) -> Option<DVec3> {
+    if places.len() < 4 {
+        return None;
+    }
+    let n = places.len() as f64;
+    let middle = places.iter().map(|p| p.0).sum::<f64>() / n;
+    let (mut normal, mut right) = (DMat3::ZERO, [DVec3::ZERO; 3]);
+    for &(t, x) in places {
+        let t = t - middle;
+        let row = DVec3::new(1.0, t, 0.5 * t * t);
+        normal += DMat3::from_cols(row * row.x, row * row.y, row * row.z);
+        (0..3).for_each(|k| right[k] += row * x[k]);
+    }
+    let inverse = normal.inverse();
+    let a = DVec3::from_array(right.map(|r| (inverse * r).z));
+    a.is_finite().then_some(a)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gs_synth::{self as synth, SynthOptions};
+
+    #[test]
+    fn the_acceleration_of_a_parabola_is_found() {
+        let (a, v) = (DVec3::new(0.0, 9.81, -1.0), DVec3::new(3.0, -2.0, 0.5));
+        let places: Vec<(f64, DVec3)> = (0..8)
+            .map(|k| (1.5 + f64::from(k) / 30.0, v * f64::from(k) / 30.0 + a * (f64::from(k) / 30.0).powi(2) * 0.5))
+            .collect();
+        assert!(acceleration(&places).unwrap().distance(a) < 1e-8);
+        assert_eq!(acceleration(&places[..3]), None);
+    }
+
+    #[test]
+    fn lines_are_read_and_faults_named() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("track.csv");
+        std::fs::write(&path, "# frame,x,y,z\n41,1,2,3\n40, 0.5,0,-1e-1\n\n").unwrap();
+        let options = SynthOptions { size: 8, train_views: 3, val_views: 0, test_views: 0, ..SynthOptions::default() };
+        let data = synth::generate("balls", &options).unwrap().dataset;
+        let track = Track::read(&path, &data).unwrap();
+        assert_eq!(track.places[0].1, DVec3::new(0.5, 0.0, -0.1));
+        assert_eq!((track.places[0].0, track.places[1].0), (data.train[0].time, data.train[1].time));
+        for (text, fault) in [("40,1,2\n", "line 1"), ("40,1,2,nan\n", "line 1"), ("1,0,0,0\n9,0,0,0", "3 moments")] {
+            std::fs::write(&path, text).unwrap();
+            assert!(Track::read(&path, &data).unwrap_err().to_string().contains(fault), "{text}");
+        }
+        assert!(Track::read(&dir.path().join("none"), &data).is_err());
+    }
+}

@@ -1,0 +1,303 @@
+//! Segments of generated scenes, with the truth itself as a method: labels, masks, scores, parts, motion, label images.
+
+use glam::{DVec3, Vec3};
+use gs_core::{Camera, Color, Param, Params, Rng, Splats, SplatsGrad};
+use gs_data::{ImageCache, View};
+use gs_physics::complexity::{ImageTracks, STATIC_PATH, complexity};
+use gs_synth::{self as synth, SynthData, SynthOptions};
+use gs_train::method::{Method, Particles};
+use gs_train::renderer::moment;
+use gs_train::schedule::Schedule;
+use gs_train::timestamp::Moment;
+use gs4d_eval::segment::*;
+use gs4d_report::needs::neutral_camera;
+
+const ORIGIN: DVec3 = DVec3::new(0.05, -0.1, 0.02);
+/// The moment of the particles.
+const AT: f64 = 0.7;
+/// Side of the views, pixels.
+const SIDE: u32 = 200;
+/// Standard deviation of a splat, world units: a fifth of a pixel, so that outlines are as sharp as the rasteriser draws them.
+const SCALE: f32 = 0.003;
+
+/// Splats lie so far below the surface that the outlines of their union, blurred by the rasteriser's dilation, are those of
+/// the body: where half of the light is theirs was found by trying.
+fn inset(local: DVec3) -> DVec3 {
+    local.signum() * (local.abs() - 0.0105).max(DVec3::ZERO)
+}
+
+/// A generated scene as a method: small splats on what its views see, moved by the truth itself.
+struct Cast {
+    data: SynthData,
+    schedule: Schedule,
+    points: Vec<(usize, DVec3)>,
+    /// Relative noise of twists; none: no twists at all.
+    noise: Option<f32>,
+}
+
+impl Cast {
+    fn new(scene: &str, noise: Option<f32>) -> Self {
+        let options =
+            SynthOptions { size: SIDE, train_views: 16, val_views: 0, test_views: 2, ..SynthOptions::default() };
+        let mut data = synth::generate(scene, &SynthOptions { supersample: 1, ..options }).unwrap();
+        let seen = |view: &View| {
+            let at = |k: u32| (f64::from(2 * (k % (SIDE / 2))) + 0.5, f64::from(2 * (k / (SIDE / 2))) + 0.5);
+            let hit = |k: u32| data.truth.hit(&view.camera, view.time.seconds, at(k).0, at(k).1);
+            (0..SIDE * SIDE / 4).filter_map(hit).map(|h| (h.body, inset(h.local))).collect::<Vec<_>>()
+        };
+        let points = data.dataset.train.iter().flat_map(seen).collect();
+        data.dataset.train = data.dataset.train.into_iter().step_by(3).collect();
+        let config = gs_methods::registry().find("static3d").unwrap().config("tiny").unwrap();
+        let schedule = config["schedule"].clone().try_into().unwrap();
+        Self { schedule, points, noise, data }
+    }
+
+    /// Every splat a pixel.
+    fn score_of_splats(&self, labels: &Labels) -> gs_metrics::SegmentScores {
+        let truth: Vec<u32> = self.points.iter().map(|p| p.0 as u32).collect();
+        let mut all = gs_metrics::Segmentation::default();
+        all.add(&labels.of, &truth, &vec![1.0; truth.len()]).unwrap();
+        all.scores().unwrap()
+    }
+
+    fn study(&self, labels: &Labels) -> Scores {
+        let truth = TrueLabels::Scene(Box::new(self.data.truth.clone()));
+        let cache = (&ImageCache::new(1 << 20, 1.0), [0.0; 3]);
+        let mut views = 0;
+        let each = |seen: ViewMask<'_>| {
+            views += 1;
+            assert_eq!(seen.colored().shape(), (SIDE as usize, SIDE as usize, 3));
+            assert!(seen.overlaid().data.iter().all(|v| (0.0..=1.0).contains(v)));
+            Ok::<(), SegmentError>(())
+        };
+        let scores = study(self, labels, ("train", &self.data.dataset.train), Some(&truth), cache, each).unwrap();
+        assert_eq!(views, 6);
+        scores.unwrap()
+    }
+}
+
+impl Params for Cast {
+    fn visit(&self, _f: &mut dyn FnMut(&Param)) {}
+    fn visit_mut(&mut self, _f: &mut dyn FnMut(&mut Param)) {}
+}
+
+impl Method for Cast {
+    fn name(&self) -> &'static str {
+        "cast"
+    }
+
+    fn schedule(&self) -> &Schedule {
+        &self.schedule
+    }
+
+    fn set_step(&mut self, _step: u32) {}
+
+    fn splats(&self, at: &Moment, _camera: &Camera) -> Splats {
+        let place = |(body, local): &(usize, DVec3)| {
+            self.data.truth.position_of(*body, *local, at.t.normalised.into()).unwrap().as_vec3()
+        };
+        let n = self.points.len();
+        Splats {
+            means: self.points.iter().map(place).collect(),
+            quats: vec![[1.0, 0.0, 0.0, 0.0]; n],
+            scales: vec![Vec3::splat(SCALE); n],
+            opacities: vec![0.9; n],
+            color: Color::Rgb(vec![[0.5; 3]; n]),
+            ..Splats::default()
+        }
+    }
+
+    fn particles(&self) -> Option<Particles> {
+        let noise = self.noise?;
+        let motion = |(i, (body, _)): (usize, &(usize, DVec3))| {
+            let mut m = self.data.truth.twist_of(*body, AT, ORIGIN).unwrap().narrowed();
+            let mut rng = Rng::new(1, "noise", 0, i as u64);
+            m.twist.v.iter_mut().chain(&mut m.twist.w).for_each(|x| *x += noise * x.abs().max(0.2) * rng.normal());
+            m
+        };
+        let splats = self.splats(&moment(AT as f32), &neutral_camera());
+        let motions = self.points.iter().enumerate().map(motion).collect();
+        Some(Particles { at: AT, splats, motions, origin: ORIGIN.as_vec3() })
+    }
+
+    fn step(&mut self, _at: &Moment, _camera: &Camera, _draw: &mut dyn FnMut(&Splats, &mut SplatsGrad)) {}
+
+    fn len(&self) -> usize {
+        self.points.len()
+    }
+}
+
+/// Noisy twists, the number of bodies known or not: labels are those of the bodies, and so are masks of views at every time.
+#[test]
+fn bodies_are_found_from_their_twists() {
+    for (scene, bodies) in [("projectile", 2), ("hinge", 4), ("balls", 5)] {
+        let cast = Cast::new(scene, Some(0.05));
+        assert_eq!(cast.data.truth.bodies().len(), bodies, "{scene}");
+        for count in [Count::Fixed(bodies), Count::Auto] {
+            let labels = segment(&cast, &Options { count, ..Options::default() }).unwrap();
+            let distances = &labels.distances;
+            assert_eq!((labels.k, labels.source), (bodies, Source::Twists), "{scene} {count:?}: {distances:?}");
+            let splats = cast.score_of_splats(&labels);
+            assert!(splats.f1 == 1.0 && splats.miou > 0.95, "{scene} {count:?}: {splats:?}");
+            let masks = cast.study(&labels);
+            println!(
+                "{scene}, {count:?}: splats mIoU {:.4}; views F1 {:.4}, mIoU {:.4}",
+                splats.miou, masks.f1, masks.miou
+            );
+            assert!(masks.f1 == 1.0 && masks.miou > 0.95, "{scene} {count:?}: {masks:?}");
+        }
+    }
+}
+
+/// A thrown ball, a rolling wheel, a block that rises and turns, and a slab at rest: four parts, with and without their number.
+#[test]
+fn three_bodies_and_what_rests_are_four_parts() {
+    let cast = Cast::new("trio", Some(0.05));
+    for count in [Count::Fixed(4), Count::Auto] {
+        let labels = segment(&cast, &Options { count, ..Options::default() }).unwrap();
+        let (splats, masks) = (cast.score_of_splats(&labels), cast.study(&labels));
+        println!("trio, {count:?}: splats mIoU {:.4}; views F1 {:.4}, mIoU {:.4}", splats.miou, masks.f1, masks.miou);
+        assert_eq!((labels.k, splats.f1, masks.f1), (4, 1.0, 1.0), "{count:?}: {masks:?}");
+        assert!(splats.miou > 0.95 && masks.miou > 0.95, "{count:?}: {splats:?} {masks:?}");
+    }
+}
+
+/// Two bodies that move as one are one part, unless places count.
+#[test]
+fn twins_are_told_apart_by_their_places() {
+    let cast = Cast::new("twins", Some(0.05));
+    let one = segment(&cast, &Options::default()).unwrap();
+    assert_eq!(one.k, 3, "{:?}", one.distances);
+    let label = |labels: &Labels, body: usize| labels.of[cast.points.iter().position(|p| p.0 == body).unwrap()];
+    assert_eq!(label(&one, 0), label(&one, 1));
+    assert!(label(&one, 0) != label(&one, 2) && label(&one, 2) != label(&one, 3));
+    let apart = Options { count: Count::Fixed(6), positions: 1.0, ..Options::default() };
+    let apart = segment(&cast, &apart).unwrap();
+    assert_ne!(label(&apart, 0), label(&apart, 1));
+}
+
+/// Without twists, from paths alone: labels are pure, and what rests is known.
+#[test]
+fn bodies_are_found_from_their_paths() {
+    let mut cast = Cast::new("projectile", None);
+    cast.points = cast.points.into_iter().step_by(10).collect();
+    let labels = segment(&cast, &Options { count: Count::Fixed(4), ..Options::default() }).unwrap();
+    assert_eq!(labels.source, Source::Paths);
+    let mut counts = vec![[0usize; 2]; labels.k];
+    cast.points.iter().zip(&labels.of).for_each(|((body, _), label)| counts[*label as usize][*body] += 1);
+    let pure: usize = counts.iter().map(|c| *c.iter().max().unwrap()).sum();
+    assert!(pure * 100 > 95 * cast.points.len(), "{counts:?}");
+    let still: Vec<bool> = cast.data.truth.bodies().iter().map(|b| !b.motion.moves()).collect();
+    assert!(cast.points.iter().zip(&labels.resting).all(|((body, _), rests)| still[*body] == *rests));
+}
+
+#[test]
+fn parts_move_as_their_bodies_do() {
+    let cast = Cast::new("hinge", Some(0.0));
+    let labels = segment(&cast, &Options::default()).unwrap();
+    let table = parts::table(&labels);
+    assert_eq!(table.len(), 4);
+    assert!((table.iter().map(|p| p.share).sum::<f64>() - 1.0).abs() < 1e-9);
+    for part in &table {
+        let member = labels.of.iter().position(|l| *l + 1 == part.id).unwrap();
+        let truth = cast.data.truth.twist_of(cast.points[member].0, AT, ORIGIN).unwrap().twist;
+        let far = |a: [f64; 3], b: [f64; 3]| (DVec3::from(a) - DVec3::from(b)).length();
+        assert!(far(part.twist[0], truth.v) < 1e-3 && far(part.twist[1], truth.w) < 1e-3, "{part:?} {truth:?}");
+        assert!((part.spin - DVec3::from(truth.w).length()).abs() < 1e-3 && part.residual < 1e-3);
+        assert_eq!(
+            (part.followers, part.splats),
+            (part.splats, labels.of.iter().filter(|l| **l + 1 == part.id).count())
+        );
+        if let Some(at) = part.axis_at {
+            let slide = DVec3::from(truth.v) + DVec3::from(truth.w).cross(DVec3::from(at) - ORIGIN);
+            let along = part.pitch.unwrap() * DVec3::from(truth.w);
+            assert!((slide - along).length() < 1e-2, "points of the axis only slide along it");
+        } else {
+            assert!(part.spin < 0.01);
+        }
+    }
+}
+
+/// Tracks by the splats that pixels see against tracks of the material points themselves.
+#[test]
+fn the_motion_of_a_scene_is_that_of_its_material_points() {
+    let cast = Cast::new("balls", None);
+    let camera = cast.data.dataset.train[0].camera.clone();
+    let times: Vec<f32> = (0..12).map(|k| k as f32 / 11.0).collect();
+    let got = complexity(&tracks::tracks(&cast, std::slice::from_ref(&camera), &times, 2500), STATIC_PATH);
+    let path = |k: u32| {
+        let (x, y) = (f64::from(4 * (k % 50)) + 2.5, f64::from(4 * (k / 50)) + 2.5);
+        let hit = cast.data.truth.hit(&camera, 0.0, x, y)?;
+        let place = |t: &f32| cast.data.truth.position_of(hit.body, hit.local, (*t).into());
+        Some(times.iter().map(|t| place(t).map(|p| camera.to_pixel(camera.to_camera(p)))).collect())
+    };
+    let truth = ImageTracks {
+        size: [SIDE.into(); 2],
+        times: times.iter().map(|t| f64::from(*t)).collect(),
+        tracks: (0..2500).filter_map(path).collect(),
+    };
+    let want = complexity(&[truth], STATIC_PATH);
+    assert!((got.velocity / want.velocity - 1.0).abs() < 0.1, "{got:?} {want:?}");
+    assert!((got.acceleration / want.acceleration - 1.0).abs() < 0.15, "{got:?} {want:?}");
+    let whole = scene_complexity(&cast, &cast.data.dataset);
+    assert!(whole.moving > 0 && whole.velocity > 0.3 * want.velocity && whole.velocity < 3.0 * want.velocity);
+}
+
+#[test]
+fn the_strongest_part_or_the_background_is_shown() {
+    let camera = Camera::look_at(16, 16, 0.7, DVec3::new(0.0, 0.0, -4.0), DVec3::ZERO, DVec3::Y).unwrap();
+    let splats = |opacities: [f32; 2]| Splats {
+        means: vec![Vec3::ZERO, Vec3::Z * 0.5],
+        quats: vec![[1.0, 0.0, 0.0, 0.0]; 2],
+        scales: vec![Vec3::splat(5.0); 2],
+        opacities: opacities.to_vec(),
+        color: Color::Rgb(vec![[0.3; 3]; 2]),
+        ..Splats::default()
+    };
+    let mut masker = Masker::new(gs_raster::RasterOptions { background: [1.0; 3], ..Default::default() });
+    for (opacities, id, sure) in [([0.7, 0.9], 6, 0.7), ([0.2, 0.8], 1, 0.64), ([0.3, 0.2], 0, 0.56)] {
+        let mask = masker.draw(&splats(opacities), &[5, 0], 6, &camera);
+        assert_eq!((mask.ids[8 * 16 + 8], mask.width, mask.height), (id, 16, 16));
+        assert!((mask.confidence[8 * 16 + 8] - sure).abs() < 0.01, "{}", mask.confidence[8 * 16 + 8]);
+    }
+    let colors: Vec<[f32; 3]> = (0..12).map(color).collect();
+    assert!(colors.iter().enumerate().all(|(k, c)| !colors[..k].contains(c)), "told apart: {colors:?}");
+}
+
+#[test]
+fn label_images_are_read_in_every_form_and_refused_by_name() {
+    let dir = tempfile::tempdir().unwrap();
+    let options = SynthOptions { size: 64, train_views: 1, val_views: 0, test_views: 0, ..SynthOptions::default() };
+    let view = synth::generate("twins", &options).unwrap().dataset.train.remove(0);
+    let camera = view.camera.clone();
+    let want: Vec<u32> = (0..64 * 64).map(|k| k / 64 % 3 * 300 + k % 2).collect();
+    let read = |truth: &TrueLabels, view: &View| truth.of(view, "train", &camera);
+    let folder = TrueLabels::Folder(dir.path().to_owned());
+    assert_eq!(read(&folder, &view).unwrap(), None, "no file");
+
+    let wide = image::ImageBuffer::from_fn(64, 64, |x, y| image::Luma([want[(y * 64 + x) as usize] as u16]));
+    image::DynamicImage::ImageLuma16(wide).save(dir.path().join("r_000.png")).unwrap();
+    assert_eq!(read(&folder, &view).unwrap(), Some(want.clone()));
+
+    std::fs::create_dir(dir.path().join("train")).unwrap();
+    let header = "{'descr': '<i8', 'fortran_order': False, 'shape': (64, 64), }\n";
+    let head = [b"\x93NUMPY\x01\x00".as_slice(), &(header.len() as u16).to_le_bytes(), header.as_bytes()].concat();
+    let npy = |ids: &dyn Fn(u32) -> i64| {
+        let bytes: Vec<u8> = want.iter().flat_map(|id| ids(*id).to_le_bytes()).collect();
+        std::fs::write(dir.path().join("train/r_000.npy"), [head.clone(), bytes].concat()).unwrap();
+    };
+    npy(&|id| i64::from(id) - 1);
+    let shifted = want.iter().map(|id| id.saturating_sub(1)).collect();
+    assert_eq!(read(&folder, &view).unwrap(), Some(shifted), "the split's own folder first, -1 is the background");
+    let named = View { labels: Some(dir.path().join("train/r_000.npy")), ..view.clone() };
+    assert!(read(&TrueLabels::Views, &named).unwrap().is_some() && read(&TrueLabels::Views, &view).unwrap().is_none());
+    npy(&|_| 1 << 40);
+    assert!(read(&folder, &view).unwrap_err().to_string().contains("is no label"));
+
+    let small = image::ImageBuffer::from_fn(64, 32, |_, _| image::Luma([3u8]));
+    std::fs::remove_dir_all(dir.path().join("train")).unwrap();
+    image::DynamicImage::ImageLuma8(small).save(dir.path().join("r_000.png")).unwrap();
+    assert!(matches!(read(&folder, &view), Err(SegmentError::Data(_))), "another shape");
+    std::fs::write(dir.path().join("r_000.png"), b"no picture").unwrap();
+    assert!(matches!(read(&folder, &view), Err(SegmentError::Data(_))));
+}

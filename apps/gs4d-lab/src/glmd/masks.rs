@@ -1,0 +1,93 @@
+//! Where the object is.
+
+use std::path::Path;
+
+use gs_core::{Camera, Image};
+use gs_metrics::flow::Flow;
+
+use super::GlmdError;
+use gs_data::DataError;
+use gs_data::decode::decode;
+use gs_synth::Truth;
+use gs_synth::body::MotionClass;
+
+/// Where the object is.
+#[derive(Clone, Debug)]
+pub enum Masks {
+    /// One mask `[H, W, 1]` for all moments, or one for each.
+    Given(Vec<Image>),
+    /// The bodies of a generated scene that move as rigid pieces.
+    Truth(Box<Truth>),
+    /// Where the model's first flow has at least half of its 95th percentile. Ratios are above 1 by construction then.
+    Threshold,
+}
+
+impl Masks {
+    /// The PNG files of a folder in the order of their names; bright pixels (half or more) are the object.
+    ///
+    /// # Errors
+    /// If the folder cannot be listed or holds no PNG file, or one cannot be read.
+    pub fn of_folder(folder: &Path) -> Result<Self, DataError> {
+        let refused = |e| DataError::read(folder, e);
+        let mut files = Vec::new();
+        for entry in std::fs::read_dir(folder).map_err(refused)? {
+            let path = entry.map_err(refused)?.path();
+            if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("png")) {
+                files.push(path);
+            }
+        }
+        files.sort();
+        if files.is_empty() {
+            let (name, value) = ("mask", folder.display().to_string());
+            return Err(DataError::Option { name, value, rule: "a folder of PNG files".into() });
+        }
+        let read = |file: &std::path::PathBuf| {
+            let image = decode(file, None)?;
+            let data = image.data.chunks_exact(4).map(|p| f32::from(p[0] >= 128)).collect();
+            Ok(Image { width: image.width, height: image.height, channels: 1, data })
+        };
+        Ok(Self::Given(files.iter().map(read).collect::<Result<_, DataError>>()?))
+    }
+
+    /// Where masks come from, for people.
+    pub fn source(&self) -> &'static str {
+        match self {
+            Self::Given(_) => "given",
+            Self::Truth(_) => "rigid bodies of the generated scene",
+            Self::Threshold => "threshold of the model's first flow: ratios above 1 by construction",
+        }
+    }
+
+    /// Refuses masks that do not fit the camera or the number of moments.
+    pub(super) fn check(&self, camera: &Camera, moments: usize) -> Result<(), GlmdError> {
+        let Self::Given(masks) = self else { return Ok(()) };
+        if masks.len() != 1 && masks.len() != moments {
+            let text = format!("{} masks for {moments} moments: give one for all, or one for each", masks.len());
+            return Err(GlmdError::Mask(text));
+        }
+        let want = (camera.width as usize, camera.height as usize, 1);
+        match masks.iter().position(|m| m.shape() != want) {
+            Some(k) => {
+                let (w, h, _) = masks[k].shape();
+                Err(GlmdError::Mask(format!("mask {k} has {w}x{h} pixels, the camera {}x{}", want.0, want.1)))
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// The mask `[H, W, 1]` of moment `k`; `first` is the model's first flow.
+    pub(super) fn at(&self, k: usize, time: f32, camera: &Camera, first: &Flow) -> Image {
+        match self {
+            Self::Given(all) => all[k.min(all.len() - 1)].clone(),
+            Self::Truth(truth) => truth.mask(camera, f64::from(time), MotionClass::Global),
+            Self::Threshold => {
+                let lengths = first.magnitudes();
+                let mut sorted = lengths.clone();
+                sorted.sort_unstable_by(f32::total_cmp);
+                let half = 0.5 * sorted[(sorted.len() * 95 / 100).min(sorted.len() - 1)];
+                let data = lengths.iter().map(|l| f32::from(*l >= half && half > 0.0)).collect();
+                Image { width: first.width, height: first.height, channels: 1, data }
+            }
+        }
+    }
+}

@@ -1,0 +1,163 @@
+//! Poses that are wrong, under pictures that are right.
+
+use super::subject::Errors;
+use super::trained::{SCORES, scores, scores_at};
+use super::{Cell, Chart, Findings, LabError, Setup, Subject, Tell, Trained};
+use glam::{DVec3, Vec3};
+use gs_core::Rng;
+use gs_data::Dataset;
+use gs_data::avatar::AvatarFrame;
+use gs_texel::texels::TexelTable;
+use gs_texel::unproject::UnprojectConfig;
+use gs_train::evaluate::EvalReport;
+
+/// Degrees an elbow is wrong by; the third and the last are the publication's 7°46′ and 60°13′.
+const ANGLES: [f64; 7] = [0.0, 3.717, 7.767, 15.0, 30.0, 45.0, 60.217];
+/// Standard deviations of the noise on every joint, degrees.
+const NOISE: [f64; 6] = [0.0, 0.5, 1.0, 2.0, 5.0, 10.0];
+
+const REMARK: &str = "First texture: on the posed template, against the template's own colour at seen texels. With a method: the \
+                      root mean square of its offsets, the second texture on the deformed template, and scores of test views.";
+
+const HEADS: [(&str, usize); 5] =
+    [("seen %", 1), ("1st texture dB", 2), ("offsets mm", 2), ("2nd seen %", 1), ("2nd texture dB", 2)];
+
+/// One joint, by the same angle in all frames and by one that grows from frame to frame.
+pub(super) fn motion(setup: &Setup, tell: &mut Tell<'_>) -> Result<Findings, LabError> {
+    let probe = Probe::new(setup, tell)?;
+    let joint = probe.joint(setup.joint.as_deref())?;
+    let name = &probe.subject.scene.character.skeleton.nodes[joint as usize].name;
+    let mut out =
+        probe.findings("motion", &[("mode", 0), ("angle deg", 2)], &format!("The joint is `{name}`. {REMARK}"));
+    for angle in ANGLES {
+        tell(&format!("{name}: {angle:.1} degrees off"));
+        let film = probe.subject.changed(|_, frame| probe.bend(frame, joint, angle));
+        let report = probe.report(&film)?;
+        let mut row: Vec<Cell> = vec!["static".into(), angle.into()];
+        row.extend(probe.looked(&film, None)?);
+        row.extend(scores(report.as_ref()).map(Cell::from));
+        out.rows.push(row);
+    }
+    let frames = probe.subject.scene.frames.len();
+    let at = |k: usize| ANGLES[ANGLES.len() - 1] * k as f64 / (frames - 1).max(1) as f64;
+    tell(&format!("{name}: growing over {frames} frames"));
+    let film = probe.subject.changed(|k, frame| probe.bend(frame, joint, at(k)));
+    let report = probe.report(&film)?;
+    for (k, frame) in probe.subject.scene.frames.iter().enumerate() {
+        let mut row: Vec<Cell> = vec!["ramp".into(), at(k).into()];
+        row.extend(probe.looked(&film, Some(k))?);
+        row.extend(scores_at(report.as_ref(), frame.time.normalised).map(Cell::from));
+        out.rows.push(row);
+    }
+    out.charts = charts("angle deg", Some("mode"));
+    Ok(out)
+}
+
+/// Every joint, by angles drawn anew in each frame.
+pub(super) fn mocap(setup: &Setup, tell: &mut Tell<'_>) -> Result<Findings, LabError> {
+    let probe = Probe::new(setup, tell)?;
+    let remark = format!("Every joint turned about a random axis by a normal angle, anew in each frame. {REMARK}");
+    let mut out = probe.findings("mocap", &[("noise deg", 2)], &remark);
+    let joints: Vec<u32> = probe.subject.scene.character.skeleton.joints.iter().map(|j| j.node).collect();
+    for noise in NOISE {
+        tell(&format!("{noise} degrees of noise"));
+        let film = probe.subject.changed(|k, frame| {
+            for &joint in &joints {
+                let mut rng = Rng::new(setup.film.seed, "mocap noise", k as u32, u64::from(joint));
+                let axis = DVec3::from_array(std::array::from_fn(|_| f64::from(rng.normal())));
+                frame.pose.turn(joint, axis, (noise * f64::from(rng.normal())).to_radians());
+            }
+        });
+        let report = probe.report(&film)?;
+        let mut row: Vec<Cell> = vec![noise.into()];
+        row.extend(probe.looked(&film, None)?);
+        row.extend(scores(report.as_ref()).map(Cell::from));
+        out.rows.push(row);
+    }
+    out.charts = charts("noise deg", None);
+    Ok(out)
+}
+
+fn charts(across: &'static str, split: Option<&'static str>) -> Vec<Chart> {
+    let chart = |part, title: &str, drawn| Chart { part, title: title.into(), across, drawn, split };
+    vec![
+        chart("", "Textures, dB over seen texels", vec!["1st texture dB", "2nd texture dB"]),
+        chart("scores", "In-mask PSNR of test views, dB", vec!["in-mask PSNR"]),
+    ]
+}
+
+/// What wrong poses are looked at with.
+struct Probe {
+    subject: Subject,
+    trained: Option<Trained>,
+    table: TexelTable,
+    truth: Vec<[f32; 3]>,
+}
+
+impl Probe {
+    fn new(setup: &Setup, tell: &mut Tell<'_>) -> Result<Self, LabError> {
+        let subject = Subject::new(setup, tell)?;
+        let trained = Trained::of(setup, &subject.full_film, tell)?;
+        let table = subject.table(setup.texels)?;
+        Ok(Self { truth: subject.truth(&table), trained, table, subject })
+    }
+
+    fn findings(&self, name: &'static str, first: &[(&'static str, usize)], remark: &str) -> Findings {
+        Findings::new(name, remark, &[first, &HEADS, &SCORES].concat())
+    }
+
+    /// The node of that name, or of the left fore arm.
+    fn joint(&self, name: Option<&str>) -> Result<u32, LabError> {
+        let skeleton = &self.subject.scene.character.skeleton;
+        let joints = || skeleton.joints.iter().map(|j| (j.node, skeleton.nodes[j.node as usize].name.as_str()));
+        let fore_arm = |name: &str| {
+            let name = name.to_lowercase();
+            let fore = ["fore", "elbow", "lower arm", "lower_arm", "lowerarm"].iter().any(|w| name.contains(w));
+            fore && (name.contains("left") || name.ends_with("_l") || name.ends_with(".l") || name.contains("_l_"))
+        };
+        let found = joints().find(|(_, n)| name.map_or_else(|| fore_arm(n), |asked| asked == *n));
+        found.map(|(node, _)| node).ok_or_else(|| LabError::Unknown {
+            what: "the joint",
+            asked: name.unwrap_or("left fore arm").to_owned(),
+            known: joints().map(|(_, n)| n).collect::<Vec<_>>().join(", "),
+        })
+    }
+
+    /// Turns a joint about its hinge.
+    fn bend(&self, frame: &mut AvatarFrame, joint: u32, degrees: f64) {
+        let axis = self.subject.scene.character.skeleton.hinge_axis(&frame.pose, joint);
+        frame.pose.turn(joint, axis, degrees.to_radians());
+    }
+
+    fn report(&self, film: &Dataset) -> Result<Option<EvalReport>, LabError> {
+        self.trained.as_ref().map(|t| t.scores(film, &[])).transpose()
+    }
+
+    /// Both textures under the poses of a film, of one frame or of all: the numbers under [`HEADS`].
+    fn looked(&self, film: &Dataset, only: Option<usize>) -> Result<Vec<Cell>, LabError> {
+        let Some(scene) = &film.avatar else { return Ok(vec![None.into(); HEADS.len()]) };
+        let dut = self.trained.as_ref().map(|t| t.on(film, &[])).transpose()?;
+        let (mut first, mut second) = (Errors::default(), Errors::default());
+        let (mut squares, mut rows) = (0.0f64, 0usize);
+        for (_, frame) in scene.frames.iter().enumerate().filter(|(k, _)| only.is_none_or(|o| o == *k)) {
+            let photographs = self.subject.photographs(&frame.inputs)?;
+            let add = |errors: &mut Errors, surface: &[Vec3]| -> Result<(), LabError> {
+                let (texture, ms) =
+                    self.subject.texture(surface, &photographs, &self.table, &UnprojectConfig::default())?;
+                errors.add(&texture.colors, texture.seen.iter().map(|&n| n > 0), &self.truth, ms);
+                Ok(())
+            };
+            add(&mut first, &scene.posed(frame))?;
+            let Some(dut) = &dut else { continue };
+            let before = dut.first(frame)?;
+            if let Some(offsets) = dut.offsets(&before)? {
+                squares += offsets.iter().map(|d| f64::from(d.length_squared())).sum::<f64>();
+                rows += offsets.len();
+                add(&mut second, &dut.actor().surface(&before.posed, &offsets))?;
+            }
+        }
+        let moved = (rows > 0).then(|| 1e3 * (squares / rows as f64).sqrt());
+        let seen = |e: &Errors| Some(100.0 * e.coverage());
+        Ok([seen(&first), first.psnr(), moved, seen(&second), second.psnr()].map(Cell::from).into())
+    }
+}

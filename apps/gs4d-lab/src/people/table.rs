@@ -1,0 +1,290 @@
+//! What an experiment found, as a table for people, programs and spreadsheets, and as charts.
+
+use gs_core::io::{IoError, write_file};
+use gs4d_report::chart::chart;
+use gs4d_report::{Curve, ReportError, Scale};
+use serde_json::{Map, Value, json};
+use std::path::Path;
+
+/// A column.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Head {
+    /// Its heading, with the unit.
+    pub name: &'static str,
+    /// Digits behind the point.
+    pub digits: usize,
+}
+
+/// What stands in a row of a column.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Cell {
+    /// A word.
+    Text(String),
+    /// A number; absent where it was not measured or is not finite.
+    Number(Option<f64>),
+}
+
+impl From<&str> for Cell {
+    fn from(text: &str) -> Self {
+        Self::Text(text.to_owned())
+    }
+}
+
+impl From<String> for Cell {
+    fn from(text: String) -> Self {
+        Self::Text(text)
+    }
+}
+
+impl From<f64> for Cell {
+    fn from(value: f64) -> Self {
+        Self::from(Some(value))
+    }
+}
+
+impl From<Option<f64>> for Cell {
+    fn from(value: Option<f64>) -> Self {
+        Self::Number(value.filter(|v| v.is_finite()))
+    }
+}
+
+impl Cell {
+    fn number(&self) -> Option<f64> {
+        if let Self::Number(n) = self { *n } else { None }
+    }
+
+    fn shown(&self, head: Head) -> String {
+        match self {
+            Self::Text(text) => text.clone(),
+            Self::Number(n) => n.map_or("-".to_owned(), |n| format!("{n:.*}", head.digits)),
+        }
+    }
+}
+
+/// Lines over one column of a table, one for each other column named.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Chart {
+    /// What its file is called behind the experiment's name; empty for the first.
+    pub part: &'static str,
+    /// Heading.
+    pub title: String,
+    /// The column along the axis.
+    pub across: &'static str,
+    /// The columns drawn; rows that lack a number are left out.
+    pub drawn: Vec<&'static str>,
+    /// The column whose words make lines of their own, if any.
+    pub split: Option<&'static str>,
+}
+
+/// What an experiment found.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Findings {
+    /// The experiment.
+    pub name: &'static str,
+    /// What the numbers are of, in a sentence or two.
+    pub remark: String,
+    /// Columns.
+    pub heads: Vec<Head>,
+    /// Rows, a cell for each column.
+    pub rows: Vec<Vec<Cell>>,
+    /// Charts.
+    pub charts: Vec<Chart>,
+    /// Rows that are charted, from the first; none: all.
+    pub charted: Option<usize>,
+}
+
+impl Findings {
+    /// An empty table with `(heading, digits)` for each column.
+    pub fn new(name: &'static str, remark: impl Into<String>, heads: &[(&'static str, usize)]) -> Self {
+        let heads = heads.iter().map(|&(name, digits)| Head { name, digits }).collect();
+        Self { name, remark: remark.into(), heads, rows: Vec::new(), charts: Vec::new(), charted: None }
+    }
+
+    /// The numbers of a column, by its heading.
+    pub fn column(&self, name: &str) -> Vec<Option<f64>> {
+        let at = self.heads.iter().position(|h| h.name == name);
+        self.rows.iter().map(|row| at.and_then(|k| row.get(k)).and_then(Cell::number)).collect()
+    }
+
+    /// Columns that any row has something in.
+    fn used(&self) -> Vec<usize> {
+        let filled = |k: &usize| self.rows.iter().any(|row| row.get(*k).is_some_and(|c| *c != Cell::Number(None)));
+        (0..self.heads.len()).filter(filled).collect()
+    }
+
+    /// For people: aligned columns.
+    pub fn text(&self) -> String {
+        let used = self.used();
+        let shown = |row: &Vec<Cell>| used.iter().map(|&k| row[k].shown(self.heads[k])).collect::<Vec<_>>();
+        let mut lines: Vec<Vec<String>> = vec![used.iter().map(|&k| self.heads[k].name.to_owned()).collect()];
+        lines.extend(self.rows.iter().map(shown));
+        let width = |c: usize| lines.iter().map(|l| l[c].chars().count()).max().unwrap_or(0);
+        let widths: Vec<usize> = (0..used.len()).map(width).collect();
+        let words: Vec<bool> =
+            used.iter().map(|&k| self.rows.iter().any(|row| matches!(row[k], Cell::Text(_)))).collect();
+        let mut text = String::new();
+        for line in &lines {
+            let padded = line.iter().enumerate().map(|(c, cell)| {
+                let gap = " ".repeat(widths[c] - cell.chars().count());
+                if words[c] { format!("{cell}{gap}") } else { format!("{gap}{cell}") }
+            });
+            text.push_str(padded.collect::<Vec<_>>().join("  ").trim_end());
+            text.push('\n');
+        }
+        text + &self.remark + "\n"
+    }
+
+    /// As a table of Markdown.
+    pub fn markdown(&self) -> String {
+        let used = self.used();
+        let line = |cells: Vec<String>| format!("| {} |\n", cells.join(" | "));
+        let mut text = format!("# {}\n\n{}\n\n", self.name, self.remark);
+        text.push_str(&line(used.iter().map(|&k| self.heads[k].name.to_owned()).collect()));
+        text.push_str(&format!("|{}\n", "---|".repeat(used.len())));
+        for row in &self.rows {
+            text.push_str(&line(used.iter().map(|&k| row[k].shown(self.heads[k]).replace('|', "\\|")).collect()));
+        }
+        text
+    }
+
+    /// As comma-separated values, all digits.
+    pub fn csv(&self) -> String {
+        let quoted = |t: &str| format!("\"{}\"", t.replace('"', "\"\""));
+        let line = |cells: Vec<String>| cells.join(",") + "\n";
+        let mut text = line(self.heads.iter().map(|h| quoted(h.name)).collect());
+        let cell = |c: &Cell| match c {
+            Cell::Text(t) => quoted(t),
+            Cell::Number(n) => n.map_or(String::new(), |n| n.to_string()),
+        };
+        self.rows.iter().for_each(|row| text.push_str(&line(row.iter().map(cell).collect())));
+        text
+    }
+
+    /// As one JSON value: rows are objects by heading.
+    pub fn json(&self) -> Value {
+        let cell = |c: &Cell| match c {
+            Cell::Text(t) => json!(t),
+            Cell::Number(n) => json!(n),
+        };
+        let row = |row: &Vec<Cell>| -> Map<String, Value> {
+            self.heads.iter().zip(row).map(|(h, c)| (h.name.to_owned(), cell(c))).collect()
+        };
+        json!({"experiment": self.name, "remark": self.remark, "rows": self.rows.iter().map(row).collect::<Vec<_>>()})
+    }
+
+    /// A chart as an SVG file's text; none without a number to draw.
+    fn svg(&self, c: &Chart) -> Result<Option<String>, ReportError> {
+        let word = |row: &Vec<Cell>, name: &str| {
+            let at = self.heads.iter().position(|h| h.name == name);
+            at.and_then(|k| row.get(k)).map_or(String::new(), |cell| cell.shown(Head { name: "", digits: 0 }))
+        };
+        let rows = &self.rows[..self.charted.unwrap_or(self.rows.len()).min(self.rows.len())];
+        let words: Vec<String> = rows.iter().map(|row| c.split.map_or(String::new(), |name| word(row, name))).collect();
+        let mut groups = words.clone();
+        groups.sort();
+        groups.dedup();
+        let across = self.column(c.across);
+        let mut curves = Vec::new();
+        for &drawn in &c.drawn {
+            let values = self.column(drawn);
+            for group in &groups {
+                let of_group = (0..rows.len()).filter(|&i| words[i] == *group);
+                let mut points: Vec<(f64, f64)> = of_group.filter_map(|i| across[i].zip(values[i])).collect();
+                points.sort_by(|a, b| a.0.total_cmp(&b.0));
+                let name = [group.as_str(), if c.drawn.len() > 1 { drawn } else { "" }];
+                let name = name.into_iter().filter(|n| !n.is_empty()).collect::<Vec<_>>().join(", ");
+                curves.push(Curve { name, points });
+            }
+        }
+        chart(&c.title, c.across, Scale::Linear, &curves)
+    }
+
+    /// Writes `NAME.json`, `NAME.csv`, `NAME.md` and a `.svg` for each chart into a folder that is made if need be. Nothing is
+    /// overwritten unless `overwrite` is set.
+    ///
+    /// # Errors
+    /// If a file is there or cannot be written, or a chart cannot be drawn.
+    pub fn write(&self, folder: &Path, overwrite: bool) -> Result<(), WriteError> {
+        let failed = |source| IoError::Os { file: folder.display().to_string().into(), action: "create", source };
+        std::fs::create_dir_all(folder).map_err(failed)?;
+        let mut files = vec![
+            (format!("{}.json", self.name), format!("{:#}\n", self.json())),
+            (format!("{}.csv", self.name), self.csv()),
+            (format!("{}.md", self.name), self.markdown()),
+        ];
+        for c in &self.charts {
+            let stem = if c.part.is_empty() { self.name.to_owned() } else { format!("{}-{}", self.name, c.part) };
+            files.extend(self.svg(c)?.map(|svg| (format!("{stem}.svg"), svg)));
+        }
+        for (name, content) in files {
+            write_file(&folder.join(name), overwrite, |out| out.write_all(content.as_bytes()))?;
+        }
+        Ok(())
+    }
+
+    /// Refuses a folder that holds findings of this experiment.
+    ///
+    /// # Errors
+    /// [`IoError::Exists`] with the file's name.
+    pub fn vacant(name: &str, folder: &Path) -> Result<(), IoError> {
+        let file = folder.join(format!("{name}.json"));
+        if file.symlink_metadata().is_ok() {
+            return Err(IoError::Exists { file: file.display().to_string().into() });
+        }
+        Ok(())
+    }
+}
+
+/// Findings that were not written.
+#[derive(Debug, thiserror::Error)]
+pub enum WriteError {
+    /// A file.
+    #[error(transparent)]
+    Io(#[from] IoError),
+    /// A chart.
+    #[error(transparent)]
+    Chart(#[from] ReportError),
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn findings() -> Findings {
+        let mut f = Findings::new("probe", "Made up.", &[("rule", 0), ("angle", 1), ("PSNR", 2), ("ms", 1)]);
+        f.rows = vec![
+            vec!["a|b".into(), 0.0.into(), 31.256.into(), None.into()],
+            vec!["c \"d\"".into(), 30.0.into(), f64::NAN.into(), None.into()],
+        ];
+        let chart = |part, drawn| Chart { part, title: "t".into(), across: "angle", drawn, split: Some("rule") };
+        f.charts = vec![chart("", vec!["PSNR"]), chart("time", vec!["ms"])];
+        f
+    }
+
+    #[test]
+    fn a_table_reads_the_same_in_every_form() {
+        let f = findings();
+        assert_eq!(f.text(), "rule   angle   PSNR\na|b      0.0  31.26\nc \"d\"   30.0      -\nMade up.\n");
+        assert_eq!(f.csv(), "\"rule\",\"angle\",\"PSNR\",\"ms\"\n\"a|b\",0,31.256,\n\"c \"\"d\"\"\",30,,\n");
+        assert!(
+            f.markdown()
+                .ends_with("| rule | angle | PSNR |\n|---|---|---|\n| a\\|b | 0.0 | 31.26 |\n| c \"d\" | 30.0 | - |\n")
+        );
+        assert_eq!(f.json()["rows"][0], json!({"rule": "a|b", "angle": 0.0, "PSNR": 31.256, "ms": null}));
+        assert_eq!(f.column("PSNR"), [Some(31.256), None]);
+    }
+
+    #[test]
+    fn files_are_written_once() {
+        let dir = tempfile::tempdir().unwrap();
+        let (f, folder) = (findings(), dir.path().join("a/b"));
+        Findings::vacant("probe", &folder).unwrap();
+        f.write(&folder, false).unwrap();
+        let names = ["probe.json", "probe.csv", "probe.md", "probe.svg"];
+        assert!(names.iter().all(|n| folder.join(n).is_file()));
+        assert!(!folder.join("probe-time.svg").exists(), "there is nothing to draw");
+        assert!(matches!(Findings::vacant("probe", &folder), Err(IoError::Exists { .. })));
+        assert!(matches!(f.write(&folder, false), Err(WriteError::Io(IoError::Exists { .. }))));
+        f.write(&folder, true).unwrap();
+    }
+}

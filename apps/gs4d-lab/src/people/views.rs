@@ -1,0 +1,135 @@
+//! Fewer and more conditioning cameras.
+
+use super::subject::Errors;
+use super::trained::{SCORES, scores};
+use super::{Cell, Chart, Findings, LabError, Setup, Subject, Tell, Trained};
+use glam::DVec3;
+use gs_data::avatar::AvatarScene;
+use gs_data::{Dataset, View};
+use gs_synth::avatar::AvatarOptions;
+use gs_texel::unproject::UnprojectConfig;
+use std::sync::Arc;
+
+/// Numbers of cameras.
+const COUNTS: [usize; 6] = [1, 2, 3, 4, 6, 8];
+
+/// The first so many of the cameras, and the film's own without one of them.
+pub(super) fn views(setup: &Setup, tell: &mut Tell<'_>) -> Result<Findings, LabError> {
+    // Every frame trains, so that every frame has more cameras than its inputs.
+    let setup = &Setup { film: AvatarOptions { test_every: 0, ..setup.film.clone() }, ..setup.clone() };
+    let whole = Subject::new(setup, tell)?;
+    let trained = Trained::of(setup, &whole.full_film, tell)?;
+    let (subject, orders) = with_most_cameras(&whole)?;
+    let table = subject.table(setup.texels)?;
+    let truth = subject.truth(&table);
+    let heads = [("views", 0), ("cameras", 0), ("seen %", 1), ("texture dB", 2), ("ms", 1)];
+    let remark = "Cameras: the film's inputs first, then training cameras, each time the one farthest from those before; test \
+                  cameras are never inputs. Texture: on the true surface, against the template's own colour at seen texels.";
+    let mut out = Findings::new("views", remark, &[&heads[..], &SCORES].concat());
+    let row = |chosen: &dyn Fn(usize) -> Vec<View>| -> Result<Vec<Cell>, LabError> {
+        let film = subject.changed(|k, frame| frame.inputs = chosen(k));
+        let Some(scene) = &film.avatar else { return Ok(Vec::new()) };
+        let mut errors = Errors::default();
+        for frame in &scene.frames {
+            let photographs = subject.photographs(&frame.inputs)?;
+            let (texture, ms) =
+                subject.texture(&scene.true_surface(frame), &photographs, &table, &UnprojectConfig::default())?;
+            errors.add(&texture.colors, texture.seen.iter().map(|&n| n > 0), &truth, ms);
+        }
+        let report = trained.as_ref().map(|t| t.scores(&film, &[])).transpose()?;
+        let names: Vec<String> = scene.frames[0].inputs.iter().map(|v| v.camera_id.to_string()).collect();
+        let mut row: Vec<Cell> = vec![(names.len() as f64).into(), names.join(" ").into()];
+        row.extend([Some(100.0 * errors.coverage()), errors.psnr(), Some(errors.ms())].map(Cell::from));
+        row.extend(scores(report.as_ref()).map(Cell::from));
+        Ok(row)
+    };
+    let most = orders.iter().map(Vec::len).min().unwrap_or(0);
+    for count in COUNTS.into_iter().filter(|c| *c <= most) {
+        tell(&format!("{count} views"));
+        out.rows.push(row(&|k| orders[k][..count].to_vec())?);
+    }
+    let counted = out.rows.len();
+    let own = Some(subject.scene.input_count()).filter(|n| *n > 1);
+    for left in 0..own.unwrap_or(0) {
+        let all_but = |k: usize| {
+            let inputs = subject.scene.frames[k].inputs.iter().enumerate();
+            inputs.filter(|(i, _)| *i != left).map(|(_, v)| v.clone()).collect()
+        };
+        out.rows.push(row(&all_but)?);
+    }
+    // Lines through the counts alone.
+    let chart = |part, title: &str, drawn| Chart { part, title: title.into(), across: "views", drawn, split: None };
+    out.charts = vec![
+        chart("", "Texels seen, %", vec!["seen %"]),
+        chart("scores", "In-mask PSNR of test views, dB", vec!["in-mask PSNR"]),
+    ];
+    out.charted = Some(counted);
+    Ok(out)
+}
+
+/// The frames with the most cameras, and the cameras of each in the order in which they are taken.
+fn with_most_cameras(subject: &Subject) -> Result<(Subject, Vec<Vec<View>>), LabError> {
+    let orders: Vec<Vec<View>> = subject
+        .scene
+        .frames
+        .iter()
+        .map(|frame| {
+            let more = subject.film.train.iter().filter(|v| v.time == frame.time);
+            let more = more.filter(|v| frame.inputs.iter().all(|i| i.camera_id != v.camera_id));
+            let mut order = Vec::new();
+            farthest_first(&mut order, frame.inputs.clone());
+            farthest_first(&mut order, more.cloned().collect());
+            order
+        })
+        .collect();
+    let most = orders.iter().map(Vec::len).max().unwrap_or(0);
+    let kept: Vec<bool> = orders.iter().map(|o| o.len() == most).collect();
+    let mut keep = kept.iter();
+    let mut scene = AvatarScene::clone(&subject.scene);
+    scene.frames.retain(|_| *keep.next().unwrap_or(&false));
+    let count = scene.frames.len();
+    let film = Dataset { avatar: Some(Arc::new(scene)), ..subject.film.clone() };
+    let orders = orders.into_iter().zip(&kept).filter(|(_, keep)| **keep).map(|(o, _)| o).collect();
+    Ok((Subject::of(film, count)?, orders))
+}
+
+/// Appends views, each time the one whose camera is farthest from all before (the first of equals).
+fn farthest_first(order: &mut Vec<View>, mut views: Vec<View>) {
+    let place = |v: &View| v.camera.position();
+    while !views.is_empty() {
+        let distance = |at: DVec3| order.iter().map(|o| place(o).distance(at)).fold(f64::INFINITY, f64::min);
+        let mut best = 0;
+        for k in 1..views.len() {
+            // Cameras of a ring stand equally far: rounding must not choose.
+            if distance(place(&views[k])) > distance(place(&views[best])) * (1.0 + 1e-9) {
+                best = k;
+            }
+        }
+        order.push(views.remove(best));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gs_core::{Camera, Time};
+    use gs_data::ImageSource;
+    use gs_data::ImageU8;
+
+    #[test]
+    fn cameras_are_taken_from_afar() {
+        let view = |k: u32| {
+            let turn = f64::from(k) * std::f64::consts::FRAC_PI_4;
+            let eye = 3.0 * DVec3::new(turn.sin(), 0.0, turn.cos());
+            let camera = Camera::look_at(4, 4, 0.7, eye, DVec3::ZERO, DVec3::Y).unwrap();
+            let image = ImageSource::Memory(Arc::new(ImageU8 { width: 0, height: 0, data: Vec::new() }));
+            View::new("", camera, Time::default(), image, k)
+        };
+        let mut order = Vec::new();
+        farthest_first(&mut order, (0..4).map(|k| view(2 * k)).collect());
+        farthest_first(&mut order, (0..4).map(|k| view(2 * k + 1)).collect());
+        let ids: Vec<u32> = order.iter().map(|v| v.camera_id).collect();
+        // Those between are as far from their neighbours as each other, whichever went before: in their own order.
+        assert_eq!(ids, [0, 4, 2, 6, 1, 3, 5, 7]);
+    }
+}

@@ -1,0 +1,64 @@
+//! The page of a sweep: its table, and quality against bytes.
+
+use crate::sweep::Row;
+use gs4d_report::ReportError;
+use gs4d_report::chart::{Curve, Scale, chart};
+use gs4d_report::page::{document, section, table};
+use std::fmt::Write as _;
+
+/// A quality of a row.
+type Quality = (&'static str, fn(&Row) -> Option<f64>);
+
+const QUALITIES: [Quality; 3] =
+    [("PSNR, dB", |r| r.psnr), ("SSIM", |r| r.ssim), ("Perceptual proxy (not LPIPS)", |r| r.proxy)];
+
+/// One self-contained HTML page.
+///
+/// # Errors
+/// If a chart cannot be drawn.
+pub fn page(title: &str, rows: &[Row]) -> Result<String, ReportError> {
+    let mut charts = String::new();
+    for (name, quality) in QUALITIES {
+        if let Some(svg) = chart(name, "MB (all parameters as f32)", Scale::Linear, &curves(rows, quality))? {
+            let _ = writeln!(charts, "<figure>{svg}</figure>");
+        }
+    }
+    let charts = if charts.is_empty() { charts } else { format!("<div class=\"charts\">\n{charts}</div>\n") };
+    let remark = "One line for each varied setting, through its values and the preset.";
+    let parts = section("Quality against bytes", remark, &charts) + &section("Settings", "", &rows_table(rows));
+    Ok(document(title, "One setting at a time around a preset; means over seeds.", &parts))
+}
+
+/// A line for each key, by rising bytes.
+fn curves(rows: &[Row], quality: fn(&Row) -> Option<f64>) -> Vec<Curve> {
+    let mut keys: Vec<&str> = Vec::new();
+    rows.iter().filter_map(|r| r.key.as_deref()).for_each(|k| {
+        if !keys.contains(&k) {
+            keys.push(k);
+        }
+    });
+    let of_key = |key: &str| {
+        // The preset is one of the values, or stands beside them.
+        let all = rows.iter().filter(|r| r.key.as_deref().is_none_or(|k| k == key));
+        let mut points: Vec<(f64, f64)> = all.filter_map(|r| r.megabytes.zip(quality(r))).collect();
+        points.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
+        points.dedup();
+        Curve { name: key.to_owned(), points }
+    };
+    keys.iter().map(|k| of_key(k)).collect()
+}
+
+fn rows_table(rows: &[Row]) -> String {
+    let columns = Row::columns(rows);
+    let cells = rows.iter().map(|r| {
+        let label = r.label() + if r.preset && r.key.is_some() { " (the preset's)" } else { "" };
+        let deviation = r.psnr_deviation.filter(|d| *d > 0.0).map_or(String::new(), |d| format!(" ± {d:.2}"));
+        let mut cells = vec![label];
+        cells.extend(columns.iter().map(|c| c.cell(r, "–")));
+        cells[1].push_str(&deviation);
+        cells
+    });
+    let head: Vec<&str> = std::iter::once("setting").chain(columns.iter().map(|c| c.head)).collect();
+    let numeric: Vec<usize> = (1..head.len()).collect();
+    table(&head, &numeric, cells)
+}

@@ -1,0 +1,171 @@
+//! What can be said of a trained scene beyond its scores: how its quantities are spread, how its splats move, how many
+//! splats it takes. Everything is asked of a method through [`Method::splats`] and [`Method::quantities`].
+//!
+//! * [`histogram`]: 64 bins of every quantity, over time where it changes with time; kept while training;
+//! * [`paths`]: temporal spectra and second differences of the centres;
+//! * [`economy`]: splats, tiles per splat, entries per pixel at the run's PSNR;
+
+pub mod economy;
+pub mod histogram;
+pub mod journal;
+pub mod paths;
+
+pub use economy::Economy;
+pub use histogram::{Histogram, Snapshot};
+pub use journal::Journal;
+pub use paths::Paths;
+
+use crate::Need;
+use gs_train::method::Method;
+
+/// The analyses that need no data set.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct Analysis {
+    /// Quantities now.
+    pub snapshot: Snapshot,
+    /// Motion; absent if the splats are not the same ones at every moment.
+    pub paths: Option<Paths>,
+}
+
+impl Analysis {
+    /// Of a method, with its motion sampled at `moments` evenly spaced times (at least 4) and a cut-off for its spectrum
+    /// (the upper half if none).
+    pub fn of(method: &dyn Method, moments: usize, cutoff: Option<usize>) -> Self {
+        Self { snapshot: Snapshot::of(method), paths: Paths::of(method, moments, cutoff).ok() }
+    }
+
+    /// As rows of a table.
+    pub fn rows(&self) -> Vec<Need> {
+        let mut rows = self.snapshot.rows();
+        rows.extend(self.paths.iter().flat_map(Paths::rows));
+        rows
+    }
+}
+
+/// A row of a table.
+fn row(name: impl Into<String>, value: String, meaning: &str) -> Need {
+    Need { name: name.into(), value, meaning: meaning.to_owned() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::analysis::paths::{jerk_overlay, painted};
+    use crate::needs::neutral_camera;
+    use glam::{DVec3, Vec3};
+    use gs_core::{Camera, Color, Param, Params, Splats, SplatsGrad};
+    use gs_raster::RasterOptions;
+    use gs_train::method::{Quantity, section};
+    use gs_train::renderer::moment;
+    use gs_train::schedule::Schedule;
+    use gs_train::timestamp::Moment;
+
+    /// Splat `i` of `SPLATS` swings along x with amplitude `i`, [`TURNS`] times over the span; λ rests, a gate opens.
+    struct Swing {
+        schedule: Schedule,
+        lambda: Param,
+    }
+
+    const SPLATS: usize = 5;
+    const TURNS: f64 = 10.0;
+
+    impl Swing {
+        fn new() -> Self {
+            let config = gs_methods::registry().find("static3d").unwrap().config("tiny").unwrap();
+            let schedule = section("static3d", &config, "schedule").unwrap();
+            Self { schedule, lambda: Param::rows("cloud.lambda", 1, vec![0.0, 9.0, -9.0, 1.0, 2.0]) }
+        }
+    }
+
+    impl Params for Swing {
+        fn visit(&self, f: &mut dyn FnMut(&Param)) {
+            f(&self.lambda);
+        }
+
+        fn visit_mut(&mut self, f: &mut dyn FnMut(&mut Param)) {
+            f(&mut self.lambda);
+        }
+    }
+
+    impl Method for Swing {
+        fn name(&self) -> &'static str {
+            "swing"
+        }
+
+        fn schedule(&self) -> &Schedule {
+            &self.schedule
+        }
+
+        fn set_step(&mut self, _step: u32) {}
+
+        fn splats(&self, at: &Moment, _camera: &Camera) -> Splats {
+            let swing = (std::f64::consts::TAU * TURNS * f64::from(at.t.normalised)).cos() as f32;
+            Splats {
+                means: (0..SPLATS).map(|i| Vec3::new(0.1 * i as f32 * swing, 0.3 * i as f32 - 0.6, 0.0)).collect(),
+                quats: vec![[1.0, 0.0, 0.0, 0.0]; SPLATS],
+                scales: vec![Vec3::splat(0.05); SPLATS],
+                opacities: vec![0.9; SPLATS],
+                color: Color::Rgb(vec![[0.5; 3]; SPLATS]),
+                ..Splats::default()
+            }
+        }
+
+        fn step(&mut self, _at: &Moment, _camera: &Camera, _draw: &mut dyn FnMut(&Splats, &mut SplatsGrad)) {}
+
+        fn quantities(&self, at: &Moment) -> Vec<Quantity> {
+            let lambda = Quantity::share("lambda", vec![0.1, 0.2, 0.5, 0.7, 0.3]);
+            vec![lambda, Quantity::share("gate", vec![at.t.normalised; SPLATS])]
+        }
+
+        fn len(&self) -> usize {
+            SPLATS
+        }
+    }
+
+    #[test]
+    fn quantities_are_pooled_and_shown_over_time_where_they_change() {
+        let s = Snapshot::of(&Swing::new());
+        let names: Vec<_> = s.histograms.iter().map(|h| (h.name.as_str(), h.time.is_some())).collect();
+        assert_eq!(names[..2], [("lambda", false), ("gate", false)]);
+        assert!(names.len() == 2 + 8 && names[2..].iter().all(|n| *n == ("gate", true)));
+        let total = |h: &Histogram| h.counts.iter().sum::<u32>() as usize;
+        assert_eq!((total(&s.histograms[0]), total(&s.histograms[1])), (SPLATS, 8 * SPLATS));
+        assert_eq!((s.histograms[2].counts[0], s.histograms[9].counts[63]), (5, 5), "shut at 0, open at 1");
+        let c = s.classes.unwrap();
+        assert_eq!((c.low, c.middle, c.high), (3, 1, 1));
+        assert_eq!((s.saturation[0].saturated, s.saturation[0].of), (2, SPLATS));
+        let back: Snapshot = serde_json::from_str(&serde_json::to_string(&s).unwrap()).unwrap();
+        assert_eq!(back, s);
+    }
+
+    #[test]
+    fn swinging_splats_have_fast_motion_of_known_energy() {
+        let analysis = Analysis::of(&Swing::new(), 41, None);
+        let paths = analysis.paths.clone().unwrap();
+        assert_eq!((paths.moments, paths.cutoff), (41, 11));
+        // 10 turns over 40 intervals: four moments a turn, A = (2 x)² at the turning points and 0 between them.
+        assert!((paths.jerk.p99 / (2.0f64 * 0.4).powi(2) - 1.0).abs() < 1e-4, "{:?}", paths.jerk);
+        assert!(paths.hann.mean_log10 < paths.raw.mean_log10 + 1.0 && paths.jerk.gini > 0.5);
+        assert!(
+            Paths::of(&Swing::new(), 41, Some(21)).is_err() && Analysis::of(&Swing::new(), 0, None).paths.is_none()
+        );
+        assert_eq!(analysis.rows().len(), 2 + 1 + 1 + 4);
+    }
+
+    #[test]
+    fn jerk_is_seen_where_it_is_and_pictures_have_a_price() {
+        let (swing, camera) = (Swing::new(), neutral_camera());
+        let overlay = jerk_overlay(&swing, 0.0, 0.025, &camera).unwrap();
+        assert_eq!((overlay.colors[0], overlay.colors[4]), ([0.0; 3], [1.0; 3]));
+        assert!(overlay.colors.windows(2).all(|w| w[0] <= w[1]), "the wider the swing, the brighter");
+        let splats = painted(swing.splats(&moment(0.0), &camera), overlay.clone());
+        assert_eq!(splats.color, Color::Rgb(overlay.colors));
+        let eye = Camera::look_at(64, 64, 0.7, DVec3::new(0.0, 0.0, -4.0), DVec3::ZERO, DVec3::Y).unwrap();
+        let views = [(eye, moment(0.0).t)];
+        let economy = Economy::of(&swing, &views, &RasterOptions::default(), Some(30.0)).unwrap();
+        assert!(economy.tiles_per_splat >= 1.0 && economy.used_per_tile <= economy.listed_per_tile);
+        assert!(economy.walked_per_pixel > 0.0 && economy.walked_per_pixel <= economy.used_per_tile);
+        assert!((economy.tiles_per_splat * SPLATS as f64 / 16.0 - economy.listed_per_tile).abs() < 1e-12, "16 tiles");
+        assert!(Economy::of(&swing, &[], &RasterOptions::default(), None).is_none());
+    }
+}

@@ -1,0 +1,316 @@
+//! Where boundaries of intervals went and why, and how anchors grew: the journal of a run, read back.
+//!
+//! Lines that tell of something else are passed over, so that a journal may gain lines.
+
+use crate::analysis::row;
+use crate::{Curve, HeatMap, Need};
+use gs_anchor::{Adjustment, Grown};
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use std::collections::BTreeMap;
+
+/// More boundaries than this are not written out one by one.
+const LISTED: usize = 16;
+/// Counts of the darkest interval of a pass.
+const DARKEST: f32 = 10_000.0;
+
+/// What a run told.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Journal {
+    /// Passes over the boundaries, by step.
+    pub passes: Vec<Pass>,
+    /// Passes that grew or pruned anchors, by step.
+    pub growth: Vec<Growth>,
+}
+
+/// A pass over the boundaries.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Pass {
+    /// Step of the run.
+    pub step: u32,
+    /// Starts of the intervals after it, normalised time.
+    pub starts: Vec<f32>,
+    /// What it found and did.
+    pub intervals: Adjustment,
+}
+
+/// Anchors after a pass that changed their number.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Growth {
+    /// Step of the run.
+    pub step: u32,
+    /// Anchors after it.
+    pub anchors: usize,
+    /// What it did.
+    pub grown: Grown,
+}
+
+impl Pass {
+    /// Starts of the intervals before the pass: its moves undone.
+    fn before(&self) -> Vec<f32> {
+        let mut starts = self.starts.clone();
+        for m in self.intervals.moves.iter().rev() {
+            starts.get_mut(m.boundary).into_iter().for_each(|b| *b = m.from);
+        }
+        starts
+    }
+
+    /// The interval a slot of the statistic is for: the released rule leaves the first one out.
+    fn interval(&self, slot: usize) -> usize {
+        slot + self.starts.len().saturating_sub(self.intervals.means.len())
+    }
+
+    /// The busiest interval and its mean gradient.
+    fn busiest(&self) -> Option<(usize, f32)> {
+        let seen = self.intervals.means.iter().enumerate().filter_map(|(slot, m)| m.map(|m| (slot, m)));
+        seen.max_by(|a, b| a.1.total_cmp(&b.1)).map(|(slot, mean)| (self.interval(slot), mean))
+    }
+
+    /// Step, busy intervals, threshold, moves and refusals, for a table.
+    pub fn cells(&self) -> [String; 5] {
+        let Adjustment { threshold, hot, moves, rejected, .. } = &self.intervals;
+        let busy: Vec<String> = hot
+            .iter()
+            .map(|&slot| {
+                let mean = self.intervals.means.get(slot).copied().flatten().unwrap_or(f32::NAN);
+                format!("{} ({mean:.3e})", self.interval(slot))
+            })
+            .collect();
+        let moves = moves.iter().map(|m| format!("{}: {:.4} → {:.4}", m.boundary, m.from, m.to));
+        let refused = rejected.iter().map(|r| format!("{} at {:.4}: {}", r.boundary, r.at, r.reason));
+        [
+            self.step.to_string(),
+            threshold.map_or("none: too few intervals seen".to_owned(), |t| format!("{t:.3e}")),
+            busy.join(", "),
+            moves.collect::<Vec<_>>().join(", "),
+            refused.collect::<Vec<_>>().join(", "),
+        ]
+    }
+}
+
+impl Journal {
+    /// From the lines of [`crate::folder::JOURNAL`].
+    pub fn of(lines: &[Value]) -> Self {
+        fn known<T: for<'a> Deserialize<'a>>(lines: &[Value]) -> Vec<T> {
+            lines.iter().filter_map(|line| T::deserialize(line).ok()).collect()
+        }
+        Self { passes: known(lines), growth: known(lines) }
+    }
+
+    /// Whether nothing was told that is known here.
+    pub fn is_empty(&self) -> bool {
+        self.passes.is_empty() && self.growth.is_empty()
+    }
+
+    /// As rows of a table.
+    pub fn rows(&self) -> Vec<Need> {
+        let mut rows = Vec::new();
+        if let (Some(first), Some(last)) = (self.passes.first(), self.passes.last()) {
+            rows.extend(self.course(first, last));
+            rows.extend([self.busiest(), self.moved(), self.refused()]);
+            rows.push(row("boundaries at first", list(&inner(&first.before()), 4), "normalised time"));
+            rows.push(row("boundaries at last", list(&inner(&last.starts), 4), "normalised time"));
+            rows.push(row("widths at last", list(&last.intervals.frames, 1), "frames of each interval"));
+        }
+        rows.extend(self.grown());
+        rows
+    }
+
+    fn course(&self, first: &Pass, last: &Pass) -> [Need; 2] {
+        let idle = self.passes.iter().filter(|p| p.intervals.hot.is_empty()).count();
+        let steps = format!("{} passes, steps {} to {}", self.passes.len(), first.step, last.step);
+        [
+            row("intervals", last.starts.len().to_string(), "they share one deformation of the anchors each"),
+            row("idle passes", format!("{idle} of {steps}"), "no interval was above the threshold"),
+        ]
+    }
+
+    /// The interval farthest above its pass's threshold, or nearest to it.
+    fn busiest(&self) -> Need {
+        let of = |p: &Pass| {
+            let ((interval, mean), threshold) = p.busiest().zip(p.intervals.threshold)?;
+            (threshold > 0.0).then(|| (mean / threshold, interval, p.step))
+        };
+        let most = self.passes.iter().filter_map(of).max_by(|a, b| a.0.total_cmp(&b.0));
+        let text = most.map_or("–".into(), |(times, interval, step)| {
+            format!("{interval}, {times:.2} times the threshold, step {step}")
+        });
+        row("busiest interval", text, "its mean gradient of screen positions; above 1 it is made shorter")
+    }
+
+    fn moved(&self) -> Need {
+        let mut times: BTreeMap<usize, usize> = BTreeMap::new();
+        for m in self.passes.iter().flat_map(|p| &p.intervals.moves) {
+            *times.entry(m.boundary).or_default() += 1;
+        }
+        let each: Vec<String> = times.iter().take(LISTED).map(|(b, n)| format!("{b}: {n}")).collect();
+        let total: usize = times.values().sum();
+        let text = if total == 0 { "0".into() } else { format!("{total} ({})", each.join(", ")) };
+        row("boundaries moved", text, "moves of each boundary, towards the middle of a busy interval")
+    }
+
+    fn refused(&self) -> Need {
+        let mut reasons: BTreeMap<&str, usize> = BTreeMap::new();
+        for r in self.passes.iter().flat_map(|p| &p.intervals.rejected) {
+            *reasons.entry(&r.reason).or_default() += 1;
+        }
+        let each: Vec<String> = reasons.iter().map(|(why, n)| format!("{n} {why}")).collect();
+        let text = if each.is_empty() { "0".into() } else { each.join(", ") };
+        row("moves refused", text, "how often, and why")
+    }
+
+    fn grown(&self) -> Option<Need> {
+        let last = self.growth.last()?;
+        let mut levels: Vec<u64> = Vec::new();
+        for g in &self.growth {
+            levels.resize(levels.len().max(g.grown.per_level.len()), 0);
+            levels.iter_mut().zip(&g.grown.per_level).for_each(|(sum, n)| *sum += u64::from(*n));
+        }
+        let levels: Vec<String> = levels.iter().map(u64::to_string).collect();
+        let pruned: u64 = self.growth.iter().map(|g| u64::from(g.grown.pruned)).sum();
+        let text = format!("+{} −{pruned} → {}", levels.join(" +"), last.anchors);
+        Some(row("anchors", text, "grown on each level, the coarsest first; pruned; then left"))
+    }
+
+    /// Inner boundaries over the steps of the run, as stairs.
+    pub fn curves(&self) -> Vec<Curve> {
+        let Some(first) = self.passes.first() else { return Vec::new() };
+        let stairs = |boundary: usize| {
+            let mut at = f64::from(*first.before().get(boundary)?);
+            let mut points = vec![(0.0, at)];
+            for p in &self.passes {
+                points.push((f64::from(p.step), at));
+                at = f64::from(*p.starts.get(boundary)?);
+                points.push((f64::from(p.step), at));
+            }
+            Some(Curve { name: String::new(), points })
+        };
+        (1..first.starts.len()).filter_map(stairs).collect()
+    }
+
+    /// Mean gradient of every interval at every pass, relative to the busiest one of the pass; none without passes.
+    pub fn heat(&self) -> Option<HeatMap> {
+        let n = self.passes.first()?.starts.len();
+        let column = |p: &Pass| {
+            let mut counts = vec![0; n];
+            let most = p.busiest().map_or(0.0, |(_, mean)| mean).max(f32::MIN_POSITIVE);
+            for (slot, mean) in p.intervals.means.iter().enumerate() {
+                let count = counts.get_mut(p.interval(slot));
+                count.into_iter().for_each(|c| *c = (DARKEST * mean.unwrap_or(0.0) / most) as u32);
+            }
+            counts
+        };
+        Some(HeatMap {
+            name: "intervals".into(),
+            span: [0.0, n.saturating_sub(1) as f32],
+            steps: self.passes.iter().map(|p| u64::from(p.step)).collect(),
+            counts: self.passes.iter().map(column).collect(),
+        })
+    }
+}
+
+/// Boundaries that may move.
+fn inner(starts: &[f32]) -> Vec<f32> {
+    starts.iter().skip(1).copied().collect()
+}
+
+fn list(values: &[f32], digits: usize) -> String {
+    let mut words: Vec<String> = values.iter().take(LISTED).map(|v| format!("{v:.digits$}")).collect();
+    if values.len() > LISTED {
+        words.push(format!("… ({} in all)", values.len()));
+    }
+    if words.is_empty() { "none".into() } else { words.join(" ") }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gs_anchor::intervals::{IntervalConfig, Intervals, Rule};
+    use serde_json::json;
+
+    /// The lines that two passes over eight intervals leave, the fifth of which is busy; then two of growth.
+    fn lines(rule: Rule) -> Vec<Value> {
+        let config = IntervalConfig { step: 0.1, rule, ..IntervalConfig::default() };
+        let mut i = Intervals::new(&config, 101).expect("intervals");
+        let mut lines = vec![json!({"step": 3, "weather": "fair"}), json!(7), json!({"step": 4, "intervals": {}})];
+        for pass in 1..=2u32 {
+            for k in 0..200 {
+                let t = k as f32 / 199.0;
+                i.observe(t, if (0.5..0.62).contains(&t) { 9.0 } else { 1.0 }, 1, 1.0);
+            }
+            let step = 1000 * pass + 50;
+            let did = i.adjust(1000 * pass, step).expect("a pass");
+            lines.push(json!({"step": step, "starts": i.starts.value, "intervals": did}));
+        }
+        for (step, levels) in [(1100, [4, 2, 1]), (1200, [0, 0, 5])] {
+            let grown = json!({"added": 12, "pruned": 3, "per_level": levels});
+            lines.push(json!({"step": step, "anchors": 100, "grown": grown}));
+        }
+        lines
+    }
+
+    fn value(rows: &[Need], name: &str) -> String {
+        rows.iter().find(|r| r.name == name).map_or("absent".into(), |r| r.value.clone())
+    }
+
+    #[test]
+    fn what_was_told_is_summed_up() {
+        let journal = Journal::of(&lines(Rule::Clean));
+        assert_eq!((journal.passes.len(), journal.growth.len()), (2, 2), "other lines are passed over");
+        let rows = journal.rows();
+        let says = |name: &str, want: &str| assert_eq!(value(&rows, name), want, "{name}");
+        says("intervals", "8");
+        says("idle passes", "0 of 2 passes, steps 1050 to 2050");
+        says("boundaries moved", "4 (4: 2, 5: 2)");
+        says("moves refused", "0");
+        says("boundaries at first", "0.1250 0.2500 0.3750 0.5000 0.6250 0.7500 0.8750");
+        says("boundaries at last", "0.1250 0.2500 0.3750 0.5250 0.6000 0.7500 0.8750");
+        says("widths at last", "12.5 12.5 12.5 15.0 7.5 15.0 12.5 12.5");
+        says("anchors", "+4 +2 +6 −6 → 100");
+        assert!(value(&rows, "busiest interval").starts_with("4, 1."), "{}", value(&rows, "busiest interval"));
+    }
+
+    #[test]
+    fn boundaries_are_stairs_and_busy_intervals_are_dark() {
+        let journal = Journal::of(&lines(Rule::Clean));
+        let curves = journal.curves();
+        assert_eq!(curves.len(), 7);
+        let wanted = [(0.0, 0.5), (1050.0, 0.5), (1050.0, 0.5125), (2050.0, 0.5125), (2050.0, 0.525)];
+        for (got, want) in curves[3].points.iter().zip(wanted) {
+            assert!(got.0 == want.0 && (got.1 - want.1).abs() < 1e-6, "{got:?} {want:?}");
+        }
+        let heat = journal.heat().expect("passes");
+        assert_eq!((heat.steps.clone(), heat.counts[0].len()), (vec![1050, 2050], 8));
+        for column in &heat.counts {
+            let darkest = (0..8).max_by_key(|&c| column[c]);
+            assert_eq!((darkest, column[4], column[0]), (Some(4), 10_000, column[7]));
+        }
+        // 9.0 in the fifth, 1.0 elsewhere, but for the border of the burst.
+        assert!((1000..1300).contains(&heat.counts[0][0]), "{:?}", heat.counts);
+    }
+
+    #[test]
+    fn the_released_rule_counts_intervals_from_the_second() {
+        let journal = Journal::of(&lines(Rule::Ref));
+        let pass = &journal.passes[0];
+        assert_eq!((pass.intervals.hot.as_slice(), pass.intervals.means.len()), (&[3][..], 7));
+        assert_eq!(pass.busiest().map(|b| b.0), Some(4));
+        assert!(pass.cells()[2].starts_with("4 ("), "{:?}", pass.cells());
+        assert_eq!(journal.heat().expect("passes").counts[0][0], 0);
+    }
+
+    #[test]
+    fn odd_lines_do_not_stop_it() {
+        assert!(Journal::of(&[]).is_empty() && Journal::of(&[]).rows().is_empty() && Journal::of(&[]).heat().is_none());
+        let odd = json!({"step": 1, "starts": [0.0], "intervals": {
+            "clock": 1, "step": 1, "means": [null, 1.0, 2.0], "threshold": null, "hot": [9],
+            "moves": [{"boundary": 77, "from": 0.1, "to": 0.2}],
+            "rejected": [{"boundary": 5, "at": 0.5, "reason": "busy on both sides"}], "frames": []}});
+        let journal = Journal::of(&[odd]);
+        assert_eq!((journal.passes.len(), journal.curves().len()), (1, 0));
+        let rows = journal.rows();
+        assert_eq!(value(&rows, "moves refused"), "1 busy on both sides");
+        assert_eq!((value(&rows, "boundaries at last"), value(&rows, "busiest interval")), ("none".into(), "–".into()));
+        assert_eq!(journal.heat().expect("a pass").counts, [[0]]);
+    }
+}

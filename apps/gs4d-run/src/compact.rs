@@ -1,0 +1,225 @@
+//! A scene without what only training needs, in few bytes, as one file that draws.
+//!
+//! Kept are the blocks of parameters (without gradients and moments) and the state of fixed length; statistics of rows go.
+//! The file is a checkpoint with packed tensors, so [`saved::load`] reads it, and with the settings of its run, so it can
+//! be scored on the same data. Training can go on from it, with moments that begin at zero.
+//!
+//! | bits | positions | rows (per column) | shared blocks |
+//! |---|---|---|---|
+//! | 32 | f32 | f32 | f32 |
+//! | 16 | 1/65535 of the range of each axis | f16 | f16 |
+//! | 8 | 1/65535 of the range of each axis | 1/255 of the range of each column | 1/255 of the range of 256 neighbours |
+//!
+//! Positions on a known lattice are stored as whole numbers, exactly. Blocks of at most [`SMALL`] values stay `f32`.
+
+use gs_train::checkpoint::{Checkpoint, CheckpointError, Coding, Encoding};
+use gs_train::method::Method;
+use gs_train::saved::{self, Loaded, RunState};
+use gs4d_report::inspect::bytes_text;
+use gs4d_report::storage::block_of;
+use serde::Serialize;
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// Where `meta` keeps the settings of the run, as TOML.
+pub const SETTINGS: &str = "settings";
+/// Blocks of at most so many values stay `f32`.
+pub const SMALL: usize = 64;
+/// Values of a shared block that have one scale.
+const GROUP: usize = 256;
+
+/// Bits per value.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(into = "u8")]
+pub enum Bits {
+    /// `f32`.
+    Full,
+    /// `f16`.
+    Half,
+    /// Quantised.
+    Byte,
+}
+
+impl From<Bits> for u8 {
+    fn from(bits: Bits) -> u8 {
+        match bits {
+            Bits::Full => 32,
+            Bits::Half => 16,
+            Bits::Byte => 8,
+        }
+    }
+}
+
+/// How a scene is packed.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Packing {
+    /// Bits per value.
+    pub bits: Bits,
+    /// Deflate what becomes smaller by it.
+    pub deflate: bool,
+}
+
+/// A block of a scene.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CompactTensor {
+    /// Name of the parameter or column.
+    pub name: String,
+    /// Values per row; `None`: not in rows.
+    pub row_width: Option<usize>,
+    /// The values.
+    pub values: Vec<f32>,
+    /// Whether no value may be rounded: state that is not a parameter stays as it is.
+    pub exact: bool,
+    /// The values are whole multiples of this, where that is known.
+    pub lattice: Option<f32>,
+}
+
+/// A scene to be packed: the configuration that builds its method, and its blocks.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CompactScene {
+    /// The method's resolved configuration.
+    pub config: toml::Table,
+    /// Everything needed to draw.
+    pub tensors: Vec<CompactTensor>,
+}
+
+/// What a file consists of.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct CompactReport {
+    /// How it was packed.
+    pub packing: Packing,
+    /// Bytes of the file.
+    pub file_bytes: usize,
+    /// Bytes of the values as `f32`.
+    pub value_bytes: usize,
+    /// Its blocks, in their order.
+    pub blocks: Vec<CompactBlock>,
+}
+
+/// A block of a file: tensors of the same first two parts of their names.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct CompactBlock {
+    /// Those parts.
+    pub block: String,
+    /// Number of values.
+    pub values: usize,
+    /// Bytes in the file.
+    pub bytes: usize,
+}
+
+impl CompactScene {
+    /// Everything that drawing a method needs, folded and on its lattice where the method knows how.
+    pub fn of(method: &dyn Method, config: &toml::Table) -> Self {
+        match method.folded(config) {
+            Some((config, folded)) => Self::of_blocks(folded.as_ref(), &config),
+            None => Self::of_blocks(method, config),
+        }
+    }
+
+    fn of_blocks(method: &dyn Method, config: &toml::Table) -> Self {
+        let on_lattice = method.lattice();
+        let mut tensors = Vec::new();
+        method.visit(&mut |p| {
+            let (name, values) = (p.name.clone(), p.value.clone());
+            let lattice = on_lattice.filter(|(block, _)| *block == name).map(|(_, step)| step);
+            tensors.push(CompactTensor { name, row_width: p.row_width, values, exact: false, lattice });
+        });
+        let state = method.columns().into_iter().filter(|column| column.row_width.is_none());
+        tensors.extend(state.map(|column| {
+            let (name, values) = (column.name.to_owned(), column.values.clone());
+            CompactTensor { name, row_width: None, values, exact: true, lattice: None }
+        }));
+        Self { config: config.clone(), tensors }
+    }
+
+    /// Writes the file; `settings` are those of the run, the method's own included.
+    ///
+    /// # Errors
+    /// As [`Checkpoint::save`]. What is at `path` is replaced.
+    pub fn write(
+        &self,
+        path: &Path,
+        loaded: &Loaded,
+        settings: &toml::Table,
+        packing: Packing,
+    ) -> Result<CompactReport, CheckpointError> {
+        let settings = toml::to_string(settings).map_err(|e| CheckpointError::State(e.to_string()))?;
+        let encodings: Vec<Encoding> = self.tensors.iter().map(|t| t.encoding(packing)).collect();
+        let checkpoint = Checkpoint {
+            meta: self.meta(loaded, &settings, packing),
+            tensors: self.tensors.iter().map(|t| (t.name.clone(), t.values.clone())).collect(),
+        };
+        let bytes = checkpoint.save_packed(path, &encodings)?;
+        let file = std::fs::metadata(path);
+        let file = file.map_err(|source| CheckpointError::Io { action: "read", path: path.to_owned(), source })?;
+        Ok(CompactReport {
+            packing,
+            file_bytes: usize::try_from(file.len()).unwrap_or(usize::MAX),
+            value_bytes: 4 * self.tensors.iter().map(|t| t.values.len()).sum::<usize>(),
+            blocks: self.blocks(&bytes),
+        })
+    }
+
+    fn meta(&self, loaded: &Loaded, settings: &str, packing: Packing) -> Value {
+        let state = RunState {
+            method: loaded.method.name(),
+            config: &self.config,
+            scene: &loaded.scene,
+            step: loaded.step,
+            adam_updates: &BTreeMap::new(),
+            train_seconds: loaded.train_seconds,
+        };
+        let mut meta = saved::save(loaded.method.as_ref(), &state).meta;
+        meta[SETTINGS] = json!(settings);
+        meta["packing"] = json!(packing);
+        meta
+    }
+
+    fn blocks(&self, bytes: &[usize]) -> Vec<CompactBlock> {
+        let mut blocks: Vec<CompactBlock> = Vec::new();
+        for (tensor, &bytes) in self.tensors.iter().zip(bytes) {
+            let (block, values) = (block_of(&tensor.name), tensor.values.len());
+            match blocks.iter_mut().find(|b| b.block == block) {
+                Some(b) => (b.values, b.bytes) = (b.values + values, b.bytes + bytes),
+                None => blocks.push(CompactBlock { block: block.to_owned(), values, bytes }),
+            }
+        }
+        blocks
+    }
+}
+
+impl CompactTensor {
+    fn encoding(&self, packing: Packing) -> Encoding {
+        let position = self.name.ends_with(".means") || self.name.ends_with(".positions");
+        let coding = match (packing.bits, self.lattice) {
+            _ if self.exact || self.values.len() <= SMALL => Coding::F32,
+            (_, Some(step)) => Coding::Lattice(step),
+            (Bits::Full, _) => Coding::F32,
+            (Bits::Half | Bits::Byte, _) if position => Coding::Affine16,
+            (Bits::Half, _) => Coding::F16,
+            (Bits::Byte, _) => Coding::Affine8,
+        };
+        let (columns, group) = self.row_width.map_or((1, GROUP), |width| (width, 0));
+        Encoding { coding, columns, group, deflate: packing.deflate }
+    }
+}
+
+impl CompactReport {
+    /// A table for people.
+    pub fn to_text(&self) -> String {
+        let mut out = format!("{:26}{:>12}{:>12}{:>12}{:>8}\n", "", "values", "f32", "packed", "bits");
+        for b in &self.blocks {
+            let bits = 8.0 * b.bytes as f64 / b.values.max(1) as f64;
+            let (full, packed) = (bytes_text(4 * b.values), bytes_text(b.bytes));
+            out.push_str(&format!("{:26}{:>12}{full:>12}{packed:>12}{bits:>8.2}\n", b.block, b.values));
+        }
+        let (full, file) = (bytes_text(self.value_bytes), bytes_text(self.file_bytes));
+        let ratio = self.value_bytes as f64 / self.file_bytes.max(1) as f64;
+        out.push_str(&format!("{:26}{:>12}{full:>12}{file:>12}  values over file {ratio:.2}\n", "file", ""));
+        out
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,338 @@
+//! Runs on the same data, view by view: the same photographs, the same times, scored in one way.
+//!
+//! Runs of different data are refused: layout, number of views, their size, the background and the digest of the data must
+//! agree. Differences are paired: each view of one run against the same view of the first.
+
+pub mod page;
+mod sides;
+
+pub use sides::{CompareError, Side};
+
+use crate::OpenRun;
+use crate::compare::sides::{names, same_data};
+use crate::provenance::DataOrigin;
+use crate::shown::conditions;
+use gs_core::Image;
+use gs_data::{Dataset, ImageCache, Split, View};
+use gs_metrics::{mse, psnr_from_mse};
+use gs_train::evaluate::{EvalError, EvalReport, evaluate, evaluate_with_future};
+use gs_train::renderer::Painter;
+use gs4d_eval::spread::{SCORES, Spread};
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// Settings that say where and how often, not what is learnt.
+const APART: [&str; 8] = [
+    "run.data",
+    "run.seed",
+    "run.log_every",
+    "run.checkpoint_every",
+    "run.histogram_every",
+    "run.eval_every",
+    "run.eval_views",
+    "run.image_mib",
+];
+
+/// How runs are compared.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Options {
+    /// The views.
+    pub split: Split,
+    /// The colour behind the scene; none: that of the recipes, which must agree.
+    pub background: Option<[f32; 3]>,
+    /// Views shown with pictures.
+    pub shown: usize,
+}
+
+/// Numbers of a run.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Row {
+    /// Short and unlike those of the others.
+    pub name: String,
+    /// Where it was read from.
+    pub path: String,
+    /// Its method.
+    pub method: String,
+    /// Its preset.
+    pub preset: String,
+    /// Its seed.
+    pub seed: u64,
+    /// Steps made.
+    pub step: u32,
+    /// Milliseconds of a frame here and now: field and drawing, the median of five.
+    pub ms_per_frame: f64,
+    /// Scores of its views.
+    pub scores: EvalReport,
+    /// PSNR of its drawings held against those of the first run, from the mean error of all views, dB; absent if equal.
+    pub psnr_to_first: Option<f64>,
+    /// Processor and threads of its training, where known.
+    pub trained_on: Option<String>,
+}
+
+/// PSNR of a run minus that of the first run, view by view, dB.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Paired {
+    /// The run.
+    pub name: String,
+    /// Mean over views and their standard deviation (views, not seeds).
+    pub over_views: Option<Spread>,
+    /// Smallest and largest.
+    pub range: Option<[f64; 2]>,
+    /// Views that are better than those of the first run.
+    pub better: usize,
+    /// Views that have a finite PSNR in both.
+    pub of: usize,
+}
+
+/// A view of all runs.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ViewRow {
+    /// Its name.
+    pub name: String,
+    /// Normalised time.
+    pub time: f32,
+    /// PSNR of each run, dB; absent for a perfect view.
+    pub psnr: Vec<Option<f64>>,
+    /// Largest root mean square difference between two drawings.
+    pub disagreement: f64,
+}
+
+/// A setting that is not the same in all runs.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Unlike {
+    /// Its key.
+    pub key: String,
+    /// Its value in each run; absent where the run has no such setting.
+    pub values: Vec<Option<String>>,
+}
+
+/// Everything but pictures.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Compared {
+    /// Split, number of views, size, background, mask, in words.
+    pub conditions: String,
+    /// Digest of the data.
+    pub data_digest: String,
+    /// The runs.
+    pub runs: Vec<Row>,
+    /// Each later run against the first.
+    pub differences: Vec<Paired>,
+    /// What is known of the spread over seeds, in words.
+    pub seeds: String,
+    /// The views, in the order of the split.
+    pub views: Vec<ViewRow>,
+    /// Settings that are not the same, methods' own among them.
+    pub settings: Vec<Unlike>,
+}
+
+/// A view drawn by all runs.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Pictures {
+    /// Name, time and PSNR of each run.
+    pub caption: String,
+    /// The photograph.
+    pub truth: Image,
+    /// The drawing of each run.
+    pub drawn: Vec<Image>,
+}
+
+/// Scores the runs on the same views, and draws those they disagree about most.
+///
+/// # Errors
+/// If they are not of the same data, or a view cannot be drawn.
+pub fn compare(sides: &[Side], options: &Options) -> Result<(Compared, Vec<Pictures>), CompareError> {
+    let Some(first) = sides.first() else { return Ok(Default::default()) };
+    sides.iter().skip(1).try_for_each(|other| same_data(first, other, options))?;
+    let background = options.background.unwrap_or_else(|| first.run.background());
+    let (dataset, photographs) = (&first.dataset, first.run.photographs());
+    let views = dataset.views(options.split);
+    let mut painters: Vec<Painter> = sides.iter().map(|s| painter(s, background)).collect();
+    let mut runs = Vec::new();
+    for ((side, name), painter) in sides.iter().zip(names(sides)).zip(&mut painters) {
+        runs.push(row(side, name, painter, (dataset, &photographs), options.split, background)?);
+    }
+    let mut draw = |view: &View| draw(sides, &mut painters, view, &photographs);
+    let rows = disagreements(&mut runs, views, &mut draw)?;
+    let mut order: Vec<usize> = (0..rows.len()).collect();
+    order.sort_by(|a, b| rows[*b].disagreement.total_cmp(&rows[*a].disagreement).then(a.cmp(b)));
+    let mut pictures = Vec::new();
+    for &k in order.iter().take(options.shown) {
+        let truth = photographs.get(&views[k]).map_err(EvalError::from)?.over(background);
+        pictures.push(Pictures { caption: caption(&rows[k], &runs), truth, drawn: draw(&views[k]) });
+    }
+    let compared = Compared {
+        conditions: conditions(dataset, &photographs, &runs[0].scores),
+        data_digest: DataOrigin::of(dataset).digest,
+        differences: runs.iter().skip(1).map(|r| paired(&runs[0], r)).collect(),
+        seeds: seeds(sides, &runs),
+        settings: unlike(sides),
+        runs,
+        views: rows,
+    };
+    Ok((compared, pictures))
+}
+
+/// How far apart the drawings of each view are; tells the runs how far theirs are from the first one's over all views.
+fn disagreements(
+    runs: &mut [Row],
+    views: &[View],
+    draw: &mut impl FnMut(&View) -> Vec<Image>,
+) -> Result<Vec<ViewRow>, CompareError> {
+    let mut rows = Vec::with_capacity(views.len());
+    let mut to_first = vec![0.0; runs.len()];
+    for (k, view) in views.iter().enumerate() {
+        let drawn = draw(view);
+        let between =
+            |a: &Image, b: &Image| mse(a, b).map_err(|source| EvalError::Metric { view: view.name.clone(), source });
+        let mut largest = 0.0f64;
+        for (i, a) in drawn.iter().enumerate() {
+            to_first[i] += between(a, &drawn[0])?;
+            for b in &drawn[..i] {
+                largest = largest.max(between(a, b)?);
+            }
+        }
+        let psnr = runs.iter().map(|r| r.scores.views[k].psnr).collect();
+        rows.push(ViewRow { name: view.name.clone(), time: view.time.normalised, psnr, disagreement: largest.sqrt() });
+    }
+    for (run, sum) in runs.iter_mut().zip(to_first) {
+        run.psnr_to_first = Some(psnr_from_mse(sum / views.len() as f64)).filter(|p| p.is_finite());
+    }
+    Ok(rows)
+}
+
+fn painter(side: &Side, background: [f32; 3]) -> Painter {
+    Painter::new(side.run.loaded.method.schedule().raster_options(background))
+}
+
+fn row(
+    side: &Side,
+    name: String,
+    painter: &mut Painter,
+    (dataset, photographs): (&Dataset, &ImageCache),
+    split: Split,
+    background: [f32; 3],
+) -> Result<Row, CompareError> {
+    let OpenRun { loaded, resolved, .. } = &side.run;
+    let method = loaded.method.as_ref();
+    let mut scores = match split {
+        Split::Extrapolate => evaluate(method, dataset, split, background, photographs)?,
+        _ => evaluate_with_future(method, dataset, split, background, photographs)?,
+    };
+    scores.train_seconds = Some(loaded.train_seconds);
+    let view = dataset.views(split).first();
+    let seconds = view.map_or(0.0, |v| painter.seconds(method, v, &photographs.camera(v)));
+    Ok(Row {
+        name,
+        path: side.path.display().to_string(),
+        method: method.name().to_owned(),
+        preset: resolved.run.preset.clone(),
+        seed: resolved.run.seed,
+        step: loaded.step,
+        ms_per_frame: 1e3 * seconds,
+        scores,
+        psnr_to_first: None,
+        trained_on: side.trained_on(),
+    })
+}
+
+fn draw(sides: &[Side], painters: &mut [Painter], view: &View, photographs: &ImageCache) -> Vec<Image> {
+    let camera = photographs.camera(view);
+    let one = |(side, painter): (&Side, &mut Painter)| painter.view(side.run.loaded.method.as_ref(), view, &camera);
+    sides.iter().zip(painters).map(one).collect()
+}
+
+fn caption(view: &ViewRow, runs: &[Row]) -> String {
+    let psnr = |(run, p): (&Row, &Option<f64>)| {
+        format!("{} {}", run.name, p.map_or("perfect".to_owned(), |p| format!("{p:.2} dB")))
+    };
+    let each: Vec<String> = runs.iter().zip(&view.psnr).map(psnr).collect();
+    format!(
+        "{} · t = {:.3} · {} · drawings differ by {:.4} (root mean square)",
+        view.name,
+        view.time,
+        each.join(" · "),
+        view.disagreement
+    )
+}
+
+fn paired(first: &Row, run: &Row) -> Paired {
+    let pairs = first.scores.views.iter().zip(&run.scores.views);
+    let differences: Vec<f64> = pairs.filter_map(|(a, b)| Some(b.psnr? - a.psnr?)).collect();
+    let low = differences.iter().copied().reduce(f64::min);
+    let high = differences.iter().copied().reduce(f64::max);
+    Paired {
+        name: run.name.clone(),
+        over_views: Spread::of(&differences),
+        range: low.zip(high).map(|(a, b)| [a, b]),
+        better: differences.iter().filter(|d| **d > 0.0).count(),
+        of: differences.len(),
+    }
+}
+
+/// Settings of a run that make its result, by key.
+fn recipe(side: &Side) -> BTreeMap<&str, String> {
+    let settings = side.run.resolved.config.iter().filter(|(key, _)| !APART.contains(key));
+    settings.map(|(key, setting)| (key, setting.value.to_string())).collect()
+}
+
+/// What several runs of one recipe tell of the spread over seeds.
+fn seeds(sides: &[Side], runs: &[Row]) -> String {
+    let mut recipes: Vec<(BTreeMap<&str, String>, Vec<usize>)> = Vec::new();
+    for (k, side) in sides.iter().enumerate() {
+        let values = recipe(side);
+        match recipes.iter_mut().find(|r| r.0 == values) {
+            Some((_, of)) => of.push(k),
+            None => recipes.push((values, vec![k])),
+        }
+    }
+    let unlike = |of: &[usize]| of.iter().any(|k| runs[*k].seed != runs[of[0]].seed);
+    let spread = |(_, of): &(BTreeMap<&str, String>, Vec<usize>)| {
+        let psnr: Vec<f64> = of.iter().filter_map(|k| runs[*k].scores.mean.psnr).collect();
+        let Spread { mean, deviation } = Spread::of(&psnr).filter(|_| unlike(of))?;
+        let names: Vec<String> = of.iter().map(|k| format!("{} (seed {})", runs[*k].name, runs[*k].seed)).collect();
+        Some(format!("{} are one recipe: {mean:.2} ± {deviation:.2} dB over {} seeds.", names.join(", "), psnr.len()))
+    };
+    let known: Vec<String> = recipes.iter().filter_map(spread).collect();
+    if known.is_empty() {
+        "One seed for each recipe: which differences are within the spread of seeds is not known.".to_owned()
+    } else {
+        known.join(" ") + " Of recipes with one seed the spread is not known."
+    }
+}
+
+fn unlike(sides: &[Side]) -> Vec<Unlike> {
+    let all: Vec<BTreeMap<&str, String>> = sides.iter().map(recipe).collect();
+    let mut keys: Vec<&str> = all.iter().flat_map(|v| v.keys().copied()).collect();
+    keys.sort_unstable();
+    keys.dedup();
+    let row = |key: &str| Unlike { key: key.to_owned(), values: all.iter().map(|v| v.get(key).cloned()).collect() };
+    keys.into_iter().map(row).filter(|u| u.values.iter().any(|v| *v != u.values[0])).collect()
+}
+
+/// Name, digits and value of a column of a table of runs.
+pub type Column = (&'static str, usize, fn(&Row) -> Option<f64>);
+
+/// What is known of each run beyond the scores of a contest.
+const MORE: [Column; 7] = [
+    ("dB of mean error", 2, |r| r.scores.psnr_of_mean_mse),
+    ("worst dB", 2, |r| r.scores.views.iter().filter_map(|v| v.psnr).reduce(f64::min)),
+    ("worst ssim", 4, |r| r.scores.views.iter().map(|v| v.ssim).reduce(f64::min)),
+    ("ms-ssim", 4, |r| r.scores.mean.ms_ssim),
+    ("masked dB", 2, |r| r.scores.mean.masked?.psnr),
+    ("steps", 0, |r| Some(f64::from(r.step))),
+    ("ms/frame", 2, |r| Some(r.ms_per_frame)),
+];
+
+/// The columns there are numbers for: name and a text for each run.
+pub fn columns(runs: &[Row]) -> Vec<(&'static str, Vec<String>)> {
+    let text = |v: Option<f64>, digits: usize| v.map_or("–".to_owned(), |v| format!("{v:.digits$}"));
+    let of_contest = SCORES
+        .iter()
+        .map(|(name, digits, score)| (*name, *digits, runs.iter().map(|r| score(&r.scores)).collect::<Vec<_>>()));
+    let more = MORE.iter().map(|(name, digits, value)| (*name, *digits, runs.iter().map(value).collect::<Vec<_>>()));
+    let known = of_contest.chain(more).filter(|(.., values)| values.iter().any(Option::is_some));
+    known.map(|(name, digits, values)| (name, values.into_iter().map(|v| text(v, digits)).collect())).collect()
+}
+
+#[cfg(test)]
+mod tests;

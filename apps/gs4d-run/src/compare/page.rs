@@ -1,0 +1,193 @@
+//! The page of a comparison of runs.
+
+use crate::compare::{Compared, Pictures, Row, Side, Unlike, ViewRow, columns};
+use crate::summary::samples;
+use gs4d_report::chart::{Curve, Scale, chart};
+use gs4d_report::error_map::error;
+use gs4d_report::page::{document, escape, section, table};
+use gs4d_report::views::{Shown, figures, script};
+use gs4d_report::{ReportError, Sample};
+use std::fmt::Write as _;
+
+/// One self-contained HTML page. Errors are those against the photographs, or `against_first` those against the drawings of
+/// the first run. `sides` are the runs that were compared, in the same order.
+///
+/// # Errors
+/// If a chart or picture cannot be drawn.
+pub fn page(c: &Compared, pictures: &[Pictures], sides: &[Side], against_first: bool) -> Result<String, ReportError> {
+    let names: Vec<&str> = c.runs.iter().map(|r| r.name.as_str()).collect();
+    let parts = [
+        runs_table(c),
+        differences(c),
+        over_time(c)?,
+        disagreements(c, pictures, &names, against_first)?,
+        curves(sides, &names)?,
+        each_view(c, &names),
+        settings(c, &names),
+        provenance(c),
+        script(!pictures.is_empty()),
+    ];
+    let subtitle = format!("{} Data {}.", c.conditions, c.data_digest);
+    Ok(document(&names.join(" · "), &subtitle, &parts.concat()))
+}
+
+fn runs_table(c: &Compared) -> String {
+    let mut head = vec!["run", "method", "preset", "seed"];
+    let columns = columns(&c.runs);
+    head.extend(columns.iter().map(|c| c.0));
+    let row = |(k, r): (usize, &Row)| {
+        let mut cells = vec![r.name.clone(), r.method.clone(), r.preset.clone(), r.seed.to_string()];
+        cells.extend(columns.iter().map(|(_, values)| values[k].clone()));
+        cells
+    };
+    let numeric: Vec<usize> = (3..head.len()).collect();
+    let remark = format!(
+        "{} Means over the views; proxy is not LPIPS. Seconds are those of each run's own training, ms/frame was measured here.",
+        escape(&c.conditions)
+    );
+    section("Runs", &remark, &table(&head, &numeric, c.runs.iter().enumerate().map(row)))
+}
+
+fn differences(c: &Compared) -> String {
+    let Some(first) = c.runs.first() else { return String::new() };
+    let db = |v: Option<f64>| v.map_or("–".to_owned(), |v| format!("{v:+.2}"));
+    let rows = c.differences.iter().zip(c.runs.iter().skip(1)).map(|(d, run)| {
+        let spread = d.over_views.map_or("–".to_owned(), |s| format!("± {:.2}", s.deviation));
+        let same = run.psnr_to_first.map_or("equal".to_owned(), |p| format!("{p:.2} dB"));
+        vec![
+            d.name.clone(),
+            db(d.over_views.map(|s| s.mean)),
+            spread,
+            db(d.range.map(|r| r[0])),
+            db(d.range.map(|r| r[1])),
+            format!("{} of {}", d.better, d.of),
+            same,
+        ]
+    });
+    let head = ["run", "mean dB", "over views", "least", "most", "views better", "drawings to the first's"];
+    let remark = format!(
+        "PSNR of each view minus that of the same view of {}. The spread is over views, not over seeds. {}",
+        escape(&first.name),
+        escape(&c.seeds)
+    );
+    section("Paired differences", &remark, &table(&head, &[1, 2, 3, 4, 5, 6], rows))
+}
+
+fn over_time(c: &Compared) -> Result<String, ReportError> {
+    let of_run = |k: usize| {
+        let mut points: Vec<(f64, f64)> =
+            c.views.iter().filter_map(|v| Some((f64::from(v.time), v.psnr[k]?))).collect();
+        points.sort_by(|a, b| a.0.total_cmp(&b.0));
+        Curve { name: c.runs[k].name.clone(), points }
+    };
+    let lines: Vec<Curve> = (0..c.runs.len()).map(of_run).collect();
+    let svg = chart("PSNR of each view, dB", "normalised time", Scale::Linear, &lines)?;
+    let content = svg.map_or(String::new(), |svg| format!("<div class=\"charts\"><figure>{svg}</figure></div>\n"));
+    Ok(section("Over time", &escape(&c.conditions), &content))
+}
+
+fn disagreements(
+    c: &Compared,
+    pictures: &[Pictures],
+    names: &[&str],
+    against_first: bool,
+) -> Result<String, ReportError> {
+    let shown: Vec<Shown> = pictures
+        .iter()
+        .map(|p| {
+            let truth = if against_first { p.drawn.first().unwrap_or(&p.truth) } else { &p.truth };
+            let errors = p.drawn.iter().zip(names).skip(usize::from(against_first));
+            Shown {
+                caption: &p.caption,
+                pictures: std::iter::once(("truth", &p.truth)).chain(names.iter().copied().zip(&p.drawn)).collect(),
+                errors: errors.filter_map(|(d, n)| Some((format!("error of {n}"), error(truth, d)?))).collect(),
+            }
+        })
+        .collect();
+    let held = match (against_first, names.first()) {
+        (true, Some(first)) => format!("the drawings of {}", escape(first)),
+        _ => "the photographs".to_owned(),
+    };
+    let remark = format!(
+        "The {} views whose drawings differ most from each other. Errors are against {held}. {}",
+        pictures.len(),
+        escape(&c.conditions)
+    );
+    Ok(section("Where they disagree most", &remark, &figures(&shown)?))
+}
+
+fn curves(sides: &[Side], names: &[&str]) -> Result<String, ReportError> {
+    let against = |axis: &str, s: &Sample| (if axis == "step" { s.step } else { s.seconds }, s.value);
+    let of = |kind: usize| -> Vec<(String, Vec<Sample>)> {
+        let line = |(side, name): (&Side, &&str)| {
+            let samples = match kind {
+                0 => samples(&side.log, |line| line["psnr"].as_f64()),
+                1 => samples(&side.log, |line| line["eval"]["mean"]["psnr"].as_f64()),
+                _ => samples(&side.log, |line| line["splats"].as_f64()),
+            };
+            ((*name).to_owned(), samples)
+        };
+        sides.iter().zip(names).map(line).collect()
+    };
+    let titles = ["PSNR of training views, dB", "PSNR of held-out views while training, dB", "Splats"];
+    let mut out = String::new();
+    for (kind, title) in titles.into_iter().enumerate() {
+        let lines = of(kind);
+        for axis in ["step", "seconds of training"] {
+            let curve = |(name, s): &(String, Vec<Sample>)| Curve {
+                name: name.clone(),
+                points: s.iter().map(|s| against(axis, s)).collect(),
+            };
+            let lines: Vec<Curve> = lines.iter().map(curve).collect();
+            if let Some(svg) = chart(title, axis, Scale::Linear, &lines)? {
+                let _ = writeln!(out, "<figure>{svg}</figure>");
+            }
+        }
+    }
+    let grid = if out.is_empty() { out } else { format!("<div class=\"charts\">\n{out}</div>\n") };
+    Ok(section("Course of training", "All runs, against optimiser steps and against seconds.", &grid))
+}
+
+/// A head of a table: fixed names, then those of the runs, safe in HTML.
+fn head(fixed: &[&str], names: &[&str]) -> Vec<String> {
+    fixed.iter().map(|n| (*n).to_owned()).chain(names.iter().map(|n| escape(n))).collect()
+}
+
+fn each_view(c: &Compared, names: &[&str]) -> String {
+    let mut head = head(&["view", "time"], names);
+    head.push("drawings differ by".to_owned());
+    let head: Vec<&str> = head.iter().map(String::as_str).collect();
+    let row = |v: &ViewRow| {
+        let psnr = v.psnr.iter().map(|p| p.map_or("perfect".to_owned(), |p| format!("{p:.2} dB")));
+        let mut cells: Vec<String> = [v.name.clone(), format!("{:.3}", v.time)].into_iter().chain(psnr).collect();
+        cells.push(format!("{:.4}", v.disagreement));
+        cells
+    };
+    let numeric: Vec<usize> = (1..head.len()).collect();
+    let content = table(&head, &numeric, c.views.iter().map(row));
+    let folded = format!("<details><summary>{} views</summary>\n{content}</details>\n", c.views.len());
+    section("PSNR of each view", &escape(&c.conditions), &folded)
+}
+
+fn settings(c: &Compared, names: &[&str]) -> String {
+    let head = head(&["setting"], names);
+    let head: Vec<&str> = head.iter().map(String::as_str).collect();
+    let row = |u: &Unlike| {
+        let values = u.values.iter().map(|v| v.clone().unwrap_or_else(|| "–".to_owned()));
+        std::iter::once(u.key.clone()).chain(values).collect::<Vec<_>>()
+    };
+    let content = table(&head, &[], c.settings.iter().map(row));
+    let folded = match content.is_empty() {
+        true => "<p>None.</p>\n".to_owned(),
+        false => format!("<details><summary>{} settings</summary>\n{content}</details>\n", c.settings.len()),
+    };
+    section("Settings that differ", "", &folded)
+}
+
+fn provenance(c: &Compared) -> String {
+    let row = |r: &crate::compare::Row| {
+        let machine = r.trained_on.clone().unwrap_or_else(|| "–".to_owned());
+        vec![r.name.clone(), r.path.clone(), machine]
+    };
+    section("Provenance", "", &table(&["run", "read from", "trained on"], &[], c.runs.iter().map(row)))
+}

@@ -1,0 +1,126 @@
+//! Runs to be compared, each with its data; what must be the same for that, and what they are called.
+
+use crate::compare::Options;
+use crate::provenance::DataOrigin;
+use crate::shown::size_text;
+use crate::summary::color_name;
+use crate::{OpenRun, RunError, folder};
+use gs_data::Dataset;
+use gs_train::evaluate::{EvalError, split_name};
+use gs_train::registry::Registry;
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+
+/// Why runs are not compared.
+#[derive(Debug, thiserror::Error)]
+pub enum CompareError {
+    /// They are not of the same data, or not drawn alike.
+    #[error("{first} and {other} are not of the same data: {}", fields.join("; "))]
+    Differ {
+        /// The first run.
+        first: PathBuf,
+        /// The run that differs from it.
+        other: PathBuf,
+        /// What differs, with both values.
+        fields: Vec<String>,
+        /// Whether it is the background alone, which can be chosen.
+        background_only: bool,
+    },
+    /// A view cannot be drawn or scored.
+    #[error(transparent)]
+    Eval(Box<EvalError>),
+}
+
+impl From<EvalError> for CompareError {
+    fn from(e: EvalError) -> Self {
+        CompareError::Eval(Box::new(e))
+    }
+}
+
+/// A run and its data.
+pub struct Side {
+    /// Where it was read from.
+    pub path: PathBuf,
+    /// The run.
+    pub run: OpenRun,
+    /// Its log; empty for a single file.
+    pub log: Vec<Value>,
+    pub(super) dataset: Dataset,
+    /// What it was trained on, where its folder tells.
+    machine: Option<Value>,
+}
+
+impl Side {
+    /// Opens a run, or a checkpoint or compact scene, with its data.
+    ///
+    /// # Errors
+    /// If it cannot be read, or its data are gone.
+    pub fn open(registry: &Registry, path: &Path) -> Result<Self, RunError> {
+        let run = OpenRun::open(registry, path)?;
+        let dataset = run.resolved.open_data()?;
+        let (log, provenance) = match run.folder() {
+            Ok(folder) => (folder.log_lines(folder::LOG)?, folder.read(folder::PROVENANCE).ok()),
+            Err(_) => (Vec::new(), None),
+        };
+        let provenance: Option<Value> = provenance.and_then(|text| serde_json::from_str(&text).ok());
+        let machine = provenance.map(|p| p["machine"].clone()).filter(|m| m.is_object());
+        Ok(Self { path: path.to_owned(), run, log, dataset, machine })
+    }
+
+    /// What must be the same: a name and its value.
+    fn identity(&self, options: &Options) -> Vec<(&'static str, String)> {
+        let views = self.dataset.views(options.split);
+        let background = options.background.unwrap_or_else(|| self.run.background());
+        let split = split_name(options.split);
+        vec![
+            ("layout", self.dataset.layout.to_owned()),
+            ("number of views", format!("{} of split {split}", views.len())),
+            ("size", size_text(views, &self.run.photographs())),
+            ("background", color_name(background)),
+            ("data digest", DataOrigin::of(&self.dataset).digest),
+        ]
+    }
+
+    pub(super) fn trained_on(&self) -> Option<String> {
+        let machine = self.machine.as_ref()?;
+        let text = |key: &str| machine[key].as_str().unwrap_or("–").to_owned();
+        let commit = machine["commit"].as_str().map_or(String::new(), |c| format!(", commit {c}"));
+        Some(format!(
+            "{}, {} threads, {}, gs4d {}{commit}",
+            text("cpu"),
+            machine["threads"],
+            text("simd"),
+            text("version")
+        ))
+    }
+}
+
+/// Refuses a run that is not of the data of the first.
+pub(super) fn same_data(first: &Side, other: &Side, options: &Options) -> Result<(), CompareError> {
+    let pairs = first.identity(options).into_iter().zip(other.identity(options));
+    let unlike: Vec<_> = pairs.filter(|(a, b)| a.1 != b.1).collect();
+    if unlike.is_empty() {
+        return Ok(());
+    }
+    let fields = unlike.iter().map(|((name, a), (_, b))| format!("{name} ({a}, {b})")).collect();
+    let background_only = unlike.iter().all(|(a, _)| a.0 == "background");
+    Err(CompareError::Differ { first: first.path.clone(), other: other.path.clone(), fields, background_only })
+}
+
+/// The last part of each path, whole paths where those are the same, and numbers where even these are.
+pub(super) fn names(sides: &[Side]) -> Vec<String> {
+    let paths: Vec<&Path> = sides.iter().map(|s| s.path.as_path()).collect();
+    let last = |p: &Path| p.file_name().map_or_else(|| p.display().to_string(), |n| n.to_string_lossy().into_owned());
+    let short: Vec<String> = paths.iter().map(|p| last(p)).collect();
+    let name = |k: usize| {
+        let twins = |of: &dyn Fn(usize) -> bool| (0..paths.len()).filter(|i| of(*i)).count() > 1;
+        if !twins(&|i| short[i] == short[k]) {
+            short[k].clone()
+        } else if !twins(&|i| paths[i] == paths[k]) {
+            paths[k].display().to_string()
+        } else {
+            format!("{} ({})", paths[k].display(), k + 1)
+        }
+    };
+    (0..paths.len()).map(name).collect()
+}

@@ -1,0 +1,163 @@
+//! What a method knows of its splats, drawn at one view: quantities with their spread, directions, rigid parts.
+
+use gs_core::{Camera, Splats};
+use gs_data::View;
+use gs_raster::RasterOptions;
+use gs_train::evaluate::clamped;
+use gs_train::method::{Method, Overlay, Quantity};
+use gs_train::renderer::Painter;
+use gs_train::timestamp::Moment;
+use gs4d_eval::segment::{self, parts};
+use gs4d_report::analysis::Histogram;
+use gs4d_report::analysis::paths::painted;
+use gs4d_report::{Legend, OverlayFigure, Ramp};
+
+/// Colours of a legend.
+const STOPS: usize = 9;
+/// A quantity without an interval of its own is drawn from this share of its values to that one: few may be far out.
+const HELD: [f64; 2] = [0.01, 0.99];
+/// All there is to see at the time of a view, over black.
+pub fn overlay_figures(method: &dyn Method, view: &View, camera: &Camera) -> Vec<OverlayFigure> {
+    let at = Moment::new(view.time);
+    let splats = method.tracked(&at, camera);
+    let mut painter =
+        Painter::new(RasterOptions { background: [0.0; 3], ..method.schedule().raster_options([0.0; 3]) });
+    let mut draw = |splats: &Splats, overlay: Overlay| clamped(painter.draw(&painted(splats.clone(), overlay), camera));
+    let quantities = method.quantities(&at);
+    let mut figures = Vec::new();
+    for q in quantities.iter().filter(|q| q.values.len() == splats.len()) {
+        let (q, clipped) = within(q);
+        let image = draw(&splats, q.overlay());
+        let histogram = Some(Histogram::of(q.name, None, q.span(), &q.values));
+        let name = if q.unit.is_empty() { q.name.to_owned() } else { format!("{}, {}", q.name, q.unit) };
+        figures.push(OverlayFigure { name, image, legend: legend(&q, clipped), histogram });
+    }
+    let known = |o: &Overlay| quantities.iter().any(|q| q.name == o.name);
+    for overlay in method.overlays(&at).into_iter().filter(|o| !known(o) && o.colors.len() == splats.len()) {
+        let (name, legend) = (overlay.name.to_owned(), Legend::Words(overlay.meaning.to_owned()));
+        figures.push(OverlayFigure { name, image: draw(&splats, overlay), legend, histogram: None });
+    }
+    figures.extend(parts_figure(method, &splats, &mut draw));
+    figures
+}
+
+/// The rigid parts, where the method has learnt how its splats move.
+fn parts_figure(
+    method: &dyn Method,
+    splats: &Splats,
+    draw: &mut impl FnMut(&Splats, Overlay) -> gs_core::Image,
+) -> Option<OverlayFigure> {
+    method.particles()?;
+    let labels = segment::segment(method, &segment::Options::default()).ok()?;
+    if labels.of.len() != splats.len() {
+        return None;
+    }
+    let colors = labels.of.iter().map(|l| segment::color(l + 1)).collect();
+    let kind = |p: &segment::Part| {
+        let text = format!(
+            "{}: {} splats, {:.1} % of the opacity, speed {:.3} units/span, spin {:.3} rad/span",
+            p.id,
+            p.splats,
+            100.0 * p.share,
+            p.speed,
+            p.spin
+        );
+        (segment::color(p.id), text)
+    };
+    let legend = Legend::Kinds(parts::table(&labels).iter().map(kind).collect());
+    let image = draw(splats, Overlay { name: "parts", colors, meaning: "" });
+    Some(OverlayFigure { name: "parts that share a motion".to_owned(), image, legend, histogram: None })
+}
+
+/// The quantity on an interval that holds nearly all of its values, and whether some lie outside.
+fn within(q: &Quantity) -> (Quantity, bool) {
+    let mut sorted: Vec<f32> = q.values.iter().copied().filter(|v| v.is_finite()).collect();
+    sorted.sort_by(f32::total_cmp);
+    let share = |s: f64| sorted.get((s * sorted.len().saturating_sub(1) as f64).round() as usize).copied();
+    match (q.range, share(HELD[0]).zip(share(HELD[1]))) {
+        (None, Some((low, high))) if low < high => {
+            let clipped = sorted.first() < Some(&low) || sorted.last() > Some(&high);
+            (Quantity { range: Some([low, high]), ..q.clone() }, clipped)
+        }
+        _ => (q.clone(), false),
+    }
+}
+
+/// The colours of a quantity along its span.
+fn legend(q: &Quantity, clipped: bool) -> Legend {
+    let [low, high] = q.span();
+    let at = |k: usize| low + (high - low) * k as f32 / (STOPS - 1) as f32;
+    let ramp = Quantity { range: Some([low, high]), values: (0..STOPS).map(at).collect(), ..q.clone() };
+    let [below, above] = if clipped { ["≤ ", "≥ "] } else { ["", ""] };
+    let ticks = [format!("{below}{}", number(low)), number(0.5 * (low + high)), format!("{above}{}", number(high))];
+    Legend::Numbers(Ramp(ramp.overlay().colors), ticks)
+}
+
+/// Three digits that count.
+fn number(v: f32) -> String {
+    match v.abs() {
+        0.0 => "0".to_owned(),
+        a if (1e-3..1e4).contains(&a) => {
+            let digits = (2.0 - a.log10().floor()).clamp(0.0, 6.0) as usize;
+            let text = format!("{v:.digits$}");
+            if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
+        }
+        _ => format!("{v:.1e}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gs_synth::{self as synth, SynthOptions};
+    use gs_train::method::{SceneInfo, section};
+
+    fn figures(method: &str) -> Vec<OverlayFigure> {
+        let options = SynthOptions { size: 32, train_views: 6, test_views: 1, ..SynthOptions::default() };
+        let data = synth::generate("sheet", &options).unwrap().dataset;
+        let entry = gs_methods::registry().find(method).unwrap();
+        let config = entry.config("tiny").unwrap();
+        let scene = SceneInfo::of(&data, &section(entry.name, &config, "init").unwrap(), 3).unwrap();
+        let mut method = (entry.build)(&config, &scene).unwrap();
+        method.set_step(100_000);
+        overlay_figures(method.as_ref(), &data.test[0], &data.test[0].camera)
+    }
+
+    #[test]
+    fn methods_show_what_they_have() {
+        let names = |m: &str| figures(m).into_iter().map(|f| f.name).collect::<Vec<_>>();
+        assert!(names("static3d").is_empty());
+        let fags = names("fags");
+        assert!(["lambda", "beta", "gate", "motion"].iter().all(|n| fags.iter().any(|f| f == n)), "{fags:?}");
+        let trace = names("trace");
+        let wanted = ["speed, units/span", "spin, rad/span", "velocity", "axis", "parts that share a motion"];
+        assert!(wanted.iter().all(|n| trace.iter().any(|f| f == n)), "{trace:?}");
+        let modec = names("modec");
+        assert!(["global", "local", "anchor", "interval"].iter().all(|n| modec.iter().any(|f| f == n)), "{modec:?}");
+        for f in figures("trace") {
+            assert_eq!(f.image.shape(), (32, 32, 3), "{}", f.name);
+            let numbers = matches!(f.legend, Legend::Numbers(..));
+            assert_eq!(f.histogram.is_some(), numbers, "{}", f.name);
+        }
+    }
+
+    #[test]
+    fn few_values_far_out_do_not_stretch_the_colours() {
+        let mut values: Vec<f32> = (0..200).map(|i| i as f32 / 199.0).collect();
+        values[7] = 1e6;
+        let q = Quantity { name: "speed", unit: "m", range: None, values };
+        let (held, clipped) = within(&q);
+        assert!(clipped && held.span()[1] < 1.1);
+        let Legend::Numbers(ramp, ticks) = legend(&held, clipped) else { panic!() };
+        let drawn = held.overlay().colors;
+        assert_eq!((ramp.0.len(), ramp.0[0], ramp.0[8]), (9, drawn[0], drawn[7]), "its ends are those of the picture");
+        assert_ne!(ramp.0[0], ramp.0[8]);
+        assert!(ticks[0].starts_with("≤ 0.01") && ticks[2].starts_with("≥ "), "{ticks:?}");
+        let (same, clipped) = within(&Quantity::share("gate", vec![0.2, 9.0]));
+        assert_eq!((same.span(), clipped), ([0.0, 1.0], false), "an interval of its own stays");
+        assert_eq!(
+            ["0", "0.5", "12.3", "1.0e6", "123"],
+            [0.0, 0.5, 12.34, 1e6, 123.4].map(number).each_ref().map(|s| &s[..])
+        );
+    }
+}

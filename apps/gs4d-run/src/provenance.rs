@@ -1,0 +1,164 @@
+//! What a run was made with: enough to repeat it, and to know on what its seconds were measured.
+
+use gs_data::{Dataset, ImageSource};
+use gs_raster::SimdLevel;
+use serde::Serialize;
+use std::fs;
+use std::time::{SystemTime, UNIX_EPOCH};
+
+/// The machine and the program.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Machine {
+    /// Version of gs4d.
+    pub version: &'static str,
+    /// Commit, where the build was told of it (`GS4D_COMMIT`).
+    pub commit: Option<&'static str>,
+    /// Model name of the processor.
+    pub cpu: String,
+    /// Threads used.
+    pub threads: usize,
+    /// Instruction set of the rasteriser.
+    pub simd: String,
+    /// Operating system and architecture.
+    pub system: String,
+}
+
+/// The data a run learned from.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct DataOrigin {
+    /// Folder, empty for data made in memory.
+    pub root: String,
+    /// Name of the layout.
+    pub layout: &'static str,
+    /// Hash of the list of files and cameras.
+    pub digest: String,
+    /// Where times come from.
+    pub time_source: String,
+    /// Numbers of training, validation and test views.
+    pub views: [usize; 3],
+    /// Number of views beyond the last training time.
+    pub extrapolate: usize,
+    /// Assumptions made while reading.
+    pub notes: Vec<String>,
+}
+
+impl Machine {
+    /// This machine, with the rayon pool in scope.
+    pub fn here() -> Self {
+        let level = gs_raster::simd::level(SimdLevel::Auto);
+        Self {
+            version: env!("CARGO_PKG_VERSION"),
+            commit: option_env!("GS4D_COMMIT"),
+            cpu: cpu_name(),
+            threads: rayon::current_num_threads(),
+            simd: gs_raster::simd::level_name(level),
+            system: format!("{} {}", std::env::consts::OS, std::env::consts::ARCH),
+        }
+    }
+}
+
+impl DataOrigin {
+    /// Where a data set came from.
+    pub fn of(dataset: &Dataset) -> Self {
+        Self {
+            root: dataset.root.display().to_string(),
+            layout: dataset.layout,
+            digest: digest(dataset),
+            time_source: dataset.time_source.clone(),
+            views: [dataset.train.len(), dataset.val.len(), dataset.test.len()],
+            extrapolate: dataset.extrapolate.len(),
+            notes: dataset.notes.clone(),
+        }
+    }
+}
+
+/// 64-bit FNV-1a over names, cameras, times and image paths (relative to the folder) of all views: the same for the same
+/// data wherever the folder stands.
+fn digest(dataset: &Dataset) -> String {
+    let mut hash = 0xcbf2_9ce4_8422_2325u64;
+    let mut feed = |bytes: &[u8]| {
+        for &b in bytes {
+            hash = (hash ^ u64::from(b)).wrapping_mul(0x0000_0100_0000_01b3);
+        }
+    };
+    feed(dataset.layout.as_bytes());
+    for (split, views) in [(0u8, &dataset.train), (1, &dataset.val), (2, &dataset.test), (3, &dataset.extrapolate)] {
+        for view in views {
+            feed(&[split]);
+            feed(view.name.as_bytes());
+            match &view.image {
+                ImageSource::File(path) => {
+                    feed(path.strip_prefix(&dataset.root).unwrap_or(path).as_os_str().as_encoded_bytes())
+                }
+                ImageSource::Memory(image) => feed(&image.data),
+            }
+            let c = &view.camera;
+            feed(&[c.width, c.height].map(u32::to_le_bytes).concat());
+            let pose = c.rotation.to_cols_array().into_iter().chain(c.translation.to_array());
+            for v in pose.chain([c.fx, c.fy, c.cx, c.cy, view.time.seconds]) {
+                feed(&v.to_bits().to_le_bytes());
+            }
+        }
+    }
+    format!("{hash:016x}")
+}
+
+fn cpu_name() -> String {
+    let info = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let name = info.lines().find_map(|l| l.strip_prefix("model name")?.split_once(':').map(|(_, n)| n.trim()));
+    name.unwrap_or(std::env::consts::ARCH).to_owned()
+}
+
+/// Peak resident memory of this process in MiB, where the system tells it.
+pub fn peak_memory_mib() -> Option<f64> {
+    let status = fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:"))?;
+    let kib: f64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some(kib / 1024.0)
+}
+
+/// The present in UTC, for example `2026-11-20T21:18:00Z`.
+pub fn now_utc() -> String {
+    let seconds = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
+    utc(seconds)
+}
+
+/// Seconds since 1970 as date and time; the calendar is that of Howard Hinnant's `civil_from_days`.
+fn utc(seconds: u64) -> String {
+    let (days, rest) = (seconds / 86_400 + 719_468, seconds % 86_400);
+    let (era, day_of_era) = (days / 146_097, days % 146_097);
+    let year_of_era = (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
+    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
+    let shifted = (5 * day_of_year + 2) / 153;
+    let day = day_of_year - (153 * shifted + 2) / 5 + 1;
+    let month = if shifted < 10 { shifted + 3 } else { shifted - 9 };
+    let year = year_of_era + era * 400 + u64::from(month <= 2);
+    format!("{year:04}-{month:02}-{day:02}T{:02}:{:02}:{:02}Z", rest / 3600, rest / 60 % 60, rest % 60)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn dates() {
+        let cases = [
+            (0, "1970-01-01T00:00:00Z"),
+            (951_782_399, "2000-02-28T23:59:59Z"),
+            (951_782_400, "2000-02-29T00:00:00Z"),
+            (1_000_000_000, "2001-09-09T01:46:40Z"),
+            (4_102_444_800, "2100-01-01T00:00:00Z"),
+        ];
+        for (seconds, want) in cases {
+            assert_eq!(utc(seconds), want);
+        }
+    }
+
+    #[test]
+    fn this_machine_has_a_name() {
+        let here = Machine::here();
+        assert!(!here.cpu.is_empty() && here.threads > 0 && !here.simd.is_empty());
+        #[cfg(target_os = "linux")]
+        assert!(peak_memory_mib().unwrap() > 1.0);
+    }
+}

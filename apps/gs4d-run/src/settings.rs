@@ -1,0 +1,375 @@
+//! The settings of a run: `[run]` and `[data]` for all methods, then those of the method.
+//!
+//! Resolution: defaults ← preset ← file ← `--steps` ← `--set`. `--steps N` compresses or stretches the whole recipe: every
+//! length in steps (stages, learning-rate decays, the times of density control and SH degrees) is multiplied by
+//! `N / steps of the recipe`, so a short run goes through all phases of a long one. A finished run is lengthened instead
+//! ([`lengthen`]): its last stage grows, and nothing that was done would have been done otherwise.
+
+use super::RunError;
+use crate::config::{Config, ConfigError, Source};
+use gs_data::{DataOptions, Dataset};
+use gs_train::method::MethodError;
+use gs_train::registry::Registry;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+use toml::{Table, Value};
+
+const RUN_DEFAULTS: &str = include_str!("defaults.toml");
+
+/// The section `[run]`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RunSettings {
+    /// Name of the method.
+    pub method: String,
+    /// Name of the preset.
+    pub preset: String,
+    /// Folder of the data.
+    pub data: String,
+    /// Seed of every random number.
+    pub seed: u64,
+    /// Steps between lines of the log.
+    pub log_every: u32,
+    /// Steps between checkpoints.
+    pub checkpoint_every: u32,
+    /// Steps between histograms of the splats' quantities; 0: none.
+    pub histogram_every: u32,
+    /// Steps between evaluations while training; 0: none.
+    pub eval_every: u32,
+    /// At most so many views in such an evaluation.
+    pub eval_views: u32,
+    /// Seconds of training after which the run stops with a checkpoint; 0: no limit.
+    pub time_budget: f64,
+    /// Decoded images kept in memory, at most, MiB.
+    pub image_mib: u32,
+}
+
+/// What a user asks for.
+#[derive(Clone, Debug, Default)]
+pub struct Request {
+    /// Name of the method.
+    pub method: String,
+    /// Name of the preset.
+    pub preset: String,
+    /// Folder of the data; `None` to look at settings only.
+    pub data: Option<PathBuf>,
+    /// A TOML file of settings.
+    pub file: Option<PathBuf>,
+    /// Total number of steps.
+    pub steps: Option<u32>,
+    /// Seconds of training.
+    pub time_budget: Option<f64>,
+    /// Seed.
+    pub seed: Option<u64>,
+    /// Assignments `key=value`, the last word.
+    pub sets: Vec<String>,
+}
+
+/// Settings that are complete and checked.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Resolved {
+    /// The methods there are; `run.method` is one of them.
+    pub registry: Registry,
+    /// Every value with its source.
+    pub config: Config,
+    /// The section `[run]`.
+    pub run: RunSettings,
+    /// The section `[data]`.
+    pub data: DataOptions,
+    /// The method's own sections.
+    pub method: Table,
+}
+
+/// All settings of a method with their defaults, before any preset.
+///
+/// # Errors
+/// If there is no such method.
+pub fn defaults(registry: &Registry, method: &str) -> Result<Config, RunError> {
+    let entry = registry.find(method)?;
+    let data = toml::to_string(&DataOptions::default()).map_err(|e| ConfigError::Invalid(e.to_string()))?;
+    // The method's come first: keys before the first header of its text belong to no section.
+    let mut config = Config::of_toml(&format!("{}\n{RUN_DEFAULTS}\n[data]\n{data}", entry.defaults))?;
+    for (key, example) in [("data.layout", "blender"), ("data.time_range", "0..1"), ("data.images", "images")] {
+        config.allow(key, example);
+    }
+    for (key, example) in [("data.fps", 30.0), ("data.time_boundary", 0.75)] {
+        config.allow(key, example);
+    }
+    config.allow("data.max_image_mib", 64);
+    config.put("run.method", method, Source::Default)?;
+    Ok(config)
+}
+
+/// The settings of a method with a preset.
+///
+/// # Errors
+/// If there is no such method or preset.
+pub fn with_preset(registry: &Registry, method: &str, preset: &str) -> Result<Config, RunError> {
+    let entry = registry.find(method)?;
+    let mut config = defaults(registry, method)?;
+    let Some((_, text)) = entry.presets.iter().find(|p| p.0 == preset) else {
+        let known: Vec<&str> = entry.presets.iter().map(|p| p.0).collect();
+        let why = format!("there is no preset `{preset}`; choose one of {}", known.join(", "));
+        return Err(MethodError::Config { method: entry.name, why }.into());
+    };
+    config.overlay_toml(text, &Source::Preset(preset.to_owned()))?;
+    config.put("run.preset", preset, Source::Default)?;
+    Ok(config)
+}
+
+/// Resolves what a user asks for.
+///
+/// # Errors
+/// Unknown method, preset or setting; a value of the wrong kind or outside its domain; an unreadable file.
+pub fn resolve(registry: &Registry, request: &Request) -> Result<Resolved, RunError> {
+    let mut config = with_preset(registry, &request.method, &request.preset)?;
+    if let Some(path) = &request.file {
+        let text = std::fs::read_to_string(path).map_err(|e| RunError::io("read", path, e))?;
+        config.overlay_toml(&text, &Source::File(path.display().to_string()))?;
+    }
+    let flag = |text: String| Source::Flag(text);
+    config.put("run.method", request.method.as_str(), flag(format!("-m {}", request.method)))?;
+    config.put("run.preset", request.preset.as_str(), flag(format!("--preset {}", request.preset)))?;
+    if let Some(data) = &request.data {
+        let full = std::fs::canonicalize(data).unwrap_or_else(|_| data.clone());
+        config.put("run.data", full.display().to_string(), flag("DATA".into()))?;
+    }
+    if let Some(seed) = request.seed {
+        let seed = i64::try_from(seed).map_err(|_| ConfigError::Invalid("the seed must be below 2^63".into()))?;
+        config.put("run.seed", seed, flag(format!("--seed {seed}")))?;
+    }
+    if let Some(seconds) = request.time_budget {
+        config.put("run.time_budget", seconds, flag(format!("--time-budget {seconds}s")))?;
+    }
+    if let Some(steps) = request.steps {
+        stretch(&mut config, steps)?;
+    }
+    for assignment in &request.sets {
+        config.set(assignment)?;
+    }
+    Resolved::of(registry, config)
+}
+
+impl Resolved {
+    /// Checks a complete configuration.
+    ///
+    /// # Errors
+    /// If a value lies outside its domain.
+    pub fn of(registry: &Registry, config: Config) -> Result<Self, RunError> {
+        let mut table = config.table();
+        let mut section = |name: &str| match table.remove(name) {
+            Some(Value::Table(t)) => t,
+            _ => Table::new(),
+        };
+        let (run, data) = (section("run"), section("data"));
+        let wrong = |e: toml::de::Error| ConfigError::Invalid(e.to_string().trim().to_owned());
+        let run: RunSettings = run.try_into().map_err(wrong)?;
+        let data: DataOptions = data.try_into().map_err(wrong)?;
+        for (key, value) in [("run.log_every", run.log_every), ("run.checkpoint_every", run.checkpoint_every)] {
+            if value == 0 {
+                return Err(ConfigError::Invalid(format!("{key} must be at least 1")).into());
+            }
+        }
+        if run.time_budget < 0.0 {
+            return Err(ConfigError::Invalid("run.time_budget must not be negative".into()).into());
+        }
+        Ok(Self { registry: registry.clone(), config, run, data, method: table })
+    }
+
+    /// Reads the settings of a run folder. Values keep their present meaning, not their first source.
+    ///
+    /// # Errors
+    /// If the text is not a resolved configuration of a method there is.
+    pub fn read(registry: &Registry, text: &str, name: &str) -> Result<Self, RunError> {
+        let source = Source::File(name.to_owned());
+        let syntax = |why: String| ConfigError::Syntax { origin: source.clone(), why };
+        let table: Table = text.parse().map_err(|e: toml::de::Error| syntax(e.to_string().trim().to_owned()))?;
+        let method = table.get("run").and_then(|r| r.get("method")).and_then(Value::as_str);
+        let method = method.ok_or_else(|| syntax("run.method is missing".into()))?;
+        let mut config = defaults(registry, method)?;
+        config.overlay(&table, &source)?;
+        Self::of(registry, config)
+    }
+
+    /// The data set of these settings.
+    ///
+    /// # Errors
+    /// Those of its reader; also if the settings name no folder.
+    pub fn open_data(&self) -> Result<Dataset, RunError> {
+        if self.run.data.is_empty() {
+            return Err(ConfigError::Invalid("run.data names no folder".into()).into());
+        }
+        Ok(Dataset::open(Path::new(&self.run.data), &self.data)?)
+    }
+
+    /// Steps of the whole recipe.
+    pub fn steps(&self) -> u64 {
+        stages(&self.config).iter().map(|s| s.1).sum()
+    }
+}
+
+/// Keys and steps of the stages, in the order they are followed.
+fn stages(config: &Config) -> Vec<(String, u64)> {
+    let number = |key: &str| config.get(key).and_then(|s| s.value.as_integer()).and_then(|v| u64::try_from(v).ok());
+    let mut stages: Vec<(u64, String, u64)> = config
+        .iter()
+        .filter_map(|(key, _)| {
+            let name = key.strip_prefix("schedule.stages.")?.strip_suffix(".steps")?;
+            let order = number(&format!("schedule.stages.{name}.order")).unwrap_or(0);
+            Some((order, key.to_owned(), number(key).unwrap_or(0)))
+        })
+        .collect();
+    stages.sort();
+    stages.into_iter().map(|(_, key, steps)| (key, steps)).collect()
+}
+
+/// Multiplies every length in steps so that the recipe has `total` steps.
+fn stretch(config: &mut Config, total: u32) -> Result<(), RunError> {
+    let source = Source::Flag(format!("--steps {total}"));
+    let stages = stages(config);
+    let before: u64 = stages.iter().map(|s| s.1).sum();
+    if total == 0 || before == 0 {
+        return Err(RunError::Steps("--steps must be at least 1, and the recipe must have steps".into()));
+    }
+    let scaled = |steps: u64| (u128::from(steps) * u128::from(total)).div_ceil(u128::from(before)) as i64;
+    // Borders of stages are rounded, so that the stages add up exactly.
+    let (mut border, mut done) = (0u64, 0i64);
+    for (key, steps) in &stages {
+        border += steps;
+        let end = scaled(border);
+        config.put(key, end - done, source.clone())?;
+        done = end;
+    }
+    let lengths: Vec<(String, u64)> = config
+        .iter()
+        .filter(|(key, _)| is_length(key))
+        .filter_map(|(key, s)| Some((key.to_owned(), u64::try_from(s.value.as_integer()?).ok()?)))
+        .collect();
+    for (key, steps) in lengths {
+        config.put(&key, scaled(steps), source.clone())?;
+    }
+    Ok(())
+}
+
+/// Whether a setting is a time on the clock of the schedule (not the pace of growth, which stays).
+fn is_length(key: &str) -> bool {
+    let times = [
+        "schedule.sh_every",
+        "schedule.density.from",
+        "schedule.density.until",
+        "schedule.density.reset_every",
+        "cloud.kernel.from_step",
+        "smooth_from",
+        "adapt.observe_from",
+        "adapt.from",
+        "adapt.until",
+        "intervals.from",
+        "intervals.until",
+        "intervals.period",
+    ];
+    times.contains(&key) || key.starts_with("schedule.lr.") && key.ends_with(".steps")
+}
+
+/// Gives the run `total` steps by changing the length of its last stage alone.
+///
+/// # Errors
+/// If `done` steps were made already and more than `total`, or the last stage would begin after `total`.
+pub fn lengthen(resolved: &Resolved, total: u32, done: u32) -> Result<Resolved, RunError> {
+    let stages: Vec<(String, u64)> = stages(&resolved.config).into_iter().filter(|s| s.1 > 0).collect();
+    let Some(((last, _), earlier)) = stages.split_last() else {
+        return Err(RunError::Steps("the recipe has no steps".into()));
+    };
+    let before: u64 = earlier.iter().map(|s| s.1).sum();
+    if total < done || u64::from(total) <= before {
+        let least = u64::from(done).max(before + 1);
+        return Err(RunError::Steps(format!(
+            "--steps {total} is not possible: {done} steps are made, at least {least}"
+        )));
+    }
+    let mut config = resolved.config.clone();
+    config.put(last, (u64::from(total) - before) as i64, Source::Flag(format!("resume --steps {total}")))?;
+    Resolved::of(&resolved.registry, config)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn request(sets: &[&str]) -> Request {
+        let sets = sets.iter().map(|s| (*s).to_owned()).collect();
+        Request { method: "static3d".into(), preset: "tiny".into(), sets, ..Request::default() }
+    }
+
+    #[test]
+    fn every_method_resolves_with_every_preset_and_reads_back() {
+        for entry in gs_methods::registry() {
+            for (preset, _) in entry.presets {
+                let request = Request { method: entry.name.into(), preset: (*preset).into(), ..Request::default() };
+                let resolved = resolve(gs_methods::registry(), &request)
+                    .unwrap_or_else(|e| panic!("{} {preset}: {e}", entry.name));
+                assert!(resolved.steps() > 0, "{} {preset}", entry.name);
+                let back = Resolved::read(gs_methods::registry(), &resolved.config.to_commented_toml(), "x").unwrap();
+                assert_eq!((&back.run, &back.data, &back.method), (&resolved.run, &resolved.data, &resolved.method));
+            }
+        }
+    }
+
+    #[test]
+    fn steps_stretch_the_whole_recipe() {
+        let plain = resolve(gs_methods::registry(), &request(&[])).unwrap();
+        let short = resolve(gs_methods::registry(), &Request { steps: Some(30), ..request(&[]) }).unwrap();
+        assert_eq!((plain.steps(), short.steps()), (300, 30));
+        let value = |r: &Resolved, key: &str| r.config.get(key).unwrap().value.as_integer().unwrap();
+        for key in ["schedule.density.until", "schedule.lr.cloud.means.steps", "schedule.sh_every"] {
+            assert_eq!(value(&short, key), (value(&plain, key) + 9) / 10, "{key}");
+        }
+        assert_eq!(value(&short, "schedule.density.every"), value(&plain, "schedule.density.every"));
+        let mut said = request(&["schedule.density.until=7"]);
+        said.steps = Some(30);
+        assert_eq!(
+            value(&resolve(gs_methods::registry(), &said).unwrap(), "schedule.density.until"),
+            7,
+            "--set has the last word"
+        );
+        assert!(resolve(gs_methods::registry(), &Request { steps: Some(0), ..request(&[]) }).is_err());
+        let modec = Request { method: "modec".into(), preset: "tiny".into(), ..Request::default() };
+        let (plain, short) = (
+            resolve(gs_methods::registry(), &modec).unwrap(),
+            resolve(gs_methods::registry(), &Request { steps: Some(60), ..modec }).unwrap(),
+        );
+        assert_eq!(plain.steps(), 600);
+        for key in ["adapt.observe_from", "adapt.from", "adapt.until", "intervals.until", "intervals.period"] {
+            assert_eq!(10 * value(&short, key), value(&plain, key), "{key}");
+        }
+        assert_eq!(value(&short, "adapt.every"), value(&plain, "adapt.every"));
+    }
+
+    #[test]
+    fn lengthening_touches_the_last_stage_only() {
+        let plain = resolve(gs_methods::registry(), &request(&[])).unwrap();
+        let long = lengthen(&plain, 450, 300).unwrap();
+        assert_eq!(long.steps(), 450);
+        let changed: Vec<_> =
+            long.config.iter().zip(plain.config.iter()).filter(|(a, b)| a.1.value != b.1.value).collect();
+        assert_eq!(changed.len(), 1);
+        assert!(lengthen(&plain, 200, 250).unwrap_err().to_string().contains("at least 250"));
+    }
+
+    #[test]
+    fn bad_settings_are_refused_by_name() {
+        let error = |sets: &[&str]| resolve(gs_methods::registry(), &request(sets)).unwrap_err().to_string();
+        assert!(error(&["run.log_every=0"]).contains("run.log_every"));
+        assert!(error(&["run.time_budget=-1"]).contains("time_budget"));
+        assert!(error(&["schedule.lambda_dsim=1"]).contains("schedule.lambda_dssim"));
+        assert!(error(&["data.time_range=1..0"]).contains("time range"));
+        assert!(
+            resolve(gs_methods::registry(), &request(&["data.time_range=0..2"])).unwrap().data.time_range.is_some()
+        );
+        let unknown = Request { preset: "huge".into(), ..request(&[]) };
+        assert!(
+            resolve(gs_methods::registry(), &unknown).unwrap_err().to_string().contains("fast, tiny"),
+            "presets are listed"
+        );
+        assert!(resolve(gs_methods::registry(), &Request { method: "nerf".into(), ..request(&[]) }).is_err());
+    }
+}

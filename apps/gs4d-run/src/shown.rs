@@ -1,0 +1,195 @@
+//! Which views a report shows, what their scores are of, and the table of scores.
+
+use super::RunError;
+use super::summary::{Material, color_name};
+use gs_data::{Dataset, ImageCache, Split, View};
+use gs_train::evaluate::{EvalReport, MaskedScores, ViewScores};
+use gs_train::renderer::Painter;
+use gs4d_report::Comparison;
+use std::collections::BTreeSet;
+
+/// Worst views shown beside their truth.
+const WORST: usize = 5;
+
+/// The split a report scored.
+pub fn split_of(scores: &EvalReport) -> Split {
+    match scores.split.as_str() {
+        "train" => Split::Train,
+        "val" => Split::Val,
+        "extrapolate" => Split::Extrapolate,
+        _ => Split::Test,
+    }
+}
+
+/// Views of the scored split with their scores, the worst first.
+pub fn ranked<'a>(dataset: &'a Dataset, scores: &'a EvalReport) -> Vec<(&'a View, &'a ViewScores)> {
+    let mut ranked: Vec<_> = dataset.views(split_of(scores)).iter().zip(&scores.views).collect();
+    let psnr = |s: &ViewScores| s.psnr.unwrap_or(f64::INFINITY);
+    ranked.sort_by(|a, b| psnr(a.1).total_cmp(&psnr(b.1)));
+    ranked
+}
+
+/// The worst views and those in the middle beside their truths.
+pub(super) fn comparisons(
+    m: &Material,
+    painter: &mut Painter,
+    scores: &EvalReport,
+) -> Result<Vec<Comparison>, RunError> {
+    let ranked = ranked(m.dataset, scores);
+    let mut out = Vec::new();
+    for place in places(ranked.len()) {
+        let (view, scores) = ranked[place];
+        let camera = m.photographs.camera(view);
+        let truth = m.photographs.get(view)?.over(m.scores.background);
+        let psnr = scores.psnr.map_or("perfect".to_owned(), |p| format!("{p:.2} dB"));
+        let time = view.time.normalised;
+        let kind = if place < WORST { "worst" } else { "median" };
+        let caption = format!(
+            "{kind}, {} of {} · {} · t = {time:.3} · PSNR {psnr} · SSIM {:.4}",
+            place + 1,
+            ranked.len(),
+            view.name,
+            scores.ssim
+        );
+        let name = format!("t{time:.3}_{}", view.name);
+        out.push(Comparison { name, caption, truth, drawn: painter.view(m.method, view, &camera) });
+    }
+    Ok(out)
+}
+
+/// Places in the ranking that are shown: the worst, then the one or two in the middle.
+fn places(n: usize) -> BTreeSet<usize> {
+    let middle = [n.saturating_sub(1) / 2, n / 2];
+    (0..WORST).chain(middle).filter(|p| *p < n).collect()
+}
+
+/// What scores are of: split, number of views, size, background, mask.
+pub fn conditions(dataset: &Dataset, photographs: &ImageCache, scores: &EvalReport) -> String {
+    let masked = match &scores.mean.masked {
+        Some(m) => format!("masks, {:.1} % of the pixels, for masked scores only", 100.0 * m.part),
+        None => "no mask".to_owned(),
+    };
+    let views = dataset.views(split_of(scores));
+    let background = color_name(scores.background);
+    format!("{} {} views, {}, over {background}, {masked}.", views.len(), scores.split, size_text(views, photographs))
+}
+
+/// Width and height of views, in words if they differ.
+pub fn size_text(views: &[View], photographs: &ImageCache) -> String {
+    let size = |v: &View| photographs.camera(v);
+    let sizes: BTreeSet<[u32; 2]> = views.iter().map(size).map(|c| [c.width, c.height]).collect();
+    let text = |[w, h]: &[u32; 2]| format!("{w}×{h}");
+    match (sizes.first(), sizes.last()) {
+        (Some(first), Some(last)) if first != last => {
+            format!("{} to {} in {} sizes", text(first), text(last), sizes.len())
+        }
+        (Some(one), _) => text(one),
+        _ => "no size".to_owned(),
+    }
+}
+
+/// Metric, mean, median, worst value and its view, for every metric there is a number of.
+pub fn score_rows(scores: &EvalReport) -> Vec<[String; 5]> {
+    let mut rows = metric_rows(scores, "");
+    if let Some(future) = &scores.extrapolate {
+        rows.extend(metric_rows(future, &format!(", {} views beyond the last training time", future.views.len())));
+    }
+    rows
+}
+
+/// A metric: name, digits, its mean, its value of a view, whether more is better.
+type Metric = (&'static str, usize, Option<f64>, fn(&ViewScores) -> Option<f64>, bool);
+
+fn metric_rows(s: &EvalReport, of: &str) -> Vec<[String; 5]> {
+    let (mean, masked) = (s.mean, s.mean.masked);
+    let in_mask = |value: fn(&MaskedScores) -> Option<f64>| masked.as_ref().and_then(value);
+    let metrics: [Metric; 8] = [
+        ("PSNR, dB: mean of views", 2, mean.psnr, |v| v.psnr, true),
+        ("SSIM", 4, mean.ssim, |v| Some(v.ssim), true),
+        ("MS-SSIM", 4, mean.ms_ssim, |v| v.ms_ssim, true),
+        ("perceptual proxy (not LPIPS; less is better)", 4, mean.perceptual_proxy, |v| Some(v.perceptual_proxy), false),
+        ("sharpness: Laplacian over that of the truth", 3, mean.laplacian_ratio, |v| v.laplacian_ratio, true),
+        ("sharpness: high frequencies over those of the truth", 3, mean.high_band_ratio, |v| v.high_band_ratio, true),
+        ("masked PSNR, dB", 2, in_mask(|m| m.psnr), |v| v.masked?.psnr, true),
+        ("masked SSIM", 4, in_mask(|m| m.ssim), |v| v.masked?.ssim, true),
+    ];
+    let text = |v: Option<f64>, digits: usize| v.map_or("–".to_owned(), |v| format!("{v:.digits$}"));
+    let mut rows = Vec::new();
+    for (name, digits, mean, value, more) in metrics.into_iter().filter(|m| m.2.is_some()) {
+        let mut all: Vec<(f64, &str)> = s.views.iter().filter_map(|v| Some((value(v)?, v.name.as_str()))).collect();
+        all.sort_by(|a, b| if more { a.0.total_cmp(&b.0) } else { b.0.total_cmp(&a.0) });
+        let median = all.get(all.len().saturating_sub(1) / 2).zip(all.get(all.len() / 2));
+        let worst = all.first();
+        rows.push([
+            format!("{name}{of}"),
+            text(mean, digits),
+            text(median.map(|(a, b)| 0.5 * (a.0 + b.0)), digits),
+            text(worst.map(|w| w.0), digits),
+            worst.map_or(String::new(), |w| w.1.to_owned()),
+        ]);
+        if rows.len() == 1 && s.psnr_of_mean_mse.is_some() {
+            let [dash, empty] = ["–".to_owned(), String::new()];
+            let from_mean = text(s.psnr_of_mean_mse, 2);
+            rows.push([format!("PSNR, dB: of the mean squared error{of}"), from_mean, dash.clone(), dash, empty]);
+        }
+    }
+    rows
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gs_train::evaluate::MeanScores;
+
+    #[test]
+    fn the_worst_and_the_middle_are_shown_once() {
+        let shown = |n: usize| places(n).into_iter().collect::<Vec<_>>();
+        assert_eq!((shown(0), shown(1), shown(3)), (vec![], vec![0], vec![0, 1, 2]));
+        assert_eq!((shown(20), shown(21)), (vec![0, 1, 2, 3, 4, 9, 10], vec![0, 1, 2, 3, 4, 10]));
+    }
+
+    #[test]
+    fn every_metric_has_mean_median_and_worst() {
+        let view = |name: &str, psnr: f64, proxy: f64| ViewScores {
+            name: name.into(),
+            time: 0.0,
+            psnr: Some(psnr),
+            ssim: 0.5,
+            ms_ssim: None,
+            perceptual_proxy: proxy,
+            laplacian_ratio: None,
+            high_band_ratio: None,
+            masked: None,
+        };
+        let scores = EvalReport {
+            method: "m".into(),
+            split: "test".into(),
+            background: [0.0; 3],
+            scale: 1.0,
+            protocol: String::new(),
+            mean: MeanScores {
+                psnr: Some(24.0),
+                ssim: Some(0.5),
+                ms_ssim: None,
+                perceptual_proxy: Some(0.2),
+                laplacian_ratio: None,
+                high_band_ratio: None,
+                masked: None,
+            },
+            psnr_of_mean_mse: Some(23.5),
+            perfect_views: 0,
+            gaussians: 1,
+            parameter_bytes: 4,
+            train_seconds: None,
+            views: vec![view("a", 20.0, 0.1), view("b", 30.0, 0.3), view("c", 22.0, 0.2)],
+            extrapolate: None,
+        };
+        let rows = score_rows(&scores);
+        assert_eq!(rows[0], ["PSNR, dB: mean of views", "24.00", "22.00", "20.00", "a"]);
+        assert_eq!(rows[1], ["PSNR, dB: of the mean squared error", "23.50", "–", "–", ""]);
+        assert_eq!(rows[3][1..], ["0.2000", "0.2000", "0.3000", "b"], "less is better");
+        assert_eq!(rows.len(), 4, "no number, no row");
+        let both = EvalReport { extrapolate: Some(Box::new(scores.clone())), ..scores };
+        assert_eq!(score_rows(&both).len(), 8);
+    }
+}

@@ -1,0 +1,242 @@
+//! From a run to its report: figures, curves from the log, worst and median views, a strip through time, needs, speed against error.
+
+use super::folder::{self, RunFolder};
+use super::overlays::overlay_figures;
+use super::speed::speed_against_error;
+use super::work::{drawing_rows, resting_rows, training_rows};
+use super::{Resolved, RunError, shown};
+use gs_core::speed::SpeedError;
+use gs_core::{Camera, Time};
+use gs_data::{Dataset, ImageCache, View};
+use gs_raster::RasterOptions;
+use gs_train::evaluate::{EvalReport, clamped};
+use gs_train::method::Method;
+use gs_train::renderer::{Painter, moment};
+use gs4d_report::analysis::paths::{jerk_overlay, moments_for, painted};
+use gs4d_report::analysis::{Analysis, Economy, Journal, Snapshot};
+use gs4d_report::inspect::bytes_text;
+use gs4d_report::needs::needs;
+use gs4d_report::storage::Storage;
+use gs4d_report::{Figure, HeatMap, Need, Report, Sample, Still};
+use serde::Deserialize;
+use serde_json::Value;
+use std::path::Path;
+
+/// Views that are drawn to see what drawing takes.
+const LOOKED_AT: usize = 5;
+/// Pictures of the strip.
+const STRIP: usize = 8;
+
+/// What a report is made from.
+pub struct Material<'a> {
+    /// The run's folder: log and provenance.
+    pub folder: &'a RunFolder,
+    /// Its settings.
+    pub resolved: &'a Resolved,
+    /// The method as trained.
+    pub method: &'a dyn Method,
+    /// The data.
+    pub dataset: &'a Dataset,
+    /// Photographs.
+    pub photographs: &'a ImageCache,
+    /// Scores of a split.
+    pub scores: &'a EvalReport,
+    /// Radius of the scene, world units.
+    pub extent: f32,
+    /// Steps made.
+    pub step: u32,
+}
+
+/// Makes the report, with the rows of speed against error measured for it.
+///
+/// # Errors
+/// If the log or a photograph cannot be read.
+pub fn summarise(m: &Material) -> Result<(Report, Vec<SpeedError>), RunError> {
+    let log = m.folder.log_lines(folder::LOG)?;
+    let options = m.method.schedule().raster_options(m.scores.background);
+    let mut painter = Painter::new(options.clone());
+    let views: Vec<&View> = shown::ranked(m.dataset, m.scores).into_iter().map(|(view, _)| view).collect();
+    let mut report = Report {
+        title: format!("{} · {}", data_name(m), m.method.name()),
+        subtitle: subtitle(m),
+        loss: samples(&log, |line| line["loss"].as_f64()),
+        psnr: psnr_curves(&log),
+        splats: samples(&log, |line| line["splats"].as_f64()),
+        conditions: shown::conditions(m.dataset, m.photographs, m.scores),
+        future_conditions: match &m.scores.extrapolate {
+            Some(future) => shown::conditions(m.dataset, m.photographs, future),
+            None => String::new(),
+        },
+        scores: shown::score_rows(m.scores),
+        views: shown::comparisons(m, &mut painter, m.scores)?,
+        future: match &m.scores.extrapolate {
+            Some(future) => shown::comparisons(m, &mut painter, future)?,
+            None => Vec::new(),
+        },
+        settings: m
+            .resolved
+            .config
+            .iter()
+            .map(|(k, s)| [k.to_owned(), s.value.to_string(), s.source.to_string()])
+            .collect(),
+        provenance: provenance(m.folder)?,
+        heat_maps: heat_maps(&m.folder.log_lines(folder::HISTOGRAMS)?),
+        journal: Journal::of(&m.folder.log_lines(folder::JOURNAL)?),
+        storage: Some(Storage::of(m.method, m.method.storage())),
+        ..Report::default()
+    };
+    if let Some(view) = views.first().copied().or(m.dataset.train.first()) {
+        let camera = m.photographs.camera(view);
+        if m.dataset.dynamic {
+            report.strip = strip(m.method, &mut painter, &camera);
+            report.jerk = jerk(m, view, &camera);
+        }
+        report.overlays = overlay_figures(m.method, view, &camera);
+        report.overlay_view = format!("{} at t = {:.3}, the worst view, over black.", view.name, view.time.normalised);
+        let seen: Vec<_> = views.iter().take(LOOKED_AT).map(|v| (m.photographs.camera(v), v.time)).collect();
+        report.analysis = analysis(m, &seen, &options);
+        report.work = drawing_rows(m.method, &seen, &options);
+        report.work.extend(resting_rows(m.method, &seen));
+        report.figures = figures(m, &mut painter, view, &camera);
+        report.needs = needs(m.method, &camera, m.extent);
+        report.speed = speed_against_error(&m.method.splats(&moment(view.time.normalised), &camera), &camera, &options);
+    }
+    report.work.extend(training_rows(&log));
+    let rows = report.speed.clone();
+    Ok((report, rows))
+}
+
+fn data_name(m: &Material) -> String {
+    let path = Path::new(&m.resolved.run.data);
+    let name = path.file_name().map(|n| n.to_string_lossy().into_owned());
+    name.unwrap_or_else(|| m.dataset.layout.to_owned())
+}
+
+fn subtitle(m: &Material) -> String {
+    let kind = if m.dataset.dynamic { "moving" } else { "still" };
+    format!(
+        "A {kind} scene from {} training views; step {}, preset {}, seed {}",
+        m.dataset.train.len(),
+        m.step,
+        m.resolved.run.preset,
+        m.resolved.run.seed
+    )
+}
+
+fn figures(m: &Material, painter: &mut Painter, view: &View, camera: &Camera) -> Vec<Figure> {
+    let s = m.scores;
+    let figure = |value: String, name: &str, remark: String| Figure { value, name: name.to_owned(), remark };
+    let number = |v: Option<f64>, digits: usize| v.map_or("–".to_owned(), |v| format!("{v:.digits$}"));
+    let of = shown::conditions(m.dataset, m.photographs, s);
+    let frame = painter.seconds(m.method, view, camera);
+    let size =
+        format!("{}×{}, field and drawing, threads: {}", camera.width, camera.height, rayon::current_num_threads());
+    let beyond = s.extrapolate.as_ref().map(|f| {
+        let of = shown::conditions(m.dataset, m.photographs, f);
+        figure(format!("{} dB", number(f.mean.psnr, 2)), "PSNR of the future", format!("mean of {of}"))
+    });
+    let from_mean = s
+        .psnr_of_mean_mse
+        .map(|p| figure(format!("{p:.2} dB"), "PSNR of the mean error", format!("one mean square over {of}")));
+    let mut figures = vec![figure(format!("{} dB", number(s.mean.psnr, 2)), "PSNR", format!("mean of {of}"))];
+    figures.extend(from_mean.into_iter().chain(beyond));
+    figures.extend([
+        figure(number(s.mean.ssim, 4), "SSIM", format!("11×11 window, zeros outside; mean of {of}")),
+        figure(format!("{:.1} s", s.train_seconds.unwrap_or(0.0)), "training", format!("{} steps", m.step)),
+        figure(s.gaussians.to_string(), "splats", "in the canonical cloud".into()),
+        figure(bytes_text(s.parameter_bytes as usize), "scene", "parameters as f32".into()),
+        figure(format!("{:.2} ms", 1e3 * frame), "per frame", size),
+    ]);
+    figures
+}
+
+/// A name for black and white, else the three values.
+pub fn color_name(c: [f32; 3]) -> String {
+    match c {
+        [0.0, 0.0, 0.0] => "black".to_owned(),
+        [1.0, 1.0, 1.0] => "white".to_owned(),
+        [r, g, b] => format!("({r}, {g}, {b})"),
+    }
+}
+
+pub(crate) fn samples(log: &[Value], value: impl Fn(&Value) -> Option<f64>) -> Vec<Sample> {
+    let sample = |line: &Value| {
+        Some(Sample { step: line["step"].as_f64()?, seconds: line["seconds"].as_f64()?, value: value(line)? })
+    };
+    log.iter().filter_map(sample).collect()
+}
+
+fn psnr_curves(log: &[Value]) -> Vec<(String, Vec<Sample>)> {
+    let training = samples(log, |line| line["psnr"].as_f64());
+    let held_out = samples(log, |line| line["eval"]["mean"]["psnr"].as_f64());
+    let split = log.iter().find_map(|l| l["eval"]["split"].as_str()).unwrap_or("val").to_owned();
+    let curves = [("training views".to_owned(), training), (format!("{split} views, drawn anew"), held_out)];
+    curves.into_iter().filter(|(_, s)| !s.is_empty()).collect()
+}
+
+fn strip(method: &dyn Method, painter: &mut Painter, camera: &Camera) -> Vec<Still> {
+    let time = |k: usize| k as f32 / (STRIP - 1) as f32;
+    let still = |k: usize| Still { caption: format!("t = {:.2}", time(k)), image: painter.at(method, time(k), camera) };
+    (0..STRIP).map(still).collect()
+}
+
+/// Where the motion jerks at the time of a view, over black.
+fn jerk(m: &Material, view: &View, camera: &Camera) -> Vec<Still> {
+    let mut painter = Painter::new(m.method.schedule().raster_options([0.0; 3]));
+    let (time, interval) = (view.time.normalised, 1.0 / m.dataset.train.len().max(2) as f32);
+    let overlay = jerk_overlay(m.method, time, interval, camera);
+    let still = overlay.map(|overlay| {
+        let splats = painted(m.method.tracked(&moment(time), camera), overlay);
+        let caption = format!("second differences at t = {time:.2}: black at rest, white at the largest");
+        Still { caption, image: clamped(painter.draw(&splats, camera)) }
+    });
+    still.into_iter().collect()
+}
+
+fn analysis(m: &Material, seen: &[(Camera, Time)], options: &RasterOptions) -> Vec<Need> {
+    let moments = if m.dataset.dynamic { moments_for(m.dataset.train.len()) } else { 0 };
+    let mut rows = Analysis::of(m.method, moments, None).rows();
+    rows.extend(Economy::of(m.method, seen, options, m.scores.mean.psnr).iter().flat_map(Economy::rows));
+    rows
+}
+
+/// The quantities pooled over times, step by step.
+fn heat_maps(lines: &[Value]) -> Vec<HeatMap> {
+    let mut maps: Vec<HeatMap> = Vec::new();
+    for line in lines {
+        let (Some(step), Ok(snapshot)) = (line["step"].as_u64(), Snapshot::deserialize(line)) else { continue };
+        for h in snapshot.histograms.into_iter().filter(|h| h.time.is_none()) {
+            let known = maps.iter().position(|m| m.name == h.name);
+            let at = known.unwrap_or_else(|| {
+                maps.push(HeatMap { name: h.name, span: h.span, ..HeatMap::default() });
+                maps.len() - 1
+            });
+            maps[at].steps.push(step);
+            maps[at].counts.push(h.counts);
+        }
+    }
+    maps
+}
+
+/// Provenance as rows `section.name`, value.
+fn provenance(folder: &RunFolder) -> Result<Vec<[String; 2]>, RunError> {
+    let text = folder.read(folder::PROVENANCE)?;
+    let value: Value = serde_json::from_str(&text).unwrap_or_default();
+    let mut rows = Vec::new();
+    for (key, entry) in value.as_object().into_iter().flatten() {
+        match entry.as_object() {
+            Some(inner) => rows.extend(inner.iter().map(|(k, v)| [format!("{key}.{k}"), plain(v)])),
+            None => rows.push([key.clone(), plain(entry)]),
+        }
+    }
+    Ok(rows)
+}
+
+fn plain(value: &Value) -> String {
+    match value {
+        Value::String(s) => s.clone(),
+        Value::Array(list) => list.iter().map(plain).collect::<Vec<_>>().join(", "),
+        Value::Null => "–".to_owned(),
+        other => other.to_string(),
+    }
+}

@@ -1,0 +1,405 @@
+//! The loop that trains: steps, log lines, checkpoints, evaluations, and the three ways to end.
+
+use super::RunError;
+use super::folder::{self, Log, RunFolder};
+use super::opened::metrics_json;
+use super::provenance::{DataOrigin, Machine, now_utc, peak_memory_mib};
+use super::settings::{self, Resolved};
+use super::summary::{Material, summarise};
+use gs_core::io::write_file;
+use gs_core::speed::SpeedError;
+use gs_data::{Dataset, ImageCache, Split};
+use gs_train::checkpoint::{self, Skipped};
+use gs_train::evaluate::{EvalReport, evaluate, evaluate_with_future};
+use gs_train::registry::Registry;
+use gs_train::renderer as picture;
+use gs_train::trainer::{StepReport, TrainError, TrainOptions, Trainer};
+use gs4d_report::analysis::Snapshot;
+use gs4d_report::png;
+use serde_json::{Value, json};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// A run in progress, in memory and on the disk.
+pub struct Training {
+    trainer: Trainer,
+    resolved: Resolved,
+    folder: RunFolder,
+    log: Log,
+    window: Window,
+    /// Seconds of training at which this session stops; 0: never.
+    stop_at: f64,
+    /// Checkpoints that were passed over on resuming.
+    skipped: Vec<Skipped>,
+}
+
+/// How a run came to rest.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Outcome {
+    /// The schedule is at its end.
+    Finished,
+    /// The time budget is spent; the state is in this file.
+    BudgetSpent(PathBuf),
+    /// It was asked to stop; the state is in this file.
+    Interrupted(PathBuf),
+}
+
+/// Where a run stands, for a line of progress.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Progress {
+    /// Steps made.
+    pub step: u32,
+    /// Steps of the schedule.
+    pub steps: u32,
+    /// Loss, averaged over the steps since the last line of the log.
+    pub loss: f64,
+    /// PSNR of the training views since then, dB.
+    pub psnr: f64,
+    /// Number of splats.
+    pub splats: usize,
+    /// Gradient rows refused since then.
+    pub quarantined: u64,
+    /// Seconds of training.
+    pub seconds: f64,
+}
+
+/// Sums since the last line of the log.
+#[derive(Clone, Debug, Default)]
+struct Window {
+    steps: u32,
+    loss: f64,
+    l1: f64,
+    fre: f64,
+    mrf: f64,
+    mse: f64,
+    ms: f64,
+    quarantined: u64,
+    cloned: u64,
+    split: u64,
+    pruned: u64,
+}
+
+impl Window {
+    fn add(&mut self, report: &StepReport) {
+        self.steps += 1;
+        self.loss += report.loss.total;
+        self.l1 += report.loss.l1;
+        self.fre += report.loss.fre.unwrap_or(0.0);
+        self.mrf += report.loss.mrf.unwrap_or(0.0);
+        self.mse += report.loss.mse;
+        self.ms += report.ms.total;
+        self.quarantined += u64::from(report.quarantined);
+        self.cloned += u64::from(report.adapted.cloned);
+        self.split += u64::from(report.adapted.split);
+        self.pruned += u64::from(report.adapted.pruned);
+    }
+
+    fn mean(&self, sum: f64) -> f64 {
+        sum / f64::from(self.steps.max(1))
+    }
+
+    fn psnr(&self) -> f64 {
+        gs_metrics::psnr_from_mse(self.mean(self.mse))
+    }
+}
+
+impl Training {
+    /// Begins a run in a new folder.
+    ///
+    /// # Errors
+    /// If the folder is taken, the data or the method cannot be used.
+    pub fn begin(root: &Path, overwrite: bool, resolved: Resolved) -> Result<Self, RunError> {
+        let dataset = Arc::new(resolved.open_data()?);
+        Self::begin_on(root, overwrite, resolved, dataset)
+    }
+
+    /// The same on a part of the data of the settings.
+    ///
+    /// # Errors
+    /// If the folder is taken or the method cannot be used.
+    pub fn begin_on(root: &Path, overwrite: bool, resolved: Resolved, dataset: Arc<Dataset>) -> Result<Self, RunError> {
+        let options = TrainOptions { seed: resolved.run.seed, image_bytes: image_bytes(&resolved) };
+        let trainer = Trainer::new(&resolved.registry, dataset, &resolved.run.method, &resolved.method, options)?;
+        let folder = RunFolder::create(root, overwrite)?;
+        folder.write(folder::CONFIG, &resolved.config.to_commented_toml())?;
+        let provenance = json!({
+            "machine": Machine::here(),
+            "started": now_utc(),
+            "method": resolved.run.method,
+            "preset": resolved.run.preset,
+            "seed": resolved.run.seed,
+            "steps": trainer.steps(),
+            "data": DataOrigin::of(trainer.dataset()),
+        });
+        folder.write(folder::PROVENANCE, &format!("{provenance:#}\n"))?;
+        let (log, stop_at) = (folder.log(folder::LOG)?, resolved.run.time_budget);
+        Ok(Self { trainer, resolved, folder, log, window: Window::default(), stop_at, skipped: Vec::new() })
+    }
+
+    /// Goes on with a run from its newest checkpoint that verifies. With `steps`, the schedule is given that many
+    /// ([`settings::lengthen`]). `budget` is for this session alone, in seconds; the one the run began with is spent.
+    ///
+    /// # Errors
+    /// If no checkpoint is usable, the data have changed in number, or the steps cannot be made.
+    pub fn resume(registry: &Registry, root: &Path, steps: Option<u32>, budget: Option<f64>) -> Result<Self, RunError> {
+        let folder = RunFolder::open_to_write(root)?;
+        let newest = checkpoint::load_newest(&folder.checkpoints())?;
+        let mut resolved = Resolved::read(registry, &folder.read(folder::CONFIG)?, folder::CONFIG)?;
+        let done = newest.checkpoint.meta["step"].as_u64().and_then(|s| u32::try_from(s).ok()).unwrap_or(0);
+        if let Some(steps) = steps {
+            resolved = settings::lengthen(&resolved, steps, done)?;
+            folder.write(folder::CONFIG, &resolved.config.to_commented_toml())?;
+        }
+        let dataset = Arc::new(resolved.open_data()?);
+        let bytes = image_bytes(&resolved);
+        let trainer = Trainer::resume(registry, dataset, &newest.checkpoint, Some(&resolved.method), bytes)?;
+        for name in [folder::LOG, folder::HISTOGRAMS, folder::JOURNAL] {
+            folder.cut_log(name, done)?;
+        }
+        let log = folder.log(folder::LOG)?;
+        let stop_at = budget.map_or(0.0, |b| trainer.train_seconds() + b);
+        Ok(Self { trainer, resolved, folder, log, window: Window::default(), stop_at, skipped: newest.skipped })
+    }
+
+    /// Goes on with more views and other settings ([`Trainer::with_more_views`]).
+    ///
+    /// # Errors
+    /// If the method cannot be built anew or the settings cannot be written.
+    pub fn grow(self, resolved: Resolved, dataset: Arc<Dataset>) -> Result<Self, RunError> {
+        let trainer = self.trainer.with_more_views(&resolved.registry, dataset, &resolved.method)?;
+        self.folder.write(folder::CONFIG, &resolved.config.to_commented_toml())?;
+        Ok(Self { trainer, resolved, window: Window::default(), ..self })
+    }
+
+    /// Trains until the schedule ends, the time budget is spent or `stop` is set; saves in every case. Between two steps
+    /// `tell` hears where the run stands and may look at it.
+    ///
+    /// # Errors
+    /// If a step fails (the last checkpoint stays good) or something cannot be written.
+    pub fn train(&mut self, stop: &AtomicBool, tell: &mut dyn FnMut(Progress, &Trainer)) -> Result<Outcome, RunError> {
+        loop {
+            let step = self.trainer.steps_done();
+            if step >= self.trainer.steps() {
+                self.save()?;
+                return Ok(Outcome::Finished);
+            }
+            if stop.load(Ordering::Relaxed) {
+                return Ok(Outcome::Interrupted(self.save()?));
+            }
+            if self.stop_at > 0.0 && self.trainer.train_seconds() >= self.stop_at {
+                return Ok(Outcome::BudgetSpent(self.save()?));
+            }
+            self.step(tell)?;
+        }
+    }
+
+    fn step(&mut self, tell: &mut dyn FnMut(Progress, &Trainer)) -> Result<(), RunError> {
+        let report = match self.trainer.step() {
+            Ok(report) => report,
+            Err(error) => {
+                let at = self.trainer.steps_done();
+                self.log
+                    .add(&json!({"step": at, "seconds": self.trainer.train_seconds(), "error": error.to_string()}))?;
+                return Err(error.into());
+            }
+        };
+        self.window.add(&report);
+        let due = |every: u32| every > 0 && report.step.is_multiple_of(every);
+        let run = &self.resolved.run;
+        let (log, evaluation, save) = (due(run.log_every), due(run.eval_every), due(run.checkpoint_every));
+        let histograms = due(run.histogram_every);
+        tell(self.progress(), &self.trainer);
+        if log || report.step == self.trainer.steps() {
+            let line = self.log_line(&report);
+            self.log.add(&line)?;
+            self.window = Window::default();
+        }
+        if histograms {
+            self.keep_histograms()?;
+        }
+        self.keep_journal()?;
+        if evaluation {
+            self.evaluate_while_training()?;
+        }
+        if save {
+            self.save()?;
+        }
+        Ok(())
+    }
+
+    fn progress(&self) -> Progress {
+        let w = &self.window;
+        Progress {
+            step: self.trainer.steps_done(),
+            steps: self.trainer.steps(),
+            loss: w.mean(w.loss),
+            psnr: w.psnr(),
+            splats: self.trainer.method().len(),
+            quarantined: w.quarantined,
+            seconds: self.trainer.train_seconds(),
+        }
+    }
+
+    fn log_line(&self, report: &StepReport) -> Value {
+        let w = &self.window;
+        json!({
+            "step": report.step,
+            "seconds": self.trainer.train_seconds(),
+            "stage": report.stage,
+            "loss": w.mean(w.loss),
+            "l1": w.mean(w.l1),
+            "fre": report.loss.fre.map(|_| w.mean(w.fre)),
+            "mrf": report.loss.mrf.map(|_| w.mean(w.mrf)),
+            "psnr": w.psnr(),
+            "penalties": report.penalties.iter().map(|(n, v)| ((*n).to_owned(), json!(v))).collect::<serde_json::Map<_, _>>(),
+            "splats": report.splats,
+            "cloned": w.cloned,
+            "split": w.split,
+            "pruned": w.pruned,
+            "quarantined": w.quarantined,
+            "ms_per_step": w.mean(w.ms),
+            "ms_last": report.ms,
+            "memory_mib": peak_memory_mib(),
+        })
+    }
+
+    /// Adds the quantities of the splats to their own log, if the method has any.
+    fn keep_histograms(&self) -> Result<(), RunError> {
+        let snapshot = Snapshot::of(self.trainer.method());
+        if snapshot.is_empty() {
+            return Ok(());
+        }
+        let mut line = json!(snapshot);
+        line["step"] = json!(self.trainer.steps_done());
+        line["seconds"] = json!(self.trainer.train_seconds());
+        self.folder.log(folder::HISTOGRAMS)?.add(&line)
+    }
+
+    /// Adds what the method has to tell of the step to its own log.
+    fn keep_journal(&mut self) -> Result<(), RunError> {
+        let told = self.trainer.journal();
+        if told.is_empty() {
+            return Ok(());
+        }
+        let mut log = self.folder.log(folder::JOURNAL)?;
+        told.iter().try_for_each(|line| log.add(line))
+    }
+
+    /// Scores a few validation views (test views are left for the end) and logs the means.
+    fn evaluate_while_training(&mut self) -> Result<(), RunError> {
+        let dataset = self.trainer.dataset();
+        let split = if dataset.val.is_empty() { Split::Train } else { Split::Val };
+        let few = few_views(dataset, split, self.resolved.run.eval_views as usize);
+        let report = evaluate(self.trainer.method(), &few, split, self.background(), &self.photographs())?;
+        let line = json!({
+            "step": self.trainer.steps_done(),
+            "seconds": self.trainer.train_seconds(),
+            "eval": {"split": report.split, "views": report.views.len(), "mean": report.mean},
+        });
+        self.log.add(&line)
+    }
+
+    fn background(&self) -> [f32; 3] {
+        self.trainer.method().schedule().background.evaluation_color()
+    }
+
+    /// Scores the test views, or the training views where there are none, and beside them the views beyond the last training
+    /// time where there are any; writes `metrics.json`.
+    ///
+    /// # Errors
+    /// If a photograph cannot be read or the file cannot be written.
+    pub fn score(&self) -> Result<EvalReport, RunError> {
+        let dataset = self.trainer.dataset();
+        let split = if dataset.test.is_empty() { Split::Train } else { Split::Test };
+        let photographs = self.photographs();
+        let mut report = evaluate_with_future(self.trainer.method(), dataset, split, self.background(), &photographs)?;
+        report.train_seconds = Some(self.trainer.train_seconds());
+        self.folder.write(folder::METRICS, &format!("{:#}\n", metrics_json(&report, self.trainer.steps_done())))?;
+        Ok(report)
+    }
+
+    /// Writes `report.html` for these scores, and the pictures shown in it to `renders/`; gives the rows of speed against
+    /// error measured for it.
+    ///
+    /// # Errors
+    /// If a photograph cannot be read or the file cannot be written.
+    pub fn report(&self, scores: &EvalReport) -> Result<Vec<SpeedError>, RunError> {
+        let photographs = self.photographs();
+        let material = Material {
+            folder: &self.folder,
+            resolved: &self.resolved,
+            method: self.trainer.method(),
+            dataset: self.trainer.dataset(),
+            photographs: &photographs,
+            scores,
+            extent: self.trainer.scene().extent,
+            step: self.trainer.steps_done(),
+        };
+        let (report, rows) = summarise(&material)?;
+        self.folder.write(folder::REPORT, &report.html()?)?;
+        for view in &report.views {
+            let name = format!("step-{:06}_{}.png", material.step, picture::file_stem(&view.name));
+            let bytes = png(&view.drawn)?;
+            write_file(&self.folder.renders().join(name), true, |out| out.write_all(&bytes))?;
+        }
+        Ok(rows)
+    }
+
+    /// Photographs of this run's data.
+    pub fn photographs(&self) -> ImageCache {
+        ImageCache::new(image_bytes(&self.resolved), 1.0).with_max_image_mib(self.resolved.data.max_image_mib)
+    }
+
+    /// Saves the state now.
+    ///
+    /// # Errors
+    /// If the system refuses; older checkpoints stay good.
+    pub fn save(&self) -> Result<PathBuf, RunError> {
+        Ok(self.trainer.state().save_step(&self.folder.checkpoints(), self.trainer.steps_done())?)
+    }
+
+    /// The trainer.
+    pub fn trainer(&self) -> &Trainer {
+        &self.trainer
+    }
+
+    /// The settings.
+    pub fn resolved(&self) -> &Resolved {
+        &self.resolved
+    }
+
+    /// The folder.
+    pub fn folder(&self) -> &RunFolder {
+        &self.folder
+    }
+
+    /// Checkpoints that did not verify when the run was resumed.
+    pub fn skipped(&self) -> &[Skipped] {
+        &self.skipped
+    }
+}
+
+/// Whether an error is a numerical failure, after which the last checkpoint is the state to go back to.
+pub fn is_numeric(error: &RunError) -> bool {
+    matches!(error, RunError::Train(TrainError::Numeric { .. }))
+}
+
+fn image_bytes(resolved: &Resolved) -> usize {
+    (resolved.run.image_mib as usize) << 20
+}
+
+/// A data set of at most `count` evenly spaced views of a split.
+pub fn few_views(dataset: &Dataset, split: Split, count: usize) -> Dataset {
+    let views = dataset.views(split);
+    let count = count.clamp(1, views.len().max(1));
+    let kept: Vec<_> = (0..count).filter_map(|i| views.get(i * views.len() / count).cloned()).collect();
+    let mut few = dataset.without_views();
+    match split {
+        Split::Train => few.train = kept,
+        Split::Val => few.val = kept,
+        Split::Test => few.test = kept,
+        Split::Extrapolate => few.extrapolate = kept,
+    }
+    few
+}

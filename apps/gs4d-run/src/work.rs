@@ -1,0 +1,145 @@
+//! What drawing and training took, and what they skipped: counts of the rasteriser over views, sums of the log.
+
+use gs_core::{Camera, Time};
+use gs_raster::{Frame, RasterOptions, Workspace, blend_counts, render_into};
+use gs_train::method::{Method, RestOptions};
+use gs_train::timestamp::Moment;
+use gs4d_report::Need;
+use gs4d_report::inspect::bytes_text;
+use serde_json::Value;
+
+/// What drawing these views does not do.
+pub fn drawing_rows(method: &dyn Method, views: &[(Camera, Time)], options: &RasterOptions) -> Vec<Need> {
+    let (mut workspace, mut frame) = (Workspace::new(), Frame::default());
+    let (mut all, mut given, mut listed, mut entries, mut used) = (0usize, 0usize, 0usize, 0usize, 0usize);
+    let (mut blended, mut pixels, mut deepest) = (0u64, 0usize, 0u32);
+    for (camera, time) in views {
+        let splats = method.splats(&Moment::new(*time), camera);
+        render_into(&splats, camera, options, &mut workspace, &mut frame);
+        all += method.len();
+        given += splats.len();
+        listed += workspace.splats_listed();
+        entries += workspace.entries();
+        used += workspace.entries_used();
+        let counts = blend_counts(&splats, options, &mut workspace);
+        blended += counts.iter().map(|c| u64::from(*c)).sum::<u64>();
+        pixels += counts.len();
+        deepest = counts.into_iter().fold(deepest, u32::max);
+    }
+    if all == 0 {
+        return Vec::new();
+    }
+    let of = |part: usize, whole: usize| {
+        let per_view = part as f64 / views.len() as f64;
+        format!("{per_view:.0} a view ({:.1} %)", 100.0 * part as f64 / whole.max(1) as f64)
+    };
+    let mut rows = Vec::new();
+    if given < all {
+        rows.push(row(
+            "left out by the method",
+            of(all - given, all),
+            "splats not made for a view: not seen, or masked out",
+        ));
+    }
+    rows.extend([
+        row("culled", of(given - listed, given), "behind, outside, below α 1/255, or hidden by closed tiles"),
+        row(
+            "blended",
+            format!("{:.1} a pixel, at most {deepest}", blended as f64 / pixels.max(1) as f64),
+            "splats of α 1/255 or more, up to the one that fills the pixel",
+        ),
+        row("never reached", of(entries - used, entries), "tile entries behind what is opaque already"),
+        row("scratch of drawing", bytes_text(workspace.bytes()), "held by the rasteriser, reused from frame to frame"),
+    ]);
+    rows
+}
+
+/// What could be left where it rests, where the method has a way to draw so.
+pub fn resting_rows(method: &dyn Method, views: &[(Camera, Time)]) -> Vec<Need> {
+    let cameras: Vec<Camera> = views.iter().map(|v| v.0.clone()).collect();
+    let options = RestOptions::usual(&cameras);
+    let pixels = options.still.pixels;
+    let Some((_, report)) = method.resting(&options) else { return Vec::new() };
+    let still = report.rows;
+    let share = 100.0 * still.still as f64 / still.splats.max(1) as f64;
+    vec![row(
+        "rows that could rest",
+        format!("{} of {} ({share:.1} %)", still.still, still.splats),
+        &format!("within {pixels} pixels of the views looked at; left out only if asked for"),
+    )]
+}
+
+/// Sums of a log, and what its last line tells.
+pub fn training_rows(log: &[Value]) -> Vec<Need> {
+    let steps: Vec<&Value> = log.iter().filter(|l| l["ms_per_step"].is_number()).collect();
+    let Some(last) = steps.last() else { return Vec::new() };
+    let sum = |key: &str| steps.iter().filter_map(|l| l[key].as_u64()).sum::<u64>();
+    let grown = format!("+{} cloned, +{} split, −{} pruned", sum("cloned"), sum("split"), sum("pruned"));
+    let mut rows = vec![
+        row("density control", grown, "splats over all steps"),
+        row("gradient rows refused", sum("quarantined").to_string(), "not finite, and so not learnt from"),
+    ];
+    let share = |(name, ms): (&String, &Value)| {
+        let ms = ms.as_f64().filter(|_| name != "total")?;
+        Some(format!("{} {ms:.2}", name.replace('_', " ")))
+    };
+    let phases: Vec<String> = last["ms_last"].as_object().into_iter().flatten().filter_map(share).collect();
+    if let Some(total) = last["ms_last"]["total"].as_f64() {
+        rows.push(row("the last step, ms", format!("{total:.2}"), &phases.join(", ")));
+    }
+    if let Some(peak) = last["memory_mib"].as_f64() {
+        rows.push(row("peak memory", format!("{peak:.1} MiB"), "resident, of the whole process, while training"));
+    }
+    rows
+}
+
+fn row(name: &str, value: String, meaning: &str) -> Need {
+    Need { name: name.to_owned(), value, meaning: meaning.to_owned() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gs_synth::{self as synth, SynthOptions};
+    use gs_train::method::{SceneInfo, section};
+    use gs_train::renderer::moment;
+    use serde_json::json;
+
+    #[test]
+    fn a_camera_that_looks_away_culls_all() {
+        let options = SynthOptions { size: 32, train_views: 4, test_views: 1, ..SynthOptions::default() };
+        let data = synth::generate("static", &options).unwrap().dataset;
+        let entry = gs_methods::registry().find("static3d").unwrap();
+        let config = entry.config("tiny").unwrap();
+        let scene = SceneInfo::of(&data, &section("static3d", &config, "init").unwrap(), 0).unwrap();
+        let method = (entry.build)(&config, &scene).unwrap();
+        let camera = &data.test[0].camera;
+        let mut away = camera.clone();
+        away.rotation = glam::DMat3::from_diagonal(glam::DVec3::new(-1.0, 1.0, -1.0)) * away.rotation;
+        away.translation = glam::DVec3::new(-1.0, 1.0, -1.0) * away.translation;
+        let at = moment(0.0).t;
+        let values = |camera: &Camera| {
+            let rows = drawing_rows(method.as_ref(), &[(camera.clone(), at)], &RasterOptions::default());
+            (rows[0].value.clone(), rows[1].value.clone())
+        };
+        let all = format!("{} a view (100.0 %)", method.len());
+        assert_eq!(values(&away), (all.clone(), "0.0 a pixel, at most 0".to_owned()));
+        let (culled, blended) = values(camera);
+        assert!(culled != all && !blended.starts_with("0.0"), "{blended}");
+        assert!(drawing_rows(method.as_ref(), &[], &RasterOptions::default()).is_empty());
+        assert!(resting_rows(method.as_ref(), &[(camera.clone(), at)]).is_empty(), "it has no such way");
+    }
+
+    #[test]
+    fn a_log_is_summed() {
+        let line = |cloned: u32| {
+            json!({"step": 1, "ms_per_step": 2.0, "cloned": cloned, "split": 1, "pruned": 2, "quarantined": 0,
+                "ms_last": {"field": 0.5, "raster_forward": 0.25, "total": 1.0}, "memory_mib": 20.0})
+        };
+        let rows = training_rows(&[line(3), json!({"step": 1, "eval": {}}), line(4)]);
+        assert_eq!(rows[0].value, "+7 cloned, +2 split, −4 pruned");
+        assert_eq!((rows[2].value.as_str(), rows[2].meaning.as_str()), ("1.00", "field 0.50, raster forward 0.25"));
+        assert_eq!((rows[3].value.as_str(), rows.len()), ("20.0 MiB", 4));
+        assert!(training_rows(&[json!({"eval": 1})]).is_empty());
+    }
+}

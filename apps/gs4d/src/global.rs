@@ -1,0 +1,36 @@
+//! The flags that every verb takes.
+
+use clap::Args;
+
+/// Flags every verb takes.
+#[derive(Args, Clone, Debug)]
+pub struct Global {
+    /// Print the result as one JSON value on stdout.
+    #[arg(long, global = true)]
+    pub json: bool,
+    /// No progress and no messages on stderr but errors.
+    #[arg(short, long, global = true, conflicts_with = "verbose")]
+    pub quiet: bool,
+    /// More detail on stderr.
+    #[arg(short, long, global = true)]
+    pub verbose: bool,
+    /// Threads to use; results are the same for any number [default: all cores].
+    #[arg(long, global = true, value_name = "T", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub threads: Option<u16>,
+}
+
+impl Global {
+    /// A message on stderr, unless quiet.
+    pub fn say(&self, message: impl std::fmt::Display) {
+        if !self.quiet {
+            eprintln!("{message}");
+        }
+    }
+
+    /// A message on stderr for those who asked for detail.
+    pub fn detail(&self, message: impl std::fmt::Display) {
+        if self.verbose {
+            eprintln!("{message}");
+        }
+    }
+}

@@ -1,0 +1,211 @@
+//! From frames, roles and pictures to a data set: the same way for folders and for generated scenes.
+//!
+//! | frame in | camera | goes to |
+//! |---|---|---|
+//! | any list | cond | the inputs of its frame |
+//! | `train` | train, cond | training views |
+//! | `train`, `test` | test | test views |
+//! | `ood` | test | views beyond what was learnt: [`Dataset::extrapolate`] |
+
+use std::collections::{BTreeMap, HashMap, HashSet};
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use glam::Vec3;
+use gs_texel::{Character, Pose, Skinning};
+
+use crate::avatar::{AvatarFrame, AvatarScene, SurfacePoints, sample};
+use crate::error::{DataError, Place};
+use crate::options::{DataOptions, TimeFrom};
+use crate::times::{Draft, Drafts, settle};
+use crate::{Dataset, PointCloud, View};
+
+/// Points of the template's surface that training may start from.
+const START_POINTS: usize = 20_000;
+/// A box around the poses is widened by this part of its size on each side.
+const MARGIN: f32 = 0.1;
+
+/// What a camera is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Role {
+    /// To learn from.
+    Train,
+    /// To learn from, and the input of every frame.
+    Cond,
+    /// Held out.
+    Test,
+}
+
+impl Role {
+    /// Every role by name.
+    pub const NAMES: [(&'static str, Self); 3] = [("train", Self::Train), ("cond", Self::Cond), ("test", Self::Test)];
+}
+
+/// Which list a frame is in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FrameUse {
+    Train,
+    Test,
+    Ood,
+}
+
+/// A frame without its pictures.
+pub struct Still {
+    pub number: u32,
+    pub list: FrameUse,
+    pub pose: Pose,
+    pub true_morphs: Option<Vec<f32>>,
+    pub points: Option<SurfacePoints>,
+}
+
+/// A picture of a frame; its time is not settled.
+pub struct Shot {
+    pub number: u32,
+    pub role: Role,
+    pub view: View,
+}
+
+/// A film before its times are settled.
+pub struct Film {
+    /// The folder; empty for films made in memory.
+    pub root: PathBuf,
+    pub layout: &'static str,
+    /// Where faults of times are.
+    pub place: Place,
+    pub character: Character,
+    pub skinning: Skinning,
+    pub fps: f64,
+    /// In order of their numbers.
+    pub stills: Vec<Still>,
+    /// Camera after camera in order of ids, each with its frames in order; all of frames in `stills`.
+    pub shots: Vec<Shot>,
+    pub has_alpha: bool,
+    pub notes: Vec<String>,
+}
+
+/// The name of a picture.
+pub fn shot_name(camera: u32, frame: u32) -> String {
+    format!("c{camera:03}_f{frame:06}")
+}
+
+impl Film {
+    /// The data set.
+    ///
+    /// # Errors
+    /// `data.option` if an option does not fit a film, `data.empty` if no training view is left.
+    pub fn into_dataset(mut self, options: &DataOptions) -> Result<Dataset, DataError> {
+        if options.time_from != TimeFrom::File {
+            let (name, value) = ("data.time_from", format!("{:?}", options.time_from).to_lowercase());
+            let rule = "file: frame n of a film is at n / fps; data.fps sets another rate".into();
+            return Err(DataError::Option { name, value, rule });
+        }
+        let fps = options.fps.unwrap_or(self.fps);
+        if !(fps > 0.0 && fps.is_finite()) {
+            let rule = "above 0: frames per second".into();
+            return Err(DataError::Option { name: "data.fps", value: fps.to_string(), rule });
+        }
+        let stated = |number: u32| Some(f64::from(number) / fps);
+        let place = self.place.clone();
+        let Sorted { drafts, mut inputs, ood, numbers } =
+            self.sort(|number, view| Draft { view, stated: stated(number), place: place.clone() });
+        if drafts.train.is_empty() {
+            return Err(DataError::Empty { file: place.file });
+        }
+        let mut settled = settle(drafts, options, None)?;
+        let (beyond, test) = std::mem::take(&mut settled.test).into_iter().partition(|v| ood.contains(&v.name));
+        settled.test = test;
+        settled.extrapolate.extend::<Vec<View>>(beyond);
+        if !settled.dynamic {
+            let shown = settled.train.first().and_then(|v| numbers.get(&v.name));
+            self.stills.retain(|s| Some(&s.number) == shown);
+        }
+        let mut frames = Vec::with_capacity(self.stills.len());
+        let mut first = None;
+        for s in self.stills {
+            let time = settled.clock.time(stated(s.number), &place)?;
+            let Some(mut views) = inputs.remove(&s.number) else {
+                self.notes.push(format!("frame {} has no input, so nothing can be made of it", s.number));
+                continue;
+            };
+            views.iter_mut().for_each(|v| v.time = time);
+            if s.list == FrameUse::Train {
+                first.get_or_insert(frames.len());
+            }
+            let learnt = settled.train.iter().any(|v| v.time == time);
+            let (number, pose, points, true_morphs) = (s.number, s.pose, s.points, s.true_morphs);
+            frames.push(AvatarFrame { number, time, learnt, pose, inputs: views, points, true_morphs });
+        }
+        if frames.is_empty() {
+            return Err(DataError::Empty { file: place.file });
+        }
+        let scene = AvatarScene { character: self.character, skinning: self.skinning, fps, frames };
+        self.notes.push(format!("frame n is at n / {fps} seconds; data.fps sets another rate"));
+        let (points, bounds) = (start(&scene, first.unwrap_or(0)), bounds(&scene));
+        Ok(Dataset {
+            points,
+            bounds,
+            avatar: Some(Arc::new(scene)),
+            ..settled.dataset(&self.root, self.layout, self.has_alpha, self.notes)
+        })
+    }
+
+    /// The pictures by what they are for.
+    fn sort(&mut self, draft: impl Fn(u32, View) -> Draft) -> Sorted {
+        let lists: HashMap<u32, FrameUse> = self.stills.iter().map(|s| (s.number, s.list)).collect();
+        let mut out = Sorted::default();
+        for Shot { number, role, view } in std::mem::take(&mut self.shots) {
+            if role == Role::Cond {
+                out.inputs.entry(number).or_default().push(view.clone());
+            }
+            let list = match (lists.get(&number), role) {
+                (Some(FrameUse::Train), Role::Train | Role::Cond) => &mut out.drafts.train,
+                (Some(_), Role::Test) => &mut out.drafts.test,
+                _ => continue,
+            };
+            if lists.get(&number) == Some(&FrameUse::Ood) {
+                out.ood.insert(view.name.clone());
+            }
+            out.numbers.insert(view.name.clone(), number);
+            list.push(draft(number, view));
+        }
+        out
+    }
+}
+
+#[derive(Default)]
+struct Sorted {
+    drafts: Drafts,
+    /// Inputs by frame, in order of camera ids.
+    inputs: BTreeMap<u32, Vec<View>>,
+    /// Names of the test views of frames of the list `ood`.
+    ood: HashSet<String>,
+    numbers: HashMap<String, u32>,
+}
+
+/// Points of the posed template at its first training frame, coloured as it is.
+fn start(scene: &AvatarScene, first: usize) -> Option<PointCloud> {
+    let frame = scene.frames.get(first)?;
+    let (template, vertices) = (&scene.character.template, scene.posed(frame));
+    let points = sample::on_faces(&vertices, &template.faces, START_POINTS, 0, frame.number);
+    let color = |(face, bary): &sample::OnFace| {
+        let c = template.colour(*face as usize, *bary);
+        [c.x, c.y, c.z].map(|v| v.clamp(0.0, 1.0))
+    };
+    let positions = sample::places(&points, &vertices, &template.faces);
+    (!points.is_empty()).then(|| PointCloud { positions, colors: points.iter().map(color).collect() })
+}
+
+/// A box around the posed template at every frame.
+fn bounds(scene: &AvatarScene) -> Option<[Vec3; 2]> {
+    let mut all: Option<[Vec3; 2]> = None;
+    for frame in &scene.frames {
+        for p in scene.posed(frame).into_iter().filter(|p| p.is_finite()) {
+            let [low, high] = all.unwrap_or([p; 2]);
+            all = Some([low.min(p), high.max(p)]);
+        }
+    }
+    all.map(|[low, high]| {
+        let margin = MARGIN * (high - low).max_element() * Vec3::ONE;
+        [low - margin, high + margin]
+    })
+}

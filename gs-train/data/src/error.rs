@@ -1,0 +1,426 @@
+//! What can be wrong with a data set: what, where, why it matters, what to do.
+//!
+//! `Display` is the headline alone; [`DataError::report`] is the whole text the command line prints:
+//! ```text
+//! error[data.time]: frame "r_017" has time 1.3, the other 149 lie in 0..1
+//!   in   transforms_train.json, frames[17].time
+//!   why  outside the training span it would train the extrapolation range
+//!   do   fix the file, or pass --set data.time_range=0..1.3
+//! ```
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use super::options::TimeRange;
+
+/// Missing files are named one by one up to this many, then counted.
+pub const MISSING_NAMED: usize = 20;
+
+/// Where in the data: the file, and inside it a JSON path, row or byte offset (empty: the whole file).
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Place {
+    /// The file.
+    pub file: PathBuf,
+    /// For example `frames[17].time`, `images, row 3` or `byte 120`.
+    pub at: String,
+}
+
+impl Place {
+    /// A place inside a file.
+    pub fn new(file: &Path, at: impl Into<String>) -> Self {
+        Self { file: file.to_path_buf(), at: at.into() }
+    }
+}
+
+impl fmt::Display for Place {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", self.file.display())?;
+        if self.at.is_empty() { Ok(()) } else { write!(f, ", {}", self.at) }
+    }
+}
+
+/// Why a data set cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum DataError {
+    /// The folder does not exist or is no folder.
+    #[error("there is no folder {}", .path.display())]
+    NotFound {
+        /// The folder asked for.
+        path: PathBuf,
+    },
+    /// No reader knows this folder, or the one asked for does not exist.
+    #[error("no known data layout in {} ({looked_for})", .path.display())]
+    Layout {
+        /// The folder.
+        path: PathBuf,
+        /// What was looked for.
+        looked_for: String,
+    },
+    /// The operating system refused a read.
+    #[error("cannot read {}: {source}", .file.display())]
+    Read {
+        /// The file.
+        file: PathBuf,
+        /// The operating system's answer.
+        source: std::io::Error,
+    },
+    /// The operating system refused a write.
+    #[error("cannot write {}: {source}", .file.display())]
+    Write {
+        /// The file.
+        file: PathBuf,
+        /// The operating system's answer.
+        source: std::io::Error,
+    },
+    /// The target folder holds files already.
+    #[error("{} is not empty", .path.display())]
+    Occupied {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// A file is larger than its reader accepts.
+    #[error("{place} needs {bytes} bytes, the limit is {limit}")]
+    TooLarge {
+        /// The file, and the part of it that is too large.
+        place: Place,
+        /// Bytes it has or would need.
+        bytes: u64,
+        /// Bytes allowed.
+        limit: u64,
+    },
+    /// The file is not what its format demands.
+    #[error("{place}: {message}")]
+    Syntax {
+        /// File and position.
+        place: Place,
+        /// What the parser met.
+        message: String,
+    },
+    /// A binary file ends early.
+    #[error("{place}: {needed} more bytes are needed, {present} are left")]
+    Truncated {
+        /// File and offset.
+        place: Place,
+        /// Bytes the record needs (or the least a count implies).
+        needed: u64,
+        /// Bytes left in the file.
+        present: u64,
+    },
+    /// A field is missing, of the wrong kind, not finite or out of its domain.
+    #[error("{} is {value}", if .place.at.is_empty() { "a field" } else { .place.at.as_str() })]
+    Field {
+        /// File and field.
+        place: Place,
+        /// The value met, `missing` if none.
+        value: String,
+        /// What the field must be.
+        why: &'static str,
+        /// What to do.
+        fix: &'static str,
+    },
+    /// A pose is not a rotation and a translation.
+    #[error("{} has no rotation: {what}", .place.at)]
+    Pose {
+        /// File and matrix.
+        place: Place,
+        /// The measured fault.
+        what: String,
+    },
+    /// A training time lies outside the range.
+    #[error("frame \"{frame}\" has time {value}, the other {others} lie in {range}")]
+    Time {
+        /// File and field.
+        place: Place,
+        /// Name of the frame.
+        frame: String,
+        /// Its time.
+        value: f64,
+        /// How many training frames lie inside.
+        others: usize,
+        /// The range expected.
+        range: TimeRange,
+    },
+    /// Image files that do not exist; all of them, in file order.
+    #[error("{}", missing_headline(.missing, *.total))]
+    Missing {
+        /// The file that lists them.
+        listed_in: PathBuf,
+        /// Every missing file, relative to the data folder.
+        missing: Vec<PathBuf>,
+        /// Images listed in total.
+        total: usize,
+    },
+    /// Videos whose frames nobody has extracted.
+    #[error("{} holds {videos} videos without frames", .folder.display())]
+    Video {
+        /// The data folder.
+        folder: PathBuf,
+        /// How many.
+        videos: usize,
+        /// The shell command that extracts them, run in the folder.
+        command: String,
+    },
+    /// A path inside the data leaves the data folder.
+    #[error("path \"{path}\" leaves the data folder")]
+    Escape {
+        /// File and field.
+        place: Place,
+        /// The path as written.
+        path: String,
+    },
+    /// A camera model without a reader.
+    #[error("camera model {model} is not supported")]
+    CameraModel {
+        /// File and camera.
+        place: Place,
+        /// Its name or number.
+        model: String,
+    },
+    /// An image that cannot be decoded.
+    #[error("cannot decode {}: {message}", .file.display())]
+    Decode {
+        /// The file.
+        file: PathBuf,
+        /// The decoder's answer.
+        message: String,
+    },
+    /// Start points that cannot be read.
+    #[error("cannot read the points: {source}")]
+    Points {
+        /// The file.
+        file: PathBuf,
+        /// What its reader met.
+        source: Box<gs_core::io::IoError>,
+    },
+    /// A template that cannot be read.
+    #[error("cannot read the template: {source}")]
+    Character {
+        /// The file.
+        file: PathBuf,
+        /// What its reader met.
+        source: Box<gs_texel::CharacterError>,
+    },
+    /// An image whose size is not that of its camera.
+    #[error("{} is {}x{}, its camera is {}x{}", .file.display(), .got[0], .got[1], .want[0], .want[1])]
+    ImageSize {
+        /// The file.
+        file: PathBuf,
+        /// Width and height of the image.
+        got: [u32; 2],
+        /// Width and height of the camera.
+        want: [u32; 2],
+    },
+    /// No training view is left.
+    #[error("{} gives no training view", .file.display())]
+    Empty {
+        /// The file that should list them.
+        file: PathBuf,
+    },
+    /// An option, or an argument of a generated scene, outside its domain.
+    #[error("{name} = {value} is not possible: {rule}")]
+    Option {
+        /// Name of the option.
+        name: &'static str,
+        /// Value given.
+        value: String,
+        /// What it must be.
+        rule: String,
+    },
+}
+
+fn missing_headline(missing: &[PathBuf], total: usize) -> String {
+    let named: Vec<String> = missing.iter().take(MISSING_NAMED).map(|p| p.display().to_string()).collect();
+    let rest = missing.len().saturating_sub(MISSING_NAMED);
+    let more = if rest > 0 { format!(" and {rest} more") } else { String::new() };
+    format!("{} of {total} images are missing: {}{more}", missing.len(), named.join(", "))
+}
+
+impl DataError {
+    /// Stable name of the kind of fault.
+    pub fn code(&self) -> &'static str {
+        match self {
+            Self::NotFound { .. } => "data.path",
+            Self::Layout { .. } => "data.layout",
+            Self::Read { .. } => "io.read",
+            Self::Write { .. } => "io.write",
+            Self::Occupied { .. } => "io.exists",
+            Self::TooLarge { .. } => "limits.file",
+            Self::Syntax { .. } => "data.syntax",
+            Self::Truncated { .. } => "data.truncated",
+            Self::Field { .. } => "data.field",
+            Self::Pose { .. } => "data.pose",
+            Self::Time { .. } => "data.time",
+            Self::Missing { .. } => "data.missing",
+            Self::Video { .. } => "data.video",
+            Self::Escape { .. } => "data.escape",
+            Self::CameraModel { .. } => "data.camera_model",
+            Self::Decode { .. } => "data.image",
+            Self::Points { .. } => "data.points",
+            Self::Character { .. } => "data.character",
+            Self::ImageSize { .. } => "data.image_size",
+            Self::Empty { .. } => "data.empty",
+            Self::Option { .. } => "data.option",
+        }
+    }
+
+    /// Exit code of the command line: 2 usage, 3 data, 5 limit, 6 input and output.
+    pub fn exit_code(&self) -> u8 {
+        match self {
+            Self::Option { .. } => 2,
+            Self::TooLarge { .. } => 5,
+            Self::Read { .. } | Self::Write { .. } | Self::Occupied { .. } => 6,
+            _ => 3,
+        }
+    }
+
+    /// File and position, where there is one.
+    pub fn place(&self) -> Option<Place> {
+        match self {
+            Self::TooLarge { place, .. }
+            | Self::Syntax { place, .. }
+            | Self::Truncated { place, .. }
+            | Self::Field { place, .. }
+            | Self::Pose { place, .. }
+            | Self::Time { place, .. }
+            | Self::Escape { place, .. }
+            | Self::CameraModel { place, .. } => Some(place.clone()),
+            Self::Missing { listed_in: file, .. }
+            | Self::Decode { file, .. }
+            | Self::Points { file, .. }
+            | Self::Character { file, .. }
+            | Self::ImageSize { file, .. }
+            | Self::Empty { file }
+            | Self::Read { file, .. }
+            | Self::Write { file, .. } => Some(Place::new(file, "")),
+            Self::NotFound { .. }
+            | Self::Layout { .. }
+            | Self::Occupied { .. }
+            | Self::Video { .. }
+            | Self::Option { .. } => None,
+        }
+    }
+
+    /// Why it matters.
+    pub fn why(&self) -> &'static str {
+        match self {
+            Self::NotFound { .. } | Self::Read { .. } => "without it there is nothing to read",
+            Self::Layout { .. } => "guessing a layout would give wrong cameras without a word",
+            Self::Write { .. } => "the folder would be incomplete",
+            Self::Occupied { .. } => "nothing is overwritten unless asked",
+            Self::TooLarge { .. } => "a small file must not take all memory",
+            Self::Syntax { .. } | Self::Truncated { .. } => "the rest of the file cannot be trusted",
+            Self::Field { why, .. } => why,
+            Self::Pose { .. } => "a scaled, sheared or mirrored camera sees another scene",
+            Self::Time { .. } => "outside the training span it would train the extrapolation range",
+            Self::Missing { .. } => "training on fewer views than listed changes the result without a word",
+            Self::Video { .. } => "videos are not decoded here, frames are read as images",
+            Self::Escape { .. } => "data from elsewhere must not read files outside its own folder",
+            Self::CameraModel { .. } => "its distortion would be ignored and every ray bent",
+            Self::Decode { .. } => "the view cannot be compared",
+            Self::Points { .. } => "the file that names these points expects training to start from them",
+            Self::Character { .. } => "the scene's poses are those of this template",
+            Self::ImageSize { .. } => "focal lengths and principal point are in pixels of the camera's size",
+            Self::Empty { .. } => "there is nothing to learn from",
+            Self::Option { .. } => "the value has no meaning here",
+        }
+    }
+
+    /// What to do.
+    pub fn fix(&self) -> String {
+        match self {
+            Self::NotFound { .. } => "check the path".into(),
+            Self::Layout { .. } => "give the folder that holds the cameras, or name its layout with --set data.layout=NAME".into(),
+            Self::Read { .. } | Self::Write { .. } => "check permissions and disk".into(),
+            Self::Occupied { .. } => "choose another folder, or pass -f to overwrite".into(),
+            Self::TooLarge { .. } => "make the file smaller, or raise --set data.max_image_mib for images".into(),
+            Self::Syntax { .. } | Self::Truncated { .. } => "copy or export the file again".into(),
+            Self::Field { fix, .. } => (*fix).into(),
+            Self::Pose { .. } => "export camera-to-world matrices without scale".into(),
+            Self::Time { value, range, .. } => {
+                let wide = TimeRange { start: range.start.min(*value), end: range.end.max(*value) };
+                format!("fix the file, or pass --set data.time_range={wide}")
+            }
+            Self::Missing { .. } => "copy the files, or pass --set data.allow_missing=true to leave them out".into(),
+            Self::Video { command, .. } => format!("run in that folder: {command}"),
+            Self::Escape { .. } => "copy the file into the data folder and use a relative path".into(),
+            Self::CameraModel { .. } => {
+                "undistort first (colmap image_undistorter), or use SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL or OPENCV"
+                    .into()
+            }
+            Self::Decode { .. } => "open the image elsewhere; export it as 8 or 16 bit PNG or as JPEG".into(),
+            Self::Character { .. } => "export the character again as glTF or GLB".into(),
+            Self::Points { .. } => "export the points again, or remove ply_file_path to start without them".into(),
+            Self::ImageSize { .. } => "resize the image, or correct w and h in the camera file".into(),
+            Self::Empty { .. } => "list at least one training view whose image exists".into(),
+            Self::Option { rule, .. } => format!("give a value that fits: {rule}"),
+        }
+    }
+
+    /// The whole text: headline, `in`, `why`, `do`.
+    pub fn report(&self) -> String {
+        let place = self.place().map_or(String::new(), |p| format!("\n  in   {p}"));
+        format!("error[{}]: {self}{place}\n  why  {}\n  do   {}", self.code(), self.why(), self.fix())
+    }
+
+    /// A camera whose fields are out of their domain.
+    pub(crate) fn camera(place: &Place, e: &gs_core::camera::CameraError) -> Self {
+        Self::Field {
+            place: place.clone(),
+            value: format!("no usable camera ({e})"),
+            why: "every ray of the view depends on it",
+            fix: "correct the intrinsics, the pose or the size of the image",
+        }
+    }
+
+    pub fn syntax(file: &Path, at: impl Into<String>, message: impl Into<String>) -> Self {
+        Self::Syntax { place: Place::new(file, at), message: message.into() }
+    }
+
+    pub fn read(file: &Path, source: std::io::Error) -> Self {
+        Self::Read { file: file.to_path_buf(), source }
+    }
+
+    pub fn write(file: &Path, source: std::io::Error) -> Self {
+        Self::Write { file: file.to_path_buf(), source }
+    }
+
+    pub fn decode(file: &Path, message: impl fmt::Display) -> Self {
+        Self::Decode { file: file.to_path_buf(), message: message.to_string() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_report_says_what_where_why_and_what_to_do() {
+        let e = DataError::Time {
+            place: Place::new(Path::new("data/balls/transforms_train.json"), "frames[17].time"),
+            frame: "r_017".into(),
+            value: 1.3,
+            others: 149,
+            range: TimeRange { start: 0.0, end: 1.0 },
+        };
+        assert_eq!(
+            e.report(),
+            "error[data.time]: frame \"r_017\" has time 1.3, the other 149 lie in 0..1\n  \
+             in   data/balls/transforms_train.json, frames[17].time\n  \
+             why  outside the training span it would train the extrapolation range\n  \
+             do   fix the file, or pass --set data.time_range=0..1.3"
+        );
+        assert_eq!(e.exit_code(), 3);
+    }
+
+    #[test]
+    fn missing_files_are_named_up_to_twenty_then_counted() {
+        let missing = |n: usize| DataError::Missing {
+            listed_in: "transforms.json".into(),
+            missing: (0..n).map(|i| PathBuf::from(format!("images/{i:02}.png"))).collect(),
+            total: 67,
+        };
+        let text = missing(17).to_string();
+        assert!(text.starts_with("17 of 67 images are missing: images/00.png, ") && text.ends_with("images/16.png"));
+        assert!(missing(23).to_string().ends_with("images/19.png and 3 more"));
+    }
+}

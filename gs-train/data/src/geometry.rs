@@ -1,0 +1,136 @@
+//! Where a data set is: extent of its cameras, bounds of its scene, and a digest of both.
+
+use glam::{DMat3, DVec3, Vec3};
+
+use super::{Dataset, ImageSource, View};
+
+/// Of the points, this part may lie outside the bounds on each side: reconstructions have strays.
+const STRAYS: f64 = 0.01;
+/// A box around points is widened by this part of its size.
+const MARGIN: f32 = 0.1;
+
+impl Dataset {
+    /// Size of the scene as the training cameras span it: `1.1 · max |camera − mean camera|` (Kerbl et al. 2023). A single
+    /// camera, or several in one place, give 1.
+    pub fn scene_extent(&self) -> f32 {
+        let centres: Vec<DVec3> = self.train.iter().map(|v| v.camera.position()).collect();
+        let mean = centres.iter().sum::<DVec3>() / centres.len().max(1) as f64;
+        let radius = 1.1 * centres.iter().map(|c| (*c - mean).length()).fold(0.0, f64::max);
+        if radius > 1e-6 { radius as f32 } else { 1.0 }
+    }
+
+    /// Lower and upper corner of a box around the scene: what the layout knows (`bounds`); else the points without the
+    /// outer 1 % on each side, widened by a tenth; else a cube of the size of the camera rig around the point nearest to
+    /// all lines of sight.
+    pub fn scene_bounds(&self) -> [Vec3; 2] {
+        if let Some(bounds) = self.bounds {
+            return bounds;
+        }
+        match &self.points {
+            Some(p) if !p.positions.is_empty() => around_points(&p.positions),
+            _ => {
+                let half = Vec3::splat(self.scene_extent());
+                let centre = focus(&self.train).as_vec3();
+                [centre - half, centre + half]
+            }
+        }
+    }
+
+    /// A stable hash of the layout, the list of views with their cameras, lenses, masks and times, and of file names and sizes
+    /// (or pixels, for images in memory): 32 hexadecimal digits of 128-bit FNV-1a. Where the folder lies does not matter.
+    pub fn digest(&self) -> String {
+        let mut h = Fnv::default();
+        h.text(self.layout);
+        let splits =
+            [("train", &self.train), ("val", &self.val), ("test", &self.test), ("extrapolate", &self.extrapolate)];
+        // Data without a future keep the digest they had before there was one.
+        for (name, views) in splits.into_iter().filter(|(name, views)| *name != "extrapolate" || !views.is_empty()) {
+            h.text(name);
+            h.bytes(&(views.len() as u64).to_le_bytes());
+            views.iter().for_each(|v| self.digest_view(&mut h, v));
+        }
+        for p in self.points.iter().flat_map(|p| &p.positions) {
+            p.to_array().iter().for_each(|x| h.bytes(&x.to_bits().to_le_bytes()));
+        }
+        format!("{:032x}", h.0)
+    }
+
+    fn digest_view(&self, h: &mut Fnv, v: &View) {
+        let c = &v.camera;
+        h.text(&v.name);
+        h.bytes(&[c.width.to_le_bytes(), c.height.to_le_bytes(), v.camera_id.to_le_bytes()].concat());
+        let lens = v.lens.unwrap_or_default().to_array();
+        // Lenses without skew keep the digest they had before skew was read.
+        let lens = lens.into_iter().take(if lens[5] == 0.0 { 5 } else { 6 });
+        let intrinsics = [c.fx, c.fy, c.cx, c.cy, f64::from(v.time.normalised), v.time.seconds];
+        let pose = c.rotation.to_cols_array().into_iter().chain(c.translation.to_array());
+        intrinsics.into_iter().chain(pose).chain(lens).for_each(|x| h.bytes(&x.to_bits().to_le_bytes()));
+        v.stored.iter().flatten().for_each(|side| h.bytes(&side.to_le_bytes()));
+        if v.opaque {
+            h.text("opaque");
+        }
+        self.digest_source(h, &v.image);
+        v.mask.iter().for_each(|mask| self.digest_source(h, mask));
+    }
+
+    fn digest_source(&self, h: &mut Fnv, source: &ImageSource) {
+        match source {
+            ImageSource::File(file) => {
+                h.text(&file.strip_prefix(&self.root).unwrap_or(file).to_string_lossy());
+                h.bytes(&std::fs::metadata(file).map_or(0, |m| m.len()).to_le_bytes());
+            }
+            ImageSource::Memory(image) => h.bytes(&image.data),
+        }
+    }
+}
+
+fn around_points(points: &[Vec3]) -> [Vec3; 2] {
+    let drop = (points.len() as f64 * STRAYS) as usize;
+    let mut corners = [Vec3::ZERO; 2];
+    for axis in 0..3 {
+        let mut values: Vec<f32> = points.iter().map(|p| p[axis]).collect();
+        values.sort_by(f32::total_cmp);
+        let (low, high) = (values[drop], values[values.len() - 1 - drop]);
+        let margin = MARGIN * (high - low).max(f32::MIN_POSITIVE);
+        corners[0][axis] = low - margin;
+        corners[1][axis] = high + margin;
+    }
+    corners
+}
+
+/// The point nearest to all lines of sight in least squares: `Σ (I − d dᵀ)(x − c) = 0`. Parallel lines give the mean
+/// camera centre.
+pub fn focus(views: &[View]) -> DVec3 {
+    let (mut a, mut b, mut mean) = (DMat3::ZERO, DVec3::ZERO, DVec3::ZERO);
+    for v in views {
+        let (c, d) = (v.camera.position(), v.camera.forward());
+        let p = DMat3::IDENTITY - DMat3::from_cols(d * d.x, d * d.y, d * d.z);
+        a += p;
+        b += p * c;
+        mean += c;
+    }
+    let n = views.len().max(1) as f64;
+    if a.determinant().abs() > 1e-6 * n.powi(3) { a.inverse() * b } else { mean / n }
+}
+
+/// FNV-1a with 128 bits.
+struct Fnv(u128);
+
+impl Default for Fnv {
+    fn default() -> Self {
+        Self(0x6c62_272e_07bb_0142_62b8_2175_6295_c58d)
+    }
+}
+
+impl Fnv {
+    fn bytes(&mut self, bytes: &[u8]) {
+        for &b in bytes {
+            self.0 = (self.0 ^ u128::from(b)).wrapping_mul(0x0000_0000_0100_0000_0000_0000_0000_013b);
+        }
+    }
+
+    fn text(&mut self, text: &str) {
+        self.bytes(text.as_bytes());
+        self.bytes(&[0]);
+    }
+}

@@ -1,0 +1,263 @@
+//! The visual hull (Laurentini 1994): cells of a grid over the scene's box that silhouettes agree on.
+//!
+//! A static scene keeps a cell that 95 % of the views that see it show inside the silhouette. In a moving scene every view
+//! has its own time, so no cell agrees with all of them; views are ordered by time and a cell is kept if it agrees with 95 %
+//! of *some* run of consecutive views (at least eight, about a twelfth of all): the union over time of the hulls of short
+//! stretches. Points are drawn uniformly from the kept cells and take the mean colour that the views of the best run show
+//! there.
+//!
+//! Where masks cut parts out of a single moment ([`Dataset::at_first_moment`]) all views must agree, and the box of what they
+//! keep is carved again, so that small things keep their shape.
+
+use std::sync::Arc;
+
+use glam::{DVec3, Vec3};
+use gs_core::{Camera, Rng};
+use rayon::prelude::*;
+
+use super::cache::ImageCache;
+use super::error::DataError;
+use super::pixels::ImageU8;
+use super::{Dataset, PointCloud, View};
+
+/// Cells along each side of the grid.
+const SIDE: usize = 64;
+/// Most views used; more are thinned evenly.
+const MAX_VIEWS: usize = 160;
+/// Images are shrunk to about this many pixels per side.
+const IMAGE_SIDE: f64 = 200.0;
+/// Part of the views that must agree.
+const AGREEMENT: f64 = 0.95;
+/// A run of views in a moving scene: at least this many, and this part of all.
+pub(super) const LEAST_RUN: usize = 8;
+const RUN_PART: usize = 12;
+/// Alpha above which a pixel belongs to the silhouette.
+const OPAQUE: u8 = 16;
+
+/// A small silhouette with its camera.
+struct Silhouette {
+    name: String,
+    camera: Camera,
+    image: Arc<ImageU8>,
+}
+
+/// What a view says about a point.
+#[derive(Clone, Copy, PartialEq)]
+enum Verdict {
+    Unseen,
+    Outside,
+    Inside([u8; 3]),
+}
+
+impl Silhouette {
+    fn verdict(&self, p: DVec3) -> Verdict {
+        let c = self.camera.to_camera(p);
+        if c.z <= 0.0 {
+            return Verdict::Unseen;
+        }
+        let at = self.camera.to_pixel(c);
+        let (w, h) = (self.image.width as f64, self.image.height as f64);
+        if !(at.x >= 0.0 && at.x < w && at.y >= 0.0 && at.y < h) {
+            return Verdict::Unseen;
+        }
+        let [r, g, b, a] = self.image.pixel(at.x as usize, at.y as usize);
+        if a > OPAQUE { Verdict::Inside([r, g, b]) } else { Verdict::Outside }
+    }
+}
+
+/// The kept cells: their centres and colours.
+pub(super) struct Hull {
+    pub(super) cells: Vec<(Vec3, [f32; 3])>,
+    size: Vec3,
+}
+
+impl Hull {
+    pub(super) fn carve(data: &Dataset) -> Result<Self, DataError> {
+        let views = silhouettes(&data.train, !data.has_alpha)?;
+        Ok(Self::of(&views, data, AGREEMENT))
+    }
+
+    fn of(views: &[Silhouette], data: &Dataset, agreement: f64) -> Self {
+        let run = if data.dynamic { LEAST_RUN.max(views.len() / RUN_PART) } else { views.len() }.min(views.len());
+        let hull = Self::carve_box(views, run, data.scene_bounds(), agreement);
+        let again = if data.dynamic || data.has_alpha { None } else { hull.bounds() };
+        again.map_or(hull, |bounds| Self::carve_box(views, run, bounds, agreement))
+    }
+
+    /// The cells of a box that agree with some run of so many views.
+    fn carve_box(views: &[Silhouette], run: usize, [low, high]: [Vec3; 2], agreement: f64) -> Self {
+        let size = (high - low) / SIDE as f32;
+        let slab = |k: usize| {
+            let centre = |i: usize, j: usize| low + size * Vec3::new(i as f32 + 0.5, j as f32 + 0.5, k as f32 + 0.5);
+            let mut verdicts = vec![Verdict::Unseen; views.len()];
+            let mut kept = Vec::new();
+            for cell in 0..SIDE * SIDE {
+                let p = centre(cell % SIDE, cell / SIDE);
+                verdicts.iter_mut().zip(views).for_each(|(out, v)| *out = v.verdict(p.as_dvec3()));
+                kept.extend(agreed_color(&verdicts, run, agreement).map(|color| (p, color)));
+            }
+            kept
+        };
+        let slabs: Vec<Vec<(Vec3, [f32; 3])>> = (0..SIDE).into_par_iter().map(slab).collect();
+        Self { cells: slabs.concat(), size }
+    }
+
+    /// The box of the kept cells and one more all around; none without cells.
+    fn bounds(&self) -> Option<[Vec3; 2]> {
+        let grown = |c: &(Vec3, [f32; 3])| [c.0 - 1.5 * self.size, c.0 + 1.5 * self.size];
+        self.cells.iter().map(grown).reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])])
+    }
+
+    pub(super) fn draw(&self, n: usize, seed: u64) -> PointCloud {
+        let mut points = PointCloud::default();
+        for i in 0..n {
+            let mut r = Rng::new(seed, "data.hull", 0, i as u64);
+            let (centre, color) = self.cells[r.below(self.cells.len() as u32) as usize];
+            let jitter = Vec3::new(r.uniform(), r.uniform(), r.uniform()) - Vec3::splat(0.5);
+            points.positions.push(centre + jitter * self.size);
+            points.colors.push(color);
+        }
+        points
+    }
+}
+
+/// A hull and the silhouettes that carved it.
+pub struct Carved {
+    /// Names of the views, in order of time.
+    pub names: Vec<String>,
+    views: Vec<Silhouette>,
+    hull: Hull,
+}
+
+/// Carves the training views of a data set, seen through other cameras, with a share of views that must agree; none where
+/// there are neither alpha nor masks.
+///
+/// # Errors
+/// Whatever decoding the images finds.
+pub fn carve(data: &Dataset, agreement: f64, camera: impl Fn(&Camera) -> Camera) -> Result<Option<Carved>, DataError> {
+    let train = data.train.iter().map(|v| View { camera: camera(&v.camera), ..v.clone() }).collect();
+    let (points, bounds, dynamic) = (data.points.clone(), data.bounds, data.dynamic);
+    let data = Dataset { train, points, bounds, dynamic, ..data.without_views() };
+    if !data.has_alpha && data.train.iter().filter(|v| v.mask.is_some()).count() < LEAST_RUN {
+        return Ok(None);
+    }
+    let views = silhouettes(&data.train, !data.has_alpha)?;
+    let hull = Hull::of(&views, &data, agreement);
+    Ok(Some(Carved { names: views.iter().map(|v| v.name.clone()).collect(), views, hull }))
+}
+
+impl Carved {
+    /// For each silhouette the share of it that the cells cover, and its intersection with them over their union; 1 for an
+    /// empty one.
+    pub fn fits(&self) -> Vec<[f64; 2]> {
+        let fit = |v: &Silhouette| {
+            let [mut inside, mut both, mut any] = [0usize; 3];
+            for (p, covered) in v.image.data.chunks_exact(4).zip(self.cover(v)) {
+                let solid = p[3] > OPAQUE;
+                inside += usize::from(solid);
+                both += usize::from(solid && covered);
+                any += usize::from(solid || covered);
+            }
+            let over = |n: usize| both as f64 / n as f64;
+            if inside == 0 { [1.0; 2] } else { [over(inside), over(any)] }
+        };
+        self.views.par_iter().map(fit).collect()
+    }
+
+    /// Which pixels of a silhouette cells cover.
+    fn cover(&self, v: &Silhouette) -> Vec<bool> {
+        let (w, h) = (v.image.width, v.image.height);
+        let mut covered = vec![false; w * h];
+        let half = 0.5 * f64::from(self.hull.size.max_element());
+        for (p, _) in &self.hull.cells {
+            let c = v.camera.to_camera(p.as_dvec3());
+            if c.z <= half {
+                continue;
+            }
+            let (at, r) = (v.camera.to_pixel(c), half * v.camera.fx.max(v.camera.fy) / c.z);
+            let range = |x: f64, n: usize| (x - r).max(0.0) as usize..((x + r + 1.0).max(0.0) as usize).min(n);
+            for y in range(at.y, h) {
+                let row = &mut covered[y * w..(y + 1) * w];
+                range(at.x, w).for_each(|x| row[x] = true);
+            }
+        }
+        covered
+    }
+
+    /// Centres and colours of the cells.
+    pub fn cells(&self) -> &[(Vec3, [f32; 3])] {
+        &self.hull.cells
+    }
+
+    /// A view's photograph, small, and which pixels cells cover; by index in [`Self::names`].
+    pub fn shown(&self, k: usize) -> (Arc<ImageU8>, Vec<bool>) {
+        (self.views[k].image.clone(), self.cover(&self.views[k]))
+    }
+}
+
+/// The views in order of time, thinned and shrunk; `by_mask` takes those with a mask, which becomes their alpha.
+fn silhouettes(train: &[View], by_mask: bool) -> Result<Vec<Silhouette>, DataError> {
+    let mut order: Vec<&View> = train.iter().filter(|v| !by_mask || v.mask.is_some()).collect();
+    order.sort_by(|a, b| a.time.normalised.total_cmp(&b.time.normalised));
+    let count = order.len().min(MAX_VIEWS);
+    let chosen: Vec<&View> = (0..count).map(|k| order[k * order.len() / count]).collect();
+    let largest = chosen.iter().map(|v| v.camera.width.max(v.camera.height)).max().unwrap_or(1);
+    let cache = ImageCache::new(0, IMAGE_SIDE / f64::from(largest));
+    let load = |v: &&View| {
+        let mut image = cache.get(v)?;
+        if let Some(mask) = cache.mask(v)?.filter(|_| by_mask) {
+            let pixels = Arc::make_mut(&mut image).data.chunks_exact_mut(4);
+            pixels.zip(&mask.data).for_each(|(p, w)| p[3] = (w * 255.0) as u8);
+        }
+        Ok(Silhouette { name: v.name.clone(), camera: cache.camera(v), image })
+    };
+    // An indexed parallel map keeps the order; of several errors the first in order is reported.
+    chosen.par_iter().map(load).collect::<Vec<_>>().into_iter().collect()
+}
+
+/// The mean colour over the best run of consecutive views, if enough of those that see the cell show it inside.
+fn agreed_color(verdicts: &[Verdict], run: usize, agreement: f64) -> Option<[f32; 3]> {
+    let tally = |v: &Verdict| match v {
+        Verdict::Unseen => (0i32, 0i32),
+        Verdict::Outside => (0, 1),
+        Verdict::Inside(_) => (1, 1),
+    };
+    let (mut inside, mut seen) = (0, 0);
+    let mut best: Option<(f64, usize)> = None;
+    for end in 0..verdicts.len() {
+        let (i, s) = tally(&verdicts[end]);
+        (inside, seen) = (inside + i, seen + s);
+        if end >= run {
+            let (i, s) = tally(&verdicts[end - run]);
+            (inside, seen) = (inside - i, seen - s);
+        }
+        let enough = end + 1 >= run && 2 * seen as usize >= run;
+        let part = f64::from(inside) / f64::from(seen.max(1));
+        if enough && part >= agreement && best.is_none_or(|(b, _)| part > b) {
+            best = Some((part, end));
+        }
+    }
+    let (_, end) = best?;
+    let (mut sum, mut count) = ([0.0f32; 3], 0.0f32);
+    for v in &verdicts[end + 1 - run..=end] {
+        if let Verdict::Inside(c) = v {
+            sum.iter_mut().zip(c).for_each(|(a, &b)| *a += f32::from(b) / 255.0);
+            count += 1.0;
+        }
+    }
+    Some(sum.map(|s| s / count.max(1.0)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_enough_agreement_keeps_a_cell() {
+        let (i, o, u) = (Verdict::Inside([255, 0, 51]), Verdict::Outside, Verdict::Unseen);
+        assert_eq!(agreed_color(&[i, i, o, o], 2, AGREEMENT), Some([1.0, 0.0, 0.2]), "inside early, gone later");
+        assert_eq!(agreed_color(&[i, o, i, o], 2, AGREEMENT), None);
+        assert_eq!(agreed_color(&[i, u, u, u], 4, AGREEMENT), None, "too few views see it");
+        assert_eq!(agreed_color(&[i, i, u, u], 4, AGREEMENT), Some([1.0, 0.0, 0.2]));
+    }
+}

@@ -1,0 +1,85 @@
+//! Points to start from: those the data bring along, else a visual hull, else random points in a box.
+//!
+//! Images with alpha are carved by it ([`super::hull`]).
+//!
+//! Images without alpha whose views have masks ([`View::mask`]) are carved by these. Masks cut out what moves, so half of the
+//! points are drawn from that hull and the others from the whole box.
+//!
+//! Everything is a function of data set, count and seed.
+
+use glam::Vec3;
+use gs_core::Rng;
+
+use super::error::DataError;
+use super::hull::{Hull, LEAST_RUN};
+use super::{Dataset, PointCloud};
+
+impl Dataset {
+    /// About `n` points to start from. Points of the data: all of them, or a random `n`; a hull: exactly `n`; where
+    /// neither is possible `n` points uniform in [`Dataset::scene_bounds`] with mid grey.
+    ///
+    /// # Errors
+    /// Whatever decoding the training images finds.
+    pub fn initial_points(&self, n: usize, seed: u64) -> Result<PointCloud, DataError> {
+        if let Some(points) = self.points.as_ref().filter(|p| !p.positions.is_empty()) {
+            return Ok(subset(points, n, seed));
+        }
+        let whole = self.has_alpha;
+        let Some(mut cloud) = self.hull_points(if whole { n } else { n / 2 }, seed)? else {
+            return Ok(uniform(self.scene_bounds(), n, seed));
+        };
+        if !whole {
+            let rest = uniform(self.scene_bounds(), n - n / 2, seed);
+            cloud.positions.extend(rest.positions);
+            cloud.colors.extend(rest.colors);
+        }
+        Ok(cloud)
+    }
+
+    /// `n` points of the visual hull; none if nothing is carved.
+    ///
+    /// # Errors
+    /// As [`Self::initial_points`].
+    pub(super) fn hull_points(&self, n: usize, seed: u64) -> Result<Option<PointCloud>, DataError> {
+        if !self.has_alpha && self.train.iter().filter(|v| v.mask.is_some()).count() < LEAST_RUN {
+            return Ok(None);
+        }
+        let hull = Hull::carve(self)?;
+        Ok((!hull.cells.is_empty()).then(|| hull.draw(n, seed)))
+    }
+
+    /// The data as if only the first training moment had been photographed.
+    pub fn at_first_moment(&self) -> Self {
+        let first = self.train.iter().map(|v| v.time.normalised).fold(f32::INFINITY, f32::min);
+        let train = self.train.iter().filter(|v| v.time.normalised == first).cloned().collect();
+        let (points, bounds) = (self.points.clone(), Some(self.scene_bounds()));
+        Self { train, points, bounds, dynamic: false, ..self.without_views() }
+    }
+
+    /// Whether the data say where the scene is: by points, silhouettes, a box, or masks.
+    pub fn has_start(&self) -> bool {
+        let masked = || self.train.iter().any(|v| v.mask.is_some());
+        self.points.is_some() || self.has_alpha || self.bounds.is_some() || masked()
+    }
+}
+
+pub(super) fn subset(points: &PointCloud, n: usize, seed: u64) -> PointCloud {
+    if points.positions.len() <= n {
+        return points.clone();
+    }
+    let mut rows = Rng::new(seed, "data.subset", 0, 0).permutation(points.positions.len());
+    rows.truncate(n);
+    rows.sort_unstable();
+    PointCloud {
+        positions: rows.iter().map(|&r| points.positions[r as usize]).collect(),
+        colors: rows.iter().map(|&r| points.colors[r as usize]).collect(),
+    }
+}
+
+pub(super) fn uniform([low, high]: [Vec3; 2], n: usize, seed: u64) -> PointCloud {
+    let position = |i| {
+        let mut r = Rng::new(seed, "data.uniform", 0, i as u64);
+        low + (high - low) * Vec3::new(r.uniform(), r.uniform(), r.uniform())
+    };
+    PointCloud { positions: (0..n).map(position).collect(), colors: vec![[0.5; 3]; n] }
+}

@@ -1,0 +1,150 @@
+//! Frames by camera: `{camera_angle_x, data: {camera: {transform_matrix, frames: [{file_path, time}]}}}`.
+
+use std::fmt;
+use std::path::Path;
+
+use serde::Deserialize;
+use serde::de::{DeserializeSeed, Deserializer, Error as _, MapAccess, Visitor};
+use serde_json::value::RawValue;
+use serde_json::{Map, Value};
+
+use super::Shot;
+use crate::blender::{Frame, field_of_view};
+use crate::error::{DataError, Place};
+use crate::files::Root;
+use crate::frames::{Listed, locate};
+use crate::json::{Fields, slices};
+use crate::pose::{Pose, from_opengl};
+
+/// No camera is shorter: a 4×4 matrix alone has 41 characters.
+const LEAST_CAMERA_BYTES: usize = 41;
+/// No frame is shorter: `{"file_path":"","time":0}`.
+const LEAST_FRAME_BYTES: usize = 20;
+/// Largest frame, matrix or field of view; a usual one has 60 bytes.
+const MAX_ENTRY_BYTES: usize = 64 << 10;
+
+/// The file as slices of its text.
+#[derive(Deserialize)]
+struct Top<'a> {
+    #[serde(borrow)]
+    camera_angle_x: Option<&'a RawValue>,
+    data: Option<&'a RawValue>,
+}
+
+/// A camera as slices of its text.
+#[derive(Deserialize)]
+struct Camera<'a> {
+    #[serde(borrow)]
+    transform_matrix: Option<&'a RawValue>,
+    frames: Option<&'a RawValue>,
+}
+
+/// Field of view and frames of a file.
+///
+/// # Errors
+/// `data.syntax`, `data.field`, `data.pose`, `data.escape`, `limits.file`, with the JSON path.
+pub(super) fn read(root: &Root, file: &Path, text: &str) -> Result<(f64, Vec<Listed<Shot>>), DataError> {
+    let syntax = |e: serde_json::Error| {
+        DataError::syntax(file, format!("line {}, column {}", e.line(), e.column()), e.to_string())
+    };
+    let top: Top = serde_json::from_str(text).map_err(syntax)?;
+    let shared: Map<String, Value> = match top.camera_angle_x {
+        Some(raw) => [("camera_angle_x".to_owned(), small(file, "camera_angle_x", raw)?)].into_iter().collect(),
+        None => Map::new(),
+    };
+    let angle = field_of_view(&Fields::new(file, "", &shared))?;
+    let data = top.data.ok_or_else(|| fault(file, "data", "missing", "it holds the frames of each camera"))?;
+    let mut json = serde_json::Deserializer::from_str(data.get());
+    let cameras = Cameras(text.len() / LEAST_CAMERA_BYTES + 1).deserialize(&mut json);
+    let cameras = cameras.map_err(|e| fault(file, "data", &e.to_string(), "it holds an object for each camera"))?;
+    let mut listed = Vec::new();
+    for (name, raw) in cameras {
+        frames(root, file, &format!("data.{}", name.chars().take(80).collect::<String>()), raw, &mut listed)?;
+    }
+    Ok((angle, listed))
+}
+
+/// The frames of one camera, which stands at `at`.
+fn frames(root: &Root, file: &Path, at: &str, raw: &RawValue, listed: &mut Vec<Listed<Shot>>) -> Result<(), DataError> {
+    const WHY: &str = "a camera has a transform_matrix and frames";
+    let camera: Camera = serde_json::from_str(raw.get()).map_err(|_| fault(file, at, raw.get(), WHY))?;
+    let path = |key: &str| format!("{at}.{key}");
+    let matrix = camera.transform_matrix.ok_or_else(|| fault(file, &path("transform_matrix"), "missing", WHY))?;
+    let matrix = small(file, &path("transform_matrix"), matrix)?;
+    let map: Map<String, Value> = [("transform_matrix".to_owned(), matrix)].into_iter().collect();
+    let fields = Fields::new(file, at, &map);
+    let place = fields.place("transform_matrix");
+    let pose = from_opengl(&fields.matrix("transform_matrix")?, &place)?;
+    let list = camera.frames.ok_or_else(|| fault(file, &path("frames"), "missing", WHY))?;
+    let entries = slices(list, list.get().len() / LEAST_FRAME_BYTES + 1)
+        .map_err(|e| fault(file, &path("frames"), &e.to_string(), "it is a list of frames"))?;
+    for (i, entry) in entries.into_iter().enumerate() {
+        listed.push(frame(root, file, &format!("{at}.frames[{i}]"), entry, &pose, &place)?);
+    }
+    Ok(())
+}
+
+fn frame(
+    root: &Root,
+    file: &Path,
+    at: &str,
+    raw: &RawValue,
+    pose: &Pose,
+    place: &Place,
+) -> Result<Listed<Shot>, DataError> {
+    let Value::Object(map) = small(file, at, raw)? else {
+        return Err(fault(file, at, raw.get(), "a frame has a file_path and a time"));
+    };
+    let fields = Fields::new(file, at, &map);
+    let (shown, path) = locate(root, fields.required_text("file_path")?, &fields.place("file_path"))?;
+    let frame =
+        Frame { pose: *pose, time: fields.number("time")?, time_place: fields.place("time"), place: place.clone() };
+    Ok(Listed { shown, path, rest: Shot { frame, labels: None } })
+}
+
+/// An entry wholly parsed.
+fn small(file: &Path, at: &str, raw: &RawValue) -> Result<Value, DataError> {
+    if raw.get().len() > MAX_ENTRY_BYTES {
+        let (bytes, limit) = (raw.get().len() as u64, MAX_ENTRY_BYTES as u64);
+        return Err(DataError::TooLarge { place: Place::new(file, at), bytes, limit });
+    }
+    serde_json::from_str(raw.get()).map_err(|e| DataError::syntax(file, at, e.to_string()))
+}
+
+fn fault(file: &Path, at: &str, value: &str, why: &'static str) -> DataError {
+    let value = value.chars().take(80).collect();
+    DataError::Field { place: Place::new(file, at), value, why, fix: "export the file again" }
+}
+
+/// An object kept as slices, of at most so many entries, each name once.
+struct Cameras(usize);
+
+impl<'de> DeserializeSeed<'de> for Cameras {
+    type Value = Vec<(String, &'de RawValue)>;
+
+    fn deserialize<D: Deserializer<'de>>(self, d: D) -> Result<Self::Value, D::Error> {
+        d.deserialize_map(self)
+    }
+}
+
+impl<'de> Visitor<'de> for Cameras {
+    type Value = Vec<(String, &'de RawValue)>;
+
+    fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.write_str("an object")
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Self::Value, A::Error> {
+        let (mut list, mut names) = (Vec::new(), std::collections::BTreeSet::new());
+        while let Some((name, raw)) = map.next_entry::<String, &'de RawValue>()? {
+            if list.len() >= self.0 {
+                return Err(A::Error::custom("it has more entries than cameras could fit the file"));
+            }
+            if !names.insert(name.clone()) {
+                return Err(A::Error::custom(format!("camera \"{name}\" appears twice")));
+            }
+            list.push((name, raw));
+        }
+        Ok(list)
+    }
+}

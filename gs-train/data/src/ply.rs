@@ -1,0 +1,93 @@
+//! Start points in a `.ply`: `x y z` and, where present, `red green blue` (0 to 255).
+
+use std::io::Write;
+use std::path::Path;
+
+use glam::Vec3;
+use gs_core::io::{self, Limits};
+
+use super::PointCloud;
+use super::error::DataError;
+
+/// Reads the points of a file; those without colours are grey.
+///
+/// # Errors
+/// `data.points` with whatever the PLY reader finds.
+pub(crate) fn read_points(file: &Path) -> Result<PointCloud, DataError> {
+    let (positions, colors) = read_measured(file)?;
+    let colors = colors.unwrap_or_else(|| vec![[0.5; 3]; positions.len()]);
+    Ok(PointCloud { positions, colors })
+}
+
+/// Positions and, where the file has them, colours in 0..1.
+type Measured = (Vec<Vec3>, Option<Vec<[f32; 3]>>);
+
+/// Reads the points of a file.
+///
+/// # Errors
+/// As [`read_points`].
+pub(crate) fn read_measured(file: &Path) -> Result<Measured, DataError> {
+    let failed = |source| DataError::Points { file: file.to_path_buf(), source: Box::new(source) };
+    let limits = Limits::default();
+    let bytes = io::read_file(file, &limits).map_err(failed)?;
+    let name = file.display().to_string();
+    let columns = |names: &[&str]| io::ply::read_columns(&bytes, &name, &limits, names).map_err(failed);
+    let triples = |flat: Vec<f32>| flat.chunks_exact(3).map(|c| [c[0], c[1], c[2]]).collect::<Vec<_>>();
+    let positions: Vec<Vec3> = triples(columns(&["x", "y", "z"])?).into_iter().map(Vec3::from).collect();
+    let properties = io::ply::property_names(&bytes, &name).map_err(failed)?;
+    let colored = ["red", "green", "blue"].iter().all(|c| properties.iter().any(|p| p == c));
+    if !colored {
+        return Ok((positions, None));
+    }
+    let bytes = triples(columns(&["red", "green", "blue"])?);
+    Ok((positions, Some(bytes.into_iter().map(|c| c.map(|v| (v / 255.0).clamp(0.0, 1.0))).collect())))
+}
+
+/// Writes points with colours, binary.
+///
+/// # Errors
+/// Whatever the writer meets.
+pub fn write_points(cloud: &PointCloud, out: &mut dyn Write) -> std::io::Result<()> {
+    writeln!(out, "ply\nformat binary_little_endian 1.0\nelement vertex {}", cloud.positions.len())?;
+    ["x", "y", "z"].iter().try_for_each(|c| writeln!(out, "property float {c}"))?;
+    ["red", "green", "blue"].iter().try_for_each(|c| writeln!(out, "property uchar {c}"))?;
+    writeln!(out, "end_header")?;
+    for (p, c) in cloud.positions.iter().zip(&cloud.colors) {
+        p.to_array().iter().try_for_each(|v| out.write_all(&v.to_le_bytes()))?;
+        out.write_all(&c.map(|v| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8))?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn points_with_and_without_colours_are_read() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("points.ply");
+        let head = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n";
+        let color = "property uchar red\nproperty uchar green\nproperty uchar blue\n";
+        std::fs::write(&file, format!("{head}{color}end_header\n1 2 3 255 0 51\n4 5 6 0 0 0\n")).unwrap();
+        let cloud = read_points(&file).unwrap();
+        assert_eq!((cloud.positions[1], cloud.colors[0]), (Vec3::new(4.0, 5.0, 6.0), [1.0, 0.0, 0.2]));
+        std::fs::write(&file, format!("{head}end_header\n1 2 3\n4 5 6\n")).unwrap();
+        assert_eq!(read_points(&file).unwrap().colors, vec![[0.5; 3]; 2]);
+        std::fs::write(&file, format!("{head}end_header\n1 2 nan\n4 5 6\n")).unwrap();
+        let e = read_points(&file).unwrap_err();
+        assert!(e.code() == "data.points" && e.to_string().contains('z'), "{e}");
+    }
+
+    #[test]
+    fn what_is_written_is_read() {
+        let cloud = PointCloud {
+            positions: vec![Vec3::new(1.5, -2.0, 3e-7), Vec3::ZERO],
+            colors: vec![[0.0, 1.0, 0.2], [1.0, 0.4, 0.6]],
+        };
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("points.ply");
+        write_points(&cloud, &mut std::fs::File::create(&file).unwrap()).unwrap();
+        assert_eq!(read_points(&file).unwrap(), cloud);
+    }
+}

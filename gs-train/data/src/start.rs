@@ -1,0 +1,229 @@
+//! Points to begin with, made on request and kept in the data folder: from a COLMAP model, depth maps, the visual hull or at
+//! random.
+//!
+//! [`Dataset::start`] makes them, [`write_start`] writes `start.ply` and the section `[start]` of `scene.toml`, which every
+//! later opening of the folder follows. Everything is a function of data, count, box and seed.
+
+use std::path::{Path, PathBuf};
+
+use glam::{DVec3, Vec3};
+use gs_core::Rng;
+use gs_core::io::{Limits, npy, write_file};
+use serde::Serialize;
+
+use super::cache::ImageCache;
+use super::error::{DataError, Place};
+use super::files::{read_bytes, read_text};
+use super::{Dataset, PointCloud, View, colmap, ply, scene_file};
+
+/// The points' file.
+const POINTS: &str = "start.ply";
+/// Largest depth map read.
+const MAX_DEPTH_BYTES: u64 = 1 << 28;
+/// Most depth maps read; of more they are taken evenly.
+const MAX_DEPTHS: usize = 100;
+/// Draws per point wanted before depth maps are given up as empty.
+const DRAWS: usize = 20;
+/// Points of a model of which fewer are seen by any camera are in another frame than the poses.
+const LEAST_SEEN: f64 = 0.5;
+
+/// Where points come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum StartFrom {
+    /// The points of the data set or of a COLMAP model in its folder.
+    Colmap,
+    /// Depth maps of training views.
+    Depth,
+    /// The visual hull of alpha or masks.
+    Hull,
+    /// Uniform in the box.
+    Random,
+}
+
+impl StartFrom {
+    /// All of them, the most telling first.
+    pub const ALL: [Self; 4] = [Self::Colmap, Self::Depth, Self::Hull, Self::Random];
+
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Colmap => "colmap",
+            Self::Depth => "depth",
+            Self::Hull => "hull",
+            Self::Random => "random",
+        }
+    }
+
+    /// What is missing where it gives no points.
+    fn lacks(self) -> &'static str {
+        match self {
+            Self::Colmap => "it has neither points nor a COLMAP model with points in the frame of its poses",
+            Self::Depth => "its training views have no depth",
+            Self::Hull => "its images have neither alpha nor masks that agree anywhere",
+            Self::Random => "its box is empty",
+        }
+    }
+}
+
+/// Points to begin with.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Start {
+    /// Where they come from.
+    pub from: StartFrom,
+    /// The points.
+    pub cloud: PointCloud,
+    /// Corners of the box of the scene, where it is to be kept.
+    pub bounds: Option<[Vec3; 2]>,
+}
+
+/// The corners of the cube around the origin with this half side.
+pub fn cube(half: f32) -> [Vec3; 2] {
+    [Vec3::splat(-half), Vec3::splat(half)]
+}
+
+impl Dataset {
+    /// At most `n` points to begin with. Without a source the first of [`StartFrom::ALL`] that has any.
+    ///
+    /// # Errors
+    /// `data.option` if the source has no points; what reading images, depth or models finds.
+    pub fn start(&self, from: Option<StartFrom>, n: usize, seed: u64) -> Result<Start, DataError> {
+        let sources = from.map_or(StartFrom::ALL.to_vec(), |f| vec![f]);
+        for &source in &sources {
+            if let Some(cloud) = self.start_from(source, n, seed)?.filter(|c| !c.positions.is_empty()) {
+                return Ok(Start { from: source, cloud, bounds: None });
+            }
+        }
+        let source = sources[0];
+        let rule = format!("the data cannot give that: {}", source.lacks());
+        Err(DataError::Option { name: "--from", value: source.name().into(), rule })
+    }
+
+    fn start_from(&self, source: StartFrom, n: usize, seed: u64) -> Result<Option<PointCloud>, DataError> {
+        match source {
+            StartFrom::Colmap => {
+                let beside = || colmap::points_beside(&self.root);
+                let points = if self.points.is_some() { self.points.clone() } else { beside()? };
+                let seen = points.filter(|p| self.seen_share(&p.positions) >= LEAST_SEEN);
+                Ok(seen.map(|p| super::initial::subset(&p, n, seed)))
+            }
+            StartFrom::Depth => self.depth_points(n, seed),
+            StartFrom::Hull => self.hull_points(n, seed),
+            StartFrom::Random => Ok(Some(super::initial::uniform(self.scene_bounds(), n, seed))),
+        }
+    }
+
+    /// The share of points that at least two training views have inside their frame (one, where there is one).
+    pub fn seen_share(&self, points: &[Vec3]) -> f64 {
+        let step = points.len().div_ceil(5000).max(1);
+        let enough = self.train.len().min(2);
+        let seen = |p: &Vec3| self.train.iter().filter(|v| sees(v, p.as_dvec3())).take(enough).count() == enough;
+        let sample = points.iter().step_by(step);
+        sample.clone().filter(|p| seen(p)).count() as f64 / sample.count().max(1) as f64
+    }
+
+    /// Random pixels of depth maps, brought to the world.
+    fn depth_points(&self, n: usize, seed: u64) -> Result<Option<PointCloud>, DataError> {
+        let with: Vec<(&View, &PathBuf)> = self.train.iter().filter_map(|v| Some((v, v.depth.as_ref()?))).collect();
+        if with.is_empty() {
+            return Ok(None);
+        }
+        let count = with.len().min(MAX_DEPTHS).min(n.max(1));
+        let cache = ImageCache::new(0, 1.0);
+        let mut cloud = PointCloud::default();
+        for k in 0..count {
+            let (view, file) = with[k * with.len() / count];
+            let (depth, image) = (read_depth(file, view)?, cache.get(view)?);
+            let wanted = (k + 1) * n / count - k * n / count;
+            let mut random = Rng::new(seed, "data.depth", 0, k as u64);
+            let mut left = DRAWS * wanted;
+            let end = cloud.positions.len() + wanted;
+            while cloud.positions.len() < end && left > 0 {
+                left -= 1;
+                let (x, y) = (random.below(view.camera.width) as usize, random.below(view.camera.height) as usize);
+                let [r, g, b, a] = image.pixel(x, y);
+                let z = f64::from(depth[y * view.camera.width as usize + x]);
+                if z > 0.0 && z.is_finite() && a > 127 {
+                    cloud.positions.push(at_depth(view, x, y, z).as_vec3());
+                    cloud.colors.push([r, g, b].map(|c| f32::from(c) / 255.0));
+                }
+            }
+        }
+        Ok(Some(cloud))
+    }
+}
+
+/// Whether a view has a point in front of it and inside its frame.
+fn sees(v: &View, p: DVec3) -> bool {
+    let c = v.camera.to_camera(p);
+    let at = v.camera.to_pixel(c);
+    let inside = |x: f64, side: u32| x >= 0.0 && x < f64::from(side);
+    c.z > 0.0 && inside(at.x, v.camera.width) && inside(at.y, v.camera.height)
+}
+
+/// The centre of a pixel at camera depth `z`, in the world.
+fn at_depth(v: &View, x: usize, y: usize, z: f64) -> DVec3 {
+    let c = &v.camera;
+    let ray = DVec3::new((x as f64 + 0.5 - c.cx) / c.fx, (y as f64 + 0.5 - c.cy) / c.fy, 1.0);
+    c.rotation.transpose() * (ray * z - c.translation)
+}
+
+/// Depths along the camera's axis, one per pixel of the view's camera.
+fn read_depth(file: &Path, v: &View) -> Result<Vec<f32>, DataError> {
+    let bytes = read_bytes(file, MAX_DEPTH_BYTES)?;
+    let array = npy::read(&bytes, &file.display().to_string(), &Limits::default())
+        .map_err(|e| DataError::syntax(file, "", e.to_string()))?;
+    let (w, h) = (v.camera.width as usize, v.camera.height as usize);
+    let values = array.to_f32();
+    if array.shape.get(..2) != Some(&[h, w]) || values.len() != w * h {
+        return Err(DataError::Field {
+            place: Place::new(file, "shape"),
+            value: format!("{:?}, its view has {h} rows of {w}", array.shape),
+            why: "depth is per pixel",
+            fix: "leave data.scale at 1 for --from depth, or export the depth again",
+        });
+    }
+    Ok(values)
+}
+
+/// Writes points as `start.ply` and names them, and the box if there is one, in `scene.toml`. What else that file says
+/// stays as it is. Gives the files written.
+///
+/// # Errors
+/// `io.exists` if there are such points already and `overwrite` is not set; what reading and writing meets.
+pub fn write_start(dir: &Path, start: &Start, overwrite: bool) -> Result<[PathBuf; 2], DataError> {
+    let (points, scene) = (dir.join(POINTS), dir.join(scene_file::NAME));
+    let old = if scene.exists() { read_text(&scene, scene_file::MAX_BYTES)? } else { String::new() };
+    let had = scene_file::read(dir)?.start;
+    if !overwrite && (points.exists() || had.points.is_some() || had.bounds.is_some()) {
+        return Err(DataError::Occupied { path: if points.exists() { points } else { scene } });
+    }
+    let failed = |file: &Path, e: gs_core::io::IoError| DataError::write(file, std::io::Error::other(e.to_string()));
+    write_file(&points, overwrite, |out| ply::write_points(&start.cloud, out)).map_err(|e| failed(&points, e))?;
+    let text = with_section(&old, start);
+    write_file(&scene, true, |out| out.write_all(text.as_bytes())).map_err(|e| failed(&scene, e))?;
+    Ok([points, scene])
+}
+
+/// The text with its section `[start]` replaced, or with one at its end.
+fn with_section(old: &str, start: &Start) -> String {
+    let mut inside = false;
+    let mut kept = String::new();
+    for line in old.lines() {
+        if line.trim_start().starts_with('[') {
+            inside = line.trim().trim_end_matches(|c: char| c != ']') == "[start]";
+        }
+        if !inside {
+            kept.push_str(line);
+            kept.push('\n');
+        }
+    }
+    if !kept.trim().is_empty() {
+        kept.push('\n');
+    }
+    kept.push_str(&format!("[start]\npoints = \"{POINTS}\"   # from {}\n", start.from.name()));
+    if let Some(corners) = start.bounds {
+        kept.push_str(&format!("bounds = {:?}\n", corners.map(|c| c.to_array())));
+    }
+    kept
+}

@@ -1,0 +1,53 @@
+//! Extent, bounds and digest of a data set.
+
+use glam::Vec3;
+use gs_data::PointCloud;
+use gs_data::geometry::focus;
+use gs_data::{Dataset, ImageSource};
+use gs_synth::{SynthOptions, generate};
+
+fn scene() -> Dataset {
+    let o = SynthOptions { size: 8, train_views: 30, val_views: 1, test_views: 1, ..SynthOptions::default() };
+    generate("static", &o).unwrap().dataset
+}
+
+#[test]
+fn cameras_on_a_hemisphere_span_their_radius() {
+    let d = scene();
+    let extent = d.scene_extent();
+    assert!(extent > 4.0 && extent < 6.0, "{extent}");
+    assert!(focus(&d.train).length() < 1e-6, "all look at the origin");
+    let one = Dataset { train: d.train[..1].to_vec(), ..d };
+    assert_eq!(one.scene_extent(), 1.0);
+    assert!(focus(&one.train).is_finite());
+}
+
+#[test]
+fn bounds_come_from_the_layout_then_points_then_cameras() {
+    let mut d = scene();
+    assert_eq!(d.scene_bounds()[1], Vec3::splat(1.3));
+    d.bounds = None;
+    let [low, high] = d.scene_bounds();
+    assert!(low.max_element() < -3.9 && high.min_element() > 3.9);
+    let mut positions: Vec<Vec3> = (0..=200).map(|k| Vec3::splat(k as f32 / 100.0 - 1.0)).collect();
+    positions[7] = Vec3::splat(1e6);
+    d.points = Some(PointCloud { colors: vec![[0.0; 3]; positions.len()], positions });
+    let [low, high] = d.scene_bounds();
+    assert!(low.x > -1.3 && high.x < 1.3 && low.x < -1.0 && high.x > 1.0, "the stray is left out: {low} {high}");
+}
+
+#[test]
+fn the_digest_sees_cameras_and_pixels() {
+    let d = scene();
+    assert_eq!(d.digest(), scene().digest());
+    assert_eq!(d.digest().len(), 32);
+    let mut turned = d.clone();
+    turned.train[3].camera.cx += 1e-9;
+    let mut painted = d.clone();
+    if let ImageSource::Memory(image) = &d.test[0].image {
+        let mut image = image.as_ref().clone();
+        image.data[0] ^= 1;
+        painted.test[0].image = ImageSource::Memory(image.into());
+    }
+    assert!(d.digest() != turned.digest() && d.digest() != painted.digest());
+}

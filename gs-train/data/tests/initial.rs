@@ -1,0 +1,107 @@
+//! Initial points: the visual hull of alpha or masks, random points in a box, given points.
+
+use glam::DVec3;
+use glam::Vec3;
+use gs_data::Dataset;
+use gs_data::ImageSource;
+use gs_data::pixels::ImageU8;
+use gs_synth::{SynthOptions, generate};
+use std::sync::Arc;
+
+fn options() -> SynthOptions {
+    SynthOptions { size: 64, train_views: 60, val_views: 0, test_views: 0, ..SynthOptions::default() }
+}
+
+#[test]
+fn the_hull_of_a_static_scene_holds_the_scene_and_little_more() {
+    let data = generate("static", &options()).unwrap();
+    let cloud = data.dataset.initial_points(4000, 1).unwrap();
+    assert_eq!((cloud.positions.len(), cloud.colors.len()), (4000, 4000));
+    // No camera looks from below, so some space under the slab cannot be carved.
+    let outer = cloud.positions.iter().filter(|p| p.abs().max_element() > 1.1).count();
+    assert!(outer < 160, "{outer} of 4000 points in the empty outer 40 % of the box");
+    for (body, b) in data.truth.bodies().iter().enumerate() {
+        let centre = data.truth.position_of(body, DVec3::ZERO, 0.0).unwrap().as_vec3();
+        let near = cloud.positions.iter().any(|p| (*p - centre).length() < 0.1);
+        assert!(near, "points in \"{}\"", b.name);
+    }
+    let above = cloud.positions.iter().filter(|p| p.z > 0.75).count();
+    assert!(above < 40, "{above} of 4000 points above everything");
+}
+
+#[test]
+fn a_moving_scene_keeps_the_places_its_bodies_pass() {
+    let data = generate("balls", &SynthOptions { train_views: 120, ..options() }).unwrap();
+    let cloud = data.dataset.initial_points(20_000, 1).unwrap();
+    for t in [0.1, 0.5, 0.9] {
+        for body in 0..4 {
+            let centre = data.truth.position_of(body, DVec3::ZERO, t).unwrap().as_vec3();
+            let near = cloud.positions.iter().filter(|p| (**p - centre).length() < 0.12).count();
+            assert!(near > 3, "body {body} at {t}: {near} points");
+        }
+    }
+    let outer = cloud.positions.iter().filter(|p| p.abs().max_element() > 1.1).count();
+    assert!(outer < 3000, "{outer} of 20000 points in the outer 40 % of the box");
+}
+
+#[test]
+fn the_same_seed_gives_the_same_points_for_any_number_of_threads() {
+    let data = generate("balls", &SynthOptions { train_views: 20, ..options() }).unwrap().dataset;
+    let with = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| data.initial_points(500, 3).unwrap())
+    };
+    assert_eq!(with(1), with(3));
+    assert_ne!(with(1), data.initial_points(500, 4).unwrap());
+}
+
+#[test]
+fn without_alpha_points_fill_the_box_and_given_points_are_kept() {
+    let mut data = generate("static", &SynthOptions { train_views: 2, ..options() }).unwrap().dataset;
+    data.has_alpha = false;
+    let cloud = data.initial_points(2000, 0).unwrap();
+    let mean: Vec3 = cloud.positions.iter().sum::<Vec3>() / 2000.0;
+    assert!(mean.length() < 0.1 && cloud.positions.iter().all(|p| p.abs().max_element() <= 1.3));
+    data.points = Some(cloud.clone());
+    assert_eq!(data.initial_points(5000, 0).unwrap(), cloud);
+    assert_eq!(data.initial_points(10, 0).unwrap().positions.len(), 10);
+}
+
+/// The same data with alpha moved into masks.
+fn masked(mut data: Dataset) -> Dataset {
+    data.has_alpha = false;
+    for v in &mut data.train {
+        let ImageSource::Memory(image) = &v.image else { panic!("generated images are in memory") };
+        let mut mask = ImageU8::clone(image);
+        mask.data.chunks_exact_mut(4).for_each(|p| p.fill(p[3]));
+        v.mask = Some(ImageSource::Memory(Arc::new(mask)));
+    }
+    data
+}
+
+/// Half of the points lie in the hull of these.
+#[test]
+fn masks_carve_where_there_is_no_alpha() {
+    let data = generate("balls", &options()).unwrap().dataset;
+    let hull = data.initial_points(1000, 2).unwrap();
+    let data = masked(data);
+    let cloud = data.initial_points(2000, 2).unwrap();
+    assert_eq!(cloud.positions.len(), 2000);
+    let near = |p: &Vec3| hull.positions.iter().any(|q| (*p - *q).length() < 0.1);
+    let inside = |points: &[Vec3]| points.iter().filter(|p| near(p)).count();
+    let (first, rest) = (inside(&cloud.positions[..1000]), inside(&cloud.positions[1000..]));
+    assert!(first > 900 && rest < 700, "{first} and {rest} of 1000 near the hull");
+    assert!(data.has_start() && cloud.colors[1500] == [0.5; 3]);
+}
+
+#[test]
+fn small_things_have_points_where_they_are_at_the_first_moment() {
+    let options = SynthOptions { cameras: 12, moments: 4, ..options() };
+    let made = generate("falling", &options).unwrap();
+    let first = masked(made.dataset).at_first_moment();
+    assert!(!first.dynamic && first.train.len() == 12);
+    let cloud = first.initial_points(2000, 2).unwrap();
+    let ball = made.truth.position_of(0, DVec3::ZERO, 0.0).unwrap().as_vec3();
+    let near = cloud.positions[..1000].iter().filter(|p| p.distance(ball) < 0.3).count();
+    assert!(near > 20, "{near} points of the hull in the ball");
+}

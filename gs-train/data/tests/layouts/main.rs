@@ -1,0 +1,10 @@
+//! Data sets: readers layout by layout, real captures, and scenes that are generated.
+
+mod hypernerf;
+mod layouts;
+mod llff;
+mod nerfies;
+mod nvfi;
+mod nvidia;
+mod panoptic;
+mod real;

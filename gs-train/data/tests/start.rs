@@ -1,0 +1,67 @@
+//! Points to begin with, kept in `scene.toml`.
+
+use glam::Vec3;
+use gs_core::io::{npy, write_file};
+use gs_data::DataOptions;
+use gs_data::{Dataset, PointCloud, StartFrom, write_start};
+use gs_synth::{self as synth, SynthOptions};
+
+fn folder(name: &str) -> (tempfile::TempDir, Dataset) {
+    let dir = tempfile::tempdir().unwrap();
+    let options = SynthOptions { size: 48, train_views: 24, val_views: 1, test_views: 1, ..Default::default() };
+    synth::write(dir.path(), name, &options, true).unwrap();
+    let data = Dataset::open(dir.path(), &DataOptions::default()).unwrap();
+    (dir, data)
+}
+
+#[test]
+fn what_is_written_is_what_the_folder_begins_with() {
+    let (dir, data) = folder("balls");
+    let mut start = data.start(None, 300, 4).unwrap();
+    assert_eq!((start.from, start.cloud.positions.len()), (StartFrom::Hull, 300));
+    start.bounds = Some([Vec3::splat(-1.5), Vec3::splat(1.25)]);
+    std::fs::write(dir.path().join("scene.toml"), "# mine\n[time]\nrange = \"0..1\"\n").unwrap();
+    write_start(dir.path(), &start, false).unwrap();
+    let again = Dataset::open(dir.path(), &DataOptions::default()).unwrap();
+    assert_eq!(again.points.as_ref().unwrap().positions, start.cloud.positions);
+    assert_eq!(again.scene_bounds(), start.bounds.unwrap());
+    assert_eq!(write_start(dir.path(), &start, false).unwrap_err().code(), "io.exists");
+    start.bounds = None;
+    write_start(dir.path(), &start, true).unwrap();
+    let text = std::fs::read_to_string(dir.path().join("scene.toml")).unwrap();
+    assert_eq!(text.matches("[start]").count(), 1);
+    assert!(text.starts_with("# mine\n[time]\nrange") && !text.contains("bounds"), "{text}");
+}
+
+#[test]
+fn depth_gives_points_on_the_surface() {
+    let (dir, mut data) = folder("static");
+    let truth = synth::truth_of(dir.path()).unwrap();
+    for (k, v) in data.train.iter_mut().enumerate() {
+        let file = dir.path().join(format!("depth{k}.npy"));
+        let depth = truth.depth(&v.camera, v.time.seconds);
+        write_file(&file, true, |out| npy::write(&[depth.height, depth.width], &depth.data, out)).unwrap();
+        v.depth = Some(file);
+    }
+    let start = data.start(None, 400, 0).unwrap();
+    assert_eq!((start.from, start.cloud.positions.len()), (StartFrom::Depth, 400));
+    let off = |p: &Vec3| {
+        let nearest = |b: &synth::body::Body| b.distance(p.as_dvec3(), 0.0).abs();
+        truth.bodies().iter().map(nearest).fold(f64::INFINITY, f64::min)
+    };
+    let worst = start.cloud.positions.iter().map(off).fold(0.0, f64::max);
+    assert!(worst < 1e-3, "{worst} off the surface");
+}
+
+#[test]
+fn what_the_data_cannot_give_is_said() {
+    let (_dir, mut data) = folder("static");
+    let why = |d: &Dataset, from| d.start(Some(from), 10, 0).unwrap_err().to_string();
+    assert!(why(&data, StartFrom::Colmap).contains("COLMAP"));
+    assert!(why(&data, StartFrom::Depth).contains("no depth"));
+    data.points = Some(PointCloud { positions: vec![Vec3::splat(1e4); 9], colors: vec![[0.0; 3]; 9] });
+    assert!(why(&data, StartFrom::Colmap).contains("frame of its poses"), "points elsewhere");
+    data.has_alpha = false;
+    assert!(why(&data, StartFrom::Hull).contains("neither alpha nor masks"));
+    assert_eq!(data.start(None, 10, 0).unwrap().from, StartFrom::Random);
+}

@@ -1,0 +1,173 @@
+//! Splats without gradients: as a camera sees them, stage by stage, and all of them for analyses.
+
+use super::Anchored;
+use super::forward::{Filter, ROOM, farthest};
+use super::rest::Rest;
+use glam::Vec3;
+use gs_anchor::visible::{self, Reach};
+use gs_anchor::{DecodeTape, Local, Visible};
+use gs_core::{Camera, Color, Splats, Time};
+use gs_deform::Field;
+use gs_train::method::StageView;
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// Intervals kept at once: 64 of 27 000 anchors are 500 MB.
+const INTERVALS_KEPT: usize = 64;
+/// How often a picture is tried with a wider margin before everything is decoded.
+const TRIES: usize = 3;
+
+/// Local anchors by canonical time: GAD takes few values, so a run of frames asks for it once per interval. What comes
+/// out of it has the same bits as anew.
+#[derive(Default)]
+pub(super) struct Cache {
+    locals: Mutex<BTreeMap<u32, Arc<Local>>>,
+    /// What is left where it rests, if anything is.
+    rest: Option<Rest>,
+}
+
+impl Cache {
+    /// To be called before anything it depends on changes.
+    pub fn forget(&mut self) {
+        self.locals.get_mut().unwrap_or_else(PoisonError::into_inner).clear();
+        self.rest = None;
+    }
+
+    /// One that leaves what rests where it is.
+    pub fn resting(rest: Rest) -> Self {
+        Self { rest: Some(rest), ..Self::default() }
+    }
+
+    fn get(&self, canonical: Time, make: impl FnOnce() -> Local) -> Arc<Local> {
+        let key = canonical.normalised.to_bits();
+        let lock = || self.locals.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(local) = lock().get(&key) {
+            return local.clone();
+        }
+        let made = Arc::new(make());
+        let mut locals = lock();
+        if locals.len() >= INTERVALS_KEPT {
+            locals.clear();
+        }
+        locals.insert(key, made.clone());
+        made
+    }
+}
+
+impl Anchored {
+    /// The anchors of the interval that holds `t`.
+    pub(super) fn local(&self, t: Time) -> Arc<Local> {
+        let Some(gad) = self.motion.gad.as_ref().filter(|_| self.dynamic()) else {
+            return self.cache.get(Time::default(), || self.at_rest());
+        };
+        let canonical = self.motion.canonical_time(t);
+        self.cache.get(canonical, || {
+            let mut local = Local::default();
+            match &self.cache.rest {
+                Some(rest) => gad.forward_moving(&self.anchors, canonical, rest.below(), &mut local),
+                None => gad.forward(&self.anchors, canonical, &mut Default::default(), &mut local),
+            }
+            local
+        })
+    }
+
+    fn at_rest(&self) -> Local {
+        let mut local = Local::default();
+        self.anchors.activate(&mut local);
+        local
+    }
+
+    /// Decodes the anchors a camera may see.
+    pub(super) fn decoded(&self, local: &Local, camera: &Camera, margin: Option<f64>) -> (Splats, DecodeTape) {
+        let (mut splats, mut tape, mut listed) = <(Splats, DecodeTape, Vec<u32>)>::default();
+        let visible = match margin {
+            Some(margin) => {
+                visible::clean(local, camera, &Reach { margin, ..Reach::default() }, &mut listed);
+                Visible::List(&listed)
+            }
+            None => Visible::All,
+        };
+        self.decoder.forward(local, visible, camera.position(), &mut tape, &mut splats);
+        (splats, tape)
+    }
+
+    /// Moves decoded Gaussians of these rows (`anchor · k + j`).
+    fn moved(&self, neural: &Splats, rows: &[u32], t: Time) -> Option<Splats> {
+        let lgd = self.motion.lgd.as_ref().filter(|_| self.dynamic())?;
+        let mut moved = Splats::default();
+        match &self.cache.rest {
+            Some(rest) => rest.forward(lgd, neural, rows, t, &mut moved),
+            None => lgd.forward(neural, t, &mut Default::default(), &mut moved),
+        }
+        Some(moved)
+    }
+
+    /// What `camera` sees at a time.
+    pub(super) fn seen_by(&self, t: Time, camera: &Camera) -> Splats {
+        let local = self.local(t);
+        let mut reach = self.reach[0];
+        for _ in 0..TRIES {
+            let margin = (self.config.filter == Filter::Clean).then_some(ROOM * f64::from(reach));
+            let (neural, tape) = self.decoded(&local, camera, margin);
+            let Some(moved) = self.moved(&neural, &tape.rows, t) else { return neural };
+            let farthest = farthest(&neural, &moved);
+            if margin.is_none_or(|margin| f64::from(farthest) <= margin) {
+                return moved;
+            }
+            reach = reach.max(farthest);
+        }
+        let (neural, tape) = self.decoded(&local, camera, None);
+        self.moved(&neural, &tape.rows, t).unwrap_or(neural)
+    }
+
+    /// Global, local and full: the anchors at rest, those of the interval, and their Gaussians at the moment.
+    pub(super) fn staged(&self, t: Time, camera: &Camera) -> Vec<StageView> {
+        let rest = self.at_rest();
+        let (global, _) = self.decoded(&rest, camera, None);
+        let mut stages = vec![StageView { name: "global", splats: global, before: None }];
+        let local = self.local(t);
+        let (neural, tape) = self.decoded(&local, camera, None);
+        let moved = self.moved(&neural, &tape.rows, t);
+        let before_lgd = moved.is_some().then(|| neural.means.clone());
+        if self.motion.gad.is_some() && self.dynamic() {
+            let before = tape.rows.iter().map(|&row| self.center(&rest, row)).collect();
+            stages.push(StageView { name: "local", splats: neural, before: Some(before) });
+        }
+        if let Some(splats) = moved {
+            stages.push(StageView { name: "full", splats, before: before_lgd });
+        }
+        stages
+    }
+
+    /// Centre of the Gaussian of a row before LGD.
+    pub(super) fn center(&self, local: &Local, row: u32) -> Vec3 {
+        let (row, k) = (row as usize, self.config.offsets);
+        let anchor = row / k;
+        local.positions[anchor]
+            + Vec3::from_slice(&local.offsets[3 * row..]) * Vec3::from_slice(&local.scales[6 * anchor..])
+    }
+
+    /// Every Gaussian of every anchor, in the same order at all times; those that are not there have opacity 0.
+    pub(super) fn every_splat(&self, t: Time, camera: &Camera) -> Splats {
+        let local = self.local(t);
+        let (seen, tape) = self.decoded(&local, camera, None);
+        let n = local.len() * self.config.offsets;
+        let mut all = Splats {
+            means: (0..n as u32).map(|row| self.center(&local, row)).collect(),
+            quats: vec![[1.0, 0.0, 0.0, 0.0]; n],
+            scales: vec![Vec3::ZERO; n],
+            opacities: vec![0.0; n],
+            ..Splats::default()
+        };
+        let mut colors = vec![[0.0; 3]; n];
+        let Color::Rgb(seen_colors) = &seen.color else { unreachable!("a decoder gives plain colours") };
+        for (i, &row) in tape.rows.iter().enumerate() {
+            let row = row as usize;
+            (all.quats[row], all.scales[row], all.opacities[row]) = (seen.quats[i], seen.scales[i], seen.opacities[i]);
+            colors[row] = seen_colors[i];
+        }
+        all.color = Color::Rgb(colors);
+        let rows: Vec<u32> = (0..n as u32).collect();
+        self.moved(&all, &rows, t).unwrap_or(all)
+    }
+}

@@ -1,0 +1,193 @@
+//! Still parts of a moving scene, for drawing: an approximation, off unless asked for.
+//!
+//! Where a Gaussian goes does not depend on who looks. Its centre `μ(t) = x' + O' ⊙ l' + Δx`, moved by GAD and LGD
+//! together, and LGD's `Δs` and `Δr` belong to its row `anchor · k + j`. Rows that hardly change are **baked**, and LGD is
+//! not asked about them:
+//!
+//! ```text
+//! μ̄, Δ̄s, Δ̄r = half-way between the smallest and the largest value over the probe times
+//! μ = μ̄     s = s' ∘ Δ̄s     q = q' + Δ̄r          s', q' as decoded now, with all that GAD does to them
+//! ```
+//! A row is baked if its centre stays within `pixels` on every camera's screen (where it comes nearest), and its shape
+//! within a share ε, `max |s − s̄| ≤ ε max |s|` and `2 ‖q − q̄‖ ≤ ε ‖q‖`, at the probe times and half-way between them,
+//! each seen from one of the cameras. A row that none of these views decodes is never baked.
+//!
+//! Anchors with `M = 0` and a local factor below `weight` are not asked about by GAD either.
+
+use super::Anchored;
+use glam::{Vec3, Vec4};
+use gs_core::nn::BLOCK;
+use gs_core::{Camera, Splats, Time};
+use gs_deform::apply::{self, Apply, Offsets, RowsMut};
+use gs_deform::field::grid4d::{StillOptions, StillReport, screen_bound};
+use gs_deform::{Field, HexPlaneField};
+use gs_train::method::{RestOptions, RestReport};
+use rayon::prelude::*;
+
+/// Where rows are, and how LGD changes their shape.
+#[derive(Clone, Debug, Default)]
+struct Poses {
+    /// `μ`, 3 values a row.
+    centers: Vec<f32>,
+    /// `Δs`, 3 values a row; empty if scales do not change.
+    scales: Vec<f32>,
+    /// `Δr`, 4 values a row; empty if rotations do not change.
+    quats: Vec<f32>,
+}
+
+/// The baked rows of a scene.
+#[derive(Clone, Debug)]
+pub(super) struct Rest {
+    poses: Poses,
+    still: Vec<bool>,
+    below: f32,
+}
+
+/// How far a row was found from its baked pose.
+#[derive(Clone, Copy, Debug, Default)]
+struct Worst {
+    /// World units.
+    moved: f32,
+    /// A share.
+    shape: f32,
+    seen: bool,
+}
+
+impl Poses {
+    fn columns(&mut self) -> [&mut Vec<f32>; 3] {
+        [&mut self.centers, &mut self.scales, &mut self.quats]
+    }
+
+    /// Combines two, value by value.
+    fn with(mut self, mut other: Self, f: fn(f32, f32) -> f32) -> Self {
+        for (a, b) in self.columns().into_iter().zip(other.columns()) {
+            a.iter_mut().zip(b).for_each(|(a, b)| *a = f(*a, *b));
+        }
+        self
+    }
+
+    fn center(&self, row: usize) -> Vec3 {
+        Vec3::from_slice(&self.centers[3 * row..])
+    }
+
+    /// How the shape of a row changes.
+    fn change(&self, row: usize) -> Offsets<'_> {
+        let scales = self.scales.get(3 * row..3 * row + 3).unwrap_or_default();
+        let quats = self.quats.get(4 * row..4 * row + 4).unwrap_or_default();
+        Offsets { means: &[], scales, quats }
+    }
+
+    /// Writes decoded Gaussians of these rows in their poses.
+    fn put(&self, rule: Apply, neural: &Splats, rows: &[u32], out: &mut Splats) {
+        apply::pass_through(neural, out);
+        let columns = apply::chunks(neural, BLOCK).zip(apply::chunks_mut(out, BLOCK));
+        columns.zip(rows.par_chunks(BLOCK)).for_each(|((from, to), rows)| {
+            for (i, row) in rows.iter().map(|r| *r as usize).enumerate() {
+                let one = i..i + 1;
+                let (means, quats) = (&from.means[one.clone()], &from.quats[one.clone()]);
+                let from = apply::Rows { means, quats, scales: &from.scales[one.clone()] };
+                let (means, quats) = (&mut to.means[one.clone()], &mut to.quats[one.clone()]);
+                let mut to = RowsMut { means, quats, scales: &mut to.scales[one] };
+                rule.forward(from, self.change(row), &mut to);
+                to.means[0] = self.center(row);
+            }
+        });
+    }
+}
+
+impl Rest {
+    /// Local factors below this count as zero.
+    pub fn below(&self) -> f32 {
+        self.below
+    }
+
+    /// Moves decoded Gaussians of these rows: those that rest to their baked pose, the others as the field says.
+    pub fn forward(&self, lgd: &HexPlaneField, neural: &Splats, rows: &[u32], t: Time, out: &mut Splats) {
+        self.poses.put(lgd.rule(), neural, rows, out);
+        let moves = |i: &u32| !self.still[rows[*i as usize] as usize];
+        let moving: Vec<u32> = (0..rows.len() as u32).filter(moves).collect();
+        let mut moved = Splats::default();
+        lgd.forward(&apply::pick(neural, &moving), t, &mut Default::default(), &mut moved);
+        apply::put_back(&moved, &moving, out);
+    }
+}
+
+impl Worst {
+    fn see(&mut self, exact: (Vec3, [f32; 4]), baked: (Vec3, [f32; 4])) {
+        let size = |v: Vec3| v.abs().max_element();
+        let [q, r] = [exact.1, baked.1].map(Vec4::from_array);
+        let scale = size(exact.0 - baked.0) / size(exact.0).max(f32::MIN_POSITIVE);
+        let turn = 2.0 * (q - r).length() / q.length().max(f32::MIN_POSITIVE);
+        self.shape = self.shape.max(scale).max(turn);
+        self.seen = true;
+    }
+}
+
+impl Anchored {
+    /// Finds what rests; `None` without LGD or where nothing moves.
+    pub(super) fn rest(&self, options: &RestOptions<'_>) -> Option<(Rest, RestReport)> {
+        let lgd = self.motion.lgd.as_ref().filter(|_| self.dynamic())?;
+        let RestOptions { still: StillOptions { pixels, probes, cameras }, shape, weight } = *options;
+        let gaps = probes.max(2) - 1;
+        let time = |halves: usize| {
+            let normalised = halves as f32 / (2 * gaps) as f32;
+            Time { normalised, seconds: f64::from(normalised) }
+        };
+        let at_probes = || (0..=gaps).map(|p| 2 * p);
+        let poses = at_probes().map(|h| self.poses(lgd, time(h)));
+        let span =
+            poses.map(|p| (p.clone(), p)).reduce(|(low, high), (a, b)| (low.with(a, f32::min), high.with(b, f32::max)));
+        let poses = span.map(|(low, high)| low.with(high, |a, b| 0.5 * (a + b)))?;
+
+        let mut worst = vec![Worst::default(); poses.centers.len() / 3];
+        let look = |halves: usize, worst: &mut [Worst]| {
+            let camera = cameras.get(halves * cameras.len() / (2 * gaps + 1));
+            self.compare(lgd, &poses, time(halves), camera, worst);
+        };
+        let within = |(row, w): (usize, &Worst)| {
+            let way = screen_bound([w.moved, 0.0], poses.center(row), cameras);
+            (w.seen && way <= pixels && w.shape <= shape).then_some((way, w.shape))
+        };
+        at_probes().for_each(|h| look(h, &mut worst));
+        let first: Vec<_> = worst.par_iter().enumerate().map(within).collect();
+        (0..gaps).for_each(|p| look(2 * p + 1, &mut worst));
+        let found: Vec<_> = worst.par_iter().enumerate().map(within).collect();
+        let still = found.iter().flatten().count();
+        let between = first.iter().zip(&found).filter(|(first, found)| first.is_some() && found.is_none()).count();
+        let most = |f: fn(&(f32, f32)) -> f32| found.iter().flatten().map(f).fold(0.0, f32::max);
+        let rows = StillReport { splats: found.len(), still, bound_pixels: most(|b| b.0), probes: gaps + 1 };
+        let idle = self.motion.gad.iter().flat_map(|gad| gad.taking_part(&self.anchors, weight)).filter(|p| !p).count();
+        let report = RestReport { rows, shape: most(|b| b.1), between, anchors: idle };
+        Some((Rest { poses, still: found.iter().map(Option::is_some).collect(), below: weight }, report))
+    }
+
+    /// The poses of all rows at a time.
+    fn poses(&self, lgd: &HexPlaneField, t: Time) -> Poses {
+        let local = self.local(t);
+        let rows = (local.len() * self.config.offsets) as u32;
+        let centers: Vec<Vec3> = (0..rows).into_par_iter().map(|row| self.center(&local, row)).collect();
+        let mut said = Default::default();
+        lgd.offsets_at(&centers, t, &mut Default::default(), &mut said);
+        let mut centers: Vec<f32> = centers.iter().flat_map(|c| c.to_array()).collect();
+        centers.iter_mut().zip(&said.means).for_each(|(c, d)| *c += d);
+        Poses { centers, scales: said.scales, quats: said.quats }
+    }
+
+    /// Enters how far rows are from their baked poses at a time; their shapes as a camera sees them.
+    fn compare(&self, lgd: &HexPlaneField, baked: &Poses, t: Time, camera: Option<&Camera>, worst: &mut [Worst]) {
+        let exact = self.poses(lgd, t);
+        for (row, worst) in worst.iter_mut().enumerate() {
+            worst.moved = worst.moved.max(exact.center(row).distance(baked.center(row)));
+        }
+        let Some(camera) = camera else { return };
+        let (neural, tape) = self.decoded(&self.local(t), camera, None);
+        let [exact, baked] = [&exact, baked].map(|poses| {
+            let mut splats = Splats::default();
+            poses.put(lgd.rule(), &neural, &tape.rows, &mut splats);
+            splats
+        });
+        for (i, &row) in tape.rows.iter().enumerate() {
+            worst[row as usize].see((exact.scales[i], exact.quats[i]), (baked.scales[i], baked.quats[i]));
+        }
+    }
+}

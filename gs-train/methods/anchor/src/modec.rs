@@ -1,0 +1,109 @@
+//! MoDec-GS (Kwak et al. 2025): anchors moved once per temporal interval (global anchor deformation, GAD), their Gaussians
+//! once per frame (local Gaussian deformation, LGD), and intervals whose boundaries move (temporal interval adjustment, TIA).
+//!
+//! Parts to leave out, `ablate = "tia,lgd"`:
+//!
+//! | name | left out | row of the paper's table |
+//! |---|---|---|
+//! | `gad` | motion of the anchors | "explicit": one field moves the Gaussians |
+//! | `lgd` | motion of the Gaussians | "GAD only" |
+//! | `tia` | motion of the boundaries | without TIA |
+
+use crate::anchored::{AnchorConfig, Anchored, Motion, Parts, SparsityConfig};
+use gs_anchor::{AdaptRules, AnchorShape, DecoderConfig, Gad, GadConfig, IntervalConfig, Intervals};
+use gs_deform::{Aabb, FourDgsConfig, HexPlaneField};
+use gs_train::ablate::{Ablations, Part};
+use gs_train::method::{Method, MethodEntry, MethodError, parse_config};
+use gs_train::scene::{InitConfig, SceneInfo};
+use gs_train::schedule::Schedule;
+use serde::{Deserialize, Serialize};
+
+/// The line in the list of methods.
+pub const ENTRY: MethodEntry = MethodEntry {
+    name: "modec",
+    about: "MoDec-GS: anchors moved per interval, their Gaussians per frame; small files (Kwak et al. 2025)",
+    defaults: include_str!("modec.toml"),
+    presets: &[
+        ("paper", ""),
+        ("ref", include_str!("modec.ref.toml")),
+        ("fast", include_str!("modec.fast.toml")),
+        ("tiny", include_str!("modec.tiny.toml")),
+    ],
+    needs_avatar: false,
+    build,
+};
+
+const PARTS: &[Part<Config>] =
+    &[("gad", |c| c.global = false), ("lgd", |c| c.local = false), ("tia", |c| c.intervals.on = false)];
+
+/// The configuration.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Config {
+    /// Parts to leave out, for comparison.
+    pub ablate: Ablations,
+    /// The planes cover the box of the first points, enlarged on every side by this share of its diagonal.
+    pub margin: f32,
+    /// Where the first points come from.
+    pub init: InitConfig,
+    /// The anchors.
+    pub anchors: AnchorConfig,
+    /// Their decoder.
+    pub decoder: DecoderConfig,
+    /// Logits of motion per anchor: 1 (shared) or 2.
+    pub logits: usize,
+    /// The penalty on them.
+    pub sparsity: SparsityConfig,
+    /// Whether anchors move, once per interval.
+    pub global: bool,
+    /// Whether Gaussians move, once per frame.
+    pub local: bool,
+    /// Global anchor deformation.
+    pub gad: GadConfig,
+    /// Local Gaussian deformation.
+    pub lgd: FourDgsConfig,
+    /// The intervals.
+    pub intervals: IntervalConfig,
+    /// Growth and pruning.
+    pub adapt: AdaptRules,
+    /// The plan of the run.
+    pub schedule: Schedule,
+}
+
+fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Box<dyn Method>, MethodError> {
+    let mut config: Config = parse_config(ENTRY.name, table)?;
+    let wrong = |why: String| MethodError::Config { method: ENTRY.name, why };
+    config.ablate.clone().apply(PARTS, &mut config).map_err(wrong)?;
+    if !(1..=2).contains(&config.logits) {
+        return Err(wrong(format!("logits = {}: 1 (shared) or 2", config.logits)));
+    }
+    if !(config.sparsity.weight >= 0.0 && config.sparsity.weight.is_finite()) {
+        return Err(wrong(format!("sparsity.weight = {}: finite, not negative", config.sparsity.weight)));
+    }
+    let [min, max] = scene.bounds;
+    let margin = config.margin * min.distance(max);
+    let aabb = Aabb::new(min - margin, max + margin).map_err(|e| wrong(e.to_string()))?;
+    // Without GAD nothing depends on the intervals or the logits.
+    let dynamics = if config.global { config.logits } else { 0 };
+    let shape = AnchorShape { offsets: config.anchors.offsets, features: config.anchors.features, dynamics };
+    let field = |e: gs_deform::DeformError| MethodError::Config { method: ENTRY.name, why: e.to_string() };
+    let gad = config.global.then(|| Gad::new(&config.gad, shape, aabb, scene.seed)).transpose().map_err(field)?;
+    let lgd = config.local.then(|| HexPlaneField::new("lgd", &config.lgd, aabb, scene.seed));
+    let intervals = config.global.then(|| Intervals::new(&config.intervals, scene.moments));
+    let motion = Motion {
+        gad,
+        lgd: lgd.transpose().map_err(field)?,
+        intervals: intervals.transpose().map_err(|e| MethodError::Config { method: ENTRY.name, why: e.to_string() })?,
+    };
+    let parts = Parts {
+        name: ENTRY.name,
+        schedule: config.schedule,
+        anchors: config.anchors,
+        decoder: config.decoder,
+        adapt: config.adapt,
+        dynamics,
+        motion,
+        sparsity: Some(config.sparsity),
+    };
+    Ok(Box::new(Anchored::new(parts, scene)?))
+}

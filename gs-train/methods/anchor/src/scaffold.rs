@@ -1,0 +1,53 @@
+//! Scaffold-GS (Lu et al. 2024) without time: anchors decoded as a camera sees them.
+
+use crate::anchored::{AnchorConfig, Anchored, Motion, Parts};
+use gs_anchor::{AdaptRules, DecoderConfig};
+use gs_train::method::{Method, MethodEntry, MethodError, parse_config};
+use gs_train::scene::{InitConfig, SceneInfo};
+use gs_train::schedule::Schedule;
+use serde::{Deserialize, Serialize};
+
+/// The line in the list of methods.
+pub const ENTRY: MethodEntry = MethodEntry {
+    name: "scaffold",
+    about: "Scaffold-GS: anchors decoded as a camera sees them, one scaffold for all times (Lu et al. 2024)",
+    defaults: include_str!("scaffold.toml"),
+    presets: &[
+        ("paper", ""),
+        ("fast", include_str!("scaffold.fast.toml")),
+        ("tiny", include_str!("scaffold.tiny.toml")),
+    ],
+    needs_avatar: false,
+    build,
+};
+
+/// The configuration.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Config {
+    /// Where the first points come from.
+    pub init: InitConfig,
+    /// The anchors.
+    pub anchors: AnchorConfig,
+    /// Their decoder.
+    pub decoder: DecoderConfig,
+    /// Growth and pruning.
+    pub adapt: AdaptRules,
+    /// The plan of the run.
+    pub schedule: Schedule,
+}
+
+fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Box<dyn Method>, MethodError> {
+    let config: Config = parse_config(ENTRY.name, table)?;
+    let parts = Parts {
+        name: ENTRY.name,
+        schedule: config.schedule,
+        anchors: config.anchors,
+        decoder: config.decoder,
+        adapt: config.adapt,
+        dynamics: 0,
+        motion: Motion::default(),
+        sparsity: None,
+    };
+    Ok(Box::new(Anchored::new(parts, scene)?))
+}

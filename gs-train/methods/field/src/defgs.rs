@@ -1,0 +1,44 @@
+//! Deformable 3D Gaussians (Yang et al. 2024): a canonical cloud moved by one wide network, after a static warm-up.
+
+use crate::deformed::Deformed;
+use gs_deform::field::anneal::Anneal;
+use gs_deform::{DefGsConfig, DefMlp};
+use gs_train::canonical::Canonical;
+use gs_train::method::{Method, MethodEntry, MethodError, parse_config};
+use gs_train::scene::{CloudConfig, InitConfig, SceneInfo};
+use gs_train::schedule::Schedule;
+use serde::{Deserialize, Serialize};
+
+/// The line in the list of methods.
+pub const ENTRY: MethodEntry = MethodEntry {
+    name: "defgs",
+    about: "Deformable 3D Gaussians: a cloud moved by a network of place and time (Yang et al. 2024)",
+    defaults: include_str!("defgs.toml"),
+    presets: &[("paper", ""), ("fast", include_str!("defgs.fast.toml")), ("tiny", include_str!("defgs.tiny.toml"))],
+    needs_avatar: false,
+    build,
+};
+
+/// The configuration.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Config {
+    /// Where the first points come from.
+    pub init: InitConfig,
+    /// The cloud.
+    pub cloud: CloudConfig,
+    /// Blur of training times (real captures only).
+    pub anneal: Anneal,
+    /// The field.
+    pub field: DefGsConfig,
+    /// The plan of the run.
+    pub schedule: Schedule,
+}
+
+fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Box<dyn Method>, MethodError> {
+    let config: Config = parse_config(ENTRY.name, table)?;
+    let wrong = |e: gs_deform::DeformError| MethodError::Config { method: ENTRY.name, why: e.to_string() };
+    let field = DefMlp::new(&config.field, scene.seed).map_err(wrong)?;
+    let canonical = Canonical::new(&config.cloud, config.schedule, scene)?;
+    Ok(Box::new(Deformed::new(ENTRY.name, canonical, field, config.anneal, scene.views)))
+}

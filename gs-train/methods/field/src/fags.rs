@@ -1,0 +1,19 @@
+//! FAGS, frequency-aware dynamic Gaussian splatting: Grid4D with a kernel whose fall-off is learnt, a Fourier branch, a
+//! gate and a loss on amplitude spectra. Settings and body are those of [`grid4d`](super::grid4d).
+
+use crate::grid4d::{PRESETS, build_as};
+use gs_train::method::{Method, MethodEntry, MethodError, SceneInfo};
+
+/// The line in the list of methods.
+pub const ENTRY: MethodEntry = MethodEntry {
+    name: "fags",
+    about: "FAGS: Grid4D with learnt fall-offs, a Fourier branch, a gate and a loss on spectra",
+    defaults: concat!(include_str!("fags.parts.toml"), include_str!("grid4d.toml")),
+    presets: PRESETS,
+    needs_avatar: false,
+    build,
+};
+
+fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Box<dyn Method>, MethodError> {
+    build_as(ENTRY.name, table, scene)
+}

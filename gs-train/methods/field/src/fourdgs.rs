@@ -1,0 +1,48 @@
+//! 4D Gaussian Splatting (Wu et al. 2024): a canonical cloud moved by a HexPlane field, after a static coarse stage.
+
+use crate::deformed::Deformed;
+use gs_deform::field::anneal::Anneal;
+use gs_deform::{Aabb, FourDgsConfig, HexPlaneField};
+use gs_train::canonical::Canonical;
+use gs_train::method::{Method, MethodEntry, MethodError, parse_config};
+use gs_train::scene::{CloudConfig, InitConfig, SceneInfo};
+use gs_train::schedule::Schedule;
+use serde::{Deserialize, Serialize};
+
+/// The line in the list of methods.
+pub const ENTRY: MethodEntry = MethodEntry {
+    name: "fourdgs",
+    about: "4D Gaussian Splatting: a cloud moved by six feature planes over space and time (Wu et al. 2024)",
+    defaults: include_str!("fourdgs.toml"),
+    presets: &[("paper", ""), ("fast", include_str!("fourdgs.fast.toml")), ("tiny", include_str!("fourdgs.tiny.toml"))],
+    needs_avatar: false,
+    build,
+};
+
+/// The configuration.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Config {
+    /// Where the first points come from.
+    pub init: InitConfig,
+    /// The cloud.
+    pub cloud: CloudConfig,
+    /// The planes cover the box of the first points, enlarged on every side by this share of its diagonal.
+    pub margin: f32,
+    /// The field.
+    pub field: FourDgsConfig,
+    /// The plan of the run.
+    pub schedule: Schedule,
+}
+
+fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Box<dyn Method>, MethodError> {
+    let config: Config = parse_config(ENTRY.name, table)?;
+    let wrong = |e: gs_deform::DeformError| MethodError::Config { method: ENTRY.name, why: e.to_string() };
+    let [min, max] = scene.bounds;
+    let margin = config.margin * min.distance(max);
+    let aabb = Aabb::new(min - margin, max + margin).map_err(wrong)?;
+    let field = HexPlaneField::new("field", &config.field, aabb, scene.seed).map_err(wrong)?;
+    let canonical = Canonical::new(&config.cloud, config.schedule, scene)?;
+    let still = Anneal { strength: 0.0, ..Anneal::default() };
+    Ok(Box::new(Deformed::new(ENTRY.name, canonical, field, still, scene.views)))
+}

@@ -1,0 +1,139 @@
+//! Grid4D (Xu et al. 2024): a canonical cloud moved by hash grids over space and over space and time. The common body of
+//! [`fags`](super::fags), which adds a Fourier branch, a gate, a bent kernel and a loss on spectra, and of
+//! [`drk`](super::drk), which adds another kernel: one structure of settings, one way to build.
+
+use crate::deformed::Deformed;
+use gs_deform::field::anneal::Anneal;
+use gs_deform::field::{Grid4dConfig, Grid4dField};
+use gs_train::ablate::{Ablations, Part};
+use gs_train::canonical::Canonical;
+use gs_train::kernel::KernelKind;
+use gs_train::method::{Method, MethodEntry, MethodError, parse_config};
+use gs_train::scene::{CloudConfig, InitConfig, SceneInfo};
+use gs_train::schedule::Schedule;
+use serde::{Deserialize, Serialize};
+
+/// The line in the list of methods.
+pub const ENTRY: MethodEntry = MethodEntry {
+    name: "grid4d",
+    about: "Grid4D: a cloud moved by hash grids over space and time (Xu et al. 2024)",
+    defaults: concat!(include_str!("grid4d.parts.toml"), include_str!("grid4d.toml")),
+    presets: PRESETS,
+    needs_avatar: false,
+    build,
+};
+
+/// Presets of everything on this body: none of them touches what tells the methods apart.
+pub(super) const PRESETS: &[(&str, &str)] = &[
+    ("paper", ""),
+    ("fast", include_str!("grid4d.fast.toml")),
+    ("tiny", include_str!("grid4d.tiny.toml")),
+    ("hypernerf", include_str!("grid4d.hypernerf.toml")),
+    ("neu3d", include_str!("grid4d.neu3d.toml")),
+];
+
+/// Parts that may be left out of every method on this body, by the names of the table of FAGS:
+///
+/// | name | left out | how |
+/// |---|---|---|
+/// | `fdgk` | the learnt kernel profile | Gaussian splats |
+/// | `hfe` | the Fourier branch | `field.fourier.on = false` |
+/// | `gate` | the gate, `η = 1` | `field.gate.on = false` |
+/// | `fre` | the amplitude-spectrum loss | `schedule.lambda_fre = 0` |
+/// | `lambda` | λ per splat | one λ that all splats share, learnt (`λ = ½` would be `fdgk`, whatever β is) |
+/// | `beta` | β per splat | `β = ½` |
+///
+/// The first four together make `fags` the method `grid4d`.
+pub(super) const GRID4D: &[Part<Config>] = &[
+    ("fdgk", |c| c.cloud.kernel.kind = KernelKind::Gaussian),
+    ("hfe", |c| c.field.fourier.on = false),
+    ("gate", |c| c.field.gate.on = false),
+    ("fre", |c| c.schedule.lambda_fre = 0.0),
+    ("lambda", |c| c.cloud.kernel.shared_lambda = true),
+    ("beta", |c| c.cloud.kernel.learn_beta = false),
+];
+
+/// Where `field.bound` is 0, half the side of the cube is the largest coordinate of a first point times this.
+const ROOM: f32 = 1.2;
+
+/// The configuration.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Config {
+    /// Parts to leave out, for comparison.
+    pub ablate: Ablations,
+    /// The field's smoothness counts from this step of the run.
+    pub smooth_from: u32,
+    /// Where the first points come from.
+    pub init: InitConfig,
+    /// The cloud.
+    pub cloud: CloudConfig,
+    /// The field; a `bound` of 0 is replaced by one that holds the first points.
+    pub field: Grid4dConfig,
+    /// The plan of the run.
+    pub schedule: Schedule,
+}
+
+fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Box<dyn Method>, MethodError> {
+    build_as(ENTRY.name, table, scene)
+}
+
+/// Builds whatever the configuration says, under the name of one of the methods on this body.
+pub(super) fn build_as(
+    name: &'static str,
+    table: &toml::Table,
+    scene: &SceneInfo,
+) -> Result<Box<dyn Method>, MethodError> {
+    let mut config: Config = parse_config(name, table)?;
+    let wrong = |why: String| MethodError::Config { method: name, why };
+    config.ablate.clone().apply(GRID4D, &mut config).map_err(wrong)?;
+    if config.field.bound == 0.0 {
+        config.field.bound =
+            ROOM * scene.bounds.map(|corner| corner.abs().max_element()).into_iter().fold(0.0, f32::max);
+    }
+    let field = Grid4dField::new(&config.field, scene.seed).map_err(|e| wrong(e.to_string()))?;
+    let canonical = Canonical::new(&config.cloud, config.schedule, scene)?;
+    let still = Anneal { strength: 0.0, ..Anneal::default() };
+    let method = Deformed::new(name, canonical, field, still, scene.views);
+    Ok(Box::new(method.regularised_from(config.smooth_from)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::METHODS;
+    use gs_train::method::parse_config;
+
+    fn config(method: &'static str, ablate: &str) -> Config {
+        let mut table = METHODS.iter().find(|m| m.name == method).unwrap().config("tiny").unwrap();
+        table.insert("ablate".into(), ablate.into());
+        let mut config: Config = parse_config(method, &table).unwrap();
+        config.ablate.clone().apply(GRID4D, &mut config).unwrap();
+        config
+    }
+
+    #[test]
+    fn without_its_parts_fags_is_grid4d() {
+        let (bare, mut plain) = (config("fags", "fdgk, hfe,gate,fre"), config("grid4d", ""));
+        plain.ablate = bare.ablate.clone();
+        assert_eq!(bare, plain);
+        assert_eq!(String::from(bare.ablate), "fdgk,hfe,gate,fre");
+        assert_ne!(config("fags", ""), config("grid4d", ""));
+    }
+
+    #[test]
+    fn lambda_and_beta_are_left_out_each_for_itself() {
+        let kernel = |ablate| config("fags", ablate).cloud.kernel;
+        let full = kernel("");
+        assert_eq!(kernel("lambda"), gs_train::kernel::KernelConfig { shared_lambda: true, ..full });
+        assert_eq!(kernel("beta"), gs_train::kernel::KernelConfig { learn_beta: false, ..full });
+    }
+
+    #[test]
+    fn unknown_parts_are_refused_with_the_known_ones() {
+        let mut fags = config("fags", "");
+        let error = Ablations::from("gate,fdkg".to_owned()).apply(GRID4D, &mut fags).unwrap_err();
+        assert!(error.contains("`fdkg`") && error.contains("fdgk, hfe, gate"), "{error}");
+        assert_eq!(Ablations::from(String::new()), Ablations::default());
+    }
+}

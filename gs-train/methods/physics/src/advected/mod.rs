@@ -1,0 +1,512 @@
+//! A canonical cloud that a field deforms to a time nearby, and dynamics carry from there to the moment of the photograph:
+//! the common body of TRACE (a law of twists) and of DefGS with NVFi's velocity field.
+//!
+//! ```text
+//! t ≤ T_def   t' = clamp(t ∓ Δt, 0, T_def), either side with probability ½     T_def < t   t' = T_def
+//! x' = x₀ + δx(x₀, t')      x_t, q_phys = dynamics(x', t' → t)
+//! mean = x₀ + δx + sg(x_t − x')      q = q_phys ⊗ q_def(t') ⊗ q₀      s = s(t')
+//! ```
+//! (TRACE, its code's training loop; Δt may be drawn from several of its multiples, [`PhysicsConfig::reach`].) `sg` stops gradients: centres and offsets learn as if the physical displacement were a
+//! constant, the dynamics learn from the same cotangent at its end, and nothing flows through the place they are read at.
+//! Moments before the first step of Δt are the field's alone.
+//!
+//! Past `T_def` the scene is drawn from the deformation at `T_def` and the dynamics; the field is read at a later time in stages
+//! of its own only ([`Stage::field_alone`](gs_train::schedule::Stage::field_alone)), where it moves splats by itself.
+
+use glam::{DVec3, Vec3};
+use gs_core::{Camera, Param, Params, Rng, Splats, SplatsGrad, Time, rot};
+use gs_deform::Field;
+use gs_physics::classes::ClassRule;
+use gs_physics::{Dynamics, Moves, Start};
+use gs_raster::ScreenStats;
+use gs_train::canonical::Canonical;
+use gs_train::densify::Adapted;
+use gs_train::kernel::kernel_quantities;
+use gs_train::method::{Column, ColumnMut, Method, Particles, Quantity, SceneInfo, StageView};
+use gs_train::schedule::Schedule;
+use gs_train::timestamp::Moment;
+use serde::{Deserialize, Serialize};
+use std::sync::Mutex;
+
+mod colours;
+mod future;
+mod looks;
+#[cfg(test)]
+mod tests;
+
+use future::{Future, Thrift};
+
+/// Farthest that dynamics carry splats, in steps Δt: at moments beyond, the scene stands as it is there.
+const FARTHEST: f64 = 4096.0;
+/// How far a splat goes before it tells what moves, of the extent of the scene.
+const LITTLE: f32 = 0.01;
+
+/// When physics acts.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PhysicsConfig {
+    /// Δt, the step from the field's time to the photograph's, in intervals between frames.
+    pub step_frames: f32,
+    /// In training the dynamics carry splats over 1 to so many steps Δt, drawn anew each time (TRACE: 1). The farther, the
+    /// better accelerations can be told: they move a particle by ½ a (n Δt)². The range opens over the stage.
+    pub reach: u32,
+    /// Share of the training steps, up to `T_def`, in which the field alone draws the photograph, at its own time (TRACE: 0).
+    /// What moves is then kept while the dynamics are still wrong, and seen moments are learnt as without dynamics.
+    pub direct: f32,
+    /// The field is read up to `T_def`, this many intervals between frames before the last training time (one Δt at least).
+    pub back_frames: f32,
+    /// Before this share of the training span only the field moves splats (scenes that stand still at first).
+    pub start: f32,
+    /// How moments that were seen are drawn.
+    pub inside: Inside,
+    /// Whether the field takes part. Without it the dynamics carry splats from time 0.
+    pub field: bool,
+    /// Whether the lobes of colours turn with their splats (TRACE: no, they keep to the axes of the world).
+    #[serde(default)]
+    pub turn_colours: bool,
+    /// How far a forecast may put a splat off to save work, of the scene's extent, up to the end of the sequence: closed forms
+    /// instead of steps, one motion for a body. 0: only what is exact.
+    #[serde(default)]
+    pub slack: f32,
+    /// Most bodies whose splats share one motion in a forecast, as far as `slack` allows; 0: every splat follows its own.
+    #[serde(default)]
+    pub bodies: u32,
+}
+
+/// How moments that were seen are drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Inside {
+    /// By the field at that moment: strategy (1), the cheapest.
+    Field,
+    /// By the dynamics from the first moment: strategy (2), which adds up errors.
+    Physics,
+    /// By the field at `t − Δt` and the dynamics, as in training: strategy (3).
+    Step,
+}
+
+impl PhysicsConfig {
+    fn check(&self) -> Result<(), String> {
+        let need = |good: bool, name: &str, value: f32, rule: &str| {
+            if good { Ok(()) } else { Err(format!("physics.{name} = {value}: {rule}")) }
+        };
+        need(self.step_frames > 0.0 && self.step_frames.is_finite(), "step_frames", self.step_frames, "above 0")?;
+        need((1..=1000).contains(&self.reach), "reach", self.reach as f32, "1 to 1000")?;
+        need((0.0..1.0).contains(&self.direct), "direct", self.direct, "0 or more, below 1")?;
+        need(self.back_frames >= 0.0 && self.back_frames.is_finite(), "back_frames", self.back_frames, "0 or more")?;
+        need((0.0..1.0).contains(&self.start), "start", self.start, "0 or more, below 1")?;
+        need(self.slack >= 0.0 && self.slack.is_finite(), "slack", self.slack, "0 or more")?;
+        need(self.bodies <= 1000, "bodies", self.bodies as f32, "0 to 1000")
+    }
+
+    /// Δt of a scene, normalised; a hundredth of the span where there is one moment only.
+    pub fn step(&self, scene: &SceneInfo) -> f64 {
+        let frame = if scene.frame_interval > 0.0 { scene.frame_interval } else { 0.01 };
+        f64::from(self.step_frames) * f64::from(frame)
+    }
+}
+
+/// The times a scene is divided by, normalised.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Times {
+    /// Δt.
+    step: f64,
+    /// Last time the field is read at.
+    last_field: f64,
+    /// Before this only the field moves splats.
+    start: f64,
+}
+
+impl Times {
+    fn new(config: &PhysicsConfig, scene: &SceneInfo) -> Self {
+        let step = config.step(scene);
+        let back = step.max(f64::from(config.back_frames) * step / f64::from(config.step_frames));
+        let last = f64::from(scene.last_time);
+        Self { step, last_field: (last - back).max(0.0), start: f64::from(config.start) * last }
+    }
+}
+
+/// A cloud under a field and dynamics.
+pub struct Transported<F: Field, D: Dynamics> {
+    name: &'static str,
+    canonical: Canonical,
+    field: F,
+    dynamics: D,
+    config: PhysicsConfig,
+    times: Times,
+    /// What forecasts may leave out.
+    thrift: Thrift,
+    /// Splats that moved less than this hardly say where the middle of what moves is, world units.
+    little: f32,
+    scratch: Scratch<F, D>,
+    /// What is known of the time after `T_def`; gone with any change of a parameter.
+    future: Mutex<Option<Future>>,
+}
+
+/// Buffers of one step.
+struct Scratch<F: Field, D: Dynamics> {
+    field: F::Tape,
+    dynamics: D::Tape,
+    moved: Splats,
+    d_moved: SplatsGrad,
+    drawn: Splats,
+    d_drawn: SplatsGrad,
+    moves: Moves,
+    d_moves: Moves,
+}
+
+impl<F: Field, D: Dynamics> Default for Scratch<F, D> {
+    fn default() -> Self {
+        let (moved, d_moved, drawn, d_drawn) = Default::default();
+        let (field, dynamics, moves, d_moves) = Default::default();
+        Self { field, dynamics, moved, d_moved, drawn, d_drawn, moves, d_moves }
+    }
+}
+
+/// The two times of a transport.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Span {
+    from: f64,
+    to: f64,
+}
+
+impl<F: Field, D: Dynamics> Transported<F, D> {
+    /// A cloud with its field and its dynamics.
+    ///
+    /// # Errors
+    /// If a setting is out of its domain.
+    pub fn new(
+        name: &'static str,
+        canonical: Canonical,
+        field: F,
+        dynamics: D,
+        config: PhysicsConfig,
+        scene: &SceneInfo,
+    ) -> Result<Self, String> {
+        config.check()?;
+        let (times, scratch, future) = (Times::new(&config, scene), Scratch::default(), Mutex::new(None));
+        let little = LITTLE * scene.extent;
+        let thrift = Thrift {
+            rule: ClassRule {
+                tolerance: f64::from(config.slack * scene.extent),
+                horizon: (1.0 - if config.field { times.last_field } else { 0.0 }).max(times.step),
+            },
+            bodies: config.bodies as usize,
+        };
+        Ok(Self { name, canonical, field, dynamics, config, times, thrift, little, scratch, future })
+    }
+
+    /// From where to where the dynamics act in training for a photograph at time `t`.
+    fn training_span(&self, t: f64) -> Span {
+        let Times { step, last_field, start, .. } = self.times;
+        if !self.config.field {
+            return Span { from: 0.0, to: t };
+        }
+        if t < step.max(start) || self.canonical.schedule.field_alone(self.canonical.step()) {
+            return Span { from: t, to: t };
+        }
+        if t > last_field {
+            return Span { from: last_field, to: t };
+        }
+        let mut rng = Rng::new(self.canonical.seed(), "side-of-time", self.canonical.step(), 0);
+        let forward = rng.uniform() < 0.5;
+        if rng.uniform() < self.config.direct {
+            return Span { from: t, to: t };
+        }
+        let steps = 1.0 + (f64::from(rng.uniform()) * self.reach()).floor();
+        let from = if forward { t - steps * step } else { t + steps * step };
+        Span { from: from.clamp(start, last_field), to: t }
+    }
+
+    /// Steps Δt that the dynamics carry splats at most in the present step of training.
+    fn reach(&self) -> f64 {
+        let open = self.canonical.schedule.stage_and_offset(self.canonical.step());
+        let open = open.map_or(1.0, |(stage, made)| f64::from(made) / f64::from(stage.steps));
+        1.0 + open * f64::from(self.config.reach - 1)
+    }
+
+    /// From where to where the dynamics act in drawing.
+    fn drawing_span(&self, t: f64) -> Span {
+        let Times { step, last_field, start, .. } = self.times;
+        let t = t.clamp(-FARTHEST * step, last_field + FARTHEST * step);
+        match self.config.inside {
+            _ if !self.config.field => Span { from: 0.0, to: t },
+            _ if t > last_field => Span { from: last_field, to: t },
+            _ if t < 0.0 => Span { from: 0.0, to: t },
+            Inside::Physics => Span { from: start.min(t), to: t },
+            Inside::Step if t >= step.max(start) => Span { from: (t - step).max(start), to: t },
+            _ => Span { from: t, to: t },
+        }
+    }
+
+    /// The canonical splats as the field moves them.
+    fn deformed(&self, canonical: &Splats, t: f64) -> Splats {
+        let mut moved = Splats::default();
+        match self.config.field {
+            true => self.field.forward(canonical, at(t), &mut F::Tape::default(), &mut moved),
+            false => moved.clone_from(canonical),
+        }
+        moved
+    }
+
+    fn transported(&self, span: Span) -> Splats {
+        let canonical = self.canonical.activated();
+        if !self.canonical.dynamic() {
+            return canonical;
+        }
+        let mut moved = match span.from == self.times.last_field && span.to > span.from {
+            true => self.ahead(span.to),
+            false => self.near(&canonical, span),
+        };
+        if self.config.turn_colours {
+            colours::turn(&canonical, &mut moved);
+        }
+        moved
+    }
+
+    /// The splats at a time that the field is read at or near to.
+    fn near(&self, canonical: &Splats, span: Span) -> Splats {
+        let mut moved = self.deformed(canonical, span.from);
+        if span.from != span.to {
+            let (mut tape, mut moves) = Default::default();
+            self.dynamics.transport(self.start(canonical, &moved, span.from), span.to, &mut tape, &mut moves);
+            carry_drawn(&mut moved, &mut moves);
+        }
+        moved
+    }
+
+    /// The splats at a time after `T_def`, by what is known of the future.
+    fn ahead(&self, t: f64) -> Splats {
+        let mut known = self.future.lock().unwrap_or_else(|e| e.into_inner());
+        let future = known.get_or_insert_with(|| {
+            let canonical = self.canonical.activated();
+            let begin = self.deformed(&canonical, self.times.last_field);
+            let middle = self.start(&canonical, &begin, self.times.last_field).middle;
+            Future::new(begin, self.times.last_field, middle, &self.dynamics, self.thrift)
+        });
+        future.at(t, &self.dynamics)
+    }
+
+    /// Deformed splats as particles that set out at a time.
+    fn start<'a>(&self, canonical: &Splats, moved: &'a Splats, t: f64) -> Start<'a> {
+        let middle = middle(&canonical.means, &moved.means, self.dynamics.origin(), self.little);
+        Start { x: &moved.means, t, middle }
+    }
+
+    fn forget(&mut self) {
+        *self.future.get_mut().unwrap_or_else(|e| e.into_inner()) = None;
+    }
+
+    /// Field and dynamics on the way to a gradient.
+    fn learn(&mut self, t: Time, draw: &mut dyn FnMut(&Splats, &mut SplatsGrad)) {
+        let span = self.training_span(f64::from(t.normalised));
+        let Scratch { field, dynamics, moved, d_moved, drawn, d_drawn, moves, d_moves } = &mut self.scratch;
+        let canonical = &mut self.canonical;
+        match self.config.field {
+            true => self.field.forward(&canonical.splats, at(span.from), field, moved),
+            false => moved.clone_from(&canonical.splats),
+        }
+        let travels = span.from != span.to;
+        let middle = middle(&canonical.splats.means, &moved.means, self.dynamics.origin(), self.little);
+        drawn.clone_from(moved);
+        if travels {
+            let start = Start { x: &moved.means, t: span.from, middle };
+            self.dynamics.transport(start, span.to, dynamics, moves);
+            carry(drawn, moves);
+        }
+        let turn_colours = self.config.turn_colours;
+        if turn_colours {
+            colours::turn(&canonical.splats, drawn);
+        }
+        d_drawn.reset(drawn);
+        draw(drawn, d_drawn);
+        if turn_colours {
+            colours::turn_back(&canonical.splats, drawn, &mut d_drawn.color);
+        }
+        d_moved.clone_from(d_drawn);
+        if travels {
+            turn_back(moved, moves, d_drawn, d_moves, d_moved);
+            let start = Start { x: &moved.means, t: span.from, middle };
+            self.dynamics.transport_backward(start, dynamics, d_moves);
+        }
+        match self.config.field {
+            true => self.field.backward(&canonical.splats, field, d_moved, &mut canonical.d_splats),
+            false => canonical.d_splats.clone_from(d_moved),
+        }
+    }
+}
+
+/// The middle of what moved: the mean of the positions weighted by the squared distance from rest, drawn to `origin` where
+/// splats moved by no more than `little`.
+fn middle(rest: &[Vec3], now: &[Vec3], origin: Vec3, little: f32) -> Vec3 {
+    let origin = origin.as_dvec3();
+    let (mut sum, mut weight) = (DVec3::ZERO, f64::from(little * little) * rest.len() as f64);
+    for (rest, now) in rest.iter().zip(now) {
+        let w = f64::from((*now - *rest).length_squared());
+        sum += w * (now.as_dvec3() - origin);
+        weight += w;
+    }
+    if weight > 0.0 { (origin + sum / weight).as_vec3() } else { origin.as_vec3() }
+}
+
+/// A time for the field; its clock is the normalised one.
+fn at(t: f64) -> Time {
+    Time { normalised: t as f32, seconds: t }
+}
+
+/// Puts splats where the dynamics carried them, turned as they turned.
+fn carry(splats: &mut Splats, moves: &Moves) {
+    splats.means.copy_from_slice(&moves.means);
+    for (q, turn) in splats.quats.iter_mut().zip(&moves.turns) {
+        *q = rot::hamilton(*turn, *q);
+    }
+}
+
+/// The same for drawing: what a velocity field has carried beyond all numbers stays where it was.
+fn carry_drawn(splats: &mut Splats, moves: &mut Moves) {
+    for ((to, turn), from) in moves.means.iter_mut().zip(&mut moves.turns).zip(&splats.means) {
+        if !(to.is_finite() && turn.iter().all(|v| v.is_finite())) {
+            (*to, *turn) = (*from, [1.0, 0.0, 0.0, 0.0]);
+        }
+    }
+    carry(splats, moves);
+}
+
+/// The cotangents of what was carried (`d_drawn`), for the dynamics (`d_moves`) and for the splats before (`d_moved`, whose
+/// other columns are those of `d_drawn`). With `q = p ⊗ r`: `d_p = d ⊗ r*`, `d_r = p* ⊗ d`.
+fn turn_back(moved: &Splats, moves: &Moves, d_drawn: &SplatsGrad, d_moves: &mut Moves, d_moved: &mut SplatsGrad) {
+    d_moves.means.clone_from(&d_drawn.means);
+    d_moves.turns.clear();
+    d_moves.turns.extend(d_drawn.quats.iter().zip(&moved.quats).map(|(d, r)| rot::hamilton(*d, conjugate(*r))));
+    for ((d_r, d), p) in d_moved.quats.iter_mut().zip(&d_drawn.quats).zip(&moves.turns) {
+        *d_r = rot::hamilton(conjugate(*p), *d);
+    }
+}
+
+fn conjugate([w, x, y, z]: [f32; 4]) -> [f32; 4] {
+    [w, -x, -y, -z]
+}
+
+impl<F: Field, D: Dynamics> Params for Transported<F, D> {
+    fn visit(&self, f: &mut dyn FnMut(&Param)) {
+        self.canonical.cloud.visit(f);
+        if self.config.field {
+            self.field.visit(f);
+        }
+        self.dynamics.visit(f);
+    }
+
+    fn visit_mut(&mut self, f: &mut dyn FnMut(&mut Param)) {
+        self.forget();
+        self.canonical.cloud.visit_mut(f);
+        if self.config.field {
+            self.field.visit_mut(f);
+        }
+        self.dynamics.visit_mut(f);
+    }
+}
+
+impl<F: Field, D: Dynamics> Method for Transported<F, D>
+where
+    F::Tape: Sync,
+{
+    fn name(&self) -> &'static str {
+        self.name
+    }
+
+    fn schedule(&self) -> &Schedule {
+        &self.canonical.schedule
+    }
+
+    fn set_step(&mut self, step: u32) {
+        self.forget();
+        self.canonical.set_step(step);
+    }
+
+    fn splats(&self, at: &Moment, _camera: &Camera) -> Splats {
+        self.transported(self.drawing_span(f64::from(at.t.normalised)))
+    }
+
+    fn step(&mut self, at: &Moment, _camera: &Camera, draw: &mut dyn FnMut(&Splats, &mut SplatsGrad)) {
+        self.forget();
+        self.canonical.forward();
+        if self.canonical.dynamic() {
+            self.learn(at.t, draw);
+        } else {
+            draw(&self.canonical.splats, &mut self.canonical.d_splats);
+        }
+        self.canonical.backward();
+    }
+
+    fn stages(&self, at: &Moment, camera: &Camera) -> Vec<StageView> {
+        let canonical = self.canonical.activated();
+        let span = self.drawing_span(f64::from(at.t.normalised));
+        let deformed = self.transported(Span { from: span.from, to: span.from });
+        let (rest, bent) = (canonical.means.clone(), deformed.means.clone());
+        vec![
+            StageView { name: "canonical", splats: canonical, before: None },
+            StageView { name: "field", splats: deformed, before: Some(rest) },
+            StageView { name: "full", splats: self.splats(at, camera), before: Some(bent) },
+        ]
+    }
+
+    fn penalties(&mut self, step: u32) -> Vec<(&'static str, f32)> {
+        if !self.canonical.schedule.dynamic(step) {
+            return Vec::new();
+        }
+        let t = at(self.times.last_field);
+        let mut all = match self.config.field {
+            true => self.field.regularise(&self.canonical.splats, t, step),
+            false => Vec::new(),
+        };
+        all.extend(self.dynamics.regularise(self.canonical.seed(), step));
+        all
+    }
+
+    fn observe(&mut self, _at: &Moment, seen: &ScreenStats, camera: &Camera) {
+        self.canonical.observe(seen, camera);
+    }
+
+    fn adapt(&mut self, step: u32) -> Adapted {
+        self.forget();
+        self.canonical.adapt(step)
+    }
+
+    fn particles(&self) -> Option<Particles> {
+        let canonical = self.canonical.activated();
+        let splats = self.deformed(&canonical, self.first_ahead());
+        let motions = self.dynamics.motions(self.start(&canonical, &splats, self.first_ahead()));
+        Some(Particles { at: self.first_ahead(), splats, motions, origin: self.dynamics.origin() })
+    }
+
+    fn quantities(&self, at: &Moment) -> Vec<Quantity> {
+        let mut all = kernel_quantities(&self.canonical.activated().kernel);
+        all.extend(self.physical_quantities(f64::from(at.t.normalised)));
+        all
+    }
+
+    fn overlays(&self, at: &Moment) -> Vec<gs_train::method::Overlay> {
+        let mut all = self.directions(f64::from(at.t.normalised));
+        all.extend(self.quantities(at).iter().map(Quantity::overlay));
+        all
+    }
+
+    fn columns(&self) -> Vec<Column<'_>> {
+        self.canonical.density.columns().map(Column::per_row).into()
+    }
+
+    fn columns_mut(&mut self) -> Vec<ColumnMut<'_>> {
+        self.canonical.density.columns_mut().map(ColumnMut::per_row).into()
+    }
+
+    fn len(&self) -> usize {
+        self.canonical.cloud.len()
+    }
+}
+
+impl<F: Field, D: Dynamics> Transported<F, D> {
+    /// The time from which the dynamics rule alone.
+    fn first_ahead(&self) -> f64 {
+        if self.config.field { self.times.last_field } else { 0.0 }
+    }
+}

@@ -1,0 +1,322 @@
+use super::*;
+use glam::Vec3;
+use gs_core::Camera;
+use gs_data::PointCloud;
+use gs_deform::{DefGsConfig, DefMlp};
+use gs_physics::{Motion, Twist};
+use gs_train::method::section;
+use gs_train::scene::CloudConfig;
+
+/// One twist for all particles, one Euler step; turns are not normalised. Simple enough to differentiate by hand.
+struct OneTwist(Param);
+
+impl Params for OneTwist {
+    fn visit(&self, f: &mut dyn FnMut(&Param)) {
+        f(&self.0);
+    }
+
+    fn visit_mut(&mut self, f: &mut dyn FnMut(&mut Param)) {
+        f(&mut self.0);
+    }
+}
+
+impl OneTwist {
+    fn parts(&self) -> [Vec3; 2] {
+        [Vec3::from_slice(&self.0.value[..3]), Vec3::from_slice(&self.0.value[3..])]
+    }
+}
+
+impl Dynamics for OneTwist {
+    /// The step.
+    type Tape = f32;
+
+    fn transport(&self, Start { x, t: from, .. }: Start<'_>, to: f64, h: &mut f32, out: &mut Moves) {
+        let [v, w] = self.parts();
+        *h = (to - from) as f32;
+        out.means = x.iter().map(|&x| x + *h * (v + w.cross(x))).collect();
+        let half = 0.5 * *h * w;
+        out.turns = vec![[1.0, half.x, half.y, half.z]; x.len()];
+    }
+
+    fn transport_backward(&mut self, start: Start<'_>, h: &mut f32, d: &Moves) {
+        for ((x, d_mean), d_turn) in start.x.iter().zip(&d.means).zip(&d.turns) {
+            let d_w = *h * (x.cross(*d_mean) + 0.5 * Vec3::from_slice(&d_turn[1..]));
+            let all = (*h * *d_mean).to_array().into_iter().chain(d_w.to_array());
+            self.0.grad.iter_mut().zip(all).for_each(|(g, d)| *g += d);
+        }
+    }
+
+    fn motions(&self, start: Start<'_>) -> Vec<Motion<f32>> {
+        let [v, w] = self.parts().map(|p| p.to_array());
+        vec![Motion { twist: Twist { v, w }, ..Motion::default() }; start.x.len()]
+    }
+
+    fn rules_ahead(&self) -> bool {
+        true
+    }
+
+    fn origin(&self) -> Vec3 {
+        Vec3::ZERO
+    }
+}
+
+const CONFIG: PhysicsConfig = PhysicsConfig {
+    step_frames: 2.0,
+    reach: 1,
+    direct: 0.0,
+    back_frames: 3.0,
+    start: 0.0,
+    inside: Inside::Field,
+    field: true,
+    turn_colours: false,
+    slack: 0.0,
+    bodies: 0,
+};
+
+/// Twelve points, frames a twentieth apart, the last at 0.75: Δt = 0.1, T_def = 0.6.
+fn method(config: PhysicsConfig, zero_init: bool) -> Transported<DefMlp, OneTwist> {
+    let mut rng = Rng::new(3, "points", 0, 0);
+    let positions: Vec<Vec3> = (0..12).map(|_| Vec3::new(rng.normal(), rng.normal(), rng.normal())).collect();
+    let points = PointCloud { colors: vec![[0.5; 3]; 12], positions };
+    let bounds = [Vec3::splat(-2.0), Vec3::splat(2.0)];
+    let scene = SceneInfo {
+        points,
+        extent: 1.0,
+        bounds,
+        views: 16,
+        moments: 16,
+        last_time: 0.75,
+        frame_interval: 0.05,
+        seed: 5,
+        avatar: None,
+    };
+    let defgs = gs_methods::registry().find("defgs").and_then(|m| m.config("tiny")).unwrap();
+    let cloud: CloudConfig = section("defgs", &defgs, "cloud").unwrap();
+    let canonical = Canonical::new(&cloud, section("defgs", &defgs, "schedule").unwrap(), &scene).unwrap();
+    let width =
+        DefGsConfig { width: 16, depth: 2, time_hidden: 8, time_features: 4, zero_init, ..DefGsConfig::default() };
+    let field = DefMlp::new(&width, 1).unwrap();
+    let twist = OneTwist(Param::shared("physics.twist", vec![0.4, -0.3, 0.2, 0.5, 0.1, -0.6]));
+    let mut method = Transported::new("test", canonical, field, twist, config, &scene).unwrap();
+    method.set_step(500);
+    method
+}
+
+fn splats(method: &impl Method, t: f32) -> Splats {
+    let camera = Camera::look_at(8, 8, 0.7, glam::DVec3::Z * 5.0, glam::DVec3::ZERO, glam::DVec3::Y).unwrap();
+    method.splats(&Moment::new(at(f64::from(t))), &camera)
+}
+
+#[test]
+fn training_reads_the_field_on_either_side_and_never_past_its_end() {
+    let mut m = method(CONFIG, true);
+    let mut sides = [0, 0];
+    for step in 200..400 {
+        m.set_step(step);
+        let Span { from, to } = m.training_span(0.3);
+        assert!((f64::abs(from - to) - 0.1).abs() < 1e-7);
+        sides[usize::from(from < to)] += 1;
+        assert!((m.training_span(0.58).from - 0.6).abs() < 1e-7 || (m.training_span(0.58).from - 0.48).abs() < 1e-7);
+    }
+    assert!(sides.iter().all(|n| *n > 25), "{sides:?}");
+    let still = |t| m.training_span(t).from == t;
+    assert!(still(0.0) && still(0.09) && !still(0.11));
+    assert!((m.training_span(0.75).from - 0.6).abs() < 1e-7);
+    let late = method(PhysicsConfig { start: 0.4, ..CONFIG }, true);
+    assert!(late.training_span(0.29).from == 0.29 && late.training_span(0.31).from >= 0.3 - 1e-7);
+    let bare = method(PhysicsConfig { field: false, ..CONFIG }, true);
+    assert_eq!(bare.training_span(0.3), Span { from: 0.0, to: 0.3 });
+}
+
+#[test]
+fn a_field_alone_is_read_at_the_time_of_the_photograph() {
+    let mut m = method(CONFIG, true);
+    let dynamic = m.canonical.schedule.stages.get_mut("dynamic").unwrap();
+    dynamic.field_alone = true;
+    for t in [0.0, 0.3, 0.7] {
+        assert_eq!(m.training_span(t), Span { from: t, to: t });
+    }
+    learn(&mut m, 0.7);
+    assert!(m.dynamics.0.grad.iter().all(|g| *g == 0.0));
+}
+
+#[test]
+fn the_reach_opens_over_the_stage() {
+    let mut m = method(PhysicsConfig { reach: 3, ..CONFIG }, true);
+    // The stage has steps 121 to 1000.
+    let mut lengths = |steps: std::ops::Range<u32>| {
+        let mut lengths = [0; 4];
+        for step in steps {
+            m.set_step(step);
+            let Span { from, to } = m.training_span(0.3);
+            lengths[(f64::abs(from - to) / 0.1).round() as usize] += 1;
+        }
+        lengths
+    };
+    let first = lengths(121..141);
+    assert!(first[2] + first[3] <= 2, "{first:?}");
+    let whole = lengths(850..1001);
+    assert!(whole[0] == 0 && whole[1..].iter().all(|n| *n > 25), "{whole:?}");
+}
+
+#[test]
+fn the_first_moving_step_draws_what_the_warm_up_drew() {
+    let mut m = method(CONFIG, true);
+    m.set_step(120);
+    assert!(!m.canonical.dynamic());
+    let before = splats(&m, 0.0);
+    m.set_step(121);
+    assert!(m.canonical.dynamic());
+    assert_eq!(splats(&m, 0.0), before);
+}
+
+/// `Σ a·mean + Σ b·quat` of what a step draws, and the gradients it leaves.
+fn learn(m: &mut Transported<DefMlp, OneTwist>, t: f32) -> f64 {
+    let mut loss = 0.0;
+    m.visit_mut(&mut Param::clear_grad);
+    let camera = Camera::look_at(8, 8, 0.7, glam::DVec3::Z * 5.0, glam::DVec3::ZERO, glam::DVec3::Y).unwrap();
+    m.step(&Moment::new(at(f64::from(t))), &camera, &mut |s, d| {
+        let mut rng = Rng::new(9, "weights", 0, 0);
+        for i in 0..s.len() {
+            d.means[i] = Vec3::new(rng.normal(), rng.normal(), rng.normal());
+            d.quats[i] = std::array::from_fn(|_| rng.normal());
+            loss += f64::from(d.means[i].dot(s.means[i]));
+            loss += s.quats[i].iter().zip(d.quats[i]).map(|(q, d)| f64::from(q * d)).sum::<f64>();
+        }
+    });
+    loss
+}
+
+#[test]
+fn dynamics_learn_from_the_end_and_centres_as_if_the_displacement_were_constant() {
+    for t in [0.3, 0.7] {
+        let mut m = method(CONFIG, false);
+        learn(&mut m, t);
+        let got = m.dynamics.0.grad.clone();
+        for (k, got) in got.iter().enumerate() {
+            let mut at = |h: f32| {
+                m.dynamics.0.value[k] += h;
+                let loss = learn(&mut m, t);
+                m.dynamics.0.value[k] -= h;
+                loss
+            };
+            let want = (at(1e-2) - at(-1e-2)) / 2e-2;
+            assert!((f64::from(*got) - want).abs() < 2e-4 * (1.0 + want.abs()), "{t} {k}: {got} {want}");
+        }
+        let mut rng = Rng::new(9, "weights", 0, 0);
+        let mut means = Vec::new();
+        m.canonical.cloud.visit(&mut |p| {
+            if p.name == "cloud.means" {
+                means.clone_from(&p.grad)
+            }
+        });
+        for d in means.as_chunks::<3>().0 {
+            assert_eq!(*d, [rng.normal(), rng.normal(), rng.normal()], "the cotangent passes unchanged");
+            let _skipped: [f32; 4] = std::array::from_fn(|_| rng.normal());
+        }
+    }
+}
+
+#[test]
+fn turns_hand_their_cotangent_on_by_the_product_rule() {
+    let (p, r, d) = ([0.9f32, 0.1, -0.3, 0.2], [0.5f32, -0.4, 0.6, 0.3], [0.2f32, 0.7, -0.1, 0.4]);
+    let dot = |a: [f32; 4]| -> f64 { a.iter().zip(d).map(|(a, d)| f64::from(*a) * f64::from(d)).sum() };
+    let (d_p, d_r) = (rot::hamilton(d, conjugate(r)), rot::hamilton(conjugate(p), d));
+    for k in 0..4 {
+        let unit: [f32; 4] = std::array::from_fn(|i| f32::from(u8::from(i == k)));
+        assert!((f64::from(d_p[k]) - dot(rot::hamilton(unit, r))).abs() < 1e-6, "linear in the turn");
+        assert!((f64::from(d_r[k]) - dot(rot::hamilton(p, unit))).abs() < 1e-6, "linear in what was turned");
+    }
+}
+
+/// Coefficients learn through their turn: the loss is linear in them. At every time drawn, a turn keeps lengths and leaves
+/// the first coefficient alone.
+#[test]
+fn colours_turn_with_their_splats() {
+    let mut m = method(PhysicsConfig { turn_colours: true, ..CONFIG }, false);
+    let plain = method(CONFIG, false);
+    let mut rng = Rng::new(8, "lobes", 0, 0);
+    let mut fill = |p: &mut Param| {
+        if p.name == "cloud.sh_rest" {
+            p.value.iter_mut().for_each(|v| *v = rng.normal());
+        }
+    };
+    m.visit_mut(&mut fill);
+    let lobes = |m: &Transported<DefMlp, OneTwist>| {
+        let mut all = Vec::new();
+        m.visit(&mut |p| all.extend(if p.name == "cloud.sh_rest" { p.grad.clone() } else { Vec::new() }));
+        all
+    };
+    let camera = Camera::look_at(8, 8, 0.7, glam::DVec3::Z * 5.0, glam::DVec3::ZERO, glam::DVec3::Y).unwrap();
+    let step = |m: &mut Transported<DefMlp, OneTwist>| {
+        let mut loss = 0.0;
+        m.visit_mut(&mut Param::clear_grad);
+        m.step(&Moment::new(at(f64::from(0.3f32))), &camera, &mut |s, d| {
+            let (mut rng, gs_core::Color::Sh { coeffs, .. }) = (Rng::new(9, "weights", 0, 0), &s.color) else {
+                panic!("a cloud has spherical harmonics")
+            };
+            d.color.iter_mut().for_each(|d| *d = rng.normal());
+            loss = coeffs.iter().zip(&d.color).map(|(c, d)| f64::from(c * d)).sum();
+        });
+        loss
+    };
+    step(&mut m);
+    let got = lobes(&m);
+    for k in [0, 7, got.len() - 1] {
+        let mut at = |h: f32| {
+            m.visit_mut(&mut |p| {
+                if p.name == "cloud.sh_rest" {
+                    p.value[k] += h
+                }
+            });
+            step(&mut m)
+        };
+        let (hi, lo) = (at(0.5), at(-1.0));
+        at(0.5);
+        assert!((f64::from(got[k]) - (hi - lo)).abs() < 1e-4 * (1.0 + (hi - lo).abs()), "{k}: {} {}", got[k], hi - lo);
+    }
+    for t in [0.3, 0.7, 1.5] {
+        let (turned, still) = (splats(&m, t), m.canonical.activated());
+        assert_eq!(turned.means, splats(&plain, t).means, "only colours differ");
+        let (gs_core::Color::Sh { degree, coeffs: a }, gs_core::Color::Sh { coeffs: b, .. }) =
+            (turned.color, still.color)
+        else {
+            panic!("a cloud has spherical harmonics")
+        };
+        assert!(degree >= 1 && a != b, "the test has lobes, and they turn");
+        for (a, b) in a.chunks(3 * gs_core::sh::coeffs(degree)).zip(b.chunks(3 * gs_core::sh::coeffs(degree))) {
+            let length = |v: &[f32]| v[3..].iter().map(|v| v * v).sum::<f32>();
+            assert!(a[..3] == b[..3] && (length(a) - length(b)).abs() < 1e-4 * length(b));
+        }
+    }
+}
+
+#[test]
+fn what_comes_after_starts_from_the_last_deformation() {
+    let m = method(CONFIG, false);
+    let canonical = m.canonical.activated();
+    let begin = m.deformed(&canonical, m.times.last_field);
+    let mut moves = Moves::default();
+    let t = f64::from(1.5f32);
+    m.dynamics.transport(m.start(&canonical, &begin, m.times.last_field), t, &mut 0.0, &mut moves);
+    let ahead = splats(&m, 1.5);
+    assert_eq!(ahead.means, moves.means);
+    assert_eq!(splats(&m, 1.5), ahead, "what is kept gives the same again");
+    assert_eq!(splats(&m, 0.3), m.deformed(&canonical, f64::from(0.3f32)), "inside, the field alone");
+    let step = method(PhysicsConfig { inside: Inside::Step, ..CONFIG }, false);
+    assert_ne!(splats(&step, 0.3), splats(&m, 0.3));
+    assert_eq!(splats(&step, 1.5), ahead, "the ways differ inside only");
+}
+
+#[test]
+fn impossible_settings_are_named() {
+    for (config, name) in [
+        (PhysicsConfig { step_frames: 0.0, ..CONFIG }, "step_frames"),
+        (PhysicsConfig { back_frames: f32::NAN, ..CONFIG }, "back_frames"),
+        (PhysicsConfig { start: 1.0, ..CONFIG }, "start"),
+        (PhysicsConfig { slack: -0.1, ..CONFIG }, "slack"),
+        (PhysicsConfig { bodies: 1001, ..CONFIG }, "bodies"),
+    ] {
+        assert!(config.check().unwrap_err().contains(name));
+    }
+}

@@ -1,0 +1,54 @@
+//! Deformable 3D Gaussians with the velocity field of NVFi: TRACE's baseline DefGS_nvfi, trained as TRACE is
+//! ([`transported`](crate::advected)), with NVFi's physics-informed loss on the velocity.
+
+use crate::advected::{PhysicsConfig, Transported};
+use gs_deform::{DefGsConfig, DefMlp};
+use gs_physics::{VelocityConfig, VelocityField};
+use gs_train::canonical::Canonical;
+use gs_train::method::{Method, MethodEntry, MethodError, parse_config};
+use gs_train::scene::{CloudConfig, InitConfig, SceneInfo};
+use gs_train::schedule::Schedule;
+use serde::{Deserialize, Serialize};
+
+/// The line in the list of methods.
+pub const ENTRY: MethodEntry = MethodEntry {
+    name: "defgs-nvfi",
+    about: "DefGS with NVFi's velocity field and its physics-informed loss: a baseline of TRACE (Li et al. 2025)",
+    defaults: include_str!("defgs_nvfi.toml"),
+    presets: &[
+        ("paper", ""),
+        ("fast", include_str!("defgs_nvfi.fast.toml")),
+        ("tiny", include_str!("defgs_nvfi.tiny.toml")),
+    ],
+    needs_avatar: false,
+    build,
+};
+
+/// The configuration.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Config {
+    /// Where the first points come from.
+    pub init: InitConfig,
+    /// The cloud.
+    pub cloud: CloudConfig,
+    /// The deformation field.
+    pub field: DefGsConfig,
+    /// The velocity field.
+    pub velocity: VelocityConfig,
+    /// When it acts.
+    pub physics: PhysicsConfig,
+    /// The plan of the run.
+    pub schedule: Schedule,
+}
+
+fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Box<dyn Method>, MethodError> {
+    let config: Config = parse_config(ENTRY.name, table)?;
+    let wrong = |why: String| MethodError::Config { method: ENTRY.name, why };
+    let field = DefMlp::new(&config.field, scene.seed).map_err(|e| wrong(e.to_string()))?;
+    let step = config.physics.step(scene);
+    let velocity = VelocityField::new(&config.velocity, scene.bounds, step, scene.seed);
+    let velocity = velocity.map_err(|e| wrong(e.to_string()))?;
+    let canonical = Canonical::new(&config.cloud, config.schedule, scene)?;
+    Ok(Box::new(Transported::new(ENTRY.name, canonical, field, velocity, config.physics, scene).map_err(wrong)?))
+}

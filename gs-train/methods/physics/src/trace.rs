@@ -1,0 +1,104 @@
+//! TRACE (Li, Song and Yang 2025): every Gaussian is a rigid particle whose translation and rotation follow a learnt law.
+//!
+//! The deformation field of Deformable 3D Gaussians brings splats to a time near the photograph's, the law carries them
+//! from there ([`transported`](crate::advected)); past the last field time the law alone rules. [`trace_4dgs`](super::trace_4dgs)
+//! has the HexPlane of 4D Gaussian Splatting in its place.
+//!
+//! Parts to leave out, `ablate = "physics"`:
+//!
+//! | name | left out | row of the paper's Table 9 |
+//! |---|---|---|
+//! | `field` | the deformation field: the law carries splats from time 0 | no deformation |
+//! | `physics` | rigid motion: free velocities and turns | no physics |
+//! | `equivalent` | the equivalent form: centre, its velocity and acceleration are learnt | no equivalent form |
+//!
+//! Its other rows are settings: `physics.step_frames` and `law.order`.
+
+use crate::advected::{PhysicsConfig, Transported};
+use gs_deform::{DefGsConfig, DefMlp, Field};
+use gs_physics::{Law, LawConfig, LawForm};
+use gs_train::ablate::{Ablations, Part};
+use gs_train::canonical::Canonical;
+use gs_train::method::{Method, MethodEntry, MethodError, parse_config};
+use gs_train::scene::{CloudConfig, InitConfig, SceneInfo};
+use gs_train::schedule::Schedule;
+use serde::{Deserialize, Serialize};
+
+/// The line in the list of methods.
+pub const ENTRY: MethodEntry = MethodEntry {
+    name: "trace",
+    about: "TRACE: every Gaussian a rigid particle under a learnt law of motion; forecasts, segments (Li et al. 2025)",
+    defaults: include_str!("trace.toml"),
+    presets: &[
+        ("paper", ""),
+        ("parity", include_str!("trace.parity.toml")),
+        ("fast", include_str!("trace.fast.toml")),
+        ("tiny", include_str!("trace.tiny.toml")),
+    ],
+    needs_avatar: false,
+    build,
+};
+
+/// The configuration; `F` is that of the field.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Config<F> {
+    /// Parts to leave out, for comparison.
+    pub ablate: Ablations,
+    /// The box of fields that have one is that of the first points, enlarged by this share of its diagonal.
+    #[serde(default)]
+    pub margin: f32,
+    /// Where the first points come from.
+    pub init: InitConfig,
+    /// The cloud.
+    pub cloud: CloudConfig,
+    /// The deformation field.
+    pub field: F,
+    /// The law of motion.
+    pub law: LawConfig,
+    /// When it acts.
+    pub physics: PhysicsConfig,
+    /// The plan of the run.
+    pub schedule: Schedule,
+}
+
+impl<F> Config<F> {
+    /// What may be left out.
+    fn parts() -> [Part<Self>; 3] {
+        [
+            ("field", |c| c.physics.field = false),
+            ("physics", |c| c.law.form = LawForm::Free),
+            ("equivalent", |c| c.law.form = LawForm::Centre15),
+        ]
+    }
+}
+
+/// Builds TRACE on a field.
+///
+/// # Errors
+/// If the configuration or the scene cannot be used.
+pub(super) fn build_on<F, C>(
+    name: &'static str,
+    table: &toml::Table,
+    scene: &SceneInfo,
+    field: impl FnOnce(&Config<C>) -> Result<F, gs_deform::DeformError>,
+) -> Result<Box<dyn Method>, MethodError>
+where
+    F: Field + 'static,
+    F::Tape: Sync,
+    C: serde::de::DeserializeOwned + Clone,
+{
+    let mut config: Config<C> = parse_config(name, table)?;
+    let wrong = |why: String| MethodError::Config { method: name, why };
+    config.ablate.clone().apply(&Config::parts(), &mut config).map_err(wrong)?;
+    let field = field(&config).map_err(|e| wrong(e.to_string()))?;
+    let origin = 0.5 * (scene.bounds[0] + scene.bounds[1]);
+    let step = config.physics.step(scene);
+    let law = Law::new(&config.law, origin, step, scene.seed).map_err(|e| wrong(e.to_string()))?;
+    let canonical = Canonical::new(&config.cloud, config.schedule, scene)?;
+    Ok(Box::new(Transported::new(name, canonical, field, law, config.physics, scene).map_err(wrong)?))
+}
+
+fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Box<dyn Method>, MethodError> {
+    build_on(ENTRY.name, table, scene, |c: &Config<DefGsConfig>| DefMlp::new(&c.field, scene.seed))
+}

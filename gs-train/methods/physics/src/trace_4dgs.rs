@@ -1,0 +1,29 @@
+//! TRACE on the HexPlane field of 4D Gaussian Splatting (the row TRACE_4dgs of its tables); see [`trace`](super::trace).
+
+use crate::trace::{Config, build_on};
+use gs_deform::{Aabb, FourDgsConfig, HexPlaneField};
+use gs_train::method::{Method, MethodEntry, MethodError};
+use gs_train::scene::SceneInfo;
+
+/// The line in the list of methods.
+pub const ENTRY: MethodEntry = MethodEntry {
+    name: "trace-4dgs",
+    about: "TRACE's law of motion beside the feature planes of 4D Gaussian Splatting (Li et al. 2025)",
+    defaults: include_str!("trace_4dgs.toml"),
+    presets: &[
+        ("paper", ""),
+        ("fast", include_str!("trace_4dgs.fast.toml")),
+        ("tiny", include_str!("trace_4dgs.tiny.toml")),
+    ],
+    needs_avatar: false,
+    build,
+};
+
+fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Box<dyn Method>, MethodError> {
+    build_on(ENTRY.name, table, scene, |c: &Config<FourDgsConfig>| {
+        let [min, max] = scene.bounds;
+        let margin = c.margin * min.distance(max);
+        let aabb = Aabb::new(min - margin, max + margin)?;
+        HexPlaneField::new("field", &c.field, aabb, scene.seed)
+    })
+}

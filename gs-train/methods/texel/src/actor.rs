@@ -1,0 +1,468 @@
+//! What of a filmed person never changes, and what a frame gives: the posed template, what the cameras say about its
+//! texels, and the same once GeoNet's offsets have moved it.
+
+use super::config::{Config, Input, Mode, ResizeRule, TextureSizes, UnseenColor};
+use glam::{Affine3A, Vec3};
+use gs_core::{Camera, Image, Time};
+use gs_data::avatar::{AvatarFrame, AvatarScene};
+use gs_data::{DataError, ImageCache};
+use gs_texel::gaussians::warm_up::WarmUpError;
+use gs_texel::gaussians::{BaseError, ChannelsError, TexelBase};
+use gs_texel::inpaint::{InpaintError, Unseen, inpaint};
+use gs_texel::net::NetError;
+use gs_texel::scale_refine::ScaleRefine;
+use gs_texel::skin::{rotations, skin};
+use gs_texel::surface::{Mesh, MeshError, Topology};
+use gs_texel::surface_loss::ChamferError;
+use gs_texel::texels::{MapReader, TexelError, TexelOptions, TexelTable, resize};
+use gs_texel::unproject::{self, UnprojectConfig, UnprojectError, unproject};
+use std::sync::Arc;
+
+/// Bytes of decoded input images kept.
+const IMAGE_BYTES: usize = 256 << 20;
+
+/// The mean texture is that of so many frames, spread over the recording.
+const MEAN_FRAMES: usize = 8;
+
+/// What a frame cannot be made of.
+#[derive(Debug, thiserror::Error)]
+pub enum FrameError {
+    /// An image of a conditioning camera.
+    #[error(transparent)]
+    Image(#[from] DataError),
+    /// Mesh, cameras and images do not fit.
+    #[error(transparent)]
+    Unproject(#[from] UnprojectError),
+    /// A network.
+    #[error(transparent)]
+    Net(#[from] NetError),
+    /// Pose or offsets.
+    #[error(transparent)]
+    Base(#[from] BaseError),
+    /// Texel values.
+    #[error(transparent)]
+    Channels(#[from] ChannelsError),
+    /// Reference Gaussians.
+    #[error(transparent)]
+    WarmUp(#[from] WarmUpError),
+    /// Colours of texels that are not seen.
+    #[error(transparent)]
+    Inpaint(#[from] InpaintError),
+    /// Measured points.
+    #[error(transparent)]
+    Chamfer(#[from] ChamferError),
+    /// There are no measured points.
+    #[error(
+        "it has no points of the surface to learn geometry from; make the data with points, or set input = \"single\""
+    )]
+    NoPoints,
+    /// No camera sees anything of it.
+    #[error(
+        "no conditioning camera sees any texel of it; where the template is not in metres, scale it with its cameras, or set unproject.depth_tolerance in its units"
+    )]
+    Unseen,
+    /// Its points have no colours.
+    #[error(
+        "its points have no colours; make the data with coloured points (PLY with red, green, blue), or set surface.color = 0"
+    )]
+    NoColors,
+}
+
+/// A template that no texels can be laid on.
+#[derive(Debug, thiserror::Error)]
+pub enum ActorError {
+    /// Faces.
+    #[error("template: {0}")]
+    Mesh(#[from] MeshError),
+    /// Texture coordinates.
+    #[error("template: {0}")]
+    Texels(#[from] TexelError),
+    /// A setting.
+    #[error(transparent)]
+    Unproject(#[from] UnprojectError),
+    /// A frame of the mean texture.
+    #[error("mean texture: {0}")]
+    Frame(#[from] Box<FrameError>),
+}
+
+/// Everything of a person that does not depend on the moment.
+pub struct Actor {
+    /// The data.
+    pub scene: Arc<AvatarScene>,
+    /// Edges and rings of the template.
+    pub topology: Topology,
+    /// Normals of the bind pose, per vertex.
+    rest_normals: Vec<Vec3>,
+    /// Texels that are unprojected.
+    pub fine: TexelTable,
+    /// Texels of GeoNet.
+    pub geo: TexelTable,
+    /// Texels of GauNet: the Gaussians.
+    pub gau: TexelTable,
+    /// GeoNet's map at the vertices.
+    pub reader: MapReader,
+    refine: ScaleRefine,
+    pub(super) unproject: UnprojectConfig,
+    images: ImageCache,
+    resize: ResizeRule,
+    /// Mean textures: state of the method, saved with it.
+    pub(super) mean: MeanTextures,
+    rgb: bool,
+    normals: bool,
+    kappa: bool,
+}
+
+/// Mean colours over the recording, three per texel; empty where nothing asks for them.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct MeanTextures {
+    /// Of first textures, at GeoNet's texels: what GeoNet sees its colours less of.
+    pub geo: Vec<f32>,
+    /// At GauNet's texels: what GeoNet holds photographs against, and what Gaussians that no camera sees look like.
+    pub gau: Vec<f32>,
+}
+
+impl MeanTextures {
+    /// The rows of a texture.
+    pub fn rows(values: &[f32]) -> &[[f32; 3]] {
+        values.as_chunks().0
+    }
+}
+
+/// The template at a pose.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Posed {
+    /// The bind pose with the morphs the pose knows of, `N` rows.
+    pub canonical: Vec<Vec3>,
+    /// Blended skinning matrices, `N` rows.
+    pub transforms: Vec<Affine3A>,
+    /// Their rotations `(w, x, y, z)`.
+    turns: Vec<[f32; 4]>,
+    /// `κ`.
+    kappas: Vec<f32>,
+    /// Normals of the posed template.
+    pub normals: Vec<Vec3>,
+    /// The same without the rotation of its root.
+    root_free: Vec<Vec3>,
+}
+
+/// What the cameras say about the texels of a table.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Seen {
+    /// Display-encoded colours, 0 where unseen; `K` rows.
+    pub colors: Vec<[f32; 3]>,
+    /// Number of views, 0 where unseen; a mean where texels were resized.
+    pub views: Vec<f32>,
+}
+
+/// A frame before GeoNet.
+#[derive(Clone, Debug, PartialEq)]
+pub struct First {
+    /// The template.
+    pub posed: Posed,
+    /// What is seen on it, at the size of unprojection.
+    pub seen: Seen,
+    /// GeoNet's input, `[S, S, 6]`.
+    pub input: Vec<f32>,
+}
+
+/// A frame behind GeoNet.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Second {
+    /// `D`, metres in the bind pose, `N` rows.
+    pub offsets: Vec<Vec3>,
+    /// Where texels lie and how they are turned.
+    pub base: TexelBase,
+    /// What is seen on them.
+    pub seen: Seen,
+    /// GauNet's input, `[S, S, 6]`.
+    pub input: Vec<f32>,
+}
+
+impl Actor {
+    /// Lays texels on the template.
+    ///
+    /// # Errors
+    /// If that is not possible.
+    pub fn new(scene: Arc<AvatarScene>, config: &Config) -> Result<Self, ActorError> {
+        config.unproject.check()?;
+        let t = &scene.character.template;
+        let topology = Topology::new(&t.faces, t.vertices.len())?;
+        let table = |size| TexelTable::build(&t.faces, &t.uvs, &t.face_uvs, size, &TexelOptions::default());
+        let TextureSizes { unproject, geo, gau } = config.textures;
+        let (fine, geo, gau) = (table(unproject)?, table(geo)?, table(gau)?);
+        let (vertices, seams) = (t.vertices.len(), config.surface.seams);
+        let mut actor = Self {
+            rest_normals: topology.normals(&t.vertices, &t.faces),
+            reader: MapReader::at_vertices(&geo, vertices, &t.faces, &t.uvs, &t.face_uvs, seams),
+            refine: ScaleRefine::new(&t.vertices, &t.faces, config.refine),
+            unproject: config.unproject,
+            images: ImageCache::new(IMAGE_BYTES, 1.0),
+            resize: config.resize,
+            mean: MeanTextures::default(),
+            rgb: config.rgb,
+            normals: config.normals,
+            kappa: config.kappa,
+            topology,
+            fine,
+            geo,
+            gau,
+            scene,
+        };
+        let double = config.input == Input::Double;
+        let of_gau = match config.mode {
+            Mode::Direct => true,
+            Mode::Networks => config.gaunet.unseen == UnseenColor::Mean,
+        };
+        let wanted = [
+            (double && config.centred && config.rgb).then_some(&actor.geo),
+            (of_gau || double && config.surface.texture > 0.0).then_some(&actor.gau),
+        ];
+        let [geo, gau] = actor.mean_textures(wanted, |_| Ok(None)).map_err(Box::new)?;
+        actor.mean = MeanTextures { geo, gau };
+        Ok(actor)
+    }
+
+    /// The frame of a moment.
+    pub fn frame_at(&self, t: Time) -> &AvatarFrame {
+        self.scene.frame_at(t)
+    }
+
+    /// Bytes a prepared frame takes, roughly.
+    pub fn frame_bytes(&self) -> usize {
+        let vertices = self.rest_normals.len() * 160;
+        vertices + 16 * self.fine.len() + 24 * (self.geo.row.len() + self.gau.row.len()) + 160 * self.gau.len()
+    }
+
+    /// Joints to vertices: what skinning needs of a frame.
+    pub fn pose(&self, frame: &AvatarFrame) -> Posed {
+        let character = &self.scene.character;
+        let (t, skeleton) = (&character.template, &character.skeleton);
+        let joints = skeleton.skinning(&frame.pose);
+        let transforms = self.scene.skinning.blend(&t.weights, &joints);
+        let turns = rotations(&t.weights, &joints, &transforms);
+        let canonical = t.morphed(&frame.pose.morphs);
+        let kappas = match self.kappa {
+            true => self.refine.kappas(&skin(&t.vertices, &transforms)),
+            false => vec![1.0; canonical.len()],
+        };
+        let back = skeleton.root_rotation(&frame.pose).transpose().as_mat3();
+        let turned = |(n, m): (&Vec3, &Affine3A)| (m.matrix3 * *n).normalize_or_zero();
+        let normals: Vec<Vec3> = self.rest_normals.iter().zip(&transforms).map(turned).collect();
+        let root_free = normals.iter().map(|n| back * *n).collect();
+        Posed { canonical, transforms, turns, kappas, normals, root_free }
+    }
+
+    /// The images of a frame's conditioning cameras, decoded; colours are straight, the fourth channel is coverage.
+    ///
+    /// # Errors
+    /// If one cannot be read.
+    pub fn photographs(&self, frame: &AvatarFrame) -> Result<Vec<(Camera, Image)>, DataError> {
+        AvatarScene::photographs(&frame.inputs, &self.images)
+    }
+
+    /// What photographs say about the texels of a surface, `N` world positions.
+    ///
+    /// # Errors
+    /// If positions are not finite or images do not fit.
+    pub fn look(&self, surface: &[Vec3], photographs: &[(Camera, Image)]) -> Result<Seen, FrameError> {
+        let faces = &self.scene.character.template.faces;
+        let normals = self.topology.normals(surface, faces);
+        let mesh = Mesh { vertices: surface, normals: &normals, faces };
+        let views: Vec<_> =
+            photographs.iter().map(|(camera, image)| unproject::View { camera, image, mask: None }).collect();
+        let texture = unproject(&mesh, &self.fine, &views, &self.unproject)?;
+        Ok(Seen { colors: texture.colors, views: texture.seen.iter().map(|&n| f32::from(n)).collect() })
+    }
+
+    /// The posed surface with offsets.
+    pub fn surface(&self, posed: &Posed, offsets: &[Vec3]) -> Vec<Vec3> {
+        let moved: Vec<Vec3> = posed.canonical.iter().zip(offsets).map(|(&p, &d)| p + d).collect();
+        skin(&moved, &posed.transforms)
+    }
+
+    /// The frame before GeoNet.
+    ///
+    /// # Errors
+    /// As reading images and unprojecting them goes.
+    pub fn first(&self, frame: &AvatarFrame) -> Result<First, FrameError> {
+        self.first_of(self.pose(frame), &self.photographs(frame)?)
+    }
+
+    /// The same of a posed template and its photographs.
+    ///
+    /// # Errors
+    /// As [`Self::look`].
+    pub fn first_of(&self, posed: Posed, photographs: &[(Camera, Image)]) -> Result<First, FrameError> {
+        let seen = self.look(&skin(&posed.canonical, &posed.transforms), photographs)?;
+        let middle = (!self.mean.geo.is_empty()).then(|| MeanTextures::rows(&self.mean.geo));
+        let input = self.input(&self.geo, &self.resized(&seen, &self.geo), &posed, middle);
+        Ok(First { posed, seen, input })
+    }
+
+    /// The frame behind GeoNet, whose offsets are absent if the template is believed.
+    ///
+    /// # Errors
+    /// As reading images and unprojecting them goes; if offsets are not finite.
+    pub fn second(&self, frame: &AvatarFrame, first: &First, offsets: Option<Vec<Vec3>>) -> Result<Second, FrameError> {
+        let photographs = if offsets.is_some() { self.photographs(frame)? } else { Vec::new() };
+        self.second_of(first, offsets, &photographs)
+    }
+
+    /// The same of photographs, which are not looked at without offsets.
+    ///
+    /// # Errors
+    /// As [`Self::look`]; if offsets are not finite.
+    pub fn second_of(
+        &self,
+        first: &First,
+        offsets: Option<Vec<Vec3>>,
+        photographs: &[(Camera, Image)],
+    ) -> Result<Second, FrameError> {
+        let posed = &first.posed;
+        let seen = match &offsets {
+            Some(d) => &self.look(&self.surface(posed, d), photographs)?,
+            None => &first.seen,
+        };
+        let offsets = offsets.unwrap_or_else(|| vec![Vec3::ZERO; posed.canonical.len()]);
+        let seen = self.resized(seen, &self.gau);
+        let input = self.input(&self.gau, &seen, posed, None);
+        Ok(Second { base: self.base(posed, &offsets)?, offsets, seen, input })
+    }
+
+    /// Where the Gaussians' texels lie.
+    ///
+    /// # Errors
+    /// If pose or offsets are not finite.
+    pub fn base(&self, posed: &Posed, offsets: &[Vec3]) -> Result<TexelBase, FrameError> {
+        let points: Vec<Vec3> = posed.canonical.iter().zip(offsets).map(|(&p, &d)| p + d).collect();
+        let faces = &self.scene.character.template.faces;
+        Ok(TexelBase::new(&self.gau, faces, &points, &posed.transforms, &posed.turns, &posed.kappas)?)
+    }
+
+    /// The means of textures at the texels of tables where they are seen, in-painted elsewhere, over frames that training
+    /// views show (over any, if none is); three values per texel, none for an absent table. `offsets` gives those of a frame,
+    /// none for its first texture.
+    ///
+    /// # Errors
+    /// As reading images and unprojecting them goes; as `offsets`.
+    pub fn mean_textures<const N: usize>(
+        &self,
+        tables: [Option<&TexelTable>; N],
+        offsets: impl Fn(&AvatarFrame) -> Result<Option<Vec<Vec3>>, FrameError>,
+    ) -> Result<[Vec<f32>; N], FrameError> {
+        let mut means = tables.map(|t| Mean::new(t.map_or(0, TexelTable::len)));
+        if tables.iter().any(Option::is_some) {
+            for frame in self.mean_frames() {
+                let posed = self.pose(frame);
+                let surface = match offsets(frame)? {
+                    Some(offsets) => self.surface(&posed, &offsets),
+                    None => skin(&posed.canonical, &posed.transforms),
+                };
+                let seen = self.look(&surface, &self.photographs(frame)?)?;
+                for (mean, table) in means.iter_mut().zip(tables) {
+                    table.iter().for_each(|t| mean.add(&self.resized(&seen, t)));
+                }
+            }
+        }
+        let mut colors = [const { Vec::new() }; N];
+        for ((out, mean), table) in colors.iter_mut().zip(means).zip(tables) {
+            *out = table.map(|t| mean.colors(t)).transpose()?.unwrap_or_default().into_flattened();
+        }
+        Ok(colors)
+    }
+
+    /// The frames a mean texture is of.
+    fn mean_frames(&self) -> impl Iterator<Item = &AvatarFrame> {
+        let mut frames: Vec<&AvatarFrame> = self.scene.frames.iter().filter(|f| f.learnt).collect();
+        if frames.is_empty() {
+            frames = self.scene.frames.iter().collect();
+        }
+        let step = frames.len().div_ceil(MEAN_FRAMES).max(1);
+        frames.into_iter().step_by(step)
+    }
+
+    /// What is seen at the texels of another table: the mean over texels nearby, by the rule of the settings; unseen where none
+    /// of them is seen.
+    pub fn resized(&self, seen: &Seen, table: &TexelTable) -> Seen {
+        if table.size == self.fine.size {
+            return seen.clone();
+        }
+        let row = |(c, &n): (&[f32; 3], &f32)| [c[0], c[1], c[2], n];
+        let rows: Vec<[f32; 4]> = seen.colors.iter().zip(&seen.views).map(row).collect();
+        let map = self.fine.to_map(&rows, 0.0);
+        let seen = |p: &[f32]| if p[3] > 0.0 { 1.0 } else { 0.0 };
+        let known: Option<Vec<f32>> =
+            (self.resize == ResizeRule::Masked).then(|| map.data.chunks_exact(4).map(seen).collect());
+        let (map, _) = resize(&map, known.as_deref(), table.size);
+        let (colors, views) = table.from_map::<4>(&map).iter().map(|p| ([p[0], p[1], p[2]], p[3])).unzip();
+        Seen { colors, views }
+    }
+
+    /// A frame behind GeoNet under another light: its colours times `gain`, at most 1.
+    pub fn relit(&self, second: &Second, gain: [f32; 3]) -> Second {
+        let mut relit = second.clone();
+        let of_texels = self.gau.valid.iter().zip(&mut relit.seen.colors).zip(&second.seen.views);
+        for ((&t, color), _) in of_texels.filter(|(_, views)| **views > 0.0) {
+            for (i, (c, gain)) in color.iter_mut().zip(gain).enumerate() {
+                *c = (*c * gain).min(1.0);
+                if self.rgb {
+                    relit.input[t as usize * 6 + i] = 2.0 * *c - 1.0;
+                }
+            }
+        }
+        relit
+    }
+
+    /// A network's input `[S, S, 6]`: colours as `2 T − 1`, black where nothing is seen, and the root-free normals. Colours
+    /// less a `middle` are `2 (T − middle)`, 0 where nothing is seen.
+    fn input(&self, table: &TexelTable, seen: &Seen, posed: &Posed, middle: Option<&[[f32; 3]]>) -> Vec<f32> {
+        let faces = &self.scene.character.template.faces;
+        let empty = if self.rgb && middle.is_none() { -1.0 } else { 0.0 };
+        let mut map = vec![0.0; table.row.len() * 6];
+        map.chunks_exact_mut(6).for_each(|p| p[..3].fill(empty));
+        for (k, (&t, color)) in table.valid.iter().zip(&seen.colors).enumerate() {
+            let at = &mut map[t as usize * 6..][..6];
+            match middle {
+                _ if !self.rgb => {}
+                Some(middle) if seen.views[k] > 0.0 => (0..3).for_each(|i| at[i] = 2.0 * (color[i] - middle[k][i])),
+                Some(_) => {}
+                None => (0..3).for_each(|i| at[i] = 2.0 * color[i] - 1.0),
+            }
+            if self.normals {
+                at[3..].copy_from_slice(&table.at(faces, &posed.root_free, k).to_array());
+            }
+        }
+        map
+    }
+}
+
+/// Colours of texels while they are added up.
+struct Mean {
+    sums: Vec<[f32; 3]>,
+    counts: Vec<f32>,
+}
+
+impl Mean {
+    fn new(texels: usize) -> Self {
+        Self { sums: vec![[0.0; 3]; texels], counts: vec![0.0; texels] }
+    }
+
+    fn add(&mut self, seen: &Seen) {
+        for (k, (color, _)) in seen.colors.iter().zip(&seen.views).enumerate().filter(|(_, (_, views))| **views > 0.0) {
+            self.sums[k].iter_mut().zip(color).for_each(|(s, c)| *s += c);
+            self.counts[k] += 1.0;
+        }
+    }
+
+    /// The means, in-painted where nothing was seen.
+    fn colors(self, table: &TexelTable) -> Result<Vec<[f32; 3]>, FrameError> {
+        let mean = |(s, n): (&[f32; 3], &f32)| s.map(|v| v / n.max(1.0));
+        let mut colors: Vec<[f32; 3]> = self.sums.iter().zip(&self.counts).map(mean).collect();
+        let known: Vec<bool> = self.counts.iter().map(|n| *n > 0.0).collect();
+        if !known.contains(&true) {
+            return Err(FrameError::Unseen);
+        }
+        inpaint(table, &mut colors, &known, Unseen::Nearest)?;
+        Ok(colors)
+    }
+}

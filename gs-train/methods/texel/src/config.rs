@@ -1,0 +1,304 @@
+//! The settings of the method.
+
+use gs_texel::gaussians::DecodeOptions;
+use gs_texel::scale_refine::ScaleRefineOptions;
+use gs_texel::surface_loss::{IsometryRule, NormalRule};
+use gs_texel::texels::SeamRead;
+use gs_texel::unproject::UnprojectConfig;
+use gs_texel::{GauNetConfig, GeoNetConfig};
+use gs_train::method::{InitConfig, MethodError};
+use gs_train::schedule::Schedule;
+use serde::{Deserialize, Serialize};
+
+/// What says of each texel which Gaussian it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Mode {
+    /// GauNet, from the texture.
+    Networks,
+    /// Values of its own, the same at all moments.
+    Direct,
+}
+
+/// How often the images are brought to the surface.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Input {
+    /// Twice: before and after GeoNet has deformed it.
+    Double,
+    /// Once: the template is believed.
+    Single,
+}
+
+/// What a texel of a smaller texture is the mean of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ResizeRule {
+    /// Texels nearby that some camera sees.
+    Masked,
+    /// All texels nearby, black where no camera sees them or no chart lies: the published one, which bleeds over borders.
+    Plain,
+}
+
+/// Texels per side.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TextureSizes {
+    /// Of the textures unprojected.
+    pub unproject: usize,
+    /// Of GeoNet's maps.
+    pub geo: usize,
+    /// Of GauNet's maps: one Gaussian per valid texel.
+    pub gau: usize,
+}
+
+/// The texel Gaussians.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GaussianConfig {
+    /// Degree of spherical harmonics there is room for, 0 to 3.
+    pub sh_degree: u8,
+    /// How values become Gaussians.
+    pub decode: DecodeOptions,
+    /// Weight of the mean squared offset, per square metre.
+    pub reg: f32,
+}
+
+/// Values of the texels' own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum DirectColor {
+    /// The same at all moments.
+    Learnt,
+    /// `T a + b` of the moment's texture, where a camera sees the texel; of its mean elsewhere.
+    Texture,
+}
+
+/// The texels' own values.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DirectConfig {
+    /// What colours are made of.
+    pub color: DirectColor,
+}
+
+/// The Gaussians that learning begins with.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ReferenceConfig {
+    /// Opacity, between 0 and 1.
+    pub opacity: f32,
+    /// Standard deviations over the distance of neighbouring texels.
+    pub spread: f32,
+}
+
+/// What is smooth.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum LaplacianRule {
+    /// The deformed surface.
+    Positions,
+    /// What moves it: the template keeps its shape.
+    Offsets,
+}
+
+/// What measured points are held against.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum PointRule {
+    /// Vertices, both ways.
+    Vertices,
+    /// Faces: points to the surface alone.
+    Faces,
+}
+
+/// What GeoNet learns from.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SurfaceConfig {
+    /// What measured points are held against.
+    pub points: PointRule,
+    /// How much distances of vertices along the surface count, 0 to 1.
+    pub slide: f32,
+    /// Weight of the Laplacian.
+    pub laplacian: f32,
+    /// What it is of.
+    pub laplacian_rule: LaplacianRule,
+    /// Weight of the lengths of edges.
+    pub isometry: f32,
+    /// Which edges count.
+    pub isometry_rule: IsometryRule,
+    /// Weight of neighbouring normals.
+    pub normals: f32,
+    /// Which are neighbours.
+    pub normal_rule: NormalRule,
+    /// Weight of the colours of texels against their mean.
+    pub texture: f32,
+    /// Weight of the colours of measured points against those the template is painted with, where points are held against
+    /// faces; squared metres. Runs from before it have none.
+    #[serde(default)]
+    pub color: f32,
+    /// Steps of GeoNet after which the mean colours are made anew, of second textures; 0: they stay those of first ones.
+    pub refresh: u32,
+    /// What vertices on seams read of the map of offsets.
+    pub seams: SeamRead,
+}
+
+/// The reference colour of texels that no camera sees at a moment.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum UnseenColor {
+    /// Black.
+    Black,
+    /// The mean over moments that see them, in-painted where none does.
+    Mean,
+}
+
+/// GauNet beside its shape.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GauConfig {
+    /// The network; its number of inputs and its degree follow from elsewhere.
+    pub net: GauNetConfig,
+    /// Whether its values are added to the reference Gaussians of the warm-up.
+    pub residual: bool,
+    /// Colours of reference Gaussians that no camera sees.
+    pub unseen: UnseenColor,
+    /// Whether every texel adds values of its own, the same at all moments.
+    pub own: bool,
+    /// Metres of an offset of one that the network gives.
+    pub offset_unit: f32,
+    /// Longest gradient of all its weights in a step; 0: any.
+    pub clip: f32,
+}
+
+/// The configuration.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Config {
+    /// Where texel Gaussians come from.
+    pub mode: Mode,
+    /// How often images are unprojected.
+    pub input: Input,
+    /// Whether the networks see colours.
+    pub rgb: bool,
+    /// Whether they see normals.
+    pub normals: bool,
+    /// Whether GeoNet sees colours less their mean over the recording.
+    pub centred: bool,
+    /// Whether Gaussians grow where the surface is stretched.
+    pub kappa: bool,
+    /// How textures are brought to the networks' sizes.
+    pub resize: ResizeRule,
+    /// Most that a step scales each colour of the Gaussians' textures by, as a logarithm; 0: not at all.
+    pub jitter: f32,
+    /// Memory for frames once prepared, MiB.
+    pub cache_mib: u32,
+    /// Points, which only the extent of the scene is read from.
+    pub init: InitConfig,
+    /// Texels per side.
+    pub textures: TextureSizes,
+    /// The unprojection.
+    pub unproject: UnprojectConfig,
+    /// The bounds of κ.
+    pub refine: ScaleRefineOptions,
+    /// The texel Gaussians.
+    pub gaussians: GaussianConfig,
+    /// The Gaussians that learning begins with.
+    pub reference: ReferenceConfig,
+    /// The texels' own values.
+    pub direct: DirectConfig,
+    /// GeoNet.
+    pub geonet: GeoNetConfig,
+    /// What it learns from.
+    pub surface: SurfaceConfig,
+    /// GauNet.
+    pub gaunet: GauConfig,
+    /// The plan of the run.
+    pub schedule: Schedule,
+}
+
+/// What a step learns.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Phase {
+    /// GeoNet, from points.
+    Geometry,
+    /// GauNet, from reference Gaussians.
+    WarmUp,
+    /// Texel Gaussians, from photographs.
+    Main,
+}
+
+/// Names of the stages, in their order.
+const PHASES: [(&str, Phase); 3] = [("geometry", Phase::Geometry), ("warm_up", Phase::WarmUp), ("main", Phase::Main)];
+
+impl Phase {
+    /// What step `step` of a schedule learns.
+    pub fn of(schedule: &Schedule, step: u32) -> Self {
+        let name = schedule.ordered().get(schedule.position(step).stage).map(|s| s.0);
+        PHASES.iter().find(|p| Some(p.0) == name).map_or(Self::Main, |p| p.1)
+    }
+}
+
+impl Config {
+    /// Verifies what the parts cannot see by themselves.
+    ///
+    /// # Errors
+    /// The first setting that does not fit.
+    pub fn check(&self, method: &'static str) -> Result<(), MethodError> {
+        self.schedule.check()?;
+        let wrong = |why: String| Err(MethodError::Config { method, why });
+        let steps = |name: &str| self.schedule.stages.get(name).map_or(0, |s| s.steps);
+        if let Some(name) = self.schedule.stages.keys().find(|n| PHASES.iter().all(|p| p.0 != n.as_str())) {
+            return wrong(format!("schedule.stages.{name}: the stages are geometry, warm_up and main"));
+        }
+        let ordered: Vec<&str> = self.schedule.ordered().into_iter().map(|s| s.0).collect();
+        let mut expected: Vec<&str> = PHASES.map(|p| p.0).into();
+        expected.retain(|n| steps(n) > 0);
+        if ordered != expected {
+            return wrong(format!(
+                "schedule.stages: the order must be {}, not {}",
+                expected.join(", "),
+                ordered.join(", ")
+            ));
+        }
+        if let Some((name, _)) = self.schedule.ordered().into_iter().skip(1).find(|(_, s)| !s.own_clock) {
+            return wrong(format!(
+                "schedule.stages.{name}.own_clock: must be true, or what was learnt before goes on moving"
+            ));
+        }
+        if steps("geometry") > 0 && self.input == Input::Single {
+            return wrong("input = \"single\" has no GeoNet: set schedule.stages.geometry.steps = 0".into());
+        }
+        if steps("warm_up") > 0 && self.mode == Mode::Direct {
+            return wrong("mode = \"direct\" has no GauNet: set schedule.stages.warm_up.steps = 0".into());
+        }
+        let positive = |name: &str, v: f32, most: f32| match v > 0.0 && v < most {
+            true => Ok(()),
+            false => wrong(format!("{name} = {v}: above 0, below {most}")),
+        };
+        positive("reference.opacity", self.reference.opacity, 1.0)?;
+        positive("reference.spread", self.reference.spread, 100.0)?;
+        positive("geonet.offset_unit", self.geonet.offset_unit, 100.0)?;
+        positive("gaunet.offset_unit", self.gaunet.offset_unit, 100.0)?;
+        let surface = &self.surface;
+        let weights = [
+            ("jitter", self.jitter),
+            ("gaussians.reg", self.gaussians.reg),
+            ("gaunet.clip", self.gaunet.clip),
+            ("surface.slide", surface.slide),
+            ("surface.laplacian", surface.laplacian),
+            ("surface.isometry", surface.isometry),
+            ("surface.normals", surface.normals),
+            ("surface.texture", surface.texture),
+            ("surface.color", surface.color),
+        ];
+        if let Some((name, w)) = weights.into_iter().find(|(_, w)| !(*w >= 0.0 && w.is_finite())) {
+            return wrong(format!("{name} = {w}: finite, not negative"));
+        }
+        if surface.color > 0.0 && surface.points == PointRule::Vertices {
+            return wrong("surface.color holds points against faces: set surface.points = \"faces\"".into());
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,177 @@
+//! GeoNet under training: offsets of the bind pose that bring the posed template to measured points.
+//!
+//! ```text
+//! p_i = T_i (v̄_i + D_i)      L = L_cham(P) + λ_lap L_lap(P) + λ_iso L_iso(v̄ + D) + λ_nc L_nc(v̄ + D)
+//! ```
+//! (DUT, supplement.) What the pose's known morphs do to the bind pose is left out of the last two.
+
+use super::actor::{Actor, First, FrameError, MeanTextures};
+use super::cache::Cache;
+use super::config::{Config, LaplacianRule, PointRule, SurfaceConfig};
+use super::texture::texture_loss;
+use glam::Vec3;
+use gs_core::{Image, Param, Params};
+use gs_data::avatar::{AvatarFrame, MeasuredPoints};
+use gs_texel::skin::{skin, skin_backward};
+use gs_texel::surface_loss::{Chamfer, Colors, Isometry, NormalConsistency, SurfaceLoss, laplacian};
+use gs_texel::{GeoNet, GeoNetConfig, GeoNetTape};
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// Frames whose points are kept with their index.
+const FRAMES: usize = 256;
+
+/// GeoNet, and what it learns from.
+pub struct Geometry {
+    net: GeoNet,
+    tape: Mutex<GeoNetTape>,
+    weights: SurfaceConfig,
+    isometry: Isometry,
+    normals: NormalConsistency,
+    points: Cache<(Chamfer, Arc<MeasuredPoints>)>,
+}
+
+/// Values of the terms, weights applied.
+pub type Terms = [(&'static str, f32); 5];
+
+impl Geometry {
+    /// A network that leaves the template as it is.
+    ///
+    /// # Errors
+    /// If its shape does not fit.
+    pub fn new(config: &Config, actor: &Actor, seed: u64) -> Result<Self, FrameError> {
+        let net = GeoNet::new("geo", GeoNetConfig { inputs: 6, ..config.geonet }, seed)?;
+        let mask: Vec<bool> = actor.geo.mask().iter().map(|m| *m > 0.0).collect();
+        let t = &actor.scene.character.template;
+        let weights = config.surface;
+        Ok(Self {
+            tape: Mutex::new(net.tape(actor.geo.size, Some(&mask))?),
+            net,
+            isometry: Isometry::new(&t.vertices, &t.faces, &actor.topology, weights.isometry_rule),
+            normals: NormalConsistency::new(&t.faces, &actor.topology, weights.normal_rule),
+            weights,
+            points: Cache::new(FRAMES),
+        })
+    }
+
+    /// `D`, `N` rows.
+    ///
+    /// # Errors
+    /// If the input is not finite.
+    pub fn offsets(&self, actor: &Actor, first: &First) -> Result<Vec<Vec3>, FrameError> {
+        let mut tape = self.tape.lock().unwrap_or_else(PoisonError::into_inner);
+        Ok(read(actor, self.net.forward(&first.input, &mut tape)?))
+    }
+
+    /// Adds the gradient of a frame's loss, times `share`, to the weights.
+    ///
+    /// # Errors
+    /// If the frame has no points or values are not finite.
+    pub fn learn(
+        &mut self,
+        actor: &Actor,
+        frame: &AvatarFrame,
+        first: &First,
+        share: f32,
+    ) -> Result<Terms, FrameError> {
+        let tape = self.tape.get_mut().unwrap_or_else(PoisonError::into_inner);
+        let offsets = read(actor, self.net.forward(&first.input, tape)?);
+        let (terms, d_offsets) = self.loss(actor, frame, first, &offsets)?;
+        let d_read: Vec<f32> = d_offsets.iter().flat_map(|d| (*d * share).to_array()).collect();
+        let tape = self.tape.get_mut().unwrap_or_else(PoisonError::into_inner);
+        self.net.backward(tape, &actor.reader.adjoint(&d_read, 3).data)?;
+        Ok(terms.map(|(name, v)| (name, v * share)))
+    }
+
+    /// The loss of a frame's offsets, term by term, and its gradient.
+    ///
+    /// # Errors
+    /// If the frame has no points or values are not finite.
+    pub fn loss(
+        &self,
+        actor: &Actor,
+        frame: &AvatarFrame,
+        first: &First,
+        offsets: &[Vec3],
+    ) -> Result<(Terms, Vec<Vec3>), FrameError> {
+        let points = self.points.get(frame.number, || {
+            let points = frame.points.as_ref().ok_or(FrameError::NoPoints)?.read()?;
+            Ok::<_, FrameError>((Chamfer::new(&points.positions)?, points))
+        })?;
+        let (points, measured) = &*points;
+        let t = &actor.scene.character.template;
+        let posed = actor.surface(&first.posed, offsets);
+        let deformed: Vec<Vec3> = t.vertices.iter().zip(offsets).map(|(&v, &d)| v + d).collect();
+        let SurfaceConfig { laplacian: lap, isometry, normals, .. } = self.weights;
+        let mut world = match self.weights.points {
+            PointRule::Vertices => points.evaluate_sliding(&posed, &first.posed.normals, self.weights.slide.into())?,
+            PointRule::Faces => {
+                let weight = f64::from(self.weights.color);
+                let colors = match measured.colors.as_deref() {
+                    _ if weight == 0.0 => None,
+                    Some(points) => Some(Colors { paint: t, points, weight }),
+                    None => return Err(FrameError::NoColors),
+                };
+                points.evaluate_faces(&posed, &t.faces, &actor.topology, colors.as_ref())?
+            }
+        };
+        let chamfer = world.value;
+        let smooth = term(lap, || self.smooth(actor, first, &posed), posed.len());
+        world.add(lap.into(), &smooth);
+        let mut drift = 0.0;
+        if self.weights.texture > 0.0 {
+            let mean = MeanTextures::rows(&actor.mean.gau);
+            let texture = texture_loss(actor, &posed, &actor.photographs(frame)?, mean)?;
+            drift = f64::from(self.weights.texture) * texture.value;
+            world.add(self.weights.texture.into(), &texture);
+        }
+        let lengths = term(isometry, || self.isometry.evaluate(&deformed), posed.len());
+        let creases = term(normals, || self.normals.evaluate(&deformed), posed.len());
+        let d_world: Vec<Vec3> = world.grad.iter().map(|g| g.as_vec3()).collect();
+        let mut d_offsets = skin_backward(&first.posed.transforms, &d_world);
+        for (weight, loss) in [(isometry, &lengths), (normals, &creases)] {
+            d_offsets.iter_mut().zip(&loss.grad).for_each(|(d, g)| *d += (f64::from(weight) * *g).as_vec3());
+        }
+        let weighted = |weight: f32, loss: &SurfaceLoss| (f64::from(weight) * loss.value) as f32;
+        let terms = [
+            ("chamfer", chamfer as f32),
+            ("laplacian", weighted(lap, &smooth)),
+            ("isometry", weighted(isometry, &lengths)),
+            ("normals", weighted(normals, &creases)),
+            ("texture", drift as f32),
+        ];
+        Ok((terms, d_offsets))
+    }
+
+    fn smooth(&self, actor: &Actor, first: &First, posed: &[Vec3]) -> SurfaceLoss {
+        match self.weights.laplacian_rule {
+            LaplacianRule::Positions => laplacian(posed, &actor.topology),
+            LaplacianRule::Offsets => {
+                let still = skin(&first.posed.canonical, &first.posed.transforms);
+                let moved: Vec<Vec3> = posed.iter().zip(&still).map(|(p, s)| *p - *s).collect();
+                laplacian(&moved, &actor.topology)
+            }
+        }
+    }
+}
+
+/// A loss, not looked at without weight.
+fn term(weight: f32, loss: impl FnOnce() -> SurfaceLoss, vertices: usize) -> SurfaceLoss {
+    if weight > 0.0 { loss() } else { SurfaceLoss { value: 0.0, grad: vec![Default::default(); vertices] } }
+}
+
+/// The offsets of the vertices from a map `[S, S, 3]`.
+fn read(actor: &Actor, map: &[f32]) -> Vec<Vec3> {
+    let size = actor.geo.size;
+    let map = Image { width: size, height: size, channels: 3, data: map.to_vec() };
+    actor.reader.read(&map).chunks_exact(3).map(Vec3::from_slice).collect()
+}
+
+impl Params for Geometry {
+    fn visit(&self, f: &mut dyn FnMut(&Param)) {
+        self.net.visit(f);
+    }
+
+    fn visit_mut(&mut self, f: &mut dyn FnMut(&mut Param)) {
+        self.net.visit_mut(f);
+    }
+}

@@ -1,0 +1,460 @@
+//! DUT: people from few cameras by textures that are unprojected twice, and one Gaussian per texel (Sun et al. 2025,
+//! "Real-time Free-view Human Rendering from Sparse-view RGB Videos using Double Unprojected Textures").
+//!
+//! ```text
+//! pose → template → first texture → GeoNet → offsets → deformed template → second texture → texel Gaussians → image
+//! ```
+//! A frame is a function of its images and its pose alone. The texel Gaussians come from GauNet, or from values of the
+//! texels' own ([`Mode::Direct`]), which need no network and say how well any network could do.
+
+mod actor;
+mod cache;
+mod config;
+mod direct;
+mod geometry;
+mod network;
+mod oracle;
+mod texels;
+mod texture;
+
+pub use actor::{Actor, ActorError, First, FrameError, MeanTextures, Posed, Second, Seen};
+pub use config::{
+    Config, DirectColor, DirectConfig, GauConfig, GaussianConfig, Input, LaplacianRule, Mode, Phase, PointRule,
+    ReferenceConfig, ResizeRule, SurfaceConfig, TextureSizes, UnseenColor,
+};
+pub use oracle::OracleOptions;
+
+use cache::Cache;
+use direct::Direct;
+use geometry::Geometry;
+use gs_core::{Camera, Param, Params, Rng, Splats, SplatsGrad, Time};
+use gs_data::avatar::{AvatarFrame, AvatarScene};
+use gs_texel::Pose;
+use gs_texel::gaussians::{Channels, DecodeOptions, OFFSET, OPACITY, decode, decode_backward, offset_penalty};
+use gs_train::densify::Adapted;
+use gs_train::method::{
+    Column, ColumnMut, Figure, Growth, Method, MethodEntry, MethodError, Quantity, SceneInfo, parse_config,
+};
+use gs_train::schedule::Schedule;
+use gs_train::timestamp::Moment;
+use network::Network;
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// The line in the list of methods.
+pub const ENTRY: MethodEntry = MethodEntry {
+    name: "dut",
+    about: "DUT: a filmed person from few cameras, by twice unprojected textures and a Gaussian per texel (Sun et al. 2025)",
+    defaults: include_str!("dut.toml"),
+    presets: &[
+        ("paper", ""),
+        ("large", include_str!("dut.large.toml")),
+        ("small", include_str!("dut.small.toml")),
+        ("fast", include_str!("dut.fast.toml")),
+        ("tiny", include_str!("dut.tiny.toml")),
+        ("direct", include_str!("dut.direct.toml")),
+    ],
+    needs_avatar: true,
+    build,
+};
+
+/// The methods of this crate.
+pub const METHODS: &[MethodEntry] = &[ENTRY];
+
+/// Where a frame's rows come from.
+enum Source {
+    Network(Box<Network>),
+    Direct(Box<Direct>),
+}
+
+/// Offsets against the true ones: in all, and along the normals of the bind pose.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct OffsetErrors {
+    /// RMS error over RMS length; NaN where no truth is known.
+    pub ratio: [f64; 2],
+    /// RMS length of the true ones, metres.
+    pub length: [f64; 2],
+}
+
+/// The method.
+pub struct Dut {
+    config: Config,
+    channels: Channels,
+    actor: Actor,
+    geometry: Option<Geometry>,
+    source: Source,
+    firsts: Cache<First>,
+    seconds: Cache<Second>,
+    seed: u64,
+    step: u32,
+    /// Regularisers of the present step.
+    penalties: Vec<(&'static str, f32)>,
+    /// Scratch: texels' values and their cotangents.
+    rows: Vec<f32>,
+    d_rows: Vec<f32>,
+    d_splats: SplatsGrad,
+    trouble: Mutex<Option<String>>,
+}
+
+fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Box<dyn Method>, MethodError> {
+    Ok(Box::new(Dut::new(parse_config(ENTRY.name, table)?, scene)?))
+}
+
+impl Dut {
+    /// Lays texels on the person of a scene.
+    ///
+    /// # Errors
+    /// If there is none, or configuration and template do not fit.
+    pub fn new(config: Config, scene: &SceneInfo) -> Result<Self, MethodError> {
+        config.check(ENTRY.name)?;
+        let no_avatar = || MethodError::NoAvatar { method: ENTRY.name, folder: PathBuf::new() };
+        let avatar = scene.avatar.clone().ok_or_else(no_avatar)?;
+        let wrong = |why: String| MethodError::Config { method: ENTRY.name, why };
+        let actor = Actor::new(avatar, &config).map_err(|e| MethodError::Scene(e.to_string()))?;
+        let channels = Channels::new(config.gaussians.sh_degree).map_err(|e| wrong(e.to_string()))?;
+        let geometry = (config.input == Input::Double).then(|| Geometry::new(&config, &actor, scene.seed));
+        let frame = |e: FrameError| MethodError::Scene(e.to_string());
+        let source = match config.mode {
+            Mode::Networks => Network::new(&config, &actor, channels, scene.seed)
+                .map(|n| Source::Network(Box::new(n)))
+                .map_err(|e| wrong(e.to_string()))?,
+            Mode::Direct => Source::Direct(Box::new(Direct::new(&config, &actor, channels).map_err(frame)?)),
+        };
+        let frames = ((config.cache_mib as usize) << 20) / actor.frame_bytes().max(1);
+        Ok(Self {
+            channels,
+            geometry: geometry.transpose().map_err(|e| wrong(e.to_string()))?,
+            source,
+            firsts: Cache::new(frames),
+            seconds: Cache::new(frames),
+            seed: scene.seed,
+            step: 0,
+            penalties: Vec::new(),
+            rows: Vec::new(),
+            d_rows: Vec::new(),
+            d_splats: SplatsGrad::default(),
+            trouble: Mutex::new(None),
+            actor,
+            config,
+        })
+    }
+
+    /// What never changes of the person.
+    pub fn actor(&self) -> &Actor {
+        &self.actor
+    }
+
+    /// A frame before GeoNet.
+    ///
+    /// # Errors
+    /// As [`Actor::first`].
+    pub fn first(&self, frame: &AvatarFrame) -> Result<Arc<First>, FrameError> {
+        self.firsts.get(frame.number, || self.actor.first(frame))
+    }
+
+    /// `D` of a frame, `N` rows; absent if the template is believed.
+    ///
+    /// # Errors
+    /// As [`Actor::first`].
+    pub fn offsets(&self, first: &First) -> Result<Option<Vec<glam::Vec3>>, FrameError> {
+        self.geometry.as_ref().map(|g| g.offsets(&self.actor, first)).transpose()
+    }
+
+    /// How well GeoNet knows the surface, over all frames whose true offsets are known: RMS error over RMS length.
+    ///
+    /// # Errors
+    /// As [`Actor::first`].
+    pub fn offset_errors(&self) -> Result<OffsetErrors, FrameError> {
+        self.errors_of(|_, first| self.offsets(first))
+    }
+
+    /// The same of any offsets.
+    fn errors_of(
+        &self,
+        offsets: impl Fn(&AvatarFrame, &First) -> Result<Option<Vec<glam::Vec3>>, FrameError>,
+    ) -> Result<OffsetErrors, FrameError> {
+        let (scene, mut sums) = (&self.actor.scene, OffsetErrors::default());
+        let template = &scene.character.template;
+        let normals = self.actor.topology.normals(&template.vertices, &template.faces);
+        let (mut error, mut count) = ([0.0f64; 2], 0usize);
+        for frame in &scene.frames {
+            let first = self.first(frame)?;
+            let found = offsets(frame, &first)?;
+            let (Some(found), Some(wanted)) = (found, scene.true_offsets(frame)) else { continue };
+            for ((found, wanted), normal) in found.iter().zip(&wanted).zip(&normals) {
+                let squares = |v: glam::Vec3| [v.length_squared(), v.dot(*normal).powi(2)].map(f64::from);
+                error.iter_mut().zip(squares(*found - *wanted)).for_each(|(sum, v)| *sum += v);
+                sums.length.iter_mut().zip(squares(*wanted)).for_each(|(sum, v)| *sum += v);
+            }
+            count += found.len();
+        }
+        sums.ratio = [0, 1].map(|k| (error[k] / sums.length[k]).sqrt());
+        sums.length = sums.length.map(|v| (v / count.max(1) as f64).sqrt());
+        Ok(sums)
+    }
+
+    /// A frame behind GeoNet.
+    ///
+    /// # Errors
+    /// As [`Actor::second`].
+    pub fn second(&self, frame: &AvatarFrame) -> Result<Arc<Second>, FrameError> {
+        let make = || {
+            let first = self.first(frame)?;
+            self.actor.second(frame, &first, self.offsets(&first)?)
+        };
+        // GeoNet still changes.
+        if self.phase() == Phase::Geometry { make().map(Arc::new) } else { self.seconds.get(frame.number, make) }
+    }
+
+    /// Texels' values `[K, width]` of a frame.
+    ///
+    /// # Errors
+    /// As the network goes.
+    pub fn rows(&self, second: &Second, rows: &mut Vec<f32>) -> Result<(), FrameError> {
+        match &self.source {
+            Source::Network(net) => net.rows(&self.actor, second, rows),
+            Source::Direct(direct) => {
+                direct.rows(&self.actor, &second.seen, rows);
+                Ok(())
+            }
+        }
+    }
+
+    /// Texels' values as Gaussians.
+    ///
+    /// # Errors
+    /// If they are not as many as the texels.
+    pub fn decode(&self, rows: &[f32], second: &Second) -> Result<Splats, FrameError> {
+        Ok(decode(rows, self.channels, &second.base, &self.decoding())?)
+    }
+
+    fn decoding(&self) -> DecodeOptions {
+        let options = self.config.gaussians.decode;
+        DecodeOptions { sh_active: self.config.schedule.sh_degree(self.step, options.sh_active), ..options }
+    }
+
+    fn phase(&self) -> Phase {
+        Phase::of(&self.config.schedule, self.step)
+    }
+
+    fn drawn(&self, at: &Moment) -> Result<(Arc<Second>, Vec<f32>), FrameError> {
+        let second = self.second(self.actor.frame_at(at.t))?;
+        let mut rows = Vec::new();
+        self.rows(&second, &mut rows)?;
+        Ok((second, rows))
+    }
+
+    /// Keeps the first thing that went wrong.
+    fn note(&self, frame: &AvatarFrame, error: &FrameError) {
+        let mut trouble = self.trouble.lock().unwrap_or_else(PoisonError::into_inner);
+        trouble.get_or_insert_with(|| format!("frame {} of the filmed person: {error}", frame.number));
+    }
+
+    fn learn(&mut self, frame: &AvatarFrame, draw: &mut dyn FnMut(&Splats, &mut SplatsGrad)) -> Result<(), FrameError> {
+        let share = 1.0 / self.config.schedule.batch as f32;
+        let phase = self.phase();
+        if phase == Phase::Geometry {
+            let first = self.first(frame)?;
+            let Some(geometry) = &mut self.geometry else { return Ok(()) };
+            let terms = geometry.learn(&self.actor, frame, &first, share)?;
+            terms.into_iter().for_each(|(name, value)| self.add_penalty(name, value));
+            return Ok(());
+        }
+        let second = self.jittered(self.second(frame)?, frame.number);
+        let (mut rows, mut d_rows) = (std::mem::take(&mut self.rows), std::mem::take(&mut self.d_rows));
+        self.rows(&second, &mut rows)?;
+        d_rows.clear();
+        d_rows.resize(rows.len(), 0.0);
+        if let (Phase::WarmUp, Source::Network(net)) = (phase, &self.source) {
+            let loss = net.warm_up(&self.actor, &second, &rows, share, &mut d_rows)?;
+            self.add_penalty("warm_up", loss);
+        } else {
+            self.draw(&second, &rows, &mut d_rows, draw)?;
+            let penalty = offset_penalty(&rows, self.channels, self.config.gaussians.reg * share, &mut d_rows);
+            self.add_penalty("offsets", penalty as f32);
+        }
+        match &mut self.source {
+            Source::Network(net) => net.backward(&self.actor, &d_rows)?,
+            Source::Direct(direct) => direct.backward(&self.actor, &second.seen, &d_rows),
+        }
+        (self.rows, self.d_rows) = (rows, d_rows);
+        Ok(())
+    }
+
+    /// The frame under a light of this step's own, if the settings ask for that.
+    fn jittered(&self, second: Arc<Second>, number: u32) -> Arc<Second> {
+        let most = self.config.jitter;
+        if most == 0.0 || self.phase() != Phase::Main {
+            return second;
+        }
+        let mut rng = Rng::new(self.seed, "dut.jitter", self.step, number.into());
+        let gain = std::array::from_fn(|_| (most * (2.0 * rng.uniform() - 1.0)).exp());
+        Arc::new(self.actor.relit(&second, gain))
+    }
+
+    /// Texels' values to an image, and what it asks of them.
+    fn draw(
+        &mut self,
+        second: &Second,
+        rows: &[f32],
+        d_rows: &mut [f32],
+        draw: &mut dyn FnMut(&Splats, &mut SplatsGrad),
+    ) -> Result<(), FrameError> {
+        let splats = self.decode(rows, second)?;
+        self.d_splats.reset(&splats);
+        draw(&splats, &mut self.d_splats);
+        Ok(decode_backward(rows, self.channels, &second.base, &self.decoding(), &self.d_splats, d_rows, None)?)
+    }
+
+    fn add_penalty(&mut self, name: &'static str, value: f32) {
+        match self.penalties.iter_mut().find(|p| p.0 == name) {
+            Some(sum) => sum.1 += value,
+            None => self.penalties.push((name, value)),
+        }
+    }
+}
+
+impl Params for Dut {
+    fn visit(&self, f: &mut dyn FnMut(&Param)) {
+        self.geometry.iter().for_each(|g| g.visit(f));
+        match &self.source {
+            Source::Network(net) => net.visit(f),
+            Source::Direct(direct) => direct.visit(f),
+        }
+    }
+
+    fn visit_mut(&mut self, f: &mut dyn FnMut(&mut Param)) {
+        self.geometry.iter_mut().for_each(|g| g.visit_mut(f));
+        match &mut self.source {
+            Source::Network(net) => net.visit_mut(f),
+            Source::Direct(direct) => direct.visit_mut(f),
+        }
+    }
+}
+
+impl Figure for Dut {
+    fn scene(&self) -> &AvatarScene {
+        &self.actor.scene
+    }
+
+    fn posed(&self, at: &Moment, pose: &Pose) -> Result<Splats, String> {
+        let carried = || {
+            let (second, rows) = self.drawn(at)?;
+            let frame = AvatarFrame { pose: pose.clone(), ..self.actor.frame_at(at.t).clone() };
+            let base = self.actor.base(&self.actor.pose(&frame), &second.offsets)?;
+            Ok(decode(&rows, self.channels, &base, &self.decoding())?)
+        };
+        carried().map_err(|e: FrameError| e.to_string())
+    }
+}
+
+impl Method for Dut {
+    fn name(&self) -> &'static str {
+        ENTRY.name
+    }
+
+    fn schedule(&self) -> &Schedule {
+        &self.config.schedule
+    }
+
+    fn set_step(&mut self, step: u32) {
+        self.step = step;
+        if self.phase() == Phase::Geometry {
+            self.seconds.clear();
+        }
+    }
+
+    fn splats(&self, at: &Moment, _camera: &Camera) -> Splats {
+        let made = self.drawn(at).and_then(|(second, rows)| self.decode(&rows, &second));
+        made.unwrap_or_else(|e| {
+            self.note(self.actor.frame_at(at.t), &e);
+            Splats::default()
+        })
+    }
+
+    fn step(&mut self, at: &Moment, _camera: &Camera, draw: &mut dyn FnMut(&Splats, &mut SplatsGrad)) {
+        let scene = self.actor.scene.clone();
+        let frame = scene.frame_at(at.t);
+        if let Err(e) = self.learn(frame, draw) {
+            self.note(frame, &e);
+        }
+    }
+
+    fn figure(&self) -> Option<&dyn Figure> {
+        Some(self)
+    }
+
+    fn looks(&self) -> bool {
+        self.phase() == Phase::Main
+    }
+
+    fn trouble(&self) -> Option<String> {
+        self.trouble.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Those of this step's views, whose gradients came with the views'.
+    fn penalties(&mut self, _step: u32) -> Vec<(&'static str, f32)> {
+        if let Source::Network(net) = &mut self.source {
+            net.clip();
+        }
+        std::mem::take(&mut self.penalties)
+    }
+
+    /// Makes the mean colours anew while GeoNet learns, if asked for.
+    fn adapt(&mut self, step: u32) -> Adapted {
+        let every = self.config.surface.refresh;
+        if every > 0 && step.is_multiple_of(every) && self.phase() == Phase::Geometry && !self.actor.mean.gau.is_empty()
+        {
+            let through = |frame: &AvatarFrame| self.first(frame).and_then(|first| self.offsets(&first));
+            match self.actor.mean_textures([Some(&self.actor.gau)], through) {
+                Ok([gau]) => self.actor.mean.gau = gau,
+                Err(e) => self.note(self.actor.frame_at(Time::default()), &e),
+            }
+        }
+        Adapted::default()
+    }
+
+    /// The mean textures, which another film would give other values of.
+    fn columns(&self) -> Vec<Column<'_>> {
+        let MeanTextures { geo, gau } = &self.actor.mean;
+        let column = |(name, values)| Column { name, row_width: None, values };
+        [("mean.geo", geo), ("mean.gau", gau)].into_iter().filter(|c| !c.1.is_empty()).map(column).collect()
+    }
+
+    fn columns_mut(&mut self) -> Vec<ColumnMut<'_>> {
+        // They hold inputs of GeoNet less its mean texture.
+        self.firsts.clear();
+        self.seconds.clear();
+        let MeanTextures { geo, gau } = &mut self.actor.mean;
+        let column = |(name, values)| ColumnMut { name, row_width: None, values };
+        [("mean.geo", geo), ("mean.gau", gau)].into_iter().filter(|c| !c.1.is_empty()).map(column).collect()
+    }
+
+    fn quantities(&self, at: &Moment) -> Vec<Quantity> {
+        let (second, rows) = match self.drawn(at) {
+            Ok(drawn) => drawn,
+            Err(e) => {
+                self.note(self.actor.frame_at(at.t), &e);
+                return Vec::new();
+            }
+        };
+        let width = self.channels.width();
+        let each = |value: &dyn Fn(&[f32]) -> f32| rows.chunks_exact(width).map(value).collect();
+        let offset = |row: &[f32]| row[OFFSET].iter().map(|d| d * d).sum::<f32>().sqrt();
+        let number = |name, unit, values| Quantity { name, unit, range: None, values };
+        vec![
+            number("visibility", "views", second.seen.views.clone()),
+            number("offset", "m", each(&offset)),
+            number("kappa", "", second.base.kappas.clone()),
+            Quantity::share("opacity", each(&|row| 1.0 / (1.0 + (-row[OPACITY]).exp()))),
+        ]
+    }
+
+    fn len(&self) -> usize {
+        self.actor.gau.len()
+    }
+
+    fn growth(&self) -> Option<Growth> {
+        None
+    }
+}

@@ -1,0 +1,446 @@
+//! Adaptive density control: clone, split, prune and opacity reset (3D Gaussian Splatting, Kerbl et al. 2023, section 5).
+//!
+//! Each step adds to every splat drawn: `grad_sum += |(u_x W/2, u_y H/2)|`, `seen += 1`, `max_radius = max(…, 3σ px)`,
+//! with `u = dL/d means2d` per pixel, so that the statistic does not depend on the image size. Every `every` steps, with
+//! `ḡ = grad_sum / seen`, `s` the largest scale and `E` the extent of the scene:
+//! ```text
+//! ḡ ≥ grad and s ≤ dense_share E   clone: an exact copy
+//! ḡ ≥ grad and s > dense_share E   split: two samples of the Gaussian with scales / split_factor; the parent goes
+//! opacity < min_opacity            prune; after the first opacity reset also s > max_world E, and radius > max_screen
+//! ```
+//! Copies and children have the kernel of their parent; a reset of opacities leaves it alone. Samples come from the
+//! counter-based generator, one stream per (step, parent, child). Where the reference code clears the radii before it
+//! tests them, so that the screen rule never fires, here both size rules are live.
+
+use gs_core::cloud::{Cloud, logit, sigmoid};
+use gs_core::{Rng, RowEdit, rot};
+use gs_raster::ScreenStats;
+use serde::{Deserialize, Serialize};
+
+use crate::method::Growth;
+use crate::schedule::ScheduleError;
+
+/// When and what to clone, split, prune and reset. Steps are those of the schedule's clock.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DensityRules {
+    /// Growth happens after this step …
+    pub from: u32,
+    /// … and before this one (0: never). Resets and pruning end there too.
+    pub until: u32,
+    /// Every so many steps.
+    pub every: u32,
+    /// Mean screen gradient (half-image units) from which a splat is cloned or split.
+    pub grad: f32,
+    /// Largest scale, as a share of the extent, that is cloned rather than split.
+    pub dense_share: f32,
+    /// Scales of the two children are those of their parent over this.
+    pub split_factor: f32,
+    /// Splats below this opacity are pruned.
+    pub min_opacity: f32,
+    /// Splats larger than this share of the extent are pruned after the first reset; 0: never.
+    pub max_world: f32,
+    /// Splats whose 3σ radius exceeded this many pixels are pruned after the first reset; 0: never.
+    pub max_screen: f32,
+    /// Opacities are reset every so many steps; 0: never.
+    pub reset_every: u32,
+    /// Opacities above this are set to it.
+    pub reset_opacity: f32,
+    /// Also reset at step `from` when the background is white.
+    pub reset_on_white: bool,
+    /// No growth beyond this many splats; the largest gradients go first.
+    pub max_splats: u32,
+}
+
+/// What a pass of density control did.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct Adapted {
+    /// Splats copied, or anchors added.
+    pub cloned: u32,
+    /// Splats replaced by two.
+    pub split: u32,
+    /// Splats or anchors removed (parents of splits not counted).
+    pub pruned: u32,
+    /// Whether opacities were reset.
+    pub reset: bool,
+}
+
+/// What a pass must know beside the rules.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DensityContext {
+    /// Step of the run, for random numbers.
+    pub step: u32,
+    /// Step on the schedule's clock, for the rules.
+    pub clock: u32,
+    /// Extent of the scene, world units.
+    pub extent: f32,
+    /// Seed of the run.
+    pub seed: u64,
+    /// Whether the background is white.
+    pub white: bool,
+}
+
+/// The statistics of density control, one row per splat.
+#[derive(Clone, Debug, PartialEq, Default)]
+pub struct Density {
+    /// Sum of screen gradients.
+    pub grad_sum: Vec<f32>,
+    /// Number of frames each splat was drawn in.
+    pub seen: Vec<f32>,
+    /// Largest 3σ radius met, pixels.
+    pub max_radius: Vec<f32>,
+}
+
+/// Rows to append and what becomes of them.
+#[derive(Default)]
+struct Plan {
+    edit: RowEdit,
+    /// Parents of the children at the end of `append_from`, two in a row each.
+    children: Vec<u32>,
+    adapted: Adapted,
+}
+
+impl DensityRules {
+    /// The published values (Kerbl et al. 2023), with a cap of one million splats.
+    pub fn kerbl2023() -> Self {
+        Self {
+            from: 500,
+            until: 15_000,
+            every: 100,
+            grad: 2e-4,
+            dense_share: 0.01,
+            split_factor: 1.6,
+            min_opacity: 0.005,
+            max_world: 0.1,
+            max_screen: 20.0,
+            reset_every: 3000,
+            reset_opacity: 0.01,
+            reset_on_white: true,
+            max_splats: 1_000_000,
+        }
+    }
+
+    /// How far and when a cloud grows.
+    pub fn growth(&self) -> Growth {
+        Growth { most: self.max_splats as usize, from: self.from, until: self.until }
+    }
+
+    /// Whether growth and pruning happen at this step.
+    pub fn grows_at(&self, clock: u32) -> bool {
+        clock > self.from && clock < self.until && clock.is_multiple_of(self.every)
+    }
+
+    /// Whether opacities are reset at this step.
+    pub fn resets_at(&self, clock: u32, white: bool) -> bool {
+        let regular = self.reset_every > 0 && clock > 0 && clock.is_multiple_of(self.reset_every);
+        clock < self.until && (regular || (white && self.reset_on_white && clock == self.from))
+    }
+
+    /// Verifies every field.
+    ///
+    /// # Errors
+    /// The first field out of its domain.
+    pub fn check(&self) -> Result<(), ScheduleError> {
+        let need = |good: bool, field: &str, value: f32, rule| {
+            if good {
+                Ok(())
+            } else {
+                Err(ScheduleError { field: format!("density.{field}"), value: f64::from(value), rule })
+            }
+        };
+        need(self.every > 0, "every", 0.0, "at least 1 step")?;
+        need(self.max_splats > 0, "max_splats", 0.0, "at least 1 splat")?;
+        for (field, v) in [("grad", self.grad), ("dense_share", self.dense_share), ("max_world", self.max_world)] {
+            need(v >= 0.0 && v.is_finite(), field, v, "finite, not negative")?;
+        }
+        need(self.max_screen >= 0.0, "max_screen", self.max_screen, "not negative")?;
+        need(
+            self.split_factor >= 1.0 && self.split_factor.is_finite(),
+            "split_factor",
+            self.split_factor,
+            "at least 1",
+        )?;
+        for (field, v) in [("min_opacity", self.min_opacity), ("reset_opacity", self.reset_opacity)] {
+            need((0.0..1.0).contains(&v), field, v, "0 or more, below 1")?;
+        }
+        need(self.reset_opacity > 0.0, "reset_opacity", self.reset_opacity, "above 0")
+    }
+}
+
+impl Density {
+    /// Empty statistics for `n` splats.
+    pub fn new(n: usize) -> Self {
+        let mut d = Self::default();
+        d.clear(n);
+        d
+    }
+
+    /// Forgets everything; `n` rows.
+    pub fn clear(&mut self, n: usize) {
+        for column in self.columns_mut() {
+            column.1.clear();
+            column.1.resize(n, 0.0);
+        }
+    }
+
+    /// The columns with their names, for checkpoints.
+    pub fn columns(&self) -> [(&'static str, &Vec<f32>); 3] {
+        [("density.grad_sum", &self.grad_sum), ("density.seen", &self.seen), ("density.max_radius", &self.max_radius)]
+    }
+
+    /// The columns with their names, to restore them.
+    pub fn columns_mut(&mut self) -> [(&'static str, &mut Vec<f32>); 3] {
+        [
+            ("density.grad_sum", &mut self.grad_sum),
+            ("density.seen", &mut self.seen),
+            ("density.max_radius", &mut self.max_radius),
+        ]
+    }
+
+    /// Adds one frame of `width × height` pixels. Gradients that are not finite count as zero.
+    pub fn observe(&mut self, seen: &ScreenStats, width: u32, height: u32) {
+        let (half_w, half_h) = (0.5 * width as f32, 0.5 * height as f32);
+        for (i, (g, &radius)) in seen.grad_means2d.iter().zip(&seen.radii).enumerate() {
+            if radius > 0.0 {
+                let norm = (g[0] * half_w).hypot(g[1] * half_h);
+                self.grad_sum[i] += if norm.is_finite() { norm } else { 0.0 };
+                self.seen[i] += 1.0;
+                self.max_radius[i] = self.max_radius[i].max(radius.ceil());
+            }
+        }
+    }
+
+    /// Whatever the rules ask for at this step: growth and pruning, then the opacity reset.
+    pub fn adapt(&mut self, rules: &DensityRules, at: &DensityContext, cloud: &mut Cloud) -> Adapted {
+        let mut adapted = Adapted::default();
+        if rules.grows_at(at.clock) {
+            let plan = self.plan(rules, at, cloud);
+            adapted = plan.adapted;
+            self.apply(rules, at, cloud, &plan);
+        }
+        if rules.resets_at(at.clock, at.white) {
+            reset_opacities(cloud, rules.reset_opacity);
+            adapted.reset = true;
+        }
+        adapted
+    }
+
+    fn plan(&self, rules: &DensityRules, at: &DensityContext, cloud: &Cloud) -> Plan {
+        let n = cloud.len();
+        let largest =
+            |i: usize| cloud.log_scales.value[3 * i..3 * i + 3].iter().copied().fold(f32::MIN, f32::max).exp();
+        let sizes_live = rules.reset_every > 0 && at.clock > rules.reset_every;
+        let too_large = |s: f32| sizes_live && rules.max_world > 0.0 && s > rules.max_world * at.extent;
+        let on_screen = |i: usize| sizes_live && rules.max_screen > 0.0 && self.max_radius[i] > rules.max_screen;
+        let faint = |i: usize| sigmoid(cloud.logit_opacities.value[i]) < rules.min_opacity;
+        let grows = self.growing(rules, n);
+        let mut plan = Plan::default();
+        let mut clones = Vec::new();
+        for (i, grows) in grows.into_iter().enumerate() {
+            let (s, row) = (largest(i), i as u32);
+            let split = grows && s > rules.dense_share * at.extent;
+            if grows && !split && !faint(i) && !too_large(s) {
+                clones.push(row);
+            }
+            if split {
+                plan.adapted.split += 1;
+                if !faint(i) && !too_large(s / rules.split_factor) {
+                    plan.children.push(row);
+                }
+            } else if faint(i) || too_large(s) || on_screen(i) {
+                plan.adapted.pruned += 1;
+            } else {
+                plan.edit.keep.push(row);
+            }
+        }
+        plan.adapted.cloned = clones.len() as u32;
+        plan.edit.append_from = clones;
+        plan.edit.append_from.extend(plan.children.iter().flat_map(|&p| [p, p]));
+        if plan.edit.new_rows() == 0 {
+            return keep_the_strongest(cloud);
+        }
+        plan
+    }
+
+    /// Which splats are cloned or split: those of large gradient, the largest first where the cap binds.
+    fn growing(&self, rules: &DensityRules, n: usize) -> Vec<bool> {
+        let mean = |i: usize| if self.seen[i] > 0.0 { self.grad_sum[i] / self.seen[i] } else { 0.0 };
+        let mut wanted: Vec<usize> = (0..n).filter(|&i| self.seen[i] > 0.0 && mean(i) >= rules.grad).collect();
+        let room = (rules.max_splats as usize).saturating_sub(n);
+        if wanted.len() > room {
+            wanted.sort_by(|&a, &b| mean(b).total_cmp(&mean(a)).then(a.cmp(&b)));
+            wanted.truncate(room);
+        }
+        let mut grows = vec![false; n];
+        wanted.into_iter().for_each(|i| grows[i] = true);
+        grows
+    }
+
+    fn apply(&mut self, rules: &DensityRules, at: &DensityContext, cloud: &mut Cloud, plan: &Plan) {
+        let applied = cloud.edit(&plan.edit);
+        debug_assert!(applied.is_ok(), "a plan names rows of this cloud only");
+        let n = cloud.len();
+        self.clear(n);
+        let first = n - 2 * plan.children.len();
+        for (k, &parent) in plan.children.iter().enumerate() {
+            for child in 0..2 {
+                let mut rng = Rng::new(at.seed, "split", at.step, 2 * u64::from(parent) + child as u64);
+                place_child(cloud, first + 2 * k + child, rules.split_factor, &mut rng);
+            }
+        }
+    }
+}
+
+/// Moves a copied row to a sample of its own Gaussian, `μ + R (s ⊙ ε)`, and shrinks it.
+fn place_child(cloud: &mut Cloud, row: usize, factor: f32, rng: &mut Rng) {
+    let scales = &mut cloud.log_scales.value[3 * row..3 * row + 3];
+    let offset: [f32; 3] = std::array::from_fn(|k| scales[k].exp() * rng.normal());
+    scales.iter_mut().for_each(|s| *s -= factor.ln());
+    let quat = std::array::from_fn(|k| cloud.quats.value[4 * row + k]);
+    let r = rot::matrix(rot::normalise(quat).wxyz);
+    for (mean, axis) in cloud.means.value[3 * row..3 * row + 3].iter_mut().zip(r) {
+        *mean += axis[0] * offset[0] + axis[1] * offset[1] + axis[2] * offset[2];
+    }
+}
+
+/// A scene is never pruned to nothing: the splat of highest opacity stays.
+fn keep_the_strongest(cloud: &Cloud) -> Plan {
+    let logits = &cloud.logit_opacities.value;
+    let best = (0..logits.len()).max_by(|&a, &b| logits[a].total_cmp(&logits[b]).then(b.cmp(&a))).unwrap_or(0);
+    let edit = RowEdit { keep: vec![best as u32], append_from: Vec::new() };
+    let adapted = Adapted { pruned: logits.len().saturating_sub(1) as u32, ..Adapted::default() };
+    Plan { edit, children: Vec::new(), adapted }
+}
+
+/// Lowers every opacity to at most `limit` and forgets the moments of the block.
+fn reset_opacities(cloud: &mut Cloud, limit: f32) {
+    let limit = logit(limit);
+    cloud.logit_opacities.value.iter_mut().for_each(|v| *v = v.min(limit));
+    cloud.logit_opacities.clear_moments();
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::Vec3;
+
+    const AT: DensityContext = DensityContext { step: 600, clock: 600, extent: 1.0, seed: 5, white: false };
+
+    fn cloud(sigmas: &[f32]) -> Cloud {
+        let at: Vec<Vec3> = (0..sigmas.len()).map(|i| Vec3::splat(i as f32)).collect();
+        Cloud::from_points(&at, &vec![[0.5; 3]; sigmas.len()], sigmas, 0.5, 1).unwrap()
+    }
+
+    fn seen(grad: &[f32]) -> ScreenStats {
+        ScreenStats { grad_means2d: grad.iter().map(|&g| [g, 0.0]).collect(), radii: vec![1.2; grad.len()] }
+    }
+
+    #[test]
+    fn small_clone_large_split_faint_go() {
+        let mut c = cloud(&[0.001, 0.5, 0.001, 0.001]);
+        c.logit_opacities.value[3] = logit(0.001);
+        c.means.moment1.fill(3.0);
+        let mut d = Density::new(4);
+        // Half of 100 pixels times 1e-4 is 5e-3 in half-image units: above the threshold.
+        d.observe(&seen(&[1e-4, 1e-4, 0.0, 0.0]), 100, 100);
+        let did = d.adapt(&DensityRules::kerbl2023(), &AT, &mut c);
+        assert_eq!(did, Adapted { cloned: 1, split: 1, pruned: 1, reset: false });
+        assert_eq!(c.len(), 5);
+        assert_eq!(c.means.value[..3], [0.0; 3]);
+        assert_eq!(c.means.value[6..9], [0.0; 3], "the clone is an exact copy");
+        for child in 3..5 {
+            assert!((c.log_scales.value[3 * child].exp() - 0.5 / 1.6).abs() < 1e-6);
+            assert!(c.means.value[3 * child..3 * child + 3].iter().any(|v| *v != 1.0), "children are samples");
+        }
+        assert_ne!(c.means.value[9..12], c.means.value[12..15]);
+        assert_eq!((c.means.moment1[0], c.means.moment1[6], d.seen.len(), d.seen[0]), (3.0, 0.0, 5, 0.0));
+    }
+
+    #[test]
+    fn children_follow_the_gaussian_of_their_parent() {
+        let (mut mean, mut square, runs) = (0.0f64, [0.0f64; 3], 4000);
+        for step in 0..runs {
+            let mut c = cloud(&[0.5]);
+            c.log_scales.value.copy_from_slice(&[0.1f32.ln(), 0.2f32.ln(), 0.4f32.ln()]);
+            c.quats.value.copy_from_slice(&[0.5f32.sqrt(), 0.0, 0.0, 0.5f32.sqrt()]);
+            place_child(&mut c, 0, 1.6, &mut Rng::new(1, "split", step, 0));
+            mean += f64::from(c.means.value[0]) / f64::from(runs);
+            for (s, v) in square.iter_mut().zip(&c.means.value) {
+                *s += f64::from(v * v) / f64::from(runs);
+            }
+        }
+        // A quarter turn about z swaps the first two axes.
+        assert!(mean.abs() < 0.02);
+        assert!(square.iter().zip([0.04, 0.01, 0.16]).all(|(a, b)| (a / b - 1.0).abs() < 0.1), "{square:?}");
+    }
+
+    #[test]
+    fn size_rules_live_after_the_first_reset_only() {
+        let rules = DensityRules::kerbl2023();
+        let run = |clock| {
+            let mut c = cloud(&[0.2, 0.001, 0.001]);
+            let mut d = Density::new(3);
+            d.observe(&ScreenStats { grad_means2d: vec![[0.0; 2]; 3], radii: vec![1.0, 30.0, 1.0] }, 64, 64);
+            d.adapt(&rules, &DensityContext { clock, ..AT }, &mut c).pruned
+        };
+        assert_eq!((run(2900), run(3100)), (0, 2));
+    }
+
+    #[test]
+    fn the_cap_admits_the_largest_gradients() {
+        let mut c = cloud(&[0.001; 4]);
+        let mut d = Density::new(4);
+        d.observe(&seen(&[1e-4, 4e-4, 2e-4, 3e-4]), 100, 100);
+        let rules = DensityRules { max_splats: 6, ..DensityRules::kerbl2023() };
+        assert_eq!(d.adapt(&rules, &AT, &mut c).cloned, 2);
+        assert_eq!((c.means.value[12], c.means.value[15]), (1.0, 3.0));
+    }
+
+    #[test]
+    fn something_always_stays() {
+        let mut c = cloud(&[0.001; 3]);
+        c.logit_opacities.value.copy_from_slice(&[-9.0, -8.0, -8.5]);
+        let did = Density::new(3).adapt(&DensityRules::kerbl2023(), &AT, &mut c);
+        assert_eq!((c.len(), c.means.value[0], did.pruned), (1, 1.0, 2));
+    }
+
+    #[test]
+    fn resets_come_when_due() {
+        let rules = DensityRules::kerbl2023();
+        assert!(rules.resets_at(3000, false) && rules.resets_at(500, true));
+        assert!(!rules.resets_at(500, false) && !rules.resets_at(15_000, false) && !rules.resets_at(2999, true));
+        let mut c = cloud(&[0.001; 2]);
+        c.logit_opacities.value[1] = -5.0;
+        c.logit_opacities.moment2.fill(1.0);
+        assert!(Density::new(2).adapt(&rules, &DensityContext { clock: 3000, ..AT }, &mut c).reset);
+        assert!((sigmoid(c.logit_opacities.value[0]) - 0.01).abs() < 1e-6 && c.logit_opacities.value[1] == -5.0);
+        assert_eq!(c.logit_opacities.moment2, [0.0; 2]);
+    }
+
+    #[test]
+    fn kernels_are_inherited_and_outlive_a_reset() {
+        let (mode, beta_hi) = (gs_core::kernel::BetaMode::Capped, 0.98);
+        let init = gs_core::cloud::KernelInit::Frequency { mode, beta_hi, shared_lambda: false };
+        let mut c = cloud(&[0.001, 0.5]).with_kernel(init).unwrap();
+        for p in c.kernel.as_mut().unwrap().params_mut() {
+            p.value.copy_from_slice(&[3.0, -2.0]);
+            p.moment2.fill(1.0);
+        }
+        let mut d = Density::new(2);
+        d.observe(&seen(&[1e-4, 1e-4]), 100, 100);
+        let rules = DensityRules { reset_every: 600, ..DensityRules::kerbl2023() };
+        let did = d.adapt(&rules, &AT, &mut c);
+        assert_eq!(did, Adapted { cloned: 1, split: 1, pruned: 0, reset: true });
+        for p in c.kernel.as_ref().unwrap().params() {
+            assert_eq!(p.value, [3.0, 3.0, -2.0, -2.0], "{}: the kept, its copy, two children", p.name);
+            assert_eq!(p.moment2, [1.0, 0.0, 0.0, 0.0], "{}", p.name);
+        }
+    }
+
+    #[test]
+    fn poisoned_statistics_do_no_harm() {
+        let mut d = Density::new(2);
+        d.observe(&seen(&[f32::NAN, f32::INFINITY]), 10, 10);
+        assert_eq!((d.grad_sum.clone(), d.seen.clone()), (vec![0.0; 2], vec![1.0; 2]));
+    }
+}

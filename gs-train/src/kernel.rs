@@ -1,0 +1,92 @@
+//! The section `[cloud.kernel]`: the fall-off of the splats of any cloud, moving or at rest.
+
+use crate::method::Quantity;
+use crate::schedule::Schedule;
+use gs_core::Kernel;
+use gs_core::cloud::KernelInit;
+use gs_core::kernel::BetaMode;
+use serde::{Deserialize, Serialize};
+
+/// Which fall-off.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum KernelKind {
+    /// 3DGS.
+    #[default]
+    Gaussian,
+    /// FAGS: λ and β per splat.
+    Frequency,
+    /// Deformable Radial Kernels: one acutance per splat.
+    Acutance,
+}
+
+/// The fall-off and how it learns. Everything but `kind` and `from_step` concerns the frequency kernel only.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct KernelConfig {
+    /// Which fall-off.
+    pub kind: KernelKind,
+    /// What is done where β would open the foot: `capped`, `literal` (as printed) or `relative`.
+    pub beta_mode: BetaMode,
+    /// Upper end of β, above 0.5, at most 1 (FAGS: 1).
+    pub beta_hi: f32,
+    /// One λ for all splats (the ablation "without λ": λ = ½ would be "without the kernel").
+    pub shared_lambda: bool,
+    /// Whether λ learns; it stays at ½ otherwise, where the kernel is the Gaussian.
+    pub learn_lambda: bool,
+    /// Whether β learns; it stays at ½ otherwise.
+    pub learn_beta: bool,
+    /// The kernel does not learn before this step of the schedule's clock.
+    pub from_step: u32,
+}
+
+impl Default for KernelConfig {
+    fn default() -> Self {
+        Self {
+            kind: KernelKind::Gaussian,
+            beta_mode: BetaMode::Capped,
+            beta_hi: 0.98,
+            shared_lambda: false,
+            learn_lambda: true,
+            learn_beta: true,
+            from_step: 0,
+        }
+    }
+}
+
+impl KernelConfig {
+    /// The raw columns a cloud needs, if any.
+    pub fn init(&self) -> Option<KernelInit> {
+        let Self { beta_mode: mode, beta_hi, shared_lambda, .. } = *self;
+        match self.kind {
+            KernelKind::Gaussian => None,
+            KernelKind::Frequency => Some(KernelInit::Frequency { mode, beta_hi, shared_lambda }),
+            KernelKind::Acutance => Some(KernelInit::Acutance),
+        }
+    }
+
+    /// Holds back in the schedule what does not learn, or not yet.
+    pub fn hold_back(&self, schedule: &mut Schedule) {
+        for (name, learns) in [("lambda", self.learn_lambda), ("beta", self.learn_beta), ("acutance", true)] {
+            if !learns {
+                schedule.freeze(&format!("cloud.{name}"));
+            } else if let Some(rule) = schedule.lr.get_mut("cloud").and_then(|group| group.get_mut(name)) {
+                rule.from = rule.from.max(self.from_step);
+            }
+        }
+    }
+}
+
+/// The parameters of a kernel as quantities.
+pub fn kernel_quantities(kernel: &Kernel) -> Vec<Quantity> {
+    match kernel {
+        Kernel::Frequency { lambdas, betas } => {
+            vec![Quantity::share("lambda", lambdas.clone()), Quantity::share("beta", betas.clone())]
+        }
+        Kernel::Acutance { acutances } => {
+            let range = Some([-1.0, 1.0]);
+            vec![Quantity { name: "acutance", unit: "", range, values: acutances.clone() }]
+        }
+        _ => Vec::new(),
+    }
+}

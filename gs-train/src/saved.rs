@@ -1,0 +1,210 @@
+//! A method under training as a [`Checkpoint`], and back.
+//!
+//! `meta` holds the method's name, its resolved configuration, the scene it was built for (without the first points),
+//! the step and the optimiser's counters; tensors are every parameter `NAME`, its moments `NAME#m1`, `NAME#m2`, and the
+//! growth statistics.
+
+use crate::checkpoint::Checkpoint;
+use crate::method::{ColumnMut, Method, MethodError, SceneInfo};
+use crate::registry::Registry;
+use glam::Vec3;
+use gs_core::Param;
+use gs_data::PointCloud;
+use gs_data::avatar::AvatarScene;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// What a checkpoint says of a run beside its tensors.
+#[derive(Clone, Copy, Debug)]
+pub struct RunState<'a> {
+    /// Name of the method.
+    pub method: &'static str,
+    /// Its resolved configuration.
+    pub config: &'a toml::Table,
+    /// What it was built from.
+    pub scene: &'a SceneInfo,
+    /// Steps made.
+    pub step: u32,
+    /// Updates of each block by the optimiser.
+    pub adam_updates: &'a BTreeMap<String, u32>,
+    /// Seconds spent so far.
+    pub train_seconds: f64,
+}
+
+/// A method read from a checkpoint.
+pub struct Loaded {
+    /// The method, at the step of the checkpoint.
+    pub method: Box<dyn Method>,
+    /// Its configuration.
+    pub config: toml::Table,
+    /// What it was built from; the first points are not kept.
+    pub scene: SceneInfo,
+    /// Steps made.
+    pub step: u32,
+    /// Updates of each block by the optimiser.
+    pub adam_updates: BTreeMap<String, u32>,
+    /// Seconds spent in training.
+    pub train_seconds: f64,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Meta {
+    method: String,
+    config: toml::Table,
+    extent: f32,
+    bounds: [[f32; 3]; 2],
+    views: u32,
+    moments: u32,
+    last_time: f32,
+    frame_interval: f32,
+    /// As text: JSON numbers do not hold every 64-bit integer in every reader.
+    seed: String,
+    step: u32,
+    adam_updates: BTreeMap<String, u32>,
+    train_seconds: f64,
+}
+
+/// The state of a method and its run.
+pub fn save(method: &dyn Method, run: &RunState) -> Checkpoint {
+    Checkpoint { meta: meta(run), tensors: tensors(method, true) }
+}
+
+/// The same without moments of the optimiser, a third of the bytes: enough to draw.
+pub fn look(method: &dyn Method, run: &RunState) -> Checkpoint {
+    Checkpoint { meta: meta(run), tensors: tensors(method, false) }
+}
+
+fn meta(run: &RunState) -> serde_json::Value {
+    let meta = Meta {
+        method: run.method.to_owned(),
+        config: run.config.clone(),
+        extent: run.scene.extent,
+        bounds: run.scene.bounds.map(|b| b.to_array()),
+        views: run.scene.views,
+        moments: run.scene.moments,
+        last_time: run.scene.last_time,
+        frame_interval: run.scene.frame_interval,
+        seed: run.scene.seed.to_string(),
+        step: run.step,
+        adam_updates: run.adam_updates.clone(),
+        train_seconds: run.train_seconds,
+    };
+    // A structure of names and finite numbers always has a JSON form.
+    serde_json::to_value(meta).unwrap_or_default()
+}
+
+/// Every block of a method, with its moments if wanted, then the columns beside them.
+fn tensors(method: &dyn Method, moments: bool) -> Vec<(String, Vec<f32>)> {
+    let mut tensors = Vec::new();
+    method.visit(&mut |p: &Param| {
+        tensors.push((p.name.clone(), p.value.clone()));
+        if moments {
+            tensors.push((format!("{}#m1", p.name), p.moment1.clone()));
+            tensors.push((format!("{}#m2", p.name), p.moment2.clone()));
+        }
+    });
+    tensors.extend(method.columns().into_iter().map(|column| (column.name.to_owned(), column.values.clone())));
+    tensors
+}
+
+/// The method of a checkpoint, ready to draw or to train on; with another configuration if one is given.
+///
+/// # Errors
+/// Says what is missing or does not fit.
+pub fn load(registry: &Registry, checkpoint: &Checkpoint, config: Option<&toml::Table>) -> Result<Loaded, String> {
+    load_with(registry, checkpoint, config, None)
+}
+
+/// As [`load`], for a method that needs the filmed person of the data it was trained on.
+///
+/// # Errors
+/// As [`load`].
+pub fn load_with(
+    registry: &Registry,
+    checkpoint: &Checkpoint,
+    config: Option<&toml::Table>,
+    avatar: Option<Arc<AvatarScene>>,
+) -> Result<Loaded, String> {
+    let meta = Meta::deserialize(&checkpoint.meta).map_err(|e| format!("meta: {e}"))?;
+    let entry = registry.find(&meta.method).map_err(|e| e.to_string())?;
+    if entry.needs_avatar && avatar.is_none() {
+        let folder = Default::default();
+        return Err(MethodError::NoAvatar { method: entry.name, folder }.to_string());
+    }
+    let seed = meta.seed.parse().map_err(|_| format!("meta.seed `{}` is not a whole number", meta.seed))?;
+    let bounds = meta.bounds.map(Vec3::from_array);
+    if !(meta.extent > 0.0 && meta.extent.is_finite() && bounds.iter().all(|b| b.is_finite())) {
+        return Err("meta: extent or bounds are not finite".into());
+    }
+    // The blocks are given their rows below; one point stands in for the first cloud.
+    let points = PointCloud { positions: vec![0.5 * (bounds[0] + bounds[1])], colors: vec![[0.5; 3]] };
+    let Meta { extent, views, moments, last_time, frame_interval, .. } = meta;
+    let scene = SceneInfo { points, extent, bounds, views, moments, last_time, frame_interval, seed, avatar };
+    let config = config.unwrap_or(&meta.config).clone();
+    let mut method = (entry.build)(&config, &scene).map_err(|e| e.to_string())?;
+    restore(method.as_mut(), &checkpoint.tensors)?;
+    method.set_step(meta.step);
+    let (adam_updates, train_seconds) = (meta.adam_updates, meta.train_seconds);
+    Ok(Loaded { method, config, scene, step: meta.step, adam_updates, train_seconds })
+}
+
+/// Fills a method's blocks and columns. Row blocks take the number of rows of the tensors; moments and columns of rows that
+/// are absent become zero, other columns stay as the method was built. Names the first tensor that is missing or does not fit; the method is then unusable.
+fn restore(method: &mut dyn Method, tensors: &[(String, Vec<f32>)]) -> Result<(), String> {
+    let tensors: BTreeMap<&str, &Vec<f32>> = tensors.iter().map(|(name, t)| (name.as_str(), t)).collect();
+    let mut rows = None;
+    let mut result = Ok(());
+    method.visit_mut(&mut |p| {
+        if result.is_ok() {
+            result = restore_block(p, &tensors, &mut rows);
+        }
+    });
+    result?;
+    let rows = rows.unwrap_or(0);
+    method.columns_mut().into_iter().try_for_each(|column| restore_column(column, &tensors, rows))
+}
+
+fn restore_column(column: ColumnMut, tensors: &BTreeMap<&str, &Vec<f32>>, rows: usize) -> Result<(), String> {
+    let ColumnMut { name, row_width, values } = column;
+    let needed = row_width.map_or(values.len(), |width| rows * width);
+    match tensors.get(name) {
+        Some(stored) if stored.len() == needed => values.clone_from(stored),
+        Some(stored) => return Err(format!("tensor `{name}` has {} values, {needed} are needed", stored.len())),
+        None if row_width.is_some() => *values = vec![0.0; rows * row_width.unwrap_or(1)],
+        None => {}
+    }
+    Ok(())
+}
+
+fn restore_block(p: &mut Param, tensors: &BTreeMap<&str, &Vec<f32>>, rows: &mut Option<usize>) -> Result<(), String> {
+    let name = &p.name;
+    let value = tensors.get(name.as_str()).ok_or_else(|| format!("tensor `{name}` is missing"))?;
+    match p.row_width {
+        None if value.len() != p.len() => {
+            return Err(format!("tensor `{name}` has {} values, {} are needed", value.len(), p.len()));
+        }
+        Some(w) if value.len() != w * *rows.get_or_insert(value.len() / w) => {
+            return Err(format!(
+                "tensor `{name}` has {} values; rows of {w}, as many as elsewhere, are needed",
+                value.len()
+            ));
+        }
+        _ => {}
+    }
+    if let Some(at) = value.iter().position(|v| !v.is_finite()) {
+        return Err(format!("tensor `{name}` has a value that is not finite at {at}"));
+    }
+    for (suffix, moment) in [("#m1", &mut p.moment1), ("#m2", &mut p.moment2)] {
+        *moment = match tensors.get(format!("{name}{suffix}").as_str()) {
+            Some(m) if m.len() == value.len() => m.to_vec(),
+            Some(m) => {
+                return Err(format!("tensor `{name}{suffix}` has {} values, {} are needed", m.len(), value.len()));
+            }
+            None => vec![0.0; value.len()],
+        };
+    }
+    p.value = value.to_vec();
+    p.grad = vec![0.0; p.value.len()];
+    Ok(())
+}

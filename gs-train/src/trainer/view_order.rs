@@ -1,0 +1,145 @@
+//! Which view is drawn when.
+//!
+//! Views come without replacement: every one of a pool once, in a random order of its own, then the pool is made anew.
+//! The pool is all views, or those of the first moment, or those up to a time that grows with the steps
+//! ([`Stage`](crate::schedule::Stage): `first_moment`, `window_parts`; TRACE). It is made anew when it grows, too: what is let
+//! in is seen at once, before it has gone far. All of it is a function of `(seed, draw)`, so a resumed run goes on as if it
+//! had never stopped.
+
+use crate::schedule::Schedule;
+use gs_core::Rng;
+
+/// Where views are drawn from.
+#[derive(Clone, Copy, Debug)]
+struct Pool {
+    /// Views up to this time.
+    to: f32,
+    /// The last draw before the pool is made anew, at the latest.
+    until: u32,
+}
+
+/// Times this close to a limit, normalised, lie inside.
+const SLACK: f32 = 1e-6;
+
+/// The training views in the order of a schedule.
+#[derive(Clone, Debug)]
+pub struct ViewOrder {
+    seed: u64,
+    /// Normalised time of each view.
+    times: Vec<f32>,
+    /// The same, ascending.
+    sorted: Vec<f32>,
+}
+
+impl ViewOrder {
+    /// Views of these normalised times.
+    pub fn new(seed: u64, times: Vec<f32>) -> Self {
+        let mut sorted = times.clone();
+        sorted.sort_by(f32::total_cmp);
+        Self { seed, times, sorted }
+    }
+
+    /// Index of the view drawn as number `draw` (from 1) of a run.
+    pub fn view(&self, schedule: &Schedule, draw: u32) -> usize {
+        let (mut epoch, mut begin) = (0, 0);
+        loop {
+            let pool = self.pool(schedule, begin + 1);
+            let views = self.sorted.partition_point(|&t| t <= pool.to + SLACK).max(1);
+            let end = (begin + views as u32).min(pool.until);
+            if draw <= end {
+                let at = (draw - begin - 1) as usize;
+                let chosen = Rng::new(self.seed, "view-order", epoch, 0).permutation(views)[at] as usize;
+                return self.nth_within(pool.to, chosen);
+            }
+            (epoch, begin) = (epoch + 1, end);
+        }
+    }
+
+    /// The pool that is made at a draw.
+    fn pool(&self, schedule: &Schedule, draw: u32) -> Pool {
+        let step = (draw - 1) / schedule.batch + 1;
+        let (first, last) = (self.sorted.first().copied().unwrap_or(0.0), self.sorted.last().copied().unwrap_or(0.0));
+        let all = Pool { to: last, until: u32::MAX };
+        let Some((stage, offset)) = schedule.stage_and_offset(step) else { return all };
+        let begin = step - 1 - offset;
+        let end = (begin + stage.steps).saturating_mul(schedule.batch);
+        let (parts, every) = (stage.window_parts, stage.window_every.max(1));
+        let open = offset / every + 1;
+        if stage.first_moment {
+            Pool { to: first, until: end }
+        } else if open < parts {
+            let grows = begin.saturating_add(open.saturating_mul(every)).saturating_mul(schedule.batch);
+            Pool { to: first + (last - first) * (open as f32 / parts as f32), until: grows.min(end) }
+        } else {
+            all
+        }
+    }
+
+    /// The `k`-th view, in their own order, of those up to a time.
+    fn nth_within(&self, limit: f32, k: usize) -> usize {
+        let inside = self.times.iter().enumerate().filter(|(_, t)| **t <= limit + SLACK);
+        inside.map(|(i, _)| i).nth(k).unwrap_or(0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::schedule::Stage;
+    use crate::schedule::tests::schedule as plain;
+    use std::collections::{BTreeMap, BTreeSet};
+
+    /// A warm-up of 10 steps, then 200 with the field.
+    fn schedule(edit: impl Fn(&mut Schedule)) -> Schedule {
+        let stage = |order, steps| Stage { order, steps, dynamic: order > 0, image_scale: 1.0, ..Stage::default() };
+        let mut schedule = plain(vec![]);
+        schedule.stages = BTreeMap::from([("warm_up".to_owned(), stage(0, 10)), ("dynamic".to_owned(), stage(1, 200))]);
+        edit(&mut schedule);
+        schedule
+    }
+
+    /// Four cameras at six moments.
+    fn order() -> ViewOrder {
+        ViewOrder::new(7, (0..24).map(|k| (k / 4) as f32 / 5.0).collect())
+    }
+
+    #[test]
+    fn without_windows_every_epoch_shows_every_view_once() {
+        let (order, schedule) = (order(), schedule(|_| ()));
+        for epoch in 0..5u32 {
+            let mut seen: Vec<usize> = (1..=24).map(|k| order.view(&schedule, 24 * epoch + k)).collect();
+            let plain = Rng::new(7, "view-order", epoch, 0).permutation(24);
+            assert!(
+                seen.iter().zip(&plain).all(|(a, b)| *a == *b as usize),
+                "the order is that of the epoch's own shuffle"
+            );
+            seen.sort_unstable();
+            assert_eq!(seen, (0..24).collect::<Vec<_>>());
+        }
+    }
+
+    #[test]
+    fn warm_up_sees_the_first_moment_and_the_window_grows() {
+        let schedule = schedule(|s| {
+            let stages = &mut s.stages;
+            *stages.get_mut("warm_up").unwrap() = Stage { steps: 10, first_moment: true, ..stages["warm_up"].clone() };
+            let dynamic = Stage { window_parts: 5, window_every: 20, ..stages["dynamic"].clone() };
+            *stages.get_mut("dynamic").unwrap() = dynamic;
+        });
+        let order = order();
+        let moment = |draw| order.view(&schedule, draw) / 4;
+        assert!((1..=10).all(|d| moment(d) == 0));
+        // The pool is made anew right after the warm-up: a fifth of the span, moments 0 and 1, eight views.
+        let mut first: Vec<usize> = (11..=18).map(|d| order.view(&schedule, d)).collect();
+        first.sort_unstable();
+        assert_eq!(first, (0..8).collect::<Vec<_>>());
+        // It is made anew whenever the window grows: at draws 31, 51, 71 and 91, and shows all of it once more.
+        let seen = |from: u32, n: u32| (from..from + n).map(|d| order.view(&schedule, d)).collect::<BTreeSet<_>>();
+        for (part, from) in [31, 51, 71, 91].into_iter().enumerate() {
+            let open = 4 * (part as u32 + 3);
+            assert!(seen(from, 20.min(open)).iter().all(|v| *v < open as usize), "{part}");
+            assert_eq!(seen(from, open.min(20)).len() as u32, open.min(20), "{part}: every one at most once");
+        }
+        assert_eq!(seen(91, 24).len(), 24);
+    }
+}

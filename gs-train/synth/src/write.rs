@@ -1,0 +1,141 @@
+//! A generated scene as a D-NeRF folder, with its truth beside it in `truth.json`.
+
+use std::path::Path;
+
+use glam::{DMat3, DQuat, DVec3};
+use gs_core::Camera;
+use rayon::prelude::*;
+use serde_json::{Value, json};
+
+use super::body::Body;
+use super::{FOV_X, SynthData, SynthOptions, Truth, generate};
+use gs_data::{DataError, ImageSource, ImageU8, View};
+
+/// Poses in `truth.json` are given at this many times, evenly over 0..1.
+const TRUTH_TIMES: u32 = 101;
+
+/// Generates a scene and writes it to `dir`: `transforms_{train,val,test}.json`, `{train,val,test}/r_000.png` …,
+/// `truth.json`. With cameras at rest there is no validation split, the pictures of training cameras (`train`) and of held-out
+/// ones (`test`) are `c00_t000.png` …, those of the future among them, and `scene.toml` holds the boundary. Unless
+/// `overwrite` is set the folder must be empty or absent.
+///
+/// # Errors
+/// `data.option` if there is a lens, `io.exists` if the folder holds files, `io.write` if writing fails, else as
+/// [`generate`].
+pub fn write(dir: &Path, name: &str, options: &SynthOptions, overwrite: bool) -> Result<SynthData, DataError> {
+    vacant(dir, overwrite)?;
+    if options.lens {
+        let rule = "false: the D-NeRF layout has pinholes only; the Nerfies layout has lenses".into();
+        return Err(DataError::Option { name: "lens", value: "true".into(), rule });
+    }
+    let data = generate(name, options)?;
+    for (split, views) in splits(&data) {
+        let folder = dir.join(split);
+        std::fs::create_dir_all(&folder).map_err(|e| DataError::write(&folder, e))?;
+        views.par_iter().try_for_each(|v| match &v.image {
+            ImageSource::Memory(image) => save_png(&folder.join(format!("{}.png", v.name)), image),
+            ImageSource::File(_) => Ok(()),
+        })?;
+        write_json(&dir.join(format!("transforms_{split}.json")), &transforms(split, &views, data.truth.dynamic()))?;
+    }
+    if options.cameras > 0 && data.truth.dynamic() {
+        let file = dir.join("scene.toml");
+        let text =
+            format!("# Later pictures, of every camera, are the future.\n[time]\nboundary = {:?}\n", options.boundary);
+        std::fs::write(&file, text).map_err(|e| DataError::write(&file, e))?;
+    }
+    write_json(&dir.join("truth.json"), &truth_json(&data.truth))?;
+    Ok(data)
+}
+
+/// The views by the folder their pictures lie in: those of the future are with the others of their camera.
+pub(super) fn splits(data: &SynthData) -> Vec<(&'static str, Vec<&View>)> {
+    let (sets, cameras) = (&data.dataset, data.truth.options().cameras);
+    let (seen, held_out): (Vec<_>, Vec<_>) = sets.extrapolate.iter().partition(|v| v.camera_id < cameras);
+    let train = ("train", sets.train.iter().chain(seen).collect());
+    let test = ("test", sets.test.iter().chain(held_out).collect());
+    match cameras {
+        0 => vec![train, ("val", sets.val.iter().collect()), test],
+        _ => vec![train, test],
+    }
+}
+
+/// Whether a data set may be written to a folder.
+pub(super) fn vacant(dir: &Path, overwrite: bool) -> Result<(), DataError> {
+    let occupied = std::fs::read_dir(dir).is_ok_and(|mut entries| entries.next().is_some());
+    if dir.is_file() || (occupied && !overwrite) {
+        return Err(DataError::Occupied { path: dir.to_path_buf() });
+    }
+    Ok(())
+}
+
+pub(super) fn save_png(file: &Path, image: &ImageU8) -> Result<(), DataError> {
+    let (width, height) = (image.width as u32, image.height as u32);
+    image::save_buffer(file, &image.data, width, height, image::ExtendedColorType::Rgba8)
+        .map_err(|e| DataError::write(file, std::io::Error::other(e)))
+}
+
+pub(super) fn write_json(file: &Path, value: &Value) -> Result<(), DataError> {
+    let text = format!("{value:#}\n");
+    std::fs::write(file, text).map_err(|e| DataError::write(file, e))
+}
+
+fn transforms(split: &str, views: &[&View], dynamic: bool) -> Value {
+    let frame = |v: &&View| {
+        let mut f = json!({
+            "file_path": format!("./{split}/{}", v.name),
+            "transform_matrix": opengl_c2w(&v.camera),
+        });
+        if dynamic {
+            f["time"] = json!(v.time.seconds);
+        }
+        f
+    };
+    json!({ "camera_angle_x": FOV_X, "frames": views.iter().map(frame).collect::<Vec<_>>() })
+}
+
+/// Camera to world with OpenGL axes: our y and z columns negated.
+fn opengl_c2w(camera: &Camera) -> [[f64; 4]; 4] {
+    let r = camera.rotation.transpose() * DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
+    let c = camera.position();
+    let row = |i: usize| [r.x_axis[i], r.y_axis[i], r.z_axis[i], c[i]];
+    [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]]
+}
+
+pub(super) fn truth_json(truth: &Truth) -> Value {
+    let times: Vec<f64> = (0..TRUTH_TIMES).map(|k| f64::from(k) / f64::from(TRUTH_TIMES - 1)).collect();
+    let bodies: Vec<Value> = truth.bodies().iter().map(|b| body_json(b, &times)).collect();
+    json!({
+        "about": "world = rotation(w,x,y,z) * body + translation; time is normalised; a sheet also moves along z in its frame, see its shape; \
+                  twist: the velocity field v + w x position and its first derivative, about the world's origin; \
+                  tracks: where material points of the surface are at the times of the poses",
+        "scene": truth.scene(),
+        "options": truth.options(),
+        "bodies": bodies,
+    })
+}
+
+fn body_json(b: &Body, times: &[f64]) -> Value {
+    let poses: Vec<Value> = times.iter().map(|&t| pose_json(b, t)).collect();
+    let track = |p: DVec3| -> Value {
+        let at: Vec<[f64; 3]> = times.iter().map(|&t| b.position_of(p, t).to_array()).collect();
+        json!({ "body": p.to_array(), "world": at })
+    };
+    let tracks: Vec<Value> = b.shape.landmarks().into_iter().map(track).collect();
+    json!({
+        "name": b.name, "class": b.class(), "shape": b.shape, "motion": b.motion, "deforms": b.is_sheet(),
+        "poses": poses, "tracks": tracks,
+    })
+}
+
+fn pose_json(b: &Body, t: f64) -> Value {
+    let pose = b.motion.at(t);
+    let q = DQuat::from_mat3(&pose.rotation);
+    let q = if q.w < 0.0 { -q } else { q };
+    let mut json = json!({ "time": t, "rotation": [q.w, q.x, q.y, q.z], "translation": pose.translation.to_array() });
+    if !b.is_sheet() {
+        let m = b.motion.rates(t).twist(DVec3::ZERO);
+        json["twist"] = json!({ "v": m.twist.v, "w": m.twist.w, "v_rate": m.rate.v, "w_rate": m.rate.w });
+    }
+    json
+}

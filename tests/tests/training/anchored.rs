@@ -1,0 +1,244 @@
+//! What anchored methods promise beyond what every method does.
+//!
+//! | property | tolerance |
+//! |---|---|
+//! | the local stage starts from the global fit | same bits |
+//! | pictures with the filter against pictures without | 1e-6 |
+//! | an appearance vector folded into a bias | 1e-6 |
+//! | local anchors kept per interval against fresh ones | same bits |
+//! | without GAD and LGD against the plain scaffold | same bits |
+//! | centres of baked rows at times between those looked at | 1.5 × the tolerance |
+
+use crate::support::*;
+use gs_core::{Camera, Splats, Time};
+use gs_deform::field::grid4d::{StillOptions, screen_bound};
+use gs_raster::{Workspace, render};
+use gs_train::method::{Method, RestOptions, overlay};
+use gs_train::saved;
+use gs_train::timestamp::Moment;
+use gs_train::trainer::{TrainOptions, Trainer};
+use std::sync::Arc;
+
+fn at(t: f32) -> Moment {
+    Moment::new(Time::new(t).expect("time"))
+}
+
+fn picture(method: &dyn Method, splats: &Splats, camera: &Camera) -> Vec<f32> {
+    let options = method.schedule().raster_options([1.0; 3]);
+    render(splats, camera, &options, &mut Workspace::new()).rgb
+}
+
+fn modec(over: &str) -> toml::Table {
+    let mut config = short("modec");
+    overlay(&mut config, over.parse().expect("TOML"));
+    config
+}
+
+fn trained(config: &toml::Table, steps: u32) -> Trainer {
+    let mut trainer =
+        Trainer::new(gs_methods::registry(), scene("sheet", 32, 6), "modec", config, TrainOptions::default())
+            .expect("trainer");
+    run(&mut trainer, steps);
+    trainer
+}
+
+#[test]
+fn the_local_stage_starts_from_the_global_fit() {
+    // Stages of 30 steps each.
+    let trainer = trained(&modec(""), 30);
+    let mut method = saved::load(gs_methods::registry(), &trainer.state(), None).expect("state").method;
+    let camera = trainer.dataset().train[0].camera.clone();
+    let global = method.splats(&at(0.7), &camera);
+    method.set_step(31);
+    assert!(method.schedule().dynamic(31) && !method.schedule().dynamic(30));
+    let mut drawn = Splats::default();
+    method.step(&at(0.7), &camera, &mut |s, _| drawn = s.clone());
+    assert!(!global.is_empty());
+    assert_eq!(drawn, global, "bit for bit");
+}
+
+#[test]
+fn filtered_pictures_are_those_without_a_filter() {
+    let trainer = trained(&modec(""), 60);
+    let config = modec("[anchors]\nfilter = \"off\"");
+    let load = |config| saved::load(gs_methods::registry(), &trainer.state(), config).expect("state").method;
+    let (filtered, whole) = (load(None), load(Some(&config)));
+    let mut left_out = 0;
+    for view in &trainer.dataset().train {
+        // Close-ups of every corner: most anchors are out of sight.
+        for (dx, dy) in [(0.0, 0.0), (-40.0, 30.0), (50.0, -40.0), (300.0, 0.0)] {
+            let c = &view.camera;
+            let camera = Camera { fx: 6.0 * c.fx, fy: 6.0 * c.fy, cx: c.cx + dx, cy: c.cy + dy, ..c.clone() };
+            let (few, all) = (filtered.splats(&at(0.4), &camera), whole.splats(&at(0.4), &camera));
+            left_out += all.len() - few.len();
+            let (few, all) = (picture(&*filtered, &few, &camera), picture(&*whole, &all, &camera));
+            let worst = few.iter().zip(&all).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+            assert!(worst <= 1e-6, "{worst}");
+        }
+    }
+    assert!(left_out > 1000, "the filter left out {left_out} splats only");
+}
+
+#[test]
+fn kept_intervals_draw_the_same_bits() {
+    let trainer = trained(&modec(""), 60);
+    let camera = &trainer.dataset().train[0].camera;
+    let load = || saved::load(gs_methods::registry(), &trainer.state(), None).expect("state").method;
+    let warm = load();
+    let times = [0.1, 0.15, 0.9, 0.12, 0.5, 0.9];
+    let first: Vec<Splats> = times.iter().map(|&t| warm.splats(&at(t), camera)).collect();
+    for (t, before) in times.iter().zip(&first) {
+        assert_eq!(*before, warm.splats(&at(*t), camera), "kept");
+        assert_eq!(*before, load().splats(&at(*t), camera), "anew");
+    }
+}
+
+#[test]
+fn stages_lead_to_what_is_drawn() {
+    let trainer = trained(&modec(""), 60);
+    let (method, camera) = (trainer.method(), &trainer.dataset().train[0].camera);
+    let stages = method.stages(&at(0.6), camera);
+    assert_eq!(stages.iter().map(|s| s.name).collect::<Vec<_>>(), ["global", "local", "full"]);
+    let full = &stages[2];
+    assert_eq!(full.before.as_ref(), Some(&stages[1].splats.means), "where LGD found them");
+    assert_eq!(stages[1].before.as_ref().map(Vec::len), Some(stages[1].splats.len()));
+    let (drawn, staged) = (method.splats(&at(0.6), camera), &full.splats);
+    let (drawn, staged) = (picture(method, &drawn, camera), picture(method, staged, camera));
+    let worst = drawn.iter().zip(&staged).map(|(a, b)| (a - b).abs());
+    assert!(worst.fold(0.0, f32::max) <= 1e-6);
+}
+
+#[test]
+fn parts_are_left_out_by_name() {
+    let names = |ablate: &str| {
+        let trainer = trained(&modec(&format!("ablate = \"{ablate}\"")), 1);
+        let mut names = std::collections::BTreeSet::new();
+        trainer.method().visit(&mut |p| {
+            names.insert(p.name.split('.').next().unwrap_or_default().to_owned());
+        });
+        names.into_iter().collect::<Vec<_>>().join(" ")
+    };
+    assert_eq!(names(""), "anchors gad heads intervals lgd");
+    assert_eq!(names("gad"), "anchors heads lgd");
+    assert_eq!(names("lgd"), "anchors gad heads intervals");
+    assert_eq!(names("gad,lgd"), "anchors heads");
+    let error = Trainer::new(
+        gs_methods::registry(),
+        scene("sheet", 32, 6),
+        "modec",
+        &modec("ablate = \"gda\""),
+        TrainOptions::default(),
+    );
+    assert!(error.err().expect("refused").to_string().contains("choose of gad, lgd, tia"));
+}
+
+#[test]
+fn boundaries_move_and_are_told_of() {
+    let over = "[intervals]\nfrom = 1\nuntil = 30\nperiod = 10\ntau = 0.5\nstep = 0.2\nsegments = 3";
+    let mut config = modec(over);
+    config["schedule"]["stages"]["local"]["steps"] = 60.into();
+    let data = scene("sheet", 32, 24);
+    let mut trainer =
+        Trainer::new(gs_methods::registry(), Arc::clone(&data), "modec", &config, TrainOptions::default())
+            .expect("trainer");
+    let mut told = Vec::new();
+    for _ in 0..90 {
+        trainer.step().expect("step");
+        told.extend(trainer.journal());
+    }
+    let passes: Vec<_> = told.iter().filter(|line| line.get("intervals").is_some()).collect();
+    assert_eq!(passes.len(), 3, "at 10, 20 and 30 of the local stage");
+    assert!(passes.iter().all(|line| line["step"].as_u64() == line["intervals"]["step"].as_u64()));
+    let moved = passes.iter().any(|line| !line["intervals"]["moves"].as_array().expect("moves").is_empty());
+    assert!(moved, "{passes:?}");
+    let mut starts = Vec::new();
+    trainer.method().visit(&mut |p| {
+        if p.name == "intervals.starts" {
+            starts.clone_from(&p.value);
+        }
+    });
+    let last: Vec<f32> = serde_json::from_value(passes[2]["starts"].clone()).expect("starts");
+    assert_eq!(starts, last);
+    assert!(starts[0] == 0.0 && starts.is_sorted_by(|a, b| a < b), "{starts:?}");
+}
+
+#[test]
+fn folding_leaves_out_what_pictures_do_not_need() {
+    let config = modec("");
+    let trainer = trained(&config, 60);
+    let (method, camera) = (trainer.method(), &trainer.dataset().train[0].camera);
+    let (slim_config, folded) = method.folded(&config).expect("an appearance to fold");
+    let (before, after) = (method.splats(&at(0.3), camera), folded.splats(&at(0.3), camera));
+    let pictures = (picture(method, &before, camera), picture(&*folded, &after, camera));
+    let worst = pictures.0.iter().zip(&pictures.1).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+    assert!(worst <= 1e-6, "{worst}");
+    assert_eq!(slim_config["decoder"]["appearance"].as_integer(), Some(0));
+    assert!(folded.param_count() < method.param_count());
+    let table = method.storage().expect("a table");
+    assert_eq!(table.needed_bytes(), 4 * folded.param_count(), "what is counted is what there is");
+    assert!(table.paper_bytes() > table.needed_bytes());
+}
+
+#[test]
+fn a_static_scene_is_the_plain_scaffold() {
+    let scaffold = short("scaffold");
+    let mut config = modec("ablate = \"gad,lgd\"");
+    for part in ["init", "anchors", "decoder", "adapt", "schedule"] {
+        config.insert(part.into(), scaffold[part].clone());
+    }
+    let data = scene("sheet", 32, 6);
+    let drawn = |method: &str, config: &toml::Table| {
+        let mut trainer =
+            Trainer::new(gs_methods::registry(), Arc::clone(&data), method, config, TrainOptions::default())
+                .expect("trainer");
+        run(&mut trainer, 60);
+        let splats = data.train.iter().map(|view| trainer.method().splats(&at(view.time.normalised), &view.camera));
+        splats.collect::<Vec<_>>()
+    };
+    let (plain, emptied) = (drawn("scaffold", &scaffold), drawn("modec", &config));
+    assert!(plain.iter().all(|s| s.len() > 50));
+    assert!(plain == emptied, "bit for bit");
+}
+
+#[test]
+fn what_is_baked_stays_within_its_tolerance() {
+    let trainer = trained(&modec(""), 60);
+    let method = trainer.method();
+    let cameras: Vec<Camera> = trainer.dataset().train.iter().map(|v| v.camera.clone()).collect();
+    let mut still = Vec::new();
+    for (pixels, shape) in [(0.0, 0.0), (0.05, 1e-3), (0.5, 0.02), (4.0, 0.2)] {
+        let usual = RestOptions::usual(&cameras);
+        let options = RestOptions { shape, still: StillOptions { pixels, ..usual.still }, ..usual };
+        let (resting, report) = method.resting(&options).expect("a field");
+        assert!(report.rows.bound_pixels <= pixels && report.shape <= shape, "{report:?}");
+        still.push(report.rows.still);
+        for step in 0..=20 {
+            let t = at(step as f32 / 20.0 * 0.97);
+            let (a, b) = (method.tracked(&t, &cameras[0]), resting.tracked(&t, &cameras[0]));
+            for (a, b) in a.means.iter().zip(&b.means) {
+                let off = screen_bound([a.distance(*b), 0.0], *b, &cameras);
+                assert!(off <= 1.5 * pixels + 1e-3, "off by {off} pixels at {step}");
+            }
+        }
+        if pixels == 0.0 {
+            let pictures = [method, &*resting].map(|m| picture(m, &m.splats(&at(0.4), &cameras[2]), &cameras[2]));
+            let worst = pictures[0].iter().zip(&pictures[1]).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+            assert!(worst <= 1e-6, "{worst}");
+        }
+    }
+    assert!(still.is_sorted() && still[0] < still[3], "{still:?}");
+}
+
+#[test]
+fn a_change_of_a_parameter_ends_the_rest() {
+    let trainer = trained(&modec(""), 60);
+    let camera = &trainer.dataset().train[0].camera;
+    let usual = RestOptions::usual(std::slice::from_ref(camera));
+    let options = RestOptions { shape: 1.0, still: StillOptions { pixels: 1e3, ..usual.still }, ..usual };
+    let (mut resting, report) = trainer.method().resting(&options).expect("a field");
+    assert!(report.rows.still > 0, "{report:?}");
+    let exact = trainer.method().splats(&at(0.4), camera);
+    assert_ne!(resting.splats(&at(0.4), camera), exact);
+    resting.visit_mut(&mut |_| {});
+    assert_eq!(resting.splats(&at(0.4), camera), exact);
+}

@@ -1,0 +1,139 @@
+//! Methods that learn a law of motion: what they learn of generated mechanics, and what follows from it.
+
+use crate::support::*;
+use gs_core::Time;
+use gs_data::{Dataset, ImageCache, Split};
+use gs_synth::{self as synth, SynthData, SynthOptions};
+use gs_train::evaluate::evaluate;
+use gs_train::timestamp::Moment;
+use gs_train::trainer::{TrainOptions, Trainer};
+use gs4d_eval::physics_check::{PhysicsOptions, check};
+use std::sync::Arc;
+
+/// A generated scene of four cameras at rest, the last quarter of the time kept for the future.
+fn mechanics(name: &str) -> SynthData {
+    let options = SynthOptions { size: 48, cameras: 4, held_out: 1, moments: 24, supersample: 2, ..Default::default() };
+    synth::generate(name, &options).expect("generated scene")
+}
+
+fn trained(data: &Arc<Dataset>, method: &str, over: &str) -> Trainer {
+    let mut config = gs_methods::registry().find(method).and_then(|m| m.config("tiny")).expect("preset");
+    gs_train::method::overlay(&mut config, over.parse().expect("TOML"));
+    let options = TrainOptions { seed: 1, ..TrainOptions::default() };
+    let mut trainer = Trainer::new(gs_methods::registry(), data.clone(), method, &config, options).expect("trainer");
+    let steps = trainer.steps();
+    run(&mut trainer, steps);
+    trainer
+}
+
+fn score(trainer: &Trainer, data: &Dataset, split: Split) -> f64 {
+    let background = trainer.method().schedule().background.evaluation_color();
+    let report = evaluate(trainer.method(), data, split, background, &ImageCache::new(64 << 20, 1.0)).expect("scores");
+    report.mean.psnr.expect("finite scores")
+}
+
+#[test]
+fn a_thrown_ball_is_forecast_and_a_field_alone_cannot() {
+    let scene = mechanics("falling");
+    let data = Arc::new(scene.dataset);
+    let (trace, field) = (trained(&data, "trace", ""), trained(&data, "defgs", ""));
+    let [inside, beyond] = [Split::Test, Split::Extrapolate].map(|s| score(&trace, &data, s));
+    let alone = score(&field, &data, Split::Extrapolate);
+    println!("trace {inside:.2} dB inside, {beyond:.2} beyond; defgs {alone:.2} beyond");
+    assert!(beyond > alone + 2.0, "{beyond} against {alone}");
+    let particles = trace.method().particles().expect("a law");
+    let report = check(&particles, &scene.truth, &PhysicsOptions::of(&particles, &scene.truth));
+    println!("{}", report.to_text());
+}
+
+#[test]
+fn a_field_alone_follows_while_the_cloud_and_the_law_rest() {
+    let data = Arc::new(mechanics("falling").dataset);
+    let stages = "stages.warm_up.steps = 20\nstages.follow.steps = 30\nstages.dynamic.steps = 10";
+    let mut trainer = trainer(&data, "trace", &format!("density.from = 5\ndensity.every = 10\n{stages}"));
+    let values = |trainer: &Trainer, field: bool| {
+        let mut all = Vec::new();
+        trainer.method().visit(&mut |p| {
+            if p.name.starts_with("field.") == field {
+                all.extend(p.value.iter().map(|v| v.to_bits()));
+            }
+        });
+        all
+    };
+    run(&mut trainer, 20);
+    let [rest, field] = [false, true].map(|f| values(&trainer, f));
+    let reports = run(&mut trainer, 30);
+    assert!(reports.iter().all(|r| r.stage == "follow"));
+    assert!(values(&trainer, false) == rest, "cloud and law rest, and no splat comes or goes");
+    assert!(values(&trainer, true) != field, "the field learns");
+    run(&mut trainer, 10);
+    assert!(values(&trainer, false) != rest, "then all learns");
+}
+
+#[test]
+fn a_forecast_does_not_depend_on_what_was_asked_before() {
+    let data = Arc::new(mechanics("wheel").dataset);
+    let short = "[schedule.stages.warm_up]\nsteps = 20\n[schedule.stages.dynamic]\nsteps = 40";
+    for method in ["trace", "trace-4dgs", "defgs-nvfi"] {
+        let trainer = trained(&data, method, short);
+        let (camera, other) = (&data.train[0].camera, trained(&data, method, short));
+        let at = |t: f32| Moment::new(Time::new(t).expect("time"));
+        let times = [1.5, 0.8, 1.0, 0.2, 1.5, 3.0, 0.9];
+        let asked: Vec<_> = times.iter().map(|t| trainer.method().splats(&at(*t), camera)).collect();
+        for (t, splats) in times.iter().zip(asked).rev() {
+            assert_eq!(other.method().splats(&at(*t), camera), splats, "{method} at {t}");
+        }
+    }
+}
+
+/// Short enough to see that a setting acts, not what it is worth.
+const SHORT: &str = "[schedule.stages.warm_up]\nsteps = 20\n[schedule.stages.dynamic]\nsteps = 60\n";
+
+/// The rows of the paper's Table 9: parts left out, steps and orders.
+#[test]
+fn parts_of_the_law_can_be_left_out() {
+    let data = Arc::new(mechanics("falling").dataset);
+    let of = |over: &str| trained(&data, "trace", &format!("{over}\n{SHORT}"));
+    let at = |t: f32| Moment::new(Time::new(t).expect("time"));
+    let ahead = |trainer: &Trainer| trainer.method().splats(&at(1.0), &data.train[0].camera).means;
+    let outputs = |trainer: &Trainer| {
+        let mut last = 0;
+        trainer.method().visit(&mut |p| last = if p.name.starts_with("physics.") { p.value.len() } else { last });
+        last
+    };
+    let has_field = |trainer: &Trainer| {
+        let mut found = false;
+        trainer.method().visit(&mut |p| found |= p.name.starts_with("field."));
+        found
+    };
+    let full = of("");
+    assert!(has_field(&full) && outputs(&full) == 12);
+    let variants = [
+        ("ablate = \"field\"", 12),
+        ("ablate = \"physics\"", 6),
+        ("ablate = \"equivalent\"", 15),
+        ("[physics]\nstep_frames = 1.0", 12),
+        ("[physics]\nstep_frames = 3.0", 12),
+        ("[law]\norder = 1", 6),
+        ("[law]\norder = 3", 18),
+    ];
+    for (over, rows) in variants {
+        let other = of(over);
+        assert_eq!((outputs(&other), has_field(&other)), (rows, !over.contains("field")), "{over}");
+        let (means, particles) = (ahead(&other), other.method().particles().expect("a law"));
+        assert!(means.iter().all(|x| x.is_finite()) && means != ahead(&full), "{over}");
+        assert_eq!(particles.at == 0.0, over.contains("field"), "{over}: who rules from the first moment on");
+        let rates = particles.motions.iter().any(|m| m.rate.v != [0.0; 3]);
+        let jerks = particles.motions.iter().any(|m| m.jerk.v != [0.0; 3]);
+        let order = if over.contains("order = 1") {
+            1
+        } else if over.contains("order = 3") {
+            3
+        } else {
+            2
+        };
+        if !over.contains("ablate") {
+            assert_eq!((rates, jerks), (order > 1, order > 2), "{over}");
+        }
+    }
+}

@@ -1,0 +1,99 @@
+//! A run is a function of data, configuration and seed: not of interruptions, not of threads. Compared bit for bit.
+
+use crate::support::*;
+use gs_core::Rng;
+use gs_train::checkpoint::Checkpoint;
+use gs_train::saved;
+use gs_train::trainer::{TrainOptions, Trainer};
+use std::sync::Arc;
+
+/// Everything a checkpoint says but the clock on the wall.
+fn timeless(mut state: Checkpoint) -> Checkpoint {
+    state.meta["train_seconds"] = 0.into();
+    state
+}
+
+#[test]
+fn resuming_at_any_step_continues_bit_for_bit() {
+    let data = scene("balls", 32, 7);
+    for entry in of_scenes() {
+        let mut whole = start(entry.name, &data);
+        let mut states = vec![whole.state()];
+        let mut grown = 0;
+        for _ in 0..60 {
+            let report = whole.step().expect("step");
+            grown += report.adapted.cloned + report.adapted.split;
+            states.push(whole.state());
+        }
+        assert!(grown > 0, "{}: growth took part", entry.name);
+        let last = timeless(whole.state());
+        // Before and at growth (10, 20, …), the reset (25), the change of stage (30), and wherever the dice fall.
+        let mut rng = Rng::new(9, "resume", 0, 0);
+        for from in [0, 10, 25, 30, 31].into_iter().chain((0..4).map(|_| rng.below(60))) {
+            let state = &states[from as usize];
+            let mut resumed =
+                Trainer::resume(gs_methods::registry(), data.clone(), state, None, 1 << 20).expect("resume");
+            assert_eq!(timeless(resumed.state()), timeless(state.clone()), "{} at {from}: save and load", entry.name);
+            run(&mut resumed, 60 - from);
+            assert!(timeless(resumed.state()) == last, "{}: resumed at {from}", entry.name);
+        }
+    }
+}
+
+#[test]
+fn threads_do_not_change_a_bit() {
+    let data = scene("balls", 32, 7);
+    for entry in of_scenes() {
+        let states: Vec<Checkpoint> = [1, 2, 4]
+            .iter()
+            .map(|&threads| {
+                let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("pool");
+                pool.install(|| {
+                    let mut trainer = start(entry.name, &data);
+                    run(&mut trainer, 60);
+                    timeless(trainer.state())
+                })
+            })
+            .collect();
+        assert!(states[0] == states[1] && states[0] == states[2], "{}", entry.name);
+    }
+}
+
+#[test]
+fn seeds_matter() {
+    let data = scene("balls", 32, 4);
+    let state = |seed| {
+        let options = TrainOptions { seed, ..TrainOptions::default() };
+        let mut trainer =
+            Trainer::new(gs_methods::registry(), data.clone(), "fourdgs", &short("fourdgs"), options).expect("trainer");
+        run(&mut trainer, 3);
+        trainer.state().tensors
+    };
+    assert_eq!(state(1), state(1));
+    assert_ne!(state(1), state(2));
+}
+
+#[test]
+fn damaged_states_are_refused_by_name() {
+    let data = scene("balls", 32, 4);
+    let state = start("fourdgs", &data).state();
+    let refuse = |change: &dyn Fn(&mut Checkpoint)| {
+        let mut damaged = state.clone();
+        change(&mut damaged);
+        saved::load(gs_methods::registry(), &damaged, None).err().expect("refused")
+    };
+    assert!(refuse(&|c| c.tensors.retain(|t| t.0 != "cloud.quats")).contains("`cloud.quats` is missing"));
+    assert!(refuse(&|c| c.tensors[0].1.truncate(4)).contains("cloud.means"));
+    assert!(refuse(&|c| c.tensors[3].1.truncate(8)).contains("cloud.quats"));
+    assert!(refuse(&|c| c.tensors[1].1.truncate(3)).contains("cloud.means#m1"));
+    assert!(refuse(&|c| c.tensors[0].1[4] = f32::NAN).contains("not finite at 4"));
+    assert!(refuse(&|c| c.meta = serde_json::Value::Null).contains("meta"));
+    assert!(refuse(&|c| c.meta["method"] = "none".into()).contains("`none`"));
+    assert!(refuse(&|c| c.meta["extent"] = 0.into()).contains("extent"));
+    let mut other = scene("balls", 32, 5);
+    let error =
+        Trainer::resume(gs_methods::registry(), other.clone(), &state, None, 0).err().expect("refused").to_string();
+    assert!(error.contains("5 training views"), "{error}");
+    Arc::make_mut(&mut other).train.truncate(4);
+    assert!(Trainer::resume(gs_methods::registry(), other, &state, None, 0).is_ok());
+}
