@@ -23,14 +23,14 @@ use gs_train::trainer::{TrainError, TrainOptions, Trainer};
 use std::sync::Arc;
 
 /// A film of a body made here.
-fn film(template: &str, size: u32, frames: u32) -> Arc<Dataset> {
+pub fn film(template: &str, size: u32, frames: u32) -> Arc<Dataset> {
     let template = format!("builtin:{template}");
     let options = AvatarOptions { template, size, frames, rings: 1, points: 4000, ..AvatarOptions::default() };
     Arc::new(avatar::generate(&options).expect("film"))
 }
 
 /// Networks of 32 texels a side, one stage after the other.
-const SHORT: &str = "
+pub const SHORT: &str = "
 cache_mib = 64
 [textures]
 unproject = 32
@@ -49,7 +49,7 @@ stages.warm_up.steps = 4
 stages.main.steps = 6
 ";
 
-fn config(over: &[&str]) -> toml::Table {
+pub fn config(over: &[&str]) -> toml::Table {
     let mut config = gs_methods::registry().find("dut").and_then(|m| m.config("tiny")).expect("preset");
     over.iter().for_each(|o| overlay(&mut config, o.parse().expect("TOML")));
     config

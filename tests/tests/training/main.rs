@@ -3,6 +3,7 @@
 mod anchored;
 mod dut;
 mod frequency;
+mod hashes;
 mod journal;
 mod learning;
 mod methods;
