@@ -94,7 +94,7 @@ fn phases(method: &str, threads: usize) -> (BTreeMap<&'static str, f64>, usize) 
                 named(&ms).into_iter().for_each(|(name, v)| *sums.entry(name).or_insert(0.0) += v / 15.0);
             }
         }
-        (sums, trainer.method().len())
+        (sums, trainer.model().splat_count())
     })
 }
 

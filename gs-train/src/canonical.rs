@@ -1,10 +1,11 @@
-//! What every method with a canonical cloud shares: the cloud, its schedule and its density control.
+//! The cloud of Gaussians that several methods share, with its densification.
 
-use crate::densify::{Adapted, Density, DensityContext};
-use crate::method::MethodError;
-use crate::scene;
-use crate::scene::{CloudConfig, SceneInfo};
+use crate::capabilities::GrowthLimits;
+use crate::densify::{Densify, DensifyContext, DensifyRules, DensifyStats};
+use crate::method::{Buffer, BufferMut, MethodError};
+use crate::scene::{self, CloudConfig, SceneInfo};
 use crate::schedule::{Background, Schedule};
+use crate::step::StepCtx;
 use gs_core::{Camera, Cloud, Splats, SplatsGrad};
 use gs_raster::ScreenStats;
 
@@ -13,51 +14,38 @@ use gs_raster::ScreenStats;
 pub struct Canonical {
     /// The raw Gaussians.
     pub cloud: Cloud,
-    /// The plan of the run.
-    pub schedule: Schedule,
-    /// Growth statistics.
-    pub density: Density,
-    /// The cloud made drawable, in the present step.
+    /// Statistics of densification, one row per Gaussian.
+    pub densify: Densify,
+    /// The activated cloud in the present step.
     pub splats: Splats,
     /// The cotangents of `splats`.
     pub d_splats: SplatsGrad,
+    /// The present step.
+    pub at: StepCtx,
+    rules: DensifyRules,
+    white: bool,
     extent: f32,
     seed: u64,
-    step: u32,
 }
 
 impl Canonical {
-    /// The initial cloud of a scene.
+    /// The initial cloud of a scene. Kernel parameters that do not learn, or not yet, are held back in `schedule`.
     ///
     /// # Errors
-    /// If the schedule or the initial points cannot be used.
-    pub fn new(config: &CloudConfig, mut schedule: Schedule, scene: &SceneInfo) -> Result<Self, MethodError> {
+    /// If the initial points cannot be used.
+    pub fn new(config: &CloudConfig, schedule: &mut Schedule, scene: &SceneInfo) -> Result<Self, MethodError> {
         schedule.check()?;
-        config.kernel.hold_back(&mut schedule);
+        config.kernel.hold_back(schedule);
         let cloud = scene::cloud(&scene.points, config)?;
-        let density = Density::new(cloud.len());
-        let (splats, d_splats) = Default::default();
-        Ok(Self { cloud, schedule, density, splats, d_splats, extent: scene.extent, seed: scene.seed, step: 0 })
-    }
-
-    /// The step about to be made.
-    pub fn set_step(&mut self, step: u32) {
-        self.step = step;
-    }
-
-    /// The step about to be made.
-    pub fn step(&self) -> u32 {
-        self.step
+        let densify = Densify::new(cloud.len());
+        let (splats, d_splats, at) = Default::default();
+        let (rules, white) = (schedule.density.clone(), schedule.background == Background::White);
+        Ok(Self { cloud, densify, splats, d_splats, at, rules, white, extent: scene.extent, seed: scene.seed })
     }
 
     /// The seed of the run.
     pub fn seed(&self) -> u64 {
         self.seed
-    }
-
-    /// Whether the field takes part in the present step.
-    pub fn dynamic(&self) -> bool {
-        self.schedule.dynamic(self.step)
     }
 
     /// The canonical splats, colours up to the SH degree of the present step.
@@ -67,11 +55,10 @@ impl Canonical {
         splats
     }
 
-    /// Makes [`Self::splats`] of the present parameters, and [`Self::d_splats`] zero.
+    /// Activates the present parameters into [`Self::splats`].
     pub fn forward(&mut self) {
         let degree = self.sh_degree();
         self.cloud.activate(degree, &mut self.splats);
-        self.d_splats.reset(&self.splats);
     }
 
     /// Pulls [`Self::d_splats`] into the gradients of the cloud.
@@ -79,44 +66,54 @@ impl Canonical {
         self.cloud.activate_backward(&self.splats, &self.d_splats);
     }
 
-    /// Adds what a view of the present step has seen to the growth statistics.
-    pub fn observe(&mut self, seen: &ScreenStats, camera: &Camera) {
-        if self.grows(self.step) {
-            self.density.observe(seen, camera.width, camera.height);
+    /// Adds the screen statistics of a view of the present step.
+    pub fn accumulate(&mut self, stats: &ScreenStats, camera: &Camera) {
+        if self.densifies() {
+            self.densify.accumulate(stats, camera.width, camera.height);
         }
     }
 
-    /// Clones, splits, prunes and resets when the schedule says so. Before a stage with a clock of its own the growth
-    /// statistics begin anew.
-    pub fn adapt(&mut self, step: u32) -> Adapted {
-        let adapted = self.adapt_cloud(step);
-        if self.schedule.position(step + 1).fresh {
-            self.density.clear(self.cloud.len());
+    /// Clones, splits, prunes and resets when the rules say so. Before a stage with a clock of its own the statistics are
+    /// cleared.
+    pub fn densify(&mut self) -> DensifyStats {
+        let mut stats = DensifyStats::default();
+        if self.densifies() {
+            let at = DensifyContext {
+                step: self.at.step,
+                clock: self.at.clock,
+                extent: self.extent,
+                seed: self.seed,
+                white: self.white,
+            };
+            stats = self.densify.densify(&self.rules, &at, &mut self.cloud);
         }
-        adapted
+        if self.at.ends_clock {
+            self.densify.clear(self.cloud.len());
+        }
+        stats
     }
 
-    fn adapt_cloud(&mut self, step: u32) -> Adapted {
-        if !self.grows(step) {
-            return Adapted::default();
-        }
-        let rules = &self.schedule.density;
-        let at = DensityContext {
-            step,
-            clock: self.schedule.position(step).clock,
-            extent: self.extent,
-            seed: self.seed,
-            white: self.schedule.background == Background::White,
-        };
-        self.density.adapt(rules, &at, &mut self.cloud)
+    /// The bounds of densification.
+    pub fn growth(&self) -> GrowthLimits {
+        self.rules.growth()
     }
 
-    /// Whether density control acts in a step.
-    fn grows(&self, step: u32) -> bool {
-        self.schedule.position(step).clock < self.schedule.density.until && !self.schedule.field_alone(step)
+    /// The statistics of densification, for checkpoints.
+    pub fn buffers(&self, f: &mut dyn FnMut(Buffer<'_>)) {
+        self.densify.columns().into_iter().for_each(|(name, values)| f(Buffer { name, row_width: Some(1), values }));
+    }
+
+    /// The same, to be restored.
+    pub fn buffers_mut(&mut self, f: &mut dyn FnMut(BufferMut<'_>)) {
+        let columns = self.densify.columns_mut();
+        columns.into_iter().for_each(|(name, values)| f(BufferMut { name, row_width: Some(1), values }));
+    }
+
+    fn densifies(&self) -> bool {
+        self.at.clock < self.rules.until && !self.at.deform_only
     }
 
     fn sh_degree(&self) -> u8 {
-        self.schedule.sh_degree(self.step, self.cloud.sh_degree())
+        self.at.sh_degree.min(self.cloud.sh_degree())
     }
 }

@@ -17,13 +17,13 @@ use gs_core::{Rng, RowEdit, rot};
 use gs_raster::ScreenStats;
 use serde::{Deserialize, Serialize};
 
-use crate::method::Growth;
+use crate::capabilities::GrowthLimits;
 use crate::schedule::ScheduleError;
 
 /// When and what to clone, split, prune and reset. Steps are those of the schedule's clock.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct DensityRules {
+pub struct DensifyRules {
     /// Growth happens after this step …
     pub from: u32,
     /// … and before this one (0: never). Resets and pruning end there too.
@@ -54,7 +54,7 @@ pub struct DensityRules {
 
 /// What a pass of density control did.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
-pub struct Adapted {
+pub struct DensifyStats {
     /// Splats copied, or anchors added.
     pub cloned: u32,
     /// Splats replaced by two.
@@ -67,7 +67,7 @@ pub struct Adapted {
 
 /// What a pass must know beside the rules.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct DensityContext {
+pub struct DensifyContext {
     /// Step of the run, for random numbers.
     pub step: u32,
     /// Step on the schedule's clock, for the rules.
@@ -82,7 +82,7 @@ pub struct DensityContext {
 
 /// The statistics of density control, one row per splat.
 #[derive(Clone, Debug, PartialEq, Default)]
-pub struct Density {
+pub struct Densify {
     /// Sum of screen gradients.
     pub grad_sum: Vec<f32>,
     /// Number of frames each splat was drawn in.
@@ -97,10 +97,10 @@ struct Plan {
     edit: RowEdit,
     /// Parents of the children at the end of `append_from`, two in a row each.
     children: Vec<u32>,
-    adapted: Adapted,
+    stats: DensifyStats,
 }
 
-impl DensityRules {
+impl DensifyRules {
     /// The published values (Kerbl et al. 2023), with a cap of one million splats.
     pub fn kerbl2023() -> Self {
         Self {
@@ -121,8 +121,8 @@ impl DensityRules {
     }
 
     /// How far and when a cloud grows.
-    pub fn growth(&self) -> Growth {
-        Growth { most: self.max_splats as usize, from: self.from, until: self.until }
+    pub fn growth(&self) -> GrowthLimits {
+        GrowthLimits { most: self.max_splats as usize, from: self.from, until: self.until }
     }
 
     /// Whether growth and pruning happen at this step.
@@ -167,7 +167,7 @@ impl DensityRules {
     }
 }
 
-impl Density {
+impl Densify {
     /// Empty statistics for `n` splats.
     pub fn new(n: usize) -> Self {
         let mut d = Self::default();
@@ -198,7 +198,7 @@ impl Density {
     }
 
     /// Adds one frame of `width × height` pixels. Gradients that are not finite count as zero.
-    pub fn observe(&mut self, seen: &ScreenStats, width: u32, height: u32) {
+    pub fn accumulate(&mut self, seen: &ScreenStats, width: u32, height: u32) {
         let (half_w, half_h) = (0.5 * width as f32, 0.5 * height as f32);
         for (i, (g, &radius)) in seen.grad_means2d.iter().zip(&seen.radii).enumerate() {
             if radius > 0.0 {
@@ -211,21 +211,21 @@ impl Density {
     }
 
     /// Whatever the rules ask for at this step: growth and pruning, then the opacity reset.
-    pub fn adapt(&mut self, rules: &DensityRules, at: &DensityContext, cloud: &mut Cloud) -> Adapted {
-        let mut adapted = Adapted::default();
+    pub fn densify(&mut self, rules: &DensifyRules, at: &DensifyContext, cloud: &mut Cloud) -> DensifyStats {
+        let mut stats = DensifyStats::default();
         if rules.grows_at(at.clock) {
             let plan = self.plan(rules, at, cloud);
-            adapted = plan.adapted;
+            stats = plan.stats;
             self.apply(rules, at, cloud, &plan);
         }
         if rules.resets_at(at.clock, at.white) {
             reset_opacities(cloud, rules.reset_opacity);
-            adapted.reset = true;
+            stats.reset = true;
         }
-        adapted
+        stats
     }
 
-    fn plan(&self, rules: &DensityRules, at: &DensityContext, cloud: &Cloud) -> Plan {
+    fn plan(&self, rules: &DensifyRules, at: &DensifyContext, cloud: &Cloud) -> Plan {
         let n = cloud.len();
         let largest =
             |i: usize| cloud.log_scales.value[3 * i..3 * i + 3].iter().copied().fold(f32::MIN, f32::max).exp();
@@ -243,17 +243,17 @@ impl Density {
                 clones.push(row);
             }
             if split {
-                plan.adapted.split += 1;
+                plan.stats.split += 1;
                 if !faint(i) && !too_large(s / rules.split_factor) {
                     plan.children.push(row);
                 }
             } else if faint(i) || too_large(s) || on_screen(i) {
-                plan.adapted.pruned += 1;
+                plan.stats.pruned += 1;
             } else {
                 plan.edit.keep.push(row);
             }
         }
-        plan.adapted.cloned = clones.len() as u32;
+        plan.stats.cloned = clones.len() as u32;
         plan.edit.append_from = clones;
         plan.edit.append_from.extend(plan.children.iter().flat_map(|&p| [p, p]));
         if plan.edit.new_rows() == 0 {
@@ -263,7 +263,7 @@ impl Density {
     }
 
     /// Which splats are cloned or split: those of large gradient, the largest first where the cap binds.
-    fn growing(&self, rules: &DensityRules, n: usize) -> Vec<bool> {
+    fn growing(&self, rules: &DensifyRules, n: usize) -> Vec<bool> {
         let mean = |i: usize| if self.seen[i] > 0.0 { self.grad_sum[i] / self.seen[i] } else { 0.0 };
         let mut wanted: Vec<usize> = (0..n).filter(|&i| self.seen[i] > 0.0 && mean(i) >= rules.grad).collect();
         let room = (rules.max_splats as usize).saturating_sub(n);
@@ -276,7 +276,7 @@ impl Density {
         grows
     }
 
-    fn apply(&mut self, rules: &DensityRules, at: &DensityContext, cloud: &mut Cloud, plan: &Plan) {
+    fn apply(&mut self, rules: &DensifyRules, at: &DensifyContext, cloud: &mut Cloud, plan: &Plan) {
         let applied = cloud.edit(&plan.edit);
         debug_assert!(applied.is_ok(), "a plan names rows of this cloud only");
         let n = cloud.len();
@@ -308,8 +308,8 @@ fn keep_the_strongest(cloud: &Cloud) -> Plan {
     let logits = &cloud.logit_opacities.value;
     let best = (0..logits.len()).max_by(|&a, &b| logits[a].total_cmp(&logits[b]).then(b.cmp(&a))).unwrap_or(0);
     let edit = RowEdit { keep: vec![best as u32], append_from: Vec::new() };
-    let adapted = Adapted { pruned: logits.len().saturating_sub(1) as u32, ..Adapted::default() };
-    Plan { edit, children: Vec::new(), adapted }
+    let stats = DensifyStats { pruned: logits.len().saturating_sub(1) as u32, ..DensifyStats::default() };
+    Plan { edit, children: Vec::new(), stats }
 }
 
 /// Lowers every opacity to at most `limit` and forgets the moments of the block.
@@ -324,7 +324,7 @@ mod tests {
     use super::*;
     use glam::Vec3;
 
-    const AT: DensityContext = DensityContext { step: 600, clock: 600, extent: 1.0, seed: 5, white: false };
+    const AT: DensifyContext = DensifyContext { step: 600, clock: 600, extent: 1.0, seed: 5, white: false };
 
     fn cloud(sigmas: &[f32]) -> Cloud {
         let at: Vec<Vec3> = (0..sigmas.len()).map(|i| Vec3::splat(i as f32)).collect();
@@ -340,11 +340,11 @@ mod tests {
         let mut c = cloud(&[0.001, 0.5, 0.001, 0.001]);
         c.logit_opacities.value[3] = logit(0.001);
         c.means.moment1.fill(3.0);
-        let mut d = Density::new(4);
+        let mut d = Densify::new(4);
         // Half of 100 pixels times 1e-4 is 5e-3 in half-image units: above the threshold.
-        d.observe(&seen(&[1e-4, 1e-4, 0.0, 0.0]), 100, 100);
-        let did = d.adapt(&DensityRules::kerbl2023(), &AT, &mut c);
-        assert_eq!(did, Adapted { cloned: 1, split: 1, pruned: 1, reset: false });
+        d.accumulate(&seen(&[1e-4, 1e-4, 0.0, 0.0]), 100, 100);
+        let did = d.densify(&DensifyRules::kerbl2023(), &AT, &mut c);
+        assert_eq!(did, DensifyStats { cloned: 1, split: 1, pruned: 1, reset: false });
         assert_eq!(c.len(), 5);
         assert_eq!(c.means.value[..3], [0.0; 3]);
         assert_eq!(c.means.value[6..9], [0.0; 3], "the clone is an exact copy");
@@ -376,12 +376,12 @@ mod tests {
 
     #[test]
     fn size_rules_live_after_the_first_reset_only() {
-        let rules = DensityRules::kerbl2023();
+        let rules = DensifyRules::kerbl2023();
         let run = |clock| {
             let mut c = cloud(&[0.2, 0.001, 0.001]);
-            let mut d = Density::new(3);
-            d.observe(&ScreenStats { grad_means2d: vec![[0.0; 2]; 3], radii: vec![1.0, 30.0, 1.0] }, 64, 64);
-            d.adapt(&rules, &DensityContext { clock, ..AT }, &mut c).pruned
+            let mut d = Densify::new(3);
+            d.accumulate(&ScreenStats { grad_means2d: vec![[0.0; 2]; 3], radii: vec![1.0, 30.0, 1.0] }, 64, 64);
+            d.densify(&rules, &DensifyContext { clock, ..AT }, &mut c).pruned
         };
         assert_eq!((run(2900), run(3100)), (0, 2));
     }
@@ -389,10 +389,10 @@ mod tests {
     #[test]
     fn the_cap_admits_the_largest_gradients() {
         let mut c = cloud(&[0.001; 4]);
-        let mut d = Density::new(4);
-        d.observe(&seen(&[1e-4, 4e-4, 2e-4, 3e-4]), 100, 100);
-        let rules = DensityRules { max_splats: 6, ..DensityRules::kerbl2023() };
-        assert_eq!(d.adapt(&rules, &AT, &mut c).cloned, 2);
+        let mut d = Densify::new(4);
+        d.accumulate(&seen(&[1e-4, 4e-4, 2e-4, 3e-4]), 100, 100);
+        let rules = DensifyRules { max_splats: 6, ..DensifyRules::kerbl2023() };
+        assert_eq!(d.densify(&rules, &AT, &mut c).cloned, 2);
         assert_eq!((c.means.value[12], c.means.value[15]), (1.0, 3.0));
     }
 
@@ -400,19 +400,19 @@ mod tests {
     fn something_always_stays() {
         let mut c = cloud(&[0.001; 3]);
         c.logit_opacities.value.copy_from_slice(&[-9.0, -8.0, -8.5]);
-        let did = Density::new(3).adapt(&DensityRules::kerbl2023(), &AT, &mut c);
+        let did = Densify::new(3).densify(&DensifyRules::kerbl2023(), &AT, &mut c);
         assert_eq!((c.len(), c.means.value[0], did.pruned), (1, 1.0, 2));
     }
 
     #[test]
     fn resets_come_when_due() {
-        let rules = DensityRules::kerbl2023();
+        let rules = DensifyRules::kerbl2023();
         assert!(rules.resets_at(3000, false) && rules.resets_at(500, true));
         assert!(!rules.resets_at(500, false) && !rules.resets_at(15_000, false) && !rules.resets_at(2999, true));
         let mut c = cloud(&[0.001; 2]);
         c.logit_opacities.value[1] = -5.0;
         c.logit_opacities.moment2.fill(1.0);
-        assert!(Density::new(2).adapt(&rules, &DensityContext { clock: 3000, ..AT }, &mut c).reset);
+        assert!(Densify::new(2).densify(&rules, &DensifyContext { clock: 3000, ..AT }, &mut c).reset);
         assert!((sigmoid(c.logit_opacities.value[0]) - 0.01).abs() < 1e-6 && c.logit_opacities.value[1] == -5.0);
         assert_eq!(c.logit_opacities.moment2, [0.0; 2]);
     }
@@ -426,11 +426,11 @@ mod tests {
             p.value.copy_from_slice(&[3.0, -2.0]);
             p.moment2.fill(1.0);
         }
-        let mut d = Density::new(2);
-        d.observe(&seen(&[1e-4, 1e-4]), 100, 100);
-        let rules = DensityRules { reset_every: 600, ..DensityRules::kerbl2023() };
-        let did = d.adapt(&rules, &AT, &mut c);
-        assert_eq!(did, Adapted { cloned: 1, split: 1, pruned: 0, reset: true });
+        let mut d = Densify::new(2);
+        d.accumulate(&seen(&[1e-4, 1e-4]), 100, 100);
+        let rules = DensifyRules { reset_every: 600, ..DensifyRules::kerbl2023() };
+        let did = d.densify(&rules, &AT, &mut c);
+        assert_eq!(did, DensifyStats { cloned: 1, split: 1, pruned: 0, reset: true });
         for p in c.kernel.as_ref().unwrap().params() {
             assert_eq!(p.value, [3.0, 3.0, -2.0, -2.0], "{}: the kept, its copy, two children", p.name);
             assert_eq!(p.moment2, [1.0, 0.0, 0.0, 0.0], "{}", p.name);
@@ -439,8 +439,8 @@ mod tests {
 
     #[test]
     fn poisoned_statistics_do_no_harm() {
-        let mut d = Density::new(2);
-        d.observe(&seen(&[f32::NAN, f32::INFINITY]), 10, 10);
+        let mut d = Densify::new(2);
+        d.accumulate(&seen(&[f32::NAN, f32::INFINITY]), 10, 10);
         assert_eq!((d.grad_sum.clone(), d.seen.clone()), (vec![0.0; 2], vec![1.0; 2]));
     }
 }

@@ -8,9 +8,10 @@
 //! ([`MaskedScores`]: DyCheck's masked PSNR and SSIM, [`gs_metrics::masked`]; DyCheck itself truncates drawings to 8 bit
 //! first).
 
-use crate::method::Method;
-use crate::timestamp::Moment;
-use gs_core::{Image, Params};
+use crate::method::MethodError;
+use crate::model::Model;
+use crate::timestamp::Timestamp;
+use gs_core::{Camera, Image, Splats};
 use gs_data::{DataError, Dataset, ImageCache, Split};
 use gs_metrics::{
     Mean, MetricError, Scorer, Scores, Sharpness, SsimOptions, Summary, masked_mse, masked_perceptual_proxy,
@@ -169,12 +170,12 @@ pub enum EvalError {
     #[error(transparent)]
     Data(#[from] DataError),
     /// The method cannot draw a view.
-    #[error("view {view}: {why}")]
+    #[error("view {view}: {source}")]
     Method {
         /// Name of the view.
         view: String,
         /// The method's reason.
-        why: String,
+        source: MethodError,
     },
     /// A frame cannot be compared.
     #[error("view {view}: {source}")]
@@ -201,7 +202,22 @@ pub fn split_name(split: Split) -> &'static str {
 /// # Errors
 /// If the split is empty, a photograph cannot be read, or a frame is not finite.
 pub fn evaluate(
-    method: &dyn Method,
+    model: &Model,
+    dataset: &Dataset,
+    split: Split,
+    background: [f32; 3],
+    photographs: &ImageCache,
+) -> Result<EvalReport, EvalError> {
+    evaluate_splats(model, &|at, camera| model.splats(at, camera), dataset, split, background, photographs)
+}
+
+/// The same of splats that stand in for those of a model (files read back, say).
+///
+/// # Errors
+/// As [`evaluate`].
+pub fn evaluate_splats(
+    model: &Model,
+    splats: &dyn Fn(&Timestamp, &Camera) -> Result<Splats, MethodError>,
     dataset: &Dataset,
     split: Split,
     background: [f32; 3],
@@ -211,17 +227,15 @@ pub fn evaluate(
     if views.is_empty() {
         return Err(EvalError::NoViews(split_name(split)));
     }
-    let options = method.schedule().raster_options(background);
+    let options = model.raster_options(background);
     let (mut workspace, mut frame, mut scorer) =
         (Workspace::new(), Frame::default(), Scorer::new(SsimOptions::default()));
     let mut seen: Vec<Seen> = Vec::with_capacity(views.len());
     for view in views {
         let camera = photographs.camera(view);
-        let splats = method.splats(&Moment::new(view.time), &camera);
+        let splats = splats(&Timestamp::new(view.time), &camera);
+        let splats = splats.map_err(|source| EvalError::Method { view: view.name.clone(), source })?;
         render_into(&splats, &camera, &options, &mut workspace, &mut frame);
-        if let Some(why) = method.trouble() {
-            return Err(EvalError::Method { view: view.name.clone(), why });
-        }
         let photograph = photographs.get(view)?;
         let truth = photograph.over(background);
         // Of a filmed person, the person counts.
@@ -233,7 +247,7 @@ pub fn evaluate(
     let summary = Summary::of(&scores);
     let views: Vec<ViewScores> = views.iter().zip(&seen).map(|(v, s)| s.view(&v.name, v.time.normalised)).collect();
     Ok(EvalReport {
-        method: method.name().to_owned(),
+        method: model.name().to_owned(),
         split: split_name(split).to_owned(),
         background,
         scale: photographs.scale(),
@@ -241,8 +255,8 @@ pub fn evaluate(
         mean: mean_scores(&summary, &views),
         psnr_of_mean_mse: summary.psnr_of_mean_mse.filter(|v| v.is_finite()),
         perfect_views: summary.mean_psnr.infinite,
-        gaussians: method.len(),
-        parameter_bytes: 4 * Params::param_count(method) as u64,
+        gaussians: model.splat_count(),
+        parameter_bytes: 4 * model.param_count() as u64,
         train_seconds: None,
         views,
         extrapolate: None,
@@ -254,15 +268,15 @@ pub fn evaluate(
 /// # Errors
 /// As [`evaluate`].
 pub fn evaluate_with_future(
-    method: &dyn Method,
+    model: &Model,
     dataset: &Dataset,
     split: Split,
     background: [f32; 3],
     photographs: &ImageCache,
 ) -> Result<EvalReport, EvalError> {
-    let mut report = evaluate(method, dataset, split, background, photographs)?;
+    let mut report = evaluate(model, dataset, split, background, photographs)?;
     if !dataset.extrapolate.is_empty() {
-        let future = evaluate(method, dataset, Split::Extrapolate, background, photographs)?;
+        let future = evaluate(model, dataset, Split::Extrapolate, background, photographs)?;
         report.extrapolate = Some(Box::new(future));
     }
     Ok(report)

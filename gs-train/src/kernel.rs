@@ -1,6 +1,6 @@
 //! The section `[cloud.kernel]`: the fall-off of the splats of any cloud, moving or at rest.
 
-use crate::method::Quantity;
+use crate::capabilities::Quantity;
 use crate::schedule::Schedule;
 use gs_core::Kernel;
 use gs_core::cloud::KernelInit;

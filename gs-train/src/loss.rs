@@ -141,13 +141,14 @@ pub struct ImageLoss {
     ssim: Ssim,
     ms_ssim: MsSsim,
     amplitudes: AmplitudeLoss,
-    drawn: Image,
+    rendered: Image,
+    target: Image,
     ssim_grad: Image,
     fre_grad: Image,
     /// With the side it resizes to.
     mrf: Option<(u32, Mrf)>,
     mrf_grad: Image,
-    /// Drawn frame, photograph and gradient within a region.
+    /// Rendered frame, ground truth and gradient within a region.
     cropped: [Image; 3],
 }
 
@@ -157,11 +158,28 @@ impl ImageLoss {
         Self { ssim: Ssim::new(SsimOptions::default()), ..Self::default() }
     }
 
-    /// The loss of a frame against `target` (`[H, W, 3]`), its gradient written into `grad.rgb` (alpha and depth: none).
+    /// The loss of a frame against a ground-truth image over `background`, its gradient with respect to the frame's colours
+    /// written into `grad.rgb` (alpha and depth: none).
     ///
     /// # Errors
     /// If the shapes differ, a side is too short for MS-SSIM, or a value is not finite.
     pub fn evaluate(
+        &mut self,
+        frame: &mut Frame,
+        ground_truth: &ImageU8,
+        background: [f32; 3],
+        weights: &LossWeights,
+        grad: &mut FrameGrad,
+    ) -> Result<LossTerms, MetricError> {
+        let mut target = std::mem::take(&mut self.target);
+        ground_truth.over_into(background, &mut target);
+        let terms = self.evaluate_against(frame, &target, weights, grad);
+        self.target = target;
+        terms
+    }
+
+    /// The same against an image of three channels.
+    fn evaluate_against(
         &mut self,
         frame: &mut Frame,
         target: &Image,
@@ -170,23 +188,18 @@ impl ImageLoss {
     ) -> Result<LossTerms, MetricError> {
         // The frame's pixels are lent to an image for the time of the call.
         let data = std::mem::take(&mut frame.rgb);
-        self.drawn = Image { width: frame.width, height: frame.height, channels: 3, data };
-        let terms = self.evaluate_drawn(target, weights, grad);
-        frame.rgb = std::mem::take(&mut self.drawn.data);
+        self.rendered = Image { width: frame.width, height: frame.height, channels: 3, data };
+        let terms = self.terms(target, weights, grad);
+        frame.rgb = std::mem::take(&mut self.rendered.data);
         terms
     }
 
-    fn evaluate_drawn(
-        &mut self,
-        target: &Image,
-        weights: &LossWeights,
-        grad: &mut FrameGrad,
-    ) -> Result<LossTerms, MetricError> {
-        let (first, second) = (self.drawn.shape(), target.shape());
+    fn terms(&mut self, target: &Image, weights: &LossWeights, grad: &mut FrameGrad) -> Result<LossTerms, MetricError> {
+        let (first, second) = (self.rendered.shape(), target.shape());
         if first != second {
-            return Err(MetricError::Shape { what: "drawn frame and photograph", first, second });
+            return Err(MetricError::Shape { what: "rendered frame and ground truth", first, second });
         }
-        let (drawn, lambda, phi, mu) = (&self.drawn, weights.dssim, weights.fre, weights.mrf);
+        let (drawn, lambda, phi, mu) = (&self.rendered, weights.dssim, weights.fre, weights.mrf);
         let all = Region { low: [0; 2], high: [drawn.width, drawn.height] };
         let region = weights.region.unwrap_or(all);
         let ssim = match weights.structure {
@@ -222,7 +235,7 @@ impl ImageLoss {
             }
             false => None,
         };
-        let data = &self.drawn.data;
+        let data = &self.rendered.data;
         grad.alpha.clear();
         grad.depth.clear();
         grad.rgb.resize(data.len(), 0.0);
@@ -254,7 +267,9 @@ impl ImageLoss {
         let total = f64::from(weights.of_l1()) * l1 + ssim.map_or(0.0, |s| weight * (1.0 - s)) + spectral + textural;
         if !total.is_finite() {
             // The exact place comes from the metric's own check.
-            return Err(gs_metrics::mse(&self.drawn, target).err().unwrap_or(MetricError::Overflow { metric: "L1" }));
+            return Err(gs_metrics::mse(&self.rendered, target)
+                .err()
+                .unwrap_or(MetricError::Overflow { metric: "L1" }));
         }
         Ok(LossTerms { total, l1, mse, ssim, fre, mrf })
     }
@@ -312,12 +327,12 @@ mod tests {
         let (mut frame, target) = pair();
         let (mut loss, mut grad) = (ImageLoss::new(), FrameGrad::default());
         for weights in [0.0, 0.2, 1.0].map(plain) {
-            loss.evaluate(&mut frame, &target, &weights, &mut grad).unwrap();
+            loss.evaluate_against(&mut frame, &target, &weights, &mut grad).unwrap();
             for at in [0, 100, 1000, 2552] {
                 let mut value = |h: f32| {
                     let mut moved = frame.clone();
                     moved.rgb[at] += h;
-                    loss.evaluate(&mut moved, &target, &weights, &mut FrameGrad::default()).unwrap().total
+                    loss.evaluate_against(&mut moved, &target, &weights, &mut FrameGrad::default()).unwrap().total
                 };
                 let h = 0.25 * (frame.rgb[at] - target.data[at]).abs().min(0.02);
                 let want = (value(h) - value(-h)) / f64::from(2.0 * h);

@@ -1,4 +1,4 @@
-//! Quarantine of gradients: what is not finite is set to zero row by row and counted, before it can reach a weight that
+//! Gradients that are not finite: each such row is set to zero and counted, before it can reach a weight that
 //! all splats share.
 
 use glam::Vec3;
@@ -8,9 +8,9 @@ use rayon::prelude::*;
 /// Rows per parallel block.
 const BLOCK: usize = 2048;
 
-/// Rows that were refused.
+/// Gradient rows that were not finite.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
-pub struct Quarantine {
+pub struct NonFinite {
     /// How many.
     pub rows: u32,
     /// The first of them.
@@ -18,7 +18,7 @@ pub struct Quarantine {
 }
 
 /// Sets every row with an entry that is not finite to zero, in all columns, and counts such rows.
-pub fn quarantine(d: &mut SplatsGrad) -> Quarantine {
+pub fn zero_non_finite(d: &mut SplatsGrad) -> NonFinite {
     let bad = bad_rows(d);
     let width = d.color.len() / d.means.len().max(1);
     let kernel = d.kernel.len() / d.means.len().max(1);
@@ -31,7 +31,7 @@ pub fn quarantine(d: &mut SplatsGrad) -> Quarantine {
         d.color[i * width..(i + 1) * width].fill(0.0);
         d.kernel[i * kernel..(i + 1) * kernel].fill(0.0);
     }
-    Quarantine { rows: bad.len() as u32, first: bad.first().copied() }
+    NonFinite { rows: bad.len() as u32, first: bad.first().copied() }
 }
 
 fn bad_rows(d: &SplatsGrad) -> Vec<u32> {
@@ -91,14 +91,14 @@ mod tests {
         };
         let mut d = SplatsGrad::zeros_like(&splats);
         d.opacities.fill(1.0);
-        assert_eq!(quarantine(&mut d), Quarantine::default());
+        assert_eq!(zero_non_finite(&mut d), NonFinite::default());
         d.means[7].y = f32::NAN;
         d.quats[2100][3] = f32::INFINITY;
         d.scales[2101].z = f32::NEG_INFINITY;
         d.opacities[4000] = f32::NAN;
         d.color[12 * 4999 + 11] = f32::NAN;
         d.kernel[2 * 4500 + 1] = f32::NAN;
-        assert_eq!(quarantine(&mut d), Quarantine { rows: 6, first: Some(7) });
+        assert_eq!(zero_non_finite(&mut d), NonFinite { rows: 6, first: Some(7) });
         assert_eq!(d.first_non_finite(), None);
         assert_eq!((d.opacities[7], d.opacities[8], d.opacities[4999]), (0.0, 1.0, 0.0));
     }

@@ -1,54 +1,65 @@
-//! Drawing a method or a set of splats for people and files.
+//! Rendering a method or a set of splats to images.
 
 use crate::evaluate::clamped;
-use crate::method::Method;
-use crate::timestamp::Moment;
+use crate::method::MethodError;
+use crate::model::Model;
+use crate::timestamp::Timestamp;
 use gs_core::speed::median_seconds;
-use gs_core::{Camera, Image, Splats, Time};
+use gs_core::{Camera, Image, Splats};
 use gs_data::View;
 use gs_raster::{Frame, RasterOptions, Workspace, render_into};
 
-/// The moment of a normalised time.
-pub fn moment(t: f32) -> Moment {
-    Moment::new(Time { normalised: t, seconds: f64::from(t) })
-}
-
-/// Draws one frame after the other, reusing memory.
+/// Renders one frame after the other, reusing memory.
 #[derive(Default)]
-pub struct Painter {
-    /// How to draw.
+pub struct Renderer {
+    /// How to render.
     pub options: RasterOptions,
     workspace: Workspace,
     frame: Frame,
 }
 
-impl Painter {
-    /// A painter with these options.
+impl Renderer {
+    /// A renderer with these options.
     pub fn new(options: RasterOptions) -> Self {
         Self { options, ..Self::default() }
     }
 
-    /// Draws splats.
-    pub fn draw(&mut self, splats: &Splats, camera: &Camera) -> &Frame {
+    /// Renders splats.
+    pub fn render(&mut self, splats: &Splats, camera: &Camera) -> &Frame {
         render_into(splats, camera, &self.options, &mut self.workspace, &mut self.frame);
         &self.frame
     }
 
-    /// Draws a method at the time of a view, as an image in `[0, 1]`.
-    pub fn view(&mut self, method: &dyn Method, view: &View, camera: &Camera) -> Image {
-        let splats = method.splats(&Moment::new(view.time), camera);
-        clamped(self.draw(&splats, camera))
+    /// A model at the time of a view, as an image in `[0, 1]`.
+    ///
+    /// # Errors
+    /// As [`Method::splats`](crate::method::Method::splats).
+    pub fn view(&mut self, model: &Model, view: &View, camera: &Camera) -> Result<Image, MethodError> {
+        let splats = model.splats(&Timestamp::new(view.time), camera)?;
+        Ok(clamped(self.render(&splats, camera)))
     }
 
-    /// Seconds from the moment to the picture: the median of five frames of a view.
-    pub fn seconds(&mut self, method: &dyn Method, view: &View, camera: &Camera) -> f64 {
-        median_seconds(5, || drop(self.view(method, view, camera)))
+    /// Seconds from the timestamp to the image: the median of five renders of a view.
+    ///
+    /// # Errors
+    /// As [`Method::splats`](crate::method::Method::splats).
+    pub fn seconds(&mut self, model: &Model, view: &View, camera: &Camera) -> Result<f64, MethodError> {
+        let mut result = Ok(());
+        let seconds = median_seconds(5, || {
+            if let Err(e) = self.view(model, view, camera) {
+                result = Err(e);
+            }
+        });
+        result.map(|()| seconds)
     }
 
-    /// Draws a method at a normalised time, as an image in `[0, 1]`.
-    pub fn at(&mut self, method: &dyn Method, time: f32, camera: &Camera) -> Image {
-        let splats = method.splats(&moment(time), camera);
-        clamped(self.draw(&splats, camera))
+    /// A model at a normalised time, as an image in `[0, 1]`.
+    ///
+    /// # Errors
+    /// As [`Method::splats`](crate::method::Method::splats).
+    pub fn at(&mut self, model: &Model, time: f32, camera: &Camera) -> Result<Image, MethodError> {
+        let splats = model.splats(&Timestamp::normalised(time), camera)?;
+        Ok(clamped(self.render(&splats, camera)))
     }
 }
 

@@ -5,7 +5,8 @@
 //! growth statistics.
 
 use crate::checkpoint::Checkpoint;
-use crate::method::{ColumnMut, Method, MethodError, SceneInfo};
+use crate::method::{BufferMut, MethodError, SceneInfo};
+use crate::model::Model;
 use crate::registry::Registry;
 use glam::Vec3;
 use gs_core::Param;
@@ -18,8 +19,6 @@ use std::sync::Arc;
 /// What a checkpoint says of a run beside its tensors.
 #[derive(Clone, Copy, Debug)]
 pub struct RunState<'a> {
-    /// Name of the method.
-    pub method: &'static str,
     /// Its resolved configuration.
     pub config: &'a toml::Table,
     /// What it was built from.
@@ -34,8 +33,8 @@ pub struct RunState<'a> {
 
 /// A method read from a checkpoint.
 pub struct Loaded {
-    /// The method, at the step of the checkpoint.
-    pub method: Box<dyn Method>,
+    /// The model, at the step of the checkpoint.
+    pub model: Model,
     /// Its configuration.
     pub config: toml::Table,
     /// What it was built from; the first points are not kept.
@@ -66,18 +65,18 @@ struct Meta {
 }
 
 /// The state of a method and its run.
-pub fn save(method: &dyn Method, run: &RunState) -> Checkpoint {
-    Checkpoint { meta: meta(run), tensors: tensors(method, true) }
+pub fn save(model: &Model, run: &RunState) -> Checkpoint {
+    Checkpoint { meta: meta(model, run), tensors: tensors(model, true) }
 }
 
-/// The same without moments of the optimiser, a third of the bytes: enough to draw.
-pub fn look(method: &dyn Method, run: &RunState) -> Checkpoint {
-    Checkpoint { meta: meta(run), tensors: tensors(method, false) }
+/// The same without moments of the optimiser, a third of the bytes: enough to render.
+pub fn save_for_rendering(model: &Model, run: &RunState) -> Checkpoint {
+    Checkpoint { meta: meta(model, run), tensors: tensors(model, false) }
 }
 
-fn meta(run: &RunState) -> serde_json::Value {
+fn meta(model: &Model, run: &RunState) -> serde_json::Value {
     let meta = Meta {
-        method: run.method.to_owned(),
+        method: model.name().to_owned(),
         config: run.config.clone(),
         extent: run.scene.extent,
         bounds: run.scene.bounds.map(|b| b.to_array()),
@@ -94,17 +93,17 @@ fn meta(run: &RunState) -> serde_json::Value {
     serde_json::to_value(meta).unwrap_or_default()
 }
 
-/// Every block of a method, with its moments if wanted, then the columns beside them.
-fn tensors(method: &dyn Method, moments: bool) -> Vec<(String, Vec<f32>)> {
+/// Every block of a method, with its moments if wanted, then the buffers.
+fn tensors(model: &Model, moments: bool) -> Vec<(String, Vec<f32>)> {
     let mut tensors = Vec::new();
-    method.visit(&mut |p: &Param| {
+    model.visit(&mut |p: &Param| {
         tensors.push((p.name.clone(), p.value.clone()));
         if moments {
             tensors.push((format!("{}#m1", p.name), p.moment1.clone()));
             tensors.push((format!("{}#m2", p.name), p.moment2.clone()));
         }
     });
-    tensors.extend(method.columns().into_iter().map(|column| (column.name.to_owned(), column.values.clone())));
+    model.buffers(&mut |b| tensors.push((b.name.to_owned(), b.values.clone())));
     tensors
 }
 
@@ -142,31 +141,36 @@ pub fn load_with(
     let Meta { extent, views, moments, last_time, frame_interval, .. } = meta;
     let scene = SceneInfo { points, extent, bounds, views, moments, last_time, frame_interval, seed, avatar };
     let config = config.unwrap_or(&meta.config).clone();
-    let mut method = (entry.build)(&config, &scene).map_err(|e| e.to_string())?;
-    restore(method.as_mut(), &checkpoint.tensors)?;
-    method.set_step(meta.step);
+    let mut model = (entry.build)(&config, &scene).map_err(|e| e.to_string())?;
+    restore(&mut model, &checkpoint.tensors)?;
+    model.begin_step(meta.step);
     let (adam_updates, train_seconds) = (meta.adam_updates, meta.train_seconds);
-    Ok(Loaded { method, config, scene, step: meta.step, adam_updates, train_seconds })
+    Ok(Loaded { model, config, scene, step: meta.step, adam_updates, train_seconds })
 }
 
-/// Fills a method's blocks and columns. Row blocks take the number of rows of the tensors; moments and columns of rows that
-/// are absent become zero, other columns stay as the method was built. Names the first tensor that is missing or does not fit; the method is then unusable.
-fn restore(method: &mut dyn Method, tensors: &[(String, Vec<f32>)]) -> Result<(), String> {
+/// Fills a method's blocks and buffers. Row blocks take the number of rows of the tensors; moments and buffers of rows that
+/// are absent become zero, other buffers stay as the method was built. Names the first tensor that is missing or does not fit; the method is then unusable.
+fn restore(model: &mut Model, tensors: &[(String, Vec<f32>)]) -> Result<(), String> {
     let tensors: BTreeMap<&str, &Vec<f32>> = tensors.iter().map(|(name, t)| (name.as_str(), t)).collect();
     let mut rows = None;
     let mut result = Ok(());
-    method.visit_mut(&mut |p| {
+    model.visit_mut(&mut |p| {
         if result.is_ok() {
             result = restore_block(p, &tensors, &mut rows);
         }
     });
-    result?;
+    std::mem::replace(&mut result, Ok(()))?;
     let rows = rows.unwrap_or(0);
-    method.columns_mut().into_iter().try_for_each(|column| restore_column(column, &tensors, rows))
+    model.buffers_mut(&mut |b| {
+        if result.is_ok() {
+            result = restore_buffer(b, &tensors, rows);
+        }
+    });
+    result
 }
 
-fn restore_column(column: ColumnMut, tensors: &BTreeMap<&str, &Vec<f32>>, rows: usize) -> Result<(), String> {
-    let ColumnMut { name, row_width, values } = column;
+fn restore_buffer(buffer: BufferMut, tensors: &BTreeMap<&str, &Vec<f32>>, rows: usize) -> Result<(), String> {
+    let BufferMut { name, row_width, values } = buffer;
     let needed = row_width.map_or(values.len(), |width| rows * width);
     match tensors.get(name) {
         Some(stored) if stored.len() == needed => values.clone_from(stored),

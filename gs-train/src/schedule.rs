@@ -8,7 +8,7 @@
 //! needs no state of its own for it.
 
 use crate::adam::Update;
-use crate::densify::DensityRules;
+use crate::densify::DensifyRules;
 use crate::loss::{Dssim, LossWeights};
 use gs_core::{Camera, Param};
 use gs_metrics::mrf::MrfOptions;
@@ -57,8 +57,8 @@ pub struct Schedule {
     #[serde(default = "kerbl_dilation")]
     pub dilation: f64,
     /// Clone, split, prune and opacity reset of methods with a cloud.
-    #[serde(default = "DensityRules::kerbl2023")]
-    pub density: DensityRules,
+    #[serde(default = "DensifyRules::kerbl2023")]
+    pub density: DensifyRules,
     /// Adam's ε (3DGS: 1e-15).
     pub adam_eps: f32,
     /// The stages by name, followed in the order they state; their steps add up to the whole run.
@@ -440,7 +440,7 @@ pub(crate) mod tests {
             mrf_side: 256,
             sparse_adam: false,
             max_quarantine: 1e-3,
-            density: DensityRules::kerbl2023(),
+            density: DensifyRules::kerbl2023(),
             adam_eps: 1e-15,
             near: 0.01,
             antialias: false,

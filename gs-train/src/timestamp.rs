@@ -1,17 +1,22 @@
-//! What a moment of a scene offers to a method.
+//! The time a scene is asked for.
 
 use gs_core::Time;
 
-/// A moment: the time, always. Body poses and input views join it where the data have them.
+/// A timestamp of a scene: the time, normalised and in seconds.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
-pub struct Moment {
-    /// When.
+pub struct Timestamp {
+    /// The time.
     pub t: Time,
 }
 
-impl Moment {
-    /// The moment at time `t`.
+impl Timestamp {
+    /// The timestamp of a time.
     pub fn new(t: Time) -> Self {
         Self { t }
+    }
+
+    /// The timestamp of a normalised time (0: first training image, 1: last).
+    pub fn normalised(t: f32) -> Self {
+        Self::new(Time { normalised: t, seconds: f64::from(t) })
     }
 }

@@ -1,24 +1,25 @@
-//! Training: one view per step (or a batch of them), forward through method and rasteriser, back through both, one update of every parameter.
+//! Training: one view per step (or a batch of them), forward through method and rasteriser, backward through both, one
+//! update of every parameter.
 //!
-//! Everything a step does is a function of the parameters, their moments, the growth statistics and the step number:
+//! Everything a step does is a function of the parameters, their moments, the buffers and the step number:
 //! views come in a random order that is shuffled anew each epoch from `(seed, epoch)`, so a run stopped at any step and
 //! resumed from its [`Checkpoint`] continues bit for bit, on any number of threads.
 
 use crate::adam::{Adam, Refused, Update};
 use crate::checkpoint::Checkpoint;
-use crate::densify::Adapted;
-use crate::loss::{Dssim, LossTerms, Region};
-use crate::method::{InitConfig, Method, MethodError, SceneInfo, section};
+use crate::densify::DensifyStats;
+use crate::loss::LossTerms;
+use crate::method::{InitConfig, LossValue, MethodError, SceneInfo, ViewCtx, section};
+use crate::model::Model;
 use crate::registry::Registry;
 use crate::saved;
-use crate::schedule::FIELD;
-use crate::timestamp::Moment;
+use crate::schedule::{FIELD, Schedule};
+use crate::timestamp::Timestamp;
 use gs_core::Param;
 use gs_data::{Dataset, ImageCache, View};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::time::Instant;
 
 mod error;
 mod render_pass;
@@ -26,7 +27,7 @@ mod view_order;
 
 pub use error::TrainError;
 pub use render_pass::Phases;
-use render_pass::{Drawn, Easel, Sheet, ms_since};
+use render_pass::{RenderPass, Stopwatch, ViewLoss, ViewPass};
 use view_order::ViewOrder;
 
 /// What a run needs beside data and configuration.
@@ -57,28 +58,32 @@ pub struct StepReport {
     /// The image loss.
     pub loss: LossTerms,
     /// Regularisers, weights applied.
-    pub penalties: Vec<(&'static str, f32)>,
+    pub penalties: Vec<LossValue>,
     /// Splats after the step.
     pub splats: usize,
     /// Gradient rows refused because they were not finite.
     pub quarantined: u32,
-    /// What density control did.
-    pub adapted: Adapted,
+    /// What densification did.
+    pub adapted: DensifyStats,
+    /// Events worth keeping, one JSON object each.
+    pub events: Vec<serde_json::Value>,
     /// Milliseconds per phase.
     pub ms: Phases,
 }
 
 /// A run in memory.
 pub struct Trainer {
-    method: Box<dyn Method>,
+    model: Model,
     dataset: Arc<Dataset>,
     scene: SceneInfo,
     config: toml::Table,
     options: TrainOptions,
     adam: Adam,
-    cache: ImageCache,
-    easel: Easel,
+    images: ImageCache,
+    pass: RenderPass,
     order: ViewOrder,
+    /// Update rules of the present step, by the name of a block.
+    updates: BTreeMap<String, Option<Update>>,
     step: u32,
     seconds: f64,
 }
@@ -99,9 +104,25 @@ impl Trainer {
         let init: InitConfig = section(entry.name, config, "init")?;
         entry.avatar(&dataset)?;
         let scene = SceneInfo::of(&dataset, &init, options.seed)?;
-        let method = (entry.build)(config, &scene)?;
-        check_run(method.as_ref(), &dataset)?;
-        Ok(Self::of(dataset, method, scene, config, options))
+        let model = (entry.build)(config, &scene)?;
+        Ok(Self { config: config.clone(), ..Self::with_method(model, dataset, scene, options)? })
+    }
+
+    /// A run at step 0 of a model that was built by hand.
+    ///
+    /// # Errors
+    /// If its schedule does not fit the images or its parameters.
+    pub fn with_method(
+        model: Model,
+        dataset: Arc<Dataset>,
+        scene: SceneInfo,
+        options: TrainOptions,
+    ) -> Result<Self, TrainError> {
+        check_run(&model, &dataset)?;
+        let images = ImageCache::new(options.image_bytes, 1.0);
+        let order = ViewOrder::new(options.seed, dataset.train.iter().map(|v| v.time.normalised).collect());
+        let (adam, pass, config, updates) = (Adam::default(), RenderPass::new(), toml::Table::new(), BTreeMap::new());
+        Ok(Self { model, dataset, scene, config, options, adam, images, pass, order, updates, step: 0, seconds: 0.0 })
     }
 
     /// A run continued from a checkpoint, with another configuration if one is given (a longer schedule, say).
@@ -121,9 +142,9 @@ impl Trainer {
             let (now, then) = (dataset.train.len(), loaded.scene.views);
             return Err(TrainError::State(format!("the data have {now} training views, the run began with {then}")));
         }
-        check_run(loaded.method.as_ref(), &dataset)?;
         let options = TrainOptions { seed: loaded.scene.seed, image_bytes };
-        let mut trainer = Self::of(dataset, loaded.method, loaded.scene, &loaded.config, options);
+        let mut trainer = Self::with_method(loaded.model, dataset, loaded.scene, options)?;
+        trainer.config = loaded.config;
         trainer.step = loaded.step;
         trainer.seconds = loaded.train_seconds;
         trainer.adam.set_updates(loaded.adam_updates);
@@ -131,7 +152,7 @@ impl Trainer {
     }
 
     /// The same run on data that hold more views, with another configuration (a longer schedule): parameters, moments of the
-    /// optimiser and growth statistics go on bit for bit, and the method is built for the new last training time.
+    /// optimiser and buffers go on bit for bit, and the method is built for the new last training time.
     ///
     /// # Errors
     /// As [`Trainer::resume`].
@@ -142,43 +163,23 @@ impl Trainer {
         config: &toml::Table,
     ) -> Result<Self, TrainError> {
         let scene = self.scene.clone().seen_in(&dataset);
-        let state = self.state_as(config, &scene);
+        let state = saved::save(&self.model, &self.run_state(config, &scene));
         let next = Self::resume(registry, dataset, &state, None, self.options.image_bytes)?;
-        Ok(Self { cache: self.cache, ..next })
-    }
-
-    fn of(
-        dataset: Arc<Dataset>,
-        method: Box<dyn Method>,
-        scene: SceneInfo,
-        config: &toml::Table,
-        options: TrainOptions,
-    ) -> Self {
-        let adam = Adam::default();
-        let cache = ImageCache::new(options.image_bytes, 1.0);
-        let easel = Easel::new();
-        let order = ViewOrder::new(options.seed, dataset.train.iter().map(|v| v.time.normalised).collect());
-        let config = config.clone();
-        Self { method, dataset, scene, config, options, adam, cache, easel, order, step: 0, seconds: 0.0 }
+        Ok(Self { images: self.images, ..next })
     }
 
     /// The whole state, bit for bit.
     pub fn state(&self) -> Checkpoint {
-        self.state_as(&self.config, &self.scene)
+        saved::save(&self.model, &self.run_state(&self.config, &self.scene))
     }
 
-    /// What drawing the scene as it stands needs ([`saved::look`]).
-    pub fn look(&self) -> Checkpoint {
-        saved::look(self.method.as_ref(), &self.run_state(&self.config, &self.scene))
-    }
-
-    fn state_as(&self, config: &toml::Table, scene: &SceneInfo) -> Checkpoint {
-        saved::save(self.method.as_ref(), &self.run_state(config, scene))
+    /// What rendering the scene as it stands needs ([`saved::save_for_rendering`]).
+    pub fn state_for_rendering(&self) -> Checkpoint {
+        saved::save_for_rendering(&self.model, &self.run_state(&self.config, &self.scene))
     }
 
     fn run_state<'a>(&'a self, config: &'a toml::Table, scene: &'a SceneInfo) -> saved::RunState<'a> {
         saved::RunState {
-            method: self.method.name(),
             config,
             scene,
             step: self.step,
@@ -190,87 +191,112 @@ impl Trainer {
     /// Makes the next step.
     ///
     /// # Errors
-    /// At the end of the schedule, if the photograph cannot be read, or if gradients are not finite. After a numerical
-    /// failure the parameters are to be thrown away.
+    /// At the end of the schedule, if an image cannot be read, or if gradients are not finite. After a numerical failure the
+    /// parameters are to be thrown away.
     pub fn step(&mut self) -> Result<StepReport, TrainError> {
         // Entered once, the pool runs a step's many short loops without a change of threads for each.
         rayon::scope(|_| self.step_in_pool())
     }
 
     fn step_in_pool(&mut self) -> Result<StepReport, TrainError> {
-        let begun = Instant::now();
+        let (mut clock, mut whole) = (Stopwatch::new(), Stopwatch::new());
         let step = self.step + 1;
         if step > self.steps() {
             return Err(TrainError::Finished(self.steps()));
         }
-        self.begin_stage(step);
-        self.method.set_step(step);
-        let (drawn, views) = self.learn(step)?;
-        let mut ms = drawn.ms;
-        let regular = Instant::now();
-        let penalties = self.method.penalties(step);
-        ms.field += ms_since(regular);
+        self.begin_step(step);
+        let (loss, penalties, views) = self.learn(step)?;
+        let mut ms = loss.ms;
 
-        let updated = Instant::now();
+        clock.lap();
         let refused = self.update(step);
-        ms.adam = ms_since(updated);
+        ms.adam = clock.lap();
         self.check_refused(&refused, step, &views)?;
 
-        let adapting = Instant::now();
-        let adapted = self.method.adapt(step);
-        ms.adapt = ms_since(adapting);
+        let events = self.model.end_step()?;
+        ms.adapt = clock.lap();
         self.step = step;
-        ms.total = ms_since(begun);
+        ms.total = whole.lap();
         self.seconds += ms.total * 1e-3;
         Ok(StepReport {
             step,
-            stage: self.stage_name(step),
+            stage: self.schedule().at(step).stage,
             view: views,
-            loss: drawn.terms,
+            loss: loss.terms,
             penalties,
-            splats: self.method.len(),
-            quarantined: drawn.quarantine.rows.max(refused.rows),
-            adapted,
+            splats: self.model.splat_count(),
+            quarantined: loss.non_finite.rows.max(refused.rows),
+            adapted: events.densified,
+            events: events.log,
             ms,
         })
     }
 
-    /// Gradients of the mean loss of the step's views, and the names of these.
-    fn learn(&mut self, step: u32) -> Result<(Drawn, String), TrainError> {
+    /// The size of training images and the moments of the optimiser change at the border of stages.
+    fn begin_step(&mut self, step: u32) {
+        let scale = self.schedule().stage(step).map_or(1.0, |s| s.image_scale);
+        if scale != self.images.scale() {
+            self.images = ImageCache::new(self.options.image_bytes, scale);
+        }
+        if self.schedule().position(step).fresh {
+            self.model.visit_mut(&mut Param::clear_moments);
+            self.adam.restart();
+        }
+        self.model.begin_step(step);
+    }
+
+    /// Gradients of the mean loss of the step's views, the regularisers, and the names of the views.
+    fn learn(&mut self, step: u32) -> Result<(ViewLoss, Vec<LossValue>, String), TrainError> {
         let dataset = self.dataset.clone();
-        let batch = self.method.schedule().batch;
-        let (mut sum, mut names) = (Drawn::default(), Vec::new());
+        let batch = self.schedule().batch;
+        let (mut sum, mut penalties, mut names) = (ViewLoss::default(), Vec::new(), Vec::new());
         for draw in (step - 1) * batch + 1..=step * batch {
-            let view = &dataset.train[self.order.view(self.method.schedule(), draw)];
-            let drawn = self.learn_view(view, draw, 1.0 / batch as f32)?;
-            self.check_drawn(&drawn, step, view)?;
-            sum.add(&drawn, f64::from(batch));
+            let view = &dataset.train[self.order.view(self.model.schedule(), draw)];
+            let (loss, terms) = self.learn_view(view, step, draw, batch)?;
+            self.check_finite(&loss, step, view)?;
+            sum.add(&loss, f64::from(batch));
+            penalties = terms;
             names.push(view.name.as_str());
         }
-        Ok((sum, names.join(", ")))
+        Ok((sum, penalties, names.join(", ")))
     }
 
     /// One view, which counts with its share in the step: gradients and statistics.
-    fn learn_view(&mut self, view: &View, draw: u32, share: f32) -> Result<Drawn, TrainError> {
-        let begun = Instant::now();
-        let (mut drawn, at) = (Drawn::default(), Moment::new(view.time));
-        if !self.method.looks() {
-            self.method.step(&at, &self.cache.camera(view), &mut |_, _| ());
-            drawn.ms.field = ms_since(begun);
-            return self.check_trouble().map(|()| drawn);
+    fn learn_view(
+        &mut self,
+        view: &View,
+        step: u32,
+        draw: u32,
+        batch: u32,
+    ) -> Result<(ViewLoss, Vec<LossValue>), TrainError> {
+        let mut clock = Stopwatch::new();
+        let schedule = self.model.schedule();
+        let background = schedule.background.color(self.options.seed, draw);
+        let camera = self.images.camera(view);
+        let mut pass = ViewPass {
+            pass: &mut self.pass,
+            images: &self.images,
+            view,
+            camera: &camera,
+            options: schedule.raster_options(background),
+            weights: schedule.loss(),
+            share: 1.0 / batch as f32,
+            result: ViewLoss::default(),
+            data_error: None,
+        };
+        let ctx = ViewCtx { at: Timestamp::new(view.time), camera: &camera, last: draw == step * batch };
+        let terms = self.model.step(&ctx, &mut pass);
+        let ViewPass { mut result, data_error, .. } = pass;
+        if let Some(e) = data_error {
+            return Err(e.into());
         }
-        let sheet = self.photograph(view, draw, share)?;
-        let data = ms_since(begun);
-        let easel = &mut self.easel;
-        self.method.step(&at, &sheet.camera, &mut |splats, d| drawn = easel.draw(splats, &sheet, d));
-        self.check_trouble()?;
-        if drawn.error.is_none() {
-            self.method.observe(&at, &self.easel.stats, &sheet.camera);
-        }
-        let ms = &mut drawn.ms;
-        ms.data = data;
-        ms.field = ms_since(begun) - data - ms.raster_forward - ms.loss - ms.raster_backward;
-        Ok(drawn)
+        let terms = terms.map_err(|e| match e {
+            MethodError::Loss(e) => TrainError::Numeric { step, view: view.name.clone(), what: e.to_string() },
+            other => other.into(),
+        })?;
+        let ms = &mut result.ms;
+        ms.field = clock.lap() - ms.data - ms.raster_forward - ms.loss - ms.raster_backward;
+        Ok((result, terms))
     }
 
     /// Steps made.
@@ -280,7 +306,7 @@ impl Trainer {
 
     /// Steps of the whole schedule.
     pub fn steps(&self) -> u32 {
-        self.method.schedule().steps()
+        self.schedule().steps()
     }
 
     /// Seconds spent in steps, over all sessions of the run.
@@ -288,14 +314,14 @@ impl Trainer {
         self.seconds
     }
 
-    /// What the method has to tell since the last call; see [`Method::journal`]. Every line names its `step`.
-    pub fn journal(&mut self) -> Vec<serde_json::Value> {
-        self.method.journal()
+    /// The model under training.
+    pub fn model(&self) -> &Model {
+        &self.model
     }
 
-    /// The method under training.
-    pub fn method(&self) -> &dyn Method {
-        self.method.as_ref()
+    /// Stages, learning rates and weights of the loss.
+    pub fn schedule(&self) -> &Schedule {
+        self.model.schedule()
     }
 
     /// What the method was built from.
@@ -308,64 +334,32 @@ impl Trainer {
         &self.dataset
     }
 
-    /// Images shrink and optimisers forget at the border of stages.
-    fn begin_stage(&mut self, step: u32) {
-        let scale = self.method.schedule().stage(step).map_or(1.0, |s| s.image_scale);
-        if scale != self.cache.scale() {
-            self.cache = ImageCache::new(self.options.image_bytes, scale);
-        }
-        if self.method.schedule().position(step).fresh {
-            self.method.visit_mut(&mut Param::clear_moments);
-            self.adam.restart();
-        }
-    }
-
-    fn photograph(&self, view: &View, draw: u32, share: f32) -> Result<Sheet, TrainError> {
-        let schedule = self.method.schedule();
-        let background = schedule.background.color(self.options.seed, draw);
-        let image = self.cache.get(view)?;
-        let mut weights = schedule.loss();
-        if weights.structure == Dssim::SsimBox || weights.mrf > 0.0 {
-            weights.region = Region::shown(&image);
-        }
-        Ok(Sheet {
-            camera: self.cache.camera(view),
-            options: schedule.raster_options(background),
-            target: image.over(background),
-            weights,
-            share,
-        })
-    }
-
+    /// Adam on every block that learns in this step.
     fn update(&mut self, step: u32) -> Refused {
         let mut refused = Refused::default();
-        let schedule = self.method.schedule();
-        let extent = self.scene.extent;
-        let mut updates: BTreeMap<String, Update> = BTreeMap::new();
-        self.method.visit(&mut |p| {
-            updates.extend(schedule.update(p, step, extent).map(|update| (p.name.clone(), update)));
+        let (schedule, extent) = (self.model.schedule(), self.scene.extent);
+        let updates = &mut self.updates;
+        self.model.visit(&mut |p| match updates.get_mut(&p.name) {
+            Some(update) => *update = schedule.update(p, step, extent),
+            None => {
+                updates.insert(p.name.clone(), schedule.update(p, step, extent));
+            }
         });
-        let adam = &mut self.adam;
-        self.method.visit_mut(&mut |p| match updates.get(&p.name) {
-            Some(update) => adam.update(p, *update, &mut refused),
+        let (adam, updates) = (&mut self.adam, &self.updates);
+        self.model.visit_mut(&mut |p| match updates.get(&p.name).copied().flatten() {
+            Some(update) => adam.update(p, update, &mut refused),
             None => p.clear_grad(),
         });
         refused
     }
 
-    fn check_trouble(&self) -> Result<(), TrainError> {
-        self.method.trouble().map_or(Ok(()), |why| Err(MethodError::Scene(why).into()))
-    }
-
-    fn check_drawn(&self, drawn: &Drawn, step: u32, view: &View) -> Result<(), TrainError> {
-        let numeric = |what| Err(TrainError::Numeric { step, view: view.name.clone(), what });
-        if let Some(e) = &drawn.error {
-            return numeric(e.to_string());
-        }
-        let (rows, of) = (drawn.quarantine.rows, self.easel.stats.radii.len());
-        match drawn.quarantine.first {
+    fn check_finite(&self, loss: &ViewLoss, step: u32, view: &View) -> Result<(), TrainError> {
+        let (rows, of) = (loss.non_finite.rows, loss.splats);
+        match loss.non_finite.first {
             Some(first) if self.too_many(rows, of) => {
-                numeric(format!("{rows} of {of} splats have gradients that are not finite, the first is splat {first}"))
+                let what =
+                    format!("{rows} of {of} splats have gradients that are not finite, the first is splat {first}");
+                Err(TrainError::Numeric { step, view: view.name.clone(), what })
             }
             _ => Ok(()),
         }
@@ -386,28 +380,23 @@ impl Trainer {
     }
 
     fn too_many(&self, rows: u32, of: usize) -> bool {
-        f64::from(rows) > f64::from(self.method.schedule().max_quarantine) * of as f64
-    }
-
-    fn stage_name(&self, step: u32) -> String {
-        let schedule = self.method.schedule();
-        schedule.ordered().get(schedule.position(step).stage).map_or(String::new(), |s| s.0.to_owned())
+        f64::from(rows) > f64::from(self.schedule().max_quarantine) * of as f64
     }
 }
 
 /// Refuses, before the first step, images the loss is not defined for and stages in which nothing would learn.
-fn check_run(method: &dyn Method, dataset: &Dataset) -> Result<(), MethodError> {
-    let schedule = method.schedule();
+fn check_run(model: &Model, dataset: &Dataset) -> Result<(), MethodError> {
+    let schedule = model.schedule();
     schedule.check_images(dataset.train.iter().map(|v| &v.camera))?;
     let mut has_field = false;
-    method.visit(&mut |p| has_field |= p.name.starts_with(FIELD));
+    model.visit(&mut |p| has_field |= p.name.starts_with(FIELD));
     match schedule.ordered().into_iter().find(|(_, stage)| stage.field_alone && !has_field) {
         None => Ok(()),
         Some((name, _)) => {
             let why = format!(
                 "only the field learns in stage `{name}` (field_alone), and this method has none; set it false"
             );
-            Err(MethodError::Config { method: method.name(), why })
+            Err(MethodError::Config { method: model.name(), why })
         }
     }
 }

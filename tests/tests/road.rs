@@ -13,9 +13,10 @@ use gs_data::{DataOptions, Dataset, ImageCache, View};
 use gs_raster::{Frame, Workspace, render};
 use gs_synth::{self as synth, SynthOptions};
 use gs_train::checkpoint::{self, Checkpoint};
-use gs_train::method::{self as methods, Method};
+use gs_train::method::{self as methods};
+use gs_train::model::Model;
 use gs_train::saved;
-use gs_train::timestamp::Moment;
+use gs_train::timestamp::Timestamp;
 use gs_train::trainer::{TrainOptions, Trainer};
 use std::path::Path;
 use std::sync::Arc;
@@ -39,14 +40,14 @@ fn trainer(data: &Arc<Dataset>, method: &str, steps: i64) -> Trainer {
         .expect("a trainer")
 }
 
-fn picture(method: &dyn Method, view: &View) -> Frame {
-    let background = method.schedule().background.evaluation_color();
-    let splats = method.splats(&Moment::new(view.time), &view.camera);
-    render(&splats, &view.camera, &method.schedule().raster_options(background), &mut Workspace::new())
+fn picture(method: &Model, view: &View) -> Frame {
+    let background = method.background();
+    let splats = method.splats(&Timestamp::new(view.time), &view.camera);
+    render(&splats, &view.camera, &method.raster_options(background), &mut Workspace::new())
 }
 
-fn held_out_psnr(method: &dyn Method, data: &Dataset) -> f64 {
-    let background = method.schedule().background.evaluation_color();
+fn held_out_psnr(method: &Model, data: &Dataset) -> f64 {
+    let background = method.background();
     let photographs = ImageCache::new(64 << 20, 1.0);
     let scores = data.test.iter().map(|view| {
         let frame = picture(method, view);
@@ -61,11 +62,11 @@ fn from_a_folder_of_images_to_a_splat_file() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let data = written(&folder.path().join("data"), "static");
     let mut trainer = trainer(&data, "static3d", 400);
-    let before = held_out_psnr(trainer.method(), &data);
+    let before = held_out_psnr(trainer.model(), &data);
     while trainer.steps_done() < trainer.steps() {
         trainer.step().expect("a step");
     }
-    let after = held_out_psnr(trainer.method(), &data);
+    let after = held_out_psnr(trainer.model(), &data);
     println!("static scene, 48x48, {} steps: {before:.2} -> {after:.2} dB", trainer.steps());
     assert!(after > before + 5.0, "{before:.2} -> {after:.2} dB");
 
@@ -75,13 +76,13 @@ fn from_a_folder_of_images_to_a_splat_file() {
     let newest: Checkpoint = checkpoint::load_newest(&kept).expect("the newest checkpoint").checkpoint;
     let again = saved::load(gs_methods::registry(), &newest, None).expect("a method").method;
     let view = &data.test[0];
-    let splats = trainer.method().splats(&Moment::new(view.time), &view.camera);
-    assert_eq!(again.splats(&Moment::new(view.time), &view.camera), splats);
+    let splats = trainer.model().splats(&Timestamp::new(view.time), &view.camera);
+    assert_eq!(again.splats(&Timestamp::new(view.time), &view.camera), splats);
 
     let ply = folder.path().join("scene.ply");
     save_splats(&ply, &RawSplats::from_splats(&splats).expect("legal splats"), false).expect("a splat file");
     let read = load_splats(&ply, &Limits::default()).expect("a splat file").to_splats();
-    let options = trainer.method().schedule().raster_options([1.0; 3]);
+    let options = trainer.model().raster_options([1.0; 3]);
     let draw = |s| render(s, &view.camera, &options, &mut Workspace::new());
     let (want, got) = (draw(&splats), draw(&read.expect("legal splats")));
     let worst = want.rgb.iter().zip(&got.rgb).fold(0.0f32, |m, (a, b)| m.max((a - b).abs()));

@@ -13,7 +13,7 @@ use super::{Finding, Verdict, median};
 use glam::Vec3;
 use gs_core::{Params, Rng};
 use gs_data::{Dataset, View};
-use gs_train::method::Growth;
+use gs_train::capabilities::GrowthLimits;
 use gs_train::registry::Registry;
 use gs_train::schedule::Schedule;
 use gs_train::trainer::{TrainOptions, Trainer};
@@ -135,7 +135,7 @@ fn measure(data: &Dataset, options: &CostOptions) -> Result<Cost, String> {
     let resolved = resolve(&options.registry, &request).map_err(|e| e.to_string())?;
     let trial = Trial { data: Arc::new(data.clone()), resolved: &resolved };
     let whole = trial.trainer(trial.data.clone(), &resolved.method)?;
-    let (schedule, growth) = (whole.method().schedule().clone(), whole.method().growth());
+    let (schedule, growth) = (whole.model().schedule().clone(), whole.model().capabilities().growth);
     let few = Size::of(&whole);
     drop(whole);
     let growth = growth.filter(|g| g.most > few.splats);
@@ -182,8 +182,8 @@ struct Size {
 impl Size {
     fn of(trainer: &Trainer) -> Self {
         let mut values = 0;
-        Params::visit(trainer.method(), &mut |p| values += p.value.len());
-        Self { splats: trainer.method().len(), values }
+        Params::visit(trainer.model(), &mut |p| values += p.value.len());
+        Self { splats: trainer.model().splat_count(), values }
     }
 }
 
@@ -206,7 +206,7 @@ impl Trial<'_> {
         let data = times.map_or_else(|| self.data.clone(), |times| Arc::new(denser(&self.data, times)));
         let mut trainer = self.trainer(data, &only(&self.resolved.method, stage, times))?;
         let size = Size::of(&trainer);
-        let [training, _] = decoded(&self.data, trainer.method().schedule()).0;
+        let [training, _] = decoded(&self.data, trainer.model().schedule()).0;
         let kept = training <= f64::from(self.resolved.run.image_mib) * MIB;
         let mut counted = Vec::new();
         for k in 0..(WARM_UP + COUNTED).min(trainer.steps()) {
@@ -232,7 +232,7 @@ fn decoded(data: &Dataset, schedule: &Schedule) -> ([f64; 2], f64) {
 }
 
 /// Seconds of all stages, if so much of the growth happens that is possible: evenly, over the steps at which it may.
-fn seconds(stages: &[StageCost], schedule: &Schedule, growth: Option<Growth>, share: f64) -> f64 {
+fn seconds(stages: &[StageCost], schedule: &Schedule, growth: Option<GrowthLimits>, share: f64) -> f64 {
     let clocks: Vec<_> = (1..=schedule.steps()).map(|step| schedule.position(step)).collect();
     let grows = |clock: u32| growth.is_some_and(|g| clock > g.from && clock < g.until);
     let all = clocks.iter().filter(|at| grows(at.clock)).count().max(1) as f64;

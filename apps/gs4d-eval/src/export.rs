@@ -10,11 +10,13 @@ mod fit;
 use fit::Fit;
 use gs_core::io::{IoError, Limits, RawSplats, SplatFormat, parse_splats, write_splats};
 use gs_core::splats::SplatsError;
-use gs_core::{Camera, Color, Param, Params, Splats, sh};
+use gs_core::{Camera, Color, Splats, sh};
 use gs_data::View;
-use gs_train::method::Method;
-use gs_train::schedule::Schedule;
-use gs_train::timestamp::Moment;
+use gs_data::{Dataset, ImageCache, Split};
+use gs_train::evaluate::{EvalError, EvalReport, evaluate_splats};
+use gs_train::method::MethodError;
+use gs_train::model::Model;
+use gs_train::timestamp::Timestamp;
 use std::collections::HashMap;
 use std::sync::{Mutex, PoisonError};
 
@@ -26,6 +28,9 @@ pub const FAINTEST: f32 = 1.0 / 255.0;
 /// A scene that cannot be written.
 #[derive(Debug, thiserror::Error)]
 pub enum ExportError {
+    /// The method cannot be asked for its splats.
+    #[error(transparent)]
+    Method(#[from] MethodError),
     /// The splats at a moment.
     #[error("the scene at time {time}: {source}")]
     Splats {
@@ -47,14 +52,14 @@ pub enum ExportError {
 
 /// Makes plain splats of a method.
 pub struct Baker<'a> {
-    method: &'a dyn Method,
+    method: &'a Model,
     cameras: Vec<Camera>,
     degree: u8,
 }
 
 impl<'a> Baker<'a> {
     /// A baker that looks with up to [`LOOKS`] of these views, spread evenly, and keeps SH up to `degree`.
-    pub fn new(method: &'a dyn Method, views: &[View], degree: u8) -> Self {
+    pub fn new(method: &'a Model, views: &[View], degree: u8) -> Self {
         let kept = views.len().clamp(1, LOOKS);
         let cameras = (0..kept).filter_map(|k| views.get(k * views.len() / kept)).map(|v| v.camera.clone()).collect();
         Self { method, cameras, degree: degree.min(sh::MAX_DEGREE) }
@@ -64,9 +69,9 @@ impl<'a> Baker<'a> {
     ///
     /// # Errors
     /// A splat that is not sound, or none at all.
-    pub fn bake(&self, at: &Moment) -> Result<RawSplats, ExportError> {
+    pub fn bake(&self, at: &Timestamp) -> Result<RawSplats, ExportError> {
         let time = at.t.normalised;
-        let splats = self.seen(at).with_plain_kernel();
+        let splats = self.seen(at)?.with_plain_kernel();
         let visible: Vec<usize> = (0..splats.len()).filter(|&i| splats.opacities[i] >= FAINTEST).collect();
         if visible.is_empty() {
             return Err(ExportError::Empty { time });
@@ -76,19 +81,22 @@ impl<'a> Baker<'a> {
     }
 
     /// What all cameras see together.
-    fn seen(&self, at: &Moment) -> Splats {
-        let Some((first, others)) = self.cameras.split_first() else { return Splats::default() };
-        let splats = self.method.tracked(at, first);
-        let depends = |c: &Camera| self.method.tracked(at, c) != splats;
-        // One other camera tells whether looks depend on the camera at all.
-        if !others.last().is_some_and(depends) {
-            return splats;
+    fn seen(&self, at: &Timestamp) -> Result<Splats, MethodError> {
+        let Some((first, others)) = self.cameras.split_first() else { return Ok(Splats::default()) };
+        let splats = self.method.all_splats(at, first)?;
+        // One other camera tells whether the splats depend on the camera at all.
+        let depends = match others.last() {
+            Some(camera) => self.method.all_splats(at, camera)? != splats,
+            None => false,
+        };
+        if !depends {
+            return Ok(splats);
         }
         let mut fit = Fit::new(&splats, self.degree);
         for camera in &self.cameras {
-            fit.add(&self.method.tracked(at, camera), camera);
+            fit.add(&self.method.all_splats(at, camera)?, camera);
         }
-        fit.finish()
+        Ok(fit.finish())
     }
 }
 
@@ -122,65 +130,55 @@ pub fn cut(mut raw: RawSplats, degree: u8) -> RawSplats {
     raw
 }
 
-/// A method as its files draw it: every moment is baked, written and read back before it is drawn.
+/// A method as its files render it: every timestamp is baked, written and read back before it is rendered.
 pub struct AsExported<'a> {
     baker: Baker<'a>,
     format: SplatFormat,
     made: Mutex<HashMap<u32, Splats>>,
-    trouble: Mutex<Option<String>>,
 }
 
 impl<'a> AsExported<'a> {
     /// The files of a baker in a format.
     pub fn new(baker: Baker<'a>, format: SplatFormat) -> Self {
-        Self { baker, format, made: Mutex::default(), trouble: Mutex::default() }
+        Self { baker, format, made: Mutex::default() }
     }
 
-    fn through_bytes(&self, at: &Moment) -> Result<Splats, ExportError> {
+    /// The splats of a timestamp, through the bytes of a file.
+    ///
+    /// # Errors
+    /// If they cannot be baked, written or read back.
+    pub fn splats(&self, at: &Timestamp) -> Result<Splats, ExportError> {
+        let mut made = self.made.lock().unwrap_or_else(PoisonError::into_inner);
+        let key = at.t.normalised.to_bits();
+        if let Some(splats) = made.get(&key) {
+            return Ok(splats.clone());
+        }
+        let splats = self.through_bytes(at)?;
+        made.insert(key, splats.clone());
+        Ok(splats)
+    }
+
+    /// Scores of the files on a split, as [`evaluate`](gs_train::evaluate::evaluate) scores the method.
+    ///
+    /// # Errors
+    /// Those of the evaluation, and of [`Self::splats`].
+    pub fn evaluate(
+        &self,
+        dataset: &Dataset,
+        split: Split,
+        background: [f32; 3],
+        images: &ImageCache,
+    ) -> Result<EvalReport, EvalError> {
+        let splats = |at: &Timestamp, _: &Camera| self.splats(at).map_err(|e| MethodError::Render(e.to_string()));
+        evaluate_splats(self.baker.method, &splats, dataset, split, background, images)
+    }
+
+    fn through_bytes(&self, at: &Timestamp) -> Result<Splats, ExportError> {
         let mut bytes = Vec::new();
         write_splats(self.format, &self.baker.bake(at)?, &mut bytes)?;
         let name = format!("moment.{}", self.format.extension());
         let raw = parse_splats(&bytes, &name, &Limits::default())?;
         raw.to_splats().map_err(|source| ExportError::Splats { time: at.t.normalised, source })
-    }
-}
-
-impl Params for AsExported<'_> {
-    fn visit(&self, _f: &mut dyn FnMut(&Param)) {}
-    fn visit_mut(&mut self, _f: &mut dyn FnMut(&mut Param)) {}
-}
-
-impl Method for AsExported<'_> {
-    fn name(&self) -> &'static str {
-        self.baker.method.name()
-    }
-
-    fn schedule(&self) -> &Schedule {
-        self.baker.method.schedule()
-    }
-
-    fn set_step(&mut self, _step: u32) {}
-
-    fn splats(&self, at: &Moment, _camera: &Camera) -> Splats {
-        let mut made = self.made.lock().unwrap_or_else(PoisonError::into_inner);
-        let new = || {
-            self.through_bytes(at).unwrap_or_else(|e| {
-                let mut trouble = self.trouble.lock().unwrap_or_else(PoisonError::into_inner);
-                trouble.get_or_insert_with(|| e.to_string());
-                Splats::default()
-            })
-        };
-        made.entry(at.t.normalised.to_bits()).or_insert_with(new).clone()
-    }
-
-    fn step(&mut self, _at: &Moment, _camera: &Camera, _draw: &mut dyn FnMut(&Splats, &mut gs_core::SplatsGrad)) {}
-
-    fn trouble(&self) -> Option<String> {
-        self.trouble.lock().unwrap_or_else(PoisonError::into_inner).clone().or_else(|| self.baker.method.trouble())
-    }
-
-    fn len(&self) -> usize {
-        self.baker.method.len()
     }
 }
 

@@ -9,9 +9,10 @@
 use gs_core::{Camera, Image, Time};
 use gs_data::{DataError, Dataset, ImageCache, Split};
 use gs_train::evaluate::{EvalError, EvalReport, ViewScores, clamped, evaluate};
-use gs_train::method::Method;
-use gs_train::renderer::Painter;
-use gs_train::timestamp::Moment;
+use gs_train::method::MethodError;
+use gs_train::model::Model;
+use gs_train::renderer::Renderer;
+use gs_train::timestamp::Timestamp;
 use serde::Serialize;
 use std::time::Instant;
 
@@ -126,14 +127,17 @@ pub struct Frame {
 }
 
 /// Draws one frame.
-pub fn draw(method: &dyn Method, painter: &mut Painter, camera: &Camera, time: Time) -> Frame {
+///
+/// # Errors
+/// If the method cannot be asked for its splats.
+pub fn draw(method: &Model, renderer: &mut Renderer, camera: &Camera, time: Time) -> Result<Frame, MethodError> {
     let begun = Instant::now();
-    let splats = method.splats(&Moment::new(time), camera);
+    let splats = method.splats(&Timestamp::new(time), camera)?;
     let motion = begun.elapsed();
     let drawn = Instant::now();
-    let image = clamped(painter.draw(&splats, camera));
+    let image = clamped(renderer.render(&splats, camera));
     let ms = |d: std::time::Duration| 1e3 * d.as_secs_f64();
-    Frame { image, motion_ms: ms(motion), drawing_ms: ms(drawn.elapsed()) }
+    Ok(Frame { image, motion_ms: ms(motion), drawing_ms: ms(drawn.elapsed()) })
 }
 
 /// Scores at one moment, means over the views there.
@@ -167,7 +171,7 @@ impl Truth {
     /// # Errors
     /// If a photograph cannot be read or a frame is not finite.
     pub fn of(
-        method: &dyn Method,
+        method: &Model,
         dataset: &Dataset,
         until: f64,
         background: [f32; 3],

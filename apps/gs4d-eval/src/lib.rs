@@ -9,6 +9,7 @@ pub mod compare;
 pub mod export;
 pub mod folders;
 pub mod forecast;
+pub mod particles;
 pub mod physics_check;
 pub mod segment;
 pub mod spread;

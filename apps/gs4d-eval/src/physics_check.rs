@@ -5,10 +5,10 @@
 //! particle is later when its motion alone carries it (fourth order, so that the error is that of the motion). Particles of the
 //! truth itself have errors of the rounding of `f32`.
 
+use crate::particles::Particles;
 use glam::{DVec3, Vec3};
 use gs_physics::{Integrator, Motion, Rollout};
 use gs_synth::Truth;
-use gs_train::method::Particles;
 use serde::{Serialize, Serializer};
 use std::fmt::Write as _;
 

@@ -33,10 +33,14 @@ pub use gs_physics::segment::Feature;
 use gs_core::io::IoError;
 use gs_data::DataError;
 use gs_metrics::MetricError;
+use gs_train::method::MethodError;
 
 /// Why there are no parts.
 #[derive(Debug, thiserror::Error)]
 pub enum SegmentError {
+    /// The method cannot be asked for its splats.
+    #[error(transparent)]
+    Method(#[from] MethodError),
     /// Nothing to tell apart.
     #[error("method `{0}` keeps its splats in no order that lasts, or has none: there are no paths to segment by")]
     NoPaths(String),

@@ -12,7 +12,7 @@ use gs_metrics::MetricError;
 use gs_metrics::flow::{Flow, farneback};
 use serde::{Deserialize, Serialize};
 
-use gs_train::renderer::Painter;
+use gs_train::renderer::Renderer;
 
 /// In which of two pictures a flow lives.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -47,13 +47,13 @@ impl Motion {
 /// The motion of a model's splats from `before` to where they are. Splats that are not in front of the camera at both ends are
 /// taken to rest.
 pub fn model_motion(
-    painter: &mut Painter,
+    renderer: &mut Renderer,
     camera: &Camera,
     splats: &Splats,
     before: &[Vec3],
     anchor: Anchor,
 ) -> Motion {
-    let near = painter.options.near;
+    let near = renderer.options.near;
     let place = |world: Vec3| -> Option<DVec2> {
         let seen = camera.to_camera(DVec3::from(world));
         (seen.z > near).then(|| camera.to_pixel(seen))
@@ -67,8 +67,8 @@ pub fn model_motion(
     if anchor == Anchor::Earlier {
         drawn.means.clone_from_slice(before);
     }
-    let background = std::mem::take(&mut painter.options.background);
-    let frame = painter.draw(&drawn, camera);
+    let background = std::mem::take(&mut renderer.options.background);
+    let frame = renderer.render(&drawn, camera);
     let (width, height) = (frame.width, frame.height);
     let mut flow = Flow::zeros(width, height);
     let mut cover = Vec::with_capacity(width * height);
@@ -78,7 +78,7 @@ pub fn model_motion(
         }
         cover.push(sum[2]);
     }
-    painter.options.background = background;
+    renderer.options.background = background;
     Motion { flow, cover }
 }
 
@@ -129,8 +129,8 @@ mod tests {
         splats
     }
 
-    fn painter() -> Painter {
-        Painter::new(RasterOptions { background: [0.3; 3], ..RasterOptions::default() })
+    fn renderer() -> Renderer {
+        Renderer::new(RasterOptions { background: [0.3; 3], ..RasterOptions::default() })
     }
 
     fn uniform(d: [f32; 2]) -> Flow {
@@ -148,7 +148,7 @@ mod tests {
         assert!(want.u[0].hypot(want.v[0]) > 2.0, "it moves");
         let (was, now) = (wall(Vec3::ZERO), wall(shift));
         for anchor in [Anchor::Later, Anchor::Earlier] {
-            let mut p = painter();
+            let mut p = renderer();
             let motion = model_motion(&mut p, &c, &now, &was.means, anchor);
             assert!(motion.seen().iter().all(|s| *s) && p.options.background == [0.3; 3]);
             let error = end_point_error(&motion.flow, &want).unwrap();
@@ -171,7 +171,7 @@ mod tests {
     #[test]
     fn an_approach_spreads_from_the_middle() {
         let (c, forward) = (camera(), Vec3::new(0.0, 0.0, -0.5));
-        let motion = model_motion(&mut painter(), &c, &wall(forward), &wall(Vec3::ZERO).means, Anchor::Later);
+        let motion = model_motion(&mut renderer(), &c, &wall(forward), &wall(Vec3::ZERO).means, Anchor::Later);
         let factor = 1.0 - (DEPTH - 0.5) / DEPTH;
         // A splat shows within two of its standard deviations, with the flow of its centre.
         let reach = 2.0 * SIGMA * c.fx as f32 / (DEPTH - 0.5) * factor;
@@ -186,12 +186,12 @@ mod tests {
     #[test]
     fn nothing_moves_by_nothing_and_nothing_is_seen_of_nothing() {
         let (c, still) = (camera(), wall(Vec3::ZERO));
-        let motion = model_motion(&mut painter(), &c, &still, &still.means, Anchor::Later);
+        let motion = model_motion(&mut renderer(), &c, &still, &still.means, Anchor::Later);
         assert!(motion.flow.magnitudes().iter().all(|m| *m == 0.0) && motion.seen().iter().all(|s| *s));
-        let empty = model_motion(&mut painter(), &c, &Splats::default(), &[], Anchor::Earlier);
+        let empty = model_motion(&mut renderer(), &c, &Splats::default(), &[], Anchor::Earlier);
         assert!(empty.cover.iter().all(|c| *c == 0.0) && !empty.seen().contains(&true));
         let behind: Vec<Vec3> = still.means.iter().map(|m| *m + Vec3::Z * -9.0).collect();
-        let motion = model_motion(&mut painter(), &c, &still, &behind, Anchor::Later);
+        let motion = model_motion(&mut renderer(), &c, &still, &behind, Anchor::Later);
         assert!(motion.flow.magnitudes().iter().all(|m| *m == 0.0), "what was behind the camera has no flow");
     }
 }

@@ -6,8 +6,9 @@
 use crate::folders::VideoScore;
 use gs_data::{DataError, Dataset, ImageCache, Split, View};
 use gs_metrics::{MetricError, Tof, TofOptions};
-use gs_train::method::Method;
-use gs_train::renderer::Painter;
+use gs_train::method::MethodError;
+use gs_train::model::Model;
+use gs_train::renderer::Renderer;
 
 /// Distance of neighbouring views at most, in typical distances between the moments of the data set.
 pub const MOST_SKIPPED: f64 = 4.0;
@@ -15,6 +16,9 @@ pub const MOST_SKIPPED: f64 = 4.0;
 /// Why a run has no motion score.
 #[derive(Debug, thiserror::Error)]
 pub enum TemporalError {
+    /// The method cannot be asked for its splats.
+    #[error(transparent)]
+    Method(#[from] MethodError),
     /// Too few views to speak of motion.
     #[error("tOF needs a video, and this split has {0} views")]
     NoVideo(usize),
@@ -64,7 +68,7 @@ pub enum TemporalError {
 /// # Errors
 /// Views that are no video, photographs that cannot be read, frames that cannot be compared.
 pub fn tof(
-    method: &dyn Method,
+    method: &Model,
     dataset: &Dataset,
     split: Split,
     background: [f32; 3],
@@ -72,10 +76,10 @@ pub fn tof(
     options: TofOptions,
 ) -> Result<VideoScore, TemporalError> {
     let views = video(dataset, split)?;
-    let mut painter = Painter::new(method.schedule().raster_options(background));
+    let mut renderer = Renderer::new(method.raster_options(background));
     let mut tof = Tof::new(options);
     for view in &views {
-        let image = painter.view(method, view, &photographs.camera(view));
+        let image = renderer.view(method, view, &photographs.camera(view))?;
         let truth = photographs.get(view)?.over(background);
         tof.add(&image, &truth).map_err(|source| TemporalError::Metric { view: view.name.clone(), source })?;
     }

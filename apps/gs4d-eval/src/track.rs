@@ -7,8 +7,9 @@
 use glam::{DMat3, DVec3};
 use gs_core::{Camera, Splats, Time};
 use gs_data::{Dataset, Split};
-use gs_train::method::Method;
-use gs_train::timestamp::Moment;
+use gs_train::method::MethodError;
+use gs_train::model::Model;
+use gs_train::timestamp::Timestamp;
 use serde::Serialize;
 use std::path::Path;
 
@@ -22,6 +23,9 @@ pub struct Track {
 /// A track that cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum TrackError {
+    /// The method cannot be asked for its splats.
+    #[error(transparent)]
+    Method(#[from] MethodError),
     /// The file cannot be read.
     #[error("cannot read {path}: {why}")]
     Read {
@@ -157,7 +161,7 @@ impl TrackReport {
 /// # Errors
 /// If the track begins too late or nothing is near it.
 pub fn follow(
-    method: &dyn Method,
+    method: &Model,
     camera: &Camera,
     track: &Track,
     last_time: f32,
@@ -167,7 +171,7 @@ pub fn follow(
     let seen = track.places.iter().filter(|p| p.0.normalised <= last_time + SLACK).count();
     let Some(anchor) = seen.checked_sub(1) else { return Err(TrackError::NoStart(last_time)) };
     let (begin, from) = track.places[anchor];
-    let body = Body::near(&method.tracked(&Moment::new(begin), camera), from, radius);
+    let body = Body::near(&method.all_splats(&Timestamp::new(begin), camera)?, from, radius);
     let Some(body) = body else { return Err(TrackError::Nothing { radius, t: begin.normalised }) };
     let velocity = match anchor.checked_sub(1).map(|i| track.places[i]) {
         Some((t, x)) if begin.normalised > t.normalised => (from - x) / f64::from(begin.normalised - t.normalised),
@@ -178,18 +182,18 @@ pub fn follow(
         .iter()
         .enumerate()
         .map(|(i, &(t, x))| {
-            let place = body.centre(&method.tracked(&Moment::new(t), camera));
+            let place = body.centre(&method.all_splats(&Timestamp::new(t), camera)?);
             let straight = from + velocity * f64::from(t.normalised - begin.normalised);
-            Followed {
+            Ok(Followed {
                 t: t.normalised,
                 seconds: t.seconds,
                 ahead: i as i64 - anchor as i64,
                 place: place.to_array(),
                 error: place.distance(x),
                 constant_velocity: straight.distance(x),
-            }
+            })
         })
-        .collect();
+        .collect::<Result<_, MethodError>>()?;
     let ahead = anchor..track.places.len();
     let (ours, theirs) = ahead
         .map(|i| (track.places[i].0.seconds, DVec3::from_array(moments[i].place), track.places[i].1))

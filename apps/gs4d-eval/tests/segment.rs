@@ -5,10 +5,10 @@ use gs_core::{Camera, Color, Param, Params, Rng, Splats, SplatsGrad};
 use gs_data::{ImageCache, View};
 use gs_physics::complexity::{ImageTracks, STATIC_PATH, complexity};
 use gs_synth::{self as synth, SynthData, SynthOptions};
-use gs_train::method::{Method, Particles};
-use gs_train::renderer::moment;
+use gs_train::capabilities::Particles;
+use gs_train::method::Method;
 use gs_train::schedule::Schedule;
-use gs_train::timestamp::Moment;
+use gs_train::timestamp::Timestamp;
 use gs4d_eval::segment::*;
 use gs4d_report::needs::neutral_camera;
 
@@ -92,7 +92,7 @@ impl Method for Cast {
 
     fn set_step(&mut self, _step: u32) {}
 
-    fn splats(&self, at: &Moment, _camera: &Camera) -> Splats {
+    fn splats(&self, at: &Timestamp, _camera: &Camera) -> Splats {
         let place = |(body, local): &(usize, DVec3)| {
             self.data.truth.position_of(*body, *local, at.t.normalised.into()).unwrap().as_vec3()
         };
@@ -115,12 +115,12 @@ impl Method for Cast {
             m.twist.v.iter_mut().chain(&mut m.twist.w).for_each(|x| *x += noise * x.abs().max(0.2) * rng.normal());
             m
         };
-        let splats = self.splats(&moment(AT as f32), &neutral_camera());
+        let splats = self.splats(&Timestamp::normalised(AT as f32), &neutral_camera());
         let motions = self.points.iter().enumerate().map(motion).collect();
         Some(Particles { at: AT, splats, motions, origin: ORIGIN.as_vec3() })
     }
 
-    fn step(&mut self, _at: &Moment, _camera: &Camera, _draw: &mut dyn FnMut(&Splats, &mut SplatsGrad)) {}
+    fn step(&mut self, _at: &Timestamp, _camera: &Camera, _draw: &mut dyn FnMut(&Splats, &mut SplatsGrad)) {}
 
     fn len(&self) -> usize {
         self.points.len()

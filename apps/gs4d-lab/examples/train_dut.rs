@@ -16,8 +16,9 @@ use gs_method_texel::{Config, Dut, OffsetErrors, OracleOptions};
 use gs_raster::{Workspace, render};
 use gs_synth::avatar::{self, AvatarOptions};
 use gs_train::evaluate::{clamped, evaluate};
-use gs_train::method::{InitConfig, Method, SceneInfo, overlay};
-use gs_train::timestamp::Moment;
+use gs_train::method::{InitConfig, SceneInfo, overlay};
+use gs_train::model::Model;
+use gs_train::timestamp::Timestamp;
 use gs_train::trainer::{TrainOptions, Trainer};
 use gs4d_lab::bench::{StageOptions, stage_times};
 use std::error::Error;
@@ -59,7 +60,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         return Ok(());
     }
     let mut trainer = Trainer::new(gs_methods::registry(), dataset.clone(), "dut", &config, training.clone())?;
-    println!("dut ({preset}): {} texels, {} steps", trainer.method().len(), trainer.steps());
+    println!("dut ({preset}): {} texels, {} steps", trainer.model().splat_count(), trainer.steps());
     let every = (trainer.steps() / 10).max(1);
     while trainer.steps_done() < trainer.steps() {
         let report = trainer.step()?;
@@ -76,10 +77,10 @@ fn main() -> Result<(), Box<dyn Error>> {
         print_scores(&trainer, &dataset, split)?;
     }
     if let Some(folder) = look {
-        pictures(trainer.method(), &dataset, &folder)?;
+        pictures(trainer.model(), &dataset, &folder)?;
     }
     let mut dut = Dut::new(config.try_into::<Config>()?, &scene)?;
-    copy(trainer.method(), &mut dut);
+    copy(trainer.model(), &mut dut);
     dut.set_step(trainer.steps());
     print_offsets(&dut.offset_errors()?);
     let stages = StageOptions { warm_up: 2, frames: dut.actor().scene.frames.len(), repeats: 1, size: 512 };
@@ -98,7 +99,7 @@ fn print_offsets(OffsetErrors { ratio, length }: &OffsetErrors) {
 }
 
 /// Gives a method the state of another of the same configuration.
-fn copy(from: &dyn Method, to: &mut dyn Method) {
+fn copy(from: &Model, to: &mut Model) {
     let mut values = Vec::new();
     from.visit(&mut |p| values.push(p.value.clone()));
     let mut values = values.into_iter();
@@ -107,7 +108,7 @@ fn copy(from: &dyn Method, to: &mut dyn Method) {
 }
 
 fn print_scores(trainer: &Trainer, dataset: &Dataset, split: Split) -> Result<(), Box<dyn Error>> {
-    let report = evaluate(trainer.method(), dataset, split, [0.0; 3], &ImageCache::new(256 << 20, 1.0))?;
+    let report = evaluate(trainer.model(), dataset, split, [0.0; 3], &ImageCache::new(256 << 20, 1.0))?;
     let trained: Vec<f32> = dataset.train.iter().map(|v| v.time.normalised).collect();
     let mean = |seen: bool| {
         let views = report.views.iter().filter(|v| trained.contains(&v.time) == seen);
@@ -123,11 +124,11 @@ fn print_scores(trainer: &Trainer, dataset: &Dataset, split: Split) -> Result<()
 }
 
 /// Test views beside what is drawn, one in five.
-fn pictures(method: &dyn Method, dataset: &Dataset, folder: &Path) -> Result<(), Box<dyn Error>> {
+fn pictures(method: &Model, dataset: &Dataset, folder: &Path) -> Result<(), Box<dyn Error>> {
     std::fs::create_dir_all(folder)?;
-    let (photographs, options) = (ImageCache::new(256 << 20, 1.0), method.schedule().raster_options([0.0; 3]));
+    let (photographs, options) = (ImageCache::new(256 << 20, 1.0), method.raster_options([0.0; 3]));
     for view in dataset.test.iter().step_by(5) {
-        let splats = method.splats(&Moment::new(view.time), &view.camera);
+        let splats = method.splats(&Timestamp::new(view.time), &view.camera);
         let drawn = clamped(&render(&splats, &view.camera, &options, &mut Workspace::new()));
         let truth = photographs.get(view)?.over([0.0; 3]);
         let mut panel = Image::zeros(3 * truth.width, truth.height, 3);

@@ -261,8 +261,8 @@ fn sequence(resolved: &Resolved, rounds: &Rounds) -> Result<(Resolved, Dataset, 
 /// Scores of a round that has been trained.
 fn scored(training: &Training, round: Round, most: usize) -> Result<RoundScores, RunError> {
     let (trainer, photographs) = (training.trainer(), training.photographs());
-    let method = trainer.method();
-    let background = method.schedule().background.evaluation_color();
+    let method = trainer.model();
+    let background = method.background();
     let score = |split: Split| -> Result<Option<MeanScores>, RunError> {
         let dataset = trainer.dataset();
         let count = dataset.views(split).len();
@@ -277,7 +277,7 @@ fn scored(training: &Training, round: Round, most: usize) -> Result<RoundScores,
         views: trainer.dataset().train.len(),
         steps: trainer.steps_done(),
         seconds: trainer.train_seconds(),
-        splats: method.len(),
+        splats: method.splat_count(),
         interpolation: score(Split::Test)?,
         extrapolation: score(Split::Extrapolate)?,
     })

@@ -16,7 +16,20 @@ pub use journal::Journal;
 pub use paths::Paths;
 
 use crate::Need;
-use gs_train::method::Method;
+use gs_metrics::trajectory::TrajectoryError;
+use gs_train::method::MethodError;
+use gs_train::model::Model;
+
+/// Why a scene cannot be analysed.
+#[derive(Debug, thiserror::Error)]
+pub enum AnalysisError {
+    /// The method cannot be asked for its splats.
+    #[error(transparent)]
+    Method(#[from] MethodError),
+    /// The splats are not the same ones at every time.
+    #[error(transparent)]
+    Trajectory(#[from] TrajectoryError),
+}
 
 /// The analyses that need no data set.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
@@ -30,8 +43,16 @@ pub struct Analysis {
 impl Analysis {
     /// Of a method, with its motion sampled at `moments` evenly spaced times (at least 4) and a cut-off for its spectrum
     /// (the upper half if none).
-    pub fn of(method: &dyn Method, moments: usize, cutoff: Option<usize>) -> Self {
-        Self { snapshot: Snapshot::of(method), paths: Paths::of(method, moments, cutoff).ok() }
+    ///
+    /// # Errors
+    /// If the method cannot be asked for its splats.
+    pub fn of(method: &Model, moments: usize, cutoff: Option<usize>) -> Result<Self, MethodError> {
+        let paths = match Paths::of(method, moments, cutoff) {
+            Ok(paths) => Some(paths),
+            Err(AnalysisError::Trajectory(_)) => None,
+            Err(AnalysisError::Method(e)) => return Err(e),
+        };
+        Ok(Self { snapshot: Snapshot::of(method)?, paths })
     }
 
     /// As rows of a table.
@@ -55,10 +76,10 @@ mod tests {
     use glam::{DVec3, Vec3};
     use gs_core::{Camera, Color, Param, Params, Splats, SplatsGrad};
     use gs_raster::RasterOptions;
-    use gs_train::method::{Quantity, section};
-    use gs_train::renderer::moment;
+    use gs_train::capabilities::Quantity;
+    use gs_train::method::section;
     use gs_train::schedule::Schedule;
-    use gs_train::timestamp::Moment;
+    use gs_train::timestamp::Timestamp;
 
     /// Splat `i` of `SPLATS` swings along x with amplitude `i`, [`TURNS`] times over the span; λ rests, a gate opens.
     struct Swing {
@@ -98,7 +119,7 @@ mod tests {
 
         fn set_step(&mut self, _step: u32) {}
 
-        fn splats(&self, at: &Moment, _camera: &Camera) -> Splats {
+        fn splats(&self, at: &Timestamp, _camera: &Camera) -> Splats {
             let swing = (std::f64::consts::TAU * TURNS * f64::from(at.t.normalised)).cos() as f32;
             Splats {
                 means: (0..SPLATS).map(|i| Vec3::new(0.1 * i as f32 * swing, 0.3 * i as f32 - 0.6, 0.0)).collect(),
@@ -110,9 +131,9 @@ mod tests {
             }
         }
 
-        fn step(&mut self, _at: &Moment, _camera: &Camera, _draw: &mut dyn FnMut(&Splats, &mut SplatsGrad)) {}
+        fn step(&mut self, _at: &Timestamp, _camera: &Camera, _draw: &mut dyn FnMut(&Splats, &mut SplatsGrad)) {}
 
-        fn quantities(&self, at: &Moment) -> Vec<Quantity> {
+        fn quantities(&self, at: &Timestamp) -> Vec<Quantity> {
             let lambda = Quantity::share("lambda", vec![0.1, 0.2, 0.5, 0.7, 0.3]);
             vec![lambda, Quantity::share("gate", vec![at.t.normalised; SPLATS])]
         }
@@ -158,10 +179,10 @@ mod tests {
         let overlay = jerk_overlay(&swing, 0.0, 0.025, &camera).unwrap();
         assert_eq!((overlay.colors[0], overlay.colors[4]), ([0.0; 3], [1.0; 3]));
         assert!(overlay.colors.windows(2).all(|w| w[0] <= w[1]), "the wider the swing, the brighter");
-        let splats = painted(swing.splats(&moment(0.0), &camera), overlay.clone());
+        let splats = painted(swing.splats(&Timestamp::normalised(0.0), &camera), overlay.clone());
         assert_eq!(splats.color, Color::Rgb(overlay.colors));
         let eye = Camera::look_at(64, 64, 0.7, DVec3::new(0.0, 0.0, -4.0), DVec3::ZERO, DVec3::Y).unwrap();
-        let views = [(eye, moment(0.0).t)];
+        let views = [(eye, Timestamp::normalised(0.0).t)];
         let economy = Economy::of(&swing, &views, &RasterOptions::default(), Some(30.0)).unwrap();
         assert!(economy.tiles_per_splat >= 1.0 && economy.used_per_tile <= economy.listed_per_tile);
         assert!(economy.walked_per_pixel > 0.0 && economy.walked_per_pixel <= economy.used_per_tile);

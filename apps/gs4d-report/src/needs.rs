@@ -8,8 +8,9 @@ use crate::Need;
 use crate::inspect::{INVISIBLE_OPACITY, bytes_text};
 use glam::{DMat3, DVec3, Vec3};
 use gs_core::{Camera, Color, Params, Splats, rot};
-use gs_train::method::Method;
-use gs_train::renderer::moment;
+use gs_train::method::MethodError;
+use gs_train::model::Model;
+use gs_train::timestamp::Timestamp;
 
 /// Moments looked at.
 pub const MOMENTS: usize = 9;
@@ -23,10 +24,14 @@ pub const BREATH: f32 = 0.02;
 pub const PLAIN: f32 = 1.0 / 255.0;
 
 /// What the scene of a method needs. `extent` is the length that motion is compared with, world units.
-pub fn needs(method: &dyn Method, camera: &Camera, extent: f32) -> Vec<Need> {
+///
+/// # Errors
+/// If the method cannot be asked for its splats.
+pub fn needs(method: &Model, camera: &Camera, extent: f32) -> Result<Vec<Need>, MethodError> {
     let times: Vec<f32> = (0..MOMENTS).map(|k| k as f32 / (MOMENTS - 1) as f32).collect();
-    let scenes: Vec<Splats> = times.iter().map(|&t| method.tracked(&moment(t), camera)).collect();
-    let Some(first) = scenes.first().filter(|s| !s.is_empty()) else { return Vec::new() };
+    let scenes = times.iter().map(|&t| method.all_splats(&Timestamp::normalised(t), camera));
+    let scenes = scenes.collect::<Result<Vec<Splats>, _>>()?;
+    let Some(first) = scenes.first().filter(|s| !s.is_empty()) else { return Ok(Vec::new()) };
     let n = first.len();
     let mut out = vec![need("splats", n.to_string(), "drawn at every moment")];
     if scenes.iter().all(|s| s.len() == n) {
@@ -42,7 +47,7 @@ pub fn needs(method: &dyn Method, camera: &Camera, extent: f32) -> Vec<Need> {
         out.push(need("splats of plain colour", count(&plain), &meaning));
     }
     out.push(need("storage in all", bytes_text(4 * Params::param_count(method)), "parameters as f32"));
-    out
+    Ok(out)
 }
 
 /// A camera for questions whose answer does not depend on the camera.

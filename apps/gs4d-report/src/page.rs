@@ -215,7 +215,7 @@ fn bytes(storage: &Storage) -> String {
     let mut out = table(&["parameters of", "values", "f32 MB", "f16 MB"], &[1, 2, 3], blocks.chain(all));
     if let Some(paper) = &storage.paper {
         let row = |name: &str, paper: usize, needed: usize| vec![name.to_owned(), mb(paper), mb(needed)];
-        let blocks = paper.rows.iter().map(|r| row(&r.block, r.paper_bytes(), r.needed_bytes()));
+        let blocks = paper.rows.iter().map(|r| row(&r.block, 4 * r.paper_values, 4 * r.needed_values));
         let all = std::iter::once(row("all", paper.paper_bytes(), paper.needed_bytes()));
         out += &table(&["as its paper counts", "paper MB", "as needed MB"], &[1, 2], blocks.chain(all));
     }

@@ -1,10 +1,10 @@
 //! What a scene takes on the disk, block by block (MB = 10⁶ bytes).
 //!
 //! The blocks of any method are those of its parameters, by the first two parts of their names. A method of anchors can
-//! say more: what the published rule of counting would give, and what is needed (see [`gs_anchor::storage`]).
+//! say more: what the published rule of counting would give, and what is needed ([`PaperStorage`]).
 
-use gs_anchor::StorageTable;
 use gs_core::Params;
+use gs_train::capabilities::PaperStorage;
 use serde::Serialize;
 
 /// The bytes of a scene.
@@ -13,7 +13,7 @@ pub struct Storage {
     /// Its blocks, in their order.
     pub blocks: Vec<StoredBlock>,
     /// The same scene as its paper counts it, where there is such a rule.
-    pub paper: Option<StorageTable>,
+    pub paper: Option<PaperStorage>,
 }
 
 /// Parameters of the same first two parts of their names.
@@ -33,7 +33,7 @@ pub fn block_of(name: &str) -> &str {
 
 impl Storage {
     /// The bytes of a scene; `paper` is its table by the published rule.
-    pub fn of(scene: &dyn Params, paper: Option<StorageTable>) -> Self {
+    pub fn of(scene: &dyn Params, paper: Option<PaperStorage>) -> Self {
         let mut blocks: Vec<StoredBlock> = Vec::new();
         scene.visit(&mut |p| {
             let block = block_of(&p.name);
@@ -69,11 +69,11 @@ impl Storage {
             out.push_str(&format!("{block:30}{values:>12}{p:>12}{n:>14}{half:>12}\n"));
         };
         for r in &paper.rows {
-            line(&r.block, r.needed_values, r.paper_bytes(), r.needed_bytes());
+            line(&r.block, r.needed_values, 4 * r.paper_values, 4 * r.needed_values);
         }
         line("all", paper.needed_bytes() / 4, paper.paper_bytes(), paper.needed_bytes());
-        for l in &paper.leftovers {
-            out.push_str(&format!("{:30}{:>12}{:>12}  left in the folder, not counted\n", l.block, "", mb(l.bytes)));
+        for (block, bytes) in &paper.unused {
+            out.push_str(&format!("{:30}{:>12}{:>12}  left in the folder, not counted\n", block, "", mb(*bytes)));
         }
         out
     }

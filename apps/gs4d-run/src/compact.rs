@@ -13,7 +13,7 @@
 //! Positions on a known lattice are stored as whole numbers, exactly. Blocks of at most [`SMALL`] values stay `f32`.
 
 use gs_train::checkpoint::{Checkpoint, CheckpointError, Coding, Encoding};
-use gs_train::method::Method;
+use gs_train::model::Model;
 use gs_train::saved::{self, Loaded, RunState};
 use gs4d_report::inspect::bytes_text;
 use gs4d_report::storage::block_of;
@@ -110,26 +110,27 @@ pub struct CompactBlock {
 
 impl CompactScene {
     /// Everything that drawing a method needs, folded and on its lattice where the method knows how.
-    pub fn of(method: &dyn Method, config: &toml::Table) -> Self {
-        match method.folded(config) {
-            Some((config, folded)) => Self::of_blocks(folded.as_ref(), &config),
+    pub fn of(method: &Model, config: &toml::Table) -> Self {
+        match method.fold(config) {
+            Some((config, folded)) => Self::of_blocks(&folded, &config),
             None => Self::of_blocks(method, config),
         }
     }
 
-    fn of_blocks(method: &dyn Method, config: &toml::Table) -> Self {
-        let on_lattice = method.lattice();
+    fn of_blocks(method: &Model, config: &toml::Table) -> Self {
+        let on_lattice = method.capabilities().bake.and_then(|b| b.quantization_step());
         let mut tensors = Vec::new();
         method.visit(&mut |p| {
             let (name, values) = (p.name.clone(), p.value.clone());
             let lattice = on_lattice.filter(|(block, _)| *block == name).map(|(_, step)| step);
             tensors.push(CompactTensor { name, row_width: p.row_width, values, exact: false, lattice });
         });
-        let state = method.columns().into_iter().filter(|column| column.row_width.is_none());
-        tensors.extend(state.map(|column| {
-            let (name, values) = (column.name.to_owned(), column.values.clone());
-            CompactTensor { name, row_width: None, values, exact: true, lattice: None }
-        }));
+        method.buffers(&mut |buffer| {
+            if buffer.row_width.is_none() {
+                let (name, values) = (buffer.name.to_owned(), buffer.values.clone());
+                tensors.push(CompactTensor { name, row_width: None, values, exact: true, lattice: None });
+            }
+        });
         Self { config: config.clone(), tensors }
     }
 
@@ -163,14 +164,13 @@ impl CompactScene {
 
     fn meta(&self, loaded: &Loaded, settings: &str, packing: Packing) -> Value {
         let state = RunState {
-            method: loaded.method.name(),
             config: &self.config,
             scene: &loaded.scene,
             step: loaded.step,
             adam_updates: &BTreeMap::new(),
             train_seconds: loaded.train_seconds,
         };
-        let mut meta = saved::save(loaded.method.as_ref(), &state).meta;
+        let mut meta = saved::save(&loaded.model, &state).meta;
         meta[SETTINGS] = json!(settings);
         meta["packing"] = json!(packing);
         meta

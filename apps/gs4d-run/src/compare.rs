@@ -16,7 +16,8 @@ use gs_core::Image;
 use gs_data::{Dataset, ImageCache, Split, View};
 use gs_metrics::{mse, psnr_from_mse};
 use gs_train::evaluate::{EvalError, EvalReport, evaluate, evaluate_with_future};
-use gs_train::renderer::Painter;
+use gs_train::method::MethodError;
+use gs_train::renderer::Renderer;
 use gs4d_eval::spread::{SCORES, Spread};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -146,19 +147,19 @@ pub fn compare(sides: &[Side], options: &Options) -> Result<(Compared, Vec<Pictu
     let background = options.background.unwrap_or_else(|| first.run.background());
     let (dataset, photographs) = (&first.dataset, first.run.photographs());
     let views = dataset.views(options.split);
-    let mut painters: Vec<Painter> = sides.iter().map(|s| painter(s, background)).collect();
+    let mut renderers: Vec<Renderer> = sides.iter().map(|s| renderer(s, background)).collect();
     let mut runs = Vec::new();
-    for ((side, name), painter) in sides.iter().zip(names(sides)).zip(&mut painters) {
-        runs.push(row(side, name, painter, (dataset, &photographs), options.split, background)?);
+    for ((side, name), renderer) in sides.iter().zip(names(sides)).zip(&mut renderers) {
+        runs.push(row(side, name, renderer, (dataset, &photographs), options.split, background)?);
     }
-    let mut draw = |view: &View| draw(sides, &mut painters, view, &photographs);
+    let mut draw = |view: &View| draw(sides, &mut renderers, view, &photographs);
     let rows = disagreements(&mut runs, views, &mut draw)?;
     let mut order: Vec<usize> = (0..rows.len()).collect();
     order.sort_by(|a, b| rows[*b].disagreement.total_cmp(&rows[*a].disagreement).then(a.cmp(b)));
     let mut pictures = Vec::new();
     for &k in order.iter().take(options.shown) {
         let truth = photographs.get(&views[k]).map_err(EvalError::from)?.over(background);
-        pictures.push(Pictures { caption: caption(&rows[k], &runs), truth, drawn: draw(&views[k]) });
+        pictures.push(Pictures { caption: caption(&rows[k], &runs), truth, drawn: draw(&views[k])? });
     }
     let compared = Compared {
         conditions: conditions(dataset, &photographs, &runs[0].scores),
@@ -176,12 +177,12 @@ pub fn compare(sides: &[Side], options: &Options) -> Result<(Compared, Vec<Pictu
 fn disagreements(
     runs: &mut [Row],
     views: &[View],
-    draw: &mut impl FnMut(&View) -> Vec<Image>,
+    draw: &mut impl FnMut(&View) -> Result<Vec<Image>, MethodError>,
 ) -> Result<Vec<ViewRow>, CompareError> {
     let mut rows = Vec::with_capacity(views.len());
     let mut to_first = vec![0.0; runs.len()];
     for (k, view) in views.iter().enumerate() {
-        let drawn = draw(view);
+        let drawn = draw(view)?;
         let between =
             |a: &Image, b: &Image| mse(a, b).map_err(|source| EvalError::Metric { view: view.name.clone(), source });
         let mut largest = 0.0f64;
@@ -200,27 +201,27 @@ fn disagreements(
     Ok(rows)
 }
 
-fn painter(side: &Side, background: [f32; 3]) -> Painter {
-    Painter::new(side.run.loaded.method.schedule().raster_options(background))
+fn renderer(side: &Side, background: [f32; 3]) -> Renderer {
+    Renderer::new(side.run.loaded.model.raster_options(background))
 }
 
 fn row(
     side: &Side,
     name: String,
-    painter: &mut Painter,
+    renderer: &mut Renderer,
     (dataset, photographs): (&Dataset, &ImageCache),
     split: Split,
     background: [f32; 3],
 ) -> Result<Row, CompareError> {
     let OpenRun { loaded, resolved, .. } = &side.run;
-    let method = loaded.method.as_ref();
+    let method = &loaded.model;
     let mut scores = match split {
         Split::Extrapolate => evaluate(method, dataset, split, background, photographs)?,
         _ => evaluate_with_future(method, dataset, split, background, photographs)?,
     };
     scores.train_seconds = Some(loaded.train_seconds);
     let view = dataset.views(split).first();
-    let seconds = view.map_or(0.0, |v| painter.seconds(method, v, &photographs.camera(v)));
+    let seconds = view.map(|v| renderer.seconds(method, v, &photographs.camera(v))).transpose()?.unwrap_or(0.0);
     Ok(Row {
         name,
         path: side.path.display().to_string(),
@@ -235,10 +236,15 @@ fn row(
     })
 }
 
-fn draw(sides: &[Side], painters: &mut [Painter], view: &View, photographs: &ImageCache) -> Vec<Image> {
+fn draw(
+    sides: &[Side],
+    renderers: &mut [Renderer],
+    view: &View,
+    photographs: &ImageCache,
+) -> Result<Vec<Image>, MethodError> {
     let camera = photographs.camera(view);
-    let one = |(side, painter): (&Side, &mut Painter)| painter.view(side.run.loaded.method.as_ref(), view, &camera);
-    sides.iter().zip(painters).map(one).collect()
+    let one = |(side, renderer): (&Side, &mut Renderer)| renderer.view(&side.run.loaded.model, view, &camera);
+    sides.iter().zip(renderers).map(one).collect()
 }
 
 fn caption(view: &ViewRow, runs: &[Row]) -> String {

@@ -70,7 +70,7 @@ impl OpenRun {
 
     /// The colour behind the scene that the method is evaluated over.
     pub fn background(&self) -> [f32; 3] {
-        self.loaded.method.schedule().background.evaluation_color()
+        self.loaded.model.background()
     }
 
     /// Photographs of this run's data.
@@ -84,7 +84,7 @@ impl OpenRun {
     /// # Errors
     /// If the split is empty or a photograph cannot be read.
     pub fn score(&self, dataset: &Dataset, split: Split, background: [f32; 3]) -> Result<EvalReport, RunError> {
-        let mut report = evaluate(self.loaded.method.as_ref(), dataset, split, background, &self.photographs())?;
+        let mut report = evaluate(&self.loaded.model, dataset, split, background, &self.photographs())?;
         report.train_seconds = Some(self.loaded.train_seconds);
         Ok(report)
     }
@@ -95,7 +95,7 @@ impl OpenRun {
     /// # Errors
     /// If there are no test views or a photograph cannot be read.
     pub fn score_for_folder(&self, dataset: &Dataset) -> Result<EvalReport, RunError> {
-        let method = self.loaded.method.as_ref();
+        let method = &self.loaded.model;
         let photographs = self.photographs();
         let mut report = evaluate_with_future(method, dataset, Split::Test, self.background(), &photographs)?;
         report.train_seconds = Some(self.loaded.train_seconds);

@@ -3,10 +3,12 @@
 use gs_core::{Camera, Splats};
 use gs_data::View;
 use gs_raster::RasterOptions;
+use gs_train::capabilities::{Overlay, Quantity};
 use gs_train::evaluate::clamped;
-use gs_train::method::{Method, Overlay, Quantity};
-use gs_train::renderer::Painter;
-use gs_train::timestamp::Moment;
+use gs_train::method::MethodError;
+use gs_train::model::Model;
+use gs_train::renderer::Renderer;
+use gs_train::timestamp::Timestamp;
 use gs4d_eval::segment::{self, parts};
 use gs4d_report::analysis::Histogram;
 use gs4d_report::analysis::paths::painted;
@@ -16,14 +18,18 @@ use gs4d_report::{Legend, OverlayFigure, Ramp};
 const STOPS: usize = 9;
 /// A quantity without an interval of its own is drawn from this share of its values to that one: few may be far out.
 const HELD: [f64; 2] = [0.01, 0.99];
+
 /// All there is to see at the time of a view, over black.
-pub fn overlay_figures(method: &dyn Method, view: &View, camera: &Camera) -> Vec<OverlayFigure> {
-    let at = Moment::new(view.time);
-    let splats = method.tracked(&at, camera);
-    let mut painter =
-        Painter::new(RasterOptions { background: [0.0; 3], ..method.schedule().raster_options([0.0; 3]) });
-    let mut draw = |splats: &Splats, overlay: Overlay| clamped(painter.draw(&painted(splats.clone(), overlay), camera));
-    let quantities = method.quantities(&at);
+///
+/// # Errors
+/// If the method cannot be asked for its splats.
+pub fn overlay_figures(method: &Model, view: &View, camera: &Camera) -> Result<Vec<OverlayFigure>, MethodError> {
+    let at = Timestamp::new(view.time);
+    let splats = method.all_splats(&at, camera)?;
+    let mut renderer = Renderer::new(RasterOptions { background: [0.0; 3], ..method.raster_options([0.0; 3]) });
+    let mut draw =
+        |splats: &Splats, overlay: Overlay| clamped(renderer.render(&painted(splats.clone(), overlay), camera));
+    let quantities = method.quantities(&at)?;
     let mut figures = Vec::new();
     for q in quantities.iter().filter(|q| q.values.len() == splats.len()) {
         let (q, clipped) = within(q);
@@ -33,21 +39,21 @@ pub fn overlay_figures(method: &dyn Method, view: &View, camera: &Camera) -> Vec
         figures.push(OverlayFigure { name, image, legend: legend(&q, clipped), histogram });
     }
     let known = |o: &Overlay| quantities.iter().any(|q| q.name == o.name);
-    for overlay in method.overlays(&at).into_iter().filter(|o| !known(o) && o.colors.len() == splats.len()) {
+    for overlay in method.overlays(&at)?.into_iter().filter(|o| !known(o) && o.colors.len() == splats.len()) {
         let (name, legend) = (overlay.name.to_owned(), Legend::Words(overlay.meaning.to_owned()));
         figures.push(OverlayFigure { name, image: draw(&splats, overlay), legend, histogram: None });
     }
     figures.extend(parts_figure(method, &splats, &mut draw));
-    figures
+    Ok(figures)
 }
 
 /// The rigid parts, where the method has learnt how its splats move.
 fn parts_figure(
-    method: &dyn Method,
+    method: &Model,
     splats: &Splats,
     draw: &mut impl FnMut(&Splats, Overlay) -> gs_core::Image,
 ) -> Option<OverlayFigure> {
-    method.particles()?;
+    method.capabilities().particles?;
     let labels = segment::segment(method, &segment::Options::default()).ok()?;
     if labels.of.len() != splats.len() {
         return None;

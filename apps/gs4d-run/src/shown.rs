@@ -4,7 +4,7 @@ use super::RunError;
 use super::summary::{Material, color_name};
 use gs_data::{Dataset, ImageCache, Split, View};
 use gs_train::evaluate::{EvalReport, MaskedScores, ViewScores};
-use gs_train::renderer::Painter;
+use gs_train::renderer::Renderer;
 use gs4d_report::Comparison;
 use std::collections::BTreeSet;
 
@@ -32,7 +32,7 @@ pub fn ranked<'a>(dataset: &'a Dataset, scores: &'a EvalReport) -> Vec<(&'a View
 /// The worst views and those in the middle beside their truths.
 pub(super) fn comparisons(
     m: &Material,
-    painter: &mut Painter,
+    renderer: &mut Renderer,
     scores: &EvalReport,
 ) -> Result<Vec<Comparison>, RunError> {
     let ranked = ranked(m.dataset, scores);
@@ -52,7 +52,7 @@ pub(super) fn comparisons(
             scores.ssim
         );
         let name = format!("t{time:.3}_{}", view.name);
-        out.push(Comparison { name, caption, truth, drawn: painter.view(m.method, view, &camera) });
+        out.push(Comparison { name, caption, truth, drawn: renderer.view(m.method, view, &camera)? });
     }
     Ok(out)
 }

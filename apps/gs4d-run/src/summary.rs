@@ -10,8 +10,11 @@ use gs_core::{Camera, Time};
 use gs_data::{Dataset, ImageCache, View};
 use gs_raster::RasterOptions;
 use gs_train::evaluate::{EvalReport, clamped};
-use gs_train::method::Method;
-use gs_train::renderer::{Painter, moment};
+use gs_train::method::MethodError;
+use gs_train::model::Model;
+use gs_train::renderer::Renderer;
+use gs_train::timestamp::Timestamp;
+use gs4d_report::analysis::AnalysisError;
 use gs4d_report::analysis::paths::{jerk_overlay, moments_for, painted};
 use gs4d_report::analysis::{Analysis, Economy, Journal, Snapshot};
 use gs4d_report::inspect::bytes_text;
@@ -34,7 +37,7 @@ pub struct Material<'a> {
     /// Its settings.
     pub resolved: &'a Resolved,
     /// The method as trained.
-    pub method: &'a dyn Method,
+    pub method: &'a Model,
     /// The data.
     pub dataset: &'a Dataset,
     /// Photographs.
@@ -53,8 +56,8 @@ pub struct Material<'a> {
 /// If the log or a photograph cannot be read.
 pub fn summarise(m: &Material) -> Result<(Report, Vec<SpeedError>), RunError> {
     let log = m.folder.log_lines(folder::LOG)?;
-    let options = m.method.schedule().raster_options(m.scores.background);
-    let mut painter = Painter::new(options.clone());
+    let options = m.method.raster_options(m.scores.background);
+    let mut renderer = Renderer::new(options.clone());
     let views: Vec<&View> = shown::ranked(m.dataset, m.scores).into_iter().map(|(view, _)| view).collect();
     let mut report = Report {
         title: format!("{} · {}", data_name(m), m.method.name()),
@@ -68,9 +71,9 @@ pub fn summarise(m: &Material) -> Result<(Report, Vec<SpeedError>), RunError> {
             None => String::new(),
         },
         scores: shown::score_rows(m.scores),
-        views: shown::comparisons(m, &mut painter, m.scores)?,
+        views: shown::comparisons(m, &mut renderer, m.scores)?,
         future: match &m.scores.extrapolate {
-            Some(future) => shown::comparisons(m, &mut painter, future)?,
+            Some(future) => shown::comparisons(m, &mut renderer, future)?,
             None => Vec::new(),
         },
         settings: m
@@ -82,24 +85,25 @@ pub fn summarise(m: &Material) -> Result<(Report, Vec<SpeedError>), RunError> {
         provenance: provenance(m.folder)?,
         heat_maps: heat_maps(&m.folder.log_lines(folder::HISTOGRAMS)?),
         journal: Journal::of(&m.folder.log_lines(folder::JOURNAL)?),
-        storage: Some(Storage::of(m.method, m.method.storage())),
+        storage: Some(Storage::of(m.method, m.method.capabilities().inspect.and_then(|i| i.paper_storage()))),
         ..Report::default()
     };
     if let Some(view) = views.first().copied().or(m.dataset.train.first()) {
         let camera = m.photographs.camera(view);
         if m.dataset.dynamic {
-            report.strip = strip(m.method, &mut painter, &camera);
-            report.jerk = jerk(m, view, &camera);
+            report.strip = strip(m.method, &mut renderer, &camera)?;
+            report.jerk = jerk(m, view, &camera)?;
         }
-        report.overlays = overlay_figures(m.method, view, &camera);
+        report.overlays = overlay_figures(m.method, view, &camera)?;
         report.overlay_view = format!("{} at t = {:.3}, the worst view, over black.", view.name, view.time.normalised);
         let seen: Vec<_> = views.iter().take(LOOKED_AT).map(|v| (m.photographs.camera(v), v.time)).collect();
-        report.analysis = analysis(m, &seen, &options);
-        report.work = drawing_rows(m.method, &seen, &options);
+        report.analysis = analysis(m, &seen, &options)?;
+        report.work = drawing_rows(m.method, &seen, &options)?;
         report.work.extend(resting_rows(m.method, &seen));
-        report.figures = figures(m, &mut painter, view, &camera);
-        report.needs = needs(m.method, &camera, m.extent);
-        report.speed = speed_against_error(&m.method.splats(&moment(view.time.normalised), &camera), &camera, &options);
+        report.figures = figures(m, &mut renderer, view, &camera)?;
+        report.needs = needs(m.method, &camera, m.extent)?;
+        let splats = m.method.splats(&Timestamp::normalised(view.time.normalised), &camera)?;
+        report.speed = speed_against_error(&splats, &camera, &options);
     }
     report.work.extend(training_rows(&log));
     let rows = report.speed.clone();
@@ -123,12 +127,12 @@ fn subtitle(m: &Material) -> String {
     )
 }
 
-fn figures(m: &Material, painter: &mut Painter, view: &View, camera: &Camera) -> Vec<Figure> {
+fn figures(m: &Material, renderer: &mut Renderer, view: &View, camera: &Camera) -> Result<Vec<Figure>, MethodError> {
     let s = m.scores;
     let figure = |value: String, name: &str, remark: String| Figure { value, name: name.to_owned(), remark };
     let number = |v: Option<f64>, digits: usize| v.map_or("–".to_owned(), |v| format!("{v:.digits$}"));
     let of = shown::conditions(m.dataset, m.photographs, s);
-    let frame = painter.seconds(m.method, view, camera);
+    let frame = renderer.seconds(m.method, view, camera)?;
     let size =
         format!("{}×{}, field and drawing, threads: {}", camera.width, camera.height, rayon::current_num_threads());
     let beyond = s.extrapolate.as_ref().map(|f| {
@@ -147,7 +151,7 @@ fn figures(m: &Material, painter: &mut Painter, view: &View, camera: &Camera) ->
         figure(bytes_text(s.parameter_bytes as usize), "scene", "parameters as f32".into()),
         figure(format!("{:.2} ms", 1e3 * frame), "per frame", size),
     ]);
-    figures
+    Ok(figures)
 }
 
 /// A name for black and white, else the three values.
@@ -174,30 +178,34 @@ fn psnr_curves(log: &[Value]) -> Vec<(String, Vec<Sample>)> {
     curves.into_iter().filter(|(_, s)| !s.is_empty()).collect()
 }
 
-fn strip(method: &dyn Method, painter: &mut Painter, camera: &Camera) -> Vec<Still> {
+fn strip(method: &Model, renderer: &mut Renderer, camera: &Camera) -> Result<Vec<Still>, MethodError> {
     let time = |k: usize| k as f32 / (STRIP - 1) as f32;
-    let still = |k: usize| Still { caption: format!("t = {:.2}", time(k)), image: painter.at(method, time(k), camera) };
+    let still = |k: usize| {
+        let image = renderer.at(method, time(k), camera)?;
+        Ok(Still { caption: format!("t = {:.2}", time(k)), image })
+    };
     (0..STRIP).map(still).collect()
 }
 
 /// Where the motion jerks at the time of a view, over black.
-fn jerk(m: &Material, view: &View, camera: &Camera) -> Vec<Still> {
-    let mut painter = Painter::new(m.method.schedule().raster_options([0.0; 3]));
+fn jerk(m: &Material, view: &View, camera: &Camera) -> Result<Vec<Still>, MethodError> {
+    let mut renderer = Renderer::new(m.method.raster_options([0.0; 3]));
     let (time, interval) = (view.time.normalised, 1.0 / m.dataset.train.len().max(2) as f32);
-    let overlay = jerk_overlay(m.method, time, interval, camera);
-    let still = overlay.map(|overlay| {
-        let splats = painted(m.method.tracked(&moment(time), camera), overlay);
-        let caption = format!("second differences at t = {time:.2}: black at rest, white at the largest");
-        Still { caption, image: clamped(painter.draw(&splats, camera)) }
-    });
-    still.into_iter().collect()
+    let overlay = match jerk_overlay(m.method, time, interval, camera) {
+        Ok(overlay) => overlay,
+        Err(AnalysisError::Trajectory(_)) => return Ok(Vec::new()),
+        Err(AnalysisError::Method(e)) => return Err(e),
+    };
+    let splats = painted(m.method.all_splats(&Timestamp::normalised(time), camera)?, overlay);
+    let caption = format!("second differences at t = {time:.2}: black at rest, white at the largest");
+    Ok(vec![Still { caption, image: clamped(renderer.render(&splats, camera)) }])
 }
 
-fn analysis(m: &Material, seen: &[(Camera, Time)], options: &RasterOptions) -> Vec<Need> {
+fn analysis(m: &Material, seen: &[(Camera, Time)], options: &RasterOptions) -> Result<Vec<Need>, MethodError> {
     let moments = if m.dataset.dynamic { moments_for(m.dataset.train.len()) } else { 0 };
-    let mut rows = Analysis::of(m.method, moments, None).rows();
-    rows.extend(Economy::of(m.method, seen, options, m.scores.mean.psnr).iter().flat_map(Economy::rows));
-    rows
+    let mut rows = Analysis::of(m.method, moments, None)?.rows();
+    rows.extend(Economy::of(m.method, seen, options, m.scores.mean.psnr)?.iter().flat_map(Economy::rows));
+    Ok(rows)
 }
 
 /// The quantities pooled over times, step by step.

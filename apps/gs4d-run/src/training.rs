@@ -218,7 +218,7 @@ impl Training {
         if histograms {
             self.keep_histograms()?;
         }
-        self.keep_journal()?;
+        self.keep_events(&report)?;
         if evaluation {
             self.evaluate_while_training()?;
         }
@@ -235,7 +235,7 @@ impl Training {
             steps: self.trainer.steps(),
             loss: w.mean(w.loss),
             psnr: w.psnr(),
-            splats: self.trainer.method().len(),
+            splats: self.trainer.model().splat_count(),
             quarantined: w.quarantined,
             seconds: self.trainer.train_seconds(),
         }
@@ -266,7 +266,7 @@ impl Training {
 
     /// Adds the quantities of the splats to their own log, if the method has any.
     fn keep_histograms(&self) -> Result<(), RunError> {
-        let snapshot = Snapshot::of(self.trainer.method());
+        let snapshot = Snapshot::of(self.trainer.model())?;
         if snapshot.is_empty() {
             return Ok(());
         }
@@ -276,14 +276,13 @@ impl Training {
         self.folder.log(folder::HISTOGRAMS)?.add(&line)
     }
 
-    /// Adds what the method has to tell of the step to its own log.
-    fn keep_journal(&mut self) -> Result<(), RunError> {
-        let told = self.trainer.journal();
-        if told.is_empty() {
+    /// Adds the events of a step to their own log.
+    fn keep_events(&mut self, report: &StepReport) -> Result<(), RunError> {
+        if report.events.is_empty() {
             return Ok(());
         }
         let mut log = self.folder.log(folder::JOURNAL)?;
-        told.iter().try_for_each(|line| log.add(line))
+        report.events.iter().try_for_each(|line| log.add(line))
     }
 
     /// Scores a few validation views (test views are left for the end) and logs the means.
@@ -291,7 +290,7 @@ impl Training {
         let dataset = self.trainer.dataset();
         let split = if dataset.val.is_empty() { Split::Train } else { Split::Val };
         let few = few_views(dataset, split, self.resolved.run.eval_views as usize);
-        let report = evaluate(self.trainer.method(), &few, split, self.background(), &self.photographs())?;
+        let report = evaluate(self.trainer.model(), &few, split, self.background(), &self.photographs())?;
         let line = json!({
             "step": self.trainer.steps_done(),
             "seconds": self.trainer.train_seconds(),
@@ -301,7 +300,7 @@ impl Training {
     }
 
     fn background(&self) -> [f32; 3] {
-        self.trainer.method().schedule().background.evaluation_color()
+        self.trainer.model().background()
     }
 
     /// Scores the test views, or the training views where there are none, and beside them the views beyond the last training
@@ -313,7 +312,7 @@ impl Training {
         let dataset = self.trainer.dataset();
         let split = if dataset.test.is_empty() { Split::Train } else { Split::Test };
         let photographs = self.photographs();
-        let mut report = evaluate_with_future(self.trainer.method(), dataset, split, self.background(), &photographs)?;
+        let mut report = evaluate_with_future(self.trainer.model(), dataset, split, self.background(), &photographs)?;
         report.train_seconds = Some(self.trainer.train_seconds());
         self.folder.write(folder::METRICS, &format!("{:#}\n", metrics_json(&report, self.trainer.steps_done())))?;
         Ok(report)
@@ -329,7 +328,7 @@ impl Training {
         let material = Material {
             folder: &self.folder,
             resolved: &self.resolved,
-            method: self.trainer.method(),
+            method: self.trainer.model(),
             dataset: self.trainer.dataset(),
             photographs: &photographs,
             scores,

@@ -2,21 +2,27 @@
 
 use gs_core::{Camera, Time};
 use gs_raster::{Frame, RasterOptions, Workspace, blend_counts, render_into};
-use gs_train::method::{Method, RestOptions};
-use gs_train::timestamp::Moment;
+use gs_train::capabilities::FreezeOptions;
+use gs_train::method::MethodError;
+use gs_train::model::Model;
+use gs_train::timestamp::Timestamp;
 use gs4d_report::Need;
 use gs4d_report::inspect::bytes_text;
 use serde_json::Value;
 
 /// What drawing these views does not do.
-pub fn drawing_rows(method: &dyn Method, views: &[(Camera, Time)], options: &RasterOptions) -> Vec<Need> {
+pub fn drawing_rows(
+    method: &Model,
+    views: &[(Camera, Time)],
+    options: &RasterOptions,
+) -> Result<Vec<Need>, MethodError> {
     let (mut workspace, mut frame) = (Workspace::new(), Frame::default());
     let (mut all, mut given, mut listed, mut entries, mut used) = (0usize, 0usize, 0usize, 0usize, 0usize);
     let (mut blended, mut pixels, mut deepest) = (0u64, 0usize, 0u32);
     for (camera, time) in views {
-        let splats = method.splats(&Moment::new(*time), camera);
+        let splats = method.splats(&Timestamp::new(*time), camera)?;
         render_into(&splats, camera, options, &mut workspace, &mut frame);
-        all += method.len();
+        all += method.splat_count();
         given += splats.len();
         listed += workspace.splats_listed();
         entries += workspace.entries();
@@ -27,7 +33,7 @@ pub fn drawing_rows(method: &dyn Method, views: &[(Camera, Time)], options: &Ras
         deepest = counts.into_iter().fold(deepest, u32::max);
     }
     if all == 0 {
-        return Vec::new();
+        return Ok(Vec::new());
     }
     let of = |part: usize, whole: usize| {
         let per_view = part as f64 / views.len() as f64;
@@ -51,20 +57,19 @@ pub fn drawing_rows(method: &dyn Method, views: &[(Camera, Time)], options: &Ras
         row("never reached", of(entries - used, entries), "tile entries behind what is opaque already"),
         row("scratch of drawing", bytes_text(workspace.bytes()), "held by the rasteriser, reused from frame to frame"),
     ]);
-    rows
+    Ok(rows)
 }
 
 /// What could be left where it rests, where the method has a way to draw so.
-pub fn resting_rows(method: &dyn Method, views: &[(Camera, Time)]) -> Vec<Need> {
+pub fn resting_rows(method: &Model, views: &[(Camera, Time)]) -> Vec<Need> {
     let cameras: Vec<Camera> = views.iter().map(|v| v.0.clone()).collect();
-    let options = RestOptions::usual(&cameras);
-    let pixels = options.still.pixels;
-    let Some((_, report)) = method.resting(&options) else { return Vec::new() };
-    let still = report.rows;
-    let share = 100.0 * still.still as f64 / still.splats.max(1) as f64;
+    let options = FreezeOptions::usual(&cameras);
+    let pixels = options.pixels;
+    let Some((_, report)) = method.freeze_static(&options) else { return Vec::new() };
+    let share = 100.0 * report.still as f64 / report.splats.max(1) as f64;
     vec![row(
         "rows that could rest",
-        format!("{} of {} ({share:.1} %)", still.still, still.splats),
+        format!("{} of {} ({share:.1} %)", report.still, report.splats),
         &format!("within {pixels} pixels of the views looked at; left out only if asked for"),
     )]
 }
@@ -102,7 +107,6 @@ mod tests {
     use super::*;
     use gs_synth::{self as synth, SynthOptions};
     use gs_train::method::{SceneInfo, section};
-    use gs_train::renderer::moment;
     use serde_json::json;
 
     #[test]
@@ -117,12 +121,12 @@ mod tests {
         let mut away = camera.clone();
         away.rotation = glam::DMat3::from_diagonal(glam::DVec3::new(-1.0, 1.0, -1.0)) * away.rotation;
         away.translation = glam::DVec3::new(-1.0, 1.0, -1.0) * away.translation;
-        let at = moment(0.0).t;
+        let at = Timestamp::normalised(0.0).t;
         let values = |camera: &Camera| {
             let rows = drawing_rows(method.as_ref(), &[(camera.clone(), at)], &RasterOptions::default());
             (rows[0].value.clone(), rows[1].value.clone())
         };
-        let all = format!("{} a view (100.0 %)", method.len());
+        let all = format!("{} a view (100.0 %)", method.splat_count());
         assert_eq!(values(&away), (all.clone(), "0.0 a pixel, at most 0".to_owned()));
         let (culled, blended) = values(camera);
         assert!(culled != all && !blended.starts_with("0.0"), "{blended}");

@@ -7,7 +7,7 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use gs_core::io::{Limits, images::decode_image};
 use gs_core::speed::{Laps, SpeedError};
 use gs_raster::measure;
-use gs4d_view::picture::Painter;
+use gs4d_view::picture::Renderer;
 use gs4d_view::question::Question;
 use gs4d_view::{Packing, Show, Stage};
 
@@ -29,18 +29,19 @@ fn question(shrink: u32) -> Question {
 
 fn pictures(c: &mut Criterion) {
     let stage = Stage { shows: vec![Show::splats("scene".into(), measure::scene(SPLATS, 3))] };
-    let mut painter = Painter::default();
-    let exact = |painter: &mut Painter, q: &Question| painter.answer(&stage, q, Packing::Png).expect("a picture").bytes;
+    let mut renderer = Renderer::default();
+    let exact =
+        |renderer: &mut Renderer, q: &Question| renderer.answer(&stage, q, Packing::Png).expect("a picture").bytes;
     for (case, shrink) in [("at rest", 1), ("moving", 4)] {
         let question = question(shrink);
-        let truth = exact(&mut painter, &question);
+        let truth = exact(&mut renderer, &question);
         let truth = decode_image(&truth, "truth.png", &Limits::default()).expect("a PNG");
         for (variant, packing) in [("png", Packing::Png), ("jpeg", Packing::Jpeg)] {
             let mut laps = Laps::default();
             let mut image = Vec::new();
             c.bench_function(&format!("{case}/{variant}"), |b| {
                 b.iter_custom(|calls| {
-                    laps.run(calls, || image = painter.answer(&stage, &question, packing).expect("a picture").bytes)
+                    laps.run(calls, || image = renderer.answer(&stage, &question, packing).expect("a picture").bytes)
                 });
             });
             let Some(ms) = laps.median_ms() else { continue };

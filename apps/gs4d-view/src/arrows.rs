@@ -16,7 +16,7 @@ const HALF: f32 = 0.5;
 /// # Errors
 /// As [`Shot::tracked`].
 pub fn arrows(shot: &Shot) -> Result<Value, String> {
-    let splats = shot.tracked()?;
+    let splats = shot.all_splats()?;
     let camera = &shot.camera;
     let seen = |&i: &usize| {
         let at = camera.to_camera(splats.means[i].as_dvec3());
@@ -28,7 +28,8 @@ pub fn arrows(shot: &Shot) -> Result<Value, String> {
     let all: Vec<usize> = (0..splats.len()).filter(seen).collect();
     let some: Vec<usize> = (0..all.len().min(MOST)).map(|k| all[k * all.len() / all.len().min(MOST)]).collect();
     let half = HALF * shot.show.interval();
-    let [before, after] = [-half, half].map(|d| shot.scene.tracked(shot.time + d, camera));
+    let at = |d: f32| shot.scene.all_splats(shot.time + d, camera);
+    let (before, after) = (at(-half)?, at(half)?);
     let seconds = 2.0 * half * shot.show.seconds() as f32;
     let shift = |i: usize| Some(*after.means.get(i)? - *before.means.get(i)?);
     let velocity = |i: usize| shift(i).unwrap_or_default() / seconds.max(f32::MIN_POSITIVE);

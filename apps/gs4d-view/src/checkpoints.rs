@@ -40,7 +40,7 @@ impl Checkpoints {
             None => {
                 let run =
                     OpenRun::open(&self.registry, &self.folder.join(file_name(step))).map_err(|e| e.to_string())?;
-                Arc::new(Scene::method(run.loaded.method))
+                Arc::new(Scene::method(run.loaded.model))
             }
         };
         open.push((step, scene.clone()));

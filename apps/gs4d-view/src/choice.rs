@@ -16,7 +16,7 @@ use serde_json::{Value, json};
 /// In words, if its camera is none or a pose cannot be taken.
 pub fn describe(stage: &Stage, shot: &Shot, choice: &Choice, chosen: &mut Chosen) -> Result<Value, String> {
     let members = chosen.members(stage, &shot.scene, choice)?;
-    let splats = shot.tracked()?;
+    let splats = shot.all_splats()?;
     let inside: Vec<usize> = (0..splats.len()).filter(|&i| is_chosen(&members, i)).collect();
     let of = |value: &dyn Fn(usize) -> f32| inside.iter().map(|&i| value(i)).collect::<Vec<f32>>();
     let depth = |i: usize| shot.camera.to_camera(splats.means[i].as_dvec3()).z as f32;
@@ -25,7 +25,7 @@ pub fn describe(stage: &Stage, shot: &Shot, choice: &Choice, chosen: &mut Chosen
         histogram("largest scale", "world units", None, &of(&|i| splats.scales[i].max_element())),
         histogram("depth", "world units", None, &of(&depth)),
     ];
-    for q in shot.scene.quantities(shot.time) {
+    for q in shot.scene.quantities(shot.time)? {
         spread.push(histogram(q.name, q.unit, q.range, &of(&|i| q.values.get(i).copied().unwrap_or(f32::NAN))));
     }
     Ok(json!({"count": inside.len(), "of": splats.len(), "spread": spread}))
@@ -48,7 +48,7 @@ pub fn file(
 ) -> Result<(String, Vec<u8>), String> {
     let members = choice.map(|c| chosen.members(stage, &shot.scene, c)).transpose()?;
     let inside = |i: usize| members.as_ref().is_some_and(|m| is_chosen(m, i));
-    let splats = shot.tracked()?.into_owned().with_plain_kernel();
+    let splats = shot.all_splats()?.into_owned().with_plain_kernel();
     let wanted = |&i: &usize| splats.opacities[i] >= FAINTEST && inside(i) == (part == Part::Chosen);
     let kept: Vec<usize> = (0..splats.len()).filter(wanted).collect();
     if kept.is_empty() {

@@ -90,7 +90,7 @@ impl Feed {
             return;
         }
         let begun = Instant::now();
-        let copy = trainer.look();
+        let copy = trainer.state_for_rendering();
         // The thread ends only with the feed; if it has failed, what was shown last stays.
         let _ = self.copies.try_send((copy, progress, begun.elapsed()));
         self.shown = progress.step;
@@ -115,7 +115,7 @@ fn build(
         let begun = Instant::now();
         let news = match shared.alone(|| load_with(registry, &copy, None, avatar.cloned())) {
             Ok(loaded) => {
-                shared.stage.shows[0].replace(Scene::method(loaded.method));
+                shared.stage.shows[0].replace(Scene::method(loaded.model));
                 told(progress, shared)
             }
             Err(why) => json!({"error": format!("step {} cannot be shown: {why}", progress.step)}),

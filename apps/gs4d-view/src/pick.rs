@@ -19,7 +19,7 @@ pub fn pick(shot: &Shot, at: [f32; 2]) -> Result<Value, String> {
     let camera = &shot.camera;
     let pixel = [at[0] * camera.width as f32, at[1] * camera.height as f32].map(|v| f64::from(v.floor()));
     let one = Camera { width: 1, height: 1, cx: camera.cx - pixel[0], cy: camera.cy - pixel[1], ..camera.clone() };
-    let splats = shot.tracked()?;
+    let splats = shot.all_splats()?;
     let mut grey = splats.clone().into_owned();
     grey.color = Color::Rgb(vec![[0.5; 3]; splats.len()]);
     let mut workspace = Workspace::new();
@@ -30,8 +30,8 @@ pub fn pick(shot: &Shot, at: [f32; 2]) -> Result<Value, String> {
     let mut order: Vec<usize> = (0..splats.len()).filter(|&i| weights[i] > 0.0).collect();
     order.sort_by(|&a, &b| weights[b].total_cmp(&weights[a]).then(a.cmp(&b)));
     order.truncate(MOST);
-    let paths = paths(shot, &order);
-    let quantities = shot.scene.quantities(shot.time);
+    let paths = paths(shot, &order)?;
+    let quantities = shot.scene.quantities(shot.time)?;
     let about = |(k, &i): (usize, &usize)| {
         let of: serde_json::Map<String, Value> = quantities
             .iter()
@@ -47,14 +47,14 @@ pub fn pick(shot: &Shot, at: [f32; 2]) -> Result<Value, String> {
 }
 
 /// Where splats are at times from 0 to 1, `[splats, POINTS, 3]`; one point each for a scene at rest.
-fn paths(shot: &Shot, of: &[usize]) -> Vec<Vec<[f32; 3]>> {
+fn paths(shot: &Shot, of: &[usize]) -> Result<Vec<Vec<[f32; 3]>>, String> {
     let n = if shot.show.moving() && !of.is_empty() { POINTS } else { 1 };
     let mut paths = vec![Vec::with_capacity(n); of.len()];
     for k in 0..n {
-        let splats = shot.scene.tracked(k as f32 / (n.max(2) - 1) as f32, &shot.camera);
+        let splats = shot.scene.all_splats(k as f32 / (n.max(2) - 1) as f32, &shot.camera)?;
         for (path, &i) in paths.iter_mut().zip(of) {
             path.extend(splats.means.get(i).map(|m| m.to_array()));
         }
     }
-    paths
+    Ok(paths)
 }

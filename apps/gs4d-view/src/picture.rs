@@ -14,9 +14,10 @@ use gs_metrics::psnr;
 use gs_raster::{Frame, RasterOptions, Workspace, blend_counts, render_into};
 use gs_train::evaluate::clamped;
 use gs_train::palette::color_scale;
-use gs_train::renderer::moment;
+use gs_train::timestamp::Timestamp;
 use gs4d_eval::segment;
 use serde_json::{Value, json};
+use std::borrow::Cow;
 use std::time::Instant;
 
 /// Depths are shown between these shares of the covered pixels.
@@ -32,13 +33,13 @@ pub struct Answer {
 
 /// Draws, with memory kept from picture to picture.
 #[derive(Default)]
-pub struct Painter {
+pub struct Renderer {
     workspace: Workspace,
     frame: Frame,
     chosen: Chosen,
 }
 
-impl Painter {
+impl Renderer {
     /// Answers a question.
     ///
     /// # Errors
@@ -126,10 +127,14 @@ impl Painter {
     }
 
     fn color(&mut self, shot: &Shot, header: &mut Value) -> Result<Image, String> {
-        let splats = shot.splats()?;
+        let (splats, error) = match shot.splats() {
+            Ok(splats) => (splats, None),
+            Err(why) if shot.pose.is_some() => return Err(why),
+            Err(why) => (Cow::Owned(Splats::default()), Some(why)),
+        };
         let image = clamped(self.draw(&splats, shot));
         header["splats"] = json!(splats.len());
-        if let Some(why) = shot.trouble().or_else(|| self.blank(&splats, &shot.camera)) {
+        if let Some(why) = error.or_else(|| self.blank(&splats, &shot.camera)) {
             header["blank"] = json!(why);
         }
         Ok(image)
@@ -166,7 +171,7 @@ impl Painter {
     /// The rigid parts, each in a colour.
     fn parts(&mut self, shot: &Shot, header: &mut Value) -> Result<Image, String> {
         let parts = shot.scene.parts(shot.show.observed())?;
-        let mut splats = shot.tracked()?.into_owned();
+        let mut splats = shot.all_splats()?.into_owned();
         let color = |part: u32| segment::color(part + 1);
         let words = format!("rigid parts: {}, bars are their splats", parts.k);
         header["legend"] = named("segment", &words, &parts.of, parts.k, color);
@@ -176,7 +181,7 @@ impl Painter {
 
     /// A colour that the method gives each splat.
     fn overlay(&mut self, shot: &Shot, name: &str, header: &mut Value) -> Result<Image, String> {
-        let quantities = shot.scene.quantities(shot.time);
+        let quantities = shot.scene.quantities(shot.time)?;
         let overlay = match quantities.iter().find(|q| q.name == name) {
             Some(quantity) => {
                 header["legend"] = scaled(name, quantity.unit, quantity.span(), &quantity.values);
@@ -184,13 +189,14 @@ impl Painter {
             }
             None => {
                 let method = shot.scene.as_method().ok_or("a splat file has no such layer")?;
-                let found = method.overlays(&moment(shot.time)).into_iter().find(|o| o.name == name);
+                let overlays = method.overlays(&Timestamp::normalised(shot.time)).map_err(|e| e.to_string())?;
+                let found = overlays.into_iter().find(|o| o.name == name);
                 let found = found.ok_or("there is no such layer")?;
                 header["note"] = json!(found.meaning);
                 found
             }
         };
-        let mut splats = shot.tracked()?.into_owned();
+        let mut splats = shot.all_splats()?.into_owned();
         if overlay.colors.len() != splats.len() {
             return Err(format!("`{name}` has {} values for {} splats", overlay.colors.len(), splats.len()));
         }

@@ -1,9 +1,9 @@
 //! Other poses for a filmed person, and which images its looks come from.
 
 use glam::DVec3;
+use gs_method_texel::Dut;
 use gs_texel::Pose;
-use gs_train::method::Figure;
-use gs_train::renderer::moment;
+use gs_train::timestamp::Timestamp;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
@@ -33,9 +33,9 @@ impl Posing {
     ///
     /// # Errors
     /// In words, if it has no such joint.
-    pub fn of(&self, figure: &dyn Figure, time: f32) -> Result<Pose, String> {
+    pub fn of(&self, figure: &Dut, time: f32) -> Result<Pose, String> {
         let scene = figure.scene();
-        let mut pose = scene.frame_at(moment(self.from.unwrap_or(time)).t).pose.clone();
+        let mut pose = scene.frame_at(Timestamp::normalised(self.from.unwrap_or(time)).t).pose.clone();
         for (number, angles) in &self.turns {
             let joint = scene.character.skeleton.joints.get(*number as usize).ok_or("there is no such joint")?;
             for (axis, angle) in [DVec3::X, DVec3::Y, DVec3::Z].into_iter().zip(angles) {
@@ -47,15 +47,15 @@ impl Posing {
 }
 
 /// Names of a figure's joints.
-pub fn joints(figure: &dyn Figure) -> Value {
+pub fn joints(figure: &Dut) -> Value {
     let skeleton = &figure.scene().character.skeleton;
     let name = |j: &gs_texel::Joint| skeleton.nodes.get(j.node as usize).map_or("", |n| n.name.as_str());
     json!(skeleton.joints.iter().map(name).collect::<Vec<_>>())
 }
 
 /// The frame whose images give the looks at a normalised time, and the cameras that took them.
-pub fn inputs(figure: &dyn Figure, time: f32) -> Value {
-    let frame = figure.scene().frame_at(moment(time).t);
+pub fn inputs(figure: &Dut, time: f32) -> Value {
+    let frame = figure.scene().frame_at(Timestamp::normalised(time).t);
     let cameras: Vec<&str> = frame.inputs.iter().map(|v| v.name.as_str()).collect();
     json!({"frame": frame.number, "images": cameras})
 }

@@ -1,8 +1,11 @@
 //! What is drawn: a trained method, or splats at rest.
 
 use gs_core::{Camera, Splats};
-use gs_train::method::{Figure, Method, Quantity};
-use gs_train::renderer::moment;
+use gs_method_texel::Dut;
+use gs_train::capabilities::Quantity;
+use gs_train::method::MethodError;
+use gs_train::model::Model;
+use gs_train::timestamp::Timestamp;
 use gs4d_eval::segment::{Labels, Options, segment};
 use std::borrow::Cow;
 use std::sync::OnceLock;
@@ -18,13 +21,13 @@ pub struct Scene {
 }
 
 enum Source {
-    Method(Box<dyn Method>),
+    Method(Model),
     Splats(Box<Splats>),
 }
 
 impl Scene {
     /// A method at some step of its training.
-    pub fn method(method: Box<dyn Method>) -> Self {
+    pub fn method(method: Model) -> Self {
         Self::of(Source::Method(method))
     }
 
@@ -39,40 +42,50 @@ impl Scene {
     }
 
     /// The method, if it is one.
-    pub fn as_method(&self) -> Option<&dyn Method> {
+    pub fn as_method(&self) -> Option<&Model> {
         match &self.source {
-            Source::Method(method) => Some(method.as_ref()),
+            Source::Method(method) => Some(method),
             Source::Splats(_) => None,
         }
     }
 
     /// The person, if it draws one who can be posed.
-    pub fn figure(&self) -> Option<&dyn Figure> {
-        self.as_method().and_then(Method::figure)
+    pub fn figure(&self) -> Option<&Dut> {
+        self.as_method().and_then(Model::concrete)
     }
 
     /// The splats at a normalised time.
-    pub fn at(&self, time: f32, camera: &Camera) -> Cow<'_, Splats> {
+    ///
+    /// # Errors
+    /// If the method cannot be asked for them.
+    pub fn at(&self, time: f32, camera: &Camera) -> Result<Cow<'_, Splats>, String> {
         match &self.source {
-            Source::Method(method) => Cow::Owned(method.splats(&moment(time), camera)),
-            Source::Splats(splats) => Cow::Borrowed(splats),
+            Source::Method(method) => owned(method.splats(&Timestamp::normalised(time), camera)),
+            Source::Splats(splats) => Ok(Cow::Borrowed(splats)),
         }
     }
 
-    /// All splats in the same order at every moment.
-    pub fn tracked(&self, time: f32, camera: &Camera) -> Cow<'_, Splats> {
+    /// All splats in the same order at every time.
+    ///
+    /// # Errors
+    /// If the method cannot be asked for them.
+    pub fn all_splats(&self, time: f32, camera: &Camera) -> Result<Cow<'_, Splats>, String> {
         match &self.source {
-            Source::Method(method) => Cow::Owned(method.tracked(&moment(time), camera)),
-            Source::Splats(splats) => Cow::Borrowed(splats),
+            Source::Method(method) => owned(method.all_splats(&Timestamp::normalised(time), camera)),
+            Source::Splats(splats) => Ok(Cow::Borrowed(splats)),
         }
     }
 
-    /// Numbers about each of the [`Self::tracked`] splats.
-    pub fn quantities(&self, time: f32) -> Vec<Quantity> {
-        self.as_method().map(|m| m.quantities(&moment(time))).unwrap_or_default()
+    /// Numbers about each of the [`Self::all_splats`] splats.
+    ///
+    /// # Errors
+    /// If the method cannot be asked for them.
+    pub fn quantities(&self, time: f32) -> Result<Vec<Quantity>, String> {
+        let Some(method) = self.as_method() else { return Ok(Vec::new()) };
+        method.quantities(&Timestamp::normalised(time)).map_err(|e| e.to_string())
     }
 
-    /// The rigid part of each of the [`Self::tracked`] splats, by their motion up to the last time that was learnt from;
+    /// The rigid part of each of the [`Self::all_splats`] splats, by their motion up to the last time that was learnt from;
     /// found when first asked for.
     ///
     /// # Errors
@@ -85,8 +98,13 @@ impl Scene {
         self.parts.get_or_init(find).as_ref().map_err(Clone::clone)
     }
 
-    /// Names of quantities and of other colours a method offers.
+    /// Names of quantities and of other colours a method offers; none where it cannot be asked.
     pub fn overlays(&self, time: f32) -> Vec<&'static str> {
-        self.as_method().map(|m| m.overlays(&moment(time)).iter().map(|o| o.name).collect()).unwrap_or_default()
+        let overlays = self.as_method().and_then(|m| m.overlays(&Timestamp::normalised(time)).ok());
+        overlays.into_iter().flatten().map(|o| o.name).collect()
     }
+}
+
+fn owned<'a>(splats: Result<Splats, MethodError>) -> Result<Cow<'a, Splats>, String> {
+    splats.map(Cow::Owned).map_err(|e| e.to_string())
 }

@@ -4,7 +4,7 @@ use crate::ViewError;
 use crate::guard::Guard;
 use crate::live::{Feed, Pace, THREADS};
 use crate::packing::Packing;
-use crate::picture::Painter;
+use crate::picture::Renderer;
 use crate::question::{MOST_BYTES, MOST_NESTING, Question, nesting};
 use crate::stage::Stage;
 use axum::Router;
@@ -88,7 +88,7 @@ pub(crate) struct Shared {
     pub(crate) stage: Stage,
     guard: Guard,
     packing: Packing,
-    painter: Mutex<Painter>,
+    renderer: Mutex<Renderer>,
     /// Browsers that are connected.
     pub(crate) clients: AtomicUsize,
     /// What all browsers are told, the newest.
@@ -109,7 +109,7 @@ impl Shared {
             stage,
             guard,
             packing: options.packing,
-            painter: Mutex::default(),
+            renderer: Mutex::default(),
             clients: AtomicUsize::new(0),
             news: watch::Sender::new(None),
             half,
@@ -332,10 +332,10 @@ fn say(value: &Value) -> Message {
 
 /// The length of the header in four bytes, little end first, the header as JSON, the picture.
 fn answer(shared: &Shared, question: &Question) -> Message {
-    let mut painter = shared.painter.lock().unwrap_or_else(PoisonError::into_inner);
-    let painter: &mut Painter = &mut painter;
+    let mut renderer = shared.renderer.lock().unwrap_or_else(PoisonError::into_inner);
+    let renderer: &mut Renderer = &mut renderer;
     let begun = Instant::now();
-    let answer = shared.alone(|| painter.answer(&shared.stage, question, shared.packing));
+    let answer = shared.alone(|| renderer.answer(&shared.stage, question, shared.packing));
     if let Some(pace) = &shared.pace {
         pace.spent(begun.elapsed());
     }

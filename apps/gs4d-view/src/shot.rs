@@ -5,7 +5,7 @@ use crate::scene::Scene;
 use crate::stage::{Show, Stage};
 use gs_core::{Camera, Splats};
 use gs_texel::Pose;
-use gs_train::renderer::moment;
+use gs_train::timestamp::Timestamp;
 use std::borrow::Cow;
 use std::sync::Arc;
 
@@ -71,30 +71,28 @@ impl<'a> Shot<'a> {
     /// In words, if a pose cannot be taken.
     pub fn splats(&self) -> Result<Cow<'_, Splats>, String> {
         if self.pose.is_some() || self.hidden.is_some() {
-            return self.tracked();
+            return self.all_splats();
         }
-        Ok(self.scene.at(self.time, &self.camera))
+        self.scene.at(self.time, &self.camera)
     }
 
-    /// All splats in the same order at every moment, those left out with opacity 0.
+    /// All splats in the same order at every time, those left out with opacity 0.
     ///
     /// # Errors
     /// As [`Self::splats`].
-    pub fn tracked(&self) -> Result<Cow<'_, Splats>, String> {
+    pub fn all_splats(&self) -> Result<Cow<'_, Splats>, String> {
         let mut splats = match (&self.pose, self.scene.figure()) {
-            (Some(pose), Some(figure)) => Cow::Owned(figure.posed(&moment(self.time), pose)?),
-            _ => self.scene.tracked(self.time, &self.camera),
+            (Some(pose), Some(figure)) => {
+                let posed = figure.posed(&Timestamp::normalised(self.time), pose);
+                Cow::Owned(posed.map_err(|e| e.to_string())?)
+            }
+            _ => self.scene.all_splats(self.time, &self.camera)?,
         };
         if let Some(hidden) = &self.hidden {
             let opacities = &mut splats.to_mut().opacities;
             opacities.iter_mut().zip(hidden).filter(|(_, h)| **h).for_each(|(o, _)| *o = 0.0);
         }
         Ok(splats)
-    }
-
-    /// What went wrong when the method drew, if anything did.
-    pub fn trouble(&self) -> Option<String> {
-        self.scene.as_method().and_then(|m| m.trouble())
     }
 }
 
@@ -115,7 +113,7 @@ impl Chosen {
             return Ok(known.2.clone());
         }
         let camera = choice.look.camera(stage, choice.width, choice.height)?;
-        let splats = scene.tracked(choice.time, &camera);
+        let splats = scene.all_splats(choice.time, &camera)?;
         let members = Arc::new((0..splats.len()).map(|i| is_in(&splats, i, &camera, choice.at)).collect::<Vec<_>>());
         if self.known.len() == KEPT {
             self.known.remove(0);

@@ -39,10 +39,10 @@ impl Show {
     /// A run with its data, if they can be read.
     pub fn run(name: String, run: OpenRun, dataset: Option<&Dataset>) -> Self {
         let background = run.background();
-        let options = run.loaded.method.schedule().raster_options(background);
+        let options = run.loaded.model.raster_options(background);
         let photographs = dataset.map(|_| run.photographs());
         let checkpoints = run.folder().ok().map(|f| Checkpoints::of(run.resolved.registry.clone(), f.checkpoints()));
-        let mut show = Self::new(name, Scene::method(run.loaded.method), options, background);
+        let mut show = Self::new(name, Scene::method(run.loaded.model), options, background);
         (show.photographs, show.checkpoints) = (photographs, checkpoints);
         dataset.into_iter().for_each(|data| show.bring(data));
         show
@@ -55,11 +55,15 @@ impl Show {
     pub fn live(name: String, training: &Training) -> Result<Self, String> {
         let trainer = training.trainer();
         let data = trainer.dataset();
-        let copy =
-            gs_train::saved::load_with(&training.resolved().registry, &trainer.look(), None, data.avatar.clone())?;
-        let background = copy.method.schedule().background.evaluation_color();
-        let options = copy.method.schedule().raster_options(background);
-        let mut show = Self::new(name, Scene::method(copy.method), options, background);
+        let copy = gs_train::saved::load_with(
+            &training.resolved().registry,
+            &trainer.state_for_rendering(),
+            None,
+            data.avatar.clone(),
+        )?;
+        let background = copy.model.background();
+        let options = copy.model.raster_options(background);
+        let mut show = Self::new(name, Scene::method(copy.model), options, background);
         let limit = training.resolved().data.max_image_mib;
         show.photographs = Some(ImageCache::new(LIVE_PHOTOGRAPHS, 1.0).with_max_image_mib(limit));
         show.checkpoints = Some(Checkpoints::of(training.resolved().registry.clone(), training.folder().checkpoints()));
@@ -196,7 +200,7 @@ impl Show {
         let neutral = gs4d_report::needs::neutral_camera();
         let camera: &Camera = self.views.first().map_or(&neutral, |v| &v.camera);
         let scene = self.now();
-        let splats = scene.at(self.times.first().copied().unwrap_or(0.0), camera);
+        let splats = scene.at(self.times.first().copied().unwrap_or(0.0), camera).unwrap_or_default();
         middle(&splats.means).map_or(([0.0; 3], 1.0), |(centre, away)| (centre.to_array(), away))
     }
 }

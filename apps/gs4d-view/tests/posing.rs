@@ -1,7 +1,7 @@
 //! A filmed person in poses of the user's.
 
 use gs_synth::avatar::{self, AvatarOptions};
-use gs_train::renderer::moment;
+use gs_train::timestamp::Timestamp;
 use gs_train::trainer::{TrainOptions, Trainer};
 use gs4d_view::pose::{Posing, inputs, joints};
 use std::sync::Arc;
@@ -13,10 +13,10 @@ fn its_own_pose_changes_nothing_and_a_turned_arm_moves_alone() {
     let film = Arc::new(avatar::generate(&options).unwrap());
     let config = gs_methods::registry().find("dut").unwrap().config("tiny").unwrap();
     let trainer = Trainer::new(gs_methods::registry(), film.clone(), "dut", &config, TrainOptions::default()).unwrap();
-    let method = trainer.method();
+    let method = trainer.model();
     let figure = method.figure().expect("a person");
-    let filmed = method.splats(&moment(0.0), &film.train[0].camera);
-    let posed = |posing: &Posing| figure.posed(&moment(0.0), &posing.of(figure, 0.0).unwrap()).unwrap();
+    let filmed = method.splats(&Timestamp::normalised(0.0), &film.train[0].camera);
+    let posed = |posing: &Posing| figure.posed(&Timestamp::normalised(0.0), &posing.of(figure, 0.0).unwrap()).unwrap();
     assert_eq!(posed(&Posing::default()), filmed);
 
     let names = joints(figure);

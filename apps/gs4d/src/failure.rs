@@ -175,6 +175,8 @@ impl From<MethodError> for Failure {
     fn from(e: MethodError) -> Self {
         let class = match e {
             MethodError::Data(e) => return e.into(),
+            MethodError::Render(_) => return Self::new(Class::Data, "method.moment", e.to_string()),
+            MethodError::Loss(_) => return Self::new(Class::Numeric, "numeric", e.to_string()),
             MethodError::Scene(_) | MethodError::Cloud(_) => Class::Data,
             _ => Class::Usage,
         };

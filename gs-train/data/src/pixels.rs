@@ -1,6 +1,10 @@
 //! Images as files hold them: 8 bit, RGBA, straight alpha, display-encoded.
 
 use gs_core::Image;
+use rayon::prelude::*;
+
+/// Pixels per parallel task.
+const PIECE: usize = 1 << 13;
 
 /// An RGBA image of `u8`, straight alpha, row-major, origin top left.
 #[derive(Clone, Debug, PartialEq, Eq, Default)]
@@ -16,14 +20,24 @@ pub struct ImageU8 {
 impl ImageU8 {
     /// The picture over a background colour: `C·α + B·(1 − α)`, 3 channels, display-encoded, as the 3DGS family blends.
     pub fn over(&self, background: [f32; 3]) -> Image {
-        let mut data = Vec::with_capacity(self.width * self.height * 3);
-        for p in self.data.chunks_exact(4) {
-            let a = f32::from(p[3]) / 255.0;
-            for (&value, b) in p.iter().zip(background) {
-                data.push(f32::from(value) / 255.0 * a + b * (1.0 - a));
+        let mut image = Image::default();
+        self.over_into(background, &mut image);
+        image
+    }
+
+    /// The same, into an image whose memory is reused.
+    pub fn over_into(&self, background: [f32; 3], image: &mut Image) {
+        (image.width, image.height, image.channels) = (self.width, self.height, 3);
+        image.data.resize(self.width * self.height * 3, 0.0);
+        let pieces = image.data.par_chunks_mut(3 * PIECE).zip(self.data.par_chunks(4 * PIECE));
+        pieces.for_each(|(to, from)| {
+            for (to, p) in to.chunks_exact_mut(3).zip(from.chunks_exact(4)) {
+                let a = f32::from(p[3]) / 255.0;
+                for ((to, &value), b) in to.iter_mut().zip(p).zip(background) {
+                    *to = f32::from(value) / 255.0 * a + b * (1.0 - a);
+                }
             }
-        }
-        Image { width: self.width, height: self.height, channels: 3, data }
+        });
     }
 
     /// The alpha channel alone, 1 channel.

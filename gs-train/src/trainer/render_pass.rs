@@ -1,9 +1,10 @@
-//! The drawing side of a step: splats to a frame, the frame against its photograph, the difference back to the splats.
+//! The image side of a training view: splats to a frame, the frame against the ground truth, the loss back to the splats.
 
-use crate::loss::{ImageLoss, LossTerms, LossWeights};
-use crate::non_finite::{Quarantine, quarantine};
-use gs_core::{Camera, Image, Splats, SplatsGrad};
-use gs_metrics::MetricError;
+use crate::loss::{Dssim, ImageLoss, LossTerms, LossWeights, Region};
+use crate::method::{MethodError, RenderView};
+use crate::non_finite::{NonFinite, zero_non_finite};
+use gs_core::{Camera, Splats, SplatsGrad};
+use gs_data::{ImageCache, View};
 use gs_raster::{Frame, FrameGrad, RasterOptions, ScreenStats, Workspace, render_backward_into, render_into};
 use serde::Serialize;
 use std::time::Instant;
@@ -11,53 +12,58 @@ use std::time::Instant;
 /// Milliseconds of the phases of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Default, Serialize)]
 pub struct Phases {
-    /// Fetching and compositing the photographs.
+    /// Fetching the ground-truth images.
     pub data: f64,
-    /// Cloud and field, forward and backward, and penalties.
+    /// The method: forward, backward and regularisers.
     pub field: f64,
-    /// Drawing.
+    /// Rasterisation, forward.
     pub raster_forward: f64,
     /// Image loss and its gradient.
     pub loss: f64,
-    /// Drawing, backward.
+    /// Rasterisation, backward.
     pub raster_backward: f64,
     /// The optimiser.
     pub adam: f64,
-    /// Density control.
+    /// Densification.
     pub adapt: f64,
     /// The whole step.
     pub total: f64,
 }
 
-/// Scratch of the drawing side, reused between steps.
+/// Buffers of rasteriser and loss, reused between steps.
 #[derive(Default)]
-pub(super) struct Easel {
+pub(super) struct RenderPass {
     workspace: Workspace,
     frame: Frame,
     d_frame: FrameGrad,
-    /// What density control wants to know of the last frame.
-    pub stats: ScreenStats,
+    stats: ScreenStats,
     loss: ImageLoss,
 }
 
-/// One view, ready to be drawn and compared.
-pub(super) struct Sheet {
-    pub camera: Camera,
+/// What rendering one view gave, or the mean over the views of a step.
+#[derive(Default)]
+pub(super) struct ViewLoss {
+    pub terms: LossTerms,
+    pub non_finite: NonFinite,
+    /// Splats rendered.
+    pub splats: usize,
+    pub ms: Phases,
+}
+
+/// One view of a step, ready to be rendered.
+pub(super) struct ViewPass<'a> {
+    pub pass: &'a mut RenderPass,
+    pub images: &'a ImageCache,
+    pub view: &'a View,
+    pub camera: &'a Camera,
+    /// How to render, over the background of this view.
     pub options: RasterOptions,
-    /// The photograph over the background.
-    pub target: Image,
     pub weights: LossWeights,
     /// Share of this view in the loss of the step.
     pub share: f32,
-}
-
-/// What drawing found.
-#[derive(Default)]
-pub(super) struct Drawn {
-    pub terms: LossTerms,
-    pub quarantine: Quarantine,
-    pub error: Option<MetricError>,
-    pub ms: Phases,
+    pub result: ViewLoss,
+    /// The error of reading the ground truth, if that failed.
+    pub data_error: Option<gs_data::DataError>,
 }
 
 impl Phases {
@@ -71,9 +77,9 @@ impl Phases {
     }
 }
 
-impl Drawn {
-    /// Adds one view of a batch of `batch`: terms become means, the quarantine the worst of all.
-    pub fn add(&mut self, view: &Drawn, batch: f64) {
+impl ViewLoss {
+    /// Adds one view of a batch of `batch`: terms become means, gradients that are not finite the worst of all views.
+    pub fn add(&mut self, view: &ViewLoss, batch: f64) {
         let mean = |sum: Option<f64>, term: Option<f64>| term.map(|t| sum.unwrap_or(0.0) + t / batch);
         let (sum, terms) = (self.terms, view.terms);
         self.terms = LossTerms {
@@ -84,51 +90,69 @@ impl Drawn {
             fre: mean(sum.fre, terms.fre),
             mrf: mean(sum.mrf, terms.mrf),
         };
-        if view.quarantine.rows > self.quarantine.rows {
-            self.quarantine = view.quarantine;
+        if view.non_finite.rows > self.non_finite.rows {
+            self.non_finite = view.non_finite;
         }
         self.ms.add(&view.ms);
     }
 }
 
-impl Easel {
-    /// An easel with empty buffers.
+impl RenderPass {
+    /// A pass with empty buffers.
     pub fn new() -> Self {
         Self { loss: ImageLoss::new(), ..Self::default() }
     }
+}
 
-    /// Draws, compares, and pulls the loss back to the splats, where it counts with its share in the step's loss;
-    /// [`Self::stats`] are of the whole loss of this view.
-    pub fn draw(&mut self, splats: &Splats, sheet: &Sheet, d: &mut SplatsGrad) -> Drawn {
-        let Sheet { camera, options, target, weights, share } = sheet;
-        let mut drawn = Drawn::default();
-        let begun = Instant::now();
-        render_into(splats, camera, options, &mut self.workspace, &mut self.frame);
-        drawn.ms.raster_forward = ms_since(begun);
-        let begun = Instant::now();
-        match self.loss.evaluate(&mut self.frame, target, weights, &mut self.d_frame) {
-            Ok(terms) => drawn.terms = terms,
+impl RenderView for ViewPass<'_> {
+    fn render(&mut self, splats: &Splats, grad: &mut SplatsGrad) -> Result<&ScreenStats, MethodError> {
+        let RenderPass { workspace, frame, d_frame, stats, loss } = &mut *self.pass;
+        let mut clock = Stopwatch::new();
+        let ms = &mut self.result.ms;
+        let image = match self.images.get(self.view) {
+            Ok(image) => image,
             Err(e) => {
-                drawn.error = Some(e);
-                return drawn;
+                let why = MethodError::Render(e.to_string());
+                self.data_error = Some(e);
+                return Err(why);
             }
+        };
+        if self.weights.structure == Dssim::SsimBox || self.weights.mrf > 0.0 {
+            self.weights.region = Region::shown(&image);
         }
-        if *share != 1.0 {
-            self.d_frame.rgb.iter_mut().for_each(|g| *g *= share);
+        ms.data += clock.lap();
+        render_into(splats, self.camera, &self.options, workspace, frame);
+        ms.raster_forward += clock.lap();
+        self.result.terms = loss.evaluate(frame, &image, self.options.background, &self.weights, d_frame)?;
+        if self.share != 1.0 {
+            d_frame.rgb.iter_mut().for_each(|g| *g *= self.share);
         }
-        drawn.ms.loss = ms_since(begun);
-        let begun = Instant::now();
-        render_backward_into(splats, camera, options, &mut self.workspace, &self.d_frame, d, &mut self.stats);
-        if *share != 1.0 {
-            self.stats.grad_means2d.as_flattened_mut().iter_mut().for_each(|g| *g /= share);
+        ms.loss += clock.lap();
+        render_backward_into(splats, self.camera, &self.options, workspace, d_frame, grad, stats);
+        if self.share != 1.0 {
+            stats.grad_means2d.as_flattened_mut().iter_mut().for_each(|g| *g /= self.share);
         }
-        drawn.quarantine = quarantine(d);
-        drawn.ms.raster_backward = ms_since(begun);
-        drawn
+        self.result.non_finite = zero_non_finite(grad);
+        self.result.splats = splats.len();
+        ms.raster_backward += clock.lap();
+        Ok(stats)
     }
 }
 
-/// Milliseconds since `begun`.
-pub(super) fn ms_since(begun: Instant) -> f64 {
-    begun.elapsed().as_secs_f64() * 1e3
+/// Milliseconds since the last lap.
+pub(super) struct Stopwatch(Instant);
+
+impl Stopwatch {
+    /// Started now.
+    pub fn new() -> Self {
+        Self(Instant::now())
+    }
+
+    /// Milliseconds since the start or the last lap.
+    pub fn lap(&mut self) -> f64 {
+        let now = Instant::now();
+        let ms = now.duration_since(self.0).as_secs_f64() * 1e3;
+        self.0 = now;
+        ms
+    }
 }

@@ -13,18 +13,20 @@ use crate::support::*;
 use gs_core::{Camera, Splats, Time};
 use gs_deform::field::grid4d::{StillOptions, screen_bound};
 use gs_raster::{Workspace, render};
-use gs_train::method::{Method, RestOptions, overlay};
+use gs_train::capabilities::FreezeOptions;
+use gs_train::method::overlay;
+use gs_train::model::Model;
 use gs_train::saved;
-use gs_train::timestamp::Moment;
+use gs_train::timestamp::Timestamp;
 use gs_train::trainer::{TrainOptions, Trainer};
 use std::sync::Arc;
 
-fn at(t: f32) -> Moment {
-    Moment::new(Time::new(t).expect("time"))
+fn at(t: f32) -> Timestamp {
+    Timestamp::new(Time::new(t).expect("time"))
 }
 
-fn picture(method: &dyn Method, splats: &Splats, camera: &Camera) -> Vec<f32> {
-    let options = method.schedule().raster_options([1.0; 3]);
+fn picture(method: &Model, splats: &Splats, camera: &Camera) -> Vec<f32> {
+    let options = method.raster_options([1.0; 3]);
     render(splats, camera, &options, &mut Workspace::new()).rgb
 }
 
@@ -96,7 +98,7 @@ fn kept_intervals_draw_the_same_bits() {
 #[test]
 fn stages_lead_to_what_is_drawn() {
     let trainer = trained(&modec(""), 60);
-    let (method, camera) = (trainer.method(), &trainer.dataset().train[0].camera);
+    let (method, camera) = (trainer.model(), &trainer.dataset().train[0].camera);
     let stages = method.stages(&at(0.6), camera);
     assert_eq!(stages.iter().map(|s| s.name).collect::<Vec<_>>(), ["global", "local", "full"]);
     let full = &stages[2];
@@ -113,7 +115,7 @@ fn parts_are_left_out_by_name() {
     let names = |ablate: &str| {
         let trainer = trained(&modec(&format!("ablate = \"{ablate}\"")), 1);
         let mut names = std::collections::BTreeSet::new();
-        trainer.method().visit(&mut |p| {
+        trainer.model().visit(&mut |p| {
             names.insert(p.name.split('.').next().unwrap_or_default().to_owned());
         });
         names.into_iter().collect::<Vec<_>>().join(" ")
@@ -152,7 +154,7 @@ fn boundaries_move_and_are_told_of() {
     let moved = passes.iter().any(|line| !line["intervals"]["moves"].as_array().expect("moves").is_empty());
     assert!(moved, "{passes:?}");
     let mut starts = Vec::new();
-    trainer.method().visit(&mut |p| {
+    trainer.model().visit(&mut |p| {
         if p.name == "intervals.starts" {
             starts.clone_from(&p.value);
         }
@@ -166,7 +168,7 @@ fn boundaries_move_and_are_told_of() {
 fn folding_leaves_out_what_pictures_do_not_need() {
     let config = modec("");
     let trainer = trained(&config, 60);
-    let (method, camera) = (trainer.method(), &trainer.dataset().train[0].camera);
+    let (method, camera) = (trainer.model(), &trainer.dataset().train[0].camera);
     let (slim_config, folded) = method.folded(&config).expect("an appearance to fold");
     let (before, after) = (method.splats(&at(0.3), camera), folded.splats(&at(0.3), camera));
     let pictures = (picture(method, &before, camera), picture(&*folded, &after, camera));
@@ -192,7 +194,7 @@ fn a_static_scene_is_the_plain_scaffold() {
             Trainer::new(gs_methods::registry(), Arc::clone(&data), method, config, TrainOptions::default())
                 .expect("trainer");
         run(&mut trainer, 60);
-        let splats = data.train.iter().map(|view| trainer.method().splats(&at(view.time.normalised), &view.camera));
+        let splats = data.train.iter().map(|view| trainer.model().splats(&at(view.time.normalised), &view.camera));
         splats.collect::<Vec<_>>()
     };
     let (plain, emptied) = (drawn("scaffold", &scaffold), drawn("modec", &config));
@@ -203,18 +205,18 @@ fn a_static_scene_is_the_plain_scaffold() {
 #[test]
 fn what_is_baked_stays_within_its_tolerance() {
     let trainer = trained(&modec(""), 60);
-    let method = trainer.method();
+    let method = trainer.model();
     let cameras: Vec<Camera> = trainer.dataset().train.iter().map(|v| v.camera.clone()).collect();
     let mut still = Vec::new();
     for (pixels, shape) in [(0.0, 0.0), (0.05, 1e-3), (0.5, 0.02), (4.0, 0.2)] {
-        let usual = RestOptions::usual(&cameras);
-        let options = RestOptions { shape, still: StillOptions { pixels, ..usual.still }, ..usual };
-        let (resting, report) = method.resting(&options).expect("a field");
+        let usual = FreezeOptions::usual(&cameras);
+        let options = FreezeOptions { shape, still: StillOptions { pixels, ..usual.still }, ..usual };
+        let (resting, report) = method.freeze_static(&options).expect("a field");
         assert!(report.rows.bound_pixels <= pixels && report.shape <= shape, "{report:?}");
         still.push(report.rows.still);
         for step in 0..=20 {
             let t = at(step as f32 / 20.0 * 0.97);
-            let (a, b) = (method.tracked(&t, &cameras[0]), resting.tracked(&t, &cameras[0]));
+            let (a, b) = (method.all_splats(&t, &cameras[0]), resting.all_splats(&t, &cameras[0]));
             for (a, b) in a.means.iter().zip(&b.means) {
                 let off = screen_bound([a.distance(*b), 0.0], *b, &cameras);
                 assert!(off <= 1.5 * pixels + 1e-3, "off by {off} pixels at {step}");
@@ -233,11 +235,11 @@ fn what_is_baked_stays_within_its_tolerance() {
 fn a_change_of_a_parameter_ends_the_rest() {
     let trainer = trained(&modec(""), 60);
     let camera = &trainer.dataset().train[0].camera;
-    let usual = RestOptions::usual(std::slice::from_ref(camera));
-    let options = RestOptions { shape: 1.0, still: StillOptions { pixels: 1e3, ..usual.still }, ..usual };
-    let (mut resting, report) = trainer.method().resting(&options).expect("a field");
+    let usual = FreezeOptions::usual(std::slice::from_ref(camera));
+    let options = FreezeOptions { shape: 1.0, still: StillOptions { pixels: 1e3, ..usual.still }, ..usual };
+    let (mut resting, report) = trainer.model().freeze_static(&options).expect("a field");
     assert!(report.rows.still > 0, "{report:?}");
-    let exact = trainer.method().splats(&at(0.4), camera);
+    let exact = trainer.model().splats(&at(0.4), camera);
     assert_ne!(resting.splats(&at(0.4), camera), exact);
     resting.visit_mut(&mut |_| {});
     assert_eq!(resting.splats(&at(0.4), camera), exact);

@@ -16,9 +16,10 @@ use gs_raster::{FrameGrad, Workspace, render, render_backward};
 use gs_synth::avatar::{self, AvatarOptions, Morphs};
 use gs_train::checkpoint::Checkpoint;
 use gs_train::evaluate::evaluate;
-use gs_train::method::{InitConfig, Method, SceneInfo, overlay};
+use gs_train::method::{InitConfig, SceneInfo, overlay};
+use gs_train::model::Model;
 use gs_train::saved;
-use gs_train::timestamp::Moment;
+use gs_train::timestamp::Timestamp;
 use gs_train::trainer::{TrainError, TrainOptions, Trainer};
 use std::sync::Arc;
 
@@ -73,7 +74,7 @@ fn timeless(mut state: Checkpoint) -> Checkpoint {
 
 /// Mean in-mask PSNR of a split, dB.
 fn in_mask(trainer: &Trainer, data: &Dataset, split: Split) -> f64 {
-    let report = evaluate(trainer.method(), data, split, [0.0; 3], &ImageCache::new(64 << 20, 1.0)).expect("scores");
+    let report = evaluate(trainer.model(), data, split, [0.0; 3], &ImageCache::new(64 << 20, 1.0)).expect("scores");
     report.mean.masked.and_then(|m| m.psnr).expect("masks")
 }
 
@@ -90,12 +91,15 @@ fn presets_build_and_every_parameter_learns() {
         let mut config = gs_methods::registry().find("dut").and_then(|m| m.config(preset)).expect("preset");
         overlay(&mut config, "textures = { unproject = 64, geo = 32, gau = 64 }".parse().unwrap());
         let trainer = start(&data, &config);
-        let method = trainer.method();
+        let method = trainer.model();
         method.visit(&mut |p| assert!(method.schedule().rule(&p.name).is_some(), "{preset} {}", p.name));
-        let at = Moment::new(data.train[0].time);
+        let at = Timestamp::new(data.train[0].time);
         let splats = method.splats(&at, &data.train[0].camera);
-        assert_eq!((splats.check(), splats.len()), (Ok(()), method.len()), "{preset}: {:?}", method.trouble());
-        assert_eq!(method.quantities(&at).iter().map(|q| q.values.len()).collect::<Vec<_>>(), [method.len(); 4]);
+        assert_eq!((splats.check(), splats.len()), (Ok(()), method.splat_count()), "{preset}: {:?}", method.trouble());
+        assert_eq!(
+            method.quantities(&at).iter().map(|q| q.values.len()).collect::<Vec<_>>(),
+            [method.splat_count(); 4]
+        );
     }
 }
 
@@ -117,7 +121,7 @@ fn gradients_match_directional_finite_differences() {
         let mut method = saved::load_with(gs_methods::registry(), &trainer.state(), None, data.avatar.clone())
             .expect("state")
             .method;
-        let (at, camera) = (Moment::new(data.train[0].time), data.train[0].camera.clone());
+        let (at, camera) = (Timestamp::new(data.train[0].time), data.train[0].camera.clone());
         let options = smooth(method.as_ref());
         let weight =
             |i: usize| Rng::new(1, "weights", (i % 3) as u32, (i / 3 / 256 * 4 + i / 3 % 32 / 8) as u64).normal();
@@ -148,7 +152,7 @@ fn bare(data: &Dataset, config: &toml::Table, step: u32) -> Dut {
 #[test]
 fn geometry_and_warm_up_have_the_gradients_of_their_losses() {
     let data = film("cylinder", 32, 2);
-    let at = Moment::new(data.train[0].time);
+    let at = Timestamp::new(data.train[0].time);
     let camera = data.train[0].camera.clone();
     // What cameras see of texels jumps; its gradient is tested where it stands.
     let vertices = config(&[SHORT, "gaunet.clip = 0.0\nsurface.texture = 0.0"]);
@@ -381,7 +385,7 @@ fn a_run_over_another_film_draws_the_same() {
     let mut other = Dataset::clone(&data);
     let person = Arc::make_mut(other.avatar.as_mut().expect("person"));
     person.frames.truncate(1);
-    let at = Moment::new(person.frames[0].time);
+    let at = Timestamp::new(person.frames[0].time);
     let camera = &data.train[0].camera;
     for over in [&[SHORT, "gaunet.residual = true"][..], &[SHORT, DIRECT]] {
         let config = config(over);
@@ -395,7 +399,7 @@ fn a_run_over_another_film_draws_the_same() {
         let (here, there) = (of(&data), of(&other));
         assert!(here.splats(&at, camera) == there.splats(&at, camera), "{over:?}");
         let mean =
-            |method: &dyn Method| -> Vec<Vec<f32>> { method.columns().into_iter().map(|c| c.values.clone()).collect() };
+            |method: &Model| -> Vec<Vec<f32>> { method.columns().into_iter().map(|c| c.values.clone()).collect() };
         assert_eq!(mean(here.as_ref()).len(), 2);
         assert!(mean(here.as_ref()) == mean(there.as_ref()));
         // Made of the other film they differ, and so does what is drawn: a checkpoint without them says nothing of them.
@@ -413,7 +417,7 @@ fn mean_colours_are_made_anew_of_second_textures() {
     let config = config(&[SHORT, "surface.refresh = 2"]);
     let mut trainer = start(&data, &config);
     let mean = |trainer: &Trainer| -> Vec<Vec<f32>> {
-        trainer.method().columns().into_iter().map(|c| c.values.clone()).collect()
+        trainer.model().columns().into_iter().map(|c| c.values.clone()).collect()
     };
     let mut means = vec![mean(&trainer)];
     for _ in 0..7 {
@@ -471,7 +475,7 @@ fn published_behaviour_can_be_asked_for() {
         assert!(report.loss.total.is_finite() && report.loss.mrf.is_some() == drawn, "{step}: {:?}", report.loss);
     }
     assert!(in_mask(&trainer, &data, Split::Test).is_finite());
-    let at = Moment::new(data.train[0].time);
+    let at = Timestamp::new(data.train[0].time);
     let shown = |over: &[&str]| {
         let method = bare(&data, &config(over), 15);
         let second = method.second(&method.actor().scene.frames[1]).expect("frame");
@@ -520,10 +524,10 @@ lr.geo.all = {{ start = 3e-4, end = 1e-5, steps = {steps} }}
         losses.chunks_exact(steps as usize / 6).map(|c| c.iter().sum::<f64>() / c.len() as f64).collect();
     let mut method = bare(&data, &config, steps + 1);
     let mut values = Vec::new();
-    trainer.method().visit(&mut |p| values.push(p.value.clone()));
+    trainer.model().visit(&mut |p| values.push(p.value.clone()));
     let mut values = values.into_iter();
     method.visit_mut(&mut |p| p.value = values.next().expect("block"));
-    let columns = trainer.method().columns();
+    let columns = trainer.model().columns();
     method.columns_mut().into_iter().zip(columns).for_each(|(to, from)| to.values.clone_from(from.values));
     let [all, along] = method.offset_errors().expect("frames").ratio;
     println!("{morph}: RMS error / RMS length {all:.3}, along normals {along:.3}; losses {means:?}");

@@ -17,7 +17,7 @@ use crate::support::*;
 use crate::{dut, support};
 use fearless_simd::{Level, Simd, SimdBase, SimdFloat, dispatch, f32x16};
 use gs_data::Dataset;
-use gs_train::densify::Adapted;
+use gs_train::densify::DensifyStats;
 use gs_train::method::overlay;
 use gs_train::trainer::{TrainOptions, Trainer};
 use std::sync::Arc;
@@ -203,7 +203,7 @@ fn trained(data: &Arc<Dataset>, method: &str, config: &toml::Table) -> (u64, [u3
     let mut trainer = Trainer::new(gs_methods::registry(), data.clone(), method, config, options).expect("trainer");
     assert_eq!(trainer.steps(), STEPS, "{method}");
     let mut edits = [0; 4];
-    for Adapted { cloned, split, pruned, reset } in support::run(&mut trainer, STEPS).iter().map(|r| r.adapted) {
+    for DensifyStats { cloned, split, pruned, reset } in support::run(&mut trainer, STEPS).iter().map(|r| r.adapted) {
         edits.iter_mut().zip([cloned, split, pruned, reset.into()]).for_each(|(sum, n)| *sum += n);
     }
     let mut tensors = trainer.state().tensors;

@@ -48,7 +48,7 @@ fn a_report_shows_where_boundaries_went() {
     );
     assert!(!journal.growth.is_empty() && journal.passes.iter().any(|p| !p.intervals.moves.is_empty()), "{journal:?}");
     let mut starts = Vec::new();
-    training.trainer().method().visit(&mut |p| {
+    training.trainer().model().visit(&mut |p| {
         if p.name == "intervals.starts" {
             starts.clone_from(&p.value);
         }

@@ -8,9 +8,9 @@ use crate::support::*;
 use gs_core::{Rng, Splats, SplatsGrad, Time};
 use gs_data::Dataset;
 use gs_raster::{ClampGrad, FrameGrad, RasterOptions, Workspace, render, render_backward};
-use gs_train::method::Method;
+use gs_train::model::Model;
 use gs_train::saved;
-use gs_train::timestamp::Moment;
+use gs_train::timestamp::Timestamp;
 use gs_train::trainer::{TrainOptions, Trainer};
 
 #[test]
@@ -23,8 +23,8 @@ fn presets_parse_and_build() {
             let built =
                 Trainer::new(gs_methods::registry(), data.clone(), entry.name, &config, TrainOptions::default());
             let trainer = built.unwrap_or_else(|e| panic!("{} {preset}: {e}", entry.name));
-            trainer.method().schedule().check().expect("schedule");
-            assert_eq!(trainer.method().name(), entry.name);
+            trainer.model().schedule().check().expect("schedule");
+            assert_eq!(trainer.model().name(), entry.name);
         }
         assert!(entry.config("none").is_err());
     }
@@ -36,14 +36,14 @@ fn every_parameter_has_a_learning_rate() {
     let data = scene("balls", 32, 4);
     for entry in of_scenes() {
         let trainer = start(entry.name, &data);
-        let schedule = trainer.method().schedule();
-        trainer.method().visit(&mut |p| assert!(schedule.rule(&p.name).is_some(), "{} {}", entry.name, p.name));
+        let schedule = trainer.model().schedule();
+        trainer.model().visit(&mut |p| assert!(schedule.rule(&p.name).is_some(), "{} {}", entry.name, p.name));
     }
 }
 
 /// Drawing without the visible steps at α = 1/255 and T = 1e-4, which a finite difference would trip over.
-pub fn smooth(method: &dyn Method) -> RasterOptions {
-    let options = method.schedule().raster_options([0.2, 0.4, 0.6]);
+pub fn smooth(method: &Model) -> RasterOptions {
+    let options = method.raster_options([0.2, 0.4, 0.6]);
     RasterOptions { min_alpha: 1e-7, stop: 1e-9, clamp_grad: ClampGrad::Exact, ..options }
 }
 
@@ -54,7 +54,7 @@ fn patches() -> Vec<f32> {
 }
 
 /// Loss of a fixed random functional of the frame, in f64.
-fn functional(method: &dyn Method, at: &Moment, data: &Dataset, weights: &[f32]) -> f64 {
+fn functional(method: &Model, at: &Timestamp, data: &Dataset, weights: &[f32]) -> f64 {
     let camera = &data.train[0].camera;
     let options = smooth(method);
     let frame = render(&method.splats(at, camera), camera, &options, &mut Workspace::new());
@@ -76,7 +76,7 @@ fn gradients_match_directional_finite_differences() {
                 .expect("trainer");
         run(&mut trainer, 45);
         let mut method = saved::load(gs_methods::registry(), &trainer.state(), None).expect("state").method;
-        let at = Moment::new(Time::new(0.3).expect("time"));
+        let at = Timestamp::new(Time::new(0.3).expect("time"));
         let camera = data.train[0].camera.clone();
         let options = smooth(method.as_ref());
         let weights = patches();
@@ -94,7 +94,7 @@ fn gradients_match_directional_finite_differences() {
 const ROUNDING: f64 = 1e-5;
 
 /// Moves each block along its own gradient and compares the change of the loss with what the gradient promises.
-pub fn check_blocks(name: &str, method: &mut dyn Method, loss: &mut dyn FnMut(&dyn Method) -> f64) {
+pub fn check_blocks(name: &str, method: &mut Model, loss: &mut dyn FnMut(&Model) -> f64) {
     let mut blocks = Vec::new();
     method.visit(&mut |p| blocks.push((p.name.clone(), p.grad.clone())));
     let total: f64 = blocks.iter().flat_map(|b| &b.1).map(|g| f64::from(*g).powi(2)).sum::<f64>().sqrt();
@@ -141,10 +141,10 @@ fn times_outside_the_range_give_finite_splats() {
         let mut trainer = start(entry.name, &data);
         run(&mut trainer, 40);
         for t in [-10.0, -0.5, 0.0, 1.0, 1.5, 1e6] {
-            let (at, camera) = (Moment::new(Time::new(t).expect("time")), &data.train[0].camera);
-            let (drawn, all) = (trainer.method().splats(&at, camera), trainer.method().tracked(&at, camera));
+            let (at, camera) = (Timestamp::new(Time::new(t).expect("time")), &data.train[0].camera);
+            let (drawn, all) = (trainer.model().splats(&at, camera), trainer.model().all_splats(&at, camera));
             assert_eq!((drawn.check(), all.check()), (Ok(()), Ok(())), "{} at {t}", entry.name);
-            assert_eq!(all.len(), trainer.method().len(), "{}", entry.name);
+            assert_eq!(all.len(), trainer.model().splat_count(), "{}", entry.name);
             let there = all.opacities.iter().filter(|o| **o > 0.0).count();
             assert!(!drawn.is_empty() && drawn.len() <= there, "{} at {t}", entry.name);
         }
@@ -162,12 +162,12 @@ fn growth_edits_every_row_block_together() {
             removed += report.adapted.pruned;
         }
         assert!(grown > 0, "{} has not grown ({removed} removed)", entry.name);
-        check_rows(entry.name, trainer.method());
+        check_rows(entry.name, trainer.model());
     }
 }
 
 /// Every row block has as many rows as the others, with gradients and moments, and so have the columns beside them.
-fn check_rows(name: &str, method: &dyn Method) {
+fn check_rows(name: &str, method: &Model) {
     let mut rows = None;
     method.visit(&mut |p| {
         if let Some(count) = p.row_count() {
@@ -176,7 +176,7 @@ fn check_rows(name: &str, method: &dyn Method) {
         }
     });
     let rows = rows.expect("row blocks");
-    assert!(method.len().is_multiple_of(rows), "{name}");
+    assert!(method.splat_count().is_multiple_of(rows), "{name}");
     for c in method.columns() {
         let wanted = c.row_width.map_or(c.values.len(), |w| w * rows);
         assert_eq!(c.values.len(), wanted, "{name} {}", c.name);

@@ -5,7 +5,7 @@ use gs_core::Time;
 use gs_data::{Dataset, ImageCache, Split};
 use gs_synth::{self as synth, SynthData, SynthOptions};
 use gs_train::evaluate::evaluate;
-use gs_train::timestamp::Moment;
+use gs_train::timestamp::Timestamp;
 use gs_train::trainer::{TrainOptions, Trainer};
 use gs4d_eval::physics_check::{PhysicsOptions, check};
 use std::sync::Arc;
@@ -27,8 +27,8 @@ fn trained(data: &Arc<Dataset>, method: &str, over: &str) -> Trainer {
 }
 
 fn score(trainer: &Trainer, data: &Dataset, split: Split) -> f64 {
-    let background = trainer.method().schedule().background.evaluation_color();
-    let report = evaluate(trainer.method(), data, split, background, &ImageCache::new(64 << 20, 1.0)).expect("scores");
+    let background = trainer.model().background();
+    let report = evaluate(trainer.model(), data, split, background, &ImageCache::new(64 << 20, 1.0)).expect("scores");
     report.mean.psnr.expect("finite scores")
 }
 
@@ -41,7 +41,7 @@ fn a_thrown_ball_is_forecast_and_a_field_alone_cannot() {
     let alone = score(&field, &data, Split::Extrapolate);
     println!("trace {inside:.2} dB inside, {beyond:.2} beyond; defgs {alone:.2} beyond");
     assert!(beyond > alone + 2.0, "{beyond} against {alone}");
-    let particles = trace.method().particles().expect("a law");
+    let particles = trace.method().capabilities().particles.map(|p| p.particles()).expect("a law");
     let report = check(&particles, &scene.truth, &PhysicsOptions::of(&particles, &scene.truth));
     println!("{}", report.to_text());
 }
@@ -53,7 +53,7 @@ fn a_field_alone_follows_while_the_cloud_and_the_law_rest() {
     let mut trainer = trainer(&data, "trace", &format!("density.from = 5\ndensity.every = 10\n{stages}"));
     let values = |trainer: &Trainer, field: bool| {
         let mut all = Vec::new();
-        trainer.method().visit(&mut |p| {
+        trainer.model().visit(&mut |p| {
             if p.name.starts_with("field.") == field {
                 all.extend(p.value.iter().map(|v| v.to_bits()));
             }
@@ -77,11 +77,11 @@ fn a_forecast_does_not_depend_on_what_was_asked_before() {
     for method in ["trace", "trace-4dgs", "defgs-nvfi"] {
         let trainer = trained(&data, method, short);
         let (camera, other) = (&data.train[0].camera, trained(&data, method, short));
-        let at = |t: f32| Moment::new(Time::new(t).expect("time"));
+        let at = |t: f32| Timestamp::new(Time::new(t).expect("time"));
         let times = [1.5, 0.8, 1.0, 0.2, 1.5, 3.0, 0.9];
-        let asked: Vec<_> = times.iter().map(|t| trainer.method().splats(&at(*t), camera)).collect();
+        let asked: Vec<_> = times.iter().map(|t| trainer.model().splats(&at(*t), camera)).collect();
         for (t, splats) in times.iter().zip(asked).rev() {
-            assert_eq!(other.method().splats(&at(*t), camera), splats, "{method} at {t}");
+            assert_eq!(other.model().splats(&at(*t), camera), splats, "{method} at {t}");
         }
     }
 }
@@ -94,16 +94,16 @@ const SHORT: &str = "[schedule.stages.warm_up]\nsteps = 20\n[schedule.stages.dyn
 fn parts_of_the_law_can_be_left_out() {
     let data = Arc::new(mechanics("falling").dataset);
     let of = |over: &str| trained(&data, "trace", &format!("{over}\n{SHORT}"));
-    let at = |t: f32| Moment::new(Time::new(t).expect("time"));
-    let ahead = |trainer: &Trainer| trainer.method().splats(&at(1.0), &data.train[0].camera).means;
+    let at = |t: f32| Timestamp::new(Time::new(t).expect("time"));
+    let ahead = |trainer: &Trainer| trainer.model().splats(&at(1.0), &data.train[0].camera).means;
     let outputs = |trainer: &Trainer| {
         let mut last = 0;
-        trainer.method().visit(&mut |p| last = if p.name.starts_with("physics.") { p.value.len() } else { last });
+        trainer.model().visit(&mut |p| last = if p.name.starts_with("physics.") { p.value.len() } else { last });
         last
     };
     let has_field = |trainer: &Trainer| {
         let mut found = false;
-        trainer.method().visit(&mut |p| found |= p.name.starts_with("field."));
+        trainer.model().visit(&mut |p| found |= p.name.starts_with("field."));
         found
     };
     let full = of("");
@@ -120,7 +120,8 @@ fn parts_of_the_law_can_be_left_out() {
     for (over, rows) in variants {
         let other = of(over);
         assert_eq!((outputs(&other), has_field(&other)), (rows, !over.contains("field")), "{over}");
-        let (means, particles) = (ahead(&other), other.method().particles().expect("a law"));
+        let (means, particles) =
+            (ahead(&other), other.model().capabilities().particles.map(|p| p.particles()).expect("a law"));
         assert!(means.iter().all(|x| x.is_finite()) && means != ahead(&full), "{over}");
         assert_eq!(particles.at == 0.0, over.contains("field"), "{over}: who rules from the first moment on");
         let rates = particles.motions.iter().any(|m| m.rate.v != [0.0; 3]);

@@ -4,7 +4,7 @@ use crate::support::*;
 use gs_data::{Dataset, ImageCache, Split};
 use gs_raster::{Workspace, render};
 use gs_train::evaluate::{EvalError, evaluate};
-use gs_train::timestamp::Moment;
+use gs_train::timestamp::Timestamp;
 use gs4d_eval::folders::TofOptions;
 use gs4d_eval::temporal::{TemporalError, tof};
 
@@ -13,13 +13,13 @@ fn a_report_holds_the_scores_of_the_drawn_frames() {
     let data = scene("balls", 32, 6);
     let mut trainer = start("fourdgs", &data);
     run(&mut trainer, 40);
-    let (method, white) = (trainer.method(), [1.0; 3]);
+    let (method, white) = (trainer.model(), [1.0; 3]);
     let photographs = ImageCache::new(1 << 20, 1.0);
     let report = evaluate(method, &data, Split::Test, white, &photographs).expect("scores");
     let mut errors = Vec::new();
     for (view, scores) in data.test.iter().zip(&report.views) {
-        let splats = method.splats(&Moment::new(view.time), &view.camera);
-        let options = method.schedule().raster_options(white);
+        let splats = method.splats(&Timestamp::new(view.time), &view.camera);
+        let options = method.raster_options(white);
         let frame = render(&splats, &view.camera, &options, &mut Workspace::new());
         let truth = photographs.get(view).expect("photograph").over(white);
         let square = |(a, b): (&f32, &f32)| f64::from(a.clamp(0.0, 1.0) - b).powi(2);
@@ -34,7 +34,7 @@ fn a_report_holds_the_scores_of_the_drawn_frames() {
     let of_mean = -10.0 * (errors.iter().sum::<f64>() / errors.len() as f64).log10();
     assert!((report.mean.psnr.expect("mean") - mean).abs() < 1e-4);
     assert!((report.psnr_of_mean_mse.expect("mean") - of_mean).abs() < 1e-4 && of_mean <= mean);
-    assert_eq!((report.gaussians, report.split.as_str(), report.perfect_views), (method.len(), "test", 0));
+    assert_eq!((report.gaussians, report.split.as_str(), report.perfect_views), (method.splat_count(), "test", 0));
     assert_eq!(report.parameter_bytes, 4 * method.param_count() as u64);
     let empty = evaluate(method, &data, Split::Val, white, &photographs);
     assert!(matches!(empty, Err(EvalError::NoViews("val"))));
@@ -62,7 +62,7 @@ fn motion_is_scored_along_videos_only() {
     run(&mut trainer, 20);
     let photographs = ImageCache::new(1 << 20, 1.0);
     let whole = TofOptions { trim: false, crop: false };
-    let score = |data: &Dataset| tof(trainer.method(), data, Split::Test, [0.0; 3], &photographs, whole);
+    let score = |data: &Dataset| tof(trainer.model(), data, Split::Test, [0.0; 3], &photographs, whole);
     let film = score(&filmed(&data, 4, 0.02)).expect("a video");
     assert_eq!(film.pairs.iter().map(|p| p.name.as_str()).collect::<Vec<_>>(), ["film 1", "film 2", "film 3"]);
     assert!(film.mean.is_finite() && film.mean >= 0.0);

@@ -7,8 +7,8 @@
 //! (the derivatives of the path `x' = v̄(τ) + w(τ) × (x − o)`). Splats that are not visible anywhere do not count.
 
 use super::Clock;
+use crate::particles::Particles;
 use glam::Vec3;
-use gs_train::method::Particles;
 use gs4d_report::inspect::INVISIBLE_OPACITY;
 use serde::Serialize;
 

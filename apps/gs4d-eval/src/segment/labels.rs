@@ -8,8 +8,10 @@ use gs_physics::{Motion, Twist};
 use serde::Serialize;
 
 use super::SegmentError;
-use gs_train::method::{Method, Particles};
-use gs_train::renderer::moment;
+use crate::particles::Particles;
+use gs_train::method::MethodError;
+use gs_train::model::Model;
+use gs_train::timestamp::Timestamp;
 use gs4d_report::needs::neutral_camera;
 
 /// How many parts are sought.
@@ -95,19 +97,20 @@ pub struct Labels {
 ///
 /// # Errors
 /// If its splats are not the same ones at every moment, or there is none.
-pub fn segment(method: &dyn Method, options: &Options) -> Result<Labels, SegmentError> {
+pub fn segment(method: &Model, options: &Options) -> Result<Labels, SegmentError> {
     let camera = neutral_camera();
     let none = || SegmentError::NoPaths(method.name().to_owned());
-    let learnt = method.particles();
+    let learnt = Particles::of(method);
     let at = options.at.unwrap_or_else(|| learnt.as_ref().map_or(options.observed, |p| p.at as f32));
     let steps = options.moments.max(2);
     let times: Vec<f32> = (0..steps).map(|k| at * k as f32 / (steps - 1) as f32).collect();
-    let frames: Vec<Vec<Vec3>> = times.iter().map(|t| method.tracked(&moment(*t), &camera).means).collect();
+    let means = |t: &f32| Ok(method.all_splats(&Timestamp::normalised(*t), &camera)?.means);
+    let frames = times.iter().map(means).collect::<Result<Vec<Vec<Vec3>>, MethodError>>()?;
     let lasting = frames.iter().all(|f| f.len() == frames[0].len()) && !frames[0].is_empty();
     if !lasting || learnt.as_ref().is_some_and(|p| p.motions.len() != frames[0].len()) {
         return Err(none());
     }
-    let splats = method.tracked(&moment(at), &camera);
+    let splats = method.all_splats(&Timestamp::normalised(at), &camera)?;
     if let Some(p) = learnt {
         let later = f64::from(at) - p.at;
         let motions = p.motions.iter().map(|m| m.from(later as f32)).collect();
@@ -115,7 +118,7 @@ pub fn segment(method: &dyn Method, options: &Options) -> Result<Labels, Segment
         let resting = at_rest(&frames, options.static_path * radius(&particles));
         return Ok(of_particles(particles, resting, options));
     }
-    let motions = straight(method, at);
+    let motions = straight(method, at)?;
     let origin = centre(&splats.means, &splats.opacities);
     let particles = Particles { at: at.into(), splats, motions, origin };
     let resting = at_rest(&frames, options.static_path * radius(&particles));
@@ -194,13 +197,14 @@ fn at_rest(frames: &[Vec<Vec3>], reach: f32) -> Vec<bool> {
 }
 
 /// The velocity of every splat at a moment as a motion, by a central difference of a hundredth of the span.
-fn straight(method: &dyn Method, at: f32) -> Vec<Motion<f32>> {
+fn straight(method: &Model, at: f32) -> Result<Vec<Motion<f32>>, MethodError> {
     const STEP: f32 = 0.005;
     let camera = neutral_camera();
-    let [before, after] = [at - STEP, at + STEP].map(|t| method.tracked(&moment(t), &camera).means);
+    let means = |t| method.all_splats(&Timestamp::normalised(t), &camera).map(|s| s.means);
+    let (before, after) = (means(at - STEP)?, means(at + STEP)?);
     let motion = |(b, a): (&Vec3, &Vec3)| {
         let v = ((*a - *b) / (2.0 * STEP)).to_array();
         Motion { twist: Twist { v, w: [0.0; 3] }, ..Motion::default() }
     };
-    before.iter().zip(&after).map(motion).collect()
+    Ok(before.iter().zip(&after).map(motion).collect())
 }

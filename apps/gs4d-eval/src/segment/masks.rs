@@ -8,7 +8,7 @@
 use gs_core::{Camera, Color, Splats};
 
 use gs_raster::RasterOptions;
-use gs_train::renderer::Painter;
+use gs_train::renderer::Renderer;
 
 /// What part each pixel shows. 0 is the background, `k + 1` the part `k`.
 #[derive(Clone, Debug, PartialEq)]
@@ -25,13 +25,13 @@ pub struct Mask {
 
 /// Draws masks, reusing memory.
 pub struct Masker {
-    painter: Painter,
+    renderer: Renderer,
 }
 
 impl Masker {
     /// Draws as `options` say, over nothing.
     pub fn new(options: RasterOptions) -> Self {
-        Self { painter: Painter::new(RasterOptions { background: [0.0; 3], ..options }) }
+        Self { renderer: Renderer::new(RasterOptions { background: [0.0; 3], ..options }) }
     }
 
     /// The mask of `splats` with labels `< k`, one each.
@@ -43,7 +43,7 @@ impl Masker {
         for first in (0..k.max(1) as u32).step_by(3) {
             let one_hot = |l: &u32| std::array::from_fn(|c| f32::from(*l == first + c as u32));
             drawn.color = Color::Rgb(labels.iter().map(one_hot).collect());
-            let frame = self.painter.draw(&drawn, camera);
+            let frame = self.renderer.render(&drawn, camera);
             if first == 0 {
                 mask.confidence.iter_mut().zip(&frame.alpha).for_each(|(c, a)| *c = 1.0 - a);
             }

@@ -9,9 +9,9 @@ use serde::Serialize;
 use super::{Labels, Mask, Masker, SegmentError, TrueLabels, color};
 use gs_data::{ImageCache, View};
 use gs_train::evaluate::clamped;
-use gs_train::method::Method;
-use gs_train::renderer::Painter;
-use gs_train::timestamp::Moment;
+use gs_train::model::Model;
+use gs_train::renderer::Renderer;
+use gs_train::timestamp::Timestamp;
 
 /// How masks were compared, in words, for the report.
 pub const PROTOCOL: &str = "an id of a view is matched at IoU >= 0.5, background is an id; counts over all views; \
@@ -87,18 +87,18 @@ impl ViewMask<'_> {
 /// # Errors
 /// If true labels cannot be read or do not fit; and whatever `each` returns.
 pub fn study<'a, E: From<SegmentError>>(
-    method: &dyn Method,
+    method: &Model,
     labels: &Labels,
     (split, views): (&str, &'a [View]),
     truth: Option<&TrueLabels>,
     (photographs, background): (&ImageCache, [f32; 3]),
     mut each: impl FnMut(ViewMask<'_>) -> Result<(), E>,
 ) -> Result<Option<Scores>, E> {
-    let options = method.schedule().raster_options(background);
-    let (mut masker, mut painter) = (Masker::new(options.clone()), Painter::new(options));
+    let options = method.raster_options(background);
+    let (mut masker, mut renderer) = (Masker::new(options.clone()), Renderer::new(options));
     let mut look = |view: &'a View| -> Result<_, SegmentError> {
         let camera = photographs.camera(view);
-        let splats = method.tracked(&Moment::new(view.time), &camera);
+        let splats = method.all_splats(&Timestamp::new(view.time), &camera)?;
         let mask = masker.draw(&splats, &labels.of, labels.k, &camera);
         let truth = truth.map(|t| t.of(view, split, &camera)).transpose()?.flatten();
         Ok((mask, truth, splats, camera))
@@ -117,7 +117,7 @@ pub fn study<'a, E: From<SegmentError>>(
         if let Some(truth) = &truth {
             all.add(&mask.ids, truth, &mask.confidence).map_err(SegmentError::from)?;
         }
-        let picture = clamped(painter.draw(&splats, &camera));
+        let picture = clamped(renderer.render(&splats, &camera));
         each(ViewMask { view, mask, truth, shown_as: &shown_as, picture })?;
     }
     Ok(all.scores().map(Scores::from))

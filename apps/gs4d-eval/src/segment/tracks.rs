@@ -9,8 +9,10 @@ use gs_physics::complexity::{Complexity, ImageTracks, STATIC_PATH, complexity};
 
 use crate::stage_motion::{Anchor, Motion, model_motion};
 use gs_data::Dataset;
-use gs_train::method::Method;
-use gs_train::renderer::{Painter, moment};
+use gs_train::method::MethodError;
+use gs_train::model::Model;
+use gs_train::renderer::Renderer;
+use gs_train::timestamp::Timestamp;
 
 /// Most pixels of one view that are followed (the paper follows 40 000).
 pub const POINTS: usize = 10_000;
@@ -19,7 +21,10 @@ const VIEWS: usize = 4;
 const TIMES: usize = 61;
 
 /// Of a method as the training cameras of a data set see it (at most 4, at most 61 of the training times).
-pub fn scene_complexity(method: &dyn Method, data: &Dataset) -> Complexity {
+///
+/// # Errors
+/// If the method cannot be asked for its splats.
+pub fn scene_complexity(method: &Model, data: &Dataset) -> Result<Complexity, MethodError> {
     let mut times: Vec<f32> = data.train.iter().map(|v| v.time.normalised).collect();
     times.sort_unstable_by(f32::total_cmp);
     times.dedup();
@@ -29,24 +34,29 @@ pub fn scene_complexity(method: &dyn Method, data: &Dataset) -> Complexity {
     ids.dedup();
     let chosen = ids.iter().step_by(ids.len().div_ceil(VIEWS).max(1));
     let cameras = chosen.filter_map(|id| data.train.iter().find(|v| v.camera_id == *id)).map(|v| v.camera.clone());
-    complexity(&tracks(method, &cameras.collect::<Vec<_>>(), &times, POINTS), STATIC_PATH)
+    Ok(complexity(&tracks(method, &cameras.collect::<Vec<_>>(), &times, POINTS)?, STATIC_PATH))
 }
 
 /// Follows at most `points` pixels of each camera, on a lattice, from the first time on.
-pub fn tracks(method: &dyn Method, cameras: &[Camera], times: &[f32], points: usize) -> Vec<ImageTracks> {
-    let (Some(start), Some(looks)) = (times.first(), cameras.first()) else { return Vec::new() };
-    let mut painter = Painter::new(method.schedule().raster_options([0.0; 3]));
+pub fn tracks(
+    method: &Model,
+    cameras: &[Camera],
+    times: &[f32],
+    points: usize,
+) -> Result<Vec<ImageTracks>, MethodError> {
+    let (Some(start), Some(looks)) = (times.first(), cameras.first()) else { return Ok(Vec::new()) };
+    let mut renderer = Renderer::new(method.raster_options([0.0; 3]));
     let mut followed: Vec<Lattice> = cameras.iter().map(|c| Lattice::new(c, points)).collect();
-    let first = method.tracked(&moment(*start), looks);
+    let first = method.all_splats(&Timestamp::normalised(*start), looks)?;
     for time in times {
         let mut later = first.clone();
-        later.means = method.tracked(&moment(*time), looks).means;
+        later.means = method.all_splats(&Timestamp::normalised(*time), looks)?.means;
         for (lattice, camera) in followed.iter_mut().zip(cameras) {
-            let motion = model_motion(&mut painter, camera, &later, &first.means, Anchor::Earlier);
+            let motion = model_motion(&mut renderer, camera, &later, &first.means, Anchor::Earlier);
             lattice.add(&motion);
         }
     }
-    followed.into_iter().map(|lattice| lattice.finish(times)).collect()
+    Ok(followed.into_iter().map(|lattice| lattice.finish(times)).collect())
 }
 
 /// The pixels of one camera that are followed.

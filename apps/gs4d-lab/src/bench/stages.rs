@@ -7,7 +7,6 @@ use gs_method_texel::{Dut, FrameError};
 use gs_raster::{Workspace, render};
 use gs_texel::bvh::Tracer;
 use gs_texel::texels::{TexelOptions, TexelTable};
-use gs_train::method::Method;
 use serde::Serialize;
 use std::time::Instant;
 
@@ -182,7 +181,7 @@ impl Bench<'_> {
         marks.push(Instant::now());
         if let Some((camera, _)) = photographs.first() {
             let camera = camera.scaled(f64::from(self.size) / f64::from(camera.width));
-            render(&splats, &camera, &dut.schedule().raster_options([0.0; 3]), &mut self.workspace);
+            render(&splats, &camera, &dut.raster_options(), &mut self.workspace);
         }
         marks.push(Instant::now());
         Ok(std::array::from_fn(|k| (marks[k + 1] - marks[k]).as_secs_f64() * 1e3))

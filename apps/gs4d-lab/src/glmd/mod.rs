@@ -33,8 +33,10 @@ use gs_metrics::flow::Flow;
 use serde::Serialize;
 
 use gs_train::evaluate::clamped;
-use gs_train::method::Method;
-use gs_train::renderer::{Painter, moment};
+use gs_train::method::MethodError;
+use gs_train::model::Model;
+use gs_train::renderer::Renderer;
+use gs_train::timestamp::Timestamp;
 use gs4d_report::ReportError;
 use gs4d_report::analysis::Histogram;
 
@@ -98,6 +100,9 @@ pub struct Switches {
 /// Why there is nothing to see.
 #[derive(Debug, thiserror::Error)]
 pub enum GlmdError {
+    /// The method cannot be asked for its splats.
+    #[error(transparent)]
+    Method(#[from] MethodError),
     /// The method moves nothing.
     #[error("method `{0}` has one stage only: there is no motion between stages")]
     OneStage(String),
@@ -118,7 +123,7 @@ pub enum GlmdError {
 /// If the method has one stage only, a mask has another size than the camera, or their number fits neither one nor the moments;
 /// and whatever `each` returns.
 pub fn study<E: From<GlmdError>>(
-    method: &dyn Method,
+    method: &Model,
     camera: &Camera,
     background: [f32; 3],
     masks: &Masks,
@@ -126,38 +131,41 @@ pub fn study<E: From<GlmdError>>(
     mut each: impl FnMut(Still) -> Result<(), E>,
 ) -> Result<(), E> {
     masks.check(camera, options.times.len())?;
-    let mut painter = Painter::new(method.schedule().raster_options(background));
+    let mut renderer = Renderer::new(method.raster_options(background));
     for (k, &time) in options.times.iter().enumerate() {
-        each(look(method, camera, &mut painter, time, options, |flow| masks.at(k, time, camera, flow))?)?;
+        each(look(method, camera, &mut renderer, time, options, |flow| masks.at(k, time, camera, flow))?)?;
     }
     Ok(())
 }
 
 /// What the method says of its anchors at a moment.
-pub fn switches(method: &dyn Method, time: f32) -> Switches {
-    let quantities = method.quantities(&moment(time));
+///
+/// # Errors
+/// If the method cannot be asked.
+pub fn switches(method: &Model, time: f32) -> Result<Switches, MethodError> {
+    let quantities = method.quantities(&Timestamp::normalised(time))?;
     let find = |name: &str| quantities.iter().find(|q| q.name == name && !q.values.is_empty());
     let share = |values: &[f32]| values.iter().filter(|v| **v > MOVES).count() as f64 / values.len() as f64;
-    Switches {
+    Ok(Switches {
         global: find("global").map(|q| share(&q.values)),
         local: find("local").map(|q| Histogram::of("local", Some(time), q.span(), &q.values)),
-    }
+    })
 }
 
 fn look(
-    method: &dyn Method,
+    method: &Model,
     camera: &Camera,
-    painter: &mut Painter,
+    renderer: &mut Renderer,
     time: f32,
     options: &Options,
     mask: impl FnOnce(&Flow) -> Image,
 ) -> Result<Still, GlmdError> {
-    let stages = method.stages(&moment(time), camera);
+    let stages = method.stages(&Timestamp::normalised(time), camera)?;
     let pictures: Vec<(&'static str, Image)> =
-        stages.iter().map(|s| (s.name, clamped(painter.draw(&s.splats, camera)))).collect();
+        stages.iter().map(|s| (s.name, clamped(renderer.render(&s.splats, camera)))).collect();
     let motions: Vec<Motion> = stages
         .iter()
-        .filter_map(|s| Some(model_motion(painter, camera, &s.splats, s.before.as_ref()?, options.anchor)))
+        .filter_map(|s| Some(model_motion(renderer, camera, &s.splats, s.before.as_ref()?, options.anchor)))
         .collect();
     let Some(first) = motions.first().filter(|_| motions.len() + 1 == stages.len()) else {
         return Err(GlmdError::OneStage(method.name().to_owned()));
@@ -208,7 +216,7 @@ mod tests {
     };
 
     /// A method at its beginning, its data, and the truth.
-    fn begun(name: &str) -> (Box<dyn Method>, synth::SynthData) {
+    fn begun(name: &str) -> (Model, synth::SynthData) {
         let options = SynthOptions { size: 48, train_views: 4, val_views: 0, test_views: 1, ..SynthOptions::default() };
         let data = synth::generate("reach", &options).unwrap();
         let entry = gs_methods::registry().find(name).unwrap();
@@ -219,12 +227,7 @@ mod tests {
         (method, data)
     }
 
-    fn stills(
-        method: &dyn Method,
-        data: &synth::SynthData,
-        masks: &Masks,
-        times: &[f32],
-    ) -> Result<Vec<Still>, GlmdError> {
+    fn stills(method: &Model, data: &synth::SynthData, masks: &Masks, times: &[f32]) -> Result<Vec<Still>, GlmdError> {
         let (mut all, options) = (Vec::new(), Options { times: times.to_vec(), ..ALL });
         study(method, &data.dataset.test[0].camera, [0.0; 3], masks, &options, |still| {
             all.push(still);

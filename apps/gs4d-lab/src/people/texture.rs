@@ -6,8 +6,8 @@ use super::{Cell, Chart, Findings, LabError, Setup, Subject, Tell, Trained};
 use gs_core::Params;
 use gs_method_texel::Dut;
 use gs_texel::unproject::UnprojectConfig;
-use gs_train::method::Method;
-use gs_train::timestamp::Moment;
+use gs_train::method::{Method, MethodError};
+use gs_train::timestamp::Timestamp;
 use std::time::Instant;
 
 /// Unprojects at every size, and with a recipe trains texel Gaussians of every size.
@@ -59,18 +59,18 @@ fn gaussians(subject: &Subject, setup: &Setup, side: usize, tell: &mut Tell<'_>)
     let report = trained.scores(&subject.film, &[])?;
     let dut = trained.on(&subject.film, &[])?;
     let megabytes = 4.0 * Params::param_count(&dut) as f64 * 1e-6;
-    let mut row: Vec<Cell> = vec!["Gaussians".into(), (side as f64).into(), (dut.len() as f64).into()];
-    row.extend([megabytes.into(), None.into(), None.into(), ms_a_frame(&dut, subject).into()]);
+    let mut row: Vec<Cell> = vec!["Gaussians".into(), (side as f64).into(), (dut.splat_count() as f64).into()];
+    row.extend([megabytes.into(), None.into(), None.into(), ms_a_frame(&dut, subject)?.into()]);
     row.extend(scores(Some(&report)).map(Cell::from));
     Ok(row)
 }
 
 /// Milliseconds until a new frame's Gaussians are there.
-fn ms_a_frame(dut: &Dut, subject: &Subject) -> f64 {
+fn ms_a_frame(dut: &Dut, subject: &Subject) -> Result<f64, MethodError> {
     let frames = &subject.scene.frames;
     let begun = Instant::now();
     for frame in frames {
-        dut.splats(&Moment::new(frame.time), &frame.inputs[0].camera);
+        dut.splats(&Timestamp::new(frame.time), &frame.inputs[0].camera)?;
     }
-    begun.elapsed().as_secs_f64() * 1e3 / frames.len() as f64
+    Ok(begun.elapsed().as_secs_f64() * 1e3 / frames.len() as f64)
 }

@@ -7,7 +7,8 @@ use gs_method_texel::{Config, Dut, ENTRY};
 use gs_metrics::Mean;
 use gs_train::checkpoint::Checkpoint;
 use gs_train::evaluate::{EvalReport, ViewScores, evaluate};
-use gs_train::method::{InitConfig, Method, MethodError, SceneInfo, overlay, parse_config, section};
+use gs_train::method::{Buffers, InitConfig, Method, MethodError, SceneInfo, overlay, parse_config, section};
+use gs_train::model::Model;
 use gs_train::saved::{RunState, save};
 use gs_train::trainer::{TrainOptions, Trainer};
 use gs4d_run::OpenRun;
@@ -56,7 +57,7 @@ impl Trained {
     /// # Errors
     /// If it is another.
     pub fn of_run(run: &OpenRun) -> Result<Self, LabError> {
-        let method = run.loaded.method.as_ref();
+        let method = &run.loaded.model;
         if method.name() != ENTRY.name {
             let name = method.name();
             return Err(LabError::Unfit(format!("the run is of the method {name}; a run of {} is needed", ENTRY.name)));
@@ -64,12 +65,14 @@ impl Trained {
         Ok(Self::keep(method, run.loaded.config.clone(), run.loaded.step))
     }
 
-    fn keep(method: &dyn Method, config: toml::Table, step: u32) -> Self {
+    fn keep(method: &Model, config: toml::Table, step: u32) -> Self {
         let mut values = BTreeMap::new();
         method.visit(&mut |p| {
             values.insert(p.name.clone(), p.value.clone());
         });
-        values.extend(method.columns().into_iter().map(|c| (c.name.to_owned(), c.values.clone())));
+        method.buffers(&mut |b| {
+            values.insert(b.name.to_owned(), b.values.clone());
+        });
         Self { config, values, step }
     }
 
@@ -100,7 +103,7 @@ impl Trained {
         }
         let seconds = trainer.train_seconds();
         tell(&format!("trained for {seconds:.0} s"));
-        Ok(Self::keep(trainer.method(), config, trainer.steps()))
+        Ok(Self::keep(trainer.model(), config, trainer.steps()))
     }
 
     /// The method on a film, under its settings with some changed (`KEY=VALUE`).
@@ -110,27 +113,35 @@ impl Trained {
     pub fn on(&self, film: &Dataset, changes: &[&str]) -> Result<Dut, LabError> {
         let config = self.changed(changes)?;
         let init: InitConfig = section(ENTRY.name, &config, "init")?;
-        let mut dut = Dut::new(parse_config::<Config>(ENTRY.name, &config)?, &SceneInfo::of(film, &init, 0)?)?;
+        let parsed: Config = parse_config(ENTRY.name, &config)?;
+        let schedule = parsed.schedule.clone();
+        let mut dut = Dut::new(parsed, &SceneInfo::of(film, &init, 0)?)?;
         let mut wrong = None;
         dut.visit_mut(&mut |p| match self.values.get(&p.name) {
             Some(values) if values.len() == p.len() => p.value.clone_from(values),
             _ => wrong = Some(p.name.clone()),
         });
-        for column in dut.columns_mut() {
-            match self.values.get(column.name) {
-                Some(values) if values.len() == column.values.len() => column.values.clone_from(values),
-                // Not asked for when it learnt.
-                None => {}
-                Some(_) => wrong = Some(column.name.to_owned()),
-            }
-        }
+        dut.buffers_mut(&mut |b| match self.values.get(b.name) {
+            Some(values) if values.len() == b.values.len() => b.values.clone_from(values),
+            // Not asked for when it learnt.
+            None => {}
+            Some(_) => wrong = Some(b.name.to_owned()),
+        });
         if let Some(name) = wrong {
             let what =
                 format!("the values of `{name}` do not fit; film and settings must be of the person learnt from");
             return Err(LabError::Unfit(what));
         }
-        dut.set_step(self.step);
+        dut.begin_step(&schedule.at(self.step));
         Ok(dut)
+    }
+
+    /// The same as a model.
+    fn model(&self, film: &Dataset, changes: &[&str]) -> Result<Model, LabError> {
+        let schedule = parse_config::<Config>(ENTRY.name, &self.changed(changes)?)?.schedule;
+        let mut model = Model::new(ENTRY.name, self.on(film, changes)?, schedule)?;
+        model.begin_step(self.step);
+        Ok(model)
     }
 
     fn changed(&self, changes: &[&str]) -> Result<toml::Table, LabError> {
@@ -151,15 +162,9 @@ impl Trained {
         let main = format!("schedule.stages.main.steps={steps}");
         let config =
             self.changed(&["schedule.stages.geometry.steps=0", "schedule.stages.warm_up.steps=0", main.as_str()])?;
-        let (dut, scene) = (self.on(film, &[])?, SceneInfo::of(film, &section(ENTRY.name, &config, "init")?, seed)?);
-        let run = RunState {
-            method: ENTRY.name,
-            config: &config,
-            scene: &scene,
-            step: 0,
-            adam_updates: &BTreeMap::new(),
-            train_seconds: 0.0,
-        };
+        let (dut, scene) = (self.model(film, &[])?, SceneInfo::of(film, &section(ENTRY.name, &config, "init")?, seed)?);
+        let run =
+            RunState { config: &config, scene: &scene, step: 0, adam_updates: &BTreeMap::new(), train_seconds: 0.0 };
         let start: Checkpoint = save(&dut, &run);
         let trainer = Trainer::resume(&registry(), Arc::new(film.clone()), &start, None, IMAGE_BYTES)?;
         Self::train(trainer, config, "under the other light", tell)
@@ -170,7 +175,7 @@ impl Trained {
     /// # Errors
     /// As [`evaluate`].
     pub fn scores(&self, film: &Dataset, changes: &[&str]) -> Result<EvalReport, LabError> {
-        let dut = self.on(film, changes)?;
+        let dut = self.model(film, changes)?;
         Ok(evaluate(&dut, film, Split::Test, [0.0; 3], &ImageCache::new(IMAGE_BYTES, 1.0))?)
     }
 }

@@ -5,8 +5,9 @@ use crate::Need;
 use gs_core::{Camera, Time};
 use gs_raster::tiles::TILE;
 use gs_raster::{Frame, RasterOptions, Workspace, render_into};
-use gs_train::method::Method;
-use gs_train::timestamp::Moment;
+use gs_train::method::MethodError;
+use gs_train::model::Model;
+use gs_train::timestamp::Timestamp;
 use serde::Serialize;
 
 /// What views of a scene take to draw, on average over them.
@@ -28,16 +29,19 @@ pub struct Economy {
 
 impl Economy {
     /// Of a method seen by these cameras at these times; `None` without a view or splats.
+    ///
+    /// # Errors
+    /// If a view cannot be rendered.
     pub fn of(
-        method: &dyn Method,
+        method: &Model,
         views: &[(Camera, Time)],
         options: &RasterOptions,
         psnr: Option<f64>,
-    ) -> Option<Self> {
+    ) -> Result<Option<Self>, MethodError> {
         let (mut workspace, mut frame) = (Workspace::new(), Frame::default());
         let (mut listed, mut used, mut walked, mut tiles, mut pixels) = (0usize, 0usize, 0u64, 0usize, 0usize);
         for (camera, time) in views {
-            let splats = method.splats(&Moment::new(*time), camera);
+            let splats = method.splats(&Timestamp::new(*time), camera)?;
             render_into(&splats, camera, options, &mut workspace, &mut frame);
             listed += workspace.entries();
             used += workspace.entries_used();
@@ -45,14 +49,14 @@ impl Economy {
             tiles += frame.width.div_ceil(TILE) * frame.height.div_ceil(TILE);
             pixels += frame.width * frame.height;
         }
-        (tiles > 0 && !method.is_empty()).then(|| Self {
-            splats: method.len(),
-            tiles_per_splat: listed as f64 / (views.len() * method.len()) as f64,
+        Ok((tiles > 0 && method.splat_count() > 0).then(|| Self {
+            splats: method.splat_count(),
+            tiles_per_splat: listed as f64 / (views.len() * method.splat_count()) as f64,
             listed_per_tile: listed as f64 / tiles as f64,
             used_per_tile: used as f64 / tiles as f64,
             walked_per_pixel: walked as f64 / pixels as f64,
             psnr,
-        })
+        }))
     }
 
     /// As rows of a table.

@@ -2,8 +2,10 @@
 
 use super::row;
 use crate::Need;
-use gs_train::method::{Method, Quantity};
-use gs_train::renderer::moment;
+use gs_train::capabilities::Quantity;
+use gs_train::method::MethodError;
+use gs_train::model::Model;
+use gs_train::timestamp::Timestamp;
 use serde::{Deserialize, Serialize};
 
 /// Bins over the span of a quantity.
@@ -102,9 +104,13 @@ pub struct Snapshot {
 
 impl Snapshot {
     /// Of a method as it is now.
-    pub fn of(method: &dyn Method) -> Self {
+    ///
+    /// # Errors
+    /// If the method cannot tell its attributes.
+    pub fn of(method: &Model) -> Result<Self, MethodError> {
         let times: Vec<f32> = (0..TIMES).map(|k| k as f32 / (TIMES - 1) as f32).collect();
-        let seen: Vec<Vec<Quantity>> = times.iter().map(|&t| method.quantities(&moment(t))).collect();
+        let seen = times.iter().map(|&t| method.quantities(&Timestamp::normalised(t)));
+        let seen = seen.collect::<Result<Vec<Vec<Quantity>>, _>>()?;
         let (mut whole, mut each, mut classes) = (Vec::new(), Vec::new(), None);
         for first in &seen[0] {
             let over: Vec<&Quantity> = seen.iter().flatten().filter(|q| q.name == first.name).collect();
@@ -120,7 +126,7 @@ impl Snapshot {
             each.extend(over.iter().zip(&times).map(|(q, &t)| Histogram::of(q.name, Some(t), span, &q.values)));
         }
         whole.append(&mut each);
-        Self { splats: method.len(), histograms: whole, classes, saturation: saturation(method) }
+        Ok(Self { splats: method.splat_count(), histograms: whole, classes, saturation: saturation(method) })
     }
 
     /// Whether the method has nothing of its own to show.
@@ -147,7 +153,7 @@ impl Snapshot {
     }
 }
 
-fn saturation(method: &dyn Method) -> Vec<Saturation> {
+fn saturation(method: &Model) -> Vec<Saturation> {
     let mut out = Vec::new();
     method.visit(&mut |p| {
         if ["cloud.lambda", "cloud.beta", "cloud.acutance"].contains(&p.name.as_str()) {

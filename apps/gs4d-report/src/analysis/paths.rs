@@ -1,15 +1,16 @@
 //! How the centres of splats move: temporal spectra and second differences (see [`gs_metrics::trajectory`]).
 
+use super::AnalysisError;
 use super::histogram::Histogram;
 use super::row;
 use crate::Need;
 use crate::needs::neutral_camera;
 use gs_core::{Camera, Color, Splats};
-use gs_metrics::trajectory::{
-    ENERGY_FLOOR, Spread, TrajectoryError, Window, default_cutoff, high_energies, second_differences,
-};
-use gs_train::method::{Method, Overlay};
-use gs_train::renderer::moment;
+use gs_metrics::trajectory::{ENERGY_FLOOR, Spread, Window, default_cutoff, high_energies, second_differences};
+use gs_train::capabilities::Overlay;
+use gs_train::method::MethodError;
+use gs_train::model::Model;
+use gs_train::timestamp::Timestamp;
 use serde::Serialize;
 
 /// Fewest and most moments taken for a scene of so many training times.
@@ -79,8 +80,8 @@ impl Paths {
     ///
     /// # Errors
     /// If the splats are not the same ones at every moment, there are fewer than 4 moments, or the cut-off is out of range.
-    pub fn of(method: &dyn Method, moments: usize, cutoff: Option<usize>) -> Result<Self, TrajectoryError> {
-        let frames = centres(method, &neutral_camera(), moments);
+    pub fn of(method: &Model, moments: usize, cutoff: Option<usize>) -> Result<Self, AnalysisError> {
+        let frames = centres(method, &neutral_camera(), moments)?;
         let cutoff = cutoff.unwrap_or(default_cutoff(moments));
         let energy = |name, window| high_energies(&frames, cutoff, window).map(|e| Energy::of(name, &e));
         let raw = energy("log10 energy", Window::Raw)?;
@@ -109,10 +110,14 @@ impl Paths {
 }
 
 /// Centres of all splats at evenly spaced times.
-fn centres(method: &dyn Method, camera: &Camera, moments: usize) -> Vec<Vec<[f32; 3]>> {
+fn centres(method: &Model, camera: &Camera, moments: usize) -> Result<Vec<Vec<[f32; 3]>>, MethodError> {
     let time = |k: usize| k as f32 / (moments.max(2) - 1) as f32;
-    let at = |k: usize| method.tracked(&moment(time(k)), camera).means.iter().map(|m| m.to_array()).collect();
-    (0..moments).map(at).collect()
+    (0..moments).map(|k| means_at(method, time(k), camera)).collect()
+}
+
+fn means_at(method: &Model, time: f32, camera: &Camera) -> Result<Vec<[f32; 3]>, MethodError> {
+    let splats = method.all_splats(&Timestamp::normalised(time), camera)?;
+    Ok(splats.means.iter().map(|m| m.to_array()).collect())
 }
 
 /// Second differences at a time against the times `interval` before and after it, as colours: black at rest, through red
@@ -120,14 +125,9 @@ fn centres(method: &dyn Method, camera: &Camera, moments: usize) -> Vec<Vec<[f32
 ///
 /// # Errors
 /// If the splats are not the same ones at the three times.
-pub fn jerk_overlay(
-    method: &dyn Method,
-    time: f32,
-    interval: f32,
-    camera: &Camera,
-) -> Result<Overlay, TrajectoryError> {
-    let at = |t: f32| method.tracked(&moment(t), camera).means.iter().map(|m| m.to_array()).collect::<Vec<_>>();
-    let frames = [at(time - interval), at(time), at(time + interval)];
+pub fn jerk_overlay(method: &Model, time: f32, interval: f32, camera: &Camera) -> Result<Overlay, AnalysisError> {
+    let at = |t: f32| means_at(method, t, camera);
+    let frames = [at(time - interval)?, at(time)?, at(time + interval)?];
     let values = second_differences(&frames)?.swap_remove(0);
     let reference = Spread::of(values.iter().copied().filter(|a| *a > REFERENCE)).p50.max(REFERENCE);
     let largest = values.iter().map(|a| (1.0 + a / reference).ln()).fold(f64::MIN_POSITIVE, f64::max);

@@ -3,8 +3,7 @@ use glam::Vec3;
 use gs_core::Rng;
 use gs_data::PointCloud;
 use gs_train::method::SceneInfo;
-use gs_train::renderer::moment;
-use gs_train::timestamp::Moment;
+use gs_train::timestamp::Timestamp;
 use gs4d_report::needs::neutral_camera;
 
 /// An untrained scene of 200 splats whose values have been shaken.
@@ -46,7 +45,7 @@ fn loaded(method: &str) -> Loaded {
 fn written(loaded: &Loaded, bits: Bits, deflate: bool) -> (CompactReport, Loaded) {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("scene.gs4d");
-    let scene = CompactScene::of(loaded.method.as_ref(), &loaded.config);
+    let scene = CompactScene::of(&loaded.model, &loaded.config);
     let settings = toml::Table::from_iter([("run".to_owned(), toml::Value::from("settings"))]);
     let report = scene.write(&path, loaded, &settings, Packing { bits, deflate }).unwrap();
     assert_eq!(report.file_bytes as u64, std::fs::metadata(&path).unwrap().len());
@@ -57,7 +56,7 @@ fn written(loaded: &Loaded, bits: Bits, deflate: bool) -> (CompactReport, Loaded
 
 fn values(loaded: &Loaded) -> Vec<(String, Vec<f32>)> {
     let mut values = Vec::new();
-    loaded.method.visit(&mut |p| {
+    loaded.model.visit(&mut |p| {
         assert!(p.grad.iter().all(|g| *g == 0.0) && p.grad.len() == p.len(), "{}", p.name);
         values.push((p.name.clone(), p.value.clone()));
     });
@@ -74,7 +73,7 @@ fn nothing_is_lost_at_32_bits_but_what_only_training_needs() {
             after.method.visit(&mut |p| assert!(p.moment1.iter().all(|m| *m == 0.0)));
             assert_eq!((after.step, after.scene.extent, after.train_seconds), (40, 2.0, 1.5));
             assert!(after.adam_updates.is_empty());
-            let at: Moment = moment(0.3);
+            let at: Timestamp = Timestamp::normalised(0.3);
             let camera = neutral_camera();
             assert_eq!(after.method.splats(&at, &camera).means, before.method.splats(&at, &camera).means);
             let packed: usize = report.blocks.iter().map(|b| b.bytes).sum();
@@ -108,7 +107,7 @@ fn fewer_bits_keep_each_value_near() {
 #[test]
 fn known_lattices_and_fixed_state_stay_exact() {
     let loaded = loaded("static3d");
-    let mut scene = CompactScene::of(loaded.method.as_ref(), &loaded.config);
+    let mut scene = CompactScene::of(&loaded.model, &loaded.config);
     let means = scene.tensors.iter_mut().find(|t| t.name == "cloud.means").unwrap();
     means.values.iter_mut().for_each(|v| *v = (*v / 0.01).round() * 0.01);
     means.lattice = Some(0.01);
@@ -135,7 +134,7 @@ fn a_damaged_file_is_refused_wherever_it_is_hurt() {
     let loaded = loaded("static3d");
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("scene.gs4d");
-    let scene = CompactScene::of(loaded.method.as_ref(), &loaded.config);
+    let scene = CompactScene::of(&loaded.model, &loaded.config);
     scene.write(&path, &loaded, &toml::Table::new(), Packing { bits: Bits::Byte, deflate: true }).unwrap();
     let whole = std::fs::read(&path).unwrap();
     let hurt = dir.path().join("hurt.gs4d");
@@ -153,7 +152,7 @@ fn a_damaged_file_is_refused_wherever_it_is_hurt() {
 fn a_scene_with_other_sizes_does_not_load() {
     let loaded = loaded("fourdgs");
     let refuse = |change: fn(&mut CompactTensor) -> bool| {
-        let mut scene = CompactScene::of(loaded.method.as_ref(), &loaded.config);
+        let mut scene = CompactScene::of(&loaded.model, &loaded.config);
         assert!(scene.tensors.iter_mut().any(change));
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("scene.gs4d");

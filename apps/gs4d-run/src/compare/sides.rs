@@ -7,6 +7,7 @@ use crate::summary::color_name;
 use crate::{OpenRun, RunError, folder};
 use gs_data::Dataset;
 use gs_train::evaluate::{EvalError, split_name};
+use gs_train::method::MethodError;
 use gs_train::registry::Registry;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
@@ -26,7 +27,10 @@ pub enum CompareError {
         /// Whether it is the background alone, which can be chosen.
         background_only: bool,
     },
-    /// A view cannot be drawn or scored.
+    /// A view cannot be rendered.
+    #[error(transparent)]
+    Method(#[from] MethodError),
+    /// A view cannot be scored.
     #[error(transparent)]
     Eval(Box<EvalError>),
 }

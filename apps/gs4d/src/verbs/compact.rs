@@ -62,7 +62,7 @@ impl Compact {
         let run = OpenRun::open(gs_methods::registry(), &self.run)?;
         // The data are opened first: nothing is written for a split that is not there.
         let dataset = if self.no_eval { None } else { Some(run.resolved.open_data()?) };
-        let scene = CompactScene::of(run.loaded.method.as_ref(), &run.loaded.config);
+        let scene = CompactScene::of(&run.loaded.model, &run.loaded.config);
         let packing = Packing { bits: self.bits.into(), deflate: !self.no_deflate };
         let before = self.psnr(&run, dataset.as_ref())?;
         let report = scene.write(&self.out, &run.loaded, &run.resolved.config.table(), packing)?;

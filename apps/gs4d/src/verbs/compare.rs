@@ -82,6 +82,7 @@ impl From<CompareError> for Failure {
     fn from(e: CompareError) -> Self {
         let text = e.to_string();
         match e {
+            CompareError::Method(e) => e.into(),
             CompareError::Differ { other, background_only, .. } => Self::new(Class::Data, "data.differ", text)
                 .place(other.display())
                 .why("scores of other photographs, sizes or backgrounds are other numbers")

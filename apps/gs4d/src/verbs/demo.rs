@@ -10,7 +10,8 @@ use gs_core::io::{RawSplats, save_splats};
 use gs_core::speed::SpeedError;
 use gs_synth::{self as synth, SynthOptions};
 use gs_train::evaluate::EvalReport;
-use gs_train::renderer::{Painter, moment};
+use gs_train::renderer::Renderer;
+use gs_train::timestamp::Timestamp;
 use gs4d_report::inspect::bytes_text;
 use gs4d_report::speed_json;
 use gs4d_run::opened::metrics_json;
@@ -105,20 +106,20 @@ impl Demo {
 
     /// Writes pictures through time and the splats of the middle moment; lists what a user may want to open.
     fn leave(&self, training: &Training) -> Result<Vec<PathBuf>, Failure> {
-        let method = training.trainer().method();
+        let method = training.trainer().model();
         let dataset = training.trainer().dataset();
         let view = dataset.test.first().or(dataset.train.first());
         let Some(view) = view else { return Ok(Vec::new()) };
-        let background = method.schedule().background.evaluation_color();
-        let mut painter = Painter::new(method.schedule().raster_options(background));
+        let background = method.background();
+        let mut renderer = Renderer::new(method.raster_options(background));
         let frames = self.out.join("frames");
         std::fs::create_dir_all(&frames).map_err(|e| Failure::io("create the folder", &frames, &e))?;
         for k in 0..FRAMES {
             let time = k as f32 / (FRAMES - 1) as f32;
-            save_png(&frames.join(format!("frame-{k:02}.png")), &painter.at(method, time, &view.camera), true)?;
+            save_png(&frames.join(format!("frame-{k:02}.png")), &renderer.at(method, time, &view.camera)?, true)?;
         }
         let ply = self.out.join("scene-t0.50.ply");
-        let splats = method.splats(&moment(0.5), &view.camera);
+        let splats = method.splats(&Timestamp::normalised(0.5), &view.camera)?;
         let raw = RawSplats::from_splats(&splats);
         let raw = raw.map_err(|e| Failure::new(Class::Internal, "splats", e.to_string()))?;
         save_splats(&ply, &raw, true)?;

@@ -152,7 +152,7 @@ impl Eval {
         let background = self.background.unwrap_or_else(|| run.background());
         let split = self.split.into();
         let motion = tof.map(|options| {
-            let method = run.loaded.method.as_ref();
+            let method = &run.loaded.model;
             temporal::tof(method, &dataset, split, background, &run.photographs(), options).map(|s| (s, options))
         });
         let motion = motion.transpose()?;

@@ -9,7 +9,7 @@ use crate::progress::Progress;
 use gs_core::io::{Limits, RawSplats, SplatFormat, load_splats, save_splats, write_file};
 use gs_data::{Dataset, ImageCache};
 use gs_train::evaluate::{EvalReport, evaluate};
-use gs_train::renderer::moment;
+use gs_train::timestamp::Timestamp;
 use gs4d_eval::export::{AsExported, Baker, ExportError, cut};
 use gs4d_run::OpenRun;
 use serde_json::{Value, json};
@@ -142,22 +142,19 @@ impl Export {
     fn bake(&self, plan: &Plan, global: &Global) -> Result<Answer, Failure> {
         let run = OpenRun::open(gs_methods::registry(), &self.scene)?;
         let dataset = run.resolved.open_data()?;
-        let method = run.loaded.method.as_ref();
+        let method = &run.loaded.model;
         let baker = || Baker::new(method, &dataset.train, self.sh_degree);
         make_folder(plan)?;
         let mut progress = Progress::new(plan.files.len() as u64, "moments", global.quiet);
         let mut written = Vec::new();
         for (done, (time, path)) in plan.files.iter().enumerate() {
-            let raw = baker().bake(&moment(*time))?;
+            let raw = baker().bake(&Timestamp::normalised(*time))?;
             save_splats(path, &raw, self.force)?;
             let again = load_splats(path, &Limits::default())?;
             written.push(json!({"time": time, "file": path.display().to_string(), "splats": again.len()}));
             progress.at(done as u64 + 1, || format!("{} splats", again.len()));
         }
         progress.finish();
-        if let Some(trouble) = method.trouble() {
-            return Err(Failure::new(Class::Data, "method.moment", trouble));
-        }
         if let Some(folder) = &plan.folder {
             let table = serde_json::to_vec_pretty(&written).unwrap_or_default();
             write_file(&folder.join(TABLE), self.force, |out| out.write_all(&table))?;
@@ -176,9 +173,9 @@ impl Export {
 
     fn measure(&self, run: &OpenRun, data: &Dataset, baker: Baker<'_>, format: SplatFormat) -> Result<Loss, Failure> {
         let photographs: ImageCache = run.photographs();
-        let score = |m| evaluate(m, data, self.split.into(), run.background(), &photographs);
-        let before = score(run.loaded.method.as_ref())?;
-        let after = score(&AsExported::new(baker, format))?;
+        let (split, background) = (self.split.into(), run.background());
+        let before = evaluate(&run.loaded.model, data, split, background, &photographs)?;
+        let after = AsExported::new(baker, format).evaluate(data, split, background, &photographs)?;
         Ok(Loss::of(&before, &after))
     }
 

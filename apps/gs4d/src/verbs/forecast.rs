@@ -9,11 +9,12 @@ use gs_core::Camera;
 use gs_core::io::images::save_png;
 use gs_core::io::{Limits, cameras::load_cameras, write_file};
 use gs_data::Dataset;
-use gs_train::method::Method;
-use gs_train::renderer::Painter;
+use gs_train::model::Model;
+use gs_train::renderer::Renderer;
 use gs4d_eval::forecast::page::page;
 use gs4d_eval::forecast::physics::Steps;
 use gs4d_eval::forecast::{CameraPath, Clock, MomentScores, Physics, Spacing, Truth, draw, times};
+use gs4d_eval::particles::Particles;
 use gs4d_eval::track::{Track, TrackError, TrackReport, follow};
 use gs4d_report::Still;
 use gs4d_run::OpenRun;
@@ -81,13 +82,13 @@ impl ForecastVerb {
         self.refuse_taken(&files)?;
         std::fs::create_dir_all(&self.out).map_err(|e| Failure::io("create the folder", &self.out, &e))?;
         let (truth, background) = (self.truth(&run, &dataset)?, run.background());
-        let method = run.loaded.method.as_ref();
-        let mut painter = Painter::new(method.schedule().raster_options(background));
+        let method = &run.loaded.model;
+        let mut renderer = Renderer::new(method.raster_options(background));
         let mut progress = Progress::new(times.len() as u64, "frames", global.quiet);
         let (mut frames, mut strip) = (Vec::with_capacity(times.len()), Vec::new());
         for (k, (&t, file)) in times.iter().zip(&files).enumerate() {
             let (camera, time) = (path.at(k, times.len()), Clock::time(clock, t));
-            let frame = draw(method, &mut painter, &camera, time);
+            let frame = draw(method, &mut renderer, &camera, time)?;
             save_png(file, &frame.image, self.force)?;
             let scores = truth.as_ref().and_then(|truth| truth.frame(&camera, t, interval.max(1e-6)));
             frames.push(Shown {
@@ -103,7 +104,7 @@ impl ForecastVerb {
             progress.at(k as u64 + 1, || format!("t = {t:.3}"));
         }
         progress.finish();
-        let particles = method.particles();
+        let particles = Particles::of(method);
         let steps = Steps::of(&run.loaded.config, run.loaded.scene.frame_interval);
         let physics = particles.map(|p| Physics::of(&p, clock, steps));
         let moments = truth.as_ref().map(|t| t.moments(last));
@@ -154,7 +155,7 @@ impl ForecastVerb {
 
     fn follow(
         &self,
-        method: &dyn Method,
+        method: &Model,
         camera: &Camera,
         dataset: &Dataset,
         last: f32,
@@ -169,7 +170,7 @@ impl ForecastVerb {
         if self.no_scores {
             return Ok(None);
         }
-        let (method, until) = (run.loaded.method.as_ref(), f64::from(self.until));
+        let (method, until) = (&run.loaded.model, f64::from(self.until));
         Ok(Truth::of(method, dataset, until, run.background(), &run.photographs())?)
     }
 

@@ -68,6 +68,7 @@ impl From<GlmdError> for Failure {
         match e {
             GlmdError::OneStage(_) => Self::new(Class::Data, "glmd.stages", text)
                 .remedy("give a run of a method that deforms its scene, such as fourdgs"),
+            GlmdError::Method(e) => e.into(),
             GlmdError::Mask(_) => Self::new(Class::Data, "data.mask", text),
             GlmdError::Metric(_) => Self::new(Class::Data, "data.metric", text),
             GlmdError::Report(_) => Self::new(Class::Internal, "report", text),
@@ -78,7 +79,7 @@ impl From<GlmdError> for Failure {
 impl Glmd {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
         let run = OpenRun::open(gs_methods::registry(), &self.run)?;
-        let method = run.loaded.method.as_ref();
+        let method = &run.loaded.model;
         let camera = self.camera(&run)?;
         let masks = self.masks(&run)?;
         let names: Vec<String> = (0..self.times.0.len()).map(|k| format!("t_{k:03}.png")).collect();
@@ -95,7 +96,7 @@ impl Glmd {
         })?;
         progress.finish();
         let means = glmd::means(stills.iter().flat_map(|s| s.steps.iter().map(|step| &step.scores)));
-        let switches = glmd::switches(method, self.times.0[0]);
+        let switches = glmd::switches(method, self.times.0[0])?;
         let title = format!("{} · {}", self.run.display(), method.name());
         let subtitle = format!(
             "Camera {}; flows anchored in the {:?} picture; masks: {}",
@@ -185,7 +186,7 @@ impl Glmd {
         };
         json!({
             "run": self.run.display().to_string(),
-            "method": run.loaded.method.name(),
+            "method": run.loaded.model.name(),
             "step": run.loaded.step,
             "camera": self.camera,
             "anchor": options.anchor,

@@ -6,7 +6,8 @@ use gs_core::io::{Limits, RawSplats, load_splats};
 use gs_data::Split;
 use gs_synth as synth;
 use gs_train::checkpoint::Checkpoint;
-use gs_train::renderer::moment;
+use gs_train::timestamp::Timestamp;
+use gs4d_eval::particles::Particles;
 use gs4d_eval::physics_check::{self, PhysicsOptions, PhysicsReport};
 use gs4d_report::analysis::paths::moments_for;
 use gs4d_report::analysis::{Analysis, Economy, Journal};
@@ -79,10 +80,10 @@ fn checkpoint_file(path: &Path) -> Result<Answer, Failure> {
 impl Inspect {
     fn run_folder(&self, root: &Path) -> Result<Answer, Failure> {
         let run = OpenRun::open(gs_methods::registry(), root)?;
-        let method = run.loaded.method.as_ref();
+        let method = &run.loaded.model;
         let camera = neutral_camera();
-        let needs = needs(method, &camera, run.loaded.scene.extent);
-        let raw = RawSplats::from_splats(&method.tracked(&moment(0.0), &camera));
+        let needs = needs(method, &camera, run.loaded.scene.extent)?;
+        let raw = RawSplats::from_splats(&method.all_splats(&Timestamp::normalised(0.0), &camera)?);
         let raw = raw.map_err(|e| Failure::new(Class::Data, "data.splats", e.to_string()).place(run.path.display()))?;
         let summary = SplatSummary::of(&raw);
         let mut text = format!("{}  {} at step {}\n", run.path.display(), method.name(), run.loaded.step);
@@ -97,7 +98,7 @@ impl Inspect {
                 "--cutoff is above {highest}, the highest frequency of {moments} moments"
             )));
         }
-        let analysis = Analysis::of(method, moments, cutoff);
+        let analysis = Analysis::of(method, moments, cutoff)?;
         let economy = economy(&run);
         let journal = Journal::of(&run.folder()?.log_lines(JOURNAL)?);
         text.push('\n');
@@ -105,7 +106,7 @@ impl Inspect {
         for n in rows {
             text.push_str(&format!("{:26}{:>46}  {}\n", n.name, n.value, n.meaning));
         }
-        let storage = Storage::of(method, method.storage());
+        let storage = Storage::of(method, method.capabilities().inspect.and_then(|i| i.paper_storage()));
         text.push_str(&format!("\n{}", storage.to_text()));
         let physics = physics(&run);
         if let Some(physics) = &physics {
@@ -139,18 +140,18 @@ fn economy(run: &OpenRun) -> Option<Economy> {
     let photographs = run.photographs();
     let views: Vec<_> =
         dataset.views(split).iter().take(ECONOMY_VIEWS).map(|v| (photographs.camera(v), v.time)).collect();
-    let method = run.loaded.method.as_ref();
-    let options = method.schedule().raster_options(run.background());
+    let method = &run.loaded.model;
+    let options = method.raster_options(run.background());
     let scores = run.folder().ok().and_then(|folder| folder.read(METRICS).ok());
     let scores: Option<Value> = scores.and_then(|text| serde_json::from_str(&text).ok());
     let of_this_step = scores.filter(|s| s["step"] == run.loaded.step);
-    Economy::of(method, &views, &options, of_this_step.and_then(|s| s["mean"]["psnr"].as_f64()))
+    Economy::of(method, &views, &options, of_this_step.and_then(|s| s["mean"]["psnr"].as_f64())).ok().flatten()
 }
 
 /// Motions against the truth, where the method has learnt them and the run's data are a generated scene whose times are those
 /// of the run.
 fn physics(run: &OpenRun) -> Option<PhysicsReport> {
-    let particles = run.loaded.method.particles()?;
+    let particles = Particles::of(&run.loaded.model)?;
     let truth = synth::truth_of(Path::new(&run.resolved.run.data))?;
     let dataset = run.resolved.open_data().ok()?;
     let same_clock = dataset.train.iter().all(|v| (f64::from(v.time.normalised) - v.time.seconds).abs() < 1e-6);

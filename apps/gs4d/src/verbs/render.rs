@@ -11,7 +11,9 @@ use gs_core::io::{Limits, RawSplats, exr, load_splats, npy, write_file, y4m};
 use gs_core::{Camera, Image, Splats};
 use gs_data::Dataset;
 use gs_raster::{Frame, RasterOptions};
-use gs_train::renderer::{Painter, file_stem, moment};
+use gs_train::method::MethodError;
+use gs_train::renderer::{Renderer, file_stem};
+use gs_train::timestamp::Timestamp;
 use gs4d_run::OpenRun;
 use gs4d_run::flight::Flight;
 use gs4d_run::orbit::Orbit;
@@ -91,7 +93,7 @@ impl Scene {
     fn options(&self) -> RasterOptions {
         match self {
             Scene::File(_) => RasterOptions::default(),
-            Scene::Run(run) => run.loaded.method.schedule().raster_options(run.background()),
+            Scene::Run(run) => run.loaded.model.raster_options(run.background()),
         }
     }
 
@@ -111,11 +113,11 @@ impl Scene {
         }
     }
 
-    fn draw<'a>(&self, painter: &'a mut Painter, camera: &Camera, time: f32) -> &'a Frame {
-        match self {
-            Scene::File(splats) => painter.draw(splats, camera),
-            Scene::Run(run) => painter.draw(&run.loaded.method.splats(&moment(time), camera), camera),
-        }
+    fn draw<'a>(&self, renderer: &'a mut Renderer, camera: &Camera, time: f32) -> Result<&'a Frame, MethodError> {
+        Ok(match self {
+            Scene::File(splats) => renderer.render(splats, camera),
+            Scene::Run(run) => renderer.render(&run.loaded.model.splats(&Timestamp::normalised(time), camera)?, camera),
+        })
     }
 }
 
@@ -123,12 +125,12 @@ impl Render {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
         let scene = Scene::open(&self.scene)?;
         let cameras = self.sequence(self.cameras(&scene)?)?;
-        let mut painter = Painter::new(self.options(&scene));
+        let mut renderer = Renderer::new(self.options(&scene));
         let mut progress = Progress::new(cameras.len() as u64, "pictures", global.quiet);
         let mut draw = |done: usize, camera: &NamedCamera| {
-            let frame = scene.draw(&mut painter, &camera.camera, self.time.or(camera.time).unwrap_or(0.0)).clone();
+            let frame = scene.draw(&mut renderer, &camera.camera, self.time.or(camera.time).unwrap_or(0.0))?.clone();
             progress.at(done as u64 + 1, || camera.name.clone());
-            frame
+            Ok(frame)
         };
         let paths = if self.format == Format::Y4m {
             vec![self.video(&cameras, &mut draw)?]
@@ -136,14 +138,14 @@ impl Render {
             let paths = self.paths(&cameras)?;
             std::fs::create_dir_all(&self.out).map_err(|e| Failure::io("create the folder", &self.out, &e))?;
             for (done, (camera, path)) in cameras.iter().zip(&paths).enumerate() {
-                self.save(&draw(done, camera), path)?;
+                self.save(&draw(done, camera)?, path)?;
             }
             paths
         };
         progress.finish();
         let files: Vec<String> = paths.iter().map(|p| p.display().to_string()).collect();
         let text: String = files.iter().map(|f| format!("{f}\n")).collect();
-        Ok(Answer::new(text, json!({"files": files, "background": painter.options.background})))
+        Ok(Answer::new(text, json!({"files": files, "background": renderer.options.background})))
     }
 
     /// The cameras that were asked for.
@@ -206,7 +208,7 @@ impl Render {
     fn video(
         &self,
         cameras: &[NamedCamera],
-        draw: &mut dyn FnMut(usize, &NamedCamera) -> Frame,
+        draw: &mut dyn FnMut(usize, &NamedCamera) -> Result<Frame, MethodError>,
     ) -> Result<PathBuf, Failure> {
         let size = |c: &NamedCamera| (c.camera.width, c.camera.height);
         let Some(first) = cameras.first().map(size) else { return Err(Failure::usage("there is no camera")) };
@@ -216,10 +218,22 @@ impl Render {
         }
         std::fs::create_dir_all(&self.out).map_err(|e| Failure::io("create the folder", &self.out, &e))?;
         let path = self.out.join("video.y4m");
-        write_file(&path, self.force, |out| {
+        let mut failed = None;
+        let written = write_file(&path, self.force, |out| {
             y4m::write_header(first.0 as usize, first.1 as usize, self.fps, out)?;
-            cameras.iter().enumerate().try_for_each(|(k, camera)| y4m::write_frame(&rgb(&draw(k, camera)), out))
-        })?;
+            cameras.iter().enumerate().try_for_each(|(k, camera)| match draw(k, camera) {
+                Ok(frame) => y4m::write_frame(&rgb(&frame), out),
+                Err(e) => {
+                    let stop = std::io::Error::other(e.to_string());
+                    failed = Some(e);
+                    Err(stop)
+                }
+            })
+        });
+        if let Some(e) = failed {
+            return Err(e.into());
+        }
+        written?;
         Ok(path)
     }
 

@@ -88,6 +88,7 @@ impl From<SegmentError> for Failure {
                 .remedy("give a run of a method that deforms or moves its splats, such as trace or defgs"),
             SegmentError::Labels { .. } => Self::new(Class::Data, "data.labels", text)
                 .remedy("a label image is [H, W] whole numbers, 0 the background"),
+            SegmentError::Method(e) => e.into(),
             SegmentError::Io(e) => e.into(),
             SegmentError::Data(e) => e.into(),
             SegmentError::Metric(_) => Self::new(Class::Data, "data.metric", text),
@@ -103,7 +104,7 @@ impl Segment {
         let views = self.chosen(dataset.views(split))?;
         let names = stems(&views);
         self.prepare(&names)?;
-        let method = run.loaded.method.as_ref();
+        let method = &run.loaded.model;
         let labels = segment::segment(method, &self.options(&dataset))?;
         let truth = self.truth(&run, &views);
         let mut progress = Progress::new(views.len() as u64, "views", global.quiet);
@@ -116,7 +117,7 @@ impl Segment {
             Ok::<(), Failure>(())
         })?;
         progress.finish();
-        let (table, motion) = (parts::table(&labels), scene_complexity(method, &dataset));
+        let (table, motion) = (parts::table(&labels), scene_complexity(method, &dataset)?);
         let values: Vec<f32> = labels.of.iter().map(|l| *l as f32).collect();
         self.write(FILES[0], |out| npy::write(&[values.len()], &values, out))?;
         let source = truth.as_ref().map(TrueLabels::source);
@@ -200,7 +201,7 @@ impl Segment {
     ) -> Value {
         json!({
             "run": self.run.display().to_string(),
-            "method": run.loaded.method.name(),
+            "method": run.loaded.model.name(),
             "step": run.loaded.step,
             "labels_from": labels.source,
             "at": labels.particles.at,

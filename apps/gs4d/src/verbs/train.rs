@@ -151,7 +151,7 @@ fn describe(training: &Training, global: &Global) {
     for note in &data.notes {
         global.say(format!("note: {note}"));
     }
-    for warning in training.trainer().method().warnings() {
+    for warning in training.trainer().model().capabilities().inspect.map_or_else(Vec::new, |i| i.warnings()) {
         global.say(format!("warning: {warning}"));
     }
     global.detail(format!("time: {}; threads: {}", data.time_source, rayon::current_num_threads()));

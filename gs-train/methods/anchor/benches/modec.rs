@@ -10,11 +10,13 @@ use gs_deform::{Aabb, Field, HexPlaneField};
 use gs_method_anchor::modec::Config;
 use gs_raster::{FrameGrad, RasterOptions, Workspace, render, render_backward};
 use gs_synth::{self as synth, SynthOptions};
+use gs_train::capabilities::FreezeOptions;
 use gs_train::checkpoint::Checkpoint;
 use gs_train::evaluate::evaluate;
-use gs_train::method::{Method, RestOptions, overlay};
+use gs_train::method::overlay;
+use gs_train::model::Model;
 use gs_train::saved;
-use gs_train::timestamp::Moment;
+use gs_train::timestamp::Timestamp;
 use gs_train::trainer::{TrainOptions, Trainer};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -59,17 +61,17 @@ fn worst(a: &[f32], b: &[f32]) -> f64 {
 }
 
 /// The pictures of one camera after the other, over the span of time.
-fn pictures(method: &dyn Method, cameras: &[Camera]) -> Vec<f32> {
-    let at = |i: usize| Moment::new(Time { normalised: i as f32 / cameras.len() as f32, ..T });
+fn pictures(method: &Model, cameras: &[Camera]) -> Vec<f32> {
+    let at = |i: usize| Timestamp::new(Time { normalised: i as f32 / cameras.len() as f32, ..T });
     cameras.iter().enumerate().flat_map(|(i, c)| picture(&method.splats(&at(i), c), c)).collect()
 }
 
-fn apart(a: &dyn Method, b: &dyn Method, cameras: &[Camera]) -> f64 {
+fn apart(a: &Model, b: &Model, cameras: &[Camera]) -> f64 {
     worst(&pictures(a, cameras), &pictures(b, cameras))
 }
 
 /// Mean squared difference of the pictures, as PSNR, dB.
-fn apart_psnr(a: &dyn Method, b: &dyn Method, cameras: &[Camera]) -> f64 {
+fn apart_psnr(a: &Model, b: &Model, cameras: &[Camera]) -> f64 {
     let (a, b) = (pictures(a, cameras), pictures(b, cameras));
     let sum: f64 = a.iter().zip(&b).map(|(a, b)| f64::from(a - b).powi(2)).sum();
     -10.0 * (sum / a.len() as f64).log10()
@@ -113,13 +115,13 @@ impl Run {
         Self { trainer, config, global: global.expect("the end of the first stage"), cameras }
     }
 
-    fn method(&self, over: &str) -> Box<dyn Method> {
+    fn method(&self, over: &str) -> Model {
         let mut config = self.config.clone();
         overlay(&mut config, over.parse().expect("TOML"));
         saved::load(gs_methods::registry(), &self.trainer.state(), Some(&config)).expect("a state").method
     }
 
-    fn psnr(&self, method: &dyn Method) -> f64 {
+    fn psnr(&self, method: &Model) -> f64 {
         let data: &Dataset = self.trainer.dataset();
         let report = evaluate(method, data, Split::Test, [1.0; 3], &ImageCache::new(64 << 20, 1.0)).expect("scores");
         report.mean.psnr.expect("finite scores")
@@ -138,7 +140,7 @@ impl Parts {
     fn of(run: &Run) -> Self {
         let config: Config = run.config.clone().try_into().expect("a configuration");
         let mut values = BTreeMap::new();
-        run.trainer.method().visit(&mut |p| {
+        run.trainer.model().visit(&mut |p| {
             values.insert(p.name.clone(), p.value.clone());
         });
         let shape = AnchorShape { offsets: config.anchors.offsets, features: config.anchors.features, dynamics: 2 };
@@ -169,8 +171,8 @@ impl Parts {
 
 /// Savings that leave the picture as it is.
 fn exact_savings(run: &Run, parts: &Parts) {
-    let (camera, at) = (run.cameras[7].clone(), Moment::new(T));
-    let (method, splats) = (run.method(""), run.trainer.method().len());
+    let (camera, at) = (run.cameras[7].clone(), Timestamp::new(T));
+    let (method, splats) = (run.method(""), run.trainer.model().splat_count());
     let (_, folded) = method.folded(&run.config).expect("an appearance");
     let error = apart(&*method, &*folded, &run.cameras);
     saving(
@@ -243,12 +245,12 @@ fn exact_savings(run: &Run, parts: &Parts) {
 
 /// Savings with an error.
 fn bounded_savings(run: &Run) {
-    let (camera, at, method) = (&run.cameras[7], Moment::new(T), run.method(""));
+    let (camera, at, method) = (&run.cameras[7], Timestamp::new(T), run.method(""));
     let psnr = run.psnr(&*method);
     for (pixels, shape) in [(0.05, 1e-3), (0.25, 1e-2), (1.0, 5e-2)] {
-        let usual = RestOptions::usual(&run.cameras);
-        let options = RestOptions { shape, still: StillOptions { pixels, ..usual.still }, ..usual };
-        let (resting, report) = method.resting(&options).expect("a field");
+        let usual = FreezeOptions::usual(&run.cameras);
+        let options = FreezeOptions { shape, still: StillOptions { pixels, ..usual.still }, ..usual };
+        let (resting, report) = method.freeze_static(&options).expect("a field");
         let error = apart(&*method, &*resting, &run.cameras);
         let name = format!("at rest, {pixels} px, {shape}");
         saving(
@@ -275,9 +277,9 @@ fn idle_anchors(run: &Run, parts: &mut Parts) {
     let mut method = run.method("");
     method.visit_mut(&mut |p| hush(p));
     parts.anchors.visit_mut(&mut |p| hush(p));
-    let usual = RestOptions::usual(&run.cameras);
+    let usual = FreezeOptions::usual(&run.cameras);
     let still = StillOptions { pixels: -1.0, probes: 2, ..usual.still };
-    let (resting, report) = method.resting(&RestOptions { still, ..usual }).expect("a field");
+    let (resting, report) = method.freeze_static(&FreezeOptions { still, ..usual }).expect("a field");
     let error = apart(&*method, &*resting, &run.cameras);
     let (mut a, mut b) = <(Local, Local)>::default();
     let (without, with) = (

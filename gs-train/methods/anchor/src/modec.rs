@@ -13,7 +13,8 @@ use crate::anchored::{AnchorConfig, Anchored, Motion, Parts, SparsityConfig};
 use gs_anchor::{AdaptRules, AnchorShape, DecoderConfig, Gad, GadConfig, IntervalConfig, Intervals};
 use gs_deform::{Aabb, FourDgsConfig, HexPlaneField};
 use gs_train::ablate::{Ablations, Part};
-use gs_train::method::{Method, MethodEntry, MethodError, parse_config};
+use gs_train::method::{MethodEntry, MethodError, parse_config};
+use gs_train::model::Model;
 use gs_train::scene::{InitConfig, SceneInfo};
 use gs_train::schedule::Schedule;
 use serde::{Deserialize, Serialize};
@@ -70,7 +71,7 @@ pub struct Config {
     pub schedule: Schedule,
 }
 
-fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Box<dyn Method>, MethodError> {
+fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
     let mut config: Config = parse_config(ENTRY.name, table)?;
     let wrong = |why: String| MethodError::Config { method: ENTRY.name, why };
     config.ablate.clone().apply(PARTS, &mut config).map_err(wrong)?;
@@ -97,7 +98,6 @@ fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Box<dyn Method>, Meth
     };
     let parts = Parts {
         name: ENTRY.name,
-        schedule: config.schedule,
         anchors: config.anchors,
         decoder: config.decoder,
         adapt: config.adapt,
@@ -105,5 +105,5 @@ fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Box<dyn Method>, Meth
         motion,
         sparsity: Some(config.sparsity),
     };
-    Ok(Box::new(Anchored::new(parts, scene)?))
+    Model::new(ENTRY.name, Anchored::new(parts, scene)?, config.schedule)
 }

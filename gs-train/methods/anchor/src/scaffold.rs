@@ -2,7 +2,8 @@
 
 use crate::anchored::{AnchorConfig, Anchored, Motion, Parts};
 use gs_anchor::{AdaptRules, DecoderConfig};
-use gs_train::method::{Method, MethodEntry, MethodError, parse_config};
+use gs_train::method::{MethodEntry, MethodError, parse_config};
+use gs_train::model::Model;
 use gs_train::scene::{InitConfig, SceneInfo};
 use gs_train::schedule::Schedule;
 use serde::{Deserialize, Serialize};
@@ -37,11 +38,10 @@ pub struct Config {
     pub schedule: Schedule,
 }
 
-fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Box<dyn Method>, MethodError> {
+fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
     let config: Config = parse_config(ENTRY.name, table)?;
     let parts = Parts {
         name: ENTRY.name,
-        schedule: config.schedule,
         anchors: config.anchors,
         decoder: config.decoder,
         adapt: config.adapt,
@@ -49,5 +49,5 @@ fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Box<dyn Method>, Meth
         motion: Motion::default(),
         sparsity: None,
     };
-    Ok(Box::new(Anchored::new(parts, scene)?))
+    Model::new(ENTRY.name, Anchored::new(parts, scene)?, config.schedule)
 }

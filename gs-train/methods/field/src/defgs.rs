@@ -4,7 +4,8 @@ use crate::deformed::Deformed;
 use gs_deform::field::anneal::Anneal;
 use gs_deform::{DefGsConfig, DefMlp};
 use gs_train::canonical::Canonical;
-use gs_train::method::{Method, MethodEntry, MethodError, parse_config};
+use gs_train::method::{MethodEntry, MethodError, parse_config};
+use gs_train::model::Model;
 use gs_train::scene::{CloudConfig, InitConfig, SceneInfo};
 use gs_train::schedule::Schedule;
 use serde::{Deserialize, Serialize};
@@ -35,10 +36,10 @@ pub struct Config {
     pub schedule: Schedule,
 }
 
-fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Box<dyn Method>, MethodError> {
-    let config: Config = parse_config(ENTRY.name, table)?;
+fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
+    let mut config: Config = parse_config(ENTRY.name, table)?;
     let wrong = |e: gs_deform::DeformError| MethodError::Config { method: ENTRY.name, why: e.to_string() };
     let field = DefMlp::new(&config.field, scene.seed).map_err(wrong)?;
-    let canonical = Canonical::new(&config.cloud, config.schedule, scene)?;
-    Ok(Box::new(Deformed::new(ENTRY.name, canonical, field, config.anneal, scene.views)))
+    let canonical = Canonical::new(&config.cloud, &mut config.schedule, scene)?;
+    Model::new(ENTRY.name, Deformed::new(canonical, field, config.anneal, scene.views), config.schedule)
 }

@@ -1,25 +1,23 @@
 //! A canonical cloud and a deformation field: the common body of DefGS, 4DGS, Grid4D and FAGS.
 //!
 //! ```text
-//! raw → activate → canonical splats → field(t) → splats at t → draw
+//! raw → activate → canonical splats → field(t) → splats at t → render
 //! ```
-//! and back the same way. In stages without the field, the canonical splats are drawn at every time.
+//! and backward in reverse. In stages without the field, the canonical splats are rendered at every time.
 
 use gs_core::{Camera, Param, Params, Splats, SplatsGrad, Time};
 use gs_deform::Field;
 use gs_deform::field::anneal::{Anneal, smooth_time};
-use gs_raster::ScreenStats;
 use gs_train::canonical::Canonical;
-use gs_train::densify::Adapted;
+use gs_train::capabilities::{Capabilities, Inspect, Overlay, Quantity, StageView};
 use gs_train::kernel::kernel_quantities;
-use gs_train::method::{Column, ColumnMut, Method, Overlay, Quantity, StageView};
+use gs_train::method::{Buffer, BufferMut, Buffers, LossValue, Method, MethodError, RenderView, StepEvents, ViewCtx};
 use gs_train::palette::DIRECTIONS;
-use gs_train::schedule::Schedule;
-use gs_train::timestamp::Moment;
+use gs_train::step::StepCtx;
+use gs_train::timestamp::Timestamp;
 
 /// A cloud moved by a field.
 pub struct Deformed<F: Field> {
-    name: &'static str,
     canonical: Canonical,
     field: F,
     tape: F::Tape,
@@ -36,10 +34,10 @@ pub struct Deformed<F: Field> {
 
 impl<F: Field> Deformed<F> {
     /// A cloud and its field; training times are blurred as `anneal` says (strength 0: not at all), `views` of them.
-    pub fn new(name: &'static str, canonical: Canonical, field: F, anneal: Anneal, views: u32) -> Self {
+    pub fn new(canonical: Canonical, field: F, anneal: Anneal, views: u32) -> Self {
         let interval = 1.0 / views.max(1) as f32;
         let (tape, moved, d_moved, t) = Default::default();
-        Self { name, canonical, field, tape, moved, d_moved, t, anneal, interval, regular_from: 0 }
+        Self { canonical, field, tape, moved, d_moved, t, anneal, interval, regular_from: 0 }
     }
 
     /// The same without the field's regularisers before this step of the run.
@@ -49,7 +47,7 @@ impl<F: Field> Deformed<F> {
     }
 
     fn training_time(&self, t: Time) -> Time {
-        smooth_time(t, self.interval, &self.anneal, self.canonical.seed(), self.canonical.step())
+        smooth_time(t, self.interval, &self.anneal, self.canonical.seed(), self.canonical.at.step)
     }
 }
 
@@ -65,83 +63,95 @@ impl<F: Field> Params for Deformed<F> {
     }
 }
 
+impl<F: Field> Buffers for Deformed<F> {
+    fn buffers(&self, f: &mut dyn FnMut(Buffer<'_>)) {
+        self.canonical.buffers(f);
+    }
+
+    fn buffers_mut(&mut self, f: &mut dyn FnMut(BufferMut<'_>)) {
+        self.canonical.buffers_mut(f);
+    }
+}
+
 impl<F: Field> Method for Deformed<F>
 where
     F::Tape: Sync,
 {
-    fn name(&self) -> &'static str {
-        self.name
+    fn begin_step(&mut self, at: &StepCtx) {
+        self.canonical.at = at.clone();
     }
 
-    fn schedule(&self) -> &Schedule {
-        &self.canonical.schedule
-    }
-
-    fn set_step(&mut self, step: u32) {
-        self.canonical.set_step(step);
-    }
-
-    fn splats(&self, at: &Moment, _camera: &Camera) -> Splats {
+    fn splats(&self, at: &Timestamp, _camera: &Camera) -> Result<Splats, MethodError> {
         let canonical = self.canonical.activated();
-        if !self.canonical.dynamic() {
-            return canonical;
+        if !self.canonical.at.dynamic {
+            return Ok(canonical);
         }
         let mut moved = Splats::default();
         self.field.forward(&canonical, at.t, &mut F::Tape::default(), &mut moved);
-        moved
+        Ok(moved)
     }
 
-    fn step(&mut self, at: &Moment, _camera: &Camera, draw: &mut dyn FnMut(&Splats, &mut SplatsGrad)) {
+    fn step(&mut self, view: &ViewCtx<'_>, render: &mut dyn RenderView) -> Result<Vec<LossValue>, MethodError> {
         self.canonical.forward();
-        if self.canonical.dynamic() {
-            self.t = self.training_time(at.t);
+        let dynamic = self.canonical.at.dynamic;
+        let stats = if dynamic {
+            self.t = self.training_time(view.at.t);
             let canonical = &mut self.canonical;
             self.field.forward(&canonical.splats, self.t, &mut self.tape, &mut self.moved);
-            self.d_moved.reset(&self.moved);
-            draw(&self.moved, &mut self.d_moved);
+            let stats = render.render(&self.moved, &mut self.d_moved)?;
+            canonical.d_splats.reset(&canonical.splats);
             self.field.backward(&canonical.splats, &mut self.tape, &self.d_moved, &mut canonical.d_splats);
+            stats
         } else {
-            draw(&self.canonical.splats, &mut self.canonical.d_splats);
-        }
+            render.render(&self.canonical.splats, &mut self.canonical.d_splats)?
+        };
         self.canonical.backward();
+        self.canonical.accumulate(stats, view.camera);
+        let step = self.canonical.at.step;
+        if !(view.last && dynamic && step >= self.regular_from) {
+            return Ok(Vec::new());
+        }
+        Ok(self.field.regularise(&self.canonical.splats, self.t, step))
     }
 
-    fn stages(&self, at: &Moment, camera: &Camera) -> Vec<StageView> {
+    fn end_step(&mut self) -> Result<StepEvents, MethodError> {
+        Ok(StepEvents { densified: self.canonical.densify(), log: Vec::new() })
+    }
+
+    fn splat_count(&self) -> usize {
+        self.canonical.cloud.len()
+    }
+
+    fn capabilities(&self) -> Capabilities<'_> {
+        Capabilities { inspect: Some(self), growth: Some(self.canonical.growth()), ..Capabilities::default() }
+    }
+}
+
+impl<F: Field> Inspect for Deformed<F>
+where
+    F::Tape: Sync,
+{
+    fn stages(&self, at: &Timestamp, camera: &Camera) -> Result<Vec<StageView>, MethodError> {
         let canonical = self.canonical.activated();
         let before = Some(canonical.means.clone());
-        vec![
+        Ok(vec![
             StageView { name: "canonical", splats: canonical, before: None },
-            StageView { name: "full", splats: self.splats(at, camera), before },
-        ]
+            StageView { name: "full", splats: self.splats(at, camera)?, before },
+        ])
     }
 
-    fn penalties(&mut self, step: u32) -> Vec<(&'static str, f32)> {
-        match self.canonical.schedule.dynamic(step) && step >= self.regular_from {
-            true => self.field.regularise(&self.canonical.splats, self.t, step),
-            false => Vec::new(),
-        }
-    }
-
-    fn observe(&mut self, _at: &Moment, seen: &ScreenStats, camera: &Camera) {
-        self.canonical.observe(seen, camera);
-    }
-
-    fn adapt(&mut self, step: u32) -> Adapted {
-        self.canonical.adapt(step)
-    }
-
-    fn quantities(&self, at: &Moment) -> Vec<Quantity> {
+    fn quantities(&self, at: &Timestamp) -> Result<Vec<Quantity>, MethodError> {
         let canonical = self.canonical.activated();
         let mut all = kernel_quantities(&canonical.kernel);
-        if self.canonical.dynamic() {
+        if self.canonical.at.dynamic {
             let values = self.field.quantities(&canonical, at.t);
             all.extend(values.into_iter().map(|(name, values)| Quantity::share(name, values)));
         }
-        all
+        Ok(all)
     }
 
-    /// `motion`: displacement from the canonical place, one colour channel per axis, grey for none.
-    fn overlays(&self, at: &Moment) -> Vec<Overlay> {
+    /// `motion`: displacement from the canonical position, one colour channel per axis, grey for none.
+    fn overlays(&self, at: &Timestamp) -> Result<Vec<Overlay>, MethodError> {
         let canonical = self.canonical.activated();
         let mut moved = Splats::default();
         self.field.forward(&canonical, at.t, &mut F::Tape::default(), &mut moved);
@@ -149,18 +159,6 @@ where
         let largest = shifts.iter().map(|s| s.abs().max_element()).fold(f32::MIN_POSITIVE, f32::max);
         let colors = shifts.iter().map(|s| (0.5 + 0.5 * *s / largest).to_array()).collect();
         let motion = Overlay { name: "motion", colors, meaning: DIRECTIONS };
-        std::iter::once(motion).chain(self.quantities(at).iter().map(Quantity::overlay)).collect()
-    }
-
-    fn columns(&self) -> Vec<Column<'_>> {
-        self.canonical.density.columns().map(Column::per_row).into()
-    }
-
-    fn columns_mut(&mut self) -> Vec<ColumnMut<'_>> {
-        self.canonical.density.columns_mut().map(ColumnMut::per_row).into()
-    }
-
-    fn len(&self) -> usize {
-        self.canonical.cloud.len()
+        Ok(std::iter::once(motion).chain(self.quantities(at)?.iter().map(Quantity::overlay)).collect())
     }
 }

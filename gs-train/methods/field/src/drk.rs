@@ -2,7 +2,8 @@
 //! Settings and body are those of [`grid4d`](super::grid4d).
 
 use crate::grid4d::{PRESETS, build_as};
-use gs_train::method::{Method, MethodEntry, MethodError, SceneInfo};
+use gs_train::method::{MethodEntry, MethodError, SceneInfo};
+use gs_train::model::Model;
 
 /// The line in the list of methods.
 pub const ENTRY: MethodEntry = MethodEntry {
@@ -14,6 +15,6 @@ pub const ENTRY: MethodEntry = MethodEntry {
     build,
 };
 
-fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Box<dyn Method>, MethodError> {
+fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
     build_as(ENTRY.name, table, scene)
 }

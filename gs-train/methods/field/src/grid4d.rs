@@ -8,7 +8,8 @@ use gs_deform::field::{Grid4dConfig, Grid4dField};
 use gs_train::ablate::{Ablations, Part};
 use gs_train::canonical::Canonical;
 use gs_train::kernel::KernelKind;
-use gs_train::method::{Method, MethodEntry, MethodError, parse_config};
+use gs_train::method::{MethodEntry, MethodError, parse_config};
+use gs_train::model::Model;
 use gs_train::scene::{CloudConfig, InitConfig, SceneInfo};
 use gs_train::schedule::Schedule;
 use serde::{Deserialize, Serialize};
@@ -74,16 +75,12 @@ pub struct Config {
     pub schedule: Schedule,
 }
 
-fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Box<dyn Method>, MethodError> {
+fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
     build_as(ENTRY.name, table, scene)
 }
 
 /// Builds whatever the configuration says, under the name of one of the methods on this body.
-pub(super) fn build_as(
-    name: &'static str,
-    table: &toml::Table,
-    scene: &SceneInfo,
-) -> Result<Box<dyn Method>, MethodError> {
+pub(super) fn build_as(name: &'static str, table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
     let mut config: Config = parse_config(name, table)?;
     let wrong = |why: String| MethodError::Config { method: name, why };
     config.ablate.clone().apply(GRID4D, &mut config).map_err(wrong)?;
@@ -92,10 +89,10 @@ pub(super) fn build_as(
             ROOM * scene.bounds.map(|corner| corner.abs().max_element()).into_iter().fold(0.0, f32::max);
     }
     let field = Grid4dField::new(&config.field, scene.seed).map_err(|e| wrong(e.to_string()))?;
-    let canonical = Canonical::new(&config.cloud, config.schedule, scene)?;
-    let still = Anneal { strength: 0.0, ..Anneal::default() };
-    let method = Deformed::new(name, canonical, field, still, scene.views);
-    Ok(Box::new(method.regularised_from(config.smooth_from)))
+    let canonical = Canonical::new(&config.cloud, &mut config.schedule, scene)?;
+    let no_anneal = Anneal { strength: 0.0, ..Anneal::default() };
+    let method = Deformed::new(canonical, field, no_anneal, scene.views).regularised_from(config.smooth_from);
+    Model::new(name, method, config.schedule)
 }
 
 #[cfg(test)]

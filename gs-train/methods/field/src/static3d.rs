@@ -1,14 +1,18 @@
 //! 3D Gaussian Splatting without time (Kerbl et al. 2023): the canonical cloud is the scene.
 
-use gs_core::{Camera, Param, Params, Splats, SplatsGrad};
-use gs_raster::ScreenStats;
+use gs_core::{Camera, Param, Params, Splats};
 use gs_train::canonical::Canonical;
-use gs_train::densify::Adapted;
+use gs_train::capabilities::{Capabilities, Inspect, Quantity};
 use gs_train::kernel::kernel_quantities;
-use gs_train::method::{Column, ColumnMut, Method, MethodEntry, MethodError, Quantity, parse_config};
+use gs_train::method::{
+    Buffer, BufferMut, Buffers, LossValue, Method, MethodEntry, MethodError, RenderView, StepEvents, ViewCtx,
+    parse_config,
+};
+use gs_train::model::Model;
 use gs_train::scene::{CloudConfig, InitConfig, SceneInfo};
 use gs_train::schedule::Schedule;
-use gs_train::timestamp::Moment;
+use gs_train::step::StepCtx;
+use gs_train::timestamp::Timestamp;
 use serde::{Deserialize, Serialize};
 
 /// The line in the list of methods.
@@ -41,9 +45,10 @@ struct Static3d {
     canonical: Canonical,
 }
 
-fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Box<dyn Method>, MethodError> {
-    let config: StaticConfig = parse_config(ENTRY.name, table)?;
-    Ok(Box::new(Static3d { canonical: Canonical::new(&config.cloud, config.schedule, scene)? }))
+fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
+    let StaticConfig { cloud, mut schedule, .. } = parse_config(ENTRY.name, table)?;
+    let canonical = Canonical::new(&cloud, &mut schedule, scene)?;
+    Model::new(ENTRY.name, Static3d { canonical }, schedule)
 }
 
 impl Params for Static3d {
@@ -56,50 +61,48 @@ impl Params for Static3d {
     }
 }
 
+impl Buffers for Static3d {
+    fn buffers(&self, f: &mut dyn FnMut(Buffer<'_>)) {
+        self.canonical.buffers(f);
+    }
+
+    fn buffers_mut(&mut self, f: &mut dyn FnMut(BufferMut<'_>)) {
+        self.canonical.buffers_mut(f);
+    }
+}
+
 impl Method for Static3d {
-    fn name(&self) -> &'static str {
-        ENTRY.name
+    fn begin_step(&mut self, at: &StepCtx) {
+        self.canonical.at = at.clone();
     }
 
-    fn schedule(&self) -> &Schedule {
-        &self.canonical.schedule
+    fn splats(&self, _at: &Timestamp, _camera: &Camera) -> Result<Splats, MethodError> {
+        Ok(self.canonical.activated())
     }
 
-    fn set_step(&mut self, step: u32) {
-        self.canonical.set_step(step);
-    }
-
-    fn splats(&self, _at: &Moment, _camera: &Camera) -> Splats {
-        self.canonical.activated()
-    }
-
-    fn step(&mut self, _at: &Moment, _camera: &Camera, draw: &mut dyn FnMut(&Splats, &mut SplatsGrad)) {
+    fn step(&mut self, view: &ViewCtx<'_>, render: &mut dyn RenderView) -> Result<Vec<LossValue>, MethodError> {
         self.canonical.forward();
-        draw(&self.canonical.splats, &mut self.canonical.d_splats);
+        let stats = render.render(&self.canonical.splats, &mut self.canonical.d_splats)?;
         self.canonical.backward();
+        self.canonical.accumulate(stats, view.camera);
+        Ok(Vec::new())
     }
 
-    fn observe(&mut self, _at: &Moment, seen: &ScreenStats, camera: &Camera) {
-        self.canonical.observe(seen, camera);
+    fn end_step(&mut self) -> Result<StepEvents, MethodError> {
+        Ok(StepEvents { densified: self.canonical.densify(), log: Vec::new() })
     }
 
-    fn adapt(&mut self, step: u32) -> Adapted {
-        self.canonical.adapt(step)
-    }
-
-    fn quantities(&self, _at: &Moment) -> Vec<Quantity> {
-        kernel_quantities(&self.canonical.activated().kernel)
-    }
-
-    fn columns(&self) -> Vec<Column<'_>> {
-        self.canonical.density.columns().map(Column::per_row).into()
-    }
-
-    fn columns_mut(&mut self) -> Vec<ColumnMut<'_>> {
-        self.canonical.density.columns_mut().map(ColumnMut::per_row).into()
-    }
-
-    fn len(&self) -> usize {
+    fn splat_count(&self) -> usize {
         self.canonical.cloud.len()
+    }
+
+    fn capabilities(&self) -> Capabilities<'_> {
+        Capabilities { inspect: Some(self), growth: Some(self.canonical.growth()), ..Capabilities::default() }
+    }
+}
+
+impl Inspect for Static3d {
+    fn quantities(&self, _at: &Timestamp) -> Result<Vec<Quantity>, MethodError> {
+        Ok(kernel_quantities(&self.canonical.activated().kernel))
     }
 }

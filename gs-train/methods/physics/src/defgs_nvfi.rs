@@ -1,11 +1,12 @@
 //! Deformable 3D Gaussians with the velocity field of NVFi: TRACE's baseline DefGS_nvfi, trained as TRACE is
 //! ([`transported`](crate::advected)), with NVFi's physics-informed loss on the velocity.
 
-use crate::advected::{PhysicsConfig, Transported};
+use crate::advected::{Advected, PhysicsConfig};
 use gs_deform::{DefGsConfig, DefMlp};
 use gs_physics::{VelocityConfig, VelocityField};
 use gs_train::canonical::Canonical;
-use gs_train::method::{Method, MethodEntry, MethodError, parse_config};
+use gs_train::method::{MethodEntry, MethodError, parse_config};
+use gs_train::model::Model;
 use gs_train::scene::{CloudConfig, InitConfig, SceneInfo};
 use gs_train::schedule::Schedule;
 use serde::{Deserialize, Serialize};
@@ -42,13 +43,14 @@ pub struct Config {
     pub schedule: Schedule,
 }
 
-fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Box<dyn Method>, MethodError> {
-    let config: Config = parse_config(ENTRY.name, table)?;
+fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
+    let mut config: Config = parse_config(ENTRY.name, table)?;
     let wrong = |why: String| MethodError::Config { method: ENTRY.name, why };
     let field = DefMlp::new(&config.field, scene.seed).map_err(|e| wrong(e.to_string()))?;
     let step = config.physics.step(scene);
     let velocity = VelocityField::new(&config.velocity, scene.bounds, step, scene.seed);
     let velocity = velocity.map_err(|e| wrong(e.to_string()))?;
-    let canonical = Canonical::new(&config.cloud, config.schedule, scene)?;
-    Ok(Box::new(Transported::new(ENTRY.name, canonical, field, velocity, config.physics, scene).map_err(wrong)?))
+    let canonical = Canonical::new(&config.cloud, &mut config.schedule, scene)?;
+    let method = Advected::new(canonical, field, velocity, config.physics, scene).map_err(wrong)?;
+    Model::new(ENTRY.name, method, config.schedule)
 }

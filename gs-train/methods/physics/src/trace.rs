@@ -14,12 +14,13 @@
 //!
 //! Its other rows are settings: `physics.step_frames` and `law.order`.
 
-use crate::advected::{PhysicsConfig, Transported};
+use crate::advected::{Advected, PhysicsConfig};
 use gs_deform::{DefGsConfig, DefMlp, Field};
 use gs_physics::{Law, LawConfig, LawForm};
 use gs_train::ablate::{Ablations, Part};
 use gs_train::canonical::Canonical;
-use gs_train::method::{Method, MethodEntry, MethodError, parse_config};
+use gs_train::method::{MethodEntry, MethodError, parse_config};
+use gs_train::model::Model;
 use gs_train::scene::{CloudConfig, InitConfig, SceneInfo};
 use gs_train::schedule::Schedule;
 use serde::{Deserialize, Serialize};
@@ -82,7 +83,7 @@ pub(super) fn build_on<F, C>(
     table: &toml::Table,
     scene: &SceneInfo,
     field: impl FnOnce(&Config<C>) -> Result<F, gs_deform::DeformError>,
-) -> Result<Box<dyn Method>, MethodError>
+) -> Result<Model, MethodError>
 where
     F: Field + 'static,
     F::Tape: Sync,
@@ -95,10 +96,11 @@ where
     let origin = 0.5 * (scene.bounds[0] + scene.bounds[1]);
     let step = config.physics.step(scene);
     let law = Law::new(&config.law, origin, step, scene.seed).map_err(|e| wrong(e.to_string()))?;
-    let canonical = Canonical::new(&config.cloud, config.schedule, scene)?;
-    Ok(Box::new(Transported::new(name, canonical, field, law, config.physics, scene).map_err(wrong)?))
+    let canonical = Canonical::new(&config.cloud, &mut config.schedule, scene)?;
+    let method = Advected::new(canonical, field, law, config.physics, scene).map_err(wrong)?;
+    Model::new(name, method, config.schedule)
 }
 
-fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Box<dyn Method>, MethodError> {
+fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
     build_on(ENTRY.name, table, scene, |c: &Config<DefGsConfig>| DefMlp::new(&c.field, scene.seed))
 }

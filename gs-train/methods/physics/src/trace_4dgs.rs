@@ -2,7 +2,8 @@
 
 use crate::trace::{Config, build_on};
 use gs_deform::{Aabb, FourDgsConfig, HexPlaneField};
-use gs_train::method::{Method, MethodEntry, MethodError};
+use gs_train::method::{MethodEntry, MethodError};
+use gs_train::model::Model;
 use gs_train::scene::SceneInfo;
 
 /// The line in the list of methods.
@@ -19,7 +20,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
     build,
 };
 
-fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Box<dyn Method>, MethodError> {
+fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
     build_on(ENTRY.name, table, scene, |c: &Config<FourDgsConfig>| {
         let [min, max] = scene.bounds;
         let margin = c.margin * min.distance(max);

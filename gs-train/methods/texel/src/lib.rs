@@ -27,19 +27,21 @@ pub use oracle::OracleOptions;
 use cache::Cache;
 use direct::Direct;
 use geometry::Geometry;
-use gs_core::{Camera, Param, Params, Rng, Splats, SplatsGrad, Time};
+use gs_core::{Camera, Param, Params, Rng, Splats, SplatsGrad};
 use gs_data::avatar::{AvatarFrame, AvatarScene};
 use gs_texel::Pose;
 use gs_texel::gaussians::{Channels, DecodeOptions, OFFSET, OPACITY, decode, decode_backward, offset_penalty};
-use gs_train::densify::Adapted;
+use gs_train::capabilities::{Capabilities, Inspect, Quantity};
 use gs_train::method::{
-    Column, ColumnMut, Figure, Growth, Method, MethodEntry, MethodError, Quantity, SceneInfo, parse_config,
+    Buffer, BufferMut, Buffers, LossValue, Method, MethodEntry, MethodError, RenderView, SceneInfo, StepEvents,
+    ViewCtx, parse_config,
 };
-use gs_train::schedule::Schedule;
-use gs_train::timestamp::Moment;
+use gs_train::model::Model;
+use gs_train::step::StepCtx;
+use gs_train::timestamp::Timestamp;
 use network::Network;
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 /// The line in the list of methods.
 pub const ENTRY: MethodEntry = MethodEntry {
@@ -86,18 +88,19 @@ pub struct Dut {
     firsts: Cache<First>,
     seconds: Cache<Second>,
     seed: u64,
-    step: u32,
+    at: StepCtx,
     /// Regularisers of the present step.
-    penalties: Vec<(&'static str, f32)>,
+    penalties: Vec<LossValue>,
     /// Scratch: texels' values and their cotangents.
     rows: Vec<f32>,
     d_rows: Vec<f32>,
     d_splats: SplatsGrad,
-    trouble: Mutex<Option<String>>,
 }
 
-fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Box<dyn Method>, MethodError> {
-    Ok(Box::new(Dut::new(parse_config(ENTRY.name, table)?, scene)?))
+fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
+    let config: Config = parse_config(ENTRY.name, table)?;
+    let schedule = config.schedule.clone();
+    Model::new(ENTRY.name, Dut::new(config, scene)?, schedule)
 }
 
 impl Dut {
@@ -128,12 +131,11 @@ impl Dut {
             firsts: Cache::new(frames),
             seconds: Cache::new(frames),
             seed: scene.seed,
-            step: 0,
+            at: StepCtx::default(),
             penalties: Vec::new(),
             rows: Vec::new(),
             d_rows: Vec::new(),
             d_splats: SplatsGrad::default(),
-            trouble: Mutex::new(None),
             actor,
             config,
         })
@@ -230,28 +232,28 @@ impl Dut {
 
     fn decoding(&self) -> DecodeOptions {
         let options = self.config.gaussians.decode;
-        DecodeOptions { sh_active: self.config.schedule.sh_degree(self.step, options.sh_active), ..options }
+        DecodeOptions { sh_active: self.at.sh_degree.min(options.sh_active), ..options }
     }
 
     fn phase(&self) -> Phase {
-        Phase::of(&self.config.schedule, self.step)
+        Phase::of(&self.at.stage)
     }
 
-    fn drawn(&self, at: &Moment) -> Result<(Arc<Second>, Vec<f32>), FrameError> {
+    /// The second unprojection of a timestamp's frame and its texel values.
+    fn texels_at(&self, at: &Timestamp) -> Result<(Arc<Second>, Vec<f32>), FrameError> {
         let second = self.second(self.actor.frame_at(at.t))?;
         let mut rows = Vec::new();
         self.rows(&second, &mut rows)?;
         Ok((second, rows))
     }
 
-    /// Keeps the first thing that went wrong.
-    fn note(&self, frame: &AvatarFrame, error: &FrameError) {
-        let mut trouble = self.trouble.lock().unwrap_or_else(PoisonError::into_inner);
-        trouble.get_or_insert_with(|| format!("frame {} of the filmed person: {error}", frame.number));
+    /// An error with the frame it concerns.
+    fn at_frame(frame: &AvatarFrame, error: &FrameError) -> MethodError {
+        MethodError::Render(format!("frame {} of the filmed person: {error}", frame.number))
     }
 
-    fn learn(&mut self, frame: &AvatarFrame, draw: &mut dyn FnMut(&Splats, &mut SplatsGrad)) -> Result<(), FrameError> {
-        let share = 1.0 / self.config.schedule.batch as f32;
+    fn learn(&mut self, frame: &AvatarFrame, render: &mut dyn RenderView) -> Result<(), StepError> {
+        let share = 1.0 / self.at.batch as f32;
         let phase = self.phase();
         if phase == Phase::Geometry {
             let first = self.first(frame)?;
@@ -269,7 +271,7 @@ impl Dut {
             let loss = net.warm_up(&self.actor, &second, &rows, share, &mut d_rows)?;
             self.add_penalty("warm_up", loss);
         } else {
-            self.draw(&second, &rows, &mut d_rows, draw)?;
+            self.render(&second, &rows, &mut d_rows, render)?;
             let penalty = offset_penalty(&rows, self.channels, self.config.gaussians.reg * share, &mut d_rows);
             self.add_penalty("offsets", penalty as f32);
         }
@@ -287,23 +289,23 @@ impl Dut {
         if most == 0.0 || self.phase() != Phase::Main {
             return second;
         }
-        let mut rng = Rng::new(self.seed, "dut.jitter", self.step, number.into());
+        let mut rng = Rng::new(self.seed, "dut.jitter", self.at.step, number.into());
         let gain = std::array::from_fn(|_| (most * (2.0 * rng.uniform() - 1.0)).exp());
         Arc::new(self.actor.relit(&second, gain))
     }
 
-    /// Texels' values to an image, and what it asks of them.
-    fn draw(
+    /// Texel values to an image and its loss, and backward.
+    fn render(
         &mut self,
         second: &Second,
         rows: &[f32],
         d_rows: &mut [f32],
-        draw: &mut dyn FnMut(&Splats, &mut SplatsGrad),
-    ) -> Result<(), FrameError> {
+        render: &mut dyn RenderView,
+    ) -> Result<(), StepError> {
         let splats = self.decode(rows, second)?;
-        self.d_splats.reset(&splats);
-        draw(&splats, &mut self.d_splats);
-        Ok(decode_backward(rows, self.channels, &second.base, &self.decoding(), &self.d_splats, d_rows, None)?)
+        render.render(&splats, &mut self.d_splats)?;
+        Ok(decode_backward(rows, self.channels, &second.base, &self.decoding(), &self.d_splats, d_rows, None)
+            .map_err(FrameError::from)?)
     }
 
     fn add_penalty(&mut self, name: &'static str, value: f32) {
@@ -332,129 +334,143 @@ impl Params for Dut {
     }
 }
 
-impl Figure for Dut {
-    fn scene(&self) -> &AvatarScene {
+/// Why a step failed: an input of the frame, or rendering.
+#[derive(Debug)]
+enum StepError {
+    Frame(FrameError),
+    Render(MethodError),
+}
+
+impl<E: Into<FrameError>> From<E> for StepError {
+    fn from(e: E) -> Self {
+        Self::Frame(e.into())
+    }
+}
+
+impl From<MethodError> for StepError {
+    fn from(e: MethodError) -> Self {
+        Self::Render(e)
+    }
+}
+
+impl Dut {
+    /// Rendering over black, as in training.
+    pub fn raster_options(&self) -> gs_raster::RasterOptions {
+        self.config.schedule.raster_options([0.0; 3])
+    }
+
+    /// The character and what was filmed of it.
+    pub fn scene(&self) -> &AvatarScene {
         &self.actor.scene
     }
 
-    fn posed(&self, at: &Moment, pose: &Pose) -> Result<Splats, String> {
-        let carried = || {
-            let (second, rows) = self.drawn(at)?;
-            let frame = AvatarFrame { pose: pose.clone(), ..self.actor.frame_at(at.t).clone() };
-            let base = self.actor.base(&self.actor.pose(&frame), &second.offsets)?;
-            Ok(decode(&rows, self.channels, &base, &self.decoding())?)
-        };
-        carried().map_err(|e: FrameError| e.to_string())
+    /// The splats that the images of a timestamp's frame give in the pose of that frame, carried by the skinning of another
+    /// pose: appearance stays that of the images.
+    ///
+    /// # Errors
+    /// If the images cannot be read or the pose does not fit.
+    pub fn posed(&self, at: &Timestamp, pose: &Pose) -> Result<Splats, FrameError> {
+        let (second, rows) = self.texels_at(at)?;
+        let frame = AvatarFrame { pose: pose.clone(), ..self.actor.frame_at(at.t).clone() };
+        let base = self.actor.base(&self.actor.pose(&frame), &second.offsets)?;
+        Ok(decode(&rows, self.channels, &base, &self.decoding())?)
+    }
+
+    /// Makes the mean colours anew while GeoNet learns, if asked for.
+    fn refresh_mean_textures(&mut self) -> Result<(), FrameError> {
+        let every = self.config.surface.refresh;
+        let due = every > 0 && self.at.step.is_multiple_of(every) && self.phase() == Phase::Geometry;
+        if due && !self.actor.mean.gau.is_empty() {
+            let through = |frame: &AvatarFrame| self.first(frame).and_then(|first| self.offsets(&first));
+            let [gau] = self.actor.mean_textures([Some(&self.actor.gau)], through)?;
+            self.actor.mean.gau = gau;
+        }
+        Ok(())
+    }
+}
+
+impl Buffers for Dut {
+    /// The mean textures, which another film would give other values of.
+    fn buffers(&self, f: &mut dyn FnMut(Buffer<'_>)) {
+        let MeanTextures { geo, gau } = &self.actor.mean;
+        for (name, values) in [("mean.geo", geo), ("mean.gau", gau)] {
+            if !values.is_empty() {
+                f(Buffer { name, row_width: None, values });
+            }
+        }
+    }
+
+    fn buffers_mut(&mut self, f: &mut dyn FnMut(BufferMut<'_>)) {
+        let MeanTextures { geo, gau } = &mut self.actor.mean;
+        for (name, values) in [("mean.geo", geo), ("mean.gau", gau)] {
+            if !values.is_empty() {
+                f(BufferMut { name, row_width: None, values });
+            }
+        }
     }
 }
 
 impl Method for Dut {
-    fn name(&self) -> &'static str {
-        ENTRY.name
-    }
-
-    fn schedule(&self) -> &Schedule {
-        &self.config.schedule
-    }
-
-    fn set_step(&mut self, step: u32) {
-        self.step = step;
-        if self.phase() == Phase::Geometry {
+    fn begin_step(&mut self, at: &StepCtx) {
+        // A restored state brings other mean textures, which cached inputs of GeoNet hold.
+        let continues = at.step == self.at.step + 1;
+        self.at = at.clone();
+        if !continues {
+            self.firsts.clear();
+        }
+        if !continues || self.phase() == Phase::Geometry {
             self.seconds.clear();
         }
     }
 
-    fn splats(&self, at: &Moment, _camera: &Camera) -> Splats {
-        let made = self.drawn(at).and_then(|(second, rows)| self.decode(&rows, &second));
-        made.unwrap_or_else(|e| {
-            self.note(self.actor.frame_at(at.t), &e);
-            Splats::default()
-        })
+    fn splats(&self, at: &Timestamp, _camera: &Camera) -> Result<Splats, MethodError> {
+        let made = self.texels_at(at).and_then(|(second, rows)| self.decode(&rows, &second));
+        made.map_err(|e| Self::at_frame(self.actor.frame_at(at.t), &e))
     }
 
-    fn step(&mut self, at: &Moment, _camera: &Camera, draw: &mut dyn FnMut(&Splats, &mut SplatsGrad)) {
+    fn step(&mut self, view: &ViewCtx<'_>, render: &mut dyn RenderView) -> Result<Vec<LossValue>, MethodError> {
         let scene = self.actor.scene.clone();
-        let frame = scene.frame_at(at.t);
-        if let Err(e) = self.learn(frame, draw) {
-            self.note(frame, &e);
+        let frame = scene.frame_at(view.at.t);
+        self.learn(frame, render).map_err(|e| match e {
+            StepError::Frame(e) => Self::at_frame(frame, &e),
+            StepError::Render(e) => e,
+        })?;
+        if !view.last {
+            return Ok(Vec::new());
         }
-    }
-
-    fn figure(&self) -> Option<&dyn Figure> {
-        Some(self)
-    }
-
-    fn looks(&self) -> bool {
-        self.phase() == Phase::Main
-    }
-
-    fn trouble(&self) -> Option<String> {
-        self.trouble.lock().unwrap_or_else(PoisonError::into_inner).clone()
-    }
-
-    /// Those of this step's views, whose gradients came with the views'.
-    fn penalties(&mut self, _step: u32) -> Vec<(&'static str, f32)> {
         if let Source::Network(net) = &mut self.source {
             net.clip();
         }
-        std::mem::take(&mut self.penalties)
+        Ok(std::mem::take(&mut self.penalties))
     }
 
-    /// Makes the mean colours anew while GeoNet learns, if asked for.
-    fn adapt(&mut self, step: u32) -> Adapted {
-        let every = self.config.surface.refresh;
-        if every > 0 && step.is_multiple_of(every) && self.phase() == Phase::Geometry && !self.actor.mean.gau.is_empty()
-        {
-            let through = |frame: &AvatarFrame| self.first(frame).and_then(|first| self.offsets(&first));
-            match self.actor.mean_textures([Some(&self.actor.gau)], through) {
-                Ok([gau]) => self.actor.mean.gau = gau,
-                Err(e) => self.note(self.actor.frame_at(Time::default()), &e),
-            }
-        }
-        Adapted::default()
+    fn end_step(&mut self) -> Result<StepEvents, MethodError> {
+        self.refresh_mean_textures().map_err(|e| Self::at_frame(self.actor.frame_at(Default::default()), &e))?;
+        Ok(StepEvents::default())
     }
 
-    /// The mean textures, which another film would give other values of.
-    fn columns(&self) -> Vec<Column<'_>> {
-        let MeanTextures { geo, gau } = &self.actor.mean;
-        let column = |(name, values)| Column { name, row_width: None, values };
-        [("mean.geo", geo), ("mean.gau", gau)].into_iter().filter(|c| !c.1.is_empty()).map(column).collect()
+    fn splat_count(&self) -> usize {
+        self.actor.gau.len()
     }
 
-    fn columns_mut(&mut self) -> Vec<ColumnMut<'_>> {
-        // They hold inputs of GeoNet less its mean texture.
-        self.firsts.clear();
-        self.seconds.clear();
-        let MeanTextures { geo, gau } = &mut self.actor.mean;
-        let column = |(name, values)| ColumnMut { name, row_width: None, values };
-        [("mean.geo", geo), ("mean.gau", gau)].into_iter().filter(|c| !c.1.is_empty()).map(column).collect()
+    fn capabilities(&self) -> Capabilities<'_> {
+        Capabilities { inspect: Some(self), concrete: Some(self), ..Capabilities::default() }
     }
+}
 
-    fn quantities(&self, at: &Moment) -> Vec<Quantity> {
-        let (second, rows) = match self.drawn(at) {
-            Ok(drawn) => drawn,
-            Err(e) => {
-                self.note(self.actor.frame_at(at.t), &e);
-                return Vec::new();
-            }
-        };
+impl Inspect for Dut {
+    fn quantities(&self, at: &Timestamp) -> Result<Vec<Quantity>, MethodError> {
+        let texels = self.texels_at(at);
+        let (second, rows) = texels.map_err(|e| Self::at_frame(self.actor.frame_at(at.t), &e))?;
         let width = self.channels.width();
         let each = |value: &dyn Fn(&[f32]) -> f32| rows.chunks_exact(width).map(value).collect();
         let offset = |row: &[f32]| row[OFFSET].iter().map(|d| d * d).sum::<f32>().sqrt();
         let number = |name, unit, values| Quantity { name, unit, range: None, values };
-        vec![
+        Ok(vec![
             number("visibility", "views", second.seen.views.clone()),
             number("offset", "m", each(&offset)),
             number("kappa", "", second.base.kappas.clone()),
             Quantity::share("opacity", each(&|row| 1.0 / (1.0 + (-row[OPACITY]).exp()))),
-        ]
-    }
-
-    fn len(&self) -> usize {
-        self.actor.gau.len()
-    }
-
-    fn growth(&self) -> Option<Growth> {
-        None
+        ])
     }
 }

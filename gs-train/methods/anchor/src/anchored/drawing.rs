@@ -8,7 +8,7 @@ use gs_anchor::visible::{self, Reach};
 use gs_anchor::{DecodeTape, Local, Visible};
 use gs_core::{Camera, Color, Splats, Time};
 use gs_deform::Field;
-use gs_train::method::StageView;
+use gs_train::capabilities::StageView;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 

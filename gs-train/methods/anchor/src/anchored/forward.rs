@@ -109,7 +109,7 @@ impl Anchored {
             None => &tape.d_splats,
         };
         self.decoder.backward(&tape.local, &mut tape.decoded, d_neural, &mut tape.d_local);
-        let dynamic = self.schedule.dynamic(self.step);
+        let dynamic = self.at.dynamic;
         match self.motion.gad.as_mut().filter(|_| dynamic) {
             Some(gad) => gad.backward(&mut self.anchors, &mut tape.gad, &tape.d_local),
             None => self.anchors.activate_backward(&tape.local, &tape.d_local),

@@ -20,15 +20,19 @@ use gs_anchor::{
     Adapt, AdaptAt, AdaptRules, AnchorInit, AnchorShape, AnchorView, Anchors, Decoder, DecoderConfig, Intervals,
     StorageSizes, StorageTable,
 };
-use gs_core::{Camera, Param, Params, Splats, SplatsGrad};
+use gs_core::{Camera, Param, Params, Splats};
 use gs_raster::ScreenStats;
-use gs_train::densify::Adapted;
+use gs_train::capabilities::{
+    Bake, Capabilities, FreezeOptions, FreezeReport, GrowthLimits, Inspect, Overlay, PaperStorage, PaperStorageRow,
+    Quantity, StageView,
+};
+use gs_train::densify::DensifyStats;
 use gs_train::method::{
-    Column, ColumnMut, Growth, Method, MethodError, Overlay, Quantity, RestOptions, RestReport, SceneInfo, StageView,
+    Buffer, BufferMut, Buffers, LossValue, Method, MethodError, RenderView, SceneInfo, StepEvents, ViewCtx,
 };
 use gs_train::palette::label_color;
-use gs_train::schedule::Schedule;
-use gs_train::timestamp::Moment;
+use gs_train::step::StepCtx;
+use gs_train::timestamp::Timestamp;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
@@ -56,8 +60,6 @@ pub struct AnchorConfig {
 pub struct Parts {
     /// Name of the method.
     pub name: &'static str,
-    /// The plan of the run.
-    pub schedule: Schedule,
     /// Anchors.
     pub anchors: AnchorConfig,
     /// Decoder.
@@ -74,8 +76,6 @@ pub struct Parts {
 
 /// Anchors under training.
 pub struct Anchored {
-    name: &'static str,
-    schedule: Schedule,
     config: AnchorConfig,
     rules: AdaptRules,
     sparsity: Option<SparsityConfig>,
@@ -91,21 +91,20 @@ pub struct Anchored {
     seed: u64,
     /// Training views: public code stores a row of appearance for each.
     cameras: u32,
-    step: u32,
-    /// Views of the present step that were drawn.
-    drawn: u32,
+    at: StepCtx,
+    /// Views of the present step that were rendered.
+    rendered: u32,
     tape: Tape,
     cache: Cache,
-    told: Vec<Value>,
+    events: Vec<Value>,
 }
 
 impl Anchored {
     /// The first anchors of a scene.
     ///
     /// # Errors
-    /// If the schedule, a setting or the first points cannot be used.
+    /// If a setting or the first points cannot be used.
     pub fn new(parts: Parts, scene: &SceneInfo) -> Result<Self, MethodError> {
-        parts.schedule.check()?;
         let wrong = |why: String| MethodError::Config { method: parts.name, why };
         let AnchorConfig { voxel, stride, offsets, features, .. } = parts.anchors;
         if parts.anchors.gradient_batch == 0 {
@@ -118,8 +117,6 @@ impl Anchored {
         let first = gs_anchor::anchors_from_points(&scene.points.positions, shape, &init)
             .map_err(|e| MethodError::Scene(e.to_string()))?;
         Ok(Self {
-            name: parts.name,
-            schedule: parts.schedule,
             config: parts.anchors,
             rules: parts.adapt,
             sparsity: parts.sparsity,
@@ -132,18 +129,17 @@ impl Anchored {
             diagonal: scene.bounds[0].distance(scene.bounds[1]),
             seed: scene.seed,
             cameras: scene.views,
-            step: 0,
-            drawn: 0,
+            at: StepCtx::default(),
+            rendered: 0,
             tape: Tape::default(),
             cache: Cache::default(),
-            told: Vec::new(),
+            events: Vec::new(),
         })
     }
 
     /// The same state with scratch of its own.
     fn copy(&self) -> Self {
         Self {
-            schedule: self.schedule.clone(),
             config: self.config.clone(),
             rules: self.rules.clone(),
             anchors: self.anchors.clone(),
@@ -152,33 +148,31 @@ impl Anchored {
             adapt: self.adapt.clone(),
             voxel: self.voxel.clone(),
             reach: self.reach.clone(),
+            at: self.at.clone(),
             tape: Tape::default(),
             cache: Cache::default(),
-            told: Vec::new(),
+            events: Vec::new(),
             ..*self
         }
     }
 
     fn dynamic(&self) -> bool {
-        self.schedule.dynamic(self.step)
-    }
-
-    fn clock(&self) -> u32 {
-        self.schedule.position(self.step).clock
+        self.at.dynamic
     }
 
     /// Views observed per step.
     fn observed(&self) -> u32 {
         match self.config.statistics {
-            Statistics::All => self.schedule.batch,
+            Statistics::All => self.at.batch,
             Statistics::Last => 1,
         }
     }
 
-    fn grow(&mut self, step: u32) -> Adapted {
+    fn grow(&mut self) -> DensifyStats {
+        let step = self.at.step;
         let at = AdaptAt {
             step,
-            clock: self.clock(),
+            clock: self.at.clock,
             seed: self.seed,
             voxel: self.voxel[0],
             diagonal: self.diagonal,
@@ -190,16 +184,17 @@ impl Anchored {
             Err(e) => unreachable!("{e}"),
         };
         if grown.added + grown.pruned > 0 {
-            self.told.push(json!({"step": step, "anchors": self.anchors.len(), "grown": &grown}));
+            self.events.push(json!({"step": step, "anchors": self.anchors.len(), "grown": &grown}));
         }
-        Adapted { cloned: grown.added, pruned: grown.pruned, ..Adapted::default() }
+        DensifyStats { cloned: grown.added, pruned: grown.pruned, ..DensifyStats::default() }
     }
 
-    fn move_boundaries(&mut self, step: u32) {
-        let clock = self.clock();
+    fn move_boundaries(&mut self) {
+        let step = self.at.step;
+        let clock = self.at.clock;
         let Some(intervals) = self.motion.intervals.as_mut() else { return };
         if let Some(adjustment) = intervals.adjust(clock, step) {
-            self.told.push(json!({"step": step, "starts": intervals.starts.value, "intervals": adjustment}));
+            self.events.push(json!({"step": step, "starts": intervals.starts.value, "intervals": adjustment}));
         }
     }
 }
@@ -212,57 +207,88 @@ impl Params for Anchored {
     }
 
     fn visit_mut(&mut self, f: &mut dyn FnMut(&mut Param)) {
-        self.cache.forget();
         self.anchors.visit_mut(f);
         self.decoder.visit_mut(f);
         self.motion.visit_mut(f);
     }
 }
 
+impl Buffers for Anchored {
+    fn buffers(&self, f: &mut dyn FnMut(Buffer<'_>)) {
+        let rows = self.adapt.columns();
+        rows.into_iter().for_each(|(name, width, values)| f(Buffer { name, row_width: Some(width), values }));
+        let intervals = self.motion.intervals.iter().flat_map(|i| i.columns());
+        let own = [("anchors.voxel", &self.voxel), ("anchors.reach", &self.reach)];
+        own.into_iter().chain(intervals).for_each(|(name, values)| f(Buffer { name, row_width: None, values }));
+    }
+
+    fn buffers_mut(&mut self, f: &mut dyn FnMut(BufferMut<'_>)) {
+        let rows = self.adapt.columns_mut();
+        rows.into_iter().for_each(|(name, width, values)| f(BufferMut { name, row_width: Some(width), values }));
+        let intervals = self.motion.intervals.iter_mut().flat_map(|i| i.columns_mut());
+        let own = [("anchors.voxel", &mut self.voxel), ("anchors.reach", &mut self.reach)];
+        own.into_iter().chain(intervals).for_each(|(name, values)| f(BufferMut { name, row_width: None, values }));
+    }
+}
+
 impl Method for Anchored {
-    fn name(&self) -> &'static str {
-        self.name
-    }
-
-    fn schedule(&self) -> &Schedule {
-        &self.schedule
-    }
-
-    fn set_step(&mut self, step: u32) {
-        self.step = step;
-        self.drawn = 0;
+    fn begin_step(&mut self, at: &StepCtx) {
+        self.at = at.clone();
+        self.rendered = 0;
         self.cache.forget();
     }
 
-    fn splats(&self, at: &Moment, camera: &Camera) -> Splats {
-        self.seen_by(at.t, camera)
+    fn splats(&self, at: &Timestamp, camera: &Camera) -> Result<Splats, MethodError> {
+        Ok(self.seen_by(at.t, camera))
     }
 
-    fn step(&mut self, at: &Moment, camera: &Camera, draw: &mut dyn FnMut(&Splats, &mut SplatsGrad)) {
-        self.forward(at.t, camera);
-        let tape = &mut self.tape;
-        tape.d_splats.reset(&tape.splats);
-        draw(&tape.splats, &mut tape.d_splats);
+    fn step(&mut self, view: &ViewCtx<'_>, render: &mut dyn RenderView) -> Result<Vec<LossValue>, MethodError> {
+        self.forward(view.at.t, view.camera);
+        let stats = render.render(&self.tape.splats, &mut self.tape.d_splats)?;
         self.backward();
+        self.accumulate(view, stats);
+        Ok(if view.last && self.at.dynamic { self.regularise() } else { Vec::new() })
     }
 
-    fn penalties(&mut self, step: u32) -> Vec<(&'static str, f32)> {
-        if !self.schedule.dynamic(step) {
-            return Vec::new();
+    fn end_step(&mut self) -> Result<StepEvents, MethodError> {
+        let densified = self.grow();
+        if self.at.dynamic {
+            self.move_boundaries();
         }
-        let mut penalties = self.motion.regularise();
+        if self.at.ends_clock {
+            self.adapt.clear(self.anchors.len());
+        }
+        self.cache.forget();
+        Ok(StepEvents { densified, log: std::mem::take(&mut self.events) })
+    }
+
+    fn splat_count(&self) -> usize {
+        self.anchors.len() * self.config.offsets
+    }
+
+    fn capabilities(&self) -> Capabilities<'_> {
+        let AdaptRules { from, until, max_anchors, .. } = self.rules;
+        let growth = Some(GrowthLimits { most: max_anchors as usize * self.config.offsets, from, until });
+        Capabilities { inspect: Some(self), bake: Some(self), growth, ..Capabilities::default() }
+    }
+}
+
+impl Anchored {
+    fn regularise(&mut self) -> Vec<LossValue> {
+        let mut terms = self.motion.regularise();
         if let Some(SparsityConfig { kind, weight }) = self.sparsity.filter(|s| s.weight > 0.0) {
-            penalties.push(("motion", kind.penalise(&mut self.anchors, weight)));
+            terms.push(("motion", kind.penalise(&mut self.anchors, weight)));
         }
-        penalties
+        terms
     }
 
-    fn observe(&mut self, at: &Moment, seen: &ScreenStats, camera: &Camera) {
-        self.drawn += 1;
-        if self.config.statistics == Statistics::Last && self.drawn < self.schedule.batch {
+    /// Statistics of densification and of intervals, from one view.
+    fn accumulate(&mut self, view: &ViewCtx<'_>, stats: &ScreenStats) {
+        self.rendered += 1;
+        if self.config.statistics == Statistics::Last && self.rendered < self.at.batch {
             return;
         }
-        let clock = self.clock();
+        let (clock, camera) = (self.at.clock, view.camera);
         let weight = 1.0 / self.config.gradient_batch as f32;
         if self.rules.observes_at(clock) {
             let decoded = &self.tape.decoded;
@@ -270,75 +296,56 @@ impl Method for Anchored {
                 visible: &decoded.visible,
                 activations: &decoded.activations,
                 rows: &decoded.rows,
-                grad_means2d: &seen.grad_means2d,
-                radii: &seen.radii,
+                grad_means2d: &stats.grad_means2d,
+                radii: &stats.radii,
                 width: camera.width,
                 height: camera.height,
                 weight,
             });
         }
-        if self.dynamic() {
-            self.motion.observe(clock, at.t, seen, camera);
+        if self.at.dynamic {
+            self.motion.observe(clock, view.at.t, stats, camera);
         }
     }
+}
 
-    fn adapt(&mut self, step: u32) -> Adapted {
-        let adapted = self.grow(step);
-        if self.schedule.dynamic(step) {
-            self.move_boundaries(step);
-        }
-        if self.schedule.position(step + 1).fresh {
-            self.adapt.clear(self.anchors.len());
-        }
-        self.cache.forget();
-        adapted
+impl Inspect for Anchored {
+    fn all_splats(&self, at: &Timestamp, camera: &Camera) -> Result<Splats, MethodError> {
+        Ok(self.every_splat(at.t, camera))
+    }
+
+    fn stages(&self, at: &Timestamp, camera: &Camera) -> Result<Vec<StageView>, MethodError> {
+        Ok(self.staged(at.t, camera))
+    }
+
+    /// `global`: whether the anchor moves between intervals; `local`: how much its offsets, feature and scales change.
+    fn quantities(&self, _at: &Timestamp) -> Result<Vec<Quantity>, MethodError> {
+        let factors = if self.at.dynamic { self.motion.factors(&self.anchors) } else { Vec::new() };
+        let k = self.config.offsets;
+        let spread = |values: Vec<f32>| values.into_iter().flat_map(|v| std::iter::repeat_n(v, k)).collect();
+        Ok(factors.into_iter().map(|(name, values)| Quantity::share(name, spread(values))).collect())
+    }
+
+    /// `anchor`: Gaussians of one anchor; `interval`: which one the timestamp lies in, where there are any.
+    fn overlays(&self, at: &Timestamp) -> Result<Vec<Overlay>, MethodError> {
+        let k = self.config.offsets;
+        let colors = (0..self.anchors.len()).flat_map(|i| std::iter::repeat_n(label_color(i as u32 + 1), k)).collect();
+        let anchor = Overlay { name: "anchor", colors, meaning: "the Gaussians of an anchor share a colour" };
+        let interval = self.motion.intervals.as_ref().filter(|_| self.at.dynamic).map(|intervals| {
+            let color = label_color(intervals.locate(at.t.normalised) as u32 + 1);
+            let colors = vec![color; self.splat_count()];
+            Overlay { name: "interval", colors, meaning: "every interval of time has a colour" }
+        });
+        let quantities = self.quantities(at)?;
+        Ok(quantities.iter().map(Quantity::overlay).chain([anchor]).chain(interval).collect())
     }
 
     fn warnings(&self) -> Vec<String> {
         self.motion.intervals.iter().filter_map(Intervals::warning).collect()
     }
 
-    fn journal(&mut self) -> Vec<Value> {
-        std::mem::take(&mut self.told)
-    }
-
-    fn stages(&self, at: &Moment, camera: &Camera) -> Vec<StageView> {
-        self.staged(at.t, camera)
-    }
-
-    fn tracked(&self, at: &Moment, camera: &Camera) -> Splats {
-        self.every_splat(at.t, camera)
-    }
-
-    /// `global`: whether the anchor moves between intervals; `local`: how much its offsets, feature and scales change;
-    /// one value per splat of [`Method::tracked`].
-    fn quantities(&self, _at: &Moment) -> Vec<Quantity> {
-        let factors = if self.dynamic() { self.motion.factors(&self.anchors) } else { Vec::new() };
-        let k = self.config.offsets;
-        let spread = |values: Vec<f32>| values.into_iter().flat_map(|v| std::iter::repeat_n(v, k)).collect();
-        factors.into_iter().map(|(name, values)| Quantity::share(name, spread(values))).collect()
-    }
-
-    /// `anchor`: what belongs together; `interval`: which one the moment lies in, where there are any.
-    fn overlays(&self, at: &Moment) -> Vec<Overlay> {
-        let of_anchor = (0..self.len() / self.config.offsets).map(|i| label_color(i as u32 + 1));
-        let k = self.config.offsets;
-        let colors = of_anchor.flat_map(|c| std::iter::repeat_n(c, k)).collect();
-        let anchor = Overlay { name: "anchor", colors, meaning: "the Gaussians of an anchor share a colour" };
-        let interval = self.motion.intervals.as_ref().filter(|_| self.dynamic()).map(|intervals| {
-            let color = label_color(intervals.locate(at.t.normalised) as u32 + 1);
-            Overlay {
-                name: "interval",
-                colors: vec![color; self.len()],
-                meaning: "every interval of time has a colour",
-            }
-        });
-        let quantities = self.quantities(at);
-        quantities.iter().map(Quantity::overlay).chain([anchor]).chain(interval).collect()
-    }
-
-    fn storage(&self) -> Option<StorageTable> {
-        Some(StorageTable::of(&StorageSizes {
+    fn paper_storage(&self) -> Option<PaperStorage> {
+        let table = StorageTable::of(&StorageSizes {
             anchors: self.anchors.len(),
             shape: self.anchors.shape(),
             decoder: self.decoder.config().clone(),
@@ -346,48 +353,33 @@ impl Method for Anchored {
             local: self.motion.lgd.as_ref().map(|lgd| lgd.net_config()),
             cameras: self.cameras as usize,
             segments: self.motion.intervals.as_ref().map_or(0, Intervals::len),
-        }))
+        });
+        let row = |r: gs_anchor::storage::StorageRow| PaperStorageRow {
+            block: r.block,
+            paper_values: r.paper_values,
+            needed_values: r.needed_values,
+        };
+        Some(PaperStorage {
+            rows: table.rows.into_iter().map(row).collect(),
+            unused: table.leftovers.into_iter().map(|l| (l.block, l.bytes)).collect(),
+        })
     }
+}
 
-    fn folded(&self, config: &toml::Table) -> Option<(toml::Table, Box<dyn Method>)> {
+impl Bake for Anchored {
+    fn fold(&self, config: &toml::Table) -> Option<(toml::Table, Box<dyn Method>)> {
         let mut config = config.clone();
         config.get_mut("decoder")?.as_table_mut()?.insert("appearance".into(), 0.into());
         let folded = Self { decoder: self.decoder.folded(), ..self.copy() };
         Some((config, Box::new(folded)))
     }
 
-    fn resting(&self, options: &RestOptions<'_>) -> Option<(Box<dyn Method>, RestReport)> {
+    fn freeze_static(&self, options: &FreezeOptions<'_>) -> Option<(Box<dyn Method>, FreezeReport)> {
         let (rest, report) = self.rest(options)?;
         Some((Box::new(Self { cache: Cache::resting(rest), ..self.copy() }), report))
     }
 
-    fn lattice(&self) -> Option<(&'static str, f32)> {
+    fn quantization_step(&self) -> Option<(&'static str, f32)> {
         Some(("anchors.positions", self.voxel[0]))
-    }
-
-    fn columns(&self) -> Vec<Column<'_>> {
-        let rows = self.adapt.columns().map(|(name, width, values)| Column { name, row_width: Some(width), values });
-        let fixed = |(name, values)| Column { name, row_width: None, values };
-        let intervals = self.motion.intervals.iter().flat_map(|i| i.columns());
-        let own = [("anchors.voxel", &self.voxel), ("anchors.reach", &self.reach)];
-        rows.into_iter().chain(own.into_iter().chain(intervals).map(fixed)).collect()
-    }
-
-    fn columns_mut(&mut self) -> Vec<ColumnMut<'_>> {
-        let rows =
-            self.adapt.columns_mut().map(|(name, width, values)| ColumnMut { name, row_width: Some(width), values });
-        let fixed = |(name, values)| ColumnMut { name, row_width: None, values };
-        let intervals = self.motion.intervals.iter_mut().flat_map(|i| i.columns_mut());
-        let own = [("anchors.voxel", &mut self.voxel), ("anchors.reach", &mut self.reach)];
-        rows.into_iter().chain(own.into_iter().chain(intervals).map(fixed)).collect()
-    }
-
-    fn len(&self) -> usize {
-        self.anchors.len() * self.config.offsets
-    }
-
-    fn growth(&self) -> Option<Growth> {
-        let AdaptRules { from, until, max_anchors, .. } = self.rules;
-        Some(Growth { most: max_anchors as usize * self.config.offsets, from, until })
     }
 }

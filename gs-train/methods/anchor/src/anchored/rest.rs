@@ -19,9 +19,9 @@ use glam::{Vec3, Vec4};
 use gs_core::nn::BLOCK;
 use gs_core::{Camera, Splats, Time};
 use gs_deform::apply::{self, Apply, Offsets, RowsMut};
-use gs_deform::field::grid4d::{StillOptions, StillReport, screen_bound};
+use gs_deform::field::grid4d::screen_bound;
 use gs_deform::{Field, HexPlaneField};
-use gs_train::method::{RestOptions, RestReport};
+use gs_train::capabilities::{FreezeOptions, FreezeReport};
 use rayon::prelude::*;
 
 /// Where rows are, and how LGD changes their shape.
@@ -125,9 +125,9 @@ impl Worst {
 
 impl Anchored {
     /// Finds what rests; `None` without LGD or where nothing moves.
-    pub(super) fn rest(&self, options: &RestOptions<'_>) -> Option<(Rest, RestReport)> {
+    pub(super) fn rest(&self, options: &FreezeOptions<'_>) -> Option<(Rest, FreezeReport)> {
         let lgd = self.motion.lgd.as_ref().filter(|_| self.dynamic())?;
-        let RestOptions { still: StillOptions { pixels, probes, cameras }, shape, weight } = *options;
+        let FreezeOptions { pixels, probes, cameras, shape, weight } = *options;
         let gaps = probes.max(2) - 1;
         let time = |halves: usize| {
             let normalised = halves as f32 / (2 * gaps) as f32;
@@ -155,9 +155,16 @@ impl Anchored {
         let still = found.iter().flatten().count();
         let between = first.iter().zip(&found).filter(|(first, found)| first.is_some() && found.is_none()).count();
         let most = |f: fn(&(f32, f32)) -> f32| found.iter().flatten().map(f).fold(0.0, f32::max);
-        let rows = StillReport { splats: found.len(), still, bound_pixels: most(|b| b.0), probes: gaps + 1 };
         let idle = self.motion.gad.iter().flat_map(|gad| gad.taking_part(&self.anchors, weight)).filter(|p| !p).count();
-        let report = RestReport { rows, shape: most(|b| b.1), between, anchors: idle };
+        let report = FreezeReport {
+            splats: found.len(),
+            still,
+            bound_pixels: most(|b| b.0),
+            probes: gaps + 1,
+            shape: most(|b| b.1),
+            between,
+            anchors: idle,
+        };
         Some((Rest { poses, still: found.iter().map(Option::is_some).collect(), below: weight }, report))
     }
 

@@ -17,20 +17,22 @@ use glam::{DVec3, Vec3};
 use gs_core::{Camera, Param, Params, Rng, Splats, SplatsGrad, Time, rot};
 use gs_deform::Field;
 use gs_physics::classes::ClassRule;
-use gs_physics::{Dynamics, Moves, Start};
+use gs_physics::{Dynamics, Motion, Moves, Start};
 use gs_raster::ScreenStats;
 use gs_train::canonical::Canonical;
-use gs_train::densify::Adapted;
+use gs_train::capabilities::{Capabilities, Inspect, Overlay, ParticleSource, Particles, Quantity, StageView};
 use gs_train::kernel::kernel_quantities;
-use gs_train::method::{Column, ColumnMut, Method, Particles, Quantity, SceneInfo, StageView};
-use gs_train::schedule::Schedule;
-use gs_train::timestamp::Moment;
+use gs_train::method::{
+    Buffer, BufferMut, Buffers, LossValue, Method, MethodError, RenderView, SceneInfo, StepEvents, ViewCtx,
+};
+use gs_train::step::StepCtx;
+use gs_train::timestamp::Timestamp;
 use serde::{Deserialize, Serialize};
 use std::sync::Mutex;
 
 mod colours;
 mod future;
-mod looks;
+mod overlays;
 #[cfg(test)]
 mod tests;
 
@@ -127,8 +129,7 @@ impl Times {
 }
 
 /// A cloud under a field and dynamics.
-pub struct Transported<F: Field, D: Dynamics> {
-    name: &'static str,
+pub struct Advected<F: Field, D: Dynamics> {
     canonical: Canonical,
     field: F,
     dynamics: D,
@@ -170,13 +171,12 @@ struct Span {
     to: f64,
 }
 
-impl<F: Field, D: Dynamics> Transported<F, D> {
+impl<F: Field, D: Dynamics> Advected<F, D> {
     /// A cloud with its field and its dynamics.
     ///
     /// # Errors
     /// If a setting is out of its domain.
     pub fn new(
-        name: &'static str,
         canonical: Canonical,
         field: F,
         dynamics: D,
@@ -193,7 +193,7 @@ impl<F: Field, D: Dynamics> Transported<F, D> {
             },
             bodies: config.bodies as usize,
         };
-        Ok(Self { name, canonical, field, dynamics, config, times, thrift, little, scratch, future })
+        Ok(Self { canonical, field, dynamics, config, times, thrift, little, scratch, future })
     }
 
     /// From where to where the dynamics act in training for a photograph at time `t`.
@@ -202,13 +202,13 @@ impl<F: Field, D: Dynamics> Transported<F, D> {
         if !self.config.field {
             return Span { from: 0.0, to: t };
         }
-        if t < step.max(start) || self.canonical.schedule.field_alone(self.canonical.step()) {
+        if t < step.max(start) || self.canonical.at.deform_only {
             return Span { from: t, to: t };
         }
         if t > last_field {
             return Span { from: last_field, to: t };
         }
-        let mut rng = Rng::new(self.canonical.seed(), "side-of-time", self.canonical.step(), 0);
+        let mut rng = Rng::new(self.canonical.seed(), "side-of-time", self.canonical.at.step, 0);
         let forward = rng.uniform() < 0.5;
         if rng.uniform() < self.config.direct {
             return Span { from: t, to: t };
@@ -220,8 +220,8 @@ impl<F: Field, D: Dynamics> Transported<F, D> {
 
     /// Steps Δt that the dynamics carry splats at most in the present step of training.
     fn reach(&self) -> f64 {
-        let open = self.canonical.schedule.stage_and_offset(self.canonical.step());
-        let open = open.map_or(1.0, |(stage, made)| f64::from(made) / f64::from(stage.steps));
+        let at = &self.canonical.at;
+        let open = if at.stage_steps == 0 { 1.0 } else { f64::from(at.stage_offset) / f64::from(at.stage_steps) };
         1.0 + open * f64::from(self.config.reach - 1)
     }
 
@@ -251,7 +251,7 @@ impl<F: Field, D: Dynamics> Transported<F, D> {
 
     fn transported(&self, span: Span) -> Splats {
         let canonical = self.canonical.activated();
-        if !self.canonical.dynamic() {
+        if !self.canonical.at.dynamic {
             return canonical;
         }
         let mut moved = match span.from == self.times.last_field && span.to > span.from {
@@ -297,8 +297,8 @@ impl<F: Field, D: Dynamics> Transported<F, D> {
         *self.future.get_mut().unwrap_or_else(|e| e.into_inner()) = None;
     }
 
-    /// Field and dynamics on the way to a gradient.
-    fn learn(&mut self, t: Time, draw: &mut dyn FnMut(&Splats, &mut SplatsGrad)) {
+    /// Forward and backward through field and dynamics.
+    fn learn<'a>(&mut self, t: Time, render: &'a mut dyn RenderView) -> Result<&'a ScreenStats, MethodError> {
         let span = self.training_span(f64::from(t.normalised));
         let Scratch { field, dynamics, moved, d_moved, drawn, d_drawn, moves, d_moves } = &mut self.scratch;
         let canonical = &mut self.canonical;
@@ -318,8 +318,7 @@ impl<F: Field, D: Dynamics> Transported<F, D> {
         if turn_colours {
             colours::turn(&canonical.splats, drawn);
         }
-        d_drawn.reset(drawn);
-        draw(drawn, d_drawn);
+        let stats = render.render(drawn, d_drawn)?;
         if turn_colours {
             colours::turn_back(&canonical.splats, drawn, &mut d_drawn.color);
         }
@@ -330,9 +329,13 @@ impl<F: Field, D: Dynamics> Transported<F, D> {
             self.dynamics.transport_backward(start, dynamics, d_moves);
         }
         match self.config.field {
-            true => self.field.backward(&canonical.splats, field, d_moved, &mut canonical.d_splats),
+            true => {
+                canonical.d_splats.reset(&canonical.splats);
+                self.field.backward(&canonical.splats, field, d_moved, &mut canonical.d_splats);
+            }
             false => canonical.d_splats.clone_from(d_moved),
         }
+        Ok(stats)
     }
 }
 
@@ -387,7 +390,7 @@ fn conjugate([w, x, y, z]: [f32; 4]) -> [f32; 4] {
     [w, -x, -y, -z]
 }
 
-impl<F: Field, D: Dynamics> Params for Transported<F, D> {
+impl<F: Field, D: Dynamics> Params for Advected<F, D> {
     fn visit(&self, f: &mut dyn FnMut(&Param)) {
         self.canonical.cloud.visit(f);
         if self.config.field {
@@ -397,7 +400,6 @@ impl<F: Field, D: Dynamics> Params for Transported<F, D> {
     }
 
     fn visit_mut(&mut self, f: &mut dyn FnMut(&mut Param)) {
-        self.forget();
         self.canonical.cloud.visit_mut(f);
         if self.config.field {
             self.field.visit_mut(f);
@@ -406,52 +408,107 @@ impl<F: Field, D: Dynamics> Params for Transported<F, D> {
     }
 }
 
-impl<F: Field, D: Dynamics> Method for Transported<F, D>
+impl<F: Field, D: Dynamics> Buffers for Advected<F, D> {
+    fn buffers(&self, f: &mut dyn FnMut(Buffer<'_>)) {
+        self.canonical.buffers(f);
+    }
+
+    fn buffers_mut(&mut self, f: &mut dyn FnMut(BufferMut<'_>)) {
+        self.canonical.buffers_mut(f);
+    }
+}
+
+impl<F: Field, D: Dynamics> Method for Advected<F, D>
 where
     F::Tape: Sync,
 {
-    fn name(&self) -> &'static str {
-        self.name
-    }
-
-    fn schedule(&self) -> &Schedule {
-        &self.canonical.schedule
-    }
-
-    fn set_step(&mut self, step: u32) {
+    fn begin_step(&mut self, at: &StepCtx) {
         self.forget();
-        self.canonical.set_step(step);
+        self.canonical.at = at.clone();
     }
 
-    fn splats(&self, at: &Moment, _camera: &Camera) -> Splats {
-        self.transported(self.drawing_span(f64::from(at.t.normalised)))
+    fn splats(&self, at: &Timestamp, _camera: &Camera) -> Result<Splats, MethodError> {
+        Ok(self.transported(self.drawing_span(f64::from(at.t.normalised))))
     }
 
-    fn step(&mut self, at: &Moment, _camera: &Camera, draw: &mut dyn FnMut(&Splats, &mut SplatsGrad)) {
-        self.forget();
+    fn step(&mut self, view: &ViewCtx<'_>, render: &mut dyn RenderView) -> Result<Vec<LossValue>, MethodError> {
         self.canonical.forward();
-        if self.canonical.dynamic() {
-            self.learn(at.t, draw);
-        } else {
-            draw(&self.canonical.splats, &mut self.canonical.d_splats);
-        }
+        let stats = match self.canonical.at.dynamic {
+            true => self.learn(view.at.t, render)?,
+            false => render.render(&self.canonical.splats, &mut self.canonical.d_splats)?,
+        };
         self.canonical.backward();
+        self.canonical.accumulate(stats, view.camera);
+        Ok(if view.last { self.regularise() } else { Vec::new() })
     }
 
-    fn stages(&self, at: &Moment, camera: &Camera) -> Vec<StageView> {
+    fn end_step(&mut self) -> Result<StepEvents, MethodError> {
+        self.forget();
+        Ok(StepEvents { densified: self.canonical.densify(), log: Vec::new() })
+    }
+
+    fn splat_count(&self) -> usize {
+        self.canonical.cloud.len()
+    }
+
+    fn capabilities(&self) -> Capabilities<'_> {
+        let growth = Some(self.canonical.growth());
+        Capabilities { inspect: Some(self), particles: Some(self), growth, ..Capabilities::default() }
+    }
+}
+
+impl<F: Field, D: Dynamics> Inspect for Advected<F, D>
+where
+    F::Tape: Sync,
+{
+    fn stages(&self, at: &Timestamp, camera: &Camera) -> Result<Vec<StageView>, MethodError> {
         let canonical = self.canonical.activated();
         let span = self.drawing_span(f64::from(at.t.normalised));
         let deformed = self.transported(Span { from: span.from, to: span.from });
         let (rest, bent) = (canonical.means.clone(), deformed.means.clone());
-        vec![
+        Ok(vec![
             StageView { name: "canonical", splats: canonical, before: None },
             StageView { name: "field", splats: deformed, before: Some(rest) },
-            StageView { name: "full", splats: self.splats(at, camera), before: Some(bent) },
-        ]
+            StageView { name: "full", splats: self.splats(at, camera)?, before: Some(bent) },
+        ])
     }
 
-    fn penalties(&mut self, step: u32) -> Vec<(&'static str, f32)> {
-        if !self.canonical.schedule.dynamic(step) {
+    fn quantities(&self, at: &Timestamp) -> Result<Vec<Quantity>, MethodError> {
+        let mut all = kernel_quantities(&self.canonical.activated().kernel);
+        all.extend(self.physical_quantities(f64::from(at.t.normalised)));
+        Ok(all)
+    }
+
+    fn overlays(&self, at: &Timestamp) -> Result<Vec<Overlay>, MethodError> {
+        let mut all = self.directions(f64::from(at.t.normalised));
+        all.extend(self.quantities(at)?.iter().map(Quantity::overlay));
+        Ok(all)
+    }
+}
+
+impl<F: Field, D: Dynamics> ParticleSource for Advected<F, D> {
+    fn particles(&self) -> Particles {
+        let canonical = self.canonical.activated();
+        let splats = self.deformed(&canonical, self.first_ahead());
+        let motions = self.dynamics.motions(self.start(&canonical, &splats, self.first_ahead()));
+        let twists = motions
+            .iter()
+            .map(|Motion { twist, rate, jerk }| [twist.v, twist.w, rate.v, rate.w, jerk.v, jerk.w])
+            .collect();
+        Particles { at: self.first_ahead(), splats, twists, origin: self.dynamics.origin() }
+    }
+}
+
+impl<F: Field, D: Dynamics> Advected<F, D> {
+    /// The time from which the dynamics rule alone.
+    fn first_ahead(&self) -> f64 {
+        if self.config.field { self.times.last_field } else { 0.0 }
+    }
+
+    /// Regularisers of field and dynamics.
+    fn regularise(&mut self) -> Vec<LossValue> {
+        let step = self.canonical.at.step;
+        if !self.canonical.at.dynamic {
             return Vec::new();
         }
         let t = at(self.times.last_field);
@@ -461,52 +518,5 @@ where
         };
         all.extend(self.dynamics.regularise(self.canonical.seed(), step));
         all
-    }
-
-    fn observe(&mut self, _at: &Moment, seen: &ScreenStats, camera: &Camera) {
-        self.canonical.observe(seen, camera);
-    }
-
-    fn adapt(&mut self, step: u32) -> Adapted {
-        self.forget();
-        self.canonical.adapt(step)
-    }
-
-    fn particles(&self) -> Option<Particles> {
-        let canonical = self.canonical.activated();
-        let splats = self.deformed(&canonical, self.first_ahead());
-        let motions = self.dynamics.motions(self.start(&canonical, &splats, self.first_ahead()));
-        Some(Particles { at: self.first_ahead(), splats, motions, origin: self.dynamics.origin() })
-    }
-
-    fn quantities(&self, at: &Moment) -> Vec<Quantity> {
-        let mut all = kernel_quantities(&self.canonical.activated().kernel);
-        all.extend(self.physical_quantities(f64::from(at.t.normalised)));
-        all
-    }
-
-    fn overlays(&self, at: &Moment) -> Vec<gs_train::method::Overlay> {
-        let mut all = self.directions(f64::from(at.t.normalised));
-        all.extend(self.quantities(at).iter().map(Quantity::overlay));
-        all
-    }
-
-    fn columns(&self) -> Vec<Column<'_>> {
-        self.canonical.density.columns().map(Column::per_row).into()
-    }
-
-    fn columns_mut(&mut self) -> Vec<ColumnMut<'_>> {
-        self.canonical.density.columns_mut().map(ColumnMut::per_row).into()
-    }
-
-    fn len(&self) -> usize {
-        self.canonical.cloud.len()
-    }
-}
-
-impl<F: Field, D: Dynamics> Transported<F, D> {
-    /// The time from which the dynamics rule alone.
-    fn first_ahead(&self) -> f64 {
-        if self.config.field { self.times.last_field } else { 0.0 }
     }
 }

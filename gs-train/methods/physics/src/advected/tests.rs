@@ -74,7 +74,7 @@ const CONFIG: PhysicsConfig = PhysicsConfig {
 };
 
 /// Twelve points, frames a twentieth apart, the last at 0.75: Δt = 0.1, T_def = 0.6.
-fn method(config: PhysicsConfig, zero_init: bool) -> Transported<DefMlp, OneTwist> {
+fn method(config: PhysicsConfig, zero_init: bool) -> Advected<DefMlp, OneTwist> {
     let mut rng = Rng::new(3, "points", 0, 0);
     let positions: Vec<Vec3> = (0..12).map(|_| Vec3::new(rng.normal(), rng.normal(), rng.normal())).collect();
     let points = PointCloud { colors: vec![[0.5; 3]; 12], positions };
@@ -97,14 +97,14 @@ fn method(config: PhysicsConfig, zero_init: bool) -> Transported<DefMlp, OneTwis
         DefGsConfig { width: 16, depth: 2, time_hidden: 8, time_features: 4, zero_init, ..DefGsConfig::default() };
     let field = DefMlp::new(&width, 1).unwrap();
     let twist = OneTwist(Param::shared("physics.twist", vec![0.4, -0.3, 0.2, 0.5, 0.1, -0.6]));
-    let mut method = Transported::new("test", canonical, field, twist, config, &scene).unwrap();
+    let mut method = Advected::new("test", canonical, field, twist, config, &scene).unwrap();
     method.set_step(500);
     method
 }
 
 fn splats(method: &impl Method, t: f32) -> Splats {
     let camera = Camera::look_at(8, 8, 0.7, glam::DVec3::Z * 5.0, glam::DVec3::ZERO, glam::DVec3::Y).unwrap();
-    method.splats(&Moment::new(at(f64::from(t))), &camera)
+    method.splats(&Timestamp::new(at(f64::from(t))), &camera)
 }
 
 #[test]
@@ -163,19 +163,19 @@ fn the_reach_opens_over_the_stage() {
 fn the_first_moving_step_draws_what_the_warm_up_drew() {
     let mut m = method(CONFIG, true);
     m.set_step(120);
-    assert!(!m.canonical.dynamic());
+    assert!(!m.canonical.at.dynamic);
     let before = splats(&m, 0.0);
     m.set_step(121);
-    assert!(m.canonical.dynamic());
+    assert!(m.canonical.at.dynamic);
     assert_eq!(splats(&m, 0.0), before);
 }
 
 /// `Σ a·mean + Σ b·quat` of what a step draws, and the gradients it leaves.
-fn learn(m: &mut Transported<DefMlp, OneTwist>, t: f32) -> f64 {
+fn learn(m: &mut Advected<DefMlp, OneTwist>, t: f32) -> f64 {
     let mut loss = 0.0;
     m.visit_mut(&mut Param::clear_grad);
     let camera = Camera::look_at(8, 8, 0.7, glam::DVec3::Z * 5.0, glam::DVec3::ZERO, glam::DVec3::Y).unwrap();
-    m.step(&Moment::new(at(f64::from(t))), &camera, &mut |s, d| {
+    m.step(&Timestamp::new(at(f64::from(t))), &camera, &mut |s, d| {
         let mut rng = Rng::new(9, "weights", 0, 0);
         for i in 0..s.len() {
             d.means[i] = Vec3::new(rng.normal(), rng.normal(), rng.normal());
@@ -242,16 +242,16 @@ fn colours_turn_with_their_splats() {
         }
     };
     m.visit_mut(&mut fill);
-    let lobes = |m: &Transported<DefMlp, OneTwist>| {
+    let lobes = |m: &Advected<DefMlp, OneTwist>| {
         let mut all = Vec::new();
         m.visit(&mut |p| all.extend(if p.name == "cloud.sh_rest" { p.grad.clone() } else { Vec::new() }));
         all
     };
     let camera = Camera::look_at(8, 8, 0.7, glam::DVec3::Z * 5.0, glam::DVec3::ZERO, glam::DVec3::Y).unwrap();
-    let step = |m: &mut Transported<DefMlp, OneTwist>| {
+    let step = |m: &mut Advected<DefMlp, OneTwist>| {
         let mut loss = 0.0;
         m.visit_mut(&mut Param::clear_grad);
-        m.step(&Moment::new(at(f64::from(0.3f32))), &camera, &mut |s, d| {
+        m.step(&Timestamp::new(at(f64::from(0.3f32))), &camera, &mut |s, d| {
             let (mut rng, gs_core::Color::Sh { coeffs, .. }) = (Rng::new(9, "weights", 0, 0), &s.color) else {
                 panic!("a cloud has spherical harmonics")
             };

@@ -1,11 +1,11 @@
 //! What of the learnt physics can be looked at: speed, spin, acceleration, direction and axis of every splat.
 
-use super::Transported;
+use super::Advected;
 use glam::Vec3;
 use gs_core::Splats;
 use gs_deform::Field;
 use gs_physics::{Dynamics, Motion};
-use gs_train::method::{Overlay, Quantity};
+use gs_train::capabilities::{Overlay, Quantity};
 use gs_train::palette::DIRECTIONS;
 
 /// A vector as a colour: grey for none, one channel per axis, the longest of all at the border of the range.
@@ -14,7 +14,7 @@ fn colors(vectors: &[Vec3]) -> Vec<[f32; 3]> {
     vectors.iter().map(|v| (0.5 + 0.5 * *v / largest).to_array()).collect()
 }
 
-impl<F: Field, D: Dynamics> Transported<F, D> {
+impl<F: Field, D: Dynamics> Advected<F, D> {
     /// Where the splats drawn at a time are, and the motions that rule them there.
     fn moving(&self, t: f64) -> (Vec<Vec3>, Vec<Motion<f32>>) {
         let splats = self.transported(self.drawing_span(t));
@@ -36,7 +36,7 @@ impl<F: Field, D: Dynamics> Transported<F, D> {
 
     /// `speed`, `spin` and `acceleration` of every splat, per unit of normalised time.
     pub(super) fn physical_quantities(&self, t: f64) -> Vec<Quantity> {
-        if !self.canonical.dynamic() {
+        if !self.canonical.at.dynamic {
             return Vec::new();
         }
         let (places, motions) = self.moving(t);
@@ -57,7 +57,7 @@ impl<F: Field, D: Dynamics> Transported<F, D> {
 
     /// `velocity` and `axis`: vectors as colours, grey for none.
     pub(super) fn directions(&self, t: f64) -> Vec<Overlay> {
-        if !self.canonical.dynamic() {
+        if !self.canonical.at.dynamic {
             return Vec::new();
         }
         let (places, motions) = self.moving(t);

@@ -1,0 +1,251 @@
+//! What only some methods offer. Each is a small trait of its own, reached through
+//! [`Method::capabilities`](crate::method::Method::capabilities).
+
+use crate::method::{Method, MethodError};
+use crate::palette::color_scale;
+use crate::timestamp::Timestamp;
+use glam::Vec3;
+use gs_core::{Camera, Splats};
+use serde::Serialize;
+use std::any::Any;
+
+/// The capabilities of a method; absent where it has none of the kind.
+#[derive(Clone, Copy, Default)]
+pub struct Capabilities<'a> {
+    /// Attributes, overlays and stages of its splats: for reports and the viewer.
+    pub inspect: Option<&'a dyn Inspect>,
+    /// Learnt rigid motion: for forecasts and segmentation.
+    pub particles: Option<&'a dyn ParticleSource>,
+    /// Smaller forms for rendering alone: for compact files.
+    pub bake: Option<&'a dyn Bake>,
+    /// Bounds of densification; absent if the number of splats stays.
+    pub growth: Option<GrowthLimits>,
+    /// The method itself, for a crate that knows its type.
+    pub concrete: Option<&'a dyn Any>,
+}
+
+/// Attributes, overlays and stages of the splats of a method.
+pub trait Inspect: Method {
+    /// All splats, in the same order at every timestamp: [`Method::splat_count`] of them, those absent at this timestamp
+    /// with opacity 0. `camera` matters only where colours or shapes depend on the view.
+    ///
+    /// # Errors
+    /// As [`Method::splats`].
+    fn all_splats(&self, at: &Timestamp, camera: &Camera) -> Result<Splats, MethodError> {
+        self.splats(at, camera)
+    }
+
+    /// Scalar attributes of every splat of [`Self::all_splats`].
+    ///
+    /// # Errors
+    /// As [`Method::splats`].
+    fn quantities(&self, _at: &Timestamp) -> Result<Vec<Quantity>, MethodError> {
+        Ok(Vec::new())
+    }
+
+    /// Colours that may be rendered in place of the scene's: every quantity, at least.
+    ///
+    /// # Errors
+    /// As [`Method::splats`].
+    fn overlays(&self, at: &Timestamp) -> Result<Vec<Overlay>, MethodError> {
+        Ok(self.quantities(at)?.iter().map(Quantity::overlay).collect())
+    }
+
+    /// The stages a scene passes on its way to a timestamp, as `camera` sees them; the last is [`Method::splats`].
+    ///
+    /// # Errors
+    /// As [`Method::splats`].
+    fn stages(&self, at: &Timestamp, camera: &Camera) -> Result<Vec<StageView>, MethodError> {
+        Ok(vec![StageView { name: "full", splats: self.splats(at, camera)?, before: None }])
+    }
+
+    /// Settings that have no effect or another one than they seem to, for people.
+    fn warnings(&self) -> Vec<String> {
+        Vec::new()
+    }
+
+    /// Bytes on disk by the rule of the method's paper, where there is one.
+    fn paper_storage(&self) -> Option<PaperStorage> {
+        None
+    }
+}
+
+/// A colour per splat that shows something about it, drawn by the same rasteriser.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Overlay {
+    /// `velocity`, `gate`, `segment`, …
+    pub name: &'static str,
+    /// One colour per splat of [`Inspect::all_splats`] at the same timestamp, display-encoded, 0 to 1.
+    pub colors: Vec<[f32; 3]>,
+    /// What the colours say.
+    pub meaning: &'static str,
+}
+
+/// A number about each splat.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Quantity {
+    /// `lambda`, `beta`, `gate`, …
+    pub name: &'static str,
+    /// Its unit; empty for a pure number.
+    pub unit: &'static str,
+    /// The interval its colours and histograms span; from the smallest to the largest value if absent.
+    pub range: Option<[f32; 2]>,
+    /// One value per splat of [`Inspect::all_splats`] at the same timestamp.
+    pub values: Vec<f32>,
+}
+
+impl Quantity {
+    /// A pure number in `[0, 1]`.
+    pub fn share(name: &'static str, values: Vec<f32>) -> Self {
+        Self { name, unit: "", range: Some([0.0, 1.0]), values }
+    }
+
+    /// The interval its colours and histograms span.
+    pub fn span(&self) -> [f32; 2] {
+        self.range.unwrap_or_else(|| {
+            let whole = [f32::INFINITY, f32::NEG_INFINITY];
+            let [low, high] = self.values.iter().fold(whole, |[a, b], &v| [a.min(v), b.max(v)]);
+            if low < high { [low, high] } else { [low, low + 1.0] }
+        })
+    }
+
+    /// The span on [`color_scale`].
+    pub fn overlay(&self) -> Overlay {
+        let [low, high] = self.span();
+        let colors = self.values.iter().map(|v| color_scale((v - low) / (high - low))).collect();
+        Overlay { name: self.name, colors, meaning: "dark blue is least, pale yellow most" }
+    }
+}
+
+/// The scene after one stage on its way to a timestamp.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StageView {
+    /// `canonical`, `global`, `local`, `full`.
+    pub name: &'static str,
+    /// The splats after this stage.
+    pub splats: Splats,
+    /// Centres of the same splats one stage earlier; absent in the first stage.
+    pub before: Option<Vec<Vec3>>,
+}
+
+/// A method whose splats are rigid particles with learnt motion.
+pub trait ParticleSource {
+    /// The particles at the last time the deformation is asked for.
+    fn particles(&self) -> Particles;
+}
+
+/// Splats as rigid particles: their state at one time and how they move from there.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Particles {
+    /// The time, normalised.
+    pub at: f64,
+    /// The splats at that time.
+    pub splats: Splats,
+    /// Per splat the twist `(v, w)` about `origin` and its first and second derivatives, per unit of normalised time:
+    /// `[v, w, v', w', v'', w'']`.
+    pub twists: Vec<[[f32; 3]; 6]>,
+    /// The origin that twists refer to, world units.
+    pub origin: Vec3,
+}
+
+/// Smaller forms of a trained scene, for rendering alone.
+pub trait Bake {
+    /// The same scene without what only training needs, no image changed: its configuration, made of `config`, and the method.
+    /// None if there is nothing to leave out.
+    fn fold(&self, config: &toml::Table) -> Option<(toml::Table, Box<dyn Method>)>;
+
+    /// The same scene with splats that hardly move left at rest, an approximation, and what was left. A change of any
+    /// parameter ends it. None if the method cannot, or nothing moves.
+    fn freeze_static(&self, _options: &FreezeOptions<'_>) -> Option<(Box<dyn Method>, FreezeReport)> {
+        None
+    }
+
+    /// A row block whose values are whole multiples of a length, and that length, world units.
+    fn quantization_step(&self) -> Option<(&'static str, f32)> {
+        None
+    }
+}
+
+/// When a splat counts as static.
+#[derive(Clone, Copy, Debug)]
+pub struct FreezeOptions<'a> {
+    /// Farthest a centre may be off on the screen of any camera, pixels.
+    pub pixels: f32,
+    /// Times that motion is probed at, from 0 to 1.
+    pub probes: usize,
+    /// Cameras that will be rendered from; without any, nothing that moves is left at rest.
+    pub cameras: &'a [Camera],
+    /// Largest relative change of scales and rotations.
+    pub shape: f32,
+    /// Factors of local motion below this count as zero where the global motion is zero.
+    pub weight: f32,
+}
+
+impl<'a> FreezeOptions<'a> {
+    /// 0.05 pixels, 0.1 % and 1e-4, at 17 times.
+    pub fn usual(cameras: &'a [Camera]) -> Self {
+        Self { pixels: 0.05, probes: 17, cameras, shape: 1e-3, weight: 1e-4 }
+    }
+}
+
+/// What was left at rest, and the largest change this makes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FreezeReport {
+    /// Splats there are.
+    pub splats: usize,
+    /// Splats left at rest.
+    pub still: usize,
+    /// Farthest a centre is off at the probe times, pixels.
+    pub bound_pixels: f32,
+    /// Probe times.
+    pub probes: usize,
+    /// Largest relative change of shape.
+    pub shape: f32,
+    /// Splats within the tolerances at the probe times but not between them; they keep moving.
+    pub between: usize,
+    /// Anchors whose global deformation is left out.
+    pub anchors: usize,
+}
+
+/// Bytes of a scene by the rule of its paper.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct PaperStorage {
+    /// Blocks in order.
+    pub rows: Vec<PaperStorageRow>,
+    /// Files the published code leaves beside the scene, name and bytes; not in the sums.
+    pub unused: Vec<(String, usize)>,
+}
+
+/// One block of [`PaperStorage`].
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct PaperStorageRow {
+    /// Name.
+    pub block: String,
+    /// `f32` values by the published rule.
+    pub paper_values: usize,
+    /// `f32` values that rendering needs.
+    pub needed_values: usize,
+}
+
+impl PaperStorage {
+    /// Bytes by the published rule.
+    pub fn paper_bytes(&self) -> usize {
+        4 * self.rows.iter().map(|r| r.paper_values).sum::<usize>()
+    }
+
+    /// Bytes that rendering needs.
+    pub fn needed_bytes(&self) -> usize {
+        4 * self.rows.iter().map(|r| r.needed_values).sum::<usize>()
+    }
+}
+
+/// What bounds the number of splats.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct GrowthLimits {
+    /// Splats, at most.
+    pub most: usize,
+    /// Densification begins after this step of the schedule's clock,
+    pub from: u32,
+    /// and ends before this one.
+    pub until: u32,
+}

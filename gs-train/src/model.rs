@@ -1,0 +1,140 @@
+//! A method with the schedule it is trained by.
+
+use crate::capabilities::{Capabilities, FreezeOptions, FreezeReport, Overlay, Quantity, StageView};
+use crate::method::{Method, MethodError};
+use crate::schedule::Schedule;
+use crate::timestamp::Timestamp;
+use gs_core::{Camera, Param, Params, Splats};
+use gs_raster::RasterOptions;
+use std::any::Any;
+use std::ops::{Deref, DerefMut};
+
+/// A method, its name and its schedule: all that training and rendering need. It dereferences to its [`Method`].
+pub struct Model {
+    name: &'static str,
+    method: Box<dyn Method>,
+    schedule: Schedule,
+}
+
+impl Model {
+    /// A method of this name, about to make its first step.
+    ///
+    /// # Errors
+    /// If the schedule cannot be followed.
+    pub fn new(name: &'static str, method: impl Method + 'static, schedule: Schedule) -> Result<Self, MethodError> {
+        schedule.check()?;
+        let mut model = Self { name, method: Box::new(method), schedule };
+        model.begin_step(0);
+        Ok(model)
+    }
+
+    /// Name of the method, as in `--method`.
+    pub fn name(&self) -> &'static str {
+        self.name
+    }
+
+    /// Stages, learning rates and weights of the loss.
+    pub fn schedule(&self) -> &Schedule {
+        &self.schedule
+    }
+
+    /// Tells the method which step is about to be made, or was the last one made.
+    pub fn begin_step(&mut self, step: u32) {
+        self.method.begin_step(&self.schedule.at(step));
+    }
+
+    /// The background that evaluation renders over.
+    pub fn background(&self) -> [f32; 3] {
+        self.schedule.background.evaluation_color()
+    }
+
+    /// Rendering over a background, as in training.
+    pub fn raster_options(&self, background: [f32; 3]) -> RasterOptions {
+        self.schedule.raster_options(background)
+    }
+
+    /// All splats in the same order at every timestamp ([`Inspect::all_splats`](crate::capabilities::Inspect::all_splats)).
+    ///
+    /// # Errors
+    /// As [`Method::splats`].
+    pub fn all_splats(&self, at: &Timestamp, camera: &Camera) -> Result<Splats, MethodError> {
+        self.capabilities().inspect.map_or_else(|| self.method.splats(at, camera), |i| i.all_splats(at, camera))
+    }
+
+    /// Scalar attributes of the splats; none where the method offers none.
+    ///
+    /// # Errors
+    /// As [`Method::splats`].
+    pub fn quantities(&self, at: &Timestamp) -> Result<Vec<Quantity>, MethodError> {
+        self.capabilities().inspect.map_or_else(|| Ok(Vec::new()), |i| i.quantities(at))
+    }
+
+    /// Colours that may be rendered in place of the scene's.
+    ///
+    /// # Errors
+    /// As [`Method::splats`].
+    pub fn overlays(&self, at: &Timestamp) -> Result<Vec<Overlay>, MethodError> {
+        self.capabilities().inspect.map_or_else(|| Ok(Vec::new()), |i| i.overlays(at))
+    }
+
+    /// The stages of the scene at a timestamp; the last is what is rendered.
+    ///
+    /// # Errors
+    /// As [`Method::splats`].
+    pub fn stages(&self, at: &Timestamp, camera: &Camera) -> Result<Vec<StageView>, MethodError> {
+        match self.capabilities().inspect {
+            Some(inspect) => inspect.stages(at, camera),
+            None => Ok(vec![StageView { name: "full", splats: self.method.splats(at, camera)?, before: None }]),
+        }
+    }
+
+    /// The method as the type a crate knows it by.
+    pub fn concrete<T: Any>(&self) -> Option<&T> {
+        self.capabilities().concrete.and_then(|m| m.downcast_ref())
+    }
+
+    /// What the method offers beyond training and rendering.
+    pub fn capabilities(&self) -> Capabilities<'_> {
+        self.method.capabilities()
+    }
+
+    /// The same scene without what only training needs ([`Bake::fold`](crate::capabilities::Bake::fold)).
+    pub fn fold(&self, config: &toml::Table) -> Option<(toml::Table, Self)> {
+        let (config, method) = self.capabilities().bake?.fold(config)?;
+        Some((config, self.with(method)))
+    }
+
+    /// The same scene with static splats left at rest ([`Bake::freeze_static`](crate::capabilities::Bake::freeze_static)).
+    pub fn freeze_static(&self, options: &FreezeOptions<'_>) -> Option<(Self, FreezeReport)> {
+        let (method, report) = self.capabilities().bake?.freeze_static(options)?;
+        Some((self.with(method), report))
+    }
+
+    fn with(&self, method: Box<dyn Method>) -> Self {
+        Self { name: self.name, method, schedule: self.schedule.clone() }
+    }
+}
+
+impl Params for Model {
+    fn visit(&self, f: &mut dyn FnMut(&Param)) {
+        self.method.visit(f);
+    }
+
+    fn visit_mut(&mut self, f: &mut dyn FnMut(&mut Param)) {
+        self.method.visit_mut(f);
+    }
+}
+
+impl Deref for Model {
+    type Target = dyn Method;
+
+    fn deref(&self) -> &Self::Target {
+        self.method.as_ref()
+    }
+}
+
+impl DerefMut for Model {
+    fn deref_mut(&mut self) -> &mut Self::Target {
+        self.method.as_mut()
+    }
+}
