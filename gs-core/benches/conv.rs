@@ -1,8 +1,8 @@
-//! Time and error of convolutions, against the matrix product of the same shape and against the roof of the machine.
+//! Time and error of convolutions, against the matrix product of the same shape and the peak rate of the machine.
 //!
 //! Each row is printed and appended to `target/speed-error/gs-core.jsonl`. `work` counts floating-point operations (two
-//! per multiply-add). The roof is the machine's 1024³ product, one serial call per thread; the product of the same shape
-//! has its columns already unrolled, so it is what unrolling could reach at best. Errors are against `f64`, relative to
+//! per multiply-add). The peak is a 1024³ product, one serial call per thread; the product of the same shape is
+//! im2col without the cost of im2col. Errors are against `f64`, relative to
 //! the largest value. The last rows leave out pixels of a map that is 50, 60 and 70 % full.
 
 use gs_core::nn::gemm::{Mat, MatMut, Write, gemm};
@@ -13,10 +13,10 @@ use gs_core::{Params, Rng};
 use rayon::prelude::*;
 
 const RUNS: usize = 15;
-/// Rows of the `f64` reference: the error is measured on a map of this height.
+/// Height of the map on which the error against `f64` is measured.
 const REFERENCE_SIDE: usize = 16;
 
-/// A convolution of the two networks, and the side of the map it meets there.
+/// A convolution of GeoNet or GauNet, and the side of its map there.
 struct Case {
     name: &'static str,
     side: usize,
@@ -50,7 +50,7 @@ fn random_map(side: usize, channels: usize, name: &str) -> Map {
     map
 }
 
-/// Measures `f`, keeps its row, returns thousands of millions of operations per second.
+/// Measures `f`, appends its row, returns operations per nanosecond.
 fn measured(
     case: &str,
     variant: &str,
@@ -75,7 +75,7 @@ fn measured(
     work / ms / 1e6
 }
 
-fn roof() -> f64 {
+fn peak_rate() -> f64 {
     let (side, threads) = (1024, rayon::current_num_threads());
     let (a, b) = (random(side * side, "a"), random(side * side, "b"));
     let mut out = vec![vec![0.0; side * side]; threads];
@@ -86,7 +86,7 @@ fn roof() -> f64 {
     })
 }
 
-/// The product of the shape the convolution has when its columns are unrolled.
+/// The matrix product of the convolution's shape after im2col.
 fn same_shape(case: &Case, pixels: usize, work: f64) -> f64 {
     let ConvSpec { kernel, inputs, outputs, .. } = case.spec;
     let depth = kernel * kernel * inputs;
@@ -115,7 +115,7 @@ fn error(layer: &Conv, spec: ConvSpec) -> f64 {
     got.iter().zip(&want.data).fold(0.0f64, |m, (g, w)| m.max((f64::from(*g) - w).abs())) / size
 }
 
-fn run(case: &Case, roof: f64) {
+fn run(case: &Case, peak: f64) {
     let (ConvSpec { kernel, stride, inputs, outputs, .. }, side) = (case.spec, case.side);
     let mut layer = Conv::new("c", case.spec, Init::FanIn, 1);
     let out = side / stride;
@@ -123,8 +123,10 @@ fn run(case: &Case, roof: f64) {
         (random_map(side, inputs, "x"), Map::zeros(out, out, outputs, 1), Map::zeros(side, side, inputs, 1));
     let (sites, all) = (Sites::full(out, out), Sites::full(side, side));
     let work = 2.0 * (out * out * kernel * kernel * inputs * outputs) as f64;
-    let kept = Some((error(&layer, case.spec), "relative to f64"));
-    let forward = measured(case.name, "forward", out * out, work, kept, || layer.forward(&x, &mut y, &sites));
+    let measured_error = Some((error(&layer, case.spec), "relative to f64"));
+    let forward = measured(case.name, "forward", out * out, work, measured_error, || {
+        layer.forward(&x, &mut y, &sites);
+    });
     let input = measured(case.name, "gradient of the input", out * out, work, None, || {
         layer.backward_input(&y, &mut dx, &all, Write::Set);
     });
@@ -133,9 +135,9 @@ fn run(case: &Case, roof: f64) {
     });
     layer.clear_grads();
     let product = same_shape(case, out * out, work);
-    let share = |rate: f64| 100.0 * rate / roof;
+    let share = |rate: f64| 100.0 * rate / peak;
     println!(
-        "    {:.0} % of the roof forward, {:.0} % and {:.0} % back; {:.0} % of the product of the same shape",
+        "    {:.0} % of the peak forward, {:.0} % and {:.0} % backward; {:.0} % of the product of the same shape",
         share(forward),
         share(input),
         share(weight),
@@ -143,7 +145,7 @@ fn run(case: &Case, roof: f64) {
     );
 }
 
-/// Computing the pixels of a disc that fills part of the map, against computing all.
+/// The sites of a disc that fills part of the map, against all sites.
 fn sparse() {
     let (side, spec) = (256, ConvSpec { kernel: 3, stride: 1, inputs: 32, outputs: 32, bias: true });
     let layer = Conv::new("c", spec, Init::FanIn, 1);
@@ -152,23 +154,23 @@ fn sparse() {
     let work = 2.0 * (side * side * 9 * 32 * 32) as f64;
     layer.forward(&x, &mut dense, &Sites::full(side, side));
     for fill in [50usize, 60, 70, 100] {
-        let reach = (side * side * fill) as f64 / 100.0 / std::f64::consts::PI;
+        let radius2 = (side * side * fill) as f64 / 100.0 / std::f64::consts::PI;
         let centre = side as f64 / 2.0;
-        let inside = |y: usize, x: usize| (y as f64 - centre).powi(2) + (x as f64 - centre).powi(2) < reach;
+        let inside = |y: usize, x: usize| (y as f64 - centre).powi(2) + (x as f64 - centre).powi(2) < radius2;
         let sites = Sites::where_(side, side, |y, x| fill == 100 || inside(y, x));
         layer.forward(&x, &mut part, &sites);
         let differs =
             (0..side).any(|y| sites.row(y).iter().any(|&x| part.pixel(y, x as usize) != dense.pixel(y, x as usize)));
-        let kept = Some((f64::from(u8::from(differs)), "1 if a bit differs"));
+        let bits = Some((f64::from(u8::from(differs)), "1 if a bit differs"));
         let work = work * sites.len() as f64 / (side * side) as f64;
-        measured("3x3 32->32, sites", &format!("{fill} % full"), sites.len(), work, kept, || {
+        measured("3x3 32->32, sites", &format!("{fill} % full"), sites.len(), work, bits, || {
             layer.forward(&x, &mut part, &sites);
         });
     }
 }
 
 fn main() {
-    let roof = roof();
-    CASES.iter().for_each(|case| run(case, roof));
+    let peak = peak_rate();
+    CASES.iter().for_each(|case| run(case, peak));
     sparse();
 }

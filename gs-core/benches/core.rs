@@ -1,7 +1,7 @@
-//! Time and error of gs-core: splat files, the SH basis and its turns, covariance from quaternion and scales.
+//! Time and error of gs-core: splat files, SH basis and rotation, covariance from quaternion and scales.
 //!
-//! Criterion measures the time; each case is also timed here (median) and written with its error, against what was
-//! encoded or against `f64`, as a JSON line to `target/speed-error/gs-core.jsonl`.
+//! Criterion measures the time; each case is also timed here (median) and appended with its error, against the encoded
+//! values or against `f64`, as a JSON line to `target/speed-error/gs-core.jsonl`.
 
 use criterion::{Criterion, Throughput};
 use glam::Vec3;
@@ -26,7 +26,7 @@ fn cloud(n: usize) -> RawSplats {
     out
 }
 
-/// One case: how to run it, what it moves, how wrong it is.
+/// One case: its closure, amount of work and error.
 struct Case<'a> {
     case: &'static str,
     variant: &'static str,
@@ -38,7 +38,7 @@ struct Case<'a> {
     run: Box<dyn FnMut() + 'a>,
 }
 
-/// Measures the case and keeps its row.
+/// Measures the case and appends its row.
 fn record(case: &mut Case<'_>) {
     let ms = 1e3 * median_seconds(REPEATS, &mut case.run);
     let row = SpeedError {
@@ -118,7 +118,7 @@ fn covariances(splats: &RawSplats) -> f32 {
 }
 
 /// Coefficients that turn with the splats.
-fn turned(splats: &RawSplats) -> Vec<f32> {
+fn rotated(splats: &RawSplats) -> Vec<f32> {
     let mut coeffs = splats.sh.clone();
     for (row, q) in coeffs.chunks_exact_mut(48).zip(&splats.quats) {
         sh::ShTurn::new(&rot::matrix(rot::normalise(*q).wxyz), 3).apply(row);
@@ -126,9 +126,9 @@ fn turned(splats: &RawSplats) -> Vec<f32> {
     coeffs
 }
 
-/// Worst difference of [`turned`] from the same in `f64`.
-fn turned_error(splats: &RawSplats) -> f64 {
-    let rows = turned(splats);
+/// Worst difference of [`rotated`] from the same in `f64`.
+fn rotated_error(splats: &RawSplats) -> f64 {
+    let rows = rotated(splats);
     let rows = rows.chunks_exact(48).zip(splats.sh.chunks_exact(48)).zip(&splats.quats);
     let worst = rows.map(|((got, sh), q)| {
         let mut wide: Vec<f64> = sh.iter().map(|v| f64::from(*v)).collect();
@@ -169,10 +169,10 @@ fn math_cases(splats: &RawSplats) -> Vec<Case<'_>> {
             Box::new(|| _ = black_box(basis_sums(splats))) as Box<dyn FnMut()>,
         ),
         case(
-            "sh turn, degree 3",
-            turned_error(splats),
+            "sh rotation, degree 3",
+            rotated_error(splats),
             "max abs against f64, coefficients of 0.2",
-            Box::new(|| _ = black_box(turned(splats))),
+            Box::new(|| _ = black_box(rotated(splats))),
         ),
         case(
             "covariance",

@@ -1,4 +1,4 @@
-//! What is in a splat file: counts, ranges, rows that are not finite, needles.
+//! Prints what a splat file holds: counts, quantiles of each column, needles, rows that are not finite.
 //!
 //! ```text
 //! cargo run --release -p gs-core --example inspect_splats -- scene.ply
@@ -12,7 +12,7 @@ use std::path::Path;
 use std::process::ExitCode;
 
 /// Longest axis over shortest above which a splat counts as a needle.
-const NEEDLE: f32 = 100.0;
+const NEEDLE_ASPECT: f32 = 100.0;
 
 fn main() -> ExitCode {
     let (name, splats) = match std::env::args_os().nth(1) {
@@ -30,7 +30,7 @@ fn main() -> ExitCode {
     ExitCode::SUCCESS
 }
 
-/// Values that are not finite are kept, so that they can be shown.
+/// Values that are not finite are kept, so that they can be reported.
 fn load(path: &Path) -> Result<RawSplats, IoError> {
     load_splats(path, &Limits { allow_non_finite: true, ..Limits::default() })
 }
@@ -66,12 +66,15 @@ fn report(splats: &RawSplats) {
     range("sh rest", splats.sh.chunks_exact(splats.sh_width()).flat_map(|row| row[3..].to_vec()));
     let count =
         |what: &str, n: usize| println!("{what:44} {n:9}  ({:.2} %)", 100.0 * n as f64 / splats.len().max(1) as f64);
-    count(&format!("needles (aspect above {NEEDLE})"), splats.log_scales.iter().filter(|s| aspect(s) > NEEDLE).count());
     count(
-        "opacity below 1/255 (never drawn)",
+        &format!("needles (aspect above {NEEDLE_ASPECT})"),
+        splats.log_scales.iter().filter(|s| aspect(s) > NEEDLE_ASPECT).count(),
+    );
+    count(
+        "opacity below 1/255 (never rendered)",
         splats.logit_opacities.iter().filter(|&&o| sigmoid(o) < 1.0 / 255.0).count(),
     );
-    count("zero quaternions (drawn unrotated)", splats.quats.iter().filter(|q| **q == [0.0; 4]).count());
+    count("zero quaternions (rendered unrotated)", splats.quats.iter().filter(|q| **q == [0.0; 4]).count());
     let bad = splats.non_finite_rows();
     count("rows with a value that is not finite", bad.len());
     for (row, column) in bad.iter().take(10) {

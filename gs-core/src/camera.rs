@@ -2,16 +2,27 @@
 //!
 //! A world point `m` becomes `t = R m + T` in camera space and lands on pixel coordinates
 //! `u = fx·t_x/t_z + cx`, `v = fy·t_y/t_z + cy`. Pixel `(i, j)` covers `[i, i+1) × [j, j+1)`; its centre is at `+½`.
-//! Kept in `f64`: a camera is one row, and its precision is everybody's.
+//! Kept in `f64`: a camera is one row, and every splat depends on its precision.
+//!
+//! ```
+//! use glam::{DVec2, DVec3};
+//! use gs_core::Camera;
+//!
+//! let camera = Camera::look_at(64, 48, 0.7, DVec3::new(0.0, 0.0, -2.0), DVec3::ZERO, DVec3::NEG_Y)?;
+//! let target = camera.to_camera(DVec3::ZERO);
+//! assert_eq!(target, DVec3::new(0.0, 0.0, 2.0)); // two units in front of the camera
+//! assert_eq!(camera.to_pixel(target), DVec2::new(32.0, 24.0)); // the middle of the image
+//! # Ok::<(), gs_core::camera::CameraError>(())
+//! ```
 
 use glam::{DMat3, DMat4, DVec2, DVec3};
 
-/// A pinhole camera without distortion.
+/// A pinhole camera without distortion: image size, intrinsics in pixels, and the world→camera transform.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Camera {
-    /// Pixels per row.
+    /// Width of the image, 1 to [`MAX_SIDE`] pixels.
     pub width: u32,
-    /// Rows.
+    /// Height of the image, 1 to [`MAX_SIDE`] pixels.
     pub height: u32,
     /// Focal length along x, pixels.
     pub fx: f64,
@@ -19,25 +30,25 @@ pub struct Camera {
     pub fy: f64,
     /// Principal point x, pixels (`width / 2` when centred).
     pub cx: f64,
-    /// Principal point y, pixels.
+    /// Principal point y, pixels (`height / 2` when centred).
     pub cy: f64,
     /// Rotation of the world→camera transform (`viewmat`).
     pub rotation: DMat3,
-    /// Translation of the world→camera transform.
+    /// Translation of the world→camera transform, world units.
     pub translation: DVec3,
 }
 
-/// What is wrong with a camera: the field and its value.
+/// An invalid camera: the field and its value.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum CameraError {
-    /// Not finite, or outside its domain.
+    /// A field that is not finite or outside its domain.
     #[error("camera {field} = {value} is out of range: {rule}")]
     Range {
-        /// Field name.
+        /// Name of the field of [`Camera`].
         field: &'static str,
-        /// Value met.
+        /// Value that the field has.
         value: f64,
-        /// What the field must satisfy.
+        /// The domain of the field, in words.
         rule: &'static str,
     },
     /// The 3×3 block is not a rotation.
@@ -45,20 +56,20 @@ pub enum CameraError {
         "camera rotation is not orthonormal with determinant 1 (worst deviation {deviation:.3e}, limit {limit:.0e})"
     )]
     NotRotation {
-        /// Largest entry of |RRᵀ − I|, or |det − 1|.
+        /// Largest entry of `|RRᵀ − I|`, or `|det − 1|` if that is larger.
         deviation: f64,
-        /// Largest accepted.
+        /// Largest deviation that is accepted, 1e-3.
         limit: f64,
     },
 }
 
 /// Rotations may deviate this much from orthonormal (files print few digits).
-pub const ROTATION_TOLERANCE: f64 = 1e-3;
-/// Largest image side accepted.
+const ROTATION_TOLERANCE: f64 = 1e-3;
+/// Largest image side accepted, pixels.
 pub const MAX_SIDE: u32 = 1 << 15;
 
 impl Camera {
-    /// A camera from its `viewmat` (world→camera, acting on column vectors).
+    /// A camera from its `viewmat` (world→camera, acting on column vectors); `focal` and `principal` in pixels.
     ///
     /// # Errors
     /// As [`Camera::check`].
@@ -121,7 +132,7 @@ impl Camera {
         DMat4::from_cols(r.x_axis.extend(0.0), r.y_axis.extend(0.0), r.z_axis.extend(0.0), self.translation.extend(1.0))
     }
 
-    /// Camera centre in world space.
+    /// Camera centre in world space, `−Rᵀ T`.
     pub fn position(&self) -> DVec3 {
         -(self.rotation.transpose() * self.translation)
     }
@@ -158,7 +169,7 @@ impl Camera {
         Self { width, height, fx: self.fx * sx, fy: self.fy * sy, cx: self.cx * sx, cy: self.cy * sy, ..self.clone() }
     }
 
-    /// Verifies every field once, at the border.
+    /// Verifies every field: sides 1 to [`MAX_SIDE`], positive focal lengths, a rotation that is orthonormal to 1e-3.
     ///
     /// # Errors
     /// Names the first field that is not finite or out of its domain.

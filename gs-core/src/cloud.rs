@@ -1,13 +1,29 @@
-//! Trainable Gaussians: raw parameters without constraints, and the maps to and from drawable [`Splats`].
+//! Trainable Gaussians: unconstrained raw parameters, their activation to [`Splats`], and its backward.
 //!
 //! ```text
 //! scales    = exp(log_scales)                        dL/d log_scales = dL/d scales ⊙ scales
 //! opacities = σ(logit_opacities)                     dL/d logit      = dL/d opacity · o (1 − o)
 //! sh[k]     = k = 0 ? sh_dc : sh_rest[k − 1]         means and quats pass through as they are
 //! ```
-//! (3D Gaussian Splatting, Kerbl et al. 2023, section 5.) A cloud may have raw columns of a bent kernel ([`RawKernel`]);
-//! without them its splats are Gaussians. The active SH degree may be below the stored one: rows above
-//! it are neither drawn nor trained. All loops run over blocks of 2048 rows, so results do not depend on threads.
+//! (3D Gaussian Splatting, Kerbl et al. 2023, section 5.) A cloud may have raw columns of another kernel ([`RawKernel`]);
+//! without them its splats are Gaussians. The active SH degree may be below the stored one: coefficients above it are
+//! neither rendered nor trained. All loops run over blocks of 2048 rows, so results do not depend on threads.
+//!
+//! ```
+//! use glam::Vec3;
+//! use gs_core::{Cloud, Splats, SplatsGrad};
+//!
+//! let mut cloud = Cloud::from_points(&[Vec3::ONE], &[[0.5; 3]], &[1.0], 0.5, 0)?;
+//! let mut splats = Splats::default();
+//! cloud.activate(0, &mut splats);
+//! assert_eq!((splats.scales[0], splats.opacities[0]), (Vec3::ONE, 0.5));
+//! // dL/d opacity = 1 becomes dL/d logit = o (1 − o).
+//! let mut d = SplatsGrad::zeros_like(&splats);
+//! d.opacities[0] = 1.0;
+//! cloud.activate_backward(&splats, &d);
+//! assert_eq!(cloud.logit_opacities.grad, [0.25]);
+//! # Ok::<(), gs_core::cloud::CloudError>(())
+//! ```
 
 mod kernel;
 
@@ -20,10 +36,10 @@ use rayon::prelude::*;
 
 pub use kernel::{KernelInit, RawKernel};
 
-/// Rows per parallel block.
+/// Rows of one parallel block.
 const BLOCK: usize = 2048;
 
-/// Raw trainable Gaussians, `n` rows.
+/// Raw trainable Gaussians: one row of every block per Gaussian, `n` rows.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Cloud {
     /// `cloud.means` `[n, 3]`: centres, world units.
@@ -32,45 +48,45 @@ pub struct Cloud {
     pub quats: Param,
     /// `cloud.log_scales` `[n, 3]`: natural logarithms of the standard deviations.
     pub log_scales: Param,
-    /// `cloud.logit_opacities` `[n, 1]`.
+    /// `cloud.logit_opacities` `[n, 1]`: `ln(o / (1 − o))` of the opacities.
     pub logit_opacities: Param,
     /// `cloud.sh_dc` `[n, 3]`: degree-0 coefficients.
     pub sh_dc: Param,
-    /// `cloud.sh_rest` `[n, (K − 1) · 3]`, coefficient by coefficient; absent at degree 0.
+    /// `cloud.sh_rest` `[n, (K − 1) · 3]` with `K = (degree + 1)²`, coefficient-major; absent at degree 0.
     pub sh_rest: Option<Param>,
-    /// Raw columns of a bent kernel; absent for Gaussians.
+    /// Raw columns of another kernel than the Gaussian; absent for Gaussians.
     pub kernel: Option<RawKernel>,
     sh_degree: u8,
 }
 
-/// A cloud that cannot be made.
+/// Arguments that no cloud can be made from.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum CloudError {
-    /// No point was given.
+    /// The list of points is empty.
     #[error("a cloud needs at least one point; give a point cloud or choose another initialisation")]
     Empty,
-    /// Columns of different lengths.
+    /// The columns differ in length.
     #[error("{positions} positions, {colors} colours and {sigmas} sigmas were given; one of each per point is needed")]
     Length {
-        /// Rows of positions.
+        /// Number of positions that were given.
         positions: usize,
-        /// Rows of colours.
+        /// Number of colours that were given.
         colors: usize,
-        /// Rows of sigmas.
+        /// Number of standard deviations that were given.
         sigmas: usize,
     },
     /// A value is not finite or out of its domain.
     #[error("initial point {row}: {what} is out of range")]
     Value {
-        /// Point index.
+        /// Index of the point, from 0.
         row: usize,
-        /// The field at fault.
+        /// The column of the value.
         what: &'static str,
     },
-    /// SH degree above 3.
+    /// An SH degree above 3.
     #[error("SH degree {0} is not supported (0 to 3)")]
     Degree(u8),
-    /// The upper end of β leaves no room above its start, or lies beyond its domain.
+    /// The upper end of β is not in `(0.5, 1]`.
     #[error("the upper end of beta is {0}; it must be above 0.5 and at most 1")]
     BetaHi(f32),
 }
@@ -127,7 +143,7 @@ impl Cloud {
         })
     }
 
-    /// The same cloud with the raw columns of a kernel, at a start that draws as the Gaussian does, to the bit.
+    /// The same cloud with the raw columns of a kernel, initialised so that it renders as Gaussians, to the bit.
     ///
     /// # Errors
     /// If a setting of the kernel is out of its domain.
@@ -136,22 +152,22 @@ impl Cloud {
         Ok(self)
     }
 
-    /// Number of Gaussians.
+    /// Number of Gaussians, the rows of every block.
     pub fn len(&self) -> usize {
         self.logit_opacities.len()
     }
 
-    /// Whether there is none.
+    /// Whether the cloud has no rows.
     pub fn is_empty(&self) -> bool {
         self.logit_opacities.is_empty()
     }
 
-    /// The SH degree stored.
+    /// The stored SH degree, 0 to 3.
     pub fn sh_degree(&self) -> u8 {
         self.sh_degree
     }
 
-    /// The drawable form, with colours up to `active_degree` (at most the stored degree). Reuses `out`'s memory.
+    /// The splats of these parameters, with SH up to `active_degree` (at most the stored degree). Reuses `out`'s memory.
     pub fn activate(&self, active_degree: u8, out: &mut Splats) {
         let n = self.len();
         let degree = active_degree.min(self.sh_degree);
@@ -200,8 +216,8 @@ impl Cloud {
         }
     }
 
-    /// Pulls the cotangents of an activated cloud back into every `grad` (adds). `splats` is what [`Cloud::activate`]
-    /// gave for the present parameters; `d` mirrors it.
+    /// Backward of [`Cloud::activate`]: adds to every `grad`. `splats` is the activation of the current parameters, `d` its
+    /// cotangents.
     pub fn activate_backward(&mut self, splats: &Splats, d: &SplatsGrad) {
         let width = splats.color.width();
         let rest_width = 3 * (sh::coeffs(self.sh_degree) - 1);
@@ -236,7 +252,7 @@ impl Cloud {
         }
     }
 
-    /// All row blocks, in the order of [`Params::visit`].
+    /// All blocks with one row per Gaussian, in the order of [`Params::visit`].
     pub fn blocks_mut(&mut self) -> Vec<&mut Param> {
         self.params_mut().into_iter().filter(|p| p.row_width.is_some()).collect()
     }
@@ -248,7 +264,7 @@ impl Cloud {
         fixed.into_iter().chain(&mut self.sh_rest).chain(kernel).collect()
     }
 
-    /// Applies a row edit to every block, or to none.
+    /// Applies a row edit (clone, split, prune) to every block, or to none.
     ///
     /// # Errors
     /// If the edit names a row that does not exist.
@@ -269,12 +285,12 @@ impl Params for Cloud {
     }
 }
 
-/// `σ(x) = 1 / (1 + e⁻ˣ)`.
+/// The logistic function, `σ(x) = 1 / (1 + e⁻ˣ)`.
 pub fn sigmoid(x: f32) -> f32 {
     1.0 / (1.0 + (-x).exp())
 }
 
-/// `ln(p / (1 − p))`, the inverse of [`sigmoid`]; infinite at 0 and 1.
+/// The inverse of [`sigmoid`], `ln(p / (1 − p))`; infinite at 0 and 1.
 pub fn logit(p: f32) -> f32 {
     (p / (1.0 - p)).ln()
 }
@@ -300,7 +316,7 @@ mod tests {
         cloud
     }
 
-    /// A random linear functional of the drawable form, in f64.
+    /// A linear functional of the activated columns, in f64.
     fn functional(s: &Splats, weights: &SplatsGrad) -> f64 {
         let dot = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum::<f64>();
         let vec3 =
@@ -348,7 +364,7 @@ mod tests {
     }
 
     #[test]
-    fn initial_values_come_back() {
+    fn activation_gives_the_initial_values() {
         let cloud = Cloud::from_points(&[Vec3::ONE], &[[0.2, 0.5, 0.9]], &[0.25], 0.1, 1).unwrap();
         let mut s = Splats::default();
         cloud.activate(3, &mut s);

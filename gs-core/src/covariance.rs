@@ -1,6 +1,14 @@
 //! From scales and rotation to a 3D covariance, and back: `M = R diag(s)`, `Σ = M Mᵀ`.
 //!
 //! Scales are standard deviations in world units; only their squares matter, so a negative or zero scale is legal.
+//!
+//! ```
+//! use gs_core::{covariance, rot};
+//!
+//! let r = rot::matrix([1.0, 0.0, 0.0, 0.0]);
+//! let sigma = covariance::covariance(&covariance::factor(&r, [1.0, 2.0, 3.0]));
+//! assert_eq!(sigma, [1.0, 0.0, 0.0, 4.0, 0.0, 9.0]); // xx, xy, xz, yy, yz, zz
+//! ```
 
 use crate::real::Real;
 use crate::rot::Mat3;
@@ -11,7 +19,7 @@ pub fn factor<T: Real>(rotation: &Mat3<T>, scales: [T; 3]) -> Mat3<T> {
     std::array::from_fn(|r| std::array::from_fn(|c| rotation[r][c] * scales[c]))
 }
 
-/// Gradient of [`factor`]: cotangents of the rotation matrix and of the scales.
+/// Backward of [`factor`]: cotangents of the rotation matrix and of the scales, from that of `M`.
 #[inline(always)]
 pub fn factor_backward<T: Real>(rotation: &Mat3<T>, scales: [T; 3], d_factor: &Mat3<T>) -> (Mat3<T>, [T; 3]) {
     let d_rotation = std::array::from_fn(|r| std::array::from_fn(|c| d_factor[r][c] * scales[c]));
@@ -28,8 +36,8 @@ pub fn covariance<T: Real>(m: &Mat3<T>) -> [T; 6] {
     [e(0, 0), e(0, 1), e(0, 2), e(1, 1), e(1, 2), e(2, 2)]
 }
 
-/// Gradient of [`covariance`]: `v_M = 2 v_Σ M` for the symmetric full-matrix cotangent whose off-diagonal entries
-/// are half of those given here (each packed entry stands for two of the matrix).
+/// Backward of [`covariance`]: `d_M = 2 d_Σ M` for the symmetric 3×3 cotangent whose off-diagonal entries are half of
+/// the packed ones in `d` (each packed off-diagonal entry stands for two of the matrix).
 #[inline(always)]
 pub fn covariance_backward<T: Real>(m: &Mat3<T>, d: [T; 6]) -> Mat3<T> {
     let half = d[0].lit(0.5);

@@ -1,11 +1,20 @@
 //! Images: row-major, origin top left, channels interleaved, display-encoded values in `[0, 1]` as `f32`.
+//!
+//! ```
+//! use gs_core::Image;
+//!
+//! let image = Image::from_data(2, 1, 3, vec![1.0, 0.0, 0.0, 0.0, 0.0, 1.0])?; // red, blue
+//! assert_eq!(image.pixel(1, 0), [0.0, 0.0, 1.0]);
+//! assert!(Image::from_data(2, 2, 3, vec![0.0; 6]).is_err());
+//! # Ok::<(), gs_core::image::ImageError>(())
+//! ```
 
 /// A `height × width × channels` image of `f32`.
 #[derive(Clone, Debug, PartialEq, Default)]
 pub struct Image {
-    /// Pixels per row.
+    /// Number of pixels per row.
     pub width: usize,
-    /// Rows.
+    /// Number of rows of pixels.
     pub height: usize,
     /// Values per pixel (1 grey, 3 RGB, 4 RGB + alpha).
     pub channels: usize,
@@ -13,32 +22,32 @@ pub struct Image {
     pub data: Vec<f32>,
 }
 
-/// A shape that does not fit the data, or another image.
+/// A shape that does not fit the data.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ImageError {
     /// `data.len()` is not `width * height * channels`.
     #[error("an image of {width}x{height}x{channels} needs {want} values, {got} were given")]
     Length {
-        /// Pixels per row.
+        /// Number of pixels per row.
         width: usize,
-        /// Rows.
+        /// Number of rows of pixels.
         height: usize,
-        /// Values per pixel.
+        /// Number of values per pixel.
         channels: usize,
-        /// Values the shape asks for.
+        /// Number of values the shape needs.
         want: usize,
-        /// Values given.
+        /// Number of values in the given data.
         got: usize,
     },
 }
 
 impl Image {
-    /// A black image.
+    /// An image whose values are all 0.
     pub fn zeros(width: usize, height: usize, channels: usize) -> Self {
         Self { width, height, channels, data: vec![0.0; width * height * channels] }
     }
 
-    /// An image over existing data.
+    /// An image from its `height · width · channels` values, row-major.
     ///
     /// # Errors
     /// If the length does not fit the shape.
@@ -50,24 +59,24 @@ impl Image {
         Ok(Self { width, height, channels, data })
     }
 
-    /// `(width, height, channels)`.
+    /// The shape as `(width, height, channels)`.
     pub fn shape(&self) -> (usize, usize, usize) {
         (self.width, self.height, self.channels)
     }
 
-    /// The values of pixel `(x, y)`.
+    /// The `channels` values of pixel `(x, y)`: column `x`, row `y`.
     pub fn pixel(&self, x: usize, y: usize) -> &[f32] {
         let at = (y * self.width + x) * self.channels;
         &self.data[at..at + self.channels]
     }
 
-    /// The values of pixel `(x, y)`, to write.
+    /// As [`Image::pixel`], for writing the values.
     pub fn pixel_mut(&mut self, x: usize, y: usize) -> &mut [f32] {
         let at = (y * self.width + x) * self.channels;
         &mut self.data[at..at + self.channels]
     }
 
-    /// Index of the first value that is not finite, if any.
+    /// Flat index of the first value that is not finite, if any.
     pub fn first_non_finite(&self) -> Option<usize> {
         self.data.iter().position(|v| !v.is_finite())
     }

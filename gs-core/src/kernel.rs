@@ -1,30 +1,43 @@
-//! The fall-off of a splat: what stands between the Gaussian of the distance and alpha.
+//! Kernel profiles: the function `ψ` from the Gaussian of the distance to alpha.
 //!
-//! [`Kernel`] holds the columns of a scene; [`Bend`] is the mathematics of one row, the same for every bent kernel;
-//! [`BetaMode`] says how far the frequency kernel's β may go.
+//! [`Kernel`] holds the columns of a scene; [`Bend`] is the profile of one row, in a form that all kernels other than the
+//! Gaussian share; [`BetaMode`] bounds the β of the frequency kernel.
+//!
+//! ```
+//! use gs_core::kernel::Bend;
+//!
+//! // λ = ½ is the Gaussian, exactly; λ above ½ is steeper around half height.
+//! assert_eq!(Bend::frequency(0.5, 0.7).psi(0.3), 0.3);
+//! assert!(Bend::frequency(0.9, 0.5).psi(0.3) < 0.3);
+//! // The Gaussian meets α = 1/255 at the Mahalanobis distance √(2 ln 255) = 3.33.
+//! let g = Bend::acutance(0.0).support(1.0 / 255.0).unwrap();
+//! assert!(((-2.0 * g.ln()).sqrt() - 3.329).abs() < 1e-3);
+//! ```
 
-mod bend;
 mod beta;
-mod plain;
+mod nearest;
+mod profile;
 #[cfg(test)]
 mod tests;
 
-pub use bend::{Bend, Partials, acutance_vjp, frequency_vjp};
-pub use beta::{BetaMode, MIN_KNOT, effective_beta, effective_beta_vjp};
+pub(crate) use beta::effective_beta_vjp;
+pub use beta::{BetaMode, effective_beta};
+pub use profile::{Bend, Partials, acutance_vjp, frequency_vjp};
 
-/// How a splat falls off with the Gaussian `g = exp(−½ d²)` of its Mahalanobis distance `d`: `alpha = opacity · ψ(g)`.
+/// Kernel of the splats of a scene: `alpha = opacity · ψ(g)` with the Gaussian `g = exp(−½ d²)` of the Mahalanobis
+/// distance `d`.
 #[derive(Clone, Debug, PartialEq, Default)]
 #[non_exhaustive]
 pub enum Kernel {
-    /// `ψ(g) = g`.
+    /// The Gaussian itself, `ψ(g) = g`.
     #[default]
     Gaussian,
     /// The frequency-differentiated kernel (FAGS, eq. 3): `ψ` is piecewise linear through `(0, 0)`, `(p, (1 − β)/2)`,
     /// `(1 − p, (1 + β)/2)`, `(1, 1)` with `p = (½ + λ − β) / (1 + 2λ)`. `λ = ½` or `β = 0` is the Gaussian.
     Frequency {
-        /// λ per splat, `[0, 1]`: above ½ sharp edges, below ½ a soft body on a steep foot.
+        /// λ per splat, `[0, 1]`: above ½ the edge is sharper than the Gaussian's, below ½ softer.
         lambdas: Vec<f32>,
-        /// β per splat, `[0, 1]`: how much of the fall-off is bent.
+        /// β per splat, `[0, 1]`: share of the range of `ψ` in the middle segment.
         betas: Vec<f32>,
     },
     /// The kernel of Deformable Radial Kernels: slopes `(1 − κ)/(1 + κ)`, `(1 + κ)/(1 − κ)`, `(1 − κ)/(1 + κ)` with
@@ -35,7 +48,7 @@ pub enum Kernel {
     },
 }
 
-/// Domain of λ and β.
+/// Domain of λ and of β.
 const UNIT: [f32; 2] = [0.0, 1.0];
 /// Domain of the acutance: the slopes stay within 1 : 2000.
 const ACUTANCE: [f32; 2] = [-0.999, 0.999];
@@ -50,7 +63,7 @@ impl Kernel {
         }
     }
 
-    /// The bend of one row; `None` for the Gaussian.
+    /// The profile of one row; `None` for the Gaussian.
     #[inline(always)]
     pub fn bend(&self, row: usize) -> Option<Bend<f64>> {
         match self {
@@ -62,7 +75,7 @@ impl Kernel {
         }
     }
 
-    /// Whether every row draws as the Gaussian does, to the bit (`u = 0`).
+    /// Whether every row renders as a Gaussian, to the bit (`u = 0`, see [`Bend`]).
     pub fn is_neutral(&self) -> bool {
         match self {
             Kernel::Gaussian => true,
@@ -72,6 +85,7 @@ impl Kernel {
     }
 
     /// Cotangents of one row's parameters, `[width]`, from `[Σ v outer, Σ v inner]` with `v = dL/dψ` ([`Partials`]).
+    /// Overwrites `d`.
     #[inline(always)]
     pub fn vjp(&self, row: usize, sums: [f64; 2], d: &mut [f32]) {
         match self {
@@ -84,7 +98,7 @@ impl Kernel {
         }
     }
 
-    /// The columns by name, with the closed interval they must lie in and its description.
+    /// Columns as `(name, values, closed domain, domain in words)`.
     pub(crate) fn columns(&self) -> Vec<(&'static str, &[f32], [f32; 2], &'static str)> {
         match self {
             Kernel::Gaussian => Vec::new(),

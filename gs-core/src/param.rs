@@ -1,30 +1,42 @@
-//! Parameters: a named block with its gradient and optimiser moments in one place, so that clone, split, prune and grow
-//! edit all of them at once or none of them.
+//! Parameters: a named block with its gradient and Adam's moments in one place, so that clone, split, prune and grow edit
+//! all of them at once or none of them.
+//!
+//! ```
+//! use gs_core::{Param, RowEdit};
+//!
+//! let mut scales = Param::rows("scales", 1, vec![0.1, 0.2, 0.3]);
+//! scales.moment1 = vec![1.0, 2.0, 3.0];
+//! // Prune row 1, clone row 2: kept rows carry their moments, new rows start at zero.
+//! RowEdit { keep: vec![0, 2], append_from: vec![2] }.apply(&mut [&mut scales])?;
+//! assert_eq!(scales.value, [0.1, 0.3, 0.3]);
+//! assert_eq!(scales.moment1, [1.0, 3.0, 0.0]);
+//! # Ok::<(), gs_core::param::RowEditError>(())
+//! ```
 
-/// A named block of parameters. Everything a checkpoint, an optimiser or a byte count needs to know of it is here.
+/// A named block of parameters with its gradient and Adam's moments, all of one length.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Param {
     /// Dotted name, unique within a method: `cloud.means`, `field.planes.xy.0`, `deform.layer0.weight`.
     pub name: String,
     /// `Some(w)`: one row of `w` values per Gaussian (or anchor), edited by [`RowEdit`]. `None`: shared by all.
     pub row_width: Option<usize>,
-    /// The values.
+    /// Current values, row-major where there are rows.
     pub value: Vec<f32>,
     /// `dL/d value`; added to by backward passes, cleared by the optimiser.
     pub grad: Vec<f32>,
-    /// First moment of Adam.
+    /// First moment of Adam: running mean of the gradient.
     pub moment1: Vec<f32>,
-    /// Second moment of Adam.
+    /// Second moment of Adam: running mean of the squared gradient.
     pub moment2: Vec<f32>,
 }
 
 impl Param {
-    /// A block shared by all rows.
+    /// A block without rows, such as the weight of a network.
     pub fn shared(name: impl Into<String>, value: Vec<f32>) -> Self {
         Self::new(name.into(), None, value)
     }
 
-    /// A block of rows of `width` values.
+    /// A block of `value.len() / width` rows of `width` values.
     pub fn rows(name: impl Into<String>, width: usize, value: Vec<f32>) -> Self {
         debug_assert!(width > 0 && value.len().is_multiple_of(width), "whole rows only");
         Self::new(name.into(), Some(width), value)
@@ -35,48 +47,48 @@ impl Param {
         Self { name, row_width, grad: zeros.clone(), moment1: zeros.clone(), moment2: zeros, value }
     }
 
-    /// Number of values.
+    /// Number of values, `rows · width`.
     pub fn len(&self) -> usize {
         self.value.len()
     }
 
-    /// Whether the block is empty.
+    /// Whether the block has no values.
     pub fn is_empty(&self) -> bool {
         self.value.is_empty()
     }
 
-    /// Number of rows, if this is a row block.
+    /// Number of rows; `None` for a shared block.
     pub fn row_count(&self) -> Option<usize> {
         self.row_width.map(|w| self.value.len() / w)
     }
 
-    /// Sets the gradient to zero.
+    /// Sets every entry of `grad` to zero.
     pub fn clear_grad(&mut self) {
         self.grad.fill(0.0);
     }
 
-    /// Sets both moments to zero.
+    /// Sets both of Adam's moments to zero.
     pub fn clear_moments(&mut self) {
         self.moment1.fill(0.0);
         self.moment2.fill(0.0);
     }
 }
 
-/// Whatever owns parameters. Checkpoints, the optimiser, counting and storage all walk this, always in the same order.
+/// An owner of parameters. Checkpoints, the optimiser and storage tables visit them, always in the same order.
 pub trait Params {
     /// Calls `f` on every block, in a fixed order.
     fn visit(&self, f: &mut dyn FnMut(&Param));
-    /// Calls `f` on every block, in the same order, to change it.
+    /// As [`Params::visit`], in the same order, to change the blocks.
     fn visit_mut(&mut self, f: &mut dyn FnMut(&mut Param));
 
-    /// Total number of values.
+    /// Total number of parameter values.
     fn param_count(&self) -> usize {
         let mut n = 0;
         self.visit(&mut |p| n += p.len());
         n
     }
 
-    /// Sets every gradient to zero.
+    /// Sets the gradient of every block to zero.
     fn clear_grads(&mut self) {
         self.visit_mut(&mut Param::clear_grad);
     }
@@ -88,37 +100,37 @@ pub trait Params {
 /// carry their moments; appended rows start with zero moments and zero gradient.
 #[derive(Clone, Debug, PartialEq, Eq, Default)]
 pub struct RowEdit {
-    /// Old rows that stay.
+    /// Indices of the old rows that stay, in their new order.
     pub keep: Vec<u32>,
-    /// Old rows to copy behind them.
+    /// Indices of the old rows to copy behind them.
     pub append_from: Vec<u32>,
 }
 
-/// An edit that cannot be applied; nothing was changed.
+/// An edit that cannot be applied. Nothing was changed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum RowEditError {
-    /// A shared block was given.
+    /// The block of this name has no rows.
     #[error("parameter `{0}` has no rows and cannot take a row edit")]
     NotRows(String),
-    /// An index beyond the last row.
+    /// An index lies beyond the last row.
     #[error("row edit names row {row}, parameter `{name}` has {rows}")]
     OutOfRange {
-        /// Parameter name.
+        /// Name of the parameter block.
         name: String,
-        /// Offending index.
+        /// The index that is out of range.
         row: u32,
-        /// Rows present.
+        /// Number of rows of the block.
         rows: usize,
     },
 }
 
 impl RowEdit {
-    /// Keeps the rows for which `keep` holds; appends nothing.
+    /// Prunes: keeps the rows for which `keep` is true, appends nothing. `rows` is the number of old rows.
     pub fn retain(rows: usize, keep: impl Fn(usize) -> bool) -> Self {
         Self { keep: (0..rows).filter(|&r| keep(r)).map(|r| r as u32).collect(), append_from: Vec::new() }
     }
 
-    /// Rows after the edit.
+    /// Number of rows after the edit.
     pub fn new_rows(&self) -> usize {
         self.keep.len() + self.append_from.len()
     }
@@ -145,7 +157,7 @@ impl RowEdit {
         Ok(())
     }
 
-    /// The edited form of any per-row column that lives outside a [`Param`] (statistics); appended rows are zero.
+    /// The edited form of a per-row column outside a [`Param`], such as densification statistics; appended rows are zero.
     pub fn apply_to_column(&self, column: &[f32], width: usize) -> Vec<f32> {
         self.gather(column, width, false)
     }

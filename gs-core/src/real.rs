@@ -1,8 +1,18 @@
-//! The scalar seam: one formula, written once, serves `f64` references, `f32` code and SIMD lanes.
+//! The scalar trait: one formula, written once, serves `f64` references, `f32` code and SIMD lanes.
 //!
-//! A [`Real`] is whatever adds, multiplies and compares like a number. Selection replaces branching, so the same source
-//! runs on sixteen lanes at a time. Constants come from [`Real::lit`], which takes its kind (and, for SIMD types, the
-//! level token) from an existing value.
+//! Selection replaces branching, so the same source runs on sixteen lanes at a time. Constants come from [`Real::lit`],
+//! which takes its type (and, for SIMD types, the level token) from an existing value.
+//!
+//! ```
+//! use gs_core::real::{Real, cross3, dot3};
+//!
+//! fn area<T: Real>(a: [T; 3], b: [T; 3]) -> T {
+//!     let n = cross3(a, b);
+//!     dot3(n, n).sqrt() * a[0].lit(0.5)
+//! }
+//! assert_eq!(area([3.0f32, 0.0, 0.0], [0.0, 4.0, 0.0]), 6.0);
+//! assert_eq!(area([3.0f64, 0.0, 0.0], [0.0, 4.0, 0.0]), 6.0);
+//! ```
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
@@ -10,7 +20,7 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 pub trait Real:
     Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self> + Neg<Output = Self>
 {
-    /// The constant `c`, of the same kind as `self`.
+    /// The constant `c` as a value of this type; `self` gives only the type.
     fn lit(self, c: f64) -> Self;
     /// Square root; NaN for negative input.
     fn sqrt(self) -> Self;
@@ -55,13 +65,13 @@ macro_rules! impl_real {
 impl_real!(f32);
 impl_real!(f64);
 
-/// Dot product of two 3-vectors.
+/// Dot product `a · b`.
 #[inline(always)]
 pub fn dot3<T: Real>(a: [T; 3], b: [T; 3]) -> T {
     a[2].mul_add(b[2], a[1].mul_add(b[1], a[0] * b[0]))
 }
 
-/// Cross product of two 3-vectors.
+/// Cross product `a × b`, right-handed.
 #[inline(always)]
 pub fn cross3<T: Real>(a: [T; 3], b: [T; 3]) -> [T; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]

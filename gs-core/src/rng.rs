@@ -1,15 +1,26 @@
-//! Counter-based random numbers: every draw is a pure function of `(seed, purpose, step, row, index)`.
+//! Counter-based random numbers: every number is a pure function of `(seed, purpose, step, row, index)`.
 //!
 //! The generator is Philox4x32-10 (Salmon et al. 2011, "Parallel random numbers: as easy as 1, 2, 3"). Because no state
-//! is shared, results do not depend on scheduling, on the number of threads or on what else was drawn, and a resumed run
-//! draws what the uninterrupted one would have drawn.
+//! is shared, results do not depend on scheduling, on the number of threads or on other streams, and a resumed run gets
+//! the numbers of an uninterrupted one.
+//!
+//! ```
+//! use gs_core::Rng;
+//!
+//! let offset = |row| Rng::new(42, "split", 1000, row).normal();
+//! assert_eq!(offset(7), offset(7)); // the same stream, the same number, on any thread
+//! assert_ne!(offset(7), offset(8));
+//! let mut order = Rng::new(42, "view order", 0, 0).permutation(5);
+//! order.sort();
+//! assert_eq!(order, [0, 1, 2, 3, 4]);
+//! ```
 
 const MULTIPLIERS: [u32; 2] = [0xD251_1F53, 0xCD9E_8D57];
 const WEYL: [u32; 2] = [0x9E37_79B9, 0xBB67_AE85];
 const ROUNDS: usize = 10;
 
 /// One block of Philox4x32-10: 128 random bits from a 128-bit counter and a 64-bit key.
-pub fn philox(mut counter: [u32; 4], mut key: [u32; 2]) -> [u32; 4] {
+fn philox(mut counter: [u32; 4], mut key: [u32; 2]) -> [u32; 4] {
     for _ in 0..ROUNDS {
         let a = u64::from(MULTIPLIERS[0]) * u64::from(counter[0]);
         let b = u64::from(MULTIPLIERS[1]) * u64::from(counter[2]);
@@ -31,7 +42,7 @@ const fn hash_name(name: &str) -> u64 {
     h
 }
 
-/// A stream of draws for one `(seed, purpose, step, row)`. Cheap to make: make one per row.
+/// The stream of random numbers of one `(seed, purpose, step, row)`. Cheap to make: make one per row.
 #[derive(Clone, Debug)]
 pub struct Rng {
     key: [u32; 2],
@@ -43,14 +54,14 @@ pub struct Rng {
 }
 
 impl Rng {
-    /// The stream named by its four arguments. `purpose` is any short name; different names never share draws
-    /// (up to 64-bit hash collisions).
+    /// The stream named by its four arguments. `purpose` is any short name; streams of different names are
+    /// independent (up to 64-bit hash collisions).
     pub fn new(seed: u64, purpose: &str, step: u32, row: u64) -> Self {
         let key = hash_name(purpose) ^ seed.wrapping_mul(0x9E37_79B9_7F4A_7C15);
         Self { key: [key as u32, (key >> 32) as u32], step, row, block: 0, buffer: [0; 4], used: 4 }
     }
 
-    /// 32 uniform bits.
+    /// The next 32 uniform random bits.
     pub fn bits(&mut self) -> u32 {
         if self.used == 4 {
             self.buffer = philox([self.block, self.row as u32, (self.row >> 32) as u32, self.step], self.key);
@@ -71,7 +82,7 @@ impl Rng {
         lo + (hi - lo) * self.uniform()
     }
 
-    /// Standard normal, by the Box–Muller transform in `f64`.
+    /// Standard normal (mean 0, variance 1), by the Box–Muller transform in `f64`.
     pub fn normal(&mut self) -> f32 {
         let u = (f64::from(self.bits()) + 0.5) / 4_294_967_296.0;
         let v = f64::from(self.bits()) / 4_294_967_296.0;

@@ -1,4 +1,4 @@
-//! Quaternions `(w, x, y, z)` of any length, their rotation matrices, and the way back for gradients.
+//! Quaternions `(w, x, y, z)` of any length, their rotation matrices, and the backward functions of both.
 //!
 //! ```text
 //! q  = q̃ / max(|q̃|, 1e-12)
@@ -7,25 +7,34 @@
 //!      | 2(xz-wy)    2(yz+wx)    1-2(x²+y²) |
 //! ```
 //! The zero quaternion is the identity rotation with zero gradient (`q = 0` makes every off-diagonal term vanish), as in
-//! gsplat. All functions are generic over [`Real`]. This module is the only place where glam's `xyzw` order is met.
+//! gsplat. All functions are generic over [`Real`]. This module is the only place that uses glam's `xyzw` order.
+//!
+//! ```
+//! use gs_core::rot::{conjugate, hamilton, matrix, normalise};
+//!
+//! let q = normalise([1.0, 0.0, 0.0, 1.0]).wxyz; // a quarter turn about z: x goes to y
+//! let x_axis = matrix(q).map(|row| row[0]);
+//! assert!((x_axis[1] - 1.0f64).abs() < 1e-15 && x_axis[0].abs() < 1e-15);
+//! assert_eq!(hamilton([0.0, 1.0, 0.0, 0.0], conjugate([0.0, 1.0, 0.0, 0.0])), [1.0, 0.0, 0.0, 0.0]);
+//! ```
 
 use crate::real::Real;
 use glam::Quat;
 
 /// Lengths below this are treated as this (the quaternion then shrinks to zero, hence to the identity).
-pub const MIN_QUAT_NORM: f64 = 1e-12;
+const MIN_QUAT_NORM: f64 = 1e-12;
 
-/// A 3×3 matrix as rows.
+/// A 3×3 matrix as rows: entry `[r][c]` is row `r`, column `c`.
 pub type Mat3<T> = [[T; 3]; 3];
 
-/// A normalised quaternion together with the reciprocal length that made it so.
+/// A normalised quaternion, and what [`normalise_backward`] needs.
 #[derive(Clone, Copy, Debug)]
 pub struct UnitQuat<T> {
     /// `(w, x, y, z)`, of unit length (or zero for a zero input).
     pub wxyz: [T; 4],
-    /// `1 / max(|q̃|, 1e-12)`.
+    /// Reciprocal length of the raw quaternion, `1 / max(|q̃|, 1e-12)`.
     pub inv_norm: T,
-    /// 1 where the length was above the floor (so it has a gradient), else 0.
+    /// 1 where the length was above 1e-12, else 0: whether the length has a gradient.
     pub free: T,
 }
 
@@ -46,7 +55,7 @@ pub fn normalise<T: Real>(raw: [T; 4]) -> UnitQuat<T> {
     UnitQuat { wxyz: raw.map(|v| v * inv_norm), inv_norm, free: floor.select_lt(norm, one, zero) }
 }
 
-/// Gradient of [`normalise`]: `v_q̃ = (v_q − q (q·v_q)) / |q̃|`, without the projection below the length floor.
+/// Backward of [`normalise`]: `d_q̃ = (d_q − q (q·d_q)) / |q̃|`, without the projection below the length 1e-12.
 #[inline(always)]
 pub fn normalise_backward<T: Real>(q: &UnitQuat<T>, d_q: [T; 4]) -> [T; 4] {
     let u = q.wxyz;
@@ -67,7 +76,7 @@ pub fn matrix<T: Real>(unit_wxyz: [T; 4]) -> Mat3<T> {
     ]
 }
 
-/// Gradient of [`matrix`] with respect to the four entries, taken as independent.
+/// Backward of [`matrix`]: cotangents of the four entries, taken as independent.
 #[inline(always)]
 pub fn matrix_backward<T: Real>(unit_wxyz: [T; 4], d: &Mat3<T>) -> [T; 4] {
     let [w, x, y, z] = unit_wxyz;
@@ -93,12 +102,18 @@ pub fn hamilton<T: Real>(a: [T; 4], b: [T; 4]) -> [T; 4] {
     ]
 }
 
-/// glam's `xyzw` quaternion from ours.
+/// Conjugate `(w, −x, −y, −z)`: the inverse rotation of a unit quaternion.
+#[inline(always)]
+pub fn conjugate<T: Real>([w, x, y, z]: [T; 4]) -> [T; 4] {
+    [w, -x, -y, -z]
+}
+
+/// glam's `xyzw` quaternion from a `wxyz` one.
 pub fn to_glam(wxyz: [f32; 4]) -> Quat {
     Quat::from_xyzw(wxyz[1], wxyz[2], wxyz[3], wxyz[0])
 }
 
-/// Our `wxyz` quaternion from glam's.
+/// A `wxyz` quaternion from glam's `xyzw` one.
 pub fn from_glam(q: Quat) -> [f32; 4] {
     [q.w, q.x, q.y, q.z]
 }
@@ -125,6 +140,7 @@ mod tests {
                 }
             }
             assert_eq!(from_glam(to_glam(q)), q);
+            assert_eq!(from_glam(to_glam(q).conjugate()), conjugate(q));
         }
     }
 

@@ -5,19 +5,30 @@
 //! ```
 //! The basis is written as polynomials in `(x, y, z)`; [`basis_backward`] treats the three as independent, and
 //! [`direction_backward`] projects onto the sphere. Singular input: `mean = camera` (the direction is then zero).
+//!
+//! ```
+//! use gs_core::sh;
+//!
+//! // Degree 0 is the same from every direction: rgb = 0.5 + C0 · sh_dc.
+//! let (d, distance) = sh::direction([0.0f64, 0.0, 3.0], [0.0; 3]);
+//! assert_eq!((d, distance), ([0.0, 0.0, 1.0], 1.0 / 3.0)); // unit vector, reciprocal distance
+//! let y = sh::basis(d, 1);
+//! assert_eq!((y[0], y[1], y[3]), (sh::C0, 0.0, 0.0)); // of the first band only z remains
+//! assert!(y[2] > 0.48);
+//! ```
 
 use crate::real::{Real, dot3};
 
-mod turn;
+mod rotation;
 
-pub use turn::ShTurn;
+pub use rotation::ShTurn;
 
-/// Coefficients per channel at degree 3.
+/// Coefficients per channel at the highest degree, 3.
 pub const MAX_COEFFS: usize = 16;
-/// Highest degree supported.
+/// Highest SH degree supported, that of 3DGS.
 pub const MAX_DEGREE: u8 = 3;
 
-/// Degree-0 constant; `sh_0 = (rgb − 0.5) / C0`.
+/// Value of the constant basis function, `½ √(1/π)`: `sh_0 = (rgb − 0.5) / C0`.
 pub const C0: f64 = 0.282_094_791_773_878_14;
 const C1: f64 = 0.488_602_511_902_919_9;
 const C2: [f64; 5] = [
@@ -42,7 +53,7 @@ pub const fn coeffs(degree: u8) -> usize {
     (degree as usize + 1) * (degree as usize + 1)
 }
 
-/// The basis functions at `d`, all 16; those above `degree` are zero.
+/// The 16 basis functions at the unit vector `d`; those above `degree` are zero.
 #[inline(always)]
 pub fn basis<T: Real>(d: [T; 3], degree: u8) -> [T; MAX_COEFFS] {
     let [x, y, z] = d;
@@ -75,7 +86,7 @@ pub fn basis<T: Real>(d: [T; 3], degree: u8) -> [T; MAX_COEFFS] {
     out
 }
 
-/// Gradient of [`basis`] with respect to `(x, y, z)` taken as independent, for cotangents `g` of the basis values.
+/// Backward of [`basis`]: cotangent of `(x, y, z)`, taken as independent, from cotangents `g` of the values.
 #[inline(always)]
 pub fn basis_backward<T: Real>(d: [T; 3], degree: u8, g: &[T; MAX_COEFFS]) -> [T; 3] {
     let [x, y, z] = d;
@@ -124,7 +135,7 @@ pub fn direction<T: Real>(mean: [T; 3], camera: [T; 3]) -> ([T; 3], T) {
     (v.map(|c| c * inv), inv)
 }
 
-/// Gradient of [`direction`] with respect to the mean: `(v_d − d (d·v_d)) / |mean − camera|`.
+/// Backward of [`direction`]: cotangent of the mean, `(d_dir − d (d·d_dir)) / |mean − camera|`.
 #[inline(always)]
 pub fn direction_backward<T: Real>(d: [T; 3], inv_distance: T, d_dir: [T; 3]) -> [T; 3] {
     let along = dot3(d, d_dir);

@@ -1,34 +1,51 @@
-//! Speed beside error: the row every bench writes, and the median it is made of.
+//! The row that every bench writes, time beside error, and the medians it is made of.
+//!
+//! ```
+//! use gs_core::speed::{SpeedError, median_seconds};
+//!
+//! let row = SpeedError {
+//!     krate: "gs-core",
+//!     case: "sum".into(),
+//!     variant: "f32".into(),
+//!     n: 1000,
+//!     threads: 1,
+//!     ms: 1e3 * median_seconds(5, || drop(std::hint::black_box((0..1000).map(|v| v as f32).sum::<f32>()))),
+//!     work: 1000.0,
+//!     error: Some(0.0),
+//!     error_kind: "abs against f64",
+//! };
+//! assert!(row.to_json().contains("\"case\":\"sum\"") && row.ms >= 0.0);
+//! ```
 
 use std::io::Write;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-/// One measured case. Rows of all crates have this shape, so they can share one plot.
+/// One measured case: a row of a table of time against error. All crates use this shape, so one plot can hold them all.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SpeedError {
-    /// The crate measured.
+    /// Name of the measured crate; also names the file of [`SpeedError::record`].
     pub krate: &'static str,
-    /// What is done, on which input.
+    /// The operation and its input, such as `sh basis`.
     pub case: String,
-    /// Which way of doing it.
+    /// The implementation or setting, such as `f32 scalar`.
     pub variant: String,
-    /// Size of the input: splats, points, pixels.
+    /// Size of the input: number of splats, points or pixels.
     pub n: usize,
-    /// Threads used.
+    /// Number of worker threads that were used.
     pub threads: usize,
-    /// Median wall time, milliseconds.
+    /// Median wall time of a call, milliseconds.
     pub ms: f64,
-    /// Count behind the rate: blends, floating-point operations, values.
+    /// Operations of a call (blends, floating-point operations, values): the numerator of the printed rate.
     pub work: f64,
-    /// Distance from the `f64` reference or an analytic truth; `None` where there is none.
+    /// Distance from the `f64` reference or from an analytic truth; `None` where there is no reference.
     pub error: Option<f64>,
-    /// What the error measures.
+    /// Kind of `error`, such as `max abs against f64`.
     pub error_kind: &'static str,
 }
 
 impl SpeedError {
-    /// The row as one line of JSON.
+    /// The row as one line of JSON, without a line break; numbers that are not finite become `null`.
     pub fn to_json(&self) -> String {
         let number = |v: f64| if v.is_finite() { format!("{v:e}") } else { "null".to_owned() };
         let Self { krate, case, variant, n, threads, ms, work, error, error_kind } = self;
@@ -43,7 +60,7 @@ impl SpeedError {
     /// Prints the row and appends it to `<folder>/<crate>.jsonl`.
     ///
     /// # Errors
-    /// If the folder or file cannot be written.
+    /// If the folder or the file cannot be written.
     pub fn record(&self, folder: &Path) -> std::io::Result<()> {
         println!("{self}");
         std::fs::create_dir_all(folder)?;
@@ -53,7 +70,7 @@ impl SpeedError {
     }
 
     /// Prints the row and appends it to `target/speed-error` beside the crate whose folder `manifest` is
-    /// (`env!("CARGO_MANIFEST_DIR")`). A bench goes on where that cannot be written, and says so.
+    /// (`env!("CARGO_MANIFEST_DIR")`). A write error is printed and does not stop the bench.
     pub fn keep(&self, manifest: &str) {
         let folder = Path::new(manifest).join("../target/speed-error");
         if let Err(e) = self.record(&folder) {
@@ -69,12 +86,12 @@ impl std::fmt::Display for SpeedError {
         write!(f, " n {:>8}  threads {}  {:>9.3} ms  {rate:>7.3} G/s", self.n, self.threads, self.ms)?;
         match self.error {
             Some(error) => write!(f, "  {error:.1e} {}", self.error_kind),
-            None => write!(f, "  no truth to compare with"),
+            None => write!(f, "  no reference"),
         }
     }
 }
 
-/// Median seconds of `runs` calls after one warm-up.
+/// Median seconds per call of `runs` calls (at least 1), after one call to warm up.
 pub fn median_seconds(runs: usize, mut work: impl FnMut()) -> f64 {
     work();
     let mut times: Vec<f64> = (0..runs.max(1))
@@ -88,15 +105,15 @@ pub fn median_seconds(runs: usize, mut work: impl FnMut()) -> f64 {
     times[times.len() / 2]
 }
 
-/// Times of a bench's rounds, kept beside the bencher's own so that a row can show their median.
+/// Stopwatch for the closure of criterion's `iter_custom`: keeps the time of each round, so that a row can show the median.
 #[derive(Clone, Debug, Default)]
 pub struct Laps {
-    /// Milliseconds per call, one per round.
+    /// Milliseconds per call, one entry per round.
     times: Vec<f64>,
 }
 
 impl Laps {
-    /// Calls `work` `calls` times; gives what they took together.
+    /// One round: calls `work` `calls` times and returns the total time.
     pub fn run(&mut self, calls: u64, mut work: impl FnMut()) -> Duration {
         let start = Instant::now();
         (0..calls).for_each(|_| work());
@@ -105,7 +122,7 @@ impl Laps {
         spent
     }
 
-    /// Median milliseconds per call; none if nothing ran, as where a command line's filter leaves a case out.
+    /// Median milliseconds per call over the rounds; `None` before the first round (a case that a filter left out).
     pub fn median_ms(&self) -> Option<f64> {
         let mut times = self.times.clone();
         times.sort_by(f64::total_cmp);
@@ -118,7 +135,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn laps_know_their_median() {
+    fn the_median_is_that_of_the_rounds() {
         let (mut laps, mut calls) = (Laps::default(), 0);
         assert_eq!(laps.median_ms(), None);
         let spent: Vec<Duration> = [3, 1, 2].map(|n| laps.run(n, || calls += 1)).into();

@@ -1,35 +1,52 @@
-//! Gaussians ready to draw, and their cotangents.
+//! Activated Gaussians, the input of a rasteriser, and their cotangents.
+//!
+//! ```
+//! use glam::Vec3;
+//! use gs_core::{Color, Kernel, Splats};
+//!
+//! let mut splats = Splats {
+//!     means: vec![Vec3::ZERO],
+//!     quats: vec![[1.0, 0.0, 0.0, 0.0]],
+//!     scales: vec![Vec3::splat(0.1)],
+//!     opacities: vec![0.9],
+//!     color: Color::Rgb(vec![[1.0, 0.0, 0.0]]),
+//!     kernel: Kernel::Gaussian,
+//! };
+//! assert_eq!(splats.check(), Ok(()));
+//! splats.opacities[0] = 1.5;
+//! let error = splats.check().unwrap_err().to_string();
+//! assert_eq!(error, "splats row 0, column `opacities`: 1.5 is out of range (0 to 1)");
+//! ```
 
 use crate::kernel::Kernel;
 use crate::sh;
 use glam::Vec3;
 
-/// Gaussians ready to draw: activated values, one row each, `n` rows. Optional columns exist only where a scene
-/// needs them.
+/// Activated Gaussians: one row per splat, `n` rows in every column.
 #[derive(Clone, Debug, PartialEq, Default)]
 pub struct Splats {
-    /// Centres, world units.
+    /// Centres of the Gaussians, world units.
     pub means: Vec<Vec3>,
     /// Rotations `(w, x, y, z)` of any length (normalised where used; zero is the identity).
     pub quats: Vec<[f32; 4]>,
     /// Standard deviations along the three axes, world units. Only their squares matter.
     pub scales: Vec<Vec3>,
-    /// Opacities in `[0, 1]`.
+    /// Opacities of the splats, in `[0, 1]`.
     pub opacities: Vec<f32>,
-    /// Colours.
+    /// Colours: plain RGB or spherical harmonics.
     pub color: Color,
-    /// The fall-off of a splat.
+    /// Profile of alpha over the distance.
     pub kernel: Kernel,
 }
 
-/// Colour of each splat.
+/// Colours of the splats, one row each.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Color {
-    /// One display-encoded colour, the same from every direction; drawn as it is (may be any number: overlays, flow).
+    /// One display-encoded colour per splat, the same from every direction. Not clamped: may be any number (overlays, flow).
     Rgb(Vec<[f32; 3]>),
     /// Spherical harmonics, `[n, (degree + 1)², 3]` flat: `rgb = max(0, 0.5 + Σ Y_k sh_k)`.
     Sh {
-        /// 0 to 3.
+        /// SH degree, 0 to 3.
         degree: u8,
         /// `n · (degree + 1)² · 3` coefficients.
         coeffs: Vec<f32>,
@@ -42,34 +59,34 @@ impl Default for Color {
     }
 }
 
-/// Cotangents of [`Splats`]: the same columns, `dL/d…` each. A type of its own, so value and cotangent never swap.
+/// Cotangents of [`Splats`]: the same columns and rows. A type of its own, so values and cotangents cannot be confused.
 #[derive(Clone, Debug, PartialEq, Default)]
 pub struct SplatsGrad {
-    /// `dL/d means`.
+    /// Cotangents of the means, `dL/d means`.
     pub means: Vec<Vec3>,
-    /// `dL/d quats`, with respect to the raw, unnormalised quaternions.
+    /// Cotangents of the raw, unnormalised quaternions.
     pub quats: Vec<[f32; 4]>,
-    /// `dL/d scales`.
+    /// Cotangents of the standard deviations, `dL/d scales`.
     pub scales: Vec<Vec3>,
-    /// `dL/d opacities`.
+    /// Cotangents of the opacities, `dL/d opacities`.
     pub opacities: Vec<f32>,
-    /// `dL/d` of the colour column, flat: `[n, 3]` for RGB, `[n, K, 3]` for SH.
+    /// Cotangents of the colours, flat: `[n, 3]` for RGB, `[n, K, 3]` for SH with `K = (degree + 1)²`.
     pub color: Vec<f32>,
-    /// `dL/d` of the kernel's columns, flat `[n, Kernel::width]`, in the order [`Kernel`] names them.
+    /// Cotangents of the kernel's columns, flat `[n, Kernel::width]`, in the order of the fields of [`Kernel`].
     pub kernel: Vec<f32>,
 }
 
-/// What is wrong with a set of splats: column and row.
+/// Invalid splats: the column, and the row where there is one.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum SplatsError {
     /// A column has the wrong number of entries.
     #[error("splats column `{column}` has {got} entries, {want} are needed for {rows} splats")]
     Length {
-        /// Column name.
+        /// Name of the column, such as `quats`.
         column: &'static str,
-        /// Entries needed.
+        /// Number of entries that the column needs.
         want: usize,
-        /// Entries met.
+        /// Number of entries that it has.
         got: usize,
         /// Number of splats (rows of `means`).
         rows: usize,
@@ -77,35 +94,35 @@ pub enum SplatsError {
     /// A value is not finite or out of its domain.
     #[error("splats row {row}, column `{column}`: {value} is out of range ({rule})")]
     Value {
-        /// Column name.
+        /// Name of the column, such as `quats`.
         column: &'static str,
-        /// Row (splat index).
+        /// Index of the splat, from 0.
         row: usize,
-        /// Value met.
+        /// Value that the entry has.
         value: f32,
-        /// What the column must satisfy.
+        /// The domain of the column, in words.
         rule: &'static str,
     },
-    /// SH degree above 3.
+    /// An SH degree above 3.
     #[error("SH degree {0} is not supported (0 to 3)")]
     Degree(u8),
 }
 
 impl Splats {
-    /// Number of splats.
+    /// Number of splats (rows of `means`).
     pub fn len(&self) -> usize {
         self.means.len()
     }
 
-    /// Whether there is none.
+    /// Whether there are no splats.
     pub fn is_empty(&self) -> bool {
         self.means.is_empty()
     }
 
-    /// Verifies lengths, finiteness and domains once, at the border; inside, they are invariants.
+    /// Verifies lengths, finiteness and domains of all columns. Called once at the border; inside, they are invariants.
     ///
     /// # Errors
-    /// The first offence, with column and row.
+    /// The first invalid entry, with column and row.
     pub fn check(&self) -> Result<(), SplatsError> {
         let rows = self.len();
         let length = |column, got: usize, want: usize| {
@@ -145,7 +162,7 @@ impl Splats {
     }
 }
 
-/// The first row of a column that holds a non-finite value.
+/// An error for the first row of a column with a non-finite value.
 fn finite<R: AsRef<[f32]>>(column: &'static str, rows: impl Iterator<Item = R>) -> Result<(), SplatsError> {
     for (row, values) in rows.enumerate() {
         if let Some(&value) = values.as_ref().iter().find(|v| !v.is_finite()) {
@@ -164,7 +181,7 @@ impl Color {
         }
     }
 
-    /// All values, flat.
+    /// All values as one flat slice, row-major.
     pub fn as_flat(&self) -> &[f32] {
         match self {
             Color::Rgb(rgb) => rgb.as_flattened(),
@@ -174,14 +191,14 @@ impl Color {
 }
 
 impl SplatsGrad {
-    /// Zero cotangents for `splats`.
+    /// Zero cotangents of the shape of `splats`.
     pub fn zeros_like(splats: &Splats) -> Self {
         let mut grad = Self::default();
         grad.reset(splats);
         grad
     }
 
-    /// Makes this the zero cotangent of `splats`, reusing memory.
+    /// Sets this to zero cotangents of the shape of `splats`, reusing memory.
     pub fn reset(&mut self, splats: &Splats) {
         let n = splats.len();
         refill(&mut self.means, n, Vec3::ZERO);
@@ -192,7 +209,7 @@ impl SplatsGrad {
         refill(&mut self.kernel, n * splats.kernel.width(), 0.0);
     }
 
-    /// First row with a non-finite entry, with its column, if any.
+    /// Column and row of the first non-finite entry, if any; columns in the order of the fields.
     pub fn first_non_finite(&self) -> Option<(&'static str, usize)> {
         let width = |column: &[f32]| (column.len() / self.means.len().max(1)).max(1);
         let checks = [
@@ -231,13 +248,13 @@ mod tests {
     }
 
     #[test]
-    fn good_splats_pass() {
+    fn valid_splats_pass() {
         assert_eq!(two().check(), Ok(()));
         assert_eq!(Splats::default().check(), Ok(()));
     }
 
     #[test]
-    fn every_offence_names_column_and_row() {
+    fn every_error_names_column_and_row() {
         let error = |f: &dyn Fn(&mut Splats)| {
             let mut s = two();
             f(&mut s);

@@ -1,16 +1,33 @@
-//! What tests of several crates need: where the shared captures lie, if they are there at all.
+//! Shared captures and golden files for the tests of several crates (feature `testkit`).
+//!
+//! They may not be shipped, so a fresh clone has none. The folder is `$GS4D_SHARED`, else `shared` beside the workspace.
+//! A test without its data reports that it was skipped, or fails where `GS4D_REQUIRE_SHARED` is 1.
 
+use std::io::Write;
 use std::path::PathBuf;
 
-/// The path of a shared capture or golden file, or `None`, with a line that says what was skipped.
+/// Path of a capture or golden file, given `relative` to the shared folder. `None`, after [`skip`], where it is absent.
 ///
-/// The folder is `$GS4D_SHARED`, else `shared` beside the workspace. The project is whole without it.
+/// # Panics
+/// As [`skip`].
 pub fn shared(relative: &str) -> Option<PathBuf> {
     let beside = || PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../shared");
     let path = std::env::var_os("GS4D_SHARED").map_or_else(beside, PathBuf::from).join(relative);
     if path.exists() {
         return Some(path);
     }
-    println!("SKIPPED: `{relative}` is not here (set GS4D_SHARED to the folder that holds it)");
+    // The test harness names each thread after its test.
+    skip(std::thread::current().name().unwrap_or("a test"), &format!("`{relative}`"));
     None
+}
+
+/// Reports that `test` checks nothing: `SKIPPED <test>: <what> is absent`, one line on stderr.
+///
+/// # Panics
+/// If the environment variable `GS4D_REQUIRE_SHARED` is 1.
+pub fn skip(test: &str, what: &str) {
+    let line = format!("SKIPPED {test}: {what} is absent");
+    assert!(std::env::var_os("GS4D_REQUIRE_SHARED").is_none_or(|v| v != "1"), "{line}, but GS4D_REQUIRE_SHARED is 1");
+    // Not `eprintln!`, whose output the test harness captures.
+    let _ = writeln!(std::io::stderr(), "{line}");
 }

@@ -1,10 +1,19 @@
-//! Time, normalised for the fields and in seconds for the physics.
+//! Timestamps: normalised for deformation fields, in seconds for the physics.
+//!
+//! ```
+//! use gs_core::Time;
+//!
+//! let t = Time::with_seconds(1.5, 12.0)?; // half a training span after its end: extrapolation
+//! assert_eq!((t.normalised, t.seconds), (1.5, 12.0));
+//! assert!(Time::new(f32::NAN).is_err());
+//! # Ok::<(), gs_core::time::TimeError>(())
+//! ```
 
-/// A moment of a scene. `normalised` is what fields see: 0 at the first training frame, 1 at the last, or at the end of the whole
-/// sequence where a boundary keeps its later part out of training; values outside `[0, 1]` extrapolate. `seconds` is the same moment on the data set's clock.
+/// A timestamp of a scene. Fields take `normalised`: 0 at the first training frame, 1 at the last one, or at the end of
+/// the whole sequence where its later part is held out. `seconds` is the same timestamp on the data set's clock.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd, Default)]
 pub struct Time {
-    /// 0 … 1 over the training span; may lie outside to extrapolate.
+    /// 0 to 1 over the training span; values outside extrapolate.
     pub normalised: f32,
     /// Seconds on the data set's clock; equals `normalised` where the data give no rate.
     pub seconds: f64,
@@ -14,12 +23,12 @@ pub struct Time {
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[error("time {value} is not finite; give a number such as 0.25 (0 = first training frame, 1 = last)")]
 pub struct TimeError {
-    /// The value met.
+    /// The value that was given.
     pub value: f64,
 }
 
 impl Time {
-    /// A normalised time whose clock runs 1 second over the training span.
+    /// A timestamp whose clock runs 1 second over the training span: `seconds = normalised`.
     ///
     /// # Errors
     /// If the value is not finite.
@@ -27,7 +36,7 @@ impl Time {
         Self::with_seconds(normalised, f64::from(normalised))
     }
 
-    /// A normalised time with its clock reading.
+    /// A timestamp from its normalised time and its clock reading in seconds.
     ///
     /// # Errors
     /// If either value is not finite.

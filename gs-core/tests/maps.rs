@@ -11,7 +11,7 @@ use gs_core::{Params, Rng};
 const DIFFERENCE: f64 = 2e-7;
 /// `f32` value or gradient against `f64`, relative to the largest of its kind.
 const CONV: f64 = 2e-6;
-/// As [`CONV`]: statistics over some hundred values stand between.
+/// As [`CONV`], with statistics over some hundred values in between.
 const NORM: f64 = 5e-6;
 /// As [`CONV`]: a few products.
 const RESAMPLE: f64 = 3e-7;
@@ -51,7 +51,7 @@ fn ref_map(shape: [usize; 3], values: &[Dual]) -> RefMap<Dual> {
     RefMap { height, width, channels, data: values.to_vec() }
 }
 
-/// `Σ weight · y` over the pixels that count.
+/// `Σ weight · y` over the pixels that are inside.
 fn loss(y: RefMap<Dual>, weight: &[f32], inside: &[bool]) -> Dual {
     let y = y.masked(inside);
     y.data.iter().zip(weight).fold(Dual::default(), |s, (y, w)| s + *y * Dual { v: f64::from(*w), d: 0.0 })
@@ -66,7 +66,7 @@ fn close(got: &[f32], want: &[f64], tolerance: f64, what: &str) {
     }
 }
 
-/// For every argument: the exact `f64` derivative of `loss` at a sample of places, against differences and against `got`.
+/// For every argument: the exact `f64` derivative of `loss` at a sample of entries, against differences and `got`.
 fn gradients(what: &str, args: &[&[f32]], got: &[Vec<f32>], tolerance: f64, loss: &dyn Fn(&[Vec<Dual>]) -> Dual) {
     let mut at: Vec<Vec<Dual>> =
         args.iter().map(|a| a.iter().map(|v| Dual { v: f64::from(*v), d: 0.0 }).collect()).collect();
@@ -91,9 +91,9 @@ fn gradients(what: &str, args: &[&[f32]], got: &[Vec<f32>], tolerance: f64, loss
 }
 
 #[test]
-fn a_convolution_moves_scales_and_pads() {
+fn a_convolution_shifts_scales_and_pads() {
     let mut layer = Conv::new("c", ConvSpec { kernel: 3, stride: 1, inputs: 1, outputs: 1, bias: true }, Init::Zero, 1);
-    // Takes twice the right neighbour.
+    // Twice the right neighbour.
     layer.weight.value[5] = 2.0;
     layer.bias.as_mut().unwrap().value[0] = 0.5;
     let (x, mut y) = (map([2, 3, 1], 1, "x"), Map::zeros(2, 3, 1, 1));
@@ -208,9 +208,9 @@ fn norms_have_three_level_gradients() {
     }
 }
 
-/// A spread of 1 about a mean of 10 000, where `Σ x² − (Σ x)²/n` in `f32` keeps nothing.
+/// A standard deviation of 1 about a mean of 10 000, where `Σ x² − (Σ x)²/n` in `f32` has no correct digit.
 #[test]
-fn a_norm_keeps_its_spread_beside_a_large_mean() {
+fn a_norm_is_accurate_about_a_large_mean() {
     let (mut x, layer, sites) = (Map::zeros(32, 32, 8, 0), GroupNorm::new("n", 8, 1, false), Sites::full(32, 32));
     let values: Vec<f32> = random(32 * 32 * 8, "x").iter().map(|v| v + 1e4).collect();
     x.load(&values);
@@ -224,8 +224,8 @@ fn a_norm_keeps_its_spread_beside_a_large_mean() {
         // The mean itself is an f32: half a unit in the last place of 10 000 is 5e-4.
         assert!((f64::from(*y) - want).abs() < 6e-4, "{y} {want}");
     }
-    let spread = inside(&y).iter().map(|v| f64::from(*v).powi(2)).sum::<f64>() / n;
-    assert!((spread - 1.0).abs() < 1e-4, "{spread}");
+    let variance = inside(&y).iter().map(|v| f64::from(*v).powi(2)).sum::<f64>() / n;
+    assert!((variance - 1.0).abs() < 1e-4, "{variance}");
 }
 
 /// One of the layers without parameters: forward, backward, reference.
@@ -250,7 +250,7 @@ fn plain_layers_have_three_level_gradients() {
             reference: reference::max_pool,
         },
         Plain {
-            name: "double",
+            name: "upsample",
             from: [3, 4, 5],
             to: [6, 8, 5],
             forward: resample::double,
@@ -258,7 +258,7 @@ fn plain_layers_have_three_level_gradients() {
             reference: reference::double,
         },
         Plain {
-            name: "double one pixel",
+            name: "upsample one pixel",
             from: [1, 1, 2],
             to: [2, 2, 2],
             forward: resample::double,
@@ -266,7 +266,7 @@ fn plain_layers_have_three_level_gradients() {
             reference: reference::double,
         },
         Plain {
-            name: "join with itself",
+            name: "concatenate with itself",
             from: [3, 4, 2],
             to: [3, 4, 4],
             forward: |x, y, sites| resample::concat(x, x, y, sites),
@@ -277,7 +277,7 @@ fn plain_layers_have_three_level_gradients() {
             reference: |x| reference::concat(x, x),
         },
         Plain {
-            name: "add and clip",
+            name: "add and ReLU",
             from: [3, 4, 2],
             to: [3, 4, 2],
             forward: |x, y, sites| resample::add_relu(x, x, y, sites),
@@ -289,7 +289,7 @@ fn plain_layers_have_three_level_gradients() {
             reference: |x| reference::relu(reference::add(x, x)),
         },
         Plain {
-            name: "clip",
+            name: "ReLU",
             from: [3, 4, 2],
             to: [3, 4, 2],
             forward: |x, y, sites| {
@@ -320,7 +320,7 @@ fn plain_layers_have_three_level_gradients() {
 }
 
 #[test]
-fn equal_pixels_of_a_pool_pass_their_gradient_once() {
+fn one_of_equal_maxima_gets_the_gradient_of_a_pool() {
     let (mut x, mut y) = (Map::zeros(4, 4, 1, 0), Map::zeros(2, 2, 1, 0));
     x.load(&[1.0; 16]);
     resample::max_pool(&x, &mut y, &Sites::full(2, 2));
@@ -332,7 +332,7 @@ fn equal_pixels_of_a_pool_pass_their_gradient_once() {
 }
 
 #[test]
-fn a_ramp_stays_a_ramp_when_doubled() {
+fn a_ramp_stays_a_ramp_when_upsampled() {
     let (mut x, mut y) = (Map::zeros(4, 8, 1, 0), Map::zeros(8, 16, 1, 0));
     x.load(&(0..32).map(|i| (i % 8) as f32 + 10.0 * (i / 8) as f32).collect::<Vec<_>>());
     resample::double(&x, &mut y, &Sites::full(8, 16));
@@ -384,7 +384,7 @@ fn threads_do_not_change_a_bit() {
 }
 
 #[test]
-fn a_site_has_the_same_bits_whatever_its_neighbours_are() {
+fn a_site_has_the_same_bits_in_any_set_of_sites() {
     let (sites, all) = (some(19, 33), Sites::full(19, 33));
     for (inputs, outputs) in [(6, 3), (24, 40), (70, 130)] {
         let spec = ConvSpec { kernel: 3, stride: 1, inputs, outputs, bias: true };

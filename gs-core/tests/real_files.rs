@@ -1,5 +1,4 @@
-//! Real files of the field. They are not part of the repository: the tests look for a folder `shared` beside the workspace
-//! (or named by `GS4D_SHARED`) and say so when it is absent.
+//! Files of other programs. They are not part of the repository: see [`gs_core::testkit`].
 #![cfg(feature = "io")]
 
 use glam::Vec3;
@@ -83,7 +82,7 @@ fn camera_files_of_all_layouts() {
         }
     }
     if let Some(cameras) = load("data/dnerf_mutant_400/transforms_train.json") {
-        // The sizes are in the pictures beside, which take a reader to look at.
+        // The sizes are in the images beside the file, which need the feature.
         if cfg!(feature = "images") {
             let first = &cameras.unwrap()[0].camera;
             assert_eq!((first.width, first.height), (400, 400));
@@ -94,6 +93,20 @@ fn camera_files_of_all_layouts() {
     if let Some(cameras) = load("data/fox_270x480/transforms.json") {
         assert!(cameras.unwrap_err().to_string().contains("`k1` = 0.0578421"));
     }
+}
+
+/// Absent data are reported on stderr, and are a failure where they are required.
+#[test]
+fn absent_data_are_visible() {
+    let run = |require: &str| {
+        let mut command = std::process::Command::new(std::env::current_exe().unwrap());
+        command.args(["golden_arrays_and_scenes", "--test-threads=2"]).env("GS4D_SHARED", "/nonexistent");
+        let output = command.env("GS4D_REQUIRE_SHARED", require).output().unwrap();
+        (output.status.success(), String::from_utf8_lossy(&output.stderr).into_owned())
+    };
+    let line = "SKIPPED golden_arrays_and_scenes: `golden/g1_single/image.npy` is absent\n";
+    assert_eq!(run("0"), (true, line.to_owned()));
+    assert!(!run("1").0);
 }
 
 #[test]
@@ -108,7 +121,7 @@ fn golden_arrays_and_scenes() {
 
 #[cfg(feature = "images")]
 #[test]
-fn photographs() {
+fn png_and_jpeg_images() {
     let Some(path) = shared("data/fox_270x480/images/0001.jpg") else { return };
     let image = gs_core::io::images::load_image(&path, &Limits::default()).unwrap();
     assert_eq!(image.shape(), (270, 480, 3));
@@ -132,7 +145,7 @@ fn openexr_samples() {
     assert_eq!((t01.shape(), t08.shape()), ((400, 300, 3), (501, 401, 3)));
     let outside = |x, y| x < 30 || y < 40 || x >= 430 || y >= 340;
     let mut pixels = (0..300).flat_map(|y| (0..400).map(move |x| (x, y)));
-    assert!(pixels.all(|(x, y)| t01.pixel(x, y) == t08.pixel(x + 30, y + 40)), "the same picture in both");
+    assert!(pixels.all(|(x, y)| t01.pixel(x, y) == t08.pixel(x + 30, y + 40)), "the same image in both");
     for y in 0..401 {
         for x in 0..501 {
             assert!(!outside(x, y) || t08.pixel(x, y) == [0.0; 3], "{x} {y}");
@@ -143,11 +156,11 @@ fn openexr_samples() {
 /// D-NeRF files do not say how large their images are; the images beside them do.
 #[cfg(feature = "images")]
 #[test]
-fn transforms_without_a_size_take_it_from_the_picture_beside() {
+fn transforms_without_a_size_take_it_from_the_image() {
     let folder = tempfile::tempdir().expect("a folder");
     std::fs::create_dir(folder.path().join("test")).expect("a folder");
-    let picture = gs_core::Image::zeros(6, 4, 3);
-    gs_core::io::images::save_png(&folder.path().join("test/r_000.png"), &picture, false).expect("a picture");
+    let image = gs_core::Image::zeros(6, 4, 3);
+    gs_core::io::images::save_png(&folder.path().join("test/r_000.png"), &image, false).expect("an image");
     let file = folder.path().join("transforms_test.json");
     let identity = "[[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]";
     let text = |name: &str| {

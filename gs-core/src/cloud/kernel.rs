@@ -1,70 +1,70 @@
-//! Raw kernel columns of a cloud, and the maps to and from the [`Kernel`] that is drawn.
+//! Raw kernel columns of a cloud, their activation to a [`Kernel`], and its backward.
 //!
 //! ```text
 //! λ = σ(lambda)                                          dL/d lambda   = dL/dλ · λ (1 − λ)
 //! β = β_hi σ(beta)     β_eff = effective_beta(λ, β)      dL/d beta     = dL/dβ · β (1 − β/β_hi)
 //! κ = κ_hi tanh(acutance)                                dL/d acutance = dL/dκ · (κ_hi − κ²/κ_hi)
 //! ```
-//! `dL/dλ` and `dL/dβ` take in what `β_eff` owes to either ([`effective_beta_vjp`]). λ starts at ½ and κ at 0, exactly,
+//! `dL/dλ` and `dL/dβ` include the gradient through `β_eff` ([`effective_beta_vjp`]). λ starts at exactly ½ and κ at 0,
 //! where the splat is the Gaussian to the bit. λ may be one value shared by all splats: its gradient is the sum over the
-//! rows, in `f64` and in their order.
+//! rows, in `f64` and in row order.
 
 use super::{BLOCK, CloudError, logit, sigmoid};
 use crate::kernel::{BetaMode, Kernel, effective_beta, effective_beta_vjp};
 use crate::param::Param;
 use rayon::prelude::*;
 
-/// β of every splat at the start.
-const FIRST_BETA: f32 = 0.5;
-/// Largest magnitude of an acutance.
+/// Initial β of every splat.
+const INITIAL_BETA: f32 = 0.5;
+/// Largest magnitude of an acutance κ.
 const KAPPA_HI: f32 = 0.999;
 
-/// The kernel a cloud is to have.
+/// The kernel of a new cloud, for [`Cloud::with_kernel`](super::Cloud::with_kernel).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum KernelInit {
-    /// [`Kernel::Frequency`].
+    /// The frequency-differentiated kernel, [`Kernel::Frequency`].
     Frequency {
-        /// How far β may go.
+        /// How `β ≥ ½ + λ` is avoided.
         mode: BetaMode,
-        /// Upper end of β, above ½, at most 1.
+        /// Upper end of β, in `(0.5, 1]`.
         beta_hi: f32,
-        /// One λ for all splats instead of one each.
+        /// Whether all splats share one λ instead of one each.
         shared_lambda: bool,
     },
-    /// [`Kernel::Acutance`].
+    /// The kernel of Deformable Radial Kernels, [`Kernel::Acutance`].
     Acutance,
 }
 
-/// The raw columns of a kernel.
+/// The raw (unconstrained) columns of a kernel.
 #[derive(Clone, Debug, PartialEq)]
 pub enum RawKernel {
-    /// Of [`Kernel::Frequency`].
+    /// Raw columns of [`Kernel::Frequency`].
     Frequency {
-        /// `cloud.lambda` `[n, 1]`, or one shared value.
+        /// `cloud.lambda` `[n, 1]`, or one shared value; `λ = σ(lambda)`.
         lambda: Param,
-        /// `cloud.beta` `[n, 1]`.
+        /// `cloud.beta` `[n, 1]`; `β = beta_hi σ(beta)`.
         beta: Param,
-        /// How far β may go.
+        /// How `β ≥ ½ + λ` is avoided.
         mode: BetaMode,
-        /// Upper end of β.
+        /// Upper end of β, in `(0.5, 1]`.
         beta_hi: f32,
     },
-    /// Of [`Kernel::Acutance`].
+    /// Raw column of [`Kernel::Acutance`].
     Acutance {
-        /// `cloud.acutance` `[n, 1]`.
+        /// `cloud.acutance` `[n, 1]`; `κ = 0.999 tanh(acutance)`.
         acutance: Param,
     },
 }
 
 impl RawKernel {
-    /// The columns of `n` splats that draw as Gaussians.
+    /// The columns of `n` splats, initialised so that they render as Gaussians.
     ///
     /// # Errors
     /// If `beta_hi` is out of its domain.
-    pub fn new(init: KernelInit, n: usize) -> Result<Self, CloudError> {
+    pub(super) fn new(init: KernelInit, n: usize) -> Result<Self, CloudError> {
         let zeros = || vec![0.0; n];
         match init {
-            KernelInit::Frequency { beta_hi, .. } if !(beta_hi > FIRST_BETA && beta_hi <= 1.0) => {
+            KernelInit::Frequency { beta_hi, .. } if !(beta_hi > INITIAL_BETA && beta_hi <= 1.0) => {
                 Err(CloudError::BetaHi(beta_hi))
             }
             KernelInit::Frequency { mode, beta_hi, shared_lambda } => {
@@ -72,7 +72,7 @@ impl RawKernel {
                     true => Param::shared("cloud.lambda", vec![0.0]),
                     false => Param::rows("cloud.lambda", 1, zeros()),
                 };
-                let beta = Param::rows("cloud.beta", 1, vec![logit(FIRST_BETA / beta_hi); n]);
+                let beta = Param::rows("cloud.beta", 1, vec![logit(INITIAL_BETA / beta_hi); n]);
                 Ok(Self::Frequency { lambda, beta, mode, beta_hi })
             }
             KernelInit::Acutance => Ok(Self::Acutance { acutance: Param::rows("cloud.acutance", 1, zeros()) }),
@@ -95,7 +95,7 @@ impl RawKernel {
         }
     }
 
-    /// The kernel that is drawn. Reuses the memory of `out`.
+    /// The activated kernel. Reuses the memory of `out`.
     pub(super) fn activate(&self, out: &mut Kernel) {
         match self {
             Self::Frequency { lambda, beta, mode, beta_hi } => {
@@ -129,11 +129,11 @@ impl RawKernel {
         }
     }
 
-    /// Pulls `d`, `[n, width]`, back into the gradients (adds). `kernel` is what [`Self::activate`] gave.
+    /// Backward of [`Self::activate`]: adds to the gradients. `kernel` is its result, `d` `[n, width]` the cotangents.
     pub(super) fn activate_backward(&mut self, kernel: &Kernel, d: &[f32]) {
         match (self, kernel) {
             (Self::Frequency { lambda, beta, mode, beta_hi }, Kernel::Frequency { lambdas, .. }) => {
-                let d_lambdas = pull_frequency((*mode, *beta_hi), lambdas, beta, d);
+                let d_lambdas = frequency_backward((*mode, *beta_hi), lambdas, beta, d);
                 let d_lambdas = d_lambdas.iter().flatten();
                 match lambda.row_width {
                     Some(_) => add(&mut lambda.grad, d_lambdas.map(|d| *d as f32)),
@@ -141,17 +141,17 @@ impl RawKernel {
                 }
             }
             (Self::Acutance { acutance }, Kernel::Acutance { acutances }) => {
-                let pull = |(k, d): (&f32, &f32)| d * (KAPPA_HI - k * k / KAPPA_HI);
-                add(&mut acutance.grad, acutances.iter().zip(d).map(pull));
+                let d_raw = |(k, d): (&f32, &f32)| d * (KAPPA_HI - k * k / KAPPA_HI);
+                add(&mut acutance.grad, acutances.iter().zip(d).map(d_raw));
             }
             _ => debug_assert!(false, "the kernel is that of this cloud"),
         }
     }
 }
 
-/// Adds the gradient of raw β; gives `dL/d` raw λ of every row, block by block.
-fn pull_frequency((mode, beta_hi): (BetaMode, f32), lambdas: &[f32], beta: &mut Param, d: &[f32]) -> Vec<Vec<f64>> {
-    let pull = |g: &mut f32, raw: f32, l: f32, d: [f32; 2]| {
+/// Adds the gradient of raw β; returns `dL/d` raw λ of every row, block by block.
+fn frequency_backward((mode, beta_hi): (BetaMode, f32), lambdas: &[f32], beta: &mut Param, d: &[f32]) -> Vec<Vec<f64>> {
+    let row_backward = |g: &mut f32, raw: f32, l: f32, d: [f32; 2]| {
         let (l, hi, b) = (f64::from(l), f64::from(beta_hi), f64::from(beta_hi * sigmoid(raw)));
         let [d_l, d_b] = effective_beta_vjp(mode, l, b, f64::from(d[1]));
         *g += (d_b * b * (1.0 - b / hi)) as f32;
@@ -165,7 +165,7 @@ fn pull_frequency((mode, beta_hi): (BetaMode, f32), lambdas: &[f32], beta: &mut 
     )
         .into_par_iter()
         .map(|(g, raw, l, d)| {
-            g.iter_mut().zip(raw).zip(l).zip(d).map(|(((g, raw), l), d)| pull(g, *raw, *l, *d)).collect()
+            g.iter_mut().zip(raw).zip(l).zip(d).map(|(((g, raw), l), d)| row_backward(g, *raw, *l, *d)).collect()
         })
         .collect()
 }
@@ -206,8 +206,8 @@ mod tests {
         KernelInit::Frequency { mode, beta_hi, shared_lambda }
     }
 
-    /// A cloud whose raw kernel columns are anywhere.
-    fn scattered(init: KernelInit, n: usize) -> Cloud {
+    /// A cloud with random raw kernel columns.
+    fn random_cloud(init: KernelInit, n: usize) -> Cloud {
         let mut rng = Rng::new(5, "kernel", 0, 0);
         let mut cloud = plain(n).with_kernel(init).unwrap();
         let params = cloud.kernel.as_mut().unwrap().params_mut();
@@ -277,7 +277,7 @@ mod tests {
             for _ in 0..2000 {
                 let mut value = || f64::from(2.0 * rng.normal());
                 let (raw, w) = ([value(), value()], [value(), value()]);
-                // β_eff bends where β meets the cap, or the cap meets 1: no difference is taken across.
+                // β_eff has a kink where β reaches the cap, or the cap reaches 1: no difference is taken across it.
                 let branch = |[l, b]: [f64; 2]| {
                     let d = effective_beta_vjp(mode, sigma(l), 0.98 * sigma(b), 1.0);
                     (d[0] != 0.0, d[1] == 1.0)
@@ -303,7 +303,7 @@ mod tests {
         let n = 5000;
         let w = weights(2 * n);
         for (mode, beta_hi) in MODES.into_iter().flat_map(|m| [(m, 0.98), (m, 1.0)]) {
-            let mut cloud = scattered(frequency(mode, beta_hi, false), n);
+            let mut cloud = random_cloud(frequency(mode, beta_hi, false), n);
             let raw: Vec<Vec<f32>> = cloud.kernel.as_ref().unwrap().params().iter().map(|p| p.value.clone()).collect();
             let got = gradients(&mut cloud, &w);
             for i in 0..n {
@@ -315,7 +315,7 @@ mod tests {
                 }
             }
         }
-        let mut cloud = scattered(KernelInit::Acutance, n);
+        let mut cloud = random_cloud(KernelInit::Acutance, n);
         let raw = cloud.kernel.as_ref().unwrap().params()[0].value.clone();
         let got = gradients(&mut cloud, &w[..n]);
         for i in 0..n {
@@ -325,12 +325,12 @@ mod tests {
     }
 
     #[test]
-    fn a_shared_lambda_gathers_the_gradients_of_all_rows() {
+    fn a_shared_lambda_sums_the_gradients_of_all_rows() {
         let n = 5000;
         let (w, raw) = (weights(2 * n), 0.7);
         let set = |cloud: &mut Cloud| cloud.kernel.as_mut().unwrap().params_mut()[0].value.fill(raw);
-        let mut each = scattered(frequency(BetaMode::Capped, 0.98, false), n);
-        let mut one = scattered(frequency(BetaMode::Capped, 0.98, true), n);
+        let mut each = random_cloud(frequency(BetaMode::Capped, 0.98, false), n);
+        let mut one = random_cloud(frequency(BetaMode::Capped, 0.98, true), n);
         let betas = each.kernel.as_ref().unwrap().params()[1].value.clone();
         one.kernel.as_mut().unwrap().params_mut()[1].value.clone_from(&betas);
         [&mut each, &mut one].into_iter().for_each(set);
@@ -350,8 +350,8 @@ mod tests {
     }
 
     #[test]
-    fn kernel_rows_move_with_their_splats() {
-        let mut cloud = scattered(frequency(BetaMode::Capped, 0.98, false), 3);
+    fn row_edits_apply_to_kernel_columns() {
+        let mut cloud = random_cloud(frequency(BetaMode::Capped, 0.98, false), 3);
         let before: Vec<Param> = cloud.kernel.as_ref().unwrap().params().into_iter().cloned().collect();
         cloud.visit_mut(&mut |p| p.moment1.fill(1.0));
         cloud.edit(&RowEdit { keep: vec![2], append_from: vec![0] }).unwrap();
@@ -365,7 +365,7 @@ mod tests {
     }
 
     #[test]
-    fn beta_needs_room_above_its_start() {
+    fn the_upper_end_of_beta_is_above_its_initial_value() {
         for beta_hi in [0.5, 1.1, f32::NAN] {
             let error = plain(1).with_kernel(frequency(BetaMode::Capped, beta_hi, false)).unwrap_err();
             assert!(matches!(error, CloudError::BetaHi(_)), "{error}");

@@ -1,4 +1,4 @@
-//! One pass over camera JSON: entries are handed out as they are met, so that memory follows the result, not the text.
+//! One pass over camera JSON: entries are processed as they are parsed, so memory grows with the result, not the text.
 //!
 //! An entry is an object of which only the fields below are kept; all others are skipped without being built. The
 //! nesting of skipped values is not recursed into.
@@ -10,7 +10,7 @@ use serde::de::{DeserializeSeed, Deserializer, Error as _, IgnoredAny, MapAccess
 use std::cell::{Cell, RefCell};
 use std::fmt;
 
-/// Numeric fields kept.
+/// The numeric fields that are kept.
 const NUMBERS: [&str; 19] = [
     "width",
     "height",
@@ -33,30 +33,30 @@ const NUMBERS: [&str; 19] = [
     "p2",
 ];
 
-/// What an object said, of the fields we know.
+/// The known fields of one object.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Record {
     numbers: [Option<f64>; NUMBERS.len()],
-    pub name: Option<String>,
-    pub camera_model: Option<String>,
-    pub position: Option<[f64; 3]>,
-    pub rotation: Option<[[f64; 3]; 3]>,
-    pub world_to_camera: Option<[[f64; 4]; 4]>,
-    pub transform_matrix: Option<[[f64; 4]; 4]>,
+    pub(super) name: Option<String>,
+    pub(super) camera_model: Option<String>,
+    pub(super) position: Option<[f64; 3]>,
+    pub(super) rotation: Option<[[f64; 3]; 3]>,
+    pub(super) world_to_camera: Option<[[f64; 4]; 4]>,
+    pub(super) transform_matrix: Option<[[f64; 4]; 4]>,
     /// Entries of its `frames` list, if it has one.
-    pub frames: Option<usize>,
+    pub(super) frames: Option<usize>,
 }
 
 impl Record {
     /// A numeric field by name.
-    pub fn number(&self, name: &str) -> Option<f64> {
+    pub(super) fn number(&self, name: &str) -> Option<f64> {
         NUMBERS.iter().zip(&self.numbers).find(|(n, _)| **n == name).and_then(|(_, v)| *v)
     }
 }
 
-/// Where the parse stands, for errors, and the typed error that stopped it.
+/// Position of the parser, for errors, and the typed error that stopped it.
 pub(super) struct Context<'a> {
-    pub src: Source<'a>,
+    pub(super) src: Source<'a>,
     index: Cell<usize>,
     field: RefCell<String>,
     failure: RefCell<Option<IoError>>,
@@ -66,13 +66,13 @@ pub(super) struct Context<'a> {
 type Sink<'s> = &'s mut dyn FnMut(usize, Record) -> Result<(), IoError>;
 
 impl<'a> Context<'a> {
-    pub fn new(src: Source<'a>) -> Self {
+    pub(super) fn new(src: Source<'a>) -> Self {
         Self { src, index: Cell::new(0), field: RefCell::default(), failure: RefCell::default() }
     }
 
-    /// Parses a list of records or one record; gives each to `sink`. With `frames` set, the document is an object and the
+    /// Parses a list of records or one record and calls `sink` on each. With `frames` set, the document is an object and the
     /// records are those of its `frames` list.
-    pub fn parse(&self, text: &[u8], frames: bool, sink: Sink<'_>) -> Result<(), IoError> {
+    pub(super) fn parse(&self, text: &[u8], frames: bool, sink: Sink<'_>) -> Result<(), IoError> {
         let mut json = serde_json::Deserializer::from_slice(text);
         let outcome = if frames {
             json.deserialize_map(FramesOf { context: self, sink }).and_then(|()| json.end())
@@ -91,7 +91,7 @@ impl<'a> Context<'a> {
         })
     }
 
-    /// Remembers a typed error and gives serde's stand-in for it.
+    /// Stores a typed error and returns a placeholder error of serde.
     fn stop<E: serde::de::Error>(&self, error: IoError) -> E {
         *self.failure.borrow_mut() = Some(error);
         E::custom("stopped")
@@ -161,7 +161,7 @@ impl<'de> Visitor<'de> for FramesOf<'_, '_> {
     }
 }
 
-/// One object.
+/// One camera object as a [`Record`].
 struct OneRecord<'c>(&'c Context<'c>);
 
 impl<'de> DeserializeSeed<'de> for OneRecord<'_> {

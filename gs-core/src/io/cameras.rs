@@ -1,17 +1,29 @@
-//! Cameras as JSON, three layouts told apart by their fields:
+//! Cameras as JSON, in three layouts that are recognised by their fields:
 //!
 //! * **INRIA `cameras.json`** (Kerbl et al. 2023): a list of `{id, img_name, width, height, position, rotation, fx, fy}`;
 //!   `position` is the camera centre, `rotation` the rows of the camera→world rotation, OpenCV axes. The principal point
 //!   is the image centre unless `cx`, `cy` say otherwise.
 //! * **gs4d**: an object or a list of `{width, height, fx, fy, cx, cy, world_to_camera[, name, time]}` with a 4×4
-//!   row-major matrix, OpenCV axes. Where an entry has both, `world_to_camera` is taken.
+//!   row-major matrix, OpenCV axes. Where an entry has both, `world_to_camera` is used.
 //! * **transforms** (nerfstudio, instant-ngp, Blender): an object with `frames`, each with `transform_matrix`
 //!   (camera→world, OpenGL axes: y up, z backward) and perhaps `time`; intrinsics for all frames or per frame: `w`, `h`,
 //!   and `fl_x`, `fl_y`, `cx`, `cy` or `camera_angle_x` (full horizontal angle, radians; `fx = w / (2 tan(angle/2))`).
 //!   Where `w` and `h` are missing (D-NeRF), [`load_cameras`] takes the size of the frame's image beside the file
 //!   (feature `images`); [`parse_cameras`] opens nothing and asks for them.
 //!
-//! Distortion coefficients other than zero, and fisheye models, are refused: cameras here are pinholes.
+//! Distortion coefficients other than zero, and fisheye models, are refused: [`Camera`] is a pinhole.
+//!
+//! ```
+//! use gs_core::io::{Limits, parse_cameras};
+//!
+//! let json = br#"{"w": 8, "h": 4, "camera_angle_x": 1.5707963267948966, "frames": [{"file_path": "r_0", "time": 0.5,
+//!     "transform_matrix": [[1, 0, 0, 1], [0, 1, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]]}]}"#;
+//! let frame = &parse_cameras(json, "transforms.json", &Limits::default())?[0];
+//! assert_eq!((frame.name.as_str(), frame.time), ("r_0", Some(0.5)));
+//! assert!((frame.camera.fx - 4.0).abs() < 1e-12); // w / (2 tan 45°)
+//! assert_eq!(frame.camera.forward(), glam::DVec3::NEG_Z); // OpenGL cameras look along −z
+//! # Ok::<(), gs_core::io::IoError>(())
+//! ```
 
 use super::camera_json::{Context, Record};
 use super::error::{At, Source};
@@ -22,19 +34,19 @@ use serde_json::json;
 use std::io::Write;
 use std::path::Path;
 
-/// A camera with the name its file gives it, and its moment where the file has one.
+/// A camera with its name and its timestamp from a file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NamedCamera {
-    /// Name of the entry (image name or path without its folder being opened); its index where it has none.
+    /// Name of the entry: image name or relative path, as in the file; the index where it has none.
     pub name: String,
-    /// The camera.
+    /// The camera, valid by [`Camera::check`].
     pub camera: Camera,
-    /// Time as in the file, if any.
+    /// Timestamp as in the file, if any.
     pub time: Option<f32>,
 }
 
-/// Fewer characters than any frame with a matrix has.
-const SHORTEST_FRAME: usize = 48;
+/// A lower bound of the text length of a frame with a matrix.
+const MIN_FRAME_TEXT: usize = 48;
 
 /// Reads the cameras of a JSON file of any of the three layouts, in file order.
 ///
@@ -42,12 +54,12 @@ const SHORTEST_FRAME: usize = 48;
 /// As [`read_file`] and [`parse_cameras`].
 pub fn load_cameras(path: &Path, limits: &Limits) -> Result<Vec<NamedCamera>, IoError> {
     let folder = path.parent().unwrap_or(Path::new("."));
-    parse(&read_file(path, limits)?, &path.display().to_string(), limits, &|name| picture_size(folder, name, limits))
+    parse(&read_file(path, limits)?, &path.display().to_string(), limits, &|name| size_of_image(folder, name, limits))
 }
 
-/// Size of the picture `name` (with or without extension) inside `folder`, if it is there and readable.
+/// Size of the image `name` (with or without extension) inside `folder`, if it exists and is readable.
 #[cfg(feature = "images")]
-fn picture_size(folder: &Path, name: &str, limits: &Limits) -> Option<(u32, u32)> {
+fn size_of_image(folder: &Path, name: &str, limits: &Limits) -> Option<(u32, u32)> {
     use std::path::Component;
     let inside = Path::new(name).components().all(|c| matches!(c, Component::Normal(_) | Component::CurDir));
     let candidates = ["", ".png", ".jpg", ".jpeg"].map(|ending| folder.join(format!("{name}{ending}")));
@@ -55,13 +67,13 @@ fn picture_size(folder: &Path, name: &str, limits: &Limits) -> Option<(u32, u32)
     super::images::image_size(&read_file(&file, limits).ok()?, name, limits).ok()
 }
 
-/// Without an image reader no picture is looked at.
+/// Without an image reader no size is known.
 #[cfg(not(feature = "images"))]
-fn picture_size(_: &Path, _: &str, _: &Limits) -> Option<(u32, u32)> {
+fn size_of_image(_: &Path, _: &str, _: &Limits) -> Option<(u32, u32)> {
     None
 }
 
-/// Size of a frame's picture by the frame's name, where it can be told.
+/// Size of a frame's image by the frame's name, where it is known.
 type SizeOf<'a> = &'a dyn Fn(&str) -> Option<(u32, u32)>;
 
 /// Reads cameras from JSON text. `file` is the name used in errors.
@@ -92,9 +104,9 @@ fn parse(text: &[u8], file: &str, limits: &Limits, size_of: SizeOf) -> Result<Ve
             let at = At::Entry { index: out.len(), field: "frames".into(), text: (0, 0) };
             return Err(src.malformed(at, "a transforms object inside a list of cameras", "give one layout per file"));
         }
-        // A frame takes more text than this, so a list of empty objects reserves little.
+        // Bounded by the text, so a list of empty objects reserves little.
         let frames = limits.rows(src, shared.frames.unwrap_or(0) as u64)?;
-        out.reserve_exact(frames.min(text.len() / SHORTEST_FRAME));
+        out.reserve_exact(frames.min(text.len() / MIN_FRAME_TEXT));
         let context = Context::new(src);
         context.parse(text, true, &mut |index, frame| {
             out.push(frame_of(index, frame, &shared, src, size_of)?);
@@ -173,7 +185,7 @@ fn camera_of(index: usize, record: Record, src: Source<'_>) -> Result<NamedCamer
     finish(index, record.name, camera, time, src)
 }
 
-/// A frame of a transforms file; what it does not say, `shared` says.
+/// A frame of a transforms file; `shared` holds the fields for all frames.
 fn frame_of(
     index: usize,
     frame: Record,
@@ -185,8 +197,8 @@ fn frame_of(
     refuse_distortion(index, &frame, src)?;
     let number = |field| frame.number(field).or_else(|| shared.number(field));
     let stated = number("w").zip(number("h"));
-    let pictured = || frame.name.as_deref().and_then(size_of).map(|(w, h)| (f64::from(w), f64::from(h)));
-    let size = stated.or_else(pictured);
+    let measured = || frame.name.as_deref().and_then(size_of).map(|(w, h)| (f64::from(w), f64::from(h)));
+    let size = stated.or_else(measured);
     let width = side(index, "w", size.map(|s| s.0).or(number("w")), src)?;
     let height = side(index, "h", size.map(|s| s.1).or(number("h")), src)?;
     let Some(matrix) = frame.transform_matrix else {
@@ -199,7 +211,7 @@ fn frame_of(
         return Err(missing(index, "fl_x", "add fl_x (pixels) or camera_angle_x (radians)", src));
     };
     let (c2w, center) = split(matrix);
-    // OpenGL to OpenCV: the camera's y and z axes turn round.
+    // OpenGL to OpenCV: the camera's y and z axes change sign.
     let c2w = DMat3::from_cols(c2w.x_axis, -c2w.y_axis, -c2w.z_axis);
     let rotation = c2w.transpose();
     let camera = Camera {
@@ -224,7 +236,7 @@ fn split(rows: [[f64; 4]; 4]) -> (DMat3, DVec3) {
 fn refuse_distortion(index: usize, record: &Record, src: Source<'_>) -> Result<(), IoError> {
     for field in ["k1", "k2", "k3", "k4", "p1", "p2"] {
         if let Some(value) = record.number(field).filter(|v| *v != 0.0) {
-            let rule = "only pinhole cameras are drawn: set it to 0 to see the scene without distortion";
+            let rule = "only pinhole cameras are supported: set it to 0 to ignore the distortion";
             return Err(src.value(index, field, value, rule));
         }
     }
@@ -238,7 +250,7 @@ fn refuse_distortion(index: usize, record: &Record, src: Source<'_>) -> Result<(
 }
 
 /// Writes cameras as an INRIA `cameras.json` whose entries also carry `cx`, `cy`, `world_to_camera` and `time`, so that
-/// [`parse_cameras`] gives back exactly what was written.
+/// [`parse_cameras`] returns exactly what was written.
 ///
 /// # Errors
 /// The writer's own.
@@ -271,7 +283,7 @@ pub fn write_cameras(cameras: &[NamedCamera], out: &mut dyn Write) -> std::io::R
     writeln!(out, "]")
 }
 
-/// Writes cameras to a file as [`write_cameras`] does, whole or not at all.
+/// Writes cameras to a file as [`write_cameras`] does, completely or not at all.
 ///
 /// # Errors
 /// As [`write_file`].
@@ -329,7 +341,7 @@ mod tests {
     }
 
     #[test]
-    fn world_to_camera_wins_and_missing_names_become_indices() {
+    fn world_to_camera_has_priority_and_missing_names_become_indices() {
         let with = ENTRY.replace(r#""img_name":"v""#, r#""world_to_camera":[[1,0,0,7],[0,1,0,8],[0,0,1,9]],"time":2"#);
         let c = &parse(&format!("[{ENTRY},{with}]")).unwrap()[1];
         assert_eq!(c.camera.translation, DVec3::new(7.0, 8.0, 9.0));
@@ -358,7 +370,7 @@ mod tests {
     }
 
     #[test]
-    fn offences_name_entry_and_field() {
+    fn errors_name_entry_and_field() {
         let second = |from: &str, to: &str| error(&format!("[{ENTRY},{}]", ENTRY.replace(from, to)));
         assert!(second("5.5", "NaN").contains("entry 1, field `fx`, line 3"));
         assert!(second("5.5", "1e999").contains("number out of range (at entry 1, field `fx`"));
@@ -383,6 +395,6 @@ mod tests {
         assert!(matches!(parse_cameras(text.as_bytes(), "c", &tight), Err(IoError::Limit { .. })));
         let deep = format!("{}{}", "[".repeat(100_000), "]".repeat(100_000));
         assert!(error(&deep).contains("entry 0"));
-        assert!(parse(&ENTRY.replace("null", &deep)).is_ok(), "nesting in a skipped field is walked without recursion");
+        assert!(parse(&ENTRY.replace("null", &deep)).is_ok(), "nesting in a skipped field is parsed without recursion");
     }
 }

@@ -1,11 +1,11 @@
-//! What goes wrong at the border: which file, where in it, what was met, what to do.
+//! Errors of readers and writers: which file, where in it, what was found, what to do.
 
 use crate::camera::CameraError;
 use crate::splats::SplatsError;
 use std::fmt;
 use std::path::Path;
 
-/// Where in a file.
+/// A position in a file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum At {
     /// Byte offset from the start.
@@ -14,11 +14,11 @@ pub enum At {
     Line(u64),
     /// Row of a table (splat index), counted from 0.
     Row(u64),
-    /// Entry of a JSON list, counted from 0, with the field last met and the position in the text.
+    /// Entry of a JSON list, counted from 0, with the field last read and the position in the text.
     Entry {
-        /// Index in the list (0 for a single object).
+        /// Index in the list, from 0 (0 for a single object).
         index: usize,
-        /// Field last met; empty before the first.
+        /// Name of the field last read; empty before the first.
         field: Box<str>,
         /// Line and column, counted from 1; zero where unknown.
         text: (u32, u32),
@@ -45,32 +45,32 @@ impl fmt::Display for At {
     }
 }
 
-/// Reading or writing failed.
+/// An error of a reader or writer. Its message ends with what to do.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum IoError {
-    /// The operating system said no.
+    /// An error of the operating system.
     #[error("{file}: cannot {action}: {source}")]
     Os {
-        /// File name as given.
+        /// Name of the file, as given by the caller.
         file: Box<str>,
-        /// What was tried: `open`, `read`, `write` …
+        /// The action that failed: `open`, `read`, `write` …
         action: &'static str,
-        /// The system's reason.
+        /// The error of the operating system.
         source: std::io::Error,
     },
     /// The content does not follow its format.
     #[error("{file}: {format}: {what} (at {at}); {advice}")]
     Malformed {
-        /// File name as given.
+        /// Name of the file, as given by the caller.
         file: Box<str>,
-        /// Format name.
+        /// Name of the format, such as `PLY`.
         format: &'static str,
-        /// Place of the offence.
+        /// Position of the malformed content.
         at: At,
-        /// What was met.
+        /// The content that was found.
         what: String,
-        /// What to do.
+        /// What the user can do about it.
         advice: &'static str,
     },
     /// The file ends before what its header promises.
@@ -79,129 +79,129 @@ pub enum IoError {
          the file was cut short or its header is wrong: copy or export it again"
     )]
     Truncated {
-        /// File name as given.
+        /// Name of the file, as given by the caller.
         file: Box<str>,
-        /// Format name.
+        /// Name of the format, such as `PLY`.
         format: &'static str,
-        /// What was being read.
+        /// The part that was being read.
         field: String,
-        /// Offset where it starts.
+        /// Byte offset where that part starts.
         at: u64,
-        /// Bytes needed (saturated at `u64::MAX` when the product overflows).
+        /// Bytes it needs (saturated at `u64::MAX`).
         need: u64,
-        /// Bytes present.
+        /// Bytes present from that offset.
         have: u64,
     },
     /// A value is not finite or outside its domain.
     #[error("{file}: row {row}, `{field}` = {value} ({rule}); remove or repair that row")]
     Value {
-        /// File name as given.
+        /// Name of the file, as given by the caller.
         file: Box<str>,
         /// Row (splat, pixel or list index), counted from 0.
         row: usize,
-        /// Property or field name.
+        /// Name of the property or field.
         field: String,
-        /// Value met.
+        /// The value that was found.
         value: f64,
-        /// What the field must satisfy.
+        /// The domain of the field, in words.
         rule: &'static str,
     },
-    /// Something the format needs is absent.
+    /// A part that the format requires is absent.
     #[error("{file}: {format}: `{field}` is missing (at {at}); {advice}")]
     Missing {
-        /// File name as given.
+        /// Name of the file, as given by the caller.
         file: Box<str>,
-        /// Format name.
+        /// Name of the format, such as `PLY`.
         format: &'static str,
-        /// Where it was looked for.
+        /// The position where it is expected.
         at: At,
-        /// Property or field name.
+        /// Name of the property or field.
         field: String,
-        /// What to do.
+        /// What the user can do about it.
         advice: &'static str,
     },
     /// A format, version or feature that is known but not read.
     #[error("{file}: {what} is not supported; {advice}")]
     Unsupported {
-        /// File name as given.
+        /// Name of the file, as given by the caller.
         file: Box<str>,
-        /// Format, version or feature.
+        /// The format, version or feature that is not supported.
         what: String,
-        /// What to do.
+        /// What the user can do about it.
         advice: &'static str,
     },
-    /// More than [`super::Limits`] allow.
+    /// A quantity above the bounds of [`super::Limits`].
     #[error("{file}: {what} = {value} is above the limit {limit}; raise `{name}` in the limits if the file is sound")]
     Limit {
-        /// File name as given.
+        /// Name of the file, as given by the caller.
         file: Box<str>,
-        /// Quantity.
+        /// The quantity that is limited.
         what: &'static str,
-        /// Value met.
+        /// The value that was found.
         value: u64,
-        /// Largest accepted.
+        /// The largest value that is accepted.
         limit: u64,
-        /// Field of [`super::Limits`].
+        /// The field of [`super::Limits`] that sets the limit.
         name: &'static str,
     },
-    /// The target of a write exists.
+    /// The target of a write exists and `overwrite` is off.
     #[error("{file}: exists already; choose another name or allow overwriting")]
     Exists {
-        /// File name as given.
+        /// Name of the file, as given by the caller.
         file: Box<str>,
     },
-    /// A camera entry is complete but not a camera.
+    /// A camera entry is complete but invalid.
     #[error("{file}: entry {index} (`{name}`): {source}; correct that entry")]
     Camera {
-        /// File name as given.
+        /// Name of the file, as given by the caller.
         file: Box<str>,
-        /// Index in the list.
+        /// Index in the list, from 0.
         index: usize,
-        /// Name of the entry.
+        /// Name that the file gives the entry.
         name: String,
-        /// Field and value.
+        /// The invalid field and its value.
         source: CameraError,
     },
-    /// Splats to be written, or activated, are not sound.
+    /// Splats to be written or activated are invalid.
     #[error("{0}; check the cloud before writing it")]
     Splats(#[from] SplatsError),
 }
 
-/// Name of a file and of its format, to make errors with.
+/// Name of a file and of its format, for the errors of its reader.
 #[derive(Clone, Copy)]
 pub(super) struct Source<'a> {
-    pub file: &'a str,
-    pub format: &'static str,
+    pub(super) file: &'a str,
+    pub(super) format: &'static str,
 }
 
 impl Source<'_> {
-    pub fn malformed(&self, at: At, what: impl Into<String>, advice: &'static str) -> IoError {
+    pub(super) fn malformed(&self, at: At, what: impl Into<String>, advice: &'static str) -> IoError {
         IoError::Malformed { file: self.file.into(), format: self.format, at, what: what.into(), advice }
     }
 
-    pub fn truncated(&self, field: impl Into<String>, at: usize, need: u64, have: usize) -> IoError {
+    pub(super) fn truncated(&self, field: impl Into<String>, at: usize, need: u64, have: usize) -> IoError {
         let (at, have) = (at as u64, have as u64);
         IoError::Truncated { file: self.file.into(), format: self.format, field: field.into(), at, need, have }
     }
 
-    pub fn value(&self, row: usize, field: impl Into<String>, value: f64, rule: &'static str) -> IoError {
+    pub(super) fn value(&self, row: usize, field: impl Into<String>, value: f64, rule: &'static str) -> IoError {
         IoError::Value { file: self.file.into(), row, field: field.into(), value, rule }
     }
 
-    pub fn missing(&self, at: At, field: impl Into<String>, advice: &'static str) -> IoError {
+    pub(super) fn missing(&self, at: At, field: impl Into<String>, advice: &'static str) -> IoError {
         IoError::Missing { file: self.file.into(), format: self.format, at, field: field.into(), advice }
     }
 
-    pub fn unsupported(&self, what: impl Into<String>, advice: &'static str) -> IoError {
+    pub(super) fn unsupported(&self, what: impl Into<String>, advice: &'static str) -> IoError {
         IoError::Unsupported { file: self.file.into(), what: what.into(), advice }
     }
 
-    pub fn limit(&self, what: &'static str, value: u64, limit: u64, name: &'static str) -> IoError {
+    pub(super) fn limit(&self, what: &'static str, value: u64, limit: u64, name: &'static str) -> IoError {
         IoError::Limit { file: self.file.into(), what, value, limit, name }
     }
 }
 
-/// An operating-system error with its file and action.
+/// An error of the operating system with its file and action.
 pub(super) fn os(path: &Path, action: &'static str, source: std::io::Error) -> IoError {
     IoError::Os { file: path.display().to_string().into(), action, source }
 }

@@ -1,11 +1,21 @@
 //! OpenEXR in `f32` (the `exr` crate): flat images with channels R, G, B(, A), or a single one.
 //!
-//! Values are passed as they are. By custom EXR holds linear light, while colours elsewhere in this crate are
-//! display-encoded: the caller converts where that matters. Reading takes the first layer at its largest resolution; the
-//! image is the **display window**, zero where the data window does not reach. Half floats become `f32`. Deep, luminance-
-//! chroma and subsampled images are refused by name; values that are not finite are refused with their number.
-//! Writing stores `f32` with ZIP compression (lossless). [`save_channels`] and [`read_channels`] carry any number of
-//! named channels.
+//! Values are not converted. EXR usually holds linear light, while colours elsewhere in this crate are display-encoded:
+//! the caller converts. Reading takes the first layer at its largest resolution; the
+//! image is the **display window**, zero outside the data window. Half floats become `f32`. Deep, luminance-
+//! chroma and subsampled images are refused by name; values that are not finite are refused with their count.
+//! Writing stores `f32` with ZIP compression (lossless). [`save_channels`] and [`read_channels`] take any number of named
+//! channels.
+//!
+//! ```
+//! use gs_core::{Image, io::{Limits, exr}};
+//!
+//! let image = Image::from_data(2, 1, 1, vec![-0.5, 1e6])?;
+//! let mut bytes = Vec::new();
+//! exr::write(&image, &mut bytes)?;
+//! assert_eq!(exr::read(&bytes, "depth.exr", &Limits::default())?, image);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 use super::error::{At, Source};
 use super::{IoError, Limits, read_file, write_file};
@@ -18,7 +28,7 @@ use ::exr::prelude::{Blocks, Compression, ReadChannels, ReadLayers, WritableImag
 use std::io::{Cursor, Write};
 use std::path::Path;
 
-/// Reads an EXR file.
+/// Reads an EXR file of 1, 3 or 4 channels.
 ///
 /// # Errors
 /// As [`read_file`] and [`read`].
@@ -68,7 +78,7 @@ fn broken(error: &::exr::error::Error, src: Source<'_>) -> IoError {
     )
 }
 
-/// Holds the header against the limits and names the channels to take.
+/// Checks the header against the limits; returns the names of the channels to read.
 fn check_header<'a>(
     header: &Header,
     layers: usize,
@@ -100,7 +110,7 @@ fn check_header<'a>(
     Ok(names)
 }
 
-/// Refuses what is not a plain grid of samples.
+/// Refuses deep and subsampled images.
 fn check_kind(header: &Header, src: Source<'_>) -> Result<(), IoError> {
     if header.deep {
         return Err(src.unsupported("deep EXR", "flatten it"));
@@ -170,7 +180,7 @@ fn encode(size: (usize, usize), channels: Vec<AnyChannel<FlatSamples>>, out: &mu
     out.write_all(bytes.get_ref())
 }
 
-/// Writes an image as an EXR file, whole or not at all.
+/// Writes an image as an EXR file, completely or not at all.
 ///
 /// # Errors
 /// As [`write()`] and [`write_file`].
@@ -181,19 +191,19 @@ pub fn save(path: &Path, image: &Image, overwrite: bool) -> Result<(), IoError> 
 /// One named channel of a file: a value per pixel, row-major.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Channel {
-    /// Its name; `layer.component` puts it into a layer.
+    /// Name of the channel; `layer.component` puts it into a layer.
     pub name: String,
-    /// Stored as half floats.
+    /// Whether the file stores half floats.
     pub half: bool,
-    /// `width · height` values.
+    /// The `width · height` values, row-major.
     pub values: Vec<f32>,
 }
 
-/// Writes any channels of one size `(width, height)` as an EXR file, whole or not at all; half floats where a channel says
-/// so.
+/// Writes channels of one size `(width, height)` as an EXR file, completely or not at all; as half floats where
+/// [`Channel::half`] is set.
 ///
 /// # Errors
-/// No channel or pixel, another number of values, names that are doubled or have an empty part, values beyond the range of
+/// No channel or pixel, another number of values, repeated names or names with an empty part, values beyond the range of
 /// half floats (as `InvalidInput`), and those of [`write_file`].
 pub fn save_channels(
     path: &Path,
@@ -220,7 +230,7 @@ fn check_channels(width: usize, height: usize, channels: &[Channel]) -> Result<(
     let mut names: Vec<&str> = channels.iter().map(|c| c.name.as_str()).collect();
     names.sort_unstable();
     if let Some(pair) = names.windows(2).find(|pair| pair.first() == pair.last()) {
-        return Err(format!("channel {pair:?} is there twice"));
+        return Err(format!("channel {pair:?} appears twice"));
     }
     for c in channels {
         if c.name.split('.').any(str::is_empty) || !c.name.is_ascii() || c.name.len() > 31 {
@@ -322,7 +332,7 @@ mod tests {
     }
 
     #[test]
-    fn named_channels_come_back_and_wrong_ones_are_refused() {
+    fn named_channels_round_trip_and_invalid_ones_are_refused() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("named.exr");
         let channel = |name: &str, half, scale: f32| {
@@ -349,6 +359,6 @@ mod tests {
         fails(&[channel("a..b", false, 1.0)], "empty part");
         fails(&[channel("a", true, 1e4)], "beyond half floats");
         fails(&[Channel { name: "a".into(), half: false, values: vec![0.0; 34] }], "34 values");
-        assert_eq!(std::fs::read(&path).unwrap(), bytes, "a refused file leaves the old one");
+        assert_eq!(std::fs::read(&path).unwrap(), bytes, "a refused write keeps the old file");
     }
 }

@@ -1,4 +1,4 @@
-//! From paths to values: bounded reads, formats told by their content, writes that are whole or absent.
+//! Files: bounded reads, formats recognised by content, and writes that are complete or absent.
 
 use super::error::{At, Source, os};
 use super::{IoError, Limits, RawSplats, glb, ply, splat, spz};
@@ -6,21 +6,21 @@ use std::fs;
 use std::io::{BufWriter, Read, Write};
 use std::path::Path;
 
-/// A splat file format that can be written.
+/// A format of splat files that can be written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SplatFormat {
-    /// 3DGS `.ply`: exact.
+    /// 3DGS `.ply`: exact, SH degree 0 to 3, all kernels.
     Ply,
-    /// `.splat`: degree 0, 8-bit.
+    /// `.splat`: SH degree 0, 8-bit colours and rotations.
     Splat,
-    /// `.spz` version 3: quantised.
+    /// `.spz` version 3: quantised, about a tenth of the `.ply`.
     Spz,
-    /// `.glb` with `KHR_gaussian_splatting`: exact.
+    /// `.glb` with the extension `KHR_gaussian_splatting`: exact, Gaussians only.
     Glb,
 }
 
 impl SplatFormat {
-    /// The format of a file name's extension.
+    /// The format of a file name's extension, in upper or lower case; `None` for others.
     pub fn of_path(path: &Path) -> Option<Self> {
         match path.extension()?.to_str()?.to_ascii_lowercase().as_str() {
             "ply" => Some(Self::Ply),
@@ -31,7 +31,7 @@ impl SplatFormat {
         }
     }
 
-    /// The extension of its files.
+    /// The extension of its files, without a dot.
     pub fn extension(self) -> &'static str {
         match self {
             Self::Ply => "ply",
@@ -65,8 +65,8 @@ pub fn read_file(path: &Path, limits: &Limits) -> Result<Vec<u8>, IoError> {
     Ok(bytes)
 }
 
-/// Splats from bytes, the format told by the content (`.splat` has no mark: it is what remains when the name ends in
-/// `.splat`). `file` is the name used in errors and for that last resort.
+/// Splats from bytes; the content determines the format. `.splat` has no magic number: other content is read as `.splat`
+/// if `file`, the name used in errors, ends in `.splat`.
 ///
 /// # Errors
 /// Those of the format's reader; an unknown or unsupported format by name.
@@ -96,7 +96,7 @@ pub fn parse_splats(bytes: &[u8], file: &str, limits: &Limits) -> Result<RawSpla
     Err(src.malformed(At::Byte(0), what, "give a .ply, .splat, .spz or .glb file"))
 }
 
-/// Reads a splat file of any supported format.
+/// Reads a splat file of any supported format; the content determines the format.
 ///
 /// # Errors
 /// As [`read_file`] and [`parse_splats`].
@@ -105,7 +105,7 @@ pub fn load_splats(path: &Path, limits: &Limits) -> Result<RawSplats, IoError> {
     parse_splats(&bytes, &path.display().to_string(), limits)
 }
 
-/// Writes splats in the format of the file name's extension.
+/// Writes splats in the format of the file name's extension, completely or not at all.
 ///
 /// # Errors
 /// An unknown extension, an existing file without `overwrite`, columns of unequal length, or the system's.
@@ -128,17 +128,17 @@ fn write_in(format: SplatFormat, splats: &RawSplats, out: &mut dyn Write) -> std
     }
 }
 
-/// Appends splats in a format to bytes.
+/// Appends splats, encoded in a format, to `out`.
 ///
 /// # Errors
-/// What the format cannot hold.
+/// Splats that the format cannot hold.
 pub fn write_splats(format: SplatFormat, splats: &RawSplats, out: &mut Vec<u8>) -> Result<(), IoError> {
     let name = format!("memory.{}", format.extension());
     write_in(format, splats, out).map_err(|e| os(Path::new(&name), "write", e))
 }
 
-/// Writes a file whole or not at all: a temporary file in the same folder, flushed to disk, then renamed. Without
-/// `overwrite` an existing target is left alone (it is looked for before and after the content is written).
+/// Writes a file completely or not at all: a temporary file in the same folder, flushed to disk, then renamed. Without
+/// `overwrite` an existing target is kept (checked before and after the content is written).
 ///
 /// # Errors
 /// [`IoError::Exists`], or the system's; the temporary file is removed.
@@ -165,7 +165,7 @@ pub fn write_file(
         fs::rename(&temporary, path).map_err(|e| os(path, "rename the finished file to", e))
     });
     if result.is_err() {
-        // Best effort: the first error is the one worth telling.
+        // Best effort: the first error is the one that is returned.
         let _ = fs::remove_file(&temporary);
     }
     result
@@ -177,7 +177,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_format_is_told_by_content_and_nothing_is_overwritten_unasked() {
+    fn content_determines_the_format_and_nothing_is_overwritten_by_default() {
         let dir = tempfile::tempdir().unwrap();
         let splats = cloud(20, 1, 31);
         for name in ["a.ply", "b.splat", "c.SPZ"] {

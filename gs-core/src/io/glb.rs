@@ -1,15 +1,15 @@
 //! Binary glTF with the extension `KHR_gaussian_splatting`: plain Gaussians as a point primitive, exact in `f32`.
 //!
-//! The extension keeps what is drawn, not what is learnt: scales are linear, opacities in 0..1, quaternions are unit and
-//! `(x, y, z, w)`; SH coefficients are one attribute each, with the signs used here. Positions are the scene's own: axes are
-//! not turned, as nothing says which way is up. `COLOR_0` holds degree 0 for viewers that draw points.
+//! The extension stores activated values: linear scales, opacities in `[0, 1]`, unit quaternions `(x, y, z, w)`; SH
+//! coefficients are one attribute each, with the signs of [`crate::sh`]. Positions keep the axes of the scene, whose up
+//! direction is unknown. `COLOR_0` holds degree 0 for viewers that render points.
 //!
-//! Read is the first primitive with the extension in the file's own chunk, attributes `f32`; transforms of nodes are not
-//! applied. Whole scenes of other glTF features belong to a glTF library.
+//! The reader takes the first primitive with the extension, from the file's own binary chunk, attributes `f32`. Node
+//! transforms are not applied; other glTF features need a glTF library.
 
 use super::error::{At, Source};
-use super::raw::log_scale;
-use super::{IoError, Limits, RawSplats, logit, sigmoid};
+use super::raw::{finite_logit, log_scale};
+use super::{IoError, Limits, RawSplats, sigmoid};
 use crate::{rot, sh};
 use glam::Vec3;
 use serde_json::{Value, json};
@@ -19,7 +19,7 @@ const MAGIC: &[u8; 4] = b"glTF";
 const JSON_CHUNK: u32 = 0x4E4F_534A;
 const BINARY_CHUNK: u32 = 0x004E_4942;
 const EXTENSION: &str = "KHR_gaussian_splatting";
-/// Component type of `f32`.
+/// glTF's component type of `f32`.
 const FLOAT: u64 = 5126;
 const POINTS: u64 = 0;
 
@@ -28,35 +28,35 @@ fn own(name: &str) -> String {
     format!("{EXTENSION}:{name}")
 }
 
-/// Names of the SH attributes of a degree, in the order of our rows.
+/// Names of the SH attributes of a degree, in the order of [`RawSplats::sh`].
 fn sh_names(degree: u8) -> impl Iterator<Item = String> {
     (0..=degree).flat_map(|l| (0..=2 * l).map(move |k| own(&format!("SH_DEGREE_{l}_COEF_{k}"))))
 }
 
-/// One attribute on its way out.
+/// One vertex attribute to write.
 struct Attribute {
     name: String,
     width: usize,
     values: Vec<f32>,
 }
 
-/// The attributes of splats.
+/// All attributes of the splats, in file order.
 fn attributes(splats: &RawSplats) -> Vec<Attribute> {
     let new = |name: String, width, values| Attribute { name, width, values };
-    let turned = |q: &[f32; 4]| match rot::normalise(*q).wxyz {
+    let unit_xyzw = |q: &[f32; 4]| match rot::normalise(*q).wxyz {
         [0.0, 0.0, 0.0, 0.0] => [0.0, 0.0, 0.0, 1.0],
         [w, x, y, z] => [x, y, z, w],
     };
     let opacities: Vec<f32> = splats.logit_opacities.iter().map(|&o| sigmoid(o)).collect();
     let rows = || splats.sh.chunks_exact(splats.sh_width());
-    let shown = |(row, &o): (&[f32], &f32)| {
+    let color = |(row, &o): (&[f32], &f32)| {
         let channel = |k: usize| (0.5 + sh::C0 as f32 * row.get(k).copied().unwrap_or(0.0)).clamp(0.0, 1.0);
         [channel(0), channel(1), channel(2), o]
     };
     let mut out = vec![
         new("POSITION".into(), 3, splats.means.iter().flat_map(|m| m.to_array()).collect()),
-        new("COLOR_0".into(), 4, rows().zip(&opacities).flat_map(shown).collect()),
-        new(own("ROTATION"), 4, splats.quats.iter().flat_map(turned).collect()),
+        new("COLOR_0".into(), 4, rows().zip(&opacities).flat_map(color).collect()),
+        new(own("ROTATION"), 4, splats.quats.iter().flat_map(unit_xyzw).collect()),
         new(own("SCALE"), 3, splats.log_scales.iter().flat_map(|s| s.to_array().map(f32::exp)).collect()),
         new(own("OPACITY"), 1, opacities.clone()),
     ];
@@ -66,7 +66,7 @@ fn attributes(splats: &RawSplats) -> Vec<Attribute> {
     out
 }
 
-/// The JSON part.
+/// The content of the JSON chunk.
 fn document(splats: &RawSplats, attributes: &[Attribute]) -> Value {
     let (mut views, mut accessors, mut named, mut at) = (Vec::new(), Vec::new(), serde_json::Map::new(), 0);
     for (k, attribute) in attributes.iter().enumerate() {
@@ -81,7 +81,7 @@ fn document(splats: &RawSplats, attributes: &[Attribute]) -> Value {
         named.insert(attribute.name.clone(), json!(k));
         at += bytes;
     }
-    // Bounds of positions must be given.
+    // glTF requires the bounds of positions.
     let bound = |f: fn(Vec3, Vec3) -> Vec3| splats.means.iter().copied().reduce(f).unwrap_or_default().to_array();
     if let Some(position) = accessors.first_mut().and_then(Value::as_object_mut) {
         position.insert("min".into(), json!(bound(Vec3::min)));
@@ -104,17 +104,17 @@ fn document(splats: &RawSplats, attributes: &[Attribute]) -> Value {
     })
 }
 
-/// Writes splats as binary glTF.
+/// Writes splats as binary glTF with the extension.
 ///
 /// # Errors
-/// No splats, columns of unequal length, a bent kernel, a value that is not finite, more than 4 GiB (as `InvalidInput`),
+/// No splats, columns of unequal length, another kernel than the Gaussian, a value that is not finite, more than 4 GiB (as `InvalidInput`),
 /// or the writer's own.
 pub fn write(splats: &RawSplats, out: &mut dyn Write) -> std::io::Result<()> {
     let invalid = |text: String| std::io::Error::new(std::io::ErrorKind::InvalidInput, text);
     splats.check_shape().map_err(|e| invalid(e.to_string()))?;
     splats.refuse_kernel("binary glTF")?;
     if splats.is_empty() {
-        return Err(invalid("glTF has no empty lists, so no file without splats".into()));
+        return Err(invalid("glTF cannot store a scene without splats".into()));
     }
     if let Some((row, column)) = splats.non_finite_rows().first() {
         return Err(invalid(format!("row {row}, `{column}` is not finite")));
@@ -138,7 +138,7 @@ pub fn write(splats: &RawSplats, out: &mut dyn Write) -> std::io::Result<()> {
     Ok(())
 }
 
-/// The two chunks of a file.
+/// The JSON and the binary chunk of a file.
 fn chunks<'a>(bytes: &'a [u8], src: Source<'_>) -> Result<(&'a [u8], &'a [u8]), IoError> {
     let word = |at: usize| -> Result<u64, IoError> {
         let found = bytes.get(at..).and_then(|b| b.first_chunk::<4>());
@@ -161,7 +161,7 @@ fn chunks<'a>(bytes: &'a [u8], src: Source<'_>) -> Result<(&'a [u8], &'a [u8]), 
     Ok((text, chunk(next, BINARY_CHUNK, "BIN")?.0))
 }
 
-/// What an accessor is made of.
+/// Resolves the accessors of a document.
 struct Reader<'a> {
     document: Value,
     binary: &'a [u8],
@@ -174,7 +174,7 @@ impl Reader<'_> {
         entry.ok_or_else(|| self.src.missing(At::Byte(0), format!("{name}[{index}]"), "write the file again"))
     }
 
-    /// The first primitive of splats.
+    /// The first primitive with the extension.
     fn primitive(&self) -> Result<&Value, IoError> {
         let meshes = self.document.get("meshes").and_then(Value::as_array).into_iter().flatten();
         let mut primitives = meshes.filter_map(|m| m.get("primitives")?.as_array()).flatten();
@@ -192,7 +192,7 @@ impl Reader<'_> {
         }
     }
 
-    /// Values `[count, width]` of an attribute, with their count; none if it is absent.
+    /// `count` and values `[count, width]` of an attribute; `None` if it is absent.
     fn column(&self, primitive: &Value, name: &str, width: usize) -> Result<Option<(u64, Vec<f32>)>, IoError> {
         let Some(index) = primitive.pointer("/attributes").and_then(|a| a.get(name)?.as_u64()) else { return Ok(None) };
         let accessor = self.list("accessors", index)?;
@@ -220,7 +220,7 @@ impl Reader<'_> {
         if count > 0 && need > number(view, "byteLength").min(bytes.len() as u64) {
             return Err(self.src.truncated(name, 0, start.saturating_add(need), self.binary.len()));
         }
-        // All of it lies inside the bytes present from here on.
+        // From here on everything lies inside the bytes present.
         let mut values = Vec::with_capacity(count as usize * width);
         for k in 0..count as usize {
             let at = within as usize + k * stride as usize;
@@ -230,7 +230,7 @@ impl Reader<'_> {
         Ok(Some((count, values)))
     }
 
-    /// The same of an attribute that must be there with `count` rows.
+    /// As [`Self::column`] for a required attribute of `count` rows.
     fn needed(&self, primitive: &Value, name: &str, width: usize, count: u64) -> Result<Vec<f32>, IoError> {
         match self.column(primitive, name, width)? {
             Some((n, values)) if n == count => Ok(values),
@@ -272,9 +272,9 @@ pub fn read(bytes: &[u8], file: &str, limits: &Limits) -> Result<RawSplats, IoEr
     out.log_scales = scales.iter().map(|s| Vec3::from_array(s.to_array().map(log_scale))).collect();
     let opacities = reader.needed(primitive, &own("OPACITY"), 1, count)?;
     if let Some((row, value)) = opacities.iter().enumerate().find(|(_, o)| !(0.0..=1.0).contains(*o)) {
-        return Err(src.value(row, "OPACITY", f64::from(*value), "an opacity lies in 0..1"));
+        return Err(src.value(row, "OPACITY", f64::from(*value), "an opacity is between 0 and 1"));
     }
-    out.logit_opacities = opacities.iter().map(|&o| logit(o)).collect();
+    out.logit_opacities = opacities.iter().map(|&o| finite_logit(o)).collect();
     let names: Vec<String> = sh_names(degree).collect();
     let columns = names.iter().map(|n| reader.needed(primitive, n, 3, count)).collect::<Result<Vec<_>, _>>()?;
     out.sh = (0..rows).flat_map(|r| columns.iter().flat_map(move |c| c.iter().skip(3 * r).take(3).copied())).collect();
@@ -282,7 +282,7 @@ pub fn read(bytes: &[u8], file: &str, limits: &Limits) -> Result<RawSplats, IoEr
     Ok(out)
 }
 
-/// The largest degree whose first coefficient is there, at most 3; a gap below it is met when columns are read.
+/// The largest degree whose first coefficient is present, at most 3; missing lower ones are an error when read.
 fn degree(primitive: &Value) -> u8 {
     let has = |l: &u8| {
         primitive.pointer("/attributes").is_some_and(|a| a.get(own(&format!("SH_DEGREE_{l}_COEF_0"))).is_some())
@@ -307,7 +307,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_comes_back() {
+    fn writing_and_reading_round_trips() {
         for degree in 0..=3 {
             let raw = cloud(40, degree, 5);
             let again = read_all(&encode(&raw)).unwrap();
@@ -326,10 +326,10 @@ mod tests {
     }
 
     #[test]
-    fn what_it_cannot_hold_is_refused() {
+    fn splats_that_gltf_cannot_store_are_refused() {
         let mut raw = cloud(3, 0, 1);
         raw.kernel = crate::Kernel::Acutance { acutances: vec![0.5; 3] };
-        assert!(write(&raw, &mut Vec::new()).unwrap_err().to_string().contains("bent kernel"));
+        assert!(write(&raw, &mut Vec::new()).unwrap_err().to_string().contains("another kernel"));
         let mut raw = cloud(3, 0, 1);
         raw.means[1].y = f32::NAN;
         assert!(write(&raw, &mut Vec::new()).unwrap_err().to_string().contains("row 1"));
@@ -355,7 +355,7 @@ mod tests {
     }
 
     #[test]
-    fn errors_name_what_is_wrong() {
+    fn errors_name_the_cause() {
         let good = encode(&cloud(5, 1, 2));
         type Edit = fn(&mut Value);
         let cases: [(Edit, &str); 8] = [
@@ -364,7 +364,7 @@ mod tests {
             (|d| d["accessors"][3]["componentType"] = json!(5123), "SCALE"),
             (|d| d["bufferViews"][2]["buffer"] = json!(1), "a second buffer"),
             // Centres instead of opacities.
-            (|d| d["accessors"][4]["bufferView"] = json!(0), "an opacity lies in 0..1"),
+            (|d| d["accessors"][4]["bufferView"] = json!(0), "an opacity is between 0 and 1"),
             (|d| d["meshes"][0]["primitives"][0]["extensions"] = json!({}), "without Gaussian splats"),
             (|d| d["meshes"][0]["primitives"][0]["extensions"][EXTENSION]["kernel"] = json!("box"), "box"),
             (|d| d["bufferViews"][0]["byteOffset"] = json!(u64::MAX), "POSITION"),

@@ -1,8 +1,19 @@
 //! PNG and JPEG in, PNG out (the `image` crate), within [`Limits`].
 //!
-//! Values are taken as stored: display-encoded, straight alpha. ICC profiles, `gAMA` chunks and EXIF orientation are not
+//! Values are kept as stored: display-encoded, straight alpha. ICC profiles, `gAMA` chunks and EXIF orientation are not
 //! applied. 16-bit PNG keeps its precision in [`decode_image`] and is rounded to 8 bits in [`decode_rgba8`]. Writing maps
-//! `[0, 1]` to `round(255 v)`, ties away from zero, values outside clamped; so an 8-bit image survives the round trip.
+//! `[0, 1]` to `round(255 v)`, ties away from zero, values outside clamped; an 8-bit image round-trips exactly.
+//!
+//! ```
+//! use gs_core::{Image, io::{Limits, images}};
+//!
+//! let image = Image::from_data(2, 1, 1, vec![0.0, 128.0 / 255.0])?;
+//! let mut png = Vec::new();
+//! images::write_png(&image, &mut png)?;
+//! assert_eq!(images::image_size(&png, "grey.png", &Limits::default())?, (2, 1));
+//! assert_eq!(images::decode_image(&png, "grey.png", &Limits::default())?, image);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 use super::error::{At, Source};
 use super::{IoError, Limits, read_file, write_file};
@@ -12,23 +23,23 @@ use ::image::{DynamicImage, ExtendedColorType, ImageDecoder, ImageEncoder, Image
 use std::io::{Cursor, Write};
 use std::path::Path;
 
-/// First bytes of every EXR file.
+/// The first bytes of every EXR file.
 #[cfg(feature = "exr")]
 const EXR_MAGIC: [u8; 4] = [0x76, 0x2f, 0x31, 0x01];
 
 /// An 8-bit image, row-major RGBA with straight alpha.
 #[derive(Clone, Debug, PartialEq, Eq, Default)]
 pub struct Rgba8 {
-    /// Pixels per row.
+    /// Number of pixels per row.
     pub width: usize,
-    /// Rows.
+    /// Number of rows of pixels.
     pub height: usize,
     /// `height × width × 4` bytes.
     pub data: Vec<u8>,
 }
 
 impl Rgba8 {
-    /// The same as `f32` in `[0, 1]`, four channels.
+    /// The same image as `f32` in `[0, 1]`, four channels.
     pub fn to_image(&self) -> Image {
         let data = self.data.iter().map(|&v| f32::from(v) / 255.0).collect();
         Image { width: self.width, height: self.height, channels: 4, data }
@@ -129,7 +140,7 @@ fn broken(error: &::image::ImageError, src: Source<'_>) -> IoError {
     )
 }
 
-/// Decodes, after the header has been held against the limits; `extra` bytes per pixel are what the caller makes of it.
+/// Checks the header against the limits, then decodes. The caller's copy takes `extra` bytes per pixel.
 fn decode(bytes: &[u8], extra: u64, limits: &Limits, src: Source<'_>) -> Result<DynamicImage, IoError> {
     let reader = open(bytes, limits, src)?;
     if reader.format() == Some(ImageFormat::Jpeg) && !jpeg_ends(bytes) {
@@ -142,7 +153,7 @@ fn decode(bytes: &[u8], extra: u64, limits: &Limits, src: Source<'_>) -> Result<
     DynamicImage::from_decoder(decoder).map_err(|e| broken(&e, src))
 }
 
-/// Whether an end marker (FFD9) follows the last scan (FFDA): the decoder fills a cut image with grey without a word.
+/// Whether an end marker (FFD9) follows the last scan (FFDA): the decoder fills a truncated image with grey silently.
 /// Inside a scan neither pair occurs, as FF is always followed by 00 or a restart marker there.
 fn jpeg_ends(bytes: &[u8]) -> bool {
     let last = |marker: [u8; 2]| bytes.windows(2).rposition(|w| w == marker);
@@ -190,7 +201,7 @@ pub fn write_png8(
     PngEncoder::new(out).write_image(bytes, w, h, color).map_err(std::io::Error::other)
 }
 
-/// Writes an image as an 8-bit PNG file, whole or not at all.
+/// Writes an image as an 8-bit PNG file, completely or not at all.
 ///
 /// # Errors
 /// As [`write_png`] and [`write_file`].
@@ -222,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn eight_bit_images_survive() {
+    fn eight_bit_images_round_trip() {
         for channels in [1, 3, 4] {
             let image = ramp(channels);
             let bytes = png(&image);
@@ -264,7 +275,7 @@ mod tests {
     }
 
     #[test]
-    fn offences_are_named() {
+    fn errors_are_named() {
         let error = |bytes: &[u8], limits: &Limits| decode_rgba8(bytes, "t", limits).unwrap_err().to_string();
         let bytes = png(&ramp(4));
         assert!(error(b"GIF89a", &Limits::default()).contains("not supported"));

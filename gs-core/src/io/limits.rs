@@ -1,24 +1,24 @@
-//! How much a reader accepts: on by default, so that a wrong or hostile header cannot ask for memory.
+//! Limits of readers: on by default, so that a wrong or hostile header cannot make them allocate memory.
 
 use super::error::{IoError, Source};
 
-/// Working memory granted to a decoder of a compressed format whatever the size of its file, bytes.
+/// Memory that a decoder of a compressed format may use whatever the size of its file, bytes.
 const DECODE_BASE: u64 = 48 << 20;
 
-/// Bounds a reader keeps before it allocates.
+/// Bounds that a reader verifies before it allocates. Every error names the field to raise.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Limits {
-    /// Most rows (splats, cameras, array entries) of a table.
+    /// Largest number of rows (splats, cameras, array entries). Default: 2³⁰.
     pub max_rows: u64,
-    /// Largest file read, bytes.
+    /// Largest file that is read, bytes. Default: 16 GiB.
     pub max_bytes: u64,
-    /// Largest image side, pixels.
+    /// Largest side of an image, pixels. Default: 32768.
     pub max_side: u32,
-    /// Most memory a decoded image may take with its intermediate copies, bytes.
+    /// Largest memory of a decoded image with its intermediate copies, bytes. Default: 1 GiB.
     pub max_image_bytes: u64,
-    /// Bytes a compressed file may grow to per byte of its size, above a base of 48 MiB.
+    /// Largest decoded size of a compressed file per byte of the file, above a base of 48 MiB. Default: 64.
     pub max_expansion: u64,
-    /// Keep NaN and infinite values of splat files and arrays (for inspection); otherwise they are errors.
+    /// Keep NaN and infinite values of splat files, arrays and EXR images instead of refusing them. Default: off.
     pub allow_non_finite: bool,
 }
 

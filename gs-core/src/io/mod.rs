@@ -2,16 +2,38 @@
 //!
 //! One invariant holds for every reader: **any bytes give a value or a typed error**. Sizes are computed with checked or
 //! saturating arithmetic and compared with the bytes present before anything is allocated; there is no recursion on
-//! input and no panicking path (the lints below are denied). What a file may ask for is said by [`Limits`]; what was
-//! wrong, where and what to do, by [`IoError`]. Writers go to a temporary file in the same folder, which is flushed and
-//! renamed, and never replace a file unless told to.
+//! input and no panicking path (the lints below are denied). [`Limits`] bounds what a file may ask for; [`IoError`] names
+//! what is wrong, where, and what to do. Writers write a temporary file in the same folder, flush and rename it, and
+//! replace an existing file only with `overwrite`.
+//!
+//! ```
+//! use glam::Vec3;
+//! use gs_core::io::{Limits, RawSplats, SplatFormat, parse_splats, write_splats};
+//! use gs_core::{Color, Kernel, Splats};
+//!
+//! let splats = Splats {
+//!     means: vec![Vec3::X],
+//!     quats: vec![[1.0, 0.0, 0.0, 0.0]],
+//!     scales: vec![Vec3::ONE],
+//!     opacities: vec![0.5],
+//!     color: Color::Rgb(vec![[0.5; 3]]),
+//!     kernel: Kernel::Gaussian,
+//! };
+//! let raw = RawSplats::from_splats(&splats)?; // logarithms of scales, logits of opacities
+//! let mut ply = Vec::new();
+//! write_splats(SplatFormat::Ply, &raw, &mut ply)?;
+//! assert_eq!(parse_splats(&ply, "scene.ply", &Limits::default())?, raw); // every bit
+//! let cut = parse_splats(&ply[..ply.len() - 1], "scene.ply", &Limits::default());
+//! assert!(cut.unwrap_err().to_string().contains("needs 68 bytes, only 67 are there"));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 //!
 //! Memory held while reading stays below 8 × file size + 64 MiB for tables and JSON. Compressed formats (SPZ, PNG, JPEG,
-//! EXR) may honestly grow more: they get 48 MiB + 64 × file size (`Limits::max_expansion`), images at most 1 GiB.
+//! EXR) may grow more: they get 48 MiB + 64 × file size (`Limits::max_expansion`), images at most 1 GiB.
 //!
 //! | format | read | write | notes |
 //! |---|---|---|---|
-//! | 3DGS `.ply` | yes | yes | exact, degree 0 to 3, bent kernels |
+//! | 3DGS `.ply` | yes | yes | exact, degree 0 to 3, all kernels |
 //! | `.splat` | yes | yes | degree 0, 8-bit colour and rotation, Gaussians only |
 //! | `.spz` 2, 3 | yes | yes | quantised, Gaussians only; 1, 4 and raw payloads are refused by name |
 //! | `.glb` | yes | yes | `KHR_gaussian_splatting`, exact, degree 0 to 3, Gaussians only |
@@ -45,8 +67,9 @@ pub mod spz;
 mod spz_quat;
 pub mod y4m;
 
+pub use crate::cloud::sigmoid;
 pub use cameras::{NamedCamera, load_cameras, parse_cameras, save_cameras};
 pub use error::{At, IoError};
 pub use files::{SplatFormat, load_splats, parse_splats, read_file, save_splats, write_file, write_splats};
 pub use limits::Limits;
-pub use raw::{OPACITY_MARGIN, RawSplats, logit, sigmoid};
+pub use raw::RawSplats;

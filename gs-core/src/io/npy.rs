@@ -3,6 +3,16 @@
 //! Source: numpy.lib.format, versions 1 to 3: `\x93NUMPY`, two version bytes, header length (u16, or u32 from version
 //! 2), then a Python dict `{'descr': '<f4', 'fortran_order': False, 'shape': (4, 3), }` padded with spaces to a multiple
 //! of 64 bytes and ended by a newline, then the values. Zero-dimensional arrays have shape `()`.
+//!
+//! ```
+//! use gs_core::io::{Limits, npy};
+//!
+//! let mut bytes = Vec::new();
+//! npy::write(&[2, 1], &[0.5, -1.0], &mut bytes)?;
+//! let array = npy::read(&bytes, "a.npy", &Limits::default())?;
+//! assert_eq!((array.shape.as_slice(), array.to_f32()), ([2, 1].as_slice(), vec![0.5, -1.0]));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 use super::error::{At, Source};
 use super::ply_header::clip;
@@ -12,26 +22,26 @@ use std::io::Write;
 
 const MAGIC: &[u8; 6] = b"\x93NUMPY";
 
-/// The values of an array.
+/// The values of an array, by precision.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Values {
-    /// `<f4`.
+    /// Single precision, NumPy type `<f4`.
     F32(Vec<f32>),
-    /// `<f8`, and whole numbers of any width (exact up to 2⁵³).
+    /// Double precision, NumPy type `<f8`, and integers of any width (exact up to 2⁵³).
     F64(Vec<f64>),
 }
 
 /// An array: shape (slowest first) and values in C order.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NpyArray {
-    /// Sides, slowest first.
+    /// Lengths of the axes, slowest first.
     pub shape: Vec<usize>,
-    /// Product of the sides many values.
+    /// The values; their number is the product of `shape`.
     pub values: Values,
 }
 
 impl NpyArray {
-    /// The values as `f64`.
+    /// The values converted to `f64`, exactly.
     pub fn to_f64(&self) -> Vec<f64> {
         match &self.values {
             Values::F32(v) => v.iter().map(|&x| f64::from(x)).collect(),
@@ -39,7 +49,7 @@ impl NpyArray {
         }
     }
 
-    /// The values as `f32`, rounded.
+    /// The values converted to `f32`, rounded.
     pub fn to_f32(&self) -> Vec<f32> {
         match &self.values {
             Values::F32(v) => v.clone(),
@@ -51,7 +61,7 @@ impl NpyArray {
 /// Reads a `.npy` file held in memory. `file` is the name used in errors.
 ///
 /// # Errors
-/// Not NPY, another type or order, truncation, trailing bytes, a value that is not finite (flat index named).
+/// Not NPY, another type or order, truncation, trailing bytes, a value that is not finite (names the flat index).
 pub fn read(bytes: &[u8], file: &str, limits: &Limits) -> Result<NpyArray, IoError> {
     let src = Source { file, format: "NPY" };
     let (dict, start) = header(bytes, src)?;
@@ -85,7 +95,7 @@ pub fn read(bytes: &[u8], file: &str, limits: &Limits) -> Result<NpyArray, IoErr
     let values = match descr {
         "<f4" => Values::F32(data.as_chunks().0.iter().map(|b| f32::from_le_bytes(*b)).collect()),
         "<f8" => Values::F64(data.as_chunks().0.iter().map(|b| f64::from_le_bytes(*b)).collect()),
-        _ => Values::F64(data.chunks_exact(item as usize).map(|b| whole(descr, b)).collect()),
+        _ => Values::F64(data.chunks_exact(item as usize).map(|b| integer(descr, b)).collect()),
     };
     let bad = match &values {
         Values::F32(v) => v.iter().position(|x| !x.is_finite()),
@@ -97,7 +107,7 @@ pub fn read(bytes: &[u8], file: &str, limits: &Limits) -> Result<NpyArray, IoErr
     }
 }
 
-/// Bytes of a value of a type that can be read.
+/// Bytes of a value of a supported type.
 fn width(descr: &str) -> Option<u64> {
     match descr {
         "|u1" | "|i1" | "|b1" => Some(1),
@@ -108,8 +118,8 @@ fn width(descr: &str) -> Option<u64> {
     }
 }
 
-/// A whole number, little-endian, of at most 8 bytes.
-fn whole(descr: &str, bytes: &[u8]) -> f64 {
+/// An integer, little-endian, of at most 8 bytes.
+fn integer(descr: &str, bytes: &[u8]) -> f64 {
     let signed = descr.contains('i');
     let negative = signed && bytes.last().is_some_and(|b| b & 0x80 != 0);
     let mut wide = [if negative { 0xff } else { 0 }; 8];
@@ -137,7 +147,7 @@ fn header<'a>(bytes: &'a [u8], src: Source<'_>) -> Result<(&'a str, usize), IoEr
     }
 }
 
-/// The text of one entry of the header's dict: what stands between its colon and the next comma, or inside parentheses.
+/// The text of one entry of the header's dict: up to the next comma, or inside parentheses.
 fn field<'a>(dict: &'a str, name: &str, src: Source<'_>) -> Result<&'a str, IoError> {
     let find = || {
         let quoted = [format!("'{name}'"), format!("\"{name}\"")];
@@ -181,7 +191,7 @@ pub fn write(shape: &[usize], values: &[f32], out: &mut dyn Write) -> std::io::R
     Ok(())
 }
 
-/// Writes an image as `[height, width, channels]`.
+/// Writes an image as an array `[height, width, channels]`.
 ///
 /// # Errors
 /// As [`write()`].
@@ -232,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn whole_numbers_of_every_width() {
+    fn integers_of_every_width() {
         let two = |descr: &str, data: &[u8]| {
             let dict = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': (2,), }}");
             read_all(&with_header(&dict, data)).unwrap().to_f64()
@@ -248,7 +258,7 @@ mod tests {
     }
 
     #[test]
-    fn offences_are_named() {
+    fn errors_are_named() {
         let dict = |descr: &str, order: &str, shape: &str| {
             format!("{{'descr': '{descr}', 'fortran_order': {order}, 'shape': ({shape}), }}")
         };

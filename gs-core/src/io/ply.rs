@@ -5,18 +5,27 @@
 //! (logit), `scale_0..2` (natural logarithm), `rot_0..3` (w, x, y, z, not normalised). `K = (degree + 1)²` is inferred
 //! from the number of `f_rest` properties: 0, 9, 24 or 45. Other properties are skipped; numbers of any PLY type are
 //! converted to `f32`. Axes are taken as they are. An infinite opacity logit means opacity 0 or 1 exactly (files made from
-//! 8-bit formats hold it); it becomes the finite end of [`super::logit`]. Any other value that is not finite is an error.
+//! 8-bit formats hold it); it becomes the logit of 1e-6 or 1 − 1e-6. Any other value that is not finite is an error.
 //!
-//! Splats of a bent kernel have further properties at the end: `lambda_raw beta_raw lambda beta` (logits, then the values
-//! themselves, which win where both stand) or `acutance`; a file without them holds Gaussians.
+//! Splats of other kernels have further properties at the end: `lambda_raw beta_raw lambda beta` (logits, then the values
+//! themselves, which are used where both are present) or `acutance`; a file without them holds Gaussians.
 //!
-//! The parser is ours because a row is a fixed list of byte offsets here: a serde visitor per value costs about fifteen
-//! times the copy, loses the row and property in its errors, and cannot bound a count by the bytes present first.
+//! The crate has a parser of its own because a row is a fixed list of byte offsets here: a serde visitor per value costs
+//! about fifteen times the copy, loses row and property in its errors, and cannot compare a count with the bytes present.
+//!
+//! ```
+//! use gs_core::io::{Limits, ply};
+//!
+//! let file = b"ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty uchar red\nend_header\n0.5 255\n1.5 0\n";
+//! assert_eq!(ply::property_names(file, "points.ply")?, ["x", "red"]);
+//! assert_eq!(ply::read_columns(file, "points.ply", &Limits::default(), &["red", "x"])?, [255.0, 0.5, 0.0, 1.5]);
+//! # Ok::<(), gs_core::io::IoError>(())
+//! ```
 
 use super::error::{At, Source};
 use super::ply_header::{Element, Encoding, Header, Property, Scalar, clip};
-use super::raw::{logit, sigmoid};
-use super::{IoError, Limits, RawSplats};
+use super::raw::finite_logit;
+use super::{IoError, Limits, RawSplats, sigmoid};
 use crate::kernel::Kernel;
 use crate::sh;
 use glam::Vec3;
@@ -25,7 +34,7 @@ use std::io::Write;
 
 const FORMAT: &str = "PLY";
 
-/// One wanted property: where it lies in a row and what it is.
+/// One property to read: its place in a row and its type.
 #[derive(Clone, Copy)]
 struct Column {
     /// Position among the element's properties (text), or byte offset in a row (binary).
@@ -36,7 +45,7 @@ struct Column {
 /// Reads the splats of a 3DGS `.ply` file held in memory. `file` is the name used in errors.
 ///
 /// # Errors
-/// Truncation, malformed header, missing or repeated property, a value that is not finite (row and property named).
+/// Truncation, malformed header, missing or repeated property, a value that is not finite (names row and property).
 pub fn read(bytes: &[u8], file: &str, limits: &Limits) -> Result<RawSplats, IoError> {
     let src = Source { file, format: FORMAT };
     let header = Header::parse(bytes, src)?;
@@ -46,15 +55,15 @@ pub fn read(bytes: &[u8], file: &str, limits: &Limits) -> Result<RawSplats, IoEr
     let plain = names.len();
     let kernel = kernel_columns(element);
     names.extend(kernel.iter().map(|&n| n.to_owned()));
-    let mut bends: Vec<f32> = Vec::new();
+    let mut kernel_values: Vec<f32> = Vec::new();
     let mut out = RawSplats::with_capacity(0, degree);
-    let finite_end = |o: f32| if o.is_infinite() && !limits.allow_non_finite { logit(sigmoid(o)) } else { o };
+    let finite_end = |o: f32| if o.is_infinite() && !limits.allow_non_finite { finite_logit(sigmoid(o)) } else { o };
     for_each_row(bytes, &header, &names, "opacity", src, limits, |total, row| {
         if out.means.capacity() == 0 {
             out = RawSplats::with_capacity(total, degree);
         }
-        let (row, bend) = row.split_at_checked(plain).unwrap_or((row, &[]));
-        bends.extend_from_slice(bend);
+        let (row, kernel_row) = row.split_at_checked(plain).unwrap_or((row, &[]));
+        kernel_values.extend_from_slice(kernel_row);
         if let [x, y, z, qw, qx, qy, qz, sx, sy, sz, opacity, sh @ ..] = row {
             out.means.push(Vec3::new(*x, *y, *z));
             out.quats.push([*qw, *qx, *qy, *qz]);
@@ -63,17 +72,17 @@ pub fn read(bytes: &[u8], file: &str, limits: &Limits) -> Result<RawSplats, IoEr
             out.sh.extend_from_slice(sh);
         }
     })?;
-    let column = |i: usize| bends.iter().skip(i).step_by(kernel.len().max(1)).copied();
+    let column = |i: usize| kernel_values.iter().skip(i).step_by(kernel.len().max(1)).copied();
     out.kernel = match kernel {
         [] => Kernel::Gaussian,
-        ["acutance"] => Kernel::Acutance { acutances: bends },
+        ["acutance"] => Kernel::Acutance { acutances: kernel_values },
         ["lambda", ..] => Kernel::Frequency { lambdas: column(0).collect(), betas: column(1).collect() },
         _ => Kernel::Frequency { lambdas: column(0).map(sigmoid).collect(), betas: column(1).map(sigmoid).collect() },
     };
     Ok(out)
 }
 
-/// The properties a file's kernel is read from. `lambda` and `beta` alone are anybody's names.
+/// The properties that hold a file's kernel. `lambda` and `beta` alone do not count: other programs use these names.
 fn kernel_columns(element: &Element<'_>) -> &'static [&'static str] {
     let has = |name: &str| element.properties.iter().any(|p| p.name == name);
     match () {
@@ -91,7 +100,7 @@ fn kernel_columns(element: &Element<'_>) -> &'static [&'static str] {
 
 /// The properties of a kernel as written, in order, with their columns.
 fn kernel_properties(kernel: &Kernel) -> Vec<(&'static str, Cow<'_, [f32]>)> {
-    let logits = |values: &[f32]| values.iter().map(|&v| logit(v)).collect();
+    let logits = |values: &[f32]| values.iter().map(|&v| finite_logit(v)).collect();
     match kernel {
         Kernel::Gaussian => Vec::new(),
         Kernel::Frequency { lambdas, betas } => vec![
@@ -104,8 +113,8 @@ fn kernel_properties(kernel: &Kernel) -> Vec<(&'static str, Cow<'_, [f32]>)> {
     }
 }
 
-/// Reads chosen properties of an element of any `.ply` as rows of `names.len()` values, flat (point clouds: `x y z red
-/// green blue`). Integers are converted as they are (`uchar` 0 to 255).
+/// Reads chosen `vertex` properties of any `.ply` as rows of `names.len()` values, flat (point clouds: `x y z red green
+/// blue`). Integers keep their value (`uchar` 0 to 255).
 ///
 /// # Errors
 /// As [`read`].
@@ -126,7 +135,7 @@ pub fn read_columns(bytes: &[u8], file: &str, limits: &Limits, names: &[&str]) -
 /// Names of the `vertex` properties of a `.ply`, in file order.
 ///
 /// # Errors
-/// A malformed header or no such element.
+/// A malformed header. A file without `vertex` has no names.
 pub fn property_names(bytes: &[u8], file: &str) -> Result<Vec<String>, IoError> {
     let src = Source { file, format: FORMAT };
     let header = Header::parse(bytes, src)?;
@@ -159,7 +168,7 @@ fn splat_columns(degree: u8) -> Vec<String> {
     names
 }
 
-/// Finds each wanted property once.
+/// Finds each property by name; it must appear once.
 fn find_columns(
     element: &Element<'_>,
     encoding: Encoding,
@@ -168,14 +177,14 @@ fn find_columns(
     src: Source<'_>,
 ) -> Result<Vec<Column>, IoError> {
     let find = |name: &String| {
-        let mut hits = element.properties.iter().enumerate().filter(|(_, p)| p.name == *name);
-        let Some((index, Property { scalar, offset, .. })) = hits.next() else {
+        let mut matches = element.properties.iter().enumerate().filter(|(_, p)| p.name == *name);
+        let Some((index, Property { scalar, offset, .. })) = matches.next() else {
             let advice =
                 "a 3D Gaussian Splatting file has it; this may be a point cloud, a mesh or a compressed export";
             return Err(src.missing(At::Byte(at as u64), format!("property {}", clip(name)), advice));
         };
-        if hits.next().is_some() {
-            let what = format!("property `{}` stands twice", clip(name));
+        if matches.next().is_some() {
+            let what = format!("property `{}` appears twice", clip(name));
             return Err(src.malformed(At::Byte(at as u64), what, "repair the header"));
         }
         let place = if encoding == Encoding::Ascii { index } else { *offset };
@@ -184,7 +193,7 @@ fn find_columns(
     names.iter().map(find).collect()
 }
 
-/// Calls `take(rows in all, values)` for each `vertex` row, with the values of `names` in that order. Values must be
+/// Calls `take(number of rows, values)` for each `vertex` row, with the values of `names` in that order. Values must be
 /// finite, those of `may_be_infinite` at least not NaN.
 fn for_each_row(
     bytes: &[u8],
@@ -212,7 +221,7 @@ fn for_each_row(
         Encoding::Ascii => return ascii_rows(data, start, header, rows, &columns, src, checked),
         Encoding::Little | Encoding::Big => {
             let big = header.encoding == Encoding::Big;
-            // The usual case, floats of this machine's order, decodes twice as fast without the choice per value.
+            // The usual case, little-endian floats, decodes twice as fast without a match per value.
             let plain = !big && columns.iter().all(|c| c.scalar == Scalar::F32);
             let mut values = vec![0.0f32; columns.len()];
             for (row, raw) in data.chunks_exact(element.stride.max(1)).take(rows).enumerate() {
@@ -254,7 +263,7 @@ impl Column {
     }
 }
 
-/// Binary data must end with the last element, when the header lets us know where that is.
+/// An error for bytes after the last element, unless a list property hides where it ends.
 fn refuse_trailing(
     header: &Header<'_>,
     element: &Element<'_>,
@@ -335,8 +344,8 @@ fn ascii_rows(
     }
 }
 
-/// Writes splats as binary little-endian `.ply` with INRIA's property order, normals zero, the kernel's last. Every `f32`
-/// keeps its bits. A viewer that does not know the kernel draws Gaussians.
+/// Writes splats as binary little-endian `.ply` in INRIA's property order: normals zero, kernel properties last. Every
+/// `f32` keeps its bits. A viewer that does not know the kernel renders Gaussians.
 ///
 /// # Errors
 /// Columns of unequal length (as `InvalidInput`), or the writer's own.
@@ -396,12 +405,12 @@ mod tests {
         read(bytes, "t.ply", &Limits::default()).unwrap_err().to_string()
     }
 
-    /// The same cloud written by hand: properties in reverse order with strangers between, in a chosen encoding.
+    /// The same cloud with properties in reverse order and unknown ones between, in a chosen encoding.
     fn shuffled(splats: &RawSplats, encoding: Encoding) -> Vec<u8> {
         let names = splat_columns(splats.degree);
         let word = ["ascii", "binary_little_endian", "binary_big_endian"][encoding as usize];
         let mut out = format!("ply\r\nformat {word} 1.0\r\nelement junk 2\r\nproperty short s\r\n").into_bytes();
-        out.extend(format!("element vertex {}\r\nproperty uchar stranger\r\n", splats.len()).bytes());
+        out.extend(format!("element vertex {}\r\nproperty uchar unknown\r\n", splats.len()).bytes());
         for name in names.iter().rev() {
             let kind = if name == "opacity" { "double" } else { "float32" };
             out.extend(format!("property {kind} {name}\r\n").bytes());
@@ -446,48 +455,48 @@ mod tests {
     }
 
     #[test]
-    fn kernels_travel_and_gaussians_have_no_trace_of_them() {
+    fn kernels_round_trip_and_gaussians_add_no_properties() {
         let plain = cloud(9, 1, 5);
         let header = |s: &RawSplats| property_names(&bytes(s), "t.ply").unwrap();
         assert_eq!(header(&plain).last().unwrap(), "rot_3");
         let column = |from: f32| (0..9u8).map(|i| (from + 0.1 * f32::from(i)).min(1.0)).collect::<Vec<f32>>();
         let frequency = Kernel::Frequency { lambdas: column(0.0), betas: column(0.3) };
         for kernel in [frequency.clone(), Kernel::Acutance { acutances: column(-0.4) }] {
-            let bent = RawSplats { kernel, ..plain.clone() };
-            assert_eq!(read_ok(&bytes(&bent)), bent);
-            assert_eq!(RawSplats::from_splats(&bent.to_splats().unwrap()).unwrap().kernel, bent.kernel);
+            let raw = RawSplats { kernel, ..plain.clone() };
+            assert_eq!(read_ok(&bytes(&raw)), raw);
+            assert_eq!(RawSplats::from_splats(&raw.to_splats().unwrap()).unwrap().kernel, raw.kernel);
         }
-        let bent = RawSplats { kernel: frequency, ..plain };
-        assert_eq!(header(&bent)[header(&cloud(9, 1, 5)).len()..], ["lambda_raw", "beta_raw", "lambda", "beta"]);
-        // Without the plain values the logits serve, to their rounding; half of them is an error.
-        let text = bytes(&bent);
+        let raw = RawSplats { kernel: frequency, ..plain };
+        assert_eq!(header(&raw)[header(&cloud(9, 1, 5)).len()..], ["lambda_raw", "beta_raw", "lambda", "beta"]);
+        // Without the values the logits are used, up to rounding; one of the two alone is an error.
+        let text = bytes(&raw);
         let end = text.windows(11).position(|w| w == b"end_header\n").unwrap();
         let edited = |from: &str, to: &str| {
             let head = String::from_utf8_lossy(&text[..end]).replacen(from, to, 1);
             [head.as_bytes(), &text[end..]].concat()
         };
-        let Kernel::Frequency { lambdas, betas } = read_ok(&edited("float lambda\n", "float stranger\n")).kernel else {
+        let Kernel::Frequency { lambdas, betas } = read_ok(&edited("float lambda\n", "float unknown\n")).kernel else {
             panic!("a frequency kernel")
         };
         for (got, want) in lambdas.iter().chain(&betas).zip(column(0.0).iter().chain(&column(0.3))) {
             assert!((got - want).abs() < 2e-6, "{got} {want}");
         }
-        let torn = edited("float beta_raw\n", "float stranger\n").to_vec();
-        let torn = String::from_utf8_lossy(&torn[..end]).replacen("float beta\n", "float other\n", 1).into_bytes();
-        assert!(read_err(&[&torn, &text[end..]].concat()).contains("`property beta_raw` is missing"));
+        let half = edited("float beta_raw\n", "float beta_xyz\n").to_vec();
+        let half = String::from_utf8_lossy(&half[..end]).replacen("float beta\n", "float other\n", 1).into_bytes();
+        assert!(read_err(&[&half, &text[end..]].concat()).contains("`property beta_raw` is missing"));
     }
 
     #[test]
-    fn lossy_formats_refuse_bent_kernels() {
+    fn formats_without_kernels_refuse_them() {
         let kernel = |l: f32| Kernel::Frequency { lambdas: vec![l; 2], betas: vec![0.5; 2] };
         let error = |s: &RawSplats| {
             let spz = super::super::spz::write(s, &Default::default(), &mut Vec::new());
             let splat = super::super::splat::write(s, &mut Vec::new());
             [spz, splat].map(|r| r.err().map(|e| e.to_string()))
         };
-        let bent = RawSplats { kernel: kernel(0.6), ..cloud(2, 0, 1) };
-        assert!(error(&bent).iter().flatten().filter(|e| e.contains("write a .ply")).count() == 2);
-        assert_eq!(error(&RawSplats { kernel: kernel(0.5), ..bent }), [None, None]);
+        let raw = RawSplats { kernel: kernel(0.6), ..cloud(2, 0, 1) };
+        assert!(error(&raw).iter().flatten().filter(|e| e.contains("write a .ply")).count() == 2);
+        assert_eq!(error(&RawSplats { kernel: kernel(0.5), ..raw }), [None, None]);
     }
 
     #[test]
@@ -532,11 +541,11 @@ mod tests {
     }
 
     #[test]
-    fn infinite_opacity_logits_are_the_ends_of_opacity() {
+    fn infinite_opacity_logits_become_finite() {
         let mut s = cloud(3, 0, 10);
         s.logit_opacities = vec![f32::INFINITY, f32::NEG_INFINITY, 20.0];
         let got = read_ok(&bytes(&s)).logit_opacities;
-        assert_eq!(got, [logit(1.0), logit(0.0), 20.0]);
+        assert_eq!(got, [finite_logit(1.0), finite_logit(0.0), 20.0]);
         let lax = Limits { allow_non_finite: true, ..Limits::default() };
         assert_eq!(read(&bytes(&s), "t.ply", &lax).unwrap(), s);
         s.logit_opacities[1] = f32::NAN;
@@ -544,11 +553,11 @@ mod tests {
     }
 
     #[test]
-    fn shape_offences_are_named() {
+    fn wrong_shapes_are_named() {
         let good = String::from_utf8_lossy(&bytes(&cloud(0, 1, 9))).into_owned();
         let error = |from: &str, to: &str| read_err(good.replacen(from, to, 1).as_bytes());
         assert!(error("property float rot_3\n", "").contains("`property rot_3` is missing"));
-        assert!(error("float nx", "float x").contains("`x` stands twice"));
+        assert!(error("float nx", "float x").contains("`x` appears twice"));
         assert!(error("property float f_rest_8\n", "").contains("8 `f_rest` properties"));
         assert!(error("f_rest_8", "f_rest_08").contains("`property f_rest_8` is missing"));
         assert!(error("vertex 0", "vertex 1").contains("needs 104 bytes, only 0 are there"));
@@ -561,6 +570,6 @@ mod tests {
         assert!(read_err(&[text.as_slice(), b" 7"].concat()).contains("`7` follows the last row"));
         assert!(read_err(&text[..text.len() - 40]).contains("bytes"));
         let broken = String::from_utf8_lossy(&text).replacen("200", "zzz", 1);
-        assert_eq!(read_ok(broken.as_bytes()), cloud(2, 0, 9), "a skipped property is not looked at");
+        assert_eq!(read_ok(broken.as_bytes()), cloud(2, 0, 9), "a skipped property is not parsed");
     }
 }

@@ -1,4 +1,4 @@
-//! The header of a `.ply` file: elements, their properties, and where the data start.
+//! The header of a `.ply` file: elements, their properties, and the offset of the data.
 //!
 //! Source: G. Turk, "The PLY Polygon File Format", 1994, with the type names of its common dialects (`float32` for
 //! `float`, …). Lines end in LF or CRLF; `comment` and `obj_info` lines are skipped. A header must end within
@@ -7,12 +7,12 @@
 use super::error::{At, Source};
 use super::{IoError, Limits};
 
-/// Longest header accepted, bytes.
-pub const MAX_HEADER: usize = 1 << 20;
+/// Largest length of a header, bytes.
+const MAX_HEADER: usize = 1 << 20;
 
-/// How the data after the header are written.
+/// Encoding of the data after the header.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Encoding {
+pub(super) enum Encoding {
     /// Numbers as text, separated by white space.
     Ascii,
     /// Binary, least significant byte first.
@@ -21,30 +21,30 @@ pub enum Encoding {
     Big,
 }
 
-/// Type of a scalar property.
+/// Number type of a scalar property.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Scalar {
-    /// `char`, `int8`.
+pub(super) enum Scalar {
+    /// `char` or `int8`, signed 8 bits.
     I8,
-    /// `uchar`, `uint8`.
+    /// `uchar` or `uint8`, unsigned 8 bits.
     U8,
-    /// `short`, `int16`.
+    /// `short` or `int16`, signed 16 bits.
     I16,
-    /// `ushort`, `uint16`.
+    /// `ushort` or `uint16`, unsigned 16 bits.
     U16,
-    /// `int`, `int32`.
+    /// `int` or `int32`, signed 32 bits.
     I32,
-    /// `uint`, `uint32`.
+    /// `uint` or `uint32`, unsigned 32 bits.
     U32,
-    /// `float`, `float32`.
+    /// `float` or `float32`, single precision.
     F32,
-    /// `double`, `float64`.
+    /// `double` or `float64`, double precision.
     F64,
 }
 
 impl Scalar {
-    /// Bytes of one value.
-    pub fn size(self) -> usize {
+    /// Bytes of one binary value.
+    pub(super) fn size(self) -> usize {
         match self {
             Scalar::I8 | Scalar::U8 => 1,
             Scalar::I16 | Scalar::U16 => 2,
@@ -70,42 +70,42 @@ impl Scalar {
 
 /// One scalar property of an element.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Property<'a> {
-    /// Its name.
-    pub name: &'a str,
-    /// Its type.
-    pub scalar: Scalar,
+pub(super) struct Property<'a> {
+    /// Name as in the header.
+    pub(super) name: &'a str,
+    /// Number type of its values.
+    pub(super) scalar: Scalar,
     /// Byte offset inside a binary row.
-    pub offset: usize,
+    pub(super) offset: usize,
 }
 
 /// One element: `count` rows of the same properties.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Element<'a> {
-    /// Its name, `vertex` for splats and points.
-    pub name: &'a str,
-    /// Number of rows claimed.
-    pub count: u64,
+pub(super) struct Element<'a> {
+    /// Name as in the header; `vertex` for splats and points.
+    pub(super) name: &'a str,
+    /// Number of rows according to the header.
+    pub(super) count: u64,
     /// Scalar properties in file order.
-    pub properties: Vec<Property<'a>>,
+    pub(super) properties: Vec<Property<'a>>,
     /// Name of the first list property, if any: such rows have no fixed size.
-    pub list: Option<&'a str>,
+    pub(super) list: Option<&'a str>,
     /// Bytes of a binary row (without lists).
-    pub stride: usize,
+    pub(super) stride: usize,
 }
 
-/// A parsed header.
+/// A parsed header, borrowing its names from the file.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Header<'a> {
-    /// How the data are written.
-    pub encoding: Encoding,
-    /// Elements in file order.
-    pub elements: Vec<Element<'a>>,
+pub(super) struct Header<'a> {
+    /// Encoding of all elements' data.
+    pub(super) encoding: Encoding,
+    /// Elements, in the order of the file.
+    pub(super) elements: Vec<Element<'a>>,
     /// Offset of the first data byte.
-    pub data_start: usize,
+    pub(super) data_start: usize,
 }
 
-/// The lines of a header with their numbers (from 1); knows the offset after the line last taken.
+/// Reads the lines of a header; `number` counts from 1, `offset` is that of the next line.
 struct Lines<'a> {
     bytes: &'a [u8],
     offset: usize,
@@ -134,10 +134,10 @@ impl<'a> Header<'a> {
     /// Parses the header at the start of `bytes`.
     ///
     /// # Errors
-    /// With the header line of the first offence.
+    /// Names the header line of the first error.
     pub(super) fn parse(bytes: &'a [u8], src: Source<'_>) -> Result<Self, IoError> {
         if bytes.starts_with(b"\xEF\xBB\xBF") {
-            let what = "a UTF-8 byte order mark stands before `ply`: a text editor has rewritten the file";
+            let what = "a UTF-8 byte order mark precedes `ply`: a text editor has rewritten the file";
             return Err(src.malformed(At::Byte(0), what, "use the original file"));
         }
         let mut lines = Lines { bytes, offset: 0, number: 0 };
@@ -157,7 +157,7 @@ impl<'a> Header<'a> {
                 Some("element") => {
                     let element = parse_element(words, at.clone(), src)?;
                     if elements.iter().any(|e| e.name == element.name) {
-                        let what = format!("element `{}` stands twice", clip(element.name));
+                        let what = format!("element `{}` appears twice", clip(element.name));
                         return Err(src.malformed(at, what, "repair the header"));
                     }
                     elements.push(element);
@@ -202,8 +202,8 @@ impl<'a> Header<'a> {
             };
             let need = element.count.saturating_mul(row_bytes);
             let have = len.saturating_sub(start);
-            let slack = u64::from(self.encoding == Encoding::Ascii);
-            if need > (have as u64).saturating_add(slack) {
+            let last_separator = u64::from(self.encoding == Encoding::Ascii);
+            if need > (have as u64).saturating_add(last_separator) {
                 let field = format!("{} rows of element {}", element.count, clip(element.name));
                 return Err(src.truncated(field, start, need, have));
             }
@@ -311,7 +311,7 @@ mod tests {
     }
 
     #[test]
-    fn every_offence_is_named_with_its_line() {
+    fn every_error_names_its_line() {
         let error = |text: &str| parse(text).unwrap_err().to_string();
         assert!(error("\u{feff}ply\n").contains("byte order mark"));
         assert!(error("plyx\n").contains("header line 1"));
@@ -320,7 +320,7 @@ mod tests {
         assert!(error("ply\nproperty float x\n").contains("before any element"));
         assert!(error("ply\nelement vertex 1\nproperty half x\n").contains("type `half` (at header line 3)"));
         assert!(error("ply\nelement vertex 1\nproperty float\n").contains("without a name"));
-        assert!(error("ply\nelement a 1\nelement a 1\n").contains("`a` stands twice (at header line 3)"));
+        assert!(error("ply\nelement a 1\nelement a 1\n").contains("`a` appears twice (at header line 3)"));
         assert!(error("ply\nhello\n").contains("unknown header word `hello`"));
         assert!(error("ply\nend_header\n").contains("`format` is missing"));
         assert!(error("ply\nformat ascii 1.0\n").contains("does not end"));

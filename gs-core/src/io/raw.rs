@@ -1,22 +1,23 @@
-//! Splats as files store them: logarithms of scales, logits of opacities, quaternions of any length, SH coefficients.
+//! Splats before activation, as files store them: log-scales, opacity logits, quaternions of any length, SH coefficients.
 //!
 //! Activation is that of 3D Gaussian Splatting (Kerbl et al. 2023, section 5): `scale = exp(log_scale)`,
 //! `opacity = 1 / (1 + exp(−logit))`.
 
 use super::error::Source;
 use super::{IoError, Limits};
+use crate::cloud::sigmoid;
 use crate::kernel::Kernel;
 use crate::sh;
 use crate::splats::{Color, Splats, SplatsError};
 use glam::Vec3;
 
-/// Opacities this close to 0 or 1 are moved here before their logit is taken, so that it stays finite (±13.8).
-pub const OPACITY_MARGIN: f32 = 1e-6;
+/// Opacities are clamped to `[margin, 1 − margin]` before their logit is taken, so that it stays finite (±13.8).
+const OPACITY_MARGIN: f32 = 1e-6;
 
-/// `n` splats before activation.
+/// Splats before activation, `n` rows in every column.
 #[derive(Clone, Debug, PartialEq, Default)]
 pub struct RawSplats {
-    /// Centres, world units, `[n]`.
+    /// Centres of the Gaussians, world units, `[n]`.
     pub means: Vec<Vec3>,
     /// Rotations `(w, x, y, z)` of any length, `[n]`.
     pub quats: Vec<[f32; 4]>,
@@ -28,28 +29,23 @@ pub struct RawSplats {
     pub sh: Vec<f32>,
     /// SH degree, 0 to 3.
     pub degree: u8,
-    /// The fall-off, with the parameters it is drawn with.
+    /// Kernel with its activated parameters.
     pub kernel: Kernel,
 }
 
 /// Logit of an opacity, finite for every opacity in `[0, 1]` (see [`OPACITY_MARGIN`]).
-pub fn logit(opacity: f32) -> f32 {
+pub(super) fn finite_logit(opacity: f32) -> f32 {
     let o = f64::from(opacity.clamp(OPACITY_MARGIN, 1.0 - OPACITY_MARGIN));
     (o / (1.0 - o)).ln() as f32
 }
 
-/// `1 / (1 + exp(−x))`.
-pub fn sigmoid(x: f32) -> f32 {
-    1.0 / (1.0 + (-x).exp())
-}
-
-/// Logarithm of a standard deviation: sign ignored, zero taken as the smallest normal number.
+/// Logarithm of a standard deviation; its sign is ignored, zero counts as the smallest normal number.
 pub(super) fn log_scale(scale: f32) -> f32 {
     scale.abs().max(f32::MIN_POSITIVE).ln()
 }
 
 impl RawSplats {
-    /// Empty columns with room for `n` rows of a degree.
+    /// Empty columns with capacity for `n` rows of an SH degree.
     pub(super) fn with_capacity(n: usize, degree: u8) -> Self {
         Self {
             means: Vec::with_capacity(n),
@@ -62,17 +58,17 @@ impl RawSplats {
         }
     }
 
-    /// Number of splats.
+    /// Number of splats (rows of `means`).
     pub fn len(&self) -> usize {
         self.means.len()
     }
 
-    /// Whether there is none.
+    /// Whether there are no splats.
     pub fn is_empty(&self) -> bool {
         self.means.is_empty()
     }
 
-    /// Values of one row of [`RawSplats::sh`]: `3 (degree + 1)²`.
+    /// Number of values in one row of [`RawSplats::sh`]: `3 (degree + 1)²`.
     pub fn sh_width(&self) -> usize {
         3 * sh::coeffs(self.degree)
     }
@@ -80,7 +76,7 @@ impl RawSplats {
     /// Verifies that all columns have `len()` rows and the degree is 0 to 3.
     ///
     /// # Errors
-    /// The first column that does not.
+    /// The first column of another length, or the degree.
     pub fn check_shape(&self) -> Result<(), SplatsError> {
         if self.degree > sh::MAX_DEGREE {
             return Err(SplatsError::Degree(self.degree));
@@ -101,7 +97,7 @@ impl RawSplats {
         Ok(())
     }
 
-    /// Activates every column.
+    /// Activates every column: `exp` of the scales, [`sigmoid`] of the opacities.
     ///
     /// # Errors
     /// As [`Splats::check`]: a row that is not finite after activation (for instance a log-scale above 88).
@@ -119,8 +115,8 @@ impl RawSplats {
         Ok(splats)
     }
 
-    /// The raw form of splats. Plain RGB becomes SH of degree 0. The way back is exact up to the rounding of `exp` and
-    /// `ln` (relative 1e-6 for usual sizes), except that opacities are kept off 0 and 1 by [`OPACITY_MARGIN`] and zero
+    /// The raw form of splats. Plain RGB becomes SH of degree 0. [`RawSplats::to_splats`] inverts it up to the rounding of
+    /// `exp` and `ln` (relative 1e-6 for usual sizes), except that opacities are clamped to `[1e-6, 1 − 1e-6]` and zero
     /// scales become 1.2e-38.
     ///
     /// # Errors
@@ -135,14 +131,14 @@ impl RawSplats {
             means: splats.means.clone(),
             quats: splats.quats.clone(),
             log_scales: splats.scales.iter().map(|s| Vec3::from_array(s.to_array().map(log_scale))).collect(),
-            logit_opacities: splats.opacities.iter().map(|&o| logit(o)).collect(),
+            logit_opacities: splats.opacities.iter().map(|&o| finite_logit(o)).collect(),
             sh,
             degree,
             kernel: splats.kernel.clone(),
         })
     }
 
-    /// Rows with a value that is not finite, each with the name of its first such column.
+    /// Rows with a value that is not finite, in order, each with the name of its first such column.
     pub fn non_finite_rows(&self) -> Vec<(usize, &'static str)> {
         let bad = |values: &[f32]| values.iter().any(|v| !v.is_finite());
         let mut rows: Vec<(usize, &'static str)> = Vec::new();
@@ -166,16 +162,16 @@ impl RawSplats {
         rows
     }
 
-    /// A format without columns for kernels takes Gaussians only, and kernels that draw as they do.
+    /// Refuses kernels that differ from the Gaussian, for formats that cannot store them.
     pub(super) fn refuse_kernel(&self, format: &str) -> std::io::Result<()> {
         if self.kernel.is_neutral() {
             return Ok(());
         }
-        let text = format!("{format} has no columns for the splats' bent kernel and would draw others; write a .ply");
+        let text = format!("{format} cannot store splats with another kernel than the Gaussian; write a .ply");
         Err(std::io::Error::new(std::io::ErrorKind::InvalidInput, text))
     }
 
-    /// The first row with a value that is not finite becomes an error, unless the limits allow it.
+    /// An error for the first row with a value that is not finite, unless the limits allow such values.
     pub(super) fn refuse_non_finite(&self, src: Source<'_>, limits: &Limits) -> Result<(), IoError> {
         if limits.allow_non_finite {
             return Ok(());
@@ -192,7 +188,7 @@ pub(super) mod tests {
     use super::*;
     use crate::rng::Rng;
 
-    /// `n` splats of plausible statistics.
+    /// `n` random splats of realistic scales, opacities and colours.
     pub(in crate::io) fn cloud(n: usize, degree: u8, seed: u64) -> RawSplats {
         let mut out = RawSplats::with_capacity(n, degree);
         for row in 0..n {
@@ -224,9 +220,9 @@ pub(super) mod tests {
 
     #[test]
     fn ends_of_the_domain_stay_finite() {
-        assert!((sigmoid(logit(0.25)) - 0.25).abs() < 1e-7);
-        assert!((sigmoid(logit(1.0)) - 1.0).abs() < 2e-6 && logit(1.0).is_finite());
-        assert!(sigmoid(logit(0.0)) < 2e-6 && logit(0.0).is_finite());
+        assert!((sigmoid(finite_logit(0.25)) - 0.25).abs() < 1e-7);
+        assert!((sigmoid(finite_logit(1.0)) - 1.0).abs() < 2e-6 && finite_logit(1.0).is_finite());
+        assert!(sigmoid(finite_logit(0.0)) < 2e-6 && finite_logit(0.0).is_finite());
         assert!(log_scale(0.0).is_finite() && log_scale(-2.0) == log_scale(2.0));
         assert_eq!((sigmoid(-1e30), sigmoid(1e30)), (0.0, 1.0));
     }

@@ -6,23 +6,31 @@
 //! 28 u8×4   quaternion w x y z, each 128 q + 128, rounded
 //! ```
 //! All numbers little-endian, axes as in `.ply`. Only SH degree 0 fits. Row order is kept (some writers sort by size).
-//! What writing costs: colour and opacity ≤ ½/255, quaternion entries ≤ 1/128 before renormalisation (`q = 1` is stored
-//! as 255, 127/128); colours outside 0 to 1 are clamped.
+//! Error of writing: colour and opacity ≤ ½/255, quaternion entries ≤ 1/128 before renormalisation (`q = 1` is stored as
+//! 255, that is 127/128); colours outside 0 to 1 are clamped.
+//!
+//! ```
+//! use gs_core::io::{Limits, splat};
+//!
+//! assert!(splat::read(&[0; 64], "scene.splat", &Limits::default())?.len() == 2);
+//! assert!(splat::read(&[0; 63], "scene.splat", &Limits::default()).is_err());
+//! # Ok::<(), gs_core::io::IoError>(())
+//! ```
 
 use super::error::{At, Source};
-use super::raw::{log_scale, logit, sigmoid};
-use super::{IoError, Limits, RawSplats};
+use super::raw::{finite_logit, log_scale};
+use super::{IoError, Limits, RawSplats, sigmoid};
 use crate::{rot, sh};
 use glam::Vec3;
 use std::io::Write;
 
-/// Bytes of one splat.
+/// Bytes of one splat in a file.
 pub const ROW: usize = 32;
 
 /// Reads a `.splat` file held in memory. `file` is the name used in errors.
 ///
 /// # Errors
-/// A length that is not a multiple of 32; a centre or scale that is not finite, a negative scale (row and field named).
+/// A length that is not a multiple of 32; a centre or scale that is not finite, a negative scale (names row and field).
 pub fn read(bytes: &[u8], file: &str, limits: &Limits) -> Result<RawSplats, IoError> {
     let src = Source { file, format: ".splat" };
     if !bytes.len().is_multiple_of(ROW) {
@@ -44,7 +52,7 @@ pub fn read(bytes: &[u8], file: &str, limits: &Limits) -> Result<RawSplats, IoEr
         out.means.push(Vec3::new(x, y, z));
         out.log_scales.push(Vec3::from_array(scale.map(log_scale)));
         out.sh.extend([r, g, b].map(|v| ((f64::from(v) / 255.0 - 0.5) / sh::C0) as f32));
-        out.logit_opacities.push(logit(f32::from(alpha) / 255.0));
+        out.logit_opacities.push(finite_logit(f32::from(alpha) / 255.0));
         out.quats.push(quat.map(|v| (f32::from(v) - 128.0) / 128.0));
     }
     Ok(out)
@@ -68,10 +76,10 @@ fn byte(v: f32) -> u8 {
     (v * 255.0).round().clamp(0.0, 255.0) as u8
 }
 
-/// Writes splats as `.splat`; SH above degree 0 is left out.
+/// Writes splats as `.splat`; SH coefficients above degree 0 are dropped.
 ///
 /// # Errors
-/// Columns of unequal length or a bent kernel (as `InvalidInput`), or the writer's own.
+/// Columns of unequal length or another kernel than the Gaussian (as `InvalidInput`), or the writer's own.
 pub fn write(splats: &RawSplats, out: &mut dyn Write) -> std::io::Result<()> {
     splats.check_shape().map_err(|e| std::io::Error::new(std::io::ErrorKind::InvalidInput, e))?;
     splats.refuse_kernel("the .splat format")?;
@@ -145,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn offences_are_named() {
+    fn errors_name_row_and_field() {
         let mut out = Vec::new();
         write(&cloud(3, 0, 12), &mut out).unwrap();
         assert!(

@@ -13,11 +13,27 @@
 //! positions, in the quaternion's y and z, and in the SH functions odd under that half turn about x.
 //! **Losses** (half a step): position 2^−(b+1), log-scale 1/32, opacity 1/510, colour coefficient 0.0131, SH 1/32
 //! (degree 1) or 1/16 clamped to [−1, 1). Versions 1 and 4, uncompressed payloads and extensions are refused by name.
+//!
+//! ```
+//! use gs_core::io::{Limits, RawSplats, spz};
+//!
+//! let mut splats = RawSplats::default();
+//! splats.means.push(glam::Vec3::new(1.0, -0.5, 0.25)); // a multiple of 2⁻¹² is exact
+//! splats.quats.push([1.0, 0.0, 0.0, 0.0]);
+//! splats.log_scales.push(glam::Vec3::splat(-4.0));
+//! splats.logit_opacities.push(0.0);
+//! splats.sh = vec![0.0; 3];
+//! let mut bytes = Vec::new();
+//! spz::write(&splats, &spz::SpzOptions::default(), &mut bytes)?;
+//! let (header, again) = spz::read(&bytes, "scene.spz", &Limits::default())?;
+//! assert_eq!((header.fraction_bits, &again.means, &again.log_scales), (12, &splats.means, &splats.log_scales));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 use super::error::{At, Source};
-use super::raw::{logit, sigmoid};
+use super::raw::finite_logit;
 use super::spz_quat::{decode_first_three, decode_smallest_three, encode_first_three, encode_smallest_three};
-use super::{IoError, Limits, RawSplats};
+use super::{IoError, Limits, RawSplats, sigmoid};
 use crate::{rot, sh};
 use flate2::{Compression, bufread::GzDecoder, write::GzEncoder};
 use glam::Vec3;
@@ -31,26 +47,26 @@ const FIXED_MAX: f32 = 8_388_607.0;
 /// Sign of each SH function (index k − 1) when y and z change sign.
 const SH_SIGN: [f32; 15] = [-1., -1., 1., -1., 1., 1., -1., 1., -1., 1., -1., -1., 1., -1., 1.];
 
-/// Version to write.
+/// Version of the SPZ format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum Version {
-    /// Rotations in three bytes.
+    /// Version 2: rotations in three bytes.
     V2,
-    /// Rotations in four bytes, ten times more exact.
+    /// Version 3: rotations in four bytes, ten times more exact.
     #[default]
     V3,
 }
 
-/// How to write.
+/// Settings of [`write()`]; the default is version 3, 12 fraction bits, SH in 5 and 4 bits.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SpzOptions {
-    /// Version.
+    /// Version of the format to write.
     pub version: Version,
-    /// Most fraction bits of positions (0 to 23); fewer are used where the cloud would not fit.
+    /// Largest number of fraction bits of positions (0 to 23); fewer are used where the cloud would not fit.
     pub fraction_bits: u8,
     /// Bits kept of degree-1 and of higher SH coefficients (1 to 8).
     pub sh_bits: [u8; 2],
-    /// Flag: the cloud was trained with the antialiased projection.
+    /// Flag in the header: the cloud was trained with the antialiased projection.
     pub antialiased: bool,
 }
 
@@ -63,15 +79,15 @@ impl Default for SpzOptions {
 /// The header of an SPZ payload.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SpzHeader {
-    /// Version.
+    /// Version of the format, 2 or 3.
     pub version: Version,
-    /// Number of splats.
+    /// Number of splats in the file.
     pub count: usize,
     /// SH degree, 0 to 3.
     pub degree: u8,
-    /// Fraction bits of positions.
+    /// Number of fraction bits of positions.
     pub fraction_bits: u8,
-    /// Trained with the antialiased projection.
+    /// Whether the cloud was trained with the antialiased projection.
     pub antialiased: bool,
 }
 
@@ -149,7 +165,7 @@ pub fn read(bytes: &[u8], file: &str, limits: &Limits) -> Result<(SpzHeader, Raw
     Ok((header, splats))
 }
 
-/// Fills `out` from the stream, or says how far it came.
+/// Fills `out` from the stream; a short stream is an error with the bytes read.
 fn fill(stream: &mut impl Read, out: &mut [u8], field: &str, start: usize, src: Source<'_>) -> Result<(), IoError> {
     let mut have = 0;
     while let Some(rest) = out.get_mut(have..).filter(|r| !r.is_empty()) {
@@ -181,14 +197,16 @@ fn decode(payload: &[u8], header: &SpzHeader) -> RawSplats {
         let [x, y, z] = row.map(|[a, b, c]| (i32::from_le_bytes([0, a, b, c]) >> 8) as f32 * step);
         out.means.push(Vec3::new(x, -y, -z));
     }
-    out.logit_opacities.extend(alphas.iter().map(|&a| logit(f32::from(a) / 255.0)));
+    out.logit_opacities.extend(alphas.iter().map(|&a| finite_logit(f32::from(a) / 255.0)));
     for &[a, b, c] in scales.as_chunks::<3>().0 {
         out.log_scales.push(Vec3::from_array([a, b, c].map(|v| f32::from(v) / 16.0 - 10.0)));
     }
-    let turn = |[w, x, y, z]: [f32; 4]| [w, x, -y, -z];
+    let flip_yz = |[w, x, y, z]: [f32; 4]| [w, x, -y, -z];
     match header.version {
-        Version::V2 => out.quats.extend(rotations.as_chunks::<3>().0.iter().map(|&q| turn(decode_first_three(q)))),
-        Version::V3 => out.quats.extend(rotations.as_chunks::<4>().0.iter().map(|&q| turn(decode_smallest_three(q)))),
+        Version::V2 => out.quats.extend(rotations.as_chunks::<3>().0.iter().map(|&q| flip_yz(decode_first_three(q)))),
+        Version::V3 => {
+            out.quats.extend(rotations.as_chunks::<4>().0.iter().map(|&q| flip_yz(decode_smallest_three(q))))
+        }
     }
     let width = 3 * (sh::coeffs(header.degree) - 1);
     for (row, color) in colors.as_chunks::<3>().0.iter().enumerate() {
@@ -201,16 +219,16 @@ fn decode(payload: &[u8], header: &SpzHeader) -> RawSplats {
     out
 }
 
-/// Fraction bits with which every coordinate fits in 24 bits: `most` or fewer.
-fn fraction_bits(splats: &RawSplats, most: u8) -> std::io::Result<u8> {
+/// Fraction bits with which every coordinate fits in 24 bits: at most `max_bits`.
+fn fraction_bits(splats: &RawSplats, max_bits: u8) -> std::io::Result<u8> {
     let largest = splats.means.iter().fold(0.0f32, |m, v| m.max(v.abs().max_element()));
-    (0..=most.min(23)).rev().find(|&b| largest * (1u32 << b) as f32 <= FIXED_MAX).ok_or_else(|| {
+    (0..=max_bits.min(23)).rev().find(|&b| largest * (1u32 << b) as f32 <= FIXED_MAX).ok_or_else(|| {
         let text = format!("a coordinate of {largest} does not fit SPZ's 24 bits; scale the scene down");
         std::io::Error::new(std::io::ErrorKind::InvalidInput, text)
     })
 }
 
-/// An SH coefficient in `bits` bits of a byte (zero always lands on a step).
+/// An SH coefficient in `bits` bits of a byte; zero is represented exactly.
 fn quantise_sh(v: f32, bits: u8) -> u8 {
     let bucket = (1u32 << (8 - bits.clamp(1, 8))) as f32;
     byte((v * 128.0 / bucket).round() * bucket + 128.0)
@@ -224,7 +242,7 @@ fn byte(v: f32) -> u8 {
 /// Gzip level: three times as fast as the default 6 for 2 % more bytes (measured on 100 000 splats of degree 3).
 const LEVEL: u32 = 4;
 
-/// Writes splats as SPZ.
+/// Writes splats as SPZ, compressed with gzip.
 ///
 /// # Errors
 /// Columns of unequal length, a value that is not finite or a coordinate above 2^23 (as `InvalidInput`), or the
@@ -248,7 +266,7 @@ pub fn write(splats: &RawSplats, options: &SpzOptions, out: &mut dyn Write) -> s
     gz.finish().map(|_| ())
 }
 
-/// Appends the six arrays.
+/// Appends the six arrays, quantised.
 fn quantise(splats: &RawSplats, options: &SpzOptions, bits: u8, out: &mut Vec<u8>) {
     let step = (1u32 << bits) as f32;
     for mean in &splats.means {
@@ -304,9 +322,9 @@ mod tests {
     #[test]
     fn signs_follow_from_the_basis() {
         let d = [0.3f64, -0.5, 0.8];
-        let (plain, turned) = (sh::basis(d, 3), sh::basis([d[0], -d[1], -d[2]], 3));
+        let (plain, flipped) = (sh::basis(d, 3), sh::basis([d[0], -d[1], -d[2]], 3));
         for k in 1..16 {
-            assert!((turned[k] - f64::from(SH_SIGN[k - 1]) * plain[k]).abs() < 1e-12, "{k}");
+            assert!((flipped[k] - f64::from(SH_SIGN[k - 1]) * plain[k]).abs() < 1e-12, "{k}");
         }
     }
 
@@ -360,7 +378,7 @@ mod tests {
     }
 
     #[test]
-    fn offences_are_named() {
+    fn errors_are_named() {
         let header = |version: u32, count: u32, tail: [u8; 4]| {
             [MAGIC.as_slice(), &version.to_le_bytes(), &count.to_le_bytes(), &tail].concat()
         };

@@ -1,7 +1,7 @@
 //! Quaternions of SPZ: three bytes (version 2) or "smallest three" in four bytes (version 3). Order inside SPZ is
-//! x, y, z, w; both functions here take and give ours, (w, x, y, z).
+//! x, y, z, w; the functions here take and return (w, x, y, z).
 
-/// Largest size of a component that is not the largest.
+/// Largest magnitude of a component that is not the largest one.
 const LARGEST_REST: f32 = std::f32::consts::FRAC_1_SQRT_2;
 /// Largest magnitude of a 9-bit component.
 const MAGNITUDE: u32 = (1 << 9) - 1;
@@ -40,7 +40,7 @@ pub(super) fn encode_smallest_three(unit: [f32; 4]) -> [u8; 4] {
     packed.to_le_bytes()
 }
 
-/// Inverse of [`encode_smallest_three`].
+/// Inverse of [`encode_smallest_three`], up to quantisation.
 pub(super) fn decode_smallest_three(bytes: [u8; 4]) -> [f32; 4] {
     let mut packed = u32::from_le_bytes(bytes);
     let largest = packed >> 30;
@@ -86,7 +86,7 @@ mod tests {
     fn known_words() {
         assert_eq!(encode_smallest_three([1.0, 0.0, 0.0, 0.0]), [0, 0, 0, 0xc0]);
         assert_eq!(decode_smallest_three([0, 0, 0, 0xc0]), [1.0, 0.0, 0.0, 0.0]);
-        // Largest z (index 2), negative, so all signs turn: x = 0, y = -0.6·511/0.7071, w = 0.
+        // Largest z (index 2), negative, so all signs flip: x = 0, y = -0.6·511/0.7071, w = 0.
         let word = u32::from_le_bytes(encode_smallest_three([0.0, 0.0, 0.6, -0.8]));
         assert_eq!((word >> 30, (word >> 20) & 1023, (word >> 10) & 1023, word & 1023), (2, 0, 512 + 434, 0));
         for bytes in [[0xff; 4], [0xff, 0xff, 0xff, 0x3f], [0; 4]] {

@@ -1,12 +1,22 @@
-//! Uncompressed video, YUV4MPEG2 with full colour resolution (`C444`): a stream that every encoder and most players read.
+//! Uncompressed video, YUV4MPEG2 with full colour resolution (`C444`), which encoders and most players read.
 //!
-//! Colours become BT.601 with the narrow range of video (luma 16..235), which is what players assume of such a file; 8 bits
-//! keep them within 2/255.
+//! Colours become BT.601 with the narrow range of video (luma 16 to 235), as players assume of such a file; 8 bits keep
+//! them within 2/255.
+//!
+//! ```
+//! use gs_core::{Image, io::y4m};
+//!
+//! let mut video = Vec::new();
+//! y4m::write_header(1, 1, 25, &mut video)?;
+//! y4m::write_frame(&Image::from_data(1, 1, 3, vec![1.0; 3])?, &mut video)?;
+//! assert!(video.ends_with(&[235, 128, 128])); // white: Y, Cb, Cr
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 use crate::Image;
 use std::io::Write;
 
-/// Writes what comes before the frames.
+/// Writes the stream header: size in pixels, `fps` frames per second.
 ///
 /// # Errors
 /// The writer's own.
@@ -14,8 +24,7 @@ pub fn write_header(width: usize, height: usize, fps: u32, out: &mut dyn Write) 
     writeln!(out, "YUV4MPEG2 W{width} H{height} F{fps}:1 Ip A1:1 C444")
 }
 
-/// Writes a frame `[H, W, 3]` of display-encoded colours in 0..1; others are clamped, NaN is
-/// black.
+/// Writes a frame `[height, width, 3]` of display-encoded colours in `[0, 1]`; others are clamped, NaN counts as 0.
 ///
 /// # Errors
 /// An image of other than 3 channels (as `InvalidInput`), or the writer's own.
@@ -43,7 +52,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn colours_are_those_of_the_standard() {
+    fn colours_follow_the_standard() {
         let data = vec![0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 2.0, -1.0, f32::NAN];
         let image = Image { width: 2, height: 2, channels: 3, data };
         let mut out = Vec::new();
@@ -51,7 +60,7 @@ mod tests {
         write_frame(&image, &mut out).unwrap();
         let head = b"YUV4MPEG2 W2 H2 F25:1 Ip A1:1 C444\nFRAME\n";
         assert_eq!(&out[..head.len()], head);
-        // Black, white, red, and red again out of values beyond the range.
+        // Black, white, red, and red again from values outside [0, 1].
         assert_eq!(out[head.len()..], [16, 235, 81, 81, 128, 128, 90, 90, 128, 128, 240, 240]);
         assert!(write_frame(&Image::zeros(1, 1, 1), &mut out).is_err());
     }

@@ -1,20 +1,20 @@
-//! How the β a splat is drawn with follows from the β it learns.
+//! The effective β that a splat is rendered with, from the β that is learnt.
 //!
-//! The frequency kernel's foot steepens without bound as `D = ½ + λ − β → 0⁺` and loses its end altogether for `D ≤ 0`.
-//! `β_max(λ) = (1 − 2 p) (½ + λ)` keeps the knot at or above `p = 0.01`: foot slope at most 50, partials at most 25.
+//! The outer slope of the frequency kernel grows without bound as `D = ½ + λ − β → 0⁺`, and the support is unbounded for
+//! `D ≤ 0`. `β_max(λ) = (1 − 2 p) (½ + λ)` keeps the knot at or above `p = 0.01`: slope at most 50, partials at most 25.
 
-/// Least position of the lower knot that the capping modes leave.
-pub const MIN_KNOT: f64 = 0.01;
+/// Smallest position of the lower knot under [`BetaMode::Capped`] and [`BetaMode::Relative`].
+const MIN_KNOT: f64 = 0.01;
 
-/// What is done about `β ≥ ½ + λ`.
+/// How `β ≥ ½ + λ` is avoided, where the profile would be singular.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "io", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "lowercase"))]
 pub enum BetaMode {
-    /// `β_eff = min(β, β_max)`: as published wherever the foot spans more than 2 % of the fall-off.
+    /// `β_eff = min(β, β_max)`: as published wherever the knot lies above 0.01.
     #[default]
     Capped,
-    /// `β_eff = β`: the published formula with its clamped knots. Such splats never decay and are cut at
-    /// `RasterOptions::kernel_cut`.
+    /// `β_eff = β`: the published formula with its clamped knots. Splats beyond
+    /// `½ + λ` never decay and end at `RasterOptions::kernel_cut`.
     Literal,
     /// `β_eff = β · min(1, β_max)`: no dead zone, but β no longer compares with the published one.
     Relative,
@@ -24,7 +24,7 @@ fn beta_max(lambda: f64) -> f64 {
     (1.0 - 2.0 * MIN_KNOT) * (0.5 + lambda)
 }
 
-/// β a splat is drawn with. Domain: `λ, β ∈ [0, 1]`.
+/// The β that a splat is rendered with. Domain: `λ, β ∈ [0, 1]`.
 pub fn effective_beta(mode: BetaMode, lambda: f64, beta: f64) -> f64 {
     match mode {
         BetaMode::Literal => beta,
@@ -34,7 +34,7 @@ pub fn effective_beta(mode: BetaMode, lambda: f64, beta: f64) -> f64 {
 }
 
 /// `[dL/dλ, dL/dβ]` through [`effective_beta`] from `dL/dβ_eff`; the derivative of the branch taken.
-pub fn effective_beta_vjp(mode: BetaMode, lambda: f64, beta: f64, d: f64) -> [f64; 2] {
+pub(crate) fn effective_beta_vjp(mode: BetaMode, lambda: f64, beta: f64, d: f64) -> [f64; 2] {
     let (max, rise) = (beta_max(lambda), 1.0 - 2.0 * MIN_KNOT);
     match mode {
         BetaMode::Capped if beta >= max => [rise * d, 0.0],
@@ -49,7 +49,7 @@ mod tests {
     use crate::Rng;
 
     #[test]
-    fn the_cap_holds_the_knot_and_spares_the_rest() {
+    fn the_cap_holds_the_knot_and_leaves_smaller_betas() {
         assert_eq!(effective_beta(BetaMode::Capped, 0.5, 0.5), 0.5);
         assert!((effective_beta(BetaMode::Capped, 0.1, 0.7) - 0.588).abs() < 1e-15);
         assert_eq!(effective_beta(BetaMode::Literal, 0.1, 0.7), 0.7);
@@ -57,7 +57,7 @@ mod tests {
         assert_eq!(effective_beta(BetaMode::Relative, 0.9, 0.5), 0.5);
     }
 
-    /// Central differences, also across the branches but not at their seam.
+    /// Central differences, on each branch but not where they join.
     #[test]
     fn vjps_match_differences() {
         let mut rng = Rng::new(3, "effective beta", 0, 0);
@@ -65,8 +65,8 @@ mod tests {
         for mode in [BetaMode::Capped, BetaMode::Literal, BetaMode::Relative] {
             for _ in 0..2000 {
                 let [l, b] = std::array::from_fn(|_| f64::from(rng.range(0.0, 1.0)));
-                let seam = if mode == BetaMode::Capped { b } else { 1.0 };
-                if (seam - beta_max(l)).abs() < 1e-5 {
+                let join = if mode == BetaMode::Capped { b } else { 1.0 };
+                if (join - beta_max(l)).abs() < 1e-5 {
                     continue;
                 }
                 let f = |l: f64, b: f64| effective_beta(mode, l, b);

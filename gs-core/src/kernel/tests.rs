@@ -1,10 +1,10 @@
-//! The kernel against stored values, the printed three-piece formula, differences and quadrature.
+//! Kernel profiles against stored values, the published three-segment formula, finite differences and quadrature.
 
 use super::*;
 use crate::Rng;
 
-/// FAGS eq. 3 as printed, knots clamped.
-fn printed(l: f64, b: f64, g: f64) -> f64 {
+/// FAGS eq. 3 as published, knots clamped.
+fn published(l: f64, b: f64, g: f64) -> f64 {
     let (r, d) = (0.5 + l, 0.5 + l - b);
     let k = (0.5 + l - 0.5 * b - l * b) / d;
     let (low, high) = ((d / (1.0 + 2.0 * l)).max(0.0), ((0.5 + l + b) / (1.0 + 2.0 * l)).min(1.0));
@@ -82,15 +82,15 @@ fn the_neutral_kernels_are_the_gaussian() {
 }
 
 #[test]
-fn the_residual_form_is_the_printed_one() {
+fn the_residual_form_is_the_published_one() {
     for [l, b, g] in pairs(100_000) {
-        let want = printed(l, b, g);
+        let want = published(l, b, g);
         assert!(close(Bend::frequency(l, b).psi(g), want, 4e-14 / (0.5 + l - b).abs().clamp(1e-3, 1.0)), "{l} {b} {g}");
     }
     for gap in [1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 0.0, -0.1] {
         for [l, _, g] in pairs(300).map(|[l, b, g]| [0.4 * l, b, g]) {
             let beta = 0.5 + l - gap;
-            let want = printed(l, beta, g);
+            let want = published(l, beta, g);
             assert!(close(Bend::frequency(l, beta).psi(g), want, 1e-9), "D {gap}, {l} {g}");
         }
     }
@@ -101,7 +101,7 @@ fn continuous_monotone_symmetric_and_within_bounds() {
     for [l, b, g] in pairs(100_000) {
         let bend = Bend::frequency(l, b);
         let knot = (0.5 + l - b) / (1.0 + 2.0 * l);
-        // Below this gap the foot is a step by design.
+        // Below this gap the outer segment is a step by design.
         if knot > 1e-6 {
             for p in [knot, 1.0 - knot] {
                 assert!((bend.psi(p.next_up()) - bend.psi(p.next_down())).abs() < 1e-6, "{l} {b}");
@@ -188,8 +188,8 @@ fn the_support_is_where_the_threshold_is_met() {
 #[test]
 fn the_mass_is_the_integral() {
     for bend in [Bend::frequency(0.9, 0.5), Bend::frequency(0.05, 0.5), Bend::acutance(0.6), Bend::acutance(-0.5)] {
-        let (steps, reach) = (400_000, 40.0);
-        let width = reach / f64::from(steps);
+        let (steps, range) = (400_000, 40.0);
+        let width = range / f64::from(steps);
         let sum: f64 = (0..steps).map(|i| bend.psi((-(f64::from(i) + 0.5) * width).exp())).sum();
         assert!(close(bend.mass(), sum * width, 1e-7), "{bend:?}: {} {}", bend.mass(), sum * width);
     }
@@ -198,7 +198,7 @@ fn the_mass_is_the_integral() {
 }
 
 #[test]
-fn rows_of_a_kernel_know_their_bend() {
+fn rows_of_a_kernel_give_their_profile() {
     let kernel = Kernel::Frequency { lambdas: vec![0.5, 0.9], betas: vec![0.5, 0.25] };
     assert_eq!(kernel.bend(1), Some(Bend::frequency(f64::from(0.9f32), 0.25)));
     assert!(!kernel.is_neutral() && Kernel::Acutance { acutances: vec![0.0; 2] }.is_neutral());

@@ -1,29 +1,38 @@
-//! What stands between layers: ReLU, and SiLU with its first two derivatives.
+//! Activation functions: ReLU, and SiLU with its first two derivatives.
 //!
 //! ```text
 //! relu(z) = max(z, 0)
 //! silu(z) = z σ(z)      silu' = σ (1 + z (1 − σ))      silu'' = σ (1 − σ) (2 + z (1 − 2σ))      σ = 1 / (1 + e⁻ᶻ)
 //! ```
-//! SiLU (Elfwing et al. 2018, "Sigmoid-weighted linear units") is smooth, so a network of it can be differentiated twice,
-//! as losses on derivatives of a field need. Its exponential is a polynomial of plain products and sums: the same bits on
-//! every instruction set.
+//! SiLU (Elfwing et al. 2018, "Sigmoid-weighted linear units") is smooth, so a network with it can be differentiated
+//! twice, as losses on derivatives of a field need. Its exponential is a polynomial of plain products and sums: the same
+//! bits on every instruction set.
+//!
+//! ```
+//! use gs_core::nn::{Activation, activation::scale};
+//!
+//! let (mut y, mut slope, mut dy) = ([-1.0, 2.0], [0.0; 2], [3.0, 3.0]);
+//! Activation::Relu.apply(&mut y, &mut slope); // forward, in place
+//! scale(&slope, &mut dy); // backward
+//! assert_eq!((y, dy), ([0.0, 2.0], [0.0, 3.0]));
+//! ```
 
 use fearless_simd::{Level, Simd, dispatch};
 use serde::{Deserialize, Serialize};
 
-/// The function between the layers of a network.
+/// The activation function of a network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Activation {
     /// `max(z, 0)`; its slope at the kink is 0.
     #[default]
     Relu,
-    /// `z σ(z)`.
+    /// `z σ(z)`, also known as swish.
     Silu,
 }
 
 impl Activation {
-    /// `y = φ(y)` in place, its derivative `φ'` to `slope` (same length).
+    /// Forward: `y = φ(y)` in place; writes the derivative `φ'` to `slope` (same length).
     pub fn apply(self, y: &mut [f32], slope: &mut [f32]) {
         dispatch!(Level::new(), simd => match self {
             Self::Relu => apply_relu(simd, y, slope),
@@ -31,19 +40,19 @@ impl Activation {
         });
     }
 
-    /// As [`Activation::apply`], the second derivative `φ''` to `bend`.
-    pub fn apply_twice(self, y: &mut [f32], slope: &mut [f32], bend: &mut [f32]) {
+    /// As [`Activation::apply`]; also writes the second derivative `φ''` to `curvature`.
+    pub(super) fn apply_twice(self, y: &mut [f32], slope: &mut [f32], curvature: &mut [f32]) {
         match self {
             Self::Relu => {
                 self.apply(y, slope);
-                bend.fill(0.0);
+                curvature.fill(0.0);
             }
-            Self::Silu => dispatch!(Level::new(), simd => bend_silu(simd, y, slope, bend)),
+            Self::Silu => dispatch!(Level::new(), simd => apply_silu_twice(simd, y, slope, curvature)),
         }
     }
 }
 
-/// `d *= slope`: the way back of [`Activation::apply`].
+/// Backward of [`Activation::apply`], in place: `d *= slope`.
 pub fn scale(slope: &[f32], d: &mut [f32]) {
     dispatch!(Level::new(), simd => multiply(simd, slope, d));
 }
@@ -64,36 +73,36 @@ fn apply_relu<S: Simd>(_: S, y: &mut [f32], slope: &mut [f32]) {
 #[inline(always)]
 fn apply_silu<S: Simd>(_: S, y: &mut [f32], slope: &mut [f32]) {
     for (y, slope) in y.iter_mut().zip(slope) {
-        let (z, [s, c]) = (*y, sigmoid(*y));
+        let (z, [s, c]) = (*y, sigmoid_pair(*y));
         *y = z * s;
         *slope = s * (1.0 + z * c);
     }
 }
 
 #[inline(always)]
-fn bend_silu<S: Simd>(_: S, y: &mut [f32], slope: &mut [f32], bend: &mut [f32]) {
-    for ((y, slope), bend) in y.iter_mut().zip(slope).zip(bend) {
-        let (z, [s, c]) = (*y, sigmoid(*y));
+fn apply_silu_twice<S: Simd>(_: S, y: &mut [f32], slope: &mut [f32], curvature: &mut [f32]) {
+    for ((y, slope), curvature) in y.iter_mut().zip(slope).zip(curvature) {
+        let (z, [s, c]) = (*y, sigmoid_pair(*y));
         *y = z * s;
         *slope = s * (1.0 + z * c);
-        *bend = s * c * (2.0 + z * (c - s));
+        *curvature = s * c * (2.0 + z * (c - s));
     }
 }
 
-/// `σ(z)` and `1 − σ(z)`, neither by cancellation; beyond ±87 the values at ±87.
+/// `σ(z)` and `1 − σ(z)` without cancellation; `z` is clamped to ±87.
 #[inline(always)]
-fn sigmoid(z: f32) -> [f32; 2] {
+fn sigmoid_pair(z: f32) -> [f32; 2] {
     let e = exp((-z).clamp(-87.0, 87.0));
     let s = 1.0 / (1.0 + e);
     [s, e * s]
 }
 
-/// `eˣ` for `|x| ≤ 87`: `x = n ln 2 + r`, a polynomial of degree 6 in `r` (|r| ≤ ½ ln 2), `n` put into the exponent.
+/// `eˣ` for `|x| ≤ 87`: `x = n ln 2 + r`, a polynomial of degree 6 in `r` (|r| ≤ ½ ln 2), `n` added to the exponent bits.
 #[inline(always)]
 fn exp(x: f32) -> f32 {
-    /// 1.5 · 2²³: adding it rounds to a whole number, which then stands in the lowest bits.
+    /// 1.5 · 2²³: adding it rounds to an integer, held in the lowest bits.
     const ROUND: f32 = 12_582_912.0;
-    /// ln 2 in two parts; products of the first with whole numbers up to 2¹⁴ are exact.
+    /// ln 2 in two parts; products of the first with integers up to 2¹⁴ are exact.
     const LN2: [f32; 2] = [0.693_359_4, -2.121_944_4e-4];
     let shifted = x * std::f32::consts::LOG2_E + ROUND;
     let n = shifted - ROUND;
@@ -119,22 +128,22 @@ mod tests {
     fn derivatives_are_those_of_the_function() {
         for i in -60..=60 {
             let (z, h) = (f64::from(i) * 0.13, 1e-5);
-            let [_, slope, bend] = silu(z);
+            let [_, slope, curvature] = silu(z);
             assert!(((silu(z + h)[0] - silu(z - h)[0]) / (2.0 * h) - slope).abs() < 1e-9);
-            assert!(((silu(z + h)[1] - silu(z - h)[1]) / (2.0 * h) - bend).abs() < 1e-9);
+            assert!(((silu(z + h)[1] - silu(z - h)[1]) / (2.0 * h) - curvature).abs() < 1e-9);
         }
     }
 
     #[test]
-    fn silu_agrees_with_f64_also_far_out() {
+    fn silu_agrees_with_f64_for_small_and_large_values() {
         let z: Vec<f32> = (-2000..=2000).map(|i| i as f32 * 0.05).chain([1e-20, -1e-20, 0.0, 1e4, -1e4]).collect();
-        let (mut y, mut slope, mut bend) = (z.clone(), vec![0.0; z.len()], vec![0.0; z.len()]);
-        Activation::Silu.apply_twice(&mut y, &mut slope, &mut bend);
+        let (mut y, mut slope, mut curvature) = (z.clone(), vec![0.0; z.len()], vec![0.0; z.len()]);
+        Activation::Silu.apply_twice(&mut y, &mut slope, &mut curvature);
         let (mut once, mut slope_once) = (z.clone(), vec![0.0; z.len()]);
         Activation::Silu.apply(&mut once, &mut slope_once);
         assert_eq!((&once, &slope_once), (&y, &slope), "both ways give the same bits");
         for (i, z) in z.iter().enumerate() {
-            for (got, want) in [y[i], slope[i], bend[i]].into_iter().zip(silu(f64::from(*z))) {
+            for (got, want) in [y[i], slope[i], curvature[i]].into_iter().zip(silu(f64::from(*z))) {
                 assert!((f64::from(got) - want).abs() <= TOLERANCE * (1.0 + want.abs()), "z = {z}: {got} {want}");
             }
         }
@@ -142,9 +151,9 @@ mod tests {
 
     #[test]
     fn relu_has_no_slope_at_its_kink() {
-        let (mut y, mut slope, mut bend) = ([-1.0, 0.0, 2.0], [7.0; 3], [7.0; 3]);
-        Activation::Relu.apply_twice(&mut y, &mut slope, &mut bend);
-        assert_eq!((y, slope, bend), ([0.0, 0.0, 2.0], [0.0, 0.0, 1.0], [0.0; 3]));
+        let (mut y, mut slope, mut curvature) = ([-1.0, 0.0, 2.0], [7.0; 3], [7.0; 3]);
+        Activation::Relu.apply_twice(&mut y, &mut slope, &mut curvature);
+        assert_eq!((y, slope, curvature), ([0.0, 0.0, 2.0], [0.0, 0.0, 1.0], [0.0; 3]));
         let mut d = [3.0, 4.0, 5.0];
         scale(&slope, &mut d);
         assert_eq!(d, [0.0, 0.0, 5.0]);

@@ -1,4 +1,4 @@
-//! Convolution of maps and its transpose, with gradients.
+//! Convolution of feature maps and its transpose, with gradients.
 //!
 //! ```text
 //! y[q, o] = b[o] + Σ_{k,i} x[s q + k − p, i] W[k, i, o]        W: [kernel, kernel, inputs, outputs]
@@ -6,10 +6,24 @@
 //! dW[k, i, o] = Σ_q x[s q + k − p, i] dy[q, o]                 db[o] = Σ_q dy[q, o]
 //! ```
 //! with stride `s` and zero padding `p = ⌊kernel / 2⌋`. A transposed convolution of kernel and stride 2
-//! ([`ConvTranspose`]) is the second line with `p = 0`: its forward pass is the other's gradient and the reverse.
+//! ([`ConvTranspose`]) is the second line with `p = 0`: its forward is the input gradient of a convolution, its input
+//! gradient the forward of one.
 //!
-//! Values and input gradients are computed at the given sites of the result; every other pixel of it keeps what it holds.
-//! Inputs are read everywhere.
+//! Values and input gradients are computed at the given sites of the result; its other pixels keep their content. Inputs
+//! are read everywhere.
+//!
+//! ```
+//! use gs_core::nn::{Conv, ConvSpec, Init, Map, Sites};
+//!
+//! let spec = ConvSpec { kernel: 3, stride: 1, inputs: 1, outputs: 1, bias: false };
+//! let mut blur = Conv::new("blur", spec, Init::Zero, 0);
+//! blur.weight.value = vec![1.0 / 9.0; 9];
+//! let mut x = Map::zeros(3, 3, 1, blur.border());
+//! x.load(&[0.0, 0.0, 0.0, 0.0, 9.0, 0.0, 0.0, 0.0, 0.0]);
+//! let mut y = Map::zeros(3, 3, 1, 0);
+//! blur.forward(&x, &mut y, &Sites::full(3, 3));
+//! assert!(y.data().iter().all(|v| *v == 1.0));
+//! ```
 
 use super::CHUNKS;
 use super::Init;
@@ -21,20 +35,20 @@ use crate::{Param, Params, Rng};
 use fearless_simd::{Level, Simd, SimdBase, SimdFloat, dispatch, f32x16};
 use rayon::prelude::*;
 
-/// Pixels between two additions to a weight gradient: their cotangents stay in the first cache.
+/// Pixels summed before an addition to a weight gradient: their cotangents stay in the first-level cache.
 const RUN: usize = 128;
 /// Largest weight whose gradient is summed in parallel over pieces of the map, each with a copy of its own; larger ones
 /// are parallel over their own rows.
-const COPIED: usize = 1 << 18;
-/// Rows of a large weight gradient worked on together.
+const MAX_COPIED: usize = 1 << 18;
+/// Rows of a large weight gradient in one parallel task.
 const WEIGHT_ROWS: usize = 32;
 
 /// A `kernel × kernel` convolution with zero padding that keeps the size (stride 1) or halves it (stride 2).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Conv {
-    /// `[kernel, kernel, inputs, outputs]`, row-major.
+    /// Weight `W`, `[kernel, kernel, inputs, outputs]`, row-major.
     pub weight: Param,
-    /// `[outputs]`, if the layer has one.
+    /// Bias `b`, `[outputs]`, if the layer has one.
     pub bias: Option<Param>,
     shape: Shape,
 }
@@ -42,11 +56,11 @@ pub struct Conv {
 /// A transposed convolution of kernel 2 and stride 2 with bias: every pixel becomes 2 × 2.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ConvTranspose {
-    /// `[2, 2, outputs, inputs]`, row-major.
+    /// Weight `W`, `[2, 2, outputs, inputs]`, row-major.
     pub weight: Param,
-    /// `[outputs]`.
+    /// Bias `b`, one value per output channel.
     pub bias: Param,
-    /// Of the convolution this is the transpose of.
+    /// Shape of the convolution whose transpose this is.
     shape: Shape,
 }
 
@@ -64,14 +78,14 @@ impl Shape {
         self.kernel * self.kernel * self.inputs * self.outputs
     }
 
-    /// `y = x ∗ W`.
+    /// Convolution at the sites of `y`: `y = x ∗ W`.
     fn apply(self, weight: &[f32], start: Start<'_>, x: &Map, y: &mut Map, sites: &Sites) {
         let Self { kernel, stride, pad, inputs, outputs } = self;
         let matrices = Matrices { data: weight, inputs, outputs, row: outputs, column: 1 };
         gather(&Plan::forward(kernel, stride, pad), &matrices, start, x, y, sites);
     }
 
-    /// The transpose of [`Shape::apply`].
+    /// The transpose of [`Shape::apply`], at the sites of `x`.
     fn transpose(self, weight: &[f32], start: Start<'_>, y: &Map, x: &mut Map, sites: &Sites) {
         let Self { kernel, stride, pad, inputs, outputs } = self;
         let matrices = Matrices { data: weight, inputs: outputs, outputs: inputs, row: 1, column: outputs };
@@ -92,24 +106,24 @@ fn parameter(name: &str, what: &str, n: usize, init: Init, fans: [usize; 2], see
     Param::shared(name, value)
 }
 
-/// How a convolution is made.
+/// Shape of a convolution, for [`Conv::new`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ConvSpec {
-    /// Odd: 1, 3 or 5.
+    /// Side of the kernel, odd: 1, 3 or 5.
     pub kernel: usize,
-    /// 1 or 2.
+    /// Input pixels per output pixel and axis: 1 or 2.
     pub stride: usize,
-    /// Channels in.
+    /// Number of channels of the input map.
     pub inputs: usize,
-    /// Channels out.
+    /// Number of channels of the output map.
     pub outputs: usize,
     /// Whether a bias is added.
     pub bias: bool,
 }
 
 impl Conv {
-    /// A layer whose parameters are `{name}.weight` and `{name}.bias`. Initial values count `kernel² · inputs` values
-    /// going in.
+    /// A layer whose parameters are `{name}.weight` and `{name}.bias`. The fan-in of its initialisation is
+    /// `kernel² · inputs`.
     ///
     /// # Panics
     /// If the kernel is even or the stride zero.
@@ -123,27 +137,22 @@ impl Conv {
         Self { weight, bias, shape }
     }
 
-    /// Channels in.
+    /// Number of channels of the input map.
     pub fn inputs(&self) -> usize {
         self.shape.inputs
     }
 
-    /// Channels out.
+    /// Number of channels of the output map.
     pub fn outputs(&self) -> usize {
         self.shape.outputs
     }
 
-    /// Pixels of zeros an input needs around it.
+    /// Width of the border of zeros that an input needs, pixels: `⌊kernel / 2⌋`.
     pub fn border(&self) -> usize {
         self.shape.pad
     }
 
-    /// Input pixels per output pixel and axis.
-    pub fn stride(&self) -> usize {
-        self.shape.stride
-    }
-
-    /// `y` at `sites`.
+    /// Forward: computes `y` at `sites` from `x`.
     ///
     /// # Panics
     /// If channels or sizes do not fit, or the border of `x` is too narrow.
@@ -152,7 +161,7 @@ impl Conv {
         self.shape.apply(&self.weight.value, start, x, y, sites);
     }
 
-    /// The gradient of the input at `sites` of it, set or added. `dy` must be zero wherever the output was not computed.
+    /// Backward to the input at `sites` of `dx`, replacing or adding. `dy` must be zero where the output was not computed.
     ///
     /// # Panics
     /// As [`Conv::forward`]; `dy` needs a border of `⌊kernel / 2⌋` at stride 1.
@@ -160,7 +169,7 @@ impl Conv {
         self.shape.transpose(&self.weight.value, write.into(), dy, dx, sites);
     }
 
-    /// Adds the gradients of weight and bias, from the output's `sites`.
+    /// Backward to the parameters: adds the gradients of weight and bias, summed over the output's `sites`.
     ///
     /// # Panics
     /// As [`Conv::forward`].
@@ -184,24 +193,24 @@ impl Params for Conv {
 }
 
 impl ConvTranspose {
-    /// A layer whose parameters are `{name}.weight` and `{name}.bias`; an output sees `inputs` values.
+    /// A layer whose parameters are `{name}.weight` and `{name}.bias`; the fan-in is `inputs`.
     pub fn new(name: &str, inputs: usize, outputs: usize, init: Init, seed: u64) -> Self {
         let shape = Shape { kernel: 2, stride: 2, pad: 0, inputs: outputs, outputs: inputs };
         let weight = parameter(name, "weight", shape.weights(), init, [inputs, outputs], seed);
         Self { weight, bias: parameter(name, "bias", outputs, init, [inputs, outputs], seed), shape }
     }
 
-    /// Channels in.
+    /// Number of channels of the input map.
     pub fn inputs(&self) -> usize {
         self.weight.len() / (4 * self.bias.len()).max(1)
     }
 
-    /// Channels out.
+    /// Number of channels of the output map.
     pub fn outputs(&self) -> usize {
         self.bias.len()
     }
 
-    /// `y`, twice the size of `x`, at `sites`.
+    /// Forward: computes `y`, twice the size of `x`, at `sites` of `y`.
     ///
     /// # Panics
     /// If channels or sizes do not fit.
@@ -209,7 +218,7 @@ impl ConvTranspose {
         self.shape.transpose(&self.weight.value, Start::Bias(&self.bias.value), x, y, sites);
     }
 
-    /// The gradient of the input at `sites` of it, set or added. `dy` must be zero wherever the output was not computed.
+    /// Backward to the input at `sites` of `dx`, replacing or adding. `dy` must be zero where the output was not computed.
     ///
     /// # Panics
     /// If channels or sizes do not fit.
@@ -217,8 +226,8 @@ impl ConvTranspose {
         self.shape.apply(&self.weight.value, write.into(), dy, dx, sites);
     }
 
-    /// Adds the gradients of weight and bias; `dy` must be zero wherever the output was not computed. `sites` are those
-    /// of the input, `out_sites` of the output.
+    /// Backward to the parameters: adds the gradients of weight and bias. `dy` must be zero where the output was not
+    /// computed. `sites` are those of the input, `out_sites` those of the output.
     ///
     /// # Panics
     /// If channels or sizes do not fit.
@@ -252,7 +261,7 @@ fn weight_gradient(shape: Shape, x: &Map, dy: &Map, sites: &Sites, grad: &mut [f
             pixels.extend(sites.row(y).iter().map(|&at| [from(at as usize) - first, dy.offset(y, at as usize)]));
         }
         let weights = Weights { shape, x, dy };
-        if grad.len() <= COPIED {
+        if grad.len() <= MAX_COPIED {
             with_panels(|copies| weights.by_pieces(pixels, copies, grad));
         } else {
             let rows = WEIGHT_ROWS * shape.outputs;
@@ -263,7 +272,7 @@ fn weight_gradient(shape: Shape, x: &Map, dy: &Map, sites: &Sites, grad: &mut [f
     });
 }
 
-/// What a weight gradient is made of.
+/// Operands of a weight gradient.
 struct Weights<'a> {
     shape: Shape,
     x: &'a Map,

@@ -7,6 +7,20 @@
 //! The input may come in pieces (columns `a..b` of `W` each), which serves concatenated inputs without copying them, and
 //! a piece that is the same for all rows can be folded into the bias: `W[:, c] v` once instead of once per row
 //! ([`Dense::fold_constant`], exact up to rounding).
+//!
+//! ```
+//! use gs_core::nn::{Dense, DenseGrad, Init};
+//!
+//! let mut layer = Dense::new("head", 2, 1, Init::Zero, 0);
+//! layer.weight.value = vec![2.0, -1.0];
+//! let (x, mut y) = ([1.0, 3.0, 0.5, 0.0], [0.0; 2]); // two rows
+//! layer.forward(&x, &mut y);
+//! assert_eq!(y, [-1.0, 1.0]);
+//! let (mut grad, mut dx) = (DenseGrad::default(), [0.0; 4]);
+//! grad.reset(&layer);
+//! layer.backward(&x, &[1.0, 1.0], Some(&mut dx), &mut grad);
+//! assert_eq!((dx, grad.weight, grad.bias), ([2.0, -1.0, 2.0, -1.0], vec![1.5, 3.0], vec![2.0]));
+//! ```
 
 use super::gemm::{Mat, MatMut, Write, gemm};
 use crate::{Param, Params, Rng};
@@ -14,39 +28,39 @@ use fearless_simd::{Level, Simd, dispatch};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// A fully connected layer.
+/// A fully connected layer, `inputs` → `outputs` values per row.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Dense {
-    /// `[outputs, inputs]`, row-major.
+    /// Weight `W`, `[outputs, inputs]`, row-major.
     pub weight: Param,
-    /// `[outputs]`.
+    /// Bias `b`, one value per output.
     pub bias: Param,
     inputs: usize,
     outputs: usize,
 }
 
-/// How a layer starts.
+/// Initialisation of a layer's parameters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Init {
     /// Weight and bias uniform in `±1/√inputs` (the default of PyTorch's `Linear`).
     FanIn,
     /// Weight uniform in `±√(6 / (inputs + outputs))` (Glorot and Bengio 2010, Eq. 16), bias as [`Init::FanIn`].
     Xavier,
-    /// All zero: the layer says nothing until it is trained.
+    /// All zero: the layer's output is zero until it is trained.
     Zero,
 }
 
 /// Gradient of a layer's parameters, summed over the rows of one chunk.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct DenseGrad {
-    /// `[outputs, inputs]`.
+    /// Gradient of the weight, `[outputs, inputs]`.
     pub weight: Vec<f32>,
-    /// `[outputs]`.
+    /// Gradient of the bias, one value per output.
     pub bias: Vec<f32>,
 }
 
 impl DenseGrad {
-    /// Makes this the zero gradient of `layer`, reusing memory.
+    /// Sets this to the zero gradient of `layer`, reusing memory.
     pub fn reset(&mut self, layer: &Dense) {
         for (v, n) in [(&mut self.weight, layer.weight.len()), (&mut self.bias, layer.bias.len())] {
             v.clear();
@@ -56,7 +70,7 @@ impl DenseGrad {
 }
 
 impl Dense {
-    /// A layer whose parameters are `{name}.weight` and `{name}.bias`, drawn from streams named by `name`.
+    /// A layer whose parameters are `{name}.weight` and `{name}.bias`, random by streams of these names.
     pub fn new(name: &str, inputs: usize, outputs: usize, init: Init, seed: u64) -> Self {
         let fan_in = 1.0 / (inputs.max(1) as f32).sqrt();
         let (w, b) = match init {
@@ -64,16 +78,16 @@ impl Dense {
             Init::Xavier => ((6.0 / (inputs + outputs).max(1) as f32).sqrt(), fan_in),
             Init::Zero => (0.0, 0.0),
         };
-        let draw = |what: &str, n: usize, bound: f32| {
+        let init = |what: &str, n: usize, bound: f32| {
             let name = format!("{name}.{what}");
             let mut rng = Rng::new(seed, &name, 0, 0);
             let value = (0..n).map(|_| if bound > 0.0 { rng.range(-bound, bound) } else { 0.0 }).collect();
             Param::shared(name, value)
         };
-        Self { weight: draw("weight", inputs * outputs, w), bias: draw("bias", outputs, b), inputs, outputs }
+        Self { weight: init("weight", inputs * outputs, w), bias: init("bias", outputs, b), inputs, outputs }
     }
 
-    /// The layers one below the other, as one layer of the same inputs: outputs of the first come first.
+    /// The concatenation of layers of the same inputs, as one layer: outputs of the first part come first.
     ///
     /// # Panics
     /// If a part does not take `inputs` values.
@@ -87,12 +101,12 @@ impl Dense {
         Self { weight: join("weight", &|p| &p.weight), bias: join("bias", &|p| &p.bias), inputs, outputs }
     }
 
-    /// Values per input row.
+    /// Number of values in an input row.
     pub fn inputs(&self) -> usize {
         self.inputs
     }
 
-    /// Values per output row.
+    /// Number of values in an output row.
     pub fn outputs(&self) -> usize {
         self.outputs
     }
@@ -103,7 +117,7 @@ impl Dense {
         self.add_product(0..self.inputs, x, y);
     }
 
-    /// `y = max(x Wᵀ + b, 0)`: bias and kink in one pass over `y`.
+    /// `y = max(x Wᵀ + b, 0)`: bias and ReLU in one pass over `y`.
     pub fn forward_relu(&self, x: &[f32], y: &mut [f32]) {
         let rows = y.len() / self.outputs.max(1);
         let x = Mat::new(x, rows, self.inputs);
@@ -111,7 +125,7 @@ impl Dense {
         dispatch!(Level::new(), simd => add_and_clip(simd, &self.bias.value, y));
     }
 
-    /// Sets every row of `y` to `bias` (the layer's own, or one that [`Dense::fold_constant`] made).
+    /// Sets every row of `y` to `bias`: the layer's own, or one from [`Dense::fold_constant`].
     pub fn start(&self, bias: &[f32], y: &mut [f32]) {
         y.chunks_exact_mut(self.outputs.max(1)).for_each(|row| row.copy_from_slice(bias));
     }
@@ -123,7 +137,7 @@ impl Dense {
         gemm(MatMut::new(y, rows, self.outputs), x, self.columns(columns).transposed(), Write::Add);
     }
 
-    /// The bias that stands for an input piece equal in all rows: `b + W[:, columns] v`.
+    /// The bias that includes inputs equal in all rows: `bias = b + W[:, columns] v`, summed in `f64`.
     pub fn fold_constant(&self, columns: Range<usize>, v: &[f32], bias: &mut Vec<f32>) {
         bias.clear();
         bias.extend(self.bias.value.iter().zip(self.weight.value.chunks_exact(self.inputs.max(1))).map(|(b, row)| {
@@ -131,7 +145,7 @@ impl Dense {
         }));
     }
 
-    /// Gradient of [`Dense::fold_constant`], once per step: adds `db ⊗ v` to `dW[:, columns]` and `W[:, columns]ᵀ db`
+    /// Backward of [`Dense::fold_constant`], once per step: adds `db ⊗ v` to `dW[:, columns]` and `W[:, columns]ᵀ db`
     /// to `d_v`; `db` is what this step added to the gradient of the bias.
     pub fn fold_constant_backward(&mut self, columns: Range<usize>, v: &[f32], db: &[f32], d_v: &mut [f32]) {
         let inputs = self.inputs.max(1);
@@ -147,7 +161,7 @@ impl Dense {
         }
     }
 
-    /// Gradient of [`Dense::forward`]: adds to `grad`, and to `dx` unless the input needs none.
+    /// Backward of [`Dense::forward`]: adds to `grad` and, where given, to `dx`.
     pub fn backward(&self, x: &[f32], dy: &[f32], dx: Option<&mut [f32]>, grad: &mut DenseGrad) {
         self.backward_bias(dy, grad);
         self.backward_weight(0..self.inputs, x, dy, grad);
@@ -169,7 +183,7 @@ impl Dense {
         gemm(MatMut::strided(dw, self.outputs, columns.len(), self.inputs), dy.transposed(), x, Write::Add);
     }
 
-    /// `dx = dy W[:, columns]`, set or added.
+    /// `dx = dy W[:, columns]`, replacing or adding as `write` says.
     pub fn backward_input(&self, columns: Range<usize>, dy: &[f32], dx: &mut [f32], write: Write) {
         let rows = dy.len() / self.outputs.max(1);
         let dy = Mat::new(dy, rows, self.outputs);
@@ -208,12 +222,12 @@ pub(super) fn add_in_order<'a>(total: &mut [f32], parts: impl Iterator<Item = &'
     });
 }
 
-/// `y = max(y, 0)`.
+/// ReLU in place, `y = max(y, 0)`.
 pub fn relu(y: &mut [f32]) {
     dispatch!(Level::new(), simd => clip(simd, y));
 }
 
-/// Gradient of [`relu`] in place, from its **output**: `dy = 0` where `y = 0` (so the kink itself passes nothing).
+/// Backward of [`relu`] in place, from its **output**: `dy = 0` where `y = 0` (the slope at 0 is 0).
 pub fn relu_backward(y: &[f32], dy: &mut [f32]) {
     dispatch!(Level::new(), simd => mask(simd, y, dy));
 }
@@ -238,7 +252,7 @@ fn add_and_clip<S: Simd>(_: S, bias: &[f32], y: &mut [f32]) {
     }
 }
 
-/// `sum += Σ_r rows[r,:]`.
+/// Column sums: `sum += Σ_r rows[r,:]`.
 #[inline(always)]
 fn add_rows<S: Simd>(_: S, rows: &[f32], sum: &mut [f32]) {
     for row in rows.chunks_exact(sum.len().max(1)) {
@@ -318,7 +332,7 @@ mod tests {
     }
 
     #[test]
-    fn a_constant_piece_folds_into_the_bias() {
+    fn constant_inputs_fold_into_the_bias() {
         let (rows, varying, constant) = (9, 5, 4);
         let mut layer = Dense::new("t", varying + constant, 6, Init::FanIn, 1);
         let (x, v, dy) = (random(rows * varying, 1), random(constant, 2), random(rows * 6, 3));
@@ -348,7 +362,7 @@ mod tests {
     }
 
     #[test]
-    fn starts_are_bounded_and_reproducible() {
+    fn initial_values_are_bounded_and_reproducible() {
         let bound = |p: &Param| p.value.iter().fold(0.0f32, |m, v| m.max(v.abs()));
         let fan = Dense::new("a", 64, 32, Init::FanIn, 7);
         assert!(bound(&fan.weight) <= 0.125 && bound(&fan.weight) > 0.12 && bound(&fan.bias) <= 0.125);
@@ -360,7 +374,7 @@ mod tests {
     }
 
     #[test]
-    fn relu_passes_only_what_it_let_through() {
+    fn relu_backward_is_zero_where_the_output_is() {
         let mut y = [-1.0, 0.0, 2.0];
         relu(&mut y);
         assert_eq!(y, [0.0, 0.0, 2.0]);

@@ -4,10 +4,18 @@
 //! ```text
 //! γ(p) = (p, sin 2⁰p, cos 2⁰p, …, sin 2^(B−1)p, cos 2^(B−1)p)      each entry is `dims` values wide
 //! ```
-//! Sines are found by doubling the angle in `f64` (`sin 2a = 2 sin a cos a`, `cos 2a = (cos a − sin a)(cos a + sin a)`):
+//! Sines are computed by angle doubling in `f64` (`sin 2a = 2 sin a cos a`, `cos 2a = (cos a − sin a)(cos a + sin a)`):
 //! one library call per input value, and the error at band `k`, about `2^k · 1e-16`, stays far below `f32`.
+//!
+//! ```
+//! use gs_core::nn::encoding::{encode, width};
+//!
+//! let mut out = vec![0.0; width(1, 2)];
+//! encode(&[0.5], 1, 2, &mut out);
+//! assert_eq!(out, [0.5, 0.5f32.sin(), 0.5f32.cos(), 1.0f32.sin(), 1.0f32.cos()]);
+//! ```
 
-/// Values per encoded row: `dims · (1 + 2 bands)`.
+/// Number of values in an encoded row: `dims · (1 + 2 bands)`.
 pub fn width(dims: usize, bands: usize) -> usize {
     dims * (1 + 2 * bands)
 }
@@ -27,7 +35,7 @@ pub fn encode(p: &[f32], dims: usize, bands: usize, out: &mut [f32]) {
     }
 }
 
-/// Gradient of [`encode`] from its output: adds to `d_p`.
+/// Backward of [`encode`], from its output `encoded`: adds to `d_p`.
 pub fn encode_backward(encoded: &[f32], d_encoded: &[f32], dims: usize, bands: usize, d_p: &mut [f32]) {
     let width = width(dims, bands);
     for ((row, d_row), d_p) in
@@ -58,7 +66,7 @@ pub fn tangent(encoded: &[f32], dims: usize, axis: usize, out: &mut [f32]) {
     }
 }
 
-/// Gradient of [`tangent`] by the coordinate itself.
+/// Backward of [`tangent`]: the cotangent of the coordinate.
 pub fn tangent_backward(encoded: &[f32], d_tangent: &[f32], dims: usize, axis: usize) -> f32 {
     let (mut sum, mut square) = (0.0, 1.0);
     for (pair, d) in encoded[dims..].chunks_exact(2 * dims).zip(d_tangent[dims..].chunks_exact(2 * dims)) {
@@ -130,16 +138,16 @@ mod tests {
             tangent(&encoded, dims, axis, &mut along);
             let (v, h) = (f64::from(at), 1e-4);
             let [lo, at, hi] = [v - h, v, v + h].map(|v| reference(v, bands));
-            let mut bent = 0.0;
+            let mut second = 0.0;
             for e in 0..d.len() {
-                let mine = e % dims == axis;
+                let on_axis = e % dims == axis;
                 let k = e / dims;
-                let want = if mine { (hi[k] - lo[k]) / (2.0 * h) } else { 0.0 };
+                let want = if on_axis { (hi[k] - lo[k]) / (2.0 * h) } else { 0.0 };
                 assert!((f64::from(along[e]) - want).abs() < 1e-5, "{axis} {e}: {} {want}", along[e]);
-                bent += if mine { f64::from(d[e]) * (hi[k] - 2.0 * at[k] + lo[k]) / (h * h) } else { 0.0 };
+                second += if on_axis { f64::from(d[e]) * (hi[k] - 2.0 * at[k] + lo[k]) / (h * h) } else { 0.0 };
             }
             let got = f64::from(tangent_backward(&encoded, &d, dims, axis));
-            assert!((got - bent).abs() < 1e-5 * (1.0 + bent.abs()), "{axis}: {got} {bent}");
+            assert!((got - second).abs() < 1e-5 * (1.0 + second.abs()), "{axis}: {got} {second}");
         }
     }
 }

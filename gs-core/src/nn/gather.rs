@@ -1,15 +1,15 @@
-//! The sum under every convolution: at each output pixel, over the taps of a kernel, input pixel times matrix.
+//! The gather loop of every convolution: at each output pixel the sum over the taps of a kernel, input pixel times matrix.
 //!
 //! ```text
 //! out[q, o] = start + Σ_taps Σ_i in[base(q) + tap, i] · M_tap[i, o]
 //! ```
-//! A convolution, its gradient with respect to the input and a transposed convolution differ only in the [`Plan`]: how
-//! pixels step, and which taps meet which phase of the output grid. Nothing is unrolled into columns: a block of pixels
-//! times a block of outputs stays in registers while the taps' input rows, already in the cache, are walked through;
-//! matrices are packed once per call in the order they are read.
+//! A convolution, its input gradient and a transposed convolution differ only in the [`Plan`]: the steps of pixels, and
+//! the taps of each phase of the output grid. There is no im2col: a block of pixels times a block of outputs stays in
+//! registers during the loop over the taps' input rows, which are in the cache; matrices are packed once per call in the
+//! order they are read.
 //!
-//! The order of every sum is taps, then inputs, for each output alone: it depends neither on threads nor on which other
-//! pixels are computed, so a pixel gets the same bits whether its neighbours are sites or not.
+//! The order of every sum is taps, then inputs, for each output alone. It depends neither on threads nor on which other
+//! pixels are sites, so a pixel gets the same bits in any set of sites.
 
 use super::gemm::Write;
 use super::map::{Map, Sites};
@@ -19,43 +19,43 @@ use std::cell::Cell;
 
 /// Lanes of a vector of outputs.
 const LANES: usize = 16;
-/// Rows of a packed matrix that are walked through before the next pixels: about 128 KiB at 64 outputs.
+/// Rows of a packed matrix used before the next block of pixels: about 128 KiB at 64 outputs.
 const DEPTH: usize = 512;
-/// Pixels of one parallel piece.
-const PIECE: usize = 512;
-/// Fewest pixels of a piece; smaller maps are not split, as every piece reads all matrices.
-const LEAST: usize = 128;
+/// Largest number of pixels in a parallel piece.
+const MAX_PIECE: usize = 512;
+/// Smallest number of pixels in a piece; smaller maps are not split, as every piece reads all matrices.
+const MIN_PIECE: usize = 128;
 
 /// One step from the base pixel of the input, and the matrix that belongs to it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Tap {
-    /// Rows down.
-    pub y: isize,
-    /// Columns right.
-    pub x: isize,
-    /// Which matrix.
-    pub matrix: usize,
+    /// Step in pixel rows, downwards.
+    pub(super) y: isize,
+    /// Step in columns, to the right.
+    pub(super) x: isize,
+    /// Index of the tap's matrix.
+    pub(super) matrix: usize,
 }
 
 /// The taps of the output pixels with `y ≡ self.y`, `x ≡ self.x` modulo the output step.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Phase {
-    pub y: usize,
-    pub x: usize,
-    pub taps: Vec<Tap>,
+    pub(super) y: usize,
+    pub(super) x: usize,
+    pub(super) taps: Vec<Tap>,
 }
 
 /// How output pixels find their inputs: the base of output `(y, x)` is `(y / out_step, x / out_step) · in_step`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Plan {
-    pub in_step: usize,
-    pub out_step: usize,
-    pub phases: Vec<Phase>,
+    pub(super) in_step: usize,
+    pub(super) out_step: usize,
+    pub(super) phases: Vec<Phase>,
 }
 
 impl Plan {
     /// `kernel × kernel` taps around `stride · q`, with zero padding of `pad`.
-    pub fn forward(kernel: usize, stride: usize, pad: usize) -> Self {
+    pub(super) fn forward(kernel: usize, stride: usize, pad: usize) -> Self {
         let step = |k: usize| k as isize - pad as isize;
         let taps = (0..kernel * kernel)
             .map(|matrix| Tap { y: step(matrix / kernel), x: step(matrix % kernel), matrix })
@@ -64,7 +64,7 @@ impl Plan {
     }
 
     /// The adjoint of [`Plan::forward`]: output `p` collects every `q` and tap `k` with `stride · q + k − pad = p`.
-    pub fn adjoint(kernel: usize, stride: usize, pad: usize) -> Self {
+    pub(super) fn adjoint(kernel: usize, stride: usize, pad: usize) -> Self {
         let step = |phase: usize, k: usize| {
             let (whole, stride) = ((phase + pad) as isize - k as isize, stride as isize);
             (whole.rem_euclid(stride) == 0).then_some(whole / stride)
@@ -85,35 +85,35 @@ impl Plan {
 /// `data[m · inputs · outputs + i · row + o · column]`.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Matrices<'a> {
-    pub data: &'a [f32],
-    pub inputs: usize,
-    pub outputs: usize,
-    pub row: usize,
-    pub column: usize,
+    pub(super) data: &'a [f32],
+    pub(super) inputs: usize,
+    pub(super) outputs: usize,
+    pub(super) row: usize,
+    pub(super) column: usize,
 }
 
-/// What an output starts from.
+/// Initial value of the sum of an output.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Start<'a> {
-    /// Zero.
+    /// The sum starts at zero.
     Zero,
-    /// One value per output channel.
+    /// The sum starts at one value per output channel.
     Bias(&'a [f32]),
-    /// What stands there.
-    Present,
+    /// The sum starts at the content of the output.
+    Content,
 }
 
 impl From<Write> for Start<'_> {
     fn from(write: Write) -> Self {
         match write {
             Write::Set => Self::Zero,
-            Write::Add => Self::Present,
+            Write::Add => Self::Content,
         }
     }
 }
 
 thread_local! {
-    /// Packed matrices, kept between calls. Taken out while in use, so a nested call only allocates anew.
+    /// Packed matrices, kept between calls. Taken out while in use; a nested call allocates a buffer of its own.
     static PANELS: Cell<Vec<f32>> = const { Cell::new(Vec::new()) };
     /// Offsets of the pixels of a piece.
     static PIXELS: Cell<Vec<[usize; 2]>> = const { Cell::new(Vec::new()) };
@@ -136,7 +136,7 @@ pub(super) fn with_pixels<R>(f: impl FnOnce(&mut Vec<[usize; 2]>) -> R) -> R {
     result
 }
 
-/// Blocks of outputs, as first output and vectors: what stays in registers beside a block of pixels.
+/// Blocks of outputs that fit in registers with a block of pixels, as `(first output, vectors)`.
 #[inline(always)]
 fn blocks(level: Level, outputs: usize) -> impl Iterator<Item = (usize, usize)> {
     let widest = if is_wide(level) { 4 } else { 1 };
@@ -144,7 +144,7 @@ fn blocks(level: Level, outputs: usize) -> impl Iterator<Item = (usize, usize)> 
     (0..vectors).step_by(widest).map(move |v| (v * LANES, widest.min(vectors - v)))
 }
 
-/// Whether vectors of 16 lanes are registers, of which there are 32.
+/// Whether registers hold 16 lanes (AVX-512, which has 32 of them).
 #[inline(always)]
 pub(super) fn is_wide(level: Level) -> bool {
     #[cfg(any(target_arch = "x86", target_arch = "x86_64"))]
@@ -181,7 +181,7 @@ fn pack(matrices: &Matrices<'_>, count: usize, panels: &mut Vec<f32>) {
 /// Fills the sites of `out` by `plan`.
 ///
 /// # Panics
-/// If shapes do not fit or a tap reaches beyond the border of `input`.
+/// If shapes do not fit or a tap reads beyond the border of `input`.
 pub(super) fn gather(
     plan: &Plan,
     matrices: &Matrices<'_>,
@@ -192,9 +192,9 @@ pub(super) fn gather(
 ) {
     assert_eq!((input.channels(), out.channels()), (matrices.inputs, matrices.outputs), "channels of a convolution");
     assert_eq!((sites.height(), sites.width()), (out.height(), out.width()), "sites of another map");
-    check_reach(plan, input, out);
+    check_border(plan, input, out);
     let count = matrices.data.len() / (matrices.inputs * matrices.outputs).max(1);
-    let rows = sites.rows_for((sites.len() / 8).clamp(LEAST, PIECE)).next_multiple_of(plan.out_step);
+    let rows = sites.rows_for((sites.len() / 8).clamp(MIN_PIECE, MAX_PIECE)).next_multiple_of(plan.out_step);
     with_panels(|panels| {
         pack(matrices, count, panels);
         let (stride, left, channels) = (out.row_stride(), out.border() * out.channels(), out.channels());
@@ -223,8 +223,8 @@ pub(super) fn gather(
     });
 }
 
-/// Every tap of every base must fall inside the stored input.
-fn check_reach(plan: &Plan, input: &Map, out: &Map) {
+/// Asserts that every tap of every base pixel lies inside the stored input.
+fn check_border(plan: &Plan, input: &Map, out: &Map) {
     let border = input.border() as isize;
     for tap in plan.phases.iter().flat_map(|p| &p.taps) {
         for (step, extent, size) in [(tap.y, out.height(), input.height()), (tap.x, out.width(), input.width())] {
@@ -239,20 +239,20 @@ fn check_reach(plan: &Plan, input: &Map, out: &Map) {
 struct Piece<'a> {
     input: &'a Map,
     panels: &'a [f32],
-    /// Matrices in each panel.
+    /// Number of matrices in a panel.
     count: usize,
     inputs: usize,
     start: Start<'a>,
     /// Offsets in the input, and in the piece of the output.
     pixels: &'a [[usize; 2]],
-    /// Of the output.
+    /// Number of channels of the output.
     channels: usize,
 }
 
-/// Consecutive rows of one tap's packed matrix, and where in the input pixel they begin.
+/// Consecutive rows of one tap's packed matrix, and the offset of their input values.
 #[derive(Clone, Copy)]
 struct Span<'a> {
-    /// From the base pixel's first value.
+    /// Offset from the first value of the base pixel.
     step: isize,
     panel: &'a [f32],
 }
@@ -287,7 +287,7 @@ impl Piece<'_> {
         let stride = self.input.row_stride() as isize;
         let width = V * LANES;
         let depth = self.inputs.clamp(1, DEPTH / 2);
-        let together = (DEPTH / depth).max(1);
+        let max_spans = (DEPTH / depth).max(1);
         let mut start = self.start;
         let mut spans = [Span { step: 0, panel: &[] }; DEPTH];
         let mut held = 0;
@@ -299,9 +299,9 @@ impl Piece<'_> {
             let step = tap.y * stride + tap.x * self.input.channels() as isize + from as isize;
             spans[held] = Span { step, panel: &panel[(tap.matrix * self.inputs + from) * width..][..rows * width] };
             held += 1;
-            if held == together.min(DEPTH) || k + 1 == all {
+            if held == max_spans.min(DEPTH) || k + 1 == all {
                 self.pass::<S, P, V>(simd, &spans[..held], start, first, out);
-                (held, start) = (0, Start::Present);
+                (held, start) = (0, Start::Content);
             }
         }
         if all == 0 {
@@ -326,7 +326,7 @@ impl Piece<'_> {
             let mut sum: [[f32x16<S>; V]; P] = match start {
                 Start::Zero => [[f32x16::splat(simd, 0.0); V]; P],
                 Start::Bias(bias) => [load(simd, &bias[first..first + live]); P],
-                Start::Present => std::array::from_fn(|p| load(simd, &out[at[p][1] + first..][..live])),
+                Start::Content => std::array::from_fn(|p| load(simd, &out[at[p][1] + first..][..live])),
             };
             for span in spans {
                 add_span(simd, self.input.data(), &at, *span, &mut sum);
@@ -376,7 +376,7 @@ pub(super) fn load<S: Simd, const V: usize>(simd: S, from: &[f32]) -> [f32x16<S>
     })
 }
 
-/// The reverse of [`load`].
+/// Inverse of [`load`]: writes up to `16 V` values.
 #[inline(always)]
 pub(super) fn store<S: Simd, const V: usize>(from: &[f32x16<S>; V], to: &mut [f32]) {
     for (to, from) in to.chunks_mut(LANES).zip(from) {

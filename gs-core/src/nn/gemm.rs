@@ -1,7 +1,15 @@
-//! Matrix product on slices: a checked, serial face of the `gemm` crate.
+//! Matrix product on slices: a checked, serial interface to the `gemm` crate.
 //!
 //! `dst = a · b` or `dst += a · b` for `a: [m, k]`, `b: [k, n]`, `dst: [m, n]`, single precision, on strided views.
 //! The call is serial on purpose: rows are parallelised by the caller, which keeps the summation order fixed.
+//!
+//! ```
+//! use gs_core::nn::gemm::{Mat, MatMut, Write, gemm};
+//!
+//! let (a, b, mut y) = ([1.0, 2.0, 3.0, 4.0], [5.0, 6.0], [100.0; 2]);
+//! gemm(MatMut::new(&mut y, 2, 1), Mat::new(&a, 2, 2), Mat::new(&b, 2, 1), Write::Add);
+//! assert_eq!(y, [117.0, 139.0]); // [[1, 2], [3, 4]] [5, 6]ᵀ = [17, 39]ᵀ
+//! ```
 
 use ::gemm::Parallelism;
 
@@ -16,7 +24,7 @@ pub struct Mat<'a> {
 }
 
 impl<'a> Mat<'a> {
-    /// Row-major `[rows, cols]` without gaps.
+    /// Row-major `[rows, cols]` without gaps between rows.
     pub fn new(data: &'a [f32], rows: usize, cols: usize) -> Self {
         Self::strided(data, rows, cols, cols)
     }
@@ -24,9 +32,9 @@ impl<'a> Mat<'a> {
     /// Row-major `[rows, cols]` whose rows begin `row_stride` values apart.
     ///
     /// # Panics
-    /// If the view would leave `data`.
+    /// If the view reaches beyond `data`.
     pub fn strided(data: &'a [f32], rows: usize, cols: usize, row_stride: usize) -> Self {
-        assert!(extent(rows, cols, row_stride) <= data.len(), "matrix view {rows}×{cols} leaves its slice");
+        assert!(extent(rows, cols, row_stride) <= data.len(), "matrix view {rows}×{cols} reaches beyond its slice");
         Self { data, rows, cols, row_stride, col_stride: 1 }
     }
 
@@ -47,23 +55,23 @@ pub struct MatMut<'a> {
 }
 
 impl<'a> MatMut<'a> {
-    /// `[rows, cols]` without gaps.
+    /// Row-major `[rows, cols]` without gaps between rows.
     pub fn new(data: &'a mut [f32], rows: usize, cols: usize) -> Self {
         Self::strided(data, rows, cols, cols)
     }
 
-    /// `[rows, cols]` whose rows begin `row_stride` values apart.
+    /// Row-major `[rows, cols]` whose rows begin `row_stride` values apart.
     ///
     /// # Panics
-    /// If rows would overlap or leave `data`.
+    /// If rows overlap or the view reaches beyond `data`.
     pub fn strided(data: &'a mut [f32], rows: usize, cols: usize, row_stride: usize) -> Self {
         assert!(row_stride >= cols, "rows of {cols} values overlap at stride {row_stride}");
-        assert!(extent(rows, cols, row_stride) <= data.len(), "matrix view {rows}×{cols} leaves its slice");
+        assert!(extent(rows, cols, row_stride) <= data.len(), "matrix view {rows}×{cols} reaches beyond its slice");
         Self { data, rows, cols, row_stride }
     }
 }
 
-/// Length a slice must have to hold the view; `usize::MAX` if that cannot be counted.
+/// Length a slice must have to hold the view; `usize::MAX` on overflow.
 fn extent(rows: usize, cols: usize, row_stride: usize) -> usize {
     if rows == 0 || cols == 0 {
         return 0;
@@ -71,12 +79,12 @@ fn extent(rows: usize, cols: usize, row_stride: usize) -> usize {
     (rows - 1).checked_mul(row_stride).and_then(|v| v.checked_add(cols)).unwrap_or(usize::MAX)
 }
 
-/// What happens to the former contents of the destination.
+/// What happens to the previous content of a destination.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Write {
-    /// Overwritten.
+    /// The result replaces the content.
     Set,
-    /// Added to.
+    /// The result is added to the content.
     Add,
 }
 
@@ -84,7 +92,7 @@ pub enum Write {
 ///
 /// # Panics
 /// If the shapes do not fit.
-#[allow(unsafe_code)]
+#[allow(unsafe_code, reason = "the `gemm` crate takes pointers; the views hold its preconditions")]
 pub fn gemm(dst: MatMut<'_>, a: Mat<'_>, b: Mat<'_>, write: Write) {
     assert!(
         a.cols == b.rows && dst.rows == a.rows && dst.cols == b.cols,
@@ -183,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    #[should_panic(expected = "leaves its slice")]
+    #[should_panic(expected = "reaches beyond its slice")]
     fn a_view_beyond_its_slice_is_refused() {
         let _ = Mat::strided(&[0.0; 10], 3, 3, 4);
     }

@@ -1,11 +1,20 @@
-//! Several small networks on one input: two layers each, the first ones worked out together.
+//! Several two-layer networks on one input, their first layers computed as one.
 //!
 //! ```text
-//! g = relu(W₁ x + b₁)                 W₁: the heads' first layers one below the other, [heads · width, inputs]
+//! g = relu(W₁ x + b₁)                 W₁: the heads' first layers stacked, [heads · width, inputs]
 //! y_h = W₂ₕ g_h + b₂ₕ                 g_h: columns h·width … (h+1)·width of g
 //! ```
 //! One wide product instead of several narrow ones: `x` is read once and its cotangent is written once. Works on the
 //! rows of one block.
+//!
+//! ```
+//! use gs_core::nn::{Heads, HeadsTape, Init};
+//!
+//! let heads = Heads::new("deform", [8, 32], &[("means", 3), ("quats", 4)], Init::Zero, 1);
+//! let mut tape = HeadsTape::default();
+//! heads.forward(&[0.5; 2 * 8], &mut tape); // two rows
+//! assert_eq!((tape.out[0].len(), tape.out[1].len()), (2 * 3, 2 * 4));
+//! ```
 
 use super::dense::{Dense, DenseGrad, Init, relu_backward};
 use super::gemm::{Mat, MatMut, Write, gemm};
@@ -14,21 +23,21 @@ use crate::{Param, Params};
 /// Networks `inputs → width → outputs` that share their input.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Heads {
-    /// The first layers, stacked.
+    /// The heads' first layers, stacked: head `h` owns outputs `h·width … (h+1)·width`.
     first: Dense,
     /// The last layer of each head.
     last: Vec<Dense>,
     width: usize,
 }
 
-/// What a block of rows leaves behind, reused between steps.
+/// Intermediate values of one block, reused between steps.
 #[derive(Clone, Debug, Default)]
 pub struct HeadsTape {
     /// `g`, `[rows, heads · width]`.
     hidden: Vec<f32>,
     /// Output of each head, `[rows, outputs]`.
     pub out: Vec<Vec<f32>>,
-    /// Cotangents of `out`, same shape: to be filled in before [`Heads::backward`].
+    /// Cotangents of `out`, same shape: the caller fills them in before [`Heads::backward`].
     pub d_out: Vec<Vec<f32>>,
 }
 
@@ -42,8 +51,8 @@ pub struct HeadsGrad {
 }
 
 impl Heads {
-    /// Heads of the given names and outputs. First layers start Xavier-uniform as layers of their own, last ones as
-    /// `last`. Parameters: `{name}.hidden.weight`, `{name}.hidden.bias`, then `{name}.{head}.weight`, `{name}.{head}.bias`.
+    /// Heads of the given names and numbers of outputs. First layers are initialised Xavier-uniform, each as a layer of
+    /// its own, last layers by `last`. Parameters: `{name}.hidden.weight`, `{name}.hidden.bias`, then `{name}.{head}.weight`, `{name}.{head}.bias`.
     pub fn new(name: &str, [inputs, width]: [usize; 2], heads: &[(&str, usize)], last: Init, seed: u64) -> Self {
         let parts: Vec<Dense> = heads
             .iter()
@@ -58,17 +67,7 @@ impl Heads {
         }
     }
 
-    /// The first layers as one: head `h` owns outputs `h·width … (h+1)·width`.
-    pub fn first(&self) -> &Dense {
-        &self.first
-    }
-
-    /// The last layer of each head.
-    pub fn last(&self) -> &[Dense] {
-        &self.last
-    }
-
-    /// Runs the block `x: [rows, inputs]`; results are left in `tape.out`.
+    /// Forward of the block `x: [rows, inputs]`; results are in `tape.out`.
     pub fn forward(&self, x: &[f32], tape: &mut HeadsTape) {
         let rows = x.len() / self.first.inputs().max(1);
         let stride = self.first.outputs();
@@ -85,7 +84,7 @@ impl Heads {
         }
     }
 
-    /// The way back of [`Heads::forward`] for the same `x` from `tape.d_out`: adds to `grad`, sets `dx`.
+    /// Backward of [`Heads::forward`] for the same `x`, from `tape.d_out`: adds to `grad`, overwrites `dx`.
     pub fn backward(&self, x: &[f32], tape: &HeadsTape, dx: &mut [f32], grad: &mut HeadsGrad) {
         let rows = x.len() / self.first.inputs().max(1);
         let stride = self.first.outputs();
@@ -125,7 +124,7 @@ fn weight(layer: &Dense) -> Mat<'_> {
 }
 
 impl HeadsGrad {
-    /// Makes this the zero gradient of `heads`, reusing memory.
+    /// Sets this to the zero gradient of `heads`, reusing memory.
     pub fn reset(&mut self, heads: &Heads) {
         self.first.reset(&heads.first);
         self.last.resize_with(heads.last.len(), DenseGrad::default);
@@ -167,7 +166,7 @@ mod tests {
         }
     }
 
-    /// Heads are networks of their own: the same start of the first layers, outputs, and gradients.
+    /// Each head equals a network of its own: initial first layer, output and gradients.
     #[test]
     fn heads_equal_networks_of_their_own() {
         let (inputs, width) = (5, 12);
@@ -206,7 +205,7 @@ mod tests {
                 assert_eq!(
                     heads.first.weight.value[share.clone()],
                     first.weight.value,
-                    "{name} starts as its own layer"
+                    "{name} is initialised as its own layer"
                 );
                 close(&heads.first.weight.grad[share], &first.weight.grad, "first weight");
                 close(&heads.first.bias.grad[h * width..(h + 1) * width], &first.bias.grad, "first bias");

@@ -1,23 +1,32 @@
-//! A network together with its derivatives along some directions, and the way back through both.
+//! A network together with its directional derivatives (forward mode), and the backward of both.
 //!
 //! ```text
 //! z = W x + b,  y = φ(z)                    ż_k = W ẋ_k,  ẏ_k = φ'(z) ż_k               forward, k = 1 … K
-//! dz = φ'(z) dy + φ''(z) Σ_k ż_k dẏ_k       dż_k = φ'(z) dẏ_k                           back
+//! dz = φ'(z) dy + φ''(z) Σ_k ż_k dẏ_k       dż_k = φ'(z) dẏ_k                           backward
 //! ```
-//! Losses on derivatives of a field with respect to its inputs need this: forward mode for the derivatives, reverse mode
-//! over that. A block's rows and the derivatives of all rows along each direction lie below each other, `[(1 + K) · rows,
-//! values]`, so every layer is one product.
+//! Losses on derivatives of a field by its inputs need this: forward mode for the derivatives, reverse mode over that.
+//! The rows of a block and their derivatives along each direction are stacked, `[(1 + K) · rows, values]`, so every layer
+//! is one product.
+//!
+//! ```
+//! use gs_core::nn::{Init, JetTape, Mlp};
+//!
+//! let net = Mlp::new("net", &[2, 1], Init::FanIn, Init::FanIn, 1); // one linear layer
+//! let mut tape = JetTape::default();
+//! net.forward_jet(1, &[0.3, -0.2, 1.0, 0.0], &mut tape); // one row, and its derivative along the first input
+//! assert_eq!(tape.output()[1], net.layers()[0].weight.value[0]);
+//! ```
 
 use super::activation::scale;
 use super::gemm::Write;
 use super::mlp::{Mlp, MlpGrad};
 use fearless_simd::{Level, Simd, dispatch};
 
-/// What a block leaves behind, reused between steps.
+/// Intermediate values of one block, reused between steps.
 #[derive(Clone, Debug, Default)]
 pub struct JetTape {
     layers: Vec<Layer>,
-    /// Cotangents on the way back: of the current layer's output and of its input.
+    /// Scratch of the backward pass: cotangents of the current layer's output and input.
     d: [Vec<f32>; 2],
 }
 
@@ -29,7 +38,7 @@ struct Layer {
     rates: Vec<f32>,
     /// `φ'` and `φ''`, `[rows, outputs]`.
     slope: Vec<f32>,
-    bend: Vec<f32>,
+    curvature: Vec<f32>,
 }
 
 impl JetTape {
@@ -40,13 +49,14 @@ impl JetTape {
 }
 
 impl Mlp {
-    /// Runs `x: [(1 + K) · rows, inputs]`, `rows` inputs and then their derivatives; the result is [`JetTape::output`].
+    /// Forward of `x: [(1 + K) · rows, inputs]`: the inputs of `rows` rows, then their derivatives along each of `K`
+    /// directions. The result is [`JetTape::output`].
     pub fn forward_jet(&self, rows: usize, x: &[f32], tape: &mut JetTape) {
         tape.layers.resize_with(self.layers().len(), Layer::default);
         let stacked = x.len() / self.inputs().max(1);
         for (i, layer) in self.layers().iter().enumerate() {
             let (before, rest) = tape.layers.split_at_mut(i);
-            let Layer { y, rates, slope, bend } = &mut rest[0];
+            let Layer { y, rates, slope, curvature } = &mut rest[0];
             let values = rows * layer.outputs();
             y.clear();
             y.resize(stacked * layer.outputs(), 0.0);
@@ -54,18 +64,18 @@ impl Mlp {
             layer.add_product(0..layer.inputs(), before.last().map_or(x, |l| &l.y), y);
             if self.is_active(i) {
                 slope.resize(values, 0.0);
-                bend.resize(values, 0.0);
+                curvature.resize(values, 0.0);
                 let (value, tangents) = y.split_at_mut(values);
                 rates.clear();
                 rates.extend_from_slice(tangents);
-                self.activation().apply_twice(value, slope, bend);
+                self.activation().apply_twice(value, slope, curvature);
                 tangents.chunks_exact_mut(values.max(1)).for_each(|t| scale(slope, t));
             }
         }
     }
 
-    /// The way back of [`Mlp::forward_jet`] for the same `x`, from cotangents `dy` of all it gives: adds to `grad` and
-    /// writes those of `x` to `dx`, where given.
+    /// Backward of [`Mlp::forward_jet`] for the same `x`, from cotangents `dy` of its whole output: adds to `grad` and
+    /// overwrites `dx`, the cotangents of `x`, where given.
     pub fn backward_jet(
         &self,
         rows: usize,
@@ -81,8 +91,8 @@ impl Mlp {
         for (i, layer) in self.layers().iter().enumerate().rev() {
             let values = rows * layer.outputs();
             if self.is_active(i) {
-                let Layer { rates, slope, bend, .. } = &layers[i];
-                dispatch!(Level::new(), simd => unbend(simd, [slope, bend], rates, d_out));
+                let Layer { rates, slope, curvature, .. } = &layers[i];
+                dispatch!(Level::new(), simd => activation_backward(simd, [slope, curvature], rates, d_out));
             }
             let input = if i > 0 { &layers[i - 1].y } else { x };
             layer.backward_bias(&d_out[..values], &mut grad.0[i]);
@@ -101,13 +111,15 @@ impl Mlp {
 
 /// Cotangents of `z` and `ż` from those of `y` and `ẏ`, in place.
 #[inline(always)]
-fn unbend<S: Simd>(_: S, [slope, bend]: [&[f32]; 2], rates: &[f32], d: &mut [f32]) {
+fn activation_backward<S: Simd>(_: S, [slope, curvature]: [&[f32]; 2], rates: &[f32], d: &mut [f32]) {
     let (value, tangents) = d.split_at_mut(slope.len());
     value.iter_mut().zip(slope).for_each(|(d, s)| *d *= s);
     let width = slope.len().max(1);
     for (rates, tangent) in rates.chunks_exact(width).zip(tangents.chunks_exact_mut(width)) {
-        for (((d, t), rate), (slope, bend)) in value.iter_mut().zip(tangent).zip(rates).zip(slope.iter().zip(bend)) {
-            *d += bend * rate * *t;
+        for (((d, t), rate), (slope, curvature)) in
+            value.iter_mut().zip(tangent).zip(rates).zip(slope.iter().zip(curvature))
+        {
+            *d += curvature * rate * *t;
             *t *= slope;
         }
     }

@@ -1,14 +1,24 @@
-//! Feature maps, `[height, width, channels]` with a border of zeros, and the places of a map that are worked on.
+//! Feature maps, `[height, width, channels]` with a border of zeros, and their active sites.
 //!
-//! The border stands in memory, so a convolution reads its zero padding like any other value and no edge needs code of
-//! its own. [`Sites`] lists pixels row by row; a map that matters only in part (a texture atlas with empty space between
-//! its charts) is worked on at its sites alone, by the same code and in the same order as a full one.
+//! The border is stored, so a convolution reads its zero padding like any other value and edges need no code of their
+//! own. [`Sites`] lists active pixels row by row, as in sparse convolutions: a map that is used only in part (a texture
+//! atlas with empty space between its charts) is computed at its sites alone, by the same code and in the same order.
+//!
+//! ```
+//! use gs_core::nn::{Map, Sites};
+//!
+//! let mut map = Map::zeros(2, 2, 1, 1);
+//! map.load(&[1.0, 2.0, 3.0, 4.0]);
+//! let diagonal = Sites::where_(2, 2, |y, x| y == x);
+//! map.clear_outside(&diagonal);
+//! let mut values = [0.0; 4];
+//! map.store(&mut values);
+//! assert_eq!(values, [1.0, 0.0, 0.0, 4.0]);
+//! ```
 
 use rayon::prelude::*;
 
-/// A map of `f32`, channels last, with `border` pixels of zeros on every side.
-///
-/// Writers keep the border zero: what they are given to write is the inside.
+/// A map of `f32`, channels last, with `border` pixels of zeros on every side. Only the inside can be written.
 #[derive(Clone, Debug, PartialEq, Default)]
 pub struct Map {
     height: usize,
@@ -19,82 +29,82 @@ pub struct Map {
 }
 
 impl Map {
-    /// A map of zeros.
+    /// A map whose values are all 0; `border` in pixels.
     pub fn zeros(height: usize, width: usize, channels: usize, border: usize) -> Self {
         let data = vec![0.0; (height + 2 * border) * (width + 2 * border) * channels];
         Self { height, width, channels, border, data }
     }
 
-    /// A map of zeros of the same shape.
+    /// A map of zeros of the shape and border of `other`.
     pub fn like(other: &Self) -> Self {
         Self::zeros(other.height, other.width, other.channels, other.border)
     }
 
-    /// Rows of the inside.
+    /// Number of pixel rows, without the border.
     pub fn height(&self) -> usize {
         self.height
     }
 
-    /// Pixels per row of the inside.
+    /// Number of pixels per row, without the border.
     pub fn width(&self) -> usize {
         self.width
     }
 
-    /// Values per pixel.
+    /// Number of values per pixel.
     pub fn channels(&self) -> usize {
         self.channels
     }
 
-    /// Pixels of zeros around the inside.
+    /// Width of the border of zeros, pixels.
     pub fn border(&self) -> usize {
         self.border
     }
 
-    /// Bytes held.
+    /// Memory of the values, bytes, border included.
     pub fn bytes(&self) -> usize {
         self.data.len() * size_of::<f32>()
     }
 
-    /// All values, border included.
+    /// All values row by row, border included.
     pub fn data(&self) -> &[f32] {
         &self.data
     }
 
-    /// Distance between a value and the one below it.
-    pub fn row_stride(&self) -> usize {
+    /// Distance in [`Map::data`] between a value and the one below it.
+    pub(super) fn row_stride(&self) -> usize {
         (self.width + 2 * self.border) * self.channels
     }
 
-    /// Where the values of pixel `(y, x)` begin in [`Map::data`].
-    pub fn offset(&self, y: usize, x: usize) -> usize {
+    /// Index in [`Map::data`] of the first value of pixel `(y, x)`.
+    pub(super) fn offset(&self, y: usize, x: usize) -> usize {
         (y + self.border) * self.row_stride() + (x + self.border) * self.channels
     }
 
-    /// The values of pixel `(y, x)`.
+    /// The `channels` values of pixel `(y, x)`: row `y`, column `x`.
     pub fn pixel(&self, y: usize, x: usize) -> &[f32] {
         &self.data[self.offset(y, x)..][..self.channels]
     }
 
-    /// The values of pixel `(y, x)`, to write.
+    /// As [`Map::pixel`], for writing the values.
     pub fn pixel_mut(&mut self, y: usize, x: usize) -> &mut [f32] {
         let at = self.offset(y, x);
         &mut self.data[at..at + self.channels]
     }
 
-    /// The inside of row `y`.
+    /// The values of row `y`, without the border.
     pub fn row(&self, y: usize) -> &[f32] {
         &self.data[self.offset(y, 0)..][..self.width * self.channels]
     }
 
     /// Pieces of at most `rows` whole rows, without the border above and below, to write in parallel. Value `(y, x, c)`
-    /// of a piece that begins at row `y0` stands at `offset(y, x) + c - offset(y0, 0) + border · channels`.
+    /// of a piece that begins at row `y0` has the index `offset(y, x) + c - offset(y0, 0) + border · channels`.
     pub(super) fn par_rows_mut(&mut self, rows: usize) -> impl IndexedParallelIterator<Item = &mut [f32]> {
         let stride = self.row_stride();
         let inside = self.border * stride..(self.border + self.height) * stride;
         self.data[inside].par_chunks_mut((rows * stride).max(1))
     }
 
-    /// Overwrites the inside with `values`, row-major.
+    /// Overwrites the map with `values`, row-major, without a border.
     ///
     /// # Panics
     /// If there are not `height · width · channels` of them.
@@ -106,7 +116,7 @@ impl Map {
         });
     }
 
-    /// Writes the inside to `values`, row-major.
+    /// Copies the map to `values`, row-major, without its border.
     ///
     /// # Panics
     /// If there are not `height · width · channels` of them.
@@ -116,7 +126,7 @@ impl Map {
         values.par_chunks_mut(line).enumerate().for_each(|(y, v)| v.copy_from_slice(self.row(y)));
     }
 
-    /// Sets everything that is not a site to zero.
+    /// Sets every pixel that is not a site to zero.
     pub fn clear_outside(&mut self, sites: &Sites) {
         let (channels, border) = (self.channels, self.border);
         self.par_rows_mut(1).enumerate().for_each(|(y, row)| {
@@ -131,23 +141,23 @@ impl Map {
     }
 }
 
-/// Pixels of a map, row by row, from left to right.
+/// A set of pixels of a map, row by row, from left to right.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Sites {
     height: usize,
     width: usize,
-    /// Where each row begins in `xs`; one more than there are rows.
+    /// Start of each row in `xs`, and the end of the last row.
     start: Vec<usize>,
     xs: Vec<u32>,
 }
 
 impl Sites {
-    /// Every pixel.
+    /// All pixels of the map.
     pub fn full(height: usize, width: usize) -> Self {
         Self::where_(height, width, |_, _| true)
     }
 
-    /// The pixels `(y, x)` for which `inside` holds.
+    /// The pixels `(y, x)` for which `inside` is true.
     pub fn where_(height: usize, width: usize, inside: impl Fn(usize, usize) -> bool) -> Self {
         let (mut start, mut xs) = (vec![0], Vec::new());
         for y in 0..height {
@@ -169,32 +179,32 @@ impl Sites {
         Self::where_(height, width, |y, x| any[y * width + x])
     }
 
-    /// Columns of the sites in row `y`.
+    /// Column indices of the sites in row `y`, ascending.
     pub fn row(&self, y: usize) -> &[u32] {
         &self.xs[self.start[y]..self.start[y + 1]]
     }
 
-    /// Number of sites.
+    /// Number of sites in all rows.
     pub fn len(&self) -> usize {
         self.xs.len()
     }
 
-    /// Whether there are none.
+    /// Whether there are no sites.
     pub fn is_empty(&self) -> bool {
         self.xs.is_empty()
     }
 
-    /// Rows of the map.
+    /// Number of pixel rows of the map.
     pub fn height(&self) -> usize {
         self.height
     }
 
-    /// Pixels per row of the map.
+    /// Number of pixels per row of the map.
     pub fn width(&self) -> usize {
         self.width
     }
 
-    /// Rows worked on together: enough for about `pixels` pixels of a full map.
+    /// Number of rows with about `pixels` pixels of a full map, at least 1.
     pub(super) fn rows_for(&self, pixels: usize) -> usize {
         (pixels / self.width.max(1)).clamp(1, self.height.max(1))
     }
@@ -205,7 +215,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_border_stays_zero_and_values_return() {
+    fn the_border_stays_zero_and_values_round_trip() {
         let values: Vec<f32> = (0..2 * 3 * 2).map(|v| v as f32 + 1.0).collect();
         let mut map = Map::zeros(2, 3, 2, 1);
         map.load(&values);

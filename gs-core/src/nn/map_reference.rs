@@ -1,18 +1,25 @@
-//! The layers of maps again, in plain loops over any [`Real`]: what the fast ones are held against.
+//! Reference of the layers of maps: plain loops over any [`Real`], for tests of the fast layers.
 //!
-//! With `f64` they are the reference values; with [`Dual`] they carry an exact derivative along one direction, so a
-//! whole network's gradient is checked without a second hand-written way back.
+//! With `f64` they give reference values; with [`Dual`] also an exact derivative along one direction, so the gradient of a
+//! whole network is checked without a second hand-written backward.
+//!
+//! ```
+//! use gs_core::nn::map_reference::Dual;
+//!
+//! let x = Dual { v: 3.0, d: 1.0 };
+//! assert_eq!(x * x + x, Dual { v: 12.0, d: 7.0 }); // (x² + x)' = 2x + 1
+//! ```
 
 use super::norm::EPSILON;
 use crate::real::Real;
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-/// A value and its derivative along one direction, `v + ε d` with `ε² = 0`.
+/// A dual number `v + ε d` with `ε² = 0`: a value and its derivative along one direction.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct Dual {
-    /// Value.
+    /// Value `v` of the expression.
     pub v: f64,
-    /// Derivative.
+    /// Derivative `d` of the expression.
     pub d: f64,
 }
 
@@ -71,33 +78,33 @@ impl Real for Dual {
     }
 }
 
-/// A map without border, `[height, width, channels]`, and whether each pixel counts.
+/// A map `[height, width, channels]` without border.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RefMap<T> {
-    /// Rows.
+    /// Number of rows of pixels.
     pub height: usize,
-    /// Pixels per row.
+    /// Number of pixels per row.
     pub width: usize,
-    /// Values per pixel.
+    /// Number of values per pixel.
     pub channels: usize,
-    /// Row-major.
+    /// The `height · width · channels` values, row-major.
     pub data: Vec<T>,
 }
 
 impl<T: Real> RefMap<T> {
-    /// The map of `f(y, x, c)`.
+    /// The map of the values `f(y, x, c)`, called in row-major order.
     pub fn from_fn([height, width, channels]: [usize; 3], mut f: impl FnMut(usize, usize, usize) -> T) -> Self {
         let at = |i: usize| (i / channels / width, i / channels % width, i % channels);
         let data = (0..height * width * channels).map(|i| f(at(i).0, at(i).1, at(i).2)).collect();
         Self { height, width, channels, data }
     }
 
-    /// Value `c` of pixel `(y, x)`.
+    /// The value of channel `c` at pixel `(y, x)`.
     pub fn at(&self, y: usize, x: usize, c: usize) -> T {
         self.data[(y * self.width + x) * self.channels + c]
     }
 
-    /// The same map with zeros where `inside` (one flag per pixel) does not hold.
+    /// The same map with zeros where `inside` (one flag per pixel) is false.
     pub fn masked(mut self, inside: &[bool]) -> Self {
         for (pixel, inside) in self.data.chunks_mut(self.channels).zip(inside) {
             if !inside {
@@ -108,7 +115,7 @@ impl<T: Real> RefMap<T> {
     }
 }
 
-/// `y[q, o] = b[o] + Σ x[s q + k − p, i] W[k, i, o]`, zero outside, `p = ⌊kernel / 2⌋`; no bias if `b` is empty.
+/// Convolution, `y[q, o] = b[o] + Σ x[s q + k − p, i] W[k, i, o]`, zero outside, `p = ⌊kernel / 2⌋`; no bias if `b` is empty.
 pub fn conv<T: Real>(x: &RefMap<T>, w: &[T], b: &[T], kernel: usize, stride: usize) -> RefMap<T> {
     let outputs = w.len() / (kernel * kernel * x.channels);
     RefMap::from_fn([x.height / stride, x.width / stride, outputs], |qy, qx, o| {
@@ -127,7 +134,7 @@ pub fn conv<T: Real>(x: &RefMap<T>, w: &[T], b: &[T], kernel: usize, stride: usi
     })
 }
 
-/// `y[2 q + k, o] = b[o] + Σ x[q, i] W[k, o, i]`, `k` in `{0, 1}²`.
+/// Transposed convolution, `y[2 q + k, o] = b[o] + Σ x[q, i] W[k, o, i]`, `k` in `{0, 1}²`.
 pub fn conv_transpose<T: Real>(x: &RefMap<T>, w: &[T], b: &[T]) -> RefMap<T> {
     RefMap::from_fn([2 * x.height, 2 * x.width, b.len()], |y, px, o| {
         let row = ((y % 2 * 2 + px % 2) * b.len() + o) * x.channels;
@@ -161,22 +168,22 @@ pub fn group_norm<T: Real>(x: &RefMap<T>, scale: &[T], shift: &[T], groups: usiz
     y.masked(inside)
 }
 
-/// `max(x, 0)`.
+/// ReLU of every value, `max(x, 0)`.
 pub fn relu<T: Real>(mut x: RefMap<T>) -> RefMap<T> {
     x.data.iter_mut().for_each(|v| *v = v.max(v.lit(0.0)));
     x
 }
 
-/// The largest of each 2 × 2 pixels.
+/// 2 × 2 max pooling of each channel.
 pub fn max_pool<T: Real>(x: &RefMap<T>) -> RefMap<T> {
     RefMap::from_fn([x.height / 2, x.width / 2, x.channels], |y, px, c| {
         let at = |dy, dx| x.at(2 * y + dy, 2 * px + dx, c);
-        // The first of equals wins: `max` keeps its left side only if it is larger.
+        // Of equal values the first one is taken: `max` keeps its left side only if it is larger.
         at(1, 1).max(at(1, 0)).max(at(0, 1)).max(at(0, 0))
     })
 }
 
-/// Twice the size by bilinear interpolation at `(at + ½) / 2 − ½`, clamped at the edges.
+/// Upsampling by 2: bilinear interpolation at `(at + ½) / 2 − ½`, clamped at the edges.
 pub fn double<T: Real>(x: &RefMap<T>) -> RefMap<T> {
     let taps = |at: usize, size: usize| {
         let place = ((at as f64 + 0.5) / 2.0 - 0.5).max(0.0);
@@ -194,7 +201,7 @@ pub fn double<T: Real>(x: &RefMap<T>) -> RefMap<T> {
     })
 }
 
-/// `[a, b]`, channels of `a` first.
+/// Concatenation of channels, those of `a` first.
 pub fn concat<T: Real>(a: &RefMap<T>, b: &RefMap<T>) -> RefMap<T> {
     RefMap::from_fn([a.height, a.width, a.channels + b.channels], |y, x, c| match c.checked_sub(a.channels) {
         None => a.at(y, x, c),
@@ -202,7 +209,7 @@ pub fn concat<T: Real>(a: &RefMap<T>, b: &RefMap<T>) -> RefMap<T> {
     })
 }
 
-/// `a + b`.
+/// Sum of two maps, `a + b`.
 pub fn add<T: Real>(a: &RefMap<T>, b: &RefMap<T>) -> RefMap<T> {
     RefMap::from_fn([a.height, a.width, a.channels], |y, x, c| a.at(y, x, c) + b.at(y, x, c))
 }

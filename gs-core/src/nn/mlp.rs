@@ -1,15 +1,30 @@
-//! A stack of dense layers with ReLU (or SiLU) between them, for the rows of one block, activations kept for the way
-//! back.
+//! A multi-layer perceptron: dense layers with ReLU (or SiLU) between them, for the rows of one block.
 //!
 //! Inputs that all rows share may be folded into the first bias, once per step instead of once per row: the last
-//! `v.len()` inputs by [`Mlp::fold`], the others go through [`Mlp::forward_folded`].
+//! `v.len()` inputs by [`Mlp::fold`], the others by [`Mlp::forward_folded`].
+//!
+//! ```
+//! use gs_core::Params;
+//! use gs_core::nn::{Init, Mlp, MlpGrad, MlpTape};
+//!
+//! // A deformation head: the zero last layer makes its output zero at the start, but not its gradient.
+//! let mut net = Mlp::new("head", &[3, 16, 4], Init::Xavier, Init::Zero, 7);
+//! let (x, mut tape, mut grad) = ([0.1, 0.2, 0.3], MlpTape::default(), MlpGrad::default());
+//! net.forward(&x, &mut tape);
+//! assert_eq!(tape.output(), [0.0; 4]);
+//! grad.reset(&net);
+//! net.backward(&x, &mut tape, &[1.0; 4], None, &mut grad);
+//! net.add_grads(std::iter::once(&grad));
+//! assert_eq!(net.layers()[1].bias.grad, [1.0; 4]);
+//! assert_eq!(net.param_count(), 3 * 16 + 16 + 16 * 4 + 4);
+//! ```
 
 use super::activation::{Activation, scale};
 use super::dense::{Dense, DenseGrad, Init, relu, relu_backward};
 use super::gemm::Write;
 use crate::{Param, Params};
 
-/// `x → φ(W₀x + b₀) → … → W_L x + b_L`, with `φ` after the last layer too if asked.
+/// `x → φ(W₀x + b₀) → … → W_L x + b_L`, optionally with `φ` after the last layer too.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mlp {
     /// The layers, first to last; at least one.
@@ -23,9 +38,9 @@ pub struct Mlp {
 pub struct MlpTape {
     /// Output of each layer (after its activation), `[rows, outputs]`.
     outputs: Vec<Vec<f32>>,
-    /// Slopes of the activations, `[rows, outputs]`; empty for ReLU, whose output says it.
+    /// Slopes of the activations, `[rows, outputs]`; empty for ReLU, whose output determines them.
     slopes: Vec<Vec<f32>>,
-    /// Cotangents on the way back: of the current layer's output and of its input.
+    /// Scratch of the backward pass: cotangents of the current layer's output and input.
     d: [Vec<f32>; 2],
 }
 
@@ -34,8 +49,8 @@ pub struct MlpTape {
 pub struct MlpGrad(pub(super) Vec<DenseGrad>);
 
 impl Mlp {
-    /// Layers of the given widths (`[inputs, hidden…, outputs]`), named `{name}.0`, `{name}.1`, …; the last one starts
-    /// as `last`, the others as `init`.
+    /// Layers of the given widths (`[inputs, hidden…, outputs]`), named `{name}.0`, `{name}.1`, …; the last one is
+    /// initialised by `last`, the others by `init`.
     ///
     /// # Panics
     /// With fewer than two widths.
@@ -49,34 +64,34 @@ impl Mlp {
         Self { layers, activation: Activation::Relu, activate_last: false }
     }
 
-    /// The same with another activation than ReLU.
+    /// The same network with another activation than ReLU.
     pub fn with_activation(mut self, activation: Activation) -> Self {
         self.activation = activation;
         self
     }
 
-    /// The same with the activation after the last layer too.
+    /// The same network with the activation after the last layer too.
     pub fn with_last_activation(mut self) -> Self {
         self.activate_last = true;
         self
     }
 
-    /// What stands between the layers.
+    /// The activation function between the layers.
     pub fn activation(&self) -> Activation {
         self.activation
     }
 
-    /// The layers, first to last.
+    /// The layers in order, first to last.
     pub fn layers(&self) -> &[Dense] {
         &self.layers
     }
 
-    /// Values per input row.
+    /// Number of values in an input row.
     pub fn inputs(&self) -> usize {
         self.layers[0].inputs()
     }
 
-    /// Values per output row.
+    /// Number of values in an output row.
     pub fn outputs(&self) -> usize {
         self.layers[self.layers.len() - 1].outputs()
     }
@@ -86,12 +101,12 @@ impl Mlp {
         self.activate_last || layer + 1 < self.layers.len()
     }
 
-    /// Runs the block `x: [rows, inputs]`; the result is [`MlpTape::output`].
+    /// Forward of the block `x: [rows, inputs]`; the result is [`MlpTape::output`].
     pub fn forward(&self, x: &[f32], tape: &mut MlpTape) {
         self.run(x, self.inputs(), None, tape);
     }
 
-    /// The bias that stands for the first layer's own and for its last `v.len()` inputs, which all rows share.
+    /// The first layer's bias with its last `v.len()` inputs, which all rows share, included.
     pub fn fold(&self, v: &[f32], bias: &mut Vec<f32>) {
         self.layers[0].fold_constant(self.inputs() - v.len()..self.inputs(), v, bias);
     }
@@ -129,17 +144,17 @@ impl Mlp {
         }
     }
 
-    /// The way back of [`Mlp::forward`] for the same `x`: adds to `grad` and, where given, to `dx`.
+    /// Backward of [`Mlp::forward`] for the same `x`: adds to `grad` and, where given, to `dx`.
     pub fn backward(&self, x: &[f32], tape: &mut MlpTape, dy: &[f32], dx: Option<&mut [f32]>, grad: &mut MlpGrad) {
-        self.run_back(x, self.inputs(), tape, dy, dx, grad);
+        self.run_backward(x, self.inputs(), tape, dy, dx, grad);
     }
 
-    /// The way back of [`Mlp::forward_folded`]: adds to `grad`, whose folded columns [`Mlp::add_grads_folded`] fills.
+    /// Backward of [`Mlp::forward_folded`]: adds to `grad`, whose folded columns [`Mlp::add_grads_folded`] fills.
     pub fn backward_folded(&self, x: &[f32], columns: usize, tape: &mut MlpTape, dy: &[f32], grad: &mut MlpGrad) {
-        self.run_back(x, columns, tape, dy, None, grad);
+        self.run_backward(x, columns, tape, dy, None, grad);
     }
 
-    fn run_back(
+    fn run_backward(
         &self,
         x: &[f32],
         columns: usize,
@@ -180,8 +195,8 @@ impl Mlp {
         }
     }
 
-    /// As [`Mlp::add_grads`] after [`Mlp::backward_folded`]: from what is added to the first bias on to the columns of the
-    /// shared inputs `v`, which themselves have no gradient.
+    /// As [`Mlp::add_grads`], after [`Mlp::backward_folded`]: also adds the gradient of the weight columns of the shared
+    /// inputs `v`, from that of the first bias. `v` itself gets no gradient.
     pub fn add_grads_folded<'a>(&mut self, v: &[f32], chunks: impl Iterator<Item = &'a MlpGrad> + Clone + Sync + Send) {
         let mut d_bias = vec![0.0; self.layers[0].outputs()];
         for chunk in chunks.clone() {
@@ -201,7 +216,7 @@ impl MlpTape {
 }
 
 impl MlpGrad {
-    /// Makes this the zero gradient of `mlp`, reusing memory.
+    /// Sets this to the zero gradient of `mlp`, reusing memory.
     pub fn reset(&mut self, mlp: &Mlp) {
         self.0.resize_with(mlp.layers.len(), DenseGrad::default);
         self.0.iter_mut().zip(&mlp.layers).for_each(|(g, l)| g.reset(l));
@@ -364,6 +379,6 @@ mod tests {
         assert_eq!((mlp.param_count(), mlp.inputs(), mlp.outputs()), (4 * 8 + 8 + 8 * 2 + 2, 4, 2));
         let mut tape = MlpTape::default();
         mlp.forward(&[1.0; 12], &mut tape);
-        assert_eq!(tape.output(), [0.0; 6], "a zero last layer says nothing");
+        assert_eq!(tape.output(), [0.0; 6], "a zero last layer gives zero");
     }
 }

@@ -1,12 +1,21 @@
-//! Group normalisation of maps (Wu and He 2018, "Group normalization"), with ReLU behind it if wanted, and its gradient.
+//! Group normalisation of maps (Wu and He 2018, "Group normalization"), optionally followed by ReLU, and its gradient.
 //!
 //! ```text
 //! x̂ = (x − μ_g) / σ_g       y = γ_c x̂ + β_c       σ_g² = Var_g + ε          g: consecutive channels of all sites
 //! dx = (γ dy − mean_g(γ dy) − x̂ mean_g(γ dy x̂)) / σ_g       dγ = Σ dy x̂       dβ = Σ dy
 //! ```
-//! Statistics run over the given sites alone, so what a map holds elsewhere has no say. They are taken row by row
-//! (mean, then squares about it, while the row is in the cache) and rows are merged in `f64` in their order (Chan, Golub
-//! and LeVeque 1979): one pass over memory, and no cancellation where the mean is large against the spread.
+//! Statistics are over the given sites alone. They are computed row by row (mean, then squares about it, while the row is
+//! in the cache) and merged in `f64` in row order (Chan, Golub and LeVeque 1979): one pass over memory, and no
+//! cancellation where the mean is large against the standard deviation.
+//!
+//! ```
+//! use gs_core::nn::{GroupNorm, Map, NormTape, Sites};
+//!
+//! let (mut x, mut y) = (Map::zeros(1, 2, 1, 0), Map::zeros(1, 2, 1, 0));
+//! x.load(&[99.0, 101.0]); // mean 100, variance 1
+//! GroupNorm::new("norm", 1, 1, false).forward(&x, &mut y, &Sites::full(1, 2), &mut NormTape::default());
+//! assert!((y.pixel(0, 0)[0] + 1.0).abs() < 1e-5 && (y.pixel(0, 1)[0] - 1.0).abs() < 1e-5);
+//! ```
 
 use super::map::{Map, Sites};
 use crate::{Param, Params};
@@ -14,20 +23,20 @@ use fearless_simd::{Level, Simd, dispatch};
 use rayon::prelude::*;
 
 /// Added to the variance (PyTorch's default).
-pub const EPSILON: f64 = 1e-5;
+pub(super) const EPSILON: f64 = 1e-5;
 
 /// Group normalisation with a scale and a shift per channel.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GroupNorm {
-    /// Scale `γ`, `[channels]`; begins at 1.
+    /// Scale `γ`, `[channels]`; initially 1.
     pub scale: Param,
-    /// Shift `β`, `[channels]`; begins at 0.
+    /// Shift `β`, `[channels]`; initially 0.
     pub shift: Param,
     groups: usize,
     relu: bool,
 }
 
-/// What a forward pass leaves for the backward pass, and buffers that both reuse.
+/// What the forward pass stores for the backward pass, and buffers that both reuse.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct NormTape {
     /// `μ` of each channel's group, `[channels]`.
@@ -73,16 +82,11 @@ impl GroupNorm {
         Self { scale, shift: Param::shared(format!("{name}.shift"), vec![0.0; channels]), groups, relu }
     }
 
-    /// Number of groups.
-    pub fn groups(&self) -> usize {
-        self.groups
-    }
-
     fn channels(&self) -> usize {
         self.scale.len()
     }
 
-    /// `y` at `sites`; other pixels of `y` keep what they hold.
+    /// Forward: computes `y` at `sites`; other pixels of `y` keep their content.
     ///
     /// # Panics
     /// If shapes differ.
@@ -104,7 +108,7 @@ impl GroupNorm {
         assert_eq!(shape(x), (sites.height(), sites.width(), self.channels()), "map and layer");
     }
 
-    /// Mean and inverse spread of each group.
+    /// Mean and reciprocal standard deviation of each group.
     fn measure(&self, x: &Map, sites: &Sites, tape: &mut NormTape) {
         let (groups, channels) = (self.groups, self.channels());
         let width = 3 * groups;
@@ -127,8 +131,8 @@ impl GroupNorm {
         }
     }
 
-    /// Turns `d` from the gradient of `y` into that of `x`, at `sites`, and adds the gradients of scale and shift. `x` and
-    /// `tape` are those of the forward pass; with ReLU, pixels it clipped pass nothing.
+    /// Backward, in place: `d` is the cotangent of `y` on entry and that of `x` on return, at `sites`. Adds the gradients
+    /// of scale and shift. `x` and `tape` are those of the forward pass.
     ///
     /// # Panics
     /// If shapes differ.
@@ -179,26 +183,28 @@ impl Params for GroupNorm {
     }
 }
 
+/// Channels whose sums one pass over a row keeps in registers or the first-level cache.
+const CHANNEL_BLOCK: usize = 64;
+
 /// Count, mean and squares about it of each group in one row, as three values per group.
 #[inline(always)]
 fn row_moments<S: Simd>(_: S, xs: &[u32], row: &[f32], channels: usize, per_group: usize, line: &mut [f64]) {
-    const MOST: usize = 64;
     let count = xs.len() as f64;
     line.chunks_exact_mut(3).for_each(|m| m.copy_from_slice(&[count * per_group as f64, 0.0, 0.0]));
     if xs.is_empty() {
         return;
     }
     for squares in [false, true] {
-        for first in (0..channels).step_by(MOST) {
-            let width = MOST.min(channels - first);
-            let mut about = [0.0f32; MOST];
+        for first in (0..channels).step_by(CHANNEL_BLOCK) {
+            let width = CHANNEL_BLOCK.min(channels - first);
+            let mut about = [0.0f32; CHANNEL_BLOCK];
             if squares {
                 about[..width]
                     .iter_mut()
                     .enumerate()
                     .for_each(|(c, a)| *a = line[(first + c) / per_group * 3 + 1] as f32);
             }
-            let mut sums = [0.0f32; MOST];
+            let mut sums = [0.0f32; CHANNEL_BLOCK];
             for &x in xs {
                 let pixel = &row[x as usize * channels + first..][..width];
                 for ((s, v), a) in sums[..width].iter_mut().zip(pixel).zip(&about[..width]) {
@@ -212,13 +218,13 @@ fn row_moments<S: Simd>(_: S, xs: &[u32], row: &[f32], channels: usize, per_grou
             }
         }
         if !squares {
-            // The mean the squares are taken about is the one that is kept.
+            // The stored mean is the one that the squares are about.
             line.chunks_exact_mut(3).for_each(|m| m[1] = f64::from(m[1] as f32));
         }
     }
 }
 
-/// Values per channel that every row needs.
+/// Statistics and parameters per channel, for the loop over one row.
 struct Line<'a> {
     mean: &'a [f32],
     inverse: &'a [f32],
@@ -228,7 +234,7 @@ struct Line<'a> {
 }
 
 impl Line<'_> {
-    /// `x̂` of channel `c`, and whether its output passes anything back.
+    /// `x̂` of channel `c`, and the output before ReLU.
     #[inline(always)]
     fn normal(&self, c: usize, x: f32) -> (f32, f32) {
         let normal = (x - self.mean[c]) * self.inverse[c];
@@ -251,11 +257,10 @@ impl Line<'_> {
     /// Clips `d` by the ReLU; `Σ d` and `Σ d x̂` per channel, of one row.
     #[inline(always)]
     fn sums<S: Simd>(&self, _: S, xs: &[u32], x: &[f32], d: &mut [f32], channels: usize, sums: &mut [f64]) {
-        const MOST: usize = 64;
         let (sum_d, sum_dx) = sums.split_at_mut(channels);
-        for first in (0..channels).step_by(MOST) {
-            let width = MOST.min(channels - first);
-            let (mut s, mut sx) = ([0.0f32; MOST], [0.0f32; MOST]);
+        for first in (0..channels).step_by(CHANNEL_BLOCK) {
+            let width = CHANNEL_BLOCK.min(channels - first);
+            let (mut s, mut sx) = ([0.0f32; CHANNEL_BLOCK], [0.0f32; CHANNEL_BLOCK]);
             let line = Line {
                 mean: &self.mean[first..][..width],
                 inverse: &self.inverse[first..][..width],
@@ -296,7 +301,7 @@ impl Line<'_> {
         }
     }
 
-    /// The same values, their lengths known to be `channels`: lets loops over channels run without checks.
+    /// The same values as slices of length `channels`, so that loops over channels run without bounds checks.
     #[inline(always)]
     fn cut(&self, channels: usize) -> Self {
         Self {

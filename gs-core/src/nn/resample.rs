@@ -1,6 +1,15 @@
-//! What stands between convolutions of maps: pooling, doubling, joining, adding, clipping; each with its gradient.
+//! Layers of maps without parameters: max pooling, bilinear upsampling, concatenation, addition, ReLU; with gradients.
 //!
-//! Results are written at the given sites, other pixels keep what they hold; inputs are read everywhere.
+//! Results are written at the given sites, other pixels keep their content; inputs are read everywhere.
+//!
+//! ```
+//! use gs_core::nn::{Map, Sites, resample};
+//!
+//! let (mut x, mut y) = (Map::zeros(2, 2, 1, 0), Map::zeros(1, 1, 1, 0));
+//! x.load(&[1.0, 4.0, 2.0, 3.0]);
+//! resample::max_pool(&x, &mut y, &Sites::full(1, 1));
+//! assert_eq!(y.pixel(0, 0), [4.0]);
+//! ```
 
 use super::gemm::Write;
 use super::map::{Map, Sites};
@@ -17,7 +26,7 @@ fn at_sites(out: &mut Map, sites: &Sites, f: impl Fn(usize, usize, &mut [f32]) +
     });
 }
 
-/// Sets or adds: `out (+)= value`, channel by channel.
+/// Replaces or adds, channel by channel: `out = value` or `out += value`.
 fn put(out: &mut [f32], write: Write, value: impl Iterator<Item = f32>) {
     match write {
         Write::Set => out.iter_mut().zip(value).for_each(|(o, v)| *o = v),
@@ -25,12 +34,16 @@ fn put(out: &mut [f32], write: Write, value: impl Iterator<Item = f32>) {
     }
 }
 
-/// The largest of each 2 × 2 pixels of `x`, channel by channel; `y` is half as large.
+/// 2 × 2 max pooling of each channel; `y` has half the height and width of `x`.
 ///
 /// # Panics
 /// If shapes do not fit.
 pub fn max_pool(x: &Map, y: &mut Map, sites: &Sites) {
-    assert_eq!([x.height(), x.width(), x.channels()], [2 * y.height(), 2 * y.width(), y.channels()], "pooled map");
+    assert_eq!(
+        [x.height(), x.width(), x.channels()],
+        [2 * y.height(), 2 * y.width(), y.channels()],
+        "shape of the pooled map"
+    );
     at_sites(y, sites, |y, at, out| {
         out.copy_from_slice(x.pixel(2 * y, 2 * at));
         for [dy, dx] in [[0, 1], [1, 0], [1, 1]] {
@@ -39,13 +52,17 @@ pub fn max_pool(x: &Map, y: &mut Map, sites: &Sites) {
     });
 }
 
-/// Gradient of [`max_pool`] at `sites` of the large map, set or added: it goes to the first of the largest, in reading
-/// order. `y` is the result, `dy` its gradient.
+/// Backward of [`max_pool`] at `sites` of `dx`, replacing or adding. Among equal maxima the first in row-major order gets
+/// the gradient. `y` is the result of the forward pass, `dy` its cotangent.
 ///
 /// # Panics
 /// If shapes do not fit.
 pub fn max_pool_backward(x: &Map, y: &Map, dy: &Map, dx: &mut Map, sites: &Sites, write: Write) {
-    assert_eq!([x.height(), x.width(), x.channels()], [2 * y.height(), 2 * y.width(), y.channels()], "pooled map");
+    assert_eq!(
+        [x.height(), x.width(), x.channels()],
+        [2 * y.height(), 2 * y.width(), y.channels()],
+        "shape of the pooled map"
+    );
     at_sites(dx, sites, |row, at, out| {
         let (big, d) = (y.pixel(row / 2, at / 2), dy.pixel(row / 2, at / 2));
         let earlier = &[[0, 0], [0, 1], [1, 0]][..row % 2 * 2 + at % 2];
@@ -55,13 +72,17 @@ pub fn max_pool_backward(x: &Map, y: &Map, dy: &Map, dx: &mut Map, sites: &Sites
     });
 }
 
-/// Twice the size, bilinear with half-pixel centres, clamped at the edges: `y[2i] = ¼ x[i−1] + ¾ x[i]`,
+/// Upsampling by 2, bilinear with half-pixel centres, clamped at the edges: `y[2i] = ¼ x[i−1] + ¾ x[i]`,
 /// `y[2i+1] = ¾ x[i] + ¼ x[i+1]` on either axis.
 ///
 /// # Panics
 /// If shapes do not fit.
 pub fn double(x: &Map, y: &mut Map, sites: &Sites) {
-    assert_eq!([y.height(), y.width(), y.channels()], [2 * x.height(), 2 * x.width(), x.channels()], "doubled map");
+    assert_eq!(
+        [y.height(), y.width(), y.channels()],
+        [2 * x.height(), 2 * x.width(), x.channels()],
+        "shape of the upsampled map"
+    );
     at_sites(y, sites, |row, at, out| {
         let ([near_y, far_y], [near_x, far_x]) = (sources(row, x.height()), sources(at, x.width()));
         let pixels = [x.pixel(near_y, near_x), x.pixel(near_y, far_x), x.pixel(far_y, near_x), x.pixel(far_y, far_x)];
@@ -79,7 +100,7 @@ fn sources(at: usize, size: usize) -> [usize; 2] {
     [near, far]
 }
 
-/// Gradient of [`double`] at `sites` of the small map, set or added. `dy` must be zero wherever no output was computed.
+/// Backward of [`double`] at `sites` of `dx`, replacing or adding. `dy` must be zero where no output was computed.
 ///
 /// # Panics
 /// If shapes do not fit.
@@ -87,7 +108,7 @@ pub fn double_backward(dy: &Map, dx: &mut Map, sites: &Sites, write: Write) {
     assert_eq!(
         [dy.height(), dy.width(), dy.channels()],
         [2 * dx.height(), 2 * dx.width(), dx.channels()],
-        "doubled map"
+        "shape of the upsampled map"
     );
     let (height, width) = (dx.height(), dx.width());
     at_sites(dx, sites, |row, at, out| {
@@ -105,7 +126,7 @@ pub fn double_backward(dy: &Map, dx: &mut Map, sites: &Sites, write: Write) {
 
 /// The output pixels that read input pixel `at` of `size`, with their weights.
 fn targets(at: usize, size: usize) -> impl Iterator<Item = (usize, f32)> {
-    // At an edge the missing neighbour's quarter falls to the pixel itself.
+    // At an edge the pixel itself takes the weight of the missing neighbour.
     let low = if at == 0 { (0, 1.0) } else { (2 * at, 0.75) };
     let high = if at + 1 == size { (2 * at + 1, 1.0) } else { (2 * at + 1, 0.75) };
     let before = (at > 0).then(|| (2 * at - 1, 0.25));
@@ -113,13 +134,13 @@ fn targets(at: usize, size: usize) -> impl Iterator<Item = (usize, f32)> {
     before.into_iter().chain([low, high]).chain(after)
 }
 
-/// `y = [a, b]`, channels of `a` first.
+/// Concatenation of channels, `y = [a, b]`.
 ///
 /// # Panics
 /// If shapes do not fit.
 pub fn concat(a: &Map, b: &Map, y: &mut Map, sites: &Sites) {
-    assert_eq!([a.height(), a.width()], [b.height(), b.width()], "joined maps");
-    assert_eq!(a.channels() + b.channels(), y.channels(), "joined channels");
+    assert_eq!([a.height(), a.width()], [b.height(), b.width()], "concatenated maps");
+    assert_eq!(a.channels() + b.channels(), y.channels(), "concatenated channels");
     at_sites(y, sites, |y, x, out| {
         let (left, right) = out.split_at_mut(a.channels());
         left.copy_from_slice(a.pixel(y, x));
@@ -127,7 +148,7 @@ pub fn concat(a: &Map, b: &Map, y: &mut Map, sites: &Sites) {
     });
 }
 
-/// Gradient of [`concat()`] for the part that begins at channel `first`, at `sites`, set or added.
+/// Backward of [`concat()`] for the part that begins at channel `first`, at `sites`, replacing or adding.
 ///
 /// # Panics
 /// If shapes do not fit.
@@ -138,7 +159,7 @@ pub fn concat_backward(dy: &Map, first: usize, part: &mut Map, sites: &Sites, wr
     });
 }
 
-/// `y = max(a + b, 0)`.
+/// Residual addition followed by ReLU, `y = max(a + b, 0)`.
 ///
 /// # Panics
 /// If shapes differ.
@@ -149,12 +170,12 @@ pub fn add_relu(a: &Map, b: &Map, y: &mut Map, sites: &Sites) {
     });
 }
 
-/// `y = max(y, 0)`.
+/// ReLU in place, `y = max(y, 0)`, at `sites`.
 pub fn relu_map(y: &mut Map, sites: &Sites) {
     at_sites(y, sites, |_, _, out| out.iter_mut().for_each(|v| *v = v.max(0.0)));
 }
 
-/// Gradient of [`relu_map`] and [`add_relu`] in place, from their **output**: `d = 0` where `y = 0`.
+/// Backward of [`relu_map`] and [`add_relu`] in place, from their **output**: `d = 0` where `y = 0`.
 ///
 /// # Panics
 /// If shapes differ.
@@ -164,7 +185,7 @@ pub fn relu_map_backward(y: &Map, d: &mut Map, sites: &Sites) {
     });
 }
 
-/// `to (+)= from`.
+/// Copies (`to = from`) or adds (`to += from`) at `sites`.
 ///
 /// # Panics
 /// If shapes differ.

@@ -1,5 +1,5 @@
-//! An allocator that counts, per thread, the bytes held and the most ever held.
-#![allow(unsafe_code)]
+//! An allocator that counts, per thread, the bytes held and their peak.
+#![allow(unsafe_code, reason = "a global allocator is an unsafe trait")]
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -14,7 +14,7 @@ thread_local! {
 /// Adds to what this thread holds. Memory freed by another thread than the one that took it makes counts drift apart;
 /// the readers tested here work on one thread.
 fn add(bytes: isize) {
-    // During thread shut-down the counters may be gone already: then nobody reads them either.
+    // During thread shut-down the counters may be gone; nothing reads them then.
     let _ = HELD.try_with(|held| {
         held.set(held.get() + bytes);
         let _ = PEAK.try_with(|peak| peak.set(peak.get().max(held.get())));
@@ -43,7 +43,7 @@ unsafe impl GlobalAlloc for Counting {
     }
 
     unsafe fn realloc(&self, ptr: *mut u8, layout: Layout, new_size: usize) -> *mut u8 {
-        // Old and new block exist together for a moment.
+        // Old and new block exist together during the copy.
         add(new_size as isize);
         add(-(layout.size() as isize));
         // SAFETY: the caller's contract is passed on.
@@ -54,7 +54,7 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// Runs `work`; returns its result and the most bytes held during it beyond those held before.
+/// Runs `work`; returns its result and the peak of the bytes held during it beyond those held before.
 pub fn peak_of<T>(work: impl FnOnce() -> T) -> (T, usize) {
     let before = HELD.get();
     PEAK.set(before);

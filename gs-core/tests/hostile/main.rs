@@ -1,4 +1,4 @@
-//! Hostile input: for every reader, any bytes give a sound value or a typed error. No panic, nothing slower than a
+//! Hostile input: for every reader, any bytes give a valid value or a typed error. No panic, nothing slower than a
 //! second on a small file, no more memory than `8 × file size + 64 MiB` (counted by the allocator).
 //!
 //! Run with `--features images,exr` to include the image readers.
@@ -18,9 +18,9 @@ use std::time::{Duration, Instant};
 const MUTATIONS: u32 = 12_000;
 /// Memory a reader may use beyond eight times the file.
 const MEMORY_BASE: usize = 64 << 20;
-/// Longest a reader may take on a small file; a large one gets as much again per [`PER`] bytes (loaded machines).
+/// Longest a reader may take on a small file; a large one gets as much again per [`BYTES_PER_TIME`] bytes (loaded machines).
 const TIME: Duration = Duration::from_secs(1);
-const PER: usize = 4 << 20;
+const BYTES_PER_TIME: usize = 4 << 20;
 
 /// Runs a reader on `bytes` under the memory and time bounds.
 fn guarded(what: &str, bytes: &[u8], read: fn(&[u8]) -> Result<(), IoError>) -> Result<(), IoError> {
@@ -29,10 +29,10 @@ fn guarded(what: &str, bytes: &[u8], read: fn(&[u8]) -> Result<(), IoError>) -> 
     let took = start.elapsed();
     let Ok(result) = result else { panic!("{what}: panicked on {} bytes", bytes.len()) };
     assert!(peak <= 8 * bytes.len() + MEMORY_BASE, "{what}: {peak} bytes held for a file of {}", bytes.len());
-    assert!(took < TIME * (1 + bytes.len() / PER) as u32, "{what}: took {took:?}");
+    assert!(took < TIME * (1 + bytes.len() / BYTES_PER_TIME) as u32, "{what}: took {took:?}");
     if let Err(error) = &result {
         let text = error.to_string();
-        assert!(text.len() < 2000 && text.contains(';'), "{what}: says too little or too much: {text}");
+        assert!(text.len() < 2000 && text.contains(';'), "{what}: message without advice or too long: {text}");
     }
     result
 }
@@ -80,7 +80,7 @@ fn mutate(bytes: &mut Vec<u8>, r: &mut Rng) {
     }
 }
 
-/// Mutates the seeds of one reader; returns how many mutated files were still good.
+/// Mutates the seeds of one reader; returns how many mutated files were still valid.
 fn fuzz(parser: &Parser) -> u32 {
     let mut good = 0;
     for case in 0..MUTATIONS {
@@ -96,19 +96,19 @@ fn fuzz(parser: &Parser) -> u32 {
 }
 
 #[test]
-fn mutated_files_give_a_sound_value_or_a_typed_error() {
+fn mutated_files_give_a_valid_value_or_a_typed_error() {
     for parser in seeds::parsers() {
         let good = fuzz(&parser);
-        println!("{:12} {MUTATIONS} mutations, {good} still good", parser.name);
-        assert!(good < MUTATIONS, "{}: nothing is ever refused", parser.name);
+        println!("{:12} {MUTATIONS} mutations, {good} still valid", parser.name);
+        assert!(good < MUTATIONS, "{}: no file was refused", parser.name);
     }
 }
 
 #[test]
-fn seeds_are_good_and_every_cut_is_an_error() {
+fn seeds_are_valid_and_every_cut_is_an_error() {
     for parser in seeds::parsers() {
         for seed in &parser.seeds {
-            guarded(parser.name, &(parser.wrap)(seed), parser.read).expect("the seed is good");
+            guarded(parser.name, &(parser.wrap)(seed), parser.read).expect("the seed is valid");
             for cut in 0..seed.len() - parser.soft_tail {
                 // Whole rows of a format without a header are a shorter file.
                 if parser.name == "splat" && cut % splat_row() == 0 {
@@ -127,13 +127,13 @@ fn splat_row() -> usize {
 }
 
 #[test]
-fn rubbish_after_the_end_is_an_error() {
+fn trailing_bytes_are_an_error() {
     for parser in seeds::parsers().iter().filter(|p| p.strict_end) {
-        for rubbish in [b"x".as_slice(), b"\x00", b" 7 7 7", &[0xff; 33]] {
+        for trailing in [b"x".as_slice(), b"\x00", b" 7 7 7", &[0xff; 33]] {
             let mut bytes = parser.seeds[0].clone();
-            bytes.extend_from_slice(rubbish);
+            bytes.extend_from_slice(trailing);
             let result = guarded(parser.name, &(parser.wrap)(&bytes), parser.read);
-            assert!(result.is_err(), "{}: {rubbish:?} after the end was accepted", parser.name);
+            assert!(result.is_err(), "{}: {trailing:?} after the end was accepted", parser.name);
         }
     }
 }
@@ -144,7 +144,7 @@ fn random_bytes_are_refused() {
         for case in 0..300 {
             let mut r = Rng::new(7, parser.name, case, 0);
             let bytes: Vec<u8> = (0..r.below(400)).map(|_| r.bits() as u8).collect();
-            // An empty .splat is an empty cloud, and by luck 32 bytes of it may be finite.
+            // An empty .splat is an empty cloud, and 32 random bytes may be finite.
             let result = guarded(parser.name, &bytes, parser.read);
             assert!(
                 result.is_err() || parser.name == "splat" && bytes.len().is_multiple_of(splat_row()),

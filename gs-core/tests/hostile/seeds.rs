@@ -7,10 +7,10 @@ use gs_core::io::{IoError, Limits, RawSplats, npy, parse_cameras, parse_splats, 
 use gs_core::{Camera, Rng};
 use std::io::{Read, Write};
 
-/// A reader under test: takes bytes; a value it returns has been verified to be sound.
+/// A reader under test: takes bytes and verifies the value that it returns.
 pub struct Parser {
     pub name: &'static str,
-    /// Good files.
+    /// Valid files.
     pub seeds: Vec<Vec<u8>>,
     pub read: fn(&[u8]) -> Result<(), IoError>,
     /// Bytes at the end whose loss may go unnoticed (the last digits of a text, an end chunk).
@@ -76,18 +76,18 @@ fn cameras_json() -> Vec<u8> {
 const TRANSFORMS: &str = r#"{"camera_angle_x":0.69,"w":8,"h":4,"frames":[{"file_path":"./r_0","rotation":0.1,"time":0.5,
 "transform_matrix":[[1,0,0,1],[0,1,0,2],[0,0,1,3],[0,0,0,1]]},{"transform_matrix":[[1,0,0,1],[0,1,0,2],[0,0,1,3]]}]}"#;
 
-fn sound(splats: &RawSplats) {
+fn verify(splats: &RawSplats) {
     splats.check_shape().expect("columns of one length");
     assert!(splats.non_finite_rows().is_empty(), "a non-finite value passed");
 }
 
 fn read_splats(bytes: &[u8], file: &str) -> Result<(), IoError> {
-    parse_splats(bytes, file, &Limits::default()).map(|s| sound(&s))
+    parse_splats(bytes, file, &Limits::default()).map(|s| verify(&s))
 }
 
 fn read_cameras(bytes: &[u8]) -> Result<(), IoError> {
     for c in parse_cameras(bytes, "c.json", &Limits::default())? {
-        c.camera.check().expect("a sound camera");
+        c.camera.check().expect("a valid camera");
         assert!(c.time.is_none_or(f32::is_finite));
     }
     Ok(())
@@ -162,7 +162,7 @@ pub fn parsers() -> Vec<Parser> {
         written(|out| npy::write(&[2, 3], &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0], out)),
         written(|out| npy::write(&[], &[1.0], out)),
     ];
-    #[allow(unused_mut)]
+    #[allow(unused_mut, reason = "mutated only with the features `images` and `exr`")]
     let mut list = vec![
         plain("ply binary", vec![ply_binary(3, 0), ply_binary(2, 3)], |b| read_splats(b, "a.ply")),
         Parser {

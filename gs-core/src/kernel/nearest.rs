@@ -1,7 +1,7 @@
-//! The plain Gaussian nearest to a bent fall-off, for formats and viewers that know no other.
+//! The Gaussian nearest to a kernel profile, for formats and viewers without other kernels.
 //!
-//! A projected splat covers `opacity · ψ(exp(−r²/2))` at `r` standard deviations. Least squares over the plane asks for the
-//! `a exp(−k r²/2)` that minimises `∫ (ψ − a gᵏ)² r dr`; with `r dr = −dg/g` all integrals are over `g` in 0..1 and `ψ` is
+//! A projected splat has alpha `opacity · ψ(exp(−r²/2))` at `r` standard deviations. The least-squares fit over the plane
+//! is the `a exp(−k r²/2)` that minimises `∫ (ψ − a gᵏ)² r dr`; with `r dr = −dg/g` all integrals are over `g` in 0..1 and `ψ` is
 //! linear in pieces:
 //! ```text
 //! I(k) = ∫ ψ gᵏ⁻¹ dg     a(k) = 2k I(k)     k maximises 2k I(k)²
@@ -11,18 +11,18 @@
 use super::{Bend, Kernel};
 use crate::Splats;
 
-/// `ln k` is looked for in ±this.
-const REACH: f64 = 4.0;
-/// Steps of the search: an interval of `2 REACH · 0.618⁵⁰`.
-const STEPS: usize = 50;
+/// Half the interval of `ln k` that is searched.
+const LOG_K_RANGE: f64 = 4.0;
+/// Golden-section steps: they leave an interval of `2 LOG_K_RANGE · 0.618⁵⁰`.
+const SEARCH_STEPS: usize = 50;
 
 impl Bend<f64> {
     /// Factors of standard deviation and opacity of the nearest Gaussian.
-    pub fn nearest_gaussian(&self) -> (f64, f64) {
-        let (mut low, mut high) = (-REACH, REACH);
+    pub(crate) fn nearest_gaussian(&self) -> (f64, f64) {
+        let (mut low, mut high) = (-LOG_K_RANGE, LOG_K_RANGE);
         let fit = |log_k: f64| (2.0 * log_k.exp()).sqrt() * self.overlap(log_k.exp());
         let golden = 0.5 * (5f64.sqrt() - 1.0);
-        for _ in 0..STEPS {
+        for _ in 0..SEARCH_STEPS {
             let (a, b) = (high - golden * (high - low), low + golden * (high - low));
             if fit(a) < fit(b) {
                 low = a;
@@ -34,7 +34,7 @@ impl Bend<f64> {
         (k.powf(-0.5), 2.0 * k * self.overlap(k))
     }
 
-    /// `I(k)`.
+    /// The integral `I(k)` of the module page.
     fn overlap(&self, k: f64) -> f64 {
         let p = if self.is_clamped() { 0.0 } else { 0.5 / (1.0 + self.kappa) };
         let knots = [0.0, p, 1.0 - p, 1.0];
@@ -43,7 +43,7 @@ impl Bend<f64> {
             if b - a < 1e-12 {
                 return 0.0;
             }
-            // The line through two points inside the piece, where no knot is met.
+            // The line through two points inside the segment, away from its knots.
             let (g, h) = (a + 0.25 * (b - a), a + 0.75 * (b - a));
             let slope = (self.psi(h) - self.psi(g)) / (h - g);
             let start = self.psi(g) - slope * g;
@@ -54,7 +54,9 @@ impl Bend<f64> {
 }
 
 impl Splats {
-    /// The same scene with plain Gaussians: bent fall-offs become those nearest to them, opacities at most 1.
+    /// The same scene as Gaussians: each kernel profile becomes the Gaussian nearest to it, opacities at most 1.
+    ///
+    /// The fit minimises `∫ (ψ − a gᵏ)² r dr`; standard deviations are multiplied by `k^−½`, opacities by `a`.
     pub fn with_plain_kernel(mut self) -> Self {
         for row in 0..self.len() {
             let Some(bend) = self.kernel.bend(row) else { break };
@@ -103,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn scenes_lose_their_kernel_and_stay_sound() {
+    fn scenes_lose_their_kernel_and_stay_valid() {
         let mut splats = Splats {
             means: vec![glam::Vec3::ZERO; 2],
             quats: vec![[1.0, 0.0, 0.0, 0.0]; 2],
