@@ -44,8 +44,8 @@ fn record_with(case: &str, splats: &Splats, camera: &Camera, options: &RasterOpt
     }
 }
 
-/// Every kernel on the same splats; and for soft and sharp ones, exact supports beside the published rasteriser's box of
-/// three standard deviations.
+/// Every kernel on the same splats; and for soft and sharp ones, exact supports beside the published rasteriser's box
+/// of three standard deviations.
 fn kernel_rows(n: usize, side: u32) {
     let camera = camera(side);
     for (name, kernel) in kernels(n) {

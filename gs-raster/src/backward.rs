@@ -20,11 +20,11 @@ use rayon::prelude::*;
 /// Splats per task of the second pass.
 const SPLAT_BLOCK: usize = 512;
 
-/// Gradient of the loss whose cotangents are `d` with respect to every column of `splats`, written to `grad` (same layout)
-/// and `stats`; both are resized and overwritten.
+/// Gradient of the loss whose cotangents are `d` with respect to every column of `splats`, written to `grad` (same
+/// layout) and `stats`; both are resized and overwritten.
 ///
-/// Must follow [`crate::render_into`] of the same splats, camera and options with the same workspace. `d` must be finite;
-/// `d.rgb` has `3 · width · height` values. The result is the same bits for any number of threads.
+/// Must follow [`crate::render_into`] of the same splats, camera and options with the same workspace. `d` must be
+/// finite. The result is the same bits for any number of threads.
 ///
 /// ```
 /// use gs_core::SplatsGrad;
@@ -33,7 +33,7 @@ const SPLAT_BLOCK: usize = 512;
 /// let (splats, camera, options) = (measure::scene(100, 0), measure::camera(32), RasterOptions::default());
 /// let (mut workspace, mut frame) = (Workspace::new(), Frame::default());
 /// gs_raster::render_into(&splats, &camera, &options, &mut workspace, &mut frame);
-/// let d = FrameGrad { rgb: vec![0.0; frame.rgb.len()], alpha: vec![1.0; frame.alpha.len()], depth: Vec::new() };
+/// let d = FrameGrad { alpha: vec![1.0; frame.alpha.len()], ..FrameGrad::default() };
 /// let (mut grad, mut stats) = (SplatsGrad::default(), ScreenStats::default());
 /// gs_raster::render_backward_into(&splats, &camera, &options, &mut workspace, &d, &mut grad, &mut stats);
 /// assert!(grad.opacities.iter().all(|&g| g >= 0.0)); // more opacity, more alpha
@@ -106,11 +106,11 @@ fn tiles_backward<K: KernelProfile, const DEPTH: bool>(
         let plane = |values: &[f32], channels: usize, c: usize| tile_plane(grid, origin, values, channels, c);
         let d_rgb = [0, 1, 2].map(|c| plane(&d.rgb, 3, c));
         let (d_alpha, d_depth) = (plane(&d.alpha, 1, 0), plane(&d.depth, 1, 0));
-        let mut pixels = TileBackward::new(state, d_rgb, &d_alpha, d_depth, options.background);
+        let mut back = TileBackward::new(state, d_rgb, &d_alpha, d_depth, options.background);
         for chunk in chunks.iter().rev() {
             let first_slot = chunk.listed_before[tile];
             let span = TileSpan { projected: &chunk.projected, list: chunk.tile_list(tile), first_slot };
-            dispatch!(level, simd => blend_backward::<_, K, DEPTH>(simd, kernel, span, origin, limits, &mut pixels, records));
+            dispatch!(level, simd => blend_backward::<_, K, DEPTH>(simd, kernel, span, origin, limits, &mut back, records));
         }
     });
 }

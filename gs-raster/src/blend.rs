@@ -1,4 +1,5 @@
-//! Front-to-back blending of one tile. One vector holds sixteen pixels (a 4×4 block); a block's state stays in registers.
+//! Front-to-back blending of one tile. One vector holds sixteen pixels (a 4×4 block); a block's state stays in
+//! registers.
 //!
 //! ```text
 //! p = log₂ o' − a² − b²     α = min(max_alpha, o' ψ)   skipped below min_alpha
@@ -72,8 +73,8 @@ pub(crate) fn log2_raw<S: Simd>(simd: S, row: &Row, [a, b]: [f32x16<S>; 2]) -> f
     minus(a).mul_add(a, minus(b).mul_add(b, f32x16::splat(simd, row.log2_opacity)))
 }
 
-/// Blends `list` (positions in `projected`) front to back into the tile whose first pixel is `origin`. The list continues
-/// what the tile was given before; its entries get the next slots.
+/// Blends `list` (positions in `projected`) front to back into the tile whose first pixel is `origin`. The list
+/// continues what the tile was given before; its entries get the next slots.
 #[inline(always)]
 pub(crate) fn blend<S: Simd, K: KernelProfile>(
     simd: S,

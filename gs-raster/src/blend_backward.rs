@@ -7,8 +7,8 @@
 //! s   = dL/d ln o', dL/d ln g             from v_α by the kernel profile; zero above the cap if ClampGrad::Exact
 //! ```
 //! Entries are the outer loop, blocks the inner one, so an entry's sums stay in registers until they are reduced once;
-//! pixel state stays in the first-level cache. Each (tile, entry) pair writes its own record: there are no atomics, and the
-//! order of additions depends on the tile alone. `D`, `D_z`, `D_α` are the cotangents of colour, depth and alpha.
+//! pixel state stays in the first-level cache. Each (tile, entry) pair writes its own record: there are no atomics, and
+//! the order of additions depends on the tile alone. `D`, `D_z`, `D_α` are the cotangents of colour, depth and alpha.
 
 use crate::blend::{Limits, block_pixels, log2_raw, whitened};
 use crate::kernel::{KernelProfile, SampleGrad};
@@ -182,19 +182,19 @@ fn accumulate<S: Simd, K: KernelProfile>(
 #[inline(always)]
 fn reduce<S: Simd, K: KernelProfile>(simd: S, v: Sums<S>) -> Record {
     let zero = f32x16::splat(simd, 0.0);
-    let (p0, p1) = (pairs(simd, v[0], v[1]), pairs(simd, v[2], v[3]));
-    let (p2, p3) = (pairs(simd, v[4], v[5]), pairs(simd, v[6], v[7]));
-    let (q0, q1) = (pairs(simd, p0, p1), pairs(simd, p2, p3));
-    let p5 = if K::HAS_PARAMS { pairs(simd, v[10], v[11]) } else { zero };
-    let q2 = pairs(simd, pairs(simd, v[8], v[9]), p5);
-    let (r0, r1) = (pairs(simd, q0, q1), pairs(simd, q2, zero));
+    let (p0, p1) = (pairwise_sums(simd, v[0], v[1]), pairwise_sums(simd, v[2], v[3]));
+    let (p2, p3) = (pairwise_sums(simd, v[4], v[5]), pairwise_sums(simd, v[6], v[7]));
+    let (q0, q1) = (pairwise_sums(simd, p0, p1), pairwise_sums(simd, p2, p3));
+    let p5 = if K::HAS_PARAMS { pairwise_sums(simd, v[10], v[11]) } else { zero };
+    let q2 = pairwise_sums(simd, pairwise_sums(simd, v[8], v[9]), p5);
+    let (r0, r1) = (pairwise_sums(simd, q0, q1), pairwise_sums(simd, q2, zero));
     let mut record = [0.0; 16];
-    pairs(simd, r0, r1).store_slice(&mut record);
+    pairwise_sums(simd, r0, r1).store_slice(&mut record);
     record
 }
 
 /// Sums of neighbouring lanes of `a`, then of `b`.
 #[inline(always)]
-fn pairs<S: Simd>(simd: S, a: f32x16<S>, b: f32x16<S>) -> f32x16<S> {
+fn pairwise_sums<S: Simd>(simd: S, a: f32x16<S>, b: f32x16<S>) -> f32x16<S> {
     simd.unzip_low_f32x16(a, b) + simd.unzip_high_f32x16(a, b)
 }

@@ -85,8 +85,8 @@ fn bits<K: KernelProfile>(kernel: K, splats: &Splats, options: &RasterOptions) -
 fn exact_supports_lose_no_pixel_and_a_three_sigma_box_does() {
     let (mut boxed, mut soft) = (0, 0);
     for (i, (splats, options)) in scenes().enumerate() {
-        let mut bends = Vec::new();
-        let kernel = PiecewiseLinear::new(&splats.kernel, splats.len(), options.kernel_cut, &mut bends);
+        let mut consts = Vec::new();
+        let kernel = PiecewiseLinear::new(&splats.kernel, splats.len(), options.kernel_cut, &mut consts);
         let want = bits(UnboundedSupport(kernel), &splats, &options);
         assert!(bits(kernel, &splats, &options) == want, "scene {i}: a list lost a pixel");
         soft += usize::from(i % 5 == 0);
@@ -103,8 +103,8 @@ fn the_cut_does_not_depend_on_tiles() {
     let mut splats = scene(n, 0);
     splats.kernel = Kernel::Frequency { lambdas: vec![0.05; n], betas: vec![0.9; n] };
     let options = RasterOptions::default();
-    let mut bends = Vec::new();
-    let kernel = PiecewiseLinear::new(&splats.kernel, splats.len(), options.kernel_cut, &mut bends);
+    let mut consts = Vec::new();
+    let kernel = PiecewiseLinear::new(&splats.kernel, splats.len(), options.kernel_cut, &mut consts);
     assert!(bits(kernel, &splats, &options) == bits(UnboundedSupport(kernel), &splats, &options));
     let render = |shift: u32| {
         let mut camera = camera(64);

@@ -12,8 +12,8 @@ use fearless_simd::{dispatch, prelude::*, u32x16};
 use gs_core::Splats;
 use rayon::prelude::*;
 
-/// Number of splats blended into each pixel, `[height, width]` row-major: those that reach `min_alpha` there, up to the one
-/// before the pixel's transmittance falls to `stop`.
+/// Number of splats blended into each pixel, `[height, width]` row-major: those that reach `min_alpha` there, up to the
+/// one before the pixel's transmittance falls to `stop`.
 ///
 /// Must follow [`crate::render_into`] of the same splats and options with the same workspace.
 ///

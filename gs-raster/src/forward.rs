@@ -1,7 +1,7 @@
 //! A frame: depth order, then chunks of splats front to back, each binned to the tiles that are still open and blended.
 //!
-//! Chunks grow geometrically. A tile whose pixels are all closed takes no further entries, so splats hidden behind it cost
-//! neither binning nor colour. The image is bit for bit the one of full lists.
+//! Chunks grow geometrically. A tile whose pixels are all closed takes no further entries, so splats hidden behind it
+//! cost neither binning nor colour. The image is bit for bit the one of full lists.
 
 use crate::blend::{Limits, blend};
 use crate::frame::Frame;
@@ -147,7 +147,7 @@ struct Scene<'a, K> {
 }
 
 impl<K: KernelProfile> Scene<'_, K> {
-    /// Projects one splat; `None` if it reaches `min_alpha` at no pixel of an open tile.
+    /// Projects one splat; `None` if it cannot reach `min_alpha` in an open tile.
     #[inline(always)]
     fn project(&self, index: u32) -> Option<ProjectedSplat> {
         let (s, i) = (self.splats, index as usize);

@@ -7,8 +7,8 @@ pub struct Frame {
     pub width: usize,
     /// Image height, pixels.
     pub height: usize,
-    /// `[height, width, 3]`: colour composited over the background, so premultiplied by alpha if that is black. Not clamped
-    /// above 1.
+    /// `[height, width, 3]`: colour composited over the background, so premultiplied by alpha if that is black. Not
+    /// clamped above 1.
     pub rgb: Vec<f32>,
     /// `[height, width]`: accumulated alpha `1 − T`, in `[0, 1]`.
     pub alpha: Vec<f32>,
@@ -19,7 +19,7 @@ pub struct Frame {
 /// Cotangents of a [`Frame`]: the gradient of a loss with respect to each of its arrays.
 #[derive(Clone, Debug, PartialEq, Default)]
 pub struct FrameGrad {
-    /// `dL/d rgb`, `[height, width, 3]`; required.
+    /// `dL/d rgb`, `[height, width, 3]`; empty stands for zero.
     pub rgb: Vec<f32>,
     /// `dL/d alpha`, `[height, width]`; empty stands for zero.
     pub alpha: Vec<f32>,
@@ -32,7 +32,7 @@ pub struct FrameGrad {
 pub struct ScreenStats {
     /// `[n]`: gradient with respect to the projected centre, per pixel; zero for splats that are not visible.
     pub grad_means2d: Vec<[f32; 2]>,
-    /// `[n]`: three standard deviations along the larger screen axis, pixels, after dilation and whatever the kernel; 0 for
-    /// splats that are not visible.
+    /// `[n]`: three standard deviations along the larger screen axis, pixels, after dilation and whatever the kernel; 0
+    /// for splats that are not visible.
     pub radii: Vec<f32>,
 }

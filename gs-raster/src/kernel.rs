@@ -1,15 +1,15 @@
 //! Kernel profiles: how alpha follows from the Mahalanobis distance. The blend is generic over them.
 //!
-//! Forward, a profile maps `p = log₂(o' g)` of sixteen pixels to `o' ψ(g)`. Backward, it maps `dL/dα` to the cotangents of
-//! opacity, geometry and its own parameters. [`PiecewiseLinear`] works in units of the opacity, so that no sample is divided
-//! by it: with `R = o' g`, `O = o'` and the constants `u, κ` of [`gs_core::kernel::Bend`],
+//! Forward, a profile maps `p = log₂(o' g)` of sixteen pixels to `o' ψ(g)`. Backward, it maps `dL/dα` to the cotangents
+//! of opacity, geometry and its own parameters. [`PiecewiseLinear`] works in units of the opacity, so that no sample is
+//! divided by it: with `R = o' g`, `O = o'` and the constants `u, κ` of [`gs_core::kernel::Bend`],
 //! ```text
 //! M = R − O/2     H = min(R, O − R)     E = κ H      o' ψ = R + u · clamp(M, −E, E)
 //! outer: E < |M|     o' dψ/d ln g = R · (outer ? k : 1 + u)
 //! sums of the parameters:  Σ v sign H over outer samples,  Σ v M over the others        v = dL/d(o' ψ)
 //! ```
-//! A kernel with clamped knots has `E = 1` instead, above any `|M|`. `O` is the vector exponential of the same `log₂ o'`
-//! that the samples use. A row with `u = 0` takes the Gaussian's path, bit for bit.
+//! A kernel with clamped knots has `E = 1` instead, above any `|M|`. `O` is the vector exponential of the `log₂ o'` that
+//! the samples use. A row with `u = 0` takes the Gaussian's path, bit for bit.
 
 use crate::blend::Limits;
 use crate::rows::Row;
@@ -131,7 +131,8 @@ impl KernelProfile for Gaussian {
 #[derive(Clone, Copy)]
 pub(crate) struct PiecewiseLinear<'a> {
     kernel: &'a Kernel,
-    /// One per row of the caller's columns. A splat has many entries and its constants cost divisions, so they are stored.
+    /// One per row of the caller's columns. A splat has many entries and its constants cost divisions, so they are
+    /// stored.
     consts: &'a [ProfileConsts],
     /// Largest `a² + b²` of a splat whose profile never decays, log₂ units.
     cut: f64,

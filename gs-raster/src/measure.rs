@@ -1,7 +1,7 @@
 //! The scenes of the benchmarks, their time and error, and the machine's roofline.
 //!
-//! Scenes follow the statistics that published CPU peers were timed on: centres uniform in the unit box, log-normal sizes
-//! (σ 0.5) times per-axis log-normal (σ 0.6), opacity logits N(0, 1.8²), unnormalised quaternions, SH degree 3.
+//! Scenes follow the statistics that published CPU peers were timed on: centres uniform in the unit box, log-normal
+//! sizes (σ 0.5) times per-axis log-normal (σ 0.6), opacity logits N(0, 1.8²), unnormalised quaternions, SH degree 3.
 
 use crate::options::{RasterOptions, SimdLevel};
 use crate::reference::{self, Cutoff, Scene};

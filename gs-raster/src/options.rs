@@ -49,12 +49,12 @@ pub struct RasterOptions {
     /// Scales opacity by the square root of (covariance determinant before / after dilation), as Mip-Splatting does.
     /// Default: off.
     pub antialias: bool,
-    /// A kernel that never decays (frequency kernel with `β ≥ ½ + λ`) is cut off beyond this squared Mahalanobis distance,
-    /// so that the image does not depend on tiles. Default: 9, the three standard deviations that the published
-    /// rasteriser's bounding box implies.
+    /// A kernel that never decays (frequency kernel with `β ≥ ½ + λ`) is cut off beyond this squared Mahalanobis
+    /// distance, so that the image does not depend on tiles. Default: 9, the three standard deviations that the
+    /// published rasteriser's bounding box implies.
     pub kernel_cut: f64,
-    /// Pixel blocks farther than this many standard deviations are skipped. Default: infinite, for exact supports. 3 is the
-    /// published rasteriser's box; it truncates soft kernels visibly, by an amount that depends on the blocks.
+    /// Pixel blocks farther than this many standard deviations are skipped. Default: infinite, for exact supports. 3 is
+    /// the published rasteriser's box; it truncates soft kernels visibly, by an amount that depends on the blocks.
     pub box_sigmas: f64,
     /// Gradient of samples above `max_alpha`. Default: [`ClampGrad::Exact`].
     pub clamp_grad: ClampGrad,

@@ -55,7 +55,8 @@ impl Rows {
         Self { row: [Row::default(); GROUP], by_block: [0; BLOCKS], by_entry: [0; GROUP] }
     }
 
-    /// Fills in the entries `list` (at most [`GROUP`] positions in `projected`) of the tile whose first pixel is `origin`.
+    /// Fills in the entries `list` (at most [`GROUP`] positions in `projected`) of the tile whose first pixel is
+    /// `origin`.
     #[inline(always)]
     pub(crate) fn fill<S: Simd, K: KernelProfile>(
         &mut self,
@@ -134,8 +135,9 @@ impl Lanes {
         self.slack[lane] = e.slack();
     }
 
-    /// Per block, a bit for each of the sixteen entries that touches it; writes per entry the blocks it touches. The vector
-    /// form of [`crate::tiles::Ellipse::columns`] on four strips of rows. A lane with negative radius touches nothing.
+    /// Per block, a bit for each of the sixteen entries that touches it; writes per entry the blocks it touches. The
+    /// vector form of [`crate::tiles::Ellipse::columns`] on four strips of rows. A lane with negative radius touches
+    /// nothing.
     #[inline(always)]
     fn blocks<S: Simd>(&self, simd: S, by_entry: &mut [u32]) -> [u64; BLOCKS] {
         let v = |a: &[f32; 16]| f32x16::from_slice(simd, a);

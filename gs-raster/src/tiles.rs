@@ -2,9 +2,9 @@
 //!
 //! In whitened coordinates the visible region is the disc `a² + b² ≤ r²`. A horizontal strip is an interval of `b`
 //! (`b` depends on `y` only), and with `k = w₁/w₂` the pixel column is `x = u_x + (a − k b)/w₀`. Over the strip the
-//! rightmost point has `b = clamp(−k r/√(1+k²))` and `a = √(r² − b²)`, the leftmost the mirror image: one square root per
-//! side. The interval is widened by a bound on its rounding error, so a list may hold a few entries too many but misses
-//! none; each pixel applies the alpha threshold itself.
+//! rightmost point has `b = clamp(−k r/√(1+k²))` and `a = √(r² − b²)`, the leftmost the mirror image: one square root
+//! per side. The interval is widened by a bound on its rounding error, so a list may hold a few entries too many but
+//! misses none; each pixel applies the alpha threshold itself.
 
 use crate::project::Footprint;
 

@@ -108,8 +108,8 @@ pub(crate) struct Bin {
     pub offsets: Vec<u32>,
 }
 
-/// Gradient sums of one entry: `o, sa, sb, saa, sab, sbb, r, g, b, depth`, two of the kernel's parameters, then padding to
-/// one vector (see [`crate::blend_backward`]).
+/// Gradient sums of one entry: `o, sa, sb, saa, sab, sbb, r, g, b, depth`, two of the kernel's parameters, then padding
+/// to one vector (see [`crate::blend_backward`]).
 pub(crate) type Record = [f32; 16];
 
 /// Reusable memory of the rasteriser, and the state that [`crate::render_backward`] reads. Once it has held a frame of

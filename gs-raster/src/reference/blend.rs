@@ -1,4 +1,4 @@
-//! One pixel of the reference: the samples it blended_samples, and their gradients.
+//! One pixel of the reference: the samples it blends, and their gradients.
 
 use super::project::Projected;
 use super::{Cutoff, PixelGrad, Scalar};

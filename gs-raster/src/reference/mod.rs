@@ -1,5 +1,5 @@
-//! The rasteriser in plain loops: no tiles, no SIMD, generic over the scalar. In `f64` it is the reference for the fast path.
-//! Its own gradients are checked by finite differences and by the golden arrays of `tests/golden`.
+//! The rasteriser in plain loops: no tiles, no SIMD, generic over the scalar. In `f64` it is the reference for the fast
+//! path. Its own gradients are checked by finite differences and by the golden arrays of `tests/golden`.
 //!
 //! ```
 //! use gs_raster::reference::{Cutoff, Scene, render};
@@ -195,9 +195,9 @@ pub struct Frame<T> {
     pub alpha: Vec<T>,
     /// `[height · width]`: alpha-weighted camera depth `Σ w z`, world units.
     pub depth: Vec<T>,
-    /// `[height · width]`: smallest relative distance of any decision (α against `min_alpha`, T against `stop`, `g` against
-    /// the kernel's knots and cut) from its threshold. Pixels with a small margin may differ between precisions by one
-    /// whole sample.
+    /// `[height · width]`: smallest relative distance of any decision (α against `min_alpha`, T against `stop`, `g`
+    /// against the kernel's knots and cut) from its threshold. Pixels with a small margin may differ between precisions
+    /// by one whole sample.
     pub margin: Vec<f64>,
     /// Number of samples blended over all pixels.
     pub blended_samples: u64,
@@ -241,8 +241,8 @@ pub fn render<T: Scalar>(scene: &Scene<T>, camera: &Camera, options: &RasterOpti
 /// Cotangents of one pixel: `d_rgb`, `d_alpha`, `d_depth`.
 pub type PixelGrad<T> = ([T; 3], T, T);
 
-/// Gradient of `Σ (d_rgb·rgb + d_alpha·alpha + d_depth·depth)` with respect to every column of the scene, and with respect
-/// to the projected means, per pixel. `d_frame` has one element per pixel.
+/// Gradient of `Σ (d_rgb·rgb + d_alpha·alpha + d_depth·depth)` with respect to every column of the scene, and with
+/// respect to the projected means, per pixel. `d_frame` has one element per pixel.
 pub fn render_backward<T: Scalar>(
     scene: &Scene<T>,
     camera: &Camera,

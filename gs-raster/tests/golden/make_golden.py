@@ -4,9 +4,10 @@
     python3 make_golden.py           make the scenes from their seeds and write NAME.safetensors
     python3 make_golden.py --check   recompute from the stored inputs and compare with the stored outputs
 
-Every splat is evaluated at every pixel: no tiles, no supports. Gradients take the complex step, f'(x) = Im f(x + ih) / h
-with h = 1e-30, through everything in front of the compositing (quaternion, covariance, projection, opacity, colour);
-the compositing itself has a five-line backward. Central differences of the whole loss check both.
+Every splat is evaluated at every pixel: no tiles, no supports. Gradients take the complex step,
+f'(x) = Im f(x + ih) / h with h = 1e-30, through everything in front of the compositing (quaternion, covariance,
+projection, opacity, colour); the compositing itself has a five-line backward. Central differences of the whole loss
+check both.
 Formulas and the layout of the files: README.md.
 """
 import json
@@ -22,7 +23,7 @@ VARIANTS = {"": (False, 0.99), "_aa": (True, 0.99), "_a999": (False, 0.999)}  # 
 COLUMNS = [("means", 3), ("quats", 4), ("log_scales", 3), ("logits", 1), ("sh", None)]
 
 
-# --- one splat: theta = (mean 3, quat 4, log-scale 3, logit 1, sh 3K), real or complex, any leading axes ---------------
+# --- one splat: theta = (mean 3, quat 4, log-scale 3, logit 1, sh 3K), real or complex, any leading axes ------------
 
 def clamp(x, lo, hi):
     return np.where(x.real < lo, lo, np.where(x.real > hi, hi, x))
@@ -85,10 +86,10 @@ def splat(theta, cam, antialias):
     return raw, clamp((basis[..., None] * sh).sum(-2) + 0.5, 0, np.inf)
 
 
-# --- a frame -------------------------------------------------------------------------------------------------------------
+# --- a frame ----------------------------------------------------------------------------------------------------------
 
 def render(thetas, cam, antialias, max_alpha):
-    """Image [H, W, 4], the blended samples front to back (index, T, alpha, colour), smallest relative decision margin."""
+    """Image [H, W, 4], T behind all, samples front to back (index, T, alpha, colour, below cap), smallest margin."""
     width, height = cam["size"]
     depth = thetas[:, :3] @ cam["view"][2, :3] + cam["view"][2, 3]
     order = [i for i in np.argsort(depth, kind="stable") if NEAR < depth[i] < FAR]
@@ -140,7 +141,7 @@ def check_by_differences(thetas, cam, weights, antialias, max_alpha, grad, rng):
     return np.median(errors), max(errors)
 
 
-# --- scenes --------------------------------------------------------------------------------------------------------------
+# --- scenes -----------------------------------------------------------------------------------------------------------
 
 def look_at(width, height, focal, center, eye, target):
     forward = np.array(target) - eye
@@ -176,7 +177,7 @@ def needles(rng):
 
 
 def near_plane(rng):
-    """Quarters: behind the camera, depth about `near`, outside the frustum (Jacobian clamped), ordinary with huge ones."""
+    """Quarters: behind the camera, depth about `near`, outside the frustum (clamped Jacobian), ordinary and huge."""
     cam = look_at(48, 48, (40.0, 44.0), (25.1, 22.7), np.array([0.1, -0.2, -2.0]), [0.1, 0.1, 0])
     n = 20
     c = columns(rng, 4 * n, 1, (0.05, 0.3))
@@ -231,7 +232,7 @@ def outputs(arrays):
     return out
 
 
-# --- files ---------------------------------------------------------------------------------------------------------------
+# --- files ------------------------------------------------------------------------------------------------------------
 
 def save(path, arrays):
     header, data = {}, b""
