@@ -1,7 +1,7 @@
 //! Time and error of a frame, and how cost grows with splats, pixels and depth complexity.
 //!
 //! `cargo bench -p gs-raster` prints criterion's statistics of the three reference cases, then one row per case,
-//! instruction set and thread count, with the machine's roofs beside; rows go to `target/speed-error/gs-raster.jsonl`.
+//! instruction set and thread count, beside the machine's roofline; rows go to `target/speed-error/gs-raster.jsonl`.
 
 use criterion::Criterion;
 use gs_core::{Camera, Kernel, Splats};
@@ -44,8 +44,8 @@ fn record_with(case: &str, splats: &Splats, camera: &Camera, options: &RasterOpt
     }
 }
 
-/// Every fall-off on the same splats, and what the published rasteriser's box of three standard deviations costs or saves
-/// beside exact supports, for soft and for sharp splats.
+/// Every kernel on the same splats; and for soft and sharp ones, exact supports beside the published rasteriser's box
+/// of three standard deviations.
 fn kernel_rows(n: usize, side: u32) {
     let camera = camera(side);
     for (name, kernel) in kernels(n) {

@@ -1,7 +1,7 @@
-//! Draws a splat file: `cargo run --release -p gs-raster --example draw_ply -- scene.ply cameras.json out.ppm`.
+//! Renders a splat file: `cargo run --release -p gs-raster --example draw_ply -- scene.ply cameras.json out.ppm`.
 //!
-//! The file's kernel, if it has one, is drawn. Without arguments it draws a random scene of its own under each kernel and
-//! prints the pictures' statistics.
+//! Uses the file's kernel if it has one. Without arguments it renders a random scene with each kernel and prints the
+//! statistics of the images.
 
 use gs_core::io::{Limits, load_cameras, load_splats};
 use gs_core::{Camera, Splats};
@@ -14,19 +14,19 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let [ply, cameras, out] = args.as_slice() else {
         let n = 20_000;
         for (name, kernel) in kernels(n) {
-            draw(name, &Splats { kernel, ..scene(n, 3) }, &camera(400));
+            render_timed(name, &Splats { kernel, ..scene(n, 3) }, &camera(400));
         }
         return Ok(());
     };
     let limits = Limits::default();
     let splats = load_splats(ply.as_ref(), &limits)?.to_splats()?;
     let first = load_cameras(cameras.as_ref(), &limits)?.into_iter().next().ok_or("the camera file is empty")?;
-    write_ppm(&draw(ply, &splats, &first.camera), std::fs::File::create_new(out)?)?;
+    write_ppm(&render_timed(ply, &splats, &first.camera), std::fs::File::create_new(out)?)?;
     Ok(())
 }
 
-/// Draws, and prints what it took.
-fn draw(name: &str, splats: &Splats, camera: &Camera) -> Frame {
+/// Renders, and prints time and statistics.
+fn render_timed(name: &str, splats: &Splats, camera: &Camera) -> Frame {
     let mut workspace = Workspace::new();
     let start = std::time::Instant::now();
     let frame = render(splats, camera, &RasterOptions::default(), &mut workspace);
@@ -43,7 +43,7 @@ fn draw(name: &str, splats: &Splats, camera: &Camera) -> Frame {
     frame
 }
 
-/// Portable pixmap: the simplest picture format there is.
+/// Writes a portable pixmap (binary PPM), values clamped to `[0, 1]`.
 fn write_ppm(frame: &Frame, file: std::fs::File) -> std::io::Result<()> {
     let mut to = std::io::BufWriter::new(file);
     write!(to, "P6\n{} {}\n255\n", frame.width, frame.height)?;

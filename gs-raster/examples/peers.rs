@@ -1,7 +1,7 @@
 //! Times a PLY and a camera file: `cargo run --release -p gs-raster --example peers -- scene.ply camera.json [runs]`.
 //!
-//! Prints forward and forward + backward medians for one and two threads at each instruction set, beside the machine's
-//! roofs, so that a figure can be carried to another machine. Without arguments it times a scene it makes itself.
+//! Prints forward and forward + backward medians for one and two threads and each instruction set, beside the machine's
+//! roofline, so that times can be compared between machines. Without arguments it times a random scene.
 
 use gs_core::io::{Limits, load_cameras, load_splats};
 use gs_core::speed::median_seconds;

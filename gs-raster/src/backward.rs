@@ -1,14 +1,14 @@
-//! The way back of a frame: tiles to records, records to splats, splats to parameters.
+//! Backward of a frame: tiles to records, records to splats, splats to parameters.
 //!
-//! Tiles run side by side and write the records of their own entries; then each splat adds its records in ascending tile
-//! order and goes back through projection and colour. Nothing depends on the number of threads.
+//! Tiles run in parallel and write the records of their own entries. Then each splat adds its records in ascending tile
+//! order, followed by the backward of projection and colour. Nothing depends on the number of threads.
 
 use crate::blend::Limits;
-use crate::blend_backward::{Stretch, TileBack, blend_backward};
+use crate::blend_backward::{TileBackward, TileSpan, blend_backward};
 use crate::frame::{FrameGrad, ScreenStats};
-use crate::kernel::{Bent, Falloff, Gaussian};
+use crate::kernel::{Gaussian, KernelProfile, PiecewiseLinear};
 use crate::options::RasterOptions;
-use crate::project::{PixelSums, Shape, View, backward, project, sh_color_backward};
+use crate::project::{PixelSums, SplatGeometry, View, backward, project, sh_color_backward};
 use crate::simd;
 use crate::tiles::{Grid, LOG2_SCALE, TILE};
 use crate::workspace::{BLOCKS, Plane, Record, Workspace, pixel_of};
@@ -17,12 +17,28 @@ use glam::Vec3;
 use gs_core::{Camera, Color, Kernel, Splats, SplatsGrad};
 use rayon::prelude::*;
 
-/// Splats handled by one task.
+/// Splats per task of the second pass.
 const SPLAT_BLOCK: usize = 512;
 
-/// Pulls `d` back to every column of `splats`, writing `grad` and `stats` (whatever they held before).
+/// Gradient of the loss whose cotangents are `d` with respect to every column of `splats`, written to `grad` (same
+/// layout) and `stats`; both are resized and overwritten.
 ///
-/// Must follow [`crate::render_into`] of the same splats, camera and options with the same workspace.
+/// Must follow [`crate::render_into`] of the same splats, camera and options with the same workspace. `d` must be
+/// finite. The result is the same bits for any number of threads.
+///
+/// ```
+/// use gs_core::SplatsGrad;
+/// use gs_raster::{Frame, FrameGrad, RasterOptions, ScreenStats, Workspace, measure};
+///
+/// let (splats, camera, options) = (measure::scene(100, 0), measure::camera(32), RasterOptions::default());
+/// let (mut workspace, mut frame) = (Workspace::new(), Frame::default());
+/// gs_raster::render_into(&splats, &camera, &options, &mut workspace, &mut frame);
+/// let d = FrameGrad { alpha: vec![1.0; frame.alpha.len()], ..FrameGrad::default() };
+/// let (mut grad, mut stats) = (SplatsGrad::default(), ScreenStats::default());
+/// gs_raster::render_backward_into(&splats, &camera, &options, &mut workspace, &d, &mut grad, &mut stats);
+/// assert!(grad.opacities.iter().all(|&g| g >= 0.0)); // more opacity, more alpha
+/// assert!(stats.radii.iter().zip(&grad.opacities).all(|(&r, &g)| r > 0.0 || g == 0.0));
+/// ```
 pub fn render_backward_into(
     splats: &Splats,
     camera: &Camera,
@@ -34,27 +50,27 @@ pub fn render_backward_into(
 ) {
     let w = workspace;
     debug_assert_eq!((w.grid.width, w.grid.height), (camera.width as usize, camera.height as usize));
-    place_records(w);
+    allocate_records(w);
     let depth = !d.depth.is_empty();
     match &splats.kernel {
         Kernel::Gaussian if depth => tiles_backward::<_, true>(Gaussian, options, d, w),
         Kernel::Gaussian => tiles_backward::<_, false>(Gaussian, options, d, w),
-        bent => {
-            let mut bends = std::mem::take(&mut w.bends);
-            let kernel = Bent::new(bent, splats.len(), options.kernel_cut, &mut bends);
+        kernel => {
+            let mut kernel_consts = std::mem::take(&mut w.kernel_consts);
+            let profile = PiecewiseLinear::new(kernel, splats.len(), options.kernel_cut, &mut kernel_consts);
             match depth {
-                true => tiles_backward::<_, true>(kernel, options, d, w),
-                false => tiles_backward::<_, false>(kernel, options, d, w),
+                true => tiles_backward::<_, true>(profile, options, d, w),
+                false => tiles_backward::<_, false>(profile, options, d, w),
             }
-            w.bends = bends;
+            w.kernel_consts = kernel_consts;
         }
     }
-    rank_splats(splats.len(), w);
+    assign_ranks(splats.len(), w);
     splats_backward(splats, options, w, grad, stats);
 }
 
-/// Room for one record for each entry that some pixel of its tile blended.
-fn place_records(w: &mut Workspace) {
+/// Allocates one record for each entry up to the last one that some pixel of its tile blended.
+fn allocate_records(w: &mut Workspace) {
     w.record_starts.clear();
     w.record_starts.push(0);
     let mut sum = 0;
@@ -65,7 +81,12 @@ fn place_records(w: &mut Workspace) {
     w.records.resize(sum as usize, Record::default());
 }
 
-fn tiles_backward<K: Falloff, const DEPTH: bool>(kernel: K, options: &RasterOptions, d: &FrameGrad, w: &mut Workspace) {
+fn tiles_backward<K: KernelProfile, const DEPTH: bool>(
+    kernel: K,
+    options: &RasterOptions,
+    d: &FrameGrad,
+    w: &mut Workspace,
+) {
     let level = simd::level(options.simd);
     let limits = Limits::new(options);
     let chunks = &w.chunks[..w.chunk_count];
@@ -85,16 +106,16 @@ fn tiles_backward<K: Falloff, const DEPTH: bool>(kernel: K, options: &RasterOpti
         let plane = |values: &[f32], channels: usize, c: usize| tile_plane(grid, origin, values, channels, c);
         let d_rgb = [0, 1, 2].map(|c| plane(&d.rgb, 3, c));
         let (d_alpha, d_depth) = (plane(&d.alpha, 1, 0), plane(&d.depth, 1, 0));
-        let mut back = TileBack::new(state, d_rgb, &d_alpha, d_depth, options.background);
+        let mut back = TileBackward::new(state, d_rgb, &d_alpha, d_depth, options.background);
         for chunk in chunks.iter().rev() {
-            let first_number = chunk.seen_before[tile];
-            let stretch = Stretch { drawn: &chunk.drawn, list: chunk.tile_list(tile), first_number };
-            dispatch!(level, simd => blend_backward::<_, K, DEPTH>(simd, kernel, stretch, origin, limits, &mut back, records));
+            let first_slot = chunk.listed_before[tile];
+            let span = TileSpan { projected: &chunk.projected, list: chunk.tile_list(tile), first_slot };
+            dispatch!(level, simd => blend_backward::<_, K, DEPTH>(simd, kernel, span, origin, limits, &mut back, records));
         }
     });
 }
 
-/// One channel of an image, cut out for a tile; zero outside the image or where there is no image.
+/// One channel of an image, cropped to a tile; zero outside the image, and everywhere if `values` is empty.
 fn tile_plane(grid: &Grid, origin: [usize; 2], values: &[f32], channels: usize, channel: usize) -> Plane<f32> {
     let mut plane = [[0.0; 16]; BLOCKS];
     if values.is_empty() {
@@ -112,13 +133,14 @@ fn tile_plane(grid: &Grid, origin: [usize; 2], values: &[f32], channels: usize, 
     plane
 }
 
-fn rank_splats(n: usize, w: &mut Workspace) {
+/// Depth ranks of the splats that lie in some tile.
+fn assign_ranks(n: usize, w: &mut Workspace) {
     w.rank_of.clear();
     w.rank_of.resize(n, u32::MAX);
     for chunk in &w.chunks[..w.chunk_count] {
         for (i, span) in chunk.splat_starts.windows(2).enumerate() {
             if span[1] > span[0] {
-                w.rank_of[chunk.drawn[i].index as usize] = (chunk.first + i) as u32;
+                w.rank_of[chunk.projected[i].index as usize] = (chunk.first + i) as u32;
             }
         }
     }
@@ -140,7 +162,7 @@ fn splats_backward(
     stats.radii.resize(n, 0.0);
     let width = splats.color.width();
     let b = SPLAT_BLOCK;
-    // A kernel without parameters has no column to cut up.
+    // A kernel without parameters has no column to split.
     let kernel_rows: Vec<&mut [f32]> = match splats.kernel.width() {
         0 => (0..n.div_ceil(b)).map(|_| &mut [][..]).collect(),
         width => grad.kernel.chunks_mut(b * width).collect(),
@@ -164,7 +186,7 @@ fn splats_backward(
     );
 }
 
-/// The rows of one block of splats, to write.
+/// Output rows of one block of splats.
 struct RowsOut<'a> {
     first: usize,
     means: &'a mut [Vec3],
@@ -182,15 +204,15 @@ fn block_backward<S: Simd>(_: S, splats: &Splats, options: &RasterOptions, w: &W
     let (width, kernel_width) = (splats.color.width(), splats.kernel.width());
     for k in 0..out.means.len() {
         let i = out.first + k;
-        let Some(sums) = gather(w, w.rank_of[i]) else { continue };
-        let shape = Shape { mean: splats.means[i], quat: splats.quats[i], scale: splats.scales[i] };
-        let Some(footprint) = project(view, &shape, options) else { continue };
-        let g = backward(view, &shape, &footprint, f64::from(splats.opacities[i]), &sums, options);
+        let Some(sums) = sum_records(w, w.rank_of[i]) else { continue };
+        let geometry = SplatGeometry { mean: splats.means[i], quat: splats.quats[i], scale: splats.scales[i] };
+        let Some(footprint) = project(view, &geometry, options) else { continue };
+        let g = backward(view, &geometry, &footprint, f64::from(splats.opacities[i]), &sums, options);
         let d_view = color_backward(splats, view, i, &sums, &mut out.color[k * width..][..width]);
-        splats.kernel.vjp(i, sums.bend, &mut out.kernel[k * kernel_width..][..kernel_width]);
-        out.means[k] = narrow(g.mean) + d_view;
+        splats.kernel.vjp(i, sums.kernel, &mut out.kernel[k * kernel_width..][..kernel_width]);
+        out.means[k] = to_vec3(g.mean) + d_view;
         out.quats[k] = [g.quat[0] as f32, g.quat[1] as f32, g.quat[2] as f32, g.quat[3] as f32];
-        out.scales[k] = narrow(g.scale);
+        out.scales[k] = to_vec3(g.scale);
         out.opacities[k] = g.opacity as f32;
         out.means2d[k] = [g.mean2d[0] as f32, g.mean2d[1] as f32];
         out.radii[k] = footprint.radius() as f32;
@@ -198,13 +220,13 @@ fn block_backward<S: Simd>(_: S, splats: &Splats, options: &RasterOptions, w: &W
 }
 
 #[inline(always)]
-fn narrow(v: [f64; 3]) -> Vec3 {
+fn to_vec3(v: [f64; 3]) -> Vec3 {
     Vec3::new(v[0] as f32, v[1] as f32, v[2] as f32)
 }
 
-/// Sums of a splat's records in ascending tile order; `None` if it was not drawn.
+/// Sums of a splat's records in ascending tile order; `None` if it is in no tile.
 #[inline(always)]
-fn gather(w: &Workspace, rank: u32) -> Option<PixelSums> {
+fn sum_records(w: &Workspace, rank: u32) -> Option<PixelSums> {
     if rank == u32::MAX {
         return None;
     }
@@ -215,15 +237,15 @@ fn gather(w: &Workspace, rank: u32) -> Option<PixelSums> {
     let mut sum = [0.0f64; 16];
     for entry in &chunk.entries[span] {
         let tile = entry.tile as usize;
-        let number = chunk.seen_before[tile] + entry.number;
+        let slot = chunk.listed_before[tile] + entry.chunk_slot;
         let start = w.record_starts[tile];
-        if start + number < w.record_starts[tile + 1] {
-            for (to, from) in sum.iter_mut().zip(&w.records[(start + number) as usize]) {
+        if start + slot < w.record_starts[tile + 1] {
+            for (to, from) in sum.iter_mut().zip(&w.records[(start + slot) as usize]) {
                 *to += f64::from(*from);
             }
         }
     }
-    // Whitened offsets were scaled so that log₂ g = −(a² + b²); undo it.
+    // Undo the scale of the whitened offsets, log₂ g = −(a² + b²).
     let (one, two) = (1.0 / LOG2_SCALE, 1.0 / (LOG2_SCALE * LOG2_SCALE));
     Some(PixelSums {
         opacity: sum[0],
@@ -231,11 +253,11 @@ fn gather(w: &Workspace, rank: u32) -> Option<PixelSums> {
         second: [sum[3] * two, sum[4] * two, sum[5] * two],
         rgb: [sum[6], sum[7], sum[8]],
         depth: sum[9],
-        bend: [sum[10], sum[11]],
+        kernel: [sum[10], sum[11]],
     })
 }
 
-/// Writes the colour row's cotangents; returns the mean's through the view direction.
+/// Writes the cotangents of the colour row; returns that of the mean through the view direction.
 #[inline(always)]
 fn color_backward(splats: &Splats, view: &View, i: usize, sums: &PixelSums, d_row: &mut [f32]) -> Vec3 {
     let d_rgb = [sums.rgb[0] as f32, sums.rgb[1] as f32, sums.rgb[2] as f32];

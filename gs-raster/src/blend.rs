@@ -1,4 +1,5 @@
-//! Front-to-back blending of one tile: sixteen pixels (a 4×4 block) a vector, a block's state in registers.
+//! Front-to-back blending of one tile. One vector holds sixteen pixels (a 4×4 block); a block's state stays in
+//! registers.
 //!
 //! ```text
 //! p = log₂ o' − a² − b²     α = min(max_alpha, o' ψ)   skipped below min_alpha
@@ -6,26 +7,27 @@
 //! C += T α c     D += T α z     T ← T (1 − α)
 //! ```
 
-use crate::kernel::Falloff;
+use crate::kernel::KernelProfile;
 use crate::options::RasterOptions;
 use crate::rows::{GROUP, Row, Rows};
-use crate::tiles::Drawn;
+use crate::tiles::ProjectedSplat;
 use crate::workspace::{BLOCKS, TileState, pixel_of};
 use fearless_simd::{f32x16, mask32x16, prelude::*, u32x16};
 use std::sync::atomic::AtomicU32;
 
-/// Thresholds of the blend, as the kernels need them.
+/// Thresholds of the blend, rounded to `f32`; see [`RasterOptions`].
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Limits {
     pub min_alpha: f32,
     pub log2_min_alpha: f32,
     pub max_alpha: f32,
     pub stop: f32,
+    /// Whether the backward pass ignores the cap.
     pub pass_through: bool,
 }
 
 impl Limits {
-    pub fn new(options: &RasterOptions) -> Self {
+    pub(crate) fn new(options: &RasterOptions) -> Self {
         Self {
             min_alpha: options.min_alpha as f32,
             log2_min_alpha: options.min_alpha.log2() as f32,
@@ -36,7 +38,7 @@ impl Limits {
     }
 }
 
-/// Pixel offsets of each block from the tile's first pixel, `x` then `y`, one lane a pixel.
+/// Pixel offsets of each block from the tile's first pixel, `x` then `y`, one lane per pixel.
 static PIXELS: [[[f32; 16]; 2]; BLOCKS] = {
     let mut table = [[[0.0; 16]; 2]; BLOCKS];
     let mut i = 0;
@@ -49,7 +51,7 @@ static PIXELS: [[[f32; 16]; 2]; BLOCKS] = {
     table
 };
 
-/// Pixel offsets of a block from the tile's first pixel, one lane a pixel.
+/// Pixel offsets of a block from the tile's first pixel, `x` then `y`, one lane per pixel.
 #[inline(always)]
 pub(crate) fn block_pixels<S: Simd>(simd: S, block: usize) -> [f32x16<S>; 2] {
     let [x, y] = &PIXELS[block];
@@ -64,47 +66,48 @@ pub(crate) fn whitened<S: Simd>(simd: S, row: &Row, pixels: [f32x16<S>; 2]) -> [
     [a, pixels[1].mul_add(c(row.w[2]), c(row.b0))]
 }
 
-/// `lo − a² − b²`.
+/// `log₂(o' g)` from whitened offsets: `log2_opacity − a² − b²`.
 #[inline(always)]
 pub(crate) fn log2_raw<S: Simd>(simd: S, row: &Row, [a, b]: [f32x16<S>; 2]) -> f32x16<S> {
     let minus = |v: f32x16<S>| f32x16::splat(simd, 0.0) - v;
-    minus(a).mul_add(a, minus(b).mul_add(b, f32x16::splat(simd, row.lo)))
+    minus(a).mul_add(a, minus(b).mul_add(b, f32x16::splat(simd, row.log2_opacity)))
 }
 
-/// Blends `list` into the tile at `origin`, front to back; `list` follows what the tile has seen so far.
+/// Blends `list` (positions in `projected`) front to back into the tile whose first pixel is `origin`. The list
+/// continues what the tile was given before; its entries get the next slots.
 #[inline(always)]
-pub(crate) fn blend<S: Simd, K: Falloff>(
+pub(crate) fn blend<S: Simd, K: KernelProfile>(
     simd: S,
     kernel: K,
-    drawn: &[Drawn],
+    projected: &[ProjectedSplat],
     list: &[AtomicU32],
     origin: [usize; 2],
     limits: Limits,
     state: &mut TileState,
 ) {
     let mut rows = Rows::new();
-    let mut number = state.seen;
-    state.seen += list.len() as u32;
+    let mut slot = state.listed;
+    state.listed += list.len() as u32;
     for group in list.chunks(GROUP) {
-        rows.fill(simd, kernel, drawn, group, origin);
+        rows.fill(simd, kernel, projected, group, origin);
         for block in 0..BLOCKS {
             if state.open[block] != 0 && rows.by_block[block] != 0 {
-                blend_block::<S, K>(simd, &rows, block, number, limits, state);
+                blend_block::<S, K>(simd, &rows, block, slot, limits, state);
             }
         }
         if !state.is_open() {
             return;
         }
-        number += group.len() as u32;
+        slot += group.len() as u32;
     }
 }
 
 #[inline(always)]
-fn blend_block<S: Simd, K: Falloff>(
+fn blend_block<S: Simd, K: KernelProfile>(
     simd: S,
     rows: &Rows,
     block: usize,
-    number: u32,
+    slot: u32,
     limits: Limits,
     state: &mut TileState,
 ) {
@@ -124,11 +127,11 @@ fn blend_block<S: Simd, K: Falloff>(
         let row = &rows.row[i];
         let p = log2_raw(simd, row, whitened(simd, row, pixels));
         let sample = K::sample(simd, row, p, limits);
-        let mut blended = open & sample.reached;
+        let mut blended = open & sample.visible;
         let mut alpha = blended.select(sample.raw.min(max_alpha), c(0.0));
         let mut next = (c(0.0) - alpha).mul_add(transmittance, transmittance);
         let closing = next.simd_le(stop);
-        // A pixel closes once in its life, and stays above `stop`: the common path knows nothing of it.
+        // A pixel closes once per frame, before T falls to `stop`, so the common path skips this.
         if closing.any_true() {
             blended &= !closing;
             open &= !closing;
@@ -141,7 +144,7 @@ fn blend_block<S: Simd, K: Falloff>(
         }
         depth = weight.mul_add(c(row.depth), depth);
         transmittance = next;
-        last = blended.select(u32x16::splat(simd, number + i as u32 + 1), last);
+        last = blended.select(u32x16::splat(simd, slot + i as u32 + 1), last);
         if !open.any_true() {
             break;
         }

@@ -1,10 +1,10 @@
-//! Lists against brute force: every splat offered to every pixel must give the same bits as the exact supports do, and
-//! a box of three standard deviations must not.
+//! Tile lists against brute force: evaluating every splat at every pixel must give the same bits as the exact supports,
+//! and a box of three standard deviations must not.
 
 use crate::blend::Limits;
-use crate::forward::draw;
+use crate::forward::render_with;
 use crate::frame::Frame;
-use crate::kernel::{Bent, Falloff, Pull, RowBend, Sample};
+use crate::kernel::{KernelProfile, PiecewiseLinear, ProfileConsts, Sample, SampleGrad};
 use crate::measure::{camera, scene};
 use crate::options::RasterOptions;
 use crate::rows::Row;
@@ -13,18 +13,18 @@ use crate::workspace::Workspace;
 use fearless_simd::{f32x16, mask32x16, prelude::*};
 use gs_core::{Kernel, Rng, Splats};
 
-/// Another kernel, offered to every pixel.
+/// A kernel profile, evaluated at every pixel.
 #[derive(Clone, Copy)]
-struct Everywhere<K>(K);
+struct UnboundedSupport<K>(K);
 
-/// Its support, in the blend's units: beyond any image.
-const FAR: f64 = 1e6;
+/// Radius of its support in the blend's units: beyond any image.
+const SUPPORT_RADIUS: f64 = 1e6;
 
-impl<K: Falloff> Falloff for Everywhere<K> {
-    const BENT: bool = K::BENT;
+impl<K: KernelProfile> KernelProfile for UnboundedSupport<K> {
+    const HAS_PARAMS: bool = K::HAS_PARAMS;
 
-    fn bend(self, index: u32) -> RowBend {
-        self.0.bend(index)
+    fn consts(self, index: u32) -> ProfileConsts {
+        self.0.consts(index)
     }
 
     #[inline(always)]
@@ -33,20 +33,26 @@ impl<K: Falloff> Falloff for Everywhere<K> {
     }
 
     #[inline(always)]
-    fn backward<S: Simd>(simd: S, row: &Row, s: Sample<S>, learns: mask32x16<S>, d_alpha: f32x16<S>) -> Pull<S> {
-        K::backward(simd, row, s, learns, d_alpha)
+    fn backward<S: Simd>(
+        simd: S,
+        row: &Row,
+        s: Sample<S>,
+        has_grad: mask32x16<S>,
+        d_alpha: f32x16<S>,
+    ) -> SampleGrad<S> {
+        K::backward(simd, row, s, has_grad, d_alpha)
     }
 
     fn support(self, _: u32, _: f64, _: f64) -> f64 {
-        FAR * FAR
+        SUPPORT_RADIUS * SUPPORT_RADIUS
     }
 
-    fn widest(self, _: u32, _: f64, _: f64) -> f64 {
-        FAR / LOG2_SCALE
+    fn max_distance(self, _: u32, _: f64, _: f64) -> f64 {
+        SUPPORT_RADIUS / LOG2_SCALE
     }
 }
 
-/// Which kernels a scene takes.
+/// The kernels of scene `i`.
 fn kernel(i: u64, n: usize) -> Kernel {
     let mut rng = Rng::new(i, "kernels", 0, 0);
     let mut column = |low: f32, high: f32| (0..n).map(|_| rng.range(low, high)).collect::<Vec<_>>();
@@ -54,7 +60,7 @@ fn kernel(i: u64, n: usize) -> Kernel {
         0 => Kernel::Frequency { lambdas: vec![0.01; n], betas: vec![0.49; n] },
         1 => Kernel::Frequency { lambdas: vec![1.0; n], betas: vec![0.98; n] },
         2 => Kernel::Acutance { acutances: column(-0.95, 0.95) },
-        // Anything, splats that never decay among them.
+        // The whole domain, including splats that never decay.
         3 => Kernel::Frequency { lambdas: column(0.0, 1.0), betas: column(0.0, 1.0) },
         _ => Kernel::Frequency { lambdas: column(0.0, 0.3), betas: column(0.0, 0.49) },
     }
@@ -69,9 +75,9 @@ fn scenes() -> impl Iterator<Item = (Splats, RasterOptions)> {
     })
 }
 
-fn bits<K: Falloff>(kernel: K, splats: &Splats, options: &RasterOptions) -> Vec<u32> {
+fn bits<K: KernelProfile>(kernel: K, splats: &Splats, options: &RasterOptions) -> Vec<u32> {
     let mut frame = Frame::default();
-    draw(kernel, splats, &camera(50), options, &mut Workspace::new(), &mut frame);
+    render_with(kernel, splats, &camera(50), options, &mut Workspace::new(), &mut frame);
     [frame.rgb, frame.alpha, frame.depth].concat().iter().map(|v| v.to_bits()).collect()
 }
 
@@ -79,9 +85,9 @@ fn bits<K: Falloff>(kernel: K, splats: &Splats, options: &RasterOptions) -> Vec<
 fn exact_supports_lose_no_pixel_and_a_three_sigma_box_does() {
     let (mut boxed, mut soft) = (0, 0);
     for (i, (splats, options)) in scenes().enumerate() {
-        let mut bends = Vec::new();
-        let kernel = Bent::new(&splats.kernel, splats.len(), options.kernel_cut, &mut bends);
-        let want = bits(Everywhere(kernel), &splats, &options);
+        let mut consts = Vec::new();
+        let kernel = PiecewiseLinear::new(&splats.kernel, splats.len(), options.kernel_cut, &mut consts);
+        let want = bits(UnboundedSupport(kernel), &splats, &options);
         assert!(bits(kernel, &splats, &options) == want, "scene {i}: a list lost a pixel");
         soft += usize::from(i % 5 == 0);
         let box_of_three = RasterOptions { box_sigmas: 3.0, ..options.clone() };
@@ -90,22 +96,22 @@ fn exact_supports_lose_no_pixel_and_a_three_sigma_box_does() {
     assert!(boxed == soft && soft > 0, "a 3σ box must cut soft kernels: {boxed} of {soft} scenes");
 }
 
-/// A splat that never decays ends at the cut, wherever the tiles lie.
+/// A splat that never decays ends at the cut, whatever the position of the tiles.
 #[test]
 fn the_cut_does_not_depend_on_tiles() {
     let n = 12;
     let mut splats = scene(n, 0);
     splats.kernel = Kernel::Frequency { lambdas: vec![0.05; n], betas: vec![0.9; n] };
     let options = RasterOptions::default();
-    let mut bends = Vec::new();
-    let kernel = Bent::new(&splats.kernel, splats.len(), options.kernel_cut, &mut bends);
-    assert!(bits(kernel, &splats, &options) == bits(Everywhere(kernel), &splats, &options));
+    let mut consts = Vec::new();
+    let kernel = PiecewiseLinear::new(&splats.kernel, splats.len(), options.kernel_cut, &mut consts);
+    assert!(bits(kernel, &splats, &options) == bits(UnboundedSupport(kernel), &splats, &options));
     let render = |shift: u32| {
         let mut camera = camera(64);
         (camera.cx, camera.cy) = (camera.cx + f64::from(shift), camera.cy + f64::from(shift));
         (camera.width, camera.height) = (64 + shift, 64 + shift);
         let mut frame = Frame::default();
-        draw(kernel, &splats, &camera, &options, &mut Workspace::new(), &mut frame);
+        render_with(kernel, &splats, &camera, &options, &mut Workspace::new(), &mut frame);
         frame
     };
     let base = render(0);
@@ -120,7 +126,7 @@ fn the_cut_does_not_depend_on_tiles() {
     }
 }
 
-/// Neutral rows among bent ones draw and learn as in a scene of Gaussians; the whole scene, to the bit.
+/// A scene of neutral kernels gives the frame of a scene of Gaussians, bit for bit.
 #[test]
 fn neutral_kernels_are_the_gaussian_to_the_bit() {
     let plain = scene(400, 0);
@@ -128,8 +134,11 @@ fn neutral_kernels_are_the_gaussian_to_the_bit() {
     let want = bits(crate::kernel::Gaussian, &plain, &options);
     for beta in [0.0, 1e-7, 0.5, 1.0 - 1e-7, 1.0] {
         let kernel = Kernel::Frequency { lambdas: vec![0.5; plain.len()], betas: vec![beta; plain.len()] };
-        assert!(bits(Bent::new(&kernel, plain.len(), 9.0, &mut Vec::new()), &plain, &options) == want, "β {beta}");
+        assert!(
+            bits(PiecewiseLinear::new(&kernel, plain.len(), 9.0, &mut Vec::new()), &plain, &options) == want,
+            "β {beta}"
+        );
     }
     let kernel = Kernel::Acutance { acutances: vec![0.0; plain.len()] };
-    assert!(bits(Bent::new(&kernel, plain.len(), 9.0, &mut Vec::new()), &plain, &options) == want);
+    assert!(bits(PiecewiseLinear::new(&kernel, plain.len(), 9.0, &mut Vec::new()), &plain, &options) == want);
 }

@@ -1,8 +1,8 @@
-//! How many splats made each pixel: another walk over the lists that a frame leaves behind.
+//! Number of splats blended into each pixel, from the tile lists of the last frame.
 
 use crate::blend::{Limits, block_pixels, log2_raw, whitened};
-use crate::blend_backward::Stretch;
-use crate::kernel::{Bent, Falloff, Gaussian};
+use crate::blend_backward::TileSpan;
+use crate::kernel::{Gaussian, KernelProfile, PiecewiseLinear};
 use crate::options::RasterOptions;
 use crate::rows::{GROUP, Rows};
 use crate::simd;
@@ -12,34 +12,44 @@ use fearless_simd::{dispatch, prelude::*, u32x16};
 use gs_core::Splats;
 use rayon::prelude::*;
 
-/// Splats that were blended into each pixel, `[height, width]`: those of at least `min_alpha` there, up to the last one
-/// before the pixel was full.
+/// Number of splats blended into each pixel, `[height, width]` row-major: those that reach `min_alpha` there, up to the
+/// one before the pixel's transmittance falls to `stop`.
 ///
 /// Must follow [`crate::render_into`] of the same splats and options with the same workspace.
+///
+/// ```
+/// use gs_raster::{RasterOptions, Workspace, blend_counts, measure, render};
+///
+/// let (splats, camera) = (measure::scene(500, 0), measure::camera(32));
+/// let (options, mut workspace) = (RasterOptions::default(), Workspace::new());
+/// let frame = render(&splats, &camera, &options, &mut workspace);
+/// let counts = blend_counts(&splats, &options, &mut workspace);
+/// assert!(counts.iter().zip(&frame.alpha).all(|(&n, &alpha)| (n > 0) == (alpha > 0.0)));
+/// ```
 pub fn blend_counts(splats: &Splats, options: &RasterOptions, workspace: &mut Workspace) -> Vec<u32> {
     if splats.kernel.is_neutral() {
         return counts(Gaussian, options, workspace);
     }
-    let mut bends = std::mem::take(&mut workspace.bends);
-    let kernel = Bent::new(&splats.kernel, splats.len(), options.kernel_cut, &mut bends);
+    let mut kernel_consts = std::mem::take(&mut workspace.kernel_consts);
+    let kernel = PiecewiseLinear::new(&splats.kernel, splats.len(), options.kernel_cut, &mut kernel_consts);
     let found = counts(kernel, options, workspace);
-    workspace.bends = bends;
+    workspace.kernel_consts = kernel_consts;
     found
 }
 
-fn counts<K: Falloff>(kernel: K, options: &RasterOptions, w: &Workspace) -> Vec<u32> {
+fn counts<K: KernelProfile>(kernel: K, options: &RasterOptions, w: &Workspace) -> Vec<u32> {
     let (level, limits, grid) = (simd::level(options.simd), Limits::new(options), &w.grid);
-    let of_tile = |tile: usize| {
+    let tile_counts = |tile: usize| {
         let (origin, last) = (grid.origin(tile), &w.tiles[tile].last);
         let mut counts: Plane<u32> = [[0; 16]; BLOCKS];
         for chunk in &w.chunks[..w.chunk_count] {
-            let first_number = chunk.seen_before[tile];
-            let stretch = Stretch { drawn: &chunk.drawn, list: chunk.tile_list(tile), first_number };
-            dispatch!(level, simd => count(simd, kernel, stretch, origin, limits, last, &mut counts));
+            let first_slot = chunk.listed_before[tile];
+            let span = TileSpan { projected: &chunk.projected, list: chunk.tile_list(tile), first_slot };
+            dispatch!(level, simd => count(simd, kernel, span, origin, limits, last, &mut counts));
         }
         counts
     };
-    let tiles: Vec<Plane<u32>> = (0..w.tiles.len()).into_par_iter().map(of_tile).collect();
+    let tiles: Vec<Plane<u32>> = (0..w.tiles.len()).into_par_iter().map(tile_counts).collect();
     let mut all = vec![0; grid.width * grid.height];
     for (tile, counts) in tiles.iter().enumerate() {
         let [left, top] = grid.origin(tile);
@@ -54,12 +64,12 @@ fn counts<K: Falloff>(kernel: K, options: &RasterOptions, w: &Workspace) -> Vec<
     all
 }
 
-/// Counts a stretch of a tile's list. What a pixel is reached by behind its `last` splat came too late.
+/// Adds one span of a tile's list to `counts`. Entries behind a pixel's `last` were not blended.
 #[inline(always)]
-fn count<S: Simd, K: Falloff>(
+fn count<S: Simd, K: KernelProfile>(
     simd: S,
     kernel: K,
-    stretch: Stretch,
+    span: TileSpan,
     origin: [usize; 2],
     limits: Limits,
     last: &Plane<u32>,
@@ -67,9 +77,9 @@ fn count<S: Simd, K: Falloff>(
 ) {
     let mut rows = Rows::new();
     let one = u32x16::splat(simd, 1);
-    for (k, group) in stretch.list.chunks(GROUP).enumerate() {
-        rows.fill(simd, kernel, stretch.drawn, group, origin);
-        let first = stretch.first_number + (k * GROUP) as u32;
+    for (k, group) in span.list.chunks(GROUP).enumerate() {
+        rows.fill(simd, kernel, span.projected, group, origin);
+        let first = span.first_slot + (k * GROUP) as u32;
         for block in 0..BLOCKS {
             let (pixels, last) = (block_pixels(simd, block), u32x16::from_slice(simd, &last[block]));
             let mut sum = u32x16::from_slice(simd, &counts[block]);
@@ -79,7 +89,7 @@ fn count<S: Simd, K: Falloff>(
                 bits &= bits - 1;
                 let row = &rows.row[i];
                 let sample = K::sample(simd, row, log2_raw(simd, row, whitened(simd, row, pixels)), limits);
-                let blended = sample.reached & last.simd_gt(u32x16::splat(simd, first + i as u32));
+                let blended = sample.visible & last.simd_gt(u32x16::splat(simd, first + i as u32));
                 sum += blended.select(one, u32x16::splat(simd, 0));
             }
             sum.store_slice(&mut counts[block]);

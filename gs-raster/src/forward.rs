@@ -1,36 +1,48 @@
 //! A frame: depth order, then chunks of splats front to back, each binned to the tiles that are still open and blended.
 //!
-//! Chunks grow geometrically. A tile whose pixels are all opaque takes no further entries, so splats hidden behind it
-//! cost neither binning nor colour; the picture is the same as with full lists, bit for bit.
+//! Chunks grow geometrically. A tile whose pixels are all closed takes no further entries, so splats hidden behind it
+//! cost neither binning nor colour. The image is bit for bit the one of full lists.
 
 use crate::blend::{Limits, blend};
 use crate::frame::Frame;
-use crate::kernel::{Bent, Falloff, Gaussian};
+use crate::kernel::{Gaussian, KernelProfile, PiecewiseLinear};
 use crate::options::RasterOptions;
-use crate::project::{Shape, View, project, sh_color};
+use crate::project::{SplatGeometry, View, project, sh_color};
 use crate::simd;
 use crate::sort::{Key, sort};
-use crate::tiles::{Drawn, Grid, LOG2_SCALE, OpenTiles, TILE};
+use crate::tiles::{Grid, LOG2_SCALE, OpenTiles, ProjectedSplat, TILE};
 use crate::workspace::{Bin, Chunk, Entry, TileState, Workspace};
 use fearless_simd::{Level, dispatch, prelude::*};
 use gs_core::{Camera, Color, Splats};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-/// Splats handled by one task when depths are taken.
+/// Splats per task when depth keys are computed.
 const KEY_BLOCK: usize = 4096;
-/// The first chunk holds this share of the splats, each further one twice as many as the one before.
-const FIRST_SHARE: usize = 24;
-/// Smallest chunk.
+/// The first chunk holds the number of splats divided by this; each further one twice as many as the one before.
+const FIRST_CHUNK_DIVISOR: usize = 24;
+/// Fewest splats of the first chunk.
 const MIN_CHUNK: usize = 2048;
-/// Tasks a chunk is binned by, at most.
-const BINS: usize = 16;
-/// Smallest number of splats a binning task takes.
-const MIN_BIN: usize = 128;
+/// Most tasks that bin one chunk.
+const MAX_BIN_TASKS: usize = 16;
+/// Fewest splats of a binning task.
+const MIN_BIN_SPLATS: usize = 128;
 
-/// Draws `splats` as `camera` sees them into `frame`, reusing its memory and `workspace`'s.
+/// Renders `splats` from `camera` into `frame`, reusing its memory and that of `workspace`.
 ///
-/// `splats` and `camera` must have passed their `check`; results are the same bits for any number of threads.
+/// `splats` and `camera` must have passed their `check`; the frame is finite then. The result is the same bits for any
+/// number of threads.
+///
+/// ```
+/// use gs_raster::{Frame, RasterOptions, Workspace, measure, render_into};
+///
+/// let (mut workspace, mut frame) = (Workspace::new(), Frame::default());
+/// for side in [64, 32] {
+///     let (splats, camera) = (measure::scene(200, 1), measure::camera(side));
+///     render_into(&splats, &camera, &RasterOptions::default(), &mut workspace, &mut frame);
+///     assert_eq!(frame.alpha.len(), (side * side) as usize);
+/// }
+/// ```
 pub fn render_into(
     splats: &Splats,
     camera: &Camera,
@@ -39,17 +51,17 @@ pub fn render_into(
     frame: &mut Frame,
 ) {
     if splats.kernel.is_neutral() {
-        draw(Gaussian, splats, camera, options, workspace, frame);
+        render_with(Gaussian, splats, camera, options, workspace, frame);
     } else {
-        let mut bends = std::mem::take(&mut workspace.bends);
-        let kernel = Bent::new(&splats.kernel, splats.len(), options.kernel_cut, &mut bends);
-        draw(kernel, splats, camera, options, workspace, frame);
-        workspace.bends = bends;
+        let mut kernel_consts = std::mem::take(&mut workspace.kernel_consts);
+        let kernel = PiecewiseLinear::new(&splats.kernel, splats.len(), options.kernel_cut, &mut kernel_consts);
+        render_with(kernel, splats, camera, options, workspace, frame);
+        workspace.kernel_consts = kernel_consts;
     }
 }
 
-/// [`render_into`] with a fall-off of the caller's choice.
-pub(crate) fn draw<K: Falloff>(
+/// [`render_into`] with a given kernel profile.
+pub(crate) fn render_with<K: KernelProfile>(
     kernel: K,
     splats: &Splats,
     camera: &Camera,
@@ -62,9 +74,9 @@ pub(crate) fn draw<K: Falloff>(
     w.grid = grid;
     w.view = Some(view);
     reset_tiles(&mut w.tiles, &grid);
-    take_keys(splats, &view, options, w);
+    depth_keys(splats, &view, options, w);
     sort(&mut w.keys, &mut w.key_scratch, |i| view.depth(splats.means[i as usize]));
-    draw_chunks(kernel, splats, options, w);
+    render_chunks(kernel, splats, options, w);
     assemble(&w.tiles, &grid, options.background, frame);
 }
 
@@ -73,8 +85,8 @@ fn reset_tiles(tiles: &mut Vec<TileState>, grid: &Grid) {
     tiles.par_iter_mut().enumerate().for_each(|(i, t)| t.reset(grid.origin(i), grid));
 }
 
-/// Depth keys of the splats that may be seen, in index order.
-fn take_keys(splats: &Splats, view: &View, options: &RasterOptions, w: &mut Workspace) {
+/// Depth keys, in row order, of the splats within the depth range that can reach `min_alpha`.
+fn depth_keys(splats: &Splats, view: &View, options: &RasterOptions, w: &mut Workspace) {
     let blocks = splats.len().div_ceil(KEY_BLOCK);
     w.key_blocks.resize_with(blocks, Vec::new);
     w.key_blocks.par_iter_mut().enumerate().for_each(|(block, keys)| {
@@ -93,18 +105,18 @@ fn take_keys(splats: &Splats, view: &View, options: &RasterOptions, w: &mut Work
     }
 }
 
-fn draw_chunks<K: Falloff>(kernel: K, splats: &Splats, options: &RasterOptions, w: &mut Workspace) {
+fn render_chunks<K: KernelProfile>(kernel: K, splats: &Splats, options: &RasterOptions, w: &mut Workspace) {
     let level = simd::level(options.simd);
     let limits = Limits::new(options);
     let Some(view) = w.view else { return };
     w.open.update(&w.grid, w.tiles.iter().map(TileState::is_open));
-    let widest = f64::from(-limits.log2_min_alpha).sqrt() / LOG2_SCALE;
+    let max_distance = f64::from(-limits.log2_min_alpha).sqrt() / LOG2_SCALE;
     let mut first = 0;
-    let mut size = MIN_CHUNK.max(w.keys.len() / FIRST_SHARE);
+    let mut size = MIN_CHUNK.max(w.keys.len() / FIRST_CHUNK_DIVISOR);
     w.chunk_count = 0;
     while first < w.keys.len() && w.open.any() {
         let end = w.keys.len().min(first + size);
-        // A short rest is not worth a round of its own.
+        // A short remainder joins this chunk.
         let end = if w.keys.len() - end < size / 2 { w.keys.len() } else { end };
         if w.chunks.len() == w.chunk_count {
             w.chunks.push(Chunk::default());
@@ -112,7 +124,7 @@ fn draw_chunks<K: Falloff>(kernel: K, splats: &Splats, options: &RasterOptions, 
         let chunk = &mut w.chunks[w.chunk_count];
         w.chunk_count += 1;
         chunk.first = first;
-        let scene = Scene { kernel, splats, options, view: &view, limits, grid: &w.grid, open: &w.open, widest };
+        let scene = Scene { kernel, splats, options, view: &view, limits, grid: &w.grid, open: &w.open, max_distance };
         bin_chunk(&scene, &w.keys[first..end], &mut w.bins, chunk);
         blend_chunk(kernel, level, limits, &w.grid, chunk, &mut w.tiles);
         w.open.update(&w.grid, w.tiles.iter().map(TileState::is_open));
@@ -121,7 +133,7 @@ fn draw_chunks<K: Falloff>(kernel: K, splats: &Splats, options: &RasterOptions, 
     }
 }
 
-/// What binning reads.
+/// Inputs of binning.
 struct Scene<'a, K> {
     kernel: K,
     splats: &'a Splats,
@@ -130,27 +142,27 @@ struct Scene<'a, K> {
     limits: Limits,
     grid: &'a Grid,
     open: &'a OpenTiles,
-    /// Largest Mahalanobis distance at which an opaque Gaussian is visible.
-    widest: f64,
+    /// Largest Mahalanobis distance at which an opaque Gaussian reaches `min_alpha`.
+    max_distance: f64,
 }
 
-impl<K: Falloff> Scene<'_, K> {
-    /// Projects one splat; `None` if no pixel can see it.
+impl<K: KernelProfile> Scene<'_, K> {
+    /// Projects one splat; `None` if it cannot reach `min_alpha` in an open tile.
     #[inline(always)]
-    fn drawn(&self, index: u32) -> Option<Drawn> {
+    fn project(&self, index: u32) -> Option<ProjectedSplat> {
         let (s, i) = (self.splats, index as usize);
-        let shape = Shape { mean: s.means[i], quat: s.quats[i], scale: s.scales[i] };
+        let geometry = SplatGeometry { mean: s.means[i], quat: s.quats[i], scale: s.scales[i] };
         let log2_min_alpha = f64::from(self.limits.log2_min_alpha);
-        let widest = self.kernel.widest(index, self.widest, log2_min_alpha);
-        let (center, radius) = self.view.bound(&shape, self.options.dilation, widest);
-        if !self.open.meets(self.grid, center, radius) {
+        let max_distance = self.kernel.max_distance(index, self.max_distance, log2_min_alpha);
+        let (center, radius) = self.view.bound(&geometry, self.options.dilation, max_distance);
+        if !self.open.intersect(self.grid, center, radius) {
             return None;
         }
-        let footprint = project(self.view, &shape, self.options)?;
+        let footprint = project(self.view, &geometry, self.options)?;
         let log2_opacity = (f64::from(s.opacities[i]) * footprint.compensation).log2();
-        let most = (self.options.box_sigmas * LOG2_SCALE).powi(2);
-        let support = self.kernel.support(index, log2_opacity, log2_min_alpha).min(most);
-        Drawn::new(&footprint, log2_opacity, support, footprint.depth(), index)
+        let max_support = (self.options.box_sigmas * LOG2_SCALE).powi(2);
+        let support = self.kernel.support(index, log2_opacity, log2_min_alpha).min(max_support);
+        ProjectedSplat::new(&footprint, log2_opacity, support, footprint.depth(), index)
     }
 
     #[inline(always)]
@@ -166,63 +178,63 @@ impl<K: Falloff> Scene<'_, K> {
     }
 }
 
-/// Projects the splats of a chunk and lists, tile by tile in depth order, which open tiles they touch.
-fn bin_chunk<K: Falloff>(scene: &Scene<K>, keys: &[Key], bins: &mut Vec<Bin>, chunk: &mut Chunk) {
-    let size = keys.len().div_ceil(BINS).max(MIN_BIN);
+/// Projects the splats of a chunk, and lists for each open tile, in depth order, those that touch it.
+fn bin_chunk<K: KernelProfile>(scene: &Scene<K>, keys: &[Key], bins: &mut Vec<Bin>, chunk: &mut Chunk) {
+    let size = keys.len().div_ceil(MAX_BIN_TASKS).max(MIN_BIN_SPLATS);
     let count = keys.len().div_ceil(size);
     if bins.len() < count {
         bins.resize_with(count, Bin::default);
     }
     let bins = &mut bins[..count];
-    chunk.drawn.clear();
-    chunk.drawn.resize(keys.len(), Drawn::default());
+    chunk.projected.clear();
+    chunk.projected.resize(keys.len(), ProjectedSplat::default());
     chunk.splat_starts.clear();
     chunk.splat_starts.resize(keys.len() + 1, 0);
     let work = (
         &mut *bins,
         keys.par_chunks(size),
-        chunk.drawn.par_chunks_mut(size),
+        chunk.projected.par_chunks_mut(size),
         chunk.splat_starts[1..].par_chunks_mut(size),
     );
     let level = simd::level(scene.options.simd);
-    work.into_par_iter().for_each(|(bin, keys, drawn, counts)| {
-        dispatch!(level, simd => bin_block(simd, scene, keys, bin, drawn, counts));
+    work.into_par_iter().for_each(|(bin, keys, projected, counts)| {
+        dispatch!(level, simd => bin_block(simd, scene, keys, bin, projected, counts));
     });
-    place(scene.grid.tiles(), bins, chunk);
+    assign_offsets(scene.grid.tiles(), bins, chunk);
     fill_lists(size, bins, chunk);
 }
 
-/// Projects a block of splats, colours those that some open tile may see, and lists the tiles of each.
+/// Projects a block of splats, lists the open tiles each touches, and evaluates the colour of those that touch any.
 #[inline(always)]
-fn bin_block<S: Simd, K: Falloff>(
+fn bin_block<S: Simd, K: KernelProfile>(
     _: S,
     scene: &Scene<K>,
     keys: &[Key],
     bin: &mut Bin,
-    drawn: &mut [Drawn],
+    projected: &mut [ProjectedSplat],
     counts: &mut [u32],
 ) {
     bin.tiles.clear();
-    bin.places.clear();
-    bin.places.resize(scene.grid.tiles(), 0);
-    for ((key, drawn), count) in keys.iter().zip(drawn).zip(counts) {
-        let Some(splat) = scene.drawn(key.index) else { continue };
+    bin.offsets.clear();
+    bin.offsets.resize(scene.grid.tiles(), 0);
+    for ((key, projected), count) in keys.iter().zip(projected).zip(counts) {
+        let Some(splat) = scene.project(key.index) else { continue };
         let before = bin.tiles.len();
-        scene.grid.touched(&splat, |tile| {
+        scene.grid.for_each_tile(&splat, |tile| {
             if scene.open.is_open(tile) {
                 bin.tiles.push(tile);
-                bin.places[tile as usize] += 1;
+                bin.offsets[tile as usize] += 1;
             }
         });
         *count = (bin.tiles.len() - before) as u32;
         if *count > 0 {
-            *drawn = Drawn { rgb: scene.color(key.index), ..splat };
+            *projected = ProjectedSplat { rgb: scene.color(key.index), ..splat };
         }
     }
 }
 
-/// Turns counts into places: tile-major, within a tile in depth order.
-fn place(tiles: usize, bins: &mut [Bin], chunk: &mut Chunk) {
+/// Turns counts into offsets by prefix sums: tile-major, within a tile in depth order.
+fn assign_offsets(tiles: usize, bins: &mut [Bin], chunk: &mut Chunk) {
     let mut sum = 0;
     for c in &mut chunk.splat_starts {
         sum += *c;
@@ -231,7 +243,7 @@ fn place(tiles: usize, bins: &mut [Bin], chunk: &mut Chunk) {
     chunk.tile_starts.clear();
     chunk.tile_starts.resize(tiles + 1, 0);
     for bin in bins.iter() {
-        for (total, count) in chunk.tile_starts[1..].iter_mut().zip(&bin.places) {
+        for (total, count) in chunk.tile_starts[1..].iter_mut().zip(&bin.offsets) {
             *total += count;
         }
     }
@@ -242,9 +254,9 @@ fn place(tiles: usize, bins: &mut [Bin], chunk: &mut Chunk) {
     }
     let mut cursor = chunk.tile_starts.clone();
     for bin in bins {
-        for (next, place) in cursor.iter_mut().zip(&mut bin.places) {
-            let count = *place;
-            *place = *next;
+        for (next, offset) in cursor.iter_mut().zip(&mut bin.offsets) {
+            let count = *offset;
+            *offset = *next;
             *next += count;
         }
     }
@@ -269,16 +281,16 @@ fn fill_lists(size: usize, bins: &mut [Bin], chunk: &mut Chunk) {
         for (i, span) in spans.iter().enumerate() {
             let own = (span[0] - base) as usize..(span[1] - base) as usize;
             for (entry, &tile) in entries[own.clone()].iter_mut().zip(&bin.tiles[own]) {
-                let place = &mut bin.places[tile as usize];
-                list[*place as usize].store((block * size + i) as u32, Ordering::Relaxed);
-                *entry = Entry { tile, number: *place - tile_starts[tile as usize] };
-                *place += 1;
+                let offset = &mut bin.offsets[tile as usize];
+                list[*offset as usize].store((block * size + i) as u32, Ordering::Relaxed);
+                *entry = Entry { tile, chunk_slot: *offset - tile_starts[tile as usize] };
+                *offset += 1;
             }
         }
     });
 }
 
-fn blend_chunk<K: Falloff>(
+fn blend_chunk<K: KernelProfile>(
     kernel: K,
     level: Level,
     limits: Limits,
@@ -286,14 +298,14 @@ fn blend_chunk<K: Falloff>(
     chunk: &mut Chunk,
     tiles: &mut [TileState],
 ) {
-    chunk.seen_before.clear();
-    chunk.seen_before.extend(tiles.iter().map(|t| t.seen));
+    chunk.listed_before.clear();
+    chunk.listed_before.extend(tiles.iter().map(|t| t.listed));
     let chunk = &*chunk;
     tiles.par_iter_mut().enumerate().for_each(|(tile, state)| {
         let list = chunk.tile_list(tile);
         if !list.is_empty() {
             let origin = grid.origin(tile);
-            dispatch!(level, simd => blend(simd, kernel, &chunk.drawn, list, origin, limits, state));
+            dispatch!(level, simd => blend(simd, kernel, &chunk.projected, list, origin, limits, state));
         }
     });
 }
@@ -305,7 +317,7 @@ impl Chunk {
     }
 }
 
-/// Tiles to rows of pixels.
+/// Copies the tiles into the rows of the frame, over the background.
 fn assemble(tiles: &[TileState], grid: &Grid, background: [f32; 3], frame: &mut Frame) {
     let n = grid.width * grid.height;
     (frame.width, frame.height) = (grid.width, grid.height);

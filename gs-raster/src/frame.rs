@@ -1,36 +1,38 @@
-//! What drawing gives, and what comes back into it.
+//! Outputs of the rasteriser and their cotangents.
 
-/// A drawn frame. All arrays are row-major, origin top left.
+/// A rendered frame: colour, alpha and depth. All arrays are row-major, origin top left.
 #[derive(Clone, Debug, PartialEq, Default)]
 pub struct Frame {
-    /// Pixels per row.
+    /// Image width, pixels.
     pub width: usize,
-    /// Rows.
+    /// Image height, pixels.
     pub height: usize,
-    /// `[height, width, 3]`: colour over the background (premultiplied colour if the background is black).
+    /// `[height, width, 3]`: colour composited over the background, so premultiplied by alpha if that is black. Not
+    /// clamped above 1.
     pub rgb: Vec<f32>,
-    /// `[height, width]`: accumulated alpha, `1 − T`.
+    /// `[height, width]`: accumulated alpha `1 − T`, in `[0, 1]`.
     pub alpha: Vec<f32>,
     /// `[height, width]`: alpha-weighted camera depth `Σ w z` (divide by alpha for the mean), world units.
     pub depth: Vec<f32>,
 }
 
-/// Cotangents of a [`Frame`].
+/// Cotangents of a [`Frame`]: the gradient of a loss with respect to each of its arrays.
 #[derive(Clone, Debug, PartialEq, Default)]
 pub struct FrameGrad {
-    /// `dL/d rgb`, `[height, width, 3]`.
+    /// `dL/d rgb`, `[height, width, 3]`; empty stands for zero.
     pub rgb: Vec<f32>,
-    /// `dL/d alpha`, `[height, width]`; empty for none.
+    /// `dL/d alpha`, `[height, width]`; empty stands for zero.
     pub alpha: Vec<f32>,
-    /// `dL/d depth`, `[height, width]`; empty for none.
+    /// `dL/d depth`, `[height, width]`; empty stands for zero.
     pub depth: Vec<f32>,
 }
 
-/// What density control wants to know of each splat in one frame.
+/// Screen-space statistics of each splat in one frame, for densification.
 #[derive(Clone, Debug, PartialEq, Default)]
 pub struct ScreenStats {
-    /// `dL/d means2d`, pixels, one per splat; zero where not visible.
+    /// `[n]`: gradient with respect to the projected centre, per pixel; zero for splats that are not visible.
     pub grad_means2d: Vec<[f32; 2]>,
-    /// Radius of three standard deviations along the larger axis, pixels; 0 where not visible in this frame.
+    /// `[n]`: three standard deviations along the larger screen axis, pixels, after dilation and whatever the kernel; 0
+    /// for splats that are not visible.
     pub radii: Vec<f32>,
 }

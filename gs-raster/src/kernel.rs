@@ -1,15 +1,15 @@
-//! The fall-off of a splat as a seam of the blend: what happens between the Mahalanobis distance and alpha.
+//! Kernel profiles: how alpha follows from the Mahalanobis distance. The blend is generic over them.
 //!
-//! The blend hands a kernel `p = log₂(o' g)` of sixteen pixels and asks for `o' ψ(g)`; on the way back it hands over
-//! `dL/dα` and asks what opacity, geometry and the kernel's own parameters get. [`Bent`] works in units of the opacity,
-//! so that no sample is divided by it: with `R = o' g`, `O = o'` and the constants `u, κ` of [`gs_core::kernel::Bend`],
+//! Forward, a profile maps `p = log₂(o' g)` of sixteen pixels to `o' ψ(g)`. Backward, it maps `dL/dα` to the cotangents
+//! of opacity, geometry and its own parameters. [`PiecewiseLinear`] works in units of the opacity, so that no sample is
+//! divided by it: with `R = o' g`, `O = o'` and the constants `u, κ` of [`gs_core::kernel::Bend`],
 //! ```text
 //! M = R − O/2     H = min(R, O − R)     E = κ H      o' ψ = R + u · clamp(M, −E, E)
 //! outer: E < |M|     o' dψ/d ln g = R · (outer ? k : 1 + u)
 //! sums of the parameters:  Σ v sign H over outer samples,  Σ v M over the others        v = dL/d(o' ψ)
 //! ```
-//! A kernel with clamped knots has `E = 1` instead, above any `|M|`. `O` is the vector exponential of the very `log₂ o'` that the samples start from. A row with `u = 0` takes the
-//! Gaussian's path, to the bit.
+//! A kernel with clamped knots has `E = 1` instead, above any `|M|`. `O` is the vector exponential of the `log₂ o'` that
+//! the samples use. A row with `u = 0` takes the Gaussian's path, bit for bit.
 
 use crate::blend::Limits;
 use crate::rows::Row;
@@ -20,88 +20,100 @@ use gs_core::Kernel;
 use gs_core::kernel::Bend;
 use rayon::prelude::*;
 
-/// A fall-off. The blend is compiled once per implementor.
-pub(crate) trait Falloff: Copy + Send + Sync {
-    /// Whether rows carry a [`RowBend`] and records the two sums of its parameters.
-    const BENT: bool;
+/// A kernel profile ψ. The blend is compiled once per implementor.
+pub(crate) trait KernelProfile: Copy + Send + Sync {
+    /// Whether rows carry [`ProfileConsts`], and records the two sums of the kernel's parameters.
+    const HAS_PARAMS: bool;
 
-    /// Constants of the splat in row `index` of the caller's columns, but for its opacity.
-    fn bend(self, index: u32) -> RowBend;
+    /// Constants of the splat in row `index` of the caller's columns; its opacity is filled in later.
+    fn consts(self, index: u32) -> ProfileConsts;
 
     /// Sixteen samples of a row at `p = log₂(o' g)`.
     fn sample<S: Simd>(simd: S, row: &Row, p: f32x16<S>, limits: Limits) -> Sample<S>;
 
-    /// Cotangents of the samples from `dL/dα`, zero in the lanes that do not learn.
-    fn backward<S: Simd>(simd: S, row: &Row, sample: Sample<S>, learns: mask32x16<S>, d_alpha: f32x16<S>) -> Pull<S>;
+    /// Cotangents of the samples from `dL/dα`; zero in the lanes outside `has_grad`.
+    fn backward<S: Simd>(
+        simd: S,
+        row: &Row,
+        sample: Sample<S>,
+        has_grad: mask32x16<S>,
+        d_alpha: f32x16<S>,
+    ) -> SampleGrad<S>;
 
-    /// Largest `a² + b²`, in the blend's log₂ units, at which a splat of `log₂ o'` still reaches `log₂ min_alpha`;
-    /// negative if nowhere.
+    /// Largest `a² + b²`, in the blend's log₂ units, at which a splat of `log₂ o'` still reaches `log₂ min_alpha`.
+    /// Negative if it does nowhere.
     fn support(self, index: u32, log2_opacity: f64, log2_min_alpha: f64) -> f64;
 
-    /// Largest Mahalanobis distance at which an opaque splat is visible, given the Gaussian's.
-    fn widest(self, index: u32, gaussian: f64, log2_min_alpha: f64) -> f64;
+    /// Largest Mahalanobis distance at which an opaque splat reaches `min_alpha`; `gaussian` is that of the Gaussian.
+    fn max_distance(self, index: u32, gaussian: f64, log2_min_alpha: f64) -> f64;
 }
 
-/// Sixteen samples.
+/// One splat at sixteen pixels.
 #[derive(Clone, Copy)]
 pub(crate) struct Sample<S: Simd> {
-    /// `o' g`.
-    pub plain: f32x16<S>,
-    /// `o' ψ(g)`.
+    /// `o' g`: the Gaussian before ψ.
+    pub gaussian: f32x16<S>,
+    /// `o' ψ(g)`: alpha before the cap.
     pub raw: f32x16<S>,
-    /// Whether `raw` reaches `min_alpha`.
-    pub reached: mask32x16<S>,
+    /// Lanes whose `raw` reaches `min_alpha`.
+    pub visible: mask32x16<S>,
 }
 
-/// What sixteen samples give back.
+/// Cotangents of sixteen samples, not yet summed.
 #[derive(Clone, Copy)]
-pub(crate) struct Pull<S: Simd> {
+pub(crate) struct SampleGrad<S: Simd> {
     /// `dL/d ln o'`.
-    pub opacity: f32x16<S>,
+    pub d_ln_opacity: f32x16<S>,
     /// `dL/d ln g`.
-    pub shape: f32x16<S>,
-    /// Sums of the kernel's parameters: foot and plateau, flank.
-    pub bend: [f32x16<S>; 2],
+    pub d_ln_g: f32x16<S>,
+    /// `v sign H` on foot and plateau, `v M` on the flank (see the module's equations).
+    pub d_kernel: [f32x16<S>; 2],
 }
 
-/// Constants of a bent row.
+/// Constants of one splat's piecewise linear profile.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct RowBend {
+pub(crate) struct ProfileConsts {
     pub u: f32,
     /// `E = κ H + bias`.
     pub kappa: f32,
     pub bias: f32,
-    /// Slope of foot and plateau.
+    /// Slope `k` of ψ on foot and plateau.
     pub foot: f32,
-    /// Samples at `p` more than this below `log₂ o'` are cut off (unbounded fall-offs only).
+    /// Samples with `p < log₂ o' − cut` are skipped; infinite unless the profile never decays.
     pub cut: f32,
-    /// `o'`.
+    /// `o'`, the opacity after anti-aliasing compensation.
     pub opacity: f32,
 }
 
-/// The plain Gaussian, `ψ(g) = g`: opacity folds into the exponent and the threshold test needs no exponential.
+/// The Gaussian, `ψ(g) = g`. Opacity folds into the exponent and the threshold test needs no exponential.
 #[derive(Clone, Copy)]
 pub(crate) struct Gaussian;
 
-impl Falloff for Gaussian {
-    const BENT: bool = false;
+impl KernelProfile for Gaussian {
+    const HAS_PARAMS: bool = false;
 
     #[inline(always)]
-    fn bend(self, _: u32) -> RowBend {
-        RowBend::default()
+    fn consts(self, _: u32) -> ProfileConsts {
+        ProfileConsts::default()
     }
 
     #[inline(always)]
     fn sample<S: Simd>(simd: S, _: &Row, p: f32x16<S>, limits: Limits) -> Sample<S> {
         let raw = simd::exp2(simd, p);
-        Sample { plain: raw, raw, reached: p.simd_ge(f32x16::splat(simd, limits.log2_min_alpha)) }
+        Sample { gaussian: raw, raw, visible: p.simd_ge(f32x16::splat(simd, limits.log2_min_alpha)) }
     }
 
     #[inline(always)]
-    fn backward<S: Simd>(simd: S, _: &Row, sample: Sample<S>, learns: mask32x16<S>, d_alpha: f32x16<S>) -> Pull<S> {
+    fn backward<S: Simd>(
+        simd: S,
+        _: &Row,
+        sample: Sample<S>,
+        has_grad: mask32x16<S>,
+        d_alpha: f32x16<S>,
+    ) -> SampleGrad<S> {
         let zero = f32x16::splat(simd, 0.0);
-        let s = learns.select(sample.raw * d_alpha, zero);
-        Pull { opacity: s, shape: s, bend: [zero; 2] }
+        let s = has_grad.select(sample.raw * d_alpha, zero);
+        SampleGrad { d_ln_opacity: s, d_ln_g: s, d_kernel: [zero; 2] }
     }
 
     #[inline(always)]
@@ -110,43 +122,44 @@ impl Falloff for Gaussian {
     }
 
     #[inline(always)]
-    fn widest(self, _: u32, gaussian: f64, _: f64) -> f64 {
+    fn max_distance(self, _: u32, gaussian: f64, _: f64) -> f64 {
         gaussian
     }
 }
 
-/// The piecewise linear fall-offs of [`gs_core::Kernel`].
+/// The piecewise linear profiles of [`gs_core::Kernel`].
 #[derive(Clone, Copy)]
-pub(crate) struct Bent<'a> {
+pub(crate) struct PiecewiseLinear<'a> {
     kernel: &'a Kernel,
-    /// Constants of every splat of the caller: a splat has many entries, and its constants cost divisions.
-    bends: &'a [RowBend],
-    /// Largest `a² + b²` of a splat that never decays.
+    /// One per row of the caller's columns. A splat has many entries and its constants cost divisions, so they are
+    /// stored.
+    consts: &'a [ProfileConsts],
+    /// Largest `a² + b²` of a splat whose profile never decays, log₂ units.
     cut: f64,
 }
 
-/// Splats whose constants one task makes, at least.
-const BEND_BLOCK: usize = 2048;
-/// Lowest argument of the vector exponential.
-const LOWEST: f32 = -126.0;
-/// The inverse of ψ is taken at a threshold this much lower, against the rounding of ψ in `f32`.
-const CONSERVATIVE: f64 = 1.0 - 1e-6;
+/// Fewest splats per task when the constants are computed.
+const MIN_TASK_SPLATS: usize = 2048;
+/// Lowest argument of [`simd::exp2`].
+const EXP2_MIN_ARG: f32 = -126.0;
+/// Factor on the threshold at which ψ is inverted, so that the rounding of ψ in `f32` loses no pixel.
+const SUPPORT_MARGIN: f64 = 1.0 - 1e-6;
 
-impl<'a> Bent<'a> {
-    /// The fall-off of `n` splats; `kernel` must not be the Gaussian, `kernel_cut` is a squared Mahalanobis distance.
-    /// Their constants are written to `bends`.
-    pub fn new(kernel: &'a Kernel, n: usize, kernel_cut: f64, bends: &'a mut Vec<RowBend>) -> Self {
+impl<'a> PiecewiseLinear<'a> {
+    /// The profiles of `n` splats, with their constants written to `consts`. `kernel` must not be the Gaussian;
+    /// `kernel_cut` is a squared Mahalanobis distance.
+    pub(crate) fn new(kernel: &'a Kernel, n: usize, kernel_cut: f64, consts: &'a mut Vec<ProfileConsts>) -> Self {
         let cut = kernel_cut * LOG2_SCALE * LOG2_SCALE;
-        bends.resize(n, RowBend::default());
-        bends.par_iter_mut().with_min_len(BEND_BLOCK).enumerate().for_each(|(row, bend)| {
-            *bend = kernel.bend(row).map_or(RowBend::default(), |b| RowBend::new(&b, cut));
+        consts.resize(n, ProfileConsts::default());
+        consts.par_iter_mut().with_min_len(MIN_TASK_SPLATS).enumerate().for_each(|(row, to)| {
+            *to = kernel.bend(row).map_or(ProfileConsts::default(), |b| ProfileConsts::new(&b, cut));
         });
-        Self { kernel, bends, cut }
+        Self { kernel, consts, cut }
     }
 }
 
-impl RowBend {
-    /// Constants of a splat but for its opacity; `cut` ends unbounded fall-offs.
+impl ProfileConsts {
+    /// From the kernel's constants, without the opacity. `cut` ends profiles that never decay.
     fn new(bend: &Bend<f64>, cut: f64) -> Self {
         let (kappa, bias) = if bend.is_clamped() { (0.0, 1.0) } else { (bend.kappa as f32, 0.0) };
         let cut = if bend.is_unbounded() { cut as f32 } else { f32::INFINITY };
@@ -154,53 +167,59 @@ impl RowBend {
     }
 }
 
-/// `M`, `H` and `E`.
+/// `M`, `H` and `E` of the module's equations.
 #[inline(always)]
-fn folded<S: Simd>(simd: S, bend: &RowBend, plain: f32x16<S>) -> [f32x16<S>; 3] {
+fn folded<S: Simd>(simd: S, k: &ProfileConsts, gaussian: f32x16<S>) -> [f32x16<S>; 3] {
     let c = |v: f32| f32x16::splat(simd, v);
-    let h = plain.min(c(bend.opacity) - plain);
-    [plain - c(0.5 * bend.opacity), h, h.mul_add(c(bend.kappa), c(bend.bias))]
+    let h = gaussian.min(c(k.opacity) - gaussian);
+    [gaussian - c(0.5 * k.opacity), h, h.mul_add(c(k.kappa), c(k.bias))]
 }
 
-impl Falloff for Bent<'_> {
-    const BENT: bool = true;
+impl KernelProfile for PiecewiseLinear<'_> {
+    const HAS_PARAMS: bool = true;
 
     #[inline(always)]
-    fn bend(self, index: u32) -> RowBend {
-        self.bends[index as usize]
+    fn consts(self, index: u32) -> ProfileConsts {
+        self.consts[index as usize]
     }
 
     #[inline(always)]
     fn sample<S: Simd>(simd: S, row: &Row, p: f32x16<S>, limits: Limits) -> Sample<S> {
-        let bend = &row.bend;
+        let k = &row.profile;
         let c = |v: f32| f32x16::splat(simd, v);
-        let plain = simd::exp2(simd, p);
-        if bend.u == 0.0 {
-            return Sample { plain, raw: plain, reached: p.simd_ge(c(limits.log2_min_alpha)) };
+        let gaussian = simd::exp2(simd, p);
+        if k.u == 0.0 {
+            return Sample { gaussian, raw: gaussian, visible: p.simd_ge(c(limits.log2_min_alpha)) };
         }
-        let [m, _, reach] = folded(simd, bend, plain);
+        let [m, _, reach] = folded(simd, k, gaussian);
         let residual = m.max(c(0.0) - reach).min(reach);
-        let raw = residual.mul_add(c(bend.u), plain);
-        let reached = raw.simd_ge(c(limits.min_alpha)) & p.simd_ge(c((row.lo - bend.cut).max(LOWEST)));
-        Sample { plain, raw, reached }
+        let raw = residual.mul_add(c(k.u), gaussian);
+        let visible = raw.simd_ge(c(limits.min_alpha)) & p.simd_ge(c((row.log2_opacity - k.cut).max(EXP2_MIN_ARG)));
+        Sample { gaussian, raw, visible }
     }
 
     #[inline(always)]
-    fn backward<S: Simd>(simd: S, row: &Row, sample: Sample<S>, learns: mask32x16<S>, d_alpha: f32x16<S>) -> Pull<S> {
-        let bend = &row.bend;
+    fn backward<S: Simd>(
+        simd: S,
+        row: &Row,
+        sample: Sample<S>,
+        has_grad: mask32x16<S>,
+        d_alpha: f32x16<S>,
+    ) -> SampleGrad<S> {
+        let k = &row.profile;
         let c = |v: f32| f32x16::splat(simd, v);
         let zero = c(0.0);
-        let v = learns.select(d_alpha, zero);
-        // Lanes that do not learn may hold anything, not a number among it.
-        let plain = learns.select(sample.plain, zero);
-        let [m, h, reach] = folded(simd, bend, plain);
+        let v = has_grad.select(d_alpha, zero);
+        // The other lanes may hold anything, even NaN.
+        let gaussian = has_grad.select(sample.gaussian, zero);
+        let [m, h, reach] = folded(simd, k, gaussian);
         let outer = reach.simd_lt(m.abs());
         let signed = m.simd_le(zero).select(h, zero - h);
-        let slope = outer.select(c(bend.foot), c(1.0 + bend.u));
-        Pull {
-            opacity: learns.select(sample.raw * d_alpha, zero),
-            shape: plain * slope * v,
-            bend: [outer.select(signed * v, zero), outer.select(zero, m * v)],
+        let slope = outer.select(c(k.foot), c(1.0 + k.u));
+        SampleGrad {
+            d_ln_opacity: has_grad.select(sample.raw * d_alpha, zero),
+            d_ln_g: gaussian * slope * v,
+            d_kernel: [outer.select(signed * v, zero), outer.select(zero, m * v)],
         }
     }
 
@@ -209,7 +228,7 @@ impl Falloff for Bent<'_> {
         let gaussian = log2_opacity - log2_min_alpha;
         match self.kernel.bend(index as usize) {
             Some(bend) if bend.u != 0.0 => {
-                let reach = bend.support((-gaussian).exp2() * CONSERVATIVE).map_or(-1.0, |g| -g.log2());
+                let reach = bend.support((-gaussian).exp2() * SUPPORT_MARGIN).map_or(-1.0, |g| -g.log2());
                 if bend.is_unbounded() { reach.min(self.cut) } else { reach }
             }
             _ => gaussian,
@@ -217,9 +236,9 @@ impl Falloff for Bent<'_> {
     }
 
     #[inline(always)]
-    fn widest(self, index: u32, gaussian: f64, log2_min_alpha: f64) -> f64 {
+    fn max_distance(self, index: u32, gaussian: f64, log2_min_alpha: f64) -> f64 {
         match self.kernel.bend(index as usize) {
-            // Sharp kernels end before the Gaussian does.
+            // A sharp kernel ends before the Gaussian does.
             Some(bend) if bend.u < 0.0 => self.support(index, 0.0, log2_min_alpha).max(0.0).sqrt() / LOG2_SCALE,
             _ => gaussian,
         }

@@ -1,7 +1,7 @@
-//! Speed beside the machine's roofs: the scenes of the benchmarks, and what the machine can do at most.
+//! The scenes of the benchmarks, their time and error, and the machine's roofline.
 //!
-//! Scenes follow the statistics that published CPU peers were timed on: centres uniform in the unit box, log-normal sizes
-//! (σ 0.5) times per-axis log-normal (σ 0.6), opacity logits N(0, 1.8²), unnormalised quaternions, SH degree 3.
+//! Scenes follow the statistics that published CPU peers were timed on: centres uniform in the unit box, log-normal
+//! sizes (σ 0.5) times per-axis log-normal (σ 0.6), opacity logits N(0, 1.8²), unnormalised quaternions, SH degree 3.
 
 use crate::options::{RasterOptions, SimdLevel};
 use crate::reference::{self, Cutoff, Scene};
@@ -16,7 +16,13 @@ use rayon::prelude::*;
 use std::hint::black_box;
 use std::time::Instant;
 
-/// A random scene of `n` splats of SH degree `degree`; median scale 0.020 for 10 000, 0.010 for 100 000 splats.
+/// A random scene of `n` splats of SH degree `degree` (0 to 3), the same on every call; median scale 0.020 for 10 000,
+/// 0.010 for 100 000 splats.
+///
+/// ```
+/// let splats = gs_raster::measure::scene(10, 3);
+/// assert!(splats.check().is_ok() && splats == gs_raster::measure::scene(10, 3));
+/// ```
 pub fn scene(n: usize, degree: u8) -> Splats {
     let median = 0.02 * (1e4 / n.max(1) as f64).powf(std::f64::consts::LOG10_2);
     let mut rng = Rng::new(20_240_817, "bench scene", 0, n as u64);
@@ -35,8 +41,8 @@ pub fn scene(n: usize, degree: u8) -> Splats {
     s
 }
 
-/// The kernels of the benchmarks for `n` splats, by name: the Gaussian, the frequency kernel at rest (λ = β = ½), both
-/// bent kernels with parameters over most of their domain.
+/// The kernels of the benchmarks for `n` splats, by name: the Gaussian, the frequency kernel at its neutral parameters
+/// (λ = β = ½), and the frequency and acutance kernels with parameters over most of their domain.
 pub fn kernels(n: usize) -> [(&'static str, Kernel); 4] {
     let mut rng = Rng::new(20_240_817, "bench kernels", 0, n as u64);
     let lambdas: Vec<f32> = (0..n).map(|_| rng.uniform()).collect();
@@ -44,13 +50,13 @@ pub fn kernels(n: usize) -> [(&'static str, Kernel); 4] {
     let acutances = (0..n).map(|_| rng.range(-0.8, 0.8)).collect();
     [
         ("gaussian", Kernel::Gaussian),
-        ("frequency at rest", Kernel::Frequency { lambdas: vec![0.5; n], betas: vec![0.5; n] }),
+        ("frequency neutral", Kernel::Frequency { lambdas: vec![0.5; n], betas: vec![0.5; n] }),
         ("frequency", Kernel::Frequency { lambdas, betas }),
         ("acutance", Kernel::Acutance { acutances }),
     ]
 }
 
-/// The camera of the scenes: 1.5 units off the centre, `fx = 1.2 · side`.
+/// The camera of the scenes: `side × side` pixels, 1.5 units from the centre, `fx = fy = 1.2 · side`.
 pub fn camera(side: u32) -> Camera {
     let rotation = DMat3::from_rotation_x(0.12) * DMat3::from_rotation_y(0.21);
     let f = 1.2 * f64::from(side);
@@ -66,24 +72,24 @@ pub fn camera(side: u32) -> Camera {
     }
 }
 
-/// What this machine does at most, for the threads of the current pool.
+/// Peak throughput of this machine with the threads of the current rayon pool: the roofline beside a measured time.
 #[derive(Clone, Copy, Debug)]
 pub struct Roofs {
-    /// Threads measured.
+    /// Number of threads measured.
     pub threads: usize,
-    /// Fused multiply-adds, GFLOP/s.
+    /// Fused multiply-adds, GFLOP/s; each counts as two operations.
     pub fma: f64,
     /// Evaluations of the blend's `2^x`, 10⁹/s.
     pub exp2: f64,
 }
 
 impl Roofs {
-    /// Measures both at an instruction set, in about a tenth of a second.
+    /// Measures both with an instruction set; takes about a tenth of a second.
     pub fn measure(choice: SimdLevel) -> Self {
         let threads = rayon::current_num_threads();
         let level = simd::level(choice);
         let rounds = 200_000usize;
-        let best = |work: &(dyn Fn() -> f32 + Sync)| {
+        let best_seconds = |work: &(dyn Fn() -> f32 + Sync)| {
             let mut least = f64::INFINITY;
             for _ in 0..5 {
                 let start = Instant::now();
@@ -94,8 +100,8 @@ impl Roofs {
             }
             least
         };
-        let fma = best(&|| dispatch!(level, simd => fma_rounds(simd, rounds)));
-        let exp2 = best(&|| dispatch!(level, simd => exp2_rounds(simd, rounds)));
+        let fma = best_seconds(&|| dispatch!(level, simd => fma_rounds(simd, rounds)));
+        let exp2 = best_seconds(&|| dispatch!(level, simd => exp2_rounds(simd, rounds)));
         let work = (threads * rounds) as f64 * 16.0 * 1e-9;
         Self { threads, fma: work * 2.0 * 12.0 / fma, exp2: work * 4.0 / exp2 }
     }
@@ -125,8 +131,8 @@ fn exp2_rounds<S: Simd>(simd: S, rounds: usize) -> f32 {
     (sum[0] + sum[1] + sum[2] + sum[3]).reduce_sum()
 }
 
-/// Times one scene under some options with the current pool: forward, and forward + backward, each with its error
-/// against the `f64` reference on a smaller view of the same scene (`error_side` pixels).
+/// Median time of `runs` frames with the current pool, forward and forward + backward, each with its error against the
+/// `f64` reference on a smaller image of the same scene (`error_side` pixels wide).
 pub fn rows(
     case: &str,
     splats: &Splats,
@@ -145,7 +151,7 @@ pub fn rows(
         render_backward_into(splats, camera, options, &mut workspace, &d, &mut grad, &mut stats);
     });
     let small = camera.scaled(f64::from(error_side) / f64::from(camera.width));
-    let (frame_error, grad_error, blends) = errors(splats, &small, options);
+    let (frame_error, grad_error, blended_samples) = errors(splats, &small, options);
     let scale = n as f64 / f64::from(small.width * small.height);
     let row = |variant: &str, seconds: f64, error, error_kind| SpeedError {
         krate: "gs-raster",
@@ -154,7 +160,7 @@ pub fn rows(
         n: splats.len(),
         threads: rayon::current_num_threads(),
         ms: 1e3 * seconds,
-        work: blends * scale,
+        work: blended_samples * scale,
         error: Some(error),
         error_kind,
     };
@@ -198,5 +204,5 @@ fn errors(splats: &Splats, camera: &Camera, options: &RasterOptions) -> (f64, f6
             norm += w * w;
         }
     }
-    (worst, (distance / norm.max(f64::MIN_POSITIVE)).sqrt(), want.blends as f64)
+    (worst, (distance / norm.max(f64::MIN_POSITIVE)).sqrt(), want.blended_samples as f64)
 }

@@ -1,63 +1,71 @@
-//! What a caller may choose about drawing; every constant named and sourced.
+//! Options of a frame, with the source of every constant.
 
-/// How a splat behaves where its opacity times kernel exceeds [`RasterOptions::max_alpha`].
+/// Gradient of samples whose opacity times kernel exceeds [`RasterOptions::max_alpha`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum ClampGrad {
     /// The true derivative: zero above the cap.
     #[default]
     Exact,
-    /// As INRIA's kernels: the cap is ignored on the way back, so saturated splats keep learning.
+    /// The backward pass ignores the cap, as INRIA's kernels do, so saturated splats still get gradients.
     PassThrough,
 }
 
-/// The instruction set of the blend.
+/// The instruction set of the blend. A choice the machine lacks falls back to the best it has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum SimdLevel {
-    /// The best this machine has.
+    /// The best of this machine, detected at run time.
     #[default]
     Auto,
-    /// AVX2 + FMA at most (x86-64-v3), whatever the machine has.
+    /// AVX2 with FMA (x86-64-v3), even where AVX-512 exists.
     Avx2,
-    /// Baseline instructions only.
+    /// Only what the compilation target guarantees.
     Portable,
 }
 
-/// Options of a frame. `Default` is what the golden images use, over a black background.
+/// Options of a frame. `Default` is 3D Gaussian Splatting's choice over a black background.
+///
+/// ```
+/// use gs_raster::RasterOptions;
+///
+/// let white = RasterOptions { background: [1.0; 3], antialias: true, ..RasterOptions::default() };
+/// assert_eq!((white.max_alpha, white.min_alpha, white.dilation), (0.99, 1.0 / 255.0, 0.3));
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct RasterOptions {
-    /// Colour behind everything.
+    /// Colour behind all splats, in the units of the splats' colours. Default: black.
     pub background: [f32; 3],
-    /// Splats whose centre has camera depth ≤ `near` are not drawn, world units.
+    /// Splats whose centre has camera depth ≤ `near` are culled, world units. Default: 0.01 (gsplat).
     pub near: f64,
-    /// Splats whose centre has camera depth ≥ `far` are not drawn, world units.
+    /// Splats whose centre has camera depth ≥ `far` are culled, world units. Default: 1e10 (gsplat).
     pub far: f64,
-    /// Cap of a sample's alpha (3DGS: 0.99).
+    /// Cap of a sample's alpha, below 1. Default: 0.99 (3DGS).
     pub max_alpha: f64,
-    /// Samples below this alpha are skipped (3DGS: 1/255).
+    /// Samples below this alpha are skipped. Default: 1/255 (3DGS).
     pub min_alpha: f64,
-    /// A pixel stops before the sample that would bring its transmittance to this or below (3DGS: 1e-4).
+    /// A pixel stops before the sample that would bring its transmittance to this value or below. Default: 1e-4 (3DGS).
     pub stop: f64,
-    /// Added to both diagonal entries of the projected covariance, pixels² (3DGS: 0.3).
+    /// Added to both diagonal entries of the projected covariance, pixels². Default: 0.3 (3DGS).
     pub dilation: f64,
-    /// Scales opacity by the square root of (covariance determinant before / after dilation), Mip-Splatting style.
+    /// Scales opacity by the square root of (covariance determinant before / after dilation), as Mip-Splatting does.
+    /// Default: off.
     pub antialias: bool,
-    /// A fall-off that never decays (frequency kernel with `β ≥ ½ + λ`) is cut off beyond this squared
-    /// Mahalanobis distance, so that the picture does not depend on tiles. 9: the three standard deviations that the
-    /// published rasteriser's box implies.
+    /// A kernel that never decays (frequency kernel with `β ≥ ½ + λ`) is cut off beyond this squared Mahalanobis
+    /// distance, so that the image does not depend on tiles. Default: 9, the three standard deviations that the
+    /// published rasteriser's bounding box implies.
     pub kernel_cut: f64,
-    /// Blocks of pixels farther than this many standard deviations are not looked at. Infinite: exact supports. 3 is
+    /// Pixel blocks farther than this many standard deviations are skipped. Default: infinite, for exact supports. 3 is
     /// the published rasteriser's box; it truncates soft kernels visibly, by an amount that depends on the blocks.
     pub box_sigmas: f64,
-    /// Gradient above `max_alpha`.
+    /// Gradient of samples above `max_alpha`. Default: [`ClampGrad::Exact`].
     pub clamp_grad: ClampGrad,
-    /// Instruction set.
+    /// Instruction set of the blend. Default: [`SimdLevel::Auto`].
     pub simd: SimdLevel,
 }
 
 /// Smallest anti-aliasing compensation (gsplat, INRIA): `comp = sqrt(max(det0/det, 0.005²))`.
-pub const MIN_COMPENSATION: f64 = 0.005;
+pub(crate) const MIN_COMPENSATION: f64 = 0.005;
 /// The projection Jacobian clamps `x/z` this fraction of half the image beyond its border (INRIA's 1.3 tan).
-pub const FRUSTUM_MARGIN: f64 = 0.3;
+pub(crate) const FRUSTUM_MARGIN: f64 = 0.3;
 
 impl Default for RasterOptions {
     fn default() -> Self {

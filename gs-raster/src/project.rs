@@ -1,4 +1,4 @@
-//! One splat from world to screen, and back: the production form.
+//! Projection of one splat and its backward: the production form.
 //!
 //! Same mathematics as [`crate::reference`], in `f64`, but the screen ellipse is kept as a **whitening** `W` instead of
 //! a conic: `K = WᵀW`, so that the Mahalanobis distance is a sum of two squares that cannot cancel, even for needles:
@@ -7,29 +7,29 @@
 //! b = dy / √Σ'yy           a = (dx − Σ'xy/Σ'yy · dy) · √(Σ'yy / |Σ'|)          q = a² + b²
 //! ```
 //! `|Σ2| = |f₀ × f₁|²` (Cauchy–Binet on the 2×3 factor `F = J R_v R diag(s)`) and `|Σ'| = |Σ2| + δ tr Σ2 + δ²` are sums
-//! of non-negative terms. On the way back, the sums over pixels arrive in whitened coordinates `e = (a, b)`, where they
-//! are of order one: `v_u = Wᵀ Σ s e` and `v_Σ' = ½ Wᵀ (Σ s e eᵀ) W`.
+//! of non-negative terms. Backward, the sums over pixels arrive in whitened coordinates `e = (a, b)`, where they are of
+//! order one: `v_u = Wᵀ Σ s e` and `v_Σ' = ½ Wᵀ (Σ s e eᵀ) W`.
 
 use crate::options::{FRUSTUM_MARGIN, MIN_COMPENSATION, RasterOptions};
 use glam::Vec3;
 use gs_core::real::{cross3, dot3};
 use gs_core::{Camera, rot, sh};
 
-/// A camera as plain numbers, made once per frame.
+/// A camera's constants in the form projection needs, computed once per frame.
 #[derive(Clone, Copy, Debug)]
-pub struct View {
+pub(crate) struct View {
     rotation: [[f64; 3]; 3],
     translation: [f64; 3],
     pub(crate) position: [f64; 3],
     focal: [f64; 2],
     center: [f64; 2],
-    /// Lowest and highest `x/z`, `y/z` the Jacobian sees.
+    /// Bounds of `x/z` and of `y/z` in the Jacobian.
     limits: [[f64; 2]; 2],
 }
 
 impl View {
-    /// From a checked camera.
-    pub fn new(camera: &Camera) -> Self {
+    /// From a camera that has passed its `check`.
+    pub(crate) fn new(camera: &Camera) -> Self {
         let limit = |side: u32, f: f64, c: f64| {
             let margin = FRUSTUM_MARGIN * 0.5 * f64::from(side) / f;
             [-(c / f + margin), (f64::from(side) - c) / f + margin]
@@ -44,91 +44,94 @@ impl View {
         }
     }
 
-    /// Camera depth of a point.
+    /// Camera depth of a point, world units.
     #[inline(always)]
-    pub fn depth(&self, mean: Vec3) -> f64 {
+    pub(crate) fn depth(&self, mean: Vec3) -> f64 {
         dot3(self.rotation[2], mean.to_array().map(f64::from)) + self.translation[2]
     }
 }
 
 impl View {
-    /// Centre in pixels and a radius that surely covers the splat out to `widest` standard deviations:
+    /// Centre in pixels, and an upper bound of the splat's radius out to `max_distance` standard deviations:
     /// `λ_max(Σ') ≤ ‖J‖² max(s)² + dilation` with `‖J‖² ≤ (f/z)² (1 + x̃² + ỹ²)`.
     #[inline(always)]
-    pub fn bound(&self, shape: &Shape, dilation: f64, widest: f64) -> ([f32; 2], f32) {
-        let m = [f64::from(shape.mean.x), f64::from(shape.mean.y), f64::from(shape.mean.z)];
+    pub(crate) fn bound(&self, geometry: &SplatGeometry, dilation: f64, max_distance: f64) -> ([f32; 2], f32) {
+        let m = [f64::from(geometry.mean.x), f64::from(geometry.mean.y), f64::from(geometry.mean.z)];
         let t = |r: usize| dot3(self.rotation[r], m) + self.translation[r];
         let inv_z = 1.0 / t(2);
         let (x, y) = (t(0) * inv_z, t(1) * inv_z);
-        let x_seen = x.clamp(self.limits[0][0], self.limits[0][1]);
-        let y_seen = y.clamp(self.limits[1][0], self.limits[1][1]);
+        let x_clamped = x.clamp(self.limits[0][0], self.limits[0][1]);
+        let y_clamped = y.clamp(self.limits[1][0], self.limits[1][1]);
         let focal = self.focal[0].max(self.focal[1]) * inv_z;
-        let size = f64::from(shape.scale.abs().max_element()) * focal;
-        let spread = size * size * (1.0 + x_seen * x_seen + y_seen * y_seen) + dilation;
-        let radius = widest * spread.sqrt() * (1.0 + 1e-5) + 1e-2;
+        let size = f64::from(geometry.scale.abs().max_element()) * focal;
+        let spread = size * size * (1.0 + x_clamped * x_clamped + y_clamped * y_clamped) + dilation;
+        let radius = max_distance * spread.sqrt() * (1.0 + 1e-5) + 1e-2;
         let center = [self.focal[0] * x + self.center[0], self.focal[1] * y + self.center[1]];
-        // Far centres lose absolute precision in f32; the radius makes up for it.
-        let reach = 1e-6 * (center[0].abs() + center[1].abs());
-        ([center[0] as f32, center[1] as f32], (radius + reach) as f32)
+        // Far centres lose absolute precision in f32; the radius is widened by that.
+        let rounding = 1e-6 * (center[0].abs() + center[1].abs());
+        ([center[0] as f32, center[1] as f32], (radius + rounding) as f32)
     }
 }
 
-/// A splat's geometry on the screen, with what the way back needs.
+/// A splat's geometry on the screen, with the intermediates that backward needs.
 #[derive(Clone, Copy, Debug)]
-pub struct Footprint {
-    /// Centre, pixels.
+pub(crate) struct Footprint {
+    /// Projected mean, pixels.
     pub center: [f64; 2],
-    /// Camera-space centre.
+    /// Mean in camera space, world units.
     point: [f64; 3],
     /// Whitening: `a = w[0] dx + w[1] dy`, `b = w[2] dy`.
     pub whitening: [f64; 3],
-    /// Dilated covariance `xx, xy, yy`.
+    /// Dilated covariance `Σ'` as `xx, xy, yy`, pixels².
     pub covariance: [f64; 3],
-    /// `|Σ2|` and `|Σ'|`.
+    /// `|Σ2|`, before dilation.
     det0: f64,
+    /// `|Σ'|`, after dilation.
     det: f64,
     /// Anti-aliasing factor on the opacity (1 when off).
     pub compensation: f64,
     unit: rot::UnitQuat<f64>,
-    /// `R_v R`.
-    turned: [[f64; 3]; 3],
+    /// `R_v R`: columns are the splat's axes in camera space.
+    cam_axes: [[f64; 3]; 3],
     /// `F = J R_v R diag(s)`.
     factor: [[f64; 3]; 2],
+    /// `x/z`, `y/z` clamped to the bounds.
     clamped: [f64; 2],
-    free: [f64; 2],
+    /// 1 where the clamp changed nothing, else 0.
+    unclamped: [f64; 2],
 }
 
-/// One row of the geometry columns.
+/// Geometry parameters of one splat.
 #[derive(Clone, Copy, Debug)]
-pub struct Shape {
-    /// Centre, world units.
+pub(crate) struct SplatGeometry {
+    /// World-space mean, world units.
     pub mean: Vec3,
-    /// Raw quaternion.
+    /// Quaternion `(w, x, y, z)` of any length.
     pub quat: [f32; 4],
-    /// Standard deviations.
+    /// Standard deviations, world units.
     pub scale: Vec3,
 }
 
-/// Geometry of one splat whose depth lies within the range. `None` if its ellipse is not finite.
+/// Projects one splat whose depth lies within the range. `None` if its ellipse is not finite.
 #[inline(always)]
-pub fn project(view: &View, shape: &Shape, options: &RasterOptions) -> Option<Footprint> {
-    let m = shape.mean.to_array().map(f64::from);
+pub(crate) fn project(view: &View, geometry: &SplatGeometry, options: &RasterOptions) -> Option<Footprint> {
+    let m = geometry.mean.to_array().map(f64::from);
     let t: [f64; 3] = std::array::from_fn(|r| dot3(view.rotation[r], m) + view.translation[r]);
     let inv_z = 1.0 / t[2];
     let mut clamped = [0.0; 2];
-    let mut free = [0.0; 2];
+    let mut unclamped = [0.0; 2];
     for axis in 0..2 {
         let [lo, hi] = view.limits[axis];
         let ratio = t[axis] * inv_z;
         clamped[axis] = ratio.clamp(lo, hi);
-        free[axis] = if ratio >= lo && ratio <= hi { 1.0 } else { 0.0 };
+        unclamped[axis] = if ratio >= lo && ratio <= hi { 1.0 } else { 0.0 };
     }
-    let unit = rot::normalise(shape.quat.map(f64::from));
-    let turned = multiply(&view.rotation, &rot::matrix(unit.wxyz));
-    let s = shape.scale.to_array().map(f64::from);
+    let unit = rot::normalise(geometry.quat.map(f64::from));
+    let cam_axes = multiply(&view.rotation, &rot::matrix(unit.wxyz));
+    let s = geometry.scale.to_array().map(f64::from);
     let factor: [[f64; 3]; 2] = std::array::from_fn(|r| {
         let f = view.focal[r] * inv_z;
-        std::array::from_fn(|k| f * (turned[r][k] - clamped[r] * turned[2][k]) * s[k])
+        std::array::from_fn(|k| f * (cam_axes[r][k] - clamped[r] * cam_axes[2][k]) * s[k])
     });
     let dilation = options.dilation;
     let (xx0, xy, yy0) = (dot3(factor[0], factor[0]), dot3(factor[0], factor[1]), dot3(factor[1], factor[1]));
@@ -150,10 +153,10 @@ pub fn project(view: &View, shape: &Shape, options: &RasterOptions) -> Option<Fo
         det,
         compensation: if options.antialias { (det0 / det).max(floor).sqrt() } else { 1.0 },
         unit,
-        turned,
+        cam_axes,
         factor,
         clamped,
-        free,
+        unclamped,
     })
 }
 
@@ -162,46 +165,46 @@ fn multiply(a: &[[f64; 3]; 3], b: &[[f64; 3]; 3]) -> [[f64; 3]; 3] {
     std::array::from_fn(|r| std::array::from_fn(|k| a[r][0] * b[0][k] + a[r][1] * b[1][k] + a[r][2] * b[2][k]))
 }
 
-/// Sums over the pixels of one splat, in whitened coordinates. With `s = dL/d ln g` of each sample:
+/// Gradient sums over the pixels of one splat, in whitened coordinates; `s = dL/d ln g` of each sample.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct PixelSums {
-    /// `dL/d ln o'`.
+pub(crate) struct PixelSums {
+    /// `dL/d ln o'`, the logarithm of the compensated opacity.
     pub opacity: f64,
     /// `Σ s a`, `Σ s b`.
     pub first: [f64; 2],
     /// `Σ s a²`, `Σ s ab`, `Σ s b²`.
     pub second: [f64; 3],
-    /// `dL/d rgb`.
+    /// `dL/d rgb` of the splat's colour.
     pub rgb: [f64; 3],
-    /// `dL/d depth`.
+    /// `dL/d depth` of the splat's mean.
     pub depth: f64,
     /// `Σ v outer`, `Σ v inner` with `v = dL/dψ` ([`gs_core::kernel::Partials`]).
-    pub bend: [f64; 2],
+    pub kernel: [f64; 2],
 }
 
-/// Cotangents of one splat's geometry.
+/// Cotangents of one splat's geometry and opacity.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct ShapeGrad {
-    /// `dL/d mean`, without the path through the view direction.
+pub(crate) struct GeometryGrad {
+    /// `dL/d mean`, world space, without the path through the view direction.
     pub mean: [f64; 3],
-    /// `dL/d quat`.
+    /// `dL/d quat` of the unnormalised quaternion.
     pub quat: [f64; 4],
-    /// `dL/d scale`.
+    /// `dL/d scale` of the standard deviations.
     pub scale: [f64; 3],
-    /// `dL/d opacity`.
+    /// `dL/d opacity` of the opacity before compensation.
     pub opacity: f64,
-    /// `dL/d mean2d`, pixels.
+    /// `dL/d mean2d`, per pixel.
     pub mean2d: [f64; 2],
 }
 
 impl Footprint {
-    /// Camera depth.
-    pub fn depth(&self) -> f64 {
+    /// Camera depth of the mean, world units.
+    pub(crate) fn depth(&self) -> f64 {
         self.point[2]
     }
 
-    /// Three standard deviations along the larger axis, pixels (the statistic of density control).
-    pub fn radius(&self) -> f64 {
+    /// Three standard deviations along the larger axis, pixels; see [`crate::ScreenStats::radii`].
+    pub(crate) fn radius(&self) -> f64 {
         let [xx, xy, yy] = self.covariance;
         let (mid, half) = (0.5 * (xx + yy), 0.5 * (xx - yy));
         3.0 * (mid + (half * half + xy * xy).sqrt()).sqrt()
@@ -230,21 +233,21 @@ impl Footprint {
     }
 }
 
-/// Pulls one splat's pixel sums back to its geometry.
+/// Cotangents of one splat's geometry from its pixel sums.
 #[inline(always)]
-pub fn backward(
+pub(crate) fn backward(
     view: &View,
-    shape: &Shape,
+    geometry: &SplatGeometry,
     footprint: &Footprint,
     opacity: f64,
     sums: &PixelSums,
     options: &RasterOptions,
-) -> ShapeGrad {
+) -> GeometryGrad {
     let fp = footprint;
     let [w0, w1, w2] = fp.whitening;
     let mean2d = [w0 * sums.first[0], w1 * sums.first[0] + w2 * sums.first[1]];
     let d_cov = fp.covariance_backward(sums, options);
-    let s = shape.scale.to_array().map(f64::from);
+    let s = geometry.scale.to_array().map(f64::from);
     let inv_z = 1.0 / fp.point[2];
     // d_F = 2 d_Σ F; F = diag(f/z) (rows 0, 1 of W_t − clamp ⊗ row 2) diag(s).
     let mut scale = [0.0; 3];
@@ -255,20 +258,20 @@ pub fn backward(
         let d_f = [2.0 * (d_cov[0] * f[0] + d_cov[1] * f[1]), 2.0 * (d_cov[1] * f[0] + d_cov[2] * f[1])];
         for r in 0..2 {
             let j = view.focal[r] * inv_z;
-            let bare = j * (fp.turned[r][k] - fp.clamped[r] * fp.turned[2][k]);
-            scale[k] += d_f[r] * bare;
+            let unscaled = j * (fp.cam_axes[r][k] - fp.clamped[r] * fp.cam_axes[2][k]);
+            scale[k] += d_f[r] * unscaled;
             let d_jw = d_f[r] * s[k];
             d_turned[r][k] = j * d_jw;
             d_turned[2][k] -= j * fp.clamped[r] * d_jw;
-            d_j[r][0] += d_jw * fp.turned[r][k];
-            d_j[r][1] += d_jw * fp.turned[2][k];
+            d_j[r][0] += d_jw * fp.cam_axes[r][k];
+            d_j[r][1] += d_jw * fp.cam_axes[2][k];
         }
     }
     let d_rotation =
         std::array::from_fn(|r| std::array::from_fn(|k| (0..3).map(|c| view.rotation[c][r] * d_turned[c][k]).sum()));
     let quat = rot::normalise_backward(&fp.unit, rot::matrix_backward(fp.unit.wxyz, &d_rotation));
     let d_point = point_backward(view, fp, mean2d, &d_j, sums.depth);
-    ShapeGrad {
+    GeometryGrad {
         mean: std::array::from_fn(|k| (0..3).map(|r| view.rotation[r][k] * d_point[r]).sum()),
         quat,
         scale,
@@ -288,7 +291,7 @@ fn point_backward(view: &View, fp: &Footprint, mean2d: [f64; 2], d_j: &[[f64; 2]
         d[axis] += j * mean2d[axis];
         d[2] -= j * ratio * mean2d[axis];
         d[2] -= j * inv_z * (d_j[axis][0] - fp.clamped[axis] * d_j[axis][1]);
-        let through = fp.free[axis] * j * inv_z * d_j[axis][1];
+        let through = fp.unclamped[axis] * j * inv_z * d_j[axis][1];
         d[axis] -= through;
         d[2] += through * ratio;
     }
@@ -297,7 +300,7 @@ fn point_backward(view: &View, fp: &Footprint, mean2d: [f64; 2], d_j: &[[f64; 2]
 
 /// Colour of SH coefficients `row` (`[K, 3]`) seen from `position`, clamped at zero.
 #[inline(always)]
-pub fn sh_color(mean: Vec3, position: [f64; 3], degree: u8, row: &[f32]) -> [f32; 3] {
+pub(crate) fn sh_color(mean: Vec3, position: [f64; 3], degree: u8, row: &[f32]) -> [f32; 3] {
     let basis = view_basis(mean, position, degree).0;
     sh_color_unclamped(&basis, row).map(|v| v.max(0.0))
 }
@@ -311,7 +314,7 @@ fn view_basis(mean: Vec3, position: [f64; 3], degree: u8) -> ([f32; 16], [f32; 3
 
 /// Cotangents of SH coefficients (written to `d_row`) and of the mean through the view direction (returned).
 #[inline(always)]
-pub fn sh_color_backward(
+pub(crate) fn sh_color_backward(
     mean: Vec3,
     position: [f64; 3],
     degree: u8,

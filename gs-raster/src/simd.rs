@@ -1,4 +1,4 @@
-//! Instruction sets and the few vector functions the blend needs.
+//! Choice of the instruction set at run time, and the vector exponential of the blend.
 //!
 //! `2^x` on `x ∈ [-126, 0]`: split `x = m + f` with `|f| ≤ ½` by adding `1.5·2²³`, a degree-5 relative-minimax
 //! polynomial for `2^f` (worst relative error 7.5e-8), and `m` added to the exponent bits.
@@ -7,9 +7,16 @@ use crate::options::SimdLevel;
 use fearless_simd::{Level, f32x16, prelude::*, u32x16};
 
 /// Lanes of one vector: a 4×4 pixel block.
-pub const LANES: usize = 16;
+pub(crate) const LANES: usize = 16;
 
-/// The level a caller's choice stands for on this machine.
+/// The instruction set that `choice` selects on this machine.
+///
+/// ```
+/// use gs_raster::{SimdLevel, simd};
+///
+/// let name = simd::level_name(simd::level(SimdLevel::Auto)); // such as "avx2"
+/// assert!(!name.is_empty() && name == name.to_lowercase());
+/// ```
 pub fn level(choice: SimdLevel) -> Level {
     let best = Level::new();
     match choice {
@@ -22,18 +29,21 @@ pub fn level(choice: SimdLevel) -> Level {
     }
 }
 
-/// The name of a level, for reports.
+/// The lower-case name of an instruction set (`avx2`, `neon`, …), for reports.
 pub fn level_name(level: Level) -> String {
     let text = format!("{level:?}");
     text.split(['(', ' ', '{']).next().unwrap_or_default().to_lowercase()
 }
 
+/// Coefficients of the polynomial, constant term first.
 const EXP2: [f32; 6] = [1.000_000_1, 0.693_146_94, 0.240_221_2, 0.055_507_13, 0.009_675_542, 0.001_327_647_3];
-const ROUND: f32 = 12_582_912.0; // 1.5 · 2²³
+/// `1.5 · 2²³`: adding it rounds to the nearest integer.
+const ROUND: f32 = 12_582_912.0;
 
-/// `2^x`, relative error below 2.5e-7 (polynomial 0.8e-7, the rest rounding), for `-126 ≤ x ≤ 127`; anything outside gives an unspecified value.
+/// `2^x` for `-126 ≤ x ≤ 127`, relative error below 2.5e-7 (polynomial 0.8e-7, the rest rounding). Outside that range
+/// the value is unspecified.
 #[inline(always)]
-pub fn exp2<S: Simd>(simd: S, x: f32x16<S>) -> f32x16<S> {
+pub(crate) fn exp2<S: Simd>(simd: S, x: f32x16<S>) -> f32x16<S> {
     let c = |v: f32| f32x16::splat(simd, v);
     let shifted = x + c(ROUND);
     let f = x - (shifted - c(ROUND));

@@ -6,17 +6,17 @@
 const BITS: u32 = 11;
 const BUCKETS: usize = 1 << BITS;
 
-/// A splat to sort.
+/// Sort key of one splat.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Key {
-    /// Bits of the depth rounded to `f32`.
+pub(crate) struct Key {
+    /// Bits of the camera depth rounded to `f32`; the depth is positive.
     pub bits: u32,
-    /// Splat index.
+    /// Row in the caller's columns.
     pub index: u32,
 }
 
-/// Sorts `keys` (given in index order) front to back. `depth` returns the exact depth of a splat.
-pub fn sort(keys: &mut Vec<Key>, scratch: &mut Vec<Key>, depth: impl Fn(u32) -> f64) {
+/// Sorts `keys` (given in index order) front to back. `depth` returns the `f64` camera depth of a row. Linear time.
+pub(crate) fn sort(keys: &mut Vec<Key>, scratch: &mut Vec<Key>, depth: impl Fn(u32) -> f64) {
     scratch.clear();
     scratch.resize(keys.len(), Key { bits: 0, index: 0 });
     for pass in 0..3 {

@@ -1,29 +1,31 @@
-//! Reused memory of a frame, and the layout of lists between forward and backward.
+//! Reused memory of a frame, and the layout of the lists that forward leaves for backward.
+//!
+//! An *entry* is a (tile, splat) pair; its *slot* is its position in the tile's list, counted over all chunks.
 
-use crate::kernel::RowBend;
+use crate::kernel::ProfileConsts;
 use crate::project::View;
 use crate::sort::Key;
-use crate::tiles::{Drawn, Grid, OpenTiles};
+use crate::tiles::{Grid, OpenTiles, ProjectedSplat};
 use std::sync::atomic::AtomicU32;
 
-/// 4×4 blocks of a tile.
+/// Number of 4×4 blocks of a tile.
 pub(crate) const BLOCKS: usize = 16;
 
-/// One value per pixel of a tile, by block.
+/// One value per pixel of a tile: 16 lanes of each block.
 pub(crate) type Plane<T> = [[T; 16]; BLOCKS];
 
-/// State of a tile's pixels between chunks of splats, and what backward starts from.
+/// State of a tile's pixels between chunks of splats; backward starts from it.
 #[derive(Clone, Debug)]
 pub(crate) struct TileState {
     pub transmittance: Plane<f32>,
     pub rgb: [Plane<f32>; 3],
     pub depth: Plane<f32>,
-    /// One past the running number of the last blended entry (0: none).
+    /// One past the slot of the last blended entry; 0 for none.
     pub last: Plane<u32>,
-    /// Per block, a bit for every pixel that still takes light.
+    /// Per block, a bit for every pixel that is still open (its transmittance is above `stop`).
     pub open: [u16; BLOCKS],
-    /// Entries seen so far.
-    pub seen: u32,
+    /// Entries of the tile's list so far.
+    pub listed: u32,
 }
 
 impl Default for TileState {
@@ -34,14 +36,14 @@ impl Default for TileState {
             depth: [[0.0; 16]; BLOCKS],
             last: [[0; 16]; BLOCKS],
             open: [0; BLOCKS],
-            seen: 0,
+            listed: 0,
         }
     }
 }
 
 impl TileState {
-    /// Empties the tile at `origin`; pixels outside the image are closed from the start.
-    pub fn reset(&mut self, origin: [usize; 2], grid: &Grid) {
+    /// Resets the tile whose first pixel is `origin`; pixels outside the image are closed from the start.
+    pub(crate) fn reset(&mut self, origin: [usize; 2], grid: &Grid) {
         *self = Self::default();
         for (block, open) in self.open.iter_mut().enumerate() {
             for lane in 0..16 {
@@ -53,13 +55,13 @@ impl TileState {
         }
     }
 
-    /// Whether any pixel still takes light.
-    pub fn is_open(&self) -> bool {
+    /// Whether any pixel is open.
+    pub(crate) fn is_open(&self) -> bool {
         self.open.iter().any(|&o| o != 0)
     }
 
-    /// Number of entries some pixel of the tile blended, counted from the front.
-    pub fn used(&self) -> u32 {
+    /// Length of the front part of the list that some pixel of the tile blended.
+    pub(crate) fn used(&self) -> u32 {
         self.last.as_flattened().iter().copied().max().unwrap_or(0)
     }
 }
@@ -70,47 +72,59 @@ pub(crate) const fn pixel_of(block: usize, lane: usize) -> [usize; 2] {
     [block % 4 * 4 + lane % 4, block / 4 * 4 + lane / 4]
 }
 
-/// One entry of a splat's list of tiles: where its gradient record will lie.
+/// One entry of a splat's list of tiles; it locates the gradient record.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Entry {
     pub tile: u32,
-    /// Position in the tile's list, counted over all chunks.
-    pub number: u32,
+    /// Position in the tile's list within this chunk.
+    pub chunk_slot: u32,
 }
 
-/// A stretch of depth-sorted splats and the lists of the tiles they touch.
+/// A contiguous range of the depth-sorted splats, and the lists of the tiles they touch.
 #[derive(Debug, Default)]
 pub(crate) struct Chunk {
-    /// First rank (position in depth order).
+    /// Rank (position in depth order) of the first splat.
     pub first: usize,
-    /// Splats in depth order.
-    pub drawn: Vec<Drawn>,
+    /// The splats in depth order.
+    pub projected: Vec<ProjectedSplat>,
     /// Per splat, start of its entries; one more at the end.
     pub splat_starts: Vec<u32>,
-    /// Splat-major entries.
+    /// Entries splat by splat, tiles ascending.
     pub entries: Vec<Entry>,
     /// Per tile, start of its list; one more at the end.
     pub tile_starts: Vec<u32>,
-    /// Tile-major lists of positions in `drawn`. Atomic only so that blocks of splats may fill it side by side.
+    /// Tile-major lists of positions in `projected`. Atomic only so that blocks of splats may fill it in parallel.
     pub list: Vec<AtomicU32>,
-    /// Per tile, entries seen before this chunk.
-    pub seen_before: Vec<u32>,
+    /// Per tile, entries listed before this chunk.
+    pub listed_before: Vec<u32>,
 }
 
-/// Scratch of one block of splats during binning.
+/// Scratch memory of one block of splats during binning.
 #[derive(Debug, Default)]
 pub(crate) struct Bin {
     /// Tiles of each splat, one after another.
     pub tiles: Vec<u32>,
-    /// Per tile: number of entries, then next free place.
-    pub places: Vec<u32>,
+    /// Per tile: number of entries, then offset of the next one in the chunk's list.
+    pub offsets: Vec<u32>,
 }
 
-/// Sums of one (tile, splat) pair: `o, sa, sb, saa, sab, sbb, r, g, b, depth`, the two of the kernel, then
-/// padding to one vector.
+/// Gradient sums of one entry: `o, sa, sb, saa, sab, sbb, r, g, b, depth`, two of the kernel's parameters, then padding
+/// to one vector (see [`crate::blend_backward`]).
 pub(crate) type Record = [f32; 16];
 
-/// Reusable memory for drawing. Nothing is allocated per frame once it is warm; one per thread of callers.
+/// Reusable memory of the rasteriser, and the state that [`crate::render_backward`] reads. Once it has held a frame of
+/// the same size, further frames allocate next to nothing. Use one per concurrent caller.
+///
+/// ```
+/// use gs_raster::{RasterOptions, Workspace, measure, render};
+///
+/// let (splats, camera) = (measure::scene(1000, 0), measure::camera(64));
+/// let mut workspace = Workspace::new();
+/// let first = render(&splats, &camera, &RasterOptions::default(), &mut workspace);
+/// assert!(workspace.entries_used() <= workspace.entries() && workspace.splats_listed() <= 1000);
+/// let again = render(&splats, &camera, &RasterOptions::default(), &mut workspace);
+/// assert_eq!(first, again); // bit for bit
+/// ```
 #[derive(Debug, Default)]
 pub struct Workspace {
     pub(crate) grid: Grid,
@@ -121,56 +135,56 @@ pub struct Workspace {
     pub(crate) key_blocks: Vec<Vec<Key>>,
     pub(crate) bins: Vec<Bin>,
     pub(crate) chunks: Vec<Chunk>,
-    /// Chunks in use; the others are kept for their memory.
+    /// Chunks of the last frame; the vector keeps more for their memory.
     pub(crate) chunk_count: usize,
     pub(crate) tiles: Vec<TileState>,
-    /// Per splat of the caller: rank in depth order of those kept, or `u32::MAX`.
+    /// Per row of the caller: rank in depth order, or `u32::MAX` for splats in no tile.
     pub(crate) rank_of: Vec<u32>,
-    /// Per tile, start of its records; one more at the end.
+    /// Per tile, start of its records; one more element at the end.
     pub(crate) record_starts: Vec<u32>,
     pub(crate) records: Vec<Record>,
-    /// Constants of bent kernels, per splat of the caller.
-    pub(crate) bends: Vec<RowBend>,
+    /// Constants of the kernel profile, per row of the caller; empty for the Gaussian.
+    pub(crate) kernel_consts: Vec<ProfileConsts>,
 }
 
 impl Workspace {
-    /// An empty workspace.
+    /// A workspace that holds no memory yet.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// (tile, splat) pairs listed in the last frame.
+    /// Number of (16×16 tile, splat) pairs listed in the last frame.
     pub fn entries(&self) -> usize {
         self.chunks[..self.chunk_count].iter().map(|c| c.entries.len()).sum()
     }
 
-    /// Splats listed in at least one tile in the last frame.
+    /// Number of splats listed in at least one tile in the last frame.
     pub fn splats_listed(&self) -> usize {
         let listed = |c: &Chunk| c.splat_starts.windows(2).filter(|w| w[0] < w[1]).count();
         self.chunks[..self.chunk_count].iter().map(listed).sum()
     }
 
-    /// (tile, splat) pairs some pixel blended in the last frame.
+    /// Number of (tile, splat) pairs up to the last one that some pixel of the tile blended, in the last frame.
     pub fn entries_used(&self) -> usize {
         self.tiles.iter().map(|t| t.used() as usize).sum()
     }
 
-    /// Entries of their tile's list that all pixels went through up to their last blended one, in the last frame.
+    /// Sum over pixels of the tile-list entries up to the pixel's last blended one, in the last frame.
     pub fn entries_walked(&self) -> u64 {
         self.tiles.iter().flat_map(|t| t.last.as_flattened()).map(|&last| u64::from(last)).sum()
     }
 
-    /// Bytes held.
+    /// Bytes held by the main buffers.
     pub fn bytes(&self) -> usize {
         let chunk = |c: &Chunk| {
-            size_of_val(c.drawn.as_slice())
+            size_of_val(c.projected.as_slice())
                 + size_of_val(c.entries.as_slice())
-                + 4 * (c.splat_starts.len() + c.tile_starts.len() + c.list.len() + c.seen_before.len())
+                + 4 * (c.splat_starts.len() + c.tile_starts.len() + c.list.len() + c.listed_before.len())
         };
         self.chunks.iter().map(chunk).sum::<usize>()
             + size_of_val(self.tiles.as_slice())
             + size_of_val(self.records.as_slice())
-            + size_of_val(self.bends.as_slice())
+            + size_of_val(self.kernel_consts.as_slice())
             + 8 * (self.keys.len() + self.key_scratch.len())
             + 4 * (self.rank_of.len() + self.record_starts.len())
     }

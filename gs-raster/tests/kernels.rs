@@ -1,4 +1,4 @@
-//! What must be true of bent splats: closed forms, neutral parameters, near-singular parameters, clamp rules.
+//! Splats with kernel parameters: closed forms, neutral parameters, near-singular parameters, clamp rules.
 
 mod common;
 
@@ -38,7 +38,7 @@ fn camera() -> Camera {
     }
 }
 
-/// Frame, gradients of the sum of all alphas (depths and colours on request), statistics.
+/// Frame, gradients of the sum of all alphas, statistics.
 fn both(splats: &Splats, camera: &Camera, options: &RasterOptions) -> (Frame, SplatsGrad, ScreenStats) {
     let mut workspace = Workspace::new();
     let frame = render(splats, camera, options, &mut workspace);
@@ -80,31 +80,31 @@ fn one_splat_integrates_to_its_mass() {
     }
 }
 
-/// λ = ½ everywhere: the Gaussian's frame and gradients to the bit, no gradient for β, one for λ.
+/// λ = ½ everywhere: the Gaussian's frame and gradients bit for bit, a gradient for λ and none for β.
 #[test]
-fn neutral_kernels_draw_as_gaussians_and_learn() {
+fn neutral_kernels_render_as_gaussians_and_get_gradients() {
     let plain = scene(500, 1);
     let (camera, options) = (bench_camera(80), RasterOptions::default());
     let (frame, grad, stats) = both(&plain, &camera, &options);
     let n = plain.len();
     let neutral = Splats { kernel: Kernel::Frequency { lambdas: vec![0.5; n], betas: vec![0.5; n] }, ..plain.clone() };
-    let (bent_frame, bent_grad, bent_stats) = both(&neutral, &camera, &options);
-    assert!(bent_frame == frame && bent_stats == stats);
-    assert!(SplatsGrad { kernel: Vec::new(), ..bent_grad.clone() } == grad);
-    let pairs = bent_grad.kernel.as_chunks::<2>().0;
+    let (neutral_frame, neutral_grad, neutral_stats) = both(&neutral, &camera, &options);
+    assert!(neutral_frame == frame && neutral_stats == stats);
+    assert!(SplatsGrad { kernel: Vec::new(), ..neutral_grad.clone() } == grad);
+    let pairs = neutral_grad.kernel.as_chunks::<2>().0;
     assert!(pairs.iter().all(|[_, beta]| *beta == 0.0));
     assert!(pairs.iter().filter(|[lambda, _]| *lambda != 0.0).count() > n / 2);
     let acutance = Splats { kernel: Kernel::Acutance { acutances: vec![0.0; n] }, ..plain };
-    let (bent_frame, bent_grad, _) = both(&acutance, &camera, &options);
-    assert!(bent_frame == frame && bent_grad.kernel.iter().any(|d| *d != 0.0));
+    let (neutral_frame, neutral_grad, _) = both(&acutance, &camera, &options);
+    assert!(neutral_frame == frame && neutral_grad.kernel.iter().any(|d| *d != 0.0));
 }
 
-/// A neutral splat among bent ones keeps the bits of its own frame.
+/// Neutral splats keep their bits when the scene also holds a splat that is not neutral.
 #[test]
-fn one_bent_splat_does_not_touch_the_others() {
+fn one_sharp_splat_does_not_change_the_others() {
     let plain = scene(300, 0);
     let options = RasterOptions::default();
-    let draw = |s: &Splats| render(s, &bench_camera(64), &options, &mut Workspace::new());
+    let frame_of = |s: &Splats| render(s, &bench_camera(64), &options, &mut Workspace::new());
     let mut mixed = plain.clone();
     mixed.means.push(Vec3::new(0.0, 0.0, -100.0));
     mixed.quats.push([1.0, 0.0, 0.0, 0.0]);
@@ -115,7 +115,7 @@ fn one_bent_splat_does_not_touch_the_others() {
     let mut lambdas = vec![0.5; 300];
     lambdas.push(1.0);
     mixed.kernel = Kernel::Frequency { lambdas, betas: vec![0.3; 301] };
-    assert!(draw(&mixed) == draw(&plain));
+    assert!(frame_of(&mixed) == frame_of(&plain));
 }
 
 /// Kernels at and beyond the ends of their regular domain: everything stays finite, alphas within bounds.
@@ -150,7 +150,7 @@ fn near_singular_kernels_stay_finite() {
 
 /// Above the cap the exact rule has no gradient for opacity and kernel; pass-through keeps both.
 #[test]
-fn clamp_rules_hold_for_bent_splats() {
+fn clamp_rules_hold_for_kernels() {
     let grad = |opacity: f32, clamp_grad| {
         let mut camera = camera();
         // One pixel, a little off the centre: on the plateau of a sharp kernel.
@@ -165,7 +165,7 @@ fn clamp_rules_hold_for_bent_splats() {
     assert_eq!(grad(0.5, ClampGrad::Exact), grad(0.5, ClampGrad::PassThrough));
 }
 
-/// Density control's radius is that of three standard deviations whatever the kernel.
+/// The radius for densification is three standard deviations whatever the kernel.
 #[test]
 fn the_radius_of_the_statistics_ignores_the_kernel() {
     let radius = |kernel| both(&one(0.9, kernel), &camera(), &RasterOptions::default()).2.radii[0];

@@ -11,7 +11,7 @@ mod common;
 
 use gs_core::Camera;
 use gs_raster::RasterOptions;
-use gs_raster::reference::{Cutoff, Form, Scene, render, render_backward};
+use gs_raster::reference::{Cutoff, KernelKind, Scene, render, render_backward};
 
 type Grad = Vec<([f64; 3], f64, f64)>;
 
@@ -41,9 +41,9 @@ struct Tally {
     worst: f64,
 }
 
-fn check_scene(seed: u64, bent: bool, tally: &mut Tally) {
+fn check_scene(seed: u64, with_kernel: bool, tally: &mut Tally) {
     let mut case = common::case(seed, 6);
-    if bent {
+    if with_kernel {
         case.splats.kernel = common::kernel(seed / 8, case.splats.len());
     }
     let antialias = seed.is_multiple_of(3);
@@ -53,7 +53,7 @@ fn check_scene(seed: u64, bent: bool, tally: &mut Tally) {
     // Opacities inside (0, 1), so that both sides of a probe are legal.
     scene.opacities.iter_mut().for_each(|o| *o = o.clamp(0.02, 0.98));
     // Parameters of kernels inside their domain likewise.
-    let least = if scene.form == Form::Frequency { 0.002 } else { -0.95 };
+    let least = if scene.kernel_kind == KernelKind::Frequency { 0.002 } else { -0.95 };
     scene.kernel.iter_mut().for_each(|v| *v = v.clamp(least, 0.998));
     let n = (case.camera.width * case.camera.height) as usize;
     let w = common::weights(seed, n * 5);
@@ -63,7 +63,7 @@ fn check_scene(seed: u64, bent: bool, tally: &mut Tally) {
         .collect();
     let (mut grad, _) = render_backward(&scene, &case.camera, &options, Cutoff::Smooth, &d);
     let mut rng = gs_core::Rng::new(seed, "probe", 0, 0);
-    for kind in if bent { 0..6 } else { 0..5 } {
+    for kind in if with_kernel { 0..6 } else { 0..5 } {
         let count = [
             3 * scene.means.len(),
             4 * scene.quats.len(),
@@ -121,7 +121,7 @@ fn gradients_match_finite_differences_on_500_hard_scenes() {
 
 /// Kernels add kinks of their own, at the knots: a probe of a large splat moves many samples past them.
 #[test]
-fn gradients_of_bent_kernels_match_finite_differences() {
+fn gradients_of_kernels_match_finite_differences() {
     let mut tally = Tally { probes: 0, skipped: 0, worst: 0.0 };
     for seed in (0..256).filter(|s| s % 8 != 3 || s % 24 == 3) {
         check_scene(seed, true, &mut tally);
@@ -130,7 +130,7 @@ fn gradients_of_bent_kernels_match_finite_differences() {
     assert!(tally.skipped * 20 < tally.probes, "kinks are rare events: {} of {}", tally.skipped, tally.probes);
 }
 
-/// The error of a central difference must fall with the square of the step, else the check proves nothing.
+/// The error of a central difference must fall with the square of the step.
 #[test]
 fn finite_differences_show_second_order() {
     let case = common::case(8, 6);

@@ -12,15 +12,15 @@ pub(super) struct Sample<T> {
     pub splat: usize,
     /// Transmittance in front of it.
     pub transmittance: T,
-    /// Its alpha.
+    /// Alpha after cap and cutoff.
     pub alpha: T,
-    /// `g`.
-    plain: T,
-    /// `ψ(g)` and its derivatives.
+    /// `g = exp(−q/2)`, before ψ.
+    gaussian: T,
+    /// `ψ(g)` with its derivatives.
     psi: Partials<T>,
-    /// `d alpha / d raw`.
+    /// `d alpha / d raw` with `raw = o' ψ(g)`.
     slope: T,
-    /// `u − p`.
+    /// `u − p`, splat centre minus pixel centre, pixels.
     offset: [T; 2],
 }
 
@@ -30,42 +30,42 @@ pub(super) struct SplatSums<T> {
     pub mean2d: [T; 2],
     /// `dL/d` conic `xx, xy, yy` where `q = xx dx² + 2 xy dx dy + yy dy²`; the `xy` entry counts both.
     pub conic: [T; 3],
-    /// `dL/d` (compensated opacity).
+    /// `dL/do'` of the compensated opacity.
     pub opacity: T,
     pub rgb: [T; 3],
     pub depth: T,
     /// `Σ v outer`, `Σ v inner` with `v = dL/dψ`.
-    pub bend: [T; 2],
+    pub kernel: [T; 2],
 }
 
 impl<T: Scalar> SplatSums<T> {
-    pub fn zero() -> Self {
-        let z = T::of(0.0);
-        Self { mean2d: [z; 2], conic: [z; 3], opacity: z, rgb: [z; 3], depth: z, bend: [z; 2] }
+    pub(super) fn zero() -> Self {
+        let z = T::from_f64(0.0);
+        Self { mean2d: [z; 2], conic: [z; 3], opacity: z, rgb: [z; 3], depth: z, kernel: [z; 2] }
     }
 }
 
-/// `ψ(g)` and its derivatives.
-fn fall_off<T: Scalar>(p: &Projected<T>, g: T) -> Partials<T> {
-    let zero = T::of(0.0);
-    p.bend.map_or(Partials { value: g, slope: T::of(1.0), outer: zero, inner: zero }, |b| b.partials(g))
+/// `ψ(g)` with its derivatives.
+fn profile<T: Scalar>(p: &Projected<T>, g: T) -> Partials<T> {
+    let zero = T::from_f64(0.0);
+    p.bend.map_or(Partials { value: g, slope: T::from_f64(1.0), outer: zero, inner: zero }, |b| b.partials(g))
 }
 
 /// `(alpha, d alpha / d raw)` after cap and cutoff; alpha 0 where skipped.
 fn cut<T: Scalar>(raw: T, options: &RasterOptions, cutoff: Cutoff) -> (T, T) {
-    let (zero, one) = (T::of(0.0), T::of(1.0));
-    let (max, min) = (T::of(options.max_alpha), T::of(options.min_alpha));
+    let (zero, one) = (T::from_f64(0.0), T::from_f64(1.0));
+    let (max, min) = (T::from_f64(options.max_alpha), T::from_f64(options.min_alpha));
     let exact = options.clamp_grad == ClampGrad::Exact;
     let (capped, slope) = if raw > max { (max, if exact { zero } else { one }) } else { (raw, one) };
     if capped < min {
         return (zero, zero);
     }
-    if cutoff == Cutoff::Hard || capped > T::of(2.0) * min {
+    if cutoff == Cutoff::Hard || capped > T::from_f64(2.0) * min {
         return (capped, slope);
     }
     // Smoothstep x²(3−2x) with x from 0 at min to 1 at 2·min.
     let x = (capped - min) / min;
-    let (two, three, six) = (T::of(2.0), T::of(3.0), T::of(6.0));
+    let (two, three, six) = (T::from_f64(2.0), T::from_f64(3.0), T::from_f64(6.0));
     let ramp = x * x * (three - two * x);
     (capped * ramp, slope * (ramp + capped * six * x * (one - x) / min))
 }
@@ -77,28 +77,29 @@ pub(super) fn samples<T: Scalar>(
     options: &RasterOptions,
     cutoff: Cutoff,
 ) -> (Vec<Sample<T>>, T, f64) {
-    let one = T::of(1.0);
-    let stop = T::of(options.stop);
+    let one = T::from_f64(1.0);
+    let stop = T::from_f64(options.stop);
     let mut list = Vec::new();
     let mut transmittance = one;
     let mut margin = f64::INFINITY;
     let mut near = |value: T, limit: f64| {
-        margin = margin.min(((value.wide() - limit) / limit.max(f64::MIN_POSITIVE)).abs());
+        margin = margin.min(((value.to_f64() - limit) / limit.max(f64::MIN_POSITIVE)).abs());
     };
     for (index, (_, p)) in splats.iter().enumerate() {
         let offset = [p.mean2d[0] - pixel[0], p.mean2d[1] - pixel[1]];
         let [a, b, c] = p.conic;
-        let half_q = T::of(0.5) * (a * offset[0] * offset[0] + c * offset[1] * offset[1]) + b * offset[0] * offset[1];
-        if half_q < T::of(0.0) {
+        let half_q =
+            T::from_f64(0.5) * (a * offset[0] * offset[0] + c * offset[1] * offset[1]) + b * offset[0] * offset[1];
+        if half_q < T::from_f64(0.0) {
             continue;
         }
-        let plain = (-half_q).exp();
-        let psi = fall_off(p, plain);
+        let gaussian = (-half_q).exp();
+        let psi = profile(p, gaussian);
         if let Some(bend) = &p.bend {
-            near(plain.min(one - plain), 0.5 / (1.0 + bend.kappa.wide()));
+            near(gaussian.min(one - gaussian), 0.5 / (1.0 + bend.kappa.to_f64()));
             if bend.is_unbounded() {
                 near(half_q, 0.5 * options.kernel_cut);
-                if half_q > T::of(0.5 * options.kernel_cut) {
+                if half_q > T::from_f64(0.5 * options.kernel_cut) {
                     continue;
                 }
             }
@@ -106,7 +107,7 @@ pub(super) fn samples<T: Scalar>(
         let raw = p.opacity * psi.value;
         near(raw, options.min_alpha);
         let (alpha, slope) = cut(raw, options, cutoff);
-        if alpha <= T::of(0.0) {
+        if alpha <= T::from_f64(0.0) {
             continue;
         }
         let next = transmittance * (one - alpha);
@@ -114,7 +115,7 @@ pub(super) fn samples<T: Scalar>(
         if next <= stop {
             break;
         }
-        list.push(Sample { splat: index, transmittance, alpha, plain, psi, slope, offset });
+        list.push(Sample { splat: index, transmittance, alpha, gaussian, psi, slope, offset });
         transmittance = next;
     }
     (list, transmittance, margin)
@@ -131,14 +132,14 @@ pub(super) fn pixel_backward<T: Scalar>(
 ) {
     let (d_rgb, d_alpha, d_depth) = *d;
     let (list, end, _) = samples(splats, pixel, options, cutoff);
-    let background = options.background.map(|v| T::of(f64::from(v)));
-    // Everything behind the current sample: background light minus what a loss on accumulated alpha takes.
+    let background = options.background.map(|v| T::from_f64(f64::from(v)));
+    // What lies behind the current sample, times the cotangents: the background, and the loss on accumulated alpha.
     let mut behind = end * (gs_core::real::dot3(background, d_rgb) - d_alpha);
     for s in list.iter().rev() {
         let p = &splats[s.splat].1;
         let light = gs_core::real::dot3(p.rgb, d_rgb) + p.depth * d_depth;
         let weight = s.transmittance * s.alpha;
-        let v_alpha = s.transmittance * light - behind / (T::of(1.0) - s.alpha);
+        let v_alpha = s.transmittance * light - behind / (T::from_f64(1.0) - s.alpha);
         behind = behind + weight * light;
         let sum = &mut sums[s.splat];
         for (to, from) in sum.rgb.iter_mut().zip(d_rgb) {
@@ -149,10 +150,10 @@ pub(super) fn pixel_backward<T: Scalar>(
         sum.opacity = sum.opacity + v_raw * s.psi.value;
         // raw = o' ψ(exp(−q/2))
         let v_psi = v_raw * p.opacity;
-        sum.bend = [sum.bend[0] + v_psi * s.psi.outer, sum.bend[1] + v_psi * s.psi.inner];
-        let v_half_q = -(v_psi * s.psi.slope * s.plain);
+        sum.kernel = [sum.kernel[0] + v_psi * s.psi.outer, sum.kernel[1] + v_psi * s.psi.inner];
+        let v_half_q = -(v_psi * s.psi.slope * s.gaussian);
         let [dx, dy] = s.offset;
-        let half = T::of(0.5);
+        let half = T::from_f64(0.5);
         sum.conic[0] = sum.conic[0] + v_half_q * half * dx * dx;
         sum.conic[1] = sum.conic[1] + v_half_q * dx * dy;
         sum.conic[2] = sum.conic[2] + v_half_q * half * dy * dy;

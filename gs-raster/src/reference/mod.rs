@@ -1,9 +1,21 @@
-//! The readable twin of the rasteriser: plain loops, no tiles, no SIMD, generic over the scalar. In `f64` it is the
-//! truth that the fast path is measured against; its own gradient is checked by finite differences and golden data.
+//! The rasteriser in plain loops: no tiles, no SIMD, generic over the scalar. In `f64` it is the reference for the fast
+//! path. Its own gradients are checked by finite differences and by the golden arrays of `tests/golden`.
+//!
+//! ```
+//! use gs_raster::reference::{Cutoff, Scene, render};
+//! use gs_raster::{RasterOptions, Workspace, measure};
+//!
+//! let (splats, camera, options) = (measure::scene(100, 2), measure::camera(24), RasterOptions::default());
+//! let exact = render(&Scene::<f64>::new(&splats), &camera, &options, Cutoff::Hard);
+//! let fast = gs_raster::render(&splats, &camera, &options, &mut Workspace::new());
+//! for (i, want) in exact.alpha.iter().enumerate().filter(|&(i, _)| exact.margin[i] > 1e-5) {
+//!     assert!((f64::from(fast.alpha[i]) - want).abs() < 2e-5);
+//! }
+//! ```
 //!
 //! Per splat (Zwicker et al. 2001, EWA splatting; Kerbl et al. 2023, 3DGS):
 //! ```text
-//! t  = R_v m + t_v                              drawn only if near < t_z < far
+//! t  = R_v m + t_v                              culled unless near < t_z < far
 //! u  = (fx t_x/t_z + cx, fy t_y/t_z + cy)
 //! J  = | fx/t_z  0       −fx t̃_x/t_z² |         t̃ = t_z · clamp(t/t_z, frustum ± 0.3 of half the image)
 //!      | 0       fy/t_z  −fy t̃_y/t_z² |
@@ -20,27 +32,27 @@
 mod blend;
 mod project;
 
-pub use project::{Projected, project};
+use project::{Projected, project};
 
 use crate::options::RasterOptions;
 use gs_core::kernel::{Bend, acutance_vjp, frequency_vjp};
 use gs_core::{Camera, Color, Kernel, Real, Splats};
 
-/// A scalar with an order and an exponential: `f32` or `f64`.
+/// Scalar type of the reference: `f32` or `f64`.
 pub trait Scalar: Real + PartialOrd + Send + Sync + 'static {
-    /// From `f64`, rounded.
-    fn of(value: f64) -> Self;
-    /// To `f64`.
-    fn wide(self) -> f64;
-    /// Exponential.
+    /// The scalar nearest to `value`.
+    fn from_f64(value: f64) -> Self;
+    /// The same value in `f64`.
+    fn to_f64(self) -> f64;
+    /// Natural exponential of `self`.
     fn exp(self) -> Self;
 }
 
 impl Scalar for f64 {
-    fn of(value: f64) -> Self {
+    fn from_f64(value: f64) -> Self {
         value
     }
-    fn wide(self) -> f64 {
+    fn to_f64(self) -> f64 {
         self
     }
     fn exp(self) -> Self {
@@ -49,10 +61,10 @@ impl Scalar for f64 {
 }
 
 impl Scalar for f32 {
-    fn of(value: f64) -> Self {
+    fn from_f64(value: f64) -> Self {
         value as f32
     }
-    fn wide(self) -> f64 {
+    fn to_f64(self) -> f64 {
         f64::from(self)
     }
     fn exp(self) -> Self {
@@ -60,16 +72,16 @@ impl Scalar for f32 {
     }
 }
 
-/// Splats in the scalar of the reference. `color` is flat as in [`Splats`]; `degree` is `None` for plain RGB.
+/// Splats in the scalar of the reference, or their cotangents. Columns as in [`Splats`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scene<T> {
-    /// Centres.
+    /// World-space means, world units.
     pub means: Vec<[T; 3]>,
-    /// Raw quaternions `(w, x, y, z)`.
+    /// Quaternions `(w, x, y, z)` of any length.
     pub quats: Vec<[T; 4]>,
-    /// Standard deviations.
+    /// Standard deviations, world units.
     pub scales: Vec<[T; 3]>,
-    /// Opacities.
+    /// Opacities in `[0, 1]`.
     pub opacities: Vec<T>,
     /// `[n, K, 3]` (SH) or `[n, 3]` (RGB), flat.
     pub color: Vec<T>,
@@ -77,25 +89,25 @@ pub struct Scene<T> {
     pub degree: Option<u8>,
     /// The kernel's parameters, flat `[n, width]` as in [`gs_core::SplatsGrad::kernel`].
     pub kernel: Vec<T>,
-    /// What they mean.
-    pub form: Form,
+    /// The kernel that `kernel` parametrises.
+    pub kernel_kind: KernelKind,
 }
 
-/// The kinds of [`Kernel`].
+/// The variant of [`Kernel`], which decides the width of [`Scene::kernel`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Form {
-    /// No parameters.
+pub enum KernelKind {
+    /// The Gaussian; no parameters.
     Gaussian,
-    /// λ, β.
+    /// The frequency kernel; two parameters, λ and β.
     Frequency,
-    /// The acutance.
+    /// The acutance kernel; one parameter, the acutance.
     Acutance,
 }
 
 impl<T: Scalar> Scene<T> {
-    /// Widens splats to the scalar of the reference.
+    /// Converts splats to the scalar of the reference.
     pub fn new(splats: &Splats) -> Self {
-        let of = |v: f32| T::of(f64::from(v));
+        let of = |v: f32| T::from_f64(f64::from(v));
         Self {
             means: splats.means.iter().map(|m| m.to_array().map(of)).collect(),
             quats: splats.quats.iter().map(|q| q.map(of)).collect(),
@@ -113,38 +125,38 @@ impl<T: Scalar> Scene<T> {
                 Kernel::Acutance { acutances } => acutances.iter().map(|&a| of(a)).collect(),
                 _ => Vec::new(),
             },
-            form: match splats.kernel {
-                Kernel::Frequency { .. } => Form::Frequency,
-                Kernel::Acutance { .. } => Form::Acutance,
-                _ => Form::Gaussian,
+            kernel_kind: match splats.kernel {
+                Kernel::Frequency { .. } => KernelKind::Frequency,
+                Kernel::Acutance { .. } => KernelKind::Acutance,
+                _ => KernelKind::Gaussian,
             },
         }
     }
 
-    /// The bend of one splat; `None` for the Gaussian.
-    fn bend(&self, i: usize) -> Option<Bend<T>> {
-        match self.form {
-            Form::Gaussian => None,
-            Form::Frequency => Some(Bend::frequency(self.kernel[2 * i], self.kernel[2 * i + 1])),
-            Form::Acutance => Some(Bend::acutance(self.kernel[i])),
+    /// Kernel constants of one splat; `None` for the Gaussian.
+    fn kernel_consts(&self, i: usize) -> Option<Bend<T>> {
+        match self.kernel_kind {
+            KernelKind::Gaussian => None,
+            KernelKind::Frequency => Some(Bend::frequency(self.kernel[2 * i], self.kernel[2 * i + 1])),
+            KernelKind::Acutance => Some(Bend::acutance(self.kernel[i])),
         }
     }
 
     /// Writes one splat's kernel cotangents from its sums over pixels.
-    fn bend_backward(&self, i: usize, sums: [T; 2], grad: &mut [T]) {
-        match self.form {
-            Form::Gaussian => {}
-            Form::Frequency => {
+    fn kernel_backward(&self, i: usize, sums: [T; 2], grad: &mut [T]) {
+        match self.kernel_kind {
+            KernelKind::Gaussian => {}
+            KernelKind::Frequency => {
                 let d = frequency_vjp(self.kernel[2 * i], self.kernel[2 * i + 1], sums);
                 grad[2 * i..2 * i + 2].copy_from_slice(&d);
             }
-            Form::Acutance => grad[i] = acutance_vjp(self.kernel[i], sums),
+            KernelKind::Acutance => grad[i] = acutance_vjp(self.kernel[i], sums),
         }
     }
 
-    /// Zero cotangents of the same shape.
+    /// Cotangents of the same shape, all zero.
     pub fn zeros_like(&self) -> Self {
-        let zero = T::of(0.0);
+        let zero = T::from_f64(0.0);
         let n = self.means.len();
         Self {
             means: vec![[zero; 3]; n],
@@ -154,17 +166,17 @@ impl<T: Scalar> Scene<T> {
             color: vec![zero; self.color.len()],
             degree: self.degree,
             kernel: vec![zero; self.kernel.len()],
-            form: self.form,
+            kernel_kind: self.kernel_kind,
         }
     }
 
-    /// Colour values per splat.
-    pub fn color_width(&self) -> usize {
+    /// Number of colour values per splat.
+    fn color_width(&self) -> usize {
         self.degree.map_or(3, |d| 3 * gs_core::sh::coeffs(d))
     }
 }
 
-/// What happens to samples near `min_alpha`.
+/// Treatment of samples near [`RasterOptions::min_alpha`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum Cutoff {
     /// Skipped below `min_alpha`, as published. Not differentiable there.
@@ -174,39 +186,39 @@ pub enum Cutoff {
     Smooth,
 }
 
-/// Frame of the reference; shapes as [`crate::Frame`].
+/// Frame of the reference, row-major, origin top left, as [`crate::Frame`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Frame<T> {
-    /// `[h, w, 3]`.
+    /// `[height · width]` colours over the background.
     pub rgb: Vec<[T; 3]>,
-    /// `[h, w]`.
+    /// `[height · width]`: accumulated alpha `1 − T`.
     pub alpha: Vec<T>,
-    /// `[h, w]`.
+    /// `[height · width]`: alpha-weighted camera depth `Σ w z`, world units.
     pub depth: Vec<T>,
-    /// `[h, w]`: smallest relative distance of any decision (α against `min_alpha`, T against `stop`, `g` against the kernel's
-    /// knots and cut)
-    /// from its threshold. Pixels with a small margin may differ between precisions by one whole sample.
+    /// `[height · width]`: smallest relative distance of any decision (α against `min_alpha`, T against `stop`, `g`
+    /// against the kernel's knots and cut) from its threshold. Pixels with a small margin may differ between precisions
+    /// by one whole sample.
     pub margin: Vec<f64>,
-    /// Samples blended in total.
-    pub blends: u64,
+    /// Number of samples blended over all pixels.
+    pub blended_samples: u64,
 }
 
-/// Draws the scene.
+/// Renders a scene. Cost: splats × pixels.
 pub fn render<T: Scalar>(scene: &Scene<T>, camera: &Camera, options: &RasterOptions, cutoff: Cutoff) -> Frame<T> {
     let splats = sorted(scene, camera, options);
     let (width, height) = (camera.width as usize, camera.height as usize);
-    let zero = T::of(0.0);
+    let zero = T::from_f64(0.0);
     let n = width * height;
     let mut frame = Frame {
         rgb: vec![[zero; 3]; n],
         alpha: vec![zero; n],
         depth: vec![zero; n],
         margin: vec![f64::INFINITY; n],
-        blends: 0,
+        blended_samples: 0,
     };
-    let background = options.background.map(|v| T::of(f64::from(v)));
+    let background = options.background.map(|v| T::from_f64(f64::from(v)));
     for i in 0..n {
-        let pixel = [T::of((i % width) as f64 + 0.5), T::of((i / width) as f64 + 0.5)];
+        let pixel = [T::from_f64((i % width) as f64 + 0.5), T::from_f64((i / width) as f64 + 0.5)];
         let (samples, end, margin) = blend::samples(&splats, pixel, options, cutoff);
         for s in &samples {
             let w = s.transmittance * s.alpha;
@@ -219,17 +231,18 @@ pub fn render<T: Scalar>(scene: &Scene<T>, camera: &Camera, options: &RasterOpti
         for (value, &b) in frame.rgb[i].iter_mut().zip(&background) {
             *value = *value + end * b;
         }
-        frame.alpha[i] = T::of(1.0) - end;
+        frame.alpha[i] = T::from_f64(1.0) - end;
         frame.margin[i] = margin;
-        frame.blends += samples.len() as u64;
+        frame.blended_samples += samples.len() as u64;
     }
     frame
 }
 
-/// Cotangents into the frame, per pixel: `d_rgb`, `d_alpha`, `d_depth`.
+/// Cotangents of one pixel: `d_rgb`, `d_alpha`, `d_depth`.
 pub type PixelGrad<T> = ([T; 3], T, T);
 
-/// Gradient of `Σ (d_rgb·rgb + d_alpha·alpha + d_depth·depth)` with respect to every column, and `dL/d means2d`.
+/// Gradient of `Σ (d_rgb·rgb + d_alpha·alpha + d_depth·depth)` with respect to every column of the scene, and with
+/// respect to the projected means, per pixel. `d_frame` has one element per pixel.
 pub fn render_backward<T: Scalar>(
     scene: &Scene<T>,
     camera: &Camera,
@@ -241,15 +254,15 @@ pub fn render_backward<T: Scalar>(
     let width = camera.width as usize;
     let mut sums = vec![blend::SplatSums::zero(); splats.len()];
     for (i, d) in d_frame.iter().enumerate() {
-        let pixel = [T::of((i % width) as f64 + 0.5), T::of((i / width) as f64 + 0.5)];
+        let pixel = [T::from_f64((i % width) as f64 + 0.5), T::from_f64((i / width) as f64 + 0.5)];
         blend::pixel_backward(&splats, pixel, options, cutoff, d, &mut sums);
     }
     let mut grad = scene.zeros_like();
-    let mut grad_means2d = vec![[T::of(0.0); 2]; scene.means.len()];
+    let mut grad_means2d = vec![[T::from_f64(0.0); 2]; scene.means.len()];
     for ((index, _), s) in splats.iter().zip(&sums) {
         grad_means2d[*index] = s.mean2d;
         project::backward(scene, *index, camera, options, s, &mut grad);
-        scene.bend_backward(*index, s.bend, &mut grad.kernel);
+        scene.kernel_backward(*index, s.kernel, &mut grad.kernel);
     }
     (grad, grad_means2d)
 }
@@ -258,6 +271,6 @@ pub fn render_backward<T: Scalar>(
 fn sorted<T: Scalar>(scene: &Scene<T>, camera: &Camera, options: &RasterOptions) -> Vec<(usize, Projected<T>)> {
     let mut list: Vec<_> =
         (0..scene.means.len()).filter_map(|i| Some((i, project(scene, i, camera, options)?))).collect();
-    list.sort_by(|a, b| a.1.depth.wide().total_cmp(&b.1.depth.wide()));
+    list.sort_by(|a, b| a.1.depth.to_f64().total_cmp(&b.1.depth.to_f64()));
     list
 }

@@ -1,4 +1,4 @@
-//! One splat from world to screen, and back (reference form).
+//! Projection of one splat and its backward (reference form).
 
 use super::blend::SplatSums;
 use super::{Scalar, Scene};
@@ -6,37 +6,37 @@ use crate::options::{FRUSTUM_MARGIN, MIN_COMPENSATION, RasterOptions};
 use gs_core::kernel::Bend;
 use gs_core::{Camera, rot, sh};
 
-/// A splat on the screen.
+/// A splat projected to the screen.
 #[derive(Clone, Debug)]
-pub struct Projected<T> {
-    /// Centre, pixels.
+pub(super) struct Projected<T> {
+    /// Projected mean, pixels.
     pub mean2d: [T; 2],
-    /// Dilated covariance `xx, xy, yy`, pixels².
+    /// Dilated covariance `Σ'` as `xx, xy, yy`, pixels².
     pub cov2d: [T; 3],
     /// Inverse of `cov2d`: `xx, xy, yy`.
     pub conic: [T; 3],
-    /// Camera depth.
+    /// Camera depth of the mean, world units.
     pub depth: T,
-    /// Opacity after anti-aliasing compensation.
+    /// `o'`: opacity after anti-aliasing compensation.
     pub opacity: T,
     /// Colour seen from this camera.
     pub rgb: [T; 3],
-    /// The bend of its fall-off; `None` for the Gaussian.
+    /// Kernel constants; `None` for the Gaussian.
     pub bend: Option<Bend<T>>,
 }
 
-/// Everything on the way from world to screen, kept for the way back.
+/// Intermediates of the projection that backward needs.
 struct Steps<T> {
     rotation: [[T; 3]; 3],
     camera_point: [T; 3],
-    /// `x/z`, `y/z` clamped, and whether the clamp left them free.
+    /// `x/z`, `y/z` clamped, and whether the clamp changed nothing.
     clamped: [T; 2],
-    free: [bool; 2],
+    unclamped: [bool; 2],
     unit: rot::UnitQuat<T>,
     /// `F = J R_v R diag(s)`, 2×3.
     factor: [[T; 3]; 2],
-    /// `R_v R`.
-    turned: [[T; 3]; 3],
+    /// `R_v R`: columns are the splat's axes in camera space.
+    cam_axes: [[T; 3]; 3],
     jacobian: [[T; 3]; 2],
     det0: T,
     det: T,
@@ -48,28 +48,32 @@ fn dot<T: Scalar>(a: [T; 3], b: [T; 3]) -> T {
     gs_core::real::dot3(a, b)
 }
 
-fn camera_axes<T: Scalar>(camera: &Camera) -> ([[T; 3]; 3], [T; 3], [T; 3]) {
+fn extrinsics<T: Scalar>(camera: &Camera) -> ([[T; 3]; 3], [T; 3], [T; 3]) {
     let rows = camera.rotation.transpose().to_cols_array_2d();
-    (rows.map(|r| r.map(T::of)), camera.translation.to_array().map(T::of), camera.position().to_array().map(T::of))
+    (
+        rows.map(|r| r.map(T::from_f64)),
+        camera.translation.to_array().map(T::from_f64),
+        camera.position().to_array().map(T::from_f64),
+    )
 }
 
 fn steps<T: Scalar>(scene: &Scene<T>, i: usize, camera: &Camera, options: &RasterOptions) -> Option<Steps<T>> {
-    let (rotation, translation, _) = camera_axes::<T>(camera);
+    let (rotation, translation, _) = extrinsics::<T>(camera);
     let m = scene.means[i];
     let t: [T; 3] = std::array::from_fn(|r| dot(rotation[r], m) + translation[r]);
-    if !(t[2].wide() > options.near && t[2].wide() < options.far) {
+    if !(t[2].to_f64() > options.near && t[2].to_f64() < options.far) {
         return None;
     }
-    let lit = T::of;
+    let lit = T::from_f64;
     let (fx, fy) = (lit(camera.fx), lit(camera.fy));
     let sides = [(f64::from(camera.width), camera.fx, camera.cx), (f64::from(camera.height), camera.fy, camera.cy)];
     let mut clamped = [lit(0.0); 2];
-    let mut free = [true; 2];
+    let mut unclamped = [true; 2];
     for (axis, (side, f, c)) in sides.into_iter().enumerate() {
         let margin = FRUSTUM_MARGIN * 0.5 * side / f;
         let (lo, hi) = (-(c / f + margin), (side - c) / f + margin);
         let ratio = t[axis] / t[2];
-        free[axis] = (lo..=hi).contains(&ratio.wide());
+        unclamped[axis] = (lo..=hi).contains(&ratio.to_f64());
         clamped[axis] = ratio.max(lit(lo)).min(lit(hi));
     }
     let inv_z = lit(1.0) / t[2];
@@ -78,10 +82,10 @@ fn steps<T: Scalar>(scene: &Scene<T>, i: usize, camera: &Camera, options: &Raste
     let unit = rot::normalise(scene.quats[i]);
     let splat_rotation = rot::matrix(unit.wxyz);
     let column = |k: usize| [splat_rotation[0][k], splat_rotation[1][k], splat_rotation[2][k]];
-    let turned: [[T; 3]; 3] = std::array::from_fn(|r| std::array::from_fn(|k| dot(rotation[r], column(k))));
+    let cam_axes: [[T; 3]; 3] = std::array::from_fn(|r| std::array::from_fn(|k| dot(rotation[r], column(k))));
     let s = scene.scales[i];
     let factor: [[T; 3]; 2] = std::array::from_fn(|r| {
-        std::array::from_fn(|k| dot(jacobian[r], [turned[0][k], turned[1][k], turned[2][k]]) * s[k])
+        std::array::from_fn(|k| dot(jacobian[r], [cam_axes[0][k], cam_axes[1][k], cam_axes[2][k]]) * s[k])
     });
     let dilation = lit(options.dilation);
     let (xx0, xy, yy0) = (dot(factor[0], factor[0]), dot(factor[0], factor[1]), dot(factor[1], factor[1]));
@@ -99,16 +103,16 @@ fn steps<T: Scalar>(scene: &Scene<T>, i: usize, camera: &Camera, options: &Raste
         depth: t[2],
         opacity: scene.opacities[i] * compensation,
         rgb: [lit(0.0); 3],
-        bend: scene.bend(i),
+        bend: scene.kernel_consts(i),
     };
     Some(Steps {
         rotation,
         camera_point: t,
         clamped,
-        free,
+        unclamped,
         unit,
         factor,
-        turned,
+        cam_axes,
         jacobian,
         det0,
         det,
@@ -117,9 +121,9 @@ fn steps<T: Scalar>(scene: &Scene<T>, i: usize, camera: &Camera, options: &Raste
     })
 }
 
-/// Basis at the view direction, the direction and its reciprocal distance.
+/// SH basis at the view direction, that direction, and the reciprocal distance.
 fn view_basis<T: Scalar>(scene: &Scene<T>, i: usize, camera: &Camera, degree: u8) -> ([T; 16], [T; 3], T) {
-    let (_, _, position) = camera_axes::<T>(camera);
+    let (_, _, position) = extrinsics::<T>(camera);
     let (d, inv) = sh::direction(scene.means[i], position);
     (sh::basis(d, degree), d, inv)
 }
@@ -131,13 +135,15 @@ fn raw_color<T: Scalar>(scene: &Scene<T>, i: usize, camera: &Camera) -> [T; 3] {
         None => [row[0], row[1], row[2]],
         Some(degree) => {
             let (basis, _, _) = view_basis(scene, i, camera, degree);
-            std::array::from_fn(|c| (0..sh::coeffs(degree)).fold(T::of(0.5), |sum, k| sum + basis[k] * row[3 * k + c]))
+            std::array::from_fn(|c| {
+                (0..sh::coeffs(degree)).fold(T::from_f64(0.5), |sum, k| sum + basis[k] * row[3 * k + c])
+            })
         }
     }
 }
 
 /// Projects splat `i`; `None` if it lies outside the depth range.
-pub fn project<T: Scalar>(
+pub(super) fn project<T: Scalar>(
     scene: &Scene<T>,
     i: usize,
     camera: &Camera,
@@ -145,11 +151,11 @@ pub fn project<T: Scalar>(
 ) -> Option<Projected<T>> {
     let mut projected = steps(scene, i, camera, options)?.projected;
     let raw = raw_color(scene, i, camera);
-    projected.rgb = if scene.degree.is_some() { raw.map(|v| v.max(T::of(0.0))) } else { raw };
+    projected.rgb = if scene.degree.is_some() { raw.map(|v| v.max(T::from_f64(0.0))) } else { raw };
     Some(projected)
 }
 
-/// Pulls the sums of one splat over all pixels back to its parameters.
+/// Writes the cotangents of one splat's parameters, except the kernel's, from its sums over all pixels.
 pub(super) fn backward<T: Scalar>(
     scene: &Scene<T>,
     i: usize,
@@ -159,7 +165,7 @@ pub(super) fn backward<T: Scalar>(
     grad: &mut Scene<T>,
 ) {
     let Some(st) = steps(scene, i, camera, options) else { return };
-    let lit = T::of;
+    let lit = T::from_f64;
     let two = lit(2.0);
     grad.opacities[i] = sums.opacity * st.compensation;
 
@@ -174,10 +180,10 @@ pub(super) fn backward<T: Scalar>(
     });
     let s = scene.scales[i];
     // F = J W S with W = R_v R.
-    let jw = |r: usize, k: usize| dot(st.jacobian[r], [st.turned[0][k], st.turned[1][k], st.turned[2][k]]);
+    let jw = |r: usize, k: usize| dot(st.jacobian[r], [st.cam_axes[0][k], st.cam_axes[1][k], st.cam_axes[2][k]]);
     grad.scales[i] = std::array::from_fn(|k| d_factor[0][k] * jw(0, k) + d_factor[1][k] * jw(1, k));
     let d_jw: [[T; 3]; 2] = std::array::from_fn(|r| std::array::from_fn(|k| d_factor[r][k] * s[k]));
-    let d_jacobian: [[T; 3]; 2] = std::array::from_fn(|r| std::array::from_fn(|c| dot(d_jw[r], st.turned[c])));
+    let d_jacobian: [[T; 3]; 2] = std::array::from_fn(|r| std::array::from_fn(|c| dot(d_jw[r], st.cam_axes[c])));
     let d_turned: [[T; 3]; 3] = std::array::from_fn(|c| {
         std::array::from_fn(|k| st.jacobian[0][c] * d_jw[0][k] + st.jacobian[1][c] * d_jw[1][k])
     });
@@ -198,17 +204,17 @@ pub(super) fn backward<T: Scalar>(
 fn covariance2d_backward<T: Scalar>(opacity: T, options: &RasterOptions, st: &Steps<T>, sums: &SplatSums<T>) -> [T; 3] {
     let [a, b, c] = st.projected.conic;
     let [ga, gb, gc] = sums.conic;
-    let (two, half) = (T::of(2.0), T::of(0.5));
+    let (two, half) = (T::from_f64(2.0), T::from_f64(0.5));
     // dL/dΣ' = −K G K with G the symmetric cotangent [[ga, gb/2], [gb/2, gc]].
     let (m00, m01) = (ga * a + half * gb * b, ga * b + half * gb * c);
     let (m10, m11) = (half * gb * a + gc * b, half * gb * b + gc * c);
     let mut out = [-(a * m00 + b * m10), -(two * (a * m01 + b * m11)), -(b * m01 + c * m11)];
     let ratio = st.det0 / st.det;
-    if options.antialias && ratio.wide() > MIN_COMPENSATION.powi(2) {
+    if options.antialias && ratio.to_f64() > MIN_COMPENSATION.powi(2) {
         // comp² = det0/det: d ln comp = ½ (d det0/det0 − d det/det); det0·Σ2⁻¹ is the adjugate, free of division.
         let d_comp = opacity * sums.opacity;
         let scale = d_comp * half / (st.compensation * st.det);
-        let dilation = T::of(options.dilation);
+        let dilation = T::from_f64(options.dilation);
         let [xx, xy, yy] = st.projected.cov2d;
         out[0] = out[0] + scale * ((yy - dilation) - ratio * yy);
         out[1] = out[1] - scale * two * (xy - ratio * xy);
@@ -220,10 +226,10 @@ fn covariance2d_backward<T: Scalar>(opacity: T, options: &RasterOptions, st: &St
 /// Cotangent of the camera-space point, from the screen centre, the Jacobian and the depth.
 fn point_backward<T: Scalar>(camera: &Camera, st: &Steps<T>, d_j: &[[T; 3]; 2], sums: &SplatSums<T>) -> [T; 3] {
     let t = st.camera_point;
-    let inv_z = T::of(1.0) / t[2];
-    let mut d = [T::of(0.0), T::of(0.0), sums.depth];
+    let inv_z = T::from_f64(1.0) / t[2];
+    let mut d = [T::from_f64(0.0), T::from_f64(0.0), sums.depth];
     for (axis, f) in [camera.fx, camera.fy].into_iter().enumerate() {
-        let f = T::of(f);
+        let f = T::from_f64(f);
         let d_u = sums.mean2d[axis];
         d[axis] = d[axis] + f * inv_z * d_u;
         d[2] = d[2] - f * t[axis] * inv_z * inv_z * d_u;
@@ -231,7 +237,7 @@ fn point_backward<T: Scalar>(camera: &Camera, st: &Steps<T>, d_j: &[[T; 3]; 2], 
         d[2] = d[2] - f * inv_z * inv_z * d_j[axis][axis];
         let d_a2 = d_j[axis][2];
         d[2] = d[2] + f * st.clamped[axis] * inv_z * inv_z * d_a2;
-        if st.free[axis] {
+        if st.unclamped[axis] {
             d[axis] = d[axis] - f * inv_z * inv_z * d_a2;
             d[2] = d[2] + f * t[axis] * inv_z * inv_z * inv_z * d_a2;
         }
@@ -239,7 +245,7 @@ fn point_backward<T: Scalar>(camera: &Camera, st: &Steps<T>, d_j: &[[T; 3]; 2], 
     d
 }
 
-/// Cotangents of the colour row (written) and of the mean through the view direction (returned).
+/// Writes the cotangents of the colour row; returns that of the mean through the view direction.
 fn color_backward<T: Scalar>(
     scene: &Scene<T>,
     i: usize,
@@ -248,7 +254,7 @@ fn color_backward<T: Scalar>(
     grad: &mut Scene<T>,
 ) -> [T; 3] {
     let width = scene.color_width();
-    let zero = T::of(0.0);
+    let zero = T::from_f64(0.0);
     let Some(degree) = scene.degree else {
         grad.color[i * 3..][..3].copy_from_slice(&d_rgb);
         return [zero; 3];

@@ -1,11 +1,11 @@
-//! Hard scenes for the rasteriser's tests, drawn from a seed.
+//! Hard scenes for the rasteriser's tests, generated from a seed.
 #![allow(dead_code, reason = "each test binary uses its own part")]
 
 use glam::{DVec3, Vec3};
 use gs_core::kernel::effective_beta;
 use gs_core::{BetaMode, Camera, Color, Kernel, Rng, Splats};
 
-/// The kinds of hard scenes (what the reader of a failure wants to know first).
+/// The kinds of hard scenes, by name.
 pub const KINDS: [&str; 8] =
     ["ordinary", "needles", "near plane", "opaque stack", "odd quaternions", "huge", "equal depths", "one pixel"];
 
@@ -16,13 +16,13 @@ pub struct Case {
     pub background: [f32; 3],
 }
 
-/// Scene number `seed`; its kind is `seed % 8`. `most` bounds the number of splats.
-pub fn case(seed: u64, most: usize) -> Case {
+/// Scene number `seed`; its kind is `seed % 8`. It has at most `max_splats` splats, an opaque stack at least 300.
+pub fn case(seed: u64, max_splats: usize) -> Case {
     let kind = KINDS[seed as usize % KINDS.len()];
     let mut rng = Rng::new(seed, "hard scene", 0, 0);
     let n = match kind {
-        "opaque stack" => most.max(300),
-        _ => 1 + rng.below(most as u32) as usize,
+        "opaque stack" => max_splats.max(300),
+        _ => 1 + rng.below(max_splats as u32) as usize,
     };
     let camera = camera(kind, &mut rng);
     let degree = rng.below(4) as u8;
@@ -41,7 +41,7 @@ pub fn case(seed: u64, most: usize) -> Case {
     Case { kind, splats, camera, background: std::array::from_fn(|_| rng.uniform()) }
 }
 
-/// The kinds of kernels: what a reader of a failure wants to know next.
+/// The kinds of kernels, by name.
 pub const KERNELS: [&str; 4] = ["frequency", "literal", "acutance", "neutral"];
 
 /// Kernel number `seed`, of kind `KERNELS[seed % 4]`, for `n` splats: the effective β of each mode, λ and β to the ends
@@ -121,7 +121,7 @@ fn row(kind: &str, i: usize, camera: &Camera, rng: &mut Rng) -> Row {
             let back = camera.rotation.transpose().as_mat3();
             r.mean = on_axis(3.0) + back * local;
             if i % 2 == 1 {
-                // Exactly the same centre as nothing else, but often the very same depth bits.
+                // The same centre for half the splats, and often the same depth bits for the others.
                 r.mean = on_axis(3.0);
             }
         }

@@ -1,4 +1,4 @@
-//! What must be true of any renderer: closed forms, invariances, and the same bits from any number of threads.
+//! Closed forms, invariances, and the same bits from any number of threads.
 
 mod common;
 
@@ -34,7 +34,7 @@ fn stack(depths: &[f32], scale: f32, opacities: &[f32], rgb: &[[f32; 3]]) -> Spl
     }
 }
 
-fn draw(s: &Splats, c: &Camera, o: &RasterOptions) -> Frame {
+fn render_new(s: &Splats, c: &Camera, o: &RasterOptions) -> Frame {
     render(s, c, o, &mut Workspace::new())
 }
 
@@ -43,7 +43,7 @@ fn draw(s: &Splats, c: &Camera, o: &RasterOptions) -> Frame {
 #[test]
 fn one_splat_integrates_to_its_closed_form() {
     let (o, z, s) = (0.8f32, 2.0f32, 0.12f32);
-    let frame = draw(&stack(&[z], s, &[o], &[[1.0; 3]]), &camera(96, 96), &RasterOptions::default());
+    let frame = render_new(&stack(&[z], s, &[o], &[[1.0; 3]]), &camera(96, 96), &RasterOptions::default());
     let variance = (100.0 * f64::from(s) / f64::from(z)).powi(2) + 0.3;
     let o = f64::from(o);
     let want = std::f64::consts::TAU * variance * (o - 1.0 / 255.0);
@@ -56,7 +56,7 @@ fn one_splat_integrates_to_its_closed_form() {
 fn two_layers_compose_by_the_over_operator() {
     let s = stack(&[3.0, 2.0], 0.5, &[0.6, 0.5], &[[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]);
     let c = camera(33, 33);
-    let frame = draw(&s, &c, &RasterOptions { background: [0.0, 0.0, 1.0], ..Default::default() });
+    let frame = render_new(&s, &c, &RasterOptions { background: [0.0, 0.0, 1.0], ..Default::default() });
     let centre = 16 * 33 + 16;
     let near = |k: usize, want: f32| assert!((frame.rgb[3 * centre + k] - want).abs() < 1e-5, "channel {k}");
     near(0, 0.5);
@@ -83,11 +83,11 @@ fn many_faint_layers_follow_the_power_law() {
             color: Color::Rgb(vec![[1.0; 3]; count]),
             kernel: Kernel::Gaussian,
         };
-        let frame = draw(&part, &camera(1, 1), &options);
+        let frame = render_new(&part, &camera(1, 1), &options);
         let want = 1.0 - (1.0 - f64::from(alpha)).powi(count as i32);
         assert!((f64::from(frame.alpha[0]) / want - 1.0).abs() < 1e-5, "{count}: {} {want}", frame.alpha[0]);
     }
-    let frame = draw(&s, &camera(1, 1), &options);
+    let frame = render_new(&s, &camera(1, 1), &options);
     assert!(frame.alpha[0] == 1.0 && frame.rgb[0].is_finite() && (frame.rgb[0] - 1.0).abs() < 1e-4);
 }
 
@@ -97,14 +97,14 @@ fn a_wall_of_one_colour_is_constant() {
     let n = 40;
     let depths: Vec<f32> = (0..n).map(|i| 5.0 + i as f32).collect();
     let s = stack(&depths, 1e4, &vec![0.9; n], &vec![rgb; n]);
-    let frame = draw(&s, &camera(37, 21), &RasterOptions { background: rgb, ..Default::default() });
+    let frame = render_new(&s, &camera(37, 21), &RasterOptions { background: rgb, ..Default::default() });
     for p in frame.rgb.chunks_exact(3) {
         assert!(p.iter().zip(rgb).all(|(a, b)| (a - b).abs() < 1e-6), "{p:?}");
     }
 }
 
 #[test]
-fn nothing_to_draw_is_the_background() {
+fn an_empty_scene_is_the_background() {
     let o = RasterOptions { background: [0.1, 0.2, 0.3], ..Default::default() };
     let mut w = Workspace::new();
     for s in [Splats::default(), stack(&[-1.0], 1.0, &[1.0], &[[1.0; 3]]), stack(&[1.0], 1.0, &[0.0], &[[1.0; 3]])] {
@@ -124,7 +124,7 @@ fn bits(frame: &Frame) -> Vec<u32> {
 fn order_of_rows_does_not_matter_when_depths_differ() {
     let case = common::case(0, 60);
     let options = RasterOptions { background: case.background, ..Default::default() };
-    let want = bits(&draw(&case.splats, &case.camera, &options));
+    let want = bits(&render_new(&case.splats, &case.camera, &options));
     let order = gs_core::Rng::new(3, "permute", 0, 0).permutation(case.splats.len());
     let pick = |i: &u32| *i as usize;
     let s = &case.splats;
@@ -141,7 +141,7 @@ fn order_of_rows_does_not_matter_when_depths_differ() {
         },
         kernel: Kernel::Gaussian,
     };
-    assert_eq!(bits(&draw(&permuted, &case.camera, &options)), want);
+    assert_eq!(bits(&render_new(&permuted, &case.camera, &options)), want);
 }
 
 #[test]
@@ -152,36 +152,36 @@ fn hidden_splats_change_nothing() {
     let mut colors = vec![[1.0, 0.5, 0.0]; 3];
     let wall = stack(&depths, 1e4, &opacities, &colors);
     let c = camera(40, 40);
-    let want = bits(&draw(&wall, &c, &RasterOptions::default()));
+    let want = bits(&render_new(&wall, &c, &RasterOptions::default()));
     for i in 0..5000 {
         depths.push(2.0 + i as f32 * 1e-3);
         opacities.push(0.7);
         colors.push([0.0, 0.3, 1.0]);
     }
-    assert_eq!(bits(&draw(&stack(&depths, 1e4, &opacities, &colors), &c, &RasterOptions::default())), want);
+    assert_eq!(bits(&render_new(&stack(&depths, 1e4, &opacities, &colors), &c, &RasterOptions::default())), want);
 }
 
 #[test]
 fn quaternion_sign_and_length_do_not_matter() {
     let case = common::case(0, 40);
-    let want = draw(&case.splats, &case.camera, &RasterOptions::default());
+    let want = render_new(&case.splats, &case.camera, &RasterOptions::default());
     let mut s = case.splats.clone();
     s.quats.iter_mut().for_each(|q| *q = q.map(|v| -4.0 * v));
-    let got = draw(&s, &case.camera, &RasterOptions::default());
+    let got = render_new(&s, &case.camera, &RasterOptions::default());
     assert!(got.rgb.iter().zip(&want.rgb).all(|(a, b)| (a - b).abs() < 2e-5));
 }
 
 #[test]
 fn moving_the_world_and_the_camera_together_changes_nothing() {
     let case = common::case(0, 40);
-    let want = draw(&case.splats, &case.camera, &RasterOptions::default());
-    // SH turn with the view direction, so this holds for the constant term only.
+    let want = render_new(&case.splats, &case.camera, &RasterOptions::default());
+    // SH beyond degree 0 depend on the view direction, so this holds for the constant term only.
     let flat = |s: &Splats| {
         let width = s.color.width();
         let rgb = s.color.as_flat().chunks_exact(width).map(|c| [c[0], c[1], c[2]]).collect();
         Splats { color: Color::Rgb(rgb), ..s.clone() }
     };
-    let base = draw(&flat(&case.splats), &case.camera, &RasterOptions::default());
+    let base = render_new(&flat(&case.splats), &case.camera, &RasterOptions::default());
     assert_eq!(base.alpha, want.alpha);
     let turn = DMat3::from_rotation_y(0.5);
     let shift = DVec3::new(0.5, -2.0, 1.0);
@@ -196,7 +196,7 @@ fn moving_the_world_and_the_camera_together_changes_nothing() {
     let mut c = case.camera.clone();
     c.rotation = case.camera.rotation * turn.transpose();
     c.translation = case.camera.translation - c.rotation * shift;
-    let got = draw(&s, &c, &RasterOptions::default());
+    let got = render_new(&s, &c, &RasterOptions::default());
     let worst = got.rgb.iter().zip(&base.rgb).fold(0.0f32, |m, (a, b)| m.max((a - b).abs()));
     assert!(worst < 2e-5, "{worst:.1e}: f32 means moved by rounding");
 }
@@ -238,12 +238,12 @@ fn any_number_of_threads_gives_the_same_bits() {
     }
 }
 
-/// Chunks and closed tiles are bookkeeping: the picture is that of every splat against every pixel.
+/// Chunks and closed tiles change nothing: the image is that of every splat against every pixel.
 #[test]
 fn lists_lose_nothing_on_a_crowded_scene() {
     let splats = gs_raster::measure::scene(6000, 0);
     let camera = gs_raster::measure::camera(100);
-    let frame = draw(&splats, &camera, &RasterOptions::default());
+    let frame = render_new(&splats, &camera, &RasterOptions::default());
     let want = reference(&Scene::<f64>::new(&splats), &camera, &RasterOptions::default(), Cutoff::Hard);
     let mut flips = 0;
     for i in 0..want.alpha.len() {
@@ -282,6 +282,6 @@ fn a_warm_workspace_gives_the_same_frame_for_any_history() {
         let case = common::case(seed, 60);
         let options = RasterOptions { background: case.background, ..Default::default() };
         render_into(&case.splats, &case.camera, &options, &mut w, &mut frame);
-        assert_eq!(bits(&frame), bits(&draw(&case.splats, &case.camera, &options)), "scene {seed}");
+        assert_eq!(bits(&frame), bits(&render_new(&case.splats, &case.camera, &options)), "scene {seed}");
     }
 }
