@@ -25,7 +25,7 @@ pub enum MetricError {
     Malformed {
         /// Name of the argument: `a`, `b`, `mask`, …
         which: &'static str,
-        /// Its `(width, height, channels)`.
+        /// The `(width, height, channels)` it declares.
         shape: (usize, usize, usize),
         /// Number of values it holds.
         len: usize,
@@ -33,7 +33,7 @@ pub enum MetricError {
     /// The metric is not defined for this number of channels.
     #[error("{metric} needs {need} channels, the images have {got}; drop alpha or convert first")]
     Channels {
-        /// Name of the metric.
+        /// Name of the metric, for example `MS-SSIM`.
         metric: &'static str,
         /// Number of channels of the images.
         got: usize,
@@ -43,7 +43,7 @@ pub enum MetricError {
     /// An image is smaller than the windows the metric needs.
     #[error("{metric} needs both sides of at least {need} pixels, the image is {width}x{height}; {hint}")]
     TooSmall {
-        /// Name of the metric.
+        /// Name of the metric, for example `MS-SSIM`.
         metric: &'static str,
         /// Smallest allowed side in pixels.
         need: usize,
@@ -71,7 +71,7 @@ pub enum MetricError {
     /// All values are finite but so large that squares overflow `f32`.
     #[error("values are too large for {metric}: display-encoded images have values in [0, 1]")]
     Overflow {
-        /// Name of the metric.
+        /// Name of the metric, for example `MS-SSIM`.
         metric: &'static str,
     },
     /// An option is out of its range.
@@ -87,11 +87,11 @@ pub enum MetricError {
     /// A video is too short.
     #[error("{metric} needs at least {need} frames, {got} were given; give more, or keep the ends (no trim)")]
     TooFewFrames {
-        /// Name of the metric.
+        /// Name of the metric, for example `MS-SSIM`.
         metric: &'static str,
-        /// Number of frames given.
+        /// Number of frames of the video.
         got: usize,
-        /// Smallest number of frames.
+        /// Fewest frames the metric accepts.
         need: usize,
     },
     /// A mask has no positive weight, so there is nothing to average.

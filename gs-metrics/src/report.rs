@@ -121,7 +121,7 @@ impl Scorer {
 /// Means of [`Scores`] over views.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Summary {
-    /// Number of views.
+    /// Number of views that were scored.
     pub views: usize,
     /// Mean of the PSNRs of the views in dB, as papers of the 3DGS family report it; views without error are counted apart.
     pub mean_psnr: Mean,

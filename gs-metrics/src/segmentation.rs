@@ -30,7 +30,7 @@ use std::collections::BTreeMap;
 
 use crate::MetricError;
 
-pub mod assignment;
+mod assignment;
 
 pub use assignment::assign;
 
@@ -137,7 +137,7 @@ pub struct SegmentScores {
     pub miou: f64,
     /// As `miou`, but over ids `0 … largest id present`, where absent ids count 0 (NVFi).
     pub miou_strict: f64,
-    /// Number of images scored.
+    /// Number of images that were added.
     pub images: usize,
 }
 

@@ -76,14 +76,14 @@ pub struct Tof {
     previous: [Expansion; 2],
     current: [Expansion; 2],
     flows: [Flow; 2],
-    /// Number of frames added.
+    /// Number of frames added so far.
     frames: usize,
     size: Option<(usize, usize)>,
     pairs: Vec<(usize, f64)>,
 }
 
 impl Tof {
-    /// A video without frames.
+    /// An evaluator without frames, with these options.
     pub fn new(options: TofOptions) -> Self {
         Self { options, ..Self::default() }
     }

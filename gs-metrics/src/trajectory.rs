@@ -36,7 +36,7 @@ const BLOCK: usize = 256;
 /// Preparation of a path before its transform.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Window {
-    /// The mean is subtracted.
+    /// Only the mean is subtracted, coordinate by coordinate.
     Raw,
     /// The least-squares line is subtracted, and the path is multiplied by a Hann window.
     Hann,
@@ -48,9 +48,9 @@ pub enum TrajectoryError {
     /// There are too few timestamps.
     #[error("{got} timestamps are too few, {need} are needed; sample the motion more often")]
     TooFew {
-        /// Smallest number of timestamps.
+        /// Fewest timestamps the function accepts.
         need: usize,
-        /// Number of timestamps given.
+        /// Number of timestamps of the paths.
         got: usize,
     },
     /// The number of points changes between timestamps.
@@ -58,7 +58,7 @@ pub enum TrajectoryError {
     Uneven {
         /// Index of the first such timestamp, from 0.
         index: usize,
-        /// Number of points there.
+        /// Number of points at that timestamp.
         got: usize,
         /// Number of points at the first timestamp.
         want: usize,
@@ -68,9 +68,9 @@ pub enum TrajectoryError {
     Cutoff {
         /// The cut-off given, in periods over the whole path.
         cutoff: usize,
-        /// Number of timestamps given.
+        /// Number of timestamps of the paths.
         timestamps: usize,
-        /// The highest frequency, `⌊T/2⌋`.
+        /// The highest frequency there is, `⌊T/2⌋`.
         highest: usize,
     },
 }
@@ -181,7 +181,7 @@ fn check(frames: &[Vec<[f32; 3]>], need: usize) -> Result<usize, TrajectoryError
 /// Statistics of the distribution of values `≥ 0`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Spread {
-    /// Mean of the values.
+    /// Arithmetic mean of the finite values.
     pub mean: f64,
     /// Median: the value of nearest rank, not interpolated.
     pub p50: f64,

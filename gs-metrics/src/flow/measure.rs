@@ -19,7 +19,7 @@ pub enum Reference {
 /// The motion inside a mask relative to the motion outside.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MaskContrast {
-    /// The reference length, pixels.
+    /// The length that [`Reference`] selects, pixels.
     pub reference: f64,
     /// Mean of `|flow| / reference` inside the mask.
     pub inside: f64,

@@ -43,7 +43,7 @@ impl Default for LayerOptions {
 
 /// The scalar types of [`layer_loss`]: `f32` and `f64`.
 pub trait Scalar: Real + PartialOrd + Send + Sync {
-    /// The exponential function, `e^self`.
+    /// `e` to the power of this value.
     fn exp(self) -> Self;
     /// This value in `f64`, for sums.
     fn to_f64(self) -> f64;

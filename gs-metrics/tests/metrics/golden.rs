@@ -3,8 +3,8 @@
 //! | score | tolerance | why |
 //! |---|---|---|
 //! | MSE | 1e-6 relative | 8-bit steps stored as f32 |
-//! | PSNR | 1e-5 dB | the same |
-//! | SSIM, MS-SSIM | 1e-6 | windows and pools in f32 |
+//! | PSNR | 2e-6 dB | the same |
+//! | SSIM, MS-SSIM | 1e-7 | windows and pools in f32; worst seen 1e-8 |
 
 use gs_core::Image;
 use gs_core::io::{Limits, images::decode_image};
@@ -26,10 +26,10 @@ fn decode(bytes: &[u8]) -> Image {
 fn score(metric: &str, a: &Image, b: &Image) -> (f64, f64) {
     match metric {
         "mse" => (mse(a, b).unwrap(), 1e-6 * mse(a, b).unwrap()),
-        "psnr" => (psnr(a, b).unwrap(), 1e-5),
-        "ssim_valid" => (ssim(a, b, &SsimOptions::published()).unwrap(), 1e-6),
-        "ssim_zero" => (ssim(a, b, &SsimOptions::default()).unwrap(), 1e-6),
-        "ms_ssim" => (ms_ssim(a, b, &MsSsimOptions::default()).unwrap(), 1e-6),
+        "psnr" => (psnr(a, b).unwrap(), 2e-6),
+        "ssim_valid" => (ssim(a, b, &SsimOptions::published()).unwrap(), 1e-7),
+        "ssim_zero" => (ssim(a, b, &SsimOptions::default()).unwrap(), 1e-7),
+        "ms_ssim" => (ms_ssim(a, b, &MsSsimOptions::default()).unwrap(), 1e-7),
         _ => panic!("no metric {metric}"),
     }
 }
