@@ -1,4 +1,4 @@
-//! Time of optical flow and tOF at 640 × 360, and their distance from OpenCV 4.10's answers for the same generated frames.
+//! Time of optical flow and tOF at 640 × 360, and their distance from OpenCV 4.10's flow of the same generated frames.
 //! Each row goes to the terminal and to `target/speed-error/gs-metrics.jsonl`.
 
 #[path = "../tests/metrics/frames.rs"]
@@ -54,7 +54,8 @@ fn main() {
     measure("optical flow", "between expanded frames", error, || {
         estimate.between(first, second, black_box(&mut flow)).expect("a flow");
     });
-    let (pred, truth) = (frames::film(SIZE.0, SIZE.1, 1, [24, -10]), frames::film(SIZE.0, SIZE.1, 1, [20, -16]));
+    let (pred, truth) =
+        (frames::video_frame(SIZE.0, SIZE.1, 1, [24, -10]), frames::video_frame(SIZE.0, SIZE.1, 1, [20, -16]));
     let mut tof = Tof::new(TofOptions { trim: false, crop: true });
     measure("tof", "one more frame", None, || tof.add(black_box(&pred), &truth).expect("a frame"));
 }

@@ -15,7 +15,7 @@ use gs_core::{Image, Rng};
 use gs_metrics::{AmplitudeLoss, MsSsim, MsSsimOptions, Padding, Ssim, SsimOptions, mse, perceptual_proxy};
 use reference::{Image64, mean_ssim64, relative_l2, ssim_grad64};
 
-/// What a row says beside its time.
+/// The columns of a row other than its time.
 struct Row<'a> {
     case: &'a str,
     variant: &'a str,
@@ -24,7 +24,7 @@ struct Row<'a> {
     error_kind: &'static str,
 }
 
-/// A smooth picture with grain, and a noisier version of it.
+/// A smooth image with grain, and a noisier version of it.
 fn pair(side: usize) -> (Image, Image) {
     let mut rng = Rng::new(1, "bench", 0, 0);
     let shade = |i: usize| 0.5 + 0.3 * ((i / 3 % side) as f32 * 0.05).sin() * ((i / 3 / side) as f32 * 0.03).cos();

@@ -3,8 +3,8 @@
 //! ```text
 //! cargo run --release -p gs-metrics --example score_folders -- renders/ truth/
 //! ```
-//! Names are compared without their extension, images in sorted order. SSIM is the published form (valid area). Pictures
-//! are composited on black where they have alpha.
+//! Names are compared without their extension, images in sorted order. SSIM is the published form (valid area). Images
+//! with alpha are composited on black.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -59,7 +59,7 @@ fn print_row(name: &str, s: &Scores) {
     println!("{name:<24} {:>9.4} {:>8.4} {ms:>8} {:>16.4}", s.psnr, s.ssim, s.perceptual_proxy);
 }
 
-/// Picture files of a folder by name without extension.
+/// Image files of a folder by name without extension.
 fn images_of(folder: &Path) -> Result<BTreeMap<String, PathBuf>, String> {
     let entries = std::fs::read_dir(folder).map_err(|e| format!("cannot list {}: {e}", folder.display()))?;
     let paths = entries.filter_map(|e| Some(e.ok()?.path())).filter(|p| image::ImageFormat::from_path(p).is_ok());

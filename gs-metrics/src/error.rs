@@ -1,9 +1,9 @@
-//! What can be wrong with the images of a metric.
+//! The error of all metrics: what is wrong with the input, where, and what to do.
 
 use gs_core::Image;
 
-/// Channels a metric accepts at most (grey, grey + alpha, RGB, RGB + alpha).
-pub const MAX_CHANNELS: usize = 4;
+/// Largest number of channels (grey, grey + alpha, RGB, RGB + alpha).
+pub(crate) const MAX_CHANNELS: usize = 4;
 
 /// Why a metric has no value.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -13,45 +13,45 @@ pub enum MetricError {
         "{what}: shapes (width, height, channels) {first:?} and {second:?} differ; resize or crop before comparing"
     )]
     Shape {
-        /// Which pair.
+        /// The two inputs compared, for example `images a and b`.
         what: &'static str,
-        /// Shape of the first image.
+        /// `(width, height, channels)` of the first.
         first: (usize, usize, usize),
-        /// Shape of the second.
+        /// `(width, height, channels)` of the second.
         second: (usize, usize, usize),
     },
-    /// The data of an image do not fill its shape, or the number of channels is not 1 to 4.
+    /// The number of values is not `width · height · channels`, or the number of channels is not 1 to 4.
     #[error("image {which} says {shape:?} (width, height, channels 1 to 4) but holds {len} values")]
     Malformed {
-        /// Which image.
+        /// Name of the argument: `a`, `b`, `mask`, …
         which: &'static str,
-        /// Its shape.
+        /// The `(width, height, channels)` it declares.
         shape: (usize, usize, usize),
-        /// Values present.
+        /// Number of values it holds.
         len: usize,
     },
     /// The metric is not defined for this number of channels.
     #[error("{metric} needs {need} channels, the images have {got}; drop alpha or convert first")]
     Channels {
-        /// Which metric.
+        /// Name of the metric, for example `MS-SSIM`.
         metric: &'static str,
-        /// Channels of the images.
+        /// Number of channels of the images.
         got: usize,
-        /// Channels it takes.
+        /// Numbers of channels the metric accepts.
         need: &'static str,
     },
     /// An image is smaller than the windows the metric needs.
     #[error("{metric} needs both sides of at least {need} pixels, the image is {width}x{height}; {hint}")]
     TooSmall {
-        /// Which metric.
+        /// Name of the metric, for example `MS-SSIM`.
         metric: &'static str,
         /// Smallest allowed side in pixels.
         need: usize,
-        /// Pixels per row.
+        /// Width of the image in pixels.
         width: usize,
-        /// Rows.
+        /// Height of the image in pixels.
         height: usize,
-        /// What to do instead.
+        /// What the caller can do instead.
         hint: &'static str,
     },
     /// A value is NaN or infinite.
@@ -59,39 +59,39 @@ pub enum MetricError {
         "image {which} has a value that is not finite at pixel ({x}, {y}), channel {channel}; repair the image first"
     )]
     NotFinite {
-        /// Which image.
+        /// Name of the argument: `a`, `b`, `mask`, …
         which: &'static str,
-        /// Column.
+        /// Column of the first such pixel, from 0.
         x: usize,
-        /// Row.
+        /// Row of that pixel, from 0 at the top.
         y: usize,
-        /// Channel.
+        /// Channel of the value, from 0.
         channel: usize,
     },
     /// All values are finite but so large that squares overflow `f32`.
     #[error("values are too large for {metric}: display-encoded images have values in [0, 1]")]
     Overflow {
-        /// Which metric.
+        /// Name of the metric, for example `MS-SSIM`.
         metric: &'static str,
     },
     /// An option is out of its range.
     #[error("option {name} is {value}; it must be {must}")]
     Option {
-        /// Name of the option.
+        /// Name of the option or argument.
         name: &'static str,
-        /// Its value, as text.
+        /// The value given, as text.
         value: String,
-        /// What it must be.
+        /// The range it must lie in.
         must: &'static str,
     },
     /// A video is too short.
     #[error("{metric} needs at least {need} frames, {got} were given; give more, or keep the ends (no trim)")]
     TooFewFrames {
-        /// Which metric.
+        /// Name of the metric, for example `MS-SSIM`.
         metric: &'static str,
-        /// Frames given.
+        /// Number of frames of the video.
         got: usize,
-        /// Frames it needs.
+        /// Fewest frames the metric accepts.
         need: usize,
     },
     /// A mask has no positive weight, so there is nothing to average.
@@ -100,9 +100,9 @@ pub enum MetricError {
     /// A mask holds a negative weight.
     #[error("the mask is negative at pixel ({x}, {y}); weights are at least 0")]
     NegativeMask {
-        /// Column.
+        /// Column of the first such pixel, from 0.
         x: usize,
-        /// Row.
+        /// Row of that pixel, from 0 at the top.
         y: usize,
     },
 }
@@ -131,7 +131,7 @@ pub(crate) fn check_image(which: &'static str, image: &Image) -> Result<(), Metr
     Ok(())
 }
 
-/// Refuses images with a NaN or an infinity, naming the first one.
+/// Returns an error for an image with a NaN or an infinity; it names the first one.
 pub(crate) fn check_finite(which: &'static str, image: &Image) -> Result<(), MetricError> {
     let Some(at) = image.first_non_finite() else { return Ok(()) };
     let (pixel, channel) = (at / image.channels, at % image.channels);
@@ -149,7 +149,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_refusal_says_what_and_where() {
+    fn each_error_says_what_and_where() {
         let a = Image::zeros(3, 2, 3);
         let e = check_pair(&a, &Image::zeros(2, 3, 3)).unwrap_err();
         assert!(e.to_string().contains("(3, 2, 3) and (2, 3, 3)"), "{e}");

@@ -1,7 +1,7 @@
 //! The two-dimensional discrete Fourier transform of one channel of an image, and the real part of its inverse.
 //!
 //! Rows are real, so only the columns `kx = 0 … ⌊W/2⌋` of the spectrum are kept: `F(−kx, −ky)` is the conjugate of
-//! `F(kx, ky)`. Every row and column is transformed as a whole by one task, so nothing depends on the number of threads.
+//! `F(kx, ky)`. Every row and column is transformed as a whole by one task, so the result does not depend on the number of threads.
 
 use std::sync::Arc;
 
@@ -11,7 +11,7 @@ use realfft::num_complex::Complex32;
 use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
 use rustfft::{Fft, FftPlanner};
 
-/// Rows or columns of one task: eight complex values fill a line of the cache while a matrix is transposed.
+/// Rows or columns of one parallel task: eight complex values fill a cache line while a matrix is transposed.
 const BLOCK: usize = 8;
 
 /// Plans and buffers for images of one size.
@@ -19,9 +19,9 @@ pub(crate) struct Fft2 {
     width: usize,
     height: usize,
     row: Arc<dyn RealToComplex<f32>>,
-    row_back: Arc<dyn ComplexToReal<f32>>,
+    row_inverse: Arc<dyn ComplexToReal<f32>>,
     column: Arc<dyn Fft<f32>>,
-    column_back: Arc<dyn Fft<f32>>,
+    column_inverse: Arc<dyn Fft<f32>>,
     /// Spectra of the rows, `[H, W/2 + 1]`.
     rows: Vec<Complex32>,
     /// The spectrum, `[W/2 + 1, H]`.
@@ -36,46 +36,46 @@ impl std::fmt::Debug for Fft2 {
 
 impl Fft2 {
     /// Plans for images of `width` times `height` pixels, both at least 1, of any factors.
-    pub fn new(width: usize, height: usize) -> Self {
+    pub(crate) fn new(width: usize, height: usize) -> Self {
         let (mut real, mut complex) = (RealFftPlanner::new(), FftPlanner::new());
         let zeros = vec![Complex32::default(); height * (width / 2 + 1)];
         Self {
             width,
             height,
             row: real.plan_fft_forward(width),
-            row_back: real.plan_fft_inverse(width),
+            row_inverse: real.plan_fft_inverse(width),
             column: complex.plan_fft_forward(height),
-            column_back: complex.plan_fft_inverse(height),
+            column_inverse: complex.plan_fft_inverse(height),
             columns: zeros.clone(),
             rows: zeros,
         }
     }
 
     /// Whether the plans are for images of this size.
-    pub fn fits(&self, image: &Image) -> bool {
+    pub(crate) fn fits(&self, image: &Image) -> bool {
         (self.width, self.height) == (image.width, image.height)
     }
 
-    /// Columns of the half spectrum.
-    pub fn half(&self) -> usize {
+    /// Number of columns of the half spectrum, `⌊W/2⌋ + 1`.
+    pub(crate) fn half(&self) -> usize {
         self.width / 2 + 1
     }
 
-    /// How often a column of the half spectrum stands in the whole one: twice, but for `kx = 0` and, at even widths,
+    /// How often a column of the half spectrum occurs in the whole one: twice, except for `kx = 0` and, at even widths,
     /// `kx = W/2`.
-    pub fn multiplicity(&self, kx: usize) -> f64 {
+    pub(crate) fn multiplicity(&self, kx: usize) -> f64 {
         if kx == 0 || 2 * kx == self.width { 1.0 } else { 2.0 }
     }
 
-    /// The spectrum `Σ f e^{−2πi(kx x/W + ky y/H)}` of a channel, column by column (`[H]` each, with the column's `kx` and
-    /// its row of `aside`, `[W/2 + 1, H]`) handed to `visit`, whose answers come back in order. With `back`, columns as
-    /// `visit` left them are transformed back at once, for [`Fft2::real_inverse`].
-    pub fn spectrum<T: Send, R: Send>(
+    /// The spectrum `Σ f e^{−2πi(kx x/W + ky y/H)}` of a channel. `visit` is called for every column with `kx`, the column `[H]`
+    /// and its row of `extra`, `[W/2 + 1, H]`; its results are returned in order. With `invert`, the columns as `visit` left
+    /// them are transformed back, for [`Fft2::real_inverse`].
+    pub(crate) fn spectrum<T: Send, R: Send>(
         &mut self,
         image: &Image,
         channel: usize,
-        aside: &mut [T],
-        back: bool,
+        extra: &mut [T],
+        invert: bool,
         visit: impl Fn(usize, &mut [Complex32], &mut [T]) -> R + Sync,
     ) -> Vec<R> {
         let (width, height, half) = (self.width, self.height, self.half());
@@ -91,30 +91,30 @@ impl Fft2 {
                 }
             },
         );
-        let (rows, forth, inverse) = (&self.rows, &self.column, &self.column_back);
+        let (rows, forward, inverse) = (&self.rows, &self.column, &self.column_inverse);
         let scratch =
-            || vec![Complex32::default(); forth.get_inplace_scratch_len().max(inverse.get_inplace_scratch_len())];
-        let blocks = self.columns.par_chunks_mut(height * BLOCK).zip(aside.par_chunks_mut(height * BLOCK)).enumerate();
-        let answers = blocks.map_init(scratch, |scratch, (block, (columns, aside))| {
+            || vec![Complex32::default(); forward.get_inplace_scratch_len().max(inverse.get_inplace_scratch_len())];
+        let blocks = self.columns.par_chunks_mut(height * BLOCK).zip(extra.par_chunks_mut(height * BLOCK)).enumerate();
+        let results = blocks.map_init(scratch, |scratch, (block, (columns, extra))| {
             transpose(rows, half, block * BLOCK, columns, height);
-            let pairs = columns.chunks_exact_mut(height).zip(aside.chunks_exact_mut(height)).enumerate();
-            let one = |(k, (column, aside)): (usize, (&mut [Complex32], &mut [T]))| {
-                forth.process_with_scratch(column, scratch);
-                let answer = visit(block * BLOCK + k, column, aside);
-                if back {
+            let pairs = columns.chunks_exact_mut(height).zip(extra.chunks_exact_mut(height)).enumerate();
+            let transform = |(k, (column, extra)): (usize, (&mut [Complex32], &mut [T]))| {
+                forward.process_with_scratch(column, scratch);
+                let result = visit(block * BLOCK + k, column, extra);
+                if invert {
                     inverse.process_with_scratch(column, scratch);
                 }
-                answer
+                result
             };
-            pairs.map(one).collect::<Vec<R>>()
+            pairs.map(transform).collect::<Vec<R>>()
         });
-        answers.collect::<Vec<_>>().into_iter().flatten().collect()
+        results.collect::<Vec<_>>().into_iter().flatten().collect()
     }
 
-    /// `scale` times the real part of the inverse sum (no factor of its own) of what `visit` left, into a channel of `out`.
-    pub fn real_inverse(&mut self, scale: f32, channel: usize, out: &mut Image) {
+    /// `scale` times the real part of the unnormalised inverse transform of the columns left by `visit`, into a channel of `out`.
+    pub(crate) fn real_inverse(&mut self, scale: f32, channel: usize, out: &mut Image) {
         let (width, height, half, channels) = (self.width, self.height, self.half(), out.channels);
-        let (columns, row) = (&self.columns, &self.row_back);
+        let (columns, row) = (&self.columns, &self.row_inverse);
         let buffers = || {
             let line = row.make_output_vec();
             (vec![Complex32::default(); BLOCK * half], line, row.make_scratch_vec())
@@ -125,7 +125,7 @@ impl Fft2 {
                 let spectra = &mut spectra[..out.len() / (width * channels) * half];
                 transpose(columns, height, block * BLOCK, spectra, half);
                 for (spectrum, out) in spectra.chunks_exact_mut(half).zip(out.chunks_exact_mut(width * channels)) {
-                    // What is left of the imaginary part there belongs to no real image.
+                    // Both bins of a real image are real.
                     spectrum[0].im = 0.0;
                     if width.is_multiple_of(2) {
                         spectrum[half - 1].im = 0.0;

@@ -1,25 +1,25 @@
-//! Dense optical flow between two images: Farneback's polynomial expansion, and what is read from a flow.
+//! Dense optical flow between two images by Farneback's polynomial expansion, and statistics of flows.
 //!
 //! Near a pixel a grey image is a quadratic, `f(d) = c + bᵀd + dᵀAd`, fitted in a Gaussian window. If the second image is
-//! the first moved by `d`, then `A` stays and `b' = b − 2Ad`, so every pixel gives two equations
+//! the first moved by `d`, then `A` is unchanged and `b' = b − 2Ad`, so every pixel gives two equations
 //! ```text
 //! A d = ½ (b − b'(x + d₀)) + A d₀,   A = ½ (A₁ + A₂(x + d₀))
 //! ```
-//! around a known rough `d₀`. They are solved as least squares over a 15 × 15 box, three times at each of up to four
-//! scales, from coarse to fine; the determinant gets `1e-3` added, so a flat image has the flow 0 and not NaN. That constant
-//! has the unit of grey values to the fourth power: greys are 0 to 255, never 0 to 1.
+//! around an estimate `d₀`. They are solved by least squares over a 15 × 15 box, three times at each of up to four scales,
+//! from coarse to fine. `1e-3` is added to the determinant, so a flat image has the flow 0 and not NaN. That constant has the
+//! unit of grey values to the fourth power: grey values are 0 to 255, not 0 to 1.
 //!
 //! Windows, borders, the order of pyramid and blur, and every constant are those of OpenCV 4.10's
-//! `calcOpticalFlowFarneback(pyr_scale .5, levels 3, winsize 15, iterations 3, poly_n 5, poly_sigma 1.2, flags 0)`, which
-//! temporal scores of published video methods are made with; the tests hold it to 1e-3 pixels of OpenCV's answers.
-//! Everything is `f32` but the box sums and the solution, which are `f64`: determinants cancel along straight edges.
+//! `calcOpticalFlowFarneback(pyr_scale .5, levels 3, winsize 15, iterations 3, poly_n 5, poly_sigma 1.2, flags 0)`, the basis
+//! of published temporal scores; the tests require agreement with OpenCV within 1e-3 pixels. Values are `f32`, except that
+//! the box sums and the solution are `f64`, because determinants cancel along straight edges.
 //!
-//! | item | what |
+//! | item | content |
 //! |---|---|
 //! | [`grey`](fn@grey) | 8-bit grey values by OpenCV's integer formula |
 //! | [`Farneback`], [`farneback`] | the flow of a pair, or of a sequence with each frame expanded once |
-//! | [`wheel`], [`arrows`] | colour wheel and arrows on a lattice |
-//! | [`Flow::warp`], [`end_point_error`], [`circular_variance`], [`mask_contrast`] | what is measured from flows |
+//! | [`wheel`], [`arrows`] | a flow as colours, or as arrows on a grid over an image |
+//! | [`Flow::warp`], [`end_point_error`], [`circular_variance`], [`mask_contrast`] | warping and statistics |
 //!
 //! Farneback, *Two-frame motion estimation based on polynomial expansion*, SCIA 2003.
 
@@ -40,26 +40,26 @@ pub use farneback::{Expansion, Farneback, farneback};
 pub use grey::grey;
 pub use measure::{MaskContrast, Reference, circular_variance, end_point_error, mask_contrast};
 
-/// A displacement in pixels for each pixel: what is at `(x, y)` in the first image is at `(x + u, y + v)` in the second.
+/// One displacement in pixels per pixel: the content of the first image at `(x, y)` is at `(x + u, y + v)` in the second.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Flow {
-    /// Pixels per row.
+    /// Width in pixels.
     pub width: usize,
-    /// Rows.
+    /// Height in pixels.
     pub height: usize,
-    /// Displacements along x, `[H, W]`.
+    /// Displacements along x (right), pixels, `[H, W]` row-major.
     pub u: Vec<f32>,
-    /// Displacements along y (down), `[H, W]`.
+    /// Displacements along y (down), pixels, `[H, W]` row-major.
     pub v: Vec<f32>,
 }
 
 impl Flow {
-    /// No motion anywhere.
+    /// A flow of `width × height` pixels without motion.
     pub fn zeros(width: usize, height: usize) -> Self {
         Self { width, height, u: vec![0.0; width * height], v: vec![0.0; width * height] }
     }
 
-    /// Zero flow of a shape, in the memory of this one.
+    /// Sets this flow to zeros of another size and keeps its memory.
     pub(crate) fn reset(&mut self, width: usize, height: usize) {
         (self.width, self.height) = (width, height);
         for plane in [&mut self.u, &mut self.v] {
@@ -68,13 +68,13 @@ impl Flow {
         }
     }
 
-    /// The displacement of pixel `(x, y)`.
+    /// The displacement `[u, v]` of pixel `(x, y)`, pixels.
     pub fn at(&self, x: usize, y: usize) -> [f32; 2] {
         let i = y * self.width + x;
         [self.u[i], self.v[i]]
     }
 
-    /// The flow of a part of the image.
+    /// The flow of a rectangle of the image.
     pub(crate) fn crop(&self, columns: std::ops::Range<usize>, rows: std::ops::Range<usize>) -> Self {
         let cut = |plane: &[f32]| {
             let lines = rows.clone().map(|y| y * self.width);
@@ -88,8 +88,17 @@ impl Flow {
         self.u.iter().zip(&self.v).map(|(u, v)| u.hypot(*v)).collect()
     }
 
-    /// The image in this flow's first frame as it looks when the second frame is pulled back: `out(x) = image(x + flow)`,
-    /// bilinear, the nearest pixel outside.
+    /// Backward warping: resamples the second image into the first, `out(x) = image(x + flow)`, bilinear, with the nearest pixel
+    /// outside. `image` is `[H, W, C]`.
+    ///
+    /// ```
+    /// use gs_core::Image;
+    /// use gs_metrics::Flow;
+    /// let flow = Flow { u: vec![0.5; 3], ..Flow::zeros(3, 1) };
+    /// let second = Image { width: 3, height: 1, channels: 1, data: vec![0.0, 1.0, 4.0] };
+    /// assert_eq!(flow.warp(&second)?.data, [0.5, 2.5, 4.0]);
+    /// # Ok::<(), gs_metrics::MetricError>(())
+    /// ```
     ///
     /// # Errors
     /// If the image has another size, or the flow is malformed or not finite.
@@ -97,7 +106,7 @@ impl Flow {
         measure::warp(self, image)
     }
 
-    /// Refuses a flow whose planes do not fill its shape, or which holds a NaN or an infinity.
+    /// Returns an error for a flow with planes of the wrong length, or with a NaN or an infinity.
     pub(crate) fn check(&self, which: &'static str) -> Result<(), MetricError> {
         let (w, h) = (self.width, self.height);
         for plane in [&self.u, &self.v] {

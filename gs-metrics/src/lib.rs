@@ -1,28 +1,28 @@
-//! Scores of rendered images against true ones, the ones used for training with their gradients.
+//! Image metrics: scores of renders against ground-truth images, with gradients for those used as loss terms.
 //!
 //! | score | value | gradient | module |
 //! |---|---|---|---|
 //! | MSE, PSNR | [`mse`], [`psnr`](fn@psnr) | | [`psnr`](mod@psnr) |
 //! | SSIM, zero-padded (training loss) or valid area (published) | [`ssim`](fn@ssim) | [`ssim_with_grad`], [`Ssim`] | [`ssim`](mod@ssim) |
 //! | MS-SSIM | [`ms_ssim`](fn@ms_ssim) | [`ms_ssim_with_grad`], [`MsSsim`] | [`ms_ssim`](mod@ms_ssim) |
-//! | amplitude spectra | [`AmplitudeLoss::value`] | [`AmplitudeLoss::value_and_grad`] | [`spectrum`] |
-//! | sharpness against the truth | [`Sharpness`] | | [`sharpness`] |
-//! | paths of points: temporal spectrum, second differences | [`high_energies`](trajectory::high_energies) | | [`trajectory`] |
+//! | distance of amplitude spectra | [`AmplitudeLoss::value`] | [`AmplitudeLoss::value_and_grad`] | [`spectrum`] |
+//! | sharpness relative to the ground truth | [`Sharpness`] | | [`sharpness`] |
+//! | trajectories of points: temporal spectrum, second differences | [`high_energies`](trajectory::high_energies) | | [`trajectory`] |
 //! | masked PSNR and SSIM (DyCheck) | [`masked_psnr`], [`masked_ssim`] | | [`masked`] |
-//! | optical flow (Farneback), its pictures and statistics | [`farneback`](flow::farneback), [`Flow`] | | [`flow`] |
-//! | tOF: motion against true motion | [`Tof`] | | [`tof`] |
+//! | optical flow (Farneback), its colour coding and statistics | [`farneback`](flow::farneback), [`Flow`] | | [`flow`] |
+//! | tOF: flow of a render against flow of the ground truth | [`Tof`] | | [`tof`] |
 //! | instance masks: AP, PQ, F1, mIoU | [`Segmentation`] | | [`segmentation`] |
 //! | perceptual **proxy**, without learned weights, not LPIPS | [`perceptual_proxy`], [`masked_perceptual_proxy`] | | [`perceptual`] |
-//! | texture against texture (MRF loss), proxy or the user's VGG-19 | [`Mrf::value`](mrf::Mrf::value) | [`Mrf::value_and_grad`](mrf::Mrf::value_and_grad) | [`mrf`] |
+//! | ID-MRF texture loss on fixed filters, without learned weights | [`Mrf::value`](mrf::Mrf::value) | [`Mrf::value_and_grad`](mrf::Mrf::value_and_grad) | [`mrf`] |
 //! | means over views | [`Scorer`], [`Summary`] | | [`report`] |
 //!
 //! # Conventions
 //! Images are [`gs_core::Image`]: row-major, channels interleaved, display-encoded values in `[0, 1]`, 1 to 4 channels
-//! (1 or 3 for the proxy), all channels alike. Values are not clamped or quantised here; a protocol which scores 8-bit
-//! files quantises first ([`Quantise`]). Gradients are with respect to the **first** image, in its shape.
+//! (1 or 3 for some metrics). All channels count alike. Values are not clamped or quantised; a protocol that scores 8-bit
+//! files quantises first ([`Quantise`]). Gradients are with respect to the **first** image and have its shape.
 //!
-//! Everything is bitwise equal for any number of threads of the rayon pool in scope. Bad input is a [`MetricError`] which
-//! says what, where, and what to do; a NaN pixel never becomes a score.
+//! Values and gradients are bitwise equal for any number of threads of the current rayon pool. Bad input is a [`MetricError`]
+//! that says what is wrong, where, and what to do. Images with NaN pixels are errors and have no score.
 //!
 //! ```
 //! use gs_core::Image;
@@ -36,8 +36,11 @@
 //! # Ok::<(), gs_metrics::MetricError>(())
 //! ```
 //!
-//! # What it leaves out
-//! LPIPS; learned weights of any kind (a network for [`mrf`] is read from a file of the user's); colour-managed and HDR comparisons.
+//! # Not included
+//! LPIPS and VGG-19 features; learned weights of any kind; colour-managed and HDR comparisons.
+
+#![warn(unreachable_pub)]
+#![warn(clippy::allow_attributes_without_reason)]
 
 pub mod error;
 mod fft2;

@@ -1,6 +1,6 @@
-//! PSNR and SSIM where only some pixels count: the co-visibility metrics of DyCheck.
+//! PSNR and SSIM over a mask: the co-visibility metrics of DyCheck.
 //!
-//! The mask is `[H, W, 1]` with weights `m ≥ 0` (1 = counts, 0 = does not), the same for all channels.
+//! The mask is `[H, W, 1]` with weights `m ≥ 0` (1 = the pixel counts, 0 = it does not), the same for all channels.
 //! ```text
 //! masked mse  = Σ m (a − b)² / Σ m                                    (both sums over pixels and channels)
 //! ```
@@ -10,15 +10,28 @@
 //! z'(p) = 11·Σ_k g_k m z / Σ_k m,   m'(p) = 1      if Σ_k m ≠ 0
 //! z'(p) = 0,                        m'(p) = 0      otherwise
 //! ```
-//! (normalised by the count of pixels, not by the weight of the window: that is how the published numbers were made). The
-//! variances are `max(E[z²] − μ², 0)`, the covariance is clamped to `±√(σx²σy²)`, and the rest is plain SSIM. Where nothing
-//! counts all statistics are 0 and the map is 1, so large empty areas **raise** the published mean, up to 1 for an empty
-//! mask; it is given as [`MaskedSsim::whole`], and beside it the mean over places which saw something, [`MaskedSsim::seen`].
+//! (normalised by the count of pixels, not by the weight of the window, as in the code behind the published numbers). The
+//! variances are `max(E[z²] − μ², 0)`, the covariance is clamped to `±√(σx²σy²)`, and the rest is plain SSIM. Where no
+//! pixel of the window counts, all statistics are 0 and the map is 1. Large empty areas therefore **raise** the published
+//! mean, [`MaskedSsim::whole`], up to 1 for an empty mask. [`MaskedSsim::seen`] is the mean without those places.
 //!
-//! Everything here is `f64`, a metric without gradient. DyCheck also truncates predictions to 8 bits before scoring:
+//! Everything is computed in `f64`, without gradient. DyCheck also truncates predictions to 8 bits before scoring:
 //! [`Quantise::Truncate`](crate::Quantise).
 //!
 //! Gao, Li, Tulsiani, Russell, Kanazawa, *Monocular dynamic view synthesis: a reality check*, NeurIPS 2022.
+//!
+//! ```
+//! use gs_core::Image;
+//! use gs_metrics::{masked_psnr, masked_ssim};
+//! let flat = |v: f32| Image { width: 16, height: 16, channels: 1, data: vec![v; 256] };
+//! let (mut render, truth, mut mask) = (flat(0.5), flat(0.5), flat(1.0));
+//! render.data[0] = 0.9;
+//! assert!(masked_psnr(&render, &truth, &mask)?.is_finite());
+//! mask.data[0] = 0.0;
+//! assert_eq!(masked_psnr(&render, &truth, &mask)?, f64::INFINITY);
+//! assert!((masked_ssim(&render, &truth, &mask)?.whole - 1.0).abs() < 1e-12);
+//! # Ok::<(), gs_metrics::MetricError>(())
+//! ```
 
 use gs_core::Image;
 use rayon::prelude::*;
@@ -30,13 +43,13 @@ use crate::window::{RADIUS, TAPS, half_window};
 /// The two means of masked SSIM.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MaskedSsim {
-    /// Mean over the whole map, empty places counting as 1: the published number.
+    /// Mean over the whole map, where a place without any pixel that counts has the value 1: the published number.
     pub whole: f64,
     /// Mean over places whose window holds a pixel that counts; 1 where no place does.
     pub seen: f64,
 }
 
-/// Mean squared error over the pixels of a mask, each weighted by it.
+/// Mean squared error of two `[H, W, C]` images, weighted by a mask `[H, W, 1]`.
 ///
 /// # Errors
 /// Different shapes, a mask of another size or with several channels, negative weights, an empty mask, or a value that is
@@ -60,7 +73,7 @@ pub fn masked_mse(a: &Image, b: &Image, mask: &Image) -> Result<f64, MetricError
     if weight > 0.0 { Ok(error / (weight * c as f64)) } else { Err(MetricError::EmptyMask) }
 }
 
-/// PSNR over the pixels of a mask, in dB; `+∞` if they are identical.
+/// PSNR in dB of [`masked_mse`], data range 1; `+∞` if the images agree where the mask is positive.
 ///
 /// # Errors
 /// Those of [`masked_mse`].
@@ -68,10 +81,11 @@ pub fn masked_psnr(a: &Image, b: &Image, mask: &Image) -> Result<f64, MetricErro
     masked_mse(a, b, mask).map(psnr_from_mse)
 }
 
-/// SSIM by partial convolution over a mask; see the [module](self). Both sides need at least 11 pixels; an empty mask gives 1.
+/// SSIM by partial convolution over a mask `[H, W, 1]`; see the [module](self). Both sides need at least 11 pixels. An empty
+/// mask gives 1.
 ///
 /// # Errors
-/// Those of [`masked_mse`] but for the empty mask, or an image that is too small.
+/// Those of [`masked_mse`] except for the empty mask, or an image that is too small.
 pub fn masked_ssim(a: &Image, b: &Image, mask: &Image) -> Result<MaskedSsim, MetricError> {
     check_masked(a, b, mask)?;
     let (width, height) = (a.width, a.height);
@@ -107,7 +121,7 @@ struct Plane {
     data: Vec<f64>,
 }
 
-/// One partial convolution with taps `step` values apart, giving `out_width` columns and `out_height` rows.
+/// One partial convolution with taps `step` values apart, `z'` and `m'` of `out_width` columns and `out_height` rows.
 fn partial_pass(z: &Plane, m: &Plane, step: usize, out_width: usize, out_height: usize) -> (Plane, Plane) {
     let half = half_window();
     let mut out = Plane { width: out_width, data: Vec::with_capacity(out_width * out_height) };
@@ -121,15 +135,15 @@ fn partial_pass(z: &Plane, m: &Plane, step: usize, out_width: usize, out_height:
                 sum += half[k.abs_diff(RADIUS)] * weight * z.data[at + k * step];
                 count += weight;
             }
-            let some = count != 0.0;
-            out.data.push(if some { sum * TAPS as f64 / count } else { 0.0 });
-            seen.data.push(f64::from(u8::from(some)));
+            let any = count != 0.0;
+            out.data.push(if any { sum * TAPS as f64 / count } else { 0.0 });
+            seen.data.push(f64::from(u8::from(any)));
         }
     }
     (out, seen)
 }
 
-/// Both passes over one field; also says which places saw something.
+/// Both passes over one field: `z'` and `m'` over the valid area.
 fn filtered(field: Vec<f64>, mask: &Plane) -> (Plane, Plane) {
     let width = mask.width;
     let height = field.len() / width;
@@ -138,7 +152,7 @@ fn filtered(field: Vec<f64>, mask: &Plane) -> (Plane, Plane) {
     partial_pass(&z, &m, inner_w, inner_w, inner_h)
 }
 
-/// Sum of the map, sum over places that saw something, and their number, for one channel.
+/// For one channel: the sum of the map, its sum over places with `m' = 1`, and the number of those.
 fn channel_sums(a: &Image, b: &Image, mask: &Image, c: usize) -> [f64; 3] {
     let plane = |i: &Image| i.data.iter().skip(c).step_by(i.channels).map(|v| f64::from(*v)).collect::<Vec<_>>();
     let (x, y) = (plane(a), plane(b));
@@ -201,7 +215,7 @@ mod tests {
         assert_eq!(masked_psnr(&a, &b, &left).unwrap(), masked_psnr(&a, &other, &left).unwrap());
         let (p, q) = (masked_ssim(&a, &b, &left).unwrap(), masked_ssim(&a, &other, &left).unwrap());
         assert_eq!(p, q);
-        // Windows start at columns 0 to 29 and see the mask if they start before column 17; the rest of the map is 1.
+        // Windows start at columns 0 to 29 and overlap the mask if they start before column 17; the rest of the map is 1.
         let seen = 17.0 / 30.0;
         assert!((p.whole - (p.seen * seen + 1.0 - seen)).abs() < 1e-12, "{p:?}");
     }
@@ -240,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn bad_masks_are_refused() {
+    fn bad_masks_are_errors() {
         let a = noise(20, 20, 3, 1);
         assert_eq!(masked_psnr(&a, &a, &mask(20, 20, |_, _| 0.0)).unwrap_err(), MetricError::EmptyMask);
         let empty = masked_ssim(&a, &noise(20, 20, 3, 2), &mask(20, 20, |_, _| 0.0)).unwrap();

@@ -1,5 +1,4 @@
-//! Texture against texture: the implicit diversified Markov random field loss on features of two images, its value and its
-//! gradient (Wang et al. 2018, "Image inpainting via generative multi-column convolutional neural networks"; the form of DUT).
+//! The implicit diversified Markov random field (ID-MRF) loss between the features of two images, its value and its gradient.
 //!
 //! Images are resized to `side × side` (bilinear, corners on corners) and put through a [`FeatureNet`]. At each layer, with
 //! features `X` of the first image at places `i` and `Y` of the second at places `j`:
@@ -9,65 +8,77 @@
 //! c_ij = w_ij/Σ_j w_ij,  w_ij = exp((1 − d̃_ij)/h),  h = ½          L_layer = −ln( (1/|J|) Σ_j max_i c_ij )
 //! ```
 //! `L = Σ weight · L_layer`. It is small where every patch of the second image has a patch of the first that is closer to it
-//! than to anything else: blur, which is a little like everything, is dear. It is not symmetric and not 0 for equal images
-//! whose patches repeat.
+//! than to any other patch. A blurred patch is equally close to many, so blur costs much. The loss is not symmetric, and not 0
+//! for equal images whose patches repeat.
 //!
-//! **Networks.** [`FeatureNet::vgg19`] takes the published network's weights from a file of the user's; with it this is the
-//! published loss. [`FeatureNet::fixed_bank`], the default, has no learned weights: oriented derivatives and random
-//! orthogonal convolutions of the same strides. Its value is the "mrf-proxy" and not comparable with the other's.
+//! **Features.** [`FeatureNet::fixed_bank`] has no learned weights: oriented filters and random orthogonal convolutions with
+//! the strides of `relu3_2` and `relu4_2` of VGG-19. Published VGG-19 features are not included, so values are a proxy that
+//! cannot be compared with those of papers.
 //!
-//! **Cost** grows with the fourth power of `side`: at 256 the first layer compares 4096 places with 4096. Half the side, or
-//! every few steps only, is what a CPU bears.
+//! **Cost** grows with the fourth power of `side`: at 256 the first layer compares 4096 places with 4096. On a CPU use half the
+//! side, or evaluate the loss every few steps only.
 //!
-//! **Numbers.** `1 − x·y` in `f32` is good to 1e-7 beside the 1e-5 above, so where features agree almost exactly the value is
-//! good to a percent; elsewhere to 1e-4. Features of no length (a plain background) have no gradient. Bitwise the same for any
-//! number of threads.
+//! **Numbers.** `1 − x·y` has an error of 1e-7 in `f32` beside the 1e-5 above: where features agree almost exactly the relative
+//! error of the value is about 1e-2, elsewhere 1e-4. Features of norm 0 (a flat background) have no gradient. Bitwise the same
+//! for any number of threads.
+//!
+//! Wang, Tao, Qi, Shen, Jia, *Image inpainting via generative multi-column convolutional neural networks*, NeurIPS 2018; the
+//! form with a mean per place is that of DUT.
+//!
+//! ```
+//! use gs_core::Image;
+//! use gs_metrics::mrf::{FeatureNet, Mrf, MrfOptions};
+//! let loss = Mrf::new(FeatureNet::fixed_bank(), MrfOptions { side: 32, ..MrfOptions::default() })?;
+//! let pattern = |k: usize| (k * k % 101) as f32 / 100.0;
+//! let sharp = Image { width: 32, height: 32, channels: 3, data: (0..3072).map(pattern).collect() };
+//! let flat = Image { data: vec![0.5; 3072], ..sharp.clone() };
+//! assert!(loss.value(&sharp, &sharp)?.total < loss.value(&flat, &sharp)?.total);
+//! # Ok::<(), gs_metrics::MetricError>(())
+//! ```
 
 mod bank;
-pub mod head;
+pub mod layer;
 mod net;
 mod resample;
-mod vgg;
 
-pub use net::{FeatureNet, Tape};
-pub use vgg::VggError;
+pub use net::FeatureNet;
 
 use crate::error::{MetricError, check_finite, check_pair};
 use gs_core::Image;
-use head::HeadOptions;
+use layer::LayerOptions;
 
-/// Options of the loss.
+/// Options of [`Mrf`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MrfOptions {
-    /// Side both images are resized to, pixels.
+    /// Side in pixels of the squares both images are resized to, at least 8. Default 256.
     pub side: usize,
-    /// Constants of a layer.
-    pub head: HeadOptions,
+    /// Constants of the loss of a layer, the same for all.
+    pub layer: LayerOptions,
 }
 
 impl Default for MrfOptions {
     fn default() -> Self {
-        Self { side: 256, head: HeadOptions::default() }
+        Self { side: 256, layer: LayerOptions::default() }
     }
 }
 
-/// One evaluation.
+/// The value of the loss and its terms.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MrfTerms {
-    /// `Σ weight · L_layer`.
+    /// The loss `L = Σ weight · L_layer`.
     pub total: f64,
-    /// `L_layer`, unweighted.
+    /// `L_layer` of each layer of features, finest first, without its weight.
     pub layers: Vec<f64>,
 }
 
-/// The loss with its network.
+/// The ID-MRF loss on the features of a network.
 pub struct Mrf {
     net: FeatureNet,
     options: MrfOptions,
 }
 
 impl Default for Mrf {
-    /// The proxy at the published size.
+    /// The fixed filter bank with default options.
     fn default() -> Self {
         Self { net: FeatureNet::fixed_bank(), options: MrfOptions::default() }
     }
@@ -77,21 +88,16 @@ impl Mrf {
     /// The loss on the features of `net`.
     ///
     /// # Errors
-    /// If the side is smaller than the network takes.
+    /// If `side` is smaller than the largest stride of the network.
     pub fn new(net: FeatureNet, options: MrfOptions) -> Result<Self, MetricError> {
-        if options.side < net.least_side() {
+        if options.side < net.min_side() {
             let value = options.side.to_string();
             return Err(MetricError::Option { name: "side", value, must: "at least the network's smallest side" });
         }
         Ok(Self { net, options })
     }
 
-    /// What the score is called in reports: "mrf-proxy" unless the network has learned weights.
-    pub fn name(&self) -> &'static str {
-        self.net.name()
-    }
-
-    /// The loss of two `[H, W, 3]` images of one shape (crops to a mask's box, as a rule).
+    /// The loss of two `[H, W, 3]` images of one shape, typically crops to the bounding box of a mask.
     ///
     /// # Errors
     /// Different or empty shapes, other than 3 channels, a value that is not finite.
@@ -118,13 +124,13 @@ impl Mrf {
         let tape = self.net.forward(&resample::resize(a, side));
         let target = self.net.forward(&resample::resize(b, side));
         let (mut layers, mut cotangents) = (Vec::new(), Vec::new());
-        for ((x, y), weight) in tape.layers().zip(target.layers()).zip(self.net.weights()) {
-            let (value, mut d) = head::layer(&x.data, &y.data, x.channels, &self.options.head, grad.is_some());
+        for ((x, y), weight) in tape.layers().zip(target.layers()).zip(&self.net.weights) {
+            let (value, mut d) = layer::layer_loss(&x.data, &y.data, x.channels, &self.options.layer, grad.is_some());
             layers.push(value);
             d.iter_mut().for_each(|v| *v *= *weight as f32);
             cotangents.push(Image { data: d, width: x.width, height: x.height, channels: x.channels });
         }
-        let total = layers.iter().zip(self.net.weights()).map(|(l, w)| l * w).sum::<f64>();
+        let total = layers.iter().zip(&self.net.weights).map(|(l, w)| l * w).sum::<f64>();
         if !total.is_finite() {
             return Err(MetricError::Overflow { metric: "the MRF loss" });
         }

@@ -7,11 +7,22 @@
 //! ```
 //! with `w = (.0448, .2856, .3001, .2363, .1333)`, and 2 × 2 average pooling between levels. Border, pooling of odd
 //! sides, clamping at 0 and the product per channel before the mean are those of the `pytorch-msssim` package, which the
-//! dynamic-scene papers use.
+//! papers on dynamic scenes use.
 //!
 //! Where a factor is clamped the whole product of that channel is 0, and its gradient is taken as 0.
 //!
 //! Wang, Simoncelli, Bovik, *Multi-scale structural similarity for image quality assessment*, Asilomar 2003 (eq. 7).
+//!
+//! ```
+//! use gs_core::Image;
+//! use gs_metrics::{MetricError, MsSsimOptions, ms_ssim};
+//! let image = Image { width: 161, height: 161, channels: 1, data: vec![0.5; 161 * 161] };
+//! assert_eq!(ms_ssim(&image, &image, &MsSsimOptions::default())?, 1.0);
+//! let small = Image { width: 160, height: 160, channels: 1, data: vec![0.5; 160 * 160] };
+//! let error = ms_ssim(&small, &small, &MsSsimOptions::default()).unwrap_err();
+//! assert!(matches!(error, MetricError::TooSmall { need: 161, .. }));
+//! # Ok::<(), MetricError>(())
+//! ```
 
 use gs_core::Image;
 
@@ -21,19 +32,19 @@ use crate::ssim::{Padding, SsimOptions};
 use crate::sweep::{self, Scratch, Task, Term};
 use crate::window::{RADIUS, TAPS};
 
-/// Exponents of the five levels.
+/// Exponents of the five levels, finest first; their sum is 1.0001.
 pub const WEIGHTS: [f64; 5] = [0.0448, 0.2856, 0.3001, 0.2363, 0.1333];
 
 /// Options of MS-SSIM; the default is the published metric on images in `[0, 1]`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MsSsimOptions {
-    /// Levels, 1 to 5. With five, both sides need more than 160 pixels.
+    /// Number of levels, 1 to 5; 5 by default, which needs more than 160 pixels on both sides.
     pub levels: usize,
-    /// Luminance constant, 0.01.
+    /// `K1` of the luminance factor, dimensionless; 0.01 by default.
     pub k1: f64,
-    /// Contrast constant, 0.03.
+    /// `K2` of the contrast-structure factor, dimensionless; 0.03 by default.
     pub k2: f64,
-    /// Largest value minus smallest one an image may have.
+    /// Largest value minus smallest value an image may have; 1 by default.
     pub data_range: f64,
 }
 
@@ -44,13 +55,13 @@ impl Default for MsSsimOptions {
 }
 
 impl MsSsimOptions {
-    /// A **reduced** MS-SSIM for images too small for five levels: the first `levels` weights, divided by their sum. It is
-    /// another number than MS-SSIM, so report it under another name.
+    /// A **reduced** MS-SSIM for images too small for five levels: the first `levels` weights, divided by their sum. Its
+    /// values are not those of MS-SSIM, so report them under another name.
     pub fn reduced(levels: usize) -> Self {
         Self { levels, ..Self::default() }
     }
 
-    /// Both sides must exceed this many pixels: `10·2^(levels − 1)`, 160 for five levels.
+    /// Number of pixels that both sides must exceed: `10·2^(levels − 1)`, 160 for five levels.
     pub fn side_limit(&self) -> usize {
         (TAPS - 1) << (self.levels.clamp(1, WEIGHTS.len()) - 1)
     }
@@ -93,7 +104,7 @@ pub struct MsSsim {
 }
 
 impl MsSsim {
-    /// An evaluator with empty buffers; options are checked when it is used.
+    /// An evaluator with empty buffers; [`MsSsim::value`] checks the options.
     pub fn new(options: MsSsimOptions) -> Self {
         Self { options, ..Self::default() }
     }
@@ -107,10 +118,10 @@ impl MsSsim {
         self.evaluate(a, b, None)
     }
 
-    /// [`MsSsim::value`] and its gradient with respect to `a`, `[H, W, C]`, written over `grad` (reshaped if need be).
+    /// [`MsSsim::value`] and its gradient with respect to `a`, `[H, W, C]`, written over `grad`, which is reshaped.
     ///
     /// # Errors
-    /// Those of [`MsSsim::value`]; `grad` then holds nothing of use.
+    /// Those of [`MsSsim::value`]; the content of `grad` is then unspecified.
     pub fn value_and_grad(&mut self, a: &Image, b: &Image, grad: &mut Image) -> Result<f64, MetricError> {
         self.evaluate(a, b, Some(grad))
     }
@@ -121,17 +132,17 @@ impl MsSsim {
         let levels = self.options.levels;
         self.coarse.resize_with(levels - 1, Level::default);
         for l in 1..levels {
-            let (done, rest) = self.coarse.split_at_mut(l - 1);
-            let (from_a, from_b) = done.last().map_or((a, b), |f| (&f.a, &f.b));
+            let (finer, rest) = self.coarse.split_at_mut(l - 1);
+            let (from_a, from_b) = finer.last().map_or((a, b), |f| (&f.a, &f.b));
             halve(from_a, &mut rest[0].a);
             halve(from_b, &mut rest[0].b);
         }
         let mut factors =
             vec![level_factors(&self.options, levels == 1, a, b, grad.as_deref_mut(), &mut self.scratch)?];
         for (l, level) in self.coarse.iter_mut().enumerate() {
-            let Level { a, b, grad: own } = level;
-            let own = grad.is_some().then_some(own);
-            factors.push(level_factors(&self.options, l + 2 == levels, a, b, own, &mut self.scratch)?);
+            let Level { a, b, grad: level_grad } = level;
+            let level_grad = grad.is_some().then_some(level_grad);
+            factors.push(level_factors(&self.options, l + 2 == levels, a, b, level_grad, &mut self.scratch)?);
         }
         if factors.iter().flatten().any(|f| !f.is_finite()) {
             return Err(explain_non_finite("MS-SSIM", a, b));
@@ -145,7 +156,7 @@ impl MsSsim {
         Ok(products.iter().sum::<f64>() / products.len() as f64)
     }
 
-    /// Scales the levels' gradients by `∂ms_ssim/∂factor` and carries them down to the image.
+    /// Scales the gradients of the levels by `∂ms_ssim/∂factor` and adds them up into that of the image.
     fn backward(&mut self, factors: &[[f64; 4]], products: &[f64], weights: &[f64], grad: &mut Image) {
         let gain = |l: usize| {
             let mut out = [0.0f32; 4];
@@ -184,7 +195,7 @@ fn level_factors(
     Ok(sweep::run(&Task { consts, term, margin: RADIUS }, a, b, data, scratch).map(|loss| 1.0 - loss))
 }
 
-/// MS-SSIM of two images; see [`MsSsim::value`], which keeps its buffers.
+/// MS-SSIM of two `[H, W, C]` images; see [`MsSsim::value`], which keeps its buffers.
 ///
 /// # Errors
 /// Those of [`MsSsim::value`].

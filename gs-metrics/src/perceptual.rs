@@ -1,36 +1,50 @@
-//! A perceptual **proxy**: a distance without learned weights. It is **not** LPIPS, its numbers cannot be compared with
-//! LPIPS numbers, and it was not fitted to human judgements.
+//! A perceptual **proxy**: a distance between images without learned weights. It is **not** LPIPS, its values cannot be
+//! compared with LPIPS values, and it was not fitted to human judgements.
 //!
-//! People forgive what moves a little and keeps its texture, and mind what loses detail (blur) or gains false detail
-//! (noise, blocks); pixelwise scores do the reverse. So local *statistics* of oriented detail are compared instead of
-//! pixels, in the manner of models of early vision:
+//! People tolerate small shifts that keep the texture, and notice lost detail (blur) and false detail (noise, blocks).
+//! Pixelwise scores do the reverse. The proxy compares local *statistics* of oriented detail instead of pixels, as models of
+//! early vision do:
 //!
-//! 1. Luma is taken to a binomial pyramid of up to five levels.
+//! 1. Luma is decomposed into a binomial pyramid of up to five levels.
 //! 2. At each level four orientations (0°, 45°, 90°, 135°) of a first and a second directional derivative, each split into
-//!    its positive and its negative part, give 16 responses ("simple cells", which know light-dark from dark-light).
+//!    its positive and its negative part, give 16 responses ("simple cells", which tell light-dark from dark-light edges).
 //! 3. Their squares are averaged by a Gaussian of σ = 2 pixels of the level and the root is taken: 16 amplitudes `f_k ≥ 0`
-//!    which say how much of which detail is *near* a place, not where. That is the tolerance to small shifts; it doubles
-//!    with each level.
-//! 4. Amplitudes of both images are compared with divisive normalisation (masking: a change counts in proportion to the
-//!    detail that is there, and below a contrast of 0.02 it fades):
+//!    which measure how much of each kind of detail is *near* a place. That makes the distance tolerant to small shifts; the
+//!    tolerance doubles with each level.
+//! 4. Amplitudes of both images are compared with divisive normalisation (masking): a change counts in proportion to the
+//!    detail present, and fades below a contrast of 0.02:
 //!    ```text
 //!    d(p) = √( Σ_k (f_k − g_k)² / (Σ_k (f_k² + g_k²) + 0.02²) )          in [0, 1], as f, g ≥ 0
 //!    ```
 //!    and averaged over places, then over levels with equal weights: `D_detail`.
-//! 5. Colours are compared where the eye compares them, over areas: luma and two chroma planes two levels above the
-//!    coarsest one, `d(p) = |Δ| / √(|Δ|² + 0.2²)`, averaged: `D_colour`.
+//! 5. Colours are compared over areas: luma and two chroma planes two levels above the coarsest one, `d(p) = |Δ| / √(|Δ|² + 0.2²)`, averaged: `D_colour`.
 //!
 //! `proxy = 0.8·D_detail + 0.2·D_colour`.
 //!
-//! **Properties.** 0 for identical images, symmetric to the bit, in `[0, 1]`; grows with blur, noise, blocking and
-//! compression. The tolerances above are round numbers from the visibility of contrast, not fits. **Blind to**: chroma
+//! **Properties.** 0 for identical images, bitwise symmetric, in `[0, 1]`; increases with blur, noise, blocking and
+//! compression. The constants above are round numbers from the visibility of contrast, not fits. **Blind to**: chroma
 //! detail, who or what is shown, and rearrangements inside a neighbourhood of about 4 pixels of a level that keep all 16
-//! amplitudes. Fixed bands and orders: the same bits for any number of threads.
+//! amplitudes. Bitwise the same for any number of threads.
 //!
 //! Sources of the parts: oriented energy and pooling, Adelson & Bergen 1985; divisive normalisation, Heeger 1992;
 //! texture as pooled filter statistics, Portilla & Simoncelli 2000; why such comparisons predict people better than
 //! pixels, Zhang, Isola, Efros, Shechtman, Wang, *The unreasonable effectiveness of deep features as a perceptual
 //! metric*, CVPR 2018.
+//!
+//! ```
+//! use gs_core::Image;
+//! use gs_metrics::{mse, perceptual_proxy};
+//! // Vertical stripes, shifted by a pixel or replaced by their mean: the squared error is the same.
+//! let stripes = |shift: usize| {
+//!     let data = (0..4096).map(|i| if (i % 64 + shift) / 4 % 2 == 0 { 0.3 } else { 0.7 }).collect();
+//!     Image { width: 64, height: 64, channels: 1, data }
+//! };
+//! let (truth, shifted) = (stripes(0), stripes(1));
+//! let flat = Image { data: vec![0.5; 4096], ..truth.clone() };
+//! assert!((mse(&shifted, &truth)? - mse(&flat, &truth)?).abs() < 1e-6);
+//! assert!(3.0 * perceptual_proxy(&shifted, &truth)? < perceptual_proxy(&flat, &truth)?);
+//! # Ok::<(), gs_metrics::MetricError>(())
+//! ```
 
 use fearless_simd::{Level, Simd, SimdBase, SimdFloat, dispatch};
 use gs_core::Image;
@@ -41,29 +55,29 @@ use crate::masked::check_masked;
 use crate::plane::{Plane, opponent_planes};
 use crate::window::LANES;
 
-/// Levels of the pyramid at most.
+/// Largest number of levels of the pyramid.
 const MAX_LEVELS: usize = 5;
-/// A level has at least this many pixels on its shorter side (but for the first).
+/// Fewest pixels on the shorter side of a level other than the first.
 const MIN_SIDE: usize = 16;
 /// Contrast below which differences of detail fade.
-const CONTRAST: f32 = 0.02;
-/// Difference of colour at which [`colour_distance`] reaches `1/√2`.
-const COLOUR: f32 = 0.2;
-/// Share of colour in the proxy.
-const COLOUR_SHARE: f64 = 0.2;
+const DETAIL_SCALE: f32 = 0.02;
+/// Difference of colour at which [`colour_distance`] is `1/√2`.
+const COLOUR_SCALE: f32 = 0.2;
+/// Weight of `D_colour` in the proxy.
+const COLOUR_WEIGHT: f64 = 0.2;
 /// Responses per place: 4 orientations × (first, second derivative) × (positive, negative part).
 const FEATURES: usize = 16;
-/// Pixels between pooled places.
+/// Distance of pooled places, pixels of the level.
 const STRIDE: usize = 4;
 /// Taps of the pooling window, centred on a block of [`STRIDE`] pixels.
 const POOL_TAPS: usize = 3 * STRIDE;
 /// Standard deviation of the pooling window in pixels.
 const POOL_SIGMA: f32 = 2.0;
-/// Pooled rows of one task.
+/// Pooled rows of one parallel task.
 const BAND: usize = 4;
 
-/// The weight-free perceptual proxy of two `[H, W, 1 or 3]` images with values in `[0, 1]`: 0 for identical ones, at most
-/// 1, symmetric. **Not LPIPS**; see the [module](self) for what it is.
+/// The perceptual proxy of two `[H, W, 1 or 3]` images with values in `[0, 1]`: 0 for identical ones, at most 1, symmetric.
+/// **Not LPIPS**; the [module](self) defines it.
 ///
 /// # Errors
 /// Different or empty shapes, a number of channels other than 1 and 3, or a value that is not finite.
@@ -74,9 +88,9 @@ pub fn perceptual_proxy(a: &Image, b: &Image) -> Result<f64, MetricError> {
     distance(a, b, Plane { width: a.width, height: a.height, data: vec![1.0; a.width * a.height] })
 }
 
-/// The proxy where a mask counts: both images are multiplied by the mask `[H, W, 1]` (weights in `[0, 1]`), and every mean
-/// over places is weighted by the part of the mask around the place. What LPIPS is to the plain proxy, DyCheck's masked
-/// LPIPS is to this; with a mask of ones it is [`perceptual_proxy`].
+/// The proxy over a mask, in analogy to DyCheck's masked LPIPS: both images are multiplied by the mask `[H, W, 1]` (weights in
+/// `[0, 1]`), and every mean over places is weighted by the mean of the mask around the place. A mask of ones gives
+/// [`perceptual_proxy`].
 ///
 /// # Errors
 /// Those of [`perceptual_proxy`]; a mask of another size, negative, not finite, or empty.
@@ -85,14 +99,14 @@ pub fn masked_perceptual_proxy(a: &Image, b: &Image, mask: &Image) -> Result<f64
     if mask.data.iter().all(|m| *m == 0.0) {
         return Err(MetricError::EmptyMask);
     }
-    let cut = |i: &Image| {
+    let masked = |i: &Image| {
         let pixels = i.data.chunks_exact(i.channels).zip(&mask.data);
         Image { data: pixels.flat_map(|(p, m)| p.iter().map(move |v| v * m)).collect(), ..i.clone() }
     };
-    distance(&cut(a), &cut(b), Plane { width: a.width, height: a.height, data: mask.data.clone() })
+    distance(&masked(a), &masked(b), Plane { width: a.width, height: a.height, data: mask.data.clone() })
 }
 
-/// The proxy with a weight for each place.
+/// The proxy with a weight for each pixel.
 fn distance(a: &Image, b: &Image, mut weights: Plane) -> Result<f64, MetricError> {
     if a.channels != 1 && a.channels != 3 {
         return Err(MetricError::Channels { metric: "the perceptual proxy", got: a.channels, need: "1 or 3" });
@@ -109,7 +123,7 @@ fn distance(a: &Image, b: &Image, mut weights: Plane) -> Result<f64, MetricError
     }
     (x, y, weights) = (halve_all(&halve_all(&x)), halve_all(&halve_all(&y)), weights.halve().halve());
     let colour = colour_distance(&x, &y, &weights);
-    let value = (1.0 - COLOUR_SHARE) * detail / f64::from(levels as u32) + COLOUR_SHARE * colour;
+    let value = (1.0 - COLOUR_WEIGHT) * detail / f64::from(levels as u32) + COLOUR_WEIGHT * colour;
     if value.is_finite() { Ok(value) } else { Err(explain_non_finite("the perceptual proxy", a, b)) }
 }
 
@@ -117,17 +131,17 @@ fn halve_all(planes: &[Plane]) -> Vec<Plane> {
     planes.iter().map(Plane::halve).collect()
 }
 
-/// Weighted mean over places of `|Δ| / √(|Δ|² + COLOUR²)`, `Δ` the difference of all planes.
+/// Weighted mean over places of `|Δ| / √(|Δ|² + COLOUR_SCALE²)`, `Δ` the difference of all planes.
 fn colour_distance(x: &[Plane], y: &[Plane], weights: &Plane) -> f64 {
     let one = |i: usize| {
         let squared: f32 = x.iter().zip(y).map(|(p, q)| (p.data[i] - q.data[i]).powi(2)).sum();
-        f64::from((squared / (squared + COLOUR * COLOUR)).sqrt())
+        f64::from((squared / (squared + COLOUR_SCALE * COLOUR_SCALE)).sqrt())
     };
     let total: f64 = weights.data.iter().map(|w| f64::from(*w)).sum();
     weights.data.iter().enumerate().map(|(i, w)| f64::from(*w) * one(i)).sum::<f64>() / total
 }
 
-/// Weighted mean over pooled places of the normalised difference of amplitudes at one level.
+/// Weighted mean over pooled places of `d(p)` at one level: `D_detail` of that level.
 fn detail_distance(x: &Plane, y: &Plane, weights: &Plane) -> f64 {
     let (rows, columns) = (x.height.div_ceil(STRIDE), x.width.div_ceil(STRIDE));
     let band = |index: usize| {
@@ -158,9 +172,9 @@ fn block_weight(weights: &Plane, column: usize, row: usize) -> f64 {
     lines.flatten().map(|w| f64::from(*w)).sum::<f64>() / count as f64
 }
 
-/// Normalised difference of the amplitudes at one place.
+/// `d(p)`: the normalised difference of the amplitudes at one place.
 fn place_distance((f, g): (&[f32; FEATURES], &[f32; FEATURES])) -> f64 {
-    let (mut difference, mut energy) = (0.0, CONTRAST * CONTRAST);
+    let (mut difference, mut energy) = (0.0, DETAIL_SCALE * DETAIL_SCALE);
     for (p, q) in f.iter().zip(g) {
         difference += (p - q) * (p - q);
         energy += p * p + q * q;
@@ -198,7 +212,7 @@ fn band_amplitudes(plane: &Plane, range: std::ops::Range<usize>) -> Vec<f32> {
     pool_columns(plane.width, stride, &weights, &sums)
 }
 
-/// Copies a row behind one value of padding, repeating the values at both ends.
+/// Copies a row after one value of padding, repeating the values at both ends.
 fn pad_row(row: &[f32], out: &mut [f32]) {
     let (first, last) = (row[0], row[row.len() - 1]);
     out[0] = first;
@@ -209,7 +223,7 @@ fn pad_row(row: &[f32], out: &mut [f32]) {
 /// Adds `weight` times the squared rectified responses of one row to `sums`, `[FEATURES, stride]`.
 ///
 /// `rows` are the row above, the row, and the row below, padded by one value. The second derivative is halved, so that both
-/// derivatives have one amplitude at a quarter of the sampling frequency.
+/// derivatives have the same amplitude at a quarter of the sampling frequency.
 #[inline(always)]
 fn add_energies<S: Simd>(simd: S, rows: [&[f32]; 3], weight: f32, stride: usize, sums: &mut [f32]) {
     let lanes = S::f32s::LEN;
@@ -239,7 +253,7 @@ fn add_energies<S: Simd>(simd: S, rows: [&[f32]; 3], weight: f32, stride: usize,
     }
 }
 
-/// Pools along the rows of `[rows, FEATURES, stride]`, takes roots, and gives `[rows, columns, FEATURES]`.
+/// Pools along the rows of `[rows, FEATURES, stride]` and takes roots: `[rows, columns, FEATURES]`.
 fn pool_columns(width: usize, stride: usize, weights: &[f32; POOL_TAPS], sums: &[f32]) -> Vec<f32> {
     let columns = width.div_ceil(STRIDE);
     let mut out = vec![0.0f32; sums.len() / stride * columns];

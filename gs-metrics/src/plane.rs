@@ -3,28 +3,28 @@
 use gs_core::Image;
 use rayon::prelude::*;
 
-/// Luma and two chroma weights of RGB (BT.601, the ones of JPEG), each chroma plane spanning `[−½, ½]`.
+/// Weights of RGB for luma and two chroma planes (BT.601, as in JPEG); chroma lies in `[−½, ½]`.
 const OPPONENT: [[f32; 3]; 3] = [[0.299, 0.587, 0.114], [-0.168_736, -0.331_264, 0.5], [0.5, -0.418_688, -0.081_312]];
-/// Binomial taps of the pyramid.
+/// Binomial taps of the pyramid, sum 1.
 const BINOMIAL: [f32; 5] = [0.0625, 0.25, 0.375, 0.25, 0.0625];
 
 /// A plane of `width · height` values, row-major.
 #[derive(Clone, Debug)]
 pub(crate) struct Plane {
-    pub width: usize,
-    pub height: usize,
-    pub data: Vec<f32>,
+    pub(crate) width: usize,
+    pub(crate) height: usize,
+    pub(crate) data: Vec<f32>,
 }
 
 impl Plane {
-    /// Row `y`, the nearest row for places outside.
-    pub fn row(&self, y: isize) -> &[f32] {
+    /// Row `y`; the nearest row where `y` is outside.
+    pub(crate) fn row(&self, y: isize) -> &[f32] {
         let y = y.clamp(0, self.height as isize - 1) as usize;
         &self.data[y * self.width..(y + 1) * self.width]
     }
 
-    /// Blurred by the binomial taps in both directions and every second value kept; nearest values outside.
-    pub fn halve(&self) -> Self {
+    /// The next level of the pyramid: the binomial blur at every second pixel, nearest values outside.
+    pub(crate) fn halve(&self) -> Self {
         let (width, height) = (self.width.div_ceil(2), self.height.div_ceil(2));
         let mut data = vec![0.0; width * height];
         data.par_chunks_mut(width).enumerate().for_each_init(Vec::new, |blurred: &mut Vec<f32>, (j, out)| {

@@ -1,15 +1,15 @@
 //! 2 × 2 average pooling with stride 2, and its adjoint.
 //!
-//! A side of odd length gets one line of zeros in front, which counts in the average (`avg_pool2d` with padding
-//! `side mod 2`; the line it also adds behind is never reached), so `s → ⌈s/2⌉`.
+//! A side of odd length gets one line of zeros in front, which counts in the average, so `s → ⌈s/2⌉`. This is `avg_pool2d`
+//! with padding `side mod 2`, whose line of zeros at the other end is never reached.
 
 use gs_core::Image;
 use rayon::prelude::*;
 
-/// Rows a task takes at once.
+/// Output rows of one parallel task.
 const ROWS: usize = 16;
 
-/// The pooled image, over `out`.
+/// Writes the pooled image into `out`, which is reshaped.
 pub(crate) fn halve(image: &Image, out: &mut Image) {
     let (w, h, c) = image.shape();
     (out.width, out.height, out.channels) = (w.div_ceil(2), h.div_ceil(2), c);
@@ -66,7 +66,7 @@ mod tests {
     }
 
     #[test]
-    fn the_adjoint_is_the_adjoint() {
+    fn the_adjoint_has_the_same_inner_product() {
         for (w, h, c) in [(1, 1, 1), (2, 3, 3), (5, 4, 2), (7, 41, 3), (8, 8, 4)] {
             let (x, mut pooled) = (noise(w, h, c, 1), Image::default());
             halve(&x, &mut pooled);

@@ -1,23 +1,35 @@
 //! Mean squared error and peak signal-to-noise ratio.
 //!
 //! `mse = Σ (a − b)² / (H·W·C)`, `psnr = −10 log10(mse)` dB for a data range of 1. Identical images have `mse = 0` and
-//! `psnr = +∞`. Over a set of views two averages are in use and differ (Jensen): the **mean of the PSNRs**, in dB (what
-//! the 3DGS family prints), and the **PSNR of the mean error**; both are given, by name, in [`crate::report`].
+//! `psnr = +∞`. Over a set of views two averages are in use, which differ (Jensen): the **mean of the PSNRs**, in dB, which
+//! the 3DGS family reports, and the **PSNR of the mean error**. [`crate::report`] gives both.
 //!
-//! Differences are taken in `f64`, and summed in chunks of a fixed length in a fixed order, so the value is the same to
-//! the last bit for any number of threads.
+//! Differences are taken in `f64` and summed in chunks of fixed length and order: the value is bitwise the same for any
+//! number of threads.
+//!
+//! ```
+//! use gs_core::Image;
+//! use gs_metrics::{mse, psnr, psnr_of_mean_mse};
+//! let black = Image::zeros(8, 8, 3);
+//! let grey = Image { data: vec![0.5; 192], ..black.clone() };
+//! assert_eq!(mse(&black, &grey)?, 0.25);
+//! assert!((psnr(&black, &grey)? - 6.0206).abs() < 1e-4);
+//! assert_eq!(psnr(&grey, &grey)?, f64::INFINITY);
+//! assert_eq!(psnr_of_mean_mse(&[0.01, 0.19]), Some(10.0));
+//! # Ok::<(), gs_metrics::MetricError>(())
+//! ```
 
 use gs_core::Image;
 use rayon::prelude::*;
 
 use crate::error::{MetricError, check_pair, explain_non_finite};
 
-/// Values per partial sum.
+/// Number of values of one partial sum.
 const CHUNK: usize = 1 << 14;
-/// Independent accumulators in one chunk.
+/// Independent accumulators of one chunk.
 const LANES: usize = 16;
 
-/// Mean over pixels and channels of the squared difference of two `[H, W, C]` images; 0 for identical ones.
+/// Mean squared difference over pixels and channels of two `[H, W, C]` images; 0 for identical ones.
 ///
 /// # Errors
 /// Different shapes, no pixels, more than 4 channels, or a value that is not finite.
@@ -60,8 +72,8 @@ pub fn psnr(a: &Image, b: &Image) -> Result<f64, MetricError> {
     mse(a, b).map(psnr_from_mse)
 }
 
-/// PSNR (dB) of the mean of the views' errors, `−10 log10(mean mse)`: never above the mean of the views' PSNRs, and finite
-/// unless every view is perfect. `None` for no views.
+/// PSNR in dB of the mean of the views' errors, `−10 log10(mean mse)`: at most the mean of the views' PSNRs, and finite
+/// unless every error is 0. `None` for no views.
 pub fn psnr_of_mean_mse(mses: &[f64]) -> Option<f64> {
     let sum: f64 = mses.iter().sum();
     (!mses.is_empty()).then(|| psnr_from_mse(sum / mses.len() as f64))

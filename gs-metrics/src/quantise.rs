@@ -1,28 +1,36 @@
-//! Rounding to 8 bit, as protocols which score image files imply it.
+//! Rounding to 8 bits, which a protocol that scores image files implies.
 
 use gs_core::Image;
 
-/// What becomes of values between the 256 steps of an 8-bit file.
+/// How values are rounded to the 256 steps of an 8-bit file.
+///
+/// ```
+/// use gs_core::Image;
+/// use gs_metrics::Quantise;
+/// let mut image = Image { width: 3, height: 1, channels: 1, data: vec![-0.2, 0.5, 1.2] };
+/// Quantise::Round.apply(&mut image);
+/// assert_eq!(image.data, [0.0, 128.0 / 255.0, 1.0]);
+/// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Quantise {
-    /// Nothing.
+    /// No rounding and no clamping.
     #[default]
     None,
-    /// `⌊255·v + ½⌋`: what writing a PNG does.
+    /// `⌊255·v + ½⌋` of the clamped value, as when a PNG is written.
     Round,
-    /// `⌊255·v⌋`: what DyCheck does to predictions.
+    /// `⌊255·v⌋` of the clamped value, as DyCheck quantises predictions.
     Truncate,
 }
 
 impl Quantise {
-    /// The 8-bit step of a value, which is clamped to `[0, 1]` first. Steps themselves (`n/255` in `f32`) stay where they are.
+    /// The 8-bit step of a value, which is clamped to `[0, 1]` first. A value `n/255` in `f32` becomes `n`.
     pub(crate) fn step(self, v: f32) -> u8 {
-        // `n/255·255` may fall short of n by the rounding of f32.
+        // `n/255·255` in f32 may be smaller than n by rounding.
         let lift = if self == Quantise::Truncate { 1e-4 } else { 0.5 };
         (v.clamp(0.0, 1.0) * 255.0 + lift) as u8
     }
 
-    /// The image with every value on a step, clamped to `[0, 1]`; unchanged for [`Quantise::None`]. NaN stays NaN.
+    /// Clamps every value to `[0, 1]` and rounds it to a step `n/255`; [`Quantise::None`] changes nothing. NaN stays NaN.
     pub fn apply(self, image: &mut Image) {
         if self != Quantise::None {
             let finite = image.data.iter_mut().filter(|v| !v.is_nan());
@@ -36,7 +44,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn steps_stay_and_values_between_go_up_or_down() {
+    fn steps_are_kept_and_values_between_are_rounded_or_truncated() {
         for n in 0..=255u8 {
             let v = f32::from(n) / 255.0;
             assert_eq!((Quantise::Round.step(v), Quantise::Truncate.step(v)), (n, n));
@@ -50,6 +58,6 @@ mod tests {
         assert_eq!((image.data[0], image.data[2]), (kept.data[0], kept.data[2]));
         Quantise::Truncate.apply(&mut image);
         assert_eq!((image.data[0], image.data[2]), (25.0 / 255.0, 1.0));
-        assert!(image.data[1].is_nan(), "a hole must not become black");
+        assert!(image.data[1].is_nan(), "NaN must not become black");
     }
 }

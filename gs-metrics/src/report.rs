@@ -1,7 +1,19 @@
-//! Scores of views and their means, with perfect and broken views kept apart.
+//! Scores of views and their means.
 //!
-//! A perfect view has a PSNR of `+∞`, which would swallow every mean, so means of PSNR are over the **finite** values and
-//! say how many were infinite; NaN never enters a mean and is counted too.
+//! A view without error has a PSNR of `+∞`. Means are therefore over the **finite** values, with counts of the infinite and of
+//! the NaN values that were left out.
+//!
+//! ```
+//! use gs_core::Image;
+//! use gs_metrics::{Scorer, SsimOptions, Summary};
+//! let flat = |v: f32| Image { width: 32, height: 32, channels: 3, data: vec![v; 3072] };
+//! let mut scorer = Scorer::new(SsimOptions::default());
+//! let scores = [scorer.score(&flat(0.5), &flat(0.5))?, scorer.score(&flat(0.5), &flat(0.6))?];
+//! let summary = Summary::of(&scores);
+//! assert_eq!((summary.views, summary.mean_psnr.finite, summary.mean_psnr.infinite), (2, 1, 1));
+//! assert_eq!(summary.mean_psnr.to_string(), "20.0000 (1 infinite)");
+//! # Ok::<(), gs_metrics::MetricError>(())
+//! ```
 
 use gs_core::Image;
 
@@ -11,16 +23,16 @@ use crate::perceptual::perceptual_proxy;
 use crate::psnr::{mse, psnr_from_mse, psnr_of_mean_mse};
 use crate::ssim::{Ssim, SsimOptions};
 
-/// A mean which says what it left out.
+/// A mean of finite values, with counts of the values left out.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Mean {
     /// Mean of the finite values; `None` if there are none.
     pub value: Option<f64>,
-    /// Values in the mean.
+    /// Number of values in the mean.
     pub finite: usize,
-    /// Values left out because they are infinite (perfect views, for PSNR).
+    /// Number of infinite values left out (for PSNR: views without error).
     pub infinite: usize,
-    /// Values left out because they are NaN.
+    /// Number of NaN values left out.
     pub nan: usize,
 }
 
@@ -64,11 +76,11 @@ impl std::fmt::Display for Mean {
 /// All scores of one view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Scores {
-    /// Mean squared error.
+    /// Mean squared error over pixels and channels, data range 1.
     pub mse: f64,
     /// PSNR in dB, `+∞` for identical images.
     pub psnr: f64,
-    /// SSIM in the convention asked for.
+    /// Mean SSIM with the options of the [`Scorer`].
     pub ssim: f64,
     /// MS-SSIM of five levels; `None` where a side is at most 160 pixels.
     pub ms_ssim: Option<f64>,
@@ -76,7 +88,7 @@ pub struct Scores {
     pub perceptual_proxy: f64,
 }
 
-/// Scores views one after the other with buffers kept.
+/// Scores one view after another and keeps its buffers.
 #[derive(Clone, Debug, Default)]
 pub struct Scorer {
     ssim: Ssim,
@@ -84,15 +96,15 @@ pub struct Scorer {
 }
 
 impl Scorer {
-    /// A scorer with the given SSIM convention.
+    /// A scorer with the given options of SSIM; MS-SSIM has its defaults.
     pub fn new(options: SsimOptions) -> Self {
         Self { ssim: Ssim::new(options), ms_ssim: MsSsim::default() }
     }
 
-    /// All scores of an image against its truth, both `[H, W, C]` in `[0, 1]`.
+    /// All scores of a render against its ground-truth image, both `[H, W, 1 or 3]` in `[0, 1]`.
     ///
     /// # Errors
-    /// Those of the metrics, but for images too small for MS-SSIM: those have `None`.
+    /// Those of the metrics. An image too small for MS-SSIM is no error: its [`Scores::ms_ssim`] is `None`.
     pub fn score(&mut self, image: &Image, truth: &Image) -> Result<Scores, MetricError> {
         let mse = mse(image, truth)?;
         let large = image.width.min(image.height) > MsSsimOptions::default().side_limit();
@@ -106,18 +118,18 @@ impl Scorer {
     }
 }
 
-/// Means over views.
+/// Means of [`Scores`] over views.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Summary {
-    /// Views.
+    /// Number of views that were scored.
     pub views: usize,
-    /// Mean of the views' PSNRs in dB (what papers of the 3DGS family print); perfect views are counted apart.
+    /// Mean of the PSNRs of the views in dB, as papers of the 3DGS family report it; views without error are counted apart.
     pub mean_psnr: Mean,
-    /// PSNR in dB of the mean of the views' squared errors; `+∞` if all are perfect, `None` for no views.
+    /// PSNR in dB of the mean MSE of the views; `+∞` if all errors are 0, `None` for no views.
     pub psnr_of_mean_mse: Option<f64>,
-    /// Mean SSIM.
+    /// Mean of [`Scores::ssim`] over all views.
     pub ssim: Mean,
-    /// Mean MS-SSIM over the views which have one.
+    /// Mean MS-SSIM over the views that are large enough for it.
     pub ms_ssim: Mean,
     /// Mean of the perceptual proxy.
     pub perceptual_proxy: Mean,
@@ -156,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn a_perfect_view_does_not_hide_the_others() {
+    fn an_infinite_psnr_is_not_in_the_mean() {
         let mut scorer = Scorer::new(SsimOptions::default());
         let scores = [(0.5, 0.5), (0.5, 0.6), (0.5, 0.51)].map(|(a, b)| scorer.score(&flat(a), &flat(b)).unwrap());
         let s = Summary::of(&scores);

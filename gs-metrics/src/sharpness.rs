@@ -1,11 +1,24 @@
-//! Sharpness of an image beside that of its truth: what PSNR hides when a picture is blurred a little everywhere.
+//! Sharpness of a render relative to its ground-truth image. It shows a slight blur everywhere, which PSNR hides.
 //!
 //! * [`laplacian_variance`]: variance over inner pixels of `4 f(x, y) − f(x ± 1, y) − f(x, y ± 1)` (Pech-Pacheco et al.
 //!   2000);
-//! * [`high_band_share`]: energy of the spectrum at [`HIGH_BAND`] cycles per pixel and above, over all of it but the mean.
+//! * [`high_band_share`]: energy of the spectrum at [`HIGH_BAND`] cycles per pixel and above, divided by its energy without the mean.
 //!
-//! Both are of the luma (BT.601; grey images as they are). [`Sharpness`] holds their ratios to the truth's: below 1 blurred,
-//! above 1 noisier or sharper than the truth.
+//! Both are taken of the luma (BT.601). [`Sharpness`] holds the ratios render / ground truth: below 1 the render is blurred,
+//! above 1 it is sharper or noisier than the ground truth.
+//!
+//! ```
+//! use gs_core::Image;
+//! use gs_metrics::Sharpness;
+//! let waves = |contrast: f32| {
+//!     let data = (0..1024).map(|i| 0.5 + contrast * ((i % 32) as f32 * 0.9).sin()).collect();
+//!     Image { width: 32, height: 32, channels: 1, data }
+//! };
+//! // Half the contrast has a quarter of the variance, and the same shape of the spectrum.
+//! let s = Sharpness::of(&waves(0.2), &waves(0.4))?;
+//! assert!((s.laplacian.unwrap() - 0.25).abs() < 1e-4 && (s.high_band.unwrap() - 1.0).abs() < 1e-4);
+//! # Ok::<(), gs_metrics::MetricError>(())
+//! ```
 
 use gs_core::Image;
 
@@ -13,20 +26,20 @@ use crate::error::{MetricError, check_finite, check_image, check_pair};
 use crate::fft2::Fft2;
 use crate::plane::opponent_planes;
 
-/// Where the high band begins, cycles per pixel: half the highest frequency along an axis.
+/// Lowest frequency of the high band in cycles per pixel: half the highest frequency along an axis.
 pub const HIGH_BAND: f64 = 0.25;
 
-/// Sharpness over that of the truth.
+/// Sharpness of a render over that of its ground-truth image, dimensionless.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sharpness {
-    /// Ratio of [`laplacian_variance`]; `None` if the truth has none (an even picture).
+    /// Ratio of [`laplacian_variance`]; `None` if that of the ground truth is 0 (a constant image).
     pub laplacian: Option<f64>,
-    /// Ratio of [`high_band_share`]; `None` if the truth has none.
+    /// Ratio of [`high_band_share`]; `None` if that of the ground truth is 0.
     pub high_band: Option<f64>,
 }
 
 impl Sharpness {
-    /// Of an image against its truth, `[H, W, 1 or 3]`.
+    /// Compares a render with its ground-truth image, both `[H, W, 1 or 3]`.
     ///
     /// # Errors
     /// Different shapes, a side below 3 pixels, another number of channels, a value that is not finite.
@@ -40,7 +53,7 @@ impl Sharpness {
     }
 }
 
-/// Variance of the Laplacian over the pixels that have four neighbours.
+/// Variance of the Laplacian of the luma over the pixels that have four neighbours, `[H, W, 1 or 3]`.
 ///
 /// # Errors
 /// A side below 3 pixels, a number of channels other than 1 and 3, a value that is not finite.
@@ -60,20 +73,20 @@ pub fn laplacian_variance(image: &Image) -> Result<f64, MetricError> {
     Ok((squares / n - (sum / n).powi(2)).max(0.0))
 }
 
-/// Share of the energy that varies at all which varies at [`HIGH_BAND`] cycles per pixel or faster, in any direction; 0 for
-/// an even picture.
+/// Share of the spectral energy of the luma, without the mean, at [`HIGH_BAND`] cycles per pixel and above in any direction.
+/// In `[0, 1]`; 0 for a constant image.
 ///
 /// # Errors
 /// Those of [`laplacian_variance`].
 pub fn high_band_share(image: &Image) -> Result<f64, MetricError> {
     let mut luma = luma(image)?;
     let (width, height) = (luma.width, luma.height);
-    // The mean would only add its rounding to the other bins.
+    // The mean would add its rounding to the other bins.
     let mean = luma.data.iter().map(|v| f64::from(*v)).sum::<f64>() / luma.data.len() as f64;
     luma.data.iter_mut().for_each(|v| *v = (f64::from(*v) - mean) as f32);
     let mut fft = Fft2::new(width, height);
-    let nothing_aside = &mut vec![(); fft.half() * height];
-    let sums = fft.spectrum(&luma, 0, nothing_aside, false, |kx, column, _| {
+    let no_extra = &mut vec![(); fft.half() * height];
+    let sums = fft.spectrum(&luma, 0, no_extra, false, |kx, column, _| {
         let u = kx as f64 / width as f64;
         column.iter().enumerate().fold([0.0; 2], |[all, high], (ky, f)| {
             let v = ky.min(height - ky) as f64 / height as f64;
@@ -82,7 +95,7 @@ pub fn high_band_share(image: &Image) -> Result<f64, MetricError> {
         })
     });
     let of = |k: usize| sums.iter().enumerate().map(|(kx, s)| fft.multiplicity(kx) * s[k]).sum::<f64>();
-    // Energy of the size of rounding is none.
+    // Energy of the size of rounding counts as 0.
     let floor = (1e-6 * width as f64 * height as f64).powi(2);
     Ok(if of(0) > floor { of(1) / of(0) } else { 0.0 })
 }
@@ -122,16 +135,16 @@ mod tests {
     }
 
     #[test]
-    fn bands_are_told_apart() {
+    fn the_high_band_is_separated_from_the_low_one() {
         let (low, high) = (wave(48, 40, 5, 0), wave(48, 40, 0, 14));
         assert!(high_band_share(&low).unwrap() < 1e-9);
         assert!((high_band_share(&high).unwrap() - 1.0).abs() < 1e-9);
         assert!((high_band_share(&sum(&[&low, &high])).unwrap() - 0.5).abs() < 1e-6);
         // Neither axis alone is high, both together are: hypot(9/48, 8/40) = 0.274.
         assert!((high_band_share(&wave(48, 40, 9, 8)).unwrap() - 1.0).abs() < 1e-9);
-        let even = Image { width: 9, height: 7, channels: 3, data: vec![0.7; 189] };
-        assert_eq!((high_band_share(&even).unwrap(), laplacian_variance(&even).unwrap() < 1e-12), (0.0, true));
-        let s = Sharpness::of(&even, &even).unwrap();
+        let constant = Image { width: 9, height: 7, channels: 3, data: vec![0.7; 189] };
+        assert_eq!((high_band_share(&constant).unwrap(), laplacian_variance(&constant).unwrap() < 1e-12), (0.0, true));
+        let s = Sharpness::of(&constant, &constant).unwrap();
         assert_eq!(s.high_band, None);
     }
 
@@ -162,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn bad_input_is_refused() {
+    fn bad_input_is_an_error() {
         let small = Image::zeros(2, 9, 3);
         assert!(matches!(Sharpness::of(&small, &small), Err(MetricError::TooSmall { need: 3, .. })));
         assert!(matches!(high_band_share(&Image::zeros(9, 9, 2)), Err(MetricError::Channels { got: 2, .. })));

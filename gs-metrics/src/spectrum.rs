@@ -1,4 +1,4 @@
-//! Distance of the amplitude spectra of two images, its value and its gradient.
+//! The distance between the amplitude spectra of two images, its value and its gradient.
 //!
 //! With `F` the two-dimensional discrete Fourier transform of a channel (whole image, no window),
 //! ```text
@@ -6,16 +6,16 @@
 //! dL/da = w c Re Σ_k s_k u_k e^{+2πi k·x},     u = F(a) / |F(a)|,  s = sign(|F(a)| − |F(b)|),  sign(0) = 0
 //! ```
 //! with `c` the factor of the transform ([`FftNorm`]) and `w` that of the reduction ([`Reduce`]). FAGS trains with it; its
-//! paper states neither factor. The defaults, orthonormal and mean, are the only ones with which the paper's weight of 0.3
-//! makes sense; then `L` is at most the root of the mean squared error (Parseval and `||p| − |q|| ≤ |p − q|`).
+//! paper states neither factor. Only the defaults, orthonormal and mean, fit the weight of 0.3 in the paper: with them `L` is
+//! at most the root of the mean squared error (Parseval and `||p| − |q|| ≤ |p − q|`).
 //!
-//! Amplitudes know nothing of places: `L` is the same for an image shifted around its borders or turned by 180°, so it is
-//! no loss to train with alone. Its gradient reaches every pixel.
+//! Amplitudes do not depend on position: `L` is the same for an image shifted cyclically or rotated by 180°, so it cannot be
+//! the only loss term. Its gradient is dense over the pixels.
 //!
 //! # Numbers
-//! `f32` transforms of any size, primes too; sums in `f64`. An amplitude below [`NOTHING`] (orthonormal) counts as 0 with
-//! no gradient: its phase is rounding. The sums over the whole spectrum are taken over half of it, whose columns count
-//! twice where their mirror image is left out.
+//! `f32` transforms of any size, primes too; sums in `f64`. An orthonormal amplitude below
+//! [`MIN_AMPLITUDE`] counts as 0 without gradient, because its phase is rounding. Sums over the whole spectrum run over half of
+//! it, where columns whose mirror image is left out count twice.
 
 use gs_core::Image;
 use realfft::num_complex::Complex32;
@@ -23,42 +23,42 @@ use realfft::num_complex::Complex32;
 use crate::error::{MetricError, check_image, check_pair, explain_non_finite};
 use crate::fft2::Fft2;
 
-/// Orthonormal amplitudes below this count as 0.
-pub const NOTHING: f32 = 1e-6;
+/// Orthonormal amplitudes below this value count as 0.
+pub const MIN_AMPLITUDE: f32 = 1e-6;
 
-/// The factor before the transform's sum, for an image of `W · H` pixels.
+/// The factor of the discrete Fourier transform, for an image of `W · H` pixels; names as in `numpy.fft`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum FftNorm {
-    /// `1 / √(W H)`: amplitudes have the root mean square of the image.
+    /// `1 / √(W H)`: the root mean square of the amplitudes is that of the image.
     #[default]
     Ortho,
-    /// 1.
+    /// 1: the plain sum over pixels.
     Backward,
-    /// `1 / (W H)`.
+    /// `1 / (W H)`: bin 0 is the mean of the image.
     Forward,
 }
 
-/// How the bins of all channels are joined.
+/// How the differences of all bins and channels become one number.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Reduce {
-    /// Divided by their number, `W · H · C`.
+    /// Their sum divided by their number, `W · H · C`.
     #[default]
     Mean,
-    /// Added.
+    /// Their sum over bins and channels.
     Sum,
 }
 
 /// Options of the amplitude loss; the default is orthonormal and mean.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct AmplitudeOptions {
-    /// Factor of the transform.
+    /// Factor of the transform; [`FftNorm::Ortho`] by default.
     pub norm: FftNorm,
-    /// Joining of bins.
+    /// Reduction over bins and channels; [`Reduce::Mean`] by default.
     pub reduce: Reduce,
 }
 
 impl AmplitudeOptions {
-    /// Factor between the sum of orthonormal bins and the loss.
+    /// The loss over the sum of orthonormal differences.
     fn factor(&self, image: &Image) -> f64 {
         let pixels = (image.width * image.height) as f64;
         let norm = match self.norm {
@@ -73,10 +73,10 @@ impl AmplitudeOptions {
     }
 }
 
-/// The amplitude spectrum of an image, kept for comparing others with it.
+/// The amplitude spectrum of an image, kept to compare several images with it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Amplitudes {
-    /// Width, height and channels of the image.
+    /// `(width, height, channels)` of the image.
     shape: (usize, usize, usize),
     /// Orthonormal amplitudes, `[C, W/2 + 1, H]`.
     values: Vec<f32>,
@@ -116,15 +116,15 @@ impl AmplitudeLoss {
         self.evaluate(a, b, None)
     }
 
-    /// [`AmplitudeLoss::value`] and its gradient with respect to `a`, `[H, W, C]`, written over `grad` (reshaped if need be).
+    /// [`AmplitudeLoss::value`] and its gradient with respect to `a`, `[H, W, C]`, written over `grad`, which is reshaped.
     ///
     /// # Errors
-    /// Those of [`AmplitudeLoss::value`]; `grad` then holds nothing of use.
+    /// Those of [`AmplitudeLoss::value`]; the content of `grad` is then unspecified.
     pub fn value_and_grad(&mut self, a: &Image, b: &Image, grad: &mut Image) -> Result<f64, MetricError> {
         self.evaluate(a, b, Some(grad))
     }
 
-    /// The amplitudes of an image, for [`AmplitudeLoss::value_and_grad_to`]: about two bytes for every value of the image.
+    /// The amplitudes of an `[H, W, C]` image, for [`AmplitudeLoss::value_and_grad_to`]: about two bytes per value of the image.
     ///
     /// # Errors
     /// No pixels, more than 4 channels, a value that is not finite.
@@ -134,7 +134,7 @@ impl AmplitudeLoss {
         Ok(out)
     }
 
-    /// [`AmplitudeLoss::value_and_grad`] against an image whose amplitudes are at hand; the same bits.
+    /// [`AmplitudeLoss::value_and_grad`] against an image given by its amplitudes; bitwise the same.
     ///
     /// # Errors
     /// Those of [`AmplitudeLoss::value`].
@@ -176,11 +176,11 @@ impl AmplitudeLoss {
         if sum.is_finite() { Ok(()) } else { Err(explain_non_finite("the amplitude loss", image, image)) }
     }
 
-    /// The loss, not finite if a value of `a` is not.
+    /// The loss; not finite if a value of `a` is not finite.
     fn compare(&mut self, a: &Image, target: &Amplitudes, mut grad: Option<&mut Image>) -> f64 {
         let fft = plan(&mut self.fft, a);
         let factor = self.options.factor(a);
-        let (unit, bins, back) = (ortho(a), fft.half() * a.height, grad.is_some());
+        let (unit, bins, invert) = (ortho(a), fft.half() * a.height, grad.is_some());
         if let Some(grad) = grad.as_deref_mut() {
             (grad.width, grad.height, grad.channels) = a.shape();
             grad.data.resize(a.data.len(), 0.0);
@@ -188,8 +188,8 @@ impl AmplitudeLoss {
         let mut sum = 0.0;
         for (c, want) in target.values.chunks_exact(bins).enumerate() {
             let height = a.height;
-            let nothing_aside = &mut vec![(); bins];
-            let sums = fft.spectrum(a, c, nothing_aside, back, |kx, column, _| {
+            let no_extra = &mut vec![(); bins];
+            let sums = fft.spectrum(a, c, no_extra, invert, |kx, column, _| {
                 difference(column, &want[kx * height..(kx + 1) * height], unit)
             });
             sum += sums.iter().enumerate().map(|(kx, s)| fft.multiplicity(kx) * s).sum::<f64>();
@@ -213,21 +213,21 @@ fn plan<'a>(fft: &'a mut Option<Fft2>, image: &Image) -> &'a mut Fft2 {
     fft.get_or_insert_with(|| Fft2::new(image.width, image.height))
 }
 
-/// Orthonormal amplitude of a bin, 0 below [`NOTHING`].
+/// Orthonormal amplitude of a bin, 0 below [`MIN_AMPLITUDE`].
 fn amplitude(bin: Complex32, unit: f32) -> f32 {
     let a = unit * (bin.re * bin.re + bin.im * bin.im).sqrt();
-    if a < NOTHING { 0.0 } else { a }
+    if a < MIN_AMPLITUDE { 0.0 } else { a }
 }
 
-/// Sum of the differences of a column's amplitudes from those wanted; the column becomes `s · u`.
-fn difference(column: &mut [Complex32], want: &[f32], unit: f32) -> f64 {
+/// Sum of `| |F(a)| − |F(b)| |` over a column, given `|F(b)|` in `target`; the column becomes `s · u`, times `unit`.
+fn difference(column: &mut [Complex32], target: &[f32], unit: f32) -> f64 {
     let mut sum = 0.0;
-    for (bin, want) in column.iter_mut().zip(want) {
-        let got = amplitude(*bin, unit);
-        let d = got - want;
+    for (bin, target) in column.iter_mut().zip(target) {
+        let value = amplitude(*bin, unit);
+        let d = value - target;
         sum += f64::from(d.abs());
         let sign = if d > 0.0 { unit } else { -unit };
-        *bin = if d == 0.0 || got == 0.0 { Complex32::default() } else { *bin * (sign / got) };
+        *bin = if d == 0.0 || value == 0.0 { Complex32::default() } else { *bin * (sign / value) };
     }
     sum
 }

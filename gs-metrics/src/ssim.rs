@@ -4,12 +4,12 @@
 //! ```text
 //! ssim(p) = (2 μx μy + C1)(2 σxy + C2) / ((μx² + μy² + C1)(σx² + σy² + C2)),   C1 = (K1·range)², C2 = (K2·range)²
 //! ```
-//! and the score is the mean over pixels and channels. Two borders are in use and give different numbers:
+//! and the score is the mean over pixels and channels. Two border conventions are in use and give different numbers:
 //! [`Padding::Zero`] scores every pixel and reads zeros outside (the training loss of the 3DGS family, a convolution with
 //! "same" padding), [`Padding::Valid`] scores only pixels whose whole window lies inside (the published metric).
 //!
 //! # Numbers
-//! `f32` filters whose variances are taken about the centre of each window, so that flat areas do not cancel; `f64` means.
+//! Filters are `f32`, with variances about the centre value of each window, so that flat areas do not cancel; means are `f64`.
 //! Identical images give exactly 1. The gradient has the shape of an image and is with respect to the first argument;
 //! SSIM itself is symmetric.
 //!
@@ -21,7 +21,7 @@ use crate::error::{MetricError, check_pair, explain_non_finite};
 use crate::sweep::{self, Scratch, Task, Term};
 use crate::window::{Consts, RADIUS, TAPS, half_window};
 
-/// What lies outside the image, and which pixels are scored.
+/// Values outside the image, and which pixels are scored.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Padding {
     /// Every pixel is scored; outside the image there are zeros (training loss of 3DGS and its descendants).
@@ -34,13 +34,13 @@ pub enum Padding {
 /// Options of SSIM; the defaults are the training loss on images in `[0, 1]`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SsimOptions {
-    /// Border convention.
+    /// Border convention; [`Padding::Zero`] by default.
     pub padding: Padding,
-    /// Luminance constant, 0.01.
+    /// `K1` of the luminance factor, dimensionless; 0.01 by default.
     pub k1: f64,
-    /// Contrast constant, 0.03.
+    /// `K2` of the contrast-structure factor, dimensionless; 0.03 by default.
     pub k2: f64,
-    /// Largest value minus smallest one an image may have, 1 for display-encoded images.
+    /// Largest value minus smallest value an image may have; 1 by default, for display-encoded images.
     pub data_range: f64,
 }
 
@@ -56,7 +56,7 @@ impl SsimOptions {
         Self { padding: Padding::Valid, ..Self::default() }
     }
 
-    /// Pixels not scored on each side.
+    /// Pixels on each side that are not scored.
     pub(crate) fn margin(&self) -> usize {
         match self.padding {
             Padding::Zero => 0,
@@ -64,7 +64,7 @@ impl SsimOptions {
         }
     }
 
-    /// Checks the options and turns them into what the kernels read; `scale` multiplies the gradient.
+    /// Checks the options and makes the constants of the kernels; `scale` multiplies the gradient.
     pub(crate) fn consts(&self, scale: f64) -> Result<Consts, MetricError> {
         for (name, value) in [("k1", self.k1), ("k2", self.k2), ("data_range", self.data_range)] {
             if !(value > 1e-6 && value < 1e6) {
@@ -105,7 +105,7 @@ pub struct Ssim {
 }
 
 impl Ssim {
-    /// An evaluator with empty buffers; options are checked when it is used.
+    /// An evaluator with empty buffers; [`Ssim::value`] checks the options.
     pub fn new(options: SsimOptions) -> Self {
         Self { options, scratch: Scratch::default() }
     }
@@ -119,10 +119,10 @@ impl Ssim {
         self.evaluate(a, b, None)
     }
 
-    /// [`Ssim::value`] and its gradient with respect to `a`, `[H, W, C]`, written over `grad` (reshaped if need be).
+    /// [`Ssim::value`] and its gradient with respect to `a`, `[H, W, C]`, written over `grad`, which is reshaped.
     ///
     /// # Errors
-    /// Those of [`Ssim::value`]; `grad` then holds nothing of use.
+    /// Those of [`Ssim::value`]; the content of `grad` is then unspecified.
     pub fn value_and_grad(&mut self, a: &Image, b: &Image, grad: &mut Image) -> Result<f64, MetricError> {
         check_pair(a, b)?;
         (grad.width, grad.height, grad.channels) = a.shape();
@@ -142,7 +142,17 @@ impl Ssim {
     }
 }
 
-/// Mean SSIM of two images; see [`Ssim::value`], which keeps its buffers.
+/// Mean SSIM of two `[H, W, C]` images; see [`Ssim::value`], which keeps its buffers.
+///
+/// ```
+/// use gs_core::Image;
+/// use gs_metrics::{SsimOptions, ssim};
+/// // Without structure only the luminance factor is left: (2·0.25·0.75 + 1e-4) / (0.25² + 0.75² + 1e-4).
+/// let flat = |v: f32| Image { width: 16, height: 16, channels: 1, data: vec![v; 256] };
+/// let score = ssim(&flat(0.25), &flat(0.75), &SsimOptions::published())?;
+/// assert!((score - 0.3751 / 0.6251).abs() < 1e-6);
+/// # Ok::<(), gs_metrics::MetricError>(())
+/// ```
 ///
 /// # Errors
 /// Those of [`Ssim::value`].

@@ -1,9 +1,9 @@
-//! Runs the kernels of [`crate::window`] over an image in bands of rows, forward and (where asked) back, in one sweep.
+//! Runs the kernels of [`crate::window`] over an image in bands of rows: forward and, on request, backward in one sweep.
 //!
-//! Row by row: an input row is filtered horizontally into a ring of eleven rows; a ring full of rows gives a row of
-//! scores and cotangents; those are blurred horizontally into a second ring, which gives a row of the gradient. Nothing
-//! the size of the image is stored. Bands overlap by the window's reach and depend on the image's height alone, so the
-//! result does not depend on the number of threads.
+//! Each input row is filtered horizontally into a ring buffer of eleven rows. A full ring gives one row of scores and
+//! cotangents. Those are blurred horizontally into a second ring, which gives one row of the gradient. No buffer has the
+//! size of the image. Bands overlap by the radius of the window and depend on the height of the image alone, so the result
+//! does not depend on the number of threads.
 
 use std::sync::Mutex;
 
@@ -13,36 +13,36 @@ use rayon::prelude::*;
 
 use crate::window::{self, Consts, Fields, LANES, Maps, RADIUS, Rows, TAPS};
 
-/// Rows of a band before rounding: more rows recompute fewer overlaps, fewer rows share work better.
+/// Rows of a band before rounding. More rows recompute fewer overlaps; fewer rows balance the threads better.
 const BAND_ROWS: usize = 64;
-/// Accumulators of a row's scores: divisible by 1, 2, 3 and 4 channels, so a lane belongs to one channel.
+/// Accumulators of the scores of a row: divisible by 1, 2, 3 and 4 channels, so each lane belongs to one channel.
 const SUM_LANES: usize = 48;
-/// Row fields kept for the vertical pass: mean and variance of `s` and `d`.
+/// Fields in the first ring: mean and variance of `s` and of `d`.
 const FIELDS: usize = 4;
-/// Row fields kept for the gradient: `u`, `v_s`, `v_d`.
+/// Fields in the second ring: the cotangents `u`, `v_s`, `v_d`.
 const BACK_FIELDS: usize = 3;
 
 /// Which factor of SSIM is averaged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Term {
-    /// Luminance, contrast and structure.
+    /// SSIM: luminance times contrast and structure.
     Full,
     /// Contrast and structure only (the upper levels of MS-SSIM).
     Contrast,
 }
 
-/// What a sweep computes.
+/// Constants, factor and border of one sweep.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Task {
-    /// Window and constants.
+    /// Window weights and SSIM constants.
     pub consts: Consts,
-    /// Which factor.
+    /// Factor of SSIM that is averaged.
     pub term: Term,
-    /// Pixels left out on each side: 0 with zero padding, [`RADIUS`] for the valid area.
+    /// Pixels on each side that are not scored: 0 with zero padding, [`RADIUS`] for the valid area.
     pub margin: usize,
 }
 
-/// Row buffers, kept between sweeps so that a training step does not allocate.
+/// Row buffers kept between sweeps, so that a training step does not allocate.
 #[derive(Debug, Default)]
 pub(crate) struct Scratch {
     pool: Mutex<Vec<Band>>,
@@ -50,13 +50,13 @@ pub(crate) struct Scratch {
 }
 
 impl Clone for Scratch {
-    /// An empty scratch: buffers are not worth copying.
+    /// An empty scratch; buffers are not copied.
     fn clone(&self) -> Self {
         Self::default()
     }
 }
 
-/// Buffers of one band at work.
+/// Buffers of one band.
 #[derive(Debug, Default)]
 struct Band {
     /// Padded rows of `s` and `d`.
@@ -71,8 +71,8 @@ struct Band {
     row: Vec<f32>,
 }
 
-/// Sums over the region of `1 − term`, per channel, divided by the number of pixels in it; the gradient (times
-/// `consts.scale`) of the sum of the **terms** with respect to `a` goes to `grad`.
+/// Mean of `1 − term` over the scored pixels, per channel. `grad` receives the gradient with respect to `a` of the sum of the
+/// **terms**, times `consts.scale`.
 pub(crate) fn run(task: &Task, a: &Image, b: &Image, grad: Option<&mut [f32]>, scratch: &mut Scratch) -> [f64; 4] {
     let bands = 4 * a.height.div_ceil(4 * BAND_ROWS);
     let rows = a.height.div_ceil(bands);
@@ -103,7 +103,7 @@ pub(crate) fn run(task: &Task, a: &Image, b: &Image, grad: Option<&mut [f32]>, s
     total.map(|t| t / pixels)
 }
 
-/// The rows `range` of the scores (summed per channel) and of the gradient.
+/// Sums of `1 − term` per channel over the rows `range`, and those rows of the gradient.
 #[inline(always)]
 fn band_pass<S: Simd>(
     simd: S,
@@ -120,7 +120,7 @@ fn band_pass<S: Simd>(
     let halo = if grad.is_some() { reach } else { 0 };
     let (first, last) = (range.start as isize, range.end as isize);
     for r in first - halo - reach..last + halo + reach {
-        band.take_row(simd, task, a, b, r);
+        band.filter_row(simd, task, a, b, r);
         let p = r - reach;
         if p < first - halo {
             continue;
@@ -145,7 +145,7 @@ fn band_pass<S: Simd>(
     sums
 }
 
-/// Adds a row's scores to the lanes, value `i` to lane `i mod SUM_LANES`.
+/// Adds the scores of a row to the lanes, value `i` to lane `i mod SUM_LANES`.
 #[inline(always)]
 fn add_scores(row: &[f32], lanes: &mut [f64; SUM_LANES]) {
     let chunks = row.chunks_exact(SUM_LANES);
@@ -158,7 +158,7 @@ fn add_scores(row: &[f32], lanes: &mut [f64; SUM_LANES]) {
     lanes.iter_mut().zip(tail).for_each(|(l, v)| *l += f64::from(*v));
 }
 
-/// `s = a + b` and `d = a − b` of one row, behind `pad` zeros.
+/// `s = a + b` and `d = a − b` of one row, written after `pad` zeros.
 #[inline(always)]
 fn sum_and_difference(a: &[f32], b: &[f32], pad: usize, s: &mut [f32], d: &mut [f32]) {
     let n = a.len();
@@ -169,13 +169,13 @@ fn sum_and_difference(a: &[f32], b: &[f32], pad: usize, s: &mut [f32], d: &mut [
     }
 }
 
-/// Slot of row `r` in a ring.
+/// Index in a ring of image row `r`.
 #[inline(always)]
 fn slot(r: isize) -> usize {
     r.rem_euclid(TAPS as isize) as usize
 }
 
-/// The window's rows around row `p` of field `f`.
+/// The eleven rows of field `f` around row `p`.
 #[inline(always)]
 fn rows_of(ring: &[f32], f: usize, p: isize, stride: usize) -> Rows<'_> {
     std::array::from_fn(|k| {
@@ -185,7 +185,7 @@ fn rows_of(ring: &[f32], f: usize, p: isize, stride: usize) -> Rows<'_> {
 }
 
 impl Band {
-    /// Makes room for rows of `n` values; all padding is zero.
+    /// Resizes all buffers for rows of `n` values; all padding is zero.
     fn resize(&mut self, n: usize, channels: usize) {
         let stride = n.next_multiple_of(LANES);
         let padded = stride + 2 * RADIUS * channels;
@@ -200,7 +200,7 @@ impl Band {
 
     /// Filters input row `r` horizontally into the first ring; rows outside the image are zero.
     #[inline(always)]
-    fn take_row<S: Simd>(&mut self, simd: S, task: &Task, a: &Image, b: &Image, r: isize) {
+    fn filter_row<S: Simd>(&mut self, simd: S, task: &Task, a: &Image, b: &Image, r: isize) {
         let (n, stride) = (a.width * a.channels, self.row.len());
         let field = |f: usize| (f * TAPS + slot(r)) * stride;
         if r < 0 || r >= a.height as isize {
@@ -216,7 +216,7 @@ impl Band {
         }
     }
 
-    /// Scores of row `p` into `row`, its cotangents into `maps`, zero outside the region.
+    /// Scores of row `p` into `row` and their cotangents into `maps`, which are zero outside the scored pixels.
     #[inline(always)]
     fn score<S: Simd>(&mut self, simd: S, task: &Task, a: &Image, p: isize, with_maps: bool) {
         let stride = self.row.len();
@@ -243,7 +243,7 @@ impl Band {
         }
     }
 
-    /// Blurs the cotangents of row `p` into the second ring; rows outside the region have none.
+    /// Blurs the cotangents of row `p` into the second ring; rows that are not scored have zeros.
     #[inline(always)]
     fn blur_maps<S: Simd>(&mut self, simd: S, task: &Task, channels: usize, p: isize, inside: bool) {
         let stride = self.row.len();
@@ -258,7 +258,7 @@ impl Band {
         }
     }
 
-    /// Row `q` of the gradient.
+    /// Row `q` of the gradient, into `out`.
     #[inline(always)]
     fn gradient<S: Simd>(&mut self, simd: S, task: &Task, a: &Image, b: &Image, q: isize, out: &mut [f32]) {
         let (n, stride, pad) = (a.width * a.channels, self.row.len(), RADIUS * a.channels);

@@ -1,17 +1,34 @@
-//! tOF: how far the motion of a predicted video is from that of the true one, in pixels.
+//! tOF: the distance between the optical flow of a rendered video and that of the ground-truth video, in pixels.
 //!
-//! For consecutive frames of each video the [`flow`](crate::flow) is estimated, and
+//! With the [`flow`](crate::flow) between consecutive frames of each video,
 //! ```text
 //! tOF_i = mean over pixels of |flow(truth_{i−1} → truth_i) − flow(pred_{i−1} → pred_i)|₂,   tOF = mean over i
 //! ```
 //! The published script leaves out the first and last two frames (pairs `i = 3 … n − 3`, frames counted from 0) and the
-//! border: kept are `32⌊n/32⌋` pixels of a side, less 32 where fewer than 16 would go, in the middle. Both are switches,
-//! as papers seldom say whether they kept them. (It is called an L1 error in places; the script takes the 2-norm.)
+//! border: it keeps the central `32⌊n/32⌋` pixels of a side of `n`, less 32 where fewer than 16 would be cut. Both are options
+//! here, as papers seldom say what they did. (Some texts call tOF an L1 error; the script uses the 2-norm.)
 //!
-//! Frames must follow each other in time from one camera: flow between views far apart is noise.
+//! Frames must be consecutive in time and from one camera: flow between distant views is noise.
 //!
 //! Chu, Xie, Mayer, Leal-Taixé, Thuerey, *Learning temporal coherence via self-supervision for GAN-based video
 //! generation* (TecoGAN), 2020.
+//!
+//! ```
+//! use gs_core::Image;
+//! use gs_metrics::{Tof, TofOptions};
+//! // A pattern that moves by 1.5 pixels a frame in the render and by 1 in the ground truth.
+//! let frame = |shift: f32| {
+//!     let value = |x: f32, y: f32| 0.5 + 0.2 * (0.31 * (x - shift)).sin() + 0.2 * (0.27 * y + 0.1 * (x - shift)).cos();
+//!     let data = (0..64 * 48).map(|k| value((k % 64) as f32, (k / 64) as f32)).collect();
+//!     Image { width: 64, height: 48, channels: 1, data }
+//! };
+//! let mut tof = Tof::new(TofOptions { trim: false, crop: true });
+//! for i in 0..3 {
+//!     tof.add(&frame(1.5 * i as f32), &frame(i as f32))?;
+//! }
+//! assert!((tof.finish()?.mean - 0.5).abs() < 0.05);
+//! # Ok::<(), gs_metrics::MetricError>(())
+//! ```
 
 use gs_core::Image;
 
@@ -20,22 +37,22 @@ use crate::flow::{Expansion, Farneback, Flow, end_point_error};
 
 /// Frames left out at both ends of a trimmed video.
 const TRIMMED: usize = 2;
-/// Sides are cut to a multiple of this.
+/// Sides are cropped to a multiple of this, pixels.
 const BLOCK: usize = 32;
-/// At least so many pixels go from a cropped side.
+/// Fewest pixels cut from a cropped side.
 const MARGIN: usize = 16;
 
-/// What is left out.
+/// Frames and pixels left out of tOF; the default is that of the published script.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TofOptions {
-    /// Leave out the first and last two frames.
+    /// Whether to leave out the first and last two frames; true by default.
     pub trim: bool,
-    /// Leave out the border.
+    /// Whether to leave out the border of every frame; true by default.
     pub crop: bool,
 }
 
 impl Default for TofOptions {
-    /// Both, as published.
+    /// Both are left out, as in the published script.
     fn default() -> Self {
         Self { trim: true, crop: true }
     }
@@ -44,37 +61,37 @@ impl Default for TofOptions {
 /// The score of a video.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TofScore {
-    /// Pixels, mean over pairs.
+    /// Mean of `tOF_i` over the pairs, pixels.
     pub mean: f64,
-    /// `(i, tOF_i)` of the pairs `(i − 1, i)` that count, in order.
+    /// `(i, tOF_i)` of the pairs of frames `(i − 1, i)` that count, in order, pixels.
     pub pairs: Vec<(usize, f64)>,
 }
 
-/// Takes a video frame by frame. Memory is that of two frames, however long it is.
+/// Computes tOF frame by frame, in the memory of two frames.
 #[derive(Debug, Default)]
 pub struct Tof {
     options: TofOptions,
     estimate: Farneback,
-    /// Predicted and true frame before, expanded; those of now.
-    before: [Expansion; 2],
-    now: [Expansion; 2],
+    /// Expansions of the previous rendered and ground-truth frame.
+    previous: [Expansion; 2],
+    current: [Expansion; 2],
     flows: [Flow; 2],
-    /// Frames seen.
+    /// Number of frames added so far.
     frames: usize,
     size: Option<(usize, usize)>,
     pairs: Vec<(usize, f64)>,
 }
 
 impl Tof {
-    /// A video with these switches.
+    /// An evaluator without frames, with these options.
     pub fn new(options: TofOptions) -> Self {
         Self { options, ..Self::default() }
     }
 
-    /// The next predicted frame and its truth, `[H, W, 1 or 3]` in `[0, 1]`.
+    /// Adds the next rendered frame and its ground-truth image, `[H, W, 1 or 3]` in `[0, 1]`.
     ///
     /// # Errors
-    /// Different sizes (of the two, or from the frame before), 2 or 4 channels, values that are not finite, or sides below
+    /// Different sizes (of the two, or from the previous frame), 2 or 4 channels, values that are not finite, or sides below
     /// 48 pixels where the border is left out.
     pub fn add(&mut self, pred: &Image, truth: &Image) -> Result<(), MetricError> {
         check_pair(pred, truth)?;
@@ -88,18 +105,18 @@ impl Tof {
         let at = self.frames;
         let skipped = if self.options.trim { TRIMMED } else { 0 };
         if at >= skipped {
-            for (image, expansion) in [pred, truth].into_iter().zip(&mut self.now) {
+            for (image, expansion) in [pred, truth].into_iter().zip(&mut self.current) {
                 self.estimate.expand(image, expansion)?;
             }
         }
         if at > skipped {
             for k in 0..2 {
-                self.estimate.between(&self.before[k], &self.now[k], &mut self.flows[k])?;
+                self.estimate.between(&self.previous[k], &self.current[k], &mut self.flows[k])?;
             }
             let [p, t] = [0, 1].map(|k| self.flows[k].crop(area.0.clone(), area.1.clone()));
             self.pairs.push((at, end_point_error(&p, &t)?));
         }
-        std::mem::swap(&mut self.before, &mut self.now);
+        std::mem::swap(&mut self.previous, &mut self.current);
         self.frames += 1;
         Ok(())
     }
@@ -107,7 +124,7 @@ impl Tof {
     /// The score of all frames added.
     ///
     /// # Errors
-    /// If no pair is left: below 2 frames, or below 6 where ends are left out.
+    /// If no pair is left: fewer than 2 frames, or fewer than 6 with [`TofOptions::trim`].
     pub fn finish(mut self) -> Result<TofScore, MetricError> {
         let (skipped, need) = if self.options.trim { (TRIMMED, 2 * TRIMMED + 2) } else { (0, 2) };
         if self.frames < need {
@@ -119,7 +136,7 @@ impl Tof {
     }
 }
 
-/// The columns and rows that are kept.
+/// The columns and rows kept by [`TofOptions::crop`].
 fn cropped(width: usize, height: usize) -> Result<(std::ops::Range<usize>, std::ops::Range<usize>), MetricError> {
     let side = |n: usize| {
         let whole = n / BLOCK * BLOCK;
@@ -155,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn the_crop_is_that_of_the_script() {
+    fn the_crop_agrees_with_the_published_script() {
         for (n, kept) in [(48, 8..40), (64, 16..48), (79, 23..55), (80, 8..72), (360, 20..340), (640, 16..624)] {
             assert_eq!(cropped(n, n).unwrap(), (kept.clone(), kept), "{n}");
         }
@@ -171,17 +188,17 @@ mod tests {
     }
 
     #[test]
-    fn ends_and_borders_may_stay() {
+    fn ends_and_borders_are_kept_on_request() {
         let whole = TofOptions { trim: false, crop: false };
         let all = score(4, whole, 1.5, 1.0).unwrap();
         assert_eq!(all.pairs.iter().map(|p| p.0).collect::<Vec<_>>(), [1, 2, 3]);
         let trimmed = score(7, TofOptions { crop: false, ..TofOptions::default() }, 1.5, 1.0).unwrap();
         let same = score(7, whole, 1.5, 1.0).unwrap();
-        assert_eq!(trimmed.pairs[..], same.pairs[2..4], "a pair is the same whatever its neighbours");
+        assert_eq!(trimmed.pairs[..], same.pairs[2..4], "a pair does not depend on its neighbours");
     }
 
     #[test]
-    fn what_cannot_be_scored_says_so() {
+    fn bad_videos_are_errors() {
         let e = score(5, TofOptions::default(), 1.0, 1.0).unwrap_err();
         assert!(e.to_string().contains("at least 6 frames, 5"), "{e}");
         assert!(score(1, TofOptions { trim: false, crop: true }, 1.0, 1.0).is_err());

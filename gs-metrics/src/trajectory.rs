@@ -1,85 +1,97 @@
-//! How points move: the energy of their paths at high temporal frequencies, and of their second differences.
+//! Trajectories of points: their energy at high temporal frequencies, and their second differences.
 //!
-//! A path `x_k`, `k = 0 … T − 1`, sampled evenly in time, has with its mean removed the spectrum
+//! The path `x_k`, `k = 0 … T − 1`, of a point at evenly spaced timestamps, less its mean `x̃_k`, has the spectrum
 //! ```text
 //! X_f = Σ_k x̃_k e^{−2πi f k / T}        E = Σ_{f ≥ f_c} |X_f|²,   f = 0 … ⌊T/2⌋,   f_c = ⌈T/4⌉ by default
 //! ```
 //! summed over the three coordinates (FAGS, temporal power spectrum; the cut-off is ours, the upper half of the spectrum).
-//! A path that does not close leaks `1/f²` into every bin, so that a slow drift already scores; [`Window::Hann`] first
-//! removes the straight line of least squares and then weighs by `w_k = ½ − ½ cos(2πk/T)`, divided by `√mean w²` so that
-//! white noise scores as without.
+//! A path that does not close leaks `1/f²` into every bin, so even a slow drift has energy there. [`Window::Hann`] first
+//! subtracts the least-squares line, then multiplies by `w_k = ½ − ½ cos(2πk/T)`, divided by `√mean w²` so that the energy of
+//! white noise is kept.
 //!
-//! Jerkiness: `A(k) = |x_{k+1} − 2 x_k + x_{k−1}|²` per point and moment.
+//! Jerkiness: `A(k) = |x_{k+1} − 2 x_k + x_{k−1}|²` per point and inner timestamp.
 //!
-//! Everything is in `f64`, path by path.
+//! Everything is computed in `f64`, path by path.
+//!
+//! ```
+//! use gs_metrics::trajectory::{Window, default_cutoff, high_energies, second_differences};
+//! // One point on a parabola: its second difference is 2 · 0.25 everywhere.
+//! let path: Vec<Vec<[f32; 3]>> = (0..8).map(|k| vec![[0.25 * (k * k) as f32, 0.0, 0.0]]).collect();
+//! assert!(second_differences(&path)?.iter().all(|points| points == &[0.25]));
+//! // A point that alternates between ±1 has all its energy at the highest frequency: 8².
+//! let shake: Vec<Vec<[f32; 3]>> = (0..8).map(|k| vec![[(1 - 2 * (k % 2)) as f32, 0.0, 0.0]]).collect();
+//! assert!((high_energies(&shake, default_cutoff(8), Window::Raw)?[0] - 64.0).abs() < 1e-9);
+//! # Ok::<(), gs_metrics::trajectory::TrajectoryError>(())
+//! ```
 
 use rayon::prelude::*;
 use realfft::num_complex::Complex64;
 use realfft::{RealFftPlanner, RealToComplex};
 
-/// Added to energies before logarithms are taken.
+/// Added to energies before logarithms are taken, squared units of length.
 pub const ENERGY_FLOOR: f64 = 1e-12;
-/// Paths of one task.
+/// Paths of one parallel task.
 const BLOCK: usize = 256;
 
-/// What is done to a path before its transform.
+/// Preparation of a path before its transform.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Window {
-    /// Only its mean is removed.
+    /// Only the mean is subtracted, coordinate by coordinate.
     Raw,
-    /// Its straight line is removed, and it is faded at both ends.
+    /// The least-squares line is subtracted, and the path is multiplied by a Hann window.
     Hann,
 }
 
-/// Why paths cannot be analysed.
+/// Why trajectories cannot be analysed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum TrajectoryError {
-    /// Not enough moments.
-    #[error("{got} moments are too few, {need} are needed; sample the motion more often")]
+    /// There are too few timestamps.
+    #[error("{got} timestamps are too few, {need} are needed; sample the motion more often")]
     TooFew {
-        /// Moments needed.
+        /// Fewest timestamps the function accepts.
         need: usize,
-        /// Moments given.
+        /// Number of timestamps of the paths.
         got: usize,
     },
-    /// The number of points changes.
-    #[error("moment {moment} has {got} points, the first has {want}; paths need the same points at every moment")]
+    /// The number of points changes between timestamps.
+    #[error("timestamp {index} has {got} points, the first has {want}; paths need the same points at every timestamp")]
     Uneven {
-        /// Index of the moment.
-        moment: usize,
-        /// Points there.
+        /// Index of the first such timestamp, from 0.
+        index: usize,
+        /// Number of points at that timestamp.
         got: usize,
-        /// Points at the first.
+        /// Number of points at the first timestamp.
         want: usize,
     },
     /// The cut-off lies outside the spectrum.
-    #[error("cut-off {cutoff} is out of range: {moments} moments have frequencies 1 to {highest}")]
+    #[error("cut-off {cutoff} is out of range: {timestamps} timestamps have frequencies 1 to {highest}")]
     Cutoff {
-        /// Asked for.
+        /// The cut-off given, in periods over the whole path.
         cutoff: usize,
-        /// Moments given.
-        moments: usize,
-        /// The highest frequency.
+        /// Number of timestamps of the paths.
+        timestamps: usize,
+        /// The highest frequency there is, `⌊T/2⌋`.
         highest: usize,
     },
 }
 
-/// The cut-off where none is given: `⌈T/4⌉`.
-pub fn default_cutoff(moments: usize) -> usize {
-    moments.div_ceil(4)
+/// The default cut-off `f_c = ⌈T/4⌉` for `T` timestamps, in periods over the whole path.
+pub fn default_cutoff(timestamps: usize) -> usize {
+    timestamps.div_ceil(4)
 }
 
-/// `E` of every path; `frames[k][i]` is point `i` at moment `k`, in any unit of length (the energy is in its square).
+/// The energy `E` of every path, `[points]`. `frames[k][i]` is point `i` at timestamp `k`, in any unit of length; energies are in
+/// its square.
 ///
 /// # Errors
-/// Fewer than 4 moments, a changing number of points, a cut-off outside `1 … ⌊T/2⌋`.
+/// Fewer than 4 timestamps, a changing number of points, a cut-off outside `1 … ⌊T/2⌋`.
 pub fn high_energies(frames: &[Vec<[f32; 3]>], cutoff: usize, window: Window) -> Result<Vec<f64>, TrajectoryError> {
     let points = check(frames, 4)?;
-    let (moments, highest) = (frames.len(), frames.len() / 2);
+    let (timestamps, highest) = (frames.len(), frames.len() / 2);
     if !(1..=highest).contains(&cutoff) {
-        return Err(TrajectoryError::Cutoff { cutoff, moments, highest });
+        return Err(TrajectoryError::Cutoff { cutoff, timestamps, highest });
     }
-    let fft = RealFftPlanner::<f64>::new().plan_fft_forward(moments);
+    let fft = RealFftPlanner::<f64>::new().plan_fft_forward(timestamps);
     let mut out = vec![0.0; points];
     out.par_chunks_mut(BLOCK).enumerate().for_each_init(
         || Transform::new(&*fft),
@@ -93,7 +105,7 @@ pub fn high_energies(frames: &[Vec<[f32; 3]>], cutoff: usize, window: Window) ->
     Ok(out)
 }
 
-/// Buffers of one path.
+/// Buffers for the transform of one coordinate of a path.
 struct Transform {
     path: Vec<f64>,
     spectrum: Vec<Complex64>,
@@ -128,21 +140,21 @@ impl Transform {
     }
 }
 
-/// Removes the mean, and with `slope` the straight line of least squares.
+/// Subtracts the mean, and with `slope` the least-squares line.
 fn remove_line(path: &mut [f64], slope: bool) {
     let n = path.len() as f64;
     let mean = path.iter().sum::<f64>() / n;
     let centred = |k: usize| k as f64 - 0.5 * (n - 1.0);
-    let moment: f64 = path.iter().enumerate().map(|(k, v)| centred(k) * (v - mean)).sum();
+    let covariance: f64 = path.iter().enumerate().map(|(k, v)| centred(k) * (v - mean)).sum();
     // Σ (k − k̄)² = n (n² − 1) / 12.
-    let rise = if slope { moment * 12.0 / (n * (n * n - 1.0)) } else { 0.0 };
-    path.iter_mut().enumerate().for_each(|(k, v)| *v -= mean + rise * centred(k));
+    let gradient = if slope { covariance * 12.0 / (n * (n * n - 1.0)) } else { 0.0 };
+    path.iter_mut().enumerate().for_each(|(k, v)| *v -= mean + gradient * centred(k));
 }
 
-/// `A(k)` of every point at the inner moments: `[T − 2][points]`.
+/// `A(k)` of every point at the inner timestamps, `[T − 2][points]`, in squared units of length.
 ///
 /// # Errors
-/// Fewer than 3 moments, or a changing number of points.
+/// Fewer than 3 timestamps, or a changing number of points.
 pub fn second_differences(frames: &[Vec<[f32; 3]>]) -> Result<Vec<Vec<f64>>, TrajectoryError> {
     check(frames, 3)?;
     let squared = |i: usize, w: &[Vec<[f32; 3]>]| {
@@ -161,28 +173,28 @@ fn check(frames: &[Vec<[f32; 3]>], need: usize) -> Result<usize, TrajectoryError
     }
     let want = frames[0].len();
     match frames.iter().position(|f| f.len() != want) {
-        Some(moment) => Err(TrajectoryError::Uneven { moment, got: frames[moment].len(), want }),
+        Some(index) => Err(TrajectoryError::Uneven { index, got: frames[index].len(), want }),
         None => Ok(want),
     }
 }
 
-/// How values that are not negative are spread.
+/// Statistics of the distribution of values `≥ 0`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Spread {
-    /// Their mean.
+    /// Arithmetic mean of the finite values.
     pub mean: f64,
-    /// Median, nearest rank.
+    /// Median: the value of nearest rank, not interpolated.
     pub p50: f64,
-    /// 90 %.
+    /// 90th percentile, the value of nearest rank.
     pub p90: f64,
-    /// 99 %.
+    /// 99th percentile, the value of nearest rank.
     pub p99: f64,
-    /// Gini coefficient: 0 if all are equal, towards 1 if few have everything.
+    /// Gini coefficient in `[0, 1)`: 0 if all values are equal, near 1 if few values hold the sum.
     pub gini: f64,
 }
 
 impl Spread {
-    /// Of the finite ones among `values`; all zero if there is none.
+    /// Statistics of the finite values; all 0 if there is none.
     pub fn of(values: impl IntoIterator<Item = f64>) -> Self {
         let mut sorted: Vec<f64> = values.into_iter().filter(|v| v.is_finite()).collect();
         sorted.sort_unstable_by(f64::total_cmp);
@@ -203,9 +215,9 @@ mod tests {
     use super::*;
     use std::f64::consts::{PI, TAU};
 
-    /// Paths `(f(k), 0, 0)`.
-    fn along_x(moments: usize, f: impl Fn(f64) -> f64) -> Vec<Vec<[f32; 3]>> {
-        (0..moments).map(|k| vec![[f(k as f64) as f32, 0.0, 0.0]]).collect()
+    /// One path with the points `(f(k), 0, 0)`.
+    fn along_x(timestamps: usize, f: impl Fn(f64) -> f64) -> Vec<Vec<[f32; 3]>> {
+        (0..timestamps).map(|k| vec![[f(k as f64) as f32, 0.0, 0.0]]).collect()
     }
 
     fn energy(frames: &[Vec<[f32; 3]>], cutoff: usize, window: Window) -> f64 {
@@ -214,13 +226,13 @@ mod tests {
 
     #[test]
     fn a_wave_has_its_energy_at_its_frequency() {
-        for (moments, m) in [(32, 9), (31, 9), (50, 13)] {
-            let frames = along_x(moments, |k| 2.0 + 0.5 * (TAU * m as f64 * k / moments as f64).cos());
-            let want = (0.5 * moments as f64 / 2.0).powi(2);
+        for (timestamps, m) in [(32, 9), (31, 9), (50, 13)] {
+            let frames = along_x(timestamps, |k| 2.0 + 0.5 * (TAU * m as f64 * k / timestamps as f64).cos());
+            let want = (0.5 * timestamps as f64 / 2.0).powi(2);
             assert!((energy(&frames, m, Window::Raw) / want - 1.0).abs() < 1e-5);
-            assert!((energy(&frames, default_cutoff(moments), Window::Raw) / want - 1.0).abs() < 1e-5);
+            assert!((energy(&frames, default_cutoff(timestamps), Window::Raw) / want - 1.0).abs() < 1e-5);
             assert!(energy(&frames, m + 1, Window::Raw) < 1e-8 * want);
-            // The window spreads it over three bins: 1 + ¼ + ¼ of w̄² = ¼, over 3/8; the line takes a little of it.
+            // The window distributes it over three bins: 1 + ¼ + ¼ of w̄² = ¼, over 3/8; the line removes a little of it.
             assert!((energy(&frames, m - 2, Window::Hann) / want - 1.0).abs() < 0.02);
         }
     }
@@ -228,9 +240,9 @@ mod tests {
     /// `|X_f| = s T / (2 sin(π f / T))` for `x_k = s k`.
     #[test]
     fn a_drift_leaks_without_a_window_and_not_with_it() {
-        let (moments, s) = (40, 0.125);
-        let frames = along_x(moments, |k| s * k);
-        let bin = |f: usize| (s * moments as f64 / (2.0 * (PI * f as f64 / moments as f64).sin())).powi(2);
+        let (timestamps, s) = (40, 0.125);
+        let frames = along_x(timestamps, |k| s * k);
+        let bin = |f: usize| (s * timestamps as f64 / (2.0 * (PI * f as f64 / timestamps as f64).sin())).powi(2);
         let want: f64 = (10..=20).map(bin).sum();
         assert!((energy(&frames, 10, Window::Raw) / want - 1.0).abs() < 1e-9);
         assert!(energy(&frames, 10, Window::Hann) < 1e-20);
@@ -259,7 +271,7 @@ mod tests {
     }
 
     #[test]
-    fn spreads_are_the_definitions() {
+    fn statistics_agree_with_their_definitions() {
         let one_of = |n: usize| Spread::of((0..n).map(|k| if k == 3 { 1.0 } else { 0.0 })).gini;
         assert!((one_of(100) - 0.99).abs() < 1e-12);
         let s = Spread::of((1..=100).map(f64::from).chain([f64::NAN]));
@@ -270,7 +282,7 @@ mod tests {
     }
 
     #[test]
-    fn bad_paths_are_refused_by_name() {
+    fn bad_paths_are_errors_that_name_the_fault() {
         let frames = along_x(8, |k| k);
         let got = |cutoff| high_energies(&frames, cutoff, Window::Raw).unwrap_err().to_string();
         assert!(got(0).contains("cut-off 0") && got(5).contains("1 to 4"), "{}", got(5));
@@ -278,6 +290,6 @@ mod tests {
         let mut uneven = frames.clone();
         uneven[5].push([0.0; 3]);
         let e = high_energies(&uneven, 2, Window::Raw).unwrap_err();
-        assert_eq!(e, TrajectoryError::Uneven { moment: 5, got: 2, want: 1 });
+        assert_eq!(e, TrajectoryError::Uneven { index: 5, got: 2, want: 1 });
     }
 }

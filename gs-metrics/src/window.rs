@@ -1,17 +1,17 @@
-//! The 11-tap Gaussian window of SSIM, and the vector kernels which run it over rows.
+//! The 11-tap Gaussian window of SSIM, and the SIMD kernels that run it over rows.
 //!
-//! All rows hold interleaved pixels, so tap `k` of a row lies `k·C` values away and no planes are split. The image is
-//! seen as `s = x + y` and `d = x − y`, whose variances give both `σx² + σy² = (σs² + σd²)/2` and
+//! All rows hold interleaved pixels, so tap `k` of a row lies `k·C` values away and no planes are split. The pair is
+//! read as `s = x + y` and `d = x − y`, whose variances give both `σx² + σy² = (σs² + σd²)/2` and
 //! `2σxy = (σs² − σd²)/2`, so with `μ` alike
 //! ```text
 //! ssim = (1 − μd²/B1)·(1 − σd²/B2),   B1 = (μs² + μd²)/2 + C1,   B2 = (σs² + σd²)/2 + C2
 //! ```
-//! which is the usual `(2μxμy + C1)(2σxy + C2) / ((μx² + μy² + C1)(σx² + σy² + C2))` written so that the distance from 1
-//! is a sum of small positive terms and identical images give exactly 1.
+//! which equals `(2μxμy + C1)(2σxy + C2) / ((μx² + μy² + C1)(σx² + σy² + C2))`. In this form the distance from 1 is a sum
+//! of small positive terms, and identical images give exactly 1.
 //!
-//! **Variances do not cancel.** `E[z²] − μ²` loses all digits on flat areas. Instead each one-dimensional variance is
-//! taken about the window's own centre value `z₀`, `v = Σ g (z − z₀)² − (Σ g (z − z₀))²`, where the subtracted term is at
-//! most `(1/g₀ − 1)` = 2.8 times the result; the vertical pass joins rows by the law of total variance,
+//! **Variances do not cancel.** `E[z²] − μ²` loses all digits on flat areas. Each one-dimensional variance is instead
+//! taken about the centre value of its window, `z₀`, `v = Σ g (z − z₀)² − (Σ g (z − z₀))²`, where the subtracted term is at
+//! most `(1/g₀ − 1)` = 2.8 times the result; the vertical pass combines rows by the law of total variance,
 //! `σ² = Σ g_r v_r + var_r(m_r)`, exact because the window is a product `g_r g_k` with sum 1.
 //!
 //! Source: Wang, Bovik, Sheikh, Simoncelli, *Image quality assessment: from error visibility to structural similarity*,
@@ -21,11 +21,11 @@ use fearless_simd::{Simd, SimdBase, SimdFloat};
 
 /// Taps on each side of the centre.
 pub(crate) const RADIUS: usize = 5;
-/// Taps of the window.
+/// Taps of the window along one axis.
 pub(crate) const TAPS: usize = 2 * RADIUS + 1;
 /// Standard deviation of the window in pixels.
 pub(crate) const SIGMA: f64 = 1.5;
-/// Rows are padded to a multiple of this many values, the widest vector in use.
+/// Rows are padded to a multiple of this many values, the widest SIMD vector in use.
 pub(crate) const LANES: usize = 16;
 
 /// The normalised window: weight of the centre, then of the taps at distance 1 to 5.
@@ -35,16 +35,16 @@ pub(crate) fn half_window() -> [f64; RADIUS + 1] {
     g.map(|v| v / sum)
 }
 
-/// Constants of one SSIM evaluation, as the kernels read them.
+/// Constants of one SSIM evaluation, read by the kernels.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Consts {
-    /// The half window.
+    /// The half window: weight of the centre, then of distances 1 to 5.
     pub g: [f32; RADIUS + 1],
-    /// `(K1·range)²`.
+    /// `C1 = (K1·range)²`.
     pub c1: f32,
-    /// `(K2·range)²`.
+    /// `C2 = (K2·range)²`.
     pub c2: f32,
-    /// Multiplies the gradient.
+    /// Factor of the gradient.
     pub scale: f32,
 }
 
@@ -53,7 +53,7 @@ pub(crate) type Rows<'a> = [&'a [f32]; TAPS];
 
 /// Means and variances under the horizontal window.
 ///
-/// `z` is a row padded by `RADIUS·channels` values on both sides; `mean` and `var` get one value per unpadded place.
+/// `z` is a row padded by `RADIUS·channels` values on both sides; `mean` and `var` hold one value per unpadded value.
 #[inline(always)]
 pub(crate) fn horizontal_moments<S: Simd>(
     simd: S,
@@ -82,7 +82,7 @@ pub(crate) fn horizontal_moments<S: Simd>(
     }
 }
 
-/// Mean and variance of the whole window from the rows' means and variances, at values `i..i + LEN`.
+/// Mean and variance of the whole window from the means and variances of its rows, at values `i..i + LEN`.
 #[inline(always)]
 fn vertical_moments<S: Simd>(simd: S, g: &[f32; RADIUS + 1], mean: &Rows, var: &Rows, i: usize) -> (S::f32s, S::f32s) {
     let load = |rows: &Rows, k: usize| S::f32s::from_slice(simd, &rows[k][i..i + S::f32s::LEN]);
@@ -99,29 +99,30 @@ fn vertical_moments<S: Simd>(simd: S, g: &[f32; RADIUS + 1], mean: &Rows, var: &
     (centre + first, second - first * first)
 }
 
-/// Where [`score_row`] writes the cotangents: `u` is blurred as it is, `v_s` and `v_d` multiply `2s` and `2d` after it.
+/// Cotangents written by [`score_row`] and blurred by the window: `u` enters the gradient as it is, `v_s` and `v_d` times `2s`
+/// and `2d`.
 pub(crate) struct Maps<'a> {
     /// `Σ` over `z ∈ {s, d}` of `∂S/∂μz − 2 μz ∂S/∂σz²`.
     pub u: &'a mut [f32],
-    /// `∂S/∂σs²`.
+    /// Cotangent of the variance of `s`, `∂S/∂σs²`.
     pub v_s: &'a mut [f32],
-    /// `∂S/∂σd²`.
+    /// Cotangent of the variance of `d`, `∂S/∂σd²`.
     pub v_d: &'a mut [f32],
 }
 
-/// Row fields the vertical pass reads: mean and variance of `s`, mean and variance of `d`.
+/// Input of the vertical pass: horizontal means and variances of `s` and of `d`.
 pub(crate) struct Fields<'a> {
-    /// Horizontal means of `s − shift`.
+    /// Means of `s` under the horizontal window.
     pub mean_s: Rows<'a>,
-    /// Horizontal variances of `s`.
+    /// Variances of `s` under the horizontal window.
     pub var_s: Rows<'a>,
-    /// Horizontal means of `d`.
+    /// Means of `d` under the horizontal window.
     pub mean_d: Rows<'a>,
-    /// Horizontal variances of `d`.
+    /// Variances of `d` under the horizontal window.
     pub var_d: Rows<'a>,
 }
 
-/// One row of `1 − ssim` (`FULL`) or `1 − contrast·structure`, with its cotangents if `maps` is there.
+/// One row of `1 − ssim` (`FULL`) or `1 − contrast·structure`, and its cotangents into `maps`.
 #[inline(always)]
 pub(crate) fn score_row<S: Simd, const FULL: bool>(
     simd: S,
@@ -145,11 +146,11 @@ pub(crate) fn score_row<S: Simd, const FULL: bool>(
         let (l, k) = (one - p_l, one - p_c);
         let v_s = half * l * p_c * inv_b2;
         let v_d = (half * p_c - one) * l * inv_b2;
-        // The variances may be taken about any value: s about 1 (mid grey) keeps the two terms of the sum small.
+        // The variances may be taken about any value. With s about 1 (mid grey) both terms of the sum stay small.
         let mut u = splat(-2.0) * (v_s * (mu_s - one)).mul_add(one, v_d * mu_d);
         if FULL {
-            let by_mean = k * inv_b1;
-            u = by_mean.mul_add(p_l * mu_s - mu_d * (two - p_l), u);
+            let d_mean = k * inv_b1;
+            u = d_mean.mul_add(p_l * mu_s - mu_d * (two - p_l), u);
         }
         u.store_slice(&mut maps.u[i..i + lanes]);
         v_s.store_slice(&mut maps.v_s[i..i + lanes]);

@@ -1,4 +1,4 @@
-//! The MRF loss: truths, gradients against differences, `f32` against `f64`, hard images, files of weights.
+//! The MRF loss: known values, gradients against central differences, `f32` against `f64`, flat images, bad input.
 //!
 //! | what | tolerance |
 //! |---|---|
@@ -9,10 +9,8 @@
 
 use gs_core::{Image, Rng};
 use gs_metrics::MetricError;
-use gs_metrics::mrf::head::{HeadOptions, layer};
+use gs_metrics::mrf::layer::{LayerOptions, layer_loss};
 use gs_metrics::mrf::{FeatureNet, Mrf, MrfOptions};
-use safetensors::tensor::{Dtype, TensorView};
-use std::path::Path;
 
 fn features(places: usize, channels: usize, seed: u64) -> Vec<f64> {
     let mut rng = Rng::new(seed, "features", 0, 0);
@@ -20,7 +18,7 @@ fn features(places: usize, channels: usize, seed: u64) -> Vec<f64> {
 }
 
 /// The definition, written out.
-fn plain(x: &[f64], y: &[f64], channels: usize, o: &HeadOptions) -> f64 {
+fn plain(x: &[f64], y: &[f64], channels: usize, o: &LayerOptions) -> f64 {
     let places = x.len() / channels;
     let unit = |v: &[f64], i: usize| {
         let mean = y[i * channels..][..channels].iter().sum::<f64>() / channels as f64;
@@ -34,7 +32,7 @@ fn plain(x: &[f64], y: &[f64], channels: usize, o: &HeadOptions) -> f64 {
             let d: Vec<f64> = (0..places)
                 .map(|j| (0.5 * (1.0 - a.iter().zip(unit(y, j)).map(|(a, b)| a * b).sum::<f64>())).clamp(0.0, 1.0))
                 .collect();
-            let least = d.iter().copied().fold(f64::INFINITY, f64::min) + o.floor;
+            let least = d.iter().copied().fold(f64::INFINITY, f64::min) + o.epsilon;
             let w: Vec<f64> = d.iter().map(|d| ((1.0 - d / least) / o.bandwidth).exp()).collect();
             let sum: f64 = w.iter().sum();
             w.into_iter().map(|w| w / sum).collect()
@@ -49,11 +47,11 @@ fn largest(v: &[f64]) -> f64 {
 }
 
 #[test]
-fn a_layer_is_its_definition_and_its_gradient_that_of_differences() {
-    let options = HeadOptions::default();
+fn a_layer_agrees_with_its_definition_and_its_gradient_with_differences() {
+    let options = LayerOptions::default();
     for (places, channels) in [(5, 3), (12, 8), (70, 4)] {
         let (mut x, y) = (features(places, channels, 1), features(places, channels, 2));
-        let (value, grad) = layer(&x, &y, channels, &options, true);
+        let (value, grad) = layer_loss(&x, &y, channels, &options, true);
         assert!((value / plain(&x, &y, channels, &options) - 1.0).abs() < 1e-12, "{places} places");
         let h = 1e-6;
         let scale = largest(&grad);
@@ -68,27 +66,27 @@ fn a_layer_is_its_definition_and_its_gradient_that_of_differences() {
             let want = (at(h) - at(-h)) / (2.0 * h);
             assert!((got - want).abs() < 1e-5 * scale, "{places} places, {k}: {got} {want}");
         }
-        assert!(layer(&x, &y, channels, &options, false).1.is_empty());
+        assert!(layer_loss(&x, &y, channels, &options, false).1.is_empty());
     }
 }
 
 #[test]
-fn production_follows_the_reference() {
+fn f32_agrees_with_f64() {
     let (places, channels) = (300, 64);
     let narrow = |v: &[f64]| v.iter().map(|v| *v as f32).collect::<Vec<f32>>();
     let both = |x: &[f64], y: &[f64]| {
-        let want = layer(x, y, channels, &HeadOptions::default(), true);
-        (want, layer(&narrow(x), &narrow(y), channels, &HeadOptions::default(), true))
+        let want = layer_loss(x, y, channels, &LayerOptions::default(), true);
+        (want, layer_loss(&narrow(x), &narrow(y), channels, &LayerOptions::default(), true))
     };
     let blend = |a: &[f64], near: f64, b: &[f64]| a.iter().zip(b).map(|(a, b)| a + near * b).collect::<Vec<f64>>();
     let (mut worst, mut steepest) = ([0.0f64; 2], 0.0f64);
     for (seed, near) in [1.0, 0.3, 0.1, 0.05].into_iter().enumerate() {
         let seed = seed as u64;
-        // Sixty patches, each there five times with a little noise: every place has several that compete for it.
+        // Sixty patches, each five times with a little noise: every place has several candidates.
         let distinct: Vec<f64> = features(places / 5, channels, seed).repeat(5);
         let [x, y] = [100, 200].map(|k| blend(&distinct, near, &features(places, channels, k + seed)));
         let ((want, d_want), (got, d_got)) = both(&x, &y);
-        assert!(want > 0.1, "nothing competes at {near}: {want}");
+        assert!(want > 0.1, "no candidates at {near}: {want}");
         let scale = largest(&d_want);
         let error = d_got.iter().zip(&d_want).map(|(a, b)| (f64::from(*a) - b).abs() / scale).fold(0.0, f64::max);
         println!("noise {near}: value {want:.4}, off by {:.1e}, gradient by {error:.1e}", got / want - 1.0);
@@ -96,27 +94,27 @@ fn production_follows_the_reference() {
         steepest = steepest.max(scale);
     }
     assert!(worst.iter().all(|w| *w < 1e-3), "{worst:?}");
-    // Each place has one of its own and nothing else near: value and gradient vanish, whatever is rounded.
+    // Each place has exactly one close candidate: value and gradient vanish up to rounding.
     let x = features(places, channels, 9);
     let ((want, d_want), (got, d_got)) = both(&x, &blend(&x, 0.03, &features(places, channels, 109)));
     assert!(want.abs() < 1e-6 && got.abs() < 1e-6, "{want} {got}");
     let slope = d_got.iter().zip(&d_want).map(|(a, b)| (f64::from(*a) - b).abs()).fold(0.0, f64::max);
-    assert!(slope < 1e-3 * steepest, "{slope:e} beside {steepest:e}");
+    assert!(slope < 1e-3 * steepest, "{slope:e} against {steepest:e}");
 }
 
 #[test]
-fn patches_that_stand_apart_and_are_all_found_cost_nothing() {
+fn distinct_patches_that_are_all_found_cost_nothing() {
     // Orthogonal patches: each is at distance 0 from itself and ½ from all others; in any order.
     let channels = 8;
     let mut y = vec![0.0f64; 64];
     (0..8).for_each(|i| y[i * channels + i] = 1.0);
     let turned: Vec<f64> = (0..8).flat_map(|i| y[(i + 3) % 8 * channels..][..channels].to_vec()).collect();
-    let options = HeadOptions::default();
-    assert!(layer(&y, &y, channels, &options, false).0.abs() < 1e-12);
-    assert!(layer(&turned, &y, channels, &options, false).0.abs() < 1e-12);
-    // One patch for all: seven are found by nobody, c = 1 for one of eight.
+    let options = LayerOptions::default();
+    assert!(layer_loss(&y, &y, channels, &options, false).0.abs() < 1e-12);
+    assert!(layer_loss(&turned, &y, channels, &options, false).0.abs() < 1e-12);
+    // One patch everywhere: seven are not found, c = 1 for one of eight.
     let one: Vec<f64> = (0..8).flat_map(|_| y[..channels].to_vec()).collect();
-    assert!((layer(&one, &y, channels, &options, false).0 - 8f64.ln()).abs() < 1e-12);
+    assert!((layer_loss(&one, &y, channels, &options, false).0 - 8f64.ln()).abs() < 1e-12);
 }
 
 fn texture(side: usize, shift: f32, seed: u64) -> Image {
@@ -166,13 +164,12 @@ fn terms_are_weighted_and_named() {
     let (a, b) = (texture(50, 0.0, 1), texture(50, 2.0, 2));
     let terms = small().value(&a, &b).unwrap();
     assert_eq!(terms.total, terms.layers[0] + 2.0 * terms.layers[1]);
-    assert_eq!(small().name(), "mrf-proxy");
     let mut grad = Image::default();
     assert_eq!(small().value_and_grad(&a, &b, &mut grad).unwrap(), terms);
     assert_eq!(grad.shape(), a.shape());
 }
 
-/// The whole way back, through resizing, features and comparison, along random directions of pixels.
+/// The whole backward pass, through resizing, features and comparison, along random directions of pixels.
 #[test]
 fn gradient_of_the_whole_loss_along_directions() {
     let (a, b) = (texture(40, 0.3, 7), texture(40, 0.0, 7));
@@ -197,7 +194,7 @@ fn gradient_of_the_whole_loss_along_directions() {
 }
 
 #[test]
-fn plain_and_black_images_give_finite_gradients() {
+fn flat_and_black_images_give_finite_gradients() {
     let flat = |v: f32| Image { width: 30, height: 20, channels: 3, data: vec![v; 1800] };
     let mut half = flat(0.0);
     half.data[900..].copy_from_slice(&texture(30, 0.0, 3).data[..900]);
@@ -214,7 +211,7 @@ fn plain_and_black_images_give_finite_gradients() {
 }
 
 #[test]
-fn bad_images_and_options_are_refused() {
+fn bad_images_and_options_are_errors() {
     let good = texture(16, 0.0, 1);
     let mut bad = good.clone();
     bad.pixel_mut(3, 2)[1] = f32::NAN;
@@ -238,86 +235,4 @@ fn threads_do_not_change_bits() {
         pool.install(|| (small().value_and_grad(&a, &b, &mut grad).unwrap(), grad.clone()))
     };
     assert!(run(1) == run(5));
-}
-
-const LAYERS: [(usize, usize, usize); 10] = [
-    (0, 3, 64),
-    (2, 64, 64),
-    (5, 64, 128),
-    (7, 128, 128),
-    (10, 128, 256),
-    (12, 256, 256),
-    (14, 256, 256),
-    (16, 256, 256),
-    (19, 256, 512),
-    (21, 512, 512),
-];
-
-/// A network that hands its input on, the first layer from the pixel above.
-fn write_network(path: &Path, spoil: impl Fn(&str, &mut Vec<usize>, &mut Vec<f32>)) {
-    let mut tensors = Vec::new();
-    for (number, inputs, outputs) in LAYERS {
-        let mut weight = vec![0.0f32; outputs * inputs * 9];
-        let tap = if number == 0 { 1 } else { 4 };
-        (0..inputs.min(outputs)).for_each(|i| weight[(i * inputs + i) * 9 + tap] = 1.0);
-        for (what, mut shape, mut values) in
-            [("weight", vec![outputs, inputs, 3, 3], weight), ("bias", vec![outputs], vec![0.0; outputs])]
-        {
-            let name = format!("features.{number}.{what}");
-            spoil(&name, &mut shape, &mut values);
-            let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
-            tensors.push((name, shape, bytes));
-        }
-    }
-    let views = tensors.iter().map(|(n, s, b)| (n.clone(), TensorView::new(Dtype::F32, s.clone(), b).unwrap()));
-    std::fs::write(path, safetensors::serialize(views.collect::<Vec<_>>(), None).unwrap()).unwrap();
-}
-
-#[test]
-fn a_file_of_weights_is_read_in_its_own_order() {
-    let dir = tempfile::tempdir().unwrap();
-    let path = dir.path().join("vgg19.safetensors");
-    write_network(&path, |_, _, _| ());
-    let net = FeatureNet::vgg19(&path).unwrap();
-    assert_eq!((net.name(), net.least_side()), ("id-mrf", 8));
-    // One bright pixel at (4, 3) arrives at row 4, and pooled by 4 at (1, 1).
-    let mut image = Image::zeros(16, 16, 3);
-    image.pixel_mut(4, 3).fill(1.0);
-    let tape = net.forward(&image);
-    let layers: Vec<&Image> = tape.layers().collect();
-    assert_eq!([layers[0].shape(), layers[1].shape()], [(4, 4, 256), (2, 2, 512)]);
-    let bright = (1.0 - 0.485f32) / 0.229;
-    for (x, y) in (0..4).flat_map(|y| (0..4).map(move |x| (x, y))) {
-        let want = if (x, y) == (1, 1) { bright } else { 0.0 };
-        assert!((layers[0].pixel(x, y)[0] - want).abs() < 1e-5, "({x}, {y}): {}", layers[0].pixel(x, y)[0]);
-        assert_eq!(layers[0].pixel(x, y)[3], 0.0);
-    }
-    let mut d: Vec<Image> = layers.iter().map(|l| Image::zeros(l.width, l.height, l.channels)).collect();
-    d[0].pixel_mut(1, 1)[0] = 1.0;
-    d[1].pixel_mut(0, 0)[0] = 2.0;
-    let back = net.backward(&tape, &d);
-    assert!((back.pixel(4, 3)[0] - 3.0 / 0.229).abs() < 1e-4, "{}", back.pixel(4, 3)[0]);
-    assert_eq!(back.data.iter().filter(|v| **v != 0.0).count(), 1);
-}
-
-#[test]
-fn files_without_the_network_are_refused_by_name() {
-    let dir = tempfile::tempdir().unwrap();
-    let path = dir.path().join("vgg19.safetensors");
-    let error = || FeatureNet::vgg19(&path).unwrap_err().to_string();
-    assert!(error().contains("cannot read"), "{}", error());
-    std::fs::write(&path, b"not a network").unwrap();
-    assert!(error().contains("is not a safetensors file"), "{}", error());
-    write_network(&path, |name, shape, _| {
-        if name == "features.7.weight" {
-            shape.swap(0, 2);
-        }
-    });
-    assert!(error().contains("`features.7.weight` must be f32 of shape [128, 128, 3, 3]"), "{}", error());
-    write_network(&path, |name, _, values| {
-        if name == "features.19.bias" {
-            values[5] = f32::INFINITY;
-        }
-    });
-    assert!(error().contains("`features.19.bias`, value 5 is not finite"), "{}", error());
 }

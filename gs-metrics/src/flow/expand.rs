@@ -1,35 +1,35 @@
-//! Quadratics fitted to the neighbourhood of every pixel.
+//! The quadratic fitted to the neighbourhood of every pixel (polynomial expansion).
 //!
 //! With the window `g(x) ∝ exp(−x²/2σ²)` of 11 taps, normalised to sum 1, and moments in both directions,
 //! ```text
 //! b_x = i₁₁⟨x⟩,  b_y = i₁₁⟨y⟩,  A_xx = i₀₃⟨1⟩ + i₃₃⟨x²⟩,  A_yy = i₀₃⟨1⟩ + i₃₃⟨y²⟩,  A_xy = i₅₅⟨xy⟩
 //! ```
 //! where `i` are entries of the inverse of the 6 × 6 matrix of moments. The taps `i₀₃ g + i₃₃ x² g` sum to 0, as a constant
-//! has no curvature: they are applied to differences from the centre, so that bright areas lose no digits.
-//! Nearest values outside the image.
+//! has no curvature. They are applied to differences from the centre, so that bright areas lose no digits. Values outside the
+//! image are the nearest ones.
 
 use fearless_simd::{Level, Simd, dispatch};
 use rayon::prelude::*;
 
-/// Values kept of each pixel: `b_y, b_x, A_yy, A_xx, A_xy`.
-pub const TERMS: usize = 5;
+/// Coefficients of each pixel: `b_y, b_x, A_yy, A_xx, A_xy`.
+pub(super) const TERMS: usize = 5;
 /// Half width of the window.
 const RADIUS: usize = 5;
 /// Standard deviation of the window in pixels.
 const SIGMA: f64 = 1.2;
-/// Rows made together: their windows overlap.
+/// Output rows of one parallel task.
 const BAND: usize = 16;
 
 /// One-sided taps, index = distance from the centre.
 struct Taps {
-    /// The window.
+    /// The window `g`.
     smooth: [f32; RADIUS + 1],
-    /// `i₁₁ x g`: a slope.
+    /// `i₁₁ x g`: the first derivative.
     slope: [f32; RADIUS + 1],
-    /// `(i₅₅/i₁₁) x g`: a slope of slopes.
-    twist: [f32; RADIUS + 1],
-    /// `i₀₃ g + i₃₃ x² g`: a curvature.
-    bend: [f32; RADIUS + 1],
+    /// `(i₅₅/i₁₁) x g`: the mixed derivative, applied to slopes.
+    mixed: [f32; RADIUS + 1],
+    /// `i₀₃ g + i₃₃ x² g`: half the second derivative.
+    curvature: [f32; RADIUS + 1],
 }
 
 impl Taps {
@@ -49,22 +49,22 @@ impl Taps {
         Self {
             smooth: g.map(|v| v as f32),
             slope: std::array::from_fn(|k| (i11 * x(k) * g[k]) as f32),
-            twist: std::array::from_fn(|k| (i55 / i11 * x(k) * g[k]) as f32),
-            bend: std::array::from_fn(|k| ((i03 + i33 * x(k) * x(k)) * g[k]) as f32),
+            mixed: std::array::from_fn(|k| (i55 / i11 * x(k) * g[k]) as f32),
+            curvature: std::array::from_fn(|k| ((i03 + i33 * x(k) * x(k)) * g[k]) as f32),
         }
     }
 }
 
-/// Rows of the vertical pass, `RADIUS` values longer on both sides.
+/// One row of the vertical pass, padded by `RADIUS` values on both sides.
 #[derive(Default)]
 struct Columns {
     smooth: Vec<f32>,
     slope: Vec<f32>,
-    bend: Vec<f32>,
+    curvature: Vec<f32>,
 }
 
-/// The fit of a plane `[H, W]` as `[H, TERMS, W]`.
-pub fn expand(plane: &[f32], width: usize, out: &mut Vec<f32>) {
+/// The coefficients `[H, TERMS, W]` of a plane `[H, W]`.
+pub(super) fn expand(plane: &[f32], width: usize, out: &mut Vec<f32>) {
     out.resize(plane.len() * TERMS, 0.0);
     let taps = Taps::new();
     let work = out.par_chunks_mut(BAND * TERMS * width).enumerate();
@@ -74,54 +74,54 @@ pub fn expand(plane: &[f32], width: usize, out: &mut Vec<f32>) {
     });
 }
 
-/// The rows from `first` that `out` holds.
+/// The coefficients of the rows from `first`, as many as `out` holds.
 #[inline(always)]
 fn rows<S: Simd>(_: S, taps: &Taps, plane: &[f32], width: usize, first: usize, columns: &mut Columns, out: &mut [f32]) {
     for (i, out) in out.chunks_exact_mut(TERMS * width).enumerate() {
-        columns.take(taps, plane, width, first + i);
+        columns.vertical_pass(taps, plane, width, first + i);
         let (b_y, out) = out.split_at_mut(width);
         let (b_x, out) = out.split_at_mut(width);
         let (a_yy, out) = out.split_at_mut(width);
         let (a_xx, a_xy) = out.split_at_mut(width);
         even(&columns.slope, &taps.smooth, b_y);
         odd(&columns.smooth, &taps.slope, b_x);
-        even(&columns.bend, &taps.smooth, a_yy);
-        curved(&columns.smooth, &taps.bend, a_xx);
-        odd(&columns.slope, &taps.twist, a_xy);
+        even(&columns.curvature, &taps.smooth, a_yy);
+        zero_sum(&columns.smooth, &taps.curvature, a_xx);
+        odd(&columns.slope, &taps.mixed, a_xy);
     }
 }
 
 impl Columns {
     fn resize(&mut self, n: usize) {
-        for row in [&mut self.smooth, &mut self.slope, &mut self.bend] {
+        for row in [&mut self.smooth, &mut self.slope, &mut self.curvature] {
             row.resize(n, 0.0);
         }
     }
 
     /// The vertical pass of row `y`.
     #[inline(always)]
-    fn take(&mut self, taps: &Taps, plane: &[f32], width: usize, y: usize) {
+    fn vertical_pass(&mut self, taps: &Taps, plane: &[f32], width: usize, y: usize) {
         let last = plane.len() / width - 1;
         let row = |y: usize| &plane[y * width..(y + 1) * width];
         let centre = row(y);
         let inner = RADIUS..RADIUS + width;
-        let (smooth, slope, bend) =
-            (&mut self.smooth[inner.clone()], &mut self.slope[inner.clone()], &mut self.bend[inner]);
+        let (smooth, slope, curvature) =
+            (&mut self.smooth[inner.clone()], &mut self.slope[inner.clone()], &mut self.curvature[inner]);
         for x in 0..width {
             smooth[x] = taps.smooth[0] * centre[x];
             slope[x] = 0.0;
-            bend[x] = 0.0;
+            curvature[x] = 0.0;
         }
         for k in 1..=RADIUS {
             let (up, down) = (row(y.saturating_sub(k)), row((y + k).min(last)));
-            let (g, s, b) = (taps.smooth[k], taps.slope[k], taps.bend[k]);
+            let (g, s, b) = (taps.smooth[k], taps.slope[k], taps.curvature[k]);
             for x in 0..width {
                 smooth[x] += g * (up[x] + down[x]);
                 slope[x] += s * (down[x] - up[x]);
-                bend[x] += b * ((up[x] - centre[x]) + (down[x] - centre[x]));
+                curvature[x] += b * ((up[x] - centre[x]) + (down[x] - centre[x]));
             }
         }
-        for row in [&mut self.smooth, &mut self.slope, &mut self.bend] {
+        for row in [&mut self.smooth, &mut self.slope, &mut self.curvature] {
             let (low, high) = (row[RADIUS], row[RADIUS + width - 1]);
             row[..RADIUS].fill(low);
             row[RADIUS + width..].fill(high);
@@ -129,7 +129,7 @@ impl Columns {
     }
 }
 
-/// The taps on sums of both sides.
+/// Symmetric taps along a row.
 #[inline(always)]
 fn even(line: &[f32], taps: &[f32; RADIUS + 1], out: &mut [f32]) {
     let n = out.len();
@@ -143,7 +143,7 @@ fn even(line: &[f32], taps: &[f32; RADIUS + 1], out: &mut [f32]) {
     }
 }
 
-/// The taps on differences of both sides.
+/// Antisymmetric taps along a row.
 #[inline(always)]
 fn odd(line: &[f32], taps: &[f32; RADIUS + 1], out: &mut [f32]) {
     let n = out.len();
@@ -157,9 +157,9 @@ fn odd(line: &[f32], taps: &[f32; RADIUS + 1], out: &mut [f32]) {
     }
 }
 
-/// Taps that sum to 0, on differences from the centre.
+/// Symmetric taps with sum 0, applied to differences from the centre.
 #[inline(always)]
-fn curved(line: &[f32], taps: &[f32; RADIUS + 1], out: &mut [f32]) {
+fn zero_sum(line: &[f32], taps: &[f32; RADIUS + 1], out: &mut [f32]) {
     let n = out.len();
     let line = &line[..n + 2 * RADIUS];
     for x in 0..n {
@@ -177,18 +177,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn taps_are_the_published_inverse() {
+    fn taps_agree_with_the_published_inverse() {
         let t = Taps::new();
         let g = f64::from(t.smooth[2]);
         let close = |a: f32, b: f64| assert!((f64::from(a) - b).abs() < 1e-7, "{a} {b}");
         close(t.slope[2], 0.694_486_393_0 * 2.0 * g);
-        close(t.twist[2], 0.482_311_346_2 / 0.694_486_393_0 * 2.0 * g);
-        close(t.bend[0], -0.347_453_530_6 * f64::from(t.smooth[0]));
-        close(t.bend[2], (-0.347_453_530_6 + 4.0 * 0.241_301_747_3) * g);
+        close(t.mixed[2], 0.482_311_346_2 / 0.694_486_393_0 * 2.0 * g);
+        close(t.curvature[0], -0.347_453_530_6 * f64::from(t.smooth[0]));
+        close(t.curvature[2], (-0.347_453_530_6 + 4.0 * 0.241_301_747_3) * g);
     }
 
     #[test]
-    fn a_quadratic_is_found_again() {
+    fn a_quadratic_is_recovered() {
         let (w, h) = (23usize, 19usize);
         let f = |x: f64, y: f64| 90.0 + 0.7 * x - 1.1 * y + 0.03 * x * x - 0.05 * y * y + 0.04 * x * y;
         let plane: Vec<f32> = (0..w * h).map(|i| f((i % w) as f64, (i / w) as f64) as f32).collect();

@@ -1,4 +1,4 @@
-//! From frames to flow, coarse to fine.
+//! The pyramid of Farneback's method: frames, their expansions, and the flow from coarse to fine.
 
 use gs_core::Image;
 
@@ -9,23 +9,39 @@ use super::resample::{Axis, resample};
 use super::solve::{equations, solve};
 use crate::error::MetricError;
 
-/// Halvings of the frame at most.
+/// Largest number of halvings of the frame.
 const HALVINGS: u32 = 3;
-/// No side of the coarsest level is shorter, pixels.
-const LEAST_SIDE: f64 = 32.0;
-/// Solutions at each level.
+/// Shortest side of the coarsest level, pixels.
+const MIN_SIDE: f64 = 32.0;
+/// Least-squares solutions at each level of the pyramid.
 const ITERATIONS: usize = 3;
 
-/// A frame made ready for flow: quadratics around every pixel at every scale. Made by [`Farneback::expand`].
+/// A frame prepared for [`Farneback::between`]: the quadratic around every pixel at every scale. [`Farneback::expand`] fills it.
 #[derive(Clone, Debug, Default)]
 pub struct Expansion {
     width: usize,
     height: usize,
-    /// `[H, 5, W]` of each level, the finest first.
+    /// Coefficients `[H, 5, W]` of each level, finest first.
     levels: Vec<Vec<f32>>,
 }
 
-/// Estimates flow, and keeps its buffers between calls.
+/// Estimates optical flow and keeps its buffers between calls. In a sequence, expand each frame once:
+///
+/// ```
+/// use gs_core::Image;
+/// use gs_metrics::flow::{Expansion, Farneback, Flow, farneback};
+/// let frame = |seed: usize| {
+///     let data = (0..1536).map(|i| (i * i % (97 + seed)) as f32 / 100.0).collect();
+///     Image { width: 48, height: 32, channels: 1, data }
+/// };
+/// let (mut estimate, mut flow) = (Farneback::default(), Flow::default());
+/// let mut expansions = [Expansion::default(), Expansion::default()];
+/// estimate.expand(&frame(0), &mut expansions[0])?;
+/// estimate.expand(&frame(1), &mut expansions[1])?;
+/// estimate.between(&expansions[0], &expansions[1], &mut flow)?;
+/// assert_eq!(flow, farneback(&frame(0), &frame(1))?);
+/// # Ok::<(), gs_metrics::MetricError>(())
+/// ```
 #[derive(Clone, Debug, Default)]
 pub struct Farneback {
     plane: Vec<f32>,
@@ -35,7 +51,7 @@ pub struct Farneback {
     frames: [Expansion; 2],
 }
 
-/// Flow from `first` to `second`, images `[H, W, 1 or 3]` in `[0, 1]`; they are rounded to 8 bit first ([`grey`](fn@grey)).
+/// Flow from `first` to `second`, images `[H, W, 1 or 3]` in `[0, 1]`, which are rounded to 8 bits first ([`grey`](fn@grey)).
 ///
 /// # Errors
 /// Different shapes, 2 or 4 channels, or a value that is not finite.
@@ -43,11 +59,11 @@ pub struct Farneback {
 /// ```
 /// use gs_core::Image;
 /// let wave = |x: f32, y: f32| 0.5 + 0.2 * (0.3 * x).sin() + 0.2 * (0.25 * y).cos();
-/// let still = |dx: f32| {
+/// let frame = |dx: f32| {
 ///     let data = (0..64 * 48).map(|i| wave((i % 64) as f32 - dx, (i / 64) as f32)).collect();
 ///     Image { width: 64, height: 48, channels: 1, data }
 /// };
-/// let flow = gs_metrics::flow::farneback(&still(0.0), &still(1.5))?;
+/// let flow = gs_metrics::flow::farneback(&frame(0.0), &frame(1.5))?;
 /// let [u, v] = flow.at(32, 24);
 /// assert!((u - 1.5).abs() < 0.05 && v.abs() < 0.05);
 /// # Ok::<(), gs_metrics::MetricError>(())
@@ -59,19 +75,19 @@ pub fn farneback(first: &Image, second: &Image) -> Result<Flow, MetricError> {
 }
 
 impl Farneback {
-    /// Flow of a pair; see [`farneback`].
+    /// Flow from `first` to `second`, into `out`; see [`farneback`].
     ///
     /// # Errors
     /// Those of [`farneback`].
     pub fn flow(&mut self, first: &Image, second: &Image, out: &mut Flow) -> Result<(), MetricError> {
         let mut frames = std::mem::take(&mut self.frames);
-        let done = self.expand(first, &mut frames[0]).and_then(|()| self.expand(second, &mut frames[1]));
-        let done = done.and_then(|()| self.between(&frames[0], &frames[1], out));
+        let result = self.expand(first, &mut frames[0]).and_then(|()| self.expand(second, &mut frames[1]));
+        let result = result.and_then(|()| self.between(&frames[0], &frames[1], out));
         self.frames = frames;
-        done
+        result
     }
 
-    /// Expands a frame, once for all pairs it belongs to.
+    /// Expands a frame `[H, W, 1 or 3]` in `[0, 1]` into `out`, for all pairs it belongs to.
     ///
     /// # Errors
     /// A malformed image, 2 or 4 channels, or a value that is not finite.
@@ -93,7 +109,7 @@ impl Farneback {
         Ok(())
     }
 
-    /// Flow from one expanded frame to another.
+    /// Flow from the first expanded frame to the second, into `out`.
     ///
     /// # Errors
     /// If the frames have different sizes, or one was never expanded.
@@ -123,13 +139,13 @@ impl Farneback {
     }
 }
 
-/// How often a frame is halved.
+/// Number of halvings of a frame.
 fn halvings(w: usize, h: usize) -> u32 {
     let side = w.min(h) as f64;
-    (1..=HALVINGS).take_while(|k| side * 0.5f64.powi(*k as i32) >= LEAST_SIDE).last().unwrap_or(0)
+    (1..=HALVINGS).take_while(|k| side * 0.5f64.powi(*k as i32) >= MIN_SIDE).last().unwrap_or(0)
 }
 
-/// Width and height after `k` halvings.
+/// Width and height in pixels after `k` halvings.
 fn level_size(w: usize, h: usize, k: usize) -> (usize, usize) {
     let scaled = |n: usize| (n as f64 * 0.5f64.powi(k as i32)).round_ties_even() as usize;
     (scaled(w), scaled(h))
@@ -153,7 +169,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn levels_and_kernels_are_those_of_the_description() {
+    fn levels_and_kernels_agree_with_the_description() {
         assert_eq!([31, 63, 64, 127, 128, 255, 256, 4000].map(|n| halvings(n, 4000)), [0, 0, 1, 1, 2, 2, 3, 3]);
         assert_eq!(level_size(741, 499, 1), (370, 250));
         assert_eq!([0, 1, 2, 3].map(|k| blur_kernel(k).len()), [3, 3, 9, 19]);

@@ -1,4 +1,4 @@
-//! What is measured from flows.
+//! Warping by a flow, and statistics of flows.
 //!
 //! Sums are `f64`, in the order of pixels.
 
@@ -7,29 +7,36 @@ use gs_core::Image;
 use super::Flow;
 use crate::error::{MetricError, check_finite, check_image};
 
-/// What a flow's length is compared with, to have no unit.
+/// The length in pixels by which the displacements of a flow are divided.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Reference {
-    /// The longest displacement of the map.
+    /// The length of the longest displacement.
     Longest,
-    /// The length which this share of the pixels (in `(0, 1]`) does not exceed: deaf to a few wild displacements.
+    /// This quantile, in `(0, 1]`, of the lengths: robust against a few outliers.
     Quantile(f64),
 }
 
-/// How much of the motion lies inside a mask.
+/// The motion inside a mask relative to the motion outside.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MaskContrast {
-    /// The length everything is divided by, pixels.
+    /// The length that [`Reference`] selects, pixels.
     pub reference: f64,
-    /// Mean of `|flow| / reference` inside.
+    /// Mean of `|flow| / reference` inside the mask.
     pub inside: f64,
-    /// The same outside.
+    /// Mean of `|flow| / reference` outside the mask.
     pub outside: f64,
-    /// Mean length inside over that outside; absent where nothing moves outside.
+    /// `inside / outside`; `None` if nothing moves outside.
     pub ratio: Option<f64>,
 }
 
-/// Mean distance in pixels between the displacements of two flows.
+/// Mean Euclidean distance in pixels between the displacements of two flows.
+///
+/// ```
+/// use gs_metrics::flow::{Flow, end_point_error};
+/// let moving = Flow { u: vec![3.0; 6], v: vec![4.0; 6], ..Flow::zeros(3, 2) };
+/// assert_eq!(end_point_error(&moving, &Flow::zeros(3, 2))?, 5.0);
+/// # Ok::<(), gs_metrics::MetricError>(())
+/// ```
 ///
 /// # Errors
 /// Different sizes, malformed flows, or a value that is not finite.
@@ -45,11 +52,12 @@ pub fn end_point_error(a: &Flow, b: &Flow) -> Result<f64, MetricError> {
     Ok(sum / a.u.len() as f64)
 }
 
-/// Spread of the directions, `1 − |mean of (cos θ, sin θ)|`: 0 if all go one way, near 1 if they go every way. Counted are
-/// displacements of at least `least > 0` pixels, inside the mask `[H, W, 1]` (weights) if there is one; absent if none is.
+/// Circular variance of the directions, `1 − |mean of (cos θ, sin θ)|`: 0 if all displacements are parallel, near 1 if they point
+/// in all directions. Counted are displacements of at least `least > 0` pixels, weighted by the mask `[H, W, 1]` if there is
+/// one. `None` if no displacement counts.
 ///
 /// # Errors
-/// A malformed flow, a mask of another size or with negative weights, a value that is not finite, `least` not positive.
+/// A malformed flow, a mask of another size or with negative weights, a value that is not finite, or `least` not positive.
 pub fn circular_variance(flow: &Flow, mask: Option<&Image>, least: f32) -> Result<Option<f64>, MetricError> {
     flow.check("flow")?;
     mask.map_or(Ok(()), |m| check_mask(flow, m))?;
@@ -69,7 +77,7 @@ pub fn circular_variance(flow: &Flow, mask: Option<&Image>, least: f32) -> Resul
     Ok((total > 0.0).then(|| (1.0 - cos.hypot(sin) / total).max(0.0)))
 }
 
-/// Mean length of the flow inside a mask `[H, W, 1]` (weights in `[0, 1]`) against that outside.
+/// Mean length of the flow inside and outside a mask `[H, W, 1]` (weights in `[0, 1]`).
 ///
 /// # Errors
 /// A malformed flow, a mask of another size or outside `[0, 1]`, a mask that is 0 or 1 everywhere, a quantile out of range.
@@ -85,11 +93,11 @@ pub fn mask_contrast(flow: &Flow, mask: &Image, reference: Reference) -> Result<
             sum[1] += weight;
         }
     }
-    let [[inside, within], [outside, without]] = sums;
-    if within == 0.0 || without == 0.0 {
+    let [[inside, weight_inside], [outside, weight_outside]] = sums;
+    if weight_inside == 0.0 || weight_outside == 0.0 {
         return Err(MetricError::EmptyMask);
     }
-    let (inside, outside) = (inside / within, outside / without);
+    let (inside, outside) = (inside / weight_inside, outside / weight_outside);
     let reference = f64::from(reference_length(lengths, reference)?);
     let of = |mean: f64| if reference > 0.0 { mean / reference } else { 0.0 };
     let ratio = (outside > 0.0).then(|| inside / outside);
@@ -123,7 +131,7 @@ fn check_mask(flow: &Flow, mask: &Image) -> Result<(), MetricError> {
 }
 
 /// See [`Flow::warp`].
-pub fn warp(flow: &Flow, image: &Image) -> Result<Image, MetricError> {
+pub(super) fn warp(flow: &Flow, image: &Image) -> Result<Image, MetricError> {
     flow.check("flow")?;
     check_image("image", image)?;
     let (w, h, c) = image.shape();
@@ -179,21 +187,21 @@ mod tests {
     }
 
     #[test]
-    fn directions_spread_from_zero_to_one() {
-        let one_way = flow(8, 8, |x, _| [x as f32, x as f32]);
-        assert!(circular_variance(&one_way, None, 0.5).unwrap().unwrap() < 1e-7);
-        let both = flow(8, 8, |x, _| if x < 4 { [2.0, 0.0] } else { [-1.0, 0.0] });
-        assert_eq!(circular_variance(&both, None, 0.5).unwrap(), Some(1.0));
-        assert_eq!(circular_variance(&both, Some(&left_half(8, 8)), 0.5).unwrap(), Some(0.0));
-        assert_eq!(circular_variance(&both, None, 3.0).unwrap(), None);
-        assert!(circular_variance(&both, None, 0.0).is_err());
+    fn the_circular_variance_runs_from_zero_to_one() {
+        let parallel = flow(8, 8, |x, _| [x as f32, x as f32]);
+        assert!(circular_variance(&parallel, None, 0.5).unwrap().unwrap() < 1e-7);
+        let opposite = flow(8, 8, |x, _| if x < 4 { [2.0, 0.0] } else { [-1.0, 0.0] });
+        assert_eq!(circular_variance(&opposite, None, 0.5).unwrap(), Some(1.0));
+        assert_eq!(circular_variance(&opposite, Some(&left_half(8, 8)), 0.5).unwrap(), Some(0.0));
+        assert_eq!(circular_variance(&opposite, None, 3.0).unwrap(), None);
+        assert!(circular_variance(&opposite, None, 0.0).is_err());
         let corner = flow(2, 1, |x, _| if x == 0 { [1.0, 0.0] } else { [0.0, 1.0] });
         let got = circular_variance(&corner, None, 0.5).unwrap().unwrap();
         assert!((got - (1.0 - 0.5f64.sqrt())).abs() < 1e-12, "{got}");
     }
 
     #[test]
-    fn motion_inside_a_mask_against_outside() {
+    fn motion_inside_and_outside_a_mask() {
         let f = flow(8, 5, |x, y| if x < 4 { [0.0, 3.0] } else { [if y == 0 { 5.0 } else { 0.0 }, 0.0] });
         let got = mask_contrast(&f, &left_half(8, 5), Reference::Longest).unwrap();
         assert_eq!((got.reference, got.inside, got.outside, got.ratio), (5.0, 0.6, 0.2, Some(3.0)));
@@ -208,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn warping_pulls_the_second_image_back() {
+    fn warping_resamples_the_second_image() {
         let image = Image { width: 5, height: 1, channels: 1, data: vec![0.0, 1.0, 2.0, 3.0, 4.0] };
         let got = flow(5, 1, |_, _| [1.5, 9.0]).warp(&image).unwrap();
         assert_eq!(got.data, [1.5, 2.5, 3.5, 4.0, 4.0]);

@@ -1,13 +1,13 @@
-//! Blur and bilinear resampling as one pair of weighted sums, along y and then along x.
+//! Blur and bilinear resampling combined in one weighted sum per axis, along y and then along x.
 //!
-//! The pyramid of Farneback's method blurs the frame at full size and then reads it with half-pixel centres; only the
-//! rows that are read are blurred here. The blur reflects at the border without repeating the edge, the reading repeats it.
+//! The pyramid of Farneback's method blurs the frame at full size and then samples it at half-pixel centres; only the rows
+//! that are sampled are blurred here. The blur reflects at the border without repeating the edge value, sampling repeats it.
 
 use rayon::prelude::*;
 
-/// The weights of one axis: output `i` is the sum of `taps` neighbours from `first[i]`, which may lie outside.
+/// The weights of one axis: output `i` is the weighted sum of `taps` values from index `first[i]`, which may lie outside.
 #[derive(Debug)]
-pub struct Axis {
+pub(super) struct Axis {
     taps: usize,
     first: Vec<isize>,
     weights: Vec<f32>,
@@ -15,23 +15,23 @@ pub struct Axis {
 }
 
 impl Axis {
-    /// Reads `from` values, blurred by `kernel` (odd length), at `to` places.
-    pub fn new(from: usize, to: usize, kernel: &[f32]) -> Self {
+    /// Samples `from` values, blurred by `kernel` (odd length), at `to` places.
+    pub(super) fn new(from: usize, to: usize, kernel: &[f32]) -> Self {
         let (radius, taps) = ((kernel.len() / 2) as isize, kernel.len() + 1);
         let step = from as f64 / to as f64;
         let (mut first, mut weights) = (Vec::with_capacity(to), vec![0.0; to * taps]);
         for (i, weights) in weights.chunks_exact_mut(taps).enumerate() {
-            // In f32 as OpenCV has it: the rounding shows in the weights of wide images.
+            // f32 as in OpenCV: its rounding is visible in the weights of wide images.
             let place = ((i as f64 + 0.5) * step - 0.5) as f32;
-            let (mut at, mut part) = (place.floor() as isize, place - place.floor());
+            let (mut at, mut fraction) = (place.floor() as isize, place - place.floor());
             if at < 0 {
-                (at, part) = (0, 0.0);
+                (at, fraction) = (0, 0.0);
             } else if at + 1 >= from as isize {
-                (at, part) = (from as isize - 1, 0.0);
+                (at, fraction) = (from as isize - 1, 0.0);
             }
             for (k, g) in kernel.iter().enumerate() {
-                weights[k] += (1.0 - part) * g;
-                weights[k + 1] += part * g;
+                weights[k] += (1.0 - fraction) * g;
+                weights[k + 1] += fraction * g;
             }
             first.push(at - radius);
         }
@@ -50,14 +50,14 @@ fn reflect(i: isize, n: usize) -> usize {
     if last == 0 {
         return 0;
     }
-    let turn = i.rem_euclid(2 * last);
-    turn.min(2 * last - turn) as usize
+    let phase = i.rem_euclid(2 * last);
+    phase.min(2 * last - phase) as usize
 }
 
-/// Resamples a plane `[H, W]` to the lengths of the axes, times `factor`, into `out`.
-pub fn resample(plane: &[f32], columns: &Axis, rows: &Axis, factor: f32, out: &mut [f32]) {
+/// Resamples a plane `[H, W]` along both axes and multiplies it by `factor`, into `out`.
+pub(super) fn resample(plane: &[f32], columns: &Axis, rows: &Axis, factor: f32, out: &mut [f32]) {
     let (width, out_width) = (columns.length, columns.first.len());
-    // Columns beside the row which the first and last outputs ask for.
+    // Columns outside the row that the first and last outputs read.
     let left = columns.first.first().map_or(0, |f| (-f).max(0)) as usize;
     let right = columns.first.last().map_or(0, |f| f + columns.taps as isize - width as isize).max(0) as usize;
     out.par_chunks_mut(out_width).enumerate().for_each_init(
@@ -96,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn a_ramp_is_read_at_half_pixels_and_held_at_the_ends() {
+    fn a_ramp_is_sampled_at_half_pixels_and_constant_outside() {
         let ramp = [0.0, 1.0, 2.0, 3.0];
         let mut out = [0.0; 8];
         resample(&ramp, &Axis::new(4, 8, &[1.0]), &Axis::new(1, 1, &[1.0]), 2.0, &mut out);

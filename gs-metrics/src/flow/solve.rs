@@ -1,4 +1,4 @@
-//! The equations of every pixel, and their least squares over a box.
+//! The normal equations of every pixel, and their solution over a box.
 
 use fearless_simd::{Level, Simd, dispatch};
 use rayon::prelude::*;
@@ -6,37 +6,37 @@ use rayon::prelude::*;
 use super::Flow;
 use super::expand::TERMS;
 
-/// Weights of equations near the border, by distance from it: fits there saw repeated pixels.
+/// Weights of equations near the border, by distance from it in pixels: fits there contain repeated pixels.
 const BORDER: [f32; 5] = [0.14, 0.14, 0.4472, 0.4472, 0.4472];
-/// Half width of the box.
+/// Half width of the box, pixels.
 const RADIUS: usize = 7;
-/// Width of the box.
+/// Width of the box, pixels.
 const BOX: usize = 2 * RADIUS + 1;
-/// Added to the determinant.
-const FLOOR: f64 = 1e-3;
-/// Rows solved together: their boxes overlap.
+/// Added to the determinant; grey values to the fourth power.
+const DETERMINANT_EPSILON: f64 = 1e-3;
+/// Rows of one parallel task.
 const BAND: usize = 32;
 
-/// Normal equations `[H, TERMS, W]` of every pixel, from the fits of both frames (`[H, TERMS, W]`) around `flow`:
+/// Normal equations `[H, TERMS, W]` of every pixel, from the coefficients of both frames (`[H, TERMS, W]`) around `flow`:
 /// `A_yy² + A_xy²`, `(A_yy + A_xx) A_xy`, `A_xx² + A_xy²`, and the right-hand sides for v and for u.
-pub fn equations(first: &[f32], second: &[f32], flow: &Flow, out: &mut Vec<f32>) {
+pub(super) fn equations(first: &[f32], second: &[f32], flow: &Flow, out: &mut Vec<f32>) {
     let (w, h) = (flow.width, flow.height);
     out.resize(w * h * TERMS, 0.0);
-    let near = |at: usize, n: usize| BORDER.get(at).unwrap_or(&1.0) * BORDER.get(n - 1 - at).unwrap_or(&1.0);
-    let columns: Vec<f32> = (0..w).map(|x| near(x, w)).collect();
+    let border = |at: usize, n: usize| BORDER.get(at).unwrap_or(&1.0) * BORDER.get(n - 1 - at).unwrap_or(&1.0);
+    let columns: Vec<f32> = (0..w).map(|x| border(x, w)).collect();
     out.par_chunks_mut(TERMS * w).enumerate().for_each_init(
         || vec![0.0f32; TERMS * w],
         |moved, (y, out)| {
             let (u, v) = (&flow.u[y * w..(y + 1) * w], &flow.v[y * w..(y + 1) * w]);
             let row = &first[y * TERMS * w..(y + 1) * TERMS * w];
             read_moved(second, row, u, v, y, h, moved);
-            dispatch!(Level::new(), simd => combine(simd, row, moved, [u, v], near(y, h), &columns, out));
+            dispatch!(Level::new(), simd => combine(simd, row, moved, [u, v], border(y, h), &columns, out));
         },
     );
 }
 
-/// The second frame's fits at the ends of the flow of row `y`, bilinear, `[TERMS, W]`; where the end is outside, values that
-/// say nothing new: no slope, and the curvature of the first frame.
+/// The coefficients of the second frame at the ends of the flow of row `y`, bilinear, `[TERMS, W]`. Where the end is outside:
+/// slope 0 and the curvature of the first frame.
 #[inline(always)]
 fn read_moved(second: &[f32], first: &[f32], u: &[f32], v: &[f32], y: usize, h: usize, out: &mut [f32]) {
     let w = u.len();
@@ -48,7 +48,6 @@ fn read_moved(second: &[f32], first: &[f32], u: &[f32], v: &[f32], y: usize, h: 
         if !inside {
             (0..2).for_each(|t| out[t * w + x] = 0.0);
             (2..4).for_each(|t| out[t * w + x] = first[t * w + x]);
-            // Of A_xy only half is kept.
             out[4 * w + x] = first[4 * w + x];
             continue;
         }
@@ -63,14 +62,14 @@ fn read_moved(second: &[f32], first: &[f32], u: &[f32], v: &[f32], y: usize, h: 
     }
 }
 
-/// The equations of a row whose border weights are `near · columns`.
+/// The equations of a row whose border weights are `row_weight · columns`.
 #[inline(always)]
 fn combine<S: Simd>(
     _: S,
     first: &[f32],
     moved: &[f32],
     [u, v]: [&[f32]; 2],
-    near: f32,
+    row_weight: f32,
     columns: &[f32],
     out: &mut [f32],
 ) {
@@ -84,7 +83,7 @@ fn combine<S: Simd>(
     let (m3, m4) = out.split_at_mut(w);
     let m4 = &mut m4[..w];
     for x in 0..w {
-        let weight = near * columns[x];
+        let weight = row_weight * columns[x];
         let (yy, xx, xy) = (0.5 * (yy0[x] + yy1[x]), 0.5 * (xx0[x] + xx1[x]), 0.25 * (xy0[x] + xy1[x]));
         let p = weight * (0.5 * (by0[x] - by1[x]) + yy * v[x] + xy * u[x]);
         let q = weight * (0.5 * (bx0[x] - bx1[x]) + xy * v[x] + xx * u[x]);
@@ -103,10 +102,10 @@ fn planes(row: &[f32], w: usize) -> [&[f32]; TERMS] {
     std::array::from_fn(|t| &row[t * w..(t + 1) * w])
 }
 
-/// Sums of a band at work.
+/// Sums of one band.
 #[derive(Default)]
 struct Sums {
-    /// Over the rows of the box, `[TERMS, W + 2·RADIUS]`, the ends repeated.
+    /// Over the rows of the box, `[TERMS, W + 2·RADIUS]`, with repeated ends.
     columns: Vec<f64>,
     /// Over runs of 2, 4 and 8 columns, of one term.
     runs: [Vec<f64>; 3],
@@ -114,8 +113,8 @@ struct Sums {
     boxes: Vec<f64>,
 }
 
-/// The flow which fits the equations `[H, TERMS, W]` best in a box around every pixel, nearest equations outside.
-pub fn solve(equations: &[f32], flow: &mut Flow) {
+/// The least-squares solution of the equations `[H, TERMS, W]` in a box around every pixel, with the nearest equations outside.
+pub(super) fn solve(equations: &[f32], flow: &mut Flow) {
     let (w, h) = (flow.width, flow.height);
     let work = flow.u.par_chunks_mut(BAND * w).zip(flow.v.par_chunks_mut(BAND * w)).enumerate();
     work.for_each_init(Sums::default, |sums, (band, (u, v))| {
@@ -123,7 +122,7 @@ pub fn solve(equations: &[f32], flow: &mut Flow) {
     });
 }
 
-#[allow(clippy::too_many_arguments, reason = "one call; a struct would only rename them")]
+#[allow(clippy::too_many_arguments, reason = "one call site; a struct would only repeat the names")]
 #[inline(always)]
 fn solve_band<S: Simd>(
     _: S,
@@ -145,7 +144,7 @@ fn solve_band<S: Simd>(
     for (i, (u, v)) in u.chunks_exact_mut(w).zip(v.chunks_exact_mut(w)).enumerate() {
         let y = (first + i) as isize;
         if i > 0 {
-            sums.exchange(row(y - reach - 1), row(y + reach), w);
+            sums.move_down(row(y - reach - 1), row(y + reach), w);
         }
         sums.over_columns(w);
         solve_row(&sums.boxes, u, v);
@@ -172,9 +171,9 @@ impl Sums {
         }
     }
 
-    /// The box one row further down.
+    /// Moves the box down by one row.
     #[inline(always)]
-    fn exchange(&mut self, leaving: &[f32], entering: &[f32], w: usize) {
+    fn move_down(&mut self, leaving: &[f32], entering: &[f32], w: usize) {
         for t in 0..TERMS {
             let sums = self.middle(t, w);
             let (old, new) = (&leaving[t * w..(t + 1) * w], &entering[t * w..(t + 1) * w]);
@@ -228,7 +227,7 @@ fn solve_row(boxes: &[f64], u: &mut [f32], v: &mut [f32]) {
     let mean = 1.0 / (BOX * BOX) as f64;
     for x in 0..w {
         let [a, b, c, p, q] = [m0[x] * mean, m1[x] * mean, m2[x] * mean, m3[x] * mean, m4[x] * mean];
-        let d = 1.0 / (a * c - b * b + FLOOR);
+        let d = 1.0 / (a * c - b * b + DETERMINANT_EPSILON);
         u[x] = ((a * q - b * p) * d) as f32;
         v[x] = ((c * p - b * q) * d) as f32;
     }
@@ -239,7 +238,7 @@ mod tests {
     use super::*;
     use gs_core::Rng;
 
-    /// The box by plain loops.
+    /// The mean over the box by plain loops.
     fn mean_at(m: &[f32], w: usize, h: usize, t: usize, x: usize, y: usize) -> f64 {
         let clamp = |i: usize, d: usize, n: usize| (i + d).saturating_sub(RADIUS).min(n - 1);
         let mut sum = 0.0;
@@ -252,7 +251,7 @@ mod tests {
     }
 
     #[test]
-    fn boxes_are_those_of_plain_loops_at_every_size() {
+    fn boxes_agree_with_plain_loops_at_every_size() {
         for (w, h) in [(1, 1), (2, 40), (9, 3), (40, 70)] {
             let mut rng = Rng::new(5, "box", 0, 0);
             let m: Vec<f32> = (0..w * h * TERMS).map(|_| rng.uniform()).collect();
@@ -261,7 +260,7 @@ mod tests {
             for y in 0..h {
                 for x in 0..w {
                     let [a, b, c, p, q] = std::array::from_fn(|t| mean_at(&m, w, h, t, x, y));
-                    let d = 1.0 / (a * c - b * b + FLOOR);
+                    let d = 1.0 / (a * c - b * b + DETERMINANT_EPSILON);
                     let want = [(a * q - b * p) * d, (c * p - b * q) * d];
                     for (g, w) in flow.at(x, y).iter().zip(want) {
                         assert!((f64::from(*g) - w).abs() < 1e-5 * w.abs().max(1.0), "({x}, {y}): {g} {w}");
@@ -272,7 +271,7 @@ mod tests {
     }
 
     #[test]
-    fn ends_outside_add_no_slope() {
+    fn displacements_outside_contribute_no_slope() {
         let w = 12;
         let mut rng = Rng::new(6, "outside", 0, 0);
         let r: Vec<f32> = (0..w * w * TERMS).map(|_| rng.uniform()).collect();

@@ -1,39 +1,39 @@
-//! Features without learned weights: what edges and lines are here, and random but fixed mixtures of what lies around.
+//! Features without learned weights: oriented filters, then fixed random convolutions.
 //!
-//! 1. 7 × 7 filters of stride 2: an even and an odd Gabor filter of luma in eight orientations, and two colour differences;
+//! 1. 7 × 7 filters of stride 2: an even and an odd Gabor filter of luma in eight orientations, and two colour differences,
 //!    each with its negative, as `max(·, 0)` follows. 36 channels.
-//! 2. 3 × 3 convolutions of stride 2 with orthonormal random rows: 64 channels at stride 4 (a layer).
-//! 3. The same again: 128 channels at stride 8 (a layer).
+//! 2. 3 × 3 convolutions of stride 2 with orthonormal random rows: 64 channels at stride 4, the first layer of features.
+//! 3. The same again: 128 channels at stride 8, the second layer of features.
 //!
 //! The strides are those of `relu3_2` and `relu4_2` of VGG-19.
 
-use super::net::{FeatureNet, Frozen, Link};
+use super::net::{Conv, FeatureNet};
 use gs_core::Rng;
 
-/// Side of the oriented filters.
+/// Side of the oriented filters, pixels.
 const SIDE: usize = 7;
-/// Orientations.
-const TURNS: usize = 8;
-/// Standard deviation of their envelope, pixels.
+/// Number of orientations, evenly spaced over 180°.
+const ORIENTATIONS: usize = 8;
+/// Standard deviation of the Gabor envelope, pixels.
 const SIGMA: f64 = 1.8;
-/// Radians per pixel of their wave: a period of about 4.5 pixels.
-const WAVE: f64 = 1.4;
+/// Frequency of the Gabor wave, radians per pixel: a period of about 4.5 pixels.
+const FREQUENCY: f64 = 1.4;
 /// Rec. 601 luma, red minus green, blue minus yellow.
 const COLORS: [[f64; 3]; 3] = [[0.299, 0.587, 0.114], [0.5, -0.5, 0.0], [-0.25, -0.25, 0.5]];
 
 impl FeatureNet {
-    /// The default network of the MRF loss; the same for everybody, on every machine.
+    /// The fixed filter bank: no learned weights, the same on every machine. Layers of 64 channels at stride 4 and of 128 at
+    /// stride 8, with the weights 1 and 2.
     pub fn fixed_bank() -> Self {
         let first = oriented();
         let second = orthogonal("mrf.stride4", first.outputs, 64);
         let third = orthogonal("mrf.stride8", second.outputs, 128);
-        let links = [first, second, third].map(Link::Conv).to_vec();
-        Self { name: "mrf-proxy", links, taps: vec![1, 2], weights: vec![1.0, 2.0], normal: [[0.5; 3], [0.5; 3]] }
+        Self { convs: vec![first, second, third], taps: vec![1, 2], weights: vec![1.0, 2.0] }
     }
 }
 
-/// Filters of luma by angle and phase, then blobs of colour, each of length 1 and with its negative.
-fn oriented() -> Frozen {
+/// Gabor filters of luma by angle and phase, then Gaussians of colour differences, each of norm 1 and with its negative.
+fn oriented() -> Conv {
     let reach = (SIDE / 2) as f64;
     let plane = |f: &dyn Fn(f64, f64) -> f64, zero_mean: bool, color: [f64; 3]| {
         let at = |k: usize| f((k % SIDE) as f64 - reach, (k / SIDE) as f64 - reach);
@@ -46,41 +46,41 @@ fn oriented() -> Frozen {
     };
     let envelope = |x: f64, y: f64| (-(x * x + y * y) / (2.0 * SIGMA * SIGMA)).exp();
     let mut filters = Vec::new();
-    for turn in 0..TURNS {
-        let angle = std::f64::consts::PI * turn as f64 / TURNS as f64;
-        let along = move |x: f64, y: f64| WAVE * (x * angle.cos() + y * angle.sin());
-        filters.push(plane(&|x, y| envelope(x, y) * along(x, y).cos(), true, COLORS[0]));
-        filters.push(plane(&|x, y| envelope(x, y) * along(x, y).sin(), true, COLORS[0]));
+    for k in 0..ORIENTATIONS {
+        let angle = std::f64::consts::PI * k as f64 / ORIENTATIONS as f64;
+        let phase = move |x: f64, y: f64| FREQUENCY * (x * angle.cos() + y * angle.sin());
+        filters.push(plane(&|x, y| envelope(x, y) * phase(x, y).cos(), true, COLORS[0]));
+        filters.push(plane(&|x, y| envelope(x, y) * phase(x, y).sin(), true, COLORS[0]));
     }
     filters.extend(COLORS[1..].iter().map(|color| plane(&envelope, false, *color)));
     let signed: Vec<Vec<f64>> = filters.into_iter().flat_map(|f| [f.iter().map(|v| -v).collect(), f]).collect();
-    frozen(SIDE, 3, &signed)
+    conv(SIDE, 3, &signed)
 }
 
-/// 3 × 3 filters of stride 2 whose values are orthonormal rows, drawn from a stream of their own.
-fn orthogonal(name: &str, inputs: usize, outputs: usize) -> Frozen {
+/// 3 × 3 filters of stride 2: Gaussian random rows, orthonormalised by Gram-Schmidt.
+fn orthogonal(name: &str, inputs: usize, outputs: usize) -> Conv {
     let mut filters: Vec<Vec<f64>> = Vec::with_capacity(outputs);
     for row in 0..outputs {
         let mut rng = Rng::new(0, name, 0, row as u64);
         let mut filter: Vec<f64> = (0..9 * inputs).map(|_| f64::from(rng.normal())).collect();
-        // Twice, so that rounding of the first pass goes too.
+        // Twice: the second pass removes the rounding of the first.
         for other in filters.iter().chain(&filters) {
-            let along: f64 = filter.iter().zip(other).map(|(a, b)| a * b).sum();
-            filter.iter_mut().zip(other).for_each(|(a, b)| *a -= along * b);
+            let dot: f64 = filter.iter().zip(other).map(|(a, b)| a * b).sum();
+            filter.iter_mut().zip(other).for_each(|(a, b)| *a -= dot * b);
         }
         let length = filter.iter().map(|v| v * v).sum::<f64>().sqrt();
         filter.iter_mut().for_each(|v| *v /= length);
         filters.push(filter);
     }
-    frozen(3, inputs, &filters)
+    conv(3, inputs, &filters)
 }
 
-/// A convolution of stride 2 without bias from filters `[kernel, kernel, inputs]`.
-fn frozen(kernel: usize, inputs: usize, filters: &[Vec<f64>]) -> Frozen {
+/// A convolution of stride 2 from filters `[kernel, kernel, inputs]`.
+fn conv(kernel: usize, inputs: usize, filters: &[Vec<f64>]) -> Conv {
     let outputs = filters.len();
     let size = kernel * kernel * inputs;
     let weight = (0..size).flat_map(|k| filters.iter().map(move |f| f[k] as f32)).collect();
-    Frozen { kernel, stride: 2, inputs, outputs, weight, bias: vec![0.0; outputs] }
+    Conv { kernel, stride: 2, inputs, outputs, weight }
 }
 
 #[cfg(test)]
@@ -94,7 +94,7 @@ mod tests {
         let tape = bank.forward(&Image::zeros(64, 64, 3));
         let shapes: Vec<_> = tape.layers().map(Image::shape).collect();
         assert_eq!(shapes, [(16, 16, 64), (8, 8, 128)]);
-        assert_eq!((bank.least_side(), bank.name()), (8, "mrf-proxy"));
+        assert_eq!(bank.min_side(), 8);
     }
 
     #[test]
@@ -110,10 +110,9 @@ mod tests {
     }
 
     #[test]
-    fn plain_grey_is_not_seen() {
+    fn plain_grey_gives_no_response() {
         let conv = oriented();
-        assert_eq!(conv.outputs, 4 * TURNS + 4);
-        // Grey has no edges and no colour.
+        assert_eq!(conv.outputs, 4 * ORIENTATIONS + 4);
         let flat: f32 =
             (0..conv.outputs).map(|o| conv.weight.iter().skip(o).step_by(conv.outputs).sum::<f32>().abs()).sum();
         assert!(flat < 1e-4, "{flat}");

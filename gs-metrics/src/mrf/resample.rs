@@ -1,19 +1,19 @@
-//! Bilinear resizing with corners on corners: `source = target (n − 1)/(side − 1)`, and its transpose.
+//! Bilinear resizing with aligned corners, `source = target (n − 1)/(side − 1)`, and its transpose.
 
 use gs_core::Image;
 
-/// Two source rows (or columns) and the share of the second, for each target row.
+/// Two source rows (or columns) and the weight of the second, for each target row.
 fn taps(from: usize, to: usize) -> Vec<(usize, usize, f32)> {
     let step = (from - 1) as f64 / (to.max(2) - 1) as f64;
     let tap = |t: usize| {
-        let at = t as f64 * step;
-        let low = (at.floor() as usize).min(from - 1);
-        (low, (low + 1).min(from - 1), (at - low as f64) as f32)
+        let source = t as f64 * step;
+        let low = (source.floor() as usize).min(from - 1);
+        (low, (low + 1).min(from - 1), (source - low as f64) as f32)
     };
     (0..to).map(tap).collect()
 }
 
-/// An image of `side × side` pixels.
+/// The image resized to `side × side` pixels.
 pub(super) fn resize(image: &Image, side: usize) -> Image {
     let mut out = Image::zeros(side, side, image.channels);
     let columns = taps(image.width, side);
@@ -35,11 +35,11 @@ pub(super) fn resize_backward(d: &Image, width: usize, height: usize) -> Image {
     let columns = taps(width, d.width);
     for (y, (top, bottom, v)) in taps(height, d.height).into_iter().enumerate() {
         for (x, &(left, right, u)) in columns.iter().enumerate() {
-            let shares = [(1.0 - v) * (1.0 - u), (1.0 - v) * u, v * (1.0 - u), v * u];
-            for ((x_to, y_to), share) in
-                [(left, top), (right, top), (left, bottom), (right, bottom)].into_iter().zip(shares)
+            let weights = [(1.0 - v) * (1.0 - u), (1.0 - v) * u, v * (1.0 - u), v * u];
+            for ((x_to, y_to), weight) in
+                [(left, top), (right, top), (left, bottom), (right, bottom)].into_iter().zip(weights)
             {
-                out.pixel_mut(x_to, y_to).iter_mut().zip(d.pixel(x, y)).for_each(|(o, d)| *o += share * d);
+                out.pixel_mut(x_to, y_to).iter_mut().zip(d.pixel(x, y)).for_each(|(o, d)| *o += weight * d);
             }
         }
     }

@@ -2,7 +2,7 @@
 
 use gs_core::{Image, Rng};
 
-/// Value at a place, the nearest one outside the image.
+/// Value at `(x, y)`, the nearest one outside the image.
 fn near(i: &Image, x: isize, y: isize, c: usize) -> f32 {
     let (x, y) = (x.clamp(0, i.width as isize - 1) as usize, y.clamp(0, i.height as isize - 1) as usize);
     i.data[(y * i.width + x) * i.channels + c]
@@ -73,21 +73,21 @@ pub fn quantised_dct(i: &Image, step: f32) -> Image {
         let scale = if u == 0 { 0.125f32.sqrt() } else { 0.5 };
         scale * ((x as f32 + 0.5) * u as f32 * std::f32::consts::PI / 8.0).cos()
     };
-    let forth: Block = std::array::from_fn(|u| std::array::from_fn(|x| basis(u, x)));
-    let back = transposed(&forth);
+    let forward: Block = std::array::from_fn(|u| std::array::from_fn(|x| basis(u, x)));
+    let inverse = transposed(&forward);
     let mut out = i.clone();
     for c in 0..i.channels {
         for (y0, x0) in (0..i.height).step_by(8).flat_map(|y| (0..i.width).step_by(8).map(move |x| (y, x))) {
             let at = |y: usize, x: usize| near(i, (x0 + x) as isize, (y0 + y) as isize, c);
             let block: Block = std::array::from_fn(|y| std::array::from_fn(|x| at(y, x)));
-            let mut coefficients = product(&product(&forth, &block), &back);
+            let mut coefficients = product(&product(&forward, &block), &inverse);
             for (v, row) in coefficients.iter_mut().enumerate() {
                 for (u, value) in row.iter_mut().enumerate() {
                     let quantum = step * (1 + u + v) as f32;
                     *value = (*value / quantum).round() * quantum;
                 }
             }
-            let coded = product(&product(&back, &coefficients), &forth);
+            let coded = product(&product(&inverse, &coefficients), &forward);
             for (y, row) in coded.iter().enumerate().take(i.height - y0) {
                 for (x, value) in row.iter().enumerate().take(i.width - x0) {
                     out.pixel_mut(x0 + x, y0 + y)[c] = value.clamp(0.0, 1.0);

@@ -1,10 +1,10 @@
-//! Optical flow against stored answers of OpenCV 4.10 (`calcOpticalFlowFarneback(.5, 3, 15, 3, 5, 1.2, 0)`).
+//! Optical flow against stored results of OpenCV 4.10 (`calcOpticalFlowFarneback(.5, 3, 15, 3, 5, 1.2, 0)`).
 //!
 //! The files hold OpenCV's displacements `(u, v)` at every `stride`-th pixel from `stride / 2`, rows by rows, little-endian
-//! `f32`. Generated pairs are held to 1e-3 pixels everywhere. In photographs there are places where the equations say next
-//! to nothing, and differences of rounding grow without limit: OpenCV itself, with its vector code switched off, moves
-//! 831 pixels of the motorcycle and 22 755 of the beach ball by more than 1e-3 (by 0.02 and 2 at most). There a share of
-//! pixels is held to 1e-3, and the mean difference.
+//! `f32`. Generated pairs must agree within 1e-3 pixels everywhere. In captured images the equations are nearly singular in
+//! places, where differences of rounding grow without bound: OpenCV itself, with its vector code disabled, differs at 831
+//! pixels of the motorcycle and 22 755 of the beach ball by more than 1e-3 (by at most 0.02 and 2). There a share of the pixels
+//! must agree within 1e-3, and the mean difference is bounded.
 //!
 //! | pair | within 1e-3 px | mean difference |
 //! |---|---|---|
@@ -14,8 +14,8 @@
 //! | beach ball | 98 % | 1e-3 |
 
 use crate::data::captured;
-use crate::frames::{film, moved};
-use crate::pictures::in_pool;
+use crate::frames::{moved, video_frame};
+use crate::images::in_pool;
 use gs_core::Image;
 use gs_metrics::flow::{Expansion, Farneback, Flow, end_point_error, farneback, grey};
 use gs_metrics::{MetricError, Tof, TofOptions, psnr};
@@ -60,7 +60,7 @@ fn generated_pairs_agree_everywhere() {
 }
 
 #[test]
-fn captured_pairs_agree_where_the_images_say_anything() {
+fn captured_pairs_agree_where_the_equations_are_regular() {
     let ball = |f: &str| format!("beachball_flow_public/singlepart.{f}.exr");
     let court = |f: &str| format!("panoptic_basketball_f040-069/ims/3/{f}.jpg");
     let bike = |side: &str| format!("middlebury_motorcycle_flow/motorcycle_{side}.png");
@@ -70,18 +70,18 @@ fn captured_pairs_agree_where_the_images_say_anything() {
         ([bike("left"), bike("right")], include_bytes!("flow/motorcycle.f32"), 24, (0.98, 1e-3)),
         ([ball("0001"), ball("0002")], include_bytes!("flow/beachball.f32"), 64, (0.98, 1e-3)),
     ];
-    for ([first, second], stored, stride, (least, most)) in cases {
+    for ([first, second], stored, stride, (min_share, max_mean)) in cases {
         let Some([a, b]) = captured(&first, &second) else { continue };
         let (_, share, mean) = compare(&first, &farneback(&a, &b).unwrap(), stored, stride);
-        assert!(share >= least && mean < most, "{first}: {share}, {mean}");
+        assert!(share >= min_share && mean < max_mean, "{first}: {share}, {mean}");
     }
 }
 
 #[test]
-fn the_motion_of_a_film_is_scored_as_with_opencv() {
+fn tof_of_a_video_agrees_with_opencv() {
     let score = |options: TofOptions| {
         let mut tof = Tof::new(options);
-        (0..8).for_each(|i| tof.add(&film(103, 85, i, [24, -10]), &film(103, 85, i, [20, -16])).unwrap());
+        (0..8).for_each(|i| tof.add(&video_frame(103, 85, i, [24, -10]), &video_frame(103, 85, i, [20, -16])).unwrap());
         tof.finish().unwrap()
     };
     let (published, whole) = (score(TofOptions::default()), score(TofOptions { trim: false, crop: false }));
@@ -94,7 +94,7 @@ fn the_motion_of_a_film_is_scored_as_with_opencv() {
 fn the_flow_explains_the_second_image() {
     let [a, b] = moved(160, 120, 40, -25);
     let flow = farneback(&a, &b).unwrap();
-    // Away from the border, which shows what the first frame does not hold.
+    // Away from the border, where the first frame lacks the content of the second.
     let middle = |i: &Image| {
         let data = (12..108).flat_map(|y| (12..148).flat_map(move |x| i.pixel(x, y).to_vec())).collect();
         Image { width: 136, height: 96, channels: 3, data }
@@ -109,7 +109,7 @@ fn the_flow_explains_the_second_image() {
 }
 
 #[test]
-fn flat_and_equal_images_are_at_rest() {
+fn flat_and_equal_images_have_no_flow() {
     let flat = |v: f32| Image { width: 70, height: 41, channels: 3, data: vec![v; 70 * 41 * 3] };
     assert_eq!(farneback(&flat(0.3), &flat(0.9)).unwrap(), Flow::zeros(70, 41));
     let [a, _] = moved(90, 70, 0, 0);
@@ -123,7 +123,7 @@ fn flat_and_equal_images_are_at_rest() {
 }
 
 #[test]
-fn poison_is_named() {
+fn values_that_are_not_finite_are_errors() {
     let [a, mut b] = moved(40, 40, 8, 8);
     b.pixel_mut(5, 6)[1] = f32::NAN;
     let e = farneback(&a, &b).unwrap_err();
@@ -133,7 +133,7 @@ fn poison_is_named() {
 }
 
 #[test]
-fn greys_are_those_of_opencv() {
+fn grey_values_agree_with_opencv() {
     let steps = || (0..=255u8).step_by(5);
     let colours = steps().flat_map(|r| steps().flat_map(move |g| steps().map(move |b| [r, g, b])));
     let data: Vec<f32> = colours.flatten().map(|v| f32::from(v) / 255.0).collect();
@@ -143,11 +143,11 @@ fn greys_are_those_of_opencv() {
     assert_eq!(hash, GREY_HASH);
 }
 
-/// FNV-1a of OpenCV's greys of all colours whose channels are multiples of 5, red slowest.
+/// FNV-1a of OpenCV's grey values of all colours whose channels are multiples of 5, red slowest.
 const GREY_HASH: u64 = 0xa4a1_a402_3f36_b85b;
 
 #[test]
-fn kept_buffers_and_expansions_change_nothing() {
+fn reused_buffers_and_expansions_give_the_same_flow() {
     let [a, b] = moved(97, 75, 40, 23);
     let [c, d] = moved(64, 64, -7, 5);
     let want = farneback(&a, &b).unwrap();

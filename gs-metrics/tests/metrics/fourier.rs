@@ -6,13 +6,13 @@ use rustfft::{FftDirection, FftPlanner, num_complex::Complex64};
 /// A complex number.
 type Complex = [f64; 2];
 
-/// Longest line that is summed plainly.
-const PLAIN: usize = 128;
+/// Longest line that is summed by the definition.
+const MAX_PLAIN: usize = 128;
 
 /// `Σ_x f(x) e^{±2πi k x/n}` over a line.
 fn line(f: &[Complex], sign: f64) -> Vec<Complex> {
     let n = f.len();
-    if n > PLAIN {
+    if n > MAX_PLAIN {
         return fast_line(f, sign);
     }
     let turn: Vec<Complex> =

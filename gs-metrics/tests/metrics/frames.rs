@@ -1,4 +1,4 @@
-//! Generated frames for flow, in integers so that they are the same everywhere.
+//! Generated frames for flow, computed in integers so that they are the same on every machine.
 
 use gs_core::Image;
 
@@ -15,7 +15,7 @@ fn texture(x: i64, y: i64) -> u8 {
     (sum / 10) as u8
 }
 
-/// One RGB frame of `width × height`, every pixel read where `place` says, in sixteenths of a pixel.
+/// One RGB frame of `width × height`: the texture at `place(x, y)`, in sixteenths of a pixel.
 fn frame(width: usize, height: usize, place: impl Fn(i64, i64) -> (i64, i64)) -> Image {
     let pixel = |i: usize| {
         let (x, y) = place((i % width) as i64, (i / width) as i64);
@@ -24,13 +24,13 @@ fn frame(width: usize, height: usize, place: impl Fn(i64, i64) -> (i64, i64)) ->
     Image { width, height, channels: 3, data: (0..width * height).flat_map(pixel).collect() }
 }
 
-/// A pair whose second frame is shifted by `(dx, dy)` sixteenths of a pixel, turned and stretched a little.
+/// A pair whose second frame is shifted by `(dx, dy)` sixteenths of a pixel, slightly rotated and scaled.
 pub fn moved(width: usize, height: usize, dx: i64, dy: i64) -> [Image; 2] {
     let second = |x: i64, y: i64| (16 * x - dx - y / 6, 16 * y - dy + x / 9 + y / 11);
     [frame(width, height, |x, y| (16 * x, 16 * y)), frame(width, height, second)]
 }
 
-/// Frame `i` of a film that moves by `(dx, dy)` sixteenths of a pixel a frame, and shears.
-pub fn film(width: usize, height: usize, i: i64, [dx, dy]: [i64; 2]) -> Image {
+/// Frame `i` of a video that moves by `(dx, dy)` sixteenths of a pixel per frame, and shears.
+pub fn video_frame(width: usize, height: usize, i: i64, [dx, dy]: [i64; 2]) -> Image {
     frame(width, height, |x, y| (16 * x - i * dx - i * y / 8, 16 * y - i * dy))
 }

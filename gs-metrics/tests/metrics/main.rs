@@ -1,13 +1,14 @@
-//! The metrics against independent `f64` references, central differences, published scores and human order.
+//! The metrics against independent `f64` references, central differences, published and golden scores, and human order.
 
 mod data;
 mod distort;
 mod flow;
 mod fourier;
 mod frames;
+mod golden;
+mod images;
 mod ms_ssim;
 mod perceptual;
-mod pictures;
 mod published;
 mod reference;
 mod spectrum;

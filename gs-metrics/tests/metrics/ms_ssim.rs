@@ -5,7 +5,7 @@
 //! | value (f32) | reference | 1e-7 absolute | five levels of an error of 1e-8 |
 //! | gradient (f32) | central differences (f64), h = 1e-4, sampled pixels | 1e-5 of its largest entry | pooled images are rounded to f32 |
 
-use crate::pictures::*;
+use crate::images::*;
 use crate::reference::*;
 use gs_core::Image;
 use gs_metrics::ms_ssim::WEIGHTS;
@@ -50,7 +50,7 @@ fn ms_ssim64(a: &Image64, b: &Image64, levels: usize) -> f64 {
 #[test]
 fn value_agrees_with_the_reference() {
     for (w, h, c) in [(161, 176, 1), (167, 163, 3), (192, 181, 3)] {
-        let a = picture(w, h, c);
+        let a = scene(w, h, c);
         for amplitude in [0.02, 0.3] {
             let b = with_noise(&a, amplitude, 3);
             let got = ms_ssim(&a, &b, &MsSsimOptions::default()).unwrap();
@@ -63,7 +63,7 @@ fn value_agrees_with_the_reference() {
 #[test]
 fn gradient_agrees_with_central_differences() {
     for (w, h, c, levels) in [(25, 23, 3, 2), (47, 44, 1, 3), (11, 12, 2, 1)] {
-        let a = with_noise(&picture(w, h, c), 0.1, 1);
+        let a = with_noise(&scene(w, h, c), 0.1, 1);
         let b = with_noise(&a, 0.2, 2);
         let options = MsSsimOptions::reduced(levels);
         let mut grad = Image::default();
@@ -86,8 +86,8 @@ fn gradient_agrees_with_central_differences() {
 
 #[test]
 fn five_levels_descend_along_the_gradient() {
-    let a = with_noise(&picture(170, 165, 3), 0.05, 1);
-    let b = picture(170, 165, 3);
+    let a = with_noise(&scene(170, 165, 3), 0.05, 1);
+    let b = scene(170, 165, 3);
     let mut grad = Image::default();
     let mut metric = MsSsim::new(MsSsimOptions::default());
     let value = metric.value_and_grad(&a, &b, &mut grad).unwrap();
@@ -100,14 +100,14 @@ fn five_levels_descend_along_the_gradient() {
 
 #[test]
 fn identical_clamped_and_too_small() {
-    let a = picture(161, 161, 3);
+    let a = scene(161, 161, 3);
     let mut grad = Image::default();
     assert_eq!(ms_ssim_with_grad(&a, &a, &MsSsimOptions::default(), &mut grad).unwrap(), 1.0);
     let strong = noise(161, 161, 3, 0.0, 1.0, 4);
     let negative = Image { data: strong.data.iter().map(|v| 1.0 - v).collect(), ..strong.clone() };
     assert_eq!(ms_ssim_with_grad(&strong, &negative, &MsSsimOptions::default(), &mut grad).unwrap(), 0.0);
     assert!(grad.data.iter().all(|g| *g == 0.0));
-    let small = picture(160, 300, 3);
+    let small = scene(160, 300, 3);
     let e = ms_ssim(&small, &small, &MsSsimOptions::default()).unwrap_err();
     assert!(matches!(e, MetricError::TooSmall { need: 161, width: 160, .. }), "{e}");
     assert_eq!(ms_ssim(&small, &small, &MsSsimOptions::reduced(4)).unwrap(), 1.0);
@@ -122,7 +122,7 @@ fn identical_clamped_and_too_small() {
 
 #[test]
 fn the_same_bits_for_any_pool() {
-    let a = picture(211, 197, 3);
+    let a = scene(211, 197, 3);
     let b = with_noise(&a, 0.1, 5);
     let run = |threads| {
         in_pool(threads, || {

@@ -1,8 +1,8 @@
-//! The perceptual proxy orders what people order: on generated pictures always, on public ones where they are at hand.
+//! The perceptual proxy orders distortions as people do: on generated images, and on public ones from the shared folder.
 
 use crate::data::iqa_image;
 use crate::distort::*;
-use crate::pictures::{in_pool, noise, picture};
+use crate::images::{in_pool, noise, scene};
 use gs_core::Image;
 use gs_metrics::{MetricError, SsimOptions, perceptual_proxy, psnr, ssim};
 
@@ -41,8 +41,8 @@ fn at_equal_psnr(truth: &Image, target: f64, mut low: f32, mut high: f32, f: imp
     f(low)
 }
 
-/// A slight move is far nearer than the blur, the noise and the coding of the same squared error.
-fn moves_are_forgiven(truth: &Image) {
+/// A slight shift or warp is at a much smaller distance than blur, noise and coding of the same squared error.
+fn shifts_are_tolerated(truth: &Image) {
     for moved in [shift(truth, 1), warp(truth, 1.5, 64.0)] {
         let target = psnr(&moved, truth).unwrap();
         let same_error = [
@@ -60,28 +60,28 @@ fn moves_are_forgiven(truth: &Image) {
 }
 
 #[test]
-fn generated_pictures_are_ordered() {
+fn generated_images_are_ordered() {
     let truth = textured(160, 150);
     all_sweeps_grow(&truth);
-    moves_are_forgiven(&truth);
+    shifts_are_tolerated(&truth);
     let negative = tone(&truth, -1.0, 1.0);
-    assert!(proxy(&negative, &truth) > proxy(&blur(&truth, 1.0), &truth), "light and dark matter");
+    assert!(proxy(&negative, &truth) > proxy(&blur(&truth, 1.0), &truth), "light and dark are distinguished");
 }
 
-/// [`picture`] with fine grain, so that blur has something to take away everywhere.
+/// [`scene`] with fine grain, so that blur removes detail everywhere.
 fn textured(w: usize, h: usize) -> Image {
     let grain = blur(&noise(w, h, 3, -1.0, 1.0, 3), 0.7);
-    let data = picture(w, h, 3).data.iter().zip(&grain.data).map(|(p, g)| (p + 0.12 * g).clamp(0.0, 1.0)).collect();
+    let data = scene(w, h, 3).data.iter().zip(&grain.data).map(|(p, g)| (p + 0.12 * g).clamp(0.0, 1.0)).collect();
     Image { width: w, height: h, channels: 3, data }
 }
 
 #[test]
-fn public_pictures_are_ordered() {
+fn public_images_are_ordered() {
     for name in ["chelsea.png", "I01.BMP"] {
         let Some(whole) = iqa_image(name) else { return };
         let truth = crop(&whole, 120, 60, 200, 180);
         all_sweeps_grow(&truth);
-        moves_are_forgiven(&truth);
+        shifts_are_tolerated(&truth);
     }
 }
 
@@ -134,22 +134,22 @@ fn the_same_bits_for_any_pool() {
 }
 
 #[test]
-fn turned_pictures_are_as_far() {
+fn the_distance_does_not_change_under_rotation() {
     let a = textured(96, 96);
     let b = blur(&a, 1.0);
-    let turn = |i: &Image| {
+    let rotate = |i: &Image| {
         let mut out = Image::zeros(i.height, i.width, 3);
         for y in 0..i.height {
             (0..i.width).for_each(|x| out.pixel_mut(i.height - 1 - y, x).copy_from_slice(i.pixel(x, y)));
         }
         out
     };
-    let (plain, turned) = (proxy(&a, &b), proxy(&turn(&a), &turn(&b)));
-    assert!((plain / turned - 1.0).abs() < 0.01, "{plain} {turned}");
+    let (plain, rotated) = (proxy(&a, &b), proxy(&rotate(&a), &rotate(&b)));
+    assert!((plain / rotated - 1.0).abs() < 0.01, "{plain} {rotated}");
 }
 
 #[test]
-fn bad_input_is_refused_by_name() {
+fn bad_input_is_an_error_that_names_the_fault() {
     let a = noise(20, 20, 3, 0.0, 1.0, 1);
     let mut bad = a.clone();
     bad.data[61] = f32::NAN;

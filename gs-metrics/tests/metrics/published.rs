@@ -1,4 +1,4 @@
-//! Published scores of public images, where a copy of them is at hand.
+//! Published scores of public images from the shared folder. The pairs of [`golden`](crate::golden) need no such folder.
 //!
 //! | images | score | published | tolerance |
 //! |---|---|---|---|
@@ -31,7 +31,7 @@ fn published_ssim(a: &Image, b: &Image) -> f64 {
 }
 
 #[test]
-fn the_noisy_pair() {
+fn noisy_pair_of_tid2013() {
     let [Some(a), Some(b)] = ["I01.BMP", "i01_01_5.bmp"].map(iqa_image) else { return };
     let (p, full, half) = (psnr(&a, &b).unwrap(), published_ssim(&a, &b), published_ssim(&halved(&a), &halved(&b)));
     println!("PSNR {p:.4} dB, SSIM {full:.5}, after reduction {half:.5}");
@@ -41,7 +41,7 @@ fn the_noisy_pair() {
 }
 
 #[test]
-fn the_triple() {
+fn example_triple_of_lpips() {
     let Some(truth) = iqa_image("lpips_ex_ref.png") else { return };
     for (name, want_psnr, want_ssim) in [("lpips_ex_p0.png", 18.05, 0.437), ("lpips_ex_p1.png", 13.87, 0.296)] {
         let Some(image) = iqa_image(name) else { return };

@@ -1,21 +1,21 @@
-//! The amplitude loss against plain sums in `f64`, its gradient against central differences, and what it cannot see.
+//! The amplitude loss against plain sums in `f64`, its gradient against central differences, and its invariances.
 //!
 //! | quantity | against | tolerance | why |
 //! |---|---|---|---|
 //! | reference gradient (f64) | central differences (f64), h = 1e-6 | 1e-6 of its largest entry | h² and rounding |
 //! | value (f32) | reference | 5e-8 absolute | rounding of a transform of values up to 1; worst seen 2e-8 |
 //! | gradient (f32) | reference | 2e-5 relative L2 | phases of small bins; no difference changes its sign here; worst seen 5e-6 |
-//! | shifted, turned | 0 | 1e-7 | rounding of a transform |
+//! | shifted cyclically, rotated by 180° | 0 | 1e-7 | rounding of a transform |
 
 use crate::fourier::amplitude_loss64;
-use crate::pictures::*;
+use crate::images::*;
 use crate::reference::{Image64, relative_l2};
 use gs_core::Image;
 use gs_metrics::{AmplitudeLoss, AmplitudeOptions, FftNorm, MetricError, Reduce, mse};
 
 const VALUE: f64 = 5e-8;
 const GRAD: f64 = 2e-5;
-const NOTHING: f64 = 1e-7;
+const ZERO: f64 = 1e-7;
 
 fn value_and_grad(a: &Image, b: &Image, options: AmplitudeOptions) -> (f64, Vec<f32>) {
     let (mut loss, mut grad) = (AmplitudeLoss::new(options), Image::default());
@@ -33,7 +33,7 @@ fn value(a: &Image, b: &Image) -> f64 {
 }
 
 #[test]
-fn golden_values() {
+fn known_values() {
     let a = Image { width: 2, height: 2, channels: 1, data: vec![1.0, 2.0, 3.0, 4.0] };
     let b = constant(2, 2, 1, 1.0);
     let (mean, grad) = value_and_grad(&a, &b, AmplitudeOptions::default());
@@ -88,7 +88,7 @@ fn value_and_gradient_agree_with_the_reference_at_every_kind_of_size() {
         (2, 3, 3),
     ];
     for (w, h, c) in sizes {
-        for a in [noise(w, h, c, 0.0, 1.0, 5), with_noise(&picture(w, h, c), 0.05, 4)] {
+        for a in [noise(w, h, c, 0.0, 1.0, 5), with_noise(&scene(w, h, c), 0.05, 4)] {
             for amplitude in [0.02, 0.4] {
                 let b = with_noise(&a, amplitude, 6);
                 let (got, grad) = value_and_grad(&a, &b, AmplitudeOptions::default());
@@ -114,20 +114,20 @@ fn rearranged(i: &Image, at: impl Fn(usize, usize) -> (usize, usize)) -> Image {
 }
 
 #[test]
-fn shifts_around_the_border_and_half_turns_are_not_seen() {
+fn cyclic_shifts_and_rotations_by_180_degrees_give_zero() {
     for (w, h) in [(40, 36), (31, 43)] {
-        let a = with_noise(&picture(w, h, 3), 0.1, 3);
+        let a = with_noise(&scene(w, h, 3), 0.1, 3);
         let shifted = rearranged(&a, |x, y| ((x + 5) % w, (y + 11) % h));
-        let turned = rearranged(&a, |x, y| (w - 1 - x, h - 1 - y));
-        assert!(value(&a, &shifted) < NOTHING && value(&a, &turned) < NOTHING);
-        // A quarter of the picture left out, or a shift that is not around the border, is seen.
+        let rotated = rearranged(&a, |x, y| (w - 1 - x, h - 1 - y));
+        assert!(value(&a, &shifted) < ZERO && value(&a, &rotated) < ZERO);
+        // A shift with repeated edge pixels is not cyclic.
         let cut = rearranged(&a, |x, y| ((x + 5).min(w - 1), y));
         assert!(value(&a, &cut) > 1e-3);
     }
 }
 
 #[test]
-fn even_pictures_have_a_gradient_of_their_mean_only() {
+fn constant_images_have_only_the_gradient_of_their_mean() {
     for (w, h) in [(40, 30), (37, 29), (200, 101)] {
         let (a, b) = (constant(w, h, 3, 0.75), constant(w, h, 3, 0.25));
         let (v, grad) = value_and_grad(&a, &b, AmplitudeOptions::default());
@@ -146,8 +146,8 @@ fn even_pictures_have_a_gradient_of_their_mean_only() {
 #[test]
 fn never_above_the_root_of_the_mean_squared_error() {
     for seed in 0..6 {
-        let a = with_noise(&picture(33, 40, 3), 0.3, seed);
-        for b in [picture(33, 40, 3), noise(33, 40, 3, 0.0, 1.0, 100 + seed), constant(33, 40, 3, 0.5)] {
+        let a = with_noise(&scene(33, 40, 3), 0.3, seed);
+        for b in [scene(33, 40, 3), noise(33, 40, 3, 0.0, 1.0, 100 + seed), constant(33, 40, 3, 0.5)] {
             let (loss, rmse) = (value(&a, &b), mse(&a, &b).unwrap().sqrt());
             assert!(loss > 0.0 && loss <= rmse * (1.0 + 1e-6), "{loss} {rmse}");
         }
@@ -156,7 +156,7 @@ fn never_above_the_root_of_the_mean_squared_error() {
 
 #[test]
 fn a_blur_weighs_more_here_than_in_l1() {
-    let a = picture(96, 96, 3);
+    let a = scene(96, 96, 3);
     let blurred = rearranged_mean(&a);
     let l1 = a.data.iter().zip(&blurred.data).map(|(p, q)| f64::from((p - q).abs())).sum::<f64>() / a.data.len() as f64;
     let noisy = with_noise(&a, 2.0 * l1 as f32, 9);
@@ -176,7 +176,7 @@ fn rearranged_mean(i: &Image) -> Image {
 }
 
 #[test]
-fn the_same_bits_for_any_pool_and_for_used_buffers() {
+fn the_same_bits_for_any_pool_and_for_reused_buffers() {
     let a = noise(83, 127, 3, 0.0, 1.0, 9);
     let b = with_noise(&a, 0.1, 10);
     let bits = |(v, g): (f64, Vec<f32>)| (v.to_bits(), g.iter().map(|g| g.to_bits()).collect::<Vec<_>>());
@@ -190,7 +190,7 @@ fn the_same_bits_for_any_pool_and_for_used_buffers() {
 }
 
 #[test]
-fn bad_input_is_refused_by_name() {
+fn bad_input_is_an_error_that_names_the_fault() {
     let a = noise(9, 7, 3, 0.0, 1.0, 1);
     let (mut loss, mut grad) = (AmplitudeLoss::default(), Image::default());
     for bad in [f32::NAN, f32::INFINITY] {

@@ -8,7 +8,7 @@
 //! | gradient (f32) | reference | 1e-6 relative L2 | worst seen 5e-7 |
 //! | gradient, flat images that differ | reference | 1e-3 relative L2 | `d·G∗v − G∗(v·μd)` cancels; worst seen 3e-4 |
 
-use crate::pictures::*;
+use crate::images::*;
 use crate::reference::*;
 use gs_core::Image;
 use gs_metrics::{MetricError, Padding, Ssim, SsimOptions, ssim, ssim_with_grad};
@@ -55,7 +55,7 @@ fn the_reference_gradient_is_the_derivative_of_the_reference() {
 #[test]
 fn value_and_gradient_agree_with_the_reference() {
     for (w, h, c, margin) in [(61, 47, 3, 0), (61, 47, 3, 5), (37, 83, 1, 0), (33, 131, 1, 5), (20, 300, 2, 0)] {
-        for a in [noise(w, h, c, 0.0, 1.0, 5), picture(w, h, c)] {
+        for a in [noise(w, h, c, 0.0, 1.0, 5), scene(w, h, c)] {
             for amplitude in [0.003, 0.05, 0.5] {
                 let (value, grad) = errors(&a, &with_noise(&a, amplitude, 6), margin);
                 println!("{w}x{h}x{c} noise {amplitude}: value {value:.1e} gradient {grad:.1e}");
@@ -100,8 +100,7 @@ fn flat_images_do_not_cancel() {
 
 #[test]
 fn identical_images_score_exactly_one_with_no_gradient() {
-    for (image, margin) in [(constant(30, 30, 3, 0.9), 0), (noise(31, 29, 3, 0.0, 1.0, 1), 5), (picture(40, 40, 1), 0)]
-    {
+    for (image, margin) in [(constant(30, 30, 3, 0.9), 0), (noise(31, 29, 3, 0.0, 1.0, 1), 5), (scene(40, 40, 1), 0)] {
         let mut grad = Image::default();
         assert_eq!(ssim_with_grad(&image, &image, &options(margin), &mut grad).unwrap(), 1.0);
         assert!(grad.data.iter().all(|g| g.abs() < 1e-9));
@@ -119,7 +118,7 @@ fn symmetric_and_bounded() {
 }
 
 #[test]
-fn the_same_bits_for_any_pool_and_for_used_buffers() {
+fn the_same_bits_for_any_pool_and_for_reused_buffers() {
     let a = noise(83, 271, 3, 0.0, 1.0, 9);
     let b = with_noise(&a, 0.1, 10);
     let run = |threads| {
@@ -141,7 +140,7 @@ fn the_same_bits_for_any_pool_and_for_used_buffers() {
 }
 
 #[test]
-fn bad_input_is_refused_by_name() {
+fn bad_input_is_an_error_that_names_the_fault() {
     let a = noise(20, 20, 3, 0.0, 1.0, 1);
     for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
         for at in [0, 599, 1199] {

@@ -1,5 +1,5 @@
-//! Scores of a generated pair of odd size, computed apart in `f64` from the published descriptions (MS-SSIM of
-//! pytorch-msssim 1.0: valid windows, zeros on both ends of an odd side before pooling; DyCheck's masked scores).
+//! Scores of a generated pair of odd size, against values computed independently in `f64` from the published descriptions
+//! (MS-SSIM of pytorch-msssim 1.0: valid windows, zeros on both ends of an odd side before pooling; DyCheck's masked scores).
 //!
 //! | score | tolerance | why |
 //! |---|---|---|
@@ -20,7 +20,7 @@ fn pair() -> [Image; 2] {
     moved(301, 259, -90, 61)
 }
 
-/// Patches of 23 × 31 pixels, a third of them, none at the left.
+/// A mask of a third of the patches of 23 × 31 pixels, none on the left.
 fn patches() -> Image {
     let counts = |x: usize, y: usize| (x / 23 + y / 31).is_multiple_of(3) && x > 40;
     let data = (0..301 * 259).map(|i| f32::from(u8::from(counts(i % 301, i / 301)))).collect();
@@ -47,7 +47,7 @@ fn masked_scores() {
 }
 
 #[test]
-fn the_masked_proxy_sees_the_mask_alone() {
+fn the_masked_proxy_depends_on_the_mask_alone() {
     let ([a, b], mask) = (pair(), patches());
     let full = Image { data: vec![1.0; mask.data.len()], ..mask.clone() };
     assert_eq!(masked_perceptual_proxy(&a, &b, &full).unwrap(), perceptual_proxy(&a, &b).unwrap());

@@ -22,12 +22,12 @@ pub fn with_noise(image: &Image, amplitude: f32, seed: u64) -> Image {
     Image { data, ..image.clone() }
 }
 
-/// A picture-like image: smooth shading, edges of several directions, and patches of texture, values in `[0, 1]`.
-pub fn picture(w: usize, h: usize, c: usize) -> Image {
-    Image { width: w, height: h, channels: c, data: (0..w * h * c).map(|i| scene(i, w, c)).collect() }
+/// A scene-like image: smooth shading, edges of several directions, and patches of texture, values in `[0, 1]`.
+pub fn scene(w: usize, h: usize, c: usize) -> Image {
+    Image { width: w, height: h, channels: c, data: (0..w * h * c).map(|i| scene_value(i, w, c)).collect() }
 }
 
-fn scene(i: usize, w: usize, c: usize) -> f32 {
+fn scene_value(i: usize, w: usize, c: usize) -> f32 {
     let (x, y, ch) = ((i / c % w) as f32, (i / c / w) as f32, (i % c) as f32);
     let shade = 0.45 + 0.2 * (x * 0.011 + ch).sin() + 0.1 * (y * 0.017).cos();
     let disc = if (x % 90.0 - 40.0).hypot(y % 110.0 - 50.0) < 25.0 { 0.25 } else { 0.0 };
