@@ -1,23 +1,23 @@
-//! A setting outside its domain.
+//! The error of a setting outside its domain.
 
-/// A field of a configuration that cannot be used.
+/// A setting outside its domain.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("`{field}` = {value}: {rule}")]
-pub struct RuleError {
-    /// Name of the field, with its section: `adapt.every`.
+pub struct SettingError {
+    /// Name of the setting with its section: `adapt.every`.
     pub field: &'static str,
-    /// The value met.
+    /// The rejected value.
     pub value: f64,
-    /// What it must be.
+    /// The domain in words: `at least 1 step`.
     pub rule: &'static str,
 }
 
-/// The value of `field` is `value`; `good` says whether it follows `rule`.
-pub(crate) fn need(
+/// An error for `field` = `value` unless `good`.
+pub(crate) fn require(
     good: bool,
     field: &'static str,
     value: impl Into<f64>,
     rule: &'static str,
-) -> Result<(), RuleError> {
-    if good { Ok(()) } else { Err(RuleError { field, value: value.into(), rule }) }
+) -> Result<(), SettingError> {
+    if good { Ok(()) } else { Err(SettingError { field, value: value.into(), rule }) }
 }

@@ -1,5 +1,5 @@
-//! Time and error of the Grid4D field with Fourier branch and gate (FAGS): its dense part against the roof of the machine,
-//! its hash grids, each exact optimisation on and off, and static splats.
+//! Time and error of the Grid4D field with Fourier branch and gate (FAGS): its dense part against the roof of the
+//! machine, its hash grids, each exact optimisation on and off, and static splats.
 //!
 //! Each row is printed and appended to `target/speed-error/gs-deform.jsonl`. `work` counts floating-point operations of
 //! matrix products (two per multiply-add), or splats. The roof is the machine's 1024³ product, one serial call per

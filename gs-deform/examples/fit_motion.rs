@@ -3,8 +3,8 @@
 //! ```text
 //! cargo run --release -p gs-deform --example fit_motion [-- fourdgs|defgs] [steps]
 //! ```
-//! Each step samples a training time, deforms the sheet with the field, and takes the squared error of means and rotations
-//! against the known motion. The table shows the error at times that are never trained.
+//! Each step samples a training time, deforms the sheet with the field, and takes the squared error of means and
+//! rotations against the known motion. The table shows the error at times that are never trained.
 
 use glam::{Quat, Vec3};
 use gs_core::rot;

@@ -7,10 +7,10 @@
 //! scales  Log: s · exp(δs)     Add: s + δs        with a limit: min(|·|, limit)
 //! quats   Raw: q + δr          Unit: q + |q| δr          Compose: normalise(1 + δr) ⊗ q
 //! ```
-//! `Raw` and `Log` are 4D Gaussian Splatting's sums on raw parameters; `Unit` is the rotation of `q̂ + δr`, as in Deformable
-//! 3D Gaussians, written so that the norm of `q` is kept; `Compose` rotates in the world frame (GVFi, TRACE).
-//! Quaternions are normalised where they are used. With offsets of zero every rule returns the splat bit for bit (a
-//! negative zero may become positive).
+//! `Raw` and `Log` are 4D Gaussian Splatting's sums on raw parameters; `Unit` is the rotation of `q̂ + δr`, as in
+//! Deformable 3D Gaussians, written so that the norm of `q` is kept; `Compose` rotates in the world frame (GVFi,
+//! TRACE). Quaternions are normalised where they are used. With offsets of zero every rule returns the splat bit for
+//! bit (a negative zero may become positive).
 //!
 //! ```
 //! use gs_deform::apply::{Apply, OffsetColumns, QuatRule, Rows, RowsMut, ScaleRule};

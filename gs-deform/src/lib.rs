@@ -10,9 +10,10 @@
 //! * [`Grid4dField`]: hash grids over space and space-time, a decoder with attention, a Fourier branch and a gate
 //!   (Grid4D, FAGS).
 //!
-//! All implement [`Field`]: `forward`, `backward`, `regularise`, and a tape of activations that the caller keeps between
-//! calls. The parts are usable alone: [`encode::HexPlane`] and [`encode::HashGrid`] map points to features, [`apply`] adds
-//! offsets to splats, [`mod@reference`] is the `f64` implementation that tests and benches measure against.
+//! All implement [`Field`]: `forward`, `backward`, `regularise`, and a tape of activations that the caller keeps
+//! between calls. The parts are usable alone: [`encode::HexPlane`] and [`encode::HashGrid`] map points to features,
+//! [`apply`] adds offsets to splats, [`mod@reference`] is the `f64` implementation that tests and benches measure
+//! against.
 //!
 //! ```
 //! use gs_core::{Splats, Time};
@@ -39,9 +40,9 @@
 //! any number of threads; other instruction sets differ by rounding only.
 //!
 //! # What it leaves out
-//! Opacities and colours do not change with time. Checkpoints of other codes are not imported: the reference mirrors its
-//! spatial axes and this crate does not. Timestamps have no gradient. Points are not sorted before a HexPlane is sampled:
-//! measured, sorting gains a tenth of the whole field at best.
+//! Opacities and colours do not change with time. Checkpoints of other codes are not imported: the reference mirrors
+//! its spatial axes and this crate does not. Timestamps have no gradient. Points are not sorted before a HexPlane is
+//! sampled: measured, sorting gains a tenth of the whole field at best.
 
 #![warn(unreachable_pub)]
 #![warn(clippy::allow_attributes_without_reason)]

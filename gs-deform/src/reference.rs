@@ -1,5 +1,5 @@
-//! Reference implementations in `f64`: plain loops, four-dimensional sampling without lines, groups or blocks. Tests and
-//! benches measure the fast code against them.
+//! Reference implementations in `f64`: plain loops, four-dimensional sampling without lines, groups or blocks. Tests
+//! and benches measure the fast code against them.
 //!
 //! ```
 //! use gs_core::Time;

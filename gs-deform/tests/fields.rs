@@ -1,5 +1,6 @@
-//! Both fields against a plain f64 reference: values, and every kind of gradient against the reference's central differences.
-//! Then what must hold to the last bit: the untrained field is the identity, threads change nothing, a warm tape neither.
+//! Both fields against a plain f64 reference: values, and every kind of gradient against the reference's central
+//! differences. Then what must hold to the last bit: the untrained field is the identity, threads change nothing, a
+//! warm tape neither.
 //!
 //! Tolerances (f32 against f64, relative to the largest entry of the column or block, worst seen times about four):
 //! | quantity | bound |
@@ -148,8 +149,8 @@ fn assert_close(got: &[f64], want: &[f64], bound: f64, what: &str) {
     }
 }
 
-/// Runs a field forward and backward on `n` splats and compares everything with the reference. `detached`: the point the
-/// field is sampled at is a constant. `stride`: every how many parameter values are checked.
+/// Runs a field forward and backward on `n` splats and compares everything with the reference. `detached`: the point
+/// the field is sampled at is a constant. `stride`: every how many parameter values are checked.
 fn compare<F: Field>(mut field: F, n: usize, t: Time, detached: bool, reference: &Reference<'_>, stride: usize) {
     let (s, mut tape, mut out) = (splats(n), F::Tape::default(), Splats::default());
     field.forward(&s, t, &mut tape, &mut out);

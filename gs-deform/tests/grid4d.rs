@@ -1,5 +1,6 @@
-//! The Grid4D field, with and without its Fourier branch and gate, against a plain f64 reference: values, and every kind of
-//! gradient against the reference's central differences. Then the exact savings on and off, and what must hold to the last bit.
+//! The Grid4D field, with and without its Fourier branch and gate, against a plain f64 reference: values, and every
+//! kind of gradient against the reference's central differences. Then the exact savings on and off, and what must hold
+//! to the last bit.
 //!
 //! Tolerances (f32 against f64, relative to the largest entry of the column or block, worst seen times about four):
 //! | quantity | bound |

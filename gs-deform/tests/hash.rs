@@ -1,5 +1,5 @@
-//! The hash grid in three levels: what the numbers must be by construction, the f64 reference against central differences,
-//! the fast encoder against the reference.
+//! The hash grid in three levels: what the numbers must be by construction, the f64 reference against central
+//! differences, the fast encoder against the reference.
 //!
 //! Tolerances (f32 against f64, worst seen times about four). A coordinate in cells has the rounding of `f32` at the
 //! resolution, hence the second row.

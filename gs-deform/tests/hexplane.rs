@@ -1,5 +1,5 @@
-//! HexPlane in three levels: what the numbers must be by construction, the f64 reference against central differences, the
-//! fast encoder against the reference.
+//! HexPlane in three levels: what the numbers must be by construction, the f64 reference against central differences,
+//! the fast encoder against the reference.
 //!
 //! Tolerances (f32 against f64, worst seen times about four):
 //! | quantity | relative to | bound |

@@ -1,5 +1,5 @@
-//! Nets on planes in three levels: what must hold by construction, the f64 reference against central differences, the fast net
-//! against the reference. Then what must hold to the last bit.
+//! Nets on planes in three levels: what must hold by construction, the f64 reference against central differences, the
+//! fast net against the reference. Then what must hold to the last bit.
 //!
 //! Tolerances (f32: worst seen times about four):
 //! | quantity | against | relative to | bound |
@@ -259,7 +259,8 @@ fn step(
     all.iter().map(|v| v.to_bits()).collect()
 }
 
-/// Cells found once are valid at every time and for every later state of the planes, bit for bit, and tapes may alternate.
+/// Cells found once are valid at every time and for every later state of the planes, bit for bit, and tapes may
+/// alternate.
 #[test]
 fn placed_points_change_no_bit() {
     let means = points(2 * BLOCK + 9);

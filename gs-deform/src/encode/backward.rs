@@ -1,5 +1,5 @@
-//! Backward of a HexPlane: one task per group of sixteen channels of a level, which owns its slices of all gradients and
-//! visits all points in order.
+//! Backward of a HexPlane: one task per group of sixteen channels of a level, which owns its slices of all gradients
+//! and visits all points in order.
 
 use super::hexplane::{BlockCells, HexBlock, HexPlane, HexTape, Level};
 use super::sample::{self, Cell, Group, GroupGrad, LANES, Texel};
@@ -33,7 +33,8 @@ struct Job<'a> {
 
 impl HexPlane {
     /// Backward of [`HexPlane::forward`] for the same points: takes `d_features` of every block, adds to the planes'
-    /// gradients and, if given, to `d_means` (`[points]`, world units). Without `d_means` the points count as constants.
+    /// gradients and, if given, to `d_means` (`[points]`, world units). Without `d_means` the points count as
+    /// constants.
     pub fn backward(&mut self, tape: &mut HexTape, d_means: Option<&mut [Vec3]>) {
         let (groups, width, simd) = (self.groups(), self.width(), self.simd);
         let HexTape { time, lines, places, blocks, tasks } = tape;

@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 /// Largest number of values in all planes together: 2 GiB of `f32`.
 const MAX_VALUES: usize = 1 << 29;
 
-/// Size and regularisers of a [`HexPlane`](super::HexPlane). The defaults are those of 4D Gaussian Splatting for synthetic
-/// scenes.
+/// Size and regularisers of a [`HexPlane`](super::HexPlane). The defaults are those of 4D Gaussian Splatting for
+/// synthetic scenes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct HexPlaneConfig {

@@ -1,24 +1,24 @@
-//! HexPlane: a four-dimensional grid factored into six feature planes (Cao and Johnson 2023; Fridovich-Keil et al. 2023,
-//! K-planes), at several resolutions, as 4D Gaussian Splatting uses it (Wu et al. 2024, Eqs. 3 to 5).
+//! HexPlane: a four-dimensional grid factored into six feature planes (Cao and Johnson 2023; Fridovich-Keil et al.
+//! 2023, K-planes), at several resolutions, as 4D Gaussian Splatting uses it (Wu et al. 2024, Eqs. 3 to 5).
 //!
 //! ```text
 //! h^m(x, y, z, t) = xy·xz·xt·yz·yt·zt     each a bilinear sample of a plane of level m, product per channel
 //! h = (h^1, …, h^L)
 //! ```
 //! * **Levels** multiply the spatial resolution only. Planes with time start at 1, the others at U(0.1, 0.5).
-//! * **Space**: the box [`Aabb`] spans nodes `0 … R−1` of each axis; a point outside is clamped to the nearest face and has
-//!   no gradient across it (on the face itself neither).
-//! * **Time**: normalised time 0 … 1 falls on rows `(R−1)/2 … R−1` of the time axis, as in the reference, which feeds raw
-//!   time into an axis made for [−1, 1]. Rows below `⌊(R−1)/2⌋` are never read there and are not stored here; values and
-//!   the weights of the regularisers are the same. Times outside 0 … 1 are clamped to the nearest end.
+//! * **Space**: the box [`Aabb`] spans nodes `0 … R−1` of each axis; a point outside is clamped to the nearest face and
+//!   has no gradient across it (on the face itself neither).
+//! * **Time**: normalised time 0 … 1 falls on rows `(R−1)/2 … R−1` of the time axis, as in the reference, which feeds
+//!   raw time into an axis made for [−1, 1]. Rows below `⌊(R−1)/2⌋` are never read there and are not stored here;
+//!   values and the weights of the regularisers are the same. Times outside 0 … 1 are clamped to the nearest end.
 //! * **Layout**: `[channels / 16][nodes_b][nodes_a][16]`: sixteen channels of a node are one register and one load.
 //! * **One time per call**: the two rows of a time plane around the timestamp are blended into a line once, so a point
 //!   reads 18 texels instead of 24 (exact up to rounding).
-//! * **Static points**: [`HexPlane::place`] finds their cells once, for any number of calls at any times while the planes
-//!   are trained ([`HexPlane::forward_placed`]; the same arithmetic, hence the same bits).
-//! * **Backward**: channels are independent, so each group of sixteen channels of a level is one task that owns its slices
-//!   of all six gradients and visits the points in order: no private copies, no atomics, the same sums for any number of
-//!   threads. At most `levels · channels / 16` tasks run at once.
+//! * **Static points**: [`HexPlane::place`] finds their cells once, for any number of calls at any times while the
+//!   planes are trained ([`HexPlane::forward_placed`]; the same arithmetic, hence the same bits).
+//! * **Backward**: channels are independent, so each group of sixteen channels of a level is one task that owns its
+//!   slices of all six gradients and visits the points in order: no private copies, no atomics, the same sums for any
+//!   number of threads. At most `levels · channels / 16` tasks run at once.
 //!
 //! ```
 //! use gs_core::{Params, Time};
@@ -116,8 +116,8 @@ impl GridCells {
 }
 
 impl HexPlane {
-    /// An encoder over the box `aabb`, its planes named `{name}.{pair}.{level}`: planes with time are 1, the others uniform
-    /// in 0.1 … 0.5.
+    /// An encoder over the box `aabb`, its planes named `{name}.{pair}.{level}`: planes with time are 1, the others
+    /// uniform in 0.1 … 0.5.
     ///
     /// # Errors
     /// If a setting is out of its domain; the message names it.
@@ -253,8 +253,8 @@ impl HexPlane {
         }
     }
 
-    /// Adds the weighted gradients of the regularisers to the planes; returns their weighted values by the names of their
-    /// weights in [`HexPlaneConfig`].
+    /// Adds the weighted gradients of the regularisers to the planes; returns their weighted values by the names of
+    /// their weights in [`HexPlaneConfig`].
     pub fn regularise(&mut self) -> [(&'static str, f32); 3] {
         let HexPlaneConfig { channels, plane_tv, time_smoothness, time_l1, resolution, .. } = self.config;
         let groups = self.groups();

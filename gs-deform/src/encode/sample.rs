@@ -1,8 +1,8 @@
 //! The inner loops of the HexPlane: sixteen channels of one point at a time, forward and backward.
 //!
-//! With `A B C` the bilinear samples of the planes xy, xz, yz and `X Y Z` the linear samples of the lines that the planes
-//! xt, yt, zt become at a fixed time, a feature is the product of the six. Its cotangent `g` reaches each factor as `g`
-//! times the other five, built from the pairs `AB`, `CX`, `YZ`: no division, so texels may be zero.
+//! With `A B C` the bilinear samples of the planes xy, xz, yz and `X Y Z` the linear samples of the lines that the
+//! planes xt, yt, zt become at a fixed time, a feature is the product of the six. Its cotangent `g` reaches each factor
+//! as `g` times the other five, built from the pairs `AB`, `CX`, `YZ`: no division, so texels may be zero.
 //!
 //! Everything here is a function marked `inline(always)`, never a closure: only then does the instruction set chosen at
 //! run time reach it.

@@ -1,7 +1,8 @@
 //! Regularisers of a HexPlane: planes are smooth, and time changes little.
 //!
 //! With `S(P)` the mean of the squared second difference along the slow axis and the published weights `w`
-//! (4DGaussians, Eq. 8 and its code; the "total variation" of the spatial planes is this one-axis difference there too):
+//! (4DGaussians, Eq. 8 and its code; the "total variation" of the spatial planes is this one-axis difference there
+//! too):
 //!
 //! ```text
 //! S(P) = mean (P[y+2] − 2 P[y+1] + P[y])²         0 with fewer than three rows

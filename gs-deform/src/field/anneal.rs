@@ -1,5 +1,5 @@
-//! Annealed smooth training (Yang et al. 2024, Eq. 5): timestamps of real captures are inexact, so early steps add noise
-//! to them, one sample per step for all splats.
+//! Annealed smooth training (Yang et al. 2024, Eq. 5): timestamps of real captures are inexact, so early steps add
+//! noise to them, one sample per step for all splats.
 //!
 //! ```text
 //! t' = t + N(0, 1) · β(step) · Δt      β falls linearly from 0.1 to 0 over 20 000 steps

@@ -6,8 +6,8 @@
 //! δx = W_x h,  δr = W_r h,  δs = W_s h                      three linear heads (with biases)
 //! μ' = μ + δx     q' = |q| (q/|q| + δr)     s' = s + δs     (activated scales; see apply for the other rules)
 //! ```
-//! * The means are **detached** at the input, as in the reference: their gradient is that of the sum `μ + δx` only, and the
-//!   encoding needs no backward.
+//! * The means are **detached** at the input, as in the reference: their gradient is that of the sum `μ + δx` only, and
+//!   the encoding needs no backward.
 //! * Time is the same for all splats of a call, so its columns of the first and the skip layer are folded into their
 //!   biases: exact up to rounding, and a third of the first layer's work is saved.
 //! * The heads start at **zero** (the identity, bit for bit); the reference starts them like the other layers, which
@@ -41,8 +41,8 @@ pub struct DefGsConfig {
     pub time_hidden: usize,
     /// Number of outputs of the time network.
     pub time_features: usize,
-    /// Factor on world coordinates before they are encoded. 1 in the reference; 1 / scene radius gives the bands the same
-    /// meaning in every scene.
+    /// Factor on world coordinates before they are encoded. 1 in the reference; 1 / scene radius gives the bands the
+    /// same meaning in every scene.
     pub coordinate_scale: f32,
     /// Rule for the offsets of scales.
     pub scale_rule: ScaleRule,

@@ -164,8 +164,8 @@ impl DefNet {
         grad.heads.iter_mut().zip(&self.heads).for_each(|(g, l)| g.reset(l));
     }
 
-    /// Adds the chunks' gradients to the parameters, then back-propagates the bias gradients of the layers that take the
-    /// time to their time columns and to the time network.
+    /// Adds the chunks' gradients to the parameters, then back-propagates the bias gradients of the layers that take
+    /// the time to their time columns and to the time network.
     pub(super) fn add_grads(&mut self, tape: &mut DefNetTape, chunks: &[ChunkGrad]) {
         for (k, head) in self.heads.iter_mut().enumerate() {
             head.add_grads(chunks.iter().map(move |g| &g.heads[k]));

@@ -7,11 +7,12 @@
 //! s' = s · exp(δs)     or     min(|s + δs|, D)    D: diagonal of the box
 //! ```
 //! The reference starts its last layers at random, which moves every splat by a random, nearly constant offset at the
-//! first step; here they start at **zero**, so that the field is the identity bit for bit until it is trained (with sums
-//! on scales: for scales from 0 to the diagonal). [`FourDgsConfig::zero_init`] switches back.
+//! first step; here they start at **zero**, so that the field is the identity bit for bit until it is trained (with
+//! sums on scales: for scales from 0 to the diagonal). [`FourDgsConfig::zero_init`] switches back.
 //!
-//! The planes are sampled at the means, so the means get a gradient through the encoder; the reference keeps it and so does
-//! this field. [`FourDgsConfig::detach_coordinates`] drops it, which saves about a tenth of the encoder's backward.
+//! The planes are sampled at the means, so the means get a gradient through the encoder; the reference keeps it and so
+//! does this field. [`FourDgsConfig::detach_coordinates`] drops it, which saves about a tenth of the encoder's
+//! backward.
 
 use super::Field;
 use super::plane_net::{NetBlock, PlaneNet, PlaneNetConfig, PlaneNetTape};
@@ -38,7 +39,8 @@ pub struct FourDgsConfig {
     pub move_scales: bool,
     /// Whether there is a head for rotations.
     pub move_quats: bool,
-    /// Start the heads' last layers at zero, so that the field is the identity, instead of at random as the reference does.
+    /// Start the heads' last layers at zero, so that the field is the identity, instead of at random as the reference
+    /// does.
     pub zero_init: bool,
     /// Rule for the offsets of scales; with [`ScaleRule::Add`] scales are limited to the diagonal of the box.
     pub scale_rule: ScaleRule,
@@ -70,7 +72,8 @@ impl FourDgsConfig {
         PlaneNetConfig { width, depth, zero_init, hexplane: hexplane.clone() }
     }
 
-    /// Half the channels and planes of 48² nodes: about two thirds of the time and a third of the parameters of the default.
+    /// Half the channels and planes of 48² nodes: about two thirds of the time and a third of the parameters of the
+    /// default.
     pub fn fast() -> Self {
         let hexplane = HexPlaneConfig { resolution: [48, 48, 48, 75], channels: 16, ..HexPlaneConfig::default() };
         Self { hexplane, ..Self::default() }

@@ -1,5 +1,5 @@
-//! Deformation fields: canonical splats to splats at a timestamp, and the gradients of both the canonical splats and the
-//! field's parameters.
+//! Deformation fields: canonical splats to splats at a timestamp, and the gradients of both the canonical splats and
+//! the field's parameters.
 
 pub mod anneal;
 pub mod defgs;
@@ -43,7 +43,8 @@ pub trait Field: Params + Send + Sync {
     fn forward(&self, canonical: &Splats, t: Time, tape: &mut Self::Tape, out: &mut Splats);
 
     /// Backward of [`Field::forward`] from the cotangents `d_out` of its output: adds to the parameters' `grad` and to
-    /// `d_canonical` (shaped like `canonical`). `tape` must come from a forward of the same splats with the same parameters.
+    /// `d_canonical` (shaped like `canonical`). `tape` must come from a forward of the same splats with the same
+    /// parameters.
     fn backward(&mut self, canonical: &Splats, tape: &mut Self::Tape, d_out: &SplatsGrad, d_canonical: &mut SplatsGrad);
 
     /// Loss terms that need no image: adds their weighted gradients to the parameters, returns their weighted values by

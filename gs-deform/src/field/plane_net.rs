@@ -5,12 +5,12 @@
 //! h = relu(trunk(f))                              Linear(F→W), then depth−1 × (ReLU, Linear(W→W))
 //! y_k = W₂ₖ relu(W₁ₖ h + b₁ₖ) + b₂ₖ               one head k per output column; see gs_core::nn::heads
 //! ```
-//! Weights start Xavier-uniform with biases U(±1/√fan-in). The reference starts its last layers the same way, which makes
-//! every output a random, nearly constant number at the first step; here they start at **zero**, so that an untrained net
-//! outputs zero. [`PlaneNetConfig::zero_init`] switches back.
+//! Weights start Xavier-uniform with biases U(±1/√fan-in). The reference starts its last layers the same way, which
+//! makes every output a random, nearly constant number at the first step; here they start at **zero**, so that an
+//! untrained net outputs zero. [`PlaneNetConfig::zero_init`] switches back.
 //!
-//! Points are split into blocks of [`BLOCK`](gs_core::nn::BLOCK) rows; outputs and their cotangents stay in the tape, block
-//! by block, where the caller reads and writes them in parallel ([`PlaneNetTape::blocks`]).
+//! Points are split into blocks of [`BLOCK`](gs_core::nn::BLOCK) rows; outputs and their cotangents stay in the tape,
+//! block by block, where the caller reads and writes them in parallel ([`PlaneNetTape::blocks`]).
 //!
 //! ```
 //! use gs_core::Time;
@@ -119,8 +119,9 @@ impl PlaneNetTape {
 }
 
 impl PlaneNet {
-    /// A net over the box `aabb` with the given heads (name, outputs). Parameters are named `{name}.planes.{pair}.{level}`,
-    /// `{name}.trunk.{layer}.…`, `{name}.hidden.…` (all heads' first layers) and `{name}.{head}.…`.
+    /// A net over the box `aabb` with the given heads (name, outputs). Parameters are named
+    /// `{name}.planes.{pair}.{level}`, `{name}.trunk.{layer}.…`, `{name}.hidden.…` (all heads' first layers) and
+    /// `{name}.{head}.…`.
     ///
     /// # Errors
     /// If a setting is out of its domain; the message names it.
@@ -171,8 +172,8 @@ impl PlaneNet {
         });
     }
 
-    /// Backward of [`PlaneNet::forward`] from the cotangents in the tape's blocks: adds to the parameters' gradients and, if
-    /// given, to `d_points` (`[points]`, world units). Without `d_points` the points count as constants.
+    /// Backward of [`PlaneNet::forward`] from the cotangents in the tape's blocks: adds to the parameters' gradients
+    /// and, if given, to `d_points` (`[points]`, world units). Without `d_points` the points count as constants.
     pub fn backward(&mut self, tape: &mut PlaneNetTape, d_points: Option<&mut [Vec3]>) {
         let PlaneNetTape { hex, blocks, chunks } = tape;
         let per_chunk = nn::blocks_per_chunk(blocks.len());

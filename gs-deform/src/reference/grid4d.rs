@@ -96,8 +96,8 @@ impl Grid4dRef {
         self.dense("head", &h)
     }
 
-    /// A splat (mean 3, quat 4, scale 3) at a timestamp. `x` is the point the grids are sampled at, the splat's mean; it is
-    /// separate because gradients treat it as a constant.
+    /// A splat (mean 3, quat 4, scale 3) at a timestamp. `x` is the point the grids are sampled at, the splat's mean;
+    /// it is separate because gradients treat it as a constant.
     pub fn moved(&self, x: [f64; 3], splat: [f64; 10], t: Time) -> [f64; 10] {
         if !self.config.compat_grid4d && !self.normalised(x, t).iter().all(|c| (0.0..=1.0).contains(c)) {
             return splat;

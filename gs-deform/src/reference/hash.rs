@@ -46,8 +46,8 @@ impl HashGridRef {
         if stride > entries { u64::from(hashed) % entries } else { dense % entries }
     }
 
-    /// The eight corners of a point's cell in a level: index of the corner's two values in `table`, and weight. None outside
-    /// the cube.
+    /// The eight corners of a point's cell in a level: index of the corner's two values in `table`, and weight. None
+    /// outside the cube.
     pub fn corners(&self, level: usize, point: [f64; 3]) -> Vec<(usize, f64)> {
         if !point.iter().all(|c| *c >= 0.0 && *c <= 1.0) {
             return Vec::new();

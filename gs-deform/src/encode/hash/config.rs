@@ -13,8 +13,8 @@ const MAX_VALUES: usize = 1 << 29;
 /// Largest resolution: beyond it an `f32` coordinate has fewer than seven bits left inside a cell.
 const MAX_RESOLUTION: f32 = 131_072.0;
 
-/// Size of a [`HashGrid`](super::HashGrid): resolution `base · (end / base)^(l / (levels − 1))` along each axis at level
-/// `l`, every axis growing at its own rate.
+/// Size of a [`HashGrid`](super::HashGrid): resolution `base · (end / base)^(l / (levels − 1))` along each axis at
+/// level `l`, every axis growing at its own rate.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct HashGridConfig {

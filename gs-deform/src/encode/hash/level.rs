@@ -5,8 +5,8 @@
 //! dense  (Π res ≤ 2^T):   c_0 + res_0 (c_1 + res_1 c_2)
 //! hashed (otherwise):     (c_0 xor 2654435761 c_1 xor 805459861 c_2) mod n,      n a power of two
 //! ```
-//! The published code takes `⌈R⌉` of the rounded growth in two places: 512.0000001 on one side is 513 rows there and 512
-//! here. The margin of 1e-4, taken once, removes that; `scale` is capped to `res − 1` so that 1 is the last node.
+//! The published code takes `⌈R⌉` of the rounded growth in two places: 512.0000001 on one side is 513 rows there and
+//! 512 here. The margin of 1e-4, taken once, removes that; `scale` is capped to `res − 1` so that 1 is the last node.
 
 use super::config::HashGridConfig;
 
@@ -54,8 +54,8 @@ impl Level {
         (0..levels).map(&mut level).collect()
     }
 
-    /// The part of a node's index that depends on its second and third coordinate; [`Level::index`] adds the first (dense)
-    /// or xors it in (hashed).
+    /// The part of a node's index that depends on its second and third coordinate; [`Level::index`] adds the first
+    /// (dense) or xors it in (hashed).
     #[inline(always)]
     pub(super) fn row(&self, c1: u32, c2: u32) -> u32 {
         if self.hashed {

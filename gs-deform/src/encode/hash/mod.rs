@@ -1,5 +1,5 @@
-//! Hash grid: from a point in the unit cube to features at several resolutions (Müller et al. 2022, Instant NGP), with a
-//! growth factor per axis as in Grid4D (Xu et al. 2024).
+//! Hash grid: from a point in the unit cube to features at several resolutions (Müller et al. 2022, Instant NGP), with
+//! a growth factor per axis as in Grid4D (Xu et al. 2024).
 //!
 //! ```text
 //! p_d = x̂_d scale_{l,d}      i = ⌊p⌋      f = p − i      w = f² (3 − 2f)
@@ -30,8 +30,8 @@
 //!
 //! # What it leaves out
 //! Levels share no cells, even at equal `res`: their `scale` differs. No tables in half precision: without a conversion
-//! instruction on every machine they are read more slowly than `f32` at every size (bench `hash`). Points are not sorted:
-//! measured along a Morton curve, splats on a surface lie too far apart to gain.
+//! instruction on every machine they are read more slowly than `f32` at every size (bench `hash`). Points are not
+//! sorted: measured along a Morton curve, splats on a surface lie too far apart to gain.
 
 mod cells;
 pub mod config;
@@ -51,7 +51,8 @@ use std::ops::Range;
 /// Points of one forward task.
 const CHUNK: usize = 1024;
 
-/// Largest number of levels in a group. Together they read whole cache lines of cotangents; a group is one backward task.
+/// Largest number of levels in a group. Together they read whole cache lines of cotangents; a group is one backward
+/// task.
 const GROUP: usize = 4;
 
 /// Largest number of entries in a group of several levels: half a megabyte stays in the second-level cache.
@@ -140,7 +141,8 @@ impl HashGrid {
         });
     }
 
-    /// Backward of [`HashGrid::forward`] for the same points: adds to the tables' gradient. `d_out` has the layout of `out`.
+    /// Backward of [`HashGrid::forward`] for the same points: adds to the tables' gradient. `d_out` has the layout of
+    /// `out`.
     pub fn backward(&mut self, points: &[[f32; 3]], d_out: &[f32], columns: Columns) {
         let Self { levels, groups, table, simd, .. } = self;
         let Columns { stride, offset } = columns;

@@ -5,9 +5,9 @@
 //! ```text
 //! plane_l[x, y] = (1 − w) · table_l[index(x, y, k)] + w · table_l[index(x, y, k + 1)]
 //! ```
-//! The same sum in another order: equal to the grid up to rounding. Hashed levels are blended node by node, too. Backward
-//! sums the cotangents of each cell's four corners into the plane and adds the plane's gradient to the two layers it was
-//! blended from.
+//! The same sum in another order: equal to the grid up to rounding. Hashed levels are blended node by node, too.
+//! Backward sums the cotangents of each cell's four corners into the plane and adds the plane's gradient to the two
+//! layers it was blended from.
 //!
 //! ```
 //! use gs_deform::encode::{Columns, HashGrid, HashGridConfig, Slice};
@@ -62,8 +62,8 @@ impl Slice {
 }
 
 impl HashGrid {
-    /// Prepares the grid at third coordinate `t` for about `points` points: levels whose plane has fewer than four nodes
-    /// per point are blended. Call it again after every change of the tables.
+    /// Prepares the grid at third coordinate `t` for about `points` points: levels whose plane has fewer than four
+    /// nodes per point are blended. Call it again after every change of the tables.
     pub fn slice(&self, t: f32, points: usize, slice: &mut Slice) {
         slice.t = t;
         slice.levels.resize_with(self.levels().len(), Plane::default);

@@ -4,8 +4,8 @@ use crate::DeformError;
 use crate::encode::HashGridConfig;
 use serde::{Deserialize, Serialize};
 
-/// Size and parts of the field. The default is FAGS on the grids published for D-NeRF; without [`FourierConfig::on`] and
-/// [`GateConfig::on`] it is Grid4D.
+/// Size and parts of the field. The default is FAGS on the grids published for D-NeRF; without [`FourierConfig::on`]
+/// and [`GateConfig::on`] it is Grid4D.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Grid4dConfig {
@@ -85,8 +85,8 @@ pub struct GateConfig {
     pub start: f32,
 }
 
-/// How the gate `η` scales the rigid motion with quaternion parameters `ρ` and translation `τ`. `R(v)` is the rotation of
-/// `normalise((1,0,0,0) + v)`. Rotation and scale offsets are multiplied by `η` in all modes.
+/// How the gate `η` scales the rigid motion with quaternion parameters `ρ` and translation `τ`. `R(v)` is the rotation
+/// of `normalise((1,0,0,0) + v)`. Rotation and scale offsets are multiplied by `η` in all modes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum GateMode {

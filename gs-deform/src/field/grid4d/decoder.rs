@@ -1,4 +1,5 @@
-//! The dense layers of a [`Grid4dField`](super::Grid4dField): from the features of the grids to the outputs of the head.
+//! The dense layers of a [`Grid4dField`](super::Grid4dField): from the features of the grids to the outputs of the
+//! head.
 //!
 //! ```text
 //! z_s = W_s x + b_s,   a = 2σ(z_s) − 1  (or σ)          x: canonical features; a does not depend on time

@@ -4,8 +4,8 @@
 //! γ_i = 2^{3(i−1)/(m−1)}        s_i = sin πγ_i t,  c_i = cos πγ_i t                   i = 1 … m, half a cycle to four
 //! f_fre = [w_1 s_1, w_1 c_1, …, w_m s_m, w_m c_m]          w = amplitudes(z_s)         one row of w per splat
 //! ```
-//! **Collapse.** If the branch is linear and added right before the head (no hidden layers, one linear amplitude layer), it
-//! is one matrix per timestamp, from the canonical features `x` to the head:
+//! **Collapse.** If the branch is linear and added right before the head (no hidden layers, one linear amplitude
+//! layer), it is one matrix per timestamp, from the canonical features `x` to the head:
 //!
 //! ```text
 //! W̃[:, i] = s_i W_h[:, 2i−1] + c_i W_h[:, 2i]        Q = W_a W_s,  r = W_a b_s + b_a
@@ -62,7 +62,7 @@ impl Waves {
 }
 
 /// Frequency `γ` of band `i` (from 0) of `bands`, in half cycles per unit of time: 1 … 8.
-pub fn frequency(i: usize, bands: usize) -> f64 {
+pub(crate) fn frequency(i: usize, bands: usize) -> f64 {
     if bands > 1 { 2f64.powf(3.0 * i as f64 / (bands - 1) as f64) } else { 1.0 }
 }
 

@@ -21,8 +21,8 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! **Static splats** (an approximation, used only after [`FrozenField::keep_static`]). With `ψ = |ρ_xyz| / |q_d|` the sine
-//! of half the angle, a splat's mean moves by at most
+//! **Static splats** (an approximation, used only after [`FrozenField::keep_static`]). With `ψ = |ρ_xyz| / |q_d|` the
+//! sine of half the angle, a splat's mean moves by at most
 //!
 //! ```text
 //! δ = r 2ψ|μ| + η|τ|       and its extent in any direction changes by at most       η (|Δs|_max + 2 |s|_max |Δr|)
@@ -112,7 +112,8 @@ impl FrozenField<'_> {
         apply::put_back(moved, rows, out);
     }
 
-    /// Keeps splats static in later calls of [`FrozenField::forward`] whose error on screen is at most `options.pixels`.
+    /// Keeps splats static in later calls of [`FrozenField::forward`] whose error on screen is at most
+    /// `options.pixels`.
     pub fn keep_static(&mut self, options: &StillOptions<'_>) -> StillReport {
         let Self { field, canonical, static_state, time_state, moving } = self;
         if moving.take().is_some() {
@@ -165,8 +166,8 @@ fn row_bounds(row: &gate::Row, gate: GateConfig, mean: Vec3, scale: Vec3) -> [f3
 }
 
 /// Bound on the screen displacement, pixels, of a splat at `mean` whose mean moves by at most `moved` and whose extent
-/// changes by at most `changed` (world units): the largest over all cameras. 0 if both are 0; infinite without cameras or
-/// if the splat may cross a camera's plane `z = 0`. Cameras that it stays behind do not count.
+/// changes by at most `changed` (world units): the largest over all cameras. 0 if both are 0; infinite without cameras
+/// or if the splat may cross a camera's plane `z = 0`. Cameras that it stays behind do not count.
 pub fn screen_bound([moved, changed]: [f32; 2], mean: Vec3, cameras: &[Camera]) -> f32 {
     if moved == 0.0 && changed == 0.0 {
         return 0.0;

@@ -6,9 +6,9 @@
 //! δμ  = scale_param: D + ητ     lerp_position: η(D + τ)     translation_only: D + ητ     literal: η(μ + D + τ) − μ
 //! δr  = ηΔr                     δs = ηΔs
 //! ```
-//! `D = 2w (v × μ) + 2v × (v × μ)` for `q_d/|q_d| = (w, v)` has no cancellation: a small rotation is as precise as a large
-//! one, and the identity moves nothing, bit for bit. Where `|q_d|² < 1e-12` the rotation is the identity and has no
-//! gradient. Rows outside the cube have no offsets and no gradient.
+//! `D = 2w (v × μ) + 2v × (v × μ)` for `q_d/|q_d| = (w, v)` has no cancellation: a small rotation is as precise as a
+//! large one, and the identity moves nothing, bit for bit. Where `|q_d|² < 1e-12` the rotation is the identity and has
+//! no gradient. Rows outside the cube have no offsets and no gradient.
 
 use super::config::{GateConfig, GateMode};
 use crate::apply::OffsetColumns;
@@ -122,8 +122,8 @@ fn rotation_shift_backward(raw: [f32; 4], mean: Vec3, g: Vec3) -> ([f32; 4], Vec
     (d_raw, rotation_shift([w, -x, -y, -z], g))
 }
 
-/// Backward of [`forward`] from the cotangents `d` of the offsets: sets `d_heads`, adds the gradient of `δμ` with respect
-/// to the mean to each row's cotangent (that of the sum `μ + δμ` is added elsewhere).
+/// Backward of [`forward`] from the cotangents `d` of the offsets: sets `d_heads`, adds the gradient of `δμ` with
+/// respect to the mean to each row's cotangent (that of the sum `μ + δμ` is added elsewhere).
 pub(super) fn backward<'a>(
     gate: GateConfig,
     heads: &[f32],

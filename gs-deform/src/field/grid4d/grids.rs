@@ -3,7 +3,8 @@
 //! ```text
 //! x̂ = (x + b) / 2b        t̂ = 0.05 + 0.9 t, clamped to 0 … 1        one row: [xyt | yzt | xzt], side by side
 //! ```
-//! A point outside the cube has features of zero and no gradient in each grid that reads the coordinate that is outside.
+//! A point outside the cube has features of zero and no gradient in each grid that reads the coordinate that is
+//! outside.
 
 use super::config::Grid4dConfig;
 use crate::DeformError;

@@ -1,5 +1,5 @@
-//! The field of Grid4D (Xu et al. 2024) and its extension FAGS: hash grids over space and over space-time, a wide decoder
-//! with directional attention, a Fourier branch in time, and a gate on the motion.
+//! The field of Grid4D (Xu et al. 2024) and its extension FAGS: hash grids over space and over space-time, a wide
+//! decoder with directional attention, a Fourier branch in time, and a gate on the motion.
 //!
 //! ```text
 //! x = H_xyz(μ)          y = [H_xyt(μ, t), H_yzt(μ, t), H_xzt(μ, t)]             grids, encode::hash; μ detached
@@ -7,15 +7,16 @@
 //! [η | ρ τ | Δr | Δs] = W_h h + b_h        μ' = R(ηρ) μ + ητ    q' = q + |q| ηΔr    s' = s + ηΔs       gate
 //! ```
 //! * With [`FourierConfig::on`] and [`GateConfig::on`] this is FAGS, without them Grid4D.
-//! * The head starts at **zero**: the untrained field is the identity, bit for bit (except in the gate's `literal` mode).
+//! * The head starts at **zero**: the untrained field is the identity, bit for bit (except in the gate's `literal`
+//!   mode).
 //! * `q'` is the rotation of `q/|q| + ηΔr`; the public code does not normalise the sum, which rescales the covariance.
 //!   Quaternions are always normalised before rendering here, so that is not reproduced.
 //! * Splats **outside the cube** have features of zero and do not move, unless [`Grid4dConfig::compat_grid4d`].
 //! * Times beyond the cube (`t` below −1/18 or above 19/18) read the grids' end values; the waves continue.
 //! * Means get gradients through the rigid motion only, not through the grids.
 //!
-//! Optimisations that are exact up to rounding ([`ExactConfig`]): one blend of the temporal grids per call, the collapsed
-//! branch, and [`Grid4dField::freeze`] for the same splats at many timestamps.
+//! Optimisations that are exact up to rounding ([`ExactConfig`]): one blend of the temporal grids per call, the
+//! collapsed branch, and [`Grid4dField::freeze`] for the same splats at many timestamps.
 //!
 //! ```
 //! use gs_core::{Splats, Time};
@@ -47,7 +48,7 @@ mod grids;
 mod smooth;
 
 pub use config::{ExactConfig, FourierConfig, Fusion, GateConfig, GateMode, Grid4dConfig, SmoothConfig, WaveTime};
-pub use fourier::frequency;
+pub(crate) use fourier::frequency;
 pub use frozen::{FrozenField, StillOptions, StillReport, screen_bound};
 
 use super::Field;

@@ -4,8 +4,8 @@
 //! L_s = mean_i |H_xyz(x_i + δ_i) − H_xyz(x_i)|²        L_t = mean_i |H_t(x_i + δ_i, t + δt_i) − H_t(x_i, t)|²
 //! value = λ_s L_s + λ_t L_t        backward: ±2 Δ λ / n to both points        δ ~ U(−ε, ε) along each axis
 //! ```
-//! A step samples one splat from each of `n` equal ranges of rows (`n` is the share of all splats), separately for space
-//! and time.
+//! A step samples one splat from each of `n` equal ranges of rows (`n` is the share of all splats), separately for
+//! space and time.
 
 use super::config::SmoothConfig;
 use super::grids::{Grids, TimedTape, Times, inside};
