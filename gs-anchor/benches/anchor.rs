@@ -1,4 +1,4 @@
-//! Time and error of the anchors' own work at the published sizes: decoding, deformation per interval, visibility.
+//! Time and error of anchors at the published sizes: decoding, deformation per interval, visibility.
 //!
 //! Each row is printed and appended to `target/speed-error/gs-anchor.jsonl`. `work` counts floating-point operations of
 //! matrix products (two per multiply-add), or anchors where there are none.
@@ -14,7 +14,7 @@ use gs_deform::{Aabb, PlaneNetConfig};
 use gs_raster::{RasterOptions, Workspace, render};
 use std::time::Duration;
 
-/// Anchors in view, as the specification's cost model has them.
+/// Number of anchors in view.
 const ANCHORS: usize = 12_000;
 /// Anchors compared with the reference.
 const COMPARED: usize = 300;
@@ -22,7 +22,7 @@ const SHAPE: AnchorShape = AnchorShape { offsets: 10, features: 32, dynamics: 2 
 const T: Time = Time { normalised: 0.37, seconds: 0.37 };
 type Failure = Box<dyn std::error::Error>;
 
-/// What a row says beside its time.
+/// A row of the table, without its time.
 struct Row {
     case: &'static str,
     variant: &'static str,
@@ -52,7 +52,7 @@ fn measure(c: &mut Criterion, row: &Row, mut f: impl FnMut()) {
     line.keep(env!("CARGO_MANIFEST_DIR"));
 }
 
-/// Anchors on a sphere with everything learnt a little.
+/// Anchors on a sphere with random values, as after some training.
 fn anchors() -> Anchors {
     let point = |row| {
         let mut rng = Rng::new(1, "points", 0, row);
@@ -109,19 +109,19 @@ fn local_row(d: &LocalGrad, v: usize) -> Vec<f64> {
 
 /// Worst splat and worst anchor's gradient against the reference.
 fn decode_errors(decoder: &Decoder, local: &Local, eye: DVec3, out: &Splats, d: &LocalGrad) -> (f64, f64) {
-    let twin = DecoderRef::new(decoder);
-    let mut grads: Blocks = twin.blocks.iter().map(|(n, b)| (n.clone(), vec![0.0; b.len()])).collect();
+    let reference = DecoderRef::new(decoder);
+    let mut grads: Blocks = reference.blocks.iter().map(|(n, b)| (n.clone(), vec![0.0; b.len()])).collect();
     let (mut n, mut splats, mut gradients) = (0, 0.0f64, 0.0f64);
     for v in 0..COMPARED {
         let anchor = AnchorRef::new(local, v);
-        for g in twin.decode(&anchor, eye.to_array()).iter().filter(|g| g.activation > 0.0) {
+        for g in reference.decode(&anchor, eye.to_array()).iter().filter(|g| g.activation > 0.0) {
             let (mean, scale) = (out.means[n].to_array(), out.scales[n].to_array());
             let rgb = &out.color.as_flat()[3 * n..][..3];
             let got = [&[out.opacities[n]][..], &mean, &scale, &out.quats[n], rgb].concat();
             splats = splats.max(worst(&wide(&got), &flat(g)));
             n += 1;
         }
-        let back = twin.backward(&anchor, eye.to_array(), &vec![ONES; SHAPE.offsets], &mut grads);
+        let back = reference.backward(&anchor, eye.to_array(), &vec![ONES; SHAPE.offsets], &mut grads);
         gradients = gradients.max(worst(&local_row(d, v), &flat_anchor(&back)));
     }
     (splats, gradients)
@@ -161,14 +161,14 @@ fn deform(c: &mut Criterion, anchors: &mut Anchors) -> Result<(), Failure> {
     d.positions.fill(Vec3::ONE);
     [&mut d.offsets, &mut d.features, &mut d.scales].into_iter().for_each(|d| d.fill(1.0));
     gad.backward(anchors, &mut tape, &d);
-    let twin = GadRef::new(&gad);
-    let mut grad = twin.net.zero_grad();
+    let reference = GadRef::new(&gad);
+    let mut grad = reference.net.zero_grad();
     let (mut values, mut gradients) = (0.0f64, 0.0f64);
     for v in 0..COMPARED {
         let rest = RestRef::new(anchors, v);
-        values = values.max(worst(&flat_anchor(&AnchorRef::new(&out, v)), &flat_anchor(&twin.moved(&rest, T))));
+        values = values.max(worst(&flat_anchor(&AnchorRef::new(&out, v)), &flat_anchor(&reference.moved(&rest, T))));
         let d = AnchorRef { position: [1.0; 3], offsets: vec![1.0; 30], features: vec![1.0; 32], scales: [1.0; 6] };
-        let want = twin.backward(&rest, T, &d, &mut grad).logits;
+        let want = reference.backward(&rest, T, &d, &mut grad).logits;
         let got = anchors.dynamics.as_ref().map_or(&[][..], |p| &p.grad[2 * v..][..2]);
         gradients = gradients.max(worst(&wide(got), &want));
     }
@@ -189,15 +189,15 @@ fn deform(c: &mut Criterion, anchors: &mut Anchors) -> Result<(), Failure> {
     Ok(())
 }
 
-/// A camera that sees part of the sphere: the filter against drawing everything.
+/// A camera with part of the sphere in view: the filter against decoding everything.
 fn visibility(c: &mut Criterion, anchors: &Anchors, camera: &Camera, all: &Splats) -> Result<(), Failure> {
     let decoder = Decoder::new(&DecoderConfig::default(), SHAPE, 1)?;
     let (mut local, mut seen, mut tape, mut some) = Default::default();
     anchors.activate(&mut local);
     visible::clean(&local, camera, &Reach::default(), &mut seen);
     decoder.forward(&local, Visible::List(&seen), camera.position(), &mut tape, &mut some);
-    let draw = |s: &Splats| render(s, camera, &RasterOptions::default(), &mut Workspace::new()).rgb;
-    let error = worst(&wide(&draw(&some)), &wide(&draw(all)));
+    let image = |s: &Splats| render(s, camera, &RasterOptions::default(), &mut Workspace::new()).rgb;
+    let error = worst(&wide(&image(&some)), &wide(&image(all)));
     println!("    {} of {ANCHORS} anchors listed", seen.len());
     let row = |case, variant, error| Row {
         case,
@@ -214,7 +214,7 @@ fn visibility(c: &mut Criterion, anchors: &Anchors, camera: &Camera, all: &Splat
     });
     visible::reference(anchors, camera, &mut seen);
     decoder.forward(&local, Visible::List(&seen), camera.position(), &mut tape, &mut some);
-    let error = worst(&wide(&draw(&some)), &wide(&draw(all)));
+    let error = worst(&wide(&image(&some)), &wide(&image(all)));
     measure(c, &row("visible", "published", error), || {
         visible::reference(anchors, camera, &mut seen);
     });

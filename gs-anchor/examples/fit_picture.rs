@@ -1,8 +1,8 @@
-//! A scaffold from points to a picture and back: `cargo run --release -p gs-anchor --example fit_picture [out.ppm]`.
+//! Fits anchors to one image: `cargo run --release -p gs-anchor --example fit_picture [out.ppm]`.
 //!
-//! Points on a sphere become anchors, the anchors a camera sees become Gaussians, the Gaussians a picture; the
-//! difference to another picture then flows back into the networks, features, offsets and scales. Sixty crude steps show
-//! the loss fall; `gs-train` has the real optimiser.
+//! Points on a sphere become anchors; the visible ones are decoded to Gaussians and rendered. The gradient of the
+//! squared error to a target image goes back to the networks, features, offsets and scales. Sixty sign-descent steps
+//! show the error fall; `gs-train` has the real optimizer.
 
 use glam::{DVec3, Vec3};
 use gs_anchor::{AnchorInit, AnchorShape, DecodeTape, Decoder, DecoderConfig, Local, LocalGrad, Reach, Visible};
@@ -11,7 +11,7 @@ use gs_core::{Camera, Params, Rng, Splats};
 use gs_raster::{Frame, FrameGrad, RasterOptions, Workspace, render, render_backward};
 
 const STEPS: usize = 60;
-/// Every value moves by this much a step, towards where its gradient points.
+/// Step length of the sign descent.
 const RATE: f32 = 2e-3;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -24,13 +24,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 
     let (mut local, mut tape, mut splats) = (Local::default(), DecodeTape::default(), Splats::default());
     let (mut d_local, mut seen, mut workspace) = (LocalGrad::default(), Vec::new(), Workspace::new());
-    let mut picture = Frame::default();
+    let mut frame = Frame::default();
     for step in 0..=STEPS {
         anchors.activate(&mut local);
         visible::clean(&local, &camera, &Reach::default(), &mut seen);
         decoder.forward(&local, Visible::List(&seen), camera.position(), &mut tape, &mut splats);
-        picture = render(&splats, &camera, &RasterOptions::default(), &mut workspace);
-        let error: Vec<f32> = picture.rgb.iter().zip(&target).map(|(p, t)| p - t).collect();
+        frame = render(&splats, &camera, &RasterOptions::default(), &mut workspace);
+        let error: Vec<f32> = frame.rgb.iter().zip(&target).map(|(p, t)| p - t).collect();
         if step % 20 == 0 {
             let mse = error.iter().map(|e| f64::from(e * e)).sum::<f64>() / error.len() as f64;
             let (all, some, n) = (anchors.len(), seen.len(), splats.len());
@@ -45,12 +45,12 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         decoder.visit_mut(&mut descend);
     }
     match std::env::args().nth(1) {
-        Some(path) => write_ppm(&picture, path.as_ref()),
+        Some(path) => write_ppm(&frame, path.as_ref()),
         None => Ok(()),
     }
 }
 
-/// One step against the sign of the gradient; anchors stay where they are.
+/// One step against the sign of the gradient; positions are not trained.
 fn descend(p: &mut gs_core::Param) {
     if p.name != "anchors.positions" {
         p.value.iter_mut().zip(&p.grad).for_each(|(v, g)| *v -= if *g == 0.0 { 0.0 } else { RATE * g.signum() });
@@ -63,7 +63,7 @@ fn on_sphere(row: u64) -> Vec3 {
     Vec3::new(rng.normal(), rng.normal(), rng.normal()).normalize_or(Vec3::X)
 }
 
-/// A sphere coloured by its normals over black: where each pixel's ray hits it.
+/// Target image: a sphere coloured by its normals over black, by ray casting.
 fn target(camera: &Camera) -> Vec<f32> {
     let eye = camera.position();
     let mut rgb = Vec::new();
@@ -76,7 +76,7 @@ fn target(camera: &Camera) -> Vec<f32> {
     rgb
 }
 
-/// Portable pixmap: the simplest picture format there is.
+/// Writes a portable pixmap.
 fn write_ppm(frame: &Frame, path: &std::path::Path) -> Result<(), Box<dyn std::error::Error>> {
     let mut bytes = format!("P6\n{} {}\n255\n", frame.width, frame.height).into_bytes();
     bytes.extend(frame.rgb.iter().map(|v| (v.clamp(0.0, 1.0) * 255.0).round() as u8));

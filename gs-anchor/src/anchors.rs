@@ -1,8 +1,8 @@
-//! Anchors: what a compact scene stores per point, as blocks of parameters that are edited together.
+//! Anchors: the values a scene stores per anchor, as parameter blocks that are edited together.
 //!
 //! | block | per anchor | unit |
 //! |---|---|---|
-//! | `anchors.positions` | 3 | world; a point of the lattice, never learnt |
+//! | `anchors.positions` | 3 | world; a lattice point, not trained |
 //! | `anchors.offsets` | `k × 3`, offset by offset | dimensionless; multiplied by the first three scales |
 //! | `anchors.features` | `C` | – |
 //! | `anchors.log_scales` | 6 | ln of world units: three for the offsets, three for the extents of the Gaussians |
@@ -13,7 +13,7 @@ use gs_core::param::{RowEdit, RowEditError};
 use gs_core::{Param, Params};
 use serde::{Deserialize, Serialize};
 
-/// Values per anchor.
+/// Sizes of an anchor's columns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AnchorShape {
@@ -21,23 +21,36 @@ pub struct AnchorShape {
     pub offsets: usize,
     /// Width of the feature, `C` (published: 32).
     pub features: usize,
-    /// Logits of motion: 0 (a scene at rest), 1 (shared), 2 (global, local).
+    /// Logits of motion: 0 (a static scene), 1 (shared), 2 (global, local).
     pub dynamics: usize,
 }
 
-/// Anchors under training.
+/// The parameters of `V` anchors.
+///
+/// ```
+/// use gs_anchor::{AnchorShape, Anchors};
+/// use gs_core::RowEdit;
+/// use glam::Vec3;
+///
+/// let shape = AnchorShape { offsets: 10, features: 32, dynamics: 2 };
+/// let mut anchors = Anchors::new(shape, &[Vec3::ZERO, Vec3::X, Vec3::Y], &[-3.0; 3]);
+/// anchors.edit(&RowEdit { keep: vec![2, 0], append_from: vec![1] })?;
+/// assert_eq!([0, 1, 2].map(|v| anchors.position(v)), [Vec3::Y, Vec3::ZERO, Vec3::X]);
+/// assert_eq!(anchors.offsets.len(), 3 * 10 * 3, "every block was edited");
+/// # Ok::<(), gs_core::param::RowEditError>(())
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct Anchors {
     shape: AnchorShape,
-    /// `[V, 3]`.
+    /// `[V, 3]`, world units; lattice points, not trained.
     pub positions: Param,
-    /// `[V, k, 3]`.
+    /// `[V, k, 3]`, in units of the first three scales.
     pub offsets: Param,
-    /// `[V, C]`.
+    /// `[V, C]`, inputs of the decoder's heads.
     pub features: Param,
-    /// `[V, 6]`.
+    /// `[V, 6]`, ln of world units: three for the offsets, three for the Gaussians' extents.
     pub log_scales: Param,
-    /// `[V, 1 or 2]`; absent in a scene at rest.
+    /// Logits of motion, `[V, 1 or 2]`; absent in a static scene.
     pub dynamics: Option<Param>,
 }
 
@@ -61,17 +74,17 @@ impl Anchors {
         }
     }
 
-    /// Values per anchor.
+    /// Sizes of an anchor's columns.
     pub fn shape(&self) -> AnchorShape {
         self.shape
     }
 
-    /// Number of anchors.
+    /// Number of anchors, `V`.
     pub fn len(&self) -> usize {
         self.positions.len() / 3
     }
 
-    /// Whether there is none.
+    /// Whether [`Anchors::len`] is 0.
     pub fn is_empty(&self) -> bool {
         self.positions.is_empty()
     }
@@ -86,7 +99,7 @@ impl Anchors {
         self.dynamics.as_ref().map_or(&[], |p| &p.value[v * self.shape.dynamics..][..self.shape.dynamics])
     }
 
-    /// Keeps, drops and copies whole anchors: every block, its gradient and its moments.
+    /// Keeps, drops and copies whole anchors: in every block its values, gradient and optimizer moments.
     ///
     /// # Errors
     /// If the edit names an anchor that does not exist; nothing is changed then.

@@ -1,4 +1,4 @@
-//! Anchors to Gaussians, as an eye sees them (Lu et al. 2024, Scaffold-GS, Eqs. 5–9), and back.
+//! Anchors to Gaussians for a camera centre (Lu et al. 2024, Scaffold-GS, Eqs. 5–9), forward and backward.
 //!
 //! ```text
 //! a   = tanh F_α(f', d)               k per anchor; only Gaussians with a > 0 exist, and a is their opacity
@@ -6,12 +6,27 @@
 //! q   = F_Σ(f', d)                    7k: three scale logits and a raw quaternion each
 //! μ   = x' + O' ⊙ l'[0:3]     s = |l'[3:6]| ⊙ σ(q[0:3])     r = q[3:7]
 //! ```
-//! `d` points from the eye to the anchor, `e` is one learned vector of appearance. All networks are
-//! `Linear · ReLU · Linear`. An extent `l'[3:6]` may be negative (deformation adds to it); only squares of scales matter,
-//! so its size is written and its sign returns on the way back. The distance `δ` and a bank of three feature resolutions
-//! are options, as published.
+//! `d` is the unit vector from the camera centre to the anchor, `e` one learned appearance vector. All networks are
+//! `Linear · ReLU · Linear`. An extent `l'[3:6]` may be negative (deformation adds to it); only squares of scales
+//! matter, so its magnitude is written and its sign multiplies the gradient. The distance `δ` as an input and a bank of
+//! three feature resolutions are options, as published.
 //!
-//! Anchors nearer to the eye than [`MIN_DISTANCE`] have no direction and are dropped.
+//! Anchors nearer to the camera centre than [`MIN_DISTANCE`] have no direction and are dropped.
+//!
+//! ```
+//! use gs_anchor::{AnchorShape, Anchors, DecodeTape, Decoder, DecoderConfig, Local, Visible};
+//! use gs_core::Splats;
+//! use glam::{DVec3, Vec3};
+//!
+//! let shape = AnchorShape { offsets: 10, features: 32, dynamics: 0 };
+//! let decoder = Decoder::new(&DecoderConfig::default(), shape, 1)?;
+//! let (mut local, mut tape, mut splats) = (Local::default(), DecodeTape::default(), Splats::default());
+//! Anchors::new(shape, &[Vec3::ZERO, Vec3::X], &[-3.0; 2]).activate(&mut local);
+//! decoder.forward(&local, Visible::List(&[1]), DVec3::NEG_Z, &mut tape, &mut splats);
+//! assert!(splats.means.iter().all(|m| *m == Vec3::X), "offsets are zero before training");
+//! assert!(tape.rows.iter().all(|row| (10..20).contains(row)), "rows of the second anchor");
+//! # Ok::<(), gs_anchor::DecoderError>(())
+//! ```
 
 mod bank;
 mod gaussians;
@@ -19,7 +34,7 @@ mod heads;
 
 use crate::{AnchorShape, Local, LocalGrad};
 use bank::{Bank, BankGrad, BankTape};
-use gaussians::{Anchored, Columns, Said, Sight};
+use gaussians::{AnchorGradRows, HeadOutputs, SplatRows, ViewRay};
 use glam::{DVec3, Vec3};
 use gs_core::nn::{self, BLOCK, CHUNKS};
 use gs_core::{Param, Params, Splats, SplatsGrad};
@@ -27,18 +42,18 @@ use heads::{Fused, Heads, HeadsGrad, HeadsTape};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-/// Anchors nearer to the eye than this are not decoded, world units.
+/// Anchors nearer to the camera centre than this are not decoded, world units.
 pub const MIN_DISTANCE: f64 = 1e-6;
 
-/// Which heads see the distance between eye and anchor; published default: none.
+/// Which heads take the distance `δ` between camera centre and anchor as input; published default: none.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DistanceInputs {
-    /// The opacity head.
+    /// Whether the opacity head does.
     pub opacity: bool,
-    /// The colour head.
+    /// Whether the colour head does.
     pub color: bool,
-    /// The covariance head.
+    /// Whether the covariance head does.
     pub covariance: bool,
 }
 
@@ -54,9 +69,9 @@ impl DistanceInputs {
 pub struct DecoderConfig {
     /// Width of the appearance vector `e`; 0: none.
     pub appearance: usize,
-    /// Which heads see the distance.
+    /// Which heads take the distance `δ` as input.
     pub distance: DistanceInputs,
-    /// Mix three resolutions of the feature by direction and distance (needs features of a width divisible by 4).
+    /// Blend three resolutions of the feature by view direction and distance (the width must be a multiple of 4).
     pub feature_bank: bool,
 }
 
@@ -66,28 +81,28 @@ impl Default for DecoderConfig {
     }
 }
 
-/// A decoder that cannot be built.
+/// Settings or an anchor shape that no decoder can be built for.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("decoder setting `{field}` = {value} cannot be built: it must be {rule}")]
 pub struct DecoderError {
-    /// The key.
+    /// Name of the setting or of the column of [`AnchorShape`].
     pub field: &'static str,
-    /// The value met.
+    /// The rejected value.
     pub value: usize,
-    /// What it must satisfy.
+    /// The domain in words, after "it must be".
     pub rule: &'static str,
 }
 
-/// The anchors to decode.
+/// The selection of anchors to decode.
 #[derive(Clone, Copy, Debug)]
 pub enum Visible<'a> {
-    /// All of them.
+    /// All anchors of the [`Local`].
     All,
-    /// These, in strictly increasing order.
+    /// The anchors with these indices, strictly increasing.
     List(&'a [u32]),
 }
 
-/// The networks that turn anchors into Gaussians; see the [module](self).
+/// The networks that decode anchors to Gaussians; see the [module](self).
 #[derive(Clone, Debug)]
 pub struct Decoder {
     config: DecoderConfig,
@@ -96,14 +111,14 @@ pub struct Decoder {
     bank: Option<Bank>,
 }
 
-/// What a decoding leaves behind for its way back and for statistics; reused between calls.
+/// Activations of a [`Decoder`], for its backward and for densification statistics; reused between calls.
 #[derive(Clone, Debug, Default)]
 pub struct DecodeTape {
-    /// The anchors that were decoded, increasing.
+    /// Indices of the anchors that were decoded, increasing.
     pub visible: Vec<u32>,
-    /// `tanh` of the opacity head, `[visible, k]`; positive where there is a splat.
+    /// `tanh` of the opacity head, `[visible, k]`; a Gaussian exists where it is positive.
     pub activations: Vec<f32>,
-    /// Of each splat, in order: `anchor · k + j`, its row in [`Local::offsets`].
+    /// For each splat, in order: `anchor · k + j`, its row in [`Local::offsets`].
     pub rows: Vec<u32>,
     fused: Fused,
     blocks: Vec<Block>,
@@ -113,12 +128,12 @@ pub struct DecodeTape {
 /// Activations of one block of anchors.
 #[derive(Clone, Debug, Default)]
 struct Block {
-    sights: Vec<Sight>,
+    rays: Vec<ViewRay>,
     bank: BankTape,
     heads: HeadsTape,
     color: Vec<f32>,
     covariance: Vec<f32>,
-    /// Number of splats, and the row of the first one.
+    /// Number of splats of this block, and the index of its first.
     kept: usize,
     first: usize,
 }
@@ -131,11 +146,12 @@ struct ChunkGrad {
 }
 
 impl Decoder {
-    /// A decoder for anchors of the given shape; parameters `heads.opacity.…`, `heads.color.…`, `heads.covariance.…`,
-    /// `heads.appearance` and `heads.bank.…`. Weights and biases start uniform in `±1/√inputs`, `e` normal.
+    /// A decoder for anchors of the given shape. Parameters are named `heads.opacity.…`, `heads.color.…`,
+    /// `heads.covariance.…`, `heads.appearance` and `heads.bank.…`. Weights and biases start uniform in `±1/√inputs`,
+    /// `e` normal.
     ///
     /// # Errors
-    /// If the shape has no Gaussians or no features, or the feature bank is asked for a width not divisible by 4.
+    /// If the shape has no offsets or no features, or the feature bank is on and the width is not a multiple of 4.
     pub fn new(config: &DecoderConfig, shape: AnchorShape, seed: u64) -> Result<Self, DecoderError> {
         let refuse = |field, value, rule| Err(DecoderError { field, value, rule });
         if shape.offsets == 0 {
@@ -152,28 +168,29 @@ impl Decoder {
         Ok(Self { config: config.clone(), shape, heads, bank })
     }
 
-    /// The settings it was built from.
+    /// The settings this decoder was built from.
     pub fn config(&self) -> &DecoderConfig {
         &self.config
     }
 
-    /// The anchors it was built for.
+    /// The shape of anchors this decoder was built for.
     pub fn shape(&self) -> AnchorShape {
         self.shape
     }
 
-    /// The same decoder without an appearance input: the vector is folded into a bias. Decodes to the same bits.
+    /// The same decoder without an appearance input: `e` is folded into a bias. Decodes to the same bits.
     pub fn folded(&self) -> Self {
         let config = DecoderConfig { appearance: 0, ..self.config.clone() };
         Self { config, shape: self.shape, heads: self.heads.folded(), bank: self.bank.clone() }
     }
 
-    /// Decodes anchors as seen from `eye` (world units) into `out`: plain colours, raw quaternions, scales ≥ 0.
+    /// Decodes anchors for a camera at `eye` (world units) into `out`: plain colours, raw quaternions, scales ≥ 0.
+    /// Splats are ordered by anchor, then by offset.
     ///
     /// # Panics
     /// If `local` is not of the decoder's shape, or a list is not increasing or names an anchor that does not exist.
     pub fn forward(&self, local: &Local, visible: Visible<'_>, eye: DVec3, tape: &mut DecodeTape, out: &mut Splats) {
-        see(local, visible, eye, &mut tape.visible);
+        decodable(local, visible, eye, &mut tape.visible);
         let DecodeTape { visible, activations, rows, fused, blocks, .. } = tape;
         let k = self.shape.offsets;
         self.heads.fuse(fused);
@@ -186,11 +203,11 @@ impl Decoder {
             block.first = kept;
             kept += block.kept;
         }
-        let mut columns = Columns::all(out, rows, kept);
-        let columns: Vec<Columns<'_>> = blocks.iter().map(|b| columns.take(b.kept)).collect();
+        let mut columns = SplatRows::all(out, rows, kept);
+        let columns: Vec<SplatRows<'_>> = blocks.iter().map(|b| columns.take(b.kept)).collect();
         let work = blocks.par_iter_mut().zip(visible.par_chunks(BLOCK)).zip(activations.par_chunks(BLOCK * k));
         work.zip(columns).for_each(|(((block, anchors), a), to)| {
-            gaussians::write(local, anchors, block.said(a), to);
+            gaussians::write(local, anchors, block.outputs(a), to);
         });
     }
 
@@ -204,22 +221,22 @@ impl Decoder {
         a: &mut [f32],
     ) {
         let (width, inputs, k) = (self.shape.features, self.heads.input_width(), self.shape.offsets);
-        let Block { sights, bank, heads, color, covariance, kept, .. } = block;
-        sights.clear();
-        sights.extend(anchors.iter().map(|&v| Sight::new(local.positions[v as usize], eye)));
+        let Block { rays, bank, heads, color, covariance, kept, .. } = block;
+        rays.clear();
+        rays.extend(anchors.iter().map(|&v| ViewRay::new(local.positions[v as usize], eye)));
         if let Some(net) = &self.bank {
-            net.weigh(sights.iter().map(|s| s.direction.extend(s.distance).to_array()), bank);
+            net.weigh(rays.iter().map(|s| s.direction.extend(s.distance).to_array()), bank);
         }
         heads.input.resize(anchors.len() * inputs, 0.0);
-        for (i, (row, sight)) in heads.input.chunks_exact_mut(inputs).zip(sights).enumerate() {
+        for (i, (row, ray)) in heads.input.chunks_exact_mut(inputs).zip(rays).enumerate() {
             let feature = &local.features[anchors[i] as usize * width..][..width];
             let (to, rest) = row.split_at_mut(width);
             match &self.bank {
                 Some(net) => net.mix(bank, i, feature, to),
                 None => to.copy_from_slice(feature),
             }
-            sight.direction.write_to_slice(rest);
-            rest[3..].fill(sight.distance);
+            ray.direction.write_to_slice(rest);
+            rest[3..].fill(ray.distance);
         }
         color.resize(anchors.len() * 3 * k, 0.0);
         covariance.resize(anchors.len() * 7 * k, 0.0);
@@ -228,11 +245,11 @@ impl Decoder {
         *kept = a.iter().filter(|a| **a > 0.0).count();
     }
 
-    /// The way back of [`Decoder::forward`] of the same anchors with unchanged parameters: adds to the gradients and to
-    /// `d_local` (shaped like `local`).
+    /// Backward of [`Decoder::forward`] of the same anchors with the same parameters, from the cotangents `d_out` of
+    /// its splats: adds to the parameters' gradients and to `d_local` (shaped like `local`).
     ///
     /// # Panics
-    /// If `local`, the tape or a cotangent do not belong together.
+    /// If `local`, the tape and the cotangents do not match in size.
     pub fn backward(&mut self, local: &Local, tape: &mut DecodeTape, d_out: &SplatsGrad, d_local: &mut LocalGrad) {
         let DecodeTape { visible, activations, fused, blocks, chunks, .. } = tape;
         let k = self.shape.offsets;
@@ -240,9 +257,9 @@ impl Decoder {
         let rows = per_chunk * BLOCK;
         chunks.resize_with(CHUNKS, ChunkGrad::default);
         let used = &mut chunks[..blocks.len().div_ceil(per_chunk)];
-        let mut all = Anchored::all(d_local);
+        let mut all = AnchorGradRows::all(d_local);
         let ends = (1..=used.len()).map(|c| visible.get(c * rows).map_or(local.len(), |&v| v as usize));
-        let parts: Vec<Anchored<'_>> = ends.map(|end| all.take(end)).collect();
+        let parts: Vec<AnchorGradRows<'_>> = ends.map(|end| all.take(end)).collect();
         let work = blocks.par_chunks_mut(per_chunk).zip(visible.par_chunks(rows)).zip(activations.par_chunks(rows * k));
         work.zip(&mut *used).zip(parts).for_each(|((((blocks, anchors), a), grad), mut d)| {
             self.heads.reset(fused, &mut grad.heads);
@@ -251,7 +268,7 @@ impl Decoder {
             }
             for (block, (anchors, a)) in blocks.iter_mut().zip(anchors.chunks(BLOCK).zip(a.chunks(BLOCK * k))) {
                 let first = block.first;
-                gaussians::pull(local, anchors, block.said(a), (d_out, first), &mut d, &mut grad.heads.d_out);
+                gaussians::backward(local, anchors, block.outputs(a), (d_out, first), &mut d, &mut grad.heads.d_out);
                 self.heads.backward(fused, &block.heads, &mut grad.heads);
                 self.input_backward(local, anchors, block, grad, &mut d);
             }
@@ -262,21 +279,21 @@ impl Decoder {
         }
     }
 
-    /// From the cotangent of a block's input to its features and positions.
+    /// From the cotangents of a block's inputs to those of its features and positions.
     fn input_backward(
         &self,
         local: &Local,
         anchors: &[u32],
         block: &mut Block,
         grad: &mut ChunkGrad,
-        d: &mut Anchored<'_>,
+        d: &mut AnchorGradRows<'_>,
     ) {
         let (width, inputs) = (self.shape.features, self.heads.input_width());
         let ChunkGrad { heads: HeadsGrad { d_input, .. }, bank: bank_grad } = grad;
-        for (row, (sight, &v)) in d_input.chunks_exact(inputs).zip(block.sights.iter().zip(anchors)) {
+        for (row, (ray, &v)) in d_input.chunks_exact(inputs).zip(block.rays.iter().zip(anchors)) {
             let at = d.row(v);
             let d_distance = row.get(width + 3).map_or(0.0, |d| *d);
-            d.positions[at] += sight.backward(Vec3::from_slice(&row[width..]), d_distance);
+            d.positions[at] += ray.backward(Vec3::from_slice(&row[width..]), d_distance);
             if self.bank.is_none() {
                 d.feature(at, width).iter_mut().zip(row).for_each(|(d, g)| *d += g);
             }
@@ -290,28 +307,28 @@ impl Decoder {
         });
         let logits: Vec<[f32; 3]> = logits.collect();
         bank.backward(&mut block.bank, logits.into_iter(), bank_grad);
-        for ((g, sight), &v) in bank_grad.d_view.as_chunks::<4>().0.iter().zip(&block.sights).zip(anchors) {
+        for ((g, ray), &v) in bank_grad.d_view.as_chunks::<4>().0.iter().zip(&block.rays).zip(anchors) {
             let at = d.row(v);
-            d.positions[at] += sight.backward(Vec3::from_slice(g), g[3]);
+            d.positions[at] += ray.backward(Vec3::from_slice(g), g[3]);
         }
     }
 }
 
 impl Block {
-    fn said<'a>(&'a mut self, activations: &'a [f32]) -> Said<'a> {
-        Said { activations, color: &mut self.color, covariance: &mut self.covariance }
+    fn outputs<'a>(&'a mut self, activations: &'a [f32]) -> HeadOutputs<'a> {
+        HeadOutputs { activations, color: &mut self.color, covariance: &mut self.covariance }
     }
 }
 
-/// The anchors to decode: those asked for, without those at the eye.
-fn see(local: &Local, visible: Visible<'_>, eye: DVec3, to: &mut Vec<u32>) {
-    let apart = |v: &u32| local.positions[*v as usize].as_dvec3().distance(eye) >= MIN_DISTANCE;
+/// The indices of the selected anchors, without those nearer to `eye` than [`MIN_DISTANCE`].
+fn decodable(local: &Local, visible: Visible<'_>, eye: DVec3, to: &mut Vec<u32>) {
+    let has_direction = |v: &u32| local.positions[*v as usize].as_dvec3().distance(eye) >= MIN_DISTANCE;
     to.clear();
     match visible {
-        Visible::All => to.extend((0..local.len() as u32).filter(apart)),
+        Visible::All => to.extend((0..local.len() as u32).filter(has_direction)),
         Visible::List(list) => {
             assert!(list.is_sorted_by(|a, b| a < b), "the list of visible anchors must increase");
-            to.extend(list.iter().copied().filter(apart));
+            to.extend(list.iter().copied().filter(has_direction));
         }
     }
 }

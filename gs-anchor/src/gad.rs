@@ -1,21 +1,36 @@
 //! Global anchor deformation (Kwak et al. 2025, MoDec-GS, Eqs. 6–7): the anchors of one time interval.
 //!
-//! A field on planes is read at each anchor's place at rest and at the interval's canonical time `t_c`; its heads say how
-//! the anchor changes there:
+//! A [`PlaneNet`] is evaluated at each anchor's canonical position and at the interval's canonical time `t_c`; its
+//! heads give the changes of the anchor:
 //!
 //! ```text
 //! (Δx, Δf, ΔO, Δl) = net(x, t_c)                     3, C, 3k, 6 values; see gs_deform::PlaneNet
 //! x' = x + M Δx     f' = f + m Δf     O' = O + m ΔO     l' = exp(λ) + m Δl
 //! ```
 //! with the factors `M` (global) and `m` (local) of the anchor's logits ([`Dynamics`]). `Δl` is in world units and may
-//! turn a scale negative. On the way back
+//! make a scale negative. Backward:
 //!
 //! ```text
 //! g_Δx = M g_x'     g_Δf = m g_f' …     g_M = ⟨g_x', Δx⟩     g_m = ⟨g_f', Δf⟩ + ⟨g_O', ΔO⟩ + ⟨g_l', Δl⟩
 //! g_x = g_x'     g_f = g_f'     g_O = g_O'     g_λ = g_l' ⊙ exp λ
 //! ```
-//! Places at rest are constants to the net. The result depends on the interval only: a [`Local`] kept per interval is an
-//! exact cache. With heads that start at zero the untrained result is the anchors at rest, bit for bit.
+//! Canonical positions are constants to the net. The result depends on the interval only: a [`Local`] kept per interval
+//! is an exact cache. With heads that start at zero the untrained result is the canonical anchors, bit for bit.
+//!
+//! ```
+//! use gs_anchor::{AnchorShape, Anchors, Gad, GadConfig, GadTape, Local};
+//! use gs_core::Time;
+//! use gs_deform::Aabb;
+//!
+//! let shape = AnchorShape { offsets: 10, features: 32, dynamics: 2 };
+//! let anchors = Anchors::new(shape, &[glam::Vec3::X], &[-3.0]);
+//! let gad = Gad::new(&GadConfig::default(), shape, Aabb::cube(2.0), 1)?;
+//! let (mut canonical, mut deformed) = (Local::default(), Local::default());
+//! anchors.activate(&mut canonical);
+//! gad.forward(&anchors, Time::new(0.25)?, &mut GadTape::default(), &mut deformed);
+//! assert_eq!(deformed, canonical, "an untrained field changes nothing");
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod dynamics;
 mod moving;
@@ -27,31 +42,31 @@ use dynamics::weights_backward;
 use glam::Vec3;
 use gs_core::nn::BLOCK;
 use gs_core::{Param, Params, Time};
-use gs_deform::encode::{HexPlaneConfig, Places};
+use gs_deform::encode::{GridCells, HexPlaneConfig};
 use gs_deform::{Aabb, DeformError, PlaneNet, PlaneNetConfig, PlaneNetTape};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
 
-/// What the field may change about an anchor.
+/// A column of an anchor that the field may change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum GadHead {
-    /// `Δx`.
+    /// Positions by `Δx`, 3 values, world units.
     Positions,
-    /// `Δf`.
+    /// Features by `Δf`, `C` values.
     Features,
-    /// `ΔO`.
+    /// Offsets by `ΔO`, `3k` values, in units of the first three scales.
     Offsets,
-    /// `Δl`.
+    /// Scales by `Δl`, 6 values, world units.
     Scales,
 }
 
 impl GadHead {
-    /// All four.
+    /// All four heads in their published order.
     pub const ALL: [GadHead; 4] = [GadHead::Positions, GadHead::Features, GadHead::Offsets, GadHead::Scales];
 
-    /// Its name in parameters and settings.
+    /// Name of the head in parameters and settings.
     pub fn name(self) -> &'static str {
         match self {
             GadHead::Positions => "positions",
@@ -75,11 +90,11 @@ impl GadHead {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct GadConfig {
-    /// What changes; a head that is not listed is not built.
+    /// The columns that change; a head that is not listed is not built.
     pub heads: Vec<GadHead>,
-    /// How the logits weigh the changes.
+    /// How an anchor's logits scale the changes.
     pub dynamics: Dynamics,
-    /// The field.
+    /// Size and regularisers of the network.
     pub net: PlaneNetConfig,
 }
 
@@ -98,21 +113,21 @@ impl Default for GadConfig {
     }
 }
 
-/// The field; see the [module](self).
+/// Global anchor deformation; see the [module](self).
 #[derive(Clone, Debug)]
 pub struct Gad {
     config: GadConfig,
     net: PlaneNet,
 }
 
-/// Scratch of a [`Gad`], reused between calls; it belongs to one field.
+/// Activations of a [`Gad`] between forward and backward, reused between calls; use one tape per field.
 #[derive(Clone, Debug, Default)]
 pub struct GadTape {
     net: PlaneNetTape,
-    /// Places at rest, and their cells: found again only when they change.
+    /// Canonical positions, and their cells: found again only when the positions change.
     points: Vec<Vec3>,
-    places: Places,
-    /// `exp λ`.
+    places: GridCells,
+    /// Canonical scales `exp λ`, `[V, 6]`.
     scales: Vec<f32>,
     blocks: Vec<Block>,
 }
@@ -122,16 +137,16 @@ pub struct GadTape {
 struct Block {
     weights: Vec<[Weight; 2]>,
     d_weights: Vec<[f32; 2]>,
-    /// Cotangent of one column.
+    /// Cotangents of one column, `[rows, width]`.
     d: Vec<f32>,
 }
 
 impl Gad {
-    /// A field over the box for anchors of the given shape; parameters `gad.planes.…`, `gad.trunk.…`, `gad.hidden.…` and
-    /// `gad.positions.…`, `gad.features.…`, `gad.offsets.…`, `gad.scales.…`.
+    /// A field over the box `aabb` for anchors of the given shape. Parameters are named `gad.planes.…`, `gad.trunk.…`,
+    /// `gad.hidden.…` and `gad.positions.…`, `gad.features.…`, `gad.offsets.…`, `gad.scales.…`.
     ///
     /// # Errors
-    /// If a setting cannot be built; the message names it.
+    /// If a setting is out of its domain; the message names it.
     pub fn new(config: &GadConfig, shape: AnchorShape, aabb: Aabb, seed: u64) -> Result<Self, DeformError> {
         let reject = |field, value, rule| Err(DeformError::Config { field, value, rule });
         let twice = |h: &GadHead| config.heads.iter().filter(|o| *o == h).count() > 1;
@@ -145,17 +160,17 @@ impl Gad {
         Ok(Self { config: config.clone(), net: PlaneNet::new("gad", &config.net, &heads, aabb, seed)? })
     }
 
-    /// The settings it was built from.
+    /// The settings this field was built from.
     pub fn config(&self) -> &GadConfig {
         &self.config
     }
 
-    /// The net.
+    /// The network; its heads are in the order of [`GadConfig::heads`].
     pub fn net(&self) -> &PlaneNet {
         &self.net
     }
 
-    /// Writes the anchors at canonical time `t_c` to `out`, reusing memory.
+    /// Writes the anchors deformed to canonical time `t_c` to `out`, reusing memory.
     pub fn forward(&self, anchors: &Anchors, t_c: Time, tape: &mut GadTape, out: &mut Local) {
         anchors.activate(out);
         let GadTape { net, points, places, scales, blocks } = tape;
@@ -170,46 +185,46 @@ impl Gad {
         let columns = out.offsets.par_chunks_mut(3 * k * BLOCK).zip(out.features.par_chunks_mut(c * BLOCK));
         let rows = out.positions.par_chunks_mut(BLOCK).zip(out.scales.par_chunks_mut(6 * BLOCK)).zip(columns);
         let work = net.blocks().par_iter().zip(blocks).zip(rows).enumerate();
-        work.for_each(|(b, ((said, Block { weights, .. }), ((positions, scales), (offsets, features))))| {
+        work.for_each(|(b, ((output, Block { weights, .. }), ((positions, scales), (offsets, features))))| {
             weights.clear();
             weights
                 .extend((b * BLOCK..).take(positions.len()).map(|v| self.config.dynamics.weights(anchors.logits(v))));
             for (h, head) in self.config.heads.iter().enumerate() {
-                let said = said.head(h);
+                let deltas = output.head(h);
                 match head {
-                    GadHead::Positions => move_points(positions, said, weights),
-                    GadHead::Features => change(features, said, weights),
-                    GadHead::Offsets => change(offsets, said, weights),
-                    GadHead::Scales => change(scales, said, weights),
+                    GadHead::Positions => move_points(positions, deltas, weights),
+                    GadHead::Features => add_scaled(features, deltas, weights),
+                    GadHead::Offsets => add_scaled(offsets, deltas, weights),
+                    GadHead::Scales => add_scaled(scales, deltas, weights),
                 }
             }
         });
     }
 
-    /// The way back of [`Gad::forward`] of the same anchors with unchanged parameters: adds to the anchors' gradients
-    /// and to its own.
+    /// Backward of [`Gad::forward`] of the same anchors with the same parameters, from the cotangents `d` of its
+    /// output: adds to the gradients of the anchors and of the field.
     pub fn backward(&mut self, anchors: &mut Anchors, tape: &mut GadTape, d: &LocalGrad) {
         let GadTape { net, scales, blocks, .. } = tape;
         let shape = anchors.shape();
-        net.blocks_mut().par_iter_mut().zip(&mut *blocks).enumerate().for_each(|(b, (said, block))| {
+        net.blocks_mut().par_iter_mut().zip(&mut *blocks).enumerate().for_each(|(b, (output, block))| {
             let Block { weights, d_weights, d: d_column } = block;
             d_weights.clear();
             d_weights.resize(weights.len(), [0.0; 2]);
             for (h, head) in self.config.heads.iter().enumerate() {
                 let (width, which) = (head.width(shape), usize::from(*head != GadHead::Positions));
                 head.gather(d, b * BLOCK..b * BLOCK + weights.len(), width, d_column);
-                let rows = said.head(h).chunks_exact(width).zip(d_column.chunks_exact(width));
-                for ((said, g), d_weight) in rows.zip(&mut *d_weights) {
-                    d_weight[which] += said.iter().zip(g).map(|(s, g)| s * g).sum::<f32>();
+                let rows = output.head(h).chunks_exact(width).zip(d_column.chunks_exact(width));
+                for ((delta, g), d_weight) in rows.zip(&mut *d_weights) {
+                    d_weight[which] += delta.iter().zip(g).map(|(delta, g)| delta * g).sum::<f32>();
                 }
-                let rows = said.head_grad_mut(h).chunks_exact_mut(width).zip(d_column.chunks_exact(width));
+                let rows = output.head_grad_mut(h).chunks_exact_mut(width).zip(d_column.chunks_exact(width));
                 for ((to, g), weight) in rows.zip(&*weights) {
                     to.iter_mut().zip(g).for_each(|(to, g)| *to = weight[which].value * g);
                 }
             }
         });
         self.net.backward(net, None);
-        anchors.pull(scales, d);
+        anchors.add_grads(scales, d);
         let Some(dynamics) = &mut anchors.dynamics else { return };
         let rows = blocks.iter().flat_map(|b| b.weights.iter().zip(&b.d_weights));
         for (to, (weights, d)) in dynamics.grad.chunks_exact_mut(shape.dynamics).zip(rows) {
@@ -224,7 +239,7 @@ impl Gad {
 }
 
 impl GadHead {
-    /// Copies the cotangent of this column for some anchors.
+    /// Copies the cotangents of this column for some anchors, `[anchors, width]`.
     fn gather(self, d: &LocalGrad, anchors: Range<usize>, width: usize, to: &mut Vec<f32>) {
         to.clear();
         let values = anchors.start * width..anchors.end * width;
@@ -238,16 +253,16 @@ impl GadHead {
 }
 
 /// `x' = x + M Δx`.
-fn move_points(points: &mut [Vec3], said: &[f32], weights: &[[Weight; 2]]) {
-    for ((x, delta), [global, _]) in points.iter_mut().zip(said.as_chunks().0).zip(weights) {
+fn move_points(points: &mut [Vec3], deltas: &[f32], weights: &[[Weight; 2]]) {
+    for ((x, delta), [global, _]) in points.iter_mut().zip(deltas.as_chunks().0).zip(weights) {
         *x += Vec3::from_array(*delta) * global.value;
     }
 }
 
 /// `v' = v + m Δv`, row by row.
-fn change(values: &mut [f32], said: &[f32], weights: &[[Weight; 2]]) {
+fn add_scaled(values: &mut [f32], deltas: &[f32], weights: &[[Weight; 2]]) {
     let width = values.len() / weights.len();
-    for ((row, delta), [_, local]) in values.chunks_exact_mut(width).zip(said.chunks_exact(width)).zip(weights) {
+    for ((row, delta), [_, local]) in values.chunks_exact_mut(width).zip(deltas.chunks_exact(width)).zip(weights) {
         row.iter_mut().zip(delta).for_each(|(v, d)| *v += local.value * d);
     }
 }

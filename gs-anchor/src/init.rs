@@ -1,12 +1,23 @@
-//! The first anchors, from points (Scaffold-GS, Lu et al. 2024, section 3.2.1; the reference code where it says more).
+//! Initial anchors from points (Scaffold-GS, Lu et al. 2024, section 3.2.1, and its reference code).
 //!
 //! ```text
 //! points   every stride-th
-//! ε        as given, or, where it is 0 or less, the median over the points of d²   (a squared distance, as published)
+//! ε        as given, or, if it is 0 or less, the median over the points of d²   (a squared distance, as published)
 //! anchors  cell · ε for every different cell = round_half_even(p / ε), ordered by x, y, z
 //! λ        ln √max(d², 1e-7) on all six axes, d² = mean squared distance to the 3 nearest other anchors
 //! ```
 //! Offsets, features and logits of motion are zero. With fewer than 4 anchors d² is ε².
+//!
+//! ```
+//! use gs_anchor::{AnchorInit, AnchorShape, anchors_from_points};
+//! use glam::Vec3;
+//!
+//! let shape = AnchorShape { offsets: 10, features: 32, dynamics: 0 };
+//! let points = [Vec3::new(0.9, 0.0, 0.0), Vec3::new(1.1, 0.1, 0.0), Vec3::new(3.2, 0.0, 0.0)];
+//! let made = anchors_from_points(&points, shape, &AnchorInit { voxel: 1.0, ..AnchorInit::default() })?;
+//! assert_eq!(made.anchors.positions.value, [1.0, 0.0, 0.0, 3.0, 0.0, 0.0], "two points share a cell");
+//! # Ok::<(), gs_anchor::InitError>(())
+//! ```
 
 use crate::anchors::{AnchorShape, Anchors};
 use crate::lattice::{Cell, cell_of, position_of};
@@ -14,20 +25,20 @@ use crate::neighbours::{NeighbourError, mean_squared_distances};
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
-/// Squared neighbour distances below this count as this.
+/// Lower limit of squared neighbour distances, world units².
 const MIN_SQUARED_DISTANCE: f32 = 1e-7;
-/// Anchors needed for three neighbours each.
-const ENOUGH: usize = 4;
+/// Number of anchors that have three neighbours each.
+const MIN_ANCHORS: usize = 4;
 
-/// How anchors are made of points.
+/// Settings of the initial anchors.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AnchorInit {
     /// Side of the cells, ε, world units (published: 0.01); 0 or less: the median rule.
     pub voxel: f32,
-    /// Every so many points are used (published: 1).
+    /// Every `stride`-th point is used, at least 1 (published: 1).
     pub stride: u32,
-    /// No more anchors than this, at the start.
+    /// Largest number of initial anchors; more are an error.
     pub max_anchors: u32,
 }
 
@@ -37,72 +48,77 @@ impl Default for AnchorInit {
     }
 }
 
-/// The first anchors.
+/// Anchors made of points, and the size of their cells.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Initial {
-    /// The anchors.
+pub struct InitialAnchors {
+    /// One anchor per occupied cell, ordered by x, y, z.
     pub anchors: Anchors,
-    /// Side of the cells they stand on, world units: growth needs the same, also in a run that is taken up again.
+    /// Side ε of the cells, world units; [`AdaptAt::voxel`](crate::AdaptAt::voxel) must be the same, also after a
+    /// resume.
     pub voxel: f32,
 }
 
-/// Points no anchors can be made of.
+/// Points that no anchors can be made of.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum InitError {
-    /// Nothing to begin with.
+    /// The list of points is empty.
     #[error("there is no point to make anchors of; give the data a point cloud, or use random points")]
     NoPoints,
-    /// A stride of nothing.
+    /// [`AnchorInit::stride`] is 0.
     #[error("`stride` = 0: at least 1")]
     Stride,
-    /// A coordinate that is not a number.
+    /// A coordinate is not finite.
     #[error("point {row} is {point}; remove points that are not finite")]
     NotFinite {
-        /// Index of the point.
+        /// Index of the point in the input.
         row: usize,
-        /// Its coordinates.
+        /// Its coordinates, world units.
         point: Vec3,
     },
-    /// The median rule gave nothing usable.
+    /// The median rule gives a side of zero or one that is not finite, world units.
     #[error("the median rule gives cells of side {0}; more than half of the points coincide: set `voxel`, world units")]
     Median(f32),
-    /// A side of cells that is not finite.
+    /// [`AnchorInit::voxel`] is not finite.
     #[error("`voxel` = {0}: a finite side, world units (0: the median rule)")]
     Voxel(f32),
-    /// A point too far away for cells so small.
+    /// A point is too far from the origin for cells of this size.
     #[error(
         "point {row}, {point}, is more than 2^22 cells of side {voxel} from the origin; make `voxel` larger, or move or remove the point"
     )]
     TooFar {
-        /// Index of the point.
+        /// Index of the point in the input.
         row: usize,
-        /// Its coordinates.
+        /// Its coordinates, world units.
         point: Vec3,
-        /// Side of the cells.
+        /// Side ε of the cells, world units.
         voxel: f32,
     },
-    /// More anchors than allowed.
+    /// More anchors than [`AnchorInit::max_anchors`].
     #[error(
         "{anchors} anchors with cells of side {voxel}, at most {cap} are allowed; make `voxel` or `stride` larger, or raise `max_anchors`"
     )]
     TooMany {
         /// Anchors the points would give.
         anchors: usize,
-        /// Side of the cells.
+        /// Side ε of the cells, world units.
         voxel: f32,
-        /// The cap.
+        /// The value of [`AnchorInit::max_anchors`].
         cap: u32,
     },
-    /// No index of neighbours.
+    /// No k-d tree can be built of the points.
     #[error(transparent)]
     Neighbours(#[from] NeighbourError),
 }
 
-/// Anchors of `shape` from points, world units.
+/// Makes anchors of the given shape from points, world units.
 ///
 /// # Errors
 /// No points, points that are not finite or too far away for the cells, cells of no size, too many anchors.
-pub fn anchors_from_points(points: &[Vec3], shape: AnchorShape, init: &AnchorInit) -> Result<Initial, InitError> {
+pub fn anchors_from_points(
+    points: &[Vec3],
+    shape: AnchorShape,
+    init: &AnchorInit,
+) -> Result<InitialAnchors, InitError> {
     if init.stride == 0 {
         return Err(InitError::Stride);
     }
@@ -126,7 +142,7 @@ pub fn anchors_from_points(points: &[Vec3], shape: AnchorShape, init: &AnchorIni
     }
     let positions: Vec<Vec3> = cells.into_iter().map(|c| position_of(c, voxel)).collect();
     let log_scales = log_scales(&positions, voxel)?;
-    Ok(Initial { anchors: Anchors::new(shape, &positions, &log_scales), voxel })
+    Ok(InitialAnchors { anchors: Anchors::new(shape, &positions, &log_scales), voxel })
 }
 
 fn voxel_of(points: &[Vec3], wanted: f32) -> Result<f32, InitError> {
@@ -137,14 +153,14 @@ fn voxel_of(points: &[Vec3], wanted: f32) -> Result<f32, InitError> {
         return Ok(wanted);
     }
     let mut distances = mean_squared_distances(points)?;
-    // The ⌊n/2⌋-th smallest, counted from 1; the only one of a lone point.
+    // The ⌊n/2⌋-th smallest, counted from 1; of a single point the only one.
     let middle = (distances.len() / 2).max(1) - 1;
     let median = *distances.select_nth_unstable_by(middle, f32::total_cmp).1;
     if median > 0.0 && median.is_finite() { Ok(median) } else { Err(InitError::Median(median)) }
 }
 
 fn log_scales(positions: &[Vec3], voxel: f32) -> Result<Vec<f32>, InitError> {
-    let squared = if positions.len() < ENOUGH {
+    let squared = if positions.len() < MIN_ANCHORS {
         vec![voxel * voxel; positions.len()]
     } else {
         mean_squared_distances(positions)?

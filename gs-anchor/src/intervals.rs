@@ -3,12 +3,28 @@
 //! ```text
 //! b_0 = 0 < b_1 < … < b_{N−1} < b_N = 1,   interval(t) = last c with b_c ≤ t,   canonical time of t = b_interval(t)
 //! ```
-//! All frames of an interval share one deformation of the anchors, that of its canonical time. Where the gradient of the
-//! screen positions is large the motion is not modelled well: such intervals become shorter ([`Intervals::adjust`]).
+//! All frames of an interval share one deformation of the anchors, that of its canonical time. A large gradient of the
+//! screen positions shows motion that is not modelled well: such intervals become shorter ([`Intervals::adjust`]).
 //!
-//! [`Rule::Ref`] is what the released code does instead. There the canonical time is that of the *nearest* boundary, less
-//! `1/N` if that lies after `t`; once boundaries have moved this is generally no boundary at all, and such frames are left
-//! out of the statistic. Gradients of interval `c` are kept under `c − 1` and move the boundaries around that one.
+//! [`Rule::Ref`] is the rule of the released code. There the canonical time is that of the *nearest* boundary, less
+//! `1/N` if that lies after `t`; once boundaries have moved this is generally no boundary at all, and such frames are
+//! left out of the statistic. Gradients of interval `c` are counted in slot `c − 1` and move the boundaries around that
+//! one.
+//!
+//! ```
+//! use gs_anchor::{IntervalConfig, Intervals};
+//!
+//! let mut intervals = Intervals::new(&IntervalConfig::default(), 100)?;
+//! assert_eq!((intervals.locate(0.3), intervals.canonical_time(0.3)), (2, 0.25));
+//! for view in 0..8 {
+//!     let t = (view as f32 + 0.5) / 8.0;
+//!     intervals.observe(t, if view == 4 { 9.0 } else { 1.0 }, 1, 1.0);
+//! }
+//! let adjustment = intervals.adjust(1000, 1000).expect("a pass is due at step 1000");
+//! assert_eq!((adjustment.hot, adjustment.moves.len()), (vec![4], 2));
+//! assert_eq!(intervals.starts.value[4..6], [0.50125, 0.62375], "the fifth interval shrinks from both sides");
+//! # Ok::<(), gs_anchor::SettingError>(())
+//! ```
 
 mod adjust;
 mod config;
@@ -16,16 +32,16 @@ mod config;
 pub use adjust::{Adjustment, Move, Rejected};
 pub use config::{IntervalConfig, Rule, Statistic};
 
-use crate::rule::{RuleError, need};
+use crate::setting::{SettingError, require};
 use gs_core::{Param, Params};
 
-/// Boundaries of intervals and what was observed in them.
+/// Boundaries of the temporal intervals, and the gradients observed in each.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Intervals {
     config: IntervalConfig,
     /// Time between neighbouring frames, normalised.
     frame: f32,
-    /// Starts of the intervals, normalised time, `[N]`: block `intervals.starts`. Moved by rule, never learnt.
+    /// Starts of the intervals, normalised time, `[N]`: block `intervals.starts`. Moved by rule, not trained.
     pub starts: Param,
     /// Sum of observed gradients per interval, `[N]`.
     pub grad: Vec<f32>,
@@ -34,13 +50,13 @@ pub struct Intervals {
 }
 
 impl Intervals {
-    /// Equal intervals for a scene of `frames` different times, 0 to 1.
+    /// Equal intervals for a scene of `frames` timestamps, evenly spaced over 0 … 1.
     ///
     /// # Errors
-    /// If the configuration is out of its domain or there is no frame.
-    pub fn new(config: &IntervalConfig, frames: u32) -> Result<Self, RuleError> {
+    /// If a setting is out of its domain or `frames` is 0.
+    pub fn new(config: &IntervalConfig, frames: u32) -> Result<Self, SettingError> {
         config.check()?;
-        need(frames > 0, "frames", frames, "at least 1")?;
+        require(frames > 0, "frames", frames, "at least 1")?;
         let n = config.segments as usize;
         let starts = (0..n).map(|c| c as f32 / n as f32).collect();
         Ok(Self {
@@ -52,17 +68,17 @@ impl Intervals {
         })
     }
 
-    /// The configuration.
+    /// The settings these intervals were built from.
     pub fn config(&self) -> &IntervalConfig {
         &self.config
     }
 
-    /// Number of intervals.
+    /// Number of intervals, `N`.
     pub fn len(&self) -> usize {
         self.starts.len()
     }
 
-    /// Whether there is none; never, once made.
+    /// Whether [`Intervals::len`] is 0, which it never is.
     pub fn is_empty(&self) -> bool {
         self.starts.is_empty()
     }
@@ -72,7 +88,7 @@ impl Intervals {
         self.starts.value.iter().rposition(|b| *b <= t).unwrap_or(0)
     }
 
-    /// The time at which the deformation of the anchors is taken for frames at `t`.
+    /// The canonical time whose deformation of the anchors frames at normalised time `t` use.
     pub fn canonical_time(&self, t: f32) -> f32 {
         match self.config.rule {
             Rule::Clean => self.starts.value[self.locate(t)],
@@ -103,13 +119,14 @@ impl Intervals {
         }
     }
 
-    /// Whether views are observed at this step of the schedule's clock.
+    /// Whether views are observed at step `clock` of the stage's schedule.
     pub fn observes_at(&self, clock: u32) -> bool {
         self.config.on && self.config.is_within(clock)
     }
 
-    /// Adds one view at time `t`: the sum over its `visible` Gaussians of the length of the gradient by their screen
-    /// positions, half-image units; `weight` undoes a mean over the views of a batch. A sum that is not finite counts as 0.
+    /// Adds one view at normalised time `t`: `sum` is the sum over its `visible` Gaussians of the norms of the
+    /// gradients of their screen positions, half-image units; `weight` undoes a mean over the views of a batch. A sum
+    /// that is not finite counts as 0.
     pub fn observe(&mut self, t: f32, sum: f32, visible: usize, weight: f32) {
         let Some(slot) = self.slot(t) else { return };
         let value = match self.config.statistic {
@@ -120,18 +137,18 @@ impl Intervals {
         self.views[slot] += 1.0;
     }
 
-    /// The columns of the statistic with their names, `[N]` each, for checkpoints.
+    /// The buffers of the statistic with their names, `[N]` each, for checkpoints.
     pub fn columns(&self) -> [(&'static str, &Vec<f32>); 2] {
         [("intervals.grad", &self.grad), ("intervals.views", &self.views)]
     }
 
-    /// The same, to restore them.
+    /// [`Intervals::columns`], to restore them.
     pub fn columns_mut(&mut self) -> [(&'static str, &mut Vec<f32>); 2] {
         [("intervals.grad", &mut self.grad), ("intervals.views", &mut self.views)]
     }
 
     /// Width of each interval, frames.
-    pub fn widths_in_frames(&self) -> Vec<f32> {
+    fn widths_in_frames(&self) -> Vec<f32> {
         (0..self.len()).map(|c| (self.end(c) - self.starts.value[c]) / self.frame).collect()
     }
 
@@ -140,12 +157,13 @@ impl Intervals {
         self.starts.value.get(c + 1).copied().unwrap_or(1.0)
     }
 
-    /// No move makes an interval narrower than this, normalised time: two frames, a fifth of an equal interval.
-    pub fn min_width(&self) -> f32 {
+    /// No move makes an interval narrower than this, normalised time: the larger of two frames and a fifth of an equal
+    /// interval.
+    fn min_width(&self) -> f32 {
         (2.0 * self.frame).max(0.2 / self.len() as f32)
     }
 
-    /// A warning where the intervals will never move, for people.
+    /// A message if no boundary can ever move under these settings.
     pub fn warning(&self) -> Option<String> {
         let narrow = || {
             let n = self.len();

@@ -1,22 +1,22 @@
-//! The lattice anchors stand on: cells as whole numbers, so that equality of positions is exact.
+//! The lattice of anchor positions, with integer cells, so that equality of positions is exact.
 //!
 //! ```text
 //! cell(p) = round_half_even(p / size) per axis,   position(cell) = cell · size
 //! ```
-//! Quotient and product are formed in `f64`; a position rounded to `f32` gives its cell back as long as no coordinate is
-//! beyond [`MAX_CELL`] cells from the origin.
+//! Quotient and product are formed in `f64`; a position rounded to `f32` gives its cell back as long as no coordinate
+//! is beyond [`MAX_CELL`] cells from the origin.
 
 use glam::Vec3;
 
-/// A point of the lattice: whole numbers along x, y, z. Ordered by x, then y, then z.
-pub type Cell = [i32; 3];
+/// A lattice point: integers along x, y, z. Ordered by x, then y, then z.
+pub(crate) type Cell = [i32; 3];
 
-/// Largest coordinate of a cell: beyond it `f32` positions do not tell neighbouring cells apart.
-pub const MAX_CELL: i32 = 1 << 22;
+/// Largest coordinate of a cell: beyond it `f32` positions do not separate neighbouring cells.
+pub(crate) const MAX_CELL: i32 = 1 << 22;
 
-/// The cell of a point on the lattice of cells of `size`, world units; `None` if a coordinate is not finite or beyond
+/// The cell of a point for cells of side `size` (both world units); `None` if a coordinate is not finite or beyond
 /// [`MAX_CELL`].
-pub fn cell_of(point: Vec3, size: f32) -> Option<Cell> {
+pub(crate) fn cell_of(point: Vec3, size: f32) -> Option<Cell> {
     let mut cell = [0; 3];
     for (c, p) in cell.iter_mut().zip(point.to_array()) {
         let rounded = (f64::from(p) / f64::from(size)).round_ties_even();
@@ -28,8 +28,8 @@ pub fn cell_of(point: Vec3, size: f32) -> Option<Cell> {
     Some(cell)
 }
 
-/// The point of a cell, world units.
-pub fn position_of(cell: Cell, size: f32) -> Vec3 {
+/// The position of a cell for cells of side `size`, world units.
+pub(crate) fn position_of(cell: Cell, size: f32) -> Vec3 {
     Vec3::from_array(cell.map(|c| (f64::from(c) * f64::from(size)) as f32))
 }
 
@@ -57,7 +57,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_no_cell_is_told() {
+    fn points_without_a_cell_are_none() {
         for x in [f32::NAN, f32::INFINITY, 1e9, -1e9] {
             assert_eq!(cell_of(Vec3::new(0.0, x, 0.0), 0.01), None, "{x}");
         }

@@ -1,7 +1,7 @@
 //! Scaffold anchors (Lu et al. 2024) and their deformation in two stages (MoDec-GS, Kwak et al. 2025).
 //!
-//! An anchor is a point on a lattice with a feature; small networks decode it, as a camera sees it, into `k` Gaussians
-//! ("neural Gaussians"). Bytes are kept per anchor, not per Gaussian.
+//! An anchor is a point on a lattice with a feature; small MLPs decode it, given the view direction, into `k` Gaussians
+//! ("neural Gaussians"). Storage is per anchor, not per Gaussian.
 //!
 //! ```
 //! use gs_anchor::{AnchorShape, Anchors, DecodeTape, Decoder, DecoderConfig, Local, Visible};
@@ -17,32 +17,35 @@
 //! # Ok::<(), gs_anchor::DecoderError>(())
 //! ```
 //!
-//! # The road
+//! # Data flow
 //! ```text
-//! Anchors ── activate ──▶ Local ── visible, Decoder ──▶ Splats ──▶ (a field per frame) ──▶ picture
+//! Anchors ── activate ──▶ Local ── visible, Decoder ──▶ Splats ──▶ (a field per frame) ──▶ render
 //!        └─ Gad at t_c ─┘                                            gs_deform::HexPlaneField
 //! ```
-//! * [`Anchors`]: positions, offsets, features, scales, dynamics as blocks of parameters; [`init`] makes them from points.
-//! * [`Local`]: anchors made concrete, at rest ([`Anchors::activate`]) or in an interval ([`Gad`]). One kept per interval
-//!   is an exact cache.
-//! * [`visible`]: which anchors to decode, without changing the picture.
-//! * [`Decoder`]: from what an anchor says to its Gaussians, and back.
-//! * [`Adapt`]: where anchors are grown and pruned; [`Intervals`]: where time is cut, and when the cuts move.
-//! * [`storage`]: bytes, as published and as needed. [`mod@reference`]: the `f64` twins of decoding and deformation.
+//! * [`Anchors`]: positions, offsets, features, scales, dynamics as parameter blocks; [`init`] makes them from points.
+//! * [`Local`]: activated anchors, canonical ([`Anchors::activate`]) or deformed for an interval ([`Gad`]). One kept
+//!   per interval is an exact cache.
+//! * [`visible`]: which anchors to decode for a camera without changing the image.
+//! * [`Decoder`]: from activated anchors to Gaussians, forward and backward.
+//! * [`Adapt`]: growing and pruning of anchors; [`Intervals`]: the temporal intervals, and when their boundaries move.
+//! * [`storage`]: bytes, as published and as needed. [`mod@reference`]: `f64` references of decoding and deformation.
 //!
-//! Every forward pass has its way back written by hand next to it: gradients are added, never overwritten; tapes are kept
-//! by the caller and allocate nothing once warm.
+//! Every forward has an analytic backward: gradients are added, never overwritten; tapes are kept by the caller, and a
+//! warm one allocates nothing.
 //!
 //! # Conventions
 //! Those of [`gs_core`]. Positions, scales and displacements are in world units, offsets in units of the first three
-//! scales. Scales of a [`Local`] are linear and may be negative; of Gaussians they are sizes. Opacities are the heads' own
-//! (`tanh`, positive ones exist); colours are plain RGB, with the direction of view seen by the network. Results are the
-//! same bits for any number of threads.
+//! scales. Scales of a [`Local`] are linear and may be negative; those of Gaussians are not. Opacities are the heads'
+//! `tanh` (Gaussians with a positive one exist); colours are plain RGB that the network computes from the view
+//! direction. Results are the same bits for any number of threads.
 //!
 //! # What it leaves out
-//! Appearance per camera (one shared vector, as released). The implicit local stage (a second deformation of anchors).
-//! Rotations and opacities of anchors, which the released code stores and never reads. The local stage itself, training,
-//! pictures: [`gs_deform`] and `gs-train`.
+//! Appearance per camera (one shared vector, as in the released code). The implicit local stage (a second deformation
+//! of anchors). Rotations and opacities of anchors, which the released code stores and never reads. The local stage is
+//! in [`gs_deform`], training in `gs-train`, rendering in `gs-raster`.
+
+#![warn(unreachable_pub)]
+#![warn(clippy::allow_attributes_without_reason)]
 
 pub mod adapt;
 pub mod anchors;
@@ -50,11 +53,11 @@ pub mod decode;
 pub mod gad;
 pub mod init;
 pub mod intervals;
-pub mod lattice;
+mod lattice;
 pub mod local;
 pub mod neighbours;
 pub mod reference;
-pub mod rule;
+mod setting;
 pub mod storage;
 pub mod visible;
 
@@ -62,9 +65,9 @@ pub use adapt::{Adapt, AdaptAt, AdaptRules, AnchorView, Grown};
 pub use anchors::{AnchorShape, Anchors};
 pub use decode::{DecodeTape, Decoder, DecoderConfig, DecoderError, DistanceInputs, Visible};
 pub use gad::{Gad, GadConfig, GadHead, GadTape};
-pub use init::{AnchorInit, InitError, Initial, anchors_from_points};
+pub use init::{AnchorInit, InitError, InitialAnchors, anchors_from_points};
 pub use intervals::{Adjustment, IntervalConfig, Intervals};
 pub use local::{Local, LocalGrad};
-pub use rule::RuleError;
+pub use setting::SettingError;
 pub use storage::{StorageSizes, StorageTable};
 pub use visible::Reach;

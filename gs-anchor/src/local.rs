@@ -1,57 +1,70 @@
-//! Anchors made concrete: activated, or moved to an interval, ready to be decoded; and their cotangents.
+//! Activated anchors, canonical or deformed for an interval, and their cotangents: the decoder's input.
 //!
 //! ```text
-//! x' = x     O' = O     f' = f     l' = exp λ          at rest; gad moves all four
+//! x' = x     O' = O     f' = f     l' = exp λ          canonical; gad changes all four
 //! d_x += d_x'     d_O += d_O'     d_f += d_f'     d_λ += d_l' ⊙ l'
+//! ```
+//! ```
+//! use gs_anchor::{AnchorShape, Anchors, Local, LocalGrad};
+//!
+//! let shape = AnchorShape { offsets: 2, features: 4, dynamics: 0 };
+//! let mut anchors = Anchors::new(shape, &[glam::Vec3::X], &[2f32.ln()]);
+//! let (mut local, mut d) = (Local::default(), LocalGrad::default());
+//! anchors.activate(&mut local);
+//! assert_eq!(local.scales, [2.0; 6]);
+//! d.reset(&local);
+//! d.scales.fill(0.5);
+//! anchors.activate_backward(&local, &d);
+//! assert_eq!(anchors.log_scales.grad, [1.0; 6], "d_l exp λ");
 //! ```
 
 use crate::Anchors;
 use glam::Vec3;
 use rayon::prelude::*;
 
-/// Anchors as the decoder reads them; `V` rows. A clone of it is a cache: decoding it again gives the same bits.
+/// Activated anchors, `V` rows. A clone is a cache: decoding it gives the same bits.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Local {
-    /// Positions `x'`, world units.
+    /// Positions `x'`, `[V]`, world units.
     pub positions: Vec<Vec3>,
     /// Offsets `O'`, `[V, k, 3]`, in units of the first three scales.
     pub offsets: Vec<f32>,
-    /// Features `f'`, `[V, C]`.
+    /// Features `f'`, `[V, C]`, inputs of the decoder's heads.
     pub features: Vec<f32>,
     /// Scales `l'`, `[V, 6]`, world units, linear: three multiply the offsets, three the extents. May be negative.
     pub scales: Vec<f32>,
 }
 
-/// Cotangents of a [`Local`]: the same columns, `dL/d…` each. A type of its own, so value and cotangent never swap.
+/// Cotangents of a [`Local`]: the same columns, `dL/d…` each.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LocalGrad {
-    /// `dL/d positions`.
+    /// `dL/d positions`, `[V]`.
     pub positions: Vec<Vec3>,
-    /// `dL/d offsets`.
+    /// `dL/d offsets`, `[V, k, 3]`.
     pub offsets: Vec<f32>,
-    /// `dL/d features`.
+    /// `dL/d features`, `[V, C]`.
     pub features: Vec<f32>,
-    /// `dL/d scales`, with respect to the linear scales.
+    /// `dL/d scales`, `[V, 6]`, with respect to the linear scales.
     pub scales: Vec<f32>,
 }
 
-/// Values worked on together by one task.
-const PIECE: usize = 1 << 14;
+/// Values per parallel task.
+const CHUNK: usize = 1 << 14;
 
 impl Local {
-    /// Number of anchors.
+    /// Number of anchors, `V`.
     pub fn len(&self) -> usize {
         self.positions.len()
     }
 
-    /// Whether there is none.
+    /// Whether [`Local::len`] is 0.
     pub fn is_empty(&self) -> bool {
         self.positions.is_empty()
     }
 }
 
 impl LocalGrad {
-    /// Makes this the zero cotangent of `local`, reusing memory.
+    /// Resizes all columns to `local` and fills them with zeros, reusing memory.
     pub fn reset(&mut self, local: &Local) {
         self.positions.clear();
         self.positions.resize(local.len(), Vec3::ZERO);
@@ -67,25 +80,25 @@ impl LocalGrad {
 }
 
 impl Anchors {
-    /// Writes the anchors at rest to `out`, reusing memory.
+    /// Writes the canonical anchors to `out`, reusing memory.
     pub fn activate(&self, out: &mut Local) {
         out.positions.clear();
         out.positions.extend(self.positions.value.as_chunks().0.iter().map(|p| Vec3::from_array(*p)));
         out.offsets.clone_from(&self.offsets.value);
         out.features.clone_from(&self.features.value);
         out.scales.resize(self.log_scales.len(), 0.0);
-        out.scales.par_chunks_mut(PIECE).zip(self.log_scales.value.par_chunks(PIECE)).for_each(|(to, from)| {
+        out.scales.par_chunks_mut(CHUNK).zip(self.log_scales.value.par_chunks(CHUNK)).for_each(|(to, from)| {
             to.iter_mut().zip(from).for_each(|(l, log)| *l = log.exp());
         });
     }
 
-    /// The way back of [`Anchors::activate`]: adds to the gradients. `local` is what it wrote.
+    /// Backward of [`Anchors::activate`]: adds to the gradients. `local` is the output of the forward.
     pub fn activate_backward(&mut self, local: &Local, d: &LocalGrad) {
-        self.pull(&local.scales, d);
+        self.add_grads(&local.scales, d);
     }
 
-    /// [`Anchors::activate_backward`] where `scales` are `exp λ`, whatever became of them later.
-    pub(crate) fn pull(&mut self, scales: &[f32], d: &LocalGrad) {
+    /// [`Anchors::activate_backward`] with `scales` = `exp λ`.
+    pub(crate) fn add_grads(&mut self, scales: &[f32], d: &LocalGrad) {
         add(&mut self.positions.grad, d.positions.iter().flat_map(|p| p.to_array()));
         add(&mut self.offsets.grad, d.offsets.iter().copied());
         add(&mut self.features.grad, d.features.iter().copied());

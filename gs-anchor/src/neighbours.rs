@@ -1,28 +1,37 @@
-//! Distances of points to their neighbours, by a k-d tree.
+//! Distances of points to their nearest neighbours, by a k-d tree.
 
 use glam::Vec3;
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
 use std::num::NonZero;
 
-/// Points per parallel block.
+/// Points per parallel task.
 const BLOCK: usize = 1024;
-/// Neighbours that count.
-const NEAR: usize = 3;
+/// Number of neighbours in the mean.
+const K: usize = 3;
 
-/// Points that cannot be indexed.
+/// Points that no k-d tree can be built of.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the points cannot be indexed: {0}")]
 pub struct NeighbourError(String);
 
-/// Mean squared distance of each point to its 3 nearest neighbours (fewer if there are fewer points; 1 for a lone point),
-/// squared world units. Points must be finite; the same for any number of threads.
+/// Mean squared distance of each point to its 3 nearest neighbours (fewer if there are fewer points; 1 for a single
+/// point), squared world units. Points must be finite. The same bits for any number of threads.
+///
+/// ```
+/// use gs_anchor::neighbours::mean_squared_distances;
+/// use glam::Vec3;
+///
+/// let points = [0.0, 1.0, 2.0, 3.0].map(|x| x * Vec3::X);
+/// assert_eq!(mean_squared_distances(&points)?, [14.0 / 3.0, 2.0, 2.0, 14.0 / 3.0]);
+/// # Ok::<(), gs_anchor::neighbours::NeighbourError>(())
+/// ```
 ///
 /// # Errors
-/// If no tree can be built of the points.
+/// If no k-d tree can be built of the points.
 pub fn mean_squared_distances(points: &[Vec3]) -> Result<Vec<f32>, NeighbourError> {
-    let near = points.len().saturating_sub(1).min(NEAR);
-    let Some(wanted) = NonZero::new(near + 1).filter(|_| near > 0) else { return Ok(vec![1.0; points.len()]) };
+    let k = points.len().saturating_sub(1).min(K);
+    let Some(wanted) = NonZero::new(k + 1).filter(|_| k > 0) else { return Ok(vec![1.0; points.len()]) };
     let flat: Vec<[f32; 3]> = points.iter().map(|p| p.to_array()).collect();
     let tree: ImmutableKdTree<f32, 3> =
         ImmutableKdTree::new_from_slice(&flat).map_err(|e| NeighbourError(format!("{e:?}")))?;
@@ -31,7 +40,7 @@ pub fn mean_squared_distances(points: &[Vec3]) -> Result<Vec<f32>, NeighbourErro
         for (mean, point) in out.iter_mut().zip(points) {
             // The nearest of all is the point itself.
             let found = tree.query(point).nearest_n::<SquaredEuclidean<f32>>(wanted).execute();
-            *mean = found.iter().map(|f| f.distance).sum::<f32>() / near as f32;
+            *mean = found.iter().map(|f| f.distance).sum::<f32>() / k as f32;
         }
     });
     Ok(out)

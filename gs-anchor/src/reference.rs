@@ -1,4 +1,5 @@
-//! The decoder and the deformation of anchors in `f64`: one anchor at a time, plain loops, none of the savings. Tests and benches measure against it.
+//! The decoder and the deformation of anchors in `f64`: one anchor at a time, plain loops, no optimisations. Tests and
+//! benches measure against it.
 
 use crate::{AnchorShape, Decoder, DecoderConfig, Local};
 use gs_core::Params;
@@ -7,62 +8,62 @@ use std::collections::BTreeMap;
 mod gad;
 pub use gad::{GadRef, RestRef};
 
-/// Parameter blocks (or their gradients) by name.
+/// Values of parameter blocks, or their gradients, by parameter name.
 pub type Blocks = BTreeMap<String, Vec<f64>>;
 
-/// One anchor, made concrete; or its cotangent.
+/// One activated anchor, or its cotangent.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct AnchorRef {
-    /// `x'`.
+    /// Position `x'`, world units.
     pub position: [f64; 3],
-    /// `O'`, `[k, 3]` flat.
+    /// Offsets `O'`, `[k, 3]`.
     pub offsets: Vec<f64>,
-    /// `f'`.
+    /// Feature `f'`, `[C]`.
     pub features: Vec<f64>,
-    /// `l'`.
+    /// Linear scales `l'`, world units.
     pub scales: [f64; 6],
 }
 
 /// One decoded Gaussian; or its cotangent.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct GaussianRef {
-    /// `a`; the Gaussian exists if it is positive, and has this opacity then.
+    /// `tanh` of the opacity head, `a`; if positive the Gaussian exists and this is its opacity.
     pub activation: f64,
-    /// `μ`.
+    /// Mean `μ`, world units.
     pub mean: [f64; 3],
-    /// `s`, its size.
+    /// Linear scale `s`, world units, not negative.
     pub scale: [f64; 3],
-    /// `r`.
+    /// Raw quaternion `r`, `(w, x, y, z)`.
     pub quat: [f64; 4],
-    /// `rgb`.
+    /// Plain colour `rgb`, 0 … 1.
     pub color: [f64; 3],
 }
 
-/// A decoder in `f64`: see [`Decoder`] for the mathematics.
+/// A [`Decoder`] in `f64`, one anchor at a time.
 #[derive(Clone, Debug)]
 pub struct DecoderRef {
     config: DecoderConfig,
     shape: AnchorShape,
-    /// The parameters by name.
+    /// All parameters of the decoder by name.
     pub blocks: Blocks,
 }
 
-/// What one anchor's heads see and say.
-struct Seen {
+/// Inputs and outputs of one anchor's heads.
+struct HeadActivations {
     distance: f64,
     direction: [f64; 3],
-    /// Logits of the bank made weights; `None` without a bank.
+    /// Softmax weights of the bank; `None` without a bank.
     bank: Option<[f64; 3]>,
-    /// Inputs of the three heads.
+    /// Inputs of the opacity, colour and covariance heads.
     inputs: [Vec<f64>; 3],
-    /// Their outputs, before activation.
+    /// Outputs of the three heads before their activations.
     outputs: [Vec<f64>; 3],
 }
 
 const HEADS: [&str; 3] = ["heads.opacity", "heads.color", "heads.covariance"];
 
 impl AnchorRef {
-    /// Anchor `v` of `local`, which has `k` Gaussians per anchor.
+    /// Copies anchor `v` of `local`.
     pub fn new(local: &Local, v: usize) -> Self {
         let (k3, c) = (local.offsets.len() / local.len(), local.features.len() / local.len());
         let wide = |v: &[f32]| -> Vec<f64> { v.iter().map(|&v| f64::from(v)).collect() };
@@ -76,7 +77,7 @@ impl AnchorRef {
 }
 
 impl DecoderRef {
-    /// A copy of a decoder.
+    /// Copies the parameters of a decoder.
     pub fn new(decoder: &Decoder) -> Self {
         let mut blocks = Blocks::new();
         decoder.visit(&mut |p| {
@@ -85,9 +86,9 @@ impl DecoderRef {
         Self { config: decoder.config().clone(), shape: decoder.shape(), blocks }
     }
 
-    /// All `k` Gaussians of an anchor, those that do not exist (`a ≤ 0`) included.
+    /// All `k` Gaussians of an anchor for a camera at `eye`, those that do not exist (`a ≤ 0`) included.
     pub fn decode(&self, anchor: &AnchorRef, eye: [f64; 3]) -> Vec<GaussianRef> {
-        let [z, c, q] = self.see(anchor, eye).outputs;
+        let [z, c, q] = self.evaluate_heads(anchor, eye).outputs;
         let gaussian = |j: usize| GaussianRef {
             activation: z[j].tanh(),
             mean: std::array::from_fn(|i| anchor.position[i] + anchor.offsets[3 * j + i] * anchor.scales[i]),
@@ -98,7 +99,7 @@ impl DecoderRef {
         (0..self.shape.offsets).map(gaussian).collect()
     }
 
-    fn see(&self, anchor: &AnchorRef, eye: [f64; 3]) -> Seen {
+    fn evaluate_heads(&self, anchor: &AnchorRef, eye: [f64; 3]) -> HeadActivations {
         let u: [f64; 3] = std::array::from_fn(|i| anchor.position[i] - eye[i]);
         let distance = (u[0] * u[0] + u[1] * u[1] + u[2] * u[2]).sqrt();
         let direction = u.map(|v| v / distance);
@@ -112,26 +113,26 @@ impl DecoderRef {
         let mut features = anchor.features.clone();
         if let Some(w) = bank {
             for (i, f) in features.iter_mut().enumerate() {
-                *f = (0..3).map(|m| w[m] * anchor.features[self.place(m, i)]).sum();
+                *f = (0..3).map(|m| w[m] * anchor.features[self.bank_index(m, i)]).sum();
             }
         }
         let distances = self.config.distance;
-        let sees = [distances.opacity, distances.color, distances.covariance];
+        let with_distance = [distances.opacity, distances.color, distances.covariance];
         let inputs: [Vec<f64>; 3] = std::array::from_fn(|h| {
             let mut x = features.clone();
             x.extend(direction);
-            x.extend(sees[h].then_some(distance));
+            x.extend(with_distance[h].then_some(distance));
             if h == 1 {
                 x.extend(self.blocks.get("heads.appearance").into_iter().flatten());
             }
             x
         });
         let outputs = std::array::from_fn(|h| self.network(HEADS[h], &inputs[h]).1);
-        Seen { distance, direction, bank, inputs, outputs }
+        HeadActivations { distance, direction, bank, inputs, outputs }
     }
 
-    /// Where copy `m` of the bank reads entry `i`: strides 4, 2, 1.
-    fn place(&self, m: usize, i: usize) -> usize {
+    /// The entry of the feature that copy `m` of the bank reads for entry `i`: strides 4, 2, 1.
+    fn bank_index(&self, m: usize, i: usize) -> usize {
         let stride = [4, 2, 1][m];
         stride * (i % (self.shape.features / stride))
     }
@@ -148,7 +149,7 @@ impl DecoderRef {
         (hidden, out)
     }
 
-    /// Gradient of a network: adds to `grads`, returns the cotangent of its input.
+    /// Backward of [`DecoderRef::network`]: adds to `grads`, returns the cotangent of its input.
     fn network_backward(&self, name: &str, x: &[f64], d_out: &[f64], grads: &mut Blocks) -> Vec<f64> {
         let hidden = self.network(name, x).0;
         let mut dense = |layer: usize, x: &[f64], d: &[f64]| -> Vec<f64> {
@@ -168,15 +169,15 @@ impl DecoderRef {
         dense(0, x, &d_hidden)
     }
 
-    /// Gradient of [`DecoderRef::decode`] from the cotangents of the Gaussians (those that do not exist pass nothing):
-    /// adds to `grads` (shaped like [`DecoderRef::blocks`]), returns the cotangent of the anchor.
+    /// Backward of [`DecoderRef::decode`] from the cotangents of the Gaussians (those that do not exist have no
+    /// gradient): adds to `grads` (shaped like [`DecoderRef::blocks`]), returns the cotangent of the anchor.
     pub fn backward(&self, anchor: &AnchorRef, eye: [f64; 3], d: &[GaussianRef], grads: &mut Blocks) -> AnchorRef {
-        let seen = self.see(anchor, eye);
+        let heads = self.evaluate_heads(anchor, eye);
         let c = self.shape.features;
-        let (mut back, d_outputs) = self.gaussians_backward(anchor, &seen, d);
+        let (mut back, d_outputs) = self.gaussians_backward(anchor, &heads, d);
         let (mut d_mixed, mut d_direction, mut d_distance) = (vec![0.0; c], [0.0; 3], 0.0);
         for h in 0..3 {
-            let d_x = self.network_backward(HEADS[h], &seen.inputs[h], &d_outputs[h], grads);
+            let d_x = self.network_backward(HEADS[h], &heads.inputs[h], &d_outputs[h], grads);
             (0..c).for_each(|i| d_mixed[i] += d_x[i]);
             (0..3).for_each(|i| d_direction[i] += d_x[c + i]);
             let appearance = if h == 1 { self.config.appearance } else { 0 };
@@ -187,50 +188,55 @@ impl DecoderRef {
                 add_at(grads, "heads.appearance", i, d_x[d_x.len() - appearance + i]);
             }
         }
-        match seen.bank {
+        match heads.bank {
             None => back.features = d_mixed,
             Some(w) => {
                 let mut d_w = [0.0; 3];
                 for (m, i) in (0..3).flat_map(|m| (0..c).map(move |i| (m, i))) {
-                    d_w[m] += d_mixed[i] * anchor.features[self.place(m, i)];
-                    back.features[self.place(m, i)] += w[m] * d_mixed[i];
+                    d_w[m] += d_mixed[i] * anchor.features[self.bank_index(m, i)];
+                    back.features[self.bank_index(m, i)] += w[m] * d_mixed[i];
                 }
                 let mean: f64 = (0..3).map(|m| w[m] * d_w[m]).sum();
                 let d_logits: [f64; 3] = std::array::from_fn(|m| w[m] * (d_w[m] - mean));
-                let view = [seen.direction[0], seen.direction[1], seen.direction[2], seen.distance];
+                let view = [heads.direction[0], heads.direction[1], heads.direction[2], heads.distance];
                 let d_view = self.network_backward("heads.bank", &view, &d_logits, grads);
                 (0..3).for_each(|i| d_direction[i] += d_view[i]);
                 d_distance += d_view[3];
             }
         }
-        let along: f64 = (0..3).map(|i| seen.direction[i] * d_direction[i]).sum();
-        for ((to, d), g) in back.position.iter_mut().zip(seen.direction).zip(d_direction) {
-            *to += (g - d * along) / seen.distance + d * d_distance;
+        let along: f64 = (0..3).map(|i| heads.direction[i] * d_direction[i]).sum();
+        for ((to, d), g) in back.position.iter_mut().zip(heads.direction).zip(d_direction) {
+            *to += (g - d * along) / heads.distance + d * d_distance;
         }
         back
     }
 
-    /// Cotangents of the anchor's own columns and of what the heads said.
-    fn gaussians_backward(&self, anchor: &AnchorRef, seen: &Seen, d: &[GaussianRef]) -> (AnchorRef, [Vec<f64>; 3]) {
+    /// Cotangents of the anchor's own columns and of the heads' outputs.
+    fn gaussians_backward(
+        &self,
+        anchor: &AnchorRef,
+        heads: &HeadActivations,
+        d: &[GaussianRef],
+    ) -> (AnchorRef, [Vec<f64>; 3]) {
         let (k, c) = (self.shape.offsets, self.shape.features);
         let mut back = AnchorRef { offsets: vec![0.0; 3 * k], features: vec![0.0; c], ..AnchorRef::default() };
-        let mut said = [vec![0.0; k], vec![0.0; 3 * k], vec![0.0; 7 * k]];
-        for (j, d) in d.iter().enumerate().filter(|(j, _)| seen.outputs[0][*j] > 0.0) {
-            let a = seen.outputs[0][j].tanh();
-            said[0][j] = d.activation * (1.0 - a * a);
+        let mut d_outputs = [vec![0.0; k], vec![0.0; 3 * k], vec![0.0; 7 * k]];
+        for (j, d) in d.iter().enumerate().filter(|(j, _)| heads.outputs[0][*j] > 0.0) {
+            let a = heads.outputs[0][j].tanh();
+            d_outputs[0][j] = d.activation * (1.0 - a * a);
             for i in 0..3 {
-                let rgb = sigmoid(seen.outputs[1][3 * j + i]);
-                said[1][3 * j + i] = d.color[i] * rgb * (1.0 - rgb);
-                let (s, l) = (sigmoid(seen.outputs[2][7 * j + i]), anchor.scales[3 + i]);
-                said[2][7 * j + i] = d.scale[i] * l.abs() * s * (1.0 - s);
+                let rgb = sigmoid(heads.outputs[1][3 * j + i]);
+                d_outputs[1][3 * j + i] = d.color[i] * rgb * (1.0 - rgb);
+                let (s, l) = (sigmoid(heads.outputs[2][7 * j + i]), anchor.scales[3 + i]);
+                d_outputs[2][7 * j + i] = d.scale[i] * l.abs() * s * (1.0 - s);
                 back.scales[3 + i] += d.scale[i] * s * l.signum();
                 back.position[i] += d.mean[i];
                 back.offsets[3 * j + i] = d.mean[i] * anchor.scales[i];
                 back.scales[i] += d.mean[i] * anchor.offsets[3 * j + i];
             }
-            (0..4).for_each(|i| said[2][7 * j + 3 + i] = d.quat[i]);
+            (0..4).for_each(|i| d_outputs[2][7 * j + 3 + i] = d.quat[i]);
         }
-        (back, said)
+        (back, d_outputs)
     }
 }
 

@@ -1,16 +1,26 @@
-//! What a scene of anchors takes on the disk, block by block, under two rules (MB = 10⁶ bytes, `f32` throughout).
+//! Bytes of a scene of anchors on disk, block by block, under two rules (MB = 10⁶ bytes, `f32` throughout).
 //!
-//! * **Paper rule**: what the released code writes and counts: one row per anchor with fields that are never used
-//!   (normals, opacity, rotation), planes over the whole time axis, the unused networks of the deformation (a network of
-//!   time, the heads of opacity and spherical harmonics), one row of appearance per camera, the list of canonical times.
-//!   Two tensors it leaves in the folder are counted apart.
-//! * **As needed**: what drawing needs: no dead field, only the time rows that times 0 … 1 can reach, only the heads that
-//!   are read, appearance folded into a bias (exact).
+//! * **Paper rule**: everything that the released code writes and counts: one row per anchor with columns that are
+//!   never used (normals, opacity, rotation), planes over the whole time axis, the unused networks of the deformation
+//!   (a time network, the heads of opacity and spherical harmonics), one appearance row per camera, the list of
+//!   canonical times. Two further tensors that it writes are counted separately.
+//! * **As needed**: what rendering reads: no unused column, only the time rows that times 0 … 1 can reach, only the
+//!   heads that are used, appearance folded into a bias (exact).
 //!
 //! ```text
 //! planes      C_p Σ_m [ m² (XY + XZ + YZ) + m (X + Y + Z) R_t ]
 //! Linear(a→b) a b + b
 //! anchor      3 + 3k + C + 6 + logits   (paper: + 3 normals + 1 opacity + 4 rotation)
+//! ```
+//! ```
+//! use gs_anchor::{AnchorShape, DecoderConfig, StorageSizes, StorageTable};
+//!
+//! let shape = AnchorShape { offsets: 10, features: 32, dynamics: 2 };
+//! let (decoder, anchors) = (DecoderConfig::default(), 27_000);
+//! let sizes = StorageSizes { anchors, shape, decoder, global: None, local: None, cameras: 300, segments: 8 };
+//! let table = StorageTable::of(&sizes);
+//! assert_eq!(table.rows[0].paper_bytes(), 27_000 * 324);
+//! assert_eq!(table.rows[0].needed_bytes(), 27_000 * 292);
 //! ```
 
 use crate::anchors::AnchorShape;
@@ -19,52 +29,52 @@ use gs_deform::PlaneNetConfig;
 use gs_deform::encode::HexPlaneConfig;
 use serde::{Deserialize, Serialize};
 
-/// Sizes of everything a scene of anchors consists of.
+/// Sizes of all parts of a scene of anchors.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StorageSizes {
-    /// Number of anchors, V.
+    /// Number of anchors, `V`.
     pub anchors: usize,
-    /// Values per anchor.
+    /// Sizes of an anchor's columns.
     pub shape: AnchorShape,
-    /// The networks that decode them.
+    /// Settings of the decoder.
     pub decoder: DecoderConfig,
-    /// The global deformation of anchors; absent in a scene at rest.
+    /// Network of the global deformation of anchors; absent in a static scene.
     pub global: Option<PlaneNetConfig>,
-    /// The local deformation of Gaussians, likewise.
+    /// Network of the local deformation of Gaussians; absent in a static scene.
     pub local: Option<PlaneNetConfig>,
-    /// Rows of appearance the published code stores: one per camera.
+    /// Number of cameras: the published code stores one appearance row for each.
     pub cameras: usize,
-    /// Temporal intervals, N; 0: none.
+    /// Number of temporal intervals, `N`; 0: none.
     pub segments: usize,
 }
 
-/// One block of the table.
+/// Number of `f32` values of one block under both rules.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct StorageRow {
-    /// What it is.
+    /// Name of the block: `anchors`, `color head`, …
     pub block: String,
-    /// Values by the paper rule.
+    /// Number of values by the paper rule.
     pub paper_values: usize,
-    /// Values as needed.
+    /// Number of values that rendering needs.
     pub needed_values: usize,
 }
 
-/// A tensor the released code leaves beside the scene.
+/// A tensor that the released code writes but its count leaves out.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Leftover {
-    /// What it is.
+pub struct UnusedTensor {
+    /// Name of the tensor.
     pub block: String,
-    /// Its bytes.
+    /// Size of the tensor, bytes.
     pub bytes: usize,
 }
 
-/// The table.
+/// Storage of a scene, block by block.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct StorageTable {
-    /// The blocks there are.
+    /// The blocks of the scene; a part that is absent has no row.
     pub rows: Vec<StorageRow>,
-    /// What the released code leaves beside them; not in the sums.
-    pub leftovers: Vec<Leftover>,
+    /// Tensors that the released code writes beside them; not in the sums.
+    pub leftovers: Vec<UnusedTensor>,
 }
 
 impl StorageRow {
@@ -72,23 +82,24 @@ impl StorageRow {
         Self { block: block.to_owned(), paper_values, needed_values }
     }
 
-    /// Bytes by the paper rule.
+    /// Bytes of this block by the paper rule.
     pub fn paper_bytes(&self) -> usize {
         4 * self.paper_values
     }
 
-    /// Bytes as needed.
+    /// Bytes of this block that rendering needs.
     pub fn needed_bytes(&self) -> usize {
         4 * self.needed_values
     }
 }
 
 impl StorageTable {
-    /// The table of a scene of these sizes.
+    /// Counts the values of a scene of these sizes.
     pub fn of(sizes: &StorageSizes) -> Self {
         let s = &sizes.shape;
         let needed = 3 + 3 * s.offsets + s.features + 6 + s.dynamics;
-        let mut rows = vec![StorageRow::new("anchors", sizes.anchors * (needed + DEAD), sizes.anchors * needed)];
+        let mut rows =
+            vec![StorageRow::new("anchors", sizes.anchors * (needed + UNUSED_PER_ANCHOR), sizes.anchors * needed)];
         rows.extend(decoder_rows(sizes));
         for (name, net, outputs, unused) in [
             ("global deformation", &sizes.global, vec![3, s.features, 3 * s.offsets, 6], vec![]),
@@ -98,15 +109,15 @@ impl StorageTable {
             let [paper, needed] = plane_values(&net.hexplane);
             rows.push(StorageRow::new(&format!("{name}, planes"), paper, needed));
             let needed = network_values(net, &outputs);
-            let dead = TIME_NET + unused.iter().map(|&out| head_values(net.width, out)).sum::<usize>();
-            rows.push(StorageRow::new(&format!("{name}, networks"), needed + dead, needed));
+            let unused_values = TIME_NET + unused.iter().map(|&out| head_values(net.width, out)).sum::<usize>();
+            rows.push(StorageRow::new(&format!("{name}, networks"), needed + unused_values, needed));
         }
         if sizes.segments > 0 {
             rows.push(StorageRow::new("canonical times", sizes.segments, sizes.segments));
         }
         let deformed = sizes.global.is_some() || sizes.local.is_some();
         let leftovers = [("deformation table (bool)", 1), ("deformation accumulator", 12)]
-            .map(|(block, bytes)| Leftover { block: block.to_owned(), bytes: bytes * sizes.anchors });
+            .map(|(block, bytes)| UnusedTensor { block: block.to_owned(), bytes: bytes * sizes.anchors });
         Self { rows, leftovers: leftovers.into_iter().filter(|_| deformed).collect() }
     }
 
@@ -115,20 +126,15 @@ impl StorageTable {
         self.rows.iter().map(StorageRow::paper_bytes).sum()
     }
 
-    /// Bytes of all blocks as needed.
+    /// Bytes of all blocks that rendering needs.
     pub fn needed_bytes(&self) -> usize {
         self.rows.iter().map(StorageRow::needed_bytes).sum()
     }
-
-    /// Bytes of what the released code leaves beside them.
-    pub fn leftover_bytes(&self) -> usize {
-        self.leftovers.iter().map(|l| l.bytes).sum()
-    }
 }
 
-/// Fields of an anchor's row that are never read: normals, opacity, rotation.
-const DEAD: usize = 3 + 1 + 4;
-/// The published network of time: 9 encoded inputs, 64 wide, 32 outputs; nothing reads it.
+/// Values of an anchor's row that are never read: normals, opacity, rotation.
+const UNUSED_PER_ANCHOR: usize = 3 + 1 + 4;
+/// Values of the published time network, whose outputs are never read: 9 encoded inputs, 64 wide, 32 outputs.
 const TIME_NET: usize = linear(9, 64) + linear(64, 32);
 /// Outputs of the unused head of spherical harmonics.
 const UNUSED_SH: usize = 48;
@@ -141,7 +147,7 @@ fn head_values(width: usize, outputs: usize) -> usize {
     linear(width, width) + linear(width, outputs)
 }
 
-/// Trunk and heads.
+/// Values of the trunk and of heads with these numbers of outputs.
 fn network_values(net: &PlaneNetConfig, outputs: &[usize]) -> usize {
     let trunk = linear(net.hexplane.channels * net.hexplane.levels.len(), net.width)
         + net.depth.saturating_sub(1) * linear(net.width, net.width);
@@ -269,12 +275,12 @@ mod tests {
         assert_eq!(fixed, 4 * (291_840 + 1_904_640 + 82_151 + 97_115 + 1482 + 3462 + 2654 + 4800 + 8));
         assert!((fixed as f64 / 1e6 - 9.54).abs() < 0.02, "{fixed}");
         assert!((table.paper_bytes() as f64 / 1e6 - 18.3).abs() < 0.1);
-        assert_eq!(table.leftover_bytes(), 13 * 27_000);
+        assert_eq!(table.leftovers.iter().map(|l| l.bytes).sum::<usize>(), 13 * 27_000);
         assert!(table.needed_bytes() < table.paper_bytes());
     }
 
     #[test]
-    fn a_scene_at_rest_has_anchors_and_decoder_only() {
+    fn a_static_scene_has_anchors_and_decoder_only() {
         let shape = AnchorShape { offsets: 10, features: 32, dynamics: 0 };
         let decoder = DecoderConfig {
             appearance: 0,
@@ -288,6 +294,6 @@ mod tests {
         assert_eq!(values(&sizes, "opacity head"), [1482 + 32; 2]);
         assert_eq!(values(&sizes, "color head"), [2654 - 15 * 32; 2]);
         assert_eq!(values(&sizes, "feature bank"), [4 * 32 + 32 + 32 * 3 + 3; 2]);
-        assert_eq!((table.leftover_bytes(), row(&table, "anchors").needed_values), (0, 27_000 * (3 + 30 + 32 + 6)));
+        assert_eq!((table.leftovers.len(), row(&table, "anchors").needed_values), (0, 27_000 * (3 + 30 + 32 + 6)));
     }
 }

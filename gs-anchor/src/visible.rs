@@ -1,27 +1,42 @@
-//! Which anchors a camera may see: decoding only those gives the same picture.
+//! Which anchors a camera may see: decoding only those gives the same image.
 //!
-//! An anchor's Gaussians have their centres within `ρ = maxᵢ ‖O'ᵢ ⊙ l'[0:3]‖` of `x'` and extents of at most
-//! `s = max |l'[3:6]|`; a field behind the decoder moves and grows them by at most a margin. With `w = √(2 ln 255)`, the
-//! reach of an opaque Gaussian down to α = 1/255, all they draw comes from a sphere
+//! An anchor's Gaussians have their means within `ρ = maxᵢ ‖O'ᵢ ⊙ l'[0:3]‖` of `x'` and extents of at most
+//! `s = max |l'[3:6]|`; a field behind the decoder moves and grows them by at most a margin. With `w = √(2 ln 255)`,
+//! the support of an opaque Gaussian down to α = 1/255 in standard deviations, all of them lie in a sphere
 //!
 //! ```text
 //! R = ρ + w s + margin          around X = R_v x' + T
 //! ```
-//! A splat with its centre at `p` (`p_z > 0`) touches the right edge of the frame only if
-//! `f p_x/p_z + c − w √Σ'ₓₓ ≤ W`; its screen extent obeys `√Σ'ₓₓ ≤ (f/p_z) h s + √dilation` with `h = √(1 + x̃²)` and `x̃`
-//! the largest slope the projection's Jacobian takes (it is clamped). Times `p_z / f` this is a half-space, and it must
-//! hold somewhere in the sphere:
+//! A splat with its mean at `p` (`p_z > 0`) reaches past the right edge of the frame only if
+//! `f p_x/p_z + c − w √Σ'ₓₓ ≤ W`; its screen extent obeys `√Σ'ₓₓ ≤ (f/p_z) h s + √dilation` with `h = √(1 + x̃²)` and
+//! `x̃` the largest slope the projection's Jacobian takes (it is clamped). Times `p_z / f` this is a half-space, and it
+//! must hold somewhere in the sphere:
 //!
 //! ```text
 //! X − κ Z ≤ R max(√(1 + κ²), h)     κ = (W − c + w √dilation) / f          likewise for the other three edges
 //! Z + R > 0
 //! ```
 //! This is **conservative**, for any principal point: no Gaussian that touches the frame is lost. The affine footprint
-//! of a splat is wider than the sphere's true picture, hence `h`.
+//! of a splat is wider than the sphere's projection, hence `h`.
 //!
-//! [`reference()`] is the published filter: the anchor's own Gaussian (mean `x`, scales `l[0:3]`, no rotation) at rest has a
-//! screen rectangle that touches a tile. It looks at the wrong Gaussian and before deformation, and loses what moves
-//! into view; it is here for comparisons.
+//! [`reference()`] is the published filter: the anchor's own canonical Gaussian (mean `x`, scales `l[0:3]`, no
+//! rotation) has a screen rectangle that touches a tile. That Gaussian is not one that is rendered, and it is not
+//! deformed, so anchors that move into view are lost; it is here for comparison.
+//!
+//! ```
+//! use gs_anchor::{AnchorShape, Anchors, Local, Reach, visible};
+//! use gs_core::Camera;
+//! use glam::{DVec3, Vec3};
+//!
+//! let shape = AnchorShape { offsets: 10, features: 32, dynamics: 0 };
+//! let anchors = Anchors::new(shape, &[Vec3::Z, Vec3::NEG_Z, 9.0 * Vec3::X], &[-5.0; 3]);
+//! let camera = Camera::look_at(64, 64, 0.8, DVec3::ZERO, DVec3::Z, DVec3::Y)?;
+//! let (mut local, mut listed) = (Local::default(), Vec::new());
+//! anchors.activate(&mut local);
+//! visible::clean(&local, &camera, &Reach::default(), &mut listed);
+//! assert_eq!(listed, [0], "one is behind the camera and one beside the frame");
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 use crate::{Anchors, Local};
 use glam::{DVec3, Vec3};
@@ -32,15 +47,16 @@ use rayon::prelude::*;
 pub const SUPPORT: f64 = 3.329_043;
 /// Slopes are clamped this fraction of half the image beyond its border in the projection's Jacobian (3DGS: 1.3 tan).
 const SLOPE_MARGIN: f64 = 0.3;
-/// Relative error of positions kept in single precision, generously.
-const SLACK: f64 = 1e-6;
-/// Anchors looked at by one task.
-const PIECE: usize = 2048;
+/// Bound on the relative error of `f32` positions.
+const POSITION_ERROR: f64 = 1e-6;
+/// Anchors per parallel task.
+const CHUNK: usize = 2048;
 
-/// What the picture is drawn with, as far as visibility depends on it.
+/// Render settings that visibility depends on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reach {
-    /// World units added to an anchor's sphere: at least `‖Δμ‖ + SUPPORT max |Δs|` of any field behind the decoder.
+    /// Added to the radius of an anchor's sphere, world units: at least `‖Δμ‖ + SUPPORT max |Δs|` of any field behind
+    /// the decoder.
     pub margin: f64,
     /// Added to the diagonal of the projected covariance, pixels² (3DGS: 0.3).
     pub dilation: f64,
@@ -52,18 +68,18 @@ impl Default for Reach {
     }
 }
 
-/// Lists the anchors whose Gaussians may touch the frame, increasing.
+/// Lists the anchors whose Gaussians may touch the frame, in increasing order; conservative.
 pub fn clean(local: &Local, camera: &Camera, reach: &Reach, out: &mut Vec<u32>) {
     let edges = Edges::new(camera, reach.dilation);
     let k3 = local.offsets.len() / local.len().max(1);
     list(local.len(), out, |v| {
         let radius = radius(&local.offsets[k3 * v..][..k3], &local.scales[6 * v..][..6]) + reach.margin;
         let world = local.positions[v].as_dvec3();
-        edges.touch(camera.to_camera(world), radius + SLACK * (world.abs().max_element() + radius))
+        edges.touch(camera.to_camera(world), radius + POSITION_ERROR * (world.abs().max_element() + radius))
     });
 }
 
-/// `ρ + w s`: how far an anchor's Gaussians reach.
+/// `ρ + w s`: radius of a sphere around `x'` that holds an anchor's Gaussians.
 fn radius(offsets: &[f32], scales: &[f32]) -> f64 {
     let (spread, extent) = (Vec3::from_slice(scales), Vec3::from_slice(&scales[3..]));
     let farthest =
@@ -107,7 +123,7 @@ const DILATION: f64 = 0.3;
 /// Side of the published filter's tiles, pixels.
 const TILE: f64 = 16.0;
 
-/// Lists the anchors that the published filter keeps, increasing.
+/// Lists the anchors that the published filter keeps, in increasing order.
 pub fn reference(anchors: &Anchors, camera: &Camera, out: &mut Vec<u32>) {
     list(anchors.len(), out, |v| {
         let log = &anchors.log_scales.value[6 * v..][..3];
@@ -146,14 +162,14 @@ fn rectangle_touches(camera: &Camera, p: DVec3, scale: DVec3) -> bool {
     tiles(pixel.x, camera.width) && tiles(pixel.y, camera.height)
 }
 
-/// The numbers below `n` that pass, in order, found in parallel.
+/// The indices below `n` that pass, in increasing order, found in parallel.
 fn list(n: usize, out: &mut Vec<u32>, passes: impl Fn(usize) -> bool + Sync) {
-    let piece = |p: usize| -> Vec<u32> {
-        (p * PIECE..n.min((p + 1) * PIECE)).filter(|&v| passes(v)).map(|v| v as u32).collect()
+    let chunk = |p: usize| -> Vec<u32> {
+        (p * CHUNK..n.min((p + 1) * CHUNK)).filter(|&v| passes(v)).map(|v| v as u32).collect()
     };
-    let pieces: Vec<Vec<u32>> = (0..n.div_ceil(PIECE)).into_par_iter().map(piece).collect();
+    let chunks: Vec<Vec<u32>> = (0..n.div_ceil(CHUNK)).into_par_iter().map(chunk).collect();
     out.clear();
-    pieces.iter().for_each(|p| out.extend_from_slice(p));
+    chunks.iter().for_each(|p| out.extend_from_slice(p));
 }
 
 #[cfg(test)]
@@ -224,7 +240,7 @@ mod tests {
             left_out += 50 - seen.len();
             for v in 0..50 {
                 let (spread, extent) = (&local.scales[6 * v..][..3], &local.scales[6 * v + 3..][..3]);
-                let drawn = (0..4).any(|j| {
+                let touched = (0..4).any(|j| {
                     let mut n = || f64::from(rng.normal());
                     let axes = DMat3::from_quat(DQuat::from_xyzw(n(), n(), n(), n()).normalize());
                     let moved = DVec3::new(n(), n(), n()).normalize() * 0.4 * reach.margin;
@@ -232,12 +248,15 @@ mod tests {
                     let grown = Vec3::from_slice(extent).abs().as_dvec3() + 0.6 * reach.margin / SUPPORT;
                     touches(&camera, (local.positions[v] + offset).as_dvec3() + moved, axes, grown)
                 });
-                needed += usize::from(drawn);
-                assert!(!drawn || seen.contains(&(v as u32)), "case {case}: anchor {v} is drawn but not listed");
+                needed += usize::from(touched);
+                assert!(
+                    !touched || seen.contains(&(v as u32)),
+                    "case {case}: anchor {v} touches the frame but is not listed"
+                );
             }
         }
         assert!(left_out > 5_000 && needed > 3_000, "{left_out} left out, {needed} needed");
-        assert!(3 * needed > listed, "{listed} listed for {needed} that are drawn");
+        assert!(3 * needed > listed, "{listed} listed for {needed} that touch the frame");
     }
 
     fn looking_down_z() -> Camera {

@@ -20,7 +20,7 @@ use support::{EYE, assert_close, cotangent, cotangents, flat_anchor, wide};
 
 const SHAPE: AnchorShape = AnchorShape { offsets: 4, features: 8, dynamics: 0 };
 
-/// Every input there is, each way.
+/// Every input option on and off.
 fn configs() -> Vec<DecoderConfig> {
     let plain = DecoderConfig { appearance: 3, ..DecoderConfig::default() };
     let all = DistanceInputs { opacity: true, color: true, covariance: true };
@@ -60,8 +60,8 @@ fn flat(g: &GaussianRef) -> Vec<f64> {
 }
 
 /// `Σ cotangent · Gaussian` over the Gaussians of anchor `v` that exist.
-fn loss(twin: &DecoderRef, anchor: &AnchorRef, v: usize) -> f64 {
-    let gaussians = twin.decode(anchor, EYE.to_array());
+fn loss(reference: &DecoderRef, anchor: &AnchorRef, v: usize) -> f64 {
+    let gaussians = reference.decode(anchor, EYE.to_array());
     let kept = gaussians.iter().enumerate().filter(|(_, g)| g.activation > 0.0);
     let dot = |(j, g)| flat(g).iter().zip(flat(&cotangent(v * SHAPE.offsets + j))).map(|(a, b)| a * b).sum::<f64>();
     kept.map(dot).sum()
@@ -83,30 +83,30 @@ const STEP: f64 = 1e-5;
 #[test]
 fn the_references_gradients_are_its_central_differences() {
     for config in configs() {
-        let (mut twin, local) = (DecoderRef::new(&decoder(&config)), anchors(3, SHAPE.offsets, SHAPE.features));
+        let (mut reference, local) = (DecoderRef::new(&decoder(&config)), anchors(3, SHAPE.offsets, SHAPE.features));
         let all: Vec<AnchorRef> = (0..3).map(|v| AnchorRef::new(&local, v)).collect();
-        let mut grads: Blocks = twin.blocks.iter().map(|(n, b)| (n.clone(), vec![0.0; b.len()])).collect();
+        let mut grads: Blocks = reference.blocks.iter().map(|(n, b)| (n.clone(), vec![0.0; b.len()])).collect();
         for (v, anchor) in all.iter().enumerate() {
             let d: Vec<_> = (0..SHAPE.offsets).map(|j| cotangent(v * SHAPE.offsets + j)).collect();
-            let got = flat_anchor(&twin.backward(anchor, EYE.to_array(), &d, &mut grads));
+            let got = flat_anchor(&reference.backward(anchor, EYE.to_array(), &d, &mut grads));
             let want: Vec<f64> = (0..got.len())
                 .map(|i| {
                     let (mut hi, mut lo) = (anchor.clone(), anchor.clone());
                     *slot(&mut hi, i) += STEP;
                     *slot(&mut lo, i) -= STEP;
-                    (loss(&twin, &hi, v) - loss(&twin, &lo, v)) / (2.0 * STEP)
+                    (loss(&reference, &hi, v) - loss(&reference, &lo, v)) / (2.0 * STEP)
                 })
                 .collect();
             assert_close(&got, &want, 1e-6, &format!("{config:?}: anchor {v}"));
         }
-        let total = |twin: &DecoderRef| all.iter().enumerate().map(|(v, a)| loss(twin, a, v)).sum::<f64>();
+        let total = |reference: &DecoderRef| all.iter().enumerate().map(|(v, a)| loss(reference, a, v)).sum::<f64>();
         for (name, got) in &grads {
             let mut want = vec![0.0; got.len()];
             for (i, want) in want.iter_mut().enumerate() {
                 let mut at = |by: f64| {
-                    twin.blocks.get_mut(name).unwrap()[i] += by;
-                    let value = total(&twin);
-                    twin.blocks.get_mut(name).unwrap()[i] -= by;
+                    reference.blocks.get_mut(name).unwrap()[i] += by;
+                    let value = total(&reference);
+                    reference.blocks.get_mut(name).unwrap()[i] -= by;
                     value
                 };
                 *want = (at(STEP) - at(-STEP)) / (2.0 * STEP);
@@ -121,7 +121,7 @@ fn production_agrees_with_the_reference() {
     for config in configs() {
         for n in [3, 300] {
             let (mut decoder, local) = (decoder(&config), anchors(n, SHAPE.offsets, SHAPE.features));
-            let (twin, mut tape, mut out) = (DecoderRef::new(&decoder), DecodeTape::default(), Splats::default());
+            let (reference, mut tape, mut out) = (DecoderRef::new(&decoder), DecodeTape::default(), Splats::default());
             decoder.forward(&local, Visible::All, EYE, &mut tape, &mut out);
             let d_out = cotangents(&tape.rows, &out);
             let mut d = LocalGrad::default();
@@ -129,17 +129,17 @@ fn production_agrees_with_the_reference() {
             decoder.backward(&local, &mut tape, &d_out, &mut d);
 
             let (mut rows, mut want, mut back) = (Vec::new(), Vec::new(), Vec::new());
-            let mut grads: Blocks = twin.blocks.iter().map(|(n, b)| (n.clone(), vec![0.0; b.len()])).collect();
+            let mut grads: Blocks = reference.blocks.iter().map(|(n, b)| (n.clone(), vec![0.0; b.len()])).collect();
             for v in 0..n {
                 let anchor = AnchorRef::new(&local, v);
-                for (j, g) in twin.decode(&anchor, EYE.to_array()).iter().enumerate() {
+                for (j, g) in reference.decode(&anchor, EYE.to_array()).iter().enumerate() {
                     if g.activation > 0.0 {
                         rows.push((v * SHAPE.offsets + j) as u32);
                         want.push(flat(g));
                     }
                 }
                 let d: Vec<_> = (0..SHAPE.offsets).map(|j| cotangent(v * SHAPE.offsets + j)).collect();
-                back.push(flat_anchor(&twin.backward(&anchor, EYE.to_array(), &d, &mut grads)));
+                back.push(flat_anchor(&reference.backward(&anchor, EYE.to_array(), &d, &mut grads)));
             }
             assert_eq!(tape.rows, rows);
             assert!(!rows.is_empty() && rows.len() < 4 * n, "some exist, some do not");
@@ -211,7 +211,7 @@ fn threads_and_warm_tapes_change_no_bit() {
 
 /// Leaving anchors out changes nothing of the others, and they receive nothing.
 #[test]
-fn a_list_decodes_its_anchors_as_before() {
+fn a_list_decodes_its_anchors_as_all_does() {
     let (mut decoder, local) = (decoder(&configs()[3]), anchors(700, SHAPE.offsets, SHAPE.features));
     let list: Vec<u32> = (100..650).step_by(3).collect();
     let (mut all, mut some) = (Splats::default(), Splats::default());

@@ -79,7 +79,7 @@ fn anchors(n: usize, dynamics: usize) -> Anchors {
     anchors
 }
 
-/// A field whose time planes, constant at the start, have learnt something.
+/// A field whose time planes are not constant, as after training.
 fn gad(config: &GadConfig, dynamics: usize) -> Gad {
     let mut gad = Gad::new(config, shape(dynamics), Aabb::cube(1.0), 3).unwrap();
     gad.visit_mut(&mut |p| {
@@ -131,7 +131,7 @@ fn differences<A: Clone>(at: &A, slots: impl Fn(&mut A) -> Vec<&mut f64>, loss: 
     (0..n).map(|i| (moved(i, STEP) - moved(i, -STEP)) / (2.0 * STEP)).collect()
 }
 
-/// What is learnt of an anchor; its place is a constant to the net.
+/// The trained values of an anchor; its position is a constant to the net.
 fn rest_slots(r: &mut RestRef) -> Vec<&mut f64> {
     let RestRef { anchor: AnchorRef { offsets, features, scales, .. }, logits } = r;
     offsets.iter_mut().chain(features).chain(scales).chain(logits).collect()
@@ -140,32 +140,34 @@ fn rest_slots(r: &mut RestRef) -> Vec<&mut f64> {
 #[test]
 fn the_references_gradients_are_its_central_differences() {
     for (dynamics, config) in cases() {
-        let mut twin = GadRef::new(&gad(&config, dynamics));
-        twin.surrogate = true;
+        let mut reference = GadRef::new(&gad(&config, dynamics));
+        reference.surrogate = true;
         let (all, d) = (anchors(3, dynamics), local_cotangents(3));
         let rest: Vec<RestRef> = (0..3).map(|v| RestRef::new(&all, v)).collect();
-        let mut grad = twin.net.zero_grad();
+        let mut grad = reference.net.zero_grad();
         for (v, rest) in rest.iter().enumerate() {
             let d = local_cotangent(&d, v);
-            let got = twin.backward(rest, T, &d, &mut grad);
-            assert_eq!(got.anchor.position, d.position, "the place is a constant to the net");
-            let want = differences(rest, rest_slots, |r| dot(&twin.moved(r, T), &d));
+            let got = reference.backward(rest, T, &d, &mut grad);
+            assert_eq!(got.anchor.position, d.position, "the position is a constant to the net");
+            let want = differences(rest, rest_slots, |r| dot(&reference.moved(r, T), &d));
             let got = [&got.anchor.offsets[..], &got.anchor.features, &got.anchor.scales, &got.logits].concat();
             assert_close(&got, &want, 1e-6, &format!("{config:?}: anchor {v}"));
         }
-        let total = |twin: &GadRef| (0..3).map(|v| dot(&twin.moved(&rest[v], T), &local_cotangent(&d, v))).sum::<f64>();
+        let total = |reference: &GadRef| {
+            (0..3).map(|v| dot(&reference.moved(&rest[v], T), &local_cotangent(&d, v))).sum::<f64>()
+        };
         for (p, got) in grad.planes.iter().enumerate() {
-            let want = differences(&twin, |t| t.net.hexplane.planes[p].iter_mut().collect(), total);
+            let want = differences(&reference, |t| t.net.hexplane.planes[p].iter_mut().collect(), total);
             assert_close(got, &want, 1e-6, &format!("plane {p}"));
         }
         for (name, got) in &grad.layers {
-            let want = differences(&twin, |t| t.net.layers.get_mut(name).unwrap().iter_mut().collect(), total);
+            let want = differences(&reference, |t| t.net.layers.get_mut(name).unwrap().iter_mut().collect(), total);
             assert_close(got, &want, 1e-6, name);
         }
     }
 }
 
-/// Gradients of planes and layers of production against those of the twin.
+/// Gradients of planes and layers of production against those of the reference.
 fn assert_net_close(gad: &Gad, want: &PlaneNetRefGrad, what: &str) {
     let mut planes = want.planes.iter();
     gad.visit(&mut |p| match p.name.strip_prefix("gad.planes.") {
@@ -177,7 +179,7 @@ fn assert_net_close(gad: &Gad, want: &PlaneNetRefGrad, what: &str) {
     });
 }
 
-/// Gradients of production's anchors against those of the twin.
+/// Gradients of production's anchors against those of the reference.
 fn assert_anchors_close(anchors: &Anchors, want: &[RestRef], what: &str) {
     let close = |p: &gs_core::Param, row: &dyn Fn(&RestRef) -> Vec<f64>| {
         let want: Vec<f64> = want.iter().flat_map(row).collect();
@@ -197,16 +199,21 @@ fn production_agrees_with_the_reference() {
     for (dynamics, config) in cases() {
         for n in [3, BLOCK + 20] {
             let (mut gad, mut anchors, d) = (gad(&config, dynamics), anchors(n, dynamics), local_cotangents(n));
-            let (twin, mut tape, mut out) = (GadRef::new(&gad), GadTape::default(), Local::default());
+            let (reference, mut tape, mut out) = (GadRef::new(&gad), GadTape::default(), Local::default());
             gad.forward(&anchors, T, &mut tape, &mut out);
             gad.backward(&mut anchors, &mut tape, &d);
-            let mut grad = twin.net.zero_grad();
+            let mut grad = reference.net.zero_grad();
             let mut back = Vec::new();
             for v in 0..n {
                 let rest = RestRef::new(&anchors, v);
                 let what = format!("{config:?}: anchor {v} of {n}");
-                assert_close(&flat_anchor(&AnchorRef::new(&out, v)), &flat_anchor(&twin.moved(&rest, T)), 5e-7, &what);
-                back.push(twin.backward(&rest, T, &local_cotangent(&d, v), &mut grad));
+                assert_close(
+                    &flat_anchor(&AnchorRef::new(&out, v)),
+                    &flat_anchor(&reference.moved(&rest, T)),
+                    5e-7,
+                    &what,
+                );
+                back.push(reference.backward(&rest, T, &local_cotangent(&d, v), &mut grad));
             }
             assert_anchors_close(&anchors, &back, &format!("{config:?} at {n}"));
             assert_net_close(&gad, &grad, &format!("{config:?} at {n}"));
@@ -214,13 +221,13 @@ fn production_agrees_with_the_reference() {
     }
 }
 
-/// From the anchors at rest to Gaussians and back, through both stages: three anchors of four Gaussians.
+/// From the canonical anchors to Gaussians, forward and backward through both stages: three anchors of four Gaussians.
 #[test]
 fn both_stages_agree_with_the_reference() {
     let config = DecoderConfig { appearance: 3, ..DecoderConfig::default() };
     let mut decoder = Decoder::new(&config, shape(2), 5).unwrap();
     let (mut gad, mut anchors) = (gad(&small(), 2), anchors(3, 2));
-    let (twin, decoder_twin) = (GadRef::new(&gad), DecoderRef::new(&decoder));
+    let (reference, decoder_reference) = (GadRef::new(&gad), DecoderRef::new(&decoder));
     let (mut tape, mut decode, mut local, mut out, mut d) = Default::default();
     gad.forward(&anchors, T, &mut tape, &mut local);
     decoder.forward(&local, Visible::All, EYE, &mut decode, &mut out);
@@ -229,15 +236,15 @@ fn both_stages_agree_with_the_reference() {
     decoder.backward(&local, &mut decode, &d_out, &mut d);
     gad.backward(&mut anchors, &mut tape, &d);
 
-    let mut grad = twin.net.zero_grad();
-    let mut heads: Blocks = decoder_twin.blocks.iter().map(|(n, b)| (n.clone(), vec![0.0; b.len()])).collect();
+    let mut grad = reference.net.zero_grad();
+    let mut heads: Blocks = decoder_reference.blocks.iter().map(|(n, b)| (n.clone(), vec![0.0; b.len()])).collect();
     let eye = EYE.to_array();
     let back: Vec<RestRef> = (0..3)
         .map(|v| {
             let rest = RestRef::new(&anchors, v);
             let d: Vec<GaussianRef> = (0..4).map(|j| cotangent(4 * v + j)).collect();
-            let d = decoder_twin.backward(&twin.moved(&rest, T), eye, &d, &mut heads);
-            twin.backward(&rest, T, &d, &mut grad)
+            let d = decoder_reference.backward(&reference.moved(&rest, T), eye, &d, &mut heads);
+            reference.backward(&rest, T, &d, &mut grad)
         })
         .collect();
     assert!(!out.is_empty() && out.len() < 12);
@@ -247,7 +254,7 @@ fn both_stages_agree_with_the_reference() {
 }
 
 #[test]
-fn an_untrained_field_leaves_the_anchors_as_they_are() {
+fn an_untrained_field_changes_no_anchor() {
     let config = GadConfig { net: PlaneNetConfig { zero_init: true, ..small().net }, ..small() };
     let (anchors, mut rest, mut out) = (anchors(300, 2), Local::default(), Local::default());
     anchors.activate(&mut rest);

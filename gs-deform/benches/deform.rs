@@ -16,7 +16,7 @@ use gs_deform::{Aabb, DefGsConfig, DefMlp, Field, FourDgsConfig, HexPlaneField};
 use rayon::prelude::*;
 use std::time::Duration;
 
-/// What a row says beside its time.
+/// A row of the table, without its time.
 struct Row {
     case: &'static str,
     variant: &'static str,
@@ -58,7 +58,7 @@ fn points(n: usize) -> Vec<Vec3> {
     (0..n).map(|_| Vec3::new(rng.range(-1.0, 1.0), rng.range(-1.0, 1.0), rng.range(-1.0, 1.0))).collect()
 }
 
-fn moment() -> Time {
+fn t() -> Time {
     Time { normalised: 0.37, seconds: 0.37 }
 }
 
@@ -91,20 +91,20 @@ fn hexplane(c: &mut Criterion) {
     let config = HexPlaneConfig { resolution: [128, 128, 128, 255], levels: vec![1], ..HexPlaneConfig::default() };
     let Ok(mut hex) = HexPlane::new("hex", &config, Aabb::cube(1.0), 1) else { return };
     let (means, mut tape, mut d_means) = (points(n), HexTape::default(), vec![Vec3::ZERO; n]);
-    hex.forward(&means, moment(), &mut tape);
+    hex.forward(&means, t(), &mut tape);
     let d = random(32, "d");
     for block in &mut tape.blocks {
         block.d_features = d.iter().copied().cycle().take(block.features.len()).collect();
     }
     hex.backward(&mut tape, Some(&mut d_means));
-    let twin = HexPlaneRef::new(&hex);
-    let mut scratch: Vec<Vec<f64>> = twin.planes.iter().map(|p| vec![0.0; p.len()]).collect();
+    let reference = HexPlaneRef::new(&hex);
+    let mut scratch: Vec<Vec<f64>> = reference.planes.iter().map(|p| vec![0.0; p.len()]).collect();
     let d: Vec<f64> = d.into_iter().map(f64::from).collect();
     let (mut features, mut gradients) = (Vec::new(), Vec::new());
     for p in &means[..2000] {
         let p = p.to_array().map(f64::from);
-        features.extend(twin.features(p, moment()));
-        gradients.extend(twin.backward(p, moment(), &d, &mut scratch));
+        features.extend(reference.features(p, t()));
+        gradients.extend(reference.backward(p, t(), &d, &mut scratch));
     }
     let forward_error = worst(tape.blocks.iter().flat_map(|b| b.features.iter().copied()), &features);
     let backward_error = worst(d_means.iter().flat_map(|d| d.to_array()), &gradients);
@@ -116,7 +116,7 @@ fn hexplane(c: &mut Criterion) {
         error,
         error_kind: "relative to f64",
     };
-    measure(c, &row("forward", forward_error), || hex.forward(&means, moment(), &mut tape));
+    measure(c, &row("forward", forward_error), || hex.forward(&means, t(), &mut tape));
     measure(c, &row("backward to planes and points", backward_error), || hex.backward(&mut tape, Some(&mut d_means)));
     measure(c, &row("backward to planes", backward_error), || hex.backward(&mut tape, None));
 }
@@ -172,14 +172,14 @@ fn field<F: Field>(c: &mut Criterion, case: &'static str, n: usize, mut field: F
         ..Splats::default()
     };
     let (mut tape, mut out) = (F::Tape::default(), Splats::default());
-    field.forward(&canonical, moment(), &mut tape, &mut out);
+    field.forward(&canonical, t(), &mut tape, &mut out);
     let error = canonical.means.iter().zip(&out.means).fold(0.0f32, |m, (a, b)| m.max((*a - *b).abs().max_element()));
     field.visit_mut(&mut |p| {
         if p.value.iter().all(|v| *v == 0.0) {
             p.value = random(p.len(), &p.name).iter().map(|v| 0.01 * v).collect();
         }
     });
-    field.forward(&canonical, moment(), &mut tape, &mut out);
+    field.forward(&canonical, t(), &mut tape, &mut out);
     let (d_out, mut d) =
         (SplatsGrad { means: points(n), ..SplatsGrad::zeros_like(&canonical) }, SplatsGrad::zeros_like(&canonical));
     let row = |variant| Row {
@@ -190,14 +190,14 @@ fn field<F: Field>(c: &mut Criterion, case: &'static str, n: usize, mut field: F
         error: f64::from(error),
         error_kind: "untrained against identity",
     };
-    measure(c, &row("forward"), || field.forward(&canonical, moment(), &mut tape, &mut out));
+    measure(c, &row("forward"), || field.forward(&canonical, t(), &mut tape, &mut out));
     measure(c, &row("forward and backward"), || {
-        field.forward(&canonical, moment(), &mut tape, &mut out);
+        field.forward(&canonical, t(), &mut tape, &mut out);
         field.backward(&canonical, &mut tape, &d_out, &mut d);
     });
-    if !field.regularise(&canonical, moment(), 1).is_empty() {
+    if !field.regularise(&canonical, t(), 1).is_empty() {
         measure(c, &row("regularisers"), || {
-            field.regularise(&canonical, moment(), 1);
+            field.regularise(&canonical, t(), 1);
         });
     }
 }

@@ -1,5 +1,5 @@
-//! Time and error of the Grid4D field with Fourier branch and gate (FAGS): its dense part against the roof of the machine,
-//! its hash grids, each exact saving on and off, and splats left still.
+//! Time and error of the Grid4D field with Fourier branch and gate (FAGS): its dense part against the roof of the
+//! machine, its hash grids, each exact optimisation on and off, and static splats.
 //!
 //! Each row is printed and appended to `target/speed-error/gs-deform.jsonl`. `work` counts floating-point operations of
 //! matrix products (two per multiply-add), or splats. The roof is the machine's 1024³ product, one serial call per
@@ -20,7 +20,7 @@ mod rows;
 const SPLATS: usize = 50_000;
 const ROWS: Rows = Rows { n: SPLATS, runs: 9 };
 
-fn moment(normalised: f32) -> Time {
+fn at_time(normalised: f32) -> Time {
     Time { normalised, seconds: f64::from(normalised) }
 }
 
@@ -119,7 +119,7 @@ fn grids(field: &Grid4dField, s: &Splats) -> [f64; 2] {
 fn step(field: &mut Grid4dField, s: &Splats) -> (Splats, SplatsGrad, Vec<f32>) {
     let (mut tape, mut out, mut d) = (Default::default(), Splats::default(), SplatsGrad::zeros_like(s));
     field.clear_grads();
-    field.forward(s, moment(0.37), &mut tape, &mut out);
+    field.forward(s, at_time(0.37), &mut tape, &mut out);
     field.backward(s, &mut tape, &SplatsGrad { means: s.means.clone(), ..SplatsGrad::zeros_like(s) }, &mut d);
     let mut grads = Vec::new();
     field.visit(&mut |p| {
@@ -135,15 +135,15 @@ fn largest(a: impl Iterator<Item = (f64, f64)>) -> f64 {
     difference / size
 }
 
-/// Error of moved means against the f64 twin, relative to the largest displacement.
-fn against_twin(field: &Grid4dField, s: &Splats) -> f64 {
-    let (twin, mut out, t) = (Grid4dRef::new(field), Splats::default(), moment(0.37));
+/// Error of moved means against the f64 reference, relative to the largest displacement.
+fn against_reference(field: &Grid4dField, s: &Splats) -> f64 {
+    let (reference, mut out, t) = (Grid4dRef::new(field), Splats::default(), at_time(0.37));
     field.forward(s, t, &mut Default::default(), &mut out);
     let mut pairs = Vec::new();
     for r in 0..100 {
         let (m, q, z) = (s.means[r].to_array(), s.quats[r], s.scales[r].to_array());
         let flat: Vec<f64> = m.iter().chain(&q).chain(&z).map(|&v| f64::from(v)).collect();
-        let want = twin.moved(m.map(f64::from), std::array::from_fn(|k| flat[k]), t);
+        let want = reference.moved(m.map(f64::from), std::array::from_fn(|k| flat[k]), t);
         pairs.extend((0..3).map(|k| (f64::from(out.means[r][k] - m[k]), want[k] - flat[k])));
     }
     largest(pairs.into_iter())
@@ -153,10 +153,10 @@ fn against_twin(field: &Grid4dField, s: &Splats) -> f64 {
 fn training(s: &Splats, roof: f64) -> Result<(), DeformError> {
     let mut field = field(&Grid4dConfig::default())?;
     // Random values at resolution 2048 feel the rounding of coordinates; grids up to 32 show the decoder's own error.
-    let error = Some((against_twin(&field, s), "displacement relative to f64"));
+    let error = Some((against_reference(&field, s), "displacement relative to f64"));
     let canonical = HashGridConfig { end: [32.0; 3], ..field.config().canonical };
     let coarse = self::field(&Grid4dConfig { canonical, ..Grid4dConfig::default() })?;
-    let dense_error = Some((against_twin(&coarse, s), "displacement relative to f64, grids to 32"));
+    let dense_error = Some((against_reference(&coarse, s), "displacement relative to f64, grids to 32"));
     let [grid_forward, grid_both] = grids(&field, s);
     let [space, time] = [field.grids()[0].width(), 3 * field.grids()[1].width()];
     let (width, head) = (field.config().width, field.config().head_width());
@@ -164,9 +164,9 @@ fn training(s: &Splats, roof: f64) -> Result<(), DeformError> {
     let (mut tape, mut out, mut d) = (Default::default(), Splats::default(), SplatsGrad::zeros_like(s));
     let d_out = SplatsGrad { means: s.means.clone(), ..SplatsGrad::zeros_like(s) };
     let forward =
-        ROWS.measured("fags", "forward", flops, error, || field.forward(s, moment(0.37), &mut tape, &mut out));
+        ROWS.measured("fags", "forward", flops, error, || field.forward(s, at_time(0.37), &mut tape, &mut out));
     let both = ROWS.measured("fags", "forward and backward", 3.0 * flops, error, || {
-        field.forward(s, moment(0.37), &mut tape, &mut out);
+        field.forward(s, at_time(0.37), &mut tape, &mut out);
         field.backward(s, &mut tape, &d_out, &mut d);
     });
     for (variant, ms, work) in
@@ -176,7 +176,7 @@ fn training(s: &Splats, roof: f64) -> Result<(), DeformError> {
         println!("    {:.0} % of the roof of {roof:.0} GFLOP/s", 100.0 * work / ms / 1e6 / roof);
     }
     ROWS.measured("fags", "smoothness, a tenth of the splats", SPLATS as f64, None, || {
-        field.regularise(s, moment(0.37), 1);
+        field.regularise(s, at_time(0.37), 1);
     });
     Ok(())
 }
@@ -202,25 +202,25 @@ fn savings(s: &Splats) -> Result<(), DeformError> {
         let (mut tape, mut out, mut d) = (Default::default(), Splats::default(), SplatsGrad::zeros_like(s));
         let d_out = SplatsGrad { means: s.means.clone(), ..SplatsGrad::zeros_like(s) };
         ROWS.measured("fags savings", variant, SPLATS as f64, error, || {
-            field.forward(s, moment(0.37), &mut tape, &mut out);
+            field.forward(s, at_time(0.37), &mut tape, &mut out);
             field.backward(s, &mut tape, &d_out, &mut d);
         });
     }
     Ok(())
 }
 
-/// One cloud at many times: with and without the cache, then with splats left still.
-fn drawing(s: &Splats) -> Result<(), DeformError> {
+/// The same splats at many times: with and without the cache, then with static splats.
+fn many_times(s: &Splats) -> Result<(), DeformError> {
     let on = Grid4dConfig::default();
     let (mut out, mut want) = (Splats::default(), Splats::default());
     for (variant, cached_attention) in [("evaluated anew", false), ("frozen", true)] {
         let field = field(&Grid4dConfig { exact: ExactConfig { cached_attention, ..on.exact }, ..on.clone() })?;
         let mut frozen = field.freeze(s);
-        frozen.forward(moment(0.6), &mut out);
-        field.forward(s, moment(0.6), &mut Default::default(), &mut want);
+        frozen.forward(at_time(0.6), &mut out);
+        field.forward(s, at_time(0.6), &mut Default::default(), &mut want);
         let same = largest(out.means.iter().zip(&want.means).map(|(a, b)| (f64::from(a.x), f64::from(b.x))));
         let error = Some((same, "against the field's own forward"));
-        ROWS.measured("fags drawing", variant, SPLATS as f64, error, || frozen.forward(moment(0.6), &mut out));
+        ROWS.measured("fags drawing", variant, SPLATS as f64, error, || frozen.forward(at_time(0.6), &mut out));
     }
     let field = field(&on)?;
     let (rotation, translation) = (DMat3::IDENTITY, DVec3::new(0.0, 0.0, 4.0));
@@ -232,11 +232,11 @@ fn drawing(s: &Splats) -> Result<(), DeformError> {
     };
     for pixels in [0.0, 0.01, 0.05, 0.2] {
         let mut frozen = field.freeze(s);
-        let report = frozen.leave_still(&StillOptions { pixels, probes: 65, cameras: std::slice::from_ref(&camera) });
+        let report = frozen.keep_static(&StillOptions { pixels, probes: 65, cameras: std::slice::from_ref(&camera) });
         let mut worst = 0.0f64;
         for t in [0.03, 0.21, 0.47, 0.55, 0.98] {
-            frozen.forward(moment(t), &mut out);
-            field.forward(s, moment(t), &mut Default::default(), &mut want);
+            frozen.forward(at_time(t), &mut out);
+            field.forward(s, at_time(t), &mut Default::default(), &mut want);
             for (a, b) in out.means.iter().zip(&want.means) {
                 let (a, b) = (screen(*a), screen(*b));
                 worst = worst.max((a[0] - b[0]).hypot(a[1] - b[1]));
@@ -244,9 +244,9 @@ fn drawing(s: &Splats) -> Result<(), DeformError> {
         }
         let variant = format!("still below {pixels} px");
         ROWS.measured("fags drawing", &variant, SPLATS as f64, Some((worst, "px on screen, between probes")), || {
-            frozen.forward(moment(0.6), &mut out)
+            frozen.forward(at_time(0.6), &mut out)
         });
-        println!("    {} of {} left still, bound {:.3} px", report.still, report.splats, report.bound_pixels);
+        println!("    {} of {} static, bound {:.3} px", report.still, report.splats, report.bound_pixels);
     }
     Ok(())
 }
@@ -256,5 +256,5 @@ fn main() -> Result<(), DeformError> {
     let roof = roof();
     training(&s, roof)?;
     savings(&s)?;
-    drawing(&s)
+    many_times(&s)
 }

@@ -34,7 +34,7 @@ struct Row<'a> {
     error_kind: &'static str,
 }
 
-/// Measures, prints and records; says the nanoseconds per point and level.
+/// Measures, prints and records the nanoseconds per point and level.
 fn row(row: &Row, work: impl FnMut()) {
     let seconds = median_seconds(9, work);
     let line = SpeedError {
@@ -54,10 +54,10 @@ fn row(row: &Row, work: impl FnMut()) {
 
 /// Largest difference relative to the largest wanted value, over the first points.
 fn feature_error(grid: &HashGrid, points: &[[f32; 3]], out: &[f32], stride: usize) -> f64 {
-    let twin = HashGridRef::new(grid);
+    let reference = HashGridRef::new(grid);
     let (mut worst, mut largest) = (0.0f64, 1e-30f64);
     for (p, out) in points.iter().zip(out.chunks(stride)).take(1000) {
-        for (want, got) in twin.features(p.map(f64::from)).into_iter().zip(out) {
+        for (want, got) in reference.features(p.map(f64::from)).into_iter().zip(out) {
             worst = worst.max((want - f64::from(*got)).abs());
             largest = largest.max(want.abs());
         }
@@ -70,23 +70,23 @@ fn paths(case: &str, config: &HashGridConfig, stride: usize) {
     let Ok(mut grid) = HashGrid::new("grid", config, 1) else { return };
     let (points, t, columns) = (points(POINTS, "points"), 0.37, Columns { stride, offset: 0 });
     let plane: Vec<[f32; 2]> = points.iter().map(|p| [p[0], p[1]]).collect();
-    let moment: Vec<[f32; 3]> = plane.iter().map(|p| [p[0], p[1], t]).collect();
+    let at_time: Vec<[f32; 3]> = plane.iter().map(|p| [p[0], p[1], t]).collect();
     let mut out = vec![0.0; POINTS * stride];
     grid.forward(&points, &mut out, columns);
     let error = feature_error(&grid, &points, &out, stride);
-    let say = |variant, error| Row { case, variant, levels: config.levels, error, error_kind: "feature against f64" };
-    row(&say("space forward", error), || grid.forward(&points, &mut out, columns));
-    row(&say("space backward", error), || grid.backward(&points, &out, columns));
+    let line = |variant, error| Row { case, variant, levels: config.levels, error, error_kind: "feature against f64" };
+    row(&line("space forward", error), || grid.forward(&points, &mut out, columns));
+    row(&line("space backward", error), || grid.backward(&points, &out, columns));
     let mut slice = Slice::default();
     grid.slice(t, POINTS, &mut slice);
     grid.forward_slice(&slice, &plane, &mut out, columns);
-    let error = feature_error(&grid, &moment, &out, stride);
+    let error = feature_error(&grid, &at_time, &out, stride);
     println!("    {} of {} levels are blended", slice.blended(), config.levels);
-    row(&say("slice forward", error), || {
+    row(&line("slice forward", error), || {
         grid.slice(t, POINTS, &mut slice);
         grid.forward_slice(&slice, &plane, &mut out, columns);
     });
-    row(&say("slice backward", error), || grid.backward_slice(&mut slice, &plane, &out, columns));
+    row(&line("slice backward", error), || grid.backward_slice(&mut slice, &plane, &out, columns));
     grid.clear_grads();
     grid.backward(&points, &vec![1.0; out.len()], columns);
     let grad = &grid.table().grad;
@@ -206,8 +206,8 @@ fn storage<T: Stored>(case: &str, name: &str, grid: &HashGrid, points: &[[f32; 3
     ];
     for (what, error, error_kind) in kinds {
         let variant = format!("{name} {what}");
-        let say = Row { case, variant: &variant, levels: width / 2, error, error_kind };
-        row(&say, || read(grid, black_box(&table), points, &mut out));
+        let line = Row { case, variant: &variant, levels: width / 2, error, error_kind };
+        row(&line, || read(grid, black_box(&table), points, &mut out));
     }
 }
 

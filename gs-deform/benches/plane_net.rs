@@ -56,7 +56,7 @@ fn points() -> Vec<Vec3> {
     (0..POINTS as u64).map(point).collect()
 }
 
-fn moment() -> Time {
+fn t() -> Time {
     Time { normalised: 0.37, seconds: 0.37 }
 }
 
@@ -99,12 +99,12 @@ fn worst(pairs: &[(f64, f64)]) -> f64 {
     difference / size
 }
 
-/// Errors of outputs and of gradients of points against the f64 twin, on the first points.
-fn against_twin(net: &mut PlaneNet, case: &Case, tape: &mut PlaneNetTape, points: &[Vec3]) -> [f64; 2] {
+/// Errors of outputs and of gradients of points against the f64 reference, on the first points.
+fn against_reference(net: &mut PlaneNet, case: &Case, tape: &mut PlaneNetTape, points: &[Vec3]) -> [f64; 2] {
     let names: Vec<&str> = case.heads.iter().map(|h| h.0).collect();
-    let twin = PlaneNetRef::new("net", net, &names);
-    let (mut grad, mut d_points) = (twin.zero_grad(), vec![Vec3::ZERO; points.len()]);
-    net.forward(points, moment(), tape);
+    let reference = PlaneNetRef::new("net", net, &names);
+    let (mut grad, mut d_points) = (reference.zero_grad(), vec![Vec3::ZERO; points.len()]);
+    net.forward(points, t(), tape);
     cotangents(case, tape);
     net.backward(tape, Some(&mut d_points));
     let (mut values, mut gradients) = (Vec::new(), Vec::new());
@@ -112,11 +112,11 @@ fn against_twin(net: &mut PlaneNet, case: &Case, tape: &mut PlaneNetTape, points
         let p = p.to_array().map(f64::from);
         let block = &mut tape.blocks_mut()[0];
         let mut d = Vec::new();
-        for (h, want) in twin.outputs(p, moment()).iter().enumerate() {
+        for (h, want) in reference.outputs(p, t()).iter().enumerate() {
             values.extend(block.head(h)[r * want.len()..].iter().map(|v| f64::from(*v)).zip(want.iter().copied()));
             d.push(block.head_grad_mut(h)[r * want.len()..][..want.len()].iter().map(|v| f64::from(*v)).collect());
         }
-        let want = twin.backward(p, moment(), &d, &mut grad);
+        let want = reference.backward(p, t(), &d, &mut grad);
         gradients.extend(d_points[r].to_array().map(f64::from).into_iter().zip(want));
     }
     [worst(&values), worst(&gradients)]
@@ -138,9 +138,9 @@ fn planes(case: &Case, hex: &HexPlane, points: &[Vec3]) -> [f64; 2] {
     let places = hex.place(points);
     let mut run = |back: bool| {
         if case.moving {
-            hex.forward(points, moment(), &mut tape);
+            hex.forward(points, t(), &mut tape);
         } else {
-            hex.forward_placed(&places, moment(), &mut tape);
+            hex.forward_placed(&places, t(), &mut tape);
         }
         if back {
             tape.blocks.iter_mut().for_each(|b| b.d_features.resize(b.features.len(), 0.5));
@@ -157,7 +157,7 @@ fn planes(case: &Case, hex: &HexPlane, points: &[Vec3]) -> [f64; 2] {
 /// The net as a training step uses it, and the share of the roof its dense part reaches.
 fn training(case: &Case, roof: f64) -> Result<(), DeformError> {
     let (mut net, points, mut tape) = (net(case)?, points(), PlaneNetTape::default());
-    let [value, gradient] = against_twin(&mut net, case, &mut tape, &points);
+    let [value, gradient] = against_reference(&mut net, case, &mut tape, &points);
     let [plane_forward, plane_both] = planes(case, &net.hexplane().clone(), &points);
     let outputs: usize = case.heads.iter().map(|h| h.1).sum();
     let per_row = net.hexplane().width() * case.width + case.heads.len() * case.width.pow(2) + outputs * case.width;
@@ -166,9 +166,9 @@ fn training(case: &Case, roof: f64) -> Result<(), DeformError> {
     let error = [Some((value, "outputs relative to f64")), Some((gradient, "d points relative to f64"))];
     let mut run = |back: bool| {
         if case.moving {
-            net.forward(&points, moment(), &mut tape);
+            net.forward(&points, t(), &mut tape);
         } else {
-            net.forward_placed(&places, moment(), &mut tape);
+            net.forward_placed(&places, t(), &mut tape);
         }
         if back {
             net.backward(&mut tape, case.moving.then_some(d_points.as_mut_slice()));
@@ -186,20 +186,20 @@ fn training(case: &Case, roof: f64) -> Result<(), DeformError> {
     Ok(())
 }
 
-/// Points that stay: cells found anew at every call, or once.
+/// Static points: cells found at every call, or once.
 fn places() -> Result<(), DeformError> {
     let (net, points) = (net(&CASES[2])?, points());
     let (hex, mut tape, mut want) = (net.hexplane(), HexTape::default(), HexTape::default());
     let found = hex.place(&points);
-    hex.forward(&points, moment(), &mut want);
-    hex.forward_placed(&found, moment(), &mut tape);
+    hex.forward(&points, t(), &mut want);
+    hex.forward_placed(&found, t(), &mut tape);
     let differs = tape.blocks.iter().zip(&want.blocks).any(|(a, b)| a.features != b.features);
     let error = Some((f64::from(u8::from(differs)), "1 if a bit differs"));
     let anew = ROWS.measured("planes, points that stay", "placed anew", POINTS as f64, error, || {
-        hex.forward(&points, moment(), &mut tape);
+        hex.forward(&points, t(), &mut tape);
     });
     let once = ROWS.measured("planes, points that stay", "placed once", POINTS as f64, error, || {
-        hex.forward_placed(&found, moment(), &mut want);
+        hex.forward_placed(&found, t(), &mut want);
     });
     println!("    forward pass of the planes in {:.0} % of the time", 100.0 * once / anew);
     Ok(())

@@ -1,10 +1,10 @@
-//! Fits a deformation field to a motion that is known: a sheet of points that waves while it spins.
+//! Fits a deformation field to a known motion: a sheet of splats that waves while it spins.
 //!
 //! ```text
 //! cargo run --release -p gs-deform --example fit_motion [-- fourdgs|defgs] [steps]
 //! ```
-//! Each step draws a time, moves the sheet with the field, and pulls the moved centres and normals' rotations towards
-//! the truth. The table shows how far the sheet is from the truth at times the training never drew.
+//! Each step samples a training time, deforms the sheet with the field, and takes the squared error of means and
+//! rotations against the known motion. The table shows the error at times that are never trained.
 
 use glam::{Quat, Vec3};
 use gs_core::rot;
@@ -25,7 +25,7 @@ fn sheet(side: usize) -> Splats {
     }
 }
 
-/// Where a point of the sheet is at time `t`, and how it is turned: a wave runs along x, then all spins about y.
+/// Position and rotation at time `t` of a point of the sheet: a wave along x, then a spin about y.
 fn truth(p: Vec3, t: f32) -> (Vec3, Quat) {
     let phase = 3.0 * p.x - std::f32::consts::TAU * t;
     let wave = Vec3::new(p.x, p.y, p.z + 0.15 * phase.sin());
@@ -34,22 +34,22 @@ fn truth(p: Vec3, t: f32) -> (Vec3, Quat) {
     (spin * wave, spin * tilt)
 }
 
-/// Mean squared distance of centres plus of rotations (up to sign), and its cotangents.
+/// Mean squared error of means and of rotations (up to sign), and its cotangents.
 fn loss(canonical: &Splats, moved: &Splats, t: f32, d: &mut SplatsGrad) -> f32 {
     d.reset(moved);
     let scale = 1.0 / moved.len() as f32;
     let mut total = 0.0;
     for (i, p) in canonical.means.iter().enumerate() {
-        let (mean, turn) = truth(*p, t);
-        let off = moved.means[i] - mean;
-        d.means[i] = off * 2.0 * scale;
+        let (mean, rotation) = truth(*p, t);
+        let error = moved.means[i] - mean;
+        d.means[i] = error * 2.0 * scale;
         let unit = rot::normalise(moved.quats[i]);
-        let want = rot::from_glam(turn);
+        let want = rot::from_glam(rotation);
         let sign = (0..4).map(|k| unit.wxyz[k] * want[k]).sum::<f32>().signum();
         let d_unit: [f32; 4] = std::array::from_fn(|k| 0.2 * scale * (unit.wxyz[k] - sign * want[k]));
         d.quats[i] = rot::normalise_backward(&unit, d_unit);
-        total +=
-            scale * (off.length_squared() + (0..4).map(|k| 0.1 * (unit.wxyz[k] - sign * want[k]).powi(2)).sum::<f32>());
+        total += scale
+            * (error.length_squared() + (0..4).map(|k| 0.1 * (unit.wxyz[k] - sign * want[k]).powi(2)).sum::<f32>());
     }
     total
 }
@@ -66,8 +66,8 @@ fn adam(p: &mut Param, step: i32, rate: f32) {
     p.clear_grad();
 }
 
-/// Root mean square distance of the moved centres from the truth at `t`.
-fn distance<F: Field>(field: &F, canonical: &Splats, t: Time, tape: &mut F::Tape, moved: &mut Splats) -> f32 {
+/// Root mean square error of the deformed means at `t`.
+fn rms_error<F: Field>(field: &F, canonical: &Splats, t: Time, tape: &mut F::Tape, moved: &mut Splats) -> f32 {
     field.forward(canonical, t, tape, moved);
     let squares =
         canonical.means.iter().zip(&moved.means).map(|(p, m)| (*m - truth(*p, t.normalised).0).length_squared());
@@ -79,7 +79,7 @@ fn fit<F: Field>(mut field: F, steps: u32, rate: impl Fn(&str) -> f32) -> Result
     let (mut tape, mut moved) = (F::Tape::default(), Splats::default());
     let (mut d, mut d_canonical) = (SplatsGrad::default(), SplatsGrad::zeros_like(&canonical));
     println!("{} splats, {} parameters", canonical.len(), field.param_count());
-    println!("{:>6} {:>10} {:>9}   distance at t = 0.05 0.25 0.45 0.65 0.85", "step", "loss", "ms/step");
+    println!("{:>6} {:>10} {:>9}   RMS error at t = 0.05 0.25 0.45 0.65 0.85", "step", "loss", "ms/step");
     let start = Instant::now();
     for step in 1..=steps {
         // Sixteen training times: multiples of 1/15.
@@ -94,7 +94,7 @@ fn fit<F: Field>(mut field: F, steps: u32, rate: impl Fn(&str) -> f32) -> Result
             let spent = start.elapsed().as_secs_f64() * 1e3 / f64::from(step);
             let mut errors = String::new();
             for t in [0.05, 0.25, 0.45, 0.65, 0.85] {
-                errors += &format!(" {:.4}", distance(&field, &canonical, Time::new(t)?, &mut tape, &mut moved));
+                errors += &format!(" {:.4}", rms_error(&field, &canonical, Time::new(t)?, &mut tape, &mut moved));
             }
             println!("{step:>6} {value:>10.2e} {spent:>9.2}                 {errors}");
         }

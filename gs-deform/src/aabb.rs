@@ -1,20 +1,31 @@
-//! The box a field covers.
+//! The axis-aligned box that a field covers.
 
 use crate::DeformError;
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
-/// An axis-aligned box in world units. Fields map it to their whole resolution; points outside see the nearest face.
+/// An axis-aligned box in world units. A HexPlane spans it with its whole resolution; points outside are clamped to the
+/// nearest face.
+///
+/// ```
+/// use glam::Vec3;
+/// use gs_deform::Aabb;
+///
+/// let b = Aabb::around(&[Vec3::ZERO, Vec3::new(2.0, 4.0, 0.0)], 0.5)?;
+/// assert_eq!((b.min, b.max), (Vec3::new(-1.0, -2.0, 0.0), Vec3::new(3.0, 6.0, 0.0)));
+/// assert!(Aabb::around(&[], 0.5).is_err(), "no points, no box");
+/// # Ok::<(), gs_deform::DeformError>(())
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Aabb {
-    /// Lowest corner.
+    /// Lowest corner, world units.
     pub min: Vec3,
-    /// Highest corner; equal to `min` along an axis the scene does not extend in (that axis then has no gradient).
+    /// Highest corner, world units; equal to `min` along an axis without extent (coordinates there have no gradient).
     pub max: Vec3,
 }
 
 impl Aabb {
-    /// The box between two corners.
+    /// The box from `min` to `max`, world units.
     ///
     /// # Errors
     /// If a corner is not finite or `max < min` along an axis.
@@ -31,7 +42,7 @@ impl Aabb {
         Self { min: Vec3::splat(-half.abs()), max: Vec3::splat(half.abs()) }
     }
 
-    /// The smallest box around `points`, widened by `margin` times its size on every side.
+    /// The bounding box of `points`, widened on every side by `margin` times its extent along that axis.
     ///
     /// # Errors
     /// If there is no point or one is not finite.

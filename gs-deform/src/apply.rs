@@ -1,4 +1,4 @@
-//! Offsets to splats, and back: the step that fields share.
+//! Applies offsets to splats, forward and backward: the last step of every field.
 //!
 //! With raw quaternion `q`, its unit form `q̂`, scale `s` and offsets `δx, δs, δr`:
 //!
@@ -7,10 +7,24 @@
 //! scales  Log: s · exp(δs)     Add: s + δs        with a limit: min(|·|, limit)
 //! quats   Raw: q + δr          Unit: q + |q| δr          Compose: normalise(1 + δr) ⊗ q
 //! ```
-//! `Raw` and `Log` are 4D Gaussian Splatting's sums on raw parameters; `Unit` is the rotation of `q̂ + δr`, as Deformable
-//! 3D Gaussians adds it, written so that the length of `q` survives; `Compose` turns in the world frame (GVFi, TRACE).
-//! Quaternions are normalised where they are used. All rules leave a splat bit for bit as it was where its offsets are
-//! zero (a negative zero may become positive).
+//! `Raw` and `Log` are 4D Gaussian Splatting's sums on raw parameters; `Unit` is the rotation of `q̂ + δr`, as in
+//! Deformable 3D Gaussians, written so that the norm of `q` is kept; `Compose` rotates in the world frame (GVFi,
+//! TRACE). Quaternions are normalised where they are used. With offsets of zero every rule returns the splat bit for
+//! bit (a negative zero may become positive).
+//!
+//! ```
+//! use gs_deform::apply::{Apply, OffsetColumns, QuatRule, Rows, RowsMut, ScaleRule};
+//! use glam::Vec3;
+//!
+//! let rule = Apply { scale: ScaleRule::Add, quat: QuatRule::Raw, scale_limit: Some(2.0) };
+//! let from = Rows { means: &[Vec3::X], quats: &[[1.0, 0.0, 0.0, 0.0]], scales: &[Vec3::new(0.5, 1.0, 1.5)] };
+//! let by = OffsetColumns { means: vec![0.0, 1.0, 0.0], scales: vec![-0.75, 0.5, 1.0], quats: vec![] };
+//! let (mut m, mut q, mut s) = ([Vec3::ZERO], [[0.0; 4]], [Vec3::ZERO]);
+//! rule.forward(from, by.view(), &mut RowsMut { means: &mut m, quats: &mut q, scales: &mut s });
+//! assert_eq!(m[0], Vec3::new(1.0, 1.0, 0.0));
+//! assert_eq!(s[0], Vec3::new(0.25, 1.5, 2.0), "the sign is dropped and the limit held");
+//! assert_eq!(q[0], from.quats[0], "an empty column leaves rotations as they are");
+//! ```
 
 use glam::Vec3;
 use gs_core::nn::BLOCK;
@@ -19,17 +33,17 @@ use gs_core::{Color, Splats, SplatsGrad};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-/// How an offset changes a scale.
+/// How an offset `δs` changes a scale `s`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ScaleRule {
     /// `s · exp(δs)`: a sum on logarithms; scales stay positive.
     Log,
-    /// `s + δs`, in world units; the sign is not constrained (only squares of scales matter).
+    /// `s + δs`, world units; the sign is not constrained, since only squares of scales matter.
     Add,
 }
 
-/// How an offset changes a rotation.
+/// How an offset `δr` changes a quaternion `q`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum QuatRule {
@@ -41,71 +55,71 @@ pub enum QuatRule {
     Compose,
 }
 
-/// The pair of rules a field applies its offsets by.
+/// The rules by which a field applies its offsets.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Apply {
-    /// For scales.
+    /// Rule for the scales' offsets.
     pub scale: ScaleRule,
-    /// For rotations.
+    /// Rule for the quaternions' offsets.
     pub quat: QuatRule,
-    /// Where given, a scale that an offset changed is written without its sign and at most this large (world units).
-    /// The sign comes back with the gradient, which is zero at zero and beyond the limit.
+    /// If given, a scale with an offset is written as `min(|s'|, limit)`, world units. The gradient carries the sign of
+    /// `s'` and is zero at zero and beyond the limit.
     pub scale_limit: Option<f32>,
 }
 
-/// Offsets of the rows of one block, row-major; an empty column means zero offsets.
+/// Offsets for some rows of splats, row-major; an empty column stands for zero offsets.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Offsets<'a> {
-    /// `[rows, 3]`.
+    /// `δx`, `[rows, 3]`, world units.
     pub means: &'a [f32],
-    /// `[rows, 3]`.
+    /// `δs`, `[rows, 3]`; unit by [`ScaleRule`].
     pub scales: &'a [f32],
-    /// `[rows, 4]`.
+    /// `δr`, `[rows, 4]`, `(w, x, y, z)`.
     pub quats: &'a [f32],
 }
 
 /// Owned columns shaped like [`Offsets`]: offsets, or their cotangents.
 #[derive(Clone, Debug, Default)]
 pub struct OffsetColumns {
-    /// `[rows, 3]`.
+    /// `δx` or its cotangent, `[rows, 3]`.
     pub means: Vec<f32>,
-    /// `[rows, 3]`.
+    /// `δs` or its cotangent, `[rows, 3]`.
     pub scales: Vec<f32>,
-    /// `[rows, 4]`.
+    /// `δr` or its cotangent, `[rows, 4]`.
     pub quats: Vec<f32>,
 }
 
 impl OffsetColumns {
-    /// As offsets.
+    /// Borrows all three columns.
     pub fn view(&self) -> Offsets<'_> {
         Offsets { means: &self.means, scales: &self.scales, quats: &self.quats }
     }
 }
 
-/// The moving columns of a run of splats.
+/// Means, quaternions and scales of consecutive splats: the columns that fields change.
 #[derive(Clone, Copy, Debug)]
 pub struct Rows<'a> {
-    /// Centres.
+    /// `[rows]`, world units.
     pub means: &'a [Vec3],
-    /// Rotations.
+    /// `[rows]`, `(w, x, y, z)` of any length.
     pub quats: &'a [[f32; 4]],
-    /// Scales.
+    /// `[rows]`, linear, world units.
     pub scales: &'a [Vec3],
 }
 
-/// The moving columns of a run of splats (or of their cotangents), to write to.
+/// [`Rows`] of splats or of their cotangents, to write to.
 #[derive(Debug)]
 pub struct RowsMut<'a> {
-    /// Centres.
+    /// `[rows]`, as [`Rows::means`].
     pub means: &'a mut [Vec3],
-    /// Rotations.
+    /// `[rows]`, as [`Rows::quats`].
     pub quats: &'a mut [[f32; 4]],
-    /// Scales.
+    /// `[rows]`, as [`Rows::scales`].
     pub scales: &'a mut [Vec3],
 }
 
 impl Apply {
-    /// Moves a run of splats.
+    /// Writes the rows `from`, moved by the offsets `by`, to `to`. All have the same number of rows.
     pub fn forward(&self, from: Rows<'_>, by: Offsets<'_>, to: &mut RowsMut<'_>) {
         to.means.copy_from_slice(from.means);
         to.scales.copy_from_slice(from.scales);
@@ -114,37 +128,37 @@ impl Apply {
             *to += Vec3::from_array(*d);
         }
         for (to, d) in to.scales.iter_mut().zip(by.scales.as_chunks().0) {
-            *to = self.grown(*to, *d);
+            *to = self.scaled(*to, *d);
             if let Some(limit) = self.scale_limit {
                 *to = to.abs().min(Vec3::splat(limit));
             }
         }
         for (to, d) in to.quats.iter_mut().zip(by.quats.as_chunks().0) {
-            *to = self.turn(*to, *d);
+            *to = self.rotated(*to, *d);
         }
     }
 
     /// The scale before any limit.
-    fn grown(&self, s: Vec3, d: [f32; 3]) -> Vec3 {
+    fn scaled(&self, s: Vec3, d: [f32; 3]) -> Vec3 {
         match self.scale {
             ScaleRule::Log => s * Vec3::from_array(d.map(f32::exp)),
             ScaleRule::Add => s + Vec3::from_array(d),
         }
     }
 
-    fn turn(&self, q: [f32; 4], d: [f32; 4]) -> [f32; 4] {
+    fn rotated(&self, q: [f32; 4], d: [f32; 4]) -> [f32; 4] {
         match self.quat {
             QuatRule::Raw => std::array::from_fn(|k| q[k] + d[k]),
             QuatRule::Unit => {
-                let length = rot::normalise(q).inv_norm.recip();
-                std::array::from_fn(|k| q[k] + length * d[k])
+                let norm = rot::normalise(q).inv_norm.recip();
+                std::array::from_fn(|k| q[k] + norm * d[k])
             }
             QuatRule::Compose => rot::hamilton(rot::normalise(from_identity(d)).wxyz, q),
         }
     }
 
-    /// The way back of [`Apply::forward`]: adds to the cotangents of `from`, sets those of the offsets. `moved` is what
-    /// the forward pass wrote.
+    /// Backward of [`Apply::forward`] with the same `from` and `by`: adds to the cotangents `d_from`, sets those of the
+    /// offsets, `d_by`. A column without offsets passes its cotangent through and leaves an empty column in `d_by`.
     pub fn backward(
         &self,
         from: Rows<'_>,
@@ -174,24 +188,24 @@ impl Apply {
         }
         let rows = from.scales.iter().zip(by.scales.as_chunks().0).zip(d_moved.scales).zip(d_from.scales.iter_mut());
         for (((s, d), d_moved), d_from) in rows {
-            let d_grown = *d_moved * self.slope(*s, *d);
+            let d_scaled = *d_moved * self.slope(*s, *d);
             let (d_s, d_offset) = match self.scale {
                 ScaleRule::Log => {
                     let factor = Vec3::from_array(d.map(f32::exp));
-                    (factor * d_grown, factor * d_grown * *s)
+                    (factor * d_scaled, factor * d_scaled * *s)
                 }
-                ScaleRule::Add => (d_grown, d_grown),
+                ScaleRule::Add => (d_scaled, d_scaled),
             };
             *d_from += d_s;
             d_by.scales.extend(d_offset.to_array());
         }
     }
 
-    /// Derivative of the written scale in the grown one.
+    /// Derivative of the written scale with respect to [`Apply::scaled`].
     fn slope(&self, s: Vec3, d: [f32; 3]) -> Vec3 {
         let Some(limit) = self.scale_limit else { return Vec3::ONE };
         let slope = |v: f32| if v == 0.0 || v.abs() > limit { 0.0 } else { v.signum() };
-        Vec3::from_array(self.grown(s, d).to_array().map(slope))
+        Vec3::from_array(self.scaled(s, d).to_array().map(slope))
     }
 
     fn backward_quats(
@@ -209,26 +223,26 @@ impl Apply {
         }
         let rows = from.quats.iter().zip(by.quats.as_chunks().0).zip(d_moved.quats).zip(d_from.quats.iter_mut());
         for (((q, d), g), d_from) in rows {
-            let (d_q, d_offset) = self.turn_backward(*q, *d, *g);
+            let (d_q, d_offset) = self.rotated_backward(*q, *d, *g);
             add4(d_from, d_q);
             d_by.quats.extend(d_offset);
         }
     }
 
-    /// Cotangents of the quaternion and of its offset.
-    fn turn_backward(&self, q: [f32; 4], d: [f32; 4], g: [f32; 4]) -> ([f32; 4], [f32; 4]) {
+    /// Cotangents of the quaternion and of its offset from the cotangent `g` of [`Apply::rotated`].
+    fn rotated_backward(&self, q: [f32; 4], d: [f32; 4], g: [f32; 4]) -> ([f32; 4], [f32; 4]) {
         match self.quat {
             QuatRule::Raw => (g, g),
             QuatRule::Unit => {
                 let unit = rot::normalise(q);
-                let length = unit.inv_norm.recip();
-                let stretch = unit.free * (0..4).map(|k| g[k] * d[k]).sum::<f32>();
-                (std::array::from_fn(|k| g[k] + stretch * unit.wxyz[k]), g.map(|v| v * length))
+                let norm = unit.inv_norm.recip();
+                let radial = unit.free * (0..4).map(|k| g[k] * d[k]).sum::<f32>();
+                (std::array::from_fn(|k| g[k] + radial * unit.wxyz[k]), g.map(|v| v * norm))
             }
             QuatRule::Compose => {
-                let turn = rot::normalise(from_identity(d));
-                let d_turn = rot::hamilton(g, conjugate(q));
-                (rot::hamilton(conjugate(turn.wxyz), g), rot::normalise_backward(&turn, d_turn))
+                let rotation = rot::normalise(from_identity(d));
+                let d_rotation = rot::hamilton(g, conjugate(q));
+                (rot::hamilton(conjugate(rotation.wxyz), g), rot::normalise_backward(&rotation, d_rotation))
             }
         }
     }
@@ -253,7 +267,7 @@ fn fill(column: &mut Vec<f32>, wanted: usize, values: impl Iterator<Item = f32>)
     }
 }
 
-/// Means, rotations and scales of some rows.
+/// Copies means, quaternions and scales of the given rows; other columns stay empty.
 pub fn pick(splats: &Splats, rows: &[u32]) -> Splats {
     let row = |r: &u32| *r as usize;
     Splats {
@@ -264,7 +278,7 @@ pub fn pick(splats: &Splats, rows: &[u32]) -> Splats {
     }
 }
 
-/// Writes the columns of [`pick`] back to the rows they came from.
+/// Writes means, quaternions and scales of [`pick`]ed splats back to their rows of `out`.
 pub fn put_back(picked: &Splats, rows: &[u32], out: &mut Splats) {
     for (i, row) in rows.iter().map(|r| *r as usize).enumerate() {
         out.means[row] = picked.means[i];
@@ -273,7 +287,8 @@ pub fn put_back(picked: &Splats, rows: &[u32], out: &mut Splats) {
     }
 }
 
-/// Sizes `out` like `canonical` and copies what fields do not change: opacities, colours, kernel. Reuses memory.
+/// Resizes `out` to `canonical` and copies the columns that fields do not change: opacities, colours, kernel. Reuses
+/// memory; means, quaternions and scales are left to the field.
 pub fn pass_through(canonical: &Splats, out: &mut Splats) {
     let n = canonical.len();
     out.means.resize(n, Vec3::ZERO);
@@ -292,7 +307,7 @@ pub fn pass_through(canonical: &Splats, out: &mut Splats) {
     }
 }
 
-/// The way back of [`pass_through`]: adds the cotangents of opacities, colours and kernel.
+/// Backward of [`pass_through`]: adds the cotangents of opacities, colours and kernel to those of the canonical splats.
 pub fn pass_through_backward(d_out: &SplatsGrad, d_canonical: &mut SplatsGrad) {
     for (to, from) in [
         (&mut d_canonical.opacities, &d_out.opacities),
@@ -305,22 +320,22 @@ pub fn pass_through_backward(d_out: &SplatsGrad, d_canonical: &mut SplatsGrad) {
     }
 }
 
-/// The moving columns of all splats in runs of `rows` splats.
+/// [`Rows`] of all splats in chunks of `rows` splats; the last may be shorter.
 pub fn chunks(splats: &Splats, rows: usize) -> impl IndexedParallelIterator<Item = Rows<'_>> {
     columns(&splats.means, &splats.quats, &splats.scales, rows)
 }
 
-/// The moving columns of all cotangents in runs of `rows` splats.
+/// [`Rows`] of all cotangents in chunks of `rows` splats.
 pub fn grad_chunks(grad: &SplatsGrad, rows: usize) -> impl IndexedParallelIterator<Item = Rows<'_>> {
     columns(&grad.means, &grad.quats, &grad.scales, rows)
 }
 
-/// [`chunks`], to write to.
+/// [`chunks`] to write to: all splats in chunks of `rows`.
 pub fn chunks_mut(splats: &mut Splats, rows: usize) -> impl IndexedParallelIterator<Item = RowsMut<'_>> {
     columns_mut(&mut splats.means, &mut splats.quats, &mut splats.scales, rows)
 }
 
-/// [`grad_chunks`], to add to.
+/// [`grad_chunks`] to add to: all cotangents in chunks of `rows`.
 pub fn grad_chunks_mut(grad: &mut SplatsGrad, rows: usize) -> impl IndexedParallelIterator<Item = RowsMut<'_>> {
     columns_mut(&mut grad.means, &mut grad.quats, &mut grad.scales, rows)
 }
@@ -346,7 +361,7 @@ fn columns_mut<'a>(
 }
 
 impl<'a> Rows<'a> {
-    /// The rows of block `index` (of [`BLOCK`] rows) within this run.
+    /// Block `index` of these rows, [`BLOCK`] rows each; the last may be shorter.
     pub fn block(&self, index: usize) -> Rows<'a> {
         let range = index * BLOCK..((index + 1) * BLOCK).min(self.means.len());
         Rows { means: &self.means[range.clone()], quats: &self.quats[range.clone()], scales: &self.scales[range] }
@@ -354,7 +369,7 @@ impl<'a> Rows<'a> {
 }
 
 impl RowsMut<'_> {
-    /// The rows of block `index` (of [`BLOCK`] rows) within this run.
+    /// Block `index` of these rows, [`BLOCK`] rows each; the last may be shorter.
     pub fn block(&mut self, index: usize) -> RowsMut<'_> {
         let range = index * BLOCK..((index + 1) * BLOCK).min(self.means.len());
         RowsMut {
@@ -370,18 +385,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_unit_rule_turns_like_the_sum_of_unit_quaternions_and_survives_zero() {
+    fn the_unit_rule_rotates_like_the_sum_of_unit_quaternions_and_survives_zero() {
         let unit = Apply { scale: ScaleRule::Add, quat: QuatRule::Unit, scale_limit: None };
         let (q, d) = ([3.0, 0.0, 4.0, 0.0], [0.1, -0.2, 0.3, 0.05]);
-        let got = rot::normalise(unit.turn(q, d)).wxyz;
+        let got = rot::normalise(unit.rotated(q, d)).wxyz;
         let want = rot::normalise([0.7, -0.2, 1.1, 0.05]).wxyz;
         assert!((0..4).all(|k| (got[k] - want[k]).abs() < 1e-6), "{got:?} {want:?}");
-        let (d_q, d_offset) = unit.turn_backward([0.0; 4], d, [1.0; 4]);
+        let (d_q, d_offset) = unit.rotated_backward([0.0; 4], d, [1.0; 4]);
         assert!(d_q.iter().chain(&d_offset).all(|v| v.is_finite()));
     }
 
     #[test]
-    fn a_limit_writes_sizes_and_carries_the_sign_back() {
+    fn a_limit_writes_magnitudes_and_carries_the_sign_backward() {
         let apply = Apply { scale: ScaleRule::Add, quat: QuatRule::Raw, scale_limit: Some(2.0) };
         let (means, quats) = ([Vec3::ZERO; 2], [[1.0, 0.0, 0.0, 0.0]; 2]);
         let scales = [Vec3::new(0.5, 0.5, 0.5), Vec3::new(-0.25, 1.5, 2.0)];
@@ -415,7 +430,7 @@ mod tests {
     }
 
     #[test]
-    fn what_fields_do_not_change_is_copied_whatever_stood_there() {
+    fn columns_that_fields_do_not_change_are_copied_over_any_content() {
         let from = Splats {
             means: vec![Vec3::ONE; 2],
             opacities: vec![0.25, 0.5],

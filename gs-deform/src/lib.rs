@@ -1,29 +1,51 @@
-//! Deformation fields: canonical splats and a time in, the splats at that time out, with exact gradients back to the
-//! canonical splats and to the field's parameters.
+//! Deformation fields for dynamic Gaussian splatting: from canonical splats and a timestamp to the splats at that time,
+//! with analytic gradients for the canonical splats and for the field's parameters.
 //!
 //! ```text
 //! splats at t = apply(canonical, offsets(encode(means, t)))
 //! ```
-//! * [`HexPlaneField`]: six feature planes at several resolutions and small heads (4D Gaussian Splatting). The quick one.
-//!   Its body, [`PlaneNet`], takes any heads.
-//! * [`DefMlp`]: one wide network on encoded places and times (Deformable 3D Gaussians).
+//! * [`HexPlaneField`]: six feature planes at several resolutions and small heads (4D Gaussian Splatting); the fastest.
+//!   Its network, [`PlaneNet`], takes any list of heads.
+//! * [`DefMlp`]: one wide MLP on positionally encoded means and times (Deformable 3D Gaussians).
 //! * [`Grid4dField`]: hash grids over space and space-time, a decoder with attention, a Fourier branch and a gate
 //!   (Grid4D, FAGS).
 //!
-//! All are [`Field`]s: `forward`, `backward`, `regularise`, and a scratch tape the caller keeps. The parts are usable
-//! alone: [`encode::HexPlane`] maps points to features, [`apply`] adds offsets to splats, [`mod@reference`] is the `f64` twin
-//! that tests and benches measure against.
+//! All implement [`Field`]: `forward`, `backward`, `regularise`, and a tape of activations that the caller keeps
+//! between calls. The parts are usable alone: [`encode::HexPlane`] and [`encode::HashGrid`] map points to features,
+//! [`apply`] adds offsets to splats, [`mod@reference`] is the `f64` implementation that tests and benches measure
+//! against.
+//!
+//! ```
+//! use gs_core::{Splats, Time};
+//! use gs_deform::{Aabb, Field, FourDgsConfig, HexPlaneField};
+//!
+//! let canonical = Splats {
+//!     means: vec![glam::Vec3::X],
+//!     quats: vec![[1.0, 0.0, 0.0, 0.0]],
+//!     scales: vec![glam::Vec3::splat(0.1)],
+//!     opacities: vec![0.5],
+//!     ..Splats::default()
+//! };
+//! let field = HexPlaneField::new("field", &FourDgsConfig::fast(), Aabb::cube(1.6), 1)?;
+//! let (mut tape, mut out) = Default::default();
+//! field.forward(&canonical, Time::new(0.3)?, &mut tape, &mut out);
+//! assert_eq!(out, canonical, "an untrained field is the identity, bit for bit");
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 //!
 //! # Conventions
 //! Points and scales in world units, quaternions `(w, x, y, z)` of any length, times normalised to 0 … 1 over the
-//! training span (beyond it planes and hash grids hold their end values, networks and waves extrapolate). A field that
-//! was not trained is the identity, bit for bit. Gradients are added, never overwritten. Results are bitwise equal for
+//! training span (beyond it planes and hash grids hold their end values, MLPs and Fourier features extrapolate). An
+//! untrained field is the identity, bit for bit. Gradients are added, never overwritten. Results are bitwise equal for
 //! any number of threads; other instruction sets differ by rounding only.
 //!
 //! # What it leaves out
-//! Opacities and colours do not change with time. Import of other codes' checkpoints: the reference mirrors its spatial
-//! axes and this crate does not. Times have no gradient. Points are not sorted before a HexPlane is read: measured, it
-//! gains a tenth of the whole field at best.
+//! Opacities and colours do not change with time. Checkpoints of other codes are not imported: the reference mirrors
+//! its spatial axes and this crate does not. Timestamps have no gradient. Points are not sorted before a HexPlane is
+//! sampled: measured, sorting gains a tenth of the whole field at best.
+
+#![warn(unreachable_pub)]
+#![warn(clippy::allow_attributes_without_reason)]
 
 pub mod aabb;
 pub mod apply;
@@ -36,27 +58,27 @@ pub use field::{DefGsConfig, DefMlp, Field, FourDgsConfig, Grid4dConfig, Grid4dF
 pub use field::{PlaneNet, PlaneNetConfig, PlaneNetTape};
 use glam::Vec3;
 
-/// What is wrong with a field's configuration.
+/// A field configuration that cannot be built.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum DeformError {
-    /// A key has a value that cannot be built.
+    /// A setting has a value outside its domain.
     #[error("field setting `{field}` = {value} cannot be built: it must be {rule}")]
     Config {
-        /// The key.
+        /// Name of the setting, without its section.
         field: &'static str,
-        /// The value met.
+        /// The rejected value as text.
         value: String,
-        /// What it must satisfy.
+        /// The domain in words, after "it must be".
         rule: &'static str,
     },
-    /// The box is not one.
+    /// A box that is empty or not finite.
     #[error(
         "the box from {min} to {max} is empty or not finite; give the corners of the scene, or at least one finite point"
     )]
     Aabb {
-        /// Lowest corner met.
+        /// Rejected lowest corner, world units.
         min: Vec3,
-        /// Highest corner met.
+        /// Rejected highest corner, world units.
         max: Vec3,
     },
 }

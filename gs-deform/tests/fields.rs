@@ -1,5 +1,6 @@
-//! Both fields against a plain f64 twin: values, and every kind of gradient against the twin's central differences.
-//! Then what must hold to the last bit: the untrained field is the identity, threads change nothing, a warm tape neither.
+//! Both fields against a plain f64 reference: values, and every kind of gradient against the reference's central
+//! differences. Then what must hold to the last bit: the untrained field is the identity, threads change nothing, a
+//! warm tape neither.
 //!
 //! Tolerances (f32 against f64, relative to the largest entry of the column or block, worst seen times about four):
 //! | quantity | bound |
@@ -22,8 +23,8 @@ use support::{cotangents, row, time};
 
 type Blocks = BTreeMap<String, Vec<f64>>;
 
-/// A field's f64 twin: one splat (mean, quat, scale flat) at a time; `query` is the place the field is read at.
-type Twin<'a> = dyn Fn(&Blocks, [f64; 3], [f64; 10]) -> [f64; 10] + 'a;
+/// A field's f64 reference: one splat (mean, quat, scale flat) at a time; `query` is the point the field is sampled at.
+type Reference<'a> = dyn Fn(&Blocks, [f64; 3], [f64; 10]) -> [f64; 10] + 'a;
 
 fn splats(n: usize) -> Splats {
     let mut s = Splats { color: Color::Sh { degree: 1, coeffs: Vec::new() }, ..Splats::default() };
@@ -60,7 +61,7 @@ fn relu(mut x: Vec<f64>) -> Vec<f64> {
     x
 }
 
-fn fourdgs_twin<'a>(
+fn fourdgs_reference<'a>(
     hex: &'a HexPlaneRef,
     t: Time,
     depth: usize,
@@ -82,8 +83,8 @@ fn fourdgs_twin<'a>(
         let hidden = relu(dense(blocks, "field.hidden", &h));
         let exists = |name: &&str| blocks.contains_key(&format!("field.{name}.weight"));
         let head = |name: &str, n: usize| {
-            let place = ["means", "scales", "quats"].into_iter().filter(exists).position(|other| other == name);
-            place.map_or(vec![0.0; n], |k| dense(blocks, &format!("field.{name}"), &hidden[k * h.len()..][..h.len()]))
+            let index = ["means", "scales", "quats"].into_iter().filter(exists).position(|other| other == name);
+            index.map_or(vec![0.0; n], |k| dense(blocks, &format!("field.{name}"), &hidden[k * h.len()..][..h.len()]))
         };
         let (x, r, z) = (head("means", 3), head("quats", 4), head("scales", 3));
         std::array::from_fn(|k| match k {
@@ -104,7 +105,7 @@ fn hamilton(a: [f64; 4], b: [f64; 4]) -> [f64; 4] {
     gs_core::rot::hamilton(a, b)
 }
 
-fn defgs_twin(config: DefGsConfig, t: Time) -> impl Fn(&Blocks, [f64; 3], [f64; 10]) -> [f64; 10] {
+fn defgs_reference(config: DefGsConfig, t: Time) -> impl Fn(&Blocks, [f64; 3], [f64; 10]) -> [f64; 10] {
     move |blocks, query, s| {
         let coded = query.map(|v| encode(v * f64::from(config.coordinate_scale), config.bands_position));
         let mut input: Vec<f64> = (0..coded[0].len()).flat_map(|k| [coded[0][k], coded[1][k], coded[2][k]]).collect();
@@ -148,9 +149,9 @@ fn assert_close(got: &[f64], want: &[f64], bound: f64, what: &str) {
     }
 }
 
-/// Runs a field and its way back on `n` splats and compares everything with the twin. `detached`: the place the field is
-/// read at is a constant. `stride`: every how many parameter values are checked.
-fn compare<F: Field>(mut field: F, n: usize, t: Time, detached: bool, twin: &Twin<'_>, stride: usize) {
+/// Runs a field forward and backward on `n` splats and compares everything with the reference. `detached`: the point
+/// the field is sampled at is a constant. `stride`: every how many parameter values are checked.
+fn compare<F: Field>(mut field: F, n: usize, t: Time, detached: bool, reference: &Reference<'_>, stride: usize) {
     let (s, mut tape, mut out) = (splats(n), F::Tape::default(), Splats::default());
     field.forward(&s, t, &mut tape, &mut out);
     let d_out = cotangents(&s, 1);
@@ -159,7 +160,7 @@ fn compare<F: Field>(mut field: F, n: usize, t: Time, detached: bool, twin: &Twi
     let params = blocks(&field);
     let weights = |r| row(&d_out.means, &d_out.quats, &d_out.scales, r);
     let at = |query: Option<[f64; 3]>, params: &Blocks, v: [f64; 10], r| -> f64 {
-        let moved = twin(params, query.unwrap_or([v[0], v[1], v[2]]), v);
+        let moved = reference(params, query.unwrap_or([v[0], v[1], v[2]]), v);
         moved.iter().zip(weights(r)).map(|(m, w)| m * w).sum()
     };
     let (mut got, mut want, mut got_d, mut want_d) = (vec![], vec![], vec![], vec![]);
@@ -168,7 +169,7 @@ fn compare<F: Field>(mut field: F, n: usize, t: Time, detached: bool, twin: &Twi
         let v = row(&s.means, &s.quats, &s.scales, r);
         let fixed = detached.then_some([v[0], v[1], v[2]]);
         got.extend(row(&out.means, &out.quats, &out.scales, r));
-        want.extend(twin(&params, [v[0], v[1], v[2]], v));
+        want.extend(reference(&params, [v[0], v[1], v[2]], v));
         got_d.extend(row(&d.means, &d.quats, &d.scales, r));
         want_d.extend((0..10).map(|k| {
             let (mut hi, mut lo) = (v, v);
@@ -237,7 +238,7 @@ fn small_defgs() -> DefGsConfig {
 }
 
 #[test]
-fn fourdgs_agrees_with_its_twin() {
+fn fourdgs_agrees_with_its_reference() {
     let t = time(0.37);
     for (n, config) in [
         (17, small_fourdgs()),
@@ -247,13 +248,13 @@ fn fourdgs_agrees_with_its_twin() {
     ] {
         let field = fourdgs(&config);
         let hex = HexPlaneRef::new(field.hexplane());
-        let twin = fourdgs_twin(&hex, t, config.depth.max(1), config.scale_rule);
-        compare(field, n, t, config.detach_coordinates, &twin, 37);
+        let reference = fourdgs_reference(&hex, t, config.depth.max(1), config.scale_rule);
+        compare(field, n, t, config.detach_coordinates, &reference, 37);
     }
 }
 
 #[test]
-fn defgs_agrees_with_its_twin() {
+fn defgs_agrees_with_its_reference() {
     for (n, t, config) in [
         (17, 0.6, small_defgs()),
         (
@@ -263,8 +264,8 @@ fn defgs_agrees_with_its_twin() {
         ),
         (2, 0.0, DefGsConfig { depth: 1, quat_rule: QuatRule::Raw, coordinate_scale: 0.3, ..small_defgs() }),
     ] {
-        let twin = defgs_twin(config.clone(), time(t));
-        compare(DefMlp::new(&config, 5).unwrap(), n, time(t), true, &twin, 11);
+        let reference = defgs_reference(config.clone(), time(t));
+        compare(DefMlp::new(&config, 5).unwrap(), n, time(t), true, &reference, 11);
     }
 }
 

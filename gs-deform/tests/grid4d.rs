@@ -1,5 +1,6 @@
-//! The Grid4D field, with and without its Fourier branch and gate, against a plain f64 twin: values, and every kind of
-//! gradient against the twin's central differences. Then the exact savings on and off, and what must hold to the last bit.
+//! The Grid4D field, with and without its Fourier branch and gate, against a plain f64 reference: values, and every
+//! kind of gradient against the reference's central differences. Then the exact savings on and off, and what must hold
+//! to the last bit.
 //!
 //! Tolerances (f32 against f64, relative to the largest entry of the column or block, worst seen times about four):
 //! | quantity | bound |
@@ -35,7 +36,7 @@ fn splats(n: usize) -> Splats {
             _ if row % 8 == 7 => Vec3::new(0.2, 1.6, -0.4),
             _ => vec3(-1.4, 1.4),
         });
-        // Scales of either sign: only their squares matter to whoever draws them.
+        // Scales of either sign: only their squares matter.
         s.scales.push(vec3(-0.1, 0.3));
         s.quats.push([rng.normal(), rng.normal(), rng.normal(), rng.normal()]);
         s.opacities.push(rng.uniform());
@@ -90,7 +91,7 @@ fn field(config: &Grid4dConfig) -> Grid4dField {
     field
 }
 
-/// Runs a field and its way back on `n` splats and compares everything with the twin; `stride`: every how many
+/// Runs a field forward and backward on `n` splats and compares everything with the reference; `stride`: every how many
 /// parameter values are checked.
 fn compare(config: &Grid4dConfig, n: usize, t: f32, stride: usize) {
     let (mut field, s, t) = (field(config), splats(n), time(t));
@@ -98,24 +99,24 @@ fn compare(config: &Grid4dConfig, n: usize, t: f32, stride: usize) {
     field.forward(&s, t, &mut tape, &mut out);
     let (d_out, mut d) = (cotangents(&s, 1), SplatsGrad::zeros_like(&s));
     field.backward(&s, &mut tape, &d_out, &mut d);
-    let twin = Grid4dRef::new(&field);
+    let reference = Grid4dRef::new(&field);
     let place = |r: usize| s.means[r].to_array().map(f64::from);
-    let loss = |twin: &Grid4dRef, v: [f64; 10], r: usize| -> f64 {
+    let loss = |reference: &Grid4dRef, v: [f64; 10], r: usize| -> f64 {
         let weights = row(&d_out.means, &d_out.quats, &d_out.scales, r);
-        twin.moved(place(r), v, t).iter().zip(weights).map(|(m, w)| m * w).sum()
+        reference.moved(place(r), v, t).iter().zip(weights).map(|(m, w)| m * w).sum()
     };
     let (mut got, mut want, mut got_d, mut want_d) = (vec![], vec![], vec![], vec![]);
     let h = 1e-6;
     for r in 0..n {
         let v = row(&s.means, &s.quats, &s.scales, r);
         got.extend(row(&out.means, &out.quats, &out.scales, r));
-        want.extend(twin.moved(place(r), v, t));
+        want.extend(reference.moved(place(r), v, t));
         got_d.extend(row(&d.means, &d.quats, &d.scales, r));
         want_d.extend((0..10).map(|k| {
             let (mut hi, mut lo) = (v, v);
             hi[k] += h;
             lo[k] -= h;
-            (loss(&twin, hi, r) - loss(&twin, lo, r)) / (2.0 * h)
+            (loss(&reference, hi, r) - loss(&reference, lo, r)) / (2.0 * h)
         }));
     }
     assert_close(&got, &want, 2e-6, "moved splats");
@@ -124,12 +125,12 @@ fn compare(config: &Grid4dConfig, n: usize, t: f32, stride: usize) {
     assert_eq!((&d.opacities, &d.color), (&d_out.opacities, &d_out.color));
 
     field.visit(&mut |p| {
-        let (mut twin, mut got, mut want) = (twin.clone(), vec![], vec![]);
+        let (mut reference, mut got, mut want) = (reference.clone(), vec![], vec![]);
         let largest = p.grad.iter().enumerate().max_by(|a, b| a.1.abs().total_cmp(&b.1.abs())).map_or(0, |m| m.0);
         for i in (0..p.len()).step_by(stride).chain([largest]) {
             let mut total = |step: f64| -> f64 {
-                twin.block(&p.name).unwrap()[i] = f64::from(p.value[i]) + step;
-                (0..n).map(|r| loss(&twin, row(&s.means, &s.quats, &s.scales, r), r)).sum()
+                reference.block(&p.name).unwrap()[i] = f64::from(p.value[i]) + step;
+                (0..n).map(|r| loss(&reference, row(&s.means, &s.quats, &s.scales, r), r)).sum()
             };
             want.push((total(h) - total(-h)) / (2.0 * h));
             total(0.0);
@@ -141,14 +142,14 @@ fn compare(config: &Grid4dConfig, n: usize, t: f32, stride: usize) {
 }
 
 #[test]
-fn fags_agrees_with_its_twin_in_every_mode_of_the_gate() {
+fn fags_agrees_with_its_reference_in_every_mode_of_the_gate() {
     for mode in MODES {
         compare(&Grid4dConfig { gate: GateConfig { on: true, mode, start: 0.5 }, ..small() }, 17, 0.37, 11);
     }
 }
 
 #[test]
-fn every_fusion_and_depth_agrees_with_its_twin() {
+fn every_fusion_and_depth_agrees_with_its_reference() {
     let fourier = |fusion, bands, hidden: &[usize]| FourierConfig {
         fusion,
         bands,
@@ -170,7 +171,7 @@ fn every_fusion_and_depth_agrees_with_its_twin() {
 }
 
 #[test]
-fn grid4d_agrees_with_its_twin() {
+fn grid4d_agrees_with_its_reference() {
     compare(&grid4d(small()), 17, 0.0, 7);
     compare(&Grid4dConfig { directional: false, depth: 1, ..grid4d(small()) }, 3, 1.0, 7);
     compare(&Grid4dConfig { compat_grid4d: true, ..grid4d(small()) }, 17, 0.5, 13);
@@ -194,7 +195,7 @@ fn an_untrained_field_is_the_identity_to_the_last_bit() {
 }
 
 #[test]
-fn the_gate_starts_where_it_is_told() {
+fn the_gate_starts_at_its_setting() {
     let s = splats(16);
     let config = |start| Grid4dConfig { zero_init: true, gate: GateConfig { start, ..small().gate }, ..small() };
     for start in [0.05, 0.5, 0.9] {
@@ -213,7 +214,7 @@ fn the_gate_starts_where_it_is_told() {
 }
 
 #[test]
-fn outside_the_cube_nothing_moves_and_nothing_learns() {
+fn outside_the_cube_nothing_moves_and_nothing_has_a_gradient() {
     let far = Splats { means: vec![Vec3::new(0.0, 1.51, 0.0); 3], ..splats(3) };
     let (mut field, mut tape, mut out) = (field(&small()), Default::default(), Splats::default());
     field.forward(&far, time(0.6), &mut tape, &mut out);
@@ -302,7 +303,7 @@ fn gradients_are_added_not_overwritten() {
 }
 
 #[test]
-fn a_frozen_field_draws_the_same_splats() {
+fn a_frozen_field_gives_the_same_splats() {
     for cached_attention in [true, false] {
         for collapse in [true, false] {
             let exact = ExactConfig { cached_attention, fourier_collapse: collapse, ..small().exact };
@@ -318,9 +319,9 @@ fn a_frozen_field_draws_the_same_splats() {
     }
 }
 
-/// What is left still stays within its bound on screen, and a tolerance of 0 leaves only what never moves.
+/// Static splats stay within their bound on screen, and a tolerance of 0 keeps only those static that never move.
 #[test]
-fn splats_left_still_are_within_their_bound() {
+fn static_splats_are_within_their_bound() {
     let mut field = field(&small());
     // Gates from nearly closed to half open.
     field.visit_mut(&mut |p| {
@@ -342,7 +343,7 @@ fn splats_left_still_are_within_their_bound() {
     let mut counts = Vec::new();
     for pixels in [0.0, 0.2, 2.0, 20.0] {
         let mut frozen = field.freeze(&s);
-        let report = frozen.leave_still(&StillOptions { pixels, probes: 9, cameras: &cameras });
+        let report = frozen.keep_static(&StillOptions { pixels, probes: 9, cameras: &cameras });
         assert!(report.bound_pixels <= pixels && report.splats == 600 && report.probes == 9);
         let (mut out, mut want) = (Splats::default(), Splats::default());
         for probe in 0..9 {
@@ -368,9 +369,9 @@ fn splats_left_still_are_within_their_bound() {
 fn the_gate_is_reported_only_where_there_is_one() {
     let s = splats(9);
     let gates = field(&small()).quantities(&s, time(0.3));
-    let twin = Grid4dRef::new(&field(&small()));
+    let reference = Grid4dRef::new(&field(&small()));
     for (r, gate) in gates[0].1.iter().enumerate().filter(|(r, _)| r % 8 != 7) {
-        let raw = twin.head(s.means[r].to_array().map(f64::from), time(0.3))[0];
+        let raw = reference.head(s.means[r].to_array().map(f64::from), time(0.3))[0];
         assert!((f64::from(*gate) - 1.0 / (1.0 + (-raw).exp())).abs() < 1e-6);
     }
     assert!(field(&grid4d(small())).quantities(&s, time(0.3)).is_empty());

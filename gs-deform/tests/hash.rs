@@ -1,5 +1,5 @@
-//! The hash grid in three levels: what the numbers must be by construction, the f64 twin against central differences,
-//! the fast encoder against the twin.
+//! The hash grid in three levels: what the numbers must be by construction, the f64 reference against central
+//! differences, the fast encoder against the reference.
 //!
 //! Tolerances (f32 against f64, worst seen times about four). A coordinate in cells has the rounding of `f32` at the
 //! resolution, hence the second row.
@@ -47,11 +47,11 @@ fn points(n: usize, seed: u64) -> Vec<[f32; 3]> {
         [f32::INFINITY, 0.5, 0.5],
         [-0.0, 0.5, 1.0],
     ];
-    let draw = |row| {
+    let random = |row| {
         let mut rng = Rng::new(seed, "points", 0, row);
         [rng.uniform(), rng.uniform(), rng.uniform()]
     };
-    (0..n).map(|i| if i % 8 == 7 { odd[(i / 8) % odd.len()] } else { draw(i as u64) }).collect()
+    (0..n).map(|i| if i % 8 == 7 { odd[(i / 8) % odd.len()] } else { random(i as u64) }).collect()
 }
 
 fn wide(p: &[f32; 3]) -> [f64; 3] {
@@ -107,13 +107,13 @@ fn worst_f32(got: &[f32], want: &[f32]) -> f64 {
     worst(got, &want.iter().map(|&v| f64::from(v)).collect::<Vec<_>>())
 }
 
-fn truth(twin: &HashGridRef, points: &[[f32; 3]], d: &[f32]) -> (Vec<f64>, Vec<f64>) {
-    let (mut features, mut d_table) = (Vec::new(), vec![0.0; twin.table.len()]);
+fn truth(reference: &HashGridRef, points: &[[f32; 3]], d: &[f32]) -> (Vec<f64>, Vec<f64>) {
+    let (mut features, mut d_table) = (Vec::new(), vec![0.0; reference.table.len()]);
     let d: Vec<f64> = d.iter().map(|&v| f64::from(v)).collect();
     let width = d.len() / points.len().max(1);
     for (p, d) in points.iter().zip(d.chunks(width.max(1))) {
-        features.extend(twin.features(wide(p)));
-        twin.backward(wide(p), d, &mut d_table);
+        features.extend(reference.features(wide(p)));
+        reference.backward(wide(p), d, &mut d_table);
     }
     (features, d_table)
 }
@@ -149,7 +149,7 @@ fn a_constant_table_is_a_constant_feature_inside_and_zero_outside() {
         }
         let got: f64 = grad.iter().map(|&g| f64::from(g)).sum();
         let want = (inside * width) as f64;
-        assert!((got / want - 1.0).abs() < 1e-6, "every point inside hands out its whole cotangent: {got} {want}");
+        assert!((got / want - 1.0).abs() < 1e-6, "every point inside distributes its whole cotangent: {got} {want}");
         assert!(inside > 280 && inside < 320);
     }
 }
@@ -180,24 +180,26 @@ fn nodes_are_interpolated() {
     assert!(out.iter().all(|f| (f - (1.0 + 5.0 / 32.0)).abs() < 1e-6), "{out:?}");
 }
 
-/// Level one to two: the twin's gradient is the derivative of its features.
+/// Level one to two: the reference's gradient is the derivative of its features.
 #[test]
-fn the_twin_is_differentiable() {
-    let mut twin = HashGridRef::new(&grid(&mixed(), 1));
+fn the_reference_is_differentiable() {
+    let mut reference = HashGridRef::new(&grid(&mixed(), 1));
     let weights: Vec<f64> = cotangents(10, 1).into_iter().map(f64::from).collect();
     for p in [[0.37, 0.61, 0.93], [1.0, 0.0, 0.5], [0.5, 1.2, 0.5]] {
-        let loss = |twin: &HashGridRef| twin.features(p).iter().zip(&weights).map(|(f, w)| f * w).sum::<f64>();
-        let mut got = vec![0.0; twin.table.len()];
-        twin.backward(p, &weights, &mut got);
-        let touched: Vec<usize> = (0..5).flat_map(|l| twin.corners(l, p)).flat_map(|(at, _)| [at, at + 1]).collect();
+        let loss =
+            |reference: &HashGridRef| reference.features(p).iter().zip(&weights).map(|(f, w)| f * w).sum::<f64>();
+        let mut got = vec![0.0; reference.table.len()];
+        reference.backward(p, &weights, &mut got);
+        let touched: Vec<usize> =
+            (0..5).flat_map(|l| reference.corners(l, p)).flat_map(|(at, _)| [at, at + 1]).collect();
         let h = 1e-3;
         for i in (0..got.len()).step_by(17).chain(touched) {
-            let at = twin.table[i];
-            twin.table[i] = at + h;
-            let hi = loss(&twin);
-            twin.table[i] = at - h;
-            let want = (hi - loss(&twin)) / (2.0 * h);
-            twin.table[i] = at;
+            let at = reference.table[i];
+            reference.table[i] = at + h;
+            let hi = loss(&reference);
+            reference.table[i] = at - h;
+            let want = (hi - loss(&reference)) / (2.0 * h);
+            reference.table[i] = at;
             assert!((got[i] - want).abs() < 1e-11, "value {i}: {} {want}", got[i]);
         }
     }
@@ -205,7 +207,7 @@ fn the_twin_is_differentiable() {
 
 /// Level two to three, for every tail length.
 #[test]
-fn the_fast_encoder_agrees_with_the_twin() {
+fn the_fast_encoder_agrees_with_the_reference() {
     let canonical = HashGridConfig { base: [16.0; 3], end: [2048.0; 3], levels: 8, log2_table: 12 };
     let temporal = HashGridConfig { levels: 6, ..temporal() };
     for (config, bound) in [(mixed(), 1e-5), (temporal, 1e-5), (canonical, 5e-4)] {

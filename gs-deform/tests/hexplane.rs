@@ -1,5 +1,5 @@
-//! HexPlane in three levels: what the numbers must be by construction, the f64 twin against central differences, the
-//! fast encoder against the twin.
+//! HexPlane in three levels: what the numbers must be by construction, the f64 reference against central differences,
+//! the fast encoder against the reference.
 //!
 //! Tolerances (f32 against f64, worst seen times about four):
 //! | quantity | relative to | bound |
@@ -8,7 +8,7 @@
 //! | plane gradients | largest of the plane | 2e-5 |
 //! | coordinate gradients | largest | 5e-5 |
 //! | other instruction set | largest | 2e-6 |
-//! | features, R time rows | largest feature | 1e-5 + 4e-7 R: a moment's place among R rows is rounded to R · 6e-8 |
+//! | features, R time rows | largest feature | 1e-5 + 4e-7 R: a time's position among R rows is rounded to R · 6e-8 |
 
 use fearless_simd::Level;
 use glam::Vec3;
@@ -50,7 +50,7 @@ fn wide(p: Vec3) -> [f64; 3] {
     p.to_array().map(f64::from)
 }
 
-/// Features, plane gradients and coordinate gradients of the fast encoder for cotangents drawn from `seed`.
+/// Features, plane gradients and coordinate gradients of the fast encoder for random cotangents.
 fn run(hex: &mut HexPlane, means: &[Vec3], t: Time, seed: u64) -> (Vec<f32>, Vec<f32>, Vec<Vec<f32>>, Vec<Vec3>) {
     let (mut tape, mut d_means) = (HexTape::default(), vec![Vec3::ZERO; means.len()]);
     hex.clear_grads();
@@ -80,7 +80,7 @@ fn worst(got: &[f32], want: &[f64]) -> f64 {
 
 #[test]
 fn known_values() {
-    // Spatial planes ½ everywhere, time planes 1: each feature is ⅛ at any place and time.
+    // Spatial planes ½ everywhere, time planes 1: each feature is ⅛ at any point and time.
     let mut hex = HexPlane::new("hex", &config(), Aabb::cube(1.0), 0).unwrap();
     hex.visit_mut(&mut |p| {
         if p.value[0] != 1.0 {
@@ -117,32 +117,33 @@ fn starts_as_published() {
     assert_eq!(hex.plane(1, 2).len(), 10 * 4 * 32);
 }
 
-/// Level one to two: the twin's gradients are derivatives of its features.
+/// Level one to two: the reference's gradients are derivatives of its features.
 #[test]
-fn the_twin_is_differentiable() {
-    let mut twin = HexPlaneRef::new(&encoder(&config(), 1));
+fn the_reference_is_differentiable() {
+    let mut reference = HexPlaneRef::new(&encoder(&config(), 1));
     let (p, t) = ([0.37, -0.61, 0.93], time(0.42));
     let mut rng = Rng::new(1, "twin", 0, 0);
     let weights: Vec<f64> = (0..64).map(|_| f64::from(rng.normal())).collect();
-    let loss = |twin: &HexPlaneRef, p| twin.features(p, t).iter().zip(&weights).map(|(f, w)| f * w).sum::<f64>();
-    let mut d_planes: Vec<Vec<f64>> = twin.planes.iter().map(|p| vec![0.0; p.len()]).collect();
-    let d_p = twin.backward(p, t, &weights, &mut d_planes);
+    let loss =
+        |reference: &HexPlaneRef, p| reference.features(p, t).iter().zip(&weights).map(|(f, w)| f * w).sum::<f64>();
+    let mut d_planes: Vec<Vec<f64>> = reference.planes.iter().map(|p| vec![0.0; p.len()]).collect();
+    let d_p = reference.backward(p, t, &weights, &mut d_planes);
     let h = 1e-6;
     for k in 0..3 {
         let (mut hi, mut lo) = (p, p);
         hi[k] += h;
         lo[k] -= h;
-        let want = (loss(&twin, hi) - loss(&twin, lo)) / (2.0 * h);
+        let want = (loss(&reference, hi) - loss(&reference, lo)) / (2.0 * h);
         assert!((d_p[k] - want).abs() < 1e-7 * (1.0 + want.abs()), "axis {k}: {} {want}", d_p[k]);
     }
     for (plane, got) in d_planes.iter().enumerate() {
         for i in (0..got.len()).step_by(7) {
-            let at = twin.planes[plane][i];
-            twin.planes[plane][i] = at + h;
-            let hi = loss(&twin, p);
-            twin.planes[plane][i] = at - h;
-            let want = (hi - loss(&twin, p)) / (2.0 * h);
-            twin.planes[plane][i] = at;
+            let at = reference.planes[plane][i];
+            reference.planes[plane][i] = at + h;
+            let hi = loss(&reference, p);
+            reference.planes[plane][i] = at - h;
+            let want = (hi - loss(&reference, p)) / (2.0 * h);
+            reference.planes[plane][i] = at;
             assert!((got[i] - want).abs() < 1e-8 * (1.0 + want.abs()), "plane {plane}, value {i}");
         }
     }
@@ -150,18 +151,18 @@ fn the_twin_is_differentiable() {
 
 /// Level two to three, for every tail length, at the ends of time and beyond.
 #[test]
-fn the_fast_encoder_agrees_with_the_twin() {
+fn the_fast_encoder_agrees_with_the_reference() {
     for (n, t) in [(1, 0.0), (15, 1.0), (16, 0.31), (17, -0.4), (300, 1.7), (BLOCK, 0.5)] {
         let mut hex = encoder(&config(), n as u64);
-        let twin = HexPlaneRef::new(&hex);
+        let reference = HexPlaneRef::new(&hex);
         let means = points(n, 5);
         let (features, d, grads, d_means) = run(&mut hex, &means, time(t), 9);
-        let mut want_planes: Vec<Vec<f64>> = twin.planes.iter().map(|p| vec![0.0; p.len()]).collect();
+        let mut want_planes: Vec<Vec<f64>> = reference.planes.iter().map(|p| vec![0.0; p.len()]).collect();
         let (mut want_features, mut want_means) = (Vec::new(), Vec::new());
         for (p, d) in means.iter().zip(d.chunks(64)) {
             let d: Vec<f64> = d.iter().map(|&v| f64::from(v)).collect();
-            want_features.extend(twin.features(wide(*p), time(t)));
-            want_means.extend(twin.backward(wide(*p), time(t), &d, &mut want_planes));
+            want_features.extend(reference.features(wide(*p), time(t)));
+            want_means.extend(reference.backward(wide(*p), time(t), &d, &mut want_planes));
         }
         assert!(worst(&features, &want_features) < 1e-5, "features, n = {n}: {:e}", worst(&features, &want_features));
         let d_means: Vec<f32> = d_means.iter().flat_map(|d| d.to_array()).collect();
@@ -184,7 +185,7 @@ fn no_points_and_flat_boxes_are_fine() {
 }
 
 #[test]
-fn a_point_outside_sees_the_face_and_pushes_nothing_across_it() {
+fn a_point_outside_is_clamped_to_the_face_without_gradient_across_it() {
     let mut hex = encoder(&config(), 4);
     let pair = [Vec3::new(2.0, 0.0, 1.0), Vec3::new(1e6, 0.0, 1.0)];
     let (features, _, _, d_means) = run(&mut hex, &pair, time(0.5), 1);
@@ -224,7 +225,7 @@ fn threads_change_no_bit_and_instruction_sets_only_rounding() {
 fn regularisers_match_finite_differences() {
     let config = HexPlaneConfig { plane_tv: 0.3, time_smoothness: 0.7, time_l1: 0.2, ..config() };
     let mut hex = encoder(&config, 2);
-    let twin = HexPlaneRef::new(&hex);
+    let reference = HexPlaneRef::new(&hex);
     // In f64, from the definition: [plane][nodes_b][nodes_a][channel]; unread time rows add nothing but count.
     let nodes = |level: usize| [5 * (level + 1), 4 * (level + 1), 3 * (level + 1), 7];
     let value = |planes: &[Vec<f64>]| -> f64 {
@@ -251,10 +252,10 @@ fn regularisers_match_finite_differences() {
     let got = hex.regularise();
     assert_eq!(got.map(|v| v.0), ["plane_tv", "time_smoothness", "time_l1"]);
     let sum: f64 = got.iter().map(|v| f64::from(v.1)).sum();
-    assert!((sum - value(&twin.planes)).abs() < 1e-5, "{sum} {}", value(&twin.planes));
+    assert!((sum - value(&reference.planes)).abs() < 1e-5, "{sum} {}", value(&reference.planes));
     let mut grads = Vec::new();
     hex.visit(&mut |p| grads.push(p.grad.clone()));
-    let mut planes = twin.planes.clone();
+    let mut planes = reference.planes.clone();
     for (plane, grad) in grads.iter().enumerate() {
         for i in (0..grad.len()).step_by(61) {
             let (at, h) = (planes[plane][i], 1e-5);
@@ -288,8 +289,8 @@ fn whole_axis(planes: &[Vec<f64>; 6], nodes: [usize; 4], u: [f64; 4], channel: u
     product
 }
 
-/// Two exact savings: rows of the time axis that times 0 … 1 never reach are not stored, and the rows around a moment
-/// are blended once for all points.
+/// Two exact optimisations: rows of the time axis that times 0 … 1 never reach are not stored, and the rows around a
+/// timestamp are blended once for all points.
 #[test]
 fn lines_of_the_stored_half_equal_the_whole_axis() {
     for rows in [2, 3, 10, 75, 100] {

@@ -1,14 +1,14 @@
-//! Nets on planes in three levels: what must hold by construction, the f64 twin against central differences, the fast net
-//! against the twin. Then what must hold to the last bit.
+//! Nets on planes in three levels: what must hold by construction, the f64 reference against central differences, the
+//! fast net against the reference. Then what must hold to the last bit.
 //!
 //! Tolerances (f32: worst seen times about four):
 //! | quantity | against | relative to | bound |
 //! |---|---|---|---|
-//! | twin's gradients | its central differences | 1 + value | 1e-6 |
-//! | outputs, f32 | twin | largest of the head | 1.5e-5 |
-//! | gradients of layers, f32 | twin | largest of the block | 2e-5 |
-//! | gradients of planes, f32 | twin | largest of the plane | 2e-5 |
-//! | gradients of points, f32 | twin | largest | 2e-5 |
+//! | reference's gradients | its central differences | 1 + value | 1e-6 |
+//! | outputs, f32 | reference | largest of the head | 1.5e-5 |
+//! | gradients of layers, f32 | reference | largest of the block | 2e-5 |
+//! | gradients of planes, f32 | reference | largest of the plane | 2e-5 |
+//! | gradients of points, f32 | reference | largest | 2e-5 |
 
 use glam::Vec3;
 use gs_core::nn::BLOCK;
@@ -68,7 +68,7 @@ fn outputs(tape: &PlaneNetTape, heads: Heads) -> Vec<Vec<f32>> {
 }
 
 /// Fills in random cotangents and returns them by head.
-fn draw_cotangents(tape: &mut PlaneNetTape, heads: Heads) -> Vec<Vec<f32>> {
+fn random_cotangents(tape: &mut PlaneNetTape, heads: Heads) -> Vec<Vec<f32>> {
     let mut all = vec![Vec::new(); heads.len()];
     for (b, block) in tape.blocks_mut().iter_mut().enumerate() {
         for (h, all) in all.iter_mut().enumerate() {
@@ -99,22 +99,22 @@ fn assert_close(got: &[f32], want: &[f64], bound: f64, what: &str) {
 
 /// Level one to two.
 #[test]
-fn the_twin_is_differentiable() {
+fn the_reference_is_differentiable() {
     for (depth, heads, t) in [(0, LOCAL, 0.0), (1, LOCAL, 0.42), (3, GLOBAL, 1.0), (2, ONE, 0.9)] {
         let names: Vec<&str> = heads.iter().map(|h| h.0).collect();
-        let mut twin = PlaneNetRef::new("gad", &net(&config(9, depth), heads), &names);
+        let mut reference = PlaneNetRef::new("gad", &net(&config(9, depth), heads), &names);
         let at = [[0.37, -0.61, 0.93], [1.2, 7.0, 0.6]];
         let weight = |h: usize, k: usize| ((h * 31 + k * 7) as f64).sin();
         let d: Vec<Vec<f64>> =
             heads.iter().enumerate().map(|(h, n)| (0..n.1).map(|k| weight(h, k)).collect()).collect();
-        let loss = |twin: &PlaneNetRef, at: &[[f64; 3]]| -> f64 {
+        let loss = |reference: &PlaneNetRef, at: &[[f64; 3]]| -> f64 {
             let one = |p: &[f64; 3]| -> f64 {
-                twin.outputs(*p, time(t)).concat().iter().zip(d.concat()).map(|(y, d)| y * d).sum()
+                reference.outputs(*p, time(t)).concat().iter().zip(d.concat()).map(|(y, d)| y * d).sum()
             };
             at.iter().map(one).sum()
         };
-        let mut grad = twin.zero_grad();
-        let d_points = at.map(|p| twin.backward(p, time(t), &d, &mut grad));
+        let mut grad = reference.zero_grad();
+        let d_points = at.map(|p| reference.backward(p, time(t), &d, &mut grad));
         let h = 1e-6;
         let check = |got: f64, hi: f64, lo: f64, what: &str| {
             let want = (hi - lo) / (2.0 * h);
@@ -124,15 +124,15 @@ fn the_twin_is_differentiable() {
             let (mut hi, mut lo) = (at, at);
             hi[r][k] += h;
             lo[r][k] -= h;
-            check(d_points[r][k], loss(&twin, &hi), loss(&twin, &lo), "point");
+            check(d_points[r][k], loss(&reference, &hi), loss(&reference, &lo), "point");
         }
         let PlaneNetRefGrad { planes, layers } = grad;
         for (plane, got) in planes.iter().enumerate() {
             for i in (0..got.len()).step_by(11) {
-                let v = twin.hexplane.planes[plane][i];
+                let v = reference.hexplane.planes[plane][i];
                 let mut at_step = |step: f64| {
-                    twin.hexplane.planes[plane][i] = v + step;
-                    loss(&twin, &at)
+                    reference.hexplane.planes[plane][i] = v + step;
+                    loss(&reference, &at)
                 };
                 let (hi, lo) = (at_step(h), at_step(-h));
                 at_step(0.0);
@@ -141,10 +141,10 @@ fn the_twin_is_differentiable() {
         }
         for (name, got) in &layers {
             for i in (0..got.len()).step_by(3) {
-                let v = twin.layers[name][i];
+                let v = reference.layers[name][i];
                 let mut at_step = |step: f64| {
-                    twin.layers.get_mut(name).unwrap()[i] = v + step;
-                    loss(&twin, &at)
+                    reference.layers.get_mut(name).unwrap()[i] = v + step;
+                    loss(&reference, &at)
                 };
                 let (hi, lo) = (at_step(h), at_step(-h));
                 at_step(0.0);
@@ -156,7 +156,7 @@ fn the_twin_is_differentiable() {
 
 /// Level two to three: every tail length, depths, widths and heads; the ends of time and beyond.
 #[test]
-fn the_fast_net_agrees_with_the_twin() {
+fn the_fast_net_agrees_with_the_reference() {
     for (n, t, width, depth, heads) in [
         (1, 0.0, 128, 1, LOCAL),
         (15, 1.0, 64, 0, LOCAL),
@@ -166,20 +166,20 @@ fn the_fast_net_agrees_with_the_twin() {
     ] {
         let mut net = net(&config(width, depth), heads);
         let names: Vec<&str> = heads.iter().map(|h| h.0).collect();
-        let (twin, means, mut tape) = (PlaneNetRef::new("gad", &net, &names), points(n), PlaneNetTape::default());
+        let (reference, means, mut tape) = (PlaneNetRef::new("gad", &net, &names), points(n), PlaneNetTape::default());
         net.forward(&means, time(t), &mut tape);
-        let (got, d) = (outputs(&tape, heads), draw_cotangents(&mut tape, heads));
+        let (got, d) = (outputs(&tape, heads), random_cotangents(&mut tape, heads));
         let mut d_means = vec![Vec3::ZERO; n];
         net.backward(&mut tape, Some(&mut d_means));
 
-        let (mut want, mut want_d, mut grad) = (vec![Vec::new(); heads.len()], Vec::new(), twin.zero_grad());
+        let (mut want, mut want_d, mut grad) = (vec![Vec::new(); heads.len()], Vec::new(), reference.zero_grad());
         for (r, p) in means.iter().enumerate() {
             let row = |(d, head): (&Vec<f32>, &(&str, usize))| {
                 d[r * head.1..][..head.1].iter().map(|v| f64::from(*v)).collect::<Vec<f64>>()
             };
             let d: Vec<Vec<f64>> = d.iter().zip(heads).map(row).collect();
-            want.iter_mut().zip(twin.outputs(wide(*p), time(t))).for_each(|(all, y)| all.extend(y));
-            want_d.extend(twin.backward(wide(*p), time(t), &d, &mut grad));
+            want.iter_mut().zip(reference.outputs(wide(*p), time(t))).for_each(|(all, y)| all.extend(y));
+            want_d.extend(reference.backward(wide(*p), time(t), &d, &mut grad));
         }
         for ((got, want), (name, _)) in got.iter().zip(&want).zip(heads) {
             assert_close(got, want, 1.5e-5, &format!("{name}, n = {n}"));
@@ -220,7 +220,7 @@ fn names_follow_the_net_and_counts_the_layers() {
 }
 
 #[test]
-fn an_untrained_net_says_nothing() {
+fn an_untrained_net_outputs_zero() {
     let config = PlaneNetConfig { zero_init: true, ..config(16, 1) };
     let (net, mut tape) = (net(&config, GLOBAL), PlaneNetTape::default());
     for t in [-1.0, 0.0, 0.5, 1.0, 3.0] {
@@ -251,7 +251,7 @@ fn step(
     net.clear_grads();
     forward(net, tape);
     let mut all: Vec<f32> = outputs(tape, LOCAL).concat();
-    draw_cotangents(tape, LOCAL);
+    random_cotangents(tape, LOCAL);
     let mut d_means = vec![Vec3::ZERO; n];
     net.backward(tape, Some(&mut d_means));
     all.extend(d_means.iter().flat_map(|d| d.to_array()));
@@ -259,7 +259,8 @@ fn step(
     all.iter().map(|v| v.to_bits()).collect()
 }
 
-/// Cells found once serve every time and every later state of the planes, bit for bit; so do other tapes between.
+/// Cells found once are valid at every time and for every later state of the planes, bit for bit, and tapes may
+/// alternate.
 #[test]
 fn placed_points_change_no_bit() {
     let means = points(2 * BLOCK + 9);
@@ -272,7 +273,7 @@ fn placed_points_change_no_bit() {
         let got = step(&mut net, &mut placed, |net, tape| net.forward_placed(&places, time(t), tape), means.len());
         assert!(want == got, "t = {t}");
         net.visit_mut(&mut |p| p.value.iter_mut().for_each(|v| *v *= 1.01));
-        // A tape that held foreign places goes back to its own without touching them.
+        // A tape that shares cells makes its own for other points without changing the shared ones.
         net.forward(&means[..40], time(t), &mut placed);
     }
 }

@@ -1,44 +1,44 @@
-//! When and by how much anchors grow and are pruned.
+//! Settings of growing and pruning.
 
-use crate::rule::{RuleError, need};
+use crate::setting::{SettingError, require};
 use serde::{Deserialize, Serialize};
 
-/// When and what to grow and prune. Steps are those of the schedule's clock.
+/// Settings of growing and pruning. Steps count within the stage's schedule.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AdaptRules {
-    /// Views are observed after this step (and before `until`).
+    /// Views are observed after this step and before `until`.
     pub observe_from: u32,
-    /// Anchors grow and are pruned after this step …
+    /// Passes take place after this step.
     pub from: u32,
-    /// … and before this one (0: never).
+    /// Passes and observation end before this step; 0: there are none.
     pub until: u32,
-    /// Every so many steps.
+    /// Steps between two passes, at least 1.
     pub every: u32,
-    /// Share of the views between two passes that an anchor must have been visible in to be pruned; half of it is the
-    /// share in which a Gaussian must have been drawn to grow.
+    /// Share of the views between two passes in which an anchor must have been visible to be pruned, 0 … 1; half of it
+    /// is the share in which a Gaussian must have been rendered to grow.
     pub success: f32,
-    /// Mean screen gradient (half-image units) from which a Gaussian asks for an anchor on the coarsest level.
+    /// Mean screen gradient (half-image units) from which a Gaussian grows an anchor on the coarsest level.
     pub grad: f32,
-    /// Levels, the coarsest first.
+    /// Number of levels, 1 to 8.
     pub levels: u32,
-    /// Side of a cell of the coarsest level, in cells of the first anchors.
+    /// Side of a cell of the coarsest level, in cells of the initial anchors.
     pub coarsest: u32,
     /// Each level's cells are smaller by this factor (whole-number division), and its threshold larger by half of it.
     pub hierarchy: u32,
-    /// Finer levels take part only if a coarser one of the same pass added an anchor, as in the released code. Off: each
-    /// level by itself.
+    /// Finer levels take part only if a coarser one of the same pass added an anchor, as in the released code. Off:
+    /// each level by itself.
     pub only_after_coarser: bool,
-    /// Mean sum of opacities below which an anchor is pruned.
+    /// Mean over views of the sum of an anchor's opacities below which it is pruned.
     pub min_opacity: f32,
     /// Upper bound of the logarithms of the extents, ln of world units.
     pub extent_cap_log: f32,
-    /// No growth beyond this many anchors; on each level the largest gradients go first.
+    /// Largest number of anchors after growth; on each level the largest gradients take precedence.
     pub max_anchors: u32,
 }
 
 impl Default for AdaptRules {
-    /// The published values (MoDec-GS), levels each by themselves, with a cap of one million anchors.
+    /// The published values (MoDec-GS), with independent levels and at most one million anchors.
     fn default() -> Self {
         Self {
             observe_from: 500,
@@ -59,48 +59,48 @@ impl Default for AdaptRules {
 }
 
 impl AdaptRules {
-    /// Whether views are observed at this step.
+    /// Whether views are observed at step `clock`.
     pub fn observes_at(&self, clock: u32) -> bool {
         clock > self.observe_from && clock < self.until
     }
 
-    /// Whether anchors grow and are pruned at this step.
+    /// Whether a pass is due at step `clock`.
     pub fn grows_at(&self, clock: u32) -> bool {
         clock > self.from && clock < self.until && clock.is_multiple_of(self.every)
     }
 
-    /// Gradient from which a Gaussian asks for an anchor on a level.
+    /// Mean screen gradient from which a Gaussian grows an anchor on a level.
     pub(super) fn threshold(&self, level: u32) -> f32 {
         self.grad * (0.5 * self.hierarchy as f32).powi(level as i32)
     }
 
-    /// Side of a level's cells, in cells of the first anchors.
+    /// Side of a level's cells, in cells of the initial anchors.
     pub(super) fn cells(&self, level: u32) -> u32 {
         self.coarsest / self.hierarchy.saturating_pow(level).max(1)
     }
 
-    /// Verifies every field.
+    /// Checks every setting.
     ///
     /// # Errors
-    /// The first field out of its domain.
-    pub fn check(&self) -> Result<(), RuleError> {
-        need(self.every > 0, "adapt.every", 0, "at least 1 step")?;
-        need((0.0..=1.0).contains(&self.success), "adapt.success", self.success, "a share, 0 to 1")?;
-        need(self.grad >= 0.0 && self.grad.is_finite(), "adapt.grad", self.grad, "finite, not negative")?;
-        need((1..=8).contains(&self.levels), "adapt.levels", self.levels, "1 to 8")?;
-        need((1..=1 << 20).contains(&self.coarsest), "adapt.coarsest", self.coarsest, "1 to 2^20 cells")?;
-        need((1..=1 << 10).contains(&self.hierarchy), "adapt.hierarchy", self.hierarchy, "1 to 1024")?;
+    /// The first setting out of its domain.
+    pub fn check(&self) -> Result<(), SettingError> {
+        require(self.every > 0, "adapt.every", 0, "at least 1 step")?;
+        require((0.0..=1.0).contains(&self.success), "adapt.success", self.success, "a share, 0 to 1")?;
+        require(self.grad >= 0.0 && self.grad.is_finite(), "adapt.grad", self.grad, "finite, not negative")?;
+        require((1..=8).contains(&self.levels), "adapt.levels", self.levels, "1 to 8")?;
+        require((1..=1 << 20).contains(&self.coarsest), "adapt.coarsest", self.coarsest, "1 to 2^20 cells")?;
+        require((1..=1 << 10).contains(&self.hierarchy), "adapt.hierarchy", self.hierarchy, "1 to 1024")?;
         let finest = self.cells(self.levels - 1);
-        need(
+        require(
             finest > 0,
             "adapt.coarsest",
             self.coarsest,
             "at least hierarchy^(levels - 1): the finest cells have a side",
         )?;
         let opacity = self.min_opacity;
-        need(opacity >= 0.0 && opacity.is_finite(), "adapt.min_opacity", opacity, "finite, not negative")?;
-        need(self.extent_cap_log.is_finite(), "adapt.extent_cap_log", self.extent_cap_log, "finite")?;
-        need(self.max_anchors > 0, "adapt.max_anchors", 0, "at least 1 anchor")
+        require(opacity >= 0.0 && opacity.is_finite(), "adapt.min_opacity", opacity, "finite, not negative")?;
+        require(self.extent_cap_log.is_finite(), "adapt.extent_cap_log", self.extent_cap_log, "finite")?;
+        require(self.max_anchors > 0, "adapt.max_anchors", 0, "at least 1 anchor")
     }
 }
 

@@ -15,13 +15,13 @@ fn anchors(n: usize, spacing: usize) -> Anchors {
     Anchors::new(SHAPE, &at, &vec![0.0; n])
 }
 
-/// Statistics in which every Gaussian was drawn `drawn` times with mean gradient `grad`, every anchor opaque.
-fn statistics(anchors: &Anchors, grad: f32, drawn: f32) -> Adapt {
+/// Statistics in which every Gaussian was rendered `rendered` times with mean gradient `grad`, every anchor opaque.
+fn statistics(anchors: &Anchors, grad: f32, rendered: f32) -> Adapt {
     let mut adapt = Adapt::new(anchors);
     adapt.opacity.fill(100.0);
     adapt.visits.fill(100.0);
-    adapt.grad.fill(grad * drawn);
-    adapt.drawn.fill(drawn);
+    adapt.grad.fill(grad * rendered);
+    adapt.rendered.fill(rendered);
     adapt
 }
 
@@ -44,7 +44,7 @@ fn views_are_counted_where_they_belong() {
     };
     adapt.observe(&view);
     assert_eq!((&adapt.opacity[..], &adapt.visits[..]), (&[0.75, 0.0, 0.5][..], &[1.0, 0.0, 1.0][..]));
-    assert_eq!(adapt.drawn, [2.0, 0.0, 0.0, 0.0, 1.0, 0.0]);
+    assert_eq!(adapt.rendered, [2.0, 0.0, 0.0, 0.0, 1.0, 0.0]);
     let wanted = [2.0, 0.0, 0.0, 0.0, 1.2, 0.0];
     assert!(adapt.grad.iter().zip(wanted).all(|(g, w)| (g - w).abs() < 1e-6), "{:?}", adapt.grad);
     adapt.observe(&AnchorView { activations: &[f32::NAN, f32::INFINITY, 0.25, 0.5], ..view });
@@ -52,7 +52,7 @@ fn views_are_counted_where_they_belong() {
 }
 
 #[test]
-fn nothing_happens_between_passes() {
+fn nothing_changes_between_passes() {
     let mut a = anchors(4, 100);
     let mut s = statistics(&a, 1.0, 50.0);
     let before = (a.clone(), s.clone());
@@ -73,7 +73,7 @@ fn only_anchors_below_both_strict_bounds_are_pruned() {
     let did = s.adapt(&rules, &AT, &mut a).unwrap();
     assert_eq!((did.added, did.pruned, a.len()), (0, 1, 4));
     assert_eq!(positions(&a).iter().map(|p| (p.x / VOXEL).round() as u32).collect::<Vec<_>>(), [0, 100, 300, 400]);
-    assert_eq!(s.visits, [80.0, 0.0, 0.0, 0.0], "who was judged begins again");
+    assert_eq!(s.visits, [80.0, 0.0, 0.0, 0.0], "judged anchors restart");
     assert_eq!(s.opacity, [0.0; 4]);
 }
 
@@ -98,7 +98,7 @@ fn the_last_anchor_stays() {
 }
 
 #[test]
-fn new_anchors_stand_on_the_lattice_of_their_level_near_who_asked() {
+fn new_anchors_lie_on_the_lattice_of_their_level_in_cells_of_candidates() {
     // Anchors 100 cells apart; each Gaussian sits somewhere within 40 cells of its own.
     let mut a = anchors(300, 100);
     let mut rng = Rng::new(3, "offsets", 0, 0);
@@ -116,11 +116,11 @@ fn new_anchors_stand_on_the_lattice_of_their_level_near_who_asked() {
         for v in level.clone() {
             let p = a.position(v);
             let c = cell_of(p, side).unwrap();
-            assert!((p - crate::lattice::position_of(c, side)).length() == 0.0, "{p} is no point of {side}");
-            assert!(centres.iter().any(|q| cell_of(*q, side) == Some(c)), "{p}: nobody asked");
+            assert!((p - crate::lattice::position_of(c, side)).length() == 0.0, "{p} is not on the lattice of {side}");
+            assert!(centres.iter().any(|q| cell_of(*q, side) == Some(c)), "{p}: no candidate");
             assert_eq!(a.log_scales.value[6 * v..][..6], [side.ln(); 6]);
             let earlier = (0..v).filter(|&u| cell_of(a.position(u), side) == Some(c));
-            assert_eq!(earlier.count(), 0, "{p} was taken");
+            assert_eq!(earlier.count(), 0, "{p} was occupied");
         }
         // 600 candidates; few cells are shared or taken.
         assert!((f64::from(n) / 600.0 - share).abs() < 0.07, "{n} of 600 on level {side}");
@@ -141,17 +141,17 @@ fn thresholds_rise_with_the_level() {
 }
 
 #[test]
-fn gaussians_seldom_drawn_do_not_ask() {
+fn gaussians_rendered_seldom_do_not_grow() {
     let mut a = anchors(64, 100);
     a.offsets.value.fill(0.3);
     // Half of 100 · 0.8 exactly: not more than half.
     let mut s = statistics(&a, 1.0, 40.0);
     assert_eq!(s.adapt(&AdaptRules::default(), &AT, &mut a).unwrap().added, 0);
-    assert!(s.drawn.iter().all(|n| *n == 40.0), "and go on being counted");
+    assert!(s.rendered.iter().all(|n| *n == 40.0), "and their counts continue");
 }
 
 #[test]
-fn finer_levels_wait_for_coarser_ones_only_if_asked_to() {
+fn finer_levels_wait_for_coarser_ones_only_if_set_to() {
     // The Gaussians sit with their anchors in coarse cells, but in other fine ones.
     let grow = |only_after_coarser| {
         let mut a = anchors(64, 16);
@@ -166,8 +166,8 @@ fn finer_levels_wait_for_coarser_ones_only_if_asked_to() {
 }
 
 #[test]
-fn new_features_are_the_largest_of_who_asks() {
-    // Two anchors, whose four Gaussians share a place far from both.
+fn new_features_are_the_maximum_over_the_parents() {
+    // Two anchors, whose four Gaussians share a position far from both.
     let mut a = anchors(2, 400);
     let target = Vec3::new(2.08, 1.6, 0.0);
     for row in 0..4 {
@@ -197,8 +197,8 @@ fn the_cap_admits_the_largest_gradients() {
     assert_eq!(s.adapt(&rules, &AT, &mut a).unwrap().added, 5);
     assert!((40..45).all(|v| a.position(v).x > 28.0), "only the last ten anchors had such gradients");
     s.grad.fill(50.0);
-    s.drawn.fill(50.0);
-    assert_eq!(s.adapt(&rules, &AT, &mut a).unwrap().added, 0, "no room is left");
+    s.rendered.fill(50.0);
+    assert_eq!(s.adapt(&rules, &AT, &mut a).unwrap().added, 0, "no capacity is left");
 }
 
 #[test]
@@ -228,7 +228,7 @@ fn the_same_pass_twice_is_the_same() {
     assert_ne!(run(1).0, run(2).0);
 }
 
-/// What belongs to an anchor, as numbers that follow from where it stands.
+/// Values of an anchor's rows that are a function of its position.
 struct Shadow {
     blocks: Vec<Vec<f32>>,
     columns: Vec<Vec<f32>>,
@@ -283,7 +283,7 @@ fn every_row_keeps_its_own_through_any_sequence_of_passes() {
     for round in 0..25 {
         let shadows: BTreeMap<[u32; 3], Shadow> =
             (0..a.len()).map(|v| (key(a.position(v)), stamp(&mut a, &mut s, v, round))).collect();
-        assert_eq!(shadows.len(), a.len(), "no two anchors stand at one place");
+        assert_eq!(shadows.len(), a.len(), "no two anchors share a position");
         let at = AdaptAt { step: 1600 + 100 * round, clock: 1600 + 100 * round, ..AT };
         let did = s.adapt(&rules, &at, &mut a).unwrap();
         (added, pruned) = (added + did.added, pruned + did.pruned);

@@ -1,5 +1,5 @@
-//! The feature bank (Lu et al. 2024, Eq. 4; off by default): three resolutions of a feature, mixed by where it is seen
-//! from.
+//! The feature bank (Lu et al. 2024, Eq. 4; off by default): three resolutions of a feature, blended by view direction
+//! and distance.
 //!
 //! ```text
 //! w  = softmax(W₁ relu(W₀ [d, δ] + b₀) + b₁)                                     Linear(4 → C), Linear(C → 3)
@@ -15,13 +15,13 @@ pub(super) struct Bank {
     features: usize,
 }
 
-/// Activations of one block.
+/// Activations of the bank's network for one block.
 #[derive(Clone, Debug, Default)]
 pub(super) struct BankTape {
-    /// `[rows, 4]`: `[d, δ]`.
+    /// Inputs `[d, δ]`, `[rows, 4]`.
     view: Vec<f32>,
     net: MlpTape,
-    /// `[rows, 3]`.
+    /// Softmax weights `w`, `[rows, 3]`.
     weights: Vec<f32>,
 }
 
@@ -31,22 +31,22 @@ pub(super) struct BankGrad {
     net: MlpGrad,
     d_logits: Vec<f32>,
     /// Cotangent of `[d, δ]`, `[rows, 4]`; set by [`Bank::backward`].
-    pub d_view: Vec<f32>,
+    pub(super) d_view: Vec<f32>,
 }
 
 impl Bank {
     /// For features of width `features`, a multiple of 4.
-    pub fn new(features: usize, seed: u64) -> Self {
+    pub(super) fn new(features: usize, seed: u64) -> Self {
         Self { net: Mlp::new("heads.bank", &[4, features, 3], Init::FanIn, Init::FanIn, seed), features }
     }
 
-    /// The places of the feature that the three copies read for entry `i`.
-    fn places(&self, i: usize) -> [usize; 3] {
+    /// The entries of the feature that the three copies read for entry `i`.
+    fn indices(&self, i: usize) -> [usize; 3] {
         [4 * (i % (self.features / 4)), 2 * (i % (self.features / 2)), i]
     }
 
-    /// Works out the weights of a block from `[d, δ]` of each row.
-    pub fn weigh(&self, view: impl Iterator<Item = [f32; 4]>, tape: &mut BankTape) {
+    /// Computes the weights of a block from `[d, δ]` of each row.
+    pub(super) fn weigh(&self, view: impl Iterator<Item = [f32; 4]>, tape: &mut BankTape) {
         let BankTape { view: kept, net, weights } = tape;
         kept.clear();
         kept.extend(view.flatten());
@@ -55,17 +55,17 @@ impl Bank {
         weights.extend(net.output().as_chunks().0.iter().flat_map(|z| softmax(*z)));
     }
 
-    /// Mixes the feature of row `row` of the block.
-    pub fn mix(&self, tape: &BankTape, row: usize, feature: &[f32], to: &mut [f32]) {
+    /// Blends the feature of row `row` of the block into `to`.
+    pub(super) fn mix(&self, tape: &BankTape, row: usize, feature: &[f32], to: &mut [f32]) {
         let w = &tape.weights[3 * row..][..3];
         for (i, to) in to.iter_mut().enumerate() {
-            let [a, b, c] = self.places(i);
+            let [a, b, c] = self.indices(i);
             *to = w[0] * feature[a] + w[1] * feature[b] + w[2] * feature[c];
         }
     }
 
-    /// Gradient of [`Bank::mix`]: adds to `d_feature`, returns the cotangent of the row's logits.
-    pub fn mix_backward(
+    /// Backward of [`Bank::mix`]: adds to `d_feature`, returns the cotangents of the row's logits.
+    pub(super) fn mix_backward(
         &self,
         tape: &BankTape,
         row: usize,
@@ -76,17 +76,17 @@ impl Bank {
         let w = [0, 1, 2].map(|m| tape.weights[3 * row + m]);
         let mut d_w = [0.0; 3];
         for (i, d) in d_mixed.iter().enumerate() {
-            for (m, place) in self.places(i).into_iter().enumerate() {
-                d_w[m] += d * feature[place];
-                d_feature[place] += w[m] * d;
+            for (m, index) in self.indices(i).into_iter().enumerate() {
+                d_w[m] += d * feature[index];
+                d_feature[index] += w[m] * d;
             }
         }
         let mean = w[0] * d_w[0] + w[1] * d_w[1] + w[2] * d_w[2];
         std::array::from_fn(|m| w[m] * (d_w[m] - mean))
     }
 
-    /// The way back of [`Bank::weigh`] from the cotangents of the logits: adds to `grad`, sets `grad.d_view`.
-    pub fn backward(&self, tape: &mut BankTape, d_logits: impl Iterator<Item = [f32; 3]>, grad: &mut BankGrad) {
+    /// Backward of [`Bank::weigh`] from the cotangents of the logits: adds to `grad`, sets `grad.d_view`.
+    pub(super) fn backward(&self, tape: &mut BankTape, d_logits: impl Iterator<Item = [f32; 3]>, grad: &mut BankGrad) {
         let BankGrad { net, d_logits: kept, d_view } = grad;
         kept.clear();
         kept.extend(d_logits.flatten());
@@ -95,13 +95,13 @@ impl Bank {
         self.net.backward(&tape.view, &mut tape.net, kept, Some(d_view), net);
     }
 
-    /// Makes `grad` zero, reusing memory.
-    pub fn reset(&self, grad: &mut BankGrad) {
+    /// Sets `grad` to zero, reusing memory.
+    pub(super) fn reset(&self, grad: &mut BankGrad) {
         grad.net.reset(&self.net);
     }
 
     /// Adds the chunks' gradients to the parameters, in order.
-    pub fn add_grads<'a>(&mut self, chunks: impl Iterator<Item = &'a BankGrad> + Clone + Sync + Send) {
+    pub(super) fn add_grads<'a>(&mut self, chunks: impl Iterator<Item = &'a BankGrad> + Clone + Sync + Send) {
         self.net.add_grads(chunks.map(|g| &g.net));
     }
 }

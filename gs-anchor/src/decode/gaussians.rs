@@ -1,6 +1,6 @@
-//! From what the heads said of a block of anchors to its splats, and back.
+//! From the heads' outputs of a block of anchors to its splats, forward and backward.
 //!
-//! With `u = x' − eye`, `δ = |u|`, `d = u / δ` and the heads' values `z` (opacity), `c̃` (colour), `q` (covariance):
+//! With `u = x' − eye`, `δ = |u|`, `d = u / δ` and the heads' outputs `z` (opacity), `c̃` (colour), `q` (covariance):
 //!
 //! ```text
 //! a = tanh z     kept iff a > 0                                                  α = a
@@ -9,38 +9,38 @@
 //! g_z = g_α (1 − a²)     g_c̃ = g_rgb rgb (1 − rgb)     g_q = [g_s s (1 − σ), g_r]
 //! g_O' = g_μ ⊙ l'[0:3]     g_l' = [Σ g_μ ⊙ O', sign(l') Σ g_s ⊙ σ]     g_x' = Σ g_μ + (g_d − d (d·g_d)) / δ + d g_δ
 //! ```
-//! Dropped Gaussians have zero rows; no gradient crosses the test `a > 0`.
+//! Dropped Gaussians have cotangents of zero; the test `a > 0` has no gradient.
 
 use crate::{Local, LocalGrad};
 use glam::{DVec3, Vec3};
 use gs_core::cloud::sigmoid;
 use gs_core::{Color, Splats, SplatsGrad};
 
-/// How an anchor is seen.
+/// Direction and distance of an anchor from the camera centre.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Sight {
-    /// From the eye to the anchor, of unit length.
-    pub direction: Vec3,
-    /// World units.
-    pub distance: f32,
+pub(super) struct ViewRay {
+    /// Unit vector `d` from the camera centre to the anchor.
+    pub(super) direction: Vec3,
+    /// Distance `δ`, world units.
+    pub(super) distance: f32,
 }
 
-impl Sight {
-    pub fn new(position: Vec3, eye: DVec3) -> Self {
+impl ViewRay {
+    pub(super) fn new(position: Vec3, eye: DVec3) -> Self {
         let u = position.as_dvec3() - eye;
         let distance = u.length();
         Self { direction: (u / distance).as_vec3(), distance: distance as f32 }
     }
 
-    /// Cotangent of the position.
-    pub fn backward(&self, d_direction: Vec3, d_distance: f32) -> Vec3 {
+    /// Backward of [`ViewRay::new`]: the cotangent of the position.
+    pub(super) fn backward(&self, d_direction: Vec3, d_distance: f32) -> Vec3 {
         let d = self.direction;
         (d_direction - d * d.dot(d_direction)) / self.distance + d * d_distance
     }
 }
 
-/// Rows of splats that one block writes.
-pub(super) struct Columns<'a> {
+/// The rows of splats that one block writes.
+pub(super) struct SplatRows<'a> {
     means: &'a mut [Vec3],
     quats: &'a mut [[f32; 4]],
     scales: &'a mut [Vec3],
@@ -49,9 +49,9 @@ pub(super) struct Columns<'a> {
     rows: &'a mut [u32],
 }
 
-impl<'a> Columns<'a> {
-    /// All rows of `splats`, made `n` long, and of their back references.
-    pub fn all(splats: &'a mut Splats, rows: &'a mut Vec<u32>, n: usize) -> Self {
+impl<'a> SplatRows<'a> {
+    /// All rows of `splats` and of the index list `rows`, both resized to `n`.
+    pub(super) fn all(splats: &'a mut Splats, rows: &'a mut Vec<u32>, n: usize) -> Self {
         let Splats { means, quats, scales, opacities, color, kernel } = splats;
         *kernel = gs_core::Kernel::Gaussian;
         if !matches!(color, Color::Rgb(_)) {
@@ -72,8 +72,8 @@ impl<'a> Columns<'a> {
         Self { means, quats, scales, opacities, rgb, rows }
     }
 
-    /// Takes the first `n` rows away.
-    pub fn take(&mut self, n: usize) -> Self {
+    /// Splits off the first `n` rows.
+    pub(super) fn take(&mut self, n: usize) -> Self {
         Self {
             means: self.means.split_off_mut(..n).unwrap_or_default(),
             quats: self.quats.split_off_mut(..n).unwrap_or_default(),
@@ -85,23 +85,23 @@ impl<'a> Columns<'a> {
     }
 }
 
-/// What the heads said of a block, `k` Gaussians per anchor.
-pub(super) struct Said<'a> {
+/// Outputs of the heads for a block, `k` Gaussians per anchor.
+pub(super) struct HeadOutputs<'a> {
     /// `tanh` of the opacity head, `[anchors, k]`.
-    pub activations: &'a [f32],
-    /// `[anchors, 3k]`; becomes `rgb` where a Gaussian is kept.
-    pub color: &'a mut [f32],
-    /// `[anchors, 7k]`; the first three become `σ` where a Gaussian is kept.
-    pub covariance: &'a mut [f32],
+    pub(super) activations: &'a [f32],
+    /// Colour head, `[anchors, 3k]`; becomes `rgb` where a Gaussian is kept.
+    pub(super) color: &'a mut [f32],
+    /// Covariance head, `[anchors, 7k]`; the first three of each 7 become `σ` where a Gaussian is kept.
+    pub(super) covariance: &'a mut [f32],
 }
 
 /// Writes the kept Gaussians of a block.
-pub(super) fn write(local: &Local, anchors: &[u32], said: Said<'_>, to: Columns<'_>) {
-    let k = said.activations.len() / anchors.len().max(1);
-    for (n, (i, &a)) in said.activations.iter().enumerate().filter(|(_, a)| **a > 0.0).enumerate() {
+pub(super) fn write(local: &Local, anchors: &[u32], heads: HeadOutputs<'_>, to: SplatRows<'_>) {
+    let k = heads.activations.len() / anchors.len().max(1);
+    for (n, (i, &a)) in heads.activations.iter().enumerate().filter(|(_, a)| **a > 0.0).enumerate() {
         let v = anchors[i / k] as usize;
         let row = v * k + i % k;
-        let (rgb, q) = (&mut said.color[3 * i..][..3], &mut said.covariance[7 * i..][..7]);
+        let (rgb, q) = (&mut heads.color[3 * i..][..3], &mut heads.covariance[7 * i..][..7]);
         rgb.iter_mut().chain(&mut q[..3]).for_each(|z| *z = sigmoid(*z));
         let (spread, extent) = scales(local, v);
         to.means[n] = local.positions[v] + Vec3::from_slice(&local.offsets[3 * row..]) * spread;
@@ -119,25 +119,25 @@ fn scales(local: &Local, v: usize) -> (Vec3, Vec3) {
     (Vec3::from_slice(l), Vec3::from_slice(&l[3..]))
 }
 
-/// Cotangents of the anchors `first ..` that one chunk of blocks adds to.
-pub(super) struct Anchored<'a> {
+/// Cotangents of consecutive anchors from `first` on, which one chunk of blocks adds to.
+pub(super) struct AnchorGradRows<'a> {
     first: usize,
-    /// Of `x'`.
-    pub positions: &'a mut [Vec3],
+    /// Cotangents of `x'`.
+    pub(super) positions: &'a mut [Vec3],
     offsets: &'a mut [f32],
     features: &'a mut [f32],
     scales: &'a mut [f32],
 }
 
-impl<'a> Anchored<'a> {
-    /// All anchors.
-    pub fn all(d: &'a mut LocalGrad) -> Self {
+impl<'a> AnchorGradRows<'a> {
+    /// The cotangents of all anchors.
+    pub(super) fn all(d: &'a mut LocalGrad) -> Self {
         let LocalGrad { positions, offsets, features, scales } = d;
         Self { first: 0, positions, offsets, features, scales }
     }
 
-    /// Takes the anchors before `end` away.
-    pub fn take(&mut self, end: usize) -> Self {
+    /// Splits off the anchors before `end`.
+    pub(super) fn take(&mut self, end: usize) -> Self {
         let (first, n, rest) = (self.first, end - self.first, self.positions.len().max(1));
         let cut = |column: &mut &'a mut [f32]| {
             let width = column.len() / rest;
@@ -148,37 +148,37 @@ impl<'a> Anchored<'a> {
         Self { first, positions: self.positions.split_off_mut(..n).unwrap_or_default(), offsets, features, scales }
     }
 
-    /// Row of anchor `v` in these columns.
-    pub fn row(&self, v: u32) -> usize {
+    /// Row of anchor `v` within these columns.
+    pub(super) fn row(&self, v: u32) -> usize {
         v as usize - self.first
     }
 
     /// Cotangent of the feature of row `row`, of the given width.
-    pub fn feature(&mut self, row: usize, width: usize) -> &mut [f32] {
+    pub(super) fn feature(&mut self, row: usize, width: usize) -> &mut [f32] {
         &mut self.features[row * width..][..width]
     }
 }
 
-/// The way back of [`write`]: adds to the anchors' cotangents, sets those of what the heads said (before their
-/// activations). `first` is the row of the block's first splat in `d_out`.
-pub(super) fn pull(
+/// Backward of [`write`]: adds to the anchors' cotangents, sets those of the heads' outputs before their activations.
+/// `first` is the row of the block's first splat in `d_out`.
+pub(super) fn backward(
     local: &Local,
     anchors: &[u32],
-    said: Said<'_>,
+    heads: HeadOutputs<'_>,
     (d_out, first): (&SplatsGrad, usize),
-    d: &mut Anchored<'_>,
-    d_said: &mut [Vec<f32>; 3],
+    d: &mut AnchorGradRows<'_>,
+    d_heads: &mut [Vec<f32>; 3],
 ) {
-    let k = said.activations.len() / anchors.len().max(1);
-    let [d_opacity, d_color, d_covariance] = d_said;
+    let k = heads.activations.len() / anchors.len().max(1);
+    let [d_opacity, d_color, d_covariance] = d_heads;
     for (d, width) in [(&mut *d_opacity, 1), (&mut *d_color, 3), (&mut *d_covariance, 7)] {
         d.clear();
-        d.resize(width * said.activations.len(), 0.0);
+        d.resize(width * heads.activations.len(), 0.0);
     }
-    let kept = said.activations.iter().enumerate().filter(|(_, a)| **a > 0.0);
+    let kept = heads.activations.iter().enumerate().filter(|(_, a)| **a > 0.0);
     for (n, (i, &a)) in (first..).zip(kept) {
         let v = anchors[i / k] as usize;
-        let (rgb, q) = (&said.color[3 * i..][..3], &said.covariance[7 * i..][..7]);
+        let (rgb, q) = (&heads.color[3 * i..][..3], &heads.covariance[7 * i..][..7]);
         d_opacity[i] = d_out.opacities[n] * (1.0 - a * a);
         for c in 0..3 {
             d_color[3 * i + c] = d_out.color[3 * n + c] * rgb[c] * (1.0 - rgb[c]);

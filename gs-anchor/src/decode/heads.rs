@@ -1,14 +1,14 @@
 //! The three networks of the decoder, `Linear(in → C) · ReLU · Linear(C → out)`, over one shared input.
 //!
-//! | head | sees | says |
+//! | head | input | outputs |
 //! |---|---|---|
 //! | opacity | `[f, d, (δ)]` | `k` |
 //! | color | `[f, d, (δ), e]` | `3k` |
 //! | covariance | `[f, d, (δ)]` | `7k` |
 //!
 //! All rows of a call share `e`, so it goes into a bias; what is left of the inputs is common to the three, and their
-//! first layers are one product with the rows of the three weights below each other (a head that does not see `δ` has a
-//! column of zeros there). [`Fused`] is that product, made once per call.
+//! first layers are one product with the rows of the three weights below each other (a head without `δ` has a column of
+//! zeros there). [`Fused`] is that layer, made once per call.
 
 use super::DecoderConfig;
 use crate::AnchorShape;
@@ -19,20 +19,20 @@ use gs_core::{Param, Params, Rng};
 use std::ops::Range;
 
 const NAMES: [&str; 3] = ["opacity", "color", "covariance"];
-/// Values per Gaussian that each head says.
+/// Outputs of each head per Gaussian.
 const WIDTHS: [usize; 3] = [1, 3, 7];
 const COLOR: usize = 1;
 
-/// The networks and the appearance.
+/// The three networks and the appearance vector.
 #[derive(Clone, Debug)]
 pub(super) struct Heads {
     first: [Dense; 3],
     second: [Dense; 3],
-    /// `e`, shared by all views.
+    /// Appearance vector `e`, shared by all views.
     appearance: Option<Param>,
-    /// `C`: width of the feature and of each hidden layer.
+    /// Width `C` of the feature and of each hidden layer.
     width: usize,
-    /// Whether each head sees the distance.
+    /// Whether each head takes the distance as input.
     distance: [bool; 3],
 }
 
@@ -47,8 +47,8 @@ pub(super) struct Fused {
 #[derive(Clone, Debug, Default)]
 pub(super) struct HeadsTape {
     /// `[rows, input_width]`, written by the caller.
-    pub input: Vec<f32>,
-    /// `[rows, 3 C]`.
+    pub(super) input: Vec<f32>,
+    /// Activations of the fused first layer, `[rows, 3 C]`.
     hidden: Vec<f32>,
 }
 
@@ -57,15 +57,15 @@ pub(super) struct HeadsTape {
 pub(super) struct HeadsGrad {
     fused: DenseGrad,
     second: [DenseGrad; 3],
-    /// Cotangents of what the heads said, written by the caller.
-    pub d_out: [Vec<f32>; 3],
+    /// Cotangents of the heads' outputs, written by the caller.
+    pub(super) d_out: [Vec<f32>; 3],
     d_hidden: Vec<f32>,
-    /// Cotangent of the input.
-    pub d_input: Vec<f32>,
+    /// Cotangents of the input, `[rows, input_width]`.
+    pub(super) d_input: Vec<f32>,
 }
 
 impl Heads {
-    pub fn new(config: &DecoderConfig, shape: AnchorShape, seed: u64) -> Self {
+    pub(super) fn new(config: &DecoderConfig, shape: AnchorShape, seed: u64) -> Self {
         let (width, distance) = (shape.features, config.distance.all());
         let inputs = |h: usize| {
             let appearance = if h == COLOR { config.appearance } else { 0 };
@@ -84,23 +84,23 @@ impl Heads {
         }
     }
 
-    /// Values per row of the shared input: `C + 3`, one more if any head sees the distance.
-    pub fn input_width(&self) -> usize {
+    /// Values per row of the shared input: `C + 3`, one more if any head takes the distance.
+    pub(super) fn input_width(&self) -> usize {
         self.width + 3 + usize::from(self.distance.contains(&true))
     }
 
-    /// Values of the shared input that head `h` sees.
-    fn seen(&self, h: usize) -> usize {
+    /// Number of leading values of the shared input that head `h` takes.
+    fn inputs_of(&self, h: usize) -> usize {
         self.width + 3 + usize::from(self.distance[h])
     }
 
-    /// Columns of the appearance in the first layer of the colour head.
+    /// SplatRows of the appearance in the first layer of the colour head.
     fn appearance_columns(&self) -> Range<usize> {
-        self.seen(COLOR)..self.first[COLOR].inputs()
+        self.inputs_of(COLOR)..self.first[COLOR].inputs()
     }
 
-    /// Puts the first layers together.
-    pub fn fuse(&self, fused: &mut Fused) {
+    /// Writes the three first layers into one.
+    pub(super) fn fuse(&self, fused: &mut Fused) {
         let (inputs, outputs) = (self.input_width(), 3 * self.width);
         let Fused { layer, bias: folded } = fused;
         let layer = layer.get_or_insert_with(|| Dense::new("heads.first", inputs, outputs, Init::Zero, 0));
@@ -108,7 +108,7 @@ impl Heads {
             *layer = Dense::new("heads.first", inputs, outputs, Init::Zero, 0);
         }
         for (h, first) in self.first.iter().enumerate() {
-            let seen = self.seen(h);
+            let seen = self.inputs_of(h);
             let rows = layer.weight.value.chunks_exact_mut(inputs).skip(h * self.width);
             for (to, from) in rows.zip(first.weight.value.chunks_exact(first.inputs())) {
                 to[..seen].copy_from_slice(&from[..seen]);
@@ -126,7 +126,7 @@ impl Heads {
     }
 
     /// Runs a block from `tape.input`; `out` are the three outputs, `[rows, k]`, `[rows, 3k]`, `[rows, 7k]`.
-    pub fn forward(&self, fused: &Fused, tape: &mut HeadsTape, out: [&mut [f32]; 3]) {
+    pub(super) fn forward(&self, fused: &Fused, tape: &mut HeadsTape, out: [&mut [f32]; 3]) {
         let HeadsTape { input, hidden } = tape;
         let rows = input.len() / self.input_width();
         let Some(first) = &fused.layer else { return };
@@ -144,8 +144,8 @@ impl Heads {
         Mat::strided(&hidden[h * self.width..], rows, self.width, 3 * self.width)
     }
 
-    /// The way back of [`Heads::forward`] from `grad.d_out`: adds to `grad`, sets `grad.d_input`.
-    pub fn backward(&self, fused: &Fused, tape: &HeadsTape, grad: &mut HeadsGrad) {
+    /// Backward of [`Heads::forward`] from `grad.d_out`: adds to `grad`, sets `grad.d_input`.
+    pub(super) fn backward(&self, fused: &Fused, tape: &HeadsTape, grad: &mut HeadsGrad) {
         let HeadsGrad { fused: d_fused, second, d_out, d_hidden, d_input } = grad;
         let rows = tape.input.len() / self.input_width();
         let Some(first) = &fused.layer else { return };
@@ -166,15 +166,15 @@ impl Heads {
     }
 
     /// Makes `grad` zero, reusing memory.
-    pub fn reset(&self, fused: &Fused, grad: &mut HeadsGrad) {
+    pub(super) fn reset(&self, fused: &Fused, grad: &mut HeadsGrad) {
         if let Some(layer) = &fused.layer {
             grad.fused.reset(layer);
         }
         grad.second.iter_mut().zip(&self.second).for_each(|(g, l)| g.reset(l));
     }
 
-    /// Adds the chunks' gradients to the parameters, in order, and takes the fused layer apart again.
-    pub fn add_grads<'a>(
+    /// Adds the chunks' gradients to the parameters, in order; those of the fused layer go to the three first layers.
+    pub(super) fn add_grads<'a>(
         &mut self,
         fused: &mut Fused,
         chunks: impl Iterator<Item = &'a HeadsGrad> + Clone + Sync + Send,
@@ -186,7 +186,7 @@ impl Heads {
         layer.clear_grads();
         layer.add_grads(chunks.map(|g| &g.fused));
         for h in 0..3 {
-            let (seen, width) = (self.seen(h), self.width);
+            let (seen, width) = (self.inputs_of(h), self.width);
             let first = &mut self.first[h];
             let inputs = first.inputs();
             let from = layer.weight.grad.chunks_exact(layer.inputs()).skip(h * width);
@@ -203,11 +203,11 @@ impl Heads {
         }
     }
 
-    /// The same networks with the appearance folded into a bias for good.
-    pub fn folded(&self) -> Self {
+    /// The same networks without an appearance vector: it is folded into a bias.
+    pub(super) fn folded(&self) -> Self {
         let mut folded = self.clone();
         let Some(e) = folded.appearance.take() else { return folded };
-        let (first, seen) = (&self.first[COLOR], self.seen(COLOR));
+        let (first, seen) = (&self.first[COLOR], self.inputs_of(COLOR));
         let mut layer = Dense::new("heads.color.0", seen, self.width, Init::Zero, 0);
         let rows = layer.weight.value.chunks_exact_mut(seen);
         rows.zip(first.weight.value.chunks_exact(first.inputs()))

@@ -1,28 +1,37 @@
-//! How much an anchor takes part in motion: two factors from its logits `d_G` (position) and `d_L` (all else).
+//! How much an anchor moves: two factors from its logits `d_G` (position) and `d_L` (feature, offsets, scales).
 //!
 //! ```text
-//! mask   M(d) = 1 if σ(d) > threshold, else 0        way back as if M were σ (straight through)
+//! mask   M(d) = 1 if σ(d) > threshold, else 0        backward as if M were σ (straight-through)
 //! mul    M(d) = act(d)                               act: σ, tanh or relu
 //! ```
-//! A shared logit serves both; anchors without logits have factors of one. A mask that is closed still learns and can
-//! open again.
+//! A shared logit gives both factors; anchors without logits have factors of one. A closed mask still has a gradient
+//! and can open again.
 //!
-//! A penalty keeps anchors still unless the picture needs them to move: the mean of `σ(D)`, of `−σ ln σ`, or of `σ(d_G)`.
+//! A sparsity loss keeps anchors static unless the images need motion: the mean of `σ(d)`, of `−σ ln σ`, or of
+//! `σ(d_G)`.
+//!
+//! ```
+//! use gs_anchor::gad::Dynamics;
+//!
+//! let [global, local] = Dynamics::default().weights(&[0.0, 0.0]);
+//! assert_eq!((global.value, local.value), (1.0, 0.5), "an open mask and a weight of one half at the start");
+//! assert_eq!(global.slope, 0.25, "the mask's gradient is that of the sigmoid");
+//! ```
 
 use crate::Anchors;
 use serde::{Deserialize, Serialize};
 
-/// What a logit does to a displacement.
+/// How a logit scales a displacement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Factor {
-    /// All or nothing.
+    /// By 0 or 1: 1 if `σ(d)` is above [`Dynamics::threshold`].
     Mask,
-    /// A weight.
+    /// By [`Dynamics::activation`] of the logit.
     Mul,
 }
 
-/// From a logit to a weight.
+/// The function from a logit to a factor.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Activation {
@@ -40,13 +49,13 @@ pub enum Activation {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Dynamics {
-    /// On the displacement of the position.
+    /// Factor on the displacement of the position.
     pub global: Factor,
-    /// On the changes of feature, offsets and scales.
+    /// Factor on the changes of feature, offsets and scales.
     pub local: Factor,
-    /// A mask is open where `σ(d)` is above this.
+    /// A mask is open if `σ(d)` is above this; 0 … 1.
     pub threshold: f32,
-    /// Weights of [`Factor::Mul`].
+    /// Function of [`Factor::Mul`].
     pub activation: Activation,
 }
 
@@ -56,23 +65,23 @@ impl Default for Dynamics {
     }
 }
 
-/// A factor and its slope with respect to the logit.
+/// A factor and its derivative with respect to the logit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Weight {
-    /// Multiplies the displacement.
+    /// The factor on the displacement.
     pub value: f32,
-    /// Its derivative, or the one that stands for it.
+    /// Derivative of `value`; for a mask that of `σ`.
     pub slope: f32,
 }
 
-/// No logit: everything moves.
-const WHOLE: Weight = Weight { value: 1.0, slope: 0.0 };
+/// The factor without a logit.
+const UNGATED: Weight = Weight { value: 1.0, slope: 0.0 };
 
 impl Dynamics {
-    /// Global and local weight of an anchor with these logits: none, one (shared) or two.
+    /// Global and local factor of an anchor with these logits: none, one (shared) or two.
     pub fn weights(&self, logits: &[f32]) -> [Weight; 2] {
         match logits {
-            [] => [WHOLE; 2],
+            [] => [UNGATED; 2],
             [d, rest @ ..] => [self.weight(self.global, *d), self.weight(self.local, *rest.first().unwrap_or(d))],
         }
     }
@@ -89,7 +98,7 @@ impl Dynamics {
     }
 }
 
-/// Adds the cotangents of the two factors to those of the logits, wherever there are any.
+/// Backward of [`Dynamics::weights`]: adds to the cotangents of the logits, of which there are none, one or two.
 pub(super) fn weights_backward(weights: [Weight; 2], d: [f32; 2], d_logits: &mut [f32]) {
     for (i, (weight, d)) in weights.iter().zip(d).enumerate() {
         let last = d_logits.len().saturating_sub(1);
@@ -99,20 +108,20 @@ pub(super) fn weights_backward(weights: [Weight; 2], d: [f32; 2], d_logits: &mut
     }
 }
 
-/// What the penalty on motion is the mean of.
+/// The sparsity loss on motion, a mean over all anchors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Sparsity {
-    /// `σ(d)` of all logits.
+    /// Mean of `σ(d)` over all logits.
     Mean,
-    /// `−σ ln σ` of all logits.
+    /// Mean of `−σ ln σ` over all logits.
     Entropy,
-    /// `σ(d_G)`.
+    /// Mean of `σ(d_G)` over the global logits.
     Global,
 }
 
 impl Sparsity {
-    /// Adds the gradient of `weight` times the penalty to the logits; returns that value, zero without logits.
+    /// Adds the gradient of `weight` times the loss to the logits; returns that weighted value, zero without logits.
     pub fn penalise(self, anchors: &mut Anchors, weight: f32) -> f32 {
         let (width, n) = (anchors.shape().dynamics, anchors.len());
         let Some(dynamics) = &mut anchors.dynamics else { return 0.0 };
@@ -147,11 +156,11 @@ mod tests {
         let start = Dynamics::default().weights(&[0.0, 0.0]);
         assert_eq!(start, [Weight { value: 1.0, slope: 0.25 }, Weight { value: 0.5, slope: 0.25 }]);
         assert_eq!(Dynamics::default().weights(&[0.0]), start, "one logit serves both");
-        assert_eq!(Dynamics::default().weights(&[]), [WHOLE; 2]);
+        assert_eq!(Dynamics::default().weights(&[]), [UNGATED; 2]);
         // ln(0.01 / 0.99) = −4.5951.
         let mask = |d: f32| Dynamics::default().weights(&[d, 0.0])[0];
         assert_eq!((mask(-4.595).value, mask(-4.596).value), (1.0, 0.0));
-        assert!(mask(-4.596).slope > 0.0, "a closed mask still learns");
+        assert!(mask(-4.596).slope > 0.0, "a closed mask still has a gradient");
     }
 
     /// Slopes of weights against central differences; the mask's is that of the logistic.
@@ -175,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn logits_collect_what_concerns_them() {
+    fn logits_collect_the_cotangents_of_their_factors() {
         let weights = [Weight { value: 1.0, slope: 0.5 }, Weight { value: 1.0, slope: 0.25 }];
         let (mut two, mut one, mut none) = ([1.0, 1.0], [1.0], []);
         weights_backward(weights, [2.0, 4.0], &mut two);

@@ -1,16 +1,16 @@
-//! Only the anchors that move.
+//! Deformation of moving anchors only.
 //!
-//! An anchor with `M = 0` stays where it is, and one with `m < ε` changes by less than `ε` times what the net says. Where
-//! both hold the net need not be asked. (All heads share their products: leaving out some of them for some rows would
-//! save next to nothing.)
+//! An anchor with `M = 0` keeps its position, and one with `|m| < ε` changes by less than `ε` times the net's output.
+//! If both hold the net is not evaluated for it. (All heads share one matrix product: leaving out single heads for some
+//! rows would save next to nothing.)
 
-use super::{Gad, GadHead, change, move_points};
+use super::{Gad, GadHead, add_scaled, move_points};
 use crate::{AnchorShape, Anchors, Local};
 use gs_core::Time;
 use gs_core::nn::BLOCK;
 
 impl Gad {
-    /// Whether each anchor takes part: `|M| > 0` or `|m| ≥ below`.
+    /// Whether each anchor takes part in the deformation: `M ≠ 0` or `|m| ≥ below`.
     pub fn taking_part(&self, anchors: &Anchors, below: f32) -> impl Iterator<Item = bool> {
         (0..anchors.len()).map(move |v| {
             let [global, local] = self.config.dynamics.weights(anchors.logits(v));
@@ -18,8 +18,8 @@ impl Gad {
         })
     }
 
-    /// [`Gad::forward`] for the anchors of [`Gad::taking_part`]; the others stay at rest. A value of theirs is off by at
-    /// most `below` times what the net says about it; with `below` = 0 all take part.
+    /// [`Gad::forward`] for the anchors of [`Gad::taking_part`]; the others stay canonical. The error of their values
+    /// is at most `below` times the net's output; with `below` = 0 all take part.
     pub fn forward_moving(&self, anchors: &Anchors, t_c: Time, below: f32, out: &mut Local) {
         anchors.activate(out);
         let moving: Vec<usize> =
@@ -30,14 +30,14 @@ impl Gad {
         let AnchorShape { offsets: k, features: c, .. } = anchors.shape();
         for (block, rows) in tape.blocks().iter().zip(moving.chunks(BLOCK)) {
             for (h, head) in self.config.heads.iter().enumerate() {
-                let said = block.head(h).chunks_exact(head.width(anchors.shape()));
-                for (said, &v) in said.zip(rows) {
+                let deltas = block.head(h).chunks_exact(head.width(anchors.shape()));
+                for (delta, &v) in deltas.zip(rows) {
                     let weights = [self.config.dynamics.weights(anchors.logits(v))];
                     match head {
-                        GadHead::Positions => move_points(&mut out.positions[v..=v], said, &weights),
-                        GadHead::Features => change(&mut out.features[v * c..][..c], said, &weights),
-                        GadHead::Offsets => change(&mut out.offsets[v * 3 * k..][..3 * k], said, &weights),
-                        GadHead::Scales => change(&mut out.scales[v * 6..][..6], said, &weights),
+                        GadHead::Positions => move_points(&mut out.positions[v..=v], delta, &weights),
+                        GadHead::Features => add_scaled(&mut out.features[v * c..][..c], delta, &weights),
+                        GadHead::Offsets => add_scaled(&mut out.offsets[v * 3 * k..][..3 * k], delta, &weights),
+                        GadHead::Scales => add_scaled(&mut out.scales[v * 6..][..6], delta, &weights),
                     }
                 }
             }
@@ -53,9 +53,9 @@ mod tests {
     use gs_core::Rng;
     use gs_deform::{Aabb, PlaneNetConfig};
 
-    /// Three blocks of anchors, every third neither moving nor changing much, every third only not moving.
+    /// Three blocks of anchors: every third has both factors near zero, every third only a global factor of zero.
     #[test]
-    fn idle_anchors_stay_and_the_others_move_as_before() {
+    fn static_anchors_stay_and_the_others_move_as_with_forward() {
         let shape = AnchorShape { offsets: 3, features: 8, dynamics: 2 };
         let n = 2 * BLOCK + 77;
         let mut rng = Rng::new(1, "moving", 0, 0);

@@ -1,12 +1,12 @@
-//! Moving the boundaries.
+//! How the boundaries of intervals move.
 //!
 //! With ḡ the mean gradient of the intervals observed, `std` their sample deviation and δ = step / N:
 //! ```text
 //! hot = { c : ḡ_c > mean + τ std }
 //! for c in hot:  if c > 0: b_c += δ;   if c < N − 1: b_{c+1} −= δ        a busy interval shrinks from both sides
 //! ```
-//! The two moves of a boundary between two busy intervals cancel. A move is rejected if it would leave an interval it makes
-//! shorter below the least width; boundaries are taken in order. `b_0` never moves.
+//! The two moves of a boundary between two busy intervals cancel. A move is rejected if the interval it shortens would
+//! fall below the minimum width; boundaries are processed in order. `b_0` never moves.
 //!
 //! The released rule ([`Rule::Ref`]) has N − 1 slots, counts gradients of interval j + 1 in slot j, and moves the two
 //! boundaries around `b_j`, one step each, as long as they do not meet.
@@ -14,46 +14,46 @@
 use super::{Intervals, Rule};
 use serde::{Deserialize, Serialize};
 
-/// A boundary that moved.
+/// One boundary move of a pass.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Move {
-    /// Index of the boundary.
+    /// Index of the boundary, 1 … N − 1.
     pub boundary: usize,
-    /// Where it was, normalised time.
+    /// Normalised time before the pass.
     pub from: f32,
-    /// Where it is.
+    /// Normalised time after the pass.
     pub to: f32,
 }
 
-/// A boundary that was asked to move and did not.
+/// A boundary whose move was rejected.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Rejected {
-    /// Index of the boundary.
+    /// Index of the boundary, 1 … N − 1.
     pub boundary: usize,
-    /// Where it stays, normalised time.
+    /// Its normalised time, unchanged.
     pub at: f32,
-    /// Why.
+    /// Reason of the rejection, for people.
     pub reason: String,
 }
 
-/// What a pass found and did.
+/// Findings and moves of one pass of [`Intervals::adjust`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Adjustment {
-    /// Step of the schedule's clock.
+    /// Step within the stage's schedule.
     pub clock: u32,
-    /// Step of the run.
+    /// Training step of the run.
     pub step: u32,
-    /// Mean gradient of each slot, ḡ; absent where no view was observed.
+    /// Mean gradient of each slot, ḡ; `None` if no view was observed.
     pub means: Vec<Option<f32>>,
-    /// Gradient above which a slot is busy; absent if fewer than two slots can be compared.
+    /// Gradient above which a slot is busy; `None` if fewer than two slots have a mean.
     pub threshold: Option<f32>,
-    /// Busy slots.
+    /// Indices of the busy slots.
     pub hot: Vec<usize>,
-    /// Boundaries that moved.
+    /// The moves of boundaries, in order.
     pub moves: Vec<Move>,
-    /// Boundaries that should have.
+    /// The rejected moves, in order.
     pub rejected: Vec<Rejected>,
-    /// Width of every interval after it, frames.
+    /// Width of every interval after the pass, frames.
     pub frames: Vec<f32>,
 }
 
@@ -62,8 +62,8 @@ const TOO_NARROW: &str = "an interval would be too narrow";
 const WOULD_MEET: &str = "it would meet its neighbour";
 
 impl Intervals {
-    /// Moves the boundaries if the rules ask for it at this step of the schedule's clock, and forgets what was observed.
-    /// `None` between passes; the step of the run is only noted down.
+    /// Moves the boundaries if a pass is due at step `clock` of the stage's schedule, and resets the statistic; `None`
+    /// between passes. `step` is copied to [`Adjustment::step`].
     pub fn adjust(&mut self, clock: u32, step: u32) -> Option<Adjustment> {
         if !(self.observes_at(clock) && clock.is_multiple_of(self.config.period)) {
             return None;
@@ -74,7 +74,7 @@ impl Intervals {
         let hot: Vec<usize> = (0..means.len()).filter(above).collect();
         let (moves, rejected) = match self.config.rule {
             Rule::Clean => self.shrink(&hot),
-            Rule::Ref => self.shrink_shifted(&hot),
+            Rule::Ref => self.shrink_released(&hot),
         };
         self.grad.fill(0.0);
         self.views.fill(0.0);
@@ -88,7 +88,7 @@ impl Intervals {
             Rule::Ref => self.len() - 1,
         };
         let mean = |c: usize| match self.config.rule {
-            // The released code counts what was not observed as 0.
+            // The released code counts an interval without views as 0.
             Rule::Ref if self.views[c] == 0.0 => Some(0.0),
             _ => (self.views[c] > 0.0).then(|| self.grad[c] / self.views[c]),
         };
@@ -113,7 +113,7 @@ impl Intervals {
             let reject = |reason: &str| Rejected { boundary, at, reason: reason.to_owned() };
             match wanted[..] {
                 [] => {}
-                [by] if self.admits(boundary, at + by) => {
+                [by] if self.keeps_min_width(boundary, at + by) => {
                     self.starts.value[boundary] = at + by;
                     moves.push(Move { boundary, from: at, to: at + by });
                 }
@@ -124,14 +124,14 @@ impl Intervals {
         (moves, rejected)
     }
 
-    /// Whether boundary `b` may go to `to`: the interval that becomes shorter keeps the least width.
-    fn admits(&self, b: usize, to: f32) -> bool {
+    /// Whether boundary `b` may move to `to`: the interval that becomes shorter keeps the minimum width.
+    fn keeps_min_width(&self, b: usize, to: f32) -> bool {
         let starts = &self.starts.value;
         let left = if to > starts[b] { self.end(b) - to } else { to - starts[b - 1] };
         left >= self.min_width()
     }
 
-    fn shrink_shifted(&mut self, hot: &[usize]) -> (Vec<Move>, Vec<Rejected>) {
+    fn shrink_released(&mut self, hot: &[usize]) -> (Vec<Move>, Vec<Rejected>) {
         let last = self.len() - 1;
         let delta = self.config.step / self.len() as f32;
         let (mut moves, mut rejected) = (Vec::new(), Vec::new());
@@ -153,7 +153,7 @@ impl Intervals {
     }
 }
 
-/// Mean plus τ sample deviations, of what was observed; `None` for fewer than two values.
+/// Mean plus τ sample deviations of the means there are; `None` for fewer than two.
 fn threshold(means: &[Option<f32>], tau: f32) -> Option<f64> {
     let values: Vec<f64> = means.iter().flatten().map(|&v| f64::from(v)).collect();
     if values.len() < 2 {

@@ -1,49 +1,49 @@
 //! Settings of the intervals.
 
-use crate::rule::{RuleError, need};
+use crate::setting::{SettingError, require};
 use serde::{Deserialize, Serialize};
 
-/// Which rules move the boundaries.
+/// The rule by which boundaries move.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Rule {
-    /// What the paper describes.
+    /// The rule of the paper.
     Clean,
-    /// What the released code does.
+    /// The rule of the released code.
     Ref,
 }
 
-/// What is observed of a view.
+/// The statistic of a view.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Statistic {
-    /// The sum of the gradients' lengths over visible Gaussians: views that see more weigh more (published).
+    /// Sum of the gradients' norms over visible Gaussians: views with more Gaussians weigh more (published).
     Sum,
-    /// Their mean.
+    /// Mean of the gradients' norms over visible Gaussians.
     Mean,
 }
 
-/// Settings of the intervals. Steps are those of the schedule's clock.
+/// Settings of the intervals. Steps count within the stage's schedule.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct IntervalConfig {
     /// Whether boundaries move at all.
     pub on: bool,
-    /// Number of intervals, N.
+    /// Number of intervals, `N`, 1 to 4096.
     pub segments: u32,
-    /// Views are observed and boundaries moved from this step …
+    /// First step at which views are observed and boundaries move.
     pub from: u32,
-    /// … to this one.
+    /// Last step at which views are observed and boundaries move.
     pub until: u32,
-    /// Boundaries are moved every so many steps.
+    /// Boundaries move every `period` steps, at least 1.
     pub period: u32,
-    /// Intervals are busy whose gradient exceeds the mean by more than this many standard deviations, τ.
+    /// An interval is busy if its gradient exceeds the mean by more than this many standard deviations, τ.
     pub tau: f32,
     /// Length of a move, in equal intervals: boundaries move by `step / N`.
     pub step: f32,
-    /// Which rules.
+    /// The rule by which boundaries move.
     pub rule: Rule,
-    /// What is observed.
+    /// The statistic of a view.
     pub statistic: Statistic,
 }
 
@@ -65,7 +65,7 @@ impl Default for IntervalConfig {
 }
 
 impl IntervalConfig {
-    /// Whether a step lies within `from` and `until`; the released code leaves both ends out.
+    /// Whether a step lies within `from` and `until`; the released rule excludes both ends.
     pub(super) fn is_within(&self, clock: u32) -> bool {
         match self.rule {
             Rule::Clean => (self.from..=self.until).contains(&clock),
@@ -73,16 +73,16 @@ impl IntervalConfig {
         }
     }
 
-    /// Verifies every field.
+    /// Checks every setting.
     ///
     /// # Errors
-    /// The first field out of its domain.
-    pub fn check(&self) -> Result<(), RuleError> {
-        need((1..=4096).contains(&self.segments), "intervals.segments", self.segments, "1 to 4096 intervals")?;
-        need(self.period > 0, "intervals.period", self.period, "at least 1 step")?;
-        need(self.tau.is_finite(), "intervals.tau", self.tau, "finite")?;
+    /// The first setting out of its domain.
+    pub fn check(&self) -> Result<(), SettingError> {
+        require((1..=4096).contains(&self.segments), "intervals.segments", self.segments, "1 to 4096 intervals")?;
+        require(self.period > 0, "intervals.period", self.period, "at least 1 step")?;
+        require(self.tau.is_finite(), "intervals.tau", self.tau, "finite")?;
         let step = self.step;
-        need(
+        require(
             step > 0.0 && step < 0.5,
             "intervals.step",
             step,
@@ -90,7 +90,7 @@ impl IntervalConfig {
         )
     }
 
-    /// A warning where no interval can ever be busy, for people.
+    /// A message if no interval can ever be busy under these settings.
     ///
     /// Among n values none exceeds their mean by more than `(n−1)/√n` standard deviations. The clean rule compares N
     /// intervals, the released one N − 1.

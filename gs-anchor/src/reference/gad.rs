@@ -6,29 +6,29 @@ use crate::{Anchors, Gad, GadHead};
 use gs_core::Time;
 use gs_deform::reference::{PlaneNetRef, PlaneNetRefGrad};
 
-/// One anchor at rest; or its cotangent.
+/// One canonical anchor, or its cotangent.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RestRef {
-    /// Position, offsets, features; `scales` hold the logarithms `λ`.
+    /// Position, offsets and features; `scales` holds the logarithms `λ`.
     pub anchor: AnchorRef,
-    /// None, one or two.
+    /// Logits of motion: none, one (shared) or two (global, local).
     pub logits: Vec<f64>,
 }
 
-/// A field in `f64`: see [`Gad`] for the mathematics.
+/// A [`Gad`] in `f64`, one anchor at a time.
 #[derive(Clone, Debug)]
 pub struct GadRef {
     heads: Vec<GadHead>,
-    /// What the factors follow from.
+    /// How the logits scale the changes.
     pub dynamics: Dynamics,
-    /// The net.
+    /// The network, with the heads of the field.
     pub net: PlaneNetRef,
-    /// Masks are weights by `σ`, forward too: what their way back differentiates.
+    /// Use `σ` instead of masks in the forward, too: the function that the straight-through backward differentiates.
     pub surrogate: bool,
 }
 
 impl RestRef {
-    /// Anchor `v`.
+    /// Copies anchor `v`.
     pub fn new(anchors: &Anchors, v: usize) -> Self {
         let row = |p: &gs_core::Param| -> Vec<f64> {
             let width = p.len() / anchors.len();
@@ -46,7 +46,7 @@ impl RestRef {
 }
 
 impl GadRef {
-    /// A copy of a field.
+    /// Copies the parameters of a field.
     pub fn new(gad: &Gad) -> Self {
         let heads = gad.config().heads.clone();
         let names: Vec<&str> = heads.iter().map(|h| h.name()).collect();
@@ -73,37 +73,37 @@ impl GadRef {
         }
     }
 
-    /// The anchor at a canonical time; its scales are linear.
+    /// The anchor deformed to canonical time `t_c`; its scales are linear.
     pub fn moved(&self, rest: &RestRef, t_c: Time) -> AnchorRef {
         let mut to = rest.anchor.clone();
         to.scales.iter_mut().for_each(|l| *l = l.exp());
         let factors = self.factors(&rest.logits);
-        for (head, said) in self.heads.iter().zip(self.net.outputs(rest.anchor.position, t_c)) {
+        for (head, delta) in self.heads.iter().zip(self.net.outputs(rest.anchor.position, t_c)) {
             let factor = factors[usize::from(*head != GadHead::Positions)].0;
-            column(&mut to, *head).iter_mut().zip(said).for_each(|(v, d)| *v += factor * d);
+            column(&mut to, *head).iter_mut().zip(delta).for_each(|(v, d)| *v += factor * d);
         }
         to
     }
 
-    /// The way back of [`GadRef::moved`]: adds to `grad`, returns the cotangent of the anchor at rest, whose place is a
-    /// constant to the net.
+    /// Backward of [`GadRef::moved`]: adds to `grad`, returns the cotangent of the canonical anchor, whose position is
+    /// a constant to the net.
     pub fn backward(&self, rest: &RestRef, t_c: Time, d: &AnchorRef, grad: &mut PlaneNetRefGrad) -> RestRef {
         let factors = self.factors(&rest.logits);
         let mut back = RestRef { anchor: d.clone(), logits: vec![0.0; rest.logits.len()] };
-        let mut d_said = Vec::new();
-        for (head, said) in self.heads.iter().zip(self.net.outputs(rest.anchor.position, t_c)) {
+        let mut d_outputs = Vec::new();
+        for (head, delta) in self.heads.iter().zip(self.net.outputs(rest.anchor.position, t_c)) {
             let which = usize::from(*head != GadHead::Positions);
             let (value, slope) = factors[which];
             let mut d = d.clone();
             let g = column(&mut d, *head);
-            let d_factor: f64 = g.iter().zip(&said).map(|(g, s)| g * s).sum();
+            let d_factor: f64 = g.iter().zip(&delta).map(|(g, delta)| g * delta).sum();
             if let Some(last) = back.logits.len().checked_sub(1) {
                 back.logits[which.min(last)] += slope * d_factor;
             }
-            d_said.push(g.iter().map(|g| value * g).collect::<Vec<f64>>());
+            d_outputs.push(g.iter().map(|g| value * g).collect::<Vec<f64>>());
         }
         (0..6).for_each(|i| back.anchor.scales[i] *= rest.anchor.scales[i].exp());
-        self.net.backward(rest.anchor.position, t_c, &d_said, grad);
+        self.net.backward(rest.anchor.position, t_c, &d_outputs, grad);
         back
     }
 }

@@ -1,10 +1,10 @@
-//! What the tests share.
+//! Shared by the tests.
 
 use glam::DVec3;
 use gs_anchor::reference::{AnchorRef, GaussianRef};
 use gs_core::{Rng, Splats, SplatsGrad};
 
-/// Where the eye of the tests stands.
+/// Camera centre of the tests.
 pub const EYE: DVec3 = DVec3::new(0.3, -0.2, -2.5);
 
 /// Asserts that the largest difference, relative to the largest wanted value, is within `bound`.

@@ -1,7 +1,7 @@
-//! The way back through a HexPlane: one task per group of sixteen channels of a level, each owning its share of every
-//! gradient, all points in order.
+//! Backward of a HexPlane: one task per group of sixteen channels of a level, which owns its slices of all gradients
+//! and visits all points in order.
 
-use super::hexplane::{BlockPlaces, HexBlock, HexPlane, HexTape, Level};
+use super::hexplane::{BlockCells, HexBlock, HexPlane, HexTape, Level};
 use super::sample::{self, Cell, Group, GroupGrad, LANES, Texel};
 use fearless_simd::{Simd, dispatch};
 use glam::Vec3;
@@ -9,7 +9,7 @@ use gs_core::Param;
 use gs_core::nn::BLOCK;
 use rayon::prelude::*;
 
-/// What one task sums for itself, reused between calls.
+/// Sums of one task, reused between calls.
 #[derive(Clone, Debug, Default)]
 pub(super) struct TaskScratch {
     /// Gradients of the lines of xt, yt, zt, one after the other.
@@ -32,8 +32,9 @@ struct Job<'a> {
 }
 
 impl HexPlane {
-    /// The way back of [`HexPlane::forward`] for the same points: takes `d_features` of every block, adds to the planes'
-    /// gradients and, where given, to `d_means` (world units). Without `d_means` the points count as constants.
+    /// Backward of [`HexPlane::forward`] for the same points: takes `d_features` of every block, adds to the planes'
+    /// gradients and, if given, to `d_means` (`[points]`, world units). Without `d_means` the points count as
+    /// constants.
     pub fn backward(&mut self, tape: &mut HexTape, d_means: Option<&mut [Vec3]>) {
         let (groups, width, simd) = (self.groups(), self.width(), self.simd);
         let HexTape { time, lines, places, blocks, tasks } = tape;
@@ -49,7 +50,7 @@ impl HexPlane {
         jobs.par_iter_mut().with_max_len(1).for_each(|job| {
             job.scratch.reset(job.group.nodes.iter().sum(), points);
             dispatch!(simd, simd => job.run(simd, &places.0, blocks, width));
-            job.spread_lines(*time);
+            job.scatter_lines(*time);
         });
         drop(jobs);
         if let Some(d_means) = d_means {
@@ -102,12 +103,12 @@ impl TaskScratch {
 
 impl Job<'_> {
     #[inline(always)]
-    fn run<S: Simd>(&mut self, simd: S, places: &[BlockPlaces], blocks: &[HexBlock], width: usize) {
+    fn run<S: Simd>(&mut self, simd: S, places: &[BlockCells], blocks: &[HexBlock], width: usize) {
         let Self { group, scratch: TaskScratch { d_lines, d_means }, .. } = self;
         let [xy, xz, yz] = &mut self.d_planes;
         let mut grad = GroupGrad { planes: [xy, xz, yz], lines: split_lines(group.nodes, d_lines) };
         let mut d_means = if d_means.is_empty() { None } else { Some(d_means.as_mut_slice()) };
-        for (BlockPlaces { rows, cells }, block) in places.iter().zip(blocks) {
+        for (BlockCells { rows, cells }, block) in places.iter().zip(blocks) {
             let cells = &cells[self.level * rows..][..*rows];
             let here = match d_means.take() {
                 Some(all) => {
@@ -121,8 +122,8 @@ impl Job<'_> {
         }
     }
 
-    /// Hands the lines' gradients to the two rows of each time plane they were blended from.
-    fn spread_lines(&mut self, time: Cell) {
+    /// Adds the lines' gradients to the two rows of each time plane they were blended from.
+    fn scatter_lines(&mut self, time: Cell) {
         let d_lines = split_lines(self.group.nodes, &mut self.scratch.d_lines);
         for ((d_line, d_plane), width) in d_lines.into_iter().zip(&mut self.d_time_planes).zip(self.group.nodes) {
             sample::blend_rows_backward(d_line, width, time, d_plane);

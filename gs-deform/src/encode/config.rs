@@ -1,14 +1,15 @@
-//! Size of a HexPlane and the strength of its regularisers.
+//! Size of a HexPlane and weights of its regularisers.
 
 use super::hexplane::PAIRS;
 use super::sample::LANES;
 use crate::DeformError;
 use serde::{Deserialize, Serialize};
 
-/// Most values in all planes together: 2 GiB of `f32`.
+/// Largest number of values in all planes together: 2 GiB of `f32`.
 const MAX_VALUES: usize = 1 << 29;
 
-/// Size and regularisers of a [`HexPlane`](super::HexPlane). The defaults are those of 4D Gaussian Splatting for synthetic scenes.
+/// Size and regularisers of a [`HexPlane`](super::HexPlane). The defaults are those of 4D Gaussian Splatting for
+/// synthetic scenes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct HexPlaneConfig {
@@ -18,11 +19,11 @@ pub struct HexPlaneConfig {
     pub levels: Vec<usize>,
     /// Channels per level, a multiple of 16.
     pub channels: usize,
-    /// Weight of the second difference of spatial planes.
+    /// Weight of the mean squared second difference of the spatial planes.
     pub plane_tv: f32,
-    /// Weight of the second difference in time of time planes.
+    /// Weight of the mean squared second difference in time of the time planes.
     pub time_smoothness: f32,
-    /// Weight of the mean distance of time planes to 1.
+    /// Weight of the mean of `|1 − P|` over the time planes.
     pub time_l1: f32,
 }
 
@@ -40,7 +41,7 @@ impl Default for HexPlaneConfig {
 }
 
 impl HexPlaneConfig {
-    /// Stored time rows: those that normalised times 0 … 1 can reach.
+    /// Number of stored time rows: those that normalised times 0 … 1 can reach.
     pub fn time_rows(&self) -> usize {
         self.resolution[3] - self.first_time_row()
     }

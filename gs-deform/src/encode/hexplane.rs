@@ -1,24 +1,37 @@
-//! HexPlane: a four-dimensional grid factored into six feature planes (Cao and Johnson 2023; Fridovich-Keil et al. 2023,
-//! K-planes), at several resolutions, as 4D Gaussian Splatting uses it (Wu et al. 2024, Eqs. 3 to 5).
+//! HexPlane: a four-dimensional grid factored into six feature planes (Cao and Johnson 2023; Fridovich-Keil et al.
+//! 2023, K-planes), at several resolutions, as 4D Gaussian Splatting uses it (Wu et al. 2024, Eqs. 3 to 5).
 //!
 //! ```text
 //! h^m(x, y, z, t) = xy·xz·xt·yz·yt·zt     each a bilinear sample of a plane of level m, product per channel
 //! h = (h^1, …, h^L)
 //! ```
 //! * **Levels** multiply the spatial resolution only. Planes with time start at 1, the others at U(0.1, 0.5).
-//! * **Space**: the box [`Aabb`] spans nodes `0 … R−1` of each axis; a point outside sees the nearest face and has no
-//!   gradient across it (on the face itself neither).
-//! * **Time**: normalised time 0 … 1 falls on rows `(R−1)/2 … R−1` of the time axis, as in the reference, which feeds raw
-//!   time into an axis made for [−1, 1]. Rows below `⌊(R−1)/2⌋` are never read there and are not stored here; values and
-//!   the strength of the regularisers are the same. Times outside 0 … 1 see the nearest end.
+//! * **Space**: the box [`Aabb`] spans nodes `0 … R−1` of each axis; a point outside is clamped to the nearest face and
+//!   has no gradient across it (on the face itself neither).
+//! * **Time**: normalised time 0 … 1 falls on rows `(R−1)/2 … R−1` of the time axis, as in the reference, which feeds
+//!   raw time into an axis made for [−1, 1]. Rows below `⌊(R−1)/2⌋` are never read there and are not stored here;
+//!   values and the weights of the regularisers are the same. Times outside 0 … 1 are clamped to the nearest end.
 //! * **Layout**: `[channels / 16][nodes_b][nodes_a][16]`: sixteen channels of a node are one register and one load.
-//! * **One time per call**: the two rows of a time plane that the moment falls between are blended into a line once, so a
-//!   point reads 18 texels instead of 24 (exact up to rounding).
-//! * **Points that stay**: [`HexPlane::place`] finds their cells once, for any number of calls at any times while planes
-//!   learn ([`HexPlane::forward_placed`]; the same arithmetic, hence the same bits).
-//! * **Back**: channels are independent, so each group of sixteen channels of a level is one task that owns its slices of
-//!   all six gradients and walks the points in order: no private copies, no atomics, the same sums for any number of
-//!   threads. At most `levels · channels / 16` tasks run at once.
+//! * **One time per call**: the two rows of a time plane around the timestamp are blended into a line once, so a point
+//!   reads 18 texels instead of 24 (exact up to rounding).
+//! * **Static points**: [`HexPlane::place`] finds their cells once, for any number of calls at any times while the
+//!   planes are trained ([`HexPlane::forward_placed`]; the same arithmetic, hence the same bits).
+//! * **Backward**: channels are independent, so each group of sixteen channels of a level is one task that owns its
+//!   slices of all six gradients and visits the points in order: no private copies, no atomics, the same sums for any
+//!   number of threads. At most `levels · channels / 16` tasks run at once.
+//!
+//! ```
+//! use gs_core::{Params, Time};
+//! use gs_deform::{Aabb, encode::{HexPlane, HexPlaneConfig, HexTape}};
+//!
+//! let config = HexPlaneConfig { resolution: [4, 4, 4, 3], levels: vec![1, 2], channels: 16, ..Default::default() };
+//! let mut encoder = HexPlane::new("hex", &config, Aabb::cube(1.0), 1)?;
+//! encoder.visit_mut(&mut |plane| plane.value.fill(0.5));
+//! let mut tape = HexTape::default();
+//! encoder.forward(&[glam::Vec3::splat(0.3)], Time::new(0.7)?, &mut tape);
+//! assert_eq!(tape.blocks[0].features, [0.5f32.powi(6); 32], "two levels of 16 channels, each a product of six planes");
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 use super::backward::TaskScratch;
 use super::config::HexPlaneConfig;
@@ -33,14 +46,14 @@ use rayon::prelude::*;
 use std::sync::Arc;
 
 /// Pairs of axes (x y z t = 0 1 2 3) in storage order, fast axis first.
-pub const PAIRS: [(usize, usize); 6] = [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)];
-/// Names of [`PAIRS`].
-pub const PAIR_NAMES: [&str; 6] = ["xy", "xz", "xt", "yz", "yt", "zt"];
+pub(crate) const PAIRS: [(usize, usize); 6] = [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)];
+/// Names of [`PAIRS`] in parameter names.
+const PAIR_NAMES: [&str; 6] = ["xy", "xz", "xt", "yz", "yt", "zt"];
 /// The spatial planes and the time planes among [`PAIRS`].
 const SPACE: [usize; 3] = [0, 1, 3];
 const TIME: [usize; 3] = [2, 4, 5];
 
-/// One resolution: six planes.
+/// The six planes of one resolution.
 #[derive(Clone, Debug)]
 pub(super) struct Level {
     /// Nodes along x, y, z, and stored rows of t.
@@ -48,7 +61,7 @@ pub(super) struct Level {
     pub planes: [Param; 6],
 }
 
-/// The encoder; see the [module](self).
+/// A HexPlane encoder, `(point, t) → [levels · channels]`; see the [module](self).
 #[derive(Clone, Debug)]
 pub struct HexPlane {
     config: HexPlaneConfig,
@@ -57,56 +70,57 @@ pub struct HexPlane {
     pub(super) simd: SimdLevel,
 }
 
-/// Scratch of a [`HexPlane`], reused between calls.
+/// Activations of a [`HexPlane`] between forward and backward, reused between calls.
 #[derive(Clone, Debug, Default)]
 pub struct HexTape {
     pub(super) time: Cell,
     pub(super) lines: Vec<Texel>,
-    pub(super) places: Places,
-    /// Points in blocks of [`BLOCK`]; the last may be shorter.
+    pub(super) places: GridCells,
+    /// The points in blocks of [`BLOCK`] rows; the last may be shorter.
     pub blocks: Vec<HexBlock>,
     pub(super) tasks: Vec<TaskScratch>,
 }
 
-/// Where points lie in the grids of an encoder: the part of its work that only depends on points and resolutions. Made
-/// by [`HexPlane::place`] or kept by a tape; cheap to clone.
+/// The grid cells of some points at every level of a [`HexPlane`]: the part of its work that depends on points and
+/// resolutions only. Made by [`HexPlane::place`]; cheap to clone.
 #[derive(Clone, Debug, Default)]
-pub struct Places(pub(super) Arc<Vec<BlockPlaces>>);
+pub struct GridCells(pub(super) Arc<Vec<BlockCells>>);
 
-/// The places of one block of points.
+/// The cells of one block of points.
 #[derive(Clone, Debug, Default)]
-pub(super) struct BlockPlaces {
+pub(super) struct BlockCells {
     pub rows: usize,
-    /// `[levels, rows]` cells along x, y, z.
+    /// `[levels, rows]`: the cells along x, y, z.
     pub cells: Vec<[Cell; 3]>,
 }
 
-/// One block of points.
+/// Features and their cotangents for one block of points.
 #[derive(Clone, Debug, Default)]
 pub struct HexBlock {
-    /// Features, `[rows, width]`.
+    /// `[rows, width]`, level by level; written by [`HexPlane::forward`].
     pub features: Vec<f32>,
-    /// Cotangents of `features`: to be filled in before [`HexPlane::backward`].
+    /// Cotangents of `features`, same shape: the caller fills them in before [`HexPlane::backward`].
     pub d_features: Vec<f32>,
 }
 
-impl Places {
-    /// Number of points.
+impl GridCells {
+    /// Number of points, over all blocks.
     pub fn len(&self) -> usize {
         self.0.iter().map(|b| b.rows).sum()
     }
 
-    /// Whether there are no points.
+    /// Whether [`GridCells::len`] is 0.
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 }
 
 impl HexPlane {
-    /// An encoder of the given size over the box, its planes named `{name}.{pair}.{level}`.
+    /// An encoder over the box `aabb`, its planes named `{name}.{pair}.{level}`: planes with time are 1, the others
+    /// uniform in 0.1 … 0.5.
     ///
     /// # Errors
-    /// If the configuration cannot be built; the message names the key and the rule.
+    /// If a setting is out of its domain; the message names it.
     pub fn new(name: &str, config: &HexPlaneConfig, aabb: Aabb, seed: u64) -> Result<Self, DeformError> {
         config.check()?;
         let level = |(index, &factor): (usize, &usize)| {
@@ -115,9 +129,9 @@ impl HexPlane {
                 let (a, b) = PAIRS[p];
                 let name = format!("{name}.{}.{index}", PAIR_NAMES[p]);
                 let mut rng = Rng::new(seed, &name, 0, 0);
-                let draw = || if b == 3 { 1.0 } else { rng.range(0.1, 0.5) };
+                let start = || if b == 3 { 1.0 } else { rng.range(0.1, 0.5) };
                 let n = nodes[a] * nodes[b] * config.channels;
-                Param::shared(name, std::iter::repeat_with(draw).take(n).collect())
+                Param::shared(name, std::iter::repeat_with(start).take(n).collect())
             });
             Level { nodes, planes }
         };
@@ -125,7 +139,7 @@ impl HexPlane {
         Ok(Self { config: config.clone(), aabb, levels, simd: SimdLevel::new() })
     }
 
-    /// The same encoder on a given instruction set, to compare them.
+    /// The same encoder on another instruction set, for comparison.
     pub fn with_simd(mut self, simd: SimdLevel) -> Self {
         self.simd = simd;
         self
@@ -136,17 +150,17 @@ impl HexPlane {
         self.config.channels * self.levels.len()
     }
 
-    /// The configuration it was built from.
+    /// The configuration this encoder was built from.
     pub fn config(&self) -> &HexPlaneConfig {
         &self.config
     }
 
-    /// The box it covers.
+    /// The box that the planes span, world units.
     pub fn aabb(&self) -> Aabb {
         self.aabb
     }
 
-    /// The plane of a pair of axes (index into [`PAIRS`]) at a level.
+    /// The plane of pair `pair` (xy xz xt yz yt zt = 0 … 5) at level `level`.
     pub fn plane(&self, level: usize, pair: usize) -> &Param {
         &self.levels[level].planes[pair]
     }
@@ -156,7 +170,7 @@ impl HexPlane {
         self.config.channels / LANES
     }
 
-    /// Encodes all points at one time; features are left in `tape.blocks`.
+    /// Encodes points (`means`, world units) at one timestamp; the features are in `tape.blocks`.
     pub fn forward(&self, means: &[Vec3], t: Time, tape: &mut HexTape) {
         match Arc::get_mut(&mut tape.places.0) {
             Some(own) => self.locate(means, own),
@@ -165,16 +179,16 @@ impl HexPlane {
         self.encode(t, tape);
     }
 
-    /// Finds the cells of points that will be encoded many times. They hold for this encoder, and any other of the same
-    /// box, resolution and levels, whatever its planes become.
-    pub fn place(&self, means: &[Vec3]) -> Places {
+    /// Finds the cells of points that will be encoded many times. They are valid for every encoder of the same box,
+    /// resolution and levels, whatever its planes hold.
+    pub fn place(&self, means: &[Vec3]) -> GridCells {
         let mut blocks = Vec::new();
         self.locate(means, &mut blocks);
-        Places(Arc::new(blocks))
+        GridCells(Arc::new(blocks))
     }
 
-    /// [`HexPlane::forward`] for points placed before: the same bits.
-    pub fn forward_placed(&self, places: &Places, t: Time, tape: &mut HexTape) {
+    /// [`HexPlane::forward`] for points whose cells are known: the same bits.
+    pub fn forward_placed(&self, places: &GridCells, t: Time, tape: &mut HexTape) {
         tape.places = places.clone();
         self.encode(t, tape);
     }
@@ -208,9 +222,9 @@ impl HexPlane {
         }
     }
 
-    fn locate(&self, means: &[Vec3], blocks: &mut Vec<BlockPlaces>) {
+    fn locate(&self, means: &[Vec3], blocks: &mut Vec<BlockCells>) {
         let inverse = self.aabb.inverse_size();
-        blocks.resize_with(means.len().div_ceil(BLOCK), BlockPlaces::default);
+        blocks.resize_with(means.len().div_ceil(BLOCK), BlockCells::default);
         blocks.par_iter_mut().zip(means.par_chunks(BLOCK)).for_each(|(block, means)| {
             block.rows = means.len();
             block.cells.clear();
@@ -225,7 +239,7 @@ impl HexPlane {
     }
 
     #[inline(always)]
-    fn sample<S: Simd>(&self, simd: S, mut lines: &[Texel], places: &BlockPlaces, features: &mut [f32]) {
+    fn sample<S: Simd>(&self, simd: S, mut lines: &[Texel], places: &BlockCells, features: &mut [f32]) {
         let (width, groups) = (self.width(), self.groups());
         for (l, level) in self.levels.iter().enumerate() {
             let cells = &places.cells[l * places.rows..][..places.rows];
@@ -239,8 +253,8 @@ impl HexPlane {
         }
     }
 
-    /// Adds the weighted gradients of the regularisers to the planes; returns their weighted values: plane smoothness,
-    /// time smoothness, distance of time planes to 1. See [`HexPlaneConfig`].
+    /// Adds the weighted gradients of the regularisers to the planes; returns their weighted values by the names of
+    /// their weights in [`HexPlaneConfig`].
     pub fn regularise(&mut self) -> [(&'static str, f32); 3] {
         let HexPlaneConfig { channels, plane_tv, time_smoothness, time_l1, resolution, .. } = self.config;
         let groups = self.groups();
@@ -260,13 +274,13 @@ impl HexPlane {
         let values: Vec<[f64; 3]> = jobs
             .into_par_iter()
             .map(|(timed, width, height, value, grad)| {
-                let bends = channels * (height - 2) * width;
-                let all = channels * height * width;
+                let second_differences = channels * (height - 2) * width;
+                let texels = channels * height * width;
                 dispatch!(simd, simd => if timed {
-                    let smooth = smooth::second_difference(simd, value, grad, width, bends, time_smoothness);
-                    [0.0, smooth, smooth::distance_to_one(simd, value, grad, width, all, time_l1)]
+                    let smooth = smooth::second_difference(simd, value, grad, width, second_differences, time_smoothness);
+                    [0.0, smooth, smooth::distance_to_one(simd, value, grad, width, texels, time_l1)]
                 } else {
-                    [smooth::second_difference(simd, value, grad, width, bends, plane_tv), 0.0, 0.0]
+                    [smooth::second_difference(simd, value, grad, width, second_differences, plane_tv), 0.0, 0.0]
                 })
             })
             .collect();

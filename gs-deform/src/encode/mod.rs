@@ -1,4 +1,4 @@
-//! Encoders: from a point and a time to a row of features, and back.
+//! Encoders: from a point and a timestamp to a row of features, forward and backward.
 
 mod backward;
 mod config;
@@ -11,4 +11,4 @@ pub use config::HexPlaneConfig;
 pub use hash::config::HashGridConfig;
 pub use hash::slice::Slice;
 pub use hash::{Columns, HashGrid};
-pub use hexplane::{HexBlock, HexPlane, HexTape, Places};
+pub use hexplane::{GridCells, HexBlock, HexPlane, HexTape};

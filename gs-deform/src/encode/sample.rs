@@ -1,8 +1,8 @@
-//! The inner loops of the HexPlane: sixteen channels of one point at a time, forward and back.
+//! The inner loops of the HexPlane: sixteen channels of one point at a time, forward and backward.
 //!
-//! With `A B C` the bilinear samples of the planes xy, xz, yz and `X Y Z` the linear samples of the lines that the planes
-//! xt, yt, zt become at a fixed time, a feature is the product of the six. Its cotangent `g` reaches each factor as `g`
-//! times the other five, built from the pairs `AB`, `CX`, `YZ`: no division, so texels may be zero.
+//! With `A B C` the bilinear samples of the planes xy, xz, yz and `X Y Z` the linear samples of the lines that the
+//! planes xt, yt, zt become at a fixed time, a feature is the product of the six. Its cotangent `g` reaches each factor
+//! as `g` times the other five, built from the pairs `AB`, `CX`, `YZ`: no division, so texels may be zero.
 //!
 //! Everything here is a function marked `inline(always)`, never a closure: only then does the instruction set chosen at
 //! run time reach it.
@@ -11,9 +11,9 @@ use fearless_simd::{Simd, SimdBase, SimdFloat, f32x16};
 use glam::Vec3;
 
 /// Sixteen channels of one grid node: one vector register.
-pub type Texel = [f32; LANES];
+pub(super) type Texel = [f32; LANES];
 
-/// Channels per texel.
+/// Channels per texel and values per vector register.
 pub(crate) const LANES: usize = 16;
 
 /// Where a coordinate falls between two nodes of an axis: `(1 − weight) · node[index] + weight · node[index + 1]`.
@@ -21,7 +21,7 @@ pub(crate) const LANES: usize = 16;
 pub(crate) struct Cell {
     pub index: u32,
     pub weight: f32,
-    /// Nodes per world unit; 0 where the coordinate was clamped, since nothing moves there.
+    /// Nodes per world unit; 0 where the coordinate was clamped, since the sample is constant there.
     pub slope: f32,
 }
 
@@ -30,7 +30,7 @@ impl Cell {
     /// the ends (as `grid_sample` with border padding), where the gradient is zero, at the very end too. NaN counts as
     /// the first node.
     #[inline(always)]
-    pub fn new(offset: f32, nodes_per_unit: f32, nodes: usize) -> Self {
+    pub(super) fn new(offset: f32, nodes_per_unit: f32, nodes: usize) -> Self {
         let last = (nodes - 1) as f32;
         let position = offset * nodes_per_unit;
         let inside = position > 0.0 && position < last;
@@ -92,7 +92,7 @@ pub(crate) struct Group<'a> {
 
 impl<'a> Group<'a> {
     /// A group whose lines lie one after the other.
-    pub fn new(nodes: [usize; 3], planes: [&'a [Texel]; 3], lines: &'a [Texel]) -> Self {
+    pub(super) fn new(nodes: [usize; 3], planes: [&'a [Texel]; 3], lines: &'a [Texel]) -> Self {
         let (x, rest) = lines.split_at(nodes[0]);
         let (y, z) = rest.split_at(nodes[1]);
         Self { nodes, planes, lines: [x, y, z] }
@@ -137,9 +137,9 @@ pub(crate) fn forward<S: Simd>(
 
 /// Gradients of one group, added to.
 pub(crate) struct GroupGrad<'a> {
-    /// Planes xy, xz, yz.
+    /// Gradients of the planes xy, xz, yz.
     pub planes: [&'a mut [Texel]; 3],
-    /// Lines of xt, yt, zt.
+    /// Gradients of the lines of xt, yt, zt.
     pub lines: [&'a mut [Texel]; 3],
 }
 
@@ -166,8 +166,8 @@ fn scatter_line<S: Simd>(simd: S, grad: &mut [Texel], a: Cell, d: f32x16<S>) {
     scatter(simd, &mut pair[1], a.weight, d);
 }
 
-/// The way back of [`forward`] for the points of a block, in order: adds to the texels, and, where asked, to the
-/// points' coordinates (world units).
+/// Backward of [`forward`] for the points of a block, in order: adds to the texels and, if given, to the points'
+/// cotangents `d_means` (world units).
 #[inline(always)]
 pub(crate) fn backward<S: Simd>(
     simd: S,
@@ -208,7 +208,7 @@ pub(crate) fn backward<S: Simd>(
     }
 }
 
-/// The line a time plane `[rows, width]` becomes at `time`.
+/// Blends the two rows of a time plane `[rows, width]` around `time` into a line of `width` texels.
 pub(crate) fn blend_rows(plane: &[Texel], width: usize, time: Cell, line: &mut [Texel]) {
     let start = time.index as usize * width;
     let (low, high) = (&plane[start..start + width], &plane[start + width..start + 2 * width]);
@@ -217,7 +217,7 @@ pub(crate) fn blend_rows(plane: &[Texel], width: usize, time: Cell, line: &mut [
     }
 }
 
-/// Gradient of [`blend_rows`]: adds to the two rows.
+/// Backward of [`blend_rows`]: adds to the two rows.
 pub(crate) fn blend_rows_backward(d_line: &[Texel], width: usize, time: Cell, d_plane: &mut [Texel]) {
     let start = time.index as usize * width;
     let (low, high) = d_plane[start..start + 2 * width].split_at_mut(width);
@@ -239,6 +239,6 @@ mod tests {
         assert_eq!(cell(1e30), cell(2.0));
         assert_eq!(cell(f32::NEG_INFINITY), cell(0.0));
         assert_eq!(cell(f32::NAN), cell(0.0));
-        assert_eq!(Cell::new(3.0, 0.0, 5), cell(0.0), "an axis without extent has one place");
+        assert_eq!(Cell::new(3.0, 0.0, 5), cell(0.0), "an axis without extent has one cell");
     }
 }

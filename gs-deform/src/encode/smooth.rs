@@ -1,7 +1,8 @@
-//! What is known of a HexPlane before any image is seen: planes are smooth, and time changes little.
+//! Regularisers of a HexPlane: planes are smooth, and time changes little.
 //!
 //! With `S(P)` the mean of the squared second difference along the slow axis and the published weights `w`
-//! (4DGaussians, Eq. 8 and its code; the "total variation" of the spatial planes is this one-axis difference there too):
+//! (4DGaussians, Eq. 8 and its code; the "total variation" of the spatial planes is this one-axis difference there
+//! too):
 //!
 //! ```text
 //! S(P) = mean (P[y+2] − 2 P[y+1] + P[y])²         0 with fewer than three rows
@@ -70,8 +71,8 @@ pub(crate) fn distance_to_one<S: Simd>(
         for (v, g) in value.iter().zip(grad) {
             let e = f32x16::load_array_ref(simd, v) - one;
             sum += e.abs();
-            let push = simd.select_f32x16(e.simd_eq(zero), zero, scale.copysign(e));
-            (f32x16::load_array_ref(simd, g) + push).store_array(g);
+            let slope = simd.select_f32x16(e.simd_eq(zero), zero, scale.copysign(e));
+            (f32x16::load_array_ref(simd, g) + slope).store_array(g);
         }
         total += f64::from(simd.reduce_sum_f32x16(sum));
     }
@@ -84,7 +85,7 @@ mod tests {
     use fearless_simd::{Level, dispatch};
 
     #[test]
-    fn straight_ramps_cost_nothing_and_bends_cost_their_square() {
+    fn ramps_cost_nothing_and_second_differences_their_square() {
         let run = |value: &[Texel], width, count, weight| {
             let mut grad = vec![[0.0; 16]; value.len()];
             let level = Level::new();

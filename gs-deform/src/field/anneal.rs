@@ -1,20 +1,29 @@
-//! Annealed smooth training (Yang et al. 2024, Eq. 5): times of real captures are off by a little, so early steps see
-//! them blurred, all splats of a step by the same draw.
+//! Annealed smooth training (Yang et al. 2024, Eq. 5): timestamps of real captures are inexact, so early steps add
+//! noise to them, one sample per step for all splats.
 //!
 //! ```text
 //! t' = t + N(0, 1) · β(step) · Δt      β falls linearly from 0.1 to 0 over 20 000 steps
+//! ```
+//! ```
+//! use gs_core::Time;
+//! use gs_deform::field::anneal::{Anneal, smooth_time};
+//!
+//! let (anneal, t) = (Anneal::default(), Time::new(0.5)?);
+//! assert_ne!(smooth_time(t, 0.01, &anneal, 1, 100), t);
+//! assert_eq!(smooth_time(t, 0.01, &anneal, 1, 20_000), t, "the noise has ended");
+//! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
 use gs_core::{Rng, Time};
 use serde::{Deserialize, Serialize};
 
-/// Strength and length of the blur; off (no blur) where `strength` is 0.
+/// Strength and length of the noise on timestamps; a `strength` of 0 turns it off.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Anneal {
-    /// β at step 0.
+    /// β at step 0, in units of the spacing of training times.
     pub strength: f32,
-    /// Step at which β reaches 0.
+    /// Training step at which β reaches 0.
     pub steps: u32,
 }
 
@@ -24,8 +33,8 @@ impl Default for Anneal {
     }
 }
 
-/// The time to train step `step` with instead of `t`; `interval` is the spacing of training times (the reference takes
-/// 1 / number of images). Only the normalised reading moves, which is all that fields see.
+/// The timestamp that training step `step` uses instead of `t`. `interval` is the spacing Δt of the training times,
+/// normalised (the reference takes 1 / number of images). Only the normalised time changes; fields read nothing else.
 pub fn smooth_time(t: Time, interval: f32, anneal: &Anneal, seed: u64, step: u32) -> Time {
     if step >= anneal.steps || anneal.strength == 0.0 {
         return t;
@@ -40,7 +49,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_blur_shrinks_to_nothing_and_is_reproducible() {
+    fn the_noise_falls_to_zero_and_is_reproducible() {
         let (anneal, t) = (Anneal::default(), Time::default());
         let spread = |first: u32| -> f32 {
             let shifts = (first..first + 1000).map(|step| smooth_time(t, 0.5, &anneal, 1, step).normalised.powi(2));

@@ -1,4 +1,4 @@
-//! The field of Deformable 3D Gaussians (Yang et al. 2024): one wide network from an encoded place and time to offsets.
+//! The field of Deformable 3D Gaussians (Yang et al. 2024): one wide MLP from an encoded mean and time to offsets.
 //!
 //! ```text
 //! e = (γ₁₀(μ), τ)        τ = W_b relu(W_a γ₆(t) + a) + b, or γ(t) itself without the time network
@@ -6,13 +6,13 @@
 //! δx = W_x h,  δr = W_r h,  δs = W_s h                      three linear heads (with biases)
 //! μ' = μ + δx     q' = |q| (q/|q| + δr)     s' = s + δs     (activated scales; see apply for the other rules)
 //! ```
-//! * The centres are **detached** at the input, as in the reference: they receive the identity path only, and no
-//!   gradient of the encoding is needed.
+//! * The means are **detached** at the input, as in the reference: their gradient is that of the sum `μ + δx` only, and
+//!   the encoding needs no backward.
 //! * Time is the same for all splats of a call, so its columns of the first and the skip layer are folded into their
-//!   biases: exact up to rounding, and a third of the first layer's work saved.
+//!   biases: exact up to rounding, and a third of the first layer's work is saved.
 //! * The heads start at **zero** (the identity, bit for bit); the reference starts them like the other layers, which
 //!   [`DefGsConfig::zero_init`] restores. Hidden layers start at U(±1/√fan-in).
-//! * Annealed smooth training of times is a function of its own: [`smooth_time`](super::anneal::smooth_time).
+//! * Annealed smooth training is a separate function: [`smooth_time`](super::anneal::smooth_time).
 
 use super::Field;
 use super::defgs_net::{Block, ChunkGrad, DefNet, DefNetTape};
@@ -27,28 +27,28 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DefGsConfig {
-    /// Width of the hidden layers.
+    /// Width of the hidden layers, 1 to 4096.
     pub width: usize,
-    /// Hidden layers.
+    /// Number of hidden layers, 1 to 64.
     pub depth: usize,
-    /// The input is joined again after hidden layer `skip` (counted from 0); no effect at `depth − 1` and beyond.
+    /// The input is concatenated again after hidden layer `skip` (from 0); no effect at `depth − 1` and beyond.
     pub skip: usize,
-    /// Bands of the positional encoding of centres.
+    /// Frequency bands of the positional encoding of means, 0 to 24.
     pub bands_position: usize,
-    /// Bands of the positional encoding of time (10 for real scenes).
+    /// Frequency bands of the positional encoding of time, 0 to 24 (published: 10 for real scenes).
     pub bands_time: usize,
-    /// Hidden width of the time network; 0: none, the encoded time is used as it is (real scenes).
+    /// Hidden width of the time network; 0: no time network, the encoded time is used directly (real scenes).
     pub time_hidden: usize,
-    /// Outputs of the time network.
+    /// Number of outputs of the time network.
     pub time_features: usize,
-    /// Factor on world coordinates before they are encoded. 1 in the reference; 1 / scene radius makes the bands mean
-    /// the same in every scene.
+    /// Factor on world coordinates before they are encoded. 1 in the reference; 1 / scene radius gives the bands the
+    /// same meaning in every scene.
     pub coordinate_scale: f32,
-    /// How offsets change scales.
+    /// Rule for the offsets of scales.
     pub scale_rule: ScaleRule,
-    /// How offsets change rotations.
+    /// Rule for the offsets of rotations.
     pub quat_rule: QuatRule,
-    /// Start the heads at zero (identity field) instead of as the reference does.
+    /// Start the heads at zero, so that the field is the identity, instead of at random as the reference does.
     pub zero_init: bool,
 }
 
@@ -71,7 +71,7 @@ impl Default for DefGsConfig {
 }
 
 impl DefGsConfig {
-    /// Four layers of 128: about a seventh of the time of the default.
+    /// Four layers of 128 instead of eight of 256: about a seventh of the time of the default.
     pub fn fast() -> Self {
         Self { width: 128, depth: 4, skip: 2, time_hidden: 64, ..Self::default() }
     }
@@ -94,14 +94,14 @@ impl DefGsConfig {
     }
 }
 
-/// The field; see the [module](self).
+/// The field of Deformable 3D Gaussians; see the [module](self).
 #[derive(Clone, Debug)]
 pub struct DefMlp {
     config: DefGsConfig,
     net: DefNet,
 }
 
-/// Scratch of a [`DefMlp`].
+/// Activations of a [`DefMlp`] between forward and backward.
 #[derive(Clone, Debug, Default)]
 pub struct DefMlpTape {
     net: DefNetTape,
@@ -110,16 +110,17 @@ pub struct DefMlpTape {
 }
 
 impl DefMlp {
-    /// A field, its parameters named `field.time.…`, `field.layer.…`, `field.means.…`, `field.quats.…`, `field.scales.…`.
+    /// A field whose parameters are named `field.time.…`, `field.layer.…`, `field.means.…`, `field.quats.…`,
+    /// `field.scales.…`.
     ///
     /// # Errors
-    /// If a setting cannot be built; the message names it.
+    /// If a setting is out of its domain; the message names it.
     pub fn new(config: &DefGsConfig, seed: u64) -> Result<Self, DeformError> {
         config.check()?;
         Ok(Self { config: config.clone(), net: DefNet::new(config, seed) })
     }
 
-    /// The settings it was built from.
+    /// The settings this field was built from.
     pub fn config(&self) -> &DefGsConfig {
         &self.config
     }

@@ -1,4 +1,4 @@
-//! The network of Deformable 3D Gaussians, block by block; the mathematics stands in [`defgs`](super::defgs).
+//! The network of Deformable 3D Gaussians, block by block; for the equations see [`defgs`](super::defgs).
 
 use super::defgs::DefGsConfig;
 use crate::apply::OffsetColumns;
@@ -16,19 +16,19 @@ pub(super) struct DefNet {
     config: DefGsConfig,
     time_net: Option<Mlp>,
     layers: Vec<Dense>,
-    /// Means, quats, scales.
+    /// Heads of means, quats, scales.
     heads: [Dense; 3],
     /// Widths of the encoded position and of the time features.
     inputs: (usize, usize),
 }
 
-/// What all blocks of a call share.
+/// Values shared by all blocks of a call.
 #[derive(Clone, Debug, Default)]
 pub(super) struct DefNetTape {
-    /// The encoded time.
+    /// The positionally encoded time.
     time: Vec<f32>,
     time_net: MlpTape,
-    /// Biases of the layers, time folded in where a layer sees it.
+    /// Biases of all layers, with the time folded in where it is an input.
     biases: Vec<Vec<f32>>,
     d_time: Vec<f32>,
     d_bias: Vec<f32>,
@@ -40,9 +40,9 @@ pub(super) struct DefNetTape {
 pub(super) struct Block {
     position: Vec<f32>,
     hidden: Vec<Vec<f32>>,
-    /// Output of the heads.
+    /// Outputs of the three heads.
     pub offsets: OffsetColumns,
-    /// Their cotangents, to be filled in before [`DefNet::backward_block`].
+    /// Cotangents of `offsets`, filled in by the caller before [`DefNet::backward_block`].
     pub d_offsets: OffsetColumns,
     /// Cotangents of the current layer's output and of its hidden input.
     d: [Vec<f32>; 2],
@@ -56,7 +56,7 @@ pub(super) struct ChunkGrad {
 }
 
 impl DefNet {
-    pub fn new(config: &DefGsConfig, seed: u64) -> Self {
+    pub(super) fn new(config: &DefGsConfig, seed: u64) -> Self {
         let position = encoding::width(3, config.bands_position);
         let encoded_time = encoding::width(1, config.bands_time);
         let time_net = (config.time_hidden > 0).then(|| {
@@ -66,7 +66,7 @@ impl DefNet {
         let time = time_net.as_ref().map_or(encoded_time, Mlp::outputs);
         let layer = |i: usize| {
             let hidden = if i == 0 { 0 } else { config.width };
-            let input = if sees_input(config, i) { position + time } else { 0 };
+            let input = if takes_input(config, i) { position + time } else { 0 };
             Dense::new(&format!("field.layer.{i}"), input + hidden, config.width, Init::FanIn, seed)
         };
         let last = if config.zero_init { Init::Zero } else { Init::FanIn };
@@ -82,12 +82,12 @@ impl DefNet {
 
     /// Columns of the encoded position, of the time features and of the hidden input in a layer's weight.
     fn columns(&self, layer: usize) -> [Range<usize>; 3] {
-        let (position, time) = if sees_input(&self.config, layer) { self.inputs } else { (0, 0) };
+        let (position, time) = if takes_input(&self.config, layer) { self.inputs } else { (0, 0) };
         [0..position, position..position + time, position + time..self.layers[layer].inputs()]
     }
 
-    /// Encodes the time and folds it into the biases of the layers that see it.
-    pub fn fold_time(&self, t: Time, tape: &mut DefNetTape) {
+    /// Encodes the time and folds it into the biases of the layers that take it as input.
+    pub(super) fn fold_time(&self, t: Time, tape: &mut DefNetTape) {
         tape.time.resize(encoding::width(1, self.config.bands_time), 0.0);
         encoding::encode(&[t.normalised], 1, self.config.bands_time, &mut tape.time);
         if let Some(net) = &self.time_net {
@@ -101,7 +101,7 @@ impl DefNet {
         }
     }
 
-    pub fn forward_block(&self, tape: &DefNetTape, means: &[Vec3], block: &mut Block) {
+    pub(super) fn forward_block(&self, tape: &DefNetTape, means: &[Vec3], block: &mut Block) {
         let Block { position, hidden, offsets, .. } = block;
         position.resize(means.len() * self.inputs.0, 0.0);
         for (p, row) in means.iter().zip(position.chunks_exact_mut(self.inputs.0)) {
@@ -130,8 +130,8 @@ impl DefNet {
         }
     }
 
-    /// The way back of [`DefNet::forward_block`] from `block.d_offsets`: adds to `grad`. The centres need no cotangent.
-    pub fn backward_block(&self, block: &mut Block, grad: &mut ChunkGrad) {
+    /// Backward of [`DefNet::forward_block`] from `block.d_offsets`: adds to `grad`. The means get no cotangent.
+    pub(super) fn backward_block(&self, block: &mut Block, grad: &mut ChunkGrad) {
         let Block { position, hidden, d_offsets, d: [d_out, d_in], .. } = block;
         let last = hidden.last().map_or(&[][..], Vec::as_slice);
         d_out.clear();
@@ -157,16 +157,16 @@ impl DefNet {
         }
     }
 
-    /// Makes `grad` zero, reusing memory.
-    pub fn reset(&self, grad: &mut ChunkGrad) {
+    /// Sets `grad` to zero, reusing memory.
+    pub(super) fn reset(&self, grad: &mut ChunkGrad) {
         grad.layers.resize_with(self.layers.len(), DenseGrad::default);
         grad.layers.iter_mut().zip(&self.layers).for_each(|(g, l)| g.reset(l));
         grad.heads.iter_mut().zip(&self.heads).for_each(|(g, l)| g.reset(l));
     }
 
-    /// Adds the chunks' gradients to the parameters, then follows the time: from what was added to the biases of the
-    /// layers that see it to their time columns and to the time network.
-    pub fn add_grads(&mut self, tape: &mut DefNetTape, chunks: &[ChunkGrad]) {
+    /// Adds the chunks' gradients to the parameters, then back-propagates the bias gradients of the layers that take
+    /// the time to their time columns and to the time network.
+    pub(super) fn add_grads(&mut self, tape: &mut DefNetTape, chunks: &[ChunkGrad]) {
         for (k, head) in self.heads.iter_mut().enumerate() {
             head.add_grads(chunks.iter().map(move |g| &g.heads[k]));
         }
@@ -177,7 +177,7 @@ impl DefNet {
         let features = if self.time_net.is_some() { time_net.output() } else { time.as_slice() };
         d_time.clear();
         d_time.resize(features.len(), 0.0);
-        for i in (0..self.layers.len()).filter(|&i| sees_input(&self.config, i)) {
+        for i in (0..self.layers.len()).filter(|&i| takes_input(&self.config, i)) {
             let [_, columns, _] = self.columns(i);
             d_bias.clear();
             d_bias.resize(self.layers[i].outputs(), 0.0);
@@ -194,8 +194,8 @@ impl DefNet {
     }
 }
 
-/// Whether a layer sees the encoded position and time.
-fn sees_input(config: &DefGsConfig, layer: usize) -> bool {
+/// Whether a layer takes the encoded position and time as input.
+fn takes_input(config: &DefGsConfig, layer: usize) -> bool {
     layer == 0 || layer == config.skip.saturating_add(1)
 }
 

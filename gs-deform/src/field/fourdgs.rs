@@ -1,5 +1,5 @@
-//! The field of 4D Gaussian Splatting (Wu et al. 2024), and of the local stage of MoDec-GS (Kwak et al. 2025): a net on
-//! planes, and one head per moving column.
+//! The field of 4D Gaussian Splatting (Wu et al. 2024), and of the local stage of MoDec-GS (Kwak et al. 2025): a
+//! [`PlaneNet`] with one head per deformed column.
 //!
 //! ```text
 //! δx (3), δs (3), δr (4) = PlaneNet(μ, t)         see field::plane_net
@@ -7,11 +7,12 @@
 //! s' = s · exp(δs)     or     min(|s + δs|, D)    D: diagonal of the box
 //! ```
 //! The reference starts its last layers at random, which moves every splat by a random, nearly constant offset at the
-//! first step; here they start at **zero**, so that the field is the identity bit for bit until it is trained (with sums
-//! on scales: for scales from 0 to the diagonal). [`FourDgsConfig::zero_init`] switches back.
+//! first step; here they start at **zero**, so that the field is the identity bit for bit until it is trained (with
+//! sums on scales: for scales from 0 to the diagonal). [`FourDgsConfig::zero_init`] switches back.
 //!
-//! The centre is where the grid is read, so a gradient flows through the grid into the centres; the reference keeps it
-//! and so does this field. [`FourDgsConfig::detach_coordinates`] drops it, which saves about a tenth of the encoder's way back.
+//! The planes are sampled at the means, so the means get a gradient through the encoder; the reference keeps it and so
+//! does this field. [`FourDgsConfig::detach_coordinates`] drops it, which saves about a tenth of the encoder's
+//! backward.
 
 use super::Field;
 use super::plane_net::{NetBlock, PlaneNet, PlaneNetConfig, PlaneNetTape};
@@ -28,23 +29,24 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct FourDgsConfig {
-    /// Width of trunk and heads.
+    /// Width of trunk and heads, 1 to 4096.
     pub width: usize,
-    /// Linear layers in the trunk; 0 counts as 1, as in the reference.
+    /// Linear layers in the trunk, at most 64; 0 counts as 1, as in the reference.
     pub depth: usize,
-    /// Whether centres move.
+    /// Whether there is a head for means.
     pub move_means: bool,
-    /// Whether scales change.
+    /// Whether there is a head for scales.
     pub move_scales: bool,
-    /// Whether rotations change.
+    /// Whether there is a head for rotations.
     pub move_quats: bool,
-    /// Start the heads' last layers at zero (identity field) instead of as the reference does.
+    /// Start the heads' last layers at zero, so that the field is the identity, instead of at random as the reference
+    /// does.
     pub zero_init: bool,
-    /// How an offset changes a scale.
+    /// Rule for the offsets of scales; with [`ScaleRule::Add`] scales are limited to the diagonal of the box.
     pub scale_rule: ScaleRule,
-    /// Treat the centres as constants where the grid is read.
+    /// Sample the planes at the means as constants: no gradient through the encoder.
     pub detach_coordinates: bool,
-    /// The encoder.
+    /// Size and regularisers of the planes.
     pub hexplane: HexPlaneConfig,
 }
 
@@ -70,37 +72,38 @@ impl FourDgsConfig {
         PlaneNetConfig { width, depth, zero_init, hexplane: hexplane.clone() }
     }
 
-    /// Half the channels and a grid of 48³: about two thirds of the time and a third of the parameters of the default.
+    /// Half the channels and planes of 48² nodes: about two thirds of the time and a third of the parameters of the
+    /// default.
     pub fn fast() -> Self {
         let hexplane = HexPlaneConfig { resolution: [48, 48, 48, 75], channels: 16, ..HexPlaneConfig::default() };
         Self { hexplane, ..Self::default() }
     }
 }
 
-/// The field; see the [module](self).
+/// The field of 4D Gaussian Splatting; see the [module](self).
 #[derive(Clone, Debug)]
 pub struct HexPlaneField {
     config: FourDgsConfig,
     net: PlaneNet,
-    /// The head of means, scales, quats; those that do not move have none.
+    /// Head index of means, scales, quats; `None` for columns that are not deformed.
     heads: [Option<usize>; 3],
     apply: Apply,
 }
 
-/// Scratch of a [`HexPlaneField`].
+/// Activations of a [`HexPlaneField`] between forward and backward.
 #[derive(Clone, Debug, Default)]
 pub struct HexPlaneTape {
     net: PlaneNetTape,
-    /// Cotangents of the offsets of each block.
+    /// Cotangents of each block's offsets.
     d_offsets: Vec<OffsetColumns>,
 }
 
 impl HexPlaneField {
-    /// A field over the box, its parameters named `{name}.planes.…`, `{name}.trunk.…`, `{name}.hidden.…` and
+    /// A field over the box `aabb`. Parameters are named `{name}.planes.…`, `{name}.trunk.…`, `{name}.hidden.…` and
     /// `{name}.means.…`, `{name}.scales.…`, `{name}.quats.…`.
     ///
     /// # Errors
-    /// If a setting cannot be built; the message names it.
+    /// If a setting is out of its domain; the message names it.
     pub fn new(name: &str, config: &FourDgsConfig, aabb: Aabb, seed: u64) -> Result<Self, DeformError> {
         let wanted = [config.move_means, config.move_scales, config.move_quats];
         let columns = [("means", 3), ("scales", 3), ("quats", 4)].into_iter().zip(wanted);
@@ -115,39 +118,40 @@ impl HexPlaneField {
         })
     }
 
-    /// The settings of its net.
+    /// The settings of the [`PlaneNet`] inside.
     pub fn net_config(&self) -> PlaneNetConfig {
         self.config.net()
     }
 
-    /// The settings it was built from.
+    /// The settings this field was built from.
     pub fn config(&self) -> &FourDgsConfig {
         &self.config
     }
 
-    /// The encoder.
+    /// The planes that the means are encoded by.
     pub fn hexplane(&self) -> &HexPlane {
         self.net.hexplane()
     }
 
-    /// How offsets change splats.
+    /// The rules by which this field applies its offsets.
     pub fn rule(&self) -> Apply {
         self.apply
     }
 
-    /// The offsets of splats with these centres at time `t`, without applying them; a column that does not move is empty.
-    pub fn offsets_at(&self, centers: &[Vec3], t: Time, tape: &mut HexPlaneTape, out: &mut OffsetColumns) {
-        self.net.forward(centers, t, &mut tape.net);
+    /// Writes the offsets of splats with these means (world units) at timestamp `t` to `out`, without applying them; a
+    /// column without a head is empty.
+    pub fn offsets_at(&self, means: &[Vec3], t: Time, tape: &mut HexPlaneTape, out: &mut OffsetColumns) {
+        self.net.forward(means, t, &mut tape.net);
         let OffsetColumns { means, scales, quats } = out;
         [&mut *means, &mut *scales, &mut *quats].into_iter().for_each(Vec::clear);
-        for said in tape.net.blocks().iter().map(|block| self.offsets(block)) {
-            means.extend_from_slice(said.means);
-            scales.extend_from_slice(said.scales);
-            quats.extend_from_slice(said.quats);
+        for offsets in tape.net.blocks().iter().map(|block| self.offsets(block)) {
+            means.extend_from_slice(offsets.means);
+            scales.extend_from_slice(offsets.scales);
+            quats.extend_from_slice(offsets.quats);
         }
     }
 
-    /// The heads' outputs; one that does not exist is empty, which stands for zero offsets.
+    /// The heads' outputs for a block; a head that does not exist gives an empty column.
     fn offsets<'a>(&self, block: &'a NetBlock) -> Offsets<'a> {
         let [means, scales, quats] = self.heads.map(|head| head.map_or(&[][..], |h| block.head(h)));
         Offsets { means, scales, quats }

@@ -1,5 +1,5 @@
-//! Deformation fields: what moves the splats, and how a loss on the moved splats reaches the canonical ones and the
-//! field's parameters.
+//! Deformation fields: canonical splats to splats at a timestamp, and the gradients of both the canonical splats and
+//! the field's parameters.
 
 pub mod anneal;
 pub mod defgs;
@@ -14,25 +14,44 @@ pub use grid4d::{Grid4dConfig, Grid4dField};
 use gs_core::{Params, Splats, SplatsGrad, Time};
 pub use plane_net::{PlaneNet, PlaneNetConfig, PlaneNetTape};
 
-/// A deformation field: canonical splats to splats at a time. Colours and opacities pass through unchanged.
+/// A deformation field: canonical splats to splats at a timestamp. Colours and opacities pass through unchanged.
 ///
-/// Every method is bitwise reproducible for any number of rayon threads and works on any number of splats.
+/// Every method gives the same bits for any number of rayon threads and works on any number of splats.
+///
+/// ```
+/// use gs_core::{Splats, SplatsGrad, Time};
+/// use gs_deform::{DefGsConfig, DefMlp, Field};
+/// use glam::Vec3;
+///
+/// let (means, quats, scales) = (vec![Vec3::X], vec![[1.0, 0.0, 0.0, 0.0]], vec![Vec3::ONE]);
+/// let canonical = Splats { means, quats, scales, opacities: vec![1.0], ..Splats::default() };
+/// let (mut field, mut tape, mut out) = (DefMlp::new(&DefGsConfig::fast(), 1)?, Default::default(), Splats::default());
+/// field.forward(&canonical, Time::new(0.5)?, &mut tape, &mut out);
+/// let d_out = SplatsGrad { means: vec![Vec3::Y], ..SplatsGrad::zeros_like(&out) };
+/// let mut d_canonical = SplatsGrad::zeros_like(&canonical);
+/// for calls in 1..=2 {
+///     field.backward(&canonical, &mut tape, &d_out, &mut d_canonical);
+///     assert_eq!(d_canonical.means[0], calls as f32 * Vec3::Y, "added; this field reads its means as constants");
+/// }
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub trait Field: Params + Send + Sync {
-    /// Scratch owned by the caller and reused between calls: nothing is allocated once it is warm.
+    /// Activations between forward and backward, owned by the caller and reused: a warm tape allocates nothing.
     type Tape: Default + Send;
 
-    /// Writes the splats at time `t` to `out` (all columns, resized as needed).
+    /// Writes the splats at timestamp `t` to `out`: all columns, resized to `canonical`.
     fn forward(&self, canonical: &Splats, t: Time, tape: &mut Self::Tape, out: &mut Splats);
 
-    /// The way back. Adds into its own parameters' `grad` and into `d_canonical` (shaped like `canonical`); never
-    /// overwrites. `tape` must come from [`Field::forward`] of the same splats with unchanged parameters.
+    /// Backward of [`Field::forward`] from the cotangents `d_out` of its output: adds to the parameters' `grad` and to
+    /// `d_canonical` (shaped like `canonical`). `tape` must come from a forward of the same splats with the same
+    /// parameters.
     fn backward(&mut self, canonical: &Splats, tape: &mut Self::Tape, d_out: &SplatsGrad, d_canonical: &mut SplatsGrad);
 
-    /// Regularisers that need no image: adds their weighted gradients, returns their weighted values by name. `canonical`
-    /// and `t` are those of the step's [`Field::forward`]; `step` (from 1) picks the random numbers, if there are any.
+    /// Loss terms that need no image: adds their weighted gradients to the parameters, returns their weighted values by
+    /// name. `canonical` and `t` are those of the step's [`Field::forward`]; `step` (from 1) seeds the random numbers.
     fn regularise(&mut self, canonical: &Splats, t: Time, step: u32) -> Vec<(&'static str, f32)>;
 
-    /// Numbers about each splat at a time that are worth looking at, by name (a gate, say); one value per splat each.
+    /// Scalar attributes of the splats at a timestamp for inspection, by name (a gate, for example): `[splats]` each.
     fn quantities(&self, _canonical: &Splats, _t: Time) -> Vec<(&'static str, Vec<f32>)> {
         Vec::new()
     }

@@ -1,18 +1,29 @@
-//! A HexPlane read by a small network with several outputs: the body of every field built on planes.
+//! A HexPlane and a small MLP with several heads: the network of every field built on planes.
 //!
 //! ```text
 //! f = HexPlane(p, t)                              see encode::hexplane
 //! h = relu(trunk(f))                              Linear(F→W), then depth−1 × (ReLU, Linear(W→W))
 //! y_k = W₂ₖ relu(W₁ₖ h + b₁ₖ) + b₂ₖ               one head k per output column; see gs_core::nn::heads
 //! ```
-//! Weights start Xavier-uniform with biases U(±1/√fan-in). The reference starts its last layers so too, which makes every
-//! output a random, nearly constant number at the first step; here they start at **zero**, so that a net says nothing
-//! until it is trained. [`PlaneNetConfig::zero_init`] switches back.
+//! Weights start Xavier-uniform with biases U(±1/√fan-in). The reference starts its last layers the same way, which
+//! makes every output a random, nearly constant number at the first step; here they start at **zero**, so that an
+//! untrained net outputs zero. [`PlaneNetConfig::zero_init`] switches back.
 //!
-//! Points lie in blocks of [`BLOCK`](gs_core::nn::BLOCK) rows; outputs and their cotangents stay in the tape, block by block, where the
-//! caller reads and writes them in parallel ([`PlaneNetTape::blocks`]).
+//! Points are split into blocks of [`BLOCK`](gs_core::nn::BLOCK) rows; outputs and their cotangents stay in the tape,
+//! block by block, where the caller reads and writes them in parallel ([`PlaneNetTape::blocks`]).
+//!
+//! ```
+//! use gs_core::Time;
+//! use gs_deform::{Aabb, PlaneNet, PlaneNetConfig, PlaneNetTape};
+//!
+//! let net = PlaneNet::new("net", &PlaneNetConfig::default(), &[("means", 3), ("features", 32)], Aabb::cube(1.0), 1)?;
+//! let mut tape = PlaneNetTape::default();
+//! net.forward(&[glam::Vec3::ZERO; 2], Time::new(0.5)?, &mut tape);
+//! assert_eq!(tape.blocks()[0].head(1), [0.0; 2 * 32], "two rows of 32 outputs, zero before training");
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
-use crate::encode::{HexPlane, HexPlaneConfig, HexTape, Places};
+use crate::encode::{GridCells, HexPlane, HexPlaneConfig, HexTape};
 use crate::{Aabb, DeformError};
 use glam::Vec3;
 use gs_core::nn::{self, CHUNKS, Heads, HeadsGrad, HeadsTape, Init, Mlp, MlpGrad, MlpTape};
@@ -24,13 +35,13 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct PlaneNetConfig {
-    /// Width of trunk and heads.
+    /// Width of trunk and heads, 1 to 4096.
     pub width: usize,
-    /// Linear layers in the trunk; 0 counts as 1, as in the reference.
+    /// Linear layers in the trunk, at most 64; 0 counts as 1, as in the reference.
     pub depth: usize,
-    /// Start the heads' last layers at zero (the net says nothing) instead of as the reference does.
+    /// Start the heads' last layers at zero, so that all outputs are zero, instead of at random as the reference does.
     pub zero_init: bool,
-    /// The encoder.
+    /// Size and regularisers of the planes.
     pub hexplane: HexPlaneConfig,
 }
 
@@ -52,7 +63,7 @@ impl PlaneNetConfig {
     }
 }
 
-/// The net; see the [module](self).
+/// A HexPlane with an MLP of several heads; see the [module](self).
 #[derive(Clone, Debug)]
 pub struct PlaneNet {
     hexplane: HexPlane,
@@ -60,7 +71,7 @@ pub struct PlaneNet {
     heads: Heads,
 }
 
-/// Scratch of a [`PlaneNet`], reused between calls.
+/// Activations of a [`PlaneNet`] between forward and backward, reused between calls.
 #[derive(Clone, Debug, Default)]
 pub struct PlaneNetTape {
     hex: HexTape,
@@ -68,14 +79,14 @@ pub struct PlaneNetTape {
     chunks: Vec<ChunkGrad>,
 }
 
-/// What a net says about one block of points.
+/// Outputs of a [`PlaneNet`] for one block of points.
 #[derive(Clone, Debug, Default)]
 pub struct NetBlock {
     trunk: MlpTape,
     heads: HeadsTape,
 }
 
-/// Parameter gradients of one chunk of blocks, and scratch.
+/// Parameter gradients of one chunk of blocks.
 #[derive(Clone, Debug, Default)]
 struct ChunkGrad {
     trunk: MlpGrad,
@@ -89,7 +100,7 @@ impl NetBlock {
         &self.heads.out[h]
     }
 
-    /// Cotangent of [`NetBlock::head`], same shape: to be filled in before [`PlaneNet::backward`].
+    /// Cotangent of [`NetBlock::head`], same shape: the caller fills it in before [`PlaneNet::backward`].
     pub fn head_grad_mut(&mut self, h: usize) -> &mut [f32] {
         &mut self.heads.d_out[h]
     }
@@ -101,18 +112,19 @@ impl PlaneNetTape {
         &self.blocks
     }
 
-    /// The same, to write cotangents to.
+    /// [`PlaneNetTape::blocks`], to write cotangents to.
     pub fn blocks_mut(&mut self) -> &mut [NetBlock] {
         &mut self.blocks
     }
 }
 
 impl PlaneNet {
-    /// A net over the box with the given heads (name, outputs). Parameters are named `{name}.planes.{pair}.{level}`,
-    /// `{name}.trunk.{layer}.…`, `{name}.hidden.…` (all heads' first layers) and `{name}.{head}.…`.
+    /// A net over the box `aabb` with the given heads (name, outputs). Parameters are named
+    /// `{name}.planes.{pair}.{level}`, `{name}.trunk.{layer}.…`, `{name}.hidden.…` (all heads' first layers) and
+    /// `{name}.{head}.…`.
     ///
     /// # Errors
-    /// If a setting cannot be built; the message names it.
+    /// If a setting is out of its domain; the message names it.
     pub fn new(
         name: &str,
         config: &PlaneNetConfig,
@@ -130,24 +142,24 @@ impl PlaneNet {
         Ok(Self { hexplane, trunk, heads: Heads::new(name, [config.width; 2], heads, last, seed) })
     }
 
-    /// The encoder.
+    /// The planes that points are encoded by.
     pub fn hexplane(&self) -> &HexPlane {
         &self.hexplane
     }
 
-    /// Evaluates all heads at all points at one time; outputs are left in [`PlaneNetTape::blocks`].
+    /// Evaluates all heads at all points (world units) at one timestamp; the outputs are in [`PlaneNetTape::blocks`].
     pub fn forward(&self, points: &[Vec3], t: Time, tape: &mut PlaneNetTape) {
         self.hexplane.forward(points, t, &mut tape.hex);
         self.forward_dense(tape);
     }
 
-    /// Finds the cells of points that never move, for [`PlaneNet::forward_placed`] at any time and training step.
-    pub fn place(&self, points: &[Vec3]) -> Places {
+    /// Finds the cells of static points, for [`PlaneNet::forward_placed`] at any time and training step.
+    pub fn place(&self, points: &[Vec3]) -> GridCells {
         self.hexplane.place(points)
     }
 
-    /// [`PlaneNet::forward`] for points placed before: the same bits.
-    pub fn forward_placed(&self, places: &Places, t: Time, tape: &mut PlaneNetTape) {
+    /// [`PlaneNet::forward`] for points whose cells are known: the same bits.
+    pub fn forward_placed(&self, places: &GridCells, t: Time, tape: &mut PlaneNetTape) {
         self.hexplane.forward_placed(places, t, &mut tape.hex);
         self.forward_dense(tape);
     }
@@ -160,8 +172,8 @@ impl PlaneNet {
         });
     }
 
-    /// The way back of [`PlaneNet::forward`] from the cotangents in the tape's blocks: adds to the parameters' gradients
-    /// and, where given, to `d_points` (world units). Without `d_points` the points count as constants.
+    /// Backward of [`PlaneNet::forward`] from the cotangents in the tape's blocks: adds to the parameters' gradients
+    /// and, if given, to `d_points` (`[points]`, world units). Without `d_points` the points count as constants.
     pub fn backward(&mut self, tape: &mut PlaneNetTape, d_points: Option<&mut [Vec3]>) {
         let PlaneNetTape { hex, blocks, chunks } = tape;
         let per_chunk = nn::blocks_per_chunk(blocks.len());

@@ -1,11 +1,11 @@
-//! A [`Grid4dField`] in `f64`: one splat at a time, every branch written out, none of the savings.
+//! A [`Grid4dField`] in `f64`: one splat at a time, every option written out, no optimisations.
 
 use super::HashGridRef;
 use crate::field::grid4d::{Fusion, GateMode, Grid4dConfig, Grid4dField, WaveTime, frequency};
 use gs_core::{Params, Time, rot};
 use std::collections::BTreeMap;
 
-/// A field in `f64`: see [`Grid4dField`] for the mathematics.
+/// A [`Grid4dField`] in `f64`, one splat at a time.
 #[derive(Clone, Debug)]
 pub struct Grid4dRef {
     config: Grid4dConfig,
@@ -13,7 +13,7 @@ pub struct Grid4dRef {
     layers: BTreeMap<String, Vec<f64>>,
 }
 
-/// The grids by parameter name, with the coordinates they read (3 is time).
+/// The grids' parameter names and the coordinates they read (3 is time).
 const GRIDS: [(&str, [usize; 3]); 4] = [
     ("field.grids.xyz", [0, 1, 2]),
     ("field.grids.xyt", [0, 1, 3]),
@@ -22,7 +22,7 @@ const GRIDS: [(&str, [usize; 3]); 4] = [
 ];
 
 impl Grid4dRef {
-    /// A copy of a field.
+    /// Copies the parameters of a field.
     pub fn new(field: &Grid4dField) -> Self {
         let mut layers = BTreeMap::new();
         field.visit(&mut |p| {
@@ -34,7 +34,7 @@ impl Grid4dRef {
         Self { config: field.config().clone(), grids, layers }
     }
 
-    /// The values of a parameter block, to change them; `None` if there is no block of this name.
+    /// The values of the parameter block `name`, to change them; `None` if there is none.
     pub fn block(&mut self, name: &str) -> Option<&mut Vec<f64>> {
         match self.grids.get_mut(name) {
             Some(grid) => Some(&mut grid.table),
@@ -49,14 +49,14 @@ impl Grid4dRef {
         weight.chunks(x.len()).zip(bias).map(dot).collect()
     }
 
-    /// Place and time in the unit cube.
-    fn place(&self, x: [f64; 3], t: Time) -> [f64; 4] {
+    /// Position and time in coordinates of the unit cube.
+    fn normalised(&self, x: [f64; 3], t: Time) -> [f64; 4] {
         let b = f64::from(self.config.bound);
         let t = (0.05 + 0.9 * f64::from(t.normalised)).clamp(0.0, 1.0);
         [(x[0] + b) / (2.0 * b), (x[1] + b) / (2.0 * b), (x[2] + b) / (2.0 * b), t]
     }
 
-    /// `f_fre`.
+    /// `f_fre`, `[2m]`.
     fn waves(&self, z: &[f64], t: Time) -> Vec<f64> {
         let fourier = &self.config.fourier;
         let mut w = z.to_vec();
@@ -72,9 +72,9 @@ impl Grid4dRef {
         w.iter().enumerate().flat_map(|(i, w)| [w * angle(i).sin(), w * angle(i).cos()]).collect()
     }
 
-    /// The row of the head for a place.
+    /// The head's outputs at a point `x`, world units: `[η_raw (with a gate), ρ 4, τ 3, Δr 4, Δs 3]`.
     pub fn head(&self, x: [f64; 3], t: Time) -> Vec<f64> {
-        let at = self.place(x, t);
+        let at = self.normalised(x, t);
         let features = |k: usize| self.grids[GRIDS[k].0].features(GRIDS[k].1.map(|axis| at[axis]));
         let z = self.dense("space", &features(0));
         let sigmoid = |v: f64| 1.0 / (1.0 + (-v).exp());
@@ -96,9 +96,10 @@ impl Grid4dRef {
         self.dense("head", &h)
     }
 
-    /// A splat (mean 3, quat 4, scale 3) at a time. `x`: the place the grids are read at, a constant to gradients.
+    /// A splat (mean 3, quat 4, scale 3) at a timestamp. `x` is the point the grids are sampled at, the splat's mean;
+    /// it is separate because gradients treat it as a constant.
     pub fn moved(&self, x: [f64; 3], splat: [f64; 10], t: Time) -> [f64; 10] {
-        if !self.config.compat_grid4d && !self.place(x, t).iter().all(|c| (0.0..=1.0).contains(c)) {
+        if !self.config.compat_grid4d && !self.normalised(x, t).iter().all(|c| (0.0..=1.0).contains(c)) {
             return splat;
         }
         let head = self.head(x, t);

@@ -2,19 +2,16 @@
 
 use crate::encode::{HashGrid, HashGridConfig};
 
-/// A hash grid in `f64`: see [`HashGrid`] for the mathematics.
+/// A [`HashGrid`] in `f64`, one point at a time.
 #[derive(Clone, Debug)]
 pub struct HashGridRef {
-    /// All tables, level by level, `[entries, 2]`.
+    /// All tables as one block, level by level, `[entries, 2]`.
     pub table: Vec<f64>,
     config: HashGridConfig,
 }
 
-/// One corner of a cell: where its two values start in the table, and its weight.
-pub type Corner = (usize, f64);
-
 impl HashGridRef {
-    /// A copy of a grid.
+    /// Copies the tables of a grid.
     pub fn new(grid: &HashGrid) -> Self {
         Self { table: grid.table().value.iter().map(|&v| f64::from(v)).collect(), config: *grid.config() }
     }
@@ -49,8 +46,9 @@ impl HashGridRef {
         if stride > entries { u64::from(hashed) % entries } else { dense % entries }
     }
 
-    /// The eight corners of a point in a level; none outside the cube.
-    pub fn corners(&self, level: usize, point: [f64; 3]) -> Vec<Corner> {
+    /// The eight corners of a point's cell in a level: index of the corner's two values in `table`, and weight. None
+    /// outside the cube.
+    pub fn corners(&self, level: usize, point: [f64; 3]) -> Vec<(usize, f64)> {
         if !point.iter().all(|c| *c >= 0.0 && *c <= 1.0) {
             return Vec::new();
         }
@@ -73,7 +71,7 @@ impl HashGridRef {
         corners
     }
 
-    /// Features of one point.
+    /// Features of one point in the unit cube, `[2 · levels]`.
     pub fn features(&self, point: [f64; 3]) -> Vec<f64> {
         let mut out = Vec::new();
         for level in 0..self.config.levels {
@@ -83,7 +81,7 @@ impl HashGridRef {
         out
     }
 
-    /// The way back of [`HashGridRef::features`]: adds to `d_table` (shaped as `table`).
+    /// Backward of [`HashGridRef::features`]: adds to `d_table` (shaped as `table`).
     pub fn backward(&self, point: [f64; 3], d: &[f64], d_table: &mut [f64]) {
         for level in 0..self.config.levels {
             for (at, w) in self.corners(level, point) {

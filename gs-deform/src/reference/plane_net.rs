@@ -1,32 +1,32 @@
-//! A [`PlaneNet`] in `f64`: one point at a time, every head a network of its own, gradients written out.
+//! A [`PlaneNet`] in `f64`: one point at a time, every head separately.
 
 use super::HexPlaneRef;
 use crate::PlaneNet;
 use gs_core::{Params, Time};
 use std::collections::BTreeMap;
 
-/// A net in `f64`: see [`PlaneNet`] for the mathematics.
+/// A [`PlaneNet`] in `f64`, one point at a time.
 #[derive(Clone, Debug)]
 pub struct PlaneNetRef {
-    /// The encoder.
+    /// The planes that points are encoded by.
     pub hexplane: HexPlaneRef,
-    /// Everything but the planes, by parameter name without the net's own name: `trunk.0.weight`, `hidden.bias`.
+    /// Weights and biases by parameter name without the net's own name: `trunk.0.weight`, `hidden.bias`.
     pub layers: BTreeMap<String, Vec<f64>>,
-    /// Head names in order.
+    /// Head names in the order of the outputs.
     heads: Vec<String>,
 }
 
 /// Gradients of a [`PlaneNetRef`], shaped like it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlaneNetRefGrad {
-    /// As [`HexPlaneRef::planes`].
+    /// Gradients of [`HexPlaneRef::planes`].
     pub planes: Vec<Vec<f64>>,
-    /// As [`PlaneNetRef::layers`].
+    /// Gradients of [`PlaneNetRef::layers`].
     pub layers: BTreeMap<String, Vec<f64>>,
 }
 
 impl PlaneNetRef {
-    /// A copy of the net of the given name and heads.
+    /// Copies the parameters of a net with the given name and heads.
     pub fn new(name: &str, net: &PlaneNet, heads: &[&str]) -> Self {
         let mut layers = BTreeMap::new();
         let planes = format!("{name}.planes.");
@@ -40,7 +40,7 @@ impl PlaneNetRef {
         Self { hexplane: HexPlaneRef::new(net.hexplane()), layers, heads }
     }
 
-    /// Gradients of zero.
+    /// Gradients of zero, shaped like this net.
     pub fn zero_grad(&self) -> PlaneNetRefGrad {
         PlaneNetRefGrad {
             planes: self.hexplane.planes.iter().map(|p| vec![0.0; p.len()]).collect(),
@@ -79,27 +79,27 @@ impl PlaneNetRef {
         all
     }
 
-    /// The part of the hidden layer that belongs to a head.
-    fn share(&self, head: usize, hidden: usize) -> std::ops::Range<usize> {
+    /// The columns of the hidden layer that belong to a head.
+    fn columns(&self, head: usize, hidden: usize) -> std::ops::Range<usize> {
         let width = hidden / self.heads.len();
         head * width..(head + 1) * width
     }
 
-    /// Output of every head at a point.
+    /// Outputs of every head at one point (world units) and timestamp.
     pub fn outputs(&self, p: [f64; 3], t: Time) -> Vec<Vec<f64>> {
         let all = self.activations(p, t);
         let hidden = &all[all.len() - 1];
-        let head = |(h, name): (usize, &String)| self.dense(name, &hidden[self.share(h, hidden.len())]);
+        let head = |(h, name): (usize, &String)| self.dense(name, &hidden[self.columns(h, hidden.len())]);
         self.heads.iter().enumerate().map(head).collect()
     }
 
-    /// The way back of [`PlaneNetRef::outputs`]: adds to `grad`, returns the cotangent of `p`.
+    /// Backward of [`PlaneNetRef::outputs`]: adds to `grad`, returns the cotangent of `p`.
     pub fn backward(&self, p: [f64; 3], t: Time, d: &[Vec<f64>], grad: &mut PlaneNetRefGrad) -> [f64; 3] {
         let all = self.activations(p, t);
         let (hidden, below) = (&all[all.len() - 1], &all[..all.len() - 1]);
         let mut d_y = Vec::new();
         for (h, (name, d)) in self.heads.iter().zip(d).enumerate() {
-            d_y.extend(self.dense_backward(name, &hidden[self.share(h, hidden.len())], d, grad));
+            d_y.extend(self.dense_backward(name, &hidden[self.columns(h, hidden.len())], d, grad));
         }
         for (i, x) in below.iter().enumerate().rev() {
             d_y.iter_mut().zip(&all[i + 1]).for_each(|(d, y)| *d = if *y > 0.0 { *d } else { 0.0 });

@@ -5,16 +5,16 @@ use crate::DeformError;
 use serde::{Deserialize, Serialize};
 
 /// Values per table entry. The inner loops read two neighbours of two values as one register.
-pub const FEATURES: usize = 2;
+pub(crate) const FEATURES: usize = 2;
 
-/// Most values in all tables together: 2 GiB of `f32`.
+/// Largest number of values in all tables together: 2 GiB of `f32`.
 const MAX_VALUES: usize = 1 << 29;
 
 /// Largest resolution: beyond it an `f32` coordinate has fewer than seven bits left inside a cell.
 const MAX_RESOLUTION: f32 = 131_072.0;
 
-/// Size of a [`HashGrid`](super::HashGrid): resolution `base · (end / base)^(l / (levels − 1))` along each axis at level
-/// `l`, every axis growing at its own rate.
+/// Size of a [`HashGrid`](super::HashGrid): resolution `base · (end / base)^(l / (levels − 1))` along each axis at
+/// level `l`, every axis growing at its own rate.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct HashGridConfig {

@@ -1,30 +1,30 @@
-//! One resolution of a hash grid: how many nodes, and where each is kept.
+//! One resolution of a hash grid: its number of nodes and the table entry of each.
 //!
 //! ```text
 //! R_d = base_d (end_d / base_d)^(l / (L−1))      scale_d = R_d − 1      res_d = ⌈R_d − 1e-4⌉      n = min(2^T, Π res_d)
 //! dense  (Π res ≤ 2^T):   c_0 + res_0 (c_1 + res_1 c_2)
 //! hashed (otherwise):     (c_0 xor 2654435761 c_1 xor 805459861 c_2) mod n,      n a power of two
 //! ```
-//! The published code takes `⌈R⌉` of the rounded growth in two places: 512.0000001 on one side is 513 rows there and 512
-//! here. The margin of 1e-4, taken once, removes that; `scale` is capped to `res − 1` so that 1 is the last node.
+//! The published code takes `⌈R⌉` of the rounded growth in two places: 512.0000001 on one side is 513 rows there and
+//! 512 here. The margin of 1e-4, taken once, removes that; `scale` is capped to `res − 1` so that 1 is the last node.
 
 use super::config::HashGridConfig;
 
 /// The primes of Teschner et al. 2003, as Instant NGP uses them (Müller et al. 2022, Eq. 4).
 const PRIMES: [u32; 2] = [2_654_435_761, 805_459_861];
 
-/// One level; see the [module](self).
+/// Size and table layout of one level; see the [module](self).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Level {
     /// Nodes along each axis, at least 2.
     pub res: [u32; 3],
     /// Node spacings per unit of a coordinate.
     pub scale: [f32; 3],
-    /// Entries of the table.
+    /// Entries in this level's table: at most `2^log2_table`, two values each.
     pub entries: usize,
-    /// Entries of all levels before this one.
+    /// Number of entries in the tables of all coarser levels.
     pub start: usize,
-    /// Whether nodes share entries.
+    /// Whether nodes share entries by hashing; otherwise each has its own.
     pub hashed: bool,
 }
 
@@ -40,13 +40,13 @@ impl Level {
                 base * (end / base).powf(share)
             });
             let res = size.map(|r| (r - 1e-4).ceil());
-            let (nodes, most) = (res.iter().product::<f64>(), (1u64 << log2_table) as f64);
+            let (nodes, limit) = (res.iter().product::<f64>(), (1u64 << log2_table) as f64);
             let level = Self {
                 res: res.map(|r| r as u32),
                 scale: std::array::from_fn(|d| (size[d].min(res[d]) - 1.0) as f32),
-                entries: nodes.min(most) as usize,
+                entries: nodes.min(limit) as usize,
                 start,
-                hashed: nodes > most,
+                hashed: nodes > limit,
             };
             start += level.entries;
             level
@@ -54,8 +54,8 @@ impl Level {
         (0..levels).map(&mut level).collect()
     }
 
-    /// What the coordinates after the first contribute to the place of a node: [`Level::index`] adds the first (dense)
-    /// or mixes it in (hashed).
+    /// The part of a node's index that depends on its second and third coordinate; [`Level::index`] adds the first
+    /// (dense) or xors it in (hashed).
     #[inline(always)]
     pub(super) fn row(&self, c1: u32, c2: u32) -> u32 {
         if self.hashed {
@@ -65,7 +65,7 @@ impl Level {
         }
     }
 
-    /// Entry of node `c` (each coordinate below [`Level::res`]), counted from the first of this level.
+    /// Table entry of node `c` (each coordinate below [`Level::res`]), counted from the first entry of this level.
     #[inline(always)]
     pub fn index(&self, c: [u32; 3]) -> usize {
         let row = self.row(c[1], c[2]);
@@ -92,12 +92,12 @@ mod tests {
     #[test]
     fn nodes_are_hashed_as_published() {
         let level = Level { res: [2048; 3], scale: [2047.0; 3], entries: 1 << 19, start: 0, hashed: true };
-        for (c, whole, place) in [
+        for (c, hash, entry) in [
             ([3, 5, 7], 1_191_511_397, 329_061),
             ([100, 200, 300], 3_655_970_992, 110_768),
             ([2047, 1, 1024], 2_540_251_726, 76_366),
         ] {
-            assert_eq!((c[0] ^ level.row(c[1], c[2]), level.index(c)), (whole, place));
+            assert_eq!((c[0] ^ level.row(c[1], c[2]), level.index(c)), (hash, entry));
         }
         let dense = Level { hashed: false, entries: 60, res: [5, 4, 3], ..level };
         assert_eq!((dense.index([0; 3]), dense.index([1, 2, 1]), dense.index([4, 3, 2])), (0, 31, 59));

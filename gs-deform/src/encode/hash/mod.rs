@@ -1,51 +1,67 @@
-//! Hash grid: a point in the unit cube to features, at several resolutions (Müller et al. 2022, Instant NGP), with a
-//! growth of its own along every axis as Grid4D has it (Xu et al. 2024).
+//! Hash grid: from a point in the unit cube to features at several resolutions (Müller et al. 2022, Instant NGP), with
+//! a growth factor per axis as in Grid4D (Xu et al. 2024).
 //!
 //! ```text
 //! p_d = x̂_d scale_{l,d}      i = ⌊p⌋      f = p − i      w = f² (3 − 2f)
 //! feature_l = Σ over the eight corners c of the cell:  Π_d (c_d = i_d + 1 ? w_d : 1 − w_d) · table_l[index(c)]
 //! ```
-//! [`level`] says what `scale` and `index` are. Features stand level by level, two values each. Smoothstep weights make
-//! the feature once differentiable in the point; the point itself gets no gradient here.
-//! * **Outside**: a point with any coordinate outside `[0, 1]` (or not a number) has features of zero and moves nothing.
-//! * **One third coordinate for all points** (a moment in time): [`HashGrid::slice`] blends the tables along it once,
-//!   and a point reads four corners instead of eight; see [`mod@slice`].
-//! * **Back**: every task owns the tables of a few neighbouring levels and walks the points in order: no private copies,
-//!   no atomics, the same sums for any number of threads.
+//! [`level`] defines `scale` and `index`. Features are ordered level by level, two values each. Smoothstep weights make
+//! the features once differentiable in the point; the point itself gets no gradient here.
+//! * **Outside**: a point with any coordinate outside `[0, 1]` (or NaN) has features of zero and adds no gradient.
+//! * **One third coordinate for all points** (a timestamp): [`HashGrid::slice`] blends the tables along it once, and a
+//!   point reads four corners instead of eight; see [`mod@slice`].
+//! * **Backward**: every task owns the tables of a few neighbouring levels and visits the points in order: no private
+//!   copies, no atomics, the same sums for any number of threads.
+//!
+//! ```
+//! use gs_core::Params;
+//! use gs_deform::encode::{Columns, HashGrid, HashGridConfig};
+//!
+//! let config = HashGridConfig { base: [4.0; 3], end: [64.0; 3], levels: 5, log2_table: 10 };
+//! let mut grid = HashGrid::new("grid", &config, 1)?;
+//! assert_eq!((grid.width(), grid.levels()[0].hashed, grid.levels()[4].hashed), (10, false, true));
+//! grid.visit_mut(&mut |table| table.value.fill(0.75));
+//! let mut features = vec![0.0; 2 * 10];
+//! grid.forward(&[[0.0, 0.0, 0.0], [0.5, 0.5, 1.5]], &mut features, Columns { stride: 10, offset: 0 });
+//! assert_eq!(features[..10], [0.75; 10], "a constant table is a constant feature");
+//! assert_eq!(features[10..], [0.0; 10], "outside the cube there is none");
+//! # Ok::<(), gs_deform::DeformError>(())
+//! ```
 //!
 //! # What it leaves out
-//! Levels share no cells, even at equal `res`: their `scale` differs. Tables in half precision: without an instruction
-//! for the conversion that every machine has, they are read more slowly than `f32` at every size (bench `hash`). Points
-//! are not sorted: measured along a Morton curve, splats on a surface lie too far apart to gain.
+//! Levels share no cells, even at equal `res`: their `scale` differs. No tables in half precision: without a conversion
+//! instruction on every machine they are read more slowly than `f32` at every size (bench `hash`). Points are not
+//! sorted: measured along a Morton curve, splats on a surface lie too far apart to gain.
 
+mod cells;
 pub mod config;
 pub mod level;
-mod place;
 pub mod slice;
 mod space;
 
 use crate::DeformError;
+use cells::{BLOCK, Cells, Points, Scratch};
 use config::{FEATURES, HashGridConfig};
 use fearless_simd::{Level as SimdLevel, dispatch};
 use gs_core::{Param, Params, Rng};
 use level::Level;
-use place::{BLOCK, Cells, Points, Scratch};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Points of a task on the way forward.
+/// Points of one forward task.
 const CHUNK: usize = 1024;
 
-/// Most levels of a group. Together they read cotangents by the cache line; one group is one task on the way back.
+/// Largest number of levels in a group. Together they read whole cache lines of cotangents; a group is one backward
+/// task.
 const GROUP: usize = 4;
 
-/// Most entries of a group of several levels: half a megabyte stays in the second-level cache.
+/// Largest number of entries in a group of several levels: half a megabyte stays in the second-level cache.
 const GROUP_ENTRIES: usize = 1 << 16;
 
-/// Half the width of the interval that fresh tables are drawn from.
+/// Tables start uniform in ±this.
 const INIT: f32 = 1e-4;
 
-/// Where the features of a grid stand in a wider matrix `[points, stride]`: row `r` at `r · stride + offset`.
+/// Where a grid's features lie in a wider matrix `[points, stride]`: row `r` starts at `r · stride + offset`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Columns {
     /// Values from one row to the next.
@@ -54,7 +70,7 @@ pub struct Columns {
     pub offset: usize,
 }
 
-/// The encoder; see the [module](self).
+/// A multi-resolution hash-grid encoder, `[0, 1]³ → [2 · levels]`; see the [module](self).
 #[derive(Clone, Debug)]
 pub struct HashGrid {
     config: HashGridConfig,
@@ -65,11 +81,11 @@ pub struct HashGrid {
 }
 
 impl HashGrid {
-    /// A grid of the given size. Its tables are one block `name`, level by level, `[entries, 2]`, drawn from
-    /// U(−1e-4, 1e-4).
+    /// A grid of the given size. Its tables are one parameter block `name`, level by level, `[entries, 2]`, uniform in
+    /// ±1e-4.
     ///
     /// # Errors
-    /// If the configuration cannot be built; the message names the key and the rule.
+    /// If a setting is out of its domain; the message names it.
     pub fn new(name: &str, config: &HashGridConfig, seed: u64) -> Result<Self, DeformError> {
         config.check()?;
         let levels = Level::all(config);
@@ -83,7 +99,7 @@ impl HashGrid {
         Ok(Self { config: *config, levels, groups, table: Param::shared(name, value), simd: SimdLevel::new() })
     }
 
-    /// The same grid on a given instruction set, to compare them.
+    /// The same grid on another instruction set, for comparison.
     pub fn with_simd(mut self, simd: SimdLevel) -> Self {
         self.simd = simd;
         self
@@ -94,22 +110,22 @@ impl HashGrid {
         FEATURES * self.levels.len()
     }
 
-    /// The configuration it was built from.
+    /// The configuration this grid was built from.
     pub fn config(&self) -> &HashGridConfig {
         &self.config
     }
 
-    /// The levels, coarse to fine.
+    /// Size and layout of each level, coarse to fine.
     pub fn levels(&self) -> &[Level] {
         &self.levels
     }
 
-    /// The tables.
+    /// All tables as one block, level by level, `[entries, 2]`.
     pub fn table(&self) -> &Param {
         &self.table
     }
 
-    /// The features of points of the unit cube, written to the columns `columns` of `out: [points, stride]`.
+    /// Writes the features of points in the unit cube to the columns `columns` of `out: [points, stride]`.
     pub fn forward(&self, points: &[[f32; 3]], out: &mut [f32], columns: Columns) {
         let Columns { stride, offset } = columns;
         let chunks = points.par_chunks(CHUNK).zip(out.par_chunks_mut(CHUNK * stride));
@@ -125,7 +141,8 @@ impl HashGrid {
         });
     }
 
-    /// The way back of [`HashGrid::forward`]: adds to the tables' gradient.
+    /// Backward of [`HashGrid::forward`] for the same points: adds to the tables' gradient. `d_out` has the layout of
+    /// `out`.
     pub fn backward(&mut self, points: &[[f32; 3]], d_out: &[f32], columns: Columns) {
         let Self { levels, groups, table, simd, .. } = self;
         let Columns { stride, offset } = columns;
@@ -156,7 +173,7 @@ impl HashGrid {
     }
 }
 
-/// The way back of [`HashGrid::read`].
+/// Backward of [`HashGrid::read`]: adds to `grad`, the gradient of the level's table.
 fn scatter(
     simd: SimdLevel,
     level: &Level,
@@ -176,7 +193,7 @@ fn scatter(
     });
 }
 
-/// Neighbouring levels that are worked on together.
+/// Ranges of neighbouring levels that one task handles together.
 fn groups(levels: &[Level]) -> Vec<Range<usize>> {
     let mut groups: Vec<Range<usize>> = Vec::new();
     let mut entries = 0;
@@ -193,7 +210,7 @@ fn groups(levels: &[Level]) -> Vec<Range<usize>> {
     groups
 }
 
-/// One item per group: its levels, and what stands for them in `all`.
+/// One job per group: its levels and their items of `all`.
 fn take_groups<'a, T>(groups: &[Range<usize>], mut all: &'a mut [T]) -> Vec<(Range<usize>, &'a mut [T])> {
     let mut jobs = Vec::with_capacity(groups.len());
     for group in groups {
@@ -204,7 +221,7 @@ fn take_groups<'a, T>(groups: &[Range<usize>], mut all: &'a mut [T]) -> Vec<(Ran
     jobs
 }
 
-/// The table of each level.
+/// Splits all values into the table of each level.
 fn split<'a>(levels: &[Level], mut values: &'a mut [f32]) -> Vec<&'a mut [f32]> {
     let mut tables = Vec::with_capacity(levels.len());
     for level in levels {

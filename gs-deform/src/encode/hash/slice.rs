@@ -5,13 +5,26 @@
 //! ```text
 //! plane_l[x, y] = (1 − w) · table_l[index(x, y, k)] + w · table_l[index(x, y, k + 1)]
 //! ```
-//! The same sum in another order: equal to the grid up to rounding. Hashed levels are blended node by node, too. The way
-//! back gathers what each cell's four corners get (one register per cell), sums that into the plane, and hands the plane
-//! to the two layers it was blended from.
+//! The same sum in another order: equal to the grid up to rounding. Hashed levels are blended node by node, too.
+//! Backward sums the cotangents of each cell's four corners into the plane and adds the plane's gradient to the two
+//! layers it was blended from.
+//!
+//! ```
+//! use gs_deform::encode::{Columns, HashGrid, HashGridConfig, Slice};
+//!
+//! let config = HashGridConfig { base: [4.0; 3], end: [8.0; 3], levels: 2, log2_table: 10 };
+//! let (grid, columns) = (HashGrid::new("grid", &config, 1)?, Columns { stride: 4, offset: 0 });
+//! let (mut space, mut sliced, mut slice) = ([0.0; 4], [0.0; 4], Slice::default());
+//! grid.forward(&[[0.2, 0.7, 0.4]], &mut space, columns);
+//! grid.slice(0.4, 1000, &mut slice);
+//! grid.forward_slice(&slice, &[[0.2, 0.7]], &mut sliced, columns);
+//! assert!(space.iter().zip(sliced).all(|(a, b)| (a - b).abs() < 1e-10), "values are at most 1e-4");
+//! # Ok::<(), gs_deform::DeformError>(())
+//! ```
 
+use super::cells::{BLOCK, Cells, Scratch};
 use super::config::FEATURES;
 use super::level::Level;
-use super::place::{BLOCK, Cells, Scratch};
 use super::{CHUNK, Columns, HashGrid, scatter, space, split, take_groups};
 use fearless_simd::{Simd, SimdBase, SimdFloat, dispatch, f32x4};
 use rayon::prelude::*;
@@ -19,10 +32,10 @@ use rayon::prelude::*;
 /// A level is blended if its plane has fewer nodes than this many times the points.
 const NODES_PER_POINT: usize = 4;
 
-/// Scratch of a slice, reused between calls.
+/// A [`HashGrid`] at one third coordinate, made by [`HashGrid::slice`]; memory is reused between calls.
 #[derive(Clone, Debug, Default)]
 pub struct Slice {
-    /// The third coordinate.
+    /// The third coordinate of all points.
     t: f32,
     levels: Vec<Plane>,
 }
@@ -35,22 +48,22 @@ struct Plane {
     /// Cell along the third axis, and weight of the layer above it.
     k: u32,
     w: f32,
-    /// `[res_y, res_x, 2]`.
+    /// The blended plane, `[res_y, res_x, 2]`.
     values: Vec<f32>,
-    /// Gradient of `values`.
+    /// Gradient of `values`, same shape.
     d_values: Vec<f32>,
 }
 
 impl Slice {
-    /// Levels that are blended; the others are read in three dimensions.
+    /// Number of levels that are blended into planes; the others are read in three dimensions.
     pub fn blended(&self) -> usize {
         self.levels.iter().filter(|p| p.blended).count()
     }
 }
 
 impl HashGrid {
-    /// Prepares the grid at third coordinate `t` for about `points` points: levels whose plane has fewer than four nodes
-    /// per point are blended. To be called again after every change of the tables.
+    /// Prepares the grid at third coordinate `t` for about `points` points: levels whose plane has fewer than four
+    /// nodes per point are blended. Call it again after every change of the tables.
     pub fn slice(&self, t: f32, points: usize, slice: &mut Slice) {
         slice.t = t;
         slice.levels.resize_with(self.levels().len(), Plane::default);
@@ -62,7 +75,7 @@ impl HashGrid {
         });
     }
 
-    /// The features of points at the third coordinate of the slice; as [`HashGrid::forward`].
+    /// [`HashGrid::forward`] of the points `(x, y, t)`, with `t` the third coordinate of the slice.
     pub fn forward_slice(&self, slice: &Slice, points: &[[f32; 2]], out: &mut [f32], columns: Columns) {
         let (t, Columns { stride, offset }) = (slice.t, columns);
         let chunks = points.par_chunks(CHUNK).zip(out.par_chunks_mut(CHUNK * stride));
@@ -87,7 +100,7 @@ impl HashGrid {
         });
     }
 
-    /// The way back of [`HashGrid::forward_slice`] for the same points: adds to the tables' gradient.
+    /// Backward of [`HashGrid::forward_slice`] for the same points: adds to the tables' gradient.
     pub fn backward_slice(&mut self, slice: &mut Slice, points: &[[f32; 2]], d_out: &[f32], columns: Columns) {
         let Self { levels, groups, table, simd, .. } = self;
         let (t, Columns { stride, offset }) = (slice.t, columns);
@@ -113,14 +126,14 @@ impl HashGrid {
                 }
             }
             for (l, (grad, plane)) in group.zip(tables) {
-                plane.spread(&levels[l], grad);
+                plane.scatter_layers(&levels[l], grad);
             }
         });
     }
 }
 
 impl Plane {
-    /// Chooses whether to blend, and the layers.
+    /// Chooses whether to blend, and the two layers around `t`.
     fn prepare(&mut self, level: &Level, t: f32, points: usize) {
         let nodes = level.res[0] as usize * level.res[1] as usize;
         let inside = (0.0..=1.0).contains(&t);
@@ -150,8 +163,8 @@ impl Plane {
         self.d_values.resize(self.values.len(), 0.0);
     }
 
-    /// Hands the plane's gradient to the two layers it was blended from.
-    fn spread(&self, level: &Level, grad: &mut [f32]) {
+    /// Adds the plane's gradient to the two layers it was blended from.
+    fn scatter_layers(&self, level: &Level, grad: &mut [f32]) {
         let width = level.res[0] as usize;
         let entries: &mut [[f32; FEATURES]] = grad.as_chunks_mut().0;
         for (y, row) in self.d_values.chunks_exact(FEATURES * width).enumerate() {

@@ -1,10 +1,10 @@
-//! The inner loops in three dimensions: eight corners of one point in one level, forward and back.
+//! The inner loops in three dimensions: eight corners of one point in one level, forward and backward.
 //!
 //! The two neighbours along x are one register of four values. In a dense table they lie side by side. Everything is a
 //! function marked `inline(always)`, never a closure: only then does the instruction set chosen at run time reach it.
 
+use super::cells::Cells;
 use super::config::FEATURES;
-use super::place::Cells;
 use fearless_simd::{Simd, SimdBase, SimdFloat, f32x4};
 
 /// The values of the neighbours `x`, `x + 1` of a row of a dense table.
@@ -20,9 +20,9 @@ pub(super) fn add_pair<S: Simd>(simd: S, grad: &mut [f32], first: usize, d: f32x
     (f32x4::from_slice(simd, here) + d).store_slice(here);
 }
 
-/// The two neighbours along x of a row of a hashed table.
+/// Entries of the two neighbours along x in a hashed table.
 #[inline(always)]
-fn mixed(x: u32, row: u32, mask: usize) -> [usize; 2] {
+fn hashed_pair(x: u32, row: u32, mask: usize) -> [usize; 2] {
     [(x ^ row) as usize & mask, ((x + 1) ^ row) as usize & mask]
 }
 
@@ -35,7 +35,7 @@ pub(super) fn blend_pair<S: Simd>(sum: f32x4<S>, wx: f32, out: &mut [f32]) {
     }
 }
 
-/// The shares of the two neighbours along x in a row of cotangents.
+/// Backward of [`blend_pair`]: the cotangents of the two neighbours along x.
 #[inline(always)]
 pub(super) fn share_pair<S: Simd>(simd: S, wx: f32, d: &[f32]) -> f32x4<S> {
     let (left, right) = (1.0 - wx, wx);
@@ -59,7 +59,7 @@ pub(super) fn forward<S: Simd, const HASHED: bool>(
         for corner in 0..4 {
             let (x, row) = (cells.x[r], cells.rows[corner][r]);
             let values = if HASHED {
-                let [a, b] = mixed(x, row, mask);
+                let [a, b] = hashed_pair(x, row, mask);
                 let (a, b) = (entries[a], entries[b]);
                 f32x4::load_array(simd, [a[0], a[1], b[0], b[1]])
             } else {
@@ -71,7 +71,7 @@ pub(super) fn forward<S: Simd, const HASHED: bool>(
     }
 }
 
-/// The way back of [`forward`]: adds to the table's gradient, points in order.
+/// Backward of [`forward`]: adds to the table's gradient, points in order.
 #[inline(always)]
 pub(super) fn backward<S: Simd, const HASHED: bool>(
     simd: S,
@@ -90,7 +90,7 @@ pub(super) fn backward<S: Simd, const HASHED: bool>(
             if HASHED {
                 let d = d.to_array();
                 let entries: &mut [[f32; FEATURES]] = grad.as_chunks_mut().0;
-                let [a, b] = mixed(x, row, mask);
+                let [a, b] = hashed_pair(x, row, mask);
                 entries[a] = [entries[a][0] + d[0], entries[a][1] + d[1]];
                 entries[b] = [entries[b][0] + d[2], entries[b][1] + d[3]];
             } else {

@@ -1,9 +1,9 @@
-//! The layers of the Fourier branch, and how it joins the features of the grids.
+//! The layers of the Fourier branch, and its fusion with the features of the grids.
 //!
 //! ```text
 //! w = amplitudes(z_s)        add: h = p + f_fre      mul: h = p ⊙ (1 + f_fre)      concat: h = W_c [p, f_fre] + b_c
 //! ```
-//! with `p = a ⊙ f_t`. The last layer of the amplitudes starts at zero: without training there is no branch.
+//! with `p = a ⊙ f_t`. The last layer of the amplitudes starts at zero: an untrained branch adds nothing.
 
 use super::config::{Fusion, Grid4dConfig, WaveTime};
 use super::fourier::Waves;
@@ -18,32 +18,32 @@ pub(super) struct Branch {
     concat: Option<Dense>,
     fusion: Fusion,
     bands: usize,
-    /// Slope and offset of the waves' time as a function of `t`.
-    clock: [f64; 2],
+    /// Slope and offset of the waves' time as a linear function of `t`.
+    wave_time: [f64; 2],
 }
 
 #[derive(Clone, Debug)]
 enum Amplitudes {
-    /// One linear layer that is folded into the head; nothing is left to do per splat here.
+    /// One linear layer that is folded into the head: no work per splat here.
     Collapsed(Box<Dense>),
     Full(Mlp),
 }
 
-/// Amplitudes of one block.
+/// Activations of the amplitude layers for one block.
 #[derive(Clone, Debug, Default)]
 pub(super) struct BranchTape {
-    /// `z_s`.
+    /// Input `z_s`, `[rows, width]`.
     z: Vec<f32>,
-    /// Its output is `w`.
+    /// Activations; the output is `w`, `[rows, m]`.
     net: MlpTape,
 }
 
-/// What a block keeps of the branch at one time.
+/// Activations of the fusion of one block at one timestamp.
 #[derive(Clone, Debug, Default)]
 pub(super) struct BranchScratch {
-    /// `f_fre`.
+    /// `f_fre`, `[rows, 2m]`.
     waves: Vec<f32>,
-    /// `p`, where the fusion overwrites it.
+    /// A copy of `p`, if the fusion overwrites it.
     product: Vec<f32>,
 }
 
@@ -58,7 +58,7 @@ pub(super) struct BranchGrad {
 }
 
 impl Branch {
-    pub fn new(config: &Grid4dConfig, seed: u64) -> Self {
+    pub(super) fn new(config: &Grid4dConfig, seed: u64) -> Self {
         let (fourier, width) = (&config.fourier, config.width);
         let name = "field.net.amplitude";
         let widths: Vec<usize> = [&[width], &fourier.hidden[..], &[fourier.bands]].concat();
@@ -80,33 +80,33 @@ impl Branch {
             concat,
             fusion: fourier.fusion,
             bands: fourier.bands,
-            clock: if fourier.time == WaveTime::Raw { [1.0, 0.0] } else { [2.0 * scale, -scale] },
+            wave_time: if fourier.time == WaveTime::Raw { [1.0, 0.0] } else { [2.0 * scale, -scale] },
         }
     }
 
-    /// The waves at a time.
-    pub fn set_time(&self, t: Time, waves: &mut Waves) {
-        waves.set(self.bands, self.clock[0] * f64::from(t.normalised) + self.clock[1]);
+    /// Evaluates the waves at a timestamp.
+    pub(super) fn set_time(&self, t: Time, waves: &mut Waves) {
+        waves.set(self.bands, self.wave_time[0] * f64::from(t.normalised) + self.wave_time[1]);
     }
 
-    /// The amplitude layer, where the branch is collapsed.
-    pub fn linear(&self) -> Option<&Dense> {
+    /// The amplitude layer of a collapsed branch.
+    pub(super) fn linear(&self) -> Option<&Dense> {
         match &self.amplitudes {
             Amplitudes::Collapsed(layer) => Some(layer),
             Amplitudes::Full(_) => None,
         }
     }
 
-    /// [`Branch::linear`], to add to its gradient.
-    pub fn linear_mut(&mut self) -> Option<&mut Dense> {
+    /// [`Branch::linear`], to add to the layer's gradient.
+    pub(super) fn linear_mut(&mut self) -> Option<&mut Dense> {
         match &mut self.amplitudes {
             Amplitudes::Collapsed(layer) => Some(layer),
             Amplitudes::Full(_) => None,
         }
     }
 
-    /// `w` of a block.
-    pub fn amplitudes(&self, z: &[f32], tape: &mut BranchTape) {
+    /// Computes the amplitudes `w` of a block from `z: [rows, width]`.
+    pub(super) fn amplitudes(&self, z: &[f32], tape: &mut BranchTape) {
         if let Amplitudes::Full(net) = &self.amplitudes {
             tape.z.clear();
             tape.z.extend_from_slice(z);
@@ -114,13 +114,13 @@ impl Branch {
         }
     }
 
-    /// Turns `p` in `fused` into `h`.
-    pub fn join(&self, times: &Waves, tape: &BranchTape, scratch: &mut BranchScratch, fused: &mut [f32]) {
+    /// Fuses in place: `fused` holds `p` and becomes `h`.
+    pub(super) fn join(&self, times: &Waves, tape: &BranchTape, scratch: &mut BranchScratch, fused: &mut [f32]) {
         if self.linear().is_some() {
             return;
         }
         let BranchScratch { waves, product } = scratch;
-        times.spread(tape.net.output(), waves);
+        times.modulate(tape.net.output(), waves);
         match (self.fusion, &self.concat) {
             (Fusion::Mul, _) => fused.iter_mut().zip(waves).for_each(|(h, w)| *h *= 1.0 + *w),
             (Fusion::Concat, Some(concat)) => {
@@ -135,8 +135,8 @@ impl Branch {
         }
     }
 
-    /// The way back of [`Branch::join`]: `d` holds `v_h` and becomes `v_p`; `product` is `p`.
-    pub fn join_backward(
+    /// Backward of [`Branch::join`]: `d` holds `v_h` and becomes `v_p`; `product` is `p`.
+    pub(super) fn join_backward(
         &self,
         times: &Waves,
         product: &[f32],
@@ -169,18 +169,18 @@ impl Branch {
             }
             _ => d_waves.copy_from_slice(d),
         }
-        times.gather(d_waves, d_amplitudes);
+        times.modulate_backward(d_waves, d_amplitudes);
     }
 
-    /// The way back of [`Branch::amplitudes`]: adds to `v_z`.
-    pub fn amplitudes_backward(&self, tape: &mut BranchTape, d_z: &mut [f32], grad: &mut BranchGrad) {
+    /// Backward of [`Branch::amplitudes`]: adds to `v_z`.
+    pub(super) fn amplitudes_backward(&self, tape: &mut BranchTape, d_z: &mut [f32], grad: &mut BranchGrad) {
         if let Amplitudes::Full(net) = &self.amplitudes {
             net.backward(&tape.z, &mut tape.net, &grad.d_amplitudes, Some(d_z), &mut grad.net);
         }
     }
 
-    /// Makes `grad` zero, reusing memory.
-    pub fn reset(&self, grad: &mut BranchGrad) {
+    /// Sets `grad` to zero, reusing memory.
+    pub(super) fn reset(&self, grad: &mut BranchGrad) {
         if let Amplitudes::Full(net) = &self.amplitudes {
             grad.net.reset(net);
         }
@@ -190,7 +190,7 @@ impl Branch {
     }
 
     /// Adds the chunks' gradients to the parameters, in order.
-    pub fn add_grads<'a>(&mut self, chunks: impl Iterator<Item = &'a BranchGrad> + Clone + Sync + Send) {
+    pub(super) fn add_grads<'a>(&mut self, chunks: impl Iterator<Item = &'a BranchGrad> + Clone + Sync + Send) {
         if let Amplitudes::Full(net) = &mut self.amplitudes {
             net.add_grads(chunks.clone().map(|g| &g.net));
         }

@@ -4,32 +4,32 @@ use crate::DeformError;
 use crate::encode::HashGridConfig;
 use serde::{Deserialize, Serialize};
 
-/// Size of the field and what it does. The default is FAGS on the grids published for D-NeRF; without
-/// [`FourierConfig::on`] and [`GateConfig::on`] it is Grid4D.
+/// Size and parts of the field. The default is FAGS on the grids published for D-NeRF; without [`FourierConfig::on`]
+/// and [`GateConfig::on`] it is Grid4D.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Grid4dConfig {
-    /// Half the side of the cube `[−b, b]³` that is encoded, world units. What lies outside does not move.
+    /// Half the side of the cube `[−b, b]³` that is encoded, world units, above 0. Splats outside do not move.
     pub bound: f32,
-    /// The grid over x, y, z.
+    /// Size of the grid over x, y, z.
     pub canonical: HashGridConfig,
-    /// The three grids over two coordinates and time (time last).
+    /// Size of each of the three grids over two coordinates and time (time last).
     pub temporal: HashGridConfig,
-    /// Width of the decoder.
+    /// Width of the decoder's layers, 1 to 4096.
     pub width: usize,
-    /// Hidden layers between fusion and head.
+    /// Hidden layers between fusion and head, at most 64.
     pub depth: usize,
     /// Attention in −1 … 1 (`2σ − 1`) instead of 0 … 1 (`σ`).
     pub directional: bool,
-    /// Start the head at zero (nothing moves) instead of at ±1/√width, as the public code does.
+    /// Start the head at zero, so that nothing moves, instead of at ±1/√width as the public code does.
     pub zero_init: bool,
-    /// Let splats outside the cube move by the decoder's answer to zero features, as the public code does.
+    /// Move splats outside the cube by the decoder's output for zero features, as the public code does.
     pub compat_grid4d: bool,
-    /// The Fourier branch.
+    /// Settings of the Fourier branch.
     pub fourier: FourierConfig,
-    /// The gate.
+    /// Settings of the gate on the motion.
     pub gate: GateConfig,
-    /// The smoothness regulariser.
+    /// Settings of the smoothness regulariser.
     pub smooth: SmoothConfig,
     /// Savings that change results by rounding only.
     pub exact: ExactConfig,
@@ -39,35 +39,35 @@ pub struct Grid4dConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FourierConfig {
-    /// Whether there is one.
+    /// Whether the field has a Fourier branch.
     pub on: bool,
     /// Frequencies `m`; `2m` must equal the width unless the fusion is `concat`.
     pub bands: usize,
-    /// The time its waves run on.
+    /// Time argument of the waves.
     pub time: WaveTime,
-    /// How it joins the features of the grids.
+    /// How the branch is combined with the features of the grids.
     pub fusion: Fusion,
-    /// Widths of hidden layers between the spatial features and the amplitudes; none: one linear layer.
+    /// Widths of the hidden layers between the spatial features and the amplitudes; empty: one linear layer.
     pub hidden: Vec<usize>,
 }
 
-/// The time a wave runs on.
+/// Time argument of the waves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum WaveTime {
-    /// `t`, 0 to 1 over the training span: half a cycle to four.
+    /// `t`, 0 to 1 over the training span: half a cycle to four cycles.
     Raw,
     /// `0.9 b (2t − 1)`, the coordinate of the grids: `1.8 b` times as many cycles.
     Scaled,
 }
 
-/// How two rows of features become one.
+/// How the features `a ⊙ f_t` of the grids and `f_fre` of the waves are combined.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Fusion {
     /// `a ⊙ f_t + f_fre`.
     Add,
-    /// A linear layer on both.
+    /// A linear layer on the concatenation of both.
     Concat,
     /// `a ⊙ f_t ⊙ (1 + f_fre)`.
     Mul,
@@ -77,17 +77,16 @@ pub enum Fusion {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GateConfig {
-    /// Whether there is one; without it `η = 1`.
+    /// Whether the head has a gate; without it `η = 1`.
     pub on: bool,
-    /// What it does to the rigid motion.
+    /// How the gate scales the rigid motion.
     pub mode: GateMode,
-    /// `η` of every splat before training, inside `(0, 1)`: a gate that starts half closed halves what the first steps
-    /// learn.
+    /// `η` of every splat before training, inside `(0, 1)`. The first steps' gradients are scaled by it.
     pub start: f32,
 }
 
-/// What the gate `η` does to the rigid motion with quaternion parameters `ρ` and translation `τ`; `R(v)` turns by
-/// `normalise((1,0,0,0) + v)`. Rotation and scale offsets are multiplied by `η` in all of them.
+/// How the gate `η` scales the rigid motion with quaternion parameters `ρ` and translation `τ`. `R(v)` is the rotation
+/// of `normalise((1,0,0,0) + v)`. Rotation and scale offsets are multiplied by `η` in all modes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum GateMode {
@@ -97,11 +96,11 @@ pub enum GateMode {
     LerpPosition,
     /// `R(ρ) μ + ητ`.
     TranslationOnly,
-    /// `η R(ρ) μ + ητ`, as printed in FAGS, Eq. 8: a closed gate sends the splat to the origin.
+    /// `η R(ρ) μ + ητ`, as printed in FAGS, Eq. 8: a gate of 0 moves the splat to the origin.
     Literal,
 }
 
-/// The smoothness regulariser of Grid4D: features of nearby places should agree.
+/// The smoothness regulariser of Grid4D: features of nearby points should agree.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SmoothConfig {
@@ -111,15 +110,15 @@ pub struct SmoothConfig {
     pub lambda_t: f32,
     /// Largest shift along x, y, z, world units.
     pub eps: [f32; 3],
-    /// Largest shift of `0.9 b (2t − 1)`.
+    /// Largest shift of the scaled time `0.9 b (2t − 1)`.
     pub eps_t: f32,
-    /// Share of splats looked at per step, above 0, at most 1; drawn separately for space and time.
+    /// Share of splats sampled per step, above 0, at most 1; sampled separately for space and time.
     pub share: f32,
-    /// Leave out pairs of which one lies outside the cube; otherwise they pull features at the faces to zero.
+    /// Leave out pairs with a point outside the cube; otherwise they pull features at the faces to zero.
     pub drop_leaving: bool,
 }
 
-/// Savings that change results by rounding only; switchable for comparison.
+/// Optimisations that change results by rounding only; each can be turned off for comparison.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ExactConfig {
@@ -127,7 +126,7 @@ pub struct ExactConfig {
     pub time_slicing: bool,
     /// Run a linear Fourier branch as one small matrix from the canonical features to the head.
     pub fourier_collapse: bool,
-    /// Keep what does not depend on time when one cloud is drawn at many times
+    /// Cache the time-independent part when the same splats are evaluated at many times
     /// ([`Grid4dField::freeze`](super::Grid4dField::freeze)).
     pub cached_attention: bool,
 }
@@ -175,13 +174,13 @@ impl Grid4dConfig {
         }
     }
 
-    /// Values in a row of the head: gate (if any), ρ 4, τ 3, Δr 4, Δs 3.
+    /// Outputs of the head per splat: gate (if any), ρ 4, τ 3, Δr 4, Δs 3.
     pub fn head_width(&self) -> usize {
         14 + usize::from(self.gate.on)
     }
 
-    /// Whether the Fourier branch is run as one small matrix.
-    pub fn collapses(&self) -> bool {
+    /// Whether the Fourier branch is evaluated as one small matrix.
+    pub(super) fn collapses(&self) -> bool {
         let linear = self.depth == 0 && self.fourier.fusion == Fusion::Add && self.fourier.hidden.is_empty();
         self.fourier.on && linear && self.exact.fourier_collapse
     }
@@ -277,6 +276,6 @@ mod tests {
         assert!(error(&|c| c.smooth.lambda_t = f32::NAN).contains("`lambda_t` = NaN"));
         let mut c = Grid4dConfig::grid4d();
         c.fourier.bands = 0;
-        assert_eq!(c.check(), Ok(()), "a branch that is off is not looked at");
+        assert_eq!(c.check(), Ok(()), "a branch that is off is not checked");
     }
 }

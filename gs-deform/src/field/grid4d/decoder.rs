@@ -1,15 +1,16 @@
-//! The dense part of a [`Grid4dField`](super::Grid4dField): from the features of the grids to a row of the head.
+//! The dense layers of a [`Grid4dField`](super::Grid4dField): from the features of the grids to the outputs of the
+//! head.
 //!
 //! ```text
 //! z_s = W_s x + b_s,   a = 2σ(z_s) − 1  (or σ)          x: canonical features; a does not depend on time
 //! f_t = relu(W_t y + b_t)                               y: the three temporal grids' features, side by side
 //! h = fuse(a ⊙ f_t, f_fre),   depth × (Linear, relu),   head = W_h h + b_h
 //! ```
-//! Works on one block of rows; the caller owns the loop over blocks.
+//! Each call handles one block of rows; the caller loops over blocks.
 
 use super::branch::{Branch, BranchGrad, BranchScratch, BranchTape};
 use super::config::Grid4dConfig;
-use super::fourier::{Collapsed, Through, Waves};
+use super::fourier::{Collapsed, CollapsedLayers, Waves};
 use super::fuse;
 use crate::apply::OffsetColumns;
 use fearless_simd::Level;
@@ -30,14 +31,14 @@ pub(super) struct Decoder {
     simd: Level,
 }
 
-/// What all blocks of a call share.
+/// Values shared by all blocks of a call.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Shared {
     pub waves: Waves,
     collapsed: Collapsed,
 }
 
-/// Features of a block.
+/// Features of the grids for one block.
 #[derive(Clone, Copy)]
 pub(super) struct Features<'a> {
     /// Canonical, `[rows, inputs of W_s]`.
@@ -52,25 +53,25 @@ pub(super) struct DFeatures<'a> {
     pub time: &'a mut [f32],
 }
 
-/// The part of a block that does not depend on time.
+/// The time-independent activations of one block.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Still {
-    /// `a`.
+pub(super) struct StaticBlock {
+    /// `a`, `[rows, width]`.
     pub attention: Vec<f32>,
-    /// Amplitudes, unless the branch is collapsed.
+    /// Amplitudes of the Fourier branch, unless it is collapsed.
     pub branch: BranchTape,
 }
 
-/// The rest of a block.
+/// The activations of one block at one timestamp.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Moving {
-    /// `f_t`.
+pub(super) struct TimeBlock {
+    /// `f_t`, `[rows, width]`.
     time: Vec<f32>,
     branch: BranchScratch,
-    /// `h`.
+    /// `h`, `[rows, width]`.
     fused: Vec<f32>,
     hidden: Vec<Vec<f32>>,
-    /// `[rows, head width]`.
+    /// Outputs of the head, `[rows, head width]`.
     pub head: Vec<f32>,
     pub offsets: OffsetColumns,
 }
@@ -93,7 +94,7 @@ pub(super) struct ChunkGrad {
 
 impl Decoder {
     /// A decoder of canonical and temporal features of the given widths.
-    pub fn new(config: &Grid4dConfig, [space, time]: [usize; 2], seed: u64) -> Self {
+    pub(super) fn new(config: &Grid4dConfig, [space, time]: [usize; 2], seed: u64) -> Self {
         let width = config.width;
         let dense = |name: &str, i, o, init| Dense::new(&format!("field.net.{name}"), i, o, init, seed);
         let last = if config.zero_init { Init::Zero } else { Init::FanIn };
@@ -113,8 +114,8 @@ impl Decoder {
         }
     }
 
-    /// Works out what all blocks share at a time.
-    pub fn set_time(&self, t: Time, shared: &mut Shared) {
+    /// Computes the values shared by all blocks at a timestamp.
+    pub(super) fn set_time(&self, t: Time, shared: &mut Shared) {
         if let Some(branch) = &self.branch {
             branch.set_time(t, &mut shared.waves);
         }
@@ -124,9 +125,9 @@ impl Decoder {
         }
     }
 
-    /// Attention and amplitudes of a block from its canonical features.
-    pub fn still(&self, space: &[f32], still: &mut Still) {
-        let Still { attention, branch } = still;
+    /// Attention and amplitudes of a block from its canonical features `space`.
+    pub(super) fn forward_static(&self, space: &[f32], static_block: &mut StaticBlock) {
+        let StaticBlock { attention, branch } = static_block;
         attention.resize(space.len() / self.space.inputs() * self.space.outputs(), 0.0);
         self.space.forward(space, attention);
         if let Some(net) = &self.branch {
@@ -135,17 +136,23 @@ impl Decoder {
         fuse::attention(self.simd, attention, self.directional);
     }
 
-    /// The head of a block whose still part is known.
-    pub fn forward(&self, shared: &Shared, features: Features<'_>, still: &Still, moving: &mut Moving) {
-        let Moving { time, branch: scratch, fused, hidden, head, .. } = moving;
+    /// The head's outputs of a block whose time-independent activations are known.
+    pub(super) fn forward(
+        &self,
+        shared: &Shared,
+        features: Features<'_>,
+        static_block: &StaticBlock,
+        time_block: &mut TimeBlock,
+    ) {
+        let TimeBlock { time, branch: scratch, fused, hidden, head, .. } = time_block;
         let rows = features.time.len() / self.time.inputs();
         time.resize(rows * self.time.outputs(), 0.0);
         fused.resize(time.len(), 0.0);
         head.resize(rows * self.head.outputs(), 0.0);
         self.time.forward(features.time, time);
-        fuse::attend(self.simd, time, &still.attention, fused);
+        fuse::attend(self.simd, time, &static_block.attention, fused);
         if let Some(branch) = &self.branch {
-            branch.join(&shared.waves, &still.branch, scratch, fused);
+            branch.join(&shared.waves, &static_block.branch, scratch, fused);
         }
         hidden.resize_with(self.hidden.len(), Vec::new);
         for (i, layer) in self.hidden.iter().enumerate() {
@@ -155,30 +162,30 @@ impl Decoder {
             relu(&mut here[0]);
         }
         match &shared.collapsed.layer {
-            // Its bias holds the head's.
+            // The collapsed layer's bias includes the head's.
             Some(collapsed) => collapsed.forward(features.space, head),
             None => self.head.start(&self.head.bias.value, head),
         }
         self.head.add_product(0..self.head.inputs(), hidden.last().unwrap_or(fused), head);
     }
 
-    /// The way back of [`Decoder::still`] and [`Decoder::forward`] from `grad.d_head`: adds to `grad`, sets `d`.
-    pub fn backward(
+    /// Backward of [`Decoder::forward_static`] and [`Decoder::forward`] from `grad.d_head`: adds to `grad`, sets `d`.
+    pub(super) fn backward(
         &self,
         shared: &Shared,
         features: Features<'_>,
-        (still, moving): (&mut Still, &Moving),
+        (static_block, time_block): (&mut StaticBlock, &TimeBlock),
         d: DFeatures<'_>,
         grad: &mut ChunkGrad,
     ) {
         let ChunkGrad { d: [d_out, d_in], d_head, .. } = grad;
-        let last = moving.hidden.last().unwrap_or(&moving.fused);
+        let last = time_block.hidden.last().unwrap_or(&time_block.fused);
         self.head.backward(last, d_head, None, &mut grad.head);
         d_out.resize(last.len(), 0.0);
         self.head.backward_input(0..self.head.inputs(), d_head, d_out, Write::Set);
         for (i, layer) in self.hidden.iter().enumerate().rev() {
-            relu_backward(&moving.hidden[i], d_out);
-            let input = if i > 0 { &moving.hidden[i - 1] } else { &moving.fused };
+            relu_backward(&time_block.hidden[i], d_out);
+            let input = if i > 0 { &time_block.hidden[i - 1] } else { &time_block.fused };
             layer.backward(input, d_out, None, &mut grad.hidden[i]);
             d_in.resize(d_out.len(), 0.0);
             layer.backward_input(0..layer.inputs(), d_out, d_in, Write::Set);
@@ -186,13 +193,13 @@ impl Decoder {
         }
         d_in.resize(d_out.len(), 0.0);
         if let Some(branch) = &self.branch {
-            // d_in serves as scratch for a ⊙ f_t here.
-            fuse::product(self.simd, &still.attention, &moving.time, d_in);
-            branch.join_backward(&shared.waves, d_in, &moving.branch, d_out, &mut grad.branch);
+            // d_in holds a ⊙ f_t here.
+            fuse::product(self.simd, &static_block.attention, &time_block.time, d_in);
+            branch.join_backward(&shared.waves, d_in, &time_block.branch, d_out, &mut grad.branch);
         }
-        fuse::attend_backward(self.simd, &still.attention, &moving.time, d_out, d_in, self.directional);
+        fuse::attend_backward(self.simd, &static_block.attention, &time_block.time, d_out, d_in, self.directional);
         if let Some(branch) = &self.branch {
-            branch.amplitudes_backward(&mut still.branch, d_out, &mut grad.branch);
+            branch.amplitudes_backward(&mut static_block.branch, d_out, &mut grad.branch);
         }
         self.time.backward(features.time, d_in, None, &mut grad.time);
         self.time.backward_input(0..self.time.inputs(), d_in, d.time, Write::Set);
@@ -204,8 +211,8 @@ impl Decoder {
         }
     }
 
-    /// Makes `grad` zero, reusing memory.
-    pub fn reset(&self, shared: &Shared, grad: &mut ChunkGrad) {
+    /// Sets `grad` to zero, reusing memory.
+    pub(super) fn reset(&self, shared: &Shared, grad: &mut ChunkGrad) {
         grad.space.reset(&self.space);
         grad.time.reset(&self.time);
         grad.head.reset(&self.head);
@@ -219,8 +226,8 @@ impl Decoder {
         }
     }
 
-    /// Adds the chunks' gradients to the parameters, in order, then follows the collapsed branch into its layers.
-    pub fn add_grads(&mut self, shared: &mut Shared, chunks: &[ChunkGrad]) {
+    /// Adds the chunks' gradients to the parameters, in order, then those of the collapsed branch to its layers.
+    pub(super) fn add_grads(&mut self, shared: &mut Shared, chunks: &[ChunkGrad]) {
         self.space.add_grads(chunks.iter().map(|g| &g.space));
         self.time.add_grads(chunks.iter().map(|g| &g.time));
         self.head.add_grads(chunks.iter().map(|g| &g.head));
@@ -233,7 +240,7 @@ impl Decoder {
         if let (Some(layer), Some(amplitude)) = (&mut collapsed.layer, branch.linear_mut()) {
             layer.clear_grads();
             layer.add_grads(chunks.iter().map(|g| &g.collapsed));
-            collapsed.backward(waves, Through { space: &mut self.space, amplitude, head: &mut self.head });
+            collapsed.backward(waves, CollapsedLayers { space: &mut self.space, amplitude, head: &mut self.head });
         }
     }
 }

@@ -1,92 +1,110 @@
-//! One cloud drawn at many times: what does not depend on time is worked out once, and splats that hardly move may be
-//! left where they are.
+//! The same splats at many timestamps: the time-independent part is computed once, and splats that hardly move may be
+//! left at their canonical rows.
 //!
-//! The view borrows field and cloud, so neither can change while it exists and nothing in it can be out of date.
+//! A [`FrozenField`] borrows the field and the splats, so neither can change while it exists.
 //!
-//! **Still splats** (an approximation, used only where [`FrozenField::leave_still`] is called). With `ψ = |ρ_xyz| / |q_d|`
-//! the sine of half the angle, a splat's centre moves by at most
+//! ```
+//! use gs_core::{Splats, Time};
+//! use gs_deform::{Field, Grid4dConfig, Grid4dField};
+//!
+//! let mut config = Grid4dConfig::default();
+//! config.canonical.log2_table = 10;
+//! let field = Grid4dField::new(&config, 1)?;
+//! let (means, quats, scales) = (vec![glam::Vec3::ONE], vec![[1.0, 0.0, 0.0, 0.0]], vec![glam::Vec3::ONE]);
+//! let canonical = Splats { means, quats, scales, opacities: vec![1.0], ..Splats::default() };
+//! let (mut frozen, mut frozen_out, mut out) = (field.freeze(&canonical), Splats::default(), Splats::default());
+//! for t in [0.1, 0.9] {
+//!     frozen.forward(Time::new(t)?, &mut frozen_out);
+//!     field.forward(&canonical, Time::new(t)?, &mut Default::default(), &mut out);
+//!     assert_eq!(frozen_out, out);
+//! }
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! **Static splats** (an approximation, used only after [`FrozenField::keep_static`]). With `ψ = |ρ_xyz| / |q_d|` the
+//! sine of half the angle, a splat's mean moves by at most
 //!
 //! ```text
 //! δ = r 2ψ|μ| + η|τ|       and its extent in any direction changes by at most       η (|Δs|_max + 2 |s|_max |Δr|)
 //! pixels ≤ f / (t_z − δ) · (1 + tan(fov/2)) · (δ + change of extent)
 //! ```
-//! (`r` is the gate or 1, by mode). A splat whose bound is below the tolerance at every probe time and in every camera
-//! keeps its canonical row. The bound holds at the probe times; between them it is as good as the probes are dense.
+//! (`r` is the gate or 1, by mode). A splat whose bound is within the tolerance at every probe time and in every camera
+//! keeps its canonical row. The bound holds at the probe times, not between them.
 
 use super::config::{GateConfig, GateMode};
-use super::{Grid4dField, Playing, Standing, gate};
+use super::{Grid4dField, StaticState, TimeState, gate};
 use crate::apply;
 use glam::Vec3;
 use gs_core::{Camera, Splats, Time};
 use rayon::prelude::*;
 
-/// A field and a cloud, ready to be drawn at many times; see the [module](self).
+/// A field and splats, prepared for evaluation at many timestamps; see the [module](self).
 #[derive(Debug)]
 pub struct FrozenField<'a> {
     field: &'a Grid4dField,
     canonical: &'a Splats,
-    standing: Standing,
-    playing: Playing,
-    moving: Option<MovingRows>,
+    static_state: StaticState,
+    time_state: TimeState,
+    moving: Option<DynamicRows>,
 }
 
-/// The splats that are not left still.
+/// The splats that are not kept static.
 #[derive(Debug)]
-struct MovingRows {
+struct DynamicRows {
     rows: Vec<u32>,
-    /// Their means, rotations and scales, canonical and moved.
+    /// Means, quaternions and scales of these rows, canonical and moved.
     canonical: Splats,
     moved: Splats,
 }
 
-/// Which splats may be left still.
+/// Tolerance under which splats are kept static.
 #[derive(Clone, Copy, Debug)]
 pub struct StillOptions<'a> {
-    /// Largest error on screen, pixels.
+    /// Largest error on screen, pixels; 0 keeps only splats static that do not move at all.
     pub pixels: f32,
-    /// Probe times, spread evenly over 0 … 1; at least 1.
+    /// Number of probe times, evenly spaced over 0 … 1; 0 counts as 1.
     pub probes: usize,
-    /// The cameras that will be drawn from.
+    /// The cameras that will be rendered; without any, only splats that do not move at all are kept static.
     pub cameras: &'a [Camera],
 }
 
-/// What was left still, and what it may cost.
+/// Number of splats kept static, and the bound of their error.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StillReport {
-    /// All splats.
+    /// Number of all splats.
     pub splats: usize,
-    /// Those left at their canonical row.
+    /// Number of splats kept at their canonical rows.
     pub still: usize,
-    /// Largest bound among them, pixels.
+    /// Largest error bound among the static splats, pixels.
     pub bound_pixels: f32,
-    /// Probe times looked at.
+    /// Number of probe times checked.
     pub probes: usize,
 }
 
 impl Grid4dField {
-    /// Prepares to draw one cloud at many times.
+    /// Computes the time-independent part for `canonical`, for evaluation at many timestamps.
     pub fn freeze<'a>(&'a self, canonical: &'a Splats) -> FrozenField<'a> {
-        let mut standing = Standing::default();
-        self.stand(canonical, &mut standing);
-        FrozenField { field: self, canonical, standing, playing: Playing::default(), moving: None }
+        let mut static_state = StaticState::default();
+        self.encode_static(canonical, &mut static_state);
+        FrozenField { field: self, canonical, static_state, time_state: TimeState::default(), moving: None }
     }
 }
 
 impl FrozenField<'_> {
-    /// Writes the splats at time `t` to `out`, as [`Field::forward`](crate::Field::forward) does.
+    /// Writes the splats at timestamp `t` to `out`, as [`Field::forward`](crate::Field::forward) does.
     pub fn forward(&mut self, t: Time, out: &mut Splats) {
-        let Self { field, canonical, standing, playing, moving } = self;
-        let Some(MovingRows { rows, canonical: from, moved }) = moving else {
+        let Self { field, canonical, static_state, time_state, moving } = self;
+        let Some(DynamicRows { rows, canonical: from, moved }) = moving else {
             if !field.config.exact.cached_attention {
-                field.stand(canonical, standing);
+                field.encode_static(canonical, static_state);
             }
-            field.play(canonical, standing, t, playing, out);
+            field.forward_at(canonical, static_state, t, time_state, out);
             return;
         };
         if !field.config.exact.cached_attention {
-            field.stand(from, standing);
+            field.encode_static(from, static_state);
         }
-        field.play(from, standing, t, playing, moved);
+        field.forward_at(from, static_state, t, time_state, moved);
         apply::pass_through(canonical, out);
         out.means.copy_from_slice(&canonical.means);
         out.quats.copy_from_slice(&canonical.quats);
@@ -94,61 +112,62 @@ impl FrozenField<'_> {
         apply::put_back(moved, rows, out);
     }
 
-    /// From now on leaves splats still whose error on screen is bounded by `options.pixels`; says which share that is.
-    /// Without cameras, or with a tolerance of 0, only splats that do not move at all are left still.
-    pub fn leave_still(&mut self, options: &StillOptions<'_>) -> StillReport {
-        let Self { field, canonical, standing, playing, moving } = self;
+    /// Keeps splats static in later calls of [`FrozenField::forward`] whose error on screen is at most
+    /// `options.pixels`.
+    pub fn keep_static(&mut self, options: &StillOptions<'_>) -> StillReport {
+        let Self { field, canonical, static_state, time_state, moving } = self;
         if moving.take().is_some() {
-            field.stand(canonical, standing);
+            field.encode_static(canonical, static_state);
         }
         let probes = options.probes.max(1);
-        let (mut reach, mut out) = (vec![[0.0f32; 2]; canonical.len()], Splats::default());
+        let (mut displacements, mut out) = (vec![[0.0f32; 2]; canonical.len()], Splats::default());
         for probe in 0..probes {
             let normalised = if probes > 1 { probe as f32 / (probes - 1) as f32 } else { 0.5 };
             let t = Time { normalised, seconds: f64::from(normalised) };
-            field.play(canonical, standing, t, playing, &mut out);
-            let heads = playing.blocks.iter().flat_map(|b| b.head.chunks_exact(field.config.head_width()));
-            for (i, (reach, head)) in reach.iter_mut().zip(heads).enumerate() {
-                if field.moves(&standing.points[i]) {
+            field.forward_at(canonical, static_state, t, time_state, &mut out);
+            let heads = time_state.blocks.iter().flat_map(|b| b.head.chunks_exact(field.config.head_width()));
+            for (i, (displacement, head)) in displacements.iter_mut().zip(heads).enumerate() {
+                if field.moves(&static_state.points[i]) {
                     let row = gate::Row::read(head, field.config.gate);
-                    let here = row_reach(&row, field.config.gate, canonical.means[i], canonical.scales[i]);
-                    *reach = [reach[0].max(here[0]), reach[1].max(here[1])];
+                    let here = row_bounds(&row, field.config.gate, canonical.means[i], canonical.scales[i]);
+                    *displacement = [displacement[0].max(here[0]), displacement[1].max(here[1])];
                 }
             }
         }
-        let pixels = |(reach, mean): (&[f32; 2], &Vec3)| screen_bound(*reach, *mean, options.cameras);
-        let bounds: Vec<f32> = reach.par_iter().zip(&canonical.means).map(pixels).collect();
-        let is_still = |bound: f32| bound <= options.pixels;
-        let rows: Vec<u32> = (0..canonical.len()).filter(|&i| !is_still(bounds[i])).map(|i| i as u32).collect();
-        let bound_pixels = bounds.iter().filter(|b| is_still(**b)).fold(0.0f32, |m, b| m.max(*b));
+        let pixels = |(displacement, mean): (&[f32; 2], &Vec3)| screen_bound(*displacement, *mean, options.cameras);
+        let bounds: Vec<f32> = displacements.par_iter().zip(&canonical.means).map(pixels).collect();
+        let is_static = |bound: f32| bound <= options.pixels;
+        let rows: Vec<u32> = (0..canonical.len()).filter(|&i| !is_static(bounds[i])).map(|i| i as u32).collect();
+        let bound_pixels = bounds.iter().filter(|b| is_static(**b)).fold(0.0f32, |m, b| m.max(*b));
         let (splats, still) = (canonical.len(), canonical.len() - rows.len());
         if still > 0 {
             let from = apply::pick(canonical, &rows);
-            field.stand(&from, standing);
-            *moving = Some(MovingRows { rows, canonical: from, moved: Splats::default() });
+            field.encode_static(&from, static_state);
+            *moving = Some(DynamicRows { rows, canonical: from, moved: Splats::default() });
         }
         StillReport { splats, still, bound_pixels, probes }
     }
 }
 
-/// Bounds on the way of the centre and on the change of extent, world units.
-fn row_reach(row: &gate::Row, gate: GateConfig, mean: Vec3, scale: Vec3) -> [f32; 2] {
+/// Bounds on the displacement of the mean and on the change of extent, world units.
+fn row_bounds(row: &gate::Row, gate: GateConfig, mean: Vec3, scale: Vec3) -> [f32; 2] {
     let eta = row.gate;
     let norm = |v: &[f32]| v.iter().map(|v| v * v).sum::<f32>().sqrt();
-    let raw = row.turn_raw(gate.mode);
-    let turned = 2.0 * (norm(&raw[1..]) / norm(&raw).max(f32::MIN_POSITIVE)).min(1.0) * mean.length();
+    let raw = row.raw_rotation(gate.mode);
+    let rotated = 2.0 * (norm(&raw[1..]) / norm(&raw).max(f32::MIN_POSITIVE)).min(1.0) * mean.length();
     let moved = match gate.mode {
-        GateMode::ScaleParam | GateMode::TranslationOnly => turned + eta * row.tau.length(),
-        GateMode::LerpPosition => eta * (turned + row.tau.length()),
-        GateMode::Literal => (1.0 - eta) * mean.length() + eta * (turned + row.tau.length()),
+        GateMode::ScaleParam | GateMode::TranslationOnly => rotated + eta * row.tau.length(),
+        GateMode::LerpPosition => eta * (rotated + row.tau.length()),
+        GateMode::Literal => (1.0 - eta) * mean.length() + eta * (rotated + row.tau.length()),
     };
-    let (turn, stretch) = row.shape_change();
-    let largest = scale.abs().max_element() + eta * stretch;
-    [moved, eta * stretch + 2.0 * largest * (eta * turn).min(1.0)]
+    let (rotation, scale_change) = row.largest_shape_offsets();
+    let largest = scale.abs().max_element() + eta * scale_change;
+    [moved, eta * scale_change + 2.0 * largest * (eta * rotation).min(1.0)]
 }
 
-/// Largest error on screen of a splat at `mean` whose centre is moved and whose extent is changed by so much (world
-/// units), pixels, over the cameras; 0 for what does not move, infinite if it may reach a camera's plane or there is none.
+/// Bound on the screen displacement, pixels, of a splat at `mean` whose mean moves by at most `moved` and whose extent
+/// changes by at most `changed` (world units): the largest over all cameras. 0 if both are 0; infinite without cameras
+/// or if the splat may cross a camera's plane `z = 0`. Cameras that it stays behind do not count.
 pub fn screen_bound([moved, changed]: [f32; 2], mean: Vec3, cameras: &[Camera]) -> f32 {
     if moved == 0.0 && changed == 0.0 {
         return 0.0;
@@ -156,11 +175,11 @@ pub fn screen_bound([moved, changed]: [f32; 2], mean: Vec3, cameras: &[Camera]) 
     if cameras.is_empty() {
         return f32::INFINITY;
     }
-    cameras.iter().fold(0.0f32, |most, c| {
+    cameras.iter().fold(0.0f32, |largest, c| {
         let depth = (c.rotation * mean.as_dvec3() + c.translation).z;
         let moved = f64::from(moved);
         if depth + moved <= 0.0 {
-            return most; // behind the camera wherever it goes
+            return largest; // behind the camera at every displacement
         }
         if depth - moved <= 0.0 {
             return f32::INFINITY;
@@ -168,6 +187,6 @@ pub fn screen_bound([moved, changed]: [f32; 2], mean: Vec3, cameras: &[Camera]) 
         let (width, height) = (f64::from(c.width), f64::from(c.height));
         let tan = (c.cx.max(width - c.cx) / c.fx).max(c.cy.max(height - c.cy) / c.fy);
         let per_unit = c.fx.max(c.fy) / (depth - moved) * (1.0 + tan);
-        most.max((per_unit * (moved + f64::from(changed))) as f32)
+        largest.max((per_unit * (moved + f64::from(changed))) as f32)
     })
 }

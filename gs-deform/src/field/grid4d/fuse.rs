@@ -5,7 +5,7 @@
 //! h = a ⊙ relu(f)        v_f = v_h ⊙ a ⊙ [f > 0]        v_z = v_h ⊙ f ⊙ da/dz,   da/dz = ½(1 − a²)   or   a(1 − a)
 //! ```
 //! `tanh x = x P(x²) / Q(x²)` with `P` of degree 6 and `Q` of degree 3, a relative-minimax fit on `|x| ≤ 8.6` (4e-9),
-//! held beyond (where `1 − tanh` is below 7e-8).
+//! constant beyond (where `1 − tanh` is below 7e-8).
 
 use fearless_simd::{Level, Simd, SimdBase, SimdFloat, dispatch, f32x16};
 
@@ -51,8 +51,8 @@ fn attention_all<S: Simd>(simd: S, z: &mut [f32], directional: bool) {
     rest.copy_from_slice(&last[..rest.len()]);
 }
 
-/// Turns `z` into the attention `a`, in place.
-pub fn attention(level: Level, z: &mut [f32], directional: bool) {
+/// Attention in place: `z` becomes `a`.
+pub(super) fn attention(level: Level, z: &mut [f32], directional: bool) {
     dispatch!(level, simd => attention_all(simd, z, directional));
 }
 
@@ -65,7 +65,7 @@ fn attend_all<S: Simd>(_: S, f: &mut [f32], a: &[f32], h: &mut [f32]) {
 }
 
 /// `f = relu(f)`, `h = a ⊙ f`.
-pub fn attend(level: Level, f: &mut [f32], a: &[f32], h: &mut [f32]) {
+pub(super) fn attend(level: Level, f: &mut [f32], a: &[f32], h: &mut [f32]) {
     dispatch!(level, simd => attend_all(simd, f, a, h));
 }
 
@@ -77,7 +77,7 @@ fn product_all<S: Simd>(_: S, a: &[f32], f: &[f32], h: &mut [f32]) {
 }
 
 /// `h = a ⊙ f`.
-pub fn product(level: Level, a: &[f32], f: &[f32], h: &mut [f32]) {
+pub(super) fn product(level: Level, a: &[f32], f: &[f32], h: &mut [f32]) {
     dispatch!(level, simd => product_all(simd, a, f, h));
 }
 
@@ -90,8 +90,8 @@ fn attend_backward_all<S: Simd>(_: S, a: &[f32], f: &[f32], d: &mut [f32], d_f: 
     }
 }
 
-/// The way back of [`attention`] and [`attend`]: `d` holds `v_h` and becomes `v_z`; `d_f` is set.
-pub fn attend_backward(level: Level, a: &[f32], f: &[f32], d: &mut [f32], d_f: &mut [f32], directional: bool) {
+/// Backward of [`attention`] and [`attend`]: `d` holds `v_h` and becomes `v_z`; `d_f` is set.
+pub(super) fn attend_backward(level: Level, a: &[f32], f: &[f32], d: &mut [f32], d_f: &mut [f32], directional: bool) {
     dispatch!(level, simd => attend_backward_all(simd, a, f, d, d_f, directional));
 }
 
@@ -117,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn the_way_back_follows_the_kink_and_the_slope() {
+    fn backward_follows_the_kink_and_the_slope() {
         let level = Level::new();
         let (a, mut f, mut h) = ([0.5, -0.5, 0.25], [2.0, -1.0, 0.0], [9.0; 3]);
         attend(level, &mut f, &a, &mut h);

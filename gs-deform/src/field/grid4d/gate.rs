@@ -1,4 +1,4 @@
-//! From a row of the head to the offsets of a splat, and back.
+//! From the head's outputs to the offsets of a splat, forward and backward.
 //!
 //! ```text
 //! head row  [η_raw (with a gate) | ρ 4 | τ 3 | Δr 4 | Δs 3]         η = σ(η_raw), or 1 without a gate
@@ -6,58 +6,60 @@
 //! δμ  = scale_param: D + ητ     lerp_position: η(D + τ)     translation_only: D + ητ     literal: η(μ + D + τ) − μ
 //! δr  = ηΔr                     δs = ηΔs
 //! ```
-//! `D = 2w (v × μ) + 2v × (v × μ)` for `q_d/|q_d| = (w, v)` has no cancellation: a small turn is as precise as a large one,
-//! and no turn moves nothing, bit for bit. Where `|q_d|² < 1e-12` the turn is the identity and has no gradient. Rows
-//! outside the cube have no offsets and no gradient.
+//! `D = 2w (v × μ) + 2v × (v × μ)` for `q_d/|q_d| = (w, v)` has no cancellation: a small rotation is as precise as a
+//! large one, and the identity moves nothing, bit for bit. Where `|q_d|² < 1e-12` the rotation is the identity and has
+//! no gradient. Rows outside the cube have no offsets and no gradient.
 
 use super::config::{GateConfig, GateMode};
 use crate::apply::OffsetColumns;
 use glam::Vec3;
 use gs_core::rot;
 
-/// Below this `|q_d|²` there is no turn.
-const NO_TURN: f32 = 1e-12;
+/// Below this `|q_d|²` the rotation is the identity.
+const MIN_SQUARED_NORM: f32 = 1e-12;
 
-/// A row of the head, taken apart.
+/// The head's outputs for one splat.
 pub(super) struct Row {
-    /// `η`.
+    /// Gate `η`, 0 … 1.
     pub gate: f32,
-    /// `ρ`.
+    /// Rotation parameters `ρ`.
     pub rho: [f32; 4],
-    /// `τ`.
+    /// Translation `τ`, world units.
     pub tau: Vec3,
-    turn: [f32; 4],
-    stretch: [f32; 3],
+    /// `Δr` before the gate.
+    rotation: [f32; 4],
+    /// `Δs` before the gate.
+    scale: [f32; 3],
 }
 
 impl Row {
     /// Reads `[η_raw | ρ | τ | Δr | Δs]`.
-    pub fn read(row: &[f32], gate: GateConfig) -> Self {
+    pub(super) fn read(row: &[f32], gate: GateConfig) -> Self {
         let (raw, rest) = row.split_at(usize::from(gate.on));
         let at = |k: usize| rest[k];
         Self {
             gate: raw.first().map_or(1.0, |v| 1.0 / (1.0 + (-v).exp())),
             rho: [at(0), at(1), at(2), at(3)],
             tau: Vec3::new(at(4), at(5), at(6)),
-            turn: [at(7), at(8), at(9), at(10)],
-            stretch: [at(11), at(12), at(13)],
+            rotation: [at(7), at(8), at(9), at(10)],
+            scale: [at(11), at(12), at(13)],
         }
     }
 
     /// `|Δr|` and the largest `|Δs|`.
-    pub fn shape_change(&self) -> (f32, f32) {
-        let turn = self.turn.iter().map(|v| v * v).sum::<f32>().sqrt();
-        (turn, self.stretch.iter().fold(0.0f32, |m, v| m.max(v.abs())))
+    pub(super) fn largest_shape_offsets(&self) -> (f32, f32) {
+        let rotation = self.rotation.iter().map(|v| v * v).sum::<f32>().sqrt();
+        (rotation, self.scale.iter().fold(0.0f32, |m, v| m.max(v.abs())))
     }
 
-    /// `q_d` of the mode.
-    pub fn turn_raw(&self, mode: GateMode) -> [f32; 4] {
+    /// `q_d`, not normalised, in a gate mode.
+    pub(super) fn raw_rotation(&self, mode: GateMode) -> [f32; 4] {
         let r = if mode == GateMode::ScaleParam { self.gate } else { 1.0 };
         [1.0 + r * self.rho[0], r * self.rho[1], r * self.rho[2], r * self.rho[3]]
     }
 }
 
-/// Offsets of a block: `heads: [rows, 14 or 15]`, one mean and one "moves" per row.
+/// Offsets of a block from `heads: [rows, 14 or 15]` and, per row, its mean and whether it moves.
 pub(super) fn forward(
     gate: GateConfig,
     heads: &[f32],
@@ -77,27 +79,28 @@ pub(super) fn forward(
         }
         let row = Row::read(head, gate);
         to.means.extend(shift(&row, gate.mode, mean).to_array());
-        to.scales.extend(row.stretch.iter().map(|v| row.gate * v));
-        to.quats.extend(row.turn.iter().map(|v| row.gate * v));
+        to.scales.extend(row.scale.iter().map(|v| row.gate * v));
+        to.quats.extend(row.rotation.iter().map(|v| row.gate * v));
     }
 }
 
+/// `δμ`.
 fn shift(row: &Row, mode: GateMode, mean: Vec3) -> Vec3 {
-    let turned = turn(row.turn_raw(mode), mean);
+    let rotated = rotation_shift(row.raw_rotation(mode), mean);
     match mode {
-        GateMode::ScaleParam | GateMode::TranslationOnly => turned + row.gate * row.tau,
-        GateMode::LerpPosition => row.gate * (turned + row.tau),
-        GateMode::Literal => row.gate * (mean + turned + row.tau) - mean,
+        GateMode::ScaleParam | GateMode::TranslationOnly => rotated + row.gate * row.tau,
+        GateMode::LerpPosition => row.gate * (rotated + row.tau),
+        GateMode::Literal => row.gate * (mean + rotated + row.tau) - mean,
     }
 }
 
-fn turns(raw: [f32; 4]) -> bool {
-    raw.iter().map(|v| v * v).sum::<f32>() >= NO_TURN
+fn has_rotation(raw: [f32; 4]) -> bool {
+    raw.iter().map(|v| v * v).sum::<f32>() >= MIN_SQUARED_NORM
 }
 
 /// `R(q/|q|) μ − μ`.
-fn turn(raw: [f32; 4], mean: Vec3) -> Vec3 {
-    if !turns(raw) {
+fn rotation_shift(raw: [f32; 4], mean: Vec3) -> Vec3 {
+    if !has_rotation(raw) {
         return Vec3::ZERO;
     }
     let [w, x, y, z] = rot::normalise(raw).wxyz;
@@ -106,9 +109,9 @@ fn turn(raw: [f32; 4], mean: Vec3) -> Vec3 {
     2.0 * (w * across + axis.cross(across))
 }
 
-/// The way back of [`turn`]: `v_q`, and `(R − I)ᵀ g` for the mean.
-fn turn_backward(raw: [f32; 4], mean: Vec3, g: Vec3) -> ([f32; 4], Vec3) {
-    if !turns(raw) {
+/// Backward of [`rotation_shift`]: `v_q`, and `(R − I)ᵀ g` for the mean.
+fn rotation_shift_backward(raw: [f32; 4], mean: Vec3, g: Vec3) -> ([f32; 4], Vec3) {
+    if !has_rotation(raw) {
         return ([0.0; 4], Vec3::ZERO);
     }
     let unit = rot::normalise(raw);
@@ -116,11 +119,11 @@ fn turn_backward(raw: [f32; 4], mean: Vec3, g: Vec3) -> ([f32; 4], Vec3) {
     let outer = std::array::from_fn(|i| std::array::from_fn(|j| g3[i] * m[j]));
     let d_raw = rot::normalise_backward(&unit, rot::matrix_backward(unit.wxyz, &outer));
     let [w, x, y, z] = unit.wxyz;
-    (d_raw, turn([w, -x, -y, -z], g))
+    (d_raw, rotation_shift([w, -x, -y, -z], g))
 }
 
-/// The way back of [`forward`] from the cotangents of the offsets: sets `d_heads`, adds to `d_means` what does not pass
-/// through the sum `μ + δμ`.
+/// Backward of [`forward`] from the cotangents `d` of the offsets: sets `d_heads`, adds the gradient of `δμ` with
+/// respect to the mean to each row's cotangent (that of the sum `μ + δμ` is added elsewhere).
 pub(super) fn backward<'a>(
     gate: GateConfig,
     heads: &[f32],
@@ -140,44 +143,46 @@ pub(super) fn backward<'a>(
         }
         let row = Row::read(head, gate);
         let eta = row.gate;
-        let pull = shift_backward(&row, gate.mode, mean, Vec3::from_array(*d_shift));
-        *d_mean += pull.mean;
+        let grads = shift_backward(&row, gate.mode, mean, Vec3::from_array(*d_shift));
+        *d_mean += grads.mean;
         if gate.on {
-            let turned: f32 = row.turn.iter().zip(d_quat).map(|(r, d)| r * d).sum();
-            let stretched: f32 = row.stretch.iter().zip(d_scale).map(|(s, d)| s * d).sum();
-            d_heads.push((pull.gate + turned + stretched) * eta * (1.0 - eta));
+            let by_rotation: f32 = row.rotation.iter().zip(d_quat).map(|(r, d)| r * d).sum();
+            let by_scale: f32 = row.scale.iter().zip(d_scale).map(|(s, d)| s * d).sum();
+            d_heads.push((grads.gate + by_rotation + by_scale) * eta * (1.0 - eta));
         }
-        d_heads.extend(pull.rho);
-        d_heads.extend(pull.tau.to_array());
+        d_heads.extend(grads.rho);
+        d_heads.extend(grads.tau.to_array());
         d_heads.extend(d_quat.map(|d| eta * d));
         d_heads.extend(d_scale.map(|d| eta * d));
     }
 }
 
-/// Cotangents of what [`shift`] reads.
-struct Pull {
+/// Cotangents of the inputs of [`shift`].
+struct ShiftGrad {
     gate: f32,
     rho: [f32; 4],
     tau: Vec3,
     mean: Vec3,
 }
 
-fn shift_backward(row: &Row, mode: GateMode, mean: Vec3, g: Vec3) -> Pull {
-    let raw = row.turn_raw(mode);
+fn shift_backward(row: &Row, mode: GateMode, mean: Vec3, g: Vec3) -> ShiftGrad {
+    let raw = row.raw_rotation(mode);
     let eta = row.gate;
     let gated = matches!(mode, GateMode::LerpPosition | GateMode::Literal);
-    let (d_raw, d_mean) = turn_backward(raw, mean, if gated { eta * g } else { g });
+    let (d_raw, d_mean) = rotation_shift_backward(raw, mean, if gated { eta * g } else { g });
     let tau = eta * g;
     match mode {
         GateMode::ScaleParam => {
             let along: f32 = row.rho.iter().zip(d_raw).map(|(r, d)| r * d).sum();
-            Pull { gate: along + row.tau.dot(g), rho: d_raw.map(|d| eta * d), tau, mean: d_mean }
+            ShiftGrad { gate: along + row.tau.dot(g), rho: d_raw.map(|d| eta * d), tau, mean: d_mean }
         }
-        GateMode::LerpPosition => Pull { gate: (turn(raw, mean) + row.tau).dot(g), rho: d_raw, tau, mean: d_mean },
-        GateMode::TranslationOnly => Pull { gate: row.tau.dot(g), rho: d_raw, tau, mean: d_mean },
+        GateMode::LerpPosition => {
+            ShiftGrad { gate: (rotation_shift(raw, mean) + row.tau).dot(g), rho: d_raw, tau, mean: d_mean }
+        }
+        GateMode::TranslationOnly => ShiftGrad { gate: row.tau.dot(g), rho: d_raw, tau, mean: d_mean },
         GateMode::Literal => {
-            let gate = (mean + turn(raw, mean) + row.tau).dot(g);
-            Pull { gate, rho: d_raw, tau, mean: d_mean + eta * g - g }
+            let gate = (mean + rotation_shift(raw, mean) + row.tau).dot(g);
+            ShiftGrad { gate, rho: d_raw, tau, mean: d_mean + eta * g - g }
         }
     }
 }
@@ -196,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn a_closed_gate_keeps_every_splat_where_it_should() {
+    fn a_closed_gate_moves_nothing_or_to_the_origin_by_mode() {
         let mean = Vec3::new(1.0, -2.0, 3.0);
         let head = [-200.0, 0.3, 0.2, -0.5, 0.1, 1.0, 2.0, 3.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7];
         for mode in [GateMode::ScaleParam, GateMode::LerpPosition] {
@@ -228,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn a_turn_that_vanishes_is_the_identity_without_gradient() {
+    fn a_rotation_that_vanishes_is_the_identity_without_gradient() {
         let mean = Vec3::new(1.0, -2.0, 3.0);
         for rho in [-1.0f32, -1.0 + 2e-7] {
             let mut head = [0.0; 14];

@@ -1,9 +1,10 @@
 //! The four hash grids of a [`Grid4dField`](super::Grid4dField): one over x, y, z, three over two coordinates and time.
 //!
 //! ```text
-//! x̂ = (x + b) / 2b        t̂ = 0.05 + 0.9 t, held at 0 and 1        one row: [xyt | yzt | xzt], side by side
+//! x̂ = (x + b) / 2b        t̂ = 0.05 + 0.9 t, clamped to 0 … 1        one row: [xyt | yzt | xzt], side by side
 //! ```
-//! A point outside the cube has features of zero (in each grid that reads the coordinate that is outside) and trains none.
+//! A point outside the cube has features of zero and no gradient in each grid that reads the coordinate that is
+//! outside.
 
 use super::config::Grid4dConfig;
 use crate::DeformError;
@@ -23,16 +24,16 @@ pub(super) struct Grids {
     slicing: bool,
 }
 
-/// The time of some points.
+/// The times of some points, normalised to the cube.
 #[derive(Clone, Copy)]
 pub(super) enum Times<'a> {
-    /// One for all.
+    /// One time for all points.
     Common(f32),
-    /// One each.
+    /// One time per point.
     Each(&'a [f32]),
 }
 
-/// What the temporal grids need between their forward and backward pass.
+/// Inputs of the temporal grids, kept between forward and backward.
 #[derive(Clone, Debug, Default)]
 pub(super) struct TimedTape {
     solids: [Vec<[f32; 3]>; 3],
@@ -41,7 +42,7 @@ pub(super) struct TimedTape {
     sliced: bool,
 }
 
-/// The normalised reading of a time.
+/// A timestamp normalised to the cube, `t̂`.
 pub(super) fn normalised_time(t: Time) -> f32 {
     (0.05 + 0.9 * t.normalised).clamp(0.0, 1.0)
 }
@@ -52,7 +53,7 @@ pub(super) fn inside(p: &[f32; 3]) -> bool {
 }
 
 impl Grids {
-    pub fn new(config: &Grid4dConfig, seed: u64) -> Result<Self, DeformError> {
+    pub(super) fn new(config: &Grid4dConfig, seed: u64) -> Result<Self, DeformError> {
         let timed = |name| HashGrid::new(name, &config.temporal, seed);
         Ok(Self {
             xyz: HashGrid::new("field.grids.xyz", &config.canonical, seed)?,
@@ -62,29 +63,29 @@ impl Grids {
         })
     }
 
-    /// Values per row of canonical and of temporal features.
-    pub fn widths(&self) -> [usize; 2] {
+    /// Features per point of the canonical grid and of the three temporal grids together.
+    pub(super) fn widths(&self) -> [usize; 2] {
         [self.xyz.width(), self.timed.iter().map(HashGrid::width).sum()]
     }
 
-    /// All four: xyz, xyt, yzt, xzt.
-    pub fn all(&self) -> [&HashGrid; 4] {
+    /// All four grids: xyz, xyt, yzt, xzt.
+    pub(super) fn all(&self) -> [&HashGrid; 4] {
         let [xyt, yzt, xzt] = &self.timed;
         [&self.xyz, xyt, yzt, xzt]
     }
 
     /// Side of the cube, world units.
-    pub fn side(&self) -> f32 {
+    pub(super) fn side(&self) -> f32 {
         2.0 * self.bound
     }
 
-    /// World units to the unit cube.
-    pub fn normalise(&self, p: Vec3) -> [f32; 3] {
+    /// A point in world units to the unit cube.
+    pub(super) fn normalise(&self, p: Vec3) -> [f32; 3] {
         ((p + self.bound) / (2.0 * self.bound)).to_array()
     }
 
-    /// [`Grids::normalise`] of many points.
-    pub fn normalise_all(&self, means: &[Vec3], points: &mut Vec<[f32; 3]>) {
+    /// [`Grids::normalise`] of all points, in parallel.
+    pub(super) fn normalise_all(&self, means: &[Vec3], points: &mut Vec<[f32; 3]>) {
         points.resize(means.len(), [0.0; 3]);
         points.par_chunks_mut(1 << 12).zip(means.par_chunks(1 << 12)).for_each(|(points, means)| {
             points.iter_mut().zip(means).for_each(|(p, m)| *p = self.normalise(*m));
@@ -101,19 +102,19 @@ impl Grids {
     }
 
     /// Canonical features of normalised points.
-    pub fn space(&self, points: &[[f32; 3]], out: &mut Vec<f32>) {
+    pub(super) fn space(&self, points: &[[f32; 3]], out: &mut Vec<f32>) {
         out.resize(points.len() * self.xyz.width(), 0.0);
         self.xyz.forward(points, out, self.space_columns());
     }
 
-    /// The way back of [`Grids::space`].
-    pub fn space_backward(&mut self, points: &[[f32; 3]], d_out: &[f32]) {
+    /// Backward of [`Grids::space`]: adds to the table's gradient.
+    pub(super) fn space_backward(&mut self, points: &[[f32; 3]], d_out: &[f32]) {
         let columns = self.space_columns();
         self.xyz.backward(points, d_out, columns);
     }
 
     /// Temporal features of normalised points.
-    pub fn time(&self, points: &[[f32; 3]], times: Times<'_>, tape: &mut TimedTape, out: &mut Vec<f32>) {
+    pub(super) fn time(&self, points: &[[f32; 3]], times: Times<'_>, tape: &mut TimedTape, out: &mut Vec<f32>) {
         out.resize(points.len() * self.widths()[1], 0.0);
         let TimedTape { solids, planes, slices, sliced } = tape;
         *sliced = self.slicing && matches!(times, Times::Common(_));
@@ -140,8 +141,8 @@ impl Grids {
         }
     }
 
-    /// The way back of [`Grids::time`].
-    pub fn time_backward(&mut self, tape: &mut TimedTape, d_out: &[f32]) {
+    /// Backward of [`Grids::time`]: adds to the tables' gradients.
+    pub(super) fn time_backward(&mut self, tape: &mut TimedTape, d_out: &[f32]) {
         for g in 0..3 {
             let columns = self.timed_columns(g);
             if tape.sliced {

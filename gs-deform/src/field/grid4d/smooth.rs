@@ -1,10 +1,11 @@
-//! The smoothness regulariser of Grid4D: features of a place and of a place nearby should agree.
+//! The smoothness regulariser of Grid4D: the features of a point and of a point nearby should agree.
 //!
 //! ```text
 //! L_s = mean_i |H_xyz(x_i + δ_i) − H_xyz(x_i)|²        L_t = mean_i |H_t(x_i + δ_i, t + δt_i) − H_t(x_i, t)|²
-//! value = λ_s L_s + λ_t L_t        back: ±2 Δ λ / n to both evaluations        δ ~ U(−ε, ε) along each axis
+//! value = λ_s L_s + λ_t L_t        backward: ±2 Δ λ / n to both points        δ ~ U(−ε, ε) along each axis
 //! ```
-//! The splats of a step are one out of each of `k` equal runs (`k` the wanted share), drawn for space and time apart.
+//! A step samples one splat from each of `n` equal ranges of rows (`n` is the share of all splats), separately for
+//! space and time.
 
 use super::config::SmoothConfig;
 use super::grids::{Grids, TimedTape, Times, inside};
@@ -13,14 +14,14 @@ use gs_core::Rng;
 use gs_core::nn::BLOCK;
 use rayon::prelude::*;
 
-/// A pair of places in the unit cube and the shift in time of the second.
+/// Two points in the unit cube and the shift in time of the second.
 type Pair = ([[f32; 3]; 2], f32);
 
 /// Scratch of the regulariser, reused between steps.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Smooth {
-    drawn: Vec<Option<Pair>>,
-    /// First places, then second places.
+    pairs: Vec<Option<Pair>>,
+    /// All first points, then all second points.
     points: Vec<[f32; 3]>,
     times: Vec<f32>,
     timed: TimedTape,
@@ -29,20 +30,20 @@ pub(super) struct Smooth {
     sums: Vec<f64>,
 }
 
-/// The random numbers of a step.
+/// Key of a step's random numbers.
 #[derive(Clone, Copy)]
-pub(super) struct Draw {
+pub(super) struct StepSeed {
     pub seed: u64,
     pub step: u32,
 }
 
 impl Smooth {
     /// Adds the gradient of `λ_s L_s` to the canonical grid, returns the value.
-    pub fn space(&mut self, grids: &mut Grids, config: &SmoothConfig, means: &[Vec3], draw: Draw) -> f64 {
+    pub(super) fn space(&mut self, grids: &mut Grids, config: &SmoothConfig, means: &[Vec3], seed: StepSeed) -> f64 {
         if config.lambda_s == 0.0 {
             return 0.0;
         }
-        self.pairs(grids, config, means, ("field.smooth.space", draw), 0.0);
+        self.sample(grids, config, means, ("field.smooth.space", seed), 0.0);
         grids.space(&self.points, &mut self.features);
         let value = self.compare(grids.widths()[0], config.lambda_s);
         grids.space_backward(&self.points, &self.d_features);
@@ -50,11 +51,18 @@ impl Smooth {
     }
 
     /// Adds the gradient of `λ_t L_t` to the temporal grids, returns the value. `t`: normalised to the cube.
-    pub fn time(&mut self, grids: &mut Grids, config: &SmoothConfig, means: &[Vec3], t: f32, draw: Draw) -> f64 {
+    pub(super) fn time(
+        &mut self,
+        grids: &mut Grids,
+        config: &SmoothConfig,
+        means: &[Vec3],
+        t: f32,
+        seed: StepSeed,
+    ) -> f64 {
         if config.lambda_t == 0.0 {
             return 0.0;
         }
-        self.pairs(grids, config, means, ("field.smooth.time", draw), t);
+        self.sample(grids, config, means, ("field.smooth.time", seed), t);
         let times = if config.eps_t == 0.0 { Times::Common(t) } else { Times::Each(&self.times) };
         grids.time(&self.points, times, &mut self.timed, &mut self.features);
         let value = self.compare(grids.widths()[1], config.lambda_t);
@@ -62,26 +70,26 @@ impl Smooth {
         value
     }
 
-    /// Draws the pairs of a step.
-    fn pairs(&mut self, grids: &Grids, config: &SmoothConfig, means: &[Vec3], (name, draw): (&str, Draw), t: f32) {
+    /// Samples the pairs of a step.
+    fn sample(&mut self, grids: &Grids, config: &SmoothConfig, means: &[Vec3], (name, key): (&str, StepSeed), t: f32) {
         let n = means.len();
         let count = ((f64::from(config.share) * n as f64).round() as usize).clamp(n.min(1), n);
         let unit = 1.0 / grids.side();
         let pair = |j: usize| {
-            let mut rng = Rng::new(draw.seed, name, draw.step, j as u64);
-            let run = run(j, count, n);
-            let row = run.start + rng.below(run.len() as u32) as usize;
+            let mut rng = Rng::new(key.seed, name, key.step, j as u64);
+            let rows = stratum(j, count, n);
+            let row = rows.start + rng.below(rows.len() as u32) as usize;
             let first = grids.normalise(means[row]);
             let second = std::array::from_fn(|d| first[d] + unit * rng.range(-config.eps[d], config.eps[d]));
             let shift = unit * rng.range(-config.eps_t, config.eps_t);
             let within = inside(&first) && inside(&second) && (0.0..=1.0).contains(&(t + shift));
             (within || !config.drop_leaving).then_some(([first, second], shift))
         };
-        (0..count).into_par_iter().map(pair).collect_into_vec(&mut self.drawn);
+        (0..count).into_par_iter().map(pair).collect_into_vec(&mut self.pairs);
         self.points.clear();
         self.times.clear();
         for second in [false, true] {
-            for (pair, shift) in self.drawn.iter().flatten() {
+            for (pair, shift) in self.pairs.iter().flatten() {
                 self.points.push(pair[usize::from(second)]);
                 self.times.push(if second { t + shift } else { t });
             }
@@ -122,8 +130,8 @@ fn difference(first: &[f32], second: &[f32], d_first: &mut [f32], d_second: &mut
     sum
 }
 
-/// Run `j` of `count` equal runs of `0..n`.
-fn run(j: usize, count: usize, n: usize) -> std::ops::Range<usize> {
+/// Range `j` of `count` equal ranges of `0..n`.
+fn stratum(j: usize, count: usize, n: usize) -> std::ops::Range<usize> {
     j * n / count..(j + 1) * n / count
 }
 
@@ -135,7 +143,7 @@ mod tests {
     use crate::reference::HashGridRef;
     use gs_core::Params;
 
-    const DRAW: Draw = Draw { seed: 3, step: 7 };
+    const SEED: StepSeed = StepSeed { seed: 3, step: 7 };
 
     fn means(n: usize) -> Vec<Vec3> {
         let mut rng = Rng::new(1, "means", 0, 0);
@@ -164,11 +172,11 @@ mod tests {
     }
 
     #[test]
-    fn runs_cover_every_row_once() {
+    fn strata_cover_every_row_once() {
         for (count, n) in [(1, 1), (1, 7), (3, 7), (7, 7), (100, 999)] {
-            let all: Vec<usize> = (0..count).flat_map(|j| run(j, count, n)).collect();
+            let all: Vec<usize> = (0..count).flat_map(|j| stratum(j, count, n)).collect();
             assert_eq!(all, (0..n).collect::<Vec<_>>());
-            assert!((0..count).all(|j| !run(j, count, n).is_empty()));
+            assert!((0..count).all(|j| !stratum(j, count, n).is_empty()));
         }
     }
 
@@ -176,22 +184,24 @@ mod tests {
     fn values_agree_with_the_f64_grids() {
         let (mut grids, config) = grids(wide(false, 0.1), false);
         let (mut smooth, means) = (Smooth::default(), means(40));
-        let space = smooth.space(&mut grids, &config, &means, DRAW);
-        let twins = grids.all().map(HashGridRef::new);
-        let distance = |twin: &HashGridRef, a: [f32; 3], b: [f32; 3]| -> f64 {
-            let (a, b) = (twin.features(a.map(f64::from)), twin.features(b.map(f64::from)));
+        let space = smooth.space(&mut grids, &config, &means, SEED);
+        let references = grids.all().map(HashGridRef::new);
+        let distance = |reference: &HashGridRef, a: [f32; 3], b: [f32; 3]| -> f64 {
+            let (a, b) = (reference.features(a.map(f64::from)), reference.features(b.map(f64::from)));
             a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum()
         };
         let n = smooth.points.len() / 2;
         assert_eq!(n, 24, "pairs that leave the cube were to be kept");
-        let want: f64 = (0..n).map(|i| distance(&twins[0], smooth.points[i], smooth.points[n + i])).sum();
+        let want: f64 = (0..n).map(|i| distance(&references[0], smooth.points[i], smooth.points[n + i])).sum();
         assert!((space - 0.7 * want / n as f64).abs() < 1e-5 * space, "{space} {want}");
 
-        let time = smooth.time(&mut grids, &config, &means, 0.4, DRAW);
+        let time = smooth.time(&mut grids, &config, &means, 0.4, SEED);
         let point = |i: usize, (a, b): (usize, usize)| [smooth.points[i][a], smooth.points[i][b], smooth.times[i]];
-        let pairs = [(0, 1), (1, 2), (0, 2)].into_iter().zip(&twins[1..]);
+        let pairs = [(0, 1), (1, 2), (0, 2)].into_iter().zip(&references[1..]);
         let want: f64 = pairs
-            .map(|(axes, twin)| (0..n).map(|i| distance(twin, point(i, axes), point(n + i, axes))).sum::<f64>())
+            .map(|(axes, reference)| {
+                (0..n).map(|i| distance(reference, point(i, axes), point(n + i, axes))).sum::<f64>()
+            })
             .sum();
         assert!((time - 0.3 * want / n as f64).abs() < 1e-5 * time, "{time} {want}");
     }
@@ -200,13 +210,13 @@ mod tests {
     fn pairs_that_leave_the_cube_are_dropped_and_steps_differ() {
         let (mut grids, config) = grids(wide(true, 0.0), true);
         let (mut smooth, means) = (Smooth::default(), means(200));
-        let first = smooth.space(&mut grids, &config, &means, DRAW);
+        let first = smooth.space(&mut grids, &config, &means, SEED);
         assert!(smooth.points.iter().all(inside) && smooth.points.len() < 240);
-        assert_eq!(first, smooth.space(&mut grids, &config, &means, DRAW));
-        assert_ne!(first, smooth.space(&mut grids, &config, &means, Draw { step: 8, ..DRAW }));
+        assert_eq!(first, smooth.space(&mut grids, &config, &means, SEED));
+        assert_ne!(first, smooth.space(&mut grids, &config, &means, StepSeed { step: 8, ..SEED }));
         for none in [&means[..0], &[Vec3::splat(9.0)]] {
-            assert_eq!(smooth.space(&mut grids, &config, none, DRAW), 0.0);
-            assert_eq!(smooth.time(&mut grids, &config, none, 0.4, DRAW), 0.0);
+            assert_eq!(smooth.space(&mut grids, &config, none, SEED), 0.0);
+            assert_eq!(smooth.time(&mut grids, &config, none, 0.4, SEED), 0.0);
         }
     }
 
@@ -218,7 +228,7 @@ mod tests {
             let (mut grids, config) = grids(config, slicing);
             let (mut smooth, means) = (Smooth::default(), means(40));
             let mut value = |grids: &mut Grids| {
-                smooth.space(grids, &config, &means, DRAW) + smooth.time(grids, &config, &means, 0.4, DRAW)
+                smooth.space(grids, &config, &means, SEED) + smooth.time(grids, &config, &means, 0.4, SEED)
             };
             value(&mut grids);
             let mut names = Vec::new();

@@ -1,14 +1,14 @@
-//! Where a block of points falls in a level: cells and weights, one array per quantity, worked out sixteen at a time.
+//! Cells and interpolation weights of a block of points in a level, one array per quantity, computed sixteen at a time.
 //!
 //! ```text
 //! p = x̂ · scale      i = min(⌊p⌋, res − 2)      f = p − i      w = f² (3 − 2f)
 //! ```
-//! A point with a coordinate outside `[0, 1]` (or not a number) counts as the origin with weights of zero.
+//! A point with a coordinate outside `[0, 1]` (or NaN) counts as the origin with weights of zero.
 
 use super::level::Level;
 use fearless_simd::{Simd, SimdBase, SimdCvtTruncate, SimdFloat, f32x16, u32x16};
 
-/// Points worked on together.
+/// Points per block.
 pub(super) const BLOCK: usize = 256;
 
 const LANES: usize = 16;
@@ -26,8 +26,7 @@ pub(super) struct Points {
 pub(super) struct Cells {
     /// First coordinate of the cell.
     pub x: [u32; BLOCK],
-    /// What the other coordinates add to the place of a node ([`Level::row`]) for the four (y, z) corners, y first; in a
-    /// plane only the first two, with `res_x · y`.
+    /// [`Level::row`] of the four (y, z) corners, y first; in a plane `res_x · y` in the first row only.
     pub rows: [[u32; BLOCK]; 4],
     /// Weight of the right neighbour along x.
     pub wx: [f32; BLOCK],
@@ -35,7 +34,7 @@ pub(super) struct Cells {
     pub rest: [[f32; BLOCK]; 4],
 }
 
-/// What one task works on.
+/// Scratch of one task.
 pub(super) type Scratch = (Points, Cells);
 
 impl Default for Points {
@@ -51,9 +50,9 @@ impl Default for Cells {
 }
 
 impl Points {
-    /// Takes the coordinates of at most [`BLOCK`] points.
+    /// Loads the coordinates of at most [`BLOCK`] points.
     #[inline(always)]
-    pub fn load(&mut self, points: impl ExactSizeIterator<Item = [f32; 3]>) {
+    pub(super) fn load(&mut self, points: impl ExactSizeIterator<Item = [f32; 3]>) {
         self.rows = points.len();
         for (r, p) in points.enumerate() {
             let inside = p.iter().all(|c| (0.0..=1.0).contains(c));
@@ -83,7 +82,7 @@ impl Points {
 impl Cells {
     /// Cells in all three axes.
     #[inline(always)]
-    pub fn space<S: Simd>(&mut self, simd: S, level: &Level, points: &Points) {
+    pub(super) fn space<S: Simd>(&mut self, simd: S, level: &Level, points: &Points) {
         let one = f32x16::splat(simd, 1.0);
         for at in (0..points.lanes()).step_by(LANES) {
             let here = at..at + LANES;
@@ -107,7 +106,7 @@ impl Cells {
 
     /// Cells in the first two axes.
     #[inline(always)]
-    pub fn plane<S: Simd>(&mut self, simd: S, level: &Level, points: &Points) {
+    pub(super) fn plane<S: Simd>(&mut self, simd: S, level: &Level, points: &Points) {
         let one = f32x16::splat(simd, 1.0);
         for at in (0..points.lanes()).step_by(LANES) {
             let here = at..at + LANES;

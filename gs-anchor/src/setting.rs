@@ -1,0 +1,23 @@
+//! The error of a setting outside its domain.
+
+/// A setting outside its domain.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("`{field}` = {value}: {rule}")]
+pub struct SettingError {
+    /// Name of the setting with its section: `adapt.every`.
+    pub field: &'static str,
+    /// The rejected value.
+    pub value: f64,
+    /// The domain in words: `at least 1 step`.
+    pub rule: &'static str,
+}
+
+/// An error for `field` = `value` unless `good`.
+pub(crate) fn require(
+    good: bool,
+    field: &'static str,
+    value: impl Into<f64>,
+    rule: &'static str,
+) -> Result<(), SettingError> {
+    if good { Ok(()) } else { Err(SettingError { field, value: value.into(), rule }) }
+}
