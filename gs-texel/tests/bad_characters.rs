@@ -432,7 +432,7 @@ fn counts_beyond_the_bytes_cost_nothing() {
             "values": {"bufferView": 0}});
         drop(j["accessors"][0].as_object_mut().unwrap().remove("bufferView"));
     });
-    // One mesh drawn by very many primitives and nodes.
+    // One mesh referenced by very many primitives and nodes.
     bomb(|j| {
         let primitive = j["meshes"][0]["primitives"][0].clone();
         j["meshes"][0]["primitives"] = json!(vec![primitive; 300]);
