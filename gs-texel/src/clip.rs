@@ -58,7 +58,7 @@ impl Target {
 pub struct Channel {
     /// Node or morphs that the keys apply to.
     pub target: Target,
-    /// Interpolation between the keys.
+    /// Interpolation of the values between keys.
     pub interpolation: Interpolation,
     /// Times of the keys in seconds: finite, not decreasing, at least one.
     pub times: Vec<f64>,

@@ -49,7 +49,7 @@ pub enum Unseen {
     Harmonic,
 }
 
-/// Inputs that are refused.
+/// Inputs that [`inpaint`] and [`ViewWeights::new`] refuse.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum InpaintError {
     /// A column does not have one row per valid texel.
@@ -72,7 +72,7 @@ pub enum InpaintError {
     },
 }
 
-/// Counts of an in-painting.
+/// Counts of texels that [`inpaint`] returns.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Inpainted {
     /// Number of texels that got a value.

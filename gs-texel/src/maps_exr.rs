@@ -28,12 +28,12 @@ pub enum Kind {
     Plain,
 }
 
-/// A named map.
+/// A named map with the names of its channels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Layer {
     /// Name (`P`, `N`, `D`, `T1`, `vis`, …): not empty, without a dot.
     pub name: String,
-    /// Names of its channels.
+    /// Names of its channels in the file.
     pub kind: Kind,
     /// Whether values are stored as half floats: 11 bits, magnitude up to 65504.
     pub half: bool,

@@ -9,7 +9,7 @@ pub const NONE: u32 = u32::MAX;
 /// Rows handled by one task; fixed, so results do not depend on the number of threads.
 pub(crate) const CHUNK: usize = 1024;
 
-/// Faults of a mesh.
+/// Faults of a mesh: bad faces, positions or row counts.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum MeshError {
     /// A face names a vertex that is not there.

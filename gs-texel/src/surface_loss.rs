@@ -28,7 +28,7 @@ mod laplacian;
 mod normals;
 
 pub use chamfer::{Chamfer, ChamferError};
-pub use faces::{Colors, Paint};
+pub use faces::{Colors, SurfaceColors};
 pub use isometry::{Isometry, IsometryRule};
 pub use laplacian::laplacian;
 pub use normals::{NormalConsistency, NormalRule};
@@ -59,7 +59,7 @@ impl Point for DVec3 {
 /// A loss and its gradient by vertex positions.
 #[derive(Clone, Debug, PartialEq, Default)]
 pub struct SurfaceLoss {
-    /// Value of the loss.
+    /// Value of the loss, in the units of its equation.
     pub value: f64,
     /// Gradient by positions, one row per vertex.
     pub grad: Vec<DVec3>,

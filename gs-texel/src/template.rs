@@ -8,7 +8,7 @@ use std::sync::Arc;
 ///
 /// Vertices are welded: one row per distinct point of the surface, also along seams of texture or normals. Texture
 /// coordinates belong to corners of faces. Each face has two sets: where it lies in the atlas ([`Template::uvs`]), and where it
-/// reads the texture of its material ([`Template::painted`]).
+/// reads the texture of its material ([`Template::corner_uvs`]).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Template {
     /// `v̄`: positions in the bind pose, `N` rows.
@@ -23,11 +23,11 @@ pub struct Template {
     pub face_materials: Vec<u16>,
     /// Coordinates of each triangle's corners in its material's texture, which wraps by [`Material::wrap`]; `F` rows, or empty
     /// if they equal the atlas coordinates.
-    pub paint: Vec<[Vec2; 3]>,
+    pub material_uvs: Vec<[Vec2; 3]>,
     /// Display-encoded colour and opacity of each triangle's corners, a factor on materials without a texture; `F` rows, or
     /// empty if the mesh has no vertex colours.
     pub face_colors: Vec<[Vec4; 3]>,
-    /// Materials, indexed by `face_materials`.
+    /// Materials, the rows that `face_materials` names.
     pub materials: Vec<Material>,
     /// Joints and weights of each vertex, `N` rows.
     pub weights: SkinWeights,
@@ -55,7 +55,7 @@ pub struct SkinWeights {
 }
 
 impl SkinWeights {
-    /// Number of vertices `N`.
+    /// Number of vertices `N`, the rows.
     pub fn len(&self) -> usize {
         self.begins.len().saturating_sub(1)
     }
@@ -219,9 +219,9 @@ impl Material {
 
 impl Template {
     /// Coordinates of a triangle's corners in its material's texture; `None` without texture coordinates.
-    pub fn painted(&self, face: usize) -> Option<[Vec2; 3]> {
+    pub fn corner_uvs(&self, face: usize) -> Option<[Vec2; 3]> {
         let in_atlas = || self.face_uvs.get(face).map(|f| f.map(|k| self.uvs[k as usize]));
-        self.paint.get(face).copied().or_else(in_atlas)
+        self.material_uvs.get(face).copied().or_else(in_atlas)
     }
 
     /// Display-encoded colour and opacity at three barycentric coordinates of a triangle.
@@ -236,7 +236,9 @@ impl Template {
         let corners = corners.copied().unwrap_or([Vec4::ONE; 3]);
         let own = corners[0] * bary[0] + corners[1] * bary[1] + corners[2] * bary[2];
         let Some(material) = material else { return (own, corners) };
-        let Some(at) = self.painted(face) else { return (own * material.factor, corners.map(|c| c * material.factor)) };
+        let Some(at) = self.corner_uvs(face) else {
+            return (own * material.factor, corners.map(|c| c * material.factor));
+        };
         let (color, [u, v]) = material.colour_and_slope(at[0] * bary[0] + at[1] * bary[1] + at[2] * bary[2]);
         let slope = |k: usize| corners[k] * color + own * (u * at[k].x + v * at[k].y);
         (own * color, [0, 1, 2].map(slope))

@@ -23,7 +23,7 @@ const MAX_SIZE: usize = 1 << 14;
 /// Share of valid texels that may lie in more than one triangle.
 const MAX_OVERLAP: f64 = 1e-3;
 
-/// Faults of texture coordinates.
+/// Texture coordinates or sizes that [`TexelTable::build`] refuses.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum TexelError {
     /// Faces name rows that do not exist, or the numbers of faces differ.

@@ -66,7 +66,7 @@ pub struct View<'a> {
     pub mask: Option<&'a Image>,
 }
 
-/// How the mask is used.
+/// How the foreground mask gates and weights samples.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum MaskUse {

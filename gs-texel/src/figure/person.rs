@@ -21,7 +21,7 @@ const SPINE: u32 = 1;
 const CHEST: u32 = 2;
 const NECK: u32 = 3;
 const HEAD: u32 = 4;
-/// Of the left side (`+x`); the right side's are one higher.
+/// Left side (`+x`); rows of the right side are one higher.
 const UPPER_ARM: u32 = 5;
 const FORE_ARM: u32 = 7;
 const HAND: u32 = 9;

@@ -111,7 +111,7 @@ impl TexelBase {
         Ok(base)
     }
 
-    /// Number of texels `K`.
+    /// Number of texels `K`, the rows of every column.
     pub fn len(&self) -> usize {
         self.points.len()
     }

@@ -22,7 +22,7 @@ const NEIGHBOURS: usize = 3;
 /// Weight of the opacity channel.
 const OPACITY_WEIGHT: f64 = 0.1;
 
-/// Inputs without reference values.
+/// Inputs that [`targets`] refuses.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum WarmUpError {
     /// A column has another length.

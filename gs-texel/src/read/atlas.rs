@@ -12,7 +12,7 @@ use std::collections::HashMap;
 pub(super) fn lay_out(template: &mut Template, options: &ReadOptions) {
     let corners: Vec<[Vec2; 3]> = if options.auto_uv {
         unwrap(&template.vertices, &template.faces)
-    } else if template.paint.is_empty() {
+    } else if template.material_uvs.is_empty() {
         return;
     } else {
         let shifted = |corners: &[Vec2; 3]| {
@@ -23,11 +23,11 @@ pub(super) fn lay_out(template: &mut Template, options: &ReadOptions) {
             let fits = (low - shift).min_element() >= 0.0 && (high - shift).max_element() <= 1.0;
             if fits { corners.map(|c| c - shift) } else { *corners }
         };
-        template.paint.iter().map(shifted).collect()
+        template.material_uvs.iter().map(shifted).collect()
     };
     let corners = if options.repack && !options.auto_uv { repacked(template, corners) } else { corners };
-    if corners == template.paint {
-        template.paint.clear();
+    if corners == template.material_uvs {
+        template.material_uvs.clear();
     }
     let mut known: HashMap<(u32, [u32; 2]), u32> = HashMap::new();
     for (face, corners) in template.faces.iter().zip(&corners) {

@@ -264,7 +264,7 @@ impl<'a> Meshes<'a> {
         match table {
             None => self.mesh.colors.resize(self.mesh.colors.len() + n, Vec4::ONE),
             Some(table) => {
-                self.mesh.painted = true;
+                self.mesh.has_colors = true;
                 self.mesh.colors.extend(table.rows().map(|row| {
                     let [r, g, b, a] = std::array::from_fn(|k| row.get(k).map_or(1.0, |v| v.clamp(0.0, 1.0) as f32));
                     Vec4::new(srgb_encode(r), srgb_encode(g), srgb_encode(b), a)
@@ -339,8 +339,8 @@ impl<'a> Meshes<'a> {
             let [a, b, c] = face;
             if a != b && b != c && c != a {
                 self.mesh.faces.push(face.map(|v| base + v));
-                let paint = read(a).zip(read(b)).zip(read(c)).map(|((a, b), c)| [a, b, c]);
-                self.mesh.paint.push(paint.filter(|p| p.iter().all(|uv: &Vec2| uv.is_finite())));
+                let uvs_of_face = read(a).zip(read(b)).zip(read(c)).map(|((a, b), c)| [a, b, c]);
+                self.mesh.material_uvs.push(uvs_of_face.filter(|p| p.iter().all(|uv: &Vec2| uv.is_finite())));
                 self.mesh.face_materials.push(number);
             }
         };

@@ -90,7 +90,7 @@ fn add(out: &mut RawMesh, model: &tobj::Model, materials: usize, file: &str) -> 
         let corners = mesh.texcoord_indices.get(3 * k..3 * k + 3).unwrap_or(&[]);
         out.faces.push(face);
         out.face_materials.push(material);
-        out.paint.push(match corners {
+        out.material_uvs.push(match corners {
             [a, b, c] => uv(a).zip(uv(b)).zip(uv(c)).map(|((a, b), c)| [a, b, c]),
             _ => None,
         });

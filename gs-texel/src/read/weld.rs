@@ -23,13 +23,13 @@ pub(super) struct RawMesh {
     /// Display-encoded colours, one per point; white where the file has none.
     pub(super) colors: Vec<Vec4>,
     /// Whether the file has vertex colours.
-    pub(super) painted: bool,
+    pub(super) has_colors: bool,
     /// Morph offsets that are not 0 as `(vertex, morph, offset)`, sorted.
     pub(super) deltas: Vec<(u32, u32, Vec3)>,
     /// Names of the morphs.
     pub(super) morphs: Vec<String>,
     pub(super) faces: Vec<[u32; 3]>,
-    pub(super) paint: Vec<Option<[Vec2; 3]>>,
+    pub(super) material_uvs: Vec<Option<[Vec2; 3]>>,
     pub(super) face_materials: Vec<u16>,
 }
 
@@ -67,7 +67,7 @@ fn delta_rows(mesh: &RawMesh) -> Vec<usize> {
     (0..=n).map(|i| mesh.deltas.partition_point(|d| d.0 < i)).collect()
 }
 
-/// Welds a mesh into the character's template. `paint` gets one row per triangle, zeros for triangles without coordinates; it
+/// Welds a mesh into the character's template. `material_uvs` gets one row per triangle, zeros for triangles without coordinates; it
 /// stays empty if no triangle has any.
 pub(super) fn weld(mesh: RawMesh, character: &mut Character) {
     let rows = delta_rows(&mesh);
@@ -97,8 +97,8 @@ pub(super) fn weld(mesh: RawMesh, character: &mut Character) {
             offset.into_iter().for_each(|o| *o = delta);
         }
     }
-    let any_paint = mesh.paint.iter().any(Option::is_some);
-    for ((face, paint), &material) in mesh.faces.iter().zip(&mesh.paint).zip(&mesh.face_materials) {
+    let any_uvs = mesh.material_uvs.iter().any(Option::is_some);
+    for ((face, uvs), &material) in mesh.faces.iter().zip(&mesh.material_uvs).zip(&mesh.face_materials) {
         let [a, b, c] = face.map(|v| numbers.get(v as usize).copied().unwrap_or(0));
         if a == b || b == c || c == a {
             character.fallbacks.collapsed_faces += 1;
@@ -106,11 +106,11 @@ pub(super) fn weld(mesh: RawMesh, character: &mut Character) {
         }
         template.faces.push([a, b, c]);
         template.face_materials.push(material);
-        if mesh.painted {
+        if mesh.has_colors {
             template.face_colors.push(face.map(|v| mesh.colors.get(v as usize).copied().unwrap_or(Vec4::ONE)));
         }
-        if any_paint {
-            template.paint.push(paint.unwrap_or([Vec2::ZERO; 3]));
+        if any_uvs {
+            template.material_uvs.push(uvs.unwrap_or([Vec2::ZERO; 3]));
         }
     }
     character.file_vertices = numbers;

@@ -29,12 +29,12 @@ use std::num::NonZero;
 const NEIGHBOURS: usize = 16;
 
 /// A colour at every point of a surface.
-pub trait Paint: Sync {
+pub trait SurfaceColors: Sync {
     /// Display-encoded colour at barycentric coordinates of a face, and its derivative by each of them.
     fn at(&self, face: usize, bary: [f64; 3]) -> (DVec3, [DVec3; 3]);
 }
 
-impl Paint for Template {
+impl SurfaceColors for Template {
     fn at(&self, face: usize, bary: [f64; 3]) -> (DVec3, [DVec3; 3]) {
         let (color, slopes) = self.colour_and_slopes(face, bary.map(|b| b as f32));
         (color.truncate().as_dvec3(), slopes.map(|s| s.truncate().as_dvec3()))
@@ -44,8 +44,8 @@ impl Paint for Template {
 /// Colours for [`Chamfer::evaluate_faces`].
 #[derive(Clone, Copy)]
 pub struct Colors<'a> {
-    /// Colours of the surface.
-    pub paint: &'a dyn Paint,
+    /// `C(f, b)`: colours of the surface.
+    pub paint: &'a dyn SurfaceColors,
     /// Display-encoded colours of the measured points, one row each.
     pub points: &'a [[f32; 3]],
     /// `w`: weight of squared colour differences, squared metres.

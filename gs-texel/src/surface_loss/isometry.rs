@@ -13,7 +13,7 @@ use glam::DVec3;
 /// Lower bound of a length that is divided by, metres.
 const MIN_LENGTH: f64 = 1e-8;
 
-/// Weights of the edges.
+/// Edges of the isometry loss and their weights.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum IsometryRule {
