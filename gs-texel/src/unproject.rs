@@ -273,7 +273,7 @@ impl Texture {
 /// let view = View { camera: &camera, image: &image, mask: None };
 /// let texture = unproject(&mesh, &table, &[view], &UnprojectConfig::default())?;
 /// assert_eq!(texture.coverage(), 1.0);
-/// assert!(texture.colors.iter().all(|&c| c == [0.25; 3]));
+/// assert!(texture.colors.as_flattened().iter().all(|c| (c - 0.25).abs() < 1e-6));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub fn unproject(

@@ -87,7 +87,7 @@ impl Chamfer {
     }
 
     /// [`Chamfer::evaluate`] with weight `slide`, 0 to 1, on the tangential part of distances and 1 on the part along the unit
-    /// normals. Vertices beyond the end of `normals` have weight `slide` in all directions.
+    /// normals. Vertices without a normal have weight `slide` in all directions.
     ///
     /// # Errors
     /// As [`Chamfer::evaluate`].
