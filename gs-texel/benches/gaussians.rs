@@ -1,19 +1,15 @@
-//! Time and error of texel Gaussians of the walking person: base maps, rows to splats and back, and what leaving out and
-//! merging costs in the picture.
+//! Time and error of texel Gaussians of the walking person: base maps, rows to splats and backward, rendering.
 //!
 //! Each row is printed and appended to `target/speed-error/gs-texel.jsonl`; `work` counts texels. Errors of decoding are
-//! those against the same code in `f64`, relative to the largest entry; errors of thinning and merging are the rms
-//! difference of pictures from all Gaussians.
+//! those against the same code in `f64`, relative to the largest entry.
 
 use glam::{DVec3, Vec3};
 use gs_core::speed::{SpeedError, median_seconds};
-use gs_core::{Camera, Rng, Splats, SplatsGrad};
+use gs_core::{Camera, Rng, SplatsGrad};
 use gs_raster::{RasterOptions, Workspace, render};
 use gs_texel::Skinning;
 use gs_texel::figure::person;
-use gs_texel::gaussians::merge::{MergeOptions, merge};
 use gs_texel::gaussians::row::{self, Base, Gaussian};
-use gs_texel::gaussians::thin::{ThinOptions, select, worth_drawing};
 use gs_texel::gaussians::{Channels, Covariance, DecodeOptions, TexelBase, decode, decode_backward, warm_up};
 use gs_texel::skin::rotations;
 use gs_texel::surface::Topology;
@@ -32,9 +28,7 @@ fn keep(case: &str, variant: &str, n: usize, error: (f64, &'static str), seconds
 
 /// The person in the middle of a step, its texels, and rows of an opaque skin with a little noise.
 struct Walker {
-    table: TexelTable,
     base: TexelBase,
-    normals: Vec<Vec3>,
     rows: Vec<f32>,
     channels: Channels,
 }
@@ -76,7 +70,7 @@ fn walker() -> Result<Walker, Box<dyn Error>> {
         // Some texels are left empty, as training leaves them.
         row[7] = if rng.uniform() < 0.2 { -8.0 } else { 3.0 };
     }
-    Ok(Walker { table, base, normals, rows, channels })
+    Ok(Walker { base, rows, channels })
 }
 
 fn wide<const N: usize>(v: [f32; N]) -> [f64; N] {
@@ -85,7 +79,8 @@ fn wide<const N: usize>(v: [f32; N]) -> [f64; N] {
 
 fn wide_base(b: &Base<f32>) -> Base<f64> {
     let kappa = f64::from(b.kappa);
-    Base { point: wide(b.point), linear: b.linear.map(wide), shift: wide(b.shift), turn: wide(b.turn), kappa }
+    let (translation, rotation) = (wide(b.translation), wide(b.rotation));
+    Base { point: wide(b.point), linear: b.linear.map(wide), translation, rotation, kappa }
 }
 
 /// Largest difference over the largest entry, column by column, the worst of them.
@@ -139,48 +134,18 @@ fn decoding(w: &Walker) -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// A picture of the person, and how long it takes.
-fn picture(splats: &Splats, camera: &Camera) -> (Vec<f32>, f64) {
-    let (options, mut workspace) = (RasterOptions::default(), Workspace::default());
-    let rgb = render(splats, camera, &options, &mut workspace).rgb;
-    (rgb, median_seconds(RUNS, || drop(black_box(render(splats, camera, &options, &mut workspace)))))
-}
-
-fn rms(a: &[f32], b: &[f32]) -> f64 {
-    let sum: f64 = a.iter().zip(b).map(|(a, b)| f64::from(a - b).powi(2)).sum();
-    (sum / a.len().max(1) as f64).sqrt()
-}
-
-/// Time to draw all, those worth drawing, and merged ones; the error is that of the picture.
-fn leaving_out(w: &Walker) -> Result<(), Box<dyn Error>> {
+/// Time to render the person.
+fn rendering(w: &Walker) -> Result<(), Box<dyn Error>> {
     let camera = Camera::look_at(512, 512, 0.8, DVec3::new(0.6, 1.1, 2.6), DVec3::new(0.0, 0.9, 0.0), DVec3::Y)?;
     let splats = decode(&w.rows, w.channels, &w.base, &DecodeOptions::default())?;
-    let (whole, seconds) = picture(&splats, &camera);
-    let (case, kind) = ("draw the person 512", "rms, all Gaussians");
-    keep(case, "all", splats.len(), (rms(&whole, &whole), kind), seconds);
-    for (variant, min_pixels) in [("opaque enough", 0.0), ("and 0.3 pixels", 0.3), ("and 1 pixel", 1.0)] {
-        let options = ThinOptions { min_pixels, ..ThinOptions::default() };
-        let few = select(&splats, &worth_drawing(&splats, Some(&camera), &options));
-        let (thin, seconds) = picture(&few, &camera);
-        keep(case, variant, few.len(), (rms(&thin, &whole), kind), seconds);
-    }
-    let offsets = vec![Vec3::ZERO; splats.len()];
-    let base = MergeOptions { color: 16.0 / 255.0, normal_degrees: 10.0, ..MergeOptions::default() };
-    for (variant, options) in [
-        ("merged, 1 level", base),
-        ("merged, 2 levels", MergeOptions { levels: 2, ..base }),
-        ("1 level, growth 3/4", MergeOptions { growth: 0.75, ..base }),
-        ("1 level, borders too", MergeOptions { keep_borders: false, ..base }),
-    ] {
-        let (fewer, _) = merge(&splats, &w.table, &w.normals, &offsets, &options)?;
-        let (merged, seconds) = picture(&fewer, &camera);
-        keep(case, variant, fewer.len(), (rms(&merged, &whole), kind), seconds);
-    }
+    let (options, mut workspace) = (RasterOptions::default(), Workspace::default());
+    let seconds = median_seconds(RUNS, || drop(black_box(render(&splats, &camera, &options, &mut workspace))));
+    keep("draw the person 512", "all", splats.len(), (0.0, "rms, all Gaussians"), seconds);
     Ok(())
 }
 
 fn main() -> Result<(), Box<dyn Error>> {
     let walker = walker()?;
     decoding(&walker)?;
-    leaving_out(&walker)
+    rendering(&walker)
 }

@@ -59,7 +59,7 @@ fn disc(size: usize, percent: usize) -> Vec<bool> {
     (0..size * size).map(|i| away(i) < reach).collect()
 }
 
-/// As after some training: the last layer says something.
+/// Random values in the last layer, as after some training.
 fn stirred<N: Params>(mut net: N) -> N {
     net.visit_mut(&mut |p| p.value.iter_mut().zip(random(p.grad.len(), &p.name)).for_each(|(v, n)| *v += 0.03 * n));
     net

@@ -33,7 +33,7 @@ fn upper(body: &Character) -> Vec<f64> {
     (0..weights.len()).map(of).collect()
 }
 
-/// Largest distance from what the closed form says of each vertex.
+/// Largest distance of a vertex from the closed form.
 fn worst(got: &[Vec3], from: &[Vec3], weights: &[f64], want: impl Fn(DVec3, f64) -> DVec3) -> f64 {
     let rows = got.iter().zip(from).zip(weights);
     rows.map(|((got, &v), &w)| (got.as_dvec3() - want(v.as_dvec3(), w)).length()).fold(0.0, f64::max)

@@ -1,6 +1,6 @@
-//! Time and error of what happens to the texels of a figure each frame: depth maps, rays, unprojection by every rule, the
-//! second unprojection where little moved, in-painting. The figure is two spheres of 18.8 thousand triangles, painted
-//! `½ + 0.4 sin(12x) cos(12y)` and photographed from four sides.
+//! Time and error of the per-frame work on texels: depth maps, rays, unprojection by every rule,
+//! in-painting. The figure is two spheres of 18.8 thousand triangles, painted
+//! `½ + 0.4 sin(12x) cos(12y)` and rendered from four sides.
 //!
 //! Each row is printed and appended to `target/speed-error/gs-texel.jsonl`; `work` counts pixels, rays or texels.
 
@@ -17,13 +17,13 @@ use gs_texel::texels::TexelTable;
 use gs_texel::unproject::{Compat, UnprojectConfig, unproject};
 use gs_texel::visibility::Rule;
 use gs_texel::zbuffer::DepthMap;
-use scenes::{Figure, psnr, render, ring, two_spheres, views, waves};
+use scenes::{TexturedMesh, psnr, render, ring, two_spheres, views, waves};
 use std::hint::black_box;
 use std::time::Duration;
 
 type Failure = Box<dyn std::error::Error>;
 
-/// What a row says beside its time.
+/// A row without its time.
 struct Row {
     case: String,
     variant: String,
@@ -69,7 +69,7 @@ fn off_brute_force(tracer: &Tracer, vertices: &[Vec3], faces: &[[u32; 3]], origi
     rays.iter().map(off).fold(0.0, f64::max)
 }
 
-fn geometry(c: &mut Criterion, figure: &Figure, camera: &Camera) -> Result<(), Failure> {
+fn geometry(c: &mut Criterion, figure: &TexturedMesh, camera: &Camera) -> Result<(), Failure> {
     let map = DepthMap::new(&figure.vertices, &figure.faces, camera, 0.05);
     let covered = map.depth.iter().filter(|d| d.is_finite()).count();
     let mut tracer = Tracer::new(&figure.vertices, &figure.faces)?;
@@ -116,7 +116,7 @@ fn geometry(c: &mut Criterion, figure: &Figure, camera: &Camera) -> Result<(), F
     Ok(())
 }
 
-fn rules(c: &mut Criterion, figure: &Figure, table: &TexelTable) -> Result<(), Failure> {
+fn rules(c: &mut Criterion, figure: &TexturedMesh, table: &TexelTable) -> Result<(), Failure> {
     let color = waves(12.0);
     for side in [512, 1024, 2048] {
         let cameras = ring(4, side);
@@ -143,37 +143,7 @@ fn rules(c: &mut Criterion, figure: &Figure, table: &TexelTable) -> Result<(), F
     Ok(())
 }
 
-/// The second unprojection when only the small sphere (a tenth of the vertices) has moved.
-fn again(c: &mut Criterion, figure: &Figure, table: &TexelTable) -> Result<(), Failure> {
-    let (cameras, config) = (ring(4, 1024), UnprojectConfig::default());
-    let images: Vec<Image> = cameras.iter().map(|c| render(figure, c, &waves(12.0))).collect();
-    let views = views(&cameras, &images);
-    let mut texture = unproject(&figure.mesh(), table, &views, &config)?;
-    let mut other = figure.clone();
-    let small = other.vertices.len() - 758;
-    other.vertices[small..].iter_mut().for_each(|v| v.x -= 0.03);
-    let mut updated = texture.clone();
-    let redone = updated.update(&other.mesh(), table, &views, &config, 0.0)?;
-    let fresh = unproject(&other.mesh(), table, &views, &config)?;
-    let apart = |(a, b): (&[f32; 3], &[f32; 3])| (0..3).map(|i| f64::from((a[i] - b[i]).abs())).fold(0.0, f64::max);
-    let worst = updated.colors.iter().zip(&fresh.colors).map(apart).fold(0.0, f64::max);
-    let mut turn = false;
-    let row = Row {
-        case: "second unprojection 1024".into(),
-        variant: "update, 8 % moved".into(),
-        n: redone.texels,
-        error: Some(worst),
-        error_kind: "largest, against a fresh one",
-    };
-    measure(c, row, || {
-        turn = !turn;
-        let mesh = if turn { other.mesh() } else { figure.mesh() };
-        black_box(texture.update(&mesh, table, &views, &config, 0.0).is_ok());
-    });
-    Ok(())
-}
-
-fn holes(c: &mut Criterion, figure: &Figure, table: &TexelTable) -> Result<(), Failure> {
+fn holes(c: &mut Criterion, figure: &TexturedMesh, table: &TexelTable) -> Result<(), Failure> {
     let truth: Vec<[f32; 3]> =
         table.interp_vec3(&figure.faces, &figure.vertices).iter().map(|p| waves(4.0)(p.as_dvec3())).collect();
     let known: Vec<bool> = (0..table.len()).map(|k| (table.uv(k) - 0.5).length() > 0.06).collect();
@@ -211,6 +181,5 @@ fn main() -> Result<(), Failure> {
     let table = figure.table(512);
     geometry(&mut c, &figure, &ring(4, 1024)[0])?;
     rules(&mut c, &figure, &table)?;
-    again(&mut c, &figure, &table)?;
     holes(&mut c, &figure, &table)
 }

@@ -1,5 +1,5 @@
-//! Paints a sphere (with a smaller one before it), photographs it from four sides, takes the texture back from the
-//! photographs, and says how well each way of deciding visibility did.
+//! Renders two textured spheres from four sides, unprojects the images to a texture, and prints the accuracy and time of every
+//! visibility rule.
 //!
 //! `cargo run --release -p gs-texel --example unproject [texture size]`
 
@@ -27,7 +27,7 @@ fn main() -> Result<(), Failure> {
         let views = views(&cameras, &images);
         let oracle = UnprojectConfig { rule: Rule::Ray, keep_views: true, ..Default::default() };
         let truth = unproject(&figure.mesh(), &table, &views, &oracle)?;
-        for (name, config) in ways() {
+        for (name, config) in settings() {
             let kept = UnprojectConfig { keep_views: true, ..config };
             let texture = unproject(&figure.mesh(), &table, &views, &kept)?;
             let rates = Rates::of(&texture.by_view, &truth.by_view);
@@ -44,8 +44,8 @@ fn main() -> Result<(), Failure> {
     Ok(())
 }
 
-/// Every rule, the authors' code, and other methods.
-fn ways() -> Vec<(&'static str, UnprojectConfig)> {
+/// Every rule, DUT's published code, and other methods.
+fn settings() -> Vec<(&'static str, UnprojectConfig)> {
     let align = Compat { align_corners: true, ..Compat::default() };
     let rule = |rule| UnprojectConfig { rule, ..Default::default() };
     vec![

@@ -1,7 +1,7 @@
-//! Rays against a mesh that may move: closest hits, occlusion, and refitting (the boxes are `obvhs`'s).
+//! Rays against a mesh that may move: closest hits, occlusion, and refitting. The bounding volume hierarchy is that of `obvhs`.
 //!
-//! Faces with corners that are not finite are left out; faces whose boxes have the same middle share one box, since the
-//! builder takes quadratic time over them.
+//! Faces with corners that are not finite are left out. Faces whose boxes have the same centre share one leaf entry, since
+//! the builder takes quadratic time over them.
 
 use crate::surface::{MeshError, check_faces};
 use glam::{Vec3, Vec3A};
@@ -11,32 +11,43 @@ use obvhs::ray::{Ray, RayHit};
 use obvhs::{Boundable, BvhBuildParams};
 use std::time::Duration;
 
-/// Barycentric coordinates this far below zero still hit, so that no ray slips between two triangles.
-const EDGE: f32 = 1e-6;
-/// Boxes whose middles agree to this part of the scene share one.
-const SAME_PLACE: f32 = 1e-6;
-/// A segment of [`Tracer::occluded`] leaves out this part at both ends.
-const END: f32 = 1e-4;
+/// Barycentric coordinates this far below zero still hit, so that no ray passes between two adjacent triangles.
+const BARY_TOLERANCE: f32 = 1e-6;
+/// Boxes whose centres agree to this share of the scene's size share a leaf entry.
+const CENTRE_TOLERANCE: f32 = 1e-6;
+/// Share of a segment that [`Tracer::occluded`] leaves out at both ends.
+const END_MARGIN: f32 = 1e-4;
 
 /// Where a ray meets the mesh.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hit {
-    /// Row of the face.
+    /// Row of the face that is hit.
     pub face: u32,
-    /// Weights of its first and second corner; the third has the rest.
+    /// Barycentric weights of its first and second corner; the third has `1 − bary[0] − bary[1]`.
     pub bary: [f32; 2],
-    /// The point is `origin + t · dir`.
+    /// Ray parameter, above 0: the point is `origin + t · dir`.
     pub t: f32,
 }
 
-/// A mesh to be met by rays. Both sides of a face count.
+/// Triangles of a mesh, indexed for rays. Both sides of a face are hit.
+///
+/// ```
+/// use glam::Vec3;
+/// use gs_texel::bvh::Tracer;
+///
+/// let tracer = Tracer::new(&[Vec3::ZERO, Vec3::X, Vec3::Y], &[[0, 1, 2]])?;
+/// let hit = tracer.hit(Vec3::new(0.25, 0.25, 3.0), -Vec3::Z).unwrap();
+/// assert_eq!((hit.face, hit.bary, hit.t), (0, [0.5, 0.25], 3.0));
+/// assert!(tracer.occluded(Vec3::new(0.25, 0.25, 1.0), Vec3::new(0.25, 0.25, -1.0)));
+/// # Ok::<(), gs_texel::surface::MeshError>(())
+/// ```
 pub struct Tracer {
     bvh: Bvh2,
-    /// Corners by place in the tree.
+    /// Corners in the order of the leaves.
     triangles: Vec<[Vec3A; 3]>,
-    /// Row of the face at each place.
+    /// Row of the face of each of `triangles`.
     rows: Vec<u32>,
-    /// Leaf entry `i` holds the places `begins[i]..begins[i + 1]`.
+    /// Leaf entry `i` holds `triangles[begins[i]..begins[i + 1]]`.
     begins: Vec<u32>,
     faces: Vec<[u32; 3]>,
     vertices: usize,
@@ -64,7 +75,7 @@ fn bounds(triangles: &[[Vec3A; 3]]) -> Aabb {
 }
 
 impl Tracer {
-    /// A tracer of `faces` over `vertices`.
+    /// Indexes `faces`, triples of rows of `vertices`.
     ///
     /// # Errors
     /// If a face names a vertex that is not there.
@@ -79,14 +90,14 @@ impl Tracer {
             vertices: vertices.len(),
             dropped: 0,
         };
-        let bundles = tracer.bundles(vertices);
-        if bundles.is_empty() {
+        let groups = tracer.groups(vertices);
+        if groups.is_empty() {
             return Ok(tracer);
         }
-        let boxes: Vec<Boxed> = bundles.iter().map(|b| Boxed(bounds(&tracer.gather(vertices, b)))).collect();
+        let boxes: Vec<Boxed> = groups.iter().map(|b| Boxed(bounds(&tracer.gather(vertices, b)))).collect();
         tracer.bvh = build_bvh2(&boxes, BvhBuildParams::medium_build(), &mut Duration::default());
-        for &bundle in &tracer.bvh.primitive_indices {
-            let rows = &bundles[bundle as usize];
+        for &group in &tracer.bvh.primitive_indices {
+            let rows = &groups[group as usize];
             tracer.rows.extend(rows);
             tracer.begins.push(tracer.rows.len() as u32);
         }
@@ -98,30 +109,30 @@ impl Tracer {
         rows.iter().map(|&f| corners(vertices, self.faces[f as usize])).collect()
     }
 
-    /// Finite faces, those of one place together; in order of their lowest face.
-    fn bundles(&mut self, vertices: &[Vec3]) -> Vec<Vec<u32>> {
+    /// Finite faces, grouped by the centre of their box; groups in order of their lowest face.
+    fn groups(&mut self, vertices: &[Vec3]) -> Vec<Vec<u32>> {
         let finite = |f: &[u32; 3]| f.iter().all(|&v| vertices[v as usize].is_finite());
         let kept: Vec<u32> = (0..self.faces.len() as u32).filter(|&f| finite(&self.faces[f as usize])).collect();
         self.dropped = self.faces.len() - kept.len();
         let boxes: Vec<Aabb> = kept.iter().map(|&f| bounds(&[corners(vertices, self.faces[f as usize])])).collect();
         let scene = boxes.iter().fold(Aabb::empty(), |all, b| all.union(b));
         // Halves first: the sum of two huge corners would overflow.
-        let middle = |b: &Aabb| b.min * 0.5 + b.max * 0.5;
-        let step = ((scene.max * 0.5 - scene.min * 0.5).max_element() * 2.0 * SAME_PLACE).max(f32::MIN_POSITIVE);
-        let cell = |b: &Aabb| ((middle(b) - scene.min) / step).to_array().map(|v| v as u64);
+        let centre = |b: &Aabb| b.min * 0.5 + b.max * 0.5;
+        let step = ((scene.max * 0.5 - scene.min * 0.5).max_element() * 2.0 * CENTRE_TOLERANCE).max(f32::MIN_POSITIVE);
+        let cell = |b: &Aabb| ((centre(b) - scene.min) / step).to_array().map(|v| v as u64);
         let mut keyed: Vec<([u64; 3], u32)> = boxes.iter().zip(&kept).map(|(b, &f)| (cell(b), f)).collect();
         keyed.sort_unstable();
         let of_rows = |same: &[([u64; 3], u32)]| same.iter().map(|k| k.1).collect::<Vec<u32>>();
-        let mut bundles: Vec<Vec<u32>> = keyed.chunk_by(|a, b| a.0 == b.0).map(of_rows).collect();
-        bundles.sort_unstable_by_key(|b| b[0]);
-        bundles
+        let mut groups: Vec<Vec<u32>> = keyed.chunk_by(|a, b| a.0 == b.0).map(of_rows).collect();
+        groups.sort_unstable_by_key(|b| b[0]);
+        groups
     }
 
-    /// The same faces over moved vertices: boxes are fitted anew, the tree stays (it gets slower, not wrong, under large
-    /// deformation). Faces left out by [`Tracer::new`] stay out.
+    /// Moves the vertices. Boxes are refitted and the tree keeps its shape: large deformations make it slower, not wrong.
+    /// Faces left out by [`Tracer::new`] stay out.
     ///
     /// # Errors
-    /// Another number of vertices, or a face that is no longer finite; the tracer is then as before.
+    /// If the number of vertices differs, or a face is not finite; the tracer is then unchanged.
     pub fn refit(&mut self, vertices: &[Vec3]) -> Result<(), MeshError> {
         if vertices.len() != self.vertices {
             return Err(MeshError::Rows { what: "vertices", got: vertices.len(), want: self.vertices });
@@ -140,13 +151,13 @@ impl Tracer {
         Ok(())
     }
 
-    /// Faces left out because a corner was not finite.
+    /// Number of faces that [`Tracer::new`] left out because a corner was not finite.
     pub fn dropped(&self) -> usize {
         self.dropped
     }
 
-    /// The first face along `origin + t·dir`, `t > 0`; `dir` need not be unit. `None` also for a ray that is not finite.
-    /// Of faces at the same distance the lowest is given.
+    /// The closest hit along `origin + t·dir`, `t > 0`; `dir` may have any length but 0. `None` if there is none or the ray is
+    /// not finite. Of faces at the same distance the lowest row is returned.
     pub fn hit(&self, origin: Vec3, dir: Vec3) -> Option<Hit> {
         let (ray, length) = unit_ray(origin, dir, 0.0, f32::INFINITY)?;
         if self.rows.is_empty() {
@@ -168,10 +179,10 @@ impl Tracer {
         best.map(|hit| Hit { t: hit.t / length, ..hit })
     }
 
-    /// Whether a face lies between `a` and `b`; 1/10000 of the way is left out at both ends. Points that are not finite
-    /// see nothing.
+    /// Whether a face lies between `a` and `b`; 1/10000 of the segment is left out at both ends. `true` if a point is not
+    /// finite.
     pub fn occluded(&self, a: Vec3, b: Vec3) -> bool {
-        let Some((ray, _)) = unit_ray(a, b - a, END, 1.0 - END) else { return a != b };
+        let Some((ray, _)) = unit_ray(a, b - a, END_MARGIN, 1.0 - END_MARGIN) else { return a != b };
         !self.rows.is_empty()
             && !self.bvh.ray_traverse_miss(ray, |ray, entry| {
                 let met = self.places(entry).any(|place| intersect(&self.triangles[place], ray).is_some());
@@ -206,7 +217,7 @@ fn intersect(t: &[Vec3A; 3], ray: &Ray) -> Option<([f32; 2], f32)> {
     let v = ray.direction.dot(q) * inverse;
     let distance = e2.dot(q) * inverse;
     // Comparisons with NaN (a triangle without area, or seen edge on) are false.
-    let inside = u >= -EDGE && v >= -EDGE && u + v <= 1.0 + EDGE;
+    let inside = u >= -BARY_TOLERANCE && v >= -BARY_TOLERANCE && u + v <= 1.0 + BARY_TOLERANCE;
     (inside && distance >= ray.tmin && distance <= ray.tmax).then_some(([1.0 - u - v, u], distance))
 }
 
@@ -216,13 +227,13 @@ mod tests {
     use gs_core::Rng;
     use std::time::Instant;
 
-    fn soup(n: u32, seed: u64) -> (Vec<Vec3>, Vec<[u32; 3]>) {
+    fn random_triangles(n: u32, seed: u64) -> (Vec<Vec3>, Vec<[u32; 3]>) {
         let mut rng = Rng::new(seed, "soup", 0, 0);
         let mut point = || Vec3::new(rng.range(-1.0, 1.0), rng.range(-1.0, 1.0), rng.range(-1.0, 1.0));
         let mut vertices = Vec::new();
         for _ in 0..n {
-            let middle = point();
-            vertices.extend((0..3).map(|_| middle + 0.2 * point()));
+            let centre = point();
+            vertices.extend((0..3).map(|_| centre + 0.2 * point()));
         }
         (vertices, (0..n).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect())
     }
@@ -251,8 +262,8 @@ mod tests {
                 let at = t[0] * h.bary[0] + t[1] * h.bary[1] + t[2] * (1.0 - h.bary[0] - h.bary[1]);
                 assert!((at - (a + (b - a) * h.t)).length() < 1e-5);
             }
-            let between = hit.is_some_and(|h| h.t < 1.0 - 2.0 * END && h.t > 2.0 * END);
-            let margin = hit.is_some_and(|h| (h.t - 1.0).abs() < 3.0 * END || h.t < 3.0 * END);
+            let between = hit.is_some_and(|h| h.t < 1.0 - 2.0 * END_MARGIN && h.t > 2.0 * END_MARGIN);
+            let margin = hit.is_some_and(|h| (h.t - 1.0).abs() < 3.0 * END_MARGIN || h.t < 3.0 * END_MARGIN);
             assert!(margin || tracer.occluded(a, b) == between);
         }
         assert!(met > 10, "{met}");
@@ -260,7 +271,7 @@ mod tests {
 
     #[test]
     fn hits_are_those_of_brute_force_also_after_a_refit() {
-        let (mut v, f) = soup(400, 1);
+        let (mut v, f) = random_triangles(400, 1);
         let mut tracer = Tracer::new(&v, &f).unwrap();
         agree(&tracer, &v, &f);
         v.iter_mut().for_each(|p| *p = Vec3::new(p.x + 0.5 * (3.0 * p.y).sin(), 1.3 * p.y, p.z - 0.2));
@@ -270,7 +281,7 @@ mod tests {
 
     #[test]
     fn a_million_shared_middles_are_no_trouble_and_nan_is_left_out() {
-        let (mut v, mut f) = soup(50, 2);
+        let (mut v, mut f) = random_triangles(50, 2);
         let n = v.len() as u32;
         v.extend([Vec3::NAN, Vec3::splat(f32::INFINITY)]);
         f.extend([[0, 1, n], [n + 1, 2, 3], [5, 5, 5], [6, 6, 7]]);

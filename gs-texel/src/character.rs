@@ -1,4 +1,4 @@
-//! A character: a template, the skeleton that moves it, and the motions it came with.
+//! A character: a template, the skeleton that moves it, and its animation clips.
 
 use crate::clip::Clip;
 use crate::skeleton::{Pose, Skeleton};
@@ -6,28 +6,28 @@ use crate::skin::{Skinning, skin};
 use crate::template::Template;
 use glam::Vec3;
 
-/// What a file of a rigged character, or a procedure, gives.
+/// A rigged, animated mesh, from a file ([`mod@crate::read`]) or made in code ([`crate::figure`]).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Character {
     /// The mesh in its bind pose.
     pub template: Template,
-    /// What moves it.
+    /// Nodes and joints; the template's skin weights refer to its joints.
     pub skeleton: Skeleton,
-    /// Its motions.
+    /// Animations, in the order of the file.
     pub clips: Vec<Clip>,
-    /// The vertices as the file lists them (meshes of the scene, their primitives, their rows), as numbers of the
-    /// template's welded vertices.
+    /// Row of the template's welded vertex for each vertex of the file, in its order: meshes of the scene, their primitives,
+    /// their rows.
     pub file_vertices: Vec<u32>,
-    /// What was repaired or left out.
+    /// What the reader repaired or left out, counted.
     pub fallbacks: Fallbacks,
 }
 
-/// What a reader repaired or left out, counted.
+/// Counts of what a reader repaired or left out.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct Fallbacks {
     /// Vertices without a positive weight: bound to the nearest joint of their skin.
     pub unbound_vertices: usize,
-    /// Vertices whose weights were negative or did not sum to 1 within 1e-2: left out, made to sum to 1.
+    /// Vertices with negative weights, which are dropped, or a sum farther than 1e-2 from 1, which is normalised.
     pub mended_weights: usize,
     /// Triangles dropped because two of their corners are one vertex.
     pub collapsed_faces: usize,
@@ -42,7 +42,7 @@ pub struct Fallbacks {
 }
 
 impl Fallbacks {
-    /// The counters that are not 0, by name.
+    /// The counts above 0, each with a description.
     pub fn list(&self) -> Vec<(&'static str, usize)> {
         let all = [
             ("vertices without weights, bound to the nearest joint", self.unbound_vertices),
@@ -58,12 +58,12 @@ impl Fallbacks {
 }
 
 impl Character {
-    /// The first clip of that name.
+    /// The first clip called `name`.
     pub fn clip(&self, name: &str) -> Option<&Clip> {
         self.clips.iter().find(|c| c.name == name)
     }
 
-    /// The template's vertices in the world at a pose, with its morphs.
+    /// World positions of the template's vertices at a pose, morphs included; one row per vertex.
     pub fn posed(&self, pose: &Pose, skinning: Skinning) -> Vec<Vec3> {
         let transforms = skinning.blend(&self.template.weights, &self.skeleton.skinning(pose));
         skin(&self.template.morphed(&pose.morphs), &transforms)

@@ -1,30 +1,30 @@
-//! Animation clips: keys over time, read as glTF reads them.
+//! Animation clips: keyframes over time, with the semantics of glTF 2.0.
 //!
 //! ```text
 //! STEP     the last key's value
 //! LINEAR   (1 − s) a + s b,  rotations slerp(a, b; s) on the shorter arc,   s = (t − t₀)/(t₁ − t₀)
 //! CUBIC    (2s³−3s²+1) a + (s³−2s²+s) Δt m_a + (−2s³+3s²) b + (s³−s²) Δt m_b,  rotations normalised afterwards
 //! ```
-//! Before the first key the first value holds, after the last key the last one.
+//! The value is constant before the first key and after the last.
 
 use crate::skeleton::{Pose, Skeleton};
 use gs_core::rot;
 
-/// Rotations closer than this to one another (cosine of half the angle between them) are mixed linearly.
-const NEARLY_SAME: f64 = 1.0 - 1e-10;
+/// Above this cosine of half the angle between them, rotations are interpolated linearly.
+const LERP_COSINE: f64 = 1.0 - 1e-10;
 
-/// How values between keys are made.
+/// How values between keys are interpolated (equations in [`crate::clip`]).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Interpolation {
-    /// The last key's value.
+    /// The value of the last key at or before the time.
     Step,
-    /// The line between two keys; for rotations the arc.
+    /// Linear; spherical linear for rotations.
     Linear,
-    /// Cubic Hermite splines; each key holds in-tangent, value and out-tangent.
+    /// Cubic Hermite spline. Each key holds in-tangent, value and out-tangent.
     Cubic,
 }
 
-/// What a channel moves.
+/// What a channel animates, by row of [`Skeleton::nodes`] or of the template's morphs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Target {
     /// A node's translation, 3 values a key.
@@ -35,15 +35,15 @@ pub enum Target {
     Scale(u32),
     /// Weights of some morphs, `count` values a key.
     Morphs {
-        /// Number of the first.
+        /// Row of the first morph.
         first: u32,
-        /// How many.
+        /// Number of consecutive morphs.
         count: u32,
     },
 }
 
 impl Target {
-    /// Values of one key (a third of what a cubic key holds).
+    /// Values per key; a cubic key holds three times as many.
     pub fn width(self) -> usize {
         match self {
             Target::Translation(_) | Target::Scale(_) => 3,
@@ -53,35 +53,48 @@ impl Target {
     }
 }
 
-/// Keys of one target.
+/// The keys of one animated [`Target`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Channel {
-    /// What is moved.
+    /// Node or morphs that the keys apply to.
     pub target: Target,
-    /// How.
+    /// Interpolation of the values between keys.
     pub interpolation: Interpolation,
-    /// Times of the keys, seconds, finite, not decreasing, at least one.
+    /// Times of the keys in seconds: finite, not decreasing, at least one.
     pub times: Vec<f64>,
-    /// `width` values a key, finite; thrice as many where [`Interpolation::Cubic`] (in-tangent, value, out-tangent).
+    /// [`Target::width`] finite values per key; three times as many (in-tangent, value, out-tangent) for
+    /// [`Interpolation::Cubic`].
     pub values: Vec<f64>,
 }
 
-/// A named motion.
+/// An animation: channels that are sampled together.
+///
+/// ```
+/// use gs_texel::figure::{Cylinder, cylinder};
+/// use std::f64::consts::FRAC_PI_4;
+///
+/// // The clip rotates joint 1 from 0 to 90 degrees about y in one second.
+/// let character = cylinder(&Cylinder::default());
+/// let pose = character.clip("twist").unwrap().pose(&character.skeleton, 0.5);
+/// let [w, x, y, z] = pose.locals[1].rotation;
+/// assert!((w - (0.5 * FRAC_PI_4).cos()).abs() < 1e-12 && (y - (0.5 * FRAC_PI_4).sin()).abs() < 1e-12);
+/// assert_eq!((x, z), (0.0, 0.0));
+/// ```
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Clip {
-    /// Its name, empty if the file gives none.
+    /// Name from the file; empty if it has none.
     pub name: String,
-    /// In the file's order; of two channels with one target the later holds.
+    /// Channels in the file's order. Of two with the same target the later wins.
     pub channels: Vec<Channel>,
 }
 
 impl Clip {
-    /// Time of the last key, seconds.
+    /// Time of the last key of any channel, seconds; 0 without channels.
     pub fn duration(&self) -> f64 {
         self.channels.iter().filter_map(|c| c.times.last()).fold(0.0, |a, &b| f64::max(a, b))
     }
 
-    /// The pose at `t` seconds: the rest pose where no channel moves it.
+    /// The pose at `t` seconds. What no channel animates keeps its rest pose.
     pub fn pose(&self, skeleton: &Skeleton, t: f64) -> Pose {
         let mut pose = skeleton.rest_pose();
         let mut out = Vec::new();
@@ -102,7 +115,7 @@ impl Clip {
 }
 
 impl Channel {
-    /// The value at `t` seconds, into `out`.
+    /// Writes the value at `t` seconds to `out`.
     fn sample(&self, t: f64, out: &mut Vec<f64>) {
         let width = self.target.width();
         let next = self.times.partition_point(|&k| k <= t);
@@ -125,7 +138,7 @@ impl Channel {
         }
     }
 
-    /// The value of key `k` (of a cubic key the middle one).
+    /// The value of key `k`, without the tangents of a cubic key.
     fn key(&self, k: usize, width: usize) -> &[f64] {
         match self.interpolation {
             Interpolation::Cubic => &self.values[(3 * k + 1) * width..][..width],
@@ -148,7 +161,7 @@ fn quat(v: &[f64]) -> [f64; 4] {
     [v[0], v[1], v[2], v[3]]
 }
 
-/// Spherical interpolation on the shorter arc.
+/// Spherical linear interpolation on the shorter arc.
 fn slerp(a: [f64; 4], b: [f64; 4], s: f64) -> [f64; 4] {
     let (a, mut b) = (rot::normalise(a).wxyz, rot::normalise(b).wxyz);
     let mut cosine: f64 = a.iter().zip(&b).map(|(a, b)| a * b).sum();
@@ -156,7 +169,7 @@ fn slerp(a: [f64; 4], b: [f64; 4], s: f64) -> [f64; 4] {
         b = b.map(|v| -v);
         cosine = -cosine;
     }
-    let (wa, wb) = if cosine > NEARLY_SAME {
+    let (wa, wb) = if cosine > LERP_COSINE {
         (1.0 - s, s)
     } else {
         let angle = cosine.acos();
@@ -168,7 +181,7 @@ fn slerp(a: [f64; 4], b: [f64; 4], s: f64) -> [f64; 4] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::skeleton::{Node, Trs, turn_about};
+    use crate::skeleton::{Node, Trs, axis_angle};
     use glam::DVec3;
 
     fn one_node() -> Skeleton {
@@ -195,17 +208,17 @@ mod tests {
     #[test]
     fn rotations_take_the_shorter_arc_evenly() {
         let axis = DVec3::new(0.3, -0.5, 0.8);
-        let far = turn_about(axis, 2.0).map(|v| -3.0 * v);
-        let keys = [turn_about(axis, 0.0), far].concat();
+        let far = axis_angle(axis, 2.0).map(|v| -3.0 * v);
+        let keys = [axis_angle(axis, 0.0), far].concat();
         for s in [0.0, 0.1, 0.5, 0.9, 1.0] {
             let pose = posed(Target::Rotation(0), Interpolation::Linear, &[0.0, 1.0], keys.clone(), s);
-            let (got, want) = (pose.locals[0].rotation, turn_about(axis, 2.0 * s));
+            let (got, want) = (pose.locals[0].rotation, axis_angle(axis, 2.0 * s));
             let dot: f64 = got.iter().zip(want).map(|(a, b)| a * b).sum();
             assert!((dot.abs() - 1.0).abs() < 1e-12, "{s}: {got:?} {want:?}");
         }
-        let same = [turn_about(axis, 1.0), turn_about(axis, 1.0)].concat();
+        let same = [axis_angle(axis, 1.0), axis_angle(axis, 1.0)].concat();
         let pose = posed(Target::Rotation(0), Interpolation::Linear, &[0.0, 1.0], same, 0.3);
-        assert!(pose.locals[0].rotation.iter().zip(turn_about(axis, 1.0)).all(|(a, b)| (a - b).abs() < 1e-12));
+        assert!(pose.locals[0].rotation.iter().zip(axis_angle(axis, 1.0)).all(|(a, b)| (a - b).abs() < 1e-12));
     }
 
     #[test]

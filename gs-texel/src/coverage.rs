@@ -1,34 +1,34 @@
-//! Which cell centres a triangle owns, exactly: corners in fixed point, edge functions in integers, the top-left rule.
+//! Exact rasterisation of triangles: corners in fixed point, edge functions in integers, the top-left fill rule.
 //!
-//! Two triangles that share an edge (given by the same corners) own every centre on it once. The depth map and the texel
-//! table are filled by the same spans.
+//! Two triangles that share an edge (given by the same corners) cover every cell centre on it once. Depth maps and texel
+//! tables are filled by the same spans.
 
 use glam::DVec2;
 
-/// Steps of a corner per cell.
+/// Fixed-point steps per cell.
 const STEPS: f64 = 256.0;
 const CELL: i64 = 256;
 const HALF: i64 = 128;
-/// Corners must lie within this many cells of the origin, so that products of two of them fit.
-pub(crate) const REACH: f64 = (1u64 << 20) as f64;
+/// Largest magnitude of a corner, in cells, for which products of two fit into `i64`.
+pub(crate) const MAX_COORDINATE: f64 = (1u64 << 20) as f64;
 
 /// Cells `x0..x1` of rows `y0..y1`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Window {
-    pub x0: usize,
-    pub y0: usize,
-    pub x1: usize,
-    pub y1: usize,
+    pub(crate) x0: usize,
+    pub(crate) y0: usize,
+    pub(crate) x1: usize,
+    pub(crate) y1: usize,
 }
 
 impl Window {
-    pub fn is_empty(&self) -> bool {
+    pub(crate) fn is_empty(&self) -> bool {
         self.x0 >= self.x1 || self.y0 >= self.y1
     }
 }
 
-/// A corner, in cells, as fixed point. Its magnitude is at most [`REACH`].
-pub(crate) fn snap(p: DVec2) -> [i64; 2] {
+/// A corner, in cells, as fixed point. Its magnitude must be at most [`MAX_COORDINATE`].
+pub(crate) fn to_fixed(p: DVec2) -> [i64; 2] {
     [(p.x * STEPS).round() as i64, (p.y * STEPS).round() as i64]
 }
 
@@ -60,8 +60,8 @@ impl Side {
     }
 }
 
-/// Calls `span(y, x0, x1)` for each row of `window` with centres inside the triangle, either way round. Triangles without
-/// area own nothing.
+/// Calls `span(y, x0, x1)` for each row of `window` with cell centres inside the triangle, of either orientation. Triangles
+/// without area cover nothing.
 pub(crate) fn spans(corners: [[i64; 2]; 3], window: Window, mut span: impl FnMut(usize, usize, usize)) {
     let [a, mut b, mut c] = corners;
     let area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);

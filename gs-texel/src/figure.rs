@@ -1,7 +1,13 @@
-//! Characters made here, no file needed: a person, and the simple bodies that closed forms are known for.
+//! Procedural characters: a person, and simple bodies with closed forms.
 //!
-//! Metres, `y` up, facing `+z`. Every part is a closed surface; its chart is a rectangle of the atlas, a gutter away from
-//! its neighbours (caps of the cylinder: disks). Textures are band-limited: a few waves per chart, each chart its own.
+//! Metres, `y` up, facing `+z`. Every part is a closed surface; its chart is a rectangle of the atlas with a gutter (caps of
+//! the cylinder: disks). Textures are band-limited: a few waves per chart, different for each chart.
+//!
+//! ```
+//! let sphere = gs_texel::figure::sphere(0.5, 8, 16);
+//! assert_eq!((sphere.template.vertices.len(), sphere.template.faces.len()), (7 * 16 + 2, 14 * 16));
+//! assert!(sphere.template.vertices.iter().all(|v| (v.length() - 0.5).abs() < 1e-6));
+//! ```
 
 mod build;
 mod person;

@@ -9,32 +9,42 @@
 //! ```
 //! Channels out: log-scale (3), quaternion (4), opacity logit (1), offset (3), colour coefficients (3 for degree 0, then
 //! the rest, colour running fastest); `L` is the degree of the spherical harmonics.
+//!
+//! ```
+//! use gs_texel::{GauNet, GauNetConfig};
+//!
+//! let net = GauNet::new("gau", GauNetConfig::tiny(), 7)?;
+//! let mut tape = net.tape(16, None)?;
+//! let out = net.forward(&vec![0.5; 16 * 16 * 6], &mut tape)?;
+//! assert_eq!((net.config().outputs(), out.len()), (14, 16 * 16 * 14));
+//! # Ok::<(), gs_texel::net::NetError>(())
+//! ```
 
-use crate::net::block::{Slot, Unit, UnitTape};
+use crate::net::block::{Activation, Unit, UnitTape};
 use crate::net::{Level, NetError, NormOver, load};
 use gs_core::nn::gemm::Write;
 use gs_core::nn::{Conv, ConvSpec, ConvTranspose, Init, Map, resample};
 use gs_core::{Param, Params};
 use serde::{Deserialize, Serialize};
 
-/// Groups of every normalisation.
+/// Channel groups of every normalisation.
 const GROUPS: usize = 8;
 
-/// Shape of a [`GauNet`] and how it is run.
+/// Shape of a [`GauNet`]; defaults are those of the paper with spherical harmonics of degree 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct GauNetConfig {
-    /// Channels in: texture (3) and normals (3).
+    /// Input channels. Default: 6, texture and normals.
     pub inputs: usize,
-    /// Channels of the finest level, a multiple of 8; each coarser level has twice as many.
+    /// Channels of the finest level, a multiple of 8; each coarser level has twice as many. Default: 64.
     pub width: usize,
-    /// How often the map is halved.
+    /// Number of times the map is halved. Default: 4.
     pub levels: u32,
-    /// Degree of spherical harmonics the output has room for.
+    /// Degree of the spherical harmonics in the output, 0 to 3. Default: 1.
     pub sh_degree: u32,
-    /// Where the network exists.
+    /// Texels that the network works on. Default: all.
     pub norm_over: NormOver,
-    /// Whether only valid texels are computed (exact; matters with [`NormOver::Mask`]).
+    /// Whether invalid texels are skipped: faster and exact, with [`NormOver::Mask`] only. Default: yes.
     pub sparse: bool,
 }
 
@@ -45,17 +55,17 @@ impl Default for GauNetConfig {
 }
 
 impl GauNetConfig {
-    /// A quarter of the published cost at the same size: 32 channels, 4 levels.
+    /// Half the width, a quarter of the cost: 32 channels, 4 levels.
     pub fn small() -> Self {
         Self { width: 32, ..Self::default() }
     }
 
-    /// For tests and small machines: 16 channels, 3 levels, colour without direction.
+    /// For tests and small machines: 16 channels, 3 levels, degree 0.
     pub fn tiny() -> Self {
         Self { width: 16, levels: 3, sh_degree: 0, ..Self::default() }
     }
 
-    /// Channels out.
+    /// Output channels, `11 + 3 (sh_degree + 1)²`.
     pub fn outputs(&self) -> usize {
         11 + 3 * (self.sh_degree as usize + 1).pow(2)
     }
@@ -80,7 +90,7 @@ impl GauNetConfig {
 type Double = [Unit; 2];
 type DoubleTape = [UnitTape; 2];
 
-/// The network.
+/// The network, with its parameters ([`Params`]).
 #[derive(Clone, Debug, PartialEq)]
 pub struct GauNet {
     config: GauNetConfig,
@@ -91,24 +101,24 @@ pub struct GauNet {
     out: Conv,
 }
 
-/// Memory of a pass of a [`GauNet`] over maps of one size, for one mask; made once, reused by every pass.
+/// Buffers of forward and backward passes of a [`GauNet`] over maps of one size and one mask; reused by every pass.
 #[derive(Clone, Debug)]
 pub struct GauNetTape {
     levels: Vec<Level>,
     input: Map,
     down: Vec<DoubleTape>,
     /// Pooled input of `down[i + 1]`.
-    pooled: Vec<Slot>,
+    pooled: Vec<Activation>,
     up: Vec<UpTape>,
-    out: Slot,
+    out: Activation,
     output: Vec<f32>,
 }
 
-/// Memory of one level on the way up.
+/// Buffers of one level of the decoder.
 #[derive(Clone, Debug)]
 struct UpTape {
-    doubled: Slot,
-    joined: Slot,
+    doubled: Activation,
+    joined: Activation,
     double: DoubleTape,
 }
 
@@ -124,10 +134,10 @@ fn backward_double(double: &mut Double, x: &Map, [a, b]: &mut DoubleTape, level:
 }
 
 impl GauNet {
-    /// A network whose parameters begin with `name`.
+    /// A network with random weights of the given seed. Names of its parameters begin with `name`.
     ///
     /// # Errors
-    /// If the configuration cannot be built.
+    /// If the width does not fit the normalisation groups, or there are no inputs or levels.
     pub fn new(name: &str, config: GauNetConfig, seed: u64) -> Result<Self, NetError> {
         config.check()?;
         let double = |part: String, inputs, outputs| {
@@ -153,13 +163,13 @@ impl GauNet {
         })
     }
 
-    /// Its configuration.
+    /// The configuration it was built with.
     pub fn config(&self) -> &GauNetConfig {
         &self.config
     }
 
-    /// Memory for maps of `size × size`. `mask` says which texels are valid, row by row; it is needed with
-    /// [`NormOver::Mask`] and not looked at otherwise.
+    /// Buffers for `size × size` maps. `mask` holds the valid texels, row-major; required by [`NormOver::Mask`], ignored
+    /// otherwise.
     ///
     /// # Errors
     /// If `size` cannot be halved as often as there are levels, or the mask is missing, of another size or empty.
@@ -168,22 +178,27 @@ impl GauNet {
         let levels = Level::pyramid(size, config.levels, config.norm_over, config.sparse, mask)?;
         let double = |double: &Double, level: &Level| double.each_ref().map(|u| u.tape(level));
         let up = |(l, up): (usize, &(ConvTranspose, Double))| UpTape {
-            doubled: Slot::new(&levels[l], config.channels(l)),
-            joined: Slot::new(&levels[l], 2 * config.channels(l)),
+            doubled: Activation::new(&levels[l], config.channels(l)),
+            joined: Activation::new(&levels[l], 2 * config.channels(l)),
             double: double(&up.1, &levels[l]),
         };
         Ok(GauNetTape {
             input: levels[0].map(config.inputs),
             down: self.down.iter().zip(&levels).map(|(d, level)| double(d, level)).collect(),
-            pooled: levels[1..].iter().enumerate().map(|(l, level)| Slot::new(level, config.channels(l))).collect(),
+            pooled: levels[1..]
+                .iter()
+                .enumerate()
+                .map(|(l, level)| Activation::new(level, config.channels(l)))
+                .collect(),
             up: self.up.iter().enumerate().map(up).collect(),
-            out: Slot::new(&levels[0], config.outputs()),
+            out: Activation::new(&levels[0], config.outputs()),
             output: vec![0.0; size * size * config.outputs()],
             levels,
         })
     }
 
-    /// Values `[size, size, outputs]` from `map: [size, size, inputs]`; zero where texels are not valid.
+    /// Values `[size, size, outputs]` from `map: [size, size, inputs]`; zero at invalid texels. The result lies in
+    /// `tape`.
     ///
     /// # Errors
     /// If the map has another length or a value that is not finite.
@@ -202,7 +217,7 @@ impl GauNet {
             let coarse = below.first().map_or(&down[l + 1][1].out.y, |b| &b.double[1].out.y);
             let (tape, level, (grow, double)) = (&mut here[l], &levels[l], &self.up[l]);
             grow.forward(coarse, &mut tape.doubled.y, level.compute());
-            level.tidy(&mut tape.doubled.y);
+            level.clear_invalid(&mut tape.doubled.y);
             resample::concat(&down[l][1].out.y, &tape.doubled.y, &mut tape.joined.y, &level.valid);
             forward_double(double, &tape.joined.y, &mut tape.double, level);
         }
@@ -211,34 +226,34 @@ impl GauNet {
         Ok(output)
     }
 
-    /// Adds the gradients of all parameters, from `d_out: [size, size, outputs]` of the pass that `tape` holds. What it
-    /// says about texels that are not valid is not used.
+    /// Adds the gradients of all parameters, from `d_out: [size, size, outputs]` of the last forward pass with `tape`. Values of
+    /// `d_out` at invalid texels are ignored.
     ///
     /// # Errors
-    /// If `d_out` has another length or a value that is not finite; nothing was added then.
+    /// If `d_out` has another length or a value that is not finite; nothing is added then.
     pub fn backward(&mut self, tape: &mut GauNetTape, d_out: &[f32]) -> Result<(), NetError> {
         let GauNetTape { levels, input, down, pooled, up, out, .. } = tape;
         load("gradient of GauNet's output", d_out, &mut out.d, &levels[0])?;
-        let Slot { y, d } = &mut up[0].double[1].out;
+        let Activation { y, d } = &mut up[0].double[1].out;
         self.out.backward_params(y, &out.d, &levels[0].valid);
         levels[0].conv_input(&self.out, &out.d, d, Write::Set);
         for l in 0..up.len() {
             let (here, below) = up.split_at_mut(l + 1);
             let (tape, level, (grow, double)) = (&mut here[l], &levels[l], &mut self.up[l]);
-            let Slot { y, d } = &mut tape.joined;
+            let Activation { y, d } = &mut tape.joined;
             backward_double(double, y, &mut tape.double, level, Some(&mut *d));
             let skip = &mut down[l][1].out.d;
             resample::concat_backward(d, 0, skip, &level.valid, Write::Set);
             resample::concat_backward(d, skip.channels(), &mut tape.doubled.d, &level.valid, Write::Set);
             let coarse = below.first_mut().map_or(&mut down[l + 1], |b| &mut b.double);
-            let (Slot { y, d }, under) = (&mut coarse[1].out, &levels[l + 1]);
+            let (Activation { y, d }, under) = (&mut coarse[1].out, &levels[l + 1]);
             grow.backward_params(y, &tape.doubled.d, &under.valid, &level.valid);
             grow.backward_input(&tape.doubled.d, d, under.compute(), Write::Set);
-            under.tidy(d);
+            under.clear_invalid(d);
         }
         for l in (1..levels.len()).rev() {
             let (above, here) = down.split_at_mut(l);
-            let (Slot { y, d }, fine) = (&mut pooled[l - 1], &mut above[l - 1][1].out);
+            let (Activation { y, d }, fine) = (&mut pooled[l - 1], &mut above[l - 1][1].out);
             backward_double(&mut self.down[l], y, &mut here[0], &levels[l], Some(&mut *d));
             resample::max_pool_backward(&fine.y, y, d, &mut fine.d, &levels[l - 1].valid, Write::Add);
         }
@@ -248,16 +263,16 @@ impl GauNet {
 }
 
 impl GauNetTape {
-    /// Texels per side.
+    /// Side of its maps in texels.
     pub fn size(&self) -> usize {
         self.levels[0].size()
     }
 
-    /// Bytes of maps held.
+    /// Memory of its maps, bytes.
     pub fn bytes(&self) -> usize {
         let double = |d: &DoubleTape| d.iter().map(UnitTape::bytes).sum::<usize>();
         let up = |u: &UpTape| u.doubled.bytes() + u.joined.bytes() + double(&u.double);
-        let pooled = self.pooled.iter().map(Slot::bytes).sum::<usize>();
+        let pooled = self.pooled.iter().map(Activation::bytes).sum::<usize>();
         let both = self.down.iter().map(double).sum::<usize>() + self.up.iter().map(up).sum::<usize>();
         self.input.bytes() + self.out.bytes() + pooled + both
     }

@@ -1,34 +1,52 @@
-//! Texel Gaussians: what a network (or nothing but an optimiser) says of each texel, and where the posed surface takes it.
+//! Texel Gaussians: from the channels of each texel, predicted by a network or optimised directly, to posed splats.
 //!
 //! ```text
 //! s = exp(clamp ŝ) κ      α = sigmoid(α̂)      r̂ = r/|r|      rgb = max(0, ½ + SH(h, direction))
 //! μ = R (c + d) + τ       polar: q = q_R ⊗ r̂        affine: Σ = R Rot(r̂) diag(s²) Rot(r̂)ᵀ Rᵀ
 //! ```
 //! `c` is the texel's point on the deformed bind pose, `[R | τ]` the blended skinning matrix there, `q_R` its rotation, `κ`
-//! the refinement of [`crate::scale_refine`] (DUT, supplement). Way back:
+//! the factor of [`crate::scale_refine`] (DUT, supplement). Backward:
 //! ```text
 //! g_d = Rᵀ g_μ + 2λ d/(3K)     g_ŝ = g_s ∘ s     g_α̂ = g_α α(1 − α)     g_r̂ = q_R* ⊗ g_q     g_r = (g_r̂ − r̂ (r̂·g_r̂))/|r|
 //! ```
-//! `c`, `[R | τ]`, `q_R` and `κ` are constants, except that `dL/dc` can be asked for. Log-scales outside their range have no
+//! `c`, `[R | τ]`, `q_R` and `κ` are constants, except that `dL/dc` is available. Log-scales outside their range have no
 //! gradient.
 //!
 //! # Rows
-//! A map holds a texel's channels at its pixel; everything here works on compact rows of the valid texels alone
+//! A map holds the channels of a texel at its pixel. Functions here take compact rows `[K, width]` of the valid texels
 //! ([`Channels::gather`], [`Channels::scatter`]). Results are the same bits for any number of threads.
 //!
 //! # Far from the origin
-//! `f32` positions in metres lose millimetres beyond 10 km. So the matrices are taken relative to the root in `f64`
-//! ([`about`]) before they are narrowed, the splats are made there, and the camera follows ([`camera_about`]).
+//! `f32` positions in metres lose millimetres beyond 10 km. Therefore skinning matrices are moved to the root in `f64`
+//! ([`relative_to`]) before rounding to `f32`, splats are made relative to it, and the camera is moved too ([`camera_relative_to`]).
+//!
+//! ```
+//! use gs_texel::gaussians::{COLOR, Channels, DecodeOptions, OPACITY, TexelBase, decode};
+//! use glam::{Affine3A, Vec3};
+//!
+//! // One texel at (0, 1, 0), moved by one along x, with zero channels but for a red DC coefficient.
+//! let base = TexelBase {
+//!     points: vec![Vec3::Y],
+//!     transforms: vec![Affine3A::from_translation(Vec3::X)],
+//!     rotations: vec![[1.0, 0.0, 0.0, 0.0]],
+//!     kappas: vec![1.0],
+//! };
+//! let channels = Channels::new(0)?;
+//! let mut row = vec![0.0; channels.width()];
+//! (row[0..3].fill(-4.0), row[OPACITY] = 0.0, row[COLOR] = 1.0);
+//! let splats = decode(&row, channels, &base, &DecodeOptions::default())?;
+//! assert_eq!((splats.means[0], splats.opacities[0]), (Vec3::new(1.0, 1.0, 0.0), 0.5));
+//! assert_eq!(splats.scales[0], Vec3::splat((-4.0f32).exp()));
+//! # Ok::<(), gs_texel::gaussians::ChannelsError>(())
+//! ```
 
 mod affine;
 mod base;
 mod channels;
 mod decode;
-pub mod merge;
 pub mod row;
-pub mod thin;
 pub mod warm_up;
 
-pub use base::{BaseError, TexelBase, about, camera_about};
+pub use base::{BaseError, TexelBase, camera_relative_to, relative_to};
 pub use channels::{COLOR, Channels, ChannelsError, OFFSET, OPACITY, QUAT, SCALE};
 pub use decode::{Covariance, DecodeOptions, decode, decode_backward, offset_penalty};

@@ -12,34 +12,42 @@
 //! dec1   [·, f1] RB 96→48, RB 48, ×2                            S
 //! head   [·, input] conv 3×3 → 32, ReLU, conv 3×3, ReLU, conv 1×1 → 3
 //! ```
-//! Offsets are along canonical axes, in metres or another unit, without any function behind them. The last layer begins at zero, so that
-//! training begins at the undeformed template.
+//! Offsets are along canonical axes, in units of `offset_unit` metres, without an output activation. The last layer starts at
+//! zero, so that training starts at the undeformed template:
+//! ```
+//! use gs_texel::{GeoNet, GeoNetConfig};
+//!
+//! let net = GeoNet::new("geo", GeoNetConfig { width: 16, ..GeoNetConfig::default() }, 7)?;
+//! let mut tape = net.tape(16, None)?;
+//! assert_eq!(net.forward(&vec![0.5; 16 * 16 * 6], &mut tape)?, [0.0; 16 * 16 * 3]);
+//! # Ok::<(), gs_texel::net::NetError>(())
+//! ```
 
-use crate::net::block::{Residual, ResidualTape, Slot, Unit, UnitTape};
+use crate::net::block::{Activation, Residual, ResidualTape, Unit, UnitTape};
 use crate::net::{Level, NetError, NormOver, load};
 use gs_core::nn::gemm::Write;
 use gs_core::nn::{Conv, ConvSpec, Init, Map, resample};
 use gs_core::{Param, Params};
 use serde::{Deserialize, Serialize};
 
-/// Offsets per texel.
+/// Output channels: an offset per texel.
 const OUTPUTS: usize = 3;
-/// How often the map is halved.
+/// Number of times the map is halved.
 const HALVINGS: u32 = 3;
 
-/// Shape of a [`GeoNet`] and how it is run.
+/// Shape of a [`GeoNet`]; defaults are those of the paper.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct GeoNetConfig {
-    /// Channels in: texture (3) and normals (3).
+    /// Input channels. Default: 6, texture and normals.
     pub inputs: usize,
-    /// Channels of the first stage, a multiple of 16; the others are in proportion.
+    /// Channels of the first stage, a multiple of 16; other stages in proportion. Default: 32.
     pub width: usize,
-    /// Metres of an output of one, above 0. Offsets are centimetres while steps of training suit values about one.
+    /// Metres per unit of output, above 0: offsets are centimetres, while optimizer steps suit values about 1. Default: 1.
     pub offset_unit: f32,
-    /// Where the network exists.
+    /// Texels that the network works on. Default: all.
     pub norm_over: NormOver,
-    /// Whether only valid texels are computed (exact; matters with [`NormOver::Mask`]).
+    /// Whether invalid texels are skipped: faster and exact, with [`NormOver::Mask`] only. Default: yes.
     pub sparse: bool,
 }
 
@@ -65,7 +73,7 @@ impl GeoNetConfig {
 type Stage = [Residual; 2];
 type StageTape = [ResidualTape; 2];
 
-/// The network.
+/// The network, with its parameters ([`Params`]).
 #[derive(Clone, Debug, PartialEq)]
 pub struct GeoNet {
     config: GeoNetConfig,
@@ -75,7 +83,7 @@ pub struct GeoNet {
     head: [Conv; 3],
 }
 
-/// Memory of a pass of a [`GeoNet`] over maps of one size, for one mask; made once, reused by every pass.
+/// Buffers of forward and backward passes of a [`GeoNet`] over maps of one size and one mask; reused by every pass.
 #[derive(Clone, Debug)]
 pub struct GeoNetTape {
     /// S, S/2, S/4, S/8.
@@ -83,28 +91,28 @@ pub struct GeoNetTape {
     input: Map,
     stem: UnitTape,
     stages: [StageTape; 6],
-    /// Doubled results of dec3, dec2, dec1.
-    doubled: [Slot; 3],
-    /// These with f2, f1 and the input.
-    joined: [Slot; 3],
-    head: [Slot; 3],
+    /// Upsampled outputs of dec3, dec2, dec1.
+    doubled: [Activation; 3],
+    /// These concatenated with f2, f1 and the input.
+    joined: [Activation; 3],
+    head: [Activation; 3],
     output: Vec<f32>,
 }
 
-/// Doubles the coarse map and joins it with the fine one.
-fn join([coarse, fine]: [&Map; 2], doubled: &mut Slot, joined: &mut Slot, level: &Level) {
+/// Upsamples the coarse map to twice its size and concatenates the fine one.
+fn join([coarse, fine]: [&Map; 2], doubled: &mut Activation, joined: &mut Activation, level: &Level) {
     resample::double(coarse, &mut doubled.y, &level.valid);
     resample::concat(&doubled.y, fine, &mut joined.y, &level.valid);
 }
 
-/// Level of the result of each stage.
+/// Level of the output of each stage.
 const LEVEL: [usize; 6] = [1, 2, 3, 3, 2, 1];
 
 impl GeoNet {
-    /// A network whose parameters begin with `name`.
+    /// A network with random weights of the given seed. Names of its parameters begin with `name`.
     ///
     /// # Errors
-    /// If the configuration cannot be built.
+    /// If the width does not fit the normalisation groups, or there are no inputs or levels.
     pub fn new(name: &str, config: GeoNetConfig, seed: u64) -> Result<Self, NetError> {
         config.check()?;
         let GeoNetConfig { inputs, width: w, .. } = config;
@@ -135,13 +143,13 @@ impl GeoNet {
         })
     }
 
-    /// Its configuration.
+    /// The configuration it was built with.
     pub fn config(&self) -> &GeoNetConfig {
         &self.config
     }
 
-    /// Memory for maps of `size × size`. `mask` says which texels are valid, row by row; it is needed with
-    /// [`NormOver::Mask`] and not looked at otherwise.
+    /// Buffers for `size × size` maps. `mask` holds the valid texels, row-major; required by [`NormOver::Mask`], ignored
+    /// otherwise.
     ///
     /// # Errors
     /// If `size` is no multiple of 8, or the mask is missing, of another size or empty.
@@ -153,7 +161,7 @@ impl GeoNet {
             let level = &levels[LEVEL[at.next().unwrap_or_default()]];
             s.each_ref().map(|b| b.tape(level))
         });
-        let slot = |level: usize, channels| Slot::new(&levels[level], channels);
+        let slot = |level: usize, channels| Activation::new(&levels[level], channels);
         Ok(GeoNetTape {
             input: Map::zeros(size, size, inputs, 2),
             stem: self.stem.tape(&levels[1]),
@@ -166,7 +174,8 @@ impl GeoNet {
         })
     }
 
-    /// Offsets `[size, size, 3]` from `map: [size, size, inputs]`; zero where texels are not valid.
+    /// Offsets `[size, size, 3]` from `map: [size, size, inputs]`; zero at invalid texels. The result lies in
+    /// `tape`.
     ///
     /// # Errors
     /// If the map has another length or a value that is not finite.
@@ -195,7 +204,7 @@ impl GeoNet {
         Ok(output)
     }
 
-    fn forward_head(&self, x: &Map, head: &mut [Slot; 3], level: &Level) {
+    fn forward_head(&self, x: &Map, head: &mut [Activation; 3], level: &Level) {
         let [first, second, last] = head;
         level.conv(&self.head[0], x, &mut first.y);
         resample::relu_map(&mut first.y, &level.valid);
@@ -204,11 +213,11 @@ impl GeoNet {
         level.conv(&self.head[2], &second.y, &mut last.y);
     }
 
-    /// Adds the gradients of all parameters, from `d_out: [size, size, 3]` of the pass that `tape` holds. What it says
-    /// about texels that are not valid is not used.
+    /// Adds the gradients of all parameters, from `d_out: [size, size, 3]` of the last forward pass with `tape`. Values of
+    /// `d_out` at invalid texels are ignored.
     ///
     /// # Errors
-    /// If `d_out` has another length or a value that is not finite; nothing was added then.
+    /// If `d_out` has another length or a value that is not finite; nothing is added then.
     pub fn backward(&mut self, tape: &mut GeoNetTape, d_out: &[f32]) -> Result<(), NetError> {
         let GeoNetTape { levels, input, stem, stages, doubled, joined, head, .. } = tape;
         let d_out: Vec<f32> = d_out.iter().map(|d| d * self.config.offset_unit).collect();
@@ -216,13 +225,14 @@ impl GeoNet {
         self.backward_head(&mut joined[2], head, &levels[0]);
         let [enc1, enc2, enc3, dec3, dec2, dec1] = stages;
         // To the doubled map and through the doubling; `fine` is what it was joined with.
-        let split = |joined: &Slot, doubled: &mut Slot, coarse: &mut Map, fine: Option<&mut Map>, at: usize| {
-            resample::concat_backward(&joined.d, 0, &mut doubled.d, &levels[at].valid, Write::Set);
-            if let Some(fine) = fine {
-                resample::concat_backward(&joined.d, doubled.d.channels(), fine, &levels[at].valid, Write::Set);
-            }
-            resample::double_backward(&doubled.d, coarse, &levels[at + 1].valid, Write::Set);
-        };
+        let split =
+            |joined: &Activation, doubled: &mut Activation, coarse: &mut Map, fine: Option<&mut Map>, at: usize| {
+                resample::concat_backward(&joined.d, 0, &mut doubled.d, &levels[at].valid, Write::Set);
+                if let Some(fine) = fine {
+                    resample::concat_backward(&joined.d, doubled.d.channels(), fine, &levels[at].valid, Write::Set);
+                }
+                resample::double_backward(&doubled.d, coarse, &levels[at + 1].valid, Write::Set);
+            };
         let mut run = |i: usize, x: &Map, tape: &mut StageTape, from: usize, dx: (&mut Map, Write)| {
             let ([a, b], [first, second]) = (tape, &mut self.stages[i]);
             let (from, to) = (&levels[from], &levels[LEVEL[i]]);
@@ -230,25 +240,25 @@ impl GeoNet {
             first.backward(x, a, [from, to], dx);
         };
         split(&joined[2], &mut doubled[2], &mut dec1[1].out.d, None, 0);
-        let Slot { y, d } = &mut joined[1];
+        let Activation { y, d } = &mut joined[1];
         run(5, y, dec1, 1, (d, Write::Set));
         split(&joined[1], &mut doubled[1], &mut dec2[1].out.d, Some(&mut enc1[1].out.d), 1);
-        let Slot { y, d } = &mut joined[0];
+        let Activation { y, d } = &mut joined[0];
         run(4, y, dec2, 2, (d, Write::Set));
         split(&joined[0], &mut doubled[0], &mut dec3[1].out.d, Some(&mut enc2[1].out.d), 2);
-        let Slot { y, d } = &mut enc3[1].out;
+        let Activation { y, d } = &mut enc3[1].out;
         run(3, y, dec3, 3, (d, Write::Set));
-        let Slot { y, d } = &mut enc2[1].out;
+        let Activation { y, d } = &mut enc2[1].out;
         run(2, y, enc3, 2, (d, Write::Add));
-        let Slot { y, d } = &mut enc1[1].out;
+        let Activation { y, d } = &mut enc1[1].out;
         run(1, y, enc2, 1, (d, Write::Add));
-        let Slot { y, d } = &mut stem.out;
+        let Activation { y, d } = &mut stem.out;
         run(0, y, enc1, 1, (d, Write::Set));
         self.stem.backward(input, stem, [&levels[0], &levels[1]], None);
         Ok(())
     }
 
-    fn backward_head(&mut self, joined: &mut Slot, head: &mut [Slot; 3], level: &Level) {
+    fn backward_head(&mut self, joined: &mut Activation, head: &mut [Activation; 3], level: &Level) {
         let [first, second, last] = head;
         self.head[2].backward_params(&second.y, &last.d, &level.valid);
         level.conv_input(&self.head[2], &last.d, &mut second.d, Write::Set);
@@ -262,14 +272,14 @@ impl GeoNet {
 }
 
 impl GeoNetTape {
-    /// Texels per side.
+    /// Side of its maps in texels.
     pub fn size(&self) -> usize {
         self.levels[0].size()
     }
 
-    /// Bytes of maps held.
+    /// Memory of its maps, bytes.
     pub fn bytes(&self) -> usize {
-        let slots = self.doubled.iter().chain(&self.joined).chain(&self.head).map(Slot::bytes).sum::<usize>();
+        let slots = self.doubled.iter().chain(&self.joined).chain(&self.head).map(Activation::bytes).sum::<usize>();
         let stages = self.stages.iter().flatten().map(ResidualTape::bytes).sum::<usize>();
         self.input.bytes() + self.stem.bytes() + slots + stages
     }

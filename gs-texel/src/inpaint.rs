@@ -1,6 +1,22 @@
-//! Values for texels no camera sees, within each chart; and weights of cameras by direction. Triangulations are `spade`'s.
+//! In-painting of unseen texels within each chart, and interpolation weights of views by direction. Delaunay triangulations
+//! are those of `spade`.
 //!
-//! In-painting is for showing and measuring: the networks see unseen texels as black.
+//! In-painting is for display and evaluation: the networks get black at unseen texels.
+//!
+//! ```
+//! use gs_texel::inpaint::{Inpainted, Unseen, inpaint};
+//! use gs_texel::{figure::plate, texels::TexelTable};
+//!
+//! let t = plate(1.0, 1).template;
+//! let table = TexelTable::build(&t.faces, &t.uvs, &t.face_uvs, 16, &Default::default())?;
+//! let mut rows: Vec<[f32; 1]> = (0..table.len()).map(|k| [table.uv(k).x]).collect();
+//! let mut known = vec![true; rows.len()];
+//! (rows[50], known[50]) = ([-1.0], false);
+//! let done = inpaint(&table, &mut rows, &known, Unseen::Harmonic)?;
+//! assert_eq!(done, Inpainted { filled: 1, left: 0 });
+//! assert!((rows[50][0] - table.uv(50).x).abs() < 1e-6);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod diffuse;
 
@@ -11,57 +27,57 @@ use serde::{Deserialize, Serialize};
 use spade::handles::FixedVertexHandle;
 use spade::{DelaunayTriangulation, FloatTriangulation, HasPosition, InsertionError, Point2, Triangulation};
 
-/// Known texels this close to an unknown one take part.
-const RING: i64 = 2;
+/// Known texels within this many rows and columns of an unknown one take part.
+const SITE_RADIUS: i64 = 2;
 
-/// What stands where no camera looks.
+/// How unseen texels are filled.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Unseen {
-    /// Nothing: the value stays.
+    /// Not at all: the value stays.
     #[default]
     Black,
     /// The nearest seen texel of the chart.
     Nearest,
-    /// Linear over the Delaunay triangles of the seen texels around; the nearest beyond their hull.
+    /// Linear over Delaunay triangles of the seen texels nearby; the nearest outside their hull.
     Delaunay,
-    /// Natural neighbours of the seen texels around: smooth, slower; the nearest beyond their hull.
+    /// Natural neighbour interpolation of the seen texels nearby: smooth, slower; the nearest outside their hull.
     Natural,
-    /// Means of ever larger neighbourhoods in the chart: smooth, fast.
+    /// Push-pull: means over a pyramid of the chart; smooth, fast.
     PushPull,
-    /// The smoothest function that meets the seen texels: `Δ = 0` in the chart.
+    /// The harmonic function through the seen texels: `Δ = 0` in the chart.
     Harmonic,
 }
 
-/// What in-painting cannot do.
+/// Inputs that [`inpaint`] and [`ViewWeights::new`] refuse.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum InpaintError {
-    /// Columns that do not fit the table.
+    /// A column does not have one row per valid texel.
     #[error("{got} {what} for {want} valid texels")]
     Rows {
-        /// The column.
+        /// Name of the column.
         what: &'static str,
-        /// Its rows.
+        /// Number of rows it has.
         got: usize,
-        /// Rows needed.
+        /// Number of valid texels.
         want: usize,
     },
-    /// A point the triangulation refuses.
+    /// A point cannot be triangulated.
     #[error("point {row} cannot be triangulated ({error}); directions must be finite and not opposite to `up`")]
     Point {
         /// Row of the point.
         row: usize,
-        /// What it says.
+        /// The error of `spade`.
         error: InsertionError,
     },
 }
 
-/// What in-painting did.
+/// Counts of texels that [`inpaint`] returns.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Inpainted {
-    /// Texels that got a value.
+    /// Number of texels that got a value.
     pub filled: usize,
-    /// Texels left as they were: their chart has no known texel.
+    /// Number of unknown texels left as they were, since their chart has no known texel.
     pub left: usize,
 }
 
@@ -83,11 +99,11 @@ impl HasPosition for Site {
 type Mesh2 = DelaunayTriangulation<Site>;
 type Weights = Vec<(FixedVertexHandle, f64)>;
 
-/// Gives the texels that are not `known` a value from those of their chart that are. `rows` and `known` have a row per
-/// valid texel.
+/// Fills the texels that are not `known` from known ones of the same chart. `rows` and `known` have one row per valid
+/// texel.
 ///
 /// # Errors
-/// Rows that do not fit.
+/// If a column has another number of rows.
 pub fn inpaint<const C: usize>(
     table: &TexelTable,
     rows: &mut [[f32; C]],
@@ -167,7 +183,7 @@ fn blend<const C: usize>(mesh: &Mesh2, rows: &[[f32; C]], weights: &Weights) -> 
     sum.map(|s| s as f32)
 }
 
-/// Whole numbers, so that no triangulation can be out of its domain.
+/// Column and row in the map; whole numbers are in the domain of the triangulation.
 fn position(table: &TexelTable, k: u32) -> Point2<f64> {
     let t = table.valid[k as usize] as usize;
     Point2::new((t % table.size) as f64, (t / table.size) as f64)
@@ -180,8 +196,8 @@ fn sites(table: &TexelTable, known: &[bool], holes: &[u32]) -> Vec<Site> {
     for &k in holes {
         let t = i64::from(table.valid[k as usize]);
         let (x, y) = (t % size, t / size);
-        for v in (y - RING).max(0)..=(y + RING).min(size - 1) {
-            for u in (x - RING).max(0)..=(x + RING).min(size - 1) {
+        for v in (y - SITE_RADIUS).max(0)..=(y + SITE_RADIUS).min(size - 1) {
+            for u in (x - SITE_RADIUS).max(0)..=(x + SITE_RADIUS).min(size - 1) {
                 let row = table.row[(v * size + u) as usize] as usize;
                 // Off the charts there is no row.
                 if known.get(row) == Some(&true) && table.chart[row] == table.chart[k as usize] {
@@ -199,23 +215,34 @@ fn triangulate(sites: Vec<Site>) -> Result<Mesh2, InpaintError> {
     Mesh2::bulk_load_stable(sites).map_err(|error| InpaintError::Point { row: 0, error })
 }
 
-/// Cameras by direction: smooth weights of the two or three nearest, in place of a plain mean over all.
-pub struct ViewFan {
+/// Interpolation weights of views by direction: barycentric over the Delaunay triangulation of their directions, in place of
+/// a plain mean over all views.
+///
+/// ```
+/// use glam::Vec3;
+/// use gs_texel::inpaint::ViewWeights;
+///
+/// let views = ViewWeights::new(&[Vec3::X, Vec3::Z], Vec3::Y)?;
+/// let weights = views.weights(Vec3::new(1.0, 0.0, 1.0));
+/// assert!(weights.len() == 2 && weights.iter().all(|w| (w.1 - 0.5).abs() < 1e-6));
+/// # Ok::<(), gs_texel::inpaint::InpaintError>(())
+/// ```
+pub struct ViewWeights {
     mesh: Mesh2,
     basis: [Vec3; 3],
 }
 
-impl ViewFan {
-    /// A fan of directions from the subject to the cameras (any length), flattened stereographically from opposite to
-    /// `up`. Of equal directions the first is kept.
+impl ViewWeights {
+    /// Triangulates directions from the subject to the cameras (any length but 0), in stereographic projection from `−up`. Of
+    /// equal directions the first is kept.
     ///
     /// # Errors
-    /// Directions that are not finite or opposite to `up`.
+    /// If a direction is not finite or is opposite to `up`.
     pub fn new(directions: &[Vec3], up: Vec3) -> Result<Self, InpaintError> {
         let up = up.normalize_or(Vec3::Y);
         let (right, ahead) = up.any_orthonormal_pair();
         let basis = [right, ahead, up];
-        let site = |(row, d): (usize, &Vec3)| Site { at: flatten(&basis, *d), row: row as u32 };
+        let site = |(row, d): (usize, &Vec3)| Site { at: stereographic(&basis, *d), row: row as u32 };
         let sites: Vec<Site> = directions.iter().enumerate().map(site).collect();
         for site in &sites {
             let checked = [site.at.x, site.at.y].into_iter().try_for_each(spade::validate_coordinate);
@@ -224,10 +251,10 @@ impl ViewFan {
         Ok(Self { mesh: triangulate(sites)?, basis })
     }
 
-    /// Rows and weights of the cameras to use towards `direction`: at least 0, of sum 1. Beyond the hull of the cameras
-    /// the nearest point of the hull decides.
+    /// `(view, weight)` of up to three views for `direction`: weights are at least 0 and sum to 1. Outside the hull of the
+    /// directions the nearest point of the hull is used. Empty without views, or if `direction` is not finite.
     pub fn weights(&self, direction: Vec3) -> Vec<(u32, f64)> {
-        let at = flatten(&self.basis, direction);
+        let at = stereographic(&self.basis, direction);
         let row = |v: FixedVertexHandle| self.mesh.vertex(v).data().row;
         if !(at.x.is_finite() && at.y.is_finite()) {
             return Vec::new();
@@ -248,8 +275,8 @@ impl ViewFan {
     }
 }
 
-/// Stereographic projection: angles are kept, and the whole sphere but one point fits.
-fn flatten(basis: &[Vec3; 3], direction: Vec3) -> Point2<f64> {
+/// Stereographic projection: conformal, defined on the whole sphere but one point.
+fn stereographic(basis: &[Vec3; 3], direction: Vec3) -> Point2<f64> {
     let d = direction.as_dvec3().normalize();
     let [x, y, z] = basis.map(|b| b.as_dvec3().dot(d));
     // The library refuses numbers that are almost 0.

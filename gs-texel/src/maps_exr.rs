@@ -1,32 +1,43 @@
-//! Texel maps as one EXR file with named layers: `P.X`, `P.Y`, `P.Z`, `T1.R`, … Positions as `f32`, colours as half floats
-//! if they may be rounded.
+//! Texel maps as one EXR file with named layers: channels `P.X`, `P.Y`, `P.Z`, `T1.R`, … as `f32` or half floats.
+//!
+//! ```
+//! use gs_core::{Image, io::Limits};
+//! use gs_texel::maps_exr::{Kind, Layer, load_layers, save_layers};
+//!
+//! let folder = tempfile::tempdir()?;
+//! let file = folder.path().join("maps.exr");
+//! let positions = Layer { name: "P".into(), kind: Kind::Vector, half: false, map: Image::zeros(8, 8, 3) };
+//! save_layers(&file, &[positions.clone()], false)?;
+//! assert_eq!(load_layers(&file, &Limits::default())?, [positions]);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 use gs_core::Image;
 use gs_core::io::exr::{Channel, read_channels, save_channels};
 use gs_core::io::{IoError, Limits, read_file};
 use std::path::Path;
 
-/// What the values of a layer are, which names their channels.
+/// Names of the channels of a layer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// R, G, B and perhaps A.
+    /// `R`, `G`, `B`, `A`; up to 4 channels.
     Color,
-    /// X, Y, Z and perhaps W.
+    /// `X`, `Y`, `Z`, `W`; up to 4 channels.
     Vector,
-    /// c000, c001, …
+    /// `c000`, `c001`, …; up to 1000 channels.
     Plain,
 }
 
-/// A map and its name.
+/// A named map with the names of its channels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Layer {
-    /// Its name (`P`, `N`, `D`, `T1`, `vis`, …): not empty, no dot.
+    /// Name (`P`, `N`, `D`, `T1`, `vis`, …): not empty, without a dot.
     pub name: String,
-    /// What its values are.
+    /// Names of its channels in the file.
     pub kind: Kind,
-    /// Stored as half floats: 11 bits, magnitude up to 65504.
+    /// Whether values are stored as half floats: 11 bits, magnitude up to 65504.
     pub half: bool,
-    /// The map; all of a file have one size.
+    /// Values; all maps of a file have one size.
     pub map: Image,
 }
 
@@ -39,7 +50,7 @@ impl Kind {
         }
     }
 
-    /// Kind and place of a channel.
+    /// Kind and index of a channel name.
     fn of(channel: &str) -> Option<(Self, usize)> {
         let one = |set: &str| set.find(channel).filter(|_| channel.len() == 1);
         let plain = || channel.strip_prefix('c').filter(|n| n.len() == 3).and_then(|n| n.parse().ok());
@@ -50,11 +61,11 @@ impl Kind {
     }
 }
 
-/// Writes layers as one EXR file, whole or not at all.
+/// Writes layers as one EXR file, atomically.
 ///
 /// # Errors
-/// No layer, maps of different sizes, names that are empty, doubled or hold a dot, channels a kind has no names for, values a
-/// half float cannot hold; and those of the writer.
+/// If there is no layer, maps differ in size, a name is empty, repeated or has a dot, a map has more channels than its kind
+/// has names, a value does not fit a half float, or the file cannot be written.
 pub fn save_layers(path: &Path, layers: &[Layer], overwrite: bool) -> Result<(), IoError> {
     let channels: Vec<Channel> = layers.iter().flat_map(channels_of).collect();
     let (width, height) = layers.first().map_or((0, 0), |l| (l.map.width, l.map.height));
@@ -70,11 +81,11 @@ fn channels_of(layer: &Layer) -> Vec<Channel> {
     (0..c).map(channel).collect()
 }
 
-/// Reads the layers of an EXR file, by name; channels without a layer, or named otherwise than [`save_layers`] does, are
-/// passed over.
+/// Reads the layers of an EXR file, sorted by name. Channels without a layer, or with other names than those of
+/// [`save_layers`], are ignored.
 ///
 /// # Errors
-/// Damaged or unsupported content, more than the limits allow, values that are not finite.
+/// If the file is damaged or not supported, exceeds the limits, or has values that are not finite.
 pub fn load_layers(path: &Path, limits: &Limits) -> Result<Vec<Layer>, IoError> {
     let bytes = read_file(path, limits)?;
     let ((width, height), channels) = read_channels(&bytes, &path.display().to_string(), limits)?;

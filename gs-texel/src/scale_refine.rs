@@ -1,36 +1,47 @@
-//! `κ`: how much larger Gaussians must be where the posed template is stretched, lest holes open between them.
+//! `κ`: scale factor of Gaussians where the posed template is stretched, so that no holes open between them.
 //!
 //! ```text
 //! κ_i = min(κ_max, max(1, β max_e ℓ_e(posed)/ℓ_e(bind)))          over the edges e at vertex i
 //! ```
 //! (DUT, supplement: the refining scale map.) The posed template is the undeformed one. κ is interpolated to texels and
-//! multiplies all three axes, in training and in use; it is a constant on the way back.
+//! multiplies all three axes, in training and in use; backward treats it as a constant.
+//!
+//! ```
+//! use glam::Vec3;
+//! use gs_texel::scale_refine::{ScaleRefine, ScaleRefineOptions};
+//!
+//! let rest = [Vec3::ZERO, Vec3::X, Vec3::Y];
+//! let refine = ScaleRefine::new(&rest, &[[0, 1, 2]], ScaleRefineOptions::default());
+//! // Stretched to twice its length along x; no edge of the third vertex stretches by more than √2.5.
+//! let kappas = refine.kappas(&rest.map(|p| Vec3::new(2.0 * p.x, p.y, p.z)));
+//! assert_eq!(kappas, [2.0, 2.0, 2.5f32.sqrt()]);
+//! ```
 
 use glam::Vec3;
 
-/// Shorter edges of the bind pose have no ratio, metres.
-const SHORT: f64 = 1e-6;
+/// Shorter edges of the bind pose are left out, metres.
+const MIN_EDGE: f64 = 1e-6;
 
-/// Which edges a vertex looks at.
+/// Which edges enter the maximum at a vertex.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum StretchRule {
-    /// All that end at it.
+    /// All edges that end at it.
     #[default]
     AllEdges,
-    /// The first of every face at it, as the published code does.
+    /// The first edge of every face at it, as in DUT's published code.
     FirstEdge,
 }
 
-/// How κ is bounded.
+/// Settings of [`ScaleRefine`].
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ScaleRefineOptions {
-    /// Which edges count.
+    /// Edges at a vertex. Default: all.
     pub rule: StretchRule,
-    /// `β`: factor on the ratio of lengths, above 0.
+    /// `β`: factor on the ratio of lengths, above 0. Default: 1.
     pub gain: f64,
-    /// `κ_max`, at least 1.
+    /// `κ_max`: upper bound of κ, at least 1. Default: 4.
     pub most: f64,
 }
 
@@ -40,47 +51,47 @@ impl Default for ScaleRefineOptions {
     }
 }
 
-/// The edges of a template that are compared, made once.
+/// Edges of a template with their lengths in the bind pose.
 #[derive(Clone, Debug)]
 pub struct ScaleRefine {
-    stretches: Vec<Stretch>,
+    edges: Vec<RestEdge>,
     options: ScaleRefineOptions,
 }
 
-/// An edge, one over its length at rest, and the vertices that look at it.
+/// An edge, one over its length at rest, and the vertices whose κ it enters.
 #[derive(Clone, Copy, Debug)]
-struct Stretch {
+struct RestEdge {
     ends: [u32; 2],
     inverse: f64,
-    seen_by: [u32; 3],
+    vertices: [u32; 3],
 }
 
 impl ScaleRefine {
-    /// From the bind pose. Edges shorter than a micrometre are left out.
+    /// Takes lengths from the bind pose `rest`. Edges shorter than a micrometre are left out.
     pub fn new(rest: &[Vec3], faces: &[[u32; 3]], options: ScaleRefineOptions) -> Self {
-        let stretch = |ends: [u32; 2], seen_by| {
-            let length = between(rest, ends);
-            (length >= SHORT).then(|| Stretch { ends, inverse: 1.0 / length, seen_by })
+        let edge = |ends: [u32; 2], vertices| {
+            let length = distance(rest, ends);
+            (length >= MIN_EDGE).then(|| RestEdge { ends, inverse: 1.0 / length, vertices })
         };
-        let stretches = match options.rule {
-            StretchRule::FirstEdge => faces.iter().filter_map(|f| stretch([f[0], f[1]], *f)).collect(),
+        let edges = match options.rule {
+            StretchRule::FirstEdge => faces.iter().filter_map(|f| edge([f[0], f[1]], *f)).collect(),
             StretchRule::AllEdges => {
                 let sides = faces.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]);
                 let mut sides: Vec<[u32; 2]> = sides.map(|[a, b]| [a.min(b), a.max(b)]).collect();
                 sides.sort_unstable();
                 sides.dedup();
-                sides.into_iter().filter_map(|[a, b]| stretch([a, b], [a, b, b])).collect()
+                sides.into_iter().filter_map(|[a, b]| edge([a, b], [a, b, b])).collect()
             }
         };
-        Self { stretches, options }
+        Self { edges, options }
     }
 
-    /// `κ` of every vertex of the posed, undeformed template, in `[1, κ_max]` whatever the positions.
+    /// `κ` of every vertex of the posed, undeformed template; in `[1, κ_max]` even where positions are not finite.
     pub fn kappas(&self, posed: &[Vec3]) -> Vec<f32> {
         let mut most = vec![1.0f64; posed.len()];
-        for s in &self.stretches {
-            let ratio = self.options.gain * between(posed, s.ends) * s.inverse;
-            for v in s.seen_by {
+        for s in &self.edges {
+            let ratio = self.options.gain * distance(posed, s.ends) * s.inverse;
+            for v in s.vertices {
                 // `max` drops a NaN, so does the bound below an infinity.
                 most[v as usize] = most[v as usize].max(ratio);
             }
@@ -89,7 +100,7 @@ impl ScaleRefine {
     }
 }
 
-fn between(points: &[Vec3], [a, b]: [u32; 2]) -> f64 {
+fn distance(points: &[Vec3], [a, b]: [u32; 2]) -> f64 {
     points[a as usize].as_dvec3().distance(points[b as usize].as_dvec3())
 }
 

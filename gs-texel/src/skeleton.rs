@@ -3,113 +3,126 @@
 //! ```text
 //! G_j = G_parent(j) L_j        A_j = G_j B_j⁻¹        L = translation · rotation · scale
 //! ```
-//! `B_j⁻¹` is the inverse of the joint's frame in the bind pose, `A_j` what skinning moves the bind pose by.
+//! `G` is a node's frame in the world, `B_j⁻¹` the inverse of the joint's frame in the bind pose, `A_j` the matrix that
+//! skinning applies to the bind pose.
 
 use crate::skin::rotation_of;
 use glam::{DAffine3, DMat3, DVec3};
 use gs_core::rot;
 
-/// Vectors shorter than this share of their scale have no direction.
-const NO_DIRECTION: f64 = 1e-9;
+/// Below this sine two bones count as parallel.
+const PARALLEL_SINE: f64 = 1e-9;
 
 /// Translation, rotation and scale of a node relative to its parent.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Trs {
-    /// Metres where the asset's units are.
+    /// Translation in the asset's units (glTF: metres).
     pub translation: DVec3,
-    /// `(w, x, y, z)`; any length but 0.
+    /// Quaternion `(w, x, y, z)` of any length but 0.
     pub rotation: [f64; 4],
-    /// Along the node's own axes; may be negative or 0.
+    /// Scale along the node's own axes; may be negative or 0.
     pub scale: DVec3,
 }
 
 impl Trs {
-    /// Nothing moves.
+    /// No translation, no rotation, scale 1.
     pub const IDENTITY: Self = Self { translation: DVec3::ZERO, rotation: [1.0, 0.0, 0.0, 0.0], scale: DVec3::ONE };
 
-    /// A translation.
+    /// A pure translation by `translation`.
     pub fn at(translation: DVec3) -> Self {
         Self { translation, ..Self::IDENTITY }
     }
 
-    /// `L = translation · rotation · scale`.
+    /// The matrix `L = translation · rotation · scale`.
     pub fn affine(&self) -> DAffine3 {
         let turn = rotation_matrix(self.rotation);
         DAffine3::from_mat3_translation(turn * DMat3::from_diagonal(self.scale), self.translation)
     }
 }
 
-/// The matrix of a quaternion `(w, x, y, z)` of any length.
+/// The rotation matrix of a quaternion `(w, x, y, z)` of any length; the identity for length 0.
 pub fn rotation_matrix(wxyz: [f64; 4]) -> DMat3 {
     let rows = rot::matrix(rot::normalise(wxyz).wxyz);
     DMat3::from_cols_array_2d(&rows).transpose()
 }
 
 /// The quaternion `(w, x, y, z)` of the rotation by `angle` radians about `axis` (any length; 0 gives the identity).
-pub fn turn_about(axis: DVec3, angle: f64) -> [f64; 4] {
+pub fn axis_angle(axis: DVec3, angle: f64) -> [f64; 4] {
     let axis = axis.normalize_or_zero() * (0.5 * angle).sin();
     let w = if axis == DVec3::ZERO { 1.0 } else { (0.5 * angle).cos() };
     [w, axis.x, axis.y, axis.z]
 }
 
-/// A node of the scene the character hangs in.
+/// A node of the scene graph.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Node {
-    /// Its name, empty if the file gives none.
+    /// Name from the file; empty if it has none.
     pub name: String,
-    /// Number of its parent, smaller than its own; none: a root.
+    /// Row of its parent in [`Skeleton::nodes`], smaller than its own; `None` for a root.
     pub parent: Option<u32>,
-    /// Where it is when nothing is animated.
+    /// Transform relative to the parent in the rest pose.
     pub rest: Trs,
 }
 
-/// A node that moves vertices.
+/// A node that skin weights refer to.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Joint {
-    /// Number of the node.
+    /// Row of the node in [`Skeleton::nodes`].
     pub node: u32,
-    /// `B_j⁻¹`: from the template's space to the joint's in the bind pose.
+    /// `B_j⁻¹`: maps the template's space to the joint's in the bind pose.
     pub inverse_bind: DAffine3,
 }
 
 /// A hierarchy of nodes, parents before children, and the joints among them.
+///
+/// ```
+/// use glam::DVec3;
+/// use gs_texel::{Node, Skeleton, Trs};
+/// use std::f64::consts::FRAC_PI_2;
+///
+/// let node = |parent| Node { name: String::new(), parent, rest: Trs::at(DVec3::X) };
+/// let arm = Skeleton { nodes: vec![node(None), node(Some(0))], ..Skeleton::default() };
+/// let mut pose = arm.rest_pose();
+/// assert_eq!(arm.globals(&pose)[1].translation, DVec3::new(2.0, 0.0, 0.0));
+/// pose.turn(0, DVec3::Z, FRAC_PI_2);
+/// assert!(arm.globals(&pose)[1].translation.abs_diff_eq(DVec3::new(1.0, 1.0, 0.0), 1e-15));
+/// ```
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Skeleton {
-    /// Every parent stands before its children.
+    /// Nodes; every parent stands before its children.
     pub nodes: Vec<Node>,
-    /// What [`crate::SkinWeights`] number.
+    /// Joints; [`crate::SkinWeights::joints`] holds rows of this list.
     pub joints: Vec<Joint>,
-    /// The node whose rotation is the character's heading.
+    /// Row of the node whose rotation is the character's heading ([`Skeleton::root_rotation`]).
     pub root: u32,
-    /// Weights of the template's morphs when nothing is animated.
+    /// Weights of the template's morphs in the rest pose, one per morph.
     pub rest_morphs: Vec<f32>,
 }
 
-/// Where every node is relative to its parent at a moment, and the weights of the morphs.
+/// The transforms of all nodes and the weights of all morphs at one time.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Pose {
-    /// One per node.
+    /// Transform of each node relative to its parent; rows of [`Skeleton::nodes`].
     pub locals: Vec<Trs>,
-    /// One per morph.
+    /// Weight of each of the template's morphs.
     pub morphs: Vec<f32>,
 }
 
 impl Pose {
-    /// Turns a node's local rotation by `angle` radians about an axis of its own frame: `R' = R · R(axis, φ)` (an error
-    /// of a captured pose; with uniform scale `L' = L · R(axis, φ)`).
+    /// Rotates a node by `angle` radians about an axis of its own frame: `R' = R · R(axis, angle)`.
     pub fn turn(&mut self, node: u32, axis: DVec3, angle: f64) {
         let local = &mut self.locals[node as usize];
-        local.rotation = rot::hamilton(rot::normalise(local.rotation).wxyz, turn_about(axis, angle));
+        local.rotation = rot::hamilton(rot::normalise(local.rotation).wxyz, axis_angle(axis, angle));
     }
 }
 
 impl Skeleton {
-    /// The pose when nothing is animated.
+    /// The pose without animation: every node and morph at rest.
     pub fn rest_pose(&self) -> Pose {
         Pose { locals: self.nodes.iter().map(|n| n.rest).collect(), morphs: self.rest_morphs.clone() }
     }
 
-    /// `G`: the frame of every node in the world.
+    /// `G`: node-to-world matrices, one per node.
     pub fn globals(&self, pose: &Pose) -> Vec<DAffine3> {
         let mut globals: Vec<DAffine3> = Vec::with_capacity(self.nodes.len());
         for (node, local) in self.nodes.iter().zip(&pose.locals) {
@@ -119,13 +132,13 @@ impl Skeleton {
         globals
     }
 
-    /// `A_j = G_j B_j⁻¹` of every joint.
+    /// The skinning matrices `A_j = G_j B_j⁻¹`, one per joint.
     pub fn skinning(&self, pose: &Pose) -> Vec<DAffine3> {
         let globals = self.globals(pose);
         self.joints.iter().map(|j| globals[j.node as usize] * j.inverse_bind).collect()
     }
 
-    /// `R_root`: how the root is turned relative to the bind pose (to the rest pose if it is no joint).
+    /// `R_root`: rotation of the root relative to the bind pose, or to the rest pose if it is no joint.
     pub fn root_rotation(&self, pose: &Pose) -> DMat3 {
         let moved = self.globals(pose)[self.root as usize];
         let bind = match self.joints.iter().find(|j| j.node == self.root) {
@@ -135,12 +148,12 @@ impl Skeleton {
         rotation_of((moved * bind).matrix3).unwrap_or(DMat3::IDENTITY)
     }
 
-    /// The number of the first node of that name.
+    /// Row of the first node called `name`.
     pub fn node(&self, name: &str) -> Option<u32> {
         self.nodes.iter().position(|n| n.name == name).map(|i| i as u32)
     }
 
-    /// The lowest node that all joints are below, or the first joint's uppermost joint if they share none.
+    /// The lowest common ancestor of all joints; without one, the uppermost joint above the first joint.
     pub fn common_root(&self) -> u32 {
         let Some(first) = self.joints.first() else { return 0 };
         let mut shared = Some(first.node);
@@ -169,8 +182,8 @@ impl Skeleton {
         above.filter(|&n| is_joint(n)).last().unwrap_or(node)
     }
 
-    /// The axis a joint bends about, in its own frame: across the bones to its parent and to its first child, as they
-    /// stand in `pose`. If they are in line, some axis across the bone to the child.
+    /// Unit axis that a joint bends about, in its own frame: orthogonal to the bones to its parent and to its first child in
+    /// `pose`. If these are parallel, any axis orthogonal to the bone to the child.
     pub fn hinge_axis(&self, pose: &Pose, node: u32) -> DVec3 {
         let globals = self.globals(pose);
         let here = globals[node as usize];
@@ -179,7 +192,7 @@ impl Skeleton {
         let upper = parent.map_or(DVec3::ZERO, |p| here.translation - globals[p as usize].translation);
         let fore = child.map_or(DVec3::Y, |c| globals[c].translation - here.translation);
         let across = upper.cross(fore);
-        let world = if across.length() > NO_DIRECTION * upper.length() * fore.length() && across != DVec3::ZERO {
+        let world = if across.length() > PARALLEL_SINE * upper.length() * fore.length() && across != DVec3::ZERO {
             across
         } else {
             fore.try_normalize().unwrap_or(DVec3::Y).any_orthogonal_vector()
@@ -255,10 +268,10 @@ mod tests {
         arm.root = 1;
         let mut pose = arm.rest_pose();
         pose.turn(1, DVec3::new(1.0, 2.0, -0.5), 0.7);
-        let want = rotation_matrix(turn_about(DVec3::new(1.0, 2.0, -0.5), 0.7));
+        let want = rotation_matrix(axis_angle(DVec3::new(1.0, 2.0, -0.5), 0.7));
         assert!(arm.root_rotation(&pose).abs_diff_eq(want, 1e-12));
         arm.root = 0;
         assert!(arm.root_rotation(&pose).abs_diff_eq(DMat3::IDENTITY, 1e-12));
-        assert_eq!(turn_about(DVec3::ZERO, 1.0), [1.0, 0.0, 0.0, 0.0]);
+        assert_eq!(axis_angle(DVec3::ZERO, 1.0), [1.0, 0.0, 0.0, 0.0]);
     }
 }

@@ -1,15 +1,15 @@
-//! What follows from faces alone: edges, rings, and the normals of a posed surface.
+//! Meshes and their topology: edges, one-rings, and vertex normals of a posed surface.
 
 use glam::Vec3;
 use rayon::prelude::*;
 
-/// Stands where there is no face, texel or chart.
+/// Marks a missing face, texel or row in columns of `u32`.
 pub const NONE: u32 = u32::MAX;
 
 /// Rows handled by one task; fixed, so results do not depend on the number of threads.
 pub(crate) const CHUNK: usize = 1024;
 
-/// A mesh that cannot be used.
+/// Faults of a mesh: bad faces, positions or row counts.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum MeshError {
     /// A face names a vertex that is not there.
@@ -17,9 +17,9 @@ pub enum MeshError {
     Vertex {
         /// Row of the face.
         face: usize,
-        /// The number met.
+        /// The vertex it names.
         vertex: u32,
-        /// Vertices present.
+        /// Number of vertices of the mesh.
         vertices: usize,
     },
     /// A coordinate is NaN or infinite.
@@ -27,37 +27,37 @@ pub enum MeshError {
     NonFinite {
         /// Row of the vertex.
         vertex: usize,
-        /// Its position.
+        /// Its position, not finite.
         at: Vec3,
     },
-    /// Two columns that must have the same rows do not.
+    /// A column has the wrong number of rows.
     #[error("{what} has {got} rows, {want} are needed")]
     Rows {
-        /// The column.
+        /// Name of the column.
         what: &'static str,
-        /// Rows it has.
+        /// Number of rows it has.
         got: usize,
-        /// Rows it must have.
+        /// Number of rows it must have.
         want: usize,
     },
 }
 
-/// A surface at one moment: what tracing, depth maps and unprojection look at. `N` vertices and normals, `F` faces.
+/// A posed triangle mesh: `N` vertices and normals, `F` faces.
 #[derive(Clone, Copy, Debug)]
 pub struct Mesh<'a> {
-    /// World positions, `N` rows.
+    /// Vertex positions in the world, `N` rows.
     pub vertices: &'a [Vec3],
-    /// Unit normals, `N` rows.
+    /// Unit vertex normals, `N` rows.
     pub normals: &'a [Vec3],
-    /// Triangles, `F` rows of vertex numbers.
+    /// Triangles: `F` rows of three vertex rows.
     pub faces: &'a [[u32; 3]],
 }
 
 impl Mesh<'_> {
-    /// Verifies rows, face numbers and positions.
+    /// Checks row counts, vertex rows of faces, and that positions are finite.
     ///
     /// # Errors
-    /// The first thing that is wrong.
+    /// The first fault found.
     pub fn check(&self) -> Result<(), MeshError> {
         let (got, want) = (self.normals.len(), self.vertices.len());
         if got != want {
@@ -68,11 +68,8 @@ impl Mesh<'_> {
     }
 }
 
-/// Refuses faces that name vertices beyond `vertices`.
-///
-/// # Errors
-/// Names the first such face.
-pub fn check_faces(faces: &[[u32; 3]], vertices: usize) -> Result<(), MeshError> {
+/// Checks that faces name only vertices below `vertices`.
+pub(crate) fn check_faces(faces: &[[u32; 3]], vertices: usize) -> Result<(), MeshError> {
     let beyond = |(face, corners): (usize, &[u32; 3])| {
         let vertex = corners.iter().copied().find(|&v| v as usize >= vertices)?;
         Some(MeshError::Vertex { face, vertex, vertices })
@@ -80,34 +77,31 @@ pub fn check_faces(faces: &[[u32; 3]], vertices: usize) -> Result<(), MeshError>
     faces.iter().enumerate().find_map(beyond).map_or(Ok(()), Err)
 }
 
-/// Refuses positions that are not finite.
-///
-/// # Errors
-/// Names the first such vertex.
-pub fn check_finite(vertices: &[Vec3]) -> Result<(), MeshError> {
+/// Checks that positions are finite.
+fn check_finite(vertices: &[Vec3]) -> Result<(), MeshError> {
     match vertices.iter().position(|v| !v.is_finite()) {
         Some(vertex) => Err(MeshError::NonFinite { vertex, at: vertices[vertex] }),
         None => Ok(()),
     }
 }
 
-/// Rows of different lengths, one after another.
+/// Rows of different lengths in one buffer (compressed sparse rows).
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Rows {
     /// Row `i` is `begins[i]..begins[i + 1]` of `values`.
     pub begins: Vec<u32>,
-    /// The rows.
+    /// The values of all rows, one row after another.
     pub values: Vec<u32>,
 }
 
 impl Rows {
-    /// Row `i`.
+    /// The values of row `i`.
     pub fn row(&self, i: usize) -> &[u32] {
         &self.values[self.begins[i] as usize..self.begins[i + 1] as usize]
     }
 
     /// `rows` rows from `(row, value)` pairs; values keep the order of the pairs.
-    pub fn from_pairs(rows: usize, pairs: impl Iterator<Item = (u32, u32)> + Clone) -> Self {
+    pub(crate) fn from_pairs(rows: usize, pairs: impl Iterator<Item = (u32, u32)> + Clone) -> Self {
         let mut begins = vec![0u32; rows + 1];
         pairs.clone().for_each(|(row, _)| begins[row as usize + 1] += 1);
         (0..rows).for_each(|i| begins[i + 1] += begins[i]);
@@ -121,23 +115,33 @@ impl Rows {
     }
 }
 
-/// Edges, rings and incident faces of a welded mesh.
+/// Edges, one-rings and incident faces of a welded mesh.
+///
+/// ```
+/// use gs_texel::surface::Topology;
+///
+/// let tetrahedron = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]];
+/// let topology = Topology::new(&tetrahedron, 4)?;
+/// assert_eq!(topology.edges, [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]);
+/// assert_eq!((topology.edge_faces[0], topology.ring.row(3)), ([0, 1], &[0, 1, 2][..]));
+/// # Ok::<(), gs_texel::surface::MeshError>(())
+/// ```
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Topology {
-    /// Unique undirected edges, lower vertex first, sorted.
+    /// Unique undirected edges, lower vertex row first, sorted.
     pub edges: Vec<[u32; 2]>,
-    /// The two lowest faces at each edge, [`NONE`] where there is no second.
+    /// The two lowest face rows at each edge, [`NONE`] where there is no second.
     pub edge_faces: Vec<[u32; 2]>,
-    /// Edges with more than two faces.
+    /// Number of edges with more than two faces.
     pub non_manifold: usize,
-    /// Neighbours along edges of each vertex, ascending.
+    /// One-ring of each vertex: its neighbours along edges, ascending.
     pub ring: Rows,
-    /// Corners at each vertex, as `3·face + corner`, ascending.
+    /// Corners of faces at each vertex, as `3·face + corner`, ascending.
     pub corners: Rows,
 }
 
 impl Topology {
-    /// The topology of `faces` over `vertices` vertices. Edges from a vertex to itself are left out.
+    /// The topology of `faces` over `vertices` vertices. Edges from a vertex to itself are dropped.
     ///
     /// # Errors
     /// If a face names a vertex that is not there.
@@ -163,8 +167,8 @@ impl Topology {
         Ok(out)
     }
 
-    /// Unit vertex normals, each face weighted by its angle at the vertex. A vertex without any face of an area gets +z.
-    /// `faces` are those the topology was made of.
+    /// Unit vertex normals: means of face normals weighted by the angle at the vertex, +z for a vertex without a face of
+    /// positive area. `faces` must be those of [`Topology::new`].
     pub fn normals(&self, vertices: &[Vec3], faces: &[[u32; 3]]) -> Vec<Vec3> {
         let mut of_corner = vec![[Vec3::ZERO; 3]; faces.len()];
         of_corner.par_chunks_mut(CHUNK).zip(faces.par_chunks(CHUNK)).for_each(|(out, faces)| {

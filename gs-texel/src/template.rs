@@ -1,4 +1,4 @@
-//! The template: a mesh in its bind pose, with texture coordinates, skin weights, materials and morph targets.
+//! The template: a mesh in its bind pose with texture coordinates, skin weights, materials and morph targets.
 
 use glam::{Vec2, Vec3, Vec4};
 use gs_core::Image;
@@ -6,47 +6,56 @@ use std::sync::Arc;
 
 /// A skinned mesh in its bind pose.
 ///
-/// Vertices are welded: one row per distinct point of the surface, whatever seams of texture or normals run through it.
-/// Texture coordinates belong to corners of faces.
+/// Vertices are welded: one row per distinct point of the surface, also along seams of texture or normals. Texture
+/// coordinates belong to corners of faces. Each face has two sets: where it lies in the atlas ([`Template::uvs`]), and where it
+/// reads the texture of its material ([`Template::corner_uvs`]).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Template {
     /// `v̄`: positions in the bind pose, `N` rows.
     pub vertices: Vec<Vec3>,
-    /// Triangles, `F` rows of vertex numbers, counter-clockwise seen from outside.
+    /// Triangles: `F` rows of three vertex rows, counter-clockwise seen from outside.
     pub faces: Vec<[u32; 3]>,
-    /// Texture coordinates, `v` downwards.
+    /// Atlas coordinates `(u, v)`, in `[0, 1]²` unless the file has others, `v` downwards.
     pub uvs: Vec<Vec2>,
-    /// The triangles again, as numbers of texture coordinates; `F` rows, or none where the mesh has no coordinates.
+    /// The same triangles as rows of `uvs`; `F` rows, or empty if the mesh has no texture coordinates.
     pub face_uvs: Vec<[u32; 3]>,
-    /// Number of each triangle's material; `F` rows.
+    /// Row of each triangle's material in `materials`; `F` rows.
     pub face_materials: Vec<u16>,
-    /// Where the corners of each triangle lie in their material's texture, which repeats or not as that says; `F` rows,
-    /// or none where that is where they lie in the atlas (`uvs`).
-    pub paint: Vec<[Vec2; 3]>,
-    /// Display-encoded colour and opacity of each triangle's corners, which materials without a texture are multiplied by;
-    /// `F` rows, or none where the mesh has no colours.
+    /// Coordinates of each triangle's corners in its material's texture, which wraps by [`Material::wrap`]; `F` rows, or empty
+    /// if they equal the atlas coordinates.
+    pub material_uvs: Vec<[Vec2; 3]>,
+    /// Display-encoded colour and opacity of each triangle's corners, a factor on materials without a texture; `F` rows, or
+    /// empty if the mesh has no vertex colours.
     pub face_colors: Vec<[Vec4; 3]>,
-    /// What the surface looks like.
+    /// Materials, the rows that `face_materials` names.
     pub materials: Vec<Material>,
-    /// Which joints move a vertex, and how much.
+    /// Joints and weights of each vertex, `N` rows.
     pub weights: SkinWeights,
-    /// Shapes that are added before skinning.
+    /// Morph targets, added to the vertices before skinning.
     pub morphs: Vec<Morph>,
 }
 
-/// Rows of joints and weights, `Σ_j w = 1` in each, as many a row as it needs.
+/// Sparse skin weights: per vertex any number of joints, whose weights sum to 1.
+///
+/// ```
+/// use gs_texel::SkinWeights;
+///
+/// let mut weights = SkinWeights::default();
+/// assert!(weights.push([(3, 0.5), (1, -0.2), (3, 0.5), (2, 1.0)], 0));
+/// assert_eq!(weights.row(0).collect::<Vec<_>>(), [(3, 0.5), (2, 0.5)]);
+/// ```
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SkinWeights {
-    /// Row `i` is `begins[i]..begins[i + 1]`; `N + 1` values.
+    /// Vertex `i` has the entries `begins[i]..begins[i + 1]`; `N + 1` values.
     pub begins: Vec<u32>,
-    /// Joint numbers.
+    /// Joint of each entry, a row of [`crate::Skeleton::joints`].
     pub joints: Vec<u32>,
-    /// Weights, all above 0.
+    /// Weight of each entry, above 0.
     pub weights: Vec<f32>,
 }
 
 impl SkinWeights {
-    /// Number of vertices.
+    /// Number of vertices `N`, the rows.
     pub fn len(&self) -> usize {
         self.begins.len().saturating_sub(1)
     }
@@ -56,8 +65,8 @@ impl SkinWeights {
         self.len() == 0
     }
 
-    /// Appends a row: equal joints are merged, weights that are not positive and finite left out, the rest made to sum to
-    /// 1. Returns `false`, with weight 1 on `fallback`, if none is left.
+    /// Appends a vertex. Equal joints are merged, weights that are not positive and finite are dropped, the rest is normalised
+    /// to sum 1. If none is left, `fallback` gets weight 1 and the result is `false`.
     pub fn push(&mut self, influences: impl IntoIterator<Item = (u32, f32)>, fallback: u32) -> bool {
         if self.begins.is_empty() {
             self.begins.push(0);
@@ -86,53 +95,59 @@ impl SkinWeights {
         bound
     }
 
-    /// Joints and weights of vertex `i`.
+    /// `(joint, weight)` of every entry of vertex `i`.
     pub fn row(&self, i: usize) -> impl Iterator<Item = (u32, f32)> + '_ {
         let range = self.begins[i] as usize..self.begins[i + 1] as usize;
         self.joints[range.clone()].iter().copied().zip(self.weights[range].iter().copied())
     }
 }
 
-/// A morph target.
+/// A morph target (blend shape): offsets of all vertices.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Morph {
-    /// Its name, empty if the file gives none.
+    /// Name from the file; empty if it has none.
     pub name: String,
-    /// `Δ`: offsets in the bind pose at weight 1, `N` rows.
+    /// `Δ`: offsets of the vertices in the bind pose at weight 1, `N` rows.
     pub offsets: Vec<Vec3>,
 }
 
-/// The appearance of some faces.
+/// Base colour of the faces that refer to it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Material {
-    /// Its name, empty if the file gives none.
+    /// Name from the file; empty if it has none.
     pub name: String,
-    /// Display-encoded colour and opacity that the texture is multiplied by.
+    /// Display-encoded colour and opacity, a factor on the texture.
     pub factor: Vec4,
-    /// Colour `[0, 1]`, display-encoded, 4 channels; materials may share one. None: the factor alone.
+    /// Display-encoded RGBA in `[0, 1]`, 4 channels; may be shared by materials. `None`: the factor alone.
     pub texture: Option<Arc<Image>>,
-    /// Texels of less opacity are holes; none: no holes.
+    /// Opacity below which a texel is a hole; `None`: no holes.
     pub cutout: Option<f32>,
-    /// Seen from behind too.
+    /// Whether back faces are visible too.
     pub double_sided: bool,
-    /// How the texture goes on outside `[0, 1]`, along `u` and `v`.
+    /// Wrap mode of the texture along `u` and `v`.
     pub wrap: [Wrap; 2],
 }
 
-/// How a texture goes on outside `[0, 1]`.
+/// How a texture continues outside `[0, 1]`.
+///
+/// ```
+/// use gs_texel::Wrap;
+///
+/// assert_eq!([Wrap::Repeat, Wrap::Clamp, Wrap::Mirror].map(|w| w.at(1.25)), [0.25, 1.0, 0.75]);
+/// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Wrap {
-    /// Again and again.
+    /// Periodic with period 1.
     #[default]
     Repeat,
-    /// Its border.
+    /// The border texel.
     Clamp,
-    /// Again and again, every second one turned round.
+    /// Periodic with period 2, every second copy mirrored.
     Mirror,
 }
 
 impl Wrap {
-    /// The coordinate in `[0, 1]` that is read for `x`.
+    /// The coordinate in `[0, 1]` that `x` maps to.
     pub fn at(self, x: f32) -> f32 {
         match self {
             Wrap::Repeat => x - x.floor(),
@@ -150,7 +165,7 @@ impl Wrap {
         }
     }
 
-    /// The texel that is read for texel number `x` of a row of `n`.
+    /// The texel of `0..n` that texel `x` of an unbounded row maps to.
     fn texel(self, x: i64, n: usize) -> usize {
         let n = n as i64;
         let inside = match self {
@@ -176,13 +191,13 @@ impl Default for Material {
 }
 
 impl Material {
-    /// Colour and opacity at a place of the texture: bilinear, display-encoded.
+    /// Display-encoded colour and opacity at a texture coordinate, bilinear, factor included.
     pub fn colour(&self, uv: Vec2) -> Vec4 {
         self.colour_and_slope(uv).0
     }
 
-    /// The same, and its derivatives along `u` and `v`.
-    pub fn colour_and_slope(&self, uv: Vec2) -> (Vec4, [Vec4; 2]) {
+    /// [`Material::colour`] and its derivatives by `u` and `v`.
+    fn colour_and_slope(&self, uv: Vec2) -> (Vec4, [Vec4; 2]) {
         let Some(texture) = self.texture.as_ref().filter(|t| t.width * t.height > 0 && t.channels == 4) else {
             return (self.factor, [Vec4::ZERO; 2]);
         };
@@ -203,31 +218,33 @@ impl Material {
 }
 
 impl Template {
-    /// Where the corners of a triangle lie in its material's texture, if it has texture coordinates.
-    pub fn painted(&self, face: usize) -> Option<[Vec2; 3]> {
+    /// Coordinates of a triangle's corners in its material's texture; `None` without texture coordinates.
+    pub fn corner_uvs(&self, face: usize) -> Option<[Vec2; 3]> {
         let in_atlas = || self.face_uvs.get(face).map(|f| f.map(|k| self.uvs[k as usize]));
-        self.paint.get(face).copied().or_else(in_atlas)
+        self.material_uvs.get(face).copied().or_else(in_atlas)
     }
 
-    /// Display-encoded colour and opacity of a point of a triangle, by its three barycentric coordinates.
+    /// Display-encoded colour and opacity at three barycentric coordinates of a triangle.
     pub fn colour(&self, face: usize, bary: [f32; 3]) -> Vec4 {
         self.colour_and_slopes(face, bary).0
     }
 
-    /// The same, and its derivatives with respect to the barycentric coordinates.
-    pub fn colour_and_slopes(&self, face: usize, bary: [f32; 3]) -> (Vec4, [Vec4; 3]) {
+    /// [`Template::colour`] and its derivatives by the barycentric coordinates.
+    pub(crate) fn colour_and_slopes(&self, face: usize, bary: [f32; 3]) -> (Vec4, [Vec4; 3]) {
         let material = self.face_materials.get(face).and_then(|&m| self.materials.get(usize::from(m)));
         let corners = self.face_colors.get(face).filter(|_| material.is_none_or(|m| m.texture.is_none()));
         let corners = corners.copied().unwrap_or([Vec4::ONE; 3]);
         let own = corners[0] * bary[0] + corners[1] * bary[1] + corners[2] * bary[2];
         let Some(material) = material else { return (own, corners) };
-        let Some(at) = self.painted(face) else { return (own * material.factor, corners.map(|c| c * material.factor)) };
+        let Some(at) = self.corner_uvs(face) else {
+            return (own * material.factor, corners.map(|c| c * material.factor));
+        };
         let (color, [u, v]) = material.colour_and_slope(at[0] * bary[0] + at[1] * bary[1] + at[2] * bary[2]);
         let slope = |k: usize| corners[k] * color + own * (u * at[k].x + v * at[k].y);
         (own * color, [0, 1, 2].map(slope))
     }
 
-    /// `v̄ + Σ_k w_k Δ_k`: the vertices with morphs of these weights, in the bind pose.
+    /// Vertices of the bind pose with morphs: `v̄ + Σ_k w_k Δ_k`, `w` one weight per morph.
     pub fn morphed(&self, morphs: &[f32]) -> Vec<Vec3> {
         let mut vertices = self.vertices.clone();
         for (morph, &w) in self.morphs.iter().zip(morphs).filter(|(_, w)| **w != 0.0) {

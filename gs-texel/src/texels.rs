@@ -1,8 +1,8 @@
-//! The texels of a surface: which point of which triangle each one is.
+//! The texel table: face and barycentric coordinates of every texel of a texture map.
 //!
-//! Texture coordinates never move, so this is found once per template and size; what a pose changes is then three gathers
-//! per texel ([`TexelTable::interp`]). Row `k` of every column belongs to the `k`-th **valid** texel, one whose centre a
-//! UV triangle owns; `K` of them, in the order of the map.
+//! Texture coordinates do not depend on the pose, so a table is built once per template and size. Posing then costs three
+//! gathers per texel ([`TexelTable::interp`]). Row `k` of every column belongs to the `k`-th **valid** texel, one whose centre
+//! lies in a UV triangle; there are `K` of them, in the row-major order of the map.
 
 mod charts;
 mod reader;
@@ -11,22 +11,22 @@ mod resize;
 pub use reader::{MapReader, SeamRead};
 pub use resize::resize;
 
-use crate::coverage::{REACH, Window, snap, spans};
+use crate::coverage::{MAX_COORDINATE, Window, spans, to_fixed};
 use crate::surface::{CHUNK, MeshError, NONE, check_faces};
 use glam::{DVec2, Vec2, Vec3};
 use gs_core::Image;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-/// Largest texture side.
-pub const MAX_SIZE: usize = 1 << 14;
-/// Share of texels that may be claimed twice.
-pub const MAX_OVERLAP: f64 = 1e-3;
+/// Largest side of a map, texels.
+const MAX_SIZE: usize = 1 << 14;
+/// Share of valid texels that may lie in more than one triangle.
+const MAX_OVERLAP: f64 = 1e-3;
 
-/// Texture coordinates no table can be made of.
+/// Texture coordinates or sizes that [`TexelTable::build`] refuses.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum TexelError {
-    /// Faces do not fit.
+    /// Faces name rows that do not exist, or the numbers of faces differ.
     #[error(transparent)]
     Mesh(#[from] MeshError),
     /// A coordinate is not finite, or far outside the texture.
@@ -34,49 +34,50 @@ pub enum TexelError {
     Coordinate {
         /// Row of the coordinate.
         row: usize,
-        /// Its u.
+        /// Its horizontal coordinate.
         u: f32,
-        /// Its v.
+        /// Its vertical coordinate.
         v: f32,
     },
-    /// Sides out of range.
+    /// The side of the map is out of range.
     #[error("texture size {size} is out of range: 1 to {MAX_SIZE} texels")]
     Size {
-        /// The size asked for.
+        /// The side asked for, texels.
         size: usize,
     },
-    /// Too many texels are claimed by more than one triangle.
+    /// Too many texels lie in more than one triangle.
     #[error(
         "{overlaps} of {valid} texels belong to more than one triangle (the first is texel {texel}, of faces {first} and {second}); \
          unwrap the mesh without overlap, or allow it and the lower face wins"
     )]
     Overlap {
-        /// Texels claimed again.
+        /// Number of texels in more than one triangle.
         overlaps: usize,
-        /// Valid texels.
+        /// Number of valid texels.
         valid: usize,
-        /// The first of them.
+        /// The first such texel, `y·S + x`.
         texel: u32,
-        /// Its owner.
+        /// Its lowest face.
         first: u32,
-        /// Who else claims it.
+        /// The next face it lies in.
         second: u32,
     },
-    /// Fewer texels than a map of this size could number, or none at all.
+    /// No texel centre lies in a UV triangle.
     #[error("no texel of a {size}x{size} texture has its centre in a UV triangle; use a larger texture or unwrap anew")]
     Empty {
-        /// The texture's side.
+        /// Side of the map, texels.
         size: usize,
     },
 }
 
-/// How a table is made.
+/// Options of [`TexelTable::build`].
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TexelOptions {
-    /// Accept any number of overlapping texels (mirrored halves that share texels on purpose).
+    /// Accept any number of overlapping texels (mirrored halves that share texels on purpose). Default: no; above 0.1 % is an
+    /// error.
     pub allow_overlap: bool,
-    /// Rings of texels around the charts that copy their nearest valid texel where maps are convolved or filtered.
+    /// Width of the gutter in texels: invalid texels around the charts that [`TexelTable::fill_gutter`] fills. Default: 2.
     pub gutter: usize,
 }
 
@@ -86,47 +87,61 @@ impl Default for TexelOptions {
     }
 }
 
-/// What was met while a table was made.
+/// Counts made while a table was built.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct TexelReport {
-    /// Texels claimed by more than one triangle; the lowest face has them.
+    /// Texels in more than one triangle; the lowest face gets them.
     pub overlaps: usize,
     /// Faces without area in the texture.
     pub degenerate: usize,
-    /// Faces with area that own no texel.
+    /// Faces with area in the texture that get no texel.
     pub unseen_faces: usize,
-    /// Their share of the area in the texture.
+    /// Share of these faces in the area of all, in the texture.
     pub unseen_area: f64,
-    /// Islands of the texture.
+    /// Number of charts (islands of the texture).
     pub charts: usize,
 }
 
-/// Where the valid texels of an `S × S` map lie on a mesh.
+/// Face and barycentric coordinates of the `K` valid texels of an `S × S` map.
+///
+/// ```
+/// use glam::Vec2;
+/// use gs_texel::texels::{TexelOptions, TexelTable};
+///
+/// // The unit square as two triangles: every texel is valid.
+/// let uvs = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]].map(Vec2::from_array);
+/// let faces = [[0, 1, 2], [0, 2, 3]];
+/// let table = TexelTable::build(&faces, &uvs, &faces, 4, &TexelOptions::default())?;
+/// assert_eq!((table.len(), table.report.charts), (16, 1));
+/// // Interpolating the coordinates themselves gives the texel centres.
+/// assert_eq!(table.interp(&faces, &uvs.map(|p| p.to_array()))[5], [0.375, 0.375]);
+/// # Ok::<(), gs_texel::texels::TexelError>(())
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct TexelTable {
-    /// `S`.
+    /// Side of the map `S`, texels.
     pub size: usize,
-    /// Number of each valid texel in the map, `y·S + x`; `K` rows, ascending.
+    /// Index of each valid texel in the map, `y·S + x`; `K` rows, ascending.
     pub valid: Vec<u32>,
-    /// Face of each; `K` rows.
+    /// Face of each valid texel; `K` rows.
     pub tri: Vec<u32>,
-    /// Weights of the first and second corner, the third has the rest; `K` rows.
+    /// Barycentric weights `b₀, b₁` of the first and second corner; `K` rows.
     pub bary: Vec<[f32; 2]>,
-    /// Chart of each; `K` rows.
+    /// Chart of each valid texel; `K` rows.
     pub chart: Vec<u16>,
-    /// Row of each texel of the map, [`NONE`] if not valid; `S²` rows.
+    /// Row of each texel of the map, [`NONE`] for invalid ones; `S²` values.
     pub row: Vec<u32>,
-    /// Texels of the gutter, each with the row it copies.
+    /// Texels of the gutter: index in the map, and the row whose value it copies.
     pub gutter: Vec<[u32; 2]>,
-    /// What was met.
+    /// Overlaps, degenerate faces and other counts.
     pub report: TexelReport,
 }
 
 impl TexelTable {
-    /// The table of a mesh: `faces` number vertices, `face_uvs` the same triangles' `uvs`.
+    /// Builds the table of a `size × size` map. `faces` are rows of vertices, `face_uvs` the same triangles as rows of `uvs`.
     ///
     /// # Errors
-    /// Numbers that do not fit, coordinates that are not finite, more overlap than allowed, no texel at all.
+    /// If rows do not exist, a coordinate is not finite, more texels overlap than allowed, or no texel is valid.
     pub fn build(
         faces: &[[u32; 3]],
         uvs: &[Vec2],
@@ -165,19 +180,19 @@ impl TexelTable {
         self.valid.len()
     }
 
-    /// Whether there is no valid texel (never, for a table that was built).
+    /// Whether there is no valid texel; never true for a table from [`TexelTable::build`].
     pub fn is_empty(&self) -> bool {
         self.valid.is_empty()
     }
 
-    /// Centre of the texel of row `k`, in texture coordinates.
+    /// Texture coordinate of the centre of the texel of row `k`.
     pub fn uv(&self, k: usize) -> Vec2 {
         let (t, s) = (self.valid[k] as usize, self.size as f32);
         Vec2::new((t % self.size) as f32 + 0.5, (t / self.size) as f32 + 0.5) / s
     }
 
-    /// `a(t) = b₀ a₀ + b₁ a₁ + (1 − b₀ − b₁) a₂` at every valid texel, for a vertex attribute of `C` values. `faces` are
-    /// those of the table; `attribute` has a row per vertex.
+    /// Interpolates a vertex attribute: `a(t) = b₀ a₀ + b₁ a₁ + (1 − b₀ − b₁) a₂` at every valid texel, `K` rows. `faces` are
+    /// those of the table; `attribute` has a row of `C` values per vertex.
     pub fn interp<const C: usize>(&self, faces: &[[u32; 3]], attribute: &[[f32; C]]) -> Vec<[f32; C]> {
         let mut out = vec![[0.0; C]; self.len()];
         self.each(&mut out, |k| {
@@ -188,14 +203,14 @@ impl TexelTable {
         out
     }
 
-    /// As [`TexelTable::interp`], for points and normals (which are not made unit again).
+    /// [`TexelTable::interp`] for vectors. Interpolated normals are not normalised.
     pub fn interp_vec3(&self, faces: &[[u32; 3]], attribute: &[Vec3]) -> Vec<Vec3> {
         let mut out = vec![Vec3::ZERO; self.len()];
         self.each(&mut out, |k| self.at(faces, attribute, k));
         out
     }
 
-    /// A vertex attribute at the texel of row `k`.
+    /// A vertex attribute interpolated at the texel of row `k`.
     #[inline]
     pub fn at(&self, faces: &[[u32; 3]], attribute: &[Vec3], k: usize) -> Vec3 {
         let w = self.weights(k);
@@ -203,7 +218,7 @@ impl TexelTable {
         w[0] * a + w[1] * b + w[2] * c
     }
 
-    /// The weights of the three corners at row `k`.
+    /// Barycentric weights of the three corners at row `k`; they sum to 1.
     #[inline]
     pub fn weights(&self, k: usize) -> [f32; 3] {
         let [a, b] = self.bary[k];
@@ -216,7 +231,7 @@ impl TexelTable {
         });
     }
 
-    /// Rows as an `S × S × C` map, `fill` elsewhere.
+    /// An `S × S × C` map of `K` rows, `fill` at invalid texels.
     pub fn to_map<const C: usize>(&self, rows: &[[f32; C]], fill: f32) -> Image {
         let mut map = Image { width: self.size, height: self.size, channels: C, data: vec![fill; self.row.len() * C] };
         for (&t, row) in self.valid.iter().zip(rows) {
@@ -225,18 +240,19 @@ impl TexelTable {
         map
     }
 
-    /// The valid rows of an `S × S × C` map.
+    /// The `K` rows of valid texels of an `S × S × C` map.
     pub fn from_map<const C: usize>(&self, map: &Image) -> Vec<[f32; C]> {
         let row = |&t: &u32| std::array::from_fn(|i| map.data[t as usize * C + i]);
         self.valid.iter().map(row).collect()
     }
 
-    /// 1 at valid texels, 0 elsewhere; `S²` values.
+    /// Mask of the map: 1 at valid texels, 0 elsewhere; `S²` values.
     pub fn mask(&self) -> Vec<f32> {
         self.row.iter().map(|&r| if r == NONE { 0.0 } else { 1.0 }).collect()
     }
 
-    /// Copies the border of the charts of an `S × S` map into the gutter.
+    /// Copies the nearest valid texel into each texel of the gutter of an `S × S` map, so that filters do not mix in the
+    /// background.
     pub fn fill_gutter(&self, map: &mut Image) {
         let c = map.channels;
         for &[texel, row] in &self.gutter {
@@ -254,15 +270,15 @@ fn check(faces: &[[u32; 3]], uvs: &[Vec2], face_uvs: &[[u32; 3]], size: usize) -
         return Err(MeshError::Rows { what: "face_uvs", got: face_uvs.len(), want: faces.len() }.into());
     }
     check_faces(face_uvs, uvs.len())?;
-    // Magnitude 16 at the largest size stays within reach of fixed point.
-    let limit = (REACH / (4 * MAX_SIZE) as f64) as f32;
+    // Magnitude 16 at the largest size stays within fixed-point range.
+    let limit = (MAX_COORDINATE / (4 * MAX_SIZE) as f64) as f32;
     match uvs.iter().position(|uv| !(uv.is_finite() && uv.abs().max_element() < limit)) {
         Some(row) => Err(TexelError::Coordinate { row, u: uvs[row].x, v: uvs[row].y }),
         None => Ok(()),
     }
 }
 
-/// A map being claimed face by face.
+/// The map being filled face by face.
 struct Fill {
     size: usize,
     owner: Vec<u32>,
@@ -278,7 +294,7 @@ impl Fill {
         Self { size, owner, bary, area: 0.0, first_overlap: None, report: TexelReport::default() }
     }
 
-    /// Claims the texels of a face; mirrored faces are as good as others.
+    /// Assigns the texels of a face, of either orientation.
     fn face(&mut self, face: u32, uv: [Vec2; 3]) {
         let [a, b, c] = uv.map(|p| p.as_dvec2() * self.size as f64);
         let area = (b - a).perp_dot(c - a);
@@ -289,12 +305,12 @@ impl Fill {
         self.area += area.abs();
         let window = Window { x0: 0, y0: 0, x1: self.size, y1: self.size };
         let mut met = false;
-        spans([a, b, c].map(snap), window, |y, x0, x1| {
+        spans([a, b, c].map(to_fixed), window, |y, x0, x1| {
             met = true;
             for x in x0..x1 {
                 let q = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
                 let weights = [(b - q).perp_dot(c - q) / area, (c - q).perp_dot(a - q) / area];
-                self.claim(face, y * self.size + x, weights);
+                self.assign(face, y * self.size + x, weights);
             }
         });
         if !met {
@@ -303,7 +319,7 @@ impl Fill {
         }
     }
 
-    fn claim(&mut self, face: u32, texel: usize, [b0, b1]: [f64; 2]) {
+    fn assign(&mut self, face: u32, texel: usize, [b0, b1]: [f64; 2]) {
         let owner = self.owner[texel];
         if owner != NONE {
             self.report.overlaps += 1;
@@ -311,14 +327,14 @@ impl Fill {
             return;
         }
         self.owner[texel] = face;
-        // Rounded corners may claim centres a hair outside; the point stays on the triangle.
+        // Rounded corners may cover centres slightly outside; the point stays on the triangle.
         let (b0, b1) = (b0.clamp(0.0, 1.0), b1.clamp(0.0, 1.0));
         let over = (b0 + b1).max(1.0);
         self.bary[texel] = [(b0 / over) as f32, (b1 / over) as f32];
     }
 }
 
-/// Invalid texels within `rings` steps of a valid one, each with the row of the nearest (the lowest of equals).
+/// Invalid texels within `rings` texels of a valid one, each with the row of the nearest (the lowest of equals).
 fn gutter(row: &[u32], size: usize, rings: usize) -> Vec<[u32; 2]> {
     let reach = rings as i64;
     let offsets = (-reach..=reach).flat_map(|dy| (-reach..=reach).map(move |dx| (dx * dx + dy * dy, dy, dx)));

@@ -1,101 +1,88 @@
-//! Colours of the texels from the cameras that see them: `T_c = Σ_i v_i I_i / Σ_i v_i` (DUT).
+//! Colours of texels from the views that see them: `T_c = Σ_i v_i I_i / Σ_i v_i` (DUT), `v_i` the weight of view `i`, 0 where
+//! the texel is hidden ([`crate::visibility`]).
 //!
-//! Sums are of whole numbers, so neither the order of the views nor the number of threads changes a bit.
-
-mod update;
-
-pub use update::Redone;
+//! Sums are in fixed point, so neither the order of the views nor the number of threads changes a bit.
 
 use crate::bvh::Tracer;
 use crate::surface::{CHUNK, Mesh, MeshError};
 use crate::texels::TexelTable;
-use crate::visibility::{Eye, Rule, Sighting};
+use crate::visibility::{PreparedView, Rule, Sample};
 use crate::zbuffer::DepthMap;
-use glam::Vec3;
 use gs_core::camera::CameraError;
 use gs_core::{Camera, Image};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-/// What cannot be unprojected.
+/// Inputs of [`unproject`] that are refused.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum UnprojectError {
-    /// The mesh.
+    /// The mesh has bad rows, faces or positions.
     #[error(transparent)]
     Mesh(#[from] MeshError),
-    /// A camera.
+    /// A camera is invalid.
     #[error("view {view}: {error}")]
     Camera {
         /// Row of the view.
         view: usize,
-        /// What is wrong.
+        /// The fault of the camera.
         error: CameraError,
     },
-    /// An image or mask that does not fit its camera.
+    /// An image or mask does not have the camera's size or the right channels.
     #[error("view {view}: the {what} is {width}x{height} with {channels} channels; {rule}")]
     Shape {
         /// Row of the view.
         view: usize,
-        /// Image or mask.
+        /// `image` or `mask`.
         what: &'static str,
-        /// Its width.
+        /// Its width in pixels.
         width: usize,
-        /// Its height.
+        /// Its height in pixels.
         height: usize,
-        /// Its channels.
+        /// Its number of channels.
         channels: usize,
-        /// What it must be.
+        /// The requirement, as text.
         rule: &'static str,
     },
-    /// A setting out of its domain.
+    /// A setting is out of its domain.
     #[error("unprojection setting `{field}` = {value}: it must be {rule}")]
     Setting {
-        /// Its name.
+        /// Name of the setting.
         field: &'static str,
-        /// Its value.
+        /// Its value, out of the domain.
         value: f64,
-        /// Its domain.
+        /// The domain, as text.
         rule: &'static str,
-    },
-    /// An update of another mesh, table or set of views.
-    #[error("the texture to be updated is of {was} {what}, now there are {now}; unproject anew")]
-    Other {
-        /// Texels, vertices or views.
-        what: &'static str,
-        /// Then.
-        was: usize,
-        /// Now.
-        now: usize,
     },
 }
 
-/// An image with its camera. Images are finite (readers see to that).
+/// An input image with its camera. Pixel values must be finite.
 #[derive(Clone, Copy, Debug)]
 pub struct View<'a> {
-    /// The camera.
+    /// Intrinsics and pose of the image.
     pub camera: &'a Camera,
-    /// Straight colours, 3 channels, or 4 with opacity as the mask.
+    /// Straight (not premultiplied) colours: 3 channels, or 4 whose opacity serves as the mask.
     pub image: &'a Image,
-    /// Foreground, 1 channel, in place of the image's opacity.
+    /// Foreground opacity, 1 channel; replaces the image's own.
     pub mask: Option<&'a Image>,
 }
 
-/// How the mask is used.
+/// How the foreground mask gates and weights samples.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum MaskUse {
-    /// As it is: texels above ½ count, colours are those of the foreground alone.
+    /// Read bilinearly: texels above ½ count, and colours are means over the foreground alone.
     #[default]
     Soft,
-    /// Cut at ½, then read bilinearly as a weight; colours mix with what lies beyond the silhouette (the authors' code).
+    /// Thresholded at ½, then read bilinearly as a weight. Colours mix with the background at the silhouette (DUT's
+    /// published code).
     Binary,
-    /// Not at all.
+    /// The mask is not read; its weight is 1.
     Ignore,
 }
 
 impl MaskUse {
-    /// Opacity a texel must exceed.
-    pub(crate) fn least(self) -> f32 {
+    /// Mask value that a texel must exceed.
+    pub(crate) fn min_mask(self) -> f32 {
         if self == Self::Soft { 0.5 } else { 0.0 }
     }
 }
@@ -104,32 +91,32 @@ impl MaskUse {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FuseWeight {
-    /// The mask.
+    /// `v_i` is the mask value.
     #[default]
     Mask,
-    /// The mask times this power of the cosine of incidence.
+    /// `v_i` is the mask value times this power, 0 to 64, of the cosine of incidence.
     CosPow(f32),
-    /// The view of the largest cosine alone.
+    /// Only the view of the largest cosine of incidence counts.
     BestView,
 }
 
-/// Behaviour of the authors' code that costs accuracy; all off unless it is to be reproduced.
+/// Reproduces details of DUT's published code that cost accuracy. All off by default.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Compat {
-    /// Images and depth maps are read at `p (W − 1)/W` instead of `p − ½`.
+    /// Read images and depth maps at `p (W − 1)/W` instead of `p − ½`.
     pub align_corners: bool,
-    /// Depth maps hold clip-space z of near 1 mm and far 1 km: 2 mm less than the truth.
+    /// Depth maps hold clip-space z of near 1 mm and far 1 km: 2 mm less than the true depth.
     pub clip_depth: bool,
-    /// Depth maps are 0 where nothing is.
+    /// Depth maps are 0, not `∞`, where there is no surface.
     pub zero_background: bool,
 }
 
 impl Compat {
-    /// Everything as in the authors' code.
-    pub const AUTHORS: Self = Self { align_corners: true, clip_depth: true, zero_background: true };
+    /// Everything as in the published code.
+    const PUBLISHED: Self = Self { align_corners: true, clip_depth: true, zero_background: true };
 
-    /// A value of the depth map as that code has it.
+    /// A value of the depth map with these settings.
     pub(crate) fn depth(self, z: f32) -> f32 {
         const NEAR: f32 = 0.001;
         const FAR: f32 = 1000.0;
@@ -141,29 +128,29 @@ impl Compat {
     }
 }
 
-/// Settings of the unprojection.
+/// Settings of [`unproject`]; defaults are the four-tap rule with 20 mm tolerance.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct UnprojectConfig {
-    /// How occlusion is decided.
+    /// Occlusion test. Default: [`Rule::FourTap`].
     pub rule: Rule,
-    /// `δ`: least cosine between normal and direction to the camera.
+    /// `δ`: minimum cosine between normal and direction to the camera, -1 to 1. Default: 0.17.
     pub min_cos: f32,
-    /// `ε`: depth (or distance) by which texel and depth map may differ, metres.
+    /// `ε`: depth (or distance) by which texel and depth map may differ, metres. Default: 0.02.
     pub depth_tolerance: f32,
-    /// Nothing nearer to a camera counts, metres.
+    /// Near plane of every camera, metres. Default: 0.05.
     pub near: f64,
-    /// Rays start this far above the surface, metres.
+    /// Distance of a ray's origin from the surface, metres. Default: 1e-4.
     pub ray_offset: f32,
-    /// How the mask is used.
+    /// How masks are read. Default: [`MaskUse::Soft`].
     pub mask: MaskUse,
-    /// How views are weighted.
+    /// Weight `v_i` of a view. Default: [`FuseWeight::Mask`].
     pub fuse: FuseWeight,
-    /// Texels of a smaller total weight are unseen.
+    /// Texels of a smaller total weight count as unseen. Default: 1e-3.
     pub min_weight: f32,
-    /// Keep the weight of every view at every texel.
+    /// Whether [`Texture::by_view`] is filled. Default: no.
     pub keep_views: bool,
-    /// Behaviour of the authors' code.
+    /// Details of the published code to reproduce. Default: none.
     pub compat: Compat,
 }
 
@@ -185,36 +172,36 @@ impl Default for UnprojectConfig {
 }
 
 impl UnprojectConfig {
-    /// As the authors of DUT run it, with all their roundings.
+    /// The settings and roundings of DUT's published code.
     pub fn dut_code() -> Self {
         Self {
             rule: Rule::Bilinear,
             mask: MaskUse::Binary,
             min_weight: 0.0,
-            compat: Compat::AUTHORS,
+            compat: Compat::PUBLISHED,
             ..Self::default()
         }
     }
 
-    /// HoloChar's rule: cosine at least 0.34, nearest pixel within 20 mm in space, plain mean.
+    /// HoloChar's settings: cosine above 0.34, nearest pixel within 20 mm in space, plain mean.
     pub fn holochar() -> Self {
         Self { rule: Rule::PointDistance, min_cos: 0.34, mask: MaskUse::Ignore, ..Self::default() }
     }
 
-    /// DVA's rule: bilinear depth within 20 mm, no gate on the angle, plain mean.
+    /// DVA's settings: bilinear depth within 20 mm, no bound on the angle, plain mean.
     pub fn dva() -> Self {
         Self { rule: Rule::Bilinear, min_cos: -1.0, mask: MaskUse::Ignore, ..Self::default() }
     }
 
-    /// GHG's rule: all texels of the faces that own a pixel, plain mean.
+    /// GHG's settings: all texels of the faces that own a pixel, plain mean.
     pub fn ghg() -> Self {
         Self { rule: Rule::FaceTag, min_cos: -1.0, mask: MaskUse::Ignore, ..Self::default() }
     }
 
-    /// Verifies every number.
+    /// Checks that every number is in its domain.
     ///
     /// # Errors
-    /// Names the first out of its domain.
+    /// [`UnprojectError::Setting`] for the first value out of its domain.
     pub fn check(&self) -> Result<(), UnprojectError> {
         let power = if let FuseWeight::CosPow(p) = self.fuse { f64::from(p) } else { 0.0 };
         let rows = [
@@ -230,54 +217,65 @@ impl UnprojectConfig {
     }
 }
 
-/// What the cameras say about the `K` valid texels of a table.
-#[derive(Clone, Debug, PartialEq)]
+/// Colours and weights of the `K` valid texels of a table, in its row order.
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Texture {
-    /// `T_c`, 0 where unseen; `K` rows.
+    /// `T_c`: fused colours, 0 where unseen; `K` rows.
     pub colors: Vec<[f32; 3]>,
-    /// `Σ v`; `K` rows.
+    /// `Σ_i v_i`: total weight, 0 where unseen; `K` rows.
     pub weight: Vec<f32>,
-    /// Views that see each texel, 0 where it is unseen; `K` rows.
+    /// Number of views that see each texel, 0 where its weight is too small; `K` rows.
     pub seen: Vec<u16>,
-    /// Weight of each view at each texel before fusing (`K · V`, views fastest), if it was to be kept.
+    /// `v_i` of each view at each texel (`K · V` values, views fastest); empty unless [`UnprojectConfig::keep_views`].
     pub by_view: Vec<f32>,
-    /// Views with enough of the mesh before them.
+    /// Whether each view has at least half of the vertices in front of it; others see nothing.
     pub used: Vec<bool>,
-    /// The mesh that was looked at, and what was drawn of it.
-    state: State,
-}
-
-/// What an update starts from.
-#[derive(Clone, Debug, PartialEq)]
-struct State {
-    vertices: Vec<Vec3>,
-    normals: Vec<Vec3>,
+    /// Depth map of each view, where the rule needs one.
     depths: Vec<Option<DepthMap>>,
 }
 
 impl Texture {
-    /// The colours as an `S × S × 3` map, `unseen` off the charts and where no camera looks.
+    /// The colours as an `S × S × 3` map, `unseen` off the charts and at unseen texels.
     pub fn map(&self, table: &TexelTable, unseen: f32) -> Image {
         let rows: Vec<[f32; 3]> =
             self.colors.iter().zip(&self.seen).map(|(&c, &n)| if n > 0 { c } else { [unseen; 3] }).collect();
         table.to_map(&rows, unseen)
     }
 
-    /// Share of the valid texels that some camera sees.
+    /// Share of the valid texels that at least one view sees, 0 to 1.
     pub fn coverage(&self) -> f64 {
         self.seen.iter().filter(|&&n| n > 0).count() as f64 / self.seen.len().max(1) as f64
     }
 
-    /// The depth map of view `i`, if the rule drew one.
+    /// The depth map of view `i`, if the rule uses one and the view is used.
     pub fn depth(&self, i: usize) -> Option<&DepthMap> {
-        self.state.depths.get(i).and_then(Option::as_ref)
+        self.depths.get(i).and_then(Option::as_ref)
     }
 }
 
-/// Colours the texels of `table` on a posed mesh from `views`. The mesh's faces are the table's.
+/// Colours the texels of `table` on a posed mesh from `views`. The mesh must have the faces the table was built from.
 ///
 /// # Errors
-/// Meshes, cameras, images or settings that do not fit or are not finite. No view at all is no error: nothing is seen.
+/// If the mesh, a camera, an image or a setting does not fit or is not finite. No view at all is no error: nothing is seen.
+///
+/// ```
+/// use glam::DVec3;
+/// use gs_core::{Camera, Image};
+/// use gs_texel::unproject::{UnprojectConfig, View, unproject};
+/// use gs_texel::{figure::plate, surface::{Mesh, Topology}, texels::TexelTable};
+///
+/// let t = plate(1.0, 4).template;
+/// let normals = Topology::new(&t.faces, t.vertices.len())?.normals(&t.vertices, &t.faces);
+/// let mesh = Mesh { vertices: &t.vertices, normals: &normals, faces: &t.faces };
+/// let table = TexelTable::build(&t.faces, &t.uvs, &t.face_uvs, 32, &Default::default())?;
+/// let camera = Camera::look_at(64, 64, 0.8, DVec3::Z * 2.0, DVec3::ZERO, DVec3::Y)?;
+/// let image = Image::from_data(64, 64, 3, vec![0.25; 64 * 64 * 3]).unwrap();
+/// let view = View { camera: &camera, image: &image, mask: None };
+/// let texture = unproject(&mesh, &table, &[view], &UnprojectConfig::default())?;
+/// assert_eq!(texture.coverage(), 1.0);
+/// assert!(texture.colors.as_flattened().iter().all(|c| (c - 0.25).abs() < 1e-6));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub fn unproject(
     mesh: &Mesh<'_>,
     table: &TexelTable,
@@ -285,25 +283,28 @@ pub fn unproject(
     config: &UnprojectConfig,
 ) -> Result<Texture, UnprojectError> {
     check(mesh, table, views, config)?;
-    let mut eyes: Vec<Eye<'_>> = views.iter().map(Eye::new).collect();
-    eyes.par_iter_mut().zip(views).for_each(|(eye, view)| eye.look(view, mesh, config));
-    let tracer = tracer_of(mesh, config)?;
-    let mut texture = Texture {
-        colors: vec![[0.0; 3]; table.len()],
-        weight: vec![0.0; table.len()],
-        seen: vec![0; table.len()],
-        by_view: vec![0.0; if config.keep_views { table.len() * views.len() } else { 0 }],
-        used: eyes.iter().map(|e| e.used).collect(),
-        state: State { vertices: mesh.vertices.to_vec(), normals: mesh.normals.to_vec(), depths: Vec::new() },
+    let views: Vec<PreparedView<'_>> = views.par_iter().map(|view| PreparedView::new(view, mesh, config)).collect();
+    let tracer = config.rule.needs_rays().then(|| Tracer::new(mesh.vertices, mesh.faces)).transpose()?;
+    let fusion = Fusion { mesh, table, views: &views, tracer: tracer.as_ref(), config };
+    let kept = if config.keep_views { views.len() } else { 0 };
+    let mut texture = Texture::default();
+    let chunk = |chunk: usize| {
+        let rows = chunk * CHUNK..table.len().min((chunk + 1) * CHUNK);
+        let mut by_view = vec![0.0; rows.len() * kept];
+        let one = |(i, row)| fusion.texel(row, &mut by_view[i * kept..(i + 1) * kept]);
+        let texels: Vec<Fused> = rows.enumerate().map(one).collect();
+        (texels, by_view)
     };
-    let rows: Vec<u32> = (0..table.len() as u32).collect();
-    texture.fuse(&Gaze { mesh, table, eyes: &eyes, tracer: tracer.as_ref(), config }, &rows);
-    texture.state.depths = eyes.into_iter().map(|e| e.depth).collect();
+    let chunks: Vec<(Vec<Fused>, Vec<f32>)> = (0..table.len().div_ceil(CHUNK)).into_par_iter().map(chunk).collect();
+    for (texels, by_view) in chunks {
+        texture.colors.extend(texels.iter().map(|t| t.color));
+        texture.weight.extend(texels.iter().map(|t| t.weight));
+        texture.seen.extend(texels.iter().map(|t| t.seen));
+        texture.by_view.extend(by_view);
+    }
+    texture.used = views.iter().map(|v| v.used).collect();
+    texture.depths = views.into_iter().map(|v| v.depth).collect();
     Ok(texture)
-}
-
-fn tracer_of(mesh: &Mesh<'_>, config: &UnprojectConfig) -> Result<Option<Tracer>, MeshError> {
-    config.rule.needs_rays().then(|| Tracer::new(mesh.vertices, mesh.faces)).transpose()
 }
 
 fn check(
@@ -335,59 +336,36 @@ fn check(
     Ok(())
 }
 
-/// Everything a texel is looked at with.
-struct Gaze<'a> {
-    mesh: &'a Mesh<'a>,
-    table: &'a TexelTable,
-    eyes: &'a [Eye<'a>],
-    tracer: Option<&'a Tracer>,
-    config: &'a UnprojectConfig,
-}
-
-/// What is said about one texel.
+/// The colour of one texel, fused over views.
 #[derive(Clone, Copy, Default)]
-struct Said {
+struct Fused {
     color: [f32; 3],
     weight: f32,
     seen: u16,
 }
 
-impl Texture {
-    /// Looks at the given rows of the table.
-    fn fuse(&mut self, gaze: &Gaze<'_>, rows: &[u32]) {
-        let views = if gaze.config.keep_views { gaze.eyes.len() } else { 0 };
-        let of_chunk = |rows: &[u32]| {
-            let mut by_view = vec![0.0; rows.len() * views];
-            let mut said = Vec::with_capacity(rows.len());
-            for (i, &row) in rows.iter().enumerate() {
-                said.push(gaze.texel(row as usize, &mut by_view[i * views..(i + 1) * views]));
-            }
-            (said, by_view)
-        };
-        let chunks: Vec<(Vec<Said>, Vec<f32>)> = rows.par_chunks(CHUNK).map(of_chunk).collect();
-        for (rows, (said, by_view)) in rows.chunks(CHUNK).zip(chunks) {
-            for (i, (&row, said)) in rows.iter().zip(said).enumerate() {
-                let row = row as usize;
-                (self.colors[row], self.weight[row], self.seen[row]) = (said.color, said.weight, said.seen);
-                self.by_view[row * views..(row + 1) * views].copy_from_slice(&by_view[i * views..(i + 1) * views]);
-            }
-        }
-    }
+/// Weights and weighted colours are summed as multiples of 2⁻³⁶.
+const FIXED_ONE: f64 = (1u64 << 36) as f64;
+
+/// What the colour of a texel is computed from.
+struct Fusion<'a> {
+    mesh: &'a Mesh<'a>,
+    table: &'a TexelTable,
+    views: &'a [PreparedView<'a>],
+    tracer: Option<&'a Tracer>,
+    config: &'a UnprojectConfig,
 }
 
-/// Weights and weighted colours are summed as multiples of 2⁻³⁶.
-const UNIT: f64 = (1u64 << 36) as f64;
-
-impl Gaze<'_> {
-    /// Fuses what all views say about row `k`; `by_view` gets their weights, if it has room.
-    fn texel(&self, k: usize, by_view: &mut [f32]) -> Said {
+impl Fusion<'_> {
+    /// Fuses the samples of all views at row `k`. Their weights go to `by_view`, unless it is empty.
+    fn texel(&self, k: usize, by_view: &mut [f32]) -> Fused {
         let face = self.table.tri[k];
         let p = self.table.at(self.mesh.faces, self.mesh.vertices, k);
         let n = self.table.at(self.mesh.faces, self.mesh.normals, k);
         let mut sum = Sum::default();
-        for (i, eye) in self.eyes.iter().enumerate() {
-            let Some(sighting) = eye.sees(p, n, face, self.config, self.tracer) else { continue };
-            let weight = sum.add(&sighting, self.config.fuse);
+        for (i, view) in self.views.iter().enumerate() {
+            let Some(sample) = view.sample(p, n, face, self.config, self.tracer) else { continue };
+            let weight = sum.add(&sample, self.config.fuse);
             if let Some(w) = by_view.get_mut(i) {
                 *w = weight;
             }
@@ -396,46 +374,46 @@ impl Gaze<'_> {
     }
 }
 
-/// What views have said so far.
+/// Fixed-point sums over views.
 #[derive(Default)]
 struct Sum {
     colors: [i64; 3],
     weight: i64,
     seen: u16,
-    best: Option<Sighting>,
+    best: Option<Sample>,
 }
 
 impl Sum {
     /// Adds a view and returns its weight.
-    fn add(&mut self, s: &Sighting, fuse: FuseWeight) -> f32 {
+    fn add(&mut self, s: &Sample, fuse: FuseWeight) -> f32 {
         self.seen += 1;
         let weight = match fuse {
             FuseWeight::CosPow(p) => s.mask * s.cos.max(0.0).powf(p),
             FuseWeight::Mask | FuseWeight::BestView => s.mask,
         };
         if fuse == FuseWeight::BestView {
-            let key = |s: &Sighting| [s.cos, s.mask, s.color[0], s.color[1], s.color[2]];
-            let better = |old: Sighting| key(s).partial_cmp(&key(&old)) == Some(std::cmp::Ordering::Greater);
+            let key = |s: &Sample| [s.cos, s.mask, s.color[0], s.color[1], s.color[2]];
+            let better = |old: Sample| key(s).partial_cmp(&key(&old)) == Some(std::cmp::Ordering::Greater);
             if self.best.is_none_or(better) {
                 self.best = Some(*s);
             }
             return weight;
         }
-        let weighted = |c: f32| (f64::from(weight) * f64::from(c) * UNIT) as i64;
+        let weighted = |c: f32| (f64::from(weight) * f64::from(c) * FIXED_ONE) as i64;
         self.colors.iter_mut().zip(s.color).for_each(|(sum, c)| *sum = sum.saturating_add(weighted(c)));
         self.weight += weighted(1.0);
         weight
     }
 
-    fn mean(&self, config: &UnprojectConfig) -> Said {
+    fn mean(&self, config: &UnprojectConfig) -> Fused {
         if let Some(best) = self.best {
-            return Said { color: best.color, weight: best.mask, seen: self.seen };
+            return Fused { color: best.color, weight: best.mask, seen: self.seen };
         }
-        let weight = (self.weight as f64 / UNIT) as f32;
+        let weight = (self.weight as f64 / FIXED_ONE) as f32;
         if self.weight == 0 || weight < config.min_weight {
-            return Said::default();
+            return Fused::default();
         }
         let color = self.colors.map(|c| (c as f64 / self.weight as f64) as f32);
-        Said { color, weight, seen: self.seen }
+        Fused { color, weight, seen: self.seen }
     }
 }

@@ -1,32 +1,40 @@
-//! An atlas for meshes that have none: pieces of the surface that face the same way, laid flat side by side.
+//! An atlas for meshes without one: charts of faces of similar direction, projected along an axis and packed.
 //!
-//! Faces are sorted by the axis their normal is nearest to (six ways); what hangs together over edges is a chart, seen along
-//! that axis, so lengths shrink by `√3` at most. A chart that folds over itself is cut into its triangles. Charts are packed
-//! in rows at one scale for all.
+//! Faces are grouped by the signed axis nearest to their normal. Faces of a group that are connected over edges are a chart,
+//! projected along that axis, so lengths shrink by at most `√3`. A chart that overlaps itself is split into its triangles.
+//! Charts are packed in rows at one common scale.
+//!
+//! ```
+//! let plate = gs_texel::figure::plate(2.0, 4).template;
+//! let corners = gs_texel::unwrap::unwrap(&plate.vertices, &plate.faces);
+//! assert_eq!(corners.len(), plate.faces.len());
+//! assert!(corners.as_flattened().iter().all(|p| p.min_element() > 0.0 && p.max_element() < 1.0));
+//! ```
 
-use crate::coverage::{Window, snap, spans};
+use crate::coverage::{Window, spans, to_fixed};
 use crate::surface::NONE;
 use glam::{Vec2, Vec3};
 use std::collections::{HashMap, HashSet};
 
-/// Free space between charts, as a share of the atlas, where there are few of them.
-const GAP: f32 = 0.006;
-/// All gaps together take about this share of the atlas at most, squared.
-const GAPS: f32 = 0.25;
-/// Side of the map on which charts are looked at for folds, texels.
-const LOOK: usize = 1024;
-/// The scale shrinks by this factor until all charts fit.
+/// Largest gap between charts, as a share of the atlas's side.
+const MAX_GAP: f32 = 0.006;
+/// Sum of the gaps along a row of `√charts` charts, as a share of the atlas's side.
+const ROW_GAPS: f32 = 0.25;
+/// Side of the map on which charts are tested for self-overlap, texels.
+const TEST_SIZE: usize = 1024;
+/// The scale is multiplied by this factor until all charts fit.
 const SHRINK: f32 = 0.97;
 
-/// Texture coordinates of the corners of every face, inside `(0, 1)²`; no point belongs to two charts. `vertices` are finite
-/// and the faces in range.
+/// Texture coordinates of the corners of every face, inside `(0, 1)²`, without overlap. `vertices` must be finite and the
+/// faces in range.
 pub fn unwrap(vertices: &[Vec3], faces: &[[u32; 3]]) -> Vec<[Vec2; 3]> {
-    // Of unit size, so that neither differences nor products leave the range of numbers.
+    // Scaled to unit size, so that neither differences nor products overflow.
     let size = vertices.iter().fold(f32::MIN_POSITIVE, |m, v| m.max(v.abs().max_element()));
     let at = |v: u32| vertices[v as usize] / size;
-    let ways: Vec<u8> = faces.iter().map(|f| way(f.map(at))).collect();
-    let mut chart = connected(faces, &ways);
-    let flat: Vec<[Vec2; 3]> = faces.iter().zip(&ways).map(|(f, &way)| f.map(|v| seen_along(way, at(v)))).collect();
+    let axes: Vec<u8> = faces.iter().map(|f| signed_axis(f.map(at))).collect();
+    let mut chart = connected(faces, &axes);
+    let flat: Vec<[Vec2; 3]> =
+        faces.iter().zip(&axes).map(|(f, &axis)| f.map(|v| project_along(axis, at(v)))).collect();
     let packed = pack(&flat, &chart);
     let folded = folded(&packed, &chart);
     if folded.is_empty() {
@@ -38,16 +46,16 @@ pub fn unwrap(vertices: &[Vec3], faces: &[[u32; 3]]) -> Vec<[Vec2; 3]> {
     pack(&flat, &chart)
 }
 
-/// The axis a normal is nearest to: 0 to 2 for `x, y, z`, three more where it points the other way.
-fn way([a, b, c]: [Vec3; 3]) -> u8 {
+/// The signed axis nearest to a face's normal: 0 to 2 for `+x, +y, +z`, 3 to 5 for `−x, −y, −z`.
+fn signed_axis([a, b, c]: [Vec3; 3]) -> u8 {
     let n = (b - a).cross(c - a);
     let axis = n.abs().max_position() as u8;
     if n[usize::from(axis)] < 0.0 { axis + 3 } else { axis }
 }
 
-/// A point seen along an axis.
-fn seen_along(way: u8, p: Vec3) -> Vec2 {
-    match way {
+/// A point projected along a signed axis.
+fn project_along(axis: u8, p: Vec3) -> Vec2 {
+    match axis {
         0 => Vec2::new(p.y, p.z),
         1 => Vec2::new(p.z, p.x),
         2 => Vec2::new(p.x, p.y),
@@ -57,22 +65,22 @@ fn seen_along(way: u8, p: Vec3) -> Vec2 {
     }
 }
 
-/// The chart of every face: faces of one way that hang together over edges.
-fn connected(faces: &[[u32; 3]], ways: &[u8]) -> Vec<u32> {
+/// The chart of every face: faces of one axis connected over edges.
+fn connected(faces: &[[u32; 3]], axes: &[u8]) -> Vec<u32> {
     let mut parent: Vec<u32> = (0..faces.len() as u32).collect();
     let mut known: HashMap<(u8, [u32; 2]), u32> = HashMap::new();
-    for (f, (face, &way)) in faces.iter().zip(ways).enumerate() {
+    for (f, (face, &axis)) in faces.iter().zip(axes).enumerate() {
         for [p, q] in [[face[0], face[1]], [face[1], face[2]], [face[2], face[0]]] {
-            let other = *known.entry((way, [p.min(q), p.max(q)])).or_insert(f as u32);
-            let (a, b) = (top(&mut parent, f as u32), top(&mut parent, other));
+            let other = *known.entry((axis, [p.min(q), p.max(q)])).or_insert(f as u32);
+            let (a, b) = (root(&mut parent, f as u32), root(&mut parent, other));
             parent[a.max(b) as usize] = a.min(b);
         }
     }
-    (0..faces.len() as u32).map(|f| top(&mut parent, f)).collect()
+    (0..faces.len() as u32).map(|f| root(&mut parent, f)).collect()
 }
 
-/// The lowest face of a set, with shorter ways to it.
-fn top(parent: &mut [u32], mut f: u32) -> u32 {
+/// The lowest face of a set (union-find with path halving).
+fn root(parent: &mut [u32], mut f: u32) -> u32 {
     while parent[f as usize] != f {
         parent[f as usize] = parent[parent[f as usize] as usize];
         f = parent[f as usize];
@@ -90,13 +98,13 @@ fn pack(flat: &[[Vec2; 3]], chart: &[u32]) -> Vec<[Vec2; 3]> {
     }
     let mut order: Vec<(u32, Vec2)> = boxes.iter().map(|(&c, [low, high])| (c, *high - *low)).collect();
     order.sort_by(|a, b| b.1.y.total_cmp(&a.1.y).then(a.0.cmp(&b.0)));
-    let gap = GAP.min(GAPS / (order.len().max(1) as f32).sqrt());
+    let gap = MAX_GAP.min(ROW_GAPS / (order.len().max(1) as f32).sqrt());
     let side = order.iter().fold(0.0f32, |m, (_, s)| m.max(s.max_element()));
     let mut scale = if side > 0.0 { (1.0 - 2.0 * gap) / side } else { 1.0 };
     let places = loop {
         match rows(&order, scale, gap) {
             Some(places) => break places,
-            // Charts of no size fit, for gaps alone do.
+            // Charts of size 0 fit, since the gaps alone do.
             None => scale *= if scale > f32::MIN_POSITIVE { SHRINK } else { 0.0 },
         }
     };
@@ -107,7 +115,7 @@ fn pack(flat: &[[Vec2; 3]], chart: &[u32]) -> Vec<[Vec2; 3]> {
     flat.iter().zip(chart).map(place).collect()
 }
 
-/// Where the low corner of each chart goes at a scale; none if they do not fit.
+/// Position of the lowest corner of each chart at a scale; `None` if they do not fit.
 fn rows(order: &[(u32, Vec2)], scale: f32, gap: f32) -> Option<HashMap<u32, Vec2>> {
     let mut places = HashMap::with_capacity(order.len());
     let (mut at, mut tall) = (Vec2::splat(gap), 0.0f32);
@@ -127,13 +135,13 @@ fn rows(order: &[(u32, Vec2)], scale: f32, gap: f32) -> Option<HashMap<u32, Vec2
     Some(places)
 }
 
-/// Charts of which some texel has two faces.
+/// Charts with a texel in two of their faces.
 fn folded(packed: &[[Vec2; 3]], chart: &[u32]) -> HashSet<u32> {
-    let frame = Window { x0: 0, y0: 0, x1: LOOK, y1: LOOK };
-    let (mut owner, mut found) = (vec![NONE; LOOK * LOOK], HashSet::new());
+    let frame = Window { x0: 0, y0: 0, x1: TEST_SIZE, y1: TEST_SIZE };
+    let (mut owner, mut found) = (vec![NONE; TEST_SIZE * TEST_SIZE], HashSet::new());
     for (corners, &c) in packed.iter().zip(chart) {
-        spans(corners.map(|p| snap(p.as_dvec2() * LOOK as f64)), frame, |y, x0, x1| {
-            for o in &mut owner[y * LOOK + x0..y * LOOK + x1] {
+        spans(corners.map(|p| to_fixed(p.as_dvec2() * TEST_SIZE as f64)), frame, |y, x0, x1| {
+            for o in &mut owner[y * TEST_SIZE + x0..y * TEST_SIZE + x1] {
                 if *o == c {
                     found.insert(c);
                 }

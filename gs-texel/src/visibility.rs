@@ -1,22 +1,22 @@
-//! Which camera sees which texel.
+//! Which view sees which texel.
 //!
-//! A texel must face the camera, project with its whole bilinear footprint into the frame, lie inside the mask, and be in
-//! front of everything else. How the last is decided is the [`Rule`]. The tests run in that order, cheapest first: on a
-//! closed body the first rejects about three quarters.
+//! A texel must face the camera, project with its whole bilinear footprint into the frame, lie inside the mask, and not be
+//! occluded. The [`Rule`] selects the occlusion test. The tests run in that order, cheapest first: on a closed body the first
+//! rejects about three quarters of the texels.
 //!
-//! A point that is truly visible but within a pixel of an occluding edge still reads the colour of the other surface
-//! there, so what counts is whether its **footprint** is visible: exact rays alone make a worse texture than a depth map
-//! whose four taps must all agree.
+//! A visible point within a pixel of an occluding edge still reads the colour of the occluder there, so the whole
+//! **footprint** must be visible: exact rays alone make a worse texture than a depth map whose four taps must all agree.
 
 use crate::bvh::Tracer;
 use crate::surface::{Mesh, NONE};
 use crate::unproject::{Compat, MaskUse, UnprojectConfig, View};
-use crate::zbuffer::{DepthMap, Screen, face_map};
+use crate::zbuffer::{DepthMap, ProjectedMesh};
 use glam::{Mat3, Vec3};
 use gs_core::Image;
 use serde::{Deserialize, Serialize};
 
-/// How occlusion is decided. `D` is the depth map of the mesh, `z` the depth of the texel, `ε` the tolerance.
+/// Occlusion test. `D` is the depth map of the mesh, `z` the depth of the texel, `ε` the tolerance
+/// ([`UnprojectConfig::depth_tolerance`]).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Rule {
@@ -25,22 +25,22 @@ pub enum Rule {
     /// `|D_k − z| < ε` at all four taps of the footprint.
     #[default]
     FourTap,
-    /// A ray to the camera centre meets nothing: exact at the point, silent about its footprint.
+    /// A ray to the camera centre is not blocked: exact at the point, blind to its footprint.
     Ray,
-    /// [`Rule::Ray`], and rays through the four taps meet a surface within `ε` of `z`: exact, and no depth map.
+    /// [`Rule::Ray`], and rays through the four taps hit a surface within `ε` of `z`: exact, without a depth map.
     RayFootprint,
-    /// Its face owns at least one pixel (GHG). Wrong for faces that are partly hidden or smaller than a pixel.
+    /// The face is the nearest one at some pixel (GHG). Wrong for faces that are partly hidden or smaller than a pixel.
     FaceTag,
-    /// The surface at the nearest pixel lies within `ε` of the texel in space; colours are of that pixel (HoloChar).
+    /// The surface at the nearest pixel lies within `ε` of the texel in space; the colour is that of the pixel (HoloChar).
     PointDistance,
 }
 
 impl Rule {
-    /// Every rule, in the order of the documentation.
+    /// All rules, in order of declaration.
     pub const ALL: [Self; 6] =
         [Self::Bilinear, Self::FourTap, Self::Ray, Self::RayFootprint, Self::FaceTag, Self::PointDistance];
 
-    /// Its name in settings and tables.
+    /// Name in settings files and tables, such as `four_tap`.
     pub fn name(self) -> &'static str {
         match self {
             Self::Bilinear => "bilinear",
@@ -52,27 +52,27 @@ impl Rule {
         }
     }
 
-    /// Whether a depth map is needed.
+    /// Whether the rule reads a depth map.
     pub(crate) fn needs_depth(self) -> bool {
         matches!(self, Self::Bilinear | Self::FourTap | Self::PointDistance)
     }
 
-    /// Whether a tracer is needed.
+    /// Whether the rule traces rays.
     pub(crate) fn needs_rays(self) -> bool {
         matches!(self, Self::Ray | Self::RayFootprint)
     }
 }
 
-/// Where a texel lands in an image.
+/// The four pixels that a texel reads bilinearly.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Footprint {
-    /// First tap.
+    /// Column and row of the first tap.
     x: usize,
     y: usize,
-    /// Shares of the second column and row.
+    /// Weights of the second column and row.
     wx: f32,
     wy: f32,
-    /// Camera space.
+    /// The texel in camera space.
     q: Vec3,
 }
 
@@ -84,33 +84,43 @@ impl Footprint {
     }
 }
 
-/// What a view says about a texel.
+/// A texel as one view sees it.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Sighting {
-    pub color: [f32; 3],
+pub(crate) struct Sample {
+    pub(crate) color: [f32; 3],
     /// Opacity of the mask at the footprint.
-    pub mask: f32,
+    pub(crate) mask: f32,
     /// Cosine between normal and direction to the camera.
-    pub cos: f32,
+    pub(crate) cos: f32,
 }
 
-/// A view made ready for a mesh.
-pub(crate) struct Eye<'a> {
+/// A view with what the rule needs of the mesh: a depth map, or the faces that own a pixel.
+pub(crate) struct PreparedView<'a> {
     origin: Vec3,
     rotation: Mat3,
     focal: [f32; 2],
     principal: [f32; 2],
     image: &'a Image,
     mask: Option<&'a Image>,
-    /// Whether enough of the mesh lies in front of it.
-    pub used: bool,
-    pub depth: Option<DepthMap>,
-    tags: Option<Vec<bool>>,
+    /// Whether at least half of the vertices lie in front of the camera.
+    pub(crate) used: bool,
+    pub(crate) depth: Option<DepthMap>,
+    owns_pixel: Option<Vec<bool>>,
 }
 
-impl<'a> Eye<'a> {
-    pub fn new(view: &View<'a>) -> Self {
+impl<'a> PreparedView<'a> {
+    /// Projects `mesh`. A view with more than half of the vertices behind it is not used.
+    pub(crate) fn new(view: &View<'a>, mesh: &Mesh<'_>, config: &UnprojectConfig) -> Self {
         let c = view.camera;
+        let projected = ProjectedMesh::new(mesh.vertices, mesh.faces, c, config.near);
+        let behind = projected.corners.iter().filter(|c| c.camera.z <= config.near).count();
+        let used = 2 * behind <= mesh.vertices.len();
+        let owns_pixel = || {
+            let mut owns = vec![false; mesh.faces.len()];
+            let map = projected.face_map();
+            map.into_iter().filter(|&f| f != NONE).for_each(|f| owns[f as usize] = true);
+            owns
+        };
         Self {
             origin: c.position().as_vec3(),
             rotation: c.rotation.as_mat3(),
@@ -118,48 +128,24 @@ impl<'a> Eye<'a> {
             principal: [c.cx as f32, c.cy as f32],
             image: view.image,
             mask: view.mask,
-            used: true,
-            depth: None,
-            tags: None,
+            used,
+            depth: (used && config.rule.needs_depth()).then(|| projected.depth_map()),
+            owns_pixel: (used && config.rule == Rule::FaceTag).then(owns_pixel),
         }
     }
 
-    /// Draws what the rule needs of a mesh. A view with more than half of the vertices behind it is not used.
-    pub fn look(&mut self, view: &View<'_>, mesh: &Mesh<'_>, config: &UnprojectConfig) {
-        let screen = Screen::new(mesh.vertices, mesh.faces, view.camera, config.near);
-        let behind = screen.corners.iter().filter(|c| c.camera.z <= config.near).count();
-        self.used = 2 * behind <= mesh.vertices.len();
-        if self.used && config.rule.needs_depth() {
-            let (width, height) = (self.image.width, self.image.height);
-            let mut map = DepthMap { width, height, depth: vec![f32::INFINITY; width * height] };
-            map.fill(&screen, map.frame());
-            self.depth = Some(map);
-        }
-        self.tag(view, mesh, config);
-    }
-
-    /// Marks the faces that own a pixel, where the rule asks for it.
-    pub fn tag(&mut self, view: &View<'_>, mesh: &Mesh<'_>, config: &UnprojectConfig) {
-        if self.used && config.rule == Rule::FaceTag {
-            let mut tags = vec![false; mesh.faces.len()];
-            let map = face_map(mesh.vertices, mesh.faces, view.camera, config.near);
-            map.into_iter().filter(|&f| f != NONE).for_each(|f| tags[f as usize] = true);
-            self.tags = Some(tags);
-        }
-    }
-
-    /// What this view says about the point `p` of face `face` with normal `n` (any length), if it sees it.
+    /// The sample at the point `p` of face `face` with normal `n` (any length); `None` where it is not visible.
     #[inline]
-    pub fn sees(
+    pub(crate) fn sample(
         &self,
         p: Vec3,
         n: Vec3,
         face: u32,
         config: &UnprojectConfig,
         tracer: Option<&Tracer>,
-    ) -> Option<Sighting> {
-        let to_eye = self.origin - p;
-        let cos = n.dot(to_eye) / (n.length_squared() * to_eye.length_squared()).sqrt();
+    ) -> Option<Sample> {
+        let to_camera = self.origin - p;
+        let cos = n.dot(to_camera) / (n.length_squared() * to_camera.length_squared()).sqrt();
         // False also for NaN, of a normal without length.
         let facing = cos > config.min_cos;
         if !(self.used && facing) {
@@ -167,13 +153,13 @@ impl<'a> Eye<'a> {
         }
         let at = self.footprint(p, config)?;
         let mask = self.opacity(&at, config.mask);
-        if mask <= config.mask.least() || !self.unoccluded(&at, p, n, face, config, tracer) {
+        if mask <= config.mask.min_mask() || !self.unoccluded(&at, p, n, face, config, tracer) {
             return None;
         }
-        Some(Sighting { color: self.color(&at, config.mask), mask, cos })
+        Some(Sample { color: self.color(&at, config.mask), mask, cos })
     }
 
-    /// The footprint, if all of it lies in the frame.
+    /// The footprint of a point, `None` unless all of it lies in the frame.
     #[inline]
     fn footprint(&self, p: Vec3, config: &UnprojectConfig) -> Option<Footprint> {
         let q = self.rotation * (p - self.origin);
@@ -198,7 +184,7 @@ impl<'a> Eye<'a> {
         Some(Footprint { x: x as usize, y: y as usize, wx, wy, q })
     }
 
-    /// The mask's values at the four taps.
+    /// Mask values at the four taps.
     #[inline]
     fn taps_of_mask(&self, at: &Footprint, mode: MaskUse) -> [f32; 4] {
         let (map, channel) = match (mode, self.mask) {
@@ -218,7 +204,7 @@ impl<'a> Eye<'a> {
         at.weights().iter().zip(self.taps_of_mask(at, mode)).map(|(w, a)| w * a).sum()
     }
 
-    /// The colour of what the mask shows: `Σ w α c / Σ w α`, so that what lies beyond the silhouette does not mix in.
+    /// The colour of the foreground, `Σ w α c / Σ w α`: the background beyond the silhouette does not mix in.
     #[inline]
     fn color(&self, at: &Footprint, mode: MaskUse) -> [f32; 3] {
         let mut weights = at.weights();
@@ -237,7 +223,7 @@ impl<'a> Eye<'a> {
         })
     }
 
-    /// The last test.
+    /// The occlusion test of the rule.
     #[inline]
     fn unoccluded(
         &self,
@@ -258,15 +244,15 @@ impl<'a> Eye<'a> {
                 close(weighted.map(|(w, d)| w * d).sum())
             }
             Rule::FourTap => self.taps_of_depth(at, config.compat).into_iter().all(close),
-            Rule::Ray => self.reaches(p, n, config, tracer),
+            Rule::Ray => self.ray_is_free(p, n, config, tracer),
             Rule::RayFootprint => {
-                self.reaches(p, n, config, tracer)
+                self.ray_is_free(p, n, config, tracer)
                     && [(0, 0), (1, 0), (0, 1), (1, 1)].into_iter().all(|(dx, dy)| {
                         let ray = self.ray(at.x + dx, at.y + dy);
                         tracer.and_then(|t| t.hit(self.origin, ray)).is_some_and(|hit| close(hit.t))
                     })
             }
-            Rule::FaceTag => self.tags.as_ref().is_some_and(|t| t[face as usize]),
+            Rule::FaceTag => self.owns_pixel.as_ref().is_some_and(|t| t[face as usize]),
             Rule::PointDistance => {
                 let d = self.taps_of_depth(at, config.compat)[0];
                 d.is_finite() && (self.direction(at.x, at.y) * d - at.q).length() < tolerance
@@ -282,7 +268,7 @@ impl<'a> Eye<'a> {
         if compat == Compat::default() { taps } else { taps.map(|d| compat.depth(d)) }
     }
 
-    fn reaches(&self, p: Vec3, n: Vec3, config: &UnprojectConfig, tracer: Option<&Tracer>) -> bool {
+    fn ray_is_free(&self, p: Vec3, n: Vec3, config: &UnprojectConfig, tracer: Option<&Tracer>) -> bool {
         let from = p + n.normalize_or_zero() * config.ray_offset;
         tracer.is_some_and(|t| !t.occluded(from, self.origin))
     }
@@ -293,25 +279,33 @@ impl<'a> Eye<'a> {
         Vec3::new(x / self.focal[0], y / self.focal[1], 1.0)
     }
 
-    /// The same in world space: along it, distance is depth.
+    /// [`Self::direction`] in world space; the ray parameter along it is the depth.
     fn ray(&self, x: usize, y: usize) -> Vec3 {
         self.rotation.transpose() * self.direction(x, y)
     }
 }
 
-/// How often a rule errs against another, over pairs of texel and view.
+/// Error rates of a rule against another, over pairs of texel and view.
+///
+/// ```
+/// use gs_texel::visibility::Rates;
+///
+/// let rates = Rates::of(&[1.0, 0.0, 1.0, 0.0, 1.0], &[1.0, 1.0, 0.0, 0.0, 0.5]);
+/// assert_eq!(rates, Rates { visible: 3, false_visible: 1.0 / 3.0, false_hidden: 1.0 / 3.0 });
+/// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Rates {
-    /// Pairs the oracle sees.
+    /// Number of pairs that are visible to the oracle.
     pub visible: usize,
-    /// Pairs seen that the oracle does not see, as a share of those it sees.
+    /// Pairs visible to the tested rule only, over `visible`.
     pub false_visible: f64,
-    /// Pairs the oracle sees that are not seen, as a share of those it sees.
+    /// Pairs visible to the oracle only, over `visible`.
     pub false_hidden: f64,
 }
 
 impl Rates {
-    /// The rates of `tested` against `oracle`: weights per pair, above 0 where seen.
+    /// The rates of `tested` against `oracle`; both hold one weight per pair, above 0 where visible
+    /// ([`crate::unproject::Texture::by_view`]).
     pub fn of(tested: &[f32], oracle: &[f32]) -> Self {
         let count =
             |f: &dyn Fn(bool, bool) -> bool| tested.iter().zip(oracle).filter(|(t, o)| f(**t > 0.0, **o > 0.0)).count();

@@ -1,14 +1,22 @@
-//! Posed meshes as OBJ and PLY text.
+//! Writers of posed meshes as OBJ and PLY text.
+//!
+//! ```
+//! let plate = gs_texel::figure::plate(1.0, 1);
+//! let mut text = Vec::new();
+//! gs_texel::write_mesh::write_obj(&plate, &plate.template.vertices, &mut text)?;
+//! assert!(text.starts_with(b"v -0.5 0.5 0\nv 0.5 0.5 0\n"));
+//! # Ok::<(), std::io::Error>(())
+//! ```
 
 use crate::character::Character;
 use glam::Vec3;
 use std::io::Write;
 
-/// Writes a character's mesh with these positions of its template's vertices as OBJ: a `v x y z` line for each vertex as
-/// its file lists them, `vt` lines (`v` upwards, as OBJ has it) where there are texture coordinates, and `f` lines.
+/// Writes a character's mesh as OBJ, with `posed` as the positions of the template's vertices: a `v x y z` line for each vertex
+/// in the order of its file, `vt` lines (`v` upwards, as in OBJ) if there are texture coordinates, and `f` lines.
 ///
 /// # Errors
-/// The writer's.
+/// If writing fails.
 pub fn write_obj(character: &Character, posed: &[Vec3], out: &mut dyn Write) -> std::io::Result<()> {
     let template = &character.template;
     let rows = Rows::of(character, posed.len());
@@ -29,10 +37,10 @@ pub fn write_obj(character: &Character, posed: &[Vec3], out: &mut dyn Write) -> 
     Ok(())
 }
 
-/// The same as PLY text: vertices and triangles.
+/// Writes the vertices and triangles of [`write_obj`] as ASCII PLY.
 ///
 /// # Errors
-/// The writer's.
+/// If writing fails.
 pub fn write_ply(character: &Character, posed: &[Vec3], out: &mut dyn Write) -> std::io::Result<()> {
     let rows = Rows::of(character, posed.len());
     let faces = &character.template.faces;
@@ -50,7 +58,7 @@ pub fn write_ply(character: &Character, posed: &[Vec3], out: &mut dyn Write) -> 
     Ok(())
 }
 
-/// Vertices as the file lists them, and where a template's vertex comes first.
+/// Vertices in the order of the file, and the first row of each of the template's vertices.
 struct Rows {
     vertices: Vec<u32>,
     first: Vec<u32>,

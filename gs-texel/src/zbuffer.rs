@@ -1,136 +1,107 @@
-//! Depth maps of a mesh: metric z at every pixel centre, `∞` where there is none.
+//! Depth maps of a mesh: camera-space z at every pixel centre, `∞` where no face covers it.
 //!
-//! `1/z` is linear on the screen, so a triangle is a plane there; the nearest surface wins, whichever way it faces.
-//! Triangles that reach behind the near plane are cut. A pixel's value depends on its triangles alone, not on the order,
-//! the rows handled together or the window filled.
+//! `1/z` is linear on the screen, so each triangle is a plane there. The nearest surface wins, whichever way it faces.
+//! Triangles that reach behind the near plane are clipped. A pixel's value depends neither on the order of the faces nor on
+//! the rows handled together.
 
-use crate::coverage::{REACH, Window, snap, spans};
+use crate::coverage::{MAX_COORDINATE, Window, spans, to_fixed};
 use crate::surface::{CHUNK, NONE};
 use glam::{DVec2, DVec3, Vec3};
 use gs_core::Camera;
 use rayon::prelude::*;
 
-/// Rows filled by one task.
-const BAND: usize = 32;
+/// Pixel rows filled by one task.
+const BAND_ROWS: usize = 32;
 
 /// Depth of the nearest surface at each pixel centre.
+///
+/// ```
+/// use glam::{DVec3, Vec3};
+/// use gs_core::Camera;
+/// use gs_texel::zbuffer::DepthMap;
+///
+/// // A triangle in the plane z = 2, much larger than the frame.
+/// let camera = Camera::look_at(8, 6, 1.0, DVec3::ZERO, DVec3::Z, -DVec3::Y)?;
+/// let vertices = [[-9.0, -9.0, 2.0], [9.0, -9.0, 2.0], [0.0, 9.0, 2.0]].map(Vec3::from_array);
+/// let map = DepthMap::new(&vertices, &[[0, 1, 2]], &camera, 0.05);
+/// assert!(map.depth.iter().all(|&z| z == 2.0));
+/// # Ok::<(), gs_core::camera::CameraError>(())
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct DepthMap {
-    /// Pixels per row.
+    /// Width of the map in pixels.
     pub width: usize,
-    /// Rows.
+    /// Height of the map in pixels.
     pub height: usize,
-    /// Camera-space z, `∞` where nothing is; `height · width` values.
+    /// Camera-space z in world units, `∞` where no face is; `height · width` values, row-major.
     pub depth: Vec<f32>,
 }
 
 impl DepthMap {
-    /// The depth map of a mesh seen by `camera`; nothing nearer than `near` is drawn. `vertices` must be finite and the
-    /// faces in range.
+    /// The depth map of a mesh seen by `camera`. Surfaces nearer than `near` are clipped off. `vertices` must be finite and
+    /// the faces in range.
     pub fn new(vertices: &[Vec3], faces: &[[u32; 3]], camera: &Camera, near: f64) -> Self {
-        let (width, height) = (camera.width as usize, camera.height as usize);
-        let mut map = Self { width, height, depth: vec![f32::INFINITY; width * height] };
-        map.fill(&Screen::new(vertices, faces, camera, near), map.frame());
-        map
+        ProjectedMesh::new(vertices, faces, camera, near).depth_map()
     }
 
-    /// z of pixel `(x, y)`.
+    /// z of pixel `(x, y)`, column and row.
     pub fn at(&self, x: usize, y: usize) -> f32 {
         self.depth[y * self.width + x]
     }
-
-    /// The whole frame.
-    pub(crate) fn frame(&self) -> Window {
-        Window { x0: 0, y0: 0, x1: self.width, y1: self.height }
-    }
-
-    /// Draws `window` anew; the rest stays.
-    pub(crate) fn fill(&mut self, screen: &Screen<'_>, window: Window) {
-        if window.is_empty() {
-            return;
-        }
-        let width = self.width;
-        let rows = &mut self.depth[window.y0 * width..window.y1 * width];
-        rows.par_chunks_mut(BAND * width).enumerate().for_each(|(band, rows)| {
-            let y0 = window.y0 + band * BAND;
-            rows.chunks_mut(width).for_each(|row| row[window.x0..window.x1].fill(f32::INFINITY));
-            let band = Window { y0, y1: y0 + rows.len() / width, ..window };
-            screen.draw(band, |_, y, x0, x1, plane| {
-                plane.nearest(y, x0, &mut rows[(y - y0) * width + x0..(y - y0) * width + x1]);
-            });
-        });
-    }
 }
 
-/// The face nearest at each pixel centre, [`NONE`] where there is none; the lower number where two are equally near.
+/// The number of the nearest face at each pixel centre, row-major, [`NONE`] where there is none. Of two equally near faces
+/// the lower number. `vertices` must be finite and the faces in range.
 pub fn face_map(vertices: &[Vec3], faces: &[[u32; 3]], camera: &Camera, near: f64) -> Vec<u32> {
-    let (width, height) = (camera.width as usize, camera.height as usize);
-    let screen = Screen::new(vertices, faces, camera, near);
-    let mut out = vec![NONE; width * height];
-    out.par_chunks_mut(BAND * width).enumerate().for_each(|(band, out)| {
-        let y0 = band * BAND;
-        let mut depth = vec![f32::INFINITY; out.len()];
-        let band = Window { x0: 0, y0, x1: width, y1: y0 + out.len() / width };
-        screen.draw(band, |face, y, x0, x1, plane| {
-            let at = (y - y0) * width;
-            for x in x0..x1 {
-                let z = plane.at(plane.row(y), x);
-                // Faces come in ascending order.
-                if z < depth[at + x] {
-                    (depth[at + x], out[at + x]) = (z, face);
-                }
-            }
-        });
-    });
-    out
+    ProjectedMesh::new(vertices, faces, camera, near).face_map()
 }
 
-/// A vertex before and after projection.
+/// A vertex in camera space and projected.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Corner {
-    /// Camera space.
-    pub camera: DVec3,
-    /// Pixels; meaningless behind the near plane.
-    pub pixel: DVec2,
+    /// Camera-space position.
+    pub(crate) camera: DVec3,
+    /// Position in pixels; meaningless behind the near plane.
+    pub(crate) pixel: DVec2,
 }
 
-/// A mesh as a camera sees it.
-pub(crate) struct Screen<'a> {
+/// A mesh projected into a camera.
+pub(crate) struct ProjectedMesh<'a> {
     camera: &'a Camera,
     near: f64,
     faces: &'a [[u32; 3]],
-    pub corners: Vec<Corner>,
-    /// First and last row of pixels each face may touch; empty where it cannot be seen.
+    pub(crate) corners: Vec<Corner>,
+    /// First and last pixel row that each face may cover; an empty range where it is out of the frame.
     rows: Vec<[i32; 2]>,
 }
 
-impl<'a> Screen<'a> {
-    pub fn new(vertices: &[Vec3], faces: &'a [[u32; 3]], camera: &'a Camera, near: f64) -> Self {
+impl<'a> ProjectedMesh<'a> {
+    pub(crate) fn new(vertices: &[Vec3], faces: &'a [[u32; 3]], camera: &'a Camera, near: f64) -> Self {
         let project = |v: &Vec3| {
             let q = camera.to_camera(v.as_dvec3());
             Corner { camera: q, pixel: camera.to_pixel(q) }
         };
         let corners: Vec<Corner> = vertices.par_iter().with_min_len(CHUNK).map(project).collect();
-        let mut screen = Self { camera, near, faces, corners, rows: Vec::new() };
-        let rows = |f: &[u32; 3]| screen.bounds(f).map_or([0, -1], |w| [w.y0 as i32, w.y1 as i32 - 1]);
-        screen.rows = faces.par_iter().with_min_len(CHUNK).map(rows).collect();
-        screen
+        let mut mesh = Self { camera, near, faces, corners, rows: Vec::new() };
+        let rows = |f: &[u32; 3]| mesh.bounds(f).map_or([0, -1], |w| [w.y0 as i32, w.y1 as i32 - 1]);
+        mesh.rows = faces.par_iter().with_min_len(CHUNK).map(rows).collect();
+        mesh
     }
 
-    /// Whether all corners lie in front and within reach, so that nothing must be cut.
-    fn whole(&self, t: &[Corner; 3]) -> bool {
-        let near = |c: &Corner| c.camera.z > self.near && c.pixel.abs().max_element() < REACH;
+    /// Whether all corners lie in front of the near plane and within fixed-point range, so that no clipping is needed.
+    fn needs_no_clip(&self, t: &[Corner; 3]) -> bool {
+        let near = |c: &Corner| c.camera.z > self.near && c.pixel.abs().max_element() < MAX_COORDINATE;
         t.iter().all(near)
     }
 
-    /// The pixels whose centres a face may own, `None` if there are none.
-    pub fn bounds(&self, face: &[u32; 3]) -> Option<Window> {
+    /// The pixels whose centres a face may cover, `None` if there are none.
+    fn bounds(&self, face: &[u32; 3]) -> Option<Window> {
         let t = face.map(|v| self.corners[v as usize]);
         let (width, height) = (self.camera.width as usize, self.camera.height as usize);
         if t.iter().all(|c| c.camera.z <= self.near) {
             return None;
         }
-        if !self.whole(&t) {
+        if !self.needs_no_clip(&t) {
             return Some(Window { x0: 0, y0: 0, x1: width, y1: height });
         }
         let [a, b, c] = t.map(|c| c.pixel);
@@ -145,38 +116,73 @@ impl<'a> Screen<'a> {
         (!window.is_empty()).then_some(window)
     }
 
+    /// z of the nearest face at each pixel centre.
+    pub(crate) fn depth_map(&self) -> DepthMap {
+        let (width, height) = (self.camera.width as usize, self.camera.height as usize);
+        let mut depth = vec![f32::INFINITY; width * height];
+        depth.par_chunks_mut((BAND_ROWS * width).max(1)).enumerate().for_each(|(band, rows)| {
+            let y0 = band * BAND_ROWS;
+            self.rasterise(Window { x0: 0, y0, x1: width, y1: y0 + rows.len() / width }, |_, y, x0, x1, plane| {
+                plane.nearest(y, x0, &mut rows[(y - y0) * width + x0..(y - y0) * width + x1]);
+            });
+        });
+        DepthMap { width, height, depth }
+    }
+
+    /// The nearest face at each pixel centre, the lower number where two are equally near.
+    pub(crate) fn face_map(&self) -> Vec<u32> {
+        let (width, height) = (self.camera.width as usize, self.camera.height as usize);
+        let mut out = vec![NONE; width * height];
+        out.par_chunks_mut((BAND_ROWS * width).max(1)).enumerate().for_each(|(band, out)| {
+            let y0 = band * BAND_ROWS;
+            let mut depth = vec![f32::INFINITY; out.len()];
+            let band = Window { x0: 0, y0, x1: width, y1: y0 + out.len() / width };
+            self.rasterise(band, |face, y, x0, x1, plane| {
+                let at = (y - y0) * width;
+                for x in x0..x1 {
+                    let z = plane.at(plane.row(y), x);
+                    // Faces come in ascending order.
+                    if z < depth[at + x] {
+                        (depth[at + x], out[at + x]) = (z, face);
+                    }
+                }
+            });
+        });
+        out
+    }
+
     /// Calls `put(face, y, x0, x1, plane)` for the spans of all faces in `window`, faces ascending.
-    pub fn draw(&self, window: Window, mut put: impl FnMut(u32, usize, usize, usize, &Plane)) {
+    fn rasterise(&self, window: Window, mut put: impl FnMut(u32, usize, usize, usize, &Plane)) {
         let (top, bottom) = (window.y0 as i32, window.y1 as i32);
         for (f, (face, rows)) in self.faces.iter().zip(&self.rows).enumerate() {
             if rows[0] >= bottom || rows[1] < top {
                 continue;
             }
             let t = face.map(|v| self.corners[v as usize]);
-            if self.whole(&t) {
-                self.draw_one(t, window, |y, x0, x1, plane| put(f as u32, y, x0, x1, plane));
+            if self.needs_no_clip(&t) {
+                self.rasterise_one(t, window, |y, x0, x1, plane| put(f as u32, y, x0, x1, plane));
                 continue;
             }
-            let polygon = self.cut(t.map(|c| c.camera));
+            let polygon = self.clipped(t.map(|c| c.camera));
             for i in 2..polygon.len() {
                 let t = [polygon[0], polygon[i - 1], polygon[i]];
-                self.draw_one(t, window, |y, x0, x1, plane| put(f as u32, y, x0, x1, plane));
+                self.rasterise_one(t, window, |y, x0, x1, plane| put(f as u32, y, x0, x1, plane));
             }
         }
     }
 
-    fn draw_one(&self, t: [Corner; 3], window: Window, mut put: impl FnMut(usize, usize, usize, &Plane)) {
+    fn rasterise_one(&self, t: [Corner; 3], window: Window, mut put: impl FnMut(usize, usize, usize, &Plane)) {
         let mut plane = None;
-        spans(t.map(|c| snap(c.pixel)), window, |y, x0, x1| {
+        spans(t.map(|c| to_fixed(c.pixel)), window, |y, x0, x1| {
             let plane = plane.get_or_insert_with(|| Plane::new(&t, self.camera.width));
             put(y, x0, x1, plane);
         });
     }
 
-    /// The part of a triangle in front of the near plane and within reach of fixed point, as a convex polygon.
-    fn cut(&self, triangle: [DVec3; 3]) -> Vec<Corner> {
+    /// The part of a triangle in front of the near plane and within fixed-point range, as a convex polygon.
+    fn clipped(&self, triangle: [DVec3; 3]) -> Vec<Corner> {
         let c = self.camera;
-        let reach = 0.5 * REACH;
+        let reach = 0.5 * MAX_COORDINATE;
         let planes = [
             (DVec3::Z, self.near),
             (DVec3::new(c.fx, 0.0, reach + c.cx), 0.0),
@@ -204,13 +210,16 @@ impl<'a> Screen<'a> {
         }
         let corner = |q: DVec3| {
             let q = q.with_z(q.z.max(self.near));
-            Corner { camera: q, pixel: c.to_pixel(q).clamp(DVec2::splat(-REACH), DVec2::splat(REACH)) }
+            Corner {
+                camera: q,
+                pixel: c.to_pixel(q).clamp(DVec2::splat(-MAX_COORDINATE), DVec2::splat(MAX_COORDINATE)),
+            }
         };
         polygon.into_iter().map(corner).collect()
     }
 }
 
-/// `1/z` of a triangle as a linear function of the pixel, held within that of its corners.
+/// `1/z` of a triangle as a linear function of the pixel, clamped to the range of its corners.
 pub(crate) struct Plane {
     /// `1/z` at the centre of pixel `(column, 0)`.
     base: f64,
@@ -237,7 +246,7 @@ impl Plane {
         Self { base, down, right: right as f32, column: column as f32, low, high }
     }
 
-    /// What [`Plane::at`] needs of row `y`.
+    /// The row term of [`Plane::at`] for row `y`.
     #[inline(always)]
     fn row(&self, y: usize) -> f32 {
         (self.base + self.down * y as f64) as f32
@@ -251,7 +260,7 @@ impl Plane {
         1.0 / if inverse < self.low { self.low } else { inverse }
     }
 
-    /// Lowers `depth`, the pixels of row `y` from `x0` on, to this triangle's.
+    /// `depth = min(depth, z)` for the pixels of row `y` from `x0` on.
     #[inline(always)]
     fn nearest(&self, y: usize, x0: usize, depth: &mut [f32]) {
         let row = self.row(y);
@@ -317,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn windows_and_threads_change_no_bit_and_faces_are_the_nearest() {
+    fn threads_change_no_bit_and_faces_are_the_nearest() {
         let camera = camera(80, 70);
         let mut rng = gs_core::Rng::new(5, "zbuffer", 0, 0);
         let v: Vec<Vec3> =
@@ -326,13 +335,6 @@ mod tests {
         let map = DepthMap::new(&v, &faces, &camera, 0.05);
         let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
         assert_eq!(one.install(|| DepthMap::new(&v, &faces, &camera, 0.05)), map);
-        let mut patched = map.clone();
-        let window = Window { x0: 13, y0: 9, x1: 41, y1: 66 };
-        for y in 9..66 {
-            patched.depth[y * 80 + 13..y * 80 + 41].fill(-1.0);
-        }
-        patched.fill(&Screen::new(&v, &faces, &camera, 0.05), window);
-        assert_eq!(patched, map);
         let nearest = face_map(&v, &faces, &camera, 0.05);
         for (face, z) in nearest.iter().zip(&map.depth) {
             assert_eq!(*face == NONE, z.is_infinite());

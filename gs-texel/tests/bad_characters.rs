@@ -133,7 +133,7 @@ fn texture_coordinates_go_through_their_transform() {
     let bare = ReadOptions { textures: false, ..ReadOptions::default() };
     let c = parse_character(&s.glb(), "small.glb", &bare).unwrap();
     // A quarter turn counter-clockwise, v down: (u, v) becomes (v, −u).
-    let corner = c.template.painted(0).unwrap()[1];
+    let corner = c.template.corner_uvs(0).unwrap()[1];
     assert!((corner - glam::Vec2::new(0.1, 0.2 - 0.5)).length() < 1e-6, "{corner}");
     let error = read(&s.glb()).unwrap_err().to_string();
     assert!(error.contains("absent.png") && error.contains("read from memory"), "{error}");
@@ -432,7 +432,7 @@ fn counts_beyond_the_bytes_cost_nothing() {
             "values": {"bufferView": 0}});
         drop(j["accessors"][0].as_object_mut().unwrap().remove("bufferView"));
     });
-    // One mesh drawn by very many primitives and nodes.
+    // One mesh referenced by very many primitives and nodes.
     bomb(|j| {
         let primitive = j["meshes"][0]["primitives"][0].clone();
         j["meshes"][0]["primitives"] = json!(vec![primitive; 300]);
@@ -460,7 +460,7 @@ fn obj_templates() {
     fs::write(dir.path().join("quad.mtl"), "newmtl red\nKd 0.8 0.1 0\n").unwrap();
     let c = open().unwrap();
     assert_eq!((c.template.vertices.len(), c.template.faces.len(), c.template.uvs.len()), (4, 2, 4));
-    assert_eq!(c.template.painted(0).unwrap()[0], glam::Vec2::new(0.0, 1.0), "v is turned downwards");
+    assert_eq!(c.template.corner_uvs(0).unwrap()[0], glam::Vec2::new(0.0, 1.0), "v is turned downwards");
     assert_eq!(c.template.colour(0, [0.3, 0.3, 0.4]).x, 0.8);
     assert_eq!(c.posed(&c.skeleton.rest_pose(), Skinning::Lbs), c.template.vertices);
     for (text, words) in [

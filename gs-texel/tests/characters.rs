@@ -104,7 +104,7 @@ fn invariants_of_what_is_read() {
             }
             assert!(t.faces.iter().flatten().all(|&v| (v as usize) < n));
             assert!(t.face_uvs.is_empty() || t.face_uvs.len() == t.faces.len());
-            assert!(t.paint.is_empty() || t.paint.len() == t.faces.len());
+            assert!(t.material_uvs.is_empty() || t.material_uvs.len() == t.faces.len());
             assert!(t.face_uvs.iter().flatten().all(|&v| (v as usize) < t.uvs.len()));
             assert!(t.face_materials.iter().all(|&m| usize::from(m) < t.materials.len()));
             assert!(c.skeleton.nodes.iter().enumerate().all(|(i, n)| n.parent.is_none_or(|p| (p as usize) < i)));

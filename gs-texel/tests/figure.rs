@@ -1,4 +1,4 @@
-//! The characters made here: closed, charted without overlap, moved as closed forms say.
+//! The procedural characters: closed, charted without overlap, posed as their closed forms.
 
 use glam::{DVec2, Vec3};
 use gs_texel::figure::{Cylinder, cylinder, person, plate, sphere};

@@ -6,7 +6,7 @@
 //! | `f32` rows against `f64` ones, polar | 1e-5 of the largest entry |
 //! | `f32` rows against `f64` ones, affine and raw | 1e-4 (differences of standard deviations are divided by) |
 
-mod sheet;
+mod square;
 
 use glam::{Affine3A, DMat3, DQuat, Quat, Vec3};
 use gs_core::rot::{self, Mat3};
@@ -15,7 +15,7 @@ use gs_texel::gaussians::row::{self, Base, Gaussian};
 use gs_texel::gaussians::{
     Channels, ChannelsError, Covariance, DecodeOptions, TexelBase, decode, decode_backward, offset_penalty,
 };
-use sheet::{WIDTH, at_rest, channels};
+use square::{WIDTH, at_rest, channels};
 
 const DIFFERENCE: f64 = 1e-5;
 const ALL: [Covariance; 3] = [Covariance::Polar, Covariance::Affine, Covariance::Raw];
@@ -32,7 +32,13 @@ fn random_texel(seed: u64) -> (Vec<f64>, Base<f64>) {
     let shear = DMat3::from_cols_array(&std::array::from_fn(|i| f64::from(u8::from(i % 4 == 0)) + 0.2 * normal()));
     let linear = (DMat3::from_quat(turn) * shear).transpose().to_cols_array_2d();
     let turn = [turn.w, turn.x, turn.y, turn.z];
-    let base = Base { point: [normal(), normal(), normal()], linear, shift: [1.0, 2.0, 3.0], turn, kappa: 1.3 };
+    let base = Base {
+        point: [normal(), normal(), normal()],
+        linear,
+        translation: [1.0, 2.0, 3.0],
+        rotation: turn,
+        kappa: 1.3,
+    };
     (row, base)
 }
 
@@ -89,7 +95,7 @@ fn a_texel_at_rest_is_what_its_channels_say() {
     let linear = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]];
     let quarter = std::f64::consts::FRAC_1_SQRT_2;
     let turn = [quarter, 0.0, 0.0, quarter];
-    let base = Base { point: [1.0, 2.0, 3.0], linear, shift: [10.0, 0.0, 0.0], turn, kappa: 2.0 };
+    let base = Base { point: [1.0, 2.0, 3.0], linear, translation: [10.0, 0.0, 0.0], rotation: turn, kappa: 2.0 };
     for mode in ALL {
         let g = row::decode(&row, &base, mode, RANGE);
         assert!(g.mean.iter().zip([7.75, 1.0, 3.0]).all(|(a, b)| (a - b).abs() < 1e-15), "{mode:?}: {:?}", g.mean);
@@ -127,10 +133,10 @@ fn affine_covariance_is_that_of_the_mapped_ellipsoid() {
 fn all_modes_agree_where_the_surface_is_rigid() {
     for seed in 0..20 {
         let (row, mut base) = random_texel(seed);
-        base.linear = rot::matrix(base.turn);
+        base.linear = rot::matrix(base.rotation);
         let [a, b, c] = ALL.map(|mode| sigma(&row::decode(&row, &base, mode, RANGE)));
         assert!([b, c].iter().all(|o| a.iter().zip(o).all(|(a, o)| (a - o).abs() < 1e-15)), "{a:?} {b:?} {c:?}");
-        // Also on the way back, even where all standard deviations are one.
+        // Also backward, even where all standard deviations are one.
         let mut round = row.clone();
         round[0..3].fill(-3.0);
         let d = Gaussian { mean: [0.0; 3], quat: [0.0; 4], scale: [1.0, 2.0, 3.0], opacity: 0.0 };
@@ -144,7 +150,7 @@ fn all_modes_agree_where_the_surface_is_rigid() {
 }
 
 /// Two bones at half the weight each, 60° apart about z: the quaternion of the mean of their matrices is 0.964 long and turns
-/// by 27.8° where 30° are right, and it is drawn as it is.
+/// by 27.8° where 30° are right, and it is not normalised.
 #[test]
 fn raw_turns_fall_short_and_shrink() {
     let (row, mut base) = random_texel(3);
@@ -152,7 +158,7 @@ fn raw_turns_fall_short_and_shrink() {
     let mean = (DMat3::IDENTITY + bend) * 0.5;
     base.linear = mean.transpose().to_cols_array_2d();
     let half = 30f64.to_radians() / 2.0;
-    base.turn = [half.cos(), 0.0, 0.0, half.sin()];
+    base.rotation = [half.cos(), 0.0, 0.0, half.sin()];
     let raw = gs_texel::skin::raw_quat(&base.linear);
     let length = raw.iter().map(|v| v * v).sum::<f64>().sqrt();
     assert!((length - 0.964).abs() < 5e-4 && raw[1] == 0.0 && raw[2] == 0.0, "{raw:?}");
@@ -162,11 +168,11 @@ fn raw_turns_fall_short_and_shrink() {
     let right = rot::matrix(rot::normalise(turned).wxyz);
     // (1 − n²) I + n² R.
     let share = length * length;
-    let drawn: Mat3<f64> = std::array::from_fn(|r| {
+    let matrix: Mat3<f64> = std::array::from_fn(|r| {
         std::array::from_fn(|c| share * right[r][c] + (1.0 - share) * f64::from(u8::from(r == c)))
     });
     let scale: [f64; 3] = std::array::from_fn(|i| row[i].clamp(RANGE[0], RANGE[1]).exp() * base.kappa);
-    let want = covariance::covariance(&covariance::factor(&drawn, scale));
+    let want = covariance::covariance(&covariance::factor(&matrix, scale));
     let [polar, raw] = [Covariance::Polar, Covariance::Raw].map(|c| sigma(&row::decode(&row, &base, c, RANGE)));
     let largest = want.iter().fold(0.0f64, |a, b| a.max(b.abs()));
     let worst = |got: &[f64; 6]| got.iter().zip(want).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max) / largest;
@@ -218,8 +224,8 @@ fn production_follows_the_reference() {
             let single = Base {
                 point: cast(base.point),
                 linear: base.linear.map(cast),
-                shift: cast(base.shift),
-                turn: base.turn.map(|v| v as f32),
+                translation: cast(base.translation),
+                rotation: base.rotation.map(|v| v as f32),
                 kappa: base.kappa as f32,
             };
             let w: [f64; 10] = std::array::from_fn(|k| 0.3 + 0.1 * k as f64);
@@ -274,7 +280,7 @@ fn extreme_rows_stay_finite() {
     let base = TexelBase {
         points: vec![Vec3::ZERO; 4],
         transforms: vec![Affine3A::IDENTITY, Affine3A::ZERO, Affine3A::from_scale(-Vec3::ONE), Affine3A::IDENTITY],
-        turns: vec![[1.0, 0.0, 0.0, 0.0]; 4],
+        rotations: vec![[1.0, 0.0, 0.0, 0.0]; 4],
         kappas: vec![4.0; 4],
     };
     let mut rows = vec![0.0f32; 4 * WIDTH];
@@ -305,11 +311,11 @@ fn active_degrees_are_drawn_and_learn() {
     let (_, base) = at_rest(4);
     let mut rng = Rng::new(1, "rows", 0, 0);
     let rows: Vec<f32> = (0..base.len() * WIDTH).map(|_| rng.normal()).collect();
-    for (sh_active, drawn, values) in [(0, 0, 3), (1, 1, 12), (3, 1, 12)] {
+    for (sh_active, active, values) in [(0, 0, 3), (1, 1, 12), (3, 1, 12)] {
         let options = DecodeOptions { sh_active, ..DecodeOptions::default() };
         let splats = decode(&rows, channels(), &base, &options).unwrap();
         let Color::Sh { degree, coeffs } = &splats.color else { panic!("texels have harmonics") };
-        assert_eq!((*degree, coeffs.len()), (drawn, values * base.len()));
+        assert_eq!((*degree, coeffs.len()), (active, values * base.len()));
         assert_eq!(coeffs[values..2 * values], rows[WIDTH + 11..WIDTH + 11 + values]);
         let mut d = SplatsGrad::zeros_like(&splats);
         d.color.fill(2.0);

@@ -3,14 +3,11 @@
 mod scenes;
 
 use glam::{Vec2, Vec3};
-use gs_core::Image;
-use gs_core::io::Limits;
-use gs_texel::inpaint::{Inpainted, Unseen, ViewFan, inpaint};
-use gs_texel::maps_exr::{Kind, Layer, load_layers, save_layers};
+use gs_texel::inpaint::{Inpainted, Unseen, ViewWeights, inpaint};
 use gs_texel::texels::TexelTable;
 use scenes::plate;
 
-const HOW: [Unseen; 5] = [Unseen::Nearest, Unseen::Delaunay, Unseen::Natural, Unseen::PushPull, Unseen::Harmonic];
+const METHODS: [Unseen; 5] = [Unseen::Nearest, Unseen::Delaunay, Unseen::Natural, Unseen::PushPull, Unseen::Harmonic];
 
 /// Two charts side by side, a texel or two apart.
 fn two_charts() -> TexelTable {
@@ -27,7 +24,7 @@ fn a_linear_field_is_restored_in_a_hole() {
     let table = two_charts();
     let truth = |uv: Vec2| [0.2 + 0.5 * uv.x, 1.0 - 0.7 * uv.y];
     let known: Vec<bool> = (0..table.len()).map(|k| !in_hole(table.uv(k))).collect();
-    for (how, limit) in HOW.into_iter().zip([0.12, 1e-6, 1e-5, 0.12, 1e-5]) {
+    for (how, limit) in METHODS.into_iter().zip([0.12, 1e-6, 1e-5, 0.12, 1e-5]) {
         let mut rows: Vec<[f32; 2]> =
             (0..table.len()).map(|k| if known[k] { truth(table.uv(k)) } else { [9.0; 2] }).collect();
         let done = inpaint(&table, &mut rows, &known, how).unwrap();
@@ -73,7 +70,7 @@ fn nothing_crosses_from_chart_to_chart() {
     // All of the right edge of the left chart is unknown, and the whole right chart but for a row.
     let known: Vec<bool> =
         (0..table.len()).map(|k| if table.chart[k] == 0 { table.uv(k).x < 0.3 } else { table.uv(k).y < 0.1 }).collect();
-    for how in HOW {
+    for how in METHODS {
         let mut rows: Vec<[f32; 1]> = table.chart.iter().map(|&c| [f32::from(c)]).collect();
         (0..table.len()).filter(|&k| !known[k]).for_each(|k| rows[k] = [-5.0]);
         inpaint(&table, &mut rows, &known, how).unwrap();
@@ -87,7 +84,7 @@ fn charts_without_a_known_texel_are_left() {
     let known: Vec<bool> = table.chart.iter().map(|&c| c == 0).collect();
     let unknown = known.iter().filter(|k| !**k).count();
     let mut rows = vec![[0.5f32; 3]; table.len()];
-    for how in HOW {
+    for how in METHODS {
         assert_eq!(inpaint(&table, &mut rows, &known, how).unwrap(), Inpainted { filled: 0, left: unknown });
     }
     // One known texel, then two in a line: no triangle at all.
@@ -95,7 +92,7 @@ fn charts_without_a_known_texel_are_left() {
     for count in 1..3 {
         let mut some = known.clone();
         some[first..first + count].fill(true);
-        for how in HOW {
+        for how in METHODS {
             let mut rows: Vec<[f32; 1]> = some.iter().map(|&k| [if k { 0.25 } else { 0.0 }]).collect();
             let done = inpaint(&table, &mut rows, &some, how).unwrap();
             // Known texels far from any hole take no part, those beside one do.
@@ -112,32 +109,36 @@ fn cameras_are_weighted_smoothly() {
     let quarter = std::f32::consts::FRAC_PI_2;
     let mut directions: Vec<Vec3> = (0..4).map(|i| 3.0 * around(i as f32 * quarter)).collect();
     directions.push(Vec3::new(0.1, 2.0, 0.0));
-    let fan = ViewFan::new(&directions, Vec3::Y).unwrap();
+    let views = ViewWeights::new(&directions, Vec3::Y).unwrap();
     for (i, d) in directions.iter().enumerate() {
-        let largest = fan.weights(*d).into_iter().max_by(|a, b| a.1.total_cmp(&b.1)).unwrap();
+        let largest = views.weights(*d).into_iter().max_by(|a, b| a.1.total_cmp(&b.1)).unwrap();
         assert!(largest.0 == i as u32 && largest.1 > 0.999, "{i} {largest:?}");
     }
-    let half = fan.weights(around(0.5 * quarter));
+    let half = views.weights(around(0.5 * quarter));
     assert!(half.len() == 2 && half.iter().all(|w| (w.1 - 0.5).abs() < 1e-5), "{half:?}");
     let mut last: Option<Vec<f64>> = None;
     for step in 0..400 {
         let turn = step as f32 * 4.0 * quarter / 400.0;
         let mut dense = vec![0.0; 5];
-        fan.weights(around(turn) + 0.3 * Vec3::Y).into_iter().for_each(|(i, w)| dense[i as usize] += w);
+        views.weights(around(turn) + 0.3 * Vec3::Y).into_iter().for_each(|(i, w)| dense[i as usize] += w);
         assert!((dense.iter().sum::<f64>() - 1.0).abs() < 1e-9 && dense.iter().all(|&w| w >= -1e-12));
         if let Some(last) = last {
             assert!(dense.iter().zip(&last).all(|(a, b)| (a - b).abs() < 0.05), "no jump");
         }
         last = Some(dense);
     }
-    assert!(ViewFan::new(&[Vec3::X, Vec3::NAN], Vec3::Y).is_err());
-    assert!(ViewFan::new(&[Vec3::X, -Vec3::Y], Vec3::Y).is_err());
-    assert!(ViewFan::new(&[], Vec3::Y).unwrap().weights(Vec3::X).is_empty());
-    assert_eq!(ViewFan::new(&[Vec3::X], Vec3::Y).unwrap().weights(Vec3::Z), [(0, 1.0)]);
+    assert!(ViewWeights::new(&[Vec3::X, Vec3::NAN], Vec3::Y).is_err());
+    assert!(ViewWeights::new(&[Vec3::X, -Vec3::Y], Vec3::Y).is_err());
+    assert!(ViewWeights::new(&[], Vec3::Y).unwrap().weights(Vec3::X).is_empty());
+    assert_eq!(ViewWeights::new(&[Vec3::X], Vec3::Y).unwrap().weights(Vec3::Z), [(0, 1.0)]);
 }
 
+#[cfg(feature = "exr")]
 #[test]
 fn named_maps_come_back() {
+    use gs_core::Image;
+    use gs_core::io::Limits;
+    use gs_texel::maps_exr::{Kind, Layer, load_layers, save_layers};
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("maps.exr");
     let map = |channels: usize, scale: f32| {

@@ -184,7 +184,7 @@ fn three_levels<N: Net>(what: &str, net: &N, size: usize, mask: Option<&[bool]>)
     assert!(value < VALUE, "{what}: {value}");
     assert!(worst(1) < DIFFERENCE, "{what}: {}", worst(1));
     assert!(worst(2) < GRADIENT, "{what}: {}", worst(2));
-    assert!(rows.iter().all(|r| r[0] != 0.0), "{what}: a block without any say");
+    assert!(rows.iter().all(|r| r[0] != 0.0), "{what}: a block without a gradient");
 }
 
 #[test]

@@ -3,7 +3,7 @@
 
 use glam::{DAffine3, DMat3, DVec3, Vec3};
 use gs_core::{Rng, rot};
-use gs_texel::skeleton::{rotation_matrix, turn_about};
+use gs_texel::skeleton::{axis_angle, rotation_matrix};
 use gs_texel::skin::{blend, blend_dual, quat_of, rotation_of, rotations, skin, skin_backward};
 use gs_texel::surface::Topology;
 use gs_texel::{Pose, SkinWeights, Skinning};
@@ -18,13 +18,13 @@ fn halves(n: usize) -> SkinWeights {
 }
 
 fn turned(degrees: f64) -> [DAffine3; 2] {
-    let turn = rotation_matrix(turn_about(DVec3::X, degrees.to_radians()));
+    let turn = rotation_matrix(axis_angle(DVec3::X, degrees.to_radians()));
     [DAffine3::IDENTITY, DAffine3::from_mat3(turn)]
 }
 
 fn random_affine(r: &mut Rng) -> DAffine3 {
     let mut v = || DVec3::new(r.normal().into(), r.normal().into(), r.normal().into());
-    let turn = rotation_matrix(turn_about(v(), v().x));
+    let turn = rotation_matrix(axis_angle(v(), v().x));
     let stretch = DMat3::from_diagonal(DVec3::ONE + 0.2 * v().clamp(DVec3::splat(-2.0), DVec3::splat(2.0)));
     DAffine3::from_mat3_translation(turn * stretch, v())
 }
@@ -81,7 +81,7 @@ fn the_polar_factor_turns_by_half_where_the_raw_quaternion_falls_short() {
         let (angle, norm) = raw_quaternion(&mixed);
         assert!((angle - raw).abs() < 0.05 && (norm - length).abs() < 5e-4, "{degrees}: {angle} {norm}");
         let q = quat_of(&rotation_of(mixed).unwrap());
-        let want = turn_about(DVec3::X, (0.5f64 * degrees).to_radians());
+        let want = axis_angle(DVec3::X, (0.5f64 * degrees).to_radians());
         assert!(q.iter().zip(want).all(|(a, b)| (a - b).abs() < 1e-12), "{degrees}: {q:?}");
         let q = rotations(&halves(1), &joints, &blend(&halves(1), &joints))[0];
         assert!(q.iter().zip(want).all(|(a, b)| (f64::from(*a) - b).abs() < 1e-6), "{degrees}: {q:?}");
@@ -93,8 +93,8 @@ fn the_nearest_rotation_of_stretched_matrices() {
     let mut r = Rng::new(5, "polar", 0, 0);
     for case in 0..2000 {
         let mut v = || DVec3::new(r.normal().into(), r.normal().into(), r.normal().into());
-        let turn = rotation_matrix(turn_about(v(), 3.0 * v().x));
-        let axes = rotation_matrix(turn_about(v(), 3.0));
+        let turn = rotation_matrix(axis_angle(v(), 3.0 * v().x));
+        let axes = rotation_matrix(axis_angle(v(), 3.0));
         // Stretch along any axes, of any size, down to a determinant of about 1e-5 of the size cubed.
         let lengths = DVec3::new(1.0, v().x.abs() + 0.1, 10f64.powf(-(v().x.abs() * 2.0).min(3.5)));
         let size = 10f64.powf(3.0 * v().x);

@@ -11,7 +11,8 @@ use glam::{DVec3, Vec3};
 use gs_core::Rng;
 use gs_texel::surface::Topology;
 use gs_texel::surface_loss::{
-    Chamfer, ChamferError, Colors, Isometry, IsometryRule, NormalConsistency, NormalRule, Paint, SurfaceLoss, laplacian,
+    Chamfer, ChamferError, Colors, Isometry, IsometryRule, NormalConsistency, NormalRule, SurfaceColors, SurfaceLoss,
+    laplacian,
 };
 use std::collections::BTreeSet;
 
@@ -208,7 +209,7 @@ impl Waves {
     }
 }
 
-impl Paint for Waves {
+impl SurfaceColors for Waves {
     fn at(&self, face: usize, bary: [f64; 3]) -> (DVec3, [DVec3; 3]) {
         let at = self.faces[face].map(|v| self.rest[v as usize]);
         let x = bary[0] * at[0] + bary[1] * at[1] + bary[2] * at[2];

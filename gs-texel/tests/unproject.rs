@@ -1,4 +1,4 @@
-//! Textures from photographs of painted meshes.
+//! Textures unprojected from renders of textured meshes.
 
 mod scenes;
 
@@ -8,17 +8,17 @@ use gs_texel::surface::Mesh;
 use gs_texel::texels::TexelTable;
 use gs_texel::unproject::{Compat, FuseWeight, MaskUse, Texture, UnprojectConfig, UnprojectError, View, unproject};
 use gs_texel::visibility::Rule;
-use scenes::{Figure, plate, psnr, render, ring, sphere, two_spheres, views, waves};
+use scenes::{TexturedMesh, plate, psnr, render, ring, sphere, two_spheres, views, waves};
 
-struct Shot {
-    figure: Figure,
+struct Capture {
+    figure: TexturedMesh,
     table: TexelTable,
     cameras: Vec<Camera>,
     images: Vec<Image>,
 }
 
-impl Shot {
-    fn new(figure: Figure, size: usize, side: u32, color: &(impl Fn(DVec3) -> [f32; 3] + Sync)) -> Self {
+impl Capture {
+    fn new(figure: TexturedMesh, size: usize, side: u32, color: &(impl Fn(DVec3) -> [f32; 3] + Sync)) -> Self {
         let cameras = ring(4, side);
         let images = cameras.iter().map(|c| render(&figure, c, color)).collect();
         Self { table: figure.table(size), figure, cameras, images }
@@ -40,11 +40,11 @@ fn rule(rule: Rule) -> UnprojectConfig {
 #[test]
 fn a_painted_sphere_comes_back() {
     let color = waves(12.0);
-    let shot = Shot::new(two_spheres(), 512, 1024, &color);
-    let db = |config: &UnprojectConfig| psnr(&shot.texture(config), &shot.figure, &shot.table, &color);
-    let four_tap = shot.texture(&rule(Rule::FourTap));
+    let capture = Capture::new(two_spheres(), 512, 1024, &color);
+    let db = |config: &UnprojectConfig| psnr(&capture.texture(config), &capture.figure, &capture.table, &color);
+    let four_tap = capture.texture(&rule(Rule::FourTap));
     assert!((four_tap.coverage() - 0.66).abs() < 0.01, "{}", four_tap.coverage());
-    let taps = psnr(&four_tap, &shot.figure, &shot.table, &color);
+    let taps = psnr(&four_tap, &capture.figure, &capture.table, &color);
     assert!(taps >= 70.0, "{taps}");
     let bilinear = db(&rule(Rule::Bilinear));
     let aligned =
@@ -64,11 +64,11 @@ fn a_painted_sphere_comes_back() {
 
 #[test]
 fn one_colour_stays_one_colour_whatever_the_weights() {
-    let shot = Shot::new(two_spheres(), 128, 256, &|_| [0.3, 0.6, 0.9]);
+    let capture = Capture::new(two_spheres(), 128, 256, &|_| [0.3, 0.6, 0.9]);
     for fuse in [FuseWeight::Mask, FuseWeight::CosPow(4.0), FuseWeight::BestView] {
         for r in Rule::ALL {
-            let texture = shot.texture(&UnprojectConfig { fuse, ..rule(r) });
-            let seen = (0..shot.table.len()).filter(|&k| texture.seen[k] > 0);
+            let texture = capture.texture(&UnprojectConfig { fuse, ..rule(r) });
+            let seen = (0..capture.table.len()).filter(|&k| texture.seen[k] > 0);
             let worst = seen
                 .flat_map(|k| texture.colors[k].into_iter().zip([0.3, 0.6, 0.9]))
                 .fold(0.0f32, |m, (a, b)| m.max((a - b).abs()));
@@ -80,16 +80,16 @@ fn one_colour_stays_one_colour_whatever_the_weights() {
 
 #[test]
 fn views_in_any_order_and_any_number_of_threads_give_the_same_bits() {
-    let shot = Shot::new(two_spheres(), 128, 200, &waves(9.0));
+    let capture = Capture::new(two_spheres(), 128, 200, &waves(9.0));
     let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
     for fuse in [FuseWeight::Mask, FuseWeight::CosPow(2.0), FuseWeight::BestView] {
         let config = UnprojectConfig { fuse, keep_views: true, ..rule(Rule::FourTap) };
-        let texture = shot.texture(&config);
-        assert_eq!(one.install(|| shot.texture(&config)), texture);
+        let texture = capture.texture(&config);
+        assert_eq!(one.install(|| capture.texture(&config)), texture);
         for order in [[3, 1, 0, 2], [1, 2, 3, 0]] {
-            let all = shot.views();
+            let all = capture.views();
             let turned: Vec<View<'_>> = order.iter().map(|&i| all[i]).collect();
-            let other = unproject(&shot.figure.mesh(), &shot.table, &turned, &config).unwrap();
+            let other = unproject(&capture.figure.mesh(), &capture.table, &turned, &config).unwrap();
             assert_eq!((&other.colors, &other.weight, &other.seen), (&texture.colors, &texture.weight, &texture.seen));
         }
     }
@@ -98,8 +98,8 @@ fn views_in_any_order_and_any_number_of_threads_give_the_same_bits() {
 #[test]
 fn silhouettes_are_not_darkened() {
     // Opacity falls over three pixels at the outline; behind it black.
-    let mut shot = Shot::new(sphere(Vec3::ZERO, 0.9, 64, 48, Vec2::ZERO, Vec2::ONE), 128, 160, &|_| [0.8; 3]);
-    for image in &mut shot.images {
+    let mut capture = Capture::new(sphere(Vec3::ZERO, 0.9, 64, 48, Vec2::ZERO, Vec2::ONE), 128, 160, &|_| [0.8; 3]);
+    for image in &mut capture.images {
         let hard = image.clone();
         for y in 1..159 {
             for x in 1..159 {
@@ -109,7 +109,7 @@ fn silhouettes_are_not_darkened() {
         }
     }
     let darkest = |config: &UnprojectConfig| {
-        let texture = shot.texture(config);
+        let texture = capture.texture(config);
         let seen = texture.colors.iter().zip(&texture.seen).filter(|s| *s.1 > 0);
         seen.map(|s| s.0[0]).fold(1.0f32, f32::min)
     };
@@ -118,59 +118,15 @@ fn silhouettes_are_not_darkened() {
     let soft = darkest(&lax);
     let plain = darkest(&UnprojectConfig { mask: MaskUse::Binary, ..lax });
     assert!(soft > plain, "{soft} {plain}");
-    let texture = shot.texture(&rule(Rule::FourTap));
+    let texture = capture.texture(&rule(Rule::FourTap));
     let seen = texture.colors.iter().zip(&texture.seen).filter(|s| *s.1 > 0);
     assert!(seen.clone().count() > 5000 && seen.into_iter().all(|s| (s.0[0] - 0.8).abs() < 1e-6));
 }
 
 #[test]
-fn an_update_is_a_fresh_unprojection() {
-    let mut shot = Shot::new(two_spheres(), 192, 384, &waves(9.0));
-    let first = shot.figure.clone();
-    for r in Rule::ALL {
-        let config = UnprojectConfig { keep_views: true, ..rule(r) };
-        shot.figure = first.clone();
-        let mut texture = shot.texture(&config);
-        // The small sphere moves before the large one, and a dent is made in that.
-        let large = 1 + 90 * 96 + 1;
-        shot.figure.vertices[large..].iter_mut().for_each(|v| v.x -= 0.1);
-        shot.figure.vertices[3000..3040].iter_mut().for_each(|v| *v *= 0.97);
-        shot.figure.settle();
-        // Normals are given, so those of vertices that stay must stay.
-        let moved: Vec<bool> =
-            (0..first.vertices.len()).map(|v| first.vertices[v] != shot.figure.vertices[v]).collect();
-        let near = |f: &[u32; 3]| f.iter().any(|&v| moved[v as usize]);
-        let mut turned = vec![false; moved.len()];
-        first.faces.iter().filter(|f| near(f)).flatten().for_each(|&v| turned[v as usize] = true);
-        (0..moved.len()).filter(|&v| !turned[v]).for_each(|v| shot.figure.normals[v] = first.normals[v]);
-
-        let redone = texture.update(&shot.figure.mesh(), &shot.table, &shot.views(), &config, 0.0).unwrap();
-        assert_eq!(texture, shot.texture(&config), "{}", r.name());
-        assert!(redone.texels > 500 && redone.texels < shot.table.len() / 2, "{} {redone:?}", r.name());
-        let still = texture.update(&shot.figure.mesh(), &shot.table, &shot.views(), &config, 0.0).unwrap();
-        assert_eq!((still.vertices, still.texels, still.pixels), (0, 0, 0));
-    }
-}
-
-#[test]
-fn movement_below_the_threshold_is_left_out_until_it_adds_up() {
-    let mut shot = Shot::new(two_spheres(), 128, 256, &waves(4.0));
-    let config = rule(Rule::FourTap);
-    let mut texture = shot.texture(&config);
-    // 0.3 px a step on the large sphere (1.35 · 256 px / 2.1 m), 0.6 px on the small one.
-    let mut moved = Vec::new();
-    for _ in 0..4 {
-        shot.figure.vertices.iter_mut().for_each(|v| *v *= 1.0 + 0.002);
-        moved.push(texture.update(&shot.figure.mesh(), &shot.table, &shot.views(), &config, 0.7).unwrap().vertices);
-    }
-    assert_eq!(moved[0], 0);
-    assert!(moved.iter().any(|&n| n > 4000), "{moved:?}");
-}
-
-#[test]
 fn hostile_input_is_refused_or_sees_nothing() {
-    let shot = Shot::new(two_spheres(), 64, 64, &waves(4.0));
-    let (figure, table, config) = (&shot.figure, &shot.table, UnprojectConfig::default());
+    let capture = Capture::new(two_spheres(), 64, 64, &waves(4.0));
+    let (figure, table, config) = (&capture.figure, &capture.table, UnprojectConfig::default());
     let none = unproject(&figure.mesh(), table, &[], &config).unwrap();
     assert_eq!(none.coverage(), 0.0);
     assert!(none.map(table, -1.0).data.iter().all(|&v| v == -1.0));
@@ -196,15 +152,15 @@ fn hostile_input_is_refused_or_sees_nothing() {
     let mut broken = figure.vertices.clone();
     broken[17].y = f32::NAN;
     let mesh = Mesh { vertices: &broken, ..figure.mesh() };
-    let error = unproject(&mesh, table, &shot.views(), &config).unwrap_err().to_string();
+    let error = unproject(&mesh, table, &capture.views(), &config).unwrap_err().to_string();
     assert!(error.contains("vertex 17"), "{error}");
-    let mut camera = shot.cameras[0].clone();
+    let mut camera = capture.cameras[0].clone();
     camera.cx = f64::NAN;
-    let view = View { camera: &camera, image: &shot.images[0], mask: None };
+    let view = View { camera: &camera, image: &capture.images[0], mask: None };
     let error = unproject(&figure.mesh(), table, &[view], &config).unwrap_err().to_string();
     assert!(error.starts_with("view 0: camera cx"), "{error}");
     let small = Image::zeros(10, 64, 3);
-    let view = View { camera: &shot.cameras[0], image: &small, mask: None };
+    let view = View { camera: &capture.cameras[0], image: &small, mask: None };
     assert!(matches!(unproject(&figure.mesh(), table, &[view], &config), Err(UnprojectError::Shape { view: 0, .. })));
     for wrong in [f32::NAN, -2.0] {
         let config = UnprojectConfig { min_cos: wrong, ..config };
@@ -213,8 +169,6 @@ fn hostile_input_is_refused_or_sees_nothing() {
     }
     let few = Mesh { faces: &figure.faces[..100], ..figure.mesh() };
     assert!(matches!(unproject(&few, table, &[], &config), Err(UnprojectError::Mesh(_))));
-    let mut texture = shot.texture(&config);
-    assert!(matches!(texture.update(&figure.mesh(), table, &[], &config, 0.0), Err(UnprojectError::Other { .. })));
 }
 
 #[test]
@@ -225,27 +179,27 @@ fn settings_are_read_by_name_and_the_authors_depth_is_theirs() {
     assert!(serde_json::from_str::<UnprojectConfig>(r#"{"rules": "ray"}"#).is_err());
     // Two millimetres less than the truth: with a tolerance below that, all is hidden.
     let wall = plate(Vec3::ZERO, Vec3::X * 0.5, Vec3::Y * 0.5, 4, Vec2::ZERO, Vec2::ONE);
-    let shot = Shot::new(wall, 64, 128, &waves(4.0));
+    let capture = Capture::new(wall, 64, 128, &waves(4.0));
     let tight = UnprojectConfig { depth_tolerance: 1e-3, ..rule(Rule::FourTap) };
-    assert!(shot.texture(&tight).coverage() > 0.9);
+    assert!(capture.texture(&tight).coverage() > 0.9);
     let clip = UnprojectConfig { compat: Compat { clip_depth: true, ..Compat::default() }, ..tight };
-    assert_eq!(shot.texture(&clip).coverage(), 0.0);
+    assert_eq!(capture.texture(&clip).coverage(), 0.0);
 }
 
 #[test]
 fn the_second_unprojection_pays() {
-    // The pictures show a body with a bulge of 4 cm at most that its first geometry lacks.
+    // The images show a body with a bulge of 4 cm at most that its first geometry lacks.
     let plain = sphere(Vec3::ZERO, 0.9, 96, 64, Vec2::ZERO, Vec2::ONE);
     let mut bulged = plain.clone();
     bulged.vertices.iter_mut().for_each(|v| *v *= 1.0 + 0.045 * (3.0 * v.y).cos() * (2.0 * v.x).sin());
-    bulged.settle();
+    bulged.update_normals();
     let color = waves(12.0);
-    let shot = Shot::new(bulged, 256, 512, &color);
+    let capture = Capture::new(bulged, 256, 512, &color);
     let config = rule(Rule::FourTap);
-    let db = |mesh: &Figure| {
-        let texture = unproject(&mesh.mesh(), &shot.table, &shot.views(), &config).unwrap();
-        psnr(&texture, &shot.figure, &shot.table, &color)
+    let db = |mesh: &TexturedMesh| {
+        let texture = unproject(&mesh.mesh(), &capture.table, &capture.views(), &config).unwrap();
+        psnr(&texture, &capture.figure, &capture.table, &color)
     };
-    let (first, second) = (db(&plain), db(&shot.figure));
+    let (first, second) = (db(&plain), db(&capture.figure));
     assert!(second >= first + 6.0, "{first} dB, then {second} dB");
 }

@@ -1,4 +1,4 @@
-//! What is visible, against geometry that says so exactly.
+//! Visibility rules against geometry with exact answers.
 
 mod scenes;
 
@@ -6,14 +6,14 @@ use glam::{DVec3, Vec2, Vec3};
 use gs_core::Camera;
 use gs_texel::unproject::{UnprojectConfig, unproject};
 use gs_texel::visibility::{Rates, Rule};
-use scenes::{Figure, plate, render, ring, sphere, two_spheres, views, waves};
+use scenes::{TexturedMesh, plate, render, ring, sphere, two_spheres, views, waves};
 
 fn rule(rule: Rule) -> UnprojectConfig {
     UnprojectConfig { rule, keep_views: true, ..UnprojectConfig::default() }
 }
 
 /// Weights per texel and view.
-fn seen(figure: &Figure, cameras: &[Camera], size: usize, config: &UnprojectConfig) -> Vec<f32> {
+fn seen(figure: &TexturedMesh, cameras: &[Camera], size: usize, config: &UnprojectConfig) -> Vec<f32> {
     let images: Vec<_> = cameras.iter().map(|c| render(figure, c, &waves(4.0))).collect();
     unproject(&figure.mesh(), &figure.table(size), &views(cameras, &images), config).unwrap().by_view
 }
@@ -42,7 +42,7 @@ fn a_sphere_shows_its_analytic_share() {
 }
 
 /// A wall, a small plate `gap` before its middle, and a camera in front.
-fn wall(gap: f32) -> (Figure, Vec<Camera>) {
+fn wall(gap: f32) -> (TexturedMesh, Vec<Camera>) {
     let back = plate(Vec3::ZERO, Vec3::X * 0.9, Vec3::Y * 0.9, 6, Vec2::ZERO, Vec2::new(0.7, 1.0));
     let front = plate(Vec3::Z * gap, Vec3::X * 0.25, Vec3::Y * 0.25, 2, Vec2::new(0.75, 0.0), Vec2::new(1.0, 0.3));
     let eye = DVec3::new(0.2, 0.1, 3.0);

@@ -1,4 +1,4 @@
-//! Closed surfaces of revolution and their charts, into a template.
+//! Builds templates from closed surfaces of revolution and their charts.
 
 use crate::character::Character;
 use crate::skeleton::{Joint, Node, Skeleton, Trs};
@@ -14,61 +14,61 @@ const GUTTER: f32 = 0.02;
 /// A rectangle of the atlas.
 #[derive(Clone, Copy)]
 pub(super) struct Cell {
-    pub low: Vec2,
-    pub high: Vec2,
+    pub(super) low: Vec2,
+    pub(super) high: Vec2,
 }
 
 impl Cell {
-    pub fn new(u: [f32; 2], v: [f32; 2]) -> Self {
+    pub(super) fn new(u: [f32; 2], v: [f32; 2]) -> Self {
         Self { low: Vec2::new(u[0], v[0]), high: Vec2::new(u[1], v[1]) }
     }
 
-    /// From `[0, 1]²` of the chart into the atlas.
-    pub fn place(&self, local: Vec2) -> Vec2 {
+    /// Atlas coordinate of a point of `[0, 1]²` of the chart.
+    pub(super) fn place(&self, local: Vec2) -> Vec2 {
         let gutter = GUTTER * Vec2::ONE;
         self.low + gutter + local * (self.high - self.low - 2.0 * gutter)
     }
 
-    /// The way back; outside `[0, 1]²` in the gutter.
+    /// Inverse of [`Cell::place`]; outside `[0, 1]²` in the gutter.
     fn local(&self, uv: Vec2) -> Vec2 {
         let gutter = GUTTER * Vec2::ONE;
         (uv - self.low - gutter) / (self.high - self.low - 2.0 * gutter)
     }
 }
 
-/// A body under construction.
+/// The template under construction, and its charts.
 #[derive(Default)]
 pub(super) struct Builder {
-    pub template: Template,
+    pub(super) template: Template,
     cells: Vec<Cell>,
 }
 
 impl Builder {
     /// Adds a vertex with its weights.
-    pub fn vertex(&mut self, point: Vec3, weights: Vec<(u32, f32)>) -> u32 {
+    pub(super) fn vertex(&mut self, point: Vec3, weights: Vec<(u32, f32)>) -> u32 {
         self.template.vertices.push(point);
         self.template.weights.push(weights, 0);
         self.template.vertices.len() as u32 - 1
     }
 
-    pub fn uv(&mut self, uv: Vec2) -> u32 {
+    pub(super) fn uv(&mut self, uv: Vec2) -> u32 {
         self.template.uvs.push(uv);
         self.template.uvs.len() as u32 - 1
     }
 
-    pub fn face(&mut self, face: [u32; 3], uvs: [u32; 3]) {
+    pub(super) fn face(&mut self, face: [u32; 3], uvs: [u32; 3]) {
         self.template.faces.push(face);
         self.template.face_uvs.push(uvs);
         self.template.face_materials.push(0);
     }
 
-    pub fn chart(&mut self, cell: Cell) {
+    pub(super) fn chart(&mut self, cell: Cell) {
         self.cells.push(cell);
     }
 
     /// A closed surface `point(s, φ)`, `s` from pole to pole, `rings` bands of `segments` quads (triangles at the poles).
     /// Bands are narrow near the poles: `s = (1 − cos(π k / rings)) / 2`.
-    pub fn lathe(
+    pub(super) fn lathe(
         &mut self,
         cell: Cell,
         [rings, segments]: [usize; 2],
@@ -108,11 +108,11 @@ impl Builder {
                 }
             }
         }
-        self.turn_outwards(first_face);
+        self.orient_outwards(first_face);
     }
 
     /// Reverses the faces from `first` on if the volume they enclose is negative.
-    pub fn turn_outwards(&mut self, first: usize) {
+    pub(super) fn orient_outwards(&mut self, first: usize) {
         let Template { vertices, faces, face_uvs, .. } = &mut self.template;
         let volume = |f: &[u32; 3]| {
             let [a, b, c] = f.map(|v| vertices[v as usize].as_dvec3());
@@ -124,8 +124,8 @@ impl Builder {
         }
     }
 
-    /// The character: its skeleton, its vertices in their order, and its painted atlas of `size × size` texels.
-    pub fn finish(self, skeleton: Skeleton, name: &str, size: usize) -> Character {
+    /// The finished character, with a texture of `size × size` texels.
+    pub(super) fn finish(self, skeleton: Skeleton, name: &str, size: usize) -> Character {
         let Self { mut template, cells } = self;
         template.materials =
             vec![Material { name: name.into(), texture: Some(Arc::new(paint(&cells, size))), ..Material::default() }];
@@ -134,7 +134,7 @@ impl Builder {
     }
 }
 
-/// Each chart in a colour of its own under a few waves that close around it.
+/// The texture: each chart in its own colour with a few waves, periodic around it.
 fn paint(cells: &[Cell], size: usize) -> Image {
     let mut image = Image::zeros(size, size, 4);
     for y in 0..size {
@@ -162,7 +162,7 @@ fn wave(chart: usize, at: Vec2) -> Vec3 {
     Vec3::new(channel(0), channel(1), channel(2))
 }
 
-/// A skeleton of nodes given by name, parent and place in the world, unturned; all are joints, bound where they stand.
+/// A skeleton of unrotated nodes given by name, parent and world position; all are joints, bound in the rest pose.
 pub(super) fn rig(places: &[(&str, Option<u32>, [f64; 3])]) -> Skeleton {
     let world = |k: u32| DVec3::from_array(places[k as usize].2);
     let node = |&(name, parent, at): &(&str, Option<u32>, [f64; 3])| Node {

@@ -1,9 +1,9 @@
-//! The built-in person: torso, head, arms, legs and feet, 17 joints, three motions and two morphs.
+//! The built-in person: torso, head, arms, legs and feet, 17 joints, three clips and two morphs.
 
 use super::build::{Builder, Cell, chain, rig};
 use crate::character::Character;
 use crate::clip::{Channel, Clip, Interpolation, Target};
-use crate::skeleton::{Skeleton, turn_about};
+use crate::skeleton::{Skeleton, axis_angle};
 use crate::template::Morph;
 use glam::{DVec3, Vec3};
 use std::f64::consts::TAU;
@@ -12,16 +12,16 @@ use std::f64::consts::TAU;
 const ATLAS: usize = 512;
 /// Half the length over which one joint takes over from another, metres.
 const BLEND: f32 = 0.07;
-/// Keys a motion has.
+/// Keys of each channel of a clip.
 const KEYS: usize = 33;
 
-/// Joints by number.
+/// Rows of joints.
 const HIPS: u32 = 0;
 const SPINE: u32 = 1;
 const CHEST: u32 = 2;
 const NECK: u32 = 3;
 const HEAD: u32 = 4;
-/// Of the left side (`+x`); the right side's are one higher.
+/// Left side (`+x`); rows of the right side are one higher.
 const UPPER_ARM: u32 = 5;
 const FORE_ARM: u32 = 7;
 const HAND: u32 = 9;
@@ -52,8 +52,8 @@ const JOINTS: [(&str, Option<u32>, [f64; 3]); 17] = [
 /// A person of 1.75 m in a T-pose (bind and rest), about 3900 vertices, eight charts.
 ///
 /// Clips: `walk` (1 s, on the spot), `wave` (2 s, right arm), `turn` (4 s, once about the vertical); each ends where it
-/// begins. Morphs: `breathe` (the chest, 2 cm at weight 1), `swing` (the lower torso to its left, 6 cm), moved by every clip:
-/// offsets in the bind pose that no joint explains.
+/// begins. Morphs, animated by every clip: `breathe` (the chest, 2 cm at weight 1) and `swing` (the lower torso to its left,
+/// 6 cm).
 pub fn person() -> Character {
     let mut body = Builder::default();
     torso(&mut body);
@@ -153,7 +153,7 @@ fn foot(body: &mut Builder, side: u32) {
     body.lathe(Cell::new([u, u + 0.225], [0.24, 0.44]), [12, 14], &point, &|_| vec![(FOOT + side, 1.0)]);
 }
 
-/// Offsets of the torso, smooth, gone at its ends.
+/// Smooth offsets of the torso, 0 at its ends.
 fn morphs(vertices: &[Vec3]) -> Vec<Morph> {
     let bump = |x: f32, centre: f32, half: f32| {
         let t = (1.0 - ((x - centre) / half).powi(2)).max(0.0);
@@ -166,7 +166,7 @@ fn morphs(vertices: &[Vec3]) -> Vec<Morph> {
     vec![morph("breathe", vertices.iter().map(breathe).collect()), morph("swing", vertices.iter().map(swing).collect())]
 }
 
-/// A motion of `seconds` from angles of a joint about an axis, `angle(phase)` with the phase from 0 to 2π.
+/// A clip of `seconds`, whose channels are functions of a phase from 0 to 2π.
 struct Motion {
     clip: Clip,
     times: Vec<f64>,
@@ -188,7 +188,7 @@ impl Motion {
     }
 
     fn turn(&mut self, joint: u32, axis: DVec3, angle: impl Fn(f64) -> f64) {
-        self.keys(Target::Rotation(joint), |p| turn_about(axis, angle(p)).to_vec());
+        self.keys(Target::Rotation(joint), |p| axis_angle(axis, angle(p)).to_vec());
     }
 
     /// Both arms hang, swinging by `swing` radians against one another.
@@ -197,8 +197,8 @@ impl Motion {
             let sign = f64::from(mirrored(side));
             let (axis, hang) = (DVec3::new(0.0, 0.0, 1.0), -1.2 * sign);
             self.keys(Target::Rotation(UPPER_ARM + side), |p| {
-                let swung = turn_about(DVec3::X, sign * swing * p.sin());
-                gs_core::rot::hamilton(swung, turn_about(axis, hang)).to_vec()
+                let swung = axis_angle(DVec3::X, sign * swing * p.sin());
+                gs_core::rot::hamilton(swung, axis_angle(axis, hang)).to_vec()
             });
             self.turn(FORE_ARM + side, DVec3::Y, |_| -0.25 * sign);
         }

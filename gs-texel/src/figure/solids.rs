@@ -1,9 +1,9 @@
-//! Bodies that closed forms are known for.
+//! Bodies with closed forms.
 
 use super::build::{Builder, Cell, rig};
 use crate::character::Character;
 use crate::clip::{Channel, Clip, Interpolation, Target};
-use crate::skeleton::turn_about;
+use crate::skeleton::axis_angle;
 use glam::{DVec3, Vec2, Vec3};
 use std::f32::consts::TAU;
 
@@ -26,7 +26,7 @@ pub fn sphere(radius: f32, rings: usize, segments: usize) -> Character {
     body.finish(rig(&[("body", None, [0.0; 3])]), "sphere", ATLAS)
 }
 
-/// A flat square of side `size` in the plane `z = 0`, seen from `+z`, `cells × cells` quads, on one joint, one chart.
+/// A flat square of side `size` in the plane `z = 0`, facing `+z`: `cells × cells` quads, one joint, one chart.
 pub fn plate(size: f32, cells: usize) -> Character {
     let mut body = Builder::default();
     let cell = Cell::new([0.0, 1.0], [0.0, 1.0]);
@@ -50,16 +50,16 @@ pub fn plate(size: f32, cells: usize) -> Character {
     body.finish(rig(&[("body", None, [0.0; 3])]), "plate", ATLAS)
 }
 
-/// A cylinder of two bones.
+/// Shape of a [`cylinder`] with two bones.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cylinder {
-    /// Metres.
+    /// Radius, metres. Default: 0.2.
     pub radius: f32,
-    /// Along `y`, from 0, metres.
+    /// Extent along `y`, from 0, metres. Default: 1.
     pub height: f32,
-    /// Length around the middle over which the upper bone's weight grows linearly from 0 to 1, metres.
+    /// Length around the middle over which the upper bone's weight grows linearly from 0 to 1, metres. Default: 0.4.
     pub ramp: f32,
-    /// Bands along and quads around.
+    /// Number of bands along `y` and of quads around. Default: 24 and 32.
     pub bands: [usize; 2],
 }
 
@@ -69,7 +69,7 @@ impl Default for Cylinder {
     }
 }
 
-/// The cylinder with three charts: its side unrolled, its two caps as disks. Clips, 1 s each from 0 to a right angle:
+/// A cylinder with three charts: its side unrolled, its two caps as disks. Clips, 1 s each from 0 to a right angle:
 /// `bend` (about `x`) and `twist` (about `y`) of the upper half.
 pub fn cylinder(shape: &Cylinder) -> Character {
     let Cylinder { radius, height, ramp, bands: [along, around] } = *shape;
@@ -116,7 +116,7 @@ pub fn cylinder(shape: &Cylinder) -> Character {
             }
         }
     }
-    body.turn_outwards(0);
+    body.orient_outwards(0);
     let half = f64::from(height) * 0.5;
     let skeleton = rig(&[("lower", None, [0.0; 3]), ("upper", Some(0), [0.0, half, 0.0])]);
     let clips = vec![quarter("bend", DVec3::X), quarter("twist", DVec3::Y)];
@@ -124,7 +124,7 @@ pub fn cylinder(shape: &Cylinder) -> Character {
 }
 
 fn quarter(name: &str, axis: DVec3) -> Clip {
-    let values = [turn_about(axis, 0.0), turn_about(axis, std::f64::consts::FRAC_PI_2)].concat();
+    let values = [axis_angle(axis, 0.0), axis_angle(axis, std::f64::consts::FRAC_PI_2)].concat();
     let (target, interpolation) = (Target::Rotation(1), Interpolation::Linear);
     Clip { name: name.into(), channels: vec![Channel { target, interpolation, times: vec![0.0, 1.0], values }] }
 }

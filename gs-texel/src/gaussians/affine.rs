@@ -1,34 +1,34 @@
-//! The covariance that the whole matrix makes of a Gaussian, as rotation and standard deviations again:
+//! The covariance of a Gaussian under the full matrix `R`, factored into rotation and standard deviations again:
 //!
 //! ```text
 //! M = R Rot(r̂) diag(s) = U diag(σ) Vᵀ        Σ = M Mᵀ = U diag(σ²) Uᵀ
 //! ```
-//! by one-sided Jacobi rotations of the columns of `M`, which keep small standard deviations as exact as large ones, and which
-//! leave the axes where they are if `R` is rigid. Way back, with `Ω` an infinitesimal turn of `U` about its own axes:
+//! by one-sided Jacobi rotations of the columns of `M`, which keep small standard deviations as accurate as large ones, and
+//! leave the axes unchanged if `R` is rigid. Backward, with `Ω` an infinitesimal rotation of `U` about its own axes:
 //! ```text
 //! G' = Uᵀ g_Σ U:  G'_ii = g_σi/(2σ_i),   G'_ij = g_Ωij/(2 (σ_j² − σ_i²))        g_M = 2 U G' diag(σ) Vᵀ
 //! ```
-//! Where two standard deviations are alike, a Gaussian's rotation and scales do not tell how a shear of that plane would change
-//! the picture: that part of the gradient is taken to be zero. Everything is `f64`.
+//! Where two standard deviations are nearly equal, the cotangents of rotation and scales do not determine the gradient of a
+//! shear of their plane; that part is set to zero. Everything is `f64`.
 
 use super::row::Number;
 use crate::skin::quat_of;
 use glam::{DMat3, DVec3};
 use gs_core::{covariance, rot};
 
-/// Sweeps at most; three columns need about four.
-const SWEEPS: usize = 12;
-/// Cosine below which columns are at right angles.
-const SQUARE: f64 = 1e-15;
-/// Cosine below which columns of like lengths are left alone: a rigid matrix in `f32` is square to this, and any turn of such
-/// columns would be as good.
-const SQUARE_ENOUGH: f64 = 1e-6;
-/// Columns shorter than this share of the longest have no direction of their own.
-const FLAT: f64 = 1e-12;
-/// Squares of standard deviations closer than this share of the larger are alike.
-const ALIKE: f64 = 1e-5;
+/// Jacobi sweeps; three columns need about four.
+const MAX_SWEEPS: usize = 12;
+/// Cosine below which columns count as orthogonal.
+const ORTHOGONAL: f64 = 1e-15;
+/// The same for columns of nearly equal length: a rigid matrix in `f32` is orthogonal to this, and any rotation of such
+/// columns would do.
+const ORTHOGONAL_IF_EQUAL: f64 = 1e-6;
+/// Columns shorter than this share of the longest count as zero.
+const MIN_RATIO: f64 = 1e-12;
+/// Relative difference below which squared standard deviations count as equal.
+const EQUAL_TOLERANCE: f64 = 1e-5;
 
-/// A Gaussian's axes after skinning, with what the way back needs.
+/// The axes of a Gaussian after skinning, with what backward needs.
 pub(super) struct Axes {
     linear: DMat3,
     unit: [f64; 4],
@@ -42,15 +42,15 @@ pub(super) struct Axes {
 }
 
 impl Axes {
-    /// Of the linear part `R` (rows), the quaternion `r̂` (any other than of unit length stands for [`rot::matrix`] of it) and
-    /// the standard deviations before skinning.
-    pub fn of<T: Number>(linear: &rot::Mat3<T>, unit: [T; 4], scale: [T; 3]) -> Self {
+    /// Takes the linear part `R` (rows), the quaternion `r̂` (used through [`rot::matrix`], also if not of unit length) and the
+    /// standard deviations before skinning.
+    pub(super) fn of<T: Number>(linear: &rot::Mat3<T>, unit: [T; 4], scale: [T; 3]) -> Self {
         let linear = from_rows(linear.map(|r| r.map(T::wide)));
         let (unit, before) = (unit.map(T::wide), scale.map(T::wide));
         let m = linear * from_rows(rot::matrix(unit)) * DMat3::from_diagonal(DVec3::from_array(before));
         let (mut columns, mut mixing) = ([m.x_axis, m.y_axis, m.z_axis], [DVec3::X, DVec3::Y, DVec3::Z]);
-        for _ in 0..SWEEPS {
-            let turned = [(0, 1), (0, 2), (1, 2)].map(|(p, q)| square(&mut columns, &mut mixing, p, q));
+        for _ in 0..MAX_SWEEPS {
+            let turned = [(0, 1), (0, 2), (1, 2)].map(|(p, q)| orthogonalise(&mut columns, &mut mixing, p, q));
             if turned == [false; 3] {
                 break;
             }
@@ -60,13 +60,13 @@ impl Axes {
         Self { linear, unit, before, axes, after, mixing }
     }
 
-    /// Rotation `(w, x, y, z)` and standard deviations.
-    pub fn gaussian(&self) -> ([f64; 4], [f64; 3]) {
+    /// Quaternion `(w, x, y, z)` and standard deviations after skinning.
+    pub(super) fn gaussian(&self) -> ([f64; 4], [f64; 3]) {
         (quat_of(&self.axes), self.after)
     }
 
     /// Cotangents of `r̂` and of the standard deviations before skinning.
-    pub fn backward(&self, d_quat: [f64; 4], d_scale: [f64; 3]) -> ([f64; 4], [f64; 3]) {
+    pub(super) fn backward(&self, d_quat: [f64; 4], d_scale: [f64; 3]) -> ([f64; 4], [f64; 3]) {
         let q = quat_of(&self.axes);
         let turn = |axis: usize| {
             let mut half = [0.0; 4];
@@ -75,8 +75,9 @@ impl Axes {
         };
         let [x, y, z] = [turn(0), turn(1), turn(2)];
         let [s0, s1, s2] = self.after.map(|s| s * s);
-        let share =
-            |d: f64, from: f64, to: f64| if (to - from).abs() <= ALIKE * to.max(from) { 0.0 } else { d / (to - from) };
+        let share = |d: f64, from: f64, to: f64| {
+            if (to - from).abs() <= EQUAL_TOLERANCE * to.max(from) { 0.0 } else { d / (to - from) }
+        };
         // Twice G', off the diagonal.
         let (xy, xz, yz) = (-share(z, s0, s1), share(y, s0, s2), -share(x, s1, s2));
         let [a, b, c] = self.after;
@@ -93,15 +94,15 @@ impl Axes {
     }
 }
 
-/// Whether squared lengths are too close to tell two axes apart.
-fn alike(a: f64, b: f64) -> bool {
-    (a - b).abs() <= ALIKE * a.max(b)
+/// Whether squared lengths count as equal.
+fn nearly_equal(a: f64, b: f64) -> bool {
+    (a - b).abs() <= EQUAL_TOLERANCE * a.max(b)
 }
 
-/// Turns columns `p` and `q` until they are at right angles, by the smaller of the two turns; whether they were not.
-fn square(columns: &mut [DVec3; 3], mixing: &mut [DVec3; 3], p: usize, q: usize) -> bool {
+/// Makes columns `p` and `q` orthogonal by the smaller of the two rotations. Returns whether they were not.
+fn orthogonalise(columns: &mut [DVec3; 3], mixing: &mut [DVec3; 3], p: usize, q: usize) -> bool {
     let (a, b, along) = (columns[p].length_squared(), columns[q].length_squared(), columns[p].dot(columns[q]));
-    let limit = if alike(a, b) { SQUARE_ENOUGH } else { SQUARE };
+    let limit = if nearly_equal(a, b) { ORTHOGONAL_IF_EQUAL } else { ORTHOGONAL };
     if along.abs() <= limit * (a * b).sqrt() {
         return false;
     }
@@ -124,11 +125,11 @@ fn directions(columns: &[DVec3; 3], mixing: &mut [DVec3; 3]) -> (DMat3, [f64; 3]
     let [first, second, third] = order;
     let mut axes = [DVec3::ZERO; 3];
     axes[first] = columns[first].try_normalize().unwrap_or(DVec3::X);
-    let flat = lengths[second] <= FLAT * lengths[first];
+    let flat = lengths[second] <= MIN_RATIO * lengths[first];
     let beside = columns[second].reject_from_normalized(axes[first]);
     axes[second] = if flat { axes[first].any_orthonormal_vector() } else { beside.normalize() };
     axes[third] = axes[first].cross(axes[second]).normalize();
-    // An odd order of columns turns the other way round.
+    // An odd permutation of columns flips the orientation.
     if (second + 3 - first) % 3 == 2 {
         axes[third] = -axes[third];
     }
@@ -144,15 +145,4 @@ fn from_rows(m: rot::Mat3<f64>) -> DMat3 {
 
 fn to_rows(m: DMat3) -> rot::Mat3<f64> {
     m.transpose().to_cols_array_2d()
-}
-
-/// Rotation and standard deviations of a covariance matrix; [`None`] if it is not finite.
-pub(super) fn of_covariance(sigma: &DMat3) -> Option<([f64; 4], [f64; 3])> {
-    if !sigma.is_finite() {
-        return None;
-    }
-    let rows = to_rows(*sigma);
-    let axes = Axes::of(&rows, [1.0, 0.0, 0.0, 0.0], [1.0; 3]);
-    let (quat, variances) = axes.gaussian();
-    Some((quat, variances.map(f64::sqrt)))
 }

@@ -1,60 +1,60 @@
-//! What the surface gives each texel: a point, a matrix, a rotation, a refinement of scale.
+//! Base maps: point, skinning matrix, rotation and scale factor of each texel, interpolated from vertices.
 
 use crate::texels::TexelTable;
 use glam::{Affine3A, DAffine3, DVec3, Vec3};
 use gs_core::{Camera, rot};
 use rayon::prelude::*;
 
-/// Texels to a thread at least.
+/// Texels of the smallest parallel task.
 const CHUNK: usize = 1024;
 
 /// The base maps of all valid texels, `K` rows in the order of [`TexelTable::valid`].
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TexelBase {
-    /// `c`: points of the deformed bind pose.
+    /// `c`: points of the deformed bind pose, metres.
     pub points: Vec<Vec3>,
-    /// `[R | τ]`: blended skinning matrices, relative to whatever origin the vertices' were.
+    /// `[R | τ]`: blended skinning matrices, relative to the origin of the vertices' matrices.
     pub transforms: Vec<Affine3A>,
-    /// `q_R`: rotations `(w, x, y, z)` of the matrices.
-    pub turns: Vec<[f32; 4]>,
-    /// `κ`: factors on all three standard deviations.
+    /// `q_R`: unit quaternions `(w, x, y, z)` of the matrices' rotations.
+    pub rotations: Vec<[f32; 4]>,
+    /// `κ`: factor on all three standard deviations.
     pub kappas: Vec<f32>,
 }
 
-/// Columns of vertices that do not belong together.
+/// Faults of the columns of vertices.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum BaseError {
-    /// One has another number of rows.
+    /// A column does not have one row per vertex.
     #[error("`{column}` has {got} rows, the mesh has {want} vertices")]
     Length {
-        /// Which column.
+        /// Name of the column.
         column: &'static str,
-        /// Its rows.
+        /// Number of rows it has.
         got: usize,
-        /// Rows needed.
+        /// Number of vertices.
         want: usize,
     },
-    /// A value that is not finite.
+    /// A value is not finite.
     #[error("row {row} of `{column}` is not finite; check the pose and the offsets of this frame")]
     NotFinite {
-        /// Which column.
+        /// Name of the column.
         column: &'static str,
-        /// The first such row.
+        /// First row that is not finite.
         row: usize,
     },
     /// A face names a vertex that is not there.
     #[error("face {face} names a vertex beyond the {vertices} of the mesh")]
     Face {
-        /// Which face.
+        /// Row of the face.
         face: u32,
-        /// Vertices there.
+        /// Number of vertices of the mesh.
         vertices: usize,
     },
 }
 
 impl TexelBase {
-    /// From columns of vertices: the deformed bind pose `v̄ + D`, the blended matrices and their rotations
-    /// ([`crate::skin`]), and κ. Rotations are blended as quaternions, turned to the side of the first corner.
+    /// Interpolates columns of vertices: the deformed bind pose `v̄ + D`, blended matrices and their rotations
+    /// ([`crate::skin::rotations`]), and κ. Quaternions get the sign of the first corner's before they are averaged.
     ///
     /// # Errors
     /// If columns differ in length, a value is not finite, or a face names a vertex that is not there.
@@ -63,11 +63,13 @@ impl TexelBase {
         faces: &[[u32; 3]],
         points: &[Vec3],
         transforms: &[Affine3A],
-        turns: &[[f32; 4]],
+        rotations: &[[f32; 4]],
         kappas: &[f32],
     ) -> Result<Self, BaseError> {
         let want = points.len();
-        for (column, got) in [("transforms", transforms.len()), ("rotations", turns.len()), ("kappas", kappas.len())] {
+        for (column, got) in
+            [("transforms", transforms.len()), ("rotations", rotations.len()), ("kappas", kappas.len())]
+        {
             if got != want {
                 return Err(BaseError::Length { column, got, want });
             }
@@ -79,54 +81,54 @@ impl TexelBase {
         let finite = |column, row: Option<usize>| row.map_or(Ok(()), |row| Err(BaseError::NotFinite { column, row }));
         finite("points", points.iter().position(|p| !p.is_finite()))?;
         finite("transforms", transforms.iter().position(|t| !t.is_finite()))?;
-        finite("rotations", turns.iter().position(|q| !q.iter().all(|v| v.is_finite())))?;
+        finite("rotations", rotations.iter().position(|q| !q.iter().all(|v| v.is_finite())))?;
         finite("kappas", kappas.iter().position(|k| !k.is_finite()))?;
         let row = |k: usize| {
             let (face, w) = (faces[table.tri[k] as usize].map(|v| v as usize), table.weights(k));
             let mut transform = Affine3A::ZERO;
-            let mut turn = [0.0f32; 4];
+            let mut rotation = [0.0f32; 4];
             for (v, w) in face.into_iter().zip(w) {
                 transform.matrix3 += transforms[v].matrix3 * w;
                 transform.translation += transforms[v].translation * w;
-                let along: f32 = turns[v].iter().zip(turns[face[0]]).map(|(a, b)| a * b).sum();
+                let along: f32 = rotations[v].iter().zip(rotations[face[0]]).map(|(a, b)| a * b).sum();
                 let w = if along < 0.0 { -w } else { w };
-                turn = std::array::from_fn(|i| turn[i] + w * turns[v][i]);
+                rotation = std::array::from_fn(|i| rotation[i] + w * rotations[v][i]);
             }
-            let unit = rot::normalise(turn).wxyz;
-            let turn = if unit == [0.0; 4] { [1.0, 0.0, 0.0, 0.0] } else { unit };
+            let unit = rot::normalise(rotation).wxyz;
+            let rotation = if unit == [0.0; 4] { [1.0, 0.0, 0.0, 0.0] } else { unit };
             let kappa = face.into_iter().zip(w).map(|(v, w)| kappas[v] * w).sum::<f32>();
             let point = face.into_iter().zip(w).map(|(v, w)| points[v] * w).sum::<Vec3>();
-            (point, transform, turn, kappa)
+            (point, transform, rotation, kappa)
         };
         let rows: Vec<_> = (0..table.len()).into_par_iter().with_min_len(CHUNK).map(row).collect();
         let mut base = Self::default();
-        for (point, transform, turn, kappa) in rows {
+        for (point, transform, rotation, kappa) in rows {
             base.points.push(point);
             base.transforms.push(transform);
-            base.turns.push(turn);
+            base.rotations.push(rotation);
             base.kappas.push(kappa);
         }
         Ok(base)
     }
 
-    /// Texels.
+    /// Number of texels `K`, the rows of every column.
     pub fn len(&self) -> usize {
         self.points.len()
     }
 
-    /// Whether there is none.
+    /// Whether there are no texels.
     pub fn is_empty(&self) -> bool {
         self.points.is_empty()
     }
 }
 
-/// The joints' matrices with `origin` (the root's position, say) moved to zero, in `f64`: blend these.
-pub fn about(joints: &[DAffine3], origin: DVec3) -> Vec<DAffine3> {
+/// Skinning matrices of joints relative to `origin`, such as the root's position: `τ − origin`, in `f64`.
+pub fn relative_to(joints: &[DAffine3], origin: DVec3) -> Vec<DAffine3> {
     let moved = |a: &DAffine3| DAffine3 { translation: a.translation - origin, ..*a };
     joints.iter().map(moved).collect()
 }
 
-/// The camera that sees a world moved by `−origin` as `camera` sees the world.
-pub fn camera_about(camera: &Camera, origin: DVec3) -> Camera {
+/// The camera whose image of a world shifted by `−origin` equals that of `camera` of the world.
+pub fn camera_relative_to(camera: &Camera, origin: DVec3) -> Camera {
     Camera { translation: camera.translation + camera.rotation * origin, ..camera.clone() }
 }

@@ -1,63 +1,63 @@
-//! Which channel says what: `[0:3] ŝ, [3:7] r, [7] α̂, [8:11] d, [11:14] SH dc, [14:] SH rest` (coefficient-major, rgb-minor).
+//! Layout of the channels of a texel: `[0:3] ŝ, [3:7] r, [7] α̂, [8:11] d, [11:14] SH dc, [14:] SH rest` (coefficient-major, rgb-minor).
 
 use gs_core::{Image, sh};
 use std::ops::Range;
 
-/// Log standard deviations, before κ.
+/// Channels of the log standard deviations `ŝ`, before κ.
 pub const SCALE: Range<usize> = 0..3;
-/// Quaternion `(w, x, y, z)` in the bind pose, any length.
+/// Channels of the quaternion `r`, `(w, x, y, z)` in the bind pose, of any length.
 pub const QUAT: Range<usize> = 3..7;
-/// Logit of the opacity.
+/// Channel of the opacity logit `α̂`.
 pub const OPACITY: usize = 7;
-/// Offset in the bind pose, metres.
+/// Channels of the offset `d` in the bind pose, metres.
 pub const OFFSET: Range<usize> = 8..11;
-/// Spherical harmonics begin here.
+/// First channel of the spherical harmonics.
 pub const COLOR: usize = 11;
 
-/// The channels of a texel with spherical harmonics up to `degree`: `11 + 3 (degree + 1)²`.
+/// Channel count for spherical harmonics up to `degree`: `11 + 3 (degree + 1)²`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Channels {
     degree: u8,
 }
 
-/// Maps or rows that do not have the channels.
+/// Faults of maps or rows.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ChannelsError {
-    /// Spherical harmonics end at degree 3.
+    /// The degree of spherical harmonics is above 3.
     #[error("SH degree {0} is not supported (0 to 3)")]
     Degree(u8),
-    /// A map of another shape.
+    /// A map has another shape.
     #[error("a map of {got:?} (width, height, channels) was given where {want:?} is needed")]
     Shape {
-        /// Its shape.
+        /// Its width, height and channels.
         got: (usize, usize, usize),
-        /// The shape of the table with these channels.
+        /// Width, height and channels needed.
         want: (usize, usize, usize),
     },
-    /// A column of another length.
+    /// A column has another length.
     #[error("`{column}` holds {got} values, {want} are needed for {texels} texels")]
     Length {
-        /// Which column.
+        /// Name of the column.
         column: &'static str,
-        /// Values there.
+        /// Number of values it has.
         got: usize,
-        /// Values needed.
+        /// Number of values needed.
         want: usize,
-        /// Valid texels.
+        /// Number of valid texels.
         texels: usize,
     },
-    /// A valid texel beyond the map.
+    /// A valid texel lies outside the map.
     #[error("texel {texel} lies beyond a map of {size} x {size}")]
     Beyond {
-        /// Its number, `y · size + x`.
+        /// Its index, `y · size + x`.
         texel: u32,
-        /// Side of the map.
+        /// Side of the map, texels.
         size: usize,
     },
 }
 
 impl Channels {
-    /// Channels with spherical harmonics up to `degree`.
+    /// Channels with spherical harmonics up to `degree`, 0 to 3.
     ///
     /// # Errors
     /// If it is above 3.
@@ -65,12 +65,12 @@ impl Channels {
         if degree > sh::MAX_DEGREE { Err(ChannelsError::Degree(degree)) } else { Ok(Self { degree }) }
     }
 
-    /// The highest degree there is room for.
+    /// Degree of the spherical harmonics.
     pub fn degree(self) -> u8 {
         self.degree
     }
 
-    /// Values per texel.
+    /// Number of channels, the values per texel.
     pub fn width(self) -> usize {
         COLOR + 3 * sh::coeffs(self.degree)
     }
@@ -78,7 +78,7 @@ impl Channels {
     /// Rows `[K, width]` of the valid texels of an `S × S × width` map.
     ///
     /// # Errors
-    /// If the map has another shape or a texel lies beyond it.
+    /// If the map has another shape or a texel lies outside it.
     pub fn gather(self, map: &Image, valid: &[u32]) -> Result<Vec<f32>, ChannelsError> {
         let want = (map.width, map.width, self.width());
         if map.shape() != want {
@@ -89,10 +89,10 @@ impl Channels {
         Ok(valid.iter().flat_map(pixel).copied().collect())
     }
 
-    /// An `S × S × width` map of rows `[K, width]`, zeros at other texels: also the way back of [`Channels::gather`].
+    /// An `S × S × width` map of rows `[K, width]`, zero at other texels; also the backward of [`Channels::gather`].
     ///
     /// # Errors
-    /// If the rows have another length or a texel lies beyond the map.
+    /// If the rows have another length or a texel lies outside the map.
     pub fn scatter(self, rows: &[f32], valid: &[u32], size: usize) -> Result<Image, ChannelsError> {
         self.check(rows, valid, size, true)?;
         let width = self.width();
@@ -111,7 +111,7 @@ impl Channels {
         beyond.map_or(Ok(()), |&texel| Err(ChannelsError::Beyond { texel, size }))
     }
 
-    /// Refuses a column that does not hold `each` values for every texel.
+    /// Checks that a column holds `each` values for every texel.
     pub(super) fn length(
         self,
         column: &'static str,

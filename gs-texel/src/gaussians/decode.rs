@@ -1,4 +1,4 @@
-//! All texels, forward and back.
+//! Decoding of all texels, and its backward.
 
 use super::base::TexelBase;
 use super::channels::{COLOR, Channels, ChannelsError, OFFSET};
@@ -8,32 +8,32 @@ use gs_core::{Color, Kernel, Splats, SplatsGrad, sh};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-/// Texels of one parallel piece; sums of pieces are added in order.
-const PIECE: usize = 1024;
+/// Texels of one parallel task; sums of tasks are added in order.
+const CHUNK: usize = 1024;
 
-/// What skinning makes of a Gaussian's shape.
+/// How skinning transforms the covariance of a Gaussian.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Covariance {
-    /// Turned by the nearest rotation of the blended matrix, standard deviations kept.
+    /// Rotated by the nearest rotation to the blended matrix; standard deviations are kept.
     #[default]
     Polar,
-    /// Mapped by the matrix itself: it shrinks and shears with the surface.
+    /// Transformed by the matrix itself: `R Σ Rᵀ` shrinks and shears with the surface.
     Affine,
-    /// Turned by the quaternion that the conversion of rotations makes of the blended matrix, which is none: not of unit
-    /// length where joints bend, and drawn as it is. The published code's; for comparison.
+    /// Rotated by the matrix-to-quaternion conversion of the blended matrix, which is not of unit length where joints bend, and
+    /// is not normalised. DUT's published code; for comparison.
     Raw,
 }
 
-/// How rows become Gaussians.
+/// Options of [`decode`].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct DecodeOptions {
-    /// What skinning does to shapes.
+    /// How skinning transforms covariances. Default: [`Covariance::Polar`].
     pub covariance: Covariance,
-    /// Spherical harmonics drawn, at most those there are channels for. 0: the published method's; 1 is better.
+    /// Degree of spherical harmonics in the splats, at most that of the channels. Default: 1; the published method uses 0.
     pub sh_active: u8,
-    /// Smallest and largest standard deviation before κ, metres. Outside, log-scales have no gradient.
+    /// Smallest and largest standard deviation before κ, metres. Log-scales outside have no gradient. Default: 1e-5 to 0.5.
     pub scale_range: [f64; 2],
 }
 
@@ -55,20 +55,20 @@ impl DecodeOptions {
 }
 
 impl TexelBase {
-    /// Row `k`, for [`row`].
+    /// The base of texel `k`, for the functions of [`row`].
     pub fn row(&self, k: usize) -> Base<f32> {
         let t = &self.transforms[k];
         Base {
             point: self.points[k].to_array(),
             linear: t.matrix3.transpose().to_cols_array_2d(),
-            shift: t.translation.to_array(),
-            turn: self.turns[k],
+            translation: t.translation.to_array(),
+            rotation: self.rotations[k],
             kappa: self.kappas[k],
         }
     }
 }
 
-/// The Gaussians of rows `[K, width]`.
+/// The `K` posed Gaussians of rows `[K, width]` (equations in [`crate::gaussians`]).
 ///
 /// # Errors
 /// If rows and base have different lengths.
@@ -82,7 +82,7 @@ pub fn decode(
     channels.length("rows", rows.len(), width, base.len())?;
     let range = options.range();
     let one = |(k, row): (usize, &[f32])| row::decode(row, &base.row(k), options.covariance, range);
-    let made: Vec<Gaussian<f32>> = rows.par_chunks_exact(width).enumerate().with_min_len(PIECE).map(one).collect();
+    let made: Vec<Gaussian<f32>> = rows.par_chunks_exact(width).enumerate().with_min_len(CHUNK).map(one).collect();
     let coeffs = rows.chunks_exact(width).flat_map(|row| &row[COLOR..COLOR + colors]).copied().collect();
     let degree = options.sh_active.min(channels.degree());
     Ok(Splats {
@@ -95,7 +95,7 @@ pub fn decode(
     })
 }
 
-/// Gradient of [`decode`]: adds to `grad`, `[K, width]`, and to `d_points`, `dL/dc`, if it is asked for.
+/// Backward of [`decode`]: adds to `grad`, `[K, width]`, and to `d_points`, `dL/dc` with `K` rows, if given.
 ///
 /// # Errors
 /// If a column has another length.
@@ -125,7 +125,7 @@ pub fn decode_backward(
         grad[COLOR..].iter_mut().zip(&d.color[k * colors..][..colors]).for_each(|(g, d)| *g += d);
         Vec3::from_array(moved)
     };
-    let pairs = rows.par_chunks_exact(width).zip(grad.par_chunks_exact_mut(width)).enumerate().with_min_len(PIECE);
+    let pairs = rows.par_chunks_exact(width).zip(grad.par_chunks_exact_mut(width)).enumerate().with_min_len(CHUNK);
     match d_points {
         None => pairs.for_each(|pair| {
             one(pair);
@@ -143,7 +143,7 @@ pub fn offset_penalty(rows: &[f32], channels: Channels, lambda: f32, grad: &mut 
     let width = channels.width();
     let count = (3 * (rows.len() / width)).max(1) as f64;
     let slope = (2.0 * f64::from(lambda) / count) as f32;
-    let piece = |(rows, grad): (&[f32], &mut [f32])| {
+    let chunk = |(rows, grad): (&[f32], &mut [f32])| {
         let mut sum = 0.0f64;
         for (row, grad) in rows.chunks_exact(width).zip(grad.chunks_exact_mut(width)) {
             for (g, d) in grad[OFFSET].iter_mut().zip(&row[OFFSET]) {
@@ -153,7 +153,7 @@ pub fn offset_penalty(rows: &[f32], channels: Channels, lambda: f32, grad: &mut 
         }
         sum
     };
-    let pieces = rows.par_chunks(PIECE * width).zip(grad.par_chunks_mut(PIECE * width));
-    let sums: Vec<f64> = pieces.map(piece).collect();
+    let chunks = rows.par_chunks(CHUNK * width).zip(grad.par_chunks_mut(CHUNK * width));
+    let sums: Vec<f64> = chunks.map(chunk).collect();
     f64::from(lambda) * sums.iter().sum::<f64>() / count
 }

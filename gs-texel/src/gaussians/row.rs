@@ -1,4 +1,4 @@
-//! One texel, in `f32` for production and in `f64` as its reference.
+//! One texel, forward and backward, in `f32` for production and in `f64` as its reference.
 
 use super::affine;
 use super::channels::{OFFSET, OPACITY, QUAT, SCALE};
@@ -7,11 +7,11 @@ use crate::skin::raw_quat;
 use gs_core::Real;
 use gs_core::rot::{self, Mat3};
 
-/// A [`Real`] with an exponential.
+/// A [`Real`] with an exponential: `f32` or `f64`.
 pub trait Number: Real + PartialOrd {
     /// `e^self`.
     fn exp(self) -> Self;
-    /// In `f64`.
+    /// The value in `f64`.
     fn wide(self) -> f64;
 }
 
@@ -33,31 +33,31 @@ impl Number for f64 {
     }
 }
 
-/// What the surface gives one texel: see [`super::TexelBase`].
+/// One row of a [`super::TexelBase`].
 #[derive(Clone, Copy, Debug)]
 pub struct Base<T> {
-    /// `c`.
+    /// `c`: point of the deformed bind pose, metres.
     pub point: [T; 3],
-    /// `R`, rows.
+    /// `R`: linear part of the skinning matrix, by rows.
     pub linear: Mat3<T>,
-    /// `τ`.
-    pub shift: [T; 3],
-    /// `q_R`.
-    pub turn: [T; 4],
-    /// `κ`.
+    /// `τ`: translation of the skinning matrix.
+    pub translation: [T; 3],
+    /// `q_R`: unit quaternion `(w, x, y, z)` of the rotation of `R`.
+    pub rotation: [T; 4],
+    /// `κ`: factor on all standard deviations.
     pub kappa: T,
 }
 
 /// One texel's Gaussian, or its cotangents.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Gaussian<T> {
-    /// Centre.
+    /// Mean `μ` in the world, metres.
     pub mean: [T; 3],
-    /// Rotation `(w, x, y, z)`.
+    /// Quaternion `(w, x, y, z)`.
     pub quat: [T; 4],
-    /// Standard deviations.
+    /// Standard deviations along the three axes, metres.
     pub scale: [T; 3],
-    /// Opacity.
+    /// Opacity `α`, 0 to 1.
     pub opacity: T,
 }
 
@@ -68,7 +68,7 @@ fn sigmoid<T: Number>(x: T) -> T {
     one / (one + (-x).min(x.lit(88.0)).exp())
 }
 
-/// `ŝ` within its range, and 1 where it was, else 0.
+/// `ŝ` clamped to its range, and its derivative: 1 inside, 0 outside.
 fn clamp<T: Number>(x: T, [low, high]: [f64; 2]) -> (T, T) {
     let (low, high) = (x.lit(low), x.lit(high));
     let inside = x >= low && x <= high;
@@ -91,15 +91,15 @@ fn has_length<T: Number>(raw: &rot::UnitQuat<T>) -> bool {
     raw.free > raw.free.lit(0.5)
 }
 
-/// `r`, normalised, and `r̂`: the identity, without a gradient, where `r` has no length.
-fn turn_of<T: Number>(row: &[T]) -> (rot::UnitQuat<T>, [T; 4]) {
+/// `r` normalised, and `r̂`: the identity, without a gradient, where `r` has length 0.
+fn unit_quat<T: Number>(row: &[T]) -> (rot::UnitQuat<T>, [T; 4]) {
     let raw = rot::normalise(take::<T, 4>(row, QUAT.start));
     let identity = [1.0, 0.0, 0.0, 0.0].map(|v| raw.free.lit(v));
     (raw, if has_length(&raw) { raw.wxyz } else { identity })
 }
 
 /// The standard deviations before skinning, `exp(clamp ŝ) κ`, with the derivative by `ŝ` of each.
-fn spread<T: Number>(row: &[T], base: &Base<T>, range: [f64; 2]) -> [[T; 3]; 2] {
+fn scales<T: Number>(row: &[T], base: &Base<T>, range: [f64; 2]) -> [[T; 3]; 2] {
     let clamped = take::<T, 3>(row, SCALE.start).map(|x| clamp(x, range));
     let scale = clamped.map(|(x, _)| x.exp() * base.kappa);
     [scale, std::array::from_fn(|i| scale[i] * clamped[i].1)]
@@ -112,16 +112,16 @@ fn raw_axes<T: Number>(base: &Base<T>, unit: [T; 4], scale: [T; 3]) -> affine::A
     affine::Axes::of(&IDENTITY, rot::hamilton(turn, unit.map(T::wide)), scale.map(T::wide))
 }
 
-/// The Gaussian of a row of channels. `range` bounds the log-scales.
+/// The Gaussian of a row of channels. `range` bounds the log-scales before κ.
 pub fn decode<T: Number>(row: &[T], base: &Base<T>, covariance: Covariance, range: [f64; 2]) -> Gaussian<T> {
     let offset: [T; 3] = take(row, OFFSET.start);
     let moved = apply(&base.linear, std::array::from_fn(|i| base.point[i] + offset[i]));
-    let mean = std::array::from_fn(|i| moved[i] + base.shift[i]);
-    let (_, unit) = turn_of(row);
-    let [scale, _] = spread(row, base, range);
+    let mean = std::array::from_fn(|i| moved[i] + base.translation[i]);
+    let (_, unit) = unit_quat(row);
+    let [scale, _] = scales(row, base, range);
     let opacity = sigmoid(row[OPACITY]);
     let (quat, scale) = match covariance {
-        Covariance::Polar => (rot::hamilton(base.turn, unit), scale),
+        Covariance::Polar => (rot::hamilton(base.rotation, unit), scale),
         Covariance::Affine => {
             let axes = affine::Axes::of(&base.linear, unit, scale);
             let (quat, scale) = axes.gaussian();
@@ -137,7 +137,7 @@ pub fn decode<T: Number>(row: &[T], base: &Base<T>, covariance: Covariance, rang
     Gaussian { mean, quat, scale, opacity }
 }
 
-/// Pulls a Gaussian's cotangents back: adds to the row's, returns `dL/dc` (which is `dL/dd` too).
+/// Backward of [`decode`]: adds the gradient of the row to `grad` and returns `dL/dc`, which equals `dL/dd`.
 pub fn backward<T: Number>(
     row: &[T],
     base: &Base<T>,
@@ -147,11 +147,11 @@ pub fn backward<T: Number>(
     grad: &mut [T],
 ) -> [T; 3] {
     let d_point = apply(&transposed(&base.linear), d.mean);
-    let (raw, unit) = turn_of(row);
-    let [scale, slope] = spread(row, base, range);
+    let (raw, unit) = unit_quat(row);
+    let [scale, slope] = scales(row, base, range);
     let (d_unit, d_scale) = match covariance {
         Covariance::Polar => {
-            let [w, x, y, z] = base.turn;
+            let [w, x, y, z] = base.rotation;
             (rot::hamilton([w, -x, -y, -z], d.quat), d.scale)
         }
         Covariance::Affine => {

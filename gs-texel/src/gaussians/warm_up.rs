@@ -1,10 +1,10 @@
-//! Where training of texel Gaussians starts: reference values of every channel, and the distance to them.
+//! Warm-up of texel Gaussians: reference values of every channel, and the loss against them.
 //!
 //! ```text
-//! dc = (rgb − ½)/Y₀    rest = 0    ŝ = ln √max(d̄², mean d̄²)    r turns +x onto the normal    α̂ = 0    d = 0
+//! dc = (rgb − ½)/Y₀    rest = 0    ŝ = ln √max(d̄², mean d̄²)    r rotates +x onto the normal    α̂ = 0    d = 0
 //! L = Σ_groups w mean over texels and channels of (raw − reference)²
 //! ```
-//! `d̄²` is the mean squared distance of a texel's point of the bind pose to its three nearest; `w` is 0.1 for the opacity and 1
+//! `d̄²` is the mean squared distance of a texel's point in the bind pose to its three nearest neighbours; `w` is 0.1 for the opacity and 1
 //! for all others (DUT, published code).
 
 use super::channels::{COLOR, Channels, ChannelsError, OFFSET, OPACITY, QUAT, SCALE};
@@ -15,34 +15,34 @@ use rayon::prelude::*;
 use std::num::NonZero;
 use std::ops::Range;
 
-/// Texels of one parallel piece; sums of pieces are added in order.
-const PIECE: usize = 1024;
-/// Neighbours that say how large a Gaussian is.
-const NEAR: usize = 3;
-/// Weight of the opacity.
+/// Texels of one parallel task; sums of tasks are added in order.
+const CHUNK: usize = 1024;
+/// Neighbours that the initial scale is computed from.
+const NEIGHBOURS: usize = 3;
+/// Weight of the opacity channel.
 const OPACITY_WEIGHT: f64 = 0.1;
 
-/// Points of texels that have no neighbours.
+/// Inputs that [`targets`] refuses.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum WarmUpError {
-    /// Columns of other lengths.
+    /// A column has another length.
     #[error(transparent)]
     Columns(#[from] ChannelsError),
-    /// A value is not finite.
+    /// A colour, point or normal is not finite.
     #[error("row {row} of `{column}` is not finite; check the template and the texture of this frame")]
     NotFinite {
-        /// Which column.
+        /// Name of the column.
         column: &'static str,
-        /// The first such row.
+        /// First row that is not finite.
         row: usize,
     },
-    /// No index can be built (too many texels at one point).
+    /// The k-d tree cannot be built: too many texels at one point.
     #[error("the texels' points cannot be indexed: {0}; is the template without extent?")]
     Tree(String),
 }
 
-/// Reference rows `[K, width]` from texels' display-encoded colours, and their points and unit normals of the bind pose,
-/// metres. `scale_range` bounds the standard deviations, as in decoding.
+/// Reference rows `[K, width]` of texels, from their display-encoded colours, and their points (metres) and unit normals in
+/// the bind pose. `scale_range` bounds the standard deviations, as [`super::DecodeOptions::scale_range`].
 ///
 /// # Errors
 /// If columns differ in length, a value is not finite, or too many texels lie at one point.
@@ -76,7 +76,7 @@ pub fn targets(
 
 /// Mean squared distance of each point to its three nearest, square metres; 0 for a lone point.
 fn squared_spacings(points: &[Vec3]) -> Result<Vec<f64>, WarmUpError> {
-    let near = points.len().saturating_sub(1).min(NEAR);
+    let near = points.len().saturating_sub(1).min(NEIGHBOURS);
     let Some(wanted) = NonZero::new(near + 1).filter(|_| near > 0) else { return Ok(vec![0.0; points.len()]) };
     let flat: Vec<[f32; 3]> = points.iter().map(|p| p.to_array()).collect();
     let tree: ImmutableKdTree<f32, 3> =
@@ -86,10 +86,10 @@ fn squared_spacings(points: &[Vec3]) -> Result<Vec<f64>, WarmUpError> {
         let found = tree.query(point).nearest_n::<SquaredEuclidean<f32>>(wanted).execute();
         found.iter().map(|f| f64::from(f.distance)).sum::<f64>() / near as f64
     };
-    Ok(flat.par_iter().with_min_len(PIECE).map(mean).collect())
+    Ok(flat.par_iter().with_min_len(CHUNK).map(mean).collect())
 }
 
-/// The quaternion `(w, x, y, z)` of the shortest turn from +x to a unit vector; half a turn about z for −x.
+/// The quaternion `(w, x, y, z)` of the shortest rotation from +x to a unit vector; 180 degrees about z for −x.
 fn from_x_to(n: Vec3) -> [f32; 4] {
     let [x, y, z] = n.as_dvec3().normalize_or(glam::DVec3::X).to_array();
     // cos and sin of half the angle: w = √((1 + x)/2), axis (0, −z, y).
@@ -97,7 +97,7 @@ fn from_x_to(n: Vec3) -> [f32; 4] {
     if w < 1e-6 { [0.0, 0.0, 0.0, 1.0] } else { [w, 0.0, -0.5 * z / w, 0.5 * y / w].map(|v| v as f32) }
 }
 
-/// The distance of raw rows to reference rows, both `[K, width]`, its gradient added to `grad`.
+/// The warm-up loss of raw rows against reference rows, both `[K, width]`; adds its gradient to `grad`.
 ///
 /// # Errors
 /// If a column has another length.
@@ -120,7 +120,7 @@ pub fn loss(rows: &[f32], targets: &[f32], channels: Channels, grad: &mut [f32])
         let each = weight / (group.len() * texels).max(1) as f64;
         weights[group].fill(each);
     }
-    let piece = |((rows, targets), grad): ((&[f32], &[f32]), &mut [f32])| {
+    let chunk = |((rows, targets), grad): ((&[f32], &[f32]), &mut [f32])| {
         let mut sum = 0.0f64;
         for ((row, target), grad) in
             rows.chunks_exact(width).zip(targets.chunks_exact(width)).zip(grad.chunks_exact_mut(width))
@@ -133,8 +133,8 @@ pub fn loss(rows: &[f32], targets: &[f32], channels: Channels, grad: &mut [f32])
         }
         sum
     };
-    let size = PIECE * width;
-    let pieces = rows.par_chunks(size).zip(targets.par_chunks(size)).zip(grad.par_chunks_mut(size));
-    let sums: Vec<f64> = pieces.map(piece).collect();
+    let size = CHUNK * width;
+    let chunks = rows.par_chunks(size).zip(targets.par_chunks(size)).zip(grad.par_chunks_mut(size));
+    let sums: Vec<f64> = chunks.map(chunk).collect();
     Ok(sums.iter().sum())
 }

@@ -1,13 +1,13 @@
-//! Values for holes from all around them: by a pyramid of means, or as a film of soap spans its wire.
+//! Push-pull and harmonic in-painting of the unknown texels (holes) of a chart.
 
 use crate::texels::TexelTable;
 
-/// The residual of the film ends this much below the first one.
+/// Conjugate gradients stop when the residual falls below this share of the first one.
 const TOLERANCE: f64 = 1e-6;
-/// Steps of the solver at most; a hole of `n` texels needs about `√n`.
-const MOST_STEPS: usize = 2000;
+/// Steps of conjugate gradients; a hole of `n` texels needs about `√n`.
+const MAX_STEPS: usize = 2000;
 
-/// Texels of one chart in the box around them.
+/// The texels of one chart in their bounding box.
 struct Patch<'a, const C: usize> {
     table: &'a TexelTable,
     known: &'a [bool],
@@ -17,7 +17,7 @@ struct Patch<'a, const C: usize> {
     rows: &'a [[f32; C]],
 }
 
-/// The lowest and, one beyond, the highest place of every chart's texels.
+/// Bounding box of every chart in texels: lowest corner, and highest corner exclusive.
 pub(super) fn boxes(table: &TexelTable) -> Vec<[[usize; 2]; 2]> {
     let mut boxes = Vec::new();
     for (&t, &chart) in table.valid.iter().zip(&table.chart) {
@@ -32,30 +32,30 @@ pub(super) fn boxes(table: &TexelTable) -> Vec<[[usize; 2]; 2]> {
     boxes
 }
 
-/// Texels to be filled in a chart, and its box.
+/// Unknown texels of a chart, and its bounding box.
 #[derive(Clone, Copy)]
 pub(super) struct Holes<'a> {
-    /// Rows of the table, all of one chart.
-    pub rows: &'a [u32],
-    /// Of [`boxes`].
-    pub window: [[usize; 2]; 2],
+    /// Rows of the table, all in one chart.
+    pub(super) rows: &'a [u32],
+    /// Bounding box of the chart, see [`boxes`].
+    pub(super) window: [[usize; 2]; 2],
 }
 
 impl<'a, const C: usize> Patch<'a, C> {
-    /// The patch of the chart that holes lie in.
+    /// The patch of the chart of `holes`.
     fn new(table: &'a TexelTable, rows: &'a [[f32; C]], known: &'a [bool], holes: Holes<'_>) -> Option<Self> {
         let chart = table.chart[*holes.rows.first()? as usize];
         let [low, high] = holes.window;
         Some(Self { table, known, chart, low, side: [high[0] - low[0], high[1] - low[1]], rows })
     }
 
-    /// The row of the chart's texel at a place of the box.
+    /// The row of the chart's texel at a position of the box.
     fn row(&self, x: usize, y: usize) -> Option<usize> {
         let row = self.table.row[(self.low[1] + y) * self.table.size + self.low[0] + x] as usize;
         (self.table.chart.get(row) == Some(&self.chart)).then_some(row)
     }
 
-    /// Where a row lies in the box.
+    /// Position of a row in the box.
     fn place(&self, row: u32) -> [usize; 2] {
         let t = self.table.valid[row as usize] as usize;
         [t % self.table.size - self.low[0], t / self.table.size - self.low[1]]
@@ -99,7 +99,7 @@ impl<const C: usize> Level<C> {
         out
     }
 
-    /// Values where nothing is known, bilinearly from the coarser level, which is full.
+    /// Fills texels of weight 0 bilinearly from the coarser level, which has none.
     fn fill(&mut self, coarse: &Self) {
         let near = |x: usize, side: usize| {
             let (own, part) = (x / 2, if x.is_multiple_of(2) { -1 } else { 1 });
@@ -123,7 +123,7 @@ impl<const C: usize> Level<C> {
     }
 }
 
-/// Push-pull: means of known texels at half, a quarter … of the size, and back. Nothing where the chart has no known texel.
+/// Push-pull: weighted means of known texels on a pyramid, then bilinear upsampling. Empty if the chart has no known texel.
 pub(super) fn push_pull<const C: usize>(
     table: &TexelTable,
     rows: &[[f32; C]],
@@ -166,14 +166,14 @@ pub(super) fn harmonic<const C: usize>(
         let mut x: Vec<f64> = out.iter().map(|(_, v)| f64::from(v[c])).collect();
         // A x = b: the sum over neighbours of x_i − x_j, with known x_j on the right.
         let apply = |x: &[f64]| -> Vec<f64> {
-            let term = |i: usize, near: &Near| match near {
-                Near::Nothing => 0.0,
-                Near::Known(_) => x[i],
-                Near::Hole(j) => x[i] - x[*j],
+            let term = |i: usize, near: &Neighbour| match near {
+                Neighbour::Outside => 0.0,
+                Neighbour::Known(_) => x[i],
+                Neighbour::Hole(j) => x[i] - x[*j],
             };
             around.iter().enumerate().map(|(i, near)| near.iter().map(|n| term(i, n)).sum()).collect()
         };
-        let known = |near: &Near| if let Near::Known(row) = near { f64::from(rows[*row][c]) } else { 0.0 };
+        let known = |near: &Neighbour| if let Neighbour::Known(row) = near { f64::from(rows[*row][c]) } else { 0.0 };
         let b: Vec<f64> = around.iter().map(|near| near.iter().map(known).sum()).collect();
         conjugate_gradients(apply, &b, &mut x);
         out.iter_mut().zip(&x).for_each(|((_, v), x)| v[c] = *x as f32);
@@ -181,19 +181,19 @@ pub(super) fn harmonic<const C: usize>(
     out
 }
 
-/// What stands beside a hole.
+/// A neighbour of a hole.
 #[derive(Clone, Copy)]
-enum Near {
-    /// Another chart, or none.
-    Nothing,
-    /// A row of the table.
+enum Neighbour {
+    /// Outside the chart.
+    Outside,
+    /// A known texel: row of the table.
     Known(usize),
-    /// The number of another hole.
+    /// Another hole: its index.
     Hole(usize),
 }
 
 /// The four neighbours of every hole.
-fn neighbours<const C: usize>(patch: &Patch<'_, C>, holes: &[u32]) -> Vec<[Near; 4]> {
+fn neighbours<const C: usize>(patch: &Patch<'_, C>, holes: &[u32]) -> Vec<[Neighbour; 4]> {
     let [w, h] = patch.side;
     let mut number = vec![0; w * h];
     for (i, &hole) in holes.iter().enumerate() {
@@ -203,11 +203,11 @@ fn neighbours<const C: usize>(patch: &Patch<'_, C>, holes: &[u32]) -> Vec<[Near;
     let beside = |[x, y]: [usize; 2], [dx, dy]: [isize; 2]| {
         let (x, y) = (x.checked_add_signed(dx)?, y.checked_add_signed(dy)?);
         let row = if x < w && y < h { patch.row(x, y)? } else { return None };
-        Some(if patch.known[row] { Near::Known(row) } else { Near::Hole(number[y * w + x]) })
+        Some(if patch.known[row] { Neighbour::Known(row) } else { Neighbour::Hole(number[y * w + x]) })
     };
     let four = |&hole: &u32| {
         let at = patch.place(hole);
-        [[-1, 0], [1, 0], [0, -1], [0, 1]].map(|d| beside(at, d).unwrap_or(Near::Nothing))
+        [[-1, 0], [1, 0], [0, -1], [0, 1]].map(|d| beside(at, d).unwrap_or(Neighbour::Outside))
     };
     holes.iter().map(four).collect()
 }
@@ -219,7 +219,7 @@ fn conjugate_gradients(apply: impl Fn(&[f64]) -> Vec<f64>, b: &[f64], x: &mut [f
     let mut p = r.clone();
     let mut square = dot(&r, &r);
     let end = square * TOLERANCE * TOLERANCE;
-    for _ in 0..MOST_STEPS {
+    for _ in 0..MAX_STEPS {
         let ap = apply(&p);
         let step = square / dot(&p, &ap);
         if square <= end || !step.is_finite() {

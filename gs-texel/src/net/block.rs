@@ -1,23 +1,23 @@
-//! Convolution, normalisation and ReLU as one unit; two of them with a way around; memory for both.
+//! Convolution, normalisation and ReLU as one unit, residual blocks of two units, and the buffers of both.
 
 use super::Level;
 use gs_core::nn::gemm::Write;
 use gs_core::nn::{Conv, ConvSpec, GroupNorm, Init, Map, NormTape, resample};
 use gs_core::{Param, Params};
 
-/// A result and its gradient.
+/// An activation `y` and its gradient `d`.
 #[derive(Clone, Debug)]
-pub(crate) struct Slot {
-    pub y: Map,
-    pub d: Map,
+pub(crate) struct Activation {
+    pub(crate) y: Map,
+    pub(crate) d: Map,
 }
 
-impl Slot {
-    pub fn new(level: &Level, channels: usize) -> Self {
+impl Activation {
+    pub(crate) fn new(level: &Level, channels: usize) -> Self {
         Self { y: level.map(channels), d: level.map(channels) }
     }
 
-    pub fn bytes(&self) -> usize {
+    pub(crate) fn bytes(&self) -> usize {
         self.y.bytes() + self.d.bytes()
     }
 }
@@ -29,35 +29,41 @@ pub(crate) struct Unit {
     norm: GroupNorm,
 }
 
-/// Memory of a [`Unit`].
+/// Buffers of a [`Unit`].
 #[derive(Clone, Debug)]
 pub(crate) struct UnitTape {
-    /// The convolution's result.
+    /// Output of the convolution.
     z: Map,
     norm: NormTape,
-    /// The unit's result; its gradient becomes that of `z` on the way back.
-    pub out: Slot,
+    /// Output of the unit; backward turns its gradient into that of `z`.
+    pub(crate) out: Activation,
 }
 
 impl Unit {
-    pub fn new(name: &str, spec: ConvSpec, groups: usize, relu: bool, seed: u64) -> Self {
+    pub(crate) fn new(name: &str, spec: ConvSpec, groups: usize, relu: bool, seed: u64) -> Self {
         let conv = Conv::new(&format!("{name}.conv"), spec, Init::FanIn, seed);
         Self { conv, norm: GroupNorm::new(&format!("{name}.norm"), spec.outputs, groups, relu) }
     }
 
-    pub fn tape(&self, level: &Level) -> UnitTape {
+    pub(crate) fn tape(&self, level: &Level) -> UnitTape {
         let channels = self.conv.outputs();
-        UnitTape { z: level.map(channels), norm: NormTape::default(), out: Slot::new(level, channels) }
+        UnitTape { z: level.map(channels), norm: NormTape::default(), out: Activation::new(level, channels) }
     }
 
-    /// `tape.out.y` from `x`.
-    pub fn forward(&self, x: &Map, tape: &mut UnitTape, to: &Level) {
+    /// Computes `tape.out.y` from `x`.
+    pub(crate) fn forward(&self, x: &Map, tape: &mut UnitTape, to: &Level) {
         to.conv(&self.conv, x, &mut tape.z);
         self.norm.forward(&tape.z, &mut tape.out.y, &to.valid, &mut tape.norm);
     }
 
-    /// Pulls `tape.out.d` into the parameters and, where the input wants it, into `dx`.
-    pub fn backward(&mut self, x: &Map, tape: &mut UnitTape, [from, to]: [&Level; 2], dx: Option<(&mut Map, Write)>) {
+    /// Backward of `tape.out.d` to the parameters and, if given, to `dx`.
+    pub(crate) fn backward(
+        &mut self,
+        x: &Map,
+        tape: &mut UnitTape,
+        [from, to]: [&Level; 2],
+        dx: Option<(&mut Map, Write)>,
+    ) {
         self.norm.backward(&tape.z, &mut tape.out.d, &to.valid, &mut tape.norm);
         self.conv.backward_params(x, &tape.out.d, &to.valid);
         if let Some((dx, write)) = dx {
@@ -67,7 +73,7 @@ impl Unit {
 }
 
 impl UnitTape {
-    pub fn bytes(&self) -> usize {
+    pub(crate) fn bytes(&self) -> usize {
         self.z.bytes() + self.out.bytes()
     }
 }
@@ -91,18 +97,18 @@ pub(crate) struct Residual {
     skip: Option<Unit>,
 }
 
-/// Memory of a [`Residual`].
+/// Buffers of a [`Residual`].
 #[derive(Clone, Debug)]
 pub(crate) struct ResidualTape {
     first: UnitTape,
     second: UnitTape,
     skip: Option<UnitTape>,
-    pub out: Slot,
+    pub(crate) out: Activation,
 }
 
 impl Residual {
-    /// From `inputs` to `outputs` channels; groups of eight.
-    pub fn new(name: &str, inputs: usize, outputs: usize, stride: usize, seed: u64) -> Self {
+    /// A block from `inputs` to `outputs` channels, with normalisation groups of eight.
+    pub(crate) fn new(name: &str, inputs: usize, outputs: usize, stride: usize, seed: u64) -> Self {
         let unit = |part: &str, kernel, stride, inputs, relu| {
             let spec = ConvSpec { kernel, stride, inputs, outputs, bias: true };
             Unit::new(&format!("{name}.{part}"), spec, outputs / 8, relu, seed)
@@ -114,13 +120,13 @@ impl Residual {
         }
     }
 
-    pub fn tape(&self, to: &Level) -> ResidualTape {
+    pub(crate) fn tape(&self, to: &Level) -> ResidualTape {
         let [first, second] = [&self.first, &self.second].map(|u| u.tape(to));
         let channels = self.first.conv.outputs();
-        ResidualTape { first, second, skip: self.skip.as_ref().map(|s| s.tape(to)), out: Slot::new(to, channels) }
+        ResidualTape { first, second, skip: self.skip.as_ref().map(|s| s.tape(to)), out: Activation::new(to, channels) }
     }
 
-    pub fn forward(&self, x: &Map, tape: &mut ResidualTape, to: &Level) {
+    pub(crate) fn forward(&self, x: &Map, tape: &mut ResidualTape, to: &Level) {
         let ResidualTape { first, second, skip, out } = tape;
         self.first.forward(x, first, to);
         self.second.forward(&first.out.y, second, to);
@@ -134,8 +140,14 @@ impl Residual {
         resample::add_relu(&second.out.y, around, &mut out.y, &to.valid);
     }
 
-    /// Pulls `tape.out.d` into the parameters and into `dx`.
-    pub fn backward(&mut self, x: &Map, tape: &mut ResidualTape, levels: [&Level; 2], (dx, write): (&mut Map, Write)) {
+    /// Backward of `tape.out.d` to the parameters and to `dx`.
+    pub(crate) fn backward(
+        &mut self,
+        x: &Map,
+        tape: &mut ResidualTape,
+        levels: [&Level; 2],
+        (dx, write): (&mut Map, Write),
+    ) {
         let ([from, to], ResidualTape { first, second, skip, out }) = (levels, tape);
         resample::relu_map_backward(&out.y, &mut out.d, &to.valid);
         match (&mut self.skip, skip) {
@@ -152,7 +164,7 @@ impl Residual {
 }
 
 impl ResidualTape {
-    pub fn bytes(&self) -> usize {
+    pub(crate) fn bytes(&self) -> usize {
         self.first.bytes() + self.second.bytes() + self.skip.as_ref().map_or(0, UnitTape::bytes) + self.out.bytes()
     }
 }

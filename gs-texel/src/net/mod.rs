@@ -1,13 +1,12 @@
-//! What the two networks share: where they are run, and blocks of convolution and normalisation with their memory.
+//! Shared parts of GeoNet and GauNet: valid texels of every level, and blocks of convolution and normalisation with buffers.
 //!
 //! # Networks on a part of a map
-//! A texture atlas is 50–70 % charts, the rest is empty. Run as published ([`NormOver::All`]) a network works on every
-//! texel, and the statistics of its normalisations mix charts with emptiness. With [`NormOver::Mask`] the charts are all
-//! there is: at every level the valid texels are those with a valid one among the texels they stand for, activations and
-//! input are zero elsewhere (a chart's edge is padded like the edge of an image; Graham et al. 2018, "Submanifold sparse
-//! convolutional networks"), and statistics run over valid texels. It is another network than the first, trained as
-//! such; in return leaving out what is not valid is exact: `sparse` computes valid texels only and gives the same bits
-//! as computing all and clearing the others.
+//! A texture atlas is 50–70 % charts, the rest is background. As published ([`NormOver::All`]), a network runs on every texel,
+//! and the statistics of its normalisations mix charts with background. With [`NormOver::Mask`], a texel of a coarser level is
+//! valid if any of the texels it pools is; input and activations are zero at invalid texels (the edge of a chart is padded
+//! like the edge of an image; Graham et al. 2018, "Submanifold sparse convolutional networks"), and statistics run over valid
+//! texels. This is another function of the parameters, so a network is trained with one of the two. In return skipping is
+//! exact: `sparse` computes valid texels only and gives the same bits as computing all and clearing the others.
 
 pub(crate) mod block;
 pub mod reference;
@@ -16,96 +15,96 @@ use gs_core::nn::gemm::Write;
 use gs_core::nn::{Conv, Map, Sites};
 use serde::{Deserialize, Serialize};
 
-/// What a network cannot work with.
+/// Inputs or configurations that a network refuses.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NetError {
-    /// A width the normalisation groups do not divide.
+    /// The width is not a multiple of the normalisation groups.
     #[error("a {net} of width {width} cannot be split into groups: use a multiple of {multiple}, at least {multiple}")]
     Width {
-        /// Which network.
+        /// Name of the network.
         net: &'static str,
-        /// The width asked for.
+        /// The width asked for, channels.
         width: usize,
         /// What it must be a multiple of.
         multiple: usize,
     },
-    /// No channels in, or no levels.
+    /// There are no input channels or no levels.
     #[error("a {net} needs at least one {what}")]
     Empty {
-        /// Which network.
+        /// Name of the network.
         net: &'static str,
-        /// What is missing.
+        /// `level` or `input channel`.
         what: &'static str,
     },
-    /// A map whose side cannot be halved often enough.
+    /// The side of the map cannot be halved often enough.
     #[error("a map of {size}x{size} cannot be halved {halvings} times: use a multiple of {}", 1usize << halvings)]
     Size {
-        /// Texels per side.
+        /// Side of the map, texels.
         size: usize,
-        /// How often the network halves it.
+        /// Number of times the network halves it.
         halvings: u32,
     },
-    /// A mask is needed and missing, of another size, or empty.
+    /// The mask that [`NormOver::Mask`] needs is missing, has another size, or has no valid texel.
     #[error(
         "normalisation over the mask needs a mask of {want} texels with at least one valid; got {got}, {valid} valid"
     )]
     Mask {
-        /// Texels of the map.
+        /// Number of texels of the map.
         want: usize,
-        /// Texels of the mask, 0 if there is none.
+        /// Number of texels of the mask, 0 if it is missing.
         got: usize,
-        /// Valid ones.
+        /// Number of valid texels of the mask.
         valid: usize,
     },
-    /// A slice of another length than the map.
+    /// A slice does not have the length of the map.
     #[error("{what}: {want} values needed, {got} given")]
     Length {
-        /// Which slice.
+        /// Name of the slice.
         what: &'static str,
-        /// Values the map has.
+        /// Number of values of the map.
         want: usize,
-        /// Values given.
+        /// Number of values of the slice.
         got: usize,
     },
     /// A value that is not finite.
     #[error("{what}: value of texel ({x}, {y}), channel {channel} is not finite")]
     NotFinite {
-        /// Which slice.
+        /// Name of the slice.
         what: &'static str,
-        /// Column.
+        /// Column of the texel.
         x: usize,
-        /// Row.
+        /// Row of the texel.
         y: usize,
-        /// Channel.
+        /// Channel of the value.
         channel: usize,
     },
 }
 
-/// Which texels the statistics of a normalisation run over, and with them where the network exists.
+/// Texels that a network works on and takes normalisation statistics over.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum NormOver {
-    /// All of them, as published.
+    /// All texels, as published.
     #[default]
     All,
-    /// Valid ones; see [`crate::net`].
+    /// Valid texels only; see [`crate::net`].
     Mask,
 }
 
-/// Texels of one level of a network.
+/// The texels of one level of a network.
 #[derive(Clone, Debug)]
 pub(crate) struct Level {
-    /// Where the network exists.
-    pub valid: Sites,
-    /// Where convolutions are computed.
+    /// Valid texels.
+    pub(crate) valid: Sites,
+    /// Texels at which convolutions are computed.
     compute: Sites,
-    /// Whether more is computed than exists.
+    /// Whether invalid texels are computed and must be cleared.
     clear: bool,
 }
 
 impl Level {
-    /// The levels of a map of `size × size`, each of half the size of the one before, `halvings + 1` of them.
-    pub fn pyramid(
+    /// The `halvings + 1` levels of a `size × size` map, finest first, each half the size of the one before.
+    pub(crate) fn pyramid(
         size: usize,
         halvings: u32,
         norm_over: NormOver,
@@ -137,41 +136,41 @@ impl Level {
     }
 
     /// Texels per side.
-    pub fn size(&self) -> usize {
+    pub(crate) fn size(&self) -> usize {
         self.valid.height()
     }
 
-    /// A map of zeros of this level, with a border of one.
-    pub fn map(&self, channels: usize) -> Map {
+    /// A map of zeros of this level, with a border of one texel.
+    pub(crate) fn map(&self, channels: usize) -> Map {
         Map::zeros(self.size(), self.size(), channels, 1)
     }
 
-    /// Where to compute a map of this level.
-    pub fn compute(&self) -> &Sites {
+    /// Texels at which maps of this level are computed.
+    pub(crate) fn compute(&self) -> &Sites {
         &self.compute
     }
 
-    /// Clears what was computed beyond the valid texels.
-    pub fn tidy(&self, map: &mut Map) {
+    /// Clears invalid texels that were computed.
+    pub(crate) fn clear_invalid(&self, map: &mut Map) {
         if self.clear {
             map.clear_outside(&self.valid);
         }
     }
 
     /// `y`, a map of this level, from `x`.
-    pub fn conv(&self, layer: &Conv, x: &Map, y: &mut Map) {
+    pub(crate) fn conv(&self, layer: &Conv, x: &Map, y: &mut Map) {
         layer.forward(x, y, &self.compute);
-        self.tidy(y);
+        self.clear_invalid(y);
     }
 
     /// The gradient of the input `x`, a map of this level.
-    pub fn conv_input(&self, layer: &Conv, dy: &Map, dx: &mut Map, write: Write) {
+    pub(crate) fn conv_input(&self, layer: &Conv, dy: &Map, dx: &mut Map, write: Write) {
         layer.backward_input(dy, dx, &self.compute, write);
-        self.tidy(dx);
+        self.clear_invalid(dx);
     }
 }
 
-/// Reads a caller's map into `to`: right length, finite, zero outside the valid texels.
+/// Copies a caller's map into `to` after checking length and finiteness; invalid texels become zero.
 pub(crate) fn load(what: &'static str, values: &[f32], to: &mut Map, level: &Level) -> Result<(), NetError> {
     let (want, channels) = (to.height() * to.width() * to.channels(), to.channels());
     if values.len() != want {

@@ -1,7 +1,7 @@
-//! The two networks again, in plain loops over any [`Real`]: what the fast ones are held against.
+//! Reference implementations of the two networks, plain loops over any [`Real`].
 //!
-//! Parameters are the values of the network's blocks in the order [`gs_core::Params::visit`] gives them. `masks` holds
-//! the valid texels of every level, finest first (all `true` for a network that works on every texel).
+//! Parameters are the values of the network's blocks in the order of [`gs_core::Params::visit`]. `masks` holds the valid
+//! texels of every level, finest first (all `true` for [`super::NormOver::All`]).
 
 use gs_core::Real;
 use gs_core::nn::map_reference::{RefMap, add, concat, conv, conv_transpose, double, group_norm, max_pool, relu};
@@ -49,7 +49,7 @@ impl<'a, T: Real> Blocks<'a, T> {
     }
 }
 
-/// Output of a [`GeoNet`](crate::geonet::GeoNet).
+/// Offsets `[S, S, 3]` of a [`GeoNet`](crate::geonet::GeoNet) from `input: [S, S, C]`.
 ///
 /// # Panics
 /// If blocks or masks are missing.
@@ -72,7 +72,7 @@ pub fn geonet<T: Real>(params: &[Vec<T>], input: &RefMap<T>, masks: &[Vec<bool>]
     y
 }
 
-/// Output of a [`GauNet`](crate::gaunet::GauNet) with one level less than there are masks.
+/// Output of a [`GauNet`](crate::gaunet::GauNet) with `masks.len() − 1` levels.
 ///
 /// # Panics
 /// If blocks or masks are missing.
@@ -84,7 +84,7 @@ pub fn gaunet<T: Real>(params: &[Vec<T>], input: &RefMap<T>, masks: &[Vec<bool>]
         let pooled = max_pool(&down[down.len() - 1]).masked(mask);
         down.push(p.double(&pooled, mask));
     }
-    // Blocks of the way up come finest first, they are used coarsest first.
+    // Blocks of the decoder are stored finest first and used coarsest first.
     let per_level = 2 + 2 * 3;
     let rest: Vec<Vec<T>> = p.0.cloned().collect();
     let mut y = down[down.len() - 1].clone();
@@ -97,7 +97,15 @@ pub fn gaunet<T: Real>(params: &[Vec<T>], input: &RefMap<T>, masks: &[Vec<bool>]
     conv(&y, p.next(), p.next(), 1, 1).masked(&masks[0])
 }
 
-/// The valid texels of every level, finest first, each level's by any of 2 × 2.
+/// The valid texels of every level, finest first: `halvings + 1` masks of `size² / 4^level` values. A texel of a coarser level
+/// is valid if any of its 2 × 2 texels is.
+///
+/// ```
+/// use gs_texel::net::reference::masks;
+///
+/// let finest = [true, false, false, false, false, false, false, false];
+/// assert_eq!(masks(&[finest, [false; 8]].concat(), 4, 2)[1..], [vec![true, false, false, false], vec![true]]);
+/// ```
 pub fn masks(finest: &[bool], size: usize, halvings: u32) -> Vec<Vec<bool>> {
     let mut all = vec![finest.to_vec()];
     for level in 1..=halvings {

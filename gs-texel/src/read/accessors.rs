@@ -1,4 +1,4 @@
-//! Tables of numbers of a glTF file, every range checked before it is read.
+//! Accessors of a glTF file as tables of numbers. Every range is checked before it is read.
 
 use super::error::CharacterError;
 use gltf::json::accessor::{Accessor, ComponentType, Type};
@@ -6,67 +6,67 @@ use gltf::json::validation::Checked;
 use gltf::json::{Index, Root, buffer};
 use std::cell::Cell;
 
-/// Memory any file may ask for, bytes.
+/// Memory that any file may use, bytes.
 const BASE: u64 = 48 << 20;
-/// And for each of its bytes.
+/// Additional memory per byte of the file, bytes.
 const PER_BYTE: u64 = 64;
 
 /// A parsed file with its buffers.
 pub(super) struct Data<'a> {
-    pub file: &'a str,
-    pub root: &'a Root,
-    pub buffers: Vec<Vec<u8>>,
-    /// Bytes it may still ask for.
+    pub(super) file: &'a str,
+    pub(super) root: &'a Root,
+    pub(super) buffers: Vec<Vec<u8>>,
+    /// Memory it may still use, bytes.
     budget: Cell<u64>,
 }
 
-/// Rows of an accessor.
+/// The rows of an accessor, `width` values each.
 pub(super) struct Table {
-    pub width: usize,
-    pub values: Vec<f64>,
-    /// Of integers that stand for themselves.
-    pub integers: bool,
+    pub(super) width: usize,
+    pub(super) values: Vec<f64>,
+    /// Whether the values are integers that are not normalised.
+    pub(super) integers: bool,
 }
 
 impl Table {
-    pub fn len(&self) -> usize {
+    pub(super) fn len(&self) -> usize {
         self.values.len() / self.width
     }
 
-    pub fn row(&self, i: usize) -> Option<&[f64]> {
+    pub(super) fn row(&self, i: usize) -> Option<&[f64]> {
         self.values.get(i.checked_mul(self.width)?..)?.get(..self.width)
     }
 
-    pub fn rows(&self) -> impl Iterator<Item = &[f64]> {
+    pub(super) fn rows(&self) -> impl Iterator<Item = &[f64]> {
         self.values.chunks_exact(self.width)
     }
 }
 
-/// Where values lie: bytes, distance between elements.
+/// Bytes of an accessor, and the distance between its elements.
 struct Place<'a> {
     bytes: &'a [u8],
     stride: usize,
 }
 
 impl<'a> Data<'a> {
-    pub fn new(file: &'a str, root: &'a Root, buffers: Vec<Vec<u8>>, text: usize) -> Self {
+    pub(super) fn new(file: &'a str, root: &'a Root, buffers: Vec<Vec<u8>>, text: usize) -> Self {
         let present = text as u64 + buffers.iter().map(|b| b.len() as u64).sum::<u64>();
         Self { file, root, buffers, budget: Cell::new(BASE + PER_BYTE.saturating_mul(present)) }
     }
 
-    pub fn malformed(&self, place: impl Into<String>, what: impl Into<String>) -> CharacterError {
+    pub(super) fn malformed(&self, place: impl Into<String>, what: impl Into<String>) -> CharacterError {
         CharacterError::Malformed { file: self.file.into(), place: place.into(), what: what.into() }
     }
 
-    /// Takes what `what` needs from the budget.
-    pub fn spend(&self, bytes: u64, what: &str) -> Result<(), CharacterError> {
+    /// Subtracts `bytes` from the budget; `what` names them in the error.
+    pub(super) fn spend(&self, bytes: u64, what: &str) -> Result<(), CharacterError> {
         let left = self.budget.get().checked_sub(bytes);
         self.budget.set(left.ok_or_else(|| CharacterError::TooMuch { file: self.file.into(), what: what.into() })?);
         Ok(())
     }
 
     /// The bytes of a buffer view.
-    pub fn view(&self, index: Index<buffer::View>) -> Result<(&[u8], Option<usize>), CharacterError> {
+    pub(super) fn view(&self, index: Index<buffer::View>) -> Result<(&[u8], Option<usize>), CharacterError> {
         let place = || format!("buffer view {}", index.value());
         let view = self.root.get(index).ok_or_else(|| self.malformed(place(), "does not exist"))?;
         let start = view.byte_offset.map_or(0, |o| o.0);
@@ -77,8 +77,8 @@ impl<'a> Data<'a> {
         Ok((bytes, view.byte_stride.map(|s| s.0)))
     }
 
-    /// The rows of an accessor, of one of these types, all finite.
-    pub fn table(&self, index: Index<Accessor>, types: &[Type]) -> Result<Table, CharacterError> {
+    /// The rows of an accessor of one of `types`; all values are finite.
+    pub(super) fn table(&self, index: Index<Accessor>, types: &[Type]) -> Result<Table, CharacterError> {
         let place = format!("accessor {}", index.value());
         let wrong = |what: String| self.malformed(place.as_str(), what);
         let accessor = self.root.get(index).ok_or_else(|| wrong("does not exist".into()))?;
@@ -111,7 +111,7 @@ impl<'a> Data<'a> {
     }
 
     /// Integers of an accessor (indices of vertices or joints).
-    pub fn integers(&self, index: Index<Accessor>, types: &[Type]) -> Result<Table, CharacterError> {
+    pub(super) fn integers(&self, index: Index<Accessor>, types: &[Type]) -> Result<Table, CharacterError> {
         let table = self.table(index, types)?;
         if table.integers && table.values.iter().all(|&v| v >= 0.0) {
             return Ok(table);
@@ -165,7 +165,7 @@ impl<'a> Data<'a> {
     }
 }
 
-/// Reads one element; its place has been checked. Normalised integers become `[0, 1]` or `[-1, 1]`.
+/// Reads one element; its range has been checked. Normalised integers become `[0, 1]` or `[-1, 1]`.
 fn read_row(place: &Place<'_>, row: usize, kind: ComponentType, normalised: Option<ComponentType>, out: &mut [f64]) {
     let bytes = place.bytes.get(row * place.stride..).unwrap_or(&[]);
     for (value, b) in out.iter_mut().zip(bytes.chunks_exact(kind.size())) {

@@ -1,4 +1,4 @@
-//! From where triangles read their textures to where they lie in the atlas.
+//! Atlas coordinates from texture coordinates.
 
 use super::ReadOptions;
 use crate::character::Fallbacks;
@@ -7,27 +7,27 @@ use crate::unwrap::unwrap;
 use glam::Vec2;
 use std::collections::HashMap;
 
-/// Fills `uvs` and `face_uvs`: as painted (moved by whole textures into `[0, 1]²`), one cell per material, or laid out anew.
-/// Leaves them empty where coordinates are missing and none are asked for.
+/// Fills `uvs` and `face_uvs`: from the texture coordinates (shifted by integers into `[0, 1]²`), in one cell per material, or
+/// by a new unwrap. Leaves them empty if there are no coordinates and no unwrap is asked for.
 pub(super) fn lay_out(template: &mut Template, options: &ReadOptions) {
     let corners: Vec<[Vec2; 3]> = if options.auto_uv {
         unwrap(&template.vertices, &template.faces)
-    } else if template.paint.is_empty() {
+    } else if template.material_uvs.is_empty() {
         return;
     } else {
-        let home = |corners: &[Vec2; 3]| {
+        let shifted = |corners: &[Vec2; 3]| {
             let low = corners[0].min(corners[1]).min(corners[2]);
             let high = corners[0].max(corners[1]).max(corners[2]);
-            // A triangle inside one copy of a repeated texture lies in the first.
+            // A triangle inside one copy of a repeated texture moves to the first copy.
             let shift = ((low + high) * 0.5).floor();
             let fits = (low - shift).min_element() >= 0.0 && (high - shift).max_element() <= 1.0;
             if fits { corners.map(|c| c - shift) } else { *corners }
         };
-        template.paint.iter().map(home).collect()
+        template.material_uvs.iter().map(shifted).collect()
     };
     let corners = if options.repack && !options.auto_uv { repacked(template, corners) } else { corners };
-    if corners == template.paint {
-        template.paint.clear();
+    if corners == template.material_uvs {
+        template.material_uvs.clear();
     }
     let mut known: HashMap<(u32, [u32; 2]), u32> = HashMap::new();
     for (face, corners) in template.faces.iter().zip(&corners) {

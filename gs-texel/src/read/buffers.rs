@@ -1,28 +1,28 @@
-//! Bytes a file refers to: embedded as `data:` URIs, or beside it, never outside its folder.
+//! Bytes that a file refers to: `data:` URIs, or files in its folder.
 
 use super::error::CharacterError;
 use gs_core::io::{Limits, read_file};
 use std::path::{Path, PathBuf};
 
-/// Where a character's file lies, and how much may be read.
+/// The folder of a character's file, and the limits of reading.
 pub(super) struct Folder<'a> {
-    /// The asset's own name, for errors.
-    pub file: &'a str,
-    /// Its folder; none where it came from memory.
-    pub path: Option<&'a Path>,
-    pub limits: &'a Limits,
+    /// Name of the character's file, for errors.
+    pub(super) file: &'a str,
+    /// Its folder; `None` for a character from memory.
+    pub(super) path: Option<&'a Path>,
+    pub(super) limits: &'a Limits,
 }
 
 impl Folder<'_> {
     /// The bytes of a URI.
-    pub fn read(&self, uri: &str) -> Result<Vec<u8>, CharacterError> {
+    pub(super) fn read(&self, uri: &str) -> Result<Vec<u8>, CharacterError> {
         match uri.strip_prefix("data:") {
             Some(data) => data_uri(data).ok_or_else(|| self.refused(uri, "is no base64 data")),
             None => Ok(read_file(&self.inside(uri)?, self.limits)?),
         }
     }
 
-    /// The path of a relative URI, inside the folder even after links are followed.
+    /// The path of a relative URI, inside the folder also after links are resolved.
     fn inside(&self, uri: &str) -> Result<PathBuf, CharacterError> {
         let Some(folder) = self.path else {
             return Err(self.refused(uri, "is another file, and this one was read from memory"));

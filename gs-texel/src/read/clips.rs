@@ -31,7 +31,7 @@ pub(super) fn read(
     Ok(clips)
 }
 
-/// What a channel moves; `None` for weights of a mesh that has no morphs or is not shown.
+/// The target of a channel; `None` for weights of a mesh that has no morphs or is not in the scene.
 fn target(
     data: &Data<'_>,
     channel: &animation::Channel,

@@ -1,19 +1,19 @@
-//! The outer layers of a glTF file: the GLB container and its JSON, bounded before it is parsed.
+//! The GLB container of a glTF file, and its JSON, whose size is bounded before it is parsed.
 
 use super::buffers::Folder;
 use super::error::CharacterError;
 use gltf::json::Root;
 
-/// Most objects of the JSON: a character of 100 joints and 100 clips has about 100 000.
+/// Maximum number of objects in the JSON: a character of 100 joints and 100 clips has about 100 000.
 const MAX_OBJECTS: usize = 400_000;
-/// Most values of the JSON, in all.
+/// Maximum number of values in the JSON.
 const MAX_VALUES: usize = 3_000_000;
 
 fn syntax(file: &str, what: impl Into<String>) -> CharacterError {
     CharacterError::Syntax { file: file.into(), what: what.into() }
 }
 
-/// The JSON and the binary chunk.
+/// Splits a file into JSON and binary chunk.
 pub(super) fn split<'a>(bytes: &'a [u8], file: &str) -> Result<(&'a [u8], Option<&'a [u8]>), CharacterError> {
     if !bytes.starts_with(b"glTF") {
         return Ok((bytes, None));
@@ -24,8 +24,8 @@ pub(super) fn split<'a>(bytes: &'a [u8], file: &str) -> Result<(&'a [u8], Option
         return Err(syntax(file, format!("GLB version {version}, not 2 (byte 4)")));
     }
     if word(8).map(|n| n as usize) != Some(bytes.len()) {
-        let said = word(8).unwrap_or(0);
-        return Err(syntax(file, format!("GLB of {said} bytes by its header (byte 8), {} are there", bytes.len())));
+        let stated = word(8).unwrap_or(0);
+        return Err(syntax(file, format!("GLB of {stated} bytes by its header (byte 8), {} are there", bytes.len())));
     }
     let (mut at, mut chunks) = (12usize, [None, None]);
     while at < bytes.len() {
@@ -34,7 +34,7 @@ pub(super) fn split<'a>(bytes: &'a [u8], file: &str) -> Result<(&'a [u8], Option
         let body = body.ok_or_else(|| syntax(file, format!("GLB chunk at byte {at} reaches beyond the file")))?;
         match (bytes.get(at + 4..at + 8), &mut chunks) {
             (Some(b"JSON"), [slot @ None, None]) | (Some(b"BIN\0"), [Some(_), slot @ None]) => *slot = Some(body),
-            (_, [Some(_), _]) => {} // Chunks of extensions are passed over.
+            (_, [Some(_), _]) => {} // Chunks of extensions are ignored.
             _ => return Err(syntax(file, "the first chunk of the GLB is no JSON (byte 16)")),
         }
         at += 8 + body.len();
@@ -43,7 +43,7 @@ pub(super) fn split<'a>(bytes: &'a [u8], file: &str) -> Result<(&'a [u8], Option
     Ok((json.ok_or_else(|| syntax(file, "GLB without a JSON chunk (byte 12)"))?, binary))
 }
 
-/// Parses the JSON after counting what it would become.
+/// Parses the JSON after counting its objects and values.
 pub(super) fn parse(json: &[u8], file: &str) -> Result<Root, CharacterError> {
     let (mut in_string, mut escaped, mut objects, mut values) = (false, false, 0usize, 0usize);
     for &b in json {
@@ -67,7 +67,7 @@ pub(super) fn parse(json: &[u8], file: &str) -> Result<Root, CharacterError> {
     })
 }
 
-/// The bytes of every buffer, at least as long as it says.
+/// The bytes of every buffer, at least as many as declared.
 pub(super) fn buffers(root: &Root, binary: Option<&[u8]>, folder: &Folder<'_>) -> Result<Vec<Vec<u8>>, CharacterError> {
     let mut out = Vec::with_capacity(root.buffers.len());
     let mut total = 0u64;
@@ -92,15 +92,15 @@ pub(super) fn buffers(root: &Root, binary: Option<&[u8]>, folder: &Folder<'_>) -
     Ok(out)
 }
 
-/// Extensions that change nothing we read, or that we read.
-fn understood(name: &str) -> bool {
+/// Whether an extension is read, or concerns only parts that are not read.
+fn is_supported(name: &str) -> bool {
     let plain = ["KHR_texture_transform", "KHR_mesh_quantization", "KHR_lights_punctual", "KHR_node_visibility"];
     plain.contains(&name) || name.starts_with("KHR_materials_")
 }
 
-/// Refuses files that cannot be read without something we lack.
+/// Refuses files that require an extension that is not supported.
 pub(super) fn extensions(root: &Root, file: &str) -> Result<(), CharacterError> {
-    match root.extensions_required.iter().find(|e| !understood(e)) {
+    match root.extensions_required.iter().find(|e| !is_supported(e)) {
         None => Ok(()),
         Some(name) => Err(CharacterError::Unsupported {
             file: file.into(),

@@ -1,4 +1,4 @@
-//! What goes wrong when a character is read: which file, where in it, what was met, what to do.
+//! Errors of the readers: which file, where in it, what was found, and what to do.
 
 use gs_core::io::IoError;
 
@@ -9,22 +9,22 @@ pub enum CharacterError {
     /// A file could not be opened or decoded.
     #[error(transparent)]
     Io(#[from] IoError),
-    /// The text is no glTF or OBJ.
+    /// The text is neither glTF nor OBJ.
     #[error("{file}: {what}; the file is damaged or of another kind: export it again")]
     Syntax {
         /// File name as given.
         file: Box<str>,
-        /// What the parser met.
+        /// Message of the parser.
         what: String,
     },
-    /// Something in the file does not fit its format.
+    /// A part of the file violates its format.
     #[error("{file}: {place}: {what}; export the character again")]
     Malformed {
         /// File name as given.
         file: Box<str>,
-        /// The thing that is wrong, such as `accessor 3`.
+        /// The invalid part, such as `accessor 3`.
         place: String,
-        /// What is wrong with it.
+        /// The fault, as text.
         what: String,
     },
     /// A value is not finite or outside its domain.
@@ -38,10 +38,10 @@ pub enum CharacterError {
         row: usize,
         /// Component of the row, counted from 0.
         component: usize,
-        /// Value met.
+        /// The value found.
         value: f64,
     },
-    /// A URI that is not followed.
+    /// A URI is refused.
     #[error("{file}: `{uri}` {why}; keep what the asset refers to in its own folder, under plain relative names")]
     Path {
         /// File name as given.
@@ -51,14 +51,14 @@ pub enum CharacterError {
         /// Why it is refused.
         why: &'static str,
     },
-    /// A feature that is known but not read.
+    /// A feature of the format is not supported.
     #[error("{file}: {what} is not supported; {advice}")]
     Unsupported {
         /// File name as given.
         file: Box<str>,
-        /// The feature.
+        /// Name of the feature.
         what: String,
-        /// What to do.
+        /// Remedy, as text.
         advice: &'static str,
     },
     /// The file asks for more than its size allows.
@@ -66,7 +66,7 @@ pub enum CharacterError {
     TooMuch {
         /// File name as given.
         file: Box<str>,
-        /// What was about to be made.
+        /// The table that would be allocated.
         what: String,
     },
     /// Texture coordinates are needed and absent.
@@ -74,10 +74,10 @@ pub enum CharacterError {
     NoUv {
         /// File name as given.
         file: Box<str>,
-        /// The mesh or file.
+        /// The mesh or file without them.
         what: String,
     },
-    /// There is nothing to draw.
+    /// The scene has no triangles.
     #[error("{file}: no triangles in the scene; give a file with a mesh")]
     Empty {
         /// File name as given.

@@ -1,4 +1,4 @@
-//! Materials of a glTF file: base colour, its texture and how that is laid out.
+//! Materials of a glTF file: base colour, its texture and texture transform.
 
 use super::accessors::Data;
 use super::buffers::Folder;
@@ -13,28 +13,28 @@ use gs_core::Image;
 use gs_core::io::images::decode_rgba8;
 use std::sync::Arc;
 
-/// Below this opacity a cut-out texture has a hole, where the file does not say.
+/// Default opacity threshold of cut-out textures (glTF's).
 const DEFAULT_CUTOUT: f32 = 0.5;
 
-/// How texture coordinates of a material are read.
+/// The set of texture coordinates of a material, and their transform.
 #[derive(Clone, Copy)]
 pub(super) struct Layout {
-    /// Number of the set.
-    pub set: u32,
+    /// Index of the set (`TEXCOORD_n`).
+    pub(super) set: u32,
     /// `uv' = linear · uv + offset`.
     linear: Mat2,
     offset: Vec2,
 }
 
 impl Layout {
-    const PLAIN: Self = Self { set: 0, linear: Mat2::IDENTITY, offset: Vec2::ZERO };
+    const IDENTITY: Self = Self { set: 0, linear: Mat2::IDENTITY, offset: Vec2::ZERO };
 
-    pub fn apply(&self, uv: Vec2) -> Vec2 {
+    pub(super) fn apply(&self, uv: Vec2) -> Vec2 {
         self.linear * uv + self.offset
     }
 }
 
-/// All materials, and last the default one.
+/// All materials of the file, then the default one.
 pub(super) fn read(
     data: &Data<'_>,
     folder: &Folder<'_>,
@@ -64,11 +64,11 @@ pub(super) fn read(
         }
         out.push((material, layout));
     }
-    out.push((Material::default(), Layout::PLAIN));
+    out.push((Material::default(), Layout::IDENTITY));
     Ok(out)
 }
 
-/// A material without its image, and that image's number.
+/// A material without its image, and the index of that image.
 fn material(
     data: &Data<'_>,
     source: &json::Material,
@@ -79,7 +79,7 @@ fn material(
     let cutoff = source.alpha_cutoff.as_ref().map_or(DEFAULT_CUTOUT, |c| c.0);
     let mut out = Material {
         name: source.name.clone().unwrap_or_default(),
-        factor: factor.truncate().map(display).extend(factor.w),
+        factor: factor.truncate().map(srgb_encode).extend(factor.w),
         cutout: matches!(source.alpha_mode, Checked::Valid(AlphaMode::Mask)).then_some(cutoff),
         double_sided: source.double_sided,
         ..Material::default()
@@ -88,7 +88,7 @@ fn material(
     if !factor.is_finite() || !cutoff.is_finite() {
         return Err(wrong("has a colour or cutoff that is not finite"));
     }
-    let Some(info) = &base.base_color_texture else { return Ok((out, Layout::PLAIN, None)) };
+    let Some(info) = &base.base_color_texture else { return Ok((out, Layout::IDENTITY, None)) };
     let texture = data.root.get(info.index).ok_or_else(|| wrong("has a texture that does not exist"))?;
     if let Some(sampler) = texture.sampler {
         let sampler = data.root.get(sampler).ok_or_else(|| wrong("has a sampler that does not exist"))?;
@@ -108,7 +108,7 @@ fn material(
 /// `uv' = offset + R(rotation) · scale · uv`, counter-clockwise where `v` points down.
 fn layout(info: &json::texture::Info) -> Layout {
     let transform = info.extensions.as_ref().and_then(|e| e.texture_transform.as_ref());
-    let Some(t) = transform else { return Layout { set: info.tex_coord, ..Layout::PLAIN } };
+    let Some(t) = transform else { return Layout { set: info.tex_coord, ..Layout::IDENTITY } };
     let (sin, cos) = t.rotation.0.sin_cos();
     let [sx, sy] = t.scale.0;
     Layout {
@@ -118,8 +118,8 @@ fn layout(info: &json::texture::Info) -> Layout {
     }
 }
 
-/// A linear colour as sRGB displays it.
-pub(super) fn display(linear: f32) -> f32 {
+/// A linear colour value, display-encoded (sRGB).
+pub(super) fn srgb_encode(linear: f32) -> f32 {
     if linear <= 0.003_130_8 { 12.92 * linear.max(0.0) } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 }
 }
 

@@ -1,10 +1,10 @@
-//! Meshes of a glTF file: every shown primitive, its weights, morphs, triangles and texture coordinates, into one soup.
+//! Meshes of a glTF file: weights, morphs, triangles and texture coordinates of every primitive in the scene, in one mesh.
 
 use super::accessors::{Data, Table};
 use super::error::CharacterError;
-use super::materials::{Layout, display};
+use super::materials::{Layout, srgb_encode};
 use super::nodes::Nodes;
-use super::weld::Soup;
+use super::weld::RawMesh;
 use crate::character::Fallbacks;
 use crate::skeleton::Joint;
 use crate::template::Material;
@@ -15,40 +15,40 @@ use gltf::json::mesh::{Mode, Primitive};
 use gltf::json::validation::Checked;
 use std::collections::HashMap;
 
-/// Weights whose sum is farther than this from 1 count as mended.
+/// Weights whose sum differs from 1 by more than this are counted as repaired.
 const WEIGHT_SUM: f64 = 1e-2;
-/// What a vertex, and a triangle, takes while it is read and welded, bytes.
+/// Memory of a vertex, and of a triangle, while it is read and welded, bytes.
 const VERTEX_BYTES: u64 = 200;
 const FACE_BYTES: u64 = 150;
 
-/// Morphs that one node's mesh brought.
+/// Rows of the morphs of one node's mesh.
 pub(super) struct MorphBlock {
-    pub node: u32,
-    pub first: u32,
-    pub count: u32,
+    pub(super) node: u32,
+    pub(super) first: u32,
+    pub(super) count: u32,
 }
 
-/// What the meshes of the scene become.
+/// The meshes of the scene, joined.
 pub(super) struct Meshes<'a> {
     data: &'a Data<'a>,
     nodes: &'a Nodes,
-    /// Frames of the rest pose.
+    /// World transforms of the rest pose.
     rest: Vec<DAffine3>,
     materials: &'a [(Material, Layout)],
     uv_set: Option<u32>,
-    /// Numbers of joints, by skin.
+    /// Rows of joints, by skin.
     skins: HashMap<usize, Vec<u32>>,
-    /// Joint of a node whose mesh is rigid.
+    /// Joint of each node with a rigid mesh.
     rigid: HashMap<u32, u32>,
-    pub soup: Soup,
-    pub joints: Vec<Joint>,
-    pub blocks: Vec<MorphBlock>,
-    pub rest_morphs: Vec<f32>,
-    pub fallbacks: Fallbacks,
+    pub(super) mesh: RawMesh,
+    pub(super) joints: Vec<Joint>,
+    pub(super) blocks: Vec<MorphBlock>,
+    pub(super) rest_morphs: Vec<f32>,
+    pub(super) fallbacks: Fallbacks,
 }
 
 impl<'a> Meshes<'a> {
-    pub fn new(
+    pub(super) fn new(
         data: &'a Data<'a>,
         nodes: &'a Nodes,
         rest: Vec<DAffine3>,
@@ -63,7 +63,7 @@ impl<'a> Meshes<'a> {
             uv_set,
             skins: HashMap::new(),
             rigid: HashMap::new(),
-            soup: Soup::default(),
+            mesh: RawMesh::default(),
             joints: Vec::new(),
             blocks: Vec::new(),
             rest_morphs: Vec::new(),
@@ -71,8 +71,8 @@ impl<'a> Meshes<'a> {
         }
     }
 
-    /// Reads every mesh that the scene shows; skins first, so that rigid parts find the joint they hang on.
-    pub fn read(&mut self) -> Result<(), CharacterError> {
+    /// Reads every mesh in the scene; skins first, so that rigid parts find the joint above them.
+    pub(super) fn read(&mut self) -> Result<(), CharacterError> {
         let nodes = self.nodes;
         let shown = nodes.source.iter().zip(&nodes.shown).enumerate().filter(|(_, (_, shown))| **shown);
         let shown: Vec<(u32, usize)> = shown.map(|(place, (source, _))| (place as u32, *source)).collect();
@@ -85,11 +85,11 @@ impl<'a> Meshes<'a> {
         for (node, source) in shown {
             self.instance(node, source)?;
         }
-        let dense = (self.soup.points.len() as u64).saturating_mul(12 * self.rest_morphs.len() as u64);
+        let dense = (self.mesh.points.len() as u64).saturating_mul(12 * self.rest_morphs.len() as u64);
         self.data.spend(dense, "the morph targets")
     }
 
-    /// Numbers the joints of a skin; a joint that another skin has, too, is the same joint.
+    /// Adds the joints of a skin; equal joints of different skins are shared.
     fn skin(&mut self, index: usize) -> Result<(), CharacterError> {
         let place = format!("skin {index}");
         let wrong = |what: &str| self.data.malformed(place.as_str(), what);
@@ -124,8 +124,8 @@ impl<'a> Meshes<'a> {
         Ok(())
     }
 
-    /// The joint of a node that carries a rigid mesh, and the frame of the node in the bind pose: where the nearest joint
-    /// above it puts it, else its frame at rest.
+    /// The joint of a node with a rigid mesh, and the world transform of the node in the bind pose: relative to the nearest
+    /// joint above it, else its rest transform.
     fn rigid_joint(&mut self, node: u32) -> (u32, DAffine3) {
         let rest = |n: u32| self.rest.get(n as usize).copied().unwrap_or(DAffine3::IDENTITY);
         let parent = |n: &u32| self.nodes.nodes.get(*n as usize).and_then(|n| n.parent);
@@ -150,7 +150,7 @@ impl<'a> Meshes<'a> {
         (number, bind)
     }
 
-    /// The mesh of a node.
+    /// Adds the mesh of a node.
     fn instance(&mut self, node: u32, source: usize) -> Result<(), CharacterError> {
         let Some((source_node, mesh)) = self.data.root.nodes.get(source).and_then(|n| Some((n, n.mesh?))) else {
             return Ok(());
@@ -168,7 +168,7 @@ impl<'a> Meshes<'a> {
                 return Err(self.data.malformed(place, "has morph weights that are not finite"));
             }
             self.rest_morphs.push(weight);
-            self.soup.morphs.push(format!("{}.{k}", mesh.name.as_deref().unwrap_or("mesh")));
+            self.mesh.morphs.push(format!("{}.{k}", mesh.name.as_deref().unwrap_or("mesh")));
         }
         for (k, primitive) in mesh.primitives.iter().enumerate() {
             let place = format!("{place}, primitive {k}");
@@ -202,7 +202,7 @@ impl<'a> Meshes<'a> {
             rows if rows == n => Ok(table),
             rows => Err(data.malformed(place, format!("has {n} positions and {rows} rows of something else"))),
         };
-        let base = self.soup.points.len() as u32;
+        let base = self.mesh.points.len() as u32;
         let influences = self.influences(&attribute, skin, place, &of_this)?;
         let colors = attribute(Semantic::Colors(0)).map(|c| data.table(c, &[Type::Vec3, Type::Vec4]).and_then(of_this));
         self.colors(colors.transpose()?, n);
@@ -215,28 +215,28 @@ impl<'a> Meshes<'a> {
         }
         for (i, position) in positions.rows().enumerate() {
             let (joint, frame) = bind.unwrap_or((0, DAffine3::IDENTITY));
-            self.soup.points.push(frame.transform_point3(DVec3::from_slice(position)).as_vec3());
+            self.mesh.points.push(frame.transform_point3(DVec3::from_slice(position)).as_vec3());
             match &influences {
                 Some(rows) => self.bind_vertex(rows, (i, DVec3::from_slice(position)), place)?,
                 None => {
-                    self.soup.weights.push([(joint, 1.0)], joint);
+                    self.mesh.weights.push([(joint, 1.0)], joint);
                 }
             }
             for (k, target) in targets.iter().enumerate() {
                 let delta = target.as_ref().and_then(|t| t.row(i)).map_or(DVec3::ZERO, DVec3::from_slice);
                 if delta != DVec3::ZERO {
                     let delta = frame.transform_vector3(delta).as_vec3();
-                    self.soup.deltas.push((base + i as u32, first_morph + k as u32, delta));
+                    self.mesh.deltas.push((base + i as u32, first_morph + k as u32, delta));
                 }
             }
         }
-        if self.soup.points.iter().skip(base as usize).any(|p| !p.is_finite()) {
+        if self.mesh.points.iter().skip(base as usize).any(|p| !p.is_finite()) {
             return Err(data.malformed(place, "has positions that are not finite in its bind pose"));
         }
         self.triangles(primitive, mode, (base, n), place)
     }
 
-    /// Joint and weight tables of a skinned primitive, with the numbers of its skin's joints.
+    /// Joint and weight tables of a skinned primitive, with the joints of its skin.
     fn influences(
         &self,
         attribute: &dyn Fn(Semantic) -> Option<gltf::json::Index<gltf::json::Accessor>>,
@@ -259,23 +259,23 @@ impl<'a> Meshes<'a> {
         Ok((!sets.is_empty()).then(|| Influences { sets, joints: joints.clone() }))
     }
 
-    /// Colours of the vertices of a primitive, as they are displayed; white without any.
+    /// Adds the display-encoded vertex colours of a primitive; white if it has none.
     fn colors(&mut self, table: Option<Table>, n: usize) {
         match table {
-            None => self.soup.colors.resize(self.soup.colors.len() + n, Vec4::ONE),
+            None => self.mesh.colors.resize(self.mesh.colors.len() + n, Vec4::ONE),
             Some(table) => {
-                self.soup.painted = true;
-                self.soup.colors.extend(table.rows().map(|row| {
+                self.mesh.has_colors = true;
+                self.mesh.colors.extend(table.rows().map(|row| {
                     let [r, g, b, a] = std::array::from_fn(|k| row.get(k).map_or(1.0, |v| v.clamp(0.0, 1.0) as f32));
-                    Vec4::new(display(r), display(g), display(b), a)
+                    Vec4::new(srgb_encode(r), srgb_encode(g), srgb_encode(b), a)
                 }));
             }
         }
     }
 
-    /// The joint of a skin that stands nearest to a point of the bind pose.
+    /// The joint of a skin that is nearest to a point of the bind pose.
     fn nearest(&self, joints: &[u32], point: DVec3, place: &str) -> Result<u32, CharacterError> {
-        // A look at a joint counts like a byte, so that no file asks for more of them than its size allows.
+        // Each comparison costs a byte of the budget, which bounds the time by the size of the file.
         self.data.spend(joints.len() as u64, place)?;
         let distance = |number: &u32| {
             let joint = self.joints.get(*number as usize);
@@ -305,7 +305,7 @@ impl<'a> Meshes<'a> {
         self.fallbacks.mended_weights += usize::from(mended);
         let nearest = if row.is_empty() { self.nearest(&rows.joints, at, place)? } else { 0 };
         self.fallbacks.unbound_vertices += usize::from(row.is_empty());
-        self.soup.weights.push(row, nearest);
+        self.mesh.weights.push(row, nearest);
         Ok(())
     }
 
@@ -338,10 +338,10 @@ impl<'a> Meshes<'a> {
         let mut add = |face: [u32; 3]| {
             let [a, b, c] = face;
             if a != b && b != c && c != a {
-                self.soup.faces.push(face.map(|v| base + v));
-                let paint = read(a).zip(read(b)).zip(read(c)).map(|((a, b), c)| [a, b, c]);
-                self.soup.paint.push(paint.filter(|p| p.iter().all(|uv: &Vec2| uv.is_finite())));
-                self.soup.face_materials.push(number);
+                self.mesh.faces.push(face.map(|v| base + v));
+                let uvs_of_face = read(a).zip(read(b)).zip(read(c)).map(|((a, b), c)| [a, b, c]);
+                self.mesh.material_uvs.push(uvs_of_face.filter(|p| p.iter().all(|uv: &Vec2| uv.is_finite())));
+                self.mesh.face_materials.push(number);
             }
         };
         match (mode, corners.as_slice()) {
@@ -357,7 +357,7 @@ impl<'a> Meshes<'a> {
 
 struct Influences {
     sets: Vec<(Table, Table)>,
-    /// Numbers of the skin's joints.
+    /// Rows of the skin's joints.
     joints: Vec<u32>,
 }
 

@@ -1,4 +1,4 @@
-//! Nodes of a glTF file: their order, their frames, and which the scene shows.
+//! Nodes of a glTF file: order, rest transforms, and which are in the scene.
 
 use super::accessors::Data;
 use super::error::CharacterError;
@@ -8,17 +8,17 @@ use glam::{DMat3, DVec3};
 use gltf::json;
 
 /// A matrix may differ from translation · rotation · scale by this share of its size.
-const SHEAR: f64 = 1e-4;
+const SHEAR_TOLERANCE: f64 = 1e-4;
 
 /// Nodes in depth-first order, parents before children.
 pub(super) struct Nodes {
-    pub nodes: Vec<Node>,
-    /// Number in the file of each of `nodes`.
-    pub source: Vec<usize>,
-    /// Number in `nodes` of each node of the file.
-    pub place: Vec<u32>,
-    /// Whether the scene shows a node.
-    pub shown: Vec<bool>,
+    pub(super) nodes: Vec<Node>,
+    /// Row in the file of each of `nodes`.
+    pub(super) source: Vec<usize>,
+    /// Row in `nodes` of each node of the file.
+    pub(super) place: Vec<u32>,
+    /// Whether each of `nodes` is in the scene.
+    pub(super) shown: Vec<bool>,
 }
 
 pub(super) fn read(data: &Data<'_>) -> Result<Nodes, CharacterError> {
@@ -69,7 +69,7 @@ fn parents(data: &Data<'_>) -> Result<Vec<Option<usize>>, CharacterError> {
     Ok(parents)
 }
 
-/// Roots of the default (else the first) scene, as listed; none: every root.
+/// Roots of the default (else the first) scene, as listed; `None`: every root.
 fn scene_roots(data: &Data<'_>) -> Option<Vec<usize>> {
     let index = data.root.scene.map_or(0, |s| s.value());
     let scene = data.root.scenes.get(index).or(data.root.scenes.first())?;
@@ -97,7 +97,7 @@ fn rest(data: &Data<'_>, i: usize, node: &json::Node) -> Result<Trs, CharacterEr
     Ok(trs)
 }
 
-/// Translation, rotation and scale of a column-major matrix, if it is made of them.
+/// Translation, rotation and scale of a column-major matrix; `None` if it has shear or perspective.
 fn decompose(m: &[f64; 16]) -> Option<Trs> {
     let [a0, a1, a2, a3, b0, b1, b2, b3, c0, c1, c2, c3, x, y, z, w] = *m;
     let linear = DMat3::from_cols(DVec3::new(a0, a1, a2), DVec3::new(b0, b1, b2), DVec3::new(c0, c1, c2));
@@ -108,6 +108,6 @@ fn decompose(m: &[f64; 16]) -> Option<Trs> {
     let stretch = turn.transpose() * linear;
     let scale = DVec3::new(stretch.x_axis.x, stretch.y_axis.y, stretch.z_axis.z);
     let size = linear.to_cols_array().iter().fold(0.0f64, |a, v| a.max(v.abs()));
-    let sheared = !stretch.abs_diff_eq(DMat3::from_diagonal(scale), SHEAR * size);
+    let sheared = !stretch.abs_diff_eq(DMat3::from_diagonal(scale), SHEAR_TOLERANCE * size);
     (!sheared).then(|| Trs { translation: DVec3::new(x, y, z), rotation: quat_of(&turn), scale })
 }

@@ -1,9 +1,9 @@
-//! OBJ meshes (the `tobj` crate) as characters that stand still, on one joint.
+//! OBJ meshes (the `tobj` crate) as static characters on one joint.
 
 use super::ReadOptions;
 use super::buffers::Folder;
 use super::error::CharacterError;
-use super::weld::Soup;
+use super::weld::RawMesh;
 use crate::character::Character;
 use crate::skeleton::{Joint, Node, Skeleton, Trs};
 use crate::template::Material;
@@ -16,10 +16,10 @@ pub(super) fn read(
     bytes: &[u8],
     folder: &Folder<'_>,
     options: &ReadOptions,
-) -> Result<(Soup, Character), CharacterError> {
+) -> Result<(RawMesh, Character), CharacterError> {
     let file = folder.file;
     let settings = tobj::LoadOptions { triangulate: true, single_index: false, ..tobj::LoadOptions::default() };
-    // What went wrong with a material file is kept: tobj's own error says less.
+    // Keeps the error of a material file, which is more specific than that of tobj.
     let refused = RefCell::new(None);
     let library = |path: &std::path::Path| {
         let empty = Ok(Default::default());
@@ -39,26 +39,26 @@ pub(super) fn read(
     if let Some(error) = refused.into_inner() {
         return Err(error);
     }
-    let mut soup = Soup::default();
+    let mut out = RawMesh::default();
     for model in &models {
-        add(&mut soup, model, materials.as_ref().map_or(0, Vec::len), file)?;
+        add(&mut out, model, materials.as_ref().map_or(0, Vec::len), file)?;
     }
-    let mut character = Character { skeleton: standing(), ..Character::default() };
+    let mut character = Character { skeleton: static_skeleton(), ..Character::default() };
     for material in materials.iter().flatten() {
-        character.template.materials.push(look(material, folder)?);
+        character.template.materials.push(material_of(material, folder)?);
     }
     character.template.materials.push(Material::default());
-    Ok((soup, character))
+    Ok((out, character))
 }
 
-fn standing() -> Skeleton {
+fn static_skeleton() -> Skeleton {
     let nodes = vec![Node { name: "body".into(), parent: None, rest: Trs::IDENTITY }];
     Skeleton { nodes, joints: vec![Joint { node: 0, inverse_bind: DAffine3::IDENTITY }], ..Skeleton::default() }
 }
 
 /// Adds the triangles of a model. `v` points up in OBJ, down here.
-fn add(soup: &mut Soup, model: &tobj::Model, materials: usize, file: &str) -> Result<(), CharacterError> {
-    let (mesh, base) = (&model.mesh, soup.points.len() as u32);
+fn add(out: &mut RawMesh, model: &tobj::Model, materials: usize, file: &str) -> Result<(), CharacterError> {
+    let (mesh, base) = (&model.mesh, out.points.len() as u32);
     let place = |what: &str| format!("{what} of `{}`", model.name.chars().take(60).collect::<String>());
     let check = |what: &str, values: &[f32], width: usize| match values.iter().position(|v| !v.is_finite()) {
         None => Ok(()),
@@ -72,15 +72,15 @@ fn add(soup: &mut Soup, model: &tobj::Model, materials: usize, file: &str) -> Re
     };
     check("positions", &mesh.positions, 3)?;
     check("texture coordinates", &mesh.texcoords, 2)?;
-    soup.points.extend(mesh.positions.as_chunks().0.iter().map(|p| Vec3::from_array(*p)));
+    out.points.extend(mesh.positions.as_chunks().0.iter().map(|p| Vec3::from_array(*p)));
     for _ in mesh.positions.as_chunks::<3>().0 {
-        soup.weights.push([(0, 1.0)], 0);
+        out.weights.push([(0, 1.0)], 0);
     }
     let uvs = mesh.texcoords.as_chunks::<2>().0;
     let uv = |k: &u32| uvs.get(*k as usize).map(|&[u, v]| Vec2::new(u, 1.0 - v));
     let material = mesh.material_id.unwrap_or(materials).min(materials);
     let material = u16::try_from(material).unwrap_or(u16::MAX);
-    let count = soup.points.len() as u32;
+    let count = out.points.len() as u32;
     for (k, &face) in mesh.indices.as_chunks::<3>().0.iter().enumerate() {
         let face: [u32; 3] = face.map(|v| v.saturating_add(base));
         if face.iter().any(|&v| v >= count) {
@@ -88,9 +88,9 @@ fn add(soup: &mut Soup, model: &tobj::Model, materials: usize, file: &str) -> Re
             return Err(CharacterError::Malformed { file: file.into(), place: place("faces"), what });
         }
         let corners = mesh.texcoord_indices.get(3 * k..3 * k + 3).unwrap_or(&[]);
-        soup.faces.push(face);
-        soup.face_materials.push(material);
-        soup.paint.push(match corners {
+        out.faces.push(face);
+        out.face_materials.push(material);
+        out.material_uvs.push(match corners {
             [a, b, c] => uv(a).zip(uv(b)).zip(uv(c)).map(|((a, b), c)| [a, b, c]),
             _ => None,
         });
@@ -98,7 +98,7 @@ fn add(soup: &mut Soup, model: &tobj::Model, materials: usize, file: &str) -> Re
     Ok(())
 }
 
-fn look(source: &tobj::Material, folder: &Folder<'_>) -> Result<Material, CharacterError> {
+fn material_of(source: &tobj::Material, folder: &Folder<'_>) -> Result<Material, CharacterError> {
     let colour = source.diffuse.unwrap_or([1.0; 3]).map(|v| if v.is_finite() { v } else { 1.0 });
     let texture = source.diffuse_texture.as_deref().map(|name| {
         let bytes = folder.read(name)?;

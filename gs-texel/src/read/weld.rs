@@ -1,38 +1,39 @@
-//! One row per point of the surface: vertices that files split at seams become one again.
+//! Welding: vertices that files split at seams are merged, so that each point of the surface has one row.
 //!
-//! First vertices of equal bits (position, weights, morph offsets), then those closer than 1e-6 of the size of the
-//! whole, per coordinate, with the same weights and offsets to 1e-4 and that tolerance.
+//! Vertices are merged if position, weights and morph offsets have equal bits, or if positions and offsets differ by at most
+//! 1e-6 of the size of the bounding box per coordinate and weights by at most 1e-4.
 
 use crate::character::Character;
 use crate::template::{Morph, SkinWeights};
 use glam::{Vec2, Vec3, Vec4};
 use std::collections::HashMap;
 
-/// Tolerance, as a share of the longest side of the bounding box.
-const NEAR: f32 = 1e-6;
+/// Tolerance of positions and offsets, as a share of the longest side of the bounding box.
+const POSITION_TOLERANCE: f32 = 1e-6;
 /// Tolerance of weights.
-const SAME_WEIGHT: f32 = 1e-4;
-/// Points looked at in one cell of tolerance size at most (more differ in weights alone).
-const CROWD: usize = 32;
+const WEIGHT_TOLERANCE: f32 = 1e-4;
+/// Maximum number of vertices compared per grid cell (more of them differ in weights only).
+const MAX_CANDIDATES: usize = 32;
 
-/// Triangles as a file has them.
+/// Vertices and triangles as listed in the file, before welding.
 #[derive(Default)]
-pub(super) struct Soup {
-    pub points: Vec<Vec3>,
-    pub weights: SkinWeights,
-    /// Display-encoded colours, one per point, and whether the file has any.
-    pub colors: Vec<Vec4>,
-    pub painted: bool,
-    /// `(vertex, morph, offset)`, vertices in order, morphs in order for each.
-    pub deltas: Vec<(u32, u32, Vec3)>,
+pub(super) struct RawMesh {
+    pub(super) points: Vec<Vec3>,
+    pub(super) weights: SkinWeights,
+    /// Display-encoded colours, one per point; white where the file has none.
+    pub(super) colors: Vec<Vec4>,
+    /// Whether the file has vertex colours.
+    pub(super) has_colors: bool,
+    /// Morph offsets that are not 0 as `(vertex, morph, offset)`, sorted.
+    pub(super) deltas: Vec<(u32, u32, Vec3)>,
     /// Names of the morphs.
-    pub morphs: Vec<String>,
-    pub faces: Vec<[u32; 3]>,
-    pub paint: Vec<Option<[Vec2; 3]>>,
-    pub face_materials: Vec<u16>,
+    pub(super) morphs: Vec<String>,
+    pub(super) faces: Vec<[u32; 3]>,
+    pub(super) material_uvs: Vec<Option<[Vec2; 3]>>,
+    pub(super) face_materials: Vec<u16>,
 }
 
-/// What makes two vertices one.
+/// The attributes that are compared in welding.
 #[derive(Clone, Copy)]
 struct Vertex<'a> {
     point: Vec3,
@@ -54,32 +55,32 @@ impl Vertex<'_> {
         let close = |a: Vec3, b: Vec3| (a - b).abs().max_element() <= tolerance;
         close(self.point, other.point)
             && self.joints == other.joints
-            && self.weights.iter().zip(other.weights).all(|(a, b)| (a - b).abs() <= SAME_WEIGHT)
+            && self.weights.iter().zip(other.weights).all(|(a, b)| (a - b).abs() <= WEIGHT_TOLERANCE)
             && self.deltas.len() == other.deltas.len()
             && self.deltas.iter().zip(other.deltas).all(|(a, b)| a.1 == b.1 && close(a.2, b.2))
     }
 }
 
-/// Ranges of the offsets of every vertex.
-fn delta_rows(soup: &Soup) -> Vec<usize> {
-    let n = soup.points.len() as u32;
-    (0..=n).map(|i| soup.deltas.partition_point(|d| d.0 < i)).collect()
+/// Bounds of the morph offsets of every vertex.
+fn delta_rows(mesh: &RawMesh) -> Vec<usize> {
+    let n = mesh.points.len() as u32;
+    (0..=n).map(|i| mesh.deltas.partition_point(|d| d.0 < i)).collect()
 }
 
-/// Moves a soup into the character's template; `paint` has a row per triangle if any has one, zeros where it has none,
-/// and is empty where none has.
-pub(super) fn weld(soup: Soup, character: &mut Character) {
-    let rows = delta_rows(&soup);
-    let vertices: Vec<Vertex> = (soup.points.iter().zip(soup.weights.begins.array_windows()))
+/// Welds a mesh into the character's template. `material_uvs` gets one row per triangle, zeros for triangles without coordinates; it
+/// stays empty if no triangle has any.
+pub(super) fn weld(mesh: RawMesh, character: &mut Character) {
+    let rows = delta_rows(&mesh);
+    let vertices: Vec<Vertex> = (mesh.points.iter().zip(mesh.weights.begins.array_windows()))
         .zip(rows.array_windows())
         .map(|((&point, &[from, to]), &[first, end])| Vertex {
             point,
-            joints: soup.weights.joints.get(from as usize..to as usize).unwrap_or(&[]),
-            weights: soup.weights.weights.get(from as usize..to as usize).unwrap_or(&[]),
-            deltas: soup.deltas.get(first..end).unwrap_or(&[]),
+            joints: mesh.weights.joints.get(from as usize..to as usize).unwrap_or(&[]),
+            weights: mesh.weights.weights.get(from as usize..to as usize).unwrap_or(&[]),
+            deltas: mesh.deltas.get(first..end).unwrap_or(&[]),
         })
         .collect();
-    let mut welder = Welder::new(&soup.points);
+    let mut welder = Welder::new(&mesh.points);
     let numbers: Vec<u32> = vertices.iter().map(|v| welder.number(*v)).collect();
     let kept = welder.kept;
     let template = &mut character.template;
@@ -89,15 +90,15 @@ pub(super) fn weld(soup: Soup, character: &mut Character) {
         template.weights.push(v.joints.iter().copied().zip(v.weights.iter().copied()), 0);
     }
     let blank = vec![Vec3::ZERO; kept.len()];
-    template.morphs = soup.morphs.iter().map(|m| Morph { name: m.clone(), offsets: blank.clone() }).collect();
+    template.morphs = mesh.morphs.iter().map(|m| Morph { name: m.clone(), offsets: blank.clone() }).collect();
     for (i, v) in kept.iter().enumerate() {
         for &(_, k, delta) in v.deltas {
             let offset = template.morphs.get_mut(k as usize).and_then(|m| m.offsets.get_mut(i));
             offset.into_iter().for_each(|o| *o = delta);
         }
     }
-    let any_paint = soup.paint.iter().any(Option::is_some);
-    for ((face, paint), &material) in soup.faces.iter().zip(&soup.paint).zip(&soup.face_materials) {
+    let any_uvs = mesh.material_uvs.iter().any(Option::is_some);
+    for ((face, uvs), &material) in mesh.faces.iter().zip(&mesh.material_uvs).zip(&mesh.face_materials) {
         let [a, b, c] = face.map(|v| numbers.get(v as usize).copied().unwrap_or(0));
         if a == b || b == c || c == a {
             character.fallbacks.collapsed_faces += 1;
@@ -105,11 +106,11 @@ pub(super) fn weld(soup: Soup, character: &mut Character) {
         }
         template.faces.push([a, b, c]);
         template.face_materials.push(material);
-        if soup.painted {
-            template.face_colors.push(face.map(|v| soup.colors.get(v as usize).copied().unwrap_or(Vec4::ONE)));
+        if mesh.has_colors {
+            template.face_colors.push(face.map(|v| mesh.colors.get(v as usize).copied().unwrap_or(Vec4::ONE)));
         }
-        if any_paint {
-            template.paint.push(paint.unwrap_or([Vec2::ZERO; 3]));
+        if any_uvs {
+            template.material_uvs.push(uvs.unwrap_or([Vec2::ZERO; 3]));
         }
     }
     character.file_vertices = numbers;
@@ -128,11 +129,11 @@ impl<'a> Welder<'a> {
     fn new(points: &[Vec3]) -> Self {
         let low = points.iter().copied().reduce(Vec3::min).unwrap_or(Vec3::ZERO);
         let high = points.iter().copied().reduce(Vec3::max).unwrap_or(Vec3::ZERO);
-        let tolerance = (NEAR * (high - low).max_element()).max(f32::MIN_POSITIVE);
+        let tolerance = (POSITION_TOLERANCE * (high - low).max_element()).max(f32::MIN_POSITIVE);
         Self { exact: HashMap::new(), cells: HashMap::new(), kept: Vec::new(), origin: low, tolerance }
     }
 
-    /// The number of the kept vertex that this one is.
+    /// The row of the welded vertex of `v`, added if it is new.
     fn number(&mut self, v: Vertex<'a>) -> u32 {
         let bits = v.bits();
         if let Some(&number) = self.exact.get(&bits) {
@@ -154,7 +155,7 @@ impl<'a> Welder<'a> {
         let steps = || -1..=1;
         let around = steps().flat_map(|dx| steps().flat_map(move |dy| steps().map(move |dz| [dx, dy, dz])));
         let cells = around.map(|[dx, dy, dz]| [x.saturating_add(dx), y.saturating_add(dy), z.saturating_add(dz)]);
-        let candidates = cells.filter_map(|c| self.cells.get(&c)).flat_map(|c| c.iter().take(CROWD));
+        let candidates = cells.filter_map(|c| self.cells.get(&c)).flat_map(|c| c.iter().take(MAX_CANDIDATES));
         candidates.copied().find(|&k| self.kept.get(k as usize).is_some_and(|o| o.near(v, self.tolerance)))
     }
 }

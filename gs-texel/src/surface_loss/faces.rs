@@ -1,11 +1,11 @@
-//! Measured points against the faces of a surface, which between its vertices it is:
+//! Distances from measured points to the faces of a surface:
 //!
 //! ```text
 //! L = (1/|Q|) Σ_q min_f |q − c_f|²     c_f = Σ b_k p_k, the nearest point of face f
 //! ```
-//! Nothing pulls a surface that the points lie on, but it may slide along itself. Where points have colours `C_q` and the
-//! surface is painted with `C(f, b)`, a point belongs where its colour is (colours as in Park et al. 2017, "Colored point
-//! cloud registration revisited"; the common minimum is that of a nearest neighbour in place and colour):
+//! The loss is 0 for a surface that contains the points, so it leaves tangential motion free. Where points have colours `C_q`
+//! and the surface the texture `C(f, b)`, the nearest point in position and colour is used (colours as in Park et al. 2017,
+//! "Colored point cloud registration revisited"):
 //! ```text
 //! L = (1/|Q|) Σ_q min_f ( |q − c_f|² + w |C_q − C(f, b)|² )                       w: squared metres
 //! ```
@@ -13,8 +13,8 @@
 //! ```text
 //! du = (EᵀE)⁻¹ (dEᵀ r − Eᵀ (dp_0 + dE u))
 //! ```
-//! and the same of one edge where `c` lies on it; at a corner nothing follows. Looked at are the faces around the
-//! [`NEIGHBOURS`] vertices nearest to `q`, which are enough unless a limb's many vertices lie just below a large face.
+//! and the same for one edge where `c` lies on it; at a corner `b` is constant. Candidates are the faces around the 16 vertices
+//! nearest to `q`. They may miss a large face with many vertices of another part close behind it.
 
 use super::chamfer::{BLOCK, Chamfer, ChamferError, local};
 use super::{Point, SurfaceLoss};
@@ -25,51 +25,51 @@ use kiddo::SquaredEuclidean;
 use rayon::prelude::*;
 use std::num::NonZero;
 
-/// Vertices around which the nearest face is looked for.
-pub const NEIGHBOURS: usize = 16;
+/// Vertices whose faces are candidates for the nearest one.
+const NEIGHBOURS: usize = 16;
 
-/// Colours of a surface.
-pub trait Paint: Sync {
-    /// The display-encoded colour of a point of a face, and how it changes with each barycentric coordinate.
+/// A colour at every point of a surface.
+pub trait SurfaceColors: Sync {
+    /// Display-encoded colour at barycentric coordinates of a face, and its derivative by each of them.
     fn at(&self, face: usize, bary: [f64; 3]) -> (DVec3, [DVec3; 3]);
 }
 
-impl Paint for Template {
+impl SurfaceColors for Template {
     fn at(&self, face: usize, bary: [f64; 3]) -> (DVec3, [DVec3; 3]) {
         let (color, slopes) = self.colour_and_slopes(face, bary.map(|b| b as f32));
         (color.truncate().as_dvec3(), slopes.map(|s| s.truncate().as_dvec3()))
     }
 }
 
-/// What a painted surface is held against beside places.
+/// Colours for [`Chamfer::evaluate_faces`].
 #[derive(Clone, Copy)]
 pub struct Colors<'a> {
-    /// Of the surface.
-    pub paint: &'a dyn Paint,
-    /// Of the measured points, a row each.
+    /// `C(f, b)`: colours of the surface.
+    pub paint: &'a dyn SurfaceColors,
+    /// Display-encoded colours of the measured points, one row each.
     pub points: &'a [[f32; 3]],
-    /// `w`, squared metres.
+    /// `w`: weight of squared colour differences, squared metres.
     pub weight: f64,
 }
 
-/// The nearest point of a face, and what it costs.
+/// The nearest point of a face, and its cost.
 #[derive(Clone, Copy)]
 struct Foot {
     corners: [u32; 3],
     bary: [f64; 3],
-    /// From `q` to the foot.
-    away: DVec3,
+    /// Vector from `q` to the foot.
+    error: DVec3,
     cost: f64,
-    /// Of the cost, with respect to the barycentric coordinates.
+    /// Derivative of the cost by the barycentric coordinates.
     d_bary: [f64; 3],
 }
 
 impl Chamfer {
-    /// The mean squared distance of the measured points to the faces of a surface, and of their colours to its paint if
-    /// these are given. `topology` is that of `faces`.
+    /// The mean squared distance of the measured points to the faces of a surface, with colours if given:
+    /// `(1/|Q|) Σ_q min_f (|q − c_f|² + w |C_q − C(f, b)|²)`, and its gradient by `points`. `topology` is that of `faces`.
     ///
     /// # Errors
-    /// As [`Chamfer::evaluate`]; if there are not as many colours as measured points.
+    /// As [`Chamfer::evaluate`], and if the numbers of colours and measured points differ.
     pub fn evaluate_faces<P: Point>(
         &self,
         points: &[P],
@@ -84,35 +84,35 @@ impl Chamfer {
         let surface = Surface { points: &points, faces, topology, reach: reach(&points, faces) };
         let wanted = NonZero::new(NEIGHBOURS).unwrap_or(NonZero::<usize>::MIN);
         let foot = |(k, &q): (usize, &DVec3)| {
-            let near = moving.query(&local(q, self.middle)).nearest_n::<SquaredEuclidean<f32>>(wanted).execute();
+            let near = moving.query(&local(q, self.centroid)).nearest_n::<SquaredEuclidean<f32>>(wanted).execute();
             surface.foot(q, near.iter().map(|n| n.item as usize), colors.map(|c| (c, c.points[k])))
         };
         let feet: Vec<Option<Foot>> = self.target.par_iter().enumerate().with_min_len(BLOCK).map(foot).collect();
         let mut loss = SurfaceLoss::none(points.len());
         let share = 1.0 / self.target.len() as f64;
-        for Foot { corners, bary, away, cost, d_bary } in feet.into_iter().flatten() {
+        for Foot { corners, bary, error, cost, d_bary } in feet.into_iter().flatten() {
             loss.value += share * cost;
             let at = corners.map(|v| points[v as usize]);
-            let moved = foot_backward(at, bary, -away, d_bary);
+            let moved = foot_backward(at, bary, -error, d_bary);
             for k in 0..3 {
-                loss.grad[corners[k] as usize] += share * (2.0 * bary[k] * away + moved[k]);
+                loss.grad[corners[k] as usize] += share * (2.0 * bary[k] * error + moved[k]);
             }
         }
         Ok(loss)
     }
 }
 
-/// A surface that is looked for feet.
+/// A surface to search for nearest points.
 struct Surface<'a> {
     points: &'a [DVec3],
     faces: &'a [[u32; 3]],
     topology: &'a Topology,
-    /// How far from each vertex its faces go.
+    /// Largest distance from each vertex to another corner of its faces.
     reach: Vec<f64>,
 }
 
 impl Surface<'_> {
-    /// The cheapest foot of `q` on faces around some vertices; none if no face there has an area.
+    /// The foot of least cost of `q` on the faces around some vertices; `None` if no face there has an area.
     fn foot(
         &self,
         q: DVec3,
@@ -130,17 +130,17 @@ impl Surface<'_> {
                 let corners = self.faces[f];
                 let [a, b, c] = corners.map(|v| self.points[v as usize]);
                 let bary = nearest_in_triangle(q, [a, b, c]);
-                let away = bary[0] * a + bary[1] * b + bary[2] * c - q;
-                let mut foot = Foot { corners, bary, away, cost: away.length_squared(), d_bary: [0.0; 3] };
+                let error = bary[0] * a + bary[1] * b + bary[2] * c - q;
+                let mut foot = Foot { corners, bary, error, cost: error.length_squared(), d_bary: [0.0; 3] };
                 // A face without an area has no foot.
                 if foot.cost.is_nan() || foot.cost >= cheapest(&best) {
                     continue;
                 }
                 if let Some((colors, wanted)) = color {
                     let (found, slopes) = colors.paint.at(f, bary);
-                    let away = found - DVec3::from(wanted.map(f64::from));
-                    foot.cost += colors.weight * away.length_squared();
-                    foot.d_bary = slopes.map(|s| 2.0 * colors.weight * away.dot(s));
+                    let error = found - DVec3::from(wanted.map(f64::from));
+                    foot.cost += colors.weight * error.length_squared();
+                    foot.d_bary = slopes.map(|s| 2.0 * colors.weight * error.dot(s));
                 }
                 if foot.cost < cheapest(&best) {
                     best = Some(foot);
@@ -164,7 +164,7 @@ fn reach(points: &[DVec3], faces: &[[u32; 3]]) -> Vec<f64> {
     reach
 }
 
-/// Pulls the cotangent of a foot's barycentric coordinates back to the corners; `r` is from the foot to the point.
+/// Backward of a foot's barycentric coordinates to the corners; `r` is the vector from the foot to the point.
 fn foot_backward(at: [DVec3; 3], bary: [f64; 3], r: DVec3, d_bary: [f64; 3]) -> [DVec3; 3] {
     let mut d = [DVec3::ZERO; 3];
     let inside: Vec<usize> = (0..3).filter(|&k| bary[k] > 0.0).collect();
@@ -192,7 +192,7 @@ fn foot_backward(at: [DVec3; 3], bary: [f64; 3], r: DVec3, d_bary: [f64; 3]) -> 
 }
 
 /// Barycentric coordinates of the point of a triangle that is nearest to `q` (Ericson 2005, "Real-Time Collision
-/// Detection", 5.1.5). Not numbers where it has no area.
+/// Detection", 5.1.5). NaN for a triangle without area.
 fn nearest_in_triangle(q: DVec3, [a, b, c]: [DVec3; 3]) -> [f64; 3] {
     let (ab, ac) = (b - a, c - a);
     let (d1, d2) = (ab.dot(q - a), ac.dot(q - a));

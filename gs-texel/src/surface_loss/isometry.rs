@@ -1,4 +1,4 @@
-//! Edges keep the lengths they have in the template:
+//! Squared change of edge lengths from the template:
 //!
 //! ```text
 //! L = Σ_e w_e (|v'_a − v'_b| − |v̄_a − v̄_b|)²
@@ -6,28 +6,28 @@
 //! ```
 //! The three forms in print differ in the weights alone, so they are one table of weighted edges, made once.
 
-use super::{DEGENERATE, Point, SurfaceLoss, area_normal, ring_shares};
+use super::{MIN_DOUBLE_AREA, Point, SurfaceLoss, area_normal, ring_shares};
 use crate::surface::{NONE, Topology};
 use glam::DVec3;
 
-/// Shorter lengths have no direction, metres.
-const SHORT: f64 = 1e-8;
+/// Lower bound of a length that is divided by, metres.
+const MIN_LENGTH: f64 = 1e-8;
 
-/// Which edges count, and how much.
+/// Edges of the isometry loss and their weights.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum IsometryRule {
-    /// Every edge alike: `w = 1/|E|`.
+    /// The mean over edges: `w = 1/|E|`.
     #[default]
     AllEdges,
-    /// The mean over vertices of the mean over a vertex' edges: `w = (1/|N_a| + 1/|N_b|)/N`, so edges of vertices with few
-    /// neighbours count more.
+    /// The mean over vertices of the mean over a vertex' edges: `w = (1/|N_a| + 1/|N_b|)/N`. Edges of vertices with few
+    /// neighbours get more weight.
     RingMean,
-    /// The first edge of every face, as the published code does: `w = 1/F`.
+    /// The first edge of every face, as in DUT's published code: `w = 1/F`.
     FirstEdge,
 }
 
-/// The lengths of the template and the weights of its edges.
+/// Edge lengths and weights of a template.
 #[derive(Clone, Debug)]
 pub struct Isometry {
     edges: Vec<Edge>,
@@ -41,9 +41,9 @@ struct Edge {
 }
 
 impl Isometry {
-    /// From the bind pose. Edges of degenerate faces alone are left out and not counted.
+    /// Takes lengths from the bind pose `rest`. Edges of degenerate faces only are left out.
     pub fn new<P: Point>(rest: &[P], faces: &[[u32; 3]], topology: &Topology, rule: IsometryRule) -> Self {
-        let sound = |f: u32| f != NONE && area_normal(rest, faces[f as usize]).length() >= DEGENERATE;
+        let sound = |f: u32| f != NONE && area_normal(rest, faces[f as usize]).length() >= MIN_DOUBLE_AREA;
         let ends: Vec<[u32; 2]> = match rule {
             IsometryRule::FirstEdge => {
                 (0..).zip(faces).filter(|(f, _)| sound(*f)).map(|(_, face)| [face[0], face[1]]).collect()
@@ -62,17 +62,17 @@ impl Isometry {
         Self { edges: ends.into_iter().zip(weights).map(edge).collect() }
     }
 
-    /// Edges that count.
+    /// Number of edges in the loss.
     pub fn len(&self) -> usize {
         self.edges.len()
     }
 
-    /// Whether none counts.
+    /// Whether there are no edges in the loss.
     pub fn is_empty(&self) -> bool {
         self.edges.is_empty()
     }
 
-    /// The loss of the deformed bind pose `v' = v̄ + D`.
+    /// The loss of the deformed bind pose `v' = v̄ + D`, one row per vertex, and its gradient.
     pub fn evaluate<P: Point>(&self, points: &[P]) -> SurfaceLoss {
         let mut loss = SurfaceLoss::none(points.len());
         for Edge { ends: [a, b], rest, weight } in &self.edges {
@@ -80,9 +80,9 @@ impl Isometry {
             let length = along.length();
             let stretch = length - rest;
             loss.value += weight * stretch * stretch;
-            let pull = along * (2.0 * weight * stretch / length.max(SHORT));
-            loss.grad[*a as usize] += pull;
-            loss.grad[*b as usize] -= pull;
+            let d_end = along * (2.0 * weight * stretch / length.max(MIN_LENGTH));
+            loss.grad[*a as usize] += d_end;
+            loss.grad[*b as usize] -= d_end;
         }
         loss
     }

@@ -1,4 +1,4 @@
-//! Each vertex near the mean of its neighbours:
+//! Squared distance of each vertex from the mean of its neighbours:
 //!
 //! ```text
 //! L = (1/3N) Σ_i |δ_i|²      δ_i = (1/|N_i|) Σ_{j∈N_i} p_j − p_i
@@ -9,7 +9,7 @@ use super::{Point, SurfaceLoss};
 use crate::surface::Topology;
 use glam::DVec3;
 
-/// The loss of world positions. Vertices without neighbours have no say.
+/// The Laplacian loss of world positions, and its gradient. Vertices without neighbours do not contribute.
 pub fn laplacian<P: Point>(points: &[P], topology: &Topology) -> SurfaceLoss {
     let mut loss = SurfaceLoss::none(points.len());
     let share = 1.0 / (3 * points.len().max(1)) as f64;
@@ -21,9 +21,9 @@ pub fn laplacian<P: Point>(points: &[P], topology: &Topology) -> SurfaceLoss {
         let each = 1.0 / near.len() as f64;
         let delta = near.iter().map(|&j| points[j as usize].wide()).sum::<DVec3>() * each - p.wide();
         loss.value += share * delta.length_squared();
-        let pull = 2.0 * share * delta;
-        loss.grad[i] -= pull;
-        near.iter().for_each(|&j| loss.grad[j as usize] += pull * each);
+        let d_delta = 2.0 * share * delta;
+        loss.grad[i] -= d_delta;
+        near.iter().for_each(|&j| loss.grad[j as usize] += d_delta * each);
     }
     loss
 }

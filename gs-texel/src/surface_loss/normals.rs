@@ -1,29 +1,29 @@
-//! Neighbouring normals alike:
+//! Differences of neighbouring normals:
 //!
 //! ```text
 //! faces:    L = (1/|E₂|) Σ_{edges between faces f, g} (1 − n_f·n_g)          n = m/|m|,  m = (b − a) × (c − a)
 //! vertices: L = (1/N) Σ_i (1/|N_i|) Σ_{j∈N_i} (1 − n_i·n_j)                  n_i = Σ_f θ_if n_f / |·|
-//! back:     g_m = (I − n nᵀ) g_n / |m|        ∂θ/∂u = (û cos θ − ŵ)/(|u| sin θ) for the sides u, w of a corner
+//! backward: g_m = (I − n nᵀ) g_n / |m|        ∂θ/∂u = (û cos θ − ŵ)/(|u| sin θ) for the sides u, w of a corner
 //! ```
-//! Vertex normals are weighted by the angles `θ` of the corners. A face without area contributes nothing, and pairs it is part
-//! of keep their share, so that other pairs do not gain weight when a face collapses.
+//! Vertex normals are weighted by the angles `θ` of the corners. Pairs with a face without area contribute nothing but keep
+//! their share, so that other pairs do not gain weight when a face collapses.
 
-use super::{DEGENERATE, Point, SurfaceLoss, area_normal, area_normal_backward, ring_shares};
+use super::{MIN_DOUBLE_AREA, Point, SurfaceLoss, area_normal, area_normal_backward, ring_shares};
 use crate::surface::{NONE, Topology};
 use glam::DVec3;
 
-/// Which normals are compared.
+/// Which pairs of normals are compared.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum NormalRule {
-    /// Those of faces that share an edge.
+    /// Normals of faces that share an edge.
     #[default]
     FacePairs,
-    /// Those of vertices that share an edge.
+    /// Normals of vertices that share an edge.
     VertexRing,
 }
 
-/// The pairs whose normals are compared, with their shares.
+/// Pairs of faces or vertices whose normals are compared, with their weights.
 #[derive(Clone, Debug)]
 pub struct NormalConsistency {
     faces: Vec<[u32; 3]>,
@@ -32,7 +32,7 @@ pub struct NormalConsistency {
 }
 
 impl NormalConsistency {
-    /// From the faces of a mesh and their topology. Edges of one face give no pair of faces, edges of more than two one.
+    /// Takes pairs from the topology of `faces`. An edge of one face gives no pair of faces, an edge of more than two gives one.
     pub fn new(faces: &[[u32; 3]], topology: &Topology, rule: NormalRule) -> Self {
         let pairs = match rule {
             NormalRule::FacePairs => {
@@ -46,7 +46,7 @@ impl NormalConsistency {
         Self { faces: faces.to_vec(), rule, pairs }
     }
 
-    /// The loss of the deformed bind pose.
+    /// The loss of the deformed bind pose, one row per vertex, and its gradient.
     pub fn evaluate<P: Point>(&self, points: &[P]) -> SurfaceLoss {
         let mut loss = SurfaceLoss::none(points.len());
         let areas: Vec<DVec3> = self.faces.iter().map(|f| area_normal(points, *f)).collect();
@@ -71,7 +71,7 @@ impl NormalConsistency {
             d_normals[*j as usize] -= *share * a;
         }
         for ((d, n), sum) in d_normals.iter_mut().zip(&normals).zip(&sums) {
-            *d = (*d - *n * n.dot(*d)) / sum.length().max(DEGENERATE);
+            *d = (*d - *n * n.dot(*d)) / sum.length().max(MIN_DOUBLE_AREA);
         }
         match self.rule {
             NormalRule::FacePairs => {
@@ -124,7 +124,7 @@ impl NormalConsistency {
     }
 }
 
-/// A face seen from each of its corners, in its own sense of turning.
+/// A face starting at each of its corners, orientation kept.
 fn corners([a, b, c]: [u32; 3]) -> [[u32; 3]; 3] {
     [[a, b, c], [b, c, a], [c, a, b]]
 }
@@ -137,5 +137,5 @@ fn arms<P: Point>(points: &[P], [at, next, last]: [u32; 3]) -> [DVec3; 2] {
 /// The direction of `m`; zero where it has none.
 fn unit(m: DVec3) -> DVec3 {
     let length = m.length();
-    if length < DEGENERATE { DVec3::ZERO } else { m / length }
+    if length < MIN_DOUBLE_AREA { DVec3::ZERO } else { m / length }
 }

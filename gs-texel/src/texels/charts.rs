@@ -1,8 +1,8 @@
-//! Charts: the islands of a texture, faces joined where they share an edge both on the mesh and in the texture.
+//! Charts, the islands of a texture: faces connected by edges shared both on the mesh and in the texture.
 
 use glam::Vec2;
 
-/// A vertex and where it lies in the texture, bit for bit.
+/// A vertex and the bits of its texture coordinate.
 type End = (u32, [u32; 2]);
 
 /// Chart of each face, numbered by lowest face. Charts beyond 65535 share the last number.
@@ -38,7 +38,7 @@ pub(super) fn of_faces(faces: &[[u32; 3]], uvs: &[Vec2], face_uvs: &[[u32; 3]]) 
         .collect()
 }
 
-/// The lowest face of a chart, with the path to it halved.
+/// The lowest face of a chart (union-find with path halving).
 fn root(parent: &mut [u32], mut f: u32) -> u32 {
     while parent[f as usize] != f {
         parent[f as usize] = parent[parent[f as usize] as usize];

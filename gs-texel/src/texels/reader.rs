@@ -1,4 +1,4 @@
-//! Maps read at texture coordinates, and the way back: a fixed sparse matrix, since coordinates never move.
+//! Bilinear reads of maps at fixed texture coordinates, as a sparse matrix, and the backward of these reads.
 
 use super::TexelTable;
 use crate::surface::{CHUNK, NONE, Rows};
@@ -7,39 +7,38 @@ use gs_core::Image;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-/// What a vertex on a seam reads, which has a coordinate in each of several charts.
+/// What a vertex on a seam reads; it has a coordinate in each of several charts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SeamRead {
     /// The mean over its coordinates.
     #[default]
     Mean,
-    /// The first met when faces are walked in order (the authors' code).
+    /// The coordinate of the lowest face (DUT's published code).
     First,
 }
 
-/// Bilinear reads at fixed places: `out_i = Σ w_it map_t`.
+/// Bilinear reads at fixed texture coordinates: `out_i = Σ_t w_it map_t`.
 ///
-/// Only valid texels count, whatever the map holds beside them, and their weights sum to 1; a place without any reads the
-/// nearest valid texel.
+/// Only valid texels count, and their weights sum to 1. A coordinate without a valid texel around it reads the nearest one.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct MapReader {
     size: usize,
-    /// Row `i` is `begins[i]..begins[i + 1]`.
+    /// Read `i` has the entries `begins[i]..begins[i + 1]`.
     begins: Vec<u32>,
     texels: Vec<u32>,
     weights: Vec<f32>,
 }
 
 impl MapReader {
-    /// Reads at texture coordinates, one row each.
+    /// A reader at `uvs`, one row per coordinate.
     pub fn at_uvs(table: &TexelTable, uvs: &[Vec2]) -> Self {
         let taps: Vec<_> = uvs.par_iter().with_min_len(CHUNK).map(|&uv| vec![(uv, 1.0)]).collect();
         Self::new(table, &taps)
     }
 
-    /// Reads at the vertices of a mesh, one row each; a vertex of no face reads 0. `faces` and `face_uvs` are the
-    /// table's.
+    /// A reader at the vertices of a mesh, one row per vertex; a vertex of no face reads 0. `faces` and `face_uvs` are those of
+    /// the table.
     pub fn at_vertices(
         table: &TexelTable,
         vertices: usize,
@@ -88,20 +87,20 @@ impl MapReader {
         out
     }
 
-    /// Rows read.
+    /// Number of reads, the rows of the result.
     pub fn len(&self) -> usize {
         self.begins.len().saturating_sub(1)
     }
 
-    /// Whether nothing is read.
+    /// Whether there are no reads.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// The map at every place: `len · C` values.
+    /// The map at every coordinate: `len · C` values for `C` channels.
     ///
     /// # Panics
-    /// If the map has not the side of the table.
+    /// If the map does not have the size of the table.
     pub fn read(&self, map: &Image) -> Vec<f32> {
         assert_eq!((map.width, map.height), (self.size, self.size), "a map of the table's size is read");
         let c = map.channels;
@@ -115,10 +114,10 @@ impl MapReader {
         out
     }
 
-    /// The adjoint of [`MapReader::read`]: cotangents of the values read (`len · channels`) as cotangents of the map.
+    /// Backward of [`MapReader::read`]: cotangents of the values read (`len · channels`) to those of the map.
     ///
     /// # Panics
-    /// If the length is another.
+    /// If `d_read` has another length.
     pub fn adjoint(&self, d_read: &[f32], channels: usize) -> Image {
         assert_eq!(d_read.len(), self.len() * channels, "a cotangent for every value read");
         let mut map = Image::zeros(self.size, self.size, channels);
@@ -137,7 +136,7 @@ impl MapReader {
     }
 }
 
-/// The texels one place reads and their weights, which sum to 1.
+/// The texels read at one coordinate and their weights, which sum to 1.
 fn taps(table: &TexelTable, uv: Vec2) -> Vec<(u32, f64)> {
     let (size, last) = (table.size, table.size as i64 - 1);
     let p = uv.as_dvec2() * size as f64 - 0.5;
@@ -153,7 +152,7 @@ fn taps(table: &TexelTable, uv: Vec2) -> Vec<(u32, f64)> {
         }
     }
     let total: f64 = out.iter().map(|t| t.1).sum();
-    // A share this small is a corner that only rounding touches.
+    // A weight this small is a corner that is touched by rounding only.
     if total < 1e-6 {
         return nearest(table, p).map_or_else(Vec::new, |t| vec![(t, 1.0)]);
     }
@@ -161,7 +160,7 @@ fn taps(table: &TexelTable, uv: Vec2) -> Vec<(u32, f64)> {
     out
 }
 
-/// The valid texel nearest to a place in texels, searched in growing squares.
+/// The valid texel nearest to a position in texels, searched in growing squares.
 fn nearest(table: &TexelTable, p: glam::DVec2) -> Option<u32> {
     let size = table.size as i64;
     let inside = p.clamp(glam::DVec2::ZERO, glam::DVec2::splat((size - 1) as f64));

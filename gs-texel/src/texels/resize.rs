@@ -1,9 +1,9 @@
-//! Maps at another size.
+//! Masked resampling of maps.
 
 use gs_core::Image;
 use rayon::prelude::*;
 
-/// What one output cell reads along an axis: the first input cell and the weights from there on.
+/// Filter of one output cell along an axis: the first input cell and the weights from there on.
 struct Taps {
     first: usize,
     weights: Vec<f64>,
@@ -25,13 +25,14 @@ fn taps(from: usize, to: usize) -> Vec<Taps> {
     (0..to).map(of_cell).collect()
 }
 
-/// A map with both sides resized to `size`, and what of each cell was valid (`size²` values in `[0, 1]`).
+/// Resizes a map to `size × size` with a triangle filter. Also returns the valid share of each cell, `size²` values in
+/// `[0, 1]`.
 ///
-/// With a mask, values are `Σ w m x / Σ w m`, so nothing bleeds in from outside the charts, and 0 where no valid texel is
-/// near. Without, `Σ w x`: the authors' code.
+/// With a mask `m`, values are `Σ w m x / Σ w m`: nothing bleeds in from outside the charts, and cells without a valid texel
+/// are 0. Without a mask, `Σ w x` (DUT's published code).
 ///
 /// # Panics
-/// If the mask has not a value per texel.
+/// If the mask does not have one value per texel.
 pub fn resize(map: &Image, mask: Option<&[f32]>, size: usize) -> (Image, Vec<f32>) {
     let (width, height, c) = map.shape();
     assert!(mask.is_none_or(|m| m.len() == width * height), "a mask value for every texel");

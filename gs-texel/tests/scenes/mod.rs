@@ -1,4 +1,4 @@
-//! Meshes, cameras and pictures with known truth, for the tests, the example and the bench of unprojection.
+//! Meshes, cameras and images with known truth, for the tests, the example and the bench of unprojection.
 #![allow(dead_code, reason = "each user takes a part")]
 
 use glam::{DVec3, Vec2, Vec3};
@@ -10,7 +10,7 @@ use gs_texel::zbuffer::DepthMap;
 
 /// A mesh with texture coordinates.
 #[derive(Clone, Default)]
-pub struct Figure {
+pub struct TexturedMesh {
     pub vertices: Vec<Vec3>,
     pub normals: Vec<Vec3>,
     pub faces: Vec<[u32; 3]>,
@@ -18,7 +18,7 @@ pub struct Figure {
     pub face_uvs: Vec<[u32; 3]>,
 }
 
-impl Figure {
+impl TexturedMesh {
     pub fn mesh(&self) -> Mesh<'_> {
         Mesh { vertices: &self.vertices, normals: &self.normals, faces: &self.faces }
     }
@@ -28,13 +28,13 @@ impl Figure {
     }
 
     /// Normals after the vertices have moved.
-    pub fn settle(&mut self) {
+    pub fn update_normals(&mut self) {
         let topology = Topology::new(&self.faces, self.vertices.len()).unwrap();
         self.normals = topology.normals(&self.vertices, &self.faces);
     }
 
-    /// Both, the other's texture in its own place.
-    pub fn join(mut self, other: &Figure) -> Self {
+    /// Both meshes; texture coordinates are kept.
+    pub fn join(mut self, other: &TexturedMesh) -> Self {
         let (v, t) = (self.vertices.len() as u32, self.uvs.len() as u32);
         self.vertices.extend(&other.vertices);
         self.normals.extend(&other.normals);
@@ -46,8 +46,8 @@ impl Figure {
 }
 
 /// A sphere of `2·across·(down − 1)` triangles; its map of longitude and latitude fills the rectangle `lo..hi`.
-pub fn sphere(centre: Vec3, radius: f32, across: u32, down: u32, lo: Vec2, hi: Vec2) -> Figure {
-    let mut out = Figure::default();
+pub fn sphere(centre: Vec3, radius: f32, across: u32, down: u32, lo: Vec2, hi: Vec2) -> TexturedMesh {
+    let mut out = TexturedMesh::default();
     let direction = |i: u32, j: u32| {
         let (lat, lon) = (
             std::f64::consts::PI * f64::from(i) / f64::from(down),
@@ -93,8 +93,8 @@ pub fn sphere(centre: Vec3, radius: f32, across: u32, down: u32, lo: Vec2, hi: V
 }
 
 /// A square plate around `centre` spanned by `right` and `up` (half sides), facing `right × up`, cut into `n × n` cells.
-pub fn plate(centre: Vec3, right: Vec3, up: Vec3, n: u32, lo: Vec2, hi: Vec2) -> Figure {
-    let mut out = Figure::default();
+pub fn plate(centre: Vec3, right: Vec3, up: Vec3, n: u32, lo: Vec2, hi: Vec2) -> TexturedMesh {
+    let mut out = TexturedMesh::default();
     for j in 0..=n {
         for i in 0..=n {
             let at = Vec2::new(i as f32, j as f32) / n as f32;
@@ -114,7 +114,7 @@ pub fn plate(centre: Vec3, right: Vec3, up: Vec3, n: u32, lo: Vec2, hi: Vec2) ->
 }
 
 /// A sphere of 0.9 m with a small one before it: 18.7 thousand triangles.
-pub fn two_spheres() -> Figure {
+pub fn two_spheres() -> TexturedMesh {
     let big = sphere(Vec3::ZERO, 0.9, 96, 91, Vec2::ZERO, Vec2::new(1.0, 0.92));
     let small = sphere(Vec3::new(0.35, 0.2, 1.15), 0.15, 28, 28, Vec2::new(0.0, 0.93), Vec2::new(0.15, 1.0));
     big.join(&small)
@@ -135,8 +135,8 @@ pub fn waves(k: f64) -> impl Fn(DVec3) -> [f32; 3] + Sync {
     move |p| [(0.5 + 0.4 * (k * p.x).sin() * (k * p.y).cos()) as f32; 3]
 }
 
-/// The picture of a coloured mesh: the colour of the point under each pixel centre, with opacity.
-pub fn render(figure: &Figure, camera: &Camera, color: &impl Fn(DVec3) -> [f32; 3]) -> Image {
+/// The image of a coloured mesh: the colour of the point under each pixel centre, with opacity.
+pub fn render(figure: &TexturedMesh, camera: &Camera, color: &impl Fn(DVec3) -> [f32; 3]) -> Image {
     let depth = DepthMap::new(&figure.vertices, &figure.faces, camera, 0.05);
     let mut image = Image::zeros(depth.width, depth.height, 4);
     let (origin, turn) = (camera.position(), camera.rotation.transpose());
@@ -159,7 +159,7 @@ pub fn views<'a>(cameras: &'a [Camera], images: &'a [Image]) -> Vec<View<'a>> {
 }
 
 /// Decibels between a texture and the truth at the texels seen.
-pub fn psnr(texture: &Texture, figure: &Figure, table: &TexelTable, color: &impl Fn(DVec3) -> [f32; 3]) -> f64 {
+pub fn psnr(texture: &Texture, figure: &TexturedMesh, table: &TexelTable, color: &impl Fn(DVec3) -> [f32; 3]) -> f64 {
     let (mut sum, mut n) = (0.0, 0usize);
     for k in (0..table.len()).filter(|&k| texture.seen[k] > 0) {
         let want = color(table.at(&figure.faces, &figure.vertices, k).as_dvec3());

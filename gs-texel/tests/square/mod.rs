@@ -1,4 +1,4 @@
-//! The unit square as a sheet of texels.
+//! The unit square as a map of texels.
 #![allow(dead_code, reason = "each user takes a part")]
 
 use glam::{Affine3A, Vec2, Vec3};
@@ -23,7 +23,7 @@ pub fn square(size: usize) -> (Vec<Vec3>, Vec<[u32; 3]>, TexelTable) {
 /// The square at rest, as base maps.
 pub fn at_rest(size: usize) -> (TexelTable, TexelBase) {
     let (points, faces, table) = square(size);
-    let (still, turns) = (vec![Affine3A::IDENTITY; 4], vec![[1.0, 0.0, 0.0, 0.0]; 4]);
-    let base = TexelBase::new(&table, &faces, &points, &still, &turns, &[1.0; 4]).unwrap();
+    let (still, rotations) = (vec![Affine3A::IDENTITY; 4], vec![[1.0, 0.0, 0.0, 0.0]; 4]);
+    let base = TexelBase::new(&table, &faces, &points, &still, &rotations, &[1.0; 4]).unwrap();
     (table, base)
 }

@@ -1,26 +1,23 @@
-//! Whole sheets of texel Gaussians: base maps, warm-up, what is left out or merged and what that costs.
+//! Texel Gaussians of a whole map: base maps, positions relative to the root, warm-up, threads.
 //!
 //! | what | tolerance |
 //! |---|---|
-//! | pictures about the root against pictures in the world | 2e-5 |
+//! | renders relative to the root against renders in the world | 2e-5 |
 
-mod sheet;
+mod square;
 
 use glam::{Affine3A, DAffine3, DQuat, DVec3, Mat3A, Quat, Vec3};
 use gs_core::rot;
 use gs_core::{Camera, Color, Rng, Splats, SplatsGrad};
 use gs_raster::{RasterOptions, Workspace, render};
-use gs_texel::gaussians::merge::{MergeOptions, merge};
-use gs_texel::gaussians::thin::{ThinOptions, select, worth_drawing};
 use gs_texel::gaussians::{
-    BaseError, ChannelsError, Covariance, DecodeOptions, TexelBase, about, camera_about, decode, decode_backward,
-    offset_penalty, warm_up,
+    BaseError, Covariance, DecodeOptions, TexelBase, camera_relative_to, decode, decode_backward, offset_penalty,
+    relative_to, warm_up,
 };
-use gs_texel::texels::TexelTable;
-use sheet::{WIDTH, at_rest, channels, square};
+use square::{WIDTH, at_rest, channels, square};
 
-/// Rows of an opaque sheet whose colour is a slow wave of amplitude `wave`.
-fn painted(base: &TexelBase, size: usize, wave: f32) -> Vec<f32> {
+/// Rows of an opaque surface whose colour is a slow wave of amplitude `wave`.
+fn textured(base: &TexelBase, size: usize, wave: f32) -> Vec<f32> {
     let shade = |p: &Vec3| {
         let at = |f: f32, x: f32| 0.5 + wave * (f * x).sin();
         [at(7.0, p.x), at(9.0, p.y), at(5.0, p.x + p.y)]
@@ -43,12 +40,7 @@ fn facing() -> Camera {
     camera(DVec3::new(0.5, 0.5, 1.6), DVec3::new(0.5, 0.5, 0.0))
 }
 
-/// Nothing but the middle of the square.
-fn close() -> Camera {
-    camera(DVec3::new(0.5, 0.5, 0.5), DVec3::new(0.5, 0.5, 0.0))
-}
-
-fn picture(splats: &Splats, camera: &Camera) -> Vec<f32> {
+fn rendered(splats: &Splats, camera: &Camera) -> Vec<f32> {
     render(splats, camera, &RasterOptions::default(), &mut Workspace::default()).rgb
 }
 
@@ -72,7 +64,7 @@ fn base_maps_are_blends_of_vertices() {
         assert!((base.points[k] - uv.extend(0.0)).length() < 1e-6);
         assert!((base.kappas[k] - 1.0 - uv.x).abs() < 1e-6);
         assert!((base.transforms[k].matrix3.x_axis.x - 1.0 - uv.x).abs() < 1e-6);
-        let same: f32 = base.turns[k].iter().zip(other.turns[k]).map(|(a, b)| a * b).sum();
+        let same: f32 = base.rotations[k].iter().zip(other.rotations[k]).map(|(a, b)| a * b).sum();
         assert!((same.abs() - 1.0).abs() < 1e-6, "the sign of a quaternion does not matter");
     }
     let e = TexelBase::new(&table, &faces, &points, &transforms, &turns, &kappas[1..]).unwrap_err();
@@ -99,21 +91,21 @@ fn a_root_far_away_costs_no_precision() {
         TexelBase::new(&table, &faces, &points, &[one; 4], &[turn; 4], &[1.0; 4]).unwrap()
     };
     let near = DAffine3::from_rotation_translation(DQuat::from_rotation_z(0.3), DVec3::ZERO);
-    let local = about(&joints, root);
+    let local = relative_to(&joints, root);
     assert_eq!(local[0], near);
-    let rows = painted(&make(&near), 16, 0.3);
-    let draw = |joint: &DAffine3, camera: &Camera| {
+    let rows = textured(&make(&near), 16, 0.3);
+    let render_at = |joint: &DAffine3, camera: &Camera| {
         let splats = decode(&rows, channels(), &make(joint), &DecodeOptions::default()).unwrap();
-        picture(&splats, camera)
+        rendered(&splats, camera)
     };
     let view = facing();
     let far = Camera { translation: view.translation - view.rotation * root, ..view };
-    let want = draw(&near, &view);
-    let got = draw(&local[0], &camera_about(&far, root));
+    let want = render_at(&near, &view);
+    let got = render_at(&local[0], &camera_relative_to(&far, root));
     let worst = got.iter().zip(&want).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
     assert!(worst < 2e-5, "{worst}");
     // Without it, f32 means have a quarter of a metre.
-    assert!(psnr(&draw(&joints[0], &far), &want) < 40.0);
+    assert!(psnr(&render_at(&joints[0], &far), &want) < 40.0);
 }
 
 #[test]
@@ -175,113 +167,6 @@ fn warm_up_loss_is_a_weighted_sum_of_means() {
     assert_eq!(warm_up::loss(&rows, &rows, channels(), &mut grad).unwrap(), 0.0);
     assert!(grad.iter().all(|g| *g == 0.0));
     assert!(warm_up::loss(&rows, &targets[1..], channels(), &mut grad).is_err());
-}
-
-#[test]
-fn dropping_the_transparent_changes_no_bit() {
-    let (_, base) = at_rest(24);
-    let mut rows = painted(&base, 24, 0.3);
-    rows.chunks_exact_mut(WIDTH).step_by(3).for_each(|row| row[7] = -6.0);
-    let splats = decode(&rows, channels(), &base, &DecodeOptions::default()).unwrap();
-    let kept = worth_drawing(&splats, Some(&facing()), &ThinOptions::default());
-    assert_eq!(kept.len(), 2 * splats.len() / 3);
-    let thin = select(&splats, &kept);
-    thin.check().unwrap();
-    assert_eq!(picture(&thin, &facing()), picture(&splats, &facing()));
-    // Off: everything stays.
-    let off = ThinOptions { min_opacity: 0.0, min_pixels: 0.0 };
-    assert_eq!(select(&splats, &worth_drawing(&splats, None, &off)), splats);
-}
-
-#[test]
-fn dropping_the_small_costs_little() {
-    let (_, base) = at_rest(24);
-    let mut rows = painted(&base, 24, 0.3);
-    rows.chunks_exact_mut(WIDTH).step_by(4).for_each(|row| row[0..3].fill(-9.0));
-    let splats = decode(&rows, channels(), &base, &DecodeOptions::default()).unwrap();
-    let options = ThinOptions { min_pixels: 0.3, ..ThinOptions::default() };
-    let kept = worth_drawing(&splats, Some(&facing()), &options);
-    let near = psnr(&picture(&select(&splats, &kept), &facing()), &picture(&splats, &facing()));
-    println!("{} of {} kept, {near:.1} dB", kept.len(), splats.len());
-    assert_eq!(kept.len(), 3 * splats.len() / 4);
-    assert!(near > 30.0, "{near}");
-    assert_eq!(worth_drawing(&splats, None, &options).len(), splats.len(), "no camera, no size");
-}
-
-#[test]
-fn merging_a_plain_sheet_leaves_a_quarter_and_the_picture() {
-    let size = 32;
-    let (table, base) = at_rest(size);
-    let (normals, offsets) = (vec![Vec3::Z; base.len()], vec![Vec3::ZERO; base.len()]);
-    let plain = decode(&painted(&base, size, 0.0), channels(), &base, &DecodeOptions::default()).unwrap();
-    let waved = decode(&painted(&base, size, 0.05), channels(), &base, &DecodeOptions::default()).unwrap();
-    let run = |splats: &Splats, options: MergeOptions| merge(splats, &table, &normals, &offsets, &options).unwrap();
-    let off = run(&plain, MergeOptions { levels: 0, ..MergeOptions::default() });
-    assert_eq!(off.1.after, plain.len());
-    assert_eq!(psnr(&picture(&off.0, &facing()), &picture(&plain, &facing())), f64::INFINITY);
-    let bare = MergeOptions { keep_borders: false, ..MergeOptions::default() };
-    for (levels, part, least) in [(1, 4, 60.0), (2, 16, 60.0)] {
-        let (merged, report) = run(&plain, MergeOptions { levels, ..bare });
-        merged.check().unwrap();
-        assert_eq!((report.after, report.blocks[levels as usize]), (plain.len() / part, plain.len() / part));
-        assert!(report.color_rms < 1e-6);
-        // From so near that no border is seen: the surface stays closed and of one colour.
-        let near = psnr(&picture(&merged, &close()), &picture(&plain, &close()));
-        let (kept, bordered) = run(&plain, MergeOptions { levels, ..MergeOptions::default() });
-        let outline = |splats: &Splats| psnr(&picture(splats, &facing()), &picture(&plain, &facing()));
-        println!(
-            "levels {levels}: {} of {}, {near:.1} dB inside, {:.1} dB outside; borders kept: {}, {:.1} dB",
-            report.after,
-            report.before,
-            outline(&merged),
-            bordered.after,
-            outline(&kept)
-        );
-        assert!(near > least, "{near}");
-        assert!(outline(&kept) > outline(&merged) + 10.0);
-    }
-    // A wave merges where it is flat only, and the tolerance bounds what colours change.
-    let (_, report) = run(&waved, bare);
-    assert!(report.after > plain.len() / 4 && report.after < plain.len(), "{report:?}");
-    assert!(report.color_rms > 0.0 && report.color_rms < 2.0 / 255.0);
-    assert_eq!(report.blocks[0] + 4 * report.blocks[1], plain.len());
-}
-
-#[test]
-fn what_differs_is_not_merged() {
-    let size = 8;
-    let (table, base) = at_rest(size);
-    let rows = painted(&base, size, 0.0);
-    let splats = decode(&rows, channels(), &base, &DecodeOptions::default()).unwrap();
-    let (normals, offsets) = (vec![Vec3::Z; base.len()], vec![Vec3::ZERO; base.len()]);
-    let count = |splats: &Splats, table: &TexelTable, normals: &[Vec3], offsets: &[Vec3]| {
-        let options = MergeOptions { keep_borders: false, ..MergeOptions::default() };
-        merge(splats, table, normals, offsets, &options).unwrap().1.after
-    };
-    assert_eq!(count(&splats, &table, &normals, &offsets), 16);
-    let mut bent = normals.clone();
-    bent[0] = Vec3::new(0.2, 0.0, 1.0).normalize();
-    assert_eq!(count(&splats, &table, &bent, &offsets), 19);
-    let mut moved = offsets.clone();
-    moved[0] = 0.1 * Vec3::Z;
-    assert_eq!(count(&splats, &table, &normals, &moved), 19);
-    let mut faint = splats.clone();
-    faint.opacities[0] = 0.5;
-    assert_eq!(count(&faint, &table, &normals, &offsets), 19);
-    let mut tinted = splats.clone();
-    if let Color::Sh { coeffs, .. } = &mut tinted.color {
-        // A degree-1 coefficient alone: the colour differs from some directions.
-        coeffs[4] = 0.05;
-    }
-    assert_eq!(count(&tinted, &table, &normals, &offsets), 19);
-    let mut cut = table.clone();
-    cut.chart[0] = 1;
-    assert_eq!(count(&splats, &cut, &normals, &offsets), 19);
-    let mut hole = table.clone();
-    hole.row[0] = gs_texel::surface::NONE;
-    assert_eq!(count(&splats, &hole, &normals, &offsets), 18, "the hole itself is gone");
-    let e = merge(&splats, &table, &normals[1..], &offsets, &MergeOptions::default()).unwrap_err();
-    assert!(matches!(e, ChannelsError::Length { column: "normals", .. }));
 }
 
 #[test]
