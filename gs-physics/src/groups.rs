@@ -47,12 +47,13 @@ pub struct Group {
 /// ```
 /// use glam::Vec3;
 /// use gs_physics::{ClassRule, Groups, Motion, Twist, groups::FREE};
-/// let twist = |w| Motion { twist: Twist { v: [0.0; 3], w }, ..Motion::default() };
-/// let (spin, other) = (twist([0.0, 0.0, 1.0]), twist([0.0, 9.0, 0.0]));
-/// let (motions, means) = ([spin, spin, spin, other], [Vec3::X, Vec3::Y, Vec3::NEG_X, Vec3::NEG_Y * 2.0]);
+/// let spin = Motion { twist: Twist { v: [0.0; 3], w: [0.0, 0.0, 1.0] }, ..Motion::default() };
+/// let mut motions = vec![spin; 21];
+/// motions[10].twist.v[0] = 3.0; // an outlier
+/// let means: Vec<_> = (0..21).map(|i| Vec3::new((i % 3) as f32 - 1.0, (i / 3) as f32 - 3.0, 0.5)).collect();
 /// let rule = ClassRule { tolerance: 0.01, horizon: 1.0 };
-/// let groups = Groups::fit(&rule, &[0; 4], &motions, &means, Vec3::ZERO, &[0.1; 4])?;
-/// assert_eq!(groups.of, [0, 0, 0, FREE]);
+/// let groups = Groups::fit(&rule, &[0; 21], &motions, &means, Vec3::ZERO, &[0.1; 21])?;
+/// assert!(groups.of[10] == FREE && groups.members() == 20);
 /// assert!((groups.list[0].motion.twist.w[2] - 1.0).abs() < 1e-12);
 /// # Ok::<(), gs_physics::RowsError>(())
 /// ```
