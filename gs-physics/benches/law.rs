@@ -1,8 +1,8 @@
-//! Time and error of what is learnt: laws and velocity fields of two sizes, forward and back, 20 000 particles a step.
+//! Time and error of laws and velocity fields of two sizes, forward and backward, 20 000 particles a step.
 //!
 //! Each row is printed and appended to `target/speed-error/gs-physics.jsonl`. `work` counts floating-point operations of
-//! matrix products, two per multiply-add. Errors are against the `f64` twins: of positions and turns, or of the gradients
-//! of weights relative to the largest of their block; the twins follow a few particles only.
+//! matrix products, two per multiply-add. Errors are against the `f64` references: of positions and rotations, or of the gradients
+//! of weights relative to the largest of their block; the references follow a few particles only.
 
 #[path = "../tests/support/particles.rs"]
 mod particles;
@@ -15,13 +15,13 @@ use gs_physics::reference::Pose;
 use gs_physics::reference::law::LawRef;
 use gs_physics::reference::velocity::VelocityRef;
 use gs_physics::{Dynamics, Integrator, Law, LawConfig, LawForm, Moves, VelocityConfig, VelocityField};
-use particles::{MIDDLE, cotangents, points, start};
+use particles::{CENTROID, cotangents, points, start};
 
 const N: usize = 20_000;
-/// Particles the twins follow.
+/// Particles that the references compute.
 const COMPARED: usize = 100;
 const STEP: f64 = 1.0 / 30.0;
-/// One step back, as training takes it.
+/// One step back in time, as in training.
 const SPAN: [f64; 2] = [0.5, 0.5 - STEP];
 const BOUNDS: [Vec3; 2] = [Vec3::NEG_ONE, Vec3::ONE];
 
@@ -41,8 +41,8 @@ fn row(case: &str, variant: &str, (n, work): (usize, f64), (error, error_kind): 
     line.keep(env!("CARGO_MANIFEST_DIR"));
 }
 
-/// Weights of a trained size, so that particles move.
-fn enliven(params: &mut impl Params) {
+/// Sets weights of the size of trained ones, so that particles move.
+fn randomise_weights(params: &mut impl Params) {
     params.visit_mut(&mut |p| {
         let mut rng = Rng::new(2, &p.name, 0, 0);
         let spread = if p.name.ends_with("bias") { 0.3 } else { 0.1 };
@@ -50,7 +50,7 @@ fn enliven(params: &mut impl Params) {
     });
 }
 
-/// Errors of positions and turns, and of gradients, over the compared particles.
+/// Errors of poses, and of gradients, over the compared particles.
 fn errors<D: Dynamics>(
     dynamics: &mut D,
     transport: impl Fn([f64; 3]) -> Pose,
@@ -91,12 +91,12 @@ fn relative(got: &[f32], want: &[f64]) -> f64 {
     got.iter().zip(want).fold(0.0, |m, (g, w)| m.max((f64::from(*g) - w).abs() / largest))
 }
 
-/// Rows of one step of training. `products`: multiply-adds of a particle forward, and back.
+/// Rows of one step of training. `products`: multiply-adds of a particle forward and backward.
 fn train<D: Dynamics>(case: &str, mut dynamics: D, products: [usize; 2], [value, gradient]: [f64; 2]) {
     let (x, d) = (points(N), cotangents(N));
     let (mut tape, mut out) = (D::Tape::default(), Moves::default());
     let work = |k: usize| (N, 2.0 * (products[k] * N) as f64);
-    row(case, "forward", work(0), (value, "positions and turns against f64"), || {
+    row(case, "forward", work(0), (value, "positions and rotations against f64"), || {
         dynamics.transport(start(&x, SPAN[0]), SPAN[1], &mut tape, &mut out);
     });
     row(case, "backward", work(1), (gradient, "weights' gradients relative to f64"), || {
@@ -112,17 +112,17 @@ fn products(inputs: usize, hidden: usize, depth: usize, outputs: usize) -> [usiz
 
 fn law(case: &str, config: &LawConfig) -> Result<(), Box<dyn std::error::Error>> {
     let mut law = Law::new(config, Vec3::ZERO, STEP, 1)?;
-    enliven(&mut law);
-    let mut twin = LawRef::new(&law);
-    twin.middle = MIDDLE.as_dvec3().to_array();
-    let transport = |x| twin.transport(x, SPAN);
+    randomise_weights(&mut law);
+    let mut reference = LawRef::new(&law);
+    reference.centroid = CENTROID.as_dvec3().to_array();
+    let transport = |x| reference.transport(x, SPAN);
     let gradient = |x, d| {
-        let mut grad = twin.net.zeros();
-        twin.gradient(x, SPAN, d, &mut grad);
+        let mut grad = reference.net.zeros();
+        reference.gradient(x, SPAN, d, &mut grad);
         grad
     };
     let errors = errors(&mut law, transport, gradient);
-    // The time is folded: 21 inputs, not 28. Back: weights of all layers, inputs of all but the first.
+    // The time is folded: 21 inputs, not 28. Backward: weights of all layers, inputs of all but the first.
     let [inner, all] = products(21, config.hidden, config.depth, 12);
     train(case, law, [all, inner + all], errors);
     Ok(())
@@ -130,36 +130,36 @@ fn law(case: &str, config: &LawConfig) -> Result<(), Box<dyn std::error::Error>>
 
 fn velocity(case: &str, config: &VelocityConfig) -> Result<(), Box<dyn std::error::Error>> {
     let mut field = VelocityField::new(config, BOUNDS, STEP, 1)?;
-    enliven(&mut field);
-    let twin = VelocityRef::new(&field);
-    let transport = |x| twin.transport(x, SPAN);
+    randomise_weights(&mut field);
+    let reference = VelocityRef::new(&field);
+    let transport = |x| reference.transport(x, SPAN);
     let gradient = |x, d| {
-        let mut grad = twin.net.zeros();
-        twin.gradient(x, SPAN, d, &mut grad);
+        let mut grad = reference.net.zeros();
+        reference.gradient(x, SPAN, d, &mut grad);
         grad
     };
     let errors = errors(&mut field, transport, gradient);
     let [_, all] = products(28, config.hidden, config.depth, 6);
-    // A value with four derivatives, twice back.
+    // A value with four derivatives, backward twice that.
     let (work, kind) = ((config.points, 2.0 * (15 * all * config.points) as f64), "weights' gradients relative to f64");
-    row(case, "losses and backward", work, (losses(&mut field, &twin), kind), || {
+    row(case, "losses and backward", work, (losses(&mut field, &reference), kind), || {
         field.regularise(1, 1);
     });
-    // A value at the begin, a value with three derivatives in the middle; read again, then weights and inputs, on the
-    // way back.
+    // A value at the start, a value with three derivatives at the midpoint; backward: evaluated again, then weights and
+    // inputs.
     train(case, field, [5 * all, 15 * all], errors);
     Ok(())
 }
 
 /// Error of the gradient of the physics-informed loss.
-fn losses(field: &mut VelocityField, twin: &VelocityRef) -> f64 {
+fn losses(field: &mut VelocityField, reference: &VelocityRef) -> f64 {
     let point = |row| {
         let (x, t) = point(field, 1, 1, row);
         (x.as_dvec3().to_array(), f64::from(t))
     };
     let points: Vec<([f64; 3], f64)> = (0..field.config().points).map(point).collect();
-    let (mut grad, mut other) = (twin.net.zeros(), twin.acceleration.zeros());
-    twin.losses(&points, [&mut grad, &mut other]);
+    let (mut grad, mut other) = (reference.net.zeros(), reference.acceleration.zeros());
+    reference.losses(&points, [&mut grad, &mut other]);
     field.clear_grads();
     field.regularise(1, 1);
     let (mut worst, mut want) = (0.0f64, grad.iter().chain(&other));

@@ -1,5 +1,5 @@
-//! Time and error of the roll-out: every integrator on known motions at 30 steps (one thread), the way back, nodes kept for later
-//! questions, and what classes and groups save.
+//! Time and error of the roll-out: every integrator on exact motions at 30 steps (one thread), the adjoint, cached steps of
+//! the extrapolator, and the savings of classes and groups.
 //!
 //! Each row is printed and appended to `target/speed-error/gs-physics.jsonl`. `work` counts particle-steps (for an
 //! extrapolator, those a fresh roll-out would take), so the rate is in particle-steps.
@@ -26,7 +26,7 @@ const RULES: [(Integrator, &str); 6] = [
 ];
 type Failure = Box<dyn std::error::Error>;
 
-/// What a row says beside its time.
+/// A measured row without its time.
 struct Row {
     case: String,
     variant: &'static str,
@@ -72,7 +72,7 @@ impl Cloud {
     }
 }
 
-/// Every integrator on a truth at 30 steps: positions start anew each time.
+/// Every integrator on a truth at 30 steps, from the same start each time.
 fn integrators(c: &mut Criterion, truth: &Truth, threads: usize) -> Result<(), Failure> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
     let cloud = Cloud::of(truth);
@@ -92,7 +92,7 @@ fn integrators(c: &mut Criterion, truth: &Truth, threads: usize) -> Result<(), F
     Ok(())
 }
 
-/// What training does: two steps forth with a tape, and back.
+/// As in training: two steps forward with a tape, and backward.
 fn training(c: &mut Criterion) {
     let truth = truth::tumble();
     let cloud = Cloud::of(&truth);
@@ -117,12 +117,13 @@ fn training(c: &mut Criterion) {
         let error = off.fold(0.0, f64::max) / largest;
         let kind = "gradient relative to f64";
         let (work, threads) = (2.0 * PARTICLES as f64, rayon::current_num_threads());
-        let row = Row { case: "forth and back".into(), variant, work, threads, error, error_kind: kind };
+        let row = Row { case: "forward and backward".into(), variant, work, threads, error, error_kind: kind };
         measure(c, row, || drop(go(&mut grads)));
     }
 }
 
-/// A scene: half rests, a quarter belongs to three bodies, an eighth flies, the rest spins or tumbles on its own.
+/// A scene: half of the particles rest, a quarter belong to three bodies, an eighth translate, the rest rotate or tumble on
+/// their own.
 fn scene() -> (Vec<Motion<f32>>, Vec<Vec3>, Vec<u32>) {
     let mut rng = Rng::new(1, "scene", 0, 0);
     let bodies = [truth::wheel().motion, truth::tumble().motion, truth::spin_up().motion];
@@ -151,7 +152,7 @@ fn scene() -> (Vec<Motion<f32>>, Vec<Vec3>, Vec<u32>) {
     (motions, means, labels)
 }
 
-/// A quarter of the training span ahead, frame by frame or in one question; reductions on and off.
+/// 18 frames ahead, with a cold and a warm cache; reductions on and off.
 fn extrapolation(c: &mut Criterion) -> Result<(), Failure> {
     let (motions, means, labels) = scene();
     let quats = vec![UNIT; PARTICLES];
@@ -161,7 +162,7 @@ fn extrapolation(c: &mut Criterion) -> Result<(), Failure> {
     let groups = Groups::fit(&rule, &labels, &motions, &means, rollout.origin, &reach)?;
     let classes = plain.clone().reduce(&rule, &reach, None)?;
     let grouped = plain.clone().reduce(&rule, &reach, Some(groups))?;
-    println!("    rest, fly, turn, about an axis, take steps: {:?}", classes.counts().classes);
+    println!("    static, translation, constant twist, fixed axis, general: {:?}", classes.counts().classes);
     println!("    with groups: {:?}", grouped.counts());
     let frames: Vec<f64> = (1..=18).map(|k| 0.7 + f64::from(k) / 60.0).collect();
     let work = |frames: &[f64]| frames.iter().map(|t| rollout.steps([0.7, *t]).len()).sum::<usize>() * PARTICLES;

@@ -19,14 +19,14 @@ const RULES: [Integrator; 6] = [
 const STEPS: [u32; 5] = [5, 15, 30, 60, 120];
 const UNIT: [f32; 4] = [1.0, 0.0, 0.0, 0.0];
 
-/// The particle of a truth, ready to be shown at any time.
+/// The particle of a truth, to be asked for at any time.
 fn particle(truth: &Truth, rule: Integrator, steps: u32) -> Result<Extrapolator, RowsError> {
     let start = Vec3::from_array(truth.start.map(|v| v as f32));
     let rollout = Rollout { rule, dt: truth.span / f64::from(steps), origin: Vec3::ZERO };
     Extrapolator::new(rollout, 0.0, vec![truth.motion.narrowed()], vec![start], vec![UNIT])
 }
 
-/// Distance of the particle's end from where it should be.
+/// Distance of the particle's end from the exact one.
 fn miss(truth: &Truth, rule: Integrator, steps: u32) -> Result<f64, RowsError> {
     let mut particle = particle(truth, rule, steps)?;
     let (means, _) = particle.at(truth.span);
@@ -61,12 +61,17 @@ fn main() -> Result<(), RowsError> {
     table("The same wheel without the -w x v_c of its acceleration", &without)?;
     table("A body that spins about two axes", &truth::tumble())?;
 
-    println!("\nThe rim of the wheel on its way (Se3Mid, 30 steps):");
+    println!("\nThe rim of the wheel over time (Se3Mid, 30 steps):");
     let mut rim = particle(&truth::wheel(), Integrator::Se3Mid, 30)?;
     for k in 0..=8 {
         let t = f64::from(k) / 8.0;
         let (means, quats) = rim.at(t);
-        println!("t = {t:.3}   at {:>7.4} {:>7.4}   turned {:>6.2} degrees", means[0].x, means[0].z, degrees(quats[0]));
+        println!(
+            "t = {t:.3}   at {:>7.4} {:>7.4}   rotated by {:>6.2} degrees",
+            means[0].x,
+            means[0].z,
+            degrees(quats[0])
+        );
     }
     Ok(())
 }

@@ -1,21 +1,21 @@
-//! The least motion that serves: particles that rest, fly, spin or screw have closed forms and need no steps.
+//! Motion classes: particles that rest, translate, or rotate about a fixed axis have closed forms and need no steps.
 //!
-//! A class replaces a motion by a *model* whose twists commute, so one exponential of its mean twist carries a particle
-//! to any time. With `Δ = motion − model`, read about the particle (`c(τ) = c₀ + c₁τ + ½c₂τ²` its velocity there, `w(τ)`
-//! its turning), the particle of the model is off by at most
+//! A class replaces a motion by a *model* whose twists commute, so one exponential of its mean twist advances a particle
+//! to any time. With `Δ = motion − model` about the particle (`c(τ) = c₀ + c₁τ + ½c₂τ²` the velocity there, `w(τ)` the
+//! angular velocity), the error of the model's particle is at most
 //!
 //! ```text
 //! |Δc₀|H + ½|Δc₁|H² + ⅙|Δc₂|H³  +  (|Δw₀|H + ½|Δw₁|H² + ⅙|Δw₂|H³) (D + r)          for |τ| ≤ H
 //! ```
-//! (the difference `e` obeys `e' = Δu + w×e`, and `w×e` does not lengthen `e`). `D = |c₀|H + ½|c₁|H² + ⅙|c₂|H³` bounds how
-//! far a particle gets, of the motion or of the model, whichever is less; `r` is how much its splat changes per radian
-//! ([`turn_reach`]). A translation follows the particle's own Taylor series to the third order instead, off by at most
-//! `sup|x''''| H⁴/24`, plus `r` times its turn, which is dropped. All this holds against the true path; roll-outs differ
-//! from that by the error of their integrator.
+//! (the difference `e` obeys `e' = Δu + w×e`, and `w×e` does not lengthen `e`). `D = |c₀|H + ½|c₁|H² + ⅙|c₂|H³` bounds the
+//! displacement of the particle, of the motion or of the model, whichever is less; `r` is how much its splat changes per
+//! radian ([`turn_reach`]). A translation follows the particle's own Taylor series to the third order instead: its error is
+//! at most `sup|x''''| H⁴/24`, plus `r` times the rotation, which is dropped. All bounds are against the exact path;
+//! roll-outs differ from that by the error of their integrator.
 
 use crate::extrapolate::{RowsError, same_rows};
 use crate::integrator::Integrator;
-use crate::step::{Tick, step};
+use crate::step::{Substep, step};
 use crate::twist::{Motion, Twist};
 use crate::vec3::{add, add_scaled, norm, scale};
 use glam::Vec3;
@@ -25,40 +25,49 @@ use rayon::prelude::*;
 /// Kinds of motion, cheapest first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum MotionClass {
-    /// Rests.
+    /// At rest: the pose does not change.
     Static,
-    /// Moves without turning: `x + v_p τ + ½ a_p τ² + ⅙ x''' τ³`.
+    /// Translation without rotation: `x + v_p τ + ½ a_p τ² + ⅙ x''' τ³`.
     Translation,
-    /// Its twist does not change.
+    /// A twist that is constant in time: a screw motion.
     ConstTwist,
-    /// Turns about an axis that rests, at any rate, and may slide along it.
+    /// Rotation about a fixed axis at any rate, and translation along it.
     FixedAxis,
-    /// Needs its steps.
+    /// Any other motion; it is integrated in steps.
     General,
 }
 
-/// When a class is good enough.
+/// Error up to which a motion may be replaced by a simpler one.
+///
+/// ```
+/// use gs_physics::{ClassRule, Motion, MotionClass, Twist};
+/// let rule = ClassRule { tolerance: 0.01, horizon: 1.0 };
+/// let spin = Motion { twist: Twist { v: [0.0; 3], w: [0.0, 0.0, 3.0] }, ..Motion::default() };
+/// // On its axis, a round splat does not change at all; an elongated one does.
+/// assert_eq!(rule.classify(&spin, [0.0; 3], 0.0).class, MotionClass::Static);
+/// assert_eq!(rule.classify(&spin, [0.0; 3], 0.1).class, MotionClass::ConstTwist);
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ClassRule {
-    /// Largest error, world units. 0 leaves only what is exact.
+    /// Largest error, world units. 0 allows only exact replacements.
     pub tolerance: f64,
-    /// Longest time from when motions were read, either way; beyond, nothing is reduced.
+    /// Longest time from when motions were read, in both directions; beyond it, no motion is replaced.
     pub horizon: f64,
 }
 
-/// A particle's class.
+/// The class of a particle and the closed form that replaces its motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Classified {
-    /// The lowest class within the tolerance.
+    /// The cheapest class within the tolerance.
     pub class: MotionClass,
-    /// How far its model may be off within the horizon, world units; 0 for [`MotionClass::General`].
+    /// Bound on the error of the model within the horizon, world units; 0 for [`MotionClass::General`].
     pub bound: f64,
-    /// What the class takes the motion for.
+    /// The motion that replaces the particle's own, about the same origin.
     pub model: Motion<f64>,
 }
 
-/// World units by which the extent of a splat changes at most per radian that it turns: its largest less its smallest
-/// scale. Round splats need no orientation.
+/// World units by which the extent of a splat changes at most per radian of rotation: its largest less its smallest scale.
+/// 0 for round splats, whose orientation does not matter.
 pub fn turn_reach(scales: Vec3) -> f32 {
     scales.max_element() - scales.min_element()
 }
@@ -71,7 +80,7 @@ impl ClassRule {
         let whole = Motion { twist: local.twist, ..Motion::default() };
         let tried = [
             Some((MotionClass::Static, Motion::default(), self.bound(&local, &Motion::default(), reach))),
-            Some((MotionClass::Translation, flight(&local), self.flight_bound(&local, reach))),
+            Some((MotionClass::Translation, translation(&local), self.translation_bound(&local, reach))),
             Some((MotionClass::ConstTwist, whole, self.bound(&local, &whole, reach))),
             self.fixed_axis(&local).map(|m| (MotionClass::FixedAxis, m, self.bound(&local, &m, reach))),
         ];
@@ -82,10 +91,10 @@ impl ClassRule {
         }
     }
 
-    /// [`ClassRule::classify`] for all particles, about an origin.
+    /// [`ClassRule::classify`] for all particles; `means` are in world coordinates.
     ///
     /// # Errors
-    /// If rows do not match.
+    /// If the columns differ in length.
     pub fn classify_all(
         &self,
         motions: &[Motion<f32>],
@@ -101,7 +110,7 @@ impl ClassRule {
         Ok(motions.par_iter().zip(means).zip(reach).with_min_len(256).map(one).collect())
     }
 
-    /// How far a particle of `model` may be from one of `motion`, both about the particle, within the horizon.
+    /// Bound on the distance between particles of `model` and of `motion`, both about the particle, within the horizon.
     pub(crate) fn bound(&self, motion: &Motion<f64>, model: &Motion<f64>, reach: f64) -> f64 {
         let [m, o] = [motion.to_array(), model.to_array()];
         let off = Motion::from_array(std::array::from_fn(|i| m[i] - o[i]));
@@ -116,8 +125,8 @@ impl ClassRule {
         h * (p0 + h * (0.5 * p1 + h * p2 / 6.0))
     }
 
-    /// `sup|x''''| H⁴/24` and the turn that is dropped, from bounds on `x'` … `x'''` within the horizon.
-    fn flight_bound(&self, local: &Motion<f64>, reach: f64) -> f64 {
+    /// `sup|x''''| H⁴/24` and the rotation that is dropped, from bounds on `x'` … `x'''` within the horizon.
+    fn translation_bound(&self, local: &Motion<f64>, reach: f64) -> f64 {
         let h = self.horizon;
         let [c0, c1, c2] = [&local.twist, &local.rate, &local.jerk].map(|t| norm(t.v));
         let [w0, w1, w2] = [&local.twist, &local.rate, &local.jerk].map(|t| norm(t.w));
@@ -130,7 +139,7 @@ impl ClassRule {
         fourth * h.powi(4) / 24.0 + self.travel(local, |t| t.w) * reach
     }
 
-    /// The turning and sliding along one resting axis that is nearest to a motion about the particle.
+    /// The rotation about and translation along one fixed axis that is nearest to a motion about the particle.
     fn fixed_axis(&self, local: &Motion<f64>) -> Option<Motion<f64>> {
         let (t, r) = (&local.twist, &local.rate);
         let lead = if norm(t.w) >= 0.5 * self.horizon * norm(r.w) { t } else { r };
@@ -148,21 +157,22 @@ impl ClassRule {
     }
 }
 
-/// The particle's own Taylor series as a motion without turning:
+/// The particle's own Taylor series as a motion without rotation:
 /// `v_p`, `a_p = c₁ + w×v_p`, `x''' = c₂ + 2ε×v_p + w×a_p`.
-fn flight(local: &Motion<f64>) -> Motion<f64> {
+fn translation(local: &Motion<f64>) -> Motion<f64> {
     let (v, w, e) = (local.twist.v, local.twist.w, local.rate.w);
     let a = add(local.rate.v, cross3(w, v));
     let third = add(add_scaled(local.jerk.v, 2.0, cross3(e, v)), cross3(w, a));
-    let flat = |v| Twist { v, w: [0.0; 3] };
-    Motion { twist: flat(v), rate: flat(a), jerk: flat(third) }
+    let linear = |v| Twist { v, w: [0.0; 3] };
+    Motion { twist: linear(v), rate: linear(a), jerk: linear(third) }
 }
 
 impl Classified {
-    /// Position (relative to the origin) after `tau`, and the turn since; `None` for [`MotionClass::General`].
+    /// Position (relative to the origin) after `tau` of the particle at `x`, and its rotation `(w, x, y, z)` since; `None`
+    /// for [`MotionClass::General`].
     pub fn closed_form(&self, tau: f64, x: [f64; 3]) -> Option<([f64; 3], [f64; 4])> {
         (self.class != MotionClass::General)
-            .then(|| step(Integrator::Se3Mid, &self.model, &Tick::leap(tau), x, [1.0, 0.0, 0.0, 0.0]))
+            .then(|| step(Integrator::Se3Mid, &self.model, &Substep::averaged(tau), x, [1.0, 0.0, 0.0, 0.0]))
     }
 }
 
@@ -181,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn known_motions_have_their_class_and_reach_their_ends() {
+    fn exact_motions_have_their_class_and_reach_their_ends() {
         let rule = |horizon| ClassRule { tolerance: 1e-12, horizon };
         let want = [
             (truth::circle(), MotionClass::ConstTwist),
@@ -195,7 +205,7 @@ mod tests {
             let found = rule(t.span).classify(&t.motion, t.start, 0.1);
             assert_eq!(found.class, class, "{}", t.name);
             if let Some((x, q)) = found.closed_form(t.span, t.start) {
-                assert!(t.miss(x) < 1e-13 && t.misturn(q) < 1e-13, "{}: {}", t.name, t.miss(x));
+                assert!(t.miss(x) < 1e-13 && t.rotation_error(q) < 1e-13, "{}: {}", t.name, t.miss(x));
             }
         }
         assert_eq!(rule(1.0).classify(&Motion::default(), [1.0; 3], 1.0).class, MotionClass::Static);
@@ -205,10 +215,10 @@ mod tests {
         assert_eq!(rule(1.0).classify(&m, [0.7, 0.1, 0.0], 0.1).class, MotionClass::FixedAxis);
     }
 
-    /// Random motions from nearly resting to fast: the closed form is never farther off than its bound, and the bounds
-    /// are worth something (the worst case uses at least a third of each).
+    /// Random motions from nearly resting to fast: the error of the closed form is never above its bound, and bounds are
+    /// tight (the worst case uses at least a third of each).
     #[test]
-    fn bounds_hold_and_are_not_vain() {
+    fn bounds_hold_and_are_tight() {
         let mut rng = Rng::new(1, "classes", 0, 0);
         let mut used = [0.0f64; 4];
         let mut seen = [0; 5];
@@ -247,7 +257,7 @@ mod tests {
     }
 
     #[test]
-    fn reach_is_what_a_turn_changes() {
+    fn round_splats_do_not_change_by_rotation() {
         assert_eq!(turn_reach(Vec3::new(0.25, 1.0, 0.5)), 0.75);
         assert_eq!(turn_reach(Vec3::splat(0.3)), 0.0);
         let rule = ClassRule { tolerance: 1e-6, horizon: 1.0 };

@@ -1,8 +1,8 @@
-//! How complex the motion in a video is: scene motion velocity and acceleration (TRACE, supplement 5.15).
+//! Motion complexity of a video: scene motion velocity and acceleration (TRACE, supplement 5.15).
 //!
 //! ```text
-//! u_k = ((x_{k+1} − x_k) / W, (y_{k+1} − y_k) / H) / (t_{k+1} − t_k)      parts of the image per unit of time
-//! velocity = mean |u_k|        acceleration = mean |u_{k+1} − u_k|        over points that move, times and views
+//! u_k = ((x_{k+1} − x_k) / W, (y_{k+1} − y_k) / H) / (t_{k+1} − t_k)      image sizes per unit of time
+//! velocity = mean |u_k|        acceleration = mean |u_{k+1} − u_k|        over moving points, times and views
 //! ```
 //! The paper does not divide the difference of velocities by the time between them a second time;
 //! [`Complexity::acceleration_per_time`] does. A track moves if its whole path is at least [`STATIC_PATH`] long (the
@@ -10,36 +10,36 @@
 
 use glam::DVec2;
 
-/// Tracks with shorter paths stand still, pixels.
+/// Length of the path below which a track counts as static, pixels.
 pub const STATIC_PATH: f64 = 1.0;
 
-/// Points followed through one view.
+/// Image positions of points over time, as seen from one view.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImageTracks {
     /// Width and height of the image, pixels.
     pub size: [f64; 2],
-    /// Ascending times.
+    /// Times of the frames, ascending, in any unit.
     pub times: Vec<f64>,
-    /// `[points][times]` pixel positions; none where a point is not seen.
+    /// `[points][times]` pixel positions; none where a point is not visible.
     pub tracks: Vec<Vec<Option<DVec2>>>,
 }
 
-/// How a scene moves.
+/// Mean image motion of a scene.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct Complexity {
-    /// Mean speed of moving points, parts of the image per unit of time.
+    /// Mean speed of moving points, image sizes per unit of time.
     pub velocity: f64,
-    /// Mean change of velocity from one pair of times to the next (the paper's).
+    /// Mean change of velocity from one interval to the next (the paper's acceleration), same unit.
     pub acceleration: f64,
-    /// The same over the time between the middles of the two, per unit of time squared.
+    /// Mean change of velocity over the time between the midpoints of the intervals, image sizes per unit of time squared.
     pub acceleration_per_time: f64,
-    /// Points followed.
+    /// Number of tracks of all views.
     pub tracks: usize,
-    /// Points that move.
+    /// Number of tracks at least as long as the static path.
     pub moving: usize,
 }
 
-/// Sum and count of a mean.
+/// Sum and count of the values of a mean.
 #[derive(Clone, Copy, Debug, Default)]
 struct Sum(f64, usize);
 
@@ -53,7 +53,19 @@ impl Sum {
     }
 }
 
-/// Of all views together; `static_path` in pixels ([`STATIC_PATH`]). All zero without a point that moves.
+/// Motion complexity of all views together; `static_path` in pixels ([`STATIC_PATH`]). All means are zero if no point
+/// moves.
+///
+/// ```
+/// use glam::DVec2;
+/// use gs_physics::complexity::{ImageTracks, STATIC_PATH, complexity};
+/// // 20 of 200 pixels in each quarter of the unit of time, at constant velocity.
+/// let times = vec![0.0, 0.25, 0.5];
+/// let track = times.iter().map(|t| Some(DVec2::new(80.0 * t, 50.0))).collect();
+/// let view = ImageTracks { size: [200.0, 100.0], times, tracks: vec![track] };
+/// let found = complexity(&[view], STATIC_PATH);
+/// assert_eq!((found.velocity, found.acceleration, found.moving), (0.4, 0.0, 1));
+/// ```
 pub fn complexity(views: &[ImageTracks], static_path: f64) -> Complexity {
     let (mut speed, mut change, mut rate) = (Sum::default(), Sum::default(), Sum::default());
     let mut out = Complexity::default();

@@ -1,29 +1,21 @@
-//! The seam between a law of motion and whoever trains it.
+//! The interface between a law of motion and the trainer.
 
 use crate::rollout::Rollout;
 use crate::twist::Motion;
 use glam::Vec3;
 use gs_core::Params;
 
-/// Where particles went, or the cotangents of that.
+/// Particles after [`Dynamics::transport`], or the cotangents of that; one row per particle in both columns.
 #[derive(Clone, Debug, PartialEq, Default)]
 pub struct Moves {
-    /// Positions.
+    /// Positions, world units, one per particle.
     pub means: Vec<Vec3>,
     /// World-frame rotations since the start, `(w, x, y, z)`, to be multiplied from the left.
     pub turns: Vec<[f32; 4]>,
 }
 
 impl Moves {
-    /// `n` rows of zeros.
-    pub fn reset(&mut self, n: usize) {
-        self.means.clear();
-        self.means.resize(n, Vec3::ZERO);
-        self.turns.clear();
-        self.turns.resize(n, [0.0; 4]);
-    }
-
-    /// Copies rows, reusing memory.
+    /// Overwrites all rows, reusing memory.
     pub(crate) fn set(&mut self, means: &[Vec3], turns: &[[f32; 4]]) {
         self.means.clear();
         self.means.extend_from_slice(means);
@@ -32,45 +24,45 @@ impl Moves {
     }
 }
 
-/// Particles at the moment from which they are carried.
+/// Particles at the time from which they are integrated.
 #[derive(Clone, Copy, Debug)]
 pub struct Start<'a> {
-    /// Positions, world units.
+    /// Positions, world units, one per particle.
     pub x: &'a [Vec3],
-    /// The moment, in the unit of time of all calls.
+    /// Their time, in the unit of time of all calls.
     pub t: f64,
-    /// The middle of what moves among them, world units; [`Dynamics::origin`] where nothing is known of it.
+    /// Centroid of the moving particles among them, world units; [`Dynamics::origin`] where it is unknown.
     pub middle: Vec3,
 }
 
-/// Something learnt that moves particles through time: a law of twists, a velocity field.
+/// A learnt model that moves particles through time: a law of twists, a velocity field.
 ///
 /// Positions that go in are constants (no gradient reaches them), as both TRACE and NVFi train it.
 pub trait Dynamics: Params + Send + Sync {
-    /// Scratch of one transport.
+    /// Activations of one [`Dynamics::transport`] for its backward pass; may be reused.
     type Tape: Default + Send + Sync;
 
-    /// Carries particles to time `to`, in either direction, in sub-steps. `to = start.t` gives `start.x` and identities, bit
-    /// for bit.
+    /// Integrates particles to time `to`, in either direction, in sub-steps. `to = start.t` gives `start.x` and identity
+    /// rotations, bit for bit.
     fn transport(&self, start: Start<'_>, to: f64, tape: &mut Self::Tape, out: &mut Moves);
 
-    /// The way back of [`Dynamics::transport`] from the same start: adds to the gradients of the parameters.
+    /// Backward of [`Dynamics::transport`] from the same start: adds to the gradients of the parameters.
     fn transport_backward(&mut self, start: Start<'_>, tape: &mut Self::Tape, d: &Moves);
 
-    /// Regularisers that need no image: adds their gradients, gives their values with weights applied.
+    /// Loss terms that need no image: adds their gradients, gives `(name, value)` with weights applied.
     fn regularise(&mut self, _seed: u64, _step: u32) -> Vec<(&'static str, f32)> {
         Vec::new()
     }
 
-    /// The motion of particles from their start on, about [`Dynamics::origin`]; for a velocity field its local twist.
+    /// The motion of each particle from its start on, about [`Dynamics::origin`]; for a velocity field its local twist.
     fn motions(&self, start: Start<'_>) -> Vec<Motion<f32>>;
 
-    /// Whether [`Dynamics::motions`] of one moment rule all later times (a law), or the field must be read again at every
-    /// step (a velocity field).
+    /// Whether [`Dynamics::motions`] read at one time hold for all later times (a law), or the network must be evaluated
+    /// again at every step (a velocity field).
     fn rules_ahead(&self) -> bool;
 
-    /// How [`Dynamics::motions`] of one moment are carried on, where twists are; none where motion has a closed form or is
-    /// read again at every step.
+    /// The roll-out that integrates [`Dynamics::motions`]; none where motion has a closed form or the network is evaluated
+    /// at every step.
     fn carried_by(&self) -> Option<Rollout> {
         None
     }

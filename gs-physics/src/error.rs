@@ -1,29 +1,29 @@
-//! What can be wrong with a setting.
+//! Errors of the settings of laws and fields.
 
 /// A law or a field that cannot be built.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum PhysicsError {
-    /// A key has a value that cannot be built.
+    /// A setting has a value that cannot be built.
     #[error("physics setting `{field}` = {value} cannot be built: it must be {rule}")]
     Config {
-        /// The key.
+        /// Key of the setting, as in TOML.
         field: &'static str,
-        /// The value met.
+        /// The value given, as text.
         value: String,
-        /// What it must satisfy.
+        /// What the value must satisfy, to follow "it must be".
         rule: &'static str,
     },
-    /// The box is not one.
+    /// The bounding box of the scene is empty or not finite.
     #[error("the box of the scene from {min} to {max} is empty or not finite; give two corners, the lowest first")]
     Bounds {
-        /// Lowest corner met.
+        /// Lowest corner given, world units.
         min: glam::Vec3,
-        /// Highest corner met.
+        /// Highest corner given, world units.
         max: glam::Vec3,
     },
 }
 
-/// Refuses a count outside `lo..=hi`.
+/// Fails for a count outside `lo..=hi`.
 pub(crate) fn within(
     field: &'static str,
     v: usize,
@@ -34,7 +34,7 @@ pub(crate) fn within(
     check(field, v, (lo..=hi).contains(&v), rule)
 }
 
-/// Refuses a value unless it is `good`.
+/// Fails unless the value is `good`.
 pub(crate) fn check(
     field: &'static str,
     value: impl std::fmt::Display,

@@ -1,15 +1,15 @@
-//! Particles of one rigid body share one motion: fitted by least squares, stepped once for all of them.
+//! Rigid groups: one motion for all particles of a body, fitted by least squares and integrated once.
 //!
 //! For particles at `y` (relative to the origin) whose motions have the coefficients `(v_i, w_i)`, each of twist, rate and
-//! jerk is refitted to the velocities they mean, with `r = y − ȳ`, `c_i = v_i + w_i × y_i`:
+//! jerk is refitted to their velocities, with `r = y − ȳ`, `c_i = v_i + w_i × y_i`:
 //!
 //! ```text
 //! min Σ ‖V + W × y_i − c_i‖²:     (Σ ‖r‖² I − r rᵀ + μI) W = Σ r × c_i + μ w̄,    V = c̄ − W × ȳ
 //! ```
-//! `μ`, 1e-6 of the spread, settles what a line or a point leaves open with the members' own mean `w̄`. Members whose path
-//! the shared motion misses by more than the tolerance (bound of [`crate::classes`]) leave and the rest is fitted again,
-//! first those that are off by more than twice the median, so that strangers do not drag the fit away from the body.
-//! A group is carried by one affine map ([`Group::map`]), composed in `f64`.
+//! `μ`, 1e-6 of the spread, fills what a line or a point leaves undetermined with the members' own mean `w̄`. Members whose
+//! error under the shared motion exceeds the tolerance (bound of [`crate::classes`]) are removed and the rest is fitted
+//! again, first those above twice the median error, so that outliers do not bias the fit. A group is advanced by one affine
+//! map ([`Group::map`]), composed in `f64`.
 
 use crate::classes::ClassRule;
 use crate::extrapolate::{Poses, RowsError, same_rows};
@@ -22,36 +22,50 @@ use rayon::prelude::*;
 
 /// The label of a particle that belongs to no group.
 pub const FREE: u32 = u32::MAX;
-/// Most fits of a group.
-const FITS: usize = 8;
-/// Members within this times the median bound are not strangers.
-const STRANGE: f64 = 2.0;
-/// Weight of the members' own turning, of their spread.
+/// Largest number of fits of a group.
+const MAX_FITS: usize = 8;
+/// Members whose error bound exceeds this times the median are outliers.
+const OUTLIER_FACTOR: f64 = 2.0;
+/// `μ` over the spread of the members.
 const RIDGE: f64 = 1e-6;
 
-/// One rigid body.
+/// The shared motion of one rigid body.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Group {
-    /// Its motion, about the origin.
+    /// The motion of all members, about the origin.
     pub motion: Motion<f64>,
-    /// Particles that follow it.
+    /// Number of particles that follow it.
     pub members: usize,
-    /// Root mean squared difference between its velocities and theirs at `τ = 0`, world units per unit of time.
+    /// Root mean square difference between its velocities and the members' own at `τ = 0`, world units per unit of time.
     pub residual: f64,
-    /// The worst bound on how far a member is off within the horizon, world units.
+    /// The largest bound on a member's error within the horizon, world units.
     pub bound: f64,
 }
 
-/// Rigid bodies and who belongs to them.
+/// Rigid bodies and the particles that belong to them.
+///
+/// ```
+/// use glam::Vec3;
+/// use gs_physics::{ClassRule, Groups, Motion, Twist, groups::FREE};
+/// let spin = Motion { twist: Twist { v: [0.0; 3], w: [0.0, 0.0, 1.0] }, ..Motion::default() };
+/// let mut motions = vec![spin; 21];
+/// motions[10].twist.v[0] = 3.0; // an outlier
+/// let means: Vec<_> = (0..21).map(|i| Vec3::new((i % 3) as f32 - 1.0, (i / 3) as f32 - 3.0, 0.5)).collect();
+/// let rule = ClassRule { tolerance: 0.01, horizon: 1.0 };
+/// let groups = Groups::fit(&rule, &[0; 21], &motions, &means, Vec3::ZERO, &[0.1; 21])?;
+/// assert!(groups.of[10] == FREE && groups.members() == 20);
+/// assert!((groups.list[0].motion.twist.w[2] - 1.0).abs() < 1e-12);
+/// # Ok::<(), gs_physics::RowsError>(())
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct Groups {
-    /// The bodies; those nobody follows have no members.
+    /// One group per label, in the order of labels; a group that fits none of its particles has no members.
     pub list: Vec<Group>,
     /// Index into `list` for every particle, or [`FREE`].
     pub of: Vec<u32>,
 }
 
-/// What a fit looks at.
+/// Inputs of a fit.
 struct Scene<'a> {
     rule: &'a ClassRule,
     motions: &'a [Motion<f32>],
@@ -62,11 +76,11 @@ struct Scene<'a> {
 
 impl Groups {
     /// Fits one motion to the particles of each label (labels from 0, [`FREE`] for none). `reach` is the
-    /// [`crate::classes::turn_reach`] of every particle. Particles that would be off by more than the tolerance within the
-    /// horizon are freed, and so is a group of one.
+    /// [`turn_reach`](crate::classes::turn_reach) of every particle. Particles whose error would exceed the tolerance within
+    /// the horizon become [`FREE`], and so does a group of one.
     ///
     /// # Errors
-    /// If rows do not match.
+    /// If the columns differ in length.
     pub fn fit(
         rule: &ClassRule,
         labels: &[u32],
@@ -89,27 +103,27 @@ impl Groups {
         let mut of = vec![FREE; labels.len()];
         let mut list = Vec::with_capacity(count);
         for (label, mut members) in members.into_iter().enumerate() {
-            list.push(scene.settle(&mut members));
+            list.push(scene.fit_robust(&mut members));
             members.iter().for_each(|i| of[*i] = label as u32);
         }
         Ok(Self { list, of })
     }
 
-    /// Particles that follow a group.
+    /// Number of particles that follow any group.
     pub fn members(&self) -> usize {
         self.list.iter().map(|g| g.members).sum()
     }
 
-    /// Sets the members among `now` to where they are `tau` after `start`.
+    /// Writes the poses of all members `tau` after `start` to their rows of `now`.
     pub(crate) fn place(&self, rollout: &Rollout, tau: f64, start: &Poses, now: &mut Poses) {
-        let maps: Vec<_> = self.list.iter().map(|g| Moved::new(g.map(rollout, [0.0, tau]))).collect();
+        let maps: Vec<_> = self.list.iter().map(|g| Change::new(g.map(rollout, [0.0, tau]))).collect();
         let rows = now.means.par_chunks_mut(PARTICLES).zip(now.quats.par_chunks_mut(PARTICLES));
         let first = start.means.par_chunks(PARTICLES).zip(start.quats.par_chunks(PARTICLES));
         rows.zip(first).zip(self.of.par_chunks(PARTICLES)).for_each(|(((means, quats), (x0, q0)), of)| {
             for (i, label) in of.iter().enumerate() {
                 if let Some(map) = maps.get(*label as usize) {
-                    means[i] = x0[i] + (map.change * (x0[i] - rollout.origin) + map.shift);
-                    quats[i] = hamilton(map.turn, q0[i]);
+                    means[i] = x0[i] + (map.linear * (x0[i] - rollout.origin) + map.translation);
+                    quats[i] = hamilton(map.rotation, q0[i]);
                 }
             }
         });
@@ -117,46 +131,46 @@ impl Groups {
 }
 
 impl Group {
-    /// How the group is carried over `span`: its affine map about the origin and its turn.
-    pub fn map(&self, rollout: &Rollout, span: [f64; 2]) -> (Affine<f64>, [f64; 4]) {
-        let start = (Affine::identity(0.0), [1.0, 0.0, 0.0, 0.0]);
+    /// The affine map of positions about the origin over `span`, and the rotation `(w, x, y, z)`.
+    pub fn map(&self, rollout: &Rollout, span: [f64; 2]) -> (Affine, [f64; 4]) {
+        let start = (Affine::IDENTITY, [1.0, 0.0, 0.0, 0.0]);
         rollout.steps(span).into_iter().fold(start, |(map, q), (tau, h)| {
-            let (step, turn) = step_map(&self.motion, tau, h, rollout.rule);
-            (map.then(&step), hamilton(turn, q))
+            let (step, rotation) = step_map(&self.motion, tau, h, rollout.rule);
+            (map.then(&step), hamilton(rotation, q))
         })
     }
 }
 
-/// A map as what it changes, so that a group at rest keeps its bits.
-struct Moved {
-    change: glam::Mat3,
-    shift: Vec3,
-    turn: [f32; 4],
+/// A map less the identity, so that a group at rest keeps its bits.
+struct Change {
+    linear: glam::Mat3,
+    translation: Vec3,
+    rotation: [f32; 4],
 }
 
-impl Moved {
-    fn new((map, q): (Affine<f64>, [f64; 4])) -> Self {
+impl Change {
+    fn new((map, q): (Affine, [f64; 4])) -> Self {
         let rows = map.a.map(DVec3::from_array);
-        let change = DMat3::from_cols(rows[0], rows[1], rows[2]).transpose() - DMat3::IDENTITY;
-        Self { change: change.as_mat3(), shift: DVec3::from_array(map.b).as_vec3(), turn: q.map(|v| v as f32) }
+        let linear = (DMat3::from_cols(rows[0], rows[1], rows[2]).transpose() - DMat3::IDENTITY).as_mat3();
+        Self { linear, translation: DVec3::from_array(map.b).as_vec3(), rotation: q.map(|v| v as f32) }
     }
 }
 
 impl Scene<'_> {
-    /// Fits the members, frees those that do not belong, and fits again.
-    fn settle(&self, members: &mut Vec<usize>) -> Group {
+    /// Fits the members, removes outliers, and fits again.
+    fn fit_robust(&self, members: &mut Vec<usize>) -> Group {
         let mut motion = Motion::default();
-        for _ in 0..FITS {
+        for _ in 0..MAX_FITS {
             motion = self.fit(members);
-            let off: Vec<f64> = members.iter().map(|i| self.off(&motion, *i)).collect();
-            let limit = self.rule.tolerance.max(STRANGE * median(off.clone()));
-            if off.iter().all(|o| *o <= limit) {
+            let bounds: Vec<f64> = members.iter().map(|i| self.bound(&motion, *i)).collect();
+            let limit = self.rule.tolerance.max(OUTLIER_FACTOR * median(bounds.clone()));
+            if bounds.iter().all(|b| *b <= limit) {
                 break;
             }
-            let mut off = off.into_iter();
-            members.retain(|_| off.next().is_some_and(|o| o <= limit));
+            let mut bounds = bounds.into_iter();
+            members.retain(|_| bounds.next().is_some_and(|b| b <= limit));
         }
-        members.retain(|i| self.off(&motion, *i) <= self.rule.tolerance);
+        members.retain(|i| self.bound(&motion, *i) <= self.rule.tolerance);
         if members.len() < 2 {
             members.clear();
         }
@@ -166,7 +180,7 @@ impl Scene<'_> {
             DVec3::from_array(shared).distance_squared(DVec3::from_array(own))
         };
         let mean = members.iter().map(square).sum::<f64>() / members.len().max(1) as f64;
-        let bound = members.iter().map(|i| self.off(&motion, *i)).fold(0.0, f64::max);
+        let bound = members.iter().map(|i| self.bound(&motion, *i)).fold(0.0, f64::max);
         Group { motion, members: members.len(), residual: mean.sqrt(), bound }
     }
 
@@ -174,8 +188,8 @@ impl Scene<'_> {
         (self.means[i] - self.origin).as_dvec3()
     }
 
-    /// How far particle `i` may be off under the shared motion.
-    fn off(&self, motion: &Motion<f64>, i: usize) -> f64 {
+    /// Bound on the error of particle `i` under the shared motion.
+    fn bound(&self, motion: &Motion<f64>, i: usize) -> f64 {
         let y = self.at(i).to_array();
         self.rule.bound(&self.motions[i].widened().shifted(y), &motion.shifted(y), f64::from(self.reach[i]))
     }
@@ -189,38 +203,38 @@ impl Scene<'_> {
     }
 }
 
-/// Zero for none.
+/// The (upper) median; zero for no values.
 fn median(mut values: Vec<f64>) -> f64 {
-    let middle = values.len() / 2;
+    let rank = values.len() / 2;
     match values.is_empty() {
         true => 0.0,
-        false => *values.select_nth_unstable_by(middle, f64::total_cmp).1,
+        false => *values.select_nth_unstable_by(rank, f64::total_cmp).1,
     }
 }
 
-/// The twist nearest to the velocities that `(position, twist)` mean, by least squares; zero for none.
+/// The twist nearest to the velocities of `(position, twist)` samples, by least squares; zero for none.
 fn fit_twist(samples: &[(DVec3, Twist<f64>)]) -> Twist<f64> {
     if samples.is_empty() {
         return Twist::default();
     }
     let n = samples.len() as f64;
     let velocity = |(y, t): &(DVec3, Twist<f64>)| DVec3::from_array(t.velocity(y.to_array()));
-    let middle = samples.iter().map(|s| s.0).sum::<DVec3>() / n;
+    let centroid = samples.iter().map(|s| s.0).sum::<DVec3>() / n;
     let mean = samples.iter().map(velocity).sum::<DVec3>() / n;
     let own = samples.iter().map(|s| DVec3::from_array(s.1.w)).sum::<DVec3>() / n;
-    let (mut inertia, mut moment, mut spread) = (DMat3::ZERO, DVec3::ZERO, 0.0);
+    let (mut inertia, mut momentum, mut spread) = (DMat3::ZERO, DVec3::ZERO, 0.0);
     for s in samples {
-        let r = s.0 - middle;
+        let r = s.0 - centroid;
         inertia += DMat3::from_diagonal(DVec3::splat(r.length_squared())) - outer(r);
-        moment += r.cross(velocity(s) - mean);
+        momentum += r.cross(velocity(s) - mean);
         spread += r.length_squared();
     }
     let ridge = RIDGE * spread;
     let w = match ridge > 0.0 {
-        true => (inertia + DMat3::from_diagonal(DVec3::splat(ridge))).inverse() * (moment + ridge * own),
+        true => (inertia + DMat3::from_diagonal(DVec3::splat(ridge))).inverse() * (momentum + ridge * own),
         false => own,
     };
-    Twist { v: (mean - w.cross(middle)).to_array(), w: w.to_array() }
+    Twist { v: (mean - w.cross(centroid)).to_array(), w: w.to_array() }
 }
 
 fn outer(r: DVec3) -> DMat3 {
@@ -250,7 +264,7 @@ mod tests {
     }
 
     #[test]
-    fn a_noisy_body_is_refitted_and_strangers_leave() {
+    fn a_noisy_body_is_refitted_without_outliers() {
         let mut rng = Rng::new(1, "groups", 0, 0);
         let means: Vec<Vec3> = (0..400).map(|_| normal(&mut rng)).collect();
         let noisy = |rng: &mut Rng| {
@@ -295,8 +309,8 @@ mod tests {
         assert_eq!((error.what, error.got, error.want), ("labels", 0, 1));
     }
 
-    /// T12: the map of a group moves its members as their own steps do, to 4 units in the last place of where they are
-    /// (relative to the origin); over a long way, to 1e-6 of it.
+    /// T12: the map of a group moves its members as their own steps do, to 4 units in the last place of their positions
+    /// relative to the origin; over many steps, to 16.
     #[test]
     fn a_groups_map_is_its_members_steps() {
         let mut rng = Rng::new(3, "groups", 0, 0);

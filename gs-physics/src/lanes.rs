@@ -5,10 +5,10 @@ use fearless_simd::{Simd, SimdBase, SimdFloat, f32x8};
 use gs_core::Real;
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-/// Particles per lane group.
+/// Particles per SIMD block.
 pub(crate) const LANES: usize = 8;
 
-/// Eight independent `f32`.
+/// Eight independent `f32` values, one per particle.
 #[derive(Clone, Copy)]
 pub(crate) struct Lanes<S: Simd>(pub f32x8<S>);
 

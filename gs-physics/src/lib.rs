@@ -1,35 +1,51 @@
-//! Rigid-particle physics: twists and their integration, a learnt law of motion, roll-out past the last frame.
+//! Rigid-particle physics for dynamic Gaussians: twists and their integration, a learnt law of motion, extrapolation past
+//! the last observed time, rigid groups, motion segments.
 //!
 //! ```text
 //! law(x, t) = (v̄, w, v̄', w')        v̄(τ) = v̄ + v̄' τ,  w(τ) = w + w' τ
 //! dx/dτ = v̄(τ) + w(τ) × (x − o)      dR/dτ = [w(τ)]× R
 //! ```
-//! Every particle of one rigid body has the same twist, which is why twists extrapolate and cluster (TRACE, Li, Song and
-//! Yang, ICCV 2025).
+//! All particles of one rigid body share a twist, so twists extrapolate in time and cluster into bodies (TRACE, Li, Song
+//! and Yang, ICCV 2025).
 //!
 //! # Conventions
 //! Positions in world units, quaternions `(w, x, y, z)`, rotations in the world frame (products from the left), angles in
 //! radians, times in any unit (gs-train: normalised). A twist is the velocity field `u(x) = v + w × (x − o)` about an
 //! origin `o` that all particles share.
+//!
+//! # Example
+//! A particle on a helix, one turn about z in a unit of time while it rises by 1, asked for at any time:
+//! ```
+//! use glam::Vec3;
+//! use gs_physics::{Extrapolator, Integrator, Motion, Rollout, Twist};
+//!
+//! let twist = Twist { v: [0.0, 0.0, 1.0], w: [0.0, 0.0, std::f32::consts::TAU] };
+//! let motion = Motion { twist, ..Motion::default() };
+//! let rollout = Rollout { rule: Integrator::Se3Mid, dt: 1.0 / 30.0, origin: Vec3::ZERO };
+//! let mut body = Extrapolator::new(rollout, 0.0, vec![motion], vec![Vec3::X], vec![[1.0, 0.0, 0.0, 0.0]])?;
+//! let (means, _) = body.at(1.5);
+//! assert!((means[0] - Vec3::new(-1.0, 0.0, 1.5)).length() < 1e-5);
+//! # Ok::<(), gs_physics::RowsError>(())
+//! ```
+#![warn(unreachable_pub)]
+#![warn(clippy::allow_attributes_without_reason)]
 
 mod blocks;
 pub mod centre;
 pub mod classes;
-pub mod clip;
 pub mod complexity;
-pub mod dynamics;
-pub mod error;
+mod dynamics;
+mod error;
 pub mod extrapolate;
 pub mod groups;
-pub mod integrator;
+mod integrator;
 pub mod kabsch;
 mod lanes;
 pub mod law;
-pub mod order;
 pub mod pinn;
 pub mod reference;
 pub mod rollout;
-pub mod scalar;
+mod scalar;
 pub mod segment;
 mod so3;
 pub mod step;
@@ -38,9 +54,8 @@ pub mod twist;
 mod vec3;
 pub mod velocity;
 
-pub use centre::{Centre, Reduction};
+pub use centre::{BodyState, Reduction};
 pub use classes::{ClassRule, Classified, MotionClass};
-pub use clip::clip_fast;
 pub use dynamics::{Dynamics, Moves, Start};
 pub use error::PhysicsError;
 pub use extrapolate::{Extrapolator, RowsError};
@@ -48,7 +63,6 @@ pub use groups::{Group, Groups};
 pub use integrator::Integrator;
 pub use law::{AccelMap, Law, LawConfig, LawForm, LawInput, LawTape};
 pub use rollout::{RollTape, Rollout};
-pub use scalar::Scalar;
 pub use step::{Affine, step_map};
 pub use twist::{Motion, Orders, Twist};
 pub use velocity::{VelocityConfig, VelocityField, VelocityTape};

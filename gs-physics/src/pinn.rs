@@ -1,5 +1,5 @@
-//! The physics-informed loss of a velocity field (NVFi): it neither gathers nor leaves anything behind, and every drop
-//! keeps its velocity but for an acceleration that the scene explains.
+//! The physics-informed loss of a velocity field (NVFi): the field is divergence-free, and the velocity of the fluid changes
+//! along its path only by an acceleration `a` that a second network predicts (conservation of mass and momentum).
 //!
 //! ```text
 //! L = λ_d mean (∇ · u)²  +  λ_t mean ‖∂_t u + (∇u) u − a‖²          over random x in the scene's box, t in [0, 1]
@@ -8,27 +8,27 @@
 
 use crate::vec3::scale;
 use crate::velocity::VelocityField;
-use crate::velocity::flow::{BASIS, acceleration, acceleration_back};
-use crate::velocity::read::{self, Along, Reading};
+use crate::velocity::evaluate::{self, Derivatives, Evaluation};
+use crate::velocity::flow::{BASIS, acceleration, acceleration_backward};
 use glam::Vec3;
 use gs_core::Rng;
 use gs_core::nn::{self, BLOCK, CHUNKS, MlpGrad, MlpTape};
 use gs_core::real::dot3;
 use rayon::prelude::*;
 
-/// A run of blocks of points.
+/// Scratch, gradients and sums of consecutive blocks of points.
 #[derive(Default)]
 struct Chunk {
-    reading: Reading,
+    evaluation: Evaluation,
     acceleration: MlpTape,
     input: Vec<f32>,
     d_alpha: Vec<f32>,
     grads: [MlpGrad; 2],
-    /// Sums of squares: divergence, motion.
+    /// Sums of squares of divergence and of the residual of momentum.
     sums: [f64; 2],
 }
 
-/// Place and time of the loss's point `row` in a step.
+/// Collocation point `row` of a training step: a uniform position in the field's bounds and a time in `[0, 1)`.
 pub fn point(field: &VelocityField, seed: u64, step: u32, row: usize) -> (Vec3, f32) {
     let mut rng = Rng::new(seed, "collocation", step, row as u64);
     let [lo, hi] = field.bounds;
@@ -36,7 +36,8 @@ pub fn point(field: &VelocityField, seed: u64, step: u32, row: usize) -> (Vec3, 
     (x, rng.uniform())
 }
 
-/// Adds the gradient of the loss to both networks, gives its two terms. `seed` and `step` pick the points.
+/// Adds the gradient of the loss to both networks, gives its two terms, weights applied. `seed` and `step` determine the
+/// collocation points.
 pub(crate) fn regularise(field: &mut VelocityField, seed: u64, step: u32) -> Vec<(&'static str, f32)> {
     let (n, weights) = (field.config.points, [field.config.divergence, field.config.transport]);
     if n == 0 || weights == [0.0; 2] {
@@ -66,28 +67,28 @@ pub(crate) fn regularise(field: &mut VelocityField, seed: u64, step: u32) -> Vec
 impl Chunk {
     /// Losses and gradients of one block.
     fn block(&mut self, field: &VelocityField, x: &[Vec3], t: &[f32]) {
-        let Self { reading, acceleration: tape, input, d_alpha, grads, sums } = self;
+        let Self { evaluation, acceleration: tape, input, d_alpha, grads, sums } = self;
         let config = &field.config;
-        reading.forward(&field.net, config, x, t, Along::SpaceTime);
-        input.resize(x.len() * read::inputs(config.bands), 0.0);
-        read::encode(config, x, t, input);
+        evaluation.forward(&field.net, config, x, t, Derivatives::SpaceTime);
+        input.resize(x.len() * evaluate::inputs(config.bands), 0.0);
+        evaluate::encode(config, x, t, input);
         field.acceleration.forward(input, tape);
         d_alpha.resize(x.len() * BASIS, 0.0);
         let share = 2.0 / config.points as f32;
         let alphas = tape.output().chunks_exact(BASIS).zip(d_alpha.chunks_exact_mut(BASIS));
         for (i, (x, (alpha, d_alpha))) in x.iter().zip(alphas).enumerate() {
             let r = field.relative(*x);
-            let flow = reading.flow(i, r);
+            let flow = evaluation.flow(i, r);
             let divergence = flow.divergence();
-            let missing = flow.missing(acceleration(alpha, r));
+            let residual = flow.residual(acceleration(alpha, r));
             sums[0] += f64::from(divergence * divergence);
-            sums[1] += f64::from(dot3(missing, missing));
-            let d_missing = scale(missing, share * config.transport);
-            let d = flow.losses_back(share * config.divergence * divergence, d_missing);
-            reading.set_cotangent(i, r, &d);
-            acceleration_back(r, scale(d_missing, -1.0), d_alpha);
+            sums[1] += f64::from(dot3(residual, residual));
+            let d_residual = scale(residual, share * config.transport);
+            let d = flow.losses_backward(share * config.divergence * divergence, d_residual);
+            evaluation.set_cotangent(i, r, &d);
+            acceleration_backward(r, scale(d_residual, -1.0), d_alpha);
         }
-        reading.backward(&field.net, config, None, &mut grads[0]);
+        evaluation.backward(&field.net, config, None, &mut grads[0]);
         field.acceleration.backward(input, tape, d_alpha, None, &mut grads[1]);
     }
 }

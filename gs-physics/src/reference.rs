@@ -1,25 +1,25 @@
-//! One particle at a time in `f64`: what the production roll-out is measured against.
+//! References in `f64`, one particle at a time, that the production code is measured against.
 
 pub mod law;
 pub mod net;
 pub mod velocity;
 
 use crate::rollout::Rollout;
-use crate::step::{Tick, step, step_back};
+use crate::step::{Substep, step, step_backward};
 use crate::twist::Motion;
 use crate::vec3::{add, sub};
 
-/// Position (world units) and orientation `(w, x, y, z)`.
+/// Position (world units) and orientation `(w, x, y, z)` of one particle, or the cotangents of both.
 pub type Pose = ([f64; 3], [f64; 4]);
 
 fn origin(rollout: &Rollout) -> [f64; 3] {
     rollout.origin.as_dvec3().to_array()
 }
 
-/// As [`Rollout::advance`]; quaternions are not renormalised.
+/// As [`Rollout::advance`] for one particle; quaternions are not normalised.
 pub fn advance(rollout: &Rollout, motion: &Motion<f64>, span: [f64; 2], (x, q): Pose) -> Pose {
     let o = origin(rollout);
-    let roll = |(x, q), (tau, h)| step(rollout.rule, motion, &Tick::new(tau, h), x, q);
+    let roll = |(x, q), (tau, h)| step(rollout.rule, motion, &Substep::new(tau, h), x, q);
     let (x, q) = rollout.steps(span).into_iter().fold((sub(x, o), q), roll);
     (add(x, o), q)
 }
@@ -29,14 +29,14 @@ pub fn adjoint(rollout: &Rollout, motion: &Motion<f64>, span: [f64; 2], (x, q): 
     let mut at = (sub(x, origin(rollout)), q);
     let mut tape = Vec::new();
     for (tau, h) in rollout.steps(span) {
-        let tick = Tick::new(tau, h);
-        tape.push((tick, at));
-        at = step(rollout.rule, motion, &tick, at.0, at.1);
+        let substep = Substep::new(tau, h);
+        tape.push((substep, at));
+        at = step(rollout.rule, motion, &substep, at.0, at.1);
     }
     let mut grad = Motion::default();
     let mut d = d;
-    for (tick, before) in tape.into_iter().rev() {
-        d = step_back(rollout.rule, motion, &tick, before, d, &mut grad);
+    for (substep, before) in tape.into_iter().rev() {
+        d = step_backward(rollout.rule, motion, &substep, before, d, &mut grad);
     }
     (grad, d)
 }

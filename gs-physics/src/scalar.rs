@@ -1,14 +1,14 @@
-//! What rotations need of a number beyond arithmetic.
+//! Number kinds that rotations are computed in.
 
 use gs_core::Real;
 
 /// A [`Real`] with sine and cosine: `f64` for references, `f32`, or lanes of `f32` in the roll-out.
-pub trait Scalar: Real {
+pub(crate) trait Scalar: Real {
     /// Squared angle up to which rotations use series in `θ²` instead of sine and cosine, so that nothing cancels.
     const SERIES: f64;
-    /// Terms of those series.
+    /// Number of terms of those series.
     const TERMS: usize;
-    /// Sine and cosine.
+    /// `(sin, cos)` of an angle in radians.
     fn sin_cos(self) -> (Self, Self);
     /// Whether the value, or any lane of it, lies above `limit`.
     fn any_above(self, limit: f64) -> bool;
@@ -30,9 +30,9 @@ impl Scalar for f64 {
     }
 }
 
-/// Half a turn per step: hardly any step leaves the series, so eight lanes rarely need the library.
+/// `θ²` of half a turn per step: hardly any step exceeds it, so eight lanes rarely call library sines.
 pub(crate) const SERIES_F32: f64 = 9.8;
-/// They leave 7e-10 there.
+/// Eight terms leave an error of 7e-10 at that angle.
 pub(crate) const TERMS_F32: usize = 8;
 
 impl Scalar for f32 {

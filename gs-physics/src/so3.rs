@@ -1,4 +1,4 @@
-//! Rotations from rotation vectors, rigid moves from twists, and the way back for gradients.
+//! Rotations from rotation vectors, rigid transforms from twists, and their backward passes.
 //!
 //! ```text
 //! φ = h w,  x = φ·φ = θ²
@@ -7,8 +7,8 @@
 //! q = (cos(θ/2), s φ)             s = sin(θ/2) / θ
 //! A = Σ (−x)ᵏ/(2k+1)!   B = Σ (−x)ᵏ/(2k+2)!   C = Σ (−x)ᵏ/(2k+3)!
 //! ```
-//! All of them are entire functions of `θ²`: series serve up to [`Scalar::SERIES`], so nothing is ever divided by a small
-//! `‖w‖` and values and gradients run on smoothly through zero. The half angle keeps `B` free of cancellation beyond.
+//! All of them are entire functions of `θ²`: series are used up to [`Scalar::SERIES`], so nothing is ever divided by a
+//! small `‖w‖`, and values and gradients are smooth through zero. The half angle keeps `B` free of cancellation beyond.
 
 use crate::scalar::Scalar;
 use crate::vec3::{V3, add, add_scaled, conjugate, scale};
@@ -51,13 +51,12 @@ fn horner<T: Scalar>(c: &[f64; TERMS], x: T) -> T {
     sum
 }
 
-/// A rotation vector with the functions of its angle.
+/// A rotation vector `φ` and the functions of its angle.
 #[derive(Clone, Copy)]
 pub(crate) struct Rotation<T> {
     phi: V3<T>,
-    /// `θ²`.
-    square: T,
-    /// `cos(θ/2)`, and less one.
+    theta2: T,
+    /// `cos(θ/2)`, and `cos(θ/2) − 1` without cancellation.
     cos_half: T,
     cos_less_one: T,
     /// `s = sin(θ/2) / θ`.
@@ -68,7 +67,7 @@ pub(crate) struct Rotation<T> {
 
 impl<T: Scalar> Rotation<T> {
     #[inline(always)]
-    pub fn new(phi: V3<T>) -> Self {
+    pub(crate) fn new(phi: V3<T>) -> Self {
         let x = dot3(phi, phi);
         let quarter = x * x.lit(0.25);
         let one = x.lit(1.0);
@@ -82,19 +81,19 @@ impl<T: Scalar> Rotation<T> {
         }
         let s = sinc_half * x.lit(0.5);
         let cos_half = one + cos_less_one;
-        Self { phi, square: x, cos_half, cos_less_one, s, a: sinc_half * cos_half, b: s * sinc_half }
+        Self { phi, theta2: x, cos_half, cos_less_one, s, a: sinc_half * cos_half, b: s * sinc_half }
     }
 
     /// `C = (1 − A) / θ²`.
     #[inline(always)]
     fn third(&self) -> T {
-        self.beyond(horner(&THIRD, self.square), self.square.lit(1.0) - self.a)
+        self.series_or(horner(&THIRD, self.theta2), self.theta2.lit(1.0) - self.a)
     }
 
-    /// The series, or beyond them `closed / θ²`.
+    /// `series` up to the limit angle, `closed / θ²` beyond it.
     #[inline(always)]
-    fn beyond(&self, series: T, closed: T) -> T {
-        let x = self.square;
+    fn series_or(&self, series: T, closed: T) -> T {
+        let x = self.theta2;
         if !x.any_above(T::SERIES) {
             return series;
         }
@@ -105,76 +104,76 @@ impl<T: Scalar> Rotation<T> {
     /// `κ = (½ cos(θ/2) − s) / θ²`.
     #[inline(always)]
     fn kappa(&self) -> T {
-        let x = self.square;
+        let x = self.theta2;
         let series = horner(&D_SINC, x * x.lit(0.25)) * x.lit(-0.125);
-        self.beyond(series, x.lit(0.5) * self.cos_half - self.s)
+        self.series_or(series, x.lit(0.5) * self.cos_half - self.s)
     }
 
     /// `B̃ = (A − 2B) / θ²`.
     #[inline(always)]
     fn second_slope(&self) -> T {
-        self.beyond(-horner(&D_SECOND, self.square), self.a - self.b - self.b)
+        self.series_or(-horner(&D_SECOND, self.theta2), self.a - self.b - self.b)
     }
 
     /// `C̃ = (B − 3C) / θ²`.
     #[inline(always)]
     fn third_slope(&self, c: T) -> T {
-        self.beyond(-horner(&D_THIRD, self.square), self.b - self.square.lit(3.0) * c)
+        self.series_or(-horner(&D_THIRD, self.theta2), self.b - self.theta2.lit(3.0) * c)
     }
 
     /// The unit quaternion `(w, x, y, z)`.
     #[inline(always)]
-    pub fn quaternion(&self) -> [T; 4] {
+    pub(crate) fn quaternion(&self) -> [T; 4] {
         let [x, y, z] = scale(self.phi, self.s);
         [self.cos_half, x, y, z]
     }
 
-    /// `quaternion ⊗ q`, as `q` plus a small change: then rounding does not add up to a longer `q`.
+    /// `quaternion ⊗ q`, computed as `q` plus a small change, so that rounding does not lengthen `q` step by step.
     #[inline(always)]
-    pub fn turn(&self, q: [T; 4]) -> [T; 4] {
+    pub(crate) fn rotate_quaternion(&self, q: [T; 4]) -> [T; 4] {
         let ([w, x, y, z], v) = (q, scale(self.phi, self.s));
         let [i, j, k] = add_scaled(add_scaled(cross3(v, [x, y, z]), w, v), self.cos_less_one, [x, y, z]);
         [w + (self.cos_less_one * w - dot3(v, [x, y, z])), x + i, y + j, z + k]
     }
 
-    /// `R x`.
+    /// `R x`, the rotated vector.
     #[inline(always)]
-    pub fn rotate(&self, x: V3<T>) -> V3<T> {
+    pub(crate) fn rotate(&self, x: V3<T>) -> V3<T> {
         add(x, cross3(self.phi, add_scaled(scale(x, self.a), self.b, cross3(self.phi, x))))
     }
 
-    /// `Rᵀ x`.
+    /// `Rᵀ x`, the inverse rotation.
     #[inline(always)]
-    fn rotate_back(&self, x: V3<T>) -> V3<T> {
+    fn rotate_inverse(&self, x: V3<T>) -> V3<T> {
         add(x, cross3(self.phi, add_scaled(scale(x, -self.a), self.b, cross3(self.phi, x))))
     }
 
-    /// `R x + V u − x`. `A` enters as `A − 1 = −θ² C`: rounded as it is, it would let every radius drift the same way.
+    /// `R x + V u − x`. `A` enters as `A − 1 = −θ² C`; the rounding error of `A` itself would bias every radius alike.
     #[inline(always)]
-    pub fn change(&self, u: V3<T>, x: V3<T>) -> V3<T> {
+    pub(crate) fn displacement(&self, u: V3<T>, x: V3<T>) -> V3<T> {
         let c = self.third();
         let inner = cross3(self.phi, add_scaled(scale(x, self.b), c, u));
-        let outer = add(inner, add_scaled(scale(x, -self.square * c), self.b, u));
+        let outer = add(inner, add_scaled(scale(x, -self.theta2 * c), self.b, u));
         add(add(u, cross3(self.phi, x)), cross3(self.phi, outer))
     }
 
     /// Gradient by `φ` from one by the quaternion:
     /// `−½ s g_w φ + s g_v + κ φ (φ·g_v)`.
     #[inline(always)]
-    pub fn quaternion_back(&self, d: [T; 4]) -> V3<T> {
+    pub(crate) fn quaternion_backward(&self, d: [T; 4]) -> V3<T> {
         let v = [d[1], d[2], d[3]];
-        let along = self.kappa() * dot3(self.phi, v) - self.square.lit(0.5) * self.s * d[0];
+        let along = self.kappa() * dot3(self.phi, v) - self.theta2.lit(0.5) * self.s * d[0];
         add_scaled(scale(v, self.s), along, self.phi)
     }
 
-    /// Cotangents of `R x + V u` from `λ`, with that of the quaternion: `(λ at x, by u, by φ)`.
+    /// Cotangents `(d_x, d_u, d_φ)` of `R x + V u` from `λ` and the cotangent of the quaternion.
     ///
     /// ```text
     /// y = R x,  c₁ = φ×u,  c₂ = φ×c₁,  B̃ = (A − 2B)/θ²,  C̃ = (B − 3C)/θ²
-    /// g_u = Vᵀλ      g_φ = Vᵀ(y×λ) + B u×λ + C [c₁×λ + u×(λ×φ)] + φ [B̃ λ·c₁ + C̃ λ·c₂] + quaternion_back
+    /// g_u = Vᵀλ      g_φ = Vᵀ(y×λ) + B u×λ + C [c₁×λ + u×(λ×φ)] + φ [B̃ λ·c₁ + C̃ λ·c₂] + quaternion_backward
     /// ```
     #[inline(always)]
-    pub fn carry_back(&self, u: V3<T>, x: V3<T>, lambda: V3<T>, d_q: [T; 4]) -> (V3<T>, V3<T>, V3<T>) {
+    pub(crate) fn transform_backward(&self, u: V3<T>, x: V3<T>, lambda: V3<T>, d_q: [T; 4]) -> (V3<T>, V3<T>, V3<T>) {
         let (phi, c) = (self.phi, self.third());
         let c1 = cross3(phi, u);
         let c2 = cross3(phi, c1);
@@ -182,11 +181,11 @@ impl<T: Scalar> Rotation<T> {
         let turned = self.left_transposed(cross3(self.rotate(x), lambda), c);
         let shifted = add_scaled(scale(cross3(u, lambda), self.b), c, cross3(c1, lambda));
         let shifted = add_scaled(shifted, c, cross3(u, cross3(lambda, phi)));
-        let d_phi = add(add(turned, self.quaternion_back(d_q)), add_scaled(shifted, along, phi));
-        (self.rotate_back(lambda), self.left_transposed(lambda, c), d_phi)
+        let d_phi = add(add(turned, self.quaternion_backward(d_q)), add_scaled(shifted, along, phi));
+        (self.rotate_inverse(lambda), self.left_transposed(lambda, c), d_phi)
     }
 
-    /// `Vᵀ l`.
+    /// `Vᵀ l` for `V` of the module header.
     #[inline(always)]
     fn left_transposed(&self, l: V3<T>, c: T) -> V3<T> {
         let once = cross3(self.phi, l);
@@ -194,9 +193,9 @@ impl<T: Scalar> Rotation<T> {
     }
 }
 
-/// Cotangents of `d ⊗ q` from `μ`: `(by q, by d)`.
+/// Cotangents `(d_q, d_d)` of `d ⊗ q` from `μ`.
 #[inline(always)]
-pub(crate) fn product_back<T: Scalar>(d: [T; 4], q: [T; 4], mu: [T; 4]) -> ([T; 4], [T; 4]) {
+pub(crate) fn product_backward<T: Scalar>(d: [T; 4], q: [T; 4], mu: [T; 4]) -> ([T; 4], [T; 4]) {
     (hamilton(conjugate(d), mu), hamilton(mu, conjugate(q)))
 }
 

@@ -5,7 +5,15 @@ use gs_core::Real;
 use gs_core::real::cross3;
 use serde::{Deserialize, Serialize};
 
-/// The velocity field `u(x) = v + w × (x − o)` of a rigid body, about an origin `o` that is said beside it.
+/// The velocity field `u(x) = v + w × (x − o)` of a rigid body, about an origin `o` stored elsewhere.
+///
+/// ```
+/// use gs_physics::Twist;
+/// let twist = Twist { v: [0.0, 1.0, 0.0], w: [0.0, 0.0, 2.0] };
+/// assert_eq!(twist.velocity([3.0, 0.0, 0.0]), [0.0, 7.0, 0.0]);
+/// // The same field about another origin: positions shift, velocities stay.
+/// assert_eq!(twist.shifted([1.0, 0.0, 0.0]).velocity([2.0, 0.0, 0.0]), [0.0, 7.0, 0.0]);
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct Twist<T> {
     /// Velocity of the body-fixed frame at the origin (`v̄`), world units per unit of time.
@@ -17,46 +25,46 @@ pub struct Twist<T> {
 /// A twist as a polynomial of the time `τ` since it was read: `u(τ) = twist + rate τ + ½ jerk τ²`.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct Motion<T> {
-    /// At `τ = 0`.
+    /// The twist at `τ = 0`.
     pub twist: Twist<T>,
-    /// First derivative (`ā`, `ε`).
+    /// First derivative `(ā, ε)` by time, at `τ = 0`.
     pub rate: Twist<T>,
-    /// Second derivative; zero below the third order.
+    /// Second derivative by time; zero below the third order.
     pub jerk: Twist<T>,
 }
 
-/// How many coefficients of a [`Motion`] are used, for translation and rotation: 0 (stands still) … 3 (with jerk).
+/// How many coefficients of a [`Motion`] are used, for translation and rotation: 0 (at rest) … 3 (with jerk).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Orders {
-    /// Of `v̄`.
+    /// Order of the translation `v̄`, 0 to 3.
     pub t: u8,
-    /// Of `w`.
+    /// Order of the rotation `w`, 0 to 3.
     pub r: u8,
 }
 
-/// Values in a motion.
+/// Number of values in a [`Motion`].
 pub(crate) const MOTION: usize = 18;
 
 impl<T: Real> Twist<T> {
-    /// `u(x)` at `x`, relative to the origin.
+    /// `u(x)`, world units per unit of time, at `x` relative to the origin.
     #[inline(always)]
     pub fn velocity(&self, x: [T; 3]) -> [T; 3] {
         add(self.v, cross3(self.w, x))
     }
 
-    /// The same field about an origin that lies at `shift` from the present one.
+    /// The same field about an origin displaced by `shift` from this one's.
     #[inline(always)]
     pub fn shifted(&self, shift: [T; 3]) -> Self {
         Self { v: self.velocity(shift), w: self.w }
     }
 
-    /// `self + s other`.
+    /// `self + s other`, term by term.
     #[inline(always)]
     pub fn add_scaled(&self, s: T, other: &Self) -> Self {
         Self { v: add_scaled(self.v, s, other.v), w: add_scaled(self.w, s, other.w) }
     }
 
-    /// `s self`.
+    /// `s self`, term by term.
     #[inline(always)]
     pub fn scaled(&self, s: T) -> Self {
         Self { v: scale(self.v, s), w: scale(self.w, s) }
@@ -70,15 +78,15 @@ impl<T: Real> Twist<T> {
 }
 
 impl<T: Real> Motion<T> {
-    /// The twist at `τ`.
+    /// The twist at time `τ` since it was read.
     #[inline(always)]
     pub fn at(&self, tau: T) -> Twist<T> {
-        self.weighed([tau, tau * tau * tau.lit(0.5)])
+        self.weighted([tau, tau * tau * tau.lit(0.5)])
     }
 
     /// `twist + weights₀ rate + weights₁ jerk`.
     #[inline(always)]
-    pub(crate) fn weighed(&self, weights: [T; 2]) -> Twist<T> {
+    pub(crate) fn weighted(&self, weights: [T; 2]) -> Twist<T> {
         self.twist.add_scaled(weights[0], &self.rate).add_scaled(weights[1], &self.jerk)
     }
 
@@ -87,7 +95,7 @@ impl<T: Real> Motion<T> {
         Self { twist: self.at(tau), rate: self.rate.add_scaled(tau, &self.jerk), jerk: self.jerk }
     }
 
-    /// The same motion about an origin that lies at `shift` from the present one.
+    /// The same motion about an origin displaced by `shift` from this one's.
     pub fn shifted(&self, shift: [T; 3]) -> Self {
         let [twist, rate, jerk] = [&self.twist, &self.rate, &self.jerk].map(|t| t.shifted(shift));
         Self { twist, rate, jerk }
@@ -98,7 +106,7 @@ impl<T: Real> Motion<T> {
         add(self.rate.velocity(x), cross3(self.twist.w, self.twist.velocity(x)))
     }
 
-    /// Without the coefficients beyond `orders`.
+    /// The same motion with all coefficients beyond `orders` set to zero.
     pub fn truncated(&self, orders: Orders) -> Self {
         let keep = |t: &Twist<T>, order: u8| {
             let cut = |a: V3<T>, kept: bool| if kept { a } else { [a[0].lit(0.0); 3] };
@@ -107,7 +115,7 @@ impl<T: Real> Motion<T> {
         Self { twist: keep(&self.twist, 1), rate: keep(&self.rate, 2), jerk: keep(&self.jerk, 3) }
     }
 
-    /// The values: twist, rate, jerk, `v` before `w` in each.
+    /// All 18 values: twist, rate, jerk, `v` before `w` in each.
     #[inline(always)]
     pub fn to_array(&self) -> [T; MOTION] {
         let (t, r, j) = (&self.twist, &self.rate, &self.jerk);
@@ -129,14 +137,14 @@ impl<T: Real> Motion<T> {
 }
 
 impl Motion<f32> {
-    /// In `f64`.
+    /// The same motion in `f64`, exactly.
     pub fn widened(&self) -> Motion<f64> {
         Motion::from_array(self.to_array().map(f64::from))
     }
 }
 
 impl Motion<f64> {
-    /// In `f32`.
+    /// The same motion rounded to `f32`.
     pub fn narrowed(&self) -> Motion<f32> {
         Motion::from_array(self.to_array().map(|v| v as f32))
     }
@@ -157,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn a_motion_is_a_polynomial_from_any_moment_and_about_any_origin() {
+    fn a_motion_is_a_polynomial_from_any_time_and_about_any_origin() {
         let (m, shift, x) = (motion(1), [0.3, -2.0, 5.0], [1.0, 0.5, -0.7]);
         let moved = m.shifted(shift);
         for (tau, later) in [(0.0, 0.4), (0.7, -1.1)] {
@@ -170,7 +178,7 @@ mod tests {
         assert_eq!(m.narrowed().widened().narrowed(), m.narrowed());
     }
 
-    /// Along the path of a particle: velocity and acceleration are its derivatives.
+    /// Derivatives the path of a particle: velocity and acceleration are its derivatives.
     #[test]
     fn velocity_and_acceleration_are_derivatives_of_the_path() {
         let (m, x, h) = (motion(2), [0.4, -0.3, 0.8], 1e-3);

@@ -20,13 +20,13 @@ pub(crate) fn scale<T: Real>(a: V3<T>, s: T) -> V3<T> {
     [a[0] * s, a[1] * s, a[2] * s]
 }
 
-/// `a + s b`.
+/// `a + s b` by fused multiply-adds.
 #[inline(always)]
 pub(crate) fn add_scaled<T: Real>(a: V3<T>, s: T, b: V3<T>) -> V3<T> {
     [s.mul_add(b[0], a[0]), s.mul_add(b[1], a[1]), s.mul_add(b[2], a[2])]
 }
 
-/// Length.
+/// `√(a · a)`, the Euclidean length.
 #[inline(always)]
 pub(crate) fn norm<T: Real>(a: V3<T>) -> T {
     gs_core::real::dot3(a, a).sqrt()

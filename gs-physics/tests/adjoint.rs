@@ -1,4 +1,4 @@
-//! The way back of roll-outs.
+//! Adjoints of roll-outs.
 //!
 //! | level | compared | tolerance |
 //! |---|---|---|
@@ -98,7 +98,7 @@ fn adjoints_match_differences() {
     }
 }
 
-/// T13: one step of each hard angle, also with twists that hardly turn.
+/// T13: one step of each hard angle, also with tiny angular velocities.
 #[test]
 fn adjoints_hold_at_hard_angles() {
     let mut rng = Rng::new(2, "adjoint", 0, 0);
@@ -126,7 +126,7 @@ struct Scene {
     d: Moves,
 }
 
-/// Particles that turn by up to several radians per unit of time; the first stand still.
+/// Particles with up to several radians per unit of time; the first three rest.
 fn scene(n: usize) -> Scene {
     let mut rng = Rng::new(3, "adjoint", 0, 0);
     let mut vec = |s: f64| random::<3>(&mut rng).map(|v| s * v);
@@ -155,7 +155,7 @@ fn rollout(rule: Integrator) -> Rollout {
     Rollout { rule, dt: 1.0 / 24.0, origin: Vec3::new(0.2, -0.1, 0.4) }
 }
 
-/// Everything the production code gives.
+/// All results of the production code.
 #[derive(PartialEq)]
 struct Produced {
     means: Vec<Vec3>,

@@ -1,11 +1,11 @@
-//! The law in three levels: bodies whose paths are known, the `f64` twin against its own differences, production against
-//! the twin. Then what must hold to the last bit.
+//! The law in three levels: bodies with exact paths, the `f64` reference against its own differences, production against
+//! the reference; then bitwise invariants.
 //!
 //! Tolerances, relative to 1 + |value| (worst seen times about four):
 //! | quantity | bound |
 //! |---|---|
-//! | gradient of the twin against central differences | 1e-8 |
-//! | f32 positions, turns and motions | 5e-6 |
+//! | gradient of the reference against central differences | 1e-8 |
+//! | f32 positions, rotations and motions | 5e-6 |
 //! | f32 gradients of weights, relative to the largest of their block | 5e-6 |
 
 mod support;
@@ -14,8 +14,8 @@ use glam::Vec3;
 use gs_core::Params;
 use gs_physics::reference::law::LawRef;
 use gs_physics::{AccelMap, Dynamics, Integrator, Law, LawConfig, LawForm, LawInput, LawTape, Moves, Rollout, Start};
-use support::particles::{MIDDLE, cotangents, points, start};
-use support::{close, compare_gradients, dot, enliven, flat, no_time_no_move, pose, reproducible};
+use support::particles::{CENTROID, cotangents, points, start};
+use support::{close, compare_gradients, dot, empty_span_is_identity, flat, pose, randomise_weights, reproducible};
 
 const ORIGIN: Vec3 = Vec3::new(0.3, -0.2, 0.5);
 const STEP: f64 = 1.0 / 30.0;
@@ -28,18 +28,18 @@ fn config(form: LawForm, order: u8) -> LawConfig {
 
 fn law(config: &LawConfig) -> Law {
     let mut law = Law::new(config, ORIGIN, STEP, 3).unwrap();
-    enliven(&mut law, 1.6);
+    randomise_weights(&mut law, 1.6);
     law
 }
 
-/// The `f64` twin, with the same middle.
-fn twin(law: &Law) -> LawRef {
-    let mut twin = LawRef::new(law);
-    twin.middle = MIDDLE.as_dvec3().to_array();
-    twin
+/// The `f64` reference, with the same centroid.
+fn reference_of(law: &Law) -> LawRef {
+    let mut reference = LawRef::new(law);
+    reference.centroid = CENTROID.as_dvec3().to_array();
+    reference
 }
 
-/// Every form, order, map, input and switch, over one step and several, forth and back.
+/// Every form, order, map, input and switch, over one step and several, in both directions of time.
 fn cases() -> Vec<(LawConfig, [f64; 2])> {
     let mut out = Vec::new();
     for order in 1..=3 {
@@ -69,17 +69,17 @@ fn cases() -> Vec<(LawConfig, [f64; 2])> {
 fn gradients_of_the_twin_are_its_differences() {
     let (x, d) = (points(2), cotangents(2));
     for (config, span) in cases() {
-        let mut twin = twin(&law(&config));
-        let mut grad = twin.net.zeros();
+        let mut reference = reference_of(&law(&config));
+        let mut grad = reference.net.zeros();
         let at = |i: usize| x[i].as_dvec3().to_array();
-        (0..2).for_each(|i| twin.gradient(at(i), span, pose(&d, i), &mut grad));
+        (0..2).for_each(|i| reference.gradient(at(i), span, pose(&d, i), &mut grad));
         let h = 1e-5;
         for (block, grad) in grad.iter().enumerate() {
             for (k, &got) in grad.iter().enumerate().step_by(7) {
-                let value = twin.net.params[block][k];
+                let value = reference.net.params[block][k];
                 let mut loss = |v: f64| -> f64 {
-                    twin.net.params[block][k] = v;
-                    (0..2).map(|i| dot(twin.transport(at(i), span), pose(&d, i))).sum()
+                    reference.net.params[block][k] = v;
+                    (0..2).map(|i| dot(reference.transport(at(i), span), pose(&d, i))).sum()
                 };
                 let want = (loss(value + h) - loss(value - h)) / (2.0 * h);
                 loss(value);
@@ -90,29 +90,30 @@ fn gradients_of_the_twin_are_its_differences() {
 }
 
 #[test]
-fn production_agrees_with_the_twin() {
+fn production_agrees_with_the_reference() {
     let n = 21;
     let (x, d) = (points(n), cotangents(n));
     for (config, [from, to]) in cases() {
         let mut law = law(&config);
-        let twin = twin(&law);
-        let (mut tape, mut out, mut grad) = (LawTape::default(), Moves::default(), twin.net.zeros());
+        let reference = reference_of(&law);
+        let (mut tape, mut out, mut grad) = (LawTape::default(), Moves::default(), reference.net.zeros());
         law.transport(start(&x, from), to, &mut tape, &mut out);
         law.transport_backward(start(&x, from), &mut tape, &d);
         for i in 0..n {
             let at = x[i].as_dvec3().to_array();
-            for (got, want) in flat(pose(&out, i)).iter().zip(flat(twin.transport(at, [from, to]))) {
+            for (got, want) in flat(pose(&out, i)).iter().zip(flat(reference.transport(at, [from, to]))) {
                 close(*got, want, 5e-6, &format!("{config:?} {i}"));
             }
-            twin.gradient(at, [from, to], pose(&d, i), &mut grad);
-            let (got, want) = (law.motions(start(&x, from))[i].widened().to_array(), twin.motion(at, from).to_array());
+            reference.gradient(at, [from, to], pose(&d, i), &mut grad);
+            let (got, want) =
+                (law.motions(start(&x, from))[i].widened().to_array(), reference.motion(at, from).to_array());
             got.iter().zip(want).for_each(|(got, want)| close(*got, want, 5e-6, &format!("{config:?} {i}")));
         }
         compare_gradients(&law, "physics", &grad, 5e-6);
     }
 }
 
-/// A law that says the same everywhere: its last bias.
+/// A law with the same outputs everywhere: its last bias.
 fn constant(config: &LawConfig, outputs: &[f32]) -> Law {
     let mut law = Law::new(config, ORIGIN, STEP, 0).unwrap();
     let last = format!("physics.layer.{}.bias", config.depth);
@@ -125,7 +126,7 @@ fn constant(config: &LawConfig, outputs: &[f32]) -> Law {
     law
 }
 
-/// A wheel that rolls half a turn, as a twist and by its hub: where the rim ends, and that `−w × v_c` is what it takes.
+/// A wheel that rolls half a turn, as a twist and by its hub: where the rim ends, and that `−w × v_c` is needed.
 #[test]
 fn a_wheel_rolls() {
     use std::f32::consts::PI;
@@ -148,9 +149,9 @@ fn a_wheel_rolls() {
     assert!(miss(&linear(LawForm::Gvfi13), &centre, 13) < 2e-6);
 }
 
-/// A ball that flies and spins about its middle: by its own turn, with the velocity and the fall of the middle alone.
+/// A ball that flies and spins about its centroid: by its own turn, with the velocity and acceleration of the centroid.
 #[test]
-fn an_own_turn_leaves_the_middle_alone() {
+fn an_own_turn_leaves_the_centroid_alone() {
     let (spin, velocity, fall) = (Vec3::new(0.4, -2.0, 1.0), Vec3::new(1.4, 0.5, -0.6), Vec3::new(0.0, 0.0, -4.9));
     let own = LawConfig { accel: AccelMap::Linear, own_turn: true, ..config(LawForm::Twist12, 2) };
     let plain = LawConfig { integrator: Integrator::Se3Magnus4, ..own };
@@ -158,23 +159,23 @@ fn an_own_turn_leaves_the_middle_alone() {
     let root = spin.to_array().map(|v: f32| v.signum() * (10.0 * v.abs()).sqrt());
     let parts = [velocity, Vec3::ZERO, fall, Vec3::ZERO, Vec3::from_array(root)];
     let law = constant(&plain, &parts.iter().flat_map(|v| v.to_array()).collect::<Vec<_>>());
-    let x = [MIDDLE, MIDDLE + Vec3::new(0.1, 0.0, 0.05)];
+    let x = [CENTROID, CENTROID + Vec3::new(0.1, 0.0, 0.05)];
     let (h, mut out) = (0.1, Moves::default());
     law.transport(start(&x, 0.5), 0.5 + f64::from(h), &mut LawTape::default(), &mut out);
-    let middle = MIDDLE + h * velocity + 0.5 * h * h * fall;
-    // What is left is of third order: w × a h³ / 6.
-    assert!((out.means[0] - middle).length() < 1.1 * spin.cross(fall).length() * h * h * h / 6.0, "{}", out.means[0]);
+    let centroid = CENTROID + h * velocity + 0.5 * h * h * fall;
+    // The error is of third order: w × a h³ / 6.
+    assert!((out.means[0] - centroid).length() < 1.1 * spin.cross(fall).length() * h * h * h / 6.0, "{}", out.means[0]);
     let arm = glam::Quat::from_scaled_axis(h * spin) * (x[1] - x[0]);
     assert!((out.means[1] - out.means[0] - arm).length() < 1e-5);
 }
 
-/// Changes of turning are left out, those of velocity stay.
+/// Angular accelerations are left out, those of velocity stay.
 #[test]
-fn turns_may_be_even_where_velocities_change() {
+fn rotations_may_have_a_lower_order_than_velocities() {
     let parts: Vec<f32> = (1..=18).map(|i| i as f32).collect();
     let motion = |spin_order| {
         let config = LawConfig { accel: AccelMap::Linear, spin_order, ..config(LawForm::Twist12, 3) };
-        constant(&config, &parts).motions(start(&[MIDDLE], 0.0))[0]
+        constant(&config, &parts).motions(start(&[CENTROID], 0.0))[0]
     };
     let all = motion(0);
     assert_eq!((all.rate.w, all.jerk.w), ([10.0, 11.0, 12.0], [16.0, 17.0, 18.0]));
@@ -185,7 +186,7 @@ fn turns_may_be_even_where_velocities_change() {
     assert_eq!(motion(1), want);
 }
 
-/// Half a turn in parts: θ = τ + 2 τ² about a fixed axis. The exact arc, and the printed one, which lags by 2 τ dt.
+/// θ = τ + 2 τ² about a fixed axis: the exact arc, and the printed one, which lags by 2 τ dt.
 #[test]
 fn angles_of_gvfi() {
     let x = [ORIGIN + Vec3::new(1.0, 0.0, 0.0)];
@@ -220,7 +221,7 @@ fn a_free_particle_goes_straight() {
 
 #[test]
 fn an_empty_span_changes_nothing() {
-    FORMS.into_iter().for_each(|form| no_time_no_move(law(&config(form, 2))));
+    FORMS.into_iter().for_each(|form| empty_span_is_identity(law(&config(form, 2))));
 }
 
 /// One step of Adam, as training takes it.
@@ -237,8 +238,8 @@ fn adam(law: &mut Law, step: u32, rate: f32) {
     law.clear_grads();
 }
 
-/// Taught single steps of a turntable inside [0, 0.75], by positions and turns, a law carries particles on by 0.3 (108°)
-/// and ends within a tenth of the distance they go.
+/// Trained on single steps of a turntable inside [0, 0.75], by positions and rotations, a law extrapolates by 0.3 (108°)
+/// and ends within a tenth of the distance travelled.
 #[test]
 fn a_law_learns_and_extrapolates() {
     let truth = gs_physics::truth::circle().motion.narrowed();
@@ -278,7 +279,7 @@ fn a_law_learns_and_extrapolates() {
 
 /// Weights of the last layer start within their bounds, and none of them at zero.
 #[test]
-fn the_head_starts_small_but_alive() {
+fn the_head_starts_small_but_not_at_zero() {
     let law = Law::new(&LawConfig::default(), ORIGIN, STEP, 0).unwrap();
     assert_eq!(law.param_count(), 104_332, "the authors' light network");
     let bound = 1.0 / 128f32.sqrt();
@@ -292,7 +293,7 @@ fn the_head_starts_small_but_alive() {
     });
 }
 
-/// One particle cannot push accelerations by more than the limit.
+/// The gradient of one particle's accelerations is clipped at the limit.
 #[test]
 fn gradients_of_accelerations_are_clamped() {
     let last_bias = |accel_clamp: f32| {

@@ -1,11 +1,11 @@
-//! The velocity field in three levels: flows that are known, the `f64` twin against its own differences, production
-//! against the twin. Then what must hold to the last bit.
+//! The velocity field in three levels: exact flows, the `f64` reference against its own differences, production against the
+//! reference; then bitwise invariants.
 //!
 //! Tolerances, relative to 1 + |value| (worst seen times about four):
 //! | quantity | bound |
 //! |---|---|
-//! | gradient of the twin against central differences | 1e-8 |
-//! | f32 positions, turns, motions and losses | 2e-6 |
+//! | gradient of the reference against central differences | 1e-8 |
+//! | f32 positions, rotations, motions and losses | 2e-6 |
 //! | f32 gradients of weights, relative to the largest of their block | 4e-6 |
 
 mod support;
@@ -17,7 +17,7 @@ use gs_physics::pinn::point;
 use gs_physics::reference::velocity::VelocityRef;
 use gs_physics::{Dynamics, Moves, VelocityConfig, VelocityField, VelocityTape};
 use support::particles::{cotangents, points, start};
-use support::{close, compare_gradients, dot, enliven, flat, no_time_no_move, pose, reproducible};
+use support::{close, compare_gradients, dot, empty_span_is_identity, flat, pose, randomise_weights, reproducible};
 
 const BOUNDS: [Vec3; 2] = [Vec3::new(-1.0, -0.8, -1.2), Vec3::new(1.4, 1.0, 0.9)];
 const STEP: f64 = 0.05;
@@ -36,32 +36,32 @@ fn cases() -> Vec<VelocityConfig> {
 
 fn field(config: &VelocityConfig) -> VelocityField {
     let mut field = VelocityField::new(config, BOUNDS, STEP, 3).unwrap();
-    enliven(&mut field, 1.2);
+    randomise_weights(&mut field, 1.2);
     field
 }
 
-/// The places and times that the loss of a step is taken at.
+/// The collocation points of a step.
 fn collocation(field: &VelocityField, n: usize, seed: u64, step: u32) -> Vec<([f64; 3], f64)> {
     let wide = |(x, t): (Vec3, f32)| (x.as_dvec3().to_array(), f64::from(t));
     (0..n).map(|row| wide(point(field, seed, step, row))).collect()
 }
 
-/// The twin's own derivatives of space are differences of its velocity.
+/// The reference's spatial derivatives are differences of its velocity.
 #[test]
-fn turning_is_half_the_curl() {
-    let twin = VelocityRef::new(&field(&config()));
+fn angular_velocity_is_half_the_curl() {
+    let reference = VelocityRef::new(&field(&config()));
     for x in points(10) {
         let (x, h) = (x.as_dvec3().to_array(), 1e-5);
         let slope = |axis: usize| -> [f64; 3] {
             let (mut hi, mut lo) = (x, x);
             hi[axis] += h;
             lo[axis] -= h;
-            let (hi, lo) = (twin.flow(hi, 0.4).0, twin.flow(lo, 0.4).0);
+            let (hi, lo) = (reference.flow(hi, 0.4).0, reference.flow(lo, 0.4).0);
             std::array::from_fn(|k| (hi[k] - lo[k]) / (2.0 * h))
         };
         let [a, b, c] = [slope(0), slope(1), slope(2)];
         let want = [b[2] - c[1], c[0] - a[2], a[1] - b[0]];
-        for (got, want) in twin.flow(x, 0.4).1.into_iter().zip(want) {
+        for (got, want) in reference.flow(x, 0.4).1.into_iter().zip(want) {
             close(got, 0.5 * want, 1e-8, "curl");
         }
     }
@@ -72,25 +72,26 @@ fn gradients_of_the_twin_are_its_differences() {
     let (x, d, span) = (points(2), cotangents(2), [0.6, 0.48]);
     let at = |i: usize| x[i].as_dvec3().to_array();
     for config in cases() {
-        let mut twin = VelocityRef::new(&field(&config));
-        let mut grad = twin.net.zeros();
-        (0..2).for_each(|i| twin.gradient(at(i), span, pose(&d, i), &mut grad));
-        let places = collocation(&field(&config), 5, 1, 2);
-        let (mut grad_l, mut grad_a) = (twin.net.zeros(), twin.acceleration.zeros());
-        twin.losses(&places, [&mut grad_l, &mut grad_a]);
+        let mut reference = VelocityRef::new(&field(&config));
+        let mut grad = reference.net.zeros();
+        (0..2).for_each(|i| reference.gradient(at(i), span, pose(&d, i), &mut grad));
+        let points = collocation(&field(&config), 5, 1, 2);
+        let (mut grad_l, mut grad_a) = (reference.net.zeros(), reference.acceleration.zeros());
+        reference.losses(&points, [&mut grad_l, &mut grad_a]);
         let h = 1e-5;
-        let transported =
-            |twin: &VelocityRef| -> f64 { (0..2).map(|i| dot(twin.transport(at(i), span), pose(&d, i))).sum() };
-        let lost = |twin: &VelocityRef| {
-            let (mut a, mut b) = (twin.net.zeros(), twin.acceleration.zeros());
-            twin.losses(&places, [&mut a, &mut b]).iter().sum::<f64>()
+        let transported = |reference: &VelocityRef| -> f64 {
+            (0..2).map(|i| dot(reference.transport(at(i), span), pose(&d, i))).sum()
+        };
+        let lost = |reference: &VelocityRef| {
+            let (mut a, mut b) = (reference.net.zeros(), reference.acceleration.zeros());
+            reference.losses(&points, [&mut a, &mut b]).iter().sum::<f64>()
         };
         for block in 0..grad.len() {
             for k in (0..grad[block].len()).step_by(3) {
-                let value = twin.net.params[block][k];
+                let value = reference.net.params[block][k];
                 let mut at = |v: f64| {
-                    twin.net.params[block][k] = v;
-                    [transported(&twin), lost(&twin)]
+                    reference.net.params[block][k] = v;
+                    [transported(&reference), lost(&reference)]
                 };
                 let (hi, lo) = (at(value + h), at(value - h));
                 at(value);
@@ -98,10 +99,10 @@ fn gradients_of_the_twin_are_its_differences() {
                 close(grad_l[block][k], (hi[1] - lo[1]) / (2.0 * h), 1e-8, "losses");
             }
             for k in (0..grad_a[block].len()).step_by(3) {
-                let value = twin.acceleration.params[block][k];
+                let value = reference.acceleration.params[block][k];
                 let mut at = |v: f64| {
-                    twin.acceleration.params[block][k] = v;
-                    lost(&twin)
+                    reference.acceleration.params[block][k] = v;
+                    lost(&reference)
                 };
                 let (hi, lo) = (at(value + h), at(value - h));
                 at(value);
@@ -112,25 +113,25 @@ fn gradients_of_the_twin_are_its_differences() {
 }
 
 #[test]
-fn production_agrees_with_the_twin() {
+fn production_agrees_with_the_reference() {
     let n = 21;
     let (x, d) = (points(n), cotangents(n));
     for config in cases() {
         let mut field = field(&config);
-        let twin = VelocityRef::new(&field);
+        let reference = VelocityRef::new(&field);
         for [from, to] in [[0.6, 0.48], [0.3, 0.35]] {
-            let (mut tape, mut out, mut grad) = (VelocityTape::default(), Moves::default(), twin.net.zeros());
+            let (mut tape, mut out, mut grad) = (VelocityTape::default(), Moves::default(), reference.net.zeros());
             field.clear_grads();
             field.transport(start(&x, from), to, &mut tape, &mut out);
             field.transport_backward(start(&x, from), &mut tape, &d);
             let motions = field.motions(start(&x, from));
             for i in 0..n {
                 let at = x[i].as_dvec3().to_array();
-                for (got, want) in flat(pose(&out, i)).iter().zip(flat(twin.transport(at, [from, to]))) {
+                for (got, want) in flat(pose(&out, i)).iter().zip(flat(reference.transport(at, [from, to]))) {
                     close(*got, want, 2e-6, "pose");
                 }
-                twin.gradient(at, [from, to], pose(&d, i), &mut grad);
-                let (u, w) = twin.flow(at, from);
+                reference.gradient(at, [from, to], pose(&d, i), &mut grad);
+                let (u, w) = reference.flow(at, from);
                 let twist = motions[i].twist;
                 let moved = twist.velocity((x[i] - field.origin()).to_array());
                 for (got, want) in moved.iter().chain(&twist.w).zip(u.iter().chain(&w)) {
@@ -141,8 +142,8 @@ fn production_agrees_with_the_twin() {
         }
         field.clear_grads();
         let terms = field.regularise(9, 4);
-        let (mut grad, mut grad_a) = (twin.net.zeros(), twin.acceleration.zeros());
-        let want = twin.losses(&collocation(&field, config.points, 9, 4), [&mut grad, &mut grad_a]);
+        let (mut grad, mut grad_a) = (reference.net.zeros(), reference.acceleration.zeros());
+        let want = reference.losses(&collocation(&field, config.points, 9, 4), [&mut grad, &mut grad_a]);
         assert_eq!(terms.iter().map(|t| t.0).collect::<Vec<_>>(), ["divergence", "transport"]);
         terms.iter().zip(want).for_each(|(got, want)| close(got.1.into(), want, 2e-6, got.0));
         compare_gradients(&field, "velocity", &grad, 4e-6);
@@ -150,7 +151,7 @@ fn production_agrees_with_the_twin() {
     }
 }
 
-/// A field that says the same everywhere.
+/// A field with the same outputs everywhere.
 fn constant(velocity: [f32; 6], acceleration: [f32; 6]) -> VelocityField {
     let mut field = VelocityField::new(&config(), BOUNDS, STEP, 0).unwrap();
     field.visit_mut(&mut |p| {
@@ -164,8 +165,8 @@ fn constant(velocity: [f32; 6], acceleration: [f32; 6]) -> VelocityField {
     field
 }
 
-/// A turntable about the origin: the midpoint rule's spiral in position, exact turns; it does not diverge, and what its
-/// motion lacks is the pull to the axis, which the third of NVFi's pulls gives.
+/// A turntable about the origin: the midpoint rule's spiral in position, exact rotations; its divergence is zero, and its
+/// residual is the centripetal acceleration, which NVFi's attraction to the third axis provides.
 #[test]
 fn a_turntable() {
     let w = 2.0f32;
@@ -190,10 +191,10 @@ fn a_turntable() {
 }
 
 #[test]
-fn an_empty_span_changes_nothing_and_no_points_lose_nothing() {
+fn an_empty_span_changes_nothing_and_no_points_give_no_terms() {
     let mut field = field(&VelocityConfig { points: 0, ..config() });
     assert!(field.regularise(1, 1).is_empty());
-    no_time_no_move(field);
+    empty_span_is_identity(field);
 }
 
 #[test]

@@ -1,11 +1,11 @@
-//! Closed forms: a particle on the exact arc about a moving centre, and a free one on a straight line.
+//! Closed forms of motion: a particle on the exact arc about a moving centre, and a free one on a straight line.
 //!
 //! ```text
 //! x(τ) = x + v_c τ + ½ a_c τ² + (R(φ) − 1)(x − P_c)        q(τ) = q(φ)
 //! φ = w (τ + e S / √(|w|² + κ²))        S = ½ τ²           or, as GVFi prints it, Σ τ_k h_k over the steps
 //! ```
-//! Exact for a fixed axis, where the angle is `|w| τ + ½ e τ²` (GVFi, Eq. 6 and 7, whose angle takes the speed at the
-//! begin of each step). A free particle is its own centre.
+//! Exact for a fixed axis, where the angle is `|w| τ + ½ e τ²` (GVFi, Eq. 6 and 7, whose angle takes the angular velocity
+//! at the start of each step). A free particle is its own centre.
 
 use super::form::{Form, MAX_OUTPUTS, axis};
 use crate::scalar::Scalar;
@@ -13,60 +13,61 @@ use crate::so3::Rotation;
 use crate::vec3::{V3, add, add_scaled, scale, sub};
 use gs_core::real::dot3;
 
-/// How long, and what `e` is multiplied by.
+/// Duration of a motion, and the factor of `e`.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub(crate) struct Span<T> {
     pub tau: T,
-    /// `S` above.
+    /// `S` of the module header, unit of time squared.
     pub spin: T,
 }
 
 impl Span<f64> {
-    /// Over `tau`, with the steps of a roll-out where the printed angle is wanted.
-    pub fn new(tau: f64, steps: Option<&[(f64, f64)]>) -> Self {
+    /// Over `tau`; with the `(begin, length)` steps of a roll-out for GVFi's printed angle.
+    pub(crate) fn new(tau: f64, steps: Option<&[(f64, f64)]>) -> Self {
         let printed = |steps: &[(f64, f64)]| steps.iter().map(|(begin, h)| begin * h).sum();
         Self { tau, spin: steps.map_or(0.5 * tau * tau, printed) }
     }
 
-    pub fn narrowed(&self) -> Span<f32> {
+    pub(crate) fn narrowed(&self) -> Span<f32> {
         Span { tau: self.tau as f32, spin: self.spin as f32 }
     }
 }
 
-/// Where the spin of gvfi13 stands among the mapped outputs; zero for the other forms.
+/// Index of `e` of gvfi13 among the mapped outputs; that output is zero for the other forms.
 const SPIN: usize = 12;
 
-/// Position about the origin and turn of a particle that started at `x`.
-pub(crate) fn carry<T: Scalar>(form: &Form, y: &[T], x: V3<T>, span: Span<T>) -> (V3<T>, [T; 4]) {
+/// Position about the origin and rotation since the start of a particle that started at `x`.
+pub(crate) fn advance<T: Scalar>(form: &Form, y: &[T], x: V3<T>, span: Span<T>) -> (V3<T>, [T; 4]) {
     let m = form.mapped(y);
-    let c = form.centre(&m, x);
-    let arm = sub(x, c.position);
-    let turn = Rotation::new(scale(c.w, span.tau + m[SPIN] * span.spin * axis(c.w).0));
-    let shift = add_scaled(scale(c.velocity, span.tau), span.tau * span.tau * x[0].lit(0.5), c.acceleration);
-    (add(add(x, shift), sub(turn.rotate(arm), arm)), turn.quaternion())
+    let body = form.body(&m, x);
+    let arm = sub(x, body.position);
+    let rotation = Rotation::new(scale(body.w, span.tau + m[SPIN] * span.spin * axis(body.w).0));
+    let shift = add_scaled(scale(body.velocity, span.tau), span.tau * span.tau * x[0].lit(0.5), body.acceleration);
+    (add(add(x, shift), sub(rotation.rotate(arm), arm)), rotation.quaternion())
 }
 
-/// Cotangents of the outputs from those of [`carry`].
-pub(crate) fn carry_back<T: Scalar>(
+/// Cotangents of the network's outputs from those of [`advance`].
+pub(crate) fn advance_backward<T: Scalar>(
     form: &Form,
     y: &[T],
     x: V3<T>,
     span: Span<T>,
-    (lambda, d_turn): (V3<T>, [T; 4]),
+    (lambda, d_q): (V3<T>, [T; 4]),
     d_y: &mut [T],
 ) {
     let m = form.mapped(y);
-    let c = form.centre(&m, x);
-    let (inverse, unit) = axis(c.w);
+    let body = form.body(&m, x);
+    let (inverse, unit) = axis(body.w);
     let per_spin = span.spin * inverse;
     let length = span.tau + m[SPIN] * per_spin;
-    let turn = Rotation::new(scale(c.w, length));
-    let (to_arm, _, d_phi) = turn.carry_back([x[0].lit(0.0); 3], sub(x, c.position), lambda, d_turn);
-    let d_length = dot3(c.w, d_phi);
+    let rotation = Rotation::new(scale(body.w, length));
+    let arm = sub(x, body.position);
+    let (d_arm, _, d_phi) = rotation.transform_backward([x[0].lit(0.0); 3], arm, lambda, d_q);
+    let d_length = dot3(body.w, d_phi);
     // ∂length/∂w = −e S w / n³
     let d_w = add_scaled(scale(d_phi, length), -d_length * m[SPIN] * per_spin * inverse, unit);
     let d_velocity = scale(lambda, span.tau);
-    let d_position = sub(lambda, to_arm);
+    let d_position = sub(lambda, d_arm);
     let d_acceleration = scale(lambda, span.tau * span.tau * x[0].lit(0.5));
     let mut d = [x[0].lit(0.0); MAX_OUTPUTS];
     let parts: &[V3<T>] = match form.outputs().1 {
@@ -78,5 +79,5 @@ pub(crate) fn carry_back<T: Scalar>(
         d[SPIN] = d_length * per_spin;
     }
     d_y.iter_mut().zip(d).for_each(|(to, from)| *to = from);
-    form.mapped_back(y, d_y);
+    form.mapped_backward(y, d_y);
 }

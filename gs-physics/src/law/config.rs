@@ -4,38 +4,39 @@ use crate::error::{PhysicsError, check, within};
 use crate::integrator::Integrator;
 use serde::{Deserialize, Serialize};
 
-/// Which numbers the network predicts; [`Centre`](crate::Centre) says how a centre and a twist hang together.
+/// Which numbers the network predicts; [`BodyState`](crate::BodyState) relates a centre to a twist.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LawForm {
     /// A twist and its derivatives, 6 numbers per order (TRACE).
     Twist12,
-    /// Centre, its velocity and acceleration, rotation vector, angular acceleration: TRACE without the equivalent form.
+    /// Centre, its velocity and acceleration, rotation vector, angular acceleration, 3 numbers each: TRACE without the
+    /// equivalent twist form.
     Centre15,
-    /// The same with a scalar angular acceleration about the axis, carried along its exact arc (GVFi, which reads it at
-    /// canonical places for time 0; here it is read where and when a particle sets out).
+    /// As [`LawForm::Centre15`] with a scalar angular acceleration about the axis, integrated along its exact arc. GVFi
+    /// evaluates it at canonical positions for time 0; here it is evaluated at a particle's own start position and time.
     Gvfi13,
-    /// A free velocity and angular velocity that know nothing of each other: no rigid motion, no accelerations.
+    /// Independent velocity and angular velocity, 3 numbers each: no rigid motion, no accelerations.
     Free,
 }
 
-/// What the network sees.
+/// What the network is given of a particle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LawInput {
-    /// The position alone.
+    /// The encoded position alone: a law that does not change with time.
     X,
-    /// Position and time.
+    /// Encoded position and encoded time.
     Xt,
 }
 
-/// From outputs of the network to accelerations and jerks.
+/// Map from outputs of the network to accelerations and jerks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum AccelMap {
     /// `a |a| / 10`, as the authors' code does it: outputs that nothing supervises stay near 0.
     SignedSq10,
-    /// As they are.
+    /// The output itself, without a map.
     Linear,
 }
 
@@ -43,48 +44,49 @@ pub enum AccelMap {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LawConfig {
-    /// What is predicted.
+    /// Which numbers the network predicts.
     pub form: LawForm,
     /// 1: constant twists; 2: with accelerations; 3: with jerks. No effect on [`LawForm::Free`].
     pub order: u8,
-    /// The order of the turning alone, where it is lower: with 1, bodies turn evenly however they are accelerated. 0: `order`.
+    /// The order of the rotation alone, at most `order`: with 1, angular velocities stay constant however bodies are
+    /// accelerated. 0: the same as `order`.
     pub spin_order: u8,
-    /// Width of the hidden layers.
+    /// Width of the hidden layers, 1 to 4096.
     pub hidden: usize,
-    /// Hidden layers, SiLU after each.
+    /// Number of hidden layers, SiLU after each, 1 to 64.
     pub depth: usize,
-    /// Bands of the positional encoding of position and time.
+    /// Frequency bands of the positional encoding of position and time, 0 to 24.
     pub bands: usize,
-    /// What the network sees.
+    /// Whether the network is given the time.
     pub input: LawInput,
-    /// How accelerations are read from outputs.
+    /// How outputs become accelerations and jerks.
     pub accel: AccelMap,
-    /// How particles are carried; [`LawForm::Gvfi13`] and [`LawForm::Free`] have closed forms instead.
+    /// Integration rule; [`LawForm::Gvfi13`] and [`LawForm::Free`] have closed forms instead.
     pub integrator: Integrator,
-    /// Factor on world coordinates before they are encoded.
+    /// Factor on world coordinates before they are encoded; finite.
     pub coordinate_scale: f32,
     /// Twists refer to the centre of the scene instead of the world's origin.
     pub local_origin: bool,
-    /// Factor on the network's outputs. The authors' is 1; with more a short training reaches fast motion sooner, because
-    /// the steps of Adam do not grow with what is missing.
+    /// Factor on the network's outputs, above 0 (the authors': 1). More lets a short training reach fast motion sooner,
+    /// because Adam's steps do not grow with the residual.
     pub gain: f32,
-    /// Factor on the outputs that say how particles turn, beside the gain (the authors': 1). A turn about a far origin moves
-    /// a particle as a velocity does; below 1 what moves straight is learnt as such, and turns where only they explain it.
+    /// Factor on the angular outputs, beside the gain, above 0 (the authors': 1). A rotation about a far origin displaces a
+    /// particle as a velocity does; below 1, straight motion is learnt as velocity and rotation only where it is needed.
     pub spin_gain: f32,
-    /// Weight of a penalty on changes of turning, half the mean of `|ε|²` over the particles of a call (the authors': 0). A
-    /// change of turning hardly shows within the steps that are learnt from, but adds up beyond them.
+    /// Weight of a penalty on angular acceleration, half the mean of `|ε|²` over the particles of a call (the authors': 0).
+    /// It hardly shows within the steps of the training loss, but adds up beyond them.
     pub spin_up_weight: f32,
-    /// [`LawForm::Twist12`] also predicts a turn of bodies about the middle of what moves, beside the twist about the origin
-    /// (the authors': no). The sum says no more than the twist alone, but descends better: about a far origin a turn can
-    /// hardly change without a velocity and an acceleration that make up for it.
+    /// [`LawForm::Twist12`] also predicts a rotation about the centroid of the moving particles, beside the twist about the
+    /// origin (the authors': no). The sum spans the same motions as the twist alone, but descends better: about a far
+    /// origin a rotation can hardly change without a velocity and an acceleration to compensate.
     pub own_turn: bool,
-    /// Factor on the start of the outputs that give velocities. Accelerations always start as the other layers do: a
+    /// Factor on the initial weights of the outputs of first order, above 0. Those of derivatives are not scaled, since a
     /// signed square has no gradient at 0.
     pub head_start: f32,
-    /// Longest gradient by one particle's outputs for accelerations; 0: any length.
+    /// Largest norm of the gradient by one particle's outputs for derivatives; 0: no limit.
     pub accel_clamp: f32,
     /// Formulas as the papers print them: `ā` of [`LawForm::Centre15`] without `−w × v_c`, angles of
-    /// [`LawForm::Gvfi13`] from the angular velocity at the begin of each step.
+    /// [`LawForm::Gvfi13`] from the angular velocity at the start of each step.
     pub literal: bool,
 }
 

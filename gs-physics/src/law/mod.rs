@@ -1,16 +1,16 @@
-//! A learnt law of motion (TRACE, Li, Song and Yang, ICCV 2025): a small network reads a particle's place and the time and
-//! says how it moves from then on.
+//! A learnt law of motion (TRACE, Li, Song and Yang, ICCV 2025): a small network predicts, from a particle's position and
+//! the time, how it moves from then on.
 //!
 //! ```text
 //! y = net(γ(s x), γ(t))          SiLU, γ: positional encoding, s: coordinate scale
-//! motion = form(y)               twist and its derivatives, see form
+//! motion = form(y)               twist and its derivatives, see `LawForm`
 //! x', q = roll(motion, x, from → to)
 //! ```
-//! * The law is read **once**, at `(x, from)`: what follows is mechanics. So it extrapolates where a field of positions
-//!   would not.
+//! * The network is evaluated **once**, at `(x, from)`; the rest is mechanics. So it extrapolates where a field of
+//!   positions would not.
 //! * Positions are constants: gradients go to the weights alone.
 //! * The time is the same for all particles of a call, so it is folded into the first bias.
-//! * A block of particles goes through the network, its motion and its steps at once, and back the same way.
+//! * A block of particles passes the network, its motions and all its steps at once, forward and backward.
 //! * Results are bitwise equal for any number of threads.
 
 pub(crate) mod arc;
@@ -19,12 +19,12 @@ mod form;
 
 pub use config::{AccelMap, LawConfig, LawForm, LawInput};
 
-use crate::blocks::Posed;
+use crate::blocks::PoseBlock;
 use crate::dynamics::{Dynamics, Moves, Start};
 use crate::error::PhysicsError;
 use crate::lanes::LANES;
 use crate::rollout::Rollout;
-use crate::step::Tick;
+use crate::step::Substep;
 use crate::twist::Motion;
 use arc::Span;
 pub(crate) use form::Form;
@@ -34,10 +34,24 @@ use gs_core::nn::{self, Activation, BLOCK, CHUNKS, Init, Mlp, MlpGrad, MlpTape, 
 use gs_core::{Param, Params};
 use rayon::prelude::*;
 
-/// Identity rotation.
-const STILL: [f32; 4] = [1.0, 0.0, 0.0, 0.0];
+/// The rotation by no angle, `(w, x, y, z)`.
+const IDENTITY: [f32; 4] = [1.0, 0.0, 0.0, 0.0];
 
-/// The law; see the [module](self).
+/// A law of motion; see the [module](self).
+///
+/// ```
+/// use glam::Vec3;
+/// use gs_physics::{Dynamics, Law, LawConfig, LawTape, Moves, Start};
+/// let law = Law::new(&LawConfig::small(), Vec3::ZERO, 1.0 / 30.0, 7)?;
+/// let start = Start { x: &[Vec3::X, Vec3::Y], t: 0.5, middle: Vec3::ZERO };
+/// let mut out = Moves::default();
+/// law.transport(start, 0.75, &mut LawTape::default(), &mut out);
+/// // The same as its motions, read at 0.5 and rolled out, to the last bit.
+/// let (mut means, mut quats) = (start.x.to_vec(), vec![[1.0, 0.0, 0.0, 0.0]; 2]);
+/// law.rollout().advance(&law.motions(start), [0.0, 0.25], &mut means, &mut quats);
+/// assert_eq!((out.means, out.turns), (means, quats));
+/// # Ok::<(), gs_physics::PhysicsError>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct Law {
     config: LawConfig,
@@ -46,43 +60,43 @@ pub struct Law {
     net: Mlp,
 }
 
-/// Scratch of a [`Law`].
+/// Activations of a [`Law`] between forward and backward; reused from call to call.
 #[derive(Clone, Debug, Default)]
 pub struct LawTape {
-    /// The encoded time.
+    /// Encoding of the time; empty for [`LawInput::X`].
     time: Vec<f32>,
     /// The first bias with the time folded in.
     bias: Vec<f32>,
-    ticks: Vec<Tick<f64>>,
+    substeps: Vec<Substep<f64>>,
     span: Span<f64>,
     blocks: Vec<Block>,
     chunks: Vec<MlpGrad>,
 }
 
-/// What one block of particles leaves for the way back.
+/// What backward needs of one block of particles.
 #[derive(Clone, Debug, Default)]
 struct Block {
-    /// Encoded positions.
+    /// Encoded positions, row by row.
     position: Vec<f32>,
     net: MlpTape,
     motions: Vec<Motion<f32>>,
-    /// Poses before every step.
-    poses: Vec<Posed>,
+    /// Poses before every step, eight particles at a time.
+    poses: Vec<PoseBlock>,
     d: BlockGrad,
 }
 
-/// Cotangents of one block.
+/// Cotangents of the particles of one block.
 #[derive(Clone, Debug, Default)]
 struct BlockGrad {
-    /// Of the ends, then of the starts.
-    moves: Moves,
+    /// Cotangents of the ends, overwritten by those of the starts.
+    ends: Moves,
     motions: Vec<Motion<f32>>,
-    /// Of the network's outputs.
+    /// Cotangents of the network's outputs.
     out: Vec<f32>,
 }
 
 impl Law {
-    /// A law whose twists refer to `origin` (world units; the world's own if `local_origin` is off), carried in steps of
+    /// A law whose twists refer to `origin` (world units; the world's own if `local_origin` is off), integrated in steps of
     /// at most `step` (the unit of time of all calls). Parameters are named `physics.layer.…`.
     ///
     /// # Errors
@@ -97,7 +111,7 @@ impl Law {
         widths[config.depth + 1] = outputs;
         let mut net =
             Mlp::new("physics.layer", &widths, Init::FanIn, Init::FanIn, seed).with_activation(Activation::Silu);
-        soften(&mut net, first, config.head_start);
+        scale_head(&mut net, first, config.head_start);
         let origin = if config.local_origin { origin } else { Vec3::ZERO };
         Ok(Self { config: config.clone(), form, rollout: Rollout { rule: config.integrator, dt: step, origin }, net })
     }
@@ -107,7 +121,7 @@ impl Law {
         &self.config
     }
 
-    /// How particles are carried.
+    /// The roll-out that integrates the law's motions; not used by forms with a closed form.
     pub fn rollout(&self) -> Rollout {
         self.rollout
     }
@@ -116,16 +130,17 @@ impl Law {
         &self.net
     }
 
+    /// Width of an encoded position.
     fn columns(&self) -> usize {
         encoding::width(3, self.config.bands)
     }
 
-    /// A place about the origin.
+    /// Position relative to the origin.
     fn relative(&self, x: Vec3) -> [f32; 3] {
         (x - self.rollout.origin).to_array()
     }
 
-    /// What all particles share: the time, folded into the first bias.
+    /// Folds the time, which all particles share, into the first bias.
     fn fold_time(&self, t: f64, time: &mut Vec<f32>, bias: &mut Vec<f32>) {
         time.clear();
         time.resize(self.net.inputs() - self.columns(), 0.0);
@@ -135,8 +150,8 @@ impl Law {
         self.net.fold(time, bias);
     }
 
-    /// Runs the network at the places of a block.
-    fn read(&self, x: &[Vec3], bias: &[f32], block: &mut Block) {
+    /// Evaluates the network at the positions of a block.
+    fn evaluate(&self, x: &[Vec3], bias: &[f32], block: &mut Block) {
         let columns = self.columns();
         block.position.resize(x.len() * columns, 0.0);
         for (x, row) in x.iter().zip(block.position.chunks_exact_mut(columns)) {
@@ -146,121 +161,123 @@ impl Law {
         self.net.forward_folded(&block.position, columns, bias, &mut block.net);
     }
 
-    /// Motions of the particles of a block from what the network said; the middle is about the origin.
-    fn form_motions(&self, x: &[Vec3], middle: [f32; 3], block: &mut Block) {
+    /// Motions of the particles of a block from the network's outputs; the centroid is relative to the origin.
+    fn form_motions(&self, x: &[Vec3], centroid: [f32; 3], block: &mut Block) {
         block.motions.clear();
         let rows = block.net.output().chunks_exact(self.net.outputs()).zip(x);
-        block.motions.extend(rows.map(|(y, x)| self.form.motion(y, self.relative(*x), middle)));
+        block.motions.extend(rows.map(|(y, x)| self.form.motion(y, self.relative(*x), centroid)));
     }
 
-    /// Carries the rows of a block, which are at their start, by steps.
-    fn roll(&self, ticks: &[Tick<f64>], block: &mut Block, rows: (&mut [Vec3], &mut [[f32; 4]])) {
-        block.poses.resize(block.motions.len().div_ceil(LANES) * ticks.len(), Posed::default());
-        self.rollout.roll_rows(&block.motions, ticks, rows, Some(&mut block.poses));
+    /// Advances the rows of a block from their start by steps of the integrator.
+    fn advance_stepped(&self, substeps: &[Substep<f64>], block: &mut Block, rows: (&mut [Vec3], &mut [[f32; 4]])) {
+        block.poses.resize(block.motions.len().div_ceil(LANES) * substeps.len(), PoseBlock::default());
+        self.rollout.roll_rows(&block.motions, substeps, rows, Some(&mut block.poses));
     }
 
-    /// Carries the rows of a block, which are at their start, along closed forms.
-    fn carry(&self, span: Span<f32>, block: &Block, (means, turns): (&mut [Vec3], &mut [[f32; 4]])) {
-        for ((y, x), q) in block.net.output().chunks_exact(self.net.outputs()).zip(means).zip(turns) {
-            let (end, turn) = arc::carry(&self.form, y, self.relative(*x), span);
+    /// Advances the rows of a block from their start along closed forms.
+    fn advance_closed(&self, span: Span<f32>, block: &Block, (means, quats): (&mut [Vec3], &mut [[f32; 4]])) {
+        for ((y, x), q) in block.net.output().chunks_exact(self.net.outputs()).zip(means).zip(quats) {
+            let (end, rotation) = arc::advance(&self.form, y, self.relative(*x), span);
             *x = self.rollout.origin + Vec3::from_array(end);
-            *q = turn;
+            *q = rotation;
         }
     }
 
-    /// Cotangents of the network's outputs from those of the ends, `block.d.moves`, through motions and steps. `spin_up` is
-    /// the weight of the penalty on changes of turning for one particle.
-    fn roll_back(&self, ticks: &[Tick<f64>], middle: [f32; 3], spin_up: f32, block: &mut Block) {
+    /// Cotangents of the network's outputs from those of the ends, `block.d.ends`, through motions and steps.
+    fn advance_stepped_backward(&self, shared: &Shared<'_>, block: &mut Block) {
         let Block { net, motions, poses, d, .. } = block;
         d.motions.clear();
         d.motions.resize(motions.len(), Motion::default());
-        let ends = (d.moves.means.as_mut_slice(), d.moves.turns.as_mut_slice());
-        self.rollout.roll_rows_back(motions, (ticks, poses), ends, &mut d.motions);
+        let ends = (d.ends.means.as_mut_slice(), d.ends.turns.as_mut_slice());
+        self.rollout.roll_rows_backward(motions, (shared.substeps, poses), ends, &mut d.motions);
         for (d, m) in d.motions.iter_mut().zip(motions) {
-            (0..3).for_each(|k| d.rate.w[k] += spin_up * m.rate.w[k]);
+            (0..3).for_each(|k| d.rate.w[k] += shared.spin_up_weight * m.rate.w[k]);
         }
         let outputs = self.net.outputs();
         d.out.resize(net.output().len(), 0.0);
         let rows = net.output().chunks_exact(outputs).zip(d.out.chunks_exact_mut(outputs));
         for ((y, d_y), d_motion) in rows.zip(&d.motions) {
-            self.form.motion_back(y, middle, d_motion, d_y);
+            self.form.motion_backward(y, shared.centroid, d_motion, d_y);
         }
     }
 
-    /// The same through closed forms.
-    fn carry_back(&self, x: &[Vec3], span: Span<f32>, block: &mut Block) {
+    /// As [`Law::advance_stepped_backward`], through closed forms.
+    fn advance_closed_backward(&self, x: &[Vec3], span: Span<f32>, block: &mut Block) {
         let (Block { net, d, .. }, outputs) = (block, self.net.outputs());
         d.out.resize(net.output().len(), 0.0);
         let rows = net.output().chunks_exact(outputs).zip(d.out.chunks_exact_mut(outputs));
         for (i, (y, d_y)) in rows.enumerate() {
-            let ends = (d.moves.means[i].to_array(), d.moves.turns[i]);
-            arc::carry_back(&self.form, y, self.relative(x[i]), span, ends, d_y);
+            let ends = (d.ends.means[i].to_array(), d.ends.turns[i]);
+            arc::advance_backward(&self.form, y, self.relative(x[i]), span, ends, d_y);
         }
     }
 
     /// From the cotangents of a block's ends to the weights.
-    fn learn(&self, shared: &Shared<'_>, x: &[Vec3], block: &mut Block, grad: &mut MlpGrad) {
+    fn backward(&self, shared: &Shared<'_>, x: &[Vec3], block: &mut Block, grad: &mut MlpGrad) {
         if self.form.is_closed() {
-            self.carry_back(x, shared.span, block);
+            self.advance_closed_backward(x, shared.span, block);
         } else {
-            self.roll_back(shared.ticks, shared.middle, shared.spin_up, block);
+            self.advance_stepped_backward(shared, block);
         }
         let BlockGrad { out, .. } = &mut block.d;
         for d_y in out.chunks_exact_mut(self.net.outputs()) {
-            shorten(&mut d_y[self.form.rates()], self.config.accel_clamp);
+            clip_norm(&mut d_y[self.form.rates()], self.config.accel_clamp);
         }
         self.net.backward_folded(&block.position, self.columns(), &mut block.net, out, grad);
     }
 }
 
-/// What all blocks share on the way back.
+/// Inputs of backward that all blocks share.
 struct Shared<'a> {
-    ticks: &'a [Tick<f64>],
+    substeps: &'a [Substep<f64>],
     span: Span<f32>,
-    middle: [f32; 3],
-    spin_up: f32,
+    centroid: [f32; 3],
+    /// Weight of the penalty on angular acceleration for one particle.
+    spin_up_weight: f32,
 }
 
 impl Dynamics for Law {
     type Tape = LawTape;
 
     fn transport(&self, start: Start<'_>, to: f64, tape: &mut LawTape, out: &mut Moves) {
-        let Start { x, t: from, middle } = start;
+        let Start { x, t: from, .. } = start;
         out.means.clear();
         out.means.extend_from_slice(x);
         out.turns.clear();
-        out.turns.resize(x.len(), STILL);
+        out.turns.resize(x.len(), IDENTITY);
         let span = [0.0, to - from];
         let steps = self.form.literal().then(|| self.rollout.steps(span));
         tape.span = Span::new(span[1], steps.as_deref());
         if span[1] == 0.0 {
             return;
         }
-        tape.ticks = self.rollout.ticks(span);
+        tape.substeps = self.rollout.substeps(span);
         self.fold_time(from, &mut tape.time, &mut tape.bias);
         tape.blocks.resize_with(x.len().div_ceil(BLOCK), Block::default);
-        let LawTape { bias, ticks, span, blocks, .. } = tape;
-        let (bias, ticks, span, middle) = (&*bias, &*ticks, span.narrowed(), self.relative(middle));
+        let LawTape { bias, substeps, span, blocks, .. } = tape;
+        let (bias, substeps, span) = (&*bias, &*substeps, span.narrowed());
+        let centroid = self.relative(start.middle);
         let ends = out.means.par_chunks_mut(BLOCK).zip(out.turns.par_chunks_mut(BLOCK));
         blocks.par_iter_mut().zip(x.par_chunks(BLOCK)).zip(ends).for_each(|((block, x), ends)| {
-            self.read(x, bias, block);
+            self.evaluate(x, bias, block);
             if self.form.is_closed() {
-                self.carry(span, block, ends);
+                self.advance_closed(span, block, ends);
             } else {
-                self.form_motions(x, middle, block);
-                self.roll(ticks, block, ends);
+                self.form_motions(x, centroid, block);
+                self.advance_stepped(substeps, block, ends);
             }
         });
     }
 
     fn transport_backward(&mut self, start: Start<'_>, tape: &mut LawTape, d: &Moves) {
-        let Start { x, middle, .. } = start;
+        let x = start.x;
         if tape.span.tau == 0.0 {
             return;
         }
-        let LawTape { time, ticks, span, blocks, chunks, .. } = tape;
-        let spin_up = self.config.spin_up_weight / x.len().max(1) as f32;
-        let shared = Shared { ticks, span: span.narrowed(), middle: self.relative(middle), spin_up };
+        let LawTape { time, substeps, span, blocks, chunks, .. } = tape;
+        let spin_up_weight = self.config.spin_up_weight / x.len().max(1) as f32;
+        let centroid = self.relative(start.middle);
+        let shared = Shared { substeps, span: span.narrowed(), centroid, spin_up_weight };
         let per_chunk = nn::blocks_per_chunk(blocks.len());
         chunks.resize_with(CHUNKS, MlpGrad::default);
         let used = &mut chunks[..blocks.len().div_ceil(per_chunk)];
@@ -271,8 +288,8 @@ impl Dynamics for Law {
             grad.reset(&self.net);
             let rows = x.chunks(BLOCK).zip(d_means.chunks(BLOCK)).zip(d_turns.chunks(BLOCK));
             for (block, ((x, d_means), d_turns)) in blocks.iter_mut().zip(rows) {
-                block.d.moves.set(d_means, d_turns);
-                self.learn(&shared, x, block, grad);
+                block.d.ends.set(d_means, d_turns);
+                self.backward(&shared, x, block, grad);
             }
         });
         self.net.add_grads_folded(time, used.iter());
@@ -281,11 +298,11 @@ impl Dynamics for Law {
     fn motions(&self, start: Start<'_>) -> Vec<Motion<f32>> {
         let (mut time, mut bias) = (Vec::new(), Vec::new());
         self.fold_time(start.t, &mut time, &mut bias);
-        let middle = self.relative(start.middle);
+        let centroid = self.relative(start.middle);
         let of_block = |x: &[Vec3]| {
             let mut block = Block::default();
-            self.read(x, &bias, &mut block);
-            self.form_motions(x, middle, &mut block);
+            self.evaluate(x, &bias, &mut block);
+            self.form_motions(x, centroid, &mut block);
             block.motions
         };
         start.x.par_chunks(BLOCK).flat_map_iter(of_block).collect()
@@ -305,11 +322,11 @@ impl Dynamics for Law {
 }
 
 /// Multiplies the first `outputs` rows of the last layer by `factor`.
-fn soften(net: &mut Mlp, outputs: usize, factor: f32) {
+fn scale_head(net: &mut Mlp, outputs: usize, factor: f32) {
     let (layers, width) = (net.layers().len(), net.layers().last().map_or(0, nn::Dense::inputs));
     let mut block = 0;
     net.visit_mut(&mut |p| {
-        // Each layer shows its weight, then its bias.
+        // Each layer visits its weight, then its bias.
         if block / 2 == layers - 1 {
             let rows = if block % 2 == 0 { outputs * width } else { outputs };
             p.value[..rows].iter_mut().for_each(|v| *v *= factor);
@@ -318,8 +335,8 @@ fn soften(net: &mut Mlp, outputs: usize, factor: f32) {
     });
 }
 
-/// Shortens `d` to length `limit`, if that is above 0.
-fn shorten(d: &mut [f32], limit: f32) {
+/// Scales `d` down to norm `limit`, if that is above 0.
+fn clip_norm(d: &mut [f32], limit: f32) {
     debug_assert!(d.len() <= MAX_OUTPUTS, "derivatives of one particle");
     let length = d.iter().map(|v| v * v).sum::<f32>().sqrt();
     if limit > 0.0 && length > limit {

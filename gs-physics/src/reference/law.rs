@@ -7,24 +7,24 @@ use crate::law::{Form, Law, LawConfig, LawInput};
 use crate::rollout::Rollout;
 use crate::twist::Motion;
 
-/// The law.
+/// Reference of a [`Law`]: the same network and forms in `f64`.
 #[derive(Clone, Debug)]
 pub struct LawRef {
-    /// Its network.
+    /// The network, whose weights may be changed.
     pub net: NetRef,
-    /// The middle of what moves, world units; at first the law's origin.
-    pub middle: [f64; 3],
+    /// Centroid of the moving particles, world units; initially the law's origin.
+    pub centroid: [f64; 3],
     config: LawConfig,
     form: Form,
     rollout: Rollout,
 }
 
 impl LawRef {
-    /// The twin of `law`.
+    /// The reference of `law`, with a copy of its weights.
     pub fn new(law: &Law) -> Self {
         let (config, rollout) = (law.config().clone(), law.rollout());
-        let middle = rollout.origin.as_dvec3().to_array();
-        Self { net: NetRef::new(law.net()), middle, form: Form::new(&config), config, rollout }
+        let centroid = rollout.origin.as_dvec3().to_array();
+        Self { net: NetRef::new(law.net()), centroid, form: Form::new(&config), config, rollout }
     }
 
     fn input(&self, x: [f64; 3], t: f64) -> Vec<Vec<f64>> {
@@ -47,7 +47,7 @@ impl LawRef {
 
     /// As [`motions`](crate::Dynamics::motions).
     pub fn motion(&self, x: [f64; 3], t: f64) -> Motion<f64> {
-        self.form.motion(&self.net.forward(&self.input(x, t))[0], self.relative(x), self.relative(self.middle))
+        self.form.motion(&self.net.forward(&self.input(x, t))[0], self.relative(x), self.relative(self.centroid))
     }
 
     /// As [`transport`](crate::Dynamics::transport) over `[from, to]`.
@@ -60,23 +60,23 @@ impl LawRef {
             return advance(&self.rollout, &self.motion(x, span[0]), [0.0, span[1] - span[0]], (x, start));
         }
         let y = self.net.forward(&self.input(x, span[0]));
-        let (end, q) = arc::carry(&self.form, &y[0], self.relative(x), self.span(span));
+        let (end, q) = arc::advance(&self.form, &y[0], self.relative(x), self.span(span));
         (crate::vec3::add(end, self.rollout.origin.as_dvec3().to_array()), q)
     }
 
-    /// Adds the gradient of the weights for cotangents `d` of [`LawRef::transport`]. Gradients of accelerations are not
-    /// clamped.
+    /// Adds the gradient of the weights for cotangents `d` of [`LawRef::transport`], without the clamp of
+    /// [`LawConfig::accel_clamp`].
     pub fn gradient(&self, x: [f64; 3], span: [f64; 2], d: Pose, grad: &mut [Vec<f64>]) {
         let input = self.input(x, span[0]);
         let y = self.net.forward(&input).swap_remove(0);
         let mut d_y = vec![0.0; y.len()];
         if self.form.is_closed() {
-            arc::carry_back(&self.form, &y, self.relative(x), self.span(span), d, &mut d_y);
+            arc::advance_backward(&self.form, &y, self.relative(x), self.span(span), d, &mut d_y);
         } else {
-            let motion = self.form.motion(&y, self.relative(x), self.relative(self.middle));
+            let motion = self.form.motion(&y, self.relative(x), self.relative(self.centroid));
             let start = (x, [1.0, 0.0, 0.0, 0.0]);
             let (d_motion, _) = adjoint(&self.rollout, &motion, [0.0, span[1] - span[0]], start, d);
-            self.form.motion_back(&y, self.relative(self.middle), &d_motion, &mut d_y);
+            self.form.motion_backward(&y, self.relative(self.centroid), &d_motion, &mut d_y);
         }
         self.net.backward(&input, &vec![d_y], grad);
     }

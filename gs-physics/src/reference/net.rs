@@ -7,10 +7,10 @@
 use gs_core::nn::{Activation, Mlp};
 use gs_core::{Param, Params};
 
-/// The value of a point first, then its derivative along each direction.
+/// Row 0 is the value at a point, row `k` its derivative along direction `k`.
 pub type Jet = Vec<Vec<f64>>;
 
-/// The network.
+/// A multilayer perceptron in `f64`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NetRef {
     /// Weight and bias of each layer, first to last.
@@ -19,7 +19,7 @@ pub struct NetRef {
 }
 
 impl NetRef {
-    /// The twin of `mlp`, which must have no activation behind its last layer.
+    /// A copy of `mlp`, which must have no activation after its last layer.
     pub fn new(mlp: &Mlp) -> Self {
         let mut params = Vec::new();
         mlp.visit(&mut |p: &Param| params.push(p.value.iter().map(|&v| f64::from(v)).collect()));
@@ -35,8 +35,8 @@ impl NetRef {
         self.params.len() / 2
     }
 
-    /// `φ, φ', φ''`.
-    fn bend(&self, z: f64) -> [f64; 3] {
+    /// `[φ(z), φ'(z), φ''(z)]` of the activation.
+    fn activation(&self, z: f64) -> [f64; 3] {
         match self.activation {
             Activation::Relu if z > 0.0 => [z, 1.0, 0.0],
             Activation::Relu => [0.0; 3],
@@ -47,7 +47,7 @@ impl NetRef {
         }
     }
 
-    /// What each layer is given and what it gives before its activation.
+    /// Input and output before its activation of each layer.
     fn run(&self, x: &Jet) -> Vec<(Jet, Jet)> {
         let mut tape: Vec<(Jet, Jet)> = Vec::new();
         for pair in self.params.chunks(2) {
@@ -65,17 +65,17 @@ impl NetRef {
     fn activated(&self, z: &Jet) -> Jet {
         let row = |(k, row): (usize, &Vec<f64>)| {
             let both = row.iter().zip(&z[0]);
-            both.map(|(&v, &z)| if k == 0 { self.bend(z)[0] } else { self.bend(z)[1] * v }).collect()
+            both.map(|(&v, &z)| if k == 0 { self.activation(z)[0] } else { self.activation(z)[1] * v }).collect()
         };
         z.iter().enumerate().map(row).collect()
     }
 
-    /// Outputs and their derivatives.
+    /// Outputs and their derivatives along the directions of `x`.
     pub fn forward(&self, x: &Jet) -> Jet {
         self.run(x).pop().map(|(_, z)| z).unwrap_or_default()
     }
 
-    /// The way back of [`NetRef::forward`] for cotangents `d` of all it gives: adds to `grad`, returns those of `x`.
+    /// Backward of [`NetRef::forward`] for cotangents `d` of all outputs: adds to `grad`, returns the cotangents of `x`.
     pub fn backward(&self, x: &Jet, d: &Jet, grad: &mut [Vec<f64>]) -> Jet {
         let mut d = d.clone();
         for (i, (x, z)) in self.run(x).iter().enumerate().rev() {
@@ -102,8 +102,8 @@ impl NetRef {
     fn deactivated(&self, z: &Jet, d: &Jet) -> Jet {
         let mut out = d.clone();
         for (c, &at) in z[0].iter().enumerate() {
-            let [_, slope, bend] = self.bend(at);
-            out[0][c] = slope * d[0][c] + (1..z.len()).map(|k| bend * z[k][c] * d[k][c]).sum::<f64>();
+            let [_, slope, second] = self.activation(at);
+            out[0][c] = slope * d[0][c] + (1..z.len()).map(|k| second * z[k][c] * d[k][c]).sum::<f64>();
             out[1..].iter_mut().zip(&d[1..]).for_each(|(o, d)| o[c] = slope * d[c]);
         }
         out

@@ -1,46 +1,46 @@
-//! How many rigid bodies there are: clusters that share a twist are one.
+//! The number of rigid bodies: clusters that share a twist are merged.
 //!
-//! Too many clusters are made first; the two whose union is explained best by one twist are merged, and again, while that twist
-//! tells velocities apart no more than it may. The twist of a cluster is the least-squares one over velocities
-//! `u_i = v_i + w_i × (x_i − o)` of its particles,
+//! From an over-segmentation, the two clusters that are closest to sharing one twist are merged, and again, while their
+//! distance is allowed. The twist of a cluster is the least-squares one over velocities `u_i = v_i + w_i × (x_i − o)` of its
+//! particles,
 //! ```text
-//! R(C) = min over (v, w) of Σ_i weight |v + w × (x_i − o) − u_i|²      6 unknowns, sums that add up over clusters
-//! d²(A, B) = (R(A ∪ B) − R(A) − R(B)) (W_A + W_B) / (W_A W_B)         mean squared velocity that parts A from B
+//! R(C) = min over (v, w) of Σ_i weight |v + w × (x_i − o) − u_i|²      6 unknowns, sums are additive over clusters
+//! d²(A, B) = (R(A ∪ B) − R(A) − R(B)) (W_A + W_B) / (W_A W_B)         mean squared velocity that separates A and B
 //! ```
-//! and two clusters are one body if `d ≤ max(tolerance · u_rms, spread · r)`: `u_rms` the root mean square speed of moving
-//! particles, `r² = (R(A) + R(B)) / (W_A + W_B)` what their own twists leave unexplained, so that noise within a body does not
-//! count as a second body: the halves of a normal distribution have `d = 2.65 r`. Clusters lighter than [`MergeOptions::least_share`] are strays: they take the label of the one they
-//! fit best, and do not change its twist.
+//! and two clusters are one body if `d ≤ max(tolerance · u_rms, spread · r)`. `u_rms` is the root mean square speed of
+//! moving particles, `r² = (R(A) + R(B)) / (W_A + W_B)` the residual of the clusters' own twists, so that noise within a body
+//! does not count as a second body: the halves of a normal distribution have `d = 2.65 r`. Clusters lighter than
+//! [`MergeOptions::min_share`] are outliers: they take the label of the one they fit best, without changing its twist.
 
 use super::by_weight;
 use crate::twist::{Motion, Twist};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-/// Particles per parallel block.
+/// Particles per rayon task.
 const BLOCK: usize = 1024;
 
-/// When clusters are one body.
+/// Distance up to which clusters are one body.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MergeOptions {
-    /// Part of the root mean square speed that may part clusters of one body.
+    /// Largest distance as a fraction of the root mean square speed of moving particles.
     pub tolerance: f64,
-    /// How many times their own residual may part clusters of one body.
+    /// Largest distance as a multiple of the residual of the clusters' own twists.
     pub spread: f64,
-    /// Clusters with less of the weight are no bodies.
-    pub least_share: f64,
+    /// Clusters with a smaller fraction of the total weight are outliers, not bodies.
+    pub min_share: f64,
 }
 
 impl Default for MergeOptions {
     fn default() -> Self {
-        Self { tolerance: 0.05, spread: 3.0, least_share: 0.005 }
+        Self { tolerance: 0.05, spread: 3.0, min_share: 0.005 }
     }
 }
 
 /// Normal equations of the twist of a set of particles; sums of two sets are the sums of their union.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct TwistSums {
-    /// Sum of the weights.
+    /// Sum of the weights of the particles.
     pub weight: f64,
     normal: [[f64; 6]; 6],
     right: [f64; 6],
@@ -48,8 +48,8 @@ pub struct TwistSums {
 }
 
 impl TwistSums {
-    /// Adds a particle at `x` (about the origin) with velocity `u`.
-    pub fn add(&mut self, weight: f64, x: DVec3, u: DVec3) {
+    /// Adds a particle at `x` (relative to the origin) with velocity `u`.
+    fn add(&mut self, weight: f64, x: DVec3, u: DVec3) {
         // Rows of [I, −[x]×].
         let rows = [[1.0, 0.0, 0.0, 0.0, x.z, -x.y], [0.0, 1.0, 0.0, -x.z, 0.0, x.x], [0.0, 0.0, 1.0, x.y, -x.x, 0.0]];
         for (row, u) in rows.iter().zip(u.to_array()) {
@@ -62,8 +62,8 @@ impl TwistSums {
         self.square += weight * u.length_squared();
     }
 
-    /// Of two sets together.
-    pub fn joined(&self, other: &Self) -> Self {
+    /// The sums of the union of two sets.
+    fn union(&self, other: &Self) -> Self {
         let mut sum = *self;
         sum.weight += other.weight;
         sum.square += other.square;
@@ -74,18 +74,18 @@ impl TwistSums {
         sum
     }
 
-    /// Mean of the squared speeds.
-    pub fn mean_square(&self) -> f64 {
+    /// Weighted mean of the squared speeds.
+    fn mean_square(&self) -> f64 {
         if self.weight > 0.0 { self.square / self.weight } else { 0.0 }
     }
 
-    /// The twist of least squares; where the particles leave it open (a line, a point) the shortest, by a ridge of `1e-9`.
+    /// The least-squares twist; where particles on a line or point leave it undetermined the shortest, by a ridge of `1e-9`.
     pub fn twist(&self) -> Twist<f64> {
         let x = cholesky(self.normal, self.right);
         Twist { v: [x[0], x[1], x[2]], w: [x[3], x[4], x[5]] }
     }
 
-    /// `R`: what the twist of least squares leaves, `Σ weight |·|²`.
+    /// `R` of the module header: the weighted squared residual of [`TwistSums::twist`].
     pub fn residual(&self) -> f64 {
         let x = cholesky(self.normal, self.right);
         let quadratic: f64 = (0..6).map(|i| x[i] * (0..6).map(|j| self.normal[i][j] * x[j]).sum::<f64>()).sum();
@@ -114,7 +114,7 @@ fn cholesky(mut a: [[f64; 6]; 6], mut b: [f64; 6]) -> [f64; 6] {
 }
 
 /// Sums of each of `k` labels. Particles whose position or twist is not finite do not count.
-pub fn twist_sums(
+fn twist_sums(
     positions: &[Vec3],
     motions: &[Motion<f32>],
     origin: Vec3,
@@ -137,25 +137,25 @@ pub fn twist_sums(
     let blocks: Vec<_> = (0..labels.len().div_ceil(BLOCK)).into_par_iter().map(block).collect();
     let mut total = vec![TwistSums::default(); k];
     for sums in blocks {
-        total.iter_mut().zip(&sums).for_each(|(t, s)| *t = t.joined(s));
+        total.iter_mut().zip(&sums).for_each(|(t, s)| *t = t.union(s));
     }
     total
 }
 
-/// Bodies, heaviest first.
+/// Rigid bodies found by [`merged`], heaviest first.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Merged {
-    /// The body of each particle.
+    /// The body of each particle, an index into `bodies`.
     pub labels: Vec<u32>,
-    /// Sums of each body, without strays.
+    /// Sums of each body, without outliers.
     pub bodies: Vec<TwistSums>,
-    /// Velocity that parted the pair of each merger, in order, world units per unit of time.
+    /// Distance `d` of each merged pair, in order, world units per unit of time.
     pub distances: Vec<f64>,
-    /// The one that would part the next pair; none if one body is left.
+    /// Distance of the pair that would be merged next; none if one body is left.
     pub next: Option<f64>,
 }
 
-/// Merges the clusters `labels < k` of particles into bodies.
+/// Merges the clusters `labels < k` of particles into bodies; `weights` are 1 each if `None`.
 pub fn merged(
     positions: &[Vec3],
     motions: &[Motion<f32>],
@@ -165,28 +165,28 @@ pub fn merged(
     options: &MergeOptions,
 ) -> Merged {
     let mut sums = twist_sums(positions, motions, origin, weights, labels, k);
-    let all = sums.iter().fold(TwistSums::default(), |a, b| a.joined(b));
-    let least = options.least_share * all.weight;
+    let all = sums.iter().fold(TwistSums::default(), |a, b| a.union(b));
+    let least = options.min_share * all.weight;
     let floor = options.tolerance * moving_speed(&sums, least);
     let heavy = sums.iter().position(|s| s.weight > 0.0).unwrap_or(0);
-    let mut home: Vec<usize> = (0..k).map(|c| if sums[c].weight > 0.0 { c } else { heavy }).collect();
+    let mut body_of: Vec<usize> = (0..k).map(|c| if sums[c].weight > 0.0 { c } else { heavy }).collect();
     let mut residual: Vec<f64> = sums.iter().map(TwistSums::residual).collect();
     let (mut distances, mut next) = (Vec::new(), None);
     loop {
-        let here: Vec<usize> = (0..k).filter(|&c| home[c] == c && sums[c].weight > 0.0).collect();
-        let small = here.iter().copied().filter(|&c| sums[c].weight < least);
+        let left: Vec<usize> = (0..k).filter(|&c| body_of[c] == c && sums[c].weight > 0.0).collect();
+        let small = left.iter().copied().filter(|&c| sums[c].weight < least);
         let small = small.min_by(|&a, &b| sums[a].weight.total_cmp(&sums[b].weight));
-        let pairs = here.iter().flat_map(|&a| here.iter().map(move |&b| (a, b))).filter(|(a, b)| a < b);
+        let pairs = left.iter().flat_map(|&a| left.iter().map(move |&b| (a, b))).filter(|(a, b)| a < b);
         let pairs = pairs.filter(|&(a, b)| small.is_none_or(|s| a == s || b == s));
-        let parted = |(a, b): (usize, usize)| {
+        let distance = |(a, b): (usize, usize)| {
             let (sa, sb) = (&sums[a], &sums[b]);
             let own = residual[a] + residual[b];
-            let d2 = (sa.joined(sb).residual() - own).max(0.0) * (sa.weight + sb.weight) / (sa.weight * sb.weight);
+            let d2 = (sa.union(sb).residual() - own).max(0.0) * (sa.weight + sb.weight) / (sa.weight * sb.weight);
             let noise = options.spread * (own / (sa.weight + sb.weight)).sqrt();
             (d2.sqrt(), floor.max(noise), a, b)
         };
-        // By how far they are apart in terms of what is allowed: noisy pairs are not kept from merging by a clean one.
-        let best = pairs.map(parted).min_by(|x, y| (x.0 / x.1).total_cmp(&(y.0 / y.1)));
+        // By distance relative to the allowed one: a clean pair does not keep noisy pairs from merging.
+        let best = pairs.map(distance).min_by(|x, y| (x.0 / x.1).total_cmp(&(y.0 / y.1)));
         let Some((distance, allowed, a, b)) = best else { break };
         if small.is_none() && distance > allowed {
             next = Some(distance);
@@ -195,22 +195,22 @@ pub fn merged(
         let (from, to) = if small == Some(a) { (a, b) } else { (b, a) };
         if small.is_none() {
             distances.push(distance);
-            sums[to] = sums[to].joined(&sums[from]);
+            sums[to] = sums[to].union(&sums[from]);
             residual[to] = sums[to].residual();
         }
-        home.iter_mut().filter(|h| **h == from).for_each(|h| *h = to);
+        body_of.iter_mut().filter(|b| **b == from).for_each(|b| *b = to);
     }
-    let mut new: Vec<u32> = labels.iter().map(|l| home[*l as usize] as u32).collect();
+    let mut new: Vec<u32> = labels.iter().map(|l| body_of[*l as usize] as u32).collect();
     let order = by_weight(&mut new, |i| weights.map_or(1.0, |w| w[i].into()), k);
     Merged { labels: new, bodies: order.iter().map(|&c| sums[c]).collect(), distances, next }
 }
 
-/// Root mean square speed over clusters of at least this weight that move at least a tenth as fast as the fastest of them.
+/// Root mean square speed over clusters of at least weight `least` that move at least a tenth as fast as the fastest.
 fn moving_speed(sums: &[TwistSums], least: f64) -> f64 {
     let heavy = || sums.iter().filter(|s| s.weight >= least);
     let fastest = heavy().map(TwistSums::mean_square).fold(0.0, f64::max);
     let moving = heavy().filter(|s| s.mean_square() >= 0.01 * fastest);
-    moving.fold(TwistSums::default(), |a, b| a.joined(b)).mean_square().sqrt().max(f64::MIN_POSITIVE)
+    moving.fold(TwistSums::default(), |a, b| a.union(b)).mean_square().sqrt().max(f64::MIN_POSITIVE)
 }
 
 #[cfg(test)]
@@ -276,7 +276,7 @@ mod tests {
 
     /// A bending sheet is no rigid body, nor a few.
     #[test]
-    fn what_bends_stays_in_many_pieces() {
+    fn a_bending_sheet_stays_in_many_pieces() {
         let x: Vec<Vec3> =
             (0..2000).map(|i| Vec3::new((i % 50) as f32 / 25.0 - 1.0, (i / 50) as f32 / 20.0, 0.0)).collect();
         let wave = |x: &Vec3| Twist { v: [0.0, 0.0, (6.0 * x.x).sin()], w: [0.0; 3] };
@@ -285,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn a_handful_of_strays_is_no_body() {
+    fn a_few_outliers_are_no_body() {
         let (mut x, mut m, _) = scene(&four(), 0.02);
         for k in 0..5 {
             x.push(Vec3::splat(k as f32 * 0.1));
@@ -294,7 +294,7 @@ mod tests {
         assert_eq!(bodies(&x, &m).bodies.len(), 4);
     }
 
-    /// Sums of a screw motion give back its twist and leave nothing; sums add up.
+    /// Sums of a screw motion give back its twist without residual; sums are additive.
     #[test]
     fn least_squares_twists() {
         let (v, w) = (DVec3::new(0.3, -1.0, 0.5), DVec3::new(2.0, 0.1, -4.0));
@@ -304,7 +304,7 @@ mod tests {
             let x = DVec3::new(rng.normal().into(), rng.normal().into(), rng.normal().into());
             parts[i as usize % 2].add(0.5 + i as f64, x, v + w.cross(x));
         }
-        let both = parts[0].joined(&parts[1]);
+        let both = parts[0].union(&parts[1]);
         let twist = both.twist();
         assert!((DVec3::from_array(twist.v) - v).length() < 1e-7 && (DVec3::from_array(twist.w) - w).length() < 1e-7);
         assert!(both.residual() < 1e-10 * both.weight);

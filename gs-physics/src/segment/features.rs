@@ -1,46 +1,46 @@
-//! What twists are compared by.
+//! Feature rows that twists are clustered by.
 //!
 //! ```text
 //! polar (published)   (‖v‖, v̂ ‖v‖/(‖v‖+κ_v),  ‖w‖, ŵ ‖w‖/(‖w‖+κ_w))                              8 numbers
 //! plain               (v, w)                                                                     6 numbers
 //! ```
-//! both with lengths over a scale `s_v`, `s_w`: the 95th percentile of the particles' own lengths (1 where asked for the
-//! raw ones), never less than a twentieth of what the other kind of motion amounts to at the scene's radius, so that the
-//! noise of a motion which is not there does not grow to a signal. Lengths are cut off at twice the scale: a stray
-//! particle is no class of its own. Directions fade out below `κ = ` 5 % of the scale, where they are noise.
+//! both with lengths over a scale `s_v`, `s_w`: the 95th percentile of the particles' own lengths (1 without
+//! normalisation), at least a twentieth of the velocity that the other kind of motion causes at the scene's radius, so that
+//! noise about no motion is not amplified. Lengths are clamped at twice the scale: an outlier is no cluster of its own.
+//! Directions fade out below `κ = ` 5 % of the scale, where they are noise.
 
 use crate::twist::Motion;
 use glam::Vec3;
 
-/// Directions of motions shorter than this part of the scale fade out.
-const FADE: f32 = 0.05;
-/// Least scale of one kind of motion, as a part of what the other amounts to.
-const FLOOR: f32 = 0.05;
-/// Longest length, over the scale.
-const LONGEST: f32 = 2.0;
+/// `κ`: directions of motions shorter than this fraction of the scale fade out.
+const DIRECTION_FADE: f32 = 0.05;
+/// Smallest scale of one kind of motion, as a fraction of the other at the scene's radius.
+const MIN_SCALE_RATIO: f32 = 0.05;
+/// Largest length, over the scale.
+const MAX_LENGTH: f32 = 2.0;
 
-/// The kind of row.
+/// Layout of a feature row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum Feature {
-    /// Lengths and directions.
+    /// Lengths and directions of `v` and `w`, 8 numbers.
     #[default]
     Polar,
-    /// The twist itself.
+    /// The twist `(v, w)` itself, 6 numbers.
     Plain,
 }
 
-/// How rows are made.
+/// How feature rows are computed from motions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FeatureOptions<'a> {
-    /// The kind of row.
+    /// Layout of the rows, 6 or 8 numbers of motion.
     pub feature: Feature,
-    /// Whether lengths are divided by their 95th percentile; else they count as they are.
+    /// Whether lengths are divided by their 95th percentile.
     pub normalise: bool,
-    /// Particles that rest: their row of motion is zero.
+    /// Per particle, whether it is static: its motion counts as zero.
     pub resting: Option<&'a [bool]>,
-    /// Weight `β` and positions, appended as `β x` (FreeGave: 0.1 to 0.8, world units); none if absent.
+    /// Weight `β` and positions, appended as `β x` (FreeGave: 0.1 to 0.8, world units); 3 numbers more.
     pub positions: Option<(f32, &'a [Vec3])>,
-    /// Radius of the scene about the twists' origin, world units: compares turning with moving.
+    /// Radius of the scene about the twists' origin, world units: relates angular to linear velocity.
     pub radius: f32,
 }
 
@@ -50,8 +50,8 @@ impl Default for FeatureOptions<'_> {
     }
 }
 
-/// Rows `[n, width]` and their width. Lists in the options must be as long as `motions`; a twist that is not finite counts
-/// as rest.
+/// Feature rows `[n, width]`, and their width. Slices in the options must be as long as `motions`; a twist that is not
+/// finite counts as zero.
 pub fn features(motions: &[Motion<f32>], options: &FeatureOptions<'_>) -> (Vec<f32>, usize) {
     let rests = |i: usize| options.resting.is_some_and(|r| r[i]);
     let parts = |i: usize| {
@@ -66,13 +66,13 @@ pub fn features(motions: &[Motion<f32>], options: &FeatureOptions<'_>) -> (Vec<f
     for (i, (v, w)) in twists.iter().enumerate() {
         for a in [*v / sv, *w / sw] {
             let length = a.length();
-            let cut = length.min(if options.normalise { LONGEST } else { f32::INFINITY });
+            let clamped = length.min(if options.normalise { MAX_LENGTH } else { f32::INFINITY });
             match options.feature {
                 Feature::Polar => {
-                    rows.push(cut);
-                    rows.extend((a / (length + FADE)).to_array());
+                    rows.push(clamped);
+                    rows.extend((a / (length + DIRECTION_FADE)).to_array());
                 }
-                Feature::Plain => rows.extend((a * (cut / length.max(f32::MIN_POSITIVE))).to_array()),
+                Feature::Plain => rows.extend((a * (clamped / length.max(f32::MIN_POSITIVE))).to_array()),
             }
         }
         if let Some((beta, positions)) = options.positions {
@@ -82,7 +82,7 @@ pub fn features(motions: &[Motion<f32>], options: &FeatureOptions<'_>) -> (Vec<f
     (rows, width)
 }
 
-/// What lengths of `v` and `w` are divided by; the fade of raw lengths is absolute.
+/// The scales `s_v` and `s_w` that lengths are divided by; without normalisation the fade is in absolute units.
 fn scales(twists: &[(Vec3, Vec3)], options: &FeatureOptions<'_>) -> (f32, f32) {
     if !options.normalise {
         return (1.0, 1.0);
@@ -95,7 +95,7 @@ fn scales(twists: &[(Vec3, Vec3)], options: &FeatureOptions<'_>) -> (f32, f32) {
     };
     let (v, w, radius) = (of(|t| t.0), of(|t| t.1), options.radius.max(f32::MIN_POSITIVE));
     let one = |scale: f32| if scale > 0.0 && scale.is_finite() { scale } else { 1.0 };
-    (one(v.max(FLOOR * w * radius)), one(w.max(FLOOR * v / radius)))
+    (one(v.max(MIN_SCALE_RATIO * w * radius)), one(w.max(MIN_SCALE_RATIO * v / radius)))
 }
 
 #[cfg(test)]
@@ -122,9 +122,9 @@ mod tests {
         assert!(plain.1 == 6 && plain.0.iter().zip([0.0, 0.6, 0.8, 0.0, 0.0, -1.0]).all(|(a, b)| (a - b).abs() < 1e-6));
     }
 
-    /// Noise of turning that is not there stays noise, a stray particle stays near, rest is nothing.
+    /// Noise of angular velocity about zero stays small, an outlier is clamped, a static particle has a zero row.
     #[test]
-    fn noise_strays_and_rest() {
+    fn noise_outliers_and_rest() {
         let mut motions = vec![motion([1.0, 0.0, 0.0], [1e-4, 0.0, 0.0]); 40];
         motions[3] = motion([900.0, 0.0, 0.0], [f32::NAN, 0.0, 0.0]);
         motions[4] = motion([900.0, 0.0, 0.0], [0.0; 3]);

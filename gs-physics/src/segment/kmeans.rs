@@ -1,28 +1,29 @@
 //! K-means of weighted rows (Lloyd 1982) from k-means++ seeds (Arthur and Vassilvitskii 2007).
 //!
-//! Restarts are run on at most [`KMeansOptions::sample`] rows, evenly drawn; the best centres are then moved over all rows.
+//! Restarts run on a stratified sample of at most [`KMeansOptions::sample`] rows; the best centres are then refined on all
+//! rows.
 
 use super::by_weight;
 use gs_core::Rng;
 use rayon::prelude::*;
 
-/// Rows per parallel block; sums are added up block by block.
+/// Rows per rayon task; sums are added block by block.
 const BLOCK: usize = 1024;
 
-/// How clusters are sought.
+/// Settings of [`kmeans`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct KMeansOptions {
-    /// Clusters wanted, at least 1; there are fewer if there are fewer distinct rows.
+    /// Number of clusters, at least 1; fewer are found if there are fewer distinct rows.
     pub k: usize,
-    /// Times it starts anew.
+    /// Number of k-means++ starts; the one with the smallest inertia is kept.
     pub restarts: u32,
-    /// Steps at most.
+    /// Largest number of Lloyd's steps per start.
     pub steps: u32,
-    /// Ends when the centres have moved by less than this in all (squares, over the mean square of the rows about their mean).
+    /// Stops when the summed squared motion of the centres is below this, over the mean square of the rows about their mean.
     pub tolerance: f64,
-    /// Most rows for the restarts.
+    /// Largest number of rows for the restarts.
     pub sample: usize,
-    /// Seed of the draws.
+    /// Seed of the sample and of the starts.
     pub seed: u64,
 }
 
@@ -35,17 +36,17 @@ impl Default for KMeansOptions {
 /// Clusters of rows, heaviest first.
 #[derive(Clone, Debug, PartialEq, Default)]
 pub struct Clusters {
-    /// The cluster of each row.
+    /// The cluster of each row, `0..k`.
     pub labels: Vec<u32>,
-    /// `[k, width]`.
+    /// Mean row of each cluster, `[k, width]`.
     pub centres: Vec<f64>,
-    /// Clusters there are.
+    /// Number of clusters found, at most [`KMeansOptions::k`].
     pub k: usize,
     /// `Σ w |row − centre|²`.
     pub inertia: f64,
 }
 
-/// The rows and what they weigh.
+/// Rows `[n, width]` with optional weights.
 #[derive(Clone, Copy)]
 struct Rows<'a> {
     data: &'a [f32],
@@ -67,10 +68,18 @@ impl Rows<'_> {
     }
 }
 
-/// Clusters `rows`, `[n, width]`, with non-negative `weights` (1 each if `None`). No rows, no clusters.
+/// Clusters `rows`, `[n, width]`, with non-negative `weights` (1 each if `None`). Without rows there are no clusters.
 ///
 /// # Panics
-/// In debug builds, if lengths do not fit.
+/// In debug builds, if lengths do not match.
+///
+/// ```
+/// use gs_physics::segment::{KMeansOptions, kmeans};
+/// let rows = [0.0, 0.5, 1.0, 7.0, 8.0];
+/// let found = kmeans(&rows, 1, None, &KMeansOptions { k: 2, ..KMeansOptions::default() });
+/// assert_eq!(found.labels, [0, 0, 0, 1, 1]);
+/// assert_eq!((found.centres, found.inertia), (vec![0.5, 7.5], 1.0));
+/// ```
 pub fn kmeans(rows: &[f32], width: usize, weights: Option<&[f32]>, options: &KMeansOptions) -> Clusters {
     debug_assert!(width > 0 && rows.len().is_multiple_of(width) && options.k > 0);
     let all = Rows { data: rows, width, weights };
@@ -95,13 +104,12 @@ pub fn kmeans(rows: &[f32], width: usize, weights: Option<&[f32]>, options: &KMe
     Clusters { labels, k: order.len(), centres, inertia }
 }
 
-/// At most `most` of `0..n`, one drawn from each of as many equal stretches.
-pub(super) fn sample(n: usize, most: usize, seed: u64) -> Vec<usize> {
-    let stretch = |k: usize| k * n / most;
-    let draw = |k: usize| {
-        stretch(k) + Rng::new(seed, "sample", 0, k as u64).below((stretch(k + 1) - stretch(k)) as u32) as usize
-    };
-    if n <= most { (0..n).collect() } else { (0..most).map(draw).collect() }
+/// Stratified sample of at most `max` of `0..n`: one index from each of `max` equal intervals.
+pub(super) fn sample(n: usize, max: usize, seed: u64) -> Vec<usize> {
+    let begin = |k: usize| k * n / max;
+    let pick =
+        |k: usize| begin(k) + Rng::new(seed, "sample", 0, k as u64).below((begin(k + 1) - begin(k)) as u32) as usize;
+    if n <= max { (0..n).collect() } else { (0..max).map(pick).collect() }
 }
 
 /// `Σ w |row − mean|² / Σ w`.
@@ -128,29 +136,29 @@ fn nearest(row: &[f32], centres: &[f64], width: usize) -> (usize, f64) {
     best
 }
 
-/// k-means++: each seed is a row drawn by its squared distance to those before it.
+/// k-means++: each seed is a row picked with probability proportional to its squared distance to those before it.
 fn seeds(rows: &Rows<'_>, options: &KMeansOptions, restart: u32) -> Vec<f64> {
     let mut rng = Rng::new(options.seed, "kmeans.seeds", restart, 0);
     let n = rows.len();
-    let mut chance: Vec<f64> = (0..n).map(|i| rows.weight(i)).collect();
+    let mut likelihood: Vec<f64> = (0..n).map(|i| rows.weight(i)).collect();
     let mut distance = vec![f64::INFINITY; n];
     let mut centres = Vec::with_capacity(options.k * rows.width);
     for _ in 0..options.k {
-        let total: f64 = chance.iter().sum();
+        let total: f64 = likelihood.iter().sum();
         if total.is_nan() || total <= 0.0 {
             break;
         }
         let mut left = total * (f64::from(rng.bits()) + 0.5) / 4_294_967_296.0;
         let over = |&i: &usize| {
-            left -= chance[i];
+            left -= likelihood[i];
             left < 0.0
         };
-        let last = || (0..n).rfind(|&i| chance[i] > 0.0);
-        let Some(i) = (0..n).find(over).filter(|&i| chance[i] > 0.0).or_else(last) else { break };
+        let last = || (0..n).rfind(|&i| likelihood[i] > 0.0);
+        let Some(i) = (0..n).find(over).filter(|&i| likelihood[i] > 0.0).or_else(last) else { break };
         let centre: Vec<f64> = rows.row(i).iter().map(|x| f64::from(*x)).collect();
-        distance.par_iter_mut().zip(&mut chance).enumerate().for_each(|(i, (d, chance))| {
+        distance.par_iter_mut().zip(&mut likelihood).enumerate().for_each(|(i, (d, likelihood))| {
             *d = d.min(squared(rows.row(i), &centre));
-            *chance = rows.weight(i) * *d;
+            *likelihood = rows.weight(i) * *d;
         });
         centres.extend(centre);
     }
@@ -160,12 +168,12 @@ fn seeds(rows: &Rows<'_>, options: &KMeansOptions, restart: u32) -> Vec<f64> {
     centres
 }
 
-/// Sums of one block.
+/// Sums over the rows of one block.
 struct Sums {
     /// `Σ w row` and `Σ w` of each cluster, `[k, width + 1]`.
     clusters: Vec<f64>,
     inertia: f64,
-    /// The row farthest from its centre, by weight.
+    /// Largest weighted squared distance from a row to its centre, and that row.
     farthest: (f64, usize),
 }
 
@@ -200,8 +208,8 @@ fn total(rows: &Rows<'_>, centres: &[f64]) -> Sums {
         .expect("at least one row")
 }
 
-/// Moves centres to the means of their rows until they rest; an empty cluster goes to the row farthest from its centre.
-/// Gives centres and inertia (of the last assignment).
+/// Lloyd's algorithm: moves centres to the means of their rows until they converge; an empty cluster goes to the row farthest
+/// from its centre. Gives centres and the inertia of the last assignment.
 fn lloyd(rows: &Rows<'_>, mut centres: Vec<f64>, steps: u32, tolerance: f64) -> (Vec<f64>, f64) {
     let width = rows.width;
     let mut inertia = f64::INFINITY;

@@ -1,16 +1,16 @@
-//! Neighbours of points, by a k-d tree.
+//! Nearest neighbours of points, by a k-d tree.
 
 use glam::Vec3;
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
 use std::num::NonZero;
 
-/// Points per parallel block.
+/// Points per rayon task.
 const BLOCK: usize = 1024;
 
-/// The rows of `points` that are nearest to each query, `[queries, count]`, nearest first; the list is filled up with the first of
-/// them where there are fewer points, and where they are farther than `radius`, world units. Positions must be finite. None if
-/// there are no points, `count` is 0, or no tree can be built (too many points in one place).
+/// The rows of `points` nearest to each query, `[queries, count]`, nearest first. Entries beyond the number of points or
+/// farther than `radius` (world units) repeat the nearest. Positions must be finite. None if there are no points, `count`
+/// is 0, or no tree can be built (too many points at one position).
 pub(super) fn nearest(points: &[Vec3], queries: &[Vec3], count: usize, radius: f32) -> Option<Vec<u32>> {
     let wanted = NonZero::new(count.min(points.len()))?;
     let flat: Vec<[f32; 3]> = points.iter().map(|p| p.to_array()).collect();

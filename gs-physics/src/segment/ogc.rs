@@ -1,15 +1,15 @@
-//! Rigid parts from where points go, without physics: object geometry consistency (OGC, Song and Yang, NeurIPS 2022), as TRACE
-//! scores methods that only deform.
+//! Rigid parts from the paths of points, without physics: object geometry consistency (OGC, Song and Yang, NeurIPS 2022), as
+//! TRACE scores methods that only deform.
 //!
-//! Every point `p` has logits `z_p`, `o_p = softmax(z_p)`. A step draws a time, fits one rigid motion `(R_k, t_k)` to each object
-//! by [Kabsch](crate::kabsch) with weights `o_pk` (held fixed on the way back), and lowers
+//! Every point `p` has logits `z_p`, `o_p = softmax(z_p)`. A step picks a random time, fits one rigid motion `(R_k, t_k)` to
+//! each object by [Kabsch](crate::kabsch) with weights `o_pk` (constants in backward), and minimises
 //! ```text
-//! L_dyn    = (1/N) Σ_p |Σ_k o_pk (R_k p + t_k) − q_p|         p at the first time, q_p at the drawn one
+//! L_dyn    = (1/N) Σ_p |Σ_k o_pk (R_k p + t_k) − q_p|         p at the first time, q_p at the random one
 //! L_smooth = (1/N) Σ_p (1/H) Σ_h |o_p − o_h|₁                 H nearest neighbours within a radius, the point itself beyond
-//! L        = L_dyn + λ L_smooth from a step on
+//! L        = L_dyn + λ L_smooth                               λ from step smooth_from on
 //! ```
-//! by Adam on the logits; objects that no point belongs to at the end are dropped. Points beyond [`OgcOptions::points`] take the
-//! label of the nearest one that was learnt.
+//! by Adam on the logits; objects without a point at the end are dropped. Beyond [`OgcOptions::points`] points, the others
+//! take the label of the nearest one that was optimised.
 
 use super::by_weight;
 use super::kmeans::sample;
@@ -19,36 +19,36 @@ use glam::{DVec3, Vec3};
 use gs_core::Rng;
 use rayon::prelude::*;
 
-/// Points per parallel block.
+/// Points per rayon task.
 const BLOCK: usize = 512;
-/// Residuals shorter than this have no direction, world units.
-const AT_REST: f64 = 1e-12;
-/// Adam's constants.
+/// Residuals shorter than this have a zero gradient, world units.
+const MIN_RESIDUAL: f64 = 1e-12;
+/// Adam's `β₁` and `β₂`, its authors' defaults.
 const BETA: [f64; 2] = [0.9, 0.999];
 const EPSILON: f64 = 1e-8;
 
-/// How labels are learnt.
+/// Settings of [`Ogc::learn`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OgcOptions {
-    /// Objects at most.
+    /// Largest number of objects, at least 1.
     pub k: usize,
-    /// Steps of Adam.
+    /// Number of Adam steps, each at one random time.
     pub steps: u32,
-    /// Adam's learning rate.
-    pub rate: f64,
-    /// Weight `λ` of smoothness.
+    /// Learning rate of Adam on the logits.
+    pub learning_rate: f64,
+    /// Weight `λ` of the smoothness term.
     pub smooth: f64,
-    /// Step from which it counts.
+    /// Step from which the smoothness term counts.
     pub smooth_from: u32,
-    /// Neighbours `H`.
+    /// Number of neighbours `H` of each point.
     pub neighbours: usize,
-    /// They are within this distance, as a part of the root mean square distance of points from their centre.
+    /// Largest distance of neighbours, over the root mean square distance of points from their centroid.
     pub radius: f32,
-    /// Standard deviation of the first logits.
-    pub start: f64,
-    /// Most points that are learnt.
+    /// Standard deviation of the initial logits.
+    pub init_std: f64,
+    /// Largest number of points that are optimised.
     pub points: usize,
-    /// Seed of the first logits and of the times drawn.
+    /// Seed of the sample, the initial logits and the times.
     pub seed: u64,
 }
 
@@ -57,30 +57,41 @@ impl Default for OgcOptions {
         Self {
             k: 8,
             steps: 1000,
-            rate: 0.01,
+            learning_rate: 0.01,
             smooth: 0.1,
             smooth_from: 500,
             neighbours: 4,
             radius: 0.1,
-            start: 1.0,
+            init_std: 1.0,
             points: 16_384,
             seed: 0,
         }
     }
 }
 
-/// Labels learnt.
+/// Object labels of points, learnt from their paths.
+///
+/// ```
+/// use glam::Vec3;
+/// use gs_physics::segment::{Ogc, OgcOptions};
+/// // Two rows of points that move apart.
+/// let row = |y: f32, shift: f32| (0..8).map(move |i| Vec3::new(0.1 * i as f32 + shift, y, 0.0));
+/// let frame = |t: f32| row(0.0, t).chain(row(2.0, -t)).collect::<Vec<_>>();
+/// let found = Ogc::learn(&[frame(0.0), frame(1.0)], &OgcOptions { k: 2, ..OgcOptions::default() });
+/// let labels = found.map(|f| f.labels).unwrap_or_default();
+/// assert!(labels[..8].iter().all(|l| *l == labels[0]) && labels[8..].iter().all(|l| *l == 1 - labels[0]));
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct Ogc {
-    /// The object of each point, by falling number of points.
+    /// The object of each point, ordered by decreasing number of points.
     pub labels: Vec<u32>,
-    /// Objects that have a point.
+    /// Number of objects with at least one point.
     pub k: usize,
     /// `L_dyn` of the last step, world units.
     pub loss: f64,
 }
 
-/// Points and their places at one other time.
+/// Points, their positions at one other time, and their soft labels `[n, k]`.
 struct Step<'a> {
     p: &'a [DVec3],
     q: &'a [DVec3],
@@ -89,38 +100,38 @@ struct Step<'a> {
 }
 
 impl Ogc {
-    /// Learns labels of the points of `frames`, `[times][n]`: the same points at every time, the first being where neighbours are
-    /// sought. None if there are fewer than two times, no points, times with other numbers of points or positions that
-    /// are not finite.
+    /// Learns labels of the points of `frames`, `[times][n]`: the same points at every time; neighbours are those at the
+    /// first. None if `k` is 0, there are fewer than two times, no points, frames of different lengths or positions that are
+    /// not finite.
     pub fn learn(frames: &[Vec<Vec3>], options: &OgcOptions) -> Option<Self> {
         let first = frames.first().filter(|f| frames.len() > 1 && !f.is_empty())?;
-        let sound = |f: &Vec<Vec3>| f.len() == first.len() && f.iter().all(|p| p.is_finite());
-        if !frames.iter().all(sound) || options.k == 0 {
+        let valid = |f: &Vec<Vec3>| f.len() == first.len() && f.iter().all(|p| p.is_finite());
+        if !frames.iter().all(valid) || options.k == 0 {
             return None;
         }
         let picked = sample(first.len(), options.points.max(1), options.seed);
-        let places: Vec<Vec<DVec3>> =
+        let positions: Vec<Vec<DVec3>> =
             frames.iter().map(|f| picked.iter().map(|&i| f[i].as_dvec3()).collect()).collect();
-        let near: Vec<Vec3> = picked.iter().map(|&i| first[i]).collect();
-        let edges = Edges::of(&near, options)?;
-        let (soft, loss) = descend(&places, &edges, options);
-        let best = |o: &[f64]| (0..o.len()).rev().max_by(|&a, &b| o[a].total_cmp(&o[b])).unwrap_or(0) as u32;
-        let learnt: Vec<u32> = soft.chunks_exact(options.k).map(best).collect();
-        let mut labels = learnt;
+        let points: Vec<Vec3> = picked.iter().map(|&i| first[i]).collect();
+        let edges = Edges::of(&points, options)?;
+        let (soft, loss) = optimise(&positions, &edges, options);
+        let argmax = |o: &[f64]| (0..o.len()).rev().max_by(|&a, &b| o[a].total_cmp(&o[b])).unwrap_or(0) as u32;
+        let mut labels: Vec<u32> = soft.chunks_exact(options.k).map(argmax).collect();
         if picked.len() < first.len() {
-            let whom = nearest(&near, first, 1, f32::INFINITY)?;
-            labels = whom.into_iter().map(|i| labels[i as usize]).collect();
+            let nearest = nearest(&points, first, 1, f32::INFINITY)?;
+            labels = nearest.into_iter().map(|i| labels[i as usize]).collect();
         }
         let k = by_weight(&mut labels, |_| 1.0, options.k).len();
         Some(Self { labels, k, loss })
     }
 }
 
-/// Both ends of every pair of neighbours: `of[p]` lists whom `p` is compared with, as often as either names the other.
+/// Pairs of neighbours in compressed rows: `ends[begins[p]..begins[p + 1]]` are the points that `p` is compared with, twice
+/// where both are neighbours of each other.
 struct Edges {
     begins: Vec<usize>,
     ends: Vec<u32>,
-    /// Neighbours each point names.
+    /// Neighbours `H` of each point, at least 1.
     count: usize,
 }
 
@@ -131,9 +142,9 @@ impl Edges {
         let spread = (points.iter().map(|p| (p.as_dvec3() - centre).length_squared()).sum::<f64>() / n as f64).sqrt();
         // The nearest of all is the point itself.
         let count = options.neighbours + 1;
-        let named = nearest(points, points, count, options.radius * spread as f32)?;
+        let neighbours = nearest(points, points, count, options.radius * spread as f32)?;
         let pairs = || {
-            let rows = named.chunks_exact(count).enumerate();
+            let rows = neighbours.chunks_exact(count).enumerate();
             rows.flat_map(|(p, row)| row[1..].iter().map(move |h| (p, *h as usize))).filter(|(p, h)| p != h)
         };
         let mut begins = vec![0; n + 1];
@@ -151,24 +162,24 @@ impl Edges {
     }
 }
 
-/// All steps: the soft labels at the end, `[n, k]`, and the last `L_dyn`.
-fn descend(places: &[Vec<DVec3>], edges: &Edges, options: &OgcOptions) -> (Vec<f64>, f64) {
-    let (n, k) = (places[0].len(), options.k);
-    let draw = |i: usize| {
+/// Runs all steps; gives the soft labels at the end, `[n, k]`, and the last `L_dyn`.
+fn optimise(positions: &[Vec<DVec3>], edges: &Edges, options: &OgcOptions) -> (Vec<f64>, f64) {
+    let (n, k) = (positions[0].len(), options.k);
+    let init = |i: usize| {
         let mut rng = Rng::new(options.seed, "ogc.start", 0, i as u64);
-        (0..k).map(move |_| options.start * f64::from(rng.normal()))
+        (0..k).map(move |_| options.init_std * f64::from(rng.normal()))
     };
-    let mut logits: Vec<f64> = (0..n).flat_map(draw).collect();
+    let mut logits: Vec<f64> = (0..n).flat_map(init).collect();
     let (mut soft, mut grad) = (softmax(&logits, k), vec![0.0; n * k]);
     let (mut first, mut second) = (vec![0.0; n * k], vec![0.0; n * k]);
     let mut loss = 0.0;
     for step in 0..options.steps {
-        let at = 1 + Rng::new(options.seed, "ogc.time", step, 0).below(places.len() as u32 - 1) as usize;
-        let seen = Step { p: &places[0], q: &places[at], soft: &soft, k };
+        let at = 1 + Rng::new(options.seed, "ogc.time", step, 0).below(positions.len() as u32 - 1) as usize;
+        let pairs = Step { p: &positions[0], q: &positions[at], soft: &soft, k };
         let smooth = if step >= options.smooth_from { options.smooth } else { 0.0 };
-        loss = seen.gradient(&seen.motions(), edges, smooth, &mut grad).0;
+        loss = pairs.gradient(&pairs.motions(), edges, smooth, &mut grad).0;
         let count = f64::from(step + 1);
-        let scale = options.rate * (1.0 - BETA[1].powf(count)).sqrt() / (1.0 - BETA[0].powf(count));
+        let scale = options.learning_rate * (1.0 - BETA[1].powf(count)).sqrt() / (1.0 - BETA[0].powf(count));
         let moments = first.par_chunks_mut(BLOCK * k).zip(second.par_chunks_mut(BLOCK * k));
         logits.par_chunks_mut(BLOCK * k).zip(moments).zip(grad.par_chunks(BLOCK * k)).for_each(|((z, (m, v)), g)| {
             for (((z, m), v), g) in z.iter_mut().zip(m).zip(v).zip(g) {
@@ -196,7 +207,7 @@ fn softmax(logits: &[f64], k: usize) -> Vec<f64> {
 }
 
 impl Step<'_> {
-    /// The rigid motion of each object.
+    /// The best rigid motion of each object, with soft labels as weights.
     fn motions(&self) -> Vec<Rigid> {
         let centre = |x: &[DVec3]| x.iter().sum::<DVec3>() / x.len() as f64;
         let empty = vec![PairSums::about([centre(self.p), centre(self.q)]); self.k];
@@ -215,7 +226,7 @@ impl Step<'_> {
         all.iter().map(|sums| sums.fit(1e-9)).collect()
     }
 
-    /// `(L_dyn, L_smooth)` and the gradient of `L_dyn + smooth L_smooth` with respect to the logits, motions held fixed.
+    /// `(L_dyn, L_smooth)` and the gradient of `L_dyn + smooth L_smooth` with respect to the logits; motions are constants.
     fn gradient(&self, motions: &[Rigid], edges: &Edges, smooth: f64, grad: &mut [f64]) -> (f64, f64) {
         let k = self.k;
         let block = |(b, grad): (usize, &mut [f64])| {
@@ -232,16 +243,17 @@ impl Step<'_> {
         (sum.0 / n, sum.1 / n)
     }
 
-    /// One point's share of both losses (times n) and its gradient. Pairs of neighbours are met from both ends: half the loss.
+    /// One point's share of both losses (times n) and its gradient. Each pair of neighbours is visited from both ends, with
+    /// half the loss.
     fn point(&self, i: usize, motions: &[Rigid], edges: &Edges, smooth: f64, g: &mut [f64]) -> (f64, f64) {
         let (k, n) = (self.k, self.p.len() as f64);
         let o = &self.soft[i * k..][..k];
-        // Σ o = 1: every object's miss instead of where it puts the point changes nothing but rounding.
-        let miss = |m: &Rigid| m.apply(self.p[i]) - self.q[i];
-        let e: DVec3 = motions.iter().zip(o).map(|(m, o)| miss(m) * *o).sum();
+        // Σ o = 1, so the weighted residuals sum to the residual of the weighted positions.
+        let residual = |m: &Rigid| m.apply(self.p[i]) - self.q[i];
+        let e: DVec3 = motions.iter().zip(o).map(|(m, o)| residual(m) * *o).sum();
         let length = e.length();
-        let toward = if length < AT_REST { DVec3::ZERO } else { e / (length * n) };
-        g.iter_mut().zip(motions).for_each(|(g, m)| *g = toward.dot(miss(m)));
+        let direction = if length < MIN_RESIDUAL { DVec3::ZERO } else { e / (length * n) };
+        g.iter_mut().zip(motions).for_each(|(g, m)| *g = direction.dot(residual(m)));
         let each = 1.0 / edges.count as f64;
         let mut rough = 0.0;
         for &h in &edges.ends[edges.begins[i]..edges.begins[i + 1]] {
@@ -261,7 +273,7 @@ mod tests {
     use super::*;
     use glam::{Quat, Vec3};
 
-    /// Points of balls; ball `b` turns and moves in its own way from one time to the next.
+    /// Points of balls at five times; each ball rotates and translates differently.
     fn balls(count: usize, n: usize) -> (Vec<Vec<Vec3>>, Vec<u32>) {
         let truth: Vec<u32> = (0..n).map(|i| (i % count) as u32).collect();
         let frame = |t: f32| {
@@ -281,14 +293,14 @@ mod tests {
     #[test]
     fn the_gradient_is_the_derivative() {
         let (frames, _) = balls(2, 60);
-        let places: Vec<Vec<DVec3>> = frames.iter().map(|f| f.iter().map(|p| p.as_dvec3()).collect()).collect();
+        let positions: Vec<Vec<DVec3>> = frames.iter().map(|f| f.iter().map(|p| p.as_dvec3()).collect()).collect();
         let options = OgcOptions { k: 3, radius: 1.0, ..OgcOptions::default() };
         let edges = Edges::of(&frames[0], &options).unwrap();
         assert!(edges.ends.len() > 300, "both ends of at most 240 pairs: {}", edges.ends.len());
         let mut logits: Vec<f64> = (0..180).map(|i| Rng::new(5, "z", 0, i).normal().into()).collect();
         let soft = softmax(&logits, 3);
         let at = |soft: &[f64], motions: Option<&[Rigid]>, grad: &mut [f64]| {
-            let step = Step { p: &places[0], q: &places[3], soft, k: 3 };
+            let step = Step { p: &positions[0], q: &positions[3], soft, k: 3 };
             let own = step.motions();
             let (dynamic, smooth) = step.gradient(motions.unwrap_or(&own), &edges, 0.3, grad);
             (dynamic + 0.3 * smooth, own)
@@ -308,9 +320,9 @@ mod tests {
         }
     }
 
-    /// Every object of the answer holds points of one ball, and the balls are told apart.
+    /// At least 97 % of the points share their object with points of their own ball alone.
     #[test]
-    fn balls_are_told_apart() {
+    fn balls_are_separated() {
         let (frames, truth) = balls(3, 900);
         for options in
             [OgcOptions { k: 3, ..OgcOptions::default() }, OgcOptions { points: 300, ..OgcOptions::default() }]

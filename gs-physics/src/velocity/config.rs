@@ -8,21 +8,21 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct VelocityConfig {
-    /// Width of the hidden layers, of both networks.
+    /// Width of the hidden layers of both networks, 1 to 4096.
     pub hidden: usize,
-    /// Hidden layers of both networks: SiLU for the velocity, ReLU for the acceleration.
+    /// Number of hidden layers of both networks, 1 to 64: SiLU for the velocity, ReLU for the acceleration.
     pub depth: usize,
-    /// Bands of the positional encoding of position and time.
+    /// Frequency bands of the positional encoding of position and time, 0 to 24.
     pub bands: usize,
-    /// Factor on world coordinates before they are encoded.
+    /// Factor on world coordinates before they are encoded; finite.
     pub coordinate_scale: f32,
     /// Rotations are about the centre of the scene instead of the world's origin.
     pub local_origin: bool,
-    /// Weight of the mean square of the divergence.
+    /// Weight of the mean squared divergence.
     pub divergence: f32,
-    /// Weight of the mean square distance from the equation of motion.
+    /// Weight of the mean squared residual of the equation of motion.
     pub transport: f32,
-    /// Random places and times of these losses per step; 0: no such losses.
+    /// Collocation points of these loss terms per step; 0 for no such terms.
     pub points: usize,
 }
 

@@ -1,4 +1,4 @@
-//! A velocity and its derivatives at one point, from the coefficients of its basis and theirs; and the way back.
+//! Velocity and its derivatives at one point, from the coefficients of the basis and their derivatives; with backward.
 //!
 //! ```text
 //! u = v + w × r            r = x − o,  c = (v, w)
@@ -10,17 +10,17 @@ use crate::vec3::{V3, add, scale, sub};
 use gs_core::Real;
 use gs_core::real::cross3;
 
-/// Coefficients of the basis.
+/// Number of basis vectors: three translations, three rotations.
 pub(crate) const BASIS: usize = 6;
 
-/// The coefficients at a point, then their derivatives by x, y, z and t; zeros where they are not wanted.
+/// The coefficients at a point, then their derivatives by x, y, z and t; zeros for those not evaluated.
 pub(crate) type Coefficients<T> = [[T; BASIS]; 5];
 
-/// Velocity and derivatives.
+/// Velocity and its derivatives at one point, or the cotangents of that.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Flow<T> {
     pub u: V3<T>,
-    /// By x, y, z, t.
+    /// Derivatives of `u` by x, y, z, t.
     pub by: [V3<T>; 4],
 }
 
@@ -33,14 +33,14 @@ fn unit<T: Real>(like: T, axis: usize) -> V3<T> {
 }
 
 impl<T: Real> Flow<T> {
-    /// No velocity, nothing changes.
-    pub fn zero(like: T) -> Self {
+    /// Zero velocity and derivatives; `like` gives the kind of number.
+    pub(crate) fn zero(like: T) -> Self {
         let o = [like.lit(0.0); 3];
         Self { u: o, by: [o; 4] }
     }
 
-    /// At `r` about the origin.
-    pub fn new(c: &Coefficients<T>, r: V3<T>) -> Self {
+    /// The flow of coefficients `c` at `r` relative to the origin.
+    pub(crate) fn new(c: &Coefficients<T>, r: V3<T>) -> Self {
         let (v, w) = parts(&c[0]);
         let by = std::array::from_fn(|j| {
             let (v, change) = parts(&c[1 + j]);
@@ -50,8 +50,8 @@ impl<T: Real> Flow<T> {
         Self { u: add(v, cross3(w, r)), by }
     }
 
-    /// Cotangents of the coefficients and of `r`, this being that of the flow.
-    pub fn back(&self, c: &Coefficients<T>, r: V3<T>) -> (Coefficients<T>, V3<T>) {
+    /// Backward of [`Flow::new`]: cotangents of the coefficients and of `r`, where `self` is the cotangent of the flow.
+    pub(crate) fn backward(&self, c: &Coefficients<T>, r: V3<T>) -> (Coefficients<T>, V3<T>) {
         let join = |v: V3<T>, w: V3<T>| [v[0], v[1], v[2], w[0], w[1], w[2]];
         let mut d_w = cross3(r, self.u);
         let mut d_r = cross3(self.u, parts(&c[0]).1);
@@ -68,52 +68,52 @@ impl<T: Real> Flow<T> {
     }
 
     /// Angular velocity `ω` of the fluid at the point.
-    pub fn turning(&self) -> V3<T> {
+    pub(crate) fn angular_velocity(&self) -> V3<T> {
         let [x, y, z, _] = self.by;
         scale([y[2] - z[1], z[0] - x[2], x[1] - y[0]], self.u[0].lit(0.5))
     }
 
-    /// Adds the cotangent `g` of [`Flow::turning`].
-    pub fn add_turning(&mut self, g: V3<T>) {
+    /// Adds the cotangent `g` of [`Flow::angular_velocity`].
+    pub(crate) fn add_angular_velocity(&mut self, g: V3<T>) {
         let g = scale(g, self.u[0].lit(0.5));
         for j in 0..3 {
             self.by[j] = add(self.by[j], cross3(g, unit(g[0], j)));
         }
     }
 
-    /// `∇ · u`.
-    pub fn divergence(&self) -> T {
+    /// The divergence `∇ · u`.
+    pub(crate) fn divergence(&self) -> T {
         self.by[0][0] + self.by[1][1] + self.by[2][2]
     }
 
-    /// `∂_t u + (∇u) u − a`: what is missing to the equation of motion.
-    pub fn missing(&self, a: V3<T>) -> V3<T> {
+    /// Residual `∂_t u + (∇u) u − a` of the equation of motion.
+    pub(crate) fn residual(&self, a: V3<T>) -> V3<T> {
         let along = |j: usize| scale(self.by[j], self.u[j]);
         sub(add(self.by[3], add(along(0), add(along(1), along(2)))), a)
     }
 
-    /// Cotangent of the flow from those of [`Flow::divergence`] and [`Flow::missing`]; that of `a` is `−d_missing`.
-    pub fn losses_back(&self, d_divergence: T, d_missing: V3<T>) -> Self {
+    /// Cotangent of the flow from those of [`Flow::divergence`] and [`Flow::residual`]; that of `a` is `−d_residual`.
+    pub(crate) fn losses_backward(&self, d_divergence: T, d_residual: V3<T>) -> Self {
         let mut out = Self::zero(d_divergence);
-        out.by[3] = d_missing;
+        out.by[3] = d_residual;
         for j in 0..3 {
-            out.by[j] = scale(d_missing, self.u[j]);
+            out.by[j] = scale(d_residual, self.u[j]);
             out.by[j][j] = out.by[j][j] + d_divergence;
-            out.u[j] = gs_core::real::dot3(self.by[j], d_missing);
+            out.u[j] = gs_core::real::dot3(self.by[j], d_residual);
         }
         out
     }
 }
 
-/// NVFi's acceleration from its coefficients: a constant, and pulls towards the three axes,
+/// NVFi's acceleration from its coefficients: a constant, and attraction to the three axes,
 /// `a = (α₀ − x (α₄ + α₅), α₁ − y (α₃ + α₅), α₂ − z (α₃ + α₄))`.
 pub(crate) fn acceleration<T: Real>(alpha: &[T], [x, y, z]: V3<T>) -> V3<T> {
     let a = alpha;
     [a[0] - x * (a[4] + a[5]), a[1] - y * (a[3] + a[5]), a[2] - z * (a[3] + a[4])]
 }
 
-/// Cotangents of its coefficients.
-pub(crate) fn acceleration_back<T: Real>([x, y, z]: V3<T>, g: V3<T>, d_alpha: &mut [T]) {
+/// Cotangents of the coefficients of [`acceleration`] from the cotangent `g`.
+pub(crate) fn acceleration_backward<T: Real>([x, y, z]: V3<T>, g: V3<T>, d_alpha: &mut [T]) {
     let [p, q, s] = [x * g[0], y * g[1], z * g[2]];
     d_alpha.copy_from_slice(&[g[0], g[1], g[2], -(q + s), -(p + s), -(p + q)]);
 }
@@ -127,7 +127,7 @@ mod tests {
         std::array::from_fn(|_| f64::from(rng.normal()))
     }
 
-    /// A rigid body: its twist comes back, nothing diverges, and the motion of (1) misses nothing.
+    /// A rigid body: its twist comes back, the divergence is zero, and with its own acceleration so is the residual.
     #[test]
     fn a_rigid_flow_is_its_twist() {
         let mut rng = Rng::new(1, "flow", 0, 0);
@@ -138,16 +138,16 @@ mod tests {
             let ((v, w), (a, e)) = (parts(&c), parts(&rate));
             let want = add(v, cross3(w, r));
             assert!(sub(flow.u, want).iter().all(|d| d.abs() < 1e-14));
-            assert!(sub(flow.turning(), w).iter().all(|d| d.abs() < 1e-14));
+            assert!(sub(flow.angular_velocity(), w).iter().all(|d| d.abs() < 1e-14));
             assert!(flow.divergence().abs() < 1e-14);
             let acceleration = add(add(a, cross3(e, r)), cross3(w, want));
-            assert!(flow.missing(acceleration).iter().all(|d| d.abs() < 1e-13));
+            assert!(flow.residual(acceleration).iter().all(|d| d.abs() < 1e-13));
         }
     }
 
     /// Every cotangent against central differences; all of it is at most quadratic, so they are exact.
     #[test]
-    fn ways_back_match_differences() {
+    fn backward_matches_differences() {
         let mut rng = Rng::new(2, "flow", 0, 0);
         for _ in 0..20 {
             let flat = random::<33>(&mut rng);
@@ -162,15 +162,18 @@ mod tests {
             let loss = |flat: &[f64; 33]| {
                 let (c, r) = parse(flat);
                 let flow = Flow::new(&c, r);
-                let missing = flow.missing([0.0; 3]);
-                dot(flow.turning(), g_turn) + flow.divergence() * g_div + dot(missing, g_missing) + dot(flow.u, g_u)
+                let residual = flow.residual([0.0; 3]);
+                dot(flow.angular_velocity(), g_turn)
+                    + flow.divergence() * g_div
+                    + dot(residual, g_missing)
+                    + dot(flow.u, g_u)
             };
             let (c, r) = parse(&flat);
             let flow = Flow::new(&c, r);
-            let mut d = flow.losses_back(g_div, g_missing);
-            d.add_turning(g_turn);
+            let mut d = flow.losses_backward(g_div, g_missing);
+            d.add_angular_velocity(g_turn);
             d.u = add(d.u, g_u);
-            let (d_c, d_r) = d.back(&c, r);
+            let (d_c, d_r) = d.backward(&c, r);
             for (i, got) in d_c.as_flattened().iter().chain(&d_r).enumerate() {
                 let (mut hi, mut lo) = (flat, flat);
                 hi[i] += 0.5;
@@ -180,7 +183,7 @@ mod tests {
                 assert!((got - want).abs() < 1e-7 * (1.0 + want.abs()), "{i}: {got} {want}");
             }
             let mut d_alpha = [0.0; 6];
-            acceleration_back(r, g_missing, &mut d_alpha);
+            acceleration_backward(r, g_missing, &mut d_alpha);
             for (i, got) in d_alpha.into_iter().enumerate() {
                 let (mut hi, mut lo) = (alpha, alpha);
                 hi[i] += 0.5;

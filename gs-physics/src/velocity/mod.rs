@@ -1,21 +1,21 @@
-//! A velocity field (NVFi, Li et al., NeurIPS 2023, as TRACE's baseline DefGS_nvfi has it): particles drift along it, and
-//! it is read again at every step.
+//! A velocity field (NVFi, Li et al., NeurIPS 2023, as in TRACE's baseline DefGS_nvfi): particles are advected by it, and
+//! the network is evaluated at every step.
 //!
 //! ```text
 //! u(x, t) = Σ_i c_i(x, t) b_i(x) = v + w × (x − o)         (v, w) = net(γ(s x), γ(t)), five layers with SiLU
 //! x_m = x + ½h u(x, t)         x ← x + h u(x_m, t + ½h)    q ← q(h ω) ⊗ q,  ω = ½ ∇ × u at (x_m, t + ½h)
 //! ```
 //! * NVFi's rotational basis vectors are `−e_i × x`: the same span.
-//! * `I + h ∇u` turns a particle by the rotation `exp(h ω)` to first order in `h`: the antisymmetric part of the gradient,
-//!   put through the exponential, so that the turn is a rotation for any step and exact for a rigid flow.
-//! * Positions at the start are constants, those of later steps depend on the weights: the way back goes through `∇u`
-//!   and, for turns, through second derivatives of the network.
-//! * Activations are not kept between the passes: the way back reads the network again, block by block.
+//! * `I + h ∇u` rotates a particle by `exp(h ω)` to first order in `h`. Only the antisymmetric part of the gradient is used,
+//!   through the exponential, so the result is a rotation for any step, and exact for a rigid flow.
+//! * Positions at the start are constants, those of later steps depend on the weights: backward goes through `∇u` and, for
+//!   rotations, through second derivatives of the network.
+//! * Activations are not stored: backward evaluates the network again, block by block.
 //! * [`regularise`](Dynamics::regularise) is NVFi's physics-informed loss, see [`pinn`](crate::pinn).
 
 mod config;
+pub(crate) mod evaluate;
 pub(crate) mod flow;
-pub(crate) mod read;
 mod step;
 
 pub use config::VelocityConfig;
@@ -26,16 +26,35 @@ use crate::integrator::Integrator;
 use crate::rollout::Rollout;
 use crate::twist::{Motion, Twist};
 use crate::vec3::sub;
+use evaluate::{Derivatives, Evaluation};
 use flow::BASIS;
 use glam::Vec3;
 use gs_core::nn::{self, Activation, BLOCK, CHUNKS, Init, Mlp, MlpGrad};
 use gs_core::real::cross3;
 use gs_core::{Param, Params};
 use rayon::prelude::*;
-use read::{Along, Reading};
 use step::Step;
 
-/// The field; see the [module](self).
+/// A velocity field with its acceleration; see the [module](self).
+///
+/// ```
+/// use glam::Vec3;
+/// use gs_core::Params;
+/// use gs_physics::{Dynamics, Moves, Start, VelocityConfig, VelocityField, VelocityTape};
+/// let config = VelocityConfig { hidden: 8, depth: 2, ..VelocityConfig::small() };
+/// let mut field = VelocityField::new(&config, [Vec3::NEG_ONE, Vec3::ONE], 0.25, 0)?;
+/// // The last bias alone gives the same twist everywhere: here a velocity of 2 along x.
+/// field.visit_mut(&mut |p| {
+///     p.value.fill(0.0);
+///     if p.name == "velocity.layer.2.bias" {
+///         p.value[0] = 2.0;
+///     }
+/// });
+/// let (start, mut out) = (Start { x: &[Vec3::ZERO], t: 0.0, middle: Vec3::ZERO }, Moves::default());
+/// field.transport(start, 0.5, &mut VelocityTape::default(), &mut out);
+/// assert_eq!((out.means[0], out.turns[0]), (Vec3::X, [1.0, 0.0, 0.0, 0.0]));
+/// # Ok::<(), gs_physics::PhysicsError>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct VelocityField {
     pub(crate) config: VelocityConfig,
@@ -45,7 +64,7 @@ pub struct VelocityField {
     pub(crate) acceleration: Mlp,
 }
 
-/// Scratch of a [`VelocityField`].
+/// States of a [`VelocityField`] between forward and backward; reused from call to call.
 #[derive(Clone, Debug, Default)]
 pub struct VelocityTape {
     /// `(time, length)` of each step.
@@ -53,7 +72,7 @@ pub struct VelocityTape {
     chunks: Vec<Chunk>,
 }
 
-/// A run of blocks of particles.
+/// Scratch and gradients of consecutive blocks of particles.
 #[derive(Clone, Debug, Default)]
 struct Chunk {
     /// The states of each block before each step.
@@ -63,7 +82,7 @@ struct Chunk {
 }
 
 impl VelocityField {
-    /// A field for a scene within `bounds` (lowest and highest corner, world units), followed in steps of at most `step`
+    /// A field for a scene within `bounds` (lowest and highest corner, world units), integrated in steps of at most `step`
     /// (the unit of time of all calls). Parameters are named `velocity.layer.…` and `acceleration.layer.…`.
     ///
     /// # Errors
@@ -71,7 +90,7 @@ impl VelocityField {
     pub fn new(config: &VelocityConfig, bounds: [Vec3; 2], step: f64, seed: u64) -> Result<Self, PhysicsError> {
         config.check(bounds)?;
         let mut widths = vec![config.hidden; config.depth + 2];
-        widths[0] = read::inputs(config.bands);
+        widths[0] = evaluate::inputs(config.bands);
         widths[config.depth + 1] = BASIS;
         let net = |name: &str, activation| {
             Mlp::new(name, &widths, Init::FanIn, Init::FanIn, seed).with_activation(activation)
@@ -91,7 +110,7 @@ impl VelocityField {
         &self.config
     }
 
-    /// Position about the origin.
+    /// Position relative to the origin.
     pub(crate) fn relative(&self, x: Vec3) -> [f32; 3] {
         (x - self.rollout.origin).to_array()
     }
@@ -100,7 +119,7 @@ impl VelocityField {
         self.rollout
     }
 
-    /// Particles per chunk.
+    /// Particles per chunk, whole blocks.
     fn rows_per_chunk(&self, n: usize) -> usize {
         nn::blocks_per_chunk(n.div_ceil(BLOCK)) * BLOCK
     }
@@ -126,10 +145,7 @@ impl Dynamics for VelocityField {
             for (states, (means, turns)) in chunk.states.iter_mut().zip(rows) {
                 states.resize_with(steps.len(), Moves::default);
                 for (step, state) in steps.iter().zip(states) {
-                    state.means.clear();
-                    state.means.extend_from_slice(means);
-                    state.turns.clear();
-                    state.turns.extend_from_slice(turns);
+                    state.set(means, turns);
                     chunk.step.forward(self, *step, means, turns);
                 }
             }
@@ -166,12 +182,12 @@ impl Dynamics for VelocityField {
         let Start { x, t, .. } = start;
         let mut out = vec![Motion::default(); x.len()];
         out.par_chunks_mut(BLOCK).zip(x.par_chunks(BLOCK)).for_each(|(out, x)| {
-            let mut reading = Reading::default();
-            reading.forward(&self.net, &self.config, x, &vec![t as f32; x.len()], Along::Space);
+            let mut evaluation = Evaluation::default();
+            evaluation.forward(&self.net, &self.config, x, &vec![t as f32; x.len()], Derivatives::Space);
             for (i, (m, x)) in out.iter_mut().zip(x).enumerate() {
                 let r = self.relative(*x);
-                let flow = reading.flow(i, r);
-                let w = flow.turning();
+                let flow = evaluation.flow(i, r);
+                let w = flow.angular_velocity();
                 m.twist = Twist { v: sub(flow.u, cross3(w, r)), w };
             }
         });

@@ -1,52 +1,59 @@
-//! One step of a block of particles along the velocity, and the way back.
+//! One midpoint step of a block of particles along the velocity, forward and backward.
 
 use super::VelocityField;
+use super::evaluate::{Derivatives, Evaluation};
 use super::flow::Flow;
-use super::read::{Along, Reading};
+
 use crate::dynamics::Moves;
-use crate::so3::{Rotation, product_back};
+use crate::so3::{Rotation, product_backward};
 use crate::vec3::scale;
 use glam::Vec3;
 use gs_core::nn::MlpGrad;
 use gs_core::rot::hamilton;
 
-/// Scratch of a step: what was read at its begin and middle.
+/// Scratch of a step: the evaluations at its start and midpoint.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Step {
-    begin: Reading,
-    middle: Reading,
+    begin: Evaluation,
+    middle: Evaluation,
     midpoints: Vec<Vec3>,
     d_midpoints: Vec<Vec3>,
     times: Vec<f32>,
 }
 
 impl Step {
-    fn read(&mut self, field: &VelocityField, x: &[Vec3], (t, h): (f64, f64)) {
+    fn evaluate(&mut self, field: &VelocityField, x: &[Vec3], (t, h): (f64, f64)) {
         let Self { begin, middle, midpoints, times, .. } = self;
         times.clear();
         times.resize(x.len(), t as f32);
-        begin.forward(&field.net, &field.config, x, times, Along::Nothing);
+        begin.forward(&field.net, &field.config, x, times, Derivatives::None);
         let half = (0.5 * h) as f32;
         let midpoint = |(i, x): (usize, &Vec3)| *x + half * Vec3::from_array(begin.flow(i, field.relative(*x)).u);
         midpoints.clear();
         midpoints.extend(x.iter().enumerate().map(midpoint));
         times.fill((t + 0.5 * h) as f32);
-        middle.forward(&field.net, &field.config, midpoints, times, Along::Space);
+        middle.forward(&field.net, &field.config, midpoints, times, Derivatives::Space);
     }
 
-    /// Moves particles by the step `(time, length)`.
-    pub fn forward(&mut self, field: &VelocityField, step: (f64, f64), means: &mut [Vec3], turns: &mut [[f32; 4]]) {
-        self.read(field, means, step);
+    /// Advances particles by the step `(time, length)`.
+    pub(super) fn forward(
+        &mut self,
+        field: &VelocityField,
+        step: (f64, f64),
+        means: &mut [Vec3],
+        turns: &mut [[f32; 4]],
+    ) {
+        self.evaluate(field, means, step);
         let h = step.1 as f32;
         for (i, (x, q)) in means.iter_mut().zip(turns).enumerate() {
             let flow = self.middle.flow(i, field.relative(self.midpoints[i]));
             *x += h * Vec3::from_array(flow.u);
-            *q = hamilton(Rotation::new(scale(flow.turning(), h)).quaternion(), *q);
+            *q = hamilton(Rotation::new(scale(flow.angular_velocity(), h)).quaternion(), *q);
         }
     }
 
-    /// From cotangents `d` of what stands after the step to those of the `state` before it and to the weights.
-    pub fn backward(
+    /// From cotangents `d` of the state after the step to those of the `state` before it, in place, and to the weights.
+    pub(super) fn backward(
         &mut self,
         field: &VelocityField,
         step: (f64, f64),
@@ -54,16 +61,16 @@ impl Step {
         d: &mut Moves,
         grad: &mut MlpGrad,
     ) {
-        self.read(field, &state.means, step);
+        self.evaluate(field, &state.means, step);
         let Self { begin, middle, midpoints, d_midpoints, .. } = self;
         let h = step.1 as f32;
         d_midpoints.clear();
         for (i, (x, mu)) in midpoints.iter().zip(&mut d.turns).enumerate() {
             let r = field.relative(*x);
-            let rotation = Rotation::new(scale(middle.flow(i, r).turning(), h));
-            let (before, d_turn) = product_back(rotation.quaternion(), state.turns[i], *mu);
+            let rotation = Rotation::new(scale(middle.flow(i, r).angular_velocity(), h));
+            let (before, d_turn) = product_backward(rotation.quaternion(), state.turns[i], *mu);
             let mut d_flow = Flow { u: (h * d.means[i]).to_array(), ..Flow::zero(0.0) };
-            d_flow.add_turning(scale(rotation.quaternion_back(d_turn), h));
+            d_flow.add_angular_velocity(scale(rotation.quaternion_backward(d_turn), h));
             d_midpoints.push(Vec3::from_array(middle.set_cotangent(i, r, &d_flow)));
             *mu = before;
         }

@@ -1,4 +1,4 @@
-//! What tests of dynamics share.
+//! Helpers shared by tests of dynamics.
 
 pub mod particles;
 
@@ -27,7 +27,7 @@ pub fn close(got: f64, want: f64, tolerance: f64, what: &str) {
 }
 
 /// Spreads weights so that outputs are of order one and every term counts.
-pub fn enliven(params: &mut impl Params, weights: f32) {
+pub fn randomise_weights(params: &mut impl Params, weights: f32) {
     params.visit_mut(&mut |p| {
         let mut rng = Rng::new(5, &p.name, 0, 0);
         let spread = if p.name.ends_with("bias") { 0.6 } else { weights };
@@ -35,7 +35,7 @@ pub fn enliven(params: &mut impl Params, weights: f32) {
     });
 }
 
-/// Gradients of the blocks whose names start with `prefix` against the twin's, relative to the largest of each.
+/// Gradients of the blocks whose names start with `prefix` against the reference's, relative to the largest of each.
 pub fn compare_gradients(params: &impl Params, prefix: &str, want: &[Vec<f64>], tolerance: f64) {
     let mut want = want.iter();
     params.visit(&mut |p| {
@@ -50,8 +50,8 @@ pub fn compare_gradients(params: &impl Params, prefix: &str, want: &[Vec<f64>], 
     assert!(want.next().is_none());
 }
 
-/// An empty span: positions and turns to the last bit, no gradient, even where the tape is warm.
-pub fn no_time_no_move<D: Dynamics>(mut dynamics: D) {
+/// An empty span: positions and rotations to the last bit, no gradient, even where the tape is warm.
+pub fn empty_span_is_identity<D: Dynamics>(mut dynamics: D) {
     let (x, mut tape, mut out) = (points(BLOCK + 3), D::Tape::default(), Moves::default());
     dynamics.transport(start(&x, 0.2), 0.5, &mut tape, &mut out);
     dynamics.transport(start(&x, 0.4), 0.4, &mut tape, &mut out);
@@ -61,7 +61,7 @@ pub fn no_time_no_move<D: Dynamics>(mut dynamics: D) {
     dynamics.visit(&mut |p| assert!(p.grad.iter().all(|g| *g == 0.0)));
 }
 
-/// Everything a step produces, as bits.
+/// All results of a step, as bits.
 fn step<D: Dynamics>(dynamics: &mut D, tape: &mut D::Tape, n: usize) -> Vec<u32> {
     let (x, mut out) = (points(n), Moves::default());
     dynamics.clear_grads();

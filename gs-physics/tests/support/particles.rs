@@ -4,12 +4,12 @@ use glam::Vec3;
 use gs_core::Rng;
 use gs_physics::{Moves, Start};
 
-/// A middle that is not the origin.
-pub const MIDDLE: Vec3 = Vec3::new(0.2, -0.5, 0.4);
+/// A centroid that is not the origin.
+pub const CENTROID: Vec3 = Vec3::new(0.2, -0.5, 0.4);
 
-/// Particles at a time, what moves among them about [`MIDDLE`].
+/// Particles at a time, with [`CENTROID`].
 pub fn start(x: &[Vec3], t: f64) -> Start<'_> {
-    Start { x, t, middle: MIDDLE }
+    Start { x, t, middle: CENTROID }
 }
 
 pub fn points(n: usize) -> Vec<Vec3> {

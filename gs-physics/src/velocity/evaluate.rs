@@ -1,4 +1,4 @@
-//! A block of points read through the velocity's network, with derivatives, and the way back.
+//! Evaluation of the velocity's network at a block of points, with derivatives by position and time, forward and backward.
 
 use super::VelocityConfig;
 use super::flow::{BASIS, Coefficients, Flow};
@@ -6,22 +6,21 @@ use crate::vec3::V3;
 use glam::Vec3;
 use gs_core::nn::{JetTape, Mlp, MlpGrad, encoding};
 
-/// How many directions derivatives are taken along.
+/// The coordinates that derivatives are taken by.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Along {
-    /// None: values.
-    Nothing = 0,
-    /// x, y, z.
+pub(crate) enum Derivatives {
+    None = 0,
+    /// By x, y and z.
     Space = 3,
-    /// x, y, z, t.
+    /// By x, y, z and t.
     SpaceTime = 4,
 }
 
-/// What a block of points leaves behind, reused between calls.
+/// Activations and cotangents of a block of points, reused between calls.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Reading {
+pub(crate) struct Evaluation {
     rows: usize,
-    /// Encoded places and times, then their derivatives, `[(1 + K) · rows, inputs]`.
+    /// Encoded positions and times, then their `K` derivatives, `[(1 + K) · rows, inputs]`.
     input: Vec<f32>,
     jet: JetTape,
     /// Cotangents of the network's outputs and inputs.
@@ -29,7 +28,7 @@ pub(crate) struct Reading {
     d_input: Vec<f32>,
 }
 
-/// Width of an encoded place and time.
+/// Width of an encoded position and time.
 pub(crate) fn inputs(bands: usize) -> usize {
     encoding::width(3, bands) + encoding::width(1, bands)
 }
@@ -38,19 +37,19 @@ pub(crate) fn inputs(bands: usize) -> usize {
 pub(crate) fn encode(config: &VelocityConfig, x: &[Vec3], t: &[f32], out: &mut [f32]) {
     let position = encoding::width(3, config.bands);
     for ((x, t), row) in x.iter().zip(t).zip(out.chunks_exact_mut(inputs(config.bands))) {
-        let (place, time) = row.split_at_mut(position);
-        encoding::encode(&(*x * config.coordinate_scale).to_array(), 3, config.bands, place);
+        let (position, time) = row.split_at_mut(position);
+        encoding::encode(&(*x * config.coordinate_scale).to_array(), 3, config.bands, position);
         encoding::encode(&[*t], 1, config.bands, time);
     }
 }
 
-impl Reading {
-    /// Reads `net` at places and times (one of each per row).
-    pub fn forward(&mut self, net: &Mlp, config: &VelocityConfig, x: &[Vec3], t: &[f32], along: Along) {
+impl Evaluation {
+    /// Evaluates `net` at positions and times (one of each per row).
+    pub(crate) fn forward(&mut self, net: &Mlp, config: &VelocityConfig, x: &[Vec3], t: &[f32], by: Derivatives) {
         let (rows, width, position) = (x.len(), inputs(config.bands), encoding::width(3, config.bands));
         self.rows = rows;
         self.input.clear();
-        self.input.resize((1 + along as usize) * rows * width, 0.0);
+        self.input.resize((1 + by as usize) * rows * width, 0.0);
         let (values, tangents) = self.input.split_at_mut(rows * width);
         encode(config, x, t, values);
         for (k, tangents) in tangents.chunks_exact_mut((rows * width).max(1)).enumerate() {
@@ -74,14 +73,14 @@ impl Reading {
         out
     }
 
-    /// The flow of row `i`, which is at `r` about the origin.
-    pub fn flow(&self, i: usize, r: V3<f32>) -> Flow<f32> {
+    /// The flow of row `i`, which lies at `r` relative to the origin.
+    pub(crate) fn flow(&self, i: usize, r: V3<f32>) -> Flow<f32> {
         Flow::new(&self.coefficients(i), r)
     }
 
-    /// Sets the cotangent of [`Reading::flow`]; gives that of `r`.
-    pub fn set_cotangent(&mut self, i: usize, r: V3<f32>, d: &Flow<f32>) -> V3<f32> {
-        let (d_c, d_r) = d.back(&self.coefficients(i), r);
+    /// Sets the cotangent of [`Evaluation::flow`]; gives that of `r`.
+    pub(crate) fn set_cotangent(&mut self, i: usize, r: V3<f32>, d: &Flow<f32>) -> V3<f32> {
+        let (d_c, d_r) = d.backward(&self.coefficients(i), r);
         self.d_out.resize(self.jet.output().len(), 0.0);
         for (d, out) in d_c.iter().zip(self.d_out.chunks_exact_mut(self.rows * BASIS)) {
             out[i * BASIS..][..BASIS].copy_from_slice(d);
@@ -89,8 +88,14 @@ impl Reading {
         d_r
     }
 
-    /// From the cotangents, set for every row, to the weights; those of the places are added to `d_x`, where given.
-    pub fn backward(&mut self, net: &Mlp, config: &VelocityConfig, d_x: Option<&mut [Vec3]>, grad: &mut MlpGrad) {
+    /// From the cotangents, set for every row, to the weights; those of the positions are added to `d_x`, where given.
+    pub(crate) fn backward(
+        &mut self,
+        net: &Mlp,
+        config: &VelocityConfig,
+        d_x: Option<&mut [Vec3]>,
+        grad: &mut MlpGrad,
+    ) {
         let rows = self.rows;
         let Self { input, jet, d_out, d_input, .. } = self;
         let Some(d_x) = d_x else {
@@ -105,8 +110,8 @@ impl Reading {
             encoding::encode_backward(value, &d_input[row(0, i)], 3, config.bands, &mut d);
             let directions = input.len() / (rows * width) - 1;
             for k in 1..=directions.min(3) {
-                let bent = encoding::tangent_backward(value, &d_input[row(k, i)], 3, k - 1);
-                d[k - 1] += config.coordinate_scale * bent;
+                let second = encoding::tangent_backward(value, &d_input[row(k, i)], 3, k - 1);
+                d[k - 1] += config.coordinate_scale * second;
             }
             *d_x += Vec3::from_array(d) * config.coordinate_scale;
         }
