@@ -7,8 +7,8 @@ use criterion::Criterion;
 use glam::{DVec3, Vec3};
 use gs_anchor::reference::{AnchorRef, Blocks, DecoderRef, GadRef, GaussianRef, RestRef};
 use gs_anchor::{AnchorShape, Anchors, DecodeTape, Decoder, DecoderConfig, Gad, GadConfig, GadTape};
-use gs_anchor::{Local, LocalGrad, Reach, Visible, visible};
-use gs_core::speed::{Laps, SpeedError};
+use gs_anchor::{LocalAnchors, LocalAnchorsGrad, VisibilityOptions, Visible, visible};
+use gs_core::speed::{BenchRow, Stopwatch};
 use gs_core::{Camera, Params, Rng, Splats, SplatsGrad, Time};
 use gs_deform::{Aabb, PlaneNetConfig};
 use gs_raster::{RasterOptions, Workspace, render};
@@ -33,12 +33,12 @@ struct Row {
 
 /// Measures `f`, prints the row with the median, and records it.
 fn measure(c: &mut Criterion, row: &Row, mut f: impl FnMut()) {
-    let mut laps = Laps::default();
+    let mut laps = Stopwatch::default();
     c.bench_function(&format!("{}/{}/{ANCHORS}", row.case, row.variant), |b| {
         b.iter_custom(|calls| laps.run(calls, &mut f))
     });
     let Some(ms) = laps.median_ms() else { return };
-    let line = SpeedError {
+    let line = BenchRow {
         krate: "gs-anchor",
         case: row.case.to_owned(),
         variant: row.variant.to_owned(),
@@ -49,7 +49,7 @@ fn measure(c: &mut Criterion, row: &Row, mut f: impl FnMut()) {
         error: Some(row.error),
         error_kind: row.error_kind,
     };
-    line.keep(env!("CARGO_MANIFEST_DIR"));
+    line.append(env!("CARGO_MANIFEST_DIR"));
 }
 
 /// Anchors on a sphere with random values, as after some training.
@@ -101,14 +101,20 @@ fn flat_anchor(a: &AnchorRef) -> Vec<f64> {
     [&a.position[..], &a.offsets, &a.features, &a.scales].concat()
 }
 
-fn local_row(d: &LocalGrad, v: usize) -> Vec<f64> {
+fn local_row(d: &LocalAnchorsGrad, v: usize) -> Vec<f64> {
     let (k, c) = (3 * SHAPE.offsets, SHAPE.features);
     let position = d.positions[v].to_array();
     wide(&[&position[..], &d.offsets[v * k..][..k], &d.features[v * c..][..c], &d.scales[v * 6..][..6]].concat())
 }
 
 /// Worst splat and worst anchor's gradient against the reference.
-fn decode_errors(decoder: &Decoder, local: &Local, eye: DVec3, out: &Splats, d: &LocalGrad) -> (f64, f64) {
+fn decode_errors(
+    decoder: &Decoder,
+    local: &LocalAnchors,
+    eye: DVec3,
+    out: &Splats,
+    d: &LocalAnchorsGrad,
+) -> (f64, f64) {
     let reference = DecoderRef::new(decoder);
     let mut grads: Blocks = reference.blocks.iter().map(|(n, b)| (n.clone(), vec![0.0; b.len()])).collect();
     let (mut n, mut splats, mut gradients) = (0, 0.0f64, 0.0f64);
@@ -134,7 +140,7 @@ fn decode(c: &mut Criterion, anchors: &Anchors, camera: &Camera) -> Result<Splat
     let eye = camera.position();
     decoder.forward(&local, Visible::All, eye, &mut tape, &mut out);
     let d_out = ones(&out);
-    LocalGrad::reset(&mut d, &local);
+    LocalAnchorsGrad::reset(&mut d, &local);
     decoder.backward(&local, &mut tape, &d_out, &mut d);
     let (splats, gradients) = decode_errors(&decoder, &local, eye, &out, &d);
     println!("    {} splats of {ANCHORS} anchors", out.len());
@@ -155,7 +161,7 @@ fn deform(c: &mut Criterion, anchors: &mut Anchors) -> Result<(), Failure> {
     let published = GadConfig::default();
     let config = GadConfig { net: PlaneNetConfig { zero_init: false, ..published.net }, ..published };
     let mut gad = Gad::new(&config, SHAPE, Aabb::cube(1.0), 1)?;
-    let (mut tape, mut out, mut d) = (GadTape::default(), Local::default(), LocalGrad::default());
+    let (mut tape, mut out, mut d) = (GadTape::default(), LocalAnchors::default(), LocalAnchorsGrad::default());
     gad.forward(anchors, T, &mut tape, &mut out);
     d.reset(&out);
     d.positions.fill(Vec3::ONE);
@@ -194,7 +200,7 @@ fn visibility(c: &mut Criterion, anchors: &Anchors, camera: &Camera, all: &Splat
     let decoder = Decoder::new(&DecoderConfig::default(), SHAPE, 1)?;
     let (mut local, mut seen, mut tape, mut some) = Default::default();
     anchors.activate(&mut local);
-    visible::clean(&local, camera, &Reach::default(), &mut seen);
+    visible::conservative(&local, camera, &VisibilityOptions::default(), &mut seen);
     decoder.forward(&local, Visible::List(&seen), camera.position(), &mut tape, &mut some);
     let image = |s: &Splats| render(s, camera, &RasterOptions::default(), &mut Workspace::new()).rgb;
     let error = worst(&wide(&image(&some)), &wide(&image(all)));
@@ -207,16 +213,16 @@ fn visibility(c: &mut Criterion, anchors: &Anchors, camera: &Camera, all: &Splat
         error_kind: "picture with and without",
     };
     measure(c, &row("visible", "clean", error), || {
-        visible::clean(&local, camera, &Reach::default(), &mut seen);
+        visible::conservative(&local, camera, &VisibilityOptions::default(), &mut seen);
     });
     measure(c, &row("decode", "forward, what is visible", error), || {
         decoder.forward(&local, Visible::List(&seen), camera.position(), &mut tape, &mut some);
     });
-    visible::reference(anchors, camera, &mut seen);
+    visible::published(anchors, camera, &mut seen);
     decoder.forward(&local, Visible::List(&seen), camera.position(), &mut tape, &mut some);
     let error = worst(&wide(&image(&some)), &wide(&image(all)));
     measure(c, &row("visible", "published", error), || {
-        visible::reference(anchors, camera, &mut seen);
+        visible::published(anchors, camera, &mut seen);
     });
     Ok(())
 }

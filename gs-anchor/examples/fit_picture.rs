@@ -5,7 +5,10 @@
 //! show the error fall; `gs-train` has the real optimizer.
 
 use glam::{DVec3, Vec3};
-use gs_anchor::{AnchorInit, AnchorShape, DecodeTape, Decoder, DecoderConfig, Local, LocalGrad, Reach, Visible};
+use gs_anchor::{
+    AnchorInit, AnchorShape, DecodeTape, Decoder, DecoderConfig, LocalAnchors, LocalAnchorsGrad, VisibilityOptions,
+    Visible,
+};
 use gs_anchor::{anchors_from_points, visible};
 use gs_core::{Camera, Params, Rng, Splats};
 use gs_raster::{Frame, FrameGrad, RasterOptions, Workspace, render, render_backward};
@@ -22,12 +25,12 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let camera = Camera::look_at(128, 128, 0.8, DVec3::new(0.8, 0.4, -1.2), DVec3::ZERO, DVec3::Y)?;
     let target = target(&camera);
 
-    let (mut local, mut tape, mut splats) = (Local::default(), DecodeTape::default(), Splats::default());
-    let (mut d_local, mut seen, mut workspace) = (LocalGrad::default(), Vec::new(), Workspace::new());
+    let (mut local, mut tape, mut splats) = (LocalAnchors::default(), DecodeTape::default(), Splats::default());
+    let (mut d_local, mut seen, mut workspace) = (LocalAnchorsGrad::default(), Vec::new(), Workspace::new());
     let mut frame = Frame::default();
     for step in 0..=STEPS {
         anchors.activate(&mut local);
-        visible::clean(&local, &camera, &Reach::default(), &mut seen);
+        visible::conservative(&local, &camera, &VisibilityOptions::default(), &mut seen);
         decoder.forward(&local, Visible::List(&seen), camera.position(), &mut tape, &mut splats);
         frame = render(&splats, &camera, &RasterOptions::default(), &mut workspace);
         let error: Vec<f32> = frame.rgb.iter().zip(&target).map(|(p, t)| p - t).collect();

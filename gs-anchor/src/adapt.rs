@@ -13,15 +13,15 @@
 //! statistics of zero.
 //!
 //! ```
-//! use gs_anchor::{Adapt, AdaptAt, AdaptRules, AnchorShape, Anchors};
+//! use gs_anchor::{AnchorDensify, AnchorDensifyStep, AnchorDensifyRules, AnchorShape, Anchors};
 //! use glam::Vec3;
 //!
 //! let shape = AnchorShape { offsets: 2, features: 4, dynamics: 0 };
 //! let mut anchors = Anchors::new(shape, &[Vec3::ZERO, Vec3::X], &[-3.0; 2]);
-//! let mut statistics = Adapt::new(&anchors);
+//! let mut statistics = AnchorDensify::new(&anchors);
 //! (statistics.opacity, statistics.visits) = (vec![0.1, 50.0], vec![100.0; 2]);
-//! let at = AdaptAt { step: 1600, clock: 1600, seed: 1, voxel: 0.01, diagonal: 10.0, views_per_step: 1 };
-//! let pass = statistics.adapt(&AdaptRules::default(), &at, &mut anchors)?;
+//! let at = AnchorDensifyStep { step: 1600, clock: 1600, seed: 1, voxel: 0.01, diagonal: 10.0, views_per_step: 1 };
+//! let pass = statistics.adapt(&AnchorDensifyRules::default(), &at, &mut anchors)?;
 //! assert_eq!((pass.pruned, anchors.position(0)), (1, Vec3::X), "a mean opacity of 0.001 is below 0.01");
 //! # Ok::<(), gs_core::param::RowEditError>(())
 //! ```
@@ -31,8 +31,8 @@ mod prune;
 mod rules;
 mod statistics;
 
-pub use rules::AdaptRules;
-pub use statistics::{Adapt, AnchorColumn, AnchorView};
+pub use rules::AnchorDensifyRules;
+pub use statistics::{AnchorColumn, AnchorDensify, AnchorView};
 
 use crate::anchors::Anchors;
 use gs_core::{RowEdit, param::RowEditError};
@@ -40,7 +40,7 @@ use serde::{Deserialize, Serialize};
 
 /// Inputs of a pass beside the rules.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct AdaptAt {
+pub struct AnchorDensifyStep {
     /// Training step of the run: key of the random numbers.
     pub step: u32,
     /// Step within the stage's schedule: decides whether a pass is due.
@@ -57,7 +57,7 @@ pub struct AdaptAt {
 
 /// Number of anchors that a pass added and removed.
 #[derive(Clone, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
-pub struct Grown {
+pub struct AnchorDensifyReport {
     /// Number of anchors added, over all levels.
     pub added: u32,
     /// Number of anchors removed.
@@ -66,14 +66,19 @@ pub struct Grown {
     pub per_level: Vec<u32>,
 }
 
-impl Adapt {
+impl AnchorDensify {
     /// Grows and prunes `anchors` if a pass is due at `at.clock`; returns zeros otherwise.
     ///
     /// # Errors
     /// If the statistics do not have the anchors' number of rows; nothing is changed then.
-    pub fn adapt(&mut self, rules: &AdaptRules, at: &AdaptAt, anchors: &mut Anchors) -> Result<Grown, RowEditError> {
+    pub fn adapt(
+        &mut self,
+        rules: &AnchorDensifyRules,
+        at: &AnchorDensifyStep,
+        anchors: &mut Anchors,
+    ) -> Result<AnchorDensifyReport, RowEditError> {
         if !rules.grows_at(at.clock) {
-            return Ok(Grown::default());
+            return Ok(AnchorDensifyReport::default());
         }
         self.check_rows(anchors)?;
         let interval = rules.every as f32 * at.views_per_step.max(1) as f32 * rules.success;
@@ -90,7 +95,7 @@ impl Adapt {
         self.edit(&edit);
         let mut per_level = vec![0; rules.levels as usize];
         new.iter().for_each(|n| per_level[n.level] += 1);
-        Ok(Grown { added: new.len() as u32, pruned: (before - kept) as u32, per_level })
+        Ok(AnchorDensifyReport { added: new.len() as u32, pruned: (before - kept) as u32, per_level })
     }
 }
 

@@ -14,13 +14,13 @@
 //! Anchors nearer to the camera centre than [`MIN_DISTANCE`] have no direction and are dropped.
 //!
 //! ```
-//! use gs_anchor::{AnchorShape, Anchors, DecodeTape, Decoder, DecoderConfig, Local, Visible};
+//! use gs_anchor::{AnchorShape, Anchors, DecodeTape, Decoder, DecoderConfig, LocalAnchors, Visible};
 //! use gs_core::Splats;
 //! use glam::{DVec3, Vec3};
 //!
 //! let shape = AnchorShape { offsets: 10, features: 32, dynamics: 0 };
 //! let decoder = Decoder::new(&DecoderConfig::default(), shape, 1)?;
-//! let (mut local, mut tape, mut splats) = (Local::default(), DecodeTape::default(), Splats::default());
+//! let (mut local, mut tape, mut splats) = (LocalAnchors::default(), DecodeTape::default(), Splats::default());
 //! Anchors::new(shape, &[Vec3::ZERO, Vec3::X], &[-3.0; 2]).activate(&mut local);
 //! decoder.forward(&local, Visible::List(&[1]), DVec3::NEG_Z, &mut tape, &mut splats);
 //! assert!(splats.means.iter().all(|m| *m == Vec3::X), "offsets are zero before training");
@@ -32,7 +32,7 @@ mod bank;
 mod gaussians;
 mod heads;
 
-use crate::{AnchorShape, Local, LocalGrad};
+use crate::{AnchorShape, LocalAnchors, LocalAnchorsGrad};
 use bank::{Bank, BankGrad, BankTape};
 use gaussians::{AnchorGradRows, HeadOutputs, SplatRows, ViewRay};
 use glam::{DVec3, Vec3};
@@ -96,7 +96,7 @@ pub struct DecoderError {
 /// The selection of anchors to decode.
 #[derive(Clone, Copy, Debug)]
 pub enum Visible<'a> {
-    /// All anchors of the [`Local`].
+    /// All anchors of the [`LocalAnchors`].
     All,
     /// The anchors with these indices, strictly increasing.
     List(&'a [u32]),
@@ -118,7 +118,7 @@ pub struct DecodeTape {
     pub visible: Vec<u32>,
     /// `tanh` of the opacity head, `[visible, k]`; a Gaussian exists where it is positive.
     pub activations: Vec<f32>,
-    /// For each splat, in order: `anchor · k + j`, its row in [`Local::offsets`].
+    /// For each splat, in order: `anchor · k + j`, its row in [`LocalAnchors::offsets`].
     pub rows: Vec<u32>,
     fused: Fused,
     blocks: Vec<Block>,
@@ -189,7 +189,14 @@ impl Decoder {
     ///
     /// # Panics
     /// If `local` is not of the decoder's shape, or a list is not increasing or names an anchor that does not exist.
-    pub fn forward(&self, local: &Local, visible: Visible<'_>, eye: DVec3, tape: &mut DecodeTape, out: &mut Splats) {
+    pub fn forward(
+        &self,
+        local: &LocalAnchors,
+        visible: Visible<'_>,
+        eye: DVec3,
+        tape: &mut DecodeTape,
+        out: &mut Splats,
+    ) {
         decodable(local, visible, eye, &mut tape.visible);
         let DecodeTape { visible, activations, rows, fused, blocks, .. } = tape;
         let k = self.shape.offsets;
@@ -214,7 +221,7 @@ impl Decoder {
     fn forward_block(
         &self,
         fused: &Fused,
-        local: &Local,
+        local: &LocalAnchors,
         anchors: &[u32],
         eye: DVec3,
         block: &mut Block,
@@ -250,7 +257,13 @@ impl Decoder {
     ///
     /// # Panics
     /// If `local`, the tape and the cotangents do not match in size.
-    pub fn backward(&mut self, local: &Local, tape: &mut DecodeTape, d_out: &SplatsGrad, d_local: &mut LocalGrad) {
+    pub fn backward(
+        &mut self,
+        local: &LocalAnchors,
+        tape: &mut DecodeTape,
+        d_out: &SplatsGrad,
+        d_local: &mut LocalAnchorsGrad,
+    ) {
         let DecodeTape { visible, activations, fused, blocks, chunks, .. } = tape;
         let k = self.shape.offsets;
         let per_chunk = nn::blocks_per_chunk(blocks.len());
@@ -282,7 +295,7 @@ impl Decoder {
     /// From the cotangents of a block's inputs to those of its features and positions.
     fn input_backward(
         &self,
-        local: &Local,
+        local: &LocalAnchors,
         anchors: &[u32],
         block: &mut Block,
         grad: &mut ChunkGrad,
@@ -321,7 +334,7 @@ impl Block {
 }
 
 /// The indices of the selected anchors, without those nearer to `eye` than [`MIN_DISTANCE`].
-fn decodable(local: &Local, visible: Visible<'_>, eye: DVec3, to: &mut Vec<u32>) {
+fn decodable(local: &LocalAnchors, visible: Visible<'_>, eye: DVec3, to: &mut Vec<u32>) {
     let has_direction = |v: &u32| local.positions[*v as usize].as_dvec3().distance(eye) >= MIN_DISTANCE;
     to.clear();
     match visible {

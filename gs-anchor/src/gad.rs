@@ -14,18 +14,18 @@
 //! g_Δx = M g_x'     g_Δf = m g_f' …     g_M = ⟨g_x', Δx⟩     g_m = ⟨g_f', Δf⟩ + ⟨g_O', ΔO⟩ + ⟨g_l', Δl⟩
 //! g_x = g_x'     g_f = g_f'     g_O = g_O'     g_λ = g_l' ⊙ exp λ
 //! ```
-//! Canonical positions are constants to the net. The result depends on the interval only: a [`Local`] kept per interval
+//! Canonical positions are constants to the net. The result depends on the interval only: a [`LocalAnchors`] kept per interval
 //! is an exact cache. With heads that start at zero the untrained result is the canonical anchors, bit for bit.
 //!
 //! ```
-//! use gs_anchor::{AnchorShape, Anchors, Gad, GadConfig, GadTape, Local};
+//! use gs_anchor::{AnchorShape, Anchors, Gad, GadConfig, GadTape, LocalAnchors};
 //! use gs_core::Time;
 //! use gs_deform::Aabb;
 //!
 //! let shape = AnchorShape { offsets: 10, features: 32, dynamics: 2 };
 //! let anchors = Anchors::new(shape, &[glam::Vec3::X], &[-3.0]);
 //! let gad = Gad::new(&GadConfig::default(), shape, Aabb::cube(2.0), 1)?;
-//! let (mut canonical, mut deformed) = (Local::default(), Local::default());
+//! let (mut canonical, mut deformed) = (LocalAnchors::default(), LocalAnchors::default());
 //! anchors.activate(&mut canonical);
 //! gad.forward(&anchors, Time::new(0.25)?, &mut GadTape::default(), &mut deformed);
 //! assert_eq!(deformed, canonical, "an untrained field changes nothing");
@@ -37,7 +37,7 @@ mod moving;
 
 pub use dynamics::{Activation, Dynamics, Factor, Sparsity, Weight};
 
-use crate::{AnchorShape, Anchors, Local, LocalGrad};
+use crate::{AnchorShape, Anchors, LocalAnchors, LocalAnchorsGrad};
 use dynamics::weights_backward;
 use glam::Vec3;
 use gs_core::nn::BLOCK;
@@ -171,7 +171,7 @@ impl Gad {
     }
 
     /// Writes the anchors deformed to canonical time `t_c` to `out`, reusing memory.
-    pub fn forward(&self, anchors: &Anchors, t_c: Time, tape: &mut GadTape, out: &mut Local) {
+    pub fn forward(&self, anchors: &Anchors, t_c: Time, tape: &mut GadTape, out: &mut LocalAnchors) {
         anchors.activate(out);
         let GadTape { net, points, places, scales, blocks } = tape;
         scales.clone_from(&out.scales);
@@ -179,7 +179,7 @@ impl Gad {
             points.clone_from(&out.positions);
             *places = self.net.place(points);
         }
-        self.net.forward_placed(places, t_c, net);
+        self.net.forward_located(places, t_c, net);
         let AnchorShape { offsets: k, features: c, .. } = anchors.shape();
         blocks.resize_with(net.blocks().len(), Block::default);
         let columns = out.offsets.par_chunks_mut(3 * k * BLOCK).zip(out.features.par_chunks_mut(c * BLOCK));
@@ -203,7 +203,7 @@ impl Gad {
 
     /// Backward of [`Gad::forward`] of the same anchors with the same parameters, from the cotangents `d` of its
     /// output: adds to the gradients of the anchors and of the field.
-    pub fn backward(&mut self, anchors: &mut Anchors, tape: &mut GadTape, d: &LocalGrad) {
+    pub fn backward(&mut self, anchors: &mut Anchors, tape: &mut GadTape, d: &LocalAnchorsGrad) {
         let GadTape { net, scales, blocks, .. } = tape;
         let shape = anchors.shape();
         net.blocks_mut().par_iter_mut().zip(&mut *blocks).enumerate().for_each(|(b, (output, block))| {
@@ -240,7 +240,7 @@ impl Gad {
 
 impl GadHead {
     /// Copies the cotangents of this column for some anchors, `[anchors, width]`.
-    fn gather(self, d: &LocalGrad, anchors: Range<usize>, width: usize, to: &mut Vec<f32>) {
+    fn gather(self, d: &LocalAnchorsGrad, anchors: Range<usize>, width: usize, to: &mut Vec<f32>) {
         to.clear();
         let values = anchors.start * width..anchors.end * width;
         match self {

@@ -53,7 +53,7 @@ impl Default for AnchorInit {
 pub struct InitialAnchors {
     /// One anchor per occupied cell, ordered by x, y, z.
     pub anchors: Anchors,
-    /// Side ε of the cells, world units; [`AdaptAt::voxel`](crate::AdaptAt::voxel) must be the same, also after a
+    /// Side ε of the cells, world units; [`AnchorDensifyStep::voxel`](crate::AnchorDensifyStep::voxel) must be the same, also after a
     /// resume.
     pub voxel: f32,
 }

@@ -5,11 +5,11 @@
 //! d_x += d_x'     d_O += d_O'     d_f += d_f'     d_λ += d_l' ⊙ l'
 //! ```
 //! ```
-//! use gs_anchor::{AnchorShape, Anchors, Local, LocalGrad};
+//! use gs_anchor::{AnchorShape, Anchors, LocalAnchors, LocalAnchorsGrad};
 //!
 //! let shape = AnchorShape { offsets: 2, features: 4, dynamics: 0 };
 //! let mut anchors = Anchors::new(shape, &[glam::Vec3::X], &[2f32.ln()]);
-//! let (mut local, mut d) = (Local::default(), LocalGrad::default());
+//! let (mut local, mut d) = (LocalAnchors::default(), LocalAnchorsGrad::default());
 //! anchors.activate(&mut local);
 //! assert_eq!(local.scales, [2.0; 6]);
 //! d.reset(&local);
@@ -24,7 +24,7 @@ use rayon::prelude::*;
 
 /// Activated anchors, `V` rows. A clone is a cache: decoding it gives the same bits.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Local {
+pub struct LocalAnchors {
     /// Positions `x'`, `[V]`, world units.
     pub positions: Vec<Vec3>,
     /// Offsets `O'`, `[V, k, 3]`, in units of the first three scales.
@@ -35,9 +35,9 @@ pub struct Local {
     pub scales: Vec<f32>,
 }
 
-/// Cotangents of a [`Local`]: the same columns, `dL/d…` each.
+/// Cotangents of a [`LocalAnchors`]: the same columns, `dL/d…` each.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct LocalGrad {
+pub struct LocalAnchorsGrad {
     /// `dL/d positions`, `[V]`.
     pub positions: Vec<Vec3>,
     /// `dL/d offsets`, `[V, k, 3]`.
@@ -51,21 +51,21 @@ pub struct LocalGrad {
 /// Values per parallel task.
 const CHUNK: usize = 1 << 14;
 
-impl Local {
+impl LocalAnchors {
     /// Number of anchors, `V`.
     pub fn len(&self) -> usize {
         self.positions.len()
     }
 
-    /// Whether [`Local::len`] is 0.
+    /// Whether [`LocalAnchors::len`] is 0.
     pub fn is_empty(&self) -> bool {
         self.positions.is_empty()
     }
 }
 
-impl LocalGrad {
+impl LocalAnchorsGrad {
     /// Resizes all columns to `local` and fills them with zeros, reusing memory.
-    pub fn reset(&mut self, local: &Local) {
+    pub fn reset(&mut self, local: &LocalAnchors) {
         self.positions.clear();
         self.positions.resize(local.len(), Vec3::ZERO);
         for (d, n) in [
@@ -81,7 +81,7 @@ impl LocalGrad {
 
 impl Anchors {
     /// Writes the canonical anchors to `out`, reusing memory.
-    pub fn activate(&self, out: &mut Local) {
+    pub fn activate(&self, out: &mut LocalAnchors) {
         out.positions.clear();
         out.positions.extend(self.positions.value.as_chunks().0.iter().map(|p| Vec3::from_array(*p)));
         out.offsets.clone_from(&self.offsets.value);
@@ -93,12 +93,12 @@ impl Anchors {
     }
 
     /// Backward of [`Anchors::activate`]: adds to the gradients. `local` is the output of the forward.
-    pub fn activate_backward(&mut self, local: &Local, d: &LocalGrad) {
+    pub fn activate_backward(&mut self, local: &LocalAnchors, d: &LocalAnchorsGrad) {
         self.add_grads(&local.scales, d);
     }
 
     /// [`Anchors::activate_backward`] with `scales` = `exp λ`.
-    pub(crate) fn add_grads(&mut self, scales: &[f32], d: &LocalGrad) {
+    pub(crate) fn add_grads(&mut self, scales: &[f32], d: &LocalAnchorsGrad) {
         add(&mut self.positions.grad, d.positions.iter().flat_map(|p| p.to_array()));
         add(&mut self.offsets.grad, d.offsets.iter().copied());
         add(&mut self.features.grad, d.features.iter().copied());
@@ -124,13 +124,13 @@ mod tests {
         for p in [&mut anchors.offsets, &mut anchors.features] {
             p.value.iter_mut().for_each(|v| *v = rng.normal());
         }
-        let mut local = Local { scales: vec![9.0; 40], ..Local::default() };
+        let mut local = LocalAnchors { scales: vec![9.0; 40], ..LocalAnchors::default() };
         anchors.activate(&mut local);
         assert_eq!((&local.positions[..], local.len()), (&[Vec3::ONE, Vec3::NEG_X][..], 2));
         assert_eq!((&local.offsets, &local.features), (&anchors.offsets.value, &anchors.features.value));
         assert_eq!((local.scales.len(), local.scales[0], local.scales[11]), (12, 1.0, 2.0));
 
-        let mut d = LocalGrad::default();
+        let mut d = LocalAnchorsGrad::default();
         d.reset(&local);
         d.positions[1] = Vec3::new(1.0, 2.0, 3.0);
         d.offsets[5] = 4.0;

@@ -1,7 +1,7 @@
 //! The decoder and the deformation of anchors in `f64`: one anchor at a time, plain loops, no optimisations. Tests and
 //! benches measure against it.
 
-use crate::{AnchorShape, Decoder, DecoderConfig, Local};
+use crate::{AnchorShape, Decoder, DecoderConfig, LocalAnchors};
 use gs_core::Params;
 use std::collections::BTreeMap;
 
@@ -64,7 +64,7 @@ const HEADS: [&str; 3] = ["heads.opacity", "heads.color", "heads.covariance"];
 
 impl AnchorRef {
     /// Copies anchor `v` of `local`.
-    pub fn new(local: &Local, v: usize) -> Self {
+    pub fn new(local: &LocalAnchors, v: usize) -> Self {
         let (k3, c) = (local.offsets.len() / local.len(), local.features.len() / local.len());
         let wide = |v: &[f32]| -> Vec<f64> { v.iter().map(|&v| f64::from(v)).collect() };
         Self {

@@ -19,26 +19,26 @@
 //! This is **conservative**, for any principal point: no Gaussian that touches the frame is lost. The affine footprint
 //! of a splat is wider than the sphere's projection, hence `h`.
 //!
-//! [`reference()`] is the published filter: the anchor's own canonical Gaussian (mean `x`, scales `l[0:3]`, no
+//! [`published()`] is the published filter: the anchor's own canonical Gaussian (mean `x`, scales `l[0:3]`, no
 //! rotation) has a screen rectangle that touches a tile. That Gaussian is not one that is rendered, and it is not
 //! deformed, so anchors that move into view are lost; it is here for comparison.
 //!
 //! ```
-//! use gs_anchor::{AnchorShape, Anchors, Local, Reach, visible};
+//! use gs_anchor::{AnchorShape, Anchors, LocalAnchors, VisibilityOptions, visible};
 //! use gs_core::Camera;
 //! use glam::{DVec3, Vec3};
 //!
 //! let shape = AnchorShape { offsets: 10, features: 32, dynamics: 0 };
 //! let anchors = Anchors::new(shape, &[Vec3::Z, Vec3::NEG_Z, 9.0 * Vec3::X], &[-5.0; 3]);
 //! let camera = Camera::look_at(64, 64, 0.8, DVec3::ZERO, DVec3::Z, DVec3::Y)?;
-//! let (mut local, mut listed) = (Local::default(), Vec::new());
+//! let (mut local, mut listed) = (LocalAnchors::default(), Vec::new());
 //! anchors.activate(&mut local);
-//! visible::clean(&local, &camera, &Reach::default(), &mut listed);
+//! visible::conservative(&local, &camera, &VisibilityOptions::default(), &mut listed);
 //! assert_eq!(listed, [0], "one is behind the camera and one beside the frame");
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
-use crate::{Anchors, Local};
+use crate::{Anchors, LocalAnchors};
 use glam::{DVec3, Vec3};
 use gs_core::Camera;
 use rayon::prelude::*;
@@ -54,7 +54,7 @@ const CHUNK: usize = 2048;
 
 /// Render settings that visibility depends on.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Reach {
+pub struct VisibilityOptions {
     /// Added to the radius of an anchor's sphere, world units: at least `‖Δμ‖ + SUPPORT max |Δs|` of any field behind
     /// the decoder.
     pub margin: f64,
@@ -62,14 +62,14 @@ pub struct Reach {
     pub dilation: f64,
 }
 
-impl Default for Reach {
+impl Default for VisibilityOptions {
     fn default() -> Self {
         Self { margin: 0.0, dilation: 0.3 }
     }
 }
 
 /// Lists the anchors whose Gaussians may touch the frame, in increasing order; conservative.
-pub fn clean(local: &Local, camera: &Camera, reach: &Reach, out: &mut Vec<u32>) {
+pub fn conservative(local: &LocalAnchors, camera: &Camera, reach: &VisibilityOptions, out: &mut Vec<u32>) {
     let edges = Edges::new(camera, reach.dilation);
     let k3 = local.offsets.len() / local.len().max(1);
     list(local.len(), out, |v| {
@@ -124,7 +124,7 @@ const DILATION: f64 = 0.3;
 const TILE: f64 = 16.0;
 
 /// Lists the anchors that the published filter keeps, in increasing order.
-pub fn reference(anchors: &Anchors, camera: &Camera, out: &mut Vec<u32>) {
+pub fn published(anchors: &Anchors, camera: &Camera, out: &mut Vec<u32>) {
     list(anchors.len(), out, |v| {
         let log = &anchors.log_scales.value[6 * v..][..3];
         let scale = DVec3::new(log[0].exp().into(), log[1].exp().into(), log[2].exp().into());
@@ -225,8 +225,9 @@ mod tests {
             let mut rng = Rng::new(3, "visible", 0, case);
             let camera = camera(&mut rng);
             camera.check().unwrap();
-            let reach = Reach { margin: if case % 2 == 0 { 0.0 } else { 0.2 }, ..Reach::default() };
-            let mut local = Local::default();
+            let reach =
+                VisibilityOptions { margin: if case % 2 == 0 { 0.0 } else { 0.2 }, ..VisibilityOptions::default() };
+            let mut local = LocalAnchors::default();
             for _ in 0..50 {
                 let mut v = |scale: f32| scale * rng.normal();
                 local.positions.push(Vec3::new(v(2.0), v(2.0), v(2.0)));
@@ -234,7 +235,7 @@ mod tests {
                 local.scales.extend((0..6).map(|_| 0.2 * v(1.0) * (0.5 * v(1.0)).exp()));
             }
             let mut seen = Vec::new();
-            clean(&local, &camera, &reach, &mut seen);
+            conservative(&local, &camera, &reach, &mut seen);
             assert!(seen.is_sorted_by(|a, b| a < b));
             listed += seen.len();
             left_out += 50 - seen.len();
@@ -284,7 +285,7 @@ mod tests {
         ];
         let anchors = Anchors::new(shape, &at.map(|a| a.0), &[-20.0; 9]);
         let mut seen = Vec::new();
-        reference(&anchors, &looking_down_z(), &mut seen);
+        published(&anchors, &looking_down_z(), &mut seen);
         let want: Vec<u32> = (0..9).filter(|&v| at[v as usize].1).collect();
         assert_eq!(seen, want);
     }
@@ -295,18 +296,23 @@ mod tests {
         let shape = AnchorShape { offsets: 1, features: 1, dynamics: 0 };
         let mut anchors = Anchors::new(shape, &[Vec3::new(3.0, 0.0, 1.0)], &[0.01f32.ln()]);
         anchors.offsets.value[0] = -300.0;
-        let (mut local, mut seen) = (Local::default(), Vec::new());
+        let (mut local, mut seen) = (LocalAnchors::default(), Vec::new());
         anchors.activate(&mut local);
-        clean(&local, &looking_down_z(), &Reach::default(), &mut seen);
+        conservative(&local, &looking_down_z(), &VisibilityOptions::default(), &mut seen);
         assert_eq!(seen, [0]);
-        reference(&anchors, &looking_down_z(), &mut seen);
+        published(&anchors, &looking_down_z(), &mut seen);
         assert!(seen.is_empty());
         local.offsets[0] = 0.0;
-        clean(&local, &looking_down_z(), &Reach::default(), &mut seen);
+        conservative(&local, &looking_down_z(), &VisibilityOptions::default(), &mut seen);
         assert!(seen.is_empty());
-        clean(&local, &looking_down_z(), &Reach { margin: 3.0, ..Reach::default() }, &mut seen);
+        conservative(
+            &local,
+            &looking_down_z(),
+            &VisibilityOptions { margin: 3.0, ..VisibilityOptions::default() },
+            &mut seen,
+        );
         assert_eq!(seen, [0]);
-        clean(&Local::default(), &looking_down_z(), &Reach::default(), &mut seen);
+        conservative(&LocalAnchors::default(), &looking_down_z(), &VisibilityOptions::default(), &mut seen);
         assert!(seen.is_empty());
     }
 }

@@ -13,7 +13,9 @@ mod support;
 
 use glam::Vec3;
 use gs_anchor::reference::{AnchorRef, Blocks, DecoderRef, GaussianRef};
-use gs_anchor::{AnchorShape, DecodeTape, Decoder, DecoderConfig, DistanceInputs, Local, LocalGrad, Visible};
+use gs_anchor::{
+    AnchorShape, DecodeTape, Decoder, DecoderConfig, DistanceInputs, LocalAnchors, LocalAnchorsGrad, Visible,
+};
 use gs_core::nn::BLOCK;
 use gs_core::{Color, Kernel, Params, Rng, Splats};
 use support::{EYE, assert_close, cotangent, cotangents, flat_anchor, wide};
@@ -39,8 +41,8 @@ fn decoder(config: &DecoderConfig) -> Decoder {
 }
 
 /// `n` random anchors around the origin; every fourth has a negative extent, every fifth a negative spread.
-fn anchors(n: usize, k: usize, c: usize) -> Local {
-    let mut local = Local::default();
+fn anchors(n: usize, k: usize, c: usize) -> LocalAnchors {
+    let mut local = LocalAnchors::default();
     for v in 0..n {
         let mut rng = Rng::new(11, "anchors", 0, v as u64);
         let mut values = |n: usize, scale: f32| (0..n).map(|_| scale * rng.normal()).collect::<Vec<f32>>();
@@ -124,7 +126,7 @@ fn production_agrees_with_the_reference() {
             let (reference, mut tape, mut out) = (DecoderRef::new(&decoder), DecodeTape::default(), Splats::default());
             decoder.forward(&local, Visible::All, EYE, &mut tape, &mut out);
             let d_out = cotangents(&tape.rows, &out);
-            let mut d = LocalGrad::default();
+            let mut d = LocalAnchorsGrad::default();
             d.reset(&local);
             decoder.backward(&local, &mut tape, &d_out, &mut d);
 
@@ -165,15 +167,15 @@ fn splat_columns(s: &Splats) -> Vec<f64> {
 }
 
 /// Row `v` as [`flat_anchor`] lays it out.
-fn local_row(d: &LocalGrad, v: usize) -> Vec<f64> {
+fn local_row(d: &LocalAnchorsGrad, v: usize) -> Vec<f64> {
     let (k, c) = (3 * SHAPE.offsets, SHAPE.features);
     let position = d.positions[v].to_array();
     wide(&[&position[..], &d.offsets[v * k..][..k], &d.features[v * c..][..c], &d.scales[v * 6..][..6]].concat())
 }
 
 /// Everything a step produces, bit by bit.
-fn step(decoder: &mut Decoder, local: &Local, visible: Visible<'_>, tape: &mut DecodeTape) -> Vec<u32> {
-    let (mut out, mut d) = (Splats::default(), LocalGrad::default());
+fn step(decoder: &mut Decoder, local: &LocalAnchors, visible: Visible<'_>, tape: &mut DecodeTape) -> Vec<u32> {
+    let (mut out, mut d) = (Splats::default(), LocalAnchorsGrad::default());
     decoder.clear_grads();
     decoder.forward(local, visible, EYE, tape, &mut out);
     d.reset(local);
@@ -215,7 +217,7 @@ fn a_list_decodes_its_anchors_as_all_does() {
     let (mut decoder, local) = (decoder(&configs()[3]), anchors(700, SHAPE.offsets, SHAPE.features));
     let list: Vec<u32> = (100..650).step_by(3).collect();
     let (mut all, mut some) = (Splats::default(), Splats::default());
-    let (mut tape, mut d) = (DecodeTape::default(), LocalGrad::default());
+    let (mut tape, mut d) = (DecodeTape::default(), LocalAnchorsGrad::default());
     decoder.forward(&local, Visible::All, EYE, &mut tape, &mut all);
     let rows: Vec<usize> = (0..all.len()).filter(|&n| list.contains(&(tape.rows[n] / SHAPE.offsets as u32))).collect();
     decoder.forward(&local, Visible::List(&list), EYE, &mut tape, &mut some);
@@ -252,7 +254,7 @@ fn an_anchor_at_the_eye_is_dropped() {
     local.positions[2] = Vec3::new(0.25, -0.5, 1.0);
     local.positions[3] = local.positions[2] + Vec3::new(2e-6, 0.0, 0.0);
     let eye = local.positions[2].as_dvec3();
-    let (mut tape, mut out, mut d) = (DecodeTape::default(), Splats::default(), LocalGrad::default());
+    let (mut tape, mut out, mut d) = (DecodeTape::default(), Splats::default(), LocalAnchorsGrad::default());
     decoder.forward(&local, Visible::All, eye, &mut tape, &mut out);
     assert_eq!(tape.visible, [0, 1, 3, 4]);
     assert_eq!(out.check(), Ok(()));
@@ -277,7 +279,7 @@ fn extreme_anchors_give_finite_splats_and_gradients() {
     for (v, l) in [0.0, -1e-30, 1e15, -1e15].into_iter().enumerate() {
         local.scales[6 * v..][..6].fill(l);
     }
-    let (mut tape, mut out, mut d) = (DecodeTape::default(), Splats::default(), LocalGrad::default());
+    let (mut tape, mut out, mut d) = (DecodeTape::default(), Splats::default(), LocalAnchorsGrad::default());
     decoder.forward(&local, Visible::All, EYE, &mut tape, &mut out);
     assert_eq!(out.check(), Ok(()));
     let kept: Vec<u32> = (0..4).flat_map(|v| [4 * v, 4 * v + 2]).collect();
@@ -295,7 +297,7 @@ fn extreme_anchors_give_finite_splats_and_gradients() {
 #[test]
 fn gradients_are_added_not_overwritten() {
     let (mut decoder, local) = (decoder(&configs()[3]), anchors(40, SHAPE.offsets, SHAPE.features));
-    let (mut tape, mut out, mut d) = (DecodeTape::default(), Splats::default(), LocalGrad::default());
+    let (mut tape, mut out, mut d) = (DecodeTape::default(), Splats::default(), LocalAnchorsGrad::default());
     decoder.forward(&local, Visible::All, EYE, &mut tape, &mut out);
     let d_out = cotangents(&tape.rows, &out);
     d.reset(&local);

@@ -14,7 +14,7 @@ use glam::Vec3;
 use gs_anchor::gad::{Activation, Dynamics, Factor};
 use gs_anchor::reference::{AnchorRef, Blocks, DecoderRef, GadRef, GaussianRef, RestRef};
 use gs_anchor::{AnchorShape, Anchors, DecodeTape, Decoder, DecoderConfig, Gad, GadConfig, GadHead, GadTape};
-use gs_anchor::{Local, LocalGrad, Visible};
+use gs_anchor::{LocalAnchors, LocalAnchorsGrad, Visible};
 use gs_core::nn::BLOCK;
 use gs_core::{Params, Rng, Splats, Time};
 use gs_deform::encode::HexPlaneConfig;
@@ -91,8 +91,8 @@ fn gad(config: &GadConfig, dynamics: usize) -> Gad {
     gad
 }
 
-fn local_cotangents(n: usize) -> LocalGrad {
-    let mut d = LocalGrad::default();
+fn local_cotangents(n: usize) -> LocalAnchorsGrad {
+    let mut d = LocalAnchorsGrad::default();
     for v in 0..n {
         let mut rng = Rng::new(23, "cotangents", 0, v as u64);
         let mut values = |n: usize| (0..n).map(|_| rng.normal()).collect::<Vec<f32>>();
@@ -105,7 +105,7 @@ fn local_cotangents(n: usize) -> LocalGrad {
 }
 
 /// Row `v` of cotangents in `f64`.
-fn local_cotangent(d: &LocalGrad, v: usize) -> AnchorRef {
+fn local_cotangent(d: &LocalAnchorsGrad, v: usize) -> AnchorRef {
     AnchorRef {
         position: d.positions[v].as_dvec3().to_array(),
         offsets: wide(&d.offsets[12 * v..][..12]),
@@ -199,7 +199,7 @@ fn production_agrees_with_the_reference() {
     for (dynamics, config) in cases() {
         for n in [3, BLOCK + 20] {
             let (mut gad, mut anchors, d) = (gad(&config, dynamics), anchors(n, dynamics), local_cotangents(n));
-            let (reference, mut tape, mut out) = (GadRef::new(&gad), GadTape::default(), Local::default());
+            let (reference, mut tape, mut out) = (GadRef::new(&gad), GadTape::default(), LocalAnchors::default());
             gad.forward(&anchors, T, &mut tape, &mut out);
             gad.backward(&mut anchors, &mut tape, &d);
             let mut grad = reference.net.zero_grad();
@@ -232,7 +232,7 @@ fn both_stages_agree_with_the_reference() {
     gad.forward(&anchors, T, &mut tape, &mut local);
     decoder.forward(&local, Visible::All, EYE, &mut decode, &mut out);
     let d_out = cotangents(&decode.rows, &out);
-    LocalGrad::reset(&mut d, &local);
+    LocalAnchorsGrad::reset(&mut d, &local);
     decoder.backward(&local, &mut decode, &d_out, &mut d);
     gad.backward(&mut anchors, &mut tape, &d);
 
@@ -256,7 +256,7 @@ fn both_stages_agree_with_the_reference() {
 #[test]
 fn an_untrained_field_changes_no_anchor() {
     let config = GadConfig { net: PlaneNetConfig { zero_init: true, ..small().net }, ..small() };
-    let (anchors, mut rest, mut out) = (anchors(300, 2), Local::default(), Local::default());
+    let (anchors, mut rest, mut out) = (anchors(300, 2), LocalAnchors::default(), LocalAnchors::default());
     anchors.activate(&mut rest);
     gad(&config, 2).forward(&anchors, T, &mut GadTape::default(), &mut out);
     assert!(out == rest);
@@ -264,7 +264,7 @@ fn an_untrained_field_changes_no_anchor() {
 
 /// Everything a step produces, bit by bit.
 fn step(gad: &mut Gad, anchors: &mut Anchors, tape: &mut GadTape, t: Time) -> Vec<u32> {
-    let (mut out, d) = (Local::default(), local_cotangents(anchors.len()));
+    let (mut out, d) = (LocalAnchors::default(), local_cotangents(anchors.len()));
     gad.clear_grads();
     anchors.clear_grads();
     gad.forward(anchors, t, tape, &mut out);
@@ -299,19 +299,19 @@ fn threads_and_warm_tapes_change_no_bit() {
     }
 }
 
-/// One `Local` per interval is an exact cache: the splats of any later visit are the same bits.
+/// One `LocalAnchors` per interval is an exact cache: the splats of any later visit are the same bits.
 #[test]
 fn a_local_kept_per_interval_is_exact() {
     let (gad, anchors) = (gad(&small(), 2), anchors(400, 2));
     let decoder = Decoder::new(&DecoderConfig::default(), shape(2), 5).unwrap();
-    let (mut tape, mut local) = (GadTape::default(), Local::default());
+    let (mut tape, mut local) = (GadTape::default(), LocalAnchors::default());
     let times = [0.0, 0.25, 0.5, 0.75].map(|t| Time { normalised: t, seconds: t.into() });
     let kept = times.map(|t| {
         gad.forward(&anchors, t, &mut tape, &mut local);
         local.clone()
     });
     for (t, kept) in times.into_iter().zip(&kept).rev() {
-        let (mut fresh, mut a, mut b) = (Local::default(), Splats::default(), Splats::default());
+        let (mut fresh, mut a, mut b) = (LocalAnchors::default(), Splats::default(), Splats::default());
         gad.forward(&anchors, t, &mut GadTape::default(), &mut fresh);
         decoder.forward(&fresh, Visible::All, EYE, &mut DecodeTape::default(), &mut a);
         decoder.forward(kept, Visible::All, EYE, &mut DecodeTape::default(), &mut b);

@@ -8,7 +8,7 @@
 use gs_core::nn::gemm::{Mat, MatMut, Write, gemm};
 use gs_core::nn::map_reference::{RefMap, conv};
 use gs_core::nn::{Conv, ConvSpec, Init, Map, Sites};
-use gs_core::speed::{SpeedError, median_seconds};
+use gs_core::speed::{BenchRow, median_seconds};
 use gs_core::{Params, Rng};
 use rayon::prelude::*;
 
@@ -60,7 +60,7 @@ fn measured(
     f: impl FnMut(),
 ) -> f64 {
     let ms = 1e3 * median_seconds(RUNS, f);
-    let row = SpeedError {
+    let row = BenchRow {
         krate: "gs-core",
         case: case.to_owned(),
         variant: variant.to_owned(),
@@ -71,7 +71,7 @@ fn measured(
         error: error.map(|e| e.0),
         error_kind: error.map_or("none", |e| e.1),
     };
-    row.keep(env!("CARGO_MANIFEST_DIR"));
+    row.append(env!("CARGO_MANIFEST_DIR"));
     work / ms / 1e6
 }
 
@@ -157,7 +157,7 @@ fn sparse() {
         let radius2 = (side * side * fill) as f64 / 100.0 / std::f64::consts::PI;
         let centre = side as f64 / 2.0;
         let inside = |y: usize, x: usize| (y as f64 - centre).powi(2) + (x as f64 - centre).powi(2) < radius2;
-        let sites = Sites::where_(side, side, |y, x| fill == 100 || inside(y, x));
+        let sites = Sites::from_fn(side, side, |y, x| fill == 100 || inside(y, x));
         layer.forward(&x, &mut part, &sites);
         let differs =
             (0..side).any(|y| sites.row(y).iter().any(|&x| part.pixel(y, x as usize) != dense.pixel(y, x as usize)));

@@ -6,7 +6,7 @@
 use criterion::{Criterion, Throughput};
 use glam::Vec3;
 use gs_core::io::{Limits, RawSplats, parse_splats, ply, splat, spz};
-use gs_core::speed::{SpeedError, median_seconds};
+use gs_core::speed::{BenchRow, median_seconds};
 use gs_core::{Rng, covariance, rot, sh};
 use std::hint::black_box;
 
@@ -41,7 +41,7 @@ struct Case<'a> {
 /// Measures the case and appends its row.
 fn record(case: &mut Case<'_>) {
     let ms = 1e3 * median_seconds(REPEATS, &mut case.run);
-    let row = SpeedError {
+    let row = BenchRow {
         krate: "gs-core",
         case: case.case.into(),
         variant: case.variant.into(),
@@ -52,7 +52,7 @@ fn record(case: &mut Case<'_>) {
         error: Some(case.error),
         error_kind: case.error_kind,
     };
-    row.keep(env!("CARGO_MANIFEST_DIR"));
+    row.append(env!("CARGO_MANIFEST_DIR"));
 }
 
 fn file_cases(splats: &RawSplats) -> Vec<Case<'_>> {
@@ -121,7 +121,7 @@ fn covariances(splats: &RawSplats) -> f32 {
 fn rotated(splats: &RawSplats) -> Vec<f32> {
     let mut coeffs = splats.sh.clone();
     for (row, q) in coeffs.chunks_exact_mut(48).zip(&splats.quats) {
-        sh::ShTurn::new(&rot::matrix(rot::normalise(*q).wxyz), 3).apply(row);
+        sh::ShRotation::new(&rot::matrix(rot::normalise(*q).wxyz), 3).apply(row);
     }
     coeffs
 }
@@ -132,7 +132,7 @@ fn rotated_error(splats: &RawSplats) -> f64 {
     let rows = rows.chunks_exact(48).zip(splats.sh.chunks_exact(48)).zip(&splats.quats);
     let worst = rows.map(|((got, sh), q)| {
         let mut wide: Vec<f64> = sh.iter().map(|v| f64::from(*v)).collect();
-        sh::ShTurn::new(&rot::matrix(rot::normalise(q.map(f64::from)).wxyz), 3).apply(&mut wide);
+        sh::ShRotation::new(&rot::matrix(rot::normalise(q.map(f64::from)).wxyz), 3).apply(&mut wide);
         got.iter().zip(&wide).map(|(a, b)| (f64::from(*a) - b).abs()).fold(0.0, f64::max)
     });
     worst.fold(0.0, f64::max)

@@ -1,16 +1,16 @@
 //! Kernel profiles: the function `ψ` from the Gaussian of the distance to alpha.
 //!
-//! [`Kernel`] holds the columns of a scene; [`Bend`] is the profile of one row, in a form that all kernels other than the
+//! [`Kernel`] holds the columns of a scene; [`Profile`] is the profile of one row, in a form that all kernels other than the
 //! Gaussian share; [`BetaMode`] bounds the β of the frequency kernel.
 //!
 //! ```
-//! use gs_core::kernel::Bend;
+//! use gs_core::kernel::Profile;
 //!
 //! // λ = ½ is the Gaussian, exactly; λ above ½ is steeper around half height.
-//! assert_eq!(Bend::frequency(0.5, 0.7).psi(0.3), 0.3);
-//! assert!(Bend::frequency(0.9, 0.5).psi(0.3) < 0.3);
+//! assert_eq!(Profile::frequency(0.5, 0.7).psi(0.3), 0.3);
+//! assert!(Profile::frequency(0.9, 0.5).psi(0.3) < 0.3);
 //! // The Gaussian meets α = 1/255 at the Mahalanobis distance √(2 ln 255) = 3.33.
-//! let g = Bend::acutance(0.0).support(1.0 / 255.0).unwrap();
+//! let g = Profile::acutance(0.0).support(1.0 / 255.0).unwrap();
 //! assert!(((-2.0 * g.ln()).sqrt() - 3.329).abs() < 1e-3);
 //! ```
 
@@ -22,7 +22,7 @@ mod tests;
 
 pub(crate) use beta::effective_beta_vjp;
 pub use beta::{BetaMode, effective_beta};
-pub use profile::{Bend, Partials, acutance_vjp, frequency_vjp};
+pub use profile::{Partials, Profile, acutance_vjp, frequency_vjp};
 
 /// Kernel of the splats of a scene: `alpha = opacity · ψ(g)` with the Gaussian `g = exp(−½ d²)` of the Mahalanobis
 /// distance `d`.
@@ -65,17 +65,17 @@ impl Kernel {
 
     /// The profile of one row; `None` for the Gaussian.
     #[inline(always)]
-    pub fn bend(&self, row: usize) -> Option<Bend<f64>> {
+    pub fn bend(&self, row: usize) -> Option<Profile<f64>> {
         match self {
             Kernel::Gaussian => None,
             Kernel::Frequency { lambdas, betas } => {
-                Some(Bend::frequency(f64::from(lambdas[row]), f64::from(betas[row])))
+                Some(Profile::frequency(f64::from(lambdas[row]), f64::from(betas[row])))
             }
-            Kernel::Acutance { acutances } => Some(Bend::acutance(f64::from(acutances[row]))),
+            Kernel::Acutance { acutances } => Some(Profile::acutance(f64::from(acutances[row]))),
         }
     }
 
-    /// Whether every row renders as a Gaussian, to the bit (`u = 0`, see [`Bend`]).
+    /// Whether every row renders as a Gaussian, to the bit (`u = 0`, see [`Profile`]).
     pub fn is_neutral(&self) -> bool {
         match self {
             Kernel::Gaussian => true,

@@ -11,7 +11,7 @@
 //! * **Units**: world units as the data give them; time in seconds beside normalised `[0, 1]` ([`Time`]).
 //! * **Rendering constants** are those of 3DGS, fields of the options of gs-raster: `α ≤ 0.99`, samples below
 //!   `α = 1/255` are skipped, a pixel stops at transmittance `1e-4`, dilation 0.3 pixels². The radius of a splat inverts
-//!   its kernel at `α = 1/255` ([`kernel::Bend::support`]).
+//!   its kernel at `α = 1/255` ([`kernel::Profile::support`]).
 //! * **Numbers**: `f32` in production; `f64` in references, cameras, clocks, reductions and least squares.
 //! * **Finite values** are checked once at the border ([`Splats::check`], [`Camera::check`], the readers); inside they
 //!   are an invariant.

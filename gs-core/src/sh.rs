@@ -21,7 +21,7 @@ use crate::real::{Real, dot3};
 
 mod rotation;
 
-pub use rotation::ShTurn;
+pub use rotation::ShRotation;
 
 /// Coefficients per channel at the highest degree, 3.
 pub const MAX_COEFFS: usize = 16;

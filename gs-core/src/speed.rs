@@ -1,9 +1,9 @@
 //! The row that every bench writes, time beside error, and the medians it is made of.
 //!
 //! ```
-//! use gs_core::speed::{SpeedError, median_seconds};
+//! use gs_core::speed::{BenchRow, median_seconds};
 //!
-//! let row = SpeedError {
+//! let row = BenchRow {
 //!     krate: "gs-core",
 //!     case: "sum".into(),
 //!     variant: "f32".into(),
@@ -23,8 +23,8 @@ use std::time::{Duration, Instant};
 
 /// One measured case: a row of a table of time against error. All crates use this shape, so one plot can hold them all.
 #[derive(Clone, Debug, PartialEq)]
-pub struct SpeedError {
-    /// Name of the measured crate; also names the file of [`SpeedError::record`].
+pub struct BenchRow {
+    /// Name of the measured crate; also names the file of [`BenchRow::record`].
     pub krate: &'static str,
     /// The operation and its input, such as `sh basis`.
     pub case: String,
@@ -44,7 +44,7 @@ pub struct SpeedError {
     pub error_kind: &'static str,
 }
 
-impl SpeedError {
+impl BenchRow {
     /// The row as one line of JSON, without a line break; numbers that are not finite become `null`.
     pub fn to_json(&self) -> String {
         let number = |v: f64| if v.is_finite() { format!("{v:e}") } else { "null".to_owned() };
@@ -71,7 +71,7 @@ impl SpeedError {
 
     /// Prints the row and appends it to `target/speed-error` beside the crate whose folder `manifest` is
     /// (`env!("CARGO_MANIFEST_DIR")`). A write error is printed and does not stop the bench.
-    pub fn keep(&self, manifest: &str) {
+    pub fn append(&self, manifest: &str) {
         let folder = Path::new(manifest).join("../target/speed-error");
         if let Err(e) = self.record(&folder) {
             eprintln!("cannot append to {}: {e}", folder.display());
@@ -79,7 +79,7 @@ impl SpeedError {
     }
 }
 
-impl std::fmt::Display for SpeedError {
+impl std::fmt::Display for BenchRow {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let rate = self.work / self.ms * 1e-6;
         write!(f, "{:<10} {:<26} {:<22}", self.krate, self.case, self.variant)?;
@@ -107,12 +107,12 @@ pub fn median_seconds(runs: usize, mut work: impl FnMut()) -> f64 {
 
 /// Stopwatch for the closure of criterion's `iter_custom`: keeps the time of each round, so that a row can show the median.
 #[derive(Clone, Debug, Default)]
-pub struct Laps {
+pub struct Stopwatch {
     /// Milliseconds per call, one entry per round.
     times: Vec<f64>,
 }
 
-impl Laps {
+impl Stopwatch {
     /// One round: calls `work` `calls` times and returns the total time.
     pub fn run(&mut self, calls: u64, mut work: impl FnMut()) -> Duration {
         let start = Instant::now();
@@ -136,7 +136,7 @@ mod tests {
 
     #[test]
     fn the_median_is_that_of_the_rounds() {
-        let (mut laps, mut calls) = (Laps::default(), 0);
+        let (mut laps, mut calls) = (Stopwatch::default(), 0);
         assert_eq!(laps.median_ms(), None);
         let spent: Vec<Duration> = [3, 1, 2].map(|n| laps.run(n, || calls += 1)).into();
         let each = |k: usize, n: f64| spent[k].as_secs_f64() * 1e3 / n;
@@ -147,7 +147,7 @@ mod tests {
 
     #[test]
     fn rows_are_json_and_unknown_errors_are_null() {
-        let mut row = SpeedError {
+        let mut row = BenchRow {
             krate: "gs-core",
             case: "sum".into(),
             variant: "pair\"wise".into(),

@@ -35,7 +35,7 @@ fn inside(map: &Map) -> Vec<f32> {
 
 /// About two thirds of the pixels.
 fn some(height: usize, width: usize) -> Sites {
-    Sites::where_(height, width, |y, x| (y * 7 + x * 3 + y * x) % 3 != 0)
+    Sites::from_fn(height, width, |y, x| (y * 7 + x * 3 + y * x) % 3 != 0)
 }
 
 fn flags(sites: &Sites) -> Vec<bool> {
@@ -253,17 +253,17 @@ fn plain_layers_have_three_level_gradients() {
             name: "upsample",
             from: [3, 4, 5],
             to: [6, 8, 5],
-            forward: resample::double,
-            backward: |_, _, dy, dx, sites| resample::double_backward(dy, dx, sites, Write::Set),
-            reference: reference::double,
+            forward: resample::upsample,
+            backward: |_, _, dy, dx, sites| resample::upsample_backward(dy, dx, sites, Write::Set),
+            reference: reference::upsample,
         },
         Plain {
             name: "upsample one pixel",
             from: [1, 1, 2],
             to: [2, 2, 2],
-            forward: resample::double,
-            backward: |_, _, dy, dx, sites| resample::double_backward(dy, dx, sites, Write::Set),
-            reference: reference::double,
+            forward: resample::upsample,
+            backward: |_, _, dy, dx, sites| resample::upsample_backward(dy, dx, sites, Write::Set),
+            reference: reference::upsample,
         },
         Plain {
             name: "concatenate with itself",
@@ -335,7 +335,7 @@ fn one_of_equal_maxima_gets_the_gradient_of_a_pool() {
 fn a_ramp_stays_a_ramp_when_upsampled() {
     let (mut x, mut y) = (Map::zeros(4, 8, 1, 0), Map::zeros(8, 16, 1, 0));
     x.load(&(0..32).map(|i| (i % 8) as f32 + 10.0 * (i / 8) as f32).collect::<Vec<_>>());
-    resample::double(&x, &mut y, &Sites::full(8, 16));
+    resample::upsample(&x, &mut y, &Sites::full(8, 16));
     for row in 1..7 {
         for at in 1..15 {
             let want = (at as f32 - 0.5) / 2.0 + 10.0 * (row as f32 - 0.5) / 2.0;

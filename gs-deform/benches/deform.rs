@@ -8,7 +8,7 @@ use criterion::Criterion;
 use glam::Vec3;
 use gs_core::nn::gemm::{Mat, MatMut, Write, gemm};
 use gs_core::nn::{BLOCK, CHUNKS, Init, Mlp, MlpGrad, MlpTape, blocks_per_chunk};
-use gs_core::speed::{Laps, SpeedError};
+use gs_core::speed::{BenchRow, Stopwatch};
 use gs_core::{Color, Rng, Splats, SplatsGrad, Time};
 use gs_deform::encode::{HexPlane, HexPlaneConfig, HexTape};
 use gs_deform::reference::HexPlaneRef;
@@ -28,12 +28,12 @@ struct Row {
 
 /// Measures `f`, prints the row, appends it, returns the median in milliseconds.
 fn measure(c: &mut Criterion, row: &Row, mut f: impl FnMut()) -> f64 {
-    let mut laps = Laps::default();
+    let mut laps = Stopwatch::default();
     c.bench_function(&format!("{}/{}/{}", row.case, row.variant, row.n), |b| {
         b.iter_custom(|calls| laps.run(calls, &mut f))
     });
     let Some(ms) = laps.median_ms() else { return f64::NAN };
-    let line = SpeedError {
+    let line = BenchRow {
         krate: "gs-deform",
         case: row.case.to_owned(),
         variant: row.variant.to_owned(),
@@ -44,7 +44,7 @@ fn measure(c: &mut Criterion, row: &Row, mut f: impl FnMut()) -> f64 {
         error: Some(row.error),
         error_kind: row.error_kind,
     };
-    line.keep(env!("CARGO_MANIFEST_DIR"));
+    line.append(env!("CARGO_MANIFEST_DIR"));
     ms
 }
 

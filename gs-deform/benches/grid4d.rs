@@ -9,7 +9,7 @@ use glam::{DMat3, DVec3, Vec3};
 use gs_core::nn::gemm::{Mat, MatMut, Write, gemm};
 use gs_core::{Camera, Color, Params, Rng, Splats, SplatsGrad, Time};
 use gs_deform::encode::{Columns, HashGrid, HashGridConfig, Slice};
-use gs_deform::field::grid4d::{ExactConfig, StillOptions};
+use gs_deform::field::grid4d::{ExactConfig, StaticTolerance};
 use gs_deform::reference::Grid4dRef;
 use gs_deform::{DeformError, Field, Grid4dConfig, Grid4dField};
 use rayon::prelude::*;
@@ -232,7 +232,8 @@ fn many_times(s: &Splats) -> Result<(), DeformError> {
     };
     for pixels in [0.0, 0.01, 0.05, 0.2] {
         let mut frozen = field.freeze(s);
-        let report = frozen.keep_static(&StillOptions { pixels, probes: 65, cameras: std::slice::from_ref(&camera) });
+        let report =
+            frozen.keep_static(&StaticTolerance { pixels, probes: 65, cameras: std::slice::from_ref(&camera) });
         let mut worst = 0.0f64;
         for t in [0.03, 0.21, 0.47, 0.55, 0.98] {
             frozen.forward(at_time(t), &mut out);

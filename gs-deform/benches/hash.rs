@@ -7,7 +7,7 @@
 //! (Adam on the table) and reports what is left at other points of the sphere. Both storages are read by one scalar
 //! loop written here, so that their times compare; the fit itself is made in `f32`, as training would, and rounded.
 
-use gs_core::speed::{SpeedError, median_seconds};
+use gs_core::speed::{BenchRow, median_seconds};
 use gs_core::{Params, Rng};
 use gs_deform::encode::{Columns, HashGrid, HashGridConfig, Slice};
 use gs_deform::reference::HashGridRef;
@@ -37,7 +37,7 @@ struct Row<'a> {
 /// Measures, prints and records the nanoseconds per point and level.
 fn row(row: &Row, work: impl FnMut()) {
     let seconds = median_seconds(9, work);
-    let line = SpeedError {
+    let line = BenchRow {
         krate: "gs-deform",
         case: row.case.to_owned(),
         variant: row.variant.to_owned(),
@@ -48,7 +48,7 @@ fn row(row: &Row, work: impl FnMut()) {
         error: Some(row.error),
         error_kind: row.error_kind,
     };
-    line.keep(env!("CARGO_MANIFEST_DIR"));
+    line.append(env!("CARGO_MANIFEST_DIR"));
     println!("    {:.2} ns per point and level", 1e9 * seconds / (POINTS * row.levels) as f64);
 }
 

@@ -140,7 +140,7 @@ fn planes(case: &Case, hex: &HexPlane, points: &[Vec3]) -> [f64; 2] {
         if case.moving {
             hex.forward(points, t(), &mut tape);
         } else {
-            hex.forward_placed(&places, t(), &mut tape);
+            hex.forward_located(&places, t(), &mut tape);
         }
         if back {
             tape.blocks.iter_mut().for_each(|b| b.d_features.resize(b.features.len(), 0.5));
@@ -168,7 +168,7 @@ fn training(case: &Case, roof: f64) -> Result<(), DeformError> {
         if case.moving {
             net.forward(&points, t(), &mut tape);
         } else {
-            net.forward_placed(&places, t(), &mut tape);
+            net.forward_located(&places, t(), &mut tape);
         }
         if back {
             net.backward(&mut tape, case.moving.then_some(d_points.as_mut_slice()));
@@ -192,14 +192,14 @@ fn places() -> Result<(), DeformError> {
     let (hex, mut tape, mut want) = (net.hexplane(), HexTape::default(), HexTape::default());
     let found = hex.place(&points);
     hex.forward(&points, t(), &mut want);
-    hex.forward_placed(&found, t(), &mut tape);
+    hex.forward_located(&found, t(), &mut tape);
     let differs = tape.blocks.iter().zip(&want.blocks).any(|(a, b)| a.features != b.features);
     let error = Some((f64::from(u8::from(differs)), "1 if a bit differs"));
     let anew = ROWS.measured("planes, points that stay", "placed anew", POINTS as f64, error, || {
         hex.forward(&points, t(), &mut tape);
     });
     let once = ROWS.measured("planes, points that stay", "placed once", POINTS as f64, error, || {
-        hex.forward_placed(&found, t(), &mut want);
+        hex.forward_located(&found, t(), &mut want);
     });
     println!("    forward pass of the planes in {:.0} % of the time", 100.0 * once / anew);
     Ok(())

@@ -279,7 +279,7 @@ pub fn pick(splats: &Splats, rows: &[u32]) -> Splats {
 }
 
 /// Writes means, quaternions and scales of [`pick`]ed splats back to their rows of `out`.
-pub fn put_back(picked: &Splats, rows: &[u32], out: &mut Splats) {
+pub fn scatter_rows(picked: &Splats, rows: &[u32], out: &mut Splats) {
     for (i, row) in rows.iter().map(|r| *r as usize).enumerate() {
         out.means[row] = picked.means[i];
         out.quats[row] = picked.quats[i];

@@ -16,7 +16,7 @@ use glam::Vec3;
 use gs_core::nn::BLOCK;
 use gs_core::{Camera, Color, Params, Rng, Splats, SplatsGrad};
 use gs_deform::encode::HashGridConfig;
-use gs_deform::field::grid4d::{ExactConfig, FourierConfig, Fusion, GateConfig, GateMode, StillOptions, WaveTime};
+use gs_deform::field::grid4d::{ExactConfig, FourierConfig, Fusion, GateConfig, GateMode, StaticTolerance, WaveTime};
 use gs_deform::reference::Grid4dRef;
 use gs_deform::{DeformError, Field, Grid4dConfig, Grid4dField};
 use support::{cotangents, row, time};
@@ -343,7 +343,7 @@ fn static_splats_are_within_their_bound() {
     let mut counts = Vec::new();
     for pixels in [0.0, 0.2, 2.0, 20.0] {
         let mut frozen = field.freeze(&s);
-        let report = frozen.keep_static(&StillOptions { pixels, probes: 9, cameras: &cameras });
+        let report = frozen.keep_static(&StaticTolerance { pixels, probes: 9, cameras: &cameras });
         assert!(report.bound_pixels <= pixels && report.splats == 600 && report.probes == 9);
         let (mut out, mut want) = (Splats::default(), Splats::default());
         for probe in 0..9 {

@@ -270,7 +270,7 @@ fn placed_points_change_no_bit() {
     assert_eq!((places.len(), places.is_empty()), (means.len(), false));
     for t in [0.0, 0.7, 1.0] {
         let want = step(&mut net, &mut plain, |net, tape| net.forward(&means, time(t), tape), means.len());
-        let got = step(&mut net, &mut placed, |net, tape| net.forward_placed(&places, time(t), tape), means.len());
+        let got = step(&mut net, &mut placed, |net, tape| net.forward_located(&places, time(t), tape), means.len());
         assert!(want == got, "t = {t}");
         net.visit_mut(&mut |p| p.value.iter_mut().for_each(|v| *v *= 1.01));
         // A tape that shares cells makes its own for other points without changing the shared ones.

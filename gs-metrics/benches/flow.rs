@@ -6,7 +6,7 @@ mod frames;
 
 use std::hint::black_box;
 
-use gs_core::speed::{SpeedError, median_seconds};
+use gs_core::speed::{BenchRow, median_seconds};
 use gs_metrics::flow::{Expansion, Farneback, Flow};
 use gs_metrics::{Tof, TofOptions};
 
@@ -25,7 +25,7 @@ fn off(flow: &Flow) -> f64 {
 fn measure(case: &str, variant: &str, error: Option<f64>, mut f: impl FnMut() + Send) {
     for threads in [1, 2] {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
-        let row = SpeedError {
+        let row = BenchRow {
             krate: "gs-metrics",
             case: case.to_owned(),
             variant: variant.to_owned(),
@@ -36,7 +36,7 @@ fn measure(case: &str, variant: &str, error: Option<f64>, mut f: impl FnMut() + 
             error,
             error_kind: "largest, pixels, against OpenCV",
         };
-        row.keep(env!("CARGO_MANIFEST_DIR"));
+        row.append(env!("CARGO_MANIFEST_DIR"));
     }
 }
 

@@ -10,7 +10,7 @@ use std::hint::black_box;
 
 use criterion::Criterion;
 use fourier::amplitude_loss64;
-use gs_core::speed::{SpeedError, median_seconds};
+use gs_core::speed::{BenchRow, median_seconds};
 use gs_core::{Image, Rng};
 use gs_metrics::{AmplitudeLoss, MsSsim, MsSsimOptions, Padding, Ssim, SsimOptions, mse, perceptual_proxy};
 use reference::{Image64, mean_ssim64, relative_l2, ssim_grad64};
@@ -39,7 +39,7 @@ fn measure(criterion: &mut Criterion, row: &Row, mut f: impl FnMut() + Send) {
     for threads in [1, 2] {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
         let seconds = pool.install(|| median_seconds(15, &mut f));
-        let line = SpeedError {
+        let line = BenchRow {
             krate: "gs-metrics",
             case: row.case.to_owned(),
             variant: row.variant.to_owned(),
@@ -50,7 +50,7 @@ fn measure(criterion: &mut Criterion, row: &Row, mut f: impl FnMut() + Send) {
             error: row.error,
             error_kind: row.error_kind,
         };
-        line.keep(env!("CARGO_MANIFEST_DIR"));
+        line.append(env!("CARGO_MANIFEST_DIR"));
         let name = format!("{}/{}/{}px/{}t", row.case, row.variant, row.side, threads);
         criterion.bench_function(&name, |b| b.iter(|| pool.install(&mut f)));
     }

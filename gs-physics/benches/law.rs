@@ -8,13 +8,13 @@
 mod particles;
 
 use glam::Vec3;
-use gs_core::speed::{SpeedError, median_seconds};
+use gs_core::speed::{BenchRow, median_seconds};
 use gs_core::{Params, Rng};
 use gs_physics::pinn::point;
 use gs_physics::reference::Pose;
 use gs_physics::reference::law::LawRef;
 use gs_physics::reference::velocity::VelocityRef;
-use gs_physics::{Dynamics, Integrator, Law, LawConfig, LawForm, Moves, VelocityConfig, VelocityField};
+use gs_physics::{Dynamics, Integrator, Law, LawConfig, LawForm, ParticleState, VelocityConfig, VelocityField};
 use particles::{CENTROID, cotangents, points, start};
 
 const N: usize = 20_000;
@@ -27,7 +27,7 @@ const BOUNDS: [Vec3; 2] = [Vec3::NEG_ONE, Vec3::ONE];
 
 /// Measures `f`, prints the row with the median, and records it.
 fn row(case: &str, variant: &str, (n, work): (usize, f64), (error, error_kind): (f64, &'static str), f: impl FnMut()) {
-    let line = SpeedError {
+    let line = BenchRow {
         krate: "gs-physics",
         case: case.to_owned(),
         variant: variant.to_owned(),
@@ -38,7 +38,7 @@ fn row(case: &str, variant: &str, (n, work): (usize, f64), (error, error_kind): 
         error: Some(error),
         error_kind,
     };
-    line.keep(env!("CARGO_MANIFEST_DIR"));
+    line.append(env!("CARGO_MANIFEST_DIR"));
 }
 
 /// Sets weights of the size of trained ones, so that particles move.
@@ -57,13 +57,13 @@ fn errors<D: Dynamics>(
     gradient: impl Fn([f64; 3], Pose) -> Vec<Vec<f64>>,
 ) -> [f64; 2] {
     let (x, d) = (points(COMPARED), cotangents(COMPARED));
-    let (mut tape, mut out) = (D::Tape::default(), Moves::default());
+    let (mut tape, mut out) = (D::Tape::default(), ParticleState::default());
     dynamics.clear_grads();
-    dynamics.transport(start(&x, SPAN[0]), SPAN[1], &mut tape, &mut out);
-    dynamics.transport_backward(start(&x, SPAN[0]), &mut tape, &d);
+    dynamics.integrate(start(&x, SPAN[0]), SPAN[1], &mut tape, &mut out);
+    dynamics.integrate_backward(start(&x, SPAN[0]), &mut tape, &d);
     let mut worst = [0.0f64; 2];
     let mut want: Vec<Vec<f64>> = Vec::new();
-    let ends = out.means.iter().zip(&out.turns).zip(d.means.iter().zip(&d.turns));
+    let ends = out.means.iter().zip(&out.rotations).zip(d.means.iter().zip(&d.rotations));
     for (x, ((mean, turn), (d_mean, d_turn))) in x.iter().zip(ends) {
         let at = x.as_dvec3().to_array();
         let want_pose = transport(at);
@@ -94,13 +94,13 @@ fn relative(got: &[f32], want: &[f64]) -> f64 {
 /// Rows of one step of training. `products`: multiply-adds of a particle forward and backward.
 fn train<D: Dynamics>(case: &str, mut dynamics: D, products: [usize; 2], [value, gradient]: [f64; 2]) {
     let (x, d) = (points(N), cotangents(N));
-    let (mut tape, mut out) = (D::Tape::default(), Moves::default());
+    let (mut tape, mut out) = (D::Tape::default(), ParticleState::default());
     let work = |k: usize| (N, 2.0 * (products[k] * N) as f64);
     row(case, "forward", work(0), (value, "positions and rotations against f64"), || {
-        dynamics.transport(start(&x, SPAN[0]), SPAN[1], &mut tape, &mut out);
+        dynamics.integrate(start(&x, SPAN[0]), SPAN[1], &mut tape, &mut out);
     });
     row(case, "backward", work(1), (gradient, "weights' gradients relative to f64"), || {
-        dynamics.transport_backward(start(&x, SPAN[0]), &mut tape, &d);
+        dynamics.integrate_backward(start(&x, SPAN[0]), &mut tape, &d);
     });
 }
 
@@ -115,7 +115,7 @@ fn law(case: &str, config: &LawConfig) -> Result<(), Box<dyn std::error::Error>>
     randomise_weights(&mut law);
     let mut reference = LawRef::new(&law);
     reference.centroid = CENTROID.as_dvec3().to_array();
-    let transport = |x| reference.transport(x, SPAN);
+    let transport = |x| reference.integrate(x, SPAN);
     let gradient = |x, d| {
         let mut grad = reference.net.zeros();
         reference.gradient(x, SPAN, d, &mut grad);
@@ -132,7 +132,7 @@ fn velocity(case: &str, config: &VelocityConfig) -> Result<(), Box<dyn std::erro
     let mut field = VelocityField::new(config, BOUNDS, STEP, 1)?;
     randomise_weights(&mut field);
     let reference = VelocityRef::new(&field);
-    let transport = |x| reference.transport(x, SPAN);
+    let transport = |x| reference.integrate(x, SPAN);
     let gradient = |x, d| {
         let mut grad = reference.net.zeros();
         reference.gradient(x, SPAN, d, &mut grad);

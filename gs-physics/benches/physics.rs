@@ -7,10 +7,10 @@
 use criterion::Criterion;
 use glam::Vec3;
 use gs_core::Rng;
-use gs_core::speed::{Laps, SpeedError};
-use gs_physics::groups::FREE;
+use gs_core::speed::{BenchRow, Stopwatch};
+use gs_physics::groups::UNGROUPED;
 use gs_physics::truth::{self, Truth};
-use gs_physics::{ClassRule, Extrapolator, Groups, Integrator, Motion, Moves, RollTape, Rollout, Twist};
+use gs_physics::{ClassRule, Extrapolator, Groups, Integrator, Motion, ParticleState, RollTape, Rollout, Twist};
 use std::time::Duration;
 
 const PARTICLES: usize = 50_000;
@@ -38,12 +38,12 @@ struct Row {
 
 /// Measures `f`, prints the row with the median, and records it.
 fn measure(c: &mut Criterion, row: Row, mut f: impl FnMut()) {
-    let mut laps = Laps::default();
+    let mut laps = Stopwatch::default();
     c.bench_function(&format!("{}/{}/{PARTICLES}", row.case, row.variant), |b| {
         b.iter_custom(|calls| laps.run(calls, &mut f))
     });
     let Some(ms) = laps.median_ms() else { return };
-    let line = SpeedError {
+    let line = BenchRow {
         krate: "gs-physics",
         case: row.case,
         variant: row.variant.to_owned(),
@@ -54,7 +54,7 @@ fn measure(c: &mut Criterion, row: Row, mut f: impl FnMut()) {
         error: Some(row.error),
         error_kind: row.error_kind,
     };
-    line.keep(env!("CARGO_MANIFEST_DIR"));
+    line.append(env!("CARGO_MANIFEST_DIR"));
 }
 
 /// The particle of a truth, many times over.
@@ -67,7 +67,7 @@ struct Cloud {
 impl Cloud {
     fn of(truth: &Truth) -> Self {
         let start = Vec3::from_array(truth.start.map(|v| v as f32));
-        let motions = vec![truth.motion.narrowed(); PARTICLES];
+        let motions = vec![truth.motion.to_f32(); PARTICLES];
         Self { motions, means: vec![start; PARTICLES], quats: vec![UNIT; PARTICLES] }
     }
 }
@@ -81,7 +81,7 @@ fn integrators(c: &mut Criterion, truth: &Truth, threads: usize) -> Result<(), F
         let rollout = Rollout { rule, dt: truth.span / STEPS, origin: Vec3::ZERO };
         let (mut means, mut quats) = (cloud.means.clone(), cloud.quats.clone());
         rollout.advance(&cloud.motions, span, &mut means, &mut quats);
-        let error = truth.miss(means[0].as_dvec3().to_array());
+        let error = truth.position_error(means[0].as_dvec3().to_array());
         let (case, work) = (truth.name.into(), PARTICLES as f64 * STEPS);
         measure(c, Row { case, variant, work, threads, error, error_kind: "from truth" }, || {
             means.copy_from_slice(&cloud.means);
@@ -96,7 +96,10 @@ fn integrators(c: &mut Criterion, truth: &Truth, threads: usize) -> Result<(), F
 fn training(c: &mut Criterion) {
     let truth = truth::tumble();
     let cloud = Cloud::of(&truth);
-    let d = Moves { means: vec![Vec3::new(0.3, -0.5, 0.7); PARTICLES], turns: vec![[0.1, 0.4, -0.2, 0.6]; PARTICLES] };
+    let d = ParticleState {
+        means: vec![Vec3::new(0.3, -0.5, 0.7); PARTICLES],
+        rotations: vec![[0.1, 0.4, -0.2, 0.6]; PARTICLES],
+    };
     let span = [0.0, 1.0 / 15.0];
     for (rule, variant) in [(Integrator::Rk2, "rk2, 2 steps"), (Integrator::Se3Mid, "se3 mid, 2 steps")] {
         let rollout = Rollout { rule, dt: 1.0 / 30.0, origin: Vec3::ZERO };
@@ -110,7 +113,7 @@ fn training(c: &mut Criterion) {
         };
         go(&mut grads);
         let pose = (truth.start, UNIT.map(f64::from));
-        let weight = (d.means[0].as_dvec3().to_array(), d.turns[0].map(f64::from));
+        let weight = (d.means[0].as_dvec3().to_array(), d.rotations[0].map(f64::from));
         let (want, _) = gs_physics::reference::adjoint(&rollout, &truth.motion, span, pose, weight);
         let largest = want.to_array().iter().fold(0.0f64, |a, v| a.max(v.abs()));
         let off = grads[0].to_array().into_iter().zip(want.to_array()).map(|(g, w)| (f64::from(g) - w).abs());
@@ -133,16 +136,18 @@ fn scene() -> (Vec<Motion<f32>>, Vec<Vec3>, Vec<u32>) {
         let body = (i / 8) % 3;
         let still = Twist::default();
         let (motion, label) = match i % 8 {
-            0..4 => (Motion::default(), FREE),
-            4 | 5 => (bodies[body].narrowed(), body as u32),
+            0..4 => (Motion::default(), UNGROUPED),
+            4 | 5 => (bodies[body].to_f32(), body as u32),
             6 => {
                 let flies = |v| Twist { v, w: [0.0; 3] };
-                (Motion { twist: flies(vec(1.0)), rate: flies([0.0, 0.0, -9.81]), jerk: still }, FREE)
+                (Motion { twist: flies(vec(1.0)), rate: flies([0.0, 0.0, -9.81]), jerk: still }, UNGROUPED)
             }
-            _ if i % 16 == 7 => (Motion { twist: Twist { v: vec(1.0), w: vec(3.0) }, rate: still, jerk: still }, FREE),
+            _ if i % 16 == 7 => {
+                (Motion { twist: Twist { v: vec(1.0), w: vec(3.0) }, rate: still, jerk: still }, UNGROUPED)
+            }
             _ => {
                 let twist = |vec: &mut dyn FnMut(f32) -> [f32; 3]| Twist { v: vec(1.0), w: vec(1.0) };
-                (Motion { twist: twist(&mut vec), rate: twist(&mut vec), jerk: still }, FREE)
+                (Motion { twist: twist(&mut vec), rate: twist(&mut vec), jerk: still }, UNGROUPED)
             }
         };
         motions.push(motion);

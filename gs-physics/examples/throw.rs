@@ -23,14 +23,14 @@ const UNIT: [f32; 4] = [1.0, 0.0, 0.0, 0.0];
 fn particle(truth: &Truth, rule: Integrator, steps: u32) -> Result<Extrapolator, RowsError> {
     let start = Vec3::from_array(truth.start.map(|v| v as f32));
     let rollout = Rollout { rule, dt: truth.span / f64::from(steps), origin: Vec3::ZERO };
-    Extrapolator::new(rollout, 0.0, vec![truth.motion.narrowed()], vec![start], vec![UNIT])
+    Extrapolator::new(rollout, 0.0, vec![truth.motion.to_f32()], vec![start], vec![UNIT])
 }
 
 /// Distance of the particle's end from the exact one.
-fn miss(truth: &Truth, rule: Integrator, steps: u32) -> Result<f64, RowsError> {
+fn position_error(truth: &Truth, rule: Integrator, steps: u32) -> Result<f64, RowsError> {
     let mut particle = particle(truth, rule, steps)?;
     let (means, _) = particle.at(truth.span);
-    Ok(truth.miss(means[0].as_dvec3().to_array()))
+    Ok(truth.position_error(means[0].as_dvec3().to_array()))
 }
 
 fn table(what: &str, truth: &Truth) -> Result<(), RowsError> {
@@ -42,7 +42,7 @@ fn table(what: &str, truth: &Truth) -> Result<(), RowsError> {
     for rule in RULES {
         print!("{:<12}", format!("{rule:?}"));
         for n in STEPS {
-            print!("{:>11.1e}", miss(truth, rule, n)?);
+            print!("{:>11.1e}", position_error(truth, rule, n)?);
         }
         println!();
     }

@@ -9,7 +9,7 @@
 //! ```
 //! (the difference `e` obeys `e' = Δu + w×e`, and `w×e` does not lengthen `e`). `D = |c₀|H + ½|c₁|H² + ⅙|c₂|H³` bounds the
 //! displacement of the particle, of the motion or of the model, whichever is less; `r` is how much its splat changes per
-//! radian ([`turn_reach`]). A translation follows the particle's own Taylor series to the third order instead: its error is
+//! radian ([`rotation_sensitivity`]). A translation follows the particle's own Taylor series to the third order instead: its error is
 //! at most `sup|x''''| H⁴/24`, plus `r` times the rotation, which is dropped. All bounds are against the exact path;
 //! roll-outs differ from that by the error of their integrator.
 
@@ -68,12 +68,12 @@ pub struct Classified {
 
 /// World units by which the extent of a splat changes at most per radian of rotation: its largest less its smallest scale.
 /// 0 for round splats, whose orientation does not matter.
-pub fn turn_reach(scales: Vec3) -> f32 {
+pub fn rotation_sensitivity(scales: Vec3) -> f32 {
     scales.max_element() - scales.min_element()
 }
 
 impl ClassRule {
-    /// The class of a particle at `x` (relative to the origin of twists). `reach` is its [`turn_reach`].
+    /// The class of a particle at `x` (relative to the origin of twists). `reach` is its [`rotation_sensitivity`].
     pub fn classify(&self, motion: &Motion<f64>, x: [f64; 3], reach: f64) -> Classified {
         let local = motion.shifted(x);
         let about = |model: Motion<f64>| model.shifted(scale(x, -1.0));
@@ -105,7 +105,7 @@ impl ClassRule {
         same_rows("motions", motions.len(), means.len())?;
         same_rows("reaches", reach.len(), means.len())?;
         let one = |((m, x), r): ((&Motion<f32>, &Vec3), &f32)| {
-            self.classify(&m.widened(), (*x - origin).as_dvec3().to_array(), f64::from(*r))
+            self.classify(&m.to_f64(), (*x - origin).as_dvec3().to_array(), f64::from(*r))
         };
         Ok(motions.par_iter().zip(means).zip(reach).with_min_len(256).map(one).collect())
     }
@@ -205,7 +205,12 @@ mod tests {
             let found = rule(t.span).classify(&t.motion, t.start, 0.1);
             assert_eq!(found.class, class, "{}", t.name);
             if let Some((x, q)) = found.closed_form(t.span, t.start) {
-                assert!(t.miss(x) < 1e-13 && t.rotation_error(q) < 1e-13, "{}: {}", t.name, t.miss(x));
+                assert!(
+                    t.position_error(x) < 1e-13 && t.rotation_error(q) < 1e-13,
+                    "{}: {}",
+                    t.name,
+                    t.position_error(x)
+                );
             }
         }
         assert_eq!(rule(1.0).classify(&Motion::default(), [1.0; 3], 1.0).class, MotionClass::Static);
@@ -258,8 +263,8 @@ mod tests {
 
     #[test]
     fn round_splats_do_not_change_by_rotation() {
-        assert_eq!(turn_reach(Vec3::new(0.25, 1.0, 0.5)), 0.75);
-        assert_eq!(turn_reach(Vec3::splat(0.3)), 0.0);
+        assert_eq!(rotation_sensitivity(Vec3::new(0.25, 1.0, 0.5)), 0.75);
+        assert_eq!(rotation_sensitivity(Vec3::splat(0.3)), 0.0);
         let rule = ClassRule { tolerance: 1e-6, horizon: 1.0 };
         let spins = Motion { twist: Twist { v: [0.0; 3], w: [0.0, 0.0, 5.0] }, ..Motion::default() };
         assert_eq!(rule.classify(&spins, [0.0; 3], 0.0).class, MotionClass::Static, "a ball on its axis");

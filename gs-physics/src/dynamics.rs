@@ -5,22 +5,22 @@ use crate::twist::Motion;
 use glam::Vec3;
 use gs_core::Params;
 
-/// Particles after [`Dynamics::transport`], or the cotangents of that; one row per particle in both columns.
+/// Particles after [`Dynamics::integrate`], or the cotangents of that; one row per particle in both columns.
 #[derive(Clone, Debug, PartialEq, Default)]
-pub struct Moves {
+pub struct ParticleState {
     /// Positions, world units, one per particle.
     pub means: Vec<Vec3>,
     /// World-frame rotations since the start, `(w, x, y, z)`, to be multiplied from the left.
-    pub turns: Vec<[f32; 4]>,
+    pub rotations: Vec<[f32; 4]>,
 }
 
-impl Moves {
+impl ParticleState {
     /// Overwrites all rows, reusing memory.
-    pub(crate) fn set(&mut self, means: &[Vec3], turns: &[[f32; 4]]) {
+    pub(crate) fn set(&mut self, means: &[Vec3], rotations: &[[f32; 4]]) {
         self.means.clear();
         self.means.extend_from_slice(means);
-        self.turns.clear();
-        self.turns.extend_from_slice(turns);
+        self.rotations.clear();
+        self.rotations.extend_from_slice(rotations);
     }
 }
 
@@ -39,15 +39,15 @@ pub struct Start<'a> {
 ///
 /// Positions that go in are constants (no gradient reaches them), as both TRACE and NVFi train it.
 pub trait Dynamics: Params + Send + Sync {
-    /// Activations of one [`Dynamics::transport`] for its backward pass; may be reused.
+    /// Activations of one [`Dynamics::integrate`] for its backward pass; may be reused.
     type Tape: Default + Send + Sync;
 
     /// Integrates particles to time `to`, in either direction, in sub-steps. `to = start.t` gives `start.x` and identity
     /// rotations, bit for bit.
-    fn transport(&self, start: Start<'_>, to: f64, tape: &mut Self::Tape, out: &mut Moves);
+    fn integrate(&self, start: Start<'_>, to: f64, tape: &mut Self::Tape, out: &mut ParticleState);
 
-    /// Backward of [`Dynamics::transport`] from the same start: adds to the gradients of the parameters.
-    fn transport_backward(&mut self, start: Start<'_>, tape: &mut Self::Tape, d: &Moves);
+    /// Backward of [`Dynamics::integrate`] from the same start: adds to the gradients of the parameters.
+    fn integrate_backward(&mut self, start: Start<'_>, tape: &mut Self::Tape, d: &ParticleState);
 
     /// Loss terms that need no image: adds their gradients, gives `(name, value)` with weights applied.
     fn regularise(&mut self, _seed: u64, _step: u32) -> Vec<(&'static str, f32)> {
@@ -59,11 +59,11 @@ pub trait Dynamics: Params + Send + Sync {
 
     /// Whether [`Dynamics::motions`] read at one time hold for all later times (a law), or the network must be evaluated
     /// again at every step (a velocity field).
-    fn rules_ahead(&self) -> bool;
+    fn motions_extrapolate(&self) -> bool;
 
     /// The roll-out that integrates [`Dynamics::motions`]; none where motion has a closed form or the network is evaluated
     /// at every step.
-    fn carried_by(&self) -> Option<Rollout> {
+    fn motion_rollout(&self) -> Option<Rollout> {
         None
     }
 

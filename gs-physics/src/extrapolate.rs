@@ -11,7 +11,7 @@
 
 use crate::blocks::{self, MotionBlock, Run, StateBlock};
 use crate::classes::{ClassRule, MotionClass};
-use crate::groups::{FREE, Groups};
+use crate::groups::{Groups, UNGROUPED};
 use crate::integrator::Integrator;
 use crate::lanes::LANES;
 use crate::rollout::{PARTICLES, Rollout, TASK};
@@ -105,7 +105,7 @@ impl Extrapolator {
     }
 
     /// Advances every particle by the simplest motion within the tolerance of `rule`, or with its group where it has one.
-    /// `reach` is the [`turn_reach`](crate::classes::turn_reach) of every particle. Times beyond the horizon of `rule` are
+    /// `reach` is the [`rotation_sensitivity`](crate::classes::rotation_sensitivity) of every particle. Times beyond the horizon of `rule` are
     /// still integrated in steps.
     ///
     /// # Errors
@@ -118,7 +118,7 @@ impl Extrapolator {
         let mut counts = Counts::default();
         let (mut closed_form, mut stepped, mut models) = (Vec::new(), Vec::new(), self.motions.clone());
         for (row, found) in found.iter().enumerate() {
-            if groups.as_ref().is_some_and(|g| g.of[row] != FREE) {
+            if groups.as_ref().is_some_and(|g| g.of[row] != UNGROUPED) {
                 counts.grouped += 1;
                 continue;
             }
@@ -127,7 +127,7 @@ impl Extrapolator {
                 MotionClass::Static => {}
                 MotionClass::General => stepped.push(row as u32),
                 _ => {
-                    models[row] = found.model.narrowed();
+                    models[row] = found.model.to_f32();
                     closed_form.push(row as u32);
                 }
             }
@@ -371,11 +371,11 @@ mod tests {
                 1 => *m = Motion { twist: m.twist, ..Motion::default() },
                 2 => (m.twist.w, m.rate.w, m.jerk.w) = ([0.0; 3], [0.0; 3], [0.0; 3]),
                 3 => (m.rate, m.jerk) = (m.twist.scaled(0.5), m.twist.scaled(-0.2)),
-                4 => *m = truth::wheel().motion.narrowed(),
+                4 => *m = truth::wheel().motion.to_f32(),
                 _ => {}
             }
         }
-        let labels: Vec<u32> = (0..n).map(|i| if i % 6 == 4 { (i / 600) as u32 } else { FREE }).collect();
+        let labels: Vec<u32> = (0..n).map(|i| if i % 6 == 4 { (i / 600) as u32 } else { UNGROUPED }).collect();
         let rollout = Rollout { rule: Integrator::Se3Magnus4, dt: 1.0 / 60.0, origin: Vec3::ZERO };
         let (rule, reach) = (ClassRule { tolerance: 1e-4, horizon: 0.8 }, vec![0.02; n]);
         let groups = Groups::fit(&rule, &labels, &motions, &start.means, rollout.origin, &reach).unwrap();

@@ -21,7 +21,7 @@ use gs_core::rot::hamilton;
 use rayon::prelude::*;
 
 /// The label of a particle that belongs to no group.
-pub const FREE: u32 = u32::MAX;
+pub const UNGROUPED: u32 = u32::MAX;
 /// Largest number of fits of a group.
 const MAX_FITS: usize = 8;
 /// Members whose error bound exceeds this times the median are outliers.
@@ -46,14 +46,14 @@ pub struct Group {
 ///
 /// ```
 /// use glam::Vec3;
-/// use gs_physics::{ClassRule, Groups, Motion, Twist, groups::FREE};
+/// use gs_physics::{ClassRule, Groups, Motion, Twist, groups::UNGROUPED};
 /// let spin = Motion { twist: Twist { v: [0.0; 3], w: [0.0, 0.0, 1.0] }, ..Motion::default() };
 /// let mut motions = vec![spin; 21];
 /// motions[10].twist.v[0] = 3.0; // an outlier
 /// let means: Vec<_> = (0..21).map(|i| Vec3::new((i % 3) as f32 - 1.0, (i / 3) as f32 - 3.0, 0.5)).collect();
 /// let rule = ClassRule { tolerance: 0.01, horizon: 1.0 };
 /// let groups = Groups::fit(&rule, &[0; 21], &motions, &means, Vec3::ZERO, &[0.1; 21])?;
-/// assert!(groups.of[10] == FREE && groups.members() == 20);
+/// assert!(groups.of[10] == UNGROUPED && groups.members() == 20);
 /// assert!((groups.list[0].motion.twist.w[2] - 1.0).abs() < 1e-12);
 /// # Ok::<(), gs_physics::RowsError>(())
 /// ```
@@ -61,7 +61,7 @@ pub struct Group {
 pub struct Groups {
     /// One group per label, in the order of labels; a group that fits none of its particles has no members.
     pub list: Vec<Group>,
-    /// Index into `list` for every particle, or [`FREE`].
+    /// Index into `list` for every particle, or [`UNGROUPED`].
     pub of: Vec<u32>,
 }
 
@@ -75,9 +75,9 @@ struct Scene<'a> {
 }
 
 impl Groups {
-    /// Fits one motion to the particles of each label (labels from 0, [`FREE`] for none). `reach` is the
-    /// [`turn_reach`](crate::classes::turn_reach) of every particle. Particles whose error would exceed the tolerance within
-    /// the horizon become [`FREE`], and so does a group of one.
+    /// Fits one motion to the particles of each label (labels from 0, [`UNGROUPED`] for none). `reach` is the
+    /// [`rotation_sensitivity`](crate::classes::rotation_sensitivity) of every particle. Particles whose error would exceed the tolerance within
+    /// the horizon become [`UNGROUPED`], and so does a group of one.
     ///
     /// # Errors
     /// If the columns differ in length.
@@ -93,14 +93,14 @@ impl Groups {
             same_rows(what, got, means.len())?;
         }
         let scene = Scene { rule, motions, means, origin, reach };
-        let count = labels.iter().filter(|l| **l != FREE).max().map_or(0, |l| *l as usize + 1).min(means.len());
+        let count = labels.iter().filter(|l| **l != UNGROUPED).max().map_or(0, |l| *l as usize + 1).min(means.len());
         let mut members = vec![Vec::new(); count];
         for (i, label) in labels.iter().enumerate() {
             if let Some(group) = members.get_mut(*label as usize) {
                 group.push(i);
             }
         }
-        let mut of = vec![FREE; labels.len()];
+        let mut of = vec![UNGROUPED; labels.len()];
         let mut list = Vec::with_capacity(count);
         for (label, mut members) in members.into_iter().enumerate() {
             list.push(scene.fit_robust(&mut members));
@@ -176,7 +176,7 @@ impl Scene<'_> {
         }
         let square = |i: &usize| {
             let y = self.at(*i).to_array();
-            let (shared, own) = (motion.twist.velocity(y), self.motions[*i].widened().twist.velocity(y));
+            let (shared, own) = (motion.twist.velocity(y), self.motions[*i].to_f64().twist.velocity(y));
             DVec3::from_array(shared).distance_squared(DVec3::from_array(own))
         };
         let mean = members.iter().map(square).sum::<f64>() / members.len().max(1) as f64;
@@ -191,12 +191,12 @@ impl Scene<'_> {
     /// Bound on the error of particle `i` under the shared motion.
     fn bound(&self, motion: &Motion<f64>, i: usize) -> f64 {
         let y = self.at(i).to_array();
-        self.rule.bound(&self.motions[i].widened().shifted(y), &motion.shifted(y), f64::from(self.reach[i]))
+        self.rule.bound(&self.motions[i].to_f64().shifted(y), &motion.shifted(y), f64::from(self.reach[i]))
     }
 
     fn fit(&self, members: &[usize]) -> Motion<f64> {
         let of = |part: fn(&Motion<f64>) -> Twist<f64>| {
-            let sample = |i: &usize| (self.at(*i), part(&self.motions[*i].widened()));
+            let sample = |i: &usize| (self.at(*i), part(&self.motions[*i].to_f64()));
             fit_twist(&members.iter().map(sample).collect::<Vec<_>>())
         };
         Motion { twist: of(|m| m.twist), rate: of(|m| m.rate), jerk: of(|m| m.jerk) }
@@ -277,7 +277,7 @@ mod tests {
         let groups = Groups::fit(&rule(0.1), &[0; 400], &motions, &means, ORIGIN, &[0.05; 400]).unwrap();
         let group = &groups.list[0];
         assert!(group.members == 380 && groups.members() == 380, "{group:?}");
-        assert!((0..400).all(|i| (groups.of[i] == FREE) == (i % 20 == 0)));
+        assert!((0..400).all(|i| (groups.of[i] == UNGROUPED) == (i % 20 == 0)));
         assert!(group.bound <= 0.1 && (group.residual - 6.8e-3).abs() < 1e-3, "{group:?}");
         for (got, want) in group.motion.to_array().iter().zip(motion().to_array()) {
             assert!((got - want).abs() < 1e-3, "{got} {want}");
@@ -295,16 +295,17 @@ mod tests {
         ];
         for means in shapes {
             let n = means.len();
-            let motions = vec![motion().narrowed(); n];
+            let motions = vec![motion().to_f32(); n];
             let groups = Groups::fit(&rule(1e-5), &vec![0; n], &motions, &means, ORIGIN, &vec![0.1; n]).unwrap();
             assert_eq!(groups.members(), n);
-            for (got, want) in groups.list[0].motion.to_array().iter().zip(motions[0].widened().to_array()) {
+            for (got, want) in groups.list[0].motion.to_array().iter().zip(motions[0].to_f64().to_array()) {
                 assert!((got - want).abs() < 1e-7, "{n}: {got} {want}");
             }
         }
-        let alone = Groups::fit(&rule(1.0), &[0, FREE, 7], &[motion().narrowed(); 3], &[Vec3::X; 3], ORIGIN, &[0.0; 3]);
+        let alone =
+            Groups::fit(&rule(1.0), &[0, UNGROUPED, 7], &[motion().to_f32(); 3], &[Vec3::X; 3], ORIGIN, &[0.0; 3]);
         let alone = alone.unwrap();
-        assert!(alone.members() == 0 && alone.of == [FREE; 3], "{alone:?}");
+        assert!(alone.members() == 0 && alone.of == [UNGROUPED; 3], "{alone:?}");
         let error = Groups::fit(&rule(1.0), &[], &[], &[Vec3::X], ORIGIN, &[]).unwrap_err();
         assert_eq!((error.what, error.got, error.want), ("labels", 0, 1));
     }
@@ -315,7 +316,7 @@ mod tests {
     fn a_groups_map_is_its_members_steps() {
         let mut rng = Rng::new(3, "groups", 0, 0);
         let means: Vec<Vec3> = (0..300).map(|_| normal(&mut rng)).collect();
-        let motions = vec![motion().narrowed(); 300];
+        let motions = vec![motion().to_f32(); 300];
         let groups = Groups::fit(&rule(1e-3), &[0; 300], &motions, &means, ORIGIN, &[0.1; 300]).unwrap();
         for rule in [Integrator::Rk2, Integrator::Se3Mid, Integrator::Se3Magnus4] {
             let rollout = Rollout { rule, dt: 1.0 / 30.0, origin: ORIGIN };

@@ -56,7 +56,7 @@ pub mod velocity;
 
 pub use centre::{BodyState, Reduction};
 pub use classes::{ClassRule, Classified, MotionClass};
-pub use dynamics::{Dynamics, Moves, Start};
+pub use dynamics::{Dynamics, ParticleState, Start};
 pub use error::PhysicsError;
 pub use extrapolate::{Extrapolator, RowsError};
 pub use groups::{Group, Groups};

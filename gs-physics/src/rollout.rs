@@ -8,7 +8,7 @@
 //! threads.
 
 use crate::blocks::{self, PoseBlock, Run};
-use crate::dynamics::Moves;
+use crate::dynamics::ParticleState;
 use crate::integrator::Integrator;
 use crate::lanes::LANES;
 use crate::step::Substep;
@@ -29,7 +29,7 @@ const MAX_STEPS: f64 = 1e6;
 /// A throw is exact for any step; so is its gradient by the acceleration, `½ τ²`:
 /// ```
 /// use glam::Vec3;
-/// use gs_physics::{Integrator, Motion, Moves, RollTape, Rollout, Twist};
+/// use gs_physics::{Integrator, Motion, ParticleState, RollTape, Rollout, Twist};
 /// let translation = |v| Twist { v, w: [0.0; 3] };
 /// let rate = translation([0.0, 0.0, -2.0]);
 /// let throw = [Motion { twist: translation([1.0, 0.0, 4.0]), rate, jerk: Twist::default() }];
@@ -37,7 +37,7 @@ const MAX_STEPS: f64 = 1e6;
 /// let (rollout, mut tape) = (Rollout { rule: Integrator::Rk2, dt: 0.25, origin: Vec3::ZERO }, RollTape::default());
 /// rollout.advance_taped(&throw, [0.0, 2.0], &mut means, &mut quats, &mut tape);
 /// assert_eq!(means[0], Vec3::new(2.0, 0.0, 4.0));
-/// let (d, mut d_motions) = (Moves { means: vec![Vec3::Z], turns: vec![[0.0; 4]] }, [Motion::default()]);
+/// let (d, mut d_motions) = (ParticleState { means: vec![Vec3::Z], rotations: vec![[0.0; 4]] }, [Motion::default()]);
 /// rollout.adjoint(&throw, &tape, &d, &mut d_motions);
 /// assert_eq!(d_motions[0].rate.v, [0.0, 0.0, 2.0]);
 /// ```
@@ -144,13 +144,19 @@ impl Rollout {
     /// Backward of [`Rollout::advance_taped`] with the same rule and motions: `d` are cotangents of positions and
     /// quaternions at the end. Adds to `d_motions`, one row per particle, and gives the cotangents of positions and
     /// quaternions at the start.
-    pub fn adjoint(&self, motions: &[Motion<f32>], tape: &RollTape, d: &Moves, d_motions: &mut [Motion<f32>]) -> Moves {
+    pub fn adjoint(
+        &self,
+        motions: &[Motion<f32>],
+        tape: &RollTape,
+        d: &ParticleState,
+        d_motions: &mut [Motion<f32>],
+    ) -> ParticleState {
         let mut start = d.clone();
         let RollTape { substeps, poses } = tape;
         if substeps.is_empty() {
             return start;
         }
-        let rows = start.means.par_chunks_mut(PARTICLES).zip(start.turns.par_chunks_mut(PARTICLES));
+        let rows = start.means.par_chunks_mut(PARTICLES).zip(start.rotations.par_chunks_mut(PARTICLES));
         let given = motions.par_chunks(PARTICLES).zip(poses.par_chunks(TASK * substeps.len()));
         given.zip(d_motions.par_chunks_mut(PARTICLES)).zip(rows).for_each(|(((m, poses), d_m), rows)| {
             self.roll_rows_backward(m, (substeps, poses), rows, d_m);
@@ -164,18 +170,18 @@ impl Rollout {
         &self,
         motions: &[Motion<f32>],
         (substeps, poses): (&[Substep<f64>], &[PoseBlock]),
-        (means, turns): (&mut [Vec3], &mut [[f32; 4]]),
+        (means, rotations): (&mut [Vec3], &mut [[f32; 4]]),
         d_motions: &mut [Motion<f32>],
     ) {
         let run = Run { rule: self.rule, substeps, steps_before: 0 };
-        let rows = means.chunks_mut(LANES).zip(turns.chunks_mut(LANES));
+        let rows = means.chunks_mut(LANES).zip(rotations.chunks_mut(LANES));
         let given = motions.chunks(LANES).zip(poses.chunks(substeps.len()));
-        for (((m, poses), d_m), (means, turns)) in given.zip(d_motions.chunks_mut(LANES)).zip(rows) {
+        for (((m, poses), d_m), (means, rotations)) in given.zip(d_motions.chunks_mut(LANES)).zip(rows) {
             let packed = blocks::pack_motions(m);
-            let mut d = blocks::pack_poses(means, turns, Vec3::ZERO);
+            let mut d = blocks::pack_poses(means, rotations, Vec3::ZERO);
             let grad = dispatch!(Level::new(), simd => blocks::roll_backward(simd, run, &packed, poses, &mut d));
             blocks::add_motions(&grad, d_m);
-            blocks::set_poses(&d, means, turns);
+            blocks::set_poses(&d, means, rotations);
         }
     }
 }

@@ -17,7 +17,7 @@ use std::f64::consts::PI;
 /// let wheel = truth::wheel();
 /// let rollout = Rollout { rule: Integrator::Se3Magnus4, dt: wheel.span / 30.0, origin: glam::Vec3::ZERO };
 /// let (x, q) = advance(&rollout, &wheel.motion, [0.0, wheel.span], (wheel.start, [1.0, 0.0, 0.0, 0.0]));
-/// assert!(wheel.miss(x) < 2e-7 && wheel.rotation_error(q) < 1e-14);
+/// assert!(wheel.position_error(x) < 2e-7 && wheel.rotation_error(q) < 1e-14);
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Truth {
@@ -42,7 +42,7 @@ impl Truth {
     }
 
     /// Distance of a position from the exact end, world units.
-    pub fn miss(&self, x: [f64; 3]) -> f64 {
+    pub fn position_error(&self, x: [f64; 3]) -> f64 {
         crate::vec3::norm(crate::vec3::sub(x, self.end))
     }
 

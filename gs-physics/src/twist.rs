@@ -138,14 +138,14 @@ impl<T: Real> Motion<T> {
 
 impl Motion<f32> {
     /// The same motion in `f64`, exactly.
-    pub fn widened(&self) -> Motion<f64> {
+    pub fn to_f64(&self) -> Motion<f64> {
         Motion::from_array(self.to_array().map(f64::from))
     }
 }
 
 impl Motion<f64> {
     /// The same motion rounded to `f32`.
-    pub fn narrowed(&self) -> Motion<f32> {
+    pub fn to_f32(&self) -> Motion<f32> {
         Motion::from_array(self.to_array().map(|v| v as f32))
     }
 }
@@ -175,7 +175,7 @@ mod tests {
         }
         assert!(near(moved.acceleration(sub(x, shift)), m.acceleration(x)));
         assert_eq!(Motion::from_array(m.to_array()), m);
-        assert_eq!(m.narrowed().widened().narrowed(), m.narrowed());
+        assert_eq!(m.to_f32().to_f64().to_f32(), m.to_f32());
     }
 
     /// Derivatives the path of a particle: velocity and acceleration are its derivatives.

@@ -9,7 +9,7 @@
 use glam::Vec3;
 use gs_core::Rng;
 use gs_physics::reference::{self, Pose};
-use gs_physics::{Integrator, Motion, Moves, RollTape, Rollout, Twist};
+use gs_physics::{Integrator, Motion, ParticleState, RollTape, Rollout, Twist};
 use std::f64::consts::PI;
 
 const ALL: [Integrator; 6] = [
@@ -108,7 +108,7 @@ fn adjoints_hold_at_hard_angles() {
             for h in [0.4, -0.4] {
                 let axis = unit([0.0, 0.3, -0.5, 0.8]);
                 let mut m = Motion::from_array(random(&mut rng).map(|v: f64| 0.3 * v));
-                // The middle of the step turns by exactly the angle.
+                // The middle of the step rotations by exactly the angle.
                 m.jerk = Twist::default();
                 m.twist.w = std::array::from_fn(|c| axis[c + 1] * angle / h - 0.5 * h * m.rate.w[c]);
                 let pose = (random(&mut rng), unit(random(&mut rng)));
@@ -123,7 +123,7 @@ struct Scene {
     motions: Vec<Motion<f32>>,
     means: Vec<Vec3>,
     quats: Vec<[f32; 4]>,
-    d: Moves,
+    d: ParticleState,
 }
 
 /// Particles with up to several radians per unit of time; the first three rest.
@@ -138,7 +138,7 @@ fn scene(n: usize) -> Scene {
             jerk: Twist { v: vec(0.5), w: vec(0.5) },
         },
     };
-    let motions = (0..n).map(|i| motion(i, &mut vec).narrowed()).collect();
+    let motions = (0..n).map(|i| motion(i, &mut vec).to_f32()).collect();
     let wide = |v: [f64; 3]| Vec3::from_array(v.map(|v| v as f32));
     let means = (0..n).map(|_| wide(vec(1.0))).collect();
     let mut quat = |normal: bool| {
@@ -146,9 +146,9 @@ fn scene(n: usize) -> Scene {
         if normal { unit(q) } else { q }.map(|v| v as f32)
     };
     let quats = (0..n).map(|_| quat(true)).collect();
-    let turns = (0..n).map(|_| quat(false)).collect();
+    let rotations = (0..n).map(|_| quat(false)).collect();
     let means_d = (0..n).map(|_| Vec3::from_slice(&quat(false))).collect();
-    Scene { motions, means, quats, d: Moves { means: means_d, turns } }
+    Scene { motions, means, quats, d: ParticleState { means: means_d, rotations } }
 }
 
 fn rollout(rule: Integrator) -> Rollout {
@@ -162,7 +162,7 @@ struct Produced {
     quats: Vec<[f32; 4]>,
     grads: Vec<Motion<f32>>,
     /// Cotangents at the start.
-    start: Moves,
+    start: ParticleState,
 }
 
 fn produce(rollout: &Rollout, scene: &Scene, span: [f64; 2]) -> Produced {
@@ -189,17 +189,17 @@ fn production_follows_the_reference() {
             let Produced { means, quats, grads, start } = produce(&rollout, &scene, span);
             let mut errors = [0.0f64; 4];
             for i in 0..means.len() {
-                let m = scene.motions[i].widened();
+                let m = scene.motions[i].to_f64();
                 let pose = |x: Vec3, q: [f32; 4]| (x.as_dvec3().to_array(), q.map(f64::from));
                 let at = pose(scene.means[i], scene.quats[i]);
                 let (x, q) = reference::advance(&rollout, &m, span, at);
-                let d = pose(scene.d.means[i], scene.d.turns[i]);
+                let d = pose(scene.d.means[i], scene.d.rotations[i]);
                 let (d_m, (d_x, d_q)) = reference::adjoint(&rollout, &m, span, at, d);
                 let found = [
                     worst(&means[i].to_array(), &x),
                     worst(&quats[i], &q),
                     worst(&grads[i].to_array(), &d_m.to_array()),
-                    worst(&[&start.means[i].to_array()[..], &start.turns[i]].concat(), &[&d_x[..], &d_q].concat()),
+                    worst(&[&start.means[i].to_array()[..], &start.rotations[i]].concat(), &[&d_x[..], &d_q].concat()),
                 ];
                 errors = std::array::from_fn(|k| errors[k].max(found[k]));
                 assert!(i >= 3 || (means[i] == scene.means[i] && wide(&quats[i]) == wide(&scene.quats[i])));
@@ -225,13 +225,16 @@ fn bits_do_not_depend_on_threads_nor_on_neighbours() {
             motions: scene.motions[611..640].to_vec(),
             means: scene.means[611..640].to_vec(),
             quats: scene.quats[611..640].to_vec(),
-            d: Moves { means: scene.d.means[611..640].to_vec(), turns: scene.d.turns[611..640].to_vec() },
+            d: ParticleState {
+                means: scene.d.means[611..640].to_vec(),
+                rotations: scene.d.rotations[611..640].to_vec(),
+            },
         };
         let alone = produce(&rollout, &part, [0.0, 0.5]);
         let rows = 611..640;
         assert!(alone.means == all.means[rows.clone()] && alone.quats == all.quats[rows.clone()]);
         assert!(alone.grads == all.grads[rows.clone()] && alone.start.means == all.start.means[rows.clone()]);
-        assert!(alone.start.turns == all.start.turns[rows]);
+        assert!(alone.start.rotations == all.start.rotations[rows]);
     }
 }
 

@@ -1,10 +1,10 @@
-//! Hard cases of the production roll-out (TRACE specification, 11.1): many turns, half and full turns, backward in time, long
+//! Hard cases of the production roll-out (TRACE specification, 11.1): many rotations, half and full rotations, backward in time, long
 //! horizons, distant bodies, twists with tiny and large angles in one block.
 
 use glam::Vec3;
 use gs_physics::reference;
 use gs_physics::truth::{self, Truth};
-use gs_physics::{BodyState, Extrapolator, Integrator, Motion, Moves, Reduction, RollTape, Rollout, Twist};
+use gs_physics::{BodyState, Extrapolator, Integrator, Motion, ParticleState, Reduction, RollTape, Rollout, Twist};
 use std::f64::consts::PI;
 
 const UNIT: [f32; 4] = [1.0, 0.0, 0.0, 0.0];
@@ -19,14 +19,14 @@ fn narrow(x: [f64; 3]) -> Vec3 {
 
 fn roll(rollout: &Rollout, truth: &Truth) -> (Vec3, [f32; 4]) {
     let (mut x, mut q) = ([narrow(truth.start)], [UNIT]);
-    rollout.advance(&[truth.motion.narrowed()], [0.0, truth.span], &mut x, &mut q);
+    rollout.advance(&[truth.motion.to_f32()], [0.0, truth.span], &mut x, &mut q);
     (x[0], q[0])
 }
 
-/// Ten turns at 30 steps each keep radii and quaternions to 1e-6; midpoint steps gain 7.5 % on the way.
+/// Ten rotations at 30 steps each keep radii and quaternions to 1e-6; midpoint steps gain 7.5 % on the way.
 #[test]
 fn ten_turns_are_rigid() {
-    let spin = BodyState { w: [0.0, 0.0, 2.0 * PI], ..BodyState::default() }.motion(2, Reduction::Exact).narrowed();
+    let spin = BodyState { w: [0.0, 0.0, 2.0 * PI], ..BodyState::default() }.motion(2, Reduction::Exact).to_f32();
     let start: Vec<Vec3> = (0..1000).map(|i| Vec3::new(0.3 + i as f32 * 1e-3, 0.01 * (i % 7) as f32, -0.4)).collect();
     let after = |rule| {
         let (mut means, mut quats) = (start.clone(), vec![UNIT; start.len()]);
@@ -62,7 +62,7 @@ fn half_and_full_turns_are_passed() {
         };
         for dt in [1.0, 0.4, 1.0 / 24.0] {
             let (x, q) = roll(&rollout(Integrator::Se3Mid, dt), &truth);
-            assert!(truth.miss(x.as_dvec3().to_array()) < 1e-6, "{angle} {dt}: {x}");
+            assert!(truth.position_error(x.as_dvec3().to_array()) < 1e-6, "{angle} {dt}: {x}");
             assert!(truth.rotation_error(q.map(f64::from)) < 1e-6, "{angle} {dt}: {q:?}");
         }
     }
@@ -77,22 +77,22 @@ fn exact_motions_in_production() {
             let (x, q) = roll(&rollout, &truth);
             let span = [0.0, truth.span];
             let (x64, q64) = reference::advance(&rollout, &truth.motion, span, (truth.start, UNIT.map(f64::from)));
-            let (miss, miss64) = (truth.miss(x.as_dvec3().to_array()), truth.miss(x64));
+            let (miss, miss64) = (truth.position_error(x.as_dvec3().to_array()), truth.position_error(x64));
             assert!((miss - miss64).abs() < 2e-6, "{} {rule:?}: {miss} {miss64}", truth.name);
             assert!((truth.rotation_error(q.map(f64::from)) - truth.rotation_error(q64)).abs() < 2e-6);
         }
     }
 }
 
-/// From 0.70 to 1.5 at three turns per unit of time, there and back.
+/// From 0.70 to 1.5 at three rotations per unit of time, there and back.
 #[test]
 fn long_horizons_there_and_back() {
     let mut motion = truth::tumble().motion;
     motion.twist.w = [6.0 * PI, 0.5, -1.0];
     let rollout = rollout(Integrator::Se3Mid, 1.0 / 30.0);
     let start = Vec3::new(0.4, -0.3, 0.6);
-    let mut particle = Extrapolator::new(rollout, 0.7, vec![motion.narrowed()], vec![start], vec![UNIT]).unwrap();
-    let wide = motion.narrowed().widened();
+    let mut particle = Extrapolator::new(rollout, 0.7, vec![motion.to_f32()], vec![start], vec![UNIT]).unwrap();
+    let wide = motion.to_f32().to_f64();
     for t in [1.5, 0.7, -0.1] {
         let pose = (start.as_dvec3().to_array(), UNIT.map(f64::from));
         let (want, turn) = reference::advance(&rollout, &wide, [0.0, t - 0.7], pose);
@@ -101,8 +101,8 @@ fn long_horizons_there_and_back() {
         assert!((0..4).all(|c| (f64::from(quats[0][c]) - turn[c]).abs() < 2e-6), "{t}");
     }
     let (mut means, mut quats) = ([start], [UNIT]);
-    rollout.advance(&[motion.narrowed()], [0.0, 0.8], &mut means, &mut quats);
-    rollout.advance(&[motion.narrowed()], [0.8, 0.0], &mut means, &mut quats);
+    rollout.advance(&[motion.to_f32()], [0.0, 0.8], &mut means, &mut quats);
+    rollout.advance(&[motion.to_f32()], [0.8, 0.0], &mut means, &mut quats);
     assert!((means[0] - start).length() < 2e-6 && quats[0][0] > 1.0 - 1e-6, "{} {quats:?}", means[0]);
 }
 
@@ -126,7 +126,7 @@ fn far_bodies_need_a_local_origin() {
     let miss = |origin: Vec3, motion: Motion<f64>| {
         let rollout = Rollout { rule: Integrator::Se3Magnus4, dt: 1.0 / 60.0, origin };
         let (mut x, mut q) = ([start], [UNIT]);
-        rollout.advance(&[motion.narrowed()], [0.0, 2.0], &mut x, &mut q);
+        rollout.advance(&[motion.to_f32()], [0.0, 2.0], &mut x, &mut q);
         (x[0].as_dvec3() - hub.as_dvec3() - glam::DVec3::from_array(want)).length()
     };
     let local = miss(hub, body([0.0; 3]));
@@ -147,15 +147,15 @@ fn lanes_of_very_different_angles() {
         rate: Twist { v: [0.1, 0.2, 0.3], w: [0.0; 3] },
         jerk: Twist::default(),
     };
-    let motions: Vec<Motion<f32>> = angles.iter().map(|a| motion(a).narrowed()).collect();
+    let motions: Vec<Motion<f32>> = angles.iter().map(|a| motion(a).to_f32()).collect();
     let rollout = rollout(Integrator::Se3Mid, 1.0);
-    let d = Moves { means: vec![Vec3::new(0.2, 0.5, -0.7); 8], turns: vec![[0.3, -0.6, 0.2, 0.4]; 8] };
+    let d = ParticleState { means: vec![Vec3::new(0.2, 0.5, -0.7); 8], rotations: vec![[0.3, -0.6, 0.2, 0.4]; 8] };
     let run = |motions: &[Motion<f32>]| {
         let n = motions.len();
         let (mut means, mut quats) = (vec![Vec3::new(0.5, 0.6, 0.7); n], vec![UNIT; n]);
         let (mut tape, mut grads) = (RollTape::default(), vec![Motion::default(); n]);
         rollout.advance_taped(motions, [0.0, 1.0], &mut means, &mut quats, &mut tape);
-        let d = Moves { means: d.means[..n].to_vec(), turns: d.turns[..n].to_vec() };
+        let d = ParticleState { means: d.means[..n].to_vec(), rotations: d.rotations[..n].to_vec() };
         rollout.adjoint(motions, &tape, &d, &mut grads);
         (means, quats, grads)
     };
@@ -164,12 +164,12 @@ fn lanes_of_very_different_angles() {
         let alone = run(&[*m]);
         assert!(alone.0[0] == all.0[i] && alone.1[0] == all.1[i] && alone.2[0] == all.2[i], "{i}");
         let pose = ([0.5f32, 0.6, 0.7].map(f64::from), UNIT.map(f64::from));
-        let (x, q) = reference::advance(&rollout, &m.widened(), [0.0, 1.0], pose);
+        let (x, q) = reference::advance(&rollout, &m.to_f64(), [0.0, 1.0], pose);
         // An angle of 40 keeps 2e-6 rad in f32.
         assert!((all.0[i].as_dvec3() - glam::DVec3::from_array(x)).length() < 4e-6, "{i}");
         assert!((0..4).all(|c| (f64::from(all.1[i][c]) - q[c]).abs() < 4e-6), "{i}");
-        let weight = (d.means[i].as_dvec3().to_array(), d.turns[i].map(f64::from));
-        let (grad, _) = reference::adjoint(&rollout, &m.widened(), [0.0, 1.0], pose, weight);
+        let weight = (d.means[i].as_dvec3().to_array(), d.rotations[i].map(f64::from));
+        let (grad, _) = reference::adjoint(&rollout, &m.to_f64(), [0.0, 1.0], pose, weight);
         for (got, want) in all.2[i].to_array().iter().zip(grad.to_array()) {
             assert!((f64::from(*got) - want).abs() < 1e-5, "{i}: {got} {want}");
         }

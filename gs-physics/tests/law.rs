@@ -13,7 +13,9 @@ mod support;
 use glam::Vec3;
 use gs_core::Params;
 use gs_physics::reference::law::LawRef;
-use gs_physics::{AccelMap, Dynamics, Integrator, Law, LawConfig, LawForm, LawInput, LawTape, Moves, Rollout, Start};
+use gs_physics::{
+    AccelMap, Dynamics, Integrator, Law, LawConfig, LawForm, LawInput, LawTape, ParticleState, Rollout, Start,
+};
 use support::particles::{CENTROID, cotangents, points, start};
 use support::{close, compare_gradients, dot, empty_span_is_identity, flat, pose, randomise_weights, reproducible};
 
@@ -79,7 +81,7 @@ fn gradients_of_the_twin_are_its_differences() {
                 let value = reference.net.params[block][k];
                 let mut loss = |v: f64| -> f64 {
                     reference.net.params[block][k] = v;
-                    (0..2).map(|i| dot(reference.transport(at(i), span), pose(&d, i))).sum()
+                    (0..2).map(|i| dot(reference.integrate(at(i), span), pose(&d, i))).sum()
                 };
                 let want = (loss(value + h) - loss(value - h)) / (2.0 * h);
                 loss(value);
@@ -96,17 +98,17 @@ fn production_agrees_with_the_reference() {
     for (config, [from, to]) in cases() {
         let mut law = law(&config);
         let reference = reference_of(&law);
-        let (mut tape, mut out, mut grad) = (LawTape::default(), Moves::default(), reference.net.zeros());
-        law.transport(start(&x, from), to, &mut tape, &mut out);
-        law.transport_backward(start(&x, from), &mut tape, &d);
+        let (mut tape, mut out, mut grad) = (LawTape::default(), ParticleState::default(), reference.net.zeros());
+        law.integrate(start(&x, from), to, &mut tape, &mut out);
+        law.integrate_backward(start(&x, from), &mut tape, &d);
         for i in 0..n {
             let at = x[i].as_dvec3().to_array();
-            for (got, want) in flat(pose(&out, i)).iter().zip(flat(reference.transport(at, [from, to]))) {
+            for (got, want) in flat(pose(&out, i)).iter().zip(flat(reference.integrate(at, [from, to]))) {
                 close(*got, want, 5e-6, &format!("{config:?} {i}"));
             }
             reference.gradient(at, [from, to], pose(&d, i), &mut grad);
             let (got, want) =
-                (law.motions(start(&x, from))[i].widened().to_array(), reference.motion(at, from).to_array());
+                (law.motions(start(&x, from))[i].to_f64().to_array(), reference.motion(at, from).to_array());
             got.iter().zip(want).for_each(|(got, want)| close(*got, want, 5e-6, &format!("{config:?} {i}")));
         }
         compare_gradients(&law, "physics", &grad, 5e-6);
@@ -136,8 +138,8 @@ fn a_wheel_rolls() {
     let linear = |form| LawConfig { accel: AccelMap::Linear, integrator: Integrator::Se3Mid, ..config(form, 2) };
     let miss = |config: &LawConfig, parts: &[Vec3], n: usize| {
         let outputs: Vec<f32> = parts.iter().flat_map(|v| v.to_array()).take(n).collect();
-        let (law, mut out) = (constant(config, &outputs), Moves::default());
-        law.transport(start(&rim, 0.0), 1.0, &mut LawTape::default(), &mut out);
+        let (law, mut out) = (constant(config, &outputs), ParticleState::default());
+        law.integrate(start(&rim, 0.0), 1.0, &mut LawTape::default(), &mut out);
         (out.means[0] - end).length()
     };
     let twist = [v - w.cross(hub), w, -w.cross(v), Vec3::ZERO];
@@ -160,8 +162,8 @@ fn an_own_turn_leaves_the_centroid_alone() {
     let parts = [velocity, Vec3::ZERO, fall, Vec3::ZERO, Vec3::from_array(root)];
     let law = constant(&plain, &parts.iter().flat_map(|v| v.to_array()).collect::<Vec<_>>());
     let x = [CENTROID, CENTROID + Vec3::new(0.1, 0.0, 0.05)];
-    let (h, mut out) = (0.1, Moves::default());
-    law.transport(start(&x, 0.5), 0.5 + f64::from(h), &mut LawTape::default(), &mut out);
+    let (h, mut out) = (0.1, ParticleState::default());
+    law.integrate(start(&x, 0.5), 0.5 + f64::from(h), &mut LawTape::default(), &mut out);
     let centroid = CENTROID + h * velocity + 0.5 * h * h * fall;
     // The error is of third order: w × a h³ / 6.
     assert!((out.means[0] - centroid).length() < 1.1 * spin.cross(fall).length() * h * h * h / 6.0, "{}", out.means[0]);
@@ -194,9 +196,9 @@ fn angles_of_gvfi() {
         let config = LawConfig { accel: AccelMap::Linear, literal, ..config(LawForm::Gvfi13, 2) };
         let mut outputs = [0.0; 13];
         (outputs[8], outputs[12]) = (1.0, 4.0);
-        let (law, mut out) = (constant(&config, &outputs), Moves::default());
-        law.transport(start(&x, 0.2), 0.7, &mut LawTape::default(), &mut out);
-        let angle = 2.0 * f64::from(out.turns[0][3]).atan2(out.turns[0][0].into());
+        let (law, mut out) = (constant(&config, &outputs), ParticleState::default());
+        law.integrate(start(&x, 0.2), 0.7, &mut LawTape::default(), &mut out);
+        let angle = 2.0 * f64::from(out.rotations[0][3]).atan2(out.rotations[0][0].into());
         assert!((angle - (0.5 + 0.5 - lag)).abs() < 5e-6, "{literal}: {angle}");
         let p = out.means[0] - ORIGIN;
         assert!((f64::from(p.y).atan2(p.x.into()) - angle).abs() < 1e-6);
@@ -207,15 +209,15 @@ fn angles_of_gvfi() {
 #[test]
 fn a_free_particle_goes_straight() {
     let law = law(&config(LawForm::Free, 2));
-    let (x, mut out) = (points(30), Moves::default());
-    law.transport(start(&x, 0.4), 0.9, &mut LawTape::default(), &mut out);
+    let (x, mut out) = (points(30), ParticleState::default());
+    law.integrate(start(&x, 0.4), 0.9, &mut LawTape::default(), &mut out);
     let motions = law.motions(start(&x, 0.4));
     let rollout = Rollout { rule: Integrator::Se3Magnus4, dt: 0.01, origin: law.origin() };
     let (mut means, mut quats) = (x.clone(), vec![[1.0, 0.0, 0.0, 0.0]; 30]);
     rollout.advance(&motions, [0.0, 0.5], &mut means, &mut quats);
     for i in 0..30 {
         assert!((means[i] - out.means[i]).length() < 1e-5, "{} {}", means[i], out.means[i]);
-        assert!(quats[i].iter().zip(out.turns[i]).all(|(a, b)| (a - b).abs() < 1e-5));
+        assert!(quats[i].iter().zip(out.rotations[i]).all(|(a, b)| (a - b).abs() < 1e-5));
     }
 }
 
@@ -242,36 +244,36 @@ fn adam(law: &mut Law, step: u32, rate: f32) {
 /// and ends within a tenth of the distance travelled.
 #[test]
 fn a_law_learns_and_extrapolates() {
-    let truth = gs_physics::truth::circle().motion.narrowed();
+    let truth = gs_physics::truth::circle().motion.to_f32();
     let x: Vec<Vec3> = points(100).iter().map(|x| 0.5 * *x + Vec3::new(1.5, 0.0, 0.0)).collect();
     let roll = Rollout { rule: Integrator::Se3Mid, dt: 1.0, origin: Vec3::ZERO };
     let at = |t: f64| {
-        let mut moves = Moves { means: x.clone(), turns: vec![[1.0, 0.0, 0.0, 0.0]; x.len()] };
-        roll.advance(&vec![truth; x.len()], [0.0, t], &mut moves.means, &mut moves.turns);
+        let mut moves = ParticleState { means: x.clone(), rotations: vec![[1.0, 0.0, 0.0, 0.0]; x.len()] };
+        roll.advance(&vec![truth; x.len()], [0.0, t], &mut moves.means, &mut moves.rotations);
         moves
     };
     let small = LawConfig { hidden: 32, depth: 2, gain: 10.0, head_start: 0.01, ..LawConfig::default() };
     let config = LawConfig { integrator: Integrator::Se3Mid, local_origin: false, ..small };
     let mut law = Law::new(&config, Vec3::ZERO, STEP, 1).unwrap();
-    let (mut tape, mut out, steps) = (LawTape::default(), Moves::default(), 1200);
+    let (mut tape, mut out, steps) = (LawTape::default(), ParticleState::default(), 1200);
     for step in 1..=steps {
         let mut rng = gs_core::Rng::new(1, "times", step, 0);
         let (to, side) = (0.75 * f64::from(rng.uniform()), if rng.uniform() < 0.5 { STEP } else { -STEP });
         let from = (to - side).clamp(0.0, 0.7);
-        let (begin, end, turn) = (at(from).means, at(to).means, at(to - from).turns);
-        law.transport(Start { x: &begin, t: from, middle: Vec3::ZERO }, to, &mut tape, &mut out);
+        let (begin, end, turn) = (at(from).means, at(to).means, at(to - from).rotations);
+        law.integrate(Start { x: &begin, t: from, middle: Vec3::ZERO }, to, &mut tape, &mut out);
         let means = out.means.iter().zip(&end).map(|(a, b)| *a - *b).collect();
         let off = |(a, b): (&[f32; 4], &[f32; 4])| std::array::from_fn(|k| 0.02 * (a[k] - b[k]));
-        law.transport_backward(
+        law.integrate_backward(
             Start { x: &begin, t: from, middle: Vec3::ZERO },
             &mut tape,
-            &Moves { means, turns: out.turns.iter().zip(&turn).map(off).collect() },
+            &ParticleState { means, rotations: out.rotations.iter().zip(&turn).map(off).collect() },
         );
         adam(&mut law, step, 2e-3 * 0.01f32.powf(step as f32 / steps as f32));
     }
     let (mut last, want) = (at(0.7), at(1.0).means);
     let still = last.means.clone();
-    law.rollout().advance(&law.motions(start(&still, 0.7)), [0.0, 0.3], &mut last.means, &mut last.turns);
+    law.rollout().advance(&law.motions(start(&still, 0.7)), [0.0, 0.3], &mut last.means, &mut last.rotations);
     let miss = |got: &[Vec3]| got.iter().zip(&want).map(|(a, b)| (*a - *b).length()).sum::<f32>() / x.len() as f32;
     let (rolled, still) = (miss(&last.means), miss(&still));
     assert!(rolled < 0.1 * still, "{rolled} of {still}");
@@ -298,11 +300,11 @@ fn the_head_starts_small_but_not_at_zero() {
 fn gradients_of_accelerations_are_clamped() {
     let last_bias = |accel_clamp: f32| {
         let mut law = law(&LawConfig { accel_clamp, ..config(LawForm::Twist12, 2) });
-        let (x, mut tape, mut out) = (points(1), LawTape::default(), Moves::default());
-        law.transport(start(&x, 0.2), 0.5, &mut tape, &mut out);
+        let (x, mut tape, mut out) = (points(1), LawTape::default(), ParticleState::default());
+        law.integrate(start(&x, 0.2), 0.5, &mut tape, &mut out);
         let mut d = cotangents(1);
         d.means[0] *= 1e3;
-        law.transport_backward(start(&x, 0.2), &mut tape, &d);
+        law.integrate_backward(start(&x, 0.2), &mut tape, &d);
         let mut grad = Vec::new();
         law.visit(&mut |p| grad.clone_from(&p.grad));
         grad

@@ -24,7 +24,7 @@ fn roll(rule: Integrator, truth: &Truth, steps: f64) -> ([f64; 3], [f64; 4]) {
 }
 
 fn misses(rule: Integrator, truth: &Truth) -> [f64; 4] {
-    STEPS.map(|n| truth.miss(roll(rule, truth, n).0))
+    STEPS.map(|n| truth.position_error(roll(rule, truth, n).0))
 }
 
 fn rotation_errors(rule: Integrator, truth: &Truth) -> [f64; 4] {
@@ -54,7 +54,7 @@ fn t1_and_t2_circles_and_screws() {
             exact(t.name, misses(rule, &t));
         }
         // A constant twist needs no sub-steps.
-        assert!(t.miss(roll(Integrator::Se3Mid, &t, 1.0).0) < 1e-14);
+        assert!(t.position_error(roll(Integrator::Se3Mid, &t, 1.0).0) < 1e-14);
     }
 }
 
@@ -80,7 +80,7 @@ fn t4_a_rolling_wheel() {
     check("magnus", misses(Integrator::Se3Magnus4, &t), [2.68e-6, 1.67e-7, 1.04e-8, 6.5e-10], 4.0);
     assert_eq!(t.motion.twist.v, [0.0; 3], "the contact point rests");
     let still = Motion { rate: Twist::default(), ..t.motion };
-    let miss = t.miss(truth::follow(&still, 1.0, t.start).0);
+    let miss = t.position_error(truth::follow(&still, 1.0, t.start).0);
     assert!((miss - 1.86).abs() < 0.01, "without (1): {miss}");
     assert_eq!(truth::wheel_body().motion(2, Reduction::Paper).rate.v, [0.0; 3]);
 }
@@ -89,7 +89,12 @@ fn t4_a_rolling_wheel() {
 fn t5_a_tumbling_axis() {
     let t = truth::tumble();
     let (x, q) = truth::follow(&t.motion, 1.0, t.start);
-    assert!(t.miss(x) < 1e-9 && t.rotation_error(q) < 1e-9, "{} {}", t.miss(x), t.rotation_error(q));
+    assert!(
+        t.position_error(x) < 1e-9 && t.rotation_error(q) < 1e-9,
+        "{} {}",
+        t.position_error(x),
+        t.rotation_error(q)
+    );
     check("rk2", misses(Integrator::Rk2, &t), [1.947e-2, 4.885e-3, 1.224e-3, 3.063e-4], 2.0);
     check("midparams", misses(Integrator::MidParams, &t), [3.51e-1, 1.64e-1, 7.93e-2, 3.89e-2], 1.0);
     check("se3", misses(Integrator::Se3Mid, &t), [1.092e-3, 2.728e-4, 6.82e-5, 1.71e-5], 2.0);
@@ -110,7 +115,7 @@ fn t6_a_throw_is_exact_for_any_step() {
     for rule in [Integrator::Rk2, Integrator::Rk4, Integrator::Se3Mid, Integrator::Se3Magnus4, Integrator::MidParams] {
         for steps in [1.0, 2.0, 7.0, 120.0] {
             let (x, q) = roll(rule, &t, steps);
-            assert!(t.miss(x) < 1e-14 && q == UNIT, "{rule:?}, {steps} steps: {}", t.miss(x));
+            assert!(t.position_error(x) < 1e-14 && q == UNIT, "{rule:?}, {steps} steps: {}", t.position_error(x));
         }
     }
 }

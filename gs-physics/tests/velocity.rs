@@ -15,7 +15,7 @@ use gs_core::Params;
 use gs_core::nn::BLOCK;
 use gs_physics::pinn::point;
 use gs_physics::reference::velocity::VelocityRef;
-use gs_physics::{Dynamics, Moves, VelocityConfig, VelocityField, VelocityTape};
+use gs_physics::{Dynamics, ParticleState, VelocityConfig, VelocityField, VelocityTape};
 use support::particles::{cotangents, points, start};
 use support::{close, compare_gradients, dot, empty_span_is_identity, flat, pose, randomise_weights, reproducible};
 
@@ -80,7 +80,7 @@ fn gradients_of_the_twin_are_its_differences() {
         reference.losses(&points, [&mut grad_l, &mut grad_a]);
         let h = 1e-5;
         let transported = |reference: &VelocityRef| -> f64 {
-            (0..2).map(|i| dot(reference.transport(at(i), span), pose(&d, i))).sum()
+            (0..2).map(|i| dot(reference.integrate(at(i), span), pose(&d, i))).sum()
         };
         let lost = |reference: &VelocityRef| {
             let (mut a, mut b) = (reference.net.zeros(), reference.acceleration.zeros());
@@ -120,14 +120,15 @@ fn production_agrees_with_the_reference() {
         let mut field = field(&config);
         let reference = VelocityRef::new(&field);
         for [from, to] in [[0.6, 0.48], [0.3, 0.35]] {
-            let (mut tape, mut out, mut grad) = (VelocityTape::default(), Moves::default(), reference.net.zeros());
+            let (mut tape, mut out, mut grad) =
+                (VelocityTape::default(), ParticleState::default(), reference.net.zeros());
             field.clear_grads();
-            field.transport(start(&x, from), to, &mut tape, &mut out);
-            field.transport_backward(start(&x, from), &mut tape, &d);
+            field.integrate(start(&x, from), to, &mut tape, &mut out);
+            field.integrate_backward(start(&x, from), &mut tape, &d);
             let motions = field.motions(start(&x, from));
             for i in 0..n {
                 let at = x[i].as_dvec3().to_array();
-                for (got, want) in flat(pose(&out, i)).iter().zip(flat(reference.transport(at, [from, to]))) {
+                for (got, want) in flat(pose(&out, i)).iter().zip(flat(reference.integrate(at, [from, to]))) {
                     close(*got, want, 2e-6, "pose");
                 }
                 reference.gradient(at, [from, to], pose(&d, i), &mut grad);
@@ -172,9 +173,9 @@ fn a_turntable() {
     let w = 2.0f32;
     let mut field = constant([0.0, 0.0, 0.0, 0.0, 0.0, w], [0.0; 6]);
     let r = Vec3::new(0.5, 0.1, 0.3);
-    let (x, mut out) = ([field.origin() + r], Moves::default());
-    field.transport(start(&x, 0.0), 0.5, &mut VelocityTape::default(), &mut out);
-    let angle = 2.0 * out.turns[0][3].atan2(out.turns[0][0]);
+    let (x, mut out) = ([field.origin() + r], ParticleState::default());
+    field.integrate(start(&x, 0.0), 0.5, &mut VelocityTape::default(), &mut out);
+    let angle = 2.0 * out.rotations[0][3].atan2(out.rotations[0][0]);
     assert!((angle - 1.0).abs() < 1e-6, "{angle}");
     // Ten steps of z = w h: radius √(1 + z⁴/4), angle atan(z / (1 − z²/2)) each.
     let z = w * STEP as f32;

@@ -5,7 +5,7 @@
 
 use criterion::Criterion;
 use gs_core::{Camera, Kernel, Splats};
-use gs_raster::measure::{Roofs, camera, kernels, rows, scene};
+use gs_raster::measure::{Roofline, camera, kernels, rows, scene};
 use gs_raster::{
     Frame, FrameGrad, RasterOptions, ScreenStats, SimdLevel, Workspace, render_backward_into, render_into,
 };
@@ -40,7 +40,7 @@ fn record(case: &str, splats: &Splats, camera: &Camera, simd: SimdLevel) {
 
 fn record_with(case: &str, splats: &Splats, camera: &Camera, options: &RasterOptions) {
     for row in rows(case, splats, camera, options, 11, 48) {
-        row.keep(env!("CARGO_MANIFEST_DIR"));
+        row.append(env!("CARGO_MANIFEST_DIR"));
     }
 }
 
@@ -74,7 +74,7 @@ fn main() {
     for simd in [SimdLevel::Auto, SimdLevel::Avx2, SimdLevel::Portable] {
         for threads in [1, 2] {
             pool(threads).install(|| {
-                let roofs = Roofs::measure(simd);
+                let roofs = Roofline::measure(simd);
                 println!("{threads} threads, {simd:?}: {:.0} GFLOP/s FMA, {:.1} Gexp/s", roofs.fma, roofs.exp2);
                 record("syn100k", &big, &camera(800), simd);
             });

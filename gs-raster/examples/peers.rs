@@ -5,7 +5,7 @@
 
 use gs_core::io::{Limits, load_cameras, load_splats};
 use gs_core::speed::median_seconds;
-use gs_raster::measure::{Roofs, camera, scene};
+use gs_raster::measure::{Roofline, camera, scene};
 use gs_raster::{
     Frame, FrameGrad, RasterOptions, ScreenStats, SimdLevel, Workspace, render_backward_into, render_into,
 };
@@ -32,7 +32,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 }
 
 fn time(splats: &gs_core::Splats, camera: &gs_core::Camera, simd: SimdLevel, runs: usize) {
-    let roofs = Roofs::measure(simd);
+    let roofs = Roofline::measure(simd);
     let options = RasterOptions { simd, ..Default::default() };
     let (mut workspace, mut frame) = (Workspace::new(), Frame::default());
     let n = (camera.width * camera.height) as usize;

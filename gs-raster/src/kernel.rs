@@ -2,7 +2,7 @@
 //!
 //! Forward, a profile maps `p = log₂(o' g)` of sixteen pixels to `o' ψ(g)`. Backward, it maps `dL/dα` to the cotangents
 //! of opacity, geometry and its own parameters. [`PiecewiseLinear`] works in units of the opacity, so that no sample is
-//! divided by it: with `R = o' g`, `O = o'` and the constants `u, κ` of [`gs_core::kernel::Bend`],
+//! divided by it: with `R = o' g`, `O = o'` and the constants `u, κ` of [`gs_core::kernel::Profile`],
 //! ```text
 //! M = R − O/2     H = min(R, O − R)     E = κ H      o' ψ = R + u · clamp(M, −E, E)
 //! outer: E < |M|     o' dψ/d ln g = R · (outer ? k : 1 + u)
@@ -17,7 +17,7 @@ use crate::simd;
 use crate::tiles::LOG2_SCALE;
 use fearless_simd::{f32x16, mask32x16, prelude::*};
 use gs_core::Kernel;
-use gs_core::kernel::Bend;
+use gs_core::kernel::Profile;
 use rayon::prelude::*;
 
 /// A kernel profile ψ. The blend is compiled once per implementor.
@@ -160,7 +160,7 @@ impl<'a> PiecewiseLinear<'a> {
 
 impl ProfileConsts {
     /// From the kernel's constants, without the opacity. `cut` ends profiles that never decay.
-    fn new(bend: &Bend<f64>, cut: f64) -> Self {
+    fn new(bend: &Profile<f64>, cut: f64) -> Self {
         let (kappa, bias) = if bend.is_clamped() { (0.0, 1.0) } else { (bend.kappa as f32, 0.0) };
         let cut = if bend.is_unbounded() { cut as f32 } else { f32::INFINITY };
         Self { u: bend.u as f32, kappa, bias, foot: bend.foot as f32, cut, opacity: 0.0 }

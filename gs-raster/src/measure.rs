@@ -10,7 +10,7 @@ use crate::{
 };
 use fearless_simd::{dispatch, f32x16, prelude::*};
 use glam::{DMat3, DVec3, Vec3};
-use gs_core::speed::{SpeedError, median_seconds};
+use gs_core::speed::{BenchRow, median_seconds};
 use gs_core::{Camera, Color, Kernel, Rng, Splats, SplatsGrad, sh};
 use rayon::prelude::*;
 use std::hint::black_box;
@@ -74,7 +74,7 @@ pub fn camera(side: u32) -> Camera {
 
 /// Peak throughput of this machine with the threads of the current rayon pool: the roofline beside a measured time.
 #[derive(Clone, Copy, Debug)]
-pub struct Roofs {
+pub struct Roofline {
     /// Number of threads measured.
     pub threads: usize,
     /// Fused multiply-adds, GFLOP/s; each counts as two operations.
@@ -83,7 +83,7 @@ pub struct Roofs {
     pub exp2: f64,
 }
 
-impl Roofs {
+impl Roofline {
     /// Measures both with an instruction set; takes about a tenth of a second.
     pub fn measure(choice: SimdLevel) -> Self {
         let threads = rayon::current_num_threads();
@@ -140,7 +140,7 @@ pub fn rows(
     options: &RasterOptions,
     runs: usize,
     error_side: u32,
-) -> [SpeedError; 2] {
+) -> [BenchRow; 2] {
     let (mut workspace, mut frame) = (Workspace::new(), Frame::default());
     let n = (camera.width * camera.height) as usize;
     let d = FrameGrad { rgb: cotangents(3 * n), ..FrameGrad::default() };
@@ -153,7 +153,7 @@ pub fn rows(
     let small = camera.scaled(f64::from(error_side) / f64::from(camera.width));
     let (frame_error, grad_error, blended_samples) = errors(splats, &small, options);
     let scale = n as f64 / f64::from(small.width * small.height);
-    let row = |variant: &str, seconds: f64, error, error_kind| SpeedError {
+    let row = |variant: &str, seconds: f64, error, error_kind| BenchRow {
         krate: "gs-raster",
         case: format!("{case}@{}", camera.width),
         variant: format!("{variant} {}", simd::level_name(simd::level(options.simd))),

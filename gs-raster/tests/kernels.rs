@@ -3,7 +3,7 @@
 mod common;
 
 use glam::{DMat3, DVec3, Vec3};
-use gs_core::kernel::Bend;
+use gs_core::kernel::Profile;
 use gs_core::{Camera, Color, Kernel, Splats, SplatsGrad};
 use gs_raster::measure::{camera as bench_camera, scene};
 use gs_raster::{ClampGrad, Frame, FrameGrad, RasterOptions, ScreenStats, Workspace, render, render_backward};
@@ -59,12 +59,12 @@ fn one_splat_integrates_to_its_mass() {
     let h = 1e-4;
     let o = 0.8f32;
     let per_mass = std::f64::consts::TAU * (SIGMA * SIGMA + 0.3) * f64::from(o);
-    type Shape = fn(f64) -> Bend<f64>;
+    type Shape = fn(f64) -> Profile<f64>;
     let cases: [(Shape, f32, Kernel); 4] = [
-        (|l| Bend::frequency(l, 0.5), 0.9, frequency(0.9, 0.5)),
-        (|l| Bend::frequency(l, 0.4), 0.1, frequency(0.1, 0.4)),
-        (Bend::acutance, 0.5, Kernel::Acutance { acutances: vec![0.5] }),
-        (Bend::acutance, -0.4, Kernel::Acutance { acutances: vec![-0.4] }),
+        (|l| Profile::frequency(l, 0.5), 0.9, frequency(0.9, 0.5)),
+        (|l| Profile::frequency(l, 0.4), 0.1, frequency(0.1, 0.4)),
+        (Profile::acutance, 0.5, Kernel::Acutance { acutances: vec![0.5] }),
+        (Profile::acutance, -0.4, Kernel::Acutance { acutances: vec![-0.4] }),
     ];
     for (shape, at, kernel) in cases {
         let at = f64::from(at);

@@ -4,7 +4,7 @@
 //! those against the same code in `f64`, relative to the largest entry.
 
 use glam::{DVec3, Vec3};
-use gs_core::speed::{SpeedError, median_seconds};
+use gs_core::speed::{BenchRow, median_seconds};
 use gs_core::{Camera, Rng, SplatsGrad};
 use gs_raster::{RasterOptions, Workspace, render};
 use gs_texel::Skinning;
@@ -23,7 +23,7 @@ const RUNS: usize = 15;
 fn keep(case: &str, variant: &str, n: usize, error: (f64, &'static str), seconds: f64) {
     let (krate, threads, ms, work) = ("gs-texel", rayon::current_num_threads(), 1e3 * seconds, n as f64);
     let ((error, error_kind), case, variant) = ((Some(error.0), error.1), case.to_owned(), variant.to_owned());
-    SpeedError { krate, case, variant, n, threads, ms, work, error, error_kind }.keep(env!("CARGO_MANIFEST_DIR"));
+    BenchRow { krate, case, variant, n, threads, ms, work, error, error_kind }.append(env!("CARGO_MANIFEST_DIR"));
 }
 
 /// The person in the middle of a step, its texels, and rows of an opaque skin with a little noise.

@@ -6,7 +6,7 @@
 //! computing every texel. `tiny` and `small` run by default, `-- paper` adds the published sizes.
 
 use gs_core::nn::map_reference::RefMap;
-use gs_core::speed::{SpeedError, median_seconds};
+use gs_core::speed::{BenchRow, median_seconds};
 use gs_core::{Params, Rng};
 use gs_texel::gaunet::{GauNet, GauNetConfig};
 use gs_texel::geonet::{GeoNet, GeoNetConfig};
@@ -23,7 +23,7 @@ fn random(n: usize, name: &str) -> Vec<f32> {
 }
 
 fn keep(case: &str, variant: &str, size: usize, work: f64, error: (f64, &'static str), seconds: f64) {
-    let row = SpeedError {
+    let row = BenchRow {
         krate: "gs-texel",
         case: case.to_owned(),
         variant: variant.to_owned(),
@@ -34,7 +34,7 @@ fn keep(case: &str, variant: &str, size: usize, work: f64, error: (f64, &'static
         error: Some(error.0),
         error_kind: error.1,
     };
-    row.keep(env!("CARGO_MANIFEST_DIR"));
+    row.append(env!("CARGO_MANIFEST_DIR"));
 }
 
 /// Largest difference of outputs, relative to the largest wanted.

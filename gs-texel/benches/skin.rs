@@ -7,7 +7,7 @@
 //! Each row is printed and appended to `target/speed-error/gs-texel.jsonl`; `work` counts vertices.
 
 use glam::{DQuat, DVec3, Vec3};
-use gs_core::speed::{SpeedError, median_seconds};
+use gs_core::speed::{BenchRow, median_seconds};
 use gs_texel::figure::{Cylinder, cylinder, person};
 use gs_texel::skin::{rotations, skin, skin_backward};
 use gs_texel::{Character, Skinning};
@@ -19,7 +19,7 @@ const RUNS: usize = 21;
 fn keep(case: &str, variant: &str, n: usize, error: Option<f64>, error_kind: &'static str, seconds: f64) {
     let (krate, threads, ms, work) = ("gs-texel", rayon::current_num_threads(), 1e3 * seconds, n as f64);
     let (case, variant) = (case.to_owned(), variant.to_owned());
-    SpeedError { krate, case, variant, n, threads, ms, work, error, error_kind }.keep(env!("CARGO_MANIFEST_DIR"));
+    BenchRow { krate, case, variant, n, threads, ms, work, error, error_kind }.append(env!("CARGO_MANIFEST_DIR"));
 }
 
 fn about_y(angle: f64) -> DQuat {

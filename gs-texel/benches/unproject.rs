@@ -9,10 +9,10 @@ mod scenes;
 
 use criterion::Criterion;
 use glam::{DVec3, Vec3};
-use gs_core::speed::{Laps, SpeedError};
+use gs_core::speed::{BenchRow, Stopwatch};
 use gs_core::{Camera, Image};
 use gs_texel::bvh::Tracer;
-use gs_texel::inpaint::{Unseen, inpaint};
+use gs_texel::inpaint::{InpaintMethod, inpaint};
 use gs_texel::texels::TexelTable;
 use gs_texel::unproject::{Compat, UnprojectConfig, unproject};
 use gs_texel::visibility::Rule;
@@ -34,12 +34,12 @@ struct Row {
 
 /// Measures `f`, prints the row with the median, and records it.
 fn measure(c: &mut Criterion, row: Row, mut f: impl FnMut()) {
-    let mut laps = Laps::default();
+    let mut laps = Stopwatch::default();
     c.bench_function(&format!("{}/{}", row.case, row.variant), |b| b.iter_custom(|calls| laps.run(calls, &mut f)));
     let Some(ms) = laps.median_ms() else { return };
     let (krate, threads, work) = ("gs-texel", rayon::current_num_threads(), row.n as f64);
     let Row { case, variant, n, error, error_kind } = row;
-    SpeedError { krate, case, variant, n, threads, ms, work, error, error_kind }.keep(env!("CARGO_MANIFEST_DIR"));
+    BenchRow { krate, case, variant, n, threads, ms, work, error, error_kind }.append(env!("CARGO_MANIFEST_DIR"));
 }
 
 /// Amplitude of the error of so many decibels.
@@ -148,11 +148,11 @@ fn holes(c: &mut Criterion, figure: &TexturedMesh, table: &TexelTable) -> Result
         table.interp_vec3(&figure.faces, &figure.vertices).iter().map(|p| waves(4.0)(p.as_dvec3())).collect();
     let known: Vec<bool> = (0..table.len()).map(|k| (table.uv(k) - 0.5).length() > 0.06).collect();
     let ways = [
-        (Unseen::Nearest, "nearest"),
-        (Unseen::Delaunay, "delaunay"),
-        (Unseen::Natural, "natural"),
-        (Unseen::PushPull, "push-pull"),
-        (Unseen::Harmonic, "harmonic"),
+        (InpaintMethod::Nearest, "nearest"),
+        (InpaintMethod::Delaunay, "delaunay"),
+        (InpaintMethod::Natural, "natural"),
+        (InpaintMethod::PushPull, "push-pull"),
+        (InpaintMethod::Harmonic, "harmonic"),
     ];
     for (how, variant) in ways {
         let mut rows = truth.clone();

@@ -17,7 +17,7 @@ pub struct Character {
     pub clips: Vec<Clip>,
     /// Row of the template's welded vertex for each vertex of the file, in its order: meshes of the scene, their primitives,
     /// their rows.
-    pub file_vertices: Vec<u32>,
+    pub source_vertices: Vec<u32>,
     /// What the reader repaired or left out, counted.
     pub fallbacks: Fallbacks,
 }

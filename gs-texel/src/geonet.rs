@@ -101,7 +101,7 @@ pub struct GeoNetTape {
 
 /// Upsamples the coarse map to twice its size and concatenates the fine one.
 fn join([coarse, fine]: [&Map; 2], doubled: &mut Activation, joined: &mut Activation, level: &Level) {
-    resample::double(coarse, &mut doubled.y, &level.valid);
+    resample::upsample(coarse, &mut doubled.y, &level.valid);
     resample::concat(&doubled.y, fine, &mut joined.y, &level.valid);
 }
 
@@ -231,7 +231,7 @@ impl GeoNet {
                 if let Some(fine) = fine {
                     resample::concat_backward(&joined.d, doubled.d.channels(), fine, &levels[at].valid, Write::Set);
                 }
-                resample::double_backward(&doubled.d, coarse, &levels[at + 1].valid, Write::Set);
+                resample::upsample_backward(&doubled.d, coarse, &levels[at + 1].valid, Write::Set);
             };
         let mut run = |i: usize, x: &Map, tape: &mut StageTape, from: usize, dx: (&mut Map, Write)| {
             let ([a, b], [first, second]) = (tape, &mut self.stages[i]);

@@ -4,7 +4,7 @@
 //! In-painting is for display and evaluation: the networks get black at unseen texels.
 //!
 //! ```
-//! use gs_texel::inpaint::{Inpainted, Unseen, inpaint};
+//! use gs_texel::inpaint::{Inpainted, InpaintMethod, inpaint};
 //! use gs_texel::{figure::plate, texels::TexelTable};
 //!
 //! let t = plate(1.0, 1).template;
@@ -12,7 +12,7 @@
 //! let mut rows: Vec<[f32; 1]> = (0..table.len()).map(|k| [table.uv(k).x]).collect();
 //! let mut known = vec![true; rows.len()];
 //! (rows[50], known[50]) = ([-1.0], false);
-//! let done = inpaint(&table, &mut rows, &known, Unseen::Harmonic)?;
+//! let done = inpaint(&table, &mut rows, &known, InpaintMethod::Harmonic)?;
 //! assert_eq!(done, Inpainted { filled: 1, left: 0 });
 //! assert!((rows[50][0] - table.uv(50).x).abs() < 1e-6);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
@@ -33,7 +33,7 @@ const SITE_RADIUS: i64 = 2;
 /// How unseen texels are filled.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Unseen {
+pub enum InpaintMethod {
     /// Not at all: the value stays.
     #[default]
     Black,
@@ -108,7 +108,7 @@ pub fn inpaint<const C: usize>(
     table: &TexelTable,
     rows: &mut [[f32; C]],
     known: &[bool],
-    how: Unseen,
+    how: InpaintMethod,
 ) -> Result<Inpainted, InpaintError> {
     for (what, got) in [("rows", rows.len()), ("flags", known.len())] {
         if got != table.len() {
@@ -116,19 +116,19 @@ pub fn inpaint<const C: usize>(
         }
     }
     let unknown = known.iter().filter(|k| !**k).count();
-    if how == Unseen::Black {
+    if how == InpaintMethod::Black {
         return Ok(Inpainted { filled: 0, left: unknown });
     }
     let charts = table.chart.iter().max().map_or(0, |&c| usize::from(c) + 1);
     let mut holes = vec![Vec::new(); charts];
     (0..table.len()).filter(|&k| !known[k]).for_each(|k| holes[usize::from(table.chart[k])].push(k as u32));
     let from: &[[f32; C]] = rows;
-    let diffuse = matches!(how, Unseen::PushPull | Unseen::Harmonic);
+    let diffuse = matches!(how, InpaintMethod::PushPull | InpaintMethod::Harmonic);
     let boxes = if diffuse { diffuse::boxes(table) } else { Vec::new() };
     let fill = |(chart, rows): (usize, &Vec<u32>)| {
         let Some(&window) = boxes.get(chart) else { return fill_chart(table, from, known, rows, how) };
         let holes = diffuse::Holes { rows, window };
-        let fill = if how == Unseen::Harmonic { diffuse::harmonic } else { diffuse::push_pull };
+        let fill = if how == InpaintMethod::Harmonic { diffuse::harmonic } else { diffuse::push_pull };
         Ok(fill(table, from, known, holes))
     };
     let filled: Vec<Result<Vec<_>, InpaintError>> = holes.par_iter().enumerate().map(fill).collect();
@@ -148,7 +148,7 @@ fn fill_chart<const C: usize>(
     rows: &[[f32; C]],
     known: &[bool],
     holes: &[u32],
-    how: Unseen,
+    how: InpaintMethod,
 ) -> Result<Vec<(u32, [f32; C])>, InpaintError> {
     let sites = sites(table, known, holes);
     let mesh = triangulate(sites)?;
@@ -160,8 +160,8 @@ fn fill_chart<const C: usize>(
         let at = position(table, k);
         weights.clear();
         match how {
-            Unseen::Delaunay => linear.get_weights(at, &mut weights),
-            Unseen::Natural => natural.get_weights(at, &mut weights),
+            InpaintMethod::Delaunay => linear.get_weights(at, &mut weights),
+            InpaintMethod::Natural => natural.get_weights(at, &mut weights),
             _ => {}
         }
         if weights.is_empty() {

@@ -66,7 +66,7 @@ struct Rows {
 
 impl Rows {
     fn of(character: &Character, count: usize) -> Self {
-        let listed = &character.file_vertices;
+        let listed = &character.source_vertices;
         let vertices = if listed.is_empty() { (0..count as u32).collect() } else { listed.clone() };
         let mut first = vec![0; count];
         for (row, &v) in vertices.iter().enumerate().rev() {

@@ -52,7 +52,7 @@ fn verified(what: &str, s: &Small) -> Character {
     assert_eq!(c.clips.len(), asset.clips(), "{what}");
     for t in [0.0, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0] {
         let posed = c.posed(&c.clips[0].pose(&c.skeleton, t), Skinning::Lbs);
-        for (want, &v) in asset.vertices(Some(0), t).iter().zip(&c.file_vertices) {
+        for (want, &v) in asset.vertices(Some(0), t).iter().zip(&c.source_vertices) {
             let got = posed[v as usize].to_array().map(f64::from);
             let far = (0..3).map(|k| (got[k] - want[k]).abs()).fold(0.0, f64::max);
             assert!(far < 1e-5, "{what} at {t}: {got:?} {want:?}");
@@ -118,7 +118,7 @@ fn every_feature_agrees_with_the_evaluation() {
     second.as_object_mut().unwrap().remove("material");
     halves.json["meshes"][0]["primitives"].as_array_mut().unwrap().push(second);
     let both = verified("two primitives", &halves);
-    assert_eq!((both.template.vertices.len(), both.file_vertices.len()), (2 * ROWS, 4 * ROWS), "welded");
+    assert_eq!((both.template.vertices.len(), both.source_vertices.len()), (2 * ROWS, 4 * ROWS), "welded");
     assert_eq!(both.template.face_materials.iter().filter(|m| **m == 1).count(), 2 * (ROWS - 1));
 }
 

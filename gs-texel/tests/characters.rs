@@ -43,9 +43,9 @@ fn distance(character: &Character, asset: &Asset, clip: Option<usize>, t: f64) -
     };
     let posed = character.posed(&pose, Skinning::Lbs);
     let want = asset.vertices(clip, t);
-    assert_eq!(want.len(), character.file_vertices.len());
+    assert_eq!(want.len(), character.source_vertices.len());
     let (mut low, mut high, mut worst) = ([f64::MAX; 3], [f64::MIN; 3], 0.0f64);
-    for (want, &v) in want.iter().zip(&character.file_vertices) {
+    for (want, &v) in want.iter().zip(&character.source_vertices) {
         let got = posed[v as usize].to_array().map(f64::from);
         for k in 0..3 {
             low[k] = low[k].min(want[k]);
@@ -75,7 +75,7 @@ fn every_vertex_of_every_character_is_where_an_independent_evaluation_puts_it() 
              {} morphs, {} clips, {:?}: error {worst:.1e}",
             name(&path),
             t.vertices.len(),
-            character.file_vertices.len(),
+            character.source_vertices.len(),
             t.faces.len(),
             t.uvs.len(),
             t.materials.len() - 1,
@@ -168,9 +168,9 @@ fn posed_meshes_are_written() {
     let (models, _) = tobj::load_obj_buf(&mut obj.as_slice(), &options, |_| Ok(Default::default())).unwrap();
     assert_eq!(models[0].mesh.indices.len(), 3 * character.template.faces.len());
     let listed = obj.split(|b| *b == b'\n').filter(|line| line.starts_with(b"v ")).count();
-    assert_eq!(listed, character.file_vertices.len());
+    assert_eq!(listed, character.source_vertices.len());
     let text = String::from_utf8(ply).unwrap();
-    assert_eq!(text.lines().count(), 9 + character.file_vertices.len() + character.template.faces.len());
+    assert_eq!(text.lines().count(), 9 + character.source_vertices.len() + character.template.faces.len());
     // Each triangle of the text is the triangle of the template.
     for (corner, index) in models[0].mesh.indices.iter().enumerate() {
         let want = posed[character.template.faces[corner / 3][corner % 3] as usize];

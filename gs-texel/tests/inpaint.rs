@@ -3,11 +3,17 @@
 mod scenes;
 
 use glam::{Vec2, Vec3};
-use gs_texel::inpaint::{Inpainted, Unseen, ViewWeights, inpaint};
+use gs_texel::inpaint::{InpaintMethod, Inpainted, ViewWeights, inpaint};
 use gs_texel::texels::TexelTable;
 use scenes::plate;
 
-const METHODS: [Unseen; 5] = [Unseen::Nearest, Unseen::Delaunay, Unseen::Natural, Unseen::PushPull, Unseen::Harmonic];
+const METHODS: [InpaintMethod; 5] = [
+    InpaintMethod::Nearest,
+    InpaintMethod::Delaunay,
+    InpaintMethod::Natural,
+    InpaintMethod::PushPull,
+    InpaintMethod::Harmonic,
+];
 
 /// Two charts side by side, a texel or two apart.
 fn two_charts() -> TexelTable {
@@ -45,7 +51,7 @@ fn a_harmonic_fill_is_the_mean_of_its_neighbours_and_keeps_within_its_border() {
     let known: Vec<bool> = (0..table.len()).map(|k| table.uv(k).x > 0.1 || table.chart[k] == 1).collect();
     let mut rows: Vec<[f32; 1]> = (0..table.len()).map(|k| wild(table.uv(k))).collect();
     let before = rows.clone();
-    inpaint(&table, &mut rows, &known, Unseen::Harmonic).unwrap();
+    inpaint(&table, &mut rows, &known, InpaintMethod::Harmonic).unwrap();
     let (low, high) = rows.iter().fold((f32::MAX, f32::MIN), |(l, h), r| (l.min(r[0]), h.max(r[0])));
     for k in 0..table.len() {
         if known[k] {
@@ -100,7 +106,7 @@ fn charts_without_a_known_texel_are_left() {
             assert!(rows.iter().all(|r| r[0] == 0.25), "{how:?}");
         }
     }
-    assert!(inpaint(&table, &mut rows, &known[1..], Unseen::Nearest).unwrap_err().to_string().contains("flags"));
+    assert!(inpaint(&table, &mut rows, &known[1..], InpaintMethod::Nearest).unwrap_err().to_string().contains("flags"));
 }
 
 #[test]

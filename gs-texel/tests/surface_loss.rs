@@ -134,20 +134,20 @@ fn chamfer_along_normals_lets_vertices_slide() {
     let normals: Vec<DVec3> = normals.iter().map(|n| n.as_dvec3()).collect();
     let chamfer = Chamfer::new(&target).unwrap();
     let whole = chamfer.evaluate(&points).unwrap();
-    assert!(apart(&chamfer.evaluate_sliding(&points, &normals, 1.0).unwrap(), &whole) < 1e-12);
+    assert!(apart(&chamfer.evaluate_anisotropic(&points, &normals, 1.0).unwrap(), &whole) < 1e-12);
     for slide in [0.0, 0.3] {
-        let value = |p: &[DVec3]| chamfer.evaluate_sliding(p, &normals, slide).unwrap().value;
-        let loss = chamfer.evaluate_sliding(&points, &normals, slide).unwrap();
+        let value = |p: &[DVec3]| chamfer.evaluate_anisotropic(p, &normals, slide).unwrap().value;
+        let loss = chamfer.evaluate_anisotropic(&points, &normals, slide).unwrap();
         assert!(loss.value < whole.value);
         let error = against_differences(&points, &loss.grad, value);
         assert!(error < DIFFERENCE, "{slide}: {error:e}");
     }
-    let along = chamfer.evaluate_sliding(&points, &normals, 0.0).unwrap();
+    let along = chamfer.evaluate_anisotropic(&points, &normals, 0.0).unwrap();
     assert!(along.grad.iter().zip(&normals).all(|(g, n)| g.cross(*n).length() < 1e-12 * g.length() + 1e-18));
     // Neighbours along a plane do not count, those above it do.
     let grid: Vec<DVec3> = (0..100).map(|i| DVec3::new(f64::from(i % 10), f64::from(i / 10), 0.0)).collect();
     let lifted: Vec<DVec3> = grid.iter().map(|p| *p + DVec3::new(0.25, 0.0, 0.25)).collect();
-    let loss = Chamfer::new(&grid).unwrap().evaluate_sliding(&lifted, &[DVec3::Z; 100], 0.0).unwrap();
+    let loss = Chamfer::new(&grid).unwrap().evaluate_anisotropic(&lifted, &[DVec3::Z; 100], 0.0).unwrap();
     assert!((loss.value - 2.0 * 0.0625).abs() < 1e-15);
 }
 

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use criterion::Criterion;
-use gs_core::speed::{SpeedError, median_seconds};
+use gs_core::speed::{BenchRow, median_seconds};
 use gs_core::{Param, Rng};
 use gs_synth::{self as synth, SynthOptions};
 use gs_train::adam::{Adam, Refused, Update};
@@ -55,7 +55,7 @@ fn adam_rows(criterion: &mut Criterion) {
                 pool.install(|| adam.update(&mut p, update_rule, &mut Refused::default()));
             };
             let ms = 1e3 * median_seconds(15, &mut update);
-            SpeedError {
+            BenchRow {
                 krate: "gs-train",
                 case: "adam".into(),
                 variant: variant.into(),
@@ -66,7 +66,7 @@ fn adam_rows(criterion: &mut Criterion) {
                 error: (!sparse).then_some(error),
                 error_kind: "worst absolute after 10 updates of 1e-2",
             }
-            .keep(env!("CARGO_MANIFEST_DIR"));
+            .append(env!("CARGO_MANIFEST_DIR"));
             criterion.bench_function(&format!("adam/{variant}/5.1M/{threads}t"), |b| b.iter(&mut update));
         }
     }
@@ -117,7 +117,7 @@ fn phase_rows() {
             let line: Vec<String> = ms.iter().map(|(name, ms)| format!("{name} {ms:.2}")).collect();
             println!("{:9} fast, {splats} splats, 400x400, {threads}t  ms: {}", entry.name, line.join("  "));
             for (case, ms) in ms {
-                SpeedError {
+                BenchRow {
                     krate: "gs-train",
                     case: format!("train {case}"),
                     variant: entry.name.into(),
@@ -128,7 +128,7 @@ fn phase_rows() {
                     error: None,
                     error_kind: "see the parts",
                 }
-                .keep(env!("CARGO_MANIFEST_DIR"));
+                .append(env!("CARGO_MANIFEST_DIR"));
             }
         }
     }

@@ -174,7 +174,7 @@ fn errors(particles: &Particles, rows: &[usize], truth: &Truth, body: usize, tim
     let rates = truth.rates_of(body, particles.at)?;
     let is = rates.twist(origin);
     let place = |i: usize| particles.splats.means[i].as_dvec3();
-    let learnt: Vec<(DVec3, Motion<f64>)> = rows.iter().map(|&i| (place(i), particles.motions[i].widened())).collect();
+    let learnt: Vec<(DVec3, Motion<f64>)> = rows.iter().map(|&i| (place(i), particles.motions[i].to_f64())).collect();
     let twist =
         |of: fn(&Motion<f64>) -> [f64; 3]| Spread::of(learnt.iter().map(|(_, m)| (of(m).into(), of(&is).into())));
     let arm = |x: DVec3| (x - origin).to_array();
@@ -266,7 +266,7 @@ mod tests {
                 let Some(hit) = data.truth.hit(&v.camera, at, x, y) else { continue };
                 splats.means.push(hit.world.as_vec3());
                 let motion = data.truth.twist_of(hit.body, at, origin.as_dvec3()).unwrap_or_default();
-                motions.push(motion.narrowed());
+                motions.push(motion.to_f32());
             }
         }
         let n = motions.len();

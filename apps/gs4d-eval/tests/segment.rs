@@ -110,7 +110,7 @@ impl Method for Cast {
     fn particles(&self) -> Option<Particles> {
         let noise = self.noise?;
         let motion = |(i, (body, _)): (usize, &(usize, DVec3))| {
-            let mut m = self.data.truth.twist_of(*body, AT, ORIGIN).unwrap().narrowed();
+            let mut m = self.data.truth.twist_of(*body, AT, ORIGIN).unwrap().to_f32();
             let mut rng = Rng::new(1, "noise", 0, i as u64);
             m.twist.v.iter_mut().chain(&mut m.twist.w).for_each(|x| *x += noise * x.abs().max(0.2) * rng.normal());
             m

@@ -12,16 +12,16 @@ mod stages;
 
 pub use stages::{STAGES, Stage, StageOptions, StageTimes, stage_times};
 
-use gs_core::speed::{SpeedError, median_seconds};
+use gs_core::speed::{BenchRow, median_seconds};
 use gs_raster::SimdLevel;
-use gs_raster::measure::Roofs;
+use gs_raster::measure::Roofline;
 
 /// A group of measurements: the crate they concern and the function that makes them.
 pub struct Group {
     /// Name of the crate.
     pub name: &'static str,
     /// Measures, in the rayon pool in scope.
-    pub measure: fn() -> Vec<SpeedError>,
+    pub measure: fn() -> Vec<BenchRow>,
 }
 
 /// The groups there are.
@@ -35,7 +35,7 @@ pub const GROUPS: &[Group] = &[
 
 /// What the machine does at most, for the threads in scope: `(GFLOP/s of fused multiply-adds, 10⁹ exponentials/s)`.
 pub fn roofs() -> (f64, f64) {
-    let roofs = Roofs::measure(SimdLevel::Auto);
+    let roofs = Roofline::measure(SimdLevel::Auto);
     (roofs.fma, roofs.exp2)
 }
 
@@ -49,8 +49,8 @@ struct Case {
 
 impl Case {
     /// The row, with a median over `runs` calls of `call`.
-    fn row(self, n: usize, work: f64, error: f64, runs: usize, call: impl FnMut()) -> SpeedError {
-        SpeedError {
+    fn row(self, n: usize, work: f64, error: f64, runs: usize, call: impl FnMut()) -> BenchRow {
+        BenchRow {
             krate: self.krate,
             case: self.case,
             variant: self.variant.to_owned(),

@@ -28,7 +28,7 @@ pub use ramp::Ramp;
 use crate::analysis::Journal;
 use crate::storage::Storage;
 use gs_core::Image;
-use gs_core::speed::SpeedError;
+use gs_core::speed::BenchRow;
 
 /// What a report shows. Empty parts are left out of the page.
 #[derive(Clone, Debug, Default)]
@@ -76,7 +76,7 @@ pub struct Report {
     /// Its bytes.
     pub storage: Option<Storage>,
     /// Speed against error.
-    pub speed: Vec<SpeedError>,
+    pub speed: Vec<BenchRow>,
     /// Key, value, source.
     pub settings: Vec<[String; 3]>,
     /// Name and value.
@@ -139,7 +139,7 @@ pub struct Need {
 }
 
 /// Rows of speed against error as one JSON value.
-pub fn speed_json(rows: &[SpeedError]) -> serde_json::Value {
+pub fn speed_json(rows: &[BenchRow]) -> serde_json::Value {
     // Each row writes valid JSON of its own.
     rows.iter()
         .map(|r| serde_json::from_str(&r.to_json()).unwrap_or_default())

@@ -2,7 +2,7 @@
 
 use super::ReportError;
 use super::chart::{Area, INK, framed, svg};
-use gs_core::speed::SpeedError;
+use gs_core::speed::BenchRow;
 use plotters::prelude::*;
 
 /// Blue of Okabe and Ito.
@@ -13,8 +13,8 @@ const POINT: RGBColor = RGBColor(0, 114, 178);
 ///
 /// # Errors
 /// If it cannot be drawn.
-pub fn scatter(rows: &[SpeedError]) -> Result<Option<String>, ReportError> {
-    let place = |(k, r): (usize, &SpeedError)| Some((k + 1, r.ms, r.error?));
+pub fn scatter(rows: &[BenchRow]) -> Result<Option<String>, ReportError> {
+    let place = |(k, r): (usize, &BenchRow)| Some((k + 1, r.ms, r.error?));
     let drawn = |v: f64| v.is_finite() && v > 0.0;
     let points: Vec<(usize, f64, f64)> =
         rows.iter().enumerate().filter_map(place).filter(|p| drawn(p.1) && drawn(p.2)).collect();
@@ -45,7 +45,7 @@ mod tests {
 
     #[test]
     fn points_carry_the_numbers_of_their_rows() {
-        let row = |ms: f64, error: Option<f64>| SpeedError {
+        let row = |ms: f64, error: Option<f64>| BenchRow {
             krate: "c",
             case: "draw".into(),
             variant: "v".into(),

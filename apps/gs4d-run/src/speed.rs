@@ -1,7 +1,7 @@
 //! Speed against error of drawing a trained scene: each variant timed, and compared with the f64 reference that blends
 //! every sample.
 
-use gs_core::speed::{SpeedError, median_seconds};
+use gs_core::speed::{BenchRow, median_seconds};
 use gs_core::{Camera, Splats};
 use gs_raster::reference::{self, Cutoff, Scene};
 use gs_raster::{Frame, RasterOptions, SimdLevel, Workspace, render_into};
@@ -12,7 +12,7 @@ const REFERENCE_WORK: f64 = 6e7;
 const REPEATS: usize = 7;
 
 /// Measures the variants of drawing `splats` for a camera, reduced so that the reference takes about a second.
-pub fn speed_against_error(splats: &Splats, camera: &Camera, options: &RasterOptions) -> Vec<SpeedError> {
+pub fn speed_against_error(splats: &Splats, camera: &Camera, options: &RasterOptions) -> Vec<BenchRow> {
     if splats.is_empty() {
         return Vec::new();
     }
@@ -33,12 +33,12 @@ pub fn speed_against_error(splats: &Splats, camera: &Camera, options: &RasterOpt
     variants.iter().map(|(name, o)| row(name, splats, &camera, o, &truth)).collect()
 }
 
-fn row(name: &str, splats: &Splats, camera: &Camera, options: &RasterOptions, truth: &[f64]) -> SpeedError {
+fn row(name: &str, splats: &Splats, camera: &Camera, options: &RasterOptions, truth: &[f64]) -> BenchRow {
     let (mut workspace, mut frame) = (Workspace::new(), Frame::default());
     render_into(splats, camera, options, &mut workspace, &mut frame);
     let error = frame.rgb.iter().zip(truth).map(|(a, b)| (f64::from(*a) - b).abs()).fold(0.0, f64::max);
     let seconds = median_seconds(REPEATS, || render_into(splats, camera, options, &mut workspace, &mut frame));
-    SpeedError {
+    BenchRow {
         krate: "gs-raster",
         case: format!("draw {}x{}", camera.width, camera.height),
         variant: name.to_owned(),

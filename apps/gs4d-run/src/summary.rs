@@ -5,7 +5,7 @@ use super::overlays::overlay_figures;
 use super::speed::speed_against_error;
 use super::work::{drawing_rows, resting_rows, training_rows};
 use super::{Resolved, RunError, shown};
-use gs_core::speed::SpeedError;
+use gs_core::speed::BenchRow;
 use gs_core::{Camera, Time};
 use gs_data::{Dataset, ImageCache, View};
 use gs_raster::RasterOptions;
@@ -54,7 +54,7 @@ pub struct Material<'a> {
 ///
 /// # Errors
 /// If the log or a photograph cannot be read.
-pub fn summarise(m: &Material) -> Result<(Report, Vec<SpeedError>), RunError> {
+pub fn summarise(m: &Material) -> Result<(Report, Vec<BenchRow>), RunError> {
     let log = m.folder.log_lines(folder::LOG)?;
     let options = m.method.raster_options(m.scores.background);
     let mut renderer = Renderer::new(options.clone());

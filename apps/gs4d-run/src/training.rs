@@ -7,7 +7,7 @@ use super::provenance::{DataOrigin, Machine, now_utc, peak_memory_mib};
 use super::settings::{self, Resolved};
 use super::summary::{Material, summarise};
 use gs_core::io::write_file;
-use gs_core::speed::SpeedError;
+use gs_core::speed::BenchRow;
 use gs_data::{Dataset, ImageCache, Split};
 use gs_train::checkpoint::{self, Skipped};
 use gs_train::evaluate::{EvalReport, evaluate, evaluate_with_future};
@@ -323,7 +323,7 @@ impl Training {
     ///
     /// # Errors
     /// If a photograph cannot be read or the file cannot be written.
-    pub fn report(&self, scores: &EvalReport) -> Result<Vec<SpeedError>, RunError> {
+    pub fn report(&self, scores: &EvalReport) -> Result<Vec<BenchRow>, RunError> {
         let photographs = self.photographs();
         let material = Material {
             folder: &self.folder,

@@ -5,7 +5,7 @@
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use gs_core::io::{Limits, images::decode_image};
-use gs_core::speed::{Laps, SpeedError};
+use gs_core::speed::{BenchRow, Stopwatch};
 use gs_raster::measure;
 use gs4d_view::picture::Renderer;
 use gs4d_view::question::Question;
@@ -37,7 +37,7 @@ fn pictures(c: &mut Criterion) {
         let truth = exact(&mut renderer, &question);
         let truth = decode_image(&truth, "truth.png", &Limits::default()).expect("a PNG");
         for (variant, packing) in [("png", Packing::Png), ("jpeg", Packing::Jpeg)] {
-            let mut laps = Laps::default();
+            let mut laps = Stopwatch::default();
             let mut image = Vec::new();
             c.bench_function(&format!("{case}/{variant}"), |b| {
                 b.iter_custom(|calls| {
@@ -47,7 +47,7 @@ fn pictures(c: &mut Criterion) {
             let Some(ms) = laps.median_ms() else { continue };
             let got = decode_image(&image, "answer", &Limits::default()).expect("an image");
             let apart = got.data.iter().zip(&truth.data).fold(0f32, |m, (a, b)| m.max((a - b).abs()));
-            let row = SpeedError {
+            let row = BenchRow {
                 krate: "gs4d-view",
                 case: case.to_owned(),
                 variant: variant.to_owned(),

@@ -10,7 +10,7 @@
 //! ```
 //! An anchor that is pruned in the same pass still occupies its cell and still has candidates, as in the released code.
 
-use super::{Adapt, AdaptAt, AdaptRules};
+use super::{AnchorDensify, AnchorDensifyRules, AnchorDensifyStep};
 use crate::anchors::Anchors;
 use crate::lattice::{Cell, cell_of, position_of};
 use glam::Vec3;
@@ -38,9 +38,9 @@ struct CandidateCell {
 
 /// The anchors to add, at most `capacity`; a Gaussian must have been rendered in more than half of `interval` views.
 pub(super) fn new_anchors(
-    statistics: &Adapt,
-    rules: &AdaptRules,
-    at: &AdaptAt,
+    statistics: &AnchorDensify,
+    rules: &AnchorDensifyRules,
+    at: &AnchorDensifyStep,
     anchors: &Anchors,
     interval: f32,
     capacity: usize,
@@ -72,7 +72,7 @@ pub(super) fn new_anchors(
 
 /// The cells of the candidates, in the order of cells.
 fn candidate_cells(
-    statistics: &Adapt,
+    statistics: &AnchorDensify,
     anchors: &Anchors,
     side: f32,
     rows: impl Iterator<Item = usize>,

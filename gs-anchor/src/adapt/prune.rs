@@ -5,7 +5,7 @@
 //! ```
 //! Both comparisons are strict. If all would be dropped, the one of the highest mean opacity is kept.
 
-use super::{Adapt, AdaptRules};
+use super::{AnchorDensify, AnchorDensifyRules};
 use crate::anchors::Anchors;
 
 /// Which anchors are kept, and which were visible often enough to be judged.
@@ -17,7 +17,7 @@ pub(super) struct PruneDecision {
 }
 
 /// Decides about the anchors that were visible in more than `views` views; all others are kept.
-pub(super) fn decide(statistics: &Adapt, rules: &AdaptRules, views: f32) -> PruneDecision {
+pub(super) fn decide(statistics: &AnchorDensify, rules: &AnchorDensifyRules, views: f32) -> PruneDecision {
     let (opacity, visits) = (&statistics.opacity, &statistics.visits);
     let judged: Vec<u32> = (0..visits.len()).filter(|&v| visits[v] > views).map(|v| v as u32).collect();
     let mut keep = vec![true; visits.len()];
@@ -33,7 +33,7 @@ pub(super) fn decide(statistics: &Adapt, rules: &AdaptRules, views: f32) -> Prun
 }
 
 /// Limits the scales of the extents by `extent_cap_log`, those of the offsets by the diagonal of the scene's box.
-pub(super) fn cap_scales(anchors: &mut Anchors, rules: &AdaptRules, diagonal: f32) {
+pub(super) fn cap_scales(anchors: &mut Anchors, rules: &AnchorDensifyRules, diagonal: f32) {
     let offset_cap = if diagonal > 0.0 && diagonal.is_finite() { diagonal.ln() } else { f32::INFINITY };
     for row in anchors.log_scales.value.chunks_exact_mut(6) {
         let (offsets, extents) = row.split_at_mut(3);

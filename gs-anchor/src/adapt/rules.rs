@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 /// Settings of growing and pruning. Steps count within the stage's schedule.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct AdaptRules {
+pub struct AnchorDensifyRules {
     /// Views are observed after this step and before `until`.
     pub observe_from: u32,
     /// Passes take place after this step.
@@ -37,7 +37,7 @@ pub struct AdaptRules {
     pub max_anchors: u32,
 }
 
-impl Default for AdaptRules {
+impl Default for AnchorDensifyRules {
     /// The published values (MoDec-GS), with independent levels and at most one million anchors.
     fn default() -> Self {
         Self {
@@ -58,7 +58,7 @@ impl Default for AdaptRules {
     }
 }
 
-impl AdaptRules {
+impl AnchorDensifyRules {
     /// Whether views are observed at step `clock`.
     pub fn observes_at(&self, clock: u32) -> bool {
         clock > self.observe_from && clock < self.until
@@ -110,7 +110,7 @@ mod tests {
 
     #[test]
     fn the_published_levels() {
-        let rules = AdaptRules::default();
+        let rules = AnchorDensifyRules::default();
         assert_eq!(rules.check(), Ok(()));
         assert_eq!([0, 1, 2].map(|l| rules.cells(l)), [16, 4, 1]);
         assert_eq!([0, 1, 2].map(|l| rules.threshold(l)), [2e-4, 4e-4, 8e-4]);
@@ -120,8 +120,8 @@ mod tests {
 
     #[test]
     fn what_cannot_be_done_is_refused_by_name() {
-        let field = |change: fn(&mut AdaptRules)| {
-            let mut rules = AdaptRules::default();
+        let field = |change: fn(&mut AnchorDensifyRules)| {
+            let mut rules = AnchorDensifyRules::default();
             change(&mut rules);
             rules.check().unwrap_err().field
         };

@@ -31,9 +31,9 @@ pub struct AnchorView<'a> {
     pub weight: f32,
 }
 
-/// Densification statistics, one row per anchor, and the passes that use them ([`Adapt::adapt`]).
+/// Densification statistics, one row per anchor, and the passes that use them ([`AnchorDensify::adapt`]).
 #[derive(Clone, Debug, PartialEq)]
-pub struct Adapt {
+pub struct AnchorDensify {
     offsets: usize,
     /// Sum over views and Gaussians of the positive opacities, `[V]`.
     pub opacity: Vec<f32>,
@@ -48,7 +48,7 @@ pub struct Adapt {
 /// A buffer of the statistics: name, values per anchor, values.
 pub type AnchorColumn<T> = (&'static str, usize, T);
 
-impl Adapt {
+impl AnchorDensify {
     /// Statistics of zero with one row per anchor.
     pub fn new(anchors: &Anchors) -> Self {
         let k = anchors.shape().offsets;
@@ -76,7 +76,7 @@ impl Adapt {
         ]
     }
 
-    /// [`Adapt::columns`], to restore them.
+    /// [`AnchorDensify::columns`], to restore them.
     pub fn columns_mut(&mut self) -> [AnchorColumn<&mut Vec<f32>>; 4] {
         let k = self.offsets;
         [

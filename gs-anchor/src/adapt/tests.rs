@@ -7,7 +7,8 @@ use std::collections::BTreeMap;
 
 const SHAPE: AnchorShape = AnchorShape { offsets: 2, features: 3, dynamics: 2 };
 const VOXEL: f32 = 0.01;
-const AT: AdaptAt = AdaptAt { step: 1600, clock: 1600, seed: 7, voxel: VOXEL, diagonal: 100.0, views_per_step: 1 };
+const AT: AnchorDensifyStep =
+    AnchorDensifyStep { step: 1600, clock: 1600, seed: 7, voxel: VOXEL, diagonal: 100.0, views_per_step: 1 };
 
 /// Anchors in a row along x, `spacing` cells apart; scales 1, everything else 0.
 fn anchors(n: usize, spacing: usize) -> Anchors {
@@ -16,8 +17,8 @@ fn anchors(n: usize, spacing: usize) -> Anchors {
 }
 
 /// Statistics in which every Gaussian was rendered `rendered` times with mean gradient `grad`, every anchor opaque.
-fn statistics(anchors: &Anchors, grad: f32, rendered: f32) -> Adapt {
-    let mut adapt = Adapt::new(anchors);
+fn statistics(anchors: &Anchors, grad: f32, rendered: f32) -> AnchorDensify {
+    let mut adapt = AnchorDensify::new(anchors);
     adapt.opacity.fill(100.0);
     adapt.visits.fill(100.0);
     adapt.grad.fill(grad * rendered);
@@ -31,7 +32,7 @@ fn positions(anchors: &Anchors) -> Vec<Vec3> {
 
 #[test]
 fn views_are_counted_where_they_belong() {
-    let mut adapt = Adapt::new(&anchors(3, 1));
+    let mut adapt = AnchorDensify::new(&anchors(3, 1));
     let view = AnchorView {
         visible: &[2, 0],
         activations: &[0.5, -0.25, 0.25, 0.5],
@@ -57,14 +58,17 @@ fn nothing_changes_between_passes() {
     let mut s = statistics(&a, 1.0, 50.0);
     let before = (a.clone(), s.clone());
     for clock in [1500, 1650, 15_000] {
-        assert_eq!(s.adapt(&AdaptRules::default(), &AdaptAt { clock, ..AT }, &mut a), Ok(Grown::default()));
+        assert_eq!(
+            s.adapt(&AnchorDensifyRules::default(), &AnchorDensifyStep { clock, ..AT }, &mut a),
+            Ok(AnchorDensifyReport::default())
+        );
     }
     assert_eq!((a, s), before);
 }
 
 #[test]
 fn only_anchors_below_both_strict_bounds_are_pruned() {
-    let rules = AdaptRules { min_opacity: 0.25, ..AdaptRules::default() };
+    let rules = AnchorDensifyRules { min_opacity: 0.25, ..AnchorDensifyRules::default() };
     let mut a = anchors(5, 100);
     let mut s = statistics(&a, 0.0, 0.0);
     // Seen exactly 80 times; opacity exactly at the bound; just below it; never seen; opaque.
@@ -79,12 +83,12 @@ fn only_anchors_below_both_strict_bounds_are_pruned() {
 
 #[test]
 fn more_views_per_step_ask_for_more_visits() {
-    let rules = AdaptRules { min_opacity: 0.25, ..AdaptRules::default() };
+    let rules = AnchorDensifyRules { min_opacity: 0.25, ..AnchorDensifyRules::default() };
     let mut a = anchors(2, 100);
     let mut s = statistics(&a, 0.0, 0.0);
     s.visits = vec![320.0, 321.0];
     s.opacity = vec![0.0, 0.0];
-    let did = s.adapt(&rules, &AdaptAt { views_per_step: 4, ..AT }, &mut a).unwrap();
+    let did = s.adapt(&rules, &AnchorDensifyStep { views_per_step: 4, ..AT }, &mut a).unwrap();
     assert_eq!((did.pruned, a.position(0)), (1, Vec3::ZERO));
 }
 
@@ -93,7 +97,7 @@ fn the_last_anchor_stays() {
     let mut a = anchors(3, 100);
     let mut s = statistics(&a, 0.0, 0.0);
     s.opacity = vec![0.1, 0.3, 0.2];
-    assert_eq!(s.adapt(&AdaptRules::default(), &AT, &mut a).unwrap().pruned, 2);
+    assert_eq!(s.adapt(&AnchorDensifyRules::default(), &AT, &mut a).unwrap().pruned, 2);
     assert_eq!(a.position(0).x, 1.0);
 }
 
@@ -107,7 +111,7 @@ fn new_anchors_lie_on_the_lattice_of_their_level_in_cells_of_candidates() {
     let centres: Vec<Vec3> =
         (0..a.len() * k).map(|r| a.position(r / k) + Vec3::from_slice(&a.offsets.value[3 * r..])).collect();
     let mut s = statistics(&a, 8.5e-4, 50.0);
-    let did = s.adapt(&AdaptRules::default(), &AT, &mut a).unwrap();
+    let did = s.adapt(&AnchorDensifyRules::default(), &AT, &mut a).unwrap();
     assert_eq!((did.pruned, did.added as usize), (0, a.len() - 300));
     let mut first = 300;
     for (&n, (cells, share)) in did.per_level.iter().zip([(16u32, 0.5), (4, 0.75), (1, 0.875)]) {
@@ -135,7 +139,7 @@ fn thresholds_rise_with_the_level() {
         let mut a = anchors(64, 100);
         a.offsets.value.iter_mut().enumerate().for_each(|(i, o)| *o = 0.3 * ((i % 7) as f32 - 3.0) / 3.0);
         let mut s = statistics(&a, grad, 50.0);
-        let did = s.adapt(&AdaptRules::default(), &AT, &mut a).unwrap();
+        let did = s.adapt(&AnchorDensifyRules::default(), &AT, &mut a).unwrap();
         assert_eq!(did.per_level.iter().map(|n| *n > 0).collect::<Vec<_>>(), levels, "{grad}: {did:?}");
     }
 }
@@ -146,7 +150,7 @@ fn gaussians_rendered_seldom_do_not_grow() {
     a.offsets.value.fill(0.3);
     // Half of 100 · 0.8 exactly: not more than half.
     let mut s = statistics(&a, 1.0, 40.0);
-    assert_eq!(s.adapt(&AdaptRules::default(), &AT, &mut a).unwrap().added, 0);
+    assert_eq!(s.adapt(&AnchorDensifyRules::default(), &AT, &mut a).unwrap().added, 0);
     assert!(s.rendered.iter().all(|n| *n == 40.0), "and their counts continue");
 }
 
@@ -157,7 +161,7 @@ fn finer_levels_wait_for_coarser_ones_only_if_set_to() {
         let mut a = anchors(64, 16);
         a.offsets.value.chunks_exact_mut(3).for_each(|o| o.copy_from_slice(&[0.03, 0.0, 0.0]));
         let mut s = statistics(&a, 1e-3, 50.0);
-        let rules = AdaptRules { only_after_coarser, ..AdaptRules::default() };
+        let rules = AnchorDensifyRules { only_after_coarser, ..AnchorDensifyRules::default() };
         s.adapt(&rules, &AT, &mut a).unwrap().per_level
     };
     assert_eq!(grow(true), [0; 3]);
@@ -176,10 +180,10 @@ fn new_features_are_the_maximum_over_the_parents() {
     }
     a.features.value = vec![1.0, -2.0, 5.0, 0.5, -1.0, 7.0];
     a.features.moment1.fill(1.0);
-    let rules = AdaptRules { levels: 1, ..AdaptRules::default() };
+    let rules = AnchorDensifyRules { levels: 1, ..AnchorDensifyRules::default() };
     let seed = (0..).find(|&seed| (0..4).all(|row| Rng::new(seed, "grow", AT.step, row).uniform() > 0.5)).unwrap();
     let mut s = statistics(&a, 1.0, 50.0);
-    assert_eq!(s.adapt(&rules, &AdaptAt { seed, ..AT }, &mut a).unwrap().added, 1);
+    assert_eq!(s.adapt(&rules, &AnchorDensifyStep { seed, ..AT }, &mut a).unwrap().added, 1);
     assert_eq!(a.features.value[6..], [1.0, -1.0, 7.0]);
     assert_eq!(a.features.moment1, [1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0]);
     assert!(a.position(2).distance(target) < 1e-6 && a.offsets.value[12..].iter().all(|o| *o == 0.0));
@@ -193,7 +197,7 @@ fn the_cap_admits_the_largest_gradients() {
     for v in 30..40 {
         s.grad[2 * v..2 * v + 2].fill(1.0);
     }
-    let rules = AdaptRules { max_anchors: 45, levels: 1, ..AdaptRules::default() };
+    let rules = AnchorDensifyRules { max_anchors: 45, levels: 1, ..AnchorDensifyRules::default() };
     assert_eq!(s.adapt(&rules, &AT, &mut a).unwrap().added, 5);
     assert!((40..45).all(|v| a.position(v).x > 28.0), "only the last ten anchors had such gradients");
     s.grad.fill(50.0);
@@ -208,11 +212,11 @@ fn scales_are_bounded_and_wild_gaussians_ignored() {
     a.offsets.value[0] = f32::NAN;
     a.offsets.value[3] = 1e30;
     let mut s = statistics(&a, 1.0, 50.0);
-    s.adapt(&AdaptRules::default(), &AT, &mut a).unwrap();
+    s.adapt(&AnchorDensifyRules::default(), &AT, &mut a).unwrap();
     assert_eq!(a.log_scales.value[..6], [100.0f32.ln(), 1.0, -1.0, 0.05, 0.05, -1.0]);
     assert!(positions(&a).iter().all(|p| p.is_finite()));
     s.visits.pop();
-    assert!(s.adapt(&AdaptRules::default(), &AT, &mut a).is_err(), "statistics of other anchors");
+    assert!(s.adapt(&AnchorDensifyRules::default(), &AT, &mut a).is_err(), "statistics of other anchors");
 }
 
 #[test]
@@ -221,7 +225,7 @@ fn the_same_pass_twice_is_the_same() {
         let mut a = anchors(100, 50);
         a.offsets.value.iter_mut().enumerate().for_each(|(i, o)| *o = (i as f32 * 0.7).sin());
         let mut s = statistics(&a, 1e-3, 60.0);
-        s.adapt(&AdaptRules::default(), &AdaptAt { seed, ..AT }, &mut a).unwrap();
+        s.adapt(&AnchorDensifyRules::default(), &AnchorDensifyStep { seed, ..AT }, &mut a).unwrap();
         (a, s)
     };
     assert_eq!(run(1), run(1));
@@ -239,7 +243,7 @@ fn key(p: Vec3) -> [u32; 3] {
 }
 
 /// Fills an anchor's row of every block (but the position), moment and column.
-fn stamp(a: &mut Anchors, s: &mut Adapt, v: usize, round: u32) -> Shadow {
+fn stamp(a: &mut Anchors, s: &mut AnchorDensify, v: usize, round: u32) -> Shadow {
     let [x, y, z] = key(a.position(v));
     let mut rng = Rng::new(u64::from(x) << 32 | u64::from(y), "stamp", round, u64::from(z));
     let mut shadow = Shadow { blocks: vec![], columns: vec![] };
@@ -276,15 +280,15 @@ fn row_of(a: &Anchors, v: usize) -> Vec<Vec<f32>> {
 
 #[test]
 fn every_row_keeps_its_own_through_any_sequence_of_passes() {
-    let rules = AdaptRules { grad: 2e-3, max_anchors: 1500, ..AdaptRules::default() };
+    let rules = AnchorDensifyRules { grad: 2e-3, max_anchors: 1500, ..AnchorDensifyRules::default() };
     let mut a = anchors(60, 37);
-    let mut s = Adapt::new(&a);
+    let mut s = AnchorDensify::new(&a);
     let (mut added, mut pruned) = (0, 0);
     for round in 0..25 {
         let shadows: BTreeMap<[u32; 3], Shadow> =
             (0..a.len()).map(|v| (key(a.position(v)), stamp(&mut a, &mut s, v, round))).collect();
         assert_eq!(shadows.len(), a.len(), "no two anchors share a position");
-        let at = AdaptAt { step: 1600 + 100 * round, clock: 1600 + 100 * round, ..AT };
+        let at = AnchorDensifyStep { step: 1600 + 100 * round, clock: 1600 + 100 * round, ..AT };
         let did = s.adapt(&rules, &at, &mut a).unwrap();
         (added, pruned) = (added + did.added, pruned + did.pruned);
         assert_eq!(a.len(), shadows.len() + did.added as usize - did.pruned as usize);

@@ -11,7 +11,7 @@
 //! ```
 //! Dropped Gaussians have cotangents of zero; the test `a > 0` has no gradient.
 
-use crate::{Local, LocalGrad};
+use crate::{LocalAnchors, LocalAnchorsGrad};
 use glam::{DVec3, Vec3};
 use gs_core::cloud::sigmoid;
 use gs_core::{Color, Splats, SplatsGrad};
@@ -96,7 +96,7 @@ pub(super) struct HeadOutputs<'a> {
 }
 
 /// Writes the kept Gaussians of a block.
-pub(super) fn write(local: &Local, anchors: &[u32], heads: HeadOutputs<'_>, to: SplatRows<'_>) {
+pub(super) fn write(local: &LocalAnchors, anchors: &[u32], heads: HeadOutputs<'_>, to: SplatRows<'_>) {
     let k = heads.activations.len() / anchors.len().max(1);
     for (n, (i, &a)) in heads.activations.iter().enumerate().filter(|(_, a)| **a > 0.0).enumerate() {
         let v = anchors[i / k] as usize;
@@ -114,7 +114,7 @@ pub(super) fn write(local: &Local, anchors: &[u32], heads: HeadOutputs<'_>, to: 
 }
 
 /// `l'[0:3]` and `l'[3:6]` of anchor `v`.
-fn scales(local: &Local, v: usize) -> (Vec3, Vec3) {
+fn scales(local: &LocalAnchors, v: usize) -> (Vec3, Vec3) {
     let l = &local.scales[6 * v..][..6];
     (Vec3::from_slice(l), Vec3::from_slice(&l[3..]))
 }
@@ -131,8 +131,8 @@ pub(super) struct AnchorGradRows<'a> {
 
 impl<'a> AnchorGradRows<'a> {
     /// The cotangents of all anchors.
-    pub(super) fn all(d: &'a mut LocalGrad) -> Self {
-        let LocalGrad { positions, offsets, features, scales } = d;
+    pub(super) fn all(d: &'a mut LocalAnchorsGrad) -> Self {
+        let LocalAnchorsGrad { positions, offsets, features, scales } = d;
         Self { first: 0, positions, offsets, features, scales }
     }
 
@@ -162,7 +162,7 @@ impl<'a> AnchorGradRows<'a> {
 /// Backward of [`write`]: adds to the anchors' cotangents, sets those of the heads' outputs before their activations.
 /// `first` is the row of the block's first splat in `d_out`.
 pub(super) fn backward(
-    local: &Local,
+    local: &LocalAnchors,
     anchors: &[u32],
     heads: HeadOutputs<'_>,
     (d_out, first): (&SplatsGrad, usize),

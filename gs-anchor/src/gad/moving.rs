@@ -5,25 +5,25 @@
 //! rows would save next to nothing.)
 
 use super::{Gad, GadHead, add_scaled, move_points};
-use crate::{AnchorShape, Anchors, Local};
+use crate::{AnchorShape, Anchors, LocalAnchors};
 use gs_core::Time;
 use gs_core::nn::BLOCK;
 
 impl Gad {
     /// Whether each anchor takes part in the deformation: `M ≠ 0` or `|m| ≥ below`.
-    pub fn taking_part(&self, anchors: &Anchors, below: f32) -> impl Iterator<Item = bool> {
+    pub fn is_active(&self, anchors: &Anchors, below: f32) -> impl Iterator<Item = bool> {
         (0..anchors.len()).map(move |v| {
             let [global, local] = self.config.dynamics.weights(anchors.logits(v));
             global.value != 0.0 || local.value.abs() >= below
         })
     }
 
-    /// [`Gad::forward`] for the anchors of [`Gad::taking_part`]; the others stay canonical. The error of their values
+    /// [`Gad::forward`] for the anchors of [`Gad::is_active`]; the others stay canonical. The error of their values
     /// is at most `below` times the net's output; with `below` = 0 all take part.
-    pub fn forward_moving(&self, anchors: &Anchors, t_c: Time, below: f32, out: &mut Local) {
+    pub fn forward_active(&self, anchors: &Anchors, t_c: Time, below: f32, out: &mut LocalAnchors) {
         anchors.activate(out);
         let moving: Vec<usize> =
-            self.taking_part(anchors, below).enumerate().filter_map(|(v, moves)| moves.then_some(v)).collect();
+            self.is_active(anchors, below).enumerate().filter_map(|(v, moves)| moves.then_some(v)).collect();
         let points: Vec<_> = moving.iter().map(|&v| out.positions[v]).collect();
         let mut tape = Default::default();
         self.net.forward(&points, t_c, &mut tape);
@@ -69,16 +69,17 @@ mod tests {
         let gad = Gad::new(&GadConfig { net, ..GadConfig::default() }, shape, aabb, 4).unwrap();
 
         let t = Time::new(0.4).unwrap();
-        let (mut whole, mut rest) = <(Local, Local)>::default();
+        let (mut whole, mut rest) = <(LocalAnchors, LocalAnchors)>::default();
         gad.forward(&anchors, t, &mut Default::default(), &mut whole);
         anchors.activate(&mut rest);
         for (below, idle) in [(1e-4, (0..n).filter(|v| v % 3 == 1).count()), (0.0, 0)] {
-            let mut few = Local::default();
-            gad.forward_moving(&anchors, t, below, &mut few);
-            assert_eq!(gad.taking_part(&anchors, below).filter(|p| !p).count(), idle);
+            let mut few = LocalAnchors::default();
+            gad.forward_active(&anchors, t, below, &mut few);
+            assert_eq!(gad.is_active(&anchors, below).filter(|p| !p).count(), idle);
             for v in 0..n {
-                let row =
-                    |l: &Local| (l.positions[v], l.offsets[9 * v..][..9].to_vec(), l.features[8 * v..][..8].to_vec());
+                let row = |l: &LocalAnchors| {
+                    (l.positions[v], l.offsets[9 * v..][..9].to_vec(), l.features[8 * v..][..8].to_vec())
+                };
                 if idle > 0 && v % 3 == 1 {
                     assert_eq!(row(&few), row(&rest), "idle anchor {v}");
                 }

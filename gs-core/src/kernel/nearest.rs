@@ -8,7 +8,7 @@
 //! ```
 //! Standard deviations are multiplied by `k^−½`, opacities by `a`.
 
-use super::{Bend, Kernel};
+use super::{Kernel, Profile};
 use crate::Splats;
 
 /// Half the interval of `ln k` that is searched.
@@ -16,7 +16,7 @@ const LOG_K_RANGE: f64 = 4.0;
 /// Golden-section steps: they leave an interval of `2 LOG_K_RANGE · 0.618⁵⁰`.
 const SEARCH_STEPS: usize = 50;
 
-impl Bend<f64> {
+impl Profile<f64> {
     /// Factors of standard deviation and opacity of the nearest Gaussian.
     pub(crate) fn nearest_gaussian(&self) -> (f64, f64) {
         let (mut low, mut high) = (-LOG_K_RANGE, LOG_K_RANGE);
@@ -74,7 +74,7 @@ mod tests {
     use super::*;
 
     /// `∫ (ψ − a gᵏ)² r dr` by the midpoint rule.
-    fn distance(bend: &Bend<f64>, spread: f64, strength: f64) -> f64 {
+    fn distance(bend: &Profile<f64>, spread: f64, strength: f64) -> f64 {
         let dr = 1e-3;
         let at = |i: usize| {
             let r = (i as f64 + 0.5) * dr;
@@ -86,7 +86,7 @@ mod tests {
 
     #[test]
     fn a_gaussian_is_its_own_nearest() {
-        for bend in [Bend::frequency(0.5, 0.7), Bend::frequency(0.9, 0.0), Bend::acutance(0.0)] {
+        for bend in [Profile::frequency(0.5, 0.7), Profile::frequency(0.9, 0.0), Profile::acutance(0.0)] {
             let (spread, strength) = bend.nearest_gaussian();
             assert!((spread - 1.0).abs() < 1e-6 && (strength - 1.0).abs() < 1e-6, "{bend:?}: {spread} {strength}");
         }
@@ -94,7 +94,12 @@ mod tests {
 
     #[test]
     fn nothing_nearby_is_nearer() {
-        for bend in [Bend::frequency(0.9, 0.6), Bend::frequency(0.1, 0.4), Bend::acutance(0.6), Bend::acutance(-0.5)] {
+        for bend in [
+            Profile::frequency(0.9, 0.6),
+            Profile::frequency(0.1, 0.4),
+            Profile::acutance(0.6),
+            Profile::acutance(-0.5),
+        ] {
             let (spread, strength) = bend.nearest_gaussian();
             let best = distance(&bend, spread, strength);
             assert!(best < distance(&bend, 1.0, 1.0), "{bend:?}");

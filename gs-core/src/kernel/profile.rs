@@ -20,7 +20,7 @@ use crate::Real;
 
 /// A kernel profile `ψ(g)`, `g ∈ [0, 1]`, in the common form.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Bend<T> {
+pub struct Profile<T> {
     /// Slope of the inner segment less one; 0 is the Gaussian.
     pub u: T,
     /// Steepness of the residual on the outer segments; 1e30 where `D ≤ 0`.
@@ -42,7 +42,7 @@ pub struct Partials<T> {
     pub inner: T,
 }
 
-impl<T: Real + PartialOrd> Bend<T> {
+impl<T: Real + PartialOrd> Profile<T> {
     /// κ of a profile without outer segments.
     const CLAMPED: f64 = 1e30;
 
@@ -100,7 +100,7 @@ impl<T: Real + PartialOrd> Bend<T> {
     }
 }
 
-impl Bend<f64> {
+impl Profile<f64> {
     /// Smallest `g` with `ψ(g) ≥ threshold`: `None` if there is none, 0 where the support is unbounded. The splat
     /// extends to the squared Mahalanobis distance `−2 ln g`.
     #[inline(always)]

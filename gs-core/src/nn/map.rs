@@ -9,7 +9,7 @@
 //!
 //! let mut map = Map::zeros(2, 2, 1, 1);
 //! map.load(&[1.0, 2.0, 3.0, 4.0]);
-//! let diagonal = Sites::where_(2, 2, |y, x| y == x);
+//! let diagonal = Sites::from_fn(2, 2, |y, x| y == x);
 //! map.clear_outside(&diagonal);
 //! let mut values = [0.0; 4];
 //! map.store(&mut values);
@@ -154,11 +154,11 @@ pub struct Sites {
 impl Sites {
     /// All pixels of the map.
     pub fn full(height: usize, width: usize) -> Self {
-        Self::where_(height, width, |_, _| true)
+        Self::from_fn(height, width, |_, _| true)
     }
 
     /// The pixels `(y, x)` for which `inside` is true.
-    pub fn where_(height: usize, width: usize, inside: impl Fn(usize, usize) -> bool) -> Self {
+    pub fn from_fn(height: usize, width: usize, inside: impl Fn(usize, usize) -> bool) -> Self {
         let (mut start, mut xs) = (vec![0], Vec::new());
         for y in 0..height {
             xs.extend((0..width).filter(|&x| inside(y, x)).map(|x| x as u32));
@@ -176,7 +176,7 @@ impl Sites {
                 any[y / 2 * width + x as usize / 2] = true;
             }
         }
-        Self::where_(height, width, |y, x| any[y * width + x])
+        Self::from_fn(height, width, |y, x| any[y * width + x])
     }
 
     /// Column indices of the sites in row `y`, ascending.
@@ -228,7 +228,7 @@ mod tests {
 
     #[test]
     fn sites_halve_by_any_and_clear_the_rest() {
-        let sites = Sites::where_(4, 6, |y, x| (y, x) == (1, 2) || (y, x) == (3, 5));
+        let sites = Sites::from_fn(4, 6, |y, x| (y, x) == (1, 2) || (y, x) == (3, 5));
         assert_eq!((sites.len(), sites.row(1), sites.row(0)), (2, &[2][..], &[][..]));
         let half = sites.halved();
         assert_eq!((half.height(), half.width(), half.row(0), half.row(1)), (2, 3, &[1][..], &[2][..]));

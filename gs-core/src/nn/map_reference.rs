@@ -184,7 +184,7 @@ pub fn max_pool<T: Real>(x: &RefMap<T>) -> RefMap<T> {
 }
 
 /// Upsampling by 2: bilinear interpolation at `(at + ½) / 2 − ½`, clamped at the edges.
-pub fn double<T: Real>(x: &RefMap<T>) -> RefMap<T> {
+pub fn upsample<T: Real>(x: &RefMap<T>) -> RefMap<T> {
     let taps = |at: usize, size: usize| {
         let place = ((at as f64 + 0.5) / 2.0 - 0.5).max(0.0);
         let low = (place.floor() as usize).min(size - 1);

@@ -77,7 +77,7 @@ pub fn max_pool_backward(x: &Map, y: &Map, dy: &Map, dx: &mut Map, sites: &Sites
 ///
 /// # Panics
 /// If shapes do not fit.
-pub fn double(x: &Map, y: &mut Map, sites: &Sites) {
+pub fn upsample(x: &Map, y: &mut Map, sites: &Sites) {
     assert_eq!(
         [y.height(), y.width(), y.channels()],
         [2 * x.height(), 2 * x.width(), x.channels()],
@@ -100,11 +100,11 @@ fn sources(at: usize, size: usize) -> [usize; 2] {
     [near, far]
 }
 
-/// Backward of [`double`] at `sites` of `dx`, replacing or adding. `dy` must be zero where no output was computed.
+/// Backward of [`upsample`] at `sites` of `dx`, replacing or adding. `dy` must be zero where no output was computed.
 ///
 /// # Panics
 /// If shapes do not fit.
-pub fn double_backward(dy: &Map, dx: &mut Map, sites: &Sites, write: Write) {
+pub fn upsample_backward(dy: &Map, dx: &mut Map, sites: &Sites, write: Write) {
     assert_eq!(
         [dy.height(), dy.width(), dy.channels()],
         [2 * dx.height(), 2 * dx.width(), dx.channels()],

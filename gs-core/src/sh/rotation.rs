@@ -48,13 +48,13 @@ static RULE: LazyLock<Rule> = LazyLock::new(|| {
 
 /// The matrix that rotates SH coefficients up to a degree, one block per band.
 #[derive(Clone, Copy, Debug)]
-pub struct ShTurn<T> {
+pub struct ShRotation<T> {
     /// `D` by rows; entries between bands are zero.
     matrix: [[T; MAX_COEFFS]; MAX_COEFFS],
     degree: u8,
 }
 
-impl<T: Real> ShTurn<T> {
+impl<T: Real> ShRotation<T> {
     /// For the rotation `r` (rows of its matrix) and coefficients up to `degree` (at most 3).
     pub fn new(r: &Mat3<T>, degree: u8) -> Self {
         let zero = r[0][0].lit(0.0);
@@ -80,7 +80,7 @@ impl<T: Real> ShTurn<T> {
         self.multiply(sh, |k, m| self.matrix[k][m]);
     }
 
-    /// Backward of [`ShTurn::apply`], in place: cotangents of rotated coefficients become those of the unrotated ones. The
+    /// Backward of [`ShRotation::apply`], in place: cotangents of rotated coefficients become those of the unrotated ones. The
     /// rotation has no gradient.
     pub fn apply_backward(&self, d_sh: &mut [T]) {
         self.multiply(d_sh, |k, m| self.matrix[m][k]);
@@ -134,7 +134,7 @@ mod tests {
                 let r = rot::matrix(rot::normalise(raw).wxyz);
                 let sh: Vec<f64> = random::<48>(&mut rng)[..3 * coeffs(degree)].to_vec();
                 let (mut rotated, d) = (sh.clone(), unit(random(&mut rng)));
-                ShTurn::new(&r, degree).apply(&mut rotated);
+                ShRotation::new(&r, degree).apply(&mut rotated);
                 let back: [f64; 3] = std::array::from_fn(|b| (0..3).map(|a| r[a][b] * d[a]).sum());
                 let value = |sh: &[f64], d: [f64; 3], channel: usize| -> f64 {
                     let terms = basis(d, degree).into_iter().zip(sh.chunks(3));
@@ -147,7 +147,7 @@ mod tests {
 
                 let narrow: rot::Mat3<f32> = r.map(|row| row.map(|v| v as f32));
                 let mut single: Vec<f32> = sh.iter().map(|v| *v as f32).collect();
-                ShTurn::new(&narrow, degree).apply(&mut single);
+                ShRotation::new(&narrow, degree).apply(&mut single);
                 let close = |(a, b): (&f32, &f64)| (f64::from(*a) - b).abs() < F32_TOLERANCE;
                 assert!(single.iter().zip(&rotated).all(close), "f32 at degree {degree}");
             }
@@ -158,7 +158,7 @@ mod tests {
     #[test]
     fn backward_is_the_transpose_and_the_inverse() {
         let mut rng = Rng::new(4, "sh-turn", 0, 0);
-        let rotation = ShTurn::new(&rot::matrix(rot::normalise(random::<4>(&mut rng)).wxyz), 3);
+        let rotation = ShRotation::new(&rot::matrix(rot::normalise(random::<4>(&mut rng)).wxyz), 3);
         let (sh, g) = (random::<48>(&mut rng), random::<48>(&mut rng));
         let (mut rotated, mut d_sh) = (sh, g);
         rotation.apply(&mut rotated);

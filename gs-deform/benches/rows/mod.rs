@@ -1,6 +1,6 @@
 //! The rows the benches of fields write.
 
-use gs_core::speed::{SpeedError, median_seconds};
+use gs_core::speed::{BenchRow, median_seconds};
 
 /// What the rows of one bench share.
 pub struct Rows {
@@ -27,7 +27,7 @@ impl Rows {
 
     /// Prints and records what was measured elsewhere.
     pub fn keep(&self, case: &str, variant: &str, work: f64, error: Option<(f64, &'static str)>, ms: f64) {
-        let line = SpeedError {
+        let line = BenchRow {
             krate: "gs-deform",
             case: case.to_owned(),
             variant: variant.to_owned(),
@@ -38,6 +38,6 @@ impl Rows {
             error: error.map(|e| e.0),
             error_kind: error.map_or("measured elsewhere", |e| e.1),
         };
-        line.keep(env!("CARGO_MANIFEST_DIR"));
+        line.append(env!("CARGO_MANIFEST_DIR"));
     }
 }

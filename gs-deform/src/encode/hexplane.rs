@@ -15,7 +15,7 @@
 //! * **One time per call**: the two rows of a time plane around the timestamp are blended into a line once, so a point
 //!   reads 18 texels instead of 24 (exact up to rounding).
 //! * **Static points**: [`HexPlane::place`] finds their cells once, for any number of calls at any times while the
-//!   planes are trained ([`HexPlane::forward_placed`]; the same arithmetic, hence the same bits).
+//!   planes are trained ([`HexPlane::forward_located`]; the same arithmetic, hence the same bits).
 //! * **Backward**: channels are independent, so each group of sixteen channels of a level is one task that owns its
 //!   slices of all six gradients and visits the points in order: no private copies, no atomics, the same sums for any
 //!   number of threads. At most `levels · channels / 16` tasks run at once.
@@ -188,7 +188,7 @@ impl HexPlane {
     }
 
     /// [`HexPlane::forward`] for points whose cells are known: the same bits.
-    pub fn forward_placed(&self, places: &GridCells, t: Time, tape: &mut HexTape) {
+    pub fn forward_located(&self, places: &GridCells, t: Time, tape: &mut HexTape) {
         tape.places = places.clone();
         self.encode(t, tape);
     }

@@ -153,14 +153,14 @@ impl PlaneNet {
         self.forward_dense(tape);
     }
 
-    /// Finds the cells of static points, for [`PlaneNet::forward_placed`] at any time and training step.
+    /// Finds the cells of static points, for [`PlaneNet::forward_located`] at any time and training step.
     pub fn place(&self, points: &[Vec3]) -> GridCells {
         self.hexplane.place(points)
     }
 
     /// [`PlaneNet::forward`] for points whose cells are known: the same bits.
-    pub fn forward_placed(&self, places: &GridCells, t: Time, tape: &mut PlaneNetTape) {
-        self.hexplane.forward_placed(places, t, &mut tape.hex);
+    pub fn forward_located(&self, places: &GridCells, t: Time, tape: &mut PlaneNetTape) {
+        self.hexplane.forward_located(places, t, &mut tape.hex);
         self.forward_dense(tape);
     }
 

@@ -20,7 +20,7 @@ mod form;
 pub use config::{AccelMap, LawConfig, LawForm, LawInput};
 
 use crate::blocks::PoseBlock;
-use crate::dynamics::{Dynamics, Moves, Start};
+use crate::dynamics::{Dynamics, ParticleState, Start};
 use crate::error::PhysicsError;
 use crate::lanes::LANES;
 use crate::rollout::Rollout;
@@ -41,15 +41,15 @@ const IDENTITY: [f32; 4] = [1.0, 0.0, 0.0, 0.0];
 ///
 /// ```
 /// use glam::Vec3;
-/// use gs_physics::{Dynamics, Law, LawConfig, LawTape, Moves, Start};
+/// use gs_physics::{Dynamics, Law, LawConfig, LawTape, ParticleState, Start};
 /// let law = Law::new(&LawConfig::small(), Vec3::ZERO, 1.0 / 30.0, 7)?;
 /// let start = Start { x: &[Vec3::X, Vec3::Y], t: 0.5, middle: Vec3::ZERO };
-/// let mut out = Moves::default();
-/// law.transport(start, 0.75, &mut LawTape::default(), &mut out);
+/// let mut out = ParticleState::default();
+/// law.integrate(start, 0.75, &mut LawTape::default(), &mut out);
 /// // The same as its motions, read at 0.5 and rolled out, to the last bit.
 /// let (mut means, mut quats) = (start.x.to_vec(), vec![[1.0, 0.0, 0.0, 0.0]; 2]);
 /// law.rollout().advance(&law.motions(start), [0.0, 0.25], &mut means, &mut quats);
-/// assert_eq!((out.means, out.turns), (means, quats));
+/// assert_eq!((out.means, out.rotations), (means, quats));
 /// # Ok::<(), gs_physics::PhysicsError>(())
 /// ```
 #[derive(Clone, Debug)]
@@ -89,7 +89,7 @@ struct Block {
 #[derive(Clone, Debug, Default)]
 struct BlockGrad {
     /// Cotangents of the ends, overwritten by those of the starts.
-    ends: Moves,
+    ends: ParticleState,
     motions: Vec<Motion<f32>>,
     /// Cotangents of the network's outputs.
     out: Vec<f32>,
@@ -188,7 +188,7 @@ impl Law {
         let Block { net, motions, poses, d, .. } = block;
         d.motions.clear();
         d.motions.resize(motions.len(), Motion::default());
-        let ends = (d.ends.means.as_mut_slice(), d.ends.turns.as_mut_slice());
+        let ends = (d.ends.means.as_mut_slice(), d.ends.rotations.as_mut_slice());
         self.rollout.roll_rows_backward(motions, (shared.substeps, poses), ends, &mut d.motions);
         for (d, m) in d.motions.iter_mut().zip(motions) {
             (0..3).for_each(|k| d.rate.w[k] += shared.spin_up_weight * m.rate.w[k]);
@@ -207,7 +207,7 @@ impl Law {
         d.out.resize(net.output().len(), 0.0);
         let rows = net.output().chunks_exact(outputs).zip(d.out.chunks_exact_mut(outputs));
         for (i, (y, d_y)) in rows.enumerate() {
-            let ends = (d.ends.means[i].to_array(), d.ends.turns[i]);
+            let ends = (d.ends.means[i].to_array(), d.ends.rotations[i]);
             arc::advance_backward(&self.form, y, self.relative(x[i]), span, ends, d_y);
         }
     }
@@ -239,12 +239,12 @@ struct Shared<'a> {
 impl Dynamics for Law {
     type Tape = LawTape;
 
-    fn transport(&self, start: Start<'_>, to: f64, tape: &mut LawTape, out: &mut Moves) {
+    fn integrate(&self, start: Start<'_>, to: f64, tape: &mut LawTape, out: &mut ParticleState) {
         let Start { x, t: from, .. } = start;
         out.means.clear();
         out.means.extend_from_slice(x);
-        out.turns.clear();
-        out.turns.resize(x.len(), IDENTITY);
+        out.rotations.clear();
+        out.rotations.resize(x.len(), IDENTITY);
         let span = [0.0, to - from];
         let steps = self.form.literal().then(|| self.rollout.steps(span));
         tape.span = Span::new(span[1], steps.as_deref());
@@ -255,9 +255,9 @@ impl Dynamics for Law {
         self.fold_time(from, &mut tape.time, &mut tape.bias);
         tape.blocks.resize_with(x.len().div_ceil(BLOCK), Block::default);
         let LawTape { bias, substeps, span, blocks, .. } = tape;
-        let (bias, substeps, span) = (&*bias, &*substeps, span.narrowed());
+        let (bias, substeps, span) = (&*bias, &*substeps, span.to_f32());
         let centroid = self.relative(start.middle);
-        let ends = out.means.par_chunks_mut(BLOCK).zip(out.turns.par_chunks_mut(BLOCK));
+        let ends = out.means.par_chunks_mut(BLOCK).zip(out.rotations.par_chunks_mut(BLOCK));
         blocks.par_iter_mut().zip(x.par_chunks(BLOCK)).zip(ends).for_each(|((block, x), ends)| {
             self.evaluate(x, bias, block);
             if self.form.is_closed() {
@@ -269,7 +269,7 @@ impl Dynamics for Law {
         });
     }
 
-    fn transport_backward(&mut self, start: Start<'_>, tape: &mut LawTape, d: &Moves) {
+    fn integrate_backward(&mut self, start: Start<'_>, tape: &mut LawTape, d: &ParticleState) {
         let x = start.x;
         if tape.span.tau == 0.0 {
             return;
@@ -277,12 +277,12 @@ impl Dynamics for Law {
         let LawTape { time, substeps, span, blocks, chunks, .. } = tape;
         let spin_up_weight = self.config.spin_up_weight / x.len().max(1) as f32;
         let centroid = self.relative(start.middle);
-        let shared = Shared { substeps, span: span.narrowed(), centroid, spin_up_weight };
+        let shared = Shared { substeps, span: span.to_f32(), centroid, spin_up_weight };
         let per_chunk = nn::blocks_per_chunk(blocks.len());
         chunks.resize_with(CHUNKS, MlpGrad::default);
         let used = &mut chunks[..blocks.len().div_ceil(per_chunk)];
         let rows = x.par_chunks(per_chunk * BLOCK).zip(d.means.par_chunks(per_chunk * BLOCK));
-        let rows = rows.zip(d.turns.par_chunks(per_chunk * BLOCK));
+        let rows = rows.zip(d.rotations.par_chunks(per_chunk * BLOCK));
         let runs = blocks.par_chunks_mut(per_chunk).zip(&mut *used).zip(rows);
         runs.for_each(|((blocks, grad), ((x, d_means), d_turns))| {
             grad.reset(&self.net);
@@ -308,11 +308,11 @@ impl Dynamics for Law {
         start.x.par_chunks(BLOCK).flat_map_iter(of_block).collect()
     }
 
-    fn rules_ahead(&self) -> bool {
+    fn motions_extrapolate(&self) -> bool {
         true
     }
 
-    fn carried_by(&self) -> Option<Rollout> {
+    fn motion_rollout(&self) -> Option<Rollout> {
         (!self.form.is_closed()).then_some(self.rollout)
     }
 

@@ -50,8 +50,8 @@ impl LawRef {
         self.form.motion(&self.net.forward(&self.input(x, t))[0], self.relative(x), self.relative(self.centroid))
     }
 
-    /// As [`transport`](crate::Dynamics::transport) over `[from, to]`.
-    pub fn transport(&self, x: [f64; 3], span: [f64; 2]) -> Pose {
+    /// As [`transport`](crate::Dynamics::integrate) over `[from, to]`.
+    pub fn integrate(&self, x: [f64; 3], span: [f64; 2]) -> Pose {
         let start = [1.0, 0.0, 0.0, 0.0];
         if span[0] == span[1] {
             return (x, start);
@@ -64,7 +64,7 @@ impl LawRef {
         (crate::vec3::add(end, self.rollout.origin.as_dvec3().to_array()), q)
     }
 
-    /// Adds the gradient of the weights for cotangents `d` of [`LawRef::transport`], without the clamp of
+    /// Adds the gradient of the weights for cotangents `d` of [`LawRef::integrate`], without the clamp of
     /// [`LawConfig::accel_clamp`].
     pub fn gradient(&self, x: [f64; 3], span: [f64; 2], d: Pose, grad: &mut [Vec<f64>]) {
         let input = self.input(x, span[0]);

@@ -95,13 +95,13 @@ impl VelocityRef {
         (add_scaled(x, h, u), hamilton(Rotation::new(scale(w, h)).quaternion(), q))
     }
 
-    /// As [`transport`](crate::Dynamics::transport) over `[from, to]`.
-    pub fn transport(&self, x: [f64; 3], span: [f64; 2]) -> Pose {
+    /// As [`transport`](crate::Dynamics::integrate) over `[from, to]`.
+    pub fn integrate(&self, x: [f64; 3], span: [f64; 2]) -> Pose {
         let start = (x, [1.0, 0.0, 0.0, 0.0]);
         self.rollout.steps(span).into_iter().fold(start, |pose, step| self.step(pose, step))
     }
 
-    /// Adds the gradient of the velocity's weights for cotangents `d` of [`VelocityRef::transport`].
+    /// Adds the gradient of the velocity's weights for cotangents `d` of [`VelocityRef::integrate`].
     pub fn gradient(&self, x: [f64; 3], span: [f64; 2], d: Pose, grad: &mut [Vec<f64>]) {
         let mut tape = vec![(x, [1.0, 0.0, 0.0, 0.0])];
         let steps = self.rollout.steps(span);

@@ -20,7 +20,7 @@ mod step;
 
 pub use config::VelocityConfig;
 
-use crate::dynamics::{Dynamics, Moves, Start};
+use crate::dynamics::{Dynamics, ParticleState, Start};
 use crate::error::PhysicsError;
 use crate::integrator::Integrator;
 use crate::rollout::Rollout;
@@ -40,7 +40,7 @@ use step::Step;
 /// ```
 /// use glam::Vec3;
 /// use gs_core::Params;
-/// use gs_physics::{Dynamics, Moves, Start, VelocityConfig, VelocityField, VelocityTape};
+/// use gs_physics::{Dynamics, ParticleState, Start, VelocityConfig, VelocityField, VelocityTape};
 /// let config = VelocityConfig { hidden: 8, depth: 2, ..VelocityConfig::small() };
 /// let mut field = VelocityField::new(&config, [Vec3::NEG_ONE, Vec3::ONE], 0.25, 0)?;
 /// // The last bias alone gives the same twist everywhere: here a velocity of 2 along x.
@@ -50,9 +50,9 @@ use step::Step;
 ///         p.value[0] = 2.0;
 ///     }
 /// });
-/// let (start, mut out) = (Start { x: &[Vec3::ZERO], t: 0.0, middle: Vec3::ZERO }, Moves::default());
-/// field.transport(start, 0.5, &mut VelocityTape::default(), &mut out);
-/// assert_eq!((out.means[0], out.turns[0]), (Vec3::X, [1.0, 0.0, 0.0, 0.0]));
+/// let (start, mut out) = (Start { x: &[Vec3::ZERO], t: 0.0, middle: Vec3::ZERO }, ParticleState::default());
+/// field.integrate(start, 0.5, &mut VelocityTape::default(), &mut out);
+/// assert_eq!((out.means[0], out.rotations[0]), (Vec3::X, [1.0, 0.0, 0.0, 0.0]));
 /// # Ok::<(), gs_physics::PhysicsError>(())
 /// ```
 #[derive(Clone, Debug)]
@@ -76,7 +76,7 @@ pub struct VelocityTape {
 #[derive(Clone, Debug, Default)]
 struct Chunk {
     /// The states of each block before each step.
-    states: Vec<Vec<Moves>>,
+    states: Vec<Vec<ParticleState>>,
     step: Step,
     grad: MlpGrad,
 }
@@ -128,44 +128,44 @@ impl VelocityField {
 impl Dynamics for VelocityField {
     type Tape = VelocityTape;
 
-    fn transport(&self, start: Start<'_>, to: f64, tape: &mut VelocityTape, out: &mut Moves) {
+    fn integrate(&self, start: Start<'_>, to: f64, tape: &mut VelocityTape, out: &mut ParticleState) {
         let Start { x, t: from, .. } = start;
         out.means.clear();
         out.means.extend_from_slice(x);
-        out.turns.clear();
-        out.turns.resize(x.len(), [1.0, 0.0, 0.0, 0.0]);
+        out.rotations.clear();
+        out.rotations.resize(x.len(), [1.0, 0.0, 0.0, 0.0]);
         tape.steps = self.rollout.steps([from, to]);
         tape.chunks.resize_with(CHUNKS, Chunk::default);
         let per_chunk = self.rows_per_chunk(x.len());
-        let rows = out.means.par_chunks_mut(per_chunk).zip(out.turns.par_chunks_mut(per_chunk));
+        let rows = out.means.par_chunks_mut(per_chunk).zip(out.rotations.par_chunks_mut(per_chunk));
         let VelocityTape { steps, chunks } = tape;
-        chunks.par_iter_mut().zip(rows).for_each(|(chunk, (means, turns))| {
+        chunks.par_iter_mut().zip(rows).for_each(|(chunk, (means, rotations))| {
             chunk.states.resize_with(means.len().div_ceil(BLOCK), Vec::new);
-            let rows = means.chunks_mut(BLOCK).zip(turns.chunks_mut(BLOCK));
-            for (states, (means, turns)) in chunk.states.iter_mut().zip(rows) {
-                states.resize_with(steps.len(), Moves::default);
+            let rows = means.chunks_mut(BLOCK).zip(rotations.chunks_mut(BLOCK));
+            for (states, (means, rotations)) in chunk.states.iter_mut().zip(rows) {
+                states.resize_with(steps.len(), ParticleState::default);
                 for (step, state) in steps.iter().zip(states) {
-                    state.set(means, turns);
-                    chunk.step.forward(self, *step, means, turns);
+                    state.set(means, rotations);
+                    chunk.step.forward(self, *step, means, rotations);
                 }
             }
         });
     }
 
-    fn transport_backward(&mut self, start: Start<'_>, tape: &mut VelocityTape, d: &Moves) {
+    fn integrate_backward(&mut self, start: Start<'_>, tape: &mut VelocityTape, d: &ParticleState) {
         let x = start.x;
         let VelocityTape { steps, chunks } = tape;
         if steps.is_empty() {
             return;
         }
         let per_chunk = self.rows_per_chunk(x.len());
-        let rows = d.means.par_chunks(per_chunk).zip(d.turns.par_chunks(per_chunk));
+        let rows = d.means.par_chunks(per_chunk).zip(d.rotations.par_chunks(per_chunk));
         let used = &mut chunks[..x.len().div_ceil(per_chunk)];
-        used.par_iter_mut().zip(rows).for_each(|(chunk, (means, turns))| {
+        used.par_iter_mut().zip(rows).for_each(|(chunk, (means, rotations))| {
             chunk.grad.reset(&self.net);
-            let rows = means.chunks(BLOCK).zip(turns.chunks(BLOCK));
-            for (states, (means, turns)) in chunk.states.iter().zip(rows) {
-                let mut d = Moves { means: means.to_vec(), turns: turns.to_vec() };
+            let rows = means.chunks(BLOCK).zip(rotations.chunks(BLOCK));
+            for (states, (means, rotations)) in chunk.states.iter().zip(rows) {
+                let mut d = ParticleState { means: means.to_vec(), rotations: rotations.to_vec() };
                 for (step, state) in steps.iter().zip(states).rev() {
                     chunk.step.backward(self, *step, state, &mut d, &mut chunk.grad);
                 }
@@ -194,7 +194,7 @@ impl Dynamics for VelocityField {
         out
     }
 
-    fn rules_ahead(&self) -> bool {
+    fn motions_extrapolate(&self) -> bool {
         false
     }
 

@@ -4,7 +4,7 @@ use super::VelocityField;
 use super::evaluate::{Derivatives, Evaluation};
 use super::flow::Flow;
 
-use crate::dynamics::Moves;
+use crate::dynamics::ParticleState;
 use crate::so3::{Rotation, product_backward};
 use crate::vec3::scale;
 use glam::Vec3;
@@ -41,11 +41,11 @@ impl Step {
         field: &VelocityField,
         step: (f64, f64),
         means: &mut [Vec3],
-        turns: &mut [[f32; 4]],
+        rotations: &mut [[f32; 4]],
     ) {
         self.evaluate(field, means, step);
         let h = step.1 as f32;
-        for (i, (x, q)) in means.iter_mut().zip(turns).enumerate() {
+        for (i, (x, q)) in means.iter_mut().zip(rotations).enumerate() {
             let flow = self.middle.flow(i, field.relative(self.midpoints[i]));
             *x += h * Vec3::from_array(flow.u);
             *q = hamilton(Rotation::new(scale(flow.angular_velocity(), h)).quaternion(), *q);
@@ -57,18 +57,18 @@ impl Step {
         &mut self,
         field: &VelocityField,
         step: (f64, f64),
-        state: &Moves,
-        d: &mut Moves,
+        state: &ParticleState,
+        d: &mut ParticleState,
         grad: &mut MlpGrad,
     ) {
         self.evaluate(field, &state.means, step);
         let Self { begin, middle, midpoints, d_midpoints, .. } = self;
         let h = step.1 as f32;
         d_midpoints.clear();
-        for (i, (x, mu)) in midpoints.iter().zip(&mut d.turns).enumerate() {
+        for (i, (x, mu)) in midpoints.iter().zip(&mut d.rotations).enumerate() {
             let r = field.relative(*x);
             let rotation = Rotation::new(scale(middle.flow(i, r).angular_velocity(), h));
-            let (before, d_turn) = product_backward(rotation.quaternion(), state.turns[i], *mu);
+            let (before, d_turn) = product_backward(rotation.quaternion(), state.rotations[i], *mu);
             let mut d_flow = Flow { u: (h * d.means[i]).to_array(), ..Flow::zero(0.0) };
             d_flow.add_angular_velocity(scale(rotation.quaternion_backward(d_turn), h));
             d_midpoints.push(Vec3::from_array(middle.set_cotangent(i, r, &d_flow)));

@@ -5,12 +5,12 @@ pub mod particles;
 use gs_core::nn::BLOCK;
 use gs_core::{Params, Rng};
 use gs_physics::reference::Pose;
-use gs_physics::{Dynamics, Moves};
+use gs_physics::{Dynamics, ParticleState};
 use particles::{cotangents, points, start};
 
 /// Row `i` in `f64`.
-pub fn pose(moves: &Moves, i: usize) -> Pose {
-    (moves.means[i].as_dvec3().to_array(), moves.turns[i].map(f64::from))
+pub fn pose(moves: &ParticleState, i: usize) -> Pose {
+    (moves.means[i].as_dvec3().to_array(), moves.rotations[i].map(f64::from))
 }
 
 /// Positions before quaternions.
@@ -52,23 +52,23 @@ pub fn compare_gradients(params: &impl Params, prefix: &str, want: &[Vec<f64>], 
 
 /// An empty span: positions and rotations to the last bit, no gradient, even where the tape is warm.
 pub fn empty_span_is_identity<D: Dynamics>(mut dynamics: D) {
-    let (x, mut tape, mut out) = (points(BLOCK + 3), D::Tape::default(), Moves::default());
-    dynamics.transport(start(&x, 0.2), 0.5, &mut tape, &mut out);
-    dynamics.transport(start(&x, 0.4), 0.4, &mut tape, &mut out);
+    let (x, mut tape, mut out) = (points(BLOCK + 3), D::Tape::default(), ParticleState::default());
+    dynamics.integrate(start(&x, 0.2), 0.5, &mut tape, &mut out);
+    dynamics.integrate(start(&x, 0.4), 0.4, &mut tape, &mut out);
     assert_eq!(out.means, x);
-    assert!(out.turns.iter().all(|q| *q == [1.0, 0.0, 0.0, 0.0]));
-    dynamics.transport_backward(start(&x, 0.4), &mut tape, &cotangents(x.len()));
+    assert!(out.rotations.iter().all(|q| *q == [1.0, 0.0, 0.0, 0.0]));
+    dynamics.integrate_backward(start(&x, 0.4), &mut tape, &cotangents(x.len()));
     dynamics.visit(&mut |p| assert!(p.grad.iter().all(|g| *g == 0.0)));
 }
 
 /// All results of a step, as bits.
 fn step<D: Dynamics>(dynamics: &mut D, tape: &mut D::Tape, n: usize) -> Vec<u32> {
-    let (x, mut out) = (points(n), Moves::default());
+    let (x, mut out) = (points(n), ParticleState::default());
     dynamics.clear_grads();
-    dynamics.transport(start(&x, 0.3), 0.38, tape, &mut out);
-    dynamics.transport_backward(start(&x, 0.3), tape, &cotangents(n));
+    dynamics.integrate(start(&x, 0.3), 0.38, tape, &mut out);
+    dynamics.integrate_backward(start(&x, 0.3), tape, &cotangents(n));
     let mut bits: Vec<u32> = out.means.iter().flat_map(|v| v.to_array()).map(f32::to_bits).collect();
-    bits.extend(out.turns.iter().flatten().map(|v| v.to_bits()));
+    bits.extend(out.rotations.iter().flatten().map(|v| v.to_bits()));
     bits.extend(dynamics.regularise(3, 7).iter().map(|v| v.1.to_bits()));
     dynamics.visit(&mut |p| bits.extend(p.grad.iter().map(|v| v.to_bits())));
     bits

@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 use gs_core::Rng;
-use gs_physics::{Moves, Start};
+use gs_physics::{ParticleState, Start};
 
 /// A centroid that is not the origin.
 pub const CENTROID: Vec3 = Vec3::new(0.2, -0.5, 0.4);
@@ -17,8 +17,8 @@ pub fn points(n: usize) -> Vec<Vec3> {
     (0..n).map(|_| Vec3::new(rng.range(-1.0, 1.0), rng.range(-1.0, 1.0), rng.range(-1.0, 1.0))).collect()
 }
 
-pub fn cotangents(n: usize) -> Moves {
+pub fn cotangents(n: usize) -> ParticleState {
     let mut rng = Rng::new(1, "cotangents", 0, 0);
     let means = (0..n).map(|_| Vec3::new(rng.normal(), rng.normal(), rng.normal())).collect();
-    Moves { means, turns: (0..n).map(|_| std::array::from_fn(|_| rng.normal())).collect() }
+    ParticleState { means, rotations: (0..n).map(|_| std::array::from_fn(|_| rng.normal())).collect() }
 }

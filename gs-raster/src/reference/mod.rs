@@ -35,7 +35,7 @@ mod project;
 use project::{Projected, project};
 
 use crate::options::RasterOptions;
-use gs_core::kernel::{Bend, acutance_vjp, frequency_vjp};
+use gs_core::kernel::{Profile, acutance_vjp, frequency_vjp};
 use gs_core::{Camera, Color, Kernel, Real, Splats};
 
 /// Scalar type of the reference: `f32` or `f64`.
@@ -134,11 +134,11 @@ impl<T: Scalar> Scene<T> {
     }
 
     /// Kernel constants of one splat; `None` for the Gaussian.
-    fn kernel_consts(&self, i: usize) -> Option<Bend<T>> {
+    fn kernel_consts(&self, i: usize) -> Option<Profile<T>> {
         match self.kernel_kind {
             KernelKind::Gaussian => None,
-            KernelKind::Frequency => Some(Bend::frequency(self.kernel[2 * i], self.kernel[2 * i + 1])),
-            KernelKind::Acutance => Some(Bend::acutance(self.kernel[i])),
+            KernelKind::Frequency => Some(Profile::frequency(self.kernel[2 * i], self.kernel[2 * i + 1])),
+            KernelKind::Acutance => Some(Profile::acutance(self.kernel[i])),
         }
     }
 

@@ -3,7 +3,7 @@
 use super::blend::SplatSums;
 use super::{Scalar, Scene};
 use crate::options::{FRUSTUM_MARGIN, MIN_COMPENSATION, RasterOptions};
-use gs_core::kernel::Bend;
+use gs_core::kernel::Profile;
 use gs_core::{Camera, rot, sh};
 
 /// A splat projected to the screen.
@@ -22,7 +22,7 @@ pub(super) struct Projected<T> {
     /// Colour seen from this camera.
     pub rgb: [T; 3],
     /// Kernel constants; `None` for the Gaussian.
-    pub bend: Option<Bend<T>>,
+    pub bend: Option<Profile<T>>,
 }
 
 /// Intermediates of the projection that backward needs.

@@ -129,8 +129,8 @@ impl Builder {
         let Self { mut template, cells } = self;
         template.materials =
             vec![Material { name: name.into(), texture: Some(Arc::new(paint(&cells, size))), ..Material::default() }];
-        let file_vertices = (0..template.vertices.len() as u32).collect();
-        Character { template, skeleton, file_vertices, ..Character::default() }
+        let source_vertices = (0..template.vertices.len() as u32).collect();
+        Character { template, skeleton, source_vertices, ..Character::default() }
     }
 }
 

@@ -122,7 +122,7 @@ impl Level {
                 if mask.len() != size * size || valid == 0 {
                     return Err(NetError::Mask { want: size * size, got: mask.len(), valid });
                 }
-                Sites::where_(size, size, |y, x| mask[y * size + x])
+                Sites::from_fn(size, size, |y, x| mask[y * size + x])
             }
         };
         let mut levels: Vec<Self> = Vec::new();

@@ -4,7 +4,7 @@
 //! texels of every level, finest first (all `true` for [`super::NormOver::All`]).
 
 use gs_core::Real;
-use gs_core::nn::map_reference::{RefMap, add, concat, conv, conv_transpose, double, group_norm, max_pool, relu};
+use gs_core::nn::map_reference::{RefMap, add, concat, conv, conv_transpose, group_norm, max_pool, relu, upsample};
 
 /// Parameter blocks, taken one after the other.
 struct Blocks<'a, T>(std::slice::Iter<'a, Vec<T>>);
@@ -61,7 +61,7 @@ pub fn geonet<T: Real>(params: &[Vec<T>], input: &RefMap<T>, masks: &[Vec<bool>]
     let f2 = p.stage(&f1, 2, true, &masks[2]);
     let f3 = p.stage(&f2, 2, true, &masks[3]);
     let d3 = p.stage(&f3, 1, false, &masks[3]);
-    let up = |x: &RefMap<T>, level: usize| double(x).masked(&masks[level]);
+    let up = |x: &RefMap<T>, level: usize| upsample(x).masked(&masks[level]);
     let d2 = p.stage(&concat(&up(&d3, 2), &f2), 1, true, &masks[2]);
     let d1 = p.stage(&concat(&up(&d2, 1), &f1), 1, true, &masks[1]);
     let mut y = concat(&up(&d1, 0), &input);

@@ -113,7 +113,7 @@ pub(super) fn weld(mesh: RawMesh, character: &mut Character) {
             template.material_uvs.push(uvs.unwrap_or([Vec2::ZERO; 3]));
         }
     }
-    character.file_vertices = numbers;
+    character.source_vertices = numbers;
 }
 
 struct Welder<'a> {

@@ -91,7 +91,7 @@ impl Chamfer {
     ///
     /// # Errors
     /// As [`Chamfer::evaluate`].
-    pub fn evaluate_sliding<P: Point>(
+    pub fn evaluate_anisotropic<P: Point>(
         &self,
         points: &[P],
         normals: &[P],

@@ -11,7 +11,7 @@
 
 use crate::support::*;
 use gs_core::{Camera, Splats, Time};
-use gs_deform::field::grid4d::{StillOptions, screen_bound};
+use gs_deform::field::grid4d::{StaticTolerance, screen_bound};
 use gs_raster::{Workspace, render};
 use gs_train::capabilities::FreezeOptions;
 use gs_train::method::overlay;
@@ -210,7 +210,7 @@ fn what_is_baked_stays_within_its_tolerance() {
     let mut still = Vec::new();
     for (pixels, shape) in [(0.0, 0.0), (0.05, 1e-3), (0.5, 0.02), (4.0, 0.2)] {
         let usual = FreezeOptions::usual(&cameras);
-        let options = FreezeOptions { shape, still: StillOptions { pixels, ..usual.still }, ..usual };
+        let options = FreezeOptions { shape, still: StaticTolerance { pixels, ..usual.still }, ..usual };
         let (resting, report) = method.freeze_static(&options).expect("a field");
         assert!(report.rows.bound_pixels <= pixels && report.shape <= shape, "{report:?}");
         still.push(report.rows.still);
@@ -236,7 +236,7 @@ fn a_change_of_a_parameter_ends_the_rest() {
     let trainer = trained(&modec(""), 60);
     let camera = &trainer.dataset().train[0].camera;
     let usual = FreezeOptions::usual(std::slice::from_ref(camera));
-    let options = FreezeOptions { shape: 1.0, still: StillOptions { pixels: 1e3, ..usual.still }, ..usual };
+    let options = FreezeOptions { shape: 1.0, still: StaticTolerance { pixels: 1e3, ..usual.still }, ..usual };
     let (mut resting, report) = trainer.model().freeze_static(&options).expect("a field");
     assert!(report.rows.still > 0, "{report:?}");
     let exact = trainer.model().splats(&at(0.4), camera);

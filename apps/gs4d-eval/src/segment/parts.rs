@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 use gs_physics::centre::velocity_pole;
-use gs_physics::classes::{ClassRule, turn_reach};
+use gs_physics::classes::{ClassRule, rotation_sensitivity};
 use gs_physics::groups::Groups;
 use serde::Serialize;
 
@@ -44,7 +44,7 @@ pub struct Part {
 pub fn table(labels: &Labels) -> Vec<Part> {
     let p = &labels.particles;
     let rule = ClassRule { tolerance: TOLERANCE * f64::from(labels.radius), horizon: HORIZON };
-    let reach: Vec<f32> = p.splats.scales.iter().map(|s| turn_reach(*s)).collect();
+    let reach: Vec<f32> = p.splats.scales.iter().map(|s| rotation_sensitivity(*s)).collect();
     let Ok(groups) = Groups::fit(&rule, &labels.of, &p.motions, &p.splats.means, p.origin, &reach) else {
         return Vec::new();
     };
@@ -80,5 +80,5 @@ pub fn table(labels: &Labels) -> Vec<Part> {
 fn speed_squared(labels: &Labels, i: usize) -> f64 {
     let p = &labels.particles;
     let x = (p.splats.means[i] - p.origin).as_dvec3().to_array();
-    DVec3::from(p.motions[i].widened().twist.velocity(x)).length_squared()
+    DVec3::from(p.motions[i].to_f64().twist.velocity(x)).length_squared()
 }

@@ -2,7 +2,7 @@
 
 use super::{Case, relative_l2};
 use glam::Vec3;
-use gs_core::speed::SpeedError;
+use gs_core::speed::BenchRow;
 use gs_core::{Rng, Time};
 use gs_deform::Aabb;
 use gs_deform::encode::{HexPlane, HexPlaneConfig, HexTape};
@@ -13,7 +13,7 @@ const POINTS: usize = 20_000;
 const CHECKED: usize = 500;
 const RUNS: usize = 7;
 
-pub fn rows() -> Vec<SpeedError> {
+pub fn rows() -> Vec<BenchRow> {
     let config = HexPlaneConfig { resolution: [64, 64, 64, 75], levels: vec![1, 2], ..HexPlaneConfig::default() };
     // The configuration is constant and valid; without an encoder there is nothing to measure.
     let Ok(mut hex) = HexPlane::new("hex", &config, Aabb::cube(1.0), 1) else { return Vec::new() };

@@ -2,7 +2,7 @@
 //! `mse = (a − b)²` and `SSIM = (2ab + C1) / (a² + b² + C1)` where no zeros are read from outside, `C1 = 0.01²`.
 
 use super::Case;
-use gs_core::speed::SpeedError;
+use gs_core::speed::BenchRow;
 use gs_core::{Image, Rng};
 use gs_metrics::{Ssim, SsimOptions, mse, perceptual_proxy};
 use std::hint::black_box;
@@ -11,7 +11,7 @@ const SIDE: usize = 256;
 const RUNS: usize = 9;
 const COLORS: [f32; 2] = [0.25, 0.75];
 
-pub fn rows() -> Vec<SpeedError> {
+pub fn rows() -> Vec<BenchRow> {
     let [a, b] = COLORS.map(f64::from);
     let even = COLORS.map(|v| Image { width: SIDE, height: SIDE, channels: 3, data: vec![v; SIDE * SIDE * 3] });
     let noisy = [1, 2].map(noise);

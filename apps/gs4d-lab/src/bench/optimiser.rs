@@ -2,7 +2,7 @@
 
 use super::Case;
 use gs_core::Param;
-use gs_core::speed::SpeedError;
+use gs_core::speed::BenchRow;
 use gs_train::adam::{Adam, Refused, Update};
 
 const VALUES: usize = 1 << 20;
@@ -10,7 +10,7 @@ const STEPS: usize = 50;
 const RATE: f32 = 1e-3;
 const UPDATE: Update = Update { rate: RATE, eps: 1e-15, sparse: false, weight_decay: 0.0 };
 
-pub fn rows() -> Vec<SpeedError> {
+pub fn rows() -> Vec<BenchRow> {
     let error = constant_gradient_error();
     let mut p = Param::rows("p", 4, vec![0.0; VALUES]);
     let (mut adam, mut refused) = (Adam::default(), Refused::default());

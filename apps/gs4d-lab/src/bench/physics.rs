@@ -2,7 +2,7 @@
 
 use super::Case;
 use glam::Vec3;
-use gs_core::speed::SpeedError;
+use gs_core::speed::BenchRow;
 use gs_physics::truth::{self, Truth};
 use gs_physics::{Integrator, Rollout};
 
@@ -12,19 +12,19 @@ const RUNS: usize = 7;
 const RULES: [(Integrator, &str); 3] =
     [(Integrator::Rk2, "rk2"), (Integrator::Se3Mid, "se3_mid"), (Integrator::Se3Magnus4, "se3_magnus4")];
 
-pub fn rows() -> Vec<SpeedError> {
+pub fn rows() -> Vec<BenchRow> {
     let scenes = [("circle", truth::circle()), ("rolling wheel", truth::wheel()), ("tumble", truth::tumble())];
     let all = scenes.iter().flat_map(|scene| RULES.iter().map(move |rule| row(scene, *rule)));
     all.collect()
 }
 
-fn row((name, truth): &(&str, Truth), (rule, variant): (Integrator, &'static str)) -> SpeedError {
+fn row((name, truth): &(&str, Truth), (rule, variant): (Integrator, &'static str)) -> BenchRow {
     let rollout = Rollout { rule, dt: truth.span / STEPS, origin: Vec3::ZERO };
-    let motions = vec![truth.motion.narrowed(); PARTICLES];
+    let motions = vec![truth.motion.to_f32(); PARTICLES];
     let start = Vec3::from_array(truth.start.map(|v| v as f32));
     let (mut means, mut quats) = (vec![start; PARTICLES], vec![[1.0, 0.0, 0.0, 0.0]; PARTICLES]);
     rollout.advance(&motions, [0.0, truth.span], &mut means, &mut quats);
-    let error = truth.miss(means[0].to_array().map(f64::from));
+    let error = truth.position_error(means[0].to_array().map(f64::from));
     let case = Case {
         krate: "gs-physics",
         case: format!("{name}, {STEPS} steps"),

@@ -1,7 +1,7 @@
 //! Drawing and its gradient, on the scenes that published CPU peers were timed on, at every instruction set; then what
 //! each shortcut of drawing costs and saves.
 
-use gs_core::speed::SpeedError;
+use gs_core::speed::BenchRow;
 use gs_raster::measure::{camera, rows as measured, scene};
 use gs_raster::{RasterOptions, SimdLevel};
 use gs4d_run::speed::speed_against_error;
@@ -14,7 +14,7 @@ const RUNS: usize = 5;
 /// Pixels times splats that the f64 reference looks at for an error.
 const REFERENCE_WORK: usize = 10_000_000;
 
-pub fn rows() -> Vec<SpeedError> {
+pub fn rows() -> Vec<BenchRow> {
     let mut out = Vec::new();
     for (n, side) in SIZES {
         let (splats, whole) = (scene(n, DEGREE), camera(side));

@@ -4,7 +4,7 @@
 
 use crate::analysis::row;
 use crate::{Curve, HeatMap, Need};
-use gs_anchor::{Adjustment, Grown};
+use gs_anchor::{Adjustment, AnchorDensifyReport};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -42,7 +42,7 @@ pub struct Growth {
     /// Anchors after it.
     pub anchors: usize,
     /// What it did.
-    pub grown: Grown,
+    pub grown: AnchorDensifyReport,
 }
 
 impl Pass {

@@ -4,7 +4,7 @@ use super::demo::speed_text;
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use crate::global::Global;
-use gs_core::speed::SpeedError;
+use gs_core::speed::BenchRow;
 use gs4d_lab::bench::{GROUPS, StageOptions, StageTimes, roofs, stage_times};
 use gs4d_lab::people::{LabError, Trained};
 use gs4d_report::speed_json;
@@ -67,7 +67,7 @@ impl Bench {
             return Err(Failure::usage(format!("there are no measurements of `{name}`"))
                 .remedy(format!("choose one of {}", known.join(", "))));
         }
-        let mut rows: Vec<SpeedError> = Vec::new();
+        let mut rows: Vec<BenchRow> = Vec::new();
         for group in GROUPS.iter().filter(|g| self.only.as_deref().is_none_or(|name| name == g.name)) {
             global.say(format!("measuring {}", group.name));
             rows.extend((group.measure)());

@@ -7,7 +7,7 @@ use crate::global::Global;
 use crate::interrupt;
 use gs_core::io::images::save_png;
 use gs_core::io::{RawSplats, save_splats};
-use gs_core::speed::SpeedError;
+use gs_core::speed::BenchRow;
 use gs_synth::{self as synth, SynthOptions};
 use gs_train::evaluate::EvalReport;
 use gs_train::renderer::Renderer;
@@ -128,7 +128,7 @@ impl Demo {
 }
 
 /// The table of results, then the files.
-fn answer(scores: &EvalReport, rows: &[SpeedError], files: &[PathBuf], step: u32, seconds: f64) -> Answer {
+fn answer(scores: &EvalReport, rows: &[BenchRow], files: &[PathBuf], step: u32, seconds: f64) -> Answer {
     let mut json = metrics_json(scores, step);
     json["speed_error"] = speed_json(rows);
     json["seconds"] = json!(seconds);
@@ -151,7 +151,7 @@ fn answer(scores: &EvalReport, rows: &[SpeedError], files: &[PathBuf], step: u32
 }
 
 /// The rows of speed against error as a table.
-pub fn speed_text(rows: &[SpeedError]) -> String {
+pub fn speed_text(rows: &[BenchRow]) -> String {
     let mut out = String::new();
     for (i, r) in rows.iter().enumerate() {
         if i == 0 {
@@ -176,7 +176,7 @@ mod tests {
 
     #[test]
     fn rows_are_aligned() {
-        let row = SpeedError {
+        let row = BenchRow {
             krate: "c",
             case: "draw".into(),
             variant: "v".into(),

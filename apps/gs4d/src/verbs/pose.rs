@@ -85,7 +85,7 @@ impl PoseVerb {
                 .remedy("look for extreme scales and translations in its nodes and clips"));
         }
         write_file(&self.out, self.force, |out| write(&character, &posed, out))?;
-        let (vertices, triangles) = (character.file_vertices.len(), character.template.faces.len());
+        let (vertices, triangles) = (character.source_vertices.len(), character.template.faces.len());
         let text = format!("{vertices} vertices, {triangles} triangles -> {}\n", self.out.display());
         let json = json!({
             "file": self.out,

@@ -59,7 +59,7 @@ struct DynamicRows {
 
 /// Tolerance under which splats are kept static.
 #[derive(Clone, Copy, Debug)]
-pub struct StillOptions<'a> {
+pub struct StaticTolerance<'a> {
     /// Largest error on screen, pixels; 0 keeps only splats static that do not move at all.
     pub pixels: f32,
     /// Number of probe times, evenly spaced over 0 … 1; 0 counts as 1.
@@ -70,7 +70,7 @@ pub struct StillOptions<'a> {
 
 /// Number of splats kept static, and the bound of their error.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct StillReport {
+pub struct StaticReport {
     /// Number of all splats.
     pub splats: usize,
     /// Number of splats kept at their canonical rows.
@@ -109,12 +109,12 @@ impl FrozenField<'_> {
         out.means.copy_from_slice(&canonical.means);
         out.quats.copy_from_slice(&canonical.quats);
         out.scales.copy_from_slice(&canonical.scales);
-        apply::put_back(moved, rows, out);
+        apply::scatter_rows(moved, rows, out);
     }
 
     /// Keeps splats static in later calls of [`FrozenField::forward`] whose error on screen is at most
     /// `options.pixels`.
-    pub fn keep_static(&mut self, options: &StillOptions<'_>) -> StillReport {
+    pub fn keep_static(&mut self, options: &StaticTolerance<'_>) -> StaticReport {
         let Self { field, canonical, static_state, time_state, moving } = self;
         if moving.take().is_some() {
             field.encode_static(canonical, static_state);
@@ -145,7 +145,7 @@ impl FrozenField<'_> {
             field.encode_static(&from, static_state);
             *moving = Some(DynamicRows { rows, canonical: from, moved: Splats::default() });
         }
-        StillReport { splats, still, bound_pixels, probes }
+        StaticReport { splats, still, bound_pixels, probes }
     }
 }
 

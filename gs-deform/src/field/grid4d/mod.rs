@@ -49,7 +49,7 @@ mod smooth;
 
 pub use config::{ExactConfig, FourierConfig, Fusion, GateConfig, GateMode, Grid4dConfig, SmoothConfig, WaveTime};
 pub(crate) use fourier::frequency;
-pub use frozen::{FrozenField, StillOptions, StillReport, screen_bound};
+pub use frozen::{FrozenField, StaticReport, StaticTolerance, screen_bound};
 
 use super::Field;
 use crate::DeformError;

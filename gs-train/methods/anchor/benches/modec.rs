@@ -1,11 +1,14 @@
 //! What MoDec-GS need not compute: each saving with it and without, and how far the pictures are apart; then the stages of
 //! a frame. A small run on `synth reach`. Rows go to the terminal and to `target/speed-error/gs-train.jsonl`.
 
-use gs_anchor::{AnchorShape, Anchors, DecodeTape, Decoder, Gad, GadTape, Local, LocalGrad, Reach, Visible, visible};
-use gs_core::speed::{SpeedError, median_seconds};
+use gs_anchor::{
+    AnchorShape, Anchors, DecodeTape, Decoder, Gad, GadTape, LocalAnchors, LocalAnchorsGrad, VisibilityOptions,
+    Visible, visible,
+};
+use gs_core::speed::{BenchRow, median_seconds};
 use gs_core::{Camera, Param, Params, Splats, SplatsGrad, Time};
 use gs_data::{Dataset, ImageCache, Split};
-use gs_deform::field::grid4d::StillOptions;
+use gs_deform::field::grid4d::StaticTolerance;
 use gs_deform::{Aabb, Field, HexPlaneField};
 use gs_method_anchor::modec::Config;
 use gs_raster::{FrameGrad, RasterOptions, Workspace, render, render_backward};
@@ -40,8 +43,8 @@ const WORST: &str = "worst of a picture";
 fn record(case: &str, variant: &str, n: usize, ms: f64, error: Option<f64>) {
     let (krate, threads) = ("gs-train", rayon::current_num_threads());
     let (case, variant, work) = (format!("modec {case}"), variant.to_owned(), n as f64);
-    let line = SpeedError { krate, case, variant, n, threads, ms, work, error, error_kind: WORST };
-    line.keep(env!("CARGO_MANIFEST_DIR"));
+    let line = BenchRow { krate, case, variant, n, threads, ms, work, error, error_kind: WORST };
+    line.append(env!("CARGO_MANIFEST_DIR"));
 }
 
 /// One saving: measures both ways, alternating, and prints their ratio.
@@ -162,8 +165,8 @@ impl Parts {
         parts
     }
 
-    fn local(&self) -> Local {
-        let mut local = Local::default();
+    fn local(&self) -> LocalAnchors {
+        let mut local = LocalAnchors::default();
         self.gad.forward(&self.anchors, T, &mut GadTape::default(), &mut local);
         local
     }
@@ -207,7 +210,7 @@ fn exact_savings(run: &Run, parts: &Parts) {
     let (net, places) = (parts.gad.net(), parts.gad.net().place(&rest));
     let mut tapes = <[gs_deform::PlaneNetTape; 2]>::default();
     net.forward(&rest, T, &mut tapes[0]);
-    net.forward_placed(&places, T, &mut tapes[1]);
+    net.forward_located(&places, T, &mut tapes[1]);
     let said =
         |h: usize| (tapes[0].blocks().iter().zip(tapes[1].blocks())).map(move |(a, b)| worst(a.head(h), b.head(h)));
     let error = (0..4).flat_map(said).fold(0.0, f64::max);
@@ -217,7 +220,7 @@ fn exact_savings(run: &Run, parts: &Parts) {
         rest.len(),
         error,
         || net.forward(&rest, T, a),
-        || net.forward_placed(&places, T, b),
+        || net.forward_located(&places, T, b),
     );
 
     let whole = run.method("[anchors]\nfilter = \"off\"");
@@ -249,7 +252,7 @@ fn bounded_savings(run: &Run) {
     let psnr = run.psnr(&*method);
     for (pixels, shape) in [(0.05, 1e-3), (0.25, 1e-2), (1.0, 5e-2)] {
         let usual = FreezeOptions::usual(&run.cameras);
-        let options = FreezeOptions { shape, still: StillOptions { pixels, ..usual.still }, ..usual };
+        let options = FreezeOptions { shape, still: StaticTolerance { pixels, ..usual.still }, ..usual };
         let (resting, report) = method.freeze_static(&options).expect("a field");
         let error = apart(&*method, &*resting, &run.cameras);
         let name = format!("at rest, {pixels} px, {shape}");
@@ -278,13 +281,13 @@ fn idle_anchors(run: &Run, parts: &mut Parts) {
     method.visit_mut(&mut |p| hush(p));
     parts.anchors.visit_mut(&mut |p| hush(p));
     let usual = FreezeOptions::usual(&run.cameras);
-    let still = StillOptions { pixels: -1.0, probes: 2, ..usual.still };
+    let still = StaticTolerance { pixels: -1.0, probes: 2, ..usual.still };
     let (resting, report) = method.freeze_static(&FreezeOptions { still, ..usual }).expect("a field");
     let error = apart(&*method, &*resting, &run.cameras);
-    let (mut a, mut b) = <(Local, Local)>::default();
+    let (mut a, mut b) = <(LocalAnchors, LocalAnchors)>::default();
     let (without, with) = (
         || parts.gad.forward(&parts.anchors, T, &mut GadTape::default(), &mut a),
-        || parts.gad.forward_moving(&parts.anchors, T, 1e-4, &mut b),
+        || parts.gad.forward_active(&parts.anchors, T, 1e-4, &mut b),
     );
     saving(&format!("GAD without {} idle anchors", report.anchors), parts.anchors.len(), error, without, with);
     println!("    pictures {:.1} dB apart", apart_psnr(&*method, &*resting, &run.cameras));
@@ -293,7 +296,7 @@ fn idle_anchors(run: &Run, parts: &mut Parts) {
 /// Milliseconds of each stage of a frame.
 fn stages(run: &Run, parts: &mut Parts) {
     let camera = &run.cameras[7];
-    let (mut local, mut listed, mut neural, mut moved) = <(Local, Vec<u32>, Splats, Splats)>::default();
+    let (mut local, mut listed, mut neural, mut moved) = <(LocalAnchors, Vec<u32>, Splats, Splats)>::default();
     let (mut gad, mut decoded, mut lgd) = (GadTape::default(), DecodeTape::default(), Default::default());
     let mut all = Vec::new();
     let mut time = |name: &'static str, n: usize, forward: &mut dyn FnMut()| {
@@ -303,7 +306,7 @@ fn stages(run: &Run, parts: &mut Parts) {
     };
     let anchors = parts.anchors.len();
     time("GAD", anchors, &mut || parts.gad.forward(&parts.anchors, T, &mut gad, &mut local));
-    time("filter", anchors, &mut || visible::clean(&local, camera, &Reach::default(), &mut listed));
+    time("filter", anchors, &mut || visible::conservative(&local, camera, &VisibilityOptions::default(), &mut listed));
     let eye = camera.position();
     time("decode", anchors, &mut || {
         parts.decoder.forward(&local, Visible::List(&listed), eye, &mut decoded, &mut neural)
@@ -317,7 +320,7 @@ fn stages(run: &Run, parts: &mut Parts) {
     time("raster", moved.len(), &mut || drop(render(&moved, camera, &options, &mut workspace)));
 
     let d = FrameGrad { rgb: vec![1e-3; (3 * camera.width * camera.height) as usize], ..FrameGrad::default() };
-    let (mut d_neural, mut d_local) = <(SplatsGrad, LocalGrad)>::default();
+    let (mut d_neural, mut d_local) = <(SplatsGrad, LocalAnchorsGrad)>::default();
     let (d_moved, _) = render_backward(&moved, camera, &options, &mut workspace, &d);
     time("raster back", moved.len(), &mut || drop(render_backward(&moved, camera, &options, &mut workspace, &d)));
     time("LGD back", neural.len(), &mut || {

@@ -10,7 +10,7 @@
 //! | `tia` | motion of the boundaries | without TIA |
 
 use crate::anchored::{AnchorConfig, Anchored, Motion, Parts, SparsityConfig};
-use gs_anchor::{AdaptRules, AnchorShape, DecoderConfig, Gad, GadConfig, IntervalConfig, Intervals};
+use gs_anchor::{AnchorDensifyRules, AnchorShape, DecoderConfig, Gad, GadConfig, IntervalConfig, Intervals};
 use gs_deform::{Aabb, FourDgsConfig, HexPlaneField};
 use gs_train::ablate::{Ablations, Part};
 use gs_train::method::{MethodEntry, MethodError, parse_config};
@@ -61,12 +61,12 @@ pub struct Config {
     pub local: bool,
     /// Global anchor deformation.
     pub gad: GadConfig,
-    /// Local Gaussian deformation.
+    /// LocalAnchors Gaussian deformation.
     pub lgd: FourDgsConfig,
     /// The intervals.
     pub intervals: IntervalConfig,
     /// Growth and pruning.
-    pub adapt: AdaptRules,
+    pub adapt: AnchorDensifyRules,
     /// The plan of the run.
     pub schedule: Schedule,
 }

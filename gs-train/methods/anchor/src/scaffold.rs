@@ -1,7 +1,7 @@
 //! Scaffold-GS (Lu et al. 2024) without time: anchors decoded as a camera sees them.
 
 use crate::anchored::{AnchorConfig, Anchored, Motion, Parts};
-use gs_anchor::{AdaptRules, DecoderConfig};
+use gs_anchor::{AnchorDensifyRules, DecoderConfig};
 use gs_train::method::{MethodEntry, MethodError, parse_config};
 use gs_train::model::Model;
 use gs_train::scene::{InitConfig, SceneInfo};
@@ -33,7 +33,7 @@ pub struct Config {
     /// Their decoder.
     pub decoder: DecoderConfig,
     /// Growth and pruning.
-    pub adapt: AdaptRules,
+    pub adapt: AnchorDensifyRules,
     /// The plan of the run.
     pub schedule: Schedule,
 }

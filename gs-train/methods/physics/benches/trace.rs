@@ -1,7 +1,7 @@
 //! What the law of TRACE adds to a step of training: `trace` and the field alone (`defgs`) take turns, step by step, so that
 //! what else the machine does meets both. Rows go to the terminal and to `target/speed-error/gs-train.jsonl`.
 
-use gs_core::speed::SpeedError;
+use gs_core::speed::BenchRow;
 use gs_data::Dataset;
 use gs_synth::{self as synth, SynthOptions};
 use gs_train::method::overlay;
@@ -54,7 +54,7 @@ fn main() {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
             let rows = pool.install(|| take_turns(&scene, splats));
             for (method, [ms, l1]) in METHODS.into_iter().zip(rows) {
-                SpeedError {
+                BenchRow {
                     krate: "gs-train",
                     case: format!("step of {size}x{size}"),
                     variant: method.into(),
@@ -65,7 +65,7 @@ fn main() {
                     error: Some(l1),
                     error_kind: "mean absolute difference from the photographs",
                 }
-                .keep(env!("CARGO_MANIFEST_DIR"));
+                .append(env!("CARGO_MANIFEST_DIR"));
             }
             println!("trace / defgs, {size}x{size}, {splats} splats, {threads}t: {:.3}", rows[1][0] / rows[0][0]);
         }

@@ -8,7 +8,7 @@ use gs_data::avatar::{AvatarFrame, AvatarScene};
 use gs_data::{DataError, ImageCache};
 use gs_texel::gaussians::warm_up::WarmUpError;
 use gs_texel::gaussians::{BaseError, ChannelsError, TexelBase};
-use gs_texel::inpaint::{InpaintError, Unseen, inpaint};
+use gs_texel::inpaint::{InpaintError, InpaintMethod, inpaint};
 use gs_texel::net::NetError;
 use gs_texel::scale_refine::ScaleRefine;
 use gs_texel::skin::{rotations, skin};
@@ -60,7 +60,7 @@ pub enum FrameError {
     #[error(
         "no conditioning camera sees any texel of it; where the template is not in metres, scale it with its cameras, or set unproject.depth_tolerance in its units"
     )]
-    Unseen,
+    InpaintMethod,
     /// Its points have no colours.
     #[error(
         "its points have no colours; make the data with coloured points (PLY with red, green, blue), or set surface.color = 0"
@@ -460,9 +460,9 @@ impl Mean {
         let mut colors: Vec<[f32; 3]> = self.sums.iter().zip(&self.counts).map(mean).collect();
         let known: Vec<bool> = self.counts.iter().map(|n| *n > 0.0).collect();
         if !known.contains(&true) {
-            return Err(FrameError::Unseen);
+            return Err(FrameError::InpaintMethod);
         }
-        inpaint(table, &mut colors, &known, Unseen::Nearest)?;
+        inpaint(table, &mut colors, &known, InpaintMethod::Nearest)?;
         Ok(colors)
     }
 }

@@ -103,7 +103,9 @@ impl Geometry {
         let deformed: Vec<Vec3> = t.vertices.iter().zip(offsets).map(|(&v, &d)| v + d).collect();
         let SurfaceConfig { laplacian: lap, isometry, normals, .. } = self.weights;
         let mut world = match self.weights.points {
-            PointRule::Vertices => points.evaluate_sliding(&posed, &first.posed.normals, self.weights.slide.into())?,
+            PointRule::Vertices => {
+                points.evaluate_anisotropic(&posed, &first.posed.normals, self.weights.slide.into())?
+            }
             PointRule::Faces => {
                 let weight = f64::from(self.weights.color);
                 let colors = match measured.colors.as_deref() {

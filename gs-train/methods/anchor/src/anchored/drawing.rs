@@ -4,8 +4,8 @@ use super::Anchored;
 use super::forward::{Filter, ROOM, farthest};
 use super::rest::Rest;
 use glam::Vec3;
-use gs_anchor::visible::{self, Reach};
-use gs_anchor::{DecodeTape, Local, Visible};
+use gs_anchor::visible::{self, VisibilityOptions};
+use gs_anchor::{DecodeTape, LocalAnchors, Visible};
 use gs_core::{Camera, Color, Splats, Time};
 use gs_deform::Field;
 use gs_train::capabilities::StageView;
@@ -17,11 +17,11 @@ const INTERVALS_KEPT: usize = 64;
 /// How often a picture is tried with a wider margin before everything is decoded.
 const TRIES: usize = 3;
 
-/// Local anchors by canonical time: GAD takes few values, so a run of frames asks for it once per interval. What comes
+/// LocalAnchors anchors by canonical time: GAD takes few values, so a run of frames asks for it once per interval. What comes
 /// out of it has the same bits as anew.
 #[derive(Default)]
 pub(super) struct Cache {
-    locals: Mutex<BTreeMap<u32, Arc<Local>>>,
+    locals: Mutex<BTreeMap<u32, Arc<LocalAnchors>>>,
     /// What is left where it rests, if anything is.
     rest: Option<Rest>,
 }
@@ -38,7 +38,7 @@ impl Cache {
         Self { rest: Some(rest), ..Self::default() }
     }
 
-    fn get(&self, canonical: Time, make: impl FnOnce() -> Local) -> Arc<Local> {
+    fn get(&self, canonical: Time, make: impl FnOnce() -> LocalAnchors) -> Arc<LocalAnchors> {
         let key = canonical.normalised.to_bits();
         let lock = || self.locals.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(local) = lock().get(&key) {
@@ -56,33 +56,38 @@ impl Cache {
 
 impl Anchored {
     /// The anchors of the interval that holds `t`.
-    pub(super) fn local(&self, t: Time) -> Arc<Local> {
+    pub(super) fn local(&self, t: Time) -> Arc<LocalAnchors> {
         let Some(gad) = self.motion.gad.as_ref().filter(|_| self.dynamic()) else {
             return self.cache.get(Time::default(), || self.at_rest());
         };
         let canonical = self.motion.canonical_time(t);
         self.cache.get(canonical, || {
-            let mut local = Local::default();
+            let mut local = LocalAnchors::default();
             match &self.cache.rest {
-                Some(rest) => gad.forward_moving(&self.anchors, canonical, rest.below(), &mut local),
+                Some(rest) => gad.forward_active(&self.anchors, canonical, rest.below(), &mut local),
                 None => gad.forward(&self.anchors, canonical, &mut Default::default(), &mut local),
             }
             local
         })
     }
 
-    fn at_rest(&self) -> Local {
-        let mut local = Local::default();
+    fn at_rest(&self) -> LocalAnchors {
+        let mut local = LocalAnchors::default();
         self.anchors.activate(&mut local);
         local
     }
 
     /// Decodes the anchors a camera may see.
-    pub(super) fn decoded(&self, local: &Local, camera: &Camera, margin: Option<f64>) -> (Splats, DecodeTape) {
+    pub(super) fn decoded(&self, local: &LocalAnchors, camera: &Camera, margin: Option<f64>) -> (Splats, DecodeTape) {
         let (mut splats, mut tape, mut listed) = <(Splats, DecodeTape, Vec<u32>)>::default();
         let visible = match margin {
             Some(margin) => {
-                visible::clean(local, camera, &Reach { margin, ..Reach::default() }, &mut listed);
+                visible::conservative(
+                    local,
+                    camera,
+                    &VisibilityOptions { margin, ..VisibilityOptions::default() },
+                    &mut listed,
+                );
                 Visible::List(&listed)
             }
             None => Visible::All,
@@ -140,7 +145,7 @@ impl Anchored {
     }
 
     /// Centre of the Gaussian of a row before LGD.
-    pub(super) fn center(&self, local: &Local, row: u32) -> Vec3 {
+    pub(super) fn center(&self, local: &LocalAnchors, row: u32) -> Vec3 {
         let (row, k) = (row as usize, self.config.offsets);
         let anchor = row / k;
         local.positions[anchor]

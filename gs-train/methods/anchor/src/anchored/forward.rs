@@ -1,8 +1,8 @@
 //! One view of a training step: anchors to splats, and the way back.
 
 use super::Anchored;
-use gs_anchor::visible::{self, Reach, SUPPORT};
-use gs_anchor::{DecodeTape, GadTape, Local, LocalGrad, Visible};
+use gs_anchor::visible::{self, SUPPORT, VisibilityOptions};
+use gs_anchor::{DecodeTape, GadTape, LocalAnchors, LocalAnchorsGrad, Visible};
 use gs_core::{Camera, Splats, SplatsGrad, Time};
 use gs_deform::{Field, HexPlaneField};
 use rayon::prelude::*;
@@ -38,8 +38,8 @@ pub enum Statistics {
 /// Scratch of a view, reused between steps.
 #[derive(Default)]
 pub(super) struct Tape {
-    pub local: Local,
-    d_local: LocalGrad,
+    pub local: LocalAnchors,
+    d_local: LocalAnchorsGrad,
     gad: GadTape,
     pub decoded: DecodeTape,
     /// Decoded Gaussians, before LGD.
@@ -75,12 +75,13 @@ impl Anchored {
         let visible = match self.config.filter {
             Filter::Off => Visible::All,
             Filter::Clean => {
-                let reach = Reach { margin: if tape.moved { margin } else { 0.0 }, ..Reach::default() };
-                visible::clean(&tape.local, camera, &reach, &mut tape.listed);
+                let reach =
+                    VisibilityOptions { margin: if tape.moved { margin } else { 0.0 }, ..VisibilityOptions::default() };
+                visible::conservative(&tape.local, camera, &reach, &mut tape.listed);
                 Visible::List(&tape.listed)
             }
             Filter::Ref => {
-                visible::reference(&self.anchors, camera, &mut tape.listed);
+                visible::published(&self.anchors, camera, &mut tape.listed);
                 Visible::List(&tape.listed)
             }
         };

@@ -17,8 +17,8 @@ pub use motion::{Motion, SparsityConfig};
 use drawing::Cache;
 use forward::Tape;
 use gs_anchor::{
-    Adapt, AdaptAt, AdaptRules, AnchorInit, AnchorShape, AnchorView, Anchors, Decoder, DecoderConfig, Intervals,
-    StorageSizes, StorageTable,
+    AnchorDensify, AnchorDensifyRules, AnchorDensifyStep, AnchorInit, AnchorShape, AnchorView, Anchors, Decoder,
+    DecoderConfig, Intervals, StorageSizes, StorageTable,
 };
 use gs_core::{Camera, Param, Params, Splats};
 use gs_raster::ScreenStats;
@@ -65,7 +65,7 @@ pub struct Parts {
     /// Decoder.
     pub decoder: DecoderConfig,
     /// Growth and pruning.
-    pub adapt: AdaptRules,
+    pub adapt: AnchorDensifyRules,
     /// Logits of motion per anchor, 0 to 2.
     pub dynamics: usize,
     /// What moves.
@@ -77,12 +77,12 @@ pub struct Parts {
 /// Anchors under training.
 pub struct Anchored {
     config: AnchorConfig,
-    rules: AdaptRules,
+    rules: AnchorDensifyRules,
     sparsity: Option<SparsityConfig>,
     anchors: Anchors,
     decoder: Decoder,
     motion: Motion,
-    adapt: Adapt,
+    adapt: AnchorDensify,
     /// Side of the first cells, one value: growth needs the same in a run that is taken up again.
     voxel: Vec<f32>,
     /// Farthest any splat has been moved or grown by LGD, world units, one value.
@@ -120,7 +120,7 @@ impl Anchored {
             config: parts.anchors,
             rules: parts.adapt,
             sparsity: parts.sparsity,
-            adapt: Adapt::new(&first.anchors),
+            adapt: AnchorDensify::new(&first.anchors),
             anchors: first.anchors,
             decoder,
             motion: parts.motion,
@@ -170,7 +170,7 @@ impl Anchored {
 
     fn grow(&mut self) -> DensifyStats {
         let step = self.at.step;
-        let at = AdaptAt {
+        let at = AnchorDensifyStep {
             step,
             clock: self.at.clock,
             seed: self.seed,
@@ -267,7 +267,7 @@ impl Method for Anchored {
     }
 
     fn capabilities(&self) -> Capabilities<'_> {
-        let AdaptRules { from, until, max_anchors, .. } = self.rules;
+        let AnchorDensifyRules { from, until, max_anchors, .. } = self.rules;
         let growth = Some(GrowthLimits { most: max_anchors as usize * self.config.offsets, from, until });
         Capabilities { inspect: Some(self), bake: Some(self), growth, ..Capabilities::default() }
     }

@@ -22,7 +22,7 @@ pub struct SparsityConfig {
 pub struct Motion {
     /// Global anchor deformation: anchors, per interval.
     pub gad: Option<Gad>,
-    /// Local Gaussian deformation: decoded Gaussians, per frame.
+    /// LocalAnchors Gaussian deformation: decoded Gaussians, per frame.
     pub lgd: Option<HexPlaneField>,
     /// The intervals GAD is constant in.
     pub intervals: Option<Intervals>,

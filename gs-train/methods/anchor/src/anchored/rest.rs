@@ -96,7 +96,7 @@ impl Poses {
 }
 
 impl Rest {
-    /// Local factors below this count as zero.
+    /// LocalAnchors factors below this count as zero.
     pub fn below(&self) -> f32 {
         self.below
     }
@@ -108,7 +108,7 @@ impl Rest {
         let moving: Vec<u32> = (0..rows.len() as u32).filter(moves).collect();
         let mut moved = Splats::default();
         lgd.forward(&apply::pick(neural, &moving), t, &mut Default::default(), &mut moved);
-        apply::put_back(&moved, &moving, out);
+        apply::scatter_rows(&moved, &moving, out);
     }
 }
 
@@ -155,7 +155,7 @@ impl Anchored {
         let still = found.iter().flatten().count();
         let between = first.iter().zip(&found).filter(|(first, found)| first.is_some() && found.is_none()).count();
         let most = |f: fn(&(f32, f32)) -> f32| found.iter().flatten().map(f).fold(0.0, f32::max);
-        let idle = self.motion.gad.iter().flat_map(|gad| gad.taking_part(&self.anchors, weight)).filter(|p| !p).count();
+        let idle = self.motion.gad.iter().flat_map(|gad| gad.is_active(&self.anchors, weight)).filter(|p| !p).count();
         let report = FreezeReport {
             splats: found.len(),
             still,

@@ -4,7 +4,7 @@
 
 use super::conjugate;
 use gs_core::rot::{hamilton, matrix, normalise};
-use gs_core::sh::{ShTurn, coeffs};
+use gs_core::sh::{ShRotation, coeffs};
 use gs_core::{Color, Splats};
 use rayon::prelude::*;
 
@@ -30,7 +30,7 @@ fn every(
     from: &[[f32; 4]],
     to: &[[f32; 4]],
     sh: &mut [f32],
-    act: impl Fn(&ShTurn<f32>, &mut [f32]) + Sync,
+    act: impl Fn(&ShRotation<f32>, &mut [f32]) + Sync,
 ) {
     if degree == 0 {
         return;
@@ -41,7 +41,7 @@ fn every(
         for (sh, (from, to)) in sh.chunks_exact_mut(width).zip(from.iter().zip(to)) {
             if from != to {
                 let turn = hamilton(normalise(*to).wxyz, conjugate(normalise(*from).wxyz));
-                act(&ShTurn::new(&matrix(turn), degree), sh);
+                act(&ShRotation::new(&matrix(turn), degree), sh);
             }
         }
     });

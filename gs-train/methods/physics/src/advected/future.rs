@@ -5,10 +5,10 @@
 use super::carry_drawn;
 use glam::Vec3;
 use gs_core::Splats;
-use gs_physics::classes::{ClassRule, turn_reach};
+use gs_physics::classes::{ClassRule, rotation_sensitivity};
 use gs_physics::groups::Groups;
 use gs_physics::segment::{FeatureOptions, KMeansOptions, features, kmeans};
-use gs_physics::{Dynamics, Extrapolator, Integrator, Moves, Start};
+use gs_physics::{Dynamics, Extrapolator, Integrator, ParticleState, Start};
 
 /// What a forecast may leave out.
 #[derive(Clone, Copy, Debug)]
@@ -26,7 +26,7 @@ impl Thrift {
         if !matches!(rule, Integrator::Se3Mid | Integrator::Se3Magnus4) {
             return Some(particles);
         }
-        let reach: Vec<f32> = begin.scales.iter().map(|s| turn_reach(*s)).collect();
+        let reach: Vec<f32> = begin.scales.iter().map(|s| rotation_sensitivity(*s)).collect();
         let groups = (self.bodies > 0 && !begin.is_empty()).then(|| {
             let motions = particles.motions();
             let (rows, width) = features(motions, &FeatureOptions::default());
@@ -52,7 +52,7 @@ impl Future {
     /// The scene that begins as `begin` at time `from`.
     pub fn new<D: Dynamics>(begin: Splats, from: f64, middle: Vec3, dynamics: &D, thrift: Thrift) -> Self {
         let start = Start { x: &begin.means, t: from, middle };
-        let particles = dynamics.carried_by().and_then(|rollout| {
+        let particles = dynamics.motion_rollout().and_then(|rollout| {
             let (motions, still) = (dynamics.motions(start), vec![[1.0, 0.0, 0.0, 0.0]; begin.len()]);
             let all = Extrapolator::new(rollout, from, motions, begin.means.clone(), still).ok()?;
             thrift.spare(all, &begin, rollout.rule, rollout.origin)
@@ -62,15 +62,15 @@ impl Future {
 
     /// The splats at a time after the begin.
     pub fn at<D: Dynamics>(&mut self, t: f64, dynamics: &D) -> Splats {
-        let mut moves = Moves::default();
+        let mut moves = ParticleState::default();
         match &mut self.particles {
             Some(particles) => {
                 let (means, turns) = particles.at(t);
-                (moves.means, moves.turns) = (means.to_vec(), turns.to_vec());
+                (moves.means, moves.rotations) = (means.to_vec(), turns.to_vec());
             }
             None => {
                 let start = Start { x: &self.begin.means, t: self.from, middle: self.middle };
-                dynamics.transport(start, t, &mut D::Tape::default(), &mut moves);
+                dynamics.integrate(start, t, &mut D::Tape::default(), &mut moves);
             }
         }
         let mut splats = self.begin.clone();
@@ -109,9 +109,9 @@ mod tests {
         let (mut worst, start) = (0.0f32, begin());
         let mut future = Future::new(begin(), FROM, Vec3::ZERO, law, thrift);
         for t in [0.95, 0.72, 0.6] {
-            let mut moves = Moves::default();
+            let mut moves = ParticleState::default();
             let from = Start { x: &start.means, t: FROM, middle: Vec3::ZERO };
-            law.transport(from, t, &mut Default::default(), &mut moves);
+            law.integrate(from, t, &mut Default::default(), &mut moves);
             let drawn = future.at(t, law);
             worst = drawn.means.iter().zip(&moves.means).fold(worst, |w, (a, b)| w.max(a.distance(*b)));
         }

@@ -17,7 +17,7 @@ use glam::{DVec3, Vec3};
 use gs_core::{Camera, Param, Params, Rng, Splats, SplatsGrad, Time, rot};
 use gs_deform::Field;
 use gs_physics::classes::ClassRule;
-use gs_physics::{Dynamics, Motion, Moves, Start};
+use gs_physics::{Dynamics, Motion, ParticleState, Start};
 use gs_raster::ScreenStats;
 use gs_train::canonical::Canonical;
 use gs_train::capabilities::{Capabilities, Inspect, Overlay, ParticleSource, Particles, Quantity, StageView};
@@ -152,8 +152,8 @@ struct Scratch<F: Field, D: Dynamics> {
     d_moved: SplatsGrad,
     drawn: Splats,
     d_drawn: SplatsGrad,
-    moves: Moves,
-    d_moves: Moves,
+    moves: ParticleState,
+    d_moves: ParticleState,
 }
 
 impl<F: Field, D: Dynamics> Default for Scratch<F, D> {
@@ -269,7 +269,7 @@ impl<F: Field, D: Dynamics> Advected<F, D> {
         let mut moved = self.deformed(canonical, span.from);
         if span.from != span.to {
             let (mut tape, mut moves) = Default::default();
-            self.dynamics.transport(self.start(canonical, &moved, span.from), span.to, &mut tape, &mut moves);
+            self.dynamics.integrate(self.start(canonical, &moved, span.from), span.to, &mut tape, &mut moves);
             carry_drawn(&mut moved, &mut moves);
         }
         moved
@@ -311,7 +311,7 @@ impl<F: Field, D: Dynamics> Advected<F, D> {
         drawn.clone_from(moved);
         if travels {
             let start = Start { x: &moved.means, t: span.from, middle };
-            self.dynamics.transport(start, span.to, dynamics, moves);
+            self.dynamics.integrate(start, span.to, dynamics, moves);
             carry(drawn, moves);
         }
         let turn_colours = self.config.turn_colours;
@@ -326,7 +326,7 @@ impl<F: Field, D: Dynamics> Advected<F, D> {
         if travels {
             turn_back(moved, moves, d_drawn, d_moves, d_moved);
             let start = Start { x: &moved.means, t: span.from, middle };
-            self.dynamics.transport_backward(start, dynamics, d_moves);
+            self.dynamics.integrate_backward(start, dynamics, d_moves);
         }
         match self.config.field {
             true => {
@@ -358,16 +358,16 @@ fn at(t: f64) -> Time {
 }
 
 /// Puts splats where the dynamics carried them, turned as they turned.
-fn carry(splats: &mut Splats, moves: &Moves) {
+fn carry(splats: &mut Splats, moves: &ParticleState) {
     splats.means.copy_from_slice(&moves.means);
-    for (q, turn) in splats.quats.iter_mut().zip(&moves.turns) {
+    for (q, turn) in splats.quats.iter_mut().zip(&moves.rotations) {
         *q = rot::hamilton(*turn, *q);
     }
 }
 
 /// The same for drawing: what a velocity field has carried beyond all numbers stays where it was.
-fn carry_drawn(splats: &mut Splats, moves: &mut Moves) {
-    for ((to, turn), from) in moves.means.iter_mut().zip(&mut moves.turns).zip(&splats.means) {
+fn carry_drawn(splats: &mut Splats, moves: &mut ParticleState) {
+    for ((to, turn), from) in moves.means.iter_mut().zip(&mut moves.rotations).zip(&splats.means) {
         if !(to.is_finite() && turn.iter().all(|v| v.is_finite())) {
             (*to, *turn) = (*from, [1.0, 0.0, 0.0, 0.0]);
         }
@@ -377,11 +377,17 @@ fn carry_drawn(splats: &mut Splats, moves: &mut Moves) {
 
 /// The cotangents of what was carried (`d_drawn`), for the dynamics (`d_moves`) and for the splats before (`d_moved`, whose
 /// other columns are those of `d_drawn`). With `q = p ⊗ r`: `d_p = d ⊗ r*`, `d_r = p* ⊗ d`.
-fn turn_back(moved: &Splats, moves: &Moves, d_drawn: &SplatsGrad, d_moves: &mut Moves, d_moved: &mut SplatsGrad) {
+fn turn_back(
+    moved: &Splats,
+    moves: &ParticleState,
+    d_drawn: &SplatsGrad,
+    d_moves: &mut ParticleState,
+    d_moved: &mut SplatsGrad,
+) {
     d_moves.means.clone_from(&d_drawn.means);
-    d_moves.turns.clear();
-    d_moves.turns.extend(d_drawn.quats.iter().zip(&moved.quats).map(|(d, r)| rot::hamilton(*d, conjugate(*r))));
-    for ((d_r, d), p) in d_moved.quats.iter_mut().zip(&d_drawn.quats).zip(&moves.turns) {
+    d_moves.rotations.clear();
+    d_moves.rotations.extend(d_drawn.quats.iter().zip(&moved.quats).map(|(d, r)| rot::hamilton(*d, conjugate(*r))));
+    for ((d_r, d), p) in d_moved.quats.iter_mut().zip(&d_drawn.quats).zip(&moves.rotations) {
         *d_r = rot::hamilton(conjugate(*p), *d);
     }
 }

@@ -26,7 +26,7 @@ impl<F: Field, D: Dynamics> Advected<F, D> {
     fn motions_at(&self, splats: &Splats, t: f64) -> Vec<Motion<f32>> {
         let first = self.first_ahead();
         let canonical = self.canonical.activated();
-        if t <= first || !self.dynamics.rules_ahead() {
+        if t <= first || !self.dynamics.motions_extrapolate() {
             return self.dynamics.motions(self.start(&canonical, splats, t));
         }
         let begin = self.deformed(&canonical, first);

@@ -30,16 +30,16 @@ impl Dynamics for OneTwist {
     /// The step.
     type Tape = f32;
 
-    fn transport(&self, Start { x, t: from, .. }: Start<'_>, to: f64, h: &mut f32, out: &mut Moves) {
+    fn integrate(&self, Start { x, t: from, .. }: Start<'_>, to: f64, h: &mut f32, out: &mut ParticleState) {
         let [v, w] = self.parts();
         *h = (to - from) as f32;
         out.means = x.iter().map(|&x| x + *h * (v + w.cross(x))).collect();
         let half = 0.5 * *h * w;
-        out.turns = vec![[1.0, half.x, half.y, half.z]; x.len()];
+        out.rotations = vec![[1.0, half.x, half.y, half.z]; x.len()];
     }
 
-    fn transport_backward(&mut self, start: Start<'_>, h: &mut f32, d: &Moves) {
-        for ((x, d_mean), d_turn) in start.x.iter().zip(&d.means).zip(&d.turns) {
+    fn integrate_backward(&mut self, start: Start<'_>, h: &mut f32, d: &ParticleState) {
+        for ((x, d_mean), d_turn) in start.x.iter().zip(&d.means).zip(&d.rotations) {
             let d_w = *h * (x.cross(*d_mean) + 0.5 * Vec3::from_slice(&d_turn[1..]));
             let all = (*h * *d_mean).to_array().into_iter().chain(d_w.to_array());
             self.0.grad.iter_mut().zip(all).for_each(|(g, d)| *g += d);
@@ -51,7 +51,7 @@ impl Dynamics for OneTwist {
         vec![Motion { twist: Twist { v, w }, ..Motion::default() }; start.x.len()]
     }
 
-    fn rules_ahead(&self) -> bool {
+    fn motions_extrapolate(&self) -> bool {
         true
     }
 
@@ -296,9 +296,9 @@ fn what_comes_after_starts_from_the_last_deformation() {
     let m = method(CONFIG, false);
     let canonical = m.canonical.activated();
     let begin = m.deformed(&canonical, m.times.last_field);
-    let mut moves = Moves::default();
+    let mut moves = ParticleState::default();
     let t = f64::from(1.5f32);
-    m.dynamics.transport(m.start(&canonical, &begin, m.times.last_field), t, &mut 0.0, &mut moves);
+    m.dynamics.integrate(m.start(&canonical, &begin, m.times.last_field), t, &mut 0.0, &mut moves);
     let ahead = splats(&m, 1.5);
     assert_eq!(ahead.means, moves.means);
     assert_eq!(splats(&m, 1.5), ahead, "what is kept gives the same again");
