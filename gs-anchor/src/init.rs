@@ -21,8 +21,8 @@
 
 use crate::anchors::{AnchorShape, Anchors};
 use crate::lattice::{Cell, cell_of, position_of};
-use crate::neighbours::{NeighbourError, mean_squared_distances};
 use glam::Vec3;
+use gs_core::neighbours::{NeighbourError, mean_squared_distances};
 use serde::{Deserialize, Serialize};
 
 /// Lower limit of squared neighbour distances, world units².

@@ -55,7 +55,6 @@ pub mod init;
 pub mod intervals;
 mod lattice;
 pub mod local;
-pub mod neighbours;
 pub mod reference;
 mod setting;
 pub mod storage;

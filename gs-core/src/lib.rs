@@ -49,6 +49,8 @@ pub mod image;
 #[cfg(feature = "io")]
 pub mod io;
 pub mod kernel;
+#[cfg(feature = "neighbours")]
+pub mod neighbours;
 #[cfg(feature = "nn")]
 pub mod nn;
 pub mod param;

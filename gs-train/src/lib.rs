@@ -16,6 +16,7 @@
 
 pub mod ablate;
 pub mod adam;
+#[cfg(feature = "cloud")]
 pub mod canonical;
 pub mod capabilities;
 pub mod checkpoint;

@@ -9,8 +9,11 @@
 use crate::kernel::KernelConfig;
 use crate::method::MethodError;
 use glam::Vec3;
-use gs_anchor::neighbours::mean_squared_distances;
-use gs_core::{Cloud, Rng};
+#[cfg(feature = "cloud")]
+use gs_core::Cloud;
+use gs_core::Rng;
+#[cfg(feature = "cloud")]
+use gs_core::neighbours::mean_squared_distances;
 use gs_data::avatar::AvatarScene;
 use gs_data::{Dataset, PointCloud};
 use serde::{Deserialize, Serialize};
@@ -168,6 +171,7 @@ fn bounds_of(points: &PointCloud) -> Option<[Vec3; 2]> {
     })
 }
 
+#[cfg(feature = "cloud")]
 /// The first Gaussians: round, as large as the distance to their neighbours.
 ///
 /// # Errors

@@ -198,7 +198,7 @@ pub enum DataError {
         /// The file.
         file: PathBuf,
         /// What its reader met.
-        source: Box<gs_texel::CharacterError>,
+        source: Box<dyn std::error::Error + Send + Sync>,
     },
     /// An image whose size is not that of its camera.
     #[error("{} is {}x{}, its camera is {}x{}", .file.display(), .got[0], .got[1], .want[0], .want[1])]

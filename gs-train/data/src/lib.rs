@@ -33,7 +33,15 @@ use gs_core::{Camera, Time};
 
 use crate::avatar::AvatarScene;
 
+#[cfg(feature = "avatar")]
 pub mod avatar;
+/// Films of people need the feature `avatar`.
+#[cfg(not(feature = "avatar"))]
+pub mod avatar {
+    /// There is none without the feature `avatar`.
+    #[derive(Clone, Debug, PartialEq)]
+    pub enum AvatarScene {}
+}
 mod blender;
 mod boundary;
 pub mod cache;
@@ -249,7 +257,10 @@ impl Dataset {
 
     /// Makes every view smaller; the [`ImageCache`] averages the images down to their cameras.
     fn shrink(&mut self, scale: f64) {
+        #[cfg(feature = "avatar")]
         let inputs = self.avatar.as_mut().map(|a| Arc::make_mut(a).inputs_mut()).into_iter().flatten();
+        #[cfg(not(feature = "avatar"))]
+        let inputs = std::iter::empty();
         let all = self.train.iter_mut().chain(&mut self.val).chain(&mut self.test).chain(&mut self.extrapolate);
         for v in all.chain(inputs) {
             v.stored = Some([v.camera.width, v.camera.height]);
@@ -321,6 +332,7 @@ pub const LAYOUTS: &[Layout] = &[
     hypernerf::LAYOUT,
     llff::LAYOUT,
     panoptic::LAYOUT,
+    #[cfg(feature = "avatar")]
     avatar::layout::LAYOUT,
 ];
 

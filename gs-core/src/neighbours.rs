@@ -19,12 +19,12 @@ pub struct NeighbourError(String);
 /// point), squared world units. Points must be finite. The same bits for any number of threads.
 ///
 /// ```
-/// use gs_anchor::neighbours::mean_squared_distances;
+/// use gs_core::neighbours::mean_squared_distances;
 /// use glam::Vec3;
 ///
 /// let points = [0.0, 1.0, 2.0, 3.0].map(|x| x * Vec3::X);
 /// assert_eq!(mean_squared_distances(&points)?, [14.0 / 3.0, 2.0, 2.0, 14.0 / 3.0]);
-/// # Ok::<(), gs_anchor::neighbours::NeighbourError>(())
+/// # Ok::<(), gs_core::neighbours::NeighbourError>(())
 /// ```
 ///
 /// # Errors
@@ -49,7 +49,7 @@ pub fn mean_squared_distances(points: &[Vec3]) -> Result<Vec<f32>, NeighbourErro
 #[cfg(test)]
 mod tests {
     use super::*;
-    use gs_core::Rng;
+    use crate::Rng;
 
     #[test]
     fn brute_force_agrees_with_duplicates_and_lattices() {
