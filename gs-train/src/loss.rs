@@ -347,7 +347,7 @@ mod tests {
         let (mut frame, target) = pair();
         let before = frame.clone();
         let mut grad = FrameGrad::default();
-        let terms = ImageLoss::new().evaluate(&mut frame, &target, &plain(0.2), &mut grad).unwrap();
+        let terms = ImageLoss::new().evaluate_against(&mut frame, &target, &plain(0.2), &mut grad).unwrap();
         assert_eq!(frame, before);
         let n = target.data.len() as f64;
         let differences = frame.rgb.iter().zip(&target.data).map(|(a, b)| f64::from(*a) - f64::from(*b));
@@ -355,7 +355,7 @@ mod tests {
         assert!((terms.l1 / l1 - 1.0).abs() < 1e-6 && (terms.mse / mse - 1.0).abs() < 1e-6);
         assert!((terms.total - 0.8 * terms.l1 - 0.2 * (1.0 - terms.ssim.unwrap())).abs() < 1e-7);
         let same = Image { data: frame.rgb.clone(), ..target };
-        let none = ImageLoss::new().evaluate(&mut frame, &same, &plain(0.0), &mut grad).unwrap();
+        let none = ImageLoss::new().evaluate_against(&mut frame, &same, &plain(0.0), &mut grad).unwrap();
         assert_eq!((none.total, none.ssim, none.fre), (0.0, None, None));
         assert!(grad.rgb.iter().all(|&g| g == 0.0), "sign(0) = 0");
     }
@@ -364,9 +364,9 @@ mod tests {
     fn the_spectral_term_is_added_with_its_weight() {
         let (mut frame, target) = pair();
         let (mut grad, mut both, mut alone) = (FrameGrad::default(), FrameGrad::default(), Image::default());
-        let without = ImageLoss::new().evaluate(&mut frame, &target, &plain(0.2), &mut grad).unwrap();
+        let without = ImageLoss::new().evaluate_against(&mut frame, &target, &plain(0.2), &mut grad).unwrap();
         let weights = LossWeights { fre: 0.3, ..plain(0.2) };
-        let with = ImageLoss::new().evaluate(&mut frame, &target, &weights, &mut both).unwrap();
+        let with = ImageLoss::new().evaluate_against(&mut frame, &target, &weights, &mut both).unwrap();
         let drawn = Image { data: frame.rgb.clone(), ..target.clone() };
         let fre = AmplitudeLoss::default().value_and_grad(&drawn, &target, &mut alone).unwrap();
         assert_eq!((without.fre, with.fre, with.ssim), (None, Some(fre), without.ssim));
@@ -381,8 +381,10 @@ mod tests {
         let region = Region { low: [3, 5], high: [30, 21] };
         let (mut grad, mut both, mut alone) = (FrameGrad::default(), FrameGrad::default(), Image::default());
         let off = LossWeights { mrf_side: 16, region: Some(region), ..plain(0.2) };
-        let without = ImageLoss::new().evaluate(&mut frame, &target, &off, &mut grad).unwrap();
-        let with = ImageLoss::new().evaluate(&mut frame, &target, &LossWeights { mrf: 0.3, ..off }, &mut both).unwrap();
+        let without = ImageLoss::new().evaluate_against(&mut frame, &target, &off, &mut grad).unwrap();
+        let with = ImageLoss::new()
+            .evaluate_against(&mut frame, &target, &LossWeights { mrf: 0.3, ..off }, &mut both)
+            .unwrap();
         let drawn = Image { data: frame.rgb.clone(), ..target.clone() };
         let [mut a, mut b] = [Image::default(), Image::default()];
         region.crop(&drawn, &mut a);
@@ -400,7 +402,7 @@ mod tests {
             assert_eq!(*g, without + more, "({x}, {y})");
         }
         let small = LossWeights { mrf: 0.3, mrf_side: 4, ..off };
-        assert!(ImageLoss::new().evaluate(&mut frame, &target, &small, &mut grad).is_err());
+        assert!(ImageLoss::new().evaluate_against(&mut frame, &target, &small, &mut grad).is_err());
     }
 
     #[test]
@@ -409,7 +411,7 @@ mod tests {
         let (mut frame, target) = pair();
         let (mut grad, mut alone) = (FrameGrad::default(), Image::default());
         let weights = LossWeights { structure: Dssim::SsimBox, region: Some(region), ..plain(1.0) };
-        let terms = ImageLoss::new().evaluate(&mut frame, &target, &weights, &mut grad).unwrap();
+        let terms = ImageLoss::new().evaluate_against(&mut frame, &target, &weights, &mut grad).unwrap();
         let drawn = Image { data: frame.rgb.clone(), ..target.clone() };
         let [mut a, mut b] = [Image::default(), Image::default()];
         region.crop(&drawn, &mut a);
@@ -435,7 +437,7 @@ mod tests {
         let weights = LossWeights { structure: Dssim::MsSsim, ..plain(0.2) };
         let (mut frame, target) = pair_of(170, 161);
         let (mut grad, mut alone) = (FrameGrad::default(), Image::default());
-        let terms = ImageLoss::new().evaluate(&mut frame, &target, &weights, &mut grad).unwrap();
+        let terms = ImageLoss::new().evaluate_against(&mut frame, &target, &weights, &mut grad).unwrap();
         let drawn = Image { data: frame.rgb.clone(), ..target.clone() };
         let value = MsSsim::default().value_and_grad(&drawn, &target, &mut alone).unwrap();
         assert_eq!(terms.ssim, Some(value));
@@ -443,7 +445,7 @@ mod tests {
         let at = |k: usize| sign(drawn.data[k] - target.data[k]) * step - 0.2 * alone.data[k];
         assert!((0..target.data.len()).all(|k| (grad.rgb[k] - at(k)).abs() <= 1e-7 * step));
         let (mut frame, target) = pair();
-        let e = ImageLoss::new().evaluate(&mut frame, &target, &weights, &mut grad).unwrap_err();
+        let e = ImageLoss::new().evaluate_against(&mut frame, &target, &weights, &mut grad).unwrap_err();
         assert!(matches!(e, MetricError::TooSmall { need: 161, .. }), "{e}");
         assert_eq!(Dssim::MsSsim.check_size(161, 400), Ok(()));
         assert_eq!(Dssim::Ssim.check_size(1, 1), Ok(()));
@@ -457,11 +459,11 @@ mod tests {
         frame.rgb[7] = f32::NAN;
         let mut grad = FrameGrad::default();
         for lambda in [0.0, 0.2] {
-            let e = ImageLoss::new().evaluate(&mut frame, &target, &plain(lambda), &mut grad).unwrap_err();
+            let e = ImageLoss::new().evaluate_against(&mut frame, &target, &plain(lambda), &mut grad).unwrap_err();
             assert!(matches!(e, MetricError::NotFinite { x: 2, y: 0, channel: 1, .. }), "{e}");
         }
         let small = Image::zeros(3, 3, 3);
-        let e = ImageLoss::new().evaluate(&mut frame, &small, &plain(0.2), &mut grad).unwrap_err();
+        let e = ImageLoss::new().evaluate_against(&mut frame, &small, &plain(0.2), &mut grad).unwrap_err();
         assert!(matches!(e, MetricError::Shape { .. }));
     }
 }

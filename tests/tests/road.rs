@@ -7,8 +7,8 @@
 //! | checkpoint written and read | the same splats, bit for bit |
 //! | splat file written and read | pictures within 1e-4 of a channel (scales and opacities pass through log and logit) |
 
-use gs_core::Image;
 use gs_core::io::{Limits, RawSplats, load_splats, save_splats};
+use gs_core::{Image, Splats};
 use gs_data::{DataOptions, Dataset, ImageCache, View};
 use gs_raster::{Frame, Workspace, render};
 use gs_synth::{self as synth, SynthOptions};
@@ -40,9 +40,13 @@ fn trainer(data: &Arc<Dataset>, method: &str, steps: i64) -> Trainer {
         .expect("a trainer")
 }
 
+fn splats(model: &Model, view: &View) -> Splats {
+    model.splats(&Timestamp::new(view.time), &view.camera).expect("splats")
+}
+
 fn picture(method: &Model, view: &View) -> Frame {
     let background = method.background();
-    let splats = method.splats(&Timestamp::new(view.time), &view.camera);
+    let splats = splats(method, view);
     render(&splats, &view.camera, &method.raster_options(background), &mut Workspace::new())
 }
 
@@ -74,10 +78,10 @@ fn from_a_folder_of_images_to_a_splat_file() {
     std::fs::create_dir(&kept).expect("a folder");
     trainer.state().save_step(&kept, trainer.steps_done()).expect("a checkpoint");
     let newest: Checkpoint = checkpoint::load_newest(&kept).expect("the newest checkpoint").checkpoint;
-    let again = saved::load(gs_methods::registry(), &newest, None).expect("a method").method;
+    let again = saved::load(gs_methods::registry(), &newest, None).expect("a method").model;
     let view = &data.test[0];
-    let splats = trainer.model().splats(&Timestamp::new(view.time), &view.camera);
-    assert_eq!(again.splats(&Timestamp::new(view.time), &view.camera), splats);
+    let splats = splats(trainer.model(), view);
+    assert_eq!(self::splats(&again, view), splats);
 
     let ply = folder.path().join("scene.ply");
     save_splats(&ply, &RawSplats::from_splats(&splats).expect("legal splats"), false).expect("a splat file");

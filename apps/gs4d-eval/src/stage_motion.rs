@@ -157,7 +157,7 @@ mod tests {
             println!("model flow, {anchor:?}: mean error {error:.1e} px, worst {worst:.1e} px");
             assert!(worst < 1e-4, "{worst} px");
             let mut picture = |s: &Splats| {
-                let frame = p.draw(s, &c);
+                let frame = p.render(s, &c);
                 Image { width: frame.width, height: frame.height, channels: 3, data: frame.rgb.clone() }
             };
             let seen = seen_motion(&picture(&was), &picture(&now), anchor).unwrap();

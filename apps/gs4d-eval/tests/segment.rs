@@ -1,13 +1,14 @@
 //! Segments of generated scenes, with the truth itself as a method: labels, masks, scores, parts, motion, label images.
 
 use glam::{DVec3, Vec3};
-use gs_core::{Camera, Color, Param, Params, Rng, Splats, SplatsGrad};
+use gs_core::{Camera, Color, Param, Params, Rng, Splats};
 use gs_data::{ImageCache, View};
 use gs_physics::complexity::{ImageTracks, STATIC_PATH, complexity};
 use gs_synth::{self as synth, SynthData, SynthOptions};
-use gs_train::capabilities::Particles;
-use gs_train::method::Method;
-use gs_train::schedule::Schedule;
+use gs_train::capabilities::{Capabilities, ParticleSource, Particles};
+use gs_train::method::{Buffers, LossValue, Method, MethodError, RenderView, ViewCtx, section};
+use gs_train::model::Model;
+use gs_train::step::StepCtx;
 use gs_train::timestamp::Timestamp;
 use gs4d_eval::segment::*;
 use gs4d_report::needs::neutral_camera;
@@ -27,9 +28,9 @@ fn inset(local: DVec3) -> DVec3 {
 }
 
 /// A generated scene as a method: small splats on what its views see, moved by the truth itself.
+#[derive(Clone)]
 struct Cast {
     data: SynthData,
-    schedule: Schedule,
     points: Vec<(usize, DVec3)>,
     /// Relative noise of twists; none: no twists at all.
     noise: Option<f32>,
@@ -47,9 +48,16 @@ impl Cast {
         };
         let points = data.dataset.train.iter().flat_map(seen).collect();
         data.dataset.train = data.dataset.train.into_iter().step_by(3).collect();
+        Self { points, noise, data }
+    }
+
+    fn model(&self) -> Model {
         let config = gs_methods::registry().find("static3d").unwrap().config("tiny").unwrap();
-        let schedule = config["schedule"].clone().try_into().unwrap();
-        Self { schedule, points, noise, data }
+        Model::new("cast", self.clone(), section("static3d", &config, "schedule").unwrap()).unwrap()
+    }
+
+    fn segment(&self, options: &Options) -> Labels {
+        segment(&self.model(), options).unwrap()
     }
 
     /// Every splat a pixel.
@@ -70,7 +78,8 @@ impl Cast {
             assert!(seen.overlaid().data.iter().all(|v| (0.0..=1.0).contains(v)));
             Ok::<(), SegmentError>(())
         };
-        let scores = study(self, labels, ("train", &self.data.dataset.train), Some(&truth), cache, each).unwrap();
+        let scores =
+            study(&self.model(), labels, ("train", &self.data.dataset.train), Some(&truth), cache, each).unwrap();
         assert_eq!(views, 6);
         scores.unwrap()
     }
@@ -81,49 +90,52 @@ impl Params for Cast {
     fn visit_mut(&mut self, _f: &mut dyn FnMut(&mut Param)) {}
 }
 
+impl Buffers for Cast {}
+
 impl Method for Cast {
-    fn name(&self) -> &'static str {
-        "cast"
-    }
+    fn begin_step(&mut self, _at: &StepCtx) {}
 
-    fn schedule(&self) -> &Schedule {
-        &self.schedule
-    }
-
-    fn set_step(&mut self, _step: u32) {}
-
-    fn splats(&self, at: &Timestamp, _camera: &Camera) -> Splats {
+    fn splats(&self, at: &Timestamp, _camera: &Camera) -> Result<Splats, MethodError> {
         let place = |(body, local): &(usize, DVec3)| {
             self.data.truth.position_of(*body, *local, at.t.normalised.into()).unwrap().as_vec3()
         };
         let n = self.points.len();
-        Splats {
+        Ok(Splats {
             means: self.points.iter().map(place).collect(),
             quats: vec![[1.0, 0.0, 0.0, 0.0]; n],
             scales: vec![Vec3::splat(SCALE); n],
             opacities: vec![0.9; n],
             color: Color::Rgb(vec![[0.5; 3]; n]),
             ..Splats::default()
-        }
+        })
     }
 
-    fn particles(&self) -> Option<Particles> {
-        let noise = self.noise?;
-        let motion = |(i, (body, _)): (usize, &(usize, DVec3))| {
+    fn step(&mut self, _view: &ViewCtx<'_>, _render: &mut dyn RenderView) -> Result<Vec<LossValue>, MethodError> {
+        Ok(Vec::new())
+    }
+
+    fn splat_count(&self) -> usize {
+        self.points.len()
+    }
+
+    fn capabilities(&self) -> Capabilities<'_> {
+        let particles = self.noise.map(|_| self as &dyn ParticleSource);
+        Capabilities { particles, ..Capabilities::default() }
+    }
+}
+
+impl ParticleSource for Cast {
+    fn particles(&self) -> Particles {
+        let noise = self.noise.unwrap();
+        let twists = |(i, (body, _)): (usize, &(usize, DVec3))| {
             let mut m = self.data.truth.twist_of(*body, AT, ORIGIN).unwrap().to_f32();
             let mut rng = Rng::new(1, "noise", 0, i as u64);
             m.twist.v.iter_mut().chain(&mut m.twist.w).for_each(|x| *x += noise * x.abs().max(0.2) * rng.normal());
-            m
+            [m.twist, m.rate, m.jerk].map(|twist| [twist.v, twist.w]).concat().try_into().unwrap()
         };
-        let splats = self.splats(&Timestamp::normalised(AT as f32), &neutral_camera());
-        let motions = self.points.iter().enumerate().map(motion).collect();
-        Some(Particles { at: AT, splats, motions, origin: ORIGIN.as_vec3() })
-    }
-
-    fn step(&mut self, _at: &Timestamp, _camera: &Camera, _draw: &mut dyn FnMut(&Splats, &mut SplatsGrad)) {}
-
-    fn len(&self) -> usize {
-        self.points.len()
+        let splats = self.splats(&Timestamp::normalised(AT as f32), &neutral_camera()).unwrap();
+        let twists = self.points.iter().enumerate().map(twists).collect();
+        Particles { at: AT, splats, twists, origin: ORIGIN.as_vec3() }
     }
 }
 
@@ -134,7 +146,7 @@ fn bodies_are_found_from_their_twists() {
         let cast = Cast::new(scene, Some(0.05));
         assert_eq!(cast.data.truth.bodies().len(), bodies, "{scene}");
         for count in [Count::Fixed(bodies), Count::Auto] {
-            let labels = segment(&cast, &Options { count, ..Options::default() }).unwrap();
+            let labels = cast.segment(&Options { count, ..Options::default() });
             let distances = &labels.distances;
             assert_eq!((labels.k, labels.source), (bodies, Source::Twists), "{scene} {count:?}: {distances:?}");
             let splats = cast.score_of_splats(&labels);
@@ -154,7 +166,7 @@ fn bodies_are_found_from_their_twists() {
 fn three_bodies_and_what_rests_are_four_parts() {
     let cast = Cast::new("trio", Some(0.05));
     for count in [Count::Fixed(4), Count::Auto] {
-        let labels = segment(&cast, &Options { count, ..Options::default() }).unwrap();
+        let labels = cast.segment(&Options { count, ..Options::default() });
         let (splats, masks) = (cast.score_of_splats(&labels), cast.study(&labels));
         println!("trio, {count:?}: splats mIoU {:.4}; views F1 {:.4}, mIoU {:.4}", splats.miou, masks.f1, masks.miou);
         assert_eq!((labels.k, splats.f1, masks.f1), (4, 1.0, 1.0), "{count:?}: {masks:?}");
@@ -166,13 +178,13 @@ fn three_bodies_and_what_rests_are_four_parts() {
 #[test]
 fn twins_are_told_apart_by_their_places() {
     let cast = Cast::new("twins", Some(0.05));
-    let one = segment(&cast, &Options::default()).unwrap();
+    let one = cast.segment(&Options::default());
     assert_eq!(one.k, 3, "{:?}", one.distances);
     let label = |labels: &Labels, body: usize| labels.of[cast.points.iter().position(|p| p.0 == body).unwrap()];
     assert_eq!(label(&one, 0), label(&one, 1));
     assert!(label(&one, 0) != label(&one, 2) && label(&one, 2) != label(&one, 3));
     let apart = Options { count: Count::Fixed(6), positions: 1.0, ..Options::default() };
-    let apart = segment(&cast, &apart).unwrap();
+    let apart = cast.segment(&apart);
     assert_ne!(label(&apart, 0), label(&apart, 1));
 }
 
@@ -181,7 +193,7 @@ fn twins_are_told_apart_by_their_places() {
 fn bodies_are_found_from_their_paths() {
     let mut cast = Cast::new("projectile", None);
     cast.points = cast.points.into_iter().step_by(10).collect();
-    let labels = segment(&cast, &Options { count: Count::Fixed(4), ..Options::default() }).unwrap();
+    let labels = cast.segment(&Options { count: Count::Fixed(4), ..Options::default() });
     assert_eq!(labels.source, Source::Paths);
     let mut counts = vec![[0usize; 2]; labels.k];
     cast.points.iter().zip(&labels.of).for_each(|((body, _), label)| counts[*label as usize][*body] += 1);
@@ -194,7 +206,7 @@ fn bodies_are_found_from_their_paths() {
 #[test]
 fn parts_move_as_their_bodies_do() {
     let cast = Cast::new("hinge", Some(0.0));
-    let labels = segment(&cast, &Options::default()).unwrap();
+    let labels = cast.segment(&Options::default());
     let table = parts::table(&labels);
     assert_eq!(table.len(), 4);
     assert!((table.iter().map(|p| p.share).sum::<f64>() - 1.0).abs() < 1e-9);
@@ -224,7 +236,8 @@ fn the_motion_of_a_scene_is_that_of_its_material_points() {
     let cast = Cast::new("balls", None);
     let camera = cast.data.dataset.train[0].camera.clone();
     let times: Vec<f32> = (0..12).map(|k| k as f32 / 11.0).collect();
-    let got = complexity(&tracks::tracks(&cast, std::slice::from_ref(&camera), &times, 2500), STATIC_PATH);
+    let got =
+        complexity(&tracks::tracks(&cast.model(), std::slice::from_ref(&camera), &times, 2500).unwrap(), STATIC_PATH);
     let path = |k: u32| {
         let (x, y) = (f64::from(4 * (k % 50)) + 2.5, f64::from(4 * (k / 50)) + 2.5);
         let hit = cast.data.truth.hit(&camera, 0.0, x, y)?;
@@ -239,7 +252,7 @@ fn the_motion_of_a_scene_is_that_of_its_material_points() {
     let want = complexity(&[truth], STATIC_PATH);
     assert!((got.velocity / want.velocity - 1.0).abs() < 0.1, "{got:?} {want:?}");
     assert!((got.acceleration / want.acceleration - 1.0).abs() < 0.15, "{got:?} {want:?}");
-    let whole = scene_complexity(&cast, &cast.data.dataset);
+    let whole = scene_complexity(&cast.model(), &cast.data.dataset).unwrap();
     assert!(whole.moving > 0 && whole.velocity > 0.3 * want.velocity && whole.velocity < 3.0 * want.velocity);
 }
 

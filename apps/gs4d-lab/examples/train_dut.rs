@@ -9,14 +9,14 @@
 //! `schedule.stages.main.steps=500`). `oracle=STEPS` trains nothing: it looks for every frame's offsets by themselves, by
 //! GeoNet's losses alone, in `rounds=N` rounds (3) with new mean colours after each.
 
-use gs_core::Image;
 use gs_core::io::images::save_png;
+use gs_core::{Image, Params};
 use gs_data::{Dataset, ImageCache, Split};
 use gs_method_texel::{Config, Dut, OffsetErrors, OracleOptions};
 use gs_raster::{Workspace, render};
 use gs_synth::avatar::{self, AvatarOptions};
 use gs_train::evaluate::{clamped, evaluate};
-use gs_train::method::{InitConfig, SceneInfo, overlay};
+use gs_train::method::{Buffers, InitConfig, Method, SceneInfo, overlay};
 use gs_train::model::Model;
 use gs_train::timestamp::Timestamp;
 use gs_train::trainer::{TrainOptions, Trainer};
@@ -81,7 +81,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     let mut dut = Dut::new(config.try_into::<Config>()?, &scene)?;
     copy(trainer.model(), &mut dut);
-    dut.set_step(trainer.steps());
+    dut.begin_step(&trainer.schedule().at(trainer.steps()));
     print_offsets(&dut.offset_errors()?);
     let stages = StageOptions { warm_up: 2, frames: dut.actor().scene.frames.len(), repeats: 1, size: 512 };
     print!("{}", stage_times(&dut, &stages)?.text());
@@ -99,12 +99,15 @@ fn print_offsets(OffsetErrors { ratio, length }: &OffsetErrors) {
 }
 
 /// Gives a method the state of another of the same configuration.
-fn copy(from: &Model, to: &mut Model) {
+fn copy(from: &Model, to: &mut Dut) {
     let mut values = Vec::new();
     from.visit(&mut |p| values.push(p.value.clone()));
     let mut values = values.into_iter();
     to.visit_mut(&mut |p| p.value = values.next().unwrap_or_default());
-    to.columns_mut().into_iter().zip(from.columns()).for_each(|(to, from)| to.values.clone_from(from.values));
+    let mut buffers = Vec::new();
+    from.buffers(&mut |b| buffers.push(b.values.clone()));
+    let mut buffers = buffers.into_iter();
+    to.buffers_mut(&mut |b| *b.values = buffers.next().unwrap_or_default());
 }
 
 fn print_scores(trainer: &Trainer, dataset: &Dataset, split: Split) -> Result<(), Box<dyn Error>> {
@@ -128,7 +131,7 @@ fn pictures(method: &Model, dataset: &Dataset, folder: &Path) -> Result<(), Box<
     std::fs::create_dir_all(folder)?;
     let (photographs, options) = (ImageCache::new(256 << 20, 1.0), method.raster_options([0.0; 3]));
     for view in dataset.test.iter().step_by(5) {
-        let splats = method.splats(&Timestamp::new(view.time), &view.camera);
+        let splats = method.splats(&Timestamp::new(view.time), &view.camera)?;
         let drawn = clamped(&render(&splats, &view.camera, &options, &mut Workspace::new()));
         let truth = photographs.get(view)?.over([0.0; 3]);
         let mut panel = Image::zeros(3 * truth.width, truth.height, 3);

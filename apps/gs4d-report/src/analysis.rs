@@ -74,16 +74,15 @@ mod tests {
     use crate::analysis::paths::{jerk_overlay, painted};
     use crate::needs::neutral_camera;
     use glam::{DVec3, Vec3};
-    use gs_core::{Camera, Color, Param, Params, Splats, SplatsGrad};
+    use gs_core::{Camera, Color, Param, Params, Splats};
     use gs_raster::RasterOptions;
-    use gs_train::capabilities::Quantity;
-    use gs_train::method::section;
-    use gs_train::schedule::Schedule;
+    use gs_train::capabilities::{Capabilities, Inspect, Quantity};
+    use gs_train::method::{Buffers, LossValue, Method, RenderView, ViewCtx, section};
+    use gs_train::step::StepCtx;
     use gs_train::timestamp::Timestamp;
 
     /// Splat `i` of `SPLATS` swings along x with amplitude `i`, [`TURNS`] times over the span; λ rests, a gate opens.
     struct Swing {
-        schedule: Schedule,
         lambda: Param,
     }
 
@@ -91,10 +90,11 @@ mod tests {
     const TURNS: f64 = 10.0;
 
     impl Swing {
-        fn new() -> Self {
+        fn model() -> Model {
             let config = gs_methods::registry().find("static3d").unwrap().config("tiny").unwrap();
             let schedule = section("static3d", &config, "schedule").unwrap();
-            Self { schedule, lambda: Param::rows("cloud.lambda", 1, vec![0.0, 9.0, -9.0, 1.0, 2.0]) }
+            let swing = Self { lambda: Param::rows("cloud.lambda", 1, vec![0.0, 9.0, -9.0, 1.0, 2.0]) };
+            Model::new("swing", swing, schedule).unwrap()
         }
     }
 
@@ -108,44 +108,46 @@ mod tests {
         }
     }
 
+    impl Buffers for Swing {}
+
     impl Method for Swing {
-        fn name(&self) -> &'static str {
-            "swing"
-        }
+        fn begin_step(&mut self, _at: &StepCtx) {}
 
-        fn schedule(&self) -> &Schedule {
-            &self.schedule
-        }
-
-        fn set_step(&mut self, _step: u32) {}
-
-        fn splats(&self, at: &Timestamp, _camera: &Camera) -> Splats {
+        fn splats(&self, at: &Timestamp, _camera: &Camera) -> Result<Splats, MethodError> {
             let swing = (std::f64::consts::TAU * TURNS * f64::from(at.t.normalised)).cos() as f32;
-            Splats {
+            Ok(Splats {
                 means: (0..SPLATS).map(|i| Vec3::new(0.1 * i as f32 * swing, 0.3 * i as f32 - 0.6, 0.0)).collect(),
                 quats: vec![[1.0, 0.0, 0.0, 0.0]; SPLATS],
                 scales: vec![Vec3::splat(0.05); SPLATS],
                 opacities: vec![0.9; SPLATS],
                 color: Color::Rgb(vec![[0.5; 3]; SPLATS]),
                 ..Splats::default()
-            }
+            })
         }
 
-        fn step(&mut self, _at: &Timestamp, _camera: &Camera, _draw: &mut dyn FnMut(&Splats, &mut SplatsGrad)) {}
-
-        fn quantities(&self, at: &Timestamp) -> Vec<Quantity> {
-            let lambda = Quantity::share("lambda", vec![0.1, 0.2, 0.5, 0.7, 0.3]);
-            vec![lambda, Quantity::share("gate", vec![at.t.normalised; SPLATS])]
+        fn step(&mut self, _view: &ViewCtx<'_>, _render: &mut dyn RenderView) -> Result<Vec<LossValue>, MethodError> {
+            Ok(Vec::new())
         }
 
-        fn len(&self) -> usize {
+        fn splat_count(&self) -> usize {
             SPLATS
+        }
+
+        fn capabilities(&self) -> Capabilities<'_> {
+            Capabilities { inspect: Some(self), ..Capabilities::default() }
+        }
+    }
+
+    impl Inspect for Swing {
+        fn quantities(&self, at: &Timestamp) -> Result<Vec<Quantity>, MethodError> {
+            let lambda = Quantity::share("lambda", vec![0.1, 0.2, 0.5, 0.7, 0.3]);
+            Ok(vec![lambda, Quantity::share("gate", vec![at.t.normalised; SPLATS])])
         }
     }
 
     #[test]
     fn quantities_are_pooled_and_shown_over_time_where_they_change() {
-        let s = Snapshot::of(&Swing::new());
+        let s = Snapshot::of(&Swing::model()).unwrap();
         let names: Vec<_> = s.histograms.iter().map(|h| (h.name.as_str(), h.time.is_some())).collect();
         assert_eq!(names[..2], [("lambda", false), ("gate", false)]);
         assert!(names.len() == 2 + 8 && names[2..].iter().all(|n| *n == ("gate", true)));
@@ -161,32 +163,31 @@ mod tests {
 
     #[test]
     fn swinging_splats_have_fast_motion_of_known_energy() {
-        let analysis = Analysis::of(&Swing::new(), 41, None);
+        let analysis = Analysis::of(&Swing::model(), 41, None).unwrap();
         let paths = analysis.paths.clone().unwrap();
         assert_eq!((paths.moments, paths.cutoff), (41, 11));
         // 10 turns over 40 intervals: four moments a turn, A = (2 x)² at the turning points and 0 between them.
         assert!((paths.jerk.p99 / (2.0f64 * 0.4).powi(2) - 1.0).abs() < 1e-4, "{:?}", paths.jerk);
         assert!(paths.hann.mean_log10 < paths.raw.mean_log10 + 1.0 && paths.jerk.gini > 0.5);
-        assert!(
-            Paths::of(&Swing::new(), 41, Some(21)).is_err() && Analysis::of(&Swing::new(), 0, None).paths.is_none()
-        );
+        assert!(matches!(Paths::of(&Swing::model(), 41, Some(21)), Err(AnalysisError::Trajectory(_))));
+        assert!(Analysis::of(&Swing::model(), 0, None).unwrap().paths.is_none());
         assert_eq!(analysis.rows().len(), 2 + 1 + 1 + 4);
     }
 
     #[test]
     fn jerk_is_seen_where_it_is_and_pictures_have_a_price() {
-        let (swing, camera) = (Swing::new(), neutral_camera());
+        let (swing, camera) = (Swing::model(), neutral_camera());
         let overlay = jerk_overlay(&swing, 0.0, 0.025, &camera).unwrap();
         assert_eq!((overlay.colors[0], overlay.colors[4]), ([0.0; 3], [1.0; 3]));
         assert!(overlay.colors.windows(2).all(|w| w[0] <= w[1]), "the wider the swing, the brighter");
-        let splats = painted(swing.splats(&Timestamp::normalised(0.0), &camera), overlay.clone());
+        let splats = painted(swing.splats(&Timestamp::normalised(0.0), &camera).unwrap(), overlay.clone());
         assert_eq!(splats.color, Color::Rgb(overlay.colors));
         let eye = Camera::look_at(64, 64, 0.7, DVec3::new(0.0, 0.0, -4.0), DVec3::ZERO, DVec3::Y).unwrap();
         let views = [(eye, Timestamp::normalised(0.0).t)];
-        let economy = Economy::of(&swing, &views, &RasterOptions::default(), Some(30.0)).unwrap();
+        let economy = Economy::of(&swing, &views, &RasterOptions::default(), Some(30.0)).unwrap().unwrap();
         assert!(economy.tiles_per_splat >= 1.0 && economy.used_per_tile <= economy.listed_per_tile);
         assert!(economy.walked_per_pixel > 0.0 && economy.walked_per_pixel <= economy.used_per_tile);
         assert!((economy.tiles_per_splat * SPLATS as f64 / 16.0 - economy.listed_per_tile).abs() < 1e-12, "16 tiles");
-        assert!(Economy::of(&swing, &[], &RasterOptions::default(), None).is_none());
+        assert!(Economy::of(&swing, &[], &RasterOptions::default(), None).unwrap().is_none());
     }
 }

@@ -125,8 +125,8 @@ mod tests {
         let config = entry.config("tiny").unwrap();
         let scene = SceneInfo::of(&data, &section(entry.name, &config, "init").unwrap(), 3).unwrap();
         let mut method = (entry.build)(&config, &scene).unwrap();
-        method.set_step(100_000);
-        overlay_figures(method.as_ref(), &data.test[0], &data.test[0].camera)
+        method.begin_step(100_000);
+        overlay_figures(&method, &data.test[0], &data.test[0].camera).unwrap()
     }
 
     #[test]

@@ -123,15 +123,15 @@ mod tests {
         away.translation = glam::DVec3::new(-1.0, 1.0, -1.0) * away.translation;
         let at = Timestamp::normalised(0.0).t;
         let values = |camera: &Camera| {
-            let rows = drawing_rows(method.as_ref(), &[(camera.clone(), at)], &RasterOptions::default());
+            let rows = drawing_rows(&method, &[(camera.clone(), at)], &RasterOptions::default()).unwrap();
             (rows[0].value.clone(), rows[1].value.clone())
         };
         let all = format!("{} a view (100.0 %)", method.splat_count());
         assert_eq!(values(&away), (all.clone(), "0.0 a pixel, at most 0".to_owned()));
         let (culled, blended) = values(camera);
         assert!(culled != all && !blended.starts_with("0.0"), "{blended}");
-        assert!(drawing_rows(method.as_ref(), &[], &RasterOptions::default()).is_empty());
-        assert!(resting_rows(method.as_ref(), &[(camera.clone(), at)]).is_empty(), "it has no such way");
+        assert!(drawing_rows(&method, &[], &RasterOptions::default()).unwrap().is_empty());
+        assert!(resting_rows(&method, &[(camera.clone(), at)]).is_empty(), "it has no such way");
     }
 
     #[test]

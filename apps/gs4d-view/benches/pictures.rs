@@ -58,7 +58,7 @@ fn pictures(c: &mut Criterion) {
                 error: Some(f64::from(apart)),
                 error_kind: "largest difference to PNG",
             };
-            row.keep(concat!(env!("CARGO_MANIFEST_DIR"), "/.."));
+            row.append(concat!(env!("CARGO_MANIFEST_DIR"), "/.."));
         }
     }
 }

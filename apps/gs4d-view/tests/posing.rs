@@ -1,5 +1,6 @@
 //! A filmed person in poses of the user's.
 
+use gs_method_texel::Dut;
 use gs_synth::avatar::{self, AvatarOptions};
 use gs_train::timestamp::Timestamp;
 use gs_train::trainer::{TrainOptions, Trainer};
@@ -14,8 +15,8 @@ fn its_own_pose_changes_nothing_and_a_turned_arm_moves_alone() {
     let config = gs_methods::registry().find("dut").unwrap().config("tiny").unwrap();
     let trainer = Trainer::new(gs_methods::registry(), film.clone(), "dut", &config, TrainOptions::default()).unwrap();
     let method = trainer.model();
-    let figure = method.figure().expect("a person");
-    let filmed = method.splats(&Timestamp::normalised(0.0), &film.train[0].camera);
+    let figure = method.concrete::<Dut>().expect("a person");
+    let filmed = method.splats(&Timestamp::normalised(0.0), &film.train[0].camera).unwrap();
     let posed = |posing: &Posing| figure.posed(&Timestamp::normalised(0.0), &posing.of(figure, 0.0).unwrap()).unwrap();
     assert_eq!(posed(&Posing::default()), filmed);
 

@@ -10,11 +10,11 @@
 //! | centres of baked rows at times between those looked at | 1.5 × the tolerance |
 
 use crate::support::*;
-use gs_core::{Camera, Splats, Time};
-use gs_deform::field::grid4d::{StaticTolerance, screen_bound};
-use gs_raster::{Workspace, render};
+use gs_core::{Camera, Splats, SplatsGrad, Time};
+use gs_deform::field::grid4d::screen_bound;
+use gs_raster::{ScreenStats, Workspace, render};
 use gs_train::capabilities::FreezeOptions;
-use gs_train::method::overlay;
+use gs_train::method::{MethodError, RenderView, ViewCtx, overlay};
 use gs_train::model::Model;
 use gs_train::saved;
 use gs_train::timestamp::Timestamp;
@@ -28,6 +28,26 @@ fn at(t: f32) -> Timestamp {
 fn picture(method: &Model, splats: &Splats, camera: &Camera) -> Vec<f32> {
     let options = method.raster_options([1.0; 3]);
     render(splats, camera, &options, &mut Workspace::new()).rgb
+}
+
+fn splats(model: &Model, t: f32, camera: &Camera) -> Splats {
+    model.splats(&at(t), camera).expect("splats")
+}
+
+/// Keeps the splats of a step, which have no gradient.
+#[derive(Default)]
+struct Kept {
+    splats: Splats,
+    stats: ScreenStats,
+}
+
+impl RenderView for Kept {
+    fn render(&mut self, splats: &Splats, grad: &mut SplatsGrad) -> Result<&ScreenStats, MethodError> {
+        self.splats = splats.clone();
+        grad.reset(splats);
+        self.stats = ScreenStats { grad_means2d: vec![[0.0; 2]; splats.len()], radii: vec![0.0; splats.len()] };
+        Ok(&self.stats)
+    }
 }
 
 fn modec(over: &str) -> toml::Table {
@@ -48,22 +68,22 @@ fn trained(config: &toml::Table, steps: u32) -> Trainer {
 fn the_local_stage_starts_from_the_global_fit() {
     // Stages of 30 steps each.
     let trainer = trained(&modec(""), 30);
-    let mut method = saved::load(gs_methods::registry(), &trainer.state(), None).expect("state").method;
+    let mut method = saved::load(gs_methods::registry(), &trainer.state(), None).expect("state").model;
     let camera = trainer.dataset().train[0].camera.clone();
-    let global = method.splats(&at(0.7), &camera);
-    method.set_step(31);
+    let global = splats(&method, 0.7, &camera);
+    method.begin_step(31);
     assert!(method.schedule().dynamic(31) && !method.schedule().dynamic(30));
-    let mut drawn = Splats::default();
-    method.step(&at(0.7), &camera, &mut |s, _| drawn = s.clone());
+    let mut kept = Kept::default();
+    method.step(&ViewCtx { at: at(0.7), camera: &camera, last: true }, &mut kept).expect("step");
     assert!(!global.is_empty());
-    assert_eq!(drawn, global, "bit for bit");
+    assert_eq!(kept.splats, global, "bit for bit");
 }
 
 #[test]
 fn filtered_pictures_are_those_without_a_filter() {
     let trainer = trained(&modec(""), 60);
     let config = modec("[anchors]\nfilter = \"off\"");
-    let load = |config| saved::load(gs_methods::registry(), &trainer.state(), config).expect("state").method;
+    let load = |config| saved::load(gs_methods::registry(), &trainer.state(), config).expect("state").model;
     let (filtered, whole) = (load(None), load(Some(&config)));
     let mut left_out = 0;
     for view in &trainer.dataset().train {
@@ -71,9 +91,9 @@ fn filtered_pictures_are_those_without_a_filter() {
         for (dx, dy) in [(0.0, 0.0), (-40.0, 30.0), (50.0, -40.0), (300.0, 0.0)] {
             let c = &view.camera;
             let camera = Camera { fx: 6.0 * c.fx, fy: 6.0 * c.fy, cx: c.cx + dx, cy: c.cy + dy, ..c.clone() };
-            let (few, all) = (filtered.splats(&at(0.4), &camera), whole.splats(&at(0.4), &camera));
+            let (few, all) = (splats(&filtered, 0.4, &camera), splats(&whole, 0.4, &camera));
             left_out += all.len() - few.len();
-            let (few, all) = (picture(&*filtered, &few, &camera), picture(&*whole, &all, &camera));
+            let (few, all) = (picture(&filtered, &few, &camera), picture(&whole, &all, &camera));
             let worst = few.iter().zip(&all).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
             assert!(worst <= 1e-6, "{worst}");
         }
@@ -85,13 +105,13 @@ fn filtered_pictures_are_those_without_a_filter() {
 fn kept_intervals_draw_the_same_bits() {
     let trainer = trained(&modec(""), 60);
     let camera = &trainer.dataset().train[0].camera;
-    let load = || saved::load(gs_methods::registry(), &trainer.state(), None).expect("state").method;
+    let load = || saved::load(gs_methods::registry(), &trainer.state(), None).expect("state").model;
     let warm = load();
     let times = [0.1, 0.15, 0.9, 0.12, 0.5, 0.9];
-    let first: Vec<Splats> = times.iter().map(|&t| warm.splats(&at(t), camera)).collect();
+    let first: Vec<Splats> = times.iter().map(|&t| splats(&warm, t, camera)).collect();
     for (t, before) in times.iter().zip(&first) {
-        assert_eq!(*before, warm.splats(&at(*t), camera), "kept");
-        assert_eq!(*before, load().splats(&at(*t), camera), "anew");
+        assert_eq!(*before, splats(&warm, *t, camera), "kept");
+        assert_eq!(*before, splats(&load(), *t, camera), "anew");
     }
 }
 
@@ -99,12 +119,12 @@ fn kept_intervals_draw_the_same_bits() {
 fn stages_lead_to_what_is_drawn() {
     let trainer = trained(&modec(""), 60);
     let (method, camera) = (trainer.model(), &trainer.dataset().train[0].camera);
-    let stages = method.stages(&at(0.6), camera);
+    let stages = method.stages(&at(0.6), camera).expect("stages");
     assert_eq!(stages.iter().map(|s| s.name).collect::<Vec<_>>(), ["global", "local", "full"]);
     let full = &stages[2];
     assert_eq!(full.before.as_ref(), Some(&stages[1].splats.means), "where LGD found them");
     assert_eq!(stages[1].before.as_ref().map(Vec::len), Some(stages[1].splats.len()));
-    let (drawn, staged) = (method.splats(&at(0.6), camera), &full.splats);
+    let (drawn, staged) = (splats(method, 0.6, camera), &full.splats);
     let (drawn, staged) = (picture(method, &drawn, camera), picture(method, staged, camera));
     let worst = drawn.iter().zip(&staged).map(|(a, b)| (a - b).abs());
     assert!(worst.fold(0.0, f32::max) <= 1e-6);
@@ -145,8 +165,7 @@ fn boundaries_move_and_are_told_of() {
             .expect("trainer");
     let mut told = Vec::new();
     for _ in 0..90 {
-        trainer.step().expect("step");
-        told.extend(trainer.journal());
+        told.extend(trainer.step().expect("step").events);
     }
     let passes: Vec<_> = told.iter().filter(|line| line.get("intervals").is_some()).collect();
     assert_eq!(passes.len(), 3, "at 10, 20 and 30 of the local stage");
@@ -169,14 +188,14 @@ fn folding_leaves_out_what_pictures_do_not_need() {
     let config = modec("");
     let trainer = trained(&config, 60);
     let (method, camera) = (trainer.model(), &trainer.dataset().train[0].camera);
-    let (slim_config, folded) = method.folded(&config).expect("an appearance to fold");
-    let (before, after) = (method.splats(&at(0.3), camera), folded.splats(&at(0.3), camera));
-    let pictures = (picture(method, &before, camera), picture(&*folded, &after, camera));
+    let (slim_config, folded) = method.fold(&config).expect("an appearance to fold");
+    let (before, after) = (splats(method, 0.3, camera), splats(&folded, 0.3, camera));
+    let pictures = (picture(method, &before, camera), picture(&folded, &after, camera));
     let worst = pictures.0.iter().zip(&pictures.1).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
     assert!(worst <= 1e-6, "{worst}");
     assert_eq!(slim_config["decoder"]["appearance"].as_integer(), Some(0));
     assert!(folded.param_count() < method.param_count());
-    let table = method.storage().expect("a table");
+    let table = method.capabilities().inspect.and_then(|i| i.paper_storage()).expect("a table");
     assert_eq!(table.needed_bytes(), 4 * folded.param_count(), "what is counted is what there is");
     assert!(table.paper_bytes() > table.needed_bytes());
 }
@@ -194,8 +213,8 @@ fn a_static_scene_is_the_plain_scaffold() {
             Trainer::new(gs_methods::registry(), Arc::clone(&data), method, config, TrainOptions::default())
                 .expect("trainer");
         run(&mut trainer, 60);
-        let splats = data.train.iter().map(|view| trainer.model().splats(&at(view.time.normalised), &view.camera));
-        splats.collect::<Vec<_>>()
+        let all = data.train.iter().map(|view| splats(trainer.model(), view.time.normalised, &view.camera));
+        all.collect::<Vec<_>>()
     };
     let (plain, emptied) = (drawn("scaffold", &scaffold), drawn("modec", &config));
     assert!(plain.iter().all(|s| s.len() > 50));
@@ -209,21 +228,20 @@ fn what_is_baked_stays_within_its_tolerance() {
     let cameras: Vec<Camera> = trainer.dataset().train.iter().map(|v| v.camera.clone()).collect();
     let mut still = Vec::new();
     for (pixels, shape) in [(0.0, 0.0), (0.05, 1e-3), (0.5, 0.02), (4.0, 0.2)] {
-        let usual = FreezeOptions::usual(&cameras);
-        let options = FreezeOptions { shape, still: StaticTolerance { pixels, ..usual.still }, ..usual };
+        let options = FreezeOptions { shape, pixels, ..FreezeOptions::usual(&cameras) };
         let (resting, report) = method.freeze_static(&options).expect("a field");
-        assert!(report.rows.bound_pixels <= pixels && report.shape <= shape, "{report:?}");
-        still.push(report.rows.still);
+        assert!(report.bound_pixels <= pixels && report.shape <= shape, "{report:?}");
+        still.push(report.still);
         for step in 0..=20 {
             let t = at(step as f32 / 20.0 * 0.97);
-            let (a, b) = (method.all_splats(&t, &cameras[0]), resting.all_splats(&t, &cameras[0]));
+            let [a, b] = [method, &resting].map(|m| m.all_splats(&t, &cameras[0]).expect("splats"));
             for (a, b) in a.means.iter().zip(&b.means) {
                 let off = screen_bound([a.distance(*b), 0.0], *b, &cameras);
                 assert!(off <= 1.5 * pixels + 1e-3, "off by {off} pixels at {step}");
             }
         }
         if pixels == 0.0 {
-            let pictures = [method, &*resting].map(|m| picture(m, &m.splats(&at(0.4), &cameras[2]), &cameras[2]));
+            let pictures = [method, &resting].map(|m| picture(m, &splats(m, 0.4, &cameras[2]), &cameras[2]));
             let worst = pictures[0].iter().zip(&pictures[1]).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
             assert!(worst <= 1e-6, "{worst}");
         }
@@ -236,11 +254,12 @@ fn a_change_of_a_parameter_ends_the_rest() {
     let trainer = trained(&modec(""), 60);
     let camera = &trainer.dataset().train[0].camera;
     let usual = FreezeOptions::usual(std::slice::from_ref(camera));
-    let options = FreezeOptions { shape: 1.0, still: StaticTolerance { pixels: 1e3, ..usual.still }, ..usual };
+    let options = FreezeOptions { shape: 1.0, pixels: 1e3, ..usual };
     let (mut resting, report) = trainer.model().freeze_static(&options).expect("a field");
-    assert!(report.rows.still > 0, "{report:?}");
-    let exact = trainer.model().splats(&at(0.4), camera);
-    assert_ne!(resting.splats(&at(0.4), camera), exact);
+    assert!(report.still > 0, "{report:?}");
+    let exact = splats(trainer.model(), 0.4, camera);
+    assert_ne!(splats(&resting, 0.4, camera), exact);
     resting.visit_mut(&mut |_| {});
-    assert_eq!(resting.splats(&at(0.4), camera), exact);
+    resting.begin_step(60);
+    assert_eq!(splats(&resting, 0.4, camera), exact);
 }

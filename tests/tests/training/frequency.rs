@@ -78,7 +78,7 @@ fn learnt(method: &str, scene_name: &str, over: &str) -> (Vec<f32>, Vec<f32>, [f
     let reports = run(&mut trainer, steps);
     let mean = |r: &[gs_train::trainer::StepReport]| r.iter().map(|r| r.loss.total).sum::<f64>() / r.len() as f64;
     let loss = [mean(&reports[..50]), mean(&reports[reports.len() - 50..])];
-    let splats = trainer.model().splats(&Timestamp::new(data.test[0].time), &data.test[0].camera);
+    let splats = trainer.model().splats(&Timestamp::new(data.test[0].time), &data.test[0].camera).expect("splats");
     let Kernel::Frequency { lambdas, betas } = splats.kernel else { panic!("frequency") };
     (lambdas, betas, loss)
 }

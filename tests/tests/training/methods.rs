@@ -5,9 +5,10 @@
 //! | directional derivative of the loss, f32, against the gradient | 2 % + the loss's rounding over the step |
 
 use crate::support::*;
-use gs_core::{Rng, Splats, SplatsGrad, Time};
+use gs_core::{Rng, Time};
 use gs_data::Dataset;
-use gs_raster::{ClampGrad, FrameGrad, RasterOptions, Workspace, render, render_backward};
+use gs_raster::{ClampGrad, RasterOptions, Workspace, render};
+use gs_train::method::ViewCtx;
 use gs_train::model::Model;
 use gs_train::saved;
 use gs_train::timestamp::Timestamp;
@@ -57,7 +58,7 @@ fn patches() -> Vec<f32> {
 fn functional(method: &Model, at: &Timestamp, data: &Dataset, weights: &[f32]) -> f64 {
     let camera = &data.train[0].camera;
     let options = smooth(method);
-    let frame = render(&method.splats(at, camera), camera, &options, &mut Workspace::new());
+    let frame = render(&method.splats(at, camera).expect("splats"), camera, &options, &mut Workspace::new());
     frame.rgb.iter().zip(weights).map(|(v, w)| f64::from(*v) * f64::from(*w)).sum()
 }
 
@@ -75,18 +76,14 @@ fn gradients_match_directional_finite_differences() {
             Trainer::new(gs_methods::registry(), data.clone(), entry.name, &config, TrainOptions::default())
                 .expect("trainer");
         run(&mut trainer, 45);
-        let mut method = saved::load(gs_methods::registry(), &trainer.state(), None).expect("state").method;
+        let mut method = saved::load(gs_methods::registry(), &trainer.state(), None).expect("state").model;
         let at = Timestamp::new(Time::new(0.3).expect("time"));
         let camera = data.train[0].camera.clone();
-        let options = smooth(method.as_ref());
+        let options = smooth(&method);
         let weights = patches();
-        method.step(&at, &camera, &mut |s: &Splats, d: &mut SplatsGrad| {
-            let mut workspace = Workspace::new();
-            render(s, &camera, &options, &mut workspace);
-            let upstream = FrameGrad { rgb: weights.clone(), ..FrameGrad::default() };
-            *d = render_backward(s, &camera, &options, &mut workspace, &upstream).0;
-        });
-        check_blocks(entry.name, method.as_mut(), &mut |m| functional(m, &at, &data, &weights));
+        let mut render = GivenCotangent::new(&camera, &options, &weights);
+        method.step(&ViewCtx { at, camera: &camera, last: false }, &mut render).expect("step");
+        check_blocks(entry.name, trainer.steps_done(), &mut method, &mut |m| functional(m, &at, &data, &weights));
     }
 }
 
@@ -94,7 +91,7 @@ fn gradients_match_directional_finite_differences() {
 const ROUNDING: f64 = 1e-5;
 
 /// Moves each block along its own gradient and compares the change of the loss with what the gradient promises.
-pub fn check_blocks(name: &str, method: &mut Model, loss: &mut dyn FnMut(&Model) -> f64) {
+pub fn check_blocks(name: &str, step: u32, method: &mut Model, loss: &mut dyn FnMut(&Model) -> f64) {
     let mut blocks = Vec::new();
     method.visit(&mut |p| blocks.push((p.name.clone(), p.grad.clone())));
     let total: f64 = blocks.iter().flat_map(|b| &b.1).map(|g| f64::from(*g).powi(2)).sum::<f64>().sqrt();
@@ -113,10 +110,11 @@ pub fn check_blocks(name: &str, method: &mut Model, loss: &mut dyn FnMut(&Model)
         let mut moved = |h: f64| {
             method.visit_mut(&mut |p| {
                 if p.name == *block {
-                    let step = (h / norm) as f32;
-                    p.value.iter_mut().zip(grad).for_each(|(v, g)| *v += step * g);
+                    let by = (h / norm) as f32;
+                    p.value.iter_mut().zip(grad).for_each(|(v, g)| *v += by * g);
                 }
             });
+            method.begin_step(step);
             loss(method)
         };
         // Two splats that change their order in depth make a step in the loss: it lies on one side, or weighs less over a
@@ -143,6 +141,7 @@ fn times_outside_the_range_give_finite_splats() {
         for t in [-10.0, -0.5, 0.0, 1.0, 1.5, 1e6] {
             let (at, camera) = (Timestamp::new(Time::new(t).expect("time")), &data.train[0].camera);
             let (drawn, all) = (trainer.model().splats(&at, camera), trainer.model().all_splats(&at, camera));
+            let (drawn, all) = (drawn.expect("splats"), all.expect("splats"));
             assert_eq!((drawn.check(), all.check()), (Ok(()), Ok(())), "{} at {t}", entry.name);
             assert_eq!(all.len(), trainer.model().splat_count(), "{}", entry.name);
             let there = all.opacities.iter().filter(|o| **o > 0.0).count();
@@ -166,7 +165,7 @@ fn growth_edits_every_row_block_together() {
     }
 }
 
-/// Every row block has as many rows as the others, with gradients and moments, and so have the columns beside them.
+/// Every row block has as many rows as the others, with gradients and moments, and so have the buffers beside them.
 fn check_rows(name: &str, method: &Model) {
     let mut rows = None;
     method.visit(&mut |p| {
@@ -177,8 +176,8 @@ fn check_rows(name: &str, method: &Model) {
     });
     let rows = rows.expect("row blocks");
     assert!(method.splat_count().is_multiple_of(rows), "{name}");
-    for c in method.columns() {
-        let wanted = c.row_width.map_or(c.values.len(), |w| w * rows);
-        assert_eq!(c.values.len(), wanted, "{name} {}", c.name);
-    }
+    method.buffers(&mut |b| {
+        let wanted = b.row_width.map_or(b.values.len(), |w| w * rows);
+        assert_eq!(b.values.len(), wanted, "{name} {}", b.name);
+    });
 }

@@ -7,6 +7,7 @@ use gs_synth::{self as synth, SynthData, SynthOptions};
 use gs_train::evaluate::evaluate;
 use gs_train::timestamp::Timestamp;
 use gs_train::trainer::{TrainOptions, Trainer};
+use gs4d_eval::particles::Particles;
 use gs4d_eval::physics_check::{PhysicsOptions, check};
 use std::sync::Arc;
 
@@ -41,7 +42,7 @@ fn a_thrown_ball_is_forecast_and_a_field_alone_cannot() {
     let alone = score(&field, &data, Split::Extrapolate);
     println!("trace {inside:.2} dB inside, {beyond:.2} beyond; defgs {alone:.2} beyond");
     assert!(beyond > alone + 2.0, "{beyond} against {alone}");
-    let particles = trace.method().capabilities().particles.map(|p| p.particles()).expect("a law");
+    let particles = Particles::of(trace.model()).expect("a law");
     let report = check(&particles, &scene.truth, &PhysicsOptions::of(&particles, &scene.truth));
     println!("{}", report.to_text());
 }
@@ -79,9 +80,9 @@ fn a_forecast_does_not_depend_on_what_was_asked_before() {
         let (camera, other) = (&data.train[0].camera, trained(&data, method, short));
         let at = |t: f32| Timestamp::new(Time::new(t).expect("time"));
         let times = [1.5, 0.8, 1.0, 0.2, 1.5, 3.0, 0.9];
-        let asked: Vec<_> = times.iter().map(|t| trainer.model().splats(&at(*t), camera)).collect();
+        let asked: Vec<_> = times.iter().map(|t| trainer.model().splats(&at(*t), camera).expect("splats")).collect();
         for (t, splats) in times.iter().zip(asked).rev() {
-            assert_eq!(other.model().splats(&at(*t), camera), splats, "{method} at {t}");
+            assert_eq!(other.model().splats(&at(*t), camera).expect("splats"), splats, "{method} at {t}");
         }
     }
 }
@@ -95,7 +96,7 @@ fn parts_of_the_law_can_be_left_out() {
     let data = Arc::new(mechanics("falling").dataset);
     let of = |over: &str| trained(&data, "trace", &format!("{over}\n{SHORT}"));
     let at = |t: f32| Timestamp::new(Time::new(t).expect("time"));
-    let ahead = |trainer: &Trainer| trainer.model().splats(&at(1.0), &data.train[0].camera).means;
+    let ahead = |trainer: &Trainer| trainer.model().splats(&at(1.0), &data.train[0].camera).expect("splats").means;
     let outputs = |trainer: &Trainer| {
         let mut last = 0;
         trainer.model().visit(&mut |p| last = if p.name.starts_with("physics.") { p.value.len() } else { last });
@@ -120,8 +121,7 @@ fn parts_of_the_law_can_be_left_out() {
     for (over, rows) in variants {
         let other = of(over);
         assert_eq!((outputs(&other), has_field(&other)), (rows, !over.contains("field")), "{over}");
-        let (means, particles) =
-            (ahead(&other), other.model().capabilities().particles.map(|p| p.particles()).expect("a law"));
+        let (means, particles) = (ahead(&other), Particles::of(other.model()).expect("a law"));
         assert!(means.iter().all(|x| x.is_finite()) && means != ahead(&full), "{over}");
         assert_eq!(particles.at == 0.0, over.contains("field"), "{over}: who rules from the first moment on");
         let rates = particles.motions.iter().any(|m| m.rate.v != [0.0; 3]);

@@ -18,7 +18,7 @@ fn a_report_holds_the_scores_of_the_drawn_frames() {
     let report = evaluate(method, &data, Split::Test, white, &photographs).expect("scores");
     let mut errors = Vec::new();
     for (view, scores) in data.test.iter().zip(&report.views) {
-        let splats = method.splats(&Timestamp::new(view.time), &view.camera);
+        let splats = method.splats(&Timestamp::new(view.time), &view.camera).expect("splats");
         let options = method.raster_options(white);
         let frame = render(&splats, &view.camera, &options, &mut Workspace::new());
         let truth = photographs.get(view).expect("photograph").over(white);

@@ -223,7 +223,7 @@ mod tests {
         let config = entry.config("tiny").unwrap();
         let scene = SceneInfo::of(&data.dataset, &section(entry.name, &config, "init").unwrap(), 1).unwrap();
         let mut method = (entry.build)(&config, &scene).unwrap();
-        method.set_step(100_000);
+        method.begin_step(100_000);
         (method, data)
     }
 
@@ -240,7 +240,7 @@ mod tests {
     #[test]
     fn a_field_at_rest_shows_no_motion() {
         let (method, data) = begun("fourdgs");
-        let all = stills(method.as_ref(), &data, &Masks::Truth(Box::new(data.truth.clone())), &[0.0, 0.56]).unwrap();
+        let all = stills(&method, &data, &Masks::Truth(Box::new(data.truth.clone())), &[0.0, 0.56]).unwrap();
         assert_eq!(all.len(), 2);
         for still in &all {
             let names: Vec<_> = still.pictures.iter().map(|p| p.0).collect();
@@ -253,7 +253,7 @@ mod tests {
             assert_eq!(strip(still).unwrap().shape(), (5 * 288 + 4 * 4, 288, 3));
         }
         let (scores, switches) =
-            (means(all.iter().flat_map(|s| s.steps.iter().map(|s| &s.scores))), switches(method.as_ref(), 0.0));
+            (means(all.iter().flat_map(|s| s.steps.iter().map(|s| &s.scores))), switches(&method, 0.0).unwrap());
         let page =
             html(&Study { title: "a<b", subtitle: "s", stills: &all, means: &scores, switches: &switches }).unwrap();
         assert!(page.contains("a&lt;b") && page.matches("data:image/png").count() == 10 && !page.contains("<script"));
@@ -262,13 +262,12 @@ mod tests {
     #[test]
     fn what_does_not_fit_is_refused() {
         let (method, data) = begun("fourdgs");
-        let refused =
-            |masks: Vec<Image>| stills(method.as_ref(), &data, &Masks::Given(masks), &[0.0, 0.5, 1.0]).unwrap_err();
+        let refused = |masks: Vec<Image>| stills(&method, &data, &Masks::Given(masks), &[0.0, 0.5, 1.0]).unwrap_err();
         let mask = |side: usize| Image::zeros(side, side, 1);
         assert!(refused(vec![mask(48); 2]).to_string().contains("2 masks for 3 moments"));
         assert!(refused(vec![mask(48), mask(48), mask(47)]).to_string().contains("mask 2 has 47x47 pixels"));
         let (still, data) = begun("static3d");
-        let e = stills(still.as_ref(), &data, &Masks::Threshold, &[0.0]).unwrap_err();
+        let e = stills(&still, &data, &Masks::Threshold, &[0.0]).unwrap_err();
         assert!(e.to_string().contains("one stage only"), "{e}");
     }
 }

@@ -26,20 +26,19 @@ fn loaded(method: &str) -> Loaded {
         seed: 1,
         avatar: None,
     };
-    let mut method = (entry.build)(&config, &scene).unwrap();
-    method.visit_mut(&mut |p| {
+    let mut model = (entry.build)(&config, &scene).unwrap();
+    model.visit_mut(&mut |p| {
         p.value.iter_mut().for_each(|v| *v += 0.05 * rng.normal());
         p.moment1.fill(0.5);
     });
     let state = RunState {
-        method: entry.name,
         config: &config,
         scene: &scene,
         step: 40,
         adam_updates: &BTreeMap::from([("cloud.means".to_owned(), 40)]),
         train_seconds: 1.5,
     };
-    saved::load(gs_methods::registry(), &saved::save(method.as_ref(), &state), None).unwrap()
+    saved::load(gs_methods::registry(), &saved::save(&model, &state), None).unwrap()
 }
 
 fn written(loaded: &Loaded, bits: Bits, deflate: bool) -> (CompactReport, Loaded) {
@@ -70,14 +69,15 @@ fn nothing_is_lost_at_32_bits_but_what_only_training_needs() {
         for deflate in [false, true] {
             let (report, after) = written(&before, Bits::Full, deflate);
             assert_eq!(values(&after), values(&before));
-            after.method.visit(&mut |p| assert!(p.moment1.iter().all(|m| *m == 0.0)));
+            after.model.visit(&mut |p| assert!(p.moment1.iter().all(|m| *m == 0.0)));
             assert_eq!((after.step, after.scene.extent, after.train_seconds), (40, 2.0, 1.5));
             assert!(after.adam_updates.is_empty());
             let at: Timestamp = Timestamp::normalised(0.3);
             let camera = neutral_camera();
-            assert_eq!(after.method.splats(&at, &camera).means, before.method.splats(&at, &camera).means);
+            let means = |loaded: &Loaded| loaded.model.splats(&at, &camera).unwrap().means;
+            assert_eq!(means(&after), means(&before));
             let packed: usize = report.blocks.iter().map(|b| b.bytes).sum();
-            assert!(packed < report.file_bytes && 4 * before.method.param_count() == report.value_bytes);
+            assert!(packed < report.file_bytes && 4 * before.model.param_count() == report.value_bytes);
         }
     }
 }

@@ -8,7 +8,6 @@ use gs_anchor::{
 use gs_core::speed::{BenchRow, median_seconds};
 use gs_core::{Camera, Param, Params, Splats, SplatsGrad, Time};
 use gs_data::{Dataset, ImageCache, Split};
-use gs_deform::field::grid4d::StaticTolerance;
 use gs_deform::{Aabb, Field, HexPlaneField};
 use gs_method_anchor::modec::Config;
 use gs_raster::{FrameGrad, RasterOptions, Workspace, render, render_backward};
@@ -66,7 +65,7 @@ fn worst(a: &[f32], b: &[f32]) -> f64 {
 /// The pictures of one camera after the other, over the span of time.
 fn pictures(method: &Model, cameras: &[Camera]) -> Vec<f32> {
     let at = |i: usize| Timestamp::new(Time { normalised: i as f32 / cameras.len() as f32, ..T });
-    cameras.iter().enumerate().flat_map(|(i, c)| picture(&method.splats(&at(i), c), c)).collect()
+    cameras.iter().enumerate().flat_map(|(i, c)| picture(&method.splats(&at(i), c).expect("splats"), c)).collect()
 }
 
 fn apart(a: &Model, b: &Model, cameras: &[Camera]) -> f64 {
@@ -121,7 +120,7 @@ impl Run {
     fn method(&self, over: &str) -> Model {
         let mut config = self.config.clone();
         overlay(&mut config, over.parse().expect("TOML"));
-        saved::load(gs_methods::registry(), &self.trainer.state(), Some(&config)).expect("a state").method
+        saved::load(gs_methods::registry(), &self.trainer.state(), Some(&config)).expect("a state").model
     }
 
     fn psnr(&self, method: &Model) -> f64 {
@@ -176,8 +175,8 @@ impl Parts {
 fn exact_savings(run: &Run, parts: &Parts) {
     let (camera, at) = (run.cameras[7].clone(), Timestamp::new(T));
     let (method, splats) = (run.method(""), run.trainer.model().splat_count());
-    let (_, folded) = method.folded(&run.config).expect("an appearance");
-    let error = apart(&*method, &*folded, &run.cameras);
+    let (_, folded) = method.fold(&run.config).expect("an appearance");
+    let error = apart(&method, &folded, &run.cameras);
     saving(
         "appearance folded, frame",
         splats,
@@ -199,9 +198,9 @@ fn exact_savings(run: &Run, parts: &Parts) {
     );
 
     let (mut cold, step) = (run.method(""), run.trainer.steps_done());
-    let error = apart(&*method, &*cold, &run.cameras);
+    let error = apart(&method, &cold, &run.cameras);
     let without = || {
-        cold.set_step(step);
+        cold.begin_step(step);
         drop(cold.splats(&at, &camera));
     };
     saving("GAD once per interval", parts.anchors.len(), error, without, || drop(method.splats(&at, &camera)));
@@ -226,17 +225,18 @@ fn exact_savings(run: &Run, parts: &Parts) {
     let whole = run.method("[anchors]\nfilter = \"off\"");
     let near = Camera { fx: 4.0 * camera.fx, fy: 4.0 * camera.fy, ..camera.clone() };
     for (name, camera) in [("filter, whole scene in view", &camera), ("filter, close-up", &near)] {
-        let error = apart(&*method, &*whole, std::slice::from_ref(camera));
-        let splats = method.splats(&at, camera).len();
-        println!("  {name}: {splats} splats of {}", whole.splats(&at, camera).len());
+        let error = apart(&method, &whole, std::slice::from_ref(camera));
+        let count = |model: &Model| model.splats(&at, camera).expect("splats").len();
+        let splats = count(&method);
+        println!("  {name}: {splats} splats of {}", count(&whole));
         saving(name, splats, error, || drop(whole.splats(&at, camera)), || drop(method.splats(&at, camera)));
     }
 
     // The end of the first stage: what the second adds says nothing yet.
-    let load = || saved::load(gs_methods::registry(), &run.global, None).expect("a state").method;
+    let load = || saved::load(gs_methods::registry(), &run.global, None).expect("a state").model;
     let (still, mut moving) = (load(), load());
-    moving.set_step(GLOBAL_STEPS + 1);
-    let error = apart(&*still, &*moving, &run.cameras);
+    moving.begin_step(GLOBAL_STEPS + 1);
+    let error = apart(&still, &moving, &run.cameras);
     saving(
         "no GAD, no LGD where all is still",
         splats,
@@ -249,22 +249,16 @@ fn exact_savings(run: &Run, parts: &Parts) {
 /// Savings with an error.
 fn bounded_savings(run: &Run) {
     let (camera, at, method) = (&run.cameras[7], Timestamp::new(T), run.method(""));
-    let psnr = run.psnr(&*method);
+    let psnr = run.psnr(&method);
     for (pixels, shape) in [(0.05, 1e-3), (0.25, 1e-2), (1.0, 5e-2)] {
         let usual = FreezeOptions::usual(&run.cameras);
-        let options = FreezeOptions { shape, still: StaticTolerance { pixels, ..usual.still }, ..usual };
+        let options = FreezeOptions { shape, pixels, ..usual };
         let (resting, report) = method.freeze_static(&options).expect("a field");
-        let error = apart(&*method, &*resting, &run.cameras);
+        let error = apart(&method, &resting, &run.cameras);
         let name = format!("at rest, {pixels} px, {shape}");
-        saving(
-            &name,
-            report.rows.splats,
-            error,
-            || drop(method.splats(&at, camera)),
-            || drop(resting.splats(&at, camera)),
-        );
-        let share = 100.0 * report.rows.still as f64 / report.rows.splats as f64;
-        let (change, apart) = (run.psnr(&*resting) - psnr, apart_psnr(&*method, &*resting, &run.cameras));
+        saving(&name, report.splats, error, || drop(method.splats(&at, camera)), || drop(resting.splats(&at, camera)));
+        let share = 100.0 * report.still as f64 / report.splats as f64;
+        let (change, apart) = (run.psnr(&resting) - psnr, apart_psnr(&method, &resting, &run.cameras));
         println!("    {share:.1} % of the rows baked, PSNR {change:+.4} dB of {psnr:.2}, pictures {apart:.1} dB apart");
         println!("    {report:?}");
     }
@@ -279,18 +273,19 @@ fn idle_anchors(run: &Run, parts: &mut Parts) {
     };
     let mut method = run.method("");
     method.visit_mut(&mut |p| hush(p));
+    method.begin_step(run.trainer.steps_done());
     parts.anchors.visit_mut(&mut |p| hush(p));
     let usual = FreezeOptions::usual(&run.cameras);
-    let still = StaticTolerance { pixels: -1.0, probes: 2, ..usual.still };
-    let (resting, report) = method.freeze_static(&FreezeOptions { still, ..usual }).expect("a field");
-    let error = apart(&*method, &*resting, &run.cameras);
+    let options = FreezeOptions { pixels: -1.0, probes: 2, ..usual };
+    let (resting, report) = method.freeze_static(&options).expect("a field");
+    let error = apart(&method, &resting, &run.cameras);
     let (mut a, mut b) = <(LocalAnchors, LocalAnchors)>::default();
     let (without, with) = (
         || parts.gad.forward(&parts.anchors, T, &mut GadTape::default(), &mut a),
         || parts.gad.forward_active(&parts.anchors, T, 1e-4, &mut b),
     );
     saving(&format!("GAD without {} idle anchors", report.anchors), parts.anchors.len(), error, without, with);
-    println!("    pictures {:.1} dB apart", apart_psnr(&*method, &*resting, &run.cameras));
+    println!("    pictures {:.1} dB apart", apart_psnr(&method, &resting, &run.cameras));
 }
 
 /// Milliseconds of each stage of a frame.

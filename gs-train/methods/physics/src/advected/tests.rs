@@ -6,6 +6,7 @@ use gs_deform::{DefGsConfig, DefMlp};
 use gs_physics::{Motion, Twist};
 use gs_train::method::section;
 use gs_train::scene::CloudConfig;
+use gs_train::schedule::Schedule;
 
 /// One twist for all particles, one Euler step; turns are not normalised. Simple enough to differentiate by hand.
 struct OneTwist(Param);
@@ -73,6 +74,39 @@ const CONFIG: PhysicsConfig = PhysicsConfig {
     bodies: 0,
 };
 
+/// The schedule of the tests: stages `warm_up` to step 120 and `dynamic` to step 1000.
+fn schedule() -> Schedule {
+    let defgs = gs_methods::registry().find("defgs").and_then(|m| m.config("tiny")).unwrap();
+    section("defgs", &defgs, "schedule").unwrap()
+}
+
+fn begin(method: &mut impl Method, step: u32) {
+    method.begin_step(&schedule().at(step));
+}
+
+/// Hands the splats of a step to a function that writes their cotangents, with empty statistics.
+struct Given<F> {
+    cotangents: F,
+    stats: ScreenStats,
+}
+
+impl<F: FnMut(&Splats, &mut SplatsGrad)> RenderView for Given<F> {
+    fn render(&mut self, splats: &Splats, grad: &mut SplatsGrad) -> Result<&ScreenStats, MethodError> {
+        grad.reset(splats);
+        (self.cotangents)(splats, grad);
+        let n = splats.len();
+        self.stats = ScreenStats { grad_means2d: vec![[0.0; 2]; n], radii: vec![0.0; n] };
+        Ok(&self.stats)
+    }
+}
+
+/// One view of a step, `cotangents` given.
+fn step_with(m: &mut impl Method, t: f32, cotangents: impl FnMut(&Splats, &mut SplatsGrad)) {
+    let camera = Camera::look_at(8, 8, 0.7, glam::DVec3::Z * 5.0, glam::DVec3::ZERO, glam::DVec3::Y).unwrap();
+    let view = ViewCtx { at: Timestamp::new(at(f64::from(t))), camera: &camera, last: false };
+    m.step(&view, &mut Given { cotangents, stats: ScreenStats::default() }).unwrap();
+}
+
 /// Twelve points, frames a twentieth apart, the last at 0.75: Δt = 0.1, T_def = 0.6.
 fn method(config: PhysicsConfig, zero_init: bool) -> Advected<DefMlp, OneTwist> {
     let mut rng = Rng::new(3, "points", 0, 0);
@@ -92,19 +126,19 @@ fn method(config: PhysicsConfig, zero_init: bool) -> Advected<DefMlp, OneTwist> 
     };
     let defgs = gs_methods::registry().find("defgs").and_then(|m| m.config("tiny")).unwrap();
     let cloud: CloudConfig = section("defgs", &defgs, "cloud").unwrap();
-    let canonical = Canonical::new(&cloud, section("defgs", &defgs, "schedule").unwrap(), &scene).unwrap();
+    let canonical = Canonical::new(&cloud, &mut schedule(), &scene).unwrap();
     let width =
         DefGsConfig { width: 16, depth: 2, time_hidden: 8, time_features: 4, zero_init, ..DefGsConfig::default() };
     let field = DefMlp::new(&width, 1).unwrap();
     let twist = OneTwist(Param::shared("physics.twist", vec![0.4, -0.3, 0.2, 0.5, 0.1, -0.6]));
-    let mut method = Advected::new("test", canonical, field, twist, config, &scene).unwrap();
-    method.set_step(500);
+    let mut method = Advected::new(canonical, field, twist, config, &scene).unwrap();
+    begin(&mut method, 500);
     method
 }
 
 fn splats(method: &impl Method, t: f32) -> Splats {
     let camera = Camera::look_at(8, 8, 0.7, glam::DVec3::Z * 5.0, glam::DVec3::ZERO, glam::DVec3::Y).unwrap();
-    method.splats(&Timestamp::new(at(f64::from(t))), &camera)
+    method.splats(&Timestamp::new(at(f64::from(t))), &camera).unwrap()
 }
 
 #[test]
@@ -112,7 +146,7 @@ fn training_reads_the_field_on_either_side_and_never_past_its_end() {
     let mut m = method(CONFIG, true);
     let mut sides = [0, 0];
     for step in 200..400 {
-        m.set_step(step);
+        begin(&mut m, step);
         let Span { from, to } = m.training_span(0.3);
         assert!((f64::abs(from - to) - 0.1).abs() < 1e-7);
         sides[usize::from(from < to)] += 1;
@@ -131,8 +165,9 @@ fn training_reads_the_field_on_either_side_and_never_past_its_end() {
 #[test]
 fn a_field_alone_is_read_at_the_time_of_the_photograph() {
     let mut m = method(CONFIG, true);
-    let dynamic = m.canonical.schedule.stages.get_mut("dynamic").unwrap();
-    dynamic.field_alone = true;
+    let mut schedule = schedule();
+    schedule.stages.get_mut("dynamic").unwrap().field_alone = true;
+    m.begin_step(&schedule.at(500));
     for t in [0.0, 0.3, 0.7] {
         assert_eq!(m.training_span(t), Span { from: t, to: t });
     }
@@ -147,7 +182,7 @@ fn the_reach_opens_over_the_stage() {
     let mut lengths = |steps: std::ops::Range<u32>| {
         let mut lengths = [0; 4];
         for step in steps {
-            m.set_step(step);
+            begin(&mut m, step);
             let Span { from, to } = m.training_span(0.3);
             lengths[(f64::abs(from - to) / 0.1).round() as usize] += 1;
         }
@@ -162,10 +197,10 @@ fn the_reach_opens_over_the_stage() {
 #[test]
 fn the_first_moving_step_draws_what_the_warm_up_drew() {
     let mut m = method(CONFIG, true);
-    m.set_step(120);
+    begin(&mut m, 120);
     assert!(!m.canonical.at.dynamic);
     let before = splats(&m, 0.0);
-    m.set_step(121);
+    begin(&mut m, 121);
     assert!(m.canonical.at.dynamic);
     assert_eq!(splats(&m, 0.0), before);
 }
@@ -174,8 +209,7 @@ fn the_first_moving_step_draws_what_the_warm_up_drew() {
 fn learn(m: &mut Advected<DefMlp, OneTwist>, t: f32) -> f64 {
     let mut loss = 0.0;
     m.visit_mut(&mut Param::clear_grad);
-    let camera = Camera::look_at(8, 8, 0.7, glam::DVec3::Z * 5.0, glam::DVec3::ZERO, glam::DVec3::Y).unwrap();
-    m.step(&Timestamp::new(at(f64::from(t))), &camera, &mut |s, d| {
+    step_with(m, t, |s, d| {
         let mut rng = Rng::new(9, "weights", 0, 0);
         for i in 0..s.len() {
             d.means[i] = Vec3::new(rng.normal(), rng.normal(), rng.normal());
@@ -247,11 +281,10 @@ fn colours_turn_with_their_splats() {
         m.visit(&mut |p| all.extend(if p.name == "cloud.sh_rest" { p.grad.clone() } else { Vec::new() }));
         all
     };
-    let camera = Camera::look_at(8, 8, 0.7, glam::DVec3::Z * 5.0, glam::DVec3::ZERO, glam::DVec3::Y).unwrap();
     let step = |m: &mut Advected<DefMlp, OneTwist>| {
         let mut loss = 0.0;
         m.visit_mut(&mut Param::clear_grad);
-        m.step(&Timestamp::new(at(f64::from(0.3f32))), &camera, &mut |s, d| {
+        step_with(m, 0.3, |s, d| {
             let (mut rng, gs_core::Color::Sh { coeffs, .. }) = (Rng::new(9, "weights", 0, 0), &s.color) else {
                 panic!("a cloud has spherical harmonics")
             };
