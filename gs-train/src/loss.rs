@@ -1,22 +1,31 @@
-//! The image loss of the 3DGS family and its gradient:
+//! The image loss and its gradient: L1 and a list of weighted terms.
 //!
 //! ```text
-//! L = ω mean|x − y| + λ (1 − SSIM(x, y)) + φ mean||F x| − |F y|| + μ L_mrf        ω = 1 − λ unless it is given
-//! dL/dx = ω sign(x − y) / n − λ dSSIM/dx + φ dL_fre/dx + μ dL_mrf/dx
+//! L = ω mean|x − y| + Σ_k w_k L_k(x, y)        dL/dx = ω sign(x − y) / n + Σ_k w_k dL_k/dx        sign(0) = 0
 //! ```
-//! over `n = H · W · 3` values; SSIM with an 11-tap Gaussian window and zero padding, or MS-SSIM in its place,
-//! `sign(0) = 0` (Kerbl et al. 2023, section 5; λ = 0.2). `F` is the orthonormal Fourier transform of the whole image
-//! (FAGS, eq. 10; φ = 0.3; see [`gs_metrics::spectrum`]). `L_mrf` compares textures over the box of what the photograph shows
-//! (DUT; μ = 0.01; see [`gs_metrics::mrf`], whose own features stand for VGG-19's). Terms of weight 0 are not computed.
+//! over `n = H · W · 3` values of a render `x` and its ground truth `y`. The schedule of a method names the terms it uses:
+//!
+//! | setting | term | source |
+//! |---|---|---|
+//! | `lambda_l1` | ω; `1 − lambda_dssim` if absent | 3DGS: 0.8; MoDec-GS: 1 |
+//! | `lambda_dssim` | `1 − SSIM`, over the image, the box of what it shows, or multi-scale | 3DGS: 0.2 |
+//! | `lambda_fre` | amplitude spectra ([`gs_metrics::spectrum`]) | FAGS: 0.3 |
+//! | `lambda_mrf` | textures within the box of what the image shows ([`gs_metrics::mrf`]) | DUT: 0.01, with VGG-19 features |
+//!
+//! Terms of weight 0 are not computed. The ground truth stays 8-bit with alpha and is composited over the background here.
 
-use crate::schedule::ScheduleError;
+mod region;
+mod terms;
+
+pub use region::Region;
+pub use terms::{Dssim, LossTerm, SpectrumTerm, TermValue, TextureTerm};
+
 use gs_core::Image;
 use gs_data::ImageU8;
-use gs_metrics::mrf::{FeatureNet, Mrf, MrfOptions};
-use gs_metrics::{AmplitudeLoss, MetricError, MsSsim, MsSsimOptions, Ssim, SsimOptions};
+use gs_metrics::MetricError;
 use gs_raster::{Frame, FrameGrad};
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
 /// Values per parallel piece; partial sums are added in the order of pieces.
 const PIECE: usize = 1 << 14;
@@ -25,253 +34,146 @@ const RUN: usize = 512;
 /// Independent sums, so that the compiler may use vectors.
 const LANES: usize = 16;
 
-/// The likeness of structure that stands beside L1.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Dssim {
-    /// SSIM with zeros outside the image.
-    #[default]
-    Ssim,
-    /// The same over the box of what the photograph shows (DUT: the person's), with zeros outside the box.
-    SsimBox,
-    /// MS-SSIM of five levels; both sides need more than 160 pixels.
-    MsSsim,
-}
-
-impl Dssim {
-    /// Verifies that images of `width` times `height` pixels can be compared.
-    ///
-    /// # Errors
-    /// If a side is too short.
-    pub fn check_size(self, width: u32, height: u32) -> Result<(), ScheduleError> {
-        let side = width.min(height);
-        if self != Dssim::MsSsim || side as usize > MsSsimOptions::default().side_limit() {
-            return Ok(());
-        }
-        let rule = "ms_ssim needs training images with both sides above 160 pixels; use \"ssim\" or larger images";
-        Err(ScheduleError { field: "dssim".to_owned(), value: side.into(), rule })
-    }
-}
-
-/// Weights of the terms.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct LossWeights {
-    /// λ, `[0, 1]`.
-    pub dssim: f32,
-    /// What λ weighs.
-    pub structure: Dssim,
-    /// ω, at least 0; `1 − λ` if absent.
-    pub l1: Option<f32>,
-    /// φ, at least 0.
-    pub fre: f32,
-    /// μ, at least 0.
-    pub mrf: f32,
-    /// Side of the square that `L_mrf` resizes its box to, pixels.
-    pub mrf_side: u32,
-    /// The box of [`Dssim::SsimBox`] and of `L_mrf`; the whole image if absent.
-    pub region: Option<Region>,
-}
-
-/// A rectangle of pixels; `high` is the first row and column beyond it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Region {
-    /// Column and row of the first pixel.
-    pub low: [usize; 2],
-    /// Column and row behind the last pixel.
-    pub high: [usize; 2],
-}
-
-impl Region {
-    /// The smallest that holds all pixels of some opacity; none if there is no such pixel.
-    pub fn shown(image: &ImageU8) -> Option<Self> {
-        let opaque = (0..image.data.len() / 4).filter(|i| image.data[4 * i + 3] > 0);
-        opaque.map(|i| [i % image.width, i / image.width]).fold(None, |found, [x, y]| {
-            let Self { low, high } = found.unwrap_or(Self { low: [x, y], high: [x, y] });
-            Some(Self { low: [low[0].min(x), low[1].min(y)], high: [high[0].max(x + 1), high[1].max(y + 1)] })
-        })
-    }
-
-    fn crop(self, from: &Image, to: &mut Image) {
-        let ([x0, y0], [x1, y1], c) = (self.low, self.high, from.channels);
-        (to.width, to.height, to.channels) = (x1 - x0, y1 - y0, c);
-        to.data.clear();
-        (y0..y1)
-            .for_each(|y| to.data.extend_from_slice(&from.data[(y * from.width + x0) * c..(y * from.width + x1) * c]));
-    }
-
-    /// `from`, of the region's size, into zeros of the shape of `like`.
-    fn paste(self, from: &Image, like: &Image, to: &mut Image) {
-        (to.width, to.height, to.channels) = like.shape();
-        to.data.clear();
-        to.data.resize(like.data.len(), 0.0);
-        let ([x0, y0], width) = (self.low, from.width * from.channels);
-        for (y, row) in from.data.chunks_exact(width.max(1)).enumerate() {
-            to.data[((y0 + y) * like.width + x0) * like.channels..][..width].copy_from_slice(row);
-        }
-    }
-}
-
-impl LossWeights {
-    /// ω.
-    fn of_l1(&self) -> f32 {
-        self.l1.unwrap_or(1.0 - self.dssim)
-    }
-}
-
-/// The terms of one evaluation.
-#[derive(Clone, Copy, Debug, PartialEq, Default, Serialize)]
-pub struct LossTerms {
-    /// `ω L1 + λ (1 − SSIM) + φ L_fre + μ L_mrf`.
+/// The loss of one view, or its mean over the views of a step.
+#[derive(Clone, Debug, PartialEq, Default, Serialize)]
+pub struct LossValues {
+    /// The weighted sum.
     pub total: f64,
     /// Mean absolute difference.
     pub l1: f64,
     /// Mean squared difference.
     pub mse: f64,
-    /// Mean SSIM, or MS-SSIM where that is asked for; absent at λ = 0.
-    pub ssim: Option<f64>,
-    /// Mean difference of amplitudes; absent at φ = 0.
-    pub fre: Option<f64>,
-    /// Likeness of textures; absent at μ = 0.
-    pub mrf: Option<f64>,
+    /// The other terms that were computed, by name: SSIM itself, distances.
+    pub terms: Vec<(&'static str, f64)>,
+}
+
+impl LossValues {
+    /// A term by its name; absent where it was not computed.
+    pub fn term(&self, name: &str) -> Option<f64> {
+        self.terms.iter().find(|t| t.0 == name).map(|t| t.1)
+    }
+
+    /// Adds one of `n` views whose mean this becomes.
+    pub fn add_mean(&mut self, view: &Self, n: f64) {
+        self.total += view.total / n;
+        self.l1 += view.l1 / n;
+        self.mse += view.mse / n;
+        for &(name, value) in &view.terms {
+            match self.terms.iter_mut().find(|t| t.0 == name) {
+                Some(sum) => sum.1 += value / n,
+                None => self.terms.push((name, value / n)),
+            }
+        }
+    }
 }
 
 /// The image loss, with buffers kept between calls.
-#[derive(Default)]
 pub struct ImageLoss {
-    ssim: Ssim,
-    ms_ssim: MsSsim,
-    amplitudes: AmplitudeLoss,
+    l1: f32,
+    terms: Vec<WeightedTerm>,
     rendered: Image,
-    target: Image,
-    ssim_grad: Image,
-    fre_grad: Image,
-    /// With the side it resizes to.
-    mrf: Option<(u32, Mrf)>,
-    mrf_grad: Image,
-    /// Rendered frame, ground truth and gradient within a region.
-    cropped: [Image; 3],
+    ground_truth: Image,
+}
+
+struct WeightedTerm {
+    weight: f32,
+    term: Box<dyn LossTerm>,
+    grad: Image,
 }
 
 impl ImageLoss {
-    /// An evaluator with empty buffers.
-    pub fn new() -> Self {
-        Self { ssim: Ssim::new(SsimOptions::default()), ..Self::default() }
+    /// `l1` times the mean absolute difference, and nothing else.
+    pub fn new(l1: f32) -> Self {
+        Self { l1, terms: Vec::new(), rendered: Image::default(), ground_truth: Image::default() }
+    }
+
+    /// The same with another term; one of weight 0 is left out.
+    pub fn with(mut self, weight: f32, term: Box<dyn LossTerm>) -> Self {
+        if weight > 0.0 {
+            self.terms.push(WeightedTerm { weight, term, grad: Image::default() });
+        }
+        self
     }
 
     /// The loss of a frame against a ground-truth image over `background`, its gradient with respect to the frame's colours
     /// written into `grad.rgb` (alpha and depth: none).
     ///
     /// # Errors
-    /// If the shapes differ, a side is too short for MS-SSIM, or a value is not finite.
+    /// If the shapes differ, a term is not defined for their size, or a value is not finite.
     pub fn evaluate(
         &mut self,
         frame: &mut Frame,
         ground_truth: &ImageU8,
         background: [f32; 3],
-        weights: &LossWeights,
         grad: &mut FrameGrad,
-    ) -> Result<LossTerms, MetricError> {
-        let mut target = std::mem::take(&mut self.target);
+    ) -> Result<LossValues, MetricError> {
+        let mut target = std::mem::take(&mut self.ground_truth);
         ground_truth.over_into(background, &mut target);
-        let terms = self.evaluate_against(frame, &target, weights, grad);
-        self.target = target;
-        terms
+        let boxed = self.terms.iter().any(|t| t.term.needs_region());
+        let region = if boxed { Region::shown(ground_truth) } else { None };
+        let values = self.evaluate_within(frame, &target, region, grad);
+        self.ground_truth = target;
+        values
     }
 
-    /// The same against an image of three channels.
-    fn evaluate_against(
+    /// The same against an image of three channels, within a region; the whole image if absent.
+    fn evaluate_within(
         &mut self,
         frame: &mut Frame,
         target: &Image,
-        weights: &LossWeights,
+        region: Option<Region>,
         grad: &mut FrameGrad,
-    ) -> Result<LossTerms, MetricError> {
+    ) -> Result<LossValues, MetricError> {
         // The frame's pixels are lent to an image for the time of the call.
         let data = std::mem::take(&mut frame.rgb);
         self.rendered = Image { width: frame.width, height: frame.height, channels: 3, data };
-        let terms = self.terms(target, weights, grad);
+        let values = self.sum(target, region, grad);
         frame.rgb = std::mem::take(&mut self.rendered.data);
-        terms
+        values
     }
 
-    fn terms(&mut self, target: &Image, weights: &LossWeights, grad: &mut FrameGrad) -> Result<LossTerms, MetricError> {
+    fn sum(&mut self, target: &Image, region: Option<Region>, grad: &mut FrameGrad) -> Result<LossValues, MetricError> {
         let (first, second) = (self.rendered.shape(), target.shape());
         if first != second {
             return Err(MetricError::Shape { what: "rendered frame and ground truth", first, second });
         }
-        let (drawn, lambda, phi, mu) = (&self.rendered, weights.dssim, weights.fre, weights.mrf);
-        let all = Region { low: [0; 2], high: [drawn.width, drawn.height] };
-        let region = weights.region.unwrap_or(all);
-        let ssim = match weights.structure {
-            _ if lambda <= 0.0 => None,
-            Dssim::Ssim => Some(self.ssim.value_and_grad(drawn, target, &mut self.ssim_grad)?),
-            Dssim::SsimBox => {
-                let [a, b, d] = &mut self.cropped;
-                region.crop(drawn, a);
-                region.crop(target, b);
-                let value = self.ssim.value_and_grad(a, b, d)?;
-                region.paste(d, drawn, &mut self.ssim_grad);
-                Some(value)
-            }
-            Dssim::MsSsim => Some(self.ms_ssim.value_and_grad(drawn, target, &mut self.ssim_grad)?),
-        };
-        let fre = match phi > 0.0 {
-            true => Some(self.amplitudes.value_and_grad(drawn, target, &mut self.fre_grad)?),
-            false => None,
-        };
-        let mrf = match mu > 0.0 {
-            true => {
-                let side = weights.mrf_side;
-                if self.mrf.as_ref().is_none_or(|kept| kept.0 != side) {
-                    let options = MrfOptions { side: side as usize, ..MrfOptions::default() };
-                    self.mrf = Some((side, Mrf::new(FeatureNet::fixed_bank(), options)?));
-                }
-                let [a, b, d] = &mut self.cropped;
-                region.crop(drawn, a);
-                region.crop(target, b);
-                let value = self.mrf.as_ref().map(|kept| kept.1.value_and_grad(a, b, d)).transpose()?;
-                region.paste(d, drawn, &mut self.mrf_grad);
-                value.map(|terms| terms.total)
-            }
-            false => None,
-        };
+        let rendered = &self.rendered;
+        let region = region.unwrap_or(Region { low: [0; 2], high: [rendered.width, rendered.height] });
+        let mut values = Vec::with_capacity(self.terms.len());
+        for t in &mut self.terms {
+            values.push((t.term.name(), t.term.evaluate(rendered, target, region, &mut t.grad)?));
+        }
+        let factors = self.terms.iter().zip(&values).map(|(t, v)| (t.weight * v.1.grad_factor, t.grad.data.as_slice()));
+        let [l1, mse] = self.gradient(target, &factors.collect::<Vec<_>>(), grad);
+        let weighted = self.terms.iter().zip(&values).map(|(t, v)| f64::from(t.weight) * v.1.loss);
+        let total = weighted.fold(f64::from(self.l1) * l1, |sum, v| sum + v);
+        if !total.is_finite() {
+            // The exact place comes from the metric's own check.
+            return Err(gs_metrics::mse(rendered, target).err().unwrap_or(MetricError::Overflow { metric: "L1" }));
+        }
+        Ok(LossValues { total, l1, mse, terms: values.into_iter().map(|(name, v)| (name, v.shown)).collect() })
+    }
+
+    /// Writes the gradient of L1 and the terms, each with its factor; gives mean absolute and mean squared difference.
+    fn gradient(&self, target: &Image, terms: &[(f32, &[f32])], grad: &mut FrameGrad) -> [f64; 2] {
         let data = &self.rendered.data;
         grad.alpha.clear();
         grad.depth.clear();
         grad.rgb.resize(data.len(), 0.0);
-        let step = weights.of_l1() / data.len() as f32;
-        let [ssim_grad, fre_grad, mrf_grad] =
-            [&self.ssim_grad, &self.fre_grad, &self.mrf_grad].map(|g| g.data.as_slice());
+        let step = self.l1 / data.len() as f32;
         let pairs = data.par_chunks(PIECE).zip(target.data.par_chunks(PIECE));
         let pieces = grad.rgb.par_chunks_mut(PIECE).zip(pairs).enumerate();
         let sums: Vec<[f64; 2]> = pieces
             .map(|(i, (g, (x, y)))| {
                 let sums = l1_piece(x, y, step, g);
-                if ssim.is_some() {
-                    g.iter_mut().zip(&ssim_grad[i * PIECE..]).for_each(|(g, s)| *g -= lambda * s);
-                }
-                if fre.is_some() {
-                    g.iter_mut().zip(&fre_grad[i * PIECE..]).for_each(|(g, f)| *g += phi * f);
-                }
-                if mrf.is_some() {
-                    g.iter_mut().zip(&mrf_grad[i * PIECE..]).for_each(|(g, m)| *g += mu * m);
+                for (factor, term) in terms {
+                    g.iter_mut().zip(&term[i * PIECE..]).for_each(|(g, t)| *g += factor * t);
                 }
                 sums
             })
             .collect();
         let n = data.len() as f64;
-        let [l1, mse] = sums.iter().fold([0.0; 2], |a, s| [a[0] + s[0] / n, a[1] + s[1] / n]);
-        let weight = f64::from(lambda);
-        let spectral = fre.map_or(0.0, |f| f64::from(phi) * f);
-        let textural = mrf.map_or(0.0, |m| f64::from(mu) * m);
-        let total = f64::from(weights.of_l1()) * l1 + ssim.map_or(0.0, |s| weight * (1.0 - s)) + spectral + textural;
-        if !total.is_finite() {
-            // The exact place comes from the metric's own check.
-            return Err(gs_metrics::mse(&self.rendered, target)
-                .err()
-                .unwrap_or(MetricError::Overflow { metric: "L1" }));
-        }
-        Ok(LossTerms { total, l1, mse, ssim, fre, mrf })
+        sums.iter().fold([0.0; 2], |a, s| [a[0] + s[0] / n, a[1] + s[1] / n])
     }
 }
 
@@ -306,13 +208,15 @@ fn sign(d: f32) -> f32 {
 mod tests {
     use super::*;
     use gs_core::Rng;
+    use gs_metrics::mrf::{FeatureNet, Mrf, MrfOptions};
+    use gs_metrics::{AmplitudeLoss, MsSsim, Ssim, SsimOptions};
 
     fn pair() -> (Frame, Image) {
         pair_of(37, 23)
     }
 
-    fn plain(dssim: f32) -> LossWeights {
-        LossWeights { dssim, ..LossWeights::default() }
+    fn plain(dssim: f32) -> ImageLoss {
+        ImageLoss::new(1.0 - dssim).with(dssim, Dssim::Ssim.term())
     }
 
     fn pair_of(width: usize, height: usize) -> (Frame, Image) {
@@ -325,19 +229,20 @@ mod tests {
     #[test]
     fn gradient_matches_finite_differences() {
         let (mut frame, target) = pair();
-        let (mut loss, mut grad) = (ImageLoss::new(), FrameGrad::default());
-        for weights in [0.0, 0.2, 1.0].map(plain) {
-            loss.evaluate_against(&mut frame, &target, &weights, &mut grad).unwrap();
+        let mut grad = FrameGrad::default();
+        for weight in [0.0, 0.2, 1.0] {
+            let mut loss = plain(weight);
+            loss.evaluate_within(&mut frame, &target, None, &mut grad).unwrap();
             for at in [0, 100, 1000, 2552] {
                 let mut value = |h: f32| {
                     let mut moved = frame.clone();
                     moved.rgb[at] += h;
-                    loss.evaluate_against(&mut moved, &target, &weights, &mut FrameGrad::default()).unwrap().total
+                    loss.evaluate_within(&mut moved, &target, None, &mut FrameGrad::default()).unwrap().total
                 };
                 let h = 0.25 * (frame.rgb[at] - target.data[at]).abs().min(0.02);
                 let want = (value(h) - value(-h)) / f64::from(2.0 * h);
                 let error = (f64::from(grad.rgb[at]) - want).abs();
-                assert!(error < 1e-2 * want.abs() + 2e-7, "{weights:?}, value {at}: {} {want}", grad.rgb[at]);
+                assert!(error < 1e-2 * want.abs() + 2e-7, "weight {weight}, value {at}: {} {want}", grad.rgb[at]);
             }
         }
     }
@@ -347,16 +252,16 @@ mod tests {
         let (mut frame, target) = pair();
         let before = frame.clone();
         let mut grad = FrameGrad::default();
-        let terms = ImageLoss::new().evaluate_against(&mut frame, &target, &plain(0.2), &mut grad).unwrap();
+        let terms = plain(0.2).evaluate_within(&mut frame, &target, None, &mut grad).unwrap();
         assert_eq!(frame, before);
         let n = target.data.len() as f64;
         let differences = frame.rgb.iter().zip(&target.data).map(|(a, b)| f64::from(*a) - f64::from(*b));
         let (l1, mse) = differences.fold((0.0, 0.0), |s, d| (s.0 + d.abs() / n, s.1 + d * d / n));
         assert!((terms.l1 / l1 - 1.0).abs() < 1e-6 && (terms.mse / mse - 1.0).abs() < 1e-6);
-        assert!((terms.total - 0.8 * terms.l1 - 0.2 * (1.0 - terms.ssim.unwrap())).abs() < 1e-7);
+        assert!((terms.total - 0.8 * terms.l1 - 0.2 * (1.0 - terms.term("ssim").unwrap())).abs() < 1e-7);
         let same = Image { data: frame.rgb.clone(), ..target };
-        let none = ImageLoss::new().evaluate_against(&mut frame, &same, &plain(0.0), &mut grad).unwrap();
-        assert_eq!((none.total, none.ssim, none.fre), (0.0, None, None));
+        let none = plain(0.0).evaluate_within(&mut frame, &same, None, &mut grad).unwrap();
+        assert_eq!((none.total, none.terms), (0.0, Vec::new()));
         assert!(grad.rgb.iter().all(|&g| g == 0.0), "sign(0) = 0");
     }
 
@@ -364,35 +269,34 @@ mod tests {
     fn the_spectral_term_is_added_with_its_weight() {
         let (mut frame, target) = pair();
         let (mut grad, mut both, mut alone) = (FrameGrad::default(), FrameGrad::default(), Image::default());
-        let without = ImageLoss::new().evaluate_against(&mut frame, &target, &plain(0.2), &mut grad).unwrap();
-        let weights = LossWeights { fre: 0.3, ..plain(0.2) };
-        let with = ImageLoss::new().evaluate_against(&mut frame, &target, &weights, &mut both).unwrap();
-        let drawn = Image { data: frame.rgb.clone(), ..target.clone() };
-        let fre = AmplitudeLoss::default().value_and_grad(&drawn, &target, &mut alone).unwrap();
-        assert_eq!((without.fre, with.fre, with.ssim), (None, Some(fre), without.ssim));
+        let without = plain(0.2).evaluate_within(&mut frame, &target, None, &mut grad).unwrap();
+        let mut loss = plain(0.2).with(0.3, Box::<SpectrumTerm>::default());
+        let with = loss.evaluate_within(&mut frame, &target, None, &mut both).unwrap();
+        let rendered = Image { data: frame.rgb.clone(), ..target.clone() };
+        let fre = AmplitudeLoss::default().value_and_grad(&rendered, &target, &mut alone).unwrap();
+        assert_eq!((without.term("fre"), with.term("fre")), (None, Some(fre)));
+        assert_eq!(with.term("ssim"), without.term("ssim"));
         assert_eq!(with.total, without.total + f64::from(0.3f32) * fre);
         let sums = grad.rgb.iter().zip(&alone.data).map(|(g, f)| g + 0.3 * f);
         assert!(both.rgb.iter().zip(sums).all(|(b, s)| *b == s));
     }
 
     #[test]
-    fn likeness_of_textures_is_added_over_the_box() {
+    fn the_texture_term_is_added_over_the_box() {
         let (mut frame, target) = pair();
         let region = Region { low: [3, 5], high: [30, 21] };
         let (mut grad, mut both, mut alone) = (FrameGrad::default(), FrameGrad::default(), Image::default());
-        let off = LossWeights { mrf_side: 16, region: Some(region), ..plain(0.2) };
-        let without = ImageLoss::new().evaluate_against(&mut frame, &target, &off, &mut grad).unwrap();
-        let with = ImageLoss::new()
-            .evaluate_against(&mut frame, &target, &LossWeights { mrf: 0.3, ..off }, &mut both)
-            .unwrap();
-        let drawn = Image { data: frame.rgb.clone(), ..target.clone() };
+        let texture = |side| plain(0.2).with(0.3, Box::new(TextureTerm::new(side)));
+        let without = plain(0.2).evaluate_within(&mut frame, &target, Some(region), &mut grad).unwrap();
+        let with = texture(16).evaluate_within(&mut frame, &target, Some(region), &mut both).unwrap();
+        let rendered = Image { data: frame.rgb.clone(), ..target.clone() };
         let [mut a, mut b] = [Image::default(), Image::default()];
-        region.crop(&drawn, &mut a);
+        region.crop(&rendered, &mut a);
         region.crop(&target, &mut b);
         let options = MrfOptions { side: 16, ..MrfOptions::default() };
         let mrf =
             Mrf::new(FeatureNet::fixed_bank(), options).unwrap().value_and_grad(&a, &b, &mut alone).unwrap().total;
-        assert_eq!((without.mrf, with.mrf, with.ssim), (None, Some(mrf), without.ssim));
+        assert_eq!((without.term("mrf"), with.term("mrf")), (None, Some(mrf)));
         assert_eq!(with.total, without.total + f64::from(0.3f32) * mrf);
         assert!(alone.data.iter().any(|g| *g != 0.0));
         for (k, (g, without)) in both.rgb.iter().zip(&grad.rgb).enumerate() {
@@ -401,8 +305,7 @@ mod tests {
             let more = if inside { 0.3 * alone.pixel(x - 3, y - 5)[k % 3] } else { 0.0 };
             assert_eq!(*g, without + more, "({x}, {y})");
         }
-        let small = LossWeights { mrf: 0.3, mrf_side: 4, ..off };
-        assert!(ImageLoss::new().evaluate_against(&mut frame, &target, &small, &mut grad).is_err());
+        assert!(texture(4).evaluate_within(&mut frame, &target, Some(region), &mut grad).is_err());
     }
 
     #[test]
@@ -410,14 +313,14 @@ mod tests {
         let region = Region { low: [3, 5], high: [30, 21] };
         let (mut frame, target) = pair();
         let (mut grad, mut alone) = (FrameGrad::default(), Image::default());
-        let weights = LossWeights { structure: Dssim::SsimBox, region: Some(region), ..plain(1.0) };
-        let terms = ImageLoss::new().evaluate_against(&mut frame, &target, &weights, &mut grad).unwrap();
-        let drawn = Image { data: frame.rgb.clone(), ..target.clone() };
+        let mut loss = ImageLoss::new(0.0).with(1.0, Dssim::SsimBox.term());
+        let terms = loss.evaluate_within(&mut frame, &target, Some(region), &mut grad).unwrap();
+        let rendered = Image { data: frame.rgb.clone(), ..target.clone() };
         let [mut a, mut b] = [Image::default(), Image::default()];
-        region.crop(&drawn, &mut a);
+        region.crop(&rendered, &mut a);
         region.crop(&target, &mut b);
         let value = Ssim::new(SsimOptions::default()).value_and_grad(&a, &b, &mut alone).unwrap();
-        assert_eq!((a.shape(), terms.ssim), ((27, 16, 3), Some(value)));
+        assert_eq!((a.shape(), terms.term("ssim")), ((27, 16, 3), Some(value)));
         for (k, g) in grad.rgb.iter().enumerate() {
             let (x, y) = (k / 3 % 37, k / 3 / 37);
             let inside = (3..30).contains(&x) && (5..21).contains(&y);
@@ -433,19 +336,19 @@ mod tests {
     }
 
     #[test]
-    fn ms_ssim_stands_in_for_ssim_and_needs_room() {
-        let weights = LossWeights { structure: Dssim::MsSsim, ..plain(0.2) };
+    fn ms_ssim_replaces_ssim_and_needs_large_images() {
+        let ms_ssim = || ImageLoss::new(0.8).with(0.2, Dssim::MsSsim.term());
         let (mut frame, target) = pair_of(170, 161);
         let (mut grad, mut alone) = (FrameGrad::default(), Image::default());
-        let terms = ImageLoss::new().evaluate_against(&mut frame, &target, &weights, &mut grad).unwrap();
-        let drawn = Image { data: frame.rgb.clone(), ..target.clone() };
-        let value = MsSsim::default().value_and_grad(&drawn, &target, &mut alone).unwrap();
-        assert_eq!(terms.ssim, Some(value));
+        let terms = ms_ssim().evaluate_within(&mut frame, &target, None, &mut grad).unwrap();
+        let rendered = Image { data: frame.rgb.clone(), ..target.clone() };
+        let value = MsSsim::default().value_and_grad(&rendered, &target, &mut alone).unwrap();
+        assert_eq!(terms.term("ssim"), Some(value));
         let step = 0.8 / target.data.len() as f32;
-        let at = |k: usize| sign(drawn.data[k] - target.data[k]) * step - 0.2 * alone.data[k];
+        let at = |k: usize| sign(rendered.data[k] - target.data[k]) * step - 0.2 * alone.data[k];
         assert!((0..target.data.len()).all(|k| (grad.rgb[k] - at(k)).abs() <= 1e-7 * step));
         let (mut frame, target) = pair();
-        let e = ImageLoss::new().evaluate_against(&mut frame, &target, &weights, &mut grad).unwrap_err();
+        let e = ms_ssim().evaluate_within(&mut frame, &target, None, &mut grad).unwrap_err();
         assert!(matches!(e, MetricError::TooSmall { need: 161, .. }), "{e}");
         assert_eq!(Dssim::MsSsim.check_size(161, 400), Ok(()));
         assert_eq!(Dssim::Ssim.check_size(1, 1), Ok(()));
@@ -459,11 +362,11 @@ mod tests {
         frame.rgb[7] = f32::NAN;
         let mut grad = FrameGrad::default();
         for lambda in [0.0, 0.2] {
-            let e = ImageLoss::new().evaluate_against(&mut frame, &target, &plain(lambda), &mut grad).unwrap_err();
+            let e = plain(lambda).evaluate_within(&mut frame, &target, None, &mut grad).unwrap_err();
             assert!(matches!(e, MetricError::NotFinite { x: 2, y: 0, channel: 1, .. }), "{e}");
         }
         let small = Image::zeros(3, 3, 3);
-        let e = ImageLoss::new().evaluate_against(&mut frame, &small, &plain(0.2), &mut grad).unwrap_err();
+        let e = plain(0.2).evaluate_within(&mut frame, &small, None, &mut grad).unwrap_err();
         assert!(matches!(e, MetricError::Shape { .. }));
     }
 }

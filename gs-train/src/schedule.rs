@@ -9,7 +9,7 @@
 
 use crate::adam::Update;
 use crate::densify::DensifyRules;
-use crate::loss::{Dssim, LossWeights};
+use crate::loss::{Dssim, ImageLoss, SpectrumTerm, TextureTerm};
 use gs_core::{Camera, Param};
 use gs_metrics::mrf::MrfOptions;
 use gs_raster::{ClampGrad, RasterOptions};
@@ -323,17 +323,12 @@ impl Schedule {
         }
     }
 
-    /// The weights of the image loss.
-    pub fn loss(&self) -> LossWeights {
-        LossWeights {
-            dssim: self.lambda_dssim,
-            structure: self.dssim,
-            l1: self.lambda_l1,
-            fre: self.lambda_fre,
-            mrf: self.lambda_mrf,
-            mrf_side: self.mrf_side,
-            region: None,
-        }
+    /// The image loss of these weights.
+    pub fn image_loss(&self) -> ImageLoss {
+        ImageLoss::new(self.lambda_l1.unwrap_or(1.0 - self.lambda_dssim))
+            .with(self.lambda_dssim, self.dssim.term())
+            .with(self.lambda_fre, Box::<SpectrumTerm>::default())
+            .with(self.lambda_mrf, Box::new(TextureTerm::new(self.mrf_side)))
     }
 
     /// How frames are drawn over a background, in training as in evaluation. Saturated splats keep learning, as in

@@ -8,7 +8,7 @@
 use crate::adam::{Adam, Refused, Update};
 use crate::checkpoint::Checkpoint;
 use crate::densify::DensifyStats;
-use crate::loss::LossTerms;
+use crate::loss::LossValues;
 use crate::method::{InitConfig, LossValue, MethodError, SceneInfo, ViewCtx, section};
 use crate::model::Model;
 use crate::registry::Registry;
@@ -56,7 +56,7 @@ pub struct StepReport {
     /// The views learnt from.
     pub view: String,
     /// The image loss.
-    pub loss: LossTerms,
+    pub loss: LossValues,
     /// Regularisers, weights applied.
     pub penalties: Vec<LossValue>,
     /// Splats after the step.
@@ -121,7 +121,8 @@ impl Trainer {
         check_run(&model, &dataset)?;
         let images = ImageCache::new(options.image_bytes, 1.0);
         let order = ViewOrder::new(options.seed, dataset.train.iter().map(|v| v.time.normalised).collect());
-        let (adam, pass, config, updates) = (Adam::default(), RenderPass::new(), toml::Table::new(), BTreeMap::new());
+        let (adam, pass, config, updates) =
+            (Adam::default(), RenderPass::new(model.schedule().image_loss()), toml::Table::new(), BTreeMap::new());
         Ok(Self { model, dataset, scene, config, options, adam, images, pass, order, updates, step: 0, seconds: 0.0 })
     }
 
@@ -279,7 +280,6 @@ impl Trainer {
             view,
             camera: &camera,
             options: schedule.raster_options(background),
-            weights: schedule.loss(),
             share: 1.0 / batch as f32,
             result: ViewLoss::default(),
             data_error: None,

@@ -85,8 +85,8 @@ impl Window {
         self.steps += 1;
         self.loss += report.loss.total;
         self.l1 += report.loss.l1;
-        self.fre += report.loss.fre.unwrap_or(0.0);
-        self.mrf += report.loss.mrf.unwrap_or(0.0);
+        self.fre += report.loss.term("fre").unwrap_or(0.0);
+        self.mrf += report.loss.term("mrf").unwrap_or(0.0);
         self.mse += report.loss.mse;
         self.ms += report.ms.total;
         self.quarantined += u64::from(report.quarantined);
@@ -249,8 +249,8 @@ impl Training {
             "stage": report.stage,
             "loss": w.mean(w.loss),
             "l1": w.mean(w.l1),
-            "fre": report.loss.fre.map(|_| w.mean(w.fre)),
-            "mrf": report.loss.mrf.map(|_| w.mean(w.mrf)),
+            "fre": report.loss.term("fre").map(|_| w.mean(w.fre)),
+            "mrf": report.loss.term("mrf").map(|_| w.mean(w.mrf)),
             "psnr": w.psnr(),
             "penalties": report.penalties.iter().map(|(n, v)| ((*n).to_owned(), json!(v))).collect::<serde_json::Map<_, _>>(),
             "splats": report.splats,

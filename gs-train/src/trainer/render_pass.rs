@@ -1,6 +1,6 @@
 //! The image side of a training view: splats to a frame, the frame against the ground truth, the loss back to the splats.
 
-use crate::loss::{Dssim, ImageLoss, LossTerms, LossWeights, Region};
+use crate::loss::{ImageLoss, LossValues};
 use crate::method::{MethodError, RenderView};
 use crate::non_finite::{NonFinite, zero_non_finite};
 use gs_core::{Camera, Splats, SplatsGrad};
@@ -31,7 +31,6 @@ pub struct Phases {
 }
 
 /// Buffers of rasteriser and loss, reused between steps.
-#[derive(Default)]
 pub(super) struct RenderPass {
     workspace: Workspace,
     frame: Frame,
@@ -43,7 +42,7 @@ pub(super) struct RenderPass {
 /// What rendering one view gave, or the mean over the views of a step.
 #[derive(Default)]
 pub(super) struct ViewLoss {
-    pub terms: LossTerms,
+    pub terms: LossValues,
     pub non_finite: NonFinite,
     /// Splats rendered.
     pub splats: usize,
@@ -58,7 +57,6 @@ pub(super) struct ViewPass<'a> {
     pub camera: &'a Camera,
     /// How to render, over the background of this view.
     pub options: RasterOptions,
-    pub weights: LossWeights,
     /// Share of this view in the loss of the step.
     pub share: f32,
     pub result: ViewLoss,
@@ -80,16 +78,7 @@ impl Phases {
 impl ViewLoss {
     /// Adds one view of a batch of `batch`: terms become means, gradients that are not finite the worst of all views.
     pub fn add(&mut self, view: &ViewLoss, batch: f64) {
-        let mean = |sum: Option<f64>, term: Option<f64>| term.map(|t| sum.unwrap_or(0.0) + t / batch);
-        let (sum, terms) = (self.terms, view.terms);
-        self.terms = LossTerms {
-            total: sum.total + terms.total / batch,
-            l1: sum.l1 + terms.l1 / batch,
-            mse: sum.mse + terms.mse / batch,
-            ssim: mean(sum.ssim, terms.ssim),
-            fre: mean(sum.fre, terms.fre),
-            mrf: mean(sum.mrf, terms.mrf),
-        };
+        self.terms.add_mean(&view.terms, batch);
         if view.non_finite.rows > self.non_finite.rows {
             self.non_finite = view.non_finite;
         }
@@ -99,8 +88,9 @@ impl ViewLoss {
 
 impl RenderPass {
     /// A pass with empty buffers.
-    pub fn new() -> Self {
-        Self { loss: ImageLoss::new(), ..Self::default() }
+    pub fn new(loss: ImageLoss) -> Self {
+        let (workspace, frame, d_frame, stats) = Default::default();
+        Self { workspace, frame, d_frame, stats, loss }
     }
 }
 
@@ -117,13 +107,10 @@ impl RenderView for ViewPass<'_> {
                 return Err(why);
             }
         };
-        if self.weights.structure == Dssim::SsimBox || self.weights.mrf > 0.0 {
-            self.weights.region = Region::shown(&image);
-        }
         ms.data += clock.lap();
         render_into(splats, self.camera, &self.options, workspace, frame);
         ms.raster_forward += clock.lap();
-        self.result.terms = loss.evaluate(frame, &image, self.options.background, &self.weights, d_frame)?;
+        self.result.terms = loss.evaluate(frame, &image, self.options.background, d_frame)?;
         if self.share != 1.0 {
             d_frame.rgb.iter_mut().for_each(|g| *g *= self.share);
         }

@@ -485,7 +485,11 @@ fn published_behaviour_can_be_asked_for() {
     for step in 1..=trainer.steps() {
         let report = trainer.step().expect("step");
         let drawn = step > 9;
-        assert!(report.loss.total.is_finite() && report.loss.mrf.is_some() == drawn, "{step}: {:?}", report.loss);
+        assert!(
+            report.loss.total.is_finite() && report.loss.term("mrf").is_some() == drawn,
+            "{step}: {:?}",
+            report.loss
+        );
     }
     assert!(in_mask(&trainer, &data, Split::Test).is_finite());
     let at = Timestamp::new(data.train[0].time);
