@@ -1,0 +1,76 @@
+//! Which crate may depend on which: the arrows of docs/architecture.md, and no others.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+/// Package, folder, and the packages of this workspace it may depend on.
+const GRAPH: &[(&str, &str, &[&str])] = &[
+    ("gs-core", "gs-core", &[]),
+    ("gs-raster", "gs-raster", &["gs-core"]),
+    ("gs-metrics", "gs-metrics", &["gs-core"]),
+    ("gs-deform", "gs-deform", &["gs-core"]),
+    ("gs-anchor", "gs-anchor", &["gs-core", "gs-deform"]),
+    ("gs-physics", "gs-physics", &["gs-core"]),
+    ("gs-texel", "gs-texel", &["gs-core"]),
+    ("gs-data", "gs-train/data", &["gs-core", "gs-texel"]),
+    ("gs-synth", "gs-train/synth", &["gs-core", "gs-data", "gs-physics", "gs-texel"]),
+    ("gs-train", "gs-train", &["gs-core", "gs-data", "gs-metrics", "gs-raster"]),
+    ("gs-method-field", "gs-train/methods/field", &["gs-core", "gs-deform", "gs-train"]),
+    ("gs-method-anchor", "gs-train/methods/anchor", &["gs-anchor", "gs-core", "gs-deform", "gs-raster", "gs-train"]),
+    ("gs-method-physics", "gs-train/methods/physics", &["gs-core", "gs-deform", "gs-physics", "gs-raster", "gs-train"]),
+    ("gs-method-texel", "gs-train/methods/texel", &["gs-core", "gs-data", "gs-raster", "gs-texel", "gs-train"]),
+    (
+        "gs-methods",
+        "gs-train/methods",
+        &["gs-method-anchor", "gs-method-field", "gs-method-physics", "gs-method-texel", "gs-train"],
+    ),
+];
+
+/// Libraries under `apps`: each may depend on every library above, and on these of its own kind.
+const APPS: &[(&str, &[&str])] = &[
+    ("gs4d-report", &[]),
+    ("gs4d-eval", &["gs4d-report"]),
+    ("gs4d-run", &["gs4d-eval", "gs4d-report"]),
+    ("gs4d-doctor", &["gs4d-report", "gs4d-run"]),
+    ("gs4d-lab", &["gs4d-eval", "gs4d-report", "gs4d-run"]),
+    ("gs4d-view", &["gs4d-eval", "gs4d-report", "gs4d-run"]),
+    ("gs4d", &["gs4d-doctor", "gs4d-eval", "gs4d-lab", "gs4d-report", "gs4d-run", "gs4d-view"]),
+];
+
+/// The packages of this workspace in `[dependencies]`.
+fn dependencies(folder: &str) -> BTreeSet<String> {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(folder).join("Cargo.toml");
+    let text = std::fs::read_to_string(&file).unwrap_or_else(|e| panic!("{}: {e}", file.display()));
+    let table: toml::Table = text.parse().unwrap_or_else(|e| panic!("{}: {e}", file.display()));
+    let found = table.get("dependencies").and_then(toml::Value::as_table);
+    found.into_iter().flatten().map(|(name, _)| name.clone()).filter(|n| n.starts_with("gs")).collect()
+}
+
+#[test]
+fn libraries_depend_on_what_the_graph_says_and_nothing_else() {
+    for (name, folder, allowed) in GRAPH {
+        let allowed: BTreeSet<String> = allowed.iter().map(|n| (*n).to_owned()).collect();
+        assert_eq!(dependencies(folder), allowed, "{name}");
+    }
+}
+
+#[test]
+fn apps_depend_on_libraries_and_on_each_other_in_one_direction() {
+    let order: BTreeMap<&str, usize> = APPS.iter().enumerate().map(|(i, a)| (a.0, i)).collect();
+    for (name, allowed) in APPS {
+        for found in dependencies(&format!("apps/{name}")).iter().filter(|d| d.starts_with("gs4d")) {
+            assert!(allowed.contains(&found.as_str()), "{name} depends on {found}");
+            assert!(order[found.as_str()] < order[name], "{name} and {found} form a circle");
+        }
+    }
+}
+
+#[test]
+fn every_member_of_the_workspace_is_in_the_graph() {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../Cargo.toml");
+    let table: toml::Table = std::fs::read_to_string(file).expect("a manifest").parse().expect("TOML");
+    let members = table["workspace"]["members"].as_array().expect("members");
+    let members: BTreeSet<String> = members.iter().filter_map(|m| m.as_str().map(str::to_owned)).collect();
+    let known = GRAPH.iter().map(|g| g.1.to_owned()).chain(APPS.iter().map(|a| format!("apps/{}", a.0)));
+    assert_eq!(members, known.chain(["tests".to_owned()]).collect());
+}
