@@ -70,7 +70,7 @@ pub trait Inspect: Method {
     }
 }
 
-/// A colour per splat that shows something about it, drawn by the same rasteriser.
+/// A colour per splat that shows something about it, rendered by the same rasteriser.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Overlay {
     /// `velocity`, `gate`, `segment`, …

@@ -1,6 +1,6 @@
 //! Scores of a method on a split of a data set.
 //!
-//! Frames are compared as they were drawn: `f32`, clamped to `[0, 1]`, not rounded to 8 bit. SSIM is that of the 3DGS
+//! Frames are compared as they were rendered: `f32`, clamped to `[0, 1]`, not rounded to 8 bit. SSIM is that of the 3DGS
 //! family (zeros outside the image). Both averages of PSNR are given: the mean of the views' values (what papers of the
 //! family print) and the PSNR of the mean squared error.
 //!
@@ -88,10 +88,10 @@ pub struct ViewScores {
     pub ms_ssim: Option<f64>,
     /// The weight-free perceptual distance of gs-metrics.
     pub perceptual_proxy: f64,
-    /// Variance of the Laplacian over that of the photograph: below 1 blurred; absent where the photograph is even.
+    /// Variance of the Laplacian over that of the image: below 1 blurred; absent where the image is even.
     #[serde(default)]
     pub laplacian_ratio: Option<f64>,
-    /// Share of high frequencies over that of the photograph, likewise.
+    /// Share of high frequencies over that of the image, likewise.
     #[serde(default)]
     pub high_band_ratio: Option<f64>,
     /// Scores where the view's mask counts; absent without a mask, or with an empty one.
@@ -128,9 +128,9 @@ pub struct EvalReport {
     pub method: String,
     /// `train`, `val`, `test` or `extrapolate`.
     pub split: String,
-    /// Colour behind the scene, in drawing and photograph alike.
+    /// Colour behind the scene, in rendering and image alike.
     pub background: [f32; 3],
-    /// Factor by which photographs and cameras were reduced.
+    /// Factor by which images and cameras were reduced.
     pub scale: f64,
     /// How the frames were compared.
     pub protocol: String,
@@ -138,11 +138,11 @@ pub struct EvalReport {
     pub mean: MeanScores,
     /// PSNR of the mean squared error over views, dB; absent when every view is perfect.
     pub psnr_of_mean_mse: Option<f64>,
-    /// Views drawn without any error, left out of the mean PSNR.
+    /// Views rendered without any error, left out of the mean PSNR.
     pub perfect_views: usize,
     /// Number of Gaussians.
     pub gaussians: usize,
-    /// Bytes of all parameters as `f32`, without gradients and moments.
+    /// Bytes of all parameters as `f32`, without gradients and Adam moments.
     pub parameter_bytes: u64,
     /// Seconds of training, where known.
     pub train_seconds: Option<f64>,
@@ -166,7 +166,7 @@ pub enum EvalError {
     /// No view in the split.
     #[error("the data set has no {0} views; choose another split")]
     NoViews(&'static str),
-    /// A photograph cannot be read.
+    /// An image cannot be read.
     #[error(transparent)]
     Data(#[from] DataError),
     /// The method cannot draw a view.
@@ -197,18 +197,18 @@ pub fn split_name(split: Split) -> &'static str {
     }
 }
 
-/// Draws every view of a split over `background` and scores it against its photograph.
+/// Renders every view of a split over `background` and scores it against its image.
 ///
 /// # Errors
-/// If the split is empty, a photograph cannot be read, or a frame is not finite.
+/// If the split is empty, an image cannot be read, or a frame is not finite.
 pub fn evaluate(
     model: &Model,
     dataset: &Dataset,
     split: Split,
     background: [f32; 3],
-    photographs: &ImageCache,
+    images: &ImageCache,
 ) -> Result<EvalReport, EvalError> {
-    evaluate_splats(model, &|at, camera| model.splats(at, camera), dataset, split, background, photographs)
+    evaluate_splats(model, &|at, camera| model.splats(at, camera), dataset, split, background, images)
 }
 
 /// The same of splats that stand in for those of a model (files read back, say).
@@ -221,7 +221,7 @@ pub fn evaluate_splats(
     dataset: &Dataset,
     split: Split,
     background: [f32; 3],
-    photographs: &ImageCache,
+    images: &ImageCache,
 ) -> Result<EvalReport, EvalError> {
     let views = dataset.views(split);
     if views.is_empty() {
@@ -232,14 +232,14 @@ pub fn evaluate_splats(
         (Workspace::new(), Frame::default(), Scorer::new(SsimOptions::default()));
     let mut seen: Vec<Seen> = Vec::with_capacity(views.len());
     for view in views {
-        let camera = photographs.camera(view);
+        let camera = images.camera(view);
         let splats = splats(&Timestamp::new(view.time), &camera);
         let splats = splats.map_err(|source| EvalError::Method { view: view.name.clone(), source })?;
         render_into(&splats, &camera, &options, &mut workspace, &mut frame);
-        let photograph = photographs.get(view)?;
-        let truth = photograph.over(background);
+        let image = images.get(view)?;
+        let truth = image.over(background);
         // Of a filmed person, the person counts.
-        let mask = photographs.mask(view)?.or_else(|| dataset.avatar.is_some().then(|| photograph.alpha()));
+        let mask = images.mask(view)?.or_else(|| dataset.avatar.is_some().then(|| image.alpha()));
         let scored = Seen::of(&mut scorer, &clamped(&frame), &truth, mask.as_ref());
         seen.push(scored.map_err(|source| EvalError::Metric { view: view.name.clone(), source })?);
     }
@@ -250,7 +250,7 @@ pub fn evaluate_splats(
         method: model.name().to_owned(),
         split: split_name(split).to_owned(),
         background,
-        scale: photographs.scale(),
+        scale: images.scale(),
         protocol: PROTOCOL.to_owned(),
         mean: mean_scores(&summary, &views),
         psnr_of_mean_mse: summary.psnr_of_mean_mse.filter(|v| v.is_finite()),
@@ -272,11 +272,11 @@ pub fn evaluate_with_future(
     dataset: &Dataset,
     split: Split,
     background: [f32; 3],
-    photographs: &ImageCache,
+    images: &ImageCache,
 ) -> Result<EvalReport, EvalError> {
-    let mut report = evaluate(model, dataset, split, background, photographs)?;
+    let mut report = evaluate(model, dataset, split, background, images)?;
     if !dataset.extrapolate.is_empty() {
-        let future = evaluate(model, dataset, Split::Extrapolate, background, photographs)?;
+        let future = evaluate(model, dataset, Split::Extrapolate, background, images)?;
         report.extrapolate = Some(Box::new(future));
     }
     Ok(report)

@@ -150,7 +150,7 @@ pub enum MethodError {
     /// The initial points cannot be used.
     #[error(transparent)]
     Cloud(#[from] gs_core::cloud::CloudError),
-    /// The photographs the first points are carved from cannot be read.
+    /// The images the first points are carved from cannot be read.
     #[error(transparent)]
     Data(#[from] gs_data::DataError),
     /// The data show no person with a template.

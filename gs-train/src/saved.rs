@@ -81,7 +81,7 @@ fn meta(model: &Model, run: &RunState) -> serde_json::Value {
         extent: run.scene.extent,
         bounds: run.scene.bounds.map(|b| b.to_array()),
         views: run.scene.views,
-        moments: run.scene.moments,
+        moments: run.scene.timestamps,
         last_time: run.scene.last_time,
         frame_interval: run.scene.frame_interval,
         seed: run.scene.seed.to_string(),
@@ -107,7 +107,7 @@ fn tensors(model: &Model, moments: bool) -> Vec<(String, Vec<f32>)> {
     tensors
 }
 
-/// The method of a checkpoint, ready to draw or to train on; with another configuration if one is given.
+/// The method of a checkpoint, ready to render or to train on; with another configuration if one is given.
 ///
 /// # Errors
 /// Says what is missing or does not fit.
@@ -138,8 +138,8 @@ pub fn load_with(
     }
     // The blocks are given their rows below; one point stands in for the first cloud.
     let points = PointCloud { positions: vec![0.5 * (bounds[0] + bounds[1])], colors: vec![[0.5; 3]] };
-    let Meta { extent, views, moments, last_time, frame_interval, .. } = meta;
-    let scene = SceneInfo { points, extent, bounds, views, moments, last_time, frame_interval, seed, avatar };
+    let Meta { extent, views, moments: timestamps, last_time, frame_interval, .. } = meta;
+    let scene = SceneInfo { points, extent, bounds, views, timestamps, last_time, frame_interval, seed, avatar };
     let config = config.unwrap_or(&meta.config).clone();
     let mut model = (entry.build)(&config, &scene).map_err(|e| e.to_string())?;
     restore(&mut model, &checkpoint.tensors)?;

@@ -22,7 +22,7 @@ use std::sync::Arc;
 /// Squared neighbour distances below this count as this.
 const MIN_SQUARED_DISTANCE: f32 = 1e-7;
 
-/// Least photographs of the first moment that tell its hull.
+/// Least images of the first timestamp that tell its hull.
 const FIRST_VIEWS: usize = 8;
 
 /// Where the first points come from.
@@ -48,7 +48,7 @@ pub struct InitConfig {
     pub points: u32,
     /// Half side of the cube of random points, world units.
     pub bound: f32,
-    /// Only photographs of the first moment carve the hull: for a cloud that is the scene of that moment and is deformed
+    /// Only images of the first timestamp carve the hull: for a cloud that is the scene of that timestamp and is deformed
     /// later. They must be several.
     #[serde(default)]
     pub first_moment: bool,
@@ -81,10 +81,10 @@ pub struct SceneInfo {
     /// Number of training views.
     pub views: u32,
     /// Number of different training times.
-    pub moments: u32,
+    pub timestamps: u32,
     /// Last training time, normalised: 1, or less where `data.time_boundary` keeps later views out.
     pub last_time: f32,
-    /// Median distance of successive training times, normalised; 0 where there is one moment.
+    /// Median distance of successive training times, normalised; 0 where there is one timestamp.
     pub frame_interval: f32,
     /// Seed of the run.
     pub seed: u64,
@@ -104,22 +104,22 @@ impl SceneInfo {
         if !(extent > 0.0 && extent.is_finite()) {
             return Err(MethodError::Scene(format!("its extent is {extent}; cameras and points coincide")));
         }
-        let (views, moments, last_time, frame_interval) = Default::default();
+        let (views, timestamps, last_time, frame_interval) = Default::default();
         let avatar = dataset.avatar.clone();
-        Ok(Self { points, extent, bounds, views, moments, last_time, frame_interval, seed, avatar }.seen_in(dataset))
+        Ok(Self { points, extent, bounds, views, timestamps, last_time, frame_interval, seed, avatar }.seen_in(dataset))
     }
 
     /// The same scene as the training views of a data set show it, which may hold more than it was made from: its numbers of
-    /// views and moments, its last time and the distance of moments.
+    /// views and timestamps, its last time and the distance of timestamps.
     pub fn seen_in(self, dataset: &Dataset) -> Self {
-        let times = moments(dataset);
+        let times = times(dataset);
         let (views, last_time) = (dataset.train.len() as u32, times.last().copied().unwrap_or(1.0));
-        Self { views, moments: times.len() as u32, last_time, frame_interval: median_step(&times), ..self }
+        Self { views, timestamps: times.len() as u32, last_time, frame_interval: median_step(&times), ..self }
     }
 }
 
 /// The different training times, in order.
-fn moments(dataset: &Dataset) -> Vec<f32> {
+fn times(dataset: &Dataset) -> Vec<f32> {
     let mut times: Vec<f32> = dataset.train.iter().map(|v| v.time.normalised).collect();
     times.sort_by(f32::total_cmp);
     times.dedup();

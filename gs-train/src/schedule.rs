@@ -22,11 +22,11 @@ use std::collections::BTreeMap;
 pub struct Schedule {
     /// Steps between two rises of the SH degree, from 0 (3DGS: 1000). 0: the full degree from the start.
     pub sh_every: u32,
-    /// What is drawn behind the scene while training.
+    /// What is rendered behind the scene while training.
     pub background: Background,
     /// Weight λ of `1 − SSIM`; L1 has `1 − λ` (3DGS: 0.2; 4DGaussians: 0).
     pub lambda_dssim: f32,
-    /// What λ weighs: `ssim`, `ssim_box` over the box of what photographs show, or `ms_ssim` for images with both sides
+    /// What λ weighs: `ssim`, `ssim_box` over the box of what images show, or `ms_ssim` for images with both sides
     /// above 160 pixels.
     #[serde(default)]
     pub dssim: Dssim,
@@ -39,7 +39,7 @@ pub struct Schedule {
     /// Weight φ of the amplitude-spectrum loss (FAGS: 0.3; others: 0).
     #[serde(default)]
     pub lambda_fre: f32,
-    /// Weight μ of the likeness of textures over the box of what photographs show (DUT: 0.01, with VGG-19; others: 0).
+    /// Weight μ of the likeness of textures over the box of what images show (DUT: 0.01, with VGG-19; others: 0).
     #[serde(default)]
     pub lambda_mrf: f32,
     /// Side that box is resized to for it, pixels (DUT: 256); time grows with its fourth power.
@@ -49,7 +49,7 @@ pub struct Schedule {
     pub sparse_adam: bool,
     /// A gradient row is refused (not finite) at most for this share of rows; above it the run stops.
     pub max_quarantine: f32,
-    /// Splats nearer than this to the camera plane are not drawn, world units (INRIA 0.2, gsplat 0.01).
+    /// Splats nearer than this to the camera plane are not rendered, world units (INRIA 0.2, gsplat 0.01).
     pub near: f64,
     /// Opacities are compensated for the dilation of small splats (Mip-Splatting's 2D filter; 3DGS: off).
     pub antialias: bool,
@@ -99,7 +99,7 @@ pub struct Stage {
     /// Learning rates and density control count steps from the start of this stage, and the optimiser forgets its
     /// moments there (4DGaussians). Otherwise they count from the start of the run (Deformable 3DGS).
     pub own_clock: bool,
-    /// Only views of the first moment are learnt from (TRACE's warm-up).
+    /// Only views of the first timestamp are learnt from (TRACE's warm-up).
     #[serde(default)]
     pub first_moment: bool,
     /// Views are let in by time: at first a part of the span, one part more every `window_every` steps (TRACE: 8). 0: all
@@ -292,7 +292,7 @@ impl Schedule {
         self.stage(step).is_some_and(|s| s.field_alone)
     }
 
-    /// The SH degree drawn in step `step`, at most `max`.
+    /// The SH degree rendered in step `step`, at most `max`.
     pub fn sh_degree(&self, step: u32, max: u8) -> u8 {
         step.checked_div(self.sh_every).map_or(max, |d| d.min(u32::from(max)) as u8)
     }
@@ -331,7 +331,7 @@ impl Schedule {
             .with(self.lambda_mrf, Box::new(TextureTerm::new(self.mrf_side)))
     }
 
-    /// How frames are drawn over a background, in training as in evaluation. Saturated splats keep learning, as in
+    /// How frames are rendered over a background, in training as in evaluation. Saturated splats keep learning, as in
     /// INRIA's kernels.
     pub fn raster_options(&self, background: [f32; 3]) -> RasterOptions {
         RasterOptions {

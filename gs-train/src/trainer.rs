@@ -1,7 +1,7 @@
 //! Training: one view per step (or a batch of them), forward through method and rasteriser, backward through both, one
 //! update of every parameter.
 //!
-//! Everything a step does is a function of the parameters, their moments, the buffers and the step number:
+//! Everything a step does is a function of the parameters, their Adam moments, the buffers and the step number:
 //! views come in a random order that is shuffled anew each epoch from `(seed, epoch)`, so a run stopped at any step and
 //! resumed from its [`Checkpoint`] continues bit for bit, on any number of threads.
 

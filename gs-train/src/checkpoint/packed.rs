@@ -112,7 +112,7 @@ fn lattice(turned: &[f32], columns: usize, step: f32) -> Option<Vec<u8>> {
     let on_lattice = |cell: i32, step: f32| (f64::from(cell) * f64::from(step)) as f32;
     let cell = |v: &f32| {
         let cell = (f64::from(*v) / f64::from(step)).round_ties_even();
-        // −0 is the only value of a lattice that does not come back by its bits, and it draws as 0 does.
+        // −0 is the only value of a lattice that does not come back by its bits, and it renders as 0 does.
         (cell.abs() < f64::from(1 << 30) && on_lattice(cell as i32, step) == *v).then_some(cell as i32)
     };
     let cells: Vec<i32> = turned.iter().map(cell).collect::<Option<_>>()?;

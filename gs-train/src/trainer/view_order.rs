@@ -1,7 +1,7 @@
 //! Which view is drawn when.
 //!
 //! Views come without replacement: every one of a pool once, in a random order of its own, then the pool is made anew.
-//! The pool is all views, or those of the first moment, or those up to a time that grows with the steps
+//! The pool is all views, or those of the first timestamp, or those up to a time that grows with the steps
 //! ([`Stage`](crate::schedule::Stage): `first_moment`, `window_parts`; TRACE). It is made anew when it grows, too: what is let
 //! in is seen at once, before it has gone far. All of it is a function of `(seed, draw)`, so a resumed run goes on as if it
 //! had never stopped.
@@ -9,7 +9,7 @@
 use crate::schedule::Schedule;
 use gs_core::Rng;
 
-/// Where views are drawn from.
+/// Where views are taken from.
 #[derive(Clone, Copy, Debug)]
 struct Pool {
     /// Views up to this time.
@@ -98,7 +98,7 @@ mod tests {
         schedule
     }
 
-    /// Four cameras at six moments.
+    /// Four cameras at six timestamps.
     fn order() -> ViewOrder {
         ViewOrder::new(7, (0..24).map(|k| (k / 4) as f32 / 5.0).collect())
     }
@@ -129,7 +129,7 @@ mod tests {
         let order = order();
         let moment = |draw| order.view(&schedule, draw) / 4;
         assert!((1..=10).all(|d| moment(d) == 0));
-        // The pool is made anew right after the warm-up: a fifth of the span, moments 0 and 1, eight views.
+        // The pool is made anew right after the warm-up: a fifth of the span, timestamps 0 and 1, eight views.
         let mut first: Vec<usize> = (11..=18).map(|d| order.view(&schedule, d)).collect();
         first.sort_unstable();
         assert_eq!(first, (0..8).collect::<Vec<_>>());

@@ -102,7 +102,7 @@ impl StageTimes {
 pub fn stage_times(dut: &Dut, options: &StageOptions) -> Result<StageTimes, FrameError> {
     let actor = dut.actor();
     let frames: Vec<&AvatarFrame> = actor.scene.frames.iter().take(MOST_FRAMES).collect();
-    let photographs = frames.iter().map(|f| actor.photographs(f)).collect::<Result<Vec<_>, _>>()?;
+    let photographs = frames.iter().map(|f| actor.images(f)).collect::<Result<Vec<_>, _>>()?;
     let mut bench = Bench { dut, workspace: Workspace::new(), rows: Vec::new(), size: options.size };
     let mut times: Vec<[f64; STAGES.len()]> = Vec::new();
     for _ in 0..options.repeats.max(1) {

@@ -20,7 +20,7 @@ fn loaded(method: &str) -> Loaded {
         extent: 2.0,
         bounds,
         views: 4,
-        moments: 4,
+        timestamps: 4,
         last_time: 1.0,
         frame_interval: 0.25,
         seed: 1,

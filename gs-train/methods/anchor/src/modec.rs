@@ -90,7 +90,7 @@ fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
     let field = |e: gs_deform::DeformError| MethodError::Config { method: ENTRY.name, why: e.to_string() };
     let gad = config.global.then(|| Gad::new(&config.gad, shape, aabb, scene.seed)).transpose().map_err(field)?;
     let lgd = config.local.then(|| HexPlaneField::new("lgd", &config.lgd, aabb, scene.seed));
-    let intervals = config.global.then(|| Intervals::new(&config.intervals, scene.moments));
+    let intervals = config.global.then(|| Intervals::new(&config.intervals, scene.timestamps));
     let motion = Motion {
         gad,
         lgd: lgd.transpose().map_err(field)?,

@@ -85,7 +85,7 @@ pub enum ActorError {
     Frame(#[from] Box<FrameError>),
 }
 
-/// Everything of a person that does not depend on the moment.
+/// Everything of a person that does not depend on the timestamp.
 pub struct Actor {
     /// The data.
     pub scene: Arc<AvatarScene>,
@@ -117,7 +117,7 @@ pub struct Actor {
 pub struct MeanTextures {
     /// Of first textures, at GeoNet's texels: what GeoNet sees its colours less of.
     pub geo: Vec<f32>,
-    /// At GauNet's texels: what GeoNet holds photographs against, and what Gaussians that no camera sees look like.
+    /// At GauNet's texels: what GeoNet holds images against, and what Gaussians that no camera sees look like.
     pub gau: Vec<f32>,
 }
 
@@ -222,7 +222,7 @@ impl Actor {
         Ok(actor)
     }
 
-    /// The frame of a moment.
+    /// The frame of a timestamp.
     pub fn frame_at(&self, t: Time) -> &AvatarFrame {
         self.scene.frame_at(t)
     }
@@ -256,20 +256,20 @@ impl Actor {
     ///
     /// # Errors
     /// If one cannot be read.
-    pub fn photographs(&self, frame: &AvatarFrame) -> Result<Vec<(Camera, Image)>, DataError> {
+    pub fn images(&self, frame: &AvatarFrame) -> Result<Vec<(Camera, Image)>, DataError> {
         AvatarScene::photographs(&frame.inputs, &self.images)
     }
 
-    /// What photographs say about the texels of a surface, `N` world positions.
+    /// What images say about the texels of a surface, `N` world positions.
     ///
     /// # Errors
     /// If positions are not finite or images do not fit.
-    pub fn look(&self, surface: &[Vec3], photographs: &[(Camera, Image)]) -> Result<Seen, FrameError> {
+    pub fn look(&self, surface: &[Vec3], images: &[(Camera, Image)]) -> Result<Seen, FrameError> {
         let faces = &self.scene.character.template.faces;
         let normals = self.topology.normals(surface, faces);
         let mesh = Mesh { vertices: surface, normals: &normals, faces };
         let views: Vec<_> =
-            photographs.iter().map(|(camera, image)| unproject::View { camera, image, mask: None }).collect();
+            images.iter().map(|(camera, image)| unproject::View { camera, image, mask: None }).collect();
         let texture = unproject(&mesh, &self.fine, &views, &self.unproject)?;
         Ok(Seen { colors: texture.colors, views: texture.seen.iter().map(|&n| f32::from(n)).collect() })
     }
@@ -285,15 +285,15 @@ impl Actor {
     /// # Errors
     /// As reading images and unprojecting them goes.
     pub fn first(&self, frame: &AvatarFrame) -> Result<First, FrameError> {
-        self.first_of(self.pose(frame), &self.photographs(frame)?)
+        self.first_of(self.pose(frame), &self.images(frame)?)
     }
 
-    /// The same of a posed template and its photographs.
+    /// The same of a posed template and its images.
     ///
     /// # Errors
     /// As [`Self::look`].
-    pub fn first_of(&self, posed: Posed, photographs: &[(Camera, Image)]) -> Result<First, FrameError> {
-        let seen = self.look(&skin(&posed.canonical, &posed.transforms), photographs)?;
+    pub fn first_of(&self, posed: Posed, images: &[(Camera, Image)]) -> Result<First, FrameError> {
+        let seen = self.look(&skin(&posed.canonical, &posed.transforms), images)?;
         let middle = (!self.mean.geo.is_empty()).then(|| MeanTextures::rows(&self.mean.geo));
         let input = self.input(&self.geo, &self.resized(&seen, &self.geo), &posed, middle);
         Ok(First { posed, seen, input })
@@ -304,11 +304,11 @@ impl Actor {
     /// # Errors
     /// As reading images and unprojecting them goes; if offsets are not finite.
     pub fn second(&self, frame: &AvatarFrame, first: &First, offsets: Option<Vec<Vec3>>) -> Result<Second, FrameError> {
-        let photographs = if offsets.is_some() { self.photographs(frame)? } else { Vec::new() };
-        self.second_of(first, offsets, &photographs)
+        let images = if offsets.is_some() { self.images(frame)? } else { Vec::new() };
+        self.second_of(first, offsets, &images)
     }
 
-    /// The same of photographs, which are not looked at without offsets.
+    /// The same of images, which are not looked at without offsets.
     ///
     /// # Errors
     /// As [`Self::look`]; if offsets are not finite.
@@ -316,11 +316,11 @@ impl Actor {
         &self,
         first: &First,
         offsets: Option<Vec<Vec3>>,
-        photographs: &[(Camera, Image)],
+        images: &[(Camera, Image)],
     ) -> Result<Second, FrameError> {
         let posed = &first.posed;
         let seen = match &offsets {
-            Some(d) => &self.look(&self.surface(posed, d), photographs)?,
+            Some(d) => &self.look(&self.surface(posed, d), images)?,
             None => &first.seen,
         };
         let offsets = offsets.unwrap_or_else(|| vec![Vec3::ZERO; posed.canonical.len()]);
@@ -358,7 +358,7 @@ impl Actor {
                     Some(offsets) => self.surface(&posed, &offsets),
                     None => skin(&posed.canonical, &posed.transforms),
                 };
-                let seen = self.look(&surface, &self.photographs(frame)?)?;
+                let seen = self.look(&surface, &self.images(frame)?)?;
                 for (mean, table) in means.iter_mut().zip(tables) {
                     table.iter().for_each(|t| mean.add(&self.resized(&seen, t)));
                 }

@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 pub enum Mode {
     /// GauNet, from the texture.
     Networks,
-    /// Values of its own, the same at all moments.
+    /// Values of its own, the same at all timestamps.
     Direct,
 }
 
@@ -68,9 +68,9 @@ pub struct GaussianConfig {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum DirectColor {
-    /// The same at all moments.
+    /// The same at all timestamps.
     Learnt,
-    /// `T a + b` of the moment's texture, where a camera sees the texel; of its mean elsewhere.
+    /// `T a + b` of the timestamp's texture, where a camera sees the texel; of its mean elsewhere.
     Texture,
 }
 
@@ -144,13 +144,13 @@ pub struct SurfaceConfig {
     pub seams: SeamRead,
 }
 
-/// The reference colour of texels that no camera sees at a moment.
+/// The reference colour of texels that no camera sees at a timestamp.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum UnseenColor {
     /// Black.
     Black,
-    /// The mean over moments that see them, in-painted where none does.
+    /// The mean over timestamps that see them, in-painted where none does.
     Mean,
 }
 
@@ -164,7 +164,7 @@ pub struct GauConfig {
     pub residual: bool,
     /// Colours of reference Gaussians that no camera sees.
     pub unseen: UnseenColor,
-    /// Whether every texel adds values of its own, the same at all moments.
+    /// Whether every texel adds values of its own, the same at all timestamps.
     pub own: bool,
     /// Metres of an offset of one that the network gives.
     pub offset_unit: f32,
@@ -225,7 +225,7 @@ pub enum Phase {
     Geometry,
     /// GauNet, from reference Gaussians.
     WarmUp,
-    /// Texel Gaussians, from photographs.
+    /// Texel Gaussians, from images.
     Main,
 }
 

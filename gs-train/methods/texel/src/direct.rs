@@ -1,8 +1,8 @@
-//! Texel Gaussians without a network: every texel has values of its own, the same at all moments; only colours may follow
+//! Texel Gaussians without a network: every texel has values of its own, the same at all timestamps; only colours may follow
 //! what the cameras see.
 //!
 //! ```text
-//! h_dc(t) = b + a ∘ (T(t) − ½)/C0        T: the moment's texture where seen, else its mean over the recording
+//! h_dc(t) = b + a ∘ (T(t) − ½)/C0        T: the timestamp's texture where seen, else its mean over the recording
 //! ```
 
 use super::actor::{Actor, FrameError, MeanTextures, Seen};
@@ -34,7 +34,7 @@ impl Direct {
         Ok(Self { width: channels.width(), texels: TexelRows::new(channels, &rows), gain })
     }
 
-    /// Rows `[K, width]` at a moment that shows `seen`.
+    /// Rows `[K, width]` at a timestamp that shows `seen`.
     pub fn rows(&self, actor: &Actor, seen: &Seen, rows: &mut Vec<f32>) {
         rows.clear();
         rows.resize(actor.gau.len() * self.width, 0.0);
@@ -46,7 +46,7 @@ impl Direct {
         }
     }
 
-    /// Adds to the gradients what rows of the same moment got.
+    /// Adds to the gradients what rows of the same timestamp got.
     pub fn backward(&mut self, actor: &Actor, seen: &Seen, d_rows: &[f32]) {
         self.texels.backward(d_rows);
         let Some(mut gain) = self.gain.take() else { return };

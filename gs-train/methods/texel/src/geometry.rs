@@ -122,7 +122,7 @@ impl Geometry {
         let mut drift = 0.0;
         if self.weights.texture > 0.0 {
             let mean = MeanTextures::rows(&actor.mean.gau);
-            let texture = texture_loss(actor, &posed, &actor.photographs(frame)?, mean)?;
+            let texture = texture_loss(actor, &posed, &actor.images(frame)?, mean)?;
             drift = f64::from(self.weights.texture) * texture.value;
             world.add(self.weights.texture.into(), &texture);
         }

@@ -1,4 +1,4 @@
-//! Values of the texels' own, the same at all moments: what direct mode learns, and what may stand beside GauNet.
+//! Values of the texels' own, the same at all timestamps: what direct mode learns, and what may stand beside GauNet.
 
 use super::actor::{Actor, FrameError};
 use super::config::Config;

@@ -17,30 +17,29 @@ use gs_texel::unproject::{self, UnprojectConfig, unproject};
 /// Least coverage of the pixels that are compared.
 const COVERED: f32 = 0.99;
 
-/// The loss of a posed surface, `N` world positions, in photographs, against mean colours of GauNet's texels.
+/// The loss of a posed surface, `N` world positions, in images, against mean colours of GauNet's texels.
 ///
 /// # Errors
 /// If positions are not finite or images do not fit.
 pub fn texture_loss(
     actor: &Actor,
     surface: &[Vec3],
-    photographs: &[(Camera, Image)],
+    images: &[(Camera, Image)],
     mean: &[[f32; 3]],
 ) -> Result<SurfaceLoss, FrameError> {
     let (table, faces) = (&actor.gau, &actor.scene.character.template.faces);
     let normals = actor.topology.normals(surface, faces);
     let mesh = Mesh { vertices: surface, normals: &normals, faces };
-    let views: Vec<_> =
-        photographs.iter().map(|(camera, image)| unproject::View { camera, image, mask: None }).collect();
+    let views: Vec<_> = images.iter().map(|(camera, image)| unproject::View { camera, image, mask: None }).collect();
     let config = UnprojectConfig { keep_views: true, ..actor.unproject };
     let seen = unproject(&mesh, table, &views, &config)?.by_view;
     let mut loss = SurfaceLoss { value: 0.0, grad: vec![DVec3::ZERO; surface.len()] };
     let mut total = 0.0f64;
-    for (k, weights) in seen.chunks_exact(photographs.len().max(1)).enumerate() {
+    for (k, weights) in seen.chunks_exact(images.len().max(1)).enumerate() {
         let corners = faces[table.tri[k] as usize];
         let bary = table.weights(k).map(f64::from);
         let x: DVec3 = corners.iter().zip(bary).map(|(v, b)| b * surface[*v as usize].as_dvec3()).sum();
-        for (weight, (camera, image)) in weights.iter().zip(photographs).filter(|(w, _)| **w > 0.0) {
+        for (weight, (camera, image)) in weights.iter().zip(images).filter(|(w, _)| **w > 0.0) {
             let Some((value, d)) = compare(camera, image, x, mean[k]) else { continue };
             let weight = f64::from(*weight);
             total += weight;
@@ -101,10 +100,10 @@ mod tests {
         let config = gs_methods::registry().find("dut").unwrap().config("tiny").unwrap();
         let actor = Actor::new(scene.clone(), &config.try_into::<Config>().unwrap()).unwrap();
         let (frame, mean) = (&scene.frames[0], MeanTextures::rows(&actor.mean.gau));
-        let (posed, photographs) = (actor.pose(frame), actor.photographs(frame).unwrap());
+        let (posed, images) = (actor.pose(frame), actor.images(frame).unwrap());
         let still = skin(&posed.canonical, &posed.transforms);
         let turned = |angle: f32| -> Vec<Vec3> { still.iter().map(|p| Mat3::from_rotation_y(angle) * *p).collect() };
-        let loss = |angle: f32| texture_loss(&actor, &turned(angle), &photographs, mean).unwrap();
+        let loss = |angle: f32| texture_loss(&actor, &turned(angle), &images, mean).unwrap();
         let slope = |angle: f32| -> f64 {
             let along = turned(angle).into_iter().map(|p| Vec3::Y.cross(p).as_dvec3());
             loss(angle).grad.iter().zip(along).map(|(g, a)| g.dot(a)).sum()

@@ -14,7 +14,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 /// Intervals kept at once: 64 of 27 000 anchors are 500 MB.
 const INTERVALS_KEPT: usize = 64;
-/// How often a picture is tried with a wider margin before everything is decoded.
+/// How often an image is tried with a wider margin before everything is decoded.
 const TRIES: usize = 3;
 
 /// LocalAnchors anchors by canonical time: GAD takes few values, so a run of frames asks for it once per interval. What comes
@@ -125,7 +125,7 @@ impl Anchored {
         self.moved(&neural, &tape.rows, t).unwrap_or(neural)
     }
 
-    /// Global, local and full: the anchors at rest, those of the interval, and their Gaussians at the moment.
+    /// Global, local and full: the anchors at rest, those of the interval, and their Gaussians at the timestamp.
     pub(super) fn staged(&self, t: Time, camera: &Camera) -> Vec<StageView> {
         let rest = self.at_rest();
         let (global, _) = self.decoded(&rest, camera, None);

@@ -1,4 +1,4 @@
-//! One view of a training step: anchors to splats, and the way back.
+//! One view of a training step: anchors to splats, and backward.
 
 use super::Anchored;
 use gs_anchor::visible::{self, SUPPORT, VisibilityOptions};
@@ -17,7 +17,7 @@ const PIECE: usize = 4096;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Filter {
-    /// Those whose Gaussians may touch the frame: the same picture as with all.
+    /// Those whose Gaussians may touch the frame: the same image as with all.
     Clean,
     /// Those whose own Gaussian, before deformation, touches a tile, while training; all of them otherwise (public code).
     Ref,
@@ -46,7 +46,7 @@ pub(super) struct Tape {
     neural: Splats,
     d_neural: SplatsGrad,
     lgd: <HexPlaneField as Field>::Tape,
-    /// What is drawn.
+    /// What is rendered.
     pub splats: Splats,
     pub d_splats: SplatsGrad,
     /// Whether LGD took part.

@@ -4,7 +4,7 @@
 //! anchors → GAD(t_c) → local anchors → visible → decode → LGD(t) → splats at t → draw
 //! ```
 //! and back the same way. `t_c` is the canonical time of the interval that holds `t`. A scene at rest, and every stage that
-//! is not dynamic, has neither GAD nor LGD. What a camera cannot see is not decoded; the picture is the same.
+//! is not dynamic, has neither GAD nor LGD. What a camera cannot see is not decoded; the image is the same.
 
 mod drawing;
 mod forward;

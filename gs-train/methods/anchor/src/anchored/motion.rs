@@ -7,7 +7,7 @@ use gs_deform::{Field, HexPlaneField};
 use gs_raster::ScreenStats;
 use serde::{Deserialize, Serialize};
 
-/// A penalty on the logits of motion, so that anchors rest unless the picture needs them to move.
+/// A penalty on the logits of motion, so that anchors rest unless the image needs them to move.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SparsityConfig {

@@ -1,4 +1,4 @@
-//! Still parts of a moving scene, for drawing: an approximation, off unless asked for.
+//! Still parts of a moving scene, for rendering: an approximation, off unless asked for.
 //!
 //! Where a Gaussian goes does not depend on who looks. Its centre `μ(t) = x' + O' ⊙ l' + Δx`, moved by GAD and LGD
 //! together, and LGD's `Δs` and `Δr` belong to its row `anchor · k + j`. Rows that hardly change are **baked**, and LGD is

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 /// Splats for each task.
 const TASK: usize = 64;
 
-/// Turns the colours of splats that were drawn as `canonical` and are now turned as `splats`.
+/// Turns the colours of splats that were rendered as `canonical` and are now turned as `splats`.
 pub(super) fn turn(canonical: &Splats, splats: &mut Splats) {
     if let Color::Sh { degree, coeffs } = &mut splats.color {
         every(*degree, &canonical.quats, &splats.quats, coeffs, |turn, sh| turn.apply(sh));

@@ -1,4 +1,4 @@
-//! A canonical cloud that a field deforms to a time nearby, and dynamics carry from there to the moment of the photograph:
+//! A canonical cloud that a field deforms to a time nearby, and dynamics carry from there to the timestamp of the image:
 //! the common body of TRACE (a law of twists) and of DefGS with NVFi's velocity field.
 //!
 //! ```text
@@ -10,7 +10,7 @@
 //! constant, the dynamics learn from the same cotangent at its end, and nothing flows through the place they are read at.
 //! Moments before the first step of Δt are the field's alone.
 //!
-//! Past `T_def` the scene is drawn from the deformation at `T_def` and the dynamics; the field is read at a later time in stages
+//! Past `T_def` the scene is rendered from the deformation at `T_def` and the dynamics; the field is read at a later time in stages
 //! of its own only ([`Stage::field_alone`](gs_train::schedule::Stage::field_alone)), where it moves splats by itself.
 
 use glam::{DVec3, Vec3};
@@ -38,7 +38,7 @@ mod tests;
 
 use future::{Future, Thrift};
 
-/// Farthest that dynamics carry splats, in steps Δt: at moments beyond, the scene stands as it is there.
+/// Farthest that dynamics carry splats, in steps Δt: at timestamps beyond, the scene stands as it is there.
 const FARTHEST: f64 = 4096.0;
 /// How far a splat goes before it tells what moves, of the extent of the scene.
 const LITTLE: f32 = 0.01;
@@ -47,19 +47,19 @@ const LITTLE: f32 = 0.01;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PhysicsConfig {
-    /// Δt, the step from the field's time to the photograph's, in intervals between frames.
+    /// Δt, the step from the field's time to the image's, in intervals between frames.
     pub step_frames: f32,
     /// In training the dynamics carry splats over 1 to so many steps Δt, drawn anew each time (TRACE: 1). The farther, the
     /// better accelerations can be told: they move a particle by ½ a (n Δt)². The range opens over the stage.
     pub reach: u32,
-    /// Share of the training steps, up to `T_def`, in which the field alone draws the photograph, at its own time (TRACE: 0).
-    /// What moves is then kept while the dynamics are still wrong, and seen moments are learnt as without dynamics.
+    /// Share of the training steps, up to `T_def`, in which the field alone renders the image, at its own time (TRACE: 0).
+    /// What moves is then kept while the dynamics are still wrong, and seen timestamps are learnt as without dynamics.
     pub direct: f32,
     /// The field is read up to `T_def`, this many intervals between frames before the last training time (one Δt at least).
     pub back_frames: f32,
     /// Before this share of the training span only the field moves splats (scenes that stand still at first).
     pub start: f32,
-    /// How moments that were seen are drawn.
+    /// How timestamps that were seen are rendered.
     pub inside: Inside,
     /// Whether the field takes part. Without it the dynamics carry splats from time 0.
     pub field: bool,
@@ -75,13 +75,13 @@ pub struct PhysicsConfig {
     pub bodies: u32,
 }
 
-/// How moments that were seen are drawn.
+/// How timestamps that were seen are rendered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Inside {
-    /// By the field at that moment: strategy (1), the cheapest.
+    /// By the field at that timestamp: strategy (1), the cheapest.
     Field,
-    /// By the dynamics from the first moment: strategy (2), which adds up errors.
+    /// By the dynamics from the first timestamp: strategy (2), which adds up errors.
     Physics,
     /// By the field at `t − Δt` and the dynamics, as in training: strategy (3).
     Step,
@@ -101,7 +101,7 @@ impl PhysicsConfig {
         need(self.bodies <= 1000, "bodies", self.bodies as f32, "0 to 1000")
     }
 
-    /// Δt of a scene, normalised; a hundredth of the span where there is one moment only.
+    /// Δt of a scene, normalised; a hundredth of the span where there is one timestamp only.
     pub fn step(&self, scene: &SceneInfo) -> f64 {
         let frame = if scene.frame_interval > 0.0 { scene.frame_interval } else { 0.01 };
         f64::from(self.step_frames) * f64::from(frame)
@@ -196,7 +196,7 @@ impl<F: Field, D: Dynamics> Advected<F, D> {
         Ok(Self { canonical, field, dynamics, config, times, thrift, little, scratch, future })
     }
 
-    /// From where to where the dynamics act in training for a photograph at time `t`.
+    /// From where to where the dynamics act in training for an image at time `t`.
     fn training_span(&self, t: f64) -> Span {
         let Times { step, last_field, start, .. } = self.times;
         if !self.config.field {
@@ -225,7 +225,7 @@ impl<F: Field, D: Dynamics> Advected<F, D> {
         1.0 + open * f64::from(self.config.reach - 1)
     }
 
-    /// From where to where the dynamics act in drawing.
+    /// From where to where the dynamics act in rendering.
     fn drawing_span(&self, t: f64) -> Span {
         let Times { step, last_field, start, .. } = self.times;
         let t = t.clamp(-FARTHEST * step, last_field + FARTHEST * step);
@@ -339,7 +339,7 @@ impl<F: Field, D: Dynamics> Advected<F, D> {
     }
 }
 
-/// The middle of what moved: the mean of the positions weighted by the squared distance from rest, drawn to `origin` where
+/// The middle of what moved: the mean of the positions weighted by the squared distance from rest, drawn towards `origin` where
 /// splats moved by no more than `little`.
 fn middle(rest: &[Vec3], now: &[Vec3], origin: Vec3, little: f32) -> Vec3 {
     let origin = origin.as_dvec3();
@@ -365,7 +365,7 @@ fn carry(splats: &mut Splats, moves: &ParticleState) {
     }
 }
 
-/// The same for drawing: what a velocity field has carried beyond all numbers stays where it was.
+/// The same for rendering: what a velocity field has carried beyond all numbers stays where it was.
 fn carry_drawn(splats: &mut Splats, moves: &mut ParticleState) {
     for ((to, turn), from) in moves.means.iter_mut().zip(&mut moves.rotations).zip(&splats.means) {
         if !(to.is_finite() && turn.iter().all(|v| v.is_finite())) {

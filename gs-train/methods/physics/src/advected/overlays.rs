@@ -15,14 +15,14 @@ fn colors(vectors: &[Vec3]) -> Vec<[f32; 3]> {
 }
 
 impl<F: Field, D: Dynamics> Advected<F, D> {
-    /// Where the splats drawn at a time are, and the motions that rule them there.
+    /// Where the splats rendered at a time are, and the motions that rule them there.
     fn moving(&self, t: f64) -> (Vec<Vec3>, Vec<Motion<f32>>) {
         let splats = self.transported(self.drawing_span(t));
         let motions = self.motions_at(&splats, t);
         (splats.means, motions)
     }
 
-    /// The motions that rule splats drawn at a time. A law is read once, at `T_def`, for all later times.
+    /// The motions that rule splats rendered at a time. A law is read once, at `T_def`, for all later times.
     fn motions_at(&self, splats: &Splats, t: f64) -> Vec<Motion<f32>> {
         let first = self.first_ahead();
         let canonical = self.canonical.activated();

@@ -205,7 +205,7 @@ fn the_first_moving_step_draws_what_the_warm_up_drew() {
     assert_eq!(splats(&m, 0.0), before);
 }
 
-/// `Σ a·mean + Σ b·quat` of what a step draws, and the gradients it leaves.
+/// `Σ a·mean + Σ b·quat` of what a step renders, and the gradients it leaves.
 fn learn(m: &mut Advected<DefMlp, OneTwist>, t: f32) -> f64 {
     let mut loss = 0.0;
     m.visit_mut(&mut Param::clear_grad);
@@ -263,7 +263,7 @@ fn turns_hand_their_cotangent_on_by_the_product_rule() {
     }
 }
 
-/// Coefficients learn through their turn: the loss is linear in them. At every time drawn, a turn keeps lengths and leaves
+/// Coefficients learn through their turn: the loss is linear in them. At every time rendered, a turn keeps lengths and leaves
 /// the first coefficient alone.
 #[test]
 fn colours_turn_with_their_splats() {
