@@ -208,19 +208,29 @@ impl MethodEntry {
         }
     }
 
+    /// The values of a preset that differ from the defaults, TOML.
+    ///
+    /// # Errors
+    /// If there is no such preset; the error lists those there are.
+    pub fn preset(&self, name: &str) -> Result<&'static str, MethodError> {
+        self.presets.iter().find(|p| p.0 == name).map(|p| p.1).ok_or_else(|| {
+            let known: Vec<&str> = self.presets.iter().map(|p| p.0).collect();
+            let why = format!("there is no preset `{name}`; choose one of {}", known.join(", "));
+            MethodError::Config { method: self.name, why }
+        })
+    }
+
     /// The defaults overlaid with a preset.
     ///
     /// # Errors
     /// If there is no such preset.
     pub fn config(&self, preset: &str) -> Result<toml::Table, MethodError> {
-        let wrong = |why: String| MethodError::Config { method: self.name, why };
-        let parse = |text: &str| text.parse::<toml::Table>().map_err(|e| wrong(e.to_string()));
-        let mut config = parse(self.defaults)?;
-        let Some((_, text)) = self.presets.iter().find(|p| p.0 == preset) else {
-            let known: Vec<&str> = self.presets.iter().map(|p| p.0).collect();
-            return Err(wrong(format!("there is no preset `{preset}`; choose one of {}", known.join(", "))));
+        let parse = |text: &str| {
+            let wrong = |e: toml::de::Error| MethodError::Config { method: self.name, why: e.to_string() };
+            text.parse::<toml::Table>().map_err(wrong)
         };
-        overlay(&mut config, parse(text)?);
+        let mut config = parse(self.defaults)?;
+        overlay(&mut config, parse(self.preset(preset)?)?);
         Ok(config)
     }
 }

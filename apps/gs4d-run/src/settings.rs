@@ -8,7 +8,6 @@
 use super::RunError;
 use crate::config::{Config, ConfigError, Source};
 use gs_data::{DataOptions, Dataset};
-use gs_train::method::MethodError;
 use gs_train::registry::Registry;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -107,11 +106,7 @@ pub fn defaults(registry: &Registry, method: &str) -> Result<Config, RunError> {
 pub fn with_preset(registry: &Registry, method: &str, preset: &str) -> Result<Config, RunError> {
     let entry = registry.find(method)?;
     let mut config = defaults(registry, method)?;
-    let Some((_, text)) = entry.presets.iter().find(|p| p.0 == preset) else {
-        let known: Vec<&str> = entry.presets.iter().map(|p| p.0).collect();
-        let why = format!("there is no preset `{preset}`; choose one of {}", known.join(", "));
-        return Err(MethodError::Config { method: entry.name, why }.into());
-    };
+    let text = entry.preset(preset)?;
     config.overlay_toml(text, &Source::Preset(preset.to_owned()))?;
     config.put("run.preset", preset, Source::Default)?;
     Ok(config)
