@@ -241,8 +241,8 @@ impl Apply {
             }
             QuatRule::Compose => {
                 let rotation = rot::normalise(from_identity(d));
-                let d_rotation = rot::hamilton(g, conjugate(q));
-                (rot::hamilton(conjugate(rotation.wxyz), g), rot::normalise_backward(&rotation, d_rotation))
+                let d_rotation = rot::hamilton(g, rot::conjugate(q));
+                (rot::hamilton(rot::conjugate(rotation.wxyz), g), rot::normalise_backward(&rotation, d_rotation))
             }
         }
     }
@@ -250,10 +250,6 @@ impl Apply {
 
 fn from_identity(d: [f32; 4]) -> [f32; 4] {
     [1.0 + d[0], d[1], d[2], d[3]]
-}
-
-fn conjugate([w, x, y, z]: [f32; 4]) -> [f32; 4] {
-    [w, -x, -y, -z]
 }
 
 fn add4(to: &mut [f32; 4], v: [f32; 4]) {

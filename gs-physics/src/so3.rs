@@ -11,9 +11,9 @@
 //! small `‖w‖`, and values and gradients are smooth through zero. The half angle keeps `B` free of cancellation beyond.
 
 use crate::scalar::Scalar;
-use crate::vec3::{V3, add, add_scaled, conjugate, scale};
+use crate::vec3::{V3, add, add_scaled, scale};
 use gs_core::real::{cross3, dot3};
-use gs_core::rot::hamilton;
+use gs_core::rot::{conjugate, hamilton};
 
 const TERMS: usize = 10;
 

@@ -32,12 +32,6 @@ pub(crate) fn norm<T: Real>(a: V3<T>) -> T {
     gs_core::real::dot3(a, a).sqrt()
 }
 
-/// `q*`, the inverse rotation of a unit quaternion.
-#[inline(always)]
-pub(crate) fn conjugate<T: Real>(q: [T; 4]) -> [T; 4] {
-    [q[0], -q[1], -q[2], -q[3]]
-}
-
 #[inline(always)]
 pub(crate) fn dot4<T: Real>(a: [T; 4], b: [T; 4]) -> T {
     a[3].mul_add(b[3], a[2].mul_add(b[2], a[1].mul_add(b[1], a[0] * b[0])))

@@ -2,8 +2,7 @@
 //! been carried. The turn counts as a constant, as displacements do: it learns from shapes, not from colours. Splats that did
 //! not turn, and colours without lobes, cost nothing.
 
-use super::conjugate;
-use gs_core::rot::{hamilton, matrix, normalise};
+use gs_core::rot::{conjugate, hamilton, matrix, normalise};
 use gs_core::sh::{ShRotation, coeffs};
 use gs_core::{Color, Splats};
 use rayon::prelude::*;

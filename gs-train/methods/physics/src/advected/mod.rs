@@ -386,14 +386,12 @@ fn turn_back(
 ) {
     d_moves.means.clone_from(&d_drawn.means);
     d_moves.rotations.clear();
-    d_moves.rotations.extend(d_drawn.quats.iter().zip(&moved.quats).map(|(d, r)| rot::hamilton(*d, conjugate(*r))));
+    d_moves
+        .rotations
+        .extend(d_drawn.quats.iter().zip(&moved.quats).map(|(d, r)| rot::hamilton(*d, rot::conjugate(*r))));
     for ((d_r, d), p) in d_moved.quats.iter_mut().zip(&d_drawn.quats).zip(&moves.rotations) {
-        *d_r = rot::hamilton(conjugate(*p), *d);
+        *d_r = rot::hamilton(rot::conjugate(*p), *d);
     }
-}
-
-fn conjugate([w, x, y, z]: [f32; 4]) -> [f32; 4] {
-    [w, -x, -y, -z]
 }
 
 impl<F: Field, D: Dynamics> Params for Advected<F, D> {

@@ -255,7 +255,7 @@ fn dynamics_learn_from_the_end_and_centres_as_if_the_displacement_were_constant(
 fn turns_hand_their_cotangent_on_by_the_product_rule() {
     let (p, r, d) = ([0.9f32, 0.1, -0.3, 0.2], [0.5f32, -0.4, 0.6, 0.3], [0.2f32, 0.7, -0.1, 0.4]);
     let dot = |a: [f32; 4]| -> f64 { a.iter().zip(d).map(|(a, d)| f64::from(*a) * f64::from(d)).sum() };
-    let (d_p, d_r) = (rot::hamilton(d, conjugate(r)), rot::hamilton(conjugate(p), d));
+    let (d_p, d_r) = (rot::hamilton(d, rot::conjugate(r)), rot::hamilton(rot::conjugate(p), d));
     for k in 0..4 {
         let unit: [f32; 4] = std::array::from_fn(|i| f32::from(u8::from(i == k)));
         assert!((f64::from(d_p[k]) - dot(rot::hamilton(unit, r))).abs() < 1e-6, "linear in the turn");
