@@ -118,7 +118,7 @@ fn method(config: PhysicsConfig, zero_init: bool) -> Advected<DefMlp, OneTwist> 
         extent: 1.0,
         bounds,
         views: 16,
-        moments: 16,
+        timestamps: 16,
         last_time: 0.75,
         frame_interval: 0.05,
         seed: 5,
