@@ -22,10 +22,12 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 mod error;
+mod prefetch;
 mod render_pass;
 mod view_order;
 
 pub use error::TrainError;
+use prefetch::Prefetch;
 pub use render_pass::Phases;
 use render_pass::{RenderPass, Stopwatch, ViewLoss, ViewPass};
 use view_order::ViewOrder;
@@ -79,7 +81,8 @@ pub struct Trainer {
     config: toml::Table,
     options: TrainOptions,
     adam: Adam,
-    images: ImageCache,
+    images: Arc<ImageCache>,
+    prefetch: Prefetch,
     pass: RenderPass,
     order: ViewOrder,
     /// Update rules of the present step, by the name of a block.
@@ -119,11 +122,25 @@ impl Trainer {
         options: TrainOptions,
     ) -> Result<Self, TrainError> {
         check_run(&model, &dataset)?;
-        let images = ImageCache::new(options.image_bytes, 1.0);
+        let images = Arc::new(ImageCache::new(options.image_bytes, 1.0));
         let order = ViewOrder::new(options.seed, dataset.train.iter().map(|v| v.time.normalised).collect());
         let (adam, pass, config, updates) =
             (Adam::default(), RenderPass::new(model.schedule().image_loss()), toml::Table::new(), BTreeMap::new());
-        Ok(Self { model, dataset, scene, config, options, adam, images, pass, order, updates, step: 0, seconds: 0.0 })
+        Ok(Self {
+            model,
+            dataset,
+            scene,
+            config,
+            options,
+            adam,
+            images,
+            prefetch: Prefetch::default(),
+            pass,
+            order,
+            updates,
+            step: 0,
+            seconds: 0.0,
+        })
     }
 
     /// A run continued from a checkpoint, with another configuration if one is given (a longer schedule, say).
@@ -237,7 +254,7 @@ impl Trainer {
     fn begin_step(&mut self, step: u32) {
         let scale = self.schedule().stage(step).map_or(1.0, |s| s.image_scale);
         if scale != self.images.scale() {
-            self.images = ImageCache::new(self.options.image_bytes, scale);
+            self.images = Arc::new(ImageCache::new(self.options.image_bytes, scale));
         }
         if self.schedule().position(step).fresh {
             self.model.visit_mut(&mut Param::clear_moments);
@@ -250,9 +267,13 @@ impl Trainer {
     fn learn(&mut self, step: u32) -> Result<(ViewLoss, Vec<LossValue>, String), TrainError> {
         let dataset = self.dataset.clone();
         let batch = self.schedule().batch;
+        let view_of = |draw| &dataset.train[self.order.view(self.model.schedule(), draw)];
+        let views: Vec<(u32, &View)> = ((step - 1) * batch + 1..=step * batch).map(|d| (d, view_of(d))).collect();
+        for draw in step * batch + 1..=(step + 1) * batch {
+            self.prefetch.request(&self.images, view_of(draw));
+        }
         let (mut sum, mut penalties, mut names) = (ViewLoss::default(), Vec::new(), Vec::new());
-        for draw in (step - 1) * batch + 1..=step * batch {
-            let view = &dataset.train[self.order.view(self.model.schedule(), draw)];
+        for (draw, view) in views {
             let (loss, terms) = self.learn_view(view, step, draw, batch)?;
             self.check_finite(&loss, step, view)?;
             sum.add(&loss, f64::from(batch));

@@ -73,6 +73,11 @@ impl ImageCache {
         if self.scale < 1.0 { v.camera.scaled(self.scale) } else { v.camera.clone() }
     }
 
+    /// Whether any decoded image is kept.
+    pub fn keeps_images(&self) -> bool {
+        self.max_bytes > 0
+    }
+
     /// Bytes held now.
     pub fn bytes(&self) -> usize {
         self.lock().bytes

@@ -8,6 +8,7 @@
 
 use crate::schedule::Schedule;
 use gs_core::Rng;
+use std::cell::Cell;
 
 /// Where views are taken from.
 #[derive(Clone, Copy, Debug)]
@@ -29,6 +30,8 @@ pub struct ViewOrder {
     times: Vec<f32>,
     /// The same, ascending.
     sorted: Vec<f32>,
+    /// Number and begin of the pool the last view came from: where the search for the next one starts.
+    last: Cell<(u32, u32)>,
 }
 
 impl ViewOrder {
@@ -36,17 +39,19 @@ impl ViewOrder {
     pub fn new(seed: u64, times: Vec<f32>) -> Self {
         let mut sorted = times.clone();
         sorted.sort_by(f32::total_cmp);
-        Self { seed, times, sorted }
+        Self { seed, times, sorted, last: Cell::default() }
     }
 
     /// Index of the view drawn as number `draw` (from 1) of a run.
     pub fn view(&self, schedule: &Schedule, draw: u32) -> usize {
-        let (mut epoch, mut begin) = (0, 0);
+        let last = self.last.get();
+        let (mut epoch, mut begin) = if draw > last.1 { last } else { (0, 0) };
         loop {
             let pool = self.pool(schedule, begin + 1);
             let views = self.sorted.partition_point(|&t| t <= pool.to + SLACK).max(1);
             let end = (begin + views as u32).min(pool.until);
             if draw <= end {
+                self.last.set((epoch, begin));
                 let at = (draw - begin - 1) as usize;
                 let chosen = Rng::new(self.seed, "view-order", epoch, 0).permutation(views)[at] as usize;
                 return self.nth_within(pool.to, chosen);
