@@ -53,14 +53,14 @@ pub fn builtin(name: &str) -> Option<Character> {
     }
 }
 
-/// A filmed person.
+/// A filmed person: rigged template, pose and inputs of every frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AvatarScene {
     /// Template, skeleton and motions.
     pub character: Character,
     /// How joint transforms are blended: linearly or as dual quaternions.
     pub skinning: Skinning,
-    /// Frames per second.
+    /// Frames per second of film and motions.
     pub fps: f64,
     /// Frames that have inputs, ascending in time; at least one.
     pub frames: Vec<AvatarFrame>,

@@ -96,7 +96,7 @@ pub enum DataError {
     /// The file is not what its format demands.
     #[error("{place}: {message}")]
     Syntax {
-        /// File and position.
+        /// File and position of the first error.
         place: Place,
         /// What the parser found there.
         message: String,
@@ -104,7 +104,7 @@ pub enum DataError {
     /// A binary file ends early.
     #[error("{place}: {needed} more bytes are needed, {present} are left")]
     Truncated {
-        /// File and offset.
+        /// File and byte offset at which it ends.
         place: Place,
         /// Bytes the record needs (or the least a count implies).
         needed: u64,
@@ -126,7 +126,7 @@ pub enum DataError {
     /// A pose is not a rotation and a translation.
     #[error("{} has no rotation: {what}", .place.at)]
     Pose {
-        /// File and matrix.
+        /// File and field of the matrix or quaternion.
         place: Place,
         /// Measured deviation: lengths, determinant or dot product.
         what: String,
@@ -136,7 +136,7 @@ pub enum DataError {
     Time {
         /// File and field.
         place: Place,
-        /// Name of the frame.
+        /// Name of the frame's view.
         frame: String,
         /// The stated time, in the data's units.
         value: f64,
@@ -152,7 +152,7 @@ pub enum DataError {
         listed_in: PathBuf,
         /// Every missing file, relative to the data folder.
         missing: Vec<PathBuf>,
-        /// Images listed in total.
+        /// Number of images the file lists.
         total: usize,
     },
     /// Videos whose frames have not been extracted.
@@ -176,7 +176,7 @@ pub enum DataError {
     /// A camera model without a reader.
     #[error("camera model {model} is not supported")]
     CameraModel {
-        /// File and camera.
+        /// File and row or field of the camera.
         place: Place,
         /// Name or number of the model, or the coefficients that are not supported.
         model: String,
@@ -184,7 +184,7 @@ pub enum DataError {
     /// An image that cannot be decoded.
     #[error("cannot decode {}: {message}", .file.display())]
     Decode {
-        /// Path of the file.
+        /// Path of the image.
         file: PathBuf,
         /// Message of the decoder.
         message: String,
@@ -208,11 +208,11 @@ pub enum DataError {
     /// An image whose size is not that of its camera.
     #[error("{} is {}x{}, its camera is {}x{}", .file.display(), .got[0], .got[1], .want[0], .want[1])]
     ImageSize {
-        /// Path of the file.
+        /// Path of the image or mask.
         file: PathBuf,
-        /// Width and height of the image.
+        /// Width and height of the image, pixels.
         got: [u32; 2],
-        /// Width and height of the camera.
+        /// Width and height that the camera states, pixels.
         want: [u32; 2],
     },
     /// No training view is left.

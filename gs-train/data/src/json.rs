@@ -27,7 +27,7 @@ const FIX: &str = "export the file again";
 /// Shortest possible frame: a 4×4 matrix alone has 41 characters.
 const MIN_FRAME_BYTES: usize = 41;
 
-/// A parsed file.
+/// A parsed `transforms*.json`: scalars, frames and lists of file names.
 pub(crate) struct Document<'a> {
     file: &'a Path,
     top: Map<String, Value>,
@@ -174,7 +174,7 @@ impl<'de> Visitor<'de> for TopVisitor {
     }
 }
 
-/// A list kept as slices, of at most so many entries.
+/// Visitor of a list of at most this many entries, kept as slices.
 struct List(usize);
 
 impl<'de> serde::de::DeserializeSeed<'de> for List {
@@ -212,7 +212,7 @@ pub(crate) struct Fields<'a> {
 }
 
 impl<'a> Fields<'a> {
-    /// The fields of `map`, which stands at `prefix` (empty: the whole file).
+    /// The fields of `map`, at the JSON path `prefix` (empty: the whole file).
     pub(crate) fn new(file: &'a Path, prefix: impl Into<String>, map: &'a Map<String, Value>) -> Self {
         Self { file, prefix: prefix.into(), map: Cow::Borrowed(map) }
     }
@@ -239,7 +239,7 @@ impl<'a> Fields<'a> {
     /// # Errors
     /// `data.field` if it is not.
     pub(crate) fn required_number(&self, key: &str) -> Result<f64, DataError> {
-        self.number(key)?.ok_or_else(|| self.fault(key, "missing", "the layout demands this number", "add the field"))
+        self.number(key)?.ok_or_else(|| self.fault(key, "missing", "the layout requires this number", "add the field"))
     }
 
     /// A list of exactly `N` finite numbers, if the field is there.

@@ -249,7 +249,7 @@ pub struct Dataset {
 
 impl Dataset {
     /// Reads a folder with the layout named in the options, else with the one that [`detect`] finds. Options that are not set
-    /// are taken from the folder's `scene.toml`, where it is there. No image is decoded: only headers are read.
+    /// are taken from the folder's `scene.toml`, if it exists. No image is decoded: only headers are read.
     ///
     /// # Errors
     /// `data.path` if there is no folder, `data.layout` if no reader recognises it, `data.option` for an option out of its

@@ -20,7 +20,7 @@ pub struct SynthScene {
     pub bodies: fn() -> Vec<Body>,
 }
 
-/// All scenes.
+/// All scenes that [`super::generate`] knows.
 pub const SCENES: &[SynthScene] = &[
     SynthScene {
         name: "balls",

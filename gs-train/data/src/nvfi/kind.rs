@@ -19,9 +19,9 @@ const MIN_FRAME_BYTES: usize = 41;
 /// The form of a folder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
-    /// Frames by camera.
+    /// `data`: an object of cameras with their frames.
     Nested,
-    /// Frames one by one.
+    /// `frames`: a list, as in D-NeRF.
     Flat,
     /// Frames one by one, with label maps.
     Labelled,

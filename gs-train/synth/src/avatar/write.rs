@@ -69,7 +69,7 @@ fn copy_template(dir: &Path, template: &str) -> Result<String, DataError> {
     let name = if binary { "actor.glb" } else { "actor.gltf" };
     let to = dir.join(name);
     std::fs::write(&to, &bytes).map_err(|e| DataError::write(&to, e))?;
-    // A GLB's JSON chunk stands behind 20 bytes of headers (glTF 2.0, 4.4); its length is at byte 12.
+    // A GLB's JSON chunk follows 20 bytes of headers (glTF 2.0, 4.4); its length is at byte 12.
     let length = || bytes.get(12..16).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]) as usize);
     let text = if binary { length().and_then(|n| bytes.get(20..20 + n)).unwrap_or_default() } else { &bytes[..] };
     let gltf: Value = serde_json::from_slice(text).map_err(|e| DataError::syntax(from, "", e.to_string()))?;
