@@ -1,7 +1,8 @@
-//! A filmed person: the character, where its joints are in every frame, and what the conditioning cameras saw of it.
+//! A filmed person: the rigged template, its pose in every frame, and the images of the conditioning cameras.
 //!
-//! A data set of the layout `avatar` (or made by gs-synth) carries one in
-//! [`Dataset::avatar`](crate::Dataset::avatar). A method finds its frame by time: [`AvatarScene::frame_at`].
+//! A data set of the layout `avatar` (or made by gs-synth) has one in
+//! [`Dataset::avatar`](crate::Dataset::avatar). [`AvatarScene::frame_at`] finds a frame by time. Template vertices are `N` rows,
+//! lengths are metres.
 
 use crate::avatar::layout::points;
 use crate::{DataError, ImageCache, ImageU8, View};
@@ -16,11 +17,11 @@ use std::sync::Arc;
 pub mod layout;
 pub mod sample;
 
-/// What images and poses make of morph targets.
+/// How images and poses of a film treat morph targets.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Morphs {
-    /// Images show them, poses are at rest: their offsets are to be found.
+    /// Images show them, poses are at rest: a method has to estimate their offsets.
     #[default]
     Gt,
     /// Images show them and poses state their weights.
@@ -29,12 +30,19 @@ pub enum Morphs {
     Ignore,
 }
 
-/// What names of characters that need no file begin with.
+/// Prefix of the names of characters that need no file.
 pub const BUILTIN: &str = "builtin:";
-/// Names of characters that need no file.
+/// The names of characters that need no file, for error texts.
 pub const BUILTINS: &str = "builtin:person, builtin:sphere, builtin:cylinder or builtin:plate";
 
-/// The character that needs no file, by its name without [`BUILTIN`].
+/// A character that needs no file, by its name without [`BUILTIN`]; none for an unknown name.
+///
+/// ```
+/// use gs_data::avatar::builtin;
+///
+/// assert!(builtin("person").is_some_and(|c| c.skeleton.node("head").is_some()));
+/// assert!(builtin("tail").is_none());
+/// ```
 pub fn builtin(name: &str) -> Option<Character> {
     match name {
         "person" => Some(figure::person()),
@@ -45,68 +53,68 @@ pub fn builtin(name: &str) -> Option<Character> {
     }
 }
 
-/// A filmed person.
+/// A filmed person: rigged template, pose and inputs of every frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AvatarScene {
-    /// Its template, skeleton and motions.
+    /// Template, skeleton and motions.
     pub character: Character,
-    /// How joints are blended.
+    /// How joint transforms are blended: linearly or as dual quaternions.
     pub skinning: Skinning,
-    /// Frames per second.
+    /// Frames per second of film and motions.
     pub fps: f64,
-    /// At least one, ascending in time.
+    /// Frames that have inputs, ascending in time; at least one.
     pub frames: Vec<AvatarFrame>,
 }
 
-/// A moment of a filmed person.
+/// A frame of a filmed person.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AvatarFrame {
-    /// Its number; it was filmed at `number / fps` seconds.
+    /// Number of the frame, at `number / fps` seconds.
     pub number: u32,
-    /// The moment, on the clock of the data set's views.
+    /// Timestamp, on the clock of the data set's views.
     pub time: Time,
-    /// Whether training views show it: what is learnt of all frames at once leaves out the others.
+    /// Whether training views have this timestamp. Statistics over frames must leave out the others.
     pub learnt: bool,
-    /// Where the joints are, and the weights of the morphs as far as they are known: what a method may use.
+    /// Joint transforms, and morph weights as far as they are known: what a method may use.
     pub pose: Pose,
-    /// What the conditioning cameras saw, in order of their ids: RGBA, alpha is coverage. At least one.
+    /// Views of the conditioning cameras, ascending in id: RGBA, alpha is coverage. At least one.
     pub inputs: Vec<View>,
-    /// Points of the true surface, where the data bring them along.
+    /// Points of the true surface, where the data have them.
     pub points: Option<SurfacePoints>,
-    /// The weights of the morphs that the images show, where they are known: truth to compare with, not to learn from.
+    /// Morph weights that the images show, where they are known: ground truth for evaluation, not for training.
     pub true_morphs: Option<Vec<f32>>,
 }
 
-/// Points of a surface.
+/// Points of a surface, in a file or in memory.
 #[derive(Clone, Debug, PartialEq)]
 pub enum SurfacePoints {
-    /// A file of them.
+    /// Path of a `.ply`, `.obj` or `.bin` file.
     File(PathBuf),
-    /// The points themselves.
+    /// Points in memory, shared.
     Memory(Arc<MeasuredPoints>),
 }
 
-/// Points of a surface, and what they look like.
+/// Points of a surface with optional colours.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct MeasuredPoints {
-    /// World units.
+    /// Positions, world units.
     pub positions: Vec<Vec3>,
-    /// Display-encoded RGB in 0..1, one per position, where they were measured.
+    /// Display-encoded RGB in 0..1, one row per position, where they were measured.
     pub colors: Option<Vec<[f32; 3]>>,
 }
 
 impl MeasuredPoints {
     /// Points of unknown colour.
-    pub fn uncoloured(positions: Vec<Vec3>) -> Self {
+    pub(crate) fn uncoloured(positions: Vec<Vec3>) -> Self {
         Self { positions, colors: None }
     }
 }
 
 impl SurfacePoints {
-    /// The points.
+    /// The points, read from the file if they are in one.
     ///
     /// # Errors
-    /// As reading the file goes.
+    /// `data.points`, `data.syntax` or `data.truncated` if the file is damaged, `io.read` if it cannot be read.
     pub fn read(&self) -> Result<Arc<MeasuredPoints>, DataError> {
         match self {
             Self::Memory(points) => Ok(points.clone()),
@@ -116,10 +124,10 @@ impl SurfacePoints {
 }
 
 impl AvatarScene {
-    /// The frame nearest to a normalised time; of two equally near the earlier.
+    /// The frame nearest in normalised time; of two equally near ones the earlier.
     ///
     /// # Panics
-    /// Never for a scene with a frame, which every reader and generator gives.
+    /// If [`Self::frames`] is empty; readers and generators give at least one frame.
     pub fn frame_at(&self, t: Time) -> &AvatarFrame {
         let after = self.frames.partition_point(|f| f.time.normalised < t.normalised);
         let next = after.min(self.frames.len() - 1);
@@ -128,29 +136,30 @@ impl AvatarScene {
         &self.frames[if away(before) <= away(next) { before } else { next }]
     }
 
-    /// The template in the world at a frame's pose, `N` rows: what is known without looking at the images.
+    /// Template vertices at a frame's pose, world units, `N` rows: what is known without the images.
     pub fn posed(&self, frame: &AvatarFrame) -> Vec<Vec3> {
         self.character.posed(&frame.pose, self.skinning)
     }
 
-    /// `D`: the offsets in the bind pose that the images show and the pose does not explain, `N` rows, where they are known.
+    /// True offsets `D` of the template vertices in the bind pose, beyond those of the pose's morph weights, `N` rows; none where
+    /// they are not known.
     pub fn true_offsets(&self, frame: &AvatarFrame) -> Option<Vec<Vec3>> {
         let shown = self.character.template.morphed(frame.true_morphs.as_ref()?);
         let known = self.character.template.morphed(&frame.pose.morphs);
         Some(shown.iter().zip(known).map(|(&s, k)| s - k).collect())
     }
 
-    /// The surface that the images show, in the world, `N` rows: [`Self::posed`] where no other truth is known.
+    /// True vertices at a frame, world units, `N` rows: [`Self::posed`] with the true morph weights, where they are known.
     pub fn true_surface(&self, frame: &AvatarFrame) -> Vec<Vec3> {
         let morphs = frame.true_morphs.as_ref().unwrap_or(&frame.pose.morphs).clone();
         self.character.posed(&Pose { morphs, ..frame.pose.clone() }, self.skinning)
     }
 
-    /// Colour and coverage of an input, of the size of its camera: the mask gives alpha where there is one, colour is zero
-    /// where nothing is.
+    /// Colour and coverage of an input view, at the size of its camera: RGBA, straight alpha. A mask multiplies alpha; colour is 0
+    /// where alpha is.
     ///
     /// # Errors
-    /// As decoding goes.
+    /// Those of [`ImageCache::get`] and [`ImageCache::mask`].
     pub fn input_pixels(view: &View, cache: &ImageCache) -> Result<Arc<ImageU8>, DataError> {
         let image = cache.get(view)?;
         let Some(mask) = cache.mask(view)? else { return Ok(image) };
@@ -164,10 +173,10 @@ impl AvatarScene {
         Ok(Arc::new(cut))
     }
 
-    /// Inputs decoded, with their cameras: straight colours in 0..1, the fourth channel is coverage.
+    /// The images of input views with their cameras: `[H, W, 4]` in 0..1, straight colours and coverage.
     ///
     /// # Errors
-    /// As decoding goes.
+    /// Those of [`Self::input_pixels`].
     pub fn photographs(inputs: &[View], cache: &ImageCache) -> Result<Vec<(Camera, Image)>, DataError> {
         let decoded = |view| {
             let ImageU8 { width, height, data } = &*Self::input_pixels(view, cache)?;
@@ -182,7 +191,7 @@ impl AvatarScene {
         self.frames.first().map_or(0, |f| f.inputs.len())
     }
 
-    /// Every view of every frame's inputs, to be changed.
+    /// The input views of all frames, mutable.
     pub(crate) fn inputs_mut(&mut self) -> impl Iterator<Item = &mut View> {
         self.frames.iter_mut().flat_map(|f| &mut f.inputs)
     }

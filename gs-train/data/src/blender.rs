@@ -4,7 +4,7 @@
 //! `transform_matrix` (camera to world, OpenGL axes) and, for moving scenes, `time`, which D-NeRF keeps in 0..1. The
 //! principal point is the centre, pixels are square: `f = W / (2 tan(angle / 2))`. `val` and `test` may be absent.
 //!
-//! Folders whose test views are all later than the training views, or whose `scene.toml` states a boundary, are [`super::nvfi`]'s.
+//! Folders whose test views are all later than the training views, or whose `scene.toml` states a boundary, are read by [`super::nvfi`].
 
 use std::path::Path;
 
@@ -29,7 +29,7 @@ pub(crate) const LAYOUT: Layout = Layout {
     open,
 };
 
-/// Half the side of the cube that holds the scene (Kerbl et al. 2023, random initialisation of Blender scenes).
+/// Half side of the scene box (Kerbl et al. 2023, random initialisation of Blender scenes).
 const HALF_SIDE: f32 = 1.3;
 
 fn probe(dir: &Path) -> Option<Confidence> {
@@ -39,7 +39,7 @@ fn probe(dir: &Path) -> Option<Confidence> {
 /// Reads a scene.
 ///
 /// # Errors
-/// See [`DataError`]; every fault names file and field.
+/// See [`DataError`]; every error names file and field.
 fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     let root = Root::new(dir)?;
     let mut notes = Vec::new();
@@ -72,7 +72,7 @@ struct SplitRead {
     has_alpha: bool,
 }
 
-/// What a frame states beside its image.
+/// Fields of a frame beside its image.
 pub(super) struct Frame {
     pub(super) pose: Pose,
     pub(super) time: Option<f64>,
@@ -115,7 +115,7 @@ pub(super) fn field_of_view(top: &Fields) -> Result<f64, DataError> {
     }
 }
 
-/// A frame whose image stands in the field `image`.
+/// Reads a frame whose image is named in the field `image`.
 pub(super) fn read_frame(root: &Root, frame: &Fields, image: &str) -> Result<Listed<Frame>, DataError> {
     let (shown, path) = locate(root, frame.required_text(image)?, &frame.place(image))?;
     let place = frame.place("transform_matrix");

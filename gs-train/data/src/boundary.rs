@@ -1,8 +1,8 @@
-//! The boundary between the past, which may be learnt from, and the future, which is to be foretold.
+//! The boundary between past and future: views up to it may train, later ones measure extrapolation.
 //!
-//! With `data.time_boundary = b` the whole sequence, from its first time `T₀` to its last `T₁`, becomes 0..1. Views at
-//! `t ≤ T₀ + b (T₁ − T₀)` keep their split; all later ones, of every camera and split, are the future. So training views
-//! seen beyond the boundary are scored, too: averages are over seen and unseen cameras (Li et al., NVFi, 2023).
+//! With `data.time_boundary = b` the whole sequence, from its first time `T₀` to its last `T₁`, is mapped to 0..1. Views at
+//! `t ≤ T₀ + b (T₁ − T₀)` keep their split; all later ones, of every camera and split, are the future. Views of
+//! training cameras beyond the boundary are scored, too: averages are over seen and unseen cameras (Li et al., NVFi, 2023).
 
 use std::collections::HashSet;
 
@@ -10,18 +10,18 @@ use super::error::DataError;
 use super::options::{DataOptions, TimeRange};
 use super::times::{Draft, Drafts, SLACK, span_of};
 
-/// What lies beyond the boundary.
+/// The part of a sequence that is later than the boundary.
 pub(crate) struct Future {
     /// The whole sequence, in the data's own times.
     pub(crate) whole: TimeRange,
-    /// Its views later than the boundary: those of training cameras first.
+    /// Views later than the boundary, those of training cameras first.
     pub(crate) beyond: Vec<Draft>,
 }
 
-/// Takes the future out of the splits; none without a boundary.
+/// Moves later views out of the splits; none without a boundary.
 ///
 /// # Errors
-/// `data.option` if the boundary is no share, the scene stands still, or no training view or no future is left.
+/// `data.option` if the boundary is not in (0, 1], the scene is static, or no training view or no later view is left.
 pub(crate) fn cut(
     mut drafts: Drafts,
     options: &DataOptions,
@@ -64,7 +64,7 @@ pub(crate) fn cut(
     Ok((drafts, Some(Future { whole, beyond: renamed(beyond) })))
 }
 
-/// Views of several splits side by side: where names repeat, that of the split goes before them.
+/// Views of several splits in one list: where names repeat, all get their split as a prefix.
 fn renamed(mut beyond: Vec<(&str, Draft)>) -> Vec<Draft> {
     let names: HashSet<&str> = beyond.iter().map(|(_, d)| d.view.name.as_str()).collect();
     if names.len() < beyond.len() {

@@ -1,4 +1,4 @@
-//! Decoded images on demand: 8 bit RGBA, shared, the least recently used dropped first when the bound is reached.
+//! Images decoded on demand: 8-bit RGBA, shared; the least recently used is dropped first when the bound is reached.
 
 use std::collections::HashMap;
 use std::path::PathBuf;
@@ -13,8 +13,25 @@ use super::mask;
 use super::pixels::ImageU8;
 use super::{ImageSource, View};
 
-/// Lazily decoded images, bounded by bytes. May be shared by threads; decoding happens outside the lock, so several
+/// Decodes images on demand and keeps the most recently used ones, bounded by bytes.
+///
+/// What it gives is the image the view's pinhole camera would have taken: alpha and mask applied as the view says, lens distortion
+/// removed, shrunk to the size of [`Self::camera`]. Threads may share one; decoding happens outside the lock, so several
 /// threads decode several images at once (and, at worst, one image twice with the same result).
+///
+/// ```
+/// # use gs_core::{Camera, Time};
+/// use gs_data::{ImageCache, ImageSource, ImageU8, View};
+///
+/// # let camera = Camera::look_at(2, 2, 0.7, glam::DVec3::Z * 4.0, glam::DVec3::ZERO, glam::DVec3::Y)?;
+/// let columns = [[255, 0, 0, 255], [0, 0, 255, 0]]; // opaque red, transparent blue
+/// let image = ImageU8 { width: 2, height: 2, data: [columns, columns].concat().concat() };
+/// let view = View::new("r_000", camera, Time::default(), ImageSource::Memory(image.into()), 0);
+/// let half = ImageCache::new(1 << 20, 0.5); // averages premultiplied colour over 2×2 pixels
+/// assert_eq!((half.camera(&view).width, half.get(&view)?.pixel(0, 0)), (1, [255, 0, 0, 128]));
+/// assert_eq!((half.decoded(), half.bytes()), (1, 4));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug)]
 pub struct ImageCache {
     max_bytes: usize,
@@ -34,12 +51,12 @@ struct Held {
 #[derive(Debug)]
 struct Entry {
     image: Arc<ImageU8>,
-    /// Keeps an image in memory alive, so that no other can take the address that names it.
+    /// Keeps an image in memory alive, so that no other can get the address that is its key.
     _source: ImageSource,
     last_use: u64,
 }
 
-/// What an image depends on: its file or memory, the bits of camera and lens when it is resampled, and whether alpha and the mask count.
+/// What the pixels depend on: file or address, the bits of camera and lens where it is resampled, and whether alpha and the mask count.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 struct Key {
     file: PathBuf,
@@ -50,25 +67,25 @@ struct Key {
 }
 
 impl ImageCache {
-    /// A cache of at most `max_bytes` (0: keep nothing). `scale` in `(0, 1]` shrinks every image by area averaging of
-    /// premultiplied colour; outside that range it is taken as 1.
+    /// A cache of at most `max_bytes` of pixels (0 keeps nothing). `scale` in `(0, 1]` shrinks every image by area averaging of
+    /// premultiplied colour; a value outside that range counts as 1.
     pub fn new(max_bytes: usize, scale: f64) -> Self {
         let scale = if scale > 0.0 && scale < 1.0 { scale } else { 1.0 };
         Self { max_bytes, max_image_bytes: None, scale, held: Mutex::default() }
     }
 
-    /// Bounds the memory of decoding one image (`data.max_image_mib`); none: 64 MiB plus eight times its file.
+    /// Bounds the memory for decoding one image, in MiB (`data.max_image_mib`); none: 64 MiB plus eight times its file.
     pub fn with_max_image_mib(mut self, mib: Option<u32>) -> Self {
         self.max_image_bytes = mib.map(|m| u64::from(m) << 20);
         self
     }
 
-    /// The scale of the images given.
+    /// Factor on the size of every image, in (0, 1].
     pub fn scale(&self) -> f64 {
         self.scale
     }
 
-    /// The camera of the images given for a view: [`View::camera`], scaled.
+    /// The camera of the image that [`Self::get`] gives for a view: [`View::camera`] at [`Self::scale`].
     pub fn camera(&self, v: &View) -> Camera {
         if self.scale < 1.0 { v.camera.scaled(self.scale) } else { v.camera.clone() }
     }
@@ -78,21 +95,21 @@ impl ImageCache {
         self.max_bytes > 0
     }
 
-    /// Bytes held now.
+    /// Bytes of pixels that are kept at present.
     pub fn bytes(&self) -> usize {
         self.lock().bytes
     }
 
-    /// How many images were decoded so far.
+    /// Number of images decoded so far, repeats included.
     pub fn decoded(&self) -> u64 {
         self.lock().decoded
     }
 
-    /// The image of a view, of the size of [`Self::camera`].
+    /// The ground-truth image of a view, at the size of [`Self::camera`]: RGBA, straight alpha.
     ///
     /// # Errors
-    /// `data.image`, `limits.file` or `io.read` as decoding goes, `data.image_size` if the file's size is not the
-    /// camera's.
+    /// `data.image`, `limits.file` or `io.read` where decoding fails, `data.image_size` if the size of the file is not that of
+    /// the camera.
     pub fn get(&self, v: &View) -> Result<Arc<ImageU8>, DataError> {
         if let (ImageSource::Memory(image), None) = (&v.image, v.lens)
             && self.scale == 1.0
@@ -112,8 +129,8 @@ impl ImageCache {
         Ok(image)
     }
 
-    /// The weights of a view's mask, `[H, W, 1]` in 0..1, of the size of [`Self::camera`]; none without a mask. Masks are
-    /// read for scores, once per view: they are not kept.
+    /// The weights of a view's mask, `[H, W, 1]` in 0..1, at the size of [`Self::camera`]; none without a mask. Masks are
+    /// read once per view, for scores, and not kept.
     ///
     /// # Errors
     /// As [`Self::get`], for the mask's file.
@@ -158,7 +175,7 @@ impl ImageCache {
         Ok(image)
     }
 
-    /// No code under the lock panics; a poisoned lock would still guard whole data.
+    /// No code under the lock panics; data behind a poisoned lock would still be consistent.
     fn lock(&self) -> MutexGuard<'_, Held> {
         self.held.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -186,7 +203,7 @@ impl Held {
         self.images.insert(key, Entry { image: image.clone(), _source: v.image.clone(), last_use: self.clock });
     }
 
-    /// A linear scan: it costs nothing beside the decoding that made it necessary.
+    /// A linear scan: its cost is small beside the decoding that made it necessary.
     fn drop_oldest(&mut self) {
         let oldest = self.images.iter().min_by_key(|(_, e)| e.last_use).map(|(k, _)| k.clone());
         if let Some(entry) = oldest.and_then(|k| self.images.remove(&k)) {

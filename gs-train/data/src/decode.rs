@@ -1,4 +1,4 @@
-//! Decoding PNG and JPEG under a memory limit, into one buffer that becomes the RGBA image.
+//! PNG and JPEG to 8-bit RGBA under a memory limit, in one buffer.
 
 use std::fs::File;
 use std::io::BufReader;
@@ -12,20 +12,31 @@ use super::error::{DataError, Place};
 use super::header::{self, Format, ImageHeader};
 use super::pixels::ImageU8;
 
-/// Every image may take this much, however small its file.
-const FREE_BYTES: u64 = 64 << 20;
-/// Beyond that, bytes in memory per byte of file.
+/// Memory that every image may take, whatever the size of its file.
+const BASE_BYTES: u64 = 64 << 20;
+/// Additional bytes in memory per byte of file.
 const BYTES_PER_FILE_BYTE: u64 = 8;
 
-/// Decodes a file. `max_bytes` bounds the memory of decoding; none: 64 MiB plus eight times the size of the file.
+/// Decodes a PNG (1 to 16 bit) or JPEG file to 8-bit RGBA; grey is repeated, missing alpha is 255. `max_bytes` bounds the memory
+/// of decoding; none: 64 MiB plus eight times the size of the file.
+///
+/// ```
+/// # let folder = tempfile::tempdir()?;
+/// let file = folder.path().join("grey.png");
+/// image::GrayImage::from_pixel(3, 2, image::Luma([7])).save(&file)?;
+/// let image = gs_data::decode::decode(&file, None)?;
+/// assert_eq!((image.width, image.height, image.pixel(2, 1)), (3, 2, [7, 7, 7, 255]));
+/// assert_eq!(gs_data::decode::decode(&file, Some(4)).unwrap_err().code(), "limits.file");
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 ///
 /// # Errors
-/// `data.image` if the file is damaged, `limits.file` beyond the limit, `io.read` if it cannot be read.
+/// `data.image` if the file is damaged or neither PNG nor JPEG, `limits.file` beyond the limit, `io.read` if it cannot be read.
 pub fn decode(file: &Path, max_bytes: Option<u64>) -> Result<ImageU8, DataError> {
     let header = header::read(file)?;
     let open = File::open(file).map_err(|e| DataError::read(file, e))?;
     let file_bytes = open.metadata().map_err(|e| DataError::read(file, e))?.len();
-    let limit = max_bytes.unwrap_or(FREE_BYTES.saturating_add(file_bytes.saturating_mul(BYTES_PER_FILE_BYTE)));
+    let limit = max_bytes.unwrap_or(BASE_BYTES.saturating_add(file_bytes.saturating_mul(BYTES_PER_FILE_BYTE)));
     check_size(file, &header, limit)?;
     let mut limits = Limits::default();
     limits.max_image_width = Some(MAX_SIDE);

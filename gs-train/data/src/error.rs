@@ -1,12 +1,4 @@
-//! What can be wrong with a data set: what, where, why it matters, what to do.
-//!
-//! `Display` is the headline alone; [`DataError::report`] is the whole text the command line prints:
-//! ```text
-//! error[data.time]: frame "r_017" has time 1.3, the other 149 lie in 0..1
-//!   in   transforms_train.json, frames[17].time
-//!   why  outside the training span it would train the extrapolation range
-//!   do   fix the file, or pass --set data.time_range=0..1.3
-//! ```
+//! Errors of readers: what is wrong, where, why it matters, what to do.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -14,14 +6,14 @@ use std::path::{Path, PathBuf};
 use super::options::TimeRange;
 
 /// Missing files are named one by one up to this many, then counted.
-pub const MISSING_NAMED: usize = 20;
+const MISSING_NAMED: usize = 20;
 
 /// Where in the data: the file, and inside it a JSON path, row or byte offset (empty: the whole file).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Place {
-    /// The file.
+    /// Path of the file.
     pub file: PathBuf,
-    /// For example `frames[17].time`, `images, row 3` or `byte 120`.
+    /// Position inside it, for example `frames[17].time`, `images, row 3` or `byte 120`.
     pub at: String,
 }
 
@@ -39,7 +31,20 @@ impl fmt::Display for Place {
     }
 }
 
-/// Why a data set cannot be used.
+/// Why a data set cannot be used: what is wrong, where, why it matters and what to do.
+///
+/// `Display` is the headline alone; [`Self::report`] is the text that the command line prints. [`Self::code`] is stable.
+///
+/// ```
+/// use gs_data::{DataOptions, Dataset};
+///
+/// let e = Dataset::open("no/such/folder".as_ref(), &DataOptions::default()).unwrap_err();
+/// assert_eq!(e.code(), "data.path");
+/// assert_eq!(
+///     e.report(),
+///     "error[data.path]: there is no folder no/such/folder\n  why  without it there is nothing to read\n  do   check the path"
+/// );
+/// ```
 #[derive(Debug, thiserror::Error)]
 pub enum DataError {
     /// The folder does not exist or is no folder.
@@ -48,34 +53,34 @@ pub enum DataError {
         /// The folder asked for.
         path: PathBuf,
     },
-    /// No reader knows this folder, or the one asked for does not exist.
+    /// No reader recognises the folder, or there is no reader of the name asked for.
     #[error("no known data layout in {} ({looked_for})", .path.display())]
     Layout {
-        /// The folder.
+        /// The folder asked for.
         path: PathBuf,
-        /// What was looked for.
+        /// Names of the layouts tried, or the unknown name.
         looked_for: String,
     },
     /// The operating system refused a read.
     #[error("cannot read {}: {source}", .file.display())]
     Read {
-        /// The file.
+        /// Path of the file.
         file: PathBuf,
-        /// The operating system's answer.
+        /// Error of the operating system.
         source: std::io::Error,
     },
     /// The operating system refused a write.
     #[error("cannot write {}: {source}", .file.display())]
     Write {
-        /// The file.
+        /// Path of the file.
         file: PathBuf,
-        /// The operating system's answer.
+        /// Error of the operating system.
         source: std::io::Error,
     },
     /// The target folder holds files already.
     #[error("{} is not empty", .path.display())]
     Occupied {
-        /// The folder.
+        /// Folder or file that exists.
         path: PathBuf,
     },
     /// A file is larger than its reader accepts.
@@ -85,45 +90,45 @@ pub enum DataError {
         place: Place,
         /// Bytes it has or would need.
         bytes: u64,
-        /// Bytes allowed.
+        /// Most bytes allowed.
         limit: u64,
     },
     /// The file is not what its format demands.
     #[error("{place}: {message}")]
     Syntax {
-        /// File and position.
+        /// File and position of the first error.
         place: Place,
-        /// What the parser met.
+        /// What the parser found there.
         message: String,
     },
     /// A binary file ends early.
     #[error("{place}: {needed} more bytes are needed, {present} are left")]
     Truncated {
-        /// File and offset.
+        /// File and byte offset at which it ends.
         place: Place,
         /// Bytes the record needs (or the least a count implies).
         needed: u64,
         /// Bytes left in the file.
         present: u64,
     },
-    /// A field is missing, of the wrong kind, not finite or out of its domain.
+    /// A field is missing, has the wrong type, is not finite or out of its domain.
     #[error("{} is {value}", if .place.at.is_empty() { "a field" } else { .place.at.as_str() })]
     Field {
         /// File and field.
         place: Place,
-        /// The value met, `missing` if none.
+        /// The value found, or `missing`.
         value: String,
-        /// What the field must be.
+        /// What the field must be, or why it matters.
         why: &'static str,
-        /// What to do.
+        /// How to correct it.
         fix: &'static str,
     },
     /// A pose is not a rotation and a translation.
     #[error("{} has no rotation: {what}", .place.at)]
     Pose {
-        /// File and matrix.
+        /// File and field of the matrix or quaternion.
         place: Place,
-        /// The measured fault.
+        /// Measured deviation: lengths, determinant or dot product.
         what: String,
     },
     /// A training time lies outside the range.
@@ -131,13 +136,13 @@ pub enum DataError {
     Time {
         /// File and field.
         place: Place,
-        /// Name of the frame.
+        /// Name of the frame's view.
         frame: String,
-        /// Its time.
+        /// The stated time, in the data's units.
         value: f64,
         /// How many training frames lie inside.
         others: usize,
-        /// The range expected.
+        /// The range that training times must lie in.
         range: TimeRange,
     },
     /// Image files that do not exist; all of them, in file order.
@@ -147,15 +152,15 @@ pub enum DataError {
         listed_in: PathBuf,
         /// Every missing file, relative to the data folder.
         missing: Vec<PathBuf>,
-        /// Images listed in total.
+        /// Number of images the file lists.
         total: usize,
     },
-    /// Videos whose frames nobody has extracted.
+    /// Videos whose frames have not been extracted.
     #[error("{} holds {videos} videos without frames", .folder.display())]
     Video {
         /// The data folder.
         folder: PathBuf,
-        /// How many.
+        /// Number of video files.
         videos: usize,
         /// The shell command that extracts them, run in the folder.
         command: String,
@@ -171,43 +176,43 @@ pub enum DataError {
     /// A camera model without a reader.
     #[error("camera model {model} is not supported")]
     CameraModel {
-        /// File and camera.
+        /// File and row or field of the camera.
         place: Place,
-        /// Its name or number.
+        /// Name or number of the model, or the coefficients that are not supported.
         model: String,
     },
     /// An image that cannot be decoded.
     #[error("cannot decode {}: {message}", .file.display())]
     Decode {
-        /// The file.
+        /// Path of the image.
         file: PathBuf,
-        /// The decoder's answer.
+        /// Message of the decoder.
         message: String,
     },
-    /// Start points that cannot be read.
+    /// Initial points that cannot be read.
     #[error("cannot read the points: {source}")]
     Points {
-        /// The file.
+        /// Path of the file.
         file: PathBuf,
-        /// What its reader met.
+        /// Error of the PLY reader.
         source: Box<gs_core::io::IoError>,
     },
-    /// A template that cannot be read.
+    /// The template of a filmed person cannot be read.
     #[error("cannot read the template: {source}")]
     Character {
-        /// The file.
+        /// Path of the file.
         file: PathBuf,
-        /// What its reader met.
+        /// Error of the template's reader.
         source: Box<dyn std::error::Error + Send + Sync>,
     },
     /// An image whose size is not that of its camera.
     #[error("{} is {}x{}, its camera is {}x{}", .file.display(), .got[0], .got[1], .want[0], .want[1])]
     ImageSize {
-        /// The file.
+        /// Path of the image or mask.
         file: PathBuf,
-        /// Width and height of the image.
+        /// Width and height of the image, pixels.
         got: [u32; 2],
-        /// Width and height of the camera.
+        /// Width and height that the camera states, pixels.
         want: [u32; 2],
     },
     /// No training view is left.
@@ -219,11 +224,11 @@ pub enum DataError {
     /// An option, or an argument of a generated scene, outside its domain.
     #[error("{name} = {value} is not possible: {rule}")]
     Option {
-        /// Name of the option.
+        /// Name of the option, for example `data.scale`.
         name: &'static str,
-        /// Value given.
+        /// The value given, as text.
         value: String,
-        /// What it must be.
+        /// The values allowed.
         rule: String,
     },
 }
@@ -236,7 +241,7 @@ fn missing_headline(missing: &[PathBuf], total: usize) -> String {
 }
 
 impl DataError {
-    /// Stable name of the kind of fault.
+    /// Stable name of the kind of error, for example `data.time`.
     pub fn code(&self) -> &'static str {
         match self {
             Self::NotFound { .. } => "data.path",
@@ -263,7 +268,7 @@ impl DataError {
         }
     }
 
-    /// Exit code of the command line: 2 usage, 3 data, 5 limit, 6 input and output.
+    /// Exit code for a command line: 2 usage, 3 data, 5 limit, 6 input and output.
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Option { .. } => 2,
@@ -273,7 +278,7 @@ impl DataError {
         }
     }
 
-    /// File and position, where there is one.
+    /// File and position, where the error has one.
     pub fn place(&self) -> Option<Place> {
         match self {
             Self::TooLarge { place, .. }
@@ -300,7 +305,7 @@ impl DataError {
         }
     }
 
-    /// Why it matters.
+    /// Why the error matters, in one clause.
     pub fn why(&self) -> &'static str {
         match self {
             Self::NotFound { .. } | Self::Read { .. } => "without it there is nothing to read",
@@ -325,7 +330,7 @@ impl DataError {
         }
     }
 
-    /// What to do.
+    /// What to do about it, in one clause.
     pub fn fix(&self) -> String {
         match self {
             Self::NotFound { .. } => "check the path".into(),
@@ -356,13 +361,20 @@ impl DataError {
         }
     }
 
-    /// The whole text: headline, `in`, `why`, `do`.
+    /// The whole text for people, one line each: headline, `in`, `why`, `do`.
+    ///
+    /// ```text
+    /// error[data.time]: frame "r_017" has time 1.3, the other 149 lie in 0..1
+    ///   in   transforms_train.json, frames[17].time
+    ///   why  outside the training span it would train the extrapolation range
+    ///   do   fix the file, or pass --set data.time_range=0..1.3
+    /// ```
     pub fn report(&self) -> String {
         let place = self.place().map_or(String::new(), |p| format!("\n  in   {p}"));
         format!("error[{}]: {self}{place}\n  why  {}\n  do   {}", self.code(), self.why(), self.fix())
     }
 
-    /// A camera whose fields are out of their domain.
+    /// [`Self::Field`] for a camera whose fields are out of their domain.
     pub(crate) fn camera(place: &Place, e: &gs_core::camera::CameraError) -> Self {
         Self::Field {
             place: place.clone(),
@@ -372,18 +384,22 @@ impl DataError {
         }
     }
 
+    /// [`Self::Syntax`] at the position `at` of a file.
     pub fn syntax(file: &Path, at: impl Into<String>, message: impl Into<String>) -> Self {
         Self::Syntax { place: Place::new(file, at), message: message.into() }
     }
 
+    /// [`Self::Read`] of a file.
     pub fn read(file: &Path, source: std::io::Error) -> Self {
         Self::Read { file: file.to_path_buf(), source }
     }
 
+    /// [`Self::Write`] of a file.
     pub fn write(file: &Path, source: std::io::Error) -> Self {
         Self::Write { file: file.to_path_buf(), source }
     }
 
+    /// [`Self::Decode`] of a file.
     pub fn decode(file: &Path, message: impl fmt::Display) -> Self {
         Self::Decode { file: file.to_path_buf(), message: message.to_string() }
     }

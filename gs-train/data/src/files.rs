@@ -6,14 +6,25 @@ use std::path::{Component, Path, PathBuf};
 
 use super::error::{DataError, Place};
 
-/// The data folder: every path a file mentions is resolved here.
+/// A data folder inside which every path that a file mentions is resolved.
+///
+/// ```
+/// use gs_data::{Place, Root};
+///
+/// # let folder = tempfile::tempdir()?;
+/// let root = Root::new(folder.path())?;
+/// let place = Place::new("transforms.json".as_ref(), "frames[0].file_path");
+/// assert!(root.resolve("./images/../r_000.png", &place)?.ends_with("r_000.png"));
+/// assert_eq!(root.resolve("../r_000.png", &place).unwrap_err().code(), "data.escape");
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub struct Root {
     dir: PathBuf,
     canonical: PathBuf,
 }
 
 impl Root {
-    /// The folder `dir`.
+    /// The root at `dir`, an existing folder.
     ///
     /// # Errors
     /// `data.path` if it is no folder.
@@ -24,15 +35,16 @@ impl Root {
         }
     }
 
-    /// The folder as it was given.
+    /// The folder, as it was given to [`Self::new`].
     pub fn dir(&self) -> &Path {
         &self.dir
     }
 
-    /// A path as written in a file, relative to the folder; it need not exist. `..` may be used inside the folder.
+    /// The path that `written`, found at `place` of a file, stands for: relative to the folder, with `/` or `\` between
+    /// names. It need not exist; `..` may be used as long as it stays inside the folder.
     ///
     /// # Errors
-    /// `data.escape` if it is absolute, climbs out, or leads out through a symbolic link.
+    /// `data.escape` if it is absolute, leaves the folder, or leaves it through a symbolic link.
     pub fn resolve(&self, written: &str, place: &Place) -> Result<PathBuf, DataError> {
         let escape = || DataError::Escape { place: place.clone(), path: written.to_string() };
         let unix = written.replace('\\', "/");
@@ -65,7 +77,7 @@ impl Root {
 ///
 /// # Errors
 /// `limits.file` if it is larger, `io.read` if it cannot be read.
-pub fn read_bytes(file: &Path, limit: u64) -> Result<Vec<u8>, DataError> {
+pub(crate) fn read_bytes(file: &Path, limit: u64) -> Result<Vec<u8>, DataError> {
     let failed = |e| DataError::read(file, e);
     let open = File::open(file).map_err(failed)?;
     let meta = open.metadata().map_err(failed)?;
@@ -85,7 +97,7 @@ pub fn read_bytes(file: &Path, limit: u64) -> Result<Vec<u8>, DataError> {
 ///
 /// # Errors
 /// As [`read_bytes`]; `data.syntax` if it is not UTF-8.
-pub fn read_text(file: &Path, limit: u64) -> Result<String, DataError> {
+pub(crate) fn read_text(file: &Path, limit: u64) -> Result<String, DataError> {
     let mut text = String::from_utf8(read_bytes(file, limit)?).map_err(|e| {
         DataError::syntax(file, format!("byte {}", e.utf8_error().valid_up_to()), "it is not UTF-8 text")
     })?;

@@ -9,13 +9,13 @@ use super::header::{self, ImageHeader};
 use super::options::DataOptions;
 use super::times::Draft;
 
-/// An image listed by a data set, with whatever else its reader needs.
+/// An image listed by a data set, with the other fields its reader needs.
 pub(crate) struct Listed<T> {
     /// Path relative to the folder, as shown to people.
     pub(crate) shown: PathBuf,
     /// Path to open.
     pub(crate) path: PathBuf,
-    /// The reader's own fields.
+    /// Fields of the reader.
     pub(crate) rest: T,
 }
 

@@ -1,17 +1,17 @@
-//! Where a data set is: extent of its cameras, bounds of its scene, and a digest of both.
+//! Extent of the cameras, bounds of the scene, and a digest of a data set.
 
 use glam::{DMat3, DVec3, Vec3};
 
 use super::{Dataset, ImageSource, View};
 
-/// Of the points, this part may lie outside the bounds on each side: reconstructions have strays.
-const STRAYS: f64 = 0.01;
-/// A box around points is widened by this part of its size.
+/// Share of the points that may lie outside the bounds on each side: reconstructions have outliers.
+const OUTLIERS: f64 = 0.01;
+/// A box around points is widened by this share of its size on each side.
 const MARGIN: f32 = 0.1;
 
 impl Dataset {
-    /// Size of the scene as the training cameras span it: `1.1 · max |camera − mean camera|` (Kerbl et al. 2023). A single
-    /// camera, or several in one place, give 1.
+    /// Extent of the training cameras, world units: `1.1 · max |camera − mean camera|` (Kerbl et al. 2023). 1 for a single
+    /// camera, or several at one position. Learning rates and thresholds of densification are in this unit.
     pub fn scene_extent(&self) -> f32 {
         let centres: Vec<DVec3> = self.train.iter().map(|v| v.camera.position()).collect();
         let mean = centres.iter().sum::<DVec3>() / centres.len().max(1) as f64;
@@ -19,9 +19,9 @@ impl Dataset {
         if radius > 1e-6 { radius as f32 } else { 1.0 }
     }
 
-    /// Lower and upper corner of a box around the scene: what the layout knows (`bounds`); else the points without the
-    /// outer 1 % on each side, widened by a tenth; else a cube of the size of the camera rig around the point nearest to
-    /// all lines of sight.
+    /// Lower and upper corner of the scene box, world units: [`Self::bounds`]; else the box of the points without the outer
+    /// 1 % on each side, widened by a tenth; else the cube of half side [`Self::scene_extent`] around the [`focus`] of the
+    /// training views.
     pub fn scene_bounds(&self) -> [Vec3; 2] {
         if let Some(bounds) = self.bounds {
             return bounds;
@@ -36,14 +36,14 @@ impl Dataset {
         }
     }
 
-    /// A stable hash of the layout, the list of views with their cameras, lenses, masks and times, and of file names and sizes
-    /// (or pixels, for images in memory): 32 hexadecimal digits of 128-bit FNV-1a. Where the folder lies does not matter.
+    /// 128-bit FNV-1a, as 32 hexadecimal digits, of the layout, the views with their cameras, lenses, masks and timestamps,
+    /// and the names and sizes of files (for images in memory: their pixels). The path of the folder does not count.
     pub fn digest(&self) -> String {
         let mut h = Fnv::default();
         h.text(self.layout);
         let splits =
             [("train", &self.train), ("val", &self.val), ("test", &self.test), ("extrapolate", &self.extrapolate)];
-        // Data without a future keep the digest they had before there was one.
+        // An empty extrapolation split adds nothing: stored digests are of data without one.
         for (name, views) in splits.into_iter().filter(|(name, views)| *name != "extrapolate" || !views.is_empty()) {
             h.text(name);
             h.bytes(&(views.len() as u64).to_le_bytes());
@@ -60,7 +60,7 @@ impl Dataset {
         h.text(&v.name);
         h.bytes(&[c.width.to_le_bytes(), c.height.to_le_bytes(), v.camera_id.to_le_bytes()].concat());
         let lens = v.lens.unwrap_or_default().to_array();
-        // Lenses without skew keep the digest they had before skew was read.
+        // A skew of 0 adds nothing: stored digests are of lenses without one.
         let lens = lens.into_iter().take(if lens[5] == 0.0 { 5 } else { 6 });
         let intrinsics = [c.fx, c.fy, c.cx, c.cy, f64::from(v.time.normalised), v.time.seconds];
         let pose = c.rotation.to_cols_array().into_iter().chain(c.translation.to_array());
@@ -85,7 +85,7 @@ impl Dataset {
 }
 
 fn around_points(points: &[Vec3]) -> [Vec3; 2] {
-    let drop = (points.len() as f64 * STRAYS) as usize;
+    let drop = (points.len() as f64 * OUTLIERS) as usize;
     let mut corners = [Vec3::ZERO; 2];
     for axis in 0..3 {
         let mut values: Vec<f32> = points.iter().map(|p| p[axis]).collect();
@@ -98,8 +98,21 @@ fn around_points(points: &[Vec3]) -> [Vec3; 2] {
     corners
 }
 
-/// The point nearest to all lines of sight in least squares: `Σ (I − d dᵀ)(x − c) = 0`. Parallel lines give the mean
-/// camera centre.
+/// The point `x` nearest to the optical axes of all views in least squares, `Σ (I − d dᵀ)(x − c) = 0` with camera centres `c`
+/// and unit axes `d`. Parallel axes give the mean camera centre.
+///
+/// ```
+/// use gs_core::{Camera, Time};
+/// use gs_data::{ImageSource, View, geometry::focus};
+/// use glam::DVec3;
+///
+/// let target = DVec3::new(0.3, -0.2, 0.1);
+/// let views = [DVec3::X * 4.0, DVec3::Y * 3.0].map(|eye| {
+///     let camera = Camera::look_at(8, 8, 0.7, eye, target, DVec3::Z).unwrap();
+///     View::new("", camera, Time::default(), ImageSource::Memory(Default::default()), 0)
+/// });
+/// assert!(focus(&views).abs_diff_eq(target, 1e-12));
+/// ```
 pub fn focus(views: &[View]) -> DVec3 {
     let (mut a, mut b, mut mean) = (DMat3::ZERO, DVec3::ZERO, DVec3::ZERO);
     for v in views {

@@ -7,24 +7,24 @@ use std::path::Path;
 
 use super::error::DataError;
 
-/// What the first bytes of an image file say.
+/// Size and pixel format of an image file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ImageHeader {
+pub(crate) struct ImageHeader {
     /// Pixels per row.
-    pub width: u32,
+    pub(crate) width: u32,
     /// Rows.
-    pub height: u32,
+    pub(crate) height: u32,
     /// Whether the pixels carry alpha (PNG colour types 4 and 6).
-    pub has_alpha: bool,
+    pub(crate) has_alpha: bool,
     /// The file format.
-    pub format: Format,
+    pub(crate) format: Format,
     /// Largest number of bytes per pixel that decoding holds at once.
-    pub bytes_per_pixel: u64,
+    pub(crate) bytes_per_pixel: u64,
 }
 
 /// Image formats with a reader.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Format {
+pub(crate) enum Format {
     /// Portable Network Graphics, 1 to 16 bit.
     Png,
     /// JPEG, baseline or progressive.
@@ -32,14 +32,14 @@ pub enum Format {
 }
 
 const PNG_SIGNATURE: [u8; 8] = [0x89, b'P', b'N', b'G', b'\r', b'\n', 0x1a, b'\n'];
-/// Segments looked at before a JPEG must show its frame header.
+/// Segments read before a JPEG must have its frame header.
 const MAX_JPEG_SEGMENTS: usize = 1000;
 
 /// Reads the header of an image file.
 ///
 /// # Errors
 /// `io.read` if the file cannot be opened, `data.image` if it is neither PNG nor JPEG or ends before its size is known.
-pub fn read(file: &Path) -> Result<ImageHeader, DataError> {
+pub(crate) fn read(file: &Path) -> Result<ImageHeader, DataError> {
     let open = File::open(file).map_err(|e| DataError::read(file, e))?;
     if !open.metadata().map_err(|e| DataError::read(file, e))?.is_file() {
         return Err(DataError::decode(file, "it is no regular file"));

@@ -1,13 +1,13 @@
-//! The visual hull (Laurentini 1994): cells of a grid over the scene's box that silhouettes agree on.
+//! The visual hull (Laurentini 1994): cells of a grid over the scene box that silhouettes agree on.
 //!
 //! A static scene keeps a cell that 95 % of the views that see it show inside the silhouette. In a moving scene every view
 //! has its own time, so no cell agrees with all of them; views are ordered by time and a cell is kept if it agrees with 95 %
 //! of *some* run of consecutive views (at least eight, about a twelfth of all): the union over time of the hulls of short
-//! stretches. Points are drawn uniformly from the kept cells and take the mean colour that the views of the best run show
+//! runs. Points are sampled uniformly in the kept cells and take the mean colour that the views of the best run show
 //! there.
 //!
-//! Where masks cut parts out of a single moment ([`Dataset::at_first_moment`]) all views must agree, and the box of what they
-//! keep is carved again, so that small things keep their shape.
+//! Where the silhouettes are masks at a single timestamp ([`Dataset::at_first_moment`]) all views must agree, and the box of the kept
+//! cells is carved a second time, so that small objects keep their shape.
 
 use std::sync::Arc;
 
@@ -20,28 +20,28 @@ use super::error::DataError;
 use super::pixels::ImageU8;
 use super::{Dataset, PointCloud, View};
 
-/// Cells along each side of the grid.
+/// Cells along each side of the cubic grid.
 const SIDE: usize = 64;
-/// Most views used; more are thinned evenly.
+/// Most views used; of more, an even selection.
 const MAX_VIEWS: usize = 160;
 /// Images are shrunk to about this many pixels per side.
 const IMAGE_SIDE: f64 = 200.0;
-/// Part of the views that must agree.
+/// Share of the views that must agree.
 const AGREEMENT: f64 = 0.95;
-/// A run of views in a moving scene: at least this many, and this part of all.
-pub(super) const LEAST_RUN: usize = 8;
+/// Length of a run of views in a dynamic scene: at least this many, and the number of all views over `RUN_PART`.
+pub(super) const MIN_RUN: usize = 8;
 const RUN_PART: usize = 12;
 /// Alpha above which a pixel belongs to the silhouette.
 const OPAQUE: u8 = 16;
 
-/// A small silhouette with its camera.
+/// A silhouette at reduced size with its camera.
 struct Silhouette {
     name: String,
     camera: Camera,
     image: Arc<ImageU8>,
 }
 
-/// What a view says about a point.
+/// Where a point is in a view: outside the frame or behind the camera, outside the silhouette, or inside with this colour.
 #[derive(Clone, Copy, PartialEq)]
 enum Verdict {
     Unseen,
@@ -65,9 +65,11 @@ impl Silhouette {
     }
 }
 
-/// The kept cells: their centres and colours.
+/// The kept cells.
 pub(super) struct Hull {
+    /// Centres, world units, and colours.
     pub(super) cells: Vec<(Vec3, [f32; 3])>,
+    /// Sides of one cell, world units.
     size: Vec3,
 }
 
@@ -78,13 +80,13 @@ impl Hull {
     }
 
     fn of(views: &[Silhouette], data: &Dataset, agreement: f64) -> Self {
-        let run = if data.dynamic { LEAST_RUN.max(views.len() / RUN_PART) } else { views.len() }.min(views.len());
+        let run = if data.dynamic { MIN_RUN.max(views.len() / RUN_PART) } else { views.len() }.min(views.len());
         let hull = Self::carve_box(views, run, data.scene_bounds(), agreement);
         let again = if data.dynamic || data.has_alpha { None } else { hull.bounds() };
         again.map_or(hull, |bounds| Self::carve_box(views, run, bounds, agreement))
     }
 
-    /// The cells of a box that agree with some run of so many views.
+    /// The cells of a box that agree with some run of `run` consecutive views.
     fn carve_box(views: &[Silhouette], run: usize, [low, high]: [Vec3; 2], agreement: f64) -> Self {
         let size = (high - low) / SIDE as f32;
         let slab = |k: usize| {
@@ -102,13 +104,14 @@ impl Hull {
         Self { cells: slabs.concat(), size }
     }
 
-    /// The box of the kept cells and one more all around; none without cells.
+    /// The box of the kept cells, wider by one cell on each side; none without cells.
     fn bounds(&self) -> Option<[Vec3; 2]> {
         let grown = |c: &(Vec3, [f32; 3])| [c.0 - 1.5 * self.size, c.0 + 1.5 * self.size];
         self.cells.iter().map(grown).reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])])
     }
 
-    pub(super) fn draw(&self, n: usize, seed: u64) -> PointCloud {
+    /// `n` points uniform in the kept cells.
+    pub(super) fn sample(&self, n: usize, seed: u64) -> PointCloud {
         let mut points = PointCloud::default();
         for i in 0..n {
             let mut r = Rng::new(seed, "data.hull", 0, i as u64);
@@ -121,24 +124,24 @@ impl Hull {
     }
 }
 
-/// A hull and the silhouettes that carved it.
+/// A visual hull and the silhouettes that carved it; made by [`carve`].
 pub struct Carved {
-    /// Names of the views, in order of time.
+    /// Names of the views used, ascending in time.
     pub names: Vec<String>,
     views: Vec<Silhouette>,
     hull: Hull,
 }
 
-/// Carves the training views of a data set, seen through other cameras, with a share of views that must agree; none where
-/// there are neither alpha nor masks.
+/// Carves the visual hull of the training views, whose cameras are replaced by `camera(&view.camera)`. A cell is kept where a
+/// share `agreement`, in 0..1, of the views that see it show it inside. None where there are neither alpha nor masks.
 ///
 /// # Errors
-/// Whatever decoding the images finds.
+/// Those of decoding the images.
 pub fn carve(data: &Dataset, agreement: f64, camera: impl Fn(&Camera) -> Camera) -> Result<Option<Carved>, DataError> {
     let train = data.train.iter().map(|v| View { camera: camera(&v.camera), ..v.clone() }).collect();
     let (points, bounds, dynamic) = (data.points.clone(), data.bounds, data.dynamic);
     let data = Dataset { train, points, bounds, dynamic, ..data.without_views() };
-    if !data.has_alpha && data.train.iter().filter(|v| v.mask.is_some()).count() < LEAST_RUN {
+    if !data.has_alpha && data.train.iter().filter(|v| v.mask.is_some()).count() < MIN_RUN {
         return Ok(None);
     }
     let views = silhouettes(&data.train, !data.has_alpha)?;
@@ -147,8 +150,8 @@ pub fn carve(data: &Dataset, agreement: f64, camera: impl Fn(&Camera) -> Camera)
 }
 
 impl Carved {
-    /// For each silhouette the share of it that the cells cover, and its intersection with them over their union; 1 for an
-    /// empty one.
+    /// For each silhouette the share of it that the projected cells cover, and its intersection with them over their union
+    /// (IoU); both are 1 for an empty silhouette. In order of [`Self::names`].
     pub fn fits(&self) -> Vec<[f64; 2]> {
         let fit = |v: &Silhouette| {
             let [mut inside, mut both, mut any] = [0usize; 3];
@@ -164,7 +167,7 @@ impl Carved {
         self.views.par_iter().map(fit).collect()
     }
 
-    /// Which pixels of a silhouette cells cover.
+    /// Which pixels of a silhouette's image the projected cells cover, row-major.
     fn cover(&self, v: &Silhouette) -> Vec<bool> {
         let (w, h) = (v.image.width, v.image.height);
         let mut covered = vec![false; w * h];
@@ -184,18 +187,21 @@ impl Carved {
         covered
     }
 
-    /// Centres and colours of the cells.
+    /// Centres of the kept cells, world units, and their colours, display-encoded RGB in 0..1.
     pub fn cells(&self) -> &[(Vec3, [f32; 3])] {
         &self.hull.cells
     }
 
-    /// A view's photograph, small, and which pixels cells cover; by index in [`Self::names`].
+    /// The image of view `k` of [`Self::names`] at reduced size, and which of its pixels the projected cells cover, row-major.
+    ///
+    /// # Panics
+    /// If `k` is not below `names.len()`.
     pub fn shown(&self, k: usize) -> (Arc<ImageU8>, Vec<bool>) {
         (self.views[k].image.clone(), self.cover(&self.views[k]))
     }
 }
 
-/// The views in order of time, thinned and shrunk; `by_mask` takes those with a mask, which becomes their alpha.
+/// The views ascending in time, an even selection at reduced size; `by_mask` takes those with a mask, which becomes their alpha.
 fn silhouettes(train: &[View], by_mask: bool) -> Result<Vec<Silhouette>, DataError> {
     let mut order: Vec<&View> = train.iter().filter(|v| !by_mask || v.mask.is_some()).collect();
     order.sort_by(|a, b| a.time.normalised.total_cmp(&b.time.normalised));

@@ -1,25 +1,23 @@
-//! Points to start from: those the data bring along, else a visual hull, else random points in a box.
+//! Initial points: those of the data, else in the visual hull, else random in the scene box.
 //!
-//! Images with alpha are carved by it ([`super::hull`]).
+//! The hull ([`super::hull`]) is carved by the alpha of the images or, where they have none, by masks ([`View::mask`](super::View::mask)).
+//! Masks usually select what moves, so half of the points are sampled in that hull and the others in the whole box.
 //!
-//! Images without alpha whose views have masks ([`View::mask`]) are carved by these. Masks cut out what moves, so half of the
-//! points are drawn from that hull and the others from the whole box.
-//!
-//! Everything is a function of data set, count and seed.
+//! The points are a function of data set, count and seed.
 
 use glam::Vec3;
 use gs_core::Rng;
 
 use super::error::DataError;
-use super::hull::{Hull, LEAST_RUN};
+use super::hull::{Hull, MIN_RUN};
 use super::{Dataset, PointCloud};
 
 impl Dataset {
-    /// About `n` points to start from. Points of the data: all of them, or a random `n`; a hull: exactly `n`; where
-    /// neither is possible `n` points uniform in [`Dataset::scene_bounds`] with mid grey.
+    /// Initial points: those of the data, or a random `n` of them where there are more; else `n` points of the visual hull
+    /// of alpha or masks, coloured; else `n` grey points uniform in [`Dataset::scene_bounds`].
     ///
     /// # Errors
-    /// Whatever decoding the training images finds.
+    /// Those of decoding the training images.
     pub fn initial_points(&self, n: usize, seed: u64) -> Result<PointCloud, DataError> {
         if let Some(points) = self.points.as_ref().filter(|p| !p.positions.is_empty()) {
             return Ok(subset(points, n, seed));
@@ -36,19 +34,19 @@ impl Dataset {
         Ok(cloud)
     }
 
-    /// `n` points of the visual hull; none if nothing is carved.
+    /// `n` points of the visual hull; none if no cell is kept.
     ///
     /// # Errors
     /// As [`Self::initial_points`].
     pub(super) fn hull_points(&self, n: usize, seed: u64) -> Result<Option<PointCloud>, DataError> {
-        if !self.has_alpha && self.train.iter().filter(|v| v.mask.is_some()).count() < LEAST_RUN {
+        if !self.has_alpha && self.train.iter().filter(|v| v.mask.is_some()).count() < MIN_RUN {
             return Ok(None);
         }
         let hull = Hull::carve(self)?;
-        Ok((!hull.cells.is_empty()).then(|| hull.draw(n, seed)))
+        Ok((!hull.cells.is_empty()).then(|| hull.sample(n, seed)))
     }
 
-    /// The data as if only the first training moment had been photographed.
+    /// The training views with the first timestamp, as a static data set without held-out views. Points and box stay.
     pub fn at_first_moment(&self) -> Self {
         let first = self.train.iter().map(|v| v.time.normalised).fold(f32::INFINITY, f32::min);
         let train = self.train.iter().filter(|v| v.time.normalised == first).cloned().collect();
@@ -56,7 +54,8 @@ impl Dataset {
         Self { train, points, bounds, dynamic: false, ..self.without_views() }
     }
 
-    /// Whether the data say where the scene is: by points, silhouettes, a box, or masks.
+    /// Whether the data say where the scene is: by points, alpha, a box or masks. Without these, initial points fill a cube
+    /// as large as the camera rig.
     pub fn has_start(&self) -> bool {
         let masked = || self.train.iter().any(|v| v.mask.is_some());
         self.points.is_some() || self.has_alpha || self.bounds.is_some() || masked()

@@ -1,4 +1,4 @@
-//! Intrinsics as files state them, brought to the size of the image that is there.
+//! Intrinsics as files state them, rescaled to the size of the image file.
 
 use glam::{DMat4, DVec2};
 use gs_core::Camera;
@@ -8,7 +8,7 @@ use super::header::ImageHeader;
 use super::lens::Lens;
 use super::pose::Pose;
 
-/// Intrinsics with the image size they are meant for.
+/// Intrinsics and the image size that they refer to, pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Intrinsics {
     pub(crate) size: DVec2,
@@ -17,17 +17,17 @@ pub(crate) struct Intrinsics {
     pub(crate) lens: Lens,
 }
 
-/// Width and height may scale by factors that differ this much: sizes are whole pixels.
+/// The factors on width and height may differ by this share: sizes are whole pixels.
 const ASPECT_SLACK: f64 = 0.01;
 
-/// Whether one size is a multiple of the other.
+/// Whether two sizes have one aspect ratio.
 pub(crate) fn same_shape(a: DVec2, b: DVec2) -> bool {
     let scale = a / b;
     (scale.x / scale.y - 1.0).abs() <= ASPECT_SLACK
 }
 
 impl Intrinsics {
-    /// The camera for an image, and whether its size called for rescaling: both axes are scaled by the exact ratio of
+    /// The camera of an image, and whether its intrinsics were rescaled: each axis by the exact ratio of
     /// sizes. The lens acts on the plane `z = 1` and does not change.
     ///
     /// # Errors
@@ -56,7 +56,7 @@ impl Intrinsics {
     /// The lens to remove, or none for a pinhole.
     ///
     /// # Errors
-    /// `data.camera_model` if it bends and undistortion is switched off.
+    /// `data.camera_model` if it distorts and undistortion is switched off.
     pub(crate) fn lens(&self, undistort: bool, place: &Place) -> Result<Option<Lens>, DataError> {
         if self.lens.is_pinhole() {
             return Ok(None);
@@ -69,12 +69,12 @@ impl Intrinsics {
     }
 }
 
-/// What rescaling and undistortion did, for the notes of a data set.
+/// Counts of rescaled and undistorted views, for the notes of a data set.
 #[derive(Default)]
 pub(crate) struct Adjusted {
     rescaled: usize,
     example: Option<(DVec2, [u32; 2])>,
-    bent: usize,
+    undistorted: usize,
     worst_outside: f64,
 }
 
@@ -86,15 +86,15 @@ impl Adjusted {
             self.example.get_or_insert((intrinsics.size, [camera.width, camera.height]));
         }
         if let Some(lens) = lens {
-            self.bent += 1;
-            // Views of one camera share the figure; a few samples of it are enough.
-            if self.bent <= 8 {
+            self.undistorted += 1;
+            // Views of one camera have the same share; a few of them are enough.
+            if self.undistorted <= 8 {
                 self.worst_outside = self.worst_outside.max(lens.outside_fraction(camera));
             }
         }
     }
 
-    /// The notes.
+    /// The sentences for [`super::Dataset::notes`].
     pub(crate) fn notes(&self) -> Vec<String> {
         let mut notes = Vec::new();
         if let Some((from, to)) = self.example {
@@ -105,16 +105,16 @@ impl Adjusted {
                 to[0], to[1]
             ));
         }
-        if self.bent > 0 {
+        if self.undistorted > 0 {
             let percent = 100.0 * self.worst_outside;
-            let n = self.bent;
-            notes.push(format!("{n} views are resampled to a pinhole; up to {percent:.1} % of their pixels lie outside the photograph and repeat its edge"));
+            let n = self.undistorted;
+            notes.push(format!("{n} views are resampled to a pinhole; up to {percent:.1} % of their pixels lie outside the distorted image and repeat its edge"));
         }
         notes
     }
 }
 
-/// Sorts indices into training and held-out views: every `hold_out`-th in order of names, starting with the first, is
+/// Splits indices into training and held-out views: every `hold_out`-th in order of names, starting with the first, is
 /// held out, as in Mip-NeRF 360 and Kerbl et al. 2023. 0 holds out none; a single view is never held out.
 pub(crate) fn hold_out(names: &[String], every: u32) -> (Vec<usize>, Vec<usize>) {
     let mut order: Vec<usize> = (0..names.len()).collect();

@@ -1,8 +1,7 @@
-//! `transforms*.json`: a few scalars and a long list of frames, read with a bound on memory and with the JSON path of
-//! every fault.
+//! `transforms*.json`: a few scalars and a long list of frames, read with a bound on memory and the JSON path of
+//! every error.
 //!
-//! Frames are kept as slices of the text and parsed one at a time, so memory stays near the size of the file whatever it
-//! holds. Python writes `NaN` and `Infinity` bare, which JSON forbids; they are accepted as tokens so that the field that
+//! Frames are kept as slices of the text and parsed one at a time, so memory stays near the size of the file. Python writes `NaN` and `Infinity` bare, which JSON forbids; they are accepted as tokens so that the field that
 //! holds one can be named.
 
 use std::borrow::Cow;
@@ -23,12 +22,12 @@ const MAX_FRAME_BYTES: usize = 64 << 10;
 /// Scalars beside the frames are kept up to this size and number.
 const MAX_FIELD_BYTES: usize = 4 << 10;
 const MAX_FIELDS: usize = 256;
-/// What to do about numbers of the wrong shape.
+/// The remedy for numbers of the wrong shape.
 const FIX: &str = "export the file again";
-/// No frame is shorter: a 4×4 matrix alone has 41 characters.
-const LEAST_FRAME_BYTES: usize = 41;
+/// Shortest possible frame: a 4×4 matrix alone has 41 characters.
+const MIN_FRAME_BYTES: usize = 41;
 
-/// A parsed file.
+/// A parsed `transforms*.json`: scalars, frames and lists of file names.
 pub(crate) struct Document<'a> {
     file: &'a Path,
     top: Map<String, Value>,
@@ -43,7 +42,7 @@ impl<'a> Document<'a> {
     /// `data.syntax` with line and column.
     pub(crate) fn parse(file: &'a Path, text: &'a str) -> Result<Self, DataError> {
         let mut json = serde_json::Deserializer::from_str(text);
-        let visitor = TopVisitor { max_frames: text.len() / LEAST_FRAME_BYTES + 1 };
+        let visitor = TopVisitor { max_frames: text.len() / MIN_FRAME_BYTES + 1 };
         let (top, frames, lists) =
             json.deserialize_map(visitor).and_then(|v| json.end().map(|()| v)).map_err(|e| syntax(file, "", &e))?;
         Ok(Self { file, top, frames, lists })
@@ -99,7 +98,18 @@ fn syntax(file: &Path, prefix: &str, e: &serde_json::Error) -> DataError {
     DataError::syntax(file, line, message)
 }
 
-/// Reads a small file that is one object, wholly parsed.
+/// Reads a small JSON file that is one object. Python's bare `NaN` and `Infinity` become strings, so that readers can name the
+/// field that holds one.
+///
+/// ```
+/// # let folder = tempfile::tempdir()?;
+/// let file = folder.path().join("scene.json");
+/// std::fs::write(&file, r#"{"scale": 0.5, "near": NaN}"#)?;
+/// let map = gs_data::json::read_object(&file, 1 << 10)?;
+/// assert_eq!((map["scale"].as_f64(), map["near"].as_str()), (Some(0.5), Some("NaN")));
+/// assert_eq!(gs_data::json::read_object(&file, 8).unwrap_err().code(), "limits.file");
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 ///
 /// # Errors
 /// `limits.file` above `limit` bytes, `io.read`, `data.syntax` with line and column.
@@ -117,7 +127,7 @@ pub(crate) fn slices(list: &RawValue, max: usize) -> serde_json::Result<Vec<&Raw
     serde::de::DeserializeSeed::deserialize(List(max), &mut json)
 }
 
-/// What a value looks like in an error text.
+/// A value for an error text, at most 40 characters.
 fn shorten(text: &str) -> String {
     let mut short: String = text.chars().take(40).collect();
     if short.len() < text.len() {
@@ -164,7 +174,7 @@ impl<'de> Visitor<'de> for TopVisitor {
     }
 }
 
-/// A list kept as slices, of at most so many entries.
+/// Visitor of a list of at most this many entries, kept as slices.
 struct List(usize);
 
 impl<'de> serde::de::DeserializeSeed<'de> for List {
@@ -202,7 +212,7 @@ pub(crate) struct Fields<'a> {
 }
 
 impl<'a> Fields<'a> {
-    /// The fields of `map`, which stands at `prefix` (empty: the whole file).
+    /// The fields of `map`, at the JSON path `prefix` (empty: the whole file).
     pub(crate) fn new(file: &'a Path, prefix: impl Into<String>, map: &'a Map<String, Value>) -> Self {
         Self { file, prefix: prefix.into(), map: Cow::Borrowed(map) }
     }
@@ -229,7 +239,7 @@ impl<'a> Fields<'a> {
     /// # Errors
     /// `data.field` if it is not.
     pub(crate) fn required_number(&self, key: &str) -> Result<f64, DataError> {
-        self.number(key)?.ok_or_else(|| self.fault(key, "missing", "the layout demands this number", "add the field"))
+        self.number(key)?.ok_or_else(|| self.fault(key, "missing", "the layout requires this number", "add the field"))
     }
 
     /// A list of exactly `N` finite numbers, if the field is there.
@@ -336,7 +346,7 @@ impl<'a> Fields<'a> {
         Ok([m[0], m[1], m[2]])
     }
 
-    /// A fault of this field.
+    /// The error for a value of this field.
     pub(crate) fn fault(&self, key: &str, value: &str, why: &'static str, fix: &'static str) -> DataError {
         DataError::Field { place: self.place(key), value: shorten(value), why, fix }
     }

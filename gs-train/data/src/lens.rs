@@ -1,13 +1,13 @@
-//! Lens distortion of Brown and Conrady as OpenCV writes it, and resampling of a distorted photograph to its pinhole
+//! Lens distortion of Brown and Conrady as OpenCV writes it, and resampling of a distorted image to its pinhole
 //! camera.
 //!
-//! A point `(x, y)` of the plane `z = 1`, with `r² = x² + y²`, is seen at
+//! A point `(x, y)` of the plane `z = 1`, with `r² = x² + y²`, is imaged at
 //! ```text
 //! x' = x (1 + k1 r² + k2 r⁴ + k3 r⁶) + 2 p1 x y + p2 (r² + 2 x²)
 //! y' = y (1 + k1 r² + k2 r⁴ + k3 r⁶) + p1 (r² + 2 y²) + 2 p2 x y
 //! ```
 //! (OpenCV `calib3d`, "Detailed Description"). COLMAP's `SIMPLE_RADIAL`, `RADIAL` and `OPENCV` are special cases.
-//! A sensor whose columns lean adds `skew · y'` to `x'` (Hartley and Zisserman 2004, 6.2.4, with `skew = s / fx`).
+//! A sensor with skewed columns adds `skew · y'` to `x'` (Hartley and Zisserman 2004, 6.2.4, with `skew = s / fx`).
 
 use glam::DVec2;
 use gs_core::Camera;
@@ -15,19 +15,29 @@ use gs_core::Camera;
 use super::pixels::ImageU8;
 
 /// Coefficients of the distortion; all zero is a pinhole.
+///
+/// ```
+/// use gs_data::Lens;
+/// use glam::DVec2;
+///
+/// let lens = Lens { k1: -0.1, ..Lens::default() };
+/// let p = DVec2::new(0.5, 0.0);
+/// assert!((lens.distort(p).x - 0.5 * (1.0 - 0.1 * 0.25)).abs() < 1e-15);
+/// assert!(lens.undistort(lens.distort(p)).is_some_and(|q| q.abs_diff_eq(p, 1e-12)));
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct Lens {
-    /// Radial, r².
+    /// Radial coefficient of r².
     pub k1: f64,
-    /// Radial, r⁴.
+    /// Radial coefficient of r⁴.
     pub k2: f64,
-    /// Radial, r⁶.
+    /// Radial coefficient of r⁶.
     pub k3: f64,
-    /// Tangential.
+    /// First tangential coefficient.
     pub p1: f64,
-    /// Tangential.
+    /// Second tangential coefficient.
     pub p2: f64,
-    /// Lean of the pixel columns, as a part of the horizontal focal length.
+    /// Skew `s / fx` of the pixel columns.
     pub skew: f64,
 }
 
@@ -40,15 +50,15 @@ impl Lens {
         [self.k1, self.k2, self.k3, self.p1, self.p2, self.skew]
     }
 
-    /// Whether it bends nothing.
+    /// Whether all coefficients are 0.
     pub fn is_pinhole(&self) -> bool {
         *self == Self::default()
     }
 
-    /// Where the lens shows the point `p` of the plane `z = 1`.
+    /// The point of the distorted plane `z = 1` at which the lens images the point `p` of the undistorted one, skew included.
     pub fn distort(&self, p: DVec2) -> DVec2 {
-        let bent = self.bend(p);
-        DVec2::new(bent.x + self.skew * bent.y, bent.y)
+        let distorted = self.bend(p);
+        DVec2::new(distorted.x + self.skew * distorted.y, distorted.y)
     }
 
     /// The distortion without skew.
@@ -63,13 +73,13 @@ impl Lens {
             )
     }
 
-    /// The point of the plane `z = 1` that the lens shows at `seen`, by Newton's method from `seen`. None where the
-    /// model folds over and no inverse is found.
+    /// The inverse of [`Self::distort`], by Newton's method from `seen`. None where the model folds over and no inverse is
+    /// found.
     pub fn undistort(&self, seen: DVec2) -> Option<DVec2> {
-        let bent = DVec2::new(seen.x - self.skew * seen.y, seen.y);
-        let mut p = bent;
+        let distorted = DVec2::new(seen.x - self.skew * seen.y, seen.y);
+        let mut p = distorted;
         for _ in 0..MAX_STEPS {
-            let error = self.bend(p) - bent;
+            let error = self.bend(p) - distorted;
             if error.length() < 1e-13 {
                 return Some(p);
             }
@@ -80,7 +90,7 @@ impl Lens {
             }
             p -= DVec2::new(d * error.x - b * error.y, a * error.y - c * error.x) / det;
         }
-        ((self.bend(p) - bent).length() < 1e-9).then_some(p)
+        ((self.bend(p) - distorted).length() < 1e-9).then_some(p)
     }
 
     /// `(∂x'/∂x, ∂x'/∂y, ∂y'/∂x, ∂y'/∂y)` without skew.
@@ -97,21 +107,21 @@ impl Lens {
         )
     }
 
-    /// Pixel coordinates in the photograph of pixel coordinates `at` of the pinhole camera with the same intrinsics.
+    /// Pixel coordinates in the distorted image of the pixel coordinates `at` of the pinhole `camera` with the same intrinsics.
     pub fn source_pixel(&self, camera: &Camera, at: DVec2) -> DVec2 {
         let p = self.distort(DVec2::new((at.x - camera.cx) / camera.fx, (at.y - camera.cy) / camera.fy));
         DVec2::new(camera.fx * p.x + camera.cx, camera.fy * p.y + camera.cy)
     }
 
-    /// The inverse of [`Self::source_pixel`]: pixel coordinates of the pinhole camera for those of the photograph. None as
-    /// [`Self::undistort`].
+    /// The inverse of [`Self::source_pixel`]: pixel coordinates of the pinhole camera for `(u, v)` of the distorted image. None
+    /// where [`Self::undistort`] finds none.
     pub fn pinhole_pixel(&self, camera: &Camera, u: f64, v: f64) -> Option<DVec2> {
         let p = self.undistort(DVec2::new((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy))?;
         Some(DVec2::new(camera.fx * p.x + camera.cx, camera.fy * p.y + camera.cy))
     }
 
-    /// Fraction of the pinhole image that lies outside the photograph (and repeats its edge), on a 65×65 grid.
-    pub fn outside_fraction(&self, camera: &Camera) -> f64 {
+    /// Share of the pinhole image that lies outside the distorted image (and repeats its edge), on a 65×65 grid.
+    pub(crate) fn outside_fraction(&self, camera: &Camera) -> f64 {
         const SIDE: u32 = 65;
         let (w, h) = (f64::from(camera.width), f64::from(camera.height));
         let mut outside = 0u32;
@@ -124,9 +134,9 @@ impl Lens {
     }
 }
 
-/// The picture the pinhole `camera` would have taken: bilinear in premultiplied colour, the photograph's edge repeated
-/// where it does not reach.
-pub fn undistorted(image: &ImageU8, camera: &Camera, lens: &Lens) -> ImageU8 {
+/// The image resampled to the pinhole `camera`: bilinear in premultiplied colour, the edge of the distorted image repeated
+/// beyond it.
+pub(crate) fn undistorted(image: &ImageU8, camera: &Camera, lens: &Lens) -> ImageU8 {
     let mut data = Vec::with_capacity(image.data.len());
     for j in 0..image.height {
         for i in 0..image.width {

@@ -1,29 +1,62 @@
-//! Data sets of moving scenes: folders in, views with cameras, timestamps and images out.
+//! Data sets of dynamic scenes: a folder in, views with cameras, timestamps and ground-truth images out.
 //!
-//! A [`View`] is a camera, a moment and an image; a [`Dataset`] is three lists of them plus what else the folder holds.
-//! One file or folder per layout (`blender`, `nvfi`, `nerfstudio`, `colmap`, `hypernerf`, `llff`, `panoptic`,
-//! `avatar`), one line each in
-//! [`LAYOUTS`].
+//! A [`View`] is a camera, a timestamp and an image. A [`Dataset`] is four lists of views (one per [`Split`]) and what else
+//! the folder holds: points, a scene box, masks, depth. [`Dataset::open`] detects the layout of a folder, or takes the one named in
+//! [`DataOptions`]; [`LAYOUTS`] lists the readers: `blender` (D-NeRF), `nvfi`, `nerfstudio`, `colmap`, `nvidia`, `hypernerf`
+//! (Nerfies, DyCheck), `llff` (Neu3D), `panoptic` and, with the feature `avatar`, `avatar`. An [`ImageCache`] decodes images on demand.
+//!
+//! ```
+//! use gs_data::{DataOptions, Dataset, ImageCache};
+//!
+//! # let dir = tempfile::tempdir()?;
+//! # let folder = dir.path();
+//! std::fs::write(
+//!     folder.join("transforms_train.json"),
+//!     r#"{"camera_angle_x": 1.5707963267948966, "frames": [{"file_path": "r_000", "time": 0.5,
+//!         "transform_matrix": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]]}]}"#,
+//! )?;
+//! image::RgbaImage::from_pixel(8, 8, image::Rgba([255, 0, 0, 128])).save(folder.join("r_000.png"))?;
+//!
+//! let data = Dataset::open(folder, &DataOptions::default())?;
+//! let view = &data.train[0];
+//! assert_eq!((data.layout, view.name.as_str(), view.camera.width), ("blender", "r_000", 8));
+//! assert!((view.camera.fx - 4.0).abs() < 1e-12); // a horizontal field of view of 90 degrees
+//! assert!((view.camera.position().z - 4.0).abs() < 1e-12);
+//! let image = ImageCache::new(1 << 20, 1.0).get(view)?; // RGBA, straight alpha
+//! assert_eq!(image.pixel(3, 5), [255, 0, 0, 128]);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 //!
 //! # Conventions
-//! * Readers turn every camera into OpenCV axes; OpenGL camera-to-world matrices have their y and z axes flipped.
-//! * [`Time::normalised`] is 0 at the first training time and 1 at the last; with `data.time_boundary` 0 at the first and 1 at
-//!   the last time of the whole sequence, and training ends at the boundary. [`Time::seconds`] is the data's own clock.
+//! * Cameras are those of [`gs_core`]: world to camera, OpenCV axes. Readers flip the y and z axes of OpenGL camera-to-world matrices.
+//! * [`Time::normalised`] is 0 at the first training time and 1 at the last. With `data.time_boundary` it is 0 at the first
+//!   and 1 at the last time of the whole sequence, and training ends at the boundary. [`Time::seconds`] is the data's own clock.
 //! * [`View::camera`] has the size of the image file, or that size times `data.scale`. An [`ImageCache`] with a scale of
 //!   its own gives the smaller camera.
-//! * [`View::mask`] says which pixels count in masked scores; training sees all of them, unless `data.cut_out`
-//!   makes the others transparent. [`ImageCache::mask`] gives it at the
-//!   size of the image.
-//! * `data.time_boundary`, or the `scene.toml` of a folder (`scene_file.rs`), keeps the end of the sequence out of training:
-//!   [`Dataset::extrapolate`], for every layout.
-//! * `data.cameras`, `data.test_cameras`, `data.first_frame`, `data.frame_count` and `data.frame_step` choose views of any
-//!   layout.
-//! * The same file may name points to begin with and the box of the scene ([`write_start`] writes them).
-//! * Every assumption a reader makes is a line in [`Dataset::notes`].
-//! * Paths inside the data stay inside the folder; nothing is allocated on the word of a header alone.
+//! * Images are 8-bit RGBA with straight alpha, display-encoded, row-major, origin top left ([`ImageU8`]).
+//! * [`View::mask`] says which pixels count in masked scores. Training uses all pixels, unless `data.cut_out`
+//!   makes those outside the mask transparent.
+//! * Paths inside the data stay inside the folder; no allocation trusts a size that only a header states.
+//! * Every assumption a reader makes is a line in [`Dataset::notes`]. Every error names file, field, reason and remedy ([`DataError`]).
+//!
+//! # Options for every layout
+//! * `data.time_boundary` keeps the end of the sequence out of training: [`Dataset::extrapolate`].
+//! * `data.cameras`, `data.test_cameras`, `data.first_frame`, `data.frame_count` and `data.frame_step` choose views.
+//! * A `scene.toml` in the folder may state the boundary, initial points and the scene box ([`write_start`] writes the last two):
+//!   ```toml
+//!   [time]
+//!   boundary = 0.75      # data.time_boundary
+//!   range = "0..4.67"    # data.time_range
+//!   [start]
+//!   points = "start.ply" # instead of the layout's own points
+//!   bounds = [[-1, -1, -1], [1, 1, 1]]
+//!   ```
 //!
 //! # What it leaves out
 //! EXR images, mask folders of other layouts, fisheye lenses, video files.
+
+#![warn(unreachable_pub)]
+#![warn(clippy::allow_attributes_without_reason)]
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -35,24 +68,24 @@ use crate::avatar::AvatarScene;
 
 #[cfg(feature = "avatar")]
 pub mod avatar;
-/// Films of people need the feature `avatar`.
+/// Filmed people with a rigged template: empty without the feature `avatar`.
 #[cfg(not(feature = "avatar"))]
 pub mod avatar {
-    /// There is none without the feature `avatar`.
+    /// A type without values: no reader makes one without the feature `avatar`.
     #[derive(Clone, Debug, PartialEq)]
     pub enum AvatarScene {}
 }
 mod blender;
 mod boundary;
-pub mod cache;
-mod cloud;
+mod cache;
 mod colmap;
 pub mod decode;
-pub mod error;
+mod error;
 mod files;
 mod frames;
+mod frustum;
 pub mod geometry;
-pub mod header;
+mod header;
 pub mod hull;
 mod hypernerf;
 mod initial;
@@ -64,15 +97,15 @@ pub mod mask;
 mod nerfstudio;
 mod npz;
 mod nvfi;
-pub mod options;
+mod options;
 mod panoptic;
 pub mod pixels;
 pub mod ply;
 mod pose;
 mod scene_file;
 mod select;
-mod sight;
 mod start;
+mod table;
 mod times;
 
 pub use cache::ImageCache;
@@ -86,43 +119,55 @@ pub use start::{Start, StartFrom, cube, write_start};
 /// Where the pixels of a view are.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ImageSource {
-    /// A PNG or JPEG file.
+    /// Path of a PNG or JPEG file.
     File(PathBuf),
-    /// An image made in memory.
+    /// Pixels in memory, shared.
     Memory(Arc<ImageU8>),
 }
 
-/// One picture: who took it, when, and where it is.
+/// A camera, a timestamp and where the image is. Nothing is decoded: [`ImageCache::get`] does that.
+///
+/// ```
+/// use gs_core::{Camera, Time};
+/// use gs_data::{ImageCache, ImageSource, ImageU8, View};
+///
+/// let camera = Camera::look_at(2, 2, 0.7, glam::DVec3::Z * 4.0, glam::DVec3::ZERO, glam::DVec3::Y)?;
+/// let grey = ImageU8 { width: 2, height: 2, data: vec![128; 2 * 2 * 4] };
+/// let view = View::new("r_000", camera, Time::new(0.5)?, ImageSource::Memory(grey.into()), 0);
+/// assert_eq!(ImageCache::new(0, 1.0).get(&view)?.pixel(1, 1), [128; 4]);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct View {
-    /// Name within its split, for example `r_017`.
+    /// Unique within its split, for example `r_017`: the stem of the image file, or its whole path where stems repeat.
     pub name: String,
-    /// The pinhole camera, of the size of the image that is used.
+    /// The pinhole camera, world to camera with OpenCV axes. Its size is that of the image in use, after `data.scale`.
     pub camera: Camera,
-    /// Width and height of the image as it is stored, where it is shrunk to the camera's (`data.scale`).
+    /// Width and height of the stored image, where it is shrunk to the size of the camera (`data.scale`); none otherwise.
     pub stored: Option<[u32; 2]>,
-    /// Distortion of the photograph; the [`ImageCache`] removes it. None for a pinhole.
+    /// Lens distortion of the stored image, which the [`ImageCache`] removes; none for a pinhole.
     pub lens: Option<Lens>,
-    /// The moment.
+    /// Timestamp: normalised over the training span, and in seconds.
     pub time: Time,
-    /// The pixels.
+    /// The ground-truth image: a file, or pixels in memory.
     pub image: ImageSource,
-    /// The physical camera where the data name one, else the index of the view in its split.
+    /// Number of the physical camera where the data name one, else the index of the view in its split. Views of a static
+    /// camera share it.
     pub camera_id: u32,
-    /// Which pixels count in masked scores (`mask.rs`): one channel, 255 counts.
+    /// Which pixels count in masked scores ([`mod@mask`]): one channel, 0 does not count, 255 counts fully. None: all count.
     pub mask: Option<ImageSource>,
-    /// Whether alpha in the image's file means nothing, as in photographs.
+    /// Whether the alpha channel of the file is ignored and taken as 1.
     pub opaque: bool,
-    /// Whether pixels outside the mask are transparent (`data.cut_out`).
+    /// Whether pixels outside [`Self::mask`] become transparent (`data.cut_out`).
     pub cut_out: bool,
-    /// Depth of the view, an `.npy` file, where the data bring one along.
+    /// `.npy` file `[H, W]` of camera-space z in world units, where the data have one.
     pub depth: Option<PathBuf>,
-    /// Labels of the view's pixels, an `.npy` file of whole numbers, where the data bring them along.
+    /// `.npy` file `[H, W]` of whole-number segment labels, where the data have one.
     pub labels: Option<PathBuf>,
 }
 
 impl View {
-    /// A view without distortion, mask, depth and labels.
+    /// A view without distortion, mask, depth and labels, whose alpha counts.
     pub fn new(name: impl Into<String>, camera: Camera, time: Time, image: ImageSource, camera_id: u32) -> Self {
         Self {
             name: name.into(),
@@ -141,71 +186,74 @@ impl View {
     }
 }
 
-/// The three lists of views.
+/// Which list of a [`Dataset`] a view is in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Split {
-    /// Views to learn from.
+    /// Training views.
     Train,
-    /// Views to watch during training.
+    /// Validation views, scored during training.
     Val,
-    /// Held-out views.
+    /// Held-out views within the training span, as a rule.
     Test,
-    /// Views later than anything learnt from.
+    /// Views of all cameras that are later than every training view.
     Extrapolate,
 }
 
 impl Split {
-    /// Every list of views.
+    /// All splits, in this order.
     pub const ALL: [Self; 4] = [Self::Train, Self::Val, Self::Test, Self::Extrapolate];
 }
 
-/// Coloured points.
+/// Coloured points, one row each in both columns.
 #[derive(Clone, Debug, PartialEq, Default)]
 pub struct PointCloud {
-    /// World units.
+    /// Positions, world units.
     pub positions: Vec<Vec3>,
-    /// Display-encoded RGB in 0..1, one per position.
+    /// Display-encoded RGB in 0..1, one row per position.
     pub colors: Vec<[f32; 3]>,
 }
 
-/// A data set after its reader.
+/// A data set as a reader returns it, or made by hand.
+///
+/// All fields are public: a program may build or filter one with struct update syntax. Initial points come from [`Self::initial_points`] or [`Self::start`]; the extent and the box of the scene from
+/// [`Self::scene_extent`] and [`Self::scene_bounds`]; a hash of everything that training depends on from [`Self::digest`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Dataset {
-    /// The folder; empty for data made in memory.
+    /// The folder that was read; empty for data made in memory.
     pub root: PathBuf,
-    /// Name of the layout.
+    /// Name of the reader in [`LAYOUTS`], or of the generator.
     pub layout: &'static str,
-    /// Views to learn from, never empty.
+    /// Training views; a reader never returns an empty list.
     pub train: Vec<View>,
-    /// Views to watch during training.
+    /// Validation views, scored during training; may be empty.
     pub val: Vec<View>,
-    /// Held-out views.
+    /// Held-out views; may be empty.
     pub test: Vec<View>,
-    /// Views of all cameras beyond `data.time_boundary`, or that the layout keeps for this: the future.
+    /// Views of all cameras later than `data.time_boundary`, or that the layout holds out for extrapolation.
     pub extrapolate: Vec<View>,
-    /// Points the data bring along.
+    /// Points of the data: a sparse reconstruction or initial points.
     pub points: Option<PointCloud>,
-    /// Whether the training images carry alpha.
+    /// Whether the training images have an alpha channel that counts.
     pub has_alpha: bool,
-    /// Whether training views have more than one time.
+    /// Whether training views have more than one timestamp.
     pub dynamic: bool,
-    /// Where the times come from, in words.
+    /// Where the timestamps come from, in words for people.
     pub time_source: String,
-    /// Lower and upper corner of the box that holds the scene, where the layout or its maker knows it.
+    /// Lower and upper corner of the scene box, world units, where the layout or `scene.toml` states it.
     pub bounds: Option<[Vec3; 2]>,
-    /// The person that was filmed: template, poses and inputs, where the data bring them along.
+    /// Template, poses and inputs of a filmed person (layout `avatar`).
     pub avatar: Option<Arc<AvatarScene>>,
-    /// Assumptions made while reading.
+    /// Every assumption the reader made, one sentence each.
     pub notes: Vec<String>,
 }
 
 impl Dataset {
-    /// Reads a folder: with the layout named in the options, else with the one that is surest of it. What the options leave
-    /// open the folder's `scene.toml` may say.
+    /// Reads a folder with the layout named in the options, else with the one that [`detect`] finds. Options that are not set
+    /// are taken from the folder's `scene.toml`, if it exists. No image is decoded: only headers are read.
     ///
     /// # Errors
-    /// `data.path` if there is no folder, `data.layout` if no reader knows it, `data.syntax` for a `scene.toml` that is not
-    /// understood, else what the reader finds.
+    /// `data.path` if there is no folder, `data.layout` if no reader recognises it, `data.option` for an option out of its
+    /// domain, `data.syntax` for a broken `scene.toml`, else the error of the reader.
     pub fn open(dir: &Path, options: &DataOptions) -> Result<Self, DataError> {
         if !dir.is_dir() {
             return Err(DataError::NotFound { path: dir.to_path_buf() });
@@ -227,7 +275,7 @@ impl Dataset {
         let file = scene_file::read(dir)?;
         let options = &file.under(options);
         let mut data = (layout.open)(dir, options)?;
-        file.begin(&mut data)?;
+        file.apply_start(&mut data)?;
         if options.cut_out {
             data.cut_out()?;
         }
@@ -237,7 +285,7 @@ impl Dataset {
         Ok(data)
     }
 
-    /// Leaves only what masks show.
+    /// Marks every view for cutting out its mask and drops views without one.
     fn cut_out(&mut self) -> Result<(), DataError> {
         let mut left = 0;
         for views in [&mut self.train, &mut self.val, &mut self.test, &mut self.extrapolate] {
@@ -255,7 +303,7 @@ impl Dataset {
         Ok(())
     }
 
-    /// Makes every view smaller; the [`ImageCache`] averages the images down to their cameras.
+    /// Scales every camera; the [`ImageCache`] averages the images down to them.
     fn shrink(&mut self, scale: f64) {
         #[cfg(feature = "avatar")]
         let inputs = self.avatar.as_mut().map(|a| Arc::make_mut(a).inputs_mut()).into_iter().flatten();
@@ -269,7 +317,7 @@ impl Dataset {
         self.notes.push(format!("images are shrunk to {scale} of their size, as data.scale asks"));
     }
 
-    /// The same data without any view and without points.
+    /// The same data with empty splits and without points: to be filled by struct update.
     pub fn without_views(&self) -> Self {
         Self {
             root: self.root.clone(),
@@ -288,7 +336,7 @@ impl Dataset {
         }
     }
 
-    /// The views of a split.
+    /// The list of views of a split.
     pub fn views(&self, split: Split) -> &[View] {
         match split {
             Split::Train => &self.train,
@@ -299,10 +347,10 @@ impl Dataset {
     }
 }
 
-/// How sure a reader is that a folder is its own.
+/// How surely a folder has a layout, ascending.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Confidence {
-    /// Could be.
+    /// The folder could have this layout.
     Possible,
     /// The files have the right names.
     Likely,
@@ -310,19 +358,20 @@ pub enum Confidence {
     Certain,
 }
 
-/// A reader.
+/// The reader of one layout: an entry in [`LAYOUTS`].
 pub struct Layout {
-    /// Short name, as in `--layout`.
+    /// Short name: the value of `data.layout` and of [`Dataset::layout`].
     pub name: &'static str,
-    /// One line for people.
+    /// The layout in one line, for help texts.
     pub about: &'static str,
-    /// Whether a folder looks like this layout; reads names only.
+    /// Whether a folder has this layout, and how surely; none if it has not. Looks at file names and, where these do not
+    /// decide, at the keys of a JSON file.
     pub probe: fn(&Path) -> Option<Confidence>,
-    /// Reads the folder.
+    /// Reads the folder; [`Dataset::open`] applies the options that all layouts share.
     pub open: fn(&Path, &DataOptions) -> Result<Dataset, DataError>,
 }
 
-/// Every reader.
+/// All readers; of equally sure ones the first wins.
 pub const LAYOUTS: &[Layout] = &[
     nvfi::LAYOUT,
     blender::LAYOUT,
@@ -336,7 +385,7 @@ pub const LAYOUTS: &[Layout] = &[
     avatar::layout::LAYOUT,
 ];
 
-/// The reader that is surest of a folder; of equally sure ones the first.
+/// The reader with the highest [`Confidence`] in a folder, of equal ones the first in [`LAYOUTS`]; none if no reader recognises it.
 pub fn detect(dir: &Path) -> Option<&'static Layout> {
     let sure = LAYOUTS.iter().filter_map(|l| (l.probe)(dir).map(|c| (c, l)));
     sure.reduce(|best, next| if next.0 > best.0 { next } else { best }).map(|(_, l)| l)

@@ -2,14 +2,14 @@
 //! al. 2022).
 //!
 //! A row of `poses_bounds.npy` has 17 numbers: a row-major `3 × 5` matrix `[R | c | (H, W, f)]`, camera to world, then the
-//! nearest and the farthest depth. The columns of `R` are down, right and backwards, so ours (right, down, forward) are
+//! nearest and the farthest depth. The columns of `R` are down, right and backwards, so the OpenCV axes (right, down, forward) are
 //! `[R₁, R₀, −R₂]`. Pixels are square, the principal point is the centre, rows follow the sorted names of cameras.
 //!
 //! * **Videos**: folders `camNN` with frames in `camNN/images` or directly inside, all of one count and with the same names.
 //!   The first camera is held out, the others train. Frame `k` of `n` is at `t = k/n`, as Li et al. normalise it;
-//!   `data.time_range=0..n−1` (in frames, or in seconds where `data.fps` is given) makes the last frame 1. `camNN.mp4`
-//!   without frames is refused with the command that extracts them.
-//! * **Photographs**: one image per row in `images`, `images_2`, `images_4`, `images_8` (or `data.images`), by sorted name;
+//!   `data.time_range=0..n−1` (in frames, or in seconds where `data.fps` is given) makes the last frame 1. For `camNN.mp4`
+//!   without frames the error names the command that extracts them.
+//! * **Images**: one image per row in `images`, `images_2`, `images_4`, `images_8` (or `data.images`), by sorted name;
 //!   static unless `data.time_from` says otherwise, every `data.hold_out`-th held out.
 //!
 //! Images of another size than `W × H` rescale the intrinsics; `data.scale=0.5` gives the usual half resolution.
@@ -29,7 +29,7 @@ use super::lens::Lens;
 use super::options::{DataOptions, TimeFrom, TimeRange};
 use super::pose::{Pose, from_axes};
 use super::times::{Draft, Drafts, settle};
-use super::{Confidence, Dataset, ImageSource, Layout, View, cloud, ply, sight};
+use super::{Confidence, Dataset, ImageSource, Layout, View, frustum, ply, table};
 
 /// The entry in [`super::LAYOUTS`].
 pub(crate) const LAYOUT: Layout = Layout {
@@ -40,10 +40,10 @@ pub(crate) const LAYOUT: Layout = Layout {
 };
 
 const POSES: &str = "poses_bounds.npy";
-/// Numbers per row of it.
+/// Numbers per row of `poses_bounds.npy`.
 const WIDTH: usize = 17;
 const IMAGE_FOLDERS: [&str; 4] = ["images", "images_2", "images_4", "images_8"];
-/// The cloud that comes with prepared Neu3D scenes.
+/// Initial points of prepared Neu3D scenes.
 const POINTS: &str = "points3D_downsample2.ply";
 
 fn probe(dir: &Path) -> Option<Confidence> {
@@ -60,8 +60,8 @@ struct Row {
     place: Place,
 }
 
-/// An image and the row and frame it shows.
-struct Shot {
+/// Row and frame of an image.
+struct ImageAt {
     row: usize,
     frame: usize,
 }
@@ -69,7 +69,7 @@ struct Shot {
 /// Reads a scene.
 ///
 /// # Errors
-/// See [`DataError`]; every fault names file and row.
+/// See [`DataError`]; every error names file and row.
 fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     let root = Root::new(dir)?;
     let file = dir.join(POSES);
@@ -77,7 +77,7 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     let cameras = camera_names(dir)?;
     let mut notes = Vec::new();
     let (listed, frames) = if cameras.is_empty() {
-        (photographs(&root, rows.len(), options, &mut notes)?, 1)
+        (image_per_row(&root, rows.len(), options, &mut notes)?, 1)
     } else {
         videos(&root, &rows, &cameras, options, &mut notes)?
     };
@@ -87,23 +87,23 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     // Without a rate the clock counts frames.
     let fps = options.fps.unwrap_or(1.0);
     let drafts = drafts(listed, &rows, (frames > 1).then_some(fps), &mut notes)?;
-    let drafts = if is_rig { split_rig(drafts, &mut notes) } else { split_photographs(drafts, options, &mut notes) };
+    let drafts = if is_rig { split_rig(drafts, &mut notes) } else { split_by_name(drafts, options, &mut notes) };
     if drafts.train.is_empty() {
         return Err(DataError::Empty { file });
     }
     let settled = settle(drafts, &clock(options, frames, fps, &mut notes), None)?;
     let points = points(&root, &mut notes)?;
     let depths = |v: &View| rows[v.camera_id as usize].depths;
-    let seen = || sight::bounds(settled.train.iter().map(|v| (&v.camera, depths(v))));
+    let seen = || frustum::bounds(settled.train.iter().map(|v| (&v.camera, depths(v))));
     let bounds = if points.is_none() { seen() } else { None };
     if bounds.is_some() {
-        notes.push("the scene's box is all that is seen between the nearest and farthest depth".into());
+        notes.push("the scene box holds all view frusta between the nearest and farthest depth".into());
     }
     Ok(Dataset { points, bounds, ..settled.dataset(dir, LAYOUT.name, has_alpha, notes) })
 }
 
 fn read_poses(file: &Path) -> Result<Vec<Row>, DataError> {
-    let values = cloud::read_rows(file, WIDTH)?;
+    let values = table::read_rows(file, WIDTH)?;
     values.chunks_exact(WIDTH).enumerate().map(|(i, v)| read_row(file, i, v)).collect()
 }
 
@@ -143,7 +143,7 @@ fn camera_names(dir: &Path) -> Result<BTreeSet<String>, DataError> {
     Ok(names.filter(|n| n.starts_with("cam") && n[3..].parse::<u32>().is_ok()).collect())
 }
 
-/// Names of what a folder holds; names that are no text are left out.
+/// Names of the entries of a folder; names that are not UTF-8 are left out.
 fn entries(dir: &Path) -> Result<Vec<String>, DataError> {
     let failed = |e| DataError::read(dir, e);
     let mut names = Vec::new();
@@ -164,13 +164,13 @@ fn images(dir: &Path) -> Result<Vec<String>, DataError> {
     Ok(names)
 }
 
-fn listed(root: &Root, folder: &str, name: &str, rest: Shot) -> Result<Listed<Shot>, DataError> {
+fn listed(root: &Root, folder: &str, name: &str, rest: ImageAt) -> Result<Listed<ImageAt>, DataError> {
     let shown = format!("{folder}/{name}");
     let path = root.resolve(&shown, &Place::new(root.dir(), shown.as_str()))?;
     Ok(Listed { shown: shown.into(), path, rest })
 }
 
-/// A count that must be that of the rows.
+/// Checks that a count is that of the rows.
 fn same_count(file: PathBuf, what: &str, count: usize, rows: usize) -> Result<(), DataError> {
     if count == rows {
         return Ok(());
@@ -178,25 +178,25 @@ fn same_count(file: PathBuf, what: &str, count: usize, rows: usize) -> Result<()
     Err(DataError::Field {
         place: Place::new(&file, POSES),
         value: format!("{rows} rows for {count} {what}"),
-        why: "rows belong to sorted names one by one, so a missing one would move all others",
+        why: "rows belong to sorted names one by one, so a missing one would shift all others",
         fix: "add what is missing, or remove its row",
     })
 }
 
 /// One image per row.
-fn photographs(
+fn image_per_row(
     root: &Root,
     rows: usize,
     options: &DataOptions,
     notes: &mut Vec<String>,
-) -> Result<Vec<Listed<Shot>>, DataError> {
+) -> Result<Vec<Listed<ImageAt>>, DataError> {
     let missing = format!("there is {POSES}, but neither folders camNN nor an image folder");
     let folder = image_folder(root, options, &IMAGE_FOLDERS, &missing)?;
     let dir = root.resolve(&folder, &Place::new(root.dir(), "data.images"))?;
     let names = images(&dir)?;
     same_count(root.dir().to_path_buf(), &format!("images in \"{folder}\""), names.len(), rows)?;
     notes.push(format!("images come from \"{folder}\", in order of names"));
-    names.iter().enumerate().map(|(row, name)| listed(root, &folder, name, Shot { row, frame: 0 })).collect()
+    names.iter().enumerate().map(|(row, name)| listed(root, &folder, name, ImageAt { row, frame: 0 })).collect()
 }
 
 /// All frames of all cameras, and how many each camera has.
@@ -206,7 +206,7 @@ fn videos(
     cameras: &BTreeSet<String>,
     options: &DataOptions,
     notes: &mut Vec<String>,
-) -> Result<(Vec<Listed<Shot>>, usize), DataError> {
+) -> Result<(Vec<Listed<ImageAt>>, usize), DataError> {
     same_count(root.dir().to_path_buf(), "cameras", cameras.len(), rows.len())?;
     let mut all = Vec::new();
     let mut first: Option<Vec<String>> = None;
@@ -224,12 +224,12 @@ fn videos(
                     stems.len(),
                     stems_wanted.len()
                 ),
-                why: "frames of one number show one moment",
+                why: "frames of one number have one timestamp",
                 fix: "extract all videos again with the same command",
             });
         }
         for (frame, name) in names.iter().enumerate() {
-            all.push(listed(root, &folder, name, Shot { row, frame })?);
+            all.push(listed(root, &folder, name, ImageAt { row, frame })?);
         }
     }
     let frames = first.map_or(0, |names| names.len());
@@ -262,7 +262,7 @@ fn unextracted(root: &Root, videos: usize, rows: &[Row]) -> DataError {
 
 /// Views whose times are frame numbers over `fps`; without a rate they have none.
 fn drafts(
-    listed: Vec<(Listed<Shot>, ImageHeader)>,
+    listed: Vec<(Listed<ImageAt>, ImageHeader)>,
     rows: &[Row],
     fps: Option<f64>,
     notes: &mut Vec<String>,
@@ -282,7 +282,7 @@ fn drafts(
     Ok(drafts)
 }
 
-/// The first camera is held out.
+/// Holds out the first camera.
 fn split_rig(drafts: Vec<Draft>, notes: &mut Vec<String>) -> Drafts {
     if drafts.iter().all(|d| d.view.camera_id == 0) {
         notes.push("there is one camera: it trains, none is held out".into());
@@ -293,7 +293,7 @@ fn split_rig(drafts: Vec<Draft>, notes: &mut Vec<String>) -> Drafts {
     Drafts { train, val: Vec::new(), test }
 }
 
-fn split_photographs(drafts: Vec<Draft>, options: &DataOptions, notes: &mut Vec<String>) -> Drafts {
+fn split_by_name(drafts: Vec<Draft>, options: &DataOptions, notes: &mut Vec<String>) -> Drafts {
     let names: Vec<String> = drafts.iter().map(|d| d.view.name.clone()).collect();
     let (_, held) = hold_out(&names, options.hold_out);
     notes.push(hold_out_note(options.hold_out, held.len()));
@@ -304,7 +304,7 @@ fn split_photographs(drafts: Vec<Draft>, options: &DataOptions, notes: &mut Vec<
     split
 }
 
-/// The options that settle times: frame `k` of `n` at `k/n`, unless the user says otherwise.
+/// The options that put frame `k` of `n` at time `k/n`, unless the user asks for another mapping.
 fn clock(options: &DataOptions, frames: usize, fps: f64, notes: &mut Vec<String>) -> DataOptions {
     if frames <= 1 || options.time_from == TimeFrom::Name {
         return options.clone();
@@ -314,7 +314,7 @@ fn clock(options: &DataOptions, frames: usize, fps: f64, notes: &mut Vec<String>
     }
     let whole = TimeRange { start: 0.0, end: frames as f64 / fps };
     let time_range = options.time_range.or(Some(whole));
-    // The order of frame names is what the frames are numbered by already.
+    // Frames are numbered by the order of their names already.
     DataOptions { time_from: TimeFrom::File, time_range, ..options.clone() }
 }
 
@@ -323,6 +323,6 @@ fn points(root: &Root, notes: &mut Vec<String>) -> Result<Option<super::PointClo
     if !file.is_file() {
         return Ok(None);
     }
-    notes.push(format!("start points come from {POINTS}"));
+    notes.push(format!("initial points come from {POINTS}"));
     ply::read_points(&file).map(Some)
 }

@@ -1,9 +1,9 @@
 //! Masks: which pixels of a view count, and how much.
 //!
-//! A mask is an image of one channel: 255 counts wholly, 0 not at all; of a coloured file the first channel is taken. It has
-//! the shape of the view's picture, in any size. Each pixel of the view takes the weight at its centre, followed through the
-//! view's lens to the photograph and there to the nearest pixel of the mask, so a mask of 0 and 1 stays one. What the
-//! photograph does not reach counts 0.
+//! A mask is an image of one channel: 255 counts fully, 0 not at all; of a coloured file the first channel is used. It has
+//! the aspect ratio of the view's stored image, at any size. The centre of each pixel of the view is mapped through the
+//! view's lens to the stored image and there to the nearest pixel of the mask, so a binary mask stays binary. Pixels
+//! outside the stored image have weight 0.
 
 use std::path::Path;
 
@@ -16,7 +16,7 @@ use super::header;
 use super::intrinsics::same_shape;
 use super::pixels::ImageU8;
 
-/// Whether a mask file fits pictures of a size, by its header alone.
+/// Checks that a mask file fits images of a size, by its header alone.
 ///
 /// # Errors
 /// `data.image_size` for another shape; `data.image`, `io.read` if it is no image.
@@ -25,7 +25,10 @@ pub(crate) fn check(file: &Path, want: [u32; 2]) -> Result<(), DataError> {
     check_shape(file, [header.width, header.height], want)
 }
 
-/// As [`check`], for a size that is known.
+/// Checks that a map of size `got`, read from `file`, has the aspect ratio of images of size `want`; sizes are width, height.
+///
+/// # Errors
+/// `data.image_size` if the ratios differ by more than 1 %.
 pub fn check_shape(file: &Path, got: [u32; 2], want: [u32; 2]) -> Result<(), DataError> {
     let size = |s: [u32; 2]| DVec2::new(f64::from(s[0]), f64::from(s[1]));
     if same_shape(size(got), size(want)) {
@@ -34,14 +37,14 @@ pub fn check_shape(file: &Path, got: [u32; 2], want: [u32; 2]) -> Result<(), Dat
     Err(DataError::ImageSize { file: file.to_path_buf(), got, want })
 }
 
-/// The weights of a view's mask for `camera`: [`View::camera`], or that camera scaled. `[H, W, 1]`, in 0..1.
+/// The weights of a view's mask at the size of `camera`: [`View::camera`], or that camera scaled. `[H, W, 1]`, in 0..1.
 pub(crate) fn weights(mask: &ImageU8, v: &View, camera: &Camera) -> Image {
     let value = |at: Option<[usize; 2]>| at.map_or(0.0, |[x, y]| f32::from(mask.pixel(x, y)[0]) / 255.0);
     let data = nearest([mask.width, mask.height], v, camera).map(value).collect();
     Image { width: camera.width as usize, height: camera.height as usize, channels: 1, data }
 }
 
-/// Takes away, by its alpha, what the mask of a photograph leaves out: every stored pixel has the weight of the nearest one of the mask.
+/// Multiplies the alpha of a stored image by the mask: each pixel takes the weight of the nearest pixel of the mask.
 pub(crate) fn cut(image: &mut ImageU8, mask: &ImageU8) {
     let (width, height) = (image.width, image.height);
     for (k, pixel) in image.data.chunks_exact_mut(4).enumerate() {
@@ -51,8 +54,8 @@ pub(crate) fn cut(image: &mut ImageU8, mask: &ImageU8) {
     }
 }
 
-/// For every pixel of `camera`, row by row, the nearest one `[x, y]` of a map of `size` that has the shape of the view's
-/// photograph; none where the photograph does not reach.
+/// For every pixel of `camera`, row-major, the nearest pixel `[x, y]` of a map of size `[width, height]` with the aspect ratio
+/// of the view's stored image; none outside that image. `camera` is [`View::camera`], or that camera scaled.
 pub fn nearest<'a>(
     [width, height]: [usize; 2],
     v: &'a View,

@@ -1,10 +1,10 @@
 //! nerfstudio and instant-ngp: one `transforms.json` (Tancik et al. 2023; Müller et al. 2022).
 //!
-//! Intrinsics at top level or in each frame, the frame's winning: `fl_x fl_y cx cy w h`, or `camera_angle_x` (and
+//! Intrinsics at top level or in each frame, those of the frame first: `fl_x fl_y cx cy w h`, or `camera_angle_x` (and
 //! `camera_angle_y`), and the distortion `k1 k2 k3 p1 p2` of OpenCV. Per frame `file_path`, `transform_matrix` (camera to
 //! world, OpenGL axes) and optionally `time` and `mask_path` (white counts, black does not). `train_filenames`, `val_filenames`, `test_filenames` give the split, else
-//! every eighth view is held out. `ply_file_path` names a cloud of start points. `applied_transform` is left alone:
-//! poses and points already share the transformed world.
+//! every eighth view is held out. `ply_file_path` names the initial points. `applied_transform` is not used:
+//! poses and points are both in the transformed world.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -36,11 +36,11 @@ fn probe(dir: &Path) -> Option<Confidence> {
     dir.join("transforms.json").is_file().then_some(Confidence::Likely)
 }
 
-/// What a frame states beside its image.
+/// Fields of a frame beside its image.
 struct Frame {
     pose: Pose,
     time: Option<f64>,
-    stated: Stated,
+    stated: PartialIntrinsics,
     time_place: Place,
     place: Place,
     written: String,
@@ -50,7 +50,7 @@ struct Frame {
 /// Reads a capture.
 ///
 /// # Errors
-/// See [`DataError`]; every fault names file and field.
+/// See [`DataError`]; every error names file and field.
 fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     let root = Root::new(dir)?;
     let file = dir.join("transforms.json");
@@ -58,7 +58,7 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     let text = quote_non_finite(&text);
     let document = Document::parse(&file, &text)?;
     check_model(&document.top())?;
-    let shared = Stated::read(&document.top())?;
+    let shared = PartialIntrinsics::read(&document.top())?;
     let frames =
         (0..document.len()).map(|i| read_frame(&root, &document.frame(i)?, &shared)).collect::<Result<_, _>>()?;
     let mut notes = Vec::new();
@@ -75,7 +75,7 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     Ok(Dataset { points: points(&root, &document.top())?, ..settled.dataset(dir, LAYOUT.name, has_alpha, notes) })
 }
 
-/// Camera models other than pinhole and OpenCV's are refused by name.
+/// Refuses camera models other than pinhole and OpenCV.
 fn check_model(top: &Fields) -> Result<(), DataError> {
     match top.text("camera_model")? {
         None | Some("OPENCV" | "PINHOLE" | "SIMPLE_PINHOLE" | "SIMPLE_RADIAL" | "RADIAL" | "PERSPECTIVE") => Ok(()),
@@ -83,9 +83,9 @@ fn check_model(top: &Fields) -> Result<(), DataError> {
     }
 }
 
-/// Intrinsics as far as an object states them.
+/// The intrinsics that an object states, each optional.
 #[derive(Clone, Copy, Default)]
-struct Stated {
+struct PartialIntrinsics {
     fl: [Option<f64>; 2],
     angle: [Option<f64>; 2],
     principal: [Option<f64>; 2],
@@ -93,7 +93,7 @@ struct Stated {
     lens: [Option<f64>; 5],
 }
 
-impl Stated {
+impl PartialIntrinsics {
     fn read(o: &Fields) -> Result<Self, DataError> {
         let pair = |a, b| Ok::<_, DataError>([o.number(a)?, o.number(b)?]);
         for key in ["k4", "k5", "k6"] {
@@ -127,7 +127,7 @@ impl Stated {
         Ok(stated)
     }
 
-    /// A frame's own values before shared ones.
+    /// The values of a frame, else the shared ones.
     fn or(self, shared: &Self) -> Self {
         fn first<const N: usize>(own: [Option<f64>; N], shared: [Option<f64>; N]) -> [Option<f64>; N] {
             std::array::from_fn(|k| own[k].or(shared[k]))
@@ -167,14 +167,14 @@ impl Stated {
     }
 }
 
-fn read_frame(root: &Root, frame: &Fields, shared: &Stated) -> Result<Listed<Frame>, DataError> {
+fn read_frame(root: &Root, frame: &Fields, shared: &PartialIntrinsics) -> Result<Listed<Frame>, DataError> {
     let written = frame.required_text("file_path")?.to_string();
     let (shown, path) = locate(root, &written, &frame.place("file_path"))?;
     let place = frame.place("transform_matrix");
     let rest = Frame {
         pose: from_opengl(&frame.matrix("transform_matrix")?, &place)?,
         time: frame.number("time")?,
-        stated: Stated::read(frame)?.or(shared),
+        stated: PartialIntrinsics::read(frame)?.or(shared),
         time_place: frame.place("time"),
         place: frame.place(""),
         written,
@@ -210,7 +210,7 @@ fn drafts(
     Ok(drafts)
 }
 
-/// Which list each frame goes to.
+/// The split of a frame.
 #[derive(Clone, Copy)]
 enum Target {
     Train,

@@ -1,7 +1,6 @@
-//! One array out of a NumPy `.npz`: a ZIP archive (PKWARE APPNOTE 6.3) of `.npy` files, stored or deflated.
+//! One array of a NumPy `.npz`: a ZIP archive (PKWARE APPNOTE 6.3) of `.npy` files, stored or deflated.
 //!
-//! The list of members is the central directory at the end of the archive; its sizes are right where local headers leave them
-//! out. Archives above 4 GiB, encryption and several disks are refused.
+//! The list of members is the central directory at the end of the archive; its sizes are right where local headers omit them. Archives above 4 GiB, encryption and several disks are refused.
 
 use std::io::Read;
 use std::path::Path;
@@ -13,9 +12,9 @@ use super::error::{DataError, Place};
 /// Bytes of the record that ends an archive, and of the longest comment behind it.
 const END_BYTES: usize = 22;
 const MAX_COMMENT: usize = 0xffff;
-/// Every member may take this much, however small its archive.
-const FREE_BYTES: u64 = 64 << 20;
-/// Beyond that, bytes in memory per byte of the archive.
+/// Memory that every member may take, whatever the size of its archive.
+const BASE_BYTES: u64 = 64 << 20;
+/// Additional bytes in memory per byte of the archive.
 const BYTES_PER_FILE_BYTE: u64 = 8;
 
 /// The bytes of member `name` of the archive `bytes`, which came from `file`.
@@ -31,7 +30,7 @@ pub(crate) fn member(file: &Path, bytes: &[u8], name: &str) -> Result<Vec<u8>, D
         return Err(broken(name, "it is encrypted"));
     }
     let packed = packed(bytes, &entry).ok_or_else(|| broken(name, "it ends early"))?;
-    let limit = FREE_BYTES + BYTES_PER_FILE_BYTE * bytes.len() as u64;
+    let limit = BASE_BYTES + BYTES_PER_FILE_BYTE * bytes.len() as u64;
     let mut out = Vec::new();
     match entry.method {
         0 => out.extend_from_slice(packed),

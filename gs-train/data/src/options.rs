@@ -1,17 +1,26 @@
-//! What a user may say about a data set (`[data]` in a run's configuration).
+//! Options of readers: the section `[data]` of a run's configuration.
 
 use std::fmt;
 use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-/// A closed range of times in the data's own units, written `0..1.3`.
+/// A closed range of times in the data's own units, written `0..1.3`; `end > start`, both finite.
+///
+/// ```
+/// use gs_data::TimeRange;
+///
+/// let range: TimeRange = "0..1.3".parse()?;
+/// assert_eq!((range.start, range.end, range.to_string()), (0.0, 1.3, "0..1.3".into()));
+/// assert!("2..1".parse::<TimeRange>().is_err());
+/// # Ok::<(), String>(())
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct TimeRange {
-    /// First time; becomes normalised 0.
+    /// First time, mapped to normalised 0.
     pub start: f64,
-    /// Last time; becomes normalised 1.
+    /// Last time, mapped to normalised 1.
     pub end: f64,
 }
 
@@ -47,67 +56,75 @@ impl TryFrom<String> for TimeRange {
     }
 }
 
-/// Where a frame's time comes from.
+/// Where the time of a frame comes from: `data.time_from`, in lower case.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum TimeFrom {
-    /// What the files state; a layout without times is static.
+    /// The files of the layout; a layout without times is static.
     #[default]
     File,
     /// The last number in the image's file name is its frame number.
     Name,
-    /// The position of the image in sorted order of names. Only on request: it is an assumption about the capture.
+    /// The index of the image in sorted order of file names: an assumption about the capture, hence never a default.
     Order,
 }
 
-/// Options of every reader. Unknown keys are refused.
+/// Options of every reader; the name of a field `x` on the command line is `data.x`. Deserialising refuses unknown keys.
+///
+/// ```
+/// use gs_data::DataOptions;
+///
+/// let options = DataOptions { scale: 0.5, test_cameras: vec![0], ..DataOptions::default() };
+/// assert_eq!((options.hold_out, options.layout), (8, None));
+/// ```
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DataOptions {
     /// Name of the layout (see [`super::LAYOUTS`]); none: detect it.
     pub layout: Option<String>,
-    /// Range of training times (with a boundary: of the whole sequence); mapped to 0..1. None: the layout's own range (D-NeRF 0..1) is required, and the span of
-    /// the training views is mapped to 0..1.
+    /// Range of training times (with a boundary: of the whole sequence), mapped to 0..1; times outside are errors. None: times
+    /// must lie in the layout's own range (D-NeRF: 0..1), and the span of the training views is mapped to 0..1.
     pub time_range: Option<TimeRange>,
-    /// Share of the whole sequence, above 0 and at most 1, that may be learnt from: views up to it keep their split, all later
+    /// Share of the whole sequence, above 0 and at most 1, that may train: views up to it keep their split, all later
     /// ones, of every camera and split, are [`super::Split::Extrapolate`]. The whole sequence is `time_range`, else the span
-    /// of all views, and becomes 0..1. None: what `scene.toml` in the data folder says, else no boundary; 1: no boundary.
+    /// of all views, and is mapped to 0..1. None: the value in `scene.toml` of the data folder, else no boundary; 1: no boundary.
     pub time_boundary: Option<f64>,
-    /// Where times come from.
+    /// Where the times of frames come from.
     pub time_from: TimeFrom,
-    /// Frames per second for [`TimeFrom::Name`], [`TimeFrom::Order`] and layouts whose files count frames; none: the layout's
-    /// own rate, else the clock equals the normalised time.
+    /// Frames per second for [`TimeFrom::Name`], [`TimeFrom::Order`] and layouts whose files count frames. None: the rate of
+    /// the layout, else [`gs_core::Time::seconds`] equals the normalised time.
     pub fps: Option<f64>,
-    /// Leave out views whose image is missing (with a note) instead of refusing the data.
+    /// Leave out views whose image is missing, with a note, instead of returning an error.
     pub allow_missing: bool,
-    /// Where the data give no split: every `hold_out`-th view, in order of names, starting with the first, is for tests.
-    /// 0: no test views.
+    /// Where the data give no split: every `hold_out`-th view in order of names, starting with the first, is held out.
+    /// 0 holds out none.
     pub hold_out: u32,
-    /// Cameras read, by [`super::View::camera_id`]; empty: all.
+    /// Cameras to read, by [`super::View::camera_id`]; empty: all.
     pub cameras: Vec<u32>,
-    /// Cameras held out, in place of the data's own split: all others train. Empty: the data's split.
+    /// Cameras to hold out instead of the data's own split; all others train. Empty: the data's split.
     pub test_cameras: Vec<u32>,
-    /// First moment read, counted from 0 over the different times of all views, in order.
+    /// First timestamp to read, as an index from 0 into the sorted distinct times of all views.
     pub first_frame: u32,
-    /// Moments read, from `first_frame` on, those that `frame_step` passes over included; 0: all.
+    /// Number of timestamps from `first_frame` on, including those that `frame_step` leaves out; 0: all.
     pub frame_count: u32,
-    /// Of these every `frame_step`-th is read.
+    /// Read every `frame_step`-th of these; at least 1.
     pub frame_step: u32,
-    /// Resample distorted images to their pinhole camera; `false` refuses distorted cameras.
+    /// Resample distorted images to their pinhole camera; `false` makes a distorted camera an error.
     pub undistort: bool,
-    /// Nerfies and DyCheck captures: bring cameras and points to the normalised frame of `scene.json`; `false` trains in the
+    /// Nerfies and DyCheck captures: transform cameras and points to the normalised frame of `scene.json`; `false` stays in the
     /// raw frame, as 4DGaussians does.
     pub normalise: bool,
-    /// Nerfies and DyCheck captures: only the focal length of cameras counts, as in 4DGaussians.
+    /// Nerfies and DyCheck captures: use the focal length alone, as 4DGaussians does: principal point in the centre, no skew,
+    /// no distortion.
     pub center_pp: bool,
     /// Image folder of a COLMAP model; none: the first of `images`, `images_2`, `images_4`, `images_8`, `input`.
     pub images: Option<String>,
-    /// Size of the images used, as a part of their stored size: above 0, at most 1. Shrinking averages areas.
+    /// Factor on the size of the stored images: above 0, at most 1. Shrinking averages areas.
     pub scale: f64,
-    /// Only what masks show counts: pixels that a view's mask leaves out are transparent, so that the background of training
-    /// stands there, and views without a mask are left out.
+    /// Make pixels outside a view's mask transparent, so that the background of training replaces them, and leave out views
+    /// without a mask.
     pub cut_out: bool,
-    /// Largest decoded image in MiB; none: 64 MiB plus eight times the size of its file.
+    /// Most memory for decoding one image, MiB; none: 64 MiB plus eight times the size of its file.
     pub max_image_mib: Option<u32>,
 }
 

@@ -1,21 +1,21 @@
-//! PanopticSports as Dynamic 3D Gaussians prepared it (Luiten et al. 2024; Joo et al. 2015): a dome of still cameras.
+//! PanopticSports as Dynamic 3D Gaussians prepared it (Luiten et al. 2024; Joo et al. 2015): a dome of static cameras.
 //!
 //! `train_meta.json` and `test_meta.json` hold `w`, `h` and four tables indexed `[frame][camera]`: `k`, the calibration
-//! matrix; `w2c`, world to camera with OpenCV axes; `fn`, the picture below `ims/`; `cam_id`. The world's unit is the metre,
-//! its y axis points down. `seg/`, where it is there, holds masks of the same names (people and ball), as PNG: they become
+//! matrix; `w2c`, world to camera with OpenCV axes; `fn`, the image below `ims/`; `cam_id`. The world's unit is the metre,
+//! its y axis points down. `seg/`, optional, holds masks of the same names (people and ball) as PNG:
 //! [`View::mask`](super::View::mask).
 //!
 //! # Geometry
 //! `u = k₀₀ x + k₀₁ y + k₀₂`, `v = k₁₁ y + k₁₂` of the point `(x, y)` of the plane `z = 1`, principal point off the centre,
-//! pixel centres at +½ as everywhere here: a test on the real clip compares reprojected and seen places of a ball.
+//! pixel centres at +½: a test on the real clip compares the projected positions of a ball with its pixels.
 //!
 //! # Time and splits
-//! Frame `n` is at `n / data.fps` seconds, 30 frames a second unless told; the training span becomes 0..1. Cameras of
+//! Frame `n` is at `n / data.fps` seconds, 30 frames a second by default; the training span is mapped to 0..1. Cameras of
 //! `train_meta.json` train, those of `test_meta.json` are held out; `data.test_cameras` holds out others.
 //!
-//! # Start
-//! `init_pt_cld.npz` (table `data`, `.npy` or a `.ply` of the same name): x, y, z, r, g, b in 0..1, and a flag. Else points start
-//! in the dome: a box around the point nearest to all lines of sight, as wide as the cameras stand off.
+//! # Initial points
+//! `init_pt_cld.npz` (table `data`, `.npy` or a `.ply` of the same name): x, y, z, r, g, b in 0..1, and a flag. Without
+//! it the scene box is the dome: a cube around the point nearest to all optical axes, as large as the distance of the cameras.
 
 use std::path::{Path, PathBuf};
 
@@ -36,7 +36,7 @@ use super::lens::Lens;
 use super::options::DataOptions;
 use super::pose::{Pose, from_world_to_camera};
 use super::times::{Draft, Drafts, settle};
-use super::{Confidence, Dataset, ImageSource, Layout, PointCloud, View, cloud, mask, ply};
+use super::{Confidence, Dataset, ImageSource, Layout, PointCloud, View, mask, ply, table};
 
 /// The entry in [`super::LAYOUTS`].
 pub(crate) const LAYOUT: Layout = Layout {
@@ -46,15 +46,15 @@ pub(crate) const LAYOUT: Layout = Layout {
     open,
 };
 
-/// Rate of the clips.
+/// Frames per second of the clips.
 const FPS: f64 = 30.0;
 /// Largest list of cameras; 150 frames of 31 cameras have 2 MB.
 const MAX_META_BYTES: u64 = 32 << 20;
 /// Largest row of one table: all cameras of one frame.
 const MAX_ROW_BYTES: usize = 256 << 10;
-/// No frame is shorter: its matrices alone have 67 characters.
-const LEAST_FRAME_BYTES: usize = 67;
-/// The dome reaches this much beyond the cameras.
+/// Shortest possible frame: its matrices alone have 67 characters.
+const MIN_FRAME_BYTES: usize = 67;
+/// Half side of the dome over the median distance of the cameras.
 const DOME: f64 = 1.1;
 
 fn probe(dir: &Path) -> Option<Confidence> {
@@ -64,7 +64,7 @@ fn probe(dir: &Path) -> Option<Confidence> {
 /// Reads a clip.
 ///
 /// # Errors
-/// See [`DataError`]; every fault names file and field.
+/// See [`DataError`]; every error names file and field.
 fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     let root = Root::new(dir)?;
     let file = dir.join("train_meta.json");
@@ -99,8 +99,8 @@ struct Meta<'a> {
     cam_id: Option<&'a RawValue>,
 }
 
-/// What one picture needs beside its file.
-struct Shot {
+/// Fields of an image beside its file.
+struct ImageAt {
     pose: Pose,
     intrinsics: Intrinsics,
     mask: Option<PathBuf>,
@@ -109,7 +109,7 @@ struct Shot {
     place: Place,
 }
 
-/// The views of one list.
+/// The views of one file.
 fn drafts(root: &Root, file: &Path, options: &DataOptions, notes: &mut Vec<String>) -> Result<Vec<Draft>, DataError> {
     let listed = with_headers(file, read(root, file)?, options, notes)?;
     let fps = options.fps.unwrap_or(FPS);
@@ -123,7 +123,7 @@ fn drafts(root: &Root, file: &Path, options: &DataOptions, notes: &mut Vec<Strin
 }
 
 fn draft(
-    listed: Listed<Shot>,
+    listed: Listed<ImageAt>,
     header: &ImageHeader,
     fps: f64,
     options: &DataOptions,
@@ -143,8 +143,8 @@ fn draft(
     Ok(Draft { view, stated: Some(shot.frame as f64 / fps), place: shot.place })
 }
 
-/// Every picture of a list.
-fn read(root: &Root, file: &Path) -> Result<Vec<Listed<Shot>>, DataError> {
+/// Every image of a file.
+fn read(root: &Root, file: &Path) -> Result<Vec<Listed<ImageAt>>, DataError> {
     let text = read_text(file, MAX_META_BYTES)?;
     let text = quote_non_finite(&text);
     let broken = |e: serde_json::Error| {
@@ -156,7 +156,7 @@ fn read(root: &Root, file: &Path) -> Result<Vec<Listed<Shot>>, DataError> {
     let mut rows = Vec::with_capacity(tables.len());
     for (name, table) in tables {
         let table = table.ok_or_else(|| fault(file, name, "missing", "it is one of the four tables"))?;
-        let frames = slices(table, text.len() / LEAST_FRAME_BYTES + 1);
+        let frames = slices(table, text.len() / MIN_FRAME_BYTES + 1);
         rows.push(frames.map_err(|e| fault(file, name, &e.to_string(), "it is a list with one entry per frame"))?);
     }
     let frames = rows[0].len();
@@ -173,7 +173,7 @@ fn read(root: &Root, file: &Path) -> Result<Vec<Listed<Shot>>, DataError> {
         }
         for (c, (((k, w2c), name), id)) in k.into_iter().zip(w2c).zip(names).zip(ids).enumerate() {
             let cells = [("k", k), ("w2c", w2c), ("fn", name), ("cam_id", id)];
-            listed.push(shot(root, file, size, [t, c], cells)?);
+            listed.push(image_at(root, file, size, [t, c], cells)?);
         }
     }
     Ok(listed)
@@ -196,7 +196,7 @@ fn same_length(file: &Path, at: &str, got: usize, want: usize, what: &str) -> Re
 fn side(file: &Path, name: &str, value: Option<&RawValue>) -> Result<f64, DataError> {
     let text = value.map_or("missing", RawValue::get);
     let side = text.parse::<f64>().ok().filter(|s| (1.0..=f64::from(gs_core::camera::MAX_SIDE)).contains(s));
-    side.ok_or_else(|| fault(file, name, text, "the calibration holds for pictures of this size, 1 to 32768 pixels"))
+    side.ok_or_else(|| fault(file, name, text, "the calibration is for images of this size, 1 to 32768 pixels"))
 }
 
 /// One frame of a table: an entry per camera.
@@ -209,20 +209,20 @@ fn row(file: &Path, name: &str, t: usize, raw: &RawValue) -> Result<Vec<Value>, 
     serde_json::from_str(raw.get()).map_err(|_| fault(file, &at, raw.get(), "it is a list with one entry per camera"))
 }
 
-/// Camera `c` of frame `t`. Its cells are named by their JSON paths, so that faults are.
-fn shot(
+/// Camera `c` of frame `t`. Its cells have their JSON paths as names, for error texts.
+fn image_at(
     root: &Root,
     file: &Path,
     size: [f64; 2],
     [t, c]: [usize; 2],
     cells: [(&str, Value); 4],
-) -> Result<Listed<Shot>, DataError> {
+) -> Result<Listed<ImageAt>, DataError> {
     let path = |table: &str| format!("{table}[{t}][{c}]");
     let map: Map<String, Value> = cells.into_iter().map(|(table, value)| (path(table), value)).collect();
     let fields = Fields::new(file, "", &map);
     let name = path("fn");
     let written = format!("ims/{}", fields.required_text(&name)?);
-    let (shown, picture) = locate(root, &written, &fields.place(&name))?;
+    let (shown, image) = locate(root, &written, &fields.place(&name))?;
     let id = path("cam_id");
     let camera = fields.required_number(&id)?;
     if !(0.0..=f64::from(u32::MAX)).contains(&camera) || camera.fract() != 0.0 {
@@ -234,7 +234,7 @@ fn shot(
         ));
     }
     let pose = from_world_to_camera(&fields.matrix(&path("w2c"))?, &fields.place(&path("w2c")))?;
-    let rest = Shot {
+    let rest = ImageAt {
         pose,
         intrinsics: intrinsics(&fields, &path("k"), size)?,
         mask: mask_of(root, &shown)?,
@@ -242,7 +242,7 @@ fn shot(
         frame: t,
         place: fields.place(&path("k")),
     };
-    Ok(Listed { shown, path: picture, rest })
+    Ok(Listed { shown, path: image, rest })
 }
 
 fn intrinsics(fields: &Fields, key: &str, size: [f64; 2]) -> Result<Intrinsics, DataError> {
@@ -252,7 +252,7 @@ fn intrinsics(fields: &Fields, key: &str, size: [f64; 2]) -> Result<Intrinsics, 
         let why = "a calibration matrix is [[fx, s, cx], [0, fy, cy], [0, 0, 1]] with positive focal lengths";
         return Err(fields.fault(key, &format!("{k:?}"), why, "export the calibration again"));
     }
-    // The lens leans by the distorted y of the plane z = 1: s y = fx · skew · y.
+    // The skew acts on the distorted y of the plane z = 1: s y = fx · skew · y.
     let lens = Lens { skew: k[0][1] / k[0][0], ..Lens::default() };
     Ok(Intrinsics {
         size: size.into(),
@@ -262,7 +262,7 @@ fn intrinsics(fields: &Fields, key: &str, size: [f64; 2]) -> Result<Intrinsics, 
     })
 }
 
-/// The mask of the same name below `seg/`, if it is there.
+/// The mask of the same name below `seg/`, if the file exists.
 fn mask_of(root: &Root, shown: &Path) -> Result<Option<PathBuf>, DataError> {
     let Ok(name) = shown.strip_prefix("ims") else { return Ok(None) };
     let written = Path::new("seg").join(name).with_extension("png");
@@ -270,7 +270,7 @@ fn mask_of(root: &Root, shown: &Path) -> Result<Option<PathBuf>, DataError> {
     Ok(file.is_file().then_some(file))
 }
 
-/// The box around the dome.
+/// The scene box around the dome.
 fn dome(train: &[View]) -> [Vec3; 2] {
     let centre = focus(train);
     let mut away: Vec<f64> = train.iter().map(|v| (v.camera.position() - centre).length()).collect();
@@ -279,13 +279,13 @@ fn dome(train: &[View]) -> [Vec3; 2] {
     [centre.as_vec3() - half, centre.as_vec3() + half]
 }
 
-/// The points of the capture, if it brings them along.
+/// The initial points of the capture, if it has them.
 fn points(root: &Root, notes: &mut Vec<String>) -> Result<Option<PointCloud>, DataError> {
     for name in ["init_pt_cld.npz", "init_pt_cld.npy", "init_pt_cld.ply"] {
         let file = root.resolve(name, &Place::new(root.dir(), name))?;
         if file.is_file() {
-            let points = if name.ends_with("ply") { ply::read_points(&file)? } else { cloud::read_coloured(&file, 7)? };
-            notes.push(format!("start points come from {name}: {}", points.positions.len()));
+            let points = if name.ends_with("ply") { ply::read_points(&file)? } else { table::read_coloured(&file, 7)? };
+            notes.push(format!("initial points come from {name}: {}", points.positions.len()));
             return Ok(Some(points));
         }
     }

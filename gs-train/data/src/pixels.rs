@@ -1,35 +1,44 @@
-//! Images as files hold them: 8 bit, RGBA, straight alpha, display-encoded.
+//! Decoded images: 8-bit RGBA, straight alpha, display-encoded.
 
 use gs_core::Image;
 use rayon::prelude::*;
 
 /// Pixels per parallel task.
-const PIECE: usize = 1 << 13;
+const CHUNK: usize = 1 << 13;
 
-/// An RGBA image of `u8`, straight alpha, row-major, origin top left.
+/// An RGBA image of `u8`: straight alpha, display-encoded, row-major, origin top left.
+///
+/// ```
+/// use gs_data::ImageU8;
+///
+/// let image = ImageU8 { width: 2, height: 1, data: vec![255, 0, 0, 255, 0, 255, 0, 0] };
+/// assert_eq!(image.pixel(0, 0), [255, 0, 0, 255]);
+/// assert_eq!(image.over([0.0, 0.0, 1.0]).data, [1.0, 0.0, 0.0, 0.0, 0.0, 1.0]);
+/// assert_eq!(image.box_downscaled(1, 1).data, [255, 0, 0, 128]); // premultiplied: transparent green adds nothing
+/// ```
 #[derive(Clone, Debug, PartialEq, Eq, Default)]
 pub struct ImageU8 {
-    /// Pixels per row.
+    /// Number of columns.
     pub width: usize,
-    /// Rows.
+    /// Number of rows.
     pub height: usize,
-    /// `height * width * 4` values.
+    /// `[height, width, 4]` values.
     pub data: Vec<u8>,
 }
 
 impl ImageU8 {
-    /// The picture over a background colour: `C·α + B·(1 − α)`, 3 channels, display-encoded, as the 3DGS family blends.
+    /// The image over a background colour, `C α + B (1 − α)`: `[H, W, 3]` in 0..1, display-encoded, as the 3DGS family blends.
     pub fn over(&self, background: [f32; 3]) -> Image {
         let mut image = Image::default();
         self.over_into(background, &mut image);
         image
     }
 
-    /// The same, into an image whose memory is reused.
+    /// [`Self::over`] into an image whose memory is reused.
     pub fn over_into(&self, background: [f32; 3], image: &mut Image) {
         (image.width, image.height, image.channels) = (self.width, self.height, 3);
         image.data.resize(self.width * self.height * 3, 0.0);
-        let pieces = image.data.par_chunks_mut(3 * PIECE).zip(self.data.par_chunks(4 * PIECE));
+        let pieces = image.data.par_chunks_mut(3 * CHUNK).zip(self.data.par_chunks(4 * CHUNK));
         pieces.for_each(|(to, from)| {
             for (to, p) in to.chunks_exact_mut(3).zip(from.chunks_exact(4)) {
                 let a = f32::from(p[3]) / 255.0;
@@ -40,19 +49,22 @@ impl ImageU8 {
         });
     }
 
-    /// The alpha channel alone, 1 channel.
+    /// The alpha channel, `[H, W, 1]` in 0..1.
     pub fn alpha(&self) -> Image {
         let data = self.data.chunks_exact(4).map(|p| f32::from(p[3]) / 255.0).collect();
         Image { width: self.width, height: self.height, channels: 1, data }
     }
 
-    /// The four values of pixel `(x, y)`.
+    /// RGBA of the pixel in column `x` and row `y`.
+    ///
+    /// # Panics
+    /// If it lies outside the image.
     pub fn pixel(&self, x: usize, y: usize) -> [u8; 4] {
         let at = (y * self.width + x) * 4;
         std::array::from_fn(|c| self.data[at + c])
     }
 
-    /// Area average of premultiplied colour and of alpha, to `width × height` (neither larger than now). Each new pixel
+    /// Area average of premultiplied colour and of alpha, to `width × height` (neither larger than the image's). Each new pixel
     /// averages the exact rectangle it covers; half size is the 2×2 mean. Colour under zero alpha becomes black.
     pub fn box_downscaled(&self, width: usize, height: usize) -> Self {
         let columns = spans(self.width, width);

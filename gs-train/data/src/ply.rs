@@ -1,4 +1,4 @@
-//! Start points in a `.ply`: `x y z` and, where present, `red green blue` (0 to 255).
+//! Initial points as `.ply`: `x y z` and, where present, `red green blue` (0 to 255).
 
 use std::io::Write;
 use std::path::Path;
@@ -12,7 +12,7 @@ use super::error::DataError;
 /// Reads the points of a file; those without colours are grey.
 ///
 /// # Errors
-/// `data.points` with whatever the PLY reader finds.
+/// `data.points` with the error of the PLY reader.
 pub(crate) fn read_points(file: &Path) -> Result<PointCloud, DataError> {
     let (positions, colors) = read_measured(file)?;
     let colors = colors.unwrap_or_else(|| vec![[0.5; 3]; positions.len()]);
@@ -43,10 +43,18 @@ pub(crate) fn read_measured(file: &Path) -> Result<Measured, DataError> {
     Ok((positions, Some(bytes.into_iter().map(|c| c.map(|v| (v / 255.0).clamp(0.0, 1.0))).collect())))
 }
 
-/// Writes points with colours, binary.
+/// Writes points as binary PLY: `x y z` as `f32`, `red green blue` as `u8`.
+///
+/// ```
+/// let cloud = gs_data::PointCloud { positions: vec![glam::Vec3::ONE], colors: vec![[1.0, 0.5, 0.0]] };
+/// let mut bytes = Vec::new();
+/// gs_data::ply::write_points(&cloud, &mut bytes)?;
+/// assert!(bytes.ends_with(&[255, 128, 0]));
+/// # Ok::<(), std::io::Error>(())
+/// ```
 ///
 /// # Errors
-/// Whatever the writer meets.
+/// Those of `out`.
 pub fn write_points(cloud: &PointCloud, out: &mut dyn Write) -> std::io::Result<()> {
     writeln!(out, "ply\nformat binary_little_endian 1.0\nelement vertex {}", cloud.positions.len())?;
     ["x", "y", "z"].iter().try_for_each(|c| writeln!(out, "property float {c}"))?;

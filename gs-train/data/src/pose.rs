@@ -1,6 +1,6 @@
-//! Camera-to-world matrices of files to world-to-camera rotations and translations of ours.
+//! Poses of files to world-to-camera rotations and translations with OpenCV axes.
 //!
-//! OpenGL and Blender cameras have +x right, +y up and look along −z; ours (OpenCV) have +y down and look along +z. With
+//! OpenGL and Blender cameras have +x right, +y up and −z forward; OpenCV cameras have +y down and +z forward. With
 //! `F = diag(1, −1, −1)` the camera-to-world rotation becomes `R_c2w F`, the centre stays, and the inverse is
 //! `R = F R_c2wᵀ`, `T = −R c`.
 

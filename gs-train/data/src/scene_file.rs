@@ -1,4 +1,4 @@
-//! `scene.toml` in a data folder: what its maker says about the capture where the layout has no place for it.
+//! `scene.toml` in a data folder: settings of the capture that its layout has no field for.
 //!
 //! ```toml
 //! [time]
@@ -6,10 +6,10 @@
 //! range = "0..4.67"    # data.time_range
 //!
 //! [start]
-//! points = "start.ply"                      # points to begin with, in place of the layout's own
-//! bounds = [[-1, -1, -1], [1, 1, 1]]        # corners of the box that holds the scene
+//! points = "start.ply"                      # initial points, instead of the layout's own
+//! bounds = [[-1, -1, -1], [1, 1, 1]]        # corners of the scene box
 //! ```
-//! Settings of the user win. Unknown keys are refused: a misspelt boundary would train on the future.
+//! Settings of the user win. Unknown keys are refused: a misspelt boundary would train on held-out times.
 
 use std::path::Path;
 
@@ -21,12 +21,12 @@ use super::files::{Root, read_text};
 use super::options::{DataOptions, TimeRange};
 use super::{Dataset, ply};
 
-/// Its name.
+/// Name of the file.
 pub(crate) const NAME: &str = "scene.toml";
 /// Largest file read; a usual one has a few lines.
 pub(crate) const MAX_BYTES: u64 = 64 << 10;
 
-/// What the file says.
+/// The parsed file; every section is optional.
 #[derive(Debug, Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct SceneFile {
@@ -68,7 +68,7 @@ pub(crate) fn read(dir: &Path) -> Result<SceneFile, DataError> {
 }
 
 impl SceneFile {
-    /// The options, completed by the file.
+    /// The options; those that are not set are taken from the file.
     pub(crate) fn under(&self, options: &DataOptions) -> DataOptions {
         DataOptions {
             time_boundary: options.time_boundary.or(self.time.boundary),
@@ -77,16 +77,16 @@ impl SceneFile {
         }
     }
 
-    /// Gives a data set the points and the box that the file names.
+    /// Sets the points and the box of a data set to those that the file names.
     ///
     /// # Errors
     /// `data.escape`, `data.points`; `data.field` for a box without an inside.
-    pub(crate) fn begin(&self, data: &mut Dataset) -> Result<(), DataError> {
+    pub(crate) fn apply_start(&self, data: &mut Dataset) -> Result<(), DataError> {
         let file = data.root.join(NAME);
         if let Some(written) = &self.start.points {
             let path = Root::new(&data.root)?.resolve(written, &Place::new(&file, "start.points"))?;
             let points = ply::read_points(&path)?;
-            data.notes.push(format!("{} points to begin with from {written}, as {NAME} says", points.positions.len()));
+            data.notes.push(format!("{} initial points from {written}, as {NAME} says", points.positions.len()));
             data.points = Some(points);
         }
         if let Some([low, high]) = self.start.bounds {

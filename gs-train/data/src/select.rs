@@ -1,4 +1,4 @@
-//! The views that `data.cameras`, `data.test_cameras` and the options of frames leave.
+//! Selection of views by `data.cameras`, `data.test_cameras`, `data.first_frame`, `data.frame_count` and `data.frame_step`.
 
 use std::collections::BTreeSet;
 
@@ -6,7 +6,7 @@ use super::error::DataError;
 use super::options::DataOptions;
 use super::times::{Draft, Drafts};
 
-/// Leaves out the cameras and moments that were not asked for, and splits anew where held-out cameras are named.
+/// Keeps the cameras and timestamps asked for, and makes a new split where held-out cameras are named.
 ///
 /// # Errors
 /// `data.option` if a camera is named that no view has, or no training view is left.
@@ -70,7 +70,7 @@ fn cameras(mut drafts: Drafts, options: &DataOptions) -> Result<Drafts, DataErro
     Ok(drafts)
 }
 
-/// `1-9, 11`: runs of following numbers.
+/// Numbers as text, consecutive ones as a range: `1-9, 11`.
 fn ranges(numbers: &BTreeSet<u32>) -> String {
     let mut runs: Vec<[u32; 2]> = Vec::new();
     for &n in numbers {

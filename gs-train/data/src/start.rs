@@ -1,8 +1,8 @@
-//! Points to begin with, made on request and kept in the data folder: from a COLMAP model, depth maps, the visual hull or at
+//! Initial points made on request and kept in the data folder: from a COLMAP model, depth maps, the visual hull or at
 //! random.
 //!
-//! [`Dataset::start`] makes them, [`write_start`] writes `start.ply` and the section `[start]` of `scene.toml`, which every
-//! later opening of the folder follows. Everything is a function of data, count, box and seed.
+//! [`Dataset::start`] makes them, [`write_start`] writes `start.ply` and the section `[start]` of `scene.toml`, which
+//! [`Dataset::open`] reads. The points are a function of data, count, box and seed.
 
 use std::path::{Path, PathBuf};
 
@@ -16,36 +16,36 @@ use super::error::{DataError, Place};
 use super::files::{read_bytes, read_text};
 use super::{Dataset, PointCloud, View, colmap, ply, scene_file};
 
-/// The points' file.
+/// File of the points in the data folder.
 const POINTS: &str = "start.ply";
 /// Largest depth map read.
 const MAX_DEPTH_BYTES: u64 = 1 << 28;
-/// Most depth maps read; of more they are taken evenly.
+/// Most depth maps read; of more, an even selection.
 const MAX_DEPTHS: usize = 100;
-/// Draws per point wanted before depth maps are given up as empty.
-const DRAWS: usize = 20;
-/// Points of a model of which fewer are seen by any camera are in another frame than the poses.
-const LEAST_SEEN: f64 = 0.5;
+/// Random pixels tried per point wanted, before depth maps count as empty.
+const TRIES_PER_POINT: usize = 20;
+/// A model of whose points a smaller share is visible is taken to be in another frame than the poses.
+const MIN_VISIBLE: f64 = 0.5;
 
-/// Where points come from.
+/// Source of initial points: `gs4d init --from`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum StartFrom {
     /// The points of the data set or of a COLMAP model in its folder.
     Colmap,
-    /// Depth maps of training views.
+    /// Depth maps of training views ([`View::depth`]).
     Depth,
-    /// The visual hull of alpha or masks.
+    /// The visual hull of alpha or masks ([`super::hull`]).
     Hull,
-    /// Uniform in the box.
+    /// Uniform in [`Dataset::scene_bounds`], grey.
     Random,
 }
 
 impl StartFrom {
-    /// All of them, the most telling first.
+    /// All sources, the most accurate first.
     pub const ALL: [Self; 4] = [Self::Colmap, Self::Depth, Self::Hull, Self::Random];
 
-    /// Its name.
+    /// The name of the source in lower case, for example `colmap`.
     pub fn name(self) -> &'static str {
         match self {
             Self::Colmap => "colmap",
@@ -55,7 +55,7 @@ impl StartFrom {
         }
     }
 
-    /// What is missing where it gives no points.
+    /// Why a data set can have no points of this source.
     fn lacks(self) -> &'static str {
         match self {
             Self::Colmap => "it has neither points nor a COLMAP model with points in the frame of its poses",
@@ -66,27 +66,31 @@ impl StartFrom {
     }
 }
 
-/// Points to begin with.
+/// Initial points and where they come from.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Start {
-    /// Where they come from.
+    /// The source of the points.
     pub from: StartFrom,
-    /// The points.
+    /// Positions and colours.
     pub cloud: PointCloud,
-    /// Corners of the box of the scene, where it is to be kept.
+    /// Lower and upper corner of a scene box for [`write_start`] to keep; [`Dataset::start`] gives none.
     pub bounds: Option<[Vec3; 2]>,
 }
 
-/// The corners of the cube around the origin with this half side.
+/// Lower and upper corner of the cube around the origin with this half side.
+///
+/// ```
+/// assert_eq!(gs_data::cube(1.5), [glam::Vec3::splat(-1.5), glam::Vec3::splat(1.5)]);
+/// ```
 pub fn cube(half: f32) -> [Vec3; 2] {
     [Vec3::splat(-half), Vec3::splat(half)]
 }
 
 impl Dataset {
-    /// At most `n` points to begin with. Without a source the first of [`StartFrom::ALL`] that has any.
+    /// At most `n` initial points, from the source named or the first of [`StartFrom::ALL`] that has any.
     ///
     /// # Errors
-    /// `data.option` if the source has no points; what reading images, depth or models finds.
+    /// `data.option` if the source has no points; those of reading images, depth maps or models.
     pub fn start(&self, from: Option<StartFrom>, n: usize, seed: u64) -> Result<Start, DataError> {
         let sources = from.map_or(StartFrom::ALL.to_vec(), |f| vec![f]);
         for &source in &sources {
@@ -104,7 +108,7 @@ impl Dataset {
             StartFrom::Colmap => {
                 let beside = || colmap::points_beside(&self.root);
                 let points = if self.points.is_some() { self.points.clone() } else { beside()? };
-                let seen = points.filter(|p| self.seen_share(&p.positions) >= LEAST_SEEN);
+                let seen = points.filter(|p| self.seen_share(&p.positions) >= MIN_VISIBLE);
                 Ok(seen.map(|p| super::initial::subset(&p, n, seed)))
             }
             StartFrom::Depth => self.depth_points(n, seed),
@@ -113,7 +117,8 @@ impl Dataset {
         }
     }
 
-    /// The share of points that at least two training views have inside their frame (one, where there is one).
+    /// Share in 0..1 of the points that project into the image of at least two training views (of one, if there is one only). Of
+    /// more than 5000 points, an even selection is tested.
     pub fn seen_share(&self, points: &[Vec3]) -> f64 {
         let step = points.len().div_ceil(5000).max(1);
         let enough = self.train.len().min(2);
@@ -122,7 +127,7 @@ impl Dataset {
         sample.clone().filter(|p| seen(p)).count() as f64 / sample.count().max(1) as f64
     }
 
-    /// Random pixels of depth maps, brought to the world.
+    /// Unprojected random pixels of depth maps.
     fn depth_points(&self, n: usize, seed: u64) -> Result<Option<PointCloud>, DataError> {
         let with: Vec<(&View, &PathBuf)> = self.train.iter().filter_map(|v| Some((v, v.depth.as_ref()?))).collect();
         if with.is_empty() {
@@ -136,7 +141,7 @@ impl Dataset {
             let (depth, image) = (read_depth(file, view)?, cache.get(view)?);
             let wanted = (k + 1) * n / count - k * n / count;
             let mut random = Rng::new(seed, "data.depth", 0, k as u64);
-            let mut left = DRAWS * wanted;
+            let mut left = TRIES_PER_POINT * wanted;
             let end = cloud.positions.len() + wanted;
             while cloud.positions.len() < end && left > 0 {
                 left -= 1;
@@ -153,7 +158,7 @@ impl Dataset {
     }
 }
 
-/// Whether a view has a point in front of it and inside its frame.
+/// Whether a point projects into the image of a view.
 fn sees(v: &View, p: DVec3) -> bool {
     let c = v.camera.to_camera(p);
     let at = v.camera.to_pixel(c);
@@ -161,14 +166,14 @@ fn sees(v: &View, p: DVec3) -> bool {
     c.z > 0.0 && inside(at.x, v.camera.width) && inside(at.y, v.camera.height)
 }
 
-/// The centre of a pixel at camera depth `z`, in the world.
+/// World position of the centre of a pixel at camera-space depth `z`.
 fn at_depth(v: &View, x: usize, y: usize, z: f64) -> DVec3 {
     let c = &v.camera;
     let ray = DVec3::new((x as f64 + 0.5 - c.cx) / c.fx, (y as f64 + 0.5 - c.cy) / c.fy, 1.0);
     c.rotation.transpose() * (ray * z - c.translation)
 }
 
-/// Depths along the camera's axis, one per pixel of the view's camera.
+/// Camera-space z, one per pixel of the view's camera, row-major.
 fn read_depth(file: &Path, v: &View) -> Result<Vec<f32>, DataError> {
     let bytes = read_bytes(file, MAX_DEPTH_BYTES)?;
     let array = npy::read(&bytes, &file.display().to_string(), &Limits::default())
@@ -186,11 +191,11 @@ fn read_depth(file: &Path, v: &View) -> Result<Vec<f32>, DataError> {
     Ok(values)
 }
 
-/// Writes points as `start.ply` and names them, and the box if there is one, in `scene.toml`. What else that file says
-/// stays as it is. Gives the files written.
+/// Writes points as `start.ply` and states them, and the box if there is one, in the section `[start]` of `scene.toml`. Other
+/// sections of that file stay as they are. Returns the paths of both files.
 ///
 /// # Errors
-/// `io.exists` if there are such points already and `overwrite` is not set; what reading and writing meets.
+/// `io.exists` if there are such points already and `overwrite` is not set; those of reading and writing.
 pub fn write_start(dir: &Path, start: &Start, overwrite: bool) -> Result<[PathBuf; 2], DataError> {
     let (points, scene) = (dir.join(POINTS), dir.join(scene_file::NAME));
     let old = if scene.exists() { read_text(&scene, scene_file::MAX_BYTES)? } else { String::new() };

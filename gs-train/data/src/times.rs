@@ -1,5 +1,5 @@
-//! From the times of files to [`Time`]: the training span becomes 0..1, the clock keeps the data's seconds. With
-//! `data.time_boundary` it is the whole sequence that becomes 0..1 ([`super::boundary`]).
+//! From the times that files state to [`Time`]: the training span `[T₀, T₁]` is mapped to 0..1, `(t − T₀)/(T₁ − T₀)`; the clock
+//! keeps the data's seconds. With `data.time_boundary` the span is the whole sequence ([`super::boundary`]).
 
 use std::path::Path;
 
@@ -11,17 +11,17 @@ use super::options::{DataOptions, TimeFrom, TimeRange};
 use super::select::select;
 use super::{Dataset, ImageSource, View};
 
-/// A view whose time is not settled yet.
+/// A view whose timestamp is not final yet.
 pub(crate) struct Draft {
     /// The view, at time 0.
     pub(crate) view: View,
     /// The time the file states.
     pub(crate) stated: Option<f64>,
-    /// Where it stands, or would stand.
+    /// Where the file states the time, or should.
     pub(crate) place: Place,
 }
 
-/// Three lists of drafts.
+/// Drafts by split, before the boundary makes the fourth.
 #[derive(Default)]
 pub(crate) struct Drafts {
     pub(crate) train: Vec<Draft>,
@@ -29,7 +29,7 @@ pub(crate) struct Drafts {
     pub(crate) test: Vec<Draft>,
 }
 
-/// Views with times, and how they came by them.
+/// Views with final timestamps, by split, and where these come from.
 pub(crate) struct Settled {
     pub(crate) train: Vec<View>,
     pub(crate) val: Vec<View>,
@@ -37,12 +37,14 @@ pub(crate) struct Settled {
     pub(crate) extrapolate: Vec<View>,
     pub(crate) dynamic: bool,
     pub(crate) source: String,
+    /// For timestamps that are not of views: the frames of a filmed person.
+    #[cfg(feature = "avatar")]
     pub(crate) clock: Clock,
     pub(crate) notes: Vec<String>,
 }
 
 impl Settled {
-    /// The data set of these views, without points and box; `notes` are those made before.
+    /// The data set of these views, without points and box. `notes` go before those of the timestamps.
     pub(crate) fn dataset(self, dir: &Path, layout: &'static str, has_alpha: bool, mut notes: Vec<String>) -> Dataset {
         notes.extend(self.notes);
         Dataset {
@@ -63,10 +65,10 @@ impl Settled {
     }
 }
 
-/// Slack at the ends of a range: files print few digits.
+/// Tolerance at the ends of a range, as a share of its length: files print few digits.
 pub(super) const SLACK: f64 = 1e-6;
 
-/// Settles the times of all views. `declared` is the range the layout prescribes for the training times it states
+/// Gives all views their final timestamps. `declared` is the range the layout prescribes for the training times it states
 /// (D-NeRF: 0..1).
 ///
 /// # Errors
@@ -79,15 +81,15 @@ pub(crate) fn settle(
     declared: Option<TimeRange>,
 ) -> Result<Settled, DataError> {
     let mut notes = Vec::new();
-    let source = restate(&mut drafts, options)?;
-    complete(&drafts)?;
+    let source = apply_time_from(&mut drafts, options)?;
+    check_all_or_none(&drafts)?;
     let drafts = select(drafts, options, &mut notes)?;
     // Numbers of files are no times of the layout.
     if let Some(range) = declared.filter(|_| options.time_range.is_none() && options.time_from == TimeFrom::File) {
         check_range(&drafts.train, range)?;
     }
     let (drafts, future) = boundary::cut(drafts, options, &mut notes)?;
-    // A range of the user's may end before the sequence does, where a boundary keeps what is later out of training.
+    // The user's range may end before the sequence does where a boundary holds out what is later.
     if let Some(range) = options.time_range {
         check_range(&drafts.train, range)?;
     }
@@ -102,12 +104,22 @@ pub(crate) fn settle(
     let finish = |list: Vec<Draft>| list.into_iter().map(|d| clock.apply(d)).collect::<Result<Vec<_>, _>>();
     let (train, val, test) = (finish(drafts.train)?, finish(drafts.val)?, finish(drafts.test)?);
     let extrapolate = finish(beyond)?;
-    let source = if dynamic { source } else { "static: all training views show one moment".into() };
-    Ok(Settled { train, val, test, extrapolate, dynamic, source, clock, notes })
+    let source = if dynamic { source } else { "static: all training views have one timestamp".into() };
+    Ok(Settled {
+        train,
+        val,
+        test,
+        extrapolate,
+        dynamic,
+        source,
+        #[cfg(feature = "avatar")]
+        clock,
+        notes,
+    })
 }
 
-/// Overrides the stated times when the user asked for names or order. Returns the source in words.
-fn restate(drafts: &mut Drafts, options: &DataOptions) -> Result<String, DataError> {
+/// Replaces the stated times where the user asked for names or order. Returns the source of the times in words.
+fn apply_time_from(drafts: &mut Drafts, options: &DataOptions) -> Result<String, DataError> {
     let mut all: Vec<&mut Draft> = drafts.train.iter_mut().chain(&mut drafts.val).chain(&mut drafts.test).collect();
     match options.time_from {
         TimeFrom::File => Ok("time of each frame, as the files state it".into()),
@@ -148,8 +160,8 @@ fn last_number(name: &str) -> Option<f64> {
     upto[start..].parse().ok().filter(|v: &f64| v.is_finite())
 }
 
-/// Either no view has a time or all have.
-fn complete(drafts: &Drafts) -> Result<(), DataError> {
+/// Refuses data of which only some views have times.
+fn check_all_or_none(drafts: &Drafts) -> Result<(), DataError> {
     let all = || drafts.train.iter().chain(&drafts.val).chain(&drafts.test);
     if !drafts.train.iter().any(|d| d.stated.is_some()) {
         return Ok(());
@@ -196,7 +208,7 @@ pub(super) fn span_of<'a>(list: impl IntoIterator<Item = &'a Draft> + Clone) -> 
     (end > start).then_some(TimeRange { start, end })
 }
 
-/// How stated times become [`Time`].
+/// The mapping from stated times to [`Time`].
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Clock {
     span: Option<TimeRange>,
@@ -210,7 +222,7 @@ impl Clock {
         Ok(View { time, ..d.view })
     }
 
-    /// The moment of a stated time, which stands at `place`.
+    /// The timestamp of a time stated at `place`.
     pub(crate) fn time(&self, stated: Option<f64>, place: &Place) -> Result<Time, DataError> {
         let (Some(t), Some(r)) = (stated, self.span) else { return Ok(Time::default()) };
         let normalised = (t - r.start) / (r.end - r.start);

@@ -1,11 +1,11 @@
-//! Photographs with motion blur: the mean of pictures taken while the shutter is open.
+//! Motion blur: the mean of images at times while the shutter is open.
 //!
 //! ```text
-//! I(t) = mean over j < n of  picture(t + e s_j, camera turned by the shake at s_j)        s_j = (j + ½)/n − ½
+//! I(t) = mean over j < n of  image(t + e s_j, camera rotated by the shake at s_j)        s_j = (j + ½)/n − ½
 //! ```
 //! with the exposure `e` in normalised time. Light adds up linearly: with [`Exposure::linear`] colours are decoded from
-//! sRGB before and encoded after the mean. Colour is averaged premultiplied by alpha, so that what covers a pixel for a part
-//! of the time covers it in part.
+//! sRGB before and encoded after the mean. Colour is averaged premultiplied by alpha: a surface that covers a pixel for a share
+//! of the exposure has that share of alpha.
 
 use crate::SynthData;
 use glam::{DQuat, DVec3};
@@ -15,23 +15,32 @@ use rayon::prelude::*;
 use serde::Serialize;
 use std::path::Path;
 
-/// How long and how steadily the shutter is open.
+/// Length of the exposure and motion of the camera during it.
+///
+/// ```
+/// use gs_data::ImageU8;
+/// use gs_synth::blur::Exposure;
+///
+/// let exposure = Exposure { length: 0.1, samples: 9, linear: true, shake: 0.0, seed: 0 };
+/// let grey = |v| ImageU8 { width: 1, height: 1, data: vec![v, v, v, 255] };
+/// assert_eq!(exposure.mean([&grey(0), &grey(255)]).data, [188, 188, 188, 255]); // half the light is 0.735 in sRGB
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Exposure {
-    /// Length, normalised time.
+    /// Length of the exposure, normalised time, 0 to 1.
     pub length: f64,
-    /// Pictures that are averaged, 1 to 256; 9 to 33 are enough for motions of as many pixels.
+    /// Number of images averaged, 1 to 256; 9 to 33 suffice for motions of as many pixels.
     pub samples: u32,
     /// Average linear light instead of display-encoded values.
     pub linear: bool,
-    /// The camera turns by so much while the shutter is open, radians, about a random axis of each view.
+    /// Rotation of the camera during the exposure, radians, 0 to 1, about a random axis of each view.
     pub shake: f64,
-    /// Seed of the axes.
+    /// Seed of the axes of rotation.
     pub seed: u64,
 }
 
 impl Exposure {
-    /// Verifies every field.
+    /// Checks the domain of every field.
     ///
     /// # Errors
     /// `data.option`: the first field out of its domain.
@@ -45,7 +54,7 @@ impl Exposure {
         need((0.0..=1.0).contains(&self.shake), "shake", self.shake.to_string(), "0 to 1 radian")
     }
 
-    /// Where the pictures of an exposure at `time` lie: time and camera of each. `view` numbers the view.
+    /// Times and cameras of the images of an exposure centred at `time`. `view` is the index of the view, for its axis.
     pub fn pictures(&self, camera: &Camera, time: f64, view: u64) -> Vec<(f64, Camera)> {
         let mut rng = Rng::new(self.seed, "blur.shake", 0, view);
         let axis = DVec3::from_array([0; 3].map(|_| f64::from(rng.normal()))).try_normalize().unwrap_or(DVec3::X);
@@ -58,14 +67,14 @@ impl Exposure {
         (0..self.samples).map(at).collect()
     }
 
-    /// The mean of pictures of one size; empty for none.
-    pub fn mean<'a>(&self, pictures: impl IntoIterator<Item = &'a ImageU8>) -> ImageU8 {
+    /// The mean of images of one size; empty for none.
+    pub fn mean<'a>(&self, images: impl IntoIterator<Item = &'a ImageU8>) -> ImageU8 {
         let (mut sums, mut out, mut n) = (Vec::new(), ImageU8::default(), 0.0);
-        for picture in pictures {
-            (out.width, out.height) = (picture.width, picture.height);
-            sums.resize(picture.data.len() / 4, [0.0f64; 4]);
+        for image in images {
+            (out.width, out.height) = (image.width, image.height);
+            sums.resize(image.data.len() / 4, [0.0f64; 4]);
             n += 1.0;
-            for (sum, p) in sums.iter_mut().zip(picture.data.chunks_exact(4)) {
+            for (sum, p) in sums.iter_mut().zip(image.data.chunks_exact(4)) {
                 let alpha = f64::from(p[3]) / 255.0;
                 (0..3).for_each(|c| sum[c] += alpha * self.decoded(f64::from(p[c]) / 255.0));
                 sum[3] += alpha;
@@ -97,20 +106,20 @@ impl Exposure {
         }
     }
 
-    /// The photograph of a generated scene that a view would be with this exposure.
+    /// The image of a view of a generated scene with this exposure. `number` is the index of the view, for its axis.
     pub fn photograph(&self, data: &SynthData, view: &View, number: u64) -> ImageU8 {
         let time = if data.truth.dynamic() { f64::from(view.time.normalised) } else { 0.0 };
-        let pictures: Vec<ImageU8> = self
+        let images: Vec<ImageU8> = self
             .pictures(&view.camera, time, number)
             .par_iter()
             .map(|(t, camera)| data.truth.picture(camera, *t))
             .collect();
-        self.mean(&pictures)
+        self.mean(&images)
     }
 }
 
-/// Gives the training views of a generated scene, written to `dir` before, motion blur; the others stay sharp. What was
-/// done stands in `exposure.json`.
+/// Adds motion blur to the training views of a generated scene, in memory and in its folder `dir`, as [`write`](super::write()) made it. Other
+/// views stay sharp. `exposure.json` records the exposure.
 ///
 /// # Errors
 /// `data.option` for a field out of its domain, `io.write` if a file cannot be written.

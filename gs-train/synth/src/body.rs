@@ -1,4 +1,4 @@
-//! Textured spheres, boxes, wheels and a waving sheet, and where a ray meets them.
+//! Textured spheres, boxes, wheels and a waving sheet, and their intersection with rays.
 //!
 //! A ray is `o + s d` with any length of `d`. The sphere is a quadratic, the box three slabs, the wheel a quadratic and a slab,
 //! all in the body's frame; the sheet is a root of a function of one variable.
@@ -8,32 +8,32 @@ use serde::Serialize;
 
 use super::motion::{Motion, RigidPose};
 
-/// The shape of a body, around its own origin.
+/// The shape of a body in its own frame, world units.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub enum Shape {
-    /// A ball.
+    /// A ball around the origin.
     Sphere {
-        /// Radius.
+        /// Radius, world units.
         radius: f64,
     },
-    /// An axis-aligned block.
+    /// An axis-aligned box around the origin.
     Box {
-        /// Half the sides.
+        /// Half sides, world units.
         half: DVec3,
     },
-    /// A disc with its axis along z.
+    /// A solid disc around the origin with its axis along z.
     Wheel {
-        /// Radius.
+        /// Radius, world units.
         radius: f64,
         /// Half the width along the axis.
         half_width: f64,
     },
     /// A sheet over `[-x, x] × [-y, y]` whose material points move along z only:
-    /// `z = ramp(x) Σ amplitude sin(wave·(x, y) − rate·t)`, `ramp = (x/half.x + 1)/2`: it is held at `x = −half.x`.
+    /// `z = ramp(x) Σ amplitude sin(wave·(x, y) − rate·t)`, `ramp = (x/half.x + 1)/2`: it is fixed at `x = −half.x`.
     Sheet {
-        /// Half the sides.
+        /// Half sides along x and y, world units.
         half: DVec2,
-        /// The waves that run through it.
+        /// Travelling waves, which add up.
         waves: &'static [Wave],
     },
 }
@@ -41,42 +41,42 @@ pub enum Shape {
 /// One wave of a sheet.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Wave {
-    /// Largest height.
+    /// Amplitude where the ramp is 1, world units.
     pub amplitude: f64,
     /// Wave vector, radians per world unit.
     pub wave: DVec2,
-    /// Radians per unit of time.
+    /// Angular frequency, radians per unit of normalised time.
     pub rate: f64,
 }
 
-/// How a body moves.
+/// Kind of motion of a body.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum MotionClass {
-    /// Not at all.
+    /// At rest.
     Still,
-    /// As one rigid piece.
+    /// Rigid motion.
     Global,
-    /// It deforms.
+    /// Deformation.
     Local,
 }
 
 /// A body: shape, motion and colours.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Body {
-    /// Name.
+    /// Name, unique within its scene.
     pub name: &'static str,
-    /// Shape in its own frame.
+    /// Shape in the body's frame.
     pub shape: Shape,
-    /// Motion of that frame.
+    /// Motion of the body's frame in the world.
     pub motion: Motion,
-    /// The two display-encoded colours of the pattern.
+    /// The two colours of the pattern, display-encoded RGB in 0..1.
     pub colors: [[f64; 3]; 2],
-    /// Radians per world unit of the pattern.
+    /// Spatial frequency of the pattern, radians per world unit.
     pub pattern: f64,
 }
 
-/// Where a ray meets a body, in the body's frame.
+/// Intersection of a ray and a body, in the body's frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct LocalHit {
     /// Ray parameter.
@@ -96,12 +96,12 @@ impl Body {
         std::array::from_fn(|c| a[c] + (b[c] - a[c]) * w)
     }
 
-    /// Whether it is a sheet: two-sided and deforming.
+    /// Whether the shape is a sheet: two-sided and deforming.
     pub(crate) fn is_sheet(&self) -> bool {
         matches!(self.shape, Shape::Sheet { .. })
     }
 
-    /// How it moves.
+    /// Kind of motion: a sheet deforms, other shapes move rigidly or are at rest.
     pub fn class(&self) -> MotionClass {
         match self.is_sheet() {
             true => MotionClass::Local,
@@ -127,7 +127,7 @@ impl Body {
 }
 
 impl Shape {
-    /// Radius of a ball around the origin that holds the shape.
+    /// Radius of a bounding sphere around the origin.
     pub(crate) fn bounding_radius(&self) -> f64 {
         match *self {
             Self::Sphere { radius } => radius,
@@ -182,10 +182,10 @@ impl Shape {
         waves.iter().map(one).sum()
     }
 
-    /// Walks along the ray by steps that cannot jump over the sheet (|f| divided by a bound on |f'|), but never smaller
-    /// than a fraction of a pixel, until the sign changes; then bisects and polishes by Newton's method.
+    /// Marches along the ray by steps that cannot pass the sheet (|f| divided by a bound on |f'|), but not below
+    /// a fraction of a pixel, until the sign changes; then bisects and refines by Newton's method.
     fn sheet_hit(&self, o: DVec3, d: DVec3, t: f64) -> Option<LocalHit> {
-        const LEAST_STEP: f64 = 4e-3;
+        const MIN_STEP: f64 = 4e-3;
         let Self::Sheet { half, waves } = *self else { return None };
         let amplitude = self.amplitude();
         let (enter, leave, _) = slabs(o, d, half.extend(amplitude))?;
@@ -196,7 +196,7 @@ impl Shape {
         let flat = d.truncate();
         let steepest: f64 = waves.iter().map(|w| w.amplitude.abs() * w.wave.dot(flat).abs()).sum();
         let slope = steepest + amplitude * 0.5 / half.x * flat.x.abs() + d.z.abs();
-        let least = LEAST_STEP / d.length();
+        let least = MIN_STEP / d.length();
         let (mut a, mut fa) = (enter.max(0.0), f(enter.max(0.0)));
         while a < leave {
             let b = (a + (fa.abs() / slope).max(least)).min(leave);
@@ -241,7 +241,7 @@ fn sphere(o: DVec3, d: DVec3, radius: f64) -> Option<f64> {
     (disc >= 0.0).then(|| (-b - disc.sqrt()) / a).filter(|&s| s > 0.0)
 }
 
-/// First hit of a wheel seen from outside: the later of entering the endless cylinder and entering the slab.
+/// First hit of a wheel seen from outside: the later of entering the infinite cylinder and entering the slab.
 fn wheel(o: DVec3, d: DVec3, radius: f64, half_width: f64) -> Option<LocalHit> {
     let (across, from) = (d.truncate(), o.truncate());
     let (a, b, c) = (across.length_squared(), from.dot(across), from.length_squared() - radius * radius);
@@ -279,7 +279,7 @@ fn slabs(o: DVec3, d: DVec3, half: DVec3) -> Option<(f64, f64, usize)> {
     (enter <= leave && leave > 0.0).then_some((enter, leave, axis))
 }
 
-/// A body at one moment, ready for many rays from one point.
+/// A body at one time, prepared for many rays from one point.
 pub(crate) struct Placed<'a> {
     pub(crate) body: &'a Body,
     pub(crate) pose: RigidPose,

@@ -1,10 +1,44 @@
-//! Generated scenes whose truth is known exactly: geometry, motion, depth, flow and segments at every moment, without a
+//! Generated dynamic scenes with exact ground truth: geometry, motion, depth, flow and segments at every time, without a
 //! download.
 //!
-//! Bodies follow closed-form motions ([`motion`]); a small ray tracer ([`trace`]) photographs them as D-NeRF does: one
-//! camera per time on the upper hemisphere for training, other cameras at other times held out; or, with
-//! [`SynthOptions::cameras`], as NVFi does: cameras at rest that photograph every moment, of which the last are the future.
-//! Everything is a function of the options alone, whatever the number of threads.
+//! ```
+//! use gs_data::ImageCache;
+//! use gs_synth::{SynthOptions, generate};
+//!
+//! let options = SynthOptions { size: 8, train_views: 3, val_views: 0, test_views: 1, ..SynthOptions::default() };
+//! let scene = generate("balls", &options)?;
+//! let view = &scene.dataset.train[1];
+//! assert_eq!((view.time.normalised, scene.dataset.dynamic), (0.5, true));
+//! let image = ImageCache::new(0, 1.0).get(view)?; // RGBA, straight alpha
+//! let depth = scene.truth.depth(&view.camera, 0.5); // camera-space z, 0 where nothing is visible
+//! let visible: Vec<usize> = (0..8 * 8).filter(|&k| depth.data[k] > 0.0).collect();
+//! assert!(!visible.is_empty() && visible.iter().all(|k| image.data[4 * k + 3] > 0));
+//! assert_eq!(scene.truth.bodies()[0].name, "ball");
+//! # Ok::<(), gs_data::DataError>(())
+//! ```
+//!
+//! # Contents
+//! * [`generate`] makes a scene of [`SCENES`] in memory. [`write()`] writes it in the D-NeRF layout, [`write_nerfies`] in that of Nerfies,
+//!   [`write_maps`] the ground-truth maps beside it; [`blur`] adds motion blur to training images.
+//! * Rigid bodies follow closed-form motions ([`motion`], derivatives and twists in [`rates`]), a sheet deforms ([`body`]). A small
+//!   ray tracer ([`trace`]) renders them.
+//! * [`Truth`] answers for any camera and time: depth, segments, flow, material points, poses, twists.
+//! * [`avatar`]: films of a rigged person by rings of cameras.
+//!
+//! Cameras are those of D-NeRF: for training one random camera on the upper hemisphere per timestamp, held-out views from other
+//! cameras at other times. With [`SynthOptions::cameras`] they are those of NVFi: static cameras that see every timestamp, of
+//! which the last are held out for extrapolation.
+//!
+//! # Conventions
+//! Those of [`gs_core`] and [`gs_data`]. World +z is up; every scene fits in the cube `[-1.3, 1.3]³` ([`HALF_SIDE`]), cameras
+//! look at the origin from a distance of 4 ([`CAMERA_RADIUS`]). Time is normalised to 0..1, velocities are per unit of it. Geometry
+//! is `f64`. The result is a function of the options alone, bit for bit, for any number of threads.
+//!
+//! # What it leaves out
+//! Shadows, reflections, textures from files, moving cameras with continuous paths; fluids and contact between bodies.
+
+#![warn(unreachable_pub)]
+#![warn(clippy::allow_attributes_without_reason)]
 
 use std::sync::Arc;
 
@@ -13,7 +47,7 @@ use gs_core::Time;
 use serde::{Deserialize, Serialize};
 
 use gs_data::{DataError, Dataset, ImageSource, Lens, View};
-use shots::{Shot, Shots};
+use viewpoints::{Viewpoint, Viewpoints};
 use write_nerfies::with_lens;
 
 pub mod avatar;
@@ -24,10 +58,10 @@ mod mechanics;
 pub mod motion;
 pub mod rates;
 pub mod scenes;
-mod shots;
 mod surface;
 pub mod trace;
 mod truth;
+mod viewpoints;
 mod write;
 mod write_nerfies;
 
@@ -37,33 +71,33 @@ pub use truth::{FlowMap, Truth};
 pub use write::write;
 pub use write_nerfies::write_nerfies;
 
-/// What to generate.
+/// Options of [`generate`]. Deserialising refuses unknown keys; the files of a generated scene record them.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SynthOptions {
     /// Side of the square images, pixels.
     pub size: u32,
-    /// Training views; view `k` of `n` is taken at time `k / (n − 1)`. With `cameras`, this and the next two do nothing.
+    /// Number of training views; view `k` of `n` is at time `k / (n − 1)`. With `cameras`, this and the next two are not used.
     pub train_views: u32,
-    /// Validation views.
+    /// Number of validation views; view `k` of `n` is at time `(k + ½) / n`.
     pub val_views: u32,
-    /// Test views; view `k` of `n` is taken at time `(k + ½) / n`.
+    /// Number of test views; view `k` of `n` is at time `(k + ½) / n`.
     pub test_views: u32,
-    /// Training cameras at rest, each of which photographs every moment; 0: a camera for each view.
+    /// Number of static training cameras, each with a view at every timestamp; 0: one camera per view.
     pub cameras: u32,
-    /// Cameras at rest beside them whose pictures are held out.
+    /// Number of further static cameras, whose views are held out.
     pub held_out: u32,
-    /// Moments the cameras at rest photograph; moment `k` of `n` is at time `k / (n − 1)`.
+    /// Number of timestamps of static cameras; timestamp `k` of `n` is at time `k / (n − 1)`.
     pub moments: u32,
-    /// Pictures of cameras at rest that are later than this (0 to 1) are the future: [`Dataset::extrapolate`].
+    /// Views of static cameras later than this time, in (0, 1], are held out: [`Dataset::extrapolate`].
     pub boundary: f64,
-    /// Seed of the cameras.
+    /// Seed of the camera positions.
     pub seed: u64,
-    /// Samples per pixel along each axis; a scene with fine texture takes at least its own number.
+    /// Samples per pixel along each axis, 1 to 16; scenes with fine texture use at least [`SynthScene::least_supersample`].
     pub supersample: u32,
-    /// Part of the brightness that depends on the light, 0..1. 0: every material point keeps its colour.
+    /// Share of the brightness that depends on the light, 0..1. 0: every material point keeps its colour.
     pub shading: f64,
-    /// Whether pictures are taken through a lens that distorts, with leaning columns and the principal point off centre.
+    /// Whether images have lens distortion, skew, non-square pixels and a principal point off the centre.
     pub lens: bool,
 }
 
@@ -86,28 +120,38 @@ impl Default for SynthOptions {
     }
 }
 
-/// A generated scene.
+/// A generated scene: data set and ground truth.
 #[derive(Clone, Debug)]
 pub struct SynthData {
-    /// Views with images in memory.
+    /// Views with their images in memory.
     pub dataset: Dataset,
-    /// What really happened.
+    /// Geometry and motion.
     pub truth: Truth,
 }
 
-/// Horizontal field of view, radians, and distance of the cameras, as in D-NeRF's synthetic scenes.
+/// Horizontal field of view, radians, as in D-NeRF's synthetic scenes.
 pub const FOV_X: f64 = 0.691_111_207_008_361_8;
-/// Distance of the cameras from the origin.
+/// Distance of the cameras from the origin, world units, as in D-NeRF's synthetic scenes.
 pub const CAMERA_RADIUS: f64 = 4.0;
-/// Half the side of the cube that holds every scene.
+/// Half side of the cube around the origin that holds every scene, world units.
 pub const HALF_SIDE: f32 = 1.3;
-/// Most memory that images may take.
+/// Most memory for all images together.
 const MAX_IMAGE_BYTES: u64 = 8 << 30;
 
-/// The truth of a scene, without taking its pictures.
+/// The ground truth of a scene of [`SCENES`], without rendering any view.
+///
+/// ```
+/// use glam::DVec3;
+///
+/// let truth = gs_synth::truth("falling", &Default::default())?; // a thrown ball: constant acceleration
+/// let ball = truth.rates_of(0, 0.5).unwrap();
+/// assert_eq!(ball.centre[2], DVec3::new(0.0, 0.0, -4.4));
+/// assert_eq!(ball.turn[0], DVec3::ZERO);
+/// # Ok::<(), gs_data::DataError>(())
+/// ```
 ///
 /// # Errors
-/// As [`generate`].
+/// Those of [`generate`].
 pub fn truth(name: &str, options: &SynthOptions) -> Result<Truth, DataError> {
     let scene = SCENES.iter().find(|s| s.name == name).ok_or_else(|| DataError::Option {
         name: "scene",
@@ -119,7 +163,8 @@ pub fn truth(name: &str, options: &SynthOptions) -> Result<Truth, DataError> {
     Ok(Truth::new((scene.bodies)(), scene.name, scene.dynamic, options))
 }
 
-/// The truth of the generated scene that was written to a folder; none if the folder holds no `truth.json` of a scene there is.
+/// The ground truth of a scene that was written to a folder, from its `truth.json`; none without that file, or if it names no
+/// scene of [`SCENES`].
 pub fn truth_of(dir: &std::path::Path) -> Option<Truth> {
     #[derive(Deserialize)]
     struct Written {
@@ -131,46 +176,46 @@ pub fn truth_of(dir: &std::path::Path) -> Option<Truth> {
     truth(&written.scene, &written.options).ok()
 }
 
-/// Generates a scene in memory.
+/// Generates a scene of [`SCENES`] in memory; for an example see the crate page.
 ///
 /// # Errors
-/// `data.option` if there is no such scene, or an option is out of its domain.
+/// `data.option` if there is no scene of this name, or an option is out of its domain.
 pub fn generate(name: &str, options: &SynthOptions) -> Result<SynthData, DataError> {
     let truth = truth(name, options)?;
     let dynamic = truth.dynamic();
-    let shots = Shots::of(truth.options(), dynamic)?;
-    let take = |shots: Vec<Shot>| shots.into_iter().map(|s| photograph(&truth, s)).collect::<Result<Vec<_>, _>>();
-    let source = if dynamic { shots.time_source } else { "static" };
+    let viewpoints = Viewpoints::of(truth.options(), dynamic)?;
+    let render = |split: Vec<Viewpoint>| split.into_iter().map(|v| view(&truth, v)).collect::<Result<Vec<_>, _>>();
+    let source = if dynamic { viewpoints.time_source } else { "static" };
     let dataset = Dataset {
         root: Default::default(),
         layout: "synth",
-        train: take(shots.train)?,
-        val: take(shots.val)?,
-        test: take(shots.test)?,
-        extrapolate: take(shots.extrapolate)?,
+        train: render(viewpoints.train)?,
+        val: render(viewpoints.val)?,
+        test: render(viewpoints.test)?,
+        extrapolate: render(viewpoints.extrapolate)?,
         points: None,
         has_alpha: true,
-        dynamic: dynamic && shots.training_moments > 1,
+        dynamic: dynamic && viewpoints.training_times > 1,
         time_source: source.into(),
         bounds: Some([Vec3::splat(-HALF_SIDE), Vec3::splat(HALF_SIDE)]),
         avatar: None,
-        notes: notes(&truth, shots.moments),
+        notes: notes(&truth, viewpoints.times),
     };
     Ok(SynthData { dataset, truth })
 }
 
-/// What was generated and, where bodies move periodically, whether the training times resolve it: evenly spaced times `1/(n −
-/// 1)` apart show up to `(n − 1)/2` cycles (Nyquist).
-fn notes(truth: &Truth, moments: u32) -> Vec<String> {
+/// Name and seed of the scene and, where bodies move periodically, whether the timestamps resolve it: evenly spaced ones
+/// `1/(n − 1)` apart resolve up to `(n − 1)/2` cycles (Nyquist).
+fn notes(truth: &Truth, count: u32) -> Vec<String> {
     let mut notes = vec![format!("generated scene \"{}\", seed {}", truth.scene(), truth.options().seed)];
     let fastest = truth.bodies().iter().map(|b| b.cycles()).fold(0.0, f64::max);
     if truth.dynamic() && fastest > 0.0 {
-        let nyquist = 0.5 * f64::from(moments.saturating_sub(1));
-        let times = if truth.options().cameras > 0 { "moments" } else { "training times" };
+        let nyquist = 0.5 * f64::from(count.saturating_sub(1));
+        let times = if truth.options().cameras > 0 { "timestamps" } else { "training times" };
         let shown = (1e3 * fastest).round() / 1e3;
         let verdict = if fastest < nyquist { "resolve" } else { "do not resolve" };
         notes.push(format!(
-            "the fastest motion makes {shown} cycles; {moments} {times} {verdict} it (up to {nyquist} cycles)"
+            "the fastest motion makes {shown} cycles; {count} {times} {verdict} it (up to {nyquist} cycles)"
         ));
     }
     notes
@@ -191,7 +236,7 @@ fn check(o: &SynthOptions) -> Result<(), DataError> {
         return wrong(
             "boundary",
             o.boundary.to_string(),
-            "above 0, at most 1: the part of the time that may be learnt from",
+            "above 0, at most 1: the share of the time that training views cover",
         );
     }
     if !(1..=16).contains(&o.supersample) {
@@ -213,19 +258,19 @@ fn check(o: &SynthOptions) -> Result<(), DataError> {
     Ok(())
 }
 
-/// Takes a picture.
-fn photograph(truth: &Truth, shot: Shot) -> Result<View, DataError> {
+/// Renders a view.
+fn view(truth: &Truth, at: Viewpoint) -> Result<View, DataError> {
     let (camera, lens) = match truth.options().lens {
-        true => with_lens(shot.camera),
-        false => (shot.camera, Lens::default()),
+        true => with_lens(at.camera),
+        false => (at.camera, Lens::default()),
     };
-    let image = truth.photograph(&camera, &lens, shot.time);
-    let time = if truth.dynamic() { Time::new(shot.time as f32) } else { Ok(Time::default()) };
+    let image = truth.photograph(&camera, &lens, at.time);
+    let time = if truth.dynamic() { Time::new(at.time as f32) } else { Ok(Time::default()) };
     let time = time.map_err(|e| DataError::Option {
         name: "time",
         value: e.value.to_string(),
         rule: "a finite number".into(),
     })?;
-    let view = View::new(shot.name, camera, time, ImageSource::Memory(Arc::new(image)), shot.camera_id);
+    let view = View::new(at.name, camera, time, ImageSource::Memory(Arc::new(image)), at.camera_id);
     Ok(View { lens: (!lens.is_pinhole()).then_some(lens), ..view })
 }

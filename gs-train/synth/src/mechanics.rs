@@ -1,6 +1,6 @@
-//! Generated scenes of rigid mechanics: what goes on after the last picture follows from the motion before it.
+//! Scenes of rigid mechanics, for extrapolation: the motion after the last training view follows from the motion before it.
 //!
-//! Twists are polynomials of time of at most first degree, hence exactly foretold by a law of second order, but for
+//! Twists are polynomials of time of at most first degree, which a law of second order extrapolates exactly, except for
 //! `projectile`, whose velocity field has the quadratic term `−½ w × gravity t²`.
 
 use glam::DVec3;
@@ -14,7 +14,7 @@ const GREEN: [[f64; 3]; 2] = [[0.20, 0.58, 0.30], [0.93, 0.85, 0.35]];
 const VIOLET: [[f64; 3]; 2] = [[0.56, 0.25, 0.62], [0.95, 0.72, 0.45]];
 const GREY: [[f64; 3]; 2] = [[0.42, 0.44, 0.48], [0.80, 0.80, 0.76]];
 
-/// A body whose `pattern` leaves no face of one colour.
+/// A body; `pattern` is so fine that no face has one colour.
 fn body(name: &'static str, shape: Shape, motion: Motion, colors: [[f64; 3]; 2], pattern: f64) -> Body {
     Body { name, shape, motion, colors, pattern }
 }
@@ -23,7 +23,7 @@ fn block(x: f64, y: f64, z: f64) -> Shape {
     Shape::Box { half: DVec3::new(x, y, z) }
 }
 
-/// At rest here.
+/// The motion of a body at rest.
 fn at_rest(start: DVec3) -> Motion {
     Motion { start, ..Motion::default() }
 }
@@ -58,11 +58,11 @@ pub(super) fn screw() -> Vec<Body> {
     vec![body("block", block(0.26, 0.16, 0.18), winding, BLUE, 18.0), slab(-0.67)]
 }
 
-/// A wheel that rolls: the hub goes straight ahead, the tread rests where it is lowest.
+/// A wheel that rolls: the hub goes straight ahead, the tread is at rest where it is lowest.
 pub(super) fn wheel() -> Vec<Body> {
     const RADIUS: f64 = 0.4;
     const SPEED: f64 = 1.5;
-    /// Between tread and slab, so that no point of the surface belongs to both.
+    /// Distance of tread and slab, so that no point of the surface belongs to both.
     const GAP: f64 = 0.02;
     let rolling = Motion {
         start: DVec3::new(-0.75, 0.1, -0.5 + GAP + RADIUS),
@@ -76,7 +76,7 @@ pub(super) fn wheel() -> Vec<Body> {
     vec![body("wheel", disc, rolling, VIOLET, 13.0), slab(-0.5)]
 }
 
-/// A block that is thrown and turns on its way.
+/// A block that is thrown and rotates in flight.
 pub(super) fn projectile() -> Vec<Body> {
     let thrown = Motion {
         start: DVec3::new(0.7, -0.25, -0.2),
@@ -94,28 +94,28 @@ pub(super) fn hinge() -> Vec<Body> {
     const SIDE: f64 = 0.38;
     const GAP: f64 = 0.06;
     const THIN: f64 = 0.05;
-    /// The box's middle, so that all that its parts sweep over lies around the origin and fills the pictures.
-    const MIDDLE: DVec3 = DVec3::new(-0.33, 0.1, -0.43);
+    /// Centre of the box, such that the volume its parts sweep is around the origin and fills the images.
+    const CENTRE: DVec3 = DVec3::new(-0.33, 0.1, -0.43);
     let edge = SIDE + GAP + THIN;
-    let hung = |from_middle: [f64; 3], pivot: [f64; 3], axis: DVec3, rate: f64| Motion {
-        start: MIDDLE + DVec3::from(from_middle),
+    let hinged = |from_centre: [f64; 3], pivot: [f64; 3], axis: DVec3, rate: f64| Motion {
+        start: CENTRE + DVec3::from(from_centre),
         pivot: pivot.into(),
         spin_axis: axis,
         spin_rate: rate,
         ..Motion::default()
     };
-    let lid = Motion { spin_gain: 1.2, ..hung([0.0, 0.0, edge], [0.0, SIDE, 0.0], DVec3::NEG_X, 1.3) };
-    let door = hung([edge, 0.0, 0.0], [0.0, -SIDE, 0.0], DVec3::NEG_Z, 1.8);
-    let arm = hung([-edge, 0.19, 0.25], [0.0, -SIDE, 0.0], DVec3::X, 2.6);
+    let lid = Motion { spin_gain: 1.2, ..hinged([0.0, 0.0, edge], [0.0, SIDE, 0.0], DVec3::NEG_X, 1.3) };
+    let door = hinged([edge, 0.0, 0.0], [0.0, -SIDE, 0.0], DVec3::NEG_Z, 1.8);
+    let arm = hinged([-edge, 0.19, 0.25], [0.0, -SIDE, 0.0], DVec3::X, 2.6);
     vec![
         body("lid", block(SIDE, SIDE, THIN), lid, RED, 8.7),
         body("door", block(THIN, SIDE, 0.35), door, BLUE, 8.7),
         body("arm", block(THIN, 0.53, 0.115), arm, GREEN, 8.7),
-        body("base", block(SIDE, SIDE, SIDE), at_rest(MIDDLE), GREY, 8.7),
+        body("base", block(SIDE, SIDE, SIDE), at_rest(CENTRE), GREY, 8.7),
     ]
 }
 
-/// A disc that turns about its own axis close before a box: nothing but its pattern tells that it moves.
+/// A disc that turns about its own axis in front of a box: only its pattern shows the motion.
 pub(super) fn spinner() -> Vec<Body> {
     const SIDE: f64 = 0.45;
     const THIN: f64 = 0.055;
@@ -132,7 +132,7 @@ pub(super) fn spinner() -> Vec<Body> {
     ]
 }
 
-/// Two bodies that move as one although they are apart, and a third between them that moves otherwise.
+/// Two separate bodies with one rigid motion, and a third between them with another.
 pub(super) fn twins() -> Vec<Body> {
     const ARM: f64 = 0.62;
     let twin = |side: f64| Motion {

@@ -11,40 +11,49 @@
 use glam::{DMat3, DQuat, DVec3};
 use serde::Serialize;
 
-/// Parameters of a motion. The default stands still at the origin.
+/// Parameters of a rigid motion; the default is at rest at the origin.
+///
+/// ```
+/// use gs_synth::motion::Motion;
+/// use glam::DVec3;
+///
+/// let thrown = Motion { velocity: DVec3::X, gravity: DVec3::Z * -2.0, ..Motion::default() };
+/// assert_eq!(thrown.at(0.5).apply(DVec3::ZERO), DVec3::new(0.5, 0.0, -0.25));
+/// assert_eq!(thrown.rates(0.5).velocity(DVec3::ZERO), DVec3::new(1.0, 0.0, -1.0));
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq, Default, Serialize)]
 pub struct Motion {
-    /// Centre at time 0, without orbit and bob.
+    /// Position of the body's origin at time 0, without orbit and bob.
     pub start: DVec3,
-    /// How the body is turned before it moves: axis times angle.
+    /// Constant rotation of the body before its motion: axis times angle, radians.
     #[serde(skip_serializing_if = "at_zero")]
     pub tilt: DVec3,
-    /// World units per unit of time, at time 0.
+    /// Velocity at time 0, world units per unit of time.
     pub velocity: DVec3,
     /// Constant acceleration, world units per squared unit of time.
     #[serde(skip_serializing_if = "at_zero")]
     pub gravity: DVec3,
-    /// Axis of the body's own turn; any length, zero for none.
+    /// Axis of the rotation; any length, zero for no rotation.
     pub spin_axis: DVec3,
-    /// Radians per unit of time, at time 0.
+    /// Angular velocity at time 0, radians per unit of time.
     pub spin_rate: f64,
     /// Angular acceleration about the axis, radians per squared unit of time.
     #[serde(skip_serializing_if = "is_zero")]
     pub spin_gain: f64,
-    /// The point that the turn leaves where it is: an offset from `start`, zero for the body's own centre.
+    /// Fixed point of the rotation, as an offset from `start`; zero for the body's origin.
     #[serde(skip_serializing_if = "at_zero")]
     pub pivot: DVec3,
-    /// Radius of the orbit.
+    /// Radius of an orbit about the world's z axis, world units.
     pub orbit_radius: f64,
-    /// Radians per unit of time.
+    /// Angular velocity of the orbit, radians per unit of time.
     pub orbit_rate: f64,
-    /// Angle at time 0.
+    /// Angle of the orbit at time 0, radians.
     pub orbit_phase: f64,
-    /// Direction and amplitude of the bob.
+    /// Direction and amplitude of a sinusoidal oscillation, world units.
     pub bob: DVec3,
-    /// Turns per unit of time.
+    /// Frequency of the oscillation, cycles per unit of time.
     pub bob_rate: f64,
-    /// Hurries through a part of the motion; none for an even pace.
+    /// Makes a part of the motion faster; none for an even clock.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub burst: Option<Burst>,
 }
@@ -57,16 +66,16 @@ fn is_zero(v: &f64) -> bool {
     *v == 0.0
 }
 
-/// A clock that runs evenly but for a short while, in which it makes `share` of its whole way:
+/// A clock that runs evenly except for an interval in which it advances by an additional `share`:
 /// `s(t) = (1 − share) t + share h((t − from)/(until − from))`, `h(x) = x²(3 − 2x)` on `[0, 1]`, constant outside.
 /// `s(0) = 0`, `s(1) = 1`, and `s` is continuously differentiable.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Burst {
-    /// Begin.
+    /// Begin of the interval, normalised time.
     pub from: f64,
-    /// End; after the begin.
+    /// End of the interval, after its begin.
     pub until: f64,
-    /// Part of the way, 0 to 1.
+    /// Share of the whole advance that is made in the interval, 0 to 1.
     pub share: f64,
 }
 
@@ -98,31 +107,31 @@ impl Burst {
 /// A rigid transform from body to world: `world = rotation · body + translation`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RigidPose {
-    /// Rotation.
+    /// Rotation from body to world.
     pub rotation: DMat3,
-    /// Where the body's origin is.
+    /// Position of the body's origin in the world.
     pub translation: DVec3,
 }
 
 impl RigidPose {
-    /// A body point in the world.
+    /// World position of a point of the body's frame.
     pub fn apply(&self, body: DVec3) -> DVec3 {
         self.rotation * body + self.translation
     }
 
-    /// A world point in the body's frame.
+    /// Position in the body's frame of a world point.
     pub fn invert(&self, world: DVec3) -> DVec3 {
         self.rotation.transpose() * (world - self.translation)
     }
 }
 
 impl Motion {
-    /// Whether the pose changes at all.
+    /// Whether the pose depends on time.
     pub fn moves(&self) -> bool {
         self.velocity != DVec3::ZERO || self.gravity != DVec3::ZERO || self.cycles() > 0.0
     }
 
-    /// Cycles per unit of time of the fastest of turn, orbit and bob, when it is fastest in `[0, 1]`.
+    /// Highest frequency of rotation, orbit and oscillation over the times `[0, 1]`, cycles per unit of time.
     pub fn cycles(&self) -> f64 {
         const TURN: f64 = std::f64::consts::TAU;
         let when = |moves: bool, cycles: f64| if moves { cycles.abs() } else { 0.0 };
@@ -146,7 +155,7 @@ impl Motion {
         }
     }
 
-    /// The pose at time `t`.
+    /// The pose at the normalised time `t`.
     pub fn at(&self, t: f64) -> RigidPose {
         let t = self.clock(t);
         let turn = self.turn(t);
@@ -155,8 +164,8 @@ impl Motion {
         let orbit = DVec3::new(angle.cos(), angle.sin(), 0.0) * self.orbit_radius;
         let bob = self.bob * (std::f64::consts::TAU * self.bob_rate * t).sin();
         let swing = self.pivot - turn * self.pivot;
-        let way = self.velocity * t + 0.5 * self.gravity * t * t;
-        RigidPose { rotation, translation: self.start + swing + way + orbit + bob }
+        let drift = self.velocity * t + 0.5 * self.gravity * t * t;
+        RigidPose { rotation, translation: self.start + swing + drift + orbit + bob }
     }
 }
 

@@ -1,4 +1,4 @@
-//! How fast a motion goes: velocity, acceleration and jerk of the body's origin, rotation vectors, and the spatial twist.
+//! Derivatives of a motion: velocity, acceleration and jerk of the body's origin, rotation vectors, and the spatial twist.
 //!
 //! With `c` the body's origin, `w` its rotation vector and `o` a fixed point of the world, a rigid body has the velocity field
 //! ```text
@@ -14,12 +14,12 @@ use gs_physics::{Motion as TwistMotion, Twist};
 
 use super::motion::Motion;
 
-/// Derivatives of a body's pose at one moment, per unit of time.
+/// Derivatives of a body's pose at one time, per unit of normalised time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rates {
-    /// The body's origin, its velocity, acceleration and jerk.
+    /// World position of the body's origin, its velocity, acceleration and jerk.
     pub centre: [DVec3; 4],
-    /// The rotation vector (right-hand rule) and its first two derivatives.
+    /// Angular velocity (right-hand rule, radians) and its first two derivatives.
     pub turn: [DVec3; 3],
 }
 
@@ -73,7 +73,7 @@ impl Motion {
 }
 
 impl Rates {
-    /// The spatial twist about `origin` with its first two derivatives.
+    /// The spatial twist about `origin`, a world point, with its first two derivatives.
     pub fn twist(&self, origin: DVec3) -> TwistMotion<f64> {
         let ([c, c1, c2, c3], [w, w1, w2]) = (self.centre, self.turn);
         let arm = c - origin;
@@ -85,12 +85,12 @@ impl Rates {
         }
     }
 
-    /// Velocity of the body's point that is at `x`.
+    /// Velocity of the material point at the world position `x`.
     pub fn velocity(&self, x: DVec3) -> DVec3 {
         self.centre[1] + self.turn[0].cross(x - self.centre[0])
     }
 
-    /// Acceleration of the body's point that is at `x`.
+    /// Acceleration of the material point at the world position `x`.
     pub fn acceleration(&self, x: DVec3) -> DVec3 {
         let arm = x - self.centre[0];
         self.centre[2] + self.turn[1].cross(arm) + self.turn[0].cross(self.turn[0].cross(arm))

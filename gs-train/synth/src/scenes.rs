@@ -1,4 +1,4 @@
-//! The generated scenes. All of them fit in the cube `[-1.3, 1.3]³`; up is +z.
+//! The list of generated scenes. All of them fit in the cube `[-1.3, 1.3]³`; up is +z.
 
 use glam::{DVec2, DVec3};
 
@@ -8,19 +8,19 @@ use super::motion::{Burst, Motion};
 
 /// An entry in the list of scenes.
 pub struct SynthScene {
-    /// Name, as in `synth:NAME`.
+    /// Name, as [`super::generate`] takes it.
     pub name: &'static str,
-    /// One line for people.
+    /// The scene in one line, for help texts.
     pub about: &'static str,
-    /// Whether it moves.
+    /// Whether any body moves.
     pub dynamic: bool,
-    /// Fewest samples per pixel along each axis; options may ask for more.
+    /// Fewest samples per pixel along each axis that its texture needs.
     pub least_supersample: u32,
-    /// Its bodies.
+    /// Makes the bodies of the scene.
     pub bodies: fn() -> Vec<Body>,
 }
 
-/// Every scene.
+/// All scenes that [`super::generate`] knows.
 pub const SCENES: &[SynthScene] = &[
     SynthScene {
         name: "balls",
@@ -138,7 +138,7 @@ fn balls() -> Vec<Body> {
 fn at_rest() -> Vec<Body> {
     let still = |b: Body| {
         let pose = b.motion.at(0.3);
-        // The slab and the blocks keep their place; a turned block would need a rotation at rest, so it is left straight.
+        // Positions at time 0.3; rotations are left out.
         Body { motion: Motion { start: pose.translation, ..Motion::default() }, ..b }
     };
     balls().into_iter().map(still).collect()
@@ -160,8 +160,8 @@ fn sheet() -> Vec<Body> {
 /// Cycles over the whole span of time, one per moving body of "waves".
 const WAVE_CYCLES: [f64; 4] = [0.5, 2.0, 4.0, 10.0];
 
-/// Bodies swing sinusoidally along one direction each, amplitudes such that none leaves its quarter of the slab. The
-/// patterns have a wavelength of about a tenth of the scene, which blurs away if a trajectory is smoothed.
+/// Bodies oscillate sinusoidally along one direction each, with amplitudes such that none leaves its quarter of the slab. The
+/// patterns have a wavelength of about a tenth of the scene, which blurs if a trajectory is smoothed.
 fn waves() -> Vec<Body> {
     const FINE: f64 = 42.0;
     let body = |name, shape, [x, y]: [f64; 2], swing: DVec3, cycles, colors| {
@@ -208,8 +208,8 @@ const CLOTH_WAVES: &[Wave] = &[
     Wave { amplitude: 0.04, wave: DVec2::new(6.0, -3.0), rate: 3.5 * TURN },
 ];
 
-/// A box sweeps over 80 degrees of an arc, lifted and turned on its way, and a cloth hangs behind it. The box makes 60 % of
-/// its way while the time goes from 0.5 to 0.625, one of eight even intervals.
+/// A box moves over 80 degrees of an arc, lifted and rotated, and a cloth hangs behind it. The box makes 60 % of
+/// its motion between the times 0.5 and 0.625, one of eight even intervals.
 fn reach() -> Vec<Body> {
     let carried = Motion {
         start: DVec3::Z * -0.25,
@@ -224,7 +224,7 @@ fn reach() -> Vec<Body> {
         ..Motion::default()
     };
     // The sheet's x points down, so it hangs from its upper edge.
-    let hung = Motion { start: DVec3::new(0.55, 0.0, 0.05), tilt: DVec3::Y * (0.25 * TURN), ..Motion::default() };
+    let hanging = Motion { start: DVec3::new(0.55, 0.0, 0.05), tilt: DVec3::Y * (0.25 * TURN), ..Motion::default() };
     vec![
         Body {
             name: "box",
@@ -236,7 +236,7 @@ fn reach() -> Vec<Body> {
         Body {
             name: "cloth",
             shape: Shape::Sheet { half: DVec2::new(0.55, 0.6), waves: CLOTH_WAVES },
-            motion: hung,
+            motion: hanging,
             colors: [[0.12, 0.36, 0.66], [0.85, 0.93, 0.96]],
             pattern: 12.0,
         },

@@ -1,12 +1,12 @@
-//! How far a point is from the surface of a body, and a few material points on it.
+//! Signed distance from the surface of a body, and a few material points on it.
 
 use glam::{DVec2, DVec3};
 
 use super::body::{Body, Shape};
 
 impl Body {
-    /// Signed distance of a world point from the surface at time `t`, negative inside. A sheet has no inside; its distance is
-    /// that to its tangent plane below or above the point, exact to first order.
+    /// Signed distance of a world point from the surface at time `t`, negative inside. A sheet has no inside: its distance is
+    /// that to the tangent plane below or above the point, exact to first order.
     pub fn distance(&self, world: DVec3, t: f64) -> f64 {
         let p = self.motion.at(t).invert(world);
         match self.shape {
@@ -30,7 +30,7 @@ impl Body {
 }
 
 impl Shape {
-    /// Material points spread over the surface: corners of a box, poles of a ball, eight points on each edge of a wheel, nine
+    /// Material points of the surface, in the body's frame: corners of a box, poles of a ball, eight points on each edge of a wheel, nine
     /// of a sheet at rest.
     pub fn landmarks(&self) -> Vec<DVec3> {
         let signs = [-1.0, 1.0];

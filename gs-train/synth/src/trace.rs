@@ -8,25 +8,25 @@ use rayon::prelude::*;
 use super::body::{Body, Placed};
 use gs_data::{ImageU8, Lens};
 
-/// Direction to the light.
+/// Unit direction to the light, world.
 const LIGHT: DVec3 = DVec3::new(0.36, -0.48, 0.8);
 
-/// What a ray meets first.
+/// First intersection of a ray.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hit {
-    /// Index of the body.
+    /// Index in [`Truth::bodies`](super::Truth::bodies).
     pub body: usize,
     /// The material point in the body's frame.
     pub local: DVec3,
-    /// The point in the world.
+    /// World position.
     pub world: DVec3,
-    /// Depth: camera-space z.
+    /// Camera-space z.
     pub depth: f64,
-    /// Display-encoded colour.
+    /// Shaded colour, display-encoded RGB in 0..1.
     pub color: [f64; 3],
 }
 
-/// Bodies at one moment, seen by one camera.
+/// Bodies at one time, seen by one camera.
 pub(crate) struct Tracer<'a> {
     bodies: Vec<Placed<'a>>,
     camera: &'a Camera,
@@ -49,12 +49,12 @@ impl<'a> Tracer<'a> {
         Self { bodies, camera, lens: Lens::default(), eye, base, per_u, per_v, shading }
     }
 
-    /// The same behind a lens.
-    pub(crate) fn through(self, lens: &Lens) -> Self {
+    /// The same through a lens.
+    pub(crate) fn with_lens(self, lens: &Lens) -> Self {
         Self { lens: *lens, ..self }
     }
 
-    /// What is seen at pixel coordinates `(u, v)`. The direction has camera-space z = 1, so its parameter is the depth.
+    /// The intersection at pixel coordinates `(u, v)`. The direction has camera-space z = 1, so its parameter is the depth.
     pub(crate) fn hit(&self, u: f64, v: f64) -> Option<Hit> {
         let at = if self.lens.is_pinhole() { DVec2::new(u, v) } else { self.lens.pinhole_pixel(self.camera, u, v)? };
         let d = self.base + self.per_u * at.x + self.per_v * at.y;
@@ -67,15 +67,15 @@ impl<'a> Tracer<'a> {
         let (body, h) = best?;
         let placed = &self.bodies[body];
         let facing = LIGHT.dot(placed.pose.rotation * h.normal);
-        // A sheet has two sides and no inside: both are lit alike, so no camera is told which side it sees.
+        // A sheet has two sides and no inside: both are lit alike.
         let lambert = if placed.body.is_sheet() { facing.abs() } else { facing.max(0.0) };
         let light = 1.0 - self.shading + self.shading * lambert;
         let color = placed.body.color(h.point).map(|c| c * light);
         Some(Hit { body, local: h.point, world: self.eye + d * h.s, depth: h.s, color })
     }
 
-    /// The picture with `k × k` samples per pixel.
-    pub(crate) fn picture(&self, k: u32) -> ImageU8 {
+    /// The image with `k × k` samples per pixel.
+    pub(crate) fn render(&self, k: u32) -> ImageU8 {
         let (width, height) = (self.camera.width as usize, self.camera.height as usize);
         let mut data = vec![0u8; width * height * 4];
         data.par_chunks_mut(width * 4).enumerate().for_each(|(j, row)| {
@@ -87,10 +87,10 @@ impl<'a> Tracer<'a> {
     }
 
     fn pixel(&self, i: usize, j: usize, k: u32) -> [u8; 4] {
-        // Half a pixel's diagonal, and a little more for rounding.
+        // Half a pixel's diagonal, with a margin for rounding.
         let spread = 0.75 / self.camera.fx.min(self.camera.fy);
         let centre = self.base + self.per_u * (i as f64 + 0.5) + self.per_v * (j as f64 + 0.5);
-        // A lens bends rays out of the cone.
+        // Distorted rays may leave the cone.
         if self.lens.is_pinhole() && !self.bodies.iter().any(|b| b.may_meet(centre, spread)) {
             return [0; 4];
         }

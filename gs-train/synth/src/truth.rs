@@ -1,4 +1,4 @@
-//! What a generated scene really is: positions of material points, depth, flow and segments, exact to rounding.
+//! Ground truth of a generated scene: positions of material points, depth, flow and segments, exact to rounding.
 
 use glam::{DVec2, DVec3};
 use gs_core::{Camera, Image};
@@ -10,7 +10,23 @@ use super::rates::Rates;
 use super::trace::{Hit, Tracer};
 use gs_data::{ImageU8, Lens};
 
-/// The truth of a scene. Times are normalised.
+/// Ground truth of a scene, for any camera and any normalised time, inside or outside 0..1.
+///
+/// Bodies are numbered by their index in [`Self::bodies`]; a material point is a position in the frame of its body.
+///
+/// ```
+/// use glam::DVec3;
+/// use gs_core::Camera;
+///
+/// let truth = gs_synth::truth("balls", &Default::default())?;
+/// let ball = |t| truth.pose_of(0, t).unwrap().translation; // its radius is 0.28
+/// let camera = Camera::look_at(8, 8, 0.7, ball(0.25) + DVec3::Z * 3.0, ball(0.25), DVec3::Y).unwrap();
+/// let hit = truth.hit(&camera, 0.25, 4.0, 4.0).unwrap();
+/// assert!(hit.body == 0 && (hit.depth - 2.72).abs() < 1e-12);
+/// let later = truth.position_of(hit.body, hit.local, 0.5).unwrap(); // of the same material point
+/// assert!((later.distance(ball(0.5)) - 0.28).abs() < 1e-12);
+/// # Ok::<(), gs_data::DataError>(())
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct Truth {
     scene: &'static str,
@@ -19,14 +35,14 @@ pub struct Truth {
     options: SynthOptions,
 }
 
-/// Flow at pixel centres.
+/// Optical flow at pixel centres, between two cameras and times.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FlowMap {
-    /// Displacement `(du, dv)` in pixels, 2 channels; 0 where nothing is seen.
+    /// `[H, W, 2]`: displacement `(du, dv)` in pixels; 0 where nothing is visible.
     pub flow: Image,
-    /// Whether a body is seen at the pixel at the first moment.
+    /// Whether a body is visible at the pixel at the first time, row-major.
     pub seen: Vec<bool>,
-    /// Whether the same material point is also the one seen at the second moment.
+    /// Whether the same material point is visible at the second time too, row-major.
     pub visible_after: Vec<bool>,
 }
 
@@ -35,22 +51,22 @@ impl Truth {
         Self { scene, dynamic, bodies, options: *options }
     }
 
-    /// Name of the scene.
+    /// Name of the scene in [`super::SCENES`].
     pub fn scene(&self) -> &'static str {
         self.scene
     }
 
-    /// Whether it moves.
+    /// Whether any body moves.
     pub fn dynamic(&self) -> bool {
         self.dynamic
     }
 
-    /// What it was generated with.
+    /// The options it was generated with.
     pub fn options(&self) -> &SynthOptions {
         &self.options
     }
 
-    /// The bodies.
+    /// All bodies of the scene, moving and static.
     pub fn bodies(&self) -> &[Body] {
         &self.bodies
     }
@@ -61,7 +77,7 @@ impl Truth {
         self.bodies.get(body).map(|b| b.position_of(local, t))
     }
 
-    /// Pose of a body's frame at time `t`.
+    /// Pose of a body's frame at time `t`; none if there is no such body.
     pub fn pose_of(&self, body: usize, t: f64) -> Option<RigidPose> {
         self.bodies.get(body).map(|b| b.motion.at(t))
     }
@@ -77,42 +93,41 @@ impl Truth {
         self.bodies.get(body).filter(|b| !b.is_sheet()).map(|b| b.motion.rates(t))
     }
 
-    /// What a camera sees at pixel coordinates `(u, v)` at time `t`.
+    /// First intersection of the ray through the pixel coordinates `(u, v)` at time `t`; none if it meets no body.
     pub fn hit(&self, camera: &Camera, t: f64, u: f64, v: f64) -> Option<Hit> {
         self.tracer(camera, t).hit(u, v)
     }
 
-    /// The picture a camera takes at time `t`.
+    /// The image of a pinhole camera at time `t`: RGBA, straight alpha.
     pub fn picture(&self, camera: &Camera, t: f64) -> ImageU8 {
-        self.tracer(camera, t).picture(self.options.supersample)
+        self.tracer(camera, t).render(self.options.supersample)
     }
 
-    /// The photograph taken at time `t` by a camera whose lens shows the plane `z = 1` distorted; empty where the lens shows
-    /// nothing.
+    /// The image at time `t` of a camera with lens distortion: RGBA, straight alpha; transparent where the lens has no inverse.
     pub fn photograph(&self, camera: &Camera, lens: &Lens, t: f64) -> ImageU8 {
-        self.tracer(camera, t).through(lens).picture(self.options.supersample)
+        self.tracer(camera, t).with_lens(lens).render(self.options.supersample)
     }
 
-    /// Camera-space z at pixel centres, 1 channel; 0 where nothing is seen.
+    /// `[H, W, 1]`: camera-space z at pixel centres, world units; 0 where nothing is visible.
     pub fn depth(&self, camera: &Camera, t: f64) -> Image {
         let mut depth = Image::zeros(camera.width as usize, camera.height as usize, 1);
         depth.data = self.centres(camera, t).into_iter().map(|h| h.map_or(0.0, |h| h.depth as f32)).collect();
         depth
     }
 
-    /// Index of the body seen at each pixel centre, row-major.
+    /// Index of the body visible at each pixel centre, row-major.
     pub fn segments(&self, camera: &Camera, t: f64) -> Vec<Option<u32>> {
         self.centres(camera, t).into_iter().map(|h| h.map(|h| h.body as u32)).collect()
     }
 
-    /// Label of what is seen at each pixel centre, in parts of 255: 0 for nothing, `k / 255` for the `k`-th body; 1 channel.
+    /// `[H, W, 1]`: label of the body visible at each pixel centre over 255, `k / 255` for the `k`-th body counted from 1; 0 for none.
     pub(super) fn labels(&self, camera: &Camera, t: f64) -> Image {
         let mut labels = Image::zeros(camera.width as usize, camera.height as usize, 1);
         labels.data = self.segments(camera, t).into_iter().map(|s| s.map_or(0.0, |k| (k + 1) as f32 / 255.0)).collect();
         labels
     }
 
-    /// 1 at pixel centres that see a body which moves in this way, else 0; 1 channel.
+    /// `[H, W, 1]`: 1 at pixel centres where a body with this kind of motion is visible, else 0.
     pub fn mask(&self, camera: &Camera, t: f64, class: MotionClass) -> Image {
         let mut mask = Image::zeros(camera.width as usize, camera.height as usize, 1);
         let of = |h: Option<Hit>| f32::from(h.is_some_and(|h| self.bodies[h.body].class() == class));
@@ -120,9 +135,9 @@ impl Truth {
         mask
     }
 
-    /// Where the material points that `before` sees at pixel centres at time `t0` are in the image of `after` at `t1`.
+    /// Optical flow of the material points visible to `before` at pixel centres at time `t0`, to the image of `after` at `t1`.
     pub fn flow(&self, before: &Camera, t0: f64, after: &Camera, t1: f64) -> FlowMap {
-        /// Two depths this close are one surface; the slab is 0.1 thick.
+        /// Largest difference of depths of one surface, world units; the slab is 0.1 thick.
         const SAME_SURFACE: f64 = 1e-6;
         let (width, height) = (before.width as usize, before.height as usize);
         let target = self.tracer(after, t1);

@@ -1,4 +1,4 @@
-//! A generated scene as a D-NeRF folder, with its truth beside it in `truth.json`.
+//! Writing a generated scene as a D-NeRF folder, with its ground truth in `truth.json`.
 
 use std::path::Path;
 
@@ -11,19 +11,32 @@ use super::body::Body;
 use super::{FOV_X, SynthData, SynthOptions, Truth, generate};
 use gs_data::{DataError, ImageSource, ImageU8, View};
 
-/// Poses in `truth.json` are given at this many times, evenly over 0..1.
+/// Number of times, evenly over 0..1, at which `truth.json` gives poses.
 const TRUTH_TIMES: u32 = 101;
 
 /// Generates a scene and writes it to `dir`: `transforms_{train,val,test}.json`, `{train,val,test}/r_000.png` …,
-/// `truth.json`. With cameras at rest there is no validation split, the pictures of training cameras (`train`) and of held-out
-/// ones (`test`) are `c00_t000.png` …, those of the future among them, and `scene.toml` holds the boundary. Unless
+/// `truth.json`. With static cameras there is no validation split, the images of training cameras (`train`) and of held-out
+/// ones (`test`) are `c00_t000.png` …, extrapolation views included, and `scene.toml` states the boundary. Unless
 /// `overwrite` is set the folder must be empty or absent.
+///
+/// ```
+/// use gs_data::{DataOptions, Dataset};
+/// use gs_synth::{SynthOptions, write};
+///
+/// # let folder = tempfile::tempdir().unwrap();
+/// let options = SynthOptions { size: 8, train_views: 2, val_views: 0, test_views: 1, ..SynthOptions::default() };
+/// let made = write(folder.path(), "static", &options, true)?;
+/// let read = Dataset::open(folder.path(), &DataOptions::default())?;
+/// assert_eq!((read.layout, read.train.len()), ("blender", 2));
+/// assert!(read.train[1].camera.position().abs_diff_eq(made.dataset.train[1].camera.position(), 1e-9));
+/// # Ok::<(), gs_data::DataError>(())
+/// ```
 ///
 /// # Errors
 /// `data.option` if there is a lens, `io.exists` if the folder holds files, `io.write` if writing fails, else as
 /// [`generate`].
 pub fn write(dir: &Path, name: &str, options: &SynthOptions, overwrite: bool) -> Result<SynthData, DataError> {
-    vacant(dir, overwrite)?;
+    check_vacant(dir, overwrite)?;
     if options.lens {
         let rule = "false: the D-NeRF layout has pinholes only; the Nerfies layout has lenses".into();
         return Err(DataError::Option { name: "lens", value: "true".into(), rule });
@@ -48,7 +61,7 @@ pub fn write(dir: &Path, name: &str, options: &SynthOptions, overwrite: bool) ->
     Ok(data)
 }
 
-/// The views by the folder their pictures lie in: those of the future are with the others of their camera.
+/// The views by the folder of their images: extrapolation views are with the others of their camera.
 pub(super) fn splits(data: &SynthData) -> Vec<(&'static str, Vec<&View>)> {
     let (sets, cameras) = (&data.dataset, data.truth.options().cameras);
     let (seen, held_out): (Vec<_>, Vec<_>) = sets.extrapolate.iter().partition(|v| v.camera_id < cameras);
@@ -60,8 +73,8 @@ pub(super) fn splits(data: &SynthData) -> Vec<(&'static str, Vec<&View>)> {
     }
 }
 
-/// Whether a data set may be written to a folder.
-pub(super) fn vacant(dir: &Path, overwrite: bool) -> Result<(), DataError> {
+/// Checks that a data set may be written to a folder.
+pub(super) fn check_vacant(dir: &Path, overwrite: bool) -> Result<(), DataError> {
     let occupied = std::fs::read_dir(dir).is_ok_and(|mut entries| entries.next().is_some());
     if dir.is_file() || (occupied && !overwrite) {
         return Err(DataError::Occupied { path: dir.to_path_buf() });

@@ -1,14 +1,14 @@
-//! A generated scene as a Nerfies folder: one camera per picture, as a single moving camera takes them.
+//! Writing a generated scene as a Nerfies folder: one pose per image, as of a single moving camera.
 //!
 //! ```text
-//! dataset.json, metadata.json     ids train_000 … and test_000 …; when and by which camera (0 trains, 1 is held out)
+//! dataset.json, metadata.json     ids train_000 … and test_000 …; time and camera of each (0 trains, 1 is held out)
 //! scene.json                      the frame of the files is the world of truth.json: centre 0, scale 1
 //! camera/ID.json                  pose, intrinsics and distortion at full size
-//! rgb/1x/ID.png, rgb/2x/ID.png    over white: photographs have no alpha
-//! points.npy                      [P, 3] points of the surfaces the training cameras face, all at time 0
-//! truth.json                      what really happened
+//! rgb/1x/ID.png, rgb/2x/ID.png    over white: the layout has no alpha
+//! points.npy                      [P, 3] surface points visible to training cameras, all at time 0
+//! truth.json                      ground truth
 //! ```
-//! Times are whole `time_id`s there: with `n` training and `m` test views and `L = lcm(n − 1, 2m)`, training view `k` has
+//! Times are whole `time_id`s: with `n` training and `m` test views and `L = lcm(n − 1, 2m)`, training view `k` has
 //! `k L / (n − 1)`, test view `k` has `(2k + 1) L / 2m`. The layout has no third split: validation views are left out.
 
 use std::path::Path;
@@ -18,67 +18,67 @@ use gs_core::{Camera, Rng};
 use rayon::prelude::*;
 use serde_json::{Map, Value, json};
 
-use super::write::{truth_json, vacant, write_json};
+use super::write::{check_vacant, truth_json, write_json};
 use super::{CAMERA_RADIUS, HALF_SIDE, SynthData, SynthOptions, Truth, generate};
 use gs_data::{DataError, ImageSource, ImageU8, Lens, View};
 
-/// Rays cast for the points.
+/// Number of rays cast for `points.npy`.
 const RAYS: u32 = 4000;
 
-/// A picture to write.
-struct Shot<'a> {
+/// A view to write.
+struct Entry<'a> {
     id: String,
     time: u64,
     camera: u32,
     view: &'a View,
 }
 
-/// Generates a scene and writes it to `dir` in the Nerfies layout, see the head of this module. Unless `overwrite` is set
+/// Generates a scene and writes it to `dir` in the Nerfies layout, one training camera per image, held-out ones as a second camera. Unless `overwrite` is set
 /// the folder must be empty or absent.
 ///
 /// # Errors
-/// `data.option` for cameras at rest, for an odd size, which has no half, and for more moments than the layout can number; `io.exists` if the
-/// folder holds files, `io.write` if writing fails, else as [`generate`].
+/// `data.option` for static cameras, for an odd size, which has no half, and for more timestamps than `u32` can number;
+/// `io.exists` if the folder holds files, `io.write` if writing fails, else as [`generate`].
 pub fn write_nerfies(dir: &Path, name: &str, options: &SynthOptions, overwrite: bool) -> Result<SynthData, DataError> {
-    vacant(dir, overwrite)?;
+    check_vacant(dir, overwrite)?;
     if options.cameras > 0 {
-        let rule = "0: the Nerfies layout is for one moving camera; the D-NeRF layout has cameras at rest".into();
+        let rule = "0: the Nerfies layout is for one moving camera; the D-NeRF layout has static cameras".into();
         return Err(DataError::Option { name: "cameras", value: options.cameras.to_string(), rule });
     }
     if options.size % 2 == 1 {
-        let rule = "an even number: the layout also holds pictures of half the size".into();
+        let rule = "an even number: the layout also holds images of half the size".into();
         return Err(DataError::Option { name: "size", value: options.size.to_string(), rule });
     }
-    let clock = Clock::of(options)?;
+    let ids = TimeIds::of(options)?;
     let data = generate(name, options)?;
-    let shots = shots(&data, &clock);
+    let entries = entries(&data, &ids);
     for folder in ["camera", "rgb/1x", "rgb/2x"] {
         let folder = dir.join(folder);
         std::fs::create_dir_all(&folder).map_err(|e| DataError::write(&folder, e))?;
     }
-    shots.par_iter().try_for_each(|shot| {
-        write_json(&dir.join(format!("camera/{}.json", shot.id)), &camera(shot.view))?;
-        let ImageSource::Memory(image) = &shot.view.image else { return Ok(()) };
+    entries.par_iter().try_for_each(|entry| {
+        write_json(&dir.join(format!("camera/{}.json", entry.id)), &camera(entry.view))?;
+        let ImageSource::Memory(image) = &entry.view.image else { return Ok(()) };
         let opaque = over_white(image);
-        save_rgb(&dir.join(format!("rgb/1x/{}.png", shot.id)), &opaque)?;
+        save_rgb(&dir.join(format!("rgb/1x/{}.png", entry.id)), &opaque)?;
         let half = opaque.box_downscaled(image.width / 2, image.height / 2);
-        save_rgb(&dir.join(format!("rgb/2x/{}.png", shot.id)), &half)
+        save_rgb(&dir.join(format!("rgb/2x/{}.png", entry.id)), &half)
     })?;
-    write_json(&dir.join("dataset.json"), &lists(&shots))?;
-    write_json(&dir.join("metadata.json"), &tags(&shots))?;
+    write_json(&dir.join("dataset.json"), &lists(&entries))?;
+    write_json(&dir.join("metadata.json"), &tags(&entries))?;
     write_json(&dir.join("scene.json"), &frame())?;
     write_json(&dir.join("truth.json"), &truth_json(&data.truth))?;
     save_points(&dir.join("points.npy"), &data)?;
     Ok(data)
 }
 
-/// The clock of `time_id`s: ids from one training view to the next, from one half of a test view's share to the next.
-struct Clock {
+/// Steps of `time_id` from one training view to the next, and of half the interval between test views.
+struct TimeIds {
     train: u64,
     test: u64,
 }
 
-impl Clock {
+impl TimeIds {
     fn of(options: &SynthOptions) -> Result<Self, DataError> {
         let steps = u64::from(options.train_views).saturating_sub(1).max(1);
         let halves = (2 * u64::from(options.test_views)).max(1);
@@ -92,13 +92,13 @@ impl Clock {
     }
 }
 
-/// Training and test views with their names and times; a scene at rest has one moment.
-fn shots<'a>(data: &'a SynthData, clock: &Clock) -> Vec<Shot<'a>> {
+/// Training and test views with their ids and times; a static scene has one timestamp.
+fn entries<'a>(data: &'a SynthData, ids: &TimeIds) -> Vec<Entry<'a>> {
     let rate = u64::from(data.truth.dynamic());
-    let shot = |split: &str, camera, k: usize, view, time| Shot { id: format!("{split}_{k:03}"), time, camera, view };
+    let entry = |split: &str, camera, k: usize, view, time| Entry { id: format!("{split}_{k:03}"), time, camera, view };
     let (train, test) = (data.dataset.train.iter().enumerate(), data.dataset.test.iter().enumerate());
-    let train = train.map(|(k, v)| shot("train", 0, k, v, rate * clock.train * k as u64));
-    let test = test.map(|(k, v)| shot("test", 1, k, v, rate * clock.test * (2 * k as u64 + 1)));
+    let train = train.map(|(k, v)| entry("train", 0, k, v, rate * ids.train * k as u64));
+    let test = test.map(|(k, v)| entry("test", 1, k, v, rate * ids.test * (2 * k as u64 + 1)));
     train.chain(test).collect()
 }
 
@@ -106,19 +106,19 @@ fn gcd(a: u64, b: u64) -> u64 {
     if b == 0 { a } else { gcd(b, a % b) }
 }
 
-fn lists(shots: &[Shot]) -> Value {
-    let of = |camera: u32| shots.iter().filter(|s| s.camera == camera).map(|s| s.id.as_str()).collect::<Vec<_>>();
-    let all: Vec<_> = shots.iter().map(|s| s.id.as_str()).collect();
+fn lists(entries: &[Entry]) -> Value {
+    let of = |camera: u32| entries.iter().filter(|s| s.camera == camera).map(|s| s.id.as_str()).collect::<Vec<_>>();
+    let all: Vec<_> = entries.iter().map(|s| s.id.as_str()).collect();
     json!({ "count": all.len(), "num_exemplars": of(0).len(), "ids": all, "train_ids": of(0), "val_ids": of(1) })
 }
 
-fn tags(shots: &[Shot]) -> Value {
+fn tags(entries: &[Entry]) -> Value {
     let tag =
-        |s: &Shot| json!({ "time_id": s.time, "warp_id": s.time, "appearance_id": s.time, "camera_id": s.camera });
-    shots.iter().map(|s| (s.id.clone(), tag(s))).collect::<Map<_, _>>().into()
+        |s: &Entry| json!({ "time_id": s.time, "warp_id": s.time, "appearance_id": s.time, "camera_id": s.camera });
+    entries.iter().map(|s| (s.id.clone(), tag(s))).collect::<Map<_, _>>().into()
 }
 
-/// Every scene lies within a ball around the origin, which every camera looks at from one distance.
+/// Near and far depth of a sphere around the scene, from the distance of all cameras.
 fn frame() -> Value {
     let reach = f64::from(HALF_SIDE) * 3.0f64.sqrt();
     json!({ "scale": 1.0, "center": [0.0, 0.0, 0.0], "near": CAMERA_RADIUS - reach, "far": CAMERA_RADIUS + reach })
@@ -141,11 +141,11 @@ fn camera(view: &View) -> Value {
     })
 }
 
-/// The camera with another principal point, pixels that are not square, and what its lens does: all the layout can tell.
+/// The camera with another principal point and non-square pixels, and a lens: every intrinsic that the layout has.
 pub(super) fn with_lens(camera: Camera) -> (Camera, Lens) {
     let (width, height) = (f64::from(camera.width), f64::from(camera.height));
-    let bent = Camera { fy: 1.02 * camera.fy, cx: 0.53 * width, cy: 0.48 * height, ..camera };
-    (bent, Lens { k1: -0.12, k2: 0.03, k3: -0.004, p1: 0.002, p2: -0.003, skew: 0.01 })
+    let camera = Camera { fy: 1.02 * camera.fy, cx: 0.53 * width, cy: 0.48 * height, ..camera };
+    (camera, Lens { k1: -0.12, k2: 0.03, k3: -0.004, p1: 0.002, p2: -0.003, skew: 0.01 })
 }
 
 fn over_white(image: &ImageU8) -> ImageU8 {
@@ -164,11 +164,11 @@ fn save_rgb(file: &Path, image: &ImageU8) -> Result<(), DataError> {
         .map_err(|e| DataError::write(file, std::io::Error::other(e)))
 }
 
-/// Where random rays of the training cameras meet the bodies at time 0; no file if none does.
+/// Writes the intersections of random rays of the training cameras at time 0; no file if there are none.
 fn save_points(file: &Path, data: &SynthData) -> Result<(), DataError> {
     let each = RAYS.div_ceil(data.dataset.train.len() as u32);
     let points: Vec<f32> =
-        data.dataset.train.iter().enumerate().flat_map(|(k, v)| seen(&data.truth, k, v, each)).collect();
+        data.dataset.train.iter().enumerate().flat_map(|(k, v)| visible_points(&data.truth, k, v, each)).collect();
     if points.is_empty() {
         return Ok(());
     }
@@ -177,7 +177,7 @@ fn save_points(file: &Path, data: &SynthData) -> Result<(), DataError> {
     written.and_then(|()| std::fs::write(file, bytes)).map_err(|e| DataError::write(file, e))
 }
 
-fn seen(truth: &Truth, number: usize, view: &View, rays: u32) -> Vec<f32> {
+fn visible_points(truth: &Truth, number: usize, view: &View, rays: u32) -> Vec<f32> {
     let mut rng = Rng::new(truth.options().seed, "synth.points", 0, number as u64);
     let (width, height) = (view.camera.width as f32, view.camera.height as f32);
     let aim = |_| (f64::from(rng.range(0.0, width)), f64::from(rng.range(0.0, height)));

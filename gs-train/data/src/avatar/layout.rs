@@ -1,21 +1,21 @@
 //! People filmed by calibrated cameras, with a rigged template: `scene.json` (specification: `manifest.rs`), `cameras.json`,
-//! `images/CAMERA/FRAME.png`, and where they are there `masks/`, `poses.json` or `poses.bin`, `crops.json`, `points/FRAME.ply`
+//! `images/CAMERA/FRAME.png`, and optionally `masks/`, `poses.json` or `poses.bin`, `crops.json`, `points/FRAME.ply`
 //! (or `.obj`, or `.bin`: `x y z` as little-endian `f32`).
 //!
 //! ```text
 //! scene.json    frames, splits, template, motion         cameras.json  [{id, w, h, K, E, dist, role, pixel_center}]
-//! crops.json    {frame: {camera: [x0, y0]}}: the picture shows this corner of the sensor on
-//! poses.json    {frame: {nodes: {NAME: {translation, rotation, scale}}, morphs: […]}}: over the motion's pose
-//! poses.bin     the same as numbers (`poses_bin.rs`)
+//! crops.json    {frame: {camera: [x0, y0]}}: the image is a part of the sensor that begins at this pixel
+//! poses.json    {frame: {nodes: {NAME: {translation, rotation, scale}}, morphs: […]}}: replaces values of the motion's pose
+//! poses.bin     the same in binary (`poses_bin.rs`)
 //! ```
 //! Camera ids are three digits or more in names of folders, frame numbers six. `E` is world to camera with OpenCV axes, row by
 //! row; `K` and `E` are lists of 9 and 16 numbers. With `pixel_center: "integer"` the first pixel's centre is at 0 in `K`.
 //!
 //! # Roles and lists
-//! See `film.rs`. Conditioning cameras are inputs of their frames, whatever options choose views for training.
+//! See `film.rs`. Conditioning cameras are inputs of their frames, whichever views the options select for training.
 //!
 //! # Alpha
-//! A picture with alpha brings its own mask; else `masks/CAMERA/FRAME.png` is [`View::mask`]. A conditioning picture needs
+//! The alpha of an image is its mask; without alpha `masks/CAMERA/FRAME.png` is [`View::mask`]. Images of conditioning cameras need
 //! one of the two.
 
 use std::path::Path;
@@ -37,7 +37,7 @@ pub(crate) mod points;
 mod poses;
 mod poses_bin;
 
-pub use film::{Film, FrameUse, Role, Shot, Still, shot_name};
+pub use film::{Film, FilmFrame, FrameUse, Role, Shot, shot_name};
 
 use cameras::{Crops, FilmCamera};
 use manifest::Manifest;
@@ -50,8 +50,8 @@ pub(crate) const LAYOUT: Layout = Layout {
     open,
 };
 
-/// Missing pictures are listed up to this many.
-const MOST_MISSING: usize = 4096;
+/// Most missing images listed before the reader gives up.
+const MAX_MISSING: usize = 4096;
 
 fn probe(dir: &Path) -> Option<Confidence> {
     let both = dir.join("scene.json").is_file() && dir.join("cameras.json").is_file();
@@ -61,7 +61,7 @@ fn probe(dir: &Path) -> Option<Confidence> {
 /// Reads a film.
 ///
 /// # Errors
-/// See [`DataError`]; every fault names file and field.
+/// See [`DataError`]; every error names file and field.
 fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     let root = Root::new(dir)?;
     let manifest = Manifest::read(&dir.join("scene.json"))?;
@@ -75,11 +75,11 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     let shots_of = shots.all(&manifest, &cameras)?;
     notes.append(&mut shots.notes);
     let has_alpha = shots.opaque == 0;
-    notes.push(format!("{} of {} pictures have a mask in masks/", shots.masked, shots_of.len()));
-    let mut stills = Vec::with_capacity(manifest.lists.len());
+    notes.push(format!("{} of {} images have a mask in masks/", shots.masked, shots_of.len()));
+    let mut frames = Vec::with_capacity(manifest.lists.len());
     for ((&number, &list), (pose, true_morphs)) in manifest.lists.iter().zip(poses) {
         let points = points::find(&root, number)?;
-        stills.push(Still { number, list, pose, true_morphs, points });
+        frames.push(FilmFrame { number, list, pose, true_morphs, points });
     }
     let film = Film {
         root: dir.to_path_buf(),
@@ -88,7 +88,7 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
         character,
         skinning: manifest.skinning,
         fps: manifest.fps,
-        stills,
+        frames,
         shots: shots_of,
         has_alpha,
         notes,
@@ -96,7 +96,7 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     film.into_dataset(options)
 }
 
-/// Pictures being listed.
+/// State of listing the images.
 struct Shots<'a> {
     root: &'a Root,
     options: &'a DataOptions,
@@ -107,7 +107,7 @@ struct Shots<'a> {
 }
 
 impl Shots<'_> {
-    /// Every picture of the frames of some list, camera after camera.
+    /// Every image of the frames in `manifest.lists`, camera after camera.
     fn all(&mut self, manifest: &Manifest, cameras: &[FilmCamera]) -> Result<Vec<Shot>, DataError> {
         let mut missing = Vec::new();
         let mut shots = Vec::new();
@@ -120,7 +120,7 @@ impl Shots<'_> {
                     continue;
                 }
                 missing.push(listed.shown);
-                if missing.len() > MOST_MISSING {
+                if missing.len() > MAX_MISSING {
                     return Err(DataError::Missing { listed_in: manifest.file.clone(), missing, total });
                 }
             }
@@ -143,8 +143,7 @@ impl Shots<'_> {
 
     fn shot(&mut self, camera: &FilmCamera, number: u32, listed: Listed<()>) -> Result<Shot, DataError> {
         let header = header::read(&listed.path)?;
-        let (pinhole, lens) =
-            camera.of_picture(&header, &listed.path, self.crops.at(number, camera.id), self.options)?;
+        let (pinhole, lens) = camera.of_image(&header, &listed.path, self.crops.at(number, camera.id), self.options)?;
         let image = ImageSource::File(listed.path);
         let mut view = View::new(shot_name(camera.id, number), pinhole, Time::default(), image, camera.id);
         view.lens = lens;
@@ -160,7 +159,7 @@ impl Shots<'_> {
                     place: Place::new(&file, ""),
                     value: format!("missing, and {} has no alpha", listed.shown.display()),
                     why: "an input says by alpha or mask where the person is",
-                    fix: "write pictures of conditioning cameras with alpha, or add the mask",
+                    fix: "write images of conditioning cameras with alpha, or add the mask",
                 });
             }
             self.opaque += 1;

@@ -1,13 +1,22 @@
-//! Points on a mesh, uniform by area.
+//! Random points on a triangle mesh, uniform by area.
 
 use glam::{DVec3, Vec3};
 use gs_core::Rng;
 
-/// A point of a face: its row and three barycentric coordinates.
+/// A point on a face: row of the face, and its three barycentric coordinates.
 pub type OnFace = (u32, [f32; 3]);
 
-/// `n` points, uniform by area: a function of the mesh, `n`, `seed` and `stream` (the number of a frame, say). None where
-/// the mesh has no area.
+/// `n` points, uniform by area (Osada et al. 2002): a function of mesh, `n`, `seed` and `stream`, for example the number of a frame.
+/// Empty where the mesh has no area.
+///
+/// ```
+/// use gs_data::avatar::sample::{on_faces, places};
+/// use glam::Vec3;
+///
+/// let (vertices, faces) = ([Vec3::ZERO, Vec3::X, Vec3::Y], [[0, 1, 2]]);
+/// let points = places(&on_faces(&vertices, &faces, 100, 0, 0), &vertices, &faces);
+/// assert!(points.len() == 100 && points.iter().all(|p| p.z == 0.0 && p.x >= 0.0 && p.y >= 0.0 && p.x + p.y <= 1.0 + 1e-6));
+/// ```
 pub fn on_faces(vertices: &[Vec3], faces: &[[u32; 3]], n: usize, seed: u64, stream: u32) -> Vec<OnFace> {
     let mut below = Vec::with_capacity(faces.len());
     let mut total = 0.0;
@@ -30,7 +39,7 @@ pub fn on_faces(vertices: &[Vec3], faces: &[[u32; 3]], n: usize, seed: u64, stre
     (0..n).map(point).collect()
 }
 
-/// Where the points are.
+/// Positions of points on faces, in the space of `vertices`.
 pub fn places(points: &[OnFace], vertices: &[Vec3], faces: &[[u32; 3]]) -> Vec<Vec3> {
     let place = |(face, bary): &OnFace| {
         let corners = faces[*face as usize].map(|v| vertices[v as usize]);

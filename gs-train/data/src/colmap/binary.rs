@@ -1,5 +1,5 @@
-//! The binary form: little-endian records after a 64-bit count. A count is believed only as far as the bytes present
-//! could hold that many of the smallest records.
+//! The binary form: little-endian records after a 64-bit count. A count is accepted only if the bytes present
+//! can hold that many of the smallest records.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -16,7 +16,7 @@ use super::{ImageRow, intrinsics, push_point};
 const MAX_BYTES: u64 = 4 << 30;
 /// Longest file name.
 const MAX_NAME: usize = 4096;
-/// Models by their number, with the number of parameters. Those beyond OPENCV are known only to name them.
+/// Models by their number, with the number of parameters. Those after OPENCV are listed for error texts only.
 const MODELS: [(&str, usize); 11] = [
     ("SIMPLE_PINHOLE", 3),
     ("PINHOLE", 4),
@@ -113,11 +113,11 @@ impl<'a> Cursor<'a> {
 
 /// `cameras.bin`: id, model, width, height, parameters.
 pub(super) fn cameras(file: &Path) -> Result<BTreeMap<u32, Intrinsics>, DataError> {
-    const LEAST: usize = 4 + 4 + 8 + 8 + 3 * 8;
+    const MIN_BYTES: usize = 4 + 4 + 8 + 8 + 3 * 8;
     let bytes = read_bytes(file, MAX_BYTES)?;
     let mut c = Cursor { file, bytes: &bytes, at: 0 };
     let mut cameras = BTreeMap::new();
-    for row in 0..c.count(LEAST)? {
+    for row in 0..c.count(MIN_BYTES)? {
         let (id, model) = (c.u32()?, c.u32()?);
         let size = [c.u64()?, c.u64()?];
         let place = Place::new(file, format!("cameras[{row}]"));
@@ -133,11 +133,11 @@ pub(super) fn cameras(file: &Path) -> Result<BTreeMap<u32, Intrinsics>, DataErro
 
 /// `images.bin`: id, quaternion, translation, camera, name, observations (skipped).
 pub(super) fn images(file: &Path) -> Result<Vec<ImageRow>, DataError> {
-    const LEAST: usize = 4 + 7 * 8 + 4 + 1 + 8;
+    const MIN_BYTES: usize = 4 + 7 * 8 + 4 + 1 + 8;
     const OBSERVATION: usize = 24;
     let bytes = read_bytes(file, MAX_BYTES)?;
     let mut c = Cursor { file, bytes: &bytes, at: 0 };
-    let count = c.count(LEAST)?;
+    let count = c.count(MIN_BYTES)?;
     let mut rows = Vec::with_capacity(count);
     for row in 0..count {
         let _id = c.u32()?;
@@ -153,11 +153,11 @@ pub(super) fn images(file: &Path) -> Result<Vec<ImageRow>, DataError> {
 
 /// `points3D.bin`: id, position, colour, error, track (skipped).
 pub(super) fn points(file: &Path) -> Result<PointCloud, DataError> {
-    const LEAST: usize = 8 + 3 * 8 + 3 + 8 + 8;
+    const MIN_BYTES: usize = 8 + 3 * 8 + 3 + 8 + 8;
     const TRACK: usize = 8;
     let bytes = read_bytes(file, MAX_BYTES)?;
     let mut c = Cursor { file, bytes: &bytes, at: 0 };
-    let count = c.count(LEAST)?;
+    let count = c.count(MIN_BYTES)?;
     let mut cloud = PointCloud { positions: Vec::with_capacity(count), colors: Vec::with_capacity(count) };
     for row in 0..count {
         let _id = c.u64()?;

@@ -1,9 +1,9 @@
 //! COLMAP sparse models, text and binary (Schönberger and Frahm 2016; format: COLMAP documentation, "Output Format").
 //!
 //! `cameras`, `images` and `points3D` lie in `sparse/0`, `sparse`, `colmap/sparse/0` or the folder itself. Poses are world
-//! to camera as quaternion `(w, x, y, z)` and translation with OpenCV axes, pixel centres at +½: ours. Models
-//! SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL and OPENCV are read, others refused by name. A model knows no
-//! times: it is static unless `data.time_from` says otherwise. Images that were numbered anew are paired in order of number
+//! to camera as quaternion `(w, x, y, z)` and translation with OpenCV axes, pixel centres at +½. Models
+//! SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL and OPENCV are read, others refused by name. A model has no
+//! times: it is static unless `data.time_from` says otherwise. Renumbered images are paired in order of number
 //! (`numbered.rs`), with a note.
 
 use std::collections::BTreeMap;
@@ -108,7 +108,7 @@ fn intrinsics(model: &str, size: [u64; 2], params: &[f64], place: &Place) -> Res
 /// Reads a model.
 ///
 /// # Errors
-/// See [`DataError`]; every fault names file and row.
+/// See [`DataError`]; every error names file and row.
 fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     let root = Root::new(dir)?;
     let mut notes = Vec::new();
@@ -118,7 +118,7 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     Ok(Dataset { points: model.points, ..settled.dataset(dir, LAYOUT.name, has_alpha, notes) })
 }
 
-/// Reads frames of one moving camera (Yoon et al. 2020, one camera of the rig per moment): image `k` of `n`, in order of
+/// Reads frames of one moving camera (Yoon et al. 2020, one camera of the rig per timestamp): image `k` of `n`, in order of
 /// names, is at time `k / (n − 1)`, unless `data.time_from` asks for names.
 ///
 /// # Errors

@@ -1,8 +1,8 @@
-//! Images that were numbered anew after the model was made.
+//! Images that were renumbered after the model was made.
 //!
-//! Some captures come with a model that calls its images by the numbers of their cameras and a folder that counts the same
-//! images from one. Names then say nothing about identity, and pairing by equal stems would be wrong where numbers happen
-//! to coincide. The order of numbers is all that is left; it is used only under conditions that leave no other reading.
+//! In some captures the model names images by the numbers of their cameras and the folder counts the same
+//! images from one. Pairing by equal stems would then be wrong where numbers happen
+//! to coincide. Images are paired by the order of their numbers, only under conditions that leave no other interpretation.
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
@@ -10,7 +10,7 @@ use std::path::Path;
 use super::super::error::DataError;
 use super::{EXTENSIONS, ImageRow};
 
-/// Pairs named in a note.
+/// Number of pairs listed in the note.
 const NAMED: usize = 8;
 
 /// File names by model name, paired in order of number, where

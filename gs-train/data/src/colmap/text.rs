@@ -66,7 +66,7 @@ fn lines<'a>(file: &'a Path, text: &'a str) -> impl Iterator<Item = Line<'a>> {
     })
 }
 
-/// Lines that hold something.
+/// Lines that are neither comments nor empty.
 fn records<'a>(file: &'a Path, text: &'a str) -> impl Iterator<Item = Line<'a>> {
     lines(file, text).filter(|l| l.fields.clone().next().is_some())
 }

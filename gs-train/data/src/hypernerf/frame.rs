@@ -1,4 +1,4 @@
-//! The world of a capture: `scene.json`, `extra.json` and the points.
+//! The world frame of a capture: `scene.json`, `extra.json` and the points.
 
 use std::path::Path;
 
@@ -7,10 +7,10 @@ use glam::{DVec3, Vec3};
 use super::super::error::{DataError, Place};
 use super::super::files::Root;
 use super::super::json::{Fields, read_object};
-use super::super::{PointCloud, View, cloud, ply, sight};
+use super::super::{PointCloud, View, frustum, ply, table};
 use super::MAX_SMALL_BYTES;
 
-/// The dense cloud.
+/// Dense initial points, as 4DGaussians prepares them.
 const DENSE: &str = "points3D_downsample2.ply";
 
 /// `scene.json`: the frame in which the scene is trained, normalised or raw.
@@ -40,39 +40,39 @@ impl Frame {
         Ok(if normalise { normalised } else { normalised.raw() })
     }
 
-    /// The raw frame; depths, which files give in the normalised one, are brought back.
+    /// The raw frame; depths, which files give in the normalised one, are divided by the scale.
     fn raw(self) -> Self {
         Self { centre: DVec3::ZERO, scale: 1.0, depths: self.depths.map(|d| d.map(|z| z / self.scale)) }
     }
 
-    /// A point of the raw frame in this one.
+    /// A point of the raw frame, in this frame.
     pub(super) fn place(&self, p: DVec3) -> DVec3 {
         (p - self.centre) * self.scale
     }
 
-    /// The box of all that the training cameras see between `near` and `far`.
+    /// The box around the view frusta of the training cameras between `near` and `far`.
     pub(super) fn bounds(&self, train: &[View]) -> Option<[Vec3; 2]> {
-        self.depths.and_then(|d| sight::bounds(train.iter().map(|v| (&v.camera, d))))
+        self.depths.and_then(|d| frustum::bounds(train.iter().map(|v| (&v.camera, d))))
     }
 
-    /// The points the capture brings along: a dense cloud of the cameras (`points3D_downsample2.ply`, as 4DGaussians prepares
+    /// The points of the capture: the dense cloud (`points3D_downsample2.ply`, as 4DGaussians prepares
     /// it) before the sparse `points.npy`, which has no colours. Both are in the raw frame.
     ///
     /// # Errors
-    /// Those of the file that is there.
+    /// Those of reading the file.
     pub(super) fn points(&self, root: &Root, notes: &mut Vec<String>) -> Result<Option<PointCloud>, DataError> {
         let there = |name: &str| root.resolve(name, &Place::new(root.dir(), name)).map(|f| (f.is_file(), f));
         if let (true, file) = there(DENSE)? {
             let mut cloud = ply::read_points(&file)?;
             cloud.positions.iter_mut().for_each(|p| *p = self.place(p.as_dvec3()).as_vec3());
-            notes.push(format!("start points come from {DENSE}: {}", cloud.positions.len()));
+            notes.push(format!("initial points come from {DENSE}: {}", cloud.positions.len()));
             return Ok(Some(cloud));
         }
         let (true, file) = there("points.npy")? else {
             notes.push("there is no points.npy: training starts from other points".into());
             return Ok(None);
         };
-        let positions = cloud::read_triples(&file, |p| self.place(p))?;
+        let positions = table::read_triples(&file, |p| self.place(p))?;
         notes.push(format!("points.npy: {} points without colours", positions.len()));
         Ok(Some(PointCloud { colors: vec![[0.5; 3]; positions.len()], positions }))
     }
@@ -80,7 +80,7 @@ impl Frame {
 
 /// `extra.json` of a DyCheck capture.
 pub(super) struct Extra {
-    /// Pictures per second.
+    /// Frames per second.
     pub(super) fps: Option<f64>,
     /// Lower and upper corner of the scene, normalised frame.
     bbox: Option<[[f64; 3]; 2]>,

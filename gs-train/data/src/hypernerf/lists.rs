@@ -1,4 +1,4 @@
-//! Which pictures train, which are held out, when and by which camera they were taken.
+//! Split, time and camera of every image.
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -8,7 +8,7 @@ use serde_json::{Map, Value};
 use super::super::error::{DataError, Place};
 use super::super::json::{Fields, read_object};
 
-/// Largest `dataset.json`, `metadata.json` and split: some 20 000 pictures.
+/// Largest `dataset.json`, `metadata.json` and split: some 20 000 images.
 const MAX_LIST_BYTES: u64 = 2 << 20;
 /// Ids are whole numbers up to this, exact in `f64` and in `u32`.
 const MAX_ID: f64 = u32::MAX as f64;
@@ -25,7 +25,7 @@ impl Lists {
     /// Reads the lists of a capture's folder.
     ///
     /// # Errors
-    /// `data.field` for lists that are none, and for a picture of both splits; `io.read`, `data.syntax`, `limits.file`.
+    /// `data.field` for lists of the wrong type, and for an image of both splits; `io.read`, `data.syntax`, `limits.file`.
     pub(super) fn read(dir: &Path, notes: &mut Vec<String>) -> Result<Self, DataError> {
         let file = &dir.join("dataset.json");
         let map = read_object(file, MAX_LIST_BYTES)?;
@@ -84,7 +84,7 @@ fn frame_names(file: &Path) -> Result<Vec<String>, DataError> {
     Ok(found)
 }
 
-/// A list of texts; a list that is not there is empty.
+/// A list of texts; a missing list is empty.
 fn names(file: &Path, map: &Map<String, Value>, key: &str) -> Result<Vec<String>, DataError> {
     let fault = |at: String, value: &Value| DataError::Field {
         place: Place::new(file, at),
@@ -105,7 +105,7 @@ fn names(file: &Path, map: &Map<String, Value>, key: &str) -> Result<Vec<String>
     }
 }
 
-/// `metadata.json`: when, and by which camera.
+/// `metadata.json`: the time and camera of every id.
 pub(super) struct Tags {
     pub(super) file: PathBuf,
     map: Map<String, Value>,
@@ -113,7 +113,7 @@ pub(super) struct Tags {
     pub(super) key: &'static str,
 }
 
-/// Time and camera of a picture.
+/// Time and camera of an image.
 pub(super) struct Tag {
     pub(super) time: f64,
     pub(super) camera: u32,
@@ -129,12 +129,12 @@ impl Tags {
         let has = |key: &str| map.values().any(|v| v.get(key).is_some());
         let key = if has("time_id") { "time_id" } else { "warp_id" };
         if has("appearance_id") {
-            notes.push("appearance ids are not used: all pictures are taken as equally exposed".into());
+            notes.push("appearance ids are not used: all images are taken as equally exposed".into());
         }
         Ok(Self { file: file.to_path_buf(), map, key })
     }
 
-    /// The tag of a picture.
+    /// The tag of an image.
     ///
     /// # Errors
     /// `data.field` if there is none, or its numbers are no ids.

@@ -1,28 +1,28 @@
 //! Nerfies, HyperNeRF and DyCheck (iPhone) captures (Park et al. 2021a, 2021b; Gao et al. 2022): one moving camera, two on a
-//! rig, or one that moves and two that stand still.
+//! rig, or one that moves and two static ones.
 //!
 //! `dataset.json` lists `ids`, `train_ids`, `val_ids`; `metadata.json` gives each id its `time_id` (or `warp_id`) and
-//! `camera_id`; `scene.json` holds `center` and `scale`; `camera/<id>.json` one camera; `rgb/<s>x/<id>.png` its picture at
+//! `camera_id`; `scene.json` holds `center` and `scale`; `camera/<id>.json` one camera; `rgb/<s>x/<id>.png` its image at
 //! `1/s` of full size; `points.npy`, optional, `P × 3` points. DyCheck adds `splits/{train,val}.json`, `extra.json`,
-//! `covisible/2x/val/<id>.png`, the masks of held-out pictures, and `depth/<s>x/<id>.npy` (metres along the optical axis).
+//! `covisible/2x/val/<id>.png`, the masks of held-out images, and `depth/<s>x/<id>.npy` (metres along the optical axis).
 //!
 //! # Geometry
 //! `orientation` is the rotation from world to camera with OpenCV axes, `position` the camera's centre. Cameras and points
-//! are brought to the normalised frame, `x ← (x − center) · scale`, unless `data.normalise` is false. With `(x', y')` the
+//! are transformed to the normalised frame, `x ← (x − center) · scale`, unless `data.normalise` is false. With `(x', y')` the
 //! distorted point of the plane `z = 1` ([`super::lens`]; the files write the tangential pair as `p1 p2`),
 //! ```text
 //! u = focal_length · x' + skew · y' + cx        v = focal_length · pixel_aspect_ratio · y' + cy
 //! ```
-//! with pixel centres at +½: ours. Intrinsics scale with the exact ratio of the picture's size to `image_size`.
-//! `data.center_pp` takes the focal length alone, for comparison with 4DGaussians: principal point in the middle, square
+//! with pixel centres at +½. Intrinsics scale with the exact ratio of the image's size to `image_size`.
+//! `data.center_pp` uses the focal length alone, for comparison with 4DGaussians: principal point in the centre, square
 //! pixels, no skew, no distortion.
 //!
 //! # Splits and times
-//! `splits/` decides where it is there. Else, where `val_ids` is not empty (`vrig` and DyCheck captures), `train_ids` train and
+//! `splits/` gives the split where it exists. Else, where `val_ids` is not empty (`vrig` and DyCheck captures), `train_ids` train and
 //! `val_ids` are held out; else (`interp` captures) of `ids` numbers 0, 4, 8, … train and 2, 6, 10, … are held out.
 //! `t = time_id / max(time_id)` over all ids; the clock counts ids, or seconds where `data.fps` or `extra.json` gives a rate.
 //!
-//! Pictures are photographs: alpha, which DyCheck uses for pixels without depth, is not used.
+//! Alpha, which DyCheck uses for pixels without depth, is ignored.
 
 use std::path::{Path, PathBuf};
 
@@ -55,11 +55,11 @@ pub(crate) const LAYOUT: Layout = Layout {
     open,
 };
 
-/// Picture folders, the size of published results first.
+/// Image folders, the size of published results first.
 const IMAGE_FOLDERS: [&str; 5] = ["rgb/2x", "rgb/1x", "rgb/4x", "rgb/8x", "rgb/16x"];
 /// Largest `scene.json` and camera file; usual ones have under 1 kB.
 const MAX_SMALL_BYTES: u64 = 64 << 10;
-/// Masks of held-out pictures.
+/// Folders of the masks of held-out views.
 const MASK_FOLDERS: [&str; 3] = ["covisible/2x/val", "covisible/1x/val", "covisible/4x/val"];
 
 fn probe(dir: &Path) -> Option<Confidence> {
@@ -70,7 +70,7 @@ fn probe(dir: &Path) -> Option<Confidence> {
 /// Reads a capture.
 ///
 /// # Errors
-/// See [`DataError`]; every fault names file and field.
+/// See [`DataError`]; every error names file and field.
 fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     let root = Root::new(dir)?;
     let mut notes = Vec::new();
@@ -106,8 +106,8 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     Ok(Dataset { points, bounds, ..settled.dataset(dir, LAYOUT.name, false, notes) })
 }
 
-/// What one picture needs beside its file.
-struct Shot {
+/// Fields of an image beside its file.
+struct ImageAt {
     pose: Pose,
     intrinsics: Intrinsics,
     depth: Option<PathBuf>,
@@ -129,10 +129,10 @@ struct Reader<'a> {
 impl Reader<'_> {
     /// The views of a list of ids.
     fn split(&self, lists: &Lists, ids: &[String], notes: &mut Vec<String>) -> Result<Vec<Draft>, DataError> {
-        let listed = ids.iter().map(|id| self.shot(lists, id)).collect::<Result<Vec<_>, _>>()?;
+        let listed = ids.iter().map(|id| self.image_at(lists, id)).collect::<Result<Vec<_>, _>>()?;
         let listed = with_headers(&lists.file, listed, self.options, notes)?;
         if listed.iter().any(|(_, h)| h.has_alpha) {
-            notes.push("images carry alpha, which is not used: they are photographs".into());
+            notes.push("images carry alpha, which is not used: it marks pixels without depth".into());
         }
         let shown: Vec<PathBuf> = listed.iter().map(|(l, _)| l.shown.clone()).collect();
         let mut adjusted = Adjusted::default();
@@ -145,7 +145,7 @@ impl Reader<'_> {
         Ok(drafts)
     }
 
-    /// Gives held-out views their masks, where there are any.
+    /// Sets the masks of held-out views, where files exist.
     fn masks(&self, lists: &Lists, test: &mut [Draft], notes: &mut Vec<String>) -> Result<(), DataError> {
         let Some(folder) = MASK_FOLDERS.into_iter().find(|f| self.root.dir().join(f).is_dir()) else { return Ok(()) };
         let mut masked = 0;
@@ -162,20 +162,20 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// Depth of a picture, at its size, if it is there.
+    /// The depth file of an image, at its size, if it exists.
     fn depth(&self, id: &str, listed_at: &Place) -> Result<Option<PathBuf>, DataError> {
         let Some(size) = self.folder.strip_prefix("rgb/") else { return Ok(None) };
         let file = self.root.resolve(&format!("depth/{size}/{id}.npy"), listed_at)?;
         Ok(file.is_file().then_some(file))
     }
 
-    fn shot(&self, lists: &Lists, id: &str) -> Result<Listed<Shot>, DataError> {
+    fn image_at(&self, lists: &Lists, id: &str) -> Result<Listed<ImageAt>, DataError> {
         let listed_at = Place::new(&lists.file, format!("id \"{id}\""));
         let (shown, path) = locate(self.root, &format!("{}/{id}", self.folder), &listed_at)?;
         let file = self.root.resolve(&format!("camera/{id}.json"), &listed_at)?;
         let map = read_object(&file, MAX_SMALL_BYTES)?;
         let fields = Fields::new(&file, "", &map);
-        let rest = Shot {
+        let rest = ImageAt {
             pose: self.pose(&fields)?,
             intrinsics: intrinsics(&fields, self.options.center_pp)?,
             depth: self.depth(id, &listed_at)?,
@@ -196,7 +196,12 @@ impl Reader<'_> {
         from_axes(axes, centre, &camera.place("orientation"))
     }
 
-    fn draft(&self, listed: Listed<Shot>, header: &ImageHeader, adjusted: &mut Adjusted) -> Result<Draft, DataError> {
+    fn draft(
+        &self,
+        listed: Listed<ImageAt>,
+        header: &ImageHeader,
+        adjusted: &mut Adjusted,
+    ) -> Result<Draft, DataError> {
         let shot = listed.rest;
         let (camera, rescaled) = shot.intrinsics.camera(header, &listed.path, &shot.pose, &shot.place)?;
         let lens = shot.intrinsics.lens(self.options.undistort, &shot.place)?;

@@ -1,4 +1,4 @@
-//! Which of the three forms a folder has; told by keys and times, not by names alone.
+//! Which of the three forms a folder has, decided by JSON keys and times, not by file names alone.
 
 use std::path::Path;
 
@@ -13,21 +13,21 @@ pub(super) const TRAIN: &str = "transforms_train.json";
 pub(super) const VAL: &str = "transforms_val.json";
 pub(super) const TEST: &str = "transforms_test.json";
 pub(super) const LABELLED: &str = "transforms.json";
-/// No frame with a time is shorter.
-const LEAST_FRAME_BYTES: usize = 41;
+/// Shortest possible frame with a time.
+const MIN_FRAME_BYTES: usize = 41;
 
 /// The form of a folder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
-    /// Frames by camera.
+    /// `data`: an object of cameras with their frames.
     Nested,
-    /// Frames one by one.
+    /// `frames`: a list, as in D-NeRF.
     Flat,
     /// Frames one by one, with label maps.
     Labelled,
 }
 
-/// The keys that tell.
+/// The keys that decide.
 #[derive(Deserialize)]
 struct Keys<'a> {
     #[serde(borrow)]
@@ -35,7 +35,7 @@ struct Keys<'a> {
     frames: Option<&'a RawValue>,
 }
 
-/// What tells of a frame.
+/// The keys of a frame that decide.
 #[derive(Deserialize)]
 struct FrameKeys<'a> {
     time: Option<f64>,
@@ -45,7 +45,7 @@ struct FrameKeys<'a> {
 }
 
 impl Kind {
-    /// The form of a folder; none if it has none of them. Files that cannot be read have none: whoever reads them says why.
+    /// The form of a folder; none if it has none of them. Files that cannot be read have none: the error is that of their reader.
     pub(super) fn of(dir: &Path) -> Option<Self> {
         if dir.join(TRAIN).is_file() {
             let train = text(dir, TRAIN)?;
@@ -54,11 +54,11 @@ impl Kind {
                 return Some(Self::Nested);
             }
             let states_boundary = || scene_file::read(dir).is_ok_and(|s| s.time.boundary.is_some());
-            return (states_boundary() || foretells(dir, &keys)).then_some(Self::Flat);
+            return (states_boundary() || tests_are_later(dir, &keys)).then_some(Self::Flat);
         }
         let labelled = text(dir, LABELLED)?;
         let keys: Keys = serde_json::from_str(&labelled).ok()?;
-        let frames = slices(keys.frames?, labelled.len() / LEAST_FRAME_BYTES + 1).ok()?;
+        let frames = slices(keys.frames?, labelled.len() / MIN_FRAME_BYTES + 1).ok()?;
         let first: FrameKeys = serde_json::from_str(frames.first()?.get()).ok()?;
         (first.img_path.is_some() && first.segm_path.is_some()).then_some(Self::Labelled)
     }
@@ -70,7 +70,7 @@ fn text(dir: &Path, name: &str) -> Option<String> {
 }
 
 /// Whether every test view is later than every training view.
-fn foretells(dir: &Path, train: &Keys) -> bool {
+fn tests_are_later(dir: &Path, train: &Keys) -> bool {
     let read = || {
         let test = text(dir, TEST)?;
         let [_, last] = train.frames.and_then(span)?;
@@ -82,7 +82,7 @@ fn foretells(dir: &Path, train: &Keys) -> bool {
 
 /// First and last time of a list of frames that all have one.
 fn span(frames: &RawValue) -> Option<[f64; 2]> {
-    let frames = slices(frames, frames.get().len() / LEAST_FRAME_BYTES + 1).ok()?;
+    let frames = slices(frames, frames.get().len() / MIN_FRAME_BYTES + 1).ok()?;
     let mut span: Option<[f64; 2]> = None;
     for frame in frames {
         let time = serde_json::from_str::<FrameKeys>(frame.get()).ok()?.time?;

@@ -1,27 +1,25 @@
-//! NVFi's dynamic scenes (Li et al. 2023), as GVFi, FreeGave and TRACE use them: still cameras, a past to learn from and a
-//! future to be foretold.
+//! NVFi's dynamic scenes (Li et al. 2023), as GVFi, FreeGave and TRACE use them: static cameras, a past to train on and a
+//! future to extrapolate to.
 //!
 //! # Files
 //! * **Nested**, the original release: `transforms_{train,val,test}.json` with `camera_angle_x` and
 //!   `data: {camera: {transform_matrix, frames: [{file_path, time}]}}`.
-//! * **Flat**, the re-release, and the generated scenes of this project: the frames of [`super::blender`]. The folder is taken
-//!   for one of these where its `scene.toml` states a boundary, or where all test views are later than all training views.
+//! * **Flat**, the re-release, and the generated scenes of this project: the frames of [`super::blender`]. A folder has this form where its `scene.toml` states a boundary, or where all test views are later than all training views.
 //! * **Labelled**, the indoor scenes with segmentations: one `transforms.json` whose frames have `img_path` and `segm_path`;
-//!   `segm_path` with `.npy` is [`View::labels`](super::View::labels). All views train, but for those that
+//!   `segm_path` with `.npy` is [`View::labels`](super::View::labels). All views train except those that
 //!   `data.test_cameras` and the boundary hold out.
 //!
-//! Cameras are Blender's: camera to world, OpenGL axes, principal point in the centre.
+//! Cameras are those of Blender: camera to world, OpenGL axes, principal point in the centre.
 //!
 //! # Splits and times
 //! Views of `train` train. Those of `val` (other cameras) and `test` are held out; views of any list later than the boundary
 //! are the future. The boundary is `data.time_boundary`, else the one of `scene.toml`, else the last training time if held-out
 //! views are later, else 0.75. Times are the authors' virtual time: one sequence is 0..1, frame `k` of `F` is at `k/F`, so times
-//! are used as they stand unless `data.time_range` says otherwise (ParticleNeRF: the frame that is 1).
-//! Views with the same pose are of one camera; cameras are numbered in order of appearance, so `data.test_cameras` can hold
-//! out some.
+//! are not rescaled unless `data.time_range` is given (ParticleNeRF: the frame that is 1).
+//! Views with the same pose are of one camera. Cameras are numbered in order of appearance; `data.test_cameras` refers to these numbers.
 //!
-//! # Start
-//! `points3d.ply`; else the box of the scene: the cube ±1.5 for objects (images with alpha), NVFi's room where all cameras stand
+//! # Initial points
+//! `points3d.ply`; else the scene box: the cube ±1.5 for objects (images with alpha), NVFi's room where all cameras are
 //! inside it, else a cube of the size of the rig.
 
 use std::collections::BTreeMap;
@@ -52,21 +50,21 @@ pub(crate) const LAYOUT: Layout = Layout {
     open,
 };
 
-/// Half the side of the cube that holds an object.
+/// Half side of the scene box of objects.
 const HALF_SIDE: f32 = 1.5;
-/// The room of the indoor scenes.
-const ROOM: [Vec3; 2] = [Vec3::new(-3.03, -3.03, -0.03), Vec3::new(3.03, 3.03, 6.03)];
-/// The boundary where nothing states one.
+/// The room of NVFi's indoor scenes: lower and upper corner.
+const INDOOR_BOUNDS: [Vec3; 2] = [Vec3::new(-3.03, -3.03, -0.03), Vec3::new(3.03, 3.03, 6.03)];
+/// The boundary where neither options nor files state one: as published.
 const BOUNDARY: f64 = 0.75;
-/// Start points, where the data bring them along.
+/// Initial points, optional.
 const POINTS: &str = "points3d.ply";
 
 fn probe(dir: &Path) -> Option<Confidence> {
     Kind::of(dir).map(|_| Confidence::Certain)
 }
 
-/// A frame and the label map that belongs to it.
-struct Shot {
+/// A frame and its label map.
+struct LabelledFrame {
     frame: Frame,
     labels: Option<PathBuf>,
 }
@@ -98,7 +96,7 @@ impl List {
 /// Reads a scene.
 ///
 /// # Errors
-/// See [`DataError`]; every fault names file and field.
+/// See [`DataError`]; every error names file and field.
 fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     let root = Root::new(dir)?;
     let mut notes = Vec::new();
@@ -124,8 +122,8 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     let boundary = options.time_boundary.unwrap_or_else(|| own_boundary(&train.drafts, &held.drafts, whole));
     let mut drafts = Drafts { train: train.named(), val: Vec::new(), test: held.named() };
     let cameras = number_cameras(&mut drafts);
-    notes.push(format!("{cameras} cameras, told apart by their poses and numbered in order of appearance"));
-    notes.push("the authors score at data.scale=0.5 where images have 800 pixels, truncated to 8 bit; scores here are of unrounded frames".into());
+    notes.push(format!("{cameras} cameras, identified by their poses and numbered in order of appearance"));
+    notes.push("the authors score at data.scale=0.5 where images have 800 pixels, truncated to 8 bit; scores here are of unrounded renders".into());
     let options = DataOptions { time_boundary: Some(boundary), time_range: Some(whole), ..options.clone() };
     let mut data = settle(drafts, &options, None)?.dataset(dir, LAYOUT.name, has_alpha, notes);
     data.points = points(&root, &mut data.notes)?;
@@ -135,7 +133,7 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     Ok(data)
 }
 
-/// The share of the sequence that training views cover if held-out views are later, else the published one.
+/// The share of the sequence that training views cover if held-out views are later, else [`BOUNDARY`].
 fn own_boundary(train: &[Draft], held: &[Draft], whole: TimeRange) -> f64 {
     let last = |list: &[Draft]| list.iter().filter_map(|d| d.stated).fold(f64::NEG_INFINITY, f64::max);
     let share = (last(train) - whole.start) / (whole.end - whole.start);
@@ -171,14 +169,14 @@ fn read_list(
         Kind::Nested => nested::read(root, &file, &text)?,
         Kind::Flat => flat(&file, &text, |frame| {
             let Listed { shown, path, rest } = read_frame(root, frame, "file_path")?;
-            Ok(Listed { shown, path, rest: Shot { frame: rest, labels: None } })
+            Ok(Listed { shown, path, rest: LabelledFrame { frame: rest, labels: None } })
         })?,
         Kind::Labelled => flat(&file, &text, |frame| labelled(root, frame))?,
     };
     let listed = with_headers(&file, frames, options, notes)?;
     let mut list = List::default();
     for (listed, header) in listed {
-        let Shot { frame, labels } = listed.rest;
+        let LabelledFrame { frame, labels } = listed.rest;
         let camera = pinhole(&header, angle, &frame.pose, &frame.place)?;
         let view = View::new("", camera, Time::default(), ImageSource::File(listed.path), 0);
         list.drafts.push(Draft { view: View { labels, ..view }, stated: frame.time, place: frame.time_place });
@@ -192,8 +190,8 @@ fn read_list(
 fn flat(
     file: &Path,
     text: &str,
-    read: impl Fn(&Fields) -> Result<Listed<Shot>, DataError>,
-) -> Result<(f64, Vec<Listed<Shot>>), DataError> {
+    read: impl Fn(&Fields) -> Result<Listed<LabelledFrame>, DataError>,
+) -> Result<(f64, Vec<Listed<LabelledFrame>>), DataError> {
     let document = Document::parse(file, text)?;
     let angle = field_of_view(&document.top())?;
     let frames = (0..document.len()).map(|i| read(&document.frame(i)?)).collect::<Result<_, _>>()?;
@@ -201,7 +199,7 @@ fn flat(
 }
 
 /// A frame with its label map.
-fn labelled(root: &Root, frame: &Fields) -> Result<Listed<Shot>, DataError> {
+fn labelled(root: &Root, frame: &Fields) -> Result<Listed<LabelledFrame>, DataError> {
     let Listed { shown, path, rest } = read_frame(root, frame, "img_path")?;
     let written = frame.required_text("segm_path")?;
     let place = frame.place("segm_path");
@@ -210,14 +208,14 @@ fn labelled(root: &Root, frame: &Fields) -> Result<Listed<Shot>, DataError> {
         let missing = vec![PathBuf::from(with_npy(written))];
         return Err(DataError::Missing { listed_in: place.file, missing, total: 1 });
     }
-    Ok(Listed { shown, path, rest: Shot { frame: rest, labels: Some(labels) } })
+    Ok(Listed { shown, path, rest: LabelledFrame { frame: rest, labels: Some(labels) } })
 }
 
 fn with_npy(written: &str) -> String {
     if written.ends_with(".npy") { written.to_owned() } else { format!("{written}.npy") }
 }
 
-/// Gives views of one pose one number; their count.
+/// Numbers the cameras: views of one pose get one number. Returns the count.
 fn number_cameras(drafts: &mut Drafts) -> usize {
     let mut known: BTreeMap<[u64; 12], u32> = BTreeMap::new();
     for d in drafts.train.iter_mut().chain(&mut drafts.val).chain(&mut drafts.test) {
@@ -229,16 +227,16 @@ fn number_cameras(drafts: &mut Drafts) -> usize {
     known.len()
 }
 
-/// The box of the scene.
+/// The scene box of data without points.
 fn bounds(data: &Dataset) -> [Vec3; 2] {
     if data.has_alpha {
         return [Vec3::splat(-HALF_SIDE), Vec3::splat(HALF_SIDE)];
     }
     let inside = |v: &View| {
         let p = v.camera.position().as_vec3();
-        p.cmpge(ROOM[0]).all() && p.cmple(ROOM[1]).all()
+        p.cmpge(INDOOR_BOUNDS[0]).all() && p.cmple(INDOOR_BOUNDS[1]).all()
     };
-    if data.train.iter().all(inside) { ROOM } else { data.scene_bounds() }
+    if data.train.iter().all(inside) { INDOOR_BOUNDS } else { data.scene_bounds() }
 }
 
 fn points(root: &Root, notes: &mut Vec<String>) -> Result<Option<PointCloud>, DataError> {
@@ -246,6 +244,6 @@ fn points(root: &Root, notes: &mut Vec<String>) -> Result<Option<PointCloud>, Da
     if !file.is_file() {
         return Ok(None);
     }
-    notes.push(format!("start points come from {POINTS}"));
+    notes.push(format!("initial points come from {POINTS}"));
     ply::read_points(&file).map(Some)
 }

@@ -8,7 +8,7 @@ use serde::de::{DeserializeSeed, Deserializer, Error as _, MapAccess, Visitor};
 use serde_json::value::RawValue;
 use serde_json::{Map, Value};
 
-use super::Shot;
+use super::LabelledFrame;
 use crate::blender::{Frame, field_of_view};
 use crate::error::{DataError, Place};
 use crate::files::Root;
@@ -16,10 +16,10 @@ use crate::frames::{Listed, locate};
 use crate::json::{Fields, slices};
 use crate::pose::{Pose, from_opengl};
 
-/// No camera is shorter: a 4×4 matrix alone has 41 characters.
-const LEAST_CAMERA_BYTES: usize = 41;
-/// No frame is shorter: `{"file_path":"","time":0}`.
-const LEAST_FRAME_BYTES: usize = 20;
+/// Shortest possible camera: a 4×4 matrix alone has 41 characters.
+const MIN_CAMERA_BYTES: usize = 41;
+/// Shortest possible frame: `{"file_path":"","time":0}`.
+const MIN_FRAME_BYTES: usize = 20;
 /// Largest frame, matrix or field of view; a usual one has 60 bytes.
 const MAX_ENTRY_BYTES: usize = 64 << 10;
 
@@ -43,7 +43,7 @@ struct Camera<'a> {
 ///
 /// # Errors
 /// `data.syntax`, `data.field`, `data.pose`, `data.escape`, `limits.file`, with the JSON path.
-pub(super) fn read(root: &Root, file: &Path, text: &str) -> Result<(f64, Vec<Listed<Shot>>), DataError> {
+pub(super) fn read(root: &Root, file: &Path, text: &str) -> Result<(f64, Vec<Listed<LabelledFrame>>), DataError> {
     let syntax = |e: serde_json::Error| {
         DataError::syntax(file, format!("line {}, column {}", e.line(), e.column()), e.to_string())
     };
@@ -55,7 +55,7 @@ pub(super) fn read(root: &Root, file: &Path, text: &str) -> Result<(f64, Vec<Lis
     let angle = field_of_view(&Fields::new(file, "", &shared))?;
     let data = top.data.ok_or_else(|| fault(file, "data", "missing", "it holds the frames of each camera"))?;
     let mut json = serde_json::Deserializer::from_str(data.get());
-    let cameras = Cameras(text.len() / LEAST_CAMERA_BYTES + 1).deserialize(&mut json);
+    let cameras = Cameras(text.len() / MIN_CAMERA_BYTES + 1).deserialize(&mut json);
     let cameras = cameras.map_err(|e| fault(file, "data", &e.to_string(), "it holds an object for each camera"))?;
     let mut listed = Vec::new();
     for (name, raw) in cameras {
@@ -64,8 +64,14 @@ pub(super) fn read(root: &Root, file: &Path, text: &str) -> Result<(f64, Vec<Lis
     Ok((angle, listed))
 }
 
-/// The frames of one camera, which stands at `at`.
-fn frames(root: &Root, file: &Path, at: &str, raw: &RawValue, listed: &mut Vec<Listed<Shot>>) -> Result<(), DataError> {
+/// The frames of one camera, at the JSON path `at`.
+fn frames(
+    root: &Root,
+    file: &Path,
+    at: &str,
+    raw: &RawValue,
+    listed: &mut Vec<Listed<LabelledFrame>>,
+) -> Result<(), DataError> {
     const WHY: &str = "a camera has a transform_matrix and frames";
     let camera: Camera = serde_json::from_str(raw.get()).map_err(|_| fault(file, at, raw.get(), WHY))?;
     let path = |key: &str| format!("{at}.{key}");
@@ -76,7 +82,7 @@ fn frames(root: &Root, file: &Path, at: &str, raw: &RawValue, listed: &mut Vec<L
     let place = fields.place("transform_matrix");
     let pose = from_opengl(&fields.matrix("transform_matrix")?, &place)?;
     let list = camera.frames.ok_or_else(|| fault(file, &path("frames"), "missing", WHY))?;
-    let entries = slices(list, list.get().len() / LEAST_FRAME_BYTES + 1)
+    let entries = slices(list, list.get().len() / MIN_FRAME_BYTES + 1)
         .map_err(|e| fault(file, &path("frames"), &e.to_string(), "it is a list of frames"))?;
     for (i, entry) in entries.into_iter().enumerate() {
         listed.push(frame(root, file, &format!("{at}.frames[{i}]"), entry, &pose, &place)?);
@@ -91,7 +97,7 @@ fn frame(
     raw: &RawValue,
     pose: &Pose,
     place: &Place,
-) -> Result<Listed<Shot>, DataError> {
+) -> Result<Listed<LabelledFrame>, DataError> {
     let Value::Object(map) = small(file, at, raw)? else {
         return Err(fault(file, at, raw.get(), "a frame has a file_path and a time"));
     };
@@ -99,10 +105,10 @@ fn frame(
     let (shown, path) = locate(root, fields.required_text("file_path")?, &fields.place("file_path"))?;
     let frame =
         Frame { pose: *pose, time: fields.number("time")?, time_place: fields.place("time"), place: place.clone() };
-    Ok(Listed { shown, path, rest: Shot { frame, labels: None } })
+    Ok(Listed { shown, path, rest: LabelledFrame { frame, labels: None } })
 }
 
-/// An entry wholly parsed.
+/// Parses an entry of limited size.
 fn small(file: &Path, at: &str, raw: &RawValue) -> Result<Value, DataError> {
     if raw.get().len() > MAX_ENTRY_BYTES {
         let (bytes, limit) = (raw.get().len() as u64, MAX_ENTRY_BYTES as u64);
@@ -116,7 +122,7 @@ fn fault(file: &Path, at: &str, value: &str, why: &'static str) -> DataError {
     DataError::Field { place: Place::new(file, at), value, why, fix: "export the file again" }
 }
 
-/// An object kept as slices, of at most so many entries, each name once.
+/// Visitor of an object of at most this many entries, kept as slices; each name occurs once.
 struct Cameras(usize);
 
 impl<'de> DeserializeSeed<'de> for Cameras {

@@ -1,8 +1,18 @@
-//! Generated films of a person: a built-in or a glTF character, filmed by rings of cameras while it moves.
+//! Generated films of a person: a built-in or a glTF character in motion, seen by rings of static cameras.
 //!
-//! The data set is that of the layout `avatar`, in memory or as a folder ([`write()`]): multi-view pictures with alpha,
-//! poses, and points of the true surface. With [`Morphs::Gt`] the pictures show morph targets that the poses do not know of:
-//! offsets in the bind pose whose truth is exact. Everything is a function of the options alone.
+//! The data set is that of the layout `avatar`, in memory or as a folder ([`write()`]): multi-view images with alpha,
+//! poses, and points of the true surface. With [`Morphs::Gt`] the images show morph targets that the poses do not state:
+//! offsets in the bind pose with exact ground truth. The result is a function of the options alone.
+//!
+//! ```
+//! use gs_synth::avatar::{AvatarOptions, generate};
+//!
+//! let options = AvatarOptions { size: 8, per_ring: 4, rings: 1, frames: 2, points: 10, ..AvatarOptions::default() };
+//! let film = generate(&options)?;
+//! let scene = film.avatar.as_ref().unwrap();
+//! assert_eq!((scene.frames.len(), scene.input_count(), film.train.len()), (2, 4, 8));
+//! # Ok::<(), gs_data::DataError>(())
+//! ```
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -15,7 +25,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use gs_core::{Camera, Time};
-use gs_data::avatar::layout::{Film, FrameUse, Role, Shot, Still, shot_name};
+use gs_data::avatar::layout::{Film, FilmFrame, FrameUse, Role, Shot, shot_name};
 use gs_data::avatar::{BUILTIN, MeasuredPoints, SurfacePoints, sample};
 use gs_data::json::read_object;
 use gs_data::{DataError, DataOptions, Dataset, ImageSource, Place, View};
@@ -32,41 +42,41 @@ pub use shade::Light;
 pub use template::Atlas;
 pub use write::write;
 
-/// What to film.
+/// Options of [`generate`]: character, motion, cameras and images. Deserialising refuses unknown keys.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct AvatarOptions {
     /// `builtin:person`, `builtin:sphere`, `builtin:cylinder`, `builtin:plate`, or a glTF or GLB file.
     pub template: String,
-    /// Where the faces of a file's template lie in its atlas.
+    /// Layout of the texture atlas of a template from a file.
     pub atlas: Atlas,
-    /// Name of the motion; none: the first there is.
+    /// Name of the motion; none: the first of the template.
     pub clip: Option<String>,
-    /// Cameras in each ring, a multiple of 4.
+    /// Number of cameras in each ring, a multiple of 4, at most 64.
     pub per_ring: u32,
-    /// Rings, 1 to 3.
+    /// Number of rings, 1 to 3.
     pub rings: u32,
-    /// Frames.
+    /// Number of frames.
     pub frames: u32,
     /// Frames per second; none: such that the frames span the motion once.
     pub fps: Option<f64>,
-    /// Every so manyth frame, beginning in the middle of the first run, is for tests alone (novel poses); 0: none.
+    /// One frame of every `test_every`, the middle one, is held out (novel poses); 0: none.
     pub test_every: u32,
-    /// Side of the square pictures, pixels.
+    /// Side of the square images, pixels.
     pub size: u32,
     /// Samples per pixel along each axis, 4 to 16.
     pub supersample: u32,
-    /// What becomes of morph targets.
+    /// How images and poses treat morph targets.
     pub morph: Morphs,
     /// Names of the morph targets that the motion moves, the others stay at rest; none: all.
     pub only_morphs: Vec<String>,
-    /// How joints are blended.
+    /// How joint transforms are blended.
     pub skinning: Skinning,
-    /// None: the texture's colour as it is.
+    /// Directional light; none: unlit texture colours.
     pub light: Option<Light>,
-    /// Points of the true surface at each frame, uniform by area; 0: none.
+    /// Number of points of the true surface at each frame, uniform by area; 0: none.
     pub points: u32,
-    /// Seed of the points.
+    /// Seed of the surface points.
     pub seed: u64,
 }
 
@@ -93,31 +103,31 @@ impl Default for AvatarOptions {
     }
 }
 
-/// Frames a second where a motion has no length.
+/// Frames per second for a motion without duration.
 const FPS: f64 = 24.0;
-/// Lengths of characters that are presumably given in metres.
+/// Plausible lengths of a character in metres.
 const METRES: std::ops::RangeInclusive<f32> = 0.1..=10.0;
-/// Most memory that pictures may take.
+/// Most memory for all images together.
 const MAX_IMAGE_BYTES: u64 = 8 << 30;
 
 /// Largest `scene.json`.
 const MAX_SCENE_BYTES: u64 = 8 << 20;
 
-/// Films a person in memory.
+/// Generates a film in memory.
 ///
 /// # Errors
-/// `data.option` if an option is out of its domain or names a motion that is not there, `data.character` if the template
+/// `data.option` if an option is out of its domain or names an unknown motion, `data.character` if the template
 /// cannot be read.
 pub fn generate(options: &AvatarOptions) -> Result<Dataset, DataError> {
-    let set = Set::new(options)?;
-    set.film()?.into_dataset(&DataOptions::default())
+    let scene = Scene::new(options)?;
+    scene.film()?.into_dataset(&DataOptions::default())
 }
 
-/// The options a film in the folder `dir` was generated with, its template named by where it lies now; none if it was not
-/// generated.
+/// The options with which the film in the folder `dir` was generated, with the path of the template in that folder; none if it
+/// was not generated.
 ///
 /// # Errors
-/// As reading its `scene.json` goes.
+/// `io.read`, `limits.file` or `data.syntax` of its `scene.json`.
 pub fn options_of(dir: &Path) -> Result<Option<AvatarOptions>, DataError> {
     let file = dir.join("scene.json");
     let map = read_object(&file, MAX_SCENE_BYTES)?;
@@ -131,24 +141,24 @@ pub fn options_of(dir: &Path) -> Result<Option<AvatarOptions>, DataError> {
     Ok(Some(options))
 }
 
-/// Everything but the pictures.
-struct Set<'a> {
+/// A film without its images.
+struct Scene<'a> {
     options: &'a AvatarOptions,
     character: Character,
-    /// How its atlas was chosen and, if not as its file says, why.
+    /// Layout of its atlas and, if not that of its file, the reason.
     atlas: Atlas,
     why: Option<String>,
     topology: Topology,
     clip: Option<Clip>,
     fps: f64,
-    stills: Vec<StillLife>,
+    frames: Vec<PosedFrame>,
     cameras: Vec<rig::Rigged>,
-    /// Longest side of the box around all frames, world units.
+    /// Longest side of the box around the surface at all frames, world units.
     length: f32,
 }
 
 /// A frame and its true surface.
-struct StillLife {
+struct PosedFrame {
     list: FrameUse,
     pose: Pose,
     true_morphs: Vec<f32>,
@@ -160,7 +170,7 @@ fn wrong(name: &'static str, value: impl ToString, rule: impl Into<String>) -> D
     DataError::Option { name, value: value.to_string(), rule: rule.into() }
 }
 
-impl<'a> Set<'a> {
+impl<'a> Scene<'a> {
     fn new(options: &'a AvatarOptions) -> Result<Self, DataError> {
         check(options)?;
         let Chosen { character, atlas, why } = template::choose(&options.template, options.atlas)?;
@@ -175,24 +185,24 @@ impl<'a> Set<'a> {
         let length = clip.as_ref().map_or(0.0, Clip::duration);
         let usual = if length > 0.0 { f64::from(options.frames) / length } else { FPS };
         let fps = options.fps.unwrap_or(usual);
-        let (stills, cameras, length) = Default::default();
-        let mut set = Self { options, character, atlas, why, topology, clip, fps, stills, cameras, length };
-        set.stills = (0..options.frames).into_par_iter().map(|n| set.still(n)).collect();
-        let [low, high] = set.bounds()?;
-        set.length = (high - low).max_element();
-        set.cameras = rig::rings(options.per_ring, options.rings, options.size, [low, high])?;
-        Ok(set)
+        let (frames, cameras, length) = Default::default();
+        let mut scene = Self { options, character, atlas, why, topology, clip, fps, frames, cameras, length };
+        scene.frames = (0..options.frames).into_par_iter().map(|n| scene.frame(n)).collect();
+        let [low, high] = scene.bounds()?;
+        scene.length = (high - low).max_element();
+        scene.cameras = rig::rings(options.per_ring, options.rings, options.size, [low, high])?;
+        Ok(scene)
     }
 
-    fn still(&self, number: u32) -> StillLife {
+    fn frame(&self, number: u32) -> PosedFrame {
         let (options, skeleton) = (self.options, &self.character.skeleton);
         let seconds = f64::from(number) / self.fps;
         let rest = || skeleton.rest_pose();
         let mut shown = self.clip.as_ref().map_or_else(rest, |c| c.pose(skeleton, seconds));
         let acts = |m: &Morph| options.only_morphs.is_empty() || options.only_morphs.contains(&m.name);
         let weights = shown.morphs.iter_mut().zip(rest().morphs);
-        let still = weights.zip(&self.character.template.morphs).filter(|(_, m)| !acts(m));
-        still.for_each(|((weight, rest), _)| *weight = rest);
+        let resting = weights.zip(&self.character.template.morphs).filter(|(_, m)| !acts(m));
+        resting.for_each(|((weight, rest), _)| *weight = rest);
         let (known, true_morphs) = match options.morph {
             Morphs::Gt => (rest().morphs, shown.morphs),
             Morphs::Apply => (shown.morphs.clone(), shown.morphs),
@@ -209,12 +219,12 @@ impl<'a> Set<'a> {
         });
         let every = options.test_every;
         let list = if every > 0 && number % every == every / 2 { FrameUse::Test } else { FrameUse::Train };
-        StillLife { list, pose: Pose { locals: shown.locals, morphs: known }, true_morphs, surface, points }
+        PosedFrame { list, pose: Pose { locals: shown.locals, morphs: known }, true_morphs, surface, points }
     }
 
-    /// The box around the surface at every frame.
+    /// The box around the surface at all frames.
     fn bounds(&self) -> Result<[Vec3; 2], DataError> {
-        let mut all = self.stills.iter().flat_map(|s| &s.surface).copied();
+        let mut all = self.frames.iter().flat_map(|s| &s.surface).copied();
         let first = all.next().ok_or_else(|| wrong("template", &self.options.template, "one with vertices"))?;
         let [low, high] = all.fold([first; 2], |[low, high], p| [low.min(p), high.max(p)]);
         if !(low.is_finite() && high.is_finite()) {
@@ -223,15 +233,15 @@ impl<'a> Set<'a> {
         Ok([low, high])
     }
 
-    /// A person at a frame, ready to be seen.
+    /// The surface at a frame, prepared for rendering.
     fn stage(&self, frame: usize) -> Stage<'_> {
-        let surface = self.stills[frame].surface.clone();
+        let surface = self.frames[frame].surface.clone();
         Stage::new(&self.character.template, &self.topology, surface, self.options.light)
     }
 
-    /// With pictures in memory.
+    /// The film with its images in memory.
     fn film(&self) -> Result<Film, DataError> {
-        let (cameras, frames) = (self.cameras.len(), self.stills.len());
+        let (cameras, frames) = (self.cameras.len(), self.frames.len());
         let stages: Vec<Stage> = (0..frames).into_par_iter().map(|k| self.stage(k)).collect();
         let shot = |i: usize| {
             let (id, frame) = (i / frames, i % frames);
@@ -240,7 +250,7 @@ impl<'a> Set<'a> {
             self.shot(id as u32, frame as u32, *role, camera, ImageSource::Memory(image))
         };
         let shots = (0..cameras * frames).into_par_iter().map(shot).collect();
-        let still = |(number, s): (usize, &StillLife)| Still {
+        let film_frame = |(number, s): (usize, &PosedFrame)| FilmFrame {
             number: number as u32,
             list: s.list,
             pose: s.pose.clone(),
@@ -254,7 +264,7 @@ impl<'a> Set<'a> {
             character: self.character.clone(),
             skinning: self.options.skinning,
             fps: self.fps,
-            stills: self.stills.iter().enumerate().map(still).collect(),
+            frames: self.frames.iter().enumerate().map(film_frame).collect(),
             shots,
             has_alpha: true,
             notes: self.notes(),
@@ -309,14 +319,14 @@ fn check(o: &AvatarOptions) -> Result<(), DataError> {
             return Err(wrong("light", format!("{light:?}"), "a finite direction that is not zero, ambient 0 to 1"));
         }
     }
-    let pictures = u64::from(o.per_ring * o.rings) * u64::from(o.frames);
-    if pictures * u64::from(o.size) * u64::from(o.size) * 4 > MAX_IMAGE_BYTES {
-        return Err(wrong("frames", o.frames, "all pictures together below 8 GiB"));
+    let images = u64::from(o.per_ring * o.rings) * u64::from(o.frames);
+    if images * u64::from(o.size) * u64::from(o.size) * 4 > MAX_IMAGE_BYTES {
+        return Err(wrong("frames", o.frames, "all images together below 8 GiB"));
     }
     Ok(())
 }
 
-/// The motion of that name, or the first there is.
+/// The motion of that name, else the first of the template.
 fn clip(character: &Character, name: Option<&str>) -> Result<Option<Clip>, DataError> {
     let Some(name) = name else { return Ok(character.clips.first().cloned()) };
     let known = || character.clips.iter().map(|c| c.name.as_str()).collect::<Vec<_>>().join(", ");

@@ -1,8 +1,8 @@
-//! Rings of cameras around a person, all upright, looking at its middle.
+//! Rings of cameras around a person, all upright, looking at the centre of its box.
 //!
-//! Ring 0 has a conditioning camera every 90°, a test camera half-way between two of these, and training cameras where
-//! there is room for more; the other rings train. With four cameras a ring there is no half-way: every second camera of
-//! the other rings is held out then.
+//! Ring 0 has a conditioning camera every 90°, a test camera half-way between two of these, and training cameras
+//! between; the other rings train. With four cameras in a ring there is no half-way: then every second camera of
+//! the other rings is held out.
 
 use std::f64::consts::TAU;
 
@@ -14,12 +14,12 @@ use gs_data::avatar::layout::Role;
 
 /// Horizontal and vertical field of view, radians.
 const FOV: f64 = 0.7;
-/// Part of the picture that stays free around the person's sphere.
-const FREE: f64 = 0.05;
+/// Margin around the bounding sphere of the person, as a share of its radius.
+const MARGIN: f64 = 0.05;
 /// Elevation of the rings by their number, degrees.
 const ELEVATIONS: [&[f64]; 3] = [&[8.0], &[5.0, 32.0], &[8.0, 38.0, -18.0]];
 
-/// A camera and what it is for; its id is its place in the list.
+/// A camera and its role; its id is its index in the list.
 pub(super) struct Rigged {
     pub(super) camera: Camera,
     pub(super) role: Role,
@@ -29,7 +29,7 @@ pub(super) struct Rigged {
 pub(super) fn rings(per_ring: u32, rings: u32, size: u32, [low, high]: [Vec3; 2]) -> Result<Vec<Rigged>, DataError> {
     let middle = (0.5 * (low + high)).as_dvec3();
     let radius = 0.5 * f64::from((high - low).length()).max(1e-6);
-    let distance = radius * (1.0 + FREE) / (0.5 * FOV).sin();
+    let distance = radius * (1.0 + MARGIN) / (0.5 * FOV).sin();
     let elevations = ELEVATIONS[(rings as usize - 1).min(ELEVATIONS.len() - 1)];
     let mut out = Vec::with_capacity((per_ring * rings) as usize);
     for (ring, elevation) in elevations.iter().enumerate() {

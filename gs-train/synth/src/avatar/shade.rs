@@ -1,8 +1,8 @@
-//! Pictures of a textured mesh: a regular grid of `k × k` samples in every pixel, no pixel left out.
+//! Rendering of a textured mesh: a regular grid of `k × k` samples in every pixel.
 //!
 //! The nearest face at each sample comes from [`gs_texel::zbuffer::face_map`] of a camera with `k` times the pixels; its
 //! barycentric coordinates from the ray. Alpha is coverage, colour the mean over covered samples (straight alpha), zero where
-//! nothing is. A surface counts from both sides; texels below the cut-out of their material are holes, other opacities count as 1.
+//! nothing is visible. Surfaces are two-sided; texels below the alpha cut-off of their material are holes, other opacities count as 1.
 
 use std::sync::Arc;
 
@@ -16,25 +16,25 @@ use serde::{Deserialize, Serialize};
 
 use gs_data::ImageU8;
 
-/// Nothing nearer to a camera than this is drawn, metres.
+/// Near plane, metres.
 const NEAR: f64 = 1e-3;
-/// A ray goes on behind a hole after this part of its way.
-const BEHIND: f32 = 1e-5;
-/// Holes a ray passes at most.
+/// A ray continues behind a hole at this share of its depth.
+const HOLE_STEP: f32 = 1e-5;
+/// Most holes that a ray passes.
 const MAX_HOLES: usize = 64;
 
-/// A directional light that stands still in the world, beside light from everywhere. Display-encoded colours are multiplied
+/// A static directional light and ambient light. Display-encoded colours are multiplied
 /// by `ambient + (1 − ambient) max(0, n · direction)`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Light {
-    /// Towards the light; any length but 0.
+    /// Direction to the light, world; any length but 0.
     pub direction: [f64; 3],
-    /// What a point that faces away gets, 0..1.
+    /// Factor on the colour of points that face away, 0..1.
     pub ambient: f64,
 }
 
-/// A person at one moment.
+/// The posed surface of a frame.
 pub(super) struct Stage<'a> {
     template: &'a Template,
     surface: Vec<Vec3>,
@@ -44,18 +44,18 @@ pub(super) struct Stage<'a> {
     tracer: Option<Arc<Tracer>>,
 }
 
-/// What is seen at pixel centres; zero where nothing is.
+/// Ground truth at pixel centres; zero where nothing is visible.
 pub(super) struct Maps {
-    /// Camera-space z.
+    /// `[H, W, 1]`: camera-space z.
     pub(super) depth: Image,
-    /// Unit, world space; smooth over vertices.
+    /// `[H, W, 3]`: unit normals, world, interpolated between vertices.
     pub(super) normal: Image,
-    /// World space.
+    /// `[H, W, 3]`: positions, world.
     pub(super) position: Image,
 }
 
 impl<'a> Stage<'a> {
-    /// `surface` are the template's vertices in the world, finite.
+    /// `surface` holds the template's vertices in the world, finite.
     pub(super) fn new(template: &'a Template, topology: &Topology, surface: Vec<Vec3>, light: Option<Light>) -> Self {
         let normals = topology.normals(&surface, &template.faces);
         let holed = template.materials.iter().any(|m| m.cutout.is_some());
@@ -66,12 +66,12 @@ impl<'a> Stage<'a> {
         stage
     }
 
-    /// The template's faces are in range, which its reader and maker see to.
+    /// None never occurs: readers and generators make faces in range.
     fn trace(&self) -> Option<Arc<Tracer>> {
         Tracer::new(&self.surface, &self.template.faces).ok().map(Arc::new)
     }
 
-    /// The picture with `k × k` samples per pixel.
+    /// The image with `k × k` samples per pixel.
     pub(super) fn picture(&self, camera: &Camera, k: u32) -> ImageU8 {
         let fine = camera.scaled(f64::from(k));
         let faces = face_map(&self.surface, &self.template.faces, &fine, NEAR);
@@ -97,13 +97,13 @@ impl<'a> Stage<'a> {
         image
     }
 
-    /// What a point of a face looks like, to the 255 steps that pictures have too.
+    /// The shaded colour of a point of a face, rounded to 8 bits as in images.
     pub(super) fn color(&self, face: u32, bary: [f32; 3]) -> [f32; 3] {
         let lit = self.lit(face, bary, self.template.colour(face as usize, bary));
         lit.truncate().to_array().map(|v| (255.0 * v + 0.5).clamp(0.0, 255.0).floor() / 255.0)
     }
 
-    /// Colour of a sample that a face covers; none if it looks through holes into nothing.
+    /// Colour of a sample that a face covers; none if the ray passes through holes and meets nothing.
     fn sample(&self, fine: &Camera, seen: &[DVec3], face: u32, [i, j]: [usize; 2]) -> Option<Vec4> {
         let ray = pixel_ray(fine, i, j);
         let bary = self.bary(seen, face, ray);
@@ -114,7 +114,7 @@ impl<'a> Stage<'a> {
         let (tracer, eye) = (self.tracer.as_ref()?, fine.position());
         let direction = fine.rotation.transpose() * ray;
         let z: f64 = self.at(seen, face, bary).z;
-        let mut from = (eye + direction * z * (1.0 + f64::from(BEHIND))).as_vec3();
+        let mut from = (eye + direction * z * (1.0 + f64::from(HOLE_STEP))).as_vec3();
         for _ in 0..MAX_HOLES {
             let hit = tracer.hit(from, direction.as_vec3())?;
             let bary = [hit.bary[0], hit.bary[1], 1.0 - hit.bary[0] - hit.bary[1]];
@@ -122,7 +122,7 @@ impl<'a> Stage<'a> {
             if !self.is_hole(hit.face, colour) {
                 return Some(self.lit(hit.face, bary, colour));
             }
-            from += direction.as_vec3() * (hit.t + z as f32 * BEHIND);
+            from += direction.as_vec3() * (hit.t + z as f32 * HOLE_STEP);
         }
         None
     }
@@ -133,16 +133,16 @@ impl<'a> Stage<'a> {
         material.and_then(|m| m.cutout).is_some_and(|least| colour.w < least)
     }
 
-    /// Where a ray of the camera meets the plane of a face: `b_i ∝ d · (p_j × p_k)`, exact under perspective.
+    /// Barycentric coordinates where a ray of the camera meets the plane of a face: `b_i ∝ d · (p_j × p_k)`, exact under perspective.
     fn bary(&self, seen: &[DVec3], face: u32, ray: DVec3) -> [f32; 3] {
         let [a, b, c] = self.template.faces[face as usize].map(|v| seen[v as usize]);
         let w = DVec3::new(ray.dot(b.cross(c)), ray.dot(c.cross(a)), ray.dot(a.cross(b)));
         let sum = w.x + w.y + w.z;
-        // A face seen on its edge covers no sample but by rounding: its middle will do.
+        // A face seen edge-on covers a sample by rounding alone: take its centroid.
         if sum == 0.0 { [1.0 / 3.0; 3] } else { (w / sum).as_vec3().to_array() }
     }
 
-    /// The point of a face, of values at vertices.
+    /// Interpolates values at vertices on a face.
     fn at(&self, values: &[DVec3], face: u32, bary: [f32; 3]) -> DVec3 {
         let corners = self.template.faces[face as usize].map(|v| values[v as usize]);
         corners.iter().zip(bary).map(|(&p, b)| p * f64::from(b)).sum()
@@ -161,7 +161,7 @@ impl<'a> Stage<'a> {
         (colour.truncate() * factor).extend(colour.w)
     }
 
-    /// Depth, normal and position at pixel centres, by rays (not by the depth buffer, which they can check); holes count as
+    /// Depth, normal and position at pixel centres, by ray tracing, independent of the depth buffer; holes count as
     /// surface.
     pub(super) fn truth(&self, camera: &Camera) -> Maps {
         let (width, height) = (camera.width as usize, camera.height as usize);
@@ -188,7 +188,7 @@ fn pixel_ray(camera: &Camera, i: usize, j: usize) -> DVec3 {
     DVec3::new((i as f64 + 0.5 - camera.cx) / camera.fx, (j as f64 + 0.5 - camera.cy) / camera.fy, 1.0)
 }
 
-/// Straight alpha from a sum of colours over the covered ones of `all` samples.
+/// RGBA with straight alpha, from the sum of the colours of the covered ones of `all` samples.
 fn straight(sum: DVec3, covered: usize, all: usize) -> [u8; 4] {
     if covered == 0 {
         return [0; 4];

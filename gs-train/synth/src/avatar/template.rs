@@ -1,4 +1,4 @@
-//! Characters by name or file, with an atlas that every part of the surface has a place in.
+//! Characters by name or file, with an atlas that covers the whole surface without overlap.
 
 use std::path::PathBuf;
 
@@ -10,23 +10,23 @@ use super::wrong;
 use gs_data::DataError;
 use gs_data::avatar::{BUILTIN, BUILTINS, builtin};
 
-/// An atlas in which less of the surface than this has a place is laid out anew.
-const LEAST_PLACED: f64 = 0.5;
-/// Side of the table that overlap is looked for in, texels.
-const LOOK: usize = 512;
+/// Share of the surface that an atlas must cover; otherwise it is replaced.
+const MIN_COVERED: f64 = 0.5;
+/// Side of the texel table in which overlap is searched.
+const OVERLAP_SIDE: usize = 512;
 
-/// Where the faces of a file's template lie in the atlas.
+/// Layout of the texture atlas of a template from a file.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Atlas {
-    /// As the file says if that will do; else in cells of materials; else anew.
+    /// That of the file if it covers the surface without overlap, else [`Self::Repack`], else [`Self::Anew`].
     #[default]
     Auto,
-    /// As the file says.
+    /// That of the file.
     Painted,
-    /// Every material in a cell of its own.
+    /// The texture coordinates of the file, each material in a cell of its own.
     Repack,
-    /// Laid out anew.
+    /// New texture coordinates for all faces.
     Anew,
 }
 
@@ -37,14 +37,14 @@ impl Atlas {
     }
 }
 
-/// A template, how its atlas was chosen and, if not as its file says, why.
+/// A template, the layout of its atlas and, if that is not the one of the file, the reason.
 pub(super) struct Chosen {
     pub character: Character,
     pub atlas: Atlas,
     pub why: Option<String>,
 }
 
-/// Reads a template.
+/// Reads a template and chooses the layout of its atlas.
 pub(super) fn choose(template: &str, asked: Atlas) -> Result<Chosen, DataError> {
     if let Some(name) = template.strip_prefix(BUILTIN) {
         let character =
@@ -74,20 +74,21 @@ pub(super) fn choose(template: &str, asked: Atlas) -> Result<Chosen, DataError> 
     Ok(Chosen { character: load(Atlas::Anew)?, atlas: Atlas::Anew, why: Some(why) })
 }
 
-/// Why an atlas will not do.
+/// Why an atlas cannot be used.
 struct Fault {
     what: String,
-    /// Whether faces of several materials may stand in each other's way.
+    /// Whether faces of several materials may overlap each other.
     shared: bool,
 }
 
 fn fault(template: &Template) -> Option<Fault> {
     let placed = placed(template);
-    if placed < LEAST_PLACED {
+    if placed < MIN_COVERED {
         let what = format!("{:.0} % of its surface has no place in its atlas", 100.0 * (1.0 - placed));
         return Some(Fault { what, shared: false });
     }
-    let table = TexelTable::build(&template.faces, &template.uvs, &template.face_uvs, LOOK, &TexelOptions::default());
+    let table =
+        TexelTable::build(&template.faces, &template.uvs, &template.face_uvs, OVERLAP_SIDE, &TexelOptions::default());
     let first = template.face_materials.first();
     let shared = template.face_materials.iter().any(|m| Some(m) != first);
     match table {

@@ -1,4 +1,4 @@
-//! A generated film as a folder of the layout `avatar`.
+//! Writing a generated film in the layout `avatar`.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -9,28 +9,28 @@ use gs_texel::maps_exr::{Kind, Layer, save_layers};
 use rayon::prelude::*;
 use serde_json::{Value, json};
 
-use super::super::write::{save_png, vacant, write_json};
-use super::{Atlas, AvatarOptions, Set};
+use super::super::write::{check_vacant, save_png, write_json};
+use super::{Atlas, AvatarOptions, Scene};
 use gs_data::avatar::layout::{FrameUse, Role};
 use gs_data::avatar::{BUILTIN, MeasuredPoints, SurfacePoints};
 use gs_data::ply::write_points;
 use gs_data::{DataError, DataOptions, Dataset, ImageSource, Place, PointCloud, Root};
 
-/// Films a person and writes the film to `dir`: `scene.json`, `cameras.json`, `images/CAMERA/FRAME.png` (straight alpha),
+/// Generates a film and writes it to `dir`: `scene.json`, `cameras.json`, `images/CAMERA/FRAME.png` (straight alpha),
 /// `points/FRAME.ply`, a copy of the template and, with `truth`, `gt/CAMERA/FRAME.exr` with the layers `depth` (camera-space
-/// z), `N` (normal, world) and `P` (position, world) at pixel centres, 0 where nothing is. Gives the film in memory. Unless
+/// z), `N` (normal, world) and `P` (position, world) at pixel centres, 0 where nothing is visible. Returns the film in memory. Unless
 /// `overwrite` is set the folder must be empty or absent.
 ///
 /// # Errors
-/// `io.exists` if the folder holds files, `io.write` if writing fails, else as [`super::generate`].
+/// `io.exists` if the folder holds files, `io.write` if writing fails, else those of [`super::generate`].
 pub fn write(dir: &Path, options: &AvatarOptions, truth: bool, overwrite: bool) -> Result<Dataset, DataError> {
-    vacant(dir, overwrite)?;
-    let set = Set::new(options)?;
-    made(dir.to_path_buf())?;
+    check_vacant(dir, overwrite)?;
+    let scene = Scene::new(options)?;
+    create_dir(dir.to_path_buf())?;
     let template = copy_template(dir, &options.template)?;
-    let film = set.film()?;
-    for id in 0..set.cameras.len() {
-        made(dir.join(format!("images/{id:03}")))?;
+    let film = scene.film()?;
+    for id in 0..scene.cameras.len() {
+        create_dir(dir.join(format!("images/{id:03}")))?;
     }
     film.shots.par_iter().try_for_each(|shot| match &shot.view.image {
         ImageSource::Memory(image) => {
@@ -38,27 +38,27 @@ pub fn write(dir: &Path, options: &AvatarOptions, truth: bool, overwrite: bool) 
         }
         ImageSource::File(_) => Ok(()),
     })?;
-    for still in &film.stills {
-        if let Some(SurfacePoints::Memory(points)) = &still.points {
-            let folder = made(dir.join("points"))?;
-            save_points(&folder.join(format!("{:06}.ply", still.number)), points)?;
+    for frame in &film.frames {
+        if let Some(SurfacePoints::Memory(points)) = &frame.points {
+            let folder = create_dir(dir.join("points"))?;
+            save_points(&folder.join(format!("{:06}.ply", frame.number)), points)?;
         }
     }
     if truth {
-        save_truth(dir, &set)?;
+        save_truth(dir, &scene)?;
     }
-    let cameras = set.cameras.iter().enumerate().map(|(id, c)| camera_json(id, &c.camera, c.role));
+    let cameras = scene.cameras.iter().enumerate().map(|(id, c)| camera_json(id, &c.camera, c.role));
     write_json(&dir.join("cameras.json"), &cameras.collect())?;
-    write_json(&dir.join("scene.json"), &scene_json(&set, &template))?;
+    write_json(&dir.join("scene.json"), &scene_json(&scene, &template))?;
     film.into_dataset(&DataOptions::default())
 }
 
-fn made(folder: PathBuf) -> Result<PathBuf, DataError> {
+fn create_dir(folder: PathBuf) -> Result<PathBuf, DataError> {
     std::fs::create_dir_all(&folder).map_err(|e| DataError::write(&folder, e))?;
     Ok(folder)
 }
 
-/// Puts a template's file, and the files it refers to, into the folder; gives the name the scene knows it by.
+/// Copies a template's file and the files it refers to into the folder; returns the name for `scene.json`.
 fn copy_template(dir: &Path, template: &str) -> Result<String, DataError> {
     if template.starts_with(BUILTIN) {
         return Ok(template.to_owned());
@@ -69,7 +69,7 @@ fn copy_template(dir: &Path, template: &str) -> Result<String, DataError> {
     let name = if binary { "actor.glb" } else { "actor.gltf" };
     let to = dir.join(name);
     std::fs::write(&to, &bytes).map_err(|e| DataError::write(&to, e))?;
-    // A GLB's JSON chunk stands behind 20 bytes of headers (glTF 2.0, 4.4); its length is at byte 12.
+    // A GLB's JSON chunk follows 20 bytes of headers (glTF 2.0, 4.4); its length is at byte 12.
     let length = || bytes.get(12..16).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]) as usize);
     let text = if binary { length().and_then(|n| bytes.get(20..20 + n)).unwrap_or_default() } else { &bytes[..] };
     let gltf: Value = serde_json::from_slice(text).map_err(|e| DataError::syntax(from, "", e.to_string()))?;
@@ -81,7 +81,7 @@ fn copy_template(dir: &Path, template: &str) -> Result<String, DataError> {
             let place = Place::new(from, format!("{list}[{i}].uri"));
             let beside = root.resolve(uri, &place)?;
             let to = dir.join(beside.strip_prefix(folder).unwrap_or(Path::new(uri)));
-            made(to.parent().unwrap_or(dir).to_path_buf())?;
+            create_dir(to.parent().unwrap_or(dir).to_path_buf())?;
             std::fs::copy(&beside, &to).map_err(|e| DataError::read(&beside, e))?;
         }
     }
@@ -95,17 +95,17 @@ fn save_points(file: &Path, points: &MeasuredPoints) -> Result<(), DataError> {
     write_file(file, true, content).map_err(|e| DataError::write(file, std::io::Error::other(e)))
 }
 
-/// Truth at the pixel centres of every picture.
-fn save_truth(dir: &Path, set: &Set) -> Result<(), DataError> {
-    let (cameras, frames) = (set.cameras.len(), set.stills.len());
+/// Writes the ground truth at the pixel centres of every image.
+fn save_truth(dir: &Path, scene: &Scene) -> Result<(), DataError> {
+    let (cameras, frames) = (scene.cameras.len(), scene.frames.len());
     for id in 0..cameras {
-        made(dir.join(format!("gt/{id:03}")))?;
+        create_dir(dir.join(format!("gt/{id:03}")))?;
     }
     let layer = |name: &str, kind, map| Layer { name: name.into(), kind, half: false, map };
     (0..frames).into_par_iter().try_for_each(|frame| {
-        let stage = set.stage(frame);
+        let stage = scene.stage(frame);
         (0..cameras).try_for_each(|id| {
-            let maps = stage.truth(&set.cameras[id].camera);
+            let maps = stage.truth(&scene.cameras[id].camera);
             let file = dir.join(format!("gt/{id:03}/{frame:06}.exr"));
             let layers = [
                 layer("depth", Kind::Plain, maps.depth),
@@ -129,13 +129,14 @@ fn camera_json(id: usize, c: &Camera, role: Role) -> Value {
     })
 }
 
-fn scene_json(set: &Set, template: &str) -> Value {
-    let o = AvatarOptions { atlas: set.atlas, ..set.options.clone() };
-    let list = |of: FrameUse| -> Vec<usize> { (0..set.stills.len()).filter(|&n| set.stills[n].list == of).collect() };
+fn scene_json(scene: &Scene, template: &str) -> Value {
+    let o = AvatarOptions { atlas: scene.atlas, ..scene.options.clone() };
+    let list =
+        |of: FrameUse| -> Vec<usize> { (0..scene.frames.len()).filter(|&n| scene.frames[n].list == of).collect() };
     json!({
-        "version": 1, "units": "m", "up": "y", "fps": set.fps,
+        "version": 1, "units": "m", "up": "y", "fps": scene.fps,
         "frames": { "start": 0, "count": o.frames, "step": 1 },
-        "template": template, "auto_uv": set.atlas == Atlas::Anew, "repack": set.atlas == Atlas::Repack, "clip": set.clip.as_ref().map(|c| c.name.as_str()),
+        "template": template, "auto_uv": scene.atlas == Atlas::Anew, "repack": scene.atlas == Atlas::Repack, "clip": scene.clip.as_ref().map(|c| c.name.as_str()),
         "skinning": o.skinning, "morph": o.morph, "background": [0, 0, 0],
         "splits": { "train": list(FrameUse::Train), "test": list(FrameUse::Test), "ood": list(FrameUse::Ood) },
         "generated": o,

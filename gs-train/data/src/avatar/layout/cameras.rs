@@ -33,7 +33,7 @@ pub(super) struct FilmCamera {
     place: Place,
 }
 
-/// Every camera, in order of ids.
+/// Reads all cameras, ascending in id.
 pub(super) fn read(file: &Path) -> Result<Vec<FilmCamera>, DataError> {
     let text = read_text(file, MAX_BYTES)?;
     let text = quote_non_finite(&text);
@@ -139,11 +139,11 @@ fn lens(fields: &Fields, dist: Option<&Value>) -> Result<Lens, DataError> {
 }
 
 impl FilmCamera {
-    /// The camera of a picture and its lens. A picture that shows only a part of the sensor begins at `crop`.
+    /// The camera of an image and its lens. An image of a part of the sensor begins at the pixel `crop`.
     ///
     /// # Errors
     /// `data.image_size`, `data.field`, `data.camera_model` as for every layout.
-    pub(super) fn of_picture(
+    pub(super) fn of_image(
         &self,
         header: &ImageHeader,
         file: &Path,
@@ -162,12 +162,12 @@ impl FilmCamera {
     }
 }
 
-/// Corners of pictures that are parts of their sensors, by frame and camera.
+/// First pixels `[x0, y0]` of images that are parts of their sensors, by frame and camera.
 #[derive(Default)]
 pub(super) struct Crops(BTreeMap<(u32, u32), [f64; 2]>);
 
 impl Crops {
-    /// Reads the table; none if the file is absent.
+    /// Reads the table; empty if the file is absent.
     pub(super) fn read(file: &Path) -> Result<Self, DataError> {
         let mut crops = Self::default();
         if !file.is_file() {
@@ -190,7 +190,7 @@ impl Crops {
         Ok(crops)
     }
 
-    /// The corner of a picture.
+    /// The first pixel of an image that is a part of its sensor.
     pub(super) fn at(&self, frame: u32, camera: u32) -> Option<[f64; 2]> {
         self.0.get(&(frame, camera)).copied()
     }

@@ -1,11 +1,11 @@
-//! From frames, roles and pictures to a data set: the same way for folders and for generated scenes.
+//! From frames, camera roles and images to a data set: shared by the reader and by generated films.
 //!
 //! | frame in | camera | goes to |
 //! |---|---|---|
 //! | any list | cond | the inputs of its frame |
 //! | `train` | train, cond | training views |
 //! | `train`, `test` | test | test views |
-//! | `ood` | test | views beyond what was learnt: [`Dataset::extrapolate`] |
+//! | `ood` | test | poses out of distribution: [`Dataset::extrapolate`] |
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::PathBuf;
@@ -20,76 +20,93 @@ use crate::options::{DataOptions, TimeFrom};
 use crate::times::{Draft, Drafts, settle};
 use crate::{Dataset, PointCloud, View};
 
-/// Points of the template's surface that training may start from.
+/// Number of initial points on the template's surface.
 const START_POINTS: usize = 20_000;
-/// A box around the poses is widened by this part of its size on each side.
+/// A box around the poses is widened by this share of its size on each side.
 const MARGIN: f32 = 0.1;
 
-/// What a camera is for.
+/// The use of a camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Role {
-    /// To learn from.
+    /// Training views.
     Train,
-    /// To learn from, and the input of every frame.
+    /// Training views that are also the inputs of their frames (conditioning).
     Cond,
-    /// Held out.
+    /// Held-out views.
     Test,
 }
 
 impl Role {
-    /// Every role by name.
+    /// All roles with their names in `cameras.json`.
     pub const NAMES: [(&'static str, Self); 3] = [("train", Self::Train), ("cond", Self::Cond), ("test", Self::Test)];
 }
 
-/// Which list a frame is in.
+/// The list of `splits` that a frame is in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FrameUse {
+    /// Training cameras train, test cameras are held out.
     Train,
+    /// Novel poses: test cameras are held out, others are not used.
     Test,
+    /// Poses out of distribution: test cameras are extrapolation views.
     Ood,
 }
 
-/// A frame without its pictures.
-pub struct Still {
+/// A frame without its images; the fields are those of [`AvatarFrame`].
+pub struct FilmFrame {
+    /// Number of the frame, at `number / fps` seconds.
     pub number: u32,
+    /// The list the frame is in.
     pub list: FrameUse,
+    /// Joint transforms and known morph weights.
     pub pose: Pose,
+    /// Morph weights that the images show, where they are known.
     pub true_morphs: Option<Vec<f32>>,
+    /// Points of the true surface, where there are any.
     pub points: Option<SurfacePoints>,
 }
 
-/// A picture of a frame; its time is not settled.
+/// An image of a frame.
 pub struct Shot {
+    /// Number of the frame.
     pub number: u32,
+    /// Role of the camera.
     pub role: Role,
+    /// The view; its time is not used.
     pub view: View,
 }
 
-/// A film before its times are settled.
+/// A film before its frames have timestamps: [`Film::into_dataset`] makes the data set.
 pub struct Film {
     /// The folder; empty for films made in memory.
     pub root: PathBuf,
+    /// [`Dataset::layout`].
     pub layout: &'static str,
-    /// Where faults of times are.
+    /// The place that errors of times name.
     pub place: Place,
+    /// Template, skeleton and motions.
     pub character: Character,
+    /// How joint transforms are blended.
     pub skinning: Skinning,
+    /// Frames per second.
     pub fps: f64,
-    /// In order of their numbers.
-    pub stills: Vec<Still>,
-    /// Camera after camera in order of ids, each with its frames in order; all of frames in `stills`.
+    /// Ascending in number.
+    pub frames: Vec<FilmFrame>,
+    /// Camera after camera, ascending in id, each with its frames ascending in number; every number is in `frames`.
     pub shots: Vec<Shot>,
+    /// [`Dataset::has_alpha`].
     pub has_alpha: bool,
+    /// [`Dataset::notes`] so far.
     pub notes: Vec<String>,
 }
 
-/// The name of a picture.
+/// The name of a view: `c003_f000012` for camera 3 and frame 12.
 pub fn shot_name(camera: u32, frame: u32) -> String {
     format!("c{camera:03}_f{frame:06}")
 }
 
 impl Film {
-    /// The data set.
+    /// The data set: timestamps, splits, inputs, and initial points and box from the posed template.
     ///
     /// # Errors
     /// `data.option` if an option does not fit a film, `data.empty` if no training view is left.
@@ -117,14 +134,14 @@ impl Film {
         settled.extrapolate.extend::<Vec<View>>(beyond);
         if !settled.dynamic {
             let shown = settled.train.first().and_then(|v| numbers.get(&v.name));
-            self.stills.retain(|s| Some(&s.number) == shown);
+            self.frames.retain(|s| Some(&s.number) == shown);
         }
-        let mut frames = Vec::with_capacity(self.stills.len());
+        let mut frames = Vec::with_capacity(self.frames.len());
         let mut first = None;
-        for s in self.stills {
+        for s in self.frames {
             let time = settled.clock.time(stated(s.number), &place)?;
             let Some(mut views) = inputs.remove(&s.number) else {
-                self.notes.push(format!("frame {} has no input, so nothing can be made of it", s.number));
+                self.notes.push(format!("frame {} has no input and is left out", s.number));
                 continue;
             };
             views.iter_mut().for_each(|v| v.time = time);
@@ -149,9 +166,9 @@ impl Film {
         })
     }
 
-    /// The pictures by what they are for.
+    /// Splits the views by list and role.
     fn sort(&mut self, draft: impl Fn(u32, View) -> Draft) -> Sorted {
-        let lists: HashMap<u32, FrameUse> = self.stills.iter().map(|s| (s.number, s.list)).collect();
+        let lists: HashMap<u32, FrameUse> = self.frames.iter().map(|s| (s.number, s.list)).collect();
         let mut out = Sorted::default();
         for Shot { number, role, view } in std::mem::take(&mut self.shots) {
             if role == Role::Cond {
@@ -172,17 +189,18 @@ impl Film {
     }
 }
 
+/// Result of [`Film::sort`].
 #[derive(Default)]
 struct Sorted {
     drafts: Drafts,
-    /// Inputs by frame, in order of camera ids.
+    /// Inputs by frame, ascending in camera id.
     inputs: BTreeMap<u32, Vec<View>>,
     /// Names of the test views of frames of the list `ood`.
     ood: HashSet<String>,
     numbers: HashMap<String, u32>,
 }
 
-/// Points of the posed template at its first training frame, coloured as it is.
+/// Points on the posed template at frame `first`, with its colours.
 fn start(scene: &AvatarScene, first: usize) -> Option<PointCloud> {
     let frame = scene.frames.get(first)?;
     let (template, vertices) = (&scene.character.template, scene.posed(frame));

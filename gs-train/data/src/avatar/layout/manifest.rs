@@ -1,13 +1,13 @@
-//! `scene.json`: what was filmed.
+//! `scene.json`: frames, splits, template and motion of a film.
 //!
 //! ```text
 //! version 1   units "m"   up "y"   fps   frames {start, count, step}   splits {train, test, ood}: frame numbers
-//! template    a glTF, GLB or OBJ file of the folder, or builtin:NAME      uv_set, auto_uv, repack: how its texture lies
+//! template    a glTF, GLB or OBJ file of the folder, or builtin:NAME      uv_set, auto_uv, repack: layout of its texture
 //! clip        a motion of the template, or null: at rest                 skinning "lbs" | "dqs"
-//! morph       gt: pictures show the motion's morphs, poses do not know them; apply: both; ignore: neither
+//! morph       gt: images show the motion's morphs, poses do not state them; apply: both; ignore: neither
 //! background  colour behind the person where alpha is 0: black           generated: options of the generator
 //! ```
-//! Frame `n` is at `n / fps` seconds, of the film and of the motion. Without `splits` all frames train; frames that are in no
+//! Frame `n` is at `n / fps` seconds of the film and of the motion. Without `splits` all frames train; frames in no
 //! list are not read.
 
 use std::collections::BTreeMap;
@@ -46,15 +46,15 @@ const KEYS: [&str; 16] = [
     "about",
 ];
 
-/// Yes and no.
+/// JSON booleans, for [`choose`].
 const WORDS: [(&str, bool); 2] = [("true", true), ("false", false)];
 
-/// What the file says.
+/// The parsed file.
 pub(super) struct Manifest {
     pub(super) file: PathBuf,
     pub(super) fps: f64,
     pub(super) skinning: Skinning,
-    /// Frames that are in some list, in order.
+    /// List of each frame that is in one, by number.
     pub(super) lists: BTreeMap<u32, FrameUse>,
     template: String,
     uv_set: Option<u32>,
@@ -136,7 +136,7 @@ impl Manifest {
         self.clip.as_ref().and_then(|name| character.clip(name))
     }
 
-    /// What a method may know of the pose `shown` and, where the pictures show morphs of it, the weights of these.
+    /// The pose a method may use, of the pose `shown` in the images, and the true morph weights.
     pub(super) fn known(&self, character: &Character, shown: Pose) -> (Pose, Option<Vec<f32>>) {
         let rest = || character.skeleton.rest_morphs.clone();
         match self.morph {
@@ -167,7 +167,7 @@ fn choose<T: Copy>(
     })
 }
 
-/// Every frame of a list.
+/// The list of every frame that is in one.
 fn lists(f: &Fields, file: &Path, map: &Map<String, Value>) -> Result<BTreeMap<u32, FrameUse>, DataError> {
     let range = Range::read(f, file, map)?;
     let Some(splits) = map.get("splits").filter(|v| !v.is_null()) else {

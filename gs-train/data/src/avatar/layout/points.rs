@@ -1,4 +1,4 @@
-//! Measured points of a frame: PLY, OBJ (its `v` lines, whatever else is in it), or plain numbers.
+//! Measured points of a frame: PLY, OBJ (its `v` lines alone), or plain numbers.
 
 use std::path::Path;
 
@@ -9,14 +9,14 @@ use crate::error::{DataError, Place};
 use crate::files::{Root, read_bytes, read_text};
 use crate::ply::read_measured;
 
-/// What a frame's points may be called behind its number; the first that is there is read.
+/// Extensions of a frame's points; the first that exists is read.
 const EXTENSIONS: [&str; 3] = ["ply", "obj", "bin"];
 /// Largest file: 20 million points as numbers.
 const MAX_BYTES: u64 = 256 << 20;
 /// Bytes of a point in a `.bin`: `x y z`, `f32`, little-endian.
 const POINT: usize = 12;
 
-/// The points of a frame, if they are there.
+/// The points of a frame, if there is a file.
 pub(super) fn find(root: &Root, number: u32) -> Result<Option<SurfacePoints>, DataError> {
     for extension in EXTENSIONS {
         let name = format!("points/{number:06}.{extension}");
@@ -31,7 +31,7 @@ pub(super) fn find(root: &Root, number: u32) -> Result<Option<SurfacePoints>, Da
 /// Reads a file of points, by its extension.
 ///
 /// # Errors
-/// `data.points`, `data.syntax`, `data.truncated` or `data.field` with what is wrong.
+/// `data.points`, `data.syntax`, `data.truncated` or `data.field` if the file is damaged; `io.read` if it cannot be read.
 pub(crate) fn read(file: &Path) -> Result<MeasuredPoints, DataError> {
     match file.extension().and_then(|e| e.to_str()) {
         Some("obj") => of_obj(file).map(MeasuredPoints::uncoloured),

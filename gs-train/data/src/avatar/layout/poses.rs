@@ -1,4 +1,4 @@
-//! `poses.json` or `poses.bin`: poses over those of the motion, frame by frame.
+//! `poses.json` or `poses.bin`: values that replace those of the motion's pose, frame by frame.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -19,10 +19,10 @@ use crate::json::{Fields, quote_non_finite};
 const MAX_BYTES: u64 = 256 << 20;
 const MAX_FRAME_BYTES: usize = 1 << 20;
 
-/// A pose, and the morphs its pictures show where they are known.
+/// A pose, and the morph weights that the images show, where they are known.
 type Posed = (Pose, Option<Vec<f32>>);
 
-/// The pose of every frame of some list, and the morphs its pictures show.
+/// The pose and the true morph weights of every frame in `manifest.lists`.
 pub(super) fn read(dir: &Path, manifest: &Manifest, character: &Character) -> Result<Vec<Posed>, DataError> {
     let (file, numbers) = (&dir.join("poses.json"), &dir.join("poses.bin"));
     let stated = Stated::read(numbers, character)?;
@@ -57,7 +57,7 @@ pub(super) fn read(dir: &Path, manifest: &Manifest, character: &Character) -> Re
     manifest.lists.iter().map(pose).collect()
 }
 
-/// Lays what a frame states over its pose.
+/// Replaces the values of a pose that its frame states.
 fn amend(pose: &mut Pose, file: &Path, frame: &str, raw: &RawValue, character: &Character) -> Result<(), DataError> {
     if raw.get().len() > MAX_FRAME_BYTES {
         let place = Place::new(file, frame);

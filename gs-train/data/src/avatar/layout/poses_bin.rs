@@ -1,4 +1,4 @@
-//! `poses.bin`: poses over those of the motion, as numbers. All little-endian:
+//! `poses.bin`: values that replace those of the motion's pose, in binary. All little-endian:
 //!
 //! ```text
 //! "GS4DPOSE"   u32 1   u32 nodes   u32 morphs   u32 frames
@@ -22,7 +22,7 @@ const VERSION: u32 = 1;
 /// Numbers of a node.
 const NODE: usize = 10;
 
-/// What a file states, by frame.
+/// The values a file states, by frame.
 pub(super) struct Stated {
     /// Numbers of the nodes in the skeleton.
     nodes: Vec<u32>,
@@ -31,11 +31,11 @@ pub(super) struct Stated {
 }
 
 impl Stated {
-    /// Reads the file; nothing is stated where there is none.
+    /// Reads the file; empty where there is none.
     ///
     /// # Errors
     /// `data.syntax`, `data.truncated` or `data.field`.
-    pub fn read(file: &Path, character: &Character) -> Result<Self, DataError> {
+    pub(super) fn read(file: &Path, character: &Character) -> Result<Self, DataError> {
         let mut stated = Self { nodes: Vec::new(), morphs: 0, frames: BTreeMap::new() };
         if !file.is_file() {
             return Ok(stated);
@@ -69,13 +69,13 @@ impl Stated {
         Ok(stated)
     }
 
-    /// Whether nothing is stated.
-    pub fn is_empty(&self) -> bool {
+    /// Whether no frame is stated.
+    pub(super) fn is_empty(&self) -> bool {
         self.frames.is_empty()
     }
 
-    /// Lays what is stated of a frame over its pose.
-    pub fn amend(&self, pose: &mut Pose, frame: u32) {
+    /// Replaces the values of a pose that its frame states.
+    pub(super) fn amend(&self, pose: &mut Pose, frame: u32) {
         let Some(values) = self.frames.get(&frame) else { return };
         let (nodes, morphs) = values.split_at(values.len() - self.morphs);
         for (&node, v) in self.nodes.iter().zip(nodes.as_chunks::<NODE>().0) {
@@ -124,8 +124,8 @@ impl<'a> Reader<'a> {
     fn frame(&mut self, nodes: usize, morphs: usize, number: u32) -> Result<Vec<f32>, DataError> {
         let bytes = self.take(4 * (NODE * nodes + morphs))?;
         let values: Vec<f32> = bytes.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect();
-        let turned = values[..NODE * nodes].as_chunks::<NODE>().0.iter().all(|v| v[3..7] != [0.0; 4]);
-        if !turned || values.iter().any(|v| !v.is_finite()) {
+        let rotations_valid = values[..NODE * nodes].as_chunks::<NODE>().0.iter().all(|v| v[3..7] != [0.0; 4]);
+        if !rotations_valid || values.iter().any(|v| !v.is_finite()) {
             let what = "numbers are finite, and a rotation is a quaternion of any length but 0";
             return Err(DataError::syntax(self.file, format!("frame {number}"), what));
         }

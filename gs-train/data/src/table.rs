@@ -55,7 +55,7 @@ fn finite_point(file: &Path, row: usize, p: DVec3) -> Result<Vec3, DataError> {
 /// Reads an array of shape `[n, width]`, row by row: an `.npy` file, or the table `data` of an `.npz`.
 ///
 /// # Errors
-/// `io.read`, `limits.file`, `data.syntax` with whatever the array's reader finds, `data.field` for another shape.
+/// `io.read`, `limits.file`, `data.syntax` with the error of the array's reader, `data.field` for another shape.
 pub(crate) fn read_rows(file: &Path, width: usize) -> Result<Vec<f64>, DataError> {
     let mut bytes = read_bytes(file, MAX_BYTES)?;
     if file.extension().is_some_and(|e| e == "npz") {

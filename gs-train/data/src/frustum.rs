@@ -1,4 +1,4 @@
-//! The box of all that cameras see between two depths.
+//! The box around the view frusta of cameras between two depths.
 
 use glam::{DVec3, Vec3};
 use gs_core::Camera;
