@@ -139,7 +139,7 @@ fn first_points(dataset: &Dataset, init: &InitConfig, seed: u64) -> Result<Point
         }
         InitFrom::Auto | InitFrom::Points if dataset.has_start() => {
             let n = init.points as usize;
-            let first = init.first_moment.then(|| dataset.at_first_moment());
+            let first = init.first_moment.then(|| dataset.at_first_time());
             match first.as_ref().map(|d| d.train.len()) {
                 Some(views @ ..FIRST_VIEWS) => Err(MethodError::Scene(format!(
                     "init.first_moment needs {FIRST_VIEWS} photographs of the first moment; there are {views}"

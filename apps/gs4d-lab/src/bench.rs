@@ -1,7 +1,7 @@
 //! A short set of measurements across the crates, each with its error: what `gs4d bench` prints.
 //!
-//! Every row has a time (median) and an error against the f64 reference or a value known in closed form. The crates' own
-//! criterion benches go deeper; these few run in seconds and need nothing but the program.
+//! Every row has a median time and an error against the f64 reference or a closed form. The crates' own criterion benches
+//! are more thorough; these run in seconds and need nothing but the program.
 
 mod field;
 mod image;
@@ -18,13 +18,13 @@ use gs_raster::measure::Roofline;
 
 /// A group of measurements: the crate they concern and the function that makes them.
 pub struct Group {
-    /// Name of the crate.
+    /// Name of the crate, for example `gs-raster`.
     pub name: &'static str,
-    /// Measures, in the rayon pool in scope.
+    /// Runs the measurements in the current rayon pool; one row per case and variant.
     pub measure: fn() -> Vec<BenchRow>,
 }
 
-/// The groups there are.
+/// All groups, in the order `gs4d bench` prints them.
 pub const GROUPS: &[Group] = &[
     Group { name: "gs-raster", measure: raster::rows },
     Group { name: "gs-metrics", measure: image::rows },
@@ -33,13 +33,13 @@ pub const GROUPS: &[Group] = &[
     Group { name: "gs-train", measure: optimiser::rows },
 ];
 
-/// What the machine does at most, for the threads in scope: `(GFLOP/s of fused multiply-adds, 10⁹ exponentials/s)`.
-pub fn roofs() -> (f64, f64) {
-    let roofs = Roofline::measure(SimdLevel::Auto);
-    (roofs.fma, roofs.exp2)
+/// Measured peak rates of the current rayon pool: `(GFLOP/s of fused multiply-adds, 10⁹ exponentials/s)`.
+pub fn roofline() -> (f64, f64) {
+    let peak = Roofline::measure(SimdLevel::Auto);
+    (peak.fma, peak.exp2)
 }
 
-/// What a row says beside time, size and error.
+/// Labels of a [`BenchRow`].
 struct Case {
     krate: &'static str,
     case: String,
@@ -48,7 +48,7 @@ struct Case {
 }
 
 impl Case {
-    /// The row, with a median over `runs` calls of `call`.
+    /// Times `call` (median of `runs` calls). `n` is the size, `work` the units of work per call.
     fn row(self, n: usize, work: f64, error: f64, runs: usize, call: impl FnMut()) -> BenchRow {
         BenchRow {
             krate: self.krate,

@@ -1,10 +1,10 @@
-//! Contests: several entries on the same data, with the same seeds and the same time.
+//! Contests: several entries on the same data, with the same seeds and the same training time.
 //!
-//! An entry is a method with settings of its own. Under a time budget each entry first makes a pilot run: its recipe as it
-//! stands, stopped after a fifth of the budget. What a step took at the pilot's end says how many steps fill the budget,
-//! and the recipe is stretched or compressed to that many: every entry goes through all phases of its schedule, and none
-//! is cut off. The seconds they really took are part of the result. Every trial is an ordinary run folder; a trial that
-//! stands is not made again, one that was interrupted goes on.
+//! An entry is a method with its own settings. Under a time budget each entry first trains a pilot: its unchanged recipe,
+//! stopped after a fifth of the budget. The seconds per step at the end of the pilot give the number of steps that fill the
+//! budget, and the recipe is stretched or compressed to that many, so that every entry goes through all stages of its
+//! schedule. The measured seconds are part of the result. Every trial is an ordinary run folder; a finished trial is not
+//! trained again, an interrupted one is resumed.
 
 use gs_train::evaluate::EvalReport;
 use gs_train::registry::Registry;
@@ -18,15 +18,15 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-/// The pilot's share of the time budget.
+/// Share of the time budget spent on the pilot.
 const PILOT_SHARE: f64 = 0.2;
-/// Share of the pilot, from its end, that says what a step takes.
-const SETTLED: f64 = 0.25;
+/// Seconds per step are measured over this last share of the pilot.
+const MEASURED_SHARE: f64 = 0.25;
 
-/// A contestant: `METHOD[:PRESET] [KEY=VALUE …]`.
+/// One entry of a contest: `METHOD[:PRESET] [KEY=VALUE …]`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Entry {
-    /// The text it was made from.
+    /// The parsed text with single spaces; the name of the entry in tables.
     pub label: String,
     method: String,
     preset: Option<String>,
@@ -34,16 +34,22 @@ pub struct Entry {
 }
 
 impl Entry {
-    /// A method with the contest's preset and settings of its own.
-    pub fn new(method: &str, sets: Vec<String>) -> Self {
+    /// A method with the preset of the contest and its own settings `KEY=VALUE`.
+    pub(crate) fn new(method: &str, sets: Vec<String>) -> Self {
         let label = std::iter::once(method).chain(sets.iter().map(String::as_str)).collect::<Vec<_>>().join(" ");
         Self { label, method: method.to_owned(), preset: None, sets }
     }
 
-    /// Reads an entry.
+    /// Parses `METHOD[:PRESET] [KEY=VALUE …]`.
     ///
     /// # Errors
     /// If there is no method, or a word after it is no `KEY=VALUE`.
+    ///
+    /// ```
+    /// use gs4d_lab::contest::Entry;
+    /// assert_eq!(Entry::parse("fags:tiny  ablate=gate").unwrap().label, "fags:tiny ablate=gate");
+    /// assert!(Entry::parse("fags quick").is_err());
+    /// ```
     pub fn parse(text: &str) -> Result<Self, String> {
         let mut words = text.split_whitespace();
         let name = words.next().ok_or("an entry begins with a method, for example \"fourdgs\"")?;
@@ -59,25 +65,25 @@ impl Entry {
         Ok(Self { label, method: method.to_owned(), preset, sets })
     }
 
-    /// A name for its folder.
+    /// Name of the folder of its trials.
     fn slug(&self) -> String {
         self.label.chars().map(|c| if c.is_ascii_alphanumeric() || "._-=".contains(c) { c } else { '_' }).collect()
     }
 }
 
-/// How long every trial may be.
+/// Length of every trial.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Length {
-    /// The recipe as its preset has it.
+    /// The number of steps of the preset.
     Recipe,
-    /// So many steps.
+    /// This many steps; the recipe is stretched or compressed to them.
     Steps(u32),
-    /// As many steps as fill so many seconds.
+    /// As many steps as fill this many seconds, measured by a pilot.
     Seconds(f64),
 }
 
 impl Length {
-    /// The length of a time budget, else of a number of steps, else the recipe's.
+    /// From command-line options: a time budget wins over a number of steps; without both, the recipe.
     pub fn of(time_budget: Option<Duration>, steps: Option<u32>) -> Self {
         match (time_budget, steps) {
             (Some(time), _) => Length::Seconds(time.as_secs_f64()),
@@ -87,80 +93,80 @@ impl Length {
     }
 }
 
-/// What is to be compared.
+/// Entries and the conditions they share.
 #[derive(Clone, Debug)]
 pub struct Contest {
-    /// The methods there are.
+    /// Methods that entries can name.
     pub registry: Registry,
-    /// Folder of the data.
+    /// Folder of the dataset.
     pub data: PathBuf,
-    /// Folder of the trials.
+    /// Output folder: `ENTRY/seed-N` for each trial, `ENTRY/pilot` under a time budget.
     pub root: PathBuf,
     /// Preset of entries that name none.
     pub preset: String,
-    /// The contestants.
+    /// The entries, in the order of the result.
     pub entries: Vec<Entry>,
-    /// Every entry runs once with each.
+    /// One trial per entry and seed.
     pub seeds: Vec<u64>,
     /// Length of every trial.
     pub length: Length,
-    /// Settings of all entries, `KEY=VALUE`.
+    /// Settings of all entries, `KEY=VALUE`; those of an entry are applied after them.
     pub sets: Vec<String>,
 }
 
-/// One run of an entry.
+/// One run of an entry with one seed.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Trial {
-    /// Its seed.
+    /// Seed of the run.
     pub seed: u64,
-    /// Its folder.
+    /// Run folder.
     pub run: PathBuf,
-    /// Its scores.
+    /// Scores on the test views.
     pub scores: EvalReport,
 }
 
-/// All runs of an entry.
+/// Result of one entry.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Standing {
-    /// The entry.
+    /// [`Entry::label`].
     pub label: String,
     /// Steps of every trial.
     pub steps: u64,
-    /// Its runs, in the order of seeds.
+    /// One trial per seed, in the order of [`Contest::seeds`].
     pub trials: Vec<Trial>,
 }
 
 impl Standing {
-    /// A score over all seeds; trials without it are left out.
+    /// Mean and deviation of a score over the trials that have it; `None` if none has.
     pub fn spread(&self, score: impl Fn(&EvalReport) -> Option<f64>) -> Option<Spread> {
         Spread::of(&self.trials.iter().filter_map(|t| score(&t.scores)).collect::<Vec<_>>())
     }
 }
 
-/// What a contest tells while it runs.
+/// Progress of a contest.
 pub enum Told<'a> {
-    /// A trial begins (or goes on): its name.
+    /// A trial is started or resumed: `ENTRY / seed-N`.
     Trial(&'a str),
-    /// A step was made.
+    /// A training step is done.
     Step(Progress),
 }
 
-/// Why a contest ended early.
+/// Why a contest ended without a result.
 #[derive(Debug, thiserror::Error)]
 pub enum ContestError {
-    /// A trial failed.
+    /// Settings of an entry are invalid, or a trial failed.
     #[error("{trial}: {source}")]
     Run {
-        /// Name of the trial.
+        /// Entry, or entry and seed.
         trial: String,
-        /// Its reason.
+        /// The cause.
         #[source]
         source: Box<RunError>,
     },
-    /// The folder of a trial holds a run with other settings.
+    /// The folder of a trial holds a run with different settings.
     #[error("{} holds a run with other settings", .0.display())]
     Other(PathBuf),
-    /// The user asked to stop; the trial is saved and goes on when the contest is asked for again.
+    /// The stop flag was set. The trial is saved, and running the contest again resumes it.
     #[error("interrupted; what was trained is saved in {}", .0.display())]
     Interrupted(PathBuf),
 }
@@ -172,34 +178,38 @@ impl ContestError {
 }
 
 impl Contest {
-    /// Runs every entry with every seed; `done` is told each standing as it is complete.
+    /// Trains and scores every entry with every seed; the results are in the order of the entries.
     ///
     /// # Errors
-    /// If settings are refused, a trial fails, or `stop` was set.
-    pub fn run(&self, stop: &AtomicBool, tell: &mut dyn FnMut(Told)) -> Result<Vec<Standing>, ContestError> {
-        // Settings of all entries are verified before anything is trained.
+    /// Invalid settings (before anything is trained), a failed trial, or `stop` was set.
+    pub fn run(&self, stop: &AtomicBool, on_event: &mut dyn FnMut(Told)) -> Result<Vec<Standing>, ContestError> {
         for entry in &self.entries {
             self.resolved(entry, 0, self.length).map_err(|e| ContestError::run(&entry.label, e))?;
         }
-        self.entries.iter().map(|entry| self.standing(entry, stop, tell)).collect()
+        self.entries.iter().map(|entry| self.standing(entry, stop, on_event)).collect()
     }
 
-    /// Whether two entries come to the same settings.
+    /// Whether two entries resolve to the same settings.
     ///
     /// # Errors
-    /// If settings are refused.
-    pub fn same(&self, a: &Entry, b: &Entry) -> Result<bool, ContestError> {
+    /// If settings are invalid.
+    pub(crate) fn same(&self, a: &Entry, b: &Entry) -> Result<bool, ContestError> {
         let of = |e: &Entry| self.resolved(e, 0, self.length).map_err(|s| ContestError::run(&e.label, s));
         let (a, b) = (of(a)?, of(b)?);
         Ok(a.method == b.method && a.run == b.run)
     }
 
-    fn standing(&self, entry: &Entry, stop: &AtomicBool, tell: &mut dyn FnMut(Told)) -> Result<Standing, ContestError> {
-        let length = self.length(entry, stop, tell)?;
+    fn standing(
+        &self,
+        entry: &Entry,
+        stop: &AtomicBool,
+        on_event: &mut dyn FnMut(Told),
+    ) -> Result<Standing, ContestError> {
+        let length = self.length(entry, stop, on_event)?;
         let mut trials = Vec::new();
         for &seed in &self.seeds {
             let run = self.root.join(entry.slug()).join(format!("seed-{seed}"));
-            let scores = self.trial(entry, seed, length, &run, stop, tell)?;
+            let scores = self.trial(entry, seed, length, &run, stop, on_event)?;
             trials.push(Trial { seed, run, scores });
         }
         let resolved = self.resolved(entry, 0, length).map_err(|e| ContestError::run(&entry.label, e))?;
@@ -207,19 +217,19 @@ impl Contest {
         Ok(Standing { label: entry.label.clone(), steps, trials })
     }
 
-    /// Length of an entry's trials, in steps where there is a time budget.
-    fn length(&self, entry: &Entry, stop: &AtomicBool, tell: &mut dyn FnMut(Told)) -> Result<Length, ContestError> {
+    /// Length of an entry's trials; a time budget is turned into steps by a pilot.
+    fn length(&self, entry: &Entry, stop: &AtomicBool, on_event: &mut dyn FnMut(Told)) -> Result<Length, ContestError> {
         let Length::Seconds(seconds) = self.length else { return Ok(self.length) };
         let run = self.root.join(entry.slug()).join("pilot");
         let seed = self.seeds.first().copied().unwrap_or(0);
-        self.trial(entry, seed, Length::Seconds(PILOT_SHARE * seconds), &run, stop, tell)?;
+        self.trial(entry, seed, Length::Seconds(PILOT_SHARE * seconds), &run, stop, on_event)?;
         let failed = |e| ContestError::run(&entry.label, e);
         let pilot = OpenRun::open(&self.registry, &run).map_err(failed)?;
         let lines = pilot.folder().and_then(|folder| folder.log_lines(LOG)).map_err(failed)?;
-        // A pilot too short for its log is known by its checkpoint.
+        // A pilot too short to have logged twice: mean over all its steps.
         let mean = || pilot.loaded.train_seconds / f64::from(pilot.loaded.step.max(1));
         let per_step = settled_seconds(&lines).unwrap_or_else(mean);
-        // Two leading digits: a repeated pilot gives the same number more often than not.
+        // Rounded down to two digits, so that a repeated pilot usually gives the same number of steps.
         let wanted = (seconds / per_step.max(1e-6)).clamp(1.0, 1e9);
         let unit = 10f64.powf(wanted.log10().floor() - 1.0).max(1.0);
         Ok(Length::Steps(((wanted / unit).floor() * unit) as u32))
@@ -232,7 +242,7 @@ impl Contest {
         length: Length,
         run: &Path,
         stop: &AtomicBool,
-        tell: &mut dyn FnMut(Told),
+        on_event: &mut dyn FnMut(Told),
     ) -> Result<EvalReport, ContestError> {
         let trial = format!("{} / {}", entry.label, run.file_name().unwrap_or_default().to_string_lossy());
         let failed = |e| ContestError::run(&trial, e);
@@ -241,20 +251,20 @@ impl Contest {
             if open.resolved.method != resolved.method || open.resolved.run != resolved.run {
                 return Err(ContestError::Other(run.to_owned()));
             }
-            let kept = open.folder().and_then(|folder| folder.read(METRICS)).ok();
-            let kept = kept.and_then(|text| serde_json::from_str(&text).ok());
-            if let Some(scores) = kept {
+            let saved = open.folder().and_then(|folder| folder.read(METRICS)).ok();
+            let saved = saved.and_then(|text| serde_json::from_str(&text).ok());
+            if let Some(scores) = saved {
                 return Ok(scores);
             }
         }
-        tell(Told::Trial(&trial));
-        // A pilot that was interrupted begins anew: its budget is one of seconds, and short.
+        on_event(Told::Trial(&trial));
+        // An interrupted pilot is started again: its budget is in seconds, and short.
         let training = match OpenRun::open(&self.registry, run) {
             Ok(_) if !matches!(length, Length::Seconds(_)) => Training::resume(&self.registry, run, None, None),
             _ => Training::begin(run, true, resolved),
         };
         let mut training = training.map_err(failed)?;
-        match training.train(stop, &mut |p, _| tell(Told::Step(p))).map_err(failed)? {
+        match training.train(stop, &mut |p, _| on_event(Told::Step(p))).map_err(failed)? {
             Outcome::Interrupted(_) => Err(ContestError::Interrupted(run.to_owned())),
             _ => training.score().map_err(failed),
         }
@@ -280,12 +290,12 @@ impl Contest {
     }
 }
 
-/// Seconds a step took in the last part of a log of at least two lines.
+/// Seconds per step over the last [`MEASURED_SHARE`] of a log; `None` for a log too short.
 fn settled_seconds(lines: &[Value]) -> Option<f64> {
     let marks: Vec<[f64; 2]> =
         lines.iter().filter_map(|l| Some([l["step"].as_f64()?, l["seconds"].as_f64()?])).collect();
     let &[last_step, last] = marks.last()?;
-    let [step, seconds] = marks.iter().find(|m| m[1] >= (1.0 - SETTLED) * last && m[0] < last_step)?;
+    let [step, seconds] = marks.iter().find(|m| m[1] >= (1.0 - MEASURED_SHARE) * last && m[0] < last_step)?;
     Some((last - seconds) / (last_step - step))
 }
 

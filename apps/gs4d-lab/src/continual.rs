@@ -1,14 +1,14 @@
-//! Learning while the sequence goes on: rounds that each let in more of it, and what is foretold after each.
+//! Continual learning: training in rounds, each on a longer part of the sequence.
 //!
-//! A round trains on everything seen up to its time `T_obs`; parameters, moments of the optimiser and growth statistics go on
-//! from round to round, nothing is frozen. After it the held-out views of `[0, T_obs]` are scored (interpolation) and
-//! the views of all cameras in `(T_obs, end]` (extrapolation), as GVFi and TRACE do.
+//! A round trains on all views up to its time `T_obs`. Parameters, optimiser state and densification statistics are kept from
+//! round to round; nothing is frozen. After each round the held-out views in `[0, T_obs]` (interpolation) and the views of all
+//! cameras in `(T_obs, end]` (extrapolation) are scored, as GVFi and TRACE do.
 //!
-//! Times are of the whole sequence, 0..1, in every round: no network is asked for an old moment by another number.
+//! Times are normalised over the whole sequence, 0..1, in every round, so that a frame has the same time in all rounds.
 //!
-//! The first round follows the recipe. Its rates have then decayed; in later rounds those that decay are held at
-//! [`LATER_RATE`] of their start (8e-4 → 1e-4), and its last stage goes on for as many steps as asked for. Density control
-//! ends with the recipe. Settings of later rounds have the last word.
+//! The first round follows the recipe. In later rounds the last stage of the recipe is continued for the given number of
+//! steps, learning rates that decay are held at [`LATER_RATE`] of their start (8e-4 → 1e-4), and densification is over.
+//! Settings of later rounds are applied last.
 
 use gs_data::{Dataset, Split, View};
 use gs_train::evaluate::{MeanScores, evaluate};
@@ -23,98 +23,99 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-/// The table of a run, in its folder.
+/// Name of the file with the scores of all rounds, in the run folder.
 pub const FILE: &str = "continual.json";
-/// Rates that decay are held at this share of their start in later rounds.
+/// In later rounds, learning rates that decay are held at this share of their start.
 pub const LATER_RATE: f64 = 0.125;
-/// Times this close are the same, normalised.
-const SLACK: f64 = 1e-6;
+/// Times closer than this are equal, normalised.
+const TIME_TOLERANCE: f64 = 1e-6;
 
-/// How the sequence is let in.
+/// The parts of the sequence that the rounds train on and are scored on.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Rounds {
-    /// Up to these times, normalised; the future of a round is so long.
+    /// Rounds by time, normalised.
     Times {
-        /// `T_obs` of each round, rising, below 1.
+        /// `T_obs` of each round: ascending, inside (0, 1).
         until: Vec<f64>,
-        /// Length of the future.
+        /// Length of the extrapolated interval after `T_obs`, above 0.
         future: f64,
     },
-    /// Frame by frame.
+    /// Rounds by number of frames.
     Frames {
         /// Frames of the first round.
         first: usize,
-        /// Frames that each later round adds.
+        /// Frames added by each later round.
         per_round: usize,
-        /// Frames of the future.
+        /// Extrapolated frames after the last one seen.
         next: usize,
-        /// Most frames seen; none: as long as there is a whole future.
+        /// Frames of the last round; `None`: as many as leave `next` frames.
         last: Option<usize>,
     },
 }
 
-/// What is asked for.
+/// The experiment: data, method and rounds.
 #[derive(Clone, Debug)]
 pub struct Plan {
-    /// The methods there are.
+    /// Methods that the request can name.
     pub registry: Registry,
     /// Method, preset, data, seed, settings, and the steps of the first round.
     pub request: Request,
-    /// The rounds.
+    /// Parts of the sequence, one per round.
     pub rounds: Rounds,
     /// Steps of every later round.
     pub later_steps: u32,
-    /// Settings of later rounds, `KEY=VALUE`.
+    /// Settings of later rounds, `KEY=VALUE`, applied after all others.
     pub later_sets: Vec<String>,
     /// Most views scored of each split in a round, evenly spaced; 0: all.
     pub score_views: usize,
 }
 
-/// One round: what is seen and what is foretold, normalised.
+/// One round, in normalised time.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Round {
-    /// `T_obs`.
+    /// `T_obs`: last time trained on.
     pub last: f64,
-    /// End of the future.
+    /// End of the extrapolated interval.
     pub end: f64,
 }
 
-/// What came of a round.
+/// Scores of a round.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RoundScores {
-    /// Its times.
+    /// The round, as the fields `last` and `end` in JSON.
     #[serde(flatten)]
     pub round: Round,
-    /// Training views.
+    /// Training views up to `T_obs`.
     pub views: usize,
-    /// Steps in all.
+    /// Training steps since the start of the first round.
     pub steps: u32,
-    /// Seconds of training in all.
+    /// Training seconds since the start of the first round.
     pub seconds: f64,
-    /// Splats.
+    /// Splats after the round.
     pub splats: usize,
-    /// Held-out views up to `T_obs`, where there are any.
+    /// Mean scores of the test views up to `T_obs`; `None` without such views.
     pub interpolation: Option<MeanScores>,
-    /// Views of all cameras beyond it, where there are any.
+    /// Mean scores of the views of all cameras in `(T_obs, end]`; `None` without such views.
     pub extrapolation: Option<MeanScores>,
 }
 
-/// What a run tells while it goes on.
+/// Progress of a run.
 pub enum Told<'a> {
-    /// Round number, from 1, and their count.
+    /// A round begins: its number from 1, the number of rounds, its times.
     Round(usize, usize, Round),
-    /// A step was made.
+    /// A training step is done.
     Step(Progress),
-    /// A round is done.
+    /// A round is trained and scored.
     Done(&'a RoundScores),
 }
 
 impl Rounds {
-    /// The rounds of a sequence with these moments, normalised and in order.
+    /// The rounds of a sequence with these frame times (normalised, ascending; unused by [`Rounds::Times`]).
     ///
     /// # Errors
-    /// If there is none, times do not rise or leave no future, or there are too few frames.
-    pub fn plan(&self, moments: &[f64]) -> Result<Vec<Round>, RunError> {
+    /// [`RunError::Rounds`] if there is no round, times do not ascend or leave nothing to extrapolate, or there are too few
+    /// frames.
+    pub(crate) fn plan(&self, times: &[f64]) -> Result<Vec<Round>, RunError> {
         let wrong = |why: String| Err(RunError::Rounds(why));
         match self {
             Self::Times { until, future } => {
@@ -129,22 +130,22 @@ impl Rounds {
                 Ok(until.iter().map(|&last| Round { last, end: last + future }).collect())
             }
             &Self::Frames { first, per_round, next, last } => {
-                let most = last.unwrap_or(usize::MAX).min(moments.len().saturating_sub(next));
-                if first == 0 || per_round == 0 || next == 0 || first > most {
-                    let n = moments.len();
+                let max_frames = last.unwrap_or(usize::MAX).min(times.len().saturating_sub(next));
+                if first == 0 || per_round == 0 || next == 0 || first > max_frames {
+                    let n = times.len();
                     return wrong(format!(
                         "{first} frames, then {per_round} a round with {next} to foretell: the data have {n}"
                     ));
                 }
-                let seen = (first..=most).step_by(per_round);
-                Ok(seen.map(|n| Round { last: moments[n - 1], end: moments[n - 1 + next] }).collect())
+                let counts = (first..=max_frames).step_by(per_round);
+                Ok(counts.map(|n| Round { last: times[n - 1], end: times[n - 1 + next] }).collect())
             }
         }
     }
 }
 
-/// The different times of all views, normalised.
-fn moments(dataset: &Dataset) -> Vec<f64> {
+/// The distinct times of all views: normalised, ascending.
+fn timestamps(dataset: &Dataset) -> Vec<f64> {
     let all = [&dataset.train, &dataset.val, &dataset.test, &dataset.extrapolate].into_iter().flatten();
     let mut times: Vec<f64> = all.map(|v| f64::from(v.time.normalised)).collect();
     times.sort_by(f64::total_cmp);
@@ -152,12 +153,14 @@ fn moments(dataset: &Dataset) -> Vec<f64> {
     times
 }
 
-/// What a round may see of the sequence, and its future.
+/// The dataset of a round: views up to `T_obs`, with those in `(T_obs, end]` as the extrapolation split.
 fn part(whole: &Dataset, round: Round) -> Dataset {
     let t = |v: &View| f64::from(v.time.normalised);
-    let past = |views: &[View]| views.iter().filter(|v| t(v) <= round.last + SLACK).cloned().collect::<Vec<_>>();
+    let past =
+        |views: &[View]| views.iter().filter(|v| t(v) <= round.last + TIME_TOLERANCE).cloned().collect::<Vec<_>>();
     let all = [&whole.train, &whole.val, &whole.test, &whole.extrapolate].into_iter().flatten();
-    let future = all.filter(|v| t(v) > round.last + SLACK && t(v) <= round.end + SLACK).cloned().collect();
+    let future =
+        all.filter(|v| t(v) > round.last + TIME_TOLERANCE && t(v) <= round.end + TIME_TOLERANCE).cloned().collect();
     let train = past(&whole.train);
     let dynamic = train.iter().any(|v| t(v) != t(&train[0]));
     Dataset {
@@ -171,14 +174,14 @@ fn part(whole: &Dataset, round: Round) -> Dataset {
     }
 }
 
-/// The settings with a boundary at the end of the last round.
+/// The settings with `data.time_boundary` at the end of the last round.
 fn bounded(resolved: &Resolved, last: f64) -> Result<Resolved, RunError> {
     let mut config = resolved.config.clone();
     config.put("data.time_boundary", last, Source::Flag("the rounds".into()))?;
     Resolved::of(&resolved.registry, config)
 }
 
-/// The settings of later rounds: rates that decay are held, and what the user says.
+/// The settings of later rounds: learning rates that decay are held constant, then `sets`.
 fn later(resolved: &Resolved, sets: &[String]) -> Result<Resolved, RunError> {
     let mut config = resolved.config.clone();
     let number = |config: &Config, key: &str| config.get(key).and_then(|s| s.value.as_float());
@@ -200,16 +203,16 @@ fn later(resolved: &Resolved, sets: &[String]) -> Result<Resolved, RunError> {
     Resolved::of(&resolved.registry, config)
 }
 
-/// Runs the rounds; the folder is that of a run, with [`FILE`] beside what a run has. None if `stop` was set on the way.
+/// Trains and scores all rounds in the run folder `root`, and writes [`FILE`] there after each. `None` if `stop` was set.
 ///
 /// # Errors
-/// If the rounds cannot be made, or whatever training and scoring finds.
+/// Invalid rounds or settings, no data, or an error of training or scoring.
 pub fn run(
     plan: &Plan,
     root: &Path,
     overwrite: bool,
     stop: &AtomicBool,
-    tell: &mut dyn FnMut(Told),
+    on_event: &mut dyn FnMut(Told),
 ) -> Result<Option<Vec<RoundScores>>, RunError> {
     let resolved = resolve(&plan.registry, &plan.request)?;
     let (resolved, whole, rounds) = sequence(&resolved, &plan.rounds)?;
@@ -217,26 +220,26 @@ pub fn run(
     let mut training: Option<Training> = None;
     let mut done: Vec<RoundScores> = Vec::new();
     for (k, &round) in rounds.iter().enumerate() {
-        tell(Told::Round(k + 1, rounds.len(), round));
+        on_event(Told::Round(k + 1, rounds.len(), round));
         let seen = Arc::new(part(&whole, round));
-        let mut now = match training.take() {
+        let mut current = match training.take() {
             None if seen.train.is_empty() => {
                 return Err(RunError::Rounds(format!("no training view lies before {}", round.last)));
             }
             None => Training::begin_on(root, overwrite, resolved.clone(), seen)?,
-            Some(before) => {
-                let made = before.trainer().steps_done();
-                let longer = settings::lengthen(&after, made.saturating_add(plan.later_steps), made)?;
-                before.grow(longer, seen)?
+            Some(previous) => {
+                let steps = previous.trainer().steps_done();
+                let longer = settings::lengthen(&after, steps.saturating_add(plan.later_steps), steps)?;
+                previous.grow(longer, seen)?
             }
         };
-        if now.train(stop, &mut |p, _| tell(Told::Step(p)))? != Outcome::Finished {
+        if current.train(stop, &mut |p, _| on_event(Told::Step(p)))? != Outcome::Finished {
             return Ok(None);
         }
-        done.push(scored(&now, round, plan.score_views)?);
-        now.folder().write(FILE, &format!("{:#}\n", json!({"rounds": done})))?;
-        done.last().into_iter().for_each(|scores| tell(Told::Done(scores)));
-        training = Some(now);
+        done.push(scored(&current, round, plan.score_views)?);
+        current.folder().write(FILE, &format!("{:#}\n", json!({"rounds": done})))?;
+        done.last().into_iter().for_each(|scores| on_event(Told::Done(scores)));
+        training = Some(current);
     }
     if let Some(training) = &training {
         let scores = training.score()?;
@@ -245,22 +248,22 @@ pub fn run(
     Ok(Some(done))
 }
 
-/// Settings, data and rounds: the boundary of the data is the end of the last round, so that views keep their splits up to it.
+/// Settings, dataset and rounds. `data.time_boundary` is the end of the last round, so that views up to it keep their splits.
 fn sequence(resolved: &Resolved, rounds: &Rounds) -> Result<(Resolved, Dataset, Vec<Round>), RunError> {
-    let known = match rounds {
+    let times = match rounds {
         Rounds::Times { .. } => Vec::new(),
-        Rounds::Frames { .. } => moments(&bounded(resolved, 0.5)?.open_data()?),
+        Rounds::Frames { .. } => timestamps(&bounded(resolved, 0.5)?.open_data()?),
     };
-    let rounds = rounds.plan(&known)?;
+    let rounds = rounds.plan(&times)?;
     let Some(last) = rounds.last() else { return Err(RunError::Rounds("there is no round".into())) };
     let resolved = bounded(resolved, last.last)?;
     let whole = resolved.open_data()?;
     Ok((resolved, whole, rounds))
 }
 
-/// Scores of a round that has been trained.
-fn scored(training: &Training, round: Round, most: usize) -> Result<RoundScores, RunError> {
-    let (trainer, photographs) = (training.trainer(), training.photographs());
+/// Scores of a trained round; at most `max_views` views of each split, 0 for all.
+fn scored(training: &Training, round: Round, max_views: usize) -> Result<RoundScores, RunError> {
+    let (trainer, images) = (training.trainer(), training.photographs());
     let method = trainer.model();
     let background = method.background();
     let score = |split: Split| -> Result<Option<MeanScores>, RunError> {
@@ -269,8 +272,8 @@ fn scored(training: &Training, round: Round, most: usize) -> Result<RoundScores,
         if count == 0 {
             return Ok(None);
         }
-        let views = few_views(dataset, split, if most == 0 { count } else { most });
-        Ok(Some(evaluate(method, &views, split, background, &photographs)?.mean))
+        let views = few_views(dataset, split, if max_views == 0 { count } else { max_views });
+        Ok(Some(evaluate(method, &views, split, background, &images)?.mean))
     };
     Ok(RoundScores {
         round,

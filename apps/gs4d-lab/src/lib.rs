@@ -1,10 +1,13 @@
-//! Experiments that take many trainings.
+//! Experiments over many training runs.
 //!
-//! * [`contest`]: methods or settings under equal conditions; [`sweep`]: one setting at several values.
+//! * [`contest`]: methods or settings under equal conditions; [`sweep`]: contests of one setting at several values.
 //! * [`continual`]: training while more of a sequence arrives.
-//! * [`people`]: filmed people: sizes, wrong poses, views, unseen motion and light, parts left out.
-//! * [`glmd`]: what each stage of a method moves, in images and numbers (MoDec-GS, figures 8 and 9).
+//! * [`people`]: avatars (method `dut`): texture sizes, wrong poses, fewer views, unseen motion and light, ablations.
+//! * [`glmd`]: the motion added by each stage of a method, in images and numbers (MoDec-GS, figures 8 and 9).
 //! * [`bench`]: speed against error on this machine.
+
+#![warn(unreachable_pub)]
+#![warn(clippy::allow_attributes_without_reason)]
 
 pub mod bench;
 pub mod contest;
@@ -12,3 +15,6 @@ pub mod continual;
 pub mod glmd;
 pub mod people;
 pub mod sweep;
+mod text;
+
+pub use text::aligned;

@@ -1,7 +1,7 @@
-//! Sweeps: one setting at a time varied around a preset, to see what each costs and buys.
+//! Sweeps: contests in which one setting at a time is varied around a preset, to see its cost and its benefit.
 //!
-//! A sweep is a [`Contest`] with generated entries: the preset as it stands, then every value of every key alone. A value
-//! that the preset has already is not trained again. The rows say quality against bytes, seconds and splats.
+//! The entries of the [`Contest`] are the preset itself, then every value of every setting alone. A value that the preset has
+//! already is not trained again. The result is quality against bytes, seconds and splats.
 
 pub mod page;
 
@@ -15,17 +15,24 @@ use std::sync::atomic::AtomicBool;
 /// A setting and the values it takes in turn.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Vary {
-    /// The setting, as in `KEY=VALUE`.
+    /// Key of the setting, as in `KEY=VALUE`.
     pub key: String,
-    /// Its values.
+    /// Distinct values, as written in `KEY=VALUE`; at least one.
     pub values: Vec<String>,
 }
 
 impl Vary {
-    /// Reads `KEY=A|B|C`.
+    /// Parses `KEY=A|B|C`.
     ///
     /// # Errors
-    /// If there is no key, or a value is empty or given twice.
+    /// If the key is missing, or a value is empty or given twice.
+    ///
+    /// ```
+    /// use gs4d_lab::sweep::Vary;
+    /// let vary = Vary::parse("init.points=1000|2000").unwrap();
+    /// assert_eq!((vary.key.as_str(), vary.values.len()), ("init.points", 2));
+    /// assert!(Vary::parse("init.points=1000|1000").is_err());
+    /// ```
     pub fn parse(text: &str) -> Result<Self, String> {
         let wrong = || format!("`{text}` is no KEY=A|B|C, for example \"init.points=1000|2000|4000\"");
         let (key, values) = text.split_once('=').ok_or_else(wrong)?;
@@ -40,70 +47,57 @@ impl Vary {
     }
 }
 
-/// What is to be swept.
+/// The settings of a sweep; those of [`Contest`], with one method and varied settings in place of entries.
 #[derive(Clone, Debug)]
 pub struct Sweep {
-    /// The methods there are.
+    /// Methods to choose from.
     pub registry: Registry,
-    /// Folder of the data.
+    /// Folder of the dataset.
     pub data: PathBuf,
-    /// Folder of the trials.
+    /// Output folder of the trials.
     pub root: PathBuf,
-    /// The method.
+    /// Name of the method.
     pub method: String,
-    /// The preset everything is varied around.
+    /// The preset that settings are varied around.
     pub preset: String,
-    /// The settings that are varied, each by itself.
+    /// The varied settings, one at a time.
     pub vary: Vec<Vary>,
-    /// Every entry runs once with each.
+    /// One trial per entry and seed.
     pub seeds: Vec<u64>,
     /// Length of every trial.
     pub length: Length,
-    /// Settings of all entries, `KEY=VALUE`.
+    /// Settings of all trials, `KEY=VALUE`.
     pub sets: Vec<String>,
 }
 
-/// A column of a table of rows.
-#[derive(Clone, Copy, Debug)]
-pub struct Column {
-    /// Its heading.
-    pub head: &'static str,
-    digits: usize,
-    value: fn(&Row) -> Option<f64>,
-}
+/// A number of a row: heading, digits, value.
+type Column = (&'static str, usize, fn(&Row) -> Option<f64>);
 
 const COLUMNS: [Column; 8] = [
-    Column { head: "PSNR", digits: 2, value: |r| r.psnr },
-    Column { head: "ext dB", digits: 2, value: |r| r.extrapolated },
-    Column { head: "SSIM", digits: 4, value: |r| r.ssim },
-    Column { head: "proxy", digits: 4, value: |r| r.proxy },
-    Column { head: "MB", digits: 3, value: |r| r.megabytes },
-    Column { head: "seconds", digits: 1, value: |r| r.seconds },
-    Column { head: "splats", digits: 0, value: |r| r.splats },
-    Column { head: "steps", digits: 0, value: |r| Some(r.steps as f64) },
+    ("PSNR", 2, |r| r.psnr),
+    ("ext dB", 2, |r| r.extrapolated),
+    ("SSIM", 4, |r| r.ssim),
+    ("proxy", 4, |r| r.proxy),
+    ("MB", 3, |r| r.megabytes),
+    ("seconds", 1, |r| r.seconds),
+    ("splats", 0, |r| r.splats),
+    ("steps", 0, |r| Some(r.steps as f64)),
 ];
 
-impl Column {
-    /// The number of a row as text, `absent` if it has none.
-    pub fn cell(&self, row: &Row, absent: &str) -> String {
-        (self.value)(row).map_or(absent.to_owned(), |v| format!("{v:.*}", self.digits))
-    }
-}
-
-/// One setting and what it came to, means over seeds.
+/// One setting and its scores, means over seeds.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Row {
-    /// The varied setting; absent for the preset itself.
+    /// Key of the varied setting; `None` for the preset itself.
     pub key: Option<String>,
-    /// Its value.
+    /// Value of the varied setting; `None` for the preset itself.
     pub value: Option<String>,
-    /// Whether this is what the preset has, and its numbers are the preset's.
+    /// Whether the preset has this value, so that the scores are those of the preset.
     pub preset: bool,
     /// Mean PSNR, dB.
     pub psnr: Option<f64>,
-    /// Its standard deviation over seeds.
+    /// Standard deviation of the PSNR over seeds, dB.
     pub psnr_deviation: Option<f64>,
-    /// Mean PSNR beyond the last training time, dB, where the data have such views.
+    /// Mean PSNR of views after the last training time, dB; `None` without such views.
     pub extrapolated: Option<f64>,
     /// Mean SSIM.
     pub ssim: Option<f64>,
@@ -113,11 +107,11 @@ pub struct Row {
     pub megabytes: Option<f64>,
     /// Seconds of training.
     pub seconds: Option<f64>,
-    /// Splats.
+    /// Number of splats.
     pub splats: Option<f64>,
     /// Steps of every trial.
     pub steps: u64,
-    /// Folders of the trials.
+    /// Run folders of the trials, one per seed.
     pub runs: Vec<PathBuf>,
 }
 
@@ -141,58 +135,60 @@ impl Row {
         }
     }
 
-    /// The columns of a table of rows: those that any row has a number for.
-    pub fn columns(rows: &[Self]) -> Vec<Column> {
-        COLUMNS.iter().filter(|c| rows.iter().any(|r| (c.value)(r).is_some())).copied().collect()
-    }
-
-    /// The setting in words.
+    /// `KEY=VALUE`, or `preset`.
     pub fn label(&self) -> String {
         match (&self.key, &self.value) {
             (Some(key), Some(value)) => format!("{key}={value}"),
             _ => "preset".to_owned(),
         }
     }
+
+    /// Whether this is a value that the preset has, and was not trained.
+    pub fn repeats_preset(&self) -> bool {
+        self.preset && self.key.is_some()
+    }
+
+    /// Headings and cells of a table: the label, then the numbers that some row has; `missing` stands where a row has none.
+    pub fn table(rows: &[Self], missing: &str) -> (Vec<&'static str>, Vec<Vec<String>>) {
+        let columns: Vec<&Column> = COLUMNS.iter().filter(|c| rows.iter().any(|r| c.2(r).is_some())).collect();
+        let cell = |c: &Column, r: &Self| c.2(r).map_or(missing.to_owned(), |v| format!("{v:.*}", c.1));
+        let cells = |r: &Self| std::iter::once(r.label()).chain(columns.iter().map(|c| cell(c, r))).collect();
+        (std::iter::once("setting").chain(columns.iter().map(|c| c.0)).collect(), rows.iter().map(cells).collect())
+    }
 }
 
 impl Sweep {
-    /// Runs the sweep: the preset first, then the varied settings in order.
+    /// Runs the contest; the rows are the preset, then the varied settings in order.
     ///
     /// # Errors
-    /// Those of [`Contest::run`]; settings are verified before anything is trained.
-    pub fn run(&self, stop: &AtomicBool, tell: &mut dyn FnMut(Told)) -> Result<Vec<Row>, ContestError> {
-        let entry = |sets: Vec<String>| Entry::new(&self.method, sets);
+    /// Those of [`Contest::run`]; settings are checked before anything is trained.
+    pub fn run(&self, stop: &AtomicBool, on_event: &mut dyn FnMut(Told)) -> Result<Vec<Row>, ContestError> {
         let mut contest = Contest {
             registry: self.registry.clone(),
             data: self.data.clone(),
             root: self.root.clone(),
             preset: self.preset.clone(),
-            entries: vec![entry(Vec::new())],
+            entries: vec![Entry::new(&self.method, Vec::new())],
             seeds: self.seeds.clone(),
             length: self.length,
             sets: self.sets.clone(),
         };
-        let settings: Vec<(&str, &str)> =
-            self.vary.iter().flat_map(|v| v.values.iter().map(|value| (v.key.as_str(), value.as_str()))).collect();
-        // The place of each setting's standing; 0 is the preset's.
-        let mut places = Vec::new();
-        for (key, value) in &settings {
-            let varied = entry(vec![format!("{key}={value}")]);
-            if contest.same(&contest.entries[0], &varied)? {
-                places.push(0);
-            } else {
-                places.push(contest.entries.len());
-                contest.entries.push(varied);
-            }
+        // Key, value and index of the entry; 0 is the preset.
+        let mut settings = Vec::new();
+        for (key, value) in self.vary.iter().flat_map(|v| v.values.iter().map(|value| (v.key.as_str(), value.as_str())))
+        {
+            let entry = Entry::new(&self.method, vec![format!("{key}={value}")]);
+            let repeats_preset = contest.same(&contest.entries[0], &entry)?;
+            settings.push((key, value, if repeats_preset { 0 } else { contest.entries.len() }));
+            contest.entries.extend((!repeats_preset).then_some(entry));
         }
-        let standings = contest.run(stop, tell)?;
-        let mut rows = vec![Row::new(None, true, &standings[0])];
-        rows.extend(settings.iter().zip(places).map(|(v, at)| Row::new(Some(*v), at == 0, &standings[at])));
-        Ok(rows)
+        let standings = contest.run(stop, on_event)?;
+        let row = |&(key, value, k): &(&str, &str, usize)| Row::new(Some((key, value)), k == 0, &standings[k]);
+        Ok(std::iter::once(Row::new(None, true, &standings[0])).chain(settings.iter().map(row)).collect())
     }
 }
 
-/// The rows as comma-separated values with a heading.
+/// The rows as comma-separated values with a heading, all digits.
 pub fn csv(rows: &[Row]) -> String {
     let number = |v: Option<f64>| v.map_or(String::new(), |v| v.to_string());
     let quoted = |text: &str| format!("\"{}\"", text.replace('"', "\"\""));

@@ -1,33 +1,34 @@
-//! Where splats go: an arrow for some of them, the difference of where they are drawn a little later and a little earlier.
+//! Velocities of some splats as arrows, by central differences of their means.
 
 use crate::shot::Shot;
 use glam::Vec3;
 use serde_json::{Value, json};
 
-/// Arrows, at most.
-const MOST: usize = 300;
-/// Splats fainter than this have none.
-const CLEAR: f32 = 0.1;
-/// Half of the time between the two places, in mean distances of training times.
-const HALF: f32 = 0.5;
+/// Most arrows.
+const MAX_ARROWS: usize = 300;
+/// Splats with a lower opacity have no arrow.
+const MIN_OPACITY: f32 = 0.1;
+/// Half width of the difference, in mean intervals of training timestamps.
+const HALF_STEP: f32 = 0.5;
 
-/// Starts and velocities in world units a second, of splats spread evenly over those whose centres are in the picture.
+/// Positions and velocities (world units per second) of splats, evenly spread over those whose centres are in the image.
 ///
 /// # Errors
-/// As [`Shot::tracked`].
-pub fn arrows(shot: &Shot) -> Result<Value, String> {
+/// As [`Shot::all_splats`].
+pub(crate) fn arrows(shot: &Shot) -> Result<Value, String> {
     let splats = shot.all_splats()?;
     let camera = &shot.camera;
-    let seen = |&i: &usize| {
+    let in_image = |&i: &usize| {
         let at = camera.to_camera(splats.means[i].as_dvec3());
         let pixel = camera.to_pixel(at);
         let within =
             (0.0..f64::from(camera.width)).contains(&pixel.x) && (0.0..f64::from(camera.height)).contains(&pixel.y);
-        splats.opacities[i] >= CLEAR && at.z > 0.0 && within
+        splats.opacities[i] >= MIN_OPACITY && at.z > 0.0 && within
     };
-    let all: Vec<usize> = (0..splats.len()).filter(seen).collect();
-    let some: Vec<usize> = (0..all.len().min(MOST)).map(|k| all[k * all.len() / all.len().min(MOST)]).collect();
-    let half = HALF * shot.show.interval();
+    let all: Vec<usize> = (0..splats.len()).filter(in_image).collect();
+    let some: Vec<usize> =
+        (0..all.len().min(MAX_ARROWS)).map(|k| all[k * all.len() / all.len().min(MAX_ARROWS)]).collect();
+    let half = HALF_STEP * shot.show.interval();
     let at = |d: f32| shot.scene.all_splats(shot.time + d, camera);
     let (before, after) = (at(-half)?, at(half)?);
     let seconds = 2.0 * half * shot.show.seconds() as f32;

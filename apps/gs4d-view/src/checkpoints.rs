@@ -1,4 +1,4 @@
-//! Earlier states of a run, from the checkpoints in its folder.
+//! Checkpoints of a run as scenes, with a small cache.
 
 use crate::scene::Scene;
 use gs_train::checkpoint::{file_name, steps_in};
@@ -7,45 +7,45 @@ use gs4d_run::OpenRun;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Opened checkpoints kept in memory.
-const OPEN: usize = 2;
+/// Loaded checkpoints kept in memory.
+const CACHE_SIZE: usize = 2;
 
-/// The folder of a run's checkpoints.
-pub struct Checkpoints {
+/// The checkpoint folder of a run.
+pub(crate) struct Checkpoints {
     registry: Registry,
     folder: PathBuf,
-    /// Steps and scenes, the last used at the end.
-    open: Mutex<Vec<(u32, Arc<Scene>)>>,
+    /// Steps and loaded scenes, the last used at the end.
+    cache: Mutex<Vec<(u32, Arc<Scene>)>>,
 }
 
 impl Checkpoints {
-    /// Those in a folder.
-    pub fn of(registry: Registry, folder: PathBuf) -> Self {
-        Self { registry, folder, open: Mutex::default() }
+    /// Opens a checkpoint folder; methods are looked up in `registry`.
+    pub(crate) fn of(registry: Registry, folder: PathBuf) -> Self {
+        Self { registry, folder, cache: Mutex::default() }
     }
 
-    /// Steps there are now, newest first; none if the folder cannot be read.
-    pub fn steps(&self) -> Vec<u32> {
+    /// Steps with a checkpoint, newest first; empty if the folder cannot be read.
+    pub(crate) fn steps(&self) -> Vec<u32> {
         steps_in(&self.folder).unwrap_or_default()
     }
 
     /// The scene at a step.
     ///
     /// # Errors
-    /// In words, if there is no such checkpoint or it does not verify.
-    pub fn at(&self, step: u32) -> Result<Arc<Scene>, String> {
-        let mut open = self.open.lock().unwrap_or_else(PoisonError::into_inner);
-        let scene = match open.iter().position(|(s, _)| *s == step) {
-            Some(at) => open.remove(at).1,
+    /// A message, if there is no such checkpoint or it is damaged.
+    pub(crate) fn at(&self, step: u32) -> Result<Arc<Scene>, String> {
+        let mut cache = self.cache.lock().unwrap_or_else(PoisonError::into_inner);
+        let scene = match cache.iter().position(|(s, _)| *s == step) {
+            Some(at) => cache.remove(at).1,
             None => {
                 let run =
                     OpenRun::open(&self.registry, &self.folder.join(file_name(step))).map_err(|e| e.to_string())?;
                 Arc::new(Scene::method(run.loaded.model))
             }
         };
-        open.push((step, scene.clone()));
-        if open.len() > OPEN {
-            open.remove(0);
+        cache.push((step, scene.clone()));
+        if cache.len() > CACHE_SIZE {
+            cache.remove(0);
         }
         Ok(scene)
     }

@@ -1,8 +1,8 @@
-//! A box of splats: what they are like, and a file of them or of the others.
+//! Splats in a box of the image: histograms of their properties, and export of those inside or of the others.
 
 use crate::legend::histogram;
 use crate::question::{Choice, Part};
-use crate::shot::{Chosen, FAINTEST, Shot};
+use crate::shot::{MIN_OPACITY, SelectionCache, Shot};
 use crate::stage::Stage;
 use gs_core::io::RawSplats;
 use gs_core::io::ply;
@@ -10,12 +10,17 @@ use gs_train::renderer::file_stem;
 use gs4d_eval::export::rows;
 use serde_json::{Value, json};
 
-/// How many splats a box holds and how their properties are spread.
+/// Number of splats in a box, and histograms of their properties.
 ///
 /// # Errors
-/// In words, if its camera is none or a pose cannot be taken.
-pub fn describe(stage: &Stage, shot: &Shot, choice: &Choice, chosen: &mut Chosen) -> Result<Value, String> {
-    let members = chosen.members(stage, &shot.scene, choice)?;
+/// A message, if the camera of the box is invalid or the splats cannot be computed.
+pub(crate) fn describe(
+    stage: &Stage,
+    shot: &Shot,
+    choice: &Choice,
+    selections: &mut SelectionCache,
+) -> Result<Value, String> {
+    let members = selections.members(stage, &shot.scene, choice)?;
     let splats = shot.all_splats()?;
     let inside: Vec<usize> = (0..splats.len()).filter(|&i| is_chosen(&members, i)).collect();
     let of = |value: &dyn Fn(usize) -> f32| inside.iter().map(|&i| value(i)).collect::<Vec<f32>>();
@@ -35,21 +40,21 @@ fn is_chosen(members: &[bool], i: usize) -> bool {
     members.get(i).copied().unwrap_or(false)
 }
 
-/// The name and the bytes of a `.ply` file of the visible splats of a part, as this camera sees them at this moment.
+/// Name and bytes of a `.ply` file of the visible splats of a part, for this camera and time.
 ///
 /// # Errors
-/// In words, if there is none, or a splat is not sound.
-pub fn file(
+/// A message, if the part is empty or a splat is invalid.
+pub(crate) fn file(
     stage: &Stage,
     shot: &Shot,
     choice: Option<&Choice>,
     part: Part,
-    chosen: &mut Chosen,
+    selections: &mut SelectionCache,
 ) -> Result<(String, Vec<u8>), String> {
-    let members = choice.map(|c| chosen.members(stage, &shot.scene, c)).transpose()?;
+    let members = choice.map(|c| selections.members(stage, &shot.scene, c)).transpose()?;
     let inside = |i: usize| members.as_ref().is_some_and(|m| is_chosen(m, i));
     let splats = shot.all_splats()?.into_owned().with_plain_kernel();
-    let wanted = |&i: &usize| splats.opacities[i] >= FAINTEST && inside(i) == (part == Part::Chosen);
+    let wanted = |&i: &usize| splats.opacities[i] >= MIN_OPACITY && inside(i) == (part == Part::Chosen);
     let kept: Vec<usize> = (0..splats.len()).filter(wanted).collect();
     if kept.is_empty() {
         return Err("there is no splat to save".into());

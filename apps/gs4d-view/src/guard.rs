@@ -1,25 +1,25 @@
-//! Who may ask: those who know the token, from a page of ours.
+//! Access control: token, `Host` and `Origin` of every request.
 //!
-//! A page of another site can make a browser connect to loopback, and a name that first points elsewhere can be made to point
-//! here (DNS rebinding). So every request must name this host, a WebSocket's origin must be this server, and nothing is
-//! answered without the token of the printed address.
+//! A page of another site can make a browser connect to loopback, and a foreign host name can be pointed here (DNS
+//! rebinding). So every request must name this host, the origin of a WebSocket must be this server, and nothing is answered
+//! without the token of the printed address.
 
 use std::hash::{BuildHasher, Hasher, RandomState};
 use std::net::SocketAddr;
 
-/// What a request must carry.
+/// Token and host names that requests are checked against.
 #[derive(Clone, Debug)]
-pub struct Guard {
+pub(crate) struct Guard {
     token: String,
-    /// `host:port` this server is called by.
+    /// Accepted `host:port` values.
     names: Vec<String>,
-    /// Listening everywhere, the server does not know all its addresses: any number with this port is one.
+    /// Port of a server that listens on all interfaces: any numeric address with this port is accepted.
     everywhere: Option<u16>,
 }
 
 impl Guard {
-    /// A guard of an address, with a token nobody knows yet.
-    pub fn new(address: SocketAddr) -> Self {
+    /// A guard for a listening address, with a new random token.
+    pub(crate) fn new(address: SocketAddr) -> Self {
         let port = address.port();
         let mut names = vec![format!("{address}")];
         if address.ip().is_loopback() {
@@ -29,33 +29,33 @@ impl Guard {
         Self { token: token(), names, everywhere }
     }
 
-    /// The token.
-    pub fn token(&self) -> &str {
+    /// The token, 32 hexadecimal digits.
+    pub(crate) fn token(&self) -> &str {
         &self.token
     }
 
     /// Whether a `Host` header names this server.
-    pub fn host(&self, host: Option<&str>) -> bool {
+    pub(crate) fn host(&self, host: Option<&str>) -> bool {
         let number = |h: &str| h.parse::<SocketAddr>().is_ok_and(|a| Some(a.port()) == self.everywhere);
         host.is_some_and(|h| self.names.iter().any(|n| n.eq_ignore_ascii_case(h)) || number(h))
     }
 
-    /// Whether an `Origin` header is a page of this server. Programs that are no browsers send none.
-    pub fn origin(&self, origin: Option<&str>) -> bool {
+    /// Whether an `Origin` header is this server. A missing header is accepted: only browsers send one.
+    pub(crate) fn origin(&self, origin: Option<&str>) -> bool {
         match origin {
             None => true,
             Some(o) => o.strip_prefix("http://").is_some_and(|h| self.host(Some(h))),
         }
     }
 
-    /// Whether the token is right. The time it takes does not depend on where it is wrong.
-    pub fn knows(&self, token: Option<&str>) -> bool {
+    /// Whether the token matches, compared in constant time.
+    pub(crate) fn knows(&self, token: Option<&str>) -> bool {
         let Some(given) = token.filter(|t| t.len() == self.token.len()) else { return false };
         given.bytes().zip(self.token.bytes()).fold(0, |bad, (a, b)| bad | (a ^ b)) == 0
     }
 }
 
-/// 128 bits of the system's randomness as hexadecimal digits: the keys of the standard library's hashers come from there.
+/// 128 random bits as hexadecimal digits. The keys of the standard library's hashers come from the system's random source.
 fn token() -> String {
     let word = || {
         let mut hasher = RandomState::new().build_hasher();
@@ -65,9 +65,9 @@ fn token() -> String {
         }
         hasher.finish()
     };
-    // A thread's second hasher has the keys of the first plus one: each word asks in a thread of its own.
-    let apart = || std::thread::spawn(word).join().unwrap_or_else(|_| word());
-    format!("{:016x}{:016x}", apart(), apart())
+    // The second hasher of a thread has the keys of the first plus one, so each word uses a thread of its own.
+    let in_thread = || std::thread::spawn(word).join().unwrap_or_else(|_| word());
+    format!("{:016x}{:016x}", in_thread(), in_thread())
 }
 
 #[cfg(test)]

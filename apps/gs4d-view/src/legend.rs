@@ -1,4 +1,4 @@
-//! What colours mean: name, unit, range, and how often each value is met.
+//! Legends: name, unit, range, histogram and colours of the values shown.
 
 use gs_train::palette::color_scale;
 use serde_json::{Value, json};
@@ -6,8 +6,8 @@ use serde_json::{Value, json};
 /// Bars of a histogram.
 const BARS: usize = 24;
 
-/// Name, unit, range and histogram of values; the range is theirs if none is given.
-pub fn histogram(name: &str, unit: &str, span: Option<[f32; 2]>, values: &[f32]) -> Value {
+/// Histogram of the finite `values` over `span`, or over their own range. Values outside fall into the first or last bar.
+pub(crate) fn histogram(name: &str, unit: &str, span: Option<[f32; 2]>, values: &[f32]) -> Value {
     let known = || values.iter().copied().filter(|v| v.is_finite());
     let [low, high] = span.unwrap_or_else(|| {
         let [low, high] = known().fold([f32::INFINITY, f32::NEG_INFINITY], |[a, b], v| [a.min(v), b.max(v)]);
@@ -24,18 +24,18 @@ pub fn histogram(name: &str, unit: &str, span: Option<[f32; 2]>, values: &[f32])
     json!({"name": name, "unit": unit, "low": low, "high": high, "bars": bars})
 }
 
-/// A histogram with the colour of each bar on the scale of quantities.
-pub fn scaled(name: &str, unit: &str, span: [f32; 2], values: &[f32]) -> Value {
+/// A [`histogram`] with the colour of each bar on the colour scale of quantities.
+pub(crate) fn scaled(name: &str, unit: &str, span: [f32; 2], values: &[f32]) -> Value {
     colored(histogram(name, unit, Some(span), values), color_scale)
 }
 
-/// A histogram with greys from black to white.
-pub fn grey(name: &str, values: &[f32]) -> Value {
+/// A [`histogram`] over 0..1 with bars from black to white.
+pub(crate) fn grey(name: &str, values: &[f32]) -> Value {
     colored(histogram(name, "", Some([0.0, 1.0]), values), |share| [share; 3])
 }
 
-/// How many have each of `k` labels, with the colour of each, and what to say of it.
-pub fn named(name: &str, words: &str, labels: &[u32], k: usize, color: impl Fn(u32) -> [f32; 3]) -> Value {
+/// Counts of `k` labels with the colour of each, and the caption `words`.
+pub(crate) fn named(name: &str, words: &str, labels: &[u32], k: usize, color: impl Fn(u32) -> [f32; 3]) -> Value {
     let mut bars = vec![0u32; k];
     labels.iter().filter_map(|l| usize::try_from(*l).ok()).filter(|l| *l < k).for_each(|l| bars[l] += 1);
     let colors: Vec<String> = (0..k as u32).map(|label| hexadecimal(color(label))).collect();

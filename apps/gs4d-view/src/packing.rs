@@ -1,4 +1,4 @@
-//! Pictures as bytes.
+//! Encoding of images.
 
 use gs_core::Image;
 use gs_core::io::images::write_png8;
@@ -6,20 +6,20 @@ use gs_core::io::images::write_png8;
 /// JPEG's quality, 1 to 100.
 const QUALITY: u8 = 80;
 
-/// How pictures are packed.
+/// Format of images sent to the browser.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Packing {
-    /// Lossless: for this machine.
+    /// PNG: lossless, for a browser on this machine.
     Png,
-    /// A tenth of the bytes: for a far one.
+    /// JPEG at quality 80: about a tenth of the bytes, for a remote browser.
     Jpeg,
 }
 
-/// A PNG or JPEG file of an image whose values are clamped to 0..1.
+/// Encodes an RGB image; values are clamped to 0..1.
 ///
 /// # Errors
-/// In words, if the format cannot hold so many pixels.
-pub fn pack(image: &Image, packing: Packing) -> Result<Vec<u8>, String> {
+/// A message, if the image is too large for the format.
+pub(crate) fn pack(image: &Image, packing: Packing) -> Result<Vec<u8>, String> {
     let bytes: Vec<u8> = image.data.iter().map(|v| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8).collect();
     let mut out = Vec::new();
     let (width, height) = (image.width, image.height);
@@ -29,7 +29,7 @@ pub fn pack(image: &Image, packing: Packing) -> Result<Vec<u8>, String> {
             Ok(out)
         }
         Packing::Jpeg => {
-            let side = |n: usize| u16::try_from(n).map_err(|_| "a picture is too wide".to_owned());
+            let side = |n: usize| u16::try_from(n).map_err(|_| "the image is too wide".to_owned());
             let encoder = jpeg_encoder::Encoder::new(&mut out, QUALITY);
             let written = encoder.encode(&bytes, side(width)?, side(height)?, jpeg_encoder::ColorType::Rgb);
             written.map_err(|e| e.to_string()).map(|()| out)

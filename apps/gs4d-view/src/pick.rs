@@ -1,21 +1,21 @@
-//! Which splats made a pixel: their weights are the derivative of the pixel by their colours, which the rasteriser's own way
-//! back gives exactly.
+//! The splats behind a pixel. Their blending weights are the derivatives of the pixel by their colours, computed by the
+//! backward pass of the rasteriser.
 
 use crate::shot::Shot;
 use gs_core::{Camera, Color};
 use gs_raster::{FrameGrad, Workspace, render, render_backward};
 use serde_json::{Value, json};
 
-/// Splats told of.
-const MOST: usize = 8;
-/// Points of a path.
-const POINTS: usize = 33;
+/// Most splats listed.
+const MAX_SPLATS: usize = 8;
+/// Points of a path over normalised time 0..1.
+const PATH_POINTS: usize = 33;
 
-/// The splats behind a pixel at shares `at` of the picture, heaviest first, with their properties and paths over 0..1.
+/// The splats behind the pixel at `at` (shares of width and height), by descending weight, with their properties and paths.
 ///
 /// # Errors
-/// As [`Shot::tracked`].
-pub fn pick(shot: &Shot, at: [f32; 2]) -> Result<Value, String> {
+/// As [`Shot::all_splats`].
+pub(crate) fn pick(shot: &Shot, at: [f32; 2]) -> Result<Value, String> {
     let camera = &shot.camera;
     let pixel = [at[0] * camera.width as f32, at[1] * camera.height as f32].map(|v| f64::from(v.floor()));
     let one = Camera { width: 1, height: 1, cx: camera.cx - pixel[0], cy: camera.cy - pixel[1], ..camera.clone() };
@@ -29,7 +29,7 @@ pub fn pick(shot: &Shot, at: [f32; 2]) -> Result<Value, String> {
     let weights: Vec<f32> = grad.color.chunks_exact(3).map(|c| c[0]).collect();
     let mut order: Vec<usize> = (0..splats.len()).filter(|&i| weights[i] > 0.0).collect();
     order.sort_by(|&a, &b| weights[b].total_cmp(&weights[a]).then(a.cmp(&b)));
-    order.truncate(MOST);
+    order.truncate(MAX_SPLATS);
     let paths = paths(shot, &order)?;
     let quantities = shot.scene.quantities(shot.time)?;
     let about = |(k, &i): (usize, &usize)| {
@@ -46,9 +46,9 @@ pub fn pick(shot: &Shot, at: [f32; 2]) -> Result<Value, String> {
     Ok(json!({"alpha": frame.alpha.first(), "splats": found, "pixel": pixel}))
 }
 
-/// Where splats are at times from 0 to 1, `[splats, POINTS, 3]`; one point each for a scene at rest.
+/// Means of some splats at times from 0 to 1, `[splats, PATH_POINTS, 3]`; one point each for a static scene.
 fn paths(shot: &Shot, of: &[usize]) -> Result<Vec<Vec<[f32; 3]>>, String> {
-    let n = if shot.show.moving() && !of.is_empty() { POINTS } else { 1 };
+    let n = if shot.show.moving() && !of.is_empty() { PATH_POINTS } else { 1 };
     let mut paths = vec![Vec::with_capacity(n); of.len()];
     for k in 0..n {
         let splats = shot.scene.all_splats(k as f32 / (n.max(2) - 1) as f32, &shot.camera)?;

@@ -1,4 +1,4 @@
-//! What a browser may ask. Every number is checked before anything is made of it.
+//! Questions from a browser: JSON messages, checked before use.
 
 use crate::pose::Posing;
 use crate::stage::Stage;
@@ -6,61 +6,61 @@ use glam::DVec3;
 use gs_core::Camera;
 use serde::Deserialize;
 
-/// Most pixels of a picture: 4K.
-pub const MOST_PIXELS: u32 = 3840 * 2160;
+/// Most pixels of an image: 4K.
+pub(crate) const MAX_PIXELS: u32 = 3840 * 2160;
 /// Longest question, bytes.
-pub const MOST_BYTES: usize = 64 << 10;
-/// Times beyond this many training spans are not asked for.
-const FARTHEST: f32 = 100.0;
+pub(crate) const MOST_BYTES: usize = 64 << 10;
+/// Largest absolute normalised time.
+const MAX_TIME: f32 = 100.0;
 
-/// Deepest nesting of a question.
-pub const MOST_NESTING: usize = 16;
-/// Boxes of hidden splats, at most.
-const MOST_BOXES: usize = 16;
-/// Strongest differences are shown by, times.
-const MOST_GAIN: f32 = 100.0;
+/// Deepest nesting of brackets in a question.
+pub(crate) const MOST_NESTING: usize = 16;
+/// Most boxes of hidden splats.
+const MAX_BOXES: usize = 16;
+/// Largest gain of differences.
+const MAX_GAIN: f32 = 100.0;
 
-/// A picture that is wanted.
+/// A request for an image, or for a splat file.
 #[derive(Clone, Debug, Deserialize, PartialEq)]
 #[serde(deny_unknown_fields)]
 pub struct Question {
-    /// Comes back with the answer.
+    /// Identifier, repeated in the answer.
     pub id: u64,
-    /// What is drawn.
+    /// What to render.
     pub what: Target,
-    /// What is taken away from it; the signed difference is drawn about grey then.
+    /// Subtracted from `what`; the signed difference is then shown around grey.
     #[serde(default)]
     pub against: Option<Target>,
-    /// Differences are shown so many times as strong.
+    /// Gain of the difference, up to 100. Default: 1.
     #[serde(default = "one")]
     pub gain: f32,
     /// Normalised time.
     pub time: f32,
-    /// From where.
+    /// The camera.
     pub look: Look,
-    /// Pixels; a view of the data keeps its own ratio.
+    /// Width, pixels; a view of the dataset keeps its aspect ratio.
     pub width: u32,
-    /// Pixels.
+    /// Height, pixels.
     pub height: u32,
-    /// Every pixel is the mean of 2 × 2.
+    /// Whether to render at twice the resolution and average 2 × 2 pixels.
     #[serde(default)]
     pub fine: bool,
-    /// A pixel of the picture as shares of its width and height: which splats made it?
+    /// A pixel as shares of width and height, 0..1: list the splats behind it.
     #[serde(default)]
     pub pick: Option<[f32; 2]>,
-    /// What is in this box of the picture: histograms of it.
+    /// A box of the image: histograms of the splats in it.
     #[serde(default)]
     pub chosen: Option<Choice>,
-    /// Splats that are left out.
+    /// Boxes of splats that are not rendered, at most 16.
     #[serde(default)]
     pub hidden: Vec<Choice>,
-    /// Splats as a file instead of a picture.
+    /// Answer with a `.ply` file of these splats instead of an image.
     #[serde(default)]
     pub save: Option<Part>,
-    /// Where splats go, as arrows.
+    /// Whether to add velocity arrows.
     #[serde(default)]
     pub arrows: bool,
-    /// Another pose of a filmed person.
+    /// Pose of an avatar; `None`: the pose at `time`.
     #[serde(default)]
     pub pose: Option<Posing>,
 }
@@ -69,7 +69,7 @@ fn one() -> f32 {
     1.0
 }
 
-/// What is drawn: a layer of a show as it is, or as a checkpoint has it.
+/// A layer of a show, at its newest state or at a checkpoint.
 #[derive(Clone, Debug, Deserialize, PartialEq)]
 #[serde(deny_unknown_fields)]
 pub struct Target {
@@ -77,51 +77,51 @@ pub struct Target {
     pub show: usize,
     /// `color`, `truth`, `depth`, `alpha`, `count`, `segment`, or one of the method's.
     pub layer: String,
-    /// Step of a checkpoint.
+    /// Step of a checkpoint; `None`: the newest state.
     #[serde(default)]
     pub checkpoint: Option<u32>,
 }
 
-/// From where a picture is taken.
+/// The camera of an image.
 #[derive(Clone, Debug, Deserialize, PartialEq)]
 #[serde(rename_all = "lowercase", deny_unknown_fields)]
 pub enum Look {
     /// A free camera: eye, target, up in world units, horizontal field of view in radians.
     Free([f64; 3], [f64; 3], [f64; 3], f64),
-    /// A view of the data: number of the show, and of the view among [its](crate::stage::Show::views).
+    /// A view of the dataset: index of the show, and of the view in the list the page received.
     View(usize, usize),
 }
 
-/// Splats whose centres were seen in a box of a picture.
+/// Splats whose centres lie in a box of an image.
 #[derive(Clone, Debug, Deserialize, PartialEq)]
 #[serde(deny_unknown_fields)]
 pub struct Choice {
-    /// Whose splats.
+    /// Index of the show.
     pub show: usize,
-    /// From where the box was drawn.
+    /// Camera of the image.
     pub look: Look,
-    /// Normalised time it was drawn at.
+    /// Normalised time of the image.
     pub time: f32,
-    /// Pixels of the picture it was drawn in.
+    /// Width of the image, pixels.
     pub width: u32,
-    /// Pixels.
+    /// Height of the image, pixels.
     pub height: u32,
-    /// Left, top, right, bottom as shares of the picture.
+    /// Left, top, right, bottom as shares of the image, 0..1.
     pub at: [f32; 4],
 }
 
-/// Which splats are saved.
+/// Selects splats inside or outside a box.
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq)]
 #[serde(rename_all = "lowercase")]
 pub enum Part {
-    /// Those in the box.
+    /// The splats in the box.
     Chosen,
     /// All others that are not hidden.
     Rest,
 }
 
-/// How deep brackets of a text lie in each other, strings left out.
-pub fn nesting(text: &str) -> usize {
+/// Depth of nested brackets in a text, ignoring strings.
+pub(crate) fn nesting(text: &str) -> usize {
     let (mut depth, mut deepest, mut quoted, mut escaped) = (0usize, 0, false, false);
     for byte in text.bytes() {
         match byte {
@@ -138,10 +138,17 @@ pub fn nesting(text: &str) -> usize {
 }
 
 impl Question {
-    /// Reads and checks a question.
+    /// Parses and checks a JSON question.
     ///
     /// # Errors
-    /// What is wrong with it, in words for the page.
+    /// A message for the page.
+    ///
+    /// ```
+    /// use gs4d_view::question::Question;
+    /// let what = r#""id": 1, "what": {"show": 0, "layer": "color"}, "look": {"view": [0, 3]}, "width": 64, "height": 48"#;
+    /// assert_eq!(Question::parse(&format!("{{{what}, \"time\": 0.5}}")).unwrap().gain, 1.0);
+    /// assert!(Question::parse(&format!("{{{what}, \"time\": 1e30}}")).is_err());
+    /// ```
     pub fn parse(text: &str) -> Result<Self, String> {
         if text.len() > MOST_BYTES {
             return Err(format!("a question has at most {MOST_BYTES} bytes"));
@@ -152,11 +159,11 @@ impl Question {
         if question.pick.is_some_and(|p| p.iter().any(|v| !(0.0..1.0).contains(v))) {
             return Err("a pixel is picked inside the picture".into());
         }
-        if question.hidden.len() > MOST_BOXES {
-            return Err(format!("at most {MOST_BOXES} boxes are hidden"));
+        if question.hidden.len() > MAX_BOXES {
+            return Err(format!("at most {MAX_BOXES} boxes are hidden"));
         }
-        if question.gain.is_nan() || question.gain.abs() > MOST_GAIN {
-            return Err(format!("differences are shown up to {MOST_GAIN} times as strong"));
+        if question.gain.is_nan() || question.gain.abs() > MAX_GAIN {
+            return Err(format!("differences are shown up to {MAX_GAIN} times as strong"));
         }
         if question.pose.as_ref().is_some_and(|p| !p.is_sound()) {
             return Err("a pose turns a few joints by at most 10 radians".into());
@@ -168,12 +175,12 @@ impl Question {
 
 fn check_size(width: u32, height: u32) -> Result<(), String> {
     let pixels = u64::from(width) * u64::from(height);
-    let fits = width > 0 && height > 0 && pixels <= u64::from(MOST_PIXELS);
-    if fits { Ok(()) } else { Err(format!("a picture has 1 to {MOST_PIXELS} pixels")) }
+    let fits = width > 0 && height > 0 && pixels <= u64::from(MAX_PIXELS);
+    if fits { Ok(()) } else { Err(format!("an image has 1 to {MAX_PIXELS} pixels")) }
 }
 
 fn check_time(time: f32) -> Result<(), String> {
-    if time.abs() <= FARTHEST { Ok(()) } else { Err(format!("time must be a number from -{FARTHEST} to {FARTHEST}")) }
+    if time.abs() <= MAX_TIME { Ok(()) } else { Err(format!("time must be a number from -{MAX_TIME} to {MAX_TIME}")) }
 }
 
 impl Choice {
@@ -187,11 +194,11 @@ impl Choice {
 }
 
 impl Look {
-    /// The camera, for a picture of so many pixels. A view of the data keeps its ratio and is not enlarged.
+    /// The camera for an image of at most `width` × `height` pixels. A view keeps its aspect ratio and is not enlarged.
     ///
     /// # Errors
-    /// In words, if eye, target and up span no frame or are not finite, or there is no such view.
-    pub fn camera(&self, stage: &Stage, width: u32, height: u32) -> Result<Camera, String> {
+    /// A message, if eye, target and up are not finite or not independent, or there is no such view.
+    pub(crate) fn camera(&self, stage: &Stage, width: u32, height: u32) -> Result<Camera, String> {
         match self {
             Look::Free(eye, target, up, fov) => free_camera([*eye, *target, *up], *fov, width, height),
             Look::View(show, number) => {
@@ -206,8 +213,8 @@ impl Look {
 
 fn free_camera(frame: [[f64; 3]; 3], fov: f64, width: u32, height: u32) -> Result<Camera, String> {
     let [eye, target, up] = frame.map(DVec3::from_array);
-    let sane = |v: &DVec3| v.is_finite() && v.length() < 1e9;
-    if !((0.01..3.0).contains(&fov) && [eye, target, up].iter().all(sane)) {
+    let in_range = |v: &DVec3| v.is_finite() && v.length() < 1e9;
+    if !((0.01..3.0).contains(&fov) && [eye, target, up].iter().all(in_range)) {
         return Err("the camera must be finite, its field of view between 0.01 and 3 radians".into());
     }
     Camera::look_at(width, height, fov, eye, target, up).map_err(|e| e.to_string())

@@ -2,7 +2,7 @@
 
 use crate::ViewError;
 use crate::guard::Guard;
-use crate::live::{Feed, Pace, THREADS};
+use crate::live::{Feed, Pace, THREAD_NAME};
 use crate::packing::Packing;
 use crate::picture::Renderer;
 use crate::question::{MOST_BYTES, MOST_NESTING, Question, nesting};
@@ -23,37 +23,37 @@ use std::time::{Duration, Instant};
 use tokio::sync::{mpsc, oneshot, watch};
 
 /// Ports tried after the one asked for.
-const MORE_PORTS: u16 = 20;
-/// Browsers at once.
-const MOST_CLIENTS: usize = 32;
-/// A browser that does not take a message in this time and at [`LEAST_RATE`] is let go.
-const SLOW: Duration = Duration::from_secs(10);
-/// Bytes a second.
-const LEAST_RATE: f64 = 100e3;
-/// So is one that asks nothing for this long.
-const IDLE: Duration = Duration::from_secs(3600);
-/// What a page may load and do: itself, pictures made of answers, a connection to where it came from.
+const EXTRA_PORTS: u16 = 20;
+/// Most browsers connected at once.
+const MAX_CLIENTS: usize = 32;
+/// A browser that does not take a message within this time, plus its size at [`MIN_RATE`], is disconnected.
+const SEND_TIMEOUT: Duration = Duration::from_secs(10);
+/// Bytes per second.
+const MIN_RATE: f64 = 100e3;
+/// A browser without a question for this long is disconnected.
+const IDLE_TIMEOUT: Duration = Duration::from_secs(3600);
+/// Content policy of the page: its own files, images made from answers, and the connection to this server.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src blob: data:; connect-src 'self'; \
     base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
-/// How to serve.
+/// Options of the server.
 #[derive(Clone, Copy, Debug)]
 pub struct Options {
-    /// Address to listen at; loopback unless others are meant to look.
+    /// Address to listen at; loopback unless other machines are to connect.
     pub host: IpAddr,
-    /// First port tried.
+    /// First port tried; the next 20 follow.
     pub port: u16,
-    /// How pictures are packed.
+    /// Format of the images sent.
     pub packing: Packing,
-    /// The share of the machine that drawing may take, by one thread; none: all of it.
+    /// Share of the machine for rendering, on one thread; `None`: all threads without limit.
     pub share: Option<f64>,
 }
 
-/// A viewer that runs until it is stopped or dropped.
+/// A running viewer; dropping it stops the server.
 pub struct Server {
-    /// Where it listens.
+    /// Address it listens at.
     pub address: SocketAddr,
-    /// What to open: holds the token.
+    /// Address to open in a browser, with the token.
     pub url: String,
     shared: Arc<Shared>,
     stop: Option<oneshot::Sender<()>>,
@@ -61,12 +61,12 @@ pub struct Server {
 }
 
 impl Server {
-    /// Where a run under training, the first show, brings its state.
+    /// The feed for the training run that is the first show.
     ///
     /// # Errors
-    /// If there is no thread for it.
+    /// [`ViewError::Threads`] if its thread cannot be started.
     pub fn feed(&self, registry: Registry, avatar: Option<Arc<AvatarScene>>) -> Result<Feed, ViewError> {
-        let share = self.shared.half.unwrap_or(1.0);
+        let share = self.shared.half_share.unwrap_or(1.0);
         Feed::start(registry, self.shared.clone(), avatar, share).map_err(ViewError::Threads)
     }
 }
@@ -83,28 +83,28 @@ impl Drop for Server {
     }
 }
 
-/// What all connections share.
+/// State shared by all connections.
 pub(crate) struct Shared {
     pub(crate) stage: Stage,
     guard: Guard,
     packing: Packing,
     renderer: Mutex<Renderer>,
-    /// Browsers that are connected.
+    /// Connected browsers.
     pub(crate) clients: AtomicUsize,
-    /// What all browsers are told, the newest.
+    /// Newest message to all browsers.
     pub(crate) news: watch::Sender<Option<String>>,
-    /// Half of the share of the machine, where there is one.
-    half: Option<f64>,
+    /// Half of [`Options::share`].
+    half_share: Option<f64>,
     pace: Option<Pace>,
-    /// The one thread that draws, where a share is to be kept.
+    /// The single render thread, if the share is limited.
     pool: Option<rayon::ThreadPool>,
 }
 
 impl Shared {
     fn new(stage: Stage, guard: Guard, options: &Options) -> Result<Self, ViewError> {
-        let half = options.share.map(|s| 0.5 * s);
-        let one = || rayon::ThreadPoolBuilder::new().num_threads(1).thread_name(|_| THREADS.into()).build();
-        let pool = half.map(|_| one()).transpose();
+        let half_share = options.share.map(|s| 0.5 * s);
+        let one = || rayon::ThreadPoolBuilder::new().num_threads(1).thread_name(|_| THREAD_NAME.into()).build();
+        let pool = half_share.map(|_| one()).transpose();
         Ok(Self {
             stage,
             guard,
@@ -112,14 +112,14 @@ impl Shared {
             renderer: Mutex::default(),
             clients: AtomicUsize::new(0),
             news: watch::Sender::new(None),
-            half,
-            pace: half.map(Pace::of),
+            half_share,
+            pace: half_share.map(Pace::of),
             pool: pool.map_err(|e| ViewError::Threads(std::io::Error::other(e)))?,
         })
     }
 
-    /// Works on the one thread if a share is to be kept, on all of them otherwise.
-    pub(crate) fn alone<T: Send>(&self, work: impl FnOnce() -> T + Send) -> T {
+    /// Runs `work` on the single render thread if the share is limited, else in the global pool.
+    pub(crate) fn in_pool<T: Send>(&self, work: impl FnOnce() -> T + Send) -> T {
         match &self.pool {
             Some(pool) => pool.install(work),
             None => work(),
@@ -127,10 +127,19 @@ impl Shared {
     }
 }
 
-/// Starts serving in threads of its own.
+/// Starts a server in its own threads.
 ///
 /// # Errors
-/// Nothing to show, no free port, or no threads.
+/// If there is no show, no free port, or threads cannot be started.
+///
+/// ```
+/// use gs4d_view::{Options, Packing, Show, Stage, start};
+/// let stage = Stage { shows: vec![Show::splats("empty".into(), gs_core::Splats::default())] };
+/// let options = Options { host: [127, 0, 0, 1].into(), port: 18_900, packing: Packing::Png, share: None };
+/// let server = start(stage, &options)?;
+/// assert!(server.url.starts_with("http://127.0.0.1:189") && server.url.contains("/?k="));
+/// # Ok::<(), gs4d_view::ViewError>(())
+/// ```
 pub fn start(stage: Stage, options: &Options) -> Result<Server, ViewError> {
     if stage.shows.is_empty() {
         return Err(ViewError::Nothing);
@@ -142,10 +151,10 @@ pub fn start(stage: Stage, options: &Options) -> Result<Server, ViewError> {
     let shared = Arc::new(Shared::new(stage, guard, options)?);
     let kept = shared.clone();
     let mut runtime = tokio::runtime::Builder::new_multi_thread();
-    let runtime = runtime.worker_threads(2).thread_name(THREADS).enable_all().build();
+    let runtime = runtime.worker_threads(2).thread_name(THREAD_NAME).enable_all().build();
     let runtime = runtime.map_err(ViewError::Threads)?;
     let (stop, stopped) = oneshot::channel();
-    let thread = std::thread::Builder::new().name(THREADS.into()).spawn(move || {
+    let thread = std::thread::Builder::new().name(THREAD_NAME.into()).spawn(move || {
         runtime.block_on(async {
             let Ok(listener) = tokio::net::TcpListener::from_std(listener) else { return };
             tokio::select! {
@@ -160,7 +169,7 @@ pub fn start(stage: Stage, options: &Options) -> Result<Server, ViewError> {
 
 /// The first free port from `first` on.
 fn listen(host: IpAddr, first: u16) -> Result<TcpListener, ViewError> {
-    let last = first.saturating_add(MORE_PORTS);
+    let last = first.saturating_add(EXTRA_PORTS);
     let mut source = std::io::Error::other("no port was tried");
     for port in first..=last {
         match TcpListener::bind((host, port)).and_then(|l| l.set_nonblocking(true).map(|()| l)) {
@@ -171,10 +180,10 @@ fn listen(host: IpAddr, first: u16) -> Result<TcpListener, ViewError> {
     Err(ViewError::Port { host, first, last, source })
 }
 
-/// Parts of the page: path, kind and content.
-const PARTS: [(&str, &str, &str); 5] = [
-    ("/look.js", "text/javascript", include_str!("page/look.js")),
-    ("/tell.js", "text/javascript", include_str!("page/tell.js")),
+/// Files of the page: path, content type and content.
+const FILES: [(&str, &str, &str); 5] = [
+    ("/camera.js", "text/javascript", include_str!("page/camera.js")),
+    ("/status.js", "text/javascript", include_str!("page/status.js")),
     ("/ask.js", "text/javascript", include_str!("page/ask.js")),
     ("/app.js", "text/javascript", include_str!("page/app.js")),
     ("/app.css", "text/css", include_str!("page/app.css")),
@@ -182,7 +191,7 @@ const PARTS: [(&str, &str, &str); 5] = [
 
 fn routes(shared: Arc<Shared>) -> Router {
     let mut router = Router::new().route("/", get(page)).route("/ws", get(connect));
-    for (path, kind, content) in PARTS {
+    for (path, kind, content) in FILES {
         router = router.route(path, get(move |s: State<Arc<Shared>>, h: HeaderMap| file(s, h, kind, content)));
     }
     router.with_state(shared)
@@ -201,7 +210,7 @@ fn refuse(why: &'static str) -> Response {
     (StatusCode::FORBIDDEN, why).into_response()
 }
 
-/// A part of the page, with headers that let it do no more than it must.
+/// A file of the page, with restrictive headers.
 async fn file(
     State(shared): State<Arc<Shared>>,
     headers: HeaderMap,
@@ -245,7 +254,7 @@ async fn connect(
     if !guard.knows(token_of(&uri)) {
         return refuse("wrong key");
     }
-    if shared.clients.fetch_add(1, Ordering::SeqCst) >= MOST_CLIENTS {
+    if shared.clients.fetch_add(1, Ordering::SeqCst) >= MAX_CLIENTS {
         shared.clients.fetch_sub(1, Ordering::SeqCst);
         return (StatusCode::SERVICE_UNAVAILABLE, "too many viewers").into_response();
     }
@@ -256,38 +265,38 @@ async fn connect(
             left.clients.fetch_sub(1, Ordering::SeqCst);
         })
         .on_upgrade(async move |socket| {
-            talk(socket, &shared).await;
+            serve_client(socket, &shared).await;
             shared.clients.fetch_sub(1, Ordering::SeqCst);
         })
 }
 
-/// One browser: questions come in, of which only the newest waits; answers and news go out.
-async fn talk(mut socket: WebSocket, shared: &Arc<Shared>) {
+/// Serves one browser: receives questions, of which only the newest is kept, and sends answers and news.
+async fn serve_client(mut socket: WebSocket, shared: &Arc<Shared>) {
     let (wanted, newest) = watch::channel::<Option<Question>>(None);
     let (done, mut answers) = mpsc::channel::<Message>(1);
     let mut news = shared.news.subscribe();
-    let worker = tokio::spawn(draw(shared.clone(), newest, done));
+    let worker = tokio::spawn(answer_newest(shared.clone(), newest, done));
     let mut greeting = shared.stage.about();
     greeting["version"] = json!(env!("CARGO_PKG_VERSION"));
-    if send(&mut socket, say(&greeting)).await {
+    if send(&mut socket, text_message(&greeting)).await {
         loop {
             let alive = tokio::select! {
-                message = tokio::time::timeout(IDLE, socket.recv()) => match message {
+                message = tokio::time::timeout(IDLE_TIMEOUT, socket.recv()) => match message {
                     Ok(Some(Ok(Message::Text(text)))) if nesting(&text) > MOST_NESTING => false,
                     Ok(Some(Ok(Message::Text(text)))) => match Question::parse(&text) {
                         Ok(question) => {
                             wanted.send_replace(Some(question));
                             true
                         }
-                        Err(why) => send(&mut socket, say(&json!({"error": why}))).await,
+                        Err(why) => send(&mut socket, text_message(&json!({"error": why}))).await,
                     },
                     Ok(Some(Ok(Message::Ping(_) | Message::Pong(_)))) => true,
                     _ => false,
                 },
                 Some(answer) = answers.recv() => send(&mut socket, answer).await,
                 Ok(()) = news.changed() => {
-                    let told = news.borrow_and_update().clone();
-                    send(&mut socket, Message::Text(told.unwrap_or_default().into())).await
+                    let text = news.borrow_and_update().clone();
+                    send(&mut socket, Message::Text(text.unwrap_or_default().into())).await
                 }
             };
             if !alive {
@@ -297,45 +306,49 @@ async fn talk(mut socket: WebSocket, shared: &Arc<Shared>) {
     }
     worker.abort();
     let bye = CloseFrame { code: 1000, reason: "".into() };
-    let _ = tokio::time::timeout(SLOW, socket.send(Message::Close(Some(bye)))).await;
+    let _ = tokio::time::timeout(SEND_TIMEOUT, socket.send(Message::Close(Some(bye)))).await;
 }
 
-/// Answers the newest question, again and again, at the pace there is.
-async fn draw(shared: Arc<Shared>, mut newest: watch::Receiver<Option<Question>>, done: mpsc::Sender<Message>) {
+/// Answers the newest question in a loop, within the share of the machine.
+async fn answer_newest(
+    shared: Arc<Shared>,
+    mut newest: watch::Receiver<Option<Question>>,
+    done: mpsc::Sender<Message>,
+) {
     while newest.changed().await.is_ok() {
         if let Some(pace) = &shared.pace {
             tokio::time::sleep_until(pace.ready().into()).await;
         }
         let Some(question) = newest.borrow_and_update().clone() else { continue };
-        let drawing = shared.clone();
-        let answer = tokio::task::spawn_blocking(move || answer(&drawing, &question)).await;
-        let answer = answer.unwrap_or_else(|_| say(&json!({"error": "the picture could not be made"})));
+        let state = shared.clone();
+        let answer = tokio::task::spawn_blocking(move || answer(&state, &question)).await;
+        let answer = answer.unwrap_or_else(|_| text_message(&json!({"error": "the image could not be rendered"})));
         if done.send(answer).await.is_err() {
             break;
         }
     }
 }
 
-/// Whether a message went out in time.
+/// Sends a message; false if it timed out or failed.
 async fn send(socket: &mut WebSocket, message: Message) -> bool {
     let bytes = match &message {
         Message::Binary(bytes) => bytes.len(),
         _ => 0,
     };
-    let time = SLOW + Duration::from_secs_f64(bytes as f64 / LEAST_RATE);
+    let time = SEND_TIMEOUT + Duration::from_secs_f64(bytes as f64 / MIN_RATE);
     matches!(tokio::time::timeout(time, socket.send(message)).await, Ok(Ok(())))
 }
 
-fn say(value: &Value) -> Message {
+fn text_message(value: &Value) -> Message {
     Message::Text(value.to_string().into())
 }
 
-/// The length of the header in four bytes, little end first, the header as JSON, the picture.
+/// The answer as one binary message: length of the header (u32, little-endian), header (JSON), image or file.
 fn answer(shared: &Shared, question: &Question) -> Message {
     let mut renderer = shared.renderer.lock().unwrap_or_else(PoisonError::into_inner);
     let renderer: &mut Renderer = &mut renderer;
     let begun = Instant::now();
-    let answer = shared.alone(|| renderer.answer(&shared.stage, question, shared.packing));
+    let answer = shared.in_pool(|| renderer.answer(&shared.stage, question, shared.packing));
     if let Some(pace) = &shared.pace {
         pace.spent(begun.elapsed());
     }
@@ -348,6 +361,6 @@ fn answer(shared: &Shared, question: &Question) -> Message {
             bytes.extend(answer.bytes);
             Message::Binary(bytes.into())
         }
-        Err(why) => say(&json!({"id": question.id, "error": why})),
+        Err(why) => text_message(&json!({"id": question.id, "error": why})),
     }
 }

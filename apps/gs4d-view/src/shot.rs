@@ -1,4 +1,4 @@
-//! A scene from a camera at a moment: everything a picture of it is made from.
+//! A scene with camera, time, pose and hidden splats: everything needed to render one image.
 
 use crate::question::{Choice, Question, Target};
 use crate::scene::Scene;
@@ -9,48 +9,48 @@ use gs_train::timestamp::Timestamp;
 use std::borrow::Cow;
 use std::sync::Arc;
 
-/// Splats fainter than this are in no picture.
-pub const FAINTEST: f32 = 1.0 / 255.0;
-/// Answers to choices that are remembered.
-const KEPT: usize = 16;
+/// Splats with a lower opacity are not rendered: 1/255.
+pub(crate) const MIN_OPACITY: f32 = 1.0 / 255.0;
+/// Cached selections.
+const CACHE_SIZE: usize = 16;
 
-/// A target from a camera at a moment.
-pub struct Shot<'a> {
-    /// What is shown.
-    pub show: &'a Show,
-    /// Its state.
-    pub scene: Arc<Scene>,
-    /// From where.
-    pub camera: Camera,
-    /// Normalised.
-    pub time: f32,
-    /// Another pose than that of the moment.
-    pub pose: Option<Pose>,
-    /// Which of the tracked splats are left out, as far as any are.
+/// A target with its camera and time.
+pub(crate) struct Shot<'a> {
+    /// The show it belongs to.
+    pub(crate) show: &'a Show,
+    /// The state of the show.
+    pub(crate) scene: Arc<Scene>,
+    /// The camera.
+    pub(crate) camera: Camera,
+    /// Normalised time.
+    pub(crate) time: f32,
+    /// Pose of an avatar; `None`: the pose at `time`.
+    pub(crate) pose: Option<Pose>,
+    /// For each splat of [`Scene::all_splats`], whether it is hidden; `None` if none is.
     hidden: Option<Vec<bool>>,
 }
 
 impl<'a> Shot<'a> {
-    /// What a question asks of a target.
+    /// A target under the camera, time, pose and hidden boxes of a question.
     ///
     /// # Errors
-    /// In words: no such show, checkpoint, view or joint.
-    pub fn of(
+    /// A message, if there is no such show, checkpoint, view or joint.
+    pub(crate) fn of(
         stage: &'a Stage,
         q: &Question,
         target: &Target,
         camera: &Camera,
-        chosen: &mut Chosen,
+        selections: &mut SelectionCache,
     ) -> Result<Self, String> {
         let show = stage.show(target.show)?;
         let scene = show.scene(target.checkpoint)?;
-        let pose = match (&q.pose, scene.figure()) {
-            (Some(posing), Some(figure)) => Some(posing.of(figure, q.time)?),
+        let pose = match (&q.pose, scene.avatar()) {
+            (Some(posing), Some(avatar)) => Some(posing.of(avatar, q.time)?),
             _ => None,
         };
         let mut hidden: Option<Vec<bool>> = None;
         for choice in q.hidden.iter().filter(|c| c.show == target.show) {
-            let members = chosen.members(stage, &scene, choice)?;
+            let members = selections.members(stage, &scene, choice)?;
             match &mut hidden {
                 None => hidden = Some(members.to_vec()),
                 Some(all) => all.iter_mut().zip(members.iter()).for_each(|(h, m)| *h |= m),
@@ -59,31 +59,31 @@ impl<'a> Shot<'a> {
         Ok(Self { show, scene, camera: camera.clone(), time: q.time, pose, hidden })
     }
 
-    /// The same from another camera.
-    pub fn from(&self, camera: Camera) -> Shot<'_> {
+    /// The same with another camera.
+    pub(crate) fn with_camera(&self, camera: Camera) -> Shot<'_> {
         let (scene, pose, hidden) = (self.scene.clone(), self.pose.clone(), self.hidden.clone());
         Shot { show: self.show, scene, camera, time: self.time, pose, hidden }
     }
 
-    /// The splats that are drawn.
+    /// The splats to render.
     ///
     /// # Errors
-    /// In words, if a pose cannot be taken.
-    pub fn splats(&self) -> Result<Cow<'_, Splats>, String> {
+    /// A message, if they cannot be computed.
+    pub(crate) fn splats(&self) -> Result<Cow<'_, Splats>, String> {
         if self.pose.is_some() || self.hidden.is_some() {
             return self.all_splats();
         }
         self.scene.at(self.time, &self.camera)
     }
 
-    /// All splats in the same order at every time, those left out with opacity 0.
+    /// All splats, in the same order at every time; hidden ones have opacity 0.
     ///
     /// # Errors
     /// As [`Self::splats`].
-    pub fn all_splats(&self) -> Result<Cow<'_, Splats>, String> {
-        let mut splats = match (&self.pose, self.scene.figure()) {
-            (Some(pose), Some(figure)) => {
-                let posed = figure.posed(&Timestamp::normalised(self.time), pose);
+    pub(crate) fn all_splats(&self) -> Result<Cow<'_, Splats>, String> {
+        let mut splats = match (&self.pose, self.scene.avatar()) {
+            (Some(pose), Some(avatar)) => {
+                let posed = avatar.posed(&Timestamp::normalised(self.time), pose);
                 Cow::Owned(posed.map_err(|e| e.to_string())?)
             }
             _ => self.scene.all_splats(self.time, &self.camera)?,
@@ -96,37 +96,37 @@ impl<'a> Shot<'a> {
     }
 }
 
-/// Which splats choices mean, remembered for the states of scenes they were asked of.
+/// Cache of the splats in selected boxes, by scene.
 #[derive(Default)]
-pub struct Chosen {
-    /// The newest at the end.
-    known: Vec<(u64, Choice, Arc<Vec<bool>>)>,
+pub(crate) struct SelectionCache {
+    /// Scene id, box, members; the newest at the end.
+    entries: Vec<(u64, Choice, Arc<Vec<bool>>)>,
 }
 
-impl Chosen {
-    /// Whether each tracked splat is among those whose centres were seen in a box.
+impl SelectionCache {
+    /// For each splat of [`Scene::all_splats`], whether its centre lies in the box.
     ///
     /// # Errors
-    /// In words, if the choice's camera is none.
-    pub fn members(&mut self, stage: &Stage, scene: &Scene, choice: &Choice) -> Result<Arc<Vec<bool>>, String> {
-        if let Some(known) = self.known.iter().find(|k| k.0 == scene.id && k.1 == *choice) {
-            return Ok(known.2.clone());
+    /// A message, if the camera of the box is invalid.
+    pub(crate) fn members(&mut self, stage: &Stage, scene: &Scene, choice: &Choice) -> Result<Arc<Vec<bool>>, String> {
+        if let Some(entry) = self.entries.iter().find(|k| k.0 == scene.id && k.1 == *choice) {
+            return Ok(entry.2.clone());
         }
         let camera = choice.look.camera(stage, choice.width, choice.height)?;
         let splats = scene.all_splats(choice.time, &camera)?;
         let members = Arc::new((0..splats.len()).map(|i| is_in(&splats, i, &camera, choice.at)).collect::<Vec<_>>());
-        if self.known.len() == KEPT {
-            self.known.remove(0);
+        if self.entries.len() == CACHE_SIZE {
+            self.entries.remove(0);
         }
-        self.known.push((scene.id, choice.clone(), members.clone()));
+        self.entries.push((scene.id, choice.clone(), members.clone()));
         Ok(members)
     }
 }
 
-/// Whether a splat can be seen and its centre lies in a box, however far away and behind whatever.
+/// Whether a splat is not transparent and its centre projects into a box, at any depth.
 fn is_in(splats: &Splats, i: usize, camera: &Camera, [left, top, right, bottom]: [f32; 4]) -> bool {
     let at = camera.to_camera(splats.means[i].as_dvec3());
-    if splats.opacities[i] < FAINTEST || at.z <= 0.0 {
+    if splats.opacities[i] < MIN_OPACITY || at.z <= 0.0 {
         return false;
     }
     let pixel = camera.to_pixel(at);

@@ -1,4 +1,4 @@
-//! What a verb found, as text for people and as JSON for programs.
+//! The result of a verb, as text and as JSON.
 
 use crate::failure::Failure;
 use serde_json::Value;
@@ -7,19 +7,19 @@ use std::path::Path;
 
 /// The result of a verb.
 pub struct Answer {
-    /// For people; ends with a line break.
+    /// Text, ending with a line break unless empty.
     pub text: String,
-    /// For programs: one value.
+    /// The same as one JSON value, for `--json`.
     pub json: Value,
 }
 
 impl Answer {
-    /// An answer in both forms.
+    /// A result in both forms.
     pub fn new(text: impl Into<String>, json: Value) -> Self {
         Self { text: text.into(), json }
     }
 
-    /// Writes it to stdout. A reader that has gone (`| head`) is no failure.
+    /// Writes text or JSON to stdout. A closed pipe (`| head`) is no failure.
     pub fn print(&self, json: bool) -> Result<(), Failure> {
         let mut out = io::stdout().lock();
         let written = if json {
@@ -34,4 +34,9 @@ impl Answer {
             _ => Ok(()),
         }
     }
+}
+
+/// A number with fixed digits, or `-`.
+pub fn number(value: Option<f64>, digits: usize) -> String {
+    value.map_or("-".to_owned(), |v| format!("{v:.digits$}"))
 }

@@ -1,4 +1,4 @@
-//! What a user sees when something goes wrong: what, where, why it matters, what to do; and the exit code.
+//! Errors of the command line: what happened, where, why it matters, what to do; and the exit code.
 
 use gs_core::io::IoError;
 use gs_data::DataError;
@@ -14,12 +14,12 @@ use gs4d_run::config::ConfigError;
 use std::fmt;
 use std::path::Path;
 
-/// The kind of a failure; its number is the exit code.
+/// Class of a failure; its number is the exit code.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Class {
-    /// A fault of this program.
+    /// Bug in this program.
     Internal = 1,
-    /// Wrong use of the command line (the argument parser exits with this number, too).
+    /// Wrong use of the command line; also the exit code of the argument parser.
     Usage = 2,
     /// Invalid data.
     Data = 3,
@@ -29,7 +29,7 @@ pub enum Class {
     Resource = 5,
     /// Input or output.
     Io = 6,
-    /// What was made does not keep what was asked for.
+    /// A result does not meet a requested bound.
     Verification = 7,
     /// Interrupted by the user, state saved.
     Interrupted = 130,
@@ -50,10 +50,10 @@ impl Class {
     }
 }
 
-/// A failure as it is told to the user.
+/// A failure as printed on stderr.
 #[derive(Debug)]
 pub struct Failure {
-    /// Kind and exit code.
+    /// Class and exit code.
     pub class: Class,
     /// Stable name of the error, such as `data.time`.
     id: &'static str,
@@ -83,7 +83,7 @@ impl Failure {
         Self::new(Class::Usage, "usage", what)
     }
 
-    /// A path the system refused.
+    /// A failed system call on a path; `action` completes "cannot …".
     pub fn io(action: &str, path: &Path, source: &std::io::Error) -> Self {
         Self::new(Class::Io, "io", format!("cannot {action}: {source}"))
             .place(path.display())

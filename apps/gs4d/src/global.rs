@@ -1,4 +1,4 @@
-//! The flags that every verb takes.
+//! Flags of every verb.
 
 use clap::Args;
 

@@ -1,4 +1,4 @@
-//! Ctrl-C: once asks the run to stop after its step and save; twice stops at once (the older checkpoint stays good).
+//! Ctrl-C: the first stops the run after its step and saves it, the second ends the process (the last checkpoint stays valid).
 
 use crate::failure::{Class, Failure};
 use std::sync::Arc;

@@ -1,13 +1,16 @@
-//! The command line of gs4d: parses arguments, calls the libraries, presents what they return. No mathematics here.
+//! The command line of gs4d: parses arguments, calls the libraries and prints their results. No mathematics here.
 //!
 //! Results go to stdout (text, or one JSON value with `--json`), progress and messages to stderr. Exit codes: 0 done ·
 //! 1 internal fault · 2 wrong usage · 3 invalid data · 4 numerical failure · 5 resource limit · 6 input or output ·
 //! 7 verification failed · 130 interrupted, state saved.
 
+#![warn(clippy::allow_attributes_without_reason)]
+
 mod answer;
 mod failure;
 mod global;
 mod interrupt;
+mod output;
 mod parse;
 mod progress;
 mod verbs;
@@ -19,7 +22,7 @@ use clap::{Parser, Subcommand};
 use failure::{Class, Failure};
 use std::process::ExitCode;
 
-/// Learn moving Gaussian splat scenes from images; draw them from any camera at any time. On the CPU.
+/// Train moving Gaussian splat scenes from images; render them from any camera at any time. On the CPU.
 #[derive(Parser)]
 #[command(name = "gs4d", version, max_term_width = 110, after_help = EXIT_CODES)]
 struct Cli {
@@ -98,8 +101,8 @@ fn main() -> ExitCode {
     let default_hook = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |info| {
         default_hook(info);
-        // What is only looked at ends neither training nor the other pictures.
-        if std::thread::current().name() == Some(gs4d_view::live::THREADS) {
+        // A panic in the viewer ends neither training nor the viewer.
+        if std::thread::current().name() == Some(gs4d_view::THREAD_NAME) {
             return;
         }
         eprintln!("error[internal]: this is a fault of gs4d; please report it with the lines above");

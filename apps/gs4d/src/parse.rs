@@ -1,4 +1,4 @@
-//! Values of flags.
+//! Parsers of flag values.
 
 use std::time::Duration;
 
@@ -31,22 +31,22 @@ pub fn share(text: &str) -> Result<f64, String> {
     }
 }
 
-/// Normalised times in order, at least one.
+/// Normalised times, at least one, in the order given.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Times(pub Vec<f32>);
 
-/// Most times at once.
-const MOST_TIMES: usize = 10_000;
+/// Most times in one list.
+const MAX_TIMES: usize = 10_000;
 
 /// `A..B:N` for N times from A to B, or one time.
 pub fn times(text: &str) -> Result<Times, String> {
-    let wrong = |_| format!("give A..B:N with N from 1 to {MOST_TIMES}, for example 0..1:9, or one time");
+    let wrong = |_| format!("give A..B:N with N from 1 to {MAX_TIMES}, for example 0..1:9, or one time");
     let Some((from, rest)) = text.split_once("..") else { return Ok(Times(vec![finite(text).map_err(wrong)?])) };
     let (to, n) = rest.split_once(':').ok_or_else(|| wrong(String::new()))?;
     let (a, b) = (finite(from).map_err(wrong)?, finite(to).map_err(wrong)?);
     match n.trim().parse::<usize>() {
         Ok(1) => Ok(Times(vec![a])),
-        Ok(n) if (2..=MOST_TIMES).contains(&n) => {
+        Ok(n) if (2..=MAX_TIMES).contains(&n) => {
             Ok(Times((0..n).map(|k| a + (b - a) * k as f32 / (n - 1) as f32).collect()))
         }
         _ => Err(wrong(String::new())),

@@ -1,16 +1,16 @@
-//! Progress on stderr: one line that redraws itself on a terminal, plain lines now and then elsewhere, nothing if quiet.
+//! Progress on stderr: an updating line on a terminal, a plain line every ten seconds elsewhere, nothing with `--quiet`.
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::IsTerminal;
 use std::time::{Duration, Instant};
 
-/// Between two plain lines.
+/// Time between two plain lines.
 const PLAIN_EVERY: Duration = Duration::from_secs(10);
 
 /// A line of progress towards `total`.
 pub struct Progress {
     bar: ProgressBar,
-    /// Set where stderr is no terminal: when the last line was printed.
+    /// If stderr is no terminal: when the last line was printed.
     plain: Option<Option<Instant>>,
     total: u64,
 }
@@ -30,7 +30,7 @@ impl Progress {
         Self { bar, plain: (!terminal && !quiet).then_some(None), total }
     }
 
-    /// Shows how far it is, with figures worth seeing.
+    /// Updates position and message.
     pub fn at(&mut self, position: u64, message: impl FnOnce() -> String) {
         self.bar.set_position(position);
         let due = |last: Option<Instant>| last.is_none_or(|t| t.elapsed() >= PLAIN_EVERY) || position >= self.total;
@@ -43,6 +43,12 @@ impl Progress {
             None if !self.bar.is_hidden() => self.bar.set_message(message()),
             None => {}
         }
+    }
+
+    /// Shows a training step on `line`, which is created at the first step.
+    pub fn step(line: &mut Option<Self>, p: gs4d_run::Progress, quiet: bool) {
+        let line = line.get_or_insert_with(|| Self::new(u64::from(p.steps), "steps", quiet));
+        line.at(u64::from(p.step), || format!("{:.2} dB  {} splats", p.psnr, p.splats));
     }
 
     /// Removes the line.

@@ -177,7 +177,7 @@ impl AvatarScene {
     ///
     /// # Errors
     /// Those of [`Self::input_pixels`].
-    pub fn photographs(inputs: &[View], cache: &ImageCache) -> Result<Vec<(Camera, Image)>, DataError> {
+    pub fn input_images(inputs: &[View], cache: &ImageCache) -> Result<Vec<(Camera, Image)>, DataError> {
         let decoded = |view| {
             let ImageU8 { width, height, data } = &*Self::input_pixels(view, cache)?;
             let data = data.iter().map(|&v| f32::from(v) / 255.0).collect();

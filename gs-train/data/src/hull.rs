@@ -6,7 +6,7 @@
 //! runs. Points are sampled uniformly in the kept cells and take the mean colour that the views of the best run show
 //! there.
 //!
-//! Where the silhouettes are masks at a single timestamp ([`Dataset::at_first_moment`]) all views must agree, and the box of the kept
+//! Where the silhouettes are masks at a single timestamp ([`Dataset::at_first_time`]) all views must agree, and the box of the kept
 //! cells is carved a second time, so that small objects keep their shape.
 
 use std::sync::Arc;

@@ -47,7 +47,7 @@ impl Dataset {
     }
 
     /// The training views with the first timestamp, as a static data set without held-out views. Points and box stay.
-    pub fn at_first_moment(&self) -> Self {
+    pub fn at_first_time(&self) -> Self {
         let first = self.train.iter().map(|v| v.time.normalised).fold(f32::INFINITY, f32::min);
         let train = self.train.iter().filter(|v| v.time.normalised == first).cloned().collect();
         let (points, bounds) = (self.points.clone(), Some(self.scene_bounds()));

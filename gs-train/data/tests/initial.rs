@@ -98,7 +98,7 @@ fn masks_carve_where_there_is_no_alpha() {
 fn small_things_have_points_where_they_are_at_the_first_moment() {
     let options = SynthOptions { cameras: 12, moments: 4, ..options() };
     let made = generate("falling", &options).unwrap();
-    let first = masked(made.dataset).at_first_moment();
+    let first = masked(made.dataset).at_first_time();
     assert!(!first.dynamic && first.train.len() == 12);
     let cloud = first.initial_points(2000, 2).unwrap();
     let ball = made.truth.position_of(0, DVec3::ZERO, 0.0).unwrap().as_vec3();

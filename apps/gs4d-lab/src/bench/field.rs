@@ -9,11 +9,11 @@ use gs_deform::encode::{HexPlane, HexPlaneConfig, HexTape};
 use gs_deform::reference::HexPlaneRef;
 
 const POINTS: usize = 20_000;
-/// Points that the error is taken on.
-const CHECKED: usize = 500;
+/// The error is measured on this many points.
+const ERROR_POINTS: usize = 500;
 const RUNS: usize = 7;
 
-pub fn rows() -> Vec<BenchRow> {
+pub(super) fn rows() -> Vec<BenchRow> {
     let config = HexPlaneConfig { resolution: [64, 64, 64, 75], levels: vec![1, 2], ..HexPlaneConfig::default() };
     // The configuration is constant and valid; without an encoder there is nothing to measure.
     let Ok(mut hex) = HexPlane::new("hex", &config, Aabb::cube(1.0), 1) else { return Vec::new() };
@@ -49,7 +49,7 @@ fn errors(hex: &HexPlane, points: &[Vec3], t: Time, tape: &HexTape, d: &[f32], d
     let mut scratch: Vec<Vec<f64>> = twin.planes.iter().map(|p| vec![0.0; p.len()]).collect();
     let d: Vec<f64> = d.iter().map(|&v| f64::from(v)).collect();
     let (mut features, mut gradients) = (Vec::new(), Vec::new());
-    for p in &points[..CHECKED] {
+    for p in &points[..ERROR_POINTS] {
         let p = p.to_array().map(f64::from);
         features.extend(twin.features(p, t));
         gradients.extend(twin.backward(p, t, &d, &mut scratch));

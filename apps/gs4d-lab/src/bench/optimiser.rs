@@ -10,7 +10,7 @@ const STEPS: usize = 50;
 const RATE: f32 = 1e-3;
 const UPDATE: Update = Update { rate: RATE, eps: 1e-15, sparse: false, weight_decay: 0.0 };
 
-pub fn rows() -> Vec<BenchRow> {
+pub(super) fn rows() -> Vec<BenchRow> {
     let error = constant_gradient_error();
     let mut p = Param::rows("p", 4, vec![0.0; VALUES]);
     let (mut adam, mut refused) = (Adam::default(), Refused::default());

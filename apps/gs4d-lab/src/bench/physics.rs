@@ -1,4 +1,4 @@
-//! Roll-outs of known motions, with the distance from where their particles end.
+//! Roll-outs of motions with a closed form; the error is the distance of the end point from the true one.
 
 use super::Case;
 use glam::Vec3;
@@ -12,7 +12,7 @@ const RUNS: usize = 7;
 const RULES: [(Integrator, &str); 3] =
     [(Integrator::Rk2, "rk2"), (Integrator::Se3Mid, "se3_mid"), (Integrator::Se3Magnus4, "se3_magnus4")];
 
-pub fn rows() -> Vec<BenchRow> {
+pub(super) fn rows() -> Vec<BenchRow> {
     let scenes = [("circle", truth::circle()), ("rolling wheel", truth::wheel()), ("tumble", truth::tumble())];
     let all = scenes.iter().flat_map(|scene| RULES.iter().map(move |rule| row(scene, *rule)));
     all.collect()

@@ -1,20 +1,20 @@
-//! Drawing and its gradient, on the scenes that published CPU peers were timed on, at every instruction set; then what
-//! each shortcut of drawing costs and saves.
+//! Forward and backward rendering at every instruction set, on the scenes published CPU rasterisers were timed on; then the
+//! time saved and the error made by each approximation of the rasteriser.
 
 use gs_core::speed::BenchRow;
 use gs_raster::measure::{camera, rows as measured, scene};
 use gs_raster::{RasterOptions, SimdLevel};
 use gs4d_run::speed::speed_against_error;
 
-/// Splats and side of the image.
+/// Number of splats and side of the square image, pixels.
 const SIZES: [(usize, u32); 3] = [(1_000, 128), (10_000, 256), (100_000, 512)];
 /// SH degree of the scenes.
 const DEGREE: u8 = 3;
 const RUNS: usize = 5;
-/// Pixels times splats that the f64 reference looks at for an error.
+/// Bound on pixels × splats of the f64 reference image.
 const REFERENCE_WORK: usize = 10_000_000;
 
-pub fn rows() -> Vec<BenchRow> {
+pub(super) fn rows() -> Vec<BenchRow> {
     let mut out = Vec::new();
     for (n, side) in SIZES {
         let (splats, whole) = (scene(n, DEGREE), camera(side));

@@ -1,5 +1,5 @@
-//! What each stage of a new frame of a filmed person takes (DUT's protocol): pictures in memory, everything else computed
-//! anew, frames before the first that counts thrown away.
+//! Time of each stage of a new avatar frame, with DUT's protocol: input images are in memory, everything else is computed per
+//! frame, and warm-up frames are discarded.
 
 use gs_core::{Camera, Image};
 use gs_data::avatar::AvatarFrame;
@@ -10,65 +10,65 @@ use gs_texel::texels::{TexelOptions, TexelTable};
 use serde::Serialize;
 use std::time::Instant;
 
-/// Names of the stages, in their order.
+/// Names of the stages, in order of execution.
 pub const STAGES: [&str; 6] = ["pose", "first texture", "GeoNet", "second texture", "GauNet", "render"];
-/// Frames whose pictures are kept in memory.
-const MOST_FRAMES: usize = 16;
+/// Most distinct frames whose input images are kept in memory.
+const MAX_FRAMES: usize = 16;
 
-/// How stages are measured.
+/// How many frames are timed, and at what size they are rendered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StageOptions {
-    /// Frames thrown away before each repeat.
+    /// Untimed frames before each repeat.
     pub warm_up: usize,
-    /// Frames that count, at least one.
+    /// Timed frames per repeat; 0 counts as 1.
     pub frames: usize,
-    /// How often.
+    /// Repeats; 0 counts as 1.
     pub repeats: usize,
-    /// Side of the square frame drawn, pixels.
+    /// Side of the rendered square frame, pixels.
     pub size: u32,
 }
 
 impl Default for StageOptions {
-    /// As DUT was measured: 10 and 100 frames, three times.
+    /// DUT's protocol: 10 warm-up and 100 timed frames, three repeats, 512 pixels.
     fn default() -> Self {
         Self { warm_up: 10, frames: 100, repeats: 3, size: 512 }
     }
 }
 
-/// Milliseconds over frames.
+/// Statistics of a time over the timed frames, milliseconds.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Spread {
-    /// Mean.
+    /// Mean over frames.
     pub mean: f64,
-    /// Standard deviation.
+    /// Standard deviation over frames (`n − 1`).
     pub deviation: f64,
-    /// Least.
+    /// Minimum over frames.
     pub least: f64,
 }
 
-/// A stage.
+/// Times of one stage.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Stage {
-    /// Its name.
+    /// One of [`STAGES`].
     pub name: &'static str,
-    /// What it takes.
+    /// Time of this stage.
     pub ms: Spread,
-    /// What it and all before it take.
+    /// Time of this stage and all before it.
     pub accumulated: Spread,
 }
 
-/// What a new frame takes.
+/// Times of all stages of a new frame.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct StageTimes {
-    /// Threads in the pool.
+    /// Threads of the rayon pool.
     pub threads: usize,
-    /// Frames that counted.
+    /// Timed frames over all repeats.
     pub frames: usize,
-    /// Texels per side: unprojected, of GeoNet, of GauNet.
+    /// Texels per side of the unprojected texture, of GeoNet and of GauNet.
     pub textures: [usize; 3],
-    /// Milliseconds of what is made once per person.
+    /// Name and milliseconds of what is computed once per avatar, not per frame.
     pub once: Vec<(&'static str, f64)>,
-    /// In order.
+    /// One entry per stage, in the order of [`STAGES`].
     pub stages: Vec<Stage>,
 }
 
@@ -78,7 +78,7 @@ impl StageTimes {
         self.stages.last().map_or(0.0, |s| s.accumulated.mean)
     }
 
-    /// For people: stage, its own and accumulated time, then what is made once.
+    /// A text table: own and accumulated time of each stage, then the one-time costs.
     pub fn text(&self) -> String {
         let [fine, geo, gau] = self.textures;
         let mut text = format!(
@@ -95,19 +95,19 @@ impl StageTimes {
     }
 }
 
-/// Measures a method on the frames of its film, in the rayon pool in scope.
+/// Times `dut` on the frames of its dataset, in the current rayon pool.
 ///
 /// # Errors
-/// If a picture cannot be read or a frame cannot be made.
+/// If an input image cannot be read or a frame cannot be computed.
 pub fn stage_times(dut: &Dut, options: &StageOptions) -> Result<StageTimes, FrameError> {
     let actor = dut.actor();
-    let frames: Vec<&AvatarFrame> = actor.scene.frames.iter().take(MOST_FRAMES).collect();
-    let photographs = frames.iter().map(|f| actor.images(f)).collect::<Result<Vec<_>, _>>()?;
+    let frames: Vec<&AvatarFrame> = actor.scene.frames.iter().take(MAX_FRAMES).collect();
+    let images = frames.iter().map(|f| actor.images(f)).collect::<Result<Vec<_>, _>>()?;
     let mut bench = Bench { dut, workspace: Workspace::new(), rows: Vec::new(), size: options.size };
     let mut times: Vec<[f64; STAGES.len()]> = Vec::new();
     for _ in 0..options.repeats.max(1) {
         for k in 0..options.warm_up + options.frames.max(1) {
-            let ms = bench.frame(frames[k % frames.len()], &photographs[k % frames.len()])?;
+            let ms = bench.frame(frames[k % frames.len()], &images[k % frames.len()])?;
             if k >= options.warm_up {
                 times.push(ms);
             }
@@ -136,14 +136,14 @@ fn spread(values: &[f64]) -> Spread {
     Spread { mean, deviation: (squares / (n - 1.0).max(1.0)).sqrt(), least }
 }
 
-/// What is made once per person.
+/// Name and milliseconds of what is computed once per avatar.
 fn once(dut: &Dut) -> Vec<(&'static str, f64)> {
     let actor = dut.actor();
     let t = &actor.scene.character.template;
     let ms = |begun: Instant| begun.elapsed().as_secs_f64() * 1e3;
     let begun = Instant::now();
     for table in [&actor.fine, &actor.geo, &actor.gau] {
-        // It was made of the same before.
+        // The same arguments succeeded when the method was built.
         let _ = TexelTable::build(&t.faces, &t.uvs, &t.face_uvs, table.size, &TexelOptions::default());
     }
     let tables = ms(begun);
@@ -160,26 +160,22 @@ struct Bench<'a> {
 }
 
 impl Bench<'_> {
-    /// Milliseconds of the stages of a frame.
-    fn frame(
-        &mut self,
-        frame: &AvatarFrame,
-        photographs: &[(Camera, Image)],
-    ) -> Result<[f64; STAGES.len()], FrameError> {
+    /// Milliseconds of each stage of one frame.
+    fn frame(&mut self, frame: &AvatarFrame, images: &[(Camera, Image)]) -> Result<[f64; STAGES.len()], FrameError> {
         let (dut, actor) = (self.dut, self.dut.actor());
         let mut marks = vec![Instant::now()];
         let posed = actor.pose(frame);
         marks.push(Instant::now());
-        let first = actor.first_of(posed, photographs)?;
+        let first = actor.first_of(posed, images)?;
         marks.push(Instant::now());
         let offsets = dut.offsets(&first)?;
         marks.push(Instant::now());
-        let second = actor.second_of(&first, offsets, photographs)?;
+        let second = actor.second_of(&first, offsets, images)?;
         marks.push(Instant::now());
         dut.rows(&second, &mut self.rows)?;
         let splats = dut.decode(&self.rows, &second)?;
         marks.push(Instant::now());
-        if let Some((camera, _)) = photographs.first() {
+        if let Some((camera, _)) = images.first() {
             let camera = camera.scaled(f64::from(self.size) / f64::from(camera.width));
             render(&splats, &camera, &dut.raster_options(), &mut self.workspace);
         }

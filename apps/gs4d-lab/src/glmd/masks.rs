@@ -1,4 +1,4 @@
-//! Where the object is.
+//! Masks of the moving object.
 
 use std::path::Path;
 
@@ -11,19 +11,19 @@ use gs_data::decode::decode;
 use gs_synth::Truth;
 use gs_synth::body::MotionClass;
 
-/// Where the object is.
+/// Source of the object masks.
 #[derive(Clone, Debug)]
 pub enum Masks {
-    /// One mask `[H, W, 1]` for all moments, or one for each.
+    /// One mask `[H, W, 1]` with values 0 or 1 for all times, or one per time.
     Given(Vec<Image>),
-    /// The bodies of a generated scene that move as rigid pieces.
+    /// The rigidly moving bodies of a generated scene.
     Truth(Box<Truth>),
-    /// Where the model's first flow has at least half of its 95th percentile. Ratios are above 1 by construction then.
+    /// Pixels where the model's first flow is at least half of its 95th percentile. Ratios are then above 1 by construction.
     Threshold,
 }
 
 impl Masks {
-    /// The PNG files of a folder in the order of their names; bright pixels (half or more) are the object.
+    /// Reads the PNG files of a folder in the order of their names; red values of 128 or more are the object.
     ///
     /// # Errors
     /// If the folder cannot be listed or holds no PNG file, or one cannot be read.
@@ -49,7 +49,7 @@ impl Masks {
         Ok(Self::Given(files.iter().map(read).collect::<Result<_, DataError>>()?))
     }
 
-    /// Where masks come from, for people.
+    /// Description of the source, for the report.
     pub fn source(&self) -> &'static str {
         match self {
             Self::Given(_) => "given",
@@ -58,11 +58,11 @@ impl Masks {
         }
     }
 
-    /// Refuses masks that do not fit the camera or the number of moments.
-    pub(super) fn check(&self, camera: &Camera, moments: usize) -> Result<(), GlmdError> {
+    /// Checks the number of masks and their size against the camera.
+    pub(super) fn check(&self, camera: &Camera, times: usize) -> Result<(), GlmdError> {
         let Self::Given(masks) = self else { return Ok(()) };
-        if masks.len() != 1 && masks.len() != moments {
-            let text = format!("{} masks for {moments} moments: give one for all, or one for each", masks.len());
+        if masks.len() != 1 && masks.len() != times {
+            let text = format!("{} masks for {times} moments: give one for all, or one for each", masks.len());
             return Err(GlmdError::Mask(text));
         }
         let want = (camera.width as usize, camera.height as usize, 1);
@@ -75,7 +75,7 @@ impl Masks {
         }
     }
 
-    /// The mask `[H, W, 1]` of moment `k`; `first` is the model's first flow.
+    /// The mask `[H, W, 1]` at the `k`-th time; `first` is the flow of the model's first stage.
     pub(super) fn at(&self, k: usize, time: f32, camera: &Camera, first: &Flow) -> Image {
         match self {
             Self::Given(all) => all[k.min(all.len() - 1)].clone(),

@@ -1,30 +1,29 @@
-//! Global and local motion made visible (GLMD): what each stage of a two-stage model moves, seen by a camera that stands still
-//! while time passes.
+//! Global-to-local motion decomposition (GLMD): the motion added by each stage of a model, seen by a fixed camera.
 //!
-//! A model that first moves rigid-like parts from interval to interval and then bends what is left gives pictures of its stages
-//! ([`gs_train::method::Method::stages`]: `global`, `local`, `full`; a cloud with a field: `canonical`, `full`). Between each pair
-//! there is a flow: the model's own ([`motion::model_motion`], exact) and the one Farneback's estimator sees in the 8-bit
-//! pictures. Where the first stage does its work, its flow lies inside the object's mask and has one direction; that of the second is
-//! shorter, spread out and goes every way:
+//! A two-stage model first moves nearly rigid parts from interval to interval and then deforms the rest. Its stages
+//! ([`gs_train::method::Method::stages`]: `global`, `local`, `full`; a cloud with a field: `canonical`, `full`) are rendered, and
+//! between consecutive stages there are two flows: the exact flow of the model ([`model_motion`]) and Farneback's estimate from
+//! the 8-bit renders. If the first stage captures the global motion, its flow lies inside the object mask and has one direction,
+//! while that of the second stage is shorter, spread out and without a common direction:
 //!
-//! | number | what |
+//! | number | meaning |
 //! |---|---|
-//! | `inside`, `outside` | mean of `|flow| / reference` in the mask and outside, over pixels that show something |
-//! | `ratio` | the one over the other; absent if nothing moves outside, or nothing at all |
-//! | `circular_variance` | 0: one direction, 1: every direction; over displacements of at least [`LEAST`] px |
+//! | `inside`, `outside` | mean of `|flow| / reference` inside and outside the mask, over covered pixels |
+//! | `ratio` | `inside / outside`; absent if nothing moves outside |
+//! | `circular_variance` | 0: one direction, 1: all directions; over displacements of at least [`MIN_DISPLACEMENT`] px |
 //!
 //! MoDec-GS (Kwak et al. 2025), figures 8 and 9. The published figures use a learned flow; the normaliser is not stated there.
 
 mod masks;
 mod page;
-mod picture;
+mod panels;
 mod scores;
 
 pub use gs_metrics::flow::Reference;
-pub use gs4d_eval::stage_motion::{Anchor, LEAST_COVER, Motion, model_motion, seen_motion};
+pub use gs4d_eval::stage_motion::Anchor;
 pub use masks::Masks;
 pub use page::{Study, html};
-pub use picture::strip;
+pub use panels::strip;
 pub use scores::{Mean, Scores, means};
 
 use gs_core::{Camera, Image};
@@ -37,91 +36,92 @@ use gs_train::method::MethodError;
 use gs_train::model::Model;
 use gs_train::renderer::Renderer;
 use gs_train::timestamp::Timestamp;
+use gs4d_eval::stage_motion::{Motion, model_motion, seen_motion};
 use gs4d_report::ReportError;
 use gs4d_report::analysis::Histogram;
 
-/// Displacements shorter than this have no direction to speak of, pixels.
-pub const LEAST: f32 = 0.1;
-/// An anchor moves with its scaffold if σ of its logit exceeds this (MoDec-GS).
-const MOVES: f32 = 0.01;
+/// Shorter displacements are left out of the circular variance, pixels.
+pub const MIN_DISPLACEMENT: f32 = 0.1;
+/// An anchor takes part in the global motion if σ of its logit exceeds this (MoDec-GS).
+const GATE_THRESHOLD: f32 = 0.01;
 
-/// What is looked at.
+/// Times and flows of a study.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Normalised times.
+    /// Normalised times, at least one.
     pub times: Vec<f32>,
-    /// Where flows are anchored.
+    /// The stage whose pixel grid carries the flows.
     pub anchor: Anchor,
-    /// Whether the model's own flow is measured.
+    /// Whether to measure the exact flow of the model.
     pub model: bool,
-    /// Whether Farneback's flow is measured.
+    /// Whether to measure Farneback's flow.
     pub farneback: bool,
-    /// What lengths are compared with.
+    /// The length that displacements are divided by.
     pub reference: Reference,
 }
 
-/// The flow between two stages.
+/// The flow between two consecutive stages.
 #[derive(Clone, Debug)]
 pub struct Step {
-    /// For example `global-local`.
+    /// Names of the stages, for example `global-local`.
     pub name: String,
     /// `model` or `farneback`.
     pub by: &'static str,
-    /// The flow; 0 where nothing is seen.
+    /// The flow, pixels; 0 where less than half of a pixel is covered.
     pub flow: Flow,
-    /// What is measured of it.
+    /// Statistics of the flow.
     pub scores: Scores,
 }
 
-/// One moment.
+/// Renders and flows of all stages at one time.
 #[derive(Clone, Debug)]
 pub struct Still {
     /// Normalised time.
     pub time: f32,
-    /// Name and picture of each stage, RGB.
+    /// Name and RGB render of each stage, in order.
     pub pictures: Vec<(&'static str, Image)>,
-    /// Where the object is, `[H, W, 1]`.
+    /// Object mask `[H, W, 1]`.
     pub mask: Image,
-    /// The flows asked for.
+    /// The flows selected by [`Options::model`] and [`Options::farneback`].
     pub steps: Vec<Step>,
-    /// Mean distance between the model's flow and Farneback's over seen pixels, by step.
+    /// Mean distance between the two flows over covered pixels, pixels, for each pair of stages.
     pub disagreement: Vec<(String, f64)>,
 }
 
-/// How far anchors take part in the two motions.
+/// How anchors take part in the two stages of motion.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Switches {
-    /// Share of anchors that move with their scaffold; absent if the method has no quantity `global`.
+    /// Share of anchors with global motion, 0 to 1; `None` if the method has no quantity `global`.
     pub global: Option<f64>,
-    /// How strongly they change in other ways, `σ(d_L)`; absent if the method has no quantity `local`.
+    /// Histogram of the local gate `σ(d_L)` over anchors; `None` if the method has no quantity `local`.
     pub local: Option<Histogram>,
 }
 
-/// Why there is nothing to see.
+/// Why a study failed.
 #[derive(Debug, thiserror::Error)]
 pub enum GlmdError {
-    /// The method cannot be asked for its splats.
+    /// The method cannot compute its splats.
     #[error(transparent)]
     Method(#[from] MethodError),
-    /// The method moves nothing.
+    /// The method has a single stage, hence no motion between stages.
     #[error("method `{0}` has one stage only: there is no motion between stages")]
     OneStage(String),
-    /// A mask does not fit.
+    /// Masks do not fit the camera or the number of times.
     #[error("{0}")]
     Mask(String),
-    /// A flow cannot be estimated or measured.
+    /// A flow cannot be estimated, or its statistics cannot be computed.
     #[error(transparent)]
     Metric(#[from] MetricError),
-    /// The page was not made.
+    /// The report page cannot be written.
     #[error(transparent)]
     Report(#[from] ReportError),
 }
 
-/// Looks at every moment, in order, and hands each over.
+/// Renders and measures the stages of `method` at every time of `options`, in order, and passes each result to `each`.
 ///
 /// # Errors
-/// If the method has one stage only, a mask has another size than the camera, or their number fits neither one nor the moments;
-/// and whatever `each` returns.
+/// If the method has a single stage, a mask differs in size from the camera, or there is neither one mask nor one per time;
+/// and any error of `each`.
 pub fn study<E: From<GlmdError>>(
     method: &Model,
     camera: &Camera,
@@ -133,26 +133,26 @@ pub fn study<E: From<GlmdError>>(
     masks.check(camera, options.times.len())?;
     let mut renderer = Renderer::new(method.raster_options(background));
     for (k, &time) in options.times.iter().enumerate() {
-        each(look(method, camera, &mut renderer, time, options, |flow| masks.at(k, time, camera, flow))?)?;
+        each(measure(method, camera, &mut renderer, time, options, |flow| masks.at(k, time, camera, flow))?)?;
     }
     Ok(())
 }
 
-/// What the method says of its anchors at a moment.
+/// The gates of the method's anchors at a normalised time.
 ///
 /// # Errors
-/// If the method cannot be asked.
+/// If the method cannot compute its quantities.
 pub fn switches(method: &Model, time: f32) -> Result<Switches, MethodError> {
     let quantities = method.quantities(&Timestamp::normalised(time))?;
     let find = |name: &str| quantities.iter().find(|q| q.name == name && !q.values.is_empty());
-    let share = |values: &[f32]| values.iter().filter(|v| **v > MOVES).count() as f64 / values.len() as f64;
+    let share = |values: &[f32]| values.iter().filter(|v| **v > GATE_THRESHOLD).count() as f64 / values.len() as f64;
     Ok(Switches {
         global: find("global").map(|q| share(&q.values)),
         local: find("local").map(|q| Histogram::of("local", Some(time), q.span(), &q.values)),
     })
 }
 
-fn look(
+fn measure(
     method: &Model,
     camera: &Camera,
     renderer: &mut Renderer,
@@ -161,7 +161,7 @@ fn look(
     mask: impl FnOnce(&Flow) -> Image,
 ) -> Result<Still, GlmdError> {
     let stages = method.stages(&Timestamp::normalised(time), camera)?;
-    let pictures: Vec<(&'static str, Image)> =
+    let renders: Vec<(&'static str, Image)> =
         stages.iter().map(|s| (s.name, clamped(renderer.render(&s.splats, camera)))).collect();
     let motions: Vec<Motion> = stages
         .iter()
@@ -172,27 +172,28 @@ fn look(
     };
     let mask = mask(&first.flow);
     let (mut steps, mut disagreement) = (Vec::new(), Vec::new());
-    for (pair, motion) in pictures.windows(2).zip(motions) {
+    for (pair, motion) in renders.windows(2).zip(motions) {
         let name = format!("{}-{}", pair[0].0, pair[1].0);
         let seen = motion.seen();
         let scored = |by, flow: &Flow| Scores::of(by, &name, flow, &seen, &mask, options.reference);
-        let by_eye = options.farneback.then(|| estimated(&pair[0].1, &pair[1].1, &seen, options.anchor)).transpose()?;
-        if let (Some(flow), true) = (&by_eye, options.model) {
+        let estimate =
+            options.farneback.then(|| estimated(&pair[0].1, &pair[1].1, &seen, options.anchor)).transpose()?;
+        if let (Some(flow), true) = (&estimate, options.model) {
             disagreement.extend(scores::distance(flow, &motion.flow, &seen)?.map(|d| (name.clone(), d)));
         }
         if options.model {
             let scores = scored("model", &motion.flow)?;
             steps.push(Step { name: name.clone(), by: "model", flow: motion.flow, scores });
         }
-        if let Some(flow) = by_eye {
+        if let Some(flow) = estimate {
             let scores = scored("farneback", &flow)?;
             steps.push(Step { name, by: "farneback", flow, scores });
         }
     }
-    Ok(Still { time, pictures, mask, steps, disagreement })
+    Ok(Still { time, pictures: renders, mask, steps, disagreement })
 }
 
-/// Farneback's flow, 0 where nothing is seen.
+/// Farneback's flow between two renders; 0 where `seen` is false.
 fn estimated(earlier: &Image, later: &Image, seen: &[bool], anchor: Anchor) -> Result<Flow, MetricError> {
     let mut flow = seen_motion(earlier, later, anchor)?;
     for ((u, v), _) in flow.u.iter_mut().zip(&mut flow.v).zip(seen).filter(|(_, seen)| !**seen) {

@@ -1,35 +1,35 @@
-//! The page of a study: what each stage moved, in pictures, curves and a table.
+//! Report page of a study: images of the stages, curves over time and a table.
 
 use std::fmt::Write as _;
 
-use super::{GlmdError, Mean, Scores, Still, Switches, picture};
+use super::{GlmdError, Mean, Scores, Still, Switches, panels};
 use gs4d_report::chart::chart;
-use gs4d_report::page::{document, escape, picture as inline, section, table};
+use gs4d_report::page::{document, escape, picture as inline_image, section, table};
 use gs4d_report::{Curve, ReportError, Scale};
 
-/// More moments than this are thinned on the page; the folder has them all.
-const SHOWN: usize = 16;
+/// Most times shown on the page, evenly spread; the folder holds all.
+const MAX_TIMES: usize = 16;
 
-/// What a page is made of.
+/// Content of the page.
 pub struct Study<'a> {
-    /// For example `reach · modec`.
+    /// Heading, for example `reach · modec`.
     pub title: &'a str,
-    /// Camera, anchor, masks.
+    /// Line below the heading: camera, anchor, masks.
     pub subtitle: &'a str,
-    /// Every moment, in order.
+    /// Results at all times, in order.
     pub stills: &'a [Still],
-    /// The means over them.
+    /// Means over the times, from [`super::means`].
     pub means: &'a [Mean],
-    /// What the method says of its anchors.
+    /// Gates of the anchors, from [`super::switches`].
     pub switches: &'a Switches,
 }
 
-/// The page.
+/// A self-contained HTML page.
 ///
 /// # Errors
-/// If a picture or chart cannot be drawn.
+/// If an image or chart cannot be encoded.
 pub fn html(study: &Study<'_>) -> Result<String, GlmdError> {
-    let parts = [averages(study.means), switches(study.switches)?, curves(study.stills)?, moments(study.stills)?];
+    let parts = [averages(study.means), switches(study.switches)?, curves(study.stills)?, images(study.stills)?];
     Ok(document(study.title, study.subtitle, &parts.concat()))
 }
 
@@ -58,7 +58,7 @@ fn switches(switches: &Switches) -> Result<String, ReportError> {
     Ok(section("Dynamics of the anchors", "", &content))
 }
 
-/// One number of a flow.
+/// Selects one statistic of a flow.
 type Number = fn(&Scores) -> Option<f64>;
 
 fn curves(stills: &[Still]) -> Result<String, ReportError> {
@@ -86,12 +86,12 @@ fn curves(stills: &[Still]) -> Result<String, ReportError> {
     Ok(section("Over time", "", &grid))
 }
 
-fn moments(stills: &[Still]) -> Result<String, GlmdError> {
+fn images(stills: &[Still]) -> Result<String, GlmdError> {
     let mut out = String::new();
-    for still in stills.iter().step_by(stills.len().div_ceil(SHOWN).max(1)) {
+    for still in stills.iter().step_by(stills.len().div_ceil(MAX_TIMES).max(1)) {
         let _ = write!(out, "<h2>t = {:.3}</h2>\n<div class=\"strip maps\">\n", still.time);
-        for (name, image) in picture::panels(still)? {
-            let _ = writeln!(out, "<span>{}<small>{}</small></span>", inline(&image, &name)?, escape(&name));
+        for (name, image) in panels::panels(still)? {
+            let _ = writeln!(out, "<span>{}<small>{}</small></span>", inline_image(&image, &name)?, escape(&name));
         }
         out.push_str("</div>\n");
     }

@@ -1,37 +1,37 @@
-//! What is measured of a flow.
+//! Statistics of a flow.
 
 use gs_core::Image;
 use gs_metrics::MetricError;
 use gs_metrics::flow::{Flow, Reference, circular_variance, end_point_error, mask_contrast};
 use serde::Serialize;
 
-use super::LEAST;
+use super::MIN_DISPLACEMENT;
 
-/// Numbers of one flow, over pixels that show something.
+/// Statistics of one flow over covered pixels.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Scores {
-    /// Which stages, for example `global-local`.
+    /// Names of the stages, for example `global-local`.
     pub step: String,
     /// `model` or `farneback`.
     pub by: &'static str,
-    /// Mean length, pixels; 0 if nothing is seen.
+    /// Mean length, pixels; 0 without covered pixels.
     pub mean: f64,
-    /// The length the next two are divided by, pixels.
+    /// The length that `inside` and `outside` are divided by, pixels.
     pub reference: f64,
-    /// Mean of `|flow| / reference` inside the mask; absent if the mask is empty or full.
+    /// Mean of `|flow| / reference` inside the mask; `None` if the mask is empty or full.
     pub inside: Option<f64>,
-    /// The same outside.
+    /// Mean of `|flow| / reference` outside the mask.
     pub outside: Option<f64>,
-    /// Inside over outside.
+    /// `inside / outside`; `None` if nothing moves outside.
     pub ratio: Option<f64>,
-    /// Spread of the directions, 0 to 1; absent if nothing moves.
+    /// Circular variance of the directions, 0 to 1; `None` if nothing moves.
     pub circular_variance: Option<f64>,
-    /// The same inside the mask.
+    /// Circular variance inside the mask.
     pub circular_variance_inside: Option<f64>,
 }
 
 impl Scores {
-    /// Of a flow between two stages.
+    /// Statistics of a flow between two stages.
     pub(super) fn of(
         by: &'static str,
         step: &str,
@@ -55,7 +55,7 @@ impl Scores {
         if flow.u.is_empty() {
             return Ok(nothing);
         }
-        let data: Vec<f32> = kept(&mask.data, seen).collect();
+        let data: Vec<f32> = masked(&mask.data, seen).collect();
         let mask = Image { width: data.len(), height: 1, channels: 1, data };
         let lengths = flow.magnitudes();
         let mean = lengths.iter().map(|l| f64::from(*l)).sum::<f64>() / lengths.len() as f64;
@@ -69,14 +69,14 @@ impl Scores {
             inside: contrast.map(|c| c.inside),
             outside: contrast.map(|c| c.outside),
             ratio: contrast.and_then(|c| c.ratio),
-            circular_variance: circular_variance(&flow, None, LEAST)?,
-            circular_variance_inside: circular_variance(&flow, Some(&mask), LEAST)?,
+            circular_variance: circular_variance(&flow, None, MIN_DISPLACEMENT)?,
+            circular_variance_inside: circular_variance(&flow, Some(&mask), MIN_DISPLACEMENT)?,
             ..nothing
         })
     }
 
-    /// Its numbers by name.
-    pub fn numbers(&self) -> [(&'static str, Option<f64>); 6] {
+    /// The statistics by name.
+    fn numbers(&self) -> [(&'static str, Option<f64>); 6] {
         [
             ("mean", Some(self.mean)),
             ("inside", self.inside),
@@ -88,38 +88,38 @@ impl Scores {
     }
 }
 
-/// Mean distance of two flows over seen pixels; absent if there is none.
+/// Mean distance of two flows over the `seen` pixels; `None` without any.
 pub(super) fn distance(a: &Flow, b: &Flow, seen: &[bool]) -> Result<Option<f64>, MetricError> {
     let (a, b) = (packed(a, seen), packed(b, seen));
     if a.u.is_empty() { Ok(None) } else { end_point_error(&a, &b).map(Some) }
 }
 
-fn kept<'a>(values: &'a [f32], seen: &'a [bool]) -> impl Iterator<Item = f32> + 'a {
+fn masked<'a>(values: &'a [f32], seen: &'a [bool]) -> impl Iterator<Item = f32> + 'a {
     values.iter().zip(seen).filter(|(_, seen)| **seen).map(|(v, _)| *v)
 }
 
-/// The seen pixels in one row.
+/// The `seen` pixels as a flow of one row.
 fn packed(flow: &Flow, seen: &[bool]) -> Flow {
-    let (u, v): (Vec<f32>, Vec<f32>) = (kept(&flow.u, seen).collect(), kept(&flow.v, seen).collect());
+    let (u, v): (Vec<f32>, Vec<f32>) = (masked(&flow.u, seen).collect(), masked(&flow.v, seen).collect());
     Flow { width: u.len(), height: 1, u, v }
 }
 
-/// A number over all moments.
+/// Mean of one statistic over all times.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Mean {
-    /// Which stages.
+    /// Names of the stages.
     pub step: String,
     /// `model` or `farneback`.
     pub by: &'static str,
-    /// Which number of [`Scores`].
+    /// Name of the statistic, a field of [`Scores`].
     pub name: &'static str,
-    /// Its mean over the moments that have it.
+    /// Mean over the times that have it.
     pub mean: f64,
-    /// How many have it.
+    /// Number of times that have it.
     pub moments: usize,
 }
 
-/// Every number's mean over moments, in the order of their first appearance.
+/// Means of all statistics over times, in the order of first appearance.
 pub fn means<'a>(all: impl IntoIterator<Item = &'a Scores>) -> Vec<Mean> {
     let mut means: Vec<Mean> = Vec::new();
     for scores in all {

@@ -1,24 +1,24 @@
-//! Motions and lights that were never learnt from, and parts left out.
+//! Unseen motion, unseen light, and ablations.
 
 use super::trained::{SCORES, scores};
-use super::{Cell, Findings, LabError, Setup, Subject, Tell, Trained};
+use super::{Cell, Findings, LabError, Log, Setup, Subject, Trained};
 use gs_data::{Dataset, Split, View};
 use gs_metrics::Mean;
 use gs_synth::avatar::{AvatarOptions, Light, generate, options_of};
 use gs_train::evaluate::EvalReport;
 use std::collections::BTreeMap;
 
-/// The light that is learnt under where the film has none.
+/// Training light of a film without one.
 const FIRST_LIGHT: Light = Light { direction: [0.5, 1.0, 0.8], ambient: 0.35 };
 
-/// The motion of the film against another.
-pub(super) fn unseen_motion(setup: &Setup, tell: &mut Tell<'_>) -> Result<Findings, LabError> {
-    let subject = Subject::new(setup, tell)?;
-    let trained = trained(setup, &subject.full_film, tell)?;
+/// Scores on the motion of the film and on another motion.
+pub(super) fn unseen_motion(setup: &Setup, log: &mut Log<'_>) -> Result<Findings, LabError> {
+    let subject = Subject::new(setup, log)?;
+    let trained = trained(setup, &subject.full_film, log)?;
     let options = film_options(setup, &subject.full_film)?;
     let other = other_clip(setup, &subject, &options)?;
-    tell(&format!("filming {other}"));
-    // Test views alone are looked at: of all frames.
+    log(&format!("filming {other}"));
+    // Only test views are scored, at all frames.
     let frames = options.frames.min(setup.frames as u32).max(1);
     let film = generate(&AvatarOptions { clip: Some(other.clone()), frames, fps: None, test_every: 0, ..options })?;
     let heads =
@@ -36,11 +36,11 @@ pub(super) fn unseen_motion(setup: &Setup, tell: &mut Tell<'_>) -> Result<Findin
     Ok(out)
 }
 
-/// Mean, deviation and worst over the moments of some views.
-fn spread(name: &str, report: &EvalReport, counts: impl Fn(f32) -> bool) -> Vec<Cell> {
+/// Mean, deviation and worst PSNR over the frames whose time satisfies `included`.
+fn spread(name: &str, report: &EvalReport, included: impl Fn(f32) -> bool) -> Vec<Cell> {
     let mut frames: BTreeMap<u32, Vec<[Option<f64>; 2]>> = BTreeMap::new();
-    for v in report.views.iter().filter(|v| counts(v.time)) {
-        // Times are not negative, so their bits are in their order.
+    for v in report.views.iter().filter(|v| included(v.time)) {
+        // The bits of non-negative floats sort like their values.
         let scores = [v.psnr, v.masked.and_then(|m| m.psnr)];
         frames.entry(v.time.to_bits()).or_default().push(scores);
     }
@@ -62,18 +62,18 @@ fn spread(name: &str, report: &EvalReport, counts: impl Fn(f32) -> bool) -> Vec<
     row
 }
 
-/// The light of the film against another.
-pub(super) fn other_light(setup: &Setup, tell: &mut Tell<'_>) -> Result<Findings, LabError> {
+/// Scores under the light of the film and under another light.
+pub(super) fn other_light(setup: &Setup, log: &mut Log<'_>) -> Result<Findings, LabError> {
     let lit = Setup {
         film: AvatarOptions { light: Some(setup.film.light.unwrap_or(FIRST_LIGHT)), ..setup.film.clone() },
         ..setup.clone()
     };
-    let subject = Subject::new(&lit, tell)?;
-    let trained = trained(setup, &subject.full_film, tell)?;
+    let subject = Subject::new(&lit, log)?;
+    let trained = trained(setup, &subject.full_film, log)?;
     let mut options = film_options(&lit, &subject.full_film)?;
-    // Some frames are kept from the steps under the other light.
+    // Some frames are held out from fine-tuning under the other light.
     options.test_every = if options.test_every == 0 { 2 } else { options.test_every };
-    tell("filming under the other light");
+    log("filming under the other light");
     let film = generate(&AvatarOptions { light: Some(setup.other_light), ..options.clone() })?;
     let first = generate(&options)?;
     let [first, other] = [first, film].map(held_out);
@@ -88,29 +88,29 @@ pub(super) fn other_light(setup: &Setup, tell: &mut Tell<'_>) -> Result<Findings
     add("learnt", 0, &trained.scores(&first, &[])?);
     add("other", 0, &trained.scores(&other, &[])?);
     if let (None, Some(recipe)) = (&setup.run, &setup.recipe) {
-        let varied = Trained::learn(&subject.full_film, recipe, &[JITTER], tell)?;
+        let varied = Trained::learn(&subject.full_film, recipe, &[JITTER], log)?;
         add("learnt, colours varied in training", 0, &varied.scores(&first, &[])?);
         add("other, colours varied in training", 0, &varied.scores(&other, &[])?);
     }
     if setup.tuning > 0 {
-        let tuned = trained.go_on(&inputs_alone(&other), setup.tuning, setup.film.seed, tell)?;
+        let tuned = trained.fine_tune(&only_inputs(&other), setup.tuning, setup.film.seed, log)?;
         add("other", setup.tuning, &tuned.scores(&other, &[])?);
     }
     Ok(out)
 }
 
-/// Colours of textures vary by a third while it learns.
+/// Colour augmentation of the textures during training.
 const JITTER: &str = "jitter=0.3";
 
-/// A film whose test views are those of frames that nothing learns from.
+/// Drops test views at the times of training views.
 fn held_out(mut film: Dataset) -> Dataset {
     let learnt: Vec<f32> = film.train.iter().map(|v| v.time.normalised).collect();
     film.test.retain(|v| !learnt.contains(&v.time.normalised));
     film
 }
 
-/// A film whose training views are those of the conditioning cameras.
-fn inputs_alone(film: &Dataset) -> Dataset {
+/// Keeps only the training views of the conditioning cameras.
+fn only_inputs(film: &Dataset) -> Dataset {
     let is_input = |v: &View| {
         film.avatar
             .as_ref()
@@ -120,41 +120,41 @@ fn inputs_alone(film: &Dataset) -> Dataset {
     Dataset { train, ..film.clone() }
 }
 
-/// What is left out, and the settings of that when drawing and when learning.
-const PARTS: [(&str, &[&str], &[&str]); 7] = [
+/// Ablations: name, settings at render time, settings in training.
+const ABLATIONS: [(&str, &[&str], &[&str]); 7] = [
     ("nothing", &[], &[]),
-    ("second unprojection", SINGLE, SINGLE),
+    ("second unprojection", SINGLE_UNPROJECTION, SINGLE_UNPROJECTION),
     ("colours", &["rgb=false"], &["rgb=false"]),
     ("normals", &["normals=false"], &["normals=false"]),
     ("kappa", &["kappa=false"], &["kappa=false"]),
-    ("orthonormal turns of joints", RAW, RAW),
+    ("orthonormal turns of joints", RAW_COVARIANCE, RAW_COVARIANCE),
     ("directions (SH)", &["gaussians.decode.sh_active=0"], &["gaussians.sh_degree=0", "gaussians.decode.sh_active=0"]),
 ];
-/// The template is believed.
-const SINGLE: &[&str] = &["input=\"single\"", "schedule.stages.geometry.steps=0"];
+/// One unprojection, on the template surface.
+const SINGLE_UNPROJECTION: &[&str] = &["input=\"single\"", "schedule.stages.geometry.steps=0"];
 
-/// The published turns of the texels.
-const RAW: &[&str] = &["gaussians.decode.covariance=\"raw\""];
+/// Joint matrices applied as published, without orthonormalisation.
+const RAW_COVARIANCE: &[&str] = &["gaussians.decode.covariance=\"raw\""];
 
-/// Parts left out of a run when drawing; without a run, when learning.
-pub(super) fn parts(setup: &Setup, tell: &mut Tell<'_>) -> Result<Findings, LabError> {
-    let subject = Subject::new(setup, tell)?;
-    let how = if setup.run.is_some() { "when drawing, from what was learnt with it" } else { "when learning" };
+/// Ablates parts of a run at render time; without a run, in training.
+pub(super) fn parts(setup: &Setup, log: &mut Log<'_>) -> Result<Findings, LabError> {
+    let subject = Subject::new(setup, log)?;
+    let how = if setup.run.is_some() { "at render time, from a method trained with it" } else { "in training" };
     let heads = [&[("without", 0)][..], &SCORES, &[("dB", 2)]].concat();
     let remark = format!("Test views; the part is left out {how}. dB: in-mask PSNR against nothing left out.");
     let mut out = Findings::new("ablate", remark, &heads);
-    let whole = Trained::of(setup, &subject.full_film, tell)?;
+    let whole = Trained::of(setup, &subject.full_film, log)?;
     let mut base = None;
-    for (name, drawing, learning) in PARTS {
-        let anew = match (&setup.run, &setup.recipe) {
-            (None, Some(recipe)) if !learning.is_empty() => {
-                Some(Trained::learn(&subject.full_film, recipe, learning, tell)?)
+    for (name, at_render, in_training) in ABLATIONS {
+        let retrained = match (&setup.run, &setup.recipe) {
+            (None, Some(recipe)) if !in_training.is_empty() => {
+                Some(Trained::learn(&subject.full_film, recipe, in_training, log)?)
             }
             _ => None,
         };
-        let report = match (&anew, &whole) {
+        let report = match (&retrained, &whole) {
             (Some(trained), _) => trained.scores(&subject.film, &[])?,
-            (None, Some(trained)) => trained.scores(&subject.film, drawing)?,
+            (None, Some(trained)) => trained.scores(&subject.film, at_render)?,
             (None, None) => return Err(LabError::NeedsTraining("ablate")),
         };
         let scores = scores(Some(&report));
@@ -167,11 +167,11 @@ pub(super) fn parts(setup: &Setup, tell: &mut Tell<'_>) -> Result<Findings, LabE
     Ok(out)
 }
 
-fn trained(setup: &Setup, film: &Dataset, tell: &mut Tell<'_>) -> Result<Trained, LabError> {
-    Trained::of(setup, film, tell)?.ok_or(LabError::NeedsTraining("asked for"))
+fn trained(setup: &Setup, film: &Dataset, log: &mut Log<'_>) -> Result<Trained, LabError> {
+    Trained::of(setup, film, log)?.ok_or(LabError::NeedsTraining("asked for"))
 }
 
-/// How the film was made: as the setup says, or as the run's film says of itself.
+/// Options the film was generated with: of the setup, or as recorded in the data of the run.
 fn film_options(setup: &Setup, film: &Dataset) -> Result<AvatarOptions, LabError> {
     if setup.run.is_none() {
         return Ok(setup.film.clone());
@@ -182,7 +182,7 @@ fn film_options(setup: &Setup, film: &Dataset) -> Result<AvatarOptions, LabError
     })
 }
 
-/// The motion to test on.
+/// Name of the motion clip to test on.
 fn other_clip(setup: &Setup, subject: &Subject, options: &AvatarOptions) -> Result<String, LabError> {
     let clips = &subject.scene.character.clips;
     let own = options.clip.as_deref().or(clips.first().map(|c| c.name.as_str()));

@@ -1,9 +1,9 @@
-//! Experiments about filmed people: what the textures that cameras give are worth, and what a method makes of them when
-//! poses, views, motion or light are not those it learnt from.
+//! Experiments on avatars (method `dut`): quality of the unprojected textures, and of the method under poses, views, motion or
+//! light that differ from the training data.
 //!
-//! An experiment films the built-in person (or a character from a file), or takes the film of a run. Those about textures
-//! train nothing: the truth is the template's own colour at each texel, on the surface that the pictures show. Those about
-//! the method need a run, or train one.
+//! An experiment generates a synthetic capture of the built-in person or of a character file (the *film*), or uses the data of
+//! a run. Texture experiments train nothing: ground truth is the template's colour at each texel, on the true surface.
+//! Experiments on the method need a run, or train one.
 
 mod learning;
 mod pose;
@@ -14,9 +14,10 @@ mod trained;
 mod views;
 mod visibility;
 
-pub use subject::Subject;
 pub use table::{Cell, Chart, Findings, Head, WriteError};
 pub use trained::{Recipe, Trained};
+
+use subject::Subject;
 
 use gs_data::DataError;
 use gs_method_texel::FrameError;
@@ -32,55 +33,55 @@ use gs_train::trainer::TrainError;
 use gs4d_run::RunError;
 use std::path::PathBuf;
 
-/// The methods that draw people.
+/// The avatar methods.
 fn registry() -> Registry {
     Registry::new(METHODS.to_vec())
 }
 
-/// What an experiment has to do with training.
+/// Whether an experiment uses a trained method.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Training {
-    /// Nothing.
+    /// Never.
     None,
-    /// With a run it says more.
-    Welcome,
-    /// It needs a run, or trains.
-    Needed,
+    /// With a run or a recipe there are more columns.
+    Optional,
+    /// It needs a run or a recipe.
+    Required,
 }
 
-/// An experiment.
+/// An experiment of `gs4d lab`.
 pub struct Experiment {
-    /// Its name.
+    /// Name on the command line and of the output files.
     pub name: &'static str,
-    /// One line for people.
+    /// One line for the list of experiments.
     pub about: &'static str,
-    /// What it has to do with training.
+    /// Whether it uses a trained method.
     pub training: Training,
-    run: fn(&Setup, &mut Tell<'_>) -> Result<Findings, LabError>,
+    run: fn(&Setup, &mut Log<'_>) -> Result<Findings, LabError>,
 }
 
-/// Where an experiment says what it does.
-pub type Tell<'a> = dyn FnMut(&str) + 'a;
+/// Receives one line of text for each part of an experiment.
+pub type Log<'a> = dyn FnMut(&str) + 'a;
 
-/// The experiments there are.
+/// All experiments.
 pub const EXPERIMENTS: &[Experiment] = &[
     Experiment {
         name: "tex",
         about: "sizes of textures: error, time, bytes; with --steps what the method makes of each",
-        training: Training::Welcome,
+        training: Training::Optional,
         run: texture::sizes,
     },
     Experiment {
         name: "motion",
         about: "an elbow that is 0 to 60 degrees wrong, in all frames and growing from frame to frame",
-        training: Training::Welcome,
+        training: Training::Optional,
         run: pose::motion,
     },
-    Experiment { name: "mocap", about: "noise on every joint", training: Training::Welcome, run: pose::mocap },
+    Experiment { name: "mocap", about: "noise on every joint", training: Training::Optional, run: pose::mocap },
     Experiment {
         name: "views",
         about: "1 to 8 conditioning cameras, and one of them left out",
-        training: Training::Welcome,
+        training: Training::Optional,
         run: views::views,
     },
     Experiment {
@@ -98,63 +99,63 @@ pub const EXPERIMENTS: &[Experiment] = &[
     Experiment {
         name: "ood",
         about: "a motion never learnt from",
-        training: Training::Needed,
+        training: Training::Required,
         run: learning::unseen_motion,
     },
     Experiment {
         name: "light",
         about: "a light never learnt from, and a few steps of learning under it",
-        training: Training::Needed,
+        training: Training::Required,
         run: learning::other_light,
     },
     Experiment {
         name: "ablate",
-        about: "parts left out: of a run when drawing, with --steps when learning",
-        training: Training::Needed,
+        about: "parts left out: of a run at render time, with --steps in training",
+        training: Training::Required,
         run: learning::parts,
     },
 ];
 
 impl Experiment {
-    /// The experiment of that name.
+    /// Finds an experiment by name.
     pub fn find(name: &str) -> Option<&'static Self> {
         EXPERIMENTS.iter().find(|e| e.name == name)
     }
 
-    /// Makes it.
+    /// Runs the experiment.
     ///
     /// # Errors
-    /// If it lacks a run or steps, or film, run or training fail.
-    pub fn run(&self, setup: &Setup, tell: &mut Tell<'_>) -> Result<Findings, LabError> {
-        if self.training == Training::Needed && setup.run.is_none() && setup.recipe.is_none() {
+    /// [`LabError::NeedsTraining`] without the run or recipe it requires; any error of the data, the run or the training.
+    pub fn run(&self, setup: &Setup, log: &mut Log<'_>) -> Result<Findings, LabError> {
+        if self.training == Training::Required && setup.run.is_none() && setup.recipe.is_none() {
             return Err(LabError::NeedsTraining(self.name));
         }
-        (self.run)(setup, tell)
+        (self.run)(setup, log)
     }
 }
 
-/// What experiments are made with.
+/// Data, method and options of an experiment.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Setup {
-    /// What is filmed where no run brings its film along.
+    /// The synthetic capture that is generated when there is no `run`.
     pub film: AvatarOptions,
-    /// A run of the method `dut`.
+    /// Folder of a run of the method `dut`; its data replace `film`.
     pub run: Option<PathBuf>,
-    /// How to train where there is no run, or several are to be compared.
+    /// How to train when there is no `run`, or several settings are compared.
     pub recipe: Option<Recipe>,
-    /// Frames looked at, at most, evenly spread.
+    /// Most frames evaluated, evenly spread over those with test views. Default: 4.
     pub frames: usize,
-    /// Texels per side of the textures unprojected.
+    /// Texels per side of the unprojected textures. Default: 256.
     pub texels: usize,
-    /// Texels per side that `tex` compares.
+    /// Texels per side compared by `tex`.
     pub sizes: Vec<usize>,
-    /// The joint that `motion` turns; none: the left fore arm by its name.
+    /// The joint rotated by `motion`; `None`: the left forearm, found by its name.
     pub joint: Option<String>,
-    /// The motion that `ood` tests on; none: another than the film's.
+    /// The motion clip tested by `ood`; `None`: the first that is not the film's.
     pub other_clip: Option<String>,
-    /// The light that `light` tests under.
+    /// The light tested by `light`.
     pub other_light: Light,
-    /// Steps that `light` goes on learning under it.
+    /// Fine-tuning steps of `light` under that light. Default: 100.
     pub tuning: u32,
 }
 
@@ -176,50 +177,50 @@ impl Default for Setup {
     }
 }
 
-/// Why an experiment was not made.
+/// Why an experiment failed.
 #[derive(Debug, thiserror::Error)]
 pub enum LabError {
-    /// It is about a method that has learnt something.
+    /// The experiment needs a run or a recipe.
     #[error("the experiment {0} needs a trained method")]
     NeedsTraining(&'static str),
-    /// A choice that the film does not have.
+    /// No joint or motion clip of that name.
     #[error("{what} `{asked}` is not there; there are {known}")]
     Unknown {
-        /// What was to be chosen.
+        /// Kind of item, for example `the joint`.
         what: &'static str,
-        /// The choice.
+        /// The name asked for.
         asked: String,
-        /// What there is.
+        /// The available names.
         known: String,
     },
-    /// The experiment cannot be made with this run or film.
+    /// The run or its data do not suit the experiment.
     #[error("{0}")]
     Unfit(String),
-    /// Film or pictures.
+    /// The dataset or its images cannot be read.
     #[error(transparent)]
     Data(#[from] DataError),
-    /// The run.
+    /// The run cannot be opened, or its settings are invalid.
     #[error(transparent)]
     Run(Box<RunError>),
-    /// The method.
+    /// The method cannot be built or evaluated.
     #[error(transparent)]
     Method(#[from] MethodError),
-    /// Training.
+    /// Training failed.
     #[error(transparent)]
     Train(#[from] TrainError),
-    /// Scores.
+    /// Scoring failed.
     #[error(transparent)]
     Eval(#[from] EvalError),
-    /// A frame.
+    /// A frame cannot be computed.
     #[error(transparent)]
     Frame(#[from] FrameError),
-    /// The template's texels.
+    /// The template has no atlas, or its texels overlap.
     #[error("template: {0}")]
     Texels(#[from] TexelError),
-    /// The template's faces.
+    /// The template's faces are invalid.
     #[error("template: {0}")]
     Mesh(#[from] MeshError),
-    /// Unprojection.
+    /// Unprojection failed.
     #[error(transparent)]
     Unproject(#[from] UnprojectError),
 }

@@ -1,26 +1,27 @@
-//! What an experiment found, as a table for people, programs and spreadsheets, and as charts.
+//! The result of an experiment as text, Markdown, CSV, JSON and SVG charts.
 
+use crate::aligned;
 use gs_core::io::{IoError, write_file};
 use gs4d_report::chart::chart;
 use gs4d_report::{Curve, ReportError, Scale};
 use serde_json::{Map, Value, json};
 use std::path::Path;
 
-/// A column.
+/// Heading and format of a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Head {
-    /// Its heading, with the unit.
+    /// Heading, with the unit where there is one.
     pub name: &'static str,
-    /// Digits behind the point.
+    /// Digits after the decimal point in text and Markdown.
     pub digits: usize,
 }
 
-/// What stands in a row of a column.
+/// Value of one cell.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Cell {
-    /// A word.
+    /// Text.
     Text(String),
-    /// A number; absent where it was not measured or is not finite.
+    /// A number; `None` if not measured or not finite.
     Number(Option<f64>),
 }
 
@@ -53,7 +54,7 @@ impl Cell {
         if let Self::Number(n) = self { *n } else { None }
     }
 
-    fn shown(&self, head: Head) -> String {
+    fn format(&self, head: Head) -> String {
         match self {
             Self::Text(text) => text.clone(),
             Self::Number(n) => n.map_or("-".to_owned(), |n| format!("{n:.*}", head.digits)),
@@ -61,94 +62,81 @@ impl Cell {
     }
 }
 
-/// Lines over one column of a table, one for each other column named.
+/// A line chart of some columns over another column.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Chart {
-    /// What its file is called behind the experiment's name; empty for the first.
+    /// Suffix of the file name after the experiment's name; empty for none.
     pub part: &'static str,
-    /// Heading.
+    /// Title of the chart.
     pub title: String,
-    /// The column along the axis.
+    /// Heading of the column on the horizontal axis.
     pub across: &'static str,
-    /// The columns drawn; rows that lack a number are left out.
+    /// Headings of the plotted columns; rows without a number are left out.
     pub drawn: Vec<&'static str>,
-    /// The column whose words make lines of their own, if any.
+    /// Heading of a text column; each of its values becomes a line.
     pub split: Option<&'static str>,
 }
 
-/// What an experiment found.
+/// The result of an experiment.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Findings {
-    /// The experiment.
+    /// Name of the experiment, and of the files.
     pub name: &'static str,
-    /// What the numbers are of, in a sentence or two.
+    /// What the numbers mean, in a sentence or two.
     pub remark: String,
-    /// Columns.
+    /// Headings of the columns.
     pub heads: Vec<Head>,
-    /// Rows, a cell for each column.
+    /// Rows with one cell per column.
     pub rows: Vec<Vec<Cell>>,
-    /// Charts.
+    /// Charts of the table.
     pub charts: Vec<Chart>,
-    /// Rows that are charted, from the first; none: all.
+    /// Number of leading rows in the charts; `None`: all.
     pub charted: Option<usize>,
 }
 
 impl Findings {
-    /// An empty table with `(heading, digits)` for each column.
+    /// An empty table; `heads` holds `(heading, digits)` of each column.
     pub fn new(name: &'static str, remark: impl Into<String>, heads: &[(&'static str, usize)]) -> Self {
         let heads = heads.iter().map(|&(name, digits)| Head { name, digits }).collect();
         Self { name, remark: remark.into(), heads, rows: Vec::new(), charts: Vec::new(), charted: None }
     }
 
-    /// The numbers of a column, by its heading.
-    pub fn column(&self, name: &str) -> Vec<Option<f64>> {
+    /// The numbers of a column, one per row; all `None` for an unknown heading or a text column.
+    fn column(&self, name: &str) -> Vec<Option<f64>> {
         let at = self.heads.iter().position(|h| h.name == name);
         self.rows.iter().map(|row| at.and_then(|k| row.get(k)).and_then(Cell::number)).collect()
     }
 
-    /// Columns that any row has something in.
+    /// Indices of the columns with a value in some row.
     fn used(&self) -> Vec<usize> {
         let filled = |k: &usize| self.rows.iter().any(|row| row.get(*k).is_some_and(|c| *c != Cell::Number(None)));
         (0..self.heads.len()).filter(filled).collect()
     }
 
-    /// For people: aligned columns.
+    /// Aligned columns, without those that are empty, then the remark.
     pub fn text(&self) -> String {
         let used = self.used();
-        let shown = |row: &Vec<Cell>| used.iter().map(|&k| row[k].shown(self.heads[k])).collect::<Vec<_>>();
-        let mut lines: Vec<Vec<String>> = vec![used.iter().map(|&k| self.heads[k].name.to_owned()).collect()];
-        lines.extend(self.rows.iter().map(shown));
-        let width = |c: usize| lines.iter().map(|l| l[c].chars().count()).max().unwrap_or(0);
-        let widths: Vec<usize> = (0..used.len()).map(width).collect();
-        let words: Vec<bool> =
-            used.iter().map(|&k| self.rows.iter().any(|row| matches!(row[k], Cell::Text(_)))).collect();
-        let mut text = String::new();
-        for line in &lines {
-            let padded = line.iter().enumerate().map(|(c, cell)| {
-                let gap = " ".repeat(widths[c] - cell.chars().count());
-                if words[c] { format!("{cell}{gap}") } else { format!("{gap}{cell}") }
-            });
-            text.push_str(padded.collect::<Vec<_>>().join("  ").trim_end());
-            text.push('\n');
-        }
-        text + &self.remark + "\n"
+        let head: Vec<&str> = used.iter().map(|&k| self.heads[k].name).collect();
+        let cells = |row: &Vec<Cell>| used.iter().map(|&k| row[k].format(self.heads[k])).collect();
+        let is_text = |c: usize| self.rows.iter().any(|row| matches!(row[used[c]], Cell::Text(_)));
+        aligned(&head, &self.rows.iter().map(cells).collect::<Vec<_>>(), is_text) + &self.remark + "\n"
     }
 
-    /// As a table of Markdown.
-    pub fn markdown(&self) -> String {
+    /// A Markdown page with the remark and the table.
+    fn markdown(&self) -> String {
         let used = self.used();
         let line = |cells: Vec<String>| format!("| {} |\n", cells.join(" | "));
         let mut text = format!("# {}\n\n{}\n\n", self.name, self.remark);
         text.push_str(&line(used.iter().map(|&k| self.heads[k].name.to_owned()).collect()));
         text.push_str(&format!("|{}\n", "---|".repeat(used.len())));
         for row in &self.rows {
-            text.push_str(&line(used.iter().map(|&k| row[k].shown(self.heads[k]).replace('|', "\\|")).collect()));
+            text.push_str(&line(used.iter().map(|&k| row[k].format(self.heads[k]).replace('|', "\\|")).collect()));
         }
         text
     }
 
-    /// As comma-separated values, all digits.
-    pub fn csv(&self) -> String {
+    /// Comma-separated values with all columns and all digits.
+    fn csv(&self) -> String {
         let quoted = |t: &str| format!("\"{}\"", t.replace('"', "\"\""));
         let line = |cells: Vec<String>| cells.join(",") + "\n";
         let mut text = line(self.heads.iter().map(|h| quoted(h.name)).collect());
@@ -160,7 +148,7 @@ impl Findings {
         text
     }
 
-    /// As one JSON value: rows are objects by heading.
+    /// One JSON object: `experiment`, `remark`, and `rows` as objects by heading.
     pub fn json(&self) -> Value {
         let cell = |c: &Cell| match c {
             Cell::Text(t) => json!(t),
@@ -172,26 +160,27 @@ impl Findings {
         json!({"experiment": self.name, "remark": self.remark, "rows": self.rows.iter().map(row).collect::<Vec<_>>()})
     }
 
-    /// A chart as an SVG file's text; none without a number to draw.
+    /// A chart as SVG; `None` without a point.
     fn svg(&self, c: &Chart) -> Result<Option<String>, ReportError> {
-        let word = |row: &Vec<Cell>, name: &str| {
+        let label = |row: &Vec<Cell>, name: &str| {
             let at = self.heads.iter().position(|h| h.name == name);
-            at.and_then(|k| row.get(k)).map_or(String::new(), |cell| cell.shown(Head { name: "", digits: 0 }))
+            at.and_then(|k| row.get(k)).map_or(String::new(), |cell| cell.format(Head { name: "", digits: 0 }))
         };
         let rows = &self.rows[..self.charted.unwrap_or(self.rows.len()).min(self.rows.len())];
-        let words: Vec<String> = rows.iter().map(|row| c.split.map_or(String::new(), |name| word(row, name))).collect();
-        let mut groups = words.clone();
+        let labels: Vec<String> =
+            rows.iter().map(|row| c.split.map_or(String::new(), |name| label(row, name))).collect();
+        let mut groups = labels.clone();
         groups.sort();
         groups.dedup();
         let across = self.column(c.across);
         let mut curves = Vec::new();
-        for &drawn in &c.drawn {
-            let values = self.column(drawn);
+        for &column in &c.drawn {
+            let values = self.column(column);
             for group in &groups {
-                let of_group = (0..rows.len()).filter(|&i| words[i] == *group);
+                let of_group = (0..rows.len()).filter(|&i| labels[i] == *group);
                 let mut points: Vec<(f64, f64)> = of_group.filter_map(|i| across[i].zip(values[i])).collect();
                 points.sort_by(|a, b| a.0.total_cmp(&b.0));
-                let name = [group.as_str(), if c.drawn.len() > 1 { drawn } else { "" }];
+                let name = [group.as_str(), if c.drawn.len() > 1 { column } else { "" }];
                 let name = name.into_iter().filter(|n| !n.is_empty()).collect::<Vec<_>>().join(", ");
                 curves.push(Curve { name, points });
             }
@@ -199,11 +188,10 @@ impl Findings {
         chart(&c.title, c.across, Scale::Linear, &curves)
     }
 
-    /// Writes `NAME.json`, `NAME.csv`, `NAME.md` and a `.svg` for each chart into a folder that is made if need be. Nothing is
-    /// overwritten unless `overwrite` is set.
+    /// Writes `NAME.json`, `NAME.csv`, `NAME.md` and one `.svg` per chart; creates the folder if it is missing.
     ///
     /// # Errors
-    /// If a file is there or cannot be written, or a chart cannot be drawn.
+    /// If a file exists and `overwrite` is not set, a file cannot be written, or a chart cannot be encoded.
     pub fn write(&self, folder: &Path, overwrite: bool) -> Result<(), WriteError> {
         let failed = |source| IoError::Os { file: folder.display().to_string().into(), action: "create", source };
         std::fs::create_dir_all(folder).map_err(failed)?;
@@ -222,7 +210,7 @@ impl Findings {
         Ok(())
     }
 
-    /// Refuses a folder that holds findings of this experiment.
+    /// Checks that a folder holds no result of the experiment `name`.
     ///
     /// # Errors
     /// [`IoError::Exists`] with the file's name.
@@ -235,13 +223,13 @@ impl Findings {
     }
 }
 
-/// Findings that were not written.
+/// Why a result was not written.
 #[derive(Debug, thiserror::Error)]
 pub enum WriteError {
-    /// A file.
+    /// A file exists or cannot be written.
     #[error(transparent)]
     Io(#[from] IoError),
-    /// A chart.
+    /// A chart cannot be encoded.
     #[error(transparent)]
     Chart(#[from] ReportError),
 }

@@ -1,6 +1,6 @@
-//! What was learnt, to be put on other films and under other settings.
+//! A trained method `dut`, evaluated on other data and under other settings.
 
-use super::{LabError, Setup, Tell, registry};
+use super::{LabError, Log, Setup, registry};
 use gs_core::Params;
 use gs_data::{Dataset, ImageCache, Split};
 use gs_method_texel::{Config, Dut, ENTRY};
@@ -16,23 +16,23 @@ use gs4d_run::settings::{Request, resolve};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// Bytes of decoded pictures kept.
+/// Size of the cache of decoded images, bytes.
 const IMAGE_BYTES: usize = 256 << 20;
 
-/// How to train.
+/// How to train the method `dut`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Recipe {
-    /// Preset of the method `dut`.
+    /// Name of the preset.
     pub preset: String,
-    /// Steps that the preset's recipe is stretched or compressed to.
+    /// Training steps; the recipe of the preset is stretched or compressed to them.
     pub steps: u32,
-    /// Settings beside, `KEY=VALUE`.
+    /// Further settings, `KEY=VALUE`.
     pub sets: Vec<String>,
     /// Seed of every random number.
     pub seed: u64,
 }
 
-/// A method `dut` that has learnt.
+/// Settings, parameters and buffers of a trained method `dut`.
 pub struct Trained {
     config: toml::Table,
     values: BTreeMap<String, Vec<f32>>,
@@ -40,32 +40,32 @@ pub struct Trained {
 }
 
 impl Trained {
-    /// The method of the run; of the recipe if there is none; nothing without both.
+    /// Loads the run of the setup, else trains its recipe; `None` without both.
     ///
     /// # Errors
     /// If the run is of another method, or training fails.
-    pub fn of(setup: &Setup, film: &Dataset, tell: &mut Tell<'_>) -> Result<Option<Self>, LabError> {
+    pub(super) fn of(setup: &Setup, film: &Dataset, log: &mut Log<'_>) -> Result<Option<Self>, LabError> {
         match (&setup.run, &setup.recipe) {
             (Some(path), _) => Self::of_run(&OpenRun::open(&registry(), path)?).map(Some),
-            (None, Some(recipe)) => Self::learn(film, recipe, &[], tell).map(Some),
+            (None, Some(recipe)) => Self::learn(film, recipe, &[], log).map(Some),
             (None, None) => Ok(None),
         }
     }
 
-    /// The method of a run.
+    /// Takes the parameters of a run.
     ///
     /// # Errors
-    /// If it is another.
+    /// [`LabError::Unfit`] if the run is of another method.
     pub fn of_run(run: &OpenRun) -> Result<Self, LabError> {
         let method = &run.loaded.model;
         if method.name() != ENTRY.name {
             let name = method.name();
             return Err(LabError::Unfit(format!("the run is of the method {name}; a run of {} is needed", ENTRY.name)));
         }
-        Ok(Self::keep(method, run.loaded.config.clone(), run.loaded.step))
+        Ok(Self::copy(method, run.loaded.config.clone(), run.loaded.step))
     }
 
-    fn keep(method: &Model, config: toml::Table, step: u32) -> Self {
+    fn copy(method: &Model, config: toml::Table, step: u32) -> Self {
         let mut values = BTreeMap::new();
         method.visit(&mut |p| {
             values.insert(p.name.clone(), p.value.clone());
@@ -76,11 +76,11 @@ impl Trained {
         Self { config, values, step }
     }
 
-    /// Trains on a film.
+    /// Trains on `film`, with `sets` applied after the settings of the recipe.
     ///
     /// # Errors
-    /// If settings are refused or training fails.
-    pub fn learn(film: &Dataset, recipe: &Recipe, sets: &[&str], tell: &mut Tell<'_>) -> Result<Self, LabError> {
+    /// If settings are invalid or training fails.
+    pub(super) fn learn(film: &Dataset, recipe: &Recipe, sets: &[&str], log: &mut Log<'_>) -> Result<Self, LabError> {
         let request = Request {
             method: ENTRY.name.into(),
             preset: recipe.preset.clone(),
@@ -93,25 +93,25 @@ impl Trained {
         let options = TrainOptions { seed: recipe.seed, image_bytes: IMAGE_BYTES };
         let trainer = Trainer::new(&registry(), Arc::new(film.clone()), ENTRY.name, &resolved.method, options)?;
         let what = if sets.is_empty() { "the preset".to_owned() } else { sets.join(" ") };
-        Self::train(trainer, resolved.method, &what, tell)
+        Self::train(trainer, resolved.method, &what, log)
     }
 
-    fn train(mut trainer: Trainer, config: toml::Table, what: &str, tell: &mut Tell<'_>) -> Result<Self, LabError> {
-        tell(&format!("training {what}: {} steps", trainer.steps()));
+    fn train(mut trainer: Trainer, config: toml::Table, what: &str, log: &mut Log<'_>) -> Result<Self, LabError> {
+        log(&format!("training {what}: {} steps", trainer.steps()));
         while trainer.steps_done() < trainer.steps() {
             trainer.step()?;
         }
         let seconds = trainer.train_seconds();
-        tell(&format!("trained for {seconds:.0} s"));
-        Ok(Self::keep(trainer.model(), config, trainer.steps()))
+        log(&format!("trained for {seconds:.0} s"));
+        Ok(Self::copy(trainer.model(), config, trainer.steps()))
     }
 
-    /// The method on a film, under its settings with some changed (`KEY=VALUE`).
+    /// The trained method on the data `film`, with some settings changed (`KEY=VALUE`).
     ///
     /// # Errors
-    /// If the film's template is another, or settings are refused.
+    /// If the template of `film` is a different one, or settings are invalid.
     pub fn on(&self, film: &Dataset, changes: &[&str]) -> Result<Dut, LabError> {
-        let config = self.changed(changes)?;
+        let config = self.config(changes)?;
         let init: InitConfig = section(ENTRY.name, &config, "init")?;
         let parsed: Config = parse_config(ENTRY.name, &config)?;
         let schedule = parsed.schedule.clone();
@@ -123,7 +123,7 @@ impl Trained {
         });
         dut.buffers_mut(&mut |b| match self.values.get(b.name) {
             Some(values) if values.len() == b.values.len() => b.values.clone_from(values),
-            // Not asked for when it learnt.
+            // Added by the changed settings.
             None => {}
             Some(_) => wrong = Some(b.name.to_owned()),
         });
@@ -136,15 +136,15 @@ impl Trained {
         Ok(dut)
     }
 
-    /// The same as a model.
+    /// [`Self::on`] as a [`Model`].
     fn model(&self, film: &Dataset, changes: &[&str]) -> Result<Model, LabError> {
-        let schedule = parse_config::<Config>(ENTRY.name, &self.changed(changes)?)?.schedule;
+        let schedule = parse_config::<Config>(ENTRY.name, &self.config(changes)?)?.schedule;
         let mut model = Model::new(ENTRY.name, self.on(film, changes)?, schedule)?;
         model.begin_step(self.step);
         Ok(model)
     }
 
-    fn changed(&self, changes: &[&str]) -> Result<toml::Table, LabError> {
+    fn config(&self, changes: &[&str]) -> Result<toml::Table, LabError> {
         let mut config = self.config.clone();
         for change in changes {
             let parsed = change.parse();
@@ -154,37 +154,37 @@ impl Trained {
         Ok(config)
     }
 
-    /// Goes on learning the textures' Gaussians from the training views of a film, for so many steps.
+    /// Fine-tunes on the training views of `film`: the last stage of the schedule, for `steps` steps.
     ///
     /// # Errors
     /// If training fails.
-    pub fn go_on(&self, film: &Dataset, steps: u32, seed: u64, tell: &mut Tell<'_>) -> Result<Self, LabError> {
+    pub(super) fn fine_tune(&self, film: &Dataset, steps: u32, seed: u64, log: &mut Log<'_>) -> Result<Self, LabError> {
         let main = format!("schedule.stages.main.steps={steps}");
         let config =
-            self.changed(&["schedule.stages.geometry.steps=0", "schedule.stages.warm_up.steps=0", main.as_str()])?;
+            self.config(&["schedule.stages.geometry.steps=0", "schedule.stages.warm_up.steps=0", main.as_str()])?;
         let (dut, scene) = (self.model(film, &[])?, SceneInfo::of(film, &section(ENTRY.name, &config, "init")?, seed)?);
         let run =
             RunState { config: &config, scene: &scene, step: 0, adam_updates: &BTreeMap::new(), train_seconds: 0.0 };
         let start: Checkpoint = save(&dut, &run);
         let trainer = Trainer::resume(&registry(), Arc::new(film.clone()), &start, None, IMAGE_BYTES)?;
-        Self::train(trainer, config, "under the other light", tell)
+        Self::train(trainer, config, "under the other light", log)
     }
 
-    /// Scores of the method on the test views of a film.
+    /// Scores on the test views of `film`, over black, with some settings changed (`KEY=VALUE`).
     ///
     /// # Errors
-    /// As [`evaluate`].
-    pub fn scores(&self, film: &Dataset, changes: &[&str]) -> Result<EvalReport, LabError> {
+    /// Those of [`Self::on`] and [`evaluate`].
+    pub(super) fn scores(&self, film: &Dataset, changes: &[&str]) -> Result<EvalReport, LabError> {
         let dut = self.model(film, changes)?;
         Ok(evaluate(&dut, film, Split::Test, [0.0; 3], &ImageCache::new(IMAGE_BYTES, 1.0))?)
     }
 }
 
-/// Headings of the scores of a method.
-pub const SCORES: [(&str, usize); 4] = [("PSNR", 2), ("in-mask PSNR", 2), ("SSIM", 4), ("proxy", 4)];
+/// Heading and digits of the score columns.
+pub(super) const SCORES: [(&str, usize); 4] = [("PSNR", 2), ("in-mask PSNR", 2), ("SSIM", 4), ("proxy", 4)];
 
-/// The numbers under [`SCORES`]; nothing without a report.
-pub fn scores(report: Option<&EvalReport>) -> [Option<f64>; 4] {
+/// Mean scores for the columns [`SCORES`]; all `None` without a report.
+pub(super) fn scores(report: Option<&EvalReport>) -> [Option<f64>; 4] {
     let mean = report.map(|r| r.mean);
     [
         mean.and_then(|m| m.psnr),
@@ -194,8 +194,8 @@ pub fn scores(report: Option<&EvalReport>) -> [Option<f64>; 4] {
     ]
 }
 
-/// The same over the views of one moment.
-pub fn scores_at(report: Option<&EvalReport>, time: f32) -> [Option<f64>; 4] {
+/// Scores for the columns [`SCORES`], over the views at one time.
+pub(super) fn scores_at(report: Option<&EvalReport>, time: f32) -> [Option<f64>; 4] {
     let of = |value: fn(&ViewScores) -> Option<f64>| {
         let views = report.iter().flat_map(|r| &r.views).filter(|v| v.time == time);
         Mean::of(views.filter_map(value)).value

@@ -1,8 +1,8 @@
-//! Fewer and more conditioning cameras.
+//! Number of conditioning cameras.
 
 use super::subject::Errors;
 use super::trained::{SCORES, scores};
-use super::{Cell, Chart, Findings, LabError, Setup, Subject, Tell, Trained};
+use super::{Cell, Chart, Findings, LabError, Log, Setup, Subject, Trained};
 use glam::DVec3;
 use gs_data::avatar::AvatarScene;
 use gs_data::{Dataset, View};
@@ -10,15 +10,15 @@ use gs_synth::avatar::AvatarOptions;
 use gs_texel::unproject::UnprojectConfig;
 use std::sync::Arc;
 
-/// Numbers of cameras.
+/// Numbers of conditioning cameras compared.
 const COUNTS: [usize; 6] = [1, 2, 3, 4, 6, 8];
 
-/// The first so many of the cameras, and the film's own without one of them.
-pub(super) fn views(setup: &Setup, tell: &mut Tell<'_>) -> Result<Findings, LabError> {
-    // Every frame trains, so that every frame has more cameras than its inputs.
+/// Conditions on the first 1 to 8 cameras, then on the film's own cameras without one of them.
+pub(super) fn views(setup: &Setup, log: &mut Log<'_>) -> Result<Findings, LabError> {
+    // Without test frames, every frame has more cameras than its inputs.
     let setup = &Setup { film: AvatarOptions { test_every: 0, ..setup.film.clone() }, ..setup.clone() };
-    let whole = Subject::new(setup, tell)?;
-    let trained = Trained::of(setup, &whole.full_film, tell)?;
+    let whole = Subject::new(setup, log)?;
+    let trained = Trained::of(setup, &whole.full_film, log)?;
     let (subject, orders) = with_most_cameras(&whole)?;
     let table = subject.table(setup.texels)?;
     let truth = subject.truth(&table);
@@ -31,9 +31,9 @@ pub(super) fn views(setup: &Setup, tell: &mut Tell<'_>) -> Result<Findings, LabE
         let Some(scene) = &film.avatar else { return Ok(Vec::new()) };
         let mut errors = Errors::default();
         for frame in &scene.frames {
-            let photographs = subject.photographs(&frame.inputs)?;
+            let images = subject.images(&frame.inputs)?;
             let (texture, ms) =
-                subject.texture(&scene.true_surface(frame), &photographs, &table, &UnprojectConfig::default())?;
+                subject.texture(&scene.true_surface(frame), &images, &table, &UnprojectConfig::default())?;
             errors.add(&texture.colors, texture.seen.iter().map(|&n| n > 0), &truth, ms);
         }
         let report = trained.as_ref().map(|t| t.scores(&film, &[])).transpose()?;
@@ -43,9 +43,9 @@ pub(super) fn views(setup: &Setup, tell: &mut Tell<'_>) -> Result<Findings, LabE
         row.extend(scores(report.as_ref()).map(Cell::from));
         Ok(row)
     };
-    let most = orders.iter().map(Vec::len).min().unwrap_or(0);
-    for count in COUNTS.into_iter().filter(|c| *c <= most) {
-        tell(&format!("{count} views"));
+    let available = orders.iter().map(Vec::len).min().unwrap_or(0);
+    for count in COUNTS.into_iter().filter(|c| *c <= available) {
+        log(&format!("{count} views"));
         out.rows.push(row(&|k| orders[k][..count].to_vec())?);
     }
     let counted = out.rows.len();
@@ -57,17 +57,21 @@ pub(super) fn views(setup: &Setup, tell: &mut Tell<'_>) -> Result<Findings, LabE
         };
         out.rows.push(row(&all_but)?);
     }
-    // Lines through the counts alone.
-    let chart = |part, title: &str, drawn| Chart { part, title: title.into(), across: "views", drawn, split: None };
-    out.charts = vec![
-        chart("", "Texels seen, %", vec!["seen %"]),
-        chart("scores", "In-mask PSNR of test views, dB", vec!["in-mask PSNR"]),
-    ];
+    // Rows with a camera left out are not charted.
+    let chart = |part, title: &str, column| Chart {
+        part,
+        title: title.into(),
+        across: "views",
+        drawn: vec![column],
+        split: None,
+    };
+    out.charts =
+        vec![chart("", "Texels seen, %", "seen %"), chart("scores", "In-mask PSNR of test views, dB", "in-mask PSNR")];
     out.charted = Some(counted);
     Ok(out)
 }
 
-/// The frames with the most cameras, and the cameras of each in the order in which they are taken.
+/// Restricts the subject to the frames with the most cameras; also returns the cameras of each in the order of selection.
 fn with_most_cameras(subject: &Subject) -> Result<(Subject, Vec<Vec<View>>), LabError> {
     let orders: Vec<Vec<View>> = subject
         .scene
@@ -93,14 +97,14 @@ fn with_most_cameras(subject: &Subject) -> Result<(Subject, Vec<Vec<View>>), Lab
     Ok((Subject::of(film, count)?, orders))
 }
 
-/// Appends views, each time the one whose camera is farthest from all before (the first of equals).
+/// Appends views in farthest-point order of their cameras (the first of equals).
 fn farthest_first(order: &mut Vec<View>, mut views: Vec<View>) {
     let place = |v: &View| v.camera.position();
     while !views.is_empty() {
         let distance = |at: DVec3| order.iter().map(|o| place(o).distance(at)).fold(f64::INFINITY, f64::min);
         let mut best = 0;
         for k in 1..views.len() {
-            // Cameras of a ring stand equally far: rounding must not choose.
+            // Cameras of a ring are equally far apart: rounding must not decide.
             if distance(place(&views[k])) > distance(place(&views[best])) * (1.0 + 1e-9) {
                 best = k;
             }

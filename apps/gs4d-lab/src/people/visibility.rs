@@ -1,14 +1,14 @@
-//! Rules and thresholds of visibility.
+//! Visibility rules and their thresholds.
 
-use super::subject::{Errors, Photographs};
-use super::{Cell, Chart, Findings, LabError, Setup, Subject, Tell};
+use super::subject::{Errors, InputImages};
+use super::{Cell, Chart, Findings, LabError, Log, Setup, Subject};
 use glam::Vec3;
 use gs_data::avatar::AvatarFrame;
 use gs_texel::texels::TexelTable;
 use gs_texel::unproject::{Compat, UnprojectConfig};
 use gs_texel::visibility::{Rates, Rule};
 
-/// Least cosines between normal and direction to the camera.
+/// Thresholds on the cosine between normal and direction to the camera.
 const COSINES: [f32; 5] = [0.0, 0.1, 0.17, 0.34, 0.5];
 /// Depth tolerances, metres.
 const TOLERANCES: [f32; 4] = [0.005, 0.01, 0.02, 0.04];
@@ -19,90 +19,89 @@ const REMARK: &str = "On the true surface, so that only visibility errs; against
 const HEADS: [(&str, usize); 5] =
     [("seen %", 1), ("texture dB", 2), ("false visible %", 3), ("false hidden %", 3), ("ms", 1)];
 
-/// Every rule, the align-corners fault, and other methods' ways.
-pub(super) fn rules(setup: &Setup, tell: &mut Tell<'_>) -> Result<Findings, LabError> {
-    let bench = Bench::new(setup, tell)?;
-    let mut out = Findings::new("vis", REMARK, &[&[("rule", 0)][..], &HEADS].concat());
+/// Every rule, the align-corners fault, and the settings of other methods.
+pub(super) fn rules(setup: &Setup, log: &mut Log<'_>) -> Result<Findings, LabError> {
     let plain = UnprojectConfig::default();
-    let mut ways: Vec<(&str, UnprojectConfig)> =
-        Rule::ALL.into_iter().map(|rule| (rule.name(), UnprojectConfig { rule, ..plain })).collect();
     let compat = Compat { align_corners: true, ..Compat::default() };
-    ways.extend([
+    let rules = Rule::ALL.into_iter().map(|rule| (rule.name(), UnprojectConfig { rule, ..plain }));
+    let cases = rules.chain([
         ("bilinear, align corners", UnprojectConfig { rule: Rule::Bilinear, compat, ..plain }),
         ("as DUT's code", UnprojectConfig::dut_code()),
         ("as HoloChar", UnprojectConfig::holochar()),
         ("as DVA", UnprojectConfig::dva()),
         ("as GHG", UnprojectConfig::ghg()),
     ]);
-    for (name, config) in ways {
-        tell(name);
-        let mut row: Vec<Cell> = vec![name.into()];
-        row.extend(bench.measure(&config)?);
-        out.rows.push(row);
-    }
-    out.charts = vec![Chart {
-        part: "",
-        title: "Texture (dB) against time (ms)".into(),
-        across: "ms",
-        drawn: vec!["texture dB"],
-        split: Some("rule"),
-    }];
+    let mut out = measured("vis", &[("rule", 0)], setup, log, cases.map(|(name, config)| (vec![name.into()], config)))?;
+    out.charts = vec![chart("Texture (dB) against time (ms)", "ms", "rule")];
     Ok(out)
 }
 
 /// The four-tap rule under every pair of thresholds.
-pub(super) fn thresholds(setup: &Setup, tell: &mut Tell<'_>) -> Result<Findings, LabError> {
-    let bench = Bench::new(setup, tell)?;
-    let heads = [&[("least cosine", 2), ("tolerance", 0)][..], &HEADS].concat();
-    let mut out = Findings::new("thresholds", REMARK, &heads);
-    for depth_tolerance in TOLERANCES {
-        for min_cos in COSINES {
-            let config = UnprojectConfig { min_cos, depth_tolerance, ..UnprojectConfig::default() };
+pub(super) fn thresholds(setup: &Setup, log: &mut Log<'_>) -> Result<Findings, LabError> {
+    let cases = TOLERANCES.into_iter().flat_map(|depth_tolerance| {
+        COSINES.into_iter().map(move |min_cos| {
             let tolerance = format!("{:.0} mm", 1e3 * depth_tolerance);
-            let mut row: Vec<Cell> = vec![f64::from(min_cos).into(), tolerance.into()];
-            row.extend(bench.measure(&config)?);
-            out.rows.push(row);
-        }
-    }
-    out.charts = vec![Chart {
-        part: "",
-        title: "Texture (dB) against texels seen".into(),
-        across: "seen %",
-        drawn: vec!["texture dB"],
-        split: Some("tolerance"),
-    }];
+            let config = UnprojectConfig { min_cos, depth_tolerance, ..UnprojectConfig::default() };
+            (vec![f64::from(min_cos).into(), tolerance.into()], config)
+        })
+    });
+    let mut out = measured("thresholds", &[("least cosine", 2), ("tolerance", 0)], setup, log, cases)?;
+    out.charts = vec![chart("Texture (dB) against texels seen", "seen %", "tolerance")];
     Ok(out)
 }
 
-/// The film, its true surfaces and pictures.
+/// A table with one row per case: its own cells, then those under [`HEADS`].
+fn measured(
+    name: &'static str,
+    first: &[(&'static str, usize)],
+    setup: &Setup,
+    log: &mut Log<'_>,
+    cases: impl Iterator<Item = (Vec<Cell>, UnprojectConfig)>,
+) -> Result<Findings, LabError> {
+    let bench = Bench::new(setup, log)?;
+    let mut out = Findings::new(name, REMARK, &[first, &HEADS].concat());
+    for (mut row, config) in cases {
+        if let [Cell::Text(case)] = &row[..] {
+            log(case);
+        }
+        row.extend(bench.measure(&config)?);
+        out.rows.push(row);
+    }
+    Ok(out)
+}
+
+fn chart(title: &str, across: &'static str, split: &'static str) -> Chart {
+    Chart { part: "", title: title.into(), across, drawn: vec!["texture dB"], split: Some(split) }
+}
+
+/// True surface and input images of every evaluated frame.
 struct Bench {
     subject: Subject,
     table: TexelTable,
     truth: Vec<[f32; 3]>,
-    frames: Vec<(Vec<Vec3>, Photographs)>,
+    frames: Vec<(Vec<Vec3>, InputImages)>,
 }
 
 impl Bench {
-    fn new(setup: &Setup, tell: &mut Tell<'_>) -> Result<Self, LabError> {
-        let subject = Subject::new(setup, tell)?;
+    fn new(setup: &Setup, log: &mut Log<'_>) -> Result<Self, LabError> {
+        let subject = Subject::new(setup, log)?;
         let table = subject.table(setup.texels)?;
-        let of_frame =
-            |f: &AvatarFrame| Ok::<_, LabError>((subject.scene.true_surface(f), subject.photographs(&f.inputs)?));
+        let of_frame = |f: &AvatarFrame| Ok::<_, LabError>((subject.scene.true_surface(f), subject.images(&f.inputs)?));
         let frames = subject.scene.frames.iter().map(of_frame).collect::<Result<_, _>>()?;
         Ok(Self { truth: subject.truth(&table), table, frames, subject })
     }
 
-    /// The numbers under [`HEADS`].
+    /// The cells under [`HEADS`].
     fn measure(&self, config: &UnprojectConfig) -> Result<Vec<Cell>, LabError> {
         let mut errors = Errors::default();
         let (mut visible, mut shown, mut hidden) = (0.0, 0.0, 0.0);
-        for (surface, photographs) in &self.frames {
-            let look = |config: &UnprojectConfig| self.subject.texture(surface, photographs, &self.table, config);
-            let (texture, ms) = look(config)?;
+        for (surface, images) in &self.frames {
+            let unproject = |config: &UnprojectConfig| self.subject.texture(surface, images, &self.table, config);
+            let (texture, ms) = unproject(config)?;
             errors.add(&texture.colors, texture.seen.iter().map(|&n| n > 0), &self.truth, ms);
-            let kept = |config: UnprojectConfig| look(&UnprojectConfig { keep_views: true, ..config });
-            let oracle = UnprojectConfig { rule: Rule::Ray, compat: Compat::default(), ..*config };
-            let rates = Rates::of(&kept(*config)?.0.by_view, &kept(oracle)?.0.by_view);
+            let per_view = |config: UnprojectConfig| unproject(&UnprojectConfig { keep_views: true, ..config });
+            let exact = UnprojectConfig { rule: Rule::Ray, compat: Compat::default(), ..*config };
+            let rates = Rates::of(&per_view(*config)?.0.by_view, &per_view(exact)?.0.by_view);
             visible += rates.visible as f64;
             shown += rates.false_visible * rates.visible as f64;
             hidden += rates.false_hidden * rates.visible as f64;

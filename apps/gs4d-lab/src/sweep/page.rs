@@ -1,4 +1,4 @@
-//! The page of a sweep: its table, and quality against bytes.
+//! HTML page of a sweep: quality against bytes, and the table.
 
 use crate::sweep::Row;
 use gs4d_report::ReportError;
@@ -6,16 +6,16 @@ use gs4d_report::chart::{Curve, Scale, chart};
 use gs4d_report::page::{document, section, table};
 use std::fmt::Write as _;
 
-/// A quality of a row.
+/// Title of a chart and the plotted score.
 type Quality = (&'static str, fn(&Row) -> Option<f64>);
 
 const QUALITIES: [Quality; 3] =
     [("PSNR, dB", |r| r.psnr), ("SSIM", |r| r.ssim), ("Perceptual proxy (not LPIPS)", |r| r.proxy)];
 
-/// One self-contained HTML page.
+/// A self-contained HTML page.
 ///
 /// # Errors
-/// If a chart cannot be drawn.
+/// If a chart cannot be encoded.
 pub fn page(title: &str, rows: &[Row]) -> Result<String, ReportError> {
     let mut charts = String::new();
     for (name, quality) in QUALITIES {
@@ -29,7 +29,7 @@ pub fn page(title: &str, rows: &[Row]) -> Result<String, ReportError> {
     Ok(document(title, "One setting at a time around a preset; means over seeds.", &parts))
 }
 
-/// A line for each key, by rising bytes.
+/// One line per key, by ascending bytes.
 fn curves(rows: &[Row], quality: fn(&Row) -> Option<f64>) -> Vec<Curve> {
     let mut keys: Vec<&str> = Vec::new();
     rows.iter().filter_map(|r| r.key.as_deref()).for_each(|k| {
@@ -38,7 +38,7 @@ fn curves(rows: &[Row], quality: fn(&Row) -> Option<f64>) -> Vec<Curve> {
         }
     });
     let of_key = |key: &str| {
-        // The preset is one of the values, or stands beside them.
+        // The preset is a point of every line.
         let all = rows.iter().filter(|r| r.key.as_deref().is_none_or(|k| k == key));
         let mut points: Vec<(f64, f64)> = all.filter_map(|r| r.megabytes.zip(quality(r))).collect();
         points.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
@@ -49,16 +49,11 @@ fn curves(rows: &[Row], quality: fn(&Row) -> Option<f64>) -> Vec<Curve> {
 }
 
 fn rows_table(rows: &[Row]) -> String {
-    let columns = Row::columns(rows);
-    let cells = rows.iter().map(|r| {
-        let label = r.label() + if r.preset && r.key.is_some() { " (the preset's)" } else { "" };
-        let deviation = r.psnr_deviation.filter(|d| *d > 0.0).map_or(String::new(), |d| format!(" ± {d:.2}"));
-        let mut cells = vec![label];
-        cells.extend(columns.iter().map(|c| c.cell(r, "–")));
-        cells[1].push_str(&deviation);
-        cells
-    });
-    let head: Vec<&str> = std::iter::once("setting").chain(columns.iter().map(|c| c.head)).collect();
-    let numeric: Vec<usize> = (1..head.len()).collect();
-    table(&head, &numeric, cells)
+    let (head, mut cells) = Row::table(rows, "–");
+    for (cells, row) in cells.iter_mut().zip(rows) {
+        cells[0].push_str(if row.repeats_preset() { " (the preset's)" } else { "" });
+        let deviation = row.psnr_deviation.filter(|d| *d > 0.0);
+        cells[1].push_str(&deviation.map_or(String::new(), |d| format!(" ± {d:.2}")));
+    }
+    table(&head, &(1..head.len()).collect::<Vec<_>>(), cells.into_iter())
 }

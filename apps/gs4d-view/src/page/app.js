@@ -114,7 +114,7 @@ function choose(at) {
 function unchoose() { chosen = null; $("choice").hidden = true; boxing(false); }
 function boxing(on) { $("boxing").setAttribute("aria-pressed", on); stage.classList.toggle("boxing", on); if (!on) $("box").hidden = true; }
 const isBoxing = () => $("boxing").getAttribute("aria-pressed") === "true";
-// The share of the picture at a place of the window.
+// Shares of the image at a place of the window.
 function shareAt(x, y) { const c = $("a").getBoundingClientRect(); return [(x - c.left) / c.width, (y - c.top) / c.height]; }
 function dragBox(e) {
   const s = stage.getBoundingClientRect(), b = $("box").style;
@@ -146,9 +146,9 @@ function restore() {
     return true;
   } catch { return false; }
 }
-function begin(said) {
+function begin(message) {
   const first = !shows.length;
-  shows = said.shows;
+  shows = message.shows;
   notice("");
   if (!first) { layers(); again(); return; }
   document.title = `gs4d · ${shows.map((s) => s.name).join(", ")}`;

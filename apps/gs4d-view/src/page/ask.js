@@ -1,7 +1,7 @@
 "use strict";
-// The page asks for one picture at a time, the two sides in turn; a newer wish of a side replaces one not yet asked.
+// The page requests one image at a time, the two sides in turn; a newer request of a side replaces one not yet sent.
 const key = new URLSearchParams(location.search).get("k") || "";
-const FAST = 80; // milliseconds a picture may take while something moves
+const FAST = 80; // milliseconds an image may take while something moves
 const COARSE = 0, REST = 1, FINE = 2;
 let socket = null, next = 1, busy = null, playing = false, moving = 0, shrink = 1, training = false, file = null, chosen = null;
 const sides = { a: { want: null, is: -1 }, b: { want: null, is: -1 } };
@@ -50,7 +50,7 @@ function send(what, question) {
 }
 function changed() { moving = performance.now(); save(); again(); }
 function again() { lines(); for (const side of ["a", "b"]) { sides[side].is = -1; document.body.dataset[side] = "waiting"; ask(side, COARSE); } }
-// Asks for what is finer than what is shown once nothing has moved for a while; a run under training gets no finest pictures.
+// Asks for what is finer than what is shown once nothing has moved for a while; a run under training gets no supersampled images.
 function settle() {
   const still = performance.now() - moving, best = training || still < 600 ? REST : FINE;
   for (const side of wanted()) {
@@ -77,7 +77,7 @@ async function received(data) {
   const fit = Math.min(stage.clientWidth / bitmap.width, stage.clientHeight / bitmap.height);
   canvas.style.width = bitmap.width * fit + "px"; canvas.style.height = bitmap.height * fit + "px";
   document.body.dataset[side] = `${header.layer} ${header.width}x${header.height} ${["moving", "rest", "fine"][level]}`;
-  if (side === "a") tell(header, spent);
+  if (side === "a") showStatus(header, spent);
   place();
 }
 function download(name, bytes) {
@@ -85,22 +85,22 @@ function download(name, bytes) {
   link.href = URL.createObjectURL(new Blob([bytes])); link.download = name;
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href), 10000);
-  $("status").textContent = `saved ${name}, ${bytes.length.toLocaleString("en")} bytes: plain Gaussians, looks as this camera sees them`;
+  $("status").textContent = `saved ${name}, ${bytes.length.toLocaleString("en")} bytes: plain Gaussians, colours as this camera sees them`;
 }
 function open() {
   socket = new WebSocket(`ws://${location.host}/ws?k=${encodeURIComponent(key)}`);
   socket.binaryType = "arraybuffer";
   socket.onmessage = (m) => {
     if (typeof m.data !== "string") return void received(m.data);
-    const said = JSON.parse(m.data);
-    if (said.shows) return begin(said);
-    if (said.news) return news(said.news);
-    notice(said.error);
+    const message = JSON.parse(m.data);
+    if (message.shows) return begin(message);
+    if (message.news) return news(message.news);
+    notice(message.error);
     if (busy) { if (sides[busy.side]) sides[busy.side].is = FINE; if (busy.side === "file") file = null; busy = null; pump(); }
   };
   socket.onclose = () => { notice(training ? "Training has ended, or the line is cut; trying again." : "The viewer has stopped or the line is cut; trying again."); busy = null; setTimeout(open, 2000); };
 }
-// A run under training has moved on.
+// New state of a run under training.
 function news({ layers: names, checkpoints, training: at }) {
   training = true;
   Object.assign(shows[0], { layers: names, checkpoints });

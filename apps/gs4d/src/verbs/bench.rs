@@ -5,14 +5,14 @@ use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use crate::global::Global;
 use gs_core::speed::BenchRow;
-use gs4d_lab::bench::{GROUPS, StageOptions, StageTimes, roofs, stage_times};
+use gs4d_lab::bench::{GROUPS, StageOptions, StageTimes, roofline, stage_times};
 use gs4d_lab::people::{LabError, Trained};
 use gs4d_report::speed_json;
 use gs4d_run::OpenRun;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
-/// Measure speed and error of drawing, metrics, fields and optimiser on this machine, or the stages of a frame of a dut run
+/// Measure speed and error of rendering, metrics, fields and optimiser on this machine, or the stages of a frame of a dut run
 #[derive(clap::Args)]
 pub struct Bench {
     /// A run of the method dut: what each stage of a new frame takes, on one thread and on all.
@@ -21,16 +21,16 @@ pub struct Bench {
     /// Only this crate, for example gs-raster.
     #[arg(long = "crate", value_name = "C")]
     only: Option<String>,
-    /// Frames that count, of a run.
+    /// Timed frames, of a run.
     #[arg(long, value_name = "N", requires = "run", default_value_t = StageOptions::default().frames as u32, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     frames: u32,
-    /// Frames thrown away before.
+    /// Untimed frames before them.
     #[arg(long, value_name = "N", requires = "run", default_value_t = StageOptions::default().warm_up as u32)]
     warm_up: u32,
-    /// How often frames are measured.
+    /// Repeats of the measurement.
     #[arg(long, value_name = "N", requires = "run", default_value_t = StageOptions::default().repeats as u32, value_parser = clap::value_parser!(u32).range(1..=1000))]
     repeats: u32,
-    /// Side of the frame drawn, pixels.
+    /// Side of the rendered frame, pixels.
     #[arg(long, value_name = "PX", requires = "run", default_value_t = StageOptions::default().size, value_parser = clap::value_parser!(u32).range(1..=4096))]
     size: u32,
 }
@@ -72,7 +72,7 @@ impl Bench {
             global.say(format!("measuring {}", group.name));
             rows.extend((group.measure)());
         }
-        let (fma, exp) = roofs();
+        let (fma, exp) = roofline();
         let mut text = speed_text(&rows).trim_start().to_owned();
         text.push_str(&format!(
             "roofs of this machine on {} threads: {fma:.1} GFLOP/s fused multiply-add, {exp:.2} G exponentials/s\n",

@@ -2,15 +2,16 @@
 
 use super::eval::SplitName;
 use crate::answer::Answer;
-use crate::failure::{Class, Failure};
+use crate::failure::Failure;
 use crate::global::Global;
+use crate::output::check_free;
 use gs_data::Dataset;
 use gs4d_run::OpenRun;
 use gs4d_run::compact::{Bits, CompactScene, Packing};
 use serde_json::json;
 use std::path::PathBuf;
 
-/// Write a trained scene as one small file that draws, and say what that costs in PSNR
+/// Write a trained scene as one small file that renders, and report the loss in PSNR
 #[derive(clap::Args)]
 pub struct Compact {
     /// Folder of the run, or one of its checkpoints.
@@ -60,7 +61,7 @@ impl Compact {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
         self.check_out()?;
         let run = OpenRun::open(gs_methods::registry(), &self.run)?;
-        // The data are opened first: nothing is written for a split that is not there.
+        // Opened first, so that nothing is written if the data are missing.
         let dataset = if self.no_eval { None } else { Some(run.resolved.open_data()?) };
         let scene = CompactScene::of(&run.loaded.model, &run.loaded.config);
         let packing = Packing { bits: self.bits.into(), deflate: !self.no_deflate };
@@ -84,13 +85,7 @@ impl Compact {
         if self.out.extension().is_none_or(|e| e != "gs4d") {
             return Err(Failure::usage("the file to write must be named NAME.gs4d, so that the other verbs know it"));
         }
-        if self.out.exists() && !self.force {
-            return Err(Failure::new(Class::Io, "io.exists", "the file exists already")
-                .place(self.out.display())
-                .why("nothing is overwritten unless asked")
-                .remedy("choose another name with -o, or pass -f"));
-        }
-        Ok(())
+        check_free(self.force, "file", "name", [&self.out])
     }
 
     /// Mean PSNR on the split, dB; `None` without data or where every view is perfect.

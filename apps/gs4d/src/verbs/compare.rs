@@ -4,6 +4,7 @@ use super::eval::SplitName;
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use crate::global::Global;
+use crate::output::check_free;
 use crate::parse;
 use gs_core::io::write_file;
 use gs4d_run::RunError;
@@ -21,17 +22,17 @@ pub struct Compare {
     /// The page to write: one file that opens offline.
     #[arg(short, long, value_name = "HTML")]
     out: Option<PathBuf>,
-    /// What error maps hold the drawings against.
+    /// What error maps compare the renders with.
     #[arg(long, value_enum, default_value_t = Against::Gt, requires = "out")]
     against: Against,
     /// Which views.
     #[arg(long, value_enum, default_value_t = SplitName::Test)]
     split: SplitName,
-    /// Colour behind drawings and photographs: black, white, one grey or r,g,b in 0..1 [default: the recipes', which must
+    /// Colour behind renders and images: black, white, one grey or r,g,b in 0..1 [default: the recipes', which must
     /// agree].
     #[arg(long, allow_hyphen_values = true, value_parser = parse::color)]
     background: Option<[f32; 3]>,
-    /// Views shown with pictures: those whose drawings differ most.
+    /// Views shown with images: those whose renders differ most.
     #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u8).range(1..=20))]
     views: u8,
     /// Overwrite an existing file.
@@ -41,20 +42,15 @@ pub struct Compare {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Against {
-    /// The photographs.
+    /// The ground-truth images.
     Gt,
-    /// The drawings of the first run.
+    /// The renders of the first run.
     First,
 }
 
 impl Compare {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
-        if let Some(out) = self.out.as_ref().filter(|out| out.exists() && !self.force) {
-            return Err(Failure::new(Class::Io, "io.exists", "the file exists already")
-                .place(out.display())
-                .why("nothing is overwritten unless asked")
-                .remedy("choose another name with -o, or pass -f"));
-        }
+        check_free(self.force, "file", "name", &self.out)?;
         let mut sides = Vec::new();
         for path in &self.runs {
             let side = Side::open(gs_methods::registry(), path)?;
@@ -64,12 +60,12 @@ impl Compare {
             sides.push(side);
         }
         let options = Options { split: self.split.into(), background: self.background, shown: self.views.into() };
-        global.say(format!("drawing and scoring {} runs", sides.len()));
-        let (compared, pictures) = compare(&sides, &options)?;
+        global.say(format!("rendering and scoring {} runs", sides.len()));
+        let (compared, images) = compare(&sides, &options)?;
         let mut text = table(&compared);
         let mut json = json!(compared);
         if let Some(out) = &self.out {
-            let html = page(&compared, &pictures, &sides, self.against == Against::First).map_err(RunError::from)?;
+            let html = page(&compared, &images, &sides, self.against == Against::First).map_err(RunError::from)?;
             write_file(out, self.force, |file| file.write_all(html.as_bytes()))?;
             text.push_str(&format!("-> {}\n", out.display()));
             json["page"] = json!(out.display().to_string());
@@ -85,7 +81,7 @@ impl From<CompareError> for Failure {
             CompareError::Method(e) => e.into(),
             CompareError::Differ { other, background_only, .. } => Self::new(Class::Data, "data.differ", text)
                 .place(other.display())
-                .why("scores of other photographs, sizes or backgrounds are other numbers")
+                .why("scores on different images, sizes or backgrounds cannot be compared")
                 .remedy(if background_only {
                     "score all over one background with --background"
                 } else {
@@ -96,7 +92,7 @@ impl From<CompareError> for Failure {
     }
 }
 
-/// A line for each run, then the paired differences.
+/// One line per run, then the paired differences.
 fn table(c: &Compared) -> String {
     let columns = columns(&c.runs);
     let label = |r: &Row| format!("{} ({})", r.name, r.method);

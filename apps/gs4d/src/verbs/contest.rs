@@ -6,6 +6,7 @@ use crate::failure::{Class, Failure};
 use crate::global::Global;
 use crate::progress::Progress;
 use crate::{interrupt, parse};
+use gs4d_lab::aligned;
 use gs4d_lab::contest::{Contest, ContestError, Entry, Length, SCORES, Score, Spread, Standing, Told};
 use serde_json::{Value, json};
 use std::path::PathBuf;
@@ -18,7 +19,7 @@ pub struct ContestVerb {
     /// Folder of the data.
     #[arg(value_name = "DATA")]
     data: PathBuf,
-    /// A contestant: a method and settings of its own in one argument, for example "fags" or "fags:tiny ablate=gate"
+    /// An entry: a method and its own settings in one argument, for example "fags" or "fags:tiny ablate=gate"
     /// (repeatable). The others are compared with the first.
     #[arg(short, long = "entry", value_name = "ENTRY", required = true, value_parser = Entry::parse)]
     entries: Vec<Entry>,
@@ -29,7 +30,7 @@ pub struct ContestVerb {
     trials: Trials,
 }
 
-/// How trials are made, the same for all.
+/// Conditions shared by all trials.
 #[derive(clap::Args)]
 pub struct Trials {
     /// Seeds; everything runs once with each.
@@ -44,13 +45,13 @@ pub struct Trials {
     /// A setting of all trials (repeatable).
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub sets: Vec<String>,
-    /// Folder of the trials and of what comes of them; trials that stand in it are not made again.
+    /// Folder of the trials and of the results; finished trials in it are not trained again.
     #[arg(short, long, value_name = "DIR")]
     pub out: PathBuf,
 }
 
 impl Trials {
-    /// How long each of them is.
+    /// Length of every trial.
     pub fn length(&self) -> Length {
         Length::of(self.time_budget, self.steps)
     }
@@ -62,34 +63,27 @@ impl ContestVerb {
         let Self { data, entries, preset, trials: Trials { seeds, sets, out: root, .. } } = self;
         let contest =
             Contest { registry: gs_methods::registry().clone(), data, root, preset, entries, seeds, length, sets };
-        let standings = follow(global, |stop, tell| contest.run(stop, tell))?.map_err(failure)?;
+        let standings = follow(global, |stop, on_event| contest.run(stop, on_event))?.map_err(failure)?;
         Ok(Answer::new(table(&standings), to_json(&standings)))
     }
 }
 
-/// Runs trials under a progress line for each, until done or interrupted.
+/// Runs trials with a progress line for each, until done or interrupted.
 pub fn follow<T>(global: &Global, run: impl FnOnce(&AtomicBool, &mut dyn FnMut(Told)) -> T) -> Result<T, Failure> {
     let stop = interrupt::flag()?;
     let mut progress: Option<Progress> = None;
-    let result = run(&stop, &mut |told| match told {
+    let result = run(&stop, &mut |event| match event {
         Told::Trial(name) => {
-            if let Some(done) = progress.take() {
-                done.finish();
-            }
+            progress.take().into_iter().for_each(Progress::finish);
             global.say(name);
         }
-        Told::Step(p) => {
-            let line = progress.get_or_insert_with(|| Progress::new(u64::from(p.steps), "steps", global.quiet));
-            line.at(u64::from(p.step), || format!("{:.2} dB  {} splats", p.psnr, p.splats));
-        }
+        Told::Step(p) => Progress::step(&mut progress, p, global.quiet),
     });
-    if let Some(done) = progress {
-        done.finish();
-    }
+    progress.into_iter().for_each(Progress::finish);
     Ok(result)
 }
 
-/// What went wrong in a trial.
+/// The failure of a trial.
 pub fn failure(e: ContestError) -> Failure {
     let again = "the same command goes on where it stopped";
     match e {
@@ -102,28 +96,22 @@ pub fn failure(e: ContestError) -> Failure {
 }
 
 fn table(standings: &[Standing]) -> String {
-    let width = standings.iter().map(|s| s.label.len()).max().unwrap_or(0).max(5);
-    let mut text = format!("{:width$}  {:>8}  {:>7}", "entry", "steps", "dB");
     let scores: Vec<Score> =
         SCORES.into_iter().filter(|(_, _, score)| standings.iter().any(|s| s.spread(score).is_some())).collect();
-    scores.iter().for_each(|(name, ..)| text.push_str(&format!("  {name:>15}")));
-    text.push('\n');
     let psnr = |s: &Standing| s.spread(|r| r.mean.psnr).map(|p| p.mean);
     let first = standings.first().and_then(psnr);
-    for standing in standings {
-        let delta = psnr(standing).zip(first).map_or("-".to_owned(), |(p, f)| format!("{:+.2}", p - f));
-        text.push_str(&format!("{:width$}  {:>8}  {delta:>7}", standing.label, standing.steps));
-        for (_, digits, score) in &scores {
-            text.push_str(&format!("  {:>15}", spread_text(standing.spread(score), *digits)));
-        }
-        text.push('\n');
-    }
+    let row = |s: &Standing| {
+        let delta = psnr(s).zip(first).map_or("-".to_owned(), |(p, f)| format!("{:+.2}", p - f));
+        let scores = scores.iter().map(|(_, digits, score)| spread_text(s.spread(score), *digits));
+        [s.label.clone(), s.steps.to_string(), delta].into_iter().chain(scores).collect()
+    };
+    let head: Vec<&str> = ["entry", "steps", "dB"].into_iter().chain(scores.iter().map(|s| s.0)).collect();
+    let text = aligned(&head, &standings.iter().map(row).collect::<Vec<_>>(), |column| column == 0);
     let seconds: f64 = standings.iter().flat_map(|s| &s.trials).filter_map(|t| t.scores.train_seconds).sum();
-    text.push_str(&format!(
-        "dB: mean PSNR against the first entry; ± one standard deviation over seeds; {} of training\n",
+    format!(
+        "{text}dB: mean PSNR against the first entry; ± one standard deviation over seeds; {} of training\n",
         time_text(seconds)
-    ));
-    text
+    )
 }
 
 fn spread_text(spread: Option<Spread>, digits: usize) -> String {

@@ -1,7 +1,7 @@
-//! `gs4d continual`: learns while the sequence goes on, and says after each round what was foretold.
+//! `gs4d continual`: trains in rounds on a growing part of the sequence, and scores the extrapolation after each.
 
 use super::train::time_text;
-use crate::answer::Answer;
+use crate::answer::{Answer, number};
 use crate::failure::{Class, Failure};
 use crate::global::Global;
 use crate::interrupt;
@@ -12,9 +12,9 @@ use gs4d_run::settings::Request;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
-/// Learn while the sequence goes on: rounds that each let in more of it, scored on what comes next
+/// Train in rounds, each on a longer part of the sequence, and score what comes next
 ///
-/// Parameters and the optimiser's state go on from round to round. Times are normalised over the whole sequence, 0 to 1.
+/// Parameters and optimiser state are kept from round to round. Times are normalised over the whole sequence, 0 to 1.
 #[derive(clap::Args)]
 pub struct ContinualVerb {
     /// Folder of the data.
@@ -108,34 +108,23 @@ impl ContinualVerb {
     }
 }
 
-/// Runs the rounds under a line of progress for each.
+/// Runs the rounds with a progress line for each.
 fn follow(plan: &Plan, out: &Path, force: bool, global: &Global) -> Result<Option<Vec<RoundScores>>, Failure> {
     let stop = interrupt::flag()?;
     let mut progress: Option<Progress> = None;
-    let rounds = run(plan, out, force, &stop, &mut |told| match told {
+    let rounds = run(plan, out, force, &stop, &mut |event| match event {
         Told::Round(k, n, round) => global.say(format!("round {k} of {n}: up to {:.4}", round.last)),
-        Told::Step(p) => {
-            let line = progress.get_or_insert_with(|| Progress::new(u64::from(p.steps), "steps", global.quiet));
-            line.at(u64::from(p.step), || format!("{:.2} dB  {} splats", p.psnr, p.splats));
-        }
+        Told::Step(p) => Progress::step(&mut progress, p, global.quiet),
         Told::Done(scores) => {
-            if let Some(done) = progress.take() {
-                done.finish();
-            }
+            progress.take().into_iter().for_each(Progress::finish);
             global.say(format!("{}\n{}", HEAD.join("  "), row(scores)));
         }
     });
-    if let Some(done) = progress {
-        done.finish();
-    }
+    progress.into_iter().for_each(Progress::finish);
     Ok(rounds?)
 }
 
 const HEAD: [&str; 8] = ["   T_obs", "views", "  steps", "splats", "int. dB", "int. SSIM", "ext. dB", "ext. SSIM"];
-
-fn number(v: Option<f64>, digits: usize) -> String {
-    v.map_or("-".to_owned(), |v| format!("{v:.digits$}"))
-}
 
 fn pair(m: Option<&MeanScores>) -> [String; 2] {
     [number(m.and_then(|m| m.psnr), 2), number(m.and_then(|m| m.ssim), 4)]

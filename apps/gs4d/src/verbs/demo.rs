@@ -1,10 +1,11 @@
-//! `gs4d demo`: makes a moving scene, learns it, and shows what came of it.
+//! `gs4d demo`: generates a moving scene, trains on it, and reports the result.
 
 use super::train::{drive, time_text};
-use crate::answer::Answer;
+use crate::answer::{Answer, number};
 use crate::failure::{Class, Failure};
 use crate::global::Global;
 use crate::interrupt;
+use crate::output::create_folder;
 use gs_core::io::images::save_png;
 use gs_core::io::{RawSplats, save_splats};
 use gs_core::speed::BenchRow;
@@ -21,11 +22,11 @@ use serde_json::json;
 use std::path::PathBuf;
 use std::time::Instant;
 
-/// Pictures of the scene through time.
+/// Rendered frames over time 0..1.
 const FRAMES: usize = 24;
-/// Laid over the preset: as many splats as two cores learn in a minute.
+/// Settings over the preset: as many splats as two cores train in a minute.
 const SETS: [&str; 3] = ["init.points=6000", "schedule.density.max_splats=12000", "run.eval_every=500"];
-/// The same for the default method: a field fine enough for that many splats, and as quick to bend as a cloth.
+/// Further settings of the default method: a deformation field with the resolution that a waving cloth needs.
 const FIELD_SETS: [&str; 5] = [
     "field.width=32",
     "field.hexplane.resolution=[16, 16, 16, 33]",
@@ -35,7 +36,7 @@ const FIELD_SETS: [&str; 5] = [
 ];
 const METHOD: &str = "fourdgs";
 
-/// Make a moving scene, learn it in under two minutes, and write a report, pictures and a splat file
+/// Generate a moving scene, train on it in under two minutes, and write a report, images and a splat file
 #[derive(clap::Args)]
 pub struct Demo {
     /// Folder for everything.
@@ -75,11 +76,11 @@ impl Demo {
         }
         let scores = training.score()?;
         let rows = training.report(&scores)?;
-        let files = self.leave(&training)?;
+        let files = self.write(&training)?;
         Ok(answer(&scores, &rows, &files, training.trainer().steps_done(), begun.elapsed().as_secs_f64()))
     }
 
-    /// Makes the data and a run that is ready to train.
+    /// Generates the data and starts a run.
     fn begin(&self, global: &Global) -> Result<Training, Failure> {
         let (root, data_folder) = (self.out.join("run"), self.out.join("data"));
         if root.exists() && !self.force {
@@ -104,8 +105,8 @@ impl Demo {
         Ok(Training::begin(&root, self.force, resolve(gs_methods::registry(), &request)?)?)
     }
 
-    /// Writes pictures through time and the splats of the middle moment; lists what a user may want to open.
-    fn leave(&self, training: &Training) -> Result<Vec<PathBuf>, Failure> {
+    /// Writes frames over time and the splats at time 0.5; returns the paths of the results.
+    fn write(&self, training: &Training) -> Result<Vec<PathBuf>, Failure> {
         let method = training.trainer().model();
         let dataset = training.trainer().dataset();
         let view = dataset.test.first().or(dataset.train.first());
@@ -113,7 +114,7 @@ impl Demo {
         let background = method.background();
         let mut renderer = Renderer::new(method.raster_options(background));
         let frames = self.out.join("frames");
-        std::fs::create_dir_all(&frames).map_err(|e| Failure::io("create the folder", &frames, &e))?;
+        create_folder(&frames)?;
         for k in 0..FRAMES {
             let time = k as f32 / (FRAMES - 1) as f32;
             save_png(&frames.join(format!("frame-{k:02}.png")), &renderer.at(method, time, &view.camera)?, true)?;
@@ -127,18 +128,17 @@ impl Demo {
     }
 }
 
-/// The table of results, then the files.
+/// The table of results and the list of files.
 fn answer(scores: &EvalReport, rows: &[BenchRow], files: &[PathBuf], step: u32, seconds: f64) -> Answer {
     let mut json = metrics_json(scores, step);
     json["speed_error"] = speed_json(rows);
     json["seconds"] = json!(seconds);
     json["files"] = json!(files.iter().map(|f| f.display().to_string()).collect::<Vec<_>>());
-    let number = |v: Option<f64>, digits: usize| v.map_or("-".to_owned(), |v| format!("{v:.digits$}"));
     let table = [
         ("PSNR", format!("{} dB", number(scores.mean.psnr, 2)), "mean of the held-out views"),
         ("SSIM", number(scores.mean.ssim, 4), "the same views"),
         ("training", time_text(scores.train_seconds.unwrap_or(0.0)), "in steps"),
-        ("in all", time_text(seconds), "with scene, scores, report and pictures"),
+        ("in all", time_text(seconds), "with scene, scores, report and images"),
         ("splats", scores.gaussians.to_string(), "in the canonical cloud"),
         ("scene", bytes_text(scores.parameter_bytes as usize), "all parameters as f32"),
     ];

@@ -1,4 +1,4 @@
-//! `gs4d doctor`: what is wrong with a data set, before it is trained on.
+//! `gs4d doctor`: checks a dataset before training.
 
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
@@ -10,7 +10,7 @@ use gs4d_run::settings::{Request, resolve};
 use serde_json::json;
 use std::path::PathBuf;
 
-/// Look at a data set: layout, images, times, poses, points, box, memory and time; say what is wrong and how to mend it
+/// Check a dataset: layout, images, times, poses, points, box, memory and time; say what is wrong and how to fix it
 #[derive(clap::Args)]
 pub struct Doctor {
     /// The folder.
@@ -34,7 +34,7 @@ pub struct Doctor {
     /// Memory a run may take, MiB [default: what is free].
     #[arg(long, value_name = "MIB")]
     max_mem: Option<f64>,
-    /// The page with pictures.
+    /// The page with images.
     #[arg(short, long, value_name = "FILE", default_value = "doctor.html")]
     out: PathBuf,
     /// Overwrite it.
@@ -70,19 +70,19 @@ impl Doctor {
         Ok(DataOptions { layout: self.layout.clone().or(data.layout.clone()), ..data })
     }
 
-    /// Prints the answer and fails where the data are not fit.
+    /// Prints the answer and fails if there are problems, or warnings with `--strict`.
     fn judge(&self, checkup: &Checkup, answer: &Answer, global: &Global) -> Result<(), Failure> {
         let [problems, warnings] = [Verdict::Problem, Verdict::Warning].map(|v| checkup.count(v));
-        let told = |class, id, what: String| {
+        let failed = |class, id, what: String| {
             answer.print(global.json)?;
             Err(Failure::new(class, id, what).place(self.data.display()).remedy("see what to do behind each finding"))
         };
         if problems > 0 {
-            return told(Class::Data, "doctor.problems", checkup.summary());
+            return failed(Class::Data, "doctor.problems", checkup.summary());
         }
         if self.strict && warnings > 0 {
             let what = format!("{}, and --strict was asked for", checkup.summary());
-            return told(Class::Verification, "doctor.strict", what);
+            return failed(Class::Verification, "doctor.strict", what);
         }
         Ok(())
     }

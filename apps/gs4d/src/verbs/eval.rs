@@ -25,7 +25,7 @@ pub struct Eval {
     /// Which views of the run's data.
     #[arg(long, value_enum, default_value_t = SplitName::Test)]
     split: SplitName,
-    /// Colour behind drawing and truth: black, white, one grey or r,g,b in 0..1 [default: the recipe's; folders: black].
+    /// Colour behind render and truth: black, white, one grey or r,g,b in 0..1 [default: the recipe's; folders: black].
     #[arg(long, allow_hyphen_values = true, value_parser = parse::color)]
     background: Option<[f32; 3]>,
     /// Folder of images to score, taken in the order of the numbers in their names.
@@ -58,7 +58,7 @@ pub enum SplitName {
     Train,
     Val,
     Test,
-    /// Views later than anything learnt from (data.time_boundary).
+    /// Views after the last training time (data.time_boundary).
     Extrapolate,
 }
 
@@ -133,7 +133,7 @@ impl Eval {
         self.metrics.as_ref().is_some_and(|m| m.contains(&name))
     }
 
-    /// What tOF leaves out, if it is asked for.
+    /// Options of tOF; `None` if it is not asked for.
     fn tof(&self) -> Result<Option<TofOptions>, Failure> {
         let asked = self.asks_for(MetricName::Tof);
         if !asked && (self.no_trim || self.no_crop) {
@@ -156,9 +156,9 @@ impl Eval {
             temporal::tof(method, &dataset, split, background, &run.photographs(), options).map(|s| (s, options))
         });
         let motion = motion.transpose()?;
-        // What the folder keeps has the future beside the test views.
-        let kept = run.folder().ok().filter(|_| self.split == SplitName::Test && self.background.is_none());
-        let scores = match kept {
+        // The file in the run folder holds the extrapolation scores as well.
+        let folder = run.folder().ok().filter(|_| self.split == SplitName::Test && self.background.is_none());
+        let scores = match folder {
             Some(_) => run.score_for_folder(&dataset)?,
             None => run.score(&dataset, split, background)?,
         };
@@ -173,7 +173,7 @@ impl Eval {
             json["tof"] = json!(score);
             json["tof_protocol"] = json!(tof_protocol(options));
         }
-        if let Some(folder) = kept {
+        if let Some(folder) = folder {
             folder.write(METRICS, &format!("{json:#}\n"))?;
             text.push_str(&format!("-> {}\n", root.join(METRICS).display()));
         }

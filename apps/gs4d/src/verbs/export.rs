@@ -4,6 +4,7 @@ use super::eval::SplitName;
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use crate::global::Global;
+use crate::output::{check_free, create_folder};
 use crate::parse;
 use crate::progress::Progress;
 use gs_core::io::{Limits, RawSplats, SplatFormat, load_splats, save_splats, write_file};
@@ -15,7 +16,7 @@ use gs4d_run::OpenRun;
 use serde_json::{Value, json};
 use std::path::PathBuf;
 
-/// Write a trained scene at one or many moments as .ply, .splat, .spz or .glb, and say what that costs in PSNR
+/// Write a trained scene at one or many times as .ply, .splat, .spz or .glb, and report the loss in PSNR
 #[derive(clap::Args)]
 pub struct Export {
     /// A run folder or .gs4d file, or a splat file to convert (.ply, .splat, .spz, .glb).
@@ -66,11 +67,11 @@ impl From<FormatName> for SplatFormat {
     }
 }
 
-/// Where each time goes.
+/// Output file of each time.
 struct Plan {
     format: SplatFormat,
     files: Vec<(f32, PathBuf)>,
-    /// The folder and its table of times, for a sequence.
+    /// The output folder of a sequence.
     folder: Option<PathBuf>,
 }
 
@@ -103,33 +104,26 @@ impl Export {
         }
     }
 
-    /// Nothing is overwritten unless asked; a folder is made only when there is something to put there.
+    /// Fails if an output exists, before anything is written.
     fn check_free(&self, plan: &Plan) -> Result<(), Failure> {
         let table = plan.folder.as_ref().map(|f| f.join(TABLE));
-        let taken = plan.files.iter().map(|f| &f.1).chain(&table).find(|p| p.exists());
-        match taken.filter(|_| !self.force) {
-            None => Ok(()),
-            Some(path) => Err(Failure::new(Class::Io, "io.exists", "the file exists already")
-                .place(path.display())
-                .why("nothing is overwritten unless asked")
-                .remedy("choose another name with -o, or pass -f")),
-        }
+        check_free(self.force, "file", "name", plan.files.iter().map(|f| &f.1).chain(&table))
     }
 
     /// One splat file as another.
     fn convert(&self, plan: &Plan) -> Result<Answer, Failure> {
         if self.times.is_some() || self.max_error.is_some() {
             return Err(Failure::usage(
-                "a splat file has one moment and no photographs: --times and --max-error need a run",
+                "a splat file has one moment and no ground truth: --times and --max-error need a run",
             ));
         }
         let raw = load_splats(&self.scene, &Limits::default())?;
-        // A file without a bent kernel keeps its own numbers.
-        let plain = if raw.kernel.is_neutral() { raw } else { straightened(&raw)? };
-        let kept = cut(plain, self.sh_degree);
+        // Gaussian kernels are kept bit for bit.
+        let plain = if raw.kernel.is_neutral() { raw } else { with_plain_kernel(&raw)? };
+        let reduced = cut(plain, self.sh_degree);
         let Some((_, path)) = plan.files.first() else { return Err(Failure::usage("no time to write")) };
-        make_folder(plan)?;
-        save_splats(path, &kept, self.force)?;
+        plan.folder.as_deref().map_or(Ok(()), create_folder)?;
+        save_splats(path, &reduced, self.force)?;
         let again = load_splats(path, &Limits::default())?;
         let text =
             format!("{} splats, SH degree {}; read back whole\n-> {}\n", again.len(), again.degree, path.display());
@@ -144,8 +138,8 @@ impl Export {
         let dataset = run.resolved.open_data()?;
         let method = &run.loaded.model;
         let baker = || Baker::new(method, &dataset.train, self.sh_degree);
-        make_folder(plan)?;
-        let mut progress = Progress::new(plan.files.len() as u64, "moments", global.quiet);
+        plan.folder.as_deref().map_or(Ok(()), create_folder)?;
+        let mut progress = Progress::new(plan.files.len() as u64, "times", global.quiet);
         let mut written = Vec::new();
         for (done, (time, path)) in plan.files.iter().enumerate() {
             let raw = baker().bake(&Timestamp::normalised(*time))?;
@@ -172,44 +166,39 @@ impl Export {
     }
 
     fn measure(&self, run: &OpenRun, data: &Dataset, baker: Baker<'_>, format: SplatFormat) -> Result<Loss, Failure> {
-        let photographs: ImageCache = run.photographs();
+        let images: ImageCache = run.photographs();
         let (split, background) = (self.split.into(), run.background());
-        let before = evaluate(&run.loaded.model, data, split, background, &photographs)?;
-        let after = AsExported::new(baker, format).evaluate(data, split, background, &photographs)?;
+        let before = evaluate(&run.loaded.model, data, split, background, &images)?;
+        let after = AsExported::new(baker, format).evaluate(data, split, background, &images)?;
         Ok(Loss::of(&before, &after))
     }
 
     fn verdict(&self, loss: Option<&Loss>) -> Result<(), Failure> {
-        let (Some(most), Some(lost)) = (self.max_error, loss.and_then(Loss::mean)) else { return Ok(()) };
-        if lost <= most {
+        let (Some(bound), Some(lost)) = (self.max_error, loss.and_then(Loss::mean)) else { return Ok(()) };
+        if lost <= bound {
             return Ok(());
         }
         Err(Failure::new(
             Class::Verification,
             "export.loss",
-            format!("the files lose {lost:.3} dB, --max-error allows {most}"),
+            format!("the files lose {lost:.3} dB, --max-error allows {bound}"),
         )
         .place(self.out.display())
-        .why("the files are written and draw, but not as well as asked for")
+        .why("the files are written and valid, but not as accurate as asked for")
         .remedy("try --format ply or glb, a higher --sh-degree, or gs4d compact, which keeps the method"))
     }
 }
 
-/// The plain Gaussians nearest to splats with a bent kernel.
-fn straightened(raw: &RawSplats) -> Result<RawSplats, ExportError> {
+/// The nearest Gaussians to splats with another kernel profile.
+fn with_plain_kernel(raw: &RawSplats) -> Result<RawSplats, ExportError> {
     let plain = raw.to_splats().and_then(|s| RawSplats::from_splats(&s.with_plain_kernel()));
     plain.map_err(|source| ExportError::Splats { time: 0.0, source })
 }
 
-/// The times of a folder's files.
+/// Table of times and files in an output folder.
 const TABLE: &str = "times.json";
 
-fn make_folder(plan: &Plan) -> Result<(), Failure> {
-    let Some(folder) = &plan.folder else { return Ok(()) };
-    std::fs::create_dir_all(folder).map_err(|e| Failure::io("make the folder", folder, &e))
-}
-
-/// What plain files cost.
+/// PSNR before and after export.
 struct Loss {
     before: Option<f64>,
     after: Option<f64>,
@@ -232,7 +221,7 @@ impl Loss {
         }
     }
 
-    /// dB; none where either is perfect.
+    /// Loss of the mean PSNR, dB; `None` if either is perfect.
     fn mean(&self) -> Option<f64> {
         Some(self.before? - self.after?)
     }

@@ -1,8 +1,9 @@
-//! `gs4d forecast`: frames after the last training time, scores where the truth is known, what was learnt of the motion.
+//! `gs4d forecast`: frames after the last training time, scores where ground truth exists, statistics of the learnt motion.
 
-use crate::answer::Answer;
+use crate::answer::{Answer, number};
 use crate::failure::{Class, Failure};
 use crate::global::Global;
+use crate::output::{check_free, create_folder};
 use crate::parse;
 use crate::progress::Progress;
 use gs_core::Camera;
@@ -21,13 +22,13 @@ use gs4d_run::OpenRun;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
-/// Names of what is kept beside the frames.
+/// Files beside the frames.
 const FILE: &str = "forecast.json";
 const PAGE: &str = "forecast.html";
 /// Frames shown on the page.
-const SHOWN: usize = 8;
+const PAGE_FRAMES: usize = 8;
 
-/// Draw what comes after the last training time
+/// Render what comes after the last training time
 ///
 /// Times are normalised: with data.time_boundary the whole sequence is 0 to 1, without it training ends at 1. Where the
 /// data hold views of the future, they are scored up to the last time asked for.
@@ -52,7 +53,7 @@ pub struct ForecastVerb {
     /// render, followed one by one [default: the first view of the future, else of the test views].
     #[arg(long, value_name = "FILE|view:NAME|orbit")]
     camera: Option<String>,
-    /// Measured places of a body, lines frame,x,y,z from the first moment of the data on: how far the forecast is off.
+    /// Measured places of a body, lines frame,x,y,z from the first time of the data on: how far the forecast is off.
     #[arg(long, value_name = "FILE")]
     track: Option<PathBuf>,
     /// Splats this near the track at the last training time are the body, world units.
@@ -79,8 +80,8 @@ impl ForecastVerb {
         let from = self.from.map_or(last, f64::from);
         let times = times(from, f64::from(self.until), self.spacing(clock, interval))?;
         let files: Vec<PathBuf> = times.iter().enumerate().map(|(k, t)| self.out.join(file_name(k, *t))).collect();
-        self.refuse_taken(&files)?;
-        std::fs::create_dir_all(&self.out).map_err(|e| Failure::io("create the folder", &self.out, &e))?;
+        check_free(self.force, "frame", "folder", &files)?;
+        create_folder(&self.out)?;
         let (truth, background) = (self.truth(&run, &dataset)?, run.background());
         let method = &run.loaded.model;
         let mut renderer = Renderer::new(method.raster_options(background));
@@ -91,14 +92,14 @@ impl ForecastVerb {
             let frame = draw(method, &mut renderer, &camera, time)?;
             save_png(file, &frame.image, self.force)?;
             let scores = truth.as_ref().and_then(|truth| truth.frame(&camera, t, interval.max(1e-6)));
-            frames.push(Shown {
+            frames.push(FrameInfo {
                 file,
                 time: t,
                 seconds: time.seconds,
                 ms: [frame.motion_ms, frame.drawing_ms],
                 scores,
             });
-            if strip.len() * times.len() <= k * SHOWN {
+            if strip.len() * times.len() <= k * PAGE_FRAMES {
                 strip.push(Still { caption: format!("t = {t:.3}"), image: frame.image });
             }
             progress.at(k as u64 + 1, || format!("t = {t:.3}"));
@@ -109,7 +110,7 @@ impl ForecastVerb {
         let physics = particles.map(|p| Physics::of(&p, clock, steps));
         let moments = truth.as_ref().map(|t| t.moments(last));
         let followed = self.follow(method, &path.at(0, 1), &dataset, run.loaded.scene.last_time)?;
-        let told = Told {
+        let report = Report {
             last,
             clock,
             frames: &frames,
@@ -118,21 +119,21 @@ impl ForecastVerb {
             physics,
             followed,
         };
-        let json = told.json(&self.run);
+        let json = report.json(&self.run);
         write_file(&self.out.join(FILE), true, |out| writeln!(out, "{json:#}"))?;
-        let html = page(&title(&self.run), told.moments.unwrap_or_default(), &strip, told.physics.as_ref());
+        let html = page(&title(&self.run), report.moments.unwrap_or_default(), &strip, report.physics.as_ref());
         let html = html.map_err(gs4d_run::RunError::from)?;
         write_file(&self.out.join(PAGE), true, |out| out.write_all(html.as_bytes()))?;
-        Ok(Answer::new(told.text(&self.out), json))
+        Ok(Answer::new(report.text(&self.out), json))
     }
 
     fn path(&self, run: &OpenRun, dataset: &Dataset) -> Result<CameraPath, Failure> {
-        let photographs = run.photographs();
+        let images = run.photographs();
         Ok(match self.camera.as_deref() {
-            None => CameraPath::of_view(dataset, None, &photographs)?,
-            Some("orbit") => CameraPath::orbit(dataset, &photographs)?,
+            None => CameraPath::of_view(dataset, None, &images)?,
+            Some("orbit") => CameraPath::orbit(dataset, &images)?,
             Some(text) => match text.strip_prefix("view:") {
-                Some(name) => CameraPath::of_view(dataset, Some(name), &photographs)?,
+                Some(name) => CameraPath::of_view(dataset, Some(name), &images)?,
                 None => {
                     let cameras = load_cameras(Path::new(text), &Limits::default())?;
                     if cameras.is_empty() {
@@ -173,16 +174,6 @@ impl ForecastVerb {
         let (method, until) = (&run.loaded.model, f64::from(self.until));
         Ok(Truth::of(method, dataset, until, run.background(), &run.photographs())?)
     }
-
-    fn refuse_taken(&self, files: &[PathBuf]) -> Result<(), Failure> {
-        match files.iter().find(|f| !self.force && f.exists()) {
-            None => Ok(()),
-            Some(file) => Err(Failure::new(Class::Io, "io.exists", "the frame exists already")
-                .place(file.display())
-                .why("nothing is overwritten unless asked")
-                .remedy("choose another folder with -o, or pass -f")),
-        }
-    }
 }
 
 fn title(run: &Path) -> String {
@@ -190,34 +181,35 @@ fn title(run: &Path) -> String {
     format!("Forecast of {name}")
 }
 
-/// Sorted by name is sorted by time.
+/// File name of the `k`-th frame; names sort by time.
 fn file_name(k: usize, t: f64) -> String {
     format!("frame-{:04}_t{t:.4}.png", k + 1)
 }
 
-/// A frame that was drawn.
-struct Shown<'a> {
+/// A rendered frame.
+struct FrameInfo<'a> {
     file: &'a Path,
     time: f64,
     seconds: f64,
-    /// Milliseconds of motion and of drawing.
+    /// Milliseconds of motion and of rendering.
     ms: [f64; 2],
     scores: Option<&'a gs_train::evaluate::ViewScores>,
 }
 
-/// What the forecast has to tell.
-struct Told<'a> {
+/// Everything the forecast reports.
+struct Report<'a> {
     last: f64,
     clock: Option<Clock>,
-    frames: &'a [Shown<'a>],
+    frames: &'a [FrameInfo<'a>],
     truth: Option<&'a Truth>,
     moments: Option<&'a [MomentScores]>,
     physics: Option<Physics>,
     followed: Option<TrackReport>,
 }
 
-impl Told<'_> {
-    /// Medians over the frames after the first, which also pays for what is kept of the future: motion and drawing.
+impl Report<'_> {
+    /// Median milliseconds of motion and of rendering. The first frame is left out if there are others: it also fills the
+    /// extrapolation cache.
     fn medians(&self) -> [f64; 2] {
         [0, 1].map(|i| {
             let mut all: Vec<f64> =
@@ -228,7 +220,7 @@ impl Told<'_> {
     }
 
     fn json(&self, run: &Path) -> Value {
-        let frame = |f: &Shown| {
+        let frame = |f: &FrameInfo| {
             let name = f.file.file_name().map(|n| n.to_string_lossy().into_owned());
             json!({
                 "file": name, "time": f.time, "beyond": f.time - self.last, "seconds": f.seconds,
@@ -274,17 +266,16 @@ impl Told<'_> {
 }
 
 fn scores_table(truth: &Truth, moments: &[MomentScores]) -> String {
-    let number = |v: Option<f64>| v.map_or("-".to_owned(), |v| format!("{v:.2}"));
     let masked = moments.iter().any(|m| m.masked_psnr.is_some());
     let mut text = format!("{:>8}  {:>8}  {:>6}  {:>7}  {:>7}", "time", "beyond", "views", "PSNR", "SSIM");
     text.push_str(if masked { "   m-PSNR\n" } else { "\n" });
     for m in moments {
-        let (psnr, ssim) = (number(m.psnr), m.ssim);
+        let (psnr, ssim) = (number(m.psnr, 2), m.ssim);
         text.push_str(&format!("{:>8.4}  {:>8.4}  {:>6}  {psnr:>7}  {ssim:>7.4}", m.time, m.beyond, m.views));
-        text.push_str(&if masked { format!("  {:>7}\n", number(m.masked_psnr)) } else { "\n".to_owned() });
+        text.push_str(&if masked { format!("  {:>7}\n", number(m.masked_psnr, 2)) } else { "\n".to_owned() });
     }
     let mean = &truth.report.mean;
-    text.push_str(&format!("mean of {} views: {} dB\n", truth.report.views.len(), number(mean.psnr)));
+    text.push_str(&format!("mean of {} views: {} dB\n", truth.report.views.len(), number(mean.psnr, 2)));
     text
 }
 

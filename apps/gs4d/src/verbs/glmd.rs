@@ -1,8 +1,9 @@
-//! `gs4d glmd`: what each stage of a run's model moves, seen by a camera that stands still.
+//! `gs4d glmd`: the motion added by each stage of a run's model, seen by a fixed camera.
 
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use crate::global::Global;
+use crate::output::{check_free, create_folder};
 use crate::parse;
 use crate::progress::Progress;
 use gs_core::Camera;
@@ -16,7 +17,7 @@ use gs4d_run::OpenRun;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
-/// Show what each stage of a model moves: flows between its stages, in pictures and numbers
+/// Show what each stage of a model moves: flows between its stages, in images and numbers
 #[derive(clap::Args)]
 pub struct Glmd {
     /// Folder of the run.
@@ -28,10 +29,10 @@ pub struct Glmd {
     /// The camera that stands still: train:K, val:K or test:K of the run's data, or FILE or FILE#K as for render.
     #[arg(long, default_value = "test:0", value_name = "SPLIT:K|FILE#K")]
     camera: String,
-    /// The model's own flow, Farneback's between the 8-bit pictures, or both.
+    /// The model's own flow, Farneback's between the 8-bit renders, or both.
     #[arg(long, value_enum, default_value_t = By::Both)]
     flow: By,
-    /// Whether flows live in the later picture, where masks of the moment fit, or in the earlier.
+    /// Whether flows are anchored in the later render, where masks of that time fit, or in the earlier.
     #[arg(long, value_enum, default_value_t = At::Later)]
     anchor: At,
     /// Compare lengths with this quantile of each flow map instead of its longest displacement (0 < Q <= 1).
@@ -99,7 +100,7 @@ impl Glmd {
         let switches = glmd::switches(method, self.times.0[0])?;
         let title = format!("{} · {}", self.run.display(), method.name());
         let subtitle = format!(
-            "Camera {}; flows anchored in the {:?} picture; masks: {}",
+            "Camera {}; flows anchored in the {:?} render; masks: {}",
             self.camera,
             self.anchor,
             masks.source()
@@ -122,7 +123,7 @@ impl Glmd {
         }
     }
 
-    /// `split:index` of the data, or a file's.
+    /// The camera `split:index` of the dataset, or of a camera file.
     fn camera(&self, run: &OpenRun) -> Result<Camera, Failure> {
         let wrong =
             |what: String| Failure::usage(what).remedy("give train:K, val:K or test:K, a camera file or FILE#K");
@@ -156,16 +157,11 @@ impl Glmd {
         Ok(truth.map_or(Masks::Threshold, |t| Masks::Truth(Box::new(t))))
     }
 
-    /// Makes the folder; nothing in the way of what will be written, unless forced.
+    /// Creates the output folder; fails if an output exists, unless forced.
     fn prepare(&self, names: &[String]) -> Result<(), Failure> {
         let files = names.iter().map(String::as_str).chain(["glmd.html", "glmd.json"]).map(|n| self.out.join(n));
-        if let Some(taken) = files.into_iter().find(|f| !self.force && f.exists()) {
-            return Err(Failure::new(Class::Io, "io.exists", "the file exists already")
-                .place(taken.display())
-                .why("nothing is overwritten unless asked")
-                .remedy("choose another folder with -o, or pass -f"));
-        }
-        std::fs::create_dir_all(&self.out).map_err(|e| Failure::io("create the folder", &self.out, &e))
+        check_free(self.force, "file", "folder", files)?;
+        create_folder(&self.out)
     }
 
     fn write(&self, name: &str, content: &str) -> Result<(), Failure> {
@@ -180,7 +176,7 @@ impl Glmd {
         (stills, means, switches): (&[Still], &[Mean], &Switches),
     ) -> Value {
         let reference = self.quantile.map_or("longest".to_owned(), |q| format!("quantile {q}"));
-        let moment = |s: &Still| {
+        let time = |s: &Still| {
             let flows: Vec<_> = s.steps.iter().map(|step| &step.scores).collect();
             json!({"time": s.time, "flows": flows, "farneback_against_model_px": s.disagreement})
         };
@@ -193,7 +189,7 @@ impl Glmd {
             "reference": reference,
             "masks": masks.source(),
             "pixels": "those at least half covered by splats",
-            "moments": stills.iter().map(moment).collect::<Vec<_>>(),
+            "moments": stills.iter().map(time).collect::<Vec<_>>(),
             "means": means,
             "anchors": switches,
         })

@@ -1,4 +1,4 @@
-//! `gs4d init`: points to begin with, and the box of the scene.
+//! `gs4d init`: initial points and the bounding box of the scene.
 
 use crate::answer::Answer;
 use crate::failure::Failure;
@@ -9,7 +9,7 @@ use gs4d_run::settings::{Request, resolve};
 use serde_json::json;
 use std::path::PathBuf;
 
-/// Make points to begin with (start.ply) and write them, and the box, into the folder's scene.toml
+/// Make initial points (start.ply) and write them, and the bounding box, into the folder's scene.toml
 #[derive(clap::Args)]
 pub struct Init {
     /// The folder.

@@ -1,4 +1,4 @@
-//! `gs4d inspect`: what a splat file, a checkpoint or a run consists of.
+//! `gs4d inspect`: contents of a splat file, a checkpoint or a run.
 
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
@@ -19,7 +19,7 @@ use gs4d_run::folder::{JOURNAL, METRICS};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
-/// Views drawn to see what they take.
+/// Views rendered to measure their cost.
 const ECONOMY_VIEWS: usize = 5;
 
 /// Counts, ranges, needles and non-finite rows of a splat file or checkpoint; for a run, what its scene needed
@@ -28,7 +28,7 @@ pub struct Inspect {
     /// A .ply, .splat, .spz or .gs4d file, or a run folder.
     #[arg(value_name = "FILE|RUN")]
     path: PathBuf,
-    /// For a run: moments at which its motion is sampled [default: its training views, 8 to 200].
+    /// For a run: times at which its motion is sampled [default: its training views, 8 to 200].
     #[arg(long, value_parser = clap::value_parser!(u32).range(4..=2000))]
     moments: Option<u32>,
     /// For a run: lowest frequency that counts as fast motion, cycles over the training span [default: moments / 4].
@@ -133,13 +133,12 @@ impl Inspect {
     }
 }
 
-/// What the run's test views (training views where there are none) take to draw; `None` if its data are out of reach.
+/// Cost of rendering the test views (training views if there are none); `None` if the data cannot be opened.
 fn economy(run: &OpenRun) -> Option<Economy> {
     let dataset = run.resolved.open_data().ok()?;
     let split = if dataset.test.is_empty() { Split::Train } else { Split::Test };
-    let photographs = run.photographs();
-    let views: Vec<_> =
-        dataset.views(split).iter().take(ECONOMY_VIEWS).map(|v| (photographs.camera(v), v.time)).collect();
+    let images = run.photographs();
+    let views: Vec<_> = dataset.views(split).iter().take(ECONOMY_VIEWS).map(|v| (images.camera(v), v.time)).collect();
     let method = &run.loaded.model;
     let options = method.raster_options(run.background());
     let scores = run.folder().ok().and_then(|folder| folder.read(METRICS).ok());
@@ -148,8 +147,7 @@ fn economy(run: &OpenRun) -> Option<Economy> {
     Economy::of(method, &views, &options, of_this_step.and_then(|s| s["mean"]["psnr"].as_f64())).ok().flatten()
 }
 
-/// Motions against the truth, where the method has learnt them and the run's data are a generated scene whose times are those
-/// of the run.
+/// Learnt motion against ground truth, for methods with particles on a generated scene with unchanged times.
 fn physics(run: &OpenRun) -> Option<PhysicsReport> {
     let particles = Particles::of(&run.loaded.model)?;
     let truth = synth::truth_of(Path::new(&run.resolved.run.data))?;

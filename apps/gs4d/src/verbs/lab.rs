@@ -1,4 +1,4 @@
-//! `gs4d lab`: experiments about filmed people.
+//! `gs4d lab`: experiments on avatars.
 
 use super::synth::avatar::light;
 use super::train::time_text;
@@ -11,7 +11,7 @@ use serde_json::json;
 use std::path::PathBuf;
 use std::time::Instant;
 
-/// Experiments about filmed people (method dut): textures, wrong poses, views, unseen motion, light, visibility
+/// Experiments on avatars (method dut): textures, wrong poses, views, unseen motion, light, visibility
 #[derive(clap::Args)]
 pub struct Lab {
     /// Name of the experiment; without it, they are listed.
@@ -19,7 +19,7 @@ pub struct Lab {
     /// Folder for the table (.json, .csv, .md) and its charts (.svg).
     #[arg(short, long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// A run of the method dut: its film is used, and what it learnt.
+    /// A run of the method dut: its data and parameters are used.
     #[arg(long, value_name = "RUN", conflicts_with_all = ["steps", "preset", "sets", "template", "clip", "film_frames", "size"])]
     run: Option<PathBuf>,
     /// Train for so many steps where there is no run; the preset's recipe is stretched or compressed to them.
@@ -40,10 +40,10 @@ pub struct Lab {
     /// Frames filmed.
     #[arg(long, value_name = "N", default_value_t = Setup::default().film.frames, value_parser = clap::value_parser!(u32).range(1..))]
     film_frames: u32,
-    /// Side of the pictures filmed, pixels.
+    /// Side of the images filmed, pixels.
     #[arg(long, default_value_t = Setup::default().film.size)]
     size: u32,
-    /// Frames looked at, evenly spread over the film.
+    /// Frames evaluated, evenly spread over the film.
     #[arg(long, value_name = "N", default_value_t = Setup::default().frames as u32, value_parser = clap::value_parser!(u32).range(1..))]
     frames: u32,
     /// Texels per side of the textures unprojected.
@@ -61,13 +61,13 @@ pub struct Lab {
     /// light: the light tested under, towards X,Y,Z; AMBIENT is what a point that faces away gets.
     #[arg(long, value_name = "X,Y,Z[,AMBIENT]", value_parser = light, allow_hyphen_values = true)]
     other_light: Option<Light>,
-    /// light: steps of learning under it.
+    /// light: steps of training under it.
     #[arg(long, value_name = "N", default_value_t = Setup::default().tuning)]
     tuning: u32,
     /// Seed of noise and training.
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Overwrite what the experiment left in the folder.
+    /// Overwrite older results of the experiment in the folder.
     #[arg(short, long)]
     force: bool,
 }
@@ -131,8 +131,8 @@ impl Lab {
 fn list() -> Answer {
     let needs = |t| match t {
         Training::None => "",
-        Training::Welcome => " (more with --run or --steps)",
-        Training::Needed => " (needs --run or --steps)",
+        Training::Optional => " (more with --run or --steps)",
+        Training::Required => " (needs --run or --steps)",
     };
     let line = |e: &Experiment| format!("{:10} {}{}\n", e.name, e.about, needs(e.training));
     let json: Vec<_> = EXPERIMENTS.iter().map(|e| json!({"name": e.name, "about": e.about})).collect();

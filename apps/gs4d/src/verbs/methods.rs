@@ -1,4 +1,4 @@
-//! `gs4d methods`: what there is to choose from.
+//! `gs4d methods`: lists methods and presets.
 
 use crate::answer::Answer;
 use serde_json::json;

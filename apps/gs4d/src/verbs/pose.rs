@@ -1,4 +1,4 @@
-//! `gs4d pose`: a rigged character at a moment of one of its motions, as a mesh.
+//! `gs4d pose`: the mesh of a rigged character at a time of one of its motions.
 
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};

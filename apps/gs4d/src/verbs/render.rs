@@ -1,13 +1,14 @@
-//! `gs4d render`: draws a splat file or a run from given cameras, or around it, as pictures or video.
+//! `gs4d render`: renders a splat file or a run from given cameras or on an orbit, as images or video.
 
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use crate::global::Global;
+use crate::output::{check_free, create_folder};
 use crate::parse;
 use crate::progress::Progress;
 use gs_core::io::cameras::{NamedCamera, load_cameras};
 use gs_core::io::images::save_png;
-use gs_core::io::{Limits, RawSplats, exr, load_splats, npy, write_file, y4m};
+use gs_core::io::{Limits, exr, load_splats, npy, write_file, y4m};
 use gs_core::{Camera, Image, Splats};
 use gs_data::Dataset;
 use gs_raster::{Frame, RasterOptions};
@@ -21,7 +22,7 @@ use serde_json::json;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-/// Draw a splat file or a run from given cameras or around it, as PNG, EXR, NPY or video
+/// Render a splat file or a run from given cameras or around it, as PNG, EXR, NPY or video
 #[derive(clap::Args)]
 pub struct Render {
     /// A .ply, .splat, .spz or .glb file, a run folder, or a .gs4d file (a checkpoint of a run, or what gs4d compact made).
@@ -38,7 +39,7 @@ pub struct Render {
     /// Times of a sequence, A..B:N: one camera at all of them, or a camera each.
     #[arg(long, value_name = "A..B:N", allow_hyphen_values = true, value_parser = parse::times)]
     times: Option<parse::Times>,
-    /// Splats nearer than this are not drawn, world units [default: 0.01 for files, the recipe's for runs].
+    /// Splats nearer than this are not rendered, world units [default: 0.01 for files, the recipe's for runs].
     #[arg(long, allow_hyphen_values = true, value_parser = parse::not_negative)]
     near: Option<f64>,
     /// Colour behind the scene: black, white, one grey or r,g,b in 0..1 [default: black, or the run's].
@@ -51,13 +52,13 @@ pub struct Render {
     /// Y4M: one uncompressed video, video.y4m.
     #[arg(long, value_enum, default_value_t = Format::Png)]
     format: Format,
-    /// Pictures per second of a video.
+    /// Frames per second of a video.
     #[arg(long, default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..=1000))]
     fps: u32,
-    /// Folder for the pictures; made if missing.
+    /// Folder for the images; made if missing.
     #[arg(short, long, value_name = "DIR")]
     out: PathBuf,
-    /// Overwrite existing pictures.
+    /// Overwrite existing images.
     #[arg(short, long)]
     force: bool,
 }
@@ -70,10 +71,10 @@ enum Format {
     Y4m,
 }
 
-/// Pictures of a turn whose times are not given.
-const TURN: usize = 60;
+/// Frames of an orbit or path without `--times`.
+const DEFAULT_FRAMES: usize = 60;
 
-/// What is drawn.
+/// The rendered scene.
 enum Scene {
     File(Box<Splats>),
     Run(Box<OpenRun>),
@@ -84,10 +85,7 @@ impl Scene {
         if path.is_dir() || path.extension().is_some_and(|e| e == "gs4d") {
             return Ok(Scene::Run(Box::new(OpenRun::open(gs_methods::registry(), path)?)));
         }
-        let raw: RawSplats = load_splats(path, &Limits::default())?;
-        let splats = raw.to_splats();
-        let wrong = |e: gs_core::splats::SplatsError| Failure::new(Class::Data, "data.splats", e.to_string());
-        Ok(Scene::File(Box::new(splats.map_err(|e| wrong(e).place(path.display()))?)))
+        Ok(Scene::File(Box::new(load_splat_file(path)?)))
     }
 
     fn options(&self) -> RasterOptions {
@@ -97,7 +95,7 @@ impl Scene {
         }
     }
 
-    /// The data it was learnt from.
+    /// The dataset of the run; `what` names the option that needs it.
     fn data(&self, what: &str) -> Result<Dataset, Failure> {
         match self {
             Scene::File(_) => Err(Failure::usage(format!("{what} needs a run"))),
@@ -105,7 +103,7 @@ impl Scene {
         }
     }
 
-    /// The way around it: that of the data's cameras, or around the splats.
+    /// The orbit of the dataset's cameras, or around the splats of a file.
     fn orbit(&self) -> Result<Option<Orbit>, Failure> {
         match self {
             Scene::File(splats) => Ok(Orbit::of_splats(&splats.means)),
@@ -113,7 +111,7 @@ impl Scene {
         }
     }
 
-    fn draw<'a>(&self, renderer: &'a mut Renderer, camera: &Camera, time: f32) -> Result<&'a Frame, MethodError> {
+    fn render<'a>(&self, renderer: &'a mut Renderer, camera: &Camera, time: f32) -> Result<&'a Frame, MethodError> {
         Ok(match self {
             Scene::File(splats) => renderer.render(splats, camera),
             Scene::Run(run) => renderer.render(&run.loaded.model.splats(&Timestamp::normalised(time), camera)?, camera),
@@ -121,24 +119,30 @@ impl Scene {
     }
 }
 
+/// The splats of a file.
+pub fn load_splat_file(path: &Path) -> Result<Splats, Failure> {
+    let splats = load_splats(path, &Limits::default())?.to_splats();
+    splats.map_err(|e| Failure::new(Class::Data, "data.splats", e.to_string()).place(path.display()))
+}
+
 impl Render {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
         let scene = Scene::open(&self.scene)?;
         let cameras = self.sequence(self.cameras(&scene)?)?;
         let mut renderer = Renderer::new(self.options(&scene));
-        let mut progress = Progress::new(cameras.len() as u64, "pictures", global.quiet);
-        let mut draw = |done: usize, camera: &NamedCamera| {
-            let frame = scene.draw(&mut renderer, &camera.camera, self.time.or(camera.time).unwrap_or(0.0))?.clone();
+        let mut progress = Progress::new(cameras.len() as u64, "images", global.quiet);
+        let mut render = |done: usize, camera: &NamedCamera| {
+            let frame = scene.render(&mut renderer, &camera.camera, self.time.or(camera.time).unwrap_or(0.0))?.clone();
             progress.at(done as u64 + 1, || camera.name.clone());
             Ok(frame)
         };
         let paths = if self.format == Format::Y4m {
-            vec![self.video(&cameras, &mut draw)?]
+            vec![self.video(&cameras, &mut render)?]
         } else {
             let paths = self.paths(&cameras)?;
-            std::fs::create_dir_all(&self.out).map_err(|e| Failure::io("create the folder", &self.out, &e))?;
+            create_folder(&self.out)?;
             for (done, (camera, path)) in cameras.iter().zip(&paths).enumerate() {
-                self.save(&draw(done, camera)?, path)?;
+                self.save(&render(done, camera)?, path)?;
             }
             paths
         };
@@ -179,9 +183,9 @@ impl Render {
         Ok(vec![NamedCamera { name: view.name.clone(), camera: view.camera.clone(), time: Some(view.time.normalised) }])
     }
 
-    /// As many cameras as there are times, or a turn of them, by their number and how many there are.
+    /// As many cameras as there are times, else [`DEFAULT_FRAMES`]; `at(k, n)` is the `k`-th of `n`.
     fn series(&self, name: &str, at: impl Fn(usize, usize) -> Option<Camera>) -> Vec<NamedCamera> {
-        let n = self.times.as_ref().map_or(TURN, |t| t.0.len());
+        let n = self.times.as_ref().map_or(DEFAULT_FRAMES, |t| t.0.len());
         let named = |k: usize| Some(NamedCamera { name: format!("{name}-{k:04}"), camera: at(k, n)?, time: None });
         (0..n).filter_map(named).collect()
     }
@@ -192,7 +196,7 @@ impl Render {
         let n = times.0.len();
         if cameras.len() != 1 && cameras.len() != n {
             return Err(Failure::usage(format!(
-                "--times gives {n} moments for {} cameras: one, or as many",
+                "--times gives {n} times for {} cameras: one, or as many",
                 cameras.len()
             )));
         }
@@ -208,7 +212,7 @@ impl Render {
     fn video(
         &self,
         cameras: &[NamedCamera],
-        draw: &mut dyn FnMut(usize, &NamedCamera) -> Result<Frame, MethodError>,
+        render: &mut dyn FnMut(usize, &NamedCamera) -> Result<Frame, MethodError>,
     ) -> Result<PathBuf, Failure> {
         let size = |c: &NamedCamera| (c.camera.width, c.camera.height);
         let Some(first) = cameras.first().map(size) else { return Err(Failure::usage("there is no camera")) };
@@ -216,12 +220,12 @@ impl Render {
             let what = format!("camera {} has another size than the first; a video has one", other.name);
             return Err(Failure::usage(what));
         }
-        std::fs::create_dir_all(&self.out).map_err(|e| Failure::io("create the folder", &self.out, &e))?;
+        create_folder(&self.out)?;
         let path = self.out.join("video.y4m");
         let mut failed = None;
         let written = write_file(&path, self.force, |out| {
             y4m::write_header(first.0 as usize, first.1 as usize, self.fps, out)?;
-            cameras.iter().enumerate().try_for_each(|(k, camera)| match draw(k, camera) {
+            cameras.iter().enumerate().try_for_each(|(k, camera)| match render(k, camera) {
                 Ok(frame) => y4m::write_frame(&rgb(&frame), out),
                 Err(e) => {
                     let stop = std::io::Error::other(e.to_string());
@@ -245,7 +249,7 @@ impl Render {
         options
     }
 
-    /// A path per camera, all inside the output folder, all different, none taken (unless forced).
+    /// A distinct path in the output folder per camera; fails if one exists, unless forced.
     fn paths(&self, cameras: &[NamedCamera]) -> Result<Vec<PathBuf>, Failure> {
         let extension = match self.format {
             Format::Png => "png",
@@ -263,13 +267,8 @@ impl Render {
             }
             paths.push(self.out.join(format!("{name}.{extension}")));
         }
-        match paths.iter().find(|p| !self.force && p.exists()) {
-            None => Ok(paths),
-            Some(path) => Err(Failure::new(Class::Io, "io.exists", "the picture exists already")
-                .place(path.display())
-                .why("nothing is overwritten unless asked")
-                .remedy("choose another folder with -o, or pass -f")),
-        }
+        check_free(self.force, "image", "folder", &paths)?;
+        Ok(paths)
     }
 
     fn save(&self, frame: &Frame, path: &Path) -> Result<(), Failure> {

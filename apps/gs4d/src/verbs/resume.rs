@@ -1,4 +1,4 @@
-//! `gs4d resume`: goes on with a run exactly where its newest good checkpoint stands.
+//! `gs4d resume`: continues a run exactly from its newest valid checkpoint.
 
 use super::train::carry_on;
 use super::view::Watch;

@@ -4,6 +4,7 @@ use super::eval::SplitName;
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use crate::global::Global;
+use crate::output::{check_free, create_folder};
 use crate::parse;
 use crate::progress::Progress;
 use gs_core::io::images::{save_png, write_png8};
@@ -21,9 +22,9 @@ use serde_json::{Value, json};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-/// Folders that are written below the one asked for.
+/// Output folders below `--out`.
 const FOLDERS: [&str; 3] = ["masks", "labels", "overlays"];
-/// Files that are written beside them.
+/// Output files in `--out`.
 const FILES: [&str; 2] = ["labels.npy", "segment.json"];
 
 /// Find the rigid parts of a scene: masks of its views, scores against true masks, and how each part moves
@@ -101,7 +102,7 @@ impl Segment {
         let run = OpenRun::open(gs_methods::registry(), &self.run)?;
         let dataset = run.resolved.open_data()?;
         let split: Split = self.split.into();
-        let views = self.chosen(dataset.views(split))?;
+        let views = self.limited(dataset.views(split))?;
         let names = stems(&views);
         self.prepare(&names)?;
         let method = &run.loaded.model;
@@ -109,8 +110,8 @@ impl Segment {
         let truth = self.truth(&run, &views);
         let mut progress = Progress::new(views.len() as u64, "views", global.quiet);
         let mut done = 0;
-        let drawn = (&run.photographs(), run.background());
-        let scores = study(method, &labels, (split_name(split), &views), truth.as_ref(), drawn, |seen| {
+        let rendering = (&run.photographs(), run.background());
+        let scores = study(method, &labels, (split_name(split), &views), truth.as_ref(), rendering, |seen| {
             self.save(&seen, &names[done])?;
             done += 1;
             progress.at(done as u64, || seen.view.name.clone());
@@ -138,15 +139,15 @@ impl Segment {
         }
     }
 
-    /// At most `limit` of the views.
-    fn chosen(&self, views: &[View]) -> Result<Vec<View>, Failure> {
+    /// At most `--limit` views, evenly spread.
+    fn limited(&self, views: &[View]) -> Result<Vec<View>, Failure> {
         if views.is_empty() {
             return Err(
                 Failure::new(Class::Data, "data.split", "the split has no views").remedy("choose another --split")
             );
         }
-        let most = self.limit.map_or(views.len(), |n| n as usize).min(views.len());
-        Ok((0..most).map(|k| views[k * views.len() / most].clone()).collect())
+        let count = self.limit.map_or(views.len(), |n| n as usize).min(views.len());
+        Ok((0..count).map(|k| views[k * views.len() / count].clone()).collect())
     }
 
     fn truth(&self, run: &OpenRun, views: &[View]) -> Option<TrueLabels> {
@@ -159,19 +160,12 @@ impl Segment {
         synth::truth_of(Path::new(&run.resolved.run.data)).map(|t| TrueLabels::Scene(Box::new(t)))
     }
 
-    /// Makes the folders; nothing in the way of what will be written, unless forced.
+    /// Creates the output folders; fails if an output exists, unless forced.
     fn prepare(&self, names: &[String]) -> Result<(), Failure> {
-        let pictures = FOLDERS.iter().flat_map(|f| names.iter().map(move |n| format!("{f}/{n}.png")));
-        let files = pictures.chain(FILES.map(str::to_owned)).map(|f| self.out.join(f));
-        if let Some(taken) = files.into_iter().find(|f| !self.force && f.exists()) {
-            return Err(Failure::new(Class::Io, "io.exists", "the file exists already")
-                .place(taken.display())
-                .why("nothing is overwritten unless asked")
-                .remedy("choose another folder with -o, or pass -f"));
-        }
-        FOLDERS.iter().map(|f| self.out.join(f)).try_for_each(|folder| {
-            std::fs::create_dir_all(&folder).map_err(|e| Failure::io("create the folder", &folder, &e))
-        })
+        let images = FOLDERS.iter().flat_map(|f| names.iter().map(move |n| format!("{f}/{n}.png")));
+        let files = images.chain(FILES.map(str::to_owned)).map(|f| self.out.join(f));
+        check_free(self.force, "file", "folder", files)?;
+        FOLDERS.iter().try_for_each(|folder| create_folder(&self.out.join(folder)))
     }
 
     fn save(&self, seen: &ViewMask<'_>, name: &str) -> Result<(), Failure> {
@@ -231,7 +225,7 @@ fn motion_json(m: &Complexity) -> Value {
     })
 }
 
-/// A file name for each view: its own, numbered where two have the same.
+/// A file name per view; numbered if two views have the same name.
 fn stems(views: &[View]) -> Vec<String> {
     let own: Vec<String> = views.iter().map(|v| file_stem(&v.name)).collect();
     if own.iter().collect::<BTreeSet<_>>().len() == own.len() {

@@ -5,6 +5,7 @@ use super::train::time_text;
 use crate::answer::Answer;
 use crate::failure::Failure;
 use crate::global::Global;
+use gs4d_lab::aligned;
 use gs4d_lab::sweep::page::page;
 use gs4d_lab::sweep::{Row, Sweep, Vary, csv};
 use serde_json::json;
@@ -19,7 +20,7 @@ pub struct SweepVerb {
     /// The method.
     #[arg(short, long)]
     method: String,
-    /// The preset everything is varied around.
+    /// The preset that settings are varied around.
     #[arg(long, default_value = "fast")]
     preset: String,
     /// A setting and its values (repeatable), for example "init.points=1000|2000|4000".
@@ -45,7 +46,7 @@ impl SweepVerb {
             length,
             sets,
         };
-        let rows = follow(global, |stop, tell| sweep.run(stop, tell))?.map_err(failure)?;
+        let rows = follow(global, |stop, on_event| sweep.run(stop, on_event))?.map_err(failure)?;
         let json = json!({"title": title, "rows": rows});
         let html = page(&title, &rows).map_err(|e| Failure::from(gs4d_run::RunError::from(e)))?;
         for (name, content) in [("sweep.json", format!("{json:#}\n")), ("sweep.csv", csv(&rows)), ("sweep.html", html)]
@@ -58,17 +59,14 @@ impl SweepVerb {
 }
 
 fn table(rows: &[Row], root: &Path) -> String {
-    let width = rows.iter().map(|r| r.label().len()).max().unwrap_or(0).max(7);
-    let mut text = format!("{:width$}", "setting");
-    let columns = Row::columns(rows);
-    columns.iter().for_each(|c| text.push_str(&format!("  {:>9}", c.head)));
-    text.push('\n');
-    for r in rows {
-        text.push_str(&format!("{:width$}", r.label()));
-        columns.iter().for_each(|c| text.push_str(&format!("  {:>9}", c.cell(r, "-"))));
-        text.push_str(if r.preset && r.key.is_some() { "  the preset's\n" } else { "\n" });
+    let (mut head, mut cells) = Row::table(rows, "-");
+    head.push("");
+    for (cells, row) in cells.iter_mut().zip(rows) {
+        cells.push(if row.repeats_preset() { "the preset's" } else { "" }.to_owned());
     }
-    let trained = rows.iter().filter(|r| r.key.is_none() || !r.preset);
+    let last = head.len() - 1;
+    let mut text = aligned(&head, &cells, |column| column == 0 || column == last);
+    let trained = rows.iter().filter(|r| !r.repeats_preset());
     let seconds: f64 = trained.filter_map(|r| Some(r.seconds? * r.runs.len() as f64)).sum();
     text.push_str(&format!("means over seeds; proxy is not LPIPS; {} of training\n", time_text(seconds)));
     text.push_str(&format!("-> {}\n", root.join("sweep.html").display()));

@@ -1,4 +1,4 @@
-//! `gs4d synth`: writes a generated scene with exact truth as a data set.
+//! `gs4d synth`: writes a generated scene with exact ground truth as a dataset.
 
 use crate::answer::Answer;
 use crate::failure::Failure;
@@ -12,15 +12,15 @@ pub mod avatar;
 
 use avatar::{AvatarFlags, Shared};
 
-/// Side of the pictures of cameras at rest, of which there are many.
-const SIZE_OF_CAMERAS_AT_REST: u32 = 100;
+/// Default image side of fixed cameras, which take many images.
+const FIXED_CAMERA_SIZE: u32 = 100;
 
-/// How the data set lies on the disk.
+/// Layout of the dataset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Layout {
-    /// D-NeRF: transforms_*.json, pictures with alpha.
+    /// D-NeRF: transforms_*.json, images with alpha.
     Dnerf,
-    /// Nerfies and HyperNeRF: one camera file per picture, photographs over white.
+    /// Nerfies and HyperNeRF: one camera file per image, images over white.
     Nerfies,
 }
 
@@ -35,7 +35,7 @@ pub struct Synth {
     /// Layout of the folder.
     #[arg(long, value_enum, default_value = "dnerf")]
     layout: Layout,
-    /// Take pictures through a lens that distorts, off centre and with leaning columns (layout nerfies).
+    /// Render through a distorting lens, with skew and an off-centre principal point (layout nerfies).
     #[arg(long)]
     lens: bool,
     /// Side of the images, pixels [default: 200, with --cameras 100, of the scene avatar 256].
@@ -50,16 +50,16 @@ pub struct Synth {
     /// Test views.
     #[arg(long, default_value_t = SynthOptions::default().test_views, conflicts_with = "cameras")]
     test_views: u32,
-    /// Training cameras at rest, each of which photographs every moment, in place of a camera for each view (8, say).
+    /// Fixed training cameras with an image at every time, in place of a camera for each view (8, say).
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
     cameras: Option<u32>,
-    /// Cameras at rest beside them whose pictures are held out for tests.
+    /// Further fixed cameras, whose images are held out for tests.
     #[arg(long, value_name = "N", default_value_t = SynthOptions::default().held_out, requires = "cameras", value_parser = clap::value_parser!(u32).range(..=1000))]
     held_out: u32,
-    /// Moments that cameras at rest photograph, evenly spaced in time.
+    /// Times of the images of fixed cameras, evenly spaced.
     #[arg(long, value_name = "N", default_value_t = SynthOptions::default().moments, requires = "cameras")]
     moments: u32,
-    /// Part of the time that may be learnt from: later pictures, of every camera, are for extrapolation (0..1).
+    /// Part of the time that is trained on: later images, of every camera, are for extrapolation (0..1).
     #[arg(long, value_name = "TIME", default_value_t = SynthOptions::default().boundary, requires = "cameras")]
     boundary: f64,
     /// Seed of the cameras.
@@ -68,7 +68,7 @@ pub struct Synth {
     /// Give the training views motion blur: how long the shutter is open, normalised time (0..1).
     #[arg(long, value_name = "TIME")]
     exposure: Option<f64>,
-    /// Pictures averaged for motion blur.
+    /// Images averaged for motion blur.
     #[arg(long, default_value_t = 17, requires = "exposure")]
     exposure_samples: u32,
     /// Average linear light, not display-encoded values.
@@ -81,7 +81,7 @@ pub struct Synth {
     /// labels for `gs4d segment` in DIR/maps/labels); of the scene avatar depth, normals and positions to DIR/gt (.exr).
     #[arg(long)]
     truth: bool,
-    /// Moments of the camera that stands still.
+    /// Times of the camera that stands still.
     #[arg(long, default_value_t = 25, requires = "truth", value_parser = clap::value_parser!(u32).range(2..=10_000))]
     truth_times: u32,
     /// Write into a folder that is not empty.
@@ -149,7 +149,7 @@ impl Synth {
     fn options(&self) -> SynthOptions {
         let default = SynthOptions::default();
         SynthOptions {
-            size: self.size.unwrap_or(if self.cameras.is_some() { SIZE_OF_CAMERAS_AT_REST } else { default.size }),
+            size: self.size.unwrap_or(if self.cameras.is_some() { FIXED_CAMERA_SIZE } else { default.size }),
             train_views: self.train_views,
             val_views: self.val_views,
             test_views: self.test_views,

@@ -1,7 +1,7 @@
-//! `gs4d train`: learns a scene from a data set, into a run folder.
+//! `gs4d train`: trains a scene on a dataset, into a run folder.
 
 use super::view::{Watch, Watched};
-use crate::answer::Answer;
+use crate::answer::{Answer, number};
 use crate::failure::{Class, Failure};
 use crate::global::Global;
 use crate::progress::Progress;
@@ -74,7 +74,7 @@ impl Train {
     }
 }
 
-/// Trains to the end of the schedule, scores, writes the report; on interruption says how to go on.
+/// Trains to the end of the schedule, scores and writes the report; the error of an interruption says how to resume.
 pub fn carry_on(training: &mut Training, watch: &Watch, stop: &AtomicBool, global: &Global) -> Result<Answer, Failure> {
     let mut watched = watch.start(training, global);
     let outcome = drive(training, stop, global, watched.as_mut())?;
@@ -99,7 +99,7 @@ pub fn carry_on(training: &mut Training, watch: &Watch, stop: &AtomicBool, globa
     Ok(Answer::new(text, json))
 }
 
-/// Trains with a line of progress, and for those who watch.
+/// Trains with a progress line, and feeds the viewer if there is one.
 pub fn drive(
     training: &mut Training,
     stop: &AtomicBool,
@@ -169,7 +169,6 @@ pub fn all_scores_text(s: &EvalReport, step: u32) -> String {
 
 /// The scores of a split in three lines, and a fourth where views have masks.
 pub fn scores_text(s: &EvalReport, step: u32) -> String {
-    let number = |v: Option<f64>, digits: usize| v.map_or("-".to_owned(), |v| format!("{v:.digits$}"));
     let masked = s.mean.masked.map_or(String::new(), |m| {
         let [psnr, ssim, seen] = [number(m.psnr, 2), number(m.ssim, 4), number(m.ssim_seen, 4)];
         let (percent, proxy) = (100.0 * m.part, m.perceptual_proxy);
@@ -179,7 +178,7 @@ pub fn scores_text(s: &EvalReport, step: u32) -> String {
     format!(
         "{} · {} views · background {} · step {step} · {} splats{seconds}\n\
          psnr {} (mean of views; {} from mean error)   ssim {}   ms-ssim {}   perceptual-proxy {}\n\
-         sharpness against the photographs   laplacian {}   high band {}\n{masked}",
+         sharpness against the ground truth   laplacian {}   high band {}\n{masked}",
         s.split,
         s.views.len(),
         color_name(s.background),
@@ -194,7 +193,7 @@ pub fn scores_text(s: &EvalReport, step: u32) -> String {
     )
 }
 
-/// Seconds for people.
+/// A duration as text, for example `90 s`.
 pub fn time_text(seconds: f64) -> String {
     match seconds {
         s if s < 10.0 => format!("{s:.1} s"),

@@ -1,10 +1,10 @@
-//! `gs4d view`: runs and splat files in the browser.
+//! `gs4d view`: runs and splat files in a browser.
 
+use super::render::load_splat_file;
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use crate::global::Global;
 use crate::{interrupt, parse};
-use gs_core::io::{Limits, load_splats};
 use gs4d_run::{OpenRun, Training};
 use gs4d_view::{Feed, Options, Packing, Server, Show, Stage, ViewError, start};
 use serde_json::json;
@@ -59,23 +59,21 @@ impl View {
             let run = OpenRun::open(gs_methods::registry(), path)?;
             let dataset = run.resolved.open_data();
             if let Err(e) = &dataset {
-                global.say(format!("warning: {name} is shown without its photographs: {e}"));
+                global.say(format!("warning: {name} is shown without its images: {e}"));
             }
             return Ok(Show::run(name, run, dataset.ok().as_ref()));
         }
-        let splats = load_splats(path, &Limits::default())?.to_splats();
-        let wrong = |e: gs_core::splats::SplatsError| Failure::new(Class::Data, "data.splats", e.to_string());
-        Ok(Show::splats(name, splats.map_err(|e| wrong(e).place(path.display()))?))
+        Ok(Show::splats(name, load_splat_file(path)?))
     }
 }
 
-/// The address is what was asked for: it goes out at once, whatever is quiet.
+/// Prints the address, also with `--quiet`: it is the result.
 fn announce(server: &Server, global: &Global) {
     eprintln!("view   {}", server.url);
     global.say(format!("       from another machine: ssh -L {0}:127.0.0.1:{0} THIS_HOST", server.address.port()));
 }
 
-/// Flags of verbs that train: the run in a browser while it goes on.
+/// Flags of verbs that train: the viewer of the running training.
 #[derive(clap::Args)]
 pub struct Watch {
     /// Show the run in a browser while it trains. The result stays the same, bit for bit.
@@ -91,14 +89,14 @@ pub struct Watch {
 
 /// A viewer of a run under training.
 pub struct Watched {
-    /// Where training brings its state.
+    /// Receives the state of the training.
     pub feed: Feed,
     /// Serves until it is dropped.
     _server: Server,
 }
 
 impl Watch {
-    /// The viewer, if one is wanted. Training goes on without one that cannot start.
+    /// Starts the viewer if asked for; a failure is a warning.
     pub fn start(&self, training: &Training, global: &Global) -> Option<Watched> {
         let begin = || {
             let root = training.folder().root();

@@ -257,7 +257,7 @@ impl Actor {
     /// # Errors
     /// If one cannot be read.
     pub fn images(&self, frame: &AvatarFrame) -> Result<Vec<(Camera, Image)>, DataError> {
-        AvatarScene::photographs(&frame.inputs, &self.images)
+        AvatarScene::input_images(&frame.inputs, &self.images)
     }
 
     /// What images say about the texels of a surface, `N` world positions.

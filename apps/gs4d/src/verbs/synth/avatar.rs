@@ -10,17 +10,17 @@ use std::path::Path;
 
 /// Name of the scene.
 pub const NAME: &str = "avatar";
-/// One line for people.
+/// One line for the list of scenes.
 pub const ABOUT: &str = "a rigged character, built in or from a glTF file, filmed by rings of cameras while it moves";
-/// What a point that faces away from a light gets, where nothing is said.
+/// Default ambient share of a light.
 const AMBIENT: f64 = 0.3;
 
-/// What pictures and poses make of morph targets.
+/// Whether images and poses include morph targets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum MorphFlag {
-    /// Pictures show them, poses do not know them: offsets to be found.
+    /// Images show them, poses do not know them: offsets to be found.
     Gt,
-    /// Pictures show them and poses know them.
+    /// Images show them and poses know them.
     Apply,
     /// Neither.
     Ignore,

@@ -1,16 +1,16 @@
 "use strict";
-// What the page says of a picture: status, legend, picked and chosen splats; lines drawn over it.
+// Status line, legend, picked and chosen splats of an image; lines over it.
 const LONGEST = 0.25; // longest arrow, in radii of the scene
 let paths = [], arrows = null, arrowsOf = null;
 const SVG = "http://www.w3.org/2000/svg";
-function drawn(name, attributes) {
+function svgElement(name, attributes) {
   const e = document.createElementNS(SVG, name);
   for (const [a, v] of Object.entries(attributes)) e.setAttribute(a, v);
   return e;
 }
 const number = (v) => (v === null ? "–" : Math.abs(v) >= 1000 || (v !== 0 && Math.abs(v) < 0.01) ? v.toExponential(2) : v.toPrecision(4));
-function tell(header, spent) {
-  const parts = [`${header.width}×${header.height}`, `drawn in ${header.ms.toFixed(0)} ms, here after ${spent.toFixed(0)} ms`];
+function showStatus(header, spent) {
+  const parts = [`${header.width}×${header.height}`, `rendered in ${header.ms.toFixed(0)} ms, here after ${spent.toFixed(0)} ms`];
   if (header.splats !== undefined) parts.unshift(`${header.splats.toLocaleString("en")} splats`);
   if (header.psnr) parts.push(state.compare === "difference" ? `PSNR between the two ${header.psnr.toFixed(2)} dB` : `PSNR of this view ${header.psnr.toFixed(2)} dB`);
   if (state.compare === "difference") parts.push(`grey is equal, ×${state.gain}`);
@@ -26,9 +26,9 @@ function tell(header, spent) {
 }
 function notice(text) { $("notice").textContent = text; $("notice").hidden = !text; }
 function legend(l) {
-  const most = Math.max(1, ...l.bars), svg = drawn("svg", { width: 8 * l.bars.length, height: l.colors ? 34 : 25, role: "img" });
+  const most = Math.max(1, ...l.bars), svg = svgElement("svg", { width: 8 * l.bars.length, height: l.colors ? 34 : 25, role: "img" });
   l.bars.forEach((n, k) => {
-    const bar = (y, height) => svg.append(drawn("rect", { x: 8 * k, y, width: 8, height, fill: l.colors ? l.colors[k] : "#5a8fd0" }));
+    const bar = (y, height) => svg.append(svgElement("rect", { x: 8 * k, y, width: 8, height, fill: l.colors ? l.colors[k] : "#5a8fd0" }));
     bar(24 * (1 - n / most), 24 * (n / most));
     if (l.colors) bar(26, 8);
   });
@@ -56,7 +56,7 @@ function describe(c) {
 function inputs(i) {
   const turned = Object.entries(state.pose.turns).filter(([, a]) => a.some(Boolean)).map(([j]) => about().joints[j]);
   const changes = [...(state.pose.from !== null ? [`the pose is that of ${(state.pose.from * about().seconds).toFixed(2)} s`] : []), ...(turned.length ? [`turned by you: ${turned.join(", ")}`] : [])];
-  $("inputs").textContent = `Looks come from images of frame ${i.frame} (${i.images.join(", ")}); ${changes.join("; ") || "in the pose it was filmed in"}.`;
+  $("inputs").textContent = `Colours come from the images of frame ${i.frame} (${i.images.join(", ")}); ${changes.join("; ") || "in the pose it was filmed in"}.`;
 }
 // Paths of picked splats, arrows, and cameras of the data.
 function lines() {
@@ -66,9 +66,9 @@ function lines() {
   if (state.cameras) about().views.forEach((v, k) => {
     if (k % Math.ceil(about().views.length / 60) || k === state.view) return;
     const c = frustum(v, 0.12 * about().radius);
-    if ([v.eye, ...c].every(project)) all.push(drawn("polyline", { class: "camera", points: points([v.eye, c[0], c[1], v.eye, c[2], c[3], v.eye, c[0], c[3], c[2], c[1]]) }));
+    if ([v.eye, ...c].every(project)) all.push(svgElement("polyline", { class: "camera", points: points([v.eye, c[0], c[1], v.eye, c[2], c[3], v.eye, c[0], c[3], c[2], c[1]]) }));
   });
-  for (const path of paths) all.push(drawn("polyline", { class: "path", points: points(path) }));
+  for (const path of paths) all.push(svgElement("polyline", { class: "path", points: points(path) }));
   if (state.arrows && arrows && arrowsOf === state.t && arrows.longest > 0) for (const [at, v] of arrows.lines) {
     const from = project(at), to = project(add(at, v, (LONGEST * about().radius) / arrows.longest));
     if (from && to) all.push(arrow(from, to));
@@ -79,5 +79,5 @@ function arrow(from, to) {
   const d = add(to, from, -1), n = Math.hypot(...d), head = Math.min(6, 0.4 * n), u = d.map((v) => v / Math.max(n, 1e-6)), back = add(to, u, -head);
   const wing = (k) => add(back, [-u[1], u[0]], 0.5 * k * head).map((v) => v.toFixed(1)).join(",");
   const at = (p) => p.map((v) => v.toFixed(1)).join(",");
-  return drawn("polyline", { class: "arrow", points: [at(from), at(to), wing(1), at(to), wing(-1)].join(" ") });
+  return svgElement("polyline", { class: "arrow", points: [at(from), at(to), wing(1), at(to), wing(-1)].join(" ") });
 }

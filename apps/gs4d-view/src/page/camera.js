@@ -1,5 +1,5 @@
 "use strict";
-// Where the camera is and how it moves: vectors, orbit, pan, fly, views of the data.
+// The camera and its motion: vectors, orbit, pan, fly, views of the dataset.
 const $ = (id) => document.getElementById(id);
 const stage = $("stage");
 let shows = [];
@@ -56,7 +56,7 @@ function nextUp() {
   state.up = next(k);
   changed();
 }
-// A free camera fills the stage; what is seen keeps the size it had in the narrower picture of a view.
+// A free camera fills the stage; what is seen keeps the size it had in the narrower image of a view.
 function leaveView() {
   if (state.view < 0) return;
   const shown = $("a").getBoundingClientRect().width;

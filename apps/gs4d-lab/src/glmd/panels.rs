@@ -1,4 +1,4 @@
-//! Pictures of a moment: its stages, colour wheels with arrows, the mask.
+//! Images at one time: renders of the stages, flows as colour wheels with arrows, the mask.
 
 use gs_core::Image;
 use gs_metrics::MetricError;
@@ -6,27 +6,27 @@ use gs_metrics::flow::{Flow, arrows, wheel};
 
 use super::Still;
 
-/// Shorter sides are enlarged to at least this, pixels.
-const SIDE: usize = 256;
-/// Arrows stand on a lattice of so many pixels of the enlarged picture.
-const LATTICE: usize = 24;
-/// White between panels, pixels.
+/// Images are enlarged by a whole factor until the shorter side has at least this many pixels.
+const MIN_SIDE: usize = 256;
+/// Distance of arrows in the enlarged image, pixels.
+const ARROW_SPACING: usize = 24;
+/// White gap between panels, pixels.
 const GAP: usize = 4;
 
-/// Name and picture (RGB) of everything there is to see at a moment.
+/// Caption and RGB image of every stage, every flow and the mask.
 ///
 /// # Errors
 /// If a flow is malformed.
 pub(super) fn panels(still: &Still) -> Result<Vec<(String, Image)>, MetricError> {
-    let factor = still.pictures.first().map_or(1, |(_, p)| SIDE.div_ceil(p.width.min(p.height).max(1)));
+    let factor = still.pictures.first().map_or(1, |(_, p)| MIN_SIDE.div_ceil(p.width.min(p.height).max(1)));
     let mut all: Vec<(String, Image)> = Vec::new();
-    for (name, picture) in &still.pictures {
-        all.push(((*name).to_owned(), enlarged(picture, factor)));
+    for (name, image) in &still.pictures {
+        all.push(((*name).to_owned(), enlarged(image, factor)));
     }
     for step in &still.steps {
         let longest = step.flow.magnitudes().into_iter().fold(0.0, f32::max);
         let caption = format!("{} by {}, up to {longest:.1} px", step.name, step.by);
-        all.push((caption, flow_picture(&step.flow, factor)?));
+        all.push((caption, flow_image(&step.flow, factor)?));
     }
     let data = still.mask.data.iter().flat_map(|m| [*m; 3]).collect();
     let mask = Image { channels: 3, data, ..still.mask };
@@ -34,7 +34,7 @@ pub(super) fn panels(still: &Still) -> Result<Vec<(String, Image)>, MetricError>
     Ok(all)
 }
 
-/// All panels of a moment beside each other.
+/// All panels in one row, top-aligned on white.
 ///
 /// # Errors
 /// If a flow is malformed.
@@ -55,17 +55,17 @@ pub fn strip(still: &Still) -> Result<Image, MetricError> {
 }
 
 /// The colour wheel of a flow with arrows over it, enlarged.
-fn flow_picture(flow: &Flow, factor: usize) -> Result<Image, MetricError> {
+fn flow_image(flow: &Flow, factor: usize) -> Result<Image, MetricError> {
     let plane = |data: &[f32]| {
         let image = Image { width: flow.width, height: flow.height, channels: 1, data: data.to_vec() };
         enlarged(&image, factor).data
     };
     let (width, height) = (flow.width * factor, flow.height * factor);
     let large = Flow { width, height, u: plane(&flow.u), v: plane(&flow.v) };
-    arrows(&wheel(&large, None)?, &large, LATTICE, factor as f32, [0.0; 3])
+    arrows(&wheel(&large, None)?, &large, ARROW_SPACING, factor as f32, [0.0; 3])
 }
 
-/// Every pixel `factor × factor` times.
+/// Repeats every pixel `factor × factor` times.
 fn enlarged(image: &Image, factor: usize) -> Image {
     let mut out = Image::zeros(image.width * factor, image.height * factor, image.channels);
     for y in 0..out.height {

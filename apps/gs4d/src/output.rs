@@ -1,0 +1,26 @@
+//! Output files and folders.
+
+use crate::failure::{Class, Failure};
+use std::path::Path;
+
+/// Fails if one of the output files exists, unless `force` is set. `what` names the file and `choose` what `-o` gives
+/// (`name` or `folder`) in the message.
+pub fn check_free<P: AsRef<Path>>(
+    force: bool,
+    what: &str,
+    choose: &str,
+    files: impl IntoIterator<Item = P>,
+) -> Result<(), Failure> {
+    match files.into_iter().find(|f| !force && f.as_ref().exists()) {
+        None => Ok(()),
+        Some(file) => Err(Failure::new(Class::Io, "io.exists", format!("the {what} exists already"))
+            .place(file.as_ref().display())
+            .why("nothing is overwritten unless asked")
+            .remedy(format!("choose another {choose} with -o, or pass -f"))),
+    }
+}
+
+/// Creates a folder and those above it.
+pub fn create_folder(folder: &Path) -> Result<(), Failure> {
+    std::fs::create_dir_all(folder).map_err(|e| Failure::io("create the folder", folder, &e))
+}
