@@ -1,12 +1,13 @@
 //! The cloud of Gaussians that several methods share, with its densification.
 
 use crate::capabilities::GrowthLimits;
-use crate::densify::{Densify, DensifyContext, DensifyRules, DensifyStats};
+use crate::densify::{Densify, DensifyContext, DensifyRules, DensifyStats, GaussianRows};
 use crate::method::{Buffer, BufferMut, MethodError};
 use crate::scene::{self, CloudConfig, SceneInfo};
 use crate::schedule::{Background, Schedule};
 use crate::step::StepCtx;
-use gs_core::{Camera, Cloud, Splats, SplatsGrad};
+use gs_core::param::RowEditError;
+use gs_core::{Camera, Cloud, Param, RowEdit, Splats, SplatsGrad};
 use gs_raster::ScreenStats;
 
 /// A canonical cloud under training, with the scratch of one step.
@@ -76,6 +77,17 @@ impl Canonical {
     /// Clones, splits, prunes and resets when the rules say so. Before a stage with a clock of its own the statistics are
     /// cleared.
     pub fn densify(&mut self) -> DensifyStats {
+        let stats = self.densify_with(&mut []);
+        debug_assert!(stats.is_ok(), "the blocks of a cloud have the same rows");
+        stats.unwrap_or_default()
+    }
+
+    /// The same for a method with row blocks of its own beside the cloud: all are edited together, and a copy or child takes
+    /// over the values of its parent.
+    ///
+    /// # Errors
+    /// If a block has no rows, or fewer than the cloud.
+    pub fn densify_with(&mut self, blocks: &mut [&mut Param]) -> Result<DensifyStats, RowEditError> {
         let mut stats = DensifyStats::default();
         if self.densifies() {
             let at = DensifyContext {
@@ -85,12 +97,12 @@ impl Canonical {
                 seed: self.seed,
                 white: self.white,
             };
-            stats = self.densify.densify(&self.rules, &at, &mut self.cloud);
+            stats = self.densify.densify(&self.rules, &at, &mut CloudAnd { cloud: &mut self.cloud, blocks })?;
         }
         if self.at.ends_clock {
             self.densify.clear(self.cloud.len());
         }
-        stats
+        Ok(stats)
     }
 
     /// The bounds of densification.
@@ -115,5 +127,27 @@ impl Canonical {
 
     fn sh_degree(&self) -> u8 {
         self.at.sh_degree.min(self.cloud.sh_degree())
+    }
+}
+
+/// A cloud and other row blocks of the same Gaussians.
+struct CloudAnd<'a, 'b> {
+    cloud: &'a mut Cloud,
+    blocks: &'a mut [&'b mut Param],
+}
+
+impl GaussianRows for CloudAnd<'_, '_> {
+    fn cloud(&self) -> &Cloud {
+        self.cloud
+    }
+
+    fn cloud_mut(&mut self) -> &mut Cloud {
+        self.cloud
+    }
+
+    fn edit(&mut self, edit: &RowEdit) -> Result<(), RowEditError> {
+        let mut all = self.cloud.blocks_mut();
+        all.extend(self.blocks.iter_mut().map(|p| &mut **p));
+        edit.apply(&mut all)
     }
 }

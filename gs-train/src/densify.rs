@@ -13,6 +13,7 @@
 //! tests them, so that the screen rule never fires, here both size rules are live.
 
 use gs_core::cloud::{Cloud, logit, sigmoid};
+use gs_core::param::RowEditError;
 use gs_core::{Rng, RowEdit, rot};
 use gs_raster::ScreenStats;
 use serde::{Deserialize, Serialize};
@@ -78,6 +79,35 @@ pub struct DensifyContext {
     pub seed: u64,
     /// Whether the background is white.
     pub white: bool,
+}
+
+/// Gaussians that density control may edit: a cloud, and whatever else has one row per Gaussian.
+pub trait GaussianRows {
+    /// The cloud that the rules look at.
+    fn cloud(&self) -> &Cloud;
+
+    /// The same, for new values of children and opacities.
+    fn cloud_mut(&mut self) -> &mut Cloud;
+
+    /// Applies an edit to the rows of the cloud and to all others, or to none.
+    ///
+    /// # Errors
+    /// If some rows are fewer than the edit names.
+    fn edit(&mut self, edit: &RowEdit) -> Result<(), RowEditError>;
+}
+
+impl GaussianRows for Cloud {
+    fn cloud(&self) -> &Cloud {
+        self
+    }
+
+    fn cloud_mut(&mut self) -> &mut Cloud {
+        self
+    }
+
+    fn edit(&mut self, edit: &RowEdit) -> Result<(), RowEditError> {
+        Cloud::edit(self, edit)
+    }
 }
 
 /// The statistics of density control, one row per splat.
@@ -210,19 +240,29 @@ impl Densify {
         }
     }
 
-    /// Whatever the rules ask for at this step: growth and pruning, then the opacity reset.
-    pub fn densify(&mut self, rules: &DensifyRules, at: &DensifyContext, cloud: &mut Cloud) -> DensifyStats {
+    /// Whatever the rules ask for at this step: growth and pruning, then the opacity reset. Copies and children take over
+    /// every value of their parent but the centres and scales of children.
+    ///
+    /// # Errors
+    /// If `gaussians` have fewer rows somewhere than in their cloud.
+    pub fn densify(
+        &mut self,
+        rules: &DensifyRules,
+        at: &DensifyContext,
+        gaussians: &mut dyn GaussianRows,
+    ) -> Result<DensifyStats, RowEditError> {
         let mut stats = DensifyStats::default();
         if rules.grows_at(at.clock) {
-            let plan = self.plan(rules, at, cloud);
+            let plan = self.plan(rules, at, gaussians.cloud());
             stats = plan.stats;
-            self.apply(rules, at, cloud, &plan);
+            gaussians.edit(&plan.edit)?;
+            self.place_children(rules, at, gaussians.cloud_mut(), &plan);
         }
         if rules.resets_at(at.clock, at.white) {
-            reset_opacities(cloud, rules.reset_opacity);
+            reset_opacities(gaussians.cloud_mut(), rules.reset_opacity);
             stats.reset = true;
         }
-        stats
+        Ok(stats)
     }
 
     fn plan(&self, rules: &DensifyRules, at: &DensifyContext, cloud: &Cloud) -> Plan {
@@ -276,9 +316,7 @@ impl Densify {
         grows
     }
 
-    fn apply(&mut self, rules: &DensifyRules, at: &DensifyContext, cloud: &mut Cloud, plan: &Plan) {
-        let applied = cloud.edit(&plan.edit);
-        debug_assert!(applied.is_ok(), "a plan names rows of this cloud only");
+    fn place_children(&mut self, rules: &DensifyRules, at: &DensifyContext, cloud: &mut Cloud, plan: &Plan) {
         let n = cloud.len();
         self.clear(n);
         let first = n - 2 * plan.children.len();
@@ -343,7 +381,7 @@ mod tests {
         let mut d = Densify::new(4);
         // Half of 100 pixels times 1e-4 is 5e-3 in half-image units: above the threshold.
         d.accumulate(&seen(&[1e-4, 1e-4, 0.0, 0.0]), 100, 100);
-        let did = d.densify(&DensifyRules::kerbl2023(), &AT, &mut c);
+        let did = d.densify(&DensifyRules::kerbl2023(), &AT, &mut c).unwrap();
         assert_eq!(did, DensifyStats { cloned: 1, split: 1, pruned: 1, reset: false });
         assert_eq!(c.len(), 5);
         assert_eq!(c.means.value[..3], [0.0; 3]);
@@ -381,7 +419,7 @@ mod tests {
             let mut c = cloud(&[0.2, 0.001, 0.001]);
             let mut d = Densify::new(3);
             d.accumulate(&ScreenStats { grad_means2d: vec![[0.0; 2]; 3], radii: vec![1.0, 30.0, 1.0] }, 64, 64);
-            d.densify(&rules, &DensifyContext { clock, ..AT }, &mut c).pruned
+            d.densify(&rules, &DensifyContext { clock, ..AT }, &mut c).unwrap().pruned
         };
         assert_eq!((run(2900), run(3100)), (0, 2));
     }
@@ -392,7 +430,7 @@ mod tests {
         let mut d = Densify::new(4);
         d.accumulate(&seen(&[1e-4, 4e-4, 2e-4, 3e-4]), 100, 100);
         let rules = DensifyRules { max_splats: 6, ..DensifyRules::kerbl2023() };
-        assert_eq!(d.densify(&rules, &AT, &mut c).cloned, 2);
+        assert_eq!(d.densify(&rules, &AT, &mut c).unwrap().cloned, 2);
         assert_eq!((c.means.value[12], c.means.value[15]), (1.0, 3.0));
     }
 
@@ -400,7 +438,7 @@ mod tests {
     fn something_always_stays() {
         let mut c = cloud(&[0.001; 3]);
         c.logit_opacities.value.copy_from_slice(&[-9.0, -8.0, -8.5]);
-        let did = Densify::new(3).densify(&DensifyRules::kerbl2023(), &AT, &mut c);
+        let did = Densify::new(3).densify(&DensifyRules::kerbl2023(), &AT, &mut c).unwrap();
         assert_eq!((c.len(), c.means.value[0], did.pruned), (1, 1.0, 2));
     }
 
@@ -412,7 +450,7 @@ mod tests {
         let mut c = cloud(&[0.001; 2]);
         c.logit_opacities.value[1] = -5.0;
         c.logit_opacities.moment2.fill(1.0);
-        assert!(Densify::new(2).densify(&rules, &DensifyContext { clock: 3000, ..AT }, &mut c).reset);
+        assert!(Densify::new(2).densify(&rules, &DensifyContext { clock: 3000, ..AT }, &mut c).unwrap().reset);
         assert!((sigmoid(c.logit_opacities.value[0]) - 0.01).abs() < 1e-6 && c.logit_opacities.value[1] == -5.0);
         assert_eq!(c.logit_opacities.moment2, [0.0; 2]);
     }
@@ -429,7 +467,7 @@ mod tests {
         let mut d = Densify::new(2);
         d.accumulate(&seen(&[1e-4, 1e-4]), 100, 100);
         let rules = DensifyRules { reset_every: 600, ..DensifyRules::kerbl2023() };
-        let did = d.densify(&rules, &AT, &mut c);
+        let did = d.densify(&rules, &AT, &mut c).unwrap();
         assert_eq!(did, DensifyStats { cloned: 1, split: 1, pruned: 0, reset: true });
         for p in c.kernel.as_ref().unwrap().params() {
             assert_eq!(p.value, [3.0, 3.0, -2.0, -2.0], "{}: the kept, its copy, two children", p.name);

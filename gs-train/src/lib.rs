@@ -8,6 +8,7 @@
 //! * [`trainer`]: one optimiser step and the whole state in and out; [`schedule`]: stages and learning rates; [`adam`];
 //!   [`loss`]; [`densify`]: clone, split, prune; [`non_finite`]: gradients that are refused.
 //! * [`canonical`], [`kernel`], [`scene`]: the cloud of Gaussians that several methods share, and what it starts from.
+//! * `conformance` (cargo feature of that name): what every method must keep, as checks for its tests.
 //! * [`checkpoint`], [`saved`]: atomic files of the whole state; [`evaluate`], [`renderer`]: scores and images of a method.
 //!
 //! # Promises
@@ -20,6 +21,8 @@ pub mod adam;
 pub mod canonical;
 pub mod capabilities;
 pub mod checkpoint;
+#[cfg(feature = "conformance")]
+pub mod conformance;
 pub mod densify;
 pub mod evaluate;
 pub mod kernel;

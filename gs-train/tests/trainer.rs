@@ -1,0 +1,170 @@
+//! The trainer through its public interface, with a method whose gradients are chosen here: gradients that are not finite,
+//! batches, and what is refused before the first step.
+
+use gs_core::{Camera, Param, Params, Splats};
+use gs_data::Dataset;
+use gs_synth::SynthOptions;
+use gs_train::method::{Buffers, LossValue, Method, MethodError, RenderView, ViewCtx, section};
+use gs_train::model::Model;
+use gs_train::scene::SceneInfo;
+use gs_train::step::StepCtx;
+use gs_train::timestamp::Timestamp;
+use gs_train::trainer::{TrainOptions, Trainer};
+use std::sync::Arc;
+
+/// Two blocks whose gradients are the same in every step.
+struct Fake {
+    blocks: [Param; 2],
+    gradients: [Vec<f32>; 2],
+}
+
+impl Params for Fake {
+    fn visit(&self, f: &mut dyn FnMut(&Param)) {
+        self.blocks.iter().for_each(f);
+    }
+
+    fn visit_mut(&mut self, f: &mut dyn FnMut(&mut Param)) {
+        self.blocks.iter_mut().for_each(f);
+    }
+}
+
+impl Buffers for Fake {}
+
+impl Method for Fake {
+    fn begin_step(&mut self, _at: &StepCtx) {}
+
+    fn splats(&self, _at: &Timestamp, _camera: &Camera) -> Result<Splats, MethodError> {
+        Ok(Splats::default())
+    }
+
+    fn step(&mut self, _view: &ViewCtx<'_>, _render: &mut dyn RenderView) -> Result<Vec<LossValue>, MethodError> {
+        self.blocks.iter_mut().zip(&self.gradients).for_each(|(p, g)| p.grad.clone_from(g));
+        Ok(Vec::new())
+    }
+
+    fn splat_count(&self) -> usize {
+        1000
+    }
+}
+
+/// Resting bodies.
+fn data(size: u32, views: u32) -> Arc<Dataset> {
+    let options = SynthOptions { size, train_views: views, val_views: 0, test_views: 0, ..SynthOptions::default() };
+    Arc::new(gs_synth::generate("static", &options).expect("scene").dataset)
+}
+
+fn tiny(method: &str) -> toml::Table {
+    gs_methods::registry().find(method).and_then(|m| m.config("tiny")).expect("preset")
+}
+
+/// A run of the fake: so many of 1000 gradient rows are not finite, and perhaps one gradient of the shared weights.
+fn fake(bad_rows: usize, bad_shared: bool) -> Trainer {
+    let (dataset, config) = (data(16, 2), tiny("fourdgs"));
+    let schedule = section("fourdgs", &config, "schedule").expect("schedule");
+    let init = section("fourdgs", &config, "init").expect("init");
+    let scene = SceneInfo::of(&dataset, &init, 0).expect("scene");
+    let blocks = [Param::rows("cloud.means", 1, vec![1.0; 1000]), Param::shared("field.trunk", vec![1.0; 3])];
+    let mut gradients = [vec![1.0; 1000], vec![1.0; 3]];
+    gradients[0][7..7 + bad_rows].fill(f32::NAN);
+    gradients[1][1] = if bad_shared { f32::INFINITY } else { 1.0 };
+    let model = Model::new("fake", Fake { blocks, gradients }, schedule).expect("model");
+    Trainer::with_method(model, dataset, scene, TrainOptions::default()).expect("trainer")
+}
+
+#[test]
+fn few_bad_rows_are_counted_and_left_alone() {
+    let mut trainer = fake(1, false);
+    assert_eq!(trainer.step().expect("step").quarantined, 1);
+    trainer.model().visit(&mut |p| {
+        assert!(p.grad.iter().all(|g| *g == 0.0), "{}: gradients are cleared", p.name);
+        if p.name == "cloud.means" {
+            assert!(p.value[7] == 1.0 && p.value[6] < 1.0 && p.value[8] < 1.0);
+            assert!(p.moment1[7] == 0.0 && p.moment1[8] > 0.0);
+        }
+    });
+}
+
+#[test]
+fn many_bad_rows_or_one_bad_weight_end_the_run() {
+    for (mut trainer, culprit) in [(fake(2, false), "row 7 of `cloud.means`"), (fake(0, true), "`field.trunk`")] {
+        let error = trainer.step().expect_err("refused");
+        assert_eq!(error.exit_code(), 4);
+        assert!(error.to_string().contains(culprit), "{error}");
+        assert_eq!(trainer.steps_done(), 0);
+    }
+}
+
+/// Values of a method after a step: first moments of all blocks, then the sums of screen gradients.
+fn moments(trainer: &Trainer) -> (Vec<f32>, Vec<f32>) {
+    let (mut all, mut sums) = (Vec::new(), Vec::new());
+    trainer.model().visit(&mut |p| all.extend_from_slice(&p.moment1));
+    trainer.model().buffers(&mut |b| {
+        if b.name == "density.grad_sum" {
+            sums.clone_from(b.values);
+        }
+    });
+    (all, sums)
+}
+
+/// Learning rates of 1e-12 move nothing, and Adam's first moment after steps with gradients `g₁`, `g₂` is `0.1 g₁`, then
+/// `0.09 g₁ + 0.1 g₂`.
+#[test]
+fn a_batch_is_the_mean_of_its_views() {
+    let dataset = data(24, 4);
+    let start = |batch: i64| {
+        let mut config = tiny("static3d");
+        let schedule = config["schedule"].as_table_mut().expect("schedule");
+        schedule.insert("batch".into(), batch.into());
+        for (_, rate) in schedule["lr"]["cloud"].as_table_mut().expect("rates").iter_mut() {
+            let rate = rate.as_table_mut().expect("rate");
+            rate.insert("start".into(), 1e-12.into());
+            rate.insert("end".into(), 1e-12.into());
+        }
+        let options = TrainOptions::default();
+        Trainer::new(gs_methods::registry(), dataset.clone(), "static3d", &config, options).expect("trainer")
+    };
+    let (mut both, mut single) = (start(2), start(1));
+    let of_both = both.step().expect("step");
+    let first = single.step().expect("step");
+    let after_first = moments(&single).0;
+    let second = single.step().expect("step");
+    let (after_second, single_sums) = moments(&single);
+    let (mean, both_sums) = moments(&both);
+
+    assert_eq!(of_both.view, format!("{}, {}", first.view, second.view));
+    assert_ne!(first.view, second.view);
+    assert!((of_both.loss.total - 0.5 * (first.loss.total + second.loss.total)).abs() < 1e-7);
+    let largest = mean.iter().fold(0.0f32, |m, g| m.max(g.abs()));
+    assert!(largest > 0.0);
+    for (i, m) in mean.iter().enumerate() {
+        let (one, two) = (after_first[i], after_second[i] - 0.9 * after_first[i]);
+        assert!((m - 0.5 * (one + two)).abs() < 1e-6 * largest, "first moment {i}: {m}, {one} and {two} alone");
+    }
+    assert!(both_sums.iter().any(|s| *s > 0.0));
+    for (i, (a, b)) in both_sums.iter().zip(&single_sums).enumerate() {
+        assert!((a - b).abs() <= 1e-5 * b.abs(), "statistics of densification are of whole losses: {i}");
+    }
+}
+
+#[test]
+fn unknown_methods_and_settings_are_refused() {
+    let (dataset, config) = (data(16, 2), tiny("fourdgs"));
+    let error = |method: &str, config: &toml::Table| {
+        Trainer::new(gs_methods::registry(), dataset.clone(), method, config, TrainOptions::default())
+            .err()
+            .expect("refused")
+    };
+    assert_eq!(error("none", &config).exit_code(), 2);
+    assert!(error("none", &config).to_string().contains("fourdgs"), "known names are listed");
+    assert!(error("static3d", &config).to_string().contains("field"), "static3d has no field");
+    let mut wrong = config.clone();
+    wrong["schedule"].as_table_mut().expect("schedule").insert("lambda_dssim".into(), 2.0.into());
+    assert!(error("fourdgs", &wrong).to_string().contains("lambda_dssim"));
+    let mut still = tiny("static3d");
+    for (_, stage) in still["schedule"]["stages"].as_table_mut().expect("stages").iter_mut() {
+        stage.as_table_mut().expect("stage").insert("field_alone".into(), true.into());
+    }
+    assert!(error("static3d", &still).to_string().contains("field_alone"), "nothing would learn");
+    wrong.remove("init");
+    assert!(error("fourdgs", &wrong).to_string().contains("section `init` is missing"));
+}
