@@ -76,10 +76,11 @@ impl Canonical {
 
     /// Clones, splits, prunes and resets when the rules say so. Before a stage with a clock of its own the statistics are
     /// cleared.
-    pub fn densify(&mut self) -> DensifyStats {
-        let stats = self.densify_with(&mut []);
-        debug_assert!(stats.is_ok(), "the blocks of a cloud have the same rows");
-        stats.unwrap_or_default()
+    ///
+    /// # Errors
+    /// If the blocks of the cloud do not have the same rows.
+    pub fn densify(&mut self) -> Result<DensifyStats, RowEditError> {
+        self.densify_with(&mut [])
     }
 
     /// The same for a method with row blocks of its own beside the cloud: all are edited together, and a copy or child takes

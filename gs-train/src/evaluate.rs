@@ -175,7 +175,7 @@ pub enum EvalError {
         /// Name of the view.
         view: String,
         /// The method's reason.
-        source: MethodError,
+        source: Box<MethodError>,
     },
     /// A frame cannot be compared.
     #[error("view {view}: {source}")]
@@ -234,7 +234,7 @@ pub fn evaluate_splats(
     for view in views {
         let camera = images.camera(view);
         let splats = splats(&Timestamp::new(view.time), &camera);
-        let splats = splats.map_err(|source| EvalError::Method { view: view.name.clone(), source })?;
+        let splats = splats.map_err(|e| EvalError::Method { view: view.name.clone(), source: Box::new(e) })?;
         render_into(&splats, &camera, &options, &mut workspace, &mut frame);
         let image = images.get(view)?;
         let truth = image.over(background);

@@ -171,6 +171,9 @@ pub enum MethodError {
     /// The image loss of a training view is not finite or not defined.
     #[error(transparent)]
     Loss(#[from] gs_metrics::MetricError),
+    /// Row blocks that belong together do not fit each other.
+    #[error(transparent)]
+    Rows(#[from] gs_core::param::RowEditError),
     /// The scene or its initial points cannot be used.
     #[error("scene: {0}")]
     Scene(String),

@@ -92,26 +92,3 @@ fn from_a_folder_of_images_to_a_splat_file() {
     let worst = want.rgb.iter().zip(&got.rgb).fold(0.0f32, |m, (a, b)| m.max((a - b).abs()));
     assert!(worst < 1e-4, "export changed the picture by {worst:.1e}");
 }
-
-#[test]
-fn threads_change_no_bit_of_a_run() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let data = written(&folder.path().join("data"), "sheet");
-    let run = |threads| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
-        pool.install(|| {
-            let mut trainer = trainer(&data, "fourdgs", 60);
-            while trainer.steps_done() < trainer.steps() {
-                trainer.step().expect("a step");
-            }
-            trainer.state().tensors
-        })
-    };
-    let bits = |tensors: &[(String, Vec<f32>)]| -> Vec<u32> {
-        tensors.iter().flat_map(|(_, v)| v.iter().map(|x| x.to_bits())).collect()
-    };
-    let one = bits(&run(1));
-    for threads in [2, 4] {
-        assert!(bits(&run(threads)) == one, "{threads} threads");
-    }
-}

@@ -36,6 +36,10 @@ pub fn escape(text: &str) -> String {
     out
 }
 
+/// The page of a run.
+///
+/// # Errors
+/// If a chart or image cannot be drawn.
 pub fn page(report: &Report) -> Result<String, ReportError> {
     let parts = [
         figures(report),

@@ -28,7 +28,7 @@ impl Span<f64> {
         Self { tau, spin: steps.map_or(0.5 * tau * tau, printed) }
     }
 
-    pub(crate) fn to_f32(&self) -> Span<f32> {
+    pub(crate) fn to_f32(self) -> Span<f32> {
         Span { tau: self.tau as f32, spin: self.spin as f32 }
     }
 }

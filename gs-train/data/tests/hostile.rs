@@ -2,7 +2,7 @@
 //! at most eight times the size of the files plus 64 MiB of memory.
 
 // A counting allocator needs the allocator trait, which is unsafe to implement; it only forwards and counts.
-#![allow(unsafe_code)]
+#![allow(unsafe_code, reason = "a counting allocator implements the unsafe allocator trait")]
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;

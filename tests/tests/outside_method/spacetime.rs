@@ -185,7 +185,7 @@ impl Method for Spacetime {
 
     fn end_step(&mut self) -> Result<StepEvents, MethodError> {
         let blocks = &mut [&mut self.motion, &mut self.spin, &mut self.centers, &mut self.log_rates];
-        let densified = self.canonical.densify_with(blocks).map_err(|e| MethodError::Render(e.to_string()))?;
+        let densified = self.canonical.densify_with(blocks)?;
         Ok(StepEvents { densified, log: Vec::new() })
     }
 

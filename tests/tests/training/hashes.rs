@@ -13,8 +13,8 @@
 //! GS4D_PRINT_HASHES=1 cargo test -p gs-tests --test training hashes -- --nocapture
 //! ```
 
+use crate::support;
 use crate::support::*;
-use crate::{dut, support};
 use fearless_simd::{Level, Simd, SimdBase, SimdFloat, dispatch, f32x16};
 use gs_data::Dataset;
 use gs_train::densify::DensifyStats;
@@ -226,11 +226,11 @@ fn states_after_200_steps_have_their_stored_hashes() {
         println!("SKIPPED hashes: none are stored for {set} with arithmetic {arithmetic:#018x}");
         return;
     }
-    let (balls, film) = (scene("balls", 32, 7), dut::film("cylinder", 32, 2));
+    let (balls, film) = (scene("balls", 32, 7), film("cylinder", 32, 2));
     let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("pool");
     let mut found = Vec::new();
     for entry in gs_methods::registry() {
-        let config = if entry.needs_avatar { dut::config(&[dut::SHORT, AVATAR]) } else { plan(entry.name) };
+        let config = if entry.needs_avatar { film_config(&[FILM_SHORT, AVATAR]) } else { plan(entry.name) };
         let data = if entry.needs_avatar { &film } else { &balls };
         let (hash, edits) = pool.install(|| trained(data, entry.name, &config));
         // Anchors are added and pruned; DUT has no density control.

@@ -3,6 +3,7 @@
 use gs_core::{Camera, Splats, SplatsGrad};
 use gs_data::{Dataset, ImageCache, Split};
 use gs_raster::{FrameGrad, RasterOptions, ScreenStats, Workspace, render, render_backward};
+use gs_synth::avatar::{self, AvatarOptions};
 use gs_synth::{self as synth, SynthOptions};
 use gs_train::evaluate::evaluate;
 use gs_train::method::{MethodEntry, MethodError, RenderView};
@@ -101,6 +102,40 @@ pub fn start(method: &str, data: &Arc<Dataset>) -> Trainer {
         TrainOptions { seed: 3, ..TrainOptions::default() },
     )
     .expect("trainer")
+}
+
+/// A film of a body made here.
+pub fn film(template: &str, size: u32, frames: u32) -> Arc<Dataset> {
+    let template = format!("builtin:{template}");
+    let options = AvatarOptions { template, size, frames, rings: 1, points: 4000, ..AvatarOptions::default() };
+    Arc::new(avatar::generate(&options).expect("film"))
+}
+
+/// DUT with networks of 32 texels a side, one stage after the other.
+pub const FILM_SHORT: &str = "
+cache_mib = 64
+[textures]
+unproject = 32
+geo = 16
+gau = 32
+[gaunet]
+residual = false
+[gaunet.net]
+width = 8
+levels = 2
+[geonet]
+width = 16
+[schedule]
+stages.geometry.steps = 5
+stages.warm_up.steps = 4
+stages.main.steps = 6
+";
+
+/// The `tiny` preset of DUT, with TOML laid over it.
+pub fn film_config(over: &[&str]) -> toml::Table {
+    let mut config = gs_methods::registry().find("dut").and_then(|m| m.config("tiny")).expect("preset");
+    over.iter().for_each(|o| gs_train::method::overlay(&mut config, o.parse().expect("TOML")));
+    config
 }
 
 /// Renders a view and pulls given cotangents of its colours back.

@@ -89,7 +89,7 @@ impl Method for Static3d {
     }
 
     fn end_step(&mut self) -> Result<StepEvents, MethodError> {
-        Ok(StepEvents { densified: self.canonical.densify(), log: Vec::new() })
+        Ok(StepEvents { densified: self.canonical.densify()?, log: Vec::new() })
     }
 
     fn splat_count(&self) -> usize {

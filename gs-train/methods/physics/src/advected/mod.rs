@@ -448,7 +448,7 @@ where
 
     fn end_step(&mut self) -> Result<StepEvents, MethodError> {
         self.forget();
-        Ok(StepEvents { densified: self.canonical.densify(), log: Vec::new() })
+        Ok(StepEvents { densified: self.canonical.densify()?, log: Vec::new() })
     }
 
     fn splat_count(&self) -> usize {

@@ -9,17 +9,64 @@
 //! | without GAD and LGD against the plain scaffold | same bits |
 //! | centres of baked rows at times between those looked at | 1.5 × the tolerance |
 
-use crate::support::*;
 use gs_core::{Camera, Splats, SplatsGrad, Time};
+use gs_data::Dataset;
 use gs_deform::field::grid4d::screen_bound;
+use gs_method_anchor::METHODS;
 use gs_raster::{ScreenStats, Workspace, render};
+use gs_synth::{self as synth, SynthOptions};
 use gs_train::capabilities::FreezeOptions;
 use gs_train::method::{MethodError, RenderView, ViewCtx, overlay};
 use gs_train::model::Model;
+use gs_train::registry::Registry;
 use gs_train::saved;
 use gs_train::timestamp::Timestamp;
-use gs_train::trainer::{TrainOptions, Trainer};
+use gs_train::trainer::{StepReport, TrainOptions, Trainer};
 use std::sync::Arc;
+
+/// The methods of this crate.
+fn registry() -> Registry {
+    Registry::new(METHODS.to_vec())
+}
+
+/// A generated scene of small images.
+fn scene(name: &str, size: u32, views: u32) -> Arc<Dataset> {
+    let options = SynthOptions {
+        size,
+        train_views: views,
+        val_views: 0,
+        test_views: 4,
+        supersample: 2,
+        ..SynthOptions::default()
+    };
+    Arc::new(synth::generate(name, &options).expect("generated scene").dataset)
+}
+
+/// Makes steps.
+fn run(trainer: &mut Trainer, steps: u32) -> Vec<StepReport> {
+    (0..steps).map(|_| trainer.step().expect("step")).collect()
+}
+
+/// Growth and pruning inside 60 steps.
+const SHORT: &str = "
+init.points = 150
+[adapt]
+observe_from = 0
+from = 5
+until = 55
+every = 10
+grad = 2e-5
+";
+
+/// The `tiny` preset with 60 steps in all.
+fn short(method: &str) -> toml::Table {
+    let mut config = registry().find(method).and_then(|m| m.config("tiny")).expect("preset");
+    overlay(&mut config, SHORT.parse().expect("TOML"));
+    let stages = config["schedule"]["stages"].as_table_mut().expect("stages");
+    let count = stages.len() as i64;
+    stages.iter_mut().for_each(|(_, stage)| stage["steps"] = (60 / count).into());
+    config
+}
 
 fn at(t: f32) -> Timestamp {
     Timestamp::new(Time::new(t).expect("time"))
@@ -58,8 +105,7 @@ fn modec(over: &str) -> toml::Table {
 
 fn trained(config: &toml::Table, steps: u32) -> Trainer {
     let mut trainer =
-        Trainer::new(gs_methods::registry(), scene("sheet", 32, 6), "modec", config, TrainOptions::default())
-            .expect("trainer");
+        Trainer::new(&registry(), scene("sheet", 32, 6), "modec", config, TrainOptions::default()).expect("trainer");
     run(&mut trainer, steps);
     trainer
 }
@@ -68,7 +114,7 @@ fn trained(config: &toml::Table, steps: u32) -> Trainer {
 fn the_local_stage_starts_from_the_global_fit() {
     // Stages of 30 steps each.
     let trainer = trained(&modec(""), 30);
-    let mut method = saved::load(gs_methods::registry(), &trainer.state(), None).expect("state").model;
+    let mut method = saved::load(&registry(), &trainer.state(), None).expect("state").model;
     let camera = trainer.dataset().train[0].camera.clone();
     let global = splats(&method, 0.7, &camera);
     method.begin_step(31);
@@ -83,7 +129,7 @@ fn the_local_stage_starts_from_the_global_fit() {
 fn filtered_pictures_are_those_without_a_filter() {
     let trainer = trained(&modec(""), 60);
     let config = modec("[anchors]\nfilter = \"off\"");
-    let load = |config| saved::load(gs_methods::registry(), &trainer.state(), config).expect("state").model;
+    let load = |config| saved::load(&registry(), &trainer.state(), config).expect("state").model;
     let (filtered, whole) = (load(None), load(Some(&config)));
     let mut left_out = 0;
     for view in &trainer.dataset().train {
@@ -105,7 +151,7 @@ fn filtered_pictures_are_those_without_a_filter() {
 fn kept_intervals_draw_the_same_bits() {
     let trainer = trained(&modec(""), 60);
     let camera = &trainer.dataset().train[0].camera;
-    let load = || saved::load(gs_methods::registry(), &trainer.state(), None).expect("state").model;
+    let load = || saved::load(&registry(), &trainer.state(), None).expect("state").model;
     let warm = load();
     let times = [0.1, 0.15, 0.9, 0.12, 0.5, 0.9];
     let first: Vec<Splats> = times.iter().map(|&t| splats(&warm, t, camera)).collect();
@@ -144,13 +190,8 @@ fn parts_are_left_out_by_name() {
     assert_eq!(names("gad"), "anchors heads lgd");
     assert_eq!(names("lgd"), "anchors gad heads intervals");
     assert_eq!(names("gad,lgd"), "anchors heads");
-    let error = Trainer::new(
-        gs_methods::registry(),
-        scene("sheet", 32, 6),
-        "modec",
-        &modec("ablate = \"gda\""),
-        TrainOptions::default(),
-    );
+    let error =
+        Trainer::new(&registry(), scene("sheet", 32, 6), "modec", &modec("ablate = \"gda\""), TrainOptions::default());
     assert!(error.err().expect("refused").to_string().contains("choose of gad, lgd, tia"));
 }
 
@@ -161,8 +202,7 @@ fn boundaries_move_and_are_told_of() {
     config["schedule"]["stages"]["local"]["steps"] = 60.into();
     let data = scene("sheet", 32, 24);
     let mut trainer =
-        Trainer::new(gs_methods::registry(), Arc::clone(&data), "modec", &config, TrainOptions::default())
-            .expect("trainer");
+        Trainer::new(&registry(), Arc::clone(&data), "modec", &config, TrainOptions::default()).expect("trainer");
     let mut told = Vec::new();
     for _ in 0..90 {
         told.extend(trainer.step().expect("step").events);
@@ -210,8 +250,7 @@ fn a_static_scene_is_the_plain_scaffold() {
     let data = scene("sheet", 32, 6);
     let drawn = |method: &str, config: &toml::Table| {
         let mut trainer =
-            Trainer::new(gs_methods::registry(), Arc::clone(&data), method, config, TrainOptions::default())
-                .expect("trainer");
+            Trainer::new(&registry(), Arc::clone(&data), method, config, TrainOptions::default()).expect("trainer");
         run(&mut trainer, 60);
         let all = data.train.iter().map(|view| splats(trainer.model(), view.time.normalised, &view.camera));
         all.collect::<Vec<_>>()

@@ -2,36 +2,46 @@
 //!
 //! | property | tolerance |
 //! |---|---|
-//! | directional derivative of photometric and geometric losses against the gradient | as in `methods` |
+//! | slope of geometric losses along the gradient | 2 % |
 //! | in-mask PSNR of values of the texels' own, seen frames | 32 dB |
 //! | in-mask PSNR of GauNet over-fitting four views of a frame; after its warm-up alone | 30 dB; 20 dB |
 //! | GeoNet's offsets of a known morph, RMS error over RMS length | 10 % |
 
-use crate::methods::{check_blocks, smooth};
-use crate::support::*;
 use gs_core::{Camera, Params, Rng, Splats, SplatsGrad};
 use gs_data::{Dataset, ImageCache, ImageSource, Split};
-use gs_method_texel::{Config, Dut};
-use gs_raster::{ScreenStats, Workspace, render};
+use gs_method_texel::{Config, Dut, METHODS};
+use gs_raster::ScreenStats;
+use gs_synth::SynthOptions;
 use gs_synth::avatar::{self, AvatarOptions, Morphs};
 use gs_train::checkpoint::Checkpoint;
 use gs_train::evaluate::evaluate;
 use gs_train::method::{Buffers, InitConfig, Method, MethodError, RenderView, SceneInfo, ViewCtx, overlay};
 use gs_train::model::Model;
+use gs_train::registry::Registry;
 use gs_train::saved;
 use gs_train::timestamp::Timestamp;
-use gs_train::trainer::{TrainError, TrainOptions, Trainer};
+use gs_train::trainer::{StepReport, TrainError, TrainOptions, Trainer};
 use std::sync::Arc;
 
+/// The methods of this crate.
+fn registry() -> Registry {
+    Registry::new(METHODS.to_vec())
+}
+
+/// Makes steps.
+fn run(trainer: &mut Trainer, steps: u32) -> Vec<StepReport> {
+    (0..steps).map(|_| trainer.step().expect("step")).collect()
+}
+
 /// A film of a body made here.
-pub fn film(template: &str, size: u32, frames: u32) -> Arc<Dataset> {
+fn film(template: &str, size: u32, frames: u32) -> Arc<Dataset> {
     let template = format!("builtin:{template}");
     let options = AvatarOptions { template, size, frames, rings: 1, points: 4000, ..AvatarOptions::default() };
     Arc::new(avatar::generate(&options).expect("film"))
 }
 
 /// Networks of 32 texels a side, one stage after the other.
-pub const SHORT: &str = "
+const SHORT: &str = "
 cache_mib = 64
 [textures]
 unproject = 32
@@ -50,21 +60,15 @@ stages.warm_up.steps = 4
 stages.main.steps = 6
 ";
 
-pub fn config(over: &[&str]) -> toml::Table {
-    let mut config = gs_methods::registry().find("dut").and_then(|m| m.config("tiny")).expect("preset");
+fn config(over: &[&str]) -> toml::Table {
+    let mut config = registry().find("dut").and_then(|m| m.config("tiny")).expect("preset");
     over.iter().for_each(|o| overlay(&mut config, o.parse().expect("TOML")));
     config
 }
 
 fn start(data: &Arc<Dataset>, config: &toml::Table) -> Trainer {
-    Trainer::new(
-        gs_methods::registry(),
-        data.clone(),
-        "dut",
-        config,
-        TrainOptions { seed: 3, ..TrainOptions::default() },
-    )
-    .expect("trainer")
+    Trainer::new(&registry(), data.clone(), "dut", config, TrainOptions { seed: 3, ..TrainOptions::default() })
+        .expect("trainer")
 }
 
 fn timeless(mut state: Checkpoint) -> Checkpoint {
@@ -87,8 +91,8 @@ stages.warm_up.steps = 0
 #[test]
 fn presets_build_and_every_parameter_learns() {
     let data = film("cylinder", 32, 2);
-    for (preset, _) in gs_methods::registry().find("dut").unwrap().presets {
-        let mut config = gs_methods::registry().find("dut").and_then(|m| m.config(preset)).expect("preset");
+    for (preset, _) in registry().find("dut").unwrap().presets {
+        let mut config = registry().find("dut").and_then(|m| m.config(preset)).expect("preset");
         overlay(&mut config, "textures = { unproject = 64, geo = 32, gau = 64 }".parse().unwrap());
         let trainer = start(&data, &config);
         let method = trainer.model();
@@ -100,38 +104,6 @@ fn presets_build_and_every_parameter_learns() {
             method.quantities(&at).expect("quantities").iter().map(|q| q.values.len()).collect::<Vec<_>>(),
             [method.splat_count(); 4]
         );
-    }
-}
-
-#[test]
-fn gradients_match_directional_finite_differences() {
-    let data = film("cylinder", 32, 2);
-    let texture = [
-        SHORT,
-        DIRECT,
-        "[gaussians]\nsh_degree = 1\ndecode.sh_active = 1",
-        "input = \"single\"",
-        "schedule.stages.geometry.steps = 0",
-    ];
-    for over in [&[SHORT][..], &[SHORT, "gaunet.residual = true"], &[SHORT, DIRECT], &texture] {
-        let mut trainer = start(&data, &config(over));
-        while trainer.steps_done() < trainer.steps() {
-            trainer.step().expect("step");
-        }
-        let mut method =
-            saved::load_with(gs_methods::registry(), &trainer.state(), None, data.avatar.clone()).expect("state").model;
-        let (at, camera) = (Timestamp::new(data.train[0].time), data.train[0].camera.clone());
-        let options = smooth(&method);
-        let weight =
-            |i: usize| Rng::new(1, "weights", (i % 3) as u32, (i / 3 / 256 * 4 + i / 3 % 32 / 8) as u64).normal();
-        let weights: Vec<f32> = (0..32 * 32 * 3).map(weight).collect();
-        let mut view = GivenCotangent::new(&camera, &options, &weights);
-        method.step(&ViewCtx { at, camera: &camera, last: false }, &mut view).expect("step");
-        // The penalty of offsets is part of the gradient, but below its tolerance.
-        check_blocks("dut", trainer.steps_done(), &mut method, &mut |m| {
-            let frame = render(&m.splats(&at, &camera).expect("splats"), &camera, &options, &mut Workspace::new());
-            frame.rgb.iter().zip(&weights).map(|(v, w)| f64::from(*v) * f64::from(*w)).sum()
-        });
     }
 }
 
@@ -222,8 +194,7 @@ fn interruptions_and_threads_do_not_change_a_bit() {
         let last = timeless(whole.state());
         for from in [0, 3, 5, 7, steps - 1] {
             let mut resumed =
-                Trainer::resume(gs_methods::registry(), data.clone(), &states[from as usize], None, 1 << 20)
-                    .expect("resume");
+                Trainer::resume(&registry(), data.clone(), &states[from as usize], None, 1 << 20).expect("resume");
             run(&mut resumed, steps - from);
             assert!(timeless(resumed.state()) == last, "resumed at {from}");
         }
@@ -273,14 +244,15 @@ fn a_small_cache_changes_nothing() {
 
 #[test]
 fn data_without_a_person_are_refused() {
-    let data = scene("balls", 32, 4);
-    let error = Trainer::new(gs_methods::registry(), data, "dut", &config(&[]), TrainOptions::default())
+    let options = SynthOptions { size: 32, train_views: 4, ..SynthOptions::default() };
+    let data = Arc::new(gs_synth::generate("balls", &options).expect("generated scene").dataset);
+    let error = Trainer::new(&registry(), data, "dut", &config(&[]), TrainOptions::default())
         .err()
         .expect("refused")
         .to_string();
     assert!(error.contains("method `dut` needs a filmed person"), "{error}");
     let state = start(&film("cylinder", 32, 2), &config(&[SHORT])).state();
-    let error = saved::load(gs_methods::registry(), &state, None).err().expect("refused");
+    let error = saved::load(&registry(), &state, None).err().expect("refused");
     assert!(error.contains("needs a filmed person"), "{error}");
 }
 
@@ -288,7 +260,7 @@ fn data_without_a_person_are_refused() {
 fn settings_that_do_not_fit_are_refused() {
     let data = film("cylinder", 32, 2);
     let refuse = |over: &[&str]| {
-        let trainer = Trainer::new(gs_methods::registry(), data.clone(), "dut", &config(over), TrainOptions::default());
+        let trainer = Trainer::new(&registry(), data.clone(), "dut", &config(over), TrainOptions::default());
         trainer.err().unwrap_or_else(|| panic!("{over:?} was taken")).to_string()
     };
     for (over, why) in [
@@ -410,9 +382,8 @@ fn a_run_over_another_film_draws_the_same() {
         let steps = trainer.steps();
         run(&mut trainer, steps);
         let state = trainer.state();
-        let of = |film: &Dataset| {
-            saved::load_with(gs_methods::registry(), &state, None, film.avatar.clone()).expect("state").model
-        };
+        let of =
+            |film: &Dataset| saved::load_with(&registry(), &state, None, film.avatar.clone()).expect("state").model;
         let (here, there) = (of(&data), of(&other));
         let splats = |model: &Model| model.splats(&at, camera).expect("splats");
         assert!(splats(&here) == splats(&there), "{over:?}");
@@ -422,7 +393,7 @@ fn a_run_over_another_film_draws_the_same() {
         assert!(mean(&*here) != mean(&bare(&other, &config, 15)));
         let mut old = state.clone();
         old.tensors.retain(|(name, _)| !name.starts_with("mean."));
-        let old = saved::load_with(gs_methods::registry(), &old, None, other.avatar.clone()).expect("state").model;
+        let old = saved::load_with(&registry(), &old, None, other.avatar.clone()).expect("state").model;
         assert!(splats(&old) != splats(&here), "{over:?}");
     }
 }
@@ -442,7 +413,7 @@ fn mean_colours_are_made_anew_of_second_textures() {
     assert_eq!(renewed, [false, true, false, true, false, false, false]);
     assert!(means.iter().all(|m| m[0] == means[0][0]));
     let state = trainer.state();
-    let mut resumed = Trainer::resume(gs_methods::registry(), data.clone(), &state, None, 1 << 20).expect("resume");
+    let mut resumed = Trainer::resume(&registry(), data.clone(), &state, None, 1 << 20).expect("resume");
     assert!(mean(&**resumed.model()) == means[7]);
     run(&mut resumed, 3);
     run(&mut trainer, 3);
@@ -554,13 +525,13 @@ lr.geo.all = {{ start = 3e-4, end = 1e-5, steps = {steps} }}
 }
 
 #[test]
-#[ignore = "minutes long: cargo test -p gs-train --test training -- --ignored geonet_finds"]
+#[ignore = "minutes long: cargo test -p gs-method-texel --test dut -- --ignored geonet_finds"]
 fn geonet_finds_a_morph() {
     geonet_finds("swing");
 }
 
 #[test]
-#[ignore = "minutes long: cargo test -p gs-train --test training -- --ignored geonet_finds"]
+#[ignore = "minutes long: cargo test -p gs-method-texel --test dut -- --ignored geonet_finds"]
 fn geonet_finds_a_small_morph() {
     geonet_finds("breathe");
 }
