@@ -1,9 +1,10 @@
-//! What can be said of a trained scene beyond its scores: how its quantities are spread, how its splats move, how many
-//! splats it takes. Everything is asked of a method through [`Method::splats`] and [`Method::quantities`].
+//! Statistics of a trained scene beyond its scores: distributions of scalar attributes, motion, rendering cost. They need the
+//! [`Model`] and cameras only, no data set.
 //!
-//! * [`histogram`]: 64 bins of every quantity, over time where it changes with time; kept while training;
-//! * [`paths`]: temporal spectra and second differences of the centres;
-//! * [`economy`]: splats, tiles per splat, entries per pixel at the run's PSNR;
+//! * [`histogram`]: 64 bins of every attribute, over time where it changes with time; logged while training.
+//! * [`paths`]: temporal spectra and second differences of the means.
+//! * [`economy`]: splats, tiles per splat, entries per pixel at the run's PSNR.
+//! * [`journal`]: interval boundaries and anchors, from the events of a run.
 
 pub mod economy;
 pub mod histogram;
@@ -15,37 +16,37 @@ pub use histogram::{Histogram, Snapshot};
 pub use journal::Journal;
 pub use paths::Paths;
 
-use crate::Need;
+use crate::ReportRow;
 use gs_metrics::trajectory::TrajectoryError;
 use gs_train::method::MethodError;
 use gs_train::model::Model;
 
-/// Why a scene cannot be analysed.
+/// A model whose motion cannot be analysed.
 #[derive(Debug, thiserror::Error)]
 pub enum AnalysisError {
-    /// The method cannot be asked for its splats.
+    /// The model cannot produce its splats.
     #[error(transparent)]
     Method(#[from] MethodError),
-    /// The splats are not the same ones at every time.
+    /// The number of splats changes over time, or the sampling is too coarse.
     #[error(transparent)]
     Trajectory(#[from] TrajectoryError),
 }
 
-/// The analyses that need no data set.
+/// The analyses that need neither data set nor camera.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Analysis {
-    /// Quantities now.
+    /// Histograms of the attributes.
     pub snapshot: Snapshot,
-    /// Motion; absent if the splats are not the same ones at every moment.
+    /// Motion; absent if the splats are not the same ones at every time.
     pub paths: Option<Paths>,
 }
 
 impl Analysis {
-    /// Of a method, with its motion sampled at `moments` evenly spaced times (at least 4) and a cut-off for its spectrum
-    /// (the upper half if none).
+    /// Analyses a model: `moments` evenly spaced times for its motion (fewer than 4: no motion), and the first frequency of
+    /// its spectrum that counts as high (`None`: `⌈moments/4⌉`).
     ///
     /// # Errors
-    /// If the method cannot be asked for its splats.
+    /// If the model cannot produce its splats.
     pub fn of(method: &Model, moments: usize, cutoff: Option<usize>) -> Result<Self, MethodError> {
         let paths = match Paths::of(method, moments, cutoff) {
             Ok(paths) => Some(paths),
@@ -55,17 +56,12 @@ impl Analysis {
         Ok(Self { snapshot: Snapshot::of(method)?, paths })
     }
 
-    /// As rows of a table.
-    pub fn rows(&self) -> Vec<Need> {
+    /// Rows for the report.
+    pub fn rows(&self) -> Vec<ReportRow> {
         let mut rows = self.snapshot.rows();
         rows.extend(self.paths.iter().flat_map(Paths::rows));
         rows
     }
-}
-
-/// A row of a table.
-fn row(name: impl Into<String>, value: String, meaning: &str) -> Need {
-    Need { name: name.into(), value, meaning: meaning.to_owned() }
 }
 
 #[cfg(test)]

@@ -7,7 +7,7 @@ use gs_data::View;
 /// Views a flight passes, at most.
 const KEYS: usize = 8;
 /// Cameras nearer than this part of the scene's extent are one.
-const SAME: f64 = 1e-3;
+const MIN_DISTANCE: f64 = 1e-3;
 
 /// A way through cameras, evenly in steps of them: a Catmull–Rom spline of their places and of their quaternions (each with
 /// the sign nearer to the one before, the sum normalised), at the size of the first, the angle blended.
@@ -49,7 +49,7 @@ impl Flight {
         let extent = places().map(|p| p.distance(middle)).fold(0.0, f64::max);
         let mut apart: Vec<&Camera> = Vec::new();
         for v in &all {
-            if apart.iter().all(|c| c.position().distance(v.camera.position()) > SAME * extent) {
+            if apart.iter().all(|c| c.position().distance(v.camera.position()) > MIN_DISTANCE * extent) {
                 apart.push(&v.camera);
             }
         }

@@ -2,7 +2,7 @@
 
 use crate::compare::Options;
 use crate::provenance::DataOrigin;
-use crate::shown::size_text;
+use crate::score_table::size_text;
 use crate::summary::color_name;
 use crate::{OpenRun, RunError, folder};
 use gs_data::Dataset;
@@ -102,12 +102,12 @@ impl Side {
 /// Refuses a run that is not of the data of the first.
 pub(super) fn same_data(first: &Side, other: &Side, options: &Options) -> Result<(), CompareError> {
     let pairs = first.identity(options).into_iter().zip(other.identity(options));
-    let unlike: Vec<_> = pairs.filter(|(a, b)| a.1 != b.1).collect();
-    if unlike.is_empty() {
+    let differing: Vec<_> = pairs.filter(|(a, b)| a.1 != b.1).collect();
+    if differing.is_empty() {
         return Ok(());
     }
-    let fields = unlike.iter().map(|((name, a), (_, b))| format!("{name} ({a}, {b})")).collect();
-    let background_only = unlike.iter().all(|(a, _)| a.0 == "background");
+    let fields = differing.iter().map(|((name, a), (_, b))| format!("{name} ({a}, {b})")).collect();
+    let background_only = differing.iter().all(|(a, _)| a.0 == "background");
     Err(CompareError::Differ { first: first.path.clone(), other: other.path.clone(), fields, background_only })
 }
 
