@@ -197,7 +197,7 @@ struct Trial<'a> {
 impl Trial<'_> {
     fn trainer(&self, data: Arc<Dataset>, method: &Table) -> Result<Trainer, String> {
         let run = &self.resolved.run;
-        let options = TrainOptions { seed: run.seed, image_bytes: (run.image_mib as usize) << 20 };
+        let options = TrainOptions { seed: run.seed, image_bytes: run.image_bytes() };
         Trainer::new(&self.resolved.registry, data, &run.method, method, options).map_err(|e| e.to_string())
     }
 

@@ -1,8 +1,8 @@
 //! How much of a trained scene moves, rotates, changes size, has view-dependent colour, or is never visible.
 //!
-//! Splats are sampled at [`SAMPLE_TIMES`] evenly spaced times of the training span. A splat *moves* if its mean leaves the mean
-//! of its path by more than [`MIN_DISPLACEMENT`] of the scene's extent; it *rotates* by more than [`MIN_ROTATION`] radians
-//! against the first time; it *changes size* if a scale changes by more than [`MIN_SCALE_CHANGE`].
+//! Splats are sampled at nine evenly spaced times of the training span. A splat *moves* if its mean leaves the mean
+//! of its path by more than 0.1 % of the scene's extent; it *rotates* by more than 0.02 radians
+//! against the first time; it *changes size* if a scale changes by more than 2 %.
 
 use crate::ReportRow;
 use crate::inspect::{INVISIBLE_OPACITY, bytes_text};

@@ -76,8 +76,7 @@ impl OpenRun {
 
     /// The image cache of this run's data, at full size.
     pub fn photographs(&self) -> ImageCache {
-        let bytes = (self.resolved.run.image_mib as usize) << 20;
-        ImageCache::new(bytes, 1.0).with_max_image_mib(self.resolved.data.max_image_mib)
+        self.resolved.images()
     }
 
     /// Scores a split of the run's data.

@@ -119,7 +119,7 @@ impl Training {
     /// # Errors
     /// If the folder is taken or the method cannot be used.
     pub fn begin_on(root: &Path, overwrite: bool, resolved: Resolved, dataset: Arc<Dataset>) -> Result<Self, RunError> {
-        let options = TrainOptions { seed: resolved.run.seed, image_bytes: image_bytes(&resolved) };
+        let options = TrainOptions { seed: resolved.run.seed, image_bytes: resolved.run.image_bytes() };
         let trainer = Trainer::new(&resolved.registry, dataset, &resolved.run.method, &resolved.method, options)?;
         let folder = RunFolder::create(root, overwrite)?;
         folder.write(folder::CONFIG, &resolved.config.to_commented_toml())?;
@@ -152,7 +152,7 @@ impl Training {
             folder.write(folder::CONFIG, &resolved.config.to_commented_toml())?;
         }
         let dataset = Arc::new(resolved.open_data()?);
-        let bytes = image_bytes(&resolved);
+        let bytes = resolved.run.image_bytes();
         let trainer = Trainer::resume(registry, dataset, &newest.checkpoint, Some(&resolved.method), bytes)?;
         for name in [folder::LOG, folder::HISTOGRAMS, folder::JOURNAL] {
             folder.cut_log(name, done)?;
@@ -351,7 +351,7 @@ impl Training {
 
     /// The image cache of this run's data, at full size.
     pub fn photographs(&self) -> ImageCache {
-        ImageCache::new(image_bytes(&self.resolved), 1.0).with_max_image_mib(self.resolved.data.max_image_mib)
+        self.resolved.images()
     }
 
     /// Saves the state now.
@@ -386,10 +386,6 @@ impl Training {
 /// Whether an error is a numerical failure, after which the last checkpoint is the state to go back to.
 pub fn is_numeric(error: &RunError) -> bool {
     matches!(error, RunError::Train(TrainError::Numeric { .. }))
-}
-
-fn image_bytes(resolved: &Resolved) -> usize {
-    (resolved.run.image_mib as usize) << 20
 }
 
 /// A data set of at most `count` evenly spaced views of a split.
