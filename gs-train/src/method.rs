@@ -152,7 +152,7 @@ pub enum MethodError {
     Cloud(#[from] gs_core::cloud::CloudError),
     /// The images the first points are carved from cannot be read.
     #[error(transparent)]
-    Data(#[from] gs_data::DataError),
+    Data(Box<gs_data::DataError>),
     /// The data show no person with a template.
     #[error(
         "method `{method}` needs a filmed person with template and poses (layout avatar), and {} holds none; make one \
@@ -170,13 +170,25 @@ pub enum MethodError {
     Render(String),
     /// The image loss of a training view is not finite or not defined.
     #[error(transparent)]
-    Loss(#[from] gs_metrics::MetricError),
+    Loss(Box<gs_metrics::MetricError>),
     /// Row blocks that belong together do not fit each other.
     #[error(transparent)]
     Rows(#[from] gs_core::param::RowEditError),
     /// The scene or its initial points cannot be used.
     #[error("scene: {0}")]
     Scene(String),
+}
+
+impl From<gs_data::DataError> for MethodError {
+    fn from(e: gs_data::DataError) -> Self {
+        Self::Data(Box::new(e))
+    }
+}
+
+impl From<gs_metrics::MetricError> for MethodError {
+    fn from(e: gs_metrics::MetricError) -> Self {
+        Self::Loss(Box::new(e))
+    }
 }
 
 /// Builds a method for a scene from a resolved configuration.

@@ -1,39 +1,39 @@
-//! Times: where they come from, whether they are even, whether a camera took two pictures at once, whether one runs late.
+//! Checks of times: their source, gaps, two images of one camera at one time, frozen cameras, cameras whose clock is off.
 
-use super::images::{Looked, Print};
+use super::images::{Fingerprint, ImageChecks};
 use super::{Finding, Verdict, median};
 use gs_data::{Dataset, Split, View};
 use std::collections::BTreeMap;
 
-/// A gap between moments is told above so many times the usual one.
-const GAP: f64 = 3.0;
-/// Times nearer than this are one moment, normalised.
-const SAME: f32 = 1e-6;
-/// Cameras with frozen pictures: this part of successive ones is the same.
-const FROZEN: f64 = 0.5;
-/// Cameras and steps between moments from which a camera that runs late can be told, and the moments it may be off.
-const CAMERAS: usize = 4;
-const MOMENTS: usize = 12;
-const LAGS: isize = 4;
-/// Least correlation with the other cameras when shifted, and how much larger it must be than unshifted.
-const LIKE: f64 = 0.7;
-const CLEARLY: f64 = 0.3;
+/// A step between consecutive times above this multiple of the median step is reported as a gap.
+const MAX_GAP: f64 = 3.0;
+/// Times closer than this are equal, normalised.
+const TIME_TOLERANCE: f32 = 1e-6;
+/// Share of identical consecutive images above which a camera counts as frozen.
+const FROZEN_SHARE: f64 = 0.5;
+/// Fewest cameras and time steps for the search of clock offsets, and the largest offset, in time steps.
+const MIN_CAMERAS: usize = 4;
+const MIN_TIMES: usize = 12;
+const MAX_LAG: isize = 4;
+/// Least correlation with the other cameras at the best offset, and its least gain over that without offset.
+const MIN_CORRELATION: f64 = 0.7;
+const MIN_GAIN: f64 = 0.3;
 
-/// Looks at times.
-pub(super) fn look(data: &Dataset, looked: &Looked) -> Vec<Finding> {
-    let mut moments: Vec<(f32, f64)> = data.train.iter().map(|v| (v.time.normalised, v.time.seconds)).collect();
-    moments.sort_by(|a, b| a.0.total_cmp(&b.0));
-    moments.dedup_by(|b, a| b.0 - a.0 < SAME);
+/// Checks times.
+pub(super) fn check(data: &Dataset, checked: &ImageChecks) -> Vec<Finding> {
+    let mut times: Vec<(f32, f64)> = data.train.iter().map(|v| (v.time.normalised, v.time.seconds)).collect();
+    times.sort_by(|a, b| a.0.total_cmp(&b.0));
+    times.dedup_by(|b, a| b.0 - a.0 < TIME_TOLERANCE);
     if !data.dynamic {
         let what = format!("{}; a method for moving scenes has nothing to move", data.time_source);
         let finding = Finding::new("time", "time.static", Verdict::Note, what);
         return vec![finding.fix("gs4d train DATA -m static3d, or give times: --set data.time_from=name")];
     }
-    let strips = strips(data, looked);
+    let strips = strips(data, checked);
     let mut out: Vec<Finding> =
-        [gaps(&moments), at_once(data), frozen(&strips), late(&strips), outside(data)].into_iter().flatten().collect();
-    let (first, last) = (moments[0].1, moments[moments.len() - 1].1);
-    let text = format!("{}: {} moments of training from {first} to {last}", data.time_source, moments.len());
+        [gaps(&times), at_once(data), frozen(&strips), late(&strips), outside(data)].into_iter().flatten().collect();
+    let (first, last) = (times[0].1, times[times.len() - 1].1);
+    let text = format!("{}: {} training times from {first} to {last}", data.time_source, times.len());
     if data.time_source.contains("order of file names") {
         let what = format!("{text}; the order of names is an assumption about the capture");
         out.insert(0, Finding::new("time", "time.assumed", Verdict::Note, what));
@@ -43,21 +43,22 @@ pub(super) fn look(data: &Dataset, looked: &Looked) -> Vec<Finding> {
     out
 }
 
-/// Moments that are missing.
-fn gaps(moments: &[(f32, f64)]) -> Option<Finding> {
-    let steps: Vec<f64> = moments.windows(2).map(|w| f64::from(w[1].0 - w[0].0)).collect();
+/// Steps between training times that are much longer than usual.
+fn gaps(times: &[(f32, f64)]) -> Option<Finding> {
+    let steps: Vec<f64> = times.windows(2).map(|w| f64::from(w[1].0 - w[0].0)).collect();
     let usual = median(&steps);
-    let wide = || moments.windows(2).zip(&steps).filter(|(_, s)| **s > GAP * usual);
-    (moments.len() >= 8 && wide().next().is_some()).then(|| {
+    let wide = || times.windows(2).zip(&steps).filter(|(_, s)| **s > MAX_GAP * usual);
+    (times.len() >= 8 && wide().next().is_some()).then(|| {
         let places = wide().map(|(w, s)| format!("{} to {} ({:.1} steps)", w[0].1, w[1].1, s / usual));
-        let what = format!("{} gaps between training moments are more than {GAP} times the usual step", wide().count());
+        let what =
+            format!("{} gaps between training times are more than {MAX_GAP} times the usual step", wide().count());
         Finding::new("time", "time.gap", Verdict::Warning, what)
             .at(places)
             .fix("nothing holds the scene in a gap: add views there, or expect guesses")
     })
 }
 
-/// Two pictures of one camera place at one moment.
+/// Several images of one camera position at one time.
 fn at_once(data: &Dataset) -> Option<Finding> {
     let mut seen: BTreeMap<(u32, [u64; 3], u32), Vec<&str>> = BTreeMap::new();
     for v in &data.train {
@@ -66,28 +67,26 @@ fn at_once(data: &Dataset) -> Option<Finding> {
     }
     let pairs: Vec<String> = seen.values().filter(|l| l.len() > 1).map(|l| l.join(" = ")).collect();
     (!pairs.is_empty()).then(|| {
-        let what = format!(
-            "{} times a camera took two pictures at one moment: one of them has a wrong time or pose",
-            pairs.len()
-        );
+        let what =
+            format!("{} times a camera took two images at one time: one of them has a wrong time or pose", pairs.len());
         Finding::new("time", "time.twice", Verdict::Problem, what).at(pairs).fix("correct the times")
     })
 }
 
-/// The pictures of one place, in order of time.
+/// The images of one camera position, in order of time.
 struct Strip<'a> {
     views: Vec<&'a View>,
     hashes: Vec<u64>,
     thumbs: Vec<&'a [f32]>,
 }
 
-/// Strips of all places from which several pictures were taken.
-fn strips<'a>(data: &'a Dataset, looked: &'a Looked) -> Vec<Strip<'a>> {
-    let mut of_place: BTreeMap<[u64; 3], Vec<Print>> = BTreeMap::new();
-    for print in looked.prints(data) {
+/// The strips of all positions with at least four images.
+fn strips<'a>(data: &'a Dataset, checked: &'a ImageChecks) -> Vec<Strip<'a>> {
+    let mut of_place: BTreeMap<[u64; 3], Vec<Fingerprint>> = BTreeMap::new();
+    for print in checked.fingerprints(data) {
         of_place.entry(print.view.camera.position().to_array().map(f64::to_bits)).or_default().push(print);
     }
-    let strip = |mut list: Vec<Print<'a>>| {
+    let strip = |mut list: Vec<Fingerprint<'a>>| {
         list.sort_by(|a, b| a.view.time.normalised.total_cmp(&b.view.time.normalised));
         Strip {
             views: list.iter().map(|p| p.view).collect(),
@@ -98,23 +97,23 @@ fn strips<'a>(data: &'a Dataset, looked: &'a Looked) -> Vec<Strip<'a>> {
     of_place.into_values().filter(|l| l.len() >= 4).map(strip).collect()
 }
 
-/// Cameras whose pictures do not change while time passes.
+/// Cameras whose images do not change over time.
 fn frozen(strips: &[Strip<'_>]) -> Option<Finding> {
     let still = |s: &&Strip<'_>| {
         let same = s.hashes.windows(2).filter(|w| w[0] == w[1]).count();
-        same as f64 > FROZEN * (s.hashes.len() - 1) as f64
+        same as f64 > FROZEN_SHARE * (s.hashes.len() - 1) as f64
     };
     let names: Vec<&str> = strips.iter().filter(still).map(|s| s.views[0].name.as_str()).collect();
     (!names.is_empty()).then(|| {
         let what = format!(
-            "the pictures of {} cameras hardly change while time passes (each named by its first view)",
+            "the images of {} cameras hardly change while time passes (each named by its first view)",
             names.len()
         );
         Finding::new("time", "time.frozen", Verdict::Warning, what).at(names).fix("check how the frames were extracted")
     })
 }
 
-/// Cameras that see what the others see, but some moments earlier or later.
+/// Cameras that see the same changes as the others, some time steps earlier or later.
 fn late(strips: &[Strip<'_>]) -> Option<Finding> {
     let times = |s: &Strip<'_>| s.views.iter().map(|v| v.time.normalised.to_bits()).collect::<Vec<_>>();
     let first = strips.first().map(times)?;
@@ -124,12 +123,12 @@ fn late(strips: &[Strip<'_>]) -> Option<Finding> {
     let names: Vec<String> = lags(&changes).into_iter().map(name).collect();
     (!names.is_empty()).then(|| {
         let what = format!("{} cameras seem to run early or late (each named by its first view)", names.len());
-        let fix = "shift their times by that many moments, and look again";
+        let fix = "shift their times by that many moments, and check again";
         Finding::new("time", "time.late", Verdict::Warning, what).at(names).fix(fix)
     })
 }
 
-/// How much a picture changes from each moment to the next, less the mean, of length 1.
+/// Change from each image to the next, brought to mean 0 and length 1.
 fn changes(thumbs: &[&[f32]]) -> Vec<f64> {
     let change = |w: &[&[f32]]| w[0].iter().zip(w[1]).map(|(a, b)| f64::from((a - b).abs())).sum::<f64>();
     normal(thumbs.windows(2).map(change).collect())
@@ -143,10 +142,10 @@ fn normal(mut values: Vec<f64>) -> Vec<f64> {
     values
 }
 
-/// Rows that are like the mean of the others only when shifted, and by how much: positive is late.
+/// Rows that correlate with the mean of the others only at an offset, and that offset in steps: positive is late.
 fn lags(changes: &[Vec<f64>]) -> Vec<(usize, isize)> {
     let n = changes.first().map_or(0, Vec::len);
-    if changes.len() < CAMERAS || n < MOMENTS {
+    if changes.len() < MIN_CAMERAS || n < MIN_TIMES {
         return Vec::new();
     }
     let others = |k: usize| {
@@ -162,16 +161,16 @@ fn lags(changes: &[Vec<f64>]) -> Vec<(usize, isize)> {
     let of = |k: usize| {
         let others = others(k);
         let at = |lag: isize| alike(&changes[k], &others, lag);
-        let best = (-LAGS..=LAGS).max_by(|a, b| at(*a).total_cmp(&at(*b)))?;
-        (best != 0 && at(best) > LIKE && at(best) > at(0) + CLEARLY).then_some((k, best))
+        let best = (-MAX_LAG..=MAX_LAG).max_by(|a, b| at(*a).total_cmp(&at(*b)))?;
+        (best != 0 && at(best) > MIN_CORRELATION && at(best) > at(0) + MIN_GAIN).then_some((k, best))
     };
     (0..changes.len()).filter_map(of).collect()
 }
 
-/// Held-out views that lie outside the training span without being meant to.
+/// Validation and test views outside the training span.
 fn outside(data: &Dataset) -> Option<Finding> {
     let last = data.train.iter().map(|v| v.time.normalised).fold(0.0, f32::max);
-    let late = |v: &&View| v.time.normalised > last + SAME || v.time.normalised < -SAME;
+    let late = |v: &&View| v.time.normalised > last + TIME_TOLERANCE || v.time.normalised < -TIME_TOLERANCE;
     let names: Vec<&str> =
         [Split::Val, Split::Test].iter().flat_map(|&s| data.views(s)).filter(late).map(|v| v.name.as_str()).collect();
     (!names.is_empty()).then(|| {

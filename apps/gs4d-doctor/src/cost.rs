@@ -1,11 +1,11 @@
-//! What a training run would take: a few steps of each stage are made, at two numbers of splats.
+//! Estimates the time and memory of a training run from a few steps of each stage, at two numbers of splats.
 //!
-//! A step of a stage takes `a + b N` for `N` splats. Growth is taken to be even, from the first points to the most the settings
-//! allow, over the steps at which it may happen; so a scene that needs fewer splats takes less than this. Memory is counted:
+//! A step of a stage takes `a + b N` for `N` splats. Growth is assumed to be linear, from the initial points to the limit of the
+//! settings, over the steps at which density control runs; a scene that needs fewer splats takes less. Memory is the sum of
 //! ```text
 //! 16 B per parameter (value, gradient, two moments) + 3000 B per splat (projected, tile lists, tapes, cotangents)
 //! + 130 B per pixel (frame, cotangents, loss) + 24 MiB (the program)
-//! + decoded images of training at every scale that stages ask for, and of tests, as far as the cache keeps them
+//! + decoded training images at the scale of each stage, and test images, as far as the cache keeps them
 //! ```
 //! The constants are fitted to measured peaks of `fourdgs`, `grid4d` and `modec`.
 
@@ -22,67 +22,67 @@ use serde::Serialize;
 use std::sync::Arc;
 use toml::{Table, Value};
 
-/// Steps made before times count, and those that count.
+/// Warm-up steps, and timed steps.
 const WARM_UP: u32 = 3;
-const COUNTED: u32 = 10;
-/// The first points are multiplied by at most this, to see what more of them cost.
-const MORE: usize = 8;
-/// Points that are added for it lie this far from the scene's own, as a part of its diagonal.
-const NEAR: f32 = 0.005;
-/// Bytes per parameter, splat, pixel, and of the program itself.
-const PER_VALUE: f64 = 16.0;
-const PER_SPLAT: f64 = 3000.0;
-const PER_PIXEL: f64 = 130.0;
-const PROGRAM: f64 = 24.0 * MIB;
+const TIMED: u32 = 10;
+/// Largest factor on the initial points for the second measurement.
+const MAX_POINT_FACTOR: usize = 8;
+/// Standard deviation of the points added for it around the original ones, as a share of the scene's diagonal.
+const JITTER: f32 = 0.005;
+/// The constants of the memory estimate.
+const BYTES_PER_VALUE: f64 = 16.0;
+const BYTES_PER_SPLAT: f64 = 3000.0;
+const BYTES_PER_PIXEL: f64 = 130.0;
+const PROGRAM_BYTES: f64 = 24.0 * MIB;
 const MIB: f64 = 1024.0 * 1024.0;
 
-/// The run that is tried.
+/// The run whose cost is estimated.
 #[derive(Clone, Debug)]
 pub struct CostOptions {
-    /// The methods there are.
+    /// The available methods.
     pub registry: Registry,
-    /// Name of the method.
+    /// Name of the method, as for `gs4d train -m`.
     pub method: String,
-    /// Name of the preset.
+    /// Name of the preset, as for `--preset`.
     pub preset: String,
-    /// Settings, as for training.
+    /// Assignments `key=value`, as for `--set`.
     pub sets: Vec<String>,
-    /// Memory the run may take, MiB; what the machine has, if absent.
+    /// Memory limit, MiB; `None`: what is available on this machine.
     pub limit_mib: Option<f64>,
 }
 
-/// What a stage takes.
+/// The cost of one stage.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct StageCost {
-    /// Its name.
+    /// Name in the schedule.
     pub name: String,
-    /// Its steps.
+    /// Optimizer steps of the stage.
     pub steps: u32,
-    /// Milliseconds of a step with the first points, and with as many splats as settings allow.
+    /// Milliseconds of a step with the initial points, and with the most splats the settings allow.
     pub ms: [f64; 2],
 }
 
-/// What a run takes.
+/// The estimated cost of a run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Cost {
-    /// Method and preset.
+    /// For example `fourdgs --preset fast`.
     pub run: String,
-    /// Threads it was tried on.
+    /// Threads of the measurement.
     pub threads: usize,
-    /// Stages in their order.
+    /// Costs of the stages, in the order of the schedule.
     pub stages: Vec<StageCost>,
-    /// Splats at first, and at most.
+    /// Number of splats at the start, and the most the settings allow.
     pub splats: [usize; 2],
-    /// Seconds if the scene never grows, and if it grows to the most.
+    /// Seconds without growth, and with growth to the most splats.
     pub seconds: [f64; 2],
-    /// MiB with the first splats, and with the most.
+    /// Peak MiB with the initial splats, and with the most.
     pub memory_mib: [f64; 2],
-    /// MiB of decoded images, all of them.
+    /// MiB of all decoded images, whether the cache keeps them or not.
     pub images_mib: f64,
 }
 
-/// Tries a run.
-pub(super) fn look(data: &Dataset, options: &CostOptions) -> (Vec<Finding>, Option<Cost>) {
+/// Estimates the cost; a run that cannot start is a problem.
+pub(super) fn check(data: &Dataset, options: &CostOptions) -> (Vec<Finding>, Option<Cost>) {
     match measure(data, options) {
         Ok(cost) => (findings(&cost, options), Some(cost)),
         Err(why) => {
@@ -143,10 +143,10 @@ fn measure(data: &Dataset, options: &CostOptions) -> Result<Cost, String> {
     let mut stages = Vec::new();
     let mut values = few.values as f64;
     for (name, stage) in schedule.ordered() {
-        let (first, _) = trial.pace(name, None)?;
+        let (first, _) = trial.step_ms(name, None)?;
         let mut ms = [first; 2];
         if growth.is_some() {
-            let (other, many) = trial.pace(name, Some((most / few.splats.max(1)).clamp(2, MORE)))?;
+            let (other, many) = trial.step_ms(name, Some((most / few.splats.max(1)).clamp(2, MAX_POINT_FACTOR)))?;
             if many.splats > few.splats {
                 let more = (most - few.splats) as f64 / (many.splats - few.splats) as f64;
                 ms[1] = first + more * (other - first).max(0.0);
@@ -158,7 +158,8 @@ fn measure(data: &Dataset, options: &CostOptions) -> Result<Cost, String> {
     let (images, largest) = decoded(data, &schedule);
     let kept = images.map(|i| i.min(f64::from(resolved.run.image_mib) * MIB)).iter().sum::<f64>();
     let memory = |values: f64, splats: usize| {
-        (PER_VALUE * values + PER_SPLAT * splats as f64 + PER_PIXEL * largest + kept + PROGRAM) / MIB
+        (BYTES_PER_VALUE * values + BYTES_PER_SPLAT * splats as f64 + BYTES_PER_PIXEL * largest + kept + PROGRAM_BYTES)
+            / MIB
     };
     Ok(Cost {
         run: format!("{} --preset {}", options.method, options.preset),
@@ -171,11 +172,11 @@ fn measure(data: &Dataset, options: &CostOptions) -> Result<Cost, String> {
     })
 }
 
-/// How large a scene is.
+/// The size of a model.
 #[derive(Clone, Copy)]
 struct Size {
     splats: usize,
-    /// Numbers that are learnt.
+    /// Number of parameters.
     values: usize,
 }
 
@@ -187,7 +188,7 @@ impl Size {
     }
 }
 
-/// What runs are begun with.
+/// The data and settings of the measured runs.
 struct Trial<'a> {
     data: Arc<Dataset>,
     resolved: &'a Resolved,
@@ -196,20 +197,20 @@ struct Trial<'a> {
 impl Trial<'_> {
     fn trainer(&self, data: Arc<Dataset>, method: &Table) -> Result<Trainer, String> {
         let run = &self.resolved.run;
-        let options = TrainOptions { seed: run.seed, image_bytes: (run.image_mib as usize) << 20 };
+        let options = TrainOptions { seed: run.seed, image_bytes: run.image_bytes() };
         Trainer::new(&self.resolved.registry, data, &run.method, method, options).map_err(|e| e.to_string())
     }
 
-    /// The median time of some steps of a stage, ms, with so many times the first points, and the size that was tried.
-    /// Decoding is left out where the cache keeps all images.
-    fn pace(&self, stage: &str, times: Option<usize>) -> Result<(f64, Size), String> {
+    /// Median milliseconds of a step of a stage, with the initial points multiplied by `times`, and the model's size. Image
+    /// decoding is subtracted where the cache keeps all images.
+    fn step_ms(&self, stage: &str, times: Option<usize>) -> Result<(f64, Size), String> {
         let data = times.map_or_else(|| self.data.clone(), |times| Arc::new(denser(&self.data, times)));
         let mut trainer = self.trainer(data, &only(&self.resolved.method, stage, times))?;
         let size = Size::of(&trainer);
         let [training, _] = decoded(&self.data, trainer.model().schedule()).0;
         let kept = training <= f64::from(self.resolved.run.image_mib) * MIB;
         let mut counted = Vec::new();
-        for k in 0..(WARM_UP + COUNTED).min(trainer.steps()) {
+        for k in 0..(WARM_UP + TIMED).min(trainer.steps()) {
             let ms = trainer.step().map_err(|e| e.to_string())?.ms;
             if k >= WARM_UP {
                 counted.push(if kept { ms.total - ms.data } else { ms.total });
@@ -219,7 +220,7 @@ impl Trial<'_> {
     }
 }
 
-/// Bytes of decoded images of training, at every scale that stages ask for, and of tests; pixels of the largest.
+/// Bytes of decoded training images, at the scale of each stage, and of test images; pixels of the largest.
 fn decoded(data: &Dataset, schedule: &Schedule) -> ([f64; 2], f64) {
     let pixels = |v: &View| f64::from(v.camera.width) * f64::from(v.camera.height);
     let mut scales: Vec<f64> = schedule.stages.values().filter(|s| s.steps > 0).map(|s| s.image_scale).collect();
@@ -231,7 +232,8 @@ fn decoded(data: &Dataset, schedule: &Schedule) -> ([f64; 2], f64) {
     ([share * sum(&data.train), sum(&data.test) + sum(&data.extrapolate)], largest)
 }
 
-/// Seconds of all stages, if so much of the growth happens that is possible: evenly, over the steps at which it may.
+/// Seconds of all stages if the model grows, linearly over the steps with density control, by this share of the possible
+/// growth.
 fn seconds(stages: &[StageCost], schedule: &Schedule, growth: Option<GrowthLimits>, share: f64) -> f64 {
     let clocks: Vec<_> = (1..=schedule.steps()).map(|step| schedule.position(step)).collect();
     let grows = |clock: u32| growth.is_some_and(|g| clock > g.from && clock < g.until);
@@ -245,7 +247,7 @@ fn seconds(stages: &[StageCost], schedule: &Schedule, growth: Option<GrowthLimit
     1e-3 * ms
 }
 
-/// The settings with one stage alone, and with so many times the first points.
+/// The settings with one stage only, and the initial points multiplied by `times`.
 fn only(method: &Table, stage: &str, times: Option<usize>) -> Table {
     let mut table = method.clone();
     if let Some(Value::Table(stages)) = table.get_mut("schedule").and_then(|s| s.get_mut("stages")) {
@@ -255,7 +257,7 @@ fn only(method: &Table, stage: &str, times: Option<usize>) -> Table {
             }
         }
     }
-    // Anchors are refused beyond their bound from the start.
+    // The limit on anchors holds for the initial ones, too.
     for (section, key) in [("init", "points"), ("adapt", "max_anchors")] {
         if let (Some(times), Some(Value::Integer(n))) = (times, table.get_mut(section).and_then(|s| s.get_mut(key))) {
             *n *= times as i64;
@@ -264,12 +266,12 @@ fn only(method: &Table, stage: &str, times: Option<usize>) -> Table {
     table
 }
 
-/// The data with so many times its points, near the first ones.
+/// The data with `times` as many points, the new ones near the original ones.
 fn denser(data: &Dataset, times: usize) -> Dataset {
     let mut more = data.clone();
     if let Some(points) = &mut more.points {
         let [low, high] = data.scene_bounds();
-        let (near, mut rng) = (NEAR * low.distance(high), Rng::new(0, "denser points", 0, 0));
+        let (near, mut rng) = (JITTER * low.distance(high), Rng::new(0, "denser points", 0, 0));
         let first = points.clone();
         for _ in 1..times {
             let beside = |p: &Vec3| *p + near * Vec3::from_array(std::array::from_fn(|_| rng.normal()));
@@ -280,7 +282,7 @@ fn denser(data: &Dataset, times: usize) -> Dataset {
     more
 }
 
-/// Memory that is free on this machine, MiB.
+/// Available memory of this machine, MiB; `None` where `/proc/meminfo` does not exist.
 fn machine_mib() -> Option<f64> {
     let text = std::fs::read_to_string("/proc/meminfo").ok()?;
     let line = text.lines().find_map(|l| l.strip_prefix("MemAvailable:"))?;

@@ -1,73 +1,74 @@
-//! Corners of photographs and their partners in another photograph.
+//! Corner features of images and their matches in another image.
 //!
 //! Corners are where the smaller eigenvalue of the structure tensor is large (Shi and Tomasi 1994); each is described by a
 //! 9×9 patch of the smoothed image, brought to mean 0 and length 1, so that the scalar product of two is their normalised
-//! correlation. Partners must be each other's best, be alike, and leave the second best behind (Lowe 2004).
+//! correlation. A match must be mutual, have a high correlation, and pass the ratio test against the second best (Lowe 2004).
 
 use gs_core::Image;
 use rayon::prelude::*;
 
 /// Samples along each side of a patch, and pixels between them.
-const SIDE: usize = 9;
-const STEP: usize = 2;
-/// Pixels around a corner that its patch needs.
-const REACH: usize = SIDE / 2 * STEP + 1;
-/// Most corners of an image, and the least distance between two, pixels.
-const CORNERS: usize = 700;
-const APART: usize = 5;
-/// Least smaller eigenvalue of a corner, of intensities in 0..1.
-const STRENGTH: f32 = 2e-4;
-/// Least correlation of partners, and the largest ratio of unlikeness (1 − correlation) of best and second best.
-const ALIKE: f32 = 0.85;
-const RATIO: f32 = 0.7;
+const PATCH_SIDE: usize = 9;
+const PATCH_STEP: usize = 2;
+/// Pixels on each side of a corner that its patch and the smoothing read.
+const PATCH_RADIUS: usize = PATCH_SIDE / 2 * PATCH_STEP + 1;
+/// Most corners of an image, and the side of the cells that hold at most one, pixels.
+const MAX_CORNERS: usize = 700;
+const MIN_DISTANCE: usize = 5;
+/// Least smaller eigenvalue of a corner, for intensities in `[0, 1]`.
+const MIN_STRENGTH: f32 = 2e-4;
+/// Least correlation of a match, and the largest ratio of `1 − correlation` of the best to that of the second best.
+const MIN_CORRELATION: f32 = 0.85;
+const MAX_RATIO: f32 = 0.7;
 
-/// A corner.
+/// A corner and its descriptor.
 #[derive(Clone, Debug)]
 pub(super) struct Corner {
-    /// Centre of its pixel.
+    /// Centre of its pixel, `(x, y)` in pixels.
     pub(super) at: [f64; 2],
-    patch: [f32; SIDE * SIDE],
+    patch: [f32; PATCH_SIDE * PATCH_SIDE],
 }
 
 /// The corners of a grey image whose `inside` is set wherever a patch reaches, the strongest first.
 pub(super) fn corners(grey: &Image, inside: &[bool]) -> Vec<Corner> {
     let (w, h) = (grey.width, grey.height);
-    if w <= 2 * REACH || h <= 2 * REACH {
+    if w <= 2 * PATCH_RADIUS || h <= 2 * PATCH_RADIUS {
         return Vec::new();
     }
     let smooth = smoothed(&smoothed(grey));
     let strength = strengths(&smooth);
     let mut found: Vec<(f32, usize)> = Vec::new();
-    for y in REACH..h - REACH {
-        for x in REACH..w - REACH {
+    for y in PATCH_RADIUS..h - PATCH_RADIUS {
+        for x in PATCH_RADIUS..w - PATCH_RADIUS {
             let i = y * w + x;
             let s = strength[i];
             let peak = (0..9).all(|k| strength[(y + k / 3 - 1) * w + x + k % 3 - 1] <= s);
-            let whole = [(0, 0), (REACH, 0), (0, REACH), (REACH, REACH)];
-            let whole = || whole.iter().all(|&(a, b)| inside[(y - REACH / 2 + b) * w + x - REACH / 2 + a]);
-            if s > STRENGTH && peak && whole() {
+            let whole = [(0, 0), (PATCH_RADIUS, 0), (0, PATCH_RADIUS), (PATCH_RADIUS, PATCH_RADIUS)];
+            let whole =
+                || whole.iter().all(|&(a, b)| inside[(y - PATCH_RADIUS / 2 + b) * w + x - PATCH_RADIUS / 2 + a]);
+            if s > MIN_STRENGTH && peak && whole() {
                 found.push((s, i));
             }
         }
     }
     found.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
-    let mut taken = vec![false; (w / APART + 1) * (h / APART + 1)];
+    let mut taken = vec![false; (w / MIN_DISTANCE + 1) * (h / MIN_DISTANCE + 1)];
     let mut out = Vec::new();
     for (_, i) in found {
         let (x, y) = (i % w, i / w);
-        let cell = &mut taken[y / APART * (w / APART + 1) + x / APART];
+        let cell = &mut taken[y / MIN_DISTANCE * (w / MIN_DISTANCE + 1) + x / MIN_DISTANCE];
         if !std::mem::replace(cell, true) {
             out.push(Corner { at: [x as f64 + 0.5, y as f64 + 0.5], patch: patch(&smooth, x, y) });
         }
-        if out.len() == CORNERS {
+        if out.len() == MAX_CORNERS {
             break;
         }
     }
     out
 }
 
-/// Pairs of corners of two images that show the same thing, as indices.
-pub(super) fn partners(a: &[Corner], b: &[Corner]) -> Vec<(usize, usize)> {
+/// Matches between the corners of two images, as pairs of indices.
+pub(super) fn match_corners(a: &[Corner], b: &[Corner]) -> Vec<(usize, usize)> {
     let forth: Vec<Option<(usize, bool)>> = a.par_iter().map(|c| best(c, b)).collect();
     let back: Vec<Option<(usize, bool)>> = b.par_iter().map(|c| best(c, a)).collect();
     let mutual = |(i, found): (usize, &Option<(usize, bool)>)| {
@@ -77,24 +78,25 @@ pub(super) fn partners(a: &[Corner], b: &[Corner]) -> Vec<(usize, usize)> {
     forth.iter().enumerate().filter_map(mutual).collect()
 }
 
-/// The most alike of others, and whether it is alike enough and clearly more so than the next.
+/// The index of the best match, and whether it passes both thresholds.
 fn best(c: &Corner, others: &[Corner]) -> Option<(usize, bool)> {
     let (mut first, mut second, mut at) = (f32::NEG_INFINITY, f32::NEG_INFINITY, None);
     for (j, o) in others.iter().enumerate() {
-        let likeness: f32 = c.patch.iter().zip(&o.patch).map(|(x, y)| x * y).sum();
-        if likeness > first {
-            (second, first, at) = (first, likeness, Some(j));
-        } else if likeness > second {
-            second = likeness;
+        let correlation: f32 = c.patch.iter().zip(&o.patch).map(|(x, y)| x * y).sum();
+        if correlation > first {
+            (second, first, at) = (first, correlation, Some(j));
+        } else if correlation > second {
+            second = correlation;
         }
     }
-    at.map(|j| (j, first >= ALIKE && 1.0 - first <= RATIO * (1.0 - second)))
+    at.map(|j| (j, first >= MIN_CORRELATION && 1.0 - first <= MAX_RATIO * (1.0 - second)))
 }
 
-fn patch(image: &Image, x: usize, y: usize) -> [f32; SIDE * SIDE] {
-    let half = SIDE / 2 * STEP;
-    let mut p: [f32; SIDE * SIDE] =
-        std::array::from_fn(|k| image.data[(y + k / SIDE * STEP - half) * image.width + x + k % SIDE * STEP - half]);
+fn patch(image: &Image, x: usize, y: usize) -> [f32; PATCH_SIDE * PATCH_SIDE] {
+    let half = PATCH_SIDE / 2 * PATCH_STEP;
+    let mut p: [f32; PATCH_SIDE * PATCH_SIDE] = std::array::from_fn(|k| {
+        image.data[(y + k / PATCH_SIDE * PATCH_STEP - half) * image.width + x + k % PATCH_SIDE * PATCH_STEP - half]
+    });
     let mean = p.iter().sum::<f32>() / p.len() as f32;
     let length = p.iter().map(|v| (v - mean).powi(2)).sum::<f32>().sqrt().max(1e-6);
     p.iter_mut().for_each(|v| *v = (*v - mean) / length);
@@ -168,7 +170,7 @@ mod tests {
         let (a, b) = (cut(&whole, 0, 0, 140, 100), cut(&whole, 11, 7, 140, 100));
         let inside = vec![true; 140 * 100];
         let (a, b) = (corners(&a, &inside), corners(&b, &inside));
-        let pairs = partners(&a, &b);
+        let pairs = match_corners(&a, &b);
         assert!(pairs.len() > 60, "{} pairs of {} corners", pairs.len(), a.len());
         let right = pairs.iter().filter(|&&(i, j)| {
             (a[i].at[0] - b[j].at[0] - 11.0).abs() < 1.1 && (a[i].at[1] - b[j].at[1] - 7.0).abs() < 1.1
@@ -182,6 +184,6 @@ mod tests {
         assert!(corners(&flat, &vec![true; 3600]).is_empty());
         assert!(corners(&texture(60, 60), &vec![false; 3600]).is_empty());
         assert!(corners(&texture(8, 8), &[true; 64]).is_empty());
-        assert!(partners(&[], &[]).is_empty());
+        assert!(match_corners(&[], &[]).is_empty());
     }
 }

@@ -1,5 +1,4 @@
-//! Photographs: can they be read, do they show something, is one of them there twice, are they alike in exposure and
-//! sharpness, do alpha and masks make sense.
+//! Checks of images: readable, not blank, no duplicates, even exposure and sharpness, plausible alpha and masks.
 
 use super::{Finding, Verdict, luma, median};
 use gs_data::{Dataset, ImageCache, ImageU8, Split, View};
@@ -7,86 +6,88 @@ use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::hash::{DefaultHasher, Hasher};
 
-/// Most photographs looked at; of more, evenly.
-const MOST: usize = 1500;
-/// Sides of photographs in which corners are looked for, pixels.
-const SMALL: f64 = 480.0;
-/// A photograph whose values spread less than this shows nothing, of 0..255.
-const FLAT: f64 = 1.5;
-/// Photographs this much darker or brighter than usual, as a factor.
-const EXPOSURE: f64 = 1.8;
-/// Photographs with less than this part of the usual detail are blurred.
-const SHARPNESS: f64 = 0.3;
-/// Size of the corners in which alpha is looked at, as a part of the sides.
-const CORNER: f64 = 0.06;
+/// Most images that are read; of more, an evenly spaced selection.
+const MAX_IMAGES: usize = 1500;
+/// Longest side of the images in which corners are detected, pixels.
+const SMALL_SIDE: f64 = 480.0;
+/// Least standard deviation of luma (0..255) of an image that is not blank.
+const MIN_SPREAD: f64 = 1.5;
+/// Factor between an image's mean luma and the median one above which its exposure is reported.
+const EXPOSURE_FACTOR: f64 = 1.8;
+/// Images with less than this share of the median detail are reported as blurred.
+const MIN_SHARPNESS: f64 = 0.3;
+/// Side of the image corners in which alpha is checked, as a share of the image's sides.
+const CORNER_SIZE: f64 = 0.06;
 
-/// Cells along each side of a thumbnail.
+/// Cells on each side of a thumbnail.
 const THUMB: usize = 24;
 
-/// What a photograph is like.
+/// Statistics of an image.
 #[derive(Clone, Debug)]
 struct Traits {
-    /// Mean luma of what is opaque, 0..255, and its spread.
+    /// Mean luma of opaque pixels, 0..255, and its standard deviation.
     mean: f64,
     spread: f64,
-    /// Mean absolute Laplacian of luma where opaque.
+    /// Mean absolute Laplacian of luma over opaque pixels.
     detail: f64,
-    /// Share of the picture that is opaque, and of its corners.
+    /// Opaque share of the image, and of its corners.
     opaque: f64,
     corners: f64,
-    /// Alike where all pixels are.
+    /// Hash of all pixels.
     hash: u64,
-    /// Mean luma, over black, of cells of the picture, [`THUMB`]² of them, row by row.
+    /// Mean luma over black of [`THUMB`]² cells, row by row.
     thumb: Vec<f32>,
 }
 
-/// What tells a photograph from others.
-pub(super) struct Print<'a> {
+/// What identifies an image: its hash and its thumbnail.
+pub(super) struct Fingerprint<'a> {
     pub(super) view: &'a View,
     pub(super) hash: u64,
     pub(super) thumb: &'a [f32],
 }
 
-/// A photograph that was looked at.
-struct Seen {
+/// An image that was read, or the error.
+struct CheckedImage {
     split: Split,
     index: usize,
+    /// Statistics, or the error's text, code and fix.
     traits: Result<Traits, (String, &'static str, String)>,
 }
 
-/// All photographs that were looked at.
-pub(super) struct Looked {
-    seen: Vec<Seen>,
+/// Statistics of all images that were read.
+pub(super) struct ImageChecks {
+    seen: Vec<CheckedImage>,
     total: usize,
-    /// Masks that cannot be read, and those that count nothing.
+    /// Names of masks that cannot be read, and of those that are zero everywhere.
     masks: [Vec<String>; 2],
     masked: usize,
     largest: u32,
 }
 
-/// Looks at photographs and masks of all splits.
-pub(super) fn look(data: &Dataset, photographs: &ImageCache) -> Looked {
+/// Reads images and masks of all splits.
+pub(super) fn check(data: &Dataset, images: &ImageCache) -> ImageChecks {
     let all: Vec<(Split, usize)> =
         Split::ALL.iter().flat_map(|&s| (0..data.views(s).len()).map(move |i| (s, i))).collect();
-    let count = all.len().min(MOST);
+    let count = all.len().min(MAX_IMAGES);
     let chosen: Vec<(Split, usize)> = (0..count).map(|k| all[k * all.len() / count]).collect();
     let see = |&(split, index): &(Split, usize)| {
-        let found = photographs.get(&data.views(split)[index]);
+        let found = images.get(&data.views(split)[index]);
         let traits = found.map(|i| traits(&i)).map_err(|e| (e.to_string(), e.code(), e.fix()));
-        Seen { split, index, traits }
+        CheckedImage { split, index, traits }
     };
-    let seen: Vec<Seen> = chosen.par_iter().map(see).collect();
-    let masks = chosen.par_iter().filter_map(|&(s, i)| mask(&data.views(s)[i], photographs)).collect::<Vec<_>>();
+    let seen: Vec<CheckedImage> = chosen.par_iter().map(see).collect();
+    let masks = chosen.par_iter().filter_map(|&(s, i)| mask(&data.views(s)[i], images)).collect::<Vec<_>>();
     let named = |empty: bool| masks.iter().filter(|m| m.1 == Some(empty)).map(|m| m.0.clone()).collect();
     let views = || Split::ALL.iter().flat_map(|&s| data.views(s));
     let largest = views().map(|v| v.camera.width.max(v.camera.height)).max().unwrap_or(1);
-    Looked { seen, total: all.len(), masks: [named(false), named(true)], masked: masks.len(), largest }
+    ImageChecks { seen, total: all.len(), masks: [named(false), named(true)], masked: masks.len(), largest }
 }
 
-/// Name of a masked view, and whether its mask counts nothing (`true`) or cannot be read (`false`); nothing if it is right.
-fn mask(v: &View, photographs: &ImageCache) -> Option<(String, Option<bool>)> {
+/// Name of a masked view, and whether its mask is zero everywhere (`Some(true)`), cannot be read (`Some(false)`) or is right
+/// (`None`); `None` without a mask.
+fn mask(v: &View, images: &ImageCache) -> Option<(String, Option<bool>)> {
     v.mask.as_ref()?;
-    let state = match photographs.mask(v) {
+    let state = match images.mask(v) {
         Ok(Some(m)) if m.data.iter().all(|w| *w < 0.5) => Some(true),
         Ok(_) => None,
         Err(e) => return Some((e.to_string(), Some(false))),
@@ -113,7 +114,7 @@ fn traits(image: &ImageU8) -> Traits {
             }
         }
     }
-    let side = |n: usize| ((n as f64 * CORNER) as usize).clamp(1, n);
+    let side = |n: usize| ((n as f64 * CORNER_SIZE) as usize).clamp(1, n);
     let at_corner = |i: usize| {
         let near = |x: usize, n: usize| x < side(n) || x >= n - side(n);
         near(i % w, w) && near(i / w, h)
@@ -133,7 +134,7 @@ fn traits(image: &ImageU8) -> Traits {
     }
 }
 
-/// Mean luma of the cells of a picture, over black.
+/// Mean luma of the cells of an image, over black.
 fn thumbnail(image: &ImageU8, grey: &[f64]) -> Vec<f32> {
     let (mut sums, mut counts) = (vec![0.0f64; THUMB * THUMB], vec![0.0f64; THUMB * THUMB]);
     for (i, g) in grey.iter().enumerate() {
@@ -145,29 +146,29 @@ fn thumbnail(image: &ImageU8, grey: &[f64]) -> Vec<f32> {
     sums.iter().zip(counts).map(|(s, c)| (s / c.max(1.0)) as f32).collect()
 }
 
-impl Looked {
-    /// The factor that makes photographs small enough to look for corners.
+impl ImageChecks {
+    /// The scale at which the longest side of all images is at most [`SMALL_SIDE`].
     pub(super) fn small_scale(&self) -> f64 {
-        (SMALL / f64::from(self.largest)).min(1.0)
+        (SMALL_SIDE / f64::from(self.largest)).min(1.0)
     }
 
-    /// The data without training views whose photograph cannot be read.
+    /// The data set without training views whose image cannot be read.
     pub(super) fn readable(&self, data: &Dataset) -> Dataset {
         let bad = |i: usize| self.seen.iter().any(|s| s.split == Split::Train && s.index == i && s.traits.is_err());
         let kept = data.train.iter().enumerate().filter(|(i, _)| !bad(*i)).map(|(_, v)| v.clone()).collect();
         Dataset { train: kept, ..data.clone() }
     }
 
-    /// A hash of the pixels of each photograph, and its thumbnail.
-    pub(super) fn prints<'a>(&'a self, data: &'a Dataset) -> Vec<Print<'a>> {
-        self.good(data).map(|(view, _, t)| Print { view, hash: t.hash, thumb: &t.thumb }).collect()
+    /// The fingerprints of all readable images.
+    pub(super) fn fingerprints<'a>(&'a self, data: &'a Dataset) -> Vec<Fingerprint<'a>> {
+        self.good(data).map(|(view, _, t)| Fingerprint { view, hash: t.hash, thumb: &t.thumb }).collect()
     }
 
     fn good<'s, 'd>(&'s self, data: &'d Dataset) -> impl Iterator<Item = (&'d View, Split, &'s Traits)> {
         self.seen.iter().filter_map(move |s| Some((&data.views(s.split)[s.index], s.split, s.traits.as_ref().ok()?)))
     }
 
-    /// What was found.
+    /// All findings on images and masks.
     pub(super) fn findings(&self, data: &Dataset) -> Vec<Finding> {
         let mut out = self.unreadable(data);
         out.extend(self.blank(data));
@@ -182,7 +183,7 @@ impl Looked {
                 _ => format!("{} sizes", sizes.len()),
             };
             let part = if self.seen.len() < self.total { format!(" (of {})", self.total) } else { String::new() };
-            out.push(Finding::ok("images", format!("{}{part} photographs can be read, {size}", self.seen.len())));
+            out.push(Finding::ok("images", format!("{}{part} images can be read, {size}", self.seen.len())));
         }
         out.extend(self.masks(data));
         out
@@ -199,7 +200,7 @@ impl Looked {
             }
         }
         let finding = |(code, list): (&'static str, Vec<(String, String)>)| {
-            let what = format!("{} of {} photographs cannot be used", list.len(), self.seen.len());
+            let what = format!("{} of {} images cannot be used", list.len(), self.seen.len());
             let fix = list[0].1.clone();
             Finding::new("images", code, Verdict::Problem, what).at(list.into_iter().map(|l| l.0)).fix(fix)
         };
@@ -207,10 +208,10 @@ impl Looked {
     }
 
     fn blank(&self, data: &Dataset) -> Option<Finding> {
-        let flat = |t: &Traits| t.spread < FLAT || t.opaque == 0.0;
+        let flat = |t: &Traits| t.spread < MIN_SPREAD || t.opaque == 0.0;
         let names: Vec<&str> = self.good(data).filter(|(_, _, t)| flat(t)).map(|(v, _, _)| v.name.as_str()).collect();
         (!names.is_empty()).then(|| {
-            let what = format!("{} photographs show nothing: one colour, or transparent all over", names.len());
+            let what = format!("{} images show nothing: one colour, or transparent all over", names.len());
             let fix = "remove them, or export them again";
             Finding::new("images", "images.blank", Verdict::Problem, what).at(names).fix(fix)
         })
@@ -219,7 +220,7 @@ impl Looked {
     /// The same pixels under two names; twice in training is a warning, in training and elsewhere a problem.
     fn twice(&self, data: &Dataset) -> Vec<Finding> {
         let mut by_hash: BTreeMap<u64, Vec<(&View, Split)>> = BTreeMap::new();
-        for (v, split, t) in self.good(data).filter(|(_, _, t)| t.spread >= FLAT) {
+        for (v, split, t) in self.good(data).filter(|(_, _, t)| t.spread >= MIN_SPREAD) {
             by_hash.entry(t.hash).or_default().push((v, split));
         }
         let named = |list: &[(&View, Split)]| {
@@ -234,7 +235,7 @@ impl Looked {
         let mut out = Vec::new();
         if !leaks.is_empty() {
             let what = format!(
-                "{} photographs are in training and held out as well: scores would be of what was learnt by heart",
+                "{} images are in training and held out as well: scores would be of what was learnt by heart",
                 leaks.len()
             );
             out.push(
@@ -245,7 +246,7 @@ impl Looked {
         }
         if !copies.is_empty() {
             let what = format!(
-                "{} photographs are there more than once, pixel for pixel, under other poses or times",
+                "{} images are there more than once, pixel for pixel, under other poses or times",
                 copies.len()
             );
             let fix = "check how frames were extracted: a frozen video, or copies under other names";
@@ -256,15 +257,15 @@ impl Looked {
 
     fn exposure(&self, data: &Dataset) -> Option<Finding> {
         let usual = median(&self.good(data).map(|(_, _, t)| t.mean).collect::<Vec<_>>());
-        let odd = |t: &Traits| t.mean > EXPOSURE * usual + 4.0 || EXPOSURE * (t.mean + 4.0) < usual;
+        let odd = |t: &Traits| t.mean > EXPOSURE_FACTOR * usual + 4.0 || EXPOSURE_FACTOR * (t.mean + 4.0) < usual;
         let names: Vec<String> = self
             .good(data)
-            .filter(|(_, _, t)| t.spread >= FLAT && odd(t))
+            .filter(|(_, _, t)| t.spread >= MIN_SPREAD && odd(t))
             .map(|(v, _, t)| format!("{} ({:.0})", v.name, t.mean))
             .collect();
         (!names.is_empty()).then(|| {
             let what =
-                format!("{} photographs are much darker or brighter than usual (mean {usual:.0} of 255)", names.len());
+                format!("{} images are much darker or brighter than usual (mean {usual:.0} of 255)", names.len());
             let fix = "expose all cameras alike, or scale these images; a scene has one brightness here";
             Finding::new("images", "images.exposure", Verdict::Warning, what).at(names).fix(fix)
         })
@@ -274,14 +275,12 @@ impl Looked {
         let usual = median(&self.good(data).map(|(_, _, t)| t.detail).collect::<Vec<_>>());
         let names: Vec<&str> = self
             .good(data)
-            .filter(|(_, _, t)| t.spread >= FLAT && t.detail < SHARPNESS * usual)
+            .filter(|(_, _, t)| t.spread >= MIN_SPREAD && t.detail < MIN_SHARPNESS * usual)
             .map(|(v, _, _)| v.name.as_str())
             .collect();
         (!names.is_empty()).then(|| {
-            let what = format!(
-                "{} photographs have less than a third of the usual detail: blurred, or out of focus",
-                names.len()
-            );
+            let what =
+                format!("{} images have less than a third of the usual detail: blurred, or out of focus", names.len());
             Finding::new("images", "images.blurred", Verdict::Warning, what)
                 .at(names)
                 .fix("leave them out if others show the same")
@@ -295,12 +294,12 @@ impl Looked {
         let list: Vec<&Traits> = self.good(data).map(|(_, _, t)| t).collect();
         let part = |f: &dyn Fn(&Traits) -> bool| list.iter().filter(|t| f(t)).count() as f64 / list.len().max(1) as f64;
         if part(&|t| t.corners > 0.9 && t.opaque < 0.98) > 0.8 {
-            let what = "alpha is 1 in the corners of most photographs and 0 elsewhere: it looks inverted";
+            let what = "alpha is 1 in the corners of most images and 0 elsewhere: it looks inverted";
             let fix = "write 255 − alpha";
             return Some(Finding::new("images", "images.alpha", Verdict::Problem, what).fix(fix));
         }
         (part(&|t| t.opaque > 0.999) > 0.99).then(|| {
-            let what = "images have an alpha channel that is 1 everywhere: it tells no outline, and the visual hull would be the whole box";
+            let what = "images have an alpha channel that is 1 everywhere: it gives no silhouette, and the visual hull would be the whole box";
             Finding::new("images", "images.alpha", Verdict::Warning, what).fix("write images without alpha, or with the mask in it")
         })
     }

@@ -1,28 +1,39 @@
-//! What is right and what is wrong with a data set, before hours are spent on it.
+//! Checks of a data set before training.
 //!
-//! [`examine`] opens a folder as training would, looks at every part of it and gives a [`Checkup`]: one [`Finding`] per thing
-//! that was looked at, with what it means and a command or an edit that mends it. A fault that stops the reader is found and,
-//! where there is a way around it, passed, so that one look finds more than the first fault.
+//! [`examine`] opens a folder as training would, runs every check and returns a [`Checkup`]: one [`Finding`] per check, with
+//! what it means and a command or an edit that fixes it. A fault that stops the reader is reported and, where options can
+//! get around it, the folder is opened again with those, so that one call finds more than the first fault.
 //!
-//! | module | looks at |
+//! ```
+//! use gs4d_doctor::{CheckOptions, Verdict, examine};
+//!
+//! let checkup = examine(std::path::Path::new("/there/is/no/such/folder"), &CheckOptions::default());
+//! assert_eq!(checkup.count(Verdict::Problem), 1);
+//! assert_eq!((checkup.findings[0].code, checkup.summary().as_str()), ("data.path", "1 problem, 0 warnings"));
+//! ```
+//!
+//! | module | checks |
 //! |---|---|
-//! | `images` | files: readable, blank, twice there, exposure, sharpness, alpha, masks |
-//! | `clock` | times: source, gaps, two pictures of a camera at once, cameras that run late |
-//! | `poses` | cameras: corners of photographs against the poses, and against what poses are often mistaken for |
-//! | `silhouettes` | cameras again: what alpha or masks carve must fill them |
-//! | `start` | points to begin with and the box |
-//! | `cost` | memory and time of a training run, from a few steps of it |
+//! | `images` | files: readable, blank, duplicate, exposure, sharpness, alpha, masks |
+//! | `clock` | times: source, gaps, two images of one camera at one time, cameras whose clock is off |
+//! | `poses` | cameras: epipolar error of matched corners, under the poses and under other conventions |
+//! | `silhouettes` | cameras: the visual hull of alpha or masks must cover every silhouette |
+//! | `start` | initial points and the scene box |
+//! | `cost` | memory and time of a training run, extrapolated from a few steps |
+
+#![warn(unreachable_pub)]
+#![warn(clippy::allow_attributes_without_reason)]
 
 mod clock;
 mod cost;
 mod features;
+mod figures;
 mod images;
 mod page;
-mod pictures;
+mod pose_readings;
 mod poses;
 mod silhouettes;
 mod start;
-mod suspects;
 
 pub use cost::{Cost, CostOptions, StageCost};
 pub use page::page;
@@ -32,18 +43,18 @@ use gs_data::{Confidence, DataError, DataOptions, Dataset, ImageCache, LAYOUTS, 
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
-/// Names listed in a finding, at most.
-const NAMED: usize = 12;
-/// Faults of the reader that are passed, at most.
-const PASSES: usize = 6;
+/// Places listed in a finding; the rest is counted.
+const MAX_PLACES: usize = 12;
+/// Reader faults after which opening the folder is given up.
+const MAX_FAULTS: usize = 6;
 
-/// How a thing was found to be.
+/// Severity of a [`Finding`], from harmless to fatal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Verdict {
-    /// As it should be.
+    /// The check passed.
     Ok,
-    /// Worth knowing.
+    /// Information; nothing has to be done.
     Note,
     /// Likely to cost quality, or assumed.
     Warning,
@@ -51,20 +62,20 @@ pub enum Verdict {
     Problem,
 }
 
-/// One thing that was looked at.
+/// The outcome of one check.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Finding {
-    /// `layout`, `images`, `masks`, `time`, `split`, `poses`, `init`, `bound`, `memory`, `duration`.
+    /// What was checked: `layout`, `images`, `masks`, `time`, `split`, `poses`, `init`, `bound`, `memory`, `duration`.
     pub topic: &'static str,
     /// Stable name of the finding: `images.blank`, or the code of the reader's error.
     pub code: &'static str,
-    /// How it is.
+    /// Severity of this finding.
     pub verdict: Verdict,
-    /// What was found.
+    /// The outcome in one sentence.
     pub what: String,
-    /// Files, views or fields, the first few.
+    /// Files, views or fields concerned: the first few, then `and N more`.
     pub places: Vec<String>,
-    /// A command or an edit.
+    /// A command or an edit that fixes it, where one is known.
     pub fix: Option<String>,
 }
 
@@ -79,8 +90,8 @@ impl Finding {
 
     fn at<T: Into<String>>(mut self, places: impl IntoIterator<Item = T>) -> Self {
         let all: Vec<String> = places.into_iter().map(Into::into).collect();
-        let more = all.len().saturating_sub(NAMED);
-        self.places = all.into_iter().take(NAMED).collect();
+        let more = all.len().saturating_sub(MAX_PLACES);
+        self.places = all.into_iter().take(MAX_PLACES).collect();
         if more > 0 {
             self.places.push(format!("and {more} more"));
         }
@@ -93,42 +104,42 @@ impl Finding {
     }
 }
 
-/// A picture that shows what a finding says.
+/// An image for the report that illustrates a finding.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Picture {
-    /// The topic it belongs to.
+pub struct Figure {
+    /// Topic of the findings it belongs to: `poses`, `init` or `bound`.
     pub topic: &'static str,
-    /// What is to be seen.
+    /// What the image shows, for people.
     pub caption: String,
-    /// 3 channels.
+    /// RGB in `[0, 1]`, `[H, W, 3]`.
     pub image: Image,
 }
 
-/// All findings about a folder.
+/// The result of [`examine`].
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Checkup {
-    /// The folder.
+    /// The folder that was checked.
     pub root: PathBuf,
-    /// The layout it was read with.
+    /// Name of the layout it was read with; `None` if no reader could open it.
     pub layout: Option<&'static str>,
     /// Findings in the order of the topics.
     pub findings: Vec<Finding>,
-    /// What the reader assumed.
+    /// Assumptions of the reader, in words.
     pub notes: Vec<String>,
-    /// What training would cost, where it was tried.
+    /// Cost of training, where it was asked for and the run could start.
     pub cost: Option<Cost>,
-    /// What is to be seen.
+    /// Images for the HTML report.
     #[serde(skip)]
-    pub pictures: Vec<Picture>,
+    pub figures: Vec<Figure>,
 }
 
 impl Checkup {
-    /// How many findings are of a kind.
+    /// The number of findings of one severity.
     pub fn count(&self, verdict: Verdict) -> usize {
         self.findings.iter().filter(|f| f.verdict == verdict).count()
     }
 
-    /// Problems and warnings in words.
+    /// For example `1 problem, 2 warnings`.
     pub fn summary(&self) -> String {
         let of = |n: usize, what: &str| format!("{n} {what}{}", if n == 1 { "" } else { "s" });
         format!("{}, {}", of(self.count(Verdict::Problem), "problem"), of(self.count(Verdict::Warning), "warning"))
@@ -139,48 +150,48 @@ impl Checkup {
     }
 }
 
-/// What is to be looked at.
+/// What [`examine`] does.
 #[derive(Clone, Debug, Default)]
-pub struct Exam {
-    /// How the folder is to be read.
+pub struct CheckOptions {
+    /// Options of the reader.
     pub data: DataOptions,
-    /// What a run would be tried with; none: no run is tried.
+    /// The run whose cost is estimated; `None` skips the estimate, which trains for some steps.
     pub cost: Option<CostOptions>,
 }
 
-/// Looks at a folder.
-pub fn examine(dir: &Path, exam: &Exam) -> Checkup {
+/// Runs all checks on a folder. Faults become findings, never errors.
+pub fn examine(dir: &Path, exam: &CheckOptions) -> Checkup {
     let mut checkup = Checkup { root: dir.to_path_buf(), ..Checkup::default() };
     let Some((data, options)) = open(dir, &exam.data, &mut checkup) else { return checkup };
     checkup.layout = Some(data.layout);
     checkup.notes.clone_from(&data.notes);
-    let photographs = ImageCache::new(256 << 20, 1.0).with_max_image_mib(options.max_image_mib);
-    let looked = images::look(&data, &photographs);
-    checkup.add(looked.findings(&data));
-    checkup.add(clock::look(&data, &looked));
-    let readable = looked.readable(&data);
+    let full = ImageCache::new(256 << 20, 1.0).with_max_image_mib(options.max_image_mib);
+    let checked = images::check(&data, &full);
+    checkup.add(checked.findings(&data));
+    checkup.add(clock::check(&data, &checked));
+    let readable = checked.readable(&data);
     if readable.train.is_empty() {
         return checkup;
     }
-    let eyes = ImageCache::new(256 << 20, looked.small_scale()).with_max_image_mib(options.max_image_mib);
-    let silhouettes = silhouettes::look(&readable);
-    let (mut findings, mut pictures) = poses::look(&readable, &eyes, silhouettes.as_ref());
-    // Under poses of another convention nothing is where it should be.
+    let small_images = ImageCache::new(256 << 20, checked.small_scale()).with_max_image_mib(options.max_image_mib);
+    let silhouettes = silhouettes::check(&readable);
+    let (mut findings, mut figures) = poses::check(&readable, &small_images, silhouettes.as_ref());
+    // Points and box mean nothing under poses of another convention.
     if !findings.iter().any(|f| f.code == "poses.convention") {
-        findings.extend(start::look(&readable));
+        findings.extend(start::check(&readable));
     }
     checkup.add(findings);
-    pictures.extend(pictures::all(&readable, &eyes, silhouettes.as_ref()));
-    checkup.pictures = pictures;
+    figures.extend(figures::all(&readable, &small_images, silhouettes.as_ref()));
+    checkup.figures = figures;
     if let Some(options) = &exam.cost {
-        let (findings, cost) = cost::look(&readable, options);
+        let (findings, cost) = cost::check(&readable, options);
         checkup.add(findings);
         checkup.cost = cost;
     }
     checkup
 }
 
-/// Opens a folder, passing faults that can be passed; says which layout was taken and why.
+/// Opens a folder, with other options after a fault they get around; adds the layout and the faults to the findings.
 fn open(dir: &Path, wanted: &DataOptions, checkup: &mut Checkup) -> Option<(Dataset, DataOptions)> {
     let mut options = wanted.clone();
     let mut faults: Vec<Finding> = Vec::new();
@@ -190,7 +201,7 @@ fn open(dir: &Path, wanted: &DataOptions, checkup: &mut Checkup) -> Option<(Data
             Err(e) => {
                 let next = around(&e, &options);
                 faults.push(fault(&e));
-                match next.filter(|_| faults.len() < PASSES) {
+                match next.filter(|_| faults.len() < MAX_FAULTS) {
                     Some(next) => options = next,
                     None => break None,
                 }
@@ -202,7 +213,7 @@ fn open(dir: &Path, wanted: &DataOptions, checkup: &mut Checkup) -> Option<(Data
     opened.map(|data| (data, options))
 }
 
-/// Options with which a fault of the reader does not stop it, where there are such.
+/// Options that get around a fault of the reader, where there are any.
 fn around(e: &DataError, options: &DataOptions) -> Option<DataOptions> {
     let next = match e {
         DataError::Missing { .. } => DataOptions { allow_missing: true, ..options.clone() },
@@ -215,7 +226,7 @@ fn around(e: &DataError, options: &DataOptions) -> Option<DataOptions> {
     (next != *options).then_some(next)
 }
 
-/// An error of the reader as a finding.
+/// A reader's error as a finding.
 fn fault(e: &DataError) -> Finding {
     let topic = match e.code() {
         "data.layout" | "data.path" | "data.syntax" | "data.truncated" | "data.empty" => "layout",
@@ -230,7 +241,7 @@ fn fault(e: &DataError) -> Finding {
     finding.at(e.place().map(|p| p.to_string()))
 }
 
-/// The layout that was taken, and others that might have been.
+/// The layout that was chosen, and others that would fit as well as it.
 fn layout(dir: &Path, options: &DataOptions, data: Option<&Dataset>) -> Option<Finding> {
     let name = options.layout.as_deref().or_else(|| detect(dir).map(|l| l.name))?;
     let about = LAYOUTS.iter().find(|l| l.name == name).map_or("", |l| l.about);
@@ -247,7 +258,7 @@ fn layout(dir: &Path, options: &DataOptions, data: Option<&Dataset>) -> Option<F
     let sure = |l: &&gs_data::Layout| (l.probe)(dir).filter(|_| l.name != name).map(|c| (c, l.name));
     let rivals: Vec<(Confidence, &str)> = LAYOUTS.iter().filter_map(|l| sure(&l)).collect();
     let own = LAYOUTS.iter().find(|l| l.name == name).and_then(|l| (l.probe)(dir));
-    // What `nvfi` takes is always of `blender`'s form as well.
+    // A `nvfi` folder always has the form of a `blender` folder, too.
     let rival = |r: &&(Confidence, &str)| Some(r.0) == own && !(name == "nvfi" && r.1 == "blender");
     let close = rivals.iter().filter(rival).map(|r| r.1).collect::<Vec<_>>();
     let text = format!("{name}{asked} ({about}){counts}");
@@ -258,14 +269,14 @@ fn layout(dir: &Path, options: &DataOptions, data: Option<&Dataset>) -> Option<F
     Some(Finding::new("layout", "layout.ambiguous", Verdict::Note, text).fix(format!("--layout {}", close[0])))
 }
 
-/// The middle value; NaN without any.
+/// The upper median; NaN of no values.
 fn median(values: &[f64]) -> f64 {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
     sorted.get(sorted.len() / 2).copied().unwrap_or(f64::NAN)
 }
 
-/// Brightness of a colour as encoded (BT.601).
+/// Luma of an encoded RGB colour (BT.601).
 fn luma(rgb: [f32; 3]) -> f32 {
     0.299 * rgb[0] + 0.587 * rgb[1] + 0.114 * rgb[2]
 }

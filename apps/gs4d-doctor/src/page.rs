@@ -1,27 +1,25 @@
-//! A check-up as one HTML file that opens anywhere.
+//! A [`Checkup`] as one self-contained HTML file.
 
 use super::{Checkup, Finding, Verdict};
 use gs4d_report::ReportError;
-use gs4d_report::page::{document, escape, picture, section, table};
-use std::fmt::Write as _;
+use gs4d_report::page::{captioned, document, escape, section, table};
 
-/// The page of a check-up.
+/// Renders a [`Checkup`] as one self-contained HTML page.
 ///
 /// # Errors
-/// If a picture cannot be packed.
+/// If a figure cannot be encoded as PNG or JPEG.
 pub fn page(c: &Checkup) -> Result<String, ReportError> {
     let mut sections = section("Findings", "", &findings(&c.findings));
-    let mut topics: Vec<&str> = c.pictures.iter().map(|p| p.topic).collect();
+    let mut topics: Vec<&str> = c.figures.iter().map(|p| p.topic).collect();
     topics.dedup();
     for topic in topics {
         let mut shown = String::new();
-        for p in c.pictures.iter().filter(|p| p.topic == topic) {
-            let _ =
-                writeln!(shown, "<span>{}<small>{}</small></span>", picture(&p.image, &p.caption)?, escape(&p.caption));
+        for p in c.figures.iter().filter(|p| p.topic == topic) {
+            shown += &captioned(&p.image, &p.caption)?;
         }
         let heading = match topic {
-            "poses" => "Poses against photographs",
-            "init" => "Points in the photographs",
+            "poses" => "Poses against images",
+            "init" => "Points in the images",
             _ => "Cameras and box",
         };
         sections += &section(heading, "", &format!("<div class=\"strip maps\">\n{shown}</div>\n"));
@@ -52,7 +50,7 @@ fn findings(list: &[Finding]) -> String {
     table(&["topic", "", "what was found", "what to do"], &[0, 1], rows)
 }
 
-/// A word for people.
+/// The name of a severity in the table.
 fn verdict(v: Verdict) -> &'static str {
     match v {
         Verdict::Ok => "ok",

@@ -1,73 +1,76 @@
-//! Cameras against photographs: corners that show the same thing must lie on each other's epipolar lines and in front of both
-//! cameras.
+//! Checks of poses by matched corners: a match must lie on its epipolar line and in front of both cameras.
 //!
 //! With `E = [t]× R` from one camera to the other and `F = K₂⁻ᵀ E K₁⁻¹`, the error of a pair is Sampson's,
-//! `(x₂ᵀ F x₁)² / (|F x₁|² + |Fᵀ x₂|²)` with the first two entries of the lines (Hartley and Zisserman, 11.4.3). Partners of random
-//! corners lie within the tolerance in one or two cases of a hundred, so a share that is much larger speaks for the poses,
-//! and other readings of the same numbers ([`Suspect`]) or other focal lengths can be compared with them.
+//! `(x₂ᵀ F x₁)² / (|F x₁|² + |Fᵀ x₂|²)` with the first two entries of the lines (Hartley and Zisserman, 11.4.3). Random matches are
+//! within the tolerance in one or two cases of a hundred, so a much larger share supports the poses. The same share under
+//! other readings of the poses ([`PoseReading`]) and other focal lengths tells which fits best.
 
-use super::features::{Corner, corners, partners};
+use super::features::{Corner, corners, match_corners};
+use super::pose_readings::PoseReading;
 use super::silhouettes::Silhouettes;
-use super::suspects::Suspect;
-use super::{Finding, Picture, Verdict, luma, median, pictures};
+use super::{Figure, Finding, Verdict, figures, luma, median};
 use glam::{DMat3, DVec2, DVec3};
 use gs_core::{Camera, Image};
 use gs_data::{Dataset, ImageCache, View, geometry::focus};
 use rayon::prelude::*;
 
-/// Most views whose corners are looked for.
-const VIEWS: usize = 80;
-/// Partners a view is compared with.
+/// Most views in which corners are detected.
+const MAX_VIEWS: usize = 80;
+/// Other views that each view is matched with.
 const NEIGHBOURS: usize = 2;
-/// Least angle at the scene's middle between two cameras, radians: nearer ones say nothing about translations.
-const LEAST_ANGLE: f64 = 0.035;
-/// Part of the longer side of a photograph within which a pair agrees with the poses; at least so many pixels.
-const TOLERANCE: f64 = 1.0 / 240.0;
-const LEAST_TOLERANCE: f64 = 0.8;
-/// Largest angle between neighbours: patches of farther ones are not alike.
-const MOST_ANGLE: f64 = 0.6;
-/// Rays that differ by less cannot say on which side of the cameras they meet.
-const PARALLEL: f64 = 0.005;
-/// Least pairs that say anything: of all views, and of one.
-const ENOUGH: usize = 60;
-const ENOUGH_OF_ONE: usize = 20;
-/// Shares of pairs that agree: of good poses, of bad ones.
-const GOOD: f64 = 0.45;
-const BAD: f64 = 0.2;
-/// Focal lengths that are tried, as factors.
-const FOCALS: [f64; 8] = [0.5, 0.6, 0.7, 0.8, 1.25, 1.45, 1.7, 2.0];
+/// Least angle between two cameras seen from the scene's centre, radians: closer pairs do not constrain translations.
+const MIN_ANGLE: f64 = 0.035;
+/// Largest error of a match that agrees with the poses: a share of the longer image side, and at least so many pixels.
+const TOLERANCE_SHARE: f64 = 1.0 / 240.0;
+const MIN_TOLERANCE: f64 = 0.8;
+/// Largest angle between matched views, radians: patches seen from farther apart do not correlate.
+const MAX_ANGLE: f64 = 0.6;
+/// Least sine of the angle between two rays for a test of the side on which they meet.
+const MIN_PARALLAX: f64 = 0.005;
+/// Fewest matches for a verdict: on all views, and on one.
+const MIN_PAIRS: usize = 60;
+const MIN_VIEW_PAIRS: usize = 20;
+/// Share of matches that agree: above the first poses are good, below the second they are wrong.
+const GOOD_SHARE: f64 = 0.45;
+const BAD_SHARE: f64 = 0.2;
+/// Factors on the focal length that are tried.
+const FOCAL_FACTORS: [f64; 8] = [0.5, 0.6, 0.7, 0.8, 1.25, 1.45, 1.7, 2.0];
 
-/// Two photographs and the pixels in them that show the same things.
+/// Two views and the pixels of their matched corners.
 struct Match {
     views: [usize; 2],
     points: Vec<[DVec2; 2]>,
 }
 
-/// All pairs of a data set, at the size of the small photographs.
+/// All matches of a data set, in pixels of the reduced images.
 struct Matches<'a> {
     views: Vec<&'a View>,
     cameras: Vec<Camera>,
     pairs: Vec<Match>,
-    /// Pixels within which a pair agrees with the poses.
+    /// Largest error of a match that agrees, pixels.
     tolerance: f64,
 }
 
-/// Looks at poses; shows one pair of photographs.
-pub(super) fn look(data: &Dataset, eyes: &ImageCache, outlines: Option<&Silhouettes>) -> (Vec<Finding>, Vec<Picture>) {
+/// Checks poses; returns one figure of matched images.
+pub(super) fn check(
+    data: &Dataset,
+    small_images: &ImageCache,
+    silhouettes: Option<&Silhouettes>,
+) -> (Vec<Finding>, Vec<Figure>) {
     let mut findings = rig(data);
-    let matches = Matches::find(data, eyes);
-    let (found, unsure) = matches.findings(eyes.scale());
-    let by_outline = outlines.map_or(Vec::new(), Silhouettes::findings);
-    // Where corners say nothing, silhouettes may still.
-    let sound = by_outline.iter().any(|f| f.verdict == Verdict::Ok);
+    let matches = Matches::find(data, small_images);
+    let (found, unsure) = matches.findings(small_images.scale());
+    let by_silhouettes = silhouettes.map_or(Vec::new(), Silhouettes::findings);
+    // Silhouettes may settle what corners cannot.
+    let sound = by_silhouettes.iter().any(|f| f.verdict == Verdict::Ok);
     if !(unsure && sound) {
         findings.extend(found);
     }
-    findings.extend(by_outline);
-    (findings, matches.picture(eyes).into_iter().collect())
+    findings.extend(by_silhouettes);
+    (findings, matches.figure(small_images).into_iter().collect())
 }
 
-/// How the cameras stand.
+/// Checks of camera positions: spread, outliers, scale.
 fn rig(data: &Dataset) -> Vec<Finding> {
     let centres: Vec<DVec3> = data.train.iter().map(|v| v.camera.position()).collect();
     let middle = centres.iter().sum::<DVec3>() / centres.len() as f64;
@@ -76,7 +79,7 @@ fn rig(data: &Dataset) -> Vec<Finding> {
     let spread = |v: &[f64]| format!("{:.3}", v.iter().copied().fold(0.0, f64::max));
     let mut out = Vec::new();
     if extent < 1e-6 {
-        let fix = "give photographs from several places; gs4d train learns no depth from one";
+        let fix = "give images from several places; gs4d train learns no depth from one";
         out.push(
             Finding::new("poses", "poses.still", Verdict::Warning, "all training views are taken from one place")
                 .fix(fix),
@@ -114,18 +117,18 @@ fn rig(data: &Dataset) -> Vec<Finding> {
 }
 
 impl<'a> Matches<'a> {
-    fn find(data: &'a Dataset, eyes: &ImageCache) -> Self {
-        let count = data.train.len().min(VIEWS);
+    fn find(data: &'a Dataset, small_images: &ImageCache) -> Self {
+        let count = data.train.len().min(MAX_VIEWS);
         let views: Vec<&View> = (0..count).map(|k| &data.train[k * data.train.len() / count]).collect();
-        let cameras: Vec<Camera> = views.iter().map(|v| eyes.camera(v)).collect();
-        let found: Vec<Vec<Corner>> = views.par_iter().map(|v| corners_of(v, eyes)).collect();
+        let cameras: Vec<Camera> = views.iter().map(|v| small_images.camera(v)).collect();
+        let found: Vec<Vec<Corner>> = views.par_iter().map(|v| corners_of(v, small_images)).collect();
         let mut wanted: Vec<[usize; 2]> = neighbours(&views, focus(&data.train));
         wanted.sort_unstable();
         wanted.dedup();
         let of = |views: [usize; 2]| {
             let [a, b] = views.map(|i| &found[i]);
             let at = |c: &Corner| DVec2::from(c.at);
-            let points = partners(a, b).into_iter().map(|(i, j)| [at(&a[i]), at(&b[j])]).collect();
+            let points = match_corners(a, b).into_iter().map(|(i, j)| [at(&a[i]), at(&b[j])]).collect();
             Match { views, points }
         };
         let pairs = wanted.into_iter().map(of).collect();
@@ -136,7 +139,7 @@ impl<'a> Matches<'a> {
         self.pairs.iter().map(|p| p.points.len()).sum()
     }
 
-    /// The error of each pair of points under other cameras; infinite behind one of them.
+    /// The error of each match under changed cameras; infinite behind one of them.
     fn errors(&self, camera: &dyn Fn(&Camera) -> Camera) -> Vec<Vec<f64>> {
         let cameras: Vec<Camera> = self.cameras.iter().map(camera).collect();
         let of = |m: &Match| {
@@ -151,13 +154,12 @@ impl<'a> Matches<'a> {
         share(self.errors(camera).iter().flatten(), self.tolerance)
     }
 
-    /// What corners say of the poses, and whether that is nothing.
+    /// Findings on the poses, and whether the matches were inconclusive.
     fn findings(&self, scale: f64) -> (Vec<Finding>, bool) {
         let count = self.count();
-        if count < ENOUGH {
-            let what = format!(
-                "only {count} corners have a partner in a neighbouring photograph: poses cannot be checked by them"
-            );
+        if count < MIN_PAIRS {
+            let what =
+                format!("only {count} corners have a partner in a neighbouring image: poses cannot be checked by them");
             return (vec![Finding::new("poses", "poses.unchecked", Verdict::Note, what)], true);
         }
         let errors = self.errors(&|c| c.clone());
@@ -171,7 +173,7 @@ impl<'a> Matches<'a> {
         let text = format!("{:.0} % of {count} matched corners agree with the poses{off}", 100.0 * now);
         let best = |list: Vec<(f64, String, String)>| list.into_iter().max_by(|a, b| a.0.total_cmp(&b.0));
         let readings =
-            Suspect::ALL.iter().map(|s| (self.share(&|c| s.camera(c)), s.what().to_owned(), s.fix().to_owned()));
+            PoseReading::ALL.iter().map(|s| (self.share(&|c| s.camera(c)), s.what().to_owned(), s.fix().to_owned()));
         let focal = |f: f64| {
             let other = self.share(&|c| Camera { fx: f * c.fx, fy: f * c.fy, ..c.clone() });
             let what = format!("and focal lengths of {f} times what they are");
@@ -179,7 +181,7 @@ impl<'a> Matches<'a> {
         };
         for (code, others, factor) in [
             ("poses.convention", best(readings.collect()), 2.0),
-            ("poses.focal", best(FOCALS.into_iter().map(focal).collect()), 1.4),
+            ("poses.focal", best(FOCAL_FACTORS.into_iter().map(focal).collect()), 1.4),
         ] {
             if let Some((other, what, fix)) = others.filter(|o| o.0 >= 0.3 && o.0 > factor * now) {
                 let what = format!("{text}; with poses {what} it would be {:.0} %", 100.0 * other);
@@ -187,7 +189,7 @@ impl<'a> Matches<'a> {
             }
         }
         let wrong = self.wrong_views(&errors);
-        if now >= GOOD && !wrong.is_empty() {
+        if now >= GOOD_SHARE && !wrong.is_empty() {
             let what = format!(
                 "{text}, but hardly any of {} views: their poses or times are not those of the others",
                 wrong.len()
@@ -195,17 +197,16 @@ impl<'a> Matches<'a> {
             let finding = Finding::new("poses", "poses.view", Verdict::Problem, what);
             return (vec![finding.at(wrong).fix("correct these poses, or remove these views from the file")], false);
         }
-        if now >= GOOD {
+        if now >= GOOD_SHARE {
             return (vec![Finding::ok("poses", text)], false);
         }
-        let fix =
-            "look at the pair of photographs below: if lines miss what they should meet, reconstruct the poses again";
-        let verdict = if now < BAD { Verdict::Problem } else { Verdict::Note };
-        let why = if now < BAD { "" } else { "; what moves, and what repeats, never agrees" };
+        let fix = "check at the pair of images below: if lines miss what they should meet, reconstruct the poses again";
+        let verdict = if now < BAD_SHARE { Verdict::Problem } else { Verdict::Note };
+        let why = if now < BAD_SHARE { "" } else { "; what moves, and what repeats, never agrees" };
         (vec![Finding::new("poses", "poses.disagree", verdict, text + why).fix(fix)], false)
     }
 
-    /// Views that agree with none of those that agree with others.
+    /// Names of views whose matches all disagree although their neighbours agree with others.
     fn wrong_views(&self, errors: &[Vec<f64>]) -> Vec<String> {
         let mut sums = vec![(0usize, 0usize); self.views.len()];
         for (m, errors) in self.pairs.iter().zip(errors) {
@@ -215,22 +216,22 @@ impl<'a> Matches<'a> {
             }
         }
         let of = |i: usize| sums[i].0 as f64 / sums[i].1.max(1) as f64;
-        let bad = |i: usize| sums[i].1 >= ENOUGH_OF_ONE && of(i) < 0.5 * BAD;
-        let good_friend = |i: usize| {
-            let mut friends =
+        let bad = |i: usize| sums[i].1 >= MIN_VIEW_PAIRS && of(i) < 0.5 * BAD_SHARE;
+        let has_good_neighbour = |i: usize| {
+            let mut neighbours =
                 self.pairs.iter().filter(|m| m.views.contains(&i)).map(|m| m.views[usize::from(m.views[0] == i)]);
-            friends.any(|j| !bad(j))
+            neighbours.any(|j| !bad(j))
         };
-        (0..sums.len()).filter(|&i| bad(i) && good_friend(i)).map(|i| self.views[i].name.clone()).collect()
+        (0..sums.len()).filter(|&i| bad(i) && has_good_neighbour(i)).map(|i| self.views[i].name.clone()).collect()
     }
 
-    /// The pair with the most partners, its lines coloured by their error.
-    fn picture(&self, eyes: &ImageCache) -> Option<Picture> {
+    /// The pair with the most matches, coloured by whether they agree.
+    fn figure(&self, small_images: &ImageCache) -> Option<Figure> {
         let best = self.pairs.iter().max_by_key(|m| m.points.len()).filter(|m| m.points.len() >= 8)?;
         let images: Vec<Image> = best
             .views
             .iter()
-            .map(|&i| eyes.get(self.views[i]).map(|v| v.over([0.5; 3])))
+            .map(|&i| small_images.get(self.views[i]).map(|v| v.over([0.5; 3])))
             .collect::<Result<_, _>>()
             .ok()?;
         let pair = Pair::new(&self.cameras[best.views[0]], &self.cameras[best.views[1]]);
@@ -242,7 +243,7 @@ impl<'a> Matches<'a> {
             "{a} and {b}: {agree} of {} matched corners agree with the poses (green), the others do not (red)",
             marks.len()
         );
-        Some(Picture { topic: "poses", caption, image: pictures::side_by_side(&images[0], &images[1], &marks) })
+        Some(Figure { topic: "poses", caption, image: figures::side_by_side(&images[0], &images[1], &marks) })
     }
 }
 
@@ -255,22 +256,22 @@ fn share<'e>(errors: impl Iterator<Item = &'e f64>, tolerance: f64) -> f64 {
     near as f64 / all.max(1) as f64
 }
 
-/// Pixels within which pairs of these cameras agree.
+/// Largest error of a match that agrees, pixels, for these cameras.
 fn tolerance(cameras: &[Camera]) -> f64 {
     let side = cameras.iter().map(|c| c.width.max(c.height)).max().unwrap_or(1);
-    (TOLERANCE * f64::from(side)).max(LEAST_TOLERANCE)
+    (TOLERANCE_SHARE * f64::from(side)).max(MIN_TOLERANCE)
 }
 
-/// The corners of a photograph, at the size of the small ones.
-fn corners_of(v: &View, eyes: &ImageCache) -> Vec<Corner> {
-    let Ok(image) = eyes.get(v) else { return Vec::new() };
+/// The corners of a view's reduced image.
+fn corners_of(v: &View, small_images: &ImageCache) -> Vec<Corner> {
+    let Ok(image) = small_images.get(v) else { return Vec::new() };
     let over = image.over([0.5; 3]);
     let grey = over.data.as_chunks().0.iter().map(|p| luma(*p)).collect();
     let inside: Vec<bool> = image.data.chunks_exact(4).map(|p| p[3] > 200).collect();
     corners(&Image { width: over.width, height: over.height, channels: 1, data: grey }, &inside)
 }
 
-/// For each view the nearest others that stand elsewhere, as ordered pairs.
+/// For each view the nearest others at another position, as ordered pairs.
 fn neighbours(views: &[&View], middle: DVec3) -> Vec<[usize; 2]> {
     let towards: Vec<DVec3> = views.iter().map(|v| (v.camera.position() - middle).normalize_or_zero()).collect();
     let apart = |i: usize, j: usize| {
@@ -278,9 +279,9 @@ fn neighbours(views: &[&View], middle: DVec3) -> Vec<[usize; 2]> {
         let turn = views[i].camera.rotation * views[j].camera.rotation.transpose();
         let turned = (0.5 * (turn.x_axis.x + turn.y_axis.y + turn.z_axis.z - 1.0)).clamp(-1.0, 1.0).acos();
         let late = f64::from((views[i].time.normalised - views[j].time.normalised).abs());
-        let near = if angle < LEAST_ANGLE { 1.0 } else { 0.0 };
+        let near = if angle < MIN_ANGLE { 1.0 } else { 0.0 };
         let elsewhere = views[i].camera.position().distance(views[j].camera.position()) > 1e-6;
-        (elsewhere && angle.max(turned) < MOST_ANGLE).then_some(angle + turned + 3.0 * late + near)
+        (elsewhere && angle.max(turned) < MAX_ANGLE).then_some(angle + turned + 3.0 * late + near)
     };
     let of = |i: usize| {
         let others = (0..views.len()).filter(|&j| j != i);
@@ -291,7 +292,7 @@ fn neighbours(views: &[&View], middle: DVec3) -> Vec<[usize; 2]> {
     (0..views.len()).flat_map(of).collect()
 }
 
-/// The geometry of two cameras.
+/// The epipolar geometry of two cameras.
 struct Pair {
     fundamental: DMat3,
     rays: [DMat3; 2],
@@ -312,7 +313,7 @@ impl Pair {
         Self { fundamental: rays[1].transpose() * cross * turn * rays[0], rays, turn, shift: t }
     }
 
-    /// Pixels from the epipolar lines; infinite if the point is behind a camera.
+    /// Sampson distance, pixels; infinite if the point is behind a camera.
     fn error(&self, [a, b]: [DVec2; 2]) -> f64 {
         let (x, y) = (a.extend(1.0), b.extend(1.0));
         let (forth, back) = (self.fundamental * x, self.fundamental.transpose() * y);
@@ -330,7 +331,7 @@ impl Pair {
     fn behind(&self, x: DVec3, y: DVec3) -> bool {
         let (p, q) = (self.turn * (self.rays[0] * x), self.rays[1] * y);
         let across = p.cross(q);
-        if across.length() < PARALLEL * p.length() * q.length() {
+        if across.length() < MIN_PARALLAX * p.length() * q.length() {
             return false;
         }
         let depth = |other: DVec3| self.shift.cross(other).dot(across) / across.length_squared();
@@ -359,7 +360,7 @@ mod tests {
         let points: Vec<[DVec2; 2]> = points.collect();
         let share = |pair: Pair| points.iter().filter(|p| pair.error(**p) < 2.0).count();
         assert_eq!(share(Pair::new(&a, &b)), 40);
-        for s in Suspect::ALL {
+        for s in PoseReading::ALL {
             let agree = share(Pair::new(&s.camera(&a), &s.camera(&b)));
             assert!(agree <= 20, "{s:?}: {agree}");
         }
@@ -401,7 +402,7 @@ mod tests {
         assert_eq!(told(|_, c| c.clone()).verdict, Verdict::Ok);
         let focal = told(|_, c| Camera { fx: c.fx / 1.7, fy: c.fy / 1.7, ..c.clone() });
         assert!(focal.code == "poses.focal" && focal.what.contains("1.7 times"), "{focal:?}");
-        for s in Suspect::ALL {
+        for s in PoseReading::ALL {
             assert_eq!(told(|_, c| s.camera(c)).code, "poses.convention", "{s:?}");
         }
         let turned = glam::DMat3::from_rotation_z(0.5);

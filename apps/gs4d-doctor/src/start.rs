@@ -1,19 +1,19 @@
-//! Points to begin with and the box of the scene.
+//! Checks of the initial points and of the scene box.
 
 use super::{Finding, Verdict};
 use glam::Vec3;
 use gs_data::{Dataset, StartFrom};
 
-/// Share of points that training views see: as it should be, and as it must not be.
-const SEEN: f64 = 0.9;
-const HIDDEN: f64 = 0.5;
-/// Share of points outside the box that is told.
-const OUTSIDE: f64 = 0.02;
-/// Fewest points that are a start.
-const FEW: usize = 50;
+/// Share of points in the frame of training views: above the first points are good, below the second they are wrong.
+const GOOD_SHARE: f64 = 0.9;
+const BAD_SHARE: f64 = 0.5;
+/// Largest share of points outside the box that is not reported.
+const MAX_OUTSIDE: f64 = 0.02;
+/// Fewest points to start training from.
+const MIN_POINTS: usize = 50;
 
-/// Looks at points and box.
-pub(super) fn look(data: &Dataset) -> Vec<Finding> {
+/// Checks points and box.
+pub(super) fn check(data: &Dataset) -> Vec<Finding> {
     let mut out = vec![points(data)];
     out.push(bound(data));
     out
@@ -40,15 +40,15 @@ fn points(data: &Dataset) -> Finding {
     };
     let (count, seen) = (points.positions.len(), data.seen_share(&points.positions));
     let text = format!("{count} points, {:.0} % of them in the frame of two training views", 100.0 * seen);
-    if seen < HIDDEN {
+    if seen < BAD_SHARE {
         let what = format!("{text}: they are in another frame or scale than the poses");
         let fix = format!("export points and poses together; or begin without them: {init} --from random");
         return Finding::new("init", "init.frame", Verdict::Problem, what).fix(fix);
     }
-    if count < FEW {
+    if count < MIN_POINTS {
         return Finding::new("init", "init.few", Verdict::Warning, text).fix(format!("{init} --points 20000"));
     }
-    if seen < SEEN {
+    if seen < GOOD_SHARE {
         let what = format!("{text}; the others begin unseen");
         return Finding::new("init", "init.unseen", Verdict::Note, what);
     }
@@ -63,7 +63,7 @@ fn bound(data: &Dataset) -> Finding {
     let points = data.points.as_ref().map_or(&[][..], |p| &p.positions);
     let out = points.iter().filter(|p| !inside(p)).count() as f64 / points.len().max(1) as f64;
     let largest = points.iter().map(|p| p.abs().max_element()).fold(0.0, f32::max);
-    if out > OUTSIDE {
+    if out > MAX_OUTSIDE {
         let what = format!("{:.0} % of the points lie outside the box {text}", 100.0 * out);
         let fix = format!(
             "gs4d init {} --bound {:.2} (the farthest point is {largest:.2} from the origin)",
@@ -83,6 +83,7 @@ fn bound(data: &Dataset) -> Finding {
     Finding::ok("bound", text)
 }
 
+/// Whether training views have a point in their frame.
 fn seen(data: &Dataset, p: Vec3) -> bool {
     data.seen_share(&[p]) > 0.0
 }

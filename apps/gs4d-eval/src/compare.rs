@@ -1,8 +1,7 @@
-//! Scores of given images against given truths, with or without masks.
+//! Scores of images against ground truth, with or without masks.
 //!
 //! PSNR in dB for a data range of 1; SSIM with an 11-tap Gaussian window and zeros outside, as the 3DGS family evaluates.
-//! Where a mask is given there are scores where it counts, too: PSNR and SSIM of DyCheck ([`gs_metrics::masked`]) and the
-//! masked proxy.
+//! A mask adds masked scores: PSNR and SSIM of DyCheck ([`gs_metrics::masked`]) and the masked proxy.
 
 use gs_core::Image;
 use gs_metrics::{
@@ -11,12 +10,12 @@ use gs_metrics::{
 use gs_train::evaluate::MaskedScores;
 use serde::Serialize;
 
-/// A metric that may be asked for.
+/// A metric of whole images.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Metric {
-    /// Peak signal-to-noise ratio.
+    /// Peak signal-to-noise ratio, dB, for a data range of 1.
     Psnr,
-    /// Structural similarity.
+    /// Structural similarity, 11-tap Gaussian window.
     Ssim,
     /// Multi-scale SSIM; needs both sides above 160 pixels.
     MsSsim,
@@ -25,33 +24,33 @@ pub enum Metric {
 }
 
 impl Metric {
-    /// All of them.
+    /// Every metric.
     pub const ALL: [Metric; 4] = [Metric::Psnr, Metric::Ssim, Metric::MsSsim, Metric::PerceptualProxy];
 }
 
-/// The scores of one image; what was not asked for, or has no value, is absent.
+/// The scores of one image; `None` for metrics that were not requested or have no value.
 #[derive(Clone, Debug, PartialEq, Default, Serialize)]
 pub struct ImageScores {
-    /// Name of the image.
+    /// Name of the image, without extension.
     pub name: String,
-    /// Mean squared error.
+    /// Mean squared error over pixels and channels.
     #[serde(skip)]
     pub mse: Option<f64>,
-    /// dB; absent for an image without error (infinite).
+    /// PSNR, dB; absent where it is infinite.
     pub psnr: Option<f64>,
-    /// Structural similarity.
+    /// SSIM, at most 1.
     pub ssim: Option<f64>,
-    /// Multi-scale SSIM.
+    /// MS-SSIM, at most 1.
     pub ms_ssim: Option<f64>,
-    /// Perceptual distance.
+    /// Perceptual distance without weights, not LPIPS; less is better.
     pub perceptual_proxy: Option<f64>,
-    /// Scores where the mask counts; absent without one, or with an empty one.
+    /// Scores within the mask; absent without mask, or with an empty one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub masked: Option<MaskedScores>,
 }
 
 impl ImageScores {
-    /// Whether the image was found to be without any error.
+    /// Whether the image equals its ground truth, as far as the error was computed.
     pub fn mse_is_zero(&self) -> bool {
         self.mse == Some(0.0)
     }
@@ -62,9 +61,9 @@ impl ImageScores {
 pub struct Means {
     /// Mean of the finite PSNRs, dB.
     pub psnr: Option<f64>,
-    /// Mean SSIM.
+    /// Mean SSIM over images.
     pub ssim: Option<f64>,
-    /// Mean MS-SSIM.
+    /// Mean MS-SSIM over images.
     pub ms_ssim: Option<f64>,
     /// Mean perceptual distance.
     pub perceptual_proxy: Option<f64>,
@@ -78,15 +77,28 @@ pub struct Means {
 pub struct SetScores {
     /// Means over images.
     pub mean: Means,
-    /// PSNR of the mean squared error, dB; absent when it is infinite.
+    /// PSNR of the mean squared error over all images, dB; absent where it is infinite.
     pub psnr_of_mean_mse: Option<f64>,
-    /// Images without any error, left out of the mean PSNR.
+    /// Number of images equal to their ground truth; they are left out of the mean PSNR.
     pub perfect_views: usize,
     /// The scores of each image.
     pub views: Vec<ImageScores>,
 }
 
-/// Scores one image after the other.
+/// Scores images one by one.
+///
+/// ```
+/// use gs_core::Image;
+/// use gs4d_eval::compare::{Comparer, Metric};
+///
+/// let grey = |v| Image { width: 16, height: 16, channels: 3, data: vec![v; 768] };
+/// let mut comparer = Comparer::new(&[Metric::Psnr]);
+/// comparer.add("a", &grey(0.5), &grey(0.25), None)?;
+/// comparer.add("b", &grey(0.5), &grey(0.5), None)?;
+/// let scores = comparer.finish();
+/// assert_eq!((scores.views[0].mse, scores.perfect_views), (Some(0.0625), 1));
+/// # Ok::<(), gs_metrics::MetricError>(())
+/// ```
 #[derive(Debug)]
 pub struct Comparer {
     metrics: Vec<Metric>,
@@ -102,10 +114,10 @@ impl Comparer {
         Self { metrics: metrics.to_vec(), ssim, ms_ssim: MsSsim::default(), views: Vec::new() }
     }
 
-    /// Scores an image `[H, W, C]` against its truth, and once more where the mask `[H, W, 1]` counts if there is one.
+    /// Scores an image `[H, W, C]` against its ground truth, and within the mask `[H, W, 1]` if there is one.
     ///
     /// # Errors
-    /// Different shapes, values that are not finite, an image too small for SSIM.
+    /// If shapes differ, values are not finite, or an image is too small for SSIM.
     pub fn add(&mut self, name: &str, image: &Image, truth: &Image, mask: Option<&Image>) -> Result<(), MetricError> {
         let mut scores = ImageScores { name: name.to_owned(), ..ImageScores::default() };
         for metric in self.metrics.clone() {
@@ -125,7 +137,7 @@ impl Comparer {
         Ok(())
     }
 
-    /// The scores of all images added.
+    /// The scores of all images, and their means.
     pub fn finish(self) -> SetScores {
         let mean = |value: fn(&ImageScores) -> Option<f64>| Mean::of(self.views.iter().filter_map(value)).value;
         let mses: Vec<f64> = self.views.iter().filter_map(|v| v.mse).collect();

@@ -1,9 +1,8 @@
-//! A trained scene as files of plain splats, which other programs read: baked at a moment, written, read back and measured.
+//! A trained scene as files of plain splats: baked at a timestamp, written, read back and scored.
 //!
-//! Files know less than methods do. Kernels that bend become the Gaussians nearest to them; splats whose looks a network
-//! decodes for a camera (anchors) get the mean of what the training cameras see, colours as spherical harmonics fitted to
-//! it; motion becomes a file per moment. What all that costs is measured on photographs, drawn from what the written bytes
-//! say ([`AsExported`]).
+//! Files hold less than methods do. Non-Gaussian kernels become the nearest Gaussians; splats that a network decodes per camera
+//! (anchors) become their mean over the training cameras, with spherical harmonics fitted to their colours; motion becomes one
+//! file per timestamp. The loss of all this is measured by scoring renders of the bytes read back ([`AsExported`]).
 
 mod fit;
 
@@ -20,37 +19,37 @@ use gs_train::timestamp::Timestamp;
 use std::collections::HashMap;
 use std::sync::{Mutex, PoisonError};
 
-/// Training cameras that looks are averaged over, at most.
-pub const LOOKS: usize = 24;
-/// Splats fainter than this at a moment are not written: no pixel would show them.
-pub const FAINTEST: f32 = 1.0 / 255.0;
+/// Most training cameras that view-dependent splats are averaged over.
+pub(crate) const MAX_CAMERAS: usize = 24;
+/// Opacity below which a splat is not written: it would change no pixel.
+pub(crate) const MIN_OPACITY: f32 = 1.0 / 255.0;
 
-/// A scene that cannot be written.
+/// A scene that cannot be exported.
 #[derive(Debug, thiserror::Error)]
 pub enum ExportError {
-    /// The method cannot be asked for its splats.
+    /// The model cannot produce its splats.
     #[error(transparent)]
     Method(#[from] MethodError),
-    /// The splats at a moment.
+    /// A splat at this time is not valid.
     #[error("the scene at time {time}: {source}")]
     Splats {
-        /// Normalised.
+        /// Normalised time.
         time: f32,
-        /// Row and column.
+        /// Row, column and value.
         source: SplatsError,
     },
-    /// A file.
+    /// A file cannot be written or read back.
     #[error(transparent)]
     Io(#[from] IoError),
-    /// Nothing to write.
+    /// No splat is visible at this time.
     #[error("the scene has no visible splat at time {time}")]
     Empty {
-        /// Normalised.
+        /// Normalised time.
         time: f32,
     },
 }
 
-/// Makes plain splats of a method.
+/// Bakes a model to plain splats.
 pub struct Baker<'a> {
     method: &'a Model,
     cameras: Vec<Camera>,
@@ -58,21 +57,21 @@ pub struct Baker<'a> {
 }
 
 impl<'a> Baker<'a> {
-    /// A baker that looks with up to [`LOOKS`] of these views, spread evenly, and keeps SH up to `degree`.
+    /// Bakes over up to 24 of the cameras of `views`, evenly spaced, with SH up to `degree` (clamped to 3).
     pub fn new(method: &'a Model, views: &[View], degree: u8) -> Self {
-        let kept = views.len().clamp(1, LOOKS);
+        let kept = views.len().clamp(1, MAX_CAMERAS);
         let cameras = (0..kept).filter_map(|k| views.get(k * views.len() / kept)).map(|v| v.camera.clone()).collect();
         Self { method, cameras, degree: degree.min(sh::MAX_DEGREE) }
     }
 
-    /// The visible splats at a moment, in the form files have.
+    /// The visible splats (opacity of at least 1/255) at a timestamp, with the raw parameters of files.
     ///
     /// # Errors
-    /// A splat that is not sound, or none at all.
+    /// If a splat is not valid, or none is visible.
     pub fn bake(&self, at: &Timestamp) -> Result<RawSplats, ExportError> {
         let time = at.t.normalised;
-        let splats = self.seen(at)?.with_plain_kernel();
-        let visible: Vec<usize> = (0..splats.len()).filter(|&i| splats.opacities[i] >= FAINTEST).collect();
+        let splats = self.averaged(at)?.with_plain_kernel();
+        let visible: Vec<usize> = (0..splats.len()).filter(|&i| splats.opacities[i] >= MIN_OPACITY).collect();
         if visible.is_empty() {
             return Err(ExportError::Empty { time });
         }
@@ -80,11 +79,11 @@ impl<'a> Baker<'a> {
         Ok(cut(raw.map_err(|source| ExportError::Splats { time, source })?, self.degree))
     }
 
-    /// What all cameras see together.
-    fn seen(&self, at: &Timestamp) -> Result<Splats, MethodError> {
+    /// The splats, averaged over the cameras if they depend on the camera.
+    fn averaged(&self, at: &Timestamp) -> Result<Splats, MethodError> {
         let Some((first, others)) = self.cameras.split_first() else { return Ok(Splats::default()) };
         let splats = self.method.all_splats(at, first)?;
-        // One other camera tells whether the splats depend on the camera at all.
+        // Compared for one other camera only.
         let depends = match others.last() {
             Some(camera) => self.method.all_splats(at, camera)? != splats,
             None => false,
@@ -100,7 +99,7 @@ impl<'a> Baker<'a> {
     }
 }
 
-/// Some rows of a scene, with the Gaussian for a kernel.
+/// The rows `kept` of a scene, with the Gaussian kernel.
 pub fn rows(splats: &Splats, kept: &[usize]) -> Splats {
     let width = splats.color.width();
     let color = match &splats.color {
@@ -120,7 +119,7 @@ pub fn rows(splats: &Splats, kept: &[usize]) -> Splats {
     }
 }
 
-/// SH up to a degree.
+/// The splats with SH truncated to `degree`; unchanged if they have no more.
 pub fn cut(mut raw: RawSplats, degree: u8) -> RawSplats {
     if degree < raw.degree {
         let kept = 3 * sh::coeffs(degree);
@@ -134,13 +133,13 @@ pub fn cut(mut raw: RawSplats, degree: u8) -> RawSplats {
 pub struct AsExported<'a> {
     baker: Baker<'a>,
     format: SplatFormat,
-    made: Mutex<HashMap<u32, Splats>>,
+    cache: Mutex<HashMap<u32, Splats>>,
 }
 
 impl<'a> AsExported<'a> {
     /// The files of a baker in a format.
     pub fn new(baker: Baker<'a>, format: SplatFormat) -> Self {
-        Self { baker, format, made: Mutex::default() }
+        Self { baker, format, cache: Mutex::default() }
     }
 
     /// The splats of a timestamp, through the bytes of a file.
@@ -148,13 +147,13 @@ impl<'a> AsExported<'a> {
     /// # Errors
     /// If they cannot be baked, written or read back.
     pub fn splats(&self, at: &Timestamp) -> Result<Splats, ExportError> {
-        let mut made = self.made.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut cache = self.cache.lock().unwrap_or_else(PoisonError::into_inner);
         let key = at.t.normalised.to_bits();
-        if let Some(splats) = made.get(&key) {
+        if let Some(splats) = cache.get(&key) {
             return Ok(splats.clone());
         }
-        let splats = self.through_bytes(at)?;
-        made.insert(key, splats.clone());
+        let splats = self.round_trip(at)?;
+        cache.insert(key, splats.clone());
         Ok(splats)
     }
 
@@ -173,10 +172,10 @@ impl<'a> AsExported<'a> {
         evaluate_splats(self.baker.method, &splats, dataset, split, background, images)
     }
 
-    fn through_bytes(&self, at: &Timestamp) -> Result<Splats, ExportError> {
+    fn round_trip(&self, at: &Timestamp) -> Result<Splats, ExportError> {
         let mut bytes = Vec::new();
         write_splats(self.format, &self.baker.bake(at)?, &mut bytes)?;
-        let name = format!("moment.{}", self.format.extension());
+        let name = format!("timestamp.{}", self.format.extension());
         let raw = parse_splats(&bytes, &name, &Limits::default())?;
         raw.to_splats().map_err(|source| ExportError::Splats { time: at.t.normalised, source })
     }

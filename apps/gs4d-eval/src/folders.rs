@@ -1,81 +1,81 @@
-//! Scores of a folder of images against a folder of truths.
+//! Scores of a folder of images against a folder of ground truth.
 //!
-//! Images are taken in the order of the numbers in their names and belong together by name, or by their place in that order
-//! where the names differ. Both are laid over one background and rounded as the protocol says; a score says which protocol it
-//! is of ([`FolderScores::protocol`]). Memory is that of a few images, however many there are.
+//! Images are sorted by the numbers in their names and paired by name, or by position where the names differ. Both are
+//! composited over one background and rounded to 8 bit as the task says; the scores carry their protocol
+//! ([`FolderScores::protocol`]). A few images are in memory at a time.
 
-pub mod pictures;
+mod images;
 
 use crate::compare::{Comparer, Metric, SetScores};
 use gs_core::Image;
 use gs_core::io::IoError;
 use gs_metrics::{MetricError, Tof, TofScore};
 pub use gs_metrics::{Quantise, TofOptions};
-use pictures::{Pictures, mask, over};
+use images::{ImageFolder, load_mask, load_over};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
-/// What is to be scored, and how.
+/// Folders to score, and how.
 #[derive(Clone, Debug)]
 pub struct FolderTask {
-    /// Folder of the images.
+    /// Folder of the images to score.
     pub pred: PathBuf,
-    /// Folder of their truths.
+    /// Folder of their ground truth.
     pub gt: PathBuf,
-    /// Folder of masks: with it every image gets masked scores, too. It may hold more masks than there are images.
+    /// Folder of masks, for masked scores of every image. It may hold more masks than there are images.
     pub mask: Option<PathBuf>,
-    /// Scores of whole images.
+    /// Metrics of whole images.
     pub metrics: Vec<Metric>,
-    /// Motion: the images are frames of one video.
+    /// Options of the temporal metric tOF, if the images are the frames of one video.
     pub tof: Option<TofOptions>,
-    /// Rounding to 8 bit; truths are rounded to the nearest step where it is not [`Quantise::None`].
+    /// Quantisation of the images; unless it is [`Quantise::None`], ground truth is rounded to 8 bit.
     pub quantise: Quantise,
-    /// Colour behind images with alpha.
+    /// Colour behind images with alpha, RGB in `[0, 1]`.
     pub background: [f32; 3],
 }
 
-/// What a folder scored.
+/// The scores of a folder.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct FolderScores {
     /// Scores of images and their means.
     #[serde(flatten)]
     pub images: SetScores,
-    /// Motion, where asked for.
+    /// tOF, where asked for.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tof: Option<VideoScore>,
-    /// How the images were compared, in words.
+    /// Conditions of the comparison, in words.
     pub protocol: String,
 }
 
-/// The motion score of a video.
+/// tOF of a video.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct VideoScore {
-    /// Pixels, mean over pairs.
+    /// Mean over pairs, pixels.
     pub mean: f64,
-    /// Each pair of consecutive frames that counts.
+    /// tOF of each pair of consecutive frames.
     pub pairs: Vec<PairScore>,
 }
 
-/// The motion score of one pair.
+/// tOF of one pair of consecutive frames.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PairScore {
-    /// Place of the later frame, from 0.
+    /// Index of the later frame, from 0.
     pub frame: usize,
-    /// Its name.
+    /// Name of the later frame.
     pub name: String,
-    /// Pixels.
+    /// Mean distance between the flows of both videos, pixels.
     pub tof: f64,
 }
 
 impl VideoScore {
-    /// A score with the names of the frames.
+    /// Adds the names of frames to a score; `name` maps their index.
     pub fn new<'a>(score: &TofScore, name: impl Fn(usize) -> &'a str) -> Self {
         let pair = |&(frame, tof): &(usize, f64)| PairScore { frame, name: name(frame).to_owned(), tof };
         Self { mean: score.mean, pairs: score.pairs.iter().map(pair).collect() }
     }
 }
 
-/// Why folders have no score.
+/// Folders that cannot be scored.
 #[derive(Debug, thiserror::Error)]
 pub enum FolderError {
     /// A folder cannot be listed.
@@ -86,48 +86,48 @@ pub enum FolderError {
         /// The system's reason.
         source: std::io::Error,
     },
-    /// A folder without images.
+    /// A folder holds no images.
     #[error("the folder holds no image (give {extensions} files)")]
     Empty {
         /// The folder.
         folder: PathBuf,
-        /// What would be read.
+        /// Extensions that are read.
         extensions: String,
     },
-    /// Two files of the same name but for the extension.
+    /// Two files have the same name apart from the extension.
     #[error("two images have the same name: {} and {}", first.display(), second.display())]
-    Twins {
-        /// One.
+    SameName {
+        /// The first file.
         first: PathBuf,
-        /// The other.
+        /// The second file.
         second: PathBuf,
     },
-    /// Images without partners.
+    /// Images have no counterpart in the other folder.
     #[error("{count} images have no partner: {named} (the folders hold {} and {} images)", counts[0], counts[1])]
     Unpaired {
-        /// How many.
+        /// Number of images without counterpart.
         count: usize,
-        /// The first of them.
+        /// Names of the first of them.
         named: String,
         /// The folder that lacks them.
         folder: PathBuf,
-        /// Images in both folders.
+        /// Number of images in each of the two folders.
         counts: [usize; 2],
     },
-    /// A file that is no image the metrics take.
+    /// A file is no image of 1, 3 or 4 channels.
     #[error("{what}")]
     Image {
         /// The file.
         path: PathBuf,
-        /// What it is.
+        /// Description of its content.
         what: String,
-        /// What to do.
+        /// How to correct it.
         remedy: &'static str,
     },
-    /// A file that cannot be read.
+    /// A file cannot be read.
     #[error(transparent)]
     Io(#[from] IoError),
-    /// A pair that cannot be compared.
+    /// A pair of images cannot be compared.
     #[error("{source}")]
     Metric {
         /// The image.
@@ -137,22 +137,22 @@ pub enum FolderError {
     },
 }
 
-/// Scores the folders of a task.
+/// Scores the images of a folder against their ground truth.
 ///
 /// # Errors
-/// Folders that cannot be listed or paired, files that cannot be read, pairs that cannot be compared.
+/// If a folder cannot be listed or paired, a file cannot be read, or a pair cannot be compared.
 pub fn score(task: &FolderTask) -> Result<FolderScores, FolderError> {
-    let (images, truths) = (Pictures::of(&task.pred)?, Pictures::of(&task.gt)?);
+    let (images, truths) = (ImageFolder::of(&task.pred)?, ImageFolder::of(&task.gt)?);
     let truths = images.partners(&truths, false)?;
-    let masks = task.mask.as_deref().map(Pictures::of).transpose()?;
+    let masks = task.mask.as_deref().map(ImageFolder::of).transpose()?;
     let masks = masks.as_ref().map(|m| images.partners(m, true)).transpose()?;
     let mut comparer = Comparer::new(&task.metrics);
     let mut video = task.tof.map(Tof::new);
-    for (i, (picture, truth)) in images.files().iter().zip(&truths).enumerate() {
-        let (image, truth) = read_pair(task, &picture.path, &truth.path)?;
-        let mask = masks.as_ref().map(|m| mask(&m[i].path)).transpose()?;
-        let failed = |source| FolderError::Metric { path: picture.path.clone(), source };
-        comparer.add(&picture.name, &image, &truth, mask.as_ref()).map_err(failed)?;
+    for (i, (image_file, truth)) in images.files().iter().zip(&truths).enumerate() {
+        let (image, truth) = read_pair(task, &image_file.path, &truth.path)?;
+        let mask = masks.as_ref().map(|m| load_mask(&m[i].path)).transpose()?;
+        let failed = |source| FolderError::Metric { path: image_file.path.clone(), source };
+        comparer.add(&image_file.name, &image, &truth, mask.as_ref()).map_err(failed)?;
         video.as_mut().map_or(Ok(()), |v| v.add(&image, &truth)).map_err(failed)?;
     }
     let failed = |source| FolderError::Metric { path: task.pred.clone(), source };
@@ -162,7 +162,7 @@ pub fn score(task: &FolderTask) -> Result<FolderScores, FolderError> {
 }
 
 fn read_pair(task: &FolderTask, pred: &Path, gt: &Path) -> Result<(Image, Image), FolderError> {
-    let (mut image, mut truth) = (over(pred, task.background)?, over(gt, task.background)?);
+    let (mut image, mut truth) = (load_over(pred, task.background)?, load_over(gt, task.background)?);
     task.quantise.apply(&mut image);
     if task.quantise != Quantise::None {
         Quantise::Round.apply(&mut truth);
@@ -170,7 +170,7 @@ fn read_pair(task: &FolderTask, pred: &Path, gt: &Path) -> Result<(Image, Image)
     Ok((image, truth))
 }
 
-/// How the images are compared, in words.
+/// Conditions of the comparison, in words.
 fn protocol(task: &FolderTask) -> String {
     let quantised = match task.quantise {
         Quantise::None => "values as stored",
@@ -186,7 +186,7 @@ fn protocol(task: &FolderTask) -> String {
     parts.join("; ")
 }
 
-/// How motion is compared, in words.
+/// Conditions of tOF, in words.
 pub fn tof_protocol(options: TofOptions) -> String {
     let ends = if options.trim { "without the first and last two frames" } else { "all frames" };
     let border = if options.crop { "without the border" } else { "whole frames" };

@@ -1,10 +1,10 @@
-//! Frames after the last training time, for any method, and what they are worth where the truth is known.
+//! Frames after the last training time, for any method, and their scores where ground truth is known.
 //!
-//! The way from a time to splats (*motion*) and from splats to a picture (*drawing*) are timed apart: a method that keeps what
-//! it knows of the future should draw a later frame in no more time than any other.
+//! The evaluation of the splats (*motion*) and the rasterisation (*drawing*) are timed separately: with a cached
+//! extrapolation, a later frame should take no longer than an earlier one.
 //!
-//! Truth is [`Dataset::extrapolate`]: its views up to the last time asked for are scored, moment by moment, and a drawn frame
-//! whose camera and time are those of such a view has that view's scores.
+//! Ground truth is [`Dataset::extrapolate`]: its views up to the last time are scored, and a rendered frame with the camera and
+//! time of such a view has that view's scores.
 
 use gs_core::{Camera, Image, Time};
 use gs_data::{DataError, Dataset, ImageCache, Split};
@@ -23,83 +23,91 @@ pub mod physics;
 pub use path::CameraPath;
 pub use physics::Physics;
 
-/// Most frames of a forecast.
-pub const MOST_FRAMES: usize = 10_000;
-/// Times this close, in distances between frames, are the same.
-const SAME: f64 = 0.01;
+/// Largest number of frames of a forecast.
+pub const MAX_FRAMES: usize = 10_000;
+/// Difference up to which two times are equal, in frame intervals.
+const TIME_TOLERANCE: f64 = 0.01;
 
-/// Why there is no forecast.
+/// A forecast that cannot be made.
 #[derive(Debug, thiserror::Error)]
 pub enum ForecastError {
-    /// Nothing lies between the two times.
+    /// The end is not after the start, or not finite.
     #[error("there is nothing to forecast from {from} to {until}: the end must be later")]
     Empty {
-        /// First time.
+        /// Start, normalised.
         from: f64,
-        /// Last time.
+        /// End, normalised.
         until: f64,
     },
-    /// Too many frames, or a distance that is none.
-    #[error("frames every {interval} from {from} to {until} are not possible: 1 to {MOST_FRAMES} are")]
+    /// There would be no frame, too many, or the interval is not positive.
+    #[error("frames every {interval} from {from} to {until} are not possible: 1 to {MAX_FRAMES} are")]
     Frames {
-        /// First time.
+        /// Start, normalised.
         from: f64,
-        /// Last time.
+        /// End, normalised.
         until: f64,
-        /// Distance of frames.
+        /// Time between frames, normalised.
         interval: f64,
     },
-    /// No view has that name.
+    /// There is no view of this name.
     #[error("no view is named \"{name}\"; there are {some}, …")]
     NoView {
-        /// The name asked for.
+        /// The requested name.
         name: String,
-        /// A few that there are.
+        /// Names of the first views.
         some: String,
     },
-    /// Photographs cannot be read, or frames cannot be compared.
+    /// Images cannot be read, or frames cannot be compared.
     #[error(transparent)]
     Eval(#[from] EvalError),
 }
 
-/// How frames lie between two times.
+/// Spacing of the frames of a forecast.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Spacing {
-    /// This far apart, normalised.
+    /// A frame every so much normalised time.
     Interval(f64),
-    /// So many, evenly, the last one at the end.
+    /// So many evenly spaced frames, the last one at the end.
     Count(usize),
 }
 
-/// Times after `from` up to `until`, normalised.
+/// Frame times after `from` up to `until`, normalised.
+///
+/// ```
+/// use gs4d_eval::forecast::{Spacing, times};
+///
+/// assert_eq!(times(0.5, 1.0, Spacing::Count(2))?, [0.75, 1.0]);
+/// assert_eq!(times(0.5, 1.0, Spacing::Interval(0.375))?, [0.875]);
+/// # Ok::<(), gs4d_eval::forecast::ForecastError>(())
+/// ```
 ///
 /// # Errors
-/// If there are none, or too many.
+/// If there are none, or more than [`MAX_FRAMES`].
 pub fn times(from: f64, until: f64, spacing: Spacing) -> Result<Vec<f64>, ForecastError> {
     if !(until > from && until.is_finite() && from.is_finite()) {
         return Err(ForecastError::Empty { from, until });
     }
     let (count, interval) = match spacing {
         Spacing::Count(n) => (n as f64, (until - from) / n.max(1) as f64),
-        Spacing::Interval(d) => (((until - from) / d + SAME).floor(), d),
+        Spacing::Interval(d) => (((until - from) / d + TIME_TOLERANCE).floor(), d),
     };
-    if !(count >= 1.0 && count <= MOST_FRAMES as f64) {
+    if !(count >= 1.0 && count <= MAX_FRAMES as f64) {
         return Err(ForecastError::Frames { from, until, interval });
     }
     Ok((1..=count as usize).map(|k| from + k as f64 * interval).collect())
 }
 
-/// The data's clock: seconds `start + rate t` at normalised time `t`.
+/// The clock of the data: seconds `start + rate t` at normalised time `t`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Clock {
-    /// Reading at normalised time 0.
+    /// Seconds at normalised time 0.
     pub start: f64,
-    /// Seconds that the whole sequence (0..1) takes.
+    /// Seconds per unit of normalised time: the duration of the sequence 0..1.
     pub rate: f64,
 }
 
 impl Clock {
-    /// The clock of a data set; none where it only repeats the normalised time, or the scene stands still.
+    /// The clock of a data set; `None` where seconds equal the normalised time, or there is only one time.
     pub fn of(dataset: &Dataset) -> Option<Self> {
         let all = || dataset.train.iter().chain(&dataset.extrapolate).map(|v| v.time);
         let first = all().min_by(|a, b| a.normalised.total_cmp(&b.normalised))?;
@@ -110,91 +118,91 @@ impl Clock {
         known.then_some(Self { start, rate })
     }
 
-    /// The time of a normalised one.
+    /// The [`Time`] of normalised time `t`; without a clock, seconds equal `t`.
     pub fn time(clock: Option<Self>, t: f64) -> Time {
         Time { normalised: t as f32, seconds: clock.map_or(t, |c| c.start + c.rate * t) }
     }
 }
 
-/// A drawn frame and what it took.
+/// A rendered frame and its cost.
 pub struct Frame {
-    /// The picture, in `[0, 1]`.
+    /// RGB in `[0, 1]`, `[H, W, 3]`.
     pub image: Image,
-    /// Milliseconds from the time to splats.
+    /// Milliseconds to evaluate the splats at the time.
     pub motion_ms: f64,
-    /// Milliseconds from splats to the picture.
+    /// Milliseconds to rasterise them.
     pub drawing_ms: f64,
 }
 
-/// Draws one frame.
+/// Renders one frame.
 ///
 /// # Errors
-/// If the method cannot be asked for its splats.
+/// If the model cannot produce its splats.
 pub fn draw(method: &Model, renderer: &mut Renderer, camera: &Camera, time: Time) -> Result<Frame, MethodError> {
-    let begun = Instant::now();
+    let start = Instant::now();
     let splats = method.splats(&Timestamp::new(time), camera)?;
-    let motion = begun.elapsed();
-    let drawn = Instant::now();
+    let motion = start.elapsed();
+    let start = Instant::now();
     let image = clamped(renderer.render(&splats, camera));
     let ms = |d: std::time::Duration| 1e3 * d.as_secs_f64();
-    Ok(Frame { image, motion_ms: ms(motion), drawing_ms: ms(drawn.elapsed()) })
+    Ok(Frame { image, motion_ms: ms(motion), drawing_ms: ms(start.elapsed()) })
 }
 
-/// Scores at one moment, means over the views there.
+/// Scores at one time: means over its views.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct MomentScores {
-    /// Normalised time.
+pub struct TimestampScores {
+    /// Normalised time of the views.
     pub time: f64,
-    /// How far beyond the last training time, normalised.
+    /// Normalised time since the last training time.
     pub beyond: f64,
-    /// Views.
+    /// Number of views.
     pub views: usize,
-    /// dB; absent where all views are perfect.
+    /// Mean PSNR, dB; absent where all views are perfect.
     pub psnr: Option<f64>,
-    /// Structural similarity.
+    /// Mean SSIM.
     pub ssim: f64,
-    /// dB where masks count, where views have masks.
+    /// Mean PSNR within masks, dB; absent without masks.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub masked_psnr: Option<f64>,
 }
 
-/// The truth about a future.
+/// Scores of the views beyond the last training time.
 pub struct Truth {
-    /// Scores of every view of it.
+    /// Scores of every view.
     pub report: EvalReport,
     cameras: Vec<Camera>,
 }
 
 impl Truth {
-    /// Scores the views of the future up to a time; none if there is no such view.
+    /// Scores the views of [`Dataset::extrapolate`] up to a normalised time; `None` if there are none.
     ///
     /// # Errors
-    /// If a photograph cannot be read or a frame is not finite.
+    /// If an image cannot be read or a frame is not finite.
     pub fn of(
         method: &Model,
         dataset: &Dataset,
         until: f64,
         background: [f32; 3],
-        photographs: &ImageCache,
+        images: &ImageCache,
     ) -> Result<Option<Self>, EvalError> {
         let known = dataset.extrapolate.iter().filter(|v| f64::from(v.time.normalised) <= until + 1e-6);
         let known = Dataset { extrapolate: known.cloned().collect(), ..dataset.without_views() };
         if known.extrapolate.is_empty() {
             return Ok(None);
         }
-        let report = evaluate(method, &known, Split::Extrapolate, background, photographs)?;
-        let cameras = known.extrapolate.iter().map(|v| photographs.camera(v)).collect();
+        let report = evaluate(method, &known, Split::Extrapolate, background, images)?;
+        let cameras = known.extrapolate.iter().map(|v| images.camera(v)).collect();
         Ok(Some(Self { report, cameras }))
     }
 
-    /// The scores of the view with this camera and time, if there is one; `interval` is the distance between frames.
+    /// The scores of the view with this camera and time, if there is one; `interval` is the time between frames.
     pub fn frame(&self, camera: &Camera, time: f64, interval: f64) -> Option<&ViewScores> {
-        let near = |v: &ViewScores| (f64::from(v.time) - time).abs() <= SAME * interval;
+        let near = |v: &ViewScores| (f64::from(v.time) - time).abs() <= TIME_TOLERANCE * interval;
         self.report.views.iter().zip(&self.cameras).find(|(v, c)| near(v) && *c == camera).map(|(v, _)| v)
     }
 
-    /// Scores moment by moment, in order of time; `last` is the last training time.
-    pub fn moments(&self, last: f64) -> Vec<MomentScores> {
+    /// Scores per time, ascending; `last` is the last training time.
+    pub fn moments(&self, last: f64) -> Vec<TimestampScores> {
         let mut views: Vec<&ViewScores> = self.report.views.iter().collect();
         views.sort_by(|a, b| a.time.total_cmp(&b.time));
         let of = |group: &[&ViewScores]| {
@@ -202,7 +210,7 @@ impl Truth {
                 gs_metrics::Mean::of(group.iter().filter_map(|v| value(v))).value
             };
             let time = f64::from(group[0].time);
-            MomentScores {
+            TimestampScores {
                 time,
                 beyond: time - last,
                 views: group.len(),
@@ -237,7 +245,7 @@ mod tests {
             (1.0, 1.0, Spacing::Count(3)),
             (0.5, f64::NAN, Spacing::Count(3)),
             (0.5, 1.0, Spacing::Count(0)),
-            (0.5, 1.0, Spacing::Count(MOST_FRAMES + 1)),
+            (0.5, 1.0, Spacing::Count(MAX_FRAMES + 1)),
             (0.5, 1.0, Spacing::Interval(0.0)),
             (0.5, 1.0, Spacing::Interval(-1.0)),
             (0.5, 1.0, Spacing::Interval(2.0)),

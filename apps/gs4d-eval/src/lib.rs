@@ -1,9 +1,13 @@
-//! What a trained scene is worth: scores of folders of images, forecasts, segments, tracks, and files for other programs.
+//! Evaluation of trained scenes: scores of image folders, forecasts, segments, tracks, and export to other formats.
 //!
 //! * [`folders`], [`compare`], [`temporal`]: given images against ground truth, frame by frame and over time.
 //! * [`forecast`]: frames past the last training time; [`physics_check`]: learnt motion against known twists.
 //! * [`segment`]: rigid parts; [`track`]: the path of one part; [`stage_motion`]: what each stage of a method moves.
 //! * [`export`]: plain splats per timestamp (`.ply`, `.splat`, `.spz`, `.glb`) and the PSNR this costs.
+//! * [`spread`]: mean and standard deviation of scores.
+
+#![warn(unreachable_pub)]
+#![warn(clippy::allow_attributes_without_reason)]
 
 pub mod compare;
 pub mod export;

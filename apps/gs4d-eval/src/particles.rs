@@ -1,4 +1,4 @@
-//! Splats as rigid particles, as the physics crate knows their motion.
+//! Splats as rigid particles with the motions of [`gs_physics`].
 
 use glam::Vec3;
 use gs_core::Splats;
@@ -8,18 +8,18 @@ use gs_train::model::Model;
 /// The particles of a model at one time and their motions from there.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Particles {
-    /// The time, normalised.
+    /// Normalised time of the particles.
     pub at: f64,
     /// The splats at that time.
     pub splats: Splats,
-    /// Per splat its motion from then on, per unit of normalised time.
+    /// Motion of each splat from then on, per unit of normalised time.
     pub motions: Vec<Motion<f32>>,
     /// The origin that twists refer to, world units.
     pub origin: Vec3,
 }
 
 impl Particles {
-    /// Those of a model whose method has learnt their motion.
+    /// The particles of a model; `None` if its method does not learn twists.
     pub fn of(model: &Model) -> Option<Self> {
         let found = model.capabilities().particles?.particles();
         let motion = |[v, w, dv, dw, ddv, ddw]: &[[f32; 3]; 6]| Motion {

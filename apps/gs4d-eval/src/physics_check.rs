@@ -1,9 +1,9 @@
-//! What a method learnt of motion against the truth of a generated scene, body by body.
+//! Learnt motion against the ground truth of a generated scene, body by body.
 //!
-//! Opaque particles that lie near the surface of a body are compared with it: the velocity field `u(x) = v̄ + w × (x − o)` and
-//! the acceleration `ū(x) = v̄' + w' × (x − o) + w × u(x)` at the particle, the twist and its rate themselves, and where the
-//! particle is later when its motion alone carries it (fourth order, so that the error is that of the motion). Particles of the
-//! truth itself have errors of the rounding of `f32`.
+//! Opaque particles near the surface of a body are compared with it: the velocity field `u(x) = v̄ + w × (x − o)` and the
+//! acceleration `ū(x) = v̄' + w' × (x − o) + w × u(x)` at the particle, the twist and its rate, and later positions under the
+//! learnt motion (integrated at fourth order, so that the error is that of the motion). Particles with the true motion have
+//! errors of `f32` rounding.
 
 use crate::particles::Particles;
 use glam::{DVec3, Vec3};
@@ -12,59 +12,59 @@ use gs_synth::Truth;
 use serde::{Serialize, Serializer};
 use std::fmt::Write as _;
 
-/// Longest step of the roll-out, normalised time.
-const STEP: f64 = 1.0 / 60.0;
-/// Later moments looked at by default.
-const MOMENTS: u32 = 3;
+/// Longest integration step, normalised time.
+const MAX_STEP: f64 = 1.0 / 60.0;
+/// Number of later times by default.
+const LATER_TIMES: u32 = 3;
 
 /// Which particles are compared, and when.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PhysicsOptions {
-    /// Least opacity.
+    /// Least opacity of a particle, 0..1.
     pub opacity: f32,
-    /// Largest distance from the surface, world units.
+    /// Largest distance of a particle from the surface, world units.
     pub tolerance: f64,
-    /// Moments to roll to, normalised.
+    /// Normalised times at which positions are compared.
     pub times: Vec<f64>,
 }
 
 impl PhysicsOptions {
-    /// Opacity 0.5, distance 0.05; the scene's boundary (its `at` where nothing lies beyond it), and three evenly spaced moments
-    /// to the end of the sequence or, where that is reached, a quarter beyond.
+    /// Opacity 0.5, distance 0.05; the last training time (at least the time of the particles) and three evenly spaced times
+    /// from there to the end of the sequence or, if that is reached, to a quarter beyond.
     pub fn of(particles: &Particles, truth: &Truth) -> Self {
         let boundary = if truth.options().cameras > 0 { truth.options().boundary } else { 1.0 };
         let from = boundary.max(particles.at);
         let end = if from < 1.0 { 1.0 } else { from + 0.25 };
-        let time = |k: u32| from + (end - from) * f64::from(k) / f64::from(MOMENTS);
-        Self { opacity: 0.5, tolerance: 0.05, times: (0..=MOMENTS).map(time).collect() }
+        let time = |k: u32| from + (end - from) * f64::from(k) / f64::from(LATER_TIMES);
+        Self { opacity: 0.5, tolerance: 0.05, times: (0..=LATER_TIMES).map(time).collect() }
     }
 }
 
-/// Lengths of errors of a vector over particles: `|learnt − true|`.
+/// Distribution over particles of the error `|learnt − true|` of a vector.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Spread {
-    /// Median of the length of the true vector.
+pub struct ErrorStats {
+    /// Median length of the true vector.
     pub truth: f64,
-    /// Median error.
+    /// Median of the error.
     pub median: f64,
-    /// 95 % of the particles have at most this error.
+    /// 95th percentile of the error.
     pub p95: f64,
 }
 
-impl Spread {
+impl ErrorStats {
     fn of(pairs: impl Iterator<Item = (DVec3, DVec3)>) -> Self {
         let (mut errors, mut truths): (Vec<f64>, Vec<f64>) =
             pairs.map(|(learnt, truth)| (learnt.distance(truth), truth.length())).unzip();
-        Self { truth: rank(&mut truths, 0.5), median: rank(&mut errors, 0.5), p95: rank(&mut errors, 0.95) }
+        Self { truth: quantile(&mut truths, 0.5), median: quantile(&mut errors, 0.5), p95: quantile(&mut errors, 0.95) }
     }
 
-    /// Median and 95th percentile in parts of the true length; none where that is zero.
+    /// Median and 95th percentile relative to the true length; `None` where that is zero.
     pub fn relative(&self) -> Option<[f64; 2]> {
         (self.truth > 0.0).then(|| [self.median / self.truth, self.p95 / self.truth])
     }
 }
 
-impl Serialize for Spread {
+impl Serialize for ErrorStats {
     fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
         #[derive(Serialize)]
         struct Fields {
@@ -77,8 +77,8 @@ impl Serialize for Spread {
     }
 }
 
-/// Nearest rank; NaN counts as larger than anything, none gives 0.
-fn rank(values: &mut [f64], share: f64) -> f64 {
+/// Quantile of magnitudes by nearest rank; NaN sorts last, no values give 0.
+fn quantile(values: &mut [f64], share: f64) -> f64 {
     values.sort_unstable_by(|a, b| a.abs().total_cmp(&b.abs()));
     let rank = (share * values.len() as f64).ceil() as usize;
     values.get(rank.max(1) - 1).copied().unwrap_or(0.0)
@@ -87,52 +87,52 @@ fn rank(values: &mut [f64], share: f64) -> f64 {
 /// Errors of the particles of one body.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct BodyErrors {
-    /// `u(x)`, world units per unit of time.
-    pub velocity: Spread,
+    /// `u(x)` at the particle, world units per unit of time.
+    pub velocity: ErrorStats,
     /// `v̄`: the velocity field at the origin of the twists.
-    pub v: Spread,
+    pub v: ErrorStats,
     /// Rotation vector, radians per unit of time.
-    pub w: Spread,
-    /// Acceleration at the particle.
-    pub acceleration: Spread,
-    /// `v̄'`.
-    pub v_rate: Spread,
-    /// `w'`.
-    pub w_rate: Spread,
-    /// Displacement since the moment of the particles at each of the times asked for, world units: its error is that of the
-    /// position.
-    pub way: Vec<Spread>,
+    pub w: ErrorStats,
+    /// `ū(x)` at the particle, world units per unit of time squared.
+    pub acceleration: ErrorStats,
+    /// `v̄'`: rate of `v̄`.
+    pub v_rate: ErrorStats,
+    /// `w'`: rate of `w`.
+    pub w_rate: ErrorStats,
+    /// Displacement from the time of the particles to each time of [`PhysicsOptions::times`], world units: its error is that of
+    /// the position.
+    pub way: Vec<ErrorStats>,
 }
 
-/// One body.
+/// The comparison with one body.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct BodyReport {
-    /// Its name.
+    /// Name of the body.
     pub name: &'static str,
-    /// Particles on its surface.
+    /// Number of particles on its surface.
     pub particles: usize,
-    /// Their errors; none without particles, and for a body that deforms.
+    /// Their errors; `None` without particles, and for a body that deforms.
     pub errors: Option<BodyErrors>,
 }
 
-/// A method's motions against the truth.
+/// Learnt motion against the ground truth.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PhysicsReport {
-    /// The scene.
+    /// Name of the generated scene.
     pub scene: &'static str,
-    /// The moment of the particles, normalised.
+    /// Normalised time of the particles.
     pub at: f64,
-    /// What was compared.
+    /// Options of the comparison.
     pub options: PhysicsOptions,
-    /// All particles.
+    /// Number of particles.
     pub particles: usize,
-    /// Those that are opaque enough.
+    /// Number of particles of at least the least opacity.
     pub opaque: usize,
-    /// The bodies.
+    /// Comparisons in the order of the scene's bodies.
     pub bodies: Vec<BodyReport>,
 }
 
-/// Compares particles with the truth of their scene.
+/// Compares particles with the ground truth of their scene.
 pub fn check(particles: &Particles, truth: &Truth, options: &PhysicsOptions) -> PhysicsReport {
     let opaque = (0..particles.motions.len()).filter(|&i| particles.splats.opacities[i] >= options.opacity);
     let opaque: Vec<usize> = opaque.collect();
@@ -158,7 +158,7 @@ pub fn check(particles: &Particles, truth: &Truth, options: &PhysicsOptions) -> 
     }
 }
 
-/// The body whose surface is nearest, if it is within the tolerance; none for a place that is not finite.
+/// The body with the nearest surface, if that is within the tolerance; `None` for a position that is not finite.
 fn body_at(truth: &Truth, x: DVec3, t: f64, tolerance: f64) -> Option<usize> {
     if !x.is_finite() {
         return None;
@@ -168,47 +168,48 @@ fn body_at(truth: &Truth, x: DVec3, t: f64, tolerance: f64) -> Option<usize> {
     (distance <= tolerance).then_some(body)
 }
 
-/// Errors of these rows against a body; none if it deforms.
+/// Errors of some rows against a body; `None` if it deforms.
 fn errors(particles: &Particles, rows: &[usize], truth: &Truth, body: usize, times: &[f64]) -> Option<BodyErrors> {
     let origin = particles.origin.as_dvec3();
     let rates = truth.rates_of(body, particles.at)?;
-    let is = rates.twist(origin);
-    let place = |i: usize| particles.splats.means[i].as_dvec3();
-    let learnt: Vec<(DVec3, Motion<f64>)> = rows.iter().map(|&i| (place(i), particles.motions[i].to_f64())).collect();
-    let twist =
-        |of: fn(&Motion<f64>) -> [f64; 3]| Spread::of(learnt.iter().map(|(_, m)| (of(m).into(), of(&is).into())));
+    let true_twist = rates.twist(origin);
+    let position = |i: usize| particles.splats.means[i].as_dvec3();
+    let learnt: Vec<(DVec3, Motion<f64>)> =
+        rows.iter().map(|&i| (position(i), particles.motions[i].to_f64())).collect();
+    let twist = |of: fn(&Motion<f64>) -> [f64; 3]| {
+        ErrorStats::of(learnt.iter().map(|(_, m)| (of(m).into(), of(&true_twist).into())))
+    };
     let arm = |x: DVec3| (x - origin).to_array();
-    let moves = |(x, m): &(DVec3, Motion<f64>)| (m.twist.velocity(arm(*x)).into(), rates.velocity(*x));
-    let hurries = |(x, m): &(DVec3, Motion<f64>)| (m.acceleration(arm(*x)).into(), rates.acceleration(*x));
+    let velocities = |(x, m): &(DVec3, Motion<f64>)| (m.twist.velocity(arm(*x)).into(), rates.velocity(*x));
+    let accelerations = |(x, m): &(DVec3, Motion<f64>)| (m.acceleration(arm(*x)).into(), rates.acceleration(*x));
     Some(BodyErrors {
-        velocity: Spread::of(learnt.iter().map(moves)),
+        velocity: ErrorStats::of(learnt.iter().map(velocities)),
         v: twist(|m| m.twist.v),
         w: twist(|m| m.twist.w),
-        acceleration: Spread::of(learnt.iter().map(hurries)),
+        acceleration: ErrorStats::of(learnt.iter().map(accelerations)),
         v_rate: twist(|m| m.rate.v),
         w_rate: twist(|m| m.rate.w),
-        way: times.iter().map(|&t| way(particles, rows, truth, body, t)).collect(),
+        way: times.iter().map(|&t| displacement(particles, rows, truth, body, t)).collect(),
     })
 }
 
-/// Displacements from the moment of the particles to `t`: rolled, and true.
-fn way(particles: &Particles, rows: &[usize], truth: &Truth, body: usize, t: f64) -> Spread {
+/// Displacements from the time of the particles to `t`: integrated, and true.
+fn displacement(particles: &Particles, rows: &[usize], truth: &Truth, body: usize, t: f64) -> ErrorStats {
     let motions: Vec<Motion<f32>> = rows.iter().map(|&i| particles.motions[i]).collect();
     let start: Vec<Vec3> = rows.iter().map(|&i| particles.splats.means[i]).collect();
     let mut means = start.clone();
-    let mut turns = vec![[1.0, 0.0, 0.0, 0.0]; rows.len()];
-    let rollout = Rollout { rule: Integrator::Se3Magnus4, dt: STEP, origin: particles.origin };
-    rollout.advance(&motions, [0.0, t - particles.at], &mut means, &mut turns);
+    let mut rotations = vec![[1.0, 0.0, 0.0, 0.0]; rows.len()];
+    let rollout = Rollout { rule: Integrator::Se3Magnus4, dt: MAX_STEP, origin: particles.origin };
+    rollout.advance(&motions, [0.0, t - particles.at], &mut means, &mut rotations);
     let poses = [particles.at, t].map(|t| truth.bodies()[body].motion.at(t));
-    Spread::of(start.iter().zip(&means).map(|(from, to)| {
+    ErrorStats::of(start.iter().zip(&means).map(|(from, to)| {
         let from = from.as_dvec3();
         (to.as_dvec3() - from, poses[1].apply(poses[0].invert(from)) - from)
     }))
 }
 
 impl PhysicsReport {
-    /// A table for people: median errors in parts of the true lengths (as lengths where a body does not move so), then how far
-    /// off positions are.
+    /// A text table: median errors relative to the true lengths (absolute where those are zero), then errors of positions.
     pub fn to_text(&self) -> String {
         let assigned: usize = self.bodies.iter().map(|b| b.particles).sum();
         let mut out = format!(
@@ -227,7 +228,7 @@ impl PhysicsReport {
             let _ = write!(out, "{:14}{:>9}", b.name, b.particles);
             if let Some(e) = &b.errors {
                 for s in [&e.velocity, &e.w, &e.acceleration, &e.w_rate] {
-                    let _ = write!(out, "{:>22}", share(s));
+                    let _ = write!(out, "{:>22}", relative_text(s));
                 }
                 for s in &e.way {
                     let _ = write!(out, "{:>20}", format!("{:.4} ({:.4})", s.median, s.p95));
@@ -239,8 +240,8 @@ impl PhysicsReport {
     }
 }
 
-/// A spread in per cent of the true length, or as it is.
-fn share(s: &Spread) -> String {
+/// Errors in per cent of the true length, or absolute where that is zero.
+fn relative_text(s: &ErrorStats) -> String {
     match s.relative() {
         Some([median, p95]) => format!("{:.2} % ({:.2} %)", 100.0 * median, 100.0 * p95),
         None => format!("{:.4} ({:.4})", s.median, s.p95),

@@ -1,16 +1,16 @@
-//! The rigid parts of a trained scene: labels of splats, masks of views, scores, and how complex the motion is.
+//! Rigid parts of a trained scene: labels of splats, masks of views, scores, and the complexity of the motion.
 //!
 //! ```text
 //! particles with twists ─ K-means, merged where one twist explains both ─┐
 //! splats that only deform ─ OGC on their paths ──────────────────────────┴→ labels → masks of any view → scores
 //! ```
-//! * [`labels`]: a label per splat, from [`Method::particles`](gs_train::method::Method::particles) where the method has learnt
-//!   twists (TRACE, GVFi), else from where its splats go ([`gs_physics::segment::Ogc`], as DefGS is scored).
-//! * [`masks`]: splats in the colour of their label, alpha-blended by the rasteriser; the background is what light is left.
-//! * [`truth`]: true label images: of a generated scene, of the data set, or of a folder.
+//! * [`labels`]: a label per splat, by clustering of [`Particles`](crate::particles::Particles) where the method learns twists
+//!   (TRACE, GVFi), else by the paths of its splats ([`gs_physics::segment::Ogc`], as DefGS is scored).
+//! * [`masks`]: one-hot label colours, alpha-blended by the rasteriser; the background is the remaining transmittance.
+//! * [`truth`]: ground-truth label images: of a generated scene, of the data set, or of a folder.
 //! * [`score`]: AP, PQ, F1 and mIoU ([`gs_metrics::segmentation`]) over the views of a split.
-//! * [`parts`]: how each part moves, and how rigid it is.
-//! * [`tracks`]: scene motion velocity and acceleration from the particles that pixels see.
+//! * [`parts`]: motion and rigidity of each part.
+//! * [`tracks`]: scene motion velocity and acceleration from tracks of pixels.
 
 pub mod labels;
 pub mod masks;
@@ -35,27 +35,27 @@ use gs_data::DataError;
 use gs_metrics::MetricError;
 use gs_train::method::MethodError;
 
-/// Why there are no parts.
+/// A scene that cannot be segmented.
 #[derive(Debug, thiserror::Error)]
 pub enum SegmentError {
-    /// The method cannot be asked for its splats.
+    /// The model cannot produce its splats.
     #[error(transparent)]
     Method(#[from] MethodError),
-    /// Nothing to tell apart.
+    /// There are no splats, or their number changes over time.
     #[error("method `{0}` keeps its splats in no order that lasts, or has none: there are no paths to segment by")]
     NoPaths(String),
-    /// A true label image cannot be used.
+    /// A ground-truth label image cannot be used.
     #[error("labels of view `{view}`: {why}")]
     Labels {
         /// Name of the view.
         view: String,
-        /// What is wrong with them.
+        /// What is wrong with its labels.
         why: String,
     },
     /// A file of labels cannot be read.
     #[error(transparent)]
     Io(#[from] IoError),
-    /// A file of labels cannot be read.
+    /// A label image cannot be decoded, or has the wrong size.
     #[error(transparent)]
     Data(#[from] DataError),
     /// Masks cannot be scored.

@@ -1,19 +1,26 @@
-//! Scores of several runs: which columns a table shows, mean and deviation over seeds.
+//! Scores of several runs: columns of tables, mean and standard deviation.
 
 use gs_train::evaluate::EvalReport;
 use serde::Serialize;
 
-/// Mean and standard deviation over seeds (`n − 1` in the denominator; 0 for one seed).
+/// Mean and sample standard deviation (`n − 1` in the denominator; 0 for one value).
+///
+/// ```
+/// use gs4d_eval::spread::Spread;
+///
+/// assert_eq!(Spread::of(&[1.0, 3.0, 5.0]), Some(Spread { mean: 3.0, deviation: 2.0 }));
+/// assert_eq!(Spread::of(&[]), None);
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Spread {
-    /// Mean.
+    /// Arithmetic mean.
     pub mean: f64,
-    /// Standard deviation.
+    /// Sample standard deviation.
     pub deviation: f64,
 }
 
 impl Spread {
-    /// Of some values; `None` without any.
+    /// Of `values`, summed in order; `None` if there are none.
     pub fn of(values: &[f64]) -> Option<Self> {
         let n = values.len() as f64;
         let mean = values.iter().sum::<f64>() / n;
@@ -22,10 +29,10 @@ impl Spread {
     }
 }
 
-/// A score: its name in tables, its digits, its value.
+/// A column of a table of runs: header, decimal digits, value of a report.
 pub type Score = (&'static str, usize, fn(&EvalReport) -> Option<f64>);
 
-/// Columns of tables that set entries or runs beside each other; those that nobody has a number for are left out there.
+/// The columns of tables of runs; tables leave out those without any value.
 pub const SCORES: [Score; 7] = [
     ("psnr", 2, |r| r.mean.psnr),
     ("ext dB", 2, EvalReport::extrapolated_psnr),

@@ -1,10 +1,10 @@
-//! Motion between two stages of a model, exactly, and as an estimator sees it in their pictures.
+//! Optical flow between two stages of a model: exact, from its splats, and estimated from their renders.
 //!
 //! ```text
 //! flow(p) = Σ w_i(p) (π(x_i) − π(x̄_i)) / Σ w_i(p)
 //! ```
 //! with `π` the projection, `x_i` the centre of splat `i` at this stage, `x̄_i` one stage earlier, and `w_i(p)` the weight that
-//! splat `i` has in the picture at pixel `p`. The numerator is drawn by the rasteriser itself, with displacements for colours.
+//! splat `i` has in the render at pixel `p`. The rasteriser computes the sums, with displacements for colours.
 
 use glam::{DVec2, DVec3, Vec3};
 use gs_core::{Camera, Color, Image, Splats};
@@ -14,38 +14,38 @@ use serde::{Deserialize, Serialize};
 
 use gs_train::renderer::Renderer;
 
-/// In which of two pictures a flow lives.
+/// The image whose pixels a flow is defined at.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Anchor {
-    /// In the later one: how far has come what is seen at this pixel. Masks of the moment fit it.
+    /// The later one: how far the content of a pixel has moved. Masks of the timestamp apply to it.
     #[default]
     Later,
-    /// In the earlier one: how far goes what was seen at this pixel.
+    /// The earlier one: how far the content of a pixel will move.
     Earlier,
 }
 
-/// A flow, and where there is something that could move.
+/// A flow and its coverage.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Motion {
-    /// Displacement from the earlier stage to the later, pixels; 0 where nothing is seen.
+    /// Displacement from the earlier stage to the later, pixels; 0 where coverage is below [`MIN_COVER`].
     pub flow: Flow,
-    /// The part of each pixel that splats cover, `[H, W]`.
+    /// Accumulated alpha of each pixel, `[H, W]`.
     pub cover: Vec<f32>,
 }
 
-/// Pixels less covered than this show nothing: their flow would be that of a fringe.
-pub const LEAST_COVER: f32 = 0.5;
+/// Least accumulated alpha of a pixel with a flow: that of silhouette edges is unreliable.
+pub const MIN_COVER: f32 = 0.5;
 
 impl Motion {
-    /// Whether each pixel shows something.
+    /// Whether each pixel has a flow.
     pub fn seen(&self) -> Vec<bool> {
-        self.cover.iter().map(|&c| c >= LEAST_COVER).collect()
+        self.cover.iter().map(|&c| c >= MIN_COVER).collect()
     }
 }
 
-/// The motion of a model's splats from `before` to where they are. Splats that are not in front of the camera at both ends are
-/// taken to rest.
+/// The exact flow of splats from the means `before` to their present ones. Splats that are not in front of the camera at both
+/// ends have displacement 0. The background of `renderer` is ignored.
 pub fn model_motion(
     renderer: &mut Renderer,
     camera: &Camera,
@@ -54,26 +54,26 @@ pub fn model_motion(
     anchor: Anchor,
 ) -> Motion {
     let near = renderer.options.near;
-    let place = |world: Vec3| -> Option<DVec2> {
-        let seen = camera.to_camera(DVec3::from(world));
-        (seen.z > near).then(|| camera.to_pixel(seen))
+    let project = |world: Vec3| -> Option<DVec2> {
+        let point = camera.to_camera(DVec3::from(world));
+        (point.z > near).then(|| camera.to_pixel(point))
     };
-    let moved = |(now, was): (&Vec3, &Vec3)| match place(*now).zip(place(*was)) {
+    let moved = |(now, was): (&Vec3, &Vec3)| match project(*now).zip(project(*was)) {
         Some((now, was)) => [(now.x - was.x) as f32, (now.y - was.y) as f32, 1.0],
         None => [0.0, 0.0, 1.0],
     };
-    let mut drawn = splats.clone();
-    drawn.color = Color::Rgb(splats.means.iter().zip(before).map(moved).collect());
+    let mut colored = splats.clone();
+    colored.color = Color::Rgb(splats.means.iter().zip(before).map(moved).collect());
     if anchor == Anchor::Earlier {
-        drawn.means.clone_from_slice(before);
+        colored.means.clone_from_slice(before);
     }
     let background = std::mem::take(&mut renderer.options.background);
-    let frame = renderer.render(&drawn, camera);
+    let frame = renderer.render(&colored, camera);
     let (width, height) = (frame.width, frame.height);
     let mut flow = Flow::zeros(width, height);
     let mut cover = Vec::with_capacity(width * height);
     for (k, sum) in frame.rgb.chunks_exact(3).enumerate() {
-        if sum[2] >= LEAST_COVER {
+        if sum[2] >= MIN_COVER {
             (flow.u[k], flow.v[k]) = (sum[0] / sum[2], sum[1] / sum[2]);
         }
         cover.push(sum[2]);
@@ -82,11 +82,11 @@ pub fn model_motion(
     Motion { flow, cover }
 }
 
-/// Farneback's flow between the 8-bit pictures of two stages (RGB in `[0, 1]`), anchored as asked.
+/// Farneback's flow between the renders of two stages (RGB in `[0, 1]`), at the pixels of `anchor`.
 ///
 /// # Errors
-/// If the pictures have different sizes, or hold values that are not finite.
-pub fn seen_motion(earlier: &Image, later: &Image, anchor: Anchor) -> Result<Flow, MetricError> {
+/// If the images have different sizes, or values that are not finite.
+pub fn estimated_motion(earlier: &Image, later: &Image, anchor: Anchor) -> Result<Flow, MetricError> {
     if anchor == Anchor::Earlier {
         return farneback(earlier, later);
     }
@@ -160,7 +160,7 @@ mod tests {
                 let frame = p.render(s, &c);
                 Image { width: frame.width, height: frame.height, channels: 3, data: frame.rgb.clone() }
             };
-            let seen = seen_motion(&picture(&was), &picture(&now), anchor).unwrap();
+            let seen = estimated_motion(&picture(&was), &picture(&now), anchor).unwrap();
             let error = end_point_error(&seen, &want).unwrap();
             println!("Farneback, {anchor:?}: mean error {error:.3} px");
             assert!(error < 0.25, "{error} px");

@@ -1,7 +1,7 @@
-//! Motion of a method against that of the photographs: tOF ([`gs_metrics::tof`]) over the views of one camera.
+//! Temporal consistency of renders: tOF ([`gs_metrics::tof`]) against ground truth over the views of one camera.
 //!
-//! Flow is estimated between neighbours in time, so it means something only along a video: views of **one** camera, one at a
-//! time, at most every [`MOST_SKIPPED`]-th moment of the data set. Anything else is refused.
+//! Flow between consecutive frames is meaningful only along a video: views of **one** camera, one per time, at most four
+//! typical time steps of the data set apart. Anything else is an error.
 
 use crate::folders::VideoScore;
 use gs_data::{DataError, Dataset, ImageCache, Split, View};
@@ -10,77 +10,77 @@ use gs_train::method::MethodError;
 use gs_train::model::Model;
 use gs_train::renderer::Renderer;
 
-/// Distance of neighbouring views at most, in typical distances between the moments of the data set.
-pub const MOST_SKIPPED: f64 = 4.0;
+/// Largest median time step between views, in median time steps of the data set.
+pub(crate) const MAX_SKIPPED: f64 = 4.0;
 
-/// Why a run has no motion score.
+/// Views that have no tOF.
 #[derive(Debug, thiserror::Error)]
 pub enum TemporalError {
-    /// The method cannot be asked for its splats.
+    /// A view cannot be rendered.
     #[error(transparent)]
     Method(#[from] MethodError),
-    /// Too few views to speak of motion.
+    /// The split has fewer than two views.
     #[error("tOF needs a video, and this split has {0} views")]
     NoVideo(usize),
     /// The views are not of one camera.
     #[error("tOF needs the views of one camera: {first} and {second} are of different ones")]
     Cameras {
-        /// A view.
+        /// Name of a view.
         first: String,
-        /// A view of another camera.
+        /// Name of a view of another camera.
         second: String,
     },
-    /// Two views of the same moment.
-    #[error("tOF needs one view for each moment: {first} and {second} have the same time")]
+    /// Two views have the same time.
+    #[error("tOF needs one view per time: {first} and {second} have the same time")]
     SameTime {
-        /// A view.
+        /// Name of a view.
         first: String,
-        /// Another.
+        /// Name of another view.
         second: String,
     },
     /// The views are too far apart in time.
     #[error(
-        "tOF is not defined for sparse times: views lie {gap:.3} apart, the moments of the data {step:.3} (at most {} of \
+        "tOF is not defined for sparse times: views lie {gap:.3} apart, the times of the data {step:.3} (at most {} of \
          these; times from 0 to 1)",
-        MOST_SKIPPED
+        MAX_SKIPPED
     )]
     Sparse {
-        /// Typical distance of the views in normalised time.
+        /// Median time step between the views, normalised.
         gap: f64,
-        /// Typical distance between moments of the data set.
+        /// Median time step of the data set, normalised.
         step: f64,
     },
-    /// A photograph cannot be read.
+    /// A ground-truth image cannot be read.
     #[error(transparent)]
     Data(#[from] DataError),
-    /// Frames that cannot be compared.
+    /// Frames cannot be compared.
     #[error("view {view}: {source}")]
     Metric {
-        /// The view.
+        /// Name of the view.
         view: String,
         /// The metric's reason.
         source: MetricError,
     },
 }
 
-/// tOF of the views of a split, drawn over `background`, in the order of time.
+/// tOF of the views of a split, rendered over `background`, in order of time.
 ///
 /// # Errors
-/// Views that are no video, photographs that cannot be read, frames that cannot be compared.
+/// If the views are no video, an image cannot be read, or frames cannot be compared.
 pub fn tof(
     method: &Model,
     dataset: &Dataset,
     split: Split,
     background: [f32; 3],
-    photographs: &ImageCache,
+    images: &ImageCache,
     options: TofOptions,
 ) -> Result<VideoScore, TemporalError> {
     let views = video(dataset, split)?;
     let mut renderer = Renderer::new(method.raster_options(background));
     let mut tof = Tof::new(options);
     for view in &views {
-        let image = renderer.view(method, view, &photographs.camera(view))?;
-        let truth = photographs.get(view)?.over(background);
+        let image = renderer.view(method, view, &images.camera(view))?;
+        let truth = images.get(view)?.over(background);
         tof.add(&image, &truth).map_err(|source| TemporalError::Metric { view: view.name.clone(), source })?;
     }
     let last = views.last().map_or(String::new(), |v| v.name.clone());
@@ -88,14 +88,14 @@ pub fn tof(
     Ok(VideoScore::new(&score, |i| &views[i].name))
 }
 
-/// The views of a split in the order of time, if they are a video.
+/// The views of a split in order of time, if they form a video.
 fn video(dataset: &Dataset, split: Split) -> Result<Vec<&View>, TemporalError> {
     let mut views: Vec<&View> = dataset.views(split).iter().collect();
     views.sort_by(|a, b| a.time.normalised.total_cmp(&b.time.normalised));
     let Some(first) = views.first().filter(|_| views.len() > 1) else {
         return Err(TemporalError::NoVideo(views.len()));
     };
-    // Where the data name no cameras, equal poses say as much.
+    // Equal poses are one camera, too: not all data sets name cameras.
     let other = |v: &&&View| v.camera_id != first.camera_id && v.camera != first.camera;
     if let Some(other) = views.iter().find(other) {
         return Err(TemporalError::Cameras { first: first.name.clone(), second: other.name.clone() });
@@ -107,10 +107,10 @@ fn video(dataset: &Dataset, split: Split) -> Result<Vec<&View>, TemporalError> {
     let splits = [Split::Train, Split::Val, Split::Test, Split::Extrapolate];
     let all = splits.map(|s| dataset.views(s).iter().map(time)).into_iter().flatten();
     let (gap, step) = (typical_gap(views.iter().map(|v| time(v))), typical_gap(all));
-    if gap > MOST_SKIPPED * step * (1.0 + 1e-6) { Err(TemporalError::Sparse { gap, step }) } else { Ok(views) }
+    if gap > MAX_SKIPPED * step * (1.0 + 1e-6) { Err(TemporalError::Sparse { gap, step }) } else { Ok(views) }
 }
 
-/// Median distance between neighbouring distinct times; 0 for one.
+/// Median step between distinct times; 0 for one time.
 fn typical_gap(times: impl Iterator<Item = f64>) -> f64 {
     let mut times: Vec<f64> = times.collect();
     times.sort_by(f64::total_cmp);

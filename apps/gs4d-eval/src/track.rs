@@ -1,8 +1,8 @@
-//! A measured track of one body against what a method says of it, before and after the last training time.
+//! The position of a body in a trained scene against a measured track, before and after the last training time.
 //!
-//! The body is whatever is dense near the track at the last moment that was learnt from: splats within a radius of it there, weighted by
-//! opacity and cross-section. Their weighted centre is followed to the other moments, so a method is not told where the
-//! body is after the boundary. The offset of the centre at that moment is part of the error.
+//! The body is the set of splats within a radius of the track at the last training time, weighted by opacity and
+//! cross-section. Their weighted centroid is followed to the other times, so no track position after the last training time
+//! is used. The offset of the centroid at that time is part of the error.
 
 use glam::{DMat3, DVec3};
 use gs_core::{Camera, Splats, Time};
@@ -13,17 +13,17 @@ use gs_train::timestamp::Timestamp;
 use serde::Serialize;
 use std::path::Path;
 
-/// Places of a body at moments.
+/// Measured positions of a body.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Track {
-    /// Time and place of each measurement, in order of time.
+    /// Time and position (world units) of each measurement, in order of time.
     pub places: Vec<(Time, DVec3)>,
 }
 
 /// A track that cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum TrackError {
-    /// The method cannot be asked for its splats.
+    /// The model cannot produce its splats.
     #[error(transparent)]
     Method(#[from] MethodError),
     /// The file cannot be read.
@@ -31,7 +31,7 @@ pub enum TrackError {
     Read {
         /// The file.
         path: String,
-        /// The reason.
+        /// The system's reason.
         why: String,
     },
     /// A line is not `frame,x,y,z`.
@@ -39,40 +39,40 @@ pub enum TrackError {
     Line {
         /// The file.
         path: String,
-        /// Its line, from 1.
+        /// Number of the line, from 1.
         line: usize,
-        /// What stands there.
+        /// Content of the line.
         text: String,
     },
-    /// Nothing of the scene is near the track.
+    /// No splat is near the track at the last training time.
     #[error("no splat lies within {radius} of the track at time {t}; give a larger radius, or train longer")]
     Nothing {
         /// The radius, world units.
         radius: f64,
-        /// The moment, normalised.
+        /// Normalised time.
         t: f32,
     },
-    /// The track has more frames than the data have moments.
+    /// The track has more frames than the data have times.
     #[error(
         "frame {frame} of the track lies beyond the {moments} moments of the data; the first line is the first moment"
     )]
     Beyond {
-        /// Frame met.
+        /// The frame in the file.
         frame: f64,
-        /// Different times of all views.
+        /// Number of distinct times of all views.
         moments: usize,
     },
-    /// The track has no place at or before the last training time.
+    /// The track has no position at or before the last training time.
     #[error("the track has no place at or before the last training time {0}")]
     NoStart(f32),
 }
 
 impl Track {
-    /// Reads lines `frame,x,y,z` (`#` begins a comment). The smallest frame is the first moment of the data, and frames
-    /// count on from there.
+    /// Reads lines `frame,x,y,z` (`#` starts a comment line). The smallest frame is the first time of the data, and each
+    /// following frame the next one.
     ///
     /// # Errors
-    /// If the file cannot be read, a line is not four finite numbers, or there are more frames than moments.
+    /// If the file cannot be read, a line is not four finite numbers, or there are more frames than times.
     pub fn read(path: &Path, dataset: &Dataset) -> Result<Self, TrackError> {
         let mut moments: Vec<Time> = Split::ALL.iter().flat_map(|s| dataset.views(*s)).map(|v| v.time).collect();
         moments.sort_by(|a, b| a.normalised.total_cmp(&b.normalised));
@@ -89,7 +89,7 @@ impl Track {
     }
 }
 
-/// Frame and place of every line.
+/// Frame and position of every line.
 fn lines(path: &Path) -> Result<Vec<(f64, DVec3)>, TrackError> {
     let name = path.display().to_string();
     let text =
@@ -108,38 +108,38 @@ fn lines(path: &Path) -> Result<Vec<(f64, DVec3)>, TrackError> {
     Ok(all)
 }
 
-/// A method's place of the body at one moment.
+/// The position of the body at one time of the track.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Followed {
+pub struct TrackPoint {
     /// Normalised time.
     pub t: f32,
-    /// The clock of the data.
+    /// Seconds on the clock of the data.
     pub seconds: f64,
-    /// Frames after the last training time; 0 or less for moments that were seen.
+    /// Track entries after the last one in the training span; 0 or less within it.
     pub ahead: i64,
-    /// Where the method has the centre of the body.
+    /// Centroid of the body, world units.
     pub place: [f64; 3],
-    /// Distance from the measured place, world units.
+    /// Distance from the measured position, world units.
     pub error: f64,
-    /// The same for a body that goes on with the velocity of its last two measured places.
+    /// The same distance for extrapolation at the velocity of the last two measurements in the training span.
     pub constant_velocity: f64,
 }
 
-/// A method on a track.
+/// A model against a track.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct TrackReport {
-    /// Splats taken for the body.
+    /// Number of splats of the body.
     pub splats: usize,
-    /// Every moment of the track.
-    pub moments: Vec<Followed>,
-    /// Acceleration of the forecast, world units per second squared: a parabola through its centres after the last training time.
+    /// The body at every time of the track.
+    pub moments: Vec<TrackPoint>,
+    /// Acceleration of the centroid after the last training time, world units per second squared, by a least-squares parabola.
     pub acceleration: Option<[f64; 3]>,
-    /// The same of the measured places of these moments.
+    /// The same for the measured positions at these times.
     pub measured_acceleration: Option<[f64; 3]>,
 }
 
 impl TrackReport {
-    /// The moments after the last training time as a table, then the accelerations.
+    /// A text table of the times after the last training time, then the accelerations.
     pub fn text(&self) -> String {
         let mut text = format!("a body of {} splats against its measured track\n", self.splats);
         text.push_str(&format!("{:>8}  {:>6}  {:>10}  {:>17}\n", "time", "ahead", "error", "constant velocity"));
@@ -156,10 +156,10 @@ impl TrackReport {
     }
 }
 
-/// Follows the body of a track through a method; `last_time` is the last training time.
+/// Follows the body of a track through a model; `last_time` is the last training time, normalised, `radius` in world units.
 ///
 /// # Errors
-/// If the track begins too late or nothing is near it.
+/// If the track starts after `last_time` or no splat is near it.
 pub fn follow(
     method: &Model,
     camera: &Camera,
@@ -177,14 +177,14 @@ pub fn follow(
         Some((t, x)) if begin.normalised > t.normalised => (from - x) / f64::from(begin.normalised - t.normalised),
         _ => DVec3::ZERO,
     };
-    let moments: Vec<Followed> = track
+    let moments: Vec<TrackPoint> = track
         .places
         .iter()
         .enumerate()
         .map(|(i, &(t, x))| {
             let place = body.centre(&method.all_splats(&Timestamp::new(t), camera)?);
             let straight = from + velocity * f64::from(t.normalised - begin.normalised);
-            Ok(Followed {
+            Ok(TrackPoint {
                 t: t.normalised,
                 seconds: t.seconds,
                 ahead: i as i64 - anchor as i64,
@@ -207,7 +207,7 @@ pub fn follow(
     })
 }
 
-/// Rows of splats with weights that add up to 1.
+/// Rows of splats with weights of sum 1.
 struct Body {
     rows: Vec<(usize, f64)>,
 }
@@ -231,7 +231,7 @@ impl Body {
     }
 }
 
-/// Acceleration of the parabola that fits places best; none with fewer than four.
+/// Acceleration of the least-squares parabola through `(seconds, position)`; `None` for fewer than four.
 fn acceleration(places: &[(f64, DVec3)]) -> Option<DVec3> {
     if places.len() < 4 {
         return None;

@@ -144,7 +144,7 @@ impl Standing {
 }
 
 /// Progress of a contest.
-pub enum Told<'a> {
+pub enum Event<'a> {
     /// A trial is started or resumed: `ENTRY / seed-N`.
     Trial(&'a str),
     /// A training step is done.
@@ -182,7 +182,7 @@ impl Contest {
     ///
     /// # Errors
     /// Invalid settings (before anything is trained), a failed trial, or `stop` was set.
-    pub fn run(&self, stop: &AtomicBool, on_event: &mut dyn FnMut(Told)) -> Result<Vec<Standing>, ContestError> {
+    pub fn run(&self, stop: &AtomicBool, on_event: &mut dyn FnMut(Event)) -> Result<Vec<Standing>, ContestError> {
         for entry in &self.entries {
             self.resolved(entry, 0, self.length).map_err(|e| ContestError::run(&entry.label, e))?;
         }
@@ -203,7 +203,7 @@ impl Contest {
         &self,
         entry: &Entry,
         stop: &AtomicBool,
-        on_event: &mut dyn FnMut(Told),
+        on_event: &mut dyn FnMut(Event),
     ) -> Result<Standing, ContestError> {
         let length = self.length(entry, stop, on_event)?;
         let mut trials = Vec::new();
@@ -218,7 +218,12 @@ impl Contest {
     }
 
     /// Length of an entry's trials; a time budget is turned into steps by a pilot.
-    fn length(&self, entry: &Entry, stop: &AtomicBool, on_event: &mut dyn FnMut(Told)) -> Result<Length, ContestError> {
+    fn length(
+        &self,
+        entry: &Entry,
+        stop: &AtomicBool,
+        on_event: &mut dyn FnMut(Event),
+    ) -> Result<Length, ContestError> {
         let Length::Seconds(seconds) = self.length else { return Ok(self.length) };
         let run = self.root.join(entry.slug()).join("pilot");
         let seed = self.seeds.first().copied().unwrap_or(0);
@@ -242,7 +247,7 @@ impl Contest {
         length: Length,
         run: &Path,
         stop: &AtomicBool,
-        on_event: &mut dyn FnMut(Told),
+        on_event: &mut dyn FnMut(Event),
     ) -> Result<EvalReport, ContestError> {
         let trial = format!("{} / {}", entry.label, run.file_name().unwrap_or_default().to_string_lossy());
         let failed = |e| ContestError::run(&trial, e);
@@ -257,14 +262,14 @@ impl Contest {
                 return Ok(scores);
             }
         }
-        on_event(Told::Trial(&trial));
+        on_event(Event::Trial(&trial));
         // An interrupted pilot is started again: its budget is in seconds, and short.
         let training = match OpenRun::open(&self.registry, run) {
             Ok(_) if !matches!(length, Length::Seconds(_)) => Training::resume(&self.registry, run, None, None),
             _ => Training::begin(run, true, resolved),
         };
         let mut training = training.map_err(failed)?;
-        match training.train(stop, &mut |p, _| on_event(Told::Step(p))).map_err(failed)? {
+        match training.train(stop, &mut |p, _| on_event(Event::Step(p))).map_err(failed)? {
             Outcome::Interrupted(_) => Err(ContestError::Interrupted(run.to_owned())),
             _ => training.score().map_err(failed),
         }
@@ -347,7 +352,7 @@ mod tests {
         };
         let stop = AtomicBool::new(false);
         let mut trials = 0;
-        let mut count = |t: Told| trials += u32::from(matches!(t, Told::Trial(_)));
+        let mut count = |t: Event| trials += u32::from(matches!(t, Event::Trial(_)));
         let first = contest.run(&stop, &mut count).unwrap();
         assert_eq!(first.iter().map(|s| (s.steps, s.trials.len())).collect::<Vec<_>>(), [(20, 2), (20, 2)]);
         let again = contest.run(&stop, &mut count).unwrap();
@@ -383,8 +388,8 @@ mod tests {
             sets: Vec::new(),
         };
         let stop = AtomicBool::new(false);
-        let halt = |t: Told| {
-            if let Told::Step(p) = t {
+        let halt = |t: Event| {
+            if let Event::Step(p) = t {
                 stop.store(p.step >= 5, std::sync::atomic::Ordering::Relaxed);
             }
         };

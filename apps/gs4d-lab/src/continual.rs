@@ -100,7 +100,7 @@ pub struct RoundScores {
 }
 
 /// Progress of a run.
-pub enum Told<'a> {
+pub enum Event<'a> {
     /// A round begins: its number from 1, the number of rounds, its times.
     Round(usize, usize, Round),
     /// A training step is done.
@@ -212,7 +212,7 @@ pub fn run(
     root: &Path,
     overwrite: bool,
     stop: &AtomicBool,
-    on_event: &mut dyn FnMut(Told),
+    on_event: &mut dyn FnMut(Event),
 ) -> Result<Option<Vec<RoundScores>>, RunError> {
     let resolved = resolve(&plan.registry, &plan.request)?;
     let (resolved, whole, rounds) = sequence(&resolved, &plan.rounds)?;
@@ -220,7 +220,7 @@ pub fn run(
     let mut training: Option<Training> = None;
     let mut done: Vec<RoundScores> = Vec::new();
     for (k, &round) in rounds.iter().enumerate() {
-        on_event(Told::Round(k + 1, rounds.len(), round));
+        on_event(Event::Round(k + 1, rounds.len(), round));
         let seen = Arc::new(part(&whole, round));
         let mut current = match training.take() {
             None if seen.train.is_empty() => {
@@ -233,12 +233,12 @@ pub fn run(
                 previous.grow(longer, seen)?
             }
         };
-        if current.train(stop, &mut |p, _| on_event(Told::Step(p)))? != Outcome::Finished {
+        if current.train(stop, &mut |p, _| on_event(Event::Step(p)))? != Outcome::Finished {
             return Ok(None);
         }
         done.push(scored(&current, round, plan.score_views)?);
         current.folder().write(FILE, &format!("{:#}\n", json!({"rounds": done})))?;
-        done.last().into_iter().for_each(|scores| on_event(Told::Done(scores)));
+        done.last().into_iter().for_each(|scores| on_event(Event::Done(scores)));
         training = Some(current);
     }
     if let Some(training) = &training {
@@ -347,7 +347,7 @@ mod tests {
         let stop = AtomicBool::new(false);
         let mut steps = Vec::new();
         let rounds = run(&plan(&from), &root, false, &stop, &mut |told| {
-            if let Told::Step(p) = told {
+            if let Event::Step(p) = told {
                 steps.push(p.step);
             }
         });

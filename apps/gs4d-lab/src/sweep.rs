@@ -5,7 +5,7 @@
 
 pub mod page;
 
-use crate::contest::{Contest, ContestError, Entry, Length, Standing, Told};
+use crate::contest::{Contest, ContestError, Entry, Event, Length, Standing};
 use gs_train::evaluate::EvalReport;
 use gs_train::registry::Registry;
 use serde::Serialize;
@@ -162,7 +162,7 @@ impl Sweep {
     ///
     /// # Errors
     /// Those of [`Contest::run`]; settings are checked before anything is trained.
-    pub fn run(&self, stop: &AtomicBool, on_event: &mut dyn FnMut(Told)) -> Result<Vec<Row>, ContestError> {
+    pub fn run(&self, stop: &AtomicBool, on_event: &mut dyn FnMut(Event)) -> Result<Vec<Row>, ContestError> {
         let mut contest = Contest {
             registry: self.registry.clone(),
             data: self.data.clone(),
@@ -236,7 +236,7 @@ mod tests {
         };
         let mut trials = 0;
         let rows =
-            sweep.run(&AtomicBool::new(false), &mut |t| trials += u32::from(matches!(t, Told::Trial(_)))).unwrap();
+            sweep.run(&AtomicBool::new(false), &mut |t| trials += u32::from(matches!(t, Event::Trial(_)))).unwrap();
         let labels: Vec<String> = rows.iter().map(Row::label).collect();
         assert_eq!(labels, ["preset", "init.points=150", "init.points=300", "schedule.lambda_dssim=0.5"]);
         assert_eq!((trials, rows.iter().map(|r| r.preset).collect::<Vec<_>>()), (3, vec![true, false, true, false]));

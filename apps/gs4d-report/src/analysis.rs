@@ -1,51 +1,52 @@
-//! What can be said of a trained scene beyond its scores: how its quantities are spread, how its splats move, how many
-//! splats it takes. Everything is asked of a method through [`Method::splats`] and [`Method::quantities`].
+//! Statistics of a trained scene beyond its scores: distributions of scalar attributes, motion, rendering cost. They need the
+//! [`Model`] and cameras only, no data set.
 //!
-//! * [`histogram`]: 64 bins of every quantity, over time where it changes with time; kept while training;
-//! * [`paths`]: temporal spectra and second differences of the centres;
-//! * [`economy`]: splats, tiles per splat, entries per pixel at the run's PSNR;
+//! * [`histogram`]: 64 bins of every attribute, over time where it changes with time; logged while training.
+//! * [`paths`]: temporal spectra and second differences of the means.
+//! * [`economy`]: splats, tiles per splat, entries per pixel at the run's PSNR.
+//! * [`journal`]: interval boundaries and anchors, from the events of a run.
 
 pub mod economy;
 pub mod histogram;
 pub mod journal;
 pub mod paths;
 
-pub use economy::Economy;
+pub use economy::RenderCost;
 pub use histogram::{Histogram, Snapshot};
 pub use journal::Journal;
 pub use paths::Paths;
 
-use crate::Need;
+use crate::ReportRow;
 use gs_metrics::trajectory::TrajectoryError;
 use gs_train::method::MethodError;
 use gs_train::model::Model;
 
-/// Why a scene cannot be analysed.
+/// A model whose motion cannot be analysed.
 #[derive(Debug, thiserror::Error)]
 pub enum AnalysisError {
-    /// The method cannot be asked for its splats.
+    /// The model cannot produce its splats.
     #[error(transparent)]
     Method(#[from] MethodError),
-    /// The splats are not the same ones at every time.
+    /// The number of splats changes over time, or the sampling is too coarse.
     #[error(transparent)]
     Trajectory(#[from] TrajectoryError),
 }
 
-/// The analyses that need no data set.
+/// The analyses that need neither data set nor camera.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Analysis {
-    /// Quantities now.
+    /// Histograms of the attributes.
     pub snapshot: Snapshot,
-    /// Motion; absent if the splats are not the same ones at every moment.
+    /// Motion; absent if the splats are not the same ones at every time.
     pub paths: Option<Paths>,
 }
 
 impl Analysis {
-    /// Of a method, with its motion sampled at `moments` evenly spaced times (at least 4) and a cut-off for its spectrum
-    /// (the upper half if none).
+    /// Analyses a model: `moments` evenly spaced times for its motion (fewer than 4: no motion), and the first frequency of
+    /// its spectrum that counts as high (`None`: `⌈moments/4⌉`).
     ///
     /// # Errors
-    /// If the method cannot be asked for its splats.
+    /// If the model cannot produce its splats.
     pub fn of(method: &Model, moments: usize, cutoff: Option<usize>) -> Result<Self, MethodError> {
         let paths = match Paths::of(method, moments, cutoff) {
             Ok(paths) => Some(paths),
@@ -55,23 +56,18 @@ impl Analysis {
         Ok(Self { snapshot: Snapshot::of(method)?, paths })
     }
 
-    /// As rows of a table.
-    pub fn rows(&self) -> Vec<Need> {
+    /// Rows for the report.
+    pub fn rows(&self) -> Vec<ReportRow> {
         let mut rows = self.snapshot.rows();
         rows.extend(self.paths.iter().flat_map(Paths::rows));
         rows
     }
 }
 
-/// A row of a table.
-fn row(name: impl Into<String>, value: String, meaning: &str) -> Need {
-    Need { name: name.into(), value, meaning: meaning.to_owned() }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::analysis::paths::{jerk_overlay, painted};
+    use crate::analysis::paths::{painted, second_difference_overlay};
     use crate::needs::neutral_camera;
     use glam::{DVec3, Vec3};
     use gs_core::{Camera, Color, Param, Params, Splats};
@@ -177,17 +173,17 @@ mod tests {
     #[test]
     fn jerk_is_seen_where_it_is_and_pictures_have_a_price() {
         let (swing, camera) = (Swing::model(), neutral_camera());
-        let overlay = jerk_overlay(&swing, 0.0, 0.025, &camera).unwrap();
+        let overlay = second_difference_overlay(&swing, 0.0, 0.025, &camera).unwrap();
         assert_eq!((overlay.colors[0], overlay.colors[4]), ([0.0; 3], [1.0; 3]));
         assert!(overlay.colors.windows(2).all(|w| w[0] <= w[1]), "the wider the swing, the brighter");
         let splats = painted(swing.splats(&Timestamp::normalised(0.0), &camera).unwrap(), overlay.clone());
         assert_eq!(splats.color, Color::Rgb(overlay.colors));
         let eye = Camera::look_at(64, 64, 0.7, DVec3::new(0.0, 0.0, -4.0), DVec3::ZERO, DVec3::Y).unwrap();
         let views = [(eye, Timestamp::normalised(0.0).t)];
-        let economy = Economy::of(&swing, &views, &RasterOptions::default(), Some(30.0)).unwrap().unwrap();
+        let economy = RenderCost::of(&swing, &views, &RasterOptions::default(), Some(30.0)).unwrap().unwrap();
         assert!(economy.tiles_per_splat >= 1.0 && economy.used_per_tile <= economy.listed_per_tile);
         assert!(economy.walked_per_pixel > 0.0 && economy.walked_per_pixel <= economy.used_per_tile);
         assert!((economy.tiles_per_splat * SPLATS as f64 / 16.0 - economy.listed_per_tile).abs() < 1e-12, "16 tiles");
-        assert!(Economy::of(&swing, &[], &RasterOptions::default(), None).unwrap().is_none());
+        assert!(RenderCost::of(&swing, &[], &RasterOptions::default(), None).unwrap().is_none());
     }
 }

@@ -5,9 +5,9 @@ use super::page::escape;
 use plotters::coord::ranged1d::{AsRangedCoord, Ranged, ValueFormatter};
 use plotters::prelude::*;
 
-/// Size of a chart in SVG units; the page scales it.
+/// Width and height of a chart in SVG units; the page scales it.
 const SIZE: (u32, u32) = (560, 260);
-/// Colours of the lines, told apart also without colour vision (Okabe and Ito).
+/// Colours of the lines, safe for colour-blind readers (Okabe and Ito).
 const COLORS: [RGBColor; 6] = [
     RGBColor(0, 114, 178),
     RGBColor(213, 94, 0),
@@ -16,38 +16,51 @@ const COLORS: [RGBColor; 6] = [
     RGBColor(230, 159, 0),
     RGBColor(86, 180, 233),
 ];
-/// Text; the style sheet of the page has others for the dark.
-pub(super) const INK: RGBColor = RGBColor(75, 85, 99);
+/// Colour of text; the page's style sheet replaces it in dark mode.
+pub(super) const TEXT: RGBColor = RGBColor(75, 85, 99);
 const TITLE: RGBColor = RGBColor(17, 24, 39);
 const GRID: RGBColor = RGBColor(229, 231, 235);
-/// More points than this are thinned: the chart has no more pixels.
-const MOST_POINTS: usize = 600;
+/// Most points of a line; more are averaged in groups.
+const MAX_POINTS: usize = 600;
 
-/// A named line.
+/// A named line of a chart.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Curve {
-    /// Shown in the legend when there are several; curves without names have none.
+    /// Shown in the legend when there are several curves; empty: not in the legend.
     pub name: String,
-    /// `(x, y)`, by rising x.
+    /// `(x, y)`, x ascending; points that are not finite are left out.
     pub points: Vec<(f64, f64)>,
 }
 
 /// Spacing of the vertical axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scale {
-    /// Even.
+    /// A linear axis.
     Linear,
-    /// Logarithmic; points that are not positive are left out.
+    /// A logarithmic axis; points that are not positive are left out.
     Log,
 }
 
-/// The chart as an `<svg>` element, or nothing if no finite point is left.
+/// Renders curves as an `<svg>` element; `None` if no point is left.
+///
+/// ```
+/// use gs4d_report::chart::{Curve, Scale, chart};
+///
+/// let curve = Curve { name: "loss".into(), points: vec![(1.0, 0.5), (2.0, 0.25), (3.0, f64::NAN)] };
+/// let svg = chart("Training loss", "step", Scale::Log, &[curve])?.unwrap();
+/// assert!(svg.contains("aria-label=\"Training loss, against step\""));
+/// assert_eq!(chart("Empty", "step", Scale::Linear, &[])?, None);
+/// # Ok::<(), gs4d_report::ReportError>(())
+/// ```
+///
+/// # Errors
+/// If the plotting library fails.
 pub fn chart(title: &str, x_name: &str, scale: Scale, curves: &[Curve]) -> Result<Option<String>, ReportError> {
-    let drawn = |y: f64| y.is_finite() && (scale == Scale::Linear || y > 0.0);
+    let shown = |y: f64| y.is_finite() && (scale == Scale::Linear || y > 0.0);
     let curves: Vec<Curve> = curves
         .iter()
         .map(|c| {
-            let kept: Vec<_> = c.points.iter().copied().filter(|p| p.0.is_finite() && drawn(p.1)).collect();
+            let kept: Vec<_> = c.points.iter().copied().filter(|p| p.0.is_finite() && shown(p.1)).collect();
             Curve { name: c.name.clone(), points: thinned(&kept) }
         })
         .filter(|c| !c.points.is_empty())
@@ -69,10 +82,10 @@ pub fn chart(title: &str, x_name: &str, scale: Scale, curves: &[Curve]) -> Resul
     svg(&format!("{title}, against {x_name}"), draw).map(Some)
 }
 
-/// What a chart is drawn on.
+/// The drawing area of a chart.
 pub(super) type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
 
-/// An `<svg>` element that fills its place; `name` is for those who do not see it.
+/// An `<svg>` element that fills the width of its parent; `name` is its label for screen readers.
 pub(super) fn svg(name: &str, draw: impl FnOnce(&Area<'_>) -> Result<(), String>) -> Result<String, ReportError> {
     let mut svg = String::new();
     let root = SVGBackend::with_string(&mut svg, SIZE).into_drawing_area();
@@ -83,14 +96,14 @@ pub(super) fn svg(name: &str, draw: impl FnOnce(&Area<'_>) -> Result<(), String>
     Ok(svg.replacen(&fixed, &format!("role=\"img\" aria-label=\"{}\" ", escape(name)), 1))
 }
 
-/// A chart with its axes.
+/// A chart with axes.
 type Framed<'a, 'b, X, Y> = ChartContext<
     'a,
     SVGBackend<'b>,
     Cartesian2d<<X as AsRangedCoord>::CoordDescType, <Y as AsRangedCoord>::CoordDescType>,
 >;
 
-/// Title, axes and grid.
+/// Adds title, axes and grid.
 pub(super) fn framed<'a, 'b, X, Y>(
     root: &'a Area<'b>,
     title: &str,
@@ -104,7 +117,7 @@ where
     X::CoordDescType: ValueFormatter<f64>,
     Y::CoordDescType: ValueFormatter<f64>,
 {
-    let text = ("sans-serif", 13).into_font().color(&INK);
+    let text = ("sans-serif", 13).into_font().color(&TEXT);
     let mut chart = ChartBuilder::on(root)
         .caption(title, ("sans-serif", 15).into_font().color(&TITLE))
         .margin(8)
@@ -139,7 +152,7 @@ where
     X: Ranged<ValueType = f64>,
     Y: Ranged<ValueType = f64>,
 {
-    let text = ("sans-serif", 13).into_font().color(&INK);
+    let text = ("sans-serif", 13).into_font().color(&TEXT);
     for (curve, color) in curves.iter().zip(COLORS.iter().cycle()) {
         let line = LineSeries::new(curve.points.iter().copied(), color.stroke_width(2))
             .point_size(u32::from(curve.points.len() < 20) * 3);
@@ -160,14 +173,14 @@ fn range(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
     values.fold(None, |r: Option<(f64, f64)>, v| Some(r.map_or((v, v), |(lo, hi)| (lo.min(v), hi.max(v)))))
 }
 
-/// An axis of zero length has no ticks.
+/// A range of non-zero length: an axis of length zero has no ticks.
 fn wide((lo, hi): (f64, f64)) -> std::ops::Range<f64> {
     if hi > lo { lo..hi } else { lo - 0.5..hi + 0.5 }
 }
 
-/// At most [`MOST_POINTS`] points: means of equal groups, in order.
+/// At most [`MAX_POINTS`] points: means of equal groups, in order.
 fn thinned(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
-    let group = points.len().div_ceil(MOST_POINTS).max(1);
+    let group = points.len().div_ceil(MAX_POINTS).max(1);
     let mean = |g: &[(f64, f64)]| {
         let n = g.len() as f64;
         (g.iter().map(|p| p.0).sum::<f64>() / n, g.iter().map(|p| p.1).sum::<f64>() / n)

@@ -1,4 +1,4 @@
-//! Pictures inside a text file, of bounded size.
+//! Images embedded in HTML, of bounded size.
 
 use super::ReportError;
 use gs_core::Image;
@@ -6,35 +6,35 @@ use image::codecs::{jpeg::JpegEncoder, png::PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
 use std::borrow::Cow;
 
-/// Longest side of a picture in a page, pixels.
-const MOST_SIDE: usize = 640;
-/// A picture that takes more bytes than this as PNG is kept as JPEG.
-const MOST_PNG: usize = 96 << 10;
-/// JPEG qualities, tried until one gives no more than [`MOST_PNG`] bytes; the last one is taken in any case.
+/// Longest side of an image in a page, pixels.
+const MAX_SIDE: usize = 640;
+/// An RGB image of more bytes than this as PNG is embedded as JPEG.
+const MAX_PNG_BYTES: usize = 96 << 10;
+/// JPEG qualities, tried until one gives at most [`MAX_PNG_BYTES`] bytes; the last one is used in any case.
 const QUALITIES: [u8; 4] = [90, 80, 65, 45];
 
-/// The picture as it stands in a page: pixels per row, rows, and a `data:` address.
+/// An encoded image: width, height and a `data:` URL.
 pub(super) struct Inline {
-    pub width: usize,
-    pub height: usize,
-    pub address: String,
+    pub(super) width: usize,
+    pub(super) height: usize,
+    pub(super) address: String,
 }
 
 impl Inline {
-    /// Of an image of 1, 3 or 4 channels; large ones are reduced, and kept as JPEG where PNG takes too much.
-    pub fn of(image: &Image) -> Result<Self, ReportError> {
-        let image = reduced(image, MOST_SIDE);
+    /// Encodes an image of 1, 3 or 4 channels; large ones are downsampled, and encoded as JPEG where PNG takes too much.
+    pub(super) fn of(image: &Image) -> Result<Self, ReportError> {
+        let image = reduced(image, MAX_SIDE);
         let (width, height, channels) = image.shape();
         let mut bytes = png(&image)?;
         let mut kind = "png";
-        if bytes.len() > MOST_PNG && channels == 3 {
+        if bytes.len() > MAX_PNG_BYTES && channels == 3 {
             (bytes, kind) = (jpeg(&image)?, "jpeg");
         }
         Ok(Self { width, height, address: format!("data:image/{kind};base64,{}", base64(&bytes)) })
     }
 }
 
-/// An image whose longer side has at most `most` pixels: each is the mean of the pixels it stands for.
+/// The image, box-filtered so that its longer side has at most `most` pixels.
 pub(super) fn reduced(image: &Image, most: usize) -> Cow<'_, Image> {
     let longest = image.width.max(image.height);
     if longest <= most {
@@ -56,7 +56,7 @@ pub(super) fn reduced(image: &Image, most: usize) -> Cow<'_, Image> {
     Cow::Owned(small)
 }
 
-/// An RGB image as JPEG of the best quality that is small enough.
+/// Encodes an RGB image as JPEG of the best quality that is small enough.
 fn jpeg(image: &Image) -> Result<Vec<u8>, ReportError> {
     let (bytes, width, height) = bytes_of(image)?;
     let mut out = Vec::new();
@@ -65,14 +65,14 @@ fn jpeg(image: &Image) -> Result<Vec<u8>, ReportError> {
         let encoder = JpegEncoder::new_with_quality(&mut out, quality);
         let written = encoder.write_image(&bytes, width, height, ExtendedColorType::Rgb8);
         written.map_err(|e| ReportError::Png(e.to_string()))?;
-        if out.len() <= MOST_PNG {
+        if out.len() <= MAX_PNG_BYTES {
             break;
         }
     }
     Ok(out)
 }
 
-/// An image of 1, 3 or 4 channels as 8-bit PNG; values are clamped to 0..1, NaN becomes 0.
+/// Encodes an image of 1, 3 or 4 channels as 8-bit PNG; values are clamped to `[0, 1]`, NaN becomes 0.
 ///
 /// # Errors
 /// If the image has no pixels or another number of channels.
@@ -90,7 +90,7 @@ pub fn png(image: &Image) -> Result<Vec<u8>, ReportError> {
     Ok(out)
 }
 
-/// The values in 8 bit, pixels per row, rows.
+/// The values in 8 bit, width and height.
 fn bytes_of(image: &Image) -> Result<(Vec<u8>, u32, u32), ReportError> {
     let bytes: Vec<u8> = image.data.iter().map(|v| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8).collect();
     let side = |n: usize| u32::try_from(n).map_err(|_| ReportError::Png(format!("{n} pixels on one side")));
@@ -101,7 +101,11 @@ fn bytes_of(image: &Image) -> Result<(Vec<u8>, u32, u32), ReportError> {
     Ok((bytes, width, height))
 }
 
-/// Base64 (RFC 4648, with padding).
+/// Encodes bytes as Base64 (RFC 4648, with padding).
+///
+/// ```
+/// assert_eq!(gs4d_report::base64(b"fooba"), "Zm9vYmE=");
+/// ```
 pub fn base64(bytes: &[u8]) -> String {
     const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
     let mut out = String::with_capacity(bytes.len().div_ceil(3) * 4);

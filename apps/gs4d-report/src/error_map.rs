@@ -1,12 +1,12 @@
-//! Where a drawing is wrong, and by how much: the error of each pixel on one scale for all views of a section.
+//! Error maps: the error of each pixel, on one colour scale for all views of a section.
 
 use super::ramp::Ramp;
 use gs_core::Image;
 
-/// Share of all pixels that the scale holds; the worst of them are above it.
-const HELD: f64 = 0.995;
+/// Share of all pixels whose error is within the scale.
+const COVERED_SHARE: f64 = 0.995;
 
-/// Root mean square of the difference over the channels, `[H, W, 1]`; none for images of different shapes.
+/// Root mean square over channels of the difference of two images, `[H, W, 1]`; `None` if their shapes differ.
 pub fn error(a: &Image, b: &Image) -> Option<Image> {
     let n = a.channels;
     if a.shape() != b.shape() || n == 0 {
@@ -17,34 +17,34 @@ pub fn error(a: &Image, b: &Image) -> Option<Image> {
     Some(Image { width: a.width, height: a.height, channels: 1, data })
 }
 
-/// A scale from 0 to a round error.
+/// A colour scale from 0 to a round error.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ErrorScale {
-    /// The error at the bright end.
-    pub top: f32,
+pub(crate) struct ErrorScale {
+    /// Error at the bright end: 1, 2 or 5 times a power of ten, at most 1.
+    pub(crate) top: f32,
 }
 
 impl ErrorScale {
-    /// A scale that holds nearly all pixels of some errors: 1, 2 or 5 times a power of ten.
-    pub fn of<'a>(errors: impl IntoIterator<Item = &'a Image>) -> Self {
+    /// The smallest scale that holds 99.5 % of the pixels of some error maps.
+    pub(crate) fn of<'a>(errors: impl IntoIterator<Item = &'a Image>) -> Self {
         let mut all: Vec<f32> = errors.into_iter().flat_map(|e| &e.data).copied().filter(|v| v.is_finite()).collect();
         all.sort_by(f32::total_cmp);
-        let held = all.get(((all.len() as f64 * HELD) as usize).min(all.len().saturating_sub(1)));
+        let held = all.get(((all.len() as f64 * COVERED_SHARE) as usize).min(all.len().saturating_sub(1)));
         let held = f64::from(held.copied().unwrap_or(0.0)).clamp(1e-4, 1.0);
         let power = 10f64.powf(held.log10().floor());
         let round = [1.0, 2.0, 5.0].into_iter().find(|m| m * power >= held * (1.0 - 1e-6));
         Self { top: (round.unwrap_or(10.0) * power) as f32 }
     }
 
-    /// The error as colours, `[H, W, 3]`.
-    pub fn map(&self, error: &Image) -> Image {
+    /// Colours of an error map `[H, W, 1]`, as `[H, W, 3]`.
+    pub(crate) fn map(&self, error: &Image) -> Image {
         let ramp = Ramp::magma();
         let data = error.data.iter().flat_map(|e| ramp.at(e / self.top)).collect();
         Image { width: error.width, height: error.height, channels: 3, data }
     }
 
-    /// Texts at the dark end, the middle and the bright end; an error everywhere is a PSNR.
-    pub fn ticks(&self) -> [String; 3] {
+    /// Labels of the dark end, the middle and the bright end, with the PSNR of an image that has this error everywhere.
+    pub(crate) fn ticks(&self) -> [String; 3] {
         let db = |e: f32| 20.0 * (1.0 / f64::from(e)).log10();
         let (half, top) = (0.5 * self.top, self.top);
         ["0".to_owned(), format!("{half} ({:.0} dB)", db(half)), format!("≥ {top} ({:.0} dB)", db(top))]

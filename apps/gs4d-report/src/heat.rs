@@ -1,15 +1,15 @@
-//! Histograms over time as a small picture: one column a step, one row a bin, the darker the fuller.
+//! Heat maps of histograms over training steps: one column per step, one row per bin, darker for larger counts.
 
 use gs_core::Image;
 
-/// A histogram that changes over training.
+/// A histogram over training steps.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct HeatMap {
-    /// The quantity.
+    /// Name of the attribute.
     pub name: String,
-    /// Values at the lower and the upper edge.
+    /// Values at the lower and the upper edge of the image.
     pub span: [f32; 2],
-    /// The step of each column.
+    /// Training step of each column.
     pub steps: Vec<u64>,
     /// Counts of each column, from the lowest bin up; all columns have the same number of bins.
     pub counts: Vec<Vec<u32>>,
@@ -19,7 +19,7 @@ pub struct HeatMap {
 const INKS: [[f32; 3]; 3] = [[1.0, 1.0, 1.0], [0.0, 0.447, 0.698], [0.03, 0.08, 0.2]];
 
 impl HeatMap {
-    /// The picture, `[bins, columns, 3]`; the root of each count over the largest of its column gives its ink.
+    /// Renders the map, `[bins, columns, 3]`: the square root of each count over the largest of its column gives its colour.
     pub fn image(&self) -> Image {
         let bins = self.counts.iter().map(Vec::len).min().unwrap_or(0);
         let mut image = Image::zeros(self.counts.len(), bins, 3);
@@ -34,7 +34,7 @@ impl HeatMap {
     }
 }
 
-/// Along [`INKS`], 0 to 1.
+/// The colour at 0..1 along [`INKS`].
 fn ink(share: f32) -> [f32; 3] {
     let place = 2.0 * share.clamp(0.0, 1.0);
     let k = usize::from(place >= 1.0);

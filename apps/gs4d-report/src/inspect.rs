@@ -1,14 +1,14 @@
-//! What a set of splats consists of: ranges, quantiles, rows that are not finite, needles, transparent ones.
+//! Summary of a set of splats: quantiles of each column, rows that are not finite, needles, invisible splats.
 
 use gs_core::io::{RawSplats, sigmoid};
 use gs_core::sh;
 use serde::Serialize;
 
-/// Splats with a largest scale of at least this many times the smallest but one are needles.
+/// Ratio of the largest to the middle scale from which a splat is a needle.
 pub const NEEDLE_ASPECT: f32 = 100.0;
-/// Opacity below which no sample of a splat is ever drawn (3DGS: alpha ≥ 1/255).
+/// Opacity below which no sample of a splat is ever blended (3DGS: alpha ≥ 1/255).
 pub const INVISIBLE_OPACITY: f32 = 1.0 / 255.0;
-/// Rows that are not finite are listed up to this many, then counted.
+/// Most rows listed that are not finite.
 pub const ROWS_LISTED: usize = 20;
 
 /// A summary of splats, non-finite ones included.
@@ -18,45 +18,50 @@ pub struct SplatSummary {
     pub splats: usize,
     /// SH degree, 0 to 3.
     pub sh_degree: u8,
-    /// Bytes of the values as `f32`.
+    /// Bytes of all values as `f32`.
     pub bytes: usize,
-    /// Rows with a value that is not finite.
+    /// Number of rows with a value that is not finite.
     pub non_finite_rows: usize,
-    /// The first of them, with the first column concerned.
+    /// The first [`ROWS_LISTED`] of them: row and name of the first such column.
     pub non_finite_first: Vec<(usize, &'static str)>,
-    /// Rows whose largest scale is [`NEEDLE_ASPECT`] times the middle one or more.
+    /// Number of rows whose largest scale is at least [`NEEDLE_ASPECT`] times the middle one.
     pub needles: usize,
-    /// Rows of opacity below [`INVISIBLE_OPACITY`].
+    /// Number of rows of opacity below [`INVISIBLE_OPACITY`].
     pub invisible: usize,
-    /// Share of the colour variance that depends on the direction of view; 0 at degree 0.
+    /// Share of the colour variance that depends on the view direction, 0..1; 0 at degree 0.
     pub view_dependent_share: f64,
-    /// One entry per quantity.
+    /// Quantiles of positions, activated scales and opacities, quaternion lengths and base colours.
     pub columns: Vec<Column>,
 }
 
-/// Quantiles of one quantity over all rows with a finite value; all zero if there is none.
+/// Quantiles of one quantity over its finite values, by nearest rank; all zero if there are none.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Column {
-    /// Name, with the unit where it has one.
+    /// Name of the quantity.
     pub name: &'static str,
-    /// Smallest.
+    /// Smallest value.
     pub min: f32,
-    /// 1 %.
+    /// 1st percentile.
     pub q01: f32,
-    /// Quarter.
+    /// 25th percentile.
     pub q25: f32,
-    /// Half.
+    /// 50th percentile.
     pub median: f32,
-    /// Three quarters.
+    /// 75th percentile.
     pub q75: f32,
-    /// 99 %.
+    /// 99th percentile.
     pub q99: f32,
-    /// Largest.
+    /// Largest value.
     pub max: f32,
 }
 
 impl Column {
-    /// Quantiles by nearest rank; values that are not finite are left out.
+    /// Computes the quantiles; values that are not finite are left out.
+    ///
+    /// ```
+    /// let c = gs4d_report::inspect::Column::of("v", (0..100).map(|i| i as f32));
+    /// assert_eq!((c.min, c.median, c.q99, c.max), (0.0, 49.0, 98.0, 99.0));
+    /// ```
     pub fn of(name: &'static str, values: impl Iterator<Item = f32>) -> Self {
         let mut sorted: Vec<f32> = values.filter(|v| v.is_finite()).collect();
         sorted.sort_unstable_by(f32::total_cmp);
@@ -70,7 +75,7 @@ impl Column {
 }
 
 impl SplatSummary {
-    /// The summary of splats as a file holds them.
+    /// Summarises splats with raw parameters, as files hold them.
     pub fn of(raw: &RawSplats) -> Self {
         let width = raw.sh_width();
         let bad = raw.non_finite_rows();
@@ -104,7 +109,7 @@ impl SplatSummary {
         }
     }
 
-    /// A table for people.
+    /// A text table.
     pub fn to_text(&self) -> String {
         use std::fmt::Write as _;
         let mut out = format!(
@@ -130,25 +135,25 @@ impl SplatSummary {
     }
 }
 
-/// A summary of one block of values of a checkpoint.
+/// Summary of one tensor of a checkpoint.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct BlockSummary {
-    /// Name of the tensor.
+    /// Name of the tensor in the checkpoint.
     pub name: String,
     /// Number of values.
     pub values: usize,
-    /// Values that are not finite.
+    /// Number of values that are not finite.
     pub non_finite: usize,
     /// Smallest finite value.
     pub min: f32,
-    /// Median.
+    /// Median of the finite values.
     pub median: f32,
     /// Largest finite value.
     pub max: f32,
 }
 
 impl BlockSummary {
-    /// The summary of a tensor.
+    /// Summarises a tensor.
     pub fn of(name: &str, values: &[f32]) -> Self {
         let column = Column::of("", values.iter().copied());
         let non_finite = values.iter().filter(|v| !v.is_finite()).count();
@@ -156,19 +161,19 @@ impl BlockSummary {
         Self { name: name.to_owned(), values: values.len(), non_finite, min, median, max }
     }
 
-    /// The first line of a table of blocks.
+    /// The header of a table of tensors.
     pub fn table_head() -> String {
         format!("{:32}{:>11}{:>12}{:>11}{:>11}{:>11}\n", "", "values", "not finite", "min", "median", "max")
     }
 
-    /// A line of that table.
+    /// The row of that table.
     pub fn to_text(&self) -> String {
         let [min, median, max] = [self.min, self.median, self.max].map(number);
         format!("{:32}{:>11}{:>12}{min:>11}{median:>11}{max:>11}\n", self.name, self.values, self.non_finite)
     }
 }
 
-/// Bytes in a unit that suits their size.
+/// A number of bytes with a decimal unit: bytes, kB, MB or GB.
 pub fn bytes_text(bytes: usize) -> String {
     match bytes as f64 {
         b if b >= 1e9 => format!("{:.2} GB", b / 1e9),
@@ -178,7 +183,7 @@ pub fn bytes_text(bytes: usize) -> String {
     }
 }
 
-/// Four significant digits.
+/// A number with four significant digits.
 fn number(v: f32) -> String {
     match v.abs() {
         0.0 => "0".to_owned(),
@@ -195,7 +200,7 @@ fn ordered(mut s: [f32; 3]) -> [f32; 3] {
     s
 }
 
-/// Spherical harmonics are orthonormal: the variance over directions is the sum of squares of the rest.
+/// By orthonormality of spherical harmonics, the variance over directions is the sum of squares above degree 0.
 fn view_dependent_share(raw: &RawSplats) -> f64 {
     let width = raw.sh_width();
     let mean: [f64; 3] = std::array::from_fn(|c| {

@@ -1,26 +1,26 @@
-//! The section of a report on intervals and anchors: where boundaries went, which intervals were busy, and why.
+//! The report section on intervals and anchors: boundaries over steps, gradients of intervals, every adjustment.
 
 use super::ReportError;
 use super::chart::{Scale, chart};
-use super::page::{escape, picture, section, table};
+use super::page::{escape, picture, section, table, wrapped};
 use crate::analysis::Journal;
 
-/// The section; nothing if the run told nothing.
+/// Renders the section; empty without events.
 ///
 /// # Errors
-/// If the chart or the picture cannot be drawn.
-pub fn intervals(journal: &Journal) -> Result<String, ReportError> {
+/// If the chart or the heat map cannot be encoded.
+pub(crate) fn intervals(journal: &Journal) -> Result<String, ReportError> {
     let svg = chart("Boundaries, normalised time", "step", Scale::Linear, &journal.curves())?;
-    let mut drawn = svg.map_or(String::new(), |svg| format!("<figure>{svg}</figure>\n"));
+    let mut charts = svg.map_or(String::new(), |svg| format!("<figure>{svg}</figure>\n"));
     if let Some(map) = journal.heat() {
         let (last, passes) = (map.span[1], map.steps.len());
         let caption = format!("mean gradient, intervals 0 (bottom) to {last}, {passes} passes from left to right");
         let picture = picture(&map.image(), &caption)?;
-        drawn += &format!("<span class=\"heat\">{picture}<small>{}</small></span>\n", escape(&caption));
+        charts += &format!("<span class=\"heat\">{picture}<small>{}</small></span>\n", escape(&caption));
     }
-    let drawn = if drawn.is_empty() { drawn } else { format!("<div class=\"charts\">\n{drawn}</div>\n") };
+    let charts = wrapped("charts", charts);
     let rows = journal.rows().into_iter().map(|n| vec![n.name, n.value, n.meaning]);
-    let content = drawn + &table(&["what", "how much", "meaning"], &[], rows) + &passes(journal);
+    let content = charts + &table(&["what", "how much", "meaning"], &[], rows) + &passes(journal);
     let remark = if journal.passes.is_empty() {
         ""
     } else {
@@ -29,7 +29,7 @@ pub fn intervals(journal: &Journal) -> Result<String, ReportError> {
     Ok(section("Intervals and anchors", remark, &content))
 }
 
-/// Every pass over the boundaries, folded away.
+/// The table of all adjustments, collapsed.
 fn passes(journal: &Journal) -> String {
     let head = ["step", "threshold", "busy (mean gradient)", "moved", "refused"];
     let content = table(&head, &[0, 1], journal.passes.iter().map(|p| p.cells().to_vec()));

@@ -1,21 +1,33 @@
-//! One HTML file that tells what a run did: figures, curves, pictures, what the scene needed, speed against error, settings.
+//! HTML reports: figures, curves, images, histograms, tables, each page one self-contained file.
 //!
-//! Everything is inline (SVG, pictures as base64, one style sheet, one script of a screen), so the file opens offline and
-//! years later; a content policy forbids it to load anything. Text from the outside (names, settings) is escaped. Pictures
-//! are of bounded size, and so is the page. Without scripts, and in print, what can be wiped between stands side by side.
+//! Everything is inline (SVG, base64 images, one style sheet, one short script), so a page opens offline and years later; its
+//! content policy forbids to load anything. Text from outside (names, settings) is escaped. Images are reduced, so the size
+//! of a page is bounded. Without scripts, and in print, images to compare stand side by side.
+//!
+//! ```
+//! use gs4d_report::{Figure, Report};
+//!
+//! let figure = Figure { value: "31.42 dB".into(), name: "PSNR".into(), remark: "<black>".into() };
+//! let html = Report { title: "bouncing".into(), figures: vec![figure], ..Report::default() }.html()?;
+//! assert!(html.starts_with("<!doctype html>") && html.contains("31.42 dB") && html.contains("&lt;black&gt;"));
+//! # Ok::<(), gs4d_report::ReportError>(())
+//! ```
+
+#![warn(unreachable_pub)]
+#![warn(clippy::allow_attributes_without_reason)]
 
 pub mod analysis;
 pub mod chart;
-pub mod embed;
+mod embed;
 pub mod error_map;
-pub mod heat;
+mod heat;
 pub mod inspect;
-pub mod intervals;
+mod intervals;
 pub mod needs;
-pub mod overlay;
+mod overlay;
 pub mod page;
-pub mod ramp;
-pub mod scatter;
+mod ramp;
+mod scatter;
 pub mod storage;
 pub mod views;
 
@@ -30,60 +42,60 @@ use crate::storage::Storage;
 use gs_core::Image;
 use gs_core::speed::BenchRow;
 
-/// What a report shows. Empty parts are left out of the page.
+/// The content of a report. Empty parts are left out of the page.
 #[derive(Clone, Debug, Default)]
 pub struct Report {
     /// Heading, for example `bouncing · fourdgs`.
     pub title: String,
-    /// One sentence below it.
+    /// One sentence below the heading.
     pub subtitle: String,
-    /// The figures that matter: value, unit or name, and a remark (split, background).
+    /// Headline figures.
     pub figures: Vec<Figure>,
-    /// What the scores are of: split, number of views, size, background, mask.
+    /// Conditions of the scores: split, number of views, size, background, mask.
     pub conditions: String,
-    /// The same of the scores beyond the last training time.
+    /// Conditions of the scores beyond the last training time.
     pub future_conditions: String,
-    /// Metric, mean, median, worst, and the view that is worst.
+    /// Per metric: its name, mean, median, worst value, and the name of the worst view.
     pub scores: Vec<[String; 5]>,
-    /// Training loss against step and seconds.
+    /// Training loss over steps and seconds.
     pub loss: Vec<Sample>,
-    /// PSNR (dB) against step and seconds; a name per line (`train view`, `val`).
+    /// Named curves of PSNR, dB (`training views`, `val views`).
     pub psnr: Vec<(String, Vec<Sample>)>,
-    /// Number of splats against step and seconds.
+    /// Number of splats over steps and seconds.
     pub splats: Vec<Sample>,
-    /// Views with their truth: the worst first, then those in the middle.
+    /// Renders beside ground truth: the worst views first, then the median ones.
     pub views: Vec<Comparison>,
-    /// Views beyond the last training time with their truth, in the same order.
+    /// The same for views beyond the last training time.
     pub future: Vec<Comparison>,
     /// The scene from one camera over time.
     pub strip: Vec<Still>,
-    /// Histograms of the splats' quantities over the steps of training.
+    /// Histograms of scalar attributes of the splats over training steps.
     pub heat_maps: Vec<HeatMap>,
-    /// What the method knows of its splats, drawn.
+    /// Renders of the splats coloured by their attributes.
     pub overlays: Vec<OverlayFigure>,
-    /// What they were drawn at.
+    /// View, time and background of the overlays, in words.
     pub overlay_view: String,
-    /// How the splats move, how their kernels are bent, what they cost.
-    pub analysis: Vec<Need>,
-    /// Where the motion is jerky.
+    /// Statistics of motion, kernel shapes and rendering cost.
+    pub analysis: Vec<ReportRow>,
+    /// Renders coloured by second differences of motion.
     pub jerk: Vec<Still>,
-    /// Where boundaries of intervals went and why, how anchors grew.
+    /// Moves of interval boundaries and growth of anchors.
     pub journal: Journal,
-    /// What the scene turned out to need.
-    pub needs: Vec<Need>,
-    /// What drawing and training took, and what they skipped.
-    pub work: Vec<Need>,
-    /// Its bytes.
+    /// Statistics of the trained scene: moving, rotating, invisible splats.
+    pub needs: Vec<ReportRow>,
+    /// Work of rendering and training, and work skipped.
+    pub work: Vec<ReportRow>,
+    /// Bytes of the parameters by block.
     pub storage: Option<Storage>,
-    /// Speed against error.
+    /// Milliseconds and error of variants of the renderer.
     pub speed: Vec<BenchRow>,
-    /// Key, value, source.
+    /// Per setting: key, value, source.
     pub settings: Vec<[String; 3]>,
-    /// Name and value.
+    /// Provenance as name and value: version, machine, data.
     pub provenance: Vec<[String; 2]>,
 }
 
-/// A headline figure.
+/// A headline figure on a card.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Figure {
     /// For example `31.42 dB`.
@@ -94,51 +106,58 @@ pub struct Figure {
     pub remark: String,
 }
 
-/// A point of a curve.
+/// A sample of a training curve.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
-    /// Optimiser step.
+    /// Optimizer step, from 1.
     pub step: f64,
-    /// Training seconds.
+    /// Seconds of training up to this step.
     pub seconds: f64,
-    /// The value.
+    /// Value of the curve at this step.
     pub value: f64,
 }
 
-/// A view beside its truth.
+/// A render beside its ground truth.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Comparison {
-    /// Time and name of the view.
+    /// Time and name of the view, unique in the report.
     pub name: String,
     /// Name of the view, time, metrics.
     pub caption: String,
-    /// The photograph (3 channels).
+    /// Ground truth, `[H, W, 3]`.
     pub truth: Image,
-    /// The drawing (3 channels).
-    pub drawn: Image,
+    /// Render, `[H, W, 3]`.
+    pub render: Image,
 }
 
-/// One picture of the strip.
+/// An image with a caption.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Still {
     /// For example `t = 0.25`.
     pub caption: String,
-    /// 3 channels.
+    /// The image, `[H, W, 3]`.
     pub image: Image,
 }
 
-/// One thing a scene needs or does not need.
+/// A row of a table of statistics.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
-pub struct Need {
+pub struct ReportRow {
     /// For example `splats that move`.
     pub name: String,
     /// For example `1 204 of 5 000 (24 %)`.
     pub value: String,
-    /// What it means.
+    /// Explanation of the value in words.
     pub meaning: String,
 }
 
-/// Rows of speed against error as one JSON value.
+impl ReportRow {
+    /// A row of these texts.
+    pub fn new(name: impl Into<String>, value: String, meaning: &str) -> Self {
+        Self { name: name.into(), value, meaning: meaning.to_owned() }
+    }
+}
+
+/// Benchmark rows as a JSON array.
 pub fn speed_json(rows: &[BenchRow]) -> serde_json::Value {
     // Each row writes valid JSON of its own.
     rows.iter()
@@ -147,22 +166,22 @@ pub fn speed_json(rows: &[BenchRow]) -> serde_json::Value {
         .into()
 }
 
-/// Why a report was not made.
+/// An image or chart of a report that cannot be encoded.
 #[derive(Debug, thiserror::Error)]
 pub enum ReportError {
-    /// A picture could not be encoded.
-    #[error("cannot encode a picture for the report: {0}")]
+    /// An image has no pixels, too many, or an unsupported number of channels.
+    #[error("cannot encode an image for the report: {0}")]
     Png(String),
-    /// A chart could not be drawn.
+    /// The plotting library refused a chart.
     #[error("cannot draw a chart for the report: {0}")]
     Chart(String),
 }
 
 impl Report {
-    /// The page.
+    /// Renders the report as one HTML page.
     ///
     /// # Errors
-    /// If a picture or chart cannot be drawn (a picture without pixels).
+    /// If an image or chart cannot be encoded (an image without pixels).
     pub fn html(&self) -> Result<String, ReportError> {
         page::page(self)
     }
@@ -180,9 +199,9 @@ mod tests {
             .collect();
         let image = Image { width: 2, height: 1, channels: 3, data: vec![0.0, 0.5, 1.0, 2.0, -1.0, 0.25] };
         let text = || HOSTILE.to_owned();
-        let need = || Need { name: text(), value: "7 < 9".into(), meaning: text() };
+        let need = || ReportRow { name: text(), value: "7 < 9".into(), meaning: text() };
         let still = || Still { caption: text(), image: image.clone() };
-        let view = || Comparison { name: text(), caption: text(), truth: image.clone(), drawn: image.clone() };
+        let view = || Comparison { name: text(), caption: text(), truth: image.clone(), render: image.clone() };
         Report {
             title: text(),
             subtitle: text(),
@@ -269,7 +288,7 @@ mod tests {
     fn the_page_stays_small_however_large_the_pictures() {
         let noise = |k: usize| (k.wrapping_mul(2_654_435_761) >> 8) as f32 % 255.0 / 255.0;
         let image = Image { width: 1600, height: 900, channels: 3, data: (0..1600 * 900 * 3).map(noise).collect() };
-        let view = Comparison { name: "v".into(), caption: "v".into(), truth: image.clone(), drawn: image.clone() };
+        let view = Comparison { name: "v".into(), caption: "v".into(), truth: image.clone(), render: image.clone() };
         let still = Still { caption: "t".into(), image };
         let report = Report { views: vec![view; 3], strip: vec![still; 4], ..Report::default() };
         let html = report.html().unwrap();

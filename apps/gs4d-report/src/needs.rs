@@ -1,10 +1,10 @@
-//! What a scene turned out to need: how much of it moves, turns, changes size, shines from one side only, or is never seen.
+//! How much of a trained scene moves, rotates, changes size, has view-dependent colour, or is never visible.
 //!
-//! The method is asked for its splats at [`MOMENTS`] evenly spaced moments of the training span. A splat *moves* if its
-//! centre leaves the mean of its own path by more than [`STILL`] of the scene's extent; it *turns* if any axis of its
-//! frame turns by more than [`TURN`] radians; it *breathes* if a scale changes by more than [`BREATH`].
+//! Splats are sampled at nine evenly spaced times of the training span. A splat *moves* if its mean leaves the mean
+//! of its path by more than 0.1 % of the scene's extent; it *rotates* by more than 0.02 radians
+//! against the first time; it *changes size* if a scale changes by more than 2 %.
 
-use crate::Need;
+use crate::ReportRow;
 use crate::inspect::{INVISIBLE_OPACITY, bytes_text};
 use glam::{DMat3, DVec3, Vec3};
 use gs_core::{Camera, Color, Params, Splats, rot};
@@ -12,45 +12,50 @@ use gs_train::method::MethodError;
 use gs_train::model::Model;
 use gs_train::timestamp::Timestamp;
 
-/// Moments looked at.
-pub const MOMENTS: usize = 9;
-/// Share of the extent below which a path counts as rest.
-pub const STILL: f32 = 1e-3;
-/// Radians.
-pub const TURN: f32 = 0.02;
-/// Relative change of a scale.
-pub const BREATH: f32 = 0.02;
-/// Change of colour over directions below which degree 0 would look the same in 8 bit.
-pub const PLAIN: f32 = 1.0 / 255.0;
+/// Number of sampled times.
+pub(crate) const SAMPLE_TIMES: usize = 9;
+/// Displacement up to which a splat is static, as a share of the extent.
+pub(crate) const MIN_DISPLACEMENT: f32 = 1e-3;
+/// Rotation up to which an orientation is static, radians.
+pub(crate) const MIN_ROTATION: f32 = 0.02;
+/// Relative change up to which a scale is static.
+pub(crate) const MIN_SCALE_CHANGE: f32 = 0.02;
+/// Bound on the view-dependent part of a colour below which SH degree 0 gives the same 8-bit value.
+pub(crate) const MAX_SH_REST: f32 = 1.0 / 255.0;
 
-/// What the scene of a method needs. `extent` is the length that motion is compared with, world units.
+/// Statistics of a model's splats, as rows for the report. `extent` is the length that motion is compared with, world units;
+/// `camera` matters only to models whose splats depend on it.
 ///
 /// # Errors
-/// If the method cannot be asked for its splats.
-pub fn needs(method: &Model, camera: &Camera, extent: f32) -> Result<Vec<Need>, MethodError> {
-    let times: Vec<f32> = (0..MOMENTS).map(|k| k as f32 / (MOMENTS - 1) as f32).collect();
+/// If the model cannot produce its splats.
+pub fn needs(method: &Model, camera: &Camera, extent: f32) -> Result<Vec<ReportRow>, MethodError> {
+    let times: Vec<f32> = (0..SAMPLE_TIMES).map(|k| k as f32 / (SAMPLE_TIMES - 1) as f32).collect();
     let scenes = times.iter().map(|&t| method.all_splats(&Timestamp::normalised(t), camera));
     let scenes = scenes.collect::<Result<Vec<Splats>, _>>()?;
     let Some(first) = scenes.first().filter(|s| !s.is_empty()) else { return Ok(Vec::new()) };
     let n = first.len();
-    let mut out = vec![need("splats", n.to_string(), "drawn at every moment")];
+    let mut out = vec![ReportRow::new("splats", n.to_string(), "rendered at every time")];
     if scenes.iter().all(|s| s.len() == n) {
         motion(&scenes, extent, &mut out);
     }
     let unseen = scenes.iter().fold(vec![true; n], |unseen, s| {
         unseen.iter().zip(&s.opacities).map(|(&u, &o)| u && o < INVISIBLE_OPACITY).collect()
     });
-    out.push(need("splats never visible", count(&unseen), "below opacity 1/255 at every moment: can be left out"));
+    out.push(ReportRow::new(
+        "splats never visible",
+        count(&unseen),
+        "below opacity 1/255 at every time: can be left out",
+    ));
     if let Color::Sh { degree, coeffs } = &first.color {
         let plain: Vec<bool> = coeffs.chunks_exact(first.color.width()).map(is_plain).collect();
         let meaning = format!("their colour hardly depends on the view: degree 0 instead of {degree} would do");
-        out.push(need("splats of plain colour", count(&plain), &meaning));
+        out.push(ReportRow::new("splats of plain colour", count(&plain), &meaning));
     }
-    out.push(need("storage in all", bytes_text(4 * Params::param_count(method)), "parameters as f32"));
+    out.push(ReportRow::new("storage in all", bytes_text(4 * Params::param_count(method)), "parameters as f32"));
     Ok(out)
 }
 
-/// A camera for questions whose answer does not depend on the camera.
+/// A camera of one pixel at the origin, for models whose splats do not depend on the camera.
 pub fn neutral_camera() -> Camera {
     Camera {
         width: 1,
@@ -64,32 +69,36 @@ pub fn neutral_camera() -> Camera {
     }
 }
 
-fn motion(scenes: &[Splats], extent: f32, out: &mut Vec<Need>) {
+fn motion(scenes: &[Splats], extent: f32, out: &mut Vec<ReportRow>) {
     let n = scenes[0].len();
-    let sway = |i: usize| {
+    let displacement = |i: usize| {
         let mean = scenes.iter().map(|s| s.means[i]).sum::<Vec3>() / scenes.len() as f32;
         scenes.iter().map(|s| s.means[i].distance(mean)).fold(0.0, f32::max)
     };
-    let sways: Vec<f32> = (0..n).map(sway).collect();
-    let moves: Vec<bool> = sways.iter().map(|&s| s > STILL * extent).collect();
-    let turns: Vec<bool> = (0..n).map(|i| turned(scenes, i) > TURN).collect();
-    let breathes: Vec<bool> = (0..n).map(|i| breath(scenes, i) > BREATH).collect();
-    let still: Vec<bool> = (0..n).map(|i| !moves[i] && !turns[i] && !breathes[i]).collect();
-    let largest = sways.iter().copied().fold(0.0, f32::max);
-    out.push(need("splats that move", count(&moves), "leave the mean of their path by more than 0.1 % of the extent"));
-    out.push(need("splats that turn", count(&turns), "by more than 0.02 radians"));
-    out.push(need("splats that change size", count(&breathes), "by more than 2 %"));
-    out.push(need("splats at rest", count(&still), "could be drawn without the field"));
+    let displacements: Vec<f32> = (0..n).map(displacement).collect();
+    let moves: Vec<bool> = displacements.iter().map(|&s| s > MIN_DISPLACEMENT * extent).collect();
+    let rotates: Vec<bool> = (0..n).map(|i| largest_rotation(scenes, i) > MIN_ROTATION).collect();
+    let resizes: Vec<bool> = (0..n).map(|i| largest_scale_change(scenes, i) > MIN_SCALE_CHANGE).collect();
+    let is_static: Vec<bool> = (0..n).map(|i| !moves[i] && !rotates[i] && !resizes[i]).collect();
+    let largest = displacements.iter().copied().fold(0.0, f32::max);
+    out.push(ReportRow::new(
+        "splats that move",
+        count(&moves),
+        "leave the mean of their path by more than 0.1 % of the extent",
+    ));
+    out.push(ReportRow::new("splats that turn", count(&rotates), "by more than 0.02 radians"));
+    out.push(ReportRow::new("splats that change size", count(&resizes), "by more than 2 %"));
+    out.push(ReportRow::new("splats at rest", count(&is_static), "could be rendered without the field"));
     let text = format!("{largest:.3}");
-    out.push(need(
+    out.push(ReportRow::new(
         "largest motion",
         text,
         &format!("from the mean of its path, world units; the extent is {extent:.3}"),
     ));
 }
 
-/// Largest turn of a splat against its first moment, radians.
-fn turned(scenes: &[Splats], i: usize) -> f32 {
+/// Largest rotation of a splat against the first time, radians.
+fn largest_rotation(scenes: &[Splats], i: usize) -> f32 {
     let unit = |s: &Splats| rot::normalise(s.quats[i]).wxyz;
     let first = unit(&scenes[0]);
     let angle = |s: &Splats| {
@@ -99,20 +108,16 @@ fn turned(scenes: &[Splats], i: usize) -> f32 {
     scenes[1..].iter().map(angle).fold(0.0, f32::max)
 }
 
-/// Largest relative change of a scale against the first moment.
-fn breath(scenes: &[Splats], i: usize) -> f32 {
+/// Largest relative change of a scale against the first time.
+fn largest_scale_change(scenes: &[Splats], i: usize) -> f32 {
     let first = scenes[0].scales[i].max(Vec3::splat(f32::MIN_POSITIVE));
     scenes[1..].iter().map(|s| (s.scales[i] / first - 1.0).abs().max_element()).fold(0.0, f32::max)
 }
 
-/// A bound of what the SH rest can add in any direction: each basis function is below 1.
+/// Whether the SH above degree 0 stay below [`MAX_SH_REST`] in any direction: each basis function is below 1.
 fn is_plain(row: &[f32]) -> bool {
     let rest = |c: usize| row.iter().skip(3 + c).step_by(3).map(|v| v.abs()).sum::<f32>();
-    (0..3).all(|c| rest(c) < PLAIN)
-}
-
-fn need(name: &str, value: String, meaning: &str) -> Need {
-    Need { name: name.to_owned(), value, meaning: meaning.to_owned() }
+    (0..3).all(|c| rest(c) < MAX_SH_REST)
 }
 
 fn count(which: &[bool]) -> String {

@@ -1,56 +1,55 @@
-//! Pictures of what a method knows of its splats, each with its legend and its histogram.
+//! The report section of overlays: renders coloured by attributes of the splats, each with its legend and histogram.
 
 use super::ReportError;
 use super::embed::reduced;
-use super::page::{escape, picture, ramp_legend, section};
+use super::page::{escape, picture, ramp_legend, section, wrapped};
 use super::ramp::{Ramp, css_color};
 use crate::analysis::Histogram;
 use gs_core::Image;
 use std::fmt::Write as _;
 
-/// Longest side of a picture, pixels.
-const SIDE: usize = 400;
+/// Longest side of an overlay, pixels.
+const MAX_SIDE: usize = 400;
 
-/// The scene in the colours of a quantity, or of directions, or of parts.
+/// A render coloured by an attribute, a direction, or parts.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OverlayFigure {
-    /// `lambda`, `velocity`, `parts`, …
+    /// For example `lambda`, `velocity` or `parts`.
     pub name: String,
-    /// 3 channels.
+    /// RGB in `[0, 1]`, `[H, W, 3]`.
     pub image: Image,
-    /// What the colours mean.
+    /// Meaning of the colours.
     pub legend: Legend,
-    /// How the quantity is spread over all splats, on the legend's span.
+    /// Histogram of the attribute over all splats, on the legend's span.
     pub histogram: Option<Histogram>,
 }
 
-/// What colours mean.
+/// The legend of an overlay.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Legend {
-    /// Numbers along a ramp: texts at its low end, its middle and its high end.
+    /// A colour map with labels at its low end, middle and high end.
     Numbers(Ramp, [String; 3]),
-    /// A colour for each kind.
+    /// A colour and a label for each kind.
     Kinds(Vec<([f32; 3], String)>),
-    /// In words.
+    /// An explanation in words.
     Words(String),
 }
 
-/// The section; nothing without figures. `remark` says what was drawn.
+/// Renders the section; empty without figures. `remark` names the view.
 ///
 /// # Errors
-/// If a picture cannot be encoded.
-pub fn overlays(remark: &str, figures: &[OverlayFigure]) -> Result<String, ReportError> {
+/// If an image cannot be encoded.
+pub(crate) fn overlays(remark: &str, figures: &[OverlayFigure]) -> Result<String, ReportError> {
     let mut out = String::new();
     for f in figures {
         let alt = format!("the scene in the colours of {}", f.name);
-        let _ = writeln!(out, "<figure>{}", picture(&reduced(&f.image, SIDE), &alt)?);
+        let _ = writeln!(out, "<figure>{}", picture(&reduced(&f.image, MAX_SIDE), &alt)?);
         let _ = writeln!(out, "<figcaption>{}</figcaption>", escape(&f.name));
         out += &f.histogram.as_ref().map_or(String::new(), bars);
         out += &legend(&f.legend);
         out.push_str("</figure>\n");
     }
-    let grid = if out.is_empty() { out } else { format!("<div class=\"overlays\">\n{out}</div>\n") };
-    Ok(section("What the method knows of its splats", &escape(remark), &grid))
+    Ok(section("What the method knows of its splats", &escape(remark), &wrapped("overlays", out)))
 }
 
 fn legend(legend: &Legend) -> String {
@@ -66,12 +65,12 @@ fn legend(legend: &Legend) -> String {
     }
 }
 
-/// The histogram as bars, as wide as the legend below it.
+/// The histogram as bars, with the width of the legend below.
 fn bars(h: &Histogram) -> String {
     let most = h.counts.iter().copied().max().unwrap_or(0).max(1);
     let mut path = String::new();
     for (k, &count) in h.counts.iter().enumerate().filter(|(_, c)| **c > 0) {
-        // What there is at all can be seen.
+        // A count of 1 stays visible.
         let height = (30.0 * f64::from(count) / f64::from(most)).max(0.6);
         let _ = write!(path, "M{k} 30v{:.1}h1V30z", -height);
     }

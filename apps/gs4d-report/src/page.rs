@@ -1,4 +1,4 @@
-//! The HTML of a report, and the parts that pages of other kinds share.
+//! The HTML of a report, and the building blocks of all HTML pages.
 
 use super::chart::{Curve, Scale, chart};
 use super::embed::{Inline, reduced};
@@ -7,20 +7,24 @@ use super::overlay::overlays;
 use super::ramp::Ramp;
 use super::scatter::scatter;
 use super::views::{comparisons, script};
-use super::{Comparison, Need, Report, ReportError, Sample};
+use super::{Comparison, Report, ReportError, ReportRow, Sample};
 use crate::storage::Storage;
 use gs_core::Image;
 use std::fmt::Write as _;
 
-/// Longest side of a picture of the strip, pixels.
-const STRIP_SIDE: usize = 320;
-/// Nothing is loaded from anywhere, whatever the page holds.
+/// Longest side of an image of the strip, pixels.
+const MAX_STRIP_SIDE: usize = 320;
+/// Content policy that forbids to load anything.
 const POLICY: &str = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'; \
     base-uri 'none'; form-action 'none'";
 
 const STYLE: &str = include_str!("style.css");
 
-/// Text that is safe inside HTML, attributes included.
+/// Escapes text for HTML content and attributes.
+///
+/// ```
+/// assert_eq!(gs4d_report::page::escape("a < b & 'c'"), "a &lt; b &amp; &#39;c&#39;");
+/// ```
 pub fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {
@@ -36,11 +40,8 @@ pub fn escape(text: &str) -> String {
     out
 }
 
-/// The page of a run.
-///
-/// # Errors
-/// If a chart or image cannot be drawn.
-pub fn page(report: &Report) -> Result<String, ReportError> {
+/// Renders a report; sections without content are left out.
+pub(crate) fn page(report: &Report) -> Result<String, ReportError> {
     let parts = [
         figures(report),
         scores(report),
@@ -60,7 +61,7 @@ pub fn page(report: &Report) -> Result<String, ReportError> {
     Ok(document(&report.title, &report.subtitle, &parts.concat()))
 }
 
-/// A self-contained page around sections.
+/// A self-contained page around the HTML of sections. Title and subtitle are escaped here.
 pub fn document(title: &str, subtitle: &str, sections: &str) -> String {
     let title = escape(title);
     format!(
@@ -74,7 +75,7 @@ pub fn document(title: &str, subtitle: &str, sections: &str) -> String {
     )
 }
 
-/// A section, or nothing if it has no content.
+/// A section of HTML content with a heading; empty without content. Nothing is escaped here.
 pub fn section(heading: &str, remark: &str, content: &str) -> String {
     if content.is_empty() {
         return String::new();
@@ -99,36 +100,57 @@ fn scores(report: &Report) -> String {
 }
 
 fn curves(report: &Report) -> Result<String, ReportError> {
-    let against = |axis: &str, s: &Sample| (if axis == "step" { s.step } else { s.seconds }, s.value);
     let one = |name: &str, samples: &[Sample]| vec![(name.to_owned(), samples.to_vec())];
-    let groups = [
-        ("Training loss", Scale::Log, one("loss", &report.loss)),
-        ("PSNR, dB", Scale::Linear, report.psnr.clone()),
-        ("Splats", Scale::Linear, one("splats", &report.splats)),
-    ];
-    let mut out = String::new();
-    for (title, scale, lines) in groups {
-        for axis in ["step", "seconds of training"] {
-            let lines: Vec<_> = lines
-                .iter()
-                .map(|(name, s)| Curve { name: name.clone(), points: s.iter().map(|s| against(axis, s)).collect() })
-                .collect();
-            if let Some(svg) = chart(title, axis, scale, &lines)? {
-                let _ = writeln!(out, "<figure>{svg}</figure>");
-            }
-        }
-    }
-    let grid = if out.is_empty() { out } else { format!("<div class=\"charts\">\n{out}</div>\n") };
-    Ok(section("Course of training", "Each curve against optimiser steps and against seconds.", &grid))
+    let charts = training_charts("Training loss", Scale::Log, &one("loss", &report.loss))?
+        + &training_charts("PSNR, dB", Scale::Linear, &report.psnr)?
+        + &training_charts("Splats", Scale::Linear, &one("splats", &report.splats))?;
+    let remark = "Each curve against optimiser steps and against seconds.";
+    Ok(section("Course of training", remark, &wrapped("charts", charts)))
 }
 
-/// An image of 1, 3 or 4 channels, inline.
+/// Two charts of named training curves: over steps and over seconds; empty without samples.
+///
+/// # Errors
+/// If the plotting library fails.
+pub fn training_charts(title: &str, scale: Scale, curves: &[(String, Vec<Sample>)]) -> Result<String, ReportError> {
+    let mut out = String::new();
+    for axis in ["step", "seconds of training"] {
+        let point = |s: &Sample| (if axis == "step" { s.step } else { s.seconds }, s.value);
+        let curve = |(name, samples): &(String, Vec<Sample>)| Curve {
+            name: name.clone(),
+            points: samples.iter().map(point).collect(),
+        };
+        let lines: Vec<Curve> = curves.iter().map(curve).collect();
+        if let Some(svg) = chart(title, axis, scale, &lines)? {
+            let _ = writeln!(out, "<figure>{svg}</figure>");
+        }
+    }
+    Ok(out)
+}
+
+/// A `<div>` of a class around content; empty without content.
+pub fn wrapped(class: &str, content: String) -> String {
+    if content.is_empty() { content } else { format!("<div class=\"{class}\">\n{content}</div>\n") }
+}
+
+/// An embedded `<img>` of 1, 3 or 4 channels with an alternative text.
+///
+/// # Errors
+/// If the image cannot be encoded.
 pub fn picture(image: &Image, alt: &str) -> Result<String, ReportError> {
     let Inline { width, height, address } = Inline::of(image)?;
     Ok(format!("<img alt=\"{}\" width=\"{width}\" height=\"{height}\" src=\"{address}\">", escape(alt)))
 }
 
-/// A bar of colours with texts below it.
+/// An embedded image with a caption below, which is its alternative text, too.
+///
+/// # Errors
+/// If the image cannot be encoded.
+pub fn captioned(image: &Image, caption: &str) -> Result<String, ReportError> {
+    Ok(format!("<span>{}<small>{}</small></span>\n", picture(image, caption)?, escape(caption)))
+}
+
+/// A colour map as a bar with labels below it.
 pub(super) fn ramp_legend(name: &str, ramp: &Ramp, ticks: &[String]) -> String {
     let ticks: String = ticks.iter().map(|t| format!("<span>{}</span>", escape(t))).collect();
     let name = escape(name);
@@ -146,15 +168,12 @@ fn views(heading: &str, conditions: &str, views: &[Comparison]) -> Result<String
 fn strip(report: &Report) -> Result<String, ReportError> {
     let mut out = String::new();
     for still in &report.strip {
-        let caption = escape(&still.caption);
-        let image = reduced(&still.image, STRIP_SIDE);
-        let _ = writeln!(out, "<span>{}<small>{caption}</small></span>", picture(&image, &still.caption)?);
+        out += &captioned(&reduced(&still.image, MAX_STRIP_SIDE), &still.caption)?;
     }
-    let strip = if out.is_empty() { out } else { format!("<div class=\"strip\">\n{out}</div>\n") };
-    Ok(section("Through time", "One camera, evenly spaced moments.", &strip))
+    Ok(section("Through time", "One camera, evenly spaced times.", &wrapped("strip", out)))
 }
 
-/// A table; `numeric` columns are aligned right. Cells are escaped here.
+/// A table; the columns in `numeric` are aligned right. Cells are escaped here, `head` is not. Empty without rows.
 pub fn table(head: &[&str], numeric: &[usize], rows: impl Iterator<Item = Vec<String>>) -> String {
     let class = |i: usize| if numeric.contains(&i) { " class=\"n\"" } else { "" };
     let mut body = String::new();
@@ -183,34 +202,33 @@ fn kernels(report: &Report) -> Result<String, ReportError> {
         let _ = writeln!(maps, "<span class=\"heat\">{picture}<small>{}</small></span>", escape(&caption));
     }
     for still in &report.jerk {
-        let caption = escape(&still.caption);
-        let _ = writeln!(maps, "<span>{}<small>{caption}</small></span>", picture(&still.image, &still.caption)?);
+        maps += &captioned(&still.image, &still.caption)?;
     }
-    let maps = if maps.is_empty() { maps } else { format!("<div class=\"strip maps\">\n{maps}</div>\n") };
-    let rows = report.analysis.iter().map(|n| vec![n.name.clone(), n.value.clone(), n.meaning.clone()]);
-    let content = maps + &table(&["what", "how much", "meaning"], &[1], rows);
+    let content = wrapped("strip maps", maps) + &statistics(&report.analysis);
     let remark =
         "Heat maps: how often a quantity takes which value over training, each step by itself, the darker the more.";
     let remark = if report.heat_maps.is_empty() { "" } else { remark };
     Ok(section("Kernels and motion", remark, &content))
 }
 
+/// The table of some statistics.
+fn statistics(rows: &[ReportRow]) -> String {
+    let cells = rows.iter().map(|r| vec![r.name.clone(), r.value.clone(), r.meaning.clone()]);
+    table(&["what", "how much", "meaning"], &[1], cells)
+}
+
 fn needs(report: &Report) -> String {
-    let rows = |list: &[Need]| {
-        let rows = list.iter().map(|n| vec![n.name.clone(), n.value.clone(), n.meaning.clone()]);
-        table(&["what", "how much", "meaning"], &[1], rows)
-    };
     let part = |name: &str, content: String| match content.is_empty() {
         true => content,
         false => format!("<h3>{name}</h3>\n{content}"),
     };
-    let content = part("Splats", rows(&report.needs))
-        + &part("Work done and skipped", rows(&report.work))
+    let content = part("Splats", statistics(&report.needs))
+        + &part("Work done and skipped", statistics(&report.work))
         + &report.storage.as_ref().map_or(String::new(), |s| part("Bytes", bytes(s)));
     section("What the scene needed", "", &content)
 }
 
-/// The bytes of a scene block by block, and by the rule of its paper where there is one.
+/// The storage by block, and by the counting rule of the paper where there is one.
 fn bytes(storage: &Storage) -> String {
     let mb = |bytes: usize| format!("{:.3}", bytes as f64 / 1e6);
     let row = |name: &str, values: usize| vec![name.to_owned(), values.to_string(), mb(4 * values), mb(2 * values)];

@@ -1,6 +1,6 @@
-//! Colours for a number between 0 and 1.
+//! Colour maps for numbers in `[0, 1]`.
 
-/// Magma (Smith and van der Walt 2015) at ten even places, sRGB.
+/// Magma (Smith and van der Walt 2015), ten evenly spaced sRGB colours.
 const MAGMA: [[u8; 3]; 10] = [
     [0x00, 0x00, 0x04],
     [0x18, 0x0f, 0x3d],
@@ -14,17 +14,22 @@ const MAGMA: [[u8; 3]; 10] = [
     [0xfc, 0xfd, 0xbf],
 ];
 
-/// Colours at even places; between them it is linear.
+/// A colour map: evenly spaced sRGB colours in `[0, 1]`, linear between them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Ramp(pub Vec<[f32; 3]>);
 
 impl Ramp {
-    /// From black through purple and orange to pale yellow, in steps that are even to the eye, in grey too.
+    /// Magma: black, purple, orange, pale yellow; perceptually uniform, in grey as well.
     pub fn magma() -> Self {
         Self(MAGMA.iter().map(|c| c.map(|v| f32::from(v) / 255.0)).collect())
     }
 
-    /// The colour at a share of the way; not a number is at 0.
+    /// The colour at `share`, clamped to `[0, 1]`; NaN counts as 0.
+    ///
+    /// ```
+    /// let ramp = gs4d_report::Ramp(vec![[0.0; 3], [1.0, 0.5, 0.0]]);
+    /// assert_eq!((ramp.at(0.5), ramp.at(f32::NAN)), ([0.5, 0.25, 0.0], [0.0; 3]));
+    /// ```
     pub fn at(&self, share: f32) -> [f32; 3] {
         let Some(last) = self.0.len().checked_sub(1) else { return [0.0; 3] };
         let place = share.clamp(0.0, 1.0).max(0.0) * last as f32;
@@ -33,15 +38,15 @@ impl Ramp {
         std::array::from_fn(|c| (1.0 - part) * from[c] + part * to[c])
     }
 
-    /// The ramp from left to right, for a style sheet.
-    pub fn css(&self) -> String {
+    /// A CSS gradient from left to right.
+    pub(crate) fn css(&self) -> String {
         let colors: Vec<String> = self.0.iter().map(|c| css_color(*c)).collect();
         format!("linear-gradient(to right,{})", colors.join(","))
     }
 }
 
-/// A colour for a style sheet.
-pub fn css_color(c: [f32; 3]) -> String {
+/// An RGB colour in CSS notation.
+pub(crate) fn css_color(c: [f32; 3]) -> String {
     let [r, g, b] = c.map(|v| (255.0 * v.clamp(0.0, 1.0) + 0.5) as u8);
     format!("#{r:02x}{g:02x}{b:02x}")
 }

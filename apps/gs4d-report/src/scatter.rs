@@ -1,28 +1,28 @@
-//! Speed against error as a picture: one numbered point for each way of doing it.
+//! Scatter chart of speed against error: one numbered point per benchmark row.
 
 use super::ReportError;
-use super::chart::{Area, INK, framed, svg};
+use super::chart::{Area, TEXT, framed, svg};
 use gs_core::speed::BenchRow;
 use plotters::prelude::*;
 
-/// Blue of Okabe and Ito.
+/// Colour of the points (blue of Okabe and Ito).
 const POINT: RGBColor = RGBColor(0, 114, 178);
 
-/// The chart as an `<svg>` element, both axes logarithmic; point `k` is row `k` (from 1). Nothing if no row has a positive
+/// Renders the chart as an `<svg>` element with logarithmic axes; point `k` is row `k`, from 1. `None` if no row has a positive
 /// time and error.
 ///
 /// # Errors
-/// If it cannot be drawn.
-pub fn scatter(rows: &[BenchRow]) -> Result<Option<String>, ReportError> {
+/// If the plotting library fails.
+pub(crate) fn scatter(rows: &[BenchRow]) -> Result<Option<String>, ReportError> {
     let place = |(k, r): (usize, &BenchRow)| Some((k + 1, r.ms, r.error?));
-    let drawn = |v: f64| v.is_finite() && v > 0.0;
+    let shown = |v: f64| v.is_finite() && v > 0.0;
     let points: Vec<(usize, f64, f64)> =
-        rows.iter().enumerate().filter_map(place).filter(|p| drawn(p.1) && drawn(p.2)).collect();
+        rows.iter().enumerate().filter_map(place).filter(|p| shown(p.1) && shown(p.2)).collect();
     let Some((x, y)) = span(points.iter().map(|p| p.1)).zip(span(points.iter().map(|p| p.2))) else { return Ok(None) };
     let draw = |root: &Area<'_>| {
         let (x, y) = (x.log_scale().base(2.0), y.log_scale());
         let mut chart = framed(root, "Error against time", "milliseconds", x, y)?;
-        let text = ("sans-serif", 13).into_font().color(&INK);
+        let text = ("sans-serif", 13).into_font().color(&TEXT);
         let marks = points.iter().map(|(k, ms, error)| {
             EmptyElement::at((*ms, *error))
                 + Circle::new((0, 0), 4, POINT.filled())
@@ -33,7 +33,7 @@ pub fn scatter(rows: &[BenchRow]) -> Result<Option<String>, ReportError> {
     svg("Error against time", draw).map(Some)
 }
 
-/// A range with room around it.
+/// The range of values with a margin of 30 %.
 fn span(values: impl Iterator<Item = f64> + Clone) -> Option<std::ops::Range<f64>> {
     let low = values.clone().reduce(f64::min)?;
     Some(low / 1.3..values.fold(low, f64::max) * 1.3)

@@ -1,38 +1,42 @@
-//! What a scene takes on the disk, block by block (MB = 10⁶ bytes).
+//! Storage of a scene by block of parameters (MB = 10⁶ bytes).
 //!
-//! The blocks of any method are those of its parameters, by the first two parts of their names. A method of anchors can
-//! say more: what the published rule of counting would give, and what is needed ([`PaperStorage`]).
+//! A block holds the parameters whose names have the same first two parts. Methods with anchors also report the sizes by the
+//! counting rule of their paper, and what rendering needs ([`PaperStorage`]).
 
 use gs_core::Params;
 use gs_train::capabilities::PaperStorage;
 use serde::Serialize;
 
-/// The bytes of a scene.
+/// The storage of a scene.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Storage {
-    /// Its blocks, in their order.
+    /// Blocks in the order of the parameters.
     pub blocks: Vec<StoredBlock>,
-    /// The same scene as its paper counts it, where there is such a rule.
+    /// The same scene by the counting rule of its paper, where there is one.
     pub paper: Option<PaperStorage>,
 }
 
-/// Parameters of the same first two parts of their names.
+/// The parameters of one block.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct StoredBlock {
-    /// Those parts.
+    /// Name of the block, for example `field.planes`.
     pub block: String,
     /// Number of values, 4 bytes each as `f32`.
     pub values: usize,
 }
 
-/// The first two parts of a dotted name: the block it is counted in.
+/// The first two parts of a dotted parameter name: its block.
+///
+/// ```
+/// assert_eq!(gs4d_report::storage::block_of("field.planes.xy.0"), "field.planes");
+/// ```
 pub fn block_of(name: &str) -> &str {
     let end = name.match_indices('.').nth(1).map_or(name.len(), |(at, _)| at);
     &name[..end]
 }
 
 impl Storage {
-    /// The bytes of a scene; `paper` is its table by the published rule.
+    /// Counts the parameters of a scene; `paper` is its table by the published rule.
     pub fn of(scene: &dyn Params, paper: Option<PaperStorage>) -> Self {
         let mut blocks: Vec<StoredBlock> = Vec::new();
         scene.visit(&mut |p| {
@@ -50,7 +54,7 @@ impl Storage {
         4 * self.blocks.iter().map(|b| b.values).sum::<usize>()
     }
 
-    /// A table for people.
+    /// A text table.
     pub fn to_text(&self) -> String {
         let mb = |bytes: usize| format!("{:.3}", bytes as f64 / 1e6);
         let mut out = format!("{:30}{:>12}{:>12}{:>12}\n", "storage", "values", "f32 MB", "f16 MB");

@@ -1,6 +1,6 @@
-//! Views beside their truth: pictures to wipe between, and where they are wrong.
+//! Figures of views: ground truth and renders to wipe between, with error maps.
 //!
-//! Without scripts, and in print, the pictures stand side by side.
+//! Without scripts, and in print, the images stand side by side.
 
 use super::error_map::{ErrorScale, error};
 use super::page::{escape, picture, ramp_legend};
@@ -9,41 +9,41 @@ use super::{Comparison, ReportError};
 use gs_core::Image;
 use std::fmt::Write as _;
 
-/// Makes a wipe of the pictures of every view; loads nothing.
+/// Adds a slider to the images of every view; loads nothing.
 const SCRIPT: &str = include_str!("wipe.js");
 
-/// The script of a page that has views.
+/// The script of a page; empty for a page without views.
 pub fn script(has_views: bool) -> String {
     if has_views { format!("<script>\n{SCRIPT}</script>\n") } else { String::new() }
 }
 
-/// A view with its pictures: the truth first, then drawings. Maps tell where a drawing is wrong.
-pub struct Shown<'a> {
-    /// What it is, when, and its scores.
+/// A view with its images (ground truth first, then renders) and error maps.
+pub struct ViewFigure<'a> {
+    /// Name, time and scores of the view.
     pub caption: &'a str,
-    /// Pictures to wipe between, with their names.
-    pub pictures: Vec<(&'a str, &'a Image)>,
-    /// Errors, `[H, W, 1]`, with their names.
+    /// Images to wipe between, with their names.
+    pub images: Vec<(&'a str, &'a Image)>,
+    /// Error maps, `[H, W, 1]`, with their names.
     pub errors: Vec<(String, Image)>,
 }
 
-impl<'a> Shown<'a> {
-    /// A drawing beside its truth.
+impl<'a> ViewFigure<'a> {
+    /// A render beside its ground truth.
     fn of(view: &'a Comparison) -> Self {
-        let errors = error(&view.truth, &view.drawn).map(|e| ("error".to_owned(), e));
+        let errors = error(&view.truth, &view.render).map(|e| ("error".to_owned(), e));
         Self {
             caption: &view.caption,
-            pictures: vec![("truth", &view.truth), ("drawn", &view.drawn)],
+            images: vec![("truth", &view.truth), ("render", &view.render)],
             errors: errors.into_iter().collect(),
         }
     }
 }
 
-/// The figures of views, with one scale of errors for all of them; nothing without any.
+/// Renders the figures of views, with one error scale for all of them; empty without views.
 ///
 /// # Errors
-/// If a picture cannot be encoded.
-pub fn figures(views: &[Shown]) -> Result<String, ReportError> {
+/// If an image cannot be encoded.
+pub fn figures(views: &[ViewFigure]) -> Result<String, ReportError> {
     let scale = ErrorScale::of(views.iter().flat_map(|v| v.errors.iter().map(|e| &e.1)));
     let mut out = String::new();
     for view in views {
@@ -56,18 +56,18 @@ pub fn figures(views: &[Shown]) -> Result<String, ReportError> {
     Ok(out)
 }
 
-/// Drawings beside their truths.
+/// Renders the figures of renders beside their ground truth.
 ///
 /// # Errors
-/// If a picture cannot be encoded.
-pub fn comparisons(views: &[Comparison]) -> Result<String, ReportError> {
-    figures(&views.iter().map(Shown::of).collect::<Vec<_>>())
+/// If an image cannot be encoded.
+pub(crate) fn comparisons(views: &[Comparison]) -> Result<String, ReportError> {
+    figures(&views.iter().map(ViewFigure::of).collect::<Vec<_>>())
 }
 
-fn figure(view: &Shown, scale: ErrorScale) -> Result<String, ReportError> {
+fn figure(view: &ViewFigure, scale: ErrorScale) -> Result<String, ReportError> {
     let caption = escape(view.caption);
     let mut out = format!("<figure class=\"view\" data-name=\"{caption}\"><div class=\"pictures\">\n");
-    for (name, image) in &view.pictures {
+    for (name, image) in &view.images {
         let _ = writeln!(out, "<span>{}<small>{}</small></span>", picture(image, name)?, escape(name));
     }
     for (name, error) in &view.errors {

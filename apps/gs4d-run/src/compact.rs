@@ -1,8 +1,9 @@
-//! A scene without what only training needs, in few bytes, as one file that draws.
+//! Compact scenes: one small file with all that rendering needs.
 //!
-//! Kept are the blocks of parameters (without gradients and moments) and the state of fixed length; statistics of rows go.
+//! It holds the parameters (without gradients and optimizer moments) and buffers of fixed length; per-row statistics are
+//! dropped.
 //! The file is a checkpoint with packed tensors, so [`saved::load`] reads it, and with the settings of its run, so it can
-//! be scored on the same data. Training can go on from it, with moments that begin at zero.
+//! be scored on the same data. Training can continue from it, with optimizer moments of zero.
 //!
 //! | bits | positions | rows (per column) | shared blocks |
 //! |---|---|---|---|
@@ -22,22 +23,22 @@ use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Where `meta` keeps the settings of the run, as TOML.
+/// Key of the run's settings in `meta`, as TOML text.
 pub const SETTINGS: &str = "settings";
-/// Blocks of at most so many values stay `f32`.
+/// Largest number of values of a block that is stored as `f32` in any case.
 pub const SMALL: usize = 64;
-/// Values of a shared block that have one scale.
+/// Number of values of a shared block that have a quantisation range in common.
 const GROUP: usize = 256;
 
 /// Bits per value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(into = "u8")]
 pub enum Bits {
-    /// `f32`.
+    /// 32-bit floats.
     Full,
-    /// `f16`.
+    /// 16-bit floats; positions in 16-bit fixed point.
     Half,
-    /// Quantised.
+    /// 8-bit quantisation; positions in 16-bit fixed point.
     Byte,
 }
 
@@ -56,22 +57,22 @@ impl From<Bits> for u8 {
 pub struct Packing {
     /// Bits per value.
     pub bits: Bits,
-    /// Deflate what becomes smaller by it.
+    /// Whether to deflate blocks that become smaller by it.
     pub deflate: bool,
 }
 
-/// A block of a scene.
+/// A tensor of a scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CompactTensor {
     /// Name of the parameter or column.
     pub name: String,
-    /// Values per row; `None`: not in rows.
+    /// Values per row; `None` for tensors without rows.
     pub row_width: Option<usize>,
-    /// The values.
+    /// All values, row by row.
     pub values: Vec<f32>,
-    /// Whether no value may be rounded: state that is not a parameter stays as it is.
+    /// Whether values must not be rounded: true for buffers.
     pub exact: bool,
-    /// The values are whole multiples of this, where that is known.
+    /// The values are integer multiples of this step, where one is known.
     pub lattice: Option<f32>,
 }
 
@@ -80,36 +81,36 @@ pub struct CompactTensor {
 pub struct CompactScene {
     /// The method's resolved configuration.
     pub config: toml::Table,
-    /// Everything needed to draw.
+    /// Everything needed for rendering.
     pub tensors: Vec<CompactTensor>,
 }
 
-/// What a file consists of.
+/// The sizes of a compact file.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CompactReport {
-    /// How it was packed.
+    /// Encoding of the file.
     pub packing: Packing,
-    /// Bytes of the file.
+    /// Size of the file in bytes.
     pub file_bytes: usize,
     /// Bytes of the values as `f32`.
     pub value_bytes: usize,
-    /// Its blocks, in their order.
+    /// Blocks in the order of the tensors.
     pub blocks: Vec<CompactBlock>,
 }
 
 /// A block of a file: tensors of the same first two parts of their names.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CompactBlock {
-    /// Those parts.
+    /// Name of the block, for example `field.planes`.
     pub block: String,
     /// Number of values.
     pub values: usize,
-    /// Bytes in the file.
+    /// Encoded bytes.
     pub bytes: usize,
 }
 
 impl CompactScene {
-    /// Everything that drawing a method needs, folded and on its lattice where the method knows how.
+    /// The tensors that rendering needs, baked and with its quantisation step where the method has them.
     pub fn of(method: &Model, config: &toml::Table) -> Self {
         match method.fold(config) {
             Some((config, folded)) => Self::of_blocks(&folded, &config),
@@ -206,7 +207,7 @@ impl CompactTensor {
 }
 
 impl CompactReport {
-    /// A table for people.
+    /// A text table.
     pub fn to_text(&self) -> String {
         let mut out = format!("{:26}{:>12}{:>12}{:>12}{:>8}\n", "", "values", "f32", "packed", "bits");
         for b in &self.blocks {

@@ -1,6 +1,6 @@
-//! Runs on the same data, view by view: the same photographs, the same times, scored in one way.
+//! Comparison of runs on the same data, view by view: the same ground truth, times and conditions.
 //!
-//! Runs of different data are refused: layout, number of views, their size, the background and the digest of the data must
+//! Runs on different data are an error: layout, number of views, their size, the background and the digest of the data must
 //! agree. Differences are paired: each view of one run against the same view of the first.
 
 pub mod page;
@@ -11,7 +11,7 @@ pub use sides::{CompareError, Side};
 use crate::OpenRun;
 use crate::compare::sides::{names, same_data};
 use crate::provenance::DataOrigin;
-use crate::shown::conditions;
+use crate::score_table::{conditions, number_or_dash};
 use gs_core::Image;
 use gs_data::{Dataset, ImageCache, Split, View};
 use gs_metrics::{mse, psnr_from_mse};
@@ -22,8 +22,8 @@ use gs4d_eval::spread::{SCORES, Spread};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// Settings that say where and how often, not what is learnt.
-const APART: [&str; 8] = [
+/// Settings that do not change the result of a recipe, apart from the seed.
+const NOT_RECIPE: [&str; 8] = [
     "run.data",
     "run.seed",
     "run.log_every",
@@ -34,37 +34,37 @@ const APART: [&str; 8] = [
     "run.image_mib",
 ];
 
-/// How runs are compared.
+/// Options of a comparison.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Options {
-    /// The views.
+    /// The split whose views are compared.
     pub split: Split,
-    /// The colour behind the scene; none: that of the recipes, which must agree.
+    /// The background colour; `None`: that of the recipes, which must agree.
     pub background: Option<[f32; 3]>,
-    /// Views shown with pictures.
+    /// Number of views shown with renders.
     pub shown: usize,
 }
 
-/// Numbers of a run.
+/// Scores and facts of a run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Row {
-    /// Short and unlike those of the others.
+    /// Short name, unique among the runs.
     pub name: String,
     /// Where it was read from.
     pub path: String,
-    /// Its method.
+    /// Name of its method.
     pub method: String,
-    /// Its preset.
+    /// Name of its preset.
     pub preset: String,
-    /// Its seed.
+    /// Seed of its random numbers.
     pub seed: u64,
-    /// Steps made.
+    /// Optimizer steps made.
     pub step: u32,
-    /// Milliseconds of a frame here and now: field and drawing, the median of five.
+    /// Milliseconds of a frame on this machine: field and rasterisation, the median of five.
     pub ms_per_frame: f64,
     /// Scores of its views.
     pub scores: EvalReport,
-    /// PSNR of its drawings held against those of the first run, from the mean error of all views, dB; absent if equal.
+    /// PSNR of its renders against those of the first run, from the mean error over all views, dB; absent if equal.
     pub psnr_to_first: Option<f64>,
     /// Processor and threads of its training, where known.
     pub trained_on: Option<String>,
@@ -73,116 +73,116 @@ pub struct Row {
 /// PSNR of a run minus that of the first run, view by view, dB.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Paired {
-    /// The run.
+    /// Name of the run.
     pub name: String,
     /// Mean over views and their standard deviation (views, not seeds).
     pub over_views: Option<Spread>,
-    /// Smallest and largest.
+    /// Smallest and largest difference.
     pub range: Option<[f64; 2]>,
-    /// Views that are better than those of the first run.
+    /// Number of views with a higher PSNR than in the first run.
     pub better: usize,
-    /// Views that have a finite PSNR in both.
+    /// Number of views with a finite PSNR in both runs.
     pub of: usize,
 }
 
-/// A view of all runs.
+/// A view in all runs.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ViewRow {
-    /// Its name.
+    /// Name of the view.
     pub name: String,
     /// Normalised time.
     pub time: f32,
     /// PSNR of each run, dB; absent for a perfect view.
     pub psnr: Vec<Option<f64>>,
-    /// Largest root mean square difference between two drawings.
+    /// Largest root mean square difference between the renders of two runs.
     pub disagreement: f64,
 }
 
-/// A setting that is not the same in all runs.
+/// A setting whose values differ between runs.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Unlike {
-    /// Its key.
+pub struct DifferingSetting {
+    /// Dotted key.
     pub key: String,
     /// Its value in each run; absent where the run has no such setting.
     pub values: Vec<Option<String>>,
 }
 
-/// Everything but pictures.
+/// A comparison without its images.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Compared {
     /// Split, number of views, size, background, mask, in words.
     pub conditions: String,
-    /// Digest of the data.
+    /// Digest of the data set.
     pub data_digest: String,
-    /// The runs.
+    /// The runs in the given order.
     pub runs: Vec<Row>,
     /// Each later run against the first.
     pub differences: Vec<Paired>,
-    /// What is known of the spread over seeds, in words.
+    /// Spread over seeds, as far as known, in words.
     pub seeds: String,
     /// The views, in the order of the split.
     pub views: Vec<ViewRow>,
-    /// Settings that are not the same, methods' own among them.
-    pub settings: Vec<Unlike>,
+    /// Settings that differ, those of the methods included.
+    pub settings: Vec<DifferingSetting>,
 }
 
-/// A view drawn by all runs.
+/// A view rendered by all runs.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Pictures {
+pub struct ViewRenders {
     /// Name, time and PSNR of each run.
     pub caption: String,
-    /// The photograph.
+    /// Ground truth, `[H, W, 3]`.
     pub truth: Image,
-    /// The drawing of each run.
+    /// The render of each run.
     pub drawn: Vec<Image>,
 }
 
-/// Scores the runs on the same views, and draws those they disagree about most.
+/// Scores the runs on the same views, and renders those they disagree about most.
 ///
 /// # Errors
-/// If they are not of the same data, or a view cannot be drawn.
-pub fn compare(sides: &[Side], options: &Options) -> Result<(Compared, Vec<Pictures>), CompareError> {
+/// If they are not on the same data, or a view cannot be rendered.
+pub fn compare(sides: &[Side], options: &Options) -> Result<(Compared, Vec<ViewRenders>), CompareError> {
     let Some(first) = sides.first() else { return Ok(Default::default()) };
     sides.iter().skip(1).try_for_each(|other| same_data(first, other, options))?;
     let background = options.background.unwrap_or_else(|| first.run.background());
-    let (dataset, photographs) = (&first.dataset, first.run.photographs());
+    let (dataset, images) = (&first.dataset, first.run.photographs());
     let views = dataset.views(options.split);
     let mut renderers: Vec<Renderer> = sides.iter().map(|s| renderer(s, background)).collect();
     let mut runs = Vec::new();
     for ((side, name), renderer) in sides.iter().zip(names(sides)).zip(&mut renderers) {
-        runs.push(row(side, name, renderer, (dataset, &photographs), options.split, background)?);
+        runs.push(row(side, name, renderer, (dataset, &images), options.split, background)?);
     }
-    let mut draw = |view: &View| draw(sides, &mut renderers, view, &photographs);
-    let rows = disagreements(&mut runs, views, &mut draw)?;
+    let mut render = |view: &View| render(sides, &mut renderers, view, &images);
+    let rows = disagreements(&mut runs, views, &mut render)?;
     let mut order: Vec<usize> = (0..rows.len()).collect();
     order.sort_by(|a, b| rows[*b].disagreement.total_cmp(&rows[*a].disagreement).then(a.cmp(b)));
     let mut pictures = Vec::new();
     for &k in order.iter().take(options.shown) {
-        let truth = photographs.get(&views[k]).map_err(EvalError::from)?.over(background);
-        pictures.push(Pictures { caption: caption(&rows[k], &runs), truth, drawn: draw(&views[k])? });
+        let truth = images.get(&views[k]).map_err(EvalError::from)?.over(background);
+        pictures.push(ViewRenders { caption: caption(&rows[k], &runs), truth, drawn: render(&views[k])? });
     }
     let compared = Compared {
-        conditions: conditions(dataset, &photographs, &runs[0].scores),
+        conditions: conditions(dataset, &images, &runs[0].scores),
         data_digest: DataOrigin::of(dataset).digest,
         differences: runs.iter().skip(1).map(|r| paired(&runs[0], r)).collect(),
         seeds: seeds(sides, &runs),
-        settings: unlike(sides),
+        settings: differing_settings(sides),
         runs,
         views: rows,
     };
     Ok((compared, pictures))
 }
 
-/// How far apart the drawings of each view are; tells the runs how far theirs are from the first one's over all views.
+/// The disagreement of each view; sets each run's PSNR against the first one.
 fn disagreements(
     runs: &mut [Row],
     views: &[View],
-    draw: &mut impl FnMut(&View) -> Result<Vec<Image>, MethodError>,
+    render: &mut impl FnMut(&View) -> Result<Vec<Image>, MethodError>,
 ) -> Result<Vec<ViewRow>, CompareError> {
     let mut rows = Vec::with_capacity(views.len());
     let mut to_first = vec![0.0; runs.len()];
     for (k, view) in views.iter().enumerate() {
-        let drawn = draw(view)?;
+        let drawn = render(view)?;
         let between =
             |a: &Image, b: &Image| mse(a, b).map_err(|source| EvalError::Metric { view: view.name.clone(), source });
         let mut largest = 0.0f64;
@@ -209,19 +209,19 @@ fn row(
     side: &Side,
     name: String,
     renderer: &mut Renderer,
-    (dataset, photographs): (&Dataset, &ImageCache),
+    (dataset, images): (&Dataset, &ImageCache),
     split: Split,
     background: [f32; 3],
 ) -> Result<Row, CompareError> {
     let OpenRun { loaded, resolved, .. } = &side.run;
     let method = &loaded.model;
     let mut scores = match split {
-        Split::Extrapolate => evaluate(method, dataset, split, background, photographs)?,
-        _ => evaluate_with_future(method, dataset, split, background, photographs)?,
+        Split::Extrapolate => evaluate(method, dataset, split, background, images)?,
+        _ => evaluate_with_future(method, dataset, split, background, images)?,
     };
     scores.train_seconds = Some(loaded.train_seconds);
     let view = dataset.views(split).first();
-    let seconds = view.map(|v| renderer.seconds(method, v, &photographs.camera(v))).transpose()?.unwrap_or(0.0);
+    let seconds = view.map(|v| renderer.seconds(method, v, &images.camera(v))).transpose()?.unwrap_or(0.0);
     Ok(Row {
         name,
         path: side.path.display().to_string(),
@@ -236,13 +236,13 @@ fn row(
     })
 }
 
-fn draw(
+fn render(
     sides: &[Side],
     renderers: &mut [Renderer],
     view: &View,
-    photographs: &ImageCache,
+    images: &ImageCache,
 ) -> Result<Vec<Image>, MethodError> {
-    let camera = photographs.camera(view);
+    let camera = images.camera(view);
     let one = |(side, renderer): (&Side, &mut Renderer)| renderer.view(&side.run.loaded.model, view, &camera);
     sides.iter().zip(renderers).map(one).collect()
 }
@@ -253,7 +253,7 @@ fn caption(view: &ViewRow, runs: &[Row]) -> String {
     };
     let each: Vec<String> = runs.iter().zip(&view.psnr).map(psnr).collect();
     format!(
-        "{} · t = {:.3} · {} · drawings differ by {:.4} (root mean square)",
+        "{} · t = {:.3} · {} · renders differ by {:.4} (root mean square)",
         view.name,
         view.time,
         each.join(" · "),
@@ -275,13 +275,13 @@ fn paired(first: &Row, run: &Row) -> Paired {
     }
 }
 
-/// Settings of a run that make its result, by key.
+/// Settings of a run that determine its result, by key.
 fn recipe(side: &Side) -> BTreeMap<&str, String> {
-    let settings = side.run.resolved.config.iter().filter(|(key, _)| !APART.contains(key));
+    let settings = side.run.resolved.config.iter().filter(|(key, _)| !NOT_RECIPE.contains(key));
     settings.map(|(key, setting)| (key, setting.value.to_string())).collect()
 }
 
-/// What several runs of one recipe tell of the spread over seeds.
+/// The spread over seeds of recipes with several runs, in words.
 fn seeds(sides: &[Side], runs: &[Row]) -> String {
     let mut recipes: Vec<(BTreeMap<&str, String>, Vec<usize>)> = Vec::new();
     for (k, side) in sides.iter().enumerate() {
@@ -291,10 +291,10 @@ fn seeds(sides: &[Side], runs: &[Row]) -> String {
             None => recipes.push((values, vec![k])),
         }
     }
-    let unlike = |of: &[usize]| of.iter().any(|k| runs[*k].seed != runs[of[0]].seed);
+    let several_seeds = |of: &[usize]| of.iter().any(|k| runs[*k].seed != runs[of[0]].seed);
     let spread = |(_, of): &(BTreeMap<&str, String>, Vec<usize>)| {
         let psnr: Vec<f64> = of.iter().filter_map(|k| runs[*k].scores.mean.psnr).collect();
-        let Spread { mean, deviation } = Spread::of(&psnr).filter(|_| unlike(of))?;
+        let Spread { mean, deviation } = Spread::of(&psnr).filter(|_| several_seeds(of))?;
         let names: Vec<String> = of.iter().map(|k| format!("{} (seed {})", runs[*k].name, runs[*k].seed)).collect();
         Some(format!("{} are one recipe: {mean:.2} ± {deviation:.2} dB over {} seeds.", names.join(", "), psnr.len()))
     };
@@ -306,20 +306,21 @@ fn seeds(sides: &[Side], runs: &[Row]) -> String {
     }
 }
 
-fn unlike(sides: &[Side]) -> Vec<Unlike> {
+fn differing_settings(sides: &[Side]) -> Vec<DifferingSetting> {
     let all: Vec<BTreeMap<&str, String>> = sides.iter().map(recipe).collect();
     let mut keys: Vec<&str> = all.iter().flat_map(|v| v.keys().copied()).collect();
     keys.sort_unstable();
     keys.dedup();
-    let row = |key: &str| Unlike { key: key.to_owned(), values: all.iter().map(|v| v.get(key).cloned()).collect() };
+    let row =
+        |key: &str| DifferingSetting { key: key.to_owned(), values: all.iter().map(|v| v.get(key).cloned()).collect() };
     keys.into_iter().map(row).filter(|u| u.values.iter().any(|v| *v != u.values[0])).collect()
 }
 
 /// Name, digits and value of a column of a table of runs.
 pub type Column = (&'static str, usize, fn(&Row) -> Option<f64>);
 
-/// What is known of each run beyond the scores of a contest.
-const MORE: [Column; 7] = [
+/// Columns in addition to [`SCORES`].
+const RUN_COLUMNS: [Column; 7] = [
     ("dB of mean error", 2, |r| r.scores.psnr_of_mean_mse),
     ("worst dB", 2, |r| r.scores.views.iter().filter_map(|v| v.psnr).reduce(f64::min)),
     ("worst ssim", 4, |r| r.scores.views.iter().map(|v| v.ssim).reduce(f64::min)),
@@ -329,15 +330,17 @@ const MORE: [Column; 7] = [
     ("ms/frame", 2, |r| Some(r.ms_per_frame)),
 ];
 
-/// The columns there are numbers for: name and a text for each run.
+/// The columns with any value: name, and a text for each run.
 pub fn columns(runs: &[Row]) -> Vec<(&'static str, Vec<String>)> {
-    let text = |v: Option<f64>, digits: usize| v.map_or("–".to_owned(), |v| format!("{v:.digits$}"));
     let of_contest = SCORES
         .iter()
         .map(|(name, digits, score)| (*name, *digits, runs.iter().map(|r| score(&r.scores)).collect::<Vec<_>>()));
-    let more = MORE.iter().map(|(name, digits, value)| (*name, *digits, runs.iter().map(value).collect::<Vec<_>>()));
+    let more =
+        RUN_COLUMNS.iter().map(|(name, digits, value)| (*name, *digits, runs.iter().map(value).collect::<Vec<_>>()));
     let known = of_contest.chain(more).filter(|(.., values)| values.iter().any(Option::is_some));
-    known.map(|(name, digits, values)| (name, values.into_iter().map(|v| text(v, digits)).collect())).collect()
+    known
+        .map(|(name, digits, values)| (name, values.into_iter().map(|v| number_or_dash(v, digits)).collect()))
+        .collect()
 }
 
 #[cfg(test)]

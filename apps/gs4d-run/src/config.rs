@@ -1,8 +1,19 @@
-//! Settings with a memory: every value knows where it came from.
+//! Settings that know the source of every value.
 //!
 //! A [`Config`] is a tree of TOML values, kept flat by dotted key (`density.until`). It starts from the defaults, which
-//! also fix which keys exist and of what kind they are, and is then overlaid: defaults ← preset ← file ← flag. A key
-//! nobody knows is an error that names the nearest one, so a typing slip never trains with a default in silence.
+//! also fix which keys exist and of what kind they are, and is then overlaid: defaults ← preset ← file ← flag. An
+//! unknown key is an error that names the nearest one, so a typing error never trains with a default silently.
+//!
+//! ```
+//! use gs4d_run::config::Config;
+//!
+//! let mut config = Config::of_toml("[density]\nuntil = 15000  # last step\n")?;
+//! config.set("density.until=500")?;
+//! let setting = config.get("density.until").unwrap();
+//! assert_eq!(setting.source.to_string(), "flag --set density.until=500");
+//! assert!(config.set("density.untill=1").unwrap_err().to_string().contains("did you mean `density.until`?"));
+//! # Ok::<(), gs4d_run::config::ConfigError>(())
+//! ```
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -10,14 +21,14 @@ use std::collections::BTreeMap;
 use std::fmt::{self, Write as _};
 use toml::{Table, Value};
 
-/// Where a value came from.
+/// The source of a value.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Source {
-    /// The defaults in the program.
+    /// A default of the program.
     Default,
-    /// A named preset.
+    /// The preset of this name.
     Preset(String),
-    /// A file.
+    /// The file of this path.
     File(String),
     /// A flag of the command line, as written.
     Flag(String),
@@ -34,14 +45,14 @@ impl fmt::Display for Source {
     }
 }
 
-/// One setting.
+/// A value with its source.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Setting {
-    /// The value.
+    /// The value as TOML.
     pub value: Value,
-    /// Where it came from.
+    /// Source of the value.
     pub source: Source,
-    /// What it is and where its default was published; empty where the defaults give no comment.
+    /// Meaning and published source of the default; empty without a comment in the defaults.
     pub about: String,
 }
 
@@ -53,32 +64,32 @@ pub struct Config {
     optional: BTreeMap<String, Value>,
 }
 
-/// Why settings were refused.
+/// Settings that are not valid.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ConfigError {
-    /// No such key.
+    /// The key is unknown.
     #[error("unknown setting `{key}` ({origin}){}", hint(near))]
     Unknown {
-        /// Key as given.
+        /// The key as given.
         key: String,
         /// Where it was given.
         origin: Source,
-        /// What may have been meant: the nearest key, or the keys of the section.
+        /// The nearest key, or the keys of the section.
         near: Vec<String>,
     },
-    /// The value is of another kind.
+    /// The value has the wrong type.
     #[error("setting `{key}` ({origin}) must be {want}, got {got}")]
     Kind {
-        /// Key.
+        /// Dotted key.
         key: String,
         /// Where it was given.
         origin: Source,
-        /// Kind needed.
+        /// The type needed, in words.
         want: &'static str,
-        /// Value met.
+        /// The value as given.
         got: String,
     },
-    /// Not TOML.
+    /// The text is not TOML.
     #[error("{origin}: {why}")]
     Syntax {
         /// Where it was given.
@@ -137,7 +148,7 @@ impl Config {
         self.optional.insert(key.to_owned(), example.into());
     }
 
-    /// The value, or else the example, that tells the kind of a key.
+    /// The value, or else the example, that defines the type of a key.
     fn model(&self, key: &str) -> Option<&Value> {
         self.settings.get(key).map(|s| &s.value).or_else(|| self.optional.get(key))
     }
@@ -192,7 +203,7 @@ impl Config {
         Ok(())
     }
 
-    /// Gives one setting a value; `source` says on whose word.
+    /// Sets one value with its source.
     ///
     /// # Errors
     /// If the key is unknown or the value of another kind.
@@ -202,7 +213,7 @@ impl Config {
         Ok(())
     }
 
-    /// One setting.
+    /// The setting of a dotted key.
     pub fn get(&self, key: &str) -> Option<&Setting> {
         self.settings.get(key)
     }
@@ -212,7 +223,7 @@ impl Config {
         self.settings.iter().map(|(k, s)| (k.as_str(), s))
     }
 
-    /// The tree.
+    /// All values as a TOML table.
     pub fn table(&self) -> Table {
         let mut root = Table::new();
         for (key, setting) in &self.settings {
@@ -229,7 +240,7 @@ impl Config {
         root
     }
 
-    /// The configuration structure.
+    /// Deserialises the values into a configuration structure.
     ///
     /// # Errors
     /// If a value lies outside what the structure accepts.
@@ -267,7 +278,7 @@ impl Config {
         self.settings.insert(key.to_owned(), Setting { value, source: source.clone(), about });
     }
 
-    /// The value as the key wants it: whole numbers become floats where floats stand.
+    /// The value in the type of its key: integers become floats where floats are needed.
     fn checked(&self, key: &str, value: Value, source: &Source) -> Result<Value, ConfigError> {
         let Some(model) = self.model(key) else { return Err(self.unknown(key, source)) };
         let wrong = |want| ConfigError::Kind {
@@ -291,16 +302,16 @@ impl Config {
         let section = format!("{key}.");
         let mut near: Vec<String> = self.keys().filter(|k| k.starts_with(&section)).cloned().collect();
         if near.is_empty() {
-            let ranked = self.keys().map(|known| (likeness(known, key), known));
-            let nearest = ranked.max_by(|a, b| a.0.total_cmp(&b.0)).filter(|(likeness, _)| *likeness > 0.6);
+            let ranked = self.keys().map(|known| (similarity(known, key), known));
+            let nearest = ranked.max_by(|a, b| a.0.total_cmp(&b.0)).filter(|(similarity, _)| *similarity > 0.6);
             near.extend(nearest.map(|(_, known)| known.clone()));
         }
         ConfigError::Unknown { key: key.to_owned(), origin: source.clone(), near }
     }
 }
 
-/// 1 for equal keys, 0 for unlike ones. A right name in the wrong section is close, too.
-fn likeness(known: &str, given: &str) -> f64 {
+/// Similarity of two keys, 0..1. A right name in the wrong section is similar, too.
+fn similarity(known: &str, given: &str) -> f64 {
     let leaf = |k: &str| k.rsplit('.').next().unwrap_or_default().to_owned();
     let same = strsim::normalized_damerau_levenshtein;
     same(known, given).max(0.9 * same(&leaf(known), &leaf(given)))
@@ -375,7 +386,7 @@ fn like_array(old: &[Value], new: &Value) -> Option<Value> {
     members.collect::<Option<Vec<_>>>().map(Value::Array)
 }
 
-/// TOML text of a value. A float that is an `f32` in disguise is printed with the few digits it has.
+/// TOML text of a value. A float that is exactly an `f32` is printed with the digits of the `f32`.
 fn show(value: &Value) -> String {
     match value {
         Value::Float(f) if f64::from(*f as f32) == *f => {

@@ -1,4 +1,4 @@
-//! Why a run cannot begin or go on.
+//! Errors of runs.
 
 use crate::config::ConfigError;
 use gs_core::io::IoError;
@@ -11,45 +11,45 @@ use gs4d_report::ReportError;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Why a run cannot begin or go on.
+/// A run that cannot start, continue or be read.
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
-    /// The folder holds something already.
+    /// The folder is not empty.
     #[error("{} {}", path.display(), if *is_run { "holds a run already" } else { "holds files that are not a run's" })]
     Occupied {
         /// The folder.
         path: PathBuf,
-        /// Whether that is an older run, which may be overwritten when asked.
+        /// Whether it holds an older run, which can be overwritten on request.
         is_run: bool,
     },
-    /// There is no run.
+    /// The folder holds no run.
     #[error("{} is no run folder: it has no {}", path.display(), super::folder::CONFIG)]
     NotARun {
         /// The folder.
         path: PathBuf,
     },
-    /// A checkpoint outside a run.
+    /// A checkpoint without settings, outside of a run folder.
     #[error("{} holds no settings and lies in no run folder", path.display())]
     NoSettings {
         /// The file.
         path: PathBuf,
     },
-    /// Somebody else writes to it.
+    /// Another process holds the lock of the folder.
     #[error("another process is writing to {}", path.display())]
     Busy {
         /// The folder.
         path: PathBuf,
     },
-    /// The rounds asked for cannot be made.
+    /// The requested rounds of continual training are not possible.
     #[error("{0}")]
     Rounds(String),
-    /// The number of steps asked for cannot be made.
+    /// The requested number of steps is not possible.
     #[error("{0}")]
     Steps(String),
-    /// The file system refused.
+    /// A file-system operation failed.
     #[error("cannot {action} {}: {source}", path.display())]
     Os {
-        /// What was tried.
+        /// The operation, as a verb.
         action: &'static str,
         /// File or folder.
         path: PathBuf,
@@ -59,7 +59,7 @@ pub enum RunError {
     /// A file could not be written or read.
     #[error(transparent)]
     Io(#[from] IoError),
-    /// Settings were refused.
+    /// Settings are not valid.
     #[error(transparent)]
     Config(#[from] ConfigError),
     /// The data cannot be used.
@@ -68,16 +68,16 @@ pub enum RunError {
     /// The method cannot be built.
     #[error(transparent)]
     Method(#[from] MethodError),
-    /// A checkpoint was not written or not read.
+    /// A checkpoint cannot be written or read.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
-    /// Training stopped.
+    /// A training step failed.
     #[error(transparent)]
     Train(#[from] TrainError),
     /// An evaluation failed.
     #[error(transparent)]
     Eval(#[from] EvalError),
-    /// The report was not made.
+    /// The report cannot be rendered.
     #[error(transparent)]
     Report(#[from] ReportError),
 }

@@ -1,16 +1,16 @@
-//! A camera that flies smoothly through others.
+//! A smooth camera path through given cameras.
 
 use glam::{DMat3, DQuat, DVec3, DVec4};
 use gs_core::Camera;
 use gs_data::View;
 
-/// Views a flight passes, at most.
+/// Most cameras on a path through views.
 const KEYS: usize = 8;
-/// Cameras nearer than this part of the scene's extent are one.
-const SAME: f64 = 1e-3;
+/// Least distance between two cameras of a path, as a share of the extent of all.
+const MIN_DISTANCE: f64 = 1e-3;
 
-/// A way through cameras, evenly in steps of them: a Catmull–Rom spline of their places and of their quaternions (each with
-/// the sign nearer to the one before, the sum normalised), at the size of the first, the angle blended.
+/// A path through cameras, uniform in their index: a Catmull–Rom spline of positions and of quaternions (signs aligned, the
+/// sum normalised), linear intrinsics, at the image size of the first camera.
 #[derive(Clone, Debug)]
 pub struct Flight {
     keys: Vec<Key>,
@@ -21,12 +21,12 @@ pub struct Flight {
 struct Key {
     place: DVec3,
     quat: DVec4,
-    /// `fx`, `fy`, `cx`, `cy` as parts of the picture's sides.
+    /// `fx`, `fy`, `cx`, `cy` divided by the image's width or height.
     lens: DVec4,
 }
 
 impl Flight {
-    /// Through these, in their order; none of fewer than two.
+    /// Through these cameras in order; `None` for fewer than two.
     pub fn through(cameras: &[Camera]) -> Option<Self> {
         let [first, _, ..] = cameras else { return None };
         let mut keys: Vec<Key> = Vec::new();
@@ -40,7 +40,8 @@ impl Flight {
         Some(Self { keys, first: first.clone() })
     }
 
-    /// Through a few views that are spread over time: from the first on, always to the nearest that is left.
+    /// Through up to 8 views, evenly spaced in time: from the first one, always to the nearest of the rest. `None` if fewer
+    /// than two views differ in position.
     pub fn of_views(views: &[View]) -> Option<Self> {
         let mut all: Vec<&View> = views.iter().collect();
         all.sort_by(|a, b| a.time.normalised.total_cmp(&b.time.normalised));
@@ -49,7 +50,7 @@ impl Flight {
         let extent = places().map(|p| p.distance(middle)).fold(0.0, f64::max);
         let mut apart: Vec<&Camera> = Vec::new();
         for v in &all {
-            if apart.iter().all(|c| c.position().distance(v.camera.position()) > SAME * extent) {
+            if apart.iter().all(|c| c.position().distance(v.camera.position()) > MIN_DISTANCE * extent) {
                 apart.push(&v.camera);
             }
         }
@@ -65,7 +66,7 @@ impl Flight {
         Self::through(&way)
     }
 
-    /// The camera after this share of the way, 0 to 1.
+    /// The camera at a share of the path, clamped to 0..1.
     pub fn at(&self, share: f64) -> Camera {
         let last = self.keys.len() - 1;
         let way = share.clamp(0.0, 1.0) * last as f64;

@@ -1,16 +1,17 @@
-//! The folder of a run on the disk.
+//! The run folder on disk.
 //!
 //! ```text
-//! RUN/config.resolved.toml   every value, with where it came from
+//! RUN/config.resolved.toml   every setting with its source
 //! RUN/provenance.json        version, CPU, threads, seed, digest of the data, layout, time source, split sizes
 //! RUN/log.jsonl              one JSON object per line: step, seconds, loss terms, counts, milliseconds, memory
-//! RUN/histograms.jsonl       quantities of the splats every so many steps, where the method has any
+//! RUN/histograms.jsonl       histograms of attributes of the splats, where the method has any
+//! RUN/journal.jsonl          events of the method (moves of interval boundaries, growth of anchors)
 //! RUN/checkpoints/           step-012000.gs4d …, latest
 //! RUN/metrics.json           scores per view and their means
-//! RUN/renders/               pictures; names carry step, time and camera
-//! RUN/report.html            all of it to read
+//! RUN/renders/               images; names carry step, time and camera
+//! RUN/report.html            the report
 //! ```
-//! Whoever writes holds a lock, which the system releases when the process ends, however it ends.
+//! A writer holds a lock, which the system releases when the process ends.
 
 use super::RunError;
 use gs_core::io::write_file;
@@ -19,19 +20,19 @@ use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// Resolved settings.
+/// File of the resolved settings.
 pub const CONFIG: &str = "config.resolved.toml";
-/// Where the run came from.
+/// File of the provenance: machine, method, data.
 pub const PROVENANCE: &str = "provenance.json";
-/// The log.
+/// File of the training log, one JSON object per line.
 pub const LOG: &str = "log.jsonl";
-/// Histograms of quantities while training.
+/// File of histograms logged while training, one JSON object per line.
 pub const HISTOGRAMS: &str = "histograms.jsonl";
-/// What the method had to tell while training (moves of interval boundaries, say).
+/// File of the method's events (moves of interval boundaries, for example), one JSON object per line.
 pub const JOURNAL: &str = "journal.jsonl";
-/// Scores.
+/// File of the scores.
 pub const METRICS: &str = "metrics.json";
-/// The report.
+/// File of the HTML report.
 pub const REPORT: &str = "report.html";
 const LOCK: &str = ".lock";
 const CHECKPOINTS: &str = "checkpoints";
@@ -41,12 +42,12 @@ const RENDERS: &str = "renders";
 #[derive(Debug)]
 pub struct RunFolder {
     root: PathBuf,
-    /// Held while this value lives, if it may write.
+    /// Held while this value lives, if it is open for writing.
     _lock: Option<File>,
 }
 
 impl RunFolder {
-    /// Makes a new folder. With `overwrite`, the files of an older run in it are removed first; anything else stays.
+    /// Creates a run folder. With `overwrite`, the files of an older run in it are removed first; anything else stays.
     ///
     /// # Errors
     /// If it holds files already (without `overwrite`, or files that are not a run's), or the system refuses.
@@ -68,7 +69,7 @@ impl RunFolder {
         Ok(Self { root: root.to_owned(), _lock: Some(lock) })
     }
 
-    /// Opens a run to read it.
+    /// Opens a run for reading.
     ///
     /// # Errors
     /// If the folder is no run.
@@ -80,7 +81,7 @@ impl RunFolder {
         }
     }
 
-    /// Opens the run a checkpoint lies in, to read it.
+    /// Opens the run of a checkpoint for reading.
     ///
     /// # Errors
     /// If the checkpoint lies in no run folder.
@@ -91,7 +92,7 @@ impl RunFolder {
         }
     }
 
-    /// Opens a run to go on with it.
+    /// Opens a run for writing, to continue it.
     ///
     /// # Errors
     /// If the folder is no run or another process is writing to it.
@@ -100,17 +101,17 @@ impl RunFolder {
         Ok(Self { _lock: Some(lock(root)?), ..folder })
     }
 
-    /// The folder itself.
+    /// Path of the folder.
     pub fn root(&self) -> &Path {
         &self.root
     }
 
-    /// Where checkpoints are.
+    /// Path of the folder of checkpoints.
     pub fn checkpoints(&self) -> PathBuf {
         self.root.join(CHECKPOINTS)
     }
 
-    /// Where pictures go.
+    /// Path of the folder of images.
     pub fn renders(&self) -> PathBuf {
         self.root.join(RENDERS)
     }
@@ -155,7 +156,7 @@ impl RunFolder {
         Ok(text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect())
     }
 
-    /// Removes lines of [`LOG`], [`HISTOGRAMS`] or [`JOURNAL`] of steps after `step`: they tell of work that will be done again.
+    /// Removes lines of [`LOG`], [`HISTOGRAMS`] or [`JOURNAL`] of steps after `step`, which will be made again; returns the rest.
     ///
     /// # Errors
     /// If the system refuses.
@@ -170,7 +171,7 @@ impl RunFolder {
     }
 }
 
-/// The log, open to add lines.
+/// A JSON-lines file, open for appending.
 #[derive(Debug)]
 pub struct Log {
     file: File,

@@ -1,8 +1,12 @@
-//! A run: settings resolved from all their sources, a folder on disk, the training loop, and what it leaves behind.
+//! Training runs: settings resolved from all sources, the run folder, the training loop, checkpoints and the report.
 //!
-//! * [`settings`], [`config`]: every value knows its source; [`folder`], [`provenance`]: the run folder.
-//! * [`training`], [`flight`]: the loop with log, checkpoints and live evaluation; [`opened`]: a run read back.
-//! * [`compact`]: a scene in fewer bytes; [`compare`]: runs of the same data beside each other.
+//! * [`settings`], [`config`]: every value with its source; [`folder`]: the run folder.
+//! * [`training`]: the loop with log, checkpoints and evaluations; [`opened`]: a run read back.
+//! * [`orbit`], [`flight`]: camera paths.
+//! * [`compact`]: a scene in fewer bytes; [`compare`]: runs on the same data, view by view.
+
+#![warn(unreachable_pub)]
+#![warn(clippy::allow_attributes_without_reason)]
 
 pub mod compact;
 pub mod compare;
@@ -12,14 +16,14 @@ pub mod flight;
 pub mod folder;
 pub mod opened;
 pub mod orbit;
-pub mod overlays;
-pub mod provenance;
+mod overlays;
+mod provenance;
+mod score_table;
 pub mod settings;
-pub mod shown;
 pub mod speed;
 pub mod summary;
 pub mod training;
-pub mod work;
+mod work;
 
 pub use error::RunError;
 pub use folder::RunFolder;

@@ -1,5 +1,6 @@
-//! A run read back: settings, the method at its newest checkpoint that verifies, the scores and pictures made from it.
-//! A single file does for drawing and scoring: a checkpoint of a run folder, or a compact scene (see [`crate::compact`]).
+//! A run read back: settings, and the model at its newest checkpoint that verifies.
+//!
+//! Rendering and scoring also work from a single file: a checkpoint in a run folder, or a compact scene ([`crate::compact`]).
 
 use super::folder::{self, RunFolder};
 use super::{Resolved, RunError};
@@ -15,9 +16,9 @@ use std::path::{Path, PathBuf};
 /// A run, open for reading.
 pub struct OpenRun {
     folder: Option<RunFolder>,
-    /// The settings.
+    /// The run's settings.
     pub resolved: Resolved,
-    /// The method, its step and seconds.
+    /// The model, its step and seconds of training.
     pub loaded: Loaded,
     /// The checkpoint it was read from.
     pub path: PathBuf,
@@ -73,16 +74,15 @@ impl OpenRun {
         self.loaded.model.background()
     }
 
-    /// Photographs of this run's data.
+    /// The image cache of this run's data, at full size.
     pub fn photographs(&self) -> ImageCache {
-        let bytes = (self.resolved.run.image_mib as usize) << 20;
-        ImageCache::new(bytes, 1.0).with_max_image_mib(self.resolved.data.max_image_mib)
+        self.resolved.images()
     }
 
     /// Scores a split of the run's data.
     ///
     /// # Errors
-    /// If the split is empty or a photograph cannot be read.
+    /// If the split is empty or an image cannot be read.
     pub fn score(&self, dataset: &Dataset, split: Split, background: [f32; 3]) -> Result<EvalReport, RunError> {
         let mut report = evaluate(&self.loaded.model, dataset, split, background, &self.photographs())?;
         report.train_seconds = Some(self.loaded.train_seconds);
@@ -93,11 +93,11 @@ impl OpenRun {
     /// what `metrics.json` holds.
     ///
     /// # Errors
-    /// If there are no test views or a photograph cannot be read.
+    /// If there are no test views or an image cannot be read.
     pub fn score_for_folder(&self, dataset: &Dataset) -> Result<EvalReport, RunError> {
         let method = &self.loaded.model;
-        let photographs = self.photographs();
-        let mut report = evaluate_with_future(method, dataset, Split::Test, self.background(), &photographs)?;
+        let images = self.photographs();
+        let mut report = evaluate_with_future(method, dataset, Split::Test, self.background(), &images)?;
         report.train_seconds = Some(self.loaded.train_seconds);
         Ok(report)
     }

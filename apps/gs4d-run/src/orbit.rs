@@ -1,10 +1,18 @@
-//! A camera that goes around a scene.
+//! A camera path around a scene.
 
 use glam::{DMat3, DQuat, DVec3, Vec3};
 use gs_core::Camera;
 use gs_data::View;
 
-/// A circle around a place, seen at a camera's size and angle.
+/// A circle around a centre, with the image size and field of view of a camera.
+///
+/// ```
+/// use gs4d_run::orbit::Orbit;
+///
+/// let orbit = Orbit::of_splats(&[glam::Vec3::ZERO, glam::Vec3::X]).unwrap();
+/// let [start, end] = [0.0, 1.0].map(|share| orbit.at(share).unwrap().position());
+/// assert!(start.distance(end) < 1e-9);
+/// ```
 #[derive(Clone, Debug)]
 pub struct Orbit {
     centre: DVec3,
@@ -13,7 +21,7 @@ pub struct Orbit {
     camera: Camera,
 }
 
-/// Median of centres and the distance that three quarters of them lie within; none without any.
+/// Component-wise median of means, and the radius around it that contains three quarters of them; `None` without means.
 pub fn middle(means: &[Vec3]) -> Option<(Vec3, f32)> {
     let share = |mut values: Vec<f32>, quarters: usize| {
         values.sort_by(f32::total_cmp);
@@ -26,8 +34,8 @@ pub fn middle(means: &[Vec3]) -> Option<(Vec3, f32)> {
 }
 
 impl Orbit {
-    /// Around what the views look at: the place nearest to all their axes, at the first view's distance and height, about
-    /// the mean of what is up for them. None without views, or where all look in one direction.
+    /// Around the point nearest to the optical axes of all views, from the first view's position, about the mean of their up
+    /// directions. `None` without views, or if all axes are parallel.
     pub fn of_views(views: &[View]) -> Option<Self> {
         let first = &views.first()?.camera;
         let (mut a, mut b, mut up) = (DMat3::ZERO, DVec3::ZERO, DVec3::ZERO);
@@ -39,13 +47,13 @@ impl Orbit {
             up -= camera.rotation.row(1);
         }
         let n = views.len() as f64;
-        // Nearly parallel axes meet nowhere.
+        // Nearly parallel axes have no nearest point.
         let centre = if (a * (1.0 / n)).determinant() > 1e-4 { a.inverse() * b } else { return None };
         let up = up.try_normalize()?;
         Some(Self { centre, up, start: first.position(), camera: first.clone() })
     }
 
-    /// Around splats, y down, at a distance that shows three quarters of them.
+    /// Around splats, with y down, at a distance that shows three quarters of them; `None` without splats.
     pub fn of_splats(means: &[Vec3]) -> Option<Self> {
         let (centre, radius) = middle(means)?;
         let (centre, far) = (centre.as_dvec3(), 3.5 * f64::from(radius));
@@ -54,7 +62,7 @@ impl Orbit {
         Some(Self { centre, up: DVec3::NEG_Y, start, camera })
     }
 
-    /// The camera after this share of a turn; none where it would look along its own up.
+    /// The camera after a share of a turn (0..1); `None` where it would look along its own up direction.
     pub fn at(&self, share: f64) -> Option<Camera> {
         let turn = DQuat::from_axis_angle(self.up, share * std::f64::consts::TAU);
         let eye = self.centre + turn * (self.start - self.centre);

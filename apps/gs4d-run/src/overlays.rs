@@ -1,4 +1,4 @@
-//! What a method knows of its splats, drawn at one view: quantities with their spread, directions, rigid parts.
+//! Overlays of a view: renders of the splats coloured by scalar attributes, directions and rigid parts.
 
 use gs_core::{Camera, Splats};
 use gs_data::View;
@@ -14,26 +14,26 @@ use gs4d_report::analysis::Histogram;
 use gs4d_report::analysis::paths::painted;
 use gs4d_report::{Legend, OverlayFigure, Ramp};
 
-/// Colours of a legend.
-const STOPS: usize = 9;
-/// A quantity without an interval of its own is drawn from this share of its values to that one: few may be far out.
-const HELD: [f64; 2] = [0.01, 0.99];
+/// Number of colours of a legend.
+const LEGEND_COLORS: usize = 9;
+/// Quantiles that bound the colour span of an attribute without an interval of its own, against outliers.
+const SPAN_QUANTILES: [f64; 2] = [0.01, 0.99];
 
-/// All there is to see at the time of a view, over black.
+/// All overlays at the time of a view, over black.
 ///
 /// # Errors
-/// If the method cannot be asked for its splats.
-pub fn overlay_figures(method: &Model, view: &View, camera: &Camera) -> Result<Vec<OverlayFigure>, MethodError> {
+/// If the model cannot produce its splats.
+pub(crate) fn overlay_figures(method: &Model, view: &View, camera: &Camera) -> Result<Vec<OverlayFigure>, MethodError> {
     let at = Timestamp::new(view.time);
     let splats = method.all_splats(&at, camera)?;
     let mut renderer = Renderer::new(RasterOptions { background: [0.0; 3], ..method.raster_options([0.0; 3]) });
-    let mut draw =
+    let mut render =
         |splats: &Splats, overlay: Overlay| clamped(renderer.render(&painted(splats.clone(), overlay), camera));
     let quantities = method.quantities(&at)?;
     let mut figures = Vec::new();
     for q in quantities.iter().filter(|q| q.values.len() == splats.len()) {
         let (q, clipped) = within(q);
-        let image = draw(&splats, q.overlay());
+        let image = render(&splats, q.overlay());
         let histogram = Some(Histogram::of(q.name, None, q.span(), &q.values));
         let name = if q.unit.is_empty() { q.name.to_owned() } else { format!("{}, {}", q.name, q.unit) };
         figures.push(OverlayFigure { name, image, legend: legend(&q, clipped), histogram });
@@ -41,17 +41,17 @@ pub fn overlay_figures(method: &Model, view: &View, camera: &Camera) -> Result<V
     let known = |o: &Overlay| quantities.iter().any(|q| q.name == o.name);
     for overlay in method.overlays(&at)?.into_iter().filter(|o| !known(o) && o.colors.len() == splats.len()) {
         let (name, legend) = (overlay.name.to_owned(), Legend::Words(overlay.meaning.to_owned()));
-        figures.push(OverlayFigure { name, image: draw(&splats, overlay), legend, histogram: None });
+        figures.push(OverlayFigure { name, image: render(&splats, overlay), legend, histogram: None });
     }
-    figures.extend(parts_figure(method, &splats, &mut draw));
+    figures.extend(parts_figure(method, &splats, &mut render));
     Ok(figures)
 }
 
-/// The rigid parts, where the method has learnt how its splats move.
+/// The rigid parts, for methods that learn twists.
 fn parts_figure(
     method: &Model,
     splats: &Splats,
-    draw: &mut impl FnMut(&Splats, Overlay) -> gs_core::Image,
+    render: &mut impl FnMut(&Splats, Overlay) -> gs_core::Image,
 ) -> Option<OverlayFigure> {
     method.capabilities().particles?;
     let labels = segment::segment(method, &segment::Options::default()).ok()?;
@@ -71,16 +71,16 @@ fn parts_figure(
         (segment::color(p.id), text)
     };
     let legend = Legend::Kinds(parts::table(&labels).iter().map(kind).collect());
-    let image = draw(splats, Overlay { name: "parts", colors, meaning: "" });
+    let image = render(splats, Overlay { name: "parts", colors, meaning: "" });
     Some(OverlayFigure { name: "parts that share a motion".to_owned(), image, legend, histogram: None })
 }
 
-/// The quantity on an interval that holds nearly all of its values, and whether some lie outside.
+/// The attribute with an interval of nearly all of its values, and whether some lie outside.
 fn within(q: &Quantity) -> (Quantity, bool) {
     let mut sorted: Vec<f32> = q.values.iter().copied().filter(|v| v.is_finite()).collect();
     sorted.sort_by(f32::total_cmp);
     let share = |s: f64| sorted.get((s * sorted.len().saturating_sub(1) as f64).round() as usize).copied();
-    match (q.range, share(HELD[0]).zip(share(HELD[1]))) {
+    match (q.range, share(SPAN_QUANTILES[0]).zip(share(SPAN_QUANTILES[1]))) {
         (None, Some((low, high))) if low < high => {
             let clipped = sorted.first() < Some(&low) || sorted.last() > Some(&high);
             (Quantity { range: Some([low, high]), ..q.clone() }, clipped)
@@ -89,17 +89,17 @@ fn within(q: &Quantity) -> (Quantity, bool) {
     }
 }
 
-/// The colours of a quantity along its span.
+/// The legend of an attribute along its span.
 fn legend(q: &Quantity, clipped: bool) -> Legend {
     let [low, high] = q.span();
-    let at = |k: usize| low + (high - low) * k as f32 / (STOPS - 1) as f32;
-    let ramp = Quantity { range: Some([low, high]), values: (0..STOPS).map(at).collect(), ..q.clone() };
+    let at = |k: usize| low + (high - low) * k as f32 / (LEGEND_COLORS - 1) as f32;
+    let ramp = Quantity { range: Some([low, high]), values: (0..LEGEND_COLORS).map(at).collect(), ..q.clone() };
     let [below, above] = if clipped { ["≤ ", "≥ "] } else { ["", ""] };
     let ticks = [format!("{below}{}", number(low)), number(0.5 * (low + high)), format!("{above}{}", number(high))];
     Legend::Numbers(Ramp(ramp.overlay().colors), ticks)
 }
 
-/// Three digits that count.
+/// A number with three significant digits.
 fn number(v: f32) -> String {
     match v.abs() {
         0.0 => "0".to_owned(),

@@ -1,4 +1,4 @@
-//! What a run was made with: enough to repeat it, and to know on what its seconds were measured.
+//! Provenance of a run: what is needed to repeat it, and the machine its seconds were measured on.
 
 use gs_data::{Dataset, ImageSource};
 use gs_raster::SimdLevel;
@@ -6,45 +6,45 @@ use serde::Serialize;
 use std::fs;
 use std::time::{SystemTime, UNIX_EPOCH};
 
-/// The machine and the program.
+/// The machine and the program version.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Machine {
-    /// Version of gs4d.
-    pub version: &'static str,
-    /// Commit, where the build was told of it (`GS4D_COMMIT`).
-    pub commit: Option<&'static str>,
+pub(crate) struct Machine {
+    /// Version of this crate.
+    pub(crate) version: &'static str,
+    /// Commit, if `GS4D_COMMIT` was set in the build.
+    pub(crate) commit: Option<&'static str>,
     /// Model name of the processor.
-    pub cpu: String,
-    /// Threads used.
-    pub threads: usize,
+    pub(crate) cpu: String,
+    /// Threads of the rayon pool.
+    pub(crate) threads: usize,
     /// Instruction set of the rasteriser.
-    pub simd: String,
+    pub(crate) simd: String,
     /// Operating system and architecture.
-    pub system: String,
+    pub(crate) system: String,
 }
 
-/// The data a run learned from.
+/// The data set of a run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct DataOrigin {
-    /// Folder, empty for data made in memory.
-    pub root: String,
+pub(crate) struct DataOrigin {
+    /// Path of the folder; empty for data generated in memory.
+    pub(crate) root: String,
     /// Name of the layout.
-    pub layout: &'static str,
-    /// Hash of the list of files and cameras.
-    pub digest: String,
-    /// Where times come from.
-    pub time_source: String,
+    pub(crate) layout: &'static str,
+    /// Hash of names, cameras, times and image paths of all views.
+    pub(crate) digest: String,
+    /// Source of the times, in words.
+    pub(crate) time_source: String,
     /// Numbers of training, validation and test views.
-    pub views: [usize; 3],
+    pub(crate) views: [usize; 3],
     /// Number of views beyond the last training time.
-    pub extrapolate: usize,
+    pub(crate) extrapolate: usize,
     /// Assumptions made while reading.
-    pub notes: Vec<String>,
+    pub(crate) notes: Vec<String>,
 }
 
 impl Machine {
     /// This machine, with the rayon pool in scope.
-    pub fn here() -> Self {
+    pub(crate) fn here() -> Self {
         let level = gs_raster::simd::level(SimdLevel::Auto);
         Self {
             version: env!("CARGO_PKG_VERSION"),
@@ -58,8 +58,8 @@ impl Machine {
 }
 
 impl DataOrigin {
-    /// Where a data set came from.
-    pub fn of(dataset: &Dataset) -> Self {
+    /// Describes a data set.
+    pub(crate) fn of(dataset: &Dataset) -> Self {
         Self {
             root: dataset.root.display().to_string(),
             layout: dataset.layout,
@@ -109,16 +109,16 @@ fn cpu_name() -> String {
     name.unwrap_or(std::env::consts::ARCH).to_owned()
 }
 
-/// Peak resident memory of this process in MiB, where the system tells it.
-pub fn peak_memory_mib() -> Option<f64> {
+/// Peak resident memory of this process, MiB; `None` where `/proc` does not exist.
+pub(crate) fn peak_memory_mib() -> Option<f64> {
     let status = fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:"))?;
     let kib: f64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
     Some(kib / 1024.0)
 }
 
-/// The present in UTC, for example `2026-11-20T21:18:00Z`.
-pub fn now_utc() -> String {
+/// The current time in UTC, for example `2026-11-20T21:18:00Z`.
+pub(crate) fn now_utc() -> String {
     let seconds = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
     utc(seconds)
 }

@@ -3,11 +3,11 @@
 //! Resolution: defaults ← preset ← file ← `--steps` ← `--set`. `--steps N` compresses or stretches the whole recipe: every
 //! length in steps (stages, learning-rate decays, the times of density control and SH degrees) is multiplied by
 //! `N / steps of the recipe`, so a short run goes through all phases of a long one. A finished run is lengthened instead
-//! ([`lengthen`]): its last stage grows, and nothing that was done would have been done otherwise.
+//! ([`lengthen`]): only its last stage grows, so the steps already made stay valid.
 
 use super::RunError;
 use crate::config::{Config, ConfigError, Source};
-use gs_data::{DataOptions, Dataset};
+use gs_data::{DataOptions, Dataset, ImageCache};
 use gs_train::registry::Registry;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -25,7 +25,7 @@ pub struct RunSettings {
     pub preset: String,
     /// Folder of the data.
     pub data: String,
-    /// Seed of every random number.
+    /// Seed of all random numbers.
     pub seed: u64,
     /// Steps between lines of the log.
     pub log_every: u32,
@@ -43,31 +43,38 @@ pub struct RunSettings {
     pub image_mib: u32,
 }
 
-/// What a user asks for.
+impl RunSettings {
+    /// Bytes of decoded images kept in memory, at most.
+    pub fn image_bytes(&self) -> usize {
+        (self.image_mib as usize) << 20
+    }
+}
+
+/// A request for settings, as given on the command line.
 #[derive(Clone, Debug, Default)]
 pub struct Request {
     /// Name of the method.
     pub method: String,
     /// Name of the preset.
     pub preset: String,
-    /// Folder of the data; `None` to look at settings only.
+    /// Folder of the data; `None` to resolve settings only.
     pub data: Option<PathBuf>,
     /// A TOML file of settings.
     pub file: Option<PathBuf>,
-    /// Total number of steps.
+    /// Total number of steps; stretches the whole recipe.
     pub steps: Option<u32>,
-    /// Seconds of training.
+    /// Seconds of training after which the run stops.
     pub time_budget: Option<f64>,
-    /// Seed.
+    /// Seed of all random numbers.
     pub seed: Option<u64>,
-    /// Assignments `key=value`, the last word.
+    /// Assignments `key=value`, applied last.
     pub sets: Vec<String>,
 }
 
-/// Settings that are complete and checked.
+/// Complete and validated settings.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Resolved {
-    /// The methods there are; `run.method` is one of them.
+    /// The available methods; `run.method` is one of them.
     pub registry: Registry,
     /// Every value with its source.
     pub config: Config,
@@ -112,7 +119,7 @@ pub fn with_preset(registry: &Registry, method: &str, preset: &str) -> Result<Co
     Ok(config)
 }
 
-/// Resolves what a user asks for.
+/// Resolves the settings of a request.
 ///
 /// # Errors
 /// Unknown method, preset or setting; a value of the wrong kind or outside its domain; an unreadable file.
@@ -171,7 +178,7 @@ impl Resolved {
         Ok(Self { registry: registry.clone(), config, run, data, method: table })
     }
 
-    /// Reads the settings of a run folder. Values keep their present meaning, not their first source.
+    /// Reads the settings of a run folder. The source of every value is the file.
     ///
     /// # Errors
     /// If the text is not a resolved configuration of a method there is.
@@ -195,6 +202,11 @@ impl Resolved {
             return Err(ConfigError::Invalid("run.data names no folder".into()).into());
         }
         Ok(Dataset::open(Path::new(&self.run.data), &self.data)?)
+    }
+
+    /// An image cache for the data set, at full size.
+    pub fn images(&self) -> ImageCache {
+        ImageCache::new(self.run.image_bytes(), 1.0).with_max_image_mib(self.data.max_image_mib)
     }
 
     /// Steps of the whole recipe.
@@ -246,7 +258,7 @@ fn stretch(config: &mut Config, total: u32) -> Result<(), RunError> {
     Ok(())
 }
 
-/// Whether a setting is a time on the clock of the schedule (not the pace of growth, which stays).
+/// Whether a setting is a step number of the schedule that scales with its length (intervals of densification do not).
 fn is_length(key: &str) -> bool {
     let times = [
         "schedule.sh_every",
@@ -265,7 +277,7 @@ fn is_length(key: &str) -> bool {
     times.contains(&key) || key.starts_with("schedule.lr.") && key.ends_with(".steps")
 }
 
-/// Gives the run `total` steps by changing the length of its last stage alone.
+/// Changes the run to `total` steps by the length of its last stage.
 ///
 /// # Errors
 /// If `done` steps were made already and more than `total`, or the last stage would begin after `total`.

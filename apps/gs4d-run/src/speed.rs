@@ -1,17 +1,18 @@
-//! Speed against error of drawing a trained scene: each variant timed, and compared with the f64 reference that blends
-//! every sample.
+//! Speed against error of rendering a trained scene: variants of the rasteriser, timed and compared with the f64 reference
+//! that blends every sample.
 
 use gs_core::speed::{BenchRow, median_seconds};
 use gs_core::{Camera, Splats};
 use gs_raster::reference::{self, Cutoff, Scene};
 use gs_raster::{Frame, RasterOptions, SimdLevel, Workspace, render_into};
 
-/// Pixels times splats the reference may look at (about a second).
+/// Most pixels times splats of the reference (about a second).
 const REFERENCE_WORK: f64 = 6e7;
-/// Each variant is timed this often; the median counts.
+/// Timed repetitions of each variant; the median is reported.
 const REPEATS: usize = 7;
 
-/// Measures the variants of drawing `splats` for a camera, reduced so that the reference takes about a second.
+/// Measures variants of rendering `splats`, at a resolution reduced so that the reference takes about a second. Empty without
+/// splats.
 pub fn speed_against_error(splats: &Splats, camera: &Camera, options: &RasterOptions) -> Vec<BenchRow> {
     if splats.is_empty() {
         return Vec::new();

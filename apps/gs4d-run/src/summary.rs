@@ -1,10 +1,10 @@
-//! From a run to its report: figures, curves from the log, worst and median views, a strip through time, needs, speed against error.
+//! The report of a run: figures, curves of the log, worst and median views, a strip over time, statistics, speed against error.
 
 use super::folder::{self, RunFolder};
 use super::overlays::overlay_figures;
 use super::speed::speed_against_error;
 use super::work::{drawing_rows, resting_rows, training_rows};
-use super::{Resolved, RunError, shown};
+use super::{Resolved, RunError, score_table};
 use gs_core::speed::BenchRow;
 use gs_core::{Camera, Time};
 use gs_data::{Dataset, ImageCache, View};
@@ -15,65 +15,65 @@ use gs_train::model::Model;
 use gs_train::renderer::Renderer;
 use gs_train::timestamp::Timestamp;
 use gs4d_report::analysis::AnalysisError;
-use gs4d_report::analysis::paths::{jerk_overlay, moments_for, painted};
-use gs4d_report::analysis::{Analysis, Economy, Journal, Snapshot};
+use gs4d_report::analysis::paths::{painted, sample_count, second_difference_overlay};
+use gs4d_report::analysis::{Analysis, Journal, RenderCost, Snapshot};
 use gs4d_report::inspect::bytes_text;
 use gs4d_report::needs::needs;
 use gs4d_report::storage::Storage;
-use gs4d_report::{Figure, HeatMap, Need, Report, Sample, Still};
+use gs4d_report::{Figure, HeatMap, Report, ReportRow, Sample, Still};
 use serde::Deserialize;
 use serde_json::Value;
 use std::path::Path;
 
-/// Views that are drawn to see what drawing takes.
-const LOOKED_AT: usize = 5;
-/// Pictures of the strip.
-const STRIP: usize = 8;
+/// Number of views rendered to count the work of rendering.
+const WORK_VIEWS: usize = 5;
+/// Number of images of the strip.
+const STRIP_FRAMES: usize = 8;
 
-/// What a report is made from.
-pub struct Material<'a> {
-    /// The run's folder: log and provenance.
-    pub folder: &'a RunFolder,
-    /// Its settings.
-    pub resolved: &'a Resolved,
-    /// The method as trained.
-    pub method: &'a Model,
-    /// The data.
-    pub dataset: &'a Dataset,
-    /// Photographs.
-    pub photographs: &'a ImageCache,
+/// The data of a report.
+pub(crate) struct ReportInput<'a> {
+    /// The run folder, for log and provenance.
+    pub(crate) folder: &'a RunFolder,
+    /// The run's settings.
+    pub(crate) resolved: &'a Resolved,
+    /// The trained model.
+    pub(crate) method: &'a Model,
+    /// The run's data set.
+    pub(crate) dataset: &'a Dataset,
+    /// Images of the data set.
+    pub(crate) images: &'a ImageCache,
     /// Scores of a split.
-    pub scores: &'a EvalReport,
+    pub(crate) scores: &'a EvalReport,
     /// Radius of the scene, world units.
-    pub extent: f32,
-    /// Steps made.
-    pub step: u32,
+    pub(crate) extent: f32,
+    /// Optimizer steps made.
+    pub(crate) step: u32,
 }
 
-/// Makes the report, with the rows of speed against error measured for it.
+/// Builds the report, with the benchmark rows measured for it.
 ///
 /// # Errors
-/// If the log or a photograph cannot be read.
-pub fn summarise(m: &Material) -> Result<(Report, Vec<BenchRow>), RunError> {
+/// If the log or an image cannot be read.
+pub(crate) fn build_report(m: &ReportInput) -> Result<(Report, Vec<BenchRow>), RunError> {
     let log = m.folder.log_lines(folder::LOG)?;
     let options = m.method.raster_options(m.scores.background);
     let mut renderer = Renderer::new(options.clone());
-    let views: Vec<&View> = shown::ranked(m.dataset, m.scores).into_iter().map(|(view, _)| view).collect();
+    let views: Vec<&View> = score_table::ranked(m.dataset, m.scores).into_iter().map(|(view, _)| view).collect();
     let mut report = Report {
         title: format!("{} · {}", data_name(m), m.method.name()),
         subtitle: subtitle(m),
         loss: samples(&log, |line| line["loss"].as_f64()),
         psnr: psnr_curves(&log),
         splats: samples(&log, |line| line["splats"].as_f64()),
-        conditions: shown::conditions(m.dataset, m.photographs, m.scores),
+        conditions: score_table::conditions(m.dataset, m.images, m.scores),
         future_conditions: match &m.scores.extrapolate {
-            Some(future) => shown::conditions(m.dataset, m.photographs, future),
+            Some(future) => score_table::conditions(m.dataset, m.images, future),
             None => String::new(),
         },
-        scores: shown::score_rows(m.scores),
-        views: shown::comparisons(m, &mut renderer, m.scores)?,
+        scores: score_table::score_rows(m.scores),
+        views: score_table::comparisons(m, &mut renderer, m.scores)?,
         future: match &m.scores.extrapolate {
-            Some(future) => shown::comparisons(m, &mut renderer, future)?,
+            Some(future) => score_table::comparisons(m, &mut renderer, future)?,
             None => Vec::new(),
         },
         settings: m
@@ -89,14 +89,14 @@ pub fn summarise(m: &Material) -> Result<(Report, Vec<BenchRow>), RunError> {
         ..Report::default()
     };
     if let Some(view) = views.first().copied().or(m.dataset.train.first()) {
-        let camera = m.photographs.camera(view);
+        let camera = m.images.camera(view);
         if m.dataset.dynamic {
             report.strip = strip(m.method, &mut renderer, &camera)?;
             report.jerk = jerk(m, view, &camera)?;
         }
         report.overlays = overlay_figures(m.method, view, &camera)?;
         report.overlay_view = format!("{} at t = {:.3}, the worst view, over black.", view.name, view.time.normalised);
-        let seen: Vec<_> = views.iter().take(LOOKED_AT).map(|v| (m.photographs.camera(v), v.time)).collect();
+        let seen: Vec<_> = views.iter().take(WORK_VIEWS).map(|v| (m.images.camera(v), v.time)).collect();
         report.analysis = analysis(m, &seen, &options)?;
         report.work = drawing_rows(m.method, &seen, &options)?;
         report.work.extend(resting_rows(m.method, &seen));
@@ -110,13 +110,13 @@ pub fn summarise(m: &Material) -> Result<(Report, Vec<BenchRow>), RunError> {
     Ok((report, rows))
 }
 
-fn data_name(m: &Material) -> String {
+fn data_name(m: &ReportInput) -> String {
     let path = Path::new(&m.resolved.run.data);
     let name = path.file_name().map(|n| n.to_string_lossy().into_owned());
     name.unwrap_or_else(|| m.dataset.layout.to_owned())
 }
 
-fn subtitle(m: &Material) -> String {
+fn subtitle(m: &ReportInput) -> String {
     let kind = if m.dataset.dynamic { "moving" } else { "still" };
     format!(
         "A {kind} scene from {} training views; step {}, preset {}, seed {}",
@@ -127,25 +127,33 @@ fn subtitle(m: &Material) -> String {
     )
 }
 
-fn figures(m: &Material, renderer: &mut Renderer, view: &View, camera: &Camera) -> Result<Vec<Figure>, MethodError> {
+fn figures(m: &ReportInput, renderer: &mut Renderer, view: &View, camera: &Camera) -> Result<Vec<Figure>, MethodError> {
     let s = m.scores;
     let figure = |value: String, name: &str, remark: String| Figure { value, name: name.to_owned(), remark };
-    let number = |v: Option<f64>, digits: usize| v.map_or("–".to_owned(), |v| format!("{v:.digits$}"));
-    let of = shown::conditions(m.dataset, m.photographs, s);
+    let of = score_table::conditions(m.dataset, m.images, s);
     let frame = renderer.seconds(m.method, view, camera)?;
     let size =
-        format!("{}×{}, field and drawing, threads: {}", camera.width, camera.height, rayon::current_num_threads());
+        format!("{}×{}, field and rendering, threads: {}", camera.width, camera.height, rayon::current_num_threads());
     let beyond = s.extrapolate.as_ref().map(|f| {
-        let of = shown::conditions(m.dataset, m.photographs, f);
-        figure(format!("{} dB", number(f.mean.psnr, 2)), "PSNR of the future", format!("mean of {of}"))
+        let of = score_table::conditions(m.dataset, m.images, f);
+        figure(
+            format!("{} dB", score_table::number_or_dash(f.mean.psnr, 2)),
+            "PSNR of the future",
+            format!("mean of {of}"),
+        )
     });
     let from_mean = s
         .psnr_of_mean_mse
         .map(|p| figure(format!("{p:.2} dB"), "PSNR of the mean error", format!("one mean square over {of}")));
-    let mut figures = vec![figure(format!("{} dB", number(s.mean.psnr, 2)), "PSNR", format!("mean of {of}"))];
+    let mut figures =
+        vec![figure(format!("{} dB", score_table::number_or_dash(s.mean.psnr, 2)), "PSNR", format!("mean of {of}"))];
     figures.extend(from_mean.into_iter().chain(beyond));
     figures.extend([
-        figure(number(s.mean.ssim, 4), "SSIM", format!("11×11 window, zeros outside; mean of {of}")),
+        figure(
+            score_table::number_or_dash(s.mean.ssim, 4),
+            "SSIM",
+            format!("11×11 window, zeros outside; mean of {of}"),
+        ),
         figure(format!("{:.1} s", s.train_seconds.unwrap_or(0.0)), "training", format!("{} steps", m.step)),
         figure(s.gaussians.to_string(), "splats", "in the canonical cloud".into()),
         figure(bytes_text(s.parameter_bytes as usize), "scene", "parameters as f32".into()),
@@ -154,7 +162,7 @@ fn figures(m: &Material, renderer: &mut Renderer, view: &View, camera: &Camera) 
     Ok(figures)
 }
 
-/// A name for black and white, else the three values.
+/// `black`, `white`, or the three values of an RGB colour.
 pub fn color_name(c: [f32; 3]) -> String {
     match c {
         [0.0, 0.0, 0.0] => "black".to_owned(),
@@ -163,6 +171,7 @@ pub fn color_name(c: [f32; 3]) -> String {
     }
 }
 
+/// The curve of a value over the log's lines that have one.
 pub(crate) fn samples(log: &[Value], value: impl Fn(&Value) -> Option<f64>) -> Vec<Sample> {
     let sample = |line: &Value| {
         Some(Sample { step: line["step"].as_f64()?, seconds: line["seconds"].as_f64()?, value: value(line)? })
@@ -174,24 +183,24 @@ fn psnr_curves(log: &[Value]) -> Vec<(String, Vec<Sample>)> {
     let training = samples(log, |line| line["psnr"].as_f64());
     let held_out = samples(log, |line| line["eval"]["mean"]["psnr"].as_f64());
     let split = log.iter().find_map(|l| l["eval"]["split"].as_str()).unwrap_or("val").to_owned();
-    let curves = [("training views".to_owned(), training), (format!("{split} views, drawn anew"), held_out)];
+    let curves = [("training views".to_owned(), training), (format!("{split} views, rendered anew"), held_out)];
     curves.into_iter().filter(|(_, s)| !s.is_empty()).collect()
 }
 
 fn strip(method: &Model, renderer: &mut Renderer, camera: &Camera) -> Result<Vec<Still>, MethodError> {
-    let time = |k: usize| k as f32 / (STRIP - 1) as f32;
+    let time = |k: usize| k as f32 / (STRIP_FRAMES - 1) as f32;
     let still = |k: usize| {
         let image = renderer.at(method, time(k), camera)?;
         Ok(Still { caption: format!("t = {:.2}", time(k)), image })
     };
-    (0..STRIP).map(still).collect()
+    (0..STRIP_FRAMES).map(still).collect()
 }
 
-/// Where the motion jerks at the time of a view, over black.
-fn jerk(m: &Material, view: &View, camera: &Camera) -> Result<Vec<Still>, MethodError> {
+/// A render coloured by second differences of motion at the time of a view, over black.
+fn jerk(m: &ReportInput, view: &View, camera: &Camera) -> Result<Vec<Still>, MethodError> {
     let mut renderer = Renderer::new(m.method.raster_options([0.0; 3]));
     let (time, interval) = (view.time.normalised, 1.0 / m.dataset.train.len().max(2) as f32);
-    let overlay = match jerk_overlay(m.method, time, interval, camera) {
+    let overlay = match second_difference_overlay(m.method, time, interval, camera) {
         Ok(overlay) => overlay,
         Err(AnalysisError::Trajectory(_)) => return Ok(Vec::new()),
         Err(AnalysisError::Method(e)) => return Err(e),
@@ -201,14 +210,14 @@ fn jerk(m: &Material, view: &View, camera: &Camera) -> Result<Vec<Still>, Method
     Ok(vec![Still { caption, image: clamped(renderer.render(&splats, camera)) }])
 }
 
-fn analysis(m: &Material, seen: &[(Camera, Time)], options: &RasterOptions) -> Result<Vec<Need>, MethodError> {
-    let moments = if m.dataset.dynamic { moments_for(m.dataset.train.len()) } else { 0 };
+fn analysis(m: &ReportInput, seen: &[(Camera, Time)], options: &RasterOptions) -> Result<Vec<ReportRow>, MethodError> {
+    let moments = if m.dataset.dynamic { sample_count(m.dataset.train.len()) } else { 0 };
     let mut rows = Analysis::of(m.method, moments, None)?.rows();
-    rows.extend(Economy::of(m.method, seen, options, m.scores.mean.psnr)?.iter().flat_map(Economy::rows));
+    rows.extend(RenderCost::of(m.method, seen, options, m.scores.mean.psnr)?.iter().flat_map(RenderCost::rows));
     Ok(rows)
 }
 
-/// The quantities pooled over times, step by step.
+/// Heat maps of the attributes pooled over times, from the lines of the histogram log.
 fn heat_maps(lines: &[Value]) -> Vec<HeatMap> {
     let mut maps: Vec<HeatMap> = Vec::new();
     for line in lines {

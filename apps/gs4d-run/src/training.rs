@@ -1,18 +1,18 @@
-//! The loop that trains: steps, log lines, checkpoints, evaluations, and the three ways to end.
+//! The training loop: steps, log lines, checkpoints, evaluations, and its three outcomes.
 
 use super::RunError;
 use super::folder::{self, Log, RunFolder};
 use super::opened::metrics_json;
 use super::provenance::{DataOrigin, Machine, now_utc, peak_memory_mib};
 use super::settings::{self, Resolved};
-use super::summary::{Material, summarise};
+use super::summary::{ReportInput, build_report};
 use gs_core::io::write_file;
 use gs_core::speed::BenchRow;
 use gs_data::{Dataset, ImageCache, Split};
 use gs_train::checkpoint::{self, Skipped};
 use gs_train::evaluate::{EvalReport, evaluate, evaluate_with_future};
 use gs_train::registry::Registry;
-use gs_train::renderer as picture;
+use gs_train::renderer::file_stem;
 use gs_train::trainer::{StepReport, TrainError, TrainOptions, Trainer};
 use gs4d_report::analysis::Snapshot;
 use gs4d_report::png;
@@ -30,14 +30,14 @@ pub struct Training {
     window: Window,
     /// Seconds of training at which this session stops; 0: never.
     stop_at: f64,
-    /// Checkpoints that were passed over on resuming.
+    /// Checkpoints that did not verify on resuming.
     skipped: Vec<Skipped>,
 }
 
-/// How a run came to rest.
+/// How a training session ended.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Outcome {
-    /// The schedule is at its end.
+    /// All steps of the schedule are made.
     Finished,
     /// The time budget is spent; the state is in this file.
     BudgetSpent(PathBuf),
@@ -45,10 +45,10 @@ pub enum Outcome {
     Interrupted(PathBuf),
 }
 
-/// Where a run stands, for a line of progress.
+/// The progress of a run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Progress {
-    /// Steps made.
+    /// Optimizer steps made.
     pub step: u32,
     /// Steps of the schedule.
     pub steps: u32,
@@ -119,7 +119,7 @@ impl Training {
     /// # Errors
     /// If the folder is taken or the method cannot be used.
     pub fn begin_on(root: &Path, overwrite: bool, resolved: Resolved, dataset: Arc<Dataset>) -> Result<Self, RunError> {
-        let options = TrainOptions { seed: resolved.run.seed, image_bytes: image_bytes(&resolved) };
+        let options = TrainOptions { seed: resolved.run.seed, image_bytes: resolved.run.image_bytes() };
         let trainer = Trainer::new(&resolved.registry, dataset, &resolved.run.method, &resolved.method, options)?;
         let folder = RunFolder::create(root, overwrite)?;
         folder.write(folder::CONFIG, &resolved.config.to_commented_toml())?;
@@ -137,8 +137,8 @@ impl Training {
         Ok(Self { trainer, resolved, folder, log, window: Window::default(), stop_at, skipped: Vec::new() })
     }
 
-    /// Goes on with a run from its newest checkpoint that verifies. With `steps`, the schedule is given that many
-    /// ([`settings::lengthen`]). `budget` is for this session alone, in seconds; the one the run began with is spent.
+    /// Resumes a run from its newest checkpoint that verifies. With `steps`, the schedule is lengthened to that many
+    /// ([`settings::lengthen`]). `budget` holds for this session, in seconds; the run's original one is not used again.
     ///
     /// # Errors
     /// If no checkpoint is usable, the data have changed in number, or the steps cannot be made.
@@ -152,7 +152,7 @@ impl Training {
             folder.write(folder::CONFIG, &resolved.config.to_commented_toml())?;
         }
         let dataset = Arc::new(resolved.open_data()?);
-        let bytes = image_bytes(&resolved);
+        let bytes = resolved.run.image_bytes();
         let trainer = Trainer::resume(registry, dataset, &newest.checkpoint, Some(&resolved.method), bytes)?;
         for name in [folder::LOG, folder::HISTOGRAMS, folder::JOURNAL] {
             folder.cut_log(name, done)?;
@@ -162,7 +162,7 @@ impl Training {
         Ok(Self { trainer, resolved, folder, log, window: Window::default(), stop_at, skipped: newest.skipped })
     }
 
-    /// Goes on with more views and other settings ([`Trainer::with_more_views`]).
+    /// Continues with more views and other settings ([`Trainer::with_more_views`]).
     ///
     /// # Errors
     /// If the method cannot be built anew or the settings cannot be written.
@@ -172,12 +172,16 @@ impl Training {
         Ok(Self { trainer, resolved, window: Window::default(), ..self })
     }
 
-    /// Trains until the schedule ends, the time budget is spent or `stop` is set; saves in every case. Between two steps
-    /// `tell` hears where the run stands and may look at it.
+    /// Trains until the schedule ends, the time budget is spent or `stop` is set; saves in every case. `on_step` is called
+    /// after every step.
     ///
     /// # Errors
     /// If a step fails (the last checkpoint stays good) or something cannot be written.
-    pub fn train(&mut self, stop: &AtomicBool, tell: &mut dyn FnMut(Progress, &Trainer)) -> Result<Outcome, RunError> {
+    pub fn train(
+        &mut self,
+        stop: &AtomicBool,
+        on_step: &mut dyn FnMut(Progress, &Trainer),
+    ) -> Result<Outcome, RunError> {
         loop {
             let step = self.trainer.steps_done();
             if step >= self.trainer.steps() {
@@ -190,11 +194,11 @@ impl Training {
             if self.stop_at > 0.0 && self.trainer.train_seconds() >= self.stop_at {
                 return Ok(Outcome::BudgetSpent(self.save()?));
             }
-            self.step(tell)?;
+            self.step(on_step)?;
         }
     }
 
-    fn step(&mut self, tell: &mut dyn FnMut(Progress, &Trainer)) -> Result<(), RunError> {
+    fn step(&mut self, on_step: &mut dyn FnMut(Progress, &Trainer)) -> Result<(), RunError> {
         let report = match self.trainer.step() {
             Ok(report) => report,
             Err(error) => {
@@ -209,16 +213,16 @@ impl Training {
         let run = &self.resolved.run;
         let (log, evaluation, save) = (due(run.log_every), due(run.eval_every), due(run.checkpoint_every));
         let histograms = due(run.histogram_every);
-        tell(self.progress(), &self.trainer);
+        on_step(self.progress(), &self.trainer);
         if log || report.step == self.trainer.steps() {
             let line = self.log_line(&report);
             self.log.add(&line)?;
             self.window = Window::default();
         }
         if histograms {
-            self.keep_histograms()?;
+            self.log_histograms()?;
         }
-        self.keep_events(&report)?;
+        self.log_events(&report)?;
         if evaluation {
             self.evaluate_while_training()?;
         }
@@ -265,7 +269,7 @@ impl Training {
     }
 
     /// Adds the quantities of the splats to their own log, if the method has any.
-    fn keep_histograms(&self) -> Result<(), RunError> {
+    fn log_histograms(&self) -> Result<(), RunError> {
         let snapshot = Snapshot::of(self.trainer.model())?;
         if snapshot.is_empty() {
             return Ok(());
@@ -277,7 +281,7 @@ impl Training {
     }
 
     /// Adds the events of a step to their own log.
-    fn keep_events(&mut self, report: &StepReport) -> Result<(), RunError> {
+    fn log_events(&mut self, report: &StepReport) -> Result<(), RunError> {
         if report.events.is_empty() {
             return Ok(());
         }
@@ -307,47 +311,47 @@ impl Training {
     /// time where there are any; writes `metrics.json`.
     ///
     /// # Errors
-    /// If a photograph cannot be read or the file cannot be written.
+    /// If an image cannot be read or the file cannot be written.
     pub fn score(&self) -> Result<EvalReport, RunError> {
         let dataset = self.trainer.dataset();
         let split = if dataset.test.is_empty() { Split::Train } else { Split::Test };
-        let photographs = self.photographs();
-        let mut report = evaluate_with_future(self.trainer.model(), dataset, split, self.background(), &photographs)?;
+        let images = self.photographs();
+        let mut report = evaluate_with_future(self.trainer.model(), dataset, split, self.background(), &images)?;
         report.train_seconds = Some(self.trainer.train_seconds());
         self.folder.write(folder::METRICS, &format!("{:#}\n", metrics_json(&report, self.trainer.steps_done())))?;
         Ok(report)
     }
 
-    /// Writes `report.html` for these scores, and the pictures shown in it to `renders/`; gives the rows of speed against
-    /// error measured for it.
+    /// Writes `report.html` for these scores, and the renders shown in it to `renders/`; returns the benchmark rows measured
+    /// for it.
     ///
     /// # Errors
-    /// If a photograph cannot be read or the file cannot be written.
+    /// If an image cannot be read or the file cannot be written.
     pub fn report(&self, scores: &EvalReport) -> Result<Vec<BenchRow>, RunError> {
-        let photographs = self.photographs();
-        let material = Material {
+        let images = self.photographs();
+        let material = ReportInput {
             folder: &self.folder,
             resolved: &self.resolved,
             method: self.trainer.model(),
             dataset: self.trainer.dataset(),
-            photographs: &photographs,
+            images: &images,
             scores,
             extent: self.trainer.scene().extent,
             step: self.trainer.steps_done(),
         };
-        let (report, rows) = summarise(&material)?;
+        let (report, rows) = build_report(&material)?;
         self.folder.write(folder::REPORT, &report.html()?)?;
         for view in &report.views {
-            let name = format!("step-{:06}_{}.png", material.step, picture::file_stem(&view.name));
-            let bytes = png(&view.drawn)?;
+            let name = format!("step-{:06}_{}.png", material.step, file_stem(&view.name));
+            let bytes = png(&view.render)?;
             write_file(&self.folder.renders().join(name), true, |out| out.write_all(&bytes))?;
         }
         Ok(rows)
     }
 
-    /// Photographs of this run's data.
+    /// The image cache of this run's data, at full size.
     pub fn photographs(&self) -> ImageCache {
-        ImageCache::new(image_bytes(&self.resolved), 1.0).with_max_image_mib(self.resolved.data.max_image_mib)
+        self.resolved.images()
     }
 
     /// Saves the state now.
@@ -358,17 +362,17 @@ impl Training {
         Ok(self.trainer.state().save_step(&self.folder.checkpoints(), self.trainer.steps_done())?)
     }
 
-    /// The trainer.
+    /// The trainer with model and optimizer state.
     pub fn trainer(&self) -> &Trainer {
         &self.trainer
     }
 
-    /// The settings.
+    /// The run's settings.
     pub fn resolved(&self) -> &Resolved {
         &self.resolved
     }
 
-    /// The folder.
+    /// The run's folder.
     pub fn folder(&self) -> &RunFolder {
         &self.folder
     }
@@ -382,10 +386,6 @@ impl Training {
 /// Whether an error is a numerical failure, after which the last checkpoint is the state to go back to.
 pub fn is_numeric(error: &RunError) -> bool {
     matches!(error, RunError::Train(TrainError::Numeric { .. }))
-}
-
-fn image_bytes(resolved: &Resolved) -> usize {
-    (resolved.run.image_mib as usize) << 20
 }
 
 /// A data set of at most `count` evenly spaced views of a split.

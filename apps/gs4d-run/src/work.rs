@@ -1,4 +1,4 @@
-//! What drawing and training took, and what they skipped: counts of the rasteriser over views, sums of the log.
+//! Work of rendering and training, done and skipped: counts of the rasteriser over views, sums over the log.
 
 use gs_core::{Camera, Time};
 use gs_raster::{Frame, RasterOptions, Workspace, blend_counts, render_into};
@@ -6,16 +6,16 @@ use gs_train::capabilities::FreezeOptions;
 use gs_train::method::MethodError;
 use gs_train::model::Model;
 use gs_train::timestamp::Timestamp;
-use gs4d_report::Need;
+use gs4d_report::ReportRow;
 use gs4d_report::inspect::bytes_text;
 use serde_json::Value;
 
-/// What drawing these views does not do.
-pub fn drawing_rows(
+/// Splats culled, blended and never reached in renders of some views, as rows for the report.
+pub(crate) fn drawing_rows(
     method: &Model,
     views: &[(Camera, Time)],
     options: &RasterOptions,
-) -> Result<Vec<Need>, MethodError> {
+) -> Result<Vec<ReportRow>, MethodError> {
     let (mut workspace, mut frame) = (Workspace::new(), Frame::default());
     let (mut all, mut given, mut listed, mut entries, mut used) = (0usize, 0usize, 0usize, 0usize, 0usize);
     let (mut blended, mut pixels, mut deepest) = (0u64, 0usize, 0u32);
@@ -41,48 +41,56 @@ pub fn drawing_rows(
     };
     let mut rows = Vec::new();
     if given < all {
-        rows.push(row(
+        rows.push(ReportRow::new(
             "left out by the method",
             of(all - given, all),
             "splats not made for a view: not seen, or masked out",
         ));
     }
     rows.extend([
-        row("culled", of(given - listed, given), "behind, outside, below α 1/255, or hidden by closed tiles"),
-        row(
+        ReportRow::new(
+            "culled",
+            of(given - listed, given),
+            "behind, outside, below α 1/255, or hidden by closed tiles",
+        ),
+        ReportRow::new(
             "blended",
             format!("{:.1} a pixel, at most {deepest}", blended as f64 / pixels.max(1) as f64),
             "splats of α 1/255 or more, up to the one that fills the pixel",
         ),
-        row("never reached", of(entries - used, entries), "tile entries behind what is opaque already"),
-        row("scratch of drawing", bytes_text(workspace.bytes()), "held by the rasteriser, reused from frame to frame"),
+        ReportRow::new("never reached", of(entries - used, entries), "tile entries behind what is opaque already"),
+        ReportRow::new(
+            "scratch of rendering",
+            bytes_text(workspace.bytes()),
+            "held by the rasteriser, reused from frame to frame",
+        ),
     ]);
     Ok(rows)
 }
 
-/// What could be left where it rests, where the method has a way to draw so.
-pub fn resting_rows(method: &Model, views: &[(Camera, Time)]) -> Vec<Need> {
+/// Splats that could be frozen as static, for methods that can render so.
+pub(crate) fn resting_rows(method: &Model, views: &[(Camera, Time)]) -> Vec<ReportRow> {
     let cameras: Vec<Camera> = views.iter().map(|v| v.0.clone()).collect();
     let options = FreezeOptions::usual(&cameras);
     let pixels = options.pixels;
     let Some((_, report)) = method.freeze_static(&options) else { return Vec::new() };
     let share = 100.0 * report.still as f64 / report.splats.max(1) as f64;
-    vec![row(
+    vec![ReportRow::new(
         "rows that could rest",
         format!("{} of {} ({share:.1} %)", report.still, report.splats),
-        &format!("within {pixels} pixels of the views looked at; left out only if asked for"),
+        &format!("within {pixels} pixels of the rendered views; left out only if asked for"),
     )]
 }
 
-/// Sums of a log, and what its last line tells.
-pub fn training_rows(log: &[Value]) -> Vec<Need> {
+/// Sums over the log, and milliseconds and memory of its last line.
+pub(crate) fn training_rows(log: &[Value]) -> Vec<ReportRow> {
     let steps: Vec<&Value> = log.iter().filter(|l| l["ms_per_step"].is_number()).collect();
     let Some(last) = steps.last() else { return Vec::new() };
     let sum = |key: &str| steps.iter().filter_map(|l| l[key].as_u64()).sum::<u64>();
     let grown = format!("+{} cloned, +{} split, −{} pruned", sum("cloned"), sum("split"), sum("pruned"));
     let mut rows = vec![
-        row("density control", grown, "splats over all steps"),
-        row("gradient rows refused", sum("quarantined").to_string(), "not finite, and so not learnt from"),
+        ReportRow::new("density control", grown, "splats over all steps"),
+        ReportRow::new("gradient rows refused", sum("quarantined").to_string(), "not finite, and so not learnt from"),
     ];
     let share = |(name, ms): (&String, &Value)| {
         let ms = ms.as_f64().filter(|_| name != "total")?;
@@ -90,16 +98,16 @@ pub fn training_rows(log: &[Value]) -> Vec<Need> {
     };
     let phases: Vec<String> = last["ms_last"].as_object().into_iter().flatten().filter_map(share).collect();
     if let Some(total) = last["ms_last"]["total"].as_f64() {
-        rows.push(row("the last step, ms", format!("{total:.2}"), &phases.join(", ")));
+        rows.push(ReportRow::new("the last step, ms", format!("{total:.2}"), &phases.join(", ")));
     }
     if let Some(peak) = last["memory_mib"].as_f64() {
-        rows.push(row("peak memory", format!("{peak:.1} MiB"), "resident, of the whole process, while training"));
+        rows.push(ReportRow::new(
+            "peak memory",
+            format!("{peak:.1} MiB"),
+            "resident, of the whole process, while training",
+        ));
     }
     rows
-}
-
-fn row(name: &str, value: String, meaning: &str) -> Need {
-    Need { name: name.to_owned(), value, meaning: meaning.to_owned() }
 }
 
 #[cfg(test)]

@@ -9,12 +9,12 @@ use serde::Deserialize;
 /// Most pixels of an image: 4K.
 pub(crate) const MAX_PIXELS: u32 = 3840 * 2160;
 /// Longest question, bytes.
-pub(crate) const MOST_BYTES: usize = 64 << 10;
+pub(crate) const MAX_BYTES: usize = 64 << 10;
 /// Largest absolute normalised time.
 const MAX_TIME: f32 = 100.0;
 
 /// Deepest nesting of brackets in a question.
-pub(crate) const MOST_NESTING: usize = 16;
+pub(crate) const MAX_NESTING: usize = 16;
 /// Most boxes of hidden splats.
 const MAX_BOXES: usize = 16;
 /// Largest gain of differences.
@@ -150,8 +150,8 @@ impl Question {
     /// assert!(Question::parse(&format!("{{{what}, \"time\": 1e30}}")).is_err());
     /// ```
     pub fn parse(text: &str) -> Result<Self, String> {
-        if text.len() > MOST_BYTES {
-            return Err(format!("a question has at most {MOST_BYTES} bytes"));
+        if text.len() > MAX_BYTES {
+            return Err(format!("a question has at most {MAX_BYTES} bytes"));
         }
         let question: Self = serde_json::from_str(text).map_err(|e| e.to_string())?;
         check_size(question.width, question.height)?;
@@ -263,7 +263,7 @@ mod tests {
             (chosen("[0,0,1,2]"), "box"),
             (view(r#","save":"/etc/passwd""#), "unknown variant"),
             (nested, "invalid type"),
-            ("x".repeat(MOST_BYTES + 1), "at most"),
+            ("x".repeat(MAX_BYTES + 1), "at most"),
         ];
         for (text, want) in cases {
             let error = Question::parse(&text).unwrap_err();
@@ -279,6 +279,6 @@ mod tests {
     fn nesting_is_counted_outside_of_strings() {
         assert_eq!(nesting(r#"{"a":[[1],{"b":"[[[[\"{{{"}]}"#), 3);
         assert_eq!(nesting("]]]]["), 1);
-        assert!(nesting(&text(r#""look":{"free":[[0,0,-4],[0,0,0],[0,-1,0],0.8]}"#)) < MOST_NESTING);
+        assert!(nesting(&text(r#""look":{"free":[[0,0,-4],[0,0,0],[0,-1,0],0.8]}"#)) < MAX_NESTING);
     }
 }

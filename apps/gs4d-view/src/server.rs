@@ -5,7 +5,7 @@ use crate::guard::Guard;
 use crate::live::{Feed, Pace, THREAD_NAME};
 use crate::packing::Packing;
 use crate::picture::Renderer;
-use crate::question::{MOST_BYTES, MOST_NESTING, Question, nesting};
+use crate::question::{MAX_BYTES, MAX_NESTING, Question, nesting};
 use crate::stage::Stage;
 use axum::Router;
 use axum::extract::State;
@@ -258,7 +258,7 @@ async fn connect(
         shared.clients.fetch_sub(1, Ordering::SeqCst);
         return (StatusCode::SERVICE_UNAVAILABLE, "too many viewers").into_response();
     }
-    let upgrade = upgrade.max_message_size(MOST_BYTES).max_frame_size(MOST_BYTES);
+    let upgrade = upgrade.max_message_size(MAX_BYTES).max_frame_size(MAX_BYTES);
     let left = shared.clone();
     upgrade
         .on_failed_upgrade(move |_| {
@@ -282,7 +282,7 @@ async fn serve_client(mut socket: WebSocket, shared: &Arc<Shared>) {
         loop {
             let alive = tokio::select! {
                 message = tokio::time::timeout(IDLE_TIMEOUT, socket.recv()) => match message {
-                    Ok(Some(Ok(Message::Text(text)))) if nesting(&text) > MOST_NESTING => false,
+                    Ok(Some(Ok(Message::Text(text)))) if nesting(&text) > MAX_NESTING => false,
                     Ok(Some(Ok(Message::Text(text)))) => match Question::parse(&text) {
                         Ok(question) => {
                             wanted.send_replace(Some(question));

@@ -174,7 +174,7 @@ impl From<CheckpointError> for Failure {
 impl From<MethodError> for Failure {
     fn from(e: MethodError) -> Self {
         let class = match e {
-            MethodError::Data(e) => return e.into(),
+            MethodError::Data(e) => return (*e).into(),
             MethodError::Render(_) => return Self::new(Class::Data, "method.moment", e.to_string()),
             MethodError::Loss(_) => return Self::new(Class::Numeric, "numeric", e.to_string()),
             MethodError::Scene(_) | MethodError::Cloud(_) => Class::Data,
@@ -220,7 +220,7 @@ impl From<FolderError> for Failure {
             FolderError::Empty { folder, .. } => Self::new(Class::Data, "data.empty", text)
                 .place(folder.display())
                 .remedy("give the folder that holds the images themselves"),
-            FolderError::Twins { first, .. } => Self::new(Class::Data, "data.names", text)
+            FolderError::SameName { first, .. } => Self::new(Class::Data, "data.names", text)
                 .place(first.display())
                 .why("images belong together by name, whatever their extension")
                 .remedy("remove one of them"),

@@ -4,7 +4,7 @@ use glam::DMat4;
 use gs_core::Image;
 use gs_core::io::images::{load_image, save_png};
 use gs_synth::{self as synth, SynthOptions};
-use gs4d_doctor::{Checkup, Exam, examine};
+use gs4d_doctor::{CheckOptions, Checkup, examine};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
@@ -84,7 +84,7 @@ impl Folder {
     }
 
     pub fn look(&self) -> Checkup {
-        examine(self.0.path(), &Exam::default())
+        examine(self.0.path(), &CheckOptions::default())
     }
 }
 

@@ -5,7 +5,7 @@ mod starts;
 
 use folder::{Folder, blurred, copy_all, each, matrix, rows};
 use glam::{DMat4, DVec3};
-use gs4d_doctor::{Checkup, CostOptions, Exam, Verdict, examine, page};
+use gs4d_doctor::{CheckOptions, Checkup, CostOptions, Verdict, examine, page};
 use serde_json::{Value, json};
 
 fn codes(c: &Checkup) -> Vec<&'static str> {
@@ -168,8 +168,8 @@ fn lists_that_lead_nowhere_are_named() {
     folder.edit("train", |v| v["frames"][0]["file_path"] = json!("../../secret"));
     must_name(&folder.look(), "data.escape", Verdict::Problem);
     let empty = tempfile::tempdir().expect("folder");
-    must_name(&examine(empty.path(), &Exam::default()), "data.layout", Verdict::Problem);
-    must_name(&examine(&empty.path().join("none"), &Exam::default()), "data.path", Verdict::Problem);
+    must_name(&examine(empty.path(), &CheckOptions::default()), "data.layout", Verdict::Problem);
+    must_name(&examine(&empty.path().join("none"), &CheckOptions::default()), "data.path", Verdict::Problem);
     let folder = Folder::of("static");
     std::fs::write(folder.path("scene.toml"), "[time]\nboundry = 0.5\n").expect("written");
     assert!(must_name(&folder.look(), "data.syntax", Verdict::Problem).contains("boundry"));
@@ -232,7 +232,7 @@ fn a_run_is_tried() {
         sets: sets.iter().map(|s| (*s).to_owned()).collect(),
         limit_mib: Some(4096.0),
     };
-    let exam = |o| Exam { cost: Some(o), ..Exam::default() };
+    let exam = |o| CheckOptions { cost: Some(o), ..CheckOptions::default() };
     let checkup = examine(folder.dir(), &exam(options(&[])));
     let cost = checkup.cost.as_ref().expect("cost");
     assert_eq!(cost.stages.len(), 2);
@@ -259,7 +259,7 @@ fn real_captures_are_sound() {
         ["dnerf_mutant_400", "fox_270x480", "neu3d_flame_steak_5view_llff_colmap", "panoptic_basketball_f040-069"]
     {
         let Some(dir) = gs_core::testkit::shared(&format!("data/{name}")) else { return };
-        let checkup = examine(&dir, &Exam::default());
+        let checkup = examine(&dir, &CheckOptions::default());
         let problems: Vec<_> = checkup.findings.iter().filter(|f| f.verdict == Verdict::Problem).collect();
         assert!(problems.is_empty(), "{name}: {problems:?}");
     }
@@ -280,7 +280,7 @@ fn corners_tell_wrong_poses_of_photographs() {
             f["transform_matrix"] = rows(if change { m * flip } else { m.inverse() });
         }
         std::fs::write(&file, v.to_string()).expect("written");
-        let checkup = examine(copy.path(), &Exam::default());
+        let checkup = examine(copy.path(), &CheckOptions::default());
         assert!(must_name(&checkup, "poses.convention", Verdict::Problem).contains(word));
     }
     let copy = tempfile::tempdir().expect("folder");
@@ -291,5 +291,5 @@ fn corners_tell_wrong_poses_of_photographs() {
         v[key] = json!(v[key].as_f64().expect("focal length") / 1.7);
     }
     std::fs::write(&file, v.to_string()).expect("written");
-    must_name(&examine(copy.path(), &Exam::default()), "poses.focal", Verdict::Problem);
+    must_name(&examine(copy.path(), &CheckOptions::default()), "poses.focal", Verdict::Problem);
 }

@@ -6,7 +6,7 @@ use glam::{DMat4, DQuat, DVec3, Vec3};
 use gs_core::Image;
 use gs_core::io::images::save_png;
 use gs_data::{DataOptions, Dataset, StartFrom, TimeFrom, write_start};
-use gs4d_doctor::{Exam, Verdict, examine};
+use gs4d_doctor::{CheckOptions, Verdict, examine};
 use serde_json::{Value, json};
 
 /// Views of the generated scene that train.
@@ -103,7 +103,7 @@ fn a_camera_that_only_turns_is_told() {
 #[test]
 fn what_is_assumed_is_told() {
     let folder = Folder::of("balls");
-    let exam = Exam { data: DataOptions { time_from: TimeFrom::Order, ..Default::default() }, cost: None };
+    let exam = CheckOptions { data: DataOptions { time_from: TimeFrom::Order, ..Default::default() }, cost: None };
     must_note(&examine(folder.dir(), &exam), "time.assumed");
     // The files of another layout beside those of the first.
     std::fs::create_dir(folder.path("ims")).expect("folder");
@@ -155,10 +155,10 @@ fn masked(paint: impl Fn(usize, usize) -> Option<Image>) -> tempfile::TempDir {
 fn masks_that_cannot_be_used_are_named() {
     let even = |value: f32| Image { width: 48, height: 48, channels: 1, data: vec![value; 48 * 48] };
     let dir = masked(|c, t| Some(even(if (c, t) == (2, 1) { 0.0 } else { 1.0 })));
-    let checkup = examine(dir.path(), &Exam::default());
+    let checkup = examine(dir.path(), &CheckOptions::default());
     assert!(must_name(&checkup, "masks.empty", Verdict::Warning).contains("2_000001"), "{:?}", checkup.findings);
     let whole = std::fs::read(dir.path().join("seg/1/000000.png")).expect("mask");
     std::fs::write(dir.path().join("seg/1/000000.png"), &whole[..whole.len() - 20]).expect("written");
-    let text = must_name(&examine(dir.path(), &Exam::default()), "masks.unreadable", Verdict::Problem);
+    let text = must_name(&examine(dir.path(), &CheckOptions::default()), "masks.unreadable", Verdict::Problem);
     assert!(text.contains("seg"), "{text}");
 }

@@ -1,32 +1,33 @@
-//! Splats whose looks depend on the camera, as splats that do not but for spherical harmonics.
+//! Fits camera-independent splats with spherical harmonics to splats that depend on the camera.
 
 use gs_core::{Camera, Color, Kernel, Splats, sh};
 
-/// Pull of coefficients above degree 0 towards 0, beside a sum of opacities: keeps directions nobody looked from sane.
+/// Ridge regularisation of coefficients above degree 0, relative to the sum of opacities: bounds colours in directions that
+/// no camera has seen.
 const RIDGE: f64 = 5e-3;
-/// Most coefficients.
-const MOST: usize = sh::MAX_COEFFS;
+/// Number of SH coefficients at the highest degree.
+const MAX_COEFFS: usize = sh::MAX_COEFFS;
 
-/// Sums of one splat over cameras.
+/// Opacity-weighted sums of one splat over cameras.
 #[derive(Clone)]
 struct Sums {
     /// Lower triangle of `Σ opacity · b bᵀ`.
-    normal: [[f64; MOST]; MOST],
+    normal: [[f64; MAX_COEFFS]; MAX_COEFFS],
     /// `Σ opacity · (color − ½) bᵀ`.
-    right: [[f64; MOST]; 3],
+    right: [[f64; MAX_COEFFS]; 3],
     /// `Σ opacity`.
     opacity: f64,
     /// `Σ opacity · scale`.
     scale: [f64; 3],
-    /// `Σ opacity · quat`, signs as the first's.
+    /// `Σ opacity · quat`, with signs aligned to the first.
     quat: [f64; 4],
     /// `Σ opacity · mean`.
     mean: [f64; 3],
-    /// Parameters of the kernel, likewise.
+    /// `Σ opacity · kernel parameter`.
     kernel: [f64; 2],
 }
 
-/// The mean of splats over cameras, weighted by their opacity, and their colours as SH by least squares.
+/// Means of splats over cameras, weighted by opacity, with colours as SH by weighted least squares.
 pub(super) struct Fit {
     degree: u8,
     first: Splats,
@@ -35,11 +36,11 @@ pub(super) struct Fit {
 }
 
 impl Fit {
-    /// Of splats with the rows of `first`.
-    pub fn new(first: &Splats, degree: u8) -> Self {
+    /// An empty fit for splats with the rows and kernel of `first`.
+    pub(super) fn new(first: &Splats, degree: u8) -> Self {
         let empty = Sums {
-            normal: [[0.0; MOST]; MOST],
-            right: [[0.0; MOST]; 3],
+            normal: [[0.0; MAX_COEFFS]; MAX_COEFFS],
+            right: [[0.0; MAX_COEFFS]; 3],
             opacity: 0.0,
             scale: [0.0; 3],
             quat: [0.0; 4],
@@ -49,8 +50,8 @@ impl Fit {
         Self { degree, first: first.clone(), sums: vec![empty; first.len()], cameras: 0 }
     }
 
-    /// What `camera` sees.
-    pub fn add(&mut self, splats: &Splats, camera: &Camera) {
+    /// Adds the splats as decoded for `camera`.
+    pub(super) fn add(&mut self, splats: &Splats, camera: &Camera) {
         self.cameras += 1;
         let eye = camera.position().as_vec3();
         let columns = kernel_columns(&splats.kernel);
@@ -80,8 +81,8 @@ impl Fit {
         }
     }
 
-    /// The splats.
-    pub fn finish(self) -> Splats {
+    /// The fitted splats; rows that no camera sees have opacity 0.
+    pub(super) fn finish(self) -> Splats {
         let k = sh::coeffs(self.degree);
         let mut out = self.first;
         let mut coeffs = Vec::with_capacity(3 * k * out.len());
@@ -106,8 +107,8 @@ impl Fit {
     }
 }
 
-/// Colour of a row towards a direction whose basis is given.
-fn shown(color: &Color, i: usize, basis: &[f64; MOST]) -> [f64; 3] {
+/// Colour of a row in a direction, given the SH basis there.
+fn shown(color: &Color, i: usize, basis: &[f64; MAX_COEFFS]) -> [f64; 3] {
     match color {
         Color::Rgb(rgb) => rgb[i].map(f64::from),
         Color::Sh { coeffs, .. } => {
@@ -118,7 +119,7 @@ fn shown(color: &Color, i: usize, basis: &[f64; MOST]) -> [f64; 3] {
     }
 }
 
-/// Parameters of a kernel, column by column.
+/// The columns of a kernel's parameters.
 fn kernel_columns(kernel: &Kernel) -> Vec<&[f32]> {
     match kernel {
         Kernel::Frequency { lambdas, betas } => vec![lambdas, betas],
@@ -135,9 +136,9 @@ fn set_kernel(kernel: &mut Kernel, i: usize, values: [f32; 2]) {
     }
 }
 
-/// Solves `A x = b` in place, for each of three `b`, for a positive definite `A` of which the lower triangle is given, by
-/// Cholesky's factors.
-fn solve(a: &mut [[f64; MOST]; MOST], right: &mut [[f64; MOST]; 3], n: usize) {
+/// Solves `A x = b` in place for three right-hand sides and a positive definite `A`, given by its lower triangle, by Cholesky
+/// factorisation.
+fn solve(a: &mut [[f64; MAX_COEFFS]; MAX_COEFFS], right: &mut [[f64; MAX_COEFFS]; 3], n: usize) {
     for j in 0..n {
         for i in j..n {
             let dot: f64 = (0..j).map(|k| a[i][k] * a[j][k]).sum();

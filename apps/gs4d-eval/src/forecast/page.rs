@@ -1,22 +1,21 @@
-//! The page of a forecast: PSNR against time beyond the last training time, and frames.
+//! The HTML page of a forecast: PSNR over time beyond the last training time, and frames.
 
-use crate::forecast::{MomentScores, Physics};
+use crate::forecast::{Physics, TimestampScores};
 use gs4d_report::chart::{Curve, Scale, chart};
-use gs4d_report::page::{document, escape, picture, section, table};
+use gs4d_report::page::{captioned, document, section, table, wrapped};
 use gs4d_report::{ReportError, Still};
-use std::fmt::Write as _;
 
-/// One self-contained HTML page.
+/// Renders a forecast as one self-contained HTML page.
 ///
 /// # Errors
-/// If a chart or picture cannot be drawn.
+/// If a chart or image cannot be encoded.
 pub fn page(
     title: &str,
-    moments: &[MomentScores],
+    moments: &[TimestampScores],
     strip: &[Still],
     physics: Option<&Physics>,
 ) -> Result<String, ReportError> {
-    let curve = |name: &str, psnr: fn(&MomentScores) -> Option<f64>| Curve {
+    let curve = |name: &str, psnr: fn(&TimestampScores) -> Option<f64>| Curve {
         name: name.to_owned(),
         points: moments.iter().filter_map(|m| Some((m.beyond, psnr(m)?))).collect(),
     };
@@ -26,17 +25,15 @@ pub fn page(
     let chart = svg.map_or(String::new(), |svg| format!("<div class=\"charts\">\n<figure>{svg}</figure>\n</div>\n"));
     let mut stills = String::new();
     for still in strip {
-        let caption = escape(&still.caption);
-        let _ = writeln!(stills, "<span>{}<small>{caption}</small></span>", picture(&still.image, &still.caption)?);
+        stills += &captioned(&still.image, &still.caption)?;
     }
-    let stills = if stills.is_empty() { stills } else { format!("<div class=\"strip\">\n{stills}</div>\n") };
     let rows = physics.into_iter().flat_map(|p| &p.spreads).map(|s| {
         let number = |v: f64| format!("{v:.4}");
         vec![s.name.to_owned(), number(s.median), number(s.p90), number(s.p99), number(s.max), s.unit.clone()]
     });
     let learnt = table(&["", "median", "90 %", "99 %", "largest", "unit"], &[1, 2, 3, 4], rows);
-    let parts = section("Against the truth", "Means over all views of each moment.", &chart)
-        + &section("Frames", "", &stills)
+    let parts = section("Against the truth", "Means over all views of each time.", &chart)
+        + &section("Frames", "", &wrapped("strip", stills))
         + &section("What was learnt of the motion", "Visible splats.", &learnt);
     Ok(document(title, "Frames after the last training time.", &parts))
 }
@@ -48,7 +45,7 @@ mod tests {
 
     #[test]
     fn the_page_holds_what_there_is_and_escapes_names() {
-        let moment = |t: f64| MomentScores {
+        let moment = |t: f64| TimestampScores {
             time: 0.75 + t,
             beyond: t,
             views: 3,

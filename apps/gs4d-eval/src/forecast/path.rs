@@ -1,4 +1,4 @@
-//! The camera of a forecast: at rest, along a list, or around the scene.
+//! Camera paths of a forecast: fixed, along a list, or around the scene.
 
 use super::ForecastError;
 use glam::{DMat3, DVec3};
@@ -6,10 +6,10 @@ use gs_core::Camera;
 use gs_data::{Dataset, ImageCache, View, geometry::focus};
 use std::f64::consts::TAU;
 
-/// Where the camera is while time goes on.
+/// The camera as a function of the frame.
 #[derive(Clone, Debug, PartialEq)]
 pub enum CameraPath {
-    /// These cameras, one after the other, evenly over the frames.
+    /// These cameras in order, evenly over the frames. Not empty.
     List(Vec<Camera>),
     /// One turn of a camera about the axis through a point.
     Orbit {
@@ -23,28 +23,28 @@ pub enum CameraPath {
 }
 
 impl CameraPath {
-    /// The camera of a view by its name, or without one of the first view of the future, else of the test views, else of the
-    /// training views; at rest.
+    /// The fixed camera of a view, by name; without a name of the first extrapolation view, else test, validation or training
+    /// view.
     ///
     /// # Errors
-    /// If no view has that name.
-    pub fn of_view(dataset: &Dataset, name: Option<&str>, photographs: &ImageCache) -> Result<Self, ForecastError> {
-        Ok(Self::List(vec![photographs.camera(view(dataset, name)?)]))
+    /// If no view has that name, or there are none.
+    pub fn of_view(dataset: &Dataset, name: Option<&str>, images: &ImageCache) -> Result<Self, ForecastError> {
+        Ok(Self::List(vec![images.camera(view(dataset, name)?)]))
     }
 
-    /// One turn around what the training cameras look at, about the mean of their upward directions, from the camera that
-    /// [`CameraPath::of_view`] begins with.
+    /// One turn around the focus of the training cameras, about the mean of their up directions, from the camera of
+    /// [`CameraPath::of_view`] without a name.
     ///
     /// # Errors
-    /// If there is no view.
-    pub fn orbit(dataset: &Dataset, photographs: &ImageCache) -> Result<Self, ForecastError> {
-        let start = photographs.camera(view(dataset, None)?);
+    /// If there are no views.
+    pub fn orbit(dataset: &Dataset, images: &ImageCache) -> Result<Self, ForecastError> {
+        let start = images.camera(view(dataset, None)?);
         let up: DVec3 = dataset.train.iter().map(|v| -v.camera.rotation.transpose().y_axis).sum();
         let axis = up.try_normalize().unwrap_or(-start.rotation.transpose().y_axis);
         Ok(Self::Orbit { start, centre: focus(&dataset.train), axis })
     }
 
-    /// The camera of frame `k` of `count`.
+    /// The camera of frame `k` of `count`, `k` from 0.
     pub fn at(&self, k: usize, count: usize) -> Camera {
         match self {
             Self::List(cameras) => cameras[(k * cameras.len() / count.max(1)).min(cameras.len() - 1)].clone(),

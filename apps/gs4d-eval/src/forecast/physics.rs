@@ -1,10 +1,10 @@
-//! What a method has learnt of its particles' motion, in the units of the data.
+//! Magnitudes of the learnt motion of particles, in the units of the data.
 //!
-//! At the moment from which motions rule, with a particle at `x`, `r = x − o` and the twist `(v̄, w)` with its rates `(ā, ε)`:
+//! At the time of the particles, with a particle at `x`, `r = x − o` and the twist `(v̄, w)` with its rates `(ā, ε)`:
 //! ```text
 //! velocity v = v̄ + w × r      acceleration a = ā + ε × r + w × v      spin |w|      change of spin |ε|
 //! ```
-//! (the derivatives of the path `x' = v̄(τ) + w(τ) × (x − o)`). Splats that are not visible anywhere do not count.
+//! (the derivatives of the path `x' = v̄(τ) + w(τ) × (x − o)`). Splats of opacity below 1/255 are left out.
 
 use super::Clock;
 use crate::particles::Particles;
@@ -12,63 +12,63 @@ use glam::Vec3;
 use gs4d_report::inspect::INVISIBLE_OPACITY;
 use serde::Serialize;
 
-/// Turn in one step, radians, above which a step of second order changes radii by more than 0.1 %: `1 + z⁴/8`.
-pub const TURN_PER_STEP: f64 = 0.3;
+/// Rotation in one step, radians, above which a second-order step changes radii by more than 0.1 %: `1 + z⁴/8`.
+pub(crate) const MAX_ROTATION_PER_STEP: f64 = 0.3;
 
-/// How a quantity is spread over splats.
+/// Distribution of a quantity over splats.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Spread {
-    /// Its name.
+pub struct QuantityStats {
+    /// `speed`, `spin`, `acceleration` or `change of spin`.
     pub name: &'static str,
-    /// Its unit.
+    /// Unit, for example `units/s`.
     pub unit: String,
-    /// Half of the splats lie below.
+    /// Median over splats.
     pub median: f64,
-    /// Nine tenths lie below.
+    /// 90th percentile.
     pub p90: f64,
-    /// Ninety-nine hundredths lie below.
+    /// 99th percentile.
     pub p99: f64,
-    /// The largest.
+    /// Largest value.
     pub max: f64,
 }
 
-/// The learnt physics of a scene.
+/// Statistics of the learnt motion of a scene.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Physics {
-    /// The moment, normalised, from which motions rule.
+    /// Normalised time of the particles.
     pub at: f64,
-    /// Splats that count.
+    /// Number of visible splats.
     pub splats: usize,
-    /// What `unit` means by time: `s`, or `sequence` where the data have no clock.
+    /// Unit of time: `s`, or `sequence` where the data have no clock.
     pub time_unit: &'static str,
-    /// The quantities.
-    pub spreads: Vec<Spread>,
-    /// Splats that turn by more than [`TURN_PER_STEP`] in a step, where a step is known and its rule is not rigid.
-    pub fast: Option<Fast>,
+    /// Speed, spin, acceleration and change of spin.
+    pub spreads: Vec<QuantityStats>,
+    /// Splats that rotate by more than 0.3 radians in a step, if the step is known and its integrator is not rigid.
+    pub fast: Option<FastSplats>,
 }
 
-/// Splats that turn too fast for the steps they are carried in.
+/// Splats that rotate too fast for the integration step.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Fast {
-    /// How many.
+pub struct FastSplats {
+    /// Number of these splats.
     pub splats: usize,
-    /// Largest turn in a step, radians.
+    /// Largest rotation in a step, radians.
     pub turn: f64,
-    /// The step, normalised.
+    /// Integration step, normalised time.
     pub step: f64,
 }
 
-/// How particles are carried, as far as a configuration says: `physics.step_frames` and `law.integrator`.
+/// Integration of particles by a configuration: `physics.step_frames` and `law.integrator`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Steps {
-    /// Longest step, normalised.
+    /// Longest step, normalised time.
     pub length: f64,
-    /// Whether a step is a rigid motion, whatever its length.
+    /// Whether the integrator's steps are exact rigid motions (`se3…`).
     pub rigid: bool,
 }
 
 impl Steps {
-    /// The steps of a method's configuration on data with this distance between frames; none if it has no such settings.
+    /// The steps of a method's configuration on data with this normalised frame interval; `None` without such settings.
     pub fn of(config: &toml::Table, frame_interval: f32) -> Option<Self> {
         let frames = config.get("physics")?.get("step_frames")?.as_float()?;
         let rule = config.get("law").and_then(|l| l.get("integrator")).and_then(toml::Value::as_str);
@@ -77,7 +77,7 @@ impl Steps {
 }
 
 impl Physics {
-    /// The physics of particles.
+    /// Computes the statistics; without a clock, time is measured in sequences.
     pub fn of(particles: &Particles, clock: Option<Clock>, steps: Option<Steps>) -> Self {
         let visible = particles.splats.opacities.iter().map(|&o| o >= INVISIBLE_OPACITY);
         let rows = particles.splats.means.iter().zip(&particles.motions).zip(visible);
@@ -104,7 +104,7 @@ impl Physics {
             values.sort_by(f64::total_cmp);
             let quantile = |q: f64| values.get(((values.len() as f64 - 1.0) * q).round() as usize).copied();
             let [median, p90, p99, max] = [0.5, 0.9, 0.99, 1.0].map(|q| quantile(q).unwrap_or(0.0));
-            Spread { name, unit, median, p90, p99, max }
+            QuantityStats { name, unit, median, p90, p99, max }
         };
         let spreads = names.into_iter().enumerate().map(spread).collect();
         let fast = steps.filter(|s| !s.rigid).and_then(|s| fast(&seen, s.length));
@@ -112,10 +112,10 @@ impl Physics {
     }
 }
 
-fn fast(seen: &[[f64; 4]], step: f64) -> Option<Fast> {
+fn fast(seen: &[[f64; 4]], step: f64) -> Option<FastSplats> {
     let turns = || seen.iter().map(|row| row[1] * step);
-    let splats = turns().filter(|t| *t > TURN_PER_STEP).count();
-    (splats > 0).then(|| Fast { splats, turn: turns().fold(0.0, f64::max), step })
+    let splats = turns().filter(|t| *t > MAX_ROTATION_PER_STEP).count();
+    (splats > 0).then(|| FastSplats { splats, turn: turns().fold(0.0, f64::max), step })
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! A label for every splat.
+//! A part label for every splat, by clustering of motions.
 
 use glam::Vec3;
 use gs_physics::segment::{
@@ -14,38 +14,38 @@ use gs_train::model::Model;
 use gs_train::timestamp::Timestamp;
 use gs4d_report::needs::neutral_camera;
 
-/// How many parts are sought.
+/// The number of parts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Count {
-    /// So many, or fewer if fewer are found.
+    /// At most so many.
     Fixed(usize),
-    /// As many as do not share a twist ([`gs_physics::segment::choose`]).
+    /// As many as do not share a twist ([`gs_physics::segment`]): clusters with one are merged.
     Auto,
 }
 
-/// Clusters made before those that share a twist are merged.
-const FINE: usize = 16;
-/// Objects that OGC begins with where nobody says how many there are (published: 8).
-const OBJECTS: usize = 8;
+/// Number of K-means clusters before merging.
+const INITIAL_CLUSTERS: usize = 16;
+/// Number of OGC objects before merging (published: 8).
+const INITIAL_OBJECTS: usize = 8;
 
-/// How labels are found.
+/// Options of the segmentation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Options {
-    /// How many parts.
+    /// Number of parts.
     pub count: Count,
-    /// The row of numbers that twists are compared by.
+    /// Feature vector by which twists are compared.
     pub feature: Feature,
-    /// The moment, normalised; none: the one that the method's particles are given at, or the last observed one.
+    /// Normalised time at which motions are compared; `None`: the time of the model's particles, or `observed`.
     pub at: Option<f32>,
-    /// The last time that was learnt from, normalised.
+    /// Last training time, normalised.
     pub observed: f32,
-    /// Splats that never leave a ball of this part of the scene's radius rest.
+    /// Displacement below which a splat is static, as a share of the scene's radius.
     pub static_path: f32,
     /// Weight `β` of positions (over the scene's radius) in the features; 0 leaves them out.
     pub positions: f32,
-    /// Moments at which paths are looked at, at least 2.
+    /// Number of times at which paths are sampled, at least 2.
     pub moments: usize,
-    /// Seed of every draw.
+    /// Seed of the random numbers.
     pub seed: u64,
 }
 
@@ -64,42 +64,42 @@ impl Default for Options {
     }
 }
 
-/// What labels were made from.
+/// The motion that labels are computed from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Source {
-    /// Twists that the method has learnt.
+    /// Learnt twists of particles.
     Twists,
-    /// Where splats go.
+    /// Paths of the splats' means.
     Paths,
 }
 
-/// A label per splat of [`Method::tracked`].
+/// A label per splat of [`Model::all_splats`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Labels {
     /// The part of each splat, `0 …`, heaviest (by opacity) first.
     pub of: Vec<u32>,
-    /// Parts there are.
+    /// Number of parts.
     pub k: usize,
-    /// What they were made from.
+    /// The motion they were computed from.
     pub source: Source,
-    /// The splats at the moment, and how they move there; for [`Source::Paths`] each flies straight at its present velocity.
+    /// The splats at [`Options::at`] and their motions; for [`Source::Paths`] translations at their velocity there.
     pub particles: Particles,
-    /// Whether each splat rests.
+    /// Whether each splat is static.
     pub resting: Vec<bool>,
     /// Root mean square distance of the splats from the origin of twists, by opacity, world units.
     pub radius: f32,
-    /// [`Count::Auto`]: velocity that parted each pair that was merged, and the pair that was not.
+    /// For [`Count::Auto`]: velocity difference of each merged pair, and of the next pair, which was not merged.
     pub distances: (Vec<f64>, Option<f64>),
 }
 
-/// Labels for a method.
+/// Labels the splats of a model.
 ///
 /// # Errors
-/// If its splats are not the same ones at every moment, or there is none.
+/// If their number changes over time, there are none, or their paths are not finite.
 pub fn segment(method: &Model, options: &Options) -> Result<Labels, SegmentError> {
     let camera = neutral_camera();
-    let none = || SegmentError::NoPaths(method.name().to_owned());
+    let no_paths = || SegmentError::NoPaths(method.name().to_owned());
     let learnt = Particles::of(method);
     let at = options.at.unwrap_or_else(|| learnt.as_ref().map_or(options.observed, |p| p.at as f32));
     let steps = options.moments.max(2);
@@ -108,7 +108,7 @@ pub fn segment(method: &Model, options: &Options) -> Result<Labels, SegmentError
     let frames = times.iter().map(means).collect::<Result<Vec<Vec<Vec3>>, MethodError>>()?;
     let lasting = frames.iter().all(|f| f.len() == frames[0].len()) && !frames[0].is_empty();
     if !lasting || learnt.as_ref().is_some_and(|p| p.motions.len() != frames[0].len()) {
-        return Err(none());
+        return Err(no_paths());
     }
     let splats = method.all_splats(&Timestamp::normalised(at), &camera)?;
     if let Some(p) = learnt {
@@ -118,14 +118,14 @@ pub fn segment(method: &Model, options: &Options) -> Result<Labels, SegmentError
         let resting = at_rest(&frames, options.static_path * radius(&particles));
         return Ok(of_particles(particles, resting, options));
     }
-    let motions = straight(method, at)?;
+    let motions = velocities(method, at)?;
     let origin = centre(&splats.means, &splats.opacities);
     let particles = Particles { at: at.into(), splats, motions, origin };
     let resting = at_rest(&frames, options.static_path * radius(&particles));
-    of_paths(particles, resting, &frames, options).ok_or_else(none)
+    of_paths(particles, resting, &frames, options).ok_or_else(no_paths)
 }
 
-/// Labels of particles by their twists; `resting` is as long as they are.
+/// Labels particles by their twists; `resting` has one entry per particle.
 pub fn of_particles(particles: Particles, resting: Vec<bool>, options: &Options) -> Labels {
     let radius = radius(&particles);
     let Particles { splats, motions, .. } = &particles;
@@ -138,22 +138,22 @@ pub fn of_particles(particles: Particles, resting: Vec<bool>, options: &Options)
         radius,
     };
     let (rows, width) = features(motions, &wanted);
-    let k = if let Count::Fixed(k) = options.count { k.max(1) } else { FINE };
+    let k = if let Count::Fixed(k) = options.count { k.max(1) } else { INITIAL_CLUSTERS };
     let clusters = KMeansOptions { k, seed: options.seed, ..KMeansOptions::default() };
     let found = kmeans(&rows, width, Some(&splats.opacities), &clusters);
-    settled(particles, resting, radius, Source::Twists, (found.labels, found.k), options)
+    finish(particles, resting, radius, Source::Twists, (found.labels, found.k), options)
 }
 
-/// Labels by where splats go; none if their paths are not finite.
+/// Labels particles by their paths; `None` if those are not finite.
 fn of_paths(particles: Particles, resting: Vec<bool>, frames: &[Vec<Vec3>], options: &Options) -> Option<Labels> {
-    let k = if let Count::Fixed(k) = options.count { k.max(1) } else { OBJECTS };
+    let k = if let Count::Fixed(k) = options.count { k.max(1) } else { INITIAL_OBJECTS };
     let found = Ogc::learn(frames, &OgcOptions { k, seed: options.seed, ..OgcOptions::default() })?;
     let radius = radius(&particles);
-    Some(settled(particles, resting, radius, Source::Paths, (found.labels, found.k), options))
+    Some(finish(particles, resting, radius, Source::Paths, (found.labels, found.k), options))
 }
 
-/// Merges what shares a twist, if the count is free.
-fn settled(
+/// Merges clusters that share a twist, for [`Count::Auto`].
+fn finish(
     particles: Particles,
     resting: Vec<bool>,
     radius: f32,
@@ -174,7 +174,7 @@ fn settled(
     Labels { of: bodies.labels, k: bodies.bodies.len(), distances, ..plain }
 }
 
-/// How far particles are from the origin of their twists, by opacity; never 0.
+/// Opacity-weighted root mean square distance of particles from the origin of twists; 1 where that is 0 or not finite.
 pub(super) fn radius(particles: &Particles) -> f32 {
     let weights = &particles.splats.opacities;
     let far = |x: &Vec3| f64::from(x.distance_squared(particles.origin));
@@ -184,20 +184,21 @@ pub(super) fn radius(particles: &Particles) -> f32 {
     if radius > 0.0 && radius.is_finite() { radius } else { 1.0 }
 }
 
+/// Weighted centroid.
 fn centre(points: &[Vec3], weights: &[f32]) -> Vec3 {
     let sum: glam::DVec3 = points.iter().zip(weights).map(|(x, w)| x.as_dvec3() * f64::from(*w)).sum();
     let weight: f64 = weights.iter().map(|w| f64::from(*w)).sum();
     (sum / weight.max(f64::MIN_POSITIVE)).as_vec3()
 }
 
-/// Whether each splat stays within `reach` of where it was first.
-fn at_rest(frames: &[Vec<Vec3>], reach: f32) -> Vec<bool> {
-    let near = |i: usize| frames.iter().all(|f| f[i].distance(frames[0][i]) < reach);
+/// Whether each splat stays within `radius` of its first position.
+fn at_rest(frames: &[Vec<Vec3>], radius: f32) -> Vec<bool> {
+    let near = |i: usize| frames.iter().all(|f| f[i].distance(frames[0][i]) < radius);
     (0..frames[0].len()).map(near).collect()
 }
 
-/// The velocity of every splat at a moment as a motion, by a central difference of a hundredth of the span.
-fn straight(method: &Model, at: f32) -> Result<Vec<Motion<f32>>, MethodError> {
+/// The velocity of every splat as a motion, by central differences over a hundredth of the span.
+fn velocities(method: &Model, at: f32) -> Result<Vec<Motion<f32>>, MethodError> {
     const STEP: f32 = 0.005;
     let camera = neutral_camera();
     let means = |t| method.all_splats(&Timestamp::normalised(t), &camera).map(|s| s.means);

@@ -1,49 +1,49 @@
-//! Masks of views: what part a pixel shows (TRACE, as Gaussian Grouping).
+//! Part masks of views (TRACE, as Gaussian Grouping).
 //!
 //! ```text
 //! P_k(p) = Σ_i w_i(p) [label_i = k]      P_background = Π (1 − α)      label(p) = argmax P
 //! ```
-//! Splats are drawn in the one-hot colour of their label, three labels at a time.
+//! Splats are rendered in the one-hot colour of their label, three labels per pass.
 
 use gs_core::{Camera, Color, Splats};
 
 use gs_raster::RasterOptions;
 use gs_train::renderer::Renderer;
 
-/// What part each pixel shows. 0 is the background, `k + 1` the part `k`.
+/// The part at each pixel: 0 is the background, `k + 1` the part `k`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mask {
-    /// Pixels per row.
+    /// Width in pixels.
     pub width: usize,
-    /// Rows.
+    /// Height in pixels.
     pub height: usize,
-    /// One id per pixel.
+    /// One id per pixel, row by row.
     pub ids: Vec<u32>,
-    /// The part of the pixel's light that comes from there.
+    /// Blending weight of that part in the pixel, 0..1.
     pub confidence: Vec<f32>,
 }
 
-/// Draws masks, reusing memory.
+/// Renders masks, reusing memory.
 pub struct Masker {
     renderer: Renderer,
 }
 
 impl Masker {
-    /// Draws as `options` say, over nothing.
+    /// Renders with `options`, over black whatever their background.
     pub fn new(options: RasterOptions) -> Self {
         Self { renderer: Renderer::new(RasterOptions { background: [0.0; 3], ..options }) }
     }
 
-    /// The mask of `splats` with labels `< k`, one each.
+    /// Renders the mask of `splats` with one label `< k` each.
     pub fn draw(&mut self, splats: &Splats, labels: &[u32], k: usize, camera: &Camera) -> Mask {
         debug_assert_eq!(splats.len(), labels.len());
         let (width, height) = (camera.width as usize, camera.height as usize);
-        let mut drawn = splats.clone();
+        let mut colored = splats.clone();
         let mut mask = Mask { width, height, ids: vec![0; width * height], confidence: vec![0.0; width * height] };
         for first in (0..k.max(1) as u32).step_by(3) {
             let one_hot = |l: &u32| std::array::from_fn(|c| f32::from(*l == first + c as u32));
-            drawn.color = Color::Rgb(labels.iter().map(one_hot).collect());
-            let frame = self.renderer.render(&drawn, camera);
+            colored.color = Color::Rgb(labels.iter().map(one_hot).collect());
+            let frame = self.renderer.render(&colored, camera);
             if first == 0 {
                 mask.confidence.iter_mut().zip(&frame.alpha).for_each(|(c, a)| *c = 1.0 - a);
             }

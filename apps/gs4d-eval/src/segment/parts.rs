@@ -1,4 +1,4 @@
-//! How each part moves, and how rigid it is.
+//! Motion and rigidity of each part.
 
 use glam::DVec3;
 use gs_physics::centre::velocity_pole;
@@ -8,23 +8,23 @@ use serde::Serialize;
 
 use super::Labels;
 
-/// Members follow the part's motion if it carries them to within this part of the scene's radius …
+/// Splats follow their part's motion if it predicts their position to within this share of the scene's radius
 const TOLERANCE: f64 = 0.05;
-/// … for so long, normalised time.
+/// Normalised time over which [`TOLERANCE`] must hold.
 const HORIZON: f64 = 0.1;
 
-/// A row of the table of parts. Velocities per unit of normalised time.
+/// Statistics of a part. Velocities are per unit of normalised time.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Part {
-    /// Its id in masks: label + 1.
+    /// Id in masks: label + 1.
     pub id: u32,
-    /// Splats.
+    /// Number of splats.
     pub splats: usize,
     /// Their share of all opacity.
     pub share: f64,
-    /// Part of the splats that rest.
+    /// Share of its splats that are static.
     pub resting: f64,
-    /// Root mean square speed of the splats, world units.
+    /// Root mean square speed of its splats, world units.
     pub speed: f64,
     /// Spin `|w|` of the shared twist, radians.
     pub spin: f64,
@@ -34,18 +34,19 @@ pub struct Part {
     pub axis_at: Option<[f64; 3]>,
     /// The shared twist about the origin of twists: `v`, then `w`.
     pub twist: [[f64; 3]; 2],
-    /// Splats that the shared motion carries to within 5 % of the scene's radius over a tenth of the span.
+    /// Number of splats whose position the shared motion predicts to within 5 % of the scene's radius over a tenth of the
+    /// span.
     pub followers: usize,
-    /// Root mean square of what the shared twist leaves of followers' velocities, world units.
+    /// Root mean square residual of followers' velocities against the shared twist, world units.
     pub residual: f64,
 }
 
-/// The table of parts, in the order of labels.
+/// Statistics of all parts, in the order of labels.
 pub fn table(labels: &Labels) -> Vec<Part> {
     let p = &labels.particles;
     let rule = ClassRule { tolerance: TOLERANCE * f64::from(labels.radius), horizon: HORIZON };
-    let reach: Vec<f32> = p.splats.scales.iter().map(|s| rotation_sensitivity(*s)).collect();
-    let Ok(groups) = Groups::fit(&rule, &labels.of, &p.motions, &p.splats.means, p.origin, &reach) else {
+    let sensitivity: Vec<f32> = p.splats.scales.iter().map(|s| rotation_sensitivity(*s)).collect();
+    let Ok(groups) = Groups::fit(&rule, &labels.of, &p.motions, &p.splats.means, p.origin, &sensitivity) else {
         return Vec::new();
     };
     let opacity: f64 = p.splats.opacities.iter().map(|o| f64::from(*o)).sum();

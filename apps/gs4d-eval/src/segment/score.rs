@@ -1,4 +1,4 @@
-//! Masks of the views of a split against true ones.
+//! Part masks of the views of a split, scored against ground truth.
 
 use std::collections::BTreeMap;
 
@@ -13,30 +13,30 @@ use gs_train::model::Model;
 use gs_train::renderer::Renderer;
 use gs_train::timestamp::Timestamp;
 
-/// How masks were compared, in words, for the report.
+/// The conditions of the scores, in words.
 pub const PROTOCOL: &str = "an id of a view is matched at IoU >= 0.5, background is an id; counts over all views; \
      miou: ids present, miou_strict: ids 0 to the largest present (NVFi)";
-/// Views by which colours are chosen.
-const FEW: usize = 8;
+/// Number of views by which parts are aligned with true ids.
+const ALIGNMENT_VIEWS: usize = 8;
 
-/// Scores over views, as JSON.
+/// Segmentation scores over all views, each 0..1.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Scores {
-    /// Average precision at IoU ½.
+    /// Average precision at an IoU of 0.5.
     pub ap: f64,
-    /// Panoptic quality.
+    /// Panoptic quality at an IoU of 0.5.
     pub pq: f64,
     /// Harmonic mean of precision and recall.
     pub f1: f64,
-    /// Part of the predicted instances that are matched.
+    /// Share of predicted instances that are matched.
     pub precision: f64,
-    /// Part of the true instances that are matched.
+    /// Share of true instances that are matched.
     pub recall: f64,
-    /// Mean IoU of true instances that are present.
+    /// Mean IoU over the true instances that are present.
     pub miou: f64,
     /// Mean IoU over ids from 0 to the largest present (NVFi).
     pub miou_strict: f64,
-    /// Views scored.
+    /// Number of scored views.
     pub views: usize,
 }
 
@@ -47,18 +47,18 @@ impl From<SegmentScores> for Scores {
     }
 }
 
-/// A view with its mask.
+/// A view with its mask and render.
 #[derive(Clone, Debug)]
 pub struct ViewMask<'a> {
-    /// The view.
+    /// The view of the data set.
     pub view: &'a View,
-    /// What part each pixel shows.
+    /// The rendered mask.
     pub mask: Mask,
-    /// Its true labels, where there are any.
+    /// Ground-truth labels at the pixels of the mask, where there are any.
     pub truth: Option<Vec<u32>>,
-    /// The id of whose colour each part is shown in: a true one where parts are aligned with those.
+    /// The id whose colour each part gets: the true one it is aligned with, if any.
     pub shown_as: &'a BTreeMap<u32, u32>,
-    /// The method's picture, RGB.
+    /// The render, RGB, `[H, W, 3]`.
     pub picture: Image,
 }
 
@@ -70,7 +70,7 @@ impl ViewMask<'_> {
         Image { width: self.mask.width, height: self.mask.height, channels: 3, data }
     }
 
-    /// The picture with the mask over it, half and half; the background keeps its colours.
+    /// The render blended with the coloured mask, half and half; the background keeps its colours.
     pub fn overlaid(&self) -> Image {
         let mut out = self.colored();
         let pixels = out.data.chunks_exact_mut(3).zip(self.picture.data.chunks_exact(3)).zip(&self.mask.ids);
@@ -82,30 +82,31 @@ impl ViewMask<'_> {
     }
 }
 
-/// Draws the mask of every view, in order, scores those that have true labels, and hands each over. No scores without truth.
+/// Renders the mask of every view, in order, scores those that have ground truth, and passes each to `each`. `None` without
+/// ground truth. `split` is the name of the views' split, for folders of label images.
 ///
 /// # Errors
-/// If true labels cannot be read or do not fit; and whatever `each` returns.
+/// If labels cannot be read or have the wrong shape; and whatever `each` returns.
 pub fn study<'a, E: From<SegmentError>>(
     method: &Model,
     labels: &Labels,
     (split, views): (&str, &'a [View]),
     truth: Option<&TrueLabels>,
-    (photographs, background): (&ImageCache, [f32; 3]),
+    (images, background): (&ImageCache, [f32; 3]),
     mut each: impl FnMut(ViewMask<'_>) -> Result<(), E>,
 ) -> Result<Option<Scores>, E> {
     let options = method.raster_options(background);
     let (mut masker, mut renderer) = (Masker::new(options.clone()), Renderer::new(options));
-    let mut look = |view: &'a View| -> Result<_, SegmentError> {
-        let camera = photographs.camera(view);
+    let mut render_mask = |view: &'a View| -> Result<_, SegmentError> {
+        let camera = images.camera(view);
         let splats = method.all_splats(&Timestamp::new(view.time), &camera)?;
         let mask = masker.draw(&splats, &labels.of, labels.k, &camera);
         let truth = truth.map(|t| t.of(view, split, &camera)).transpose()?.flatten();
         Ok((mask, truth, splats, camera))
     };
     let mut overlap = Overlap::default();
-    for view in views.iter().step_by(views.len().div_ceil(FEW).max(1)) {
-        let (mask, truth, ..) = look(view)?;
+    for view in views.iter().step_by(views.len().div_ceil(ALIGNMENT_VIEWS).max(1)) {
+        let (mask, truth, ..) = render_mask(view)?;
         if let Some(truth) = truth {
             overlap.add(&mask.ids, &truth).map_err(SegmentError::from)?;
         }
@@ -113,7 +114,7 @@ pub fn study<'a, E: From<SegmentError>>(
     let shown_as = shown_as(&overlap, labels.k);
     let mut all = Segmentation::default();
     for view in views {
-        let (mask, truth, splats, camera) = look(view)?;
+        let (mask, truth, splats, camera) = render_mask(view)?;
         if let Some(truth) = &truth {
             all.add(&mask.ids, truth, &mask.confidence).map_err(SegmentError::from)?;
         }
@@ -123,7 +124,7 @@ pub fn study<'a, E: From<SegmentError>>(
     Ok(all.scores().map(Scores::from))
 }
 
-/// The id that each part is coloured as: the true one it is aligned with, else one that no part has.
+/// The id whose colour each part gets: the true one it is aligned with, else an unused one.
 fn shown_as(overlap: &Overlap, k: usize) -> BTreeMap<u32, u32> {
     let mut shown = overlap.aligned();
     shown.insert(0, 0);

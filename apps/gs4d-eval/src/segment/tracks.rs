@@ -1,7 +1,7 @@
 //! Scene motion velocity and acceleration of a trained scene ([`gs_physics::complexity`]).
 //!
-//! Instead of a learned tracker: pixels on a lattice are followed by what they see at the first time, the mean of its splats by
-//! their weights in the pixel ([`model_motion`]), also where something hides it later.
+//! Instead of a learned tracker, pixels on a lattice are tracked by the splats they show at the first time: the mean of their
+//! displacements by blending weight ([`model_motion`]), also where these splats are occluded later.
 
 use glam::DVec2;
 use gs_core::Camera;
@@ -14,52 +14,52 @@ use gs_train::model::Model;
 use gs_train::renderer::Renderer;
 use gs_train::timestamp::Timestamp;
 
-/// Most pixels of one view that are followed (the paper follows 40 000).
-pub const POINTS: usize = 10_000;
-/// Most cameras and times that are looked at.
-const VIEWS: usize = 4;
-const TIMES: usize = 61;
+/// Most pixels tracked per view (the paper tracks 40 000).
+pub(crate) const MAX_POINTS: usize = 10_000;
+/// Most cameras and times.
+const MAX_CAMERAS: usize = 4;
+const MAX_TIMES: usize = 61;
 
-/// Of a method as the training cameras of a data set see it (at most 4, at most 61 of the training times).
+/// The complexity of a model's motion as seen by the training cameras (at most 4, and at most 61 of the training times).
 ///
 /// # Errors
-/// If the method cannot be asked for its splats.
+/// If the model cannot produce its splats.
 pub fn scene_complexity(method: &Model, data: &Dataset) -> Result<Complexity, MethodError> {
     let mut times: Vec<f32> = data.train.iter().map(|v| v.time.normalised).collect();
     times.sort_unstable_by(f32::total_cmp);
     times.dedup();
-    let times: Vec<f32> = times.iter().copied().step_by(times.len().div_ceil(TIMES).max(1)).collect();
+    let times: Vec<f32> = times.iter().copied().step_by(times.len().div_ceil(MAX_TIMES).max(1)).collect();
     let mut ids: Vec<u32> = data.train.iter().map(|v| v.camera_id).collect();
     ids.sort_unstable();
     ids.dedup();
-    let chosen = ids.iter().step_by(ids.len().div_ceil(VIEWS).max(1));
+    let chosen = ids.iter().step_by(ids.len().div_ceil(MAX_CAMERAS).max(1));
     let cameras = chosen.filter_map(|id| data.train.iter().find(|v| v.camera_id == *id)).map(|v| v.camera.clone());
-    Ok(complexity(&tracks(method, &cameras.collect::<Vec<_>>(), &times, POINTS)?, STATIC_PATH))
+    Ok(complexity(&tracks(method, &cameras.collect::<Vec<_>>(), &times, MAX_POINTS)?, STATIC_PATH))
 }
 
-/// Follows at most `points` pixels of each camera, on a lattice, from the first time on.
+/// Tracks at most `points` pixels of each camera, on a lattice, from the first time on.
 pub fn tracks(
     method: &Model,
     cameras: &[Camera],
     times: &[f32],
     points: usize,
 ) -> Result<Vec<ImageTracks>, MethodError> {
-    let (Some(start), Some(looks)) = (times.first(), cameras.first()) else { return Ok(Vec::new()) };
+    let (Some(start), Some(camera)) = (times.first(), cameras.first()) else { return Ok(Vec::new()) };
     let mut renderer = Renderer::new(method.raster_options([0.0; 3]));
-    let mut followed: Vec<Lattice> = cameras.iter().map(|c| Lattice::new(c, points)).collect();
-    let first = method.all_splats(&Timestamp::normalised(*start), looks)?;
+    let mut lattices: Vec<Lattice> = cameras.iter().map(|c| Lattice::new(c, points)).collect();
+    let first = method.all_splats(&Timestamp::normalised(*start), camera)?;
     for time in times {
         let mut later = first.clone();
-        later.means = method.all_splats(&Timestamp::normalised(*time), looks)?.means;
-        for (lattice, camera) in followed.iter_mut().zip(cameras) {
+        later.means = method.all_splats(&Timestamp::normalised(*time), camera)?.means;
+        for (lattice, camera) in lattices.iter_mut().zip(cameras) {
             let motion = model_motion(&mut renderer, camera, &later, &first.means, Anchor::Earlier);
             lattice.add(&motion);
         }
     }
-    Ok(followed.into_iter().map(|lattice| lattice.finish(times)).collect())
+    Ok(lattices.into_iter().map(|lattice| lattice.finish(times)).collect())
 }
 
-/// The pixels of one camera that are followed.
+/// The tracked pixels of one camera.
 struct Lattice {
     size: [usize; 2],
     pixels: Vec<usize>,
@@ -75,7 +75,7 @@ impl Lattice {
         Self { size: [width, height], tracks: vec![Vec::new(); pixels.len()], pixels }
     }
 
-    /// Where each pixel's matter is at the next time.
+    /// Adds the position of each tracked point at the next time.
     fn add(&mut self, motion: &Motion) {
         let (seen, width) = (motion.seen(), self.size[0]);
         for (track, &k) in self.tracks.iter_mut().zip(&self.pixels) {

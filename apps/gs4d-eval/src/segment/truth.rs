@@ -1,4 +1,4 @@
-//! True labels of views.
+//! Ground-truth labels of views.
 
 use std::path::{Path, PathBuf};
 
@@ -10,7 +10,7 @@ use gs_data::{DataError, View, mask};
 use gs_synth::Truth;
 use gs_train::renderer::file_stem;
 
-/// Where true labels come from. Ids are any whole numbers; 0 is the background.
+/// The source of ground-truth labels. Ids are any whole numbers; 0 is the background.
 #[derive(Clone, Debug)]
 pub enum TrueLabels {
     /// The bodies of a generated scene: body `k` of its list is `k + 1`.
@@ -18,12 +18,12 @@ pub enum TrueLabels {
     /// A folder of label images `NAME.png` or `NAME.npy`, `NAME` being that of the view, in the folder itself or in one named
     /// after the split.
     Folder(PathBuf),
-    /// The label images that the data set names ([`View::labels`]).
+    /// The label images listed in the data set ([`View::labels`]).
     Views,
 }
 
 impl TrueLabels {
-    /// Where they come from, for people.
+    /// A description of the source.
     pub fn source(&self) -> String {
         match self {
             Self::Scene(truth) => format!("bodies of the generated scene \"{}\"", truth.scene()),
@@ -32,7 +32,7 @@ impl TrueLabels {
         }
     }
 
-    /// The labels of a view at the pixels of `camera`, row by row; none if the source has none of this view.
+    /// The labels of a view at the pixels of `camera`, row by row; `None` if the source has none for it.
     ///
     /// # Errors
     /// If a file cannot be read, is no label image, or has another shape than the view.
@@ -70,7 +70,7 @@ impl TrueLabels {
 
 type LabelImage = ([usize; 2], Vec<u32>);
 
-/// `[H, W]` or `[H, W, 1]` whole numbers; `-1` and less is the background.
+/// Reads whole numbers `[H, W]` or `[H, W, 1]`; negative ones are the background.
 fn of_npy(file: &Path) -> Result<LabelImage, Result<SegmentError, String>> {
     let bytes = std::fs::read(file).map_err(|e| Ok(DataError::read(file, e).into()))?;
     let array = npy::read(&bytes, &file.display().to_string(), &Limits::default()).map_err(|e| Ok(e.into()))?;
@@ -83,7 +83,7 @@ fn of_npy(file: &Path) -> Result<LabelImage, Result<SegmentError, String>> {
     Ok(([width, height], ids.map_err(|v| Err(format!("{v} is no label; labels are whole numbers")))?))
 }
 
-/// Grey pixels are their value (8 or 16 bits); of coloured ones each colour is a label.
+/// Reads grey pixels as their value (8 or 16 bits); of colour images each colour is a label.
 fn of_png(file: &Path) -> Result<LabelImage, SegmentError> {
     use image::{DynamicImage, GenericImageView};
     let image = image::open(file).map_err(|e| DataError::decode(file, e))?;

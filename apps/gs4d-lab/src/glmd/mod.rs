@@ -36,7 +36,7 @@ use gs_train::method::MethodError;
 use gs_train::model::Model;
 use gs_train::renderer::Renderer;
 use gs_train::timestamp::Timestamp;
-use gs4d_eval::stage_motion::{Motion, model_motion, seen_motion};
+use gs4d_eval::stage_motion::{Motion, estimated_motion, model_motion};
 use gs4d_report::ReportError;
 use gs4d_report::analysis::Histogram;
 
@@ -195,7 +195,7 @@ fn measure(
 
 /// Farneback's flow between two renders; 0 where `seen` is false.
 fn estimated(earlier: &Image, later: &Image, seen: &[bool], anchor: Anchor) -> Result<Flow, MetricError> {
-    let mut flow = seen_motion(earlier, later, anchor)?;
+    let mut flow = estimated_motion(earlier, later, anchor)?;
     for ((u, v), _) in flow.u.iter_mut().zip(&mut flow.v).zip(seen).filter(|(_, seen)| !**seen) {
         (*u, *v) = (0.0, 0.0);
     }

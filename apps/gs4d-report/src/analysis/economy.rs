@@ -1,7 +1,6 @@
-//! How many splats a picture takes: the price of a kernel at a given PSNR.
+//! Rendering cost of a scene: splats, tile entries and depth per pixel, to compare kernels at a given PSNR.
 
-use super::row;
-use crate::Need;
+use crate::ReportRow;
 use gs_core::{Camera, Time};
 use gs_raster::tiles::TILE;
 use gs_raster::{Frame, RasterOptions, Workspace, render_into};
@@ -10,25 +9,25 @@ use gs_train::model::Model;
 use gs_train::timestamp::Timestamp;
 use serde::Serialize;
 
-/// What views of a scene take to draw, on average over them.
+/// Rendering cost, averaged over views.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Economy {
-    /// Splats of the scene.
+pub struct RenderCost {
+    /// Number of splats of the scene.
     pub splats: usize,
-    /// Tiles a splat is listed in, over all splats.
+    /// Mean number of tiles that list a splat, over all splats and views.
     pub tiles_per_splat: f64,
-    /// Splats listed in a tile.
+    /// Mean number of splats listed in a tile.
     pub listed_per_tile: f64,
-    /// Of those, up to the last one that some pixel blended.
+    /// Mean number of splats in a tile's list up to the last one that any pixel blended.
     pub used_per_tile: f64,
-    /// Splats a pixel goes through until its last blended one: at least the number it blends.
+    /// Mean number of splats a pixel visits up to its last blended one: at least the number it blends.
     pub walked_per_pixel: f64,
-    /// PSNR of the same run, dB, to compare at.
+    /// PSNR of the run, dB, for comparison.
     pub psnr: Option<f64>,
 }
 
-impl Economy {
-    /// Of a method seen by these cameras at these times; `None` without a view or splats.
+impl RenderCost {
+    /// Renders a model from these cameras at these times and counts; `None` without views or splats.
     ///
     /// # Errors
     /// If a view cannot be rendered.
@@ -59,19 +58,19 @@ impl Economy {
         }))
     }
 
-    /// As rows of a table.
-    pub fn rows(&self) -> Vec<Need> {
+    /// Rows for the report.
+    pub fn rows(&self) -> Vec<ReportRow> {
         let at = self.psnr.map_or(String::new(), |p| format!(", at {p:.2} dB"));
         let per_tile = format!("{:.1}, {:.1}", self.listed_per_tile, self.used_per_tile);
         vec![
-            row("kernels", format!("{}{at}", self.splats), "splats of the scene, and the PSNR they reach"),
-            row(
+            ReportRow::new("kernels", format!("{}{at}", self.splats), "splats of the scene, and the PSNR they reach"),
+            ReportRow::new(
                 "tiles per splat",
                 format!("{:.2}", self.tiles_per_splat),
-                "mean over all splats and the views looked at",
+                "mean over all splats and the views rendered",
             ),
-            row("splats per tile", per_tile, "listed, and listed up to the last one some pixel blended"),
-            row(
+            ReportRow::new("splats per tile", per_tile, "listed, and listed up to the last one some pixel blended"),
+            ReportRow::new(
                 "depth of a pixel",
                 format!("{:.1}", self.walked_per_pixel),
                 "splats of its tile up to its last blended one",

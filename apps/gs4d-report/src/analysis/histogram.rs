@@ -1,41 +1,47 @@
-//! Histograms of what a method knows of its splats, at one step of training.
+//! Histograms of the scalar attributes of a model's splats at one training step.
 
-use super::row;
-use crate::Need;
+use crate::ReportRow;
 use gs_train::capabilities::Quantity;
 use gs_train::method::MethodError;
 use gs_train::model::Model;
 use gs_train::timestamp::Timestamp;
 use serde::{Deserialize, Serialize};
 
-/// Bins over the span of a quantity.
+/// Number of bins.
 pub const BINS: usize = 64;
-/// Moments at which quantities that change with time are looked at, evenly over the training span.
+/// Number of times at which attributes are sampled, evenly over the training span.
 pub const TIMES: usize = 8;
-/// λ this far from ½ makes a kernel of high (above) or low (below) frequency.
+/// Half width of the band of λ around ½ between low-frequency and high-frequency kernels.
 pub const CLASS_MARGIN: f32 = 0.02;
-/// Raw parameters of a kernel this large are saturated: their logistic hardly moves.
+/// Raw kernel parameters of at least this magnitude are saturated: their sigmoid has hardly any gradient.
 pub const SATURATED: f32 = 8.0;
 
-/// How often a quantity takes which value.
+/// A histogram of a scalar attribute.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Histogram {
-    /// The quantity.
+    /// Name of the attribute.
     pub name: String,
-    /// Normalised time; absent if the quantity does not change with time, or all times are pooled.
+    /// Normalised time; `None` if the attribute does not change with time, or all times are pooled.
     pub time: Option<f32>,
-    /// First edge of the first bin, last edge of the last one.
+    /// Lower edge of the first bin, upper edge of the last one.
     pub span: [f32; 2],
-    /// [`BINS`] counts; values outside the span are in the bin nearest to them.
+    /// [`BINS`] counts; values outside the span are in the nearest bin.
     pub counts: Vec<u32>,
-    /// Values that are not finite, in no bin.
+    /// Number of values that are not finite; they are in no bin.
     pub not_finite: u32,
     /// Mean of the finite values; 0 if there is none.
     pub mean: f64,
 }
 
 impl Histogram {
-    /// Of values over a span.
+    /// Counts values over a span `[low, high]`, `low < high`.
+    ///
+    /// ```
+    /// use gs4d_report::analysis::Histogram;
+    ///
+    /// let h = Histogram::of("speed", None, [0.0, 1.0], &[0.25, 0.75, 9.0, f32::NAN]);
+    /// assert_eq!((h.counts[16], h.counts[48], h.counts[63], h.not_finite), (1, 1, 1, 1));
+    /// ```
     pub fn of<'a>(name: &str, time: Option<f32>, span: [f32; 2], values: impl IntoIterator<Item = &'a f32>) -> Self {
         let (mut counts, mut not_finite, mut sum) = (vec![0u32; BINS], 0, 0.0);
         let [low, high] = span.map(f64::from);
@@ -52,19 +58,19 @@ impl Histogram {
         Self { name: name.to_owned(), time, span, counts, not_finite, mean: sum / n.max(1) as f64 }
     }
 
-    /// The centre of the fullest bin.
+    /// The centre of the bin with the most values; the lowest of equals.
     pub fn mode(&self) -> f32 {
         let fullest = (0..self.counts.len()).rev().max_by_key(|&k| self.counts[k]).unwrap_or(0);
         self.span[0] + (self.span[1] - self.span[0]) * (fullest as f32 + 0.5) / self.counts.len().max(1) as f32
     }
 }
 
-/// Kernels by their λ.
+/// Numbers of kernels by λ.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Classes {
     /// λ below ½ − [`CLASS_MARGIN`].
     pub low: usize,
-    /// Between.
+    /// λ within [`CLASS_MARGIN`] of ½.
     pub middle: usize,
     /// λ above ½ + [`CLASS_MARGIN`].
     pub high: usize,
@@ -78,35 +84,35 @@ impl Classes {
     }
 }
 
-/// Raw values of a parameter that are out of reach of its gradient.
+/// The number of saturated raw values of a kernel parameter.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Saturation {
     /// Name of the parameter.
     pub parameter: String,
-    /// Values beyond ±[`SATURATED`].
+    /// Number of values beyond ±[`SATURATED`].
     pub saturated: usize,
-    /// All values.
+    /// Number of all values.
     pub of: usize,
 }
 
-/// All quantities of a method at one step.
+/// Histograms of all attributes of a model at one step.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Snapshot {
     /// Number of splats.
     pub splats: usize,
-    /// First each quantity by itself or pooled over the times, then at each time.
+    /// First each attribute, pooled over the times where it changes; then the changing ones at each time.
     pub histograms: Vec<Histogram>,
-    /// Where there is a λ.
+    /// Kernels by λ, for models with one.
     pub classes: Option<Classes>,
-    /// Kernel parameters.
+    /// Saturation of each kernel parameter.
     pub saturation: Vec<Saturation>,
 }
 
 impl Snapshot {
-    /// Of a method as it is now.
+    /// Samples all attributes at [`TIMES`] times.
     ///
     /// # Errors
-    /// If the method cannot tell its attributes.
+    /// If the model cannot compute its attributes.
     pub fn of(method: &Model) -> Result<Self, MethodError> {
         let times: Vec<f32> = (0..TIMES).map(|k| k as f32 / (TIMES - 1) as f32).collect();
         let seen = times.iter().map(|&t| method.quantities(&Timestamp::normalised(t)));
@@ -129,25 +135,39 @@ impl Snapshot {
         Ok(Self { splats: method.splat_count(), histograms: whole, classes, saturation: saturation(method) })
     }
 
-    /// Whether the method has nothing of its own to show.
+    /// Whether the model has no attributes.
     pub fn is_empty(&self) -> bool {
         self.histograms.is_empty()
     }
 
-    /// As rows of a table.
-    pub fn rows(&self) -> Vec<Need> {
+    /// Rows for the report.
+    pub fn rows(&self) -> Vec<ReportRow> {
         let pooled = self.histograms.iter().filter(|h| h.time.is_none());
-        let mut rows: Vec<Need> = pooled
-            .map(|h| row(&h.name, format!("mean {:.3}, mode {:.3}", h.mean, h.mode()), "of all splats, over all times"))
+        let mut rows: Vec<ReportRow> = pooled
+            .map(|h| {
+                ReportRow::new(
+                    &h.name,
+                    format!("mean {:.3}, mode {:.3}", h.mean, h.mode()),
+                    "of all splats, over all times",
+                )
+            })
             .collect();
         if let Some(c) = self.classes {
             let ratio = if c.high > 0 { format!("{:.2} : 1", c.low as f64 / c.high as f64) } else { "–".to_owned() };
             let counts = format!("{ratio}  ({} low, {} between, {} high)", c.low, c.middle, c.high);
-            rows.push(row("low : high frequency", counts, "kernels with lambda below 0.48 to those above 0.52"));
+            rows.push(ReportRow::new(
+                "low : high frequency",
+                counts,
+                "kernels with lambda below 0.48 to those above 0.52",
+            ));
         }
         for s in self.saturation.iter().filter(|s| s.saturated > 0) {
-            let meaning = "raw values beyond ±8, which hardly learn";
-            rows.push(row(format!("saturated {}", s.parameter), format!("{} of {}", s.saturated, s.of), meaning));
+            let meaning = "raw values beyond ±8, which have hardly any gradient";
+            rows.push(ReportRow::new(
+                format!("saturated {}", s.parameter),
+                format!("{} of {}", s.saturated, s.of),
+                meaning,
+            ));
         }
         rows
     }

@@ -1,52 +1,51 @@
-//! Where boundaries of intervals went and why, and how anchors grew: the journal of a run, read back.
+//! The events of a run with intervals and anchors, read back: moves of interval boundaries, growth of anchors.
 //!
-//! Lines that tell of something else are passed over, so that a journal may gain lines.
+//! Lines of other kinds are ignored.
 
-use crate::analysis::row;
-use crate::{Curve, HeatMap, Need};
+use crate::{Curve, HeatMap, ReportRow};
 use gs_anchor::{Adjustment, AnchorDensifyReport};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::collections::BTreeMap;
 
-/// More boundaries than this are not written out one by one.
-const LISTED: usize = 16;
-/// Counts of the darkest interval of a pass.
-const DARKEST: f32 = 10_000.0;
+/// Most values written out in a list.
+const MAX_LISTED: usize = 16;
+/// Heat-map count of the busiest interval of a pass.
+const FULL_COUNT: f32 = 10_000.0;
 
-/// What a run told.
+/// The events of a run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Journal {
-    /// Passes over the boundaries, by step.
+    /// Adjustments of the interval boundaries, by step.
     pub passes: Vec<Pass>,
-    /// Passes that grew or pruned anchors, by step.
+    /// Changes of the number of anchors, by step.
     pub growth: Vec<Growth>,
 }
 
-/// A pass over the boundaries.
+/// One adjustment of the interval boundaries.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Pass {
     /// Step of the run.
     pub step: u32,
-    /// Starts of the intervals after it, normalised time.
+    /// Starts of the intervals afterwards, normalised time.
     pub starts: Vec<f32>,
-    /// What it found and did.
+    /// Mean gradients, threshold, moves and rejected moves.
     pub intervals: Adjustment,
 }
 
-/// Anchors after a pass that changed their number.
+/// One change of the number of anchors.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Growth {
     /// Step of the run.
     pub step: u32,
-    /// Anchors after it.
+    /// Number of anchors afterwards.
     pub anchors: usize,
-    /// What it did.
+    /// Anchors grown per level, and pruned.
     pub grown: AnchorDensifyReport,
 }
 
 impl Pass {
-    /// Starts of the intervals before the pass: its moves undone.
+    /// Starts of the intervals before the adjustment.
     fn before(&self) -> Vec<f32> {
         let mut starts = self.starts.clone();
         for m in self.intervals.moves.iter().rev() {
@@ -55,7 +54,7 @@ impl Pass {
         starts
     }
 
-    /// The interval a slot of the statistic is for: the released rule leaves the first one out.
+    /// The interval of an entry of the statistic: the released rule leaves out the first one.
     fn interval(&self, slot: usize) -> usize {
         slot + self.starts.len().saturating_sub(self.intervals.means.len())
     }
@@ -66,8 +65,8 @@ impl Pass {
         seen.max_by(|a, b| a.1.total_cmp(&b.1)).map(|(slot, mean)| (self.interval(slot), mean))
     }
 
-    /// Step, busy intervals, threshold, moves and refusals, for a table.
-    pub fn cells(&self) -> [String; 5] {
+    /// Step, threshold, busy intervals, moves and rejected moves, for a table.
+    pub(crate) fn cells(&self) -> [String; 5] {
         let Adjustment { threshold, hot, moves, rejected, .. } = &self.intervals;
         let busy: Vec<String> = hot
             .iter()
@@ -89,7 +88,7 @@ impl Pass {
 }
 
 impl Journal {
-    /// From the lines of [`crate::folder::JOURNAL`].
+    /// Reads the lines of `journal.jsonl`.
     pub fn of(lines: &[Value]) -> Self {
         fn known<T: for<'a> Deserialize<'a>>(lines: &[Value]) -> Vec<T> {
             lines.iter().filter_map(|line| T::deserialize(line).ok()).collect()
@@ -97,36 +96,40 @@ impl Journal {
         Self { passes: known(lines), growth: known(lines) }
     }
 
-    /// Whether nothing was told that is known here.
+    /// Whether there are no events of these kinds.
     pub fn is_empty(&self) -> bool {
         self.passes.is_empty() && self.growth.is_empty()
     }
 
-    /// As rows of a table.
-    pub fn rows(&self) -> Vec<Need> {
+    /// Rows for the report.
+    pub fn rows(&self) -> Vec<ReportRow> {
         let mut rows = Vec::new();
         if let (Some(first), Some(last)) = (self.passes.first(), self.passes.last()) {
             rows.extend(self.course(first, last));
             rows.extend([self.busiest(), self.moved(), self.refused()]);
-            rows.push(row("boundaries at first", list(&inner(&first.before()), 4), "normalised time"));
-            rows.push(row("boundaries at last", list(&inner(&last.starts), 4), "normalised time"));
-            rows.push(row("widths at last", list(&last.intervals.frames, 1), "frames of each interval"));
+            rows.push(ReportRow::new("boundaries at first", list(&inner(&first.before()), 4), "normalised time"));
+            rows.push(ReportRow::new("boundaries at last", list(&inner(&last.starts), 4), "normalised time"));
+            rows.push(ReportRow::new("widths at last", list(&last.intervals.frames, 1), "frames of each interval"));
         }
         rows.extend(self.grown());
         rows
     }
 
-    fn course(&self, first: &Pass, last: &Pass) -> [Need; 2] {
+    fn course(&self, first: &Pass, last: &Pass) -> [ReportRow; 2] {
         let idle = self.passes.iter().filter(|p| p.intervals.hot.is_empty()).count();
         let steps = format!("{} passes, steps {} to {}", self.passes.len(), first.step, last.step);
         [
-            row("intervals", last.starts.len().to_string(), "they share one deformation of the anchors each"),
-            row("idle passes", format!("{idle} of {steps}"), "no interval was above the threshold"),
+            ReportRow::new(
+                "intervals",
+                last.starts.len().to_string(),
+                "they share one deformation of the anchors each",
+            ),
+            ReportRow::new("idle passes", format!("{idle} of {steps}"), "no interval was above the threshold"),
         ]
     }
 
-    /// The interval farthest above its pass's threshold, or nearest to it.
-    fn busiest(&self) -> Need {
+    /// The interval with the largest ratio of gradient to threshold over all passes.
+    fn busiest(&self) -> ReportRow {
         let of = |p: &Pass| {
             let ((interval, mean), threshold) = p.busiest().zip(p.intervals.threshold)?;
             (threshold > 0.0).then(|| (mean / threshold, interval, p.step))
@@ -135,31 +138,31 @@ impl Journal {
         let text = most.map_or("–".into(), |(times, interval, step)| {
             format!("{interval}, {times:.2} times the threshold, step {step}")
         });
-        row("busiest interval", text, "its mean gradient of screen positions; above 1 it is made shorter")
+        ReportRow::new("busiest interval", text, "its mean gradient of screen positions; above 1 it is made shorter")
     }
 
-    fn moved(&self) -> Need {
+    fn moved(&self) -> ReportRow {
         let mut times: BTreeMap<usize, usize> = BTreeMap::new();
         for m in self.passes.iter().flat_map(|p| &p.intervals.moves) {
             *times.entry(m.boundary).or_default() += 1;
         }
-        let each: Vec<String> = times.iter().take(LISTED).map(|(b, n)| format!("{b}: {n}")).collect();
+        let each: Vec<String> = times.iter().take(MAX_LISTED).map(|(b, n)| format!("{b}: {n}")).collect();
         let total: usize = times.values().sum();
         let text = if total == 0 { "0".into() } else { format!("{total} ({})", each.join(", ")) };
-        row("boundaries moved", text, "moves of each boundary, towards the middle of a busy interval")
+        ReportRow::new("boundaries moved", text, "moves of each boundary, towards the middle of a busy interval")
     }
 
-    fn refused(&self) -> Need {
+    fn refused(&self) -> ReportRow {
         let mut reasons: BTreeMap<&str, usize> = BTreeMap::new();
         for r in self.passes.iter().flat_map(|p| &p.intervals.rejected) {
             *reasons.entry(&r.reason).or_default() += 1;
         }
         let each: Vec<String> = reasons.iter().map(|(why, n)| format!("{n} {why}")).collect();
         let text = if each.is_empty() { "0".into() } else { each.join(", ") };
-        row("moves refused", text, "how often, and why")
+        ReportRow::new("moves refused", text, "how often, and why")
     }
 
-    fn grown(&self) -> Option<Need> {
+    fn grown(&self) -> Option<ReportRow> {
         let last = self.growth.last()?;
         let mut levels: Vec<u64> = Vec::new();
         for g in &self.growth {
@@ -169,11 +172,11 @@ impl Journal {
         let levels: Vec<String> = levels.iter().map(u64::to_string).collect();
         let pruned: u64 = self.growth.iter().map(|g| u64::from(g.grown.pruned)).sum();
         let text = format!("+{} −{pruned} → {}", levels.join(" +"), last.anchors);
-        Some(row("anchors", text, "grown on each level, the coarsest first; pruned; then left"))
+        Some(ReportRow::new("anchors", text, "grown on each level, the coarsest first; pruned; then left"))
     }
 
-    /// Inner boundaries over the steps of the run, as stairs.
-    pub fn curves(&self) -> Vec<Curve> {
+    /// Inner boundaries over the steps of the run, as step functions.
+    pub(crate) fn curves(&self) -> Vec<Curve> {
         let Some(first) = self.passes.first() else { return Vec::new() };
         let stairs = |boundary: usize| {
             let mut at = f64::from(*first.before().get(boundary)?);
@@ -188,15 +191,15 @@ impl Journal {
         (1..first.starts.len()).filter_map(stairs).collect()
     }
 
-    /// Mean gradient of every interval at every pass, relative to the busiest one of the pass; none without passes.
-    pub fn heat(&self) -> Option<HeatMap> {
+    /// Mean gradient of every interval at every pass, relative to the busiest one of the pass; `None` without passes.
+    pub(crate) fn heat(&self) -> Option<HeatMap> {
         let n = self.passes.first()?.starts.len();
         let column = |p: &Pass| {
             let mut counts = vec![0; n];
             let most = p.busiest().map_or(0.0, |(_, mean)| mean).max(f32::MIN_POSITIVE);
             for (slot, mean) in p.intervals.means.iter().enumerate() {
                 let count = counts.get_mut(p.interval(slot));
-                count.into_iter().for_each(|c| *c = (DARKEST * mean.unwrap_or(0.0) / most) as u32);
+                count.into_iter().for_each(|c| *c = (FULL_COUNT * mean.unwrap_or(0.0) / most) as u32);
             }
             counts
         };
@@ -209,14 +212,14 @@ impl Journal {
     }
 }
 
-/// Boundaries that may move.
+/// All boundaries except the fixed first one.
 fn inner(starts: &[f32]) -> Vec<f32> {
     starts.iter().skip(1).copied().collect()
 }
 
 fn list(values: &[f32], digits: usize) -> String {
-    let mut words: Vec<String> = values.iter().take(LISTED).map(|v| format!("{v:.digits$}")).collect();
-    if values.len() > LISTED {
+    let mut words: Vec<String> = values.iter().take(MAX_LISTED).map(|v| format!("{v:.digits$}")).collect();
+    if values.len() > MAX_LISTED {
         words.push(format!("… ({} in all)", values.len()));
     }
     if words.is_empty() { "none".into() } else { words.join(" ") }
@@ -249,7 +252,7 @@ mod tests {
         lines
     }
 
-    fn value(rows: &[Need], name: &str) -> String {
+    fn value(rows: &[ReportRow], name: &str) -> String {
         rows.iter().find(|r| r.name == name).map_or("absent".into(), |r| r.value.clone())
     }
 

@@ -1,9 +1,8 @@
-//! How the centres of splats move: temporal spectra and second differences (see [`gs_metrics::trajectory`]).
+//! Motion of the splats' means: temporal spectra and second differences (see [`gs_metrics::trajectory`]).
 
 use super::AnalysisError;
 use super::histogram::Histogram;
-use super::row;
-use crate::Need;
+use crate::ReportRow;
 use crate::needs::neutral_camera;
 use gs_core::{Camera, Color, Splats};
 use gs_metrics::trajectory::{ENERGY_FLOOR, Spread, Window, default_cutoff, high_energies, second_differences};
@@ -13,34 +12,34 @@ use gs_train::model::Model;
 use gs_train::timestamp::Timestamp;
 use serde::Serialize;
 
-/// Fewest and most moments taken for a scene of so many training times.
-const MOMENTS: [usize; 2] = [8, 200];
-/// Share of the largest second difference from which on a map is white.
-const REFERENCE: f64 = 1e-12;
+/// Fewest and most times at which paths are sampled.
+const SAMPLE_TIMES: [usize; 2] = [8, 200];
+/// Second differences up to this are rest, squared world units.
+const MIN_SECOND_DIFFERENCE: f64 = 1e-12;
 
-/// How the splats of a scene move.
+/// Statistics of the paths of all splats.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Paths {
-    /// Moments sampled, evenly over the training span.
+    /// Number of sampled times, evenly over the training span.
     pub moments: usize,
     /// First frequency that counts as high, cycles over the training span.
     pub cutoff: usize,
-    /// High-frequency energy of the paths as they are.
+    /// High-frequency energy of the paths.
     pub raw: Energy,
     /// The same with straight lines removed and a Hann window.
     pub hann: Energy,
-    /// Squared second differences between neighbouring moments, world units squared.
+    /// Squared second differences between neighbouring times, world units squared.
     pub jerk: Jerk,
 }
 
-/// Energy of paths at high frequencies.
+/// Distribution over splats of the energy `E` of their paths at high frequencies.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Energy {
     /// Mean over splats of `log10(E + 1e-12)`.
     pub mean_log10: f64,
     /// Mean over splats of `ln(E + 1e-12)`.
     pub mean_ln: f64,
-    /// Of `log10(E + 1e-12)`.
+    /// Histogram of `log10(E + 1e-12)` over −12..4.
     pub histogram: Histogram,
 }
 
@@ -55,31 +54,32 @@ impl Energy {
     }
 }
 
-/// How second differences are spread over splats and moments.
+/// Distribution of squared second differences over splats and times, world units squared.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Jerk {
-    /// Mean.
+    /// Mean over all splats and times.
     pub mean: f64,
-    /// Median.
+    /// Median, nearest rank.
     pub p50: f64,
-    /// 90 %.
+    /// 90th percentile.
     pub p90: f64,
-    /// 99 %.
+    /// 99th percentile.
     pub p99: f64,
-    /// Gini coefficient: towards 1 if few splats at few moments do all the jerking.
+    /// Gini coefficient: towards 1 if few splats at few times have all of it.
     pub gini: f64,
 }
 
-/// The moments to sample for a scene with so many training times.
-pub fn moments_for(training_times: usize) -> usize {
-    training_times.clamp(MOMENTS[0], MOMENTS[1])
+/// The number of times to sample for a scene with this many training times: clamped to 8..200.
+pub fn sample_count(training_times: usize) -> usize {
+    training_times.clamp(SAMPLE_TIMES[0], SAMPLE_TIMES[1])
 }
 
 impl Paths {
-    /// Of a method at `moments` evenly spaced times; the cut-off is `⌈moments/4⌉` if none is given.
+    /// Samples the means of a model at `moments` evenly spaced times; `cutoff` is the first high frequency, `⌈moments/4⌉` by
+    /// default.
     ///
     /// # Errors
-    /// If the splats are not the same ones at every moment, there are fewer than 4 moments, or the cut-off is out of range.
+    /// If the number of splats changes over time, there are fewer than 4 times, or the cutoff is out of range.
     pub fn of(method: &Model, moments: usize, cutoff: Option<usize>) -> Result<Self, AnalysisError> {
         let frames = centres(method, &neutral_camera(), moments)?;
         let cutoff = cutoff.unwrap_or(default_cutoff(moments));
@@ -91,8 +91,8 @@ impl Paths {
         Ok(Self { moments, cutoff, raw, hann, jerk })
     }
 
-    /// As rows of a table.
-    pub fn rows(&self) -> Vec<Need> {
+    /// Rows for the report.
+    pub fn rows(&self) -> Vec<ReportRow> {
         let meaning = format!(
             "mean log10 (ln) of path energy at {} or more cycles over {} moments; 1e-12 is rest",
             self.cutoff, self.moments
@@ -101,15 +101,23 @@ impl Paths {
         let j = self.jerk;
         let spread = format!("{:.2e} / {:.2e} / {:.2e} / {:.2e}", j.mean, j.p50, j.p90, j.p99);
         vec![
-            row("fast motion", energy(&self.raw), &meaning),
-            row("fast motion, windowed", energy(&self.hann), "without straight lines, Hann window: no leaking drift"),
-            row("second differences", spread, "squared, world units squared: mean, median, 90 %, 99 %"),
-            row("their contrast", format!("{:.3}", j.gini), "Gini coefficient: towards 1 if few splats do all of it"),
+            ReportRow::new("fast motion", energy(&self.raw), &meaning),
+            ReportRow::new(
+                "fast motion, windowed",
+                energy(&self.hann),
+                "without straight lines, Hann window: no leaking drift",
+            ),
+            ReportRow::new("second differences", spread, "squared, world units squared: mean, median, 90 %, 99 %"),
+            ReportRow::new(
+                "their contrast",
+                format!("{:.3}", j.gini),
+                "Gini coefficient: towards 1 if few splats do all of it",
+            ),
         ]
     }
 }
 
-/// Centres of all splats at evenly spaced times.
+/// Means of all splats at evenly spaced times.
 fn centres(method: &Model, camera: &Camera, moments: usize) -> Result<Vec<Vec<[f32; 3]>>, MethodError> {
     let time = |k: usize| k as f32 / (moments.max(2) - 1) as f32;
     (0..moments).map(|k| means_at(method, time(k), camera)).collect()
@@ -120,16 +128,22 @@ fn means_at(method: &Model, time: f32, camera: &Camera) -> Result<Vec<[f32; 3]>,
     Ok(splats.means.iter().map(|m| m.to_array()).collect())
 }
 
-/// Second differences at a time against the times `interval` before and after it, as colours: black at rest, through red
-/// and yellow to white at the largest, by `log(1 + A / A_ref)` with the median of those that are not at rest as `A_ref`.
+/// Colours by the second difference `A` of each mean between `time − interval`, `time` and `time + interval`: black at rest,
+/// through red and yellow to white at the largest, by `log(1 + A / A_ref)`, `A_ref` the median of those not at rest.
 ///
 /// # Errors
-/// If the splats are not the same ones at the three times.
-pub fn jerk_overlay(method: &Model, time: f32, interval: f32, camera: &Camera) -> Result<Overlay, AnalysisError> {
+/// If the number of splats differs between the three times.
+pub fn second_difference_overlay(
+    method: &Model,
+    time: f32,
+    interval: f32,
+    camera: &Camera,
+) -> Result<Overlay, AnalysisError> {
     let at = |t: f32| means_at(method, t, camera);
     let frames = [at(time - interval)?, at(time)?, at(time + interval)?];
     let values = second_differences(&frames)?.swap_remove(0);
-    let reference = Spread::of(values.iter().copied().filter(|a| *a > REFERENCE)).p50.max(REFERENCE);
+    let reference =
+        Spread::of(values.iter().copied().filter(|a| *a > MIN_SECOND_DIFFERENCE)).p50.max(MIN_SECOND_DIFFERENCE);
     let largest = values.iter().map(|a| (1.0 + a / reference).ln()).fold(f64::MIN_POSITIVE, f64::max);
     let color = |a: &f64| {
         let x = 3.0 * ((1.0 + a / reference).ln() / largest) as f32;
@@ -139,7 +153,7 @@ pub fn jerk_overlay(method: &Model, time: f32, interval: f32, camera: &Camera) -
     Ok(Overlay { name: "second differences", colors, meaning: "black at rest, white at the largest" })
 }
 
-/// Splats in the colours of an overlay.
+/// The splats with the colours of an overlay.
 pub fn painted(splats: Splats, overlay: Overlay) -> Splats {
     Splats { color: Color::Rgb(overlay.colors), ..splats }
 }

@@ -1,20 +1,24 @@
-//! The page of a comparison of runs.
+//! The HTML page of a comparison of runs.
 
-use crate::compare::{Compared, Pictures, Row, Side, Unlike, ViewRow, columns};
+use crate::compare::{Compared, DifferingSetting, Row, Side, ViewRenders, ViewRow, columns};
 use crate::summary::samples;
 use gs4d_report::chart::{Curve, Scale, chart};
 use gs4d_report::error_map::error;
-use gs4d_report::page::{document, escape, section, table};
-use gs4d_report::views::{Shown, figures, script};
+use gs4d_report::page::{document, escape, section, table, training_charts, wrapped};
+use gs4d_report::views::{ViewFigure, figures, script};
 use gs4d_report::{ReportError, Sample};
-use std::fmt::Write as _;
 
-/// One self-contained HTML page. Errors are those against the photographs, or `against_first` those against the drawings of
-/// the first run. `sides` are the runs that were compared, in the same order.
+/// One self-contained HTML page. Error maps are against ground truth or, with `against_first`, against the renders of the
+/// first run. `sides` are the compared runs, in the same order.
 ///
 /// # Errors
-/// If a chart or picture cannot be drawn.
-pub fn page(c: &Compared, pictures: &[Pictures], sides: &[Side], against_first: bool) -> Result<String, ReportError> {
+/// If a chart or image cannot be encoded.
+pub fn page(
+    c: &Compared,
+    pictures: &[ViewRenders],
+    sides: &[Side],
+    against_first: bool,
+) -> Result<String, ReportError> {
     let names: Vec<&str> = c.runs.iter().map(|r| r.name.as_str()).collect();
     let parts = [
         runs_table(c),
@@ -64,7 +68,7 @@ fn differences(c: &Compared) -> String {
             same,
         ]
     });
-    let head = ["run", "mean dB", "over views", "least", "most", "views better", "drawings to the first's"];
+    let head = ["run", "mean dB", "over views", "least", "most", "views better", "renders to the first's"];
     let remark = format!(
         "PSNR of each view minus that of the same view of {}. The spread is over views, not over seeds. {}",
         escape(&first.name),
@@ -88,28 +92,28 @@ fn over_time(c: &Compared) -> Result<String, ReportError> {
 
 fn disagreements(
     c: &Compared,
-    pictures: &[Pictures],
+    pictures: &[ViewRenders],
     names: &[&str],
     against_first: bool,
 ) -> Result<String, ReportError> {
-    let shown: Vec<Shown> = pictures
+    let shown: Vec<ViewFigure> = pictures
         .iter()
         .map(|p| {
             let truth = if against_first { p.drawn.first().unwrap_or(&p.truth) } else { &p.truth };
             let errors = p.drawn.iter().zip(names).skip(usize::from(against_first));
-            Shown {
+            ViewFigure {
                 caption: &p.caption,
-                pictures: std::iter::once(("truth", &p.truth)).chain(names.iter().copied().zip(&p.drawn)).collect(),
+                images: std::iter::once(("truth", &p.truth)).chain(names.iter().copied().zip(&p.drawn)).collect(),
                 errors: errors.filter_map(|(d, n)| Some((format!("error of {n}"), error(truth, d)?))).collect(),
             }
         })
         .collect();
     let held = match (against_first, names.first()) {
-        (true, Some(first)) => format!("the drawings of {}", escape(first)),
-        _ => "the photographs".to_owned(),
+        (true, Some(first)) => format!("the renders of {}", escape(first)),
+        _ => "the ground truth".to_owned(),
     };
     let remark = format!(
-        "The {} views whose drawings differ most from each other. Errors are against {held}. {}",
+        "The {} views whose renders differ most from each other. Errors are against {held}. {}",
         pictures.len(),
         escape(&c.conditions)
     );
@@ -117,7 +121,6 @@ fn disagreements(
 }
 
 fn curves(sides: &[Side], names: &[&str]) -> Result<String, ReportError> {
-    let against = |axis: &str, s: &Sample| (if axis == "step" { s.step } else { s.seconds }, s.value);
     let of = |kind: usize| -> Vec<(String, Vec<Sample>)> {
         let line = |(side, name): (&Side, &&str)| {
             let samples = match kind {
@@ -132,30 +135,20 @@ fn curves(sides: &[Side], names: &[&str]) -> Result<String, ReportError> {
     let titles = ["PSNR of training views, dB", "PSNR of held-out views while training, dB", "Splats"];
     let mut out = String::new();
     for (kind, title) in titles.into_iter().enumerate() {
-        let lines = of(kind);
-        for axis in ["step", "seconds of training"] {
-            let curve = |(name, s): &(String, Vec<Sample>)| Curve {
-                name: name.clone(),
-                points: s.iter().map(|s| against(axis, s)).collect(),
-            };
-            let lines: Vec<Curve> = lines.iter().map(curve).collect();
-            if let Some(svg) = chart(title, axis, Scale::Linear, &lines)? {
-                let _ = writeln!(out, "<figure>{svg}</figure>");
-            }
-        }
+        out += &training_charts(title, Scale::Linear, &of(kind))?;
     }
-    let grid = if out.is_empty() { out } else { format!("<div class=\"charts\">\n{out}</div>\n") };
-    Ok(section("Course of training", "All runs, against optimiser steps and against seconds.", &grid))
+    let remark = "All runs, against optimiser steps and against seconds.";
+    Ok(section("Course of training", remark, &wrapped("charts", out)))
 }
 
-/// A head of a table: fixed names, then those of the runs, safe in HTML.
+/// The header of a table: fixed names, then the escaped names of the runs.
 fn head(fixed: &[&str], names: &[&str]) -> Vec<String> {
     fixed.iter().map(|n| (*n).to_owned()).chain(names.iter().map(|n| escape(n))).collect()
 }
 
 fn each_view(c: &Compared, names: &[&str]) -> String {
     let mut head = head(&["view", "time"], names);
-    head.push("drawings differ by".to_owned());
+    head.push("renders differ by".to_owned());
     let head: Vec<&str> = head.iter().map(String::as_str).collect();
     let row = |v: &ViewRow| {
         let psnr = v.psnr.iter().map(|p| p.map_or("perfect".to_owned(), |p| format!("{p:.2} dB")));
@@ -172,7 +165,7 @@ fn each_view(c: &Compared, names: &[&str]) -> String {
 fn settings(c: &Compared, names: &[&str]) -> String {
     let head = head(&["setting"], names);
     let head: Vec<&str> = head.iter().map(String::as_str).collect();
-    let row = |u: &Unlike| {
+    let row = |u: &DifferingSetting| {
         let values = u.values.iter().map(|v| v.clone().unwrap_or_else(|| "–".to_owned()));
         std::iter::once(u.key.clone()).chain(values).collect::<Vec<_>>()
     };

@@ -1,8 +1,8 @@
-//! Runs to be compared, each with its data; what must be the same for that, and what they are called.
+//! The runs of a comparison with their data, the conditions they must share, and their names.
 
 use crate::compare::Options;
 use crate::provenance::DataOrigin;
-use crate::shown::size_text;
+use crate::score_table::size_text;
 use crate::summary::color_name;
 use crate::{OpenRun, RunError, folder};
 use gs_data::Dataset;
@@ -12,19 +12,19 @@ use gs_train::registry::Registry;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
-/// Why runs are not compared.
+/// Runs that cannot be compared.
 #[derive(Debug, thiserror::Error)]
 pub enum CompareError {
-    /// They are not of the same data, or not drawn alike.
+    /// They differ in data or rendering conditions.
     #[error("{first} and {other} are not of the same data: {}", fields.join("; "))]
     Differ {
         /// The first run.
         first: PathBuf,
         /// The run that differs from it.
         other: PathBuf,
-        /// What differs, with both values.
+        /// The differing conditions, each with both values.
         fields: Vec<String>,
-        /// Whether it is the background alone, which can be chosen.
+        /// Whether only the background differs, which [`Options::background`] can set.
         background_only: bool,
     },
     /// A view cannot be rendered.
@@ -41,16 +41,16 @@ impl From<EvalError> for CompareError {
     }
 }
 
-/// A run and its data.
+/// A run of a comparison, with its data.
 pub struct Side {
-    /// Where it was read from.
+    /// Path it was read from.
     pub path: PathBuf,
-    /// The run.
+    /// The run, open for reading.
     pub run: OpenRun,
     /// Its log; empty for a single file.
     pub log: Vec<Value>,
     pub(super) dataset: Dataset,
-    /// What it was trained on, where its folder tells.
+    /// The machine it was trained on, from its provenance.
     machine: Option<Value>,
 }
 
@@ -71,7 +71,7 @@ impl Side {
         Ok(Self { path: path.to_owned(), run, log, dataset, machine })
     }
 
-    /// What must be the same: a name and its value.
+    /// The conditions that must agree: name and value.
     fn identity(&self, options: &Options) -> Vec<(&'static str, String)> {
         let views = self.dataset.views(options.split);
         let background = options.background.unwrap_or_else(|| self.run.background());
@@ -99,19 +99,19 @@ impl Side {
     }
 }
 
-/// Refuses a run that is not of the data of the first.
+/// An error if a run has other conditions than the first.
 pub(super) fn same_data(first: &Side, other: &Side, options: &Options) -> Result<(), CompareError> {
     let pairs = first.identity(options).into_iter().zip(other.identity(options));
-    let unlike: Vec<_> = pairs.filter(|(a, b)| a.1 != b.1).collect();
-    if unlike.is_empty() {
+    let differing: Vec<_> = pairs.filter(|(a, b)| a.1 != b.1).collect();
+    if differing.is_empty() {
         return Ok(());
     }
-    let fields = unlike.iter().map(|((name, a), (_, b))| format!("{name} ({a}, {b})")).collect();
-    let background_only = unlike.iter().all(|(a, _)| a.0 == "background");
+    let fields = differing.iter().map(|((name, a), (_, b))| format!("{name} ({a}, {b})")).collect();
+    let background_only = differing.iter().all(|(a, _)| a.0 == "background");
     Err(CompareError::Differ { first: first.path.clone(), other: other.path.clone(), fields, background_only })
 }
 
-/// The last part of each path, whole paths where those are the same, and numbers where even these are.
+/// Unique names: the last part of each path, whole paths where those are equal, with numbers where even these are.
 pub(super) fn names(sides: &[Side]) -> Vec<String> {
     let paths: Vec<&Path> = sides.iter().map(|s| s.path.as_path()).collect();
     let last = |p: &Path| p.file_name().map_or_else(|| p.display().to_string(), |n| n.to_string_lossy().into_owned());

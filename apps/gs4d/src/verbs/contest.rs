@@ -7,7 +7,7 @@ use crate::global::Global;
 use crate::progress::Progress;
 use crate::{interrupt, parse};
 use gs4d_lab::aligned;
-use gs4d_lab::contest::{Contest, ContestError, Entry, Length, SCORES, Score, Spread, Standing, Told};
+use gs4d_lab::contest::{Contest, ContestError, Entry, Event, Length, SCORES, Score, Spread, Standing};
 use serde_json::{Value, json};
 use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
@@ -69,15 +69,15 @@ impl ContestVerb {
 }
 
 /// Runs trials with a progress line for each, until done or interrupted.
-pub fn follow<T>(global: &Global, run: impl FnOnce(&AtomicBool, &mut dyn FnMut(Told)) -> T) -> Result<T, Failure> {
+pub fn follow<T>(global: &Global, run: impl FnOnce(&AtomicBool, &mut dyn FnMut(Event)) -> T) -> Result<T, Failure> {
     let stop = interrupt::flag()?;
     let mut progress: Option<Progress> = None;
     let result = run(&stop, &mut |event| match event {
-        Told::Trial(name) => {
+        Event::Trial(name) => {
             progress.take().into_iter().for_each(Progress::finish);
             global.say(name);
         }
-        Told::Step(p) => Progress::step(&mut progress, p, global.quiet),
+        Event::Step(p) => Progress::step(&mut progress, p, global.quiet),
     });
     progress.into_iter().for_each(Progress::finish);
     Ok(result)

@@ -7,7 +7,7 @@ use crate::global::Global;
 use crate::interrupt;
 use crate::progress::Progress;
 use gs_train::evaluate::MeanScores;
-use gs4d_lab::continual::{FILE, Plan, RoundScores, Rounds, Told, run};
+use gs4d_lab::continual::{Event, FILE, Plan, RoundScores, Rounds, run};
 use gs4d_run::settings::Request;
 use serde_json::json;
 use std::path::{Path, PathBuf};
@@ -113,9 +113,9 @@ fn follow(plan: &Plan, out: &Path, force: bool, global: &Global) -> Result<Optio
     let stop = interrupt::flag()?;
     let mut progress: Option<Progress> = None;
     let rounds = run(plan, out, force, &stop, &mut |event| match event {
-        Told::Round(k, n, round) => global.say(format!("round {k} of {n}: up to {:.4}", round.last)),
-        Told::Step(p) => Progress::step(&mut progress, p, global.quiet),
-        Told::Done(scores) => {
+        Event::Round(k, n, round) => global.say(format!("round {k} of {n}: up to {:.4}", round.last)),
+        Event::Step(p) => Progress::step(&mut progress, p, global.quiet),
+        Event::Done(scores) => {
             progress.take().into_iter().for_each(Progress::finish);
             global.say(format!("{}\n{}", HEAD.join("  "), row(scores)));
         }

@@ -5,7 +5,7 @@ use crate::failure::{Class, Failure};
 use crate::global::Global;
 use gs_core::io::write_file;
 use gs_data::DataOptions;
-use gs4d_doctor::{Checkup, CostOptions, Exam, Finding, Verdict, examine, page};
+use gs4d_doctor::{CheckOptions, Checkup, CostOptions, Finding, Verdict, examine, page};
 use gs4d_run::settings::{Request, resolve};
 use serde_json::json;
 use std::path::PathBuf;
@@ -55,7 +55,7 @@ impl Doctor {
             sets: self.sets.clone(),
             limit_mib: self.max_mem,
         };
-        let checkup = examine(&self.data, &Exam { data, cost: (!self.no_cost).then_some(cost) });
+        let checkup = examine(&self.data, &CheckOptions { data, cost: (!self.no_cost).then_some(cost) });
         let html = page(&checkup).map_err(|e| Failure::new(Class::Internal, "report", e.to_string()))?;
         write_file(&self.out, self.force, |out| out.write_all(html.as_bytes()))?;
         let text = text(&checkup, &self.out.display().to_string());

@@ -14,7 +14,7 @@ use gs_train::model::Model;
 use gs_train::renderer::Renderer;
 use gs4d_eval::forecast::page::page;
 use gs4d_eval::forecast::physics::Steps;
-use gs4d_eval::forecast::{CameraPath, Clock, MomentScores, Physics, Spacing, Truth, draw, times};
+use gs4d_eval::forecast::{CameraPath, Clock, Physics, Spacing, TimestampScores, Truth, draw, times};
 use gs4d_eval::particles::Particles;
 use gs4d_eval::track::{Track, TrackError, TrackReport, follow};
 use gs4d_report::Still;
@@ -202,7 +202,7 @@ struct Report<'a> {
     clock: Option<Clock>,
     frames: &'a [FrameInfo<'a>],
     truth: Option<&'a Truth>,
-    moments: Option<&'a [MomentScores]>,
+    moments: Option<&'a [TimestampScores]>,
     physics: Option<Physics>,
     followed: Option<TrackReport>,
 }
@@ -265,7 +265,7 @@ impl Report<'_> {
     }
 }
 
-fn scores_table(truth: &Truth, moments: &[MomentScores]) -> String {
+fn scores_table(truth: &Truth, moments: &[TimestampScores]) -> String {
     let masked = moments.iter().any(|m| m.masked_psnr.is_some());
     let mut text = format!("{:>8}  {:>8}  {:>6}  {:>7}  {:>7}", "time", "beyond", "views", "PSNR", "SSIM");
     text.push_str(if masked { "   m-PSNR\n" } else { "\n" });

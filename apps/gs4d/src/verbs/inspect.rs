@@ -9,8 +9,8 @@ use gs_train::checkpoint::Checkpoint;
 use gs_train::timestamp::Timestamp;
 use gs4d_eval::particles::Particles;
 use gs4d_eval::physics_check::{self, PhysicsOptions, PhysicsReport};
-use gs4d_report::analysis::paths::moments_for;
-use gs4d_report::analysis::{Analysis, Economy, Journal};
+use gs4d_report::analysis::paths::sample_count;
+use gs4d_report::analysis::{Analysis, Journal, RenderCost};
 use gs4d_report::inspect::{BlockSummary, SplatSummary, bytes_text};
 use gs4d_report::needs::{needs, neutral_camera};
 use gs4d_report::storage::Storage;
@@ -90,7 +90,7 @@ impl Inspect {
         for n in &needs {
             text.push_str(&format!("{:26}{:>22}  {}\n", n.name, n.value, n.meaning));
         }
-        let moments = self.moments.map_or_else(|| moments_for(run.loaded.scene.views as usize), |m| m as usize);
+        let moments = self.moments.map_or_else(|| sample_count(run.loaded.scene.views as usize), |m| m as usize);
         let cutoff = self.cutoff.map(|c| c as usize);
         let highest = moments / 2;
         if cutoff.is_some_and(|c| c > highest) {
@@ -102,7 +102,7 @@ impl Inspect {
         let economy = economy(&run);
         let journal = Journal::of(&run.folder()?.log_lines(JOURNAL)?);
         text.push('\n');
-        let rows = analysis.rows().into_iter().chain(economy.iter().flat_map(Economy::rows)).chain(journal.rows());
+        let rows = analysis.rows().into_iter().chain(economy.iter().flat_map(RenderCost::rows)).chain(journal.rows());
         for n in rows {
             text.push_str(&format!("{:26}{:>46}  {}\n", n.name, n.value, n.meaning));
         }
@@ -134,7 +134,7 @@ impl Inspect {
 }
 
 /// Cost of rendering the test views (training views if there are none); `None` if the data cannot be opened.
-fn economy(run: &OpenRun) -> Option<Economy> {
+fn economy(run: &OpenRun) -> Option<RenderCost> {
     let dataset = run.resolved.open_data().ok()?;
     let split = if dataset.test.is_empty() { Split::Train } else { Split::Test };
     let images = run.photographs();
@@ -144,7 +144,7 @@ fn economy(run: &OpenRun) -> Option<Economy> {
     let scores = run.folder().ok().and_then(|folder| folder.read(METRICS).ok());
     let scores: Option<Value> = scores.and_then(|text| serde_json::from_str(&text).ok());
     let of_this_step = scores.filter(|s| s["step"] == run.loaded.step);
-    Economy::of(method, &views, &options, of_this_step.and_then(|s| s["mean"]["psnr"].as_f64())).ok().flatten()
+    RenderCost::of(method, &views, &options, of_this_step.and_then(|s| s["mean"]["psnr"].as_f64())).ok().flatten()
 }
 
 /// Learnt motion against ground truth, for methods with particles on a generated scene with unchanged times.

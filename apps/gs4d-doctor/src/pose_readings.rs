@@ -1,21 +1,21 @@
-//! What poses are often mistaken for: each suspect is a way to read the same numbers otherwise.
+//! Common mistakes in pose files: each [`PoseReading`] reads the same numbers by another convention.
 
 use glam::{DMat3, DMat4, DVec3};
 use gs_core::Camera;
 
-/// A reading of poses that is not the present one.
+/// A convention for poses other than the one they were read by.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Suspect {
-    /// Camera axes y and z point the other way: OpenCV for OpenGL, or the reverse.
+pub(super) enum PoseReading {
+    /// Camera axes y and z are negated: OpenCV for OpenGL, or the reverse.
     Flipped,
-    /// The matrix goes the other way, with the axes before (`false`) or behind it flipped or not.
+    /// The matrix is inverted; the flags say whether y and z are negated on its left and on its right.
     Inverted([bool; 2]),
-    /// The rotation is transposed, the centre is right.
+    /// The rotation is transposed; the camera centre is right.
     Transposed,
 }
 
-impl Suspect {
-    /// All of them.
+impl PoseReading {
+    /// Every reading that is tried.
     pub(super) const ALL: [Self; 6] = [
         Self::Flipped,
         Self::Inverted([false, false]),
@@ -41,7 +41,7 @@ impl Suspect {
         Camera { rotation, translation: viewmat.w_axis.truncate(), ..c.clone() }
     }
 
-    /// What the poses would be.
+    /// Describes the poses, after "with poses".
     pub(super) fn what(self) -> &'static str {
         match self {
             Self::Flipped => {
@@ -52,7 +52,7 @@ impl Suspect {
         }
     }
 
-    /// How to mend that.
+    /// How to correct the file.
     pub(super) fn fix(self) -> &'static str {
         match self {
             Self::Flipped => {
@@ -66,7 +66,7 @@ impl Suspect {
     }
 }
 
-/// Between OpenGL and OpenCV camera axes.
+/// Converts between OpenGL and OpenCV camera axes.
 const FLIP: DMat3 = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
 
 #[cfg(test)]
@@ -76,13 +76,13 @@ mod tests {
     #[test]
     fn every_mistake_has_a_reading_that_undoes_it() {
         let c = Camera::look_at(64, 48, 0.9, DVec3::new(1.0, -4.0, 2.0), DVec3::new(0.1, 0.3, 0.0), DVec3::Z).unwrap();
-        for wrong in Suspect::ALL {
+        for wrong in PoseReading::ALL {
             let mistaken = wrong.camera(&c);
-            let undone = |s: &Suspect| {
+            let undone = |s: &PoseReading| {
                 let back = s.camera(&mistaken);
                 (back.viewmat() - c.viewmat()).to_cols_array().iter().all(|v| v.abs() < 1e-12)
             };
-            assert!(Suspect::ALL.iter().any(undone), "{wrong:?}");
+            assert!(PoseReading::ALL.iter().any(undone), "{wrong:?}");
             assert!((mistaken.viewmat() - c.viewmat()).to_cols_array().iter().any(|v| v.abs() > 0.1), "{wrong:?}");
         }
     }

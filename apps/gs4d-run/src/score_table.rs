@@ -1,18 +1,18 @@
-//! Which views a report shows, what their scores are of, and the table of scores.
+//! The scores of a report: ranked views, conditions, and the table of metrics.
 
 use super::RunError;
-use super::summary::{Material, color_name};
+use super::summary::{ReportInput, color_name};
 use gs_data::{Dataset, ImageCache, Split, View};
 use gs_train::evaluate::{EvalReport, MaskedScores, ViewScores};
 use gs_train::renderer::Renderer;
 use gs4d_report::Comparison;
 use std::collections::BTreeSet;
 
-/// Worst views shown beside their truth.
-const WORST: usize = 5;
+/// Number of worst views shown.
+const WORST_VIEWS: usize = 5;
 
-/// The split a report scored.
-pub fn split_of(scores: &EvalReport) -> Split {
+/// The split of an evaluation.
+pub(crate) fn split_of(scores: &EvalReport) -> Split {
     match scores.split.as_str() {
         "train" => Split::Train,
         "val" => Split::Val,
@@ -21,17 +21,17 @@ pub fn split_of(scores: &EvalReport) -> Split {
     }
 }
 
-/// Views of the scored split with their scores, the worst first.
-pub fn ranked<'a>(dataset: &'a Dataset, scores: &'a EvalReport) -> Vec<(&'a View, &'a ViewScores)> {
+/// The scored views with their scores, lowest PSNR first.
+pub(crate) fn ranked<'a>(dataset: &'a Dataset, scores: &'a EvalReport) -> Vec<(&'a View, &'a ViewScores)> {
     let mut ranked: Vec<_> = dataset.views(split_of(scores)).iter().zip(&scores.views).collect();
     let psnr = |s: &ViewScores| s.psnr.unwrap_or(f64::INFINITY);
     ranked.sort_by(|a, b| psnr(a.1).total_cmp(&psnr(b.1)));
     ranked
 }
 
-/// The worst views and those in the middle beside their truths.
+/// Renders of the worst and the median views beside ground truth.
 pub(super) fn comparisons(
-    m: &Material,
+    m: &ReportInput,
     renderer: &mut Renderer,
     scores: &EvalReport,
 ) -> Result<Vec<Comparison>, RunError> {
@@ -39,11 +39,11 @@ pub(super) fn comparisons(
     let mut out = Vec::new();
     for place in places(ranked.len()) {
         let (view, scores) = ranked[place];
-        let camera = m.photographs.camera(view);
-        let truth = m.photographs.get(view)?.over(m.scores.background);
+        let camera = m.images.camera(view);
+        let truth = m.images.get(view)?.over(m.scores.background);
         let psnr = scores.psnr.map_or("perfect".to_owned(), |p| format!("{p:.2} dB"));
         let time = view.time.normalised;
-        let kind = if place < WORST { "worst" } else { "median" };
+        let kind = if place < WORST_VIEWS { "worst" } else { "median" };
         let caption = format!(
             "{kind}, {} of {} · {} · t = {time:.3} · PSNR {psnr} · SSIM {:.4}",
             place + 1,
@@ -52,31 +52,31 @@ pub(super) fn comparisons(
             scores.ssim
         );
         let name = format!("t{time:.3}_{}", view.name);
-        out.push(Comparison { name, caption, truth, drawn: renderer.view(m.method, view, &camera)? });
+        out.push(Comparison { name, caption, truth, render: renderer.view(m.method, view, &camera)? });
     }
     Ok(out)
 }
 
-/// Places in the ranking that are shown: the worst, then the one or two in the middle.
+/// Ranks that are shown: the worst, and the one or two median ones.
 fn places(n: usize) -> BTreeSet<usize> {
     let middle = [n.saturating_sub(1) / 2, n / 2];
-    (0..WORST).chain(middle).filter(|p| *p < n).collect()
+    (0..WORST_VIEWS).chain(middle).filter(|p| *p < n).collect()
 }
 
-/// What scores are of: split, number of views, size, background, mask.
-pub fn conditions(dataset: &Dataset, photographs: &ImageCache, scores: &EvalReport) -> String {
+/// Conditions of scores in words: split, number of views, size, background, mask.
+pub(crate) fn conditions(dataset: &Dataset, images: &ImageCache, scores: &EvalReport) -> String {
     let masked = match &scores.mean.masked {
         Some(m) => format!("masks, {:.1} % of the pixels, for masked scores only", 100.0 * m.part),
         None => "no mask".to_owned(),
     };
     let views = dataset.views(split_of(scores));
     let background = color_name(scores.background);
-    format!("{} {} views, {}, over {background}, {masked}.", views.len(), scores.split, size_text(views, photographs))
+    format!("{} {} views, {}, over {background}, {masked}.", views.len(), scores.split, size_text(views, images))
 }
 
-/// Width and height of views, in words if they differ.
-pub fn size_text(views: &[View], photographs: &ImageCache) -> String {
-    let size = |v: &View| photographs.camera(v);
+/// Width and height of views, or the range of sizes.
+pub(crate) fn size_text(views: &[View], images: &ImageCache) -> String {
+    let size = |v: &View| images.camera(v);
     let sizes: BTreeSet<[u32; 2]> = views.iter().map(size).map(|c| [c.width, c.height]).collect();
     let text = |[w, h]: &[u32; 2]| format!("{w}×{h}");
     match (sizes.first(), sizes.last()) {
@@ -88,8 +88,8 @@ pub fn size_text(views: &[View], photographs: &ImageCache) -> String {
     }
 }
 
-/// Metric, mean, median, worst value and its view, for every metric there is a number of.
-pub fn score_rows(scores: &EvalReport) -> Vec<[String; 5]> {
+/// Name, mean, median, worst value and its view, for every metric with a value.
+pub(crate) fn score_rows(scores: &EvalReport) -> Vec<[String; 5]> {
     let mut rows = metric_rows(scores, "");
     if let Some(future) = &scores.extrapolate {
         rows.extend(metric_rows(future, &format!(", {} views beyond the last training time", future.views.len())));
@@ -97,7 +97,12 @@ pub fn score_rows(scores: &EvalReport) -> Vec<[String; 5]> {
     rows
 }
 
-/// A metric: name, digits, its mean, its value of a view, whether more is better.
+/// A number with some decimal digits, or a dash.
+pub(crate) fn number_or_dash(v: Option<f64>, digits: usize) -> String {
+    v.map_or("–".to_owned(), |v| format!("{v:.digits$}"))
+}
+
+/// A metric: name, decimal digits, mean, value of a view, whether larger is better.
 type Metric = (&'static str, usize, Option<f64>, fn(&ViewScores) -> Option<f64>, bool);
 
 fn metric_rows(s: &EvalReport, of: &str) -> Vec<[String; 5]> {
@@ -113,7 +118,6 @@ fn metric_rows(s: &EvalReport, of: &str) -> Vec<[String; 5]> {
         ("masked PSNR, dB", 2, in_mask(|m| m.psnr), |v| v.masked?.psnr, true),
         ("masked SSIM", 4, in_mask(|m| m.ssim), |v| v.masked?.ssim, true),
     ];
-    let text = |v: Option<f64>, digits: usize| v.map_or("–".to_owned(), |v| format!("{v:.digits$}"));
     let mut rows = Vec::new();
     for (name, digits, mean, value, more) in metrics.into_iter().filter(|m| m.2.is_some()) {
         let mut all: Vec<(f64, &str)> = s.views.iter().filter_map(|v| Some((value(v)?, v.name.as_str()))).collect();
@@ -122,14 +126,14 @@ fn metric_rows(s: &EvalReport, of: &str) -> Vec<[String; 5]> {
         let worst = all.first();
         rows.push([
             format!("{name}{of}"),
-            text(mean, digits),
-            text(median.map(|(a, b)| 0.5 * (a.0 + b.0)), digits),
-            text(worst.map(|w| w.0), digits),
+            number_or_dash(mean, digits),
+            number_or_dash(median.map(|(a, b)| 0.5 * (a.0 + b.0)), digits),
+            number_or_dash(worst.map(|w| w.0), digits),
             worst.map_or(String::new(), |w| w.1.to_owned()),
         ]);
         if rows.len() == 1 && s.psnr_of_mean_mse.is_some() {
             let [dash, empty] = ["–".to_owned(), String::new()];
-            let from_mean = text(s.psnr_of_mean_mse, 2);
+            let from_mean = number_or_dash(s.psnr_of_mean_mse, 2);
             rows.push([format!("PSNR, dB: of the mean squared error{of}"), from_mean, dash.clone(), dash, empty]);
         }
     }

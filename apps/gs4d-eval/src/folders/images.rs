@@ -1,4 +1,4 @@
-//! Folders of images in the order of the digits in their names, and single images as the metrics want them.
+//! Image folders sorted by the numbers in file names, and images in the form the metrics take.
 
 use super::FolderError;
 use gs_core::Image;
@@ -6,31 +6,31 @@ use gs_core::io::{Limits, images, npy, read_file};
 use std::path::{Path, PathBuf};
 
 const EXTENSIONS: [&str; 5] = ["png", "jpg", "jpeg", "exr", "npy"];
-/// Names in a message at most; the others are counted.
-const NAMED: usize = 10;
+/// Most names in a message; the others are counted.
+const MAX_LISTED: usize = 10;
 
-/// One image of a folder.
+/// An image file of a folder.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Picture {
+pub(crate) struct ImageFile {
     /// File name without extension.
-    pub name: String,
-    /// The file.
-    pub path: PathBuf,
+    pub(crate) name: String,
+    /// Path of the file.
+    pub(crate) path: PathBuf,
 }
 
-/// The images of a folder, sorted by the numbers in their names, then by name.
+/// The image files of a folder, sorted by the numbers in their names, then by name.
 #[derive(Clone, Debug)]
-pub struct Pictures {
+pub(crate) struct ImageFolder {
     folder: PathBuf,
-    files: Vec<Picture>,
+    files: Vec<ImageFile>,
 }
 
-impl Pictures {
-    /// Lists a folder; files that are not images by their extension are passed over.
+impl ImageFolder {
+    /// Lists a folder; files that are not images by their extension are ignored.
     ///
     /// # Errors
     /// If the folder cannot be read, holds no image, or two images have the same name.
-    pub fn of(folder: &Path) -> Result<Self, FolderError> {
+    pub(crate) fn of(folder: &Path) -> Result<Self, FolderError> {
         let refused = |source| FolderError::List { folder: folder.to_owned(), source };
         let mut files = Vec::new();
         for entry in std::fs::read_dir(folder).map_err(refused)? {
@@ -38,12 +38,12 @@ impl Pictures {
             let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
             if path.is_file() && extension.is_some_and(|e| EXTENSIONS.contains(&e.as_str())) {
                 let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-                files.push(Picture { name, path });
+                files.push(ImageFile { name, path });
             }
         }
         files.sort_by(|a, b| (numbers(&a.name), &a.name, &a.path).cmp(&(numbers(&b.name), &b.name, &b.path)));
         if let Some(twins) = files.windows(2).find(|w| w[0].name == w[1].name) {
-            return Err(FolderError::Twins { first: twins[0].path.clone(), second: twins[1].path.clone() });
+            return Err(FolderError::SameName { first: twins[0].path.clone(), second: twins[1].path.clone() });
         }
         if files.is_empty() {
             return Err(FolderError::Empty { folder: folder.to_owned(), extensions: EXTENSIONS.join(", ") });
@@ -52,17 +52,17 @@ impl Pictures {
     }
 
     /// The images in order.
-    pub fn files(&self) -> &[Picture] {
+    pub(crate) fn files(&self) -> &[ImageFile] {
         &self.files
     }
 
-    /// For every image here its partner there: the one of the same name, or, where all names of both folders hold digits and
-    /// there are as many, the one at the same place in the order.
+    /// For every image its counterpart in `there`: the one of the same name or, where all names of both folders contain digits
+    /// and their numbers are equal, the one at the same position.
     ///
     /// # Errors
-    /// If an image has no partner, or (unless `more` may lie there) a partner has no image.
-    pub fn partners<'a>(&self, there: &'a Self, more: bool) -> Result<Vec<&'a Picture>, FolderError> {
-        let found: Vec<Option<&Picture>> =
+    /// If an image has no counterpart, or (unless `more` is set) `there` holds other images as well.
+    pub(crate) fn partners<'a>(&self, there: &'a Self, more: bool) -> Result<Vec<&'a ImageFile>, FolderError> {
+        let found: Vec<Option<&ImageFile>> =
             self.files.iter().map(|p| there.files.iter().find(|q| q.name == p.name)).collect();
         let alone = self.without(there);
         if alone.is_empty() && (more || self.files.len() == there.files.len()) {
@@ -74,31 +74,31 @@ impl Pictures {
         }
         let (names, folder) =
             if alone.is_empty() { (there.without(self), &self.folder) } else { (alone, &there.folder) };
-        let rest = names.len().saturating_sub(NAMED);
+        let rest = names.len().saturating_sub(MAX_LISTED);
         let rest = if rest > 0 { format!(" and {rest} more") } else { String::new() };
-        let named = names[..names.len().min(NAMED)].join(", ") + &rest;
+        let named = names[..names.len().min(MAX_LISTED)].join(", ") + &rest;
         let counts = [self.files.len(), there.files.len()];
         Err(FolderError::Unpaired { count: names.len(), named, folder: folder.clone(), counts })
     }
 
-    /// Names here that are not there.
+    /// Names that `there` does not have.
     fn without(&self, there: &Self) -> Vec<&str> {
-        let lacks = |p: &&Picture| !there.files.iter().any(|q| q.name == p.name);
+        let lacks = |p: &&ImageFile| !there.files.iter().any(|q| q.name == p.name);
         self.files.iter().filter(lacks).map(|p| p.name.as_str()).collect()
     }
 }
 
-/// The numbers in a name, without leading zeros: by length and then by digits they sort as numbers of any size.
+/// The numbers in a name as length and digits without leading zeros: this order is numeric for numbers of any size.
 fn numbers(name: &str) -> Vec<(usize, String)> {
     let parts = name.split(|c: char| !c.is_ascii_digit()).filter(|p| !p.is_empty());
     parts.map(|p| p.trim_start_matches('0')).map(|p| (p.len(), p.to_owned())).collect()
 }
 
-/// An image over a background, three channels. PNG and JPEG have straight alpha, EXR and NPY premultiplied.
+/// Loads an image composited over a background, `[H, W, 3]`. PNG and JPEG have straight alpha, EXR and NPY premultiplied.
 ///
 /// # Errors
 /// If the file cannot be read or is no image of 1, 3 or 4 channels.
-pub fn over(path: &Path, background: [f32; 3]) -> Result<Image, FolderError> {
+pub(crate) fn load_over(path: &Path, background: [f32; 3]) -> Result<Image, FolderError> {
     let (image, premultiplied) = load(path)?;
     let mut data = Vec::with_capacity(image.width * image.height * 3);
     for p in image.data.chunks_exact(image.channels) {
@@ -112,11 +112,11 @@ pub fn over(path: &Path, background: [f32; 3]) -> Result<Image, FolderError> {
     Ok(Image { width: image.width, height: image.height, channels: 3, data })
 }
 
-/// A mask: the first channel, one for pixels that count.
+/// Loads the first channel of an image as a mask, `[H, W, 1]`; 1 for pixels that count.
 ///
 /// # Errors
-/// Those of [`over`].
-pub fn mask(path: &Path) -> Result<Image, FolderError> {
+/// Those of [`load_over`].
+pub(crate) fn load_mask(path: &Path) -> Result<Image, FolderError> {
     let (image, _) = load(path)?;
     let data = image.data.chunks_exact(image.channels).map(|p| p[0]).collect();
     Ok(Image { width: image.width, height: image.height, channels: 1, data })
@@ -150,14 +150,14 @@ fn load_npy(path: &Path) -> Result<Image, FolderError> {
 mod tests {
     use super::*;
 
-    fn folder(names: &[&str]) -> Pictures {
-        let mut files: Vec<Picture> =
-            names.iter().map(|n| Picture { name: (*n).to_owned(), path: PathBuf::from(n) }).collect();
+    fn folder(names: &[&str]) -> ImageFolder {
+        let mut files: Vec<ImageFile> =
+            names.iter().map(|n| ImageFile { name: (*n).to_owned(), path: PathBuf::from(n) }).collect();
         files.sort_by(|a, b| (numbers(&a.name), &a.name).cmp(&(numbers(&b.name), &b.name)));
-        Pictures { folder: PathBuf::from(names[0]), files }
+        ImageFolder { folder: PathBuf::from(names[0]), files }
     }
 
-    fn names(found: Vec<&Picture>) -> Vec<&str> {
+    fn names(found: Vec<&ImageFile>) -> Vec<&str> {
         found.into_iter().map(|p| p.name.as_str()).collect()
     }
 

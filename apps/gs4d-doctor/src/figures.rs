@@ -1,30 +1,30 @@
-//! Pictures of a check-up: what the hull fills, where points fall, how the cameras stand, which corners agree.
+//! Figures of a check-up: the hull over silhouettes, points over images, a plan of the cameras, matched corners.
 
-use super::Picture;
+use super::Figure;
 use super::silhouettes::Silhouettes;
 use glam::{DVec2, DVec3, Vec3};
 use gs_core::Image;
 use gs_data::{Dataset, ImageCache, View};
 
-/// Sides of the plan, pixels.
-const PLAN: usize = 420;
-/// Views shown in each kind of picture.
-const SHOWN: usize = 3;
-/// Most points drawn over a photograph.
-const DOTS: usize = 4000;
+/// Side of a plan, pixels.
+const PLAN_SIZE: usize = 420;
+/// Views shown per kind of figure.
+const MAX_FIGURES: usize = 3;
+/// Most points plotted in a figure.
+const MAX_POINTS: usize = 4000;
 
 const GREEN: [f32; 3] = [0.2, 0.8, 0.35];
 const RED: [f32; 3] = [0.95, 0.25, 0.2];
 const BLUE: [f32; 3] = [0.25, 0.5, 1.0];
 const GREY: [f32; 3] = [0.6, 0.6, 0.65];
 
-/// Every picture but that of corners.
-pub(super) fn all(data: &Dataset, eyes: &ImageCache, silhouettes: Option<&Silhouettes>) -> Vec<Picture> {
-    let mut out: Vec<Picture> = silhouettes.into_iter().flat_map(hulls).collect();
-    let count = data.train.len().min(SHOWN);
+/// Every figure except that of matched corners.
+pub(super) fn all(data: &Dataset, small_images: &ImageCache, silhouettes: Option<&Silhouettes>) -> Vec<Figure> {
+    let mut out: Vec<Figure> = silhouettes.into_iter().flat_map(hulls).collect();
+    let count = data.train.len().min(MAX_FIGURES);
     let chosen = (0..count).map(|k| &data.train[(2 * k + 1) * data.train.len() / (2 * count)]);
     if let Some(points) = &data.points {
-        out.extend(chosen.filter_map(|v| dotted(v, &points.positions, eyes)));
+        out.extend(chosen.filter_map(|v| dotted(v, &points.positions, small_images)));
     }
     let cells = silhouettes.map_or(Vec::new(), |s| s.carved.cells().iter().map(|c| c.0).collect());
     let points = data.points.as_ref().map_or(cells, |p| p.positions.clone());
@@ -33,7 +33,7 @@ pub(super) fn all(data: &Dataset, eyes: &ImageCache, silhouettes: Option<&Silhou
 }
 
 /// Silhouettes with what the hull covers: green inside both, red what is not covered, blue what lies outside.
-fn hulls(s: &Silhouettes) -> Vec<Picture> {
+fn hulls(s: &Silhouettes) -> Vec<Figure> {
     let n = s.carved.names.len();
     let show = |k: usize| {
         let (image, covered) = s.carved.shown(k);
@@ -53,18 +53,18 @@ fn hulls(s: &Silhouettes) -> Vec<Picture> {
             "{}: green is carved and seen, red is seen and not carved, blue is carved and not seen (where things move: seen at another time)",
             s.carved.names[k]
         );
-        Picture { topic: "poses", caption, image: out }
+        Figure { topic: "poses", caption, image: out }
     };
-    let count = n.min(SHOWN);
+    let count = n.min(MAX_FIGURES);
     (0..count).map(|k| show((2 * k + 1) * n / (2 * count))).collect()
 }
 
-/// A photograph with the points that fall into it, near ones bright.
-fn dotted(v: &View, points: &[Vec3], eyes: &ImageCache) -> Option<Picture> {
-    let mut image = eyes.get(v).ok()?.over([0.12; 3]);
+/// An image with the points that project into it, near ones red, far ones blue.
+fn dotted(v: &View, points: &[Vec3], small_images: &ImageCache) -> Option<Figure> {
+    let mut image = small_images.get(v).ok()?.over([0.12; 3]);
     image.data.iter_mut().for_each(|c| *c *= 0.6);
-    let camera = eyes.camera(v);
-    let step = points.len().div_ceil(DOTS).max(1);
+    let camera = small_images.camera(v);
+    let step = points.len().div_ceil(MAX_POINTS).max(1);
     let mut inside = 0usize;
     let seen: Vec<(DVec2, f64)> = points
         .iter()
@@ -85,13 +85,13 @@ fn dotted(v: &View, points: &[Vec3], eyes: &ImageCache) -> Option<Picture> {
         v.name,
         points.len().div_ceil(step)
     );
-    Some(Picture { topic: "init", caption, image })
+    Some(Figure { topic: "init", caption, image })
 }
 
 /// Cameras, box and points (or cells of the hull) from above and from the side.
-fn plans(data: &Dataset, points: &[Vec3]) -> Vec<Picture> {
+fn plans(data: &Dataset, points: &[Vec3]) -> Vec<Figure> {
     [("from +z (x to the right, y up)", [0, 1]), ("from −y (x to the right, z up)", [0, 2])]
-        .map(|(name, axes)| Picture {
+        .map(|(name, axes)| Figure {
             topic: "bound",
             caption: format!("cameras (blue, with their lines of sight), box (grey) and points (green) {name}"),
             image: plan(data, points, axes),
@@ -107,18 +107,19 @@ fn plan(data: &Dataset, points: &[Vec3], [i, j]: [usize; 2]) -> Image {
     corners.for_each(|c| (from, to) = (from.min(c), to.max(c)));
     let size = (to - from).max_element().max(1e-9) * 1.1;
     let middle = 0.5 * (from + to);
-    let scale = PLAN as f64 / size;
+    let scale = PLAN_SIZE as f64 / size;
     let put = |p: DVec3| {
-        DVec2::new((p[i] - middle[i]) * scale, -(p[j] - middle[j]) * scale) + DVec2::splat(0.5 * PLAN as f64)
+        DVec2::new((p[i] - middle[i]) * scale, -(p[j] - middle[j]) * scale) + DVec2::splat(0.5 * PLAN_SIZE as f64)
     };
-    let mut image = Image { width: PLAN, height: PLAN, channels: 3, data: vec![0.07; PLAN * PLAN * 3] };
+    let mut image =
+        Image { width: PLAN_SIZE, height: PLAN_SIZE, channels: 3, data: vec![0.07; PLAN_SIZE * PLAN_SIZE * 3] };
     let box_corners = [(low[i], low[j]), (high[i], low[j]), (high[i], high[j]), (low[i], high[j])].map(|(a, b)| {
         let mut p = DVec3::ZERO;
         (p[i], p[j]) = (a, b);
         put(p)
     });
     (0..4).for_each(|k| line(&mut image, box_corners[k], box_corners[(k + 1) % 4], GREY));
-    points.iter().step_by(points.len().div_ceil(DOTS).max(1)).for_each(|p| {
+    points.iter().step_by(points.len().div_ceil(MAX_POINTS).max(1)).for_each(|p| {
         dot(&mut image, put(p.as_dvec3()), GREEN);
     });
     for (v, c) in data.train.iter().zip(&centres).step_by(data.train.len().div_ceil(200)) {
@@ -128,7 +129,7 @@ fn plan(data: &Dataset, points: &[Vec3], [i, j]: [usize; 2]) -> Image {
     image
 }
 
-/// Two photographs with lines between pixels: green where they agree, red where not.
+/// Two images with lines between pixels: green where they agree, red where not.
 pub(super) fn side_by_side(a: &Image, b: &Image, marks: &[([DVec2; 2], bool)]) -> Image {
     let (width, height) = (a.width + b.width, a.height.max(b.height));
     let mut out = Image { width, height, channels: 3, data: vec![0.0; width * height * 3] };
