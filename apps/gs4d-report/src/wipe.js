@@ -1,5 +1,5 @@
 'use strict';
-// Gives every view a picture that wipes between two of its pictures, by pointer or keyboard.
+// Gives every view a slider between two of its images, by pointer or keyboard.
 document.documentElement.classList.add('js');
 const make = (name, parent, text) => {
   const node = document.createElement(name);

@@ -134,7 +134,7 @@ pub struct ViewRenders {
     /// Ground truth, `[H, W, 3]`.
     pub truth: Image,
     /// The render of each run.
-    pub drawn: Vec<Image>,
+    pub renders: Vec<Image>,
 }
 
 /// Scores the runs on the same views, and renders those they disagree about most.
@@ -159,7 +159,7 @@ pub fn compare(sides: &[Side], options: &Options) -> Result<(Compared, Vec<ViewR
     let mut pictures = Vec::new();
     for &k in order.iter().take(options.shown) {
         let truth = images.get(&views[k]).map_err(EvalError::from)?.over(background);
-        pictures.push(ViewRenders { caption: caption(&rows[k], &runs), truth, drawn: render(&views[k])? });
+        pictures.push(ViewRenders { caption: caption(&rows[k], &runs), truth, renders: render(&views[k])? });
     }
     let compared = Compared {
         conditions: conditions(dataset, &images, &runs[0].scores),
@@ -182,13 +182,13 @@ fn disagreements(
     let mut rows = Vec::with_capacity(views.len());
     let mut to_first = vec![0.0; runs.len()];
     for (k, view) in views.iter().enumerate() {
-        let drawn = render(view)?;
+        let renders = render(view)?;
         let between =
             |a: &Image, b: &Image| mse(a, b).map_err(|source| EvalError::Metric { view: view.name.clone(), source });
         let mut largest = 0.0f64;
-        for (i, a) in drawn.iter().enumerate() {
-            to_first[i] += between(a, &drawn[0])?;
-            for b in &drawn[..i] {
+        for (i, a) in renders.iter().enumerate() {
+            to_first[i] += between(a, &renders[0])?;
+            for b in &renders[..i] {
                 largest = largest.max(between(a, b)?);
             }
         }

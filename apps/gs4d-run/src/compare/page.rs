@@ -99,11 +99,11 @@ fn disagreements(
     let shown: Vec<ViewFigure> = pictures
         .iter()
         .map(|p| {
-            let truth = if against_first { p.drawn.first().unwrap_or(&p.truth) } else { &p.truth };
-            let errors = p.drawn.iter().zip(names).skip(usize::from(against_first));
+            let truth = if against_first { p.renders.first().unwrap_or(&p.truth) } else { &p.truth };
+            let errors = p.renders.iter().zip(names).skip(usize::from(against_first));
             ViewFigure {
                 caption: &p.caption,
-                images: std::iter::once(("truth", &p.truth)).chain(names.iter().copied().zip(&p.drawn)).collect(),
+                images: std::iter::once(("truth", &p.truth)).chain(names.iter().copied().zip(&p.renders)).collect(),
                 errors: errors.filter_map(|(d, n)| Some((format!("error of {n}"), error(truth, d)?))).collect(),
             }
         })
