@@ -1,7 +1,7 @@
 //! Global-to-local motion decomposition (GLMD): the motion added by each stage of a model, seen by a fixed camera.
 //!
 //! A two-stage model first moves nearly rigid parts from interval to interval and then deforms the rest. Its stages
-//! ([`gs_train::method::Method::stages`]: `global`, `local`, `full`; a cloud with a field: `canonical`, `full`) are rendered, and
+//! ([`Model::stages`]: `global`, `local`, `full`; a cloud with a field: `canonical`, `full`) are rendered, and
 //! between consecutive stages there are two flows: the exact flow of the model ([`model_motion`]) and Farneback's estimate from
 //! the 8-bit renders. If the first stage captures the global motion, its flow lies inside the object mask and has one direction,
 //! while that of the second stage is shorter, spread out and without a common direction:

@@ -7,6 +7,7 @@ use crate::global::Global;
 use crate::output::check_free;
 use crate::parse;
 use gs_core::io::write_file;
+use gs4d_lab::aligned;
 use gs4d_run::RunError;
 use gs4d_run::compare::page::page;
 use gs4d_run::compare::{CompareError, Compared, Options, Row, Side, columns, compare};
@@ -95,16 +96,12 @@ impl From<CompareError> for Failure {
 /// One line per run, then the paired differences.
 fn table(c: &Compared) -> String {
     let columns = columns(&c.runs);
-    let label = |r: &Row| format!("{} ({})", r.name, r.method);
-    let width = c.runs.iter().map(|r| label(r).chars().count()).max().unwrap_or(0).max(5);
-    let wide = |name: &str, values: &[String]| values.iter().map(String::len).max().unwrap_or(0).max(name.len());
-    let mut text = format!("{:width$}", "run");
-    columns.iter().for_each(|(name, values)| text.push_str(&format!("  {name:>w$}", w = wide(name, values))));
-    for (k, run) in c.runs.iter().enumerate() {
-        text.push_str(&format!("\n{:width$}", label(run)));
-        columns.iter().for_each(|(n, v)| text.push_str(&format!("  {:>w$}", v[k], w = wide(n, v))));
-    }
-    text.push('\n');
+    let head: Vec<&str> = std::iter::once("run").chain(columns.iter().map(|(name, _)| *name)).collect();
+    let row = |(k, r): (usize, &Row)| {
+        let label = format!("{} ({})", r.name, r.method);
+        std::iter::once(label).chain(columns.iter().map(|(_, values)| values[k].clone())).collect()
+    };
+    let mut text = aligned(&head, &c.runs.iter().enumerate().map(row).collect::<Vec<_>>(), |column| column == 0);
     for d in &c.differences {
         let (Some(over), Some([low, high])) = (d.over_views, d.range) else { continue };
         text.push_str(&format!(
