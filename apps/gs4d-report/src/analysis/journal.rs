@@ -176,7 +176,7 @@ impl Journal {
     }
 
     /// Inner boundaries over the steps of the run, as step functions.
-    pub(crate) fn curves(&self) -> Vec<Curve> {
+    pub fn curves(&self) -> Vec<Curve> {
         let Some(first) = self.passes.first() else { return Vec::new() };
         let stairs = |boundary: usize| {
             let mut at = f64::from(*first.before().get(boundary)?);

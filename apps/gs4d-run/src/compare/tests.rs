@@ -55,7 +55,7 @@ fn runs_of_one_scene_are_compared_view_by_view() {
     // Two views, the more unlike first; the largest disagreement is the one named.
     let most = compared.views.iter().map(|v| v.disagreement).fold(0.0, f64::max);
     assert!(pictures.len() == 2 && pictures[0].caption.contains(&format!("{most:.4}")), "{}", pictures[0].caption);
-    assert!(pictures.iter().all(|p| p.drawn.len() == 3 && p.truth.shape() == (32, 32, 3)));
+    assert!(pictures.iter().all(|p| p.renders.len() == 3 && p.truth.shape() == (32, 32, 3)));
     assert!(compared.settings.iter().any(|u| u.key == "run.method" && u.values[2].as_deref() == Some("\"static3d\"")));
     assert!(compared.settings.iter().all(|u| u.key != "run.seed"));
 
