@@ -1,5 +1,5 @@
 //! What only some methods offer. Each is a small trait of its own, reached through
-//! [`Method::capabilities`](crate::method::Method::capabilities).
+//! [`Method::capabilities`].
 
 use crate::method::{Method, MethodError};
 use crate::palette::color_scale;

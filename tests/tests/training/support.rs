@@ -1,12 +1,10 @@
 //! Small runs on generated scenes, shared by the training tests.
 
-use gs_core::{Camera, Splats, SplatsGrad};
 use gs_data::{Dataset, ImageCache, Split};
-use gs_raster::{FrameGrad, RasterOptions, ScreenStats, Workspace, render, render_backward};
 use gs_synth::avatar::{self, AvatarOptions};
 use gs_synth::{self as synth, SynthOptions};
 use gs_train::evaluate::evaluate;
-use gs_train::method::{MethodEntry, MethodError, RenderView};
+use gs_train::method::MethodEntry;
 use gs_train::trainer::{StepReport, TrainOptions, Trainer};
 use std::sync::Arc;
 
@@ -136,29 +134,4 @@ pub fn film_config(over: &[&str]) -> toml::Table {
     let mut config = gs_methods::registry().find("dut").and_then(|m| m.config("tiny")).expect("preset");
     over.iter().for_each(|o| gs_train::method::overlay(&mut config, o.parse().expect("TOML")));
     config
-}
-
-/// Renders a view and pulls given cotangents of its colours back.
-pub struct GivenCotangent<'a> {
-    camera: &'a Camera,
-    options: &'a RasterOptions,
-    d_rgb: &'a [f32],
-    stats: ScreenStats,
-}
-
-impl<'a> GivenCotangent<'a> {
-    /// `d_rgb` is `[H, W, 3]`.
-    pub fn new(camera: &'a Camera, options: &'a RasterOptions, d_rgb: &'a [f32]) -> Self {
-        Self { camera, options, d_rgb, stats: ScreenStats::default() }
-    }
-}
-
-impl RenderView for GivenCotangent<'_> {
-    fn render(&mut self, splats: &Splats, grad: &mut SplatsGrad) -> Result<&ScreenStats, MethodError> {
-        let mut workspace = Workspace::new();
-        render(splats, self.camera, self.options, &mut workspace);
-        let upstream = FrameGrad { rgb: self.d_rgb.to_vec(), ..FrameGrad::default() };
-        (*grad, self.stats) = render_backward(splats, self.camera, self.options, &mut workspace, &upstream);
-        Ok(&self.stats)
-    }
 }
