@@ -3,7 +3,7 @@
 use gs_train::registry::Registry;
 use std::sync::LazyLock;
 
-/// Every method: static and deformed clouds, anchors, rigid particles, textured people.
+/// Every method: static scenes, deformed clouds, anchors, rigid particles, textured people, in this order.
 ///
 /// ```
 /// assert!(gs_methods::registry().find("fourdgs").is_ok());
@@ -11,9 +11,11 @@ use std::sync::LazyLock;
 /// ```
 pub fn registry() -> &'static Registry {
     static ALL: LazyLock<Registry> = LazyLock::new(|| {
-        let crates =
-            [gs_method_field::METHODS, gs_method_anchor::METHODS, gs_method_physics::METHODS, gs_method_texel::METHODS];
-        Registry::new(crates.concat())
+        // Static scenes first; an entry keeps the place of its first mention.
+        let at_rest: &[_] = &[gs_method_field::static3d::ENTRY, gs_method_anchor::scaffold::ENTRY];
+        let (fields, anchors) = (gs_method_field::METHODS, gs_method_anchor::METHODS);
+        let (particles, people) = (gs_method_physics::METHODS, gs_method_texel::METHODS);
+        Registry::new([at_rest, fields, anchors, particles, people].concat())
     });
     &ALL
 }
