@@ -19,6 +19,7 @@ use gs_data::{Dataset, PointCloud};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
+#[cfg(feature = "cloud")]
 /// Squared neighbour distances below this count as this.
 const MIN_SQUARED_DISTANCE: f32 = 1e-7;
 
