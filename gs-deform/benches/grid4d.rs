@@ -220,7 +220,7 @@ fn many_times(s: &Splats) -> Result<(), DeformError> {
         field.forward(s, at_time(0.6), &mut Default::default(), &mut want);
         let same = largest(out.means.iter().zip(&want.means).map(|(a, b)| (f64::from(a.x), f64::from(b.x))));
         let error = Some((same, "against the field's own forward"));
-        ROWS.measured("fags drawing", variant, SPLATS as f64, error, || frozen.forward(at_time(0.6), &mut out));
+        ROWS.measured("fags frozen", variant, SPLATS as f64, error, || frozen.forward(at_time(0.6), &mut out));
     }
     let field = field(&on)?;
     let (rotation, translation) = (DMat3::IDENTITY, DVec3::new(0.0, 0.0, 4.0));
@@ -244,7 +244,7 @@ fn many_times(s: &Splats) -> Result<(), DeformError> {
             }
         }
         let variant = format!("still below {pixels} px");
-        ROWS.measured("fags drawing", &variant, SPLATS as f64, Some((worst, "px on screen, between probes")), || {
+        ROWS.measured("fags frozen", &variant, SPLATS as f64, Some((worst, "px on screen, between probes")), || {
             frozen.forward(at_time(0.6), &mut out)
         });
         println!("    {} of {} static, bound {:.3} px", report.still, report.splats, report.bound_pixels);

@@ -22,14 +22,14 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let config = gs_methods::registry().find(&method)?.config(&preset)?;
     let mut trainer = Trainer::new(gs_methods::registry(), dataset.clone(), &method, &config, TrainOptions::default())?;
     let background = trainer.model().background();
-    let photographs = ImageCache::new(64 << 20, 1.0);
+    let images = ImageCache::new(64 << 20, 1.0);
 
     println!("{method} ({preset}) on the generated scene `{scene}`, {} steps", trainer.steps());
     let every = (trainer.steps() / 10).max(1);
     while trainer.steps_done() < trainer.steps() {
         let report = trainer.step()?;
         if report.step % every == 0 {
-            let test = evaluate(trainer.model(), &dataset, Split::Test, background, &photographs)?;
+            let test = evaluate(trainer.model(), &dataset, Split::Test, background, &images)?;
             println!(
                 "step {:6}  {:8}  loss {:.4}  test {:.2} dB, SSIM {:.4}  {} splats  {:.1} ms",
                 report.step,

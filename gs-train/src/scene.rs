@@ -143,7 +143,7 @@ fn first_points(dataset: &Dataset, init: &InitConfig, seed: u64) -> Result<Point
             let first = init.first_moment.then(|| dataset.at_first_time());
             match first.as_ref().map(|d| d.train.len()) {
                 Some(views @ ..FIRST_VIEWS) => Err(MethodError::Scene(format!(
-                    "init.first_moment needs {FIRST_VIEWS} photographs of the first moment; there are {views}"
+                    "init.first_moment needs {FIRST_VIEWS} images of the first moment; there are {views}"
                 ))),
                 _ => Ok(first.as_ref().unwrap_or(dataset).initial_points(n, seed)?),
             }

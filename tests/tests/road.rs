@@ -52,11 +52,11 @@ fn picture(method: &Model, view: &View) -> Frame {
 
 fn held_out_psnr(method: &Model, data: &Dataset) -> f64 {
     let background = method.background();
-    let photographs = ImageCache::new(64 << 20, 1.0);
+    let images = ImageCache::new(64 << 20, 1.0);
     let scores = data.test.iter().map(|view| {
         let frame = picture(method, view);
         let drawn = Image::from_data(frame.width, frame.height, 3, frame.rgb).expect("a frame is an image");
-        gs_metrics::psnr(&drawn, &photographs.get(view).expect("a photograph").over(background)).expect("a score")
+        gs_metrics::psnr(&drawn, &images.get(view).expect("an image").over(background)).expect("a score")
     });
     scores.sum::<f64>() / data.test.len() as f64
 }

@@ -369,7 +369,7 @@ mod tests {
         assert!(moved.clone().all(|e| e > 1.0 && e < 3.1), "{:?}", moved.collect::<Vec<_>>());
     }
 
-    /// Cameras in an arc whose photographs show the same random points, as they are and as a mistaken file has them.
+    /// Cameras in an arc whose images show the same random points, as they are and as a mistaken file has them.
     fn seen(mistake: impl Fn(usize, &Camera) -> Camera) -> (Vec<View>, Vec<Camera>, Vec<Match>) {
         let eye = |k: usize| DVec3::new((0.35 * k as f64).sin() * 2.0, -2.0 * (0.35 * k as f64).cos(), 0.3 * k as f64);
         let look = |k: usize| Camera::look_at(240, 200, 1.3, eye(k), DVec3::new(0.0, 0.3, 0.4), DVec3::Z).unwrap();
@@ -391,7 +391,7 @@ mod tests {
     }
 
     #[track_caller]
-    fn told(mistake: impl Fn(usize, &Camera) -> Camera) -> Finding {
+    fn finding(mistake: impl Fn(usize, &Camera) -> Camera) -> Finding {
         let (views, cameras, pairs) = seen(mistake);
         let matches = Matches { views: views.iter().collect(), tolerance: tolerance(&cameras), cameras, pairs };
         matches.findings(1.0).0.remove(0)
@@ -399,14 +399,15 @@ mod tests {
 
     #[test]
     fn mistakes_are_told_by_their_kind() {
-        assert_eq!(told(|_, c| c.clone()).verdict, Verdict::Ok);
-        let focal = told(|_, c| Camera { fx: c.fx / 1.7, fy: c.fy / 1.7, ..c.clone() });
+        assert_eq!(finding(|_, c| c.clone()).verdict, Verdict::Ok);
+        let focal = finding(|_, c| Camera { fx: c.fx / 1.7, fy: c.fy / 1.7, ..c.clone() });
         assert!(focal.code == "poses.focal" && focal.what.contains("1.7 times"), "{focal:?}");
         for s in PoseReading::ALL {
-            assert_eq!(told(|_, c| s.camera(c)).code, "poses.convention", "{s:?}");
+            assert_eq!(finding(|_, c| s.camera(c)).code, "poses.convention", "{s:?}");
         }
         let turned = glam::DMat3::from_rotation_z(0.5);
-        let one = told(|k, c| if k == 0 { Camera { rotation: turned * c.rotation, ..c.clone() } } else { c.clone() });
+        let one =
+            finding(|k, c| if k == 0 { Camera { rotation: turned * c.rotation, ..c.clone() } } else { c.clone() });
         assert!(one.code == "poses.view" && one.places == ["v0"], "{one:?}");
     }
 }

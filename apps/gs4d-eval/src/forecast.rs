@@ -1,6 +1,6 @@
 //! Frames after the last training time, for any method, and their scores where ground truth is known.
 //!
-//! The evaluation of the splats (*motion*) and the rasterisation (*drawing*) are timed separately: with a cached
+//! The evaluation of the splats (*motion*) and the rasterisation (*render*) are timed separately: with a cached
 //! extrapolation, a later frame should take no longer than an earlier one.
 //!
 //! Ground truth is [`Dataset::extrapolate`]: its views up to the last time are scored, and a rendered frame with the camera and
@@ -131,7 +131,7 @@ pub struct Frame {
     /// Milliseconds to evaluate the splats at the time.
     pub motion_ms: f64,
     /// Milliseconds to rasterise them.
-    pub drawing_ms: f64,
+    pub render_ms: f64,
 }
 
 /// Renders one frame.
@@ -145,7 +145,7 @@ pub fn draw(method: &Model, renderer: &mut Renderer, camera: &Camera, time: Time
     let start = Instant::now();
     let image = clamped(renderer.render(&splats, camera));
     let ms = |d: std::time::Duration| 1e3 * d.as_secs_f64();
-    Ok(Frame { image, motion_ms: ms(motion), drawing_ms: ms(start.elapsed()) })
+    Ok(Frame { image, motion_ms: ms(motion), render_ms: ms(start.elapsed()) })
 }
 
 /// Scores at one time: means over its views.

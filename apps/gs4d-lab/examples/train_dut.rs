@@ -129,11 +129,11 @@ fn print_scores(trainer: &Trainer, dataset: &Dataset, split: Split) -> Result<()
 /// Test views beside what is drawn, one in five.
 fn pictures(method: &Model, dataset: &Dataset, folder: &Path) -> Result<(), Box<dyn Error>> {
     std::fs::create_dir_all(folder)?;
-    let (photographs, options) = (ImageCache::new(256 << 20, 1.0), method.raster_options([0.0; 3]));
+    let (images, options) = (ImageCache::new(256 << 20, 1.0), method.raster_options([0.0; 3]));
     for view in dataset.test.iter().step_by(5) {
         let splats = method.splats(&Timestamp::new(view.time), &view.camera)?;
         let drawn = clamped(&render(&splats, &view.camera, &options, &mut Workspace::new()));
-        let truth = photographs.get(view)?.over([0.0; 3]);
+        let truth = images.get(view)?.over([0.0; 3]);
         let mut panel = Image::zeros(3 * truth.width, truth.height, 3);
         for (y, x) in (0..truth.height).flat_map(|y| (0..truth.width).map(move |x| (y, x))) {
             let (a, b) = (truth.pixel(x, y), drawn.pixel(x, y));

@@ -359,14 +359,9 @@ mod tests {
         assert_eq!((trials, first == again), (4, true));
         assert!(first[0].spread(|s| s.mean.psnr).unwrap().deviation > 0.0, "seeds differ");
 
-        let other = Contest { registry: gs_methods::registry().clone(), length: Length::Steps(21), ..contest.clone() };
+        let other = Contest { length: Length::Steps(21), ..contest.clone() };
         assert!(matches!(other.run(&stop, &mut |_| {}), Err(ContestError::Other(_))));
-        let timed = Contest {
-            registry: gs_methods::registry().clone(),
-            length: Length::Seconds(2.0),
-            root: folder.path().join("timed"),
-            ..contest
-        };
+        let timed = Contest { length: Length::Seconds(2.0), root: folder.path().join("timed"), ..contest };
         let timed = timed.run(&stop, &mut |_| {}).unwrap();
         assert!(timed[0].steps > 20, "{} steps in two seconds", timed[0].steps);
     }

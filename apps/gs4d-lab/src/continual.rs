@@ -263,7 +263,7 @@ fn sequence(resolved: &Resolved, rounds: &Rounds) -> Result<(Resolved, Dataset, 
 
 /// Scores of a trained round; at most `max_views` views of each split, 0 for all.
 fn scored(training: &Training, round: Round, max_views: usize) -> Result<RoundScores, RunError> {
-    let (trainer, images) = (training.trainer(), training.photographs());
+    let (trainer, images) = (training.trainer(), training.images());
     let method = trainer.model();
     let background = method.background();
     let score = |split: Split| -> Result<Option<MeanScores>, RunError> {
@@ -346,8 +346,8 @@ mod tests {
         data(&from);
         let stop = AtomicBool::new(false);
         let mut steps = Vec::new();
-        let rounds = run(&plan(&from), &root, false, &stop, &mut |told| {
-            if let Event::Step(p) = told {
+        let rounds = run(&plan(&from), &root, false, &stop, &mut |event| {
+            if let Event::Step(p) = event {
                 steps.push(p.step);
             }
         });

@@ -245,11 +245,7 @@ mod tests {
         assert!(text.lines().count() == 5 && text.contains("\n\"init.points=150\","), "{text}");
         let html = crate::sweep::page::page("static3d", &rows).unwrap();
         assert!(html.contains("<svg") && html.contains("schedule.lambda_dssim=0.5") && !html.contains("<script"));
-        let wrong = Sweep {
-            registry: gs_methods::registry().clone(),
-            vary: vec![Vary::parse("no.such=1|2").unwrap()],
-            ..sweep
-        };
+        let wrong = Sweep { vary: vec![Vary::parse("no.such=1|2").unwrap()], ..sweep };
         assert!(wrong.run(&AtomicBool::new(false), &mut |_| {}).is_err());
     }
 }

@@ -82,7 +82,7 @@ pub fn chart(title: &str, x_name: &str, scale: Scale, curves: &[Curve]) -> Resul
     svg(&format!("{title}, against {x_name}"), draw).map(Some)
 }
 
-/// The drawing area of a chart.
+/// The plot area of a chart.
 pub(super) type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
 
 /// An `<svg>` element that fills the width of its parent; `name` is its label for screen readers.

@@ -46,7 +46,7 @@ pub(crate) fn page(report: &Report) -> Result<String, ReportError> {
         figures(report),
         scores(report),
         curves(report)?,
-        views("Truth beside drawing", &report.conditions, &report.views)?,
+        views("Ground truth beside render", &report.conditions, &report.views)?,
         views("The future", &report.future_conditions, &report.future)?,
         strip(report)?,
         overlays(&report.overlay_view, &report.overlays)?,

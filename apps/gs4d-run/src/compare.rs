@@ -145,7 +145,7 @@ pub fn compare(sides: &[Side], options: &Options) -> Result<(Compared, Vec<ViewR
     let Some(first) = sides.first() else { return Ok(Default::default()) };
     sides.iter().skip(1).try_for_each(|other| same_data(first, other, options))?;
     let background = options.background.unwrap_or_else(|| first.run.background());
-    let (dataset, images) = (&first.dataset, first.run.photographs());
+    let (dataset, images) = (&first.dataset, first.run.images());
     let views = dataset.views(options.split);
     let mut renderers: Vec<Renderer> = sides.iter().map(|s| renderer(s, background)).collect();
     let mut runs = Vec::new();

@@ -75,7 +75,7 @@ impl OpenRun {
     }
 
     /// The image cache of this run's data, at full size.
-    pub fn photographs(&self) -> ImageCache {
+    pub fn images(&self) -> ImageCache {
         self.resolved.images()
     }
 
@@ -84,7 +84,7 @@ impl OpenRun {
     /// # Errors
     /// If the split is empty or an image cannot be read.
     pub fn score(&self, dataset: &Dataset, split: Split, background: [f32; 3]) -> Result<EvalReport, RunError> {
-        let mut report = evaluate(&self.loaded.model, dataset, split, background, &self.photographs())?;
+        let mut report = evaluate(&self.loaded.model, dataset, split, background, &self.images())?;
         report.train_seconds = Some(self.loaded.train_seconds);
         Ok(report)
     }
@@ -96,7 +96,7 @@ impl OpenRun {
     /// If there are no test views or an image cannot be read.
     pub fn score_for_folder(&self, dataset: &Dataset) -> Result<EvalReport, RunError> {
         let method = &self.loaded.model;
-        let images = self.photographs();
+        let images = self.images();
         let mut report = evaluate_with_future(method, dataset, Split::Test, self.background(), &images)?;
         report.train_seconds = Some(self.loaded.train_seconds);
         Ok(report)

@@ -294,7 +294,7 @@ impl Training {
         let dataset = self.trainer.dataset();
         let split = if dataset.val.is_empty() { Split::Train } else { Split::Val };
         let few = few_views(dataset, split, self.resolved.run.eval_views as usize);
-        let report = evaluate(self.trainer.model(), &few, split, self.background(), &self.photographs())?;
+        let report = evaluate(self.trainer.model(), &few, split, self.background(), &self.images())?;
         let line = json!({
             "step": self.trainer.steps_done(),
             "seconds": self.trainer.train_seconds(),
@@ -315,7 +315,7 @@ impl Training {
     pub fn score(&self) -> Result<EvalReport, RunError> {
         let dataset = self.trainer.dataset();
         let split = if dataset.test.is_empty() { Split::Train } else { Split::Test };
-        let images = self.photographs();
+        let images = self.images();
         let mut report = evaluate_with_future(self.trainer.model(), dataset, split, self.background(), &images)?;
         report.train_seconds = Some(self.trainer.train_seconds());
         self.folder.write(folder::METRICS, &format!("{:#}\n", metrics_json(&report, self.trainer.steps_done())))?;
@@ -328,7 +328,7 @@ impl Training {
     /// # Errors
     /// If an image cannot be read or the file cannot be written.
     pub fn report(&self, scores: &EvalReport) -> Result<Vec<BenchRow>, RunError> {
-        let images = self.photographs();
+        let images = self.images();
         let material = ReportInput {
             folder: &self.folder,
             resolved: &self.resolved,
@@ -350,7 +350,7 @@ impl Training {
     }
 
     /// The image cache of this run's data, at full size.
-    pub fn photographs(&self) -> ImageCache {
+    pub fn images(&self) -> ImageCache {
         self.resolved.images()
     }
 

@@ -40,7 +40,7 @@ impl Show {
     pub fn run(name: String, run: OpenRun, dataset: Option<&Dataset>) -> Self {
         let background = run.background();
         let options = run.loaded.model.raster_options(background);
-        let images = dataset.map(|_| run.photographs());
+        let images = dataset.map(|_| run.images());
         let checkpoints = run.folder().ok().map(|f| Checkpoints::of(run.resolved.registry.clone(), f.checkpoints()));
         let mut show = Self::new(name, Scene::method(run.loaded.model), options, background);
         (show.images, show.checkpoints) = (images, checkpoints);

@@ -220,8 +220,11 @@ fn boxes_are_described_hidden_and_saved() {
     });
     let mut with = question(1, "color");
     with["chosen"] = red_only.clone();
-    let told = ask(&mut socket, &with).0["chosen"].clone();
-    assert_eq!((&told["count"], &told["of"], &told["spread"][0]["name"]), (&json!(1), &json!(2), &json!("opacity")));
+    let chosen = ask(&mut socket, &with).0["chosen"].clone();
+    assert_eq!(
+        (&chosen["count"], &chosen["of"], &chosen["spread"][0]["name"]),
+        (&json!(1), &json!(2), &json!("opacity"))
+    );
     let mut without = question(2, "color");
     without["hidden"] = json!([red_only]);
     let (_, png) = ask(&mut socket, &without);

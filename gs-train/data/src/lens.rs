@@ -233,18 +233,18 @@ mod tests {
             }
             ImageU8 { width: 270, height: 480, data }
         };
-        let photograph = picture(&|at| {
+        let image = picture(&|at| {
             let p = lens.undistort(DVec2::new((at.x - c.cx) / c.fx, (at.y - c.cy) / c.fy)).unwrap();
             paint(c.fx * p.x + c.cx, c.fy * p.y + c.cy)
         });
-        let straight = undistorted(&photograph, &c, &lens);
+        let straight = undistorted(&image, &c, &lens);
         let truth = picture(&|at| paint(at.x, at.y));
         let worst = |a: &ImageU8| {
             let at = |im: &ImageU8, k: usize| im.pixel(10 + k % 250, 10 + k / 250)[0];
             (0..250 * 460).map(|k| at(a, k).abs_diff(at(&truth, k))).max().unwrap()
         };
         assert!(worst(&straight) <= 2, "worst difference {}", worst(&straight));
-        assert!(worst(&photograph) > 10, "the test would see an uncorrected lens");
+        assert!(worst(&image) > 10, "the test would see an uncorrected lens");
         assert_eq!(undistorted(&truth, &c, &Lens::default()), truth, "no distortion changes nothing");
     }
 

@@ -138,11 +138,7 @@ mod tests {
         assert!(all(&v).data.iter().all(|w| *w == 1.0));
         v.lens = Some(Lens { k1: 0.5, ..Lens::default() });
         let w = all(&v);
-        assert_eq!(
-            (w.pixel(50, 40), w.pixel(0, 0)),
-            (&[1.0][..], &[0.0][..]),
-            "the corners lie outside the photograph"
-        );
+        assert_eq!((w.pixel(50, 40), w.pixel(0, 0)), (&[1.0][..], &[0.0][..]), "the corners lie outside the image");
         // The border of the mask lies where the lens shows column 70.
         v.mask = Some(mask(100, 80, 70));
         let w = all(&v);

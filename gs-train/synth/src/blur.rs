@@ -107,7 +107,7 @@ impl Exposure {
     }
 
     /// The image of a view of a generated scene with this exposure. `number` is the index of the view, for its axis.
-    pub fn photograph(&self, data: &SynthData, view: &View, number: u64) -> ImageU8 {
+    pub fn render(&self, data: &SynthData, view: &View, number: u64) -> ImageU8 {
         let time = if data.truth.dynamic() { f64::from(view.time.normalised) } else { 0.0 };
         let images: Vec<ImageU8> = self
             .pictures(&view.camera, time, number)
@@ -126,7 +126,7 @@ impl Exposure {
 pub fn blur_training_views(dir: &Path, data: &mut SynthData, exposure: &Exposure) -> Result<(), DataError> {
     exposure.check()?;
     let blurred: Vec<ImageU8> =
-        data.dataset.train.iter().enumerate().map(|(k, v)| exposure.photograph(data, v, k as u64)).collect();
+        data.dataset.train.iter().enumerate().map(|(k, v)| exposure.render(data, v, k as u64)).collect();
     for (view, image) in data.dataset.train.iter_mut().zip(blurred) {
         let file = dir.join("train").join(format!("{}.png", view.name));
         let (width, height) = (image.width as u32, image.height as u32);
@@ -208,10 +208,10 @@ mod tests {
         let ratio = |k: usize| Sharpness::of(&over(&data.dataset.train[k]), &over(&sharp.dataset.train[k])).unwrap();
         let ratios: Vec<f64> = (0..4).map(|k| ratio(k).laplacian.unwrap()).collect();
         assert!(ratios.iter().all(|r| *r < 1.0) && ratios.iter().any(|r| *r < 0.8), "{ratios:?}");
-        let told = std::fs::read_to_string(dir.path().join("exposure.json")).unwrap();
-        assert!(told.contains("\"frames\": 0.3"), "{told}");
-        let still = exposure.photograph(&sharp, &sharp.dataset.train[1], 1);
-        assert_ne!(still, STILL.photograph(&sharp, &sharp.dataset.train[1], 1));
+        let exposure_json = std::fs::read_to_string(dir.path().join("exposure.json")).unwrap();
+        assert!(exposure_json.contains("\"frames\": 0.3"), "{exposure_json}");
+        let still = exposure.render(&sharp, &sharp.dataset.train[1], 1);
+        assert_ne!(still, STILL.render(&sharp, &sharp.dataset.train[1], 1));
         let wrong = Exposure { samples: 0, ..STILL };
         assert!(
             blur_training_views(dir.path(), &mut data, &wrong).unwrap_err().to_string().contains("exposure_samples")

@@ -264,7 +264,7 @@ fn view(truth: &Truth, at: Viewpoint) -> Result<View, DataError> {
         true => with_lens(at.camera),
         false => (at.camera, Lens::default()),
     };
-    let image = truth.photograph(&camera, &lens, at.time);
+    let image = truth.distorted_image(&camera, &lens, at.time);
     let time = if truth.dynamic() { Time::new(at.time as f32) } else { Ok(Time::default()) };
     let time = time.map_err(|e| DataError::Option {
         name: "time",

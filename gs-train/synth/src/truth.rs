@@ -104,7 +104,7 @@ impl Truth {
     }
 
     /// The image at time `t` of a camera with lens distortion: RGBA, straight alpha; transparent where the lens has no inverse.
-    pub fn photograph(&self, camera: &Camera, lens: &Lens, t: f64) -> ImageU8 {
+    pub fn distorted_image(&self, camera: &Camera, lens: &Lens, t: f64) -> ImageU8 {
         self.tracer(camera, t).with_lens(lens).render(self.options.supersample)
     }
 

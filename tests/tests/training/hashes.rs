@@ -164,7 +164,7 @@ until = 180
 period = 20
 ";
 
-/// DUT on the smallest maps, every stage in turn, mean textures made anew, photographs under changing light.
+/// DUT on the smallest maps, every stage in turn, mean textures made anew, images under changing light.
 const AVATAR: &str = "
 jitter = 0.3
 surface.refresh = 20

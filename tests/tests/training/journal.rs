@@ -1,4 +1,4 @@
-//! A whole run whose boundaries move: told in its journal, summed up, and shown in its report.
+//! A whole run whose boundaries move: recorded in its event log, summed up, and shown in its report.
 
 use gs_synth::{self as synth, SynthOptions};
 use gs4d_report::analysis::Journal;

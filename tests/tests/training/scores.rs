@@ -14,14 +14,14 @@ fn a_report_holds_the_scores_of_the_drawn_frames() {
     let mut trainer = start("fourdgs", &data);
     run(&mut trainer, 40);
     let (method, white) = (trainer.model(), [1.0; 3]);
-    let photographs = ImageCache::new(1 << 20, 1.0);
-    let report = evaluate(method, &data, Split::Test, white, &photographs).expect("scores");
+    let images = ImageCache::new(1 << 20, 1.0);
+    let report = evaluate(method, &data, Split::Test, white, &images).expect("scores");
     let mut errors = Vec::new();
     for (view, scores) in data.test.iter().zip(&report.views) {
         let splats = method.splats(&Timestamp::new(view.time), &view.camera).expect("splats");
         let options = method.raster_options(white);
         let frame = render(&splats, &view.camera, &options, &mut Workspace::new());
-        let truth = photographs.get(view).expect("photograph").over(white);
+        let truth = images.get(view).expect("image").over(white);
         let square = |(a, b): (&f32, &f32)| f64::from(a.clamp(0.0, 1.0) - b).powi(2);
         let mse = frame.rgb.iter().zip(&truth.data).map(square).sum::<f64>() / truth.data.len() as f64;
         let psnr = scores.psnr.expect("not perfect");
@@ -36,7 +36,7 @@ fn a_report_holds_the_scores_of_the_drawn_frames() {
     assert!((report.psnr_of_mean_mse.expect("mean") - of_mean).abs() < 1e-4 && of_mean <= mean);
     assert_eq!((report.gaussians, report.split.as_str(), report.perfect_views), (method.splat_count(), "test", 0));
     assert_eq!(report.parameter_bytes, 4 * method.param_count() as u64);
-    let empty = evaluate(method, &data, Split::Val, white, &photographs);
+    let empty = evaluate(method, &data, Split::Val, white, &images);
     assert!(matches!(empty, Err(EvalError::NoViews("val"))));
 }
 
@@ -60,9 +60,9 @@ fn motion_is_scored_along_videos_only() {
     let data = scene("balls", 48, 12);
     let mut trainer = start("fourdgs", &data);
     run(&mut trainer, 20);
-    let photographs = ImageCache::new(1 << 20, 1.0);
+    let images = ImageCache::new(1 << 20, 1.0);
     let whole = TofOptions { trim: false, crop: false };
-    let score = |data: &Dataset| tof(trainer.model(), data, Split::Test, [0.0; 3], &photographs, whole);
+    let score = |data: &Dataset| tof(trainer.model(), data, Split::Test, [0.0; 3], &images, whole);
     let film = score(&filmed(&data, 4, 0.02)).expect("a video");
     assert_eq!(film.pairs.iter().map(|p| p.name.as_str()).collect::<Vec<_>>(), ["film 1", "film 2", "film 3"]);
     assert!(film.mean.is_finite() && film.mean >= 0.0);

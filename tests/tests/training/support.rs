@@ -48,8 +48,8 @@ pub fn run(trainer: &mut Trainer, steps: u32) -> Vec<StepReport> {
 /// Mean PSNR over the test views, dB.
 pub fn psnr(trainer: &Trainer, data: &Dataset) -> f64 {
     let background = trainer.model().background();
-    let photographs = ImageCache::new(64 << 20, 1.0);
-    let report = evaluate(trainer.model(), data, Split::Test, background, &photographs).expect("scores");
+    let images = ImageCache::new(64 << 20, 1.0);
+    let report = evaluate(trainer.model(), data, Split::Test, background, &images).expect("scores");
     report.mean.psnr.expect("finite scores")
 }
 

@@ -57,14 +57,14 @@ impl Folder {
         }
     }
 
-    /// The photograph of training view `k`.
+    /// The image of training view `k`.
     pub fn photo(&self, k: usize) -> PathBuf {
         let frames = self.frames();
         let path = self.path(frames[k]["file_path"].as_str().expect("path").trim_start_matches("./"));
         if path.exists() { path } else { path.with_extension("png") }
     }
 
-    /// Changes a photograph.
+    /// Changes an image.
     pub fn paint(&self, k: usize, change: impl Fn(&Image) -> Image) {
         let file = self.photo(k);
         let image = load_image(&file, &Default::default()).expect("image");

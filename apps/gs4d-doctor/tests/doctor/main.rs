@@ -64,7 +64,7 @@ fn files_that_cannot_be_used_are_named() {
 }
 
 #[test]
-fn photographs_that_show_the_wrong_thing_are_named() {
+fn images_that_show_the_wrong_thing_are_named() {
     let folder = Folder::of("static");
     folder.paint(4, |i| each(i, |_, _, p| vec![0.2; p.len()]));
     std::fs::copy(folder.photo(10), folder.photo(11)).expect("copied");
@@ -244,10 +244,10 @@ fn a_run_is_tried() {
             && cost.memory_mib[1] < 400.0,
         "{cost:?}"
     );
-    let anchored = CostOptions { registry: gs_methods::registry().clone(), method: "modec".into(), ..options(&[]) };
+    let anchored = CostOptions { method: "modec".into(), ..options(&[]) };
     let cost = examine(folder.dir(), &exam(anchored)).cost.expect("cost");
     assert!(cost.splats[0] < 3200 && cost.splats[1] == 3200 && cost.memory_mib[1] > cost.memory_mib[0], "{cost:?}");
-    let limit = CostOptions { registry: gs_methods::registry().clone(), limit_mib: Some(10.0), ..options(&[]) };
+    let limit = CostOptions { limit_mib: Some(10.0), ..options(&[]) };
     must_name(&examine(folder.dir(), &exam(limit)), "memory.limit", Verdict::Problem);
     let broken = examine(folder.dir(), &exam(options(&["no.such=1"])));
     assert!(broken.findings.iter().any(|f| f.code == "cost.begin" && f.what.contains("no.such")));
@@ -265,9 +265,9 @@ fn real_captures_are_sound() {
     }
 }
 
-/// Poses of the fox's photographs, which have no alpha: corners alone must tell.
+/// Poses of the fox's images, which have no alpha: corners alone must tell.
 #[test]
-fn corners_tell_wrong_poses_of_photographs() {
+fn corners_tell_wrong_poses_of_images() {
     let Some(dir) = gs_core::testkit::shared("data/fox_270x480") else { return };
     let flip = DMat4::from_diagonal(glam::DVec4::new(1.0, -1.0, -1.0, 1.0));
     for (change, word) in [(true, "OpenCV"), (false, "inverted")] {

@@ -63,7 +63,7 @@ fn points_that_are_few_or_stray_are_told() {
 }
 
 #[test]
-fn photographs_without_anything_to_begin_with_are_told() {
+fn images_without_anything_to_begin_with_are_told() {
     let folder = without_alpha();
     assert!(must_name(&folder.look(), "init.random", Verdict::Warning).contains("no silhouettes"));
     let model = folder.path("sparse/0");
@@ -83,7 +83,7 @@ fn outlines_that_tell_nothing_or_lies_are_told() {
     (0..VIEWS).for_each(|k| folder.paint(k, whole));
     assert!(must_name(&folder.look(), "images.alpha", Verdict::Warning).contains("1 everywhere"));
 
-    // Photographs under the poses of others.
+    // Images under the poses of others.
     let folder = Folder::of("static");
     folder.edit("train", |v| {
         let frames = v["frames"].as_array_mut().expect("frames");

@@ -79,7 +79,7 @@ impl Side {
         vec![
             ("layout", self.dataset.layout.to_owned()),
             ("number of views", format!("{} of split {split}", views.len())),
-            ("size", size_text(views, &self.run.photographs())),
+            ("size", size_text(views, &self.run.images())),
             ("background", color_name(background)),
             ("data digest", DataOrigin::of(&self.dataset).digest),
         ]

@@ -153,7 +153,7 @@ impl Eval {
         let split = self.split.into();
         let motion = tof.map(|options| {
             let method = &run.loaded.model;
-            temporal::tof(method, &dataset, split, background, &run.photographs(), options).map(|s| (s, options))
+            temporal::tof(method, &dataset, split, background, &run.images(), options).map(|s| (s, options))
         });
         let motion = motion.transpose()?;
         // The file in the run folder holds the extrapolation scores as well.

@@ -166,7 +166,7 @@ impl Export {
     }
 
     fn measure(&self, run: &OpenRun, data: &Dataset, baker: Baker<'_>, format: SplatFormat) -> Result<Loss, Failure> {
-        let images: ImageCache = run.photographs();
+        let images: ImageCache = run.images();
         let (split, background) = (self.split.into(), run.background());
         let before = evaluate(&run.loaded.model, data, split, background, &images)?;
         let after = AsExported::new(baker, format).evaluate(data, split, background, &images)?;

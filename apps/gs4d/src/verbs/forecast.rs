@@ -96,7 +96,7 @@ impl ForecastVerb {
                 file,
                 time: t,
                 seconds: time.seconds,
-                ms: [frame.motion_ms, frame.drawing_ms],
+                ms: [frame.motion_ms, frame.render_ms],
                 scores,
             });
             if strip.len() * times.len() <= k * PAGE_FRAMES {
@@ -128,7 +128,7 @@ impl ForecastVerb {
     }
 
     fn path(&self, run: &OpenRun, dataset: &Dataset) -> Result<CameraPath, Failure> {
-        let images = run.photographs();
+        let images = run.images();
         Ok(match self.camera.as_deref() {
             None => CameraPath::of_view(dataset, None, &images)?,
             Some("orbit") => CameraPath::orbit(dataset, &images)?,
@@ -172,7 +172,7 @@ impl ForecastVerb {
             return Ok(None);
         }
         let (method, until) = (&run.loaded.model, f64::from(self.until));
-        Ok(Truth::of(method, dataset, until, run.background(), &run.photographs())?)
+        Ok(Truth::of(method, dataset, until, run.background(), &run.images())?)
     }
 }
 
@@ -224,17 +224,17 @@ impl Report<'_> {
             let name = f.file.file_name().map(|n| n.to_string_lossy().into_owned());
             json!({
                 "file": name, "time": f.time, "beyond": f.time - self.last, "seconds": f.seconds,
-                "motion_ms": f.ms[0], "drawing_ms": f.ms[1],
+                "motion_ms": f.ms[0], "render_ms": f.ms[1],
                 "view": f.scores.map(|s| &s.name), "psnr": f.scores.and_then(|s| s.psnr), "ssim": f.scores.map(|s| s.ssim),
             })
         };
-        let [motion, drawing] = self.medians();
+        let [motion, render] = self.medians();
         json!({
             "run": run.display().to_string(),
             "last_training_time": self.last,
             "clock": self.clock,
             "frames": self.frames.iter().map(frame).collect::<Vec<_>>(),
-            "ms": {"motion": motion, "drawing": drawing, "first_motion": self.frames.first().map(|f| f.ms[0])},
+            "ms": {"motion": motion, "render": render, "first_motion": self.frames.first().map(|f| f.ms[0])},
             "truth": self.truth.map(|t| json!({
                 "views": t.report.views.len(), "mean": t.report.mean, "moments": self.moments, "protocol": t.report.protocol,
             })),
@@ -244,10 +244,10 @@ impl Report<'_> {
     }
 
     fn text(&self, out: &Path) -> String {
-        let ([motion, drawing], n) = (self.medians(), self.frames.len());
+        let ([motion, render], n) = (self.medians(), self.frames.len());
         let first = self.frames.first().map_or(0.0, |f| f.ms[0]);
         let mut text = format!(
-            "{n} frames after {:.4} -> {}\nper frame: motion {motion:.2} ms, drawing {drawing:.2} ms (medians; motion of the first \
+            "{n} frames after {:.4} -> {}\nper frame: motion {motion:.2} ms, render {render:.2} ms (medians; motion of the first \
              {first:.2} ms)\n",
             self.last,
             out.display()

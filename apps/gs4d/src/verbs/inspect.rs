@@ -137,7 +137,7 @@ impl Inspect {
 fn economy(run: &OpenRun) -> Option<RenderCost> {
     let dataset = run.resolved.open_data().ok()?;
     let split = if dataset.test.is_empty() { Split::Train } else { Split::Test };
-    let images = run.photographs();
+    let images = run.images();
     let views: Vec<_> = dataset.views(split).iter().take(ECONOMY_VIEWS).map(|v| (images.camera(v), v.time)).collect();
     let method = &run.loaded.model;
     let options = method.raster_options(run.background());

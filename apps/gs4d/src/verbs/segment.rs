@@ -110,7 +110,7 @@ impl Segment {
         let truth = self.truth(&run, &views);
         let mut progress = Progress::new(views.len() as u64, "views", global.quiet);
         let mut done = 0;
-        let rendering = (&run.photographs(), run.background());
+        let rendering = (&run.images(), run.background());
         let scores = study(method, &labels, (split_name(split), &views), truth.as_ref(), rendering, |seen| {
             self.save(&seen, &names[done])?;
             done += 1;

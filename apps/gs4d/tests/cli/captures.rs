@@ -21,8 +21,8 @@ fn put(file: &Path, contents: impl AsRef<[u8]>) {
     fs::write(file, contents).unwrap();
 }
 
-/// What a camera photographs at a time.
-fn photograph(scene: &SynthData, camera: &Camera, t: f64, file: &Path) {
+/// Writes what a camera sees at a time.
+fn write_image(scene: &SynthData, camera: &Camera, t: f64, file: &Path) {
     let image = scene.truth.picture(camera, t);
     let rgb: Vec<u8> = image.over([1.0; 3]).data.iter().map(|v| (v * 255.0 + 0.5) as u8).collect();
     let mut bytes = Vec::new();
@@ -44,7 +44,7 @@ fn write_hypernerf(dir: &Path) {
             "tangential_distortion": [0, 0], "image_size": [SIDE, SIDE],
         });
         put(&dir.join(format!("camera/{}.json", id(k))), camera.to_string());
-        photograph(&scene, c, v.time.seconds, &dir.join(format!("rgb/1x/{}.png", id(k))));
+        write_image(&scene, c, v.time.seconds, &dir.join(format!("rgb/1x/{}.png", id(k))));
     }
     let list = |keep: &dyn Fn(usize) -> bool| (0..views.len()).filter(|&k| keep(k)).map(id).collect::<Vec<_>>();
     let lists = json!({
@@ -72,7 +72,7 @@ fn write_llff(dir: &Path) {
         values.extend([2.0, 6.0]);
         for frame in 0..4 {
             let file = dir.join(format!("cam{k:02}/images/{frame:04}.png"));
-            photograph(&scene, &v.camera, f64::from(frame) / 4.0, &file);
+            write_image(&scene, &v.camera, f64::from(frame) / 4.0, &file);
         }
     }
     let values: Vec<f32> = values.into_iter().map(|v| v as f32).collect();

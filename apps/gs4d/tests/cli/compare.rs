@@ -9,9 +9,9 @@ fn runs_of_the_same_data_are_compared() {
     let (other, page) = (dir.path().join("other"), dir.path().join("compare.html"));
     train(data(), &other, &["--seed", "5"]);
     let call = ["compare", text(run()), text(&other), "-o", text(&page)];
-    let told = good(&call);
+    let output = good(&call);
     for part in ["run (fourdgs)", "other (fourdgs)", "ms/frame", "other against run: ", "are one recipe", "48×48"] {
-        assert!(told.out.contains(part), "`{part}` is not in {}", told.out);
+        assert!(output.out.contains(part), "`{part}` is not in {}", output.out);
     }
     let html = fs::read_to_string(&page).unwrap();
     for part in ["Paired differences", "Where they disagree most", "Course of training", "Content-Security-Policy"] {

@@ -76,7 +76,7 @@ fn frames_after_the_last_training_time_are_drawn_and_scored() {
         before = t;
         let file = frame["file"].as_str().unwrap();
         assert!(out.join(file).is_file() && file.contains(&format!("t{t:.4}")), "{file}");
-        assert!(frame["drawing_ms"].as_f64().unwrap() > 0.0);
+        assert!(frame["render_ms"].as_f64().unwrap() > 0.0);
     }
     let truth = &json["truth"];
     assert_eq!(truth["mean"]["psnr"], file("metrics.json")["extrapolate"]["mean"]["psnr"]);
@@ -101,7 +101,7 @@ fn a_forecast_takes_other_cameras_and_paces() {
     let base = ["forecast", text(run()), "--until", "1.5", "-o", text(&out), "-f", "--no-scores"];
     for more in [&["--frames", "3", "--camera", "orbit"][..], &["--fps", "4", "--camera", text(&camera)]] {
         let call = good(&[&base[..], more].concat());
-        assert!(call.out.contains(" frames after ") && call.out.contains("drawing "), "{}", call.out);
+        assert!(call.out.contains(" frames after ") && call.out.contains("render "), "{}", call.out);
         assert!(!call.out.contains("PSNR") && !call.out.contains("learnt motion"), "fourdgs has no particles");
     }
     let with = |more: &[&str]| gs4d(&[&base[..], more].concat());

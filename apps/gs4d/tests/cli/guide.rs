@@ -94,8 +94,8 @@ fn chapter(name: &str) {
         let short = shortened(&words[1..]);
         let arguments: Vec<&str> = short.iter().map(String::as_str).collect();
         let output = command(&arguments).current_dir(folder.path()).output().expect("gs4d runs");
-        let told = String::from_utf8_lossy(&output.stderr);
-        assert!(output.status.success(), "{name}: `{line}` (as {short:?}) failed: {told}");
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{name}: `{line}` (as {short:?}) failed: {stderr}");
     }
 }
 

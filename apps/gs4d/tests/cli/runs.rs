@@ -34,7 +34,7 @@ fn a_run_folder_is_complete() {
     assert_eq!(last["step"], STEPS);
     assert!(last["loss"].as_f64().unwrap() > 0.0 && last["seconds"].as_f64().unwrap() > 0.0);
     let html = fs::read_to_string(root.join("report.html")).unwrap();
-    assert!(html.contains("Truth beside drawing") && html.contains("Speed against error"));
+    assert!(html.contains("Ground truth beside render") && html.contains("Speed against error"));
     assert!(root.join("checkpoints/step-000040.gs4d").is_file() && root.join("metrics.json").is_file());
     let renders: Vec<_> = fs::read_dir(root.join("renders")).unwrap().map(|e| e.unwrap().file_name()).collect();
     assert!(
@@ -166,8 +166,8 @@ fn exposures_blur_the_training_views() {
     assert_eq!(call.json()["exposure"]["samples"], 5);
     let same = |file: &str| fs::read(sharp.join(file)).unwrap() == fs::read(blurred.join(file)).unwrap();
     assert!(same("test/r_000.png") && same("val/r_000.png") && !same("train/r_001.png"));
-    let told: Value = serde_json::from_str(&fs::read_to_string(blurred.join("exposure.json")).unwrap()).unwrap();
-    assert_eq!((told["exposure"]["length"].as_f64(), told["frames"].as_f64()), (Some(0.2), Some(0.2)));
+    let exposure: Value = serde_json::from_str(&fs::read_to_string(blurred.join("exposure.json")).unwrap()).unwrap();
+    assert_eq!((exposure["exposure"]["length"].as_f64(), exposure["frames"].as_f64()), (Some(0.2), Some(0.2)));
     synth("none", &["--shake", "0.1"]).1.fails(2, &["--exposure"]);
     let (refused, call) = synth("long", &["--exposure", "2"]);
     call.fails(2, &["exposure", "0 to 1"]);

@@ -129,7 +129,7 @@ fn cameras_see_what_the_format_says() {
                 let pinhole = v.camera.to_pixel(v.camera.to_camera(normalised));
                 let lens = v.lens.unwrap();
                 assert!((lens.source_pixel(&v.camera, pinhole) - want).length() < 1e-9, "view {k}");
-                // And back: the photograph's pixel through the inverse of lens and skew.
+                // And back: the image's pixel through the inverse of lens and skew.
                 let seen = (want - DVec2::new(v.camera.cx, v.camera.cy)) / DVec2::new(v.camera.fx, v.camera.fy);
                 let back = lens.undistort(seen).unwrap() * DVec2::new(v.camera.fx, v.camera.fy)
                     + DVec2::new(v.camera.cx, v.camera.cy);

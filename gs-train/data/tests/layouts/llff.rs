@@ -131,7 +131,7 @@ fn counts_must_agree() {
 }
 
 #[test]
-fn photographs_are_static_and_every_eighth_is_held_out() {
+fn images_are_static_and_every_eighth_is_held_out() {
     let dir = tempfile::tempdir().unwrap();
     put(dir.path(), "poses_bounds.npy", poses(&cameras(10).iter().map(row).collect::<Vec<_>>()));
     (0..10).for_each(|k| picture(dir.path(), &format!("images/IMG_{k}.png"), SIZE));

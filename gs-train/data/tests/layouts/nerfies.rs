@@ -5,7 +5,7 @@
 //! | cameras, read back against generated | 1e-9 |
 //! | lens, read back | 1e-12 |
 //! | normalised times | 1e-7 (they are f32) |
-//! | photographs straightened against pinhole pictures, full and half size | > 35 dB, on average 3 dB above bent ones |
+//! | undistorted images against pinhole images, full and half size | > 35 dB, on average 3 dB above bent ones |
 
 use std::path::Path;
 
@@ -68,7 +68,7 @@ fn cameras_times_and_lens_return() {
 }
 
 #[test]
-fn straightened_photographs_are_pinhole_pictures() {
+fn undistorted_images_are_pinhole_images() {
     let cache = ImageCache::new(64 << 20, 1.0);
     for name in ["sheet", "balls"] {
         let dir = tempfile::tempdir().expect("a folder");
@@ -87,9 +87,7 @@ fn straightened_photographs_are_pinhole_pictures() {
                 gain += (psnr(&got, &want) - psnr(&bent.box_downscaled(side, side).over(WHITE), &want)) / 8.0;
             }
             let worst = figures.iter().copied().fold(f64::INFINITY, f64::min);
-            println!(
-                "{name}, {folder}: straightened photographs reach {worst:.1} dB and more, {gain:.1} dB above bent ones"
-            );
+            println!("{name}, {folder}: undistorted images reach {worst:.1} dB and more, {gain:.1} dB above bent ones");
             assert!(gain > 3.0, "the test would see a lens that is left: {gain:.1} dB");
             assert!(worst > 35.0, "{name}, {folder}: {figures:.1?}");
         }

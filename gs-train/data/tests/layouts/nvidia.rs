@@ -33,8 +33,8 @@ fn bend(p: DVec2) -> DVec2 {
     )
 }
 
-/// The photograph: each pixel's plane point by fixed-point iteration, then the paint of the pinhole there.
-fn photograph(c: &Camera) -> image::GrayImage {
+/// The image: each pixel's plane point by fixed-point iteration, then the paint of the pinhole there.
+fn distorted_image(c: &Camera) -> image::GrayImage {
     image::GrayImage::from_fn(SIZE[0], SIZE[1], |i, j| {
         let seen = DVec2::new((f64::from(i) + 0.5 - c.cx) / c.fx, (f64::from(j) + 0.5 - c.cy) / c.fy);
         let mut p = seen;
@@ -66,7 +66,7 @@ fn capture(n: usize) -> TempDir {
         rows.extend(1i32.to_le_bytes());
         rows.extend(format!("{k:03}.png\0").bytes());
         rows.extend(0u64.to_le_bytes());
-        photograph(&c).save(images.join(format!("{k:03}.png"))).unwrap();
+        distorted_image(&c).save(images.join(format!("{k:03}.png"))).unwrap();
     }
     std::fs::write(sparse.join("cameras.bin"), cameras).unwrap();
     std::fs::write(sparse.join("images.bin"), rows).unwrap();
@@ -100,7 +100,7 @@ fn frames_are_moments_in_order_of_names() {
 }
 
 #[test]
-fn photographs_become_those_of_the_pinhole() {
+fn images_become_those_of_the_pinhole() {
     let dir = capture(3);
     let d = open(dir.path(), &DataOptions { hold_out: 0, ..Default::default() });
     for v in &d.train {

@@ -89,7 +89,7 @@ fn neu3d_colmap() {
     assert!(paired < 0.07 && wrong > 1.5 * paired, "points land on their colours: {paired} against {wrong}");
 }
 
-/// The same five photographs by `poses_bounds.npy` and by the model: one rig, up to the similarity between the two worlds.
+/// The same five images by `poses_bounds.npy` and by the COLMAP model: one rig, up to the similarity between the two worlds.
 #[test]
 fn neu3d_llff_agrees_with_colmap() {
     let Some(dir) = capture("neu3d_flame_steak_5view_llff_colmap") else { return };
@@ -103,7 +103,7 @@ fn neu3d_llff_agrees_with_colmap() {
     };
     assert_eq!(detect(&dir).unwrap().name, "colmap", "a model beside the poses is preferred, as before");
     let (llff, colmap) = (read("llff"), read("colmap"));
-    assert!(llff.iter().zip(&colmap).all(|(a, b)| a.image == b.image), "the same photographs");
+    assert!(llff.iter().zip(&colmap).all(|(a, b)| a.image == b.image), "the same images");
     let rig = |views: &[View]| views.iter().map(|v| v.camera.clone()).collect::<Vec<_>>();
     let fit = residuals(&rig(&llff), &rig(&colmap));
     println!(
@@ -114,7 +114,7 @@ fn neu3d_llff_agrees_with_colmap() {
         fit.principal
     );
     assert!(fit.centre < 0.02 && fit.degrees < 0.5 && fit.focal < 0.01 && fit.principal < 0.5, "{fit:?}");
-    // Any other pairing of rows and photographs is far off.
+    // Any other pairing of rows and images is far off.
     let mut turned = rig(&colmap);
     turned.rotate_left(1);
     let wrong = residuals(&rig(&llff), &turned);

@@ -196,18 +196,18 @@ fn parts_are_left_out_by_name() {
 }
 
 #[test]
-fn boundaries_move_and_are_told_of() {
+fn boundaries_move_and_are_reported() {
     let over = "[intervals]\nfrom = 1\nuntil = 30\nperiod = 10\ntau = 0.5\nstep = 0.2\nsegments = 3";
     let mut config = modec(over);
     config["schedule"]["stages"]["local"]["steps"] = 60.into();
     let data = scene("sheet", 32, 24);
     let mut trainer =
         Trainer::new(&registry(), Arc::clone(&data), "modec", &config, TrainOptions::default()).expect("trainer");
-    let mut told = Vec::new();
+    let mut events = Vec::new();
     for _ in 0..90 {
-        told.extend(trainer.step().expect("step").events);
+        events.extend(trainer.step().expect("step").events);
     }
-    let passes: Vec<_> = told.iter().filter(|line| line.get("intervals").is_some()).collect();
+    let passes: Vec<_> = events.iter().filter(|line| line.get("intervals").is_some()).collect();
     assert_eq!(passes.len(), 3, "at 10, 20 and 30 of the local stage");
     assert!(passes.iter().all(|line| line["step"].as_u64() == line["intervals"]["step"].as_u64()));
     let moved = passes.iter().any(|line| !line["intervals"]["moves"].as_array().expect("moves").is_empty());

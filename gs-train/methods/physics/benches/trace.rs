@@ -12,7 +12,7 @@ use std::sync::Arc;
 const BEFORE: u32 = 300;
 /// Steps that are timed.
 const TIMED: u32 = 1000;
-/// The last of these say how well photographs are met.
+/// The last of these say how well images are met.
 const LAST: u32 = 200;
 
 const METHODS: [&str; 2] = ["defgs", "trace"];
@@ -28,7 +28,7 @@ fn trainer(scene: &Arc<Dataset>, method: &str, splats: usize) -> Trainer {
     Trainer::new(gs_methods::registry(), scene.clone(), method, &config, TrainOptions::default()).expect("a run")
 }
 
-/// Milliseconds a step and mean absolute difference from the photographs, in the order of [`METHODS`].
+/// Milliseconds a step and mean absolute difference from the images, in the order of [`METHODS`].
 fn take_turns(scene: &Arc<Dataset>, splats: usize) -> [[f64; 2]; 2] {
     let mut trainers = METHODS.map(|m| trainer(scene, m, splats));
     let mut sums = [[0.0; 2]; 2];
@@ -63,7 +63,7 @@ fn main() {
                     ms,
                     work: splats as f64,
                     error: Some(l1),
-                    error_kind: "mean absolute difference from the photographs",
+                    error_kind: "mean absolute difference from the images",
                 }
                 .append(env!("CARGO_MANIFEST_DIR"));
             }

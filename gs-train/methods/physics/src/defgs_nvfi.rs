@@ -1,5 +1,5 @@
 //! Deformable 3D Gaussians with the velocity field of NVFi: TRACE's baseline DefGS_nvfi, trained as TRACE is
-//! ([`transported`](crate::advected)), with NVFi's physics-informed loss on the velocity.
+//! ([`advected`](crate::advected)), with NVFi's physics-informed loss on the velocity.
 
 use crate::advected::{Advected, PhysicsConfig};
 use gs_deform::{DefGsConfig, DefMlp};

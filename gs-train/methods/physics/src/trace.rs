@@ -1,7 +1,7 @@
 //! TRACE (Li, Song and Yang 2025): every Gaussian is a rigid particle whose translation and rotation follow a learnt law.
 //!
 //! The deformation field of Deformable 3D Gaussians brings splats to a time near the image's, the law carries them
-//! from there ([`transported`](crate::advected)); past the last field time the law alone rules. [`trace_4dgs`](super::trace_4dgs)
+//! from there ([`advected`](crate::advected)); past the last field time the law alone rules. [`trace_4dgs`](super::trace_4dgs)
 //! has the HexPlane of 4D Gaussian Splatting in its place.
 //!
 //! Parts to leave out, `ablate = "physics"`:

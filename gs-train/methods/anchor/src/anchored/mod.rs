@@ -6,15 +6,14 @@
 //! and back the same way. `t_c` is the canonical time of the interval that holds `t`. A scene at rest, and every stage that
 //! is not dynamic, has neither GAD nor LGD. What a camera cannot see is not decoded; the image is the same.
 
-mod drawing;
 mod forward;
+mod inference;
 mod motion;
 mod rest;
 
 pub use forward::{Filter, Statistics};
 pub use motion::{Motion, SparsityConfig};
 
-use drawing::Cache;
 use forward::Tape;
 use gs_anchor::{
     AnchorDensify, AnchorDensifyRules, AnchorDensifyStep, AnchorInit, AnchorShape, AnchorView, Anchors, Decoder,
@@ -33,6 +32,7 @@ use gs_train::method::{
 use gs_train::palette::label_color;
 use gs_train::step::StepCtx;
 use gs_train::timestamp::Timestamp;
+use inference::Cache;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 

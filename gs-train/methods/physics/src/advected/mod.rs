@@ -226,7 +226,7 @@ impl<F: Field, D: Dynamics> Advected<F, D> {
     }
 
     /// From where to where the dynamics act in rendering.
-    fn drawing_span(&self, t: f64) -> Span {
+    fn render_span(&self, t: f64) -> Span {
         let Times { step, last_field, start, .. } = self.times;
         let t = t.clamp(-FARTHEST * step, last_field + FARTHEST * step);
         match self.config.inside {
@@ -432,7 +432,7 @@ where
     }
 
     fn splats(&self, at: &Timestamp, _camera: &Camera) -> Result<Splats, MethodError> {
-        Ok(self.transported(self.drawing_span(f64::from(at.t.normalised))))
+        Ok(self.transported(self.render_span(f64::from(at.t.normalised))))
     }
 
     fn step(&mut self, view: &ViewCtx<'_>, render: &mut dyn RenderView) -> Result<Vec<LossValue>, MethodError> {
@@ -467,7 +467,7 @@ where
 {
     fn stages(&self, at: &Timestamp, camera: &Camera) -> Result<Vec<StageView>, MethodError> {
         let canonical = self.canonical.activated();
-        let span = self.drawing_span(f64::from(at.t.normalised));
+        let span = self.render_span(f64::from(at.t.normalised));
         let deformed = self.transported(Span { from: span.from, to: span.from });
         let (rest, bent) = (canonical.means.clone(), deformed.means.clone());
         Ok(vec![

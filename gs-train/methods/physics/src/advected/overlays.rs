@@ -17,7 +17,7 @@ fn colors(vectors: &[Vec3]) -> Vec<[f32; 3]> {
 impl<F: Field, D: Dynamics> Advected<F, D> {
     /// Where the splats rendered at a time are, and the motions that rule them there.
     fn moving(&self, t: f64) -> (Vec<Vec3>, Vec<Motion<f32>>) {
-        let splats = self.transported(self.drawing_span(t));
+        let splats = self.transported(self.render_span(t));
         let motions = self.motions_at(&splats, t);
         (splats.means, motions)
     }

@@ -17,7 +17,7 @@ const INTERVALS_KEPT: usize = 64;
 /// How often an image is tried with a wider margin before everything is decoded.
 const TRIES: usize = 3;
 
-/// LocalAnchors anchors by canonical time: GAD takes few values, so a run of frames asks for it once per interval. What comes
+/// Local anchors by canonical time: GAD takes few values, so a run of frames asks for it once per interval. What comes
 /// out of it has the same bits as anew.
 #[derive(Default)]
 pub(super) struct Cache {
