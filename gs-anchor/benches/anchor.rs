@@ -202,7 +202,7 @@ fn visibility(c: &mut Criterion, anchors: &Anchors, camera: &Camera, all: &Splat
     anchors.activate(&mut local);
     visible::conservative(&local, camera, &VisibilityOptions::default(), &mut seen);
     decoder.forward(&local, Visible::List(&seen), camera.position(), &mut tape, &mut some);
-    let image = |s: &Splats| render(s, camera, &RasterOptions::default(), &mut Workspace::new()).rgb;
+    let image = |s: &Splats| render(s, camera, &RasterOptions::default(), &mut Workspace::new()).rgb.data;
     let error = worst(&wide(&image(&some)), &wide(&image(all)));
     println!("    {} of {ANCHORS} anchors listed", seen.len());
     let row = |case, variant, error| Row {

@@ -33,7 +33,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         visible::conservative(&local, &camera, &VisibilityOptions::default(), &mut seen);
         decoder.forward(&local, Visible::List(&seen), camera.position(), &mut tape, &mut splats);
         frame = render(&splats, &camera, &RasterOptions::default(), &mut workspace);
-        let error: Vec<f32> = frame.rgb.iter().zip(&target).map(|(p, t)| p - t).collect();
+        let error: Vec<f32> = frame.rgb.data.iter().zip(&target).map(|(p, t)| p - t).collect();
         if step % 20 == 0 {
             let mse = error.iter().map(|e| f64::from(e * e)).sum::<f64>() / error.len() as f64;
             let (all, some, n) = (anchors.len(), seen.len(), splats.len());
@@ -81,7 +81,7 @@ fn target(camera: &Camera) -> Vec<f32> {
 
 /// Writes a portable pixmap.
 fn write_ppm(frame: &Frame, path: &std::path::Path) -> Result<(), Box<dyn std::error::Error>> {
-    let mut bytes = format!("P6\n{} {}\n255\n", frame.width, frame.height).into_bytes();
-    bytes.extend(frame.rgb.iter().map(|v| (v.clamp(0.0, 1.0) * 255.0).round() as u8));
+    let mut bytes = format!("P6\n{} {}\n255\n", frame.rgb.width, frame.rgb.height).into_bytes();
+    bytes.extend(frame.rgb.data.iter().map(|v| (v.clamp(0.0, 1.0) * 255.0).round() as u8));
     Ok(std::fs::write(path, bytes)?)
 }

@@ -45,6 +45,7 @@
 pub mod camera;
 pub mod cloud;
 pub mod covariance;
+pub mod geometry;
 pub mod image;
 #[cfg(feature = "io")]
 pub mod io;
@@ -66,10 +67,11 @@ pub mod time;
 
 pub use camera::Camera;
 pub use cloud::Cloud;
+pub use geometry::{Geometry, GeometryMut, GeometryRef};
 pub use image::Image;
 pub use kernel::{BetaMode, Kernel};
 pub use param::{Param, Params, RowEdit};
 pub use real::Real;
 pub use rng::Rng;
-pub use splats::{Color, Splats, SplatsGrad};
+pub use splats::{Color, Splats, SplatsGrad, SplatsRef};
 pub use time::Time;

@@ -18,6 +18,7 @@
 //! assert_eq!(error, "splats row 0, column `opacities`: 1.5 is out of range (0 to 1)");
 //! ```
 
+use crate::geometry::{Geometry, GeometryRef};
 use crate::kernel::Kernel;
 use crate::sh;
 use glam::Vec3;
@@ -37,6 +38,23 @@ pub struct Splats {
     pub color: Color,
     /// Profile of alpha over the distance.
     pub kernel: Kernel,
+}
+
+/// Borrowed [`Splats`]. Columns may come from several places: a field's means beside the cloud's colours, say.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SplatsRef<'a> {
+    /// As [`Splats::means`].
+    pub means: &'a [Vec3],
+    /// As [`Splats::quats`].
+    pub quats: &'a [[f32; 4]],
+    /// As [`Splats::scales`].
+    pub scales: &'a [Vec3],
+    /// As [`Splats::opacities`].
+    pub opacities: &'a [f32],
+    /// As [`Splats::color`].
+    pub color: &'a Color,
+    /// As [`Splats::kernel`].
+    pub kernel: &'a Kernel,
 }
 
 /// Colours of the splats, one row each.
@@ -124,6 +142,66 @@ impl Splats {
     /// # Errors
     /// The first invalid entry, with column and row.
     pub fn check(&self) -> Result<(), SplatsError> {
+        self.view().check()
+    }
+
+    /// Borrows all columns.
+    pub fn view(&self) -> SplatsRef<'_> {
+        self.with_geometry(self.geometry())
+    }
+
+    /// Borrows means, quaternions and scales.
+    pub fn geometry(&self) -> GeometryRef<'_> {
+        GeometryRef { means: &self.means, quats: &self.quats, scales: &self.scales }
+    }
+
+    /// These splats with other means, quaternions and scales, which have as many rows.
+    pub fn with_geometry<'a>(&'a self, geometry: GeometryRef<'a>) -> SplatsRef<'a> {
+        let GeometryRef { means, quats, scales } = geometry;
+        SplatsRef { means, quats, scales, opacities: &self.opacities, color: &self.color, kernel: &self.kernel }
+    }
+
+    /// Replaces means, quaternions and scales by others, which have as many rows.
+    pub fn set_geometry(&mut self, geometry: Geometry) {
+        debug_assert_eq!(geometry.len(), self.len());
+        (self.means, self.quats, self.scales) = (geometry.means, geometry.quats, geometry.scales);
+    }
+}
+
+impl<'a> From<&'a Splats> for SplatsRef<'a> {
+    fn from(splats: &'a Splats) -> Self {
+        splats.view()
+    }
+}
+
+impl SplatsRef<'_> {
+    /// Number of splats (rows of `means`).
+    pub fn len(&self) -> usize {
+        self.means.len()
+    }
+
+    /// Whether there are no splats.
+    pub fn is_empty(&self) -> bool {
+        self.means.is_empty()
+    }
+
+    /// Copies every column.
+    pub fn to_splats(self) -> Splats {
+        Splats {
+            means: self.means.to_vec(),
+            quats: self.quats.to_vec(),
+            scales: self.scales.to_vec(),
+            opacities: self.opacities.to_vec(),
+            color: self.color.clone(),
+            kernel: self.kernel.clone(),
+        }
+    }
+
+    /// As [`Splats::check`].
+    ///
+    /// # Errors
+    /// The first invalid entry, with column and row.
+    pub fn check(&self) -> Result<(), SplatsError> {
         let rows = self.len();
         let length = |column, got: usize, want: usize| {
             if got == want { Ok(()) } else { Err(SplatsError::Length { column, want, got, rows }) }
@@ -145,7 +223,7 @@ impl Splats {
                 return Err(SplatsError::Value { column, row, value, rule });
             }
         }
-        match &self.color {
+        match self.color {
             Color::Rgb(rgb) => {
                 length("rgb", rgb.len(), rows)?;
                 finite("rgb", rgb.iter())
@@ -192,14 +270,15 @@ impl Color {
 
 impl SplatsGrad {
     /// Zero cotangents of the shape of `splats`.
-    pub fn zeros_like(splats: &Splats) -> Self {
+    pub fn zeros_like<'a>(splats: impl Into<SplatsRef<'a>>) -> Self {
         let mut grad = Self::default();
         grad.reset(splats);
         grad
     }
 
     /// Sets this to zero cotangents of the shape of `splats`, reusing memory.
-    pub fn reset(&mut self, splats: &Splats) {
+    pub fn reset<'a>(&mut self, splats: impl Into<SplatsRef<'a>>) {
+        let splats = splats.into();
         let n = splats.len();
         refill(&mut self.means, n, Vec3::ZERO);
         refill(&mut self.quats, n, [0.0; 4]);
@@ -207,6 +286,20 @@ impl SplatsGrad {
         refill(&mut self.opacities, n, 0.0);
         refill(&mut self.color, n * splats.color.width(), 0.0);
         refill(&mut self.kernel, n * splats.kernel.width(), 0.0);
+    }
+
+    /// Borrows the cotangents of means, quaternions and scales.
+    pub fn geometry(&self) -> GeometryRef<'_> {
+        GeometryRef { means: &self.means, quats: &self.quats, scales: &self.scales }
+    }
+
+    /// Exchanges the cotangents of means, quaternions and scales with others, which have as many rows: those at a timestamp
+    /// for those that a field pulled back to the canonical splats, say.
+    pub fn swap_geometry(&mut self, other: &mut Geometry) {
+        debug_assert_eq!(other.len(), self.means.len());
+        std::mem::swap(&mut self.means, &mut other.means);
+        std::mem::swap(&mut self.quats, &mut other.quats);
+        std::mem::swap(&mut self.scales, &mut other.scales);
     }
 
     /// Column and row of the first non-finite entry, if any; columns in the order of the fields.

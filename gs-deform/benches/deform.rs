@@ -9,7 +9,7 @@ use glam::Vec3;
 use gs_core::nn::gemm::{Mat, MatMut, Write, gemm};
 use gs_core::nn::{BLOCK, CHUNKS, Init, Mlp, MlpGrad, MlpTape, blocks_per_chunk};
 use gs_core::speed::{BenchRow, Stopwatch};
-use gs_core::{Color, Rng, Splats, SplatsGrad, Time};
+use gs_core::{Geometry, Rng, Time};
 use gs_deform::encode::{HexPlane, HexPlaneConfig, HexTape};
 use gs_deform::reference::HexPlaneRef;
 use gs_deform::{Aabb, DefGsConfig, DefMlp, Field, FourDgsConfig, HexPlaneField};
@@ -163,25 +163,18 @@ fn mlp(c: &mut Criterion, roof: f64) {
 
 /// A whole field as a training step uses it; the error is how far an untrained field is from the identity.
 fn field<F: Field>(c: &mut Criterion, case: &'static str, n: usize, mut field: F) {
-    let canonical = Splats {
-        means: points(n),
-        quats: vec![[1.0, 0.2, 0.0, 0.0]; n],
-        scales: vec![Vec3::splat(0.01); n],
-        opacities: vec![0.5; n],
-        color: Color::Sh { degree: 0, coeffs: vec![0.0; 3 * n] },
-        ..Splats::default()
-    };
-    let (mut tape, mut out) = (F::Tape::default(), Splats::default());
-    field.forward(&canonical, t(), &mut tape, &mut out);
+    let canonical =
+        Geometry { means: points(n), quats: vec![[1.0, 0.2, 0.0, 0.0]; n], scales: vec![Vec3::splat(0.01); n] };
+    let (mut tape, mut out) = (F::Tape::default(), Geometry::default());
+    field.forward(canonical.view(), t(), &mut tape, &mut out);
     let error = canonical.means.iter().zip(&out.means).fold(0.0f32, |m, (a, b)| m.max((*a - *b).abs().max_element()));
     field.visit_mut(&mut |p| {
         if p.value.iter().all(|v| *v == 0.0) {
             p.value = random(p.len(), &p.name).iter().map(|v| 0.01 * v).collect();
         }
     });
-    field.forward(&canonical, t(), &mut tape, &mut out);
-    let (d_out, mut d) =
-        (SplatsGrad { means: points(n), ..SplatsGrad::zeros_like(&canonical) }, SplatsGrad::zeros_like(&canonical));
+    field.forward(canonical.view(), t(), &mut tape, &mut out);
+    let (d_out, mut d) = (Geometry { means: points(n), ..Geometry::zeros(n) }, Geometry::zeros(n));
     let row = |variant| Row {
         case,
         variant,
@@ -190,14 +183,14 @@ fn field<F: Field>(c: &mut Criterion, case: &'static str, n: usize, mut field: F
         error: f64::from(error),
         error_kind: "untrained against identity",
     };
-    measure(c, &row("forward"), || field.forward(&canonical, t(), &mut tape, &mut out));
+    measure(c, &row("forward"), || field.forward(canonical.view(), t(), &mut tape, &mut out));
     measure(c, &row("forward and backward"), || {
-        field.forward(&canonical, t(), &mut tape, &mut out);
-        field.backward(&canonical, &mut tape, &d_out, &mut d);
+        field.forward(canonical.view(), t(), &mut tape, &mut out);
+        field.backward(canonical.view(), &mut tape, d_out.view(), &mut d);
     });
-    if !field.regularise(&canonical, t(), 1).is_empty() {
+    if !field.regularise(canonical.view(), t(), 1).is_empty() {
         measure(c, &row("regularisers"), || {
-            field.regularise(&canonical, t(), 1);
+            field.regularise(canonical.view(), t(), 1);
         });
     }
 }

@@ -7,7 +7,7 @@
 
 use glam::{DMat3, DVec3, Vec3};
 use gs_core::nn::gemm::{Mat, MatMut, Write, gemm};
-use gs_core::{Camera, Color, Params, Rng, Splats, SplatsGrad, Time};
+use gs_core::{Camera, Geometry, Params, Rng, Time};
 use gs_deform::encode::{Columns, HashGrid, HashGridConfig, Slice};
 use gs_deform::field::grid4d::{ExactConfig, StaticTolerance};
 use gs_deform::reference::Grid4dRef;
@@ -25,18 +25,15 @@ fn at_time(normalised: f32) -> Time {
 }
 
 /// Splats on a sphere inside the cube, as they lie on surfaces.
-fn splats() -> Splats {
+fn splats() -> Geometry {
     let mean = |i| {
         let mut rng = Rng::new(1, "splats", 0, i as u64);
         Vec3::new(rng.normal(), rng.normal(), rng.normal()).normalize_or(Vec3::X)
     };
-    Splats {
+    Geometry {
         means: (0..SPLATS).map(mean).collect(),
         quats: vec![[1.0, 0.2, 0.0, 0.0]; SPLATS],
         scales: vec![Vec3::splat(0.01); SPLATS],
-        opacities: vec![0.5; SPLATS],
-        color: Color::Sh { degree: 0, coeffs: vec![0.0; 3 * SPLATS] },
-        ..Splats::default()
     }
 }
 
@@ -84,7 +81,7 @@ fn roof() -> f64 {
 }
 
 /// Milliseconds of the four grids alone, forward and both ways, as the field runs them.
-fn grids(field: &Grid4dField, s: &Splats) -> [f64; 2] {
+fn grids(field: &Grid4dField, s: &Geometry) -> [f64; 2] {
     let bound = field.config().bound;
     let points: Vec<[f32; 3]> = s.means.iter().map(|m| ((*m + bound) / (2.0 * bound)).to_array()).collect();
     let pairs = [(0, 1), (1, 2), (0, 2)];
@@ -116,11 +113,12 @@ fn grids(field: &Grid4dField, s: &Splats) -> [f64; 2] {
 }
 
 /// Everything a step produces.
-fn step(field: &mut Grid4dField, s: &Splats) -> (Splats, SplatsGrad, Vec<f32>) {
-    let (mut tape, mut out, mut d) = (Default::default(), Splats::default(), SplatsGrad::zeros_like(s));
+fn step(field: &mut Grid4dField, s: &Geometry) -> (Geometry, Geometry, Vec<f32>) {
+    let (mut tape, mut out, mut d) = (Default::default(), Geometry::default(), Geometry::zeros(s.len()));
     field.clear_grads();
-    field.forward(s, at_time(0.37), &mut tape, &mut out);
-    field.backward(s, &mut tape, &SplatsGrad { means: s.means.clone(), ..SplatsGrad::zeros_like(s) }, &mut d);
+    field.forward(s.view(), at_time(0.37), &mut tape, &mut out);
+    let d_out = Geometry { means: s.means.clone(), ..Geometry::zeros(s.len()) };
+    field.backward(s.view(), &mut tape, d_out.view(), &mut d);
     let mut grads = Vec::new();
     field.visit(&mut |p| {
         if p.name.starts_with("field.net") {
@@ -136,9 +134,9 @@ fn largest(a: impl Iterator<Item = (f64, f64)>) -> f64 {
 }
 
 /// Error of moved means against the f64 reference, relative to the largest displacement.
-fn against_reference(field: &Grid4dField, s: &Splats) -> f64 {
-    let (reference, mut out, t) = (Grid4dRef::new(field), Splats::default(), at_time(0.37));
-    field.forward(s, t, &mut Default::default(), &mut out);
+fn against_reference(field: &Grid4dField, s: &Geometry) -> f64 {
+    let (reference, mut out, t) = (Grid4dRef::new(field), Geometry::default(), at_time(0.37));
+    field.forward(s.view(), t, &mut Default::default(), &mut out);
     let mut pairs = Vec::new();
     for r in 0..100 {
         let (m, q, z) = (s.means[r].to_array(), s.quats[r], s.scales[r].to_array());
@@ -150,7 +148,7 @@ fn against_reference(field: &Grid4dField, s: &Splats) -> f64 {
 }
 
 /// The field as a training step uses it, and the share of the roof its dense part reaches.
-fn training(s: &Splats, roof: f64) -> Result<(), DeformError> {
+fn training(s: &Geometry, roof: f64) -> Result<(), DeformError> {
     let mut field = field(&Grid4dConfig::default())?;
     // Random values at resolution 2048 feel the rounding of coordinates; grids up to 32 show the decoder's own error.
     let error = Some((against_reference(&field, s), "displacement relative to f64"));
@@ -161,13 +159,13 @@ fn training(s: &Splats, roof: f64) -> Result<(), DeformError> {
     let [space, time] = [field.grids()[0].width(), 3 * field.grids()[1].width()];
     let (width, head) = (field.config().width, field.config().head_width());
     let flops = 2.0 * (SPLATS * (space * width + time * width + width * head + head * space)) as f64;
-    let (mut tape, mut out, mut d) = (Default::default(), Splats::default(), SplatsGrad::zeros_like(s));
-    let d_out = SplatsGrad { means: s.means.clone(), ..SplatsGrad::zeros_like(s) };
+    let (mut tape, mut out, mut d) = (Default::default(), Geometry::default(), Geometry::zeros(s.len()));
+    let d_out = Geometry { means: s.means.clone(), ..Geometry::zeros(s.len()) };
     let forward =
-        ROWS.measured("fags", "forward", flops, error, || field.forward(s, at_time(0.37), &mut tape, &mut out));
+        ROWS.measured("fags", "forward", flops, error, || field.forward(s.view(), at_time(0.37), &mut tape, &mut out));
     let both = ROWS.measured("fags", "forward and backward", 3.0 * flops, error, || {
-        field.forward(s, at_time(0.37), &mut tape, &mut out);
-        field.backward(s, &mut tape, &d_out, &mut d);
+        field.forward(s.view(), at_time(0.37), &mut tape, &mut out);
+        field.backward(s.view(), &mut tape, d_out.view(), &mut d);
     });
     for (variant, ms, work) in
         [("forward", forward - grid_forward, flops), ("both ways", both - grid_both, 3.0 * flops)]
@@ -176,13 +174,13 @@ fn training(s: &Splats, roof: f64) -> Result<(), DeformError> {
         println!("    {:.0} % of the roof of {roof:.0} GFLOP/s", 100.0 * work / ms / 1e6 / roof);
     }
     ROWS.measured("fags", "smoothness, a tenth of the splats", SPLATS as f64, None, || {
-        field.regularise(s, at_time(0.37), 1);
+        field.regularise(s.view(), at_time(0.37), 1);
     });
     Ok(())
 }
 
 /// Each exact saving off, beside all on: what it costs, and how far results differ.
-fn savings(s: &Splats) -> Result<(), DeformError> {
+fn savings(s: &Geometry) -> Result<(), DeformError> {
     let on = Grid4dConfig::default();
     let (_, want_d, want) = step(&mut field(&on)?, s);
     for (variant, exact) in [
@@ -199,25 +197,25 @@ fn savings(s: &Splats) -> Result<(), DeformError> {
             .zip(&want_d.means)
             .flat_map(|(a, b)| (0..3).map(move |k| (f64::from(a[k]), f64::from(b[k]))));
         let error = Some((largest(layers).max(largest(means)), "gradients against all savings"));
-        let (mut tape, mut out, mut d) = (Default::default(), Splats::default(), SplatsGrad::zeros_like(s));
-        let d_out = SplatsGrad { means: s.means.clone(), ..SplatsGrad::zeros_like(s) };
+        let (mut tape, mut out, mut d) = (Default::default(), Geometry::default(), Geometry::zeros(s.len()));
+        let d_out = Geometry { means: s.means.clone(), ..Geometry::zeros(s.len()) };
         ROWS.measured("fags savings", variant, SPLATS as f64, error, || {
-            field.forward(s, at_time(0.37), &mut tape, &mut out);
-            field.backward(s, &mut tape, &d_out, &mut d);
+            field.forward(s.view(), at_time(0.37), &mut tape, &mut out);
+            field.backward(s.view(), &mut tape, d_out.view(), &mut d);
         });
     }
     Ok(())
 }
 
 /// The same splats at many times: with and without the cache, then with static splats.
-fn many_times(s: &Splats) -> Result<(), DeformError> {
+fn many_times(s: &Geometry) -> Result<(), DeformError> {
     let on = Grid4dConfig::default();
-    let (mut out, mut want) = (Splats::default(), Splats::default());
+    let (mut out, mut want) = (Geometry::default(), Geometry::default());
     for (variant, cached_attention) in [("evaluated anew", false), ("frozen", true)] {
         let field = field(&Grid4dConfig { exact: ExactConfig { cached_attention, ..on.exact }, ..on.clone() })?;
-        let mut frozen = field.freeze(s);
+        let mut frozen = field.freeze(s.view());
         frozen.forward(at_time(0.6), &mut out);
-        field.forward(s, at_time(0.6), &mut Default::default(), &mut want);
+        field.forward(s.view(), at_time(0.6), &mut Default::default(), &mut want);
         let same = largest(out.means.iter().zip(&want.means).map(|(a, b)| (f64::from(a.x), f64::from(b.x))));
         let error = Some((same, "against the field's own forward"));
         ROWS.measured("fags frozen", variant, SPLATS as f64, error, || frozen.forward(at_time(0.6), &mut out));
@@ -231,13 +229,13 @@ fn many_times(s: &Splats) -> Result<(), DeformError> {
         [camera.fx * p.x / p.z, camera.fy * p.y / p.z]
     };
     for pixels in [0.0, 0.01, 0.05, 0.2] {
-        let mut frozen = field.freeze(s);
+        let mut frozen = field.freeze(s.view());
         let report =
             frozen.keep_static(&StaticTolerance { pixels, probes: 65, cameras: std::slice::from_ref(&camera) });
         let mut worst = 0.0f64;
         for t in [0.03, 0.21, 0.47, 0.55, 0.98] {
             frozen.forward(at_time(t), &mut out);
-            field.forward(s, at_time(t), &mut Default::default(), &mut want);
+            field.forward(s.view(), at_time(t), &mut Default::default(), &mut want);
             for (a, b) in out.means.iter().zip(&want.means) {
                 let (a, b) = (screen(*a), screen(*b));
                 worst = worst.max((a[0] - b[0]).hypot(a[1] - b[1]));

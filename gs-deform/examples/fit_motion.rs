@@ -8,20 +8,18 @@
 
 use glam::{Quat, Vec3};
 use gs_core::rot;
-use gs_core::{Param, Rng, Splats, SplatsGrad, Time};
+use gs_core::{Geometry, Param, Rng, Time};
 use gs_deform::{Aabb, DefGsConfig, DefMlp, Field, FourDgsConfig, HexPlaneField};
 use std::time::Instant;
 
 /// A sheet of `side²` splats in the plane z = 0, two units wide.
-fn sheet(side: usize) -> Splats {
+fn sheet(side: usize) -> Geometry {
     let n = side * side;
     let at = |i: usize| i as f32 / (side - 1) as f32 * 2.0 - 1.0;
-    Splats {
+    Geometry {
         means: (0..n).map(|i| Vec3::new(at(i % side), at(i / side), 0.0)).collect(),
         quats: vec![[1.0, 0.0, 0.0, 0.0]; n],
         scales: vec![Vec3::splat(0.02); n],
-        opacities: vec![1.0; n],
-        ..Splats::default()
     }
 }
 
@@ -35,8 +33,8 @@ fn truth(p: Vec3, t: f32) -> (Vec3, Quat) {
 }
 
 /// Mean squared error of means and of rotations (up to sign), and its cotangents.
-fn loss(canonical: &Splats, moved: &Splats, t: f32, d: &mut SplatsGrad) -> f32 {
-    d.reset(moved);
+fn loss(canonical: &Geometry, moved: &Geometry, t: f32, d: &mut Geometry) -> f32 {
+    d.reset(moved.len());
     let scale = 1.0 / moved.len() as f32;
     let mut total = 0.0;
     for (i, p) in canonical.means.iter().enumerate() {
@@ -67,8 +65,8 @@ fn adam(p: &mut Param, step: i32, rate: f32) {
 }
 
 /// Root mean square error of the deformed means at `t`.
-fn rms_error<F: Field>(field: &F, canonical: &Splats, t: Time, tape: &mut F::Tape, moved: &mut Splats) -> f32 {
-    field.forward(canonical, t, tape, moved);
+fn rms_error<F: Field>(field: &F, canonical: &Geometry, t: Time, tape: &mut F::Tape, moved: &mut Geometry) -> f32 {
+    field.forward(canonical.view(), t, tape, moved);
     let squares =
         canonical.means.iter().zip(&moved.means).map(|(p, m)| (*m - truth(*p, t.normalised).0).length_squared());
     (squares.sum::<f32>() / canonical.len() as f32).sqrt()
@@ -76,18 +74,18 @@ fn rms_error<F: Field>(field: &F, canonical: &Splats, t: Time, tape: &mut F::Tap
 
 fn fit<F: Field>(mut field: F, steps: u32, rate: impl Fn(&str) -> f32) -> Result<(), Box<dyn std::error::Error>> {
     let canonical = sheet(48);
-    let (mut tape, mut moved) = (F::Tape::default(), Splats::default());
-    let (mut d, mut d_canonical) = (SplatsGrad::default(), SplatsGrad::zeros_like(&canonical));
+    let (mut tape, mut moved) = (F::Tape::default(), Geometry::default());
+    let (mut d, mut d_canonical) = (Geometry::default(), Geometry::zeros(canonical.len()));
     println!("{} splats, {} parameters", canonical.len(), field.param_count());
     println!("{:>6} {:>10} {:>9}   RMS error at t = 0.05 0.25 0.45 0.65 0.85", "step", "loss", "ms/step");
     let start = Instant::now();
     for step in 1..=steps {
         // Sixteen training times: multiples of 1/15.
         let t = Time::new(Rng::new(1, "times", step, 0).below(16) as f32 / 15.0)?;
-        field.forward(&canonical, t, &mut tape, &mut moved);
+        field.forward(canonical.view(), t, &mut tape, &mut moved);
         let value = loss(&canonical, &moved, t.normalised, &mut d);
-        field.backward(&canonical, &mut tape, &d, &mut d_canonical);
-        field.regularise(&canonical, t, step);
+        field.backward(canonical.view(), &mut tape, d.view(), &mut d_canonical);
+        field.regularise(canonical.view(), t, step);
         let fade = 0.1f32.powf(step as f32 / steps as f32);
         field.visit_mut(&mut |p| adam(p, step as i32, rate(&p.name) * fade));
         if step == 1 || step % (steps / 8).max(1) == 0 {

@@ -13,24 +13,22 @@
 //! bit (a negative zero may become positive).
 //!
 //! ```
-//! use gs_deform::apply::{Apply, OffsetColumns, QuatRule, Rows, RowsMut, ScaleRule};
 //! use glam::Vec3;
+//! use gs_core::{GeometryMut, GeometryRef};
+//! use gs_deform::apply::{Apply, OffsetColumns, QuatRule, ScaleRule};
 //!
 //! let rule = Apply { scale: ScaleRule::Add, quat: QuatRule::Raw, scale_limit: Some(2.0) };
-//! let from = Rows { means: &[Vec3::X], quats: &[[1.0, 0.0, 0.0, 0.0]], scales: &[Vec3::new(0.5, 1.0, 1.5)] };
+//! let from = GeometryRef { means: &[Vec3::X], quats: &[[1.0, 0.0, 0.0, 0.0]], scales: &[Vec3::new(0.5, 1.0, 1.5)] };
 //! let by = OffsetColumns { means: vec![0.0, 1.0, 0.0], scales: vec![-0.75, 0.5, 1.0], quats: vec![] };
 //! let (mut m, mut q, mut s) = ([Vec3::ZERO], [[0.0; 4]], [Vec3::ZERO]);
-//! rule.forward(from, by.view(), &mut RowsMut { means: &mut m, quats: &mut q, scales: &mut s });
+//! rule.forward(from, by.view(), &mut GeometryMut { means: &mut m, quats: &mut q, scales: &mut s });
 //! assert_eq!(m[0], Vec3::new(1.0, 1.0, 0.0));
 //! assert_eq!(s[0], Vec3::new(0.25, 1.5, 2.0), "the sign is dropped and the limit held");
 //! assert_eq!(q[0], from.quats[0], "an empty column leaves rotations as they are");
 //! ```
 
 use glam::Vec3;
-use gs_core::nn::BLOCK;
-use gs_core::rot;
-use gs_core::{Color, Splats, SplatsGrad};
-use rayon::prelude::*;
+use gs_core::{GeometryMut, GeometryRef, rot};
 use serde::{Deserialize, Serialize};
 
 /// How an offset `δs` changes a scale `s`.
@@ -96,34 +94,10 @@ impl OffsetColumns {
     }
 }
 
-/// Means, quaternions and scales of consecutive splats: the columns that fields change.
-#[derive(Clone, Copy, Debug)]
-pub struct Rows<'a> {
-    /// `[rows]`, world units.
-    pub means: &'a [Vec3],
-    /// `[rows]`, `(w, x, y, z)` of any length.
-    pub quats: &'a [[f32; 4]],
-    /// `[rows]`, linear, world units.
-    pub scales: &'a [Vec3],
-}
-
-/// [`Rows`] of splats or of their cotangents, to write to.
-#[derive(Debug)]
-pub struct RowsMut<'a> {
-    /// `[rows]`, as [`Rows::means`].
-    pub means: &'a mut [Vec3],
-    /// `[rows]`, as [`Rows::quats`].
-    pub quats: &'a mut [[f32; 4]],
-    /// `[rows]`, as [`Rows::scales`].
-    pub scales: &'a mut [Vec3],
-}
-
 impl Apply {
     /// Writes the rows `from`, moved by the offsets `by`, to `to`. All have the same number of rows.
-    pub fn forward(&self, from: Rows<'_>, by: Offsets<'_>, to: &mut RowsMut<'_>) {
-        to.means.copy_from_slice(from.means);
-        to.scales.copy_from_slice(from.scales);
-        to.quats.copy_from_slice(from.quats);
+    pub fn forward(&self, from: GeometryRef<'_>, by: Offsets<'_>, to: &mut GeometryMut<'_>) {
+        to.copy_from(from);
         for (to, d) in to.means.iter_mut().zip(by.means.as_chunks().0) {
             *to += Vec3::from_array(*d);
         }
@@ -161,10 +135,10 @@ impl Apply {
     /// offsets, `d_by`. A column without offsets passes its cotangent through and leaves an empty column in `d_by`.
     pub fn backward(
         &self,
-        from: Rows<'_>,
+        from: GeometryRef<'_>,
         by: Offsets<'_>,
-        d_moved: Rows<'_>,
-        d_from: &mut RowsMut<'_>,
+        d_moved: GeometryRef<'_>,
+        d_from: &mut GeometryMut<'_>,
         d_by: &mut OffsetColumns,
     ) {
         d_from.means.iter_mut().zip(d_moved.means).for_each(|(d, m)| *d += *m);
@@ -175,10 +149,10 @@ impl Apply {
 
     fn backward_scales(
         &self,
-        from: Rows<'_>,
+        from: GeometryRef<'_>,
         by: Offsets<'_>,
-        d_moved: Rows<'_>,
-        d_from: &mut RowsMut<'_>,
+        d_moved: GeometryRef<'_>,
+        d_from: &mut GeometryMut<'_>,
         d_by: &mut OffsetColumns,
     ) {
         d_by.scales.clear();
@@ -210,10 +184,10 @@ impl Apply {
 
     fn backward_quats(
         &self,
-        from: Rows<'_>,
+        from: GeometryRef<'_>,
         by: Offsets<'_>,
-        d_moved: Rows<'_>,
-        d_from: &mut RowsMut<'_>,
+        d_moved: GeometryRef<'_>,
+        d_from: &mut GeometryMut<'_>,
         d_by: &mut OffsetColumns,
     ) {
         d_by.quats.clear();
@@ -263,119 +237,6 @@ fn fill(column: &mut Vec<f32>, wanted: usize, values: impl Iterator<Item = f32>)
     }
 }
 
-/// Copies means, quaternions and scales of the given rows; other columns stay empty.
-pub fn pick(splats: &Splats, rows: &[u32]) -> Splats {
-    let row = |r: &u32| *r as usize;
-    Splats {
-        means: rows.iter().map(|r| splats.means[row(r)]).collect(),
-        quats: rows.iter().map(|r| splats.quats[row(r)]).collect(),
-        scales: rows.iter().map(|r| splats.scales[row(r)]).collect(),
-        ..Splats::default()
-    }
-}
-
-/// Writes means, quaternions and scales of [`pick`]ed splats back to their rows of `out`.
-pub fn scatter_rows(picked: &Splats, rows: &[u32], out: &mut Splats) {
-    for (i, row) in rows.iter().map(|r| *r as usize).enumerate() {
-        out.means[row] = picked.means[i];
-        out.quats[row] = picked.quats[i];
-        out.scales[row] = picked.scales[i];
-    }
-}
-
-/// Resizes `out` to `canonical` and copies the columns that fields do not change: opacities, colours, kernel. Reuses
-/// memory; means, quaternions and scales are left to the field.
-pub fn pass_through(canonical: &Splats, out: &mut Splats) {
-    let n = canonical.len();
-    out.means.resize(n, Vec3::ZERO);
-    out.scales.resize(n, Vec3::ZERO);
-    out.quats.resize(n, [0.0; 4]);
-    out.opacities.clone_from(&canonical.opacities);
-    out.kernel.clone_from(&canonical.kernel);
-    match (&canonical.color, &mut out.color) {
-        (Color::Sh { degree, coeffs }, Color::Sh { degree: to_degree, coeffs: to }) => {
-            *to_degree = *degree;
-            to.resize(coeffs.len(), 0.0);
-            to.par_chunks_mut(1 << 14).zip(coeffs.par_chunks(1 << 14)).for_each(|(to, from)| to.copy_from_slice(from));
-        }
-        (Color::Rgb(rgb), Color::Rgb(to)) => to.clone_from(rgb),
-        (color, to) => to.clone_from(color),
-    }
-}
-
-/// Backward of [`pass_through`]: adds the cotangents of opacities, colours and kernel to those of the canonical splats.
-pub fn pass_through_backward(d_out: &SplatsGrad, d_canonical: &mut SplatsGrad) {
-    for (to, from) in [
-        (&mut d_canonical.opacities, &d_out.opacities),
-        (&mut d_canonical.color, &d_out.color),
-        (&mut d_canonical.kernel, &d_out.kernel),
-    ] {
-        to.par_chunks_mut(1 << 14).zip(from.par_chunks(1 << 14)).for_each(|(to, from)| {
-            to.iter_mut().zip(from).for_each(|(t, f)| *t += f);
-        });
-    }
-}
-
-/// [`Rows`] of all splats in chunks of `rows` splats; the last may be shorter.
-pub fn chunks(splats: &Splats, rows: usize) -> impl IndexedParallelIterator<Item = Rows<'_>> {
-    columns(&splats.means, &splats.quats, &splats.scales, rows)
-}
-
-/// [`Rows`] of all cotangents in chunks of `rows` splats.
-pub fn grad_chunks(grad: &SplatsGrad, rows: usize) -> impl IndexedParallelIterator<Item = Rows<'_>> {
-    columns(&grad.means, &grad.quats, &grad.scales, rows)
-}
-
-/// [`chunks`] to write to: all splats in chunks of `rows`.
-pub fn chunks_mut(splats: &mut Splats, rows: usize) -> impl IndexedParallelIterator<Item = RowsMut<'_>> {
-    columns_mut(&mut splats.means, &mut splats.quats, &mut splats.scales, rows)
-}
-
-/// [`grad_chunks`] to add to: all cotangents in chunks of `rows`.
-pub fn grad_chunks_mut(grad: &mut SplatsGrad, rows: usize) -> impl IndexedParallelIterator<Item = RowsMut<'_>> {
-    columns_mut(&mut grad.means, &mut grad.quats, &mut grad.scales, rows)
-}
-
-fn columns<'a>(
-    means: &'a [Vec3],
-    quats: &'a [[f32; 4]],
-    scales: &'a [Vec3],
-    rows: usize,
-) -> impl IndexedParallelIterator<Item = Rows<'a>> {
-    let (means, quats, scales) = (means.par_chunks(rows), quats.par_chunks(rows), scales.par_chunks(rows));
-    means.zip(quats).zip(scales).map(|((means, quats), scales)| Rows { means, quats, scales })
-}
-
-fn columns_mut<'a>(
-    means: &'a mut [Vec3],
-    quats: &'a mut [[f32; 4]],
-    scales: &'a mut [Vec3],
-    rows: usize,
-) -> impl IndexedParallelIterator<Item = RowsMut<'a>> {
-    let (means, quats) = (means.par_chunks_mut(rows), quats.par_chunks_mut(rows));
-    means.zip(quats).zip(scales.par_chunks_mut(rows)).map(|((means, quats), scales)| RowsMut { means, quats, scales })
-}
-
-impl<'a> Rows<'a> {
-    /// Block `index` of these rows, [`BLOCK`] rows each; the last may be shorter.
-    pub fn block(&self, index: usize) -> Rows<'a> {
-        let range = index * BLOCK..((index + 1) * BLOCK).min(self.means.len());
-        Rows { means: &self.means[range.clone()], quats: &self.quats[range.clone()], scales: &self.scales[range] }
-    }
-}
-
-impl RowsMut<'_> {
-    /// Block `index` of these rows, [`BLOCK`] rows each; the last may be shorter.
-    pub fn block(&mut self, index: usize) -> RowsMut<'_> {
-        let range = index * BLOCK..((index + 1) * BLOCK).min(self.means.len());
-        RowsMut {
-            means: &mut self.means[range.clone()],
-            quats: &mut self.quats[range.clone()],
-            scales: &mut self.scales[range],
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -397,15 +258,15 @@ mod tests {
         let (means, quats) = ([Vec3::ZERO; 2], [[1.0, 0.0, 0.0, 0.0]; 2]);
         let scales = [Vec3::new(0.5, 0.5, 0.5), Vec3::new(-0.25, 1.5, 2.0)];
         let by = Offsets { scales: &[0.25, -0.5, -1.5, 0.0, 1.0, 0.0], ..Offsets::default() };
-        let from = Rows { means: &means, quats: &quats, scales: &scales };
+        let from = GeometryRef { means: &means, quats: &quats, scales: &scales };
         let (mut m, mut q, mut s) = (means, quats, [Vec3::ZERO; 2]);
-        apply.forward(from, by, &mut RowsMut { means: &mut m, quats: &mut q, scales: &mut s });
+        apply.forward(from, by, &mut GeometryMut { means: &mut m, quats: &mut q, scales: &mut s });
         assert_eq!(s, [Vec3::new(0.75, 0.0, 1.0), Vec3::new(0.25, 2.0, 2.0)]);
         let d_moved = [Vec3::new(3.0, 5.0, 7.0); 2];
         let (mut d_m, mut d_q, mut d_s) = ([Vec3::ZERO; 2], [[0.0; 4]; 2], [Vec3::ONE; 2]);
         let mut d_by = OffsetColumns::default();
-        let mut d_from = RowsMut { means: &mut d_m, quats: &mut d_q, scales: &mut d_s };
-        apply.backward(from, by, Rows { scales: &d_moved, ..from }, &mut d_from, &mut d_by);
+        let mut d_from = GeometryMut { means: &mut d_m, quats: &mut d_q, scales: &mut d_s };
+        apply.backward(from, by, GeometryRef { scales: &d_moved, ..from }, &mut d_from, &mut d_by);
         assert_eq!(d_by.scales, [3.0, 0.0, -7.0, -3.0, 0.0, 7.0]);
         assert_eq!(d_s, [Vec3::new(4.0, 1.0, -6.0), Vec3::new(-2.0, 1.0, 8.0)]);
     }
@@ -413,31 +274,15 @@ mod tests {
     #[test]
     fn columns_that_do_not_move_pass_everything() {
         let (means, quats, scales) = ([Vec3::ONE; 3], [[1.0, 2.0, 3.0, 4.0]; 3], [Vec3::splat(0.5); 3]);
-        let rows = Rows { means: &means, quats: &quats, scales: &scales };
+        let rows = GeometryRef { means: &means, quats: &quats, scales: &scales };
         let apply = Apply { scale: ScaleRule::Log, quat: QuatRule::Compose, scale_limit: None };
         let (mut m, mut q, mut s) = ([Vec3::ZERO; 3], [[0.0; 4]; 3], [Vec3::ZERO; 3]);
-        apply.forward(rows, Offsets::default(), &mut RowsMut { means: &mut m, quats: &mut q, scales: &mut s });
+        apply.forward(rows, Offsets::default(), &mut GeometryMut { means: &mut m, quats: &mut q, scales: &mut s });
         assert_eq!((m, q, s), (means, quats, scales));
         let mut d_by = OffsetColumns { means: vec![7.0; 9], ..OffsetColumns::default() };
-        let mut d_from = RowsMut { means: &mut m, quats: &mut q, scales: &mut s };
+        let mut d_from = GeometryMut { means: &mut m, quats: &mut q, scales: &mut s };
         apply.backward(rows, Offsets::default(), rows, &mut d_from, &mut d_by);
         assert_eq!((m[0], q[0], s[0]), (means[0] * 2.0, quats[0].map(|v| v * 2.0), scales[0] * 2.0));
         assert!(d_by.means.is_empty() && d_by.quats.is_empty() && d_by.scales.is_empty());
-    }
-
-    #[test]
-    fn columns_that_fields_do_not_change_are_copied_over_any_content() {
-        let from = Splats {
-            means: vec![Vec3::ONE; 2],
-            opacities: vec![0.25, 0.5],
-            color: Color::Rgb(vec![[0.1, 0.2, 0.3]; 2]),
-            ..Splats::default()
-        };
-        let sh = Splats { color: Color::Sh { degree: 0, coeffs: vec![0.5; 6] }, ..from.clone() };
-        let mut out = Splats::default();
-        for splats in [&from, &sh, &sh, &from] {
-            pass_through(splats, &mut out);
-            assert_eq!((&out.color, &out.opacities, out.quats.len()), (&splats.color, &splats.opacities, 2));
-        }
     }
 }

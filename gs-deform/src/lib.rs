@@ -16,19 +16,17 @@
 //! against.
 //!
 //! ```
-//! use gs_core::{Splats, Time};
+//! use gs_core::{Geometry, Time};
 //! use gs_deform::{Aabb, Field, FourDgsConfig, HexPlaneField};
 //!
-//! let canonical = Splats {
+//! let canonical = Geometry {
 //!     means: vec![glam::Vec3::X],
 //!     quats: vec![[1.0, 0.0, 0.0, 0.0]],
 //!     scales: vec![glam::Vec3::splat(0.1)],
-//!     opacities: vec![0.5],
-//!     ..Splats::default()
 //! };
 //! let field = HexPlaneField::new("field", &FourDgsConfig::fast(), Aabb::cube(1.6), 1)?;
 //! let (mut tape, mut out) = Default::default();
-//! field.forward(&canonical, Time::new(0.3)?, &mut tape, &mut out);
+//! field.forward(canonical.view(), Time::new(0.3)?, &mut tape, &mut out);
 //! assert_eq!(out, canonical, "an untrained field is the identity, bit for bit");
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```

@@ -13,7 +13,7 @@ mod support;
 
 use glam::Vec3;
 use gs_core::nn::BLOCK;
-use gs_core::{Color, Params, Rng, Splats, SplatsGrad, Time};
+use gs_core::{Geometry, Params, Rng, Time};
 use gs_deform::apply::{QuatRule, ScaleRule};
 use gs_deform::encode::HexPlaneConfig;
 use gs_deform::reference::HexPlaneRef;
@@ -26,18 +26,14 @@ type Blocks = BTreeMap<String, Vec<f64>>;
 /// A field's f64 reference: one splat (mean, quat, scale flat) at a time; `query` is the point the field is sampled at.
 type Reference<'a> = dyn Fn(&Blocks, [f64; 3], [f64; 10]) -> [f64; 10] + 'a;
 
-fn splats(n: usize) -> Splats {
-    let mut s = Splats { color: Color::Sh { degree: 1, coeffs: Vec::new() }, ..Splats::default() };
+fn splats(n: usize) -> Geometry {
+    let mut s = Geometry::default();
     for row in 0..n {
         let mut rng = Rng::new(4, "splats", 0, row as u64);
         let mut vec3 = |lo, hi| Vec3::new(rng.range(lo, hi), rng.range(lo, hi), rng.range(lo, hi));
         s.means.push(if row % 8 == 7 { Vec3::new(2.0, 5.0, -9.0) } else { vec3(-1.2, 1.2) });
         s.scales.push(vec3(0.01, 0.3));
         s.quats.push([rng.normal(), rng.normal(), rng.normal(), rng.normal()]);
-        s.opacities.push(rng.uniform());
-        if let Color::Sh { coeffs, .. } = &mut s.color {
-            coeffs.extend((0..12).map(|_| rng.normal()));
-        }
     }
     s
 }
@@ -152,11 +148,11 @@ fn assert_close(got: &[f64], want: &[f64], bound: f64, what: &str) {
 /// Runs a field forward and backward on `n` splats and compares everything with the reference. `detached`: the point
 /// the field is sampled at is a constant. `stride`: every how many parameter values are checked.
 fn compare<F: Field>(mut field: F, n: usize, t: Time, detached: bool, reference: &Reference<'_>, stride: usize) {
-    let (s, mut tape, mut out) = (splats(n), F::Tape::default(), Splats::default());
-    field.forward(&s, t, &mut tape, &mut out);
-    let d_out = cotangents(&s, 1);
-    let mut d = SplatsGrad::zeros_like(&s);
-    field.backward(&s, &mut tape, &d_out, &mut d);
+    let (s, mut tape, mut out) = (splats(n), F::Tape::default(), Geometry::default());
+    field.forward(s.view(), t, &mut tape, &mut out);
+    let d_out = cotangents(s.len(), 1);
+    let mut d = Geometry::zeros(s.len());
+    field.backward(s.view(), &mut tape, d_out.view(), &mut d);
     let params = blocks(&field);
     let weights = |r| row(&d_out.means, &d_out.quats, &d_out.scales, r);
     let at = |query: Option<[f64; 3]>, params: &Blocks, v: [f64; 10], r| -> f64 {
@@ -180,8 +176,6 @@ fn compare<F: Field>(mut field: F, n: usize, t: Time, detached: bool, reference:
     }
     assert_close(&got, &want, 2e-6, "moved splats");
     assert_close(&got_d, &want_d, 2e-5, "gradients of splats");
-    assert_eq!((&out.opacities, out.color.as_flat()), (&s.opacities, s.color.as_flat()));
-    assert_eq!((&d.opacities, &d.color), (&d_out.opacities, &d_out.color));
 
     field.visit(&mut |p| {
         let (mut params, mut got, mut want) = (params.clone(), vec![], vec![]);
@@ -270,9 +264,9 @@ fn defgs_agrees_with_its_reference() {
 }
 
 fn identity<F: Field>(field: F) {
-    let (s, mut tape, mut out) = (splats(2 * BLOCK + 5), F::Tape::default(), Splats::default());
+    let (s, mut tape, mut out) = (splats(2 * BLOCK + 5), F::Tape::default(), Geometry::default());
     for t in [-0.5, 0.0, 0.3, 1.0, 2.0] {
-        field.forward(&s, time(t), &mut tape, &mut out);
+        field.forward(s.view(), time(t), &mut tape, &mut out);
         assert_eq!(out, s, "t = {t}");
     }
 }
@@ -297,17 +291,17 @@ fn an_untrained_field_is_the_identity_to_the_last_bit() {
 
 /// Everything a step produces, as bits.
 fn step<F: Field>(field: &mut F, tape: &mut F::Tape, n: usize, t: f32) -> Vec<u32> {
-    let (s, mut out) = (splats(n), Splats::default());
+    let (s, mut out) = (splats(n), Geometry::default());
     field.clear_grads();
-    field.forward(&s, time(t), tape, &mut out);
-    let mut d = SplatsGrad::zeros_like(&s);
-    field.backward(&s, tape, &cotangents(&s, 2), &mut d);
-    let terms = field.regularise(&s, time(t), 1);
+    field.forward(s.view(), time(t), tape, &mut out);
+    let mut d = Geometry::zeros(s.len());
+    field.backward(s.view(), tape, cotangents(s.len(), 2).view(), &mut d);
+    let terms = field.regularise(s.view(), time(t), 1);
     let mut bits: Vec<u32> = terms.iter().map(|v| v.1.to_bits()).collect();
     for v in [&out.means, &out.scales, &d.means, &d.scales] {
         bits.extend(v.iter().flat_map(|v| v.to_array()).map(f32::to_bits));
     }
-    bits.extend(out.quats.iter().chain(&d.quats).flatten().chain(&d.color).map(|v| v.to_bits()));
+    bits.extend(out.quats.iter().chain(&d.quats).flatten().map(|v| v.to_bits()));
     field.visit(&mut |p| bits.extend(p.grad.iter().map(|v| v.to_bits())));
     bits
 }
@@ -337,14 +331,14 @@ fn threads_and_warm_tapes_change_no_bit() {
 #[test]
 fn gradients_are_added_not_overwritten() {
     let mut field = fourdgs(&small_fourdgs());
-    let (s, mut tape, mut out) = (splats(20), Default::default(), Splats::default());
-    let d_out = cotangents(&s, 1);
-    let (mut once, mut twice) = (SplatsGrad::zeros_like(&s), SplatsGrad::zeros_like(&s));
-    field.forward(&s, time(0.5), &mut tape, &mut out);
-    field.backward(&s, &mut tape, &d_out, &mut once);
+    let (s, mut tape, mut out) = (splats(20), Default::default(), Geometry::default());
+    let d_out = cotangents(s.len(), 1);
+    let (mut once, mut twice) = (Geometry::zeros(s.len()), Geometry::zeros(s.len()));
+    field.forward(s.view(), time(0.5), &mut tape, &mut out);
+    field.backward(s.view(), &mut tape, d_out.view(), &mut once);
     let first = blocks_of_grads(&field);
     for _ in 0..2 {
-        field.backward(&s, &mut tape, &d_out, &mut twice);
+        field.backward(s.view(), &mut tape, d_out.view(), &mut twice);
     }
     let third = blocks_of_grads(&field);
     for (a, b) in once.means.iter().zip(&twice.means) {

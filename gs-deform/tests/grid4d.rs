@@ -14,7 +14,7 @@ mod support;
 
 use glam::Vec3;
 use gs_core::nn::BLOCK;
-use gs_core::{Camera, Color, Params, Rng, Splats, SplatsGrad};
+use gs_core::{Camera, Geometry, Params, Rng};
 use gs_deform::encode::HashGridConfig;
 use gs_deform::field::grid4d::{ExactConfig, FourierConfig, Fusion, GateConfig, GateMode, StaticTolerance, WaveTime};
 use gs_deform::reference::Grid4dRef;
@@ -25,8 +25,8 @@ const MODES: [GateMode; 4] =
     [GateMode::ScaleParam, GateMode::LerpPosition, GateMode::TranslationOnly, GateMode::Literal];
 
 /// Every eighth splat lies outside the cube; the first two sit on its faces.
-fn splats(n: usize) -> Splats {
-    let mut s = Splats { color: Color::Sh { degree: 0, coeffs: Vec::new() }, ..Splats::default() };
+fn splats(n: usize) -> Geometry {
+    let mut s = Geometry::default();
     for row in 0..n {
         let mut rng = Rng::new(4, "splats", 0, row as u64);
         let mut vec3 = |lo, hi| Vec3::new(rng.range(lo, hi), rng.range(lo, hi), rng.range(lo, hi));
@@ -39,10 +39,6 @@ fn splats(n: usize) -> Splats {
         // Scales of either sign: only their squares matter.
         s.scales.push(vec3(-0.1, 0.3));
         s.quats.push([rng.normal(), rng.normal(), rng.normal(), rng.normal()]);
-        s.opacities.push(rng.uniform());
-        if let Color::Sh { coeffs, .. } = &mut s.color {
-            coeffs.extend((0..3).map(|_| rng.normal()));
-        }
     }
     s
 }
@@ -95,10 +91,10 @@ fn field(config: &Grid4dConfig) -> Grid4dField {
 /// parameter values are checked.
 fn compare(config: &Grid4dConfig, n: usize, t: f32, stride: usize) {
     let (mut field, s, t) = (field(config), splats(n), time(t));
-    let (mut tape, mut out) = (Default::default(), Splats::default());
-    field.forward(&s, t, &mut tape, &mut out);
-    let (d_out, mut d) = (cotangents(&s, 1), SplatsGrad::zeros_like(&s));
-    field.backward(&s, &mut tape, &d_out, &mut d);
+    let (mut tape, mut out) = (Default::default(), Geometry::default());
+    field.forward(s.view(), t, &mut tape, &mut out);
+    let (d_out, mut d) = (cotangents(s.len(), 1), Geometry::zeros(s.len()));
+    field.backward(s.view(), &mut tape, d_out.view(), &mut d);
     let reference = Grid4dRef::new(&field);
     let place = |r: usize| s.means[r].to_array().map(f64::from);
     let loss = |reference: &Grid4dRef, v: [f64; 10], r: usize| -> f64 {
@@ -121,8 +117,6 @@ fn compare(config: &Grid4dConfig, n: usize, t: f32, stride: usize) {
     }
     assert_close(&got, &want, 2e-6, "moved splats");
     assert_close(&got_d, &want_d, 2e-5, "gradients of splats");
-    assert_eq!((&out.opacities, out.color.as_flat()), (&s.opacities, s.color.as_flat()));
-    assert_eq!((&d.opacities, &d.color), (&d_out.opacities, &d_out.color));
 
     field.visit(&mut |p| {
         let (mut reference, mut got, mut want) = (reference.clone(), vec![], vec![]);
@@ -185,9 +179,9 @@ fn an_untrained_field_is_the_identity_to_the_last_bit() {
     for gate in MODES[..3].iter().map(|&mode| GateConfig { on: true, mode, start: 0.5 }) {
         let plain = Grid4dConfig { zero_init: true, gate, ..small() };
         for config in [plain.clone(), grid4d(plain)] {
-            let (field, mut tape, mut out) = (field(&config), Default::default(), Splats::default());
+            let (field, mut tape, mut out) = (field(&config), Default::default(), Geometry::default());
             for t in [-0.5, 0.0, 0.3, 1.0, 2.0] {
-                field.forward(&s, time(t), &mut tape, &mut out);
+                field.forward(s.view(), time(t), &mut tape, &mut out);
                 assert!(out == s, "t = {t}");
             }
         }
@@ -199,7 +193,7 @@ fn the_gate_starts_at_its_setting() {
     let s = splats(16);
     let config = |start| Grid4dConfig { zero_init: true, gate: GateConfig { start, ..small().gate }, ..small() };
     for start in [0.05, 0.5, 0.9] {
-        let quantities = Grid4dField::new(&config(start), 1).unwrap().quantities(&s, time(0.3));
+        let quantities = Grid4dField::new(&config(start), 1).unwrap().quantities(s.view(), time(0.3));
         let (name, gate) = &quantities[0];
         assert_eq!((*name, gate.len()), ("gate", 16));
         for (row, &eta) in gate.iter().enumerate() {
@@ -215,24 +209,24 @@ fn the_gate_starts_at_its_setting() {
 
 #[test]
 fn outside_the_cube_nothing_moves_and_nothing_has_a_gradient() {
-    let far = Splats { means: vec![Vec3::new(0.0, 1.51, 0.0); 3], ..splats(3) };
-    let (mut field, mut tape, mut out) = (field(&small()), Default::default(), Splats::default());
-    field.forward(&far, time(0.6), &mut tape, &mut out);
+    let far = Geometry { means: vec![Vec3::new(0.0, 1.51, 0.0); 3], ..splats(3) };
+    let (mut field, mut tape, mut out) = (field(&small()), Default::default(), Geometry::default());
+    field.forward(far.view(), time(0.6), &mut tape, &mut out);
     assert_eq!(out, far);
-    let (d_out, mut d) = (cotangents(&far, 1), SplatsGrad::zeros_like(&far));
-    field.backward(&far, &mut tape, &d_out, &mut d);
+    let (d_out, mut d) = (cotangents(far.len(), 1), Geometry::zeros(far.len()));
+    field.backward(far.view(), &mut tape, d_out.view(), &mut d);
     assert_eq!((d.means, d.scales, d.quats), (d_out.means, d_out.scales, d_out.quats));
     field.visit(&mut |p| assert!(p.grad.iter().all(|g| *g == 0.0), "{}", p.name));
-    assert_eq!(field.quantities(&far, time(0.6)), [("gate", vec![0.0; 3])]);
+    assert_eq!(field.quantities(far.view(), time(0.6)), [("gate", vec![0.0; 3])]);
 }
 
 /// Everything a step produces, as numbers.
 fn step(field: &mut Grid4dField, tape: &mut <Grid4dField as Field>::Tape, n: usize, t: f32) -> Vec<Vec<f32>> {
-    let (s, mut out) = (splats(n), Splats::default());
+    let (s, mut out) = (splats(n), Geometry::default());
     field.clear_grads();
-    field.forward(&s, time(t), tape, &mut out);
-    let mut d = SplatsGrad::zeros_like(&s);
-    field.backward(&s, tape, &cotangents(&s, 2), &mut d);
+    field.forward(s.view(), time(t), tape, &mut out);
+    let mut d = Geometry::zeros(s.len());
+    field.backward(s.view(), tape, cotangents(s.len(), 2).view(), &mut d);
     let flat = |v: &[Vec3]| v.iter().flat_map(|v| v.to_array()).collect::<Vec<f32>>();
     let mut all = vec![flat(&out.means), flat(&out.scales), flat(&d.means), flat(&d.scales)];
     all.extend([out.quats.as_flattened().to_vec(), d.quats.as_flattened().to_vec()]);
@@ -242,7 +236,7 @@ fn step(field: &mut Grid4dField, tape: &mut <Grid4dField as Field>::Tape, n: usi
 
 fn step_and_regularise(field: &mut Grid4dField, tape: &mut <Grid4dField as Field>::Tape, n: usize, t: f32) -> Vec<u32> {
     let mut all = step(field, tape, n, t);
-    all.push(field.regularise(&splats(n), time(t), 5).iter().map(|v| v.1).collect());
+    all.push(field.regularise(splats(n).view(), time(t), 5).iter().map(|v| v.1).collect());
     field.visit(&mut |p| all.push(p.grad.clone()));
     all.iter().flatten().map(|v| v.to_bits()).collect()
 }
@@ -287,17 +281,17 @@ fn threads_and_warm_tapes_change_no_bit() {
 #[test]
 fn gradients_are_added_not_overwritten() {
     let (mut field, s, mut tape) = (field(&small()), splats(20), Default::default());
-    let d_out = cotangents(&s, 1);
-    field.forward(&s, time(0.5), &mut tape, &mut Splats::default());
-    let mut d = SplatsGrad::zeros_like(&s);
+    let d_out = cotangents(s.len(), 1);
+    field.forward(s.view(), time(0.5), &mut tape, &mut Geometry::default());
+    let mut d = Geometry::zeros(s.len());
     let grads = |field: &Grid4dField| {
         let mut all = Vec::new();
         field.visit(&mut |p| all.extend(p.grad.iter().map(|&g| f64::from(g))));
         all
     };
-    field.backward(&s, &mut tape, &d_out, &mut d);
+    field.backward(s.view(), &mut tape, d_out.view(), &mut d);
     let (once, first) = (grads(&field), d.means[3]);
-    field.backward(&s, &mut tape, &d_out, &mut d);
+    field.backward(s.view(), &mut tape, d_out.view(), &mut d);
     assert_close(&grads(&field), &once.iter().map(|g| 2.0 * g).collect::<Vec<_>>(), 1e-6, "parameters");
     assert!((d.means[3] - 2.0 * first).abs().max_element() < 1e-5 * first.length());
 }
@@ -308,11 +302,11 @@ fn a_frozen_field_gives_the_same_splats() {
         for collapse in [true, false] {
             let exact = ExactConfig { cached_attention, fourier_collapse: collapse, ..small().exact };
             let (field, s) = (field(&Grid4dConfig { exact, ..small() }), splats(BLOCK + 40));
-            let (mut frozen, mut tape) = (field.freeze(&s), Default::default());
-            let (mut out, mut want) = (Splats::default(), Splats::default());
+            let (mut frozen, mut tape) = (field.freeze(s.view()), Default::default());
+            let (mut out, mut want) = (Geometry::default(), Geometry::default());
             for t in [0.1, 0.9, 0.5] {
                 frozen.forward(time(t), &mut out);
-                field.forward(&s, time(t), &mut tape, &mut want);
+                field.forward(s.view(), time(t), &mut tape, &mut want);
                 assert!(out == want, "collapse {collapse}, cache {cached_attention}");
             }
         }
@@ -342,14 +336,14 @@ fn static_splats_are_within_their_bound() {
     };
     let mut counts = Vec::new();
     for pixels in [0.0, 0.2, 2.0, 20.0] {
-        let mut frozen = field.freeze(&s);
+        let mut frozen = field.freeze(s.view());
         let report = frozen.keep_static(&StaticTolerance { pixels, probes: 9, cameras: &cameras });
         assert!(report.bound_pixels <= pixels && report.splats == 600 && report.probes == 9);
-        let (mut out, mut want) = (Splats::default(), Splats::default());
+        let (mut out, mut want) = (Geometry::default(), Geometry::default());
         for probe in 0..9 {
             let t = time(probe as f32 / 8.0);
             frozen.forward(t, &mut out);
-            field.forward(&s, t, &mut Default::default(), &mut want);
+            field.forward(s.view(), t, &mut Default::default(), &mut want);
             for (a, b) in out.means.iter().zip(&want.means) {
                 for c in &cameras {
                     let (a, b) = (screen(c, *a), screen(c, *b));
@@ -368,13 +362,13 @@ fn static_splats_are_within_their_bound() {
 #[test]
 fn the_gate_is_reported_only_where_there_is_one() {
     let s = splats(9);
-    let gates = field(&small()).quantities(&s, time(0.3));
+    let gates = field(&small()).quantities(s.view(), time(0.3));
     let reference = Grid4dRef::new(&field(&small()));
     for (r, gate) in gates[0].1.iter().enumerate().filter(|(r, _)| r % 8 != 7) {
         let raw = reference.head(s.means[r].to_array().map(f64::from), time(0.3))[0];
         assert!((f64::from(*gate) - 1.0 / (1.0 + (-raw).exp())).abs() < 1e-6);
     }
-    assert!(field(&grid4d(small())).quantities(&s, time(0.3)).is_empty());
+    assert!(field(&grid4d(small())).quantities(s.view(), time(0.3)).is_empty());
 }
 
 #[test]

@@ -34,8 +34,8 @@ fn render_timed(name: &str, splats: &Splats, camera: &Camera) -> Frame {
     println!(
         "{name}: {} splats, {}x{}: {:.1} ms, mean alpha {mean:.3}, {} of {} tile entries used",
         splats.len(),
-        frame.width,
-        frame.height,
+        frame.rgb.width,
+        frame.rgb.height,
         start.elapsed().as_secs_f64() * 1e3,
         workspace.entries_used(),
         workspace.entries(),
@@ -46,8 +46,8 @@ fn render_timed(name: &str, splats: &Splats, camera: &Camera) -> Frame {
 /// Writes a portable pixmap (binary PPM), values clamped to `[0, 1]`.
 fn write_ppm(frame: &Frame, file: std::fs::File) -> std::io::Result<()> {
     let mut to = std::io::BufWriter::new(file);
-    write!(to, "P6\n{} {}\n255\n", frame.width, frame.height)?;
-    let bytes: Vec<u8> = frame.rgb.iter().map(|v| (v.clamp(0.0, 1.0) * 255.0).round() as u8).collect();
+    write!(to, "P6\n{} {}\n255\n", frame.rgb.width, frame.rgb.height)?;
+    let bytes: Vec<u8> = frame.rgb.data.iter().map(|v| (v.clamp(0.0, 1.0) * 255.0).round() as u8).collect();
     to.write_all(&bytes)?;
     to.flush()
 }

@@ -14,7 +14,7 @@ use crate::tiles::{Grid, LOG2_SCALE, TILE};
 use crate::workspace::{BLOCKS, Plane, Record, Workspace, pixel_of};
 use fearless_simd::{dispatch, prelude::*};
 use glam::Vec3;
-use gs_core::{Camera, Color, Kernel, Splats, SplatsGrad};
+use gs_core::{Camera, Color, Kernel, SplatsGrad, SplatsRef};
 use rayon::prelude::*;
 
 /// Splats per task of the second pass.
@@ -39,8 +39,8 @@ const SPLAT_BLOCK: usize = 512;
 /// assert!(grad.opacities.iter().all(|&g| g >= 0.0)); // more opacity, more alpha
 /// assert!(stats.radii.iter().zip(&grad.opacities).all(|(&r, &g)| r > 0.0 || g == 0.0));
 /// ```
-pub fn render_backward_into(
-    splats: &Splats,
+pub fn render_backward_into<'a>(
+    splats: impl Into<SplatsRef<'a>>,
     camera: &Camera,
     options: &RasterOptions,
     workspace: &mut Workspace,
@@ -48,11 +48,11 @@ pub fn render_backward_into(
     grad: &mut SplatsGrad,
     stats: &mut ScreenStats,
 ) {
-    let w = workspace;
+    let (splats, w) = (splats.into(), workspace);
     debug_assert_eq!((w.grid.width, w.grid.height), (camera.width as usize, camera.height as usize));
     allocate_records(w);
     let depth = !d.depth.is_empty();
-    match &splats.kernel {
+    match splats.kernel {
         Kernel::Gaussian if depth => tiles_backward::<_, true>(Gaussian, options, d, w),
         Kernel::Gaussian => tiles_backward::<_, false>(Gaussian, options, d, w),
         kernel => {
@@ -147,7 +147,7 @@ fn assign_ranks(n: usize, w: &mut Workspace) {
 }
 
 fn splats_backward(
-    splats: &Splats,
+    splats: SplatsRef<'_>,
     options: &RasterOptions,
     w: &Workspace,
     grad: &mut SplatsGrad,
@@ -200,7 +200,14 @@ struct RowsOut<'a> {
 }
 
 #[inline(always)]
-fn block_backward<S: Simd>(_: S, splats: &Splats, options: &RasterOptions, w: &Workspace, view: &View, out: RowsOut) {
+fn block_backward<S: Simd>(
+    _: S,
+    splats: SplatsRef<'_>,
+    options: &RasterOptions,
+    w: &Workspace,
+    view: &View,
+    out: RowsOut,
+) {
     let (width, kernel_width) = (splats.color.width(), splats.kernel.width());
     for k in 0..out.means.len() {
         let i = out.first + k;
@@ -259,9 +266,9 @@ fn sum_records(w: &Workspace, rank: u32) -> Option<PixelSums> {
 
 /// Writes the cotangents of the colour row; returns that of the mean through the view direction.
 #[inline(always)]
-fn color_backward(splats: &Splats, view: &View, i: usize, sums: &PixelSums, d_row: &mut [f32]) -> Vec3 {
+fn color_backward(splats: SplatsRef<'_>, view: &View, i: usize, sums: &PixelSums, d_row: &mut [f32]) -> Vec3 {
     let d_rgb = [sums.rgb[0] as f32, sums.rgb[1] as f32, sums.rgb[2] as f32];
-    match &splats.color {
+    match splats.color {
         Color::Rgb(_) => {
             d_row.copy_from_slice(&d_rgb);
             Vec3::ZERO

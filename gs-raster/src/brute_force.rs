@@ -77,8 +77,8 @@ fn scenes() -> impl Iterator<Item = (Splats, RasterOptions)> {
 
 fn bits<K: KernelProfile>(kernel: K, splats: &Splats, options: &RasterOptions) -> Vec<u32> {
     let mut frame = Frame::default();
-    render_with(kernel, splats, &camera(50), options, &mut Workspace::new(), &mut frame);
-    [frame.rgb, frame.alpha, frame.depth].concat().iter().map(|v| v.to_bits()).collect()
+    render_with(kernel, splats.view(), &camera(50), options, &mut Workspace::new(), &mut frame);
+    [frame.rgb.data, frame.alpha, frame.depth].concat().iter().map(|v| v.to_bits()).collect()
 }
 
 #[test]
@@ -111,7 +111,7 @@ fn the_cut_does_not_depend_on_tiles() {
         (camera.cx, camera.cy) = (camera.cx + f64::from(shift), camera.cy + f64::from(shift));
         (camera.width, camera.height) = (64 + shift, 64 + shift);
         let mut frame = Frame::default();
-        render_with(kernel, &splats, &camera, &options, &mut Workspace::new(), &mut frame);
+        render_with(kernel, splats.view(), &camera, &options, &mut Workspace::new(), &mut frame);
         frame
     };
     let base = render(0);

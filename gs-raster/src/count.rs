@@ -9,7 +9,7 @@ use crate::simd;
 use crate::tiles::TILE;
 use crate::workspace::{BLOCKS, Plane, Workspace, pixel_of};
 use fearless_simd::{dispatch, prelude::*, u32x16};
-use gs_core::Splats;
+use gs_core::SplatsRef;
 use rayon::prelude::*;
 
 /// Number of splats blended into each pixel, `[height, width]` row-major: those that reach `min_alpha` there, up to the
@@ -26,12 +26,17 @@ use rayon::prelude::*;
 /// let counts = blend_counts(&splats, &options, &mut workspace);
 /// assert!(counts.iter().zip(&frame.alpha).all(|(&n, &alpha)| (n > 0) == (alpha > 0.0)));
 /// ```
-pub fn blend_counts(splats: &Splats, options: &RasterOptions, workspace: &mut Workspace) -> Vec<u32> {
+pub fn blend_counts<'a>(
+    splats: impl Into<SplatsRef<'a>>,
+    options: &RasterOptions,
+    workspace: &mut Workspace,
+) -> Vec<u32> {
+    let splats = splats.into();
     if splats.kernel.is_neutral() {
         return counts(Gaussian, options, workspace);
     }
     let mut kernel_consts = std::mem::take(&mut workspace.kernel_consts);
-    let kernel = PiecewiseLinear::new(&splats.kernel, splats.len(), options.kernel_cut, &mut kernel_consts);
+    let kernel = PiecewiseLinear::new(splats.kernel, splats.len(), options.kernel_cut, &mut kernel_consts);
     let found = counts(kernel, options, workspace);
     workspace.kernel_consts = kernel_consts;
     found

@@ -13,7 +13,7 @@ use crate::sort::{Key, sort};
 use crate::tiles::{Grid, LOG2_SCALE, OpenTiles, ProjectedSplat, TILE};
 use crate::workspace::{Bin, Chunk, Entry, TileState, Workspace};
 use fearless_simd::{Level, dispatch, prelude::*};
-use gs_core::{Camera, Color, Splats};
+use gs_core::{Camera, Color, SplatsRef};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU32, Ordering};
 
@@ -43,18 +43,19 @@ const MIN_BIN_SPLATS: usize = 128;
 ///     assert_eq!(frame.alpha.len(), (side * side) as usize);
 /// }
 /// ```
-pub fn render_into(
-    splats: &Splats,
+pub fn render_into<'a>(
+    splats: impl Into<SplatsRef<'a>>,
     camera: &Camera,
     options: &RasterOptions,
     workspace: &mut Workspace,
     frame: &mut Frame,
 ) {
+    let splats = splats.into();
     if splats.kernel.is_neutral() {
         render_with(Gaussian, splats, camera, options, workspace, frame);
     } else {
         let mut kernel_consts = std::mem::take(&mut workspace.kernel_consts);
-        let kernel = PiecewiseLinear::new(&splats.kernel, splats.len(), options.kernel_cut, &mut kernel_consts);
+        let kernel = PiecewiseLinear::new(splats.kernel, splats.len(), options.kernel_cut, &mut kernel_consts);
         render_with(kernel, splats, camera, options, workspace, frame);
         workspace.kernel_consts = kernel_consts;
     }
@@ -63,7 +64,7 @@ pub fn render_into(
 /// [`render_into`] with a given kernel profile.
 pub(crate) fn render_with<K: KernelProfile>(
     kernel: K,
-    splats: &Splats,
+    splats: SplatsRef<'_>,
     camera: &Camera,
     options: &RasterOptions,
     w: &mut Workspace,
@@ -86,7 +87,7 @@ fn reset_tiles(tiles: &mut Vec<TileState>, grid: &Grid) {
 }
 
 /// Depth keys, in row order, of the splats within the depth range that can reach `min_alpha`.
-fn depth_keys(splats: &Splats, view: &View, options: &RasterOptions, w: &mut Workspace) {
+fn depth_keys(splats: SplatsRef<'_>, view: &View, options: &RasterOptions, w: &mut Workspace) {
     let blocks = splats.len().div_ceil(KEY_BLOCK);
     w.key_blocks.resize_with(blocks, Vec::new);
     w.key_blocks.par_iter_mut().enumerate().for_each(|(block, keys)| {
@@ -105,7 +106,7 @@ fn depth_keys(splats: &Splats, view: &View, options: &RasterOptions, w: &mut Wor
     }
 }
 
-fn render_chunks<K: KernelProfile>(kernel: K, splats: &Splats, options: &RasterOptions, w: &mut Workspace) {
+fn render_chunks<K: KernelProfile>(kernel: K, splats: SplatsRef<'_>, options: &RasterOptions, w: &mut Workspace) {
     let level = simd::level(options.simd);
     let limits = Limits::new(options);
     let Some(view) = w.view else { return };
@@ -136,7 +137,7 @@ fn render_chunks<K: KernelProfile>(kernel: K, splats: &Splats, options: &RasterO
 /// Inputs of binning.
 struct Scene<'a, K> {
     kernel: K,
-    splats: &'a Splats,
+    splats: SplatsRef<'a>,
     options: &'a RasterOptions,
     view: &'a View,
     limits: Limits,
@@ -168,7 +169,7 @@ impl<K: KernelProfile> Scene<'_, K> {
     #[inline(always)]
     fn color(&self, index: u32) -> [f32; 3] {
         let i = index as usize;
-        match &self.splats.color {
+        match self.splats.color {
             Color::Rgb(rgb) => rgb[i],
             Color::Sh { degree, coeffs } => {
                 let width = self.splats.color.width();
@@ -320,13 +321,13 @@ impl Chunk {
 /// Copies the tiles into the rows of the frame, over the background.
 fn assemble(tiles: &[TileState], grid: &Grid, background: [f32; 3], frame: &mut Frame) {
     let n = grid.width * grid.height;
-    (frame.width, frame.height) = (grid.width, grid.height);
-    frame.rgb.resize(3 * n, 0.0);
+    (frame.rgb.width, frame.rgb.height, frame.rgb.channels) = (grid.width, grid.height, 3);
+    frame.rgb.data.resize(3 * n, 0.0);
     frame.alpha.resize(n, 0.0);
     frame.depth.resize(n, 0.0);
     let band = grid.width * TILE;
     let bands =
-        (frame.rgb.par_chunks_mut(3 * band), frame.alpha.par_chunks_mut(band), frame.depth.par_chunks_mut(band));
+        (frame.rgb.data.par_chunks_mut(3 * band), frame.alpha.par_chunks_mut(band), frame.depth.par_chunks_mut(band));
     bands.into_par_iter().enumerate().for_each(|(row, (rgb, alpha, depth))| {
         for column in 0..grid.columns {
             let tile = &tiles[row * grid.columns + column];

@@ -1,15 +1,13 @@
 //! Outputs of the rasteriser and their cotangents.
 
+use gs_core::Image;
+
 /// A rendered frame: colour, alpha and depth. All arrays are row-major, origin top left.
 #[derive(Clone, Debug, PartialEq, Default)]
 pub struct Frame {
-    /// Image width, pixels.
-    pub width: usize,
-    /// Image height, pixels.
-    pub height: usize,
     /// `[height, width, 3]`: colour composited over the background, so premultiplied by alpha if that is black. Not
     /// clamped above 1.
-    pub rgb: Vec<f32>,
+    pub rgb: Image,
     /// `[height, width]`: accumulated alpha `1 − T`, in `[0, 1]`.
     pub alpha: Vec<f32>,
     /// `[height, width]`: alpha-weighted camera depth `Σ w z` (divide by alpha for the mean), world units.

@@ -6,9 +6,9 @@
 //! let (splats, camera) = (measure::scene(1000, 3), measure::camera(64)); // or your own
 //! let (options, mut workspace) = (RasterOptions::default(), Workspace::new());
 //! let frame = render(&splats, &camera, &options, &mut workspace);
-//! assert_eq!(frame.rgb.len(), 64 * 64 * 3);
+//! assert_eq!(frame.rgb.data.len(), 64 * 64 * 3);
 //!
-//! let d = FrameGrad { rgb: vec![1.0; frame.rgb.len()], ..FrameGrad::default() };
+//! let d = FrameGrad { rgb: vec![1.0; frame.rgb.data.len()], ..FrameGrad::default() };
 //! let (grad, stats) = render_backward(&splats, &camera, &options, &mut workspace, &d);
 //! assert_eq!((grad.means.len(), stats.radii.len()), (1000, 1000));
 //! ```
@@ -75,7 +75,7 @@ pub use frame::{Frame, FrameGrad, ScreenStats};
 pub use options::{ClampGrad, RasterOptions, SimdLevel};
 pub use workspace::Workspace;
 
-use gs_core::{Camera, Splats, SplatsGrad};
+use gs_core::{Camera, SplatsGrad, SplatsRef};
 
 /// Renders `splats` from `camera`. [`render_into`] does the same without allocating.
 ///
@@ -96,11 +96,16 @@ use gs_core::{Camera, Splats, SplatsGrad};
 /// let camera = Camera { width: 1, height: 1, fx: 10.0, fy: 10.0, cx: 0.5, cy: 0.5, rotation, translation };
 /// let options = RasterOptions { background: [1.0, 0.0, 0.0], ..RasterOptions::default() };
 /// let frame = render(&splats, &camera, &options, &mut Workspace::new());
-/// for (got, want) in [(frame.rgb[0], 0.5), (frame.rgb[1], 0.5), (frame.alpha[0], 0.5), (frame.depth[0], 1.0)] {
+/// for (got, want) in [(frame.rgb.data[0], 0.5), (frame.rgb.data[1], 0.5), (frame.alpha[0], 0.5), (frame.depth[0], 1.0)] {
 ///     assert!((got - want).abs() < 1e-6);
 /// }
 /// ```
-pub fn render(splats: &Splats, camera: &Camera, options: &RasterOptions, workspace: &mut Workspace) -> Frame {
+pub fn render<'a>(
+    splats: impl Into<SplatsRef<'a>>,
+    camera: &Camera,
+    options: &RasterOptions,
+    workspace: &mut Workspace,
+) -> Frame {
     let mut frame = Frame::default();
     render_into(splats, camera, options, workspace, &mut frame);
     frame
@@ -128,8 +133,8 @@ pub fn render(splats: &Splats, camera: &Camera, options: &RasterOptions, workspa
 /// let (slope, gradient) = ((loss(0.301).0 - loss(0.299).0) / 0.002, loss(0.3).1);
 /// assert!((slope / gradient - 1.0).abs() < 0.05, "{slope} {gradient}");
 /// ```
-pub fn render_backward(
-    splats: &Splats,
+pub fn render_backward<'a>(
+    splats: impl Into<SplatsRef<'a>>,
     camera: &Camera,
     options: &RasterOptions,
     workspace: &mut Workspace,

@@ -189,7 +189,7 @@ fn errors(splats: &Splats, camera: &Camera, options: &RasterOptions) -> (f64, f6
             if want.margin[i] < 1e-5 {
                 rgb[3 * i + c] = 0.0;
             } else {
-                worst = worst.max((f64::from(frame.rgb[3 * i + c]) - want.rgb[i][c]).abs());
+                worst = worst.max((f64::from(frame.rgb.data[3 * i + c]) - want.rgb[i][c]).abs());
             }
         }
     }

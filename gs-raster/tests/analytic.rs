@@ -58,7 +58,7 @@ fn two_layers_compose_by_the_over_operator() {
     let c = camera(33, 33);
     let frame = render_new(&s, &c, &RasterOptions { background: [0.0, 0.0, 1.0], ..Default::default() });
     let centre = 16 * 33 + 16;
-    let near = |k: usize, want: f32| assert!((frame.rgb[3 * centre + k] - want).abs() < 1e-5, "channel {k}");
+    let near = |k: usize, want: f32| assert!((frame.rgb.data[3 * centre + k] - want).abs() < 1e-5, "channel {k}");
     near(0, 0.5);
     near(1, 0.5 * 0.6);
     near(2, 0.5 * 0.4);
@@ -88,7 +88,7 @@ fn many_faint_layers_follow_the_power_law() {
         assert!((f64::from(frame.alpha[0]) / want - 1.0).abs() < 1e-5, "{count}: {} {want}", frame.alpha[0]);
     }
     let frame = render_new(&s, &camera(1, 1), &options);
-    assert!(frame.alpha[0] == 1.0 && frame.rgb[0].is_finite() && (frame.rgb[0] - 1.0).abs() < 1e-4);
+    assert!(frame.alpha[0] == 1.0 && frame.rgb.data[0].is_finite() && (frame.rgb.data[0] - 1.0).abs() < 1e-4);
 }
 
 #[test]
@@ -98,7 +98,7 @@ fn a_wall_of_one_colour_is_constant() {
     let depths: Vec<f32> = (0..n).map(|i| 5.0 + i as f32).collect();
     let s = stack(&depths, 1e4, &vec![0.9; n], &vec![rgb; n]);
     let frame = render_new(&s, &camera(37, 21), &RasterOptions { background: rgb, ..Default::default() });
-    for p in frame.rgb.chunks_exact(3) {
+    for p in frame.rgb.data.chunks_exact(3) {
         assert!(p.iter().zip(rgb).all(|(a, b)| (a - b).abs() < 1e-6), "{p:?}");
     }
 }
@@ -109,7 +109,7 @@ fn an_empty_scene_is_the_background() {
     let mut w = Workspace::new();
     for s in [Splats::default(), stack(&[-1.0], 1.0, &[1.0], &[[1.0; 3]]), stack(&[1.0], 1.0, &[0.0], &[[1.0; 3]])] {
         let frame = render(&s, &camera(20, 10), &o, &mut w);
-        assert!(frame.rgb.chunks_exact(3).all(|p| p == o.background) && frame.alpha.iter().all(|&a| a == 0.0));
+        assert!(frame.rgb.data.chunks_exact(3).all(|p| p == o.background) && frame.alpha.iter().all(|&a| a == 0.0));
         let d = FrameGrad { rgb: vec![1.0; 600], ..Default::default() };
         let (g, stats) = render_backward(&s, &camera(20, 10), &o, &mut w, &d);
         assert!(g.opacities.iter().all(|&v| v == 0.0) && stats.radii.iter().all(|&r| r == 0.0));
@@ -117,7 +117,7 @@ fn an_empty_scene_is_the_background() {
 }
 
 fn bits(frame: &Frame) -> Vec<u32> {
-    frame.rgb.iter().chain(&frame.alpha).chain(&frame.depth).map(|v| v.to_bits()).collect()
+    frame.rgb.data.iter().chain(&frame.alpha).chain(&frame.depth).map(|v| v.to_bits()).collect()
 }
 
 #[test]
@@ -168,7 +168,7 @@ fn quaternion_sign_and_length_do_not_matter() {
     let mut s = case.splats.clone();
     s.quats.iter_mut().for_each(|q| *q = q.map(|v| -4.0 * v));
     let got = render_new(&s, &case.camera, &RasterOptions::default());
-    assert!(got.rgb.iter().zip(&want.rgb).all(|(a, b)| (a - b).abs() < 2e-5));
+    assert!(got.rgb.data.iter().zip(&want.rgb.data).all(|(a, b)| (a - b).abs() < 2e-5));
 }
 
 #[test]
@@ -197,7 +197,7 @@ fn moving_the_world_and_the_camera_together_changes_nothing() {
     c.rotation = case.camera.rotation * turn.transpose();
     c.translation = case.camera.translation - c.rotation * shift;
     let got = render_new(&s, &c, &RasterOptions::default());
-    let worst = got.rgb.iter().zip(&base.rgb).fold(0.0f32, |m, (a, b)| m.max((a - b).abs()));
+    let worst = got.rgb.data.iter().zip(&base.rgb.data).fold(0.0f32, |m, (a, b)| m.max((a - b).abs()));
     assert!(worst < 2e-5, "{worst:.1e}: f32 means moved by rounding");
 }
 
@@ -247,7 +247,7 @@ fn lists_lose_nothing_on_a_crowded_scene() {
     let want = reference(&Scene::<f64>::new(&splats), &camera, &RasterOptions::default(), Cutoff::Hard);
     let mut flips = 0;
     for i in 0..want.alpha.len() {
-        let error = (0..3).fold(0.0f64, |m, c| m.max((f64::from(frame.rgb[3 * i + c]) - want.rgb[i][c]).abs()));
+        let error = (0..3).fold(0.0f64, |m, c| m.max((f64::from(frame.rgb.data[3 * i + c]) - want.rgb[i][c]).abs()));
         if want.margin[i] < 1e-5 {
             flips += 1;
         } else {

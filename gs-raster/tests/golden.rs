@@ -136,7 +136,7 @@ fn reference_rgba(frame: &ReferenceFrame<f64>) -> Vec<f64> {
 }
 
 fn rgba(frame: &Frame) -> Vec<f64> {
-    let pixels = frame.rgb.as_chunks::<3>().0.iter().zip(&frame.alpha);
+    let pixels = frame.rgb.data.as_chunks::<3>().0.iter().zip(&frame.alpha);
     pixels.flat_map(|(c, a)| [c[0], c[1], c[2], *a]).map(f64::from).collect()
 }
 

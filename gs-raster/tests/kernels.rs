@@ -141,7 +141,7 @@ fn near_singular_kernels_stay_finite() {
         for clamp_grad in [ClampGrad::Exact, ClampGrad::PassThrough] {
             let options = RasterOptions { clamp_grad, ..Default::default() };
             let (frame, grad, _) = both(&splats, &bench_camera(41), &options);
-            assert!(frame.rgb.iter().chain(&frame.depth).all(|v| v.is_finite()), "{name}");
+            assert!(frame.rgb.data.iter().chain(&frame.depth).all(|v| v.is_finite()), "{name}");
             assert!(frame.alpha.iter().all(|a| (0.0..=1.0).contains(a)), "{name}");
             assert_eq!(grad.first_non_finite(), None, "{name}");
         }

@@ -32,7 +32,7 @@ fn frame_error(frame: &Frame, want: &gs_raster::reference::Frame<f64>, tally: &m
         let mut worst = (f64::from(frame.alpha[i]) - want.alpha[i]).abs();
         for c in 0..3 {
             let scale = want.rgb[i][c].abs().max(1.0);
-            worst = worst.max((f64::from(frame.rgb[3 * i + c]) - want.rgb[i][c]).abs() / scale);
+            worst = worst.max((f64::from(frame.rgb.data[3 * i + c]) - want.rgb[i][c]).abs() / scale);
         }
         let scale = want.depth[i].abs().max(1.0);
         worst = worst.max((f64::from(frame.depth[i]) - want.depth[i]).abs() / scale);

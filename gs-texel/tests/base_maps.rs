@@ -41,7 +41,7 @@ fn facing() -> Camera {
 }
 
 fn rendered(splats: &Splats, camera: &Camera) -> Vec<f32> {
-    render(splats, camera, &RasterOptions::default(), &mut Workspace::default()).rgb
+    render(splats, camera, &RasterOptions::default(), &mut Workspace::default()).rgb.data
 }
 
 fn psnr(a: &[f32], b: &[f32]) -> f64 {

@@ -330,6 +330,6 @@ impl Seen {
 
 /// The colours of a frame as an image in `[0, 1]`.
 pub fn clamped(frame: &Frame) -> Image {
-    let data = frame.rgb.iter().map(|v| v.clamp(0.0, 1.0)).collect();
-    Image { width: frame.width, height: frame.height, channels: 3, data }
+    let data = frame.rgb.data.iter().map(|v| v.clamp(0.0, 1.0)).collect();
+    Image { width: frame.rgb.width, height: frame.rgb.height, channels: 3, data }
 }

@@ -23,7 +23,7 @@ pub use terms::{Dssim, LossTerm, SpectrumTerm, TermValue, TextureTerm};
 use gs_core::Image;
 use gs_data::ImageU8;
 use gs_metrics::MetricError;
-use gs_raster::{Frame, FrameGrad};
+use gs_raster::FrameGrad;
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -71,7 +71,6 @@ impl LossValues {
 pub struct ImageLoss {
     l1: f32,
     terms: Vec<WeightedTerm>,
-    rendered: Image,
     ground_truth: Image,
 }
 
@@ -84,7 +83,7 @@ struct WeightedTerm {
 impl ImageLoss {
     /// `l1` times the mean absolute difference, and nothing else.
     pub fn new(l1: f32) -> Self {
-        Self { l1, terms: Vec::new(), rendered: Image::default(), ground_truth: Image::default() }
+        Self { l1, terms: Vec::new(), ground_truth: Image::default() }
     }
 
     /// The same with another term; one of weight 0 is left out.
@@ -102,7 +101,7 @@ impl ImageLoss {
     /// If the shapes differ, a term is not defined for their size, or a value is not finite.
     pub fn evaluate(
         &mut self,
-        frame: &mut Frame,
+        rendered: &Image,
         ground_truth: &ImageU8,
         background: [f32; 3],
         grad: &mut FrameGrad,
@@ -111,7 +110,7 @@ impl ImageLoss {
         ground_truth.over_into(background, &mut target);
         let boxed = self.terms.iter().any(|t| t.term.needs_region());
         let region = if boxed { Region::shown(ground_truth) } else { None };
-        let values = self.evaluate_within(frame, &target, region, grad);
+        let values = self.evaluate_within(rendered, &target, region, grad);
         self.ground_truth = target;
         values
     }
@@ -119,32 +118,22 @@ impl ImageLoss {
     /// The same against an image of three channels, within a region; the whole image if absent.
     fn evaluate_within(
         &mut self,
-        frame: &mut Frame,
+        rendered: &Image,
         target: &Image,
         region: Option<Region>,
         grad: &mut FrameGrad,
     ) -> Result<LossValues, MetricError> {
-        // The frame's pixels are lent to an image for the time of the call.
-        let data = std::mem::take(&mut frame.rgb);
-        self.rendered = Image { width: frame.width, height: frame.height, channels: 3, data };
-        let values = self.sum(target, region, grad);
-        frame.rgb = std::mem::take(&mut self.rendered.data);
-        values
-    }
-
-    fn sum(&mut self, target: &Image, region: Option<Region>, grad: &mut FrameGrad) -> Result<LossValues, MetricError> {
-        let (first, second) = (self.rendered.shape(), target.shape());
+        let (first, second) = (rendered.shape(), target.shape());
         if first != second {
             return Err(MetricError::Shape { what: "rendered frame and ground truth", first, second });
         }
-        let rendered = &self.rendered;
         let region = region.unwrap_or(Region { low: [0; 2], high: [rendered.width, rendered.height] });
         let mut values = Vec::with_capacity(self.terms.len());
         for t in &mut self.terms {
             values.push((t.term.name(), t.term.evaluate(rendered, target, region, &mut t.grad)?));
         }
         let factors = self.terms.iter().zip(&values).map(|(t, v)| (t.weight * v.1.grad_factor, t.grad.data.as_slice()));
-        let [l1, mse] = self.gradient(target, &factors.collect::<Vec<_>>(), grad);
+        let [l1, mse] = self.gradient(rendered, target, &factors.collect::<Vec<_>>(), grad);
         let weighted = self.terms.iter().zip(&values).map(|(t, v)| f64::from(t.weight) * v.1.loss);
         let total = weighted.fold(f64::from(self.l1) * l1, |sum, v| sum + v);
         if !total.is_finite() {
@@ -155,8 +144,8 @@ impl ImageLoss {
     }
 
     /// Writes the gradient of L1 and the terms, each with its factor; gives mean absolute and mean squared difference.
-    fn gradient(&self, target: &Image, terms: &[(f32, &[f32])], grad: &mut FrameGrad) -> [f64; 2] {
-        let data = &self.rendered.data;
+    fn gradient(&self, rendered: &Image, target: &Image, terms: &[(f32, &[f32])], grad: &mut FrameGrad) -> [f64; 2] {
+        let data = &rendered.data;
         grad.alpha.clear();
         grad.depth.clear();
         grad.rgb.resize(data.len(), 0.0);
@@ -211,7 +200,7 @@ mod tests {
     use gs_metrics::mrf::{FeatureNet, Mrf, MrfOptions};
     use gs_metrics::{AmplitudeLoss, MsSsim, Ssim, SsimOptions};
 
-    fn pair() -> (Frame, Image) {
+    fn pair() -> (Image, Image) {
         pair_of(37, 23)
     }
 
@@ -219,27 +208,27 @@ mod tests {
         ImageLoss::new(1.0 - dssim).with(dssim, Dssim::Ssim.term())
     }
 
-    fn pair_of(width: usize, height: usize) -> (Frame, Image) {
+    fn pair_of(width: usize, height: usize) -> (Image, Image) {
         let mut rng = Rng::new(1, "loss", 0, 0);
         let mut noise = || (0..width * height * 3).map(|_| rng.uniform()).collect::<Vec<f32>>();
-        let frame = Frame { width, height, rgb: noise(), ..Frame::default() };
-        (frame, Image { width, height, channels: 3, data: noise() })
+        let mut image = || Image { width, height, channels: 3, data: noise() };
+        (image(), image())
     }
 
     #[test]
     fn gradient_matches_finite_differences() {
-        let (mut frame, target) = pair();
+        let (rendered, target) = pair();
         let mut grad = FrameGrad::default();
         for weight in [0.0, 0.2, 1.0] {
             let mut loss = plain(weight);
-            loss.evaluate_within(&mut frame, &target, None, &mut grad).unwrap();
+            loss.evaluate_within(&rendered, &target, None, &mut grad).unwrap();
             for at in [0, 100, 1000, 2552] {
                 let mut value = |h: f32| {
-                    let mut moved = frame.clone();
-                    moved.rgb[at] += h;
-                    loss.evaluate_within(&mut moved, &target, None, &mut FrameGrad::default()).unwrap().total
+                    let mut moved = rendered.clone();
+                    moved.data[at] += h;
+                    loss.evaluate_within(&moved, &target, None, &mut FrameGrad::default()).unwrap().total
                 };
-                let h = 0.25 * (frame.rgb[at] - target.data[at]).abs().min(0.02);
+                let h = 0.25 * (rendered.data[at] - target.data[at]).abs().min(0.02);
                 let want = (value(h) - value(-h)) / f64::from(2.0 * h);
                 let error = (f64::from(grad.rgb[at]) - want).abs();
                 assert!(error < 1e-2 * want.abs() + 2e-7, "weight {weight}, value {at}: {} {want}", grad.rgb[at]);
@@ -248,31 +237,27 @@ mod tests {
     }
 
     #[test]
-    fn terms_are_the_definitions_and_the_frame_is_given_back() {
-        let (mut frame, target) = pair();
-        let before = frame.clone();
+    fn terms_are_the_definitions() {
+        let (rendered, target) = pair();
         let mut grad = FrameGrad::default();
-        let terms = plain(0.2).evaluate_within(&mut frame, &target, None, &mut grad).unwrap();
-        assert_eq!(frame, before);
+        let terms = plain(0.2).evaluate_within(&rendered, &target, None, &mut grad).unwrap();
         let n = target.data.len() as f64;
-        let differences = frame.rgb.iter().zip(&target.data).map(|(a, b)| f64::from(*a) - f64::from(*b));
+        let differences = rendered.data.iter().zip(&target.data).map(|(a, b)| f64::from(*a) - f64::from(*b));
         let (l1, mse) = differences.fold((0.0, 0.0), |s, d| (s.0 + d.abs() / n, s.1 + d * d / n));
         assert!((terms.l1 / l1 - 1.0).abs() < 1e-6 && (terms.mse / mse - 1.0).abs() < 1e-6);
         assert!((terms.total - 0.8 * terms.l1 - 0.2 * (1.0 - terms.term("ssim").unwrap())).abs() < 1e-7);
-        let same = Image { data: frame.rgb.clone(), ..target };
-        let none = plain(0.0).evaluate_within(&mut frame, &same, None, &mut grad).unwrap();
+        let none = plain(0.0).evaluate_within(&rendered, &rendered, None, &mut grad).unwrap();
         assert_eq!((none.total, none.terms), (0.0, Vec::new()));
         assert!(grad.rgb.iter().all(|&g| g == 0.0), "sign(0) = 0");
     }
 
     #[test]
     fn the_spectral_term_is_added_with_its_weight() {
-        let (mut frame, target) = pair();
+        let (rendered, target) = pair();
         let (mut grad, mut both, mut alone) = (FrameGrad::default(), FrameGrad::default(), Image::default());
-        let without = plain(0.2).evaluate_within(&mut frame, &target, None, &mut grad).unwrap();
+        let without = plain(0.2).evaluate_within(&rendered, &target, None, &mut grad).unwrap();
         let mut loss = plain(0.2).with(0.3, Box::<SpectrumTerm>::default());
-        let with = loss.evaluate_within(&mut frame, &target, None, &mut both).unwrap();
-        let rendered = Image { data: frame.rgb.clone(), ..target.clone() };
+        let with = loss.evaluate_within(&rendered, &target, None, &mut both).unwrap();
         let fre = AmplitudeLoss::default().value_and_grad(&rendered, &target, &mut alone).unwrap();
         assert_eq!((without.term("fre"), with.term("fre")), (None, Some(fre)));
         assert_eq!(with.term("ssim"), without.term("ssim"));
@@ -283,13 +268,12 @@ mod tests {
 
     #[test]
     fn the_texture_term_is_added_over_the_box() {
-        let (mut frame, target) = pair();
+        let (rendered, target) = pair();
         let region = Region { low: [3, 5], high: [30, 21] };
         let (mut grad, mut both, mut alone) = (FrameGrad::default(), FrameGrad::default(), Image::default());
         let texture = |side| plain(0.2).with(0.3, Box::new(TextureTerm::new(side)));
-        let without = plain(0.2).evaluate_within(&mut frame, &target, Some(region), &mut grad).unwrap();
-        let with = texture(16).evaluate_within(&mut frame, &target, Some(region), &mut both).unwrap();
-        let rendered = Image { data: frame.rgb.clone(), ..target.clone() };
+        let without = plain(0.2).evaluate_within(&rendered, &target, Some(region), &mut grad).unwrap();
+        let with = texture(16).evaluate_within(&rendered, &target, Some(region), &mut both).unwrap();
         let [mut a, mut b] = [Image::default(), Image::default()];
         region.crop(&rendered, &mut a);
         region.crop(&target, &mut b);
@@ -305,17 +289,16 @@ mod tests {
             let more = if inside { 0.3 * alone.pixel(x - 3, y - 5)[k % 3] } else { 0.0 };
             assert_eq!(*g, without + more, "({x}, {y})");
         }
-        assert!(texture(4).evaluate_within(&mut frame, &target, Some(region), &mut grad).is_err());
+        assert!(texture(4).evaluate_within(&rendered, &target, Some(region), &mut grad).is_err());
     }
 
     #[test]
     fn within_a_box_only_the_box_is_looked_at() {
         let region = Region { low: [3, 5], high: [30, 21] };
-        let (mut frame, target) = pair();
+        let (rendered, target) = pair();
         let (mut grad, mut alone) = (FrameGrad::default(), Image::default());
         let mut loss = ImageLoss::new(0.0).with(1.0, Dssim::SsimBox.term());
-        let terms = loss.evaluate_within(&mut frame, &target, Some(region), &mut grad).unwrap();
-        let rendered = Image { data: frame.rgb.clone(), ..target.clone() };
+        let terms = loss.evaluate_within(&rendered, &target, Some(region), &mut grad).unwrap();
         let [mut a, mut b] = [Image::default(), Image::default()];
         region.crop(&rendered, &mut a);
         region.crop(&target, &mut b);
@@ -338,17 +321,16 @@ mod tests {
     #[test]
     fn ms_ssim_replaces_ssim_and_needs_large_images() {
         let ms_ssim = || ImageLoss::new(0.8).with(0.2, Dssim::MsSsim.term());
-        let (mut frame, target) = pair_of(170, 161);
+        let (rendered, target) = pair_of(170, 161);
         let (mut grad, mut alone) = (FrameGrad::default(), Image::default());
-        let terms = ms_ssim().evaluate_within(&mut frame, &target, None, &mut grad).unwrap();
-        let rendered = Image { data: frame.rgb.clone(), ..target.clone() };
+        let terms = ms_ssim().evaluate_within(&rendered, &target, None, &mut grad).unwrap();
         let value = MsSsim::default().value_and_grad(&rendered, &target, &mut alone).unwrap();
         assert_eq!(terms.term("ssim"), Some(value));
         let step = 0.8 / target.data.len() as f32;
         let at = |k: usize| sign(rendered.data[k] - target.data[k]) * step - 0.2 * alone.data[k];
         assert!((0..target.data.len()).all(|k| (grad.rgb[k] - at(k)).abs() <= 1e-7 * step));
-        let (mut frame, target) = pair();
-        let e = ms_ssim().evaluate_within(&mut frame, &target, None, &mut grad).unwrap_err();
+        let (rendered, target) = pair();
+        let e = ms_ssim().evaluate_within(&rendered, &target, None, &mut grad).unwrap_err();
         assert!(matches!(e, MetricError::TooSmall { need: 161, .. }), "{e}");
         assert_eq!(Dssim::MsSsim.check_size(161, 400), Ok(()));
         assert_eq!(Dssim::Ssim.check_size(1, 1), Ok(()));
@@ -358,15 +340,15 @@ mod tests {
 
     #[test]
     fn bad_frames_are_refused() {
-        let (mut frame, target) = pair();
-        frame.rgb[7] = f32::NAN;
+        let (mut rendered, target) = pair();
+        rendered.data[7] = f32::NAN;
         let mut grad = FrameGrad::default();
         for lambda in [0.0, 0.2] {
-            let e = plain(lambda).evaluate_within(&mut frame, &target, None, &mut grad).unwrap_err();
+            let e = plain(lambda).evaluate_within(&rendered, &target, None, &mut grad).unwrap_err();
             assert!(matches!(e, MetricError::NotFinite { x: 2, y: 0, channel: 1, .. }), "{e}");
         }
         let small = Image::zeros(3, 3, 3);
-        let e = plain(0.2).evaluate_within(&mut frame, &small, None, &mut grad).unwrap_err();
+        let e = plain(0.2).evaluate_within(&rendered, &small, None, &mut grad).unwrap_err();
         assert!(matches!(e, MetricError::Shape { .. }));
     }
 }

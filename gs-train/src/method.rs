@@ -13,7 +13,7 @@ use crate::model::Model;
 use crate::schedule::ScheduleError;
 use crate::step::StepCtx;
 use crate::timestamp::Timestamp;
-use gs_core::{Camera, Params, Splats, SplatsGrad};
+use gs_core::{Camera, Params, Splats, SplatsGrad, SplatsRef};
 use gs_data::Dataset;
 use gs_data::avatar::AvatarScene;
 use gs_raster::ScreenStats;
@@ -82,7 +82,7 @@ pub trait RenderView {
     ///
     /// # Errors
     /// If the ground truth cannot be read, or the loss is not finite.
-    fn render(&mut self, splats: &Splats, grad: &mut SplatsGrad) -> Result<&ScreenStats, MethodError>;
+    fn render(&mut self, splats: SplatsRef<'_>, grad: &mut SplatsGrad) -> Result<&ScreenStats, MethodError>;
 }
 
 /// What followed from a step.

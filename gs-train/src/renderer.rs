@@ -5,7 +5,7 @@ use crate::method::MethodError;
 use crate::model::Model;
 use crate::timestamp::Timestamp;
 use gs_core::speed::median_seconds;
-use gs_core::{Camera, Image, Splats};
+use gs_core::{Camera, Image, SplatsRef};
 use gs_data::View;
 use gs_raster::{Frame, RasterOptions, Workspace, render_into};
 
@@ -25,7 +25,7 @@ impl Renderer {
     }
 
     /// Renders splats.
-    pub fn render(&mut self, splats: &Splats, camera: &Camera) -> &Frame {
+    pub fn render<'a>(&mut self, splats: impl Into<SplatsRef<'a>>, camera: &Camera) -> &Frame {
         render_into(splats, camera, &self.options, &mut self.workspace, &mut self.frame);
         &self.frame
     }

@@ -69,10 +69,10 @@ pub fn model_motion(
     }
     let background = std::mem::take(&mut renderer.options.background);
     let frame = renderer.render(&colored, camera);
-    let (width, height) = (frame.width, frame.height);
+    let (width, height) = (frame.rgb.width, frame.rgb.height);
     let mut flow = Flow::zeros(width, height);
     let mut cover = Vec::with_capacity(width * height);
-    for (k, sum) in frame.rgb.chunks_exact(3).enumerate() {
+    for (k, sum) in frame.rgb.data.chunks_exact(3).enumerate() {
         if sum[2] >= MIN_COVER {
             (flow.u[k], flow.v[k]) = (sum[0] / sum[2], sum[1] / sum[2]);
         }
@@ -156,11 +156,8 @@ mod tests {
             let worst = worst.fold(0.0, f32::max);
             println!("model flow, {anchor:?}: mean error {error:.1e} px, worst {worst:.1e} px");
             assert!(worst < 1e-4, "{worst} px");
-            let mut picture = |s: &Splats| {
-                let frame = p.render(s, &c);
-                Image { width: frame.width, height: frame.height, channels: 3, data: frame.rgb.clone() }
-            };
-            let seen = estimated_motion(&picture(&was), &picture(&now), anchor).unwrap();
+            let mut image = |s: &Splats| p.render(s, &c).rgb.clone();
+            let seen = estimated_motion(&image(&was), &image(&now), anchor).unwrap();
             let error = end_point_error(&seen, &want).unwrap();
             println!("Farneback, {anchor:?}: mean error {error:.3} px");
             assert!(error < 0.25, "{error} px");

@@ -1,6 +1,6 @@
 //! Overlays of a view: renders of the splats coloured by scalar attributes, directions and rigid parts.
 
-use gs_core::{Camera, Splats};
+use gs_core::{Camera, Color, Splats, SplatsRef};
 use gs_data::View;
 use gs_raster::RasterOptions;
 use gs_train::capabilities::{Overlay, Quantity};
@@ -11,7 +11,6 @@ use gs_train::renderer::Renderer;
 use gs_train::timestamp::Timestamp;
 use gs4d_eval::segment::{self, parts};
 use gs4d_report::analysis::Histogram;
-use gs4d_report::analysis::paths::painted;
 use gs4d_report::{Legend, OverlayFigure, Ramp};
 
 /// Number of colours of a legend.
@@ -27,8 +26,10 @@ pub(crate) fn overlay_figures(method: &Model, view: &View, camera: &Camera) -> R
     let at = Timestamp::new(view.time);
     let splats = method.all_splats(&at, camera)?;
     let mut renderer = Renderer::new(RasterOptions { background: [0.0; 3], ..method.raster_options([0.0; 3]) });
-    let mut render =
-        |splats: &Splats, overlay: Overlay| clamped(renderer.render(&painted(splats.clone(), overlay), camera));
+    let mut render = |splats: &Splats, overlay: Overlay| {
+        let color = &Color::Rgb(overlay.colors);
+        clamped(renderer.render(SplatsRef { color, ..splats.view() }, camera))
+    };
     let quantities = method.quantities(&at)?;
     let mut figures = Vec::new();
     for q in quantities.iter().filter(|q| q.values.len() == splats.len()) {

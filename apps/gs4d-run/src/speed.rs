@@ -37,7 +37,7 @@ pub fn speed_against_error(splats: &Splats, camera: &Camera, options: &RasterOpt
 fn row(name: &str, splats: &Splats, camera: &Camera, options: &RasterOptions, truth: &[f64]) -> BenchRow {
     let (mut workspace, mut frame) = (Workspace::new(), Frame::default());
     render_into(splats, camera, options, &mut workspace, &mut frame);
-    let error = frame.rgb.iter().zip(truth).map(|(a, b)| (f64::from(*a) - b).abs()).fold(0.0, f64::max);
+    let error = frame.rgb.data.iter().zip(truth).map(|(a, b)| (f64::from(*a) - b).abs()).fold(0.0, f64::max);
     let seconds = median_seconds(REPEATS, || render_into(splats, camera, options, &mut workspace, &mut frame));
     BenchRow {
         krate: "gs-raster",

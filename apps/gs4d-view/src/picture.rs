@@ -123,7 +123,7 @@ impl Renderer {
     }
 
     fn image(&self, data: Vec<f32>) -> Image {
-        Image { width: self.frame.width, height: self.frame.height, channels: 3, data }
+        Image { width: self.frame.rgb.width, height: self.frame.rgb.height, channels: 3, data }
     }
 
     fn color(&mut self, shot: &Shot, header: &mut Value) -> Result<Image, String> {
@@ -159,7 +159,7 @@ impl Renderer {
     fn count(&mut self, shot: &Shot, header: &mut Value) -> Result<Image, String> {
         let splats = shot.splats()?;
         self.render(&splats, shot);
-        let counts = blend_counts(&splats, shot.show.options(), &mut self.workspace);
+        let counts = blend_counts(splats.as_ref(), shot.show.options(), &mut self.workspace);
         let counts: Vec<f32> = counts.into_iter().map(|c| c as f32).collect();
         let max_count = counts.iter().copied().fold(1.0, f32::max);
         // The histogram leaves out empty pixels.

@@ -17,9 +17,9 @@
 use super::Field;
 use super::defgs_net::{Block, ChunkGrad, DefNet, DefNetTape};
 use crate::DeformError;
-use crate::apply::{self, Apply, QuatRule, ScaleRule};
+use crate::apply::{Apply, QuatRule, ScaleRule};
 use gs_core::nn::{self, BLOCK, CHUNKS};
-use gs_core::{Param, Params, Splats, SplatsGrad, Time};
+use gs_core::{Geometry, GeometryRef, Param, Params, Time};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -133,11 +133,11 @@ impl DefMlp {
 impl Field for DefMlp {
     type Tape = DefMlpTape;
 
-    fn forward(&self, canonical: &Splats, t: Time, tape: &mut DefMlpTape, out: &mut Splats) {
-        apply::pass_through(canonical, out);
+    fn forward(&self, canonical: GeometryRef<'_>, t: Time, tape: &mut DefMlpTape, out: &mut Geometry) {
+        out.resize(canonical.len());
         self.net.fold_time(t, &mut tape.net);
         tape.blocks.resize_with(canonical.len().div_ceil(BLOCK), Block::default);
-        let columns = apply::chunks(canonical, BLOCK).zip(apply::chunks_mut(out, BLOCK));
+        let columns = canonical.chunks(BLOCK).zip(out.view_mut().chunks(BLOCK));
         tape.blocks.par_iter_mut().zip(columns).for_each(|(block, (from, mut to))| {
             self.net.forward_block(&tape.net, from.means, block);
             self.apply().forward(from, block.offsets.view(), &mut to);
@@ -146,32 +146,37 @@ impl Field for DefMlp {
 
     fn backward(
         &mut self,
-        canonical: &Splats,
+        canonical: GeometryRef<'_>,
         tape: &mut DefMlpTape,
-        d_out: &SplatsGrad,
-        d_canonical: &mut SplatsGrad,
+        d_out: GeometryRef<'_>,
+        d_canonical: &mut Geometry,
     ) {
         let DefMlpTape { net, blocks, chunks } = tape;
         let per_chunk = nn::blocks_per_chunk(blocks.len());
         let rows = per_chunk * BLOCK;
         chunks.resize_with(CHUNKS, ChunkGrad::default);
         let used = &mut chunks[..blocks.len().div_ceil(per_chunk)];
-        let columns = apply::chunks(canonical, rows).zip(apply::grad_chunks(d_out, rows));
-        let columns = columns.zip(apply::grad_chunks_mut(d_canonical, rows));
+        let columns = canonical.chunks(rows).zip(d_out.chunks(rows));
+        let columns = columns.zip(d_canonical.view_mut().chunks(rows));
         let runs = blocks.par_chunks_mut(per_chunk).zip(&mut *used).zip(columns);
         runs.for_each(|((blocks, grad), ((from, d_to), mut d_from))| {
             self.net.reset(grad);
             for (i, block) in blocks.iter_mut().enumerate() {
                 let (offsets, d_offsets) = (block.offsets.view(), &mut block.d_offsets);
-                self.apply().backward(from.block(i), offsets, d_to.block(i), &mut d_from.block(i), d_offsets);
+                self.apply().backward(
+                    from.block(i, BLOCK),
+                    offsets,
+                    d_to.block(i, BLOCK),
+                    &mut d_from.block(i, BLOCK),
+                    d_offsets,
+                );
                 self.net.backward_block(block, grad);
             }
         });
         self.net.add_grads(net, used);
-        apply::pass_through_backward(d_out, d_canonical);
     }
 
-    fn regularise(&mut self, _canonical: &Splats, _t: Time, _step: u32) -> Vec<(&'static str, f32)> {
+    fn regularise(&mut self, _canonical: GeometryRef<'_>, _t: Time, _step: u32) -> Vec<(&'static str, f32)> {
         Vec::new()
     }
 }

@@ -16,12 +16,12 @@
 
 use super::Field;
 use super::plane_net::{NetBlock, PlaneNet, PlaneNetConfig, PlaneNetTape};
-use crate::apply::{self, Apply, OffsetColumns, Offsets, QuatRule, ScaleRule};
+use crate::apply::{Apply, OffsetColumns, Offsets, QuatRule, ScaleRule};
 use crate::encode::{HexPlane, HexPlaneConfig};
 use crate::{Aabb, DeformError};
 use glam::Vec3;
 use gs_core::nn::BLOCK;
-use gs_core::{Param, Params, Splats, SplatsGrad, Time};
+use gs_core::{Geometry, GeometryRef, Param, Params, Time};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -161,10 +161,10 @@ impl HexPlaneField {
 impl Field for HexPlaneField {
     type Tape = HexPlaneTape;
 
-    fn forward(&self, canonical: &Splats, t: Time, tape: &mut HexPlaneTape, out: &mut Splats) {
-        self.net.forward(&canonical.means, t, &mut tape.net);
-        apply::pass_through(canonical, out);
-        let columns = apply::chunks(canonical, BLOCK).zip(apply::chunks_mut(out, BLOCK));
+    fn forward(&self, canonical: GeometryRef<'_>, t: Time, tape: &mut HexPlaneTape, out: &mut Geometry) {
+        self.net.forward(canonical.means, t, &mut tape.net);
+        out.resize(canonical.len());
+        let columns = canonical.chunks(BLOCK).zip(out.view_mut().chunks(BLOCK));
         tape.net.blocks().par_iter().zip(columns).for_each(|(block, (from, mut to))| {
             self.apply.forward(from, self.offsets(block), &mut to);
         });
@@ -172,15 +172,15 @@ impl Field for HexPlaneField {
 
     fn backward(
         &mut self,
-        canonical: &Splats,
+        canonical: GeometryRef<'_>,
         tape: &mut HexPlaneTape,
-        d_out: &SplatsGrad,
-        d_canonical: &mut SplatsGrad,
+        d_out: GeometryRef<'_>,
+        d_canonical: &mut Geometry,
     ) {
         let HexPlaneTape { net, d_offsets } = tape;
         d_offsets.resize_with(net.blocks().len(), OffsetColumns::default);
-        let columns = apply::chunks(canonical, BLOCK).zip(apply::grad_chunks(d_out, BLOCK));
-        let columns = columns.zip(apply::grad_chunks_mut(d_canonical, BLOCK));
+        let columns = canonical.chunks(BLOCK).zip(d_out.chunks(BLOCK));
+        let columns = columns.zip(d_canonical.view_mut().chunks(BLOCK));
         let blocks = net.blocks_mut().par_iter_mut().zip(d_offsets).zip(columns);
         blocks.for_each(|((block, d_offsets), ((from, d_to), mut d_from))| {
             self.apply.backward(from, self.offsets(block), d_to, &mut d_from, d_offsets);
@@ -193,10 +193,9 @@ impl Field for HexPlaneField {
         });
         let d_means = if self.config.detach_coordinates { None } else { Some(d_canonical.means.as_mut_slice()) };
         self.net.backward(net, d_means);
-        apply::pass_through_backward(d_out, d_canonical);
     }
 
-    fn regularise(&mut self, _canonical: &Splats, _t: Time, _step: u32) -> Vec<(&'static str, f32)> {
+    fn regularise(&mut self, _canonical: GeometryRef<'_>, _t: Time, _step: u32) -> Vec<(&'static str, f32)> {
         self.net.regularise().into()
     }
 }

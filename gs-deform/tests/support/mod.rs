@@ -1,18 +1,18 @@
 //! What tests of fields share.
 
 use glam::Vec3;
-use gs_core::{Rng, Splats, SplatsGrad, Time};
+use gs_core::{Geometry, Rng, Time};
 
 pub fn time(t: f32) -> Time {
     Time::new(t).unwrap()
 }
 
-/// Random cotangents of every column.
-pub fn cotangents(s: &Splats, seed: u64) -> SplatsGrad {
-    let mut g = SplatsGrad::zeros_like(s);
+/// Random cotangents of `n` rows.
+pub fn cotangents(n: usize, seed: u64) -> Geometry {
+    let mut g = Geometry::zeros(n);
     let mut rng = Rng::new(seed, "cotangents", 0, 0);
     g.means.iter_mut().chain(&mut g.scales).for_each(|v| *v = Vec3::new(rng.normal(), rng.normal(), rng.normal()));
-    g.quats.as_flattened_mut().iter_mut().chain(&mut g.opacities).chain(&mut g.color).for_each(|v| *v = rng.normal());
+    g.quats.as_flattened_mut().iter_mut().for_each(|v| *v = rng.normal());
     g
 }
 

@@ -47,7 +47,7 @@
 use crate::method::{LossValue, MethodError, RenderView, ViewCtx};
 use crate::model::Model;
 use crate::timestamp::Timestamp;
-use gs_core::{Camera, Params, Rng, Splats, SplatsGrad};
+use gs_core::{Camera, Params, Rng, Splats, SplatsGrad, SplatsRef};
 use gs_raster::reference::{self, Cutoff, Scene};
 use gs_raster::{ClampGrad, FrameGrad, RasterOptions, ScreenStats, Workspace, render, render_backward};
 use std::fmt;
@@ -170,7 +170,7 @@ struct Backward<'a> {
 }
 
 impl RenderView for Backward<'_> {
-    fn render(&mut self, splats: &Splats, grad: &mut SplatsGrad) -> Result<&ScreenStats, MethodError> {
+    fn render(&mut self, splats: SplatsRef<'_>, grad: &mut SplatsGrad) -> Result<&ScreenStats, MethodError> {
         let (View { camera, options, weights, .. }, mut workspace) = (self.view, Workspace::new());
         render(splats, camera, options, &mut workspace);
         let upstream = FrameGrad { rgb: weights.clone(), ..FrameGrad::default() };
@@ -187,8 +187,8 @@ struct Record {
 }
 
 impl RenderView for Record {
-    fn render(&mut self, splats: &Splats, grad: &mut SplatsGrad) -> Result<&ScreenStats, MethodError> {
-        self.splats.clone_from(splats);
+    fn render(&mut self, splats: SplatsRef<'_>, grad: &mut SplatsGrad) -> Result<&ScreenStats, MethodError> {
+        self.splats = splats.to_splats();
         grad.reset(splats);
         self.stats = ScreenStats { grad_means2d: vec![[0.0; 2]; splats.len()], radii: vec![0.0; splats.len()] };
         Ok(&self.stats)

@@ -3,7 +3,7 @@
 use crate::loss::{ImageLoss, LossValues};
 use crate::method::{MethodError, RenderView};
 use crate::non_finite::{NonFinite, zero_non_finite};
-use gs_core::{Camera, Splats, SplatsGrad};
+use gs_core::{Camera, SplatsGrad, SplatsRef};
 use gs_data::{ImageCache, View};
 use gs_raster::{Frame, FrameGrad, RasterOptions, ScreenStats, Workspace, render_backward_into, render_into};
 use serde::Serialize;
@@ -95,7 +95,7 @@ impl RenderPass {
 }
 
 impl RenderView for ViewPass<'_> {
-    fn render(&mut self, splats: &Splats, grad: &mut SplatsGrad) -> Result<&ScreenStats, MethodError> {
+    fn render(&mut self, splats: SplatsRef<'_>, grad: &mut SplatsGrad) -> Result<&ScreenStats, MethodError> {
         let RenderPass { workspace, frame, d_frame, stats, loss } = &mut *self.pass;
         let mut clock = Stopwatch::new();
         let ms = &mut self.result.ms;
@@ -110,7 +110,7 @@ impl RenderView for ViewPass<'_> {
         ms.data += clock.lap();
         render_into(splats, self.camera, &self.options, workspace, frame);
         ms.raster_forward += clock.lap();
-        self.result.terms = loss.evaluate(frame, &image, self.options.background, d_frame)?;
+        self.result.terms = loss.evaluate(&frame.rgb, &image, self.options.background, d_frame)?;
         if self.share != 1.0 {
             d_frame.rgb.iter_mut().for_each(|g| *g *= self.share);
         }

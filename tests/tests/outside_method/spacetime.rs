@@ -14,7 +14,7 @@
 //! ```
 
 use glam::Vec3;
-use gs_core::{Camera, Param, Params, Rng, Splats, SplatsGrad};
+use gs_core::{Camera, Param, Params, Rng, Splats};
 use gs_train::canonical::Canonical;
 use gs_train::capabilities::{Capabilities, Inspect, Quantity};
 use gs_train::method::{
@@ -66,7 +66,6 @@ struct Spacetime {
     /// `[n, 1]`: ln s.
     log_rates: Param,
     moved: Splats,
-    d_moved: SplatsGrad,
 }
 
 /// The motion of one splat at one time.
@@ -90,7 +89,6 @@ fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
         centers: Param::rows("time.centers", 1, (0..n).map(center).collect()),
         log_rates: Param::rows("time.log_rates", 1, vec![time.log_rate; n]),
         moved: Splats::default(),
-        d_moved: SplatsGrad::default(),
     };
     Model::new(ENTRY.name, method, schedule)
 }
@@ -114,15 +112,14 @@ impl Spacetime {
         }
     }
 
-    /// Pulls the cotangents of the splats at time `t` into the gradients of motion and time and into those of the canonical
+    /// Pulls the cotangents of the splats at time `t` into the gradients of motion and time and, in place, to the canonical
     /// splats.
     fn backward(&mut self, t: f32) {
-        self.canonical.d_splats.clone_from(&self.d_moved);
         for i in 0..self.moved.len() {
             let Row { tau, b, c, rate, gate } = self.row(i, t);
-            let (d_mean, d_quat) = (self.d_moved.means[i], self.d_moved.quats[i]);
-            let d_gate = self.d_moved.opacities[i] * self.moved.opacities[i];
-            self.canonical.d_splats.opacities[i] *= gate;
+            let d = &mut self.canonical.d_splats;
+            let (d_mean, d_quat, d_gate) = (d.means[i], d.quats[i], d.opacities[i] * self.moved.opacities[i]);
+            d.opacities[i] *= gate;
             for (k, power) in [tau, tau * tau, tau * tau * tau].into_iter().enumerate() {
                 let grad = &mut self.motion.grad[9 * i + 3 * k..][..3];
                 grad.iter_mut().zip((power * d_mean).to_array()).for_each(|(g, d)| *g += d);
@@ -176,7 +173,7 @@ impl Method for Spacetime {
         let mut moved = std::mem::take(&mut self.moved);
         self.forward(&self.canonical.splats, t, &mut moved);
         self.moved = moved;
-        let stats = render.render(&self.moved, &mut self.d_moved)?;
+        let stats = render.render(self.moved.view(), &mut self.canonical.d_splats)?;
         self.backward(t);
         self.canonical.backward();
         self.canonical.accumulate(stats, view.camera);

@@ -23,7 +23,7 @@ fn a_report_holds_the_scores_of_the_drawn_frames() {
         let frame = render(&splats, &view.camera, &options, &mut Workspace::new());
         let truth = images.get(view).expect("image").over(white);
         let square = |(a, b): (&f32, &f32)| f64::from(a.clamp(0.0, 1.0) - b).powi(2);
-        let mse = frame.rgb.iter().zip(&truth.data).map(square).sum::<f64>() / truth.data.len() as f64;
+        let mse = frame.rgb.data.iter().zip(&truth.data).map(square).sum::<f64>() / truth.data.len() as f64;
         let psnr = scores.psnr.expect("not perfect");
         assert!((psnr + 10.0 * mse.log10()).abs() < 1e-4, "{}: {psnr} {mse}", view.name);
         assert!((0.0..1.0).contains(&scores.ssim) && scores.ms_ssim.is_none());

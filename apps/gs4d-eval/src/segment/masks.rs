@@ -48,7 +48,7 @@ impl Masker {
                 mask.confidence.iter_mut().zip(&frame.alpha).for_each(|(c, a)| *c = 1.0 - a);
             }
             let best = mask.ids.iter_mut().zip(&mut mask.confidence);
-            for ((id, sure), parts) in best.zip(frame.rgb.chunks_exact(3)) {
+            for ((id, sure), parts) in best.zip(frame.rgb.data.chunks_exact(3)) {
                 for (part, k) in parts.iter().zip(first + 1..) {
                     if *part > *sure {
                         (*id, *sure) = (k, *part);

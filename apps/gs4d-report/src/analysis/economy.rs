@@ -45,8 +45,8 @@ impl RenderCost {
             listed += workspace.entries();
             used += workspace.entries_used();
             walked += workspace.entries_walked();
-            tiles += frame.width.div_ceil(TILE) * frame.height.div_ceil(TILE);
-            pixels += frame.width * frame.height;
+            tiles += frame.rgb.width.div_ceil(TILE) * frame.rgb.height.div_ceil(TILE);
+            pixels += frame.alpha.len();
         }
         Ok((tiles > 0 && method.splat_count() > 0).then(|| Self {
             splats: method.splat_count(),

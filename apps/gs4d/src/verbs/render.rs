@@ -113,7 +113,7 @@ impl Scene {
 
     fn render<'a>(&self, renderer: &'a mut Renderer, camera: &Camera, time: f32) -> Result<&'a Frame, MethodError> {
         Ok(match self {
-            Scene::File(splats) => renderer.render(splats, camera),
+            Scene::File(splats) => renderer.render(splats.view(), camera),
             Scene::Run(run) => renderer.render(&run.loaded.model.splats(&Timestamp::normalised(time), camera)?, camera),
         })
     }
@@ -226,7 +226,7 @@ impl Render {
         let written = write_file(&path, self.force, |out| {
             y4m::write_header(first.0 as usize, first.1 as usize, self.fps, out)?;
             cameras.iter().enumerate().try_for_each(|(k, camera)| match render(k, camera) {
-                Ok(frame) => y4m::write_frame(&rgb(&frame), out),
+                Ok(frame) => y4m::write_frame(&frame.rgb, out),
                 Err(e) => {
                     let stop = std::io::Error::other(e.to_string());
                     failed = Some(e);
@@ -273,24 +273,20 @@ impl Render {
 
     fn save(&self, frame: &Frame, path: &Path) -> Result<(), Failure> {
         match self.format {
-            Format::Png => save_png(path, &rgb(frame), self.force)?,
+            Format::Png => save_png(path, &frame.rgb, self.force)?,
             Format::Exr => exr::save(path, &rgba(frame), self.force)?,
             Format::Npy => write_file(path, self.force, |out| npy::write_image(&rgba(frame), out))?,
             Format::Y4m => write_file(path, self.force, |out| {
-                y4m::write_header(frame.width, frame.height, self.fps, out)?;
-                y4m::write_frame(&rgb(frame), out)
+                y4m::write_header(frame.rgb.width, frame.rgb.height, self.fps, out)?;
+                y4m::write_frame(&frame.rgb, out)
             })?,
         }
         Ok(())
     }
 }
 
-fn rgb(frame: &Frame) -> Image {
-    Image { width: frame.width, height: frame.height, channels: 3, data: frame.rgb.clone() }
-}
-
 fn rgba(frame: &Frame) -> Image {
-    let pixels = frame.rgb.chunks_exact(3).zip(&frame.alpha);
+    let pixels = frame.rgb.data.chunks_exact(3).zip(&frame.alpha);
     let data = pixels.flat_map(|(rgb, &a)| [rgb[0], rgb[1], rgb[2], a]).collect();
-    Image { width: frame.width, height: frame.height, channels: 4, data }
+    Image { width: frame.rgb.width, height: frame.rgb.height, channels: 4, data }
 }

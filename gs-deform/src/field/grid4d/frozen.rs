@@ -4,18 +4,18 @@
 //! A [`FrozenField`] borrows the field and the splats, so neither can change while it exists.
 //!
 //! ```
-//! use gs_core::{Splats, Time};
+//! use gs_core::{Geometry, Time};
 //! use gs_deform::{Field, Grid4dConfig, Grid4dField};
 //!
 //! let mut config = Grid4dConfig::default();
 //! config.canonical.log2_table = 10;
 //! let field = Grid4dField::new(&config, 1)?;
-//! let (means, quats, scales) = (vec![glam::Vec3::ONE], vec![[1.0, 0.0, 0.0, 0.0]], vec![glam::Vec3::ONE]);
-//! let canonical = Splats { means, quats, scales, opacities: vec![1.0], ..Splats::default() };
-//! let (mut frozen, mut frozen_out, mut out) = (field.freeze(&canonical), Splats::default(), Splats::default());
+//! let canonical = Geometry { means: vec![glam::Vec3::ONE], quats: vec![[1.0, 0.0, 0.0, 0.0]], scales: vec![glam::Vec3::ONE] };
+//! let mut frozen = field.freeze(canonical.view());
+//! let (mut frozen_out, mut out) = (Geometry::default(), Geometry::default());
 //! for t in [0.1, 0.9] {
 //!     frozen.forward(Time::new(t)?, &mut frozen_out);
-//!     field.forward(&canonical, Time::new(t)?, &mut Default::default(), &mut out);
+//!     field.forward(canonical.view(), Time::new(t)?, &mut Default::default(), &mut out);
 //!     assert_eq!(frozen_out, out);
 //! }
 //! # Ok::<(), Box<dyn std::error::Error>>(())
@@ -33,16 +33,15 @@
 
 use super::config::{GateConfig, GateMode};
 use super::{Grid4dField, StaticState, TimeState, gate};
-use crate::apply;
 use glam::Vec3;
-use gs_core::{Camera, Splats, Time};
+use gs_core::{Camera, Geometry, GeometryRef, Time};
 use rayon::prelude::*;
 
 /// A field and splats, prepared for evaluation at many timestamps; see the [module](self).
 #[derive(Debug)]
 pub struct FrozenField<'a> {
     field: &'a Grid4dField,
-    canonical: &'a Splats,
+    canonical: GeometryRef<'a>,
     static_state: StaticState,
     time_state: TimeState,
     moving: Option<DynamicRows>,
@@ -52,9 +51,9 @@ pub struct FrozenField<'a> {
 #[derive(Debug)]
 struct DynamicRows {
     rows: Vec<u32>,
-    /// Means, quaternions and scales of these rows, canonical and moved.
-    canonical: Splats,
-    moved: Splats,
+    /// These rows, canonical and moved.
+    canonical: Geometry,
+    moved: Geometry,
 }
 
 /// Tolerance under which splats are kept static.
@@ -83,7 +82,7 @@ pub struct StaticReport {
 
 impl Grid4dField {
     /// Computes the time-independent part for `canonical`, for evaluation at many timestamps.
-    pub fn freeze<'a>(&'a self, canonical: &'a Splats) -> FrozenField<'a> {
+    pub fn freeze<'a>(&'a self, canonical: GeometryRef<'a>) -> FrozenField<'a> {
         let mut static_state = StaticState::default();
         self.encode_static(canonical, &mut static_state);
         FrozenField { field: self, canonical, static_state, time_state: TimeState::default(), moving: None }
@@ -92,24 +91,22 @@ impl Grid4dField {
 
 impl FrozenField<'_> {
     /// Writes the splats at timestamp `t` to `out`, as [`Field::forward`](crate::Field::forward) does.
-    pub fn forward(&mut self, t: Time, out: &mut Splats) {
+    pub fn forward(&mut self, t: Time, out: &mut Geometry) {
         let Self { field, canonical, static_state, time_state, moving } = self;
         let Some(DynamicRows { rows, canonical: from, moved }) = moving else {
             if !field.config.exact.cached_attention {
-                field.encode_static(canonical, static_state);
+                field.encode_static(*canonical, static_state);
             }
-            field.forward_at(canonical, static_state, t, time_state, out);
+            field.forward_at(*canonical, static_state, t, time_state, out);
             return;
         };
         if !field.config.exact.cached_attention {
-            field.encode_static(from, static_state);
+            field.encode_static(from.view(), static_state);
         }
-        field.forward_at(from, static_state, t, time_state, moved);
-        apply::pass_through(canonical, out);
-        out.means.copy_from_slice(&canonical.means);
-        out.quats.copy_from_slice(&canonical.quats);
-        out.scales.copy_from_slice(&canonical.scales);
-        apply::scatter_rows(moved, rows, out);
+        field.forward_at(from.view(), static_state, t, time_state, moved);
+        out.resize(canonical.len());
+        out.view_mut().copy_from(*canonical);
+        out.scatter(moved, rows);
     }
 
     /// Keeps splats static in later calls of [`FrozenField::forward`] whose error on screen is at most
@@ -117,14 +114,14 @@ impl FrozenField<'_> {
     pub fn keep_static(&mut self, options: &StaticTolerance<'_>) -> StaticReport {
         let Self { field, canonical, static_state, time_state, moving } = self;
         if moving.take().is_some() {
-            field.encode_static(canonical, static_state);
+            field.encode_static(*canonical, static_state);
         }
         let probes = options.probes.max(1);
-        let (mut displacements, mut out) = (vec![[0.0f32; 2]; canonical.len()], Splats::default());
+        let (mut displacements, mut out) = (vec![[0.0f32; 2]; canonical.len()], Geometry::default());
         for probe in 0..probes {
             let normalised = if probes > 1 { probe as f32 / (probes - 1) as f32 } else { 0.5 };
             let t = Time { normalised, seconds: f64::from(normalised) };
-            field.forward_at(canonical, static_state, t, time_state, &mut out);
+            field.forward_at(*canonical, static_state, t, time_state, &mut out);
             let heads = time_state.blocks.iter().flat_map(|b| b.head.chunks_exact(field.config.head_width()));
             for (i, (displacement, head)) in displacements.iter_mut().zip(heads).enumerate() {
                 if field.moves(&static_state.points[i]) {
@@ -135,15 +132,15 @@ impl FrozenField<'_> {
             }
         }
         let pixels = |(displacement, mean): (&[f32; 2], &Vec3)| screen_bound(*displacement, *mean, options.cameras);
-        let bounds: Vec<f32> = displacements.par_iter().zip(&canonical.means).map(pixels).collect();
+        let bounds: Vec<f32> = displacements.par_iter().zip(canonical.means).map(pixels).collect();
         let is_static = |bound: f32| bound <= options.pixels;
         let rows: Vec<u32> = (0..canonical.len()).filter(|&i| !is_static(bounds[i])).map(|i| i as u32).collect();
         let bound_pixels = bounds.iter().filter(|b| is_static(**b)).fold(0.0f32, |m, b| m.max(*b));
         let (splats, still) = (canonical.len(), canonical.len() - rows.len());
         if still > 0 {
-            let from = apply::pick(canonical, &rows);
-            field.encode_static(&from, static_state);
-            *moving = Some(DynamicRows { rows, canonical: from, moved: Splats::default() });
+            let from = canonical.pick(&rows);
+            field.encode_static(from.view(), static_state);
+            *moving = Some(DynamicRows { rows, canonical: from, moved: Geometry::default() });
         }
         StaticReport { splats, still, bound_pixels, probes }
     }

@@ -19,20 +19,15 @@
 //! collapsed branch, and [`Grid4dField::freeze`] for the same splats at many timestamps.
 //!
 //! ```
-//! use gs_core::{Splats, Time};
+//! use gs_core::{Geometry, Time};
 //! use gs_deform::{Field, Grid4dConfig, Grid4dField};
 //! use glam::Vec3;
 //!
 //! let mut config = Grid4dConfig { bound: 1.0, ..Grid4dConfig::default() };
 //! config.canonical.log2_table = 10;
-//! let splats = Splats {
-//!     means: vec![Vec3::ZERO, Vec3::splat(1.5)],
-//!     quats: vec![[1.0, 0.0, 0.0, 0.0]; 2],
-//!     scales: vec![Vec3::ONE; 2],
-//!     opacities: vec![1.0; 2],
-//!     ..Splats::default()
-//! };
-//! let gates = Grid4dField::new(&config, 1)?.quantities(&splats, Time::new(0.5)?);
+//! let means = vec![Vec3::ZERO, Vec3::splat(1.5)];
+//! let splats = Geometry { means, quats: vec![[1.0, 0.0, 0.0, 0.0]; 2], scales: vec![Vec3::ONE; 2] };
+//! let gates = Grid4dField::new(&config, 1)?.quantities(splats.view(), Time::new(0.5)?);
 //! assert_eq!(gates, [("gate", vec![0.5, 0.0])], "half open before training; closed outside the cube");
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
@@ -53,12 +48,12 @@ pub use frozen::{FrozenField, StaticReport, StaticTolerance, screen_bound};
 
 use super::Field;
 use crate::DeformError;
-use crate::apply::{self, Apply, QuatRule, Rows, RowsMut, ScaleRule};
+use crate::apply::{Apply, QuatRule, ScaleRule};
 use crate::encode::HashGrid;
 use decoder::{ChunkGrad, DFeatures, Decoder, Features, Shared, StaticBlock, TimeBlock};
 use grids::{Grids, TimedTape, Times};
 use gs_core::nn::{self, BLOCK, CHUNKS};
-use gs_core::{Param, Params, Splats, SplatsGrad, Time};
+use gs_core::{Geometry, GeometryMut, GeometryRef, Param, Params, Time};
 use rayon::prelude::*;
 use smooth::{Smooth, StepSeed};
 
@@ -138,9 +133,9 @@ impl Grid4dField {
     }
 
     /// Computes the time-independent part: features of the canonical grid, attention, amplitudes.
-    fn encode_static(&self, canonical: &Splats, static_state: &mut StaticState) {
+    fn encode_static(&self, canonical: GeometryRef<'_>, static_state: &mut StaticState) {
         let StaticState { points, features, blocks } = static_state;
-        self.grids.normalise_all(&canonical.means, points);
+        self.grids.normalise_all(canonical.means, points);
         self.grids.space(points, features);
         blocks.resize_with(canonical.len().div_ceil(BLOCK), StaticBlock::default);
         let rows = BLOCK * self.grids.widths()[0];
@@ -153,22 +148,22 @@ impl Grid4dField {
     /// Writes the splats at timestamp `t` to `out`, given the time-independent part.
     fn forward_at(
         &self,
-        canonical: &Splats,
+        canonical: GeometryRef<'_>,
         static_state: &StaticState,
         t: Time,
         time_state: &mut TimeState,
-        out: &mut Splats,
+        out: &mut Geometry,
     ) {
         let TimeState { timed, shared, features, blocks } = time_state;
         self.grids.time(&static_state.points, Times::Common(grids::normalised_time(t)), timed, features);
         self.decoder.set_time(t, shared);
-        apply::pass_through(canonical, out);
+        out.resize(canonical.len());
         blocks.resize_with(static_state.blocks.len(), TimeBlock::default);
         let [space, time] = self.grids.widths().map(|w| w * BLOCK);
         let features = static_state.features.par_chunks(space).zip(features.par_chunks(time));
         let blocks =
             blocks.par_iter_mut().zip(&static_state.blocks).zip(features.zip(static_state.points.par_chunks(BLOCK)));
-        let columns = apply::chunks(canonical, BLOCK).zip(apply::chunks_mut(out, BLOCK));
+        let columns = canonical.chunks(BLOCK).zip(out.view_mut().chunks(BLOCK));
         blocks.zip(columns).for_each(|(((time_block, static_block), ((space, time), points)), (from, mut to))| {
             self.decoder.forward(shared, Features { space, time }, static_block, time_block);
             let rows = from.means.iter().zip(points).map(|(m, p)| (*m, self.moves(p)));
@@ -181,8 +176,8 @@ impl Grid4dField {
         &self,
         shared: &Shared,
         chunk: ChunkOfBlocks<'_>,
-        (from, d_to): (Rows<'_>, Rows<'_>),
-        d_from: &mut RowsMut<'_>,
+        (from, d_to): (GeometryRef<'_>, GeometryRef<'_>),
+        d_from: &mut GeometryMut<'_>,
     ) {
         let ChunkOfBlocks { points, features, d, static_block, time_block, grad } = chunk;
         self.decoder.reset(shared, grad);
@@ -191,8 +186,8 @@ impl Grid4dField {
         let d = d.space.chunks_mut(space).zip(d.time.chunks_mut(time));
         let blocks = static_block.iter_mut().zip(time_block).zip(points.chunks(BLOCK)).zip(features.zip(d));
         for (i, (((static_block, time_block), points), ((space, time), (d_space, d_time)))) in blocks.enumerate() {
-            let (from, mut d_from) = (from.block(i), d_from.block(i));
-            APPLY.backward(from, time_block.offsets.view(), d_to.block(i), &mut d_from, &mut grad.d_offsets);
+            let (from, mut d_from) = (from.block(i, BLOCK), d_from.block(i, BLOCK));
+            APPLY.backward(from, time_block.offsets.view(), d_to.block(i, BLOCK), &mut d_from, &mut grad.d_offsets);
             let rows = from.means.iter().zip(points).zip(d_from.means.iter_mut());
             let rows = rows.map(|((m, p), d)| (*m, self.moves(p), d));
             gate::backward(self.config.gate, &time_block.head, rows, &grad.d_offsets, &mut grad.d_head);
@@ -215,17 +210,17 @@ struct ChunkOfBlocks<'a> {
 impl Field for Grid4dField {
     type Tape = Grid4dTape;
 
-    fn forward(&self, canonical: &Splats, t: Time, tape: &mut Grid4dTape, out: &mut Splats) {
+    fn forward(&self, canonical: GeometryRef<'_>, t: Time, tape: &mut Grid4dTape, out: &mut Geometry) {
         self.encode_static(canonical, &mut tape.static_state);
         self.forward_at(canonical, &tape.static_state, t, &mut tape.time_state, out);
     }
 
     fn backward(
         &mut self,
-        canonical: &Splats,
+        canonical: GeometryRef<'_>,
         tape: &mut Grid4dTape,
-        d_out: &SplatsGrad,
-        d_canonical: &mut SplatsGrad,
+        d_out: GeometryRef<'_>,
+        d_canonical: &mut Geometry,
     ) {
         let Grid4dTape { static_state, time_state, scratch: BackwardScratch { d_space, d_time, chunks } } = tape;
         d_space.resize(static_state.features.len(), 0.0);
@@ -239,8 +234,8 @@ impl Field for Grid4dField {
         let d = d_space.par_chunks_mut(space).zip(d_time.par_chunks_mut(time));
         let blocks = static_state.blocks.par_chunks_mut(per_chunk).zip(time_state.blocks.par_chunks(per_chunk));
         let all_chunks = features.zip(d).zip(blocks).zip(static_state.points.par_chunks(rows)).zip(&mut *used);
-        let columns = apply::chunks(canonical, rows).zip(apply::grad_chunks(d_out, rows));
-        let columns = columns.zip(apply::grad_chunks_mut(d_canonical, rows));
+        let columns = canonical.chunks(rows).zip(d_out.chunks(rows));
+        let columns = columns.zip(d_canonical.view_mut().chunks(rows));
         let shared = &time_state.shared;
         all_chunks.zip(columns).for_each(|(((((features, d), blocks), points), grad), (columns, mut d_from))| {
             let (features, d) = (Features { space: features.0, time: features.1 }, DFeatures { space: d.0, time: d.1 });
@@ -250,23 +245,22 @@ impl Field for Grid4dField {
         self.decoder.add_grads(&mut time_state.shared, used);
         self.grids.space_backward(&static_state.points, d_space);
         self.grids.time_backward(&mut time_state.timed, d_time);
-        apply::pass_through_backward(d_out, d_canonical);
     }
 
-    fn regularise(&mut self, canonical: &Splats, t: Time, step: u32) -> Vec<(&'static str, f32)> {
+    fn regularise(&mut self, canonical: GeometryRef<'_>, t: Time, step: u32) -> Vec<(&'static str, f32)> {
         let Self { config, grids, smooth, seed, .. } = self;
-        let (sample, means, t) = (StepSeed { seed: *seed, step }, &canonical.means, grids::normalised_time(t));
+        let (sample, means, t) = (StepSeed { seed: *seed, step }, canonical.means, grids::normalised_time(t));
         let space = smooth.space(grids, &config.smooth, means, sample);
         let time = smooth.time(grids, &config.smooth, means, t, sample);
         vec![("smooth_space", space as f32), ("smooth_time", time as f32)]
     }
 
-    fn quantities(&self, canonical: &Splats, t: Time) -> Vec<(&'static str, Vec<f32>)> {
+    fn quantities(&self, canonical: GeometryRef<'_>, t: Time) -> Vec<(&'static str, Vec<f32>)> {
         if !self.config.gate.on {
             return Vec::new();
         }
         let mut tape = Grid4dTape::default();
-        self.forward(canonical, t, &mut tape, &mut Splats::default());
+        self.forward(canonical, t, &mut tape, &mut Geometry::default());
         let heads = tape.time_state.blocks.iter().flat_map(|b| b.head.chunks_exact(self.config.head_width()));
         let gate = heads
             .zip(&tape.static_state.points)

@@ -6,7 +6,7 @@ use gs_anchor::{
     Visible, visible,
 };
 use gs_core::speed::{BenchRow, median_seconds};
-use gs_core::{Camera, Param, Params, Splats, SplatsGrad, Time};
+use gs_core::{Camera, Geometry, Param, Params, Splats, Time};
 use gs_data::{Dataset, ImageCache, Split};
 use gs_deform::{Aabb, Field, HexPlaneField};
 use gs_method_anchor::modec::Config;
@@ -84,7 +84,7 @@ fn options() -> RasterOptions {
 }
 
 fn picture(splats: &Splats, camera: &Camera) -> Vec<f32> {
-    render(splats, camera, &options(), &mut Workspace::new()).rgb
+    render(splats, camera, &options(), &mut Workspace::new()).rgb.data
 }
 
 /// A finished run.
@@ -291,7 +291,7 @@ fn idle_anchors(run: &Run, parts: &mut Parts) {
 /// Milliseconds of each stage of a frame.
 fn stages(run: &Run, parts: &mut Parts) {
     let camera = &run.cameras[7];
-    let (mut local, mut listed, mut neural, mut moved) = <(LocalAnchors, Vec<u32>, Splats, Splats)>::default();
+    let (mut local, mut listed, mut neural, mut moved) = <(LocalAnchors, Vec<u32>, Splats, Geometry)>::default();
     let (mut gad, mut decoded, mut lgd) = (GadTape::default(), DecodeTape::default(), Default::default());
     let mut all = Vec::new();
     let mut time = |name: &'static str, n: usize, forward: &mut dyn FnMut()| {
@@ -306,22 +306,24 @@ fn stages(run: &Run, parts: &mut Parts) {
     time("decode", anchors, &mut || {
         parts.decoder.forward(&local, Visible::List(&listed), eye, &mut decoded, &mut neural)
     });
-    time("LGD", neural.len(), &mut || parts.lgd.forward(&neural, T, &mut lgd, &mut moved));
+    time("LGD", neural.len(), &mut || parts.lgd.forward(neural.geometry(), T, &mut lgd, &mut moved));
     let fresh = |tape: &mut _| {
-        parts.lgd.forward(&neural, T, tape, &mut Splats::default());
+        parts.lgd.forward(neural.geometry(), T, tape, &mut Geometry::default());
     };
     time("LGD, new scratch", neural.len(), &mut || fresh(&mut Default::default()));
     let (options, mut workspace) = (options(), Workspace::new());
-    time("raster", moved.len(), &mut || drop(render(&moved, camera, &options, &mut workspace)));
+    let moved = neural.with_geometry(moved.view());
+    time("raster", moved.len(), &mut || drop(render(moved, camera, &options, &mut workspace)));
 
     let d = FrameGrad { rgb: vec![1e-3; (3 * camera.width * camera.height) as usize], ..FrameGrad::default() };
-    let (mut d_neural, mut d_local) = <(SplatsGrad, LocalAnchorsGrad)>::default();
-    let (d_moved, _) = render_backward(&moved, camera, &options, &mut workspace, &d);
-    time("raster back", moved.len(), &mut || drop(render_backward(&moved, camera, &options, &mut workspace, &d)));
+    let (mut d_decoded, mut d_local) = <(Geometry, LocalAnchorsGrad)>::default();
+    let (mut d_neural, _) = render_backward(moved, camera, &options, &mut workspace, &d);
+    time("raster back", moved.len(), &mut || drop(render_backward(moved, camera, &options, &mut workspace, &d)));
     time("LGD back", neural.len(), &mut || {
-        d_neural.reset(&neural);
-        parts.lgd.backward(&neural, &mut lgd, &d_moved, &mut d_neural);
+        d_decoded.reset(neural.len());
+        parts.lgd.backward(neural.geometry(), &mut lgd, d_neural.geometry(), &mut d_decoded);
     });
+    d_neural.swap_geometry(&mut d_decoded);
     time("decode back", anchors, &mut || {
         d_local.reset(&local);
         parts.decoder.backward(&local, &mut decoded, &d_neural, &mut d_local);

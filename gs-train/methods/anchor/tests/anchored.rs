@@ -9,7 +9,7 @@
 //! | without GAD and LGD against the plain scaffold | same bits |
 //! | centres of baked rows at times between those looked at | 1.5 × the tolerance |
 
-use gs_core::{Camera, Splats, SplatsGrad, Time};
+use gs_core::{Camera, Splats, SplatsGrad, SplatsRef, Time};
 use gs_data::Dataset;
 use gs_deform::field::grid4d::screen_bound;
 use gs_method_anchor::METHODS;
@@ -74,7 +74,7 @@ fn at(t: f32) -> Timestamp {
 
 fn picture(method: &Model, splats: &Splats, camera: &Camera) -> Vec<f32> {
     let options = method.raster_options([1.0; 3]);
-    render(splats, camera, &options, &mut Workspace::new()).rgb
+    render(splats, camera, &options, &mut Workspace::new()).rgb.data
 }
 
 fn splats(model: &Model, t: f32, camera: &Camera) -> Splats {
@@ -89,8 +89,8 @@ struct Kept {
 }
 
 impl RenderView for Kept {
-    fn render(&mut self, splats: &Splats, grad: &mut SplatsGrad) -> Result<&ScreenStats, MethodError> {
-        self.splats = splats.clone();
+    fn render(&mut self, splats: SplatsRef<'_>, grad: &mut SplatsGrad) -> Result<&ScreenStats, MethodError> {
+        self.splats = splats.to_splats();
         grad.reset(splats);
         self.stats = ScreenStats { grad_means2d: vec![[0.0; 2]; splats.len()], radii: vec![0.0; splats.len()] };
         Ok(&self.stats)

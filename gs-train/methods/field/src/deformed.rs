@@ -5,7 +5,7 @@
 //! ```
 //! and backward in reverse. In stages without the field, the canonical splats are rendered at every time.
 
-use gs_core::{Camera, Param, Params, Splats, SplatsGrad, Time};
+use gs_core::{Camera, Geometry, Param, Params, Splats, Time};
 use gs_deform::Field;
 use gs_deform::field::anneal::{Anneal, smooth_time};
 use gs_train::canonical::Canonical;
@@ -21,8 +21,8 @@ pub struct Deformed<F: Field> {
     canonical: Canonical,
     field: F,
     tape: F::Tape,
-    moved: Splats,
-    d_moved: SplatsGrad,
+    moved: Geometry,
+    d_canonical: Geometry,
     /// Time of the present step.
     t: Time,
     anneal: Anneal,
@@ -36,14 +36,21 @@ impl<F: Field> Deformed<F> {
     /// A cloud and its field; training times are blurred as `anneal` says (strength 0: not at all), `views` of them.
     pub fn new(canonical: Canonical, field: F, anneal: Anneal, views: u32) -> Self {
         let interval = 1.0 / views.max(1) as f32;
-        let (tape, moved, d_moved, t) = Default::default();
-        Self { canonical, field, tape, moved, d_moved, t, anneal, interval, regular_from: 0 }
+        let (tape, moved, d_canonical, t) = Default::default();
+        Self { canonical, field, tape, moved, d_canonical, t, anneal, interval, regular_from: 0 }
     }
 
     /// The same without the field's regularisers before this step of the run.
     pub fn regularised_from(mut self, step: u32) -> Self {
         self.regular_from = step;
         self
+    }
+
+    /// Where the field moves canonical splats.
+    fn moved(&self, canonical: &Splats, t: Time) -> Geometry {
+        let mut moved = Geometry::default();
+        self.field.forward(canonical.geometry(), t, &mut F::Tape::default(), &mut moved);
+        moved
     }
 
     fn training_time(&self, t: Time) -> Time {
@@ -82,13 +89,11 @@ where
     }
 
     fn splats(&self, at: &Timestamp, _camera: &Camera) -> Result<Splats, MethodError> {
-        let canonical = self.canonical.activated();
-        if !self.canonical.at.dynamic {
-            return Ok(canonical);
+        let mut splats = self.canonical.activated();
+        if self.canonical.at.dynamic {
+            splats.set_geometry(self.moved(&splats, at.t));
         }
-        let mut moved = Splats::default();
-        self.field.forward(&canonical, at.t, &mut F::Tape::default(), &mut moved);
-        Ok(moved)
+        Ok(splats)
     }
 
     fn step(&mut self, view: &ViewCtx<'_>, render: &mut dyn RenderView) -> Result<Vec<LossValue>, MethodError> {
@@ -96,14 +101,15 @@ where
         let dynamic = self.canonical.at.dynamic;
         let stats = if dynamic {
             self.t = self.training_time(view.at.t);
-            let canonical = &mut self.canonical;
-            self.field.forward(&canonical.splats, self.t, &mut self.tape, &mut self.moved);
-            let stats = render.render(&self.moved, &mut self.d_moved)?;
-            canonical.d_splats.reset(&canonical.splats);
-            self.field.backward(&canonical.splats, &mut self.tape, &self.d_moved, &mut canonical.d_splats);
+            let Canonical { splats, d_splats, .. } = &mut self.canonical;
+            self.field.forward(splats.geometry(), self.t, &mut self.tape, &mut self.moved);
+            let stats = render.render(splats.with_geometry(self.moved.view()), d_splats)?;
+            self.d_canonical.reset(splats.len());
+            self.field.backward(splats.geometry(), &mut self.tape, d_splats.geometry(), &mut self.d_canonical);
+            d_splats.swap_geometry(&mut self.d_canonical);
             stats
         } else {
-            render.render(&self.canonical.splats, &mut self.canonical.d_splats)?
+            render.render(self.canonical.splats.view(), &mut self.canonical.d_splats)?
         };
         self.canonical.backward();
         self.canonical.accumulate(stats, view.camera);
@@ -111,7 +117,7 @@ where
         if !(view.last && dynamic && step >= self.regular_from) {
             return Ok(Vec::new());
         }
-        Ok(self.field.regularise(&self.canonical.splats, self.t, step))
+        Ok(self.field.regularise(self.canonical.splats.geometry(), self.t, step))
     }
 
     fn end_step(&mut self) -> Result<StepEvents, MethodError> {
@@ -144,7 +150,7 @@ where
         let canonical = self.canonical.activated();
         let mut all = kernel_quantities(&canonical.kernel);
         if self.canonical.at.dynamic {
-            let values = self.field.quantities(&canonical, at.t);
+            let values = self.field.quantities(canonical.geometry(), at.t);
             all.extend(values.into_iter().map(|(name, values)| Quantity::share(name, values)));
         }
         Ok(all)
@@ -153,8 +159,7 @@ where
     /// `motion`: displacement from the canonical position, one colour channel per axis, grey for none.
     fn overlays(&self, at: &Timestamp) -> Result<Vec<Overlay>, MethodError> {
         let canonical = self.canonical.activated();
-        let mut moved = Splats::default();
-        self.field.forward(&canonical, at.t, &mut F::Tape::default(), &mut moved);
+        let moved = self.moved(&canonical, at.t);
         let shifts: Vec<_> = moved.means.iter().zip(&canonical.means).map(|(a, b)| *a - *b).collect();
         let largest = shifts.iter().map(|s| s.abs().max_element()).fold(f32::MIN_POSITIVE, f32::max);
         let colors = shifts.iter().map(|s| (0.5 + 0.5 * *s / largest).to_array()).collect();

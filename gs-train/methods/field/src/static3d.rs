@@ -82,7 +82,7 @@ impl Method for Static3d {
 
     fn step(&mut self, view: &ViewCtx<'_>, render: &mut dyn RenderView) -> Result<Vec<LossValue>, MethodError> {
         self.canonical.forward();
-        let stats = render.render(&self.canonical.splats, &mut self.canonical.d_splats)?;
+        let stats = render.render(self.canonical.splats.view(), &mut self.canonical.d_splats)?;
         self.canonical.backward();
         self.canonical.accumulate(stats, view.camera);
         Ok(Vec::new())

@@ -303,7 +303,7 @@ impl Dut {
         render: &mut dyn RenderView,
     ) -> Result<(), StepError> {
         let splats = self.decode(rows, second)?;
-        render.render(&splats, &mut self.d_splats)?;
+        render.render(splats.view(), &mut self.d_splats)?;
         Ok(decode_backward(rows, self.channels, &second.base, &self.decoding(), &self.d_splats, d_rows, None)
             .map_err(FrameError::from)?)
     }

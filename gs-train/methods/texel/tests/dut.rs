@@ -7,7 +7,7 @@
 //! | in-mask PSNR of GauNet over-fitting four views of a frame; after its warm-up alone | 30 dB; 20 dB |
 //! | GeoNet's offsets of a known morph, RMS error over RMS length | 10 % |
 
-use gs_core::{Camera, Params, Rng, Splats, SplatsGrad};
+use gs_core::{Camera, Params, Rng, SplatsGrad, SplatsRef};
 use gs_data::{Dataset, ImageCache, ImageSource, Split};
 use gs_method_texel::{Config, Dut, METHODS};
 use gs_raster::ScreenStats;
@@ -122,7 +122,7 @@ fn bare(data: &Dataset, config: &toml::Table, step: u32) -> Dut {
 struct Unrendered;
 
 impl RenderView for Unrendered {
-    fn render(&mut self, _: &Splats, _: &mut SplatsGrad) -> Result<&ScreenStats, MethodError> {
+    fn render(&mut self, _: SplatsRef<'_>, _: &mut SplatsGrad) -> Result<&ScreenStats, MethodError> {
         panic!("nothing is rendered")
     }
 }

@@ -3,7 +3,7 @@
 use super::Anchored;
 use gs_anchor::visible::{self, SUPPORT, VisibilityOptions};
 use gs_anchor::{DecodeTape, GadTape, LocalAnchors, LocalAnchorsGrad, Visible};
-use gs_core::{Camera, Splats, SplatsGrad, Time};
+use gs_core::{Camera, Geometry, GeometryRef, Splats, SplatsGrad, SplatsRef, Time};
 use gs_deform::{Field, HexPlaneField};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -43,15 +43,23 @@ pub(super) struct Tape {
     gad: GadTape,
     pub decoded: DecodeTape,
     /// Decoded Gaussians, before LGD.
-    neural: Splats,
-    d_neural: SplatsGrad,
-    lgd: <HexPlaneField as Field>::Tape,
-    /// What is rendered.
-    pub splats: Splats,
+    splats: Splats,
+    /// Cotangents of what is rendered.
     pub d_splats: SplatsGrad,
-    /// Whether LGD took part.
-    moved: bool,
+    lgd: <HexPlaneField as Field>::Tape,
+    /// Where LGD moved them, if it took part.
+    moved: Geometry,
+    d_decoded: Geometry,
+    moves: bool,
     listed: Vec<u32>,
+}
+
+impl Tape {
+    /// What is rendered, and the place for its cotangents.
+    pub fn rendered(&mut self) -> (SplatsRef<'_>, &mut SplatsGrad) {
+        let geometry = if self.moves { self.moved.view() } else { self.splats.geometry() };
+        (self.splats.with_geometry(geometry), &mut self.d_splats)
+    }
 }
 
 impl Anchored {
@@ -64,7 +72,7 @@ impl Anchored {
             Some(gad) if dynamic => gad.forward(&self.anchors, canonical, &mut tape.gad, &mut tape.local),
             _ => self.anchors.activate(&mut tape.local),
         }
-        tape.moved = dynamic && self.motion.lgd.is_some();
+        tape.moves = dynamic && self.motion.lgd.is_some();
         while !self.forward_within(t, camera) {}
     }
 
@@ -76,7 +84,7 @@ impl Anchored {
             Filter::Off => Visible::All,
             Filter::Clean => {
                 let reach =
-                    VisibilityOptions { margin: if tape.moved { margin } else { 0.0 }, ..VisibilityOptions::default() };
+                    VisibilityOptions { margin: if tape.moves { margin } else { 0.0 }, ..VisibilityOptions::default() };
                 visible::conservative(&tape.local, camera, &reach, &mut tape.listed);
                 Visible::List(&tape.listed)
             }
@@ -85,13 +93,10 @@ impl Anchored {
                 Visible::List(&tape.listed)
             }
         };
-        let Some(lgd) = self.motion.lgd.as_ref().filter(|_| tape.moved) else {
-            self.decoder.forward(&tape.local, visible, camera.position(), &mut tape.decoded, &mut tape.splats);
-            return true;
-        };
-        self.decoder.forward(&tape.local, visible, camera.position(), &mut tape.decoded, &mut tape.neural);
-        lgd.forward(&tape.neural, t, &mut tape.lgd, &mut tape.splats);
-        let farthest = farthest(&tape.neural, &tape.splats);
+        self.decoder.forward(&tape.local, visible, camera.position(), &mut tape.decoded, &mut tape.splats);
+        let Some(lgd) = self.motion.lgd.as_ref().filter(|_| tape.moves) else { return true };
+        lgd.forward(tape.splats.geometry(), t, &mut tape.lgd, &mut tape.moved);
+        let farthest = farthest(tape.splats.geometry(), tape.moved.view());
         let held = self.config.filter != Filter::Clean || f64::from(farthest) <= margin;
         self.reach[0] = self.reach[0].max(farthest);
         held
@@ -101,15 +106,12 @@ impl Anchored {
     pub(super) fn backward(&mut self) {
         let tape = &mut self.tape;
         tape.d_local.reset(&tape.local);
-        let d_neural = match self.motion.lgd.as_mut().filter(|_| tape.moved) {
-            Some(lgd) => {
-                tape.d_neural.reset(&tape.neural);
-                lgd.backward(&tape.neural, &mut tape.lgd, &tape.d_splats, &mut tape.d_neural);
-                &tape.d_neural
-            }
-            None => &tape.d_splats,
-        };
-        self.decoder.backward(&tape.local, &mut tape.decoded, d_neural, &mut tape.d_local);
+        if let Some(lgd) = self.motion.lgd.as_mut().filter(|_| tape.moves) {
+            tape.d_decoded.reset(tape.splats.len());
+            lgd.backward(tape.splats.geometry(), &mut tape.lgd, tape.d_splats.geometry(), &mut tape.d_decoded);
+            tape.d_splats.swap_geometry(&mut tape.d_decoded);
+        }
+        self.decoder.backward(&tape.local, &mut tape.decoded, &tape.d_splats, &mut tape.d_local);
         let dynamic = self.at.dynamic;
         match self.motion.gad.as_mut().filter(|_| dynamic) {
             Some(gad) => gad.backward(&mut self.anchors, &mut tape.gad, &tape.d_local),
@@ -119,7 +121,7 @@ impl Anchored {
 }
 
 /// `max (‖Δμ‖ + w max |Δs|)` over all splats: how much farther one reaches than before, at most.
-pub(super) fn farthest(before: &Splats, after: &Splats) -> f32 {
+pub(super) fn farthest(before: GeometryRef<'_>, after: GeometryRef<'_>) -> f32 {
     let piece = |p: usize| {
         let rows = p * PIECE..before.len().min((p + 1) * PIECE);
         let grown = |i: usize| (after.scales[i] - before.scales[i]).abs().max_element();

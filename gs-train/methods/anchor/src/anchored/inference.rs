@@ -6,7 +6,7 @@ use super::rest::Rest;
 use glam::Vec3;
 use gs_anchor::visible::{self, VisibilityOptions};
 use gs_anchor::{DecodeTape, LocalAnchors, Visible};
-use gs_core::{Camera, Color, Splats, Time};
+use gs_core::{Camera, Color, Geometry, GeometryRef, Splats, Time};
 use gs_deform::Field;
 use gs_train::capabilities::StageView;
 use std::collections::BTreeMap;
@@ -97,9 +97,9 @@ impl Anchored {
     }
 
     /// Moves decoded Gaussians of these rows (`anchor · k + j`).
-    fn moved(&self, neural: &Splats, rows: &[u32], t: Time) -> Option<Splats> {
+    fn moved(&self, neural: GeometryRef<'_>, rows: &[u32], t: Time) -> Option<Geometry> {
         let lgd = self.motion.lgd.as_ref().filter(|_| self.dynamic())?;
-        let mut moved = Splats::default();
+        let mut moved = Geometry::default();
         match &self.cache.rest {
             Some(rest) => rest.forward(lgd, neural, rows, t, &mut moved),
             None => lgd.forward(neural, t, &mut Default::default(), &mut moved),
@@ -113,16 +113,25 @@ impl Anchored {
         let mut reach = self.reach[0];
         for _ in 0..TRIES {
             let margin = (self.config.filter == Filter::Clean).then_some(ROOM * f64::from(reach));
-            let (neural, tape) = self.decoded(&local, camera, margin);
-            let Some(moved) = self.moved(&neural, &tape.rows, t) else { return neural };
-            let farthest = farthest(&neural, &moved);
+            let (mut splats, tape) = self.decoded(&local, camera, margin);
+            let Some(moved) = self.moved(splats.geometry(), &tape.rows, t) else { return splats };
+            let farthest = farthest(splats.geometry(), moved.view());
             if margin.is_none_or(|margin| f64::from(farthest) <= margin) {
-                return moved;
+                splats.set_geometry(moved);
+                return splats;
             }
             reach = reach.max(farthest);
         }
-        let (neural, tape) = self.decoded(&local, camera, None);
-        self.moved(&neural, &tape.rows, t).unwrap_or(neural)
+        let (splats, tape) = self.decoded(&local, camera, None);
+        self.at_time(splats, &tape.rows, t)
+    }
+
+    /// Decoded Gaussians of these rows, moved if anything moves them.
+    fn at_time(&self, mut splats: Splats, rows: &[u32], t: Time) -> Splats {
+        if let Some(moved) = self.moved(splats.geometry(), rows, t) {
+            splats.set_geometry(moved);
+        }
+        splats
     }
 
     /// Global, local and full: the anchors at rest, those of the interval, and their Gaussians at the timestamp.
@@ -132,15 +141,18 @@ impl Anchored {
         let mut stages = vec![StageView { name: "global", splats: global, before: None }];
         let local = self.local(t);
         let (neural, tape) = self.decoded(&local, camera, None);
-        let moved = self.moved(&neural, &tape.rows, t);
-        let before_lgd = moved.is_some().then(|| neural.means.clone());
+        let moved = self.moved(neural.geometry(), &tape.rows, t);
+        let full = moved.map(|moved| {
+            let before = Some(neural.means.clone());
+            let mut splats = neural.clone();
+            splats.set_geometry(moved);
+            StageView { name: "full", splats, before }
+        });
         if self.motion.gad.is_some() && self.dynamic() {
             let before = tape.rows.iter().map(|&row| self.center(&rest, row)).collect();
             stages.push(StageView { name: "local", splats: neural, before: Some(before) });
         }
-        if let Some(splats) = moved {
-            stages.push(StageView { name: "full", splats, before: before_lgd });
-        }
+        stages.extend(full);
         stages
     }
 
@@ -173,6 +185,6 @@ impl Anchored {
         }
         all.color = Color::Rgb(colors);
         let rows: Vec<u32> = (0..n as u32).collect();
-        self.moved(&all, &rows, t).unwrap_or(all)
+        self.at_time(all, &rows, t)
     }
 }

@@ -244,7 +244,8 @@ impl Method for Anchored {
 
     fn step(&mut self, view: &ViewCtx<'_>, render: &mut dyn RenderView) -> Result<Vec<LossValue>, MethodError> {
         self.forward(view.at.t, view.camera);
-        let stats = render.render(&self.tape.splats, &mut self.tape.d_splats)?;
+        let (splats, d_splats) = self.tape.rendered();
+        let stats = render.render(splats, d_splats)?;
         self.backward();
         self.accumulate(view, stats);
         Ok(if view.last && self.at.dynamic { self.regularise() } else { Vec::new() })

@@ -2,7 +2,7 @@
 
 use gs_anchor::gad::Sparsity;
 use gs_anchor::{Anchors, Gad, Intervals};
-use gs_core::{Camera, Param, Params, Time};
+use gs_core::{Camera, Geometry, Param, Params, Time};
 use gs_deform::{Field, HexPlaneField};
 use gs_raster::ScreenStats;
 use serde::{Deserialize, Serialize};
@@ -44,7 +44,7 @@ impl Motion {
         }
         if let Some(lgd) = &mut self.lgd {
             let names = ["local_tv", "local_smoothness", "local_l1"];
-            let values = lgd.regularise(&gs_core::Splats::default(), Time::default(), 0);
+            let values = lgd.regularise(Geometry::default().view(), Time::default(), 0);
             all.extend(names.into_iter().zip(values.into_iter().map(|(_, value)| value)));
         }
         all

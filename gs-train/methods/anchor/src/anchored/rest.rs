@@ -17,8 +17,8 @@
 use super::Anchored;
 use glam::{Vec3, Vec4};
 use gs_core::nn::BLOCK;
-use gs_core::{Camera, Splats, Time};
-use gs_deform::apply::{self, Apply, Offsets, RowsMut};
+use gs_core::{Camera, Geometry, GeometryRef, Time};
+use gs_deform::apply::{Apply, Offsets};
 use gs_deform::field::grid4d::screen_bound;
 use gs_deform::{Field, HexPlaneField};
 use gs_train::capabilities::{FreezeOptions, FreezeReport};
@@ -78,17 +78,13 @@ impl Poses {
     }
 
     /// Writes decoded Gaussians of these rows in their poses.
-    fn put(&self, rule: Apply, neural: &Splats, rows: &[u32], out: &mut Splats) {
-        apply::pass_through(neural, out);
-        let columns = apply::chunks(neural, BLOCK).zip(apply::chunks_mut(out, BLOCK));
-        columns.zip(rows.par_chunks(BLOCK)).for_each(|((from, to), rows)| {
+    fn put(&self, rule: Apply, neural: GeometryRef<'_>, rows: &[u32], out: &mut Geometry) {
+        out.resize(neural.len());
+        let columns = neural.chunks(BLOCK).zip(out.view_mut().chunks(BLOCK));
+        columns.zip(rows.par_chunks(BLOCK)).for_each(|((from, mut to), rows)| {
             for (i, row) in rows.iter().map(|r| *r as usize).enumerate() {
-                let one = i..i + 1;
-                let (means, quats) = (&from.means[one.clone()], &from.quats[one.clone()]);
-                let from = apply::Rows { means, quats, scales: &from.scales[one.clone()] };
-                let (means, quats) = (&mut to.means[one.clone()], &mut to.quats[one.clone()]);
-                let mut to = RowsMut { means, quats, scales: &mut to.scales[one] };
-                rule.forward(from, self.change(row), &mut to);
+                let mut to = to.rows(i..i + 1);
+                rule.forward(from.rows(i..i + 1), self.change(row), &mut to);
                 to.means[0] = self.center(row);
             }
         });
@@ -102,13 +98,13 @@ impl Rest {
     }
 
     /// Moves decoded Gaussians of these rows: those that rest to their baked pose, the others as the field says.
-    pub fn forward(&self, lgd: &HexPlaneField, neural: &Splats, rows: &[u32], t: Time, out: &mut Splats) {
+    pub fn forward(&self, lgd: &HexPlaneField, neural: GeometryRef<'_>, rows: &[u32], t: Time, out: &mut Geometry) {
         self.poses.put(lgd.rule(), neural, rows, out);
         let moves = |i: &u32| !self.still[rows[*i as usize] as usize];
         let moving: Vec<u32> = (0..rows.len() as u32).filter(moves).collect();
-        let mut moved = Splats::default();
-        lgd.forward(&apply::pick(neural, &moving), t, &mut Default::default(), &mut moved);
-        apply::scatter_rows(&moved, &moving, out);
+        let mut moved = Geometry::default();
+        lgd.forward(neural.pick(&moving).view(), t, &mut Default::default(), &mut moved);
+        out.scatter(&moved, &moving);
     }
 }
 
@@ -189,9 +185,9 @@ impl Anchored {
         let Some(camera) = camera else { return };
         let (neural, tape) = self.decoded(&self.local(t), camera, None);
         let [exact, baked] = [&exact, baked].map(|poses| {
-            let mut splats = Splats::default();
-            poses.put(lgd.rule(), &neural, &tape.rows, &mut splats);
-            splats
+            let mut posed = Geometry::default();
+            poses.put(lgd.rule(), neural.geometry(), &tape.rows, &mut posed);
+            posed
         });
         for (i, &row) in tape.rows.iter().enumerate() {
             worst[row as usize].see((exact.scales[i], exact.quats[i]), (baked.scales[i], baked.quats[i]));

@@ -2,25 +2,25 @@
 //! been carried. The turn counts as a constant, as displacements do: it learns from shapes, not from colours. Splats that did
 //! not turn, and colours without lobes, cost nothing.
 
+use gs_core::Color;
 use gs_core::rot::{conjugate, hamilton, matrix, normalise};
 use gs_core::sh::{ShRotation, coeffs};
-use gs_core::{Color, Splats};
 use rayon::prelude::*;
 
 /// Splats for each task.
 const TASK: usize = 64;
 
-/// Turns the colours of splats that were rendered as `canonical` and are now turned as `splats`.
-pub(super) fn turn(canonical: &Splats, splats: &mut Splats) {
-    if let Color::Sh { degree, coeffs } = &mut splats.color {
-        every(*degree, &canonical.quats, &splats.quats, coeffs, |turn, sh| turn.apply(sh));
+/// Turns the colours of splats whose rotations were `from` and are now `to`.
+pub(super) fn turn(from: &[[f32; 4]], to: &[[f32; 4]], color: &mut Color) {
+    if let Color::Sh { degree, coeffs } = color {
+        every(*degree, from, to, coeffs, |turn, sh| turn.apply(sh));
     }
 }
 
 /// The way back of [`turn`] for the cotangents of colours.
-pub(super) fn turn_back(canonical: &Splats, splats: &Splats, d_color: &mut [f32]) {
-    if let Color::Sh { degree, .. } = &splats.color {
-        every(*degree, &canonical.quats, &splats.quats, d_color, |turn, d_sh| turn.apply_backward(d_sh));
+pub(super) fn turn_back(color: &Color, from: &[[f32; 4]], to: &[[f32; 4]], d_color: &mut [f32]) {
+    if let Color::Sh { degree, .. } = color {
+        every(*degree, from, to, d_color, |turn, d_sh| turn.apply_backward(d_sh));
     }
 }
 
@@ -56,10 +56,9 @@ mod tests {
         let unit = [0.5f32, -0.1, 0.7, 0.5];
         let sh: Vec<f32> = (0..48).map(|i| (i as f32 * 0.37).sin()).collect();
         let turned = |from: [f32; 4], to: [f32; 4]| {
-            let color = Color::Sh { degree: 3, coeffs: sh.clone() };
-            let mut splats = Splats { quats: vec![to], color, ..Splats::default() };
-            turn(&Splats { quats: vec![from], ..Splats::default() }, &mut splats);
-            let Color::Sh { coeffs, .. } = splats.color else { panic!("colours keep their kind") };
+            let mut color = Color::Sh { degree: 3, coeffs: sh.clone() };
+            turn(&[from], &[to], &mut color);
+            let Color::Sh { coeffs, .. } = color else { panic!("colours keep their kind") };
             coeffs
         };
         let off = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);

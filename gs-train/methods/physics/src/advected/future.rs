@@ -2,9 +2,9 @@
 //! the way are kept, so that a later frame costs a step or two. Splats with a closed form, and bodies whose splats may share
 //! one motion, take no steps at all.
 
-use super::carry_drawn;
+use super::carry;
 use glam::Vec3;
-use gs_core::Splats;
+use gs_core::Geometry;
 use gs_physics::classes::{ClassRule, rotation_sensitivity};
 use gs_physics::groups::Groups;
 use gs_physics::segment::{FeatureOptions, KMeansOptions, features, kmeans};
@@ -22,7 +22,14 @@ pub(super) struct Thrift {
 impl Thrift {
     /// Particles that take no steps where they need none. Integrators that are not rigid keep theirs: what was learnt makes
     /// up for their errors.
-    fn spare(self, particles: Extrapolator, begin: &Splats, rule: Integrator, origin: Vec3) -> Option<Extrapolator> {
+    fn spare(
+        self,
+        particles: Extrapolator,
+        begin: &Geometry,
+        opacities: &[f32],
+        rule: Integrator,
+        origin: Vec3,
+    ) -> Option<Extrapolator> {
         if !matches!(rule, Integrator::Se3Mid | Integrator::Se3Magnus4) {
             return Some(particles);
         }
@@ -31,7 +38,7 @@ impl Thrift {
             let motions = particles.motions();
             let (rows, width) = features(motions, &FeatureOptions::default());
             let options = KMeansOptions { k: self.bodies, ..KMeansOptions::default() };
-            let found = kmeans(&rows, width, Some(&begin.opacities), &options);
+            let found = kmeans(&rows, width, Some(opacities), &options);
             Groups::fit(&self.rule, &found.labels, motions, &begin.means, origin, &reach)
         });
         particles.reduce(&self.rule, &reach, groups.transpose().ok()?).ok()
@@ -40,7 +47,7 @@ impl Thrift {
 
 /// The scene at `T_def`, and how it goes on.
 pub(super) struct Future {
-    begin: Splats,
+    begin: Geometry,
     from: f64,
     /// The middle of what moves then.
     middle: Vec3,
@@ -49,19 +56,26 @@ pub(super) struct Future {
 }
 
 impl Future {
-    /// The scene that begins as `begin` at time `from`.
-    pub fn new<D: Dynamics>(begin: Splats, from: f64, middle: Vec3, dynamics: &D, thrift: Thrift) -> Self {
+    /// The scene that begins as `begin`, with these opacities, at time `from`.
+    pub fn new<D: Dynamics>(
+        begin: Geometry,
+        opacities: &[f32],
+        from: f64,
+        middle: Vec3,
+        dynamics: &D,
+        thrift: Thrift,
+    ) -> Self {
         let start = Start { x: &begin.means, t: from, middle };
         let particles = dynamics.motion_rollout().and_then(|rollout| {
             let (motions, still) = (dynamics.motions(start), vec![[1.0, 0.0, 0.0, 0.0]; begin.len()]);
             let all = Extrapolator::new(rollout, from, motions, begin.means.clone(), still).ok()?;
-            thrift.spare(all, &begin, rollout.rule, rollout.origin)
+            thrift.spare(all, &begin, opacities, rollout.rule, rollout.origin)
         });
         Self { begin, from, middle, particles }
     }
 
     /// The splats at a time after the begin.
-    pub fn at<D: Dynamics>(&mut self, t: f64, dynamics: &D) -> Splats {
+    pub fn at<D: Dynamics>(&mut self, t: f64, dynamics: &D) -> Geometry {
         let mut moves = ParticleState::default();
         match &mut self.particles {
             Some(particles) => {
@@ -74,7 +88,7 @@ impl Future {
             }
         }
         let mut splats = self.begin.clone();
-        carry_drawn(&mut splats, &mut moves);
+        carry(&mut splats, &mut moves);
         splats
     }
 }
@@ -87,12 +101,12 @@ mod tests {
 
     const FROM: f64 = 0.6;
 
-    fn begin() -> Splats {
+    fn begin() -> Geometry {
         let mut rng = Rng::new(4, "future", 0, 0);
         let means: Vec<Vec3> = (0..300).map(|_| Vec3::new(rng.normal(), rng.normal(), rng.normal())).collect();
         let n = means.len();
         let scales = (0..n).map(|_| Vec3::new(0.05, 0.02 + 0.03 * rng.uniform(), 0.05)).collect();
-        Splats { means, scales, quats: vec![[1.0, 0.0, 0.0, 0.0]; n], opacities: vec![0.8; n], ..Splats::default() }
+        Geometry { means, scales, quats: vec![[1.0, 0.0, 0.0, 0.0]; n] }
     }
 
     fn law(order: u8, integrator: Integrator) -> Law {
@@ -107,7 +121,7 @@ mod tests {
     /// How far splats are from where the law carries them, and how many need their steps.
     fn off(law: &Law, thrift: Thrift) -> (f32, usize) {
         let (mut worst, start) = (0.0f32, begin());
-        let mut future = Future::new(begin(), FROM, Vec3::ZERO, law, thrift);
+        let mut future = Future::new(begin(), &[0.8; 300], FROM, Vec3::ZERO, law, thrift);
         for t in [0.95, 0.72, 0.6] {
             let mut moves = ParticleState::default();
             let from = Start { x: &start.means, t: FROM, middle: Vec3::ZERO };

@@ -14,7 +14,7 @@
 //! of its own only ([`Stage::field_alone`](gs_train::schedule::Stage::field_alone)), where it moves splats by itself.
 
 use glam::{DVec3, Vec3};
-use gs_core::{Camera, Param, Params, Rng, Splats, SplatsGrad, Time, rot};
+use gs_core::{Camera, Color, Geometry, GeometryRef, Param, Params, Rng, Splats, SplatsGrad, Time, rot};
 use gs_deform::Field;
 use gs_physics::classes::ClassRule;
 use gs_physics::{Dynamics, Motion, ParticleState, Start};
@@ -148,19 +148,23 @@ pub struct Advected<F: Field, D: Dynamics> {
 struct Scratch<F: Field, D: Dynamics> {
     field: F::Tape,
     dynamics: D::Tape,
-    moved: Splats,
-    d_moved: SplatsGrad,
-    drawn: Splats,
-    d_drawn: SplatsGrad,
+    /// Where the field puts splats.
+    moved: Geometry,
+    d_canonical: Geometry,
+    /// Where the dynamics carry them from there, and how they turn them.
     moves: ParticleState,
     d_moves: ParticleState,
+    /// Rotations after that.
+    quats: Vec<[f32; 4]>,
+    /// Colours as they are rendered, where they turn with their splats.
+    color: Color,
 }
 
 impl<F: Field, D: Dynamics> Default for Scratch<F, D> {
     fn default() -> Self {
-        let (moved, d_moved, drawn, d_drawn) = Default::default();
-        let (field, dynamics, moves, d_moves) = Default::default();
-        Self { field, dynamics, moved, d_moved, drawn, d_drawn, moves, d_moves }
+        let (field, dynamics, moved, d_canonical) = Default::default();
+        let (moves, d_moves, quats, color) = Default::default();
+        Self { field, dynamics, moved, d_canonical, moves, d_moves, quats, color }
     }
 }
 
@@ -239,58 +243,56 @@ impl<F: Field, D: Dynamics> Advected<F, D> {
         }
     }
 
-    /// The canonical splats as the field moves them.
-    fn deformed(&self, canonical: &Splats, t: f64) -> Splats {
-        let mut moved = Splats::default();
-        match self.config.field {
-            true => self.field.forward(canonical, at(t), &mut F::Tape::default(), &mut moved),
-            false => moved.clone_from(canonical),
-        }
+    /// Where the field puts canonical splats at a time.
+    fn deformed(&self, canonical: GeometryRef<'_>, t: f64) -> Geometry {
+        let mut moved = Geometry::default();
+        deform(self.config.field.then_some(&self.field), canonical, t, &mut F::Tape::default(), &mut moved);
         moved
     }
 
     fn transported(&self, span: Span) -> Splats {
-        let canonical = self.canonical.activated();
+        let mut splats = self.canonical.activated();
         if !self.canonical.at.dynamic {
-            return canonical;
+            return splats;
         }
-        let mut moved = match span.from == self.times.last_field && span.to > span.from {
+        let moved = match span.from == self.times.last_field && span.to > span.from {
             true => self.ahead(span.to),
-            false => self.near(&canonical, span),
+            false => self.near(splats.geometry(), span),
         };
         if self.config.turn_colours {
-            colours::turn(&canonical, &mut moved);
+            colours::turn(&splats.quats, &moved.quats, &mut splats.color);
         }
-        moved
+        splats.set_geometry(moved);
+        splats
     }
 
     /// The splats at a time that the field is read at or near to.
-    fn near(&self, canonical: &Splats, span: Span) -> Splats {
+    fn near(&self, canonical: GeometryRef<'_>, span: Span) -> Geometry {
         let mut moved = self.deformed(canonical, span.from);
         if span.from != span.to {
             let (mut tape, mut moves) = Default::default();
-            self.dynamics.integrate(self.start(canonical, &moved, span.from), span.to, &mut tape, &mut moves);
-            carry_drawn(&mut moved, &mut moves);
+            let start = self.start(canonical.means, &moved.means, span.from);
+            self.dynamics.integrate(start, span.to, &mut tape, &mut moves);
+            carry(&mut moved, &mut moves);
         }
         moved
     }
 
     /// The splats at a time after `T_def`, by what is known of the future.
-    fn ahead(&self, t: f64) -> Splats {
+    fn ahead(&self, t: f64) -> Geometry {
         let mut known = self.future.lock().unwrap_or_else(|e| e.into_inner());
         let future = known.get_or_insert_with(|| {
             let canonical = self.canonical.activated();
-            let begin = self.deformed(&canonical, self.times.last_field);
-            let middle = self.start(&canonical, &begin, self.times.last_field).middle;
-            Future::new(begin, self.times.last_field, middle, &self.dynamics, self.thrift)
+            let begin = self.deformed(canonical.geometry(), self.times.last_field);
+            let middle = self.start(&canonical.means, &begin.means, self.times.last_field).middle;
+            Future::new(begin, &canonical.opacities, self.times.last_field, middle, &self.dynamics, self.thrift)
         });
         future.at(t, &self.dynamics)
     }
 
-    /// Deformed splats as particles that set out at a time.
-    fn start<'a>(&self, canonical: &Splats, moved: &'a Splats, t: f64) -> Start<'a> {
-        let middle = middle(&canonical.means, &moved.means, self.dynamics.origin(), self.little);
-        Start { x: &moved.means, t, middle }
+    /// Deformed splats as particles that set out at a time; `rest` are their canonical means.
+    fn start<'a>(&self, rest: &[Vec3], x: &'a [Vec3], t: f64) -> Start<'a> {
+        Start { x, t, middle: middle(rest, x, self.dynamics.origin(), self.little) }
     }
 
     fn forget(&mut self) {
@@ -300,42 +302,51 @@ impl<F: Field, D: Dynamics> Advected<F, D> {
     /// Forward and backward through field and dynamics.
     fn learn<'a>(&mut self, t: Time, render: &'a mut dyn RenderView) -> Result<&'a ScreenStats, MethodError> {
         let span = self.training_span(f64::from(t.normalised));
-        let Scratch { field, dynamics, moved, d_moved, drawn, d_drawn, moves, d_moves } = &mut self.scratch;
-        let canonical = &mut self.canonical;
-        match self.config.field {
-            true => self.field.forward(&canonical.splats, at(span.from), field, moved),
-            false => moved.clone_from(&canonical.splats),
-        }
+        let Scratch { field: tape, dynamics, moved, d_canonical, moves, d_moves, quats, color } = &mut self.scratch;
+        let Canonical { splats, d_splats, .. } = &mut self.canonical;
+        let rest = splats.geometry();
+        let field = self.config.field.then_some(&mut self.field);
+        deform(field.as_deref(), rest, span.from, tape, moved);
+        let mut shown = splats.with_geometry(moved.view());
         let travels = span.from != span.to;
-        let middle = middle(&canonical.splats.means, &moved.means, self.dynamics.origin(), self.little);
-        drawn.clone_from(moved);
+        let middle = middle(rest.means, &moved.means, self.dynamics.origin(), self.little);
+        let start = Start { x: &moved.means, t: span.from, middle };
         if travels {
-            let start = Start { x: &moved.means, t: span.from, middle };
             self.dynamics.integrate(start, span.to, dynamics, moves);
-            carry(drawn, moves);
+            quats.clear();
+            quats.extend(moved.quats.iter().zip(&moves.rotations).map(|(q, turn)| rot::hamilton(*turn, *q)));
+            (shown.means, shown.quats) = (&moves.means, quats);
         }
-        let turn_colours = self.config.turn_colours;
-        if turn_colours {
-            colours::turn(&canonical.splats, drawn);
+        if self.config.turn_colours {
+            color.clone_from(&splats.color);
+            colours::turn(rest.quats, shown.quats, color);
+            shown.color = color;
         }
-        let stats = render.render(drawn, d_drawn)?;
-        if turn_colours {
-            colours::turn_back(&canonical.splats, drawn, &mut d_drawn.color);
+        let stats = render.render(shown, d_splats)?;
+        if self.config.turn_colours {
+            colours::turn_back(&splats.color, rest.quats, shown.quats, &mut d_splats.color);
         }
-        d_moved.clone_from(d_drawn);
         if travels {
-            turn_back(moved, moves, d_drawn, d_moves, d_moved);
-            let start = Start { x: &moved.means, t: span.from, middle };
+            turn_back(&moved.quats, moves, d_splats, d_moves);
             self.dynamics.integrate_backward(start, dynamics, d_moves);
         }
-        match self.config.field {
-            true => {
-                canonical.d_splats.reset(&canonical.splats);
-                self.field.backward(&canonical.splats, field, d_moved, &mut canonical.d_splats);
-            }
-            false => canonical.d_splats.clone_from(d_moved),
+        if let Some(field) = field {
+            d_canonical.reset(rest.len());
+            field.backward(rest, tape, d_splats.geometry(), d_canonical);
+            d_splats.swap_geometry(d_canonical);
         }
         Ok(stats)
+    }
+}
+
+/// Writes where a field puts canonical splats at a time to `moved`; without a field, where they are.
+fn deform<F: Field>(field: Option<&F>, canonical: GeometryRef<'_>, t: f64, tape: &mut F::Tape, moved: &mut Geometry) {
+    match field {
+        Some(field) => field.forward(canonical, at(t), tape, moved),
+        None => {
+            moved.resize(canonical.len());
+            moved.view_mut().copy_from(canonical);
+        }
     }
 }
 
@@ -357,40 +368,28 @@ fn at(t: f64) -> Time {
     Time { normalised: t as f32, seconds: t }
 }
 
-/// Puts splats where the dynamics carried them, turned as they turned.
-fn carry(splats: &mut Splats, moves: &ParticleState) {
+/// Puts splats where the dynamics carried them, turned as they turned. What a velocity field has carried beyond all numbers stays
+/// where it was.
+fn carry(splats: &mut Geometry, moves: &mut ParticleState) {
+    for ((to, turn), from) in moves.means.iter_mut().zip(&mut moves.rotations).zip(&splats.means) {
+        if !(to.is_finite() && turn.iter().all(|v| v.is_finite())) {
+            (*to, *turn) = (*from, [1.0, 0.0, 0.0, 0.0]);
+        }
+    }
     splats.means.copy_from_slice(&moves.means);
     for (q, turn) in splats.quats.iter_mut().zip(&moves.rotations) {
         *q = rot::hamilton(*turn, *q);
     }
 }
 
-/// The same for rendering: what a velocity field has carried beyond all numbers stays where it was.
-fn carry_drawn(splats: &mut Splats, moves: &mut ParticleState) {
-    for ((to, turn), from) in moves.means.iter_mut().zip(&mut moves.rotations).zip(&splats.means) {
-        if !(to.is_finite() && turn.iter().all(|v| v.is_finite())) {
-            (*to, *turn) = (*from, [1.0, 0.0, 0.0, 0.0]);
-        }
-    }
-    carry(splats, moves);
-}
-
-/// The cotangents of what was carried (`d_drawn`), for the dynamics (`d_moves`) and for the splats before (`d_moved`, whose
-/// other columns are those of `d_drawn`). With `q = p ⊗ r`: `d_p = d ⊗ r*`, `d_r = p* ⊗ d`.
-fn turn_back(
-    moved: &Splats,
-    moves: &ParticleState,
-    d_drawn: &SplatsGrad,
-    d_moves: &mut ParticleState,
-    d_moved: &mut SplatsGrad,
-) {
-    d_moves.means.clone_from(&d_drawn.means);
+/// Pulls the cotangents of what was carried, `d`, back: to the dynamics, `d_moves`, and in place to the splats before, whose
+/// rotations are `quats`. With `q = p ⊗ r`: `d_p = d ⊗ r*`, `d_r = p* ⊗ d`.
+fn turn_back(quats: &[[f32; 4]], moves: &ParticleState, d: &mut SplatsGrad, d_moves: &mut ParticleState) {
+    d_moves.means.clone_from(&d.means);
     d_moves.rotations.clear();
-    d_moves
-        .rotations
-        .extend(d_drawn.quats.iter().zip(&moved.quats).map(|(d, r)| rot::hamilton(*d, rot::conjugate(*r))));
-    for ((d_r, d), p) in d_moved.quats.iter_mut().zip(&d_drawn.quats).zip(&moves.rotations) {
-        *d_r = rot::hamilton(rot::conjugate(*p), *d);
+    d_moves.rotations.extend(d.quats.iter().zip(quats).map(|(d, r)| rot::hamilton(*d, rot::conjugate(*r))));
+    for (d, p) in d.quats.iter_mut().zip(&moves.rotations) {
+        *d = rot::hamilton(rot::conjugate(*p), *d);
     }
 }
 
@@ -439,7 +438,7 @@ where
         self.canonical.forward();
         let stats = match self.canonical.at.dynamic {
             true => self.learn(view.at.t, render)?,
-            false => render.render(&self.canonical.splats, &mut self.canonical.d_splats)?,
+            false => render.render(self.canonical.splats.view(), &mut self.canonical.d_splats)?,
         };
         self.canonical.backward();
         self.canonical.accumulate(stats, view.camera);
@@ -492,9 +491,10 @@ where
 
 impl<F: Field, D: Dynamics> ParticleSource for Advected<F, D> {
     fn particles(&self) -> Particles {
-        let canonical = self.canonical.activated();
-        let splats = self.deformed(&canonical, self.first_ahead());
-        let motions = self.dynamics.motions(self.start(&canonical, &splats, self.first_ahead()));
+        let mut splats = self.canonical.activated();
+        let moved = self.deformed(splats.geometry(), self.first_ahead());
+        let motions = self.dynamics.motions(self.start(&splats.means, &moved.means, self.first_ahead()));
+        splats.set_geometry(moved);
         let twists = motions
             .iter()
             .map(|Motion { twist, rate, jerk }| [twist.v, twist.w, rate.v, rate.w, jerk.v, jerk.w])
@@ -517,7 +517,7 @@ impl<F: Field, D: Dynamics> Advected<F, D> {
         }
         let t = at(self.times.last_field);
         let mut all = match self.config.field {
-            true => self.field.regularise(&self.canonical.splats, t, step),
+            true => self.field.regularise(self.canonical.splats.geometry(), t, step),
             false => Vec::new(),
         };
         all.extend(self.dynamics.regularise(self.canonical.seed(), step));

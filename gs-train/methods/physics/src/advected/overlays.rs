@@ -27,11 +27,11 @@ impl<F: Field, D: Dynamics> Advected<F, D> {
         let first = self.first_ahead();
         let canonical = self.canonical.activated();
         if t <= first || !self.dynamics.motions_extrapolate() {
-            return self.dynamics.motions(self.start(&canonical, splats, t));
+            return self.dynamics.motions(self.start(&canonical.means, &splats.means, t));
         }
-        let begin = self.deformed(&canonical, first);
+        let begin = self.deformed(canonical.geometry(), first);
         let tau = (t - first) as f32;
-        self.dynamics.motions(self.start(&canonical, &begin, first)).iter().map(|m| m.from(tau)).collect()
+        self.dynamics.motions(self.start(&canonical.means, &begin.means, first)).iter().map(|m| m.from(tau)).collect()
     }
 
     /// `speed`, `spin` and `acceleration` of every splat, per unit of normalised time.

@@ -1,6 +1,6 @@
 use super::*;
 use glam::Vec3;
-use gs_core::Camera;
+use gs_core::{Camera, SplatsRef};
 use gs_data::PointCloud;
 use gs_deform::{DefGsConfig, DefMlp};
 use gs_physics::{Motion, Twist};
@@ -90,8 +90,8 @@ struct Given<F> {
     stats: ScreenStats,
 }
 
-impl<F: FnMut(&Splats, &mut SplatsGrad)> RenderView for Given<F> {
-    fn render(&mut self, splats: &Splats, grad: &mut SplatsGrad) -> Result<&ScreenStats, MethodError> {
+impl<F: FnMut(SplatsRef<'_>, &mut SplatsGrad)> RenderView for Given<F> {
+    fn render(&mut self, splats: SplatsRef<'_>, grad: &mut SplatsGrad) -> Result<&ScreenStats, MethodError> {
         grad.reset(splats);
         (self.cotangents)(splats, grad);
         let n = splats.len();
@@ -101,7 +101,7 @@ impl<F: FnMut(&Splats, &mut SplatsGrad)> RenderView for Given<F> {
 }
 
 /// One view of a step, `cotangents` given.
-fn step_with(m: &mut impl Method, t: f32, cotangents: impl FnMut(&Splats, &mut SplatsGrad)) {
+fn step_with(m: &mut impl Method, t: f32, cotangents: impl FnMut(SplatsRef<'_>, &mut SplatsGrad)) {
     let camera = Camera::look_at(8, 8, 0.7, glam::DVec3::Z * 5.0, glam::DVec3::ZERO, glam::DVec3::Y).unwrap();
     let view = ViewCtx { at: Timestamp::new(at(f64::from(t))), camera: &camera, last: false };
     m.step(&view, &mut Given { cotangents, stats: ScreenStats::default() }).unwrap();
@@ -285,7 +285,7 @@ fn colours_turn_with_their_splats() {
         let mut loss = 0.0;
         m.visit_mut(&mut Param::clear_grad);
         step_with(m, 0.3, |s, d| {
-            let (mut rng, gs_core::Color::Sh { coeffs, .. }) = (Rng::new(9, "weights", 0, 0), &s.color) else {
+            let (mut rng, gs_core::Color::Sh { coeffs, .. }) = (Rng::new(9, "weights", 0, 0), s.color) else {
                 panic!("a cloud has spherical harmonics")
             };
             d.color.iter_mut().for_each(|d| *d = rng.normal());
@@ -328,14 +328,18 @@ fn colours_turn_with_their_splats() {
 fn what_comes_after_starts_from_the_last_deformation() {
     let m = method(CONFIG, false);
     let canonical = m.canonical.activated();
-    let begin = m.deformed(&canonical, m.times.last_field);
+    let begin = m.deformed(canonical.geometry(), m.times.last_field);
     let mut moves = ParticleState::default();
     let t = f64::from(1.5f32);
-    m.dynamics.integrate(m.start(&canonical, &begin, m.times.last_field), t, &mut 0.0, &mut moves);
+    m.dynamics.integrate(m.start(&canonical.means, &begin.means, m.times.last_field), t, &mut 0.0, &mut moves);
     let ahead = splats(&m, 1.5);
     assert_eq!(ahead.means, moves.means);
     assert_eq!(splats(&m, 1.5), ahead, "what is kept gives the same again");
-    assert_eq!(splats(&m, 0.3), m.deformed(&canonical, f64::from(0.3f32)), "inside, the field alone");
+    assert_eq!(
+        splats(&m, 0.3).geometry(),
+        m.deformed(canonical.geometry(), f64::from(0.3f32)).view(),
+        "inside, the field alone"
+    );
     let step = method(PhysicsConfig { inside: Inside::Step, ..CONFIG }, false);
     assert_ne!(splats(&step, 0.3), splats(&m, 0.3));
     assert_eq!(splats(&step, 1.5), ahead, "the ways differ inside only");
