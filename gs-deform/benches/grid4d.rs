@@ -1,15 +1,15 @@
 //! Time and error of the Grid4D field with Fourier branch and gate (FAGS): its dense part against the roof of the
-//! machine, its hash grids, each exact optimisation on and off, and static splats.
+//! machine, its hash grids, and each exact optimisation on and off.
 //!
 //! Each row is printed and appended to `target/speed-error/gs-deform.jsonl`. `work` counts floating-point operations of
 //! matrix products (two per multiply-add), or splats. The roof is the machine's 1024³ product, one serial call per
 //! thread. The dense part is the whole field less its grids, which are measured alone on the same points.
 
-use glam::{DMat3, DVec3, Vec3};
+use glam::Vec3;
 use gs_core::nn::gemm::{Mat, MatMut, Write, gemm};
-use gs_core::{Camera, Geometry, Params, Rng, Time};
+use gs_core::{Geometry, Params, Rng, Time};
 use gs_deform::encode::{Columns, HashGrid, HashGridConfig, Slice};
-use gs_deform::field::grid4d::{ExactConfig, StaticTolerance};
+use gs_deform::field::grid4d::ExactConfig;
 use gs_deform::reference::Grid4dRef;
 use gs_deform::{DeformError, Field, Grid4dConfig, Grid4dField};
 use rayon::prelude::*;
@@ -207,45 +207,19 @@ fn savings(s: &Geometry) -> Result<(), DeformError> {
     Ok(())
 }
 
-/// The same splats at many times: with and without the cache, then with static splats.
+/// The same splats at another time: all of the field anew, or only what depends on time.
 fn many_times(s: &Geometry) -> Result<(), DeformError> {
     let on = Grid4dConfig::default();
-    let (mut out, mut want) = (Geometry::default(), Geometry::default());
-    for (variant, cached_attention) in [("evaluated anew", false), ("frozen", true)] {
+    let (mut tape, mut out, mut want) = (Default::default(), Geometry::default(), Geometry::default());
+    for (variant, cached_attention) in [("evaluated anew", false), ("warm tape", true)] {
         let field = field(&Grid4dConfig { exact: ExactConfig { cached_attention, ..on.exact }, ..on.clone() })?;
-        let mut frozen = field.freeze(s.view());
-        frozen.forward(at_time(0.6), &mut out);
-        field.forward(s.view(), at_time(0.6), &mut Default::default(), &mut want);
+        field.forward(s.view(), at_time(0.6), &mut tape, &mut want);
+        field.forward_again(s.view(), at_time(0.6), &mut tape, &mut out);
         let same = largest(out.means.iter().zip(&want.means).map(|(a, b)| (f64::from(a.x), f64::from(b.x))));
         let error = Some((same, "against the field's own forward"));
-        ROWS.measured("fags frozen", variant, SPLATS as f64, error, || frozen.forward(at_time(0.6), &mut out));
-    }
-    let field = field(&on)?;
-    let (rotation, translation) = (DMat3::IDENTITY, DVec3::new(0.0, 0.0, 4.0));
-    let camera =
-        Camera { width: 800, height: 800, fx: 1111.0, fy: 1111.0, cx: 400.0, cy: 400.0, rotation, translation };
-    let screen = |m: Vec3| {
-        let p = m.as_dvec3() + camera.translation;
-        [camera.fx * p.x / p.z, camera.fy * p.y / p.z]
-    };
-    for pixels in [0.0, 0.01, 0.05, 0.2] {
-        let mut frozen = field.freeze(s.view());
-        let report =
-            frozen.keep_static(&StaticTolerance { pixels, probes: 65, cameras: std::slice::from_ref(&camera) });
-        let mut worst = 0.0f64;
-        for t in [0.03, 0.21, 0.47, 0.55, 0.98] {
-            frozen.forward(at_time(t), &mut out);
-            field.forward(s.view(), at_time(t), &mut Default::default(), &mut want);
-            for (a, b) in out.means.iter().zip(&want.means) {
-                let (a, b) = (screen(*a), screen(*b));
-                worst = worst.max((a[0] - b[0]).hypot(a[1] - b[1]));
-            }
-        }
-        let variant = format!("still below {pixels} px");
-        ROWS.measured("fags frozen", &variant, SPLATS as f64, Some((worst, "px on screen, between probes")), || {
-            frozen.forward(at_time(0.6), &mut out)
+        ROWS.measured("fags again", variant, SPLATS as f64, error, || {
+            field.forward_again(s.view(), at_time(0.6), &mut tape, &mut out);
         });
-        println!("    {} of {} static, bound {:.3} px", report.still, report.splats, report.bound_pixels);
     }
     Ok(())
 }

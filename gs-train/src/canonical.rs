@@ -11,7 +11,7 @@ use gs_core::{Camera, Cloud, Param, RowEdit, Splats, SplatsGrad};
 use gs_raster::ScreenStats;
 
 /// A canonical cloud under training, with the scratch of one step.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Canonical {
     /// The raw Gaussians.
     pub cloud: Cloud,

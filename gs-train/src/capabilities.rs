@@ -152,7 +152,9 @@ pub struct Particles {
 pub trait Bake {
     /// The same scene without what only training needs, no image changed: its configuration, made of `config`, and the method.
     /// None if there is nothing to leave out.
-    fn fold(&self, config: &toml::Table) -> Option<(toml::Table, Box<dyn Method>)>;
+    fn fold(&self, _config: &toml::Table) -> Option<(toml::Table, Box<dyn Method>)> {
+        None
+    }
 
     /// The same scene with splats that hardly move left at rest, an approximation, and what was left. A change of any
     /// parameter ends it. None if the method cannot, or nothing moves.

@@ -37,5 +37,6 @@ pub mod saved;
 pub mod scene;
 pub mod schedule;
 pub mod step;
+pub mod still;
 pub mod timestamp;
 pub mod trainer;

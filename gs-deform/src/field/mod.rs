@@ -42,6 +42,12 @@ pub trait Field: Params + Send + Sync {
     /// Writes means, quaternions and scales at timestamp `t` to `out`, resized to `canonical`.
     fn forward(&self, canonical: GeometryRef<'_>, t: Time, tape: &mut Self::Tape, out: &mut Geometry);
 
+    /// The same at another timestamp, for the rows and parameters of the last forward with this tape. A field whose work depends on
+    /// time in part only saves the rest.
+    fn forward_again(&self, canonical: GeometryRef<'_>, t: Time, tape: &mut Self::Tape, out: &mut Geometry) {
+        self.forward(canonical, t, tape, out);
+    }
+
     /// Backward of [`Field::forward`] from the cotangents `d_out` of its output: adds to the parameters' `grad` and to
     /// `d_canonical` (shaped like `canonical`). `tape` must come from a forward of the same rows with the same
     /// parameters.

@@ -46,14 +46,8 @@ impl Row {
         }
     }
 
-    /// `|Δr|` and the largest `|Δs|`.
-    pub(super) fn largest_shape_offsets(&self) -> (f32, f32) {
-        let rotation = self.rotation.iter().map(|v| v * v).sum::<f32>().sqrt();
-        (rotation, self.scale.iter().fold(0.0f32, |m, v| m.max(v.abs())))
-    }
-
     /// `q_d`, not normalised, in a gate mode.
-    pub(super) fn raw_rotation(&self, mode: GateMode) -> [f32; 4] {
+    fn raw_rotation(&self, mode: GateMode) -> [f32; 4] {
         let r = if mode == GateMode::ScaleParam { self.gate } else { 1.0 };
         [1.0 + r * self.rho[0], r * self.rho[1], r * self.rho[2], r * self.rho[3]]
     }

@@ -36,7 +36,6 @@ mod branch;
 mod config;
 mod decoder;
 mod fourier;
-pub mod frozen;
 mod fuse;
 mod gate;
 mod grids;
@@ -44,7 +43,6 @@ mod smooth;
 
 pub use config::{ExactConfig, FourierConfig, Fusion, GateConfig, GateMode, Grid4dConfig, SmoothConfig, WaveTime};
 pub(crate) use fourier::frequency;
-pub use frozen::{FrozenField, StaticReport, StaticTolerance, screen_bound};
 
 use super::Field;
 use crate::DeformError;
@@ -213,6 +211,13 @@ impl Field for Grid4dField {
     fn forward(&self, canonical: GeometryRef<'_>, t: Time, tape: &mut Grid4dTape, out: &mut Geometry) {
         self.encode_static(canonical, &mut tape.static_state);
         self.forward_at(canonical, &tape.static_state, t, &mut tape.time_state, out);
+    }
+
+    fn forward_again(&self, canonical: GeometryRef<'_>, t: Time, tape: &mut Grid4dTape, out: &mut Geometry) {
+        match self.config.exact.cached_attention {
+            true => self.forward_at(canonical, &tape.static_state, t, &mut tape.time_state, out),
+            false => self.forward(canonical, t, tape, out),
+        }
     }
 
     fn backward(

@@ -11,7 +11,6 @@
 
 use gs_core::{Camera, Splats, SplatsGrad, SplatsRef, Time};
 use gs_data::Dataset;
-use gs_deform::field::grid4d::screen_bound;
 use gs_method_anchor::METHODS;
 use gs_raster::{ScreenStats, Workspace, render};
 use gs_synth::{self as synth, SynthOptions};
@@ -275,7 +274,7 @@ fn what_is_baked_stays_within_its_tolerance() {
             let t = at(step as f32 / 20.0 * 0.97);
             let [a, b] = [method, &resting].map(|m| m.all_splats(&t, &cameras[0]).expect("splats"));
             for (a, b) in a.means.iter().zip(&b.means) {
-                let off = screen_bound([a.distance(*b), 0.0], *b, &cameras);
+                let off = gs_train::still::screen_bound(a.distance(*b), *b, &cameras);
                 assert!(off <= 1.5 * pixels + 1e-3, "off by {off} pixels at {step}");
             }
         }

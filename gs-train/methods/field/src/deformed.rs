@@ -5,16 +5,18 @@
 //! ```
 //! and backward in reverse. In stages without the field, the canonical splats are rendered at every time.
 
-use gs_core::{Camera, Geometry, Param, Params, Splats, Time};
+use gs_core::{Camera, Geometry, GeometryRef, Param, Params, Splats, Time};
 use gs_deform::Field;
 use gs_deform::field::anneal::{Anneal, smooth_time};
 use gs_train::canonical::Canonical;
-use gs_train::capabilities::{Capabilities, Inspect, Overlay, Quantity, StageView};
+use gs_train::capabilities::{Bake, Capabilities, FreezeOptions, FreezeReport, Inspect, Overlay, Quantity, StageView};
 use gs_train::kernel::kernel_quantities;
 use gs_train::method::{Buffer, BufferMut, Buffers, LossValue, Method, MethodError, RenderView, StepEvents, ViewCtx};
 use gs_train::palette::DIRECTIONS;
 use gs_train::step::StepCtx;
+use gs_train::still::Still;
 use gs_train::timestamp::Timestamp;
+use std::sync::{Mutex, PoisonError};
 
 /// A cloud moved by a field.
 pub struct Deformed<F: Field> {
@@ -30,6 +32,10 @@ pub struct Deformed<F: Field> {
     interval: f32,
     /// First step of the field's regularisers.
     regular_from: u32,
+    /// The tape of the last rendering without gradients, of the present parameters.
+    rendering: Mutex<Option<F::Tape>>,
+    /// What rendering leaves at rest.
+    still: Option<Still>,
 }
 
 impl<F: Field> Deformed<F> {
@@ -37,7 +43,8 @@ impl<F: Field> Deformed<F> {
     pub fn new(canonical: Canonical, field: F, anneal: Anneal, views: u32) -> Self {
         let interval = 1.0 / views.max(1) as f32;
         let (tape, moved, d_canonical, t) = Default::default();
-        Self { canonical, field, tape, moved, d_canonical, t, anneal, interval, regular_from: 0 }
+        let (rendering, still, regular_from) = Default::default();
+        Self { canonical, field, tape, moved, d_canonical, t, anneal, interval, regular_from, rendering, still }
     }
 
     /// The same without the field's regularisers before this step of the run.
@@ -46,11 +53,33 @@ impl<F: Field> Deformed<F> {
         self
     }
 
-    /// Where the field moves canonical splats.
+    /// Where the field moves canonical splats, and what rests.
     fn moved(&self, canonical: &Splats, t: Time) -> Geometry {
         let mut moved = Geometry::default();
-        self.field.forward(canonical.geometry(), t, &mut F::Tape::default(), &mut moved);
+        let forward = |rows: GeometryRef<'_>, out: &mut Geometry| self.forward(rows, t, out);
+        match &self.still {
+            Some(still) => still.forward(canonical.geometry(), forward, &mut moved),
+            None => forward(canonical.geometry(), &mut moved),
+        }
         moved
+    }
+
+    /// The field without gradients, always of the same rows. What of its tape does not depend on time is kept.
+    fn forward(&self, rows: GeometryRef<'_>, t: Time, out: &mut Geometry) {
+        let lock = || self.rendering.lock().unwrap_or_else(PoisonError::into_inner);
+        let warm = lock().take();
+        let tape = match warm {
+            Some(mut tape) => {
+                self.field.forward_again(rows, t, &mut tape, out);
+                tape
+            }
+            None => {
+                let mut tape = F::Tape::default();
+                self.field.forward(rows, t, &mut tape, out);
+                tape
+            }
+        };
+        *lock() = Some(tape);
     }
 
     fn training_time(&self, t: Time) -> Time {
@@ -80,12 +109,14 @@ impl<F: Field> Buffers for Deformed<F> {
     }
 }
 
-impl<F: Field> Method for Deformed<F>
+impl<F: Field + Clone + 'static> Method for Deformed<F>
 where
     F::Tape: Sync,
 {
     fn begin_step(&mut self, at: &StepCtx) {
         self.canonical.at = at.clone();
+        *self.rendering.get_mut().unwrap_or_else(PoisonError::into_inner) = None;
+        self.still = None;
     }
 
     fn splats(&self, at: &Timestamp, _camera: &Camera) -> Result<Splats, MethodError> {
@@ -129,11 +160,12 @@ where
     }
 
     fn capabilities(&self) -> Capabilities<'_> {
-        Capabilities { inspect: Some(self), growth: Some(self.canonical.growth()), ..Capabilities::default() }
+        let growth = Some(self.canonical.growth());
+        Capabilities { inspect: Some(self), bake: Some(self), growth, ..Capabilities::default() }
     }
 }
 
-impl<F: Field> Inspect for Deformed<F>
+impl<F: Field + Clone + 'static> Inspect for Deformed<F>
 where
     F::Tape: Sync,
 {
@@ -165,5 +197,20 @@ where
         let colors = shifts.iter().map(|s| (0.5 + 0.5 * *s / largest).to_array()).collect();
         let motion = Overlay { name: "motion", colors, meaning: DIRECTIONS };
         Ok(std::iter::once(motion).chain(self.quantities(at)?.iter().map(Quantity::overlay)).collect())
+    }
+}
+
+impl<F: Field + Clone + 'static> Bake for Deformed<F>
+where
+    F::Tape: Sync,
+{
+    fn freeze_static(&self, options: &FreezeOptions<'_>) -> Option<(Box<dyn Method>, FreezeReport)> {
+        let canonical = self.canonical.activated();
+        let (field, mut tape) = (&self.field, F::Tape::default());
+        let probe = |t: Time, moved: &mut Geometry| field.forward(canonical.geometry(), t, &mut tape, moved);
+        let (still, report) = self.canonical.at.dynamic.then(|| Still::find(canonical.len(), options, probe))??;
+        let mut resting = Self::new(self.canonical.clone(), field.clone(), self.anneal, 1);
+        (resting.interval, resting.regular_from, resting.still) = (self.interval, self.regular_from, Some(still));
+        Some((Box::new(resting), report))
     }
 }

@@ -15,13 +15,13 @@
 //! Anchors with `M = 0` and a local factor below `weight` are not asked about by GAD either.
 
 use super::Anchored;
-use glam::{Vec3, Vec4};
+use glam::Vec3;
 use gs_core::nn::BLOCK;
 use gs_core::{Camera, Geometry, GeometryRef, Time};
 use gs_deform::apply::{Apply, Offsets};
-use gs_deform::field::grid4d::screen_bound;
 use gs_deform::{Field, HexPlaneField};
 use gs_train::capabilities::{FreezeOptions, FreezeReport};
+use gs_train::still::{screen_bound, shape_change};
 use rayon::prelude::*;
 
 /// Where rows are, and how LGD changes their shape.
@@ -110,11 +110,7 @@ impl Rest {
 
 impl Worst {
     fn see(&mut self, exact: (Vec3, [f32; 4]), baked: (Vec3, [f32; 4])) {
-        let size = |v: Vec3| v.abs().max_element();
-        let [q, r] = [exact.1, baked.1].map(Vec4::from_array);
-        let scale = size(exact.0 - baked.0) / size(exact.0).max(f32::MIN_POSITIVE);
-        let turn = 2.0 * (q - r).length() / q.length().max(f32::MIN_POSITIVE);
-        self.shape = self.shape.max(scale).max(turn);
+        self.shape = self.shape.max(shape_change(exact, baked));
         self.seen = true;
     }
 }
@@ -141,7 +137,7 @@ impl Anchored {
             self.compare(lgd, &poses, time(halves), camera, worst);
         };
         let within = |(row, w): (usize, &Worst)| {
-            let way = screen_bound([w.moved, 0.0], poses.center(row), cameras);
+            let way = screen_bound(w.moved, poses.center(row), cameras);
             (w.seen && way <= pixels && w.shape <= shape).then_some((way, w.shape))
         };
         at_probes().for_each(|h| look(h, &mut worst));
