@@ -3,10 +3,12 @@
 
 use crate::method::{Method, MethodError};
 use crate::palette::color_scale;
+use crate::report::Section;
 use crate::timestamp::Timestamp;
 use glam::Vec3;
 use gs_core::{Camera, Splats};
 use serde::Serialize;
+use serde_json::Value;
 use std::any::Any;
 
 /// The capabilities of a method; absent where it has none of the kind.
@@ -67,6 +69,15 @@ pub trait Inspect: Method {
     /// Bytes on disk by the rule of the method's paper, where there is one.
     fn paper_storage(&self) -> Option<PaperStorage> {
         None
+    }
+
+    /// Its own section of the report of a run, from `events`: all that its run has logged
+    /// ([`StepEvents::log`](crate::method::StepEvents::log)), in order. None if there is nothing to report.
+    ///
+    /// # Errors
+    /// As [`Method::splats`].
+    fn report_section(&self, _events: &[Value]) -> Result<Option<Section>, MethodError> {
+        Ok(None)
     }
 }
 

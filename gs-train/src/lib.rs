@@ -9,6 +9,7 @@
 //!   [`loss`]; [`densify`]: clone, split, prune; [`non_finite`]: gradients that are refused.
 //! * [`canonical`], [`kernel`], [`scene`]: the cloud of Gaussians that several methods share, and what it starts from.
 //! * `conformance` (cargo feature of that name): what every method must keep, as checks for its tests.
+//! * [`report`]: the section that a method adds to the report of a run.
 //! * [`checkpoint`], [`saved`]: atomic files of the whole state; [`evaluate`], [`renderer`]: scores and images of a method.
 //!
 //! # Promises
@@ -33,6 +34,7 @@ pub mod non_finite;
 pub mod palette;
 pub mod registry;
 pub mod renderer;
+pub mod report;
 pub mod saved;
 pub mod scene;
 pub mod schedule;

@@ -2,10 +2,12 @@
 
 use crate::capabilities::{Capabilities, FreezeOptions, FreezeReport, Overlay, Quantity, StageView};
 use crate::method::{Method, MethodError};
+use crate::report::Section;
 use crate::schedule::Schedule;
 use crate::timestamp::Timestamp;
 use gs_core::{Camera, Param, Params, Splats};
 use gs_raster::RasterOptions;
+use serde_json::Value;
 use std::any::Any;
 use std::ops::{Deref, DerefMut};
 
@@ -86,6 +88,14 @@ impl Model {
             Some(inspect) => inspect.stages(at, camera),
             None => Ok(vec![StageView { name: "full", splats: self.method.splats(at, camera)?, before: None }]),
         }
+    }
+
+    /// The method's own section of the report of a run that logged these events; none where the method offers none.
+    ///
+    /// # Errors
+    /// As [`Method::splats`].
+    pub fn report_section(&self, events: &[Value]) -> Result<Option<Section>, MethodError> {
+        self.capabilities().inspect.map_or(Ok(None), |i| i.report_section(events))
     }
 
     /// The method as the type a crate knows it by.

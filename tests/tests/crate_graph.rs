@@ -65,6 +65,13 @@ fn apps_depend_on_libraries_and_on_each_other_in_one_direction() {
     }
 }
 
+/// What is particular to a method reaches the report as data of `gs_train::report`.
+#[test]
+fn the_report_knows_no_method() {
+    let allowed = ["gs-core", "gs-metrics", "gs-raster", "gs-train"].map(str::to_owned);
+    assert_eq!(dependencies("apps/gs4d-report"), BTreeSet::from(allowed));
+}
+
 #[test]
 fn every_member_of_the_workspace_is_in_the_graph() {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../Cargo.toml");

@@ -12,6 +12,7 @@ use gs_train::evaluate::evaluate;
 use gs_train::method::overlay;
 use gs_train::registry::Registry;
 use gs_train::trainer::{TrainOptions, Trainer};
+use gs4d_report::Report;
 use std::sync::Arc;
 
 /// The methods of gs4d and the one from outside.
@@ -101,6 +102,20 @@ fn it_passes_every_check() {
     ";
     overlay(&mut config, short.parse().expect("TOML"));
     conformance::check(&registry(), "spacetime", &data, &config).unwrap_or_else(|e| panic!("{e}"));
+}
+
+/// Its section stands in the report, which has not heard of it.
+#[test]
+fn it_brings_a_section_of_the_report() {
+    let data = balls(SynthOptions { size: 16, train_views: 2, val_views: 0, test_views: 0, ..SynthOptions::default() });
+    let method = start(&data, "spacetime", &tiny()).model().report_section(&[]).expect("a section");
+    let html = Report { method, ..Report::default() }.html().expect("a page");
+    for shown in ["<h2>Temporal opacity</h2>", "aria-label=\"Presence, mean over splats, against normalised time\""] {
+        assert!(html.contains(shown), "{shown}");
+    }
+    let without =
+        start(&data, "static3d", &registry().find("static3d").and_then(|m| m.config("tiny")).expect("preset"));
+    assert_eq!(without.model().report_section(&[]).expect("none"), None);
 }
 
 /// A block that nobody gave a learning rate is found by name.

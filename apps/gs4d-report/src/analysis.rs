@@ -4,16 +4,13 @@
 //! * [`histogram`]: 64 bins of every attribute, over time where it changes with time; logged while training.
 //! * [`paths`]: temporal spectra and second differences of the means.
 //! * [`economy`]: splats, tiles per splat, entries per pixel at the run's PSNR.
-//! * [`journal`]: interval boundaries and anchors, from the events of a run.
 
 pub mod economy;
 pub mod histogram;
-pub mod journal;
 pub mod paths;
 
 pub use economy::RenderCost;
 pub use histogram::{Histogram, Snapshot};
-pub use journal::Journal;
 pub use paths::Paths;
 
 use crate::ReportRow;

@@ -5,6 +5,8 @@ use super::page::escape;
 use plotters::coord::ranged1d::{AsRangedCoord, Ranged, ValueFormatter};
 use plotters::prelude::*;
 
+pub use gs_train::report::{Curve, Scale};
+
 /// Width and height of a chart in SVG units; the page scales it.
 const SIZE: (u32, u32) = (560, 260);
 /// Colours of the lines, safe for colour-blind readers (Okabe and Ito).
@@ -22,24 +24,6 @@ const TITLE: RGBColor = RGBColor(17, 24, 39);
 const GRID: RGBColor = RGBColor(229, 231, 235);
 /// Most points of a line; more are averaged in groups.
 const MAX_POINTS: usize = 600;
-
-/// A named line of a chart.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Curve {
-    /// Shown in the legend when there are several curves; empty: not in the legend.
-    pub name: String,
-    /// `(x, y)`, x ascending; points that are not finite are left out.
-    pub points: Vec<(f64, f64)>,
-}
-
-/// Spacing of the vertical axis.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Scale {
-    /// A linear axis.
-    Linear,
-    /// A logarithmic axis; points that are not positive are left out.
-    Log,
-}
 
 /// Renders curves as an `<svg>` element; `None` if no point is left.
 ///

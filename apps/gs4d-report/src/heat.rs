@@ -1,5 +1,7 @@
-//! Heat maps of histograms over training steps: one column per step, one row per bin, darker for larger counts.
+//! Heat maps: columns of counts, darker for larger counts.
 
+use super::ReportError;
+use super::page::{escape, picture};
 use gs_core::Image;
 
 /// A histogram over training steps.
@@ -18,20 +20,32 @@ pub struct HeatMap {
 /// White, blue, dark blue.
 const INKS: [[f32; 3]; 3] = [[1.0, 1.0, 1.0], [0.0, 0.447, 0.698], [0.03, 0.08, 0.2]];
 
-impl HeatMap {
-    /// Renders the map, `[bins, columns, 3]`: the square root of each count over the largest of its column gives its colour.
-    pub fn image(&self) -> Image {
-        let bins = self.counts.iter().map(Vec::len).min().unwrap_or(0);
-        let mut image = Image::zeros(self.counts.len(), bins, 3);
-        for (x, column) in self.counts.iter().enumerate() {
-            let largest = column.iter().copied().max().unwrap_or(0).max(1);
-            for y in 0..bins {
-                let share = (column[bins - 1 - y] as f32 / largest as f32).sqrt();
-                image.pixel_mut(x, y).copy_from_slice(&ink(share));
-            }
-        }
-        image
+/// An embedded heat map of columns of counts, each from the lowest bin up, with a caption below; empty without counts.
+///
+/// # Errors
+/// If the image cannot be encoded.
+pub(crate) fn heat_map(counts: &[Vec<u32>], alt: &str, caption: &str) -> Result<String, ReportError> {
+    let image = heat_image(counts);
+    if image.data.is_empty() {
+        return Ok(String::new());
     }
+    let picture = picture(&image, alt)?;
+    Ok(format!("<span class=\"heat\">{picture}<small>{}</small></span>\n", escape(caption)))
+}
+
+/// Renders columns of counts, `[bins, columns, 3]`: the square root of each count over the largest of its column gives its
+/// colour.
+fn heat_image(counts: &[Vec<u32>]) -> Image {
+    let bins = counts.iter().map(Vec::len).min().unwrap_or(0);
+    let mut image = Image::zeros(counts.len(), bins, 3);
+    for (x, column) in counts.iter().enumerate() {
+        let largest = column.iter().copied().max().unwrap_or(0).max(1);
+        for y in 0..bins {
+            let share = (column[bins - 1 - y] as f32 / largest as f32).sqrt();
+            image.pixel_mut(x, y).copy_from_slice(&ink(share));
+        }
+    }
+    image
 }
 
 /// The colour at 0..1 along [`INKS`].
@@ -48,13 +62,12 @@ mod tests {
 
     #[test]
     fn columns_are_steps_and_high_values_are_on_top() {
-        let map = HeatMap { counts: vec![vec![0, 0, 9], vec![4, 1, 0]], steps: vec![500, 1000], ..HeatMap::default() };
-        let image = map.image();
+        let image = heat_image(&[vec![0, 0, 9], vec![4, 1, 0]]);
         assert_eq!(image.shape(), (2, 3, 3));
         assert_eq!(image.pixel(0, 0), INKS[2]);
         assert_eq!(image.pixel(0, 2), INKS[0]);
         assert_eq!(image.pixel(1, 2), INKS[2]);
         assert_eq!(image.pixel(1, 1), INKS[1], "a quarter of the count has half the ink");
-        assert!(HeatMap::default().image().data.is_empty());
+        assert!(heat_image(&[]).data.is_empty());
     }
 }

@@ -22,7 +22,7 @@ mod embed;
 pub mod error_map;
 mod heat;
 pub mod inspect;
-mod intervals;
+mod method_section;
 pub mod needs;
 mod overlay;
 pub mod page;
@@ -33,14 +33,15 @@ pub mod views;
 
 pub use chart::{Curve, Scale};
 pub use embed::{base64, png};
+pub use gs_train::report::ReportRow;
 pub use heat::HeatMap;
 pub use overlay::{Legend, OverlayFigure};
 pub use ramp::Ramp;
 
-use crate::analysis::Journal;
 use crate::storage::Storage;
 use gs_core::Image;
 use gs_core::speed::BenchRow;
+use gs_train::report::Section;
 
 /// The content of a report. Empty parts are left out of the page.
 #[derive(Clone, Debug, Default)]
@@ -79,8 +80,8 @@ pub struct Report {
     pub analysis: Vec<ReportRow>,
     /// Renders coloured by second differences of motion.
     pub jerk: Vec<Still>,
-    /// Moves of interval boundaries and growth of anchors.
-    pub journal: Journal,
+    /// What the method itself reports.
+    pub method: Option<Section>,
     /// Statistics of the trained scene: moving, rotating, invisible splats.
     pub needs: Vec<ReportRow>,
     /// Work of rendering and training, and work skipped.
@@ -139,24 +140,6 @@ pub struct Still {
     pub image: Image,
 }
 
-/// A row of a table of statistics.
-#[derive(Clone, Debug, PartialEq, serde::Serialize)]
-pub struct ReportRow {
-    /// For example `splats that move`.
-    pub name: String,
-    /// For example `1 204 of 5 000 (24 %)`.
-    pub value: String,
-    /// Explanation of the value in words.
-    pub meaning: String,
-}
-
-impl ReportRow {
-    /// A row of these texts.
-    pub fn new(name: impl Into<String>, value: String, meaning: &str) -> Self {
-        Self { name: name.into(), value, meaning: meaning.to_owned() }
-    }
-}
-
 /// Benchmark rows as a JSON array.
 pub fn speed_json(rows: &[BenchRow]) -> serde_json::Value {
     // Each row writes valid JSON of its own.
@@ -190,8 +173,24 @@ impl Report {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use gs_train::report::{Chart, Matrix, Table};
 
     const HOSTILE: &str = "<script>alert(1)</script><img src=http://x.y onerror=\"a()\"> & 'b'";
+
+    fn method_section() -> Section {
+        let text = || HOSTILE.to_owned();
+        let curve = |name: &str| Curve { name: name.into(), points: vec![(0.0, 0.25), (9.0, 0.25), (9.0, 0.5)] };
+        let curves = vec![curve(HOSTILE), curve("b")];
+        Section {
+            title: text(),
+            remark: text(),
+            charts: vec![Chart { title: text(), x: text(), scale: Scale::Linear, curves }],
+            matrices: vec![Matrix { caption: text(), columns: vec![vec![0, 7], vec![3, 1]] }],
+            rows: vec![ReportRow::new(HOSTILE, text(), HOSTILE)],
+            tables: vec![Table { summary: text(), head: vec![text()], numeric: vec![0], rows: vec![vec![text()]] }],
+            json: serde_json::Value::Null,
+        }
+    }
 
     fn full() -> Report {
         let samples: Vec<Sample> = (1..50)
@@ -230,7 +229,7 @@ mod tests {
             overlay_view: text(),
             analysis: vec![need()],
             jerk: vec![still()],
-            journal: Journal::default(),
+            method: Some(method_section()),
             needs: vec![need()],
             work: vec![need()],
             storage: None,
@@ -254,9 +253,9 @@ mod tests {
     fn nothing_comes_from_outside() {
         let html = full().html().unwrap();
         let pictures = html.matches("src=\"data:image/png;base64,").count();
-        assert_eq!(pictures, 2 * 3 + 4, "truth, drawn and error twice; still, heat map, overlay, jerk");
+        assert_eq!(pictures, 2 * 3 + 5, "truth, drawn and error twice; still, heat map, overlay, jerk, the method's");
         assert_eq!(html.matches("src=\"").count(), pictures, "no other source");
-        assert_eq!(html.matches("<svg").count(), 4, "loss and PSNR against steps and seconds");
+        assert_eq!(html.matches("<svg").count(), 5, "loss and PSNR against steps and seconds, the method's");
         assert_eq!(
             html.matches("http://").count(),
             html.matches("xmlns=\"http://").count() + html.matches("img src=http://x.y").count()
@@ -293,6 +292,26 @@ mod tests {
         let report = Report { views: vec![view; 3], strip: vec![still; 4], ..Report::default() };
         let html = report.html().unwrap();
         assert!(html.len() < 2 << 20, "{} bytes", html.len());
+    }
+
+    #[test]
+    fn a_method_has_a_section_of_its_own() {
+        let page = |method| Report { method: Some(method), ..Report::default() }.html().unwrap();
+        let rows = vec![ReportRow::new("gates", "3 of 5".into(), "are open")];
+        let long = Table {
+            summary: "2 gates".into(),
+            head: vec!["gate".into(), "opened".into()],
+            numeric: vec![1],
+            rows: [["left", "7"], ["right", "9"]].map(|r| r.map(str::to_owned).to_vec()).to_vec(),
+        };
+        let html = page(Section { title: "Gates".into(), rows, tables: vec![long], ..Section::default() });
+        for part in
+            ["<h2>Gates</h2>", "<td>3 of 5</td>", "<details><summary>2 gates</summary>", "<td class=\"n\">9</td>"]
+        {
+            assert!(html.contains(part), "{part} is not in {html}");
+        }
+        assert!(!html.contains("<svg") && !html.contains("<img"), "no empty parts");
+        assert!(!page(Section { title: "Gates".into(), ..Section::default() }).contains("Gates"), "no empty section");
     }
 
     #[test]

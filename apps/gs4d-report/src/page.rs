@@ -2,7 +2,8 @@
 
 use super::chart::{Curve, Scale, chart};
 use super::embed::{Inline, reduced};
-use super::intervals::intervals;
+use super::heat::heat_map;
+use super::method_section::method_section;
 use super::overlay::overlays;
 use super::ramp::Ramp;
 use super::scatter::scatter;
@@ -51,7 +52,7 @@ pub(crate) fn page(report: &Report) -> Result<String, ReportError> {
         strip(report)?,
         overlays(&report.overlay_view, &report.overlays)?,
         kernels(report)?,
-        intervals(&report.journal)?,
+        report.method.as_ref().map_or(Ok(String::new()), method_section)?,
         needs(report),
         speed(report)?,
         settings(report),
@@ -150,6 +151,14 @@ pub fn captioned(image: &Image, caption: &str) -> Result<String, ReportError> {
     Ok(format!("<span>{}<small>{}</small></span>\n", picture(image, caption)?, escape(caption)))
 }
 
+/// Content below a summary that unfolds it; empty without content. Nothing is escaped here.
+pub(super) fn collapsed(summary: &str, content: String) -> String {
+    if content.is_empty() {
+        return content;
+    }
+    format!("<details><summary>{summary}</summary>\n{content}</details>\n")
+}
+
 /// A colour map as a bar with labels below it.
 pub(super) fn ramp_legend(name: &str, ramp: &Ramp, ticks: &[String]) -> String {
     let ticks: String = ticks.iter().map(|t| format!("<span>{}</span>", escape(t))).collect();
@@ -195,11 +204,10 @@ pub fn table(head: &[&str], numeric: &[usize], rows: impl Iterator<Item = Vec<St
 fn kernels(report: &Report) -> Result<String, ReportError> {
     let mut maps = String::new();
     for map in report.heat_maps.iter().filter(|m| !m.steps.is_empty()) {
-        let picture = picture(&map.image(), &map.name)?;
         let [low, high] = map.span;
         let (first, last) = (map.steps[0], map.steps[map.steps.len() - 1]);
         let caption = format!("{}: {low} (bottom) to {high}, steps {first} to {last}", map.name);
-        let _ = writeln!(maps, "<span class=\"heat\">{picture}<small>{}</small></span>", escape(&caption));
+        maps += &heat_map(&map.counts, &map.name, &caption)?;
     }
     for still in &report.jerk {
         maps += &captioned(&still.image, &still.caption)?;
@@ -269,12 +277,7 @@ fn speed(report: &Report) -> Result<String, ReportError> {
 fn settings(report: &Report) -> String {
     let rows = report.settings.iter().map(|r| r.to_vec());
     let content = table(&["setting", "value", "from"], &[], rows);
-    let folded = if content.is_empty() {
-        content
-    } else {
-        format!("<details><summary>{} settings</summary>\n{content}</details>\n", report.settings.len())
-    };
-    section("Settings", "", &folded)
+    section("Settings", "", &collapsed(&format!("{} settings", report.settings.len()), content))
 }
 
 fn provenance(report: &Report) -> String {

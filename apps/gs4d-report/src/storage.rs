@@ -1,7 +1,7 @@
 //! Storage of a scene by block of parameters (MB = 10⁶ bytes).
 //!
-//! A block holds the parameters whose names have the same first two parts. Methods with anchors also report the sizes by the
-//! counting rule of their paper, and what rendering needs ([`PaperStorage`]).
+//! A block holds the parameters whose names have the same first two parts. A method may also report the sizes by the counting
+//! rule of its paper, and what rendering needs ([`PaperStorage`]).
 
 use gs_core::Params;
 use gs_train::capabilities::PaperStorage;

@@ -16,7 +16,7 @@ use gs_train::renderer::Renderer;
 use gs_train::timestamp::Timestamp;
 use gs4d_report::analysis::AnalysisError;
 use gs4d_report::analysis::paths::{painted, sample_count, second_difference_overlay};
-use gs4d_report::analysis::{Analysis, Journal, RenderCost, Snapshot};
+use gs4d_report::analysis::{Analysis, RenderCost, Snapshot};
 use gs4d_report::inspect::bytes_text;
 use gs4d_report::needs::needs;
 use gs4d_report::storage::Storage;
@@ -84,7 +84,7 @@ pub(crate) fn build_report(m: &ReportInput) -> Result<(Report, Vec<BenchRow>), R
             .collect(),
         provenance: provenance(m.folder)?,
         heat_maps: heat_maps(&m.folder.log_lines(folder::HISTOGRAMS)?),
-        journal: Journal::of(&m.folder.log_lines(folder::JOURNAL)?),
+        method: m.method.report_section(&m.folder.log_lines(folder::JOURNAL)?)?,
         storage: Some(Storage::of(m.method, m.method.capabilities().inspect.and_then(|i| i.paper_storage()))),
         ..Report::default()
     };

@@ -22,11 +22,13 @@ use gs_train::method::{
     parse_config,
 };
 use gs_train::model::Model;
+use gs_train::report::{Chart, Curve, Scale, Section};
 use gs_train::scene::{CloudConfig, InitConfig, SceneInfo};
 use gs_train::schedule::Schedule;
 use gs_train::step::StepCtx;
 use gs_train::timestamp::Timestamp;
 use serde::Deserialize;
+use serde_json::Value;
 
 /// The line in the list of methods.
 pub const ENTRY: MethodEntry = MethodEntry {
@@ -200,5 +202,19 @@ impl Inspect for Spacetime {
     fn quantities(&self, at: &Timestamp) -> Result<Vec<Quantity>, MethodError> {
         let presence = (0..self.splat_count()).map(|i| self.row(i, at.t.normalised).gate).collect();
         Ok(vec![Quantity::share("presence", presence)])
+    }
+
+    /// The mean of `presence` over time.
+    fn report_section(&self, _events: &[Value]) -> Result<Option<Section>, MethodError> {
+        let n = self.splat_count();
+        let mean = |t: f32| (0..n).map(|i| f64::from(self.row(i, t).gate)).sum::<f64>() / n.max(1) as f64;
+        let points = (0..=20).map(|k| k as f32 / 20.0).map(|t| (f64::from(t), mean(t))).collect();
+        let chart = Chart {
+            title: "Presence, mean over splats".into(),
+            x: "normalised time".into(),
+            scale: Scale::Linear,
+            curves: vec![Curve { name: String::new(), points }],
+        };
+        Ok(Some(Section { title: "Temporal opacity".into(), charts: vec![chart], ..Section::default() }))
     }
 }

@@ -1,7 +1,7 @@
 //! A whole run whose boundaries move: recorded in its event log, summed up, and shown in its report.
 
+use gs_method_anchor::journal::Journal;
 use gs_synth::{self as synth, SynthOptions};
-use gs4d_report::analysis::Journal;
 use gs4d_run::{Outcome, Request, Training, folder, settings};
 use std::sync::atomic::AtomicBool;
 

@@ -10,7 +10,7 @@ use gs_train::timestamp::Timestamp;
 use gs4d_eval::particles::Particles;
 use gs4d_eval::physics_check::{self, PhysicsOptions, PhysicsReport};
 use gs4d_report::analysis::paths::sample_count;
-use gs4d_report::analysis::{Analysis, Journal, RenderCost};
+use gs4d_report::analysis::{Analysis, RenderCost};
 use gs4d_report::inspect::{BlockSummary, SplatSummary, bytes_text};
 use gs4d_report::needs::{needs, neutral_camera};
 use gs4d_report::storage::Storage;
@@ -100,9 +100,11 @@ impl Inspect {
         }
         let analysis = Analysis::of(method, moments, cutoff)?;
         let economy = economy(&run);
-        let journal = Journal::of(&run.folder()?.log_lines(JOURNAL)?);
+        let section = method.report_section(&run.folder()?.log_lines(JOURNAL)?)?;
         text.push('\n');
-        let rows = analysis.rows().into_iter().chain(economy.iter().flat_map(RenderCost::rows)).chain(journal.rows());
+        let mut rows = analysis.rows();
+        rows.extend(economy.iter().flat_map(RenderCost::rows));
+        rows.extend(section.iter().flat_map(|s| s.rows.clone()));
         for n in rows {
             text.push_str(&format!("{:26}{:>46}  {}\n", n.name, n.value, n.meaning));
         }
@@ -123,7 +125,7 @@ impl Inspect {
             "needs": needs,
             "analysis": analysis,
             "economy": economy,
-            "journal": (!journal.is_empty()).then_some(journal),
+            "journal": section.map(|s| s.json),
             "storage": storage,
             "physics": physics,
             "summary": summary,

@@ -3,10 +3,12 @@
 //! * [`scaffold`]: a static scene (Scaffold-GS, Lu et al. 2024).
 //! * [`modec`]: anchors deformed once per interval of time (GAD), their Gaussians once per timestamp (LGD), intervals that
 //!   adjust to the motion (MoDec-GS, Kwak et al. 2025).
+//! * [`journal`]: the section of the report on intervals and anchors.
 
 use gs_train::method::MethodEntry;
 
 pub mod anchored;
+pub mod journal;
 pub mod modec;
 pub mod scaffold;
 

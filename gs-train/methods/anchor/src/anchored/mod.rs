@@ -14,6 +14,7 @@ mod rest;
 pub use forward::{Filter, Statistics};
 pub use motion::{Motion, SparsityConfig};
 
+use crate::journal::Journal;
 use forward::Tape;
 use gs_anchor::{
     AnchorDensify, AnchorDensifyRules, AnchorDensifyStep, AnchorInit, AnchorShape, AnchorView, Anchors, Decoder,
@@ -30,6 +31,7 @@ use gs_train::method::{
     Buffer, BufferMut, Buffers, LossValue, Method, MethodError, RenderView, SceneInfo, StepEvents, ViewCtx,
 };
 use gs_train::palette::label_color;
+use gs_train::report::Section;
 use gs_train::step::StepCtx;
 use gs_train::timestamp::Timestamp;
 use inference::Cache;
@@ -364,6 +366,10 @@ impl Inspect for Anchored {
             rows: table.rows.into_iter().map(row).collect(),
             unused: table.leftovers.into_iter().map(|l| (l.block, l.bytes)).collect(),
         })
+    }
+
+    fn report_section(&self, events: &[Value]) -> Result<Option<Section>, MethodError> {
+        Ok(Journal::of(events).section())
     }
 }
 

@@ -1,11 +1,12 @@
-//! The events of a run with intervals and anchors, read back: moves of interval boundaries, growth of anchors.
+//! The section of the report on intervals and anchors: moves of interval boundaries and growth of anchors, from the events
+//! of a run.
 //!
-//! Lines of other kinds are ignored.
+//! Events of other kinds are ignored.
 
-use crate::{Curve, HeatMap, ReportRow};
 use gs_anchor::{Adjustment, AnchorDensifyReport};
+use gs_train::report::{Chart, Curve, Matrix, ReportRow, Scale, Section, Table};
 use serde::{Deserialize, Serialize};
-use serde_json::Value;
+use serde_json::{Value, json};
 use std::collections::BTreeMap;
 
 /// Most values written out in a list.
@@ -66,7 +67,7 @@ impl Pass {
     }
 
     /// Step, threshold, busy intervals, moves and rejected moves, for a table.
-    pub(crate) fn cells(&self) -> [String; 5] {
+    fn cells(&self) -> [String; 5] {
         let Adjustment { threshold, hot, moves, rejected, .. } = &self.intervals;
         let busy: Vec<String> = hot
             .iter()
@@ -88,21 +89,48 @@ impl Pass {
 }
 
 impl Journal {
-    /// Reads the lines of `journal.jsonl`.
-    pub fn of(lines: &[Value]) -> Self {
-        fn known<T: for<'a> Deserialize<'a>>(lines: &[Value]) -> Vec<T> {
-            lines.iter().filter_map(|line| T::deserialize(line).ok()).collect()
+    /// Reads the events of a run, in order.
+    pub fn of(events: &[Value]) -> Self {
+        fn known<T: for<'a> Deserialize<'a>>(events: &[Value]) -> Vec<T> {
+            events.iter().filter_map(|event| T::deserialize(event).ok()).collect()
         }
-        Self { passes: known(lines), growth: known(lines) }
+        Self { passes: known(events), growth: known(events) }
     }
 
-    /// Whether there are no events of these kinds.
-    pub fn is_empty(&self) -> bool {
-        self.passes.is_empty() && self.growth.is_empty()
+    /// The section of the report; none without events.
+    pub(crate) fn section(&self) -> Option<Section> {
+        if self.passes.is_empty() && self.growth.is_empty() {
+            return None;
+        }
+        let remark = match self.passes.is_empty() {
+            true => "",
+            false => "Busy intervals are made shorter. Gradients of each pass by themselves, the darker the larger.",
+        };
+        let boundaries = Chart {
+            title: "Boundaries, normalised time".into(),
+            x: "step".into(),
+            scale: Scale::Linear,
+            curves: self.curves(),
+        };
+        let passes = Table {
+            summary: format!("{} passes", self.passes.len()),
+            head: ["step", "threshold", "busy (mean gradient)", "moved", "refused"].map(str::to_owned).to_vec(),
+            numeric: vec![0, 1],
+            rows: self.passes.iter().map(|p| p.cells().to_vec()).collect(),
+        };
+        Some(Section {
+            title: "Intervals and anchors".into(),
+            remark: remark.into(),
+            charts: vec![boundaries],
+            matrices: self.gradients().into_iter().collect(),
+            rows: self.rows(),
+            tables: vec![passes],
+            json: json!(self),
+        })
     }
 
-    /// Rows for the report.
-    pub fn rows(&self) -> Vec<ReportRow> {
+    /// Statistics over all events.
+    fn rows(&self) -> Vec<ReportRow> {
         let mut rows = Vec::new();
         if let (Some(first), Some(last)) = (self.passes.first(), self.passes.last()) {
             rows.extend(self.course(first, last));
@@ -192,7 +220,7 @@ impl Journal {
     }
 
     /// Mean gradient of every interval at every pass, relative to the busiest one of the pass; `None` without passes.
-    pub(crate) fn heat(&self) -> Option<HeatMap> {
+    fn gradients(&self) -> Option<Matrix> {
         let n = self.passes.first()?.starts.len();
         let column = |p: &Pass| {
             let mut counts = vec![0; n];
@@ -203,11 +231,10 @@ impl Journal {
             }
             counts
         };
-        Some(HeatMap {
-            name: "intervals".into(),
-            span: [0.0, n.saturating_sub(1) as f32],
-            steps: self.passes.iter().map(|p| u64::from(p.step)).collect(),
-            counts: self.passes.iter().map(column).collect(),
+        let (last, passes) = (n.saturating_sub(1), self.passes.len());
+        Some(Matrix {
+            caption: format!("mean gradient, intervals 0 (bottom) to {last}, {passes} passes from left to right"),
+            columns: self.passes.iter().map(column).collect(),
         })
     }
 }
@@ -229,7 +256,6 @@ fn list(values: &[f32], digits: usize) -> String {
 mod tests {
     use super::*;
     use gs_anchor::intervals::{IntervalConfig, Intervals, Rule};
-    use serde_json::json;
 
     /// The lines that two passes over eight intervals leave, the fifth of which is busy; then two of growth.
     fn lines(rule: Rule) -> Vec<Value> {
@@ -282,14 +308,34 @@ mod tests {
         for (got, want) in curves[3].points.iter().zip(wanted) {
             assert!(got.0 == want.0 && (got.1 - want.1).abs() < 1e-6, "{got:?} {want:?}");
         }
-        let heat = journal.heat().expect("passes");
-        assert_eq!((heat.steps.clone(), heat.counts[0].len()), (vec![1050, 2050], 8));
-        for column in &heat.counts {
+        assert_eq!(journal.passes.iter().map(|p| p.step).collect::<Vec<_>>(), [1050, 2050]);
+        let gradients = journal.gradients().expect("passes");
+        assert_eq!(gradients.columns.iter().map(Vec::len).collect::<Vec<_>>(), [8, 8]);
+        assert_eq!(gradients.caption, "mean gradient, intervals 0 (bottom) to 7, 2 passes from left to right");
+        for column in &gradients.columns {
             let darkest = (0..8).max_by_key(|&c| column[c]);
             assert_eq!((darkest, column[4], column[0]), (Some(4), 10_000, column[7]));
         }
         // 9.0 in the fifth, 1.0 elsewhere, but for the border of the burst.
-        assert!((1000..1300).contains(&heat.counts[0][0]), "{:?}", heat.counts);
+        assert!((1000..1300).contains(&gradients.columns[0][0]), "{:?}", gradients.columns);
+    }
+
+    #[test]
+    fn the_section_has_a_chart_a_heat_map_statistics_and_every_pass() {
+        let journal = Journal::of(&lines(Rule::Clean));
+        let section = journal.section().expect("events");
+        assert_eq!(section.title, "Intervals and anchors");
+        assert_eq!((section.charts[0].curves.len(), section.matrices.len(), section.rows.len()), (7, 1, 9));
+        let [passes] = &section.tables[..] else { panic!("{:?}", section.tables) };
+        assert_eq!((passes.summary.as_str(), passes.rows.len()), ("2 passes", 2));
+        assert!(passes.rows.iter().all(|r| r.len() == passes.head.len()));
+        assert_eq!(section.json["growth"][1]["anchors"], 100);
+        assert_eq!(section.json["passes"][0]["step"], 1050);
+
+        let grown: Vec<Value> = lines(Rule::Clean).into_iter().filter(|e| e["grown"].is_object()).collect();
+        let section = Journal::of(&grown).section().expect("growth");
+        assert!(section.remark.is_empty() && section.matrices.is_empty() && section.tables[0].rows.is_empty());
+        assert_eq!(value(&section.rows, "anchors"), "+4 +2 +6 −6 → 100");
     }
 
     #[test]
@@ -299,12 +345,13 @@ mod tests {
         assert_eq!((pass.intervals.hot.as_slice(), pass.intervals.means.len()), (&[3][..], 7));
         assert_eq!(pass.busiest().map(|b| b.0), Some(4));
         assert!(pass.cells()[2].starts_with("4 ("), "{:?}", pass.cells());
-        assert_eq!(journal.heat().expect("passes").counts[0][0], 0);
+        assert_eq!(journal.gradients().expect("passes").columns[0][0], 0);
     }
 
     #[test]
     fn odd_lines_do_not_stop_it() {
-        assert!(Journal::of(&[]).is_empty() && Journal::of(&[]).rows().is_empty() && Journal::of(&[]).heat().is_none());
+        let none = Journal::of(&[]);
+        assert!(none.section().is_none() && none.rows().is_empty() && none.gradients().is_none());
         let odd = json!({"step": 1, "starts": [0.0], "intervals": {
             "clock": 1, "step": 1, "means": [null, 1.0, 2.0], "threshold": null, "hot": [9],
             "moves": [{"boundary": 77, "from": 0.1, "to": 0.2}],
@@ -314,6 +361,6 @@ mod tests {
         let rows = journal.rows();
         assert_eq!(value(&rows, "moves refused"), "1 busy on both sides");
         assert_eq!((value(&rows, "boundaries at last"), value(&rows, "busiest interval")), ("none".into(), "–".into()));
-        assert_eq!(journal.heat().expect("a pass").counts, [[0]]);
+        assert_eq!(journal.gradients().expect("a pass").columns, [[0]]);
     }
 }
