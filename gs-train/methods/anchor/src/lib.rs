@@ -3,6 +3,8 @@
 //! * [`scaffold`]: a static scene (Scaffold-GS, Lu et al. 2024).
 //! * [`modec`]: anchors deformed once per interval of time (GAD), their Gaussians once per timestamp (LGD), intervals that
 //!   adjust to the motion (MoDec-GS, Kwak et al. 2025).
+#![warn(unreachable_pub)]
+#![cfg_attr(not(test), warn(clippy::cast_possible_truncation))]
 
 use gs_train::method::MethodEntry;
 

@@ -17,7 +17,7 @@
 use super::Anchored;
 use glam::{Vec3, Vec4};
 use gs_core::nn::BLOCK;
-use gs_core::{Camera, Splats, Time};
+use gs_core::{Camera, Splats, Time, cast};
 use gs_deform::apply::{self, Apply, Offsets, RowsMut};
 use gs_deform::field::grid4d::screen_bound;
 use gs_deform::{Field, HexPlaneField};
@@ -97,15 +97,15 @@ impl Poses {
 
 impl Rest {
     /// LocalAnchors factors below this count as zero.
-    pub fn below(&self) -> f32 {
+    pub(super) fn below(&self) -> f32 {
         self.below
     }
 
     /// Moves decoded Gaussians of these rows: those that rest to their baked pose, the others as the field says.
-    pub fn forward(&self, lgd: &HexPlaneField, neural: &Splats, rows: &[u32], t: Time, out: &mut Splats) {
+    pub(super) fn forward(&self, lgd: &HexPlaneField, neural: &Splats, rows: &[u32], t: Time, out: &mut Splats) {
         self.poses.put(lgd.rule(), neural, rows, out);
         let moves = |i: &u32| !self.still[rows[*i as usize] as usize];
-        let moving: Vec<u32> = (0..rows.len() as u32).filter(moves).collect();
+        let moving: Vec<u32> = (0..cast::to_u32(rows.len())).filter(moves).collect();
         let mut moved = Splats::default();
         lgd.forward(&apply::pick(neural, &moving), t, &mut Default::default(), &mut moved);
         apply::scatter_rows(&moved, &moving, out);
@@ -171,7 +171,7 @@ impl Anchored {
     /// The poses of all rows at a time.
     fn poses(&self, lgd: &HexPlaneField, t: Time) -> Poses {
         let local = self.local(t);
-        let rows = (local.len() * self.config.offsets) as u32;
+        let rows = cast::to_u32(local.len() * self.config.offsets);
         let centers: Vec<Vec3> = (0..rows).into_par_iter().map(|row| self.center(&local, row)).collect();
         let mut said = Default::default();
         lgd.offsets_at(&centers, t, &mut Default::default(), &mut said);

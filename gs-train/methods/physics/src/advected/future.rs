@@ -50,7 +50,7 @@ pub(super) struct Future {
 
 impl Future {
     /// The scene that begins as `begin` at time `from`.
-    pub fn new<D: Dynamics>(begin: Splats, from: f64, middle: Vec3, dynamics: &D, thrift: Thrift) -> Self {
+    pub(super) fn new<D: Dynamics>(begin: Splats, from: f64, middle: Vec3, dynamics: &D, thrift: Thrift) -> Self {
         let start = Start { x: &begin.means, t: from, middle };
         let particles = dynamics.motion_rollout().and_then(|rollout| {
             let (motions, still) = (dynamics.motions(start), vec![[1.0, 0.0, 0.0, 0.0]; begin.len()]);
@@ -61,7 +61,7 @@ impl Future {
     }
 
     /// The splats at a time after the begin.
-    pub fn at<D: Dynamics>(&mut self, t: f64, dynamics: &D) -> Splats {
+    pub(super) fn at<D: Dynamics>(&mut self, t: f64, dynamics: &D) -> Splats {
         let mut moves = ParticleState::default();
         match &mut self.particles {
             Some(particles) => {
