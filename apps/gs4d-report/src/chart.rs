@@ -35,7 +35,7 @@ pub struct Curve {
 /// Spacing of the vertical axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scale {
-    /// A linear axis.
+    /// Equal distances for equal differences.
     Linear,
     /// A logarithmic axis; points that are not positive are left out.
     Log,
