@@ -35,6 +35,7 @@ pub use rules::AnchorDensifyRules;
 pub use statistics::{AnchorColumn, AnchorDensify, AnchorView};
 
 use crate::anchors::Anchors;
+use gs_core::cast;
 use gs_core::{RowEdit, param::RowEditError};
 use serde::{Deserialize, Serialize};
 
@@ -60,7 +61,7 @@ pub struct AnchorDensifyStep {
 pub struct AnchorDensifyReport {
     /// Number of anchors added, over all levels.
     pub added: u32,
-    /// Number of anchors removed.
+    /// Number of anchors removed, over all levels.
     pub pruned: u32,
     /// Number of anchors added on each level, the coarsest first; empty between passes.
     pub per_level: Vec<u32>,
@@ -95,7 +96,7 @@ impl AnchorDensify {
         self.edit(&edit);
         let mut per_level = vec![0; rules.levels as usize];
         new.iter().for_each(|n| per_level[n.level] += 1);
-        Ok(AnchorDensifyReport { added: new.len() as u32, pruned: (before - kept) as u32, per_level })
+        Ok(AnchorDensifyReport { added: cast::to_u32(new.len()), pruned: cast::to_u32(before - kept), per_level })
     }
 }
 

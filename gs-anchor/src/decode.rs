@@ -37,7 +37,7 @@ use bank::{Bank, BankGrad, BankTape};
 use gaussians::{AnchorGradRows, HeadOutputs, SplatRows, ViewRay};
 use glam::{DVec3, Vec3};
 use gs_core::nn::{self, BLOCK, CHUNKS};
-use gs_core::{Param, Params, Splats, SplatsGrad};
+use gs_core::{Param, Params, Splats, SplatsGrad, cast};
 use heads::{Fused, Heads, HeadsGrad, HeadsTape};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -87,7 +87,7 @@ impl Default for DecoderConfig {
 pub struct DecoderError {
     /// Name of the setting or of the column of [`AnchorShape`].
     pub field: &'static str,
-    /// The rejected value.
+    /// The value of the setting, out of its domain.
     pub value: usize,
     /// The domain in words, after "it must be".
     pub rule: &'static str,
@@ -338,7 +338,7 @@ fn decodable(local: &LocalAnchors, visible: Visible<'_>, eye: DVec3, to: &mut Ve
     let has_direction = |v: &u32| local.positions[*v as usize].as_dvec3().distance(eye) >= MIN_DISTANCE;
     to.clear();
     match visible {
-        Visible::All => to.extend((0..local.len() as u32).filter(has_direction)),
+        Visible::All => to.extend((0..cast::to_u32(local.len())).filter(has_direction)),
         Visible::List(list) => {
             assert!(list.is_sorted_by(|a, b| a < b), "the list of visible anchors must increase");
             to.extend(list.iter().copied().filter(has_direction));

@@ -72,7 +72,7 @@ pub enum InitError {
     NotFinite {
         /// Index of the point in the input.
         row: usize,
-        /// Its coordinates, world units.
+        /// Coordinates of the point, world units.
         point: Vec3,
     },
     /// The median rule gives a side of zero or one that is not finite, world units.
@@ -88,7 +88,7 @@ pub enum InitError {
     TooFar {
         /// Index of the point in the input.
         row: usize,
-        /// Its coordinates, world units.
+        /// Coordinates of the point, world units.
         point: Vec3,
         /// Side ε of the cells, world units.
         voxel: f32,
@@ -102,7 +102,7 @@ pub enum InitError {
         anchors: usize,
         /// Side ε of the cells, world units.
         voxel: f32,
-        /// The value of [`AnchorInit::max_anchors`].
+        /// Most anchors there may be, [`AnchorInit::max_anchors`].
         cap: u32,
     },
     /// No k-d tree can be built of the points.

@@ -142,7 +142,7 @@ impl Intervals {
         [("intervals.grad", &self.grad), ("intervals.views", &self.views)]
     }
 
-    /// [`Intervals::columns`], to restore them.
+    /// The buffers of [`Intervals::columns`], to be restored.
     pub fn columns_mut(&mut self) -> [(&'static str, &mut Vec<f32>); 2] {
         [("intervals.grad", &mut self.grad), ("intervals.views", &mut self.views)]
     }

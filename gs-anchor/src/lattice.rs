@@ -7,6 +7,7 @@
 //! is beyond [`MAX_CELL`] cells from the origin.
 
 use glam::Vec3;
+use gs_core::cast;
 
 /// A lattice point: integers along x, y, z. Ordered by x, then y, then z.
 pub(crate) type Cell = [i32; 3];
@@ -23,14 +24,16 @@ pub(crate) fn cell_of(point: Vec3, size: f32) -> Option<Cell> {
         if rounded.is_nan() || rounded.abs() > f64::from(MAX_CELL) {
             return None;
         }
-        *c = rounded as i32;
+        #[expect(clippy::cast_possible_truncation, reason = "a whole number up to `MAX_CELL`")]
+        let whole = rounded as i32;
+        *c = whole;
     }
     Some(cell)
 }
 
 /// The position of a cell for cells of side `size`, world units.
 pub(crate) fn position_of(cell: Cell, size: f32) -> Vec3 {
-    Vec3::from_array(cell.map(|c| (f64::from(c) * f64::from(size)) as f32))
+    Vec3::from_array(cell.map(|c| cast::to_f32(f64::from(c) * f64::from(size))))
 }
 
 #[cfg(test)]

@@ -6,7 +6,7 @@
 pub struct SettingError {
     /// Name of the setting with its section: `adapt.every`.
     pub field: &'static str,
-    /// The rejected value.
+    /// The value of the setting, out of its domain.
     pub value: f64,
     /// The domain in words: `at least 1 step`.
     pub rule: &'static str,

@@ -36,7 +36,7 @@ pub struct StorageSizes {
     pub anchors: usize,
     /// Sizes of an anchor's columns.
     pub shape: AnchorShape,
-    /// Settings of the decoder.
+    /// Settings of the networks that decode anchors.
     pub decoder: DecoderConfig,
     /// Network of the global deformation of anchors; absent in a static scene.
     pub global: Option<PlaneNetConfig>,
@@ -62,7 +62,7 @@ pub struct StorageRow {
 /// A tensor that the released code writes but its count leaves out.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct UnusedTensor {
-    /// Name of the tensor.
+    /// Name of the tensor in the released file.
     pub block: String,
     /// Size of the tensor, bytes.
     pub bytes: usize,

@@ -40,7 +40,7 @@
 
 use crate::{Anchors, LocalAnchors};
 use glam::{DVec3, Vec3};
-use gs_core::Camera;
+use gs_core::{Camera, cast};
 use rayon::prelude::*;
 
 /// `√(2 ln 255)`: standard deviations from the centre of an opaque Gaussian to where its alpha falls below 1/255.
@@ -165,7 +165,7 @@ fn rectangle_touches(camera: &Camera, p: DVec3, scale: DVec3) -> bool {
 /// The indices below `n` that pass, in increasing order, found in parallel.
 fn list(n: usize, out: &mut Vec<u32>, passes: impl Fn(usize) -> bool + Sync) {
     let chunk = |p: usize| -> Vec<u32> {
-        (p * CHUNK..n.min((p + 1) * CHUNK)).filter(|&v| passes(v)).map(|v| v as u32).collect()
+        (p * CHUNK..n.min((p + 1) * CHUNK)).filter(|&v| passes(v)).map(cast::to_u32).collect()
     };
     let chunks: Vec<Vec<u32>> = (0..n.div_ceil(CHUNK)).into_par_iter().map(chunk).collect();
     out.clear();

@@ -40,9 +40,9 @@
 //! # What it leaves out
 //! Distortion models (readers refuse or undistort), GPU buffers, scene graphs.
 #![warn(unreachable_pub)]
-#![warn(clippy::allow_attributes_without_reason)]
 
 pub mod camera;
+pub mod cast;
 pub mod cloud;
 pub mod covariance;
 pub mod geometry;

@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Aabb {
-    /// Lowest corner, world units.
+    /// Lowest corner of the box, world units.
     pub min: Vec3,
     /// Highest corner, world units; equal to `min` along an axis without extent (coordinates there have no gradient).
     pub max: Vec3,

@@ -41,9 +41,7 @@
 //! Opacities and colours do not change with time. Checkpoints of other codes are not imported: the reference mirrors
 //! its spatial axes and this crate does not. Timestamps have no gradient. Points are not sorted before a HexPlane is
 //! sampled: measured, sorting gains a tenth of the whole field at best.
-
 #![warn(unreachable_pub)]
-#![warn(clippy::allow_attributes_without_reason)]
 
 pub mod aabb;
 pub mod apply;

@@ -43,9 +43,9 @@ pub use measure::{MaskContrast, Reference, circular_variance, end_point_error, m
 /// One displacement in pixels per pixel: the content of the first image at `(x, y)` is at `(x + u, y + v)` in the second.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Flow {
-    /// Width in pixels.
+    /// Width of both columns, pixels.
     pub width: usize,
-    /// Height in pixels.
+    /// Height of both columns, pixels.
     pub height: usize,
     /// Displacements along x (right), pixels, `[H, W]` row-major.
     pub u: Vec<f32>,

@@ -38,9 +38,8 @@
 //!
 //! # Not included
 //! LPIPS and VGG-19 features; learned weights of any kind; colour-managed and HDR comparisons.
-
 #![warn(unreachable_pub)]
-#![warn(clippy::allow_attributes_without_reason)]
+#![cfg_attr(not(test), warn(clippy::cast_possible_truncation))]
 
 pub mod error;
 mod fft2;

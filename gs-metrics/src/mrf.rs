@@ -44,10 +44,10 @@ mod resample;
 pub use net::FeatureNet;
 
 use crate::error::{MetricError, check_finite, check_pair};
-use gs_core::Image;
+use gs_core::{Image, cast};
 use layer::LayerOptions;
 
-/// Options of [`Mrf`].
+/// Image size and constants of [`Mrf`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MrfOptions {
     /// Side in pixels of the squares both images are resized to, at least 8. Default 256.
@@ -127,7 +127,7 @@ impl Mrf {
         for ((x, y), weight) in tape.layers().zip(target.layers()).zip(&self.net.weights) {
             let (value, mut d) = layer::layer_loss(&x.data, &y.data, x.channels, &self.options.layer, grad.is_some());
             layers.push(value);
-            d.iter_mut().for_each(|v| *v *= *weight as f32);
+            d.iter_mut().for_each(|v| *v *= cast::to_f32(*weight));
             cotangents.push(Image { data: d, width: x.width, height: x.height, channels: x.channels });
         }
         let total = layers.iter().zip(&self.net.weights).map(|(l, w)| l * w).sum::<f64>();

@@ -24,7 +24,7 @@
 //! # Ok::<(), MetricError>(())
 //! ```
 
-use gs_core::Image;
+use gs_core::{Image, cast};
 
 use crate::error::{MetricError, check_pair, explain_non_finite};
 use crate::pool::{halve, scale_and_add_adjoint};
@@ -162,7 +162,7 @@ impl MsSsim {
             let mut out = [0.0f32; 4];
             for (c, product) in products.iter().enumerate() {
                 let f = factors[l][c];
-                out[c] = if f > 0.0 { (product * weights[l] / f / products.len() as f64) as f32 } else { 0.0 };
+                out[c] = if f > 0.0 { cast::to_f32(product * weights[l] / f / products.len() as f64) } else { 0.0 };
             }
             out
         };

@@ -123,7 +123,7 @@ fn distance(a: &Image, b: &Image, mut weights: Plane) -> Result<f64, MetricError
     }
     (x, y, weights) = (halve_all(&halve_all(&x)), halve_all(&halve_all(&y)), weights.halve().halve());
     let colour = colour_distance(&x, &y, &weights);
-    let value = (1.0 - COLOUR_WEIGHT) * detail / f64::from(levels as u32) + COLOUR_WEIGHT * colour;
+    let value = (1.0 - COLOUR_WEIGHT) * detail / levels as f64 + COLOUR_WEIGHT * colour;
     if value.is_finite() { Ok(value) } else { Err(explain_non_finite("the perceptual proxy", a, b)) }
 }
 

@@ -24,6 +24,7 @@ pub enum Quantise {
 
 impl Quantise {
     /// The 8-bit step of a value, which is clamped to `[0, 1]` first. A value `n/255` in `f32` becomes `n`.
+    #[expect(clippy::cast_possible_truncation, reason = "at most 255.5")]
     pub(crate) fn step(self, v: f32) -> u8 {
         // `n/255·255` in f32 may be smaller than n by rounding.
         let lift = if self == Quantise::Truncate { 1e-4 } else { 0.5 };

@@ -20,7 +20,7 @@
 //! # Ok::<(), gs_metrics::MetricError>(())
 //! ```
 
-use gs_core::Image;
+use gs_core::{Image, cast};
 
 use crate::error::{MetricError, check_finite, check_image, check_pair};
 use crate::fft2::Fft2;
@@ -83,7 +83,7 @@ pub fn high_band_share(image: &Image) -> Result<f64, MetricError> {
     let (width, height) = (luma.width, luma.height);
     // The mean would add its rounding to the other bins.
     let mean = luma.data.iter().map(|v| f64::from(*v)).sum::<f64>() / luma.data.len() as f64;
-    luma.data.iter_mut().for_each(|v| *v = (f64::from(*v) - mean) as f32);
+    luma.data.iter_mut().for_each(|v| *v = cast::to_f32(f64::from(*v) - mean));
     let mut fft = Fft2::new(width, height);
     let no_extra = &mut vec![(); fft.half() * height];
     let sums = fft.spectrum(&luma, 0, no_extra, false, |kx, column, _| {

@@ -17,7 +17,7 @@
 //! [`MIN_AMPLITUDE`] counts as 0 without gradient, because its phase is rounding. Sums over the whole spectrum run over half of
 //! it, where columns whose mirror image is left out count twice.
 
-use gs_core::Image;
+use gs_core::{Image, cast};
 use realfft::num_complex::Complex32;
 
 use crate::error::{MetricError, check_image, check_pair, explain_non_finite};
@@ -194,7 +194,7 @@ impl AmplitudeLoss {
             });
             sum += sums.iter().enumerate().map(|(kx, s)| fft.multiplicity(kx) * s).sum::<f64>();
             if let Some(grad) = grad.as_deref_mut() {
-                fft.real_inverse((factor * f64::from(unit)) as f32, c, grad);
+                fft.real_inverse(cast::to_f32(factor * f64::from(unit)), c, grad);
             }
         }
         factor * sum
@@ -203,7 +203,7 @@ impl AmplitudeLoss {
 
 /// Factor of the orthonormal transform.
 fn ortho(image: &Image) -> f32 {
-    (1.0 / ((image.width * image.height) as f64).sqrt()) as f32
+    cast::to_f32(1.0 / ((image.width * image.height) as f64).sqrt())
 }
 
 fn plan<'a>(fft: &'a mut Option<Fft2>, image: &Image) -> &'a mut Fft2 {

@@ -15,7 +15,7 @@
 //!
 //! Wang, Bovik, Sheikh, Simoncelli, IEEE TIP 13(4), 2004; K1, K2, window and σ are theirs.
 
-use gs_core::Image;
+use gs_core::{Image, cast};
 
 use crate::error::{MetricError, check_pair, explain_non_finite};
 use crate::sweep::{self, Scratch, Task, Term};
@@ -71,9 +71,9 @@ impl SsimOptions {
                 return Err(MetricError::Option { name, value: value.to_string(), must: "between 1e-6 and 1e6" });
             }
         }
-        let square = |k: f64| (k * self.data_range).powi(2) as f32;
-        let g = half_window().map(|v| v as f32);
-        Ok(Consts { g, c1: square(self.k1), c2: square(self.k2), scale: scale as f32 })
+        let square = |k: f64| cast::to_f32((k * self.data_range).powi(2));
+        let g = half_window().map(cast::to_f32);
+        Ok(Consts { g, c1: square(self.k1), c2: square(self.k2), scale: cast::to_f32(scale) })
     }
 
     /// Checks that images of this shape can be scored.

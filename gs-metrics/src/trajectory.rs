@@ -24,6 +24,7 @@
 //! # Ok::<(), gs_metrics::trajectory::TrajectoryError>(())
 //! ```
 
+use gs_core::cast;
 use rayon::prelude::*;
 use realfft::num_complex::Complex64;
 use realfft::{RealFftPlanner, RealToComplex};
@@ -203,7 +204,7 @@ impl Spread {
         if sorted.is_empty() {
             return Self::default();
         }
-        let rank = |share: f64| sorted[((share * n).ceil() as usize).max(1) - 1];
+        let rank = |share: f64| sorted[cast::to_usize((share * n).ceil()).max(1) - 1];
         let weighted: f64 = sorted.iter().enumerate().map(|(k, v)| (2.0 * k as f64 + 1.0 - n) * v).sum();
         let gini = if sum > 0.0 { weighted / (n * sum) } else { 0.0 };
         Self { mean: sum / n, p50: rank(0.5), p90: rank(0.9), p99: rank(0.99), gini }

@@ -19,6 +19,7 @@ use crate::step::Substep;
 use crate::twist::Motion;
 use fearless_simd::{Level, dispatch};
 use glam::Vec3;
+use gs_core::cast;
 use rayon::prelude::*;
 
 /// Steps between cached nodes.
@@ -99,7 +100,7 @@ impl Extrapolator {
         same_rows("motions", motions.len(), means.len())?;
         same_rows("orientations", quats.len(), means.len())?;
         let start = Poses { means, quats };
-        let rows = (0..motions.len() as u32).collect();
+        let rows = (0..cast::to_u32(motions.len())).collect();
         let stepped = Stepped::new(rows, &motions, &start, rollout.origin);
         Ok(Self { rollout, t0, now: start.clone(), start, motions, stepped, reduced: None, now_is_reduced: false })
     }
@@ -125,10 +126,10 @@ impl Extrapolator {
             counts.classes[found.class as usize] += 1;
             match found.class {
                 MotionClass::Static => {}
-                MotionClass::General => stepped.push(row as u32),
+                MotionClass::General => stepped.push(cast::to_u32(row)),
                 _ => {
                     models[row] = found.model.to_f32();
-                    closed_form.push(row as u32);
+                    closed_form.push(cast::to_u32(row));
                 }
             }
         }

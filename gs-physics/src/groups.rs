@@ -17,6 +17,7 @@ use crate::rollout::{PARTICLES, Rollout};
 use crate::step::{Affine, step_map};
 use crate::twist::{Motion, Twist};
 use glam::{DMat3, DVec3, Vec3};
+use gs_core::cast;
 use gs_core::rot::hamilton;
 use rayon::prelude::*;
 
@@ -104,7 +105,7 @@ impl Groups {
         let mut list = Vec::with_capacity(count);
         for (label, mut members) in members.into_iter().enumerate() {
             list.push(scene.fit_robust(&mut members));
-            members.iter().for_each(|i| of[*i] = label as u32);
+            members.iter().for_each(|i| of[*i] = cast::to_u32(label));
         }
         Ok(Self { list, of })
     }
@@ -152,7 +153,7 @@ impl Change {
     fn new((map, q): (Affine, [f64; 4])) -> Self {
         let rows = map.a.map(DVec3::from_array);
         let linear = (DMat3::from_cols(rows[0], rows[1], rows[2]).transpose() - DMat3::IDENTITY).as_mat3();
-        Self { linear, translation: DVec3::from_array(map.b).as_vec3(), rotation: q.map(|v| v as f32) }
+        Self { linear, translation: DVec3::from_array(map.b).as_vec3(), rotation: q.map(cast::to_f32) }
     }
 }
 

@@ -2,7 +2,7 @@
 
 use crate::scalar::{SERIES_F32, Scalar, TERMS_F32};
 use fearless_simd::{Simd, SimdBase, SimdFloat, f32x8};
-use gs_core::Real;
+use gs_core::{Real, cast};
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
 /// Particles per SIMD block.
@@ -36,7 +36,7 @@ impl<S: Simd> Neg for Lanes<S> {
 impl<S: Simd> Real for Lanes<S> {
     #[inline(always)]
     fn lit(self, c: f64) -> Self {
-        Self(f32x8::splat(self.0.simd, c as f32))
+        Self(f32x8::splat(self.0.simd, cast::to_f32(c)))
     }
     #[inline(always)]
     fn sqrt(self) -> Self {
@@ -77,6 +77,6 @@ impl<S: Simd> Scalar for Lanes<S> {
 
     #[inline(always)]
     fn any_above(self, limit: f64) -> bool {
-        self.0.simd.any_true_mask32x8(self.0.simd_gt(f32x8::splat(self.0.simd, limit as f32)))
+        self.0.simd.any_true_mask32x8(self.0.simd_gt(f32x8::splat(self.0.simd, cast::to_f32(limit))))
     }
 }

@@ -28,7 +28,7 @@
 //! # Ok::<(), gs_physics::RowsError>(())
 //! ```
 #![warn(unreachable_pub)]
-#![warn(clippy::allow_attributes_without_reason)]
+#![cfg_attr(not(test), warn(clippy::cast_possible_truncation))]
 
 mod blocks;
 pub mod centre;

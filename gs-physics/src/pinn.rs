@@ -11,9 +11,9 @@ use crate::velocity::VelocityField;
 use crate::velocity::evaluate::{self, Derivatives, Evaluation};
 use crate::velocity::flow::{BASIS, acceleration, acceleration_backward};
 use glam::Vec3;
-use gs_core::Rng;
 use gs_core::nn::{self, BLOCK, CHUNKS, MlpGrad, MlpTape};
 use gs_core::real::dot3;
+use gs_core::{Rng, cast};
 use rayon::prelude::*;
 
 /// Scratch, gradients and sums of consecutive blocks of points.
@@ -59,7 +59,7 @@ pub(crate) fn regularise(field: &mut VelocityField, seed: u64, step: u32) -> Vec
     field.acceleration.add_grads(chunks.iter().map(|c| &c.grads[1]));
     let term = |k: usize| {
         let sum: f64 = chunks.iter().map(|c| c.sums[k]).sum();
-        (f64::from(weights[k]) * sum / n as f64) as f32
+        cast::to_f32(f64::from(weights[k]) * sum / n as f64)
     };
     vec![("divergence", term(0)), ("transport", term(1))]
 }

@@ -15,6 +15,7 @@ use crate::step::Substep;
 use crate::twist::Motion;
 use fearless_simd::{Level, dispatch};
 use glam::Vec3;
+use gs_core::cast;
 use rayon::prelude::*;
 
 /// Blocks of eight particles per rayon task.
@@ -192,5 +193,5 @@ fn step_count(span: f64, dt: f64) -> usize {
         return 0;
     }
     let count = if dt > 0.0 { (span.abs() / dt - 1e-6).ceil() } else { 1.0 };
-    count.clamp(1.0, MAX_STEPS) as usize
+    cast::to_usize(count.clamp(1.0, MAX_STEPS))
 }

@@ -1,6 +1,6 @@
 //! Number kinds that rotations are computed in.
 
-use gs_core::Real;
+use gs_core::{Real, cast};
 
 /// A [`Real`] with sine and cosine: `f64` for references, `f32`, or lanes of `f32` in the roll-out.
 pub(crate) trait Scalar: Real {
@@ -46,6 +46,6 @@ impl Scalar for f32 {
 
     #[inline(always)]
     fn any_above(self, limit: f64) -> bool {
-        self > limit as f32
+        self > cast::to_f32(limit)
     }
 }

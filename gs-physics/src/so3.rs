@@ -18,12 +18,12 @@ use gs_core::rot::{conjugate, hamilton};
 const TERMS: usize = 10;
 
 /// `(−1)ᵏ wₖ / (2k + offset)!` with `wₖ = 1`, or `2k + 2` where the series is a divided difference.
-const fn series(offset: u32, divided: bool) -> [f64; TERMS] {
+const fn series(offset: usize, divided: bool) -> [f64; TERMS] {
     let mut out = [0.0; TERMS];
     let mut k = 0;
     while k < TERMS {
         let mut f = 1.0;
-        let mut i = 2 * k as u32 + offset;
+        let mut i = 2 * k + offset;
         while i > 1 {
             f *= i as f64;
             i -= 1;

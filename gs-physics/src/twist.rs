@@ -1,8 +1,8 @@
 //! Twists: the velocity fields of rigid bodies, and how they change.
 
 use crate::vec3::{V3, add, add_scaled, scale, sub};
-use gs_core::Real;
 use gs_core::real::cross3;
+use gs_core::{Real, cast};
 use serde::{Deserialize, Serialize};
 
 /// The velocity field `u(x) = v + w × (x − o)` of a rigid body, about an origin `o` stored elsewhere.
@@ -146,7 +146,7 @@ impl Motion<f32> {
 impl Motion<f64> {
     /// The same motion rounded to `f32`.
     pub fn to_f32(&self) -> Motion<f32> {
-        Motion::from_array(self.to_array().map(|v| v as f32))
+        Motion::from_array(self.to_array().map(cast::to_f32))
     }
 }
 

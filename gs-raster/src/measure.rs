@@ -75,7 +75,7 @@ pub fn camera(side: u32) -> Camera {
 /// Peak throughput of this machine with the threads of the current rayon pool: the roofline beside a measured time.
 #[derive(Clone, Copy, Debug)]
 pub struct Roofline {
-    /// Number of threads measured.
+    /// Number of threads that measured together.
     pub threads: usize,
     /// Fused multiply-adds, GFLOP/s; each counts as two operations.
     pub fma: f64,

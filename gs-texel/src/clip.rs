@@ -37,7 +37,7 @@ pub enum Target {
     Morphs {
         /// Row of the first morph.
         first: u32,
-        /// Number of consecutive morphs.
+        /// Number of morphs that follow one another.
         count: u32,
     },
 }

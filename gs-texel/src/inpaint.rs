@@ -55,19 +55,19 @@ pub enum InpaintError {
     /// A column does not have one row per valid texel.
     #[error("{got} {what} for {want} valid texels")]
     Rows {
-        /// Name of the column.
+        /// Name of the column concerned.
         what: &'static str,
         /// Number of rows it has.
         got: usize,
-        /// Number of valid texels.
+        /// Number of valid texels of the map.
         want: usize,
     },
     /// A point cannot be triangulated.
     #[error("point {row} cannot be triangulated ({error}); directions must be finite and not opposite to `up`")]
     Point {
-        /// Row of the point.
+        /// Row of the point among the points.
         row: usize,
-        /// The error of `spade`.
+        /// Why `spade` refuses the point.
         error: InsertionError,
     },
 }

@@ -36,9 +36,7 @@
 //!
 //! # What it leaves out
 //! Training of the networks, template fitting, cloth and hair simulation, tangent-space normal maps.
-
 #![warn(unreachable_pub)]
-#![warn(clippy::allow_attributes_without_reason)]
 
 pub mod bvh;
 pub mod character;

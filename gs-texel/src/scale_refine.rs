@@ -33,7 +33,7 @@ pub enum StretchRule {
     FirstEdge,
 }
 
-/// Settings of [`ScaleRefine`].
+/// Bounds and rules of [`ScaleRefine`].
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ScaleRefineOptions {

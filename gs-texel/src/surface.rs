@@ -15,9 +15,9 @@ pub enum MeshError {
     /// A face names a vertex that is not there.
     #[error("face {face} names vertex {vertex}, but the mesh has {vertices}; read the mesh again")]
     Vertex {
-        /// Row of the face.
+        /// Row of the face among the faces.
         face: usize,
-        /// The vertex it names.
+        /// The vertex it names, beyond the mesh.
         vertex: u32,
         /// Number of vertices of the mesh.
         vertices: usize,
@@ -25,15 +25,15 @@ pub enum MeshError {
     /// A coordinate is NaN or infinite.
     #[error("vertex {vertex} is ({x}, {y}, {z}), which is not finite; check the pose and the offsets", x = .at.x, y = .at.y, z = .at.z)]
     NonFinite {
-        /// Row of the vertex.
+        /// Row of the vertex among the vertices.
         vertex: usize,
-        /// Its position, not finite.
+        /// Its position, with a coordinate that is not finite.
         at: Vec3,
     },
     /// A column has the wrong number of rows.
     #[error("{what} has {got} rows, {want} are needed")]
     Rows {
-        /// Name of the column.
+        /// Name of the column concerned.
         what: &'static str,
         /// Number of rows it has.
         got: usize,

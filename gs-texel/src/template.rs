@@ -140,7 +140,7 @@ pub enum Wrap {
     /// Periodic with period 1.
     #[default]
     Repeat,
-    /// The border texel.
+    /// Beyond the border, the border texel.
     Clamp,
     /// Periodic with period 2, every second copy mirrored.
     Mirror,

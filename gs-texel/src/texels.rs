@@ -32,11 +32,11 @@ pub enum TexelError {
     /// A coordinate is not finite, or far outside the texture.
     #[error("texture coordinate {row} is ({u}, {v}); coordinates must be finite and of magnitude below 16")]
     Coordinate {
-        /// Row of the coordinate.
+        /// Row among the texture coordinates.
         row: usize,
-        /// Its horizontal coordinate.
+        /// Its horizontal coordinate `u`, in textures.
         u: f32,
-        /// Its vertical coordinate.
+        /// Its vertical coordinate `v`, in textures.
         v: f32,
     },
     /// The side of the map is out of range.
@@ -53,11 +53,11 @@ pub enum TexelError {
     Overlap {
         /// Number of texels in more than one triangle.
         overlaps: usize,
-        /// Number of valid texels.
+        /// Number of texels that lie in a triangle.
         valid: usize,
         /// The first such texel, `y·S + x`.
         texel: u32,
-        /// Its lowest face.
+        /// The lowest face that covers it.
         first: u32,
         /// The next face it lies in.
         second: u32,
@@ -70,7 +70,7 @@ pub enum TexelError {
     },
 }
 
-/// Options of [`TexelTable::build`].
+/// Side of the map and rules of [`TexelTable::build`].
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TexelOptions {

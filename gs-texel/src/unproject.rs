@@ -19,10 +19,10 @@ pub enum UnprojectError {
     /// The mesh has bad rows, faces or positions.
     #[error(transparent)]
     Mesh(#[from] MeshError),
-    /// A camera is invalid.
+    /// The camera of a view is invalid.
     #[error("view {view}: {error}")]
     Camera {
-        /// Row of the view.
+        /// Row of the view among the inputs.
         view: usize,
         /// The fault of the camera.
         error: CameraError,
@@ -30,9 +30,9 @@ pub enum UnprojectError {
     /// An image or mask does not have the camera's size or the right channels.
     #[error("view {view}: the {what} is {width}x{height} with {channels} channels; {rule}")]
     Shape {
-        /// Row of the view.
+        /// Row of the view among the inputs.
         view: usize,
-        /// `image` or `mask`.
+        /// Which of both: `image` or `mask`.
         what: &'static str,
         /// Its width in pixels.
         width: usize,
@@ -40,17 +40,17 @@ pub enum UnprojectError {
         height: usize,
         /// Its number of channels.
         channels: usize,
-        /// The requirement, as text.
+        /// What its size or channels must be.
         rule: &'static str,
     },
     /// A setting is out of its domain.
     #[error("unprojection setting `{field}` = {value}: it must be {rule}")]
     Setting {
-        /// Name of the setting.
+        /// Name of the setting, as in [`UnprojectConfig`].
         field: &'static str,
         /// Its value, out of the domain.
         value: f64,
-        /// The domain, as text.
+        /// The values it may have, as text.
         rule: &'static str,
     },
 }
@@ -132,7 +132,7 @@ impl Compat {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct UnprojectConfig {
-    /// Occlusion test. Default: [`Rule::FourTap`].
+    /// When a texel counts as hidden. Default: [`Rule::FourTap`].
     pub rule: Rule,
     /// `δ`: minimum cosine between normal and direction to the camera, -1 to 1. Default: 0.17.
     pub min_cos: f32,

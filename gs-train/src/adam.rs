@@ -27,7 +27,7 @@ const PIECE: usize = 8192;
 /// Values of a sparse shared block that are looked at together.
 const RUN: usize = 16;
 
-/// Constants of Adam.
+/// Decay rates of Adam's moments, in `[0, 1)`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AdamOptions {
     /// Decay of the first moment.
@@ -46,13 +46,13 @@ impl Default for AdamOptions {
 /// How one block is updated.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Update {
-    /// Learning rate.
+    /// Learning rate, already multiplied by the extent where the rule says so.
     pub rate: f32,
     /// ε, added to the denominator.
     pub eps: f32,
     /// Rows whose gradient is exactly zero keep value and moments.
     pub sparse: bool,
-    /// Weight decay λ.
+    /// Weight decay `λ`, times the rate, per update (AdamW).
     pub weight_decay: f32,
 }
 
@@ -72,7 +72,7 @@ pub struct Refused {
 /// The optimiser: constants, and the number of updates each block has had.
 #[derive(Clone, Debug)]
 pub struct Adam {
-    /// `β₁` and `β₂`.
+    /// `β₁` and `β₂`, the same for every block.
     pub options: AdamOptions,
     updates: BTreeMap<String, u32>,
     level: Level,
@@ -110,7 +110,7 @@ impl Adam {
     }
 
     /// Restores the number of updates of each block.
-    pub fn set_updates(&mut self, updates: BTreeMap<String, u32>) {
+    pub(crate) fn set_updates(&mut self, updates: BTreeMap<String, u32>) {
         self.updates = updates;
     }
 

@@ -84,18 +84,18 @@ pub trait Inspect: Method {
 /// A colour per splat that shows something about it, rendered by the same rasteriser.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Overlay {
-    /// `velocity`, `gate`, `segment`, …
+    /// Name of the layer in viewer and report: `velocity`, `gate`, `segment`, …
     pub name: &'static str,
     /// One colour per splat of [`Inspect::all_splats`] at the same timestamp, display-encoded, 0 to 1.
     pub colors: Vec<[f32; 3]>,
-    /// What the colours say.
+    /// What the colours say, in words.
     pub meaning: &'static str,
 }
 
 /// A number about each splat.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Quantity {
-    /// `lambda`, `beta`, `gate`, …
+    /// Name in tables, histograms and overlays: `lambda`, `beta`, `gate`, …
     pub name: &'static str,
     /// Its unit; empty for a pure number.
     pub unit: &'static str,
@@ -120,7 +120,7 @@ impl Quantity {
         })
     }
 
-    /// The span on [`color_scale`].
+    /// The values in the colours of [`color_scale`], from the lower to the upper end of the span.
     pub fn overlay(&self) -> Overlay {
         let [low, high] = self.span();
         let colors = self.values.iter().map(|v| color_scale((v - low) / (high - low))).collect();
@@ -131,7 +131,7 @@ impl Quantity {
 /// The scene after one stage on its way to a timestamp.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StageView {
-    /// `canonical`, `global`, `local`, `full`.
+    /// Name of the stage: `canonical`, `global`, `local` or `full`.
     pub name: &'static str,
     /// The splats after this stage.
     pub splats: Splats,
@@ -148,7 +148,7 @@ pub trait ParticleSource {
 /// Splats as rigid particles: their state at one time and how they move from there.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Particles {
-    /// The time, normalised.
+    /// Time of this state, normalised: the last one the deformation is asked for.
     pub at: f64,
     /// The splats at that time.
     pub splats: Splats,
@@ -204,13 +204,13 @@ impl<'a> FreezeOptions<'a> {
 /// What was left at rest, and the largest change this makes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FreezeReport {
-    /// Splats there are.
+    /// Splats of the scene, still and moving.
     pub splats: usize,
-    /// Splats left at rest.
+    /// Splats left at rest: their motion stays within the tolerances.
     pub still: usize,
     /// Farthest a centre is off at the probe times, pixels.
     pub bound_pixels: f32,
-    /// Probe times.
+    /// Number of times that motion was probed at, from 0 to 1.
     pub probes: usize,
     /// Largest relative change of shape.
     pub shape: f32,
@@ -223,16 +223,16 @@ pub struct FreezeReport {
 /// Bytes of a scene by the rule of its paper.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct PaperStorage {
-    /// Blocks in order.
+    /// Blocks in the order of the paper's table.
     pub rows: Vec<PaperStorageRow>,
     /// Files the published code leaves beside the scene, name and bytes; not in the sums.
     pub unused: Vec<(String, usize)>,
 }
 
-/// One block of [`PaperStorage`].
+/// One block of [`PaperStorage`], in numbers of `f32` values.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct PaperStorageRow {
-    /// Name.
+    /// Name of the block, as in the paper.
     pub block: String,
     /// `f32` values by the published rule.
     pub paper_values: usize,
@@ -246,7 +246,7 @@ impl PaperStorage {
         4 * self.rows.iter().map(|r| r.paper_values).sum::<usize>()
     }
 
-    /// Bytes that rendering needs.
+    /// Bytes that rendering needs, four per value.
     pub fn needed_bytes(&self) -> usize {
         4 * self.rows.iter().map(|r| r.needed_values).sum::<usize>()
     }
@@ -255,7 +255,7 @@ impl PaperStorage {
 /// What bounds the number of splats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct GrowthLimits {
-    /// Splats, at most.
+    /// Most splats there may be.
     pub most: usize,
     /// Densification begins after this step of the schedule's clock,
     pub from: u32,

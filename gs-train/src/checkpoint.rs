@@ -31,32 +31,32 @@ pub struct Checkpoint {
 /// Why a checkpoint was not written or not read.
 #[derive(Debug, thiserror::Error)]
 pub enum CheckpointError {
-    /// The file system refused.
+    /// The file system refused to do `action` with `path`.
     #[error("cannot {action} {}: {source}", path.display())]
     Io {
-        /// What was being done.
+        /// Verb of the message: `read`, `write`, …
         action: &'static str,
-        /// File or folder.
+        /// File or folder that was used.
         path: PathBuf,
-        /// The system's reason.
+        /// What the system said.
         source: io::Error,
     },
     /// The bytes are not those that were written.
     #[error("{} is damaged at byte {offset}: {what}", path.display())]
     Damaged {
-        /// File.
+        /// File that was read.
         path: PathBuf,
         /// Byte at which the fault was noticed.
         offset: u64,
-        /// What is wrong.
+        /// What is wrong at that byte.
         what: String,
     },
     /// Written by another version of the layout.
     #[error("{} has checkpoint layout {found}, this program reads {VERSION} and {PACKED_VERSION}", path.display())]
     Version {
-        /// File.
+        /// File that was read.
         path: PathBuf,
-        /// Version in the file.
+        /// Layout version in its head.
         found: u32,
     },
     /// The state cannot be written down.
@@ -65,7 +65,7 @@ pub enum CheckpointError {
     /// No file of the folder verifies.
     #[error("no usable checkpoint in {}{}", dir.display(), list(skipped))]
     NoneUsable {
-        /// Folder searched.
+        /// Folder that was searched for checkpoints.
         dir: PathBuf,
         /// Files that were refused, newest first.
         skipped: Vec<Skipped>,
@@ -73,7 +73,7 @@ pub enum CheckpointError {
     /// A tensor the program needs is missing or has another size.
     #[error("checkpoint tensor `{name}`: {what}")]
     Tensor {
-        /// Name of the tensor.
+        /// Name of the block or buffer.
         name: String,
         /// What is wrong with it.
         what: String,
@@ -83,18 +83,18 @@ pub enum CheckpointError {
 /// A file that was passed over.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Skipped {
-    /// File.
+    /// File that was not used.
     pub path: PathBuf,
-    /// Why.
+    /// Why it was not used: the message of its [`CheckpointError`].
     pub why: String,
 }
 
-/// What [`load_newest`] found.
+/// The newest checkpoint of a folder that verifies.
 #[derive(Debug)]
 pub struct Newest {
-    /// The state.
+    /// Its content, verified by checksum.
     pub checkpoint: Checkpoint,
-    /// Where it was read.
+    /// File it was read from.
     pub path: PathBuf,
     /// Newer files that did not verify, newest first.
     pub skipped: Vec<Skipped>,

@@ -36,28 +36,28 @@ const IMAGE_BYTES: usize = 64 << 20;
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("method `{method}`, {check}, {place}: {what}")]
 pub struct ConformanceError {
-    /// Name of the method.
+    /// Name of the method, as in its entry.
     pub method: String,
     /// Name of the check, as of the function of [`Subject`].
     pub check: &'static str,
     /// The block, buffer, step or time concerned.
     pub place: String,
-    /// What is wrong there.
+    /// What was found, with the values that differ.
     pub what: String,
 }
 
 /// A method under test, and the run it is tested in.
 #[derive(Clone, Copy)]
 pub struct Subject<'a> {
-    /// Holds the method.
+    /// Registry that builds the method and loads its checkpoints.
     pub registry: &'a Registry,
-    /// Name of the method.
+    /// Name of the method in that registry.
     pub name: &'a str,
     /// What it is trained on.
     pub dataset: &'a Arc<Dataset>,
-    /// Its resolved configuration.
+    /// Its resolved configuration: every key has a value.
     pub config: &'a toml::Table,
-    /// How gradients are checked.
+    /// How gradients are checked, and how strictly.
     pub rules: Rules<'a>,
     /// Normalised time at which gradients are checked.
     pub time: f32,

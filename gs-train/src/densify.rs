@@ -29,7 +29,7 @@ pub struct DensifyRules {
     pub from: u32,
     /// … and before this one (0: never). Resets and pruning end there too.
     pub until: u32,
-    /// Every so many steps.
+    /// Steps between two passes; at least 1.
     pub every: u32,
     /// Mean screen gradient (half-image units) from which a splat is cloned or split.
     pub grad: f32,
@@ -58,11 +58,11 @@ pub struct DensifyRules {
 pub struct DensifyStats {
     /// Splats copied, or anchors added.
     pub cloned: u32,
-    /// Splats replaced by two.
+    /// Splats split: replaced by two smaller ones.
     pub split: u32,
     /// Splats or anchors removed (parents of splits not counted).
     pub pruned: u32,
-    /// Whether opacities were reset.
+    /// Whether opacities were reset in this step.
     pub reset: bool,
 }
 
@@ -75,7 +75,7 @@ pub struct DensifyContext {
     pub clock: u32,
     /// Extent of the scene, world units.
     pub extent: f32,
-    /// Seed of the run.
+    /// Seed of the run, for the positions of children.
     pub seed: u64,
     /// Whether the background is white.
     pub white: bool,
@@ -113,7 +113,7 @@ impl GaussianRows for Cloud {
 /// The statistics of density control, one row per splat.
 #[derive(Clone, Debug, PartialEq, Default)]
 pub struct Densify {
-    /// Sum of screen gradients.
+    /// Sum over frames of the screen gradient's norm, half-image units.
     pub grad_sum: Vec<f32>,
     /// Number of frames each splat was drawn in.
     pub seen: Vec<f32>,
@@ -161,7 +161,7 @@ impl DensifyRules {
     }
 
     /// Whether opacities are reset at this step.
-    pub fn resets_at(&self, clock: u32, white: bool) -> bool {
+    pub(crate) fn resets_at(&self, clock: u32, white: bool) -> bool {
         let regular = self.reset_every > 0 && clock > 0 && clock.is_multiple_of(self.reset_every);
         clock < self.until && (regular || (white && self.reset_on_white && clock == self.from))
     }
@@ -205,7 +205,7 @@ impl Densify {
         d
     }
 
-    /// Forgets everything; `n` rows.
+    /// Sets all statistics to zero, for `n` splats.
     pub fn clear(&mut self, n: usize) {
         for column in self.columns_mut() {
             column.1.clear();

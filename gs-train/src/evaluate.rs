@@ -76,13 +76,13 @@ impl MaskedScores {
 /// The scores of one view.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ViewScores {
-    /// Name of the view.
+    /// Name of the view in its data set.
     pub name: String,
-    /// Normalised time.
+    /// Normalised time of the view.
     pub time: f32,
     /// dB; absent for a perfect view (infinite).
     pub psnr: Option<f64>,
-    /// Structural similarity.
+    /// SSIM, at most 1 (equal).
     pub ssim: f64,
     /// Multi-scale SSIM; absent where a side is at most 160 pixels.
     pub ms_ssim: Option<f64>,
@@ -99,16 +99,16 @@ pub struct ViewScores {
     pub masked: Option<MaskedScores>,
 }
 
-/// Means over views.
+/// Means of [`ViewScores`] over the views of a split.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MeanScores {
     /// Mean of the finite PSNRs, dB.
     pub psnr: Option<f64>,
-    /// Mean SSIM.
+    /// Mean SSIM; absent without views.
     pub ssim: Option<f64>,
     /// Mean MS-SSIM of the views that have one.
     pub ms_ssim: Option<f64>,
-    /// Mean perceptual distance.
+    /// Mean perceptual distance; absent without views.
     pub perceptual_proxy: Option<f64>,
     /// Mean ratio of Laplacian variances of the views that have one.
     #[serde(default)]
@@ -124,7 +124,7 @@ pub struct MeanScores {
 /// The scores of a split.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct EvalReport {
-    /// Name of the method.
+    /// Name of the method, as in its entry.
     pub method: String,
     /// `train`, `val`, `test` or `extrapolate`.
     pub split: String,
@@ -134,13 +134,13 @@ pub struct EvalReport {
     pub scale: f64,
     /// How the frames were compared.
     pub protocol: String,
-    /// Means over views.
+    /// Means of the scores over `views`.
     pub mean: MeanScores,
     /// PSNR of the mean squared error over views, dB; absent when every view is perfect.
     pub psnr_of_mean_mse: Option<f64>,
     /// Views rendered without any error, left out of the mean PSNR.
     pub perfect_views: usize,
-    /// Number of Gaussians.
+    /// Number of Gaussians the method may render at most.
     pub gaussians: usize,
     /// Bytes of all parameters as `f32`, without gradients and Adam moments.
     pub parameter_bytes: u64,
@@ -160,7 +160,7 @@ impl EvalReport {
     }
 }
 
-/// Why an evaluation failed.
+/// Why a split was not scored.
 #[derive(Debug, thiserror::Error)]
 pub enum EvalError {
     /// No view in the split.
@@ -172,17 +172,17 @@ pub enum EvalError {
     /// The method cannot draw a view.
     #[error("view {view}: {source}")]
     Method {
-        /// Name of the view.
+        /// Name of the view in its data set.
         view: String,
-        /// The method's reason.
+        /// Why the method gave no splats.
         source: Box<MethodError>,
     },
     /// A frame cannot be compared.
     #[error("view {view}: {source}")]
     Metric {
-        /// Name of the view.
+        /// Name of the view in its data set.
         view: String,
-        /// The metric's reason.
+        /// Why the images cannot be compared.
         source: MetricError,
     },
 }

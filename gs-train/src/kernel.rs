@@ -7,11 +7,11 @@ use gs_core::cloud::KernelInit;
 use gs_core::kernel::BetaMode;
 use serde::{Deserialize, Serialize};
 
-/// Which fall-off.
+/// Which fall-off the splats of a cloud have.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum KernelKind {
-    /// 3DGS.
+    /// The Gaussian of 3DGS, without parameters.
     #[default]
     Gaussian,
     /// FAGS: λ and β per splat.
@@ -24,7 +24,7 @@ pub enum KernelKind {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct KernelConfig {
-    /// Which fall-off.
+    /// Which fall-off the splats have.
     pub kind: KernelKind,
     /// What is done where β would open the foot: `capped`, `literal` (as printed) or `relative`.
     pub beta_mode: BetaMode,
@@ -66,7 +66,7 @@ impl KernelConfig {
     }
 
     /// Holds back in the schedule what does not learn, or not yet.
-    pub fn hold_back(&self, schedule: &mut Schedule) {
+    pub(crate) fn hold_back(&self, schedule: &mut Schedule) {
         for (name, learns) in [("lambda", self.learn_lambda), ("beta", self.learn_beta), ("acutance", true)] {
             if !learns {
                 schedule.freeze(&format!("cloud.{name}"));

@@ -6,7 +6,7 @@
 //! * [`method`]: what a method must provide ([`Method`](method::Method)) and the [`Registry`](registry::Registry) of methods;
 //!   methods are crates that depend on this one.
 //! * [`trainer`]: one optimiser step and the whole state in and out; [`schedule`]: stages and learning rates; [`adam`];
-//!   [`loss`]; [`densify`]: clone, split, prune; [`non_finite`]: gradients that are refused.
+//!   [`loss`]; [`densify`]: clone, split, prune; `non_finite`: gradients that are refused.
 //! * [`canonical`], [`kernel`], [`scene`]: the cloud of Gaussians that several methods share, and what it starts from.
 //! * `conformance` (cargo feature of that name): what every method must keep, as checks for its tests.
 //! * [`report`]: the section that a method adds to the report of a run.
@@ -15,6 +15,7 @@
 //! # Promises
 //! A run is a function of data, configuration and seed: the same bits for any number of threads and after any
 //! interruption. Gradients that are not finite are refused, counted and named.
+#![warn(unreachable_pub)]
 
 pub mod ablate;
 pub mod adam;
@@ -30,7 +31,7 @@ pub mod kernel;
 pub mod loss;
 pub mod method;
 pub mod model;
-pub mod non_finite;
+mod non_finite;
 pub mod palette;
 pub mod registry;
 pub mod renderer;

@@ -37,11 +37,11 @@ const LANES: usize = 16;
 /// The loss of one view, or its mean over the views of a step.
 #[derive(Clone, Debug, PartialEq, Default, Serialize)]
 pub struct LossValues {
-    /// The weighted sum.
+    /// Sum of all terms, each times its weight.
     pub total: f64,
-    /// Mean absolute difference.
+    /// Mean absolute difference over pixels and channels.
     pub l1: f64,
-    /// Mean squared difference.
+    /// Mean squared difference over pixels and channels.
     pub mse: f64,
     /// The other terms that were computed, by name: SSIM itself, distances.
     pub terms: Vec<(&'static str, f64)>,
@@ -54,7 +54,7 @@ impl LossValues {
     }
 
     /// Adds one of `n` views whose mean this becomes.
-    pub fn add_mean(&mut self, view: &Self, n: f64) {
+    pub(crate) fn add_mean(&mut self, view: &Self, n: f64) {
         self.total += view.total / n;
         self.l1 += view.l1 / n;
         self.mse += view.mse / n;

@@ -10,15 +10,15 @@ const BLOCK: usize = 2048;
 
 /// Gradient rows that were not finite.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
-pub struct NonFinite {
-    /// How many.
+pub(crate) struct NonFinite {
+    /// Number of rows that were set to zero.
     pub rows: u32,
-    /// The first of them.
+    /// Lowest of these rows; absent if there is none.
     pub first: Option<u32>,
 }
 
 /// Sets every row with an entry that is not finite to zero, in all columns, and counts such rows.
-pub fn zero_non_finite(d: &mut SplatsGrad) -> NonFinite {
+pub(crate) fn zero_non_finite(d: &mut SplatsGrad) -> NonFinite {
     let bad = bad_rows(d);
     let width = d.color.len() / d.means.len().max(1);
     let kernel = d.kernel.len() / d.means.len().max(1);

@@ -12,7 +12,7 @@ use gs_raster::{Frame, RasterOptions, Workspace, render_into};
 /// Renders one frame after the other, reusing memory.
 #[derive(Default)]
 pub struct Renderer {
-    /// How to render.
+    /// Options of the rasteriser for every frame.
     pub options: RasterOptions,
     workspace: Workspace,
     frame: Frame,
@@ -24,7 +24,7 @@ impl Renderer {
         Self { options, ..Self::default() }
     }
 
-    /// Renders splats.
+    /// Renders splats; the frame holds until the next call.
     pub fn render<'a>(&mut self, splats: impl Into<SplatsRef<'a>>, camera: &Camera) -> &Frame {
         render_into(splats, camera, &self.options, &mut self.workspace, &mut self.frame);
         &self.frame

@@ -19,15 +19,15 @@ use std::sync::Arc;
 /// What a checkpoint says of a run beside its tensors.
 #[derive(Clone, Copy, Debug)]
 pub struct RunState<'a> {
-    /// Its resolved configuration.
+    /// Resolved configuration of the method.
     pub config: &'a toml::Table,
     /// What it was built from.
     pub scene: &'a SceneInfo,
-    /// Steps made.
+    /// Optimizer steps made so far.
     pub step: u32,
     /// Updates of each block by the optimiser.
     pub adam_updates: &'a BTreeMap<String, u32>,
-    /// Seconds spent so far.
+    /// Seconds spent in training so far.
     pub train_seconds: f64,
 }
 
@@ -35,15 +35,15 @@ pub struct RunState<'a> {
 pub struct Loaded {
     /// The model, at the step of the checkpoint.
     pub model: Model,
-    /// Its configuration.
+    /// Resolved configuration it was built from.
     pub config: toml::Table,
     /// What it was built from; the first points are not kept.
     pub scene: SceneInfo,
-    /// Steps made.
+    /// Optimizer steps made when it was saved.
     pub step: u32,
     /// Updates of each block by the optimiser.
     pub adam_updates: BTreeMap<String, u32>,
-    /// Seconds spent in training.
+    /// Seconds spent in training when it was saved.
     pub train_seconds: f64,
 }
 

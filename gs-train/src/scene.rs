@@ -39,11 +39,11 @@ pub enum InitFrom {
     Random,
 }
 
-/// The first points.
+/// Where the first points of a cloud come from, and how many.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct InitConfig {
-    /// Where they come from.
+    /// Source of the first points.
     pub from: InitFrom,
     /// At most so many (random: exactly so many).
     pub points: u32,
@@ -73,13 +73,13 @@ pub struct CloudConfig {
 /// What a method is built from.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SceneInfo {
-    /// The first points.
+    /// Points a cloud begins with, world units; empty in a loaded checkpoint.
     pub points: PointCloud,
     /// Radius of the camera positions, world units: the length that learning rates and growth rules refer to.
     pub extent: f32,
     /// Lower and upper corner of a box around everything that moves, world units.
     pub bounds: [Vec3; 2],
-    /// Number of training views.
+    /// Number of views trained on.
     pub views: u32,
     /// Number of different training times.
     pub timestamps: u32,
@@ -87,7 +87,7 @@ pub struct SceneInfo {
     pub last_time: f32,
     /// Median distance of successive training times, normalised; 0 where there is one timestamp.
     pub frame_interval: f32,
-    /// Seed of the run.
+    /// Seed of the run, for everything random.
     pub seed: u64,
     /// The filmed person, where the data bring one along; not kept in checkpoints.
     pub avatar: Option<Arc<AvatarScene>>,
@@ -112,7 +112,7 @@ impl SceneInfo {
 
     /// The same scene as the training views of a data set show it, which may hold more than it was made from: its numbers of
     /// views and timestamps, its last time and the distance of timestamps.
-    pub fn seen_in(self, dataset: &Dataset) -> Self {
+    pub(crate) fn seen_in(self, dataset: &Dataset) -> Self {
         let times = times(dataset);
         let (views, last_time) = (dataset.train.len() as u32, times.last().copied().unwrap_or(1.0));
         Self { views, timestamps: times.len() as u32, last_time, frame_interval: median_step(&times), ..self }

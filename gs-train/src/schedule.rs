@@ -82,7 +82,7 @@ fn kerbl_dilation() -> f64 {
 }
 
 /// How the names of a field's parameters begin.
-pub const FIELD: &str = "field.";
+pub(crate) const FIELD: &str = "field.";
 
 /// A stretch of a run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -231,7 +231,7 @@ impl Background {
     }
 
     /// The colour evaluation is made over.
-    pub fn evaluation_color(self) -> [f32; 3] {
+    pub(crate) fn evaluation_color(self) -> [f32; 3] {
         if self == Background::White { [1.0; 3] } else { [0.0; 3] }
     }
 }
@@ -275,7 +275,7 @@ impl Schedule {
     }
 
     /// The stage of step `step` and the number of steps made in it before, if there is any.
-    pub fn stage_and_offset(&self, step: u32) -> Option<(&Stage, u32)> {
+    pub(crate) fn stage_and_offset(&self, step: u32) -> Option<(&Stage, u32)> {
         let stages = self.ordered();
         let at = self.position(step).stage;
         let before: u32 = stages.iter().take(at).map(|s| s.1.steps).sum();
@@ -324,7 +324,7 @@ impl Schedule {
     }
 
     /// The image loss of these weights.
-    pub fn image_loss(&self) -> ImageLoss {
+    pub(crate) fn image_loss(&self) -> ImageLoss {
         ImageLoss::new(self.lambda_l1.unwrap_or(1.0 - self.lambda_dssim))
             .with(self.lambda_dssim, self.dssim.term())
             .with(self.lambda_fre, Box::<SpectrumTerm>::default())
@@ -348,7 +348,10 @@ impl Schedule {
     ///
     /// # Errors
     /// If MS-SSIM is asked for and a side is too short.
-    pub fn check_images<'a>(&self, cameras: impl Iterator<Item = &'a Camera> + Clone) -> Result<(), ScheduleError> {
+    pub(crate) fn check_images<'a>(
+        &self,
+        cameras: impl Iterator<Item = &'a Camera> + Clone,
+    ) -> Result<(), ScheduleError> {
         let needed = if self.lambda_dssim > 0.0 { self.dssim } else { Dssim::Ssim };
         self.ordered().into_iter().try_for_each(|(_, stage)| {
             cameras.clone().map(|c| c.scaled(stage.image_scale)).try_for_each(|c| needed.check_size(c.width, c.height))

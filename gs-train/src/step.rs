@@ -11,9 +11,9 @@ pub struct StepCtx {
     pub clock: u32,
     /// Views of the step; their losses are averaged.
     pub batch: u32,
-    /// Name of the stage.
+    /// Name of its stage in the schedule.
     pub stage: String,
-    /// Steps of the stage.
+    /// Number of steps of that stage.
     pub stage_steps: u32,
     /// Steps of the stage made before this one.
     pub stage_offset: u32,
@@ -21,7 +21,7 @@ pub struct StepCtx {
     pub dynamic: bool,
     /// Whether only the field learns, and it alone moves splats.
     pub deform_only: bool,
-    /// Highest SH degree rendered.
+    /// Highest SH degree rendered, 0 to 3.
     pub sh_degree: u8,
     /// Whether the next step begins a stage with a clock of its own, before which statistics are cleared.
     pub ends_clock: bool,

@@ -5,7 +5,7 @@ use gs_core::Time;
 /// A timestamp of a scene: the time, normalised and in seconds.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct Timestamp {
-    /// The time.
+    /// Time asked for, normalised and in seconds.
     pub t: Time,
 }
 

@@ -48,32 +48,32 @@ impl Default for TrainOptions {
     }
 }
 
-/// What a step did.
+/// What one step of training did.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct StepReport {
-    /// Its number, from 1.
+    /// Number of the step, from 1.
     pub step: u32,
     /// The stage it lies in.
     pub stage: String,
-    /// The views learnt from.
+    /// Names of the views of its batch.
     pub view: String,
-    /// The image loss.
+    /// Image loss, mean over the views of the batch.
     pub loss: LossValues,
-    /// Regularisers, weights applied.
+    /// Regularisers by name, weights applied.
     pub penalties: Vec<LossValue>,
-    /// Splats after the step.
+    /// Splats after the step, at most.
     pub splats: usize,
     /// Gradient rows refused because they were not finite.
     pub quarantined: u32,
-    /// What densification did.
+    /// What density control and resets changed.
     pub adapted: DensifyStats,
     /// Events worth keeping, one JSON object each.
     pub events: Vec<serde_json::Value>,
-    /// Milliseconds per phase.
+    /// Time of each phase, milliseconds.
     pub ms: Phases,
 }
 
-/// A run in memory.
+/// One run of a method on a data set, held in memory.
 pub struct Trainer {
     model: Model,
     dataset: Arc<Dataset>,
@@ -320,7 +320,7 @@ impl Trainer {
         Ok((result, terms))
     }
 
-    /// Steps made.
+    /// Optimizer steps made, those of earlier sessions included.
     pub fn steps_done(&self) -> u32 {
         self.step
     }
@@ -335,7 +335,7 @@ impl Trainer {
         self.seconds
     }
 
-    /// The model under training.
+    /// The model with the parameters reached so far.
     pub fn model(&self) -> &Model {
         &self.model
     }
@@ -350,7 +350,7 @@ impl Trainer {
         &self.scene
     }
 
-    /// The data.
+    /// The data set the run learns from.
     pub fn dataset(&self) -> &Arc<Dataset> {
         &self.dataset
     }

@@ -39,7 +39,7 @@ const MIB: f64 = 1024.0 * 1024.0;
 /// The run whose cost is estimated.
 #[derive(Clone, Debug)]
 pub struct CostOptions {
-    /// The available methods.
+    /// Registry that the method is looked up in.
     pub registry: Registry,
     /// Name of the method, as for `gs4d train -m`.
     pub method: String,
@@ -54,7 +54,7 @@ pub struct CostOptions {
 /// The cost of one stage.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct StageCost {
-    /// Name in the schedule.
+    /// Name of the stage in the schedule.
     pub name: String,
     /// Optimizer steps of the stage.
     pub steps: u32,
@@ -67,7 +67,7 @@ pub struct StageCost {
 pub struct Cost {
     /// For example `fourdgs --preset fast`.
     pub run: String,
-    /// Threads of the measurement.
+    /// Number of threads of the measurement.
     pub threads: usize,
     /// Costs of the stages, in the order of the schedule.
     pub stages: Vec<StageCost>,

@@ -3,7 +3,7 @@
 use super::Figure;
 use super::silhouettes::Silhouettes;
 use glam::{DVec2, DVec3, Vec3};
-use gs_core::Image;
+use gs_core::{Image, cast};
 use gs_data::{Dataset, ImageCache, View};
 
 /// Side of a plan, pixels.
@@ -76,7 +76,7 @@ fn dotted(v: &View, points: &[Vec3], small_images: &ImageCache) -> Option<Figure
     let near = seen.iter().map(|s| s.1).fold(f64::INFINITY, f64::min);
     let far = seen.iter().map(|s| s.1).fold(0.0, f64::max).max(near + 1e-9);
     for (at, z) in &seen {
-        let share = ((far - z) / (far - near)) as f32;
+        let share = cast::to_f32((far - z) / (far - near));
         let color: [f32; 3] = std::array::from_fn(|c| RED[c] * share + BLUE[c] * (1.0 - share));
         inside += usize::from(dot(&mut image, *at, color));
     }
@@ -153,23 +153,28 @@ fn blend(pixel: &mut [f32], color: [f32; 3], share: f32) {
 
 /// A dot of 3×3 pixels; whether its middle is inside.
 fn dot(image: &mut Image, at: DVec2, color: [f32; 3]) -> bool {
-    let (x, y) = (at.x.floor() as i64, at.y.floor() as i64);
     for k in 0..9 {
-        paint(image, x + k % 3 - 1, y + k / 3 - 1, color, if k == 4 { 1.0 } else { 0.5 });
+        let beside = at.floor() + DVec2::new(f64::from(k % 3 - 1), f64::from(k / 3 - 1));
+        paint(image, beside, color, if k == 4 { 1.0 } else { 0.5 });
     }
-    x >= 0 && y >= 0 && x < image.width as i64 && y < image.height as i64
+    inside(image, at)
 }
 
 fn line(image: &mut Image, from: DVec2, to: DVec2, color: [f32; 3]) {
-    let steps = (to - from).abs().max_element().clamp(1.0, 4000.0) as usize;
+    let steps = cast::to_usize((to - from).abs().max_element().clamp(1.0, 4000.0));
     for k in 0..=steps {
         let p = from.lerp(to, k as f64 / steps as f64);
-        paint(image, p.x.floor() as i64, p.y.floor() as i64, color, 0.7);
+        paint(image, p, color, 0.7);
     }
 }
 
-fn paint(image: &mut Image, x: i64, y: i64, color: [f32; 3], share: f32) {
-    if x >= 0 && y >= 0 && x < image.width as i64 && y < image.height as i64 {
-        blend(image.pixel_mut(x as usize, y as usize), color, share);
+/// Blends a colour into the pixel that a point lies in, if it lies in one.
+fn paint(image: &mut Image, at: DVec2, color: [f32; 3], share: f32) {
+    if inside(image, at) {
+        blend(image.pixel_mut(cast::to_usize(at.x), cast::to_usize(at.y)), color, share);
     }
+}
+
+fn inside(image: &Image, at: DVec2) -> bool {
+    at.cmpge(DVec2::ZERO).all() && at.x < image.width as f64 && at.y < image.height as f64
 }

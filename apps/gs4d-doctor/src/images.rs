@@ -1,6 +1,7 @@
 //! Checks of images: readable, not blank, no duplicates, even exposure and sharpness, plausible alpha and masks.
 
 use super::{Finding, Verdict, luma, median};
+use gs_core::cast;
 use gs_data::{Dataset, ImageCache, ImageU8, Split, View};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
@@ -114,7 +115,7 @@ fn traits(image: &ImageU8) -> Traits {
             }
         }
     }
-    let side = |n: usize| ((n as f64 * CORNER_SIZE) as usize).clamp(1, n);
+    let side = |n: usize| cast::to_usize(n as f64 * CORNER_SIZE).clamp(1, n);
     let at_corner = |i: usize| {
         let near = |x: usize, n: usize| x < side(n) || x >= n - side(n);
         near(i % w, w) && near(i / w, h)
@@ -143,7 +144,7 @@ fn thumbnail(image: &ImageU8, grey: &[f64]) -> Vec<f32> {
         sums[cell] += g * f64::from(image.data[4 * i + 3]) / 255.0;
         counts[cell] += 1.0;
     }
-    sums.iter().zip(counts).map(|(s, c)| (s / c.max(1.0)) as f32).collect()
+    sums.iter().zip(counts).map(|(s, c)| cast::to_f32(s / c.max(1.0))).collect()
 }
 
 impl ImageChecks {

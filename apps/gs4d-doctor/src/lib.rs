@@ -20,9 +20,8 @@
 //! | `silhouettes` | cameras: the visual hull of alpha or masks must cover every silhouette |
 //! | `start` | initial points and the scene box |
 //! | `cost` | memory and time of a training run, extrapolated from a few steps |
-
 #![warn(unreachable_pub)]
-#![warn(clippy::allow_attributes_without_reason)]
+#![cfg_attr(not(test), warn(clippy::cast_possible_truncation))]
 
 mod clock;
 mod cost;
@@ -52,7 +51,7 @@ const MAX_FAULTS: usize = 6;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Verdict {
-    /// The check passed.
+    /// The check found nothing wrong.
     Ok,
     /// Information; nothing has to be done.
     Note,
@@ -69,7 +68,7 @@ pub struct Finding {
     pub topic: &'static str,
     /// Stable name of the finding: `images.blank`, or the code of the reader's error.
     pub code: &'static str,
-    /// Severity of this finding.
+    /// How grave the finding is.
     pub verdict: Verdict,
     /// The outcome in one sentence.
     pub what: String,
@@ -115,7 +114,7 @@ pub struct Figure {
     pub image: Image,
 }
 
-/// The result of [`examine`].
+/// What [`examine`] found in a folder of data.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Checkup {
     /// The folder that was checked.
@@ -150,10 +149,10 @@ impl Checkup {
     }
 }
 
-/// What [`examine`] does.
+/// How [`examine`] reads the data, and whether it estimates a run.
 #[derive(Clone, Debug, Default)]
 pub struct CheckOptions {
-    /// Options of the reader.
+    /// Options that the reader is given.
     pub data: DataOptions,
     /// The run whose cost is estimated; `None` skips the estimate, which trains for some steps.
     pub cost: Option<CostOptions>,

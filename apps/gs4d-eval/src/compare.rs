@@ -24,7 +24,7 @@ pub enum Metric {
 }
 
 impl Metric {
-    /// Every metric.
+    /// Every metric, in the order of tables.
     pub const ALL: [Metric; 4] = [Metric::Psnr, Metric::Ssim, Metric::MsSsim, Metric::PerceptualProxy];
 }
 
@@ -38,9 +38,9 @@ pub struct ImageScores {
     pub mse: Option<f64>,
     /// PSNR, dB; absent where it is infinite.
     pub psnr: Option<f64>,
-    /// SSIM, at most 1.
+    /// SSIM, at most 1; absent if not asked for.
     pub ssim: Option<f64>,
-    /// MS-SSIM, at most 1.
+    /// MS-SSIM, at most 1; absent if not asked for.
     pub ms_ssim: Option<f64>,
     /// Perceptual distance without weights, not LPIPS; less is better.
     pub perceptual_proxy: Option<f64>,
@@ -56,16 +56,16 @@ impl ImageScores {
     }
 }
 
-/// Means over images.
+/// Means of the scores over the images of a set.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Means {
     /// Mean of the finite PSNRs, dB.
     pub psnr: Option<f64>,
-    /// Mean SSIM over images.
+    /// Mean SSIM; absent if not asked for.
     pub ssim: Option<f64>,
-    /// Mean MS-SSIM over images.
+    /// Mean MS-SSIM; absent if not asked for.
     pub ms_ssim: Option<f64>,
-    /// Mean perceptual distance.
+    /// Mean perceptual distance; absent if not asked for.
     pub perceptual_proxy: Option<f64>,
     /// Means of the masked scores, where there are masks.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -75,7 +75,7 @@ pub struct Means {
 /// The scores of a set of images.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SetScores {
-    /// Means over images.
+    /// Means of the scores over the images.
     pub mean: Means,
     /// PSNR of the mean squared error over all images, dB; absent where it is infinite.
     pub psnr_of_mean_mse: Option<f64>,

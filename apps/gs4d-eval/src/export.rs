@@ -33,9 +33,9 @@ pub enum ExportError {
     /// A splat at this time is not valid.
     #[error("the scene at time {time}: {source}")]
     Splats {
-        /// Normalised time.
+        /// Normalised time of the scene.
         time: f32,
-        /// Row, column and value.
+        /// The row and column that is not valid, and its value.
         source: SplatsError,
     },
     /// A file cannot be written or read back.
@@ -44,7 +44,7 @@ pub enum ExportError {
     /// No splat is visible at this time.
     #[error("the scene has no visible splat at time {time}")]
     Empty {
-        /// Normalised time.
+        /// Normalised time of the scene.
         time: f32,
     },
 }

@@ -24,7 +24,7 @@ pub struct FolderTask {
     pub gt: PathBuf,
     /// Folder of masks, for masked scores of every image. It may hold more masks than there are images.
     pub mask: Option<PathBuf>,
-    /// Metrics of whole images.
+    /// Metrics that are computed over whole images.
     pub metrics: Vec<Metric>,
     /// Options of the temporal metric tOF, if the images are the frames of one video.
     pub tof: Option<TofOptions>,
@@ -40,17 +40,17 @@ pub struct FolderScores {
     /// Scores of images and their means.
     #[serde(flatten)]
     pub images: SetScores,
-    /// tOF, where asked for.
+    /// Temporal metric tOF; absent if not asked for.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tof: Option<VideoScore>,
     /// Conditions of the comparison, in words.
     pub protocol: String,
 }
 
-/// tOF of a video.
+/// Temporal metric tOF of a video.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct VideoScore {
-    /// Mean over pairs, pixels.
+    /// Mean of tOF over pairs, pixels.
     pub mean: f64,
     /// tOF of each pair of consecutive frames.
     pub pairs: Vec<PairScore>,
@@ -81,25 +81,25 @@ pub enum FolderError {
     /// A folder cannot be listed.
     #[error("cannot list the folder {}: {source}", folder.display())]
     List {
-        /// The folder.
+        /// The folder that was to be listed.
         folder: PathBuf,
-        /// The system's reason.
+        /// What the system said.
         source: std::io::Error,
     },
     /// A folder holds no images.
     #[error("the folder holds no image (give {extensions} files)")]
     Empty {
-        /// The folder.
+        /// The folder without an image.
         folder: PathBuf,
-        /// Extensions that are read.
+        /// Extensions of the files that are read.
         extensions: String,
     },
     /// Two files have the same name apart from the extension.
     #[error("two images have the same name: {} and {}", first.display(), second.display())]
     SameName {
-        /// The first file.
+        /// The first file of that name.
         first: PathBuf,
-        /// The second file.
+        /// The second file of that name.
         second: PathBuf,
     },
     /// Images have no counterpart in the other folder.
@@ -117,11 +117,11 @@ pub enum FolderError {
     /// A file is no image of 1, 3 or 4 channels.
     #[error("{what}")]
     Image {
-        /// The file.
+        /// The file that was read.
         path: PathBuf,
-        /// Description of its content.
+        /// What it holds, in words.
         what: String,
-        /// How to correct it.
+        /// How to correct it, as advice.
         remedy: &'static str,
     },
     /// A file cannot be read.
@@ -130,9 +130,9 @@ pub enum FolderError {
     /// A pair of images cannot be compared.
     #[error("{source}")]
     Metric {
-        /// The image.
+        /// The image under test.
         path: PathBuf,
-        /// The metric's reason.
+        /// Why the pair cannot be compared.
         source: MetricError,
     },
 }

@@ -6,7 +6,7 @@
 //! Ground truth is [`Dataset::extrapolate`]: its views up to the last time are scored, and a rendered frame with the camera and
 //! time of such a view has that view's scores.
 
-use gs_core::{Camera, Image, Time};
+use gs_core::{Camera, Image, Time, cast};
 use gs_data::{DataError, Dataset, ImageCache, Split};
 use gs_train::evaluate::{EvalError, EvalReport, ViewScores, clamped, evaluate};
 use gs_train::method::MethodError;
@@ -34,25 +34,25 @@ pub enum ForecastError {
     /// The end is not after the start, or not finite.
     #[error("there is nothing to forecast from {from} to {until}: the end must be later")]
     Empty {
-        /// Start, normalised.
+        /// Start of the forecast, normalised time.
         from: f64,
-        /// End, normalised.
+        /// End of the forecast, normalised time.
         until: f64,
     },
     /// There would be no frame, too many, or the interval is not positive.
     #[error("frames every {interval} from {from} to {until} are not possible: 1 to {MAX_FRAMES} are")]
     Frames {
-        /// Start, normalised.
+        /// Start of the forecast, normalised time.
         from: f64,
-        /// End, normalised.
+        /// End of the forecast, normalised time.
         until: f64,
-        /// Time between frames, normalised.
+        /// Time between frames, as a difference of normalised times.
         interval: f64,
     },
     /// There is no view of this name.
     #[error("no view is named \"{name}\"; there are {some}, …")]
     NoView {
-        /// The requested name.
+        /// The name that was asked for.
         name: String,
         /// Names of the first views.
         some: String,
@@ -94,7 +94,7 @@ pub fn times(from: f64, until: f64, spacing: Spacing) -> Result<Vec<f64>, Foreca
     if !(count >= 1.0 && count <= MAX_FRAMES as f64) {
         return Err(ForecastError::Frames { from, until, interval });
     }
-    Ok((1..=count as usize).map(|k| from + k as f64 * interval).collect())
+    Ok((1..=cast::to_usize(count)).map(|k| from + k as f64 * interval).collect())
 }
 
 /// The clock of the data: seconds `start + rate t` at normalised time `t`.
@@ -120,7 +120,7 @@ impl Clock {
 
     /// The [`Time`] of normalised time `t`; without a clock, seconds equal `t`.
     pub fn time(clock: Option<Self>, t: f64) -> Time {
-        Time { normalised: t as f32, seconds: clock.map_or(t, |c| c.start + c.rate * t) }
+        Time { normalised: cast::to_f32(t), seconds: clock.map_or(t, |c| c.start + c.rate * t) }
     }
 }
 
@@ -130,7 +130,7 @@ pub struct Frame {
     pub image: Image,
     /// Milliseconds to evaluate the splats at the time.
     pub motion_ms: f64,
-    /// Milliseconds to rasterise them.
+    /// Milliseconds to rasterise the splats.
     pub render_ms: f64,
 }
 
@@ -155,11 +155,11 @@ pub struct TimestampScores {
     pub time: f64,
     /// Normalised time since the last training time.
     pub beyond: f64,
-    /// Number of views.
+    /// Number of views at this time.
     pub views: usize,
     /// Mean PSNR, dB; absent where all views are perfect.
     pub psnr: Option<f64>,
-    /// Mean SSIM.
+    /// Mean SSIM over these views.
     pub ssim: f64,
     /// Mean PSNR within masks, dB; absent without masks.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -168,7 +168,7 @@ pub struct TimestampScores {
 
 /// Scores of the views beyond the last training time.
 pub struct Truth {
-    /// Scores of every view.
+    /// Scores of every view beyond the last training time.
     pub report: EvalReport,
     cameras: Vec<Camera>,
 }

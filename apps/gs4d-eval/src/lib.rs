@@ -5,9 +5,8 @@
 //! * [`segment`]: rigid parts; [`track`]: the path of one part; [`stage_motion`]: what each stage of a method moves.
 //! * [`export`]: plain splats per timestamp (`.ply`, `.splat`, `.spz`, `.glb`) and the PSNR this costs.
 //! * [`spread`]: mean and standard deviation of scores.
-
 #![warn(unreachable_pub)]
-#![warn(clippy::allow_attributes_without_reason)]
+#![cfg_attr(not(test), warn(clippy::cast_possible_truncation))]
 
 pub mod compare;
 pub mod export;

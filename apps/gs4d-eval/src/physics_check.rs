@@ -7,6 +7,7 @@
 
 use crate::particles::Particles;
 use glam::{DVec3, Vec3};
+use gs_core::cast;
 use gs_physics::{Integrator, Motion, Rollout};
 use gs_synth::Truth;
 use serde::{Serialize, Serializer};
@@ -45,7 +46,7 @@ impl PhysicsOptions {
 pub struct ErrorStats {
     /// Median length of the true vector.
     pub truth: f64,
-    /// Median of the error.
+    /// Median over particles of the error.
     pub median: f64,
     /// 95th percentile of the error.
     pub p95: f64,
@@ -80,7 +81,7 @@ impl Serialize for ErrorStats {
 /// Quantile of magnitudes by nearest rank; NaN sorts last, no values give 0.
 fn quantile(values: &mut [f64], share: f64) -> f64 {
     values.sort_unstable_by(|a, b| a.abs().total_cmp(&b.abs()));
-    let rank = (share * values.len() as f64).ceil() as usize;
+    let rank = cast::to_usize((share * values.len() as f64).ceil());
     values.get(rank.max(1) - 1).copied().unwrap_or(0.0)
 }
 
@@ -95,9 +96,9 @@ pub struct BodyErrors {
     pub w: ErrorStats,
     /// `ū(x)` at the particle, world units per unit of time squared.
     pub acceleration: ErrorStats,
-    /// `v̄'`: rate of `v̄`.
+    /// Rate `v̄'` of the velocity `v̄`, per unit of time.
     pub v_rate: ErrorStats,
-    /// `w'`: rate of `w`.
+    /// Rate `w'` of the rotation vector `w`, per unit of time.
     pub w_rate: ErrorStats,
     /// Displacement from the time of the particles to each time of [`PhysicsOptions::times`], world units: its error is that of
     /// the position.
@@ -107,7 +108,7 @@ pub struct BodyErrors {
 /// The comparison with one body.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct BodyReport {
-    /// Name of the body.
+    /// Name of the body in the generated scene.
     pub name: &'static str,
     /// Number of particles on its surface.
     pub particles: usize,
@@ -122,9 +123,9 @@ pub struct PhysicsReport {
     pub scene: &'static str,
     /// Normalised time of the particles.
     pub at: f64,
-    /// Options of the comparison.
+    /// Options that the comparison was made with.
     pub options: PhysicsOptions,
-    /// Number of particles.
+    /// Number of particles of the model.
     pub particles: usize,
     /// Number of particles of at least the least opacity.
     pub opaque: usize,

@@ -47,7 +47,7 @@ pub enum SegmentError {
     /// A ground-truth label image cannot be used.
     #[error("labels of view `{view}`: {why}")]
     Labels {
-        /// Name of the view.
+        /// Name of the view in the data set.
         view: String,
         /// What is wrong with its labels.
         why: String,
@@ -58,7 +58,7 @@ pub enum SegmentError {
     /// A label image cannot be decoded, or has the wrong size.
     #[error(transparent)]
     Data(#[from] DataError),
-    /// Masks cannot be scored.
+    /// Rendered masks cannot be scored against labels.
     #[error(transparent)]
     Metric(#[from] MetricError),
 }

@@ -13,9 +13,9 @@ use serde::Serialize;
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Spread {
-    /// Arithmetic mean.
+    /// Arithmetic mean of the values.
     pub mean: f64,
-    /// Sample standard deviation.
+    /// Sample standard deviation, over n − 1; 0 for one value.
     pub deviation: f64,
 }
 

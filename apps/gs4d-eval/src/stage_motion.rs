@@ -7,7 +7,7 @@
 //! splat `i` has in the render at pixel `p`. The rasteriser computes the sums, with displacements for colours.
 
 use glam::{DVec2, DVec3, Vec3};
-use gs_core::{Camera, Color, Image, Splats};
+use gs_core::{Camera, Color, Image, Splats, cast};
 use gs_metrics::MetricError;
 use gs_metrics::flow::{Flow, farneback};
 use serde::{Deserialize, Serialize};
@@ -59,7 +59,7 @@ pub fn model_motion(
         (point.z > near).then(|| camera.to_pixel(point))
     };
     let moved = |(now, was): (&Vec3, &Vec3)| match project(*now).zip(project(*was)) {
-        Some((now, was)) => [(now.x - was.x) as f32, (now.y - was.y) as f32, 1.0],
+        Some((now, was)) => [cast::to_f32(now.x - was.x), cast::to_f32(now.y - was.y), 1.0],
         None => [0.0, 0.0, 1.0],
     };
     let mut colored = splats.clone();

@@ -25,7 +25,7 @@ pub enum TemporalError {
     /// The views are not of one camera.
     #[error("tOF needs the views of one camera: {first} and {second} are of different ones")]
     Cameras {
-        /// Name of a view.
+        /// Name of a view of one camera.
         first: String,
         /// Name of a view of another camera.
         second: String,
@@ -33,9 +33,9 @@ pub enum TemporalError {
     /// Two views have the same time.
     #[error("tOF needs one view per time: {first} and {second} have the same time")]
     SameTime {
-        /// Name of a view.
+        /// Name of the first view.
         first: String,
-        /// Name of another view.
+        /// Name of the other view at the same time.
         second: String,
     },
     /// The views are too far apart in time.
@@ -53,12 +53,12 @@ pub enum TemporalError {
     /// A ground-truth image cannot be read.
     #[error(transparent)]
     Data(#[from] DataError),
-    /// Frames cannot be compared.
+    /// The metric refuses the frames of a view.
     #[error("view {view}: {source}")]
     Metric {
-        /// Name of the view.
+        /// Name of the view in the data set.
         view: String,
-        /// The metric's reason.
+        /// Why its frames cannot be compared.
         source: MetricError,
     },
 }

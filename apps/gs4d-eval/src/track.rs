@@ -5,7 +5,7 @@
 //! is used. The offset of the centroid at that time is part of the error.
 
 use glam::{DMat3, DVec3};
-use gs_core::{Camera, Splats, Time};
+use gs_core::{Camera, Splats, Time, cast};
 use gs_data::{Dataset, Split};
 use gs_train::method::MethodError;
 use gs_train::model::Model;
@@ -29,27 +29,27 @@ pub enum TrackError {
     /// The file cannot be read.
     #[error("cannot read {path}: {why}")]
     Read {
-        /// The file.
+        /// Path of the track, as given.
         path: String,
-        /// The system's reason.
+        /// What the system said.
         why: String,
     },
     /// A line is not `frame,x,y,z`.
     #[error("{path}, line {line}: \"{text}\" is not frame,x,y,z with finite numbers")]
     Line {
-        /// The file.
+        /// Path of the track, as given.
         path: String,
         /// Number of the line, from 1.
         line: usize,
-        /// Content of the line.
+        /// The line as the file holds it.
         text: String,
     },
     /// No splat is near the track at the last training time.
     #[error("no splat lies within {radius} of the track at time {t}; give a larger radius, or train longer")]
     Nothing {
-        /// The radius, world units.
+        /// Radius around the track, world units.
         radius: f64,
-        /// Normalised time.
+        /// The last training time, normalised.
         t: f32,
     },
     /// The track has more frames than the data have times.
@@ -80,7 +80,7 @@ impl Track {
         let lines = lines(path)?;
         let first = lines.iter().map(|l| l.0).fold(f64::INFINITY, f64::min);
         let place = |(frame, x): (f64, DVec3)| {
-            let time = moments.get((frame - first).round() as usize);
+            let time = moments.get(cast::to_usize((frame - first).round()));
             time.map(|t| (*t, x)).ok_or(TrackError::Beyond { frame, moments: moments.len() })
         };
         let mut places = lines.into_iter().map(place).collect::<Result<Vec<_>, _>>()?;
@@ -111,7 +111,7 @@ fn lines(path: &Path) -> Result<Vec<(f64, DVec3)>, TrackError> {
 /// The position of the body at one time of the track.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct TrackPoint {
-    /// Normalised time.
+    /// Normalised time of the point.
     pub t: f32,
     /// Seconds on the clock of the data.
     pub seconds: f64,

@@ -5,9 +5,7 @@
 //! * [`people`]: avatars (method `dut`): texture sizes, wrong poses, fewer views, unseen motion and light, ablations.
 //! * [`glmd`]: the motion added by each stage of a method, in images and numbers (MoDec-GS, figures 8 and 9).
 //! * [`mod@bench`]: speed against error on this machine.
-
 #![warn(unreachable_pub)]
-#![warn(clippy::allow_attributes_without_reason)]
 
 pub mod bench;
 pub mod contest;

@@ -7,7 +7,7 @@ use gs_core::Image;
 /// A histogram over training steps.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct HeatMap {
-    /// Name of the attribute.
+    /// Name of the attribute shown.
     pub name: String,
     /// Values at the lower and the upper edge of the image.
     pub span: [f32; 2],

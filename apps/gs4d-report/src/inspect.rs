@@ -14,7 +14,7 @@ pub const ROWS_LISTED: usize = 20;
 /// A summary of splats, non-finite ones included.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SplatSummary {
-    /// Number of splats.
+    /// Number of splats, rows of every column.
     pub splats: usize,
     /// SH degree, 0 to 3.
     pub sh_degree: u8,
@@ -37,21 +37,21 @@ pub struct SplatSummary {
 /// Quantiles of one quantity over its finite values, by nearest rank; all zero if there are none.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Column {
-    /// Name of the quantity.
+    /// Name of the quantity, for example `opacity`.
     pub name: &'static str,
-    /// Smallest value.
+    /// Smallest finite value.
     pub min: f32,
-    /// 1st percentile.
+    /// 1st percentile of the finite values.
     pub q01: f32,
-    /// 25th percentile.
+    /// 25th percentile of the finite values.
     pub q25: f32,
-    /// 50th percentile.
+    /// 50th percentile of the finite values.
     pub median: f32,
-    /// 75th percentile.
+    /// 75th percentile of the finite values.
     pub q75: f32,
-    /// 99th percentile.
+    /// 99th percentile of the finite values.
     pub q99: f32,
-    /// Largest value.
+    /// Largest finite value.
     pub max: f32,
 }
 
@@ -109,7 +109,7 @@ impl SplatSummary {
         }
     }
 
-    /// A text table.
+    /// The summary as a table for a terminal.
     pub fn to_text(&self) -> String {
         use std::fmt::Write as _;
         let mut out = format!(
@@ -140,7 +140,7 @@ impl SplatSummary {
 pub struct BlockSummary {
     /// Name of the tensor in the checkpoint.
     pub name: String,
-    /// Number of values.
+    /// Number of values of the tensor.
     pub values: usize,
     /// Number of values that are not finite.
     pub non_finite: usize,
@@ -153,7 +153,7 @@ pub struct BlockSummary {
 }
 
 impl BlockSummary {
-    /// Summarises a tensor.
+    /// Summarises one tensor of a checkpoint.
     pub fn of(name: &str, values: &[f32]) -> Self {
         let column = Column::of("", values.iter().copied());
         let non_finite = values.iter().filter(|v| !v.is_finite()).count();

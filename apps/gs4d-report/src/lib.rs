@@ -12,9 +12,7 @@
 //! assert!(html.starts_with("<!doctype html>") && html.contains("31.42 dB") && html.contains("&lt;black&gt;"));
 //! # Ok::<(), gs4d_report::ReportError>(())
 //! ```
-
 #![warn(unreachable_pub)]
-#![warn(clippy::allow_attributes_without_reason)]
 
 pub mod analysis;
 pub mod chart;
@@ -50,7 +48,7 @@ pub struct Report {
     pub title: String,
     /// One sentence below the heading.
     pub subtitle: String,
-    /// Headline figures.
+    /// Figures shown on cards below the heading.
     pub figures: Vec<Figure>,
     /// Conditions of the scores: split, number of views, size, background, mask.
     pub conditions: String,
@@ -99,9 +97,9 @@ pub struct Report {
 /// A headline figure on a card.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Figure {
-    /// For example `31.42 dB`.
+    /// Value with its unit, for example `31.42 dB`.
     pub value: String,
-    /// For example `PSNR`.
+    /// Name of the value, for example `PSNR`.
     pub name: String,
     /// For example `mean of 20 test views over black`.
     pub remark: String,
@@ -110,7 +108,7 @@ pub struct Figure {
 /// A sample of a training curve.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
-    /// Optimizer step, from 1.
+    /// Number of the optimizer step, from 1.
     pub step: f64,
     /// Seconds of training up to this step.
     pub seconds: f64,
@@ -127,7 +125,7 @@ pub struct Comparison {
     pub caption: String,
     /// Ground truth, `[H, W, 3]`.
     pub truth: Image,
-    /// Render, `[H, W, 3]`.
+    /// Rendered image, `[H, W, 3]`, values in `[0, 1]`.
     pub render: Image,
 }
 

@@ -18,7 +18,7 @@ pub struct OverlayFigure {
     pub name: String,
     /// RGB in `[0, 1]`, `[H, W, 3]`.
     pub image: Image,
-    /// Meaning of the colours.
+    /// What the colours mean.
     pub legend: Legend,
     /// Histogram of the attribute over all splats, on the legend's span.
     pub histogram: Option<Histogram>,
@@ -31,7 +31,7 @@ pub enum Legend {
     Numbers(Ramp, [String; 3]),
     /// A colour and a label for each kind.
     Kinds(Vec<([f32; 3], String)>),
-    /// An explanation in words.
+    /// What the colours mean, in a sentence.
     Words(String),
 }
 

@@ -54,7 +54,7 @@ impl Storage {
         4 * self.blocks.iter().map(|b| b.values).sum::<usize>()
     }
 
-    /// A text table.
+    /// The blocks and their sizes as a table for a terminal.
     pub fn to_text(&self) -> String {
         let mb = |bytes: usize| format!("{:.3}", bytes as f64 / 1e6);
         let mut out = format!("{:30}{:>12}{:>12}{:>12}\n", "storage", "values", "f32 MB", "f16 MB");

@@ -30,11 +30,11 @@ pub const SMALL: usize = 64;
 /// Number of values of a shared block that have a quantisation range in common.
 const GROUP: usize = 256;
 
-/// Bits per value.
+/// Bits per value that a file is packed with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(into = "u8")]
 pub enum Bits {
-    /// 32-bit floats.
+    /// 32-bit floats, no value rounded.
     Full,
     /// 16-bit floats; positions in 16-bit fixed point.
     Half,
@@ -55,7 +55,7 @@ impl From<Bits> for u8 {
 /// How a scene is packed.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Packing {
-    /// Bits per value.
+    /// Bits per value of blocks that may be rounded.
     pub bits: Bits,
     /// Whether to deflate blocks that become smaller by it.
     pub deflate: bool,
@@ -79,16 +79,16 @@ pub struct CompactTensor {
 /// A scene to be packed: the configuration that builds its method, and its blocks.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CompactScene {
-    /// The method's resolved configuration.
+    /// Resolved configuration that builds the method.
     pub config: toml::Table,
-    /// Everything needed for rendering.
+    /// Every tensor that rendering needs.
     pub tensors: Vec<CompactTensor>,
 }
 
 /// The sizes of a compact file.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CompactReport {
-    /// Encoding of the file.
+    /// Bits and deflation that the file was packed with.
     pub packing: Packing,
     /// Size of the file in bytes.
     pub file_bytes: usize,
@@ -103,9 +103,9 @@ pub struct CompactReport {
 pub struct CompactBlock {
     /// Name of the block, for example `field.planes`.
     pub block: String,
-    /// Number of values.
+    /// Number of values in the block.
     pub values: usize,
-    /// Encoded bytes.
+    /// Bytes of the block in the file.
     pub bytes: usize,
 }
 
@@ -207,7 +207,7 @@ impl CompactTensor {
 }
 
 impl CompactReport {
-    /// A text table.
+    /// The blocks and their sizes as a table for a terminal.
     pub fn to_text(&self) -> String {
         let mut out = format!("{:26}{:>12}{:>12}{:>12}{:>8}\n", "", "values", "f32", "packed", "bits");
         for b in &self.blocks {

@@ -34,7 +34,7 @@ const NOT_RECIPE: [&str; 8] = [
     "run.image_mib",
 ];
 
-/// Options of a comparison.
+/// What is compared: the views of a split over a background.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Options {
     /// The split whose views are compared.
@@ -52,17 +52,17 @@ pub struct Row {
     pub name: String,
     /// Where it was read from.
     pub path: String,
-    /// Name of its method.
+    /// Name of the run's method.
     pub method: String,
-    /// Name of its preset.
+    /// Name of the run's preset.
     pub preset: String,
     /// Seed of its random numbers.
     pub seed: u64,
-    /// Optimizer steps made.
+    /// Optimizer steps made in the run.
     pub step: u32,
     /// Milliseconds of a frame on this machine: field and rasterisation, the median of five.
     pub ms_per_frame: f64,
-    /// Scores of its views.
+    /// Scores of the views of the split.
     pub scores: EvalReport,
     /// PSNR of its renders against those of the first run, from the mean error over all views, dB; absent if equal.
     pub psnr_to_first: Option<f64>,
@@ -73,11 +73,11 @@ pub struct Row {
 /// PSNR of a run minus that of the first run, view by view, dB.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Paired {
-    /// Name of the run.
+    /// Short name of the run.
     pub name: String,
     /// Mean over views and their standard deviation (views, not seeds).
     pub over_views: Option<Spread>,
-    /// Smallest and largest difference.
+    /// Smallest and largest difference over views, dB.
     pub range: Option<[f64; 2]>,
     /// Number of views with a higher PSNR than in the first run.
     pub better: usize,
@@ -88,9 +88,9 @@ pub struct Paired {
 /// A view in all runs.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ViewRow {
-    /// Name of the view.
+    /// Name of the view in the data set.
     pub name: String,
-    /// Normalised time.
+    /// Normalised time of the view.
     pub time: f32,
     /// PSNR of each run, dB; absent for a perfect view.
     pub psnr: Vec<Option<f64>>,
@@ -101,7 +101,7 @@ pub struct ViewRow {
 /// A setting whose values differ between runs.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct DifferingSetting {
-    /// Dotted key.
+    /// Dotted key of the setting, such as `schedule.batch`.
     pub key: String,
     /// Its value in each run; absent where the run has no such setting.
     pub values: Vec<Option<String>>,

@@ -15,6 +15,7 @@
 //! # Ok::<(), gs4d_run::config::ConfigError>(())
 //! ```
 
+use gs_core::cast;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
@@ -48,9 +49,9 @@ impl fmt::Display for Source {
 /// A value with its source.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Setting {
-    /// The value as TOML.
+    /// The value, of the type that its default has.
     pub value: Value,
-    /// Source of the value.
+    /// Where the value was set.
     pub source: Source,
     /// Meaning and published source of the default; empty without a comment in the defaults.
     pub about: String,
@@ -67,12 +68,12 @@ pub struct Config {
 /// Settings that are not valid.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ConfigError {
-    /// The key is unknown.
+    /// No setting has this key.
     #[error("unknown setting `{key}` ({origin}){}", hint(near))]
     Unknown {
-        /// The key as given.
+        /// The key as it was given.
         key: String,
-        /// Where it was given.
+        /// Where the key was given.
         origin: Source,
         /// The nearest key, or the keys of the section.
         near: Vec<String>,
@@ -80,19 +81,19 @@ pub enum ConfigError {
     /// The value has the wrong type.
     #[error("setting `{key}` ({origin}) must be {want}, got {got}")]
     Kind {
-        /// Dotted key.
+        /// Dotted key of the setting.
         key: String,
-        /// Where it was given.
+        /// Where the value was given.
         origin: Source,
         /// The type needed, in words.
         want: &'static str,
-        /// The value as given.
+        /// The value as it was given.
         got: String,
     },
     /// The text is not TOML.
     #[error("{origin}: {why}")]
     Syntax {
-        /// Where it was given.
+        /// Where the text was given.
         origin: Source,
         /// The parser's reason, with line and column.
         why: String,
@@ -389,8 +390,8 @@ fn like_array(old: &[Value], new: &Value) -> Option<Value> {
 /// TOML text of a value. A float that is exactly an `f32` is printed with the digits of the `f32`.
 fn show(value: &Value) -> String {
     match value {
-        Value::Float(f) if f64::from(*f as f32) == *f => {
-            Value::Float((*f as f32).to_string().parse().unwrap_or(*f)).to_string()
+        Value::Float(f) if f64::from(cast::to_f32(*f)) == *f => {
+            Value::Float(cast::to_f32(*f).to_string().parse().unwrap_or(*f)).to_string()
         }
         Value::Array(members) => format!("[{}]", members.iter().map(show).collect::<Vec<_>>().join(", ")),
         other => other.to_string(),

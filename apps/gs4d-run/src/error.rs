@@ -17,7 +17,7 @@ pub enum RunError {
     /// The folder is not empty.
     #[error("{} {}", path.display(), if *is_run { "holds a run already" } else { "holds files that are not a run's" })]
     Occupied {
-        /// The folder.
+        /// The folder a run was to begin in.
         path: PathBuf,
         /// Whether it holds an older run, which can be overwritten on request.
         is_run: bool,
@@ -25,19 +25,19 @@ pub enum RunError {
     /// The folder holds no run.
     #[error("{} is no run folder: it has no {}", path.display(), super::folder::CONFIG)]
     NotARun {
-        /// The folder.
+        /// The folder without a run.
         path: PathBuf,
     },
     /// A checkpoint without settings, outside of a run folder.
     #[error("{} holds no settings and lies in no run folder", path.display())]
     NoSettings {
-        /// The file.
+        /// The checkpoint file without settings.
         path: PathBuf,
     },
     /// Another process holds the lock of the folder.
     #[error("another process is writing to {}", path.display())]
     Busy {
-        /// The folder.
+        /// The folder with the lock.
         path: PathBuf,
     },
     /// The requested rounds of continual training are not possible.
@@ -46,20 +46,20 @@ pub enum RunError {
     /// The requested number of steps is not possible.
     #[error("{0}")]
     Steps(String),
-    /// A file-system operation failed.
+    /// The file system refused to do `action` with `path`.
     #[error("cannot {action} {}: {source}", path.display())]
     Os {
         /// The operation, as a verb.
         action: &'static str,
-        /// File or folder.
+        /// File or folder that was used.
         path: PathBuf,
-        /// The system's reason.
+        /// What the system said.
         source: io::Error,
     },
     /// A file could not be written or read.
     #[error(transparent)]
     Io(#[from] IoError),
-    /// Settings are not valid.
+    /// A setting is unknown or has a wrong value.
     #[error(transparent)]
     Config(#[from] ConfigError),
     /// The data cannot be used.
@@ -71,10 +71,10 @@ pub enum RunError {
     /// A checkpoint cannot be written or read.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
-    /// A training step failed.
+    /// A training step failed, or the run cannot be resumed.
     #[error(transparent)]
     Train(#[from] TrainError),
-    /// An evaluation failed.
+    /// A view cannot be rendered or scored.
     #[error(transparent)]
     Eval(#[from] EvalError),
     /// The report cannot be rendered.

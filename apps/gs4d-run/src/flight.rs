@@ -1,7 +1,7 @@
 //! A smooth camera path through given cameras.
 
 use glam::{DMat3, DQuat, DVec3, DVec4};
-use gs_core::Camera;
+use gs_core::{Camera, cast};
 use gs_data::View;
 
 /// Most cameras on a path through views.
@@ -70,7 +70,7 @@ impl Flight {
     pub fn at(&self, share: f64) -> Camera {
         let last = self.keys.len() - 1;
         let way = share.clamp(0.0, 1.0) * last as f64;
-        let i = (way as usize).min(last - 1);
+        let i = cast::to_usize(way).min(last - 1);
         let u = way - i as f64;
         let key = |k: isize| self.keys[(i as isize + k).clamp(0, last as isize) as usize];
         let around = [key(-1), key(0), key(1), key(2)];

@@ -30,7 +30,7 @@ pub const LOG: &str = "log.jsonl";
 pub const HISTOGRAMS: &str = "histograms.jsonl";
 /// File of the method's events (moves of interval boundaries, for example), one JSON object per line.
 pub const JOURNAL: &str = "journal.jsonl";
-/// File of the scores.
+/// File of the scores of the finished run.
 pub const METRICS: &str = "metrics.json";
 /// File of the HTML report.
 pub const REPORT: &str = "report.html";
@@ -101,7 +101,7 @@ impl RunFolder {
         Ok(Self { _lock: Some(lock(root)?), ..folder })
     }
 
-    /// Path of the folder.
+    /// Path of the folder, as it was opened.
     pub fn root(&self) -> &Path {
         &self.root
     }

@@ -4,9 +4,8 @@
 //! * [`training`]: the loop with log, checkpoints and evaluations; [`opened`]: a run read back.
 //! * [`orbit`], [`flight`]: camera paths.
 //! * [`compact`]: a scene in fewer bytes; [`compare`]: runs on the same data, view by view.
-
 #![warn(unreachable_pub)]
-#![warn(clippy::allow_attributes_without_reason)]
+#![cfg_attr(not(test), warn(clippy::cast_possible_truncation))]
 
 pub mod compact;
 pub mod compare;

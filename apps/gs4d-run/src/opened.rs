@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 /// A run, open for reading.
 pub struct OpenRun {
     folder: Option<RunFolder>,
-    /// The run's settings.
+    /// Settings of the run, resolved as they were in training.
     pub resolved: Resolved,
     /// The model, its step and seconds of training.
     pub loaded: Loaded,

@@ -1,6 +1,6 @@
 //! Overlays of a view: renders of the splats coloured by scalar attributes, directions and rigid parts.
 
-use gs_core::{Camera, Color, Splats, SplatsRef};
+use gs_core::{Camera, Color, Splats, SplatsRef, cast};
 use gs_data::View;
 use gs_raster::RasterOptions;
 use gs_train::capabilities::{Overlay, Quantity};
@@ -80,7 +80,7 @@ fn parts_figure(
 fn within(q: &Quantity) -> (Quantity, bool) {
     let mut sorted: Vec<f32> = q.values.iter().copied().filter(|v| v.is_finite()).collect();
     sorted.sort_by(f32::total_cmp);
-    let share = |s: f64| sorted.get((s * sorted.len().saturating_sub(1) as f64).round() as usize).copied();
+    let share = |s: f64| sorted.get(cast::to_usize((s * sorted.len().saturating_sub(1) as f64).round())).copied();
     match (q.range, share(SPAN_QUANTILES[0]).zip(share(SPAN_QUANTILES[1]))) {
         (None, Some((low, high))) if low < high => {
             let clipped = sorted.first() < Some(&low) || sorted.last() > Some(&high);
@@ -105,7 +105,7 @@ fn number(v: f32) -> String {
     match v.abs() {
         0.0 => "0".to_owned(),
         a if (1e-3..1e4).contains(&a) => {
-            let digits = (2.0 - a.log10().floor()).clamp(0.0, 6.0) as usize;
+            let digits = cast::to_usize((2.0 - a.log10().floor()).clamp(0.0, 6.0));
             let text = format!("{v:.digits$}");
             if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
         }

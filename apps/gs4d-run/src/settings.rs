@@ -15,21 +15,21 @@ use toml::{Table, Value};
 
 const RUN_DEFAULTS: &str = include_str!("defaults.toml");
 
-/// The section `[run]`.
+/// Section `[run]`: what is trained, and what is written when.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RunSettings {
-    /// Name of the method.
+    /// Name of the method, one of the registry.
     pub method: String,
-    /// Name of the preset.
+    /// Name of a preset of the method.
     pub preset: String,
-    /// Folder of the data.
+    /// Folder of the data set.
     pub data: String,
     /// Seed of all random numbers.
     pub seed: u64,
     /// Steps between lines of the log.
     pub log_every: u32,
-    /// Steps between checkpoints.
+    /// Steps between two checkpoints.
     pub checkpoint_every: u32,
     /// Steps between histograms of the splats' quantities; 0: none.
     pub histogram_every: u32,
@@ -53,9 +53,9 @@ impl RunSettings {
 /// A request for settings, as given on the command line.
 #[derive(Clone, Debug, Default)]
 pub struct Request {
-    /// Name of the method.
+    /// Name of the method, one of the registry.
     pub method: String,
-    /// Name of the preset.
+    /// Name of a preset of the method.
     pub preset: String,
     /// Folder of the data; `None` to resolve settings only.
     pub data: Option<PathBuf>,
@@ -67,22 +67,22 @@ pub struct Request {
     pub time_budget: Option<f64>,
     /// Seed of all random numbers.
     pub seed: Option<u64>,
-    /// Assignments `key=value`, applied last.
+    /// Assignments `key=value` that win over presets and defaults.
     pub sets: Vec<String>,
 }
 
-/// Complete and validated settings.
+/// Complete and validated settings of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Resolved {
     /// The available methods; `run.method` is one of them.
     pub registry: Registry,
     /// Every value with its source.
     pub config: Config,
-    /// The section `[run]`.
+    /// Section `[run]`, with every default filled in.
     pub run: RunSettings,
-    /// The section `[data]`.
+    /// Section `[data]`: options of the reader.
     pub data: DataOptions,
-    /// The method's own sections.
+    /// All other sections, those of the method.
     pub method: Table,
 }
 
@@ -238,7 +238,10 @@ fn stretch(config: &mut Config, total: u32) -> Result<(), RunError> {
     if total == 0 || before == 0 {
         return Err(RunError::Steps("--steps must be at least 1, and the recipe must have steps".into()));
     }
-    let scaled = |steps: u64| (u128::from(steps) * u128::from(total)).div_ceil(u128::from(before)) as i64;
+    let scaled = |steps: u64| {
+        let steps = (u128::from(steps) * u128::from(total)).div_ceil(u128::from(before));
+        i64::try_from(steps).unwrap_or(i64::MAX)
+    };
     // Borders of stages are rounded, so that the stages add up exactly.
     let (mut border, mut done) = (0u64, 0i64);
     for (key, steps) in &stages {

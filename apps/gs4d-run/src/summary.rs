@@ -156,7 +156,7 @@ fn figures(m: &ReportInput, renderer: &mut Renderer, view: &View, camera: &Camer
         ),
         figure(format!("{:.1} s", s.train_seconds.unwrap_or(0.0)), "training", format!("{} steps", m.step)),
         figure(s.gaussians.to_string(), "splats", "in the canonical cloud".into()),
-        figure(bytes_text(s.parameter_bytes as usize), "scene", "parameters as f32".into()),
+        figure(bytes_text(s.parameter_bytes.try_into().unwrap_or(usize::MAX)), "scene", "parameters as f32".into()),
         figure(format!("{:.2} ms", 1e3 * frame), "per frame", size),
     ]);
     Ok(figures)

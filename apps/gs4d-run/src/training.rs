@@ -48,19 +48,19 @@ pub enum Outcome {
 /// The progress of a run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Progress {
-    /// Optimizer steps made.
+    /// Optimizer steps made so far.
     pub step: u32,
-    /// Steps of the schedule.
+    /// Steps of the whole schedule.
     pub steps: u32,
     /// Loss, averaged over the steps since the last line of the log.
     pub loss: f64,
     /// PSNR of the training views since then, dB.
     pub psnr: f64,
-    /// Number of splats.
+    /// Number of splats after the step, at most.
     pub splats: usize,
     /// Gradient rows refused since then.
     pub quarantined: u64,
-    /// Seconds of training.
+    /// Seconds spent in training so far.
     pub seconds: f64,
 }
 
@@ -367,12 +367,12 @@ impl Training {
         &self.trainer
     }
 
-    /// The run's settings.
+    /// Settings of the run, resolved once.
     pub fn resolved(&self) -> &Resolved {
         &self.resolved
     }
 
-    /// The run's folder.
+    /// Folder that the run writes to.
     pub fn folder(&self) -> &RunFolder {
         &self.folder
     }

@@ -2,6 +2,7 @@
 
 use crate::shot::Shot;
 use glam::Vec3;
+use gs_core::cast;
 use serde_json::{Value, json};
 
 /// Most arrows.
@@ -31,7 +32,7 @@ pub(crate) fn arrows(shot: &Shot) -> Result<Value, String> {
     let half = HALF_STEP * shot.show.interval();
     let at = |d: f32| shot.scene.all_splats(shot.time + d, camera);
     let (before, after) = (at(-half)?, at(half)?);
-    let seconds = 2.0 * half * shot.show.seconds() as f32;
+    let seconds = 2.0 * half * cast::to_f32(shot.show.seconds());
     let shift = |i: usize| Some(*after.means.get(i)? - *before.means.get(i)?);
     let velocity = |i: usize| shift(i).unwrap_or_default() / seconds.max(f32::MIN_POSITIVE);
     let velocities: Vec<Vec3> = some.iter().map(|&i| velocity(i)).collect();

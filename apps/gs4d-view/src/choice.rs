@@ -4,6 +4,7 @@ use crate::legend::histogram;
 use crate::question::{Choice, Part};
 use crate::shot::{MIN_OPACITY, SelectionCache, Shot};
 use crate::stage::Stage;
+use gs_core::cast;
 use gs_core::io::RawSplats;
 use gs_core::io::ply;
 use gs_train::renderer::file_stem;
@@ -24,7 +25,7 @@ pub(crate) fn describe(
     let splats = shot.all_splats()?;
     let inside: Vec<usize> = (0..splats.len()).filter(|&i| is_chosen(&members, i)).collect();
     let of = |value: &dyn Fn(usize) -> f32| inside.iter().map(|&i| value(i)).collect::<Vec<f32>>();
-    let depth = |i: usize| shot.camera.to_camera(splats.means[i].as_dvec3()).z as f32;
+    let depth = |i: usize| cast::to_f32(shot.camera.to_camera(splats.means[i].as_dvec3()).z);
     let mut spread = vec![
         histogram("opacity", "", Some([0.0, 1.0]), &of(&|i| splats.opacities[i])),
         histogram("largest scale", "world units", None, &of(&|i| splats.scales[i].max_element())),

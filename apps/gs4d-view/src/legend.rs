@@ -1,5 +1,6 @@
 //! Legends: name, unit, range, histogram and colours of the values shown.
 
+use gs_core::cast;
 use gs_train::palette::color_scale;
 use serde_json::{Value, json};
 
@@ -19,7 +20,7 @@ pub(crate) fn histogram(name: &str, unit: &str, span: Option<[f32; 2]>, values: 
     let mut bars = [0u32; BARS];
     for v in known() {
         let at = (v - low) / (high - low).max(1e-12) * BARS as f32;
-        bars[(at.max(0.0) as usize).min(BARS - 1)] += 1;
+        bars[cast::to_usize(at).min(BARS - 1)] += 1;
     }
     json!({"name": name, "unit": unit, "low": low, "high": high, "bars": bars})
 }
@@ -38,7 +39,7 @@ pub(crate) fn grey(name: &str, values: &[f32]) -> Value {
 pub(crate) fn named(name: &str, words: &str, labels: &[u32], k: usize, color: impl Fn(u32) -> [f32; 3]) -> Value {
     let mut bars = vec![0u32; k];
     labels.iter().filter_map(|l| usize::try_from(*l).ok()).filter(|l| *l < k).for_each(|l| bars[l] += 1);
-    let colors: Vec<String> = (0..k as u32).map(|label| hexadecimal(color(label))).collect();
+    let colors: Vec<String> = (0..cast::to_u32(k)).map(|label| hexadecimal(color(label))).collect();
     json!({"name": name, "words": words, "bars": bars, "colors": colors})
 }
 
@@ -49,7 +50,7 @@ fn colored(mut legend: Value, color: impl Fn(f32) -> [f32; 3]) -> Value {
 }
 
 fn hexadecimal(color: [f32; 3]) -> String {
-    let [r, g, b] = color.map(|v| (v * 255.0).round() as u8);
+    let [r, g, b] = color.map(|v| cast::to_u8((v * 255.0).round()));
     format!("#{r:02x}{g:02x}{b:02x}")
 }
 

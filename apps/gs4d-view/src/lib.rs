@@ -10,9 +10,8 @@
 //! * [`Feed`]: a run while it trains.
 //!
 //! One page of plain HTML, script and style is embedded; nothing is loaded from elsewhere.
-
 #![warn(unreachable_pub)]
-#![warn(clippy::allow_attributes_without_reason)]
+#![cfg_attr(not(test), warn(clippy::cast_possible_truncation))]
 
 mod arrows;
 mod checkpoints;
@@ -38,14 +37,14 @@ pub use stage::{Show, Stage};
 /// Why a viewer cannot start.
 #[derive(Debug, thiserror::Error)]
 pub enum ViewError {
-    /// No free port.
+    /// No port of the range is free.
     #[error("no free port from {first} to {last} on {host}: {source}")]
     Port {
-        /// Address to listen at.
+        /// Address the server was to listen at.
         host: std::net::IpAddr,
-        /// First port tried.
+        /// First port that was tried.
         first: u16,
-        /// Last port tried.
+        /// Last port that was tried.
         last: u16,
         /// Error of the last port.
         source: std::io::Error,

@@ -9,7 +9,7 @@ use crate::pose::inputs;
 use crate::question::{Look, MAX_PIXELS, Question, Target};
 use crate::shot::{MIN_OPACITY, SelectionCache, Shot};
 use crate::stage::{Show, Stage};
-use gs_core::{Camera, Color, Image, Splats};
+use gs_core::{Camera, Color, Image, Splats, cast};
 use gs_metrics::psnr;
 use gs_raster::{Frame, RasterOptions, Workspace, blend_counts, render_into};
 use gs_train::evaluate::clamped;
@@ -147,7 +147,7 @@ impl Renderer {
         let depths: Vec<f32> = frame.depth.iter().zip(&frame.alpha).map(mean).collect();
         let mut known: Vec<f32> = depths.iter().copied().filter(|d| d.is_finite()).collect();
         known.sort_by(f32::total_cmp);
-        let at = |share: f64| known.get((known.len().saturating_sub(1) as f64 * share) as usize).copied();
+        let at = |share: f64| known.get(cast::to_usize(known.len().saturating_sub(1) as f64 * share)).copied();
         let span = [at(DEPTH_QUANTILES[0]).unwrap_or(0.0), at(DEPTH_QUANTILES[1]).unwrap_or(1.0)];
         header["legend"] = scaled("depth", "world units", span, &known);
         let share = |d: &f32| (d - span[0]) / (span[1] - span[0]).max(1e-9);

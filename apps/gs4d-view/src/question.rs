@@ -26,7 +26,7 @@ const MAX_GAIN: f32 = 100.0;
 pub struct Question {
     /// Identifier, repeated in the answer.
     pub id: u64,
-    /// What to render.
+    /// Which show and layer to render.
     pub what: Target,
     /// Subtracted from `what`; the signed difference is then shown around grey.
     #[serde(default)]
@@ -34,13 +34,13 @@ pub struct Question {
     /// Gain of the difference, up to 100. Default: 1.
     #[serde(default = "one")]
     pub gain: f32,
-    /// Normalised time.
+    /// Normalised time of the image.
     pub time: f32,
-    /// The camera.
+    /// Camera the image is rendered from.
     pub look: Look,
     /// Width, pixels; a view of the dataset keeps its aspect ratio.
     pub width: u32,
-    /// Height, pixels.
+    /// Height of the image, pixels.
     pub height: u32,
     /// Whether to render at twice the resolution and average 2 × 2 pixels.
     #[serde(default)]
@@ -73,7 +73,7 @@ fn one() -> f32 {
 #[derive(Clone, Debug, Deserialize, PartialEq)]
 #[serde(deny_unknown_fields)]
 pub struct Target {
-    /// Index of the show.
+    /// Index of the show in the stage.
     pub show: usize,
     /// `color`, `truth`, `depth`, `alpha`, `count`, `segment`, or one of the method's.
     pub layer: String,
@@ -96,9 +96,9 @@ pub enum Look {
 #[derive(Clone, Debug, Deserialize, PartialEq)]
 #[serde(deny_unknown_fields)]
 pub struct Choice {
-    /// Index of the show.
+    /// Index of the show in the stage.
     pub show: usize,
-    /// Camera of the image.
+    /// Camera the image was rendered from.
     pub look: Look,
     /// Normalised time of the image.
     pub time: f32,

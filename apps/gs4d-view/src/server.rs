@@ -13,6 +13,7 @@ use axum::extract::ws::{CloseFrame, Message, WebSocket, WebSocketUpgrade};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
+use gs_core::cast;
 use gs_data::avatar::AvatarScene;
 use gs_train::registry::Registry;
 use serde_json::{Value, json};
@@ -36,7 +37,7 @@ const IDLE_TIMEOUT: Duration = Duration::from_secs(3600);
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src blob: data:; connect-src 'self'; \
     base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
-/// Options of the server.
+/// Where the server listens and how much of the machine it uses.
 #[derive(Clone, Copy, Debug)]
 pub struct Options {
     /// Address to listen at; loopback unless other machines are to connect.
@@ -51,7 +52,7 @@ pub struct Options {
 
 /// A running viewer; dropping it stops the server.
 pub struct Server {
-    /// Address it listens at.
+    /// Address and port it listens at.
     pub address: SocketAddr,
     /// Address to open in a browser, with the token.
     pub url: String,
@@ -356,7 +357,7 @@ fn answer(shared: &Shared, question: &Question) -> Message {
         Ok(answer) => {
             let header = answer.header.to_string().into_bytes();
             let mut bytes = Vec::with_capacity(4 + header.len() + answer.bytes.len());
-            bytes.extend((header.len() as u32).to_le_bytes());
+            bytes.extend(cast::to_u32(header.len()).to_le_bytes());
             bytes.extend(header);
             bytes.extend(answer.bytes);
             Message::Binary(bytes.into())

@@ -71,7 +71,7 @@ impl Show {
         Ok(show)
     }
 
-    /// Static splats, over black.
+    /// A show of splats that never move, over black.
     pub fn splats(name: String, splats: Splats) -> Self {
         Self::new(name, Scene::splats(splats), RasterOptions::default(), [0.0; 3])
     }

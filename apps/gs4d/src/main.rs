@@ -4,8 +4,6 @@
 //! 1 internal fault · 2 wrong usage · 3 invalid data · 4 numerical failure · 5 resource limit · 6 input or output ·
 //! 7 verification failed · 130 interrupted, state saved.
 
-#![warn(clippy::allow_attributes_without_reason)]
-
 mod answer;
 mod failure;
 mod global;

@@ -14,7 +14,7 @@ use super::{AnchorDensify, AnchorDensifyRules, AnchorDensifyStep};
 use crate::anchors::Anchors;
 use crate::lattice::{Cell, cell_of, position_of};
 use glam::Vec3;
-use gs_core::Rng;
+use gs_core::{Rng, cast};
 
 /// Values of an anchor to add.
 pub(super) struct NewAnchor {
@@ -84,7 +84,7 @@ fn candidate_cells(
     let cell = |group: &[(Cell, usize)]| CandidateCell {
         cell: group[0].0,
         grad: group.iter().map(|w| statistics.mean_grad(w.1)).fold(0.0, f32::max),
-        parents: group.iter().map(|w| (w.1 / k) as u32).collect(),
+        parents: group.iter().map(|w| cast::to_u32(w.1 / k)).collect(),
     };
     candidates.chunk_by(|a, b| a.0 == b.0).map(cell).collect()
 }

@@ -7,6 +7,7 @@
 
 use super::{AnchorDensify, AnchorDensifyRules};
 use crate::anchors::Anchors;
+use gs_core::cast;
 
 /// Which anchors are kept, and which were visible often enough to be judged.
 pub(super) struct PruneDecision {
@@ -19,7 +20,7 @@ pub(super) struct PruneDecision {
 /// Decides about the anchors that were visible in more than `views` views; all others are kept.
 pub(super) fn decide(statistics: &AnchorDensify, rules: &AnchorDensifyRules, views: f32) -> PruneDecision {
     let (opacity, visits) = (&statistics.opacity, &statistics.visits);
-    let judged: Vec<u32> = (0..visits.len()).filter(|&v| visits[v] > views).map(|v| v as u32).collect();
+    let judged: Vec<u32> = (0..visits.len()).filter(|&v| visits[v] > views).map(cast::to_u32).collect();
     let mut keep = vec![true; visits.len()];
     for &v in &judged {
         keep[v as usize] = opacity[v as usize] >= rules.min_opacity * visits[v as usize];
@@ -29,7 +30,7 @@ pub(super) fn decide(statistics: &AnchorDensify, rules: &AnchorDensifyRules, vie
         let strongest = (0..keep.len()).max_by(|&a, &b| strength(a).total_cmp(&strength(b)).then(b.cmp(&a)));
         strongest.into_iter().for_each(|v| keep[v] = true);
     }
-    PruneDecision { keep: (0..keep.len()).filter(|&v| keep[v]).map(|v| v as u32).collect(), judged }
+    PruneDecision { keep: (0..keep.len()).filter(|&v| keep[v]).map(cast::to_u32).collect(), judged }
 }
 
 /// Limits the scales of the extents by `extent_cap_log`, those of the offsets by the diagonal of the scene's box.

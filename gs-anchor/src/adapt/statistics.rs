@@ -8,6 +8,7 @@
 //! the image size; `weight` undoes a mean over the views of a batch. Values that are not finite count as zero.
 
 use crate::anchors::Anchors;
+use gs_core::cast;
 use gs_core::{RowEdit, param::RowEditError};
 
 /// One rendered view: outputs of the decoder and of the rasteriser.
@@ -65,7 +66,7 @@ impl AnchorDensify {
         }
     }
 
-    /// All buffers, for checkpoints.
+    /// The four buffers, each with name and values per anchor, for checkpoints.
     pub fn columns(&self) -> [AnchorColumn<&Vec<f32>>; 4] {
         let k = self.offsets;
         [
@@ -76,7 +77,7 @@ impl AnchorDensify {
         ]
     }
 
-    /// [`AnchorDensify::columns`], to restore them.
+    /// The buffers of [`AnchorDensify::columns`], to be restored.
     pub fn columns_mut(&mut self) -> [AnchorColumn<&mut Vec<f32>>; 4] {
         let k = self.offsets;
         [
@@ -116,7 +117,7 @@ impl AnchorDensify {
     pub(super) fn check_rows(&self, anchors: &Anchors) -> Result<(), RowEditError> {
         for (name, width, column) in self.columns() {
             if column.len() != anchors.len() * width {
-                let (row, rows) = (anchors.len() as u32, column.len() / width);
+                let (row, rows) = (cast::to_u32(anchors.len()), column.len() / width);
                 return Err(RowEditError::OutOfRange { name: name.to_owned(), row, rows });
             }
         }

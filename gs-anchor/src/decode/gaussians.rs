@@ -14,7 +14,7 @@
 use crate::{LocalAnchors, LocalAnchorsGrad};
 use glam::{DVec3, Vec3};
 use gs_core::cloud::sigmoid;
-use gs_core::{Color, Splats, SplatsGrad};
+use gs_core::{Color, Splats, SplatsGrad, cast};
 
 /// Direction and distance of an anchor from the camera centre.
 #[derive(Clone, Copy, Debug)]
@@ -29,7 +29,7 @@ impl ViewRay {
     pub(super) fn new(position: Vec3, eye: DVec3) -> Self {
         let u = position.as_dvec3() - eye;
         let distance = u.length();
-        Self { direction: (u / distance).as_vec3(), distance: distance as f32 }
+        Self { direction: (u / distance).as_vec3(), distance: cast::to_f32(distance) }
     }
 
     /// Backward of [`ViewRay::new`]: the cotangent of the position.
@@ -109,7 +109,7 @@ pub(super) fn write(local: &LocalAnchors, anchors: &[u32], heads: HeadOutputs<'_
         to.quats[n] = [q[3], q[4], q[5], q[6]];
         to.opacities[n] = a;
         to.rgb[n] = [rgb[0], rgb[1], rgb[2]];
-        to.rows[n] = row as u32;
+        to.rows[n] = cast::to_u32(row);
     }
 }
 

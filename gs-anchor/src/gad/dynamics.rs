@@ -19,6 +19,7 @@
 //! ```
 
 use crate::Anchors;
+use gs_core::cast;
 use serde::{Deserialize, Serialize};
 
 /// How a logit scales a displacement.
@@ -55,7 +56,7 @@ pub struct Dynamics {
     pub local: Factor,
     /// A mask is open if `σ(d)` is above this; 0 … 1.
     pub threshold: f32,
-    /// Function of [`Factor::Mul`].
+    /// Function of the logit in [`Factor::Mul`].
     pub activation: Activation,
 }
 
@@ -88,7 +89,7 @@ impl Dynamics {
 
     fn weight(&self, factor: Factor, d: f32) -> Weight {
         let s = sigmoid(d.into());
-        let (sigma, slope) = (s as f32, (s * (1.0 - s)) as f32);
+        let (sigma, slope) = (cast::to_f32(s), cast::to_f32(s * (1.0 - s)));
         match (factor, self.activation) {
             (Factor::Mask, _) => Weight { value: if sigma > self.threshold { 1.0 } else { 0.0 }, slope },
             (Factor::Mul, Activation::Sigmoid) => Weight { value: sigma, slope },
@@ -135,9 +136,9 @@ impl Sparsity {
             let log = d.min(0.0) - (-d.abs()).exp().ln_1p();
             let (value, by_sigma) = if self == Sparsity::Entropy { (-s * log, -log - 1.0) } else { (s, 1.0) };
             total += value;
-            *grad += (f64::from(weight) / count * by_sigma * s * (1.0 - s)) as f32;
+            *grad += cast::to_f32(f64::from(weight) / count * by_sigma * s * (1.0 - s));
         }
-        (f64::from(weight) * total / count) as f32
+        cast::to_f32(f64::from(weight) * total / count)
     }
 }
 

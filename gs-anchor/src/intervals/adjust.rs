@@ -12,6 +12,7 @@
 //! boundaries around `b_j`, one step each, as long as they do not meet.
 
 use super::{Intervals, Rule};
+use gs_core::cast;
 use serde::{Deserialize, Serialize};
 
 /// One boundary move of a pass.
@@ -30,7 +31,7 @@ pub struct Move {
 pub struct Rejected {
     /// Index of the boundary, 1 … N − 1.
     pub boundary: usize,
-    /// Its normalised time, unchanged.
+    /// Normalised time of the boundary, unchanged.
     pub at: f32,
     /// Reason of the rejection, for people.
     pub reason: String,
@@ -78,7 +79,7 @@ impl Intervals {
         };
         self.grad.fill(0.0);
         self.views.fill(0.0);
-        let threshold = threshold.map(|t| t as f32);
+        let threshold = threshold.map(cast::to_f32);
         Some(Adjustment { clock, step, means, threshold, hot, moves, rejected, frames: self.widths_in_frames() })
     }
 

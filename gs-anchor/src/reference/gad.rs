@@ -28,7 +28,7 @@ pub struct GadRef {
 }
 
 impl RestRef {
-    /// Copies anchor `v`.
+    /// Row `v` of the anchors, converted to `f64`.
     pub fn new(anchors: &Anchors, v: usize) -> Self {
         let row = |p: &gs_core::Param| -> Vec<f64> {
             let width = p.len() / anchors.len();

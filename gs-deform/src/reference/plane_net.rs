@@ -19,9 +19,9 @@ pub struct PlaneNetRef {
 /// Gradients of a [`PlaneNetRef`], shaped like it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlaneNetRefGrad {
-    /// Gradients of [`HexPlaneRef::planes`].
+    /// Gradients of [`HexPlaneRef::planes`], plane by plane.
     pub planes: Vec<Vec<f64>>,
-    /// Gradients of [`PlaneNetRef::layers`].
+    /// Gradients of [`PlaneNetRef::layers`], by parameter name.
     pub layers: BTreeMap<String, Vec<f64>>,
 }
 

@@ -1,6 +1,6 @@
 //! Images of flows: colour coding and arrows.
 
-use gs_core::Image;
+use gs_core::{Image, cast};
 
 use super::Flow;
 use crate::error::{MetricError, check_image};
@@ -82,7 +82,7 @@ fn cell_mean(flow: &Flow, columns: std::ops::Range<usize>, rows: std::ops::Range
             flow.at(x, y).iter().zip(&mut sum).for_each(|(d, s)| *s += f64::from(*d));
         }
     }
-    sum.map(|s| (s / count as f64) as f32)
+    sum.map(|s| cast::to_f32(s / count as f64))
 }
 
 /// A shaft from `from` to `from + vector`, and the two sides of a head.
@@ -102,8 +102,7 @@ fn line(image: &mut Image, a: [f32; 2], b: [f32; 2], color: [f32; 3]) {
     let margin = HALF_LINE + 1.0;
     let span = |k: usize, n: usize| {
         let (low, high) = (a[k].min(b[k]) - margin, a[k].max(b[k]) + margin);
-        // The cast of a negative number is 0.
-        low.ceil() as usize..((high.floor() + 1.0) as usize).min(n)
+        cast::to_usize(low.ceil())..cast::to_usize(high.floor() + 1.0).min(n)
     };
     let d = [b[0] - a[0], b[1] - a[1]];
     let square = (d[0] * d[0] + d[1] * d[1]).max(f32::MIN_POSITIVE);

@@ -9,6 +9,7 @@
 //! image are the nearest ones.
 
 use fearless_simd::{Level, Simd, dispatch};
+use gs_core::cast;
 use rayon::prelude::*;
 
 /// Coefficients of each pixel: `b_y, b_x, A_yy, A_xx, A_xy`.
@@ -47,10 +48,10 @@ impl Taps {
         let i03 = -m2 * i33;
         let x = |k: usize| k as f64;
         Self {
-            smooth: g.map(|v| v as f32),
-            slope: std::array::from_fn(|k| (i11 * x(k) * g[k]) as f32),
-            mixed: std::array::from_fn(|k| (i55 / i11 * x(k) * g[k]) as f32),
-            curvature: std::array::from_fn(|k| ((i03 + i33 * x(k) * x(k)) * g[k]) as f32),
+            smooth: g.map(cast::to_f32),
+            slope: std::array::from_fn(|k| cast::to_f32(i11 * x(k) * g[k])),
+            mixed: std::array::from_fn(|k| cast::to_f32(i55 / i11 * x(k) * g[k])),
+            curvature: std::array::from_fn(|k| cast::to_f32((i03 + i33 * x(k) * x(k)) * g[k])),
         }
     }
 }

@@ -1,6 +1,6 @@
 //! The pyramid of Farneback's method: frames, their expansions, and the flow from coarse to fine.
 
-use gs_core::Image;
+use gs_core::{Image, cast};
 
 use super::Flow;
 use super::expand::expand;
@@ -147,7 +147,7 @@ fn halvings(w: usize, h: usize) -> u32 {
 
 /// Width and height in pixels after `k` halvings.
 fn level_size(w: usize, h: usize, k: usize) -> (usize, usize) {
-    let scaled = |n: usize| (n as f64 * 0.5f64.powi(k as i32)).round_ties_even() as usize;
+    let scaled = |n: usize| cast::to_usize((n as f64 / f64::from(1u32 << k)).round_ties_even());
     (scaled(w), scaled(h))
 }
 
@@ -157,11 +157,11 @@ fn blur_kernel(k: usize) -> Vec<f32> {
     if k == 0 {
         return vec![0.25, 0.5, 0.25];
     }
-    let taps = ((5.0 * sigma).round_ties_even() as usize | 1).max(3);
+    let taps = (cast::to_usize((5.0 * sigma).round_ties_even()) | 1).max(3);
     let centre = (taps / 2) as f64;
     let g: Vec<f64> = (0..taps).map(|i| (-(i as f64 - centre).powi(2) / (2.0 * sigma * sigma)).exp()).collect();
     let total: f64 = g.iter().sum();
-    g.iter().map(|v| (v / total) as f32).collect()
+    g.iter().map(|v| cast::to_f32(v / total)).collect()
 }
 
 #[cfg(test)]

@@ -25,6 +25,7 @@ pub fn grey(image: &Image) -> Result<Vec<u8>, MetricError> {
     }
 }
 
+#[expect(clippy::cast_possible_truncation, reason = "the weights add up to `1 << SHIFT`")]
 fn luma(rgb: [u8; 3]) -> u8 {
     let sum: u32 = rgb.iter().zip(WEIGHTS).map(|(v, w)| u32::from(*v) * w).sum();
     ((sum + (1 << (SHIFT - 1))) >> SHIFT) as u8

@@ -2,7 +2,7 @@
 //!
 //! Sums are `f64`, in the order of pixels.
 
-use gs_core::Image;
+use gs_core::{Image, cast};
 
 use super::Flow;
 use crate::error::{MetricError, check_finite, check_image};
@@ -114,7 +114,7 @@ fn reference_length(mut lengths: Vec<f32>, reference: Reference) -> Result<f32, 
             return Err(MetricError::Option { name: "quantile", value: share.to_string(), must });
         }
     };
-    Ok(lengths[((share * lengths.len() as f64).ceil() as usize).clamp(1, lengths.len()) - 1])
+    Ok(lengths[cast::to_usize((share * lengths.len() as f64).ceil()).clamp(1, lengths.len()) - 1])
 }
 
 fn check_mask(flow: &Flow, mask: &Image) -> Result<(), MetricError> {
@@ -148,7 +148,7 @@ pub(super) fn warp(flow: &Flow, image: &Image) -> Result<Image, MetricError> {
         for x in 0..w {
             let [u, v] = flow.at(x, y);
             let (px, py) = ((x as f32 + u).clamp(0.0, last[0]), (y as f32 + v).clamp(0.0, last[1]));
-            let (x0, y0) = (px as usize, py as usize);
+            let (x0, y0) = (cast::to_usize(px), cast::to_usize(py));
             let (x1, y1) = ((x0 + 1).min(w - 1), (y0 + 1).min(h - 1));
             let (ax, ay) = (px - x0 as f32, py - y0 as f32);
             for k in 0..c {

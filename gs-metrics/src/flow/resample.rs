@@ -3,6 +3,7 @@
 //! The pyramid of Farneback's method blurs the frame at full size and then samples it at half-pixel centres; only the rows
 //! that are sampled are blurred here. The blur reflects at the border without repeating the edge value, sampling repeats it.
 
+use gs_core::cast;
 use rayon::prelude::*;
 
 /// The weights of one axis: output `i` is the weighted sum of `taps` values from index `first[i]`, which may lie outside.
@@ -22,7 +23,8 @@ impl Axis {
         let (mut first, mut weights) = (Vec::with_capacity(to), vec![0.0; to * taps]);
         for (i, weights) in weights.chunks_exact_mut(taps).enumerate() {
             // f32 as in OpenCV: its rounding is visible in the weights of wide images.
-            let place = ((i as f64 + 0.5) * step - 0.5) as f32;
+            let place = cast::to_f32((i as f64 + 0.5) * step - 0.5);
+            #[expect(clippy::cast_possible_truncation, reason = "a place between −1 and the length")]
             let (mut at, mut fraction) = (place.floor() as isize, place - place.floor());
             if at < 0 {
                 (at, fraction) = (0, 0.0);

@@ -1,6 +1,7 @@
 //! The normal equations of every pixel, and their solution over a box.
 
 use fearless_simd::{Level, Simd, dispatch};
+use gs_core::cast;
 use rayon::prelude::*;
 
 use super::Flow;
@@ -53,6 +54,7 @@ fn read_moved(second: &[f32], first: &[f32], u: &[f32], v: &[f32], y: usize, h: 
         }
         let (ax, ay) = (px - fx, py - fy);
         let weights = [(1.0 - ax) * (1.0 - ay), ax * (1.0 - ay), (1.0 - ax) * ay, ax * ay];
+        #[expect(clippy::cast_possible_truncation, reason = "inside the frame")]
         let at = fy as usize * row + fx as usize;
         let (top, low) = (&second[at..at + row - w + 2], &second[at + row..at + 2 * row - w + 2]);
         for t in 0..TERMS {
@@ -228,8 +230,8 @@ fn solve_row(boxes: &[f64], u: &mut [f32], v: &mut [f32]) {
     for x in 0..w {
         let [a, b, c, p, q] = [m0[x] * mean, m1[x] * mean, m2[x] * mean, m3[x] * mean, m4[x] * mean];
         let d = 1.0 / (a * c - b * b + DETERMINANT_EPSILON);
-        u[x] = ((a * q - b * p) * d) as f32;
-        v[x] = ((c * p - b * q) * d) as f32;
+        u[x] = cast::to_f32((a * q - b * p) * d);
+        v[x] = cast::to_f32((c * p - b * q) * d);
     }
 }
 

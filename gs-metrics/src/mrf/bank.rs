@@ -8,7 +8,7 @@
 //! The strides are those of `relu3_2` and `relu4_2` of VGG-19.
 
 use super::net::{Conv, FeatureNet};
-use gs_core::Rng;
+use gs_core::{Rng, cast};
 
 /// Side of the oriented filters, pixels.
 const SIDE: usize = 7;
@@ -79,7 +79,7 @@ fn orthogonal(name: &str, inputs: usize, outputs: usize) -> Conv {
 fn conv(kernel: usize, inputs: usize, filters: &[Vec<f64>]) -> Conv {
     let outputs = filters.len();
     let size = kernel * kernel * inputs;
-    let weight = (0..size).flat_map(|k| filters.iter().map(move |f| f[k] as f32)).collect();
+    let weight = (0..size).flat_map(|k| filters.iter().map(move |f| cast::to_f32(f[k]))).collect();
     Conv { kernel, stride: 2, inputs, outputs, weight }
 }
 

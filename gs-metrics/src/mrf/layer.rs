@@ -15,8 +15,8 @@
 //! assert!((layer_loss(&x, &y, 3, &LayerOptions::default(), false).0 - 2f64.ln()).abs() < 1e-12);
 //! ```
 
-use gs_core::Real;
 use gs_core::nn::gemm::{Mat, MatMut, Write, gemm};
+use gs_core::{Real, cast};
 use rayon::prelude::*;
 
 /// Added to norms before dividing.
@@ -174,7 +174,7 @@ pub fn layer_loss<T: Scalar>(
         return (value, Vec::new());
     }
     let mut columns: Vec<Vec<u32>> = vec![Vec::new(); places];
-    best.iter().enumerate().for_each(|(j, (_, i))| columns[*i as usize].push(j as u32));
+    best.iter().enumerate().for_each(|(j, (_, i))| columns[*i as usize].push(cast::to_u32(j)));
     let d_c = x[0].lit(-1.0 / (places as f64 * mean));
     let each = cosines.par_chunks_mut(places).zip(&rows).zip(&columns);
     each.for_each(|((row, stats), columns)| row_backward(row, stats, columns, d_c, options));
@@ -198,7 +198,7 @@ fn largest<T: Scalar>(cosines: &[T], rows: &[RowStats<T>], options: &LayerOption
             for (best, s) in best.iter_mut().zip(row) {
                 let c = weight(distance(*s), stats.inverse, sharpness) * stats.inverse_sum;
                 if c > best.0 {
-                    *best = (c, (task * ROWS + k) as u32);
+                    *best = (c, cast::to_u32(task * ROWS + k));
                 }
             }
         }

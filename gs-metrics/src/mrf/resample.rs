@@ -1,14 +1,14 @@
 //! Bilinear resizing with aligned corners, `source = target (n − 1)/(side − 1)`, and its transpose.
 
-use gs_core::Image;
+use gs_core::{Image, cast};
 
 /// Two source rows (or columns) and the weight of the second, for each target row.
 fn taps(from: usize, to: usize) -> Vec<(usize, usize, f32)> {
     let step = (from - 1) as f64 / (to.max(2) - 1) as f64;
     let tap = |t: usize| {
         let source = t as f64 * step;
-        let low = (source.floor() as usize).min(from - 1);
-        (low, (low + 1).min(from - 1), (source - low as f64) as f32)
+        let low = cast::to_usize(source).min(from - 1);
+        (low, (low + 1).min(from - 1), cast::to_f32(source - low as f64))
     };
     (0..to).map(tap).collect()
 }

@@ -11,6 +11,7 @@ use super::form::{Form, MAX_OUTPUTS, axis};
 use crate::scalar::Scalar;
 use crate::so3::Rotation;
 use crate::vec3::{V3, add, add_scaled, scale, sub};
+use gs_core::cast;
 use gs_core::real::dot3;
 
 /// Duration of a motion, and the factor of `e`.
@@ -29,7 +30,7 @@ impl Span<f64> {
     }
 
     pub(crate) fn to_f32(self) -> Span<f32> {
-        Span { tau: self.tau as f32, spin: self.spin as f32 }
+        Span { tau: cast::to_f32(self.tau), spin: cast::to_f32(self.spin) }
     }
 }
 

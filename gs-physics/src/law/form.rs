@@ -98,7 +98,7 @@ impl Form {
         for i in 0..form.outputs().0 {
             let rate = form.rates().contains(&i);
             let factor = match form.is_angular(i) {
-                true if rate && form.order_of(i) > spin_order => 0.0,
+                true if rate && form.order_of(i) > usize::from(spin_order) => 0.0,
                 true => f64::from(config.spin_gain),
                 false => 1.0,
             };
@@ -154,8 +154,8 @@ impl Form {
     }
 
     /// The order of motion that output `i`, a derivative, belongs to.
-    fn order_of(&self, i: usize) -> u8 {
-        if self.kind == LawForm::Twist12 { i as u8 / 6 + 1 } else { 2 }
+    fn order_of(&self, i: usize) -> usize {
+        if self.kind == LawForm::Twist12 { i / 6 + 1 } else { 2 }
     }
 
     /// Outputs times their gains, derivatives mapped; the rest of the array is 0.

@@ -31,7 +31,7 @@ pub(crate) use form::Form;
 use form::MAX_OUTPUTS;
 use glam::Vec3;
 use gs_core::nn::{self, Activation, BLOCK, CHUNKS, Init, Mlp, MlpGrad, MlpTape, encoding};
-use gs_core::{Param, Params};
+use gs_core::{Param, Params, cast};
 use rayon::prelude::*;
 
 /// The rotation by no angle, `(w, x, y, z)`.
@@ -145,7 +145,7 @@ impl Law {
         time.clear();
         time.resize(self.net.inputs() - self.columns(), 0.0);
         if !time.is_empty() {
-            encoding::encode(&[t as f32], 1, self.config.bands, time);
+            encoding::encode(&[cast::to_f32(t)], 1, self.config.bands, time);
         }
         self.net.fold(time, bias);
     }

@@ -45,7 +45,7 @@ impl LawRef {
         Span::new(to - from, steps.as_deref())
     }
 
-    /// As [`motions`](crate::Dynamics::motions).
+    /// One row of [`motions`](crate::Dynamics::motions), in `f64`.
     pub fn motion(&self, x: [f64; 3], t: f64) -> Motion<f64> {
         self.form.motion(&self.net.forward(&self.input(x, t))[0], self.relative(x), self.relative(self.centroid))
     }

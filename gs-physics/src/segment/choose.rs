@@ -15,6 +15,7 @@
 use super::by_weight;
 use crate::twist::{Motion, Twist};
 use glam::{DVec3, Vec3};
+use gs_core::cast;
 use rayon::prelude::*;
 
 /// Particles per rayon task.
@@ -200,7 +201,7 @@ pub fn merged(
         }
         body_of.iter_mut().filter(|b| **b == from).for_each(|b| *b = to);
     }
-    let mut new: Vec<u32> = labels.iter().map(|l| body_of[*l as usize] as u32).collect();
+    let mut new: Vec<u32> = labels.iter().map(|l| cast::to_u32(body_of[*l as usize])).collect();
     let order = by_weight(&mut new, |i| weights.map_or(1.0, |w| w[i].into()), k);
     Merged { labels: new, bodies: order.iter().map(|&c| sums[c]).collect(), distances, next }
 }

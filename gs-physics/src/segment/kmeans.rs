@@ -4,13 +4,13 @@
 //! rows.
 
 use super::by_weight;
-use gs_core::Rng;
+use gs_core::{Rng, cast};
 use rayon::prelude::*;
 
 /// Rows per rayon task; sums are added block by block.
 const BLOCK: usize = 1024;
 
-/// Settings of [`kmeans`].
+/// Number of clusters, restarts and seed of [`kmeans`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct KMeansOptions {
     /// Number of clusters, at least 1; fewer are found if there are fewer distinct rows.
@@ -107,8 +107,9 @@ pub fn kmeans(rows: &[f32], width: usize, weights: Option<&[f32]>, options: &KMe
 /// Stratified sample of at most `max` of `0..n`: one index from each of `max` equal intervals.
 pub(super) fn sample(n: usize, max: usize, seed: u64) -> Vec<usize> {
     let begin = |k: usize| k * n / max;
-    let pick =
-        |k: usize| begin(k) + Rng::new(seed, "sample", 0, k as u64).below((begin(k + 1) - begin(k)) as u32) as usize;
+    let pick = |k: usize| {
+        begin(k) + Rng::new(seed, "sample", 0, k as u64).below(cast::to_u32(begin(k + 1) - begin(k))) as usize
+    };
     if n <= max { (0..n).collect() } else { (0..max).map(pick).collect() }
 }
 
@@ -242,7 +243,7 @@ fn labelled(rows: &Rows<'_>, centres: &[f64]) -> (Vec<u32>, f64) {
     let mut labels = vec![0u32; rows.len()];
     labels.par_chunks_mut(BLOCK).enumerate().for_each(|(b, labels)| {
         for (k, label) in labels.iter_mut().enumerate() {
-            *label = nearest(rows.row(b * BLOCK + k), centres, rows.width).0 as u32;
+            *label = cast::to_u32(nearest(rows.row(b * BLOCK + k), centres, rows.width).0);
         }
     });
     (labels, total(rows, centres).inertia)

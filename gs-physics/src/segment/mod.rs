@@ -48,7 +48,7 @@ fn by_weight(labels: &mut [u32], weights: impl Fn(usize) -> f64, k: usize) -> Ve
     let mut order: Vec<usize> = (0..k).filter(|&c| mass[c].1 > 0).collect();
     order.sort_by(|&a, &b| mass[b].0.total_cmp(&mass[a].0));
     let mut new = vec![0; k];
-    order.iter().enumerate().for_each(|(to, &from)| new[from] = to as u32);
+    order.iter().enumerate().for_each(|(to, &from)| new[from] = gs_core::cast::to_u32(to));
     labels.iter_mut().for_each(|l| *l = new[*l as usize]);
     order
 }

@@ -16,7 +16,7 @@ use super::kmeans::sample;
 use super::near::nearest;
 use crate::kabsch::{PairSums, Rigid};
 use glam::{DVec3, Vec3};
-use gs_core::Rng;
+use gs_core::{Rng, cast};
 use rayon::prelude::*;
 
 /// Points per rayon task.
@@ -27,7 +27,7 @@ const MIN_RESIDUAL: f64 = 1e-12;
 const BETA: [f64; 2] = [0.9, 0.999];
 const EPSILON: f64 = 1e-8;
 
-/// Settings of [`Ogc::learn`].
+/// Objects, steps and weights of [`Ogc::learn`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OgcOptions {
     /// Largest number of objects, at least 1.
@@ -115,7 +115,7 @@ impl Ogc {
         let points: Vec<Vec3> = picked.iter().map(|&i| first[i]).collect();
         let edges = Edges::of(&points, options)?;
         let (soft, loss) = optimise(&positions, &edges, options);
-        let argmax = |o: &[f64]| (0..o.len()).rev().max_by(|&a, &b| o[a].total_cmp(&o[b])).unwrap_or(0) as u32;
+        let argmax = |o: &[f64]| cast::to_u32((0..o.len()).rev().max_by(|&a, &b| o[a].total_cmp(&o[b])).unwrap_or(0));
         let mut labels: Vec<u32> = soft.chunks_exact(options.k).map(argmax).collect();
         if picked.len() < first.len() {
             let nearest = nearest(&points, first, 1, f32::INFINITY)?;
@@ -142,7 +142,7 @@ impl Edges {
         let spread = (points.iter().map(|p| (p.as_dvec3() - centre).length_squared()).sum::<f64>() / n as f64).sqrt();
         // The nearest of all is the point itself.
         let count = options.neighbours + 1;
-        let neighbours = nearest(points, points, count, options.radius * spread as f32)?;
+        let neighbours = nearest(points, points, count, options.radius * cast::to_f32(spread))?;
         let pairs = || {
             let rows = neighbours.chunks_exact(count).enumerate();
             rows.flat_map(|(p, row)| row[1..].iter().map(move |h| (p, *h as usize))).filter(|(p, h)| p != h)
@@ -155,7 +155,7 @@ impl Edges {
         (0..n).for_each(|i| begins[i + 1] += begins[i]);
         let (mut next, mut ends) = (begins.clone(), vec![0; begins[n]]);
         for (p, h) in pairs() {
-            (ends[next[p]], ends[next[h]]) = (h as u32, p as u32);
+            (ends[next[p]], ends[next[h]]) = (cast::to_u32(h), cast::to_u32(p));
             (next[p], next[h]) = (next[p] + 1, next[h] + 1);
         }
         Some(Self { begins, ends, count: options.neighbours.max(1) })
@@ -174,7 +174,7 @@ fn optimise(positions: &[Vec<DVec3>], edges: &Edges, options: &OgcOptions) -> (V
     let (mut first, mut second) = (vec![0.0; n * k], vec![0.0; n * k]);
     let mut loss = 0.0;
     for step in 0..options.steps {
-        let at = 1 + Rng::new(options.seed, "ogc.time", step, 0).below(positions.len() as u32 - 1) as usize;
+        let at = 1 + Rng::new(options.seed, "ogc.time", step, 0).below(cast::to_u32(positions.len() - 1)) as usize;
         let pairs = Step { p: &positions[0], q: &positions[at], soft: &soft, k };
         let smooth = if step >= options.smooth_from { options.smooth } else { 0.0 };
         loss = pairs.gradient(&pairs.motions(), edges, smooth, &mut grad).0;

@@ -31,7 +31,7 @@ use flow::BASIS;
 use glam::Vec3;
 use gs_core::nn::{self, Activation, BLOCK, CHUNKS, Init, Mlp, MlpGrad};
 use gs_core::real::cross3;
-use gs_core::{Param, Params};
+use gs_core::{Param, Params, cast};
 use rayon::prelude::*;
 use step::Step;
 
@@ -183,7 +183,7 @@ impl Dynamics for VelocityField {
         let mut out = vec![Motion::default(); x.len()];
         out.par_chunks_mut(BLOCK).zip(x.par_chunks(BLOCK)).for_each(|(out, x)| {
             let mut evaluation = Evaluation::default();
-            evaluation.forward(&self.net, &self.config, x, &vec![t as f32; x.len()], Derivatives::Space);
+            evaluation.forward(&self.net, &self.config, x, &vec![cast::to_f32(t); x.len()], Derivatives::Space);
             for (i, (m, x)) in out.iter_mut().zip(x).enumerate() {
                 let r = self.relative(*x);
                 let flow = evaluation.flow(i, r);

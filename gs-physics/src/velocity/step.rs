@@ -8,6 +8,7 @@ use crate::dynamics::ParticleState;
 use crate::so3::{Rotation, product_backward};
 use crate::vec3::scale;
 use glam::Vec3;
+use gs_core::cast;
 use gs_core::nn::MlpGrad;
 use gs_core::rot::hamilton;
 
@@ -25,13 +26,13 @@ impl Step {
     fn evaluate(&mut self, field: &VelocityField, x: &[Vec3], (t, h): (f64, f64)) {
         let Self { begin, middle, midpoints, times, .. } = self;
         times.clear();
-        times.resize(x.len(), t as f32);
+        times.resize(x.len(), cast::to_f32(t));
         begin.forward(&field.net, &field.config, x, times, Derivatives::None);
-        let half = (0.5 * h) as f32;
+        let half = cast::to_f32(0.5 * h);
         let midpoint = |(i, x): (usize, &Vec3)| *x + half * Vec3::from_array(begin.flow(i, field.relative(*x)).u);
         midpoints.clear();
         midpoints.extend(x.iter().enumerate().map(midpoint));
-        times.fill((t + 0.5 * h) as f32);
+        times.fill(cast::to_f32(t + 0.5 * h));
         middle.forward(&field.net, &field.config, midpoints, times, Derivatives::Space);
     }
 
@@ -44,7 +45,7 @@ impl Step {
         rotations: &mut [[f32; 4]],
     ) {
         self.evaluate(field, means, step);
-        let h = step.1 as f32;
+        let h = cast::to_f32(step.1);
         for (i, (x, q)) in means.iter_mut().zip(rotations).enumerate() {
             let flow = self.middle.flow(i, field.relative(self.midpoints[i]));
             *x += h * Vec3::from_array(flow.u);
@@ -63,7 +64,7 @@ impl Step {
     ) {
         self.evaluate(field, &state.means, step);
         let Self { begin, middle, midpoints, d_midpoints, .. } = self;
-        let h = step.1 as f32;
+        let h = cast::to_f32(step.1);
         d_midpoints.clear();
         for (i, (x, mu)) in midpoints.iter().zip(&mut d.rotations).enumerate() {
             let r = field.relative(*x);

@@ -96,7 +96,7 @@ pub struct Scene<T> {
 /// The variant of [`Kernel`], which decides the width of [`Scene::kernel`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum KernelKind {
-    /// The Gaussian; no parameters.
+    /// The Gaussian, which has no parameters.
     Gaussian,
     /// The frequency kernel; two parameters, λ and β.
     Frequency,

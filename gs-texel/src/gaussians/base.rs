@@ -27,11 +27,11 @@ pub enum BaseError {
     /// A column does not have one row per vertex.
     #[error("`{column}` has {got} rows, the mesh has {want} vertices")]
     Length {
-        /// Name of the column.
+        /// Name of the column concerned.
         column: &'static str,
         /// Number of rows it has.
         got: usize,
-        /// Number of vertices.
+        /// Number of vertices of the mesh.
         want: usize,
     },
     /// A value is not finite.
@@ -45,7 +45,7 @@ pub enum BaseError {
     /// A face names a vertex that is not there.
     #[error("face {face} names a vertex beyond the {vertices} of the mesh")]
     Face {
-        /// Row of the face.
+        /// Row of the face among the faces.
         face: u32,
         /// Number of vertices of the mesh.
         vertices: usize,

@@ -41,9 +41,9 @@ pub enum ChannelsError {
         column: &'static str,
         /// Number of values it has.
         got: usize,
-        /// Number of values needed.
+        /// Number of values that the texels need.
         want: usize,
-        /// Number of valid texels.
+        /// Number of valid texels of the map.
         texels: usize,
     },
     /// A valid texel lies outside the map.

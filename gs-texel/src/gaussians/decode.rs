@@ -25,7 +25,7 @@ pub enum Covariance {
     Raw,
 }
 
-/// Options of [`decode`].
+/// How [`decode`] turns and moves the Gaussians of texels.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct DecodeOptions {

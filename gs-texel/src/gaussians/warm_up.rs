@@ -22,7 +22,7 @@ const NEIGHBOURS: usize = 3;
 /// Weight of the opacity channel.
 const OPACITY_WEIGHT: f64 = 0.1;
 
-/// Inputs that [`targets`] refuses.
+/// Why [`targets`] refuses its inputs.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum WarmUpError {
     /// A column has another length.

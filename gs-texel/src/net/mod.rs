@@ -21,7 +21,7 @@ pub enum NetError {
     /// The width is not a multiple of the normalisation groups.
     #[error("a {net} of width {width} cannot be split into groups: use a multiple of {multiple}, at least {multiple}")]
     Width {
-        /// Name of the network.
+        /// Name of the network: GeoNet or GauNet.
         net: &'static str,
         /// The width asked for, channels.
         width: usize,
@@ -31,9 +31,9 @@ pub enum NetError {
     /// There are no input channels or no levels.
     #[error("a {net} needs at least one {what}")]
     Empty {
-        /// Name of the network.
+        /// Name of the network: GeoNet or GauNet.
         net: &'static str,
-        /// `level` or `input channel`.
+        /// What is missing: `level` or `input channel`.
         what: &'static str,
     },
     /// The side of the map cannot be halved often enough.
@@ -59,7 +59,7 @@ pub enum NetError {
     /// A slice does not have the length of the map.
     #[error("{what}: {want} values needed, {got} given")]
     Length {
-        /// Name of the slice.
+        /// Which slice it is.
         what: &'static str,
         /// Number of values of the map.
         want: usize,
@@ -69,13 +69,13 @@ pub enum NetError {
     /// A value that is not finite.
     #[error("{what}: value of texel ({x}, {y}), channel {channel} is not finite")]
     NotFinite {
-        /// Name of the slice.
+        /// Which slice it is.
         what: &'static str,
-        /// Column of the texel.
+        /// Column of the texel, from 0.
         x: usize,
-        /// Row of the texel.
+        /// Row of the texel, from 0.
         y: usize,
-        /// Channel of the value.
+        /// Channel of the value, from 0.
         channel: usize,
     },
 }
@@ -84,7 +84,7 @@ pub enum NetError {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum NormOver {
-    /// All texels, as published.
+    /// All texels of the map, as published.
     #[default]
     All,
     /// Valid texels only; see [`crate::net`].

@@ -14,7 +14,7 @@ pub enum CharacterError {
     Syntax {
         /// File name as given.
         file: Box<str>,
-        /// Message of the parser.
+        /// What the parser says of the text.
         what: String,
     },
     /// A part of the file violates its format.
@@ -24,7 +24,7 @@ pub enum CharacterError {
         file: Box<str>,
         /// The invalid part, such as `accessor 3`.
         place: String,
-        /// The fault, as text.
+        /// What the format demands and the part lacks.
         what: String,
     },
     /// A value is not finite or outside its domain.
@@ -34,21 +34,21 @@ pub enum CharacterError {
         file: Box<str>,
         /// The table, such as `accessor 3`.
         place: String,
-        /// Row, counted from 0.
+        /// Row of the table, counted from 0.
         row: usize,
         /// Component of the row, counted from 0.
         component: usize,
-        /// The value found.
+        /// The value found: NaN, infinite or out of its domain.
         value: f64,
     },
-    /// A URI is refused.
+    /// A URI names nothing that may be read: it leaves the folder, or is no base64 data.
     #[error("{file}: `{uri}` {why}; keep what the asset refers to in its own folder, under plain relative names")]
     Path {
         /// File name as given.
         file: Box<str>,
-        /// The URI, shortened.
+        /// The URI in the file, shortened for the message.
         uri: String,
-        /// Why it is refused.
+        /// Why it is refused, as text.
         why: &'static str,
     },
     /// A feature of the format is not supported.
@@ -56,9 +56,9 @@ pub enum CharacterError {
     Unsupported {
         /// File name as given.
         file: Box<str>,
-        /// Name of the feature.
+        /// Name of the feature of the format.
         what: String,
-        /// Remedy, as text.
+        /// What to do instead, as text.
         advice: &'static str,
     },
     /// The file asks for more than its size allows.

@@ -34,7 +34,7 @@ use buffers::Folder;
 use gs_core::io::{Limits, read_file};
 use std::path::Path;
 
-/// Options of [`load_character`].
+/// What [`load_character`] demands of a file, and how much memory it may use.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ReadOptions {
     /// Whether a mesh without texture coordinates is an error (a texel table needs them). Default: no.

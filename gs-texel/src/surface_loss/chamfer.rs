@@ -40,9 +40,9 @@ pub enum ChamferError {
     /// The numbers of colours and measured points differ.
     #[error("{got} colours of {want} measured points: every point needs one, or none has")]
     Colors {
-        /// Number of colours.
+        /// Number of colours given.
         got: usize,
-        /// Number of measured points.
+        /// Number of measured points given.
         want: usize,
     },
     /// No tree can be built (too many points in one place).

@@ -41,7 +41,7 @@ impl SurfaceColors for Template {
     }
 }
 
-/// Colours for [`Chamfer::evaluate_faces`].
+/// Colours of both sides for [`Chamfer::evaluate_faces`].
 #[derive(Clone, Copy)]
 pub struct Colors<'a> {
     /// `C(f, b)`: colours of the surface.

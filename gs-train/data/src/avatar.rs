@@ -7,7 +7,7 @@
 use crate::avatar::layout::points;
 use crate::{DataError, ImageCache, ImageU8, View};
 use glam::Vec3;
-use gs_core::{Camera, Image, Time};
+use gs_core::{Camera, Image, Time, cast};
 use gs_texel::figure::{self, Cylinder};
 use gs_texel::{Character, Pose, Skinning};
 use serde::{Deserialize, Serialize};
@@ -56,7 +56,7 @@ pub fn builtin(name: &str) -> Option<Character> {
 /// A filmed person: rigged template, pose and inputs of every frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AvatarScene {
-    /// Template, skeleton and motions.
+    /// Template mesh, skeleton and motions of the person.
     pub character: Character,
     /// How joint transforms are blended: linearly or as dual quaternions.
     pub skinning: Skinning,
@@ -97,7 +97,7 @@ pub enum SurfacePoints {
 /// Points of a surface with optional colours.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct MeasuredPoints {
-    /// Positions, world units.
+    /// Positions of the points, world units.
     pub positions: Vec<Vec3>,
     /// Display-encoded RGB in 0..1, one row per position, where they were measured.
     pub colors: Option<Vec<[f32; 3]>>,
@@ -165,7 +165,7 @@ impl AvatarScene {
         let Some(mask) = cache.mask(view)? else { return Ok(image) };
         let mut cut = Arc::unwrap_or_clone(image);
         for (pixel, m) in cut.data.chunks_exact_mut(4).zip(mask.data) {
-            pixel[3] = (f32::from(pixel[3]) * m).round() as u8;
+            pixel[3] = cast::to_u8((f32::from(pixel[3]) * m).round());
             if pixel[3] == 0 {
                 pixel[..3].fill(0);
             }

@@ -9,7 +9,7 @@
 use std::path::Path;
 
 use glam::{DMat4, DVec2, Vec3};
-use gs_core::{Camera, Time};
+use gs_core::{Camera, Time, cast};
 
 use super::error::{DataError, Place};
 use super::files::{Root, read_text};
@@ -98,7 +98,7 @@ fn read_split(
     let draft = |(k, (listed, header)): (usize, (Listed<Frame>, ImageHeader))| {
         let frame = listed.rest;
         let camera = pinhole(&header, angle, &frame.pose, &frame.place)?;
-        let view = View::new("", camera, Time::default(), ImageSource::File(listed.path), k as u32);
+        let view = View::new("", camera, Time::default(), ImageSource::File(listed.path), cast::to_u32(k));
         Ok(Draft { view, stated: frame.time, place: frame.time_place })
     };
     let mut drafts = frames.into_iter().enumerate().map(draft).collect::<Result<Vec<_>, DataError>>()?;

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use gs_core::{Camera, Image};
+use gs_core::{Camera, Image, cast};
 
 use super::decode::decode;
 use super::error::DataError;
@@ -138,7 +138,7 @@ impl ImageCache {
         let Some(source) = &v.mask else { return Ok(None) };
         let image = self.pixels(source)?;
         let want = [v.camera.width, v.camera.height];
-        mask::check_shape(&file_of(source, v), [image.width as u32, image.height as u32], want)?;
+        mask::check_shape(&file_of(source, v), [image.width, image.height].map(cast::to_u32), want)?;
         Ok(Some(mask::weights(&image, v, &self.camera(v))))
     }
 
@@ -158,7 +158,7 @@ impl ImageCache {
         }
         if let Some(source) = v.mask.as_ref().filter(|_| v.cut_out) {
             let mask = self.pixels(source)?;
-            let sizes = [&mask, &image].map(|i| [i.width as u32, i.height as u32]);
+            let sizes = [&mask, &image].map(|i| [i.width, i.height].map(cast::to_u32));
             mask::check_shape(&file_of(source, v), sizes[0], sizes[1])?;
             mask::cut(&mut image, &mask);
         }
@@ -231,7 +231,7 @@ fn check_size(v: &View, image: &ImageU8) -> Result<(), DataError> {
     if [image.width, image.height] == want.map(|s| s as usize) {
         return Ok(());
     }
-    let got = [image.width as u32, image.height as u32];
+    let got = [image.width, image.height].map(cast::to_u32);
     Err(DataError::ImageSize { file: file_of(&v.image, v), got, want })
 }
 

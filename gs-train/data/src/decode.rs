@@ -117,6 +117,7 @@ fn to_rgba8(data: &mut Vec<u8>, pixels: usize, color: ColorType) -> Result<(), S
 }
 
 /// 16 to 8 bit, rounded to nearest.
+#[expect(clippy::cast_possible_truncation, reason = "65 535 becomes 255")]
 fn narrow(v: u16) -> u8 {
     ((u32::from(v) * 255 + 32_767) / 65_535) as u8
 }

@@ -11,7 +11,7 @@ const MISSING_NAMED: usize = 20;
 /// Where in the data: the file, and inside it a JSON path, row or byte offset (empty: the whole file).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Place {
-    /// Path of the file.
+    /// Path of the file, as it was opened.
     pub file: PathBuf,
     /// Position inside it, for example `frames[17].time`, `images, row 3` or `byte 120`.
     pub at: String,
@@ -90,7 +90,7 @@ pub enum DataError {
         place: Place,
         /// Bytes it has or would need.
         bytes: u64,
-        /// Most bytes allowed.
+        /// Most bytes allowed for it.
         limit: u64,
     },
     /// The file is not what its format demands.
@@ -114,13 +114,13 @@ pub enum DataError {
     /// A field is missing, has the wrong type, is not finite or out of its domain.
     #[error("{} is {value}", if .place.at.is_empty() { "a field" } else { .place.at.as_str() })]
     Field {
-        /// File and field.
+        /// File, and the field inside it.
         place: Place,
         /// The value found, or `missing`.
         value: String,
         /// What the field must be, or why it matters.
         why: &'static str,
-        /// How to correct it.
+        /// How to correct it, as advice.
         fix: &'static str,
     },
     /// A pose is not a rotation and a translation.
@@ -134,7 +134,7 @@ pub enum DataError {
     /// A training time lies outside the range.
     #[error("frame \"{frame}\" has time {value}, the other {others} lie in {range}")]
     Time {
-        /// File and field.
+        /// File, and the field inside it.
         place: Place,
         /// Name of the frame's view.
         frame: String,
@@ -158,9 +158,9 @@ pub enum DataError {
     /// Videos whose frames have not been extracted.
     #[error("{} holds {videos} videos without frames", .folder.display())]
     Video {
-        /// The data folder.
+        /// The data folder that was opened.
         folder: PathBuf,
-        /// Number of video files.
+        /// Number of video files in it.
         videos: usize,
         /// The shell command that extracts them, run in the folder.
         command: String,
@@ -168,9 +168,9 @@ pub enum DataError {
     /// A path inside the data leaves the data folder.
     #[error("path \"{path}\" leaves the data folder")]
     Escape {
-        /// File and field.
+        /// File, and the field inside it.
         place: Place,
-        /// The path as written.
+        /// The path as the file writes it.
         path: String,
     },
     /// A camera model without a reader.
@@ -228,7 +228,7 @@ pub enum DataError {
         name: &'static str,
         /// The value given, as text.
         value: String,
-        /// The values allowed.
+        /// The values allowed, as text.
         rule: String,
     },
 }
@@ -389,17 +389,17 @@ impl DataError {
         Self::Syntax { place: Place::new(file, at), message: message.into() }
     }
 
-    /// [`Self::Read`] of a file.
+    /// [`Self::Read`] for a file the system did not let us read.
     pub fn read(file: &Path, source: std::io::Error) -> Self {
         Self::Read { file: file.to_path_buf(), source }
     }
 
-    /// [`Self::Write`] of a file.
+    /// [`Self::Write`] for a file the system did not let us write.
     pub fn write(file: &Path, source: std::io::Error) -> Self {
         Self::Write { file: file.to_path_buf(), source }
     }
 
-    /// [`Self::Decode`] of a file.
+    /// [`Self::Decode`] for an image, with the decoder's message.
     pub fn decode(file: &Path, message: impl fmt::Display) -> Self {
         Self::Decode { file: file.to_path_buf(), message: message.to_string() }
     }

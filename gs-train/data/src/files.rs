@@ -88,7 +88,8 @@ pub(crate) fn read_bytes(file: &Path, limit: u64) -> Result<Vec<u8>, DataError> 
     if meta.len() > limit {
         return Err(too_large(meta.len()));
     }
-    let mut bytes = Vec::with_capacity(meta.len() as usize + 1);
+    let length = usize::try_from(meta.len()).map_err(|_| too_large(meta.len()))?;
+    let mut bytes = Vec::with_capacity(length + 1);
     open.take(limit + 1).read_to_end(&mut bytes).map_err(failed)?;
     if bytes.len() as u64 > limit { Err(too_large(bytes.len() as u64)) } else { Ok(bytes) }
 }

@@ -1,6 +1,7 @@
 //! Extent of the cameras, bounds of the scene, and a digest of a data set.
 
 use glam::{DMat3, DVec3, Vec3};
+use gs_core::cast;
 
 use super::{Dataset, ImageSource, View};
 
@@ -16,7 +17,7 @@ impl Dataset {
         let centres: Vec<DVec3> = self.train.iter().map(|v| v.camera.position()).collect();
         let mean = centres.iter().sum::<DVec3>() / centres.len().max(1) as f64;
         let radius = 1.1 * centres.iter().map(|c| (*c - mean).length()).fold(0.0, f64::max);
-        if radius > 1e-6 { radius as f32 } else { 1.0 }
+        if radius > 1e-6 { cast::to_f32(radius) } else { 1.0 }
     }
 
     /// Lower and upper corner of the scene box, world units: [`Self::bounds`]; else the box of the points without the outer
@@ -85,7 +86,7 @@ impl Dataset {
 }
 
 fn around_points(points: &[Vec3]) -> [Vec3; 2] {
-    let drop = (points.len() as f64 * OUTLIERS) as usize;
+    let drop = cast::to_usize(points.len() as f64 * OUTLIERS);
     let mut corners = [Vec3::ZERO; 2];
     for axis in 0..3 {
         let mut values: Vec<f32> = points.iter().map(|p| p[axis]).collect();

@@ -12,7 +12,7 @@
 use std::sync::Arc;
 
 use glam::{DVec3, Vec3};
-use gs_core::{Camera, Rng};
+use gs_core::{Camera, Rng, cast};
 use rayon::prelude::*;
 
 use super::cache::ImageCache;
@@ -60,7 +60,7 @@ impl Silhouette {
         if !(at.x >= 0.0 && at.x < w && at.y >= 0.0 && at.y < h) {
             return Verdict::Unseen;
         }
-        let [r, g, b, a] = self.image.pixel(at.x as usize, at.y as usize);
+        let [r, g, b, a] = self.image.pixel(cast::to_usize(at.x), cast::to_usize(at.y));
         if a > OPAQUE { Verdict::Inside([r, g, b]) } else { Verdict::Outside }
     }
 }
@@ -115,7 +115,7 @@ impl Hull {
         let mut points = PointCloud::default();
         for i in 0..n {
             let mut r = Rng::new(seed, "data.hull", 0, i as u64);
-            let (centre, color) = self.cells[r.below(self.cells.len() as u32) as usize];
+            let (centre, color) = self.cells[r.below(cast::to_u32(self.cells.len())) as usize];
             let jitter = Vec3::new(r.uniform(), r.uniform(), r.uniform()) - Vec3::splat(0.5);
             points.positions.push(centre + jitter * self.size);
             points.colors.push(color);
@@ -178,7 +178,7 @@ impl Carved {
                 continue;
             }
             let (at, r) = (v.camera.to_pixel(c), half * v.camera.fx.max(v.camera.fy) / c.z);
-            let range = |x: f64, n: usize| (x - r).max(0.0) as usize..((x + r + 1.0).max(0.0) as usize).min(n);
+            let range = |x: f64, n: usize| cast::to_usize(x - r)..cast::to_usize(x + r + 1.0).min(n);
             for y in range(at.y, h) {
                 let row = &mut covered[y * w..(y + 1) * w];
                 range(at.x, w).for_each(|x| row[x] = true);
@@ -213,7 +213,7 @@ fn silhouettes(train: &[View], by_mask: bool) -> Result<Vec<Silhouette>, DataErr
         let mut image = cache.get(v)?;
         if let Some(mask) = cache.mask(v)?.filter(|_| by_mask) {
             let pixels = Arc::make_mut(&mut image).data.chunks_exact_mut(4);
-            pixels.zip(&mask.data).for_each(|(p, w)| p[3] = (w * 255.0) as u8);
+            pixels.zip(&mask.data).for_each(|(p, w)| p[3] = cast::to_u8(w * 255.0));
         }
         Ok(Silhouette { name: v.name.clone(), camera: cache.camera(v), image })
     };

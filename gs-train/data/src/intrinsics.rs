@@ -1,7 +1,7 @@
 //! Intrinsics as files state them, rescaled to the size of the image file.
 
 use glam::{DMat4, DVec2};
-use gs_core::Camera;
+use gs_core::{Camera, cast};
 
 use super::error::{DataError, Place};
 use super::header::ImageHeader;
@@ -42,7 +42,7 @@ impl Intrinsics {
         let size = DVec2::new(f64::from(header.width), f64::from(header.height));
         let scale = size / self.size;
         if !same_shape(size, self.size) {
-            let want = [self.size.x as u32, self.size.y as u32];
+            let want = [self.size.x, self.size.y].map(|side| u32::try_from(cast::to_usize(side)).unwrap_or(u32::MAX));
             return Err(DataError::ImageSize { file: file.to_path_buf(), got: [header.width, header.height], want });
         }
         let mut viewmat = DMat4::from_mat3(pose.rotation);

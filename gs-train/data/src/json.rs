@@ -6,8 +6,10 @@
 
 use std::borrow::Cow;
 use std::fmt;
+use std::ops::RangeInclusive;
 use std::path::Path;
 
+use gs_core::cast;
 use serde::de::{Deserializer, Error as _, MapAccess, SeqAccess, Visitor};
 use serde_json::value::RawValue;
 use serde_json::{Map, Value};
@@ -202,6 +204,12 @@ impl<'de> Visitor<'de> for List {
         }
         Ok(list)
     }
+}
+
+/// The whole number that `value` is, if it is one of the range.
+pub(crate) fn whole(value: f64, range: RangeInclusive<u32>) -> Option<u32> {
+    let limits = f64::from(*range.start())..=f64::from(*range.end());
+    (value.fract() == 0.0 && limits.contains(&value)).then(|| cast::to_u32(cast::to_usize(value)))
 }
 
 /// The fields of one object, with their place.

@@ -10,7 +10,7 @@
 //! A sensor with skewed columns adds `skew · y'` to `x'` (Hartley and Zisserman 2004, 6.2.4, with `skew = s / fx`).
 
 use glam::DVec2;
-use gs_core::Camera;
+use gs_core::{Camera, cast};
 
 use super::pixels::ImageU8;
 
@@ -27,11 +27,11 @@ use super::pixels::ImageU8;
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct Lens {
-    /// Radial coefficient of r².
+    /// Radial coefficient, factor of `r²`.
     pub k1: f64,
-    /// Radial coefficient of r⁴.
+    /// Radial coefficient, factor of `r⁴`.
     pub k2: f64,
-    /// Radial coefficient of r⁶.
+    /// Radial coefficient, factor of `r⁶`.
     pub k3: f64,
     /// First tangential coefficient.
     pub p1: f64,
@@ -152,7 +152,7 @@ fn bilinear(image: &ImageU8, at: DVec2) -> [u8; 4] {
     let (right, bottom) = ((image.width - 1) as f64, (image.height - 1) as f64);
     // `max` and `min` also turn a NaN (a lens far outside its domain) into the edge.
     let (x, y) = (at.x.max(0.0).min(right), at.y.max(0.0).min(bottom));
-    let (i, j) = (x.floor() as usize, y.floor() as usize);
+    let (i, j) = (cast::to_usize(x), cast::to_usize(y));
     let (fx, fy) = (x - x.floor(), y - y.floor());
     let (i1, j1) = ((i + 1).min(image.width - 1), (j + 1).min(image.height - 1));
     let corners = [
@@ -172,7 +172,7 @@ fn bilinear(image: &ImageU8, at: DVec2) -> [u8; 4] {
     if sum[3] <= 0.0 {
         return [0; 4];
     }
-    let to_u8 = |v: f64| (v + 0.5) as u8;
+    let to_u8 = |v: f64| cast::to_u8(v + 0.5);
     [to_u8(sum[0] / sum[3]), to_u8(sum[1] / sum[3]), to_u8(sum[2] / sum[3]), to_u8(sum[3])]
 }
 

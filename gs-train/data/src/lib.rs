@@ -54,9 +54,8 @@
 //!
 //! # What it leaves out
 //! EXR images, mask folders of other layouts, fisheye lenses, video files.
-
 #![warn(unreachable_pub)]
-#![warn(clippy::allow_attributes_without_reason)]
+#![cfg_attr(not(test), warn(clippy::cast_possible_truncation))]
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -189,7 +188,7 @@ impl View {
 /// Which list of a [`Dataset`] a view is in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Split {
-    /// Training views.
+    /// Views that training learns from.
     Train,
     /// Validation views, scored during training.
     Val,
@@ -207,7 +206,7 @@ impl Split {
 /// Coloured points, one row each in both columns.
 #[derive(Clone, Debug, PartialEq, Default)]
 pub struct PointCloud {
-    /// Positions, world units.
+    /// Positions of the points, world units.
     pub positions: Vec<Vec3>,
     /// Display-encoded RGB in 0..1, one row per position.
     pub colors: Vec<[f32; 3]>,

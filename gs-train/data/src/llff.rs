@@ -18,7 +18,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DVec2, DVec3};
-use gs_core::Time;
+use gs_core::{Time, cast};
 
 use super::error::{DataError, Place};
 use super::files::Root;
@@ -274,7 +274,7 @@ fn drafts(
         let (shot, row) = (&listed.rest, &rows[listed.rest.row]);
         let (camera, rescaled) = row.intrinsics.camera(&header, &listed.path, &row.pose, &row.place)?;
         adjusted.count(&row.intrinsics, &camera, rescaled, None);
-        let view = View::new("", camera, Time::default(), ImageSource::File(listed.path), shot.row as u32);
+        let view = View::new("", camera, Time::default(), ImageSource::File(listed.path), cast::to_u32(shot.row));
         drafts.push(Draft { view, stated: fps.map(|rate| shot.frame as f64 / rate), place: row.place.clone() });
     }
     notes.extend(adjusted.notes());

@@ -8,7 +8,7 @@
 use std::path::Path;
 
 use glam::DVec2;
-use gs_core::{Camera, Image};
+use gs_core::{Camera, Image, cast};
 
 use super::View;
 use super::error::DataError;
@@ -50,8 +50,14 @@ pub(crate) fn cut(image: &mut ImageU8, mask: &ImageU8) {
     for (k, pixel) in image.data.chunks_exact_mut(4).enumerate() {
         let at = |i: usize, side: usize, of: usize| (2 * i + 1) * of / (2 * side);
         let weight = mask.pixel(at(k % width, width, mask.width), at(k / width, height, mask.height))[0];
-        pixel[3] = (u32::from(pixel[3]) * u32::from(weight) / 255) as u8;
+        pixel[3] = product(pixel[3], weight);
     }
+}
+
+/// `a b / 255`, rounded down.
+#[expect(clippy::cast_possible_truncation, reason = "255 · 255 / 255 is 255")]
+fn product(a: u8, b: u8) -> u8 {
+    (u32::from(a) * u32::from(b) / 255) as u8
 }
 
 /// For every pixel of `camera`, row-major, the nearest pixel `[x, y]` of a map of size `[width, height]` with the aspect ratio
@@ -70,7 +76,7 @@ pub fn nearest<'a>(
         let at = DVec2::new(f64::from(i) + 0.5, f64::from(j) + 0.5) * to_full;
         let seen = v.lens.map_or(at, |lens| lens.source_pixel(&v.camera, at)) * stored / full;
         let inside = seen.x >= 0.0 && seen.x < stored.x && seen.y >= 0.0 && seen.y < stored.y;
-        inside.then_some([seen.x as usize, seen.y as usize])
+        inside.then_some([seen.x, seen.y].map(cast::to_usize))
     })
 }
 

@@ -10,7 +10,7 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use glam::DVec2;
-use gs_core::Time;
+use gs_core::{Time, cast};
 
 use super::error::{DataError, Place};
 use super::files::{Root, read_text};
@@ -197,7 +197,7 @@ fn drafts(
         let (camera, rescaled) = intrinsics.camera(&header, &listed.path, &frame.pose, &frame.place)?;
         let lens = intrinsics.lens(options.undistort, &frame.place)?;
         adjusted.count(&intrinsics, &camera, rescaled, lens.as_ref());
-        let mut view = View::new("", camera, Time::default(), ImageSource::File(listed.path), k as u32);
+        let mut view = View::new("", camera, Time::default(), ImageSource::File(listed.path), cast::to_u32(k));
         view.lens = lens;
         if let Some(file) = frame.mask {
             mask::check(&file, [header.width, header.height])?;

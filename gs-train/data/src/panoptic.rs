@@ -20,7 +20,7 @@
 use std::path::{Path, PathBuf};
 
 use glam::{DVec2, Vec3};
-use gs_core::Time;
+use gs_core::{Time, cast};
 use serde::Deserialize;
 use serde_json::value::RawValue;
 use serde_json::{Map, Value};
@@ -31,7 +31,7 @@ use super::frames::{Listed, locate, with_headers};
 use super::geometry::focus;
 use super::header::ImageHeader;
 use super::intrinsics::{Adjusted, Intrinsics};
-use super::json::{Fields, quote_non_finite, slices};
+use super::json::{Fields, quote_non_finite, slices, whole};
 use super::lens::Lens;
 use super::options::DataOptions;
 use super::pose::{Pose, from_world_to_camera};
@@ -225,20 +225,15 @@ fn image_at(
     let (shown, image) = locate(root, &written, &fields.place(&name))?;
     let id = path("cam_id");
     let camera = fields.required_number(&id)?;
-    if !(0.0..=f64::from(u32::MAX)).contains(&camera) || camera.fract() != 0.0 {
-        return Err(fields.fault(
-            &id,
-            &camera.to_string(),
-            "cameras have whole numbers from 0 on",
-            "correct the number",
-        ));
-    }
+    let why = "cameras have whole numbers from 0 on";
+    let camera =
+        whole(camera, 0..=u32::MAX).ok_or_else(|| fields.fault(&id, &camera.to_string(), why, "correct the number"))?;
     let pose = from_world_to_camera(&fields.matrix(&path("w2c"))?, &fields.place(&path("w2c")))?;
     let rest = ImageAt {
         pose,
         intrinsics: intrinsics(&fields, &path("k"), size)?,
         mask: mask_of(root, &shown)?,
-        camera: camera as u32,
+        camera,
         frame: t,
         place: fields.place(&path("k")),
     };
@@ -275,7 +270,7 @@ fn dome(train: &[View]) -> [Vec3; 2] {
     let centre = focus(train);
     let mut away: Vec<f64> = train.iter().map(|v| (v.camera.position() - centre).length()).collect();
     away.sort_by(f64::total_cmp);
-    let half = Vec3::splat((DOME * away[away.len() / 2]).max(f64::from(f32::MIN_POSITIVE)) as f32);
+    let half = Vec3::splat(cast::to_f32((DOME * away[away.len() / 2]).max(f64::from(f32::MIN_POSITIVE))));
     [centre.as_vec3() - half, centre.as_vec3() + half]
 }
 

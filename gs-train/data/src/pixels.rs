@@ -1,6 +1,6 @@
 //! Decoded images: 8-bit RGBA, straight alpha, display-encoded.
 
-use gs_core::Image;
+use gs_core::{Image, cast};
 use rayon::prelude::*;
 
 /// Pixels per parallel task.
@@ -18,11 +18,11 @@ const CHUNK: usize = 1 << 13;
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq, Default)]
 pub struct ImageU8 {
-    /// Number of columns.
+    /// Number of columns, pixels.
     pub width: usize,
-    /// Number of rows.
+    /// Number of rows, pixels.
     pub height: usize,
-    /// `[height, width, 4]` values.
+    /// `[height, width, 4]` values: RGBA, straight alpha, 0 to 255.
     pub data: Vec<u8>,
 }
 
@@ -95,7 +95,7 @@ impl ImageU8 {
         if sum[3] == 0.0 {
             return [0; 4];
         }
-        let to_u8 = |v: f64| (v + 0.5).clamp(0.0, 255.0) as u8;
+        let to_u8 = |v: f64| cast::to_u8(v + 0.5);
         [to_u8(sum[0] / sum[3]), to_u8(sum[1] / sum[3]), to_u8(sum[2] / sum[3]), to_u8(sum[3] / weight)]
     }
 }

@@ -4,6 +4,7 @@ use std::io::Write;
 use std::path::Path;
 
 use glam::Vec3;
+use gs_core::cast;
 use gs_core::io::{self, Limits};
 
 use super::PointCloud;
@@ -62,7 +63,7 @@ pub fn write_points(cloud: &PointCloud, out: &mut dyn Write) -> std::io::Result<
     writeln!(out, "end_header")?;
     for (p, c) in cloud.positions.iter().zip(&cloud.colors) {
         p.to_array().iter().try_for_each(|v| out.write_all(&v.to_le_bytes()))?;
-        out.write_all(&c.map(|v| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8))?;
+        out.write_all(&c.map(|v| cast::to_u8(v.clamp(0.0, 1.0) * 255.0 + 0.5)))?;
     }
     Ok(())
 }

@@ -37,7 +37,7 @@ pub enum StartFrom {
     Depth,
     /// The visual hull of alpha or masks ([`super::hull`]).
     Hull,
-    /// Uniform in [`Dataset::scene_bounds`], grey.
+    /// Uniform in [`Dataset::scene_bounds`], all of them grey.
     Random,
 }
 
@@ -71,7 +71,7 @@ impl StartFrom {
 pub struct Start {
     /// The source of the points.
     pub from: StartFrom,
-    /// Positions and colours.
+    /// The points: positions and colours.
     pub cloud: PointCloud,
     /// Lower and upper corner of a scene box for [`write_start`] to keep; [`Dataset::start`] gives none.
     pub bounds: Option<[Vec3; 2]>,

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use glam::{DVec3, Vec3};
+use gs_core::cast;
 use gs_core::io::{Limits, npy};
 
 use super::error::{DataError, Place};
@@ -34,7 +35,7 @@ pub(crate) fn read_coloured(file: &Path, width: usize) -> Result<PointCloud, Dat
     let mut cloud = PointCloud::default();
     for (i, row) in rows.chunks_exact(width).enumerate() {
         cloud.positions.push(finite_point(file, i, DVec3::from_slice(row))?);
-        cloud.colors.push([3, 4, 5].map(|c| row[c].clamp(0.0, 1.0) as f32));
+        cloud.colors.push([3, 4, 5].map(|c| cast::to_f32(row[c].clamp(0.0, 1.0))));
     }
     Ok(cloud)
 }

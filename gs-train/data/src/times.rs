@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use gs_core::Time;
+use gs_core::{Time, cast};
 
 use super::boundary;
 use super::error::{DataError, Place};
@@ -231,7 +231,7 @@ impl Clock {
             (true, Some(fps)) => t / fps,
             (true, None) => normalised,
         };
-        Time::with_seconds(normalised as f32, seconds).map_err(|e| DataError::Field {
+        Time::with_seconds(cast::to_f32(normalised), seconds).map_err(|e| DataError::Field {
             place: place.clone(),
             value: e.value.to_string(),
             why: "after mapping the training span to 0..1 it must be a finite number",

@@ -1,4 +1,6 @@
 //! The registry of all methods of gs4d, for programs that offer every one of them.
+#![warn(unreachable_pub)]
+#![cfg_attr(not(test), warn(clippy::cast_possible_truncation))]
 
 use gs_train::registry::Registry;
 use std::sync::LazyLock;

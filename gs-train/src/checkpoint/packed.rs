@@ -31,7 +31,7 @@ const HEAD: usize = 18;
 /// How the values of a tensor are written down.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Coding {
-    /// As they are.
+    /// As `f32`, bit for bit.
     F32,
     /// As the nearest `f16`; as `f32` if one is too large for that.
     F16,
@@ -46,7 +46,7 @@ pub enum Coding {
 /// How a tensor is written down.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Encoding {
-    /// How each value is.
+    /// How each value is coded.
     pub coding: Coding,
     /// Values per row; a number that does not divide the number of values counts as 1.
     pub columns: usize,

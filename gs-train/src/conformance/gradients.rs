@@ -70,11 +70,11 @@ pub const MIN_SCALE: f64 = 0.1;
 /// The gradient of one block of parameters.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BlockGradient {
-    /// Name of the block.
+    /// Dotted name of the block.
     pub name: String,
     /// Values per row, where the block has rows.
     pub row_width: Option<usize>,
-    /// One value per parameter.
+    /// Gradient of every value of the block, in its own order.
     pub grad: Vec<f32>,
 }
 
@@ -113,12 +113,12 @@ impl View {
         Self { at, camera, step, options, weights }
     }
 
-    /// The timestamp.
+    /// Timestamp at which the splats are asked for.
     pub fn at(&self) -> &Timestamp {
         &self.at
     }
 
-    /// The camera.
+    /// Camera from which the image is rendered.
     pub fn camera(&self) -> &Camera {
         &self.camera
     }
@@ -202,13 +202,13 @@ pub type Functional<'a> = dyn FnMut(&mut Model, &str) -> f64 + 'a;
 /// What is checked, and how strictly.
 #[derive(Clone, Copy, Debug)]
 pub struct Rules<'a> {
-    /// Seed of the directions.
+    /// Seed of the random directions.
     pub seed: u64,
     /// Random directions through each block.
     pub directions: usize,
     /// Rows of each block that are tried one by one, at most.
     pub rows: usize,
-    /// Relative tolerance ρ.
+    /// Relative tolerance `ρ` of a directional derivative.
     pub relative: f64,
     /// One in so many directions of a method may be an outlier, one in any case; 0: none.
     pub outliers: usize,
@@ -243,7 +243,7 @@ pub enum Fault {
     Absent,
     /// A block is neither required nor exempt, or has no gradient to check.
     Unlisted,
-    /// All values are zero.
+    /// Every value of a required gradient is zero.
     Zero,
     /// A value is not finite.
     NotFinite,
@@ -262,26 +262,26 @@ pub enum Fault {
 /// One direction that was measured.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Direction {
-    /// What it runs through.
+    /// Which values of the block it changes.
     pub kind: Kind,
-    /// h.
+    /// Step `h` along the unit direction.
     pub step: f64,
-    /// m.
+    /// Derivative `m` by finite differences.
     pub measured: f64,
-    /// p.
+    /// Derivative `p` by the method's gradient.
     pub predicted: f64,
-    /// ρ E + κ.
+    /// Tolerance `ρ E + κ` of `|m − p|`.
     pub tolerance: f64,
-    /// κ/E.
+    /// Rounding over expected size, `κ/E`; untested above 1/5.
     pub rounding: f64,
 }
 
 /// What a direction runs through.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// All values, random.
+    /// All values of the block, at random.
     Whole,
-    /// One row, random.
+    /// One row of the block, at random.
     Row(usize),
     /// All values, along the gradient.
     Along,
@@ -297,23 +297,23 @@ impl Direction {
 /// The result for one block.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BlockReport {
-    /// Name of the block.
+    /// Dotted name of the block.
     pub name: String,
-    /// Number of values.
+    /// Number of values in the block.
     pub len: usize,
-    /// ‖g‖.
+    /// Norm `‖g‖` of the gradient.
     pub norm: f64,
-    /// σ.
+    /// Rounding `σ` of the functional, a standard deviation.
     pub noise: f64,
     /// h of the first direction.
     pub step: f64,
-    /// Directions that were judged.
+    /// Every direction that was judged, with its result.
     pub directions: Vec<Direction>,
     /// How many of them are outliers.
     pub outliers: usize,
     /// Rows whose own direction would be lost in rounding.
     pub untested_rows: usize,
-    /// What is wrong.
+    /// What is wrong; empty if the block passes.
     pub faults: Vec<Fault>,
 }
 

@@ -33,7 +33,7 @@ pub trait LossTerm: Send {
 /// A term of one view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TermValue {
-    /// What is minimised.
+    /// Value of the term before its weight; less is better.
     pub loss: f64,
     /// What logs show: the similarity itself where `loss` is one minus it.
     pub shown: f64,
@@ -53,7 +53,7 @@ impl TermValue {
     }
 }
 
-/// What `lambda_dssim` weighs.
+/// Which similarity `lambda_dssim` weighs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Dssim {
@@ -82,7 +82,7 @@ impl Dssim {
 }
 
 impl Dssim {
-    /// The term.
+    /// The loss term of this choice, with its own memory.
     pub fn term(self) -> Box<dyn LossTerm> {
         match self {
             Dssim::Ssim => Box::new(SsimTerm(Ssim::new(SsimOptions::default()))),

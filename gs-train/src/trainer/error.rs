@@ -15,9 +15,9 @@ pub enum TrainError {
     /// Gradients were not finite, too many or in a weight that all splats share. The parameters are to be thrown away.
     #[error("step {step}, view {view}: {what}; go back to the last checkpoint and lower the learning rates")]
     Numeric {
-        /// Step being made.
+        /// Number of the step, from 1.
         step: u32,
-        /// View being learnt from.
+        /// Name of the view, or of all views of the batch.
         view: String,
         /// What was met, and where.
         what: String,

@@ -22,7 +22,7 @@ struct Worker {
 impl Prefetch {
     /// Asks for the image of a view, if it lies in a file. Where the thread cannot follow, or none can be started, the
     /// request is dropped.
-    pub fn request(&mut self, images: &Arc<ImageCache>, view: &View) {
+    pub(super) fn request(&mut self, images: &Arc<ImageCache>, view: &View) {
         if !matches!(view.image, ImageSource::File(_)) || !images.keeps_images() {
             return;
         }

@@ -12,21 +12,21 @@ use std::time::Instant;
 /// Milliseconds of the phases of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Default, Serialize)]
 pub struct Phases {
-    /// Fetching the ground-truth images.
+    /// Waiting for the ground-truth images of the batch.
     pub data: f64,
     /// The method: forward, backward and regularisers.
     pub field: f64,
-    /// Rasterisation, forward.
+    /// Forward pass of the rasteriser.
     pub raster_forward: f64,
     /// Image loss and its gradient.
     pub loss: f64,
-    /// Rasterisation, backward.
+    /// Backward pass of the rasteriser.
     pub raster_backward: f64,
-    /// The optimiser.
+    /// Update of all parameters by Adam.
     pub adam: f64,
-    /// Densification.
+    /// End of the step: densification, growth and pruning.
     pub adapt: f64,
-    /// The whole step.
+    /// The whole step, from the choice of views on.
     pub total: f64,
 }
 
@@ -77,7 +77,7 @@ impl Phases {
 
 impl ViewLoss {
     /// Adds one view of a batch of `batch`: terms become means, gradients that are not finite the worst of all views.
-    pub fn add(&mut self, view: &ViewLoss, batch: f64) {
+    pub(super) fn add(&mut self, view: &ViewLoss, batch: f64) {
         self.terms.add_mean(&view.terms, batch);
         if view.non_finite.rows > self.non_finite.rows {
             self.non_finite = view.non_finite;
@@ -88,7 +88,7 @@ impl ViewLoss {
 
 impl RenderPass {
     /// A pass with empty buffers.
-    pub fn new(loss: ImageLoss) -> Self {
+    pub(super) fn new(loss: ImageLoss) -> Self {
         let (workspace, frame, d_frame, stats) = Default::default();
         Self { workspace, frame, d_frame, stats, loss }
     }
@@ -131,12 +131,12 @@ pub(super) struct Stopwatch(Instant);
 
 impl Stopwatch {
     /// Started now.
-    pub fn new() -> Self {
+    pub(super) fn new() -> Self {
         Self(Instant::now())
     }
 
     /// Milliseconds since the start or the last lap.
-    pub fn lap(&mut self) -> f64 {
+    pub(super) fn lap(&mut self) -> f64 {
         let now = Instant::now();
         let ms = now.duration_since(self.0).as_secs_f64() * 1e3;
         self.0 = now;

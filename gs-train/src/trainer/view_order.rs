@@ -24,7 +24,7 @@ const SLACK: f32 = 1e-6;
 
 /// The training views in the order of a schedule.
 #[derive(Clone, Debug)]
-pub struct ViewOrder {
+pub(crate) struct ViewOrder {
     seed: u64,
     /// Normalised time of each view.
     times: Vec<f32>,
@@ -36,14 +36,14 @@ pub struct ViewOrder {
 
 impl ViewOrder {
     /// Views of these normalised times.
-    pub fn new(seed: u64, times: Vec<f32>) -> Self {
+    pub(crate) fn new(seed: u64, times: Vec<f32>) -> Self {
         let mut sorted = times.clone();
         sorted.sort_by(f32::total_cmp);
         Self { seed, times, sorted, last: Cell::default() }
     }
 
     /// Index of the view drawn as number `draw` (from 1) of a run.
-    pub fn view(&self, schedule: &Schedule, draw: u32) -> usize {
+    pub(crate) fn view(&self, schedule: &Schedule, draw: u32) -> usize {
         let last = self.last.get();
         let (mut epoch, mut begin) = if draw > last.1 { last } else { (0, 0) };
         loop {

@@ -8,8 +8,9 @@
 //! of the exposure has that share of alpha.
 
 use crate::SynthData;
+use crate::write::save_png;
 use glam::{DQuat, DVec3};
-use gs_core::{Camera, Rng};
+use gs_core::{Camera, Rng, cast};
 use gs_data::{DataError, ImageSource, ImageU8, View};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -84,7 +85,7 @@ impl Exposure {
             .iter()
             .flat_map(|sum| {
                 let color = |c: usize| if sum[3] > 0.0 { self.encoded(sum[c] / sum[3]) } else { 0.0 };
-                [color(0), color(1), color(2), sum[3] / n].map(|v| (255.0 * v).round() as u8)
+                [color(0), color(1), color(2), sum[3] / n].map(|v| cast::to_u8((255.0 * v).round()))
             })
             .collect();
         out
@@ -129,9 +130,7 @@ pub fn blur_training_views(dir: &Path, data: &mut SynthData, exposure: &Exposure
         data.dataset.train.iter().enumerate().map(|(k, v)| exposure.render(data, v, k as u64)).collect();
     for (view, image) in data.dataset.train.iter_mut().zip(blurred) {
         let file = dir.join("train").join(format!("{}.png", view.name));
-        let (width, height) = (image.width as u32, image.height as u32);
-        image::save_buffer(&file, &image.data, width, height, image::ExtendedColorType::Rgba8)
-            .map_err(|e| DataError::write(&file, std::io::Error::other(e)))?;
+        save_png(&file, &image)?;
         view.image = ImageSource::Memory(std::sync::Arc::new(image));
     }
     let frames = exposure.length * (data.dataset.train.len().max(2) - 1) as f64;

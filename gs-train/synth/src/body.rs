@@ -13,17 +13,17 @@ use super::motion::{Motion, RigidPose};
 pub enum Shape {
     /// A ball around the origin.
     Sphere {
-        /// Radius, world units.
+        /// Radius of the ball, world units.
         radius: f64,
     },
     /// An axis-aligned box around the origin.
     Box {
-        /// Half sides, world units.
+        /// Half sides along x, y and z, world units.
         half: DVec3,
     },
     /// A solid disc around the origin with its axis along z.
     Wheel {
-        /// Radius, world units.
+        /// Radius of the disc, world units.
         radius: f64,
         /// Half the width along the axis.
         half_width: f64,
@@ -53,11 +53,11 @@ pub struct Wave {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum MotionClass {
-    /// At rest.
+    /// The body does not move.
     Still,
-    /// Rigid motion.
+    /// The body moves as a rigid whole.
     Global,
-    /// Deformation.
+    /// The body changes its shape.
     Local,
 }
 

@@ -36,14 +36,13 @@
 //!
 //! # What it leaves out
 //! Shadows, reflections, textures from files, moving cameras with continuous paths; fluids and contact between bodies.
-
 #![warn(unreachable_pub)]
-#![warn(clippy::allow_attributes_without_reason)]
+#![cfg_attr(not(test), warn(clippy::cast_possible_truncation))]
 
 use std::sync::Arc;
 
 use glam::Vec3;
-use gs_core::Time;
+use gs_core::{Time, cast};
 use serde::{Deserialize, Serialize};
 
 use gs_data::{DataError, Dataset, ImageSource, Lens, View};
@@ -125,7 +124,7 @@ impl Default for SynthOptions {
 pub struct SynthData {
     /// Views with their images in memory.
     pub dataset: Dataset,
-    /// Geometry and motion.
+    /// Exact geometry and motion of the same scene.
     pub truth: Truth,
 }
 
@@ -265,7 +264,7 @@ fn view(truth: &Truth, at: Viewpoint) -> Result<View, DataError> {
         false => (at.camera, Lens::default()),
     };
     let image = truth.distorted_image(&camera, &lens, at.time);
-    let time = if truth.dynamic() { Time::new(at.time as f32) } else { Ok(Time::default()) };
+    let time = if truth.dynamic() { Time::new(cast::to_f32(at.time)) } else { Ok(Time::default()) };
     let time = time.map_err(|e| DataError::Option {
         name: "time",
         value: e.value.to_string(),

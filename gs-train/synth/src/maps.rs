@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 
 use gs_core::io::cameras::{NamedCamera, save_cameras};
 use gs_core::io::{IoError, npy, write_file};
-use gs_core::{Camera, Image};
+use gs_core::{Camera, Image, cast};
 use rayon::prelude::*;
 
 use super::body::MotionClass;
@@ -58,7 +58,8 @@ pub fn write_maps(dir: &Path, data: &SynthData, moments: u32, overwrite: bool) -
     let frames = create_dir(folder.join("frames"))?;
     let last = moments.max(2) - 1;
     let time = |k: u32| f64::from(k) / f64::from(last);
-    let named = |k: u32| NamedCamera { camera: camera.clone(), name: format!("t_{k:03}"), time: Some(time(k) as f32) };
+    let named =
+        |k: u32| NamedCamera { camera: camera.clone(), name: format!("t_{k:03}"), time: Some(cast::to_f32(time(k))) };
     let cameras: Vec<NamedCamera> = (0..=last).map(named).collect();
     io_error(save_cameras(&folder.join("camera.json"), &cameras, overwrite), &folder)?;
     (0..=last).into_par_iter().try_for_each(|k| {

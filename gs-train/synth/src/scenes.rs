@@ -12,7 +12,7 @@ pub struct SynthScene {
     pub name: &'static str,
     /// The scene in one line, for help texts.
     pub about: &'static str,
-    /// Whether any body moves.
+    /// Whether any body of the scene moves.
     pub dynamic: bool,
     /// Fewest samples per pixel along each axis that its texture needs.
     pub least_supersample: u32,

@@ -2,7 +2,7 @@
 //! alpha. Shading is Lambert's with a light fixed in the world, hence the same from every camera.
 
 use glam::{DVec2, DVec3};
-use gs_core::Camera;
+use gs_core::{Camera, cast};
 use rayon::prelude::*;
 
 use super::body::{Body, Placed};
@@ -14,13 +14,13 @@ const LIGHT: DVec3 = DVec3::new(0.36, -0.48, 0.8);
 /// First intersection of a ray.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hit {
-    /// Index in [`Truth::bodies`](super::Truth::bodies).
+    /// Row of the body in [`Truth::bodies`](super::Truth::bodies).
     pub body: usize,
     /// The material point in the body's frame.
     pub local: DVec3,
-    /// World position.
+    /// Point of intersection, world units.
     pub world: DVec3,
-    /// Camera-space z.
+    /// Camera-space z of the point, world units.
     pub depth: f64,
     /// Shaded colour, display-encoded RGB in 0..1.
     pub color: [f64; 3],
@@ -106,7 +106,7 @@ impl<'a> Tracer<'a> {
         if hits == 0 {
             return [0; 4];
         }
-        let to_u8 = |x: f64| (x * 255.0 + 0.5).clamp(0.0, 255.0) as u8;
+        let to_u8 = |x: f64| cast::to_u8(x * 255.0 + 0.5);
         let [r, g, b] = sum.map(|c| to_u8(c / f64::from(hits)));
         [r, g, b, to_u8(f64::from(hits) / f64::from(k * k))]
     }

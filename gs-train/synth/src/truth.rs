@@ -1,7 +1,7 @@
 //! Ground truth of a generated scene: positions of material points, depth, flow and segments, exact to rounding.
 
 use glam::{DVec2, DVec3};
-use gs_core::{Camera, Image};
+use gs_core::{Camera, Image, cast};
 
 use super::SynthOptions;
 use super::body::{Body, MotionClass};
@@ -56,7 +56,7 @@ impl Truth {
         self.scene
     }
 
-    /// Whether any body moves.
+    /// Whether any body of the scene moves.
     pub fn dynamic(&self) -> bool {
         self.dynamic
     }
@@ -111,13 +111,13 @@ impl Truth {
     /// `[H, W, 1]`: camera-space z at pixel centres, world units; 0 where nothing is visible.
     pub fn depth(&self, camera: &Camera, t: f64) -> Image {
         let mut depth = Image::zeros(camera.width as usize, camera.height as usize, 1);
-        depth.data = self.centres(camera, t).into_iter().map(|h| h.map_or(0.0, |h| h.depth as f32)).collect();
+        depth.data = self.centres(camera, t).into_iter().map(|h| h.map_or(0.0, |h| cast::to_f32(h.depth))).collect();
         depth
     }
 
     /// Index of the body visible at each pixel centre, row-major.
     pub fn segments(&self, camera: &Camera, t: f64) -> Vec<Option<u32>> {
-        self.centres(camera, t).into_iter().map(|h| h.map(|h| h.body as u32)).collect()
+        self.centres(camera, t).into_iter().map(|h| h.map(|h| cast::to_u32(h.body))).collect()
     }
 
     /// `[H, W, 1]`: label of the body visible at each pixel centre over 255, `k / 255` for the `k`-th body counted from 1; 0 for none.
@@ -151,8 +151,8 @@ impl Truth {
             let moved = after.to_camera(self.bodies[hit.body].position_of(hit.local, t1));
             let to = after.to_pixel(moved);
             let from = DVec2::new((k % width) as f64 + 0.5, (k / width) as f64 + 0.5);
-            map.flow.data[2 * k] = (to.x - from.x) as f32;
-            map.flow.data[2 * k + 1] = (to.y - from.y) as f32;
+            map.flow.data[2 * k] = cast::to_f32(to.x - from.x);
+            map.flow.data[2 * k + 1] = cast::to_f32(to.y - from.y);
             let again = target.hit(to.x, to.y);
             map.visible_after
                 .push(again.is_some_and(|h| h.body == hit.body && (h.depth - moved.z).abs() < SAME_SURFACE));

@@ -67,7 +67,7 @@ impl Viewpoints {
     /// Static cameras; in every split camera after camera, each ascending in time. A static scene has one timestamp.
     fn of_static_cameras(o: &SynthOptions, dynamic: bool) -> Result<Self, DataError> {
         let times = if dynamic { o.moments } else { 1 };
-        let past = (0..times).filter(|&k| timestamp(k, times) <= o.boundary + SLACK).count() as u32;
+        let past = (0..times).filter(|&k| timestamp(k, times) <= o.boundary + SLACK).map(|_| 1).sum();
         let split = |cameras: std::ops::Range<u32>, indices: std::ops::Range<u32>| {
             let mut split_views = Vec::new();
             for camera_id in cameras {

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use glam::{DMat3, DQuat, DVec3};
-use gs_core::Camera;
+use gs_core::{Camera, cast};
 use rayon::prelude::*;
 use serde_json::{Value, json};
 
@@ -83,7 +83,7 @@ pub(super) fn check_vacant(dir: &Path, overwrite: bool) -> Result<(), DataError>
 }
 
 pub(super) fn save_png(file: &Path, image: &ImageU8) -> Result<(), DataError> {
-    let (width, height) = (image.width as u32, image.height as u32);
+    let [width, height] = [image.width, image.height].map(cast::to_u32);
     image::save_buffer(file, &image.data, width, height, image::ExtendedColorType::Rgba8)
         .map_err(|e| DataError::write(file, std::io::Error::other(e)))
 }

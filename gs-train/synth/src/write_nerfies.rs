@@ -14,7 +14,7 @@
 use std::path::Path;
 
 use gs_core::io::npy;
-use gs_core::{Camera, Rng};
+use gs_core::{Camera, Rng, cast};
 use rayon::prelude::*;
 use serde_json::{Map, Value, json};
 
@@ -151,7 +151,7 @@ pub(super) fn with_lens(camera: Camera) -> (Camera, Lens) {
 fn over_white(image: &ImageU8) -> ImageU8 {
     let over = |p: &[u8]| {
         let alpha = f32::from(p[3]) / 255.0;
-        let blend = |c: u8| (f32::from(c) * alpha + 255.0 * (1.0 - alpha) + 0.5) as u8;
+        let blend = |c: u8| cast::to_u8(f32::from(c) * alpha + 255.0 * (1.0 - alpha) + 0.5);
         [blend(p[0]), blend(p[1]), blend(p[2]), 255]
     };
     ImageU8 { data: image.data.chunks_exact(4).flat_map(over).collect(), ..*image }
@@ -159,14 +159,14 @@ fn over_white(image: &ImageU8) -> ImageU8 {
 
 fn save_rgb(file: &Path, image: &ImageU8) -> Result<(), DataError> {
     let rgb: Vec<u8> = image.data.chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]).collect();
-    let (width, height) = (image.width as u32, image.height as u32);
+    let [width, height] = [image.width, image.height].map(cast::to_u32);
     image::save_buffer(file, &rgb, width, height, image::ExtendedColorType::Rgb8)
         .map_err(|e| DataError::write(file, std::io::Error::other(e)))
 }
 
 /// Writes the intersections of random rays of the training cameras at time 0; no file if there are none.
 fn save_points(file: &Path, data: &SynthData) -> Result<(), DataError> {
-    let each = RAYS.div_ceil(data.dataset.train.len() as u32);
+    let each = RAYS.div_ceil(cast::to_u32(data.dataset.train.len()));
     let points: Vec<f32> =
         data.dataset.train.iter().enumerate().flat_map(|(k, v)| visible_points(&data.truth, k, v, each)).collect();
     if points.is_empty() {

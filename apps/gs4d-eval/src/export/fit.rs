@@ -1,6 +1,6 @@
 //! Fits camera-independent splats with spherical harmonics to splats that depend on the camera.
 
-use gs_core::{Camera, Color, Kernel, Splats, sh};
+use gs_core::{Camera, Color, Kernel, Splats, cast, sh};
 
 /// Ridge regularisation of coefficients above degree 0, relative to the sum of opacities: bounds colours in directions that
 /// no camera has seen.
@@ -93,14 +93,14 @@ impl Fit {
                 continue;
             }
             let share = 1.0 / sum.opacity;
-            out.opacities[i] = (sum.opacity / self.cameras as f64) as f32;
-            out.scales[i] = glam::Vec3::from_array(sum.scale.map(|v| (v * share) as f32));
-            out.means[i] = glam::Vec3::from_array(sum.mean.map(|v| (v * share) as f32));
-            out.quats[i] = sum.quat.map(|v| (v * share) as f32);
-            set_kernel(&mut out.kernel, i, sum.kernel.map(|v| (v * share) as f32));
+            out.opacities[i] = cast::to_f32(sum.opacity / self.cameras as f64);
+            out.scales[i] = glam::Vec3::from_array(sum.scale.map(|v| cast::to_f32(v * share)));
+            out.means[i] = glam::Vec3::from_array(sum.mean.map(|v| cast::to_f32(v * share)));
+            out.quats[i] = sum.quat.map(|v| cast::to_f32(v * share));
+            set_kernel(&mut out.kernel, i, sum.kernel.map(|v| cast::to_f32(v * share)));
             (1..k).for_each(|a| sum.normal[a][a] += RIDGE * sum.opacity);
             solve(&mut sum.normal, &mut sum.right, k);
-            coeffs.extend((0..k).flat_map(|a| sum.right.map(|channel| channel[a] as f32)));
+            coeffs.extend((0..k).flat_map(|a| sum.right.map(|channel| cast::to_f32(channel[a]))));
         }
         out.color = Color::Sh { degree: self.degree, coeffs };
         out

@@ -9,6 +9,7 @@
 use super::Clock;
 use crate::particles::Particles;
 use glam::Vec3;
+use gs_core::cast;
 use gs4d_report::inspect::INVISIBLE_OPACITY;
 use serde::Serialize;
 
@@ -20,15 +21,15 @@ pub(crate) const MAX_ROTATION_PER_STEP: f64 = 0.3;
 pub struct QuantityStats {
     /// `speed`, `spin`, `acceleration` or `change of spin`.
     pub name: &'static str,
-    /// Unit, for example `units/s`.
+    /// Unit of the values below, for example `units/s`.
     pub unit: String,
-    /// Median over splats.
+    /// Median over the visible splats.
     pub median: f64,
-    /// 90th percentile.
+    /// 90th percentile over the visible splats.
     pub p90: f64,
-    /// 99th percentile.
+    /// 99th percentile over the visible splats.
     pub p99: f64,
-    /// Largest value.
+    /// Largest value over the visible splats.
     pub max: f64,
 }
 
@@ -37,7 +38,7 @@ pub struct QuantityStats {
 pub struct Physics {
     /// Normalised time of the particles.
     pub at: f64,
-    /// Number of visible splats.
+    /// Number of visible splats, those counted.
     pub splats: usize,
     /// Unit of time: `s`, or `sequence` where the data have no clock.
     pub time_unit: &'static str,
@@ -50,18 +51,18 @@ pub struct Physics {
 /// Splats that rotate too fast for the integration step.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct FastSplats {
-    /// Number of these splats.
+    /// Number of splats that rotate too fast.
     pub splats: usize,
     /// Largest rotation in a step, radians.
     pub turn: f64,
-    /// Integration step, normalised time.
+    /// Integration step, in normalised time.
     pub step: f64,
 }
 
 /// Integration of particles by a configuration: `physics.step_frames` and `law.integrator`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Steps {
-    /// Longest step, normalised time.
+    /// Longest step, in normalised time.
     pub length: f64,
     /// Whether the integrator's steps are exact rigid motions (`se3…`).
     pub rigid: bool,
@@ -102,7 +103,7 @@ impl Physics {
         let spread = |(i, (name, unit, power)): (usize, (&'static str, String, i32))| {
             let mut values: Vec<f64> = seen.iter().map(|row| row[i] / rate.powi(power)).collect();
             values.sort_by(f64::total_cmp);
-            let quantile = |q: f64| values.get(((values.len() as f64 - 1.0) * q).round() as usize).copied();
+            let quantile = |q: f64| values.get(cast::to_usize(((values.len() as f64 - 1.0) * q).round())).copied();
             let [median, p90, p99, max] = [0.5, 0.9, 0.99, 1.0].map(|q| quantile(q).unwrap_or(0.0));
             QuantityStats { name, unit, median, p90, p99, max }
         };

@@ -1,6 +1,7 @@
 //! A part label for every splat, by clustering of motions.
 
 use glam::Vec3;
+use gs_core::cast;
 use gs_physics::segment::{
     Feature, FeatureOptions, KMeansOptions, MergeOptions, Ogc, OgcOptions, features, kmeans, merged,
 };
@@ -14,10 +15,10 @@ use gs_train::model::Model;
 use gs_train::timestamp::Timestamp;
 use gs4d_report::needs::neutral_camera;
 
-/// The number of parts.
+/// How many parts the splats are grouped into.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Count {
-    /// At most so many.
+    /// At most this many, 1 or more.
     Fixed(usize),
     /// As many as do not share a twist ([`gs_physics::segment`]): clusters with one are merged.
     Auto,
@@ -28,16 +29,16 @@ const INITIAL_CLUSTERS: usize = 16;
 /// Number of OGC objects before merging (published: 8).
 const INITIAL_OBJECTS: usize = 8;
 
-/// Options of the segmentation.
+/// How splats are grouped into parts by their motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Options {
-    /// Number of parts.
+    /// How many parts there are.
     pub count: Count,
     /// Feature vector by which twists are compared.
     pub feature: Feature,
     /// Normalised time at which motions are compared; `None`: the time of the model's particles, or `observed`.
     pub at: Option<f32>,
-    /// Last training time, normalised.
+    /// Last training time, normalised: no motion after it was seen.
     pub observed: f32,
     /// Displacement below which a splat is static, as a share of the scene's radius.
     pub static_path: f32,
@@ -68,7 +69,7 @@ impl Default for Options {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Source {
-    /// Learnt twists of particles.
+    /// Learnt twists of the model's particles.
     Twists,
     /// Paths of the splats' means.
     Paths,
@@ -79,7 +80,7 @@ pub enum Source {
 pub struct Labels {
     /// The part of each splat, `0 …`, heaviest (by opacity) first.
     pub of: Vec<u32>,
-    /// Number of parts.
+    /// Number of parts; labels are below it.
     pub k: usize,
     /// The motion they were computed from.
     pub source: Source,
@@ -101,7 +102,7 @@ pub fn segment(method: &Model, options: &Options) -> Result<Labels, SegmentError
     let camera = neutral_camera();
     let no_paths = || SegmentError::NoPaths(method.name().to_owned());
     let learnt = Particles::of(method);
-    let at = options.at.unwrap_or_else(|| learnt.as_ref().map_or(options.observed, |p| p.at as f32));
+    let at = options.at.unwrap_or_else(|| learnt.as_ref().map_or(options.observed, |p| cast::to_f32(p.at)));
     let steps = options.moments.max(2);
     let times: Vec<f32> = (0..steps).map(|k| at * k as f32 / (steps - 1) as f32).collect();
     let means = |t: &f32| Ok(method.all_splats(&Timestamp::normalised(*t), &camera)?.means);
@@ -113,7 +114,7 @@ pub fn segment(method: &Model, options: &Options) -> Result<Labels, SegmentError
     let splats = method.all_splats(&Timestamp::normalised(at), &camera)?;
     if let Some(p) = learnt {
         let later = f64::from(at) - p.at;
-        let motions = p.motions.iter().map(|m| m.from(later as f32)).collect();
+        let motions = p.motions.iter().map(|m| m.from(cast::to_f32(later))).collect();
         let particles = Particles { at: at.into(), splats, motions, ..p };
         let resting = at_rest(&frames, options.static_path * radius(&particles));
         return Ok(of_particles(particles, resting, options));
@@ -180,7 +181,7 @@ pub(super) fn radius(particles: &Particles) -> f32 {
     let far = |x: &Vec3| f64::from(x.distance_squared(particles.origin));
     let sum: f64 = particles.splats.means.iter().zip(weights).map(|(x, w)| far(x) * f64::from(*w)).sum();
     let weight: f64 = weights.iter().map(|w| f64::from(*w)).sum();
-    let radius = (sum / weight.max(f64::MIN_POSITIVE)).sqrt() as f32;
+    let radius = cast::to_f32((sum / weight.max(f64::MIN_POSITIVE)).sqrt());
     if radius > 0.0 && radius.is_finite() { radius } else { 1.0 }
 }
 

@@ -5,7 +5,7 @@
 //! ```
 //! Splats are rendered in the one-hot colour of their label, three labels per pass.
 
-use gs_core::{Camera, Color, Splats};
+use gs_core::{Camera, Color, Splats, cast};
 
 use gs_raster::RasterOptions;
 use gs_train::renderer::Renderer;
@@ -13,9 +13,9 @@ use gs_train::renderer::Renderer;
 /// The part at each pixel: 0 is the background, `k + 1` the part `k`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mask {
-    /// Width in pixels.
+    /// Width of the mask, pixels.
     pub width: usize,
-    /// Height in pixels.
+    /// Height of the mask, pixels.
     pub height: usize,
     /// One id per pixel, row by row.
     pub ids: Vec<u32>,
@@ -23,7 +23,7 @@ pub struct Mask {
     pub confidence: Vec<f32>,
 }
 
-/// Renders masks, reusing memory.
+/// Renders masks one after the other, reusing memory.
 pub struct Masker {
     renderer: Renderer,
 }
@@ -40,8 +40,8 @@ impl Masker {
         let (width, height) = (camera.width as usize, camera.height as usize);
         let mut colored = splats.clone();
         let mut mask = Mask { width, height, ids: vec![0; width * height], confidence: vec![0.0; width * height] };
-        for first in (0..k.max(1) as u32).step_by(3) {
-            let one_hot = |l: &u32| std::array::from_fn(|c| f32::from(*l == first + c as u32));
+        for first in (0..cast::to_u32(k.max(1))).step_by(3) {
+            let one_hot = |l: &u32| std::array::from_fn(|c| f32::from(*l == first + cast::to_u32(c)));
             colored.color = Color::Rgb(labels.iter().map(one_hot).collect());
             let frame = self.renderer.render(&colored, camera);
             if first == 0 {

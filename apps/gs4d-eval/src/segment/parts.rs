@@ -1,6 +1,7 @@
 //! Motion and rigidity of each part.
 
 use glam::DVec3;
+use gs_core::cast;
 use gs_physics::centre::velocity_pole;
 use gs_physics::classes::{ClassRule, rotation_sensitivity};
 use gs_physics::groups::Groups;
@@ -18,7 +19,7 @@ const HORIZON: f64 = 0.1;
 pub struct Part {
     /// Id in masks: label + 1.
     pub id: u32,
-    /// Number of splats.
+    /// Number of splats in the part.
     pub splats: usize,
     /// Their share of all opacity.
     pub share: f64,
@@ -74,7 +75,7 @@ pub fn table(labels: &Labels) -> Vec<Part> {
             residual: group.map_or(0.0, |g| g.residual),
         }
     };
-    (0..labels.k as u32).map(row).collect()
+    (0..cast::to_u32(labels.k)).map(row).collect()
 }
 
 /// `|v + w × (x − o)|²`.

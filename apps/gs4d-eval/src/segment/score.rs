@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use gs_core::Image;
+use gs_core::{Image, cast};
 use gs_metrics::{Overlap, SegmentScores, Segmentation};
 use serde::Serialize;
 
@@ -36,7 +36,7 @@ pub struct Scores {
     pub miou: f64,
     /// Mean IoU over ids from 0 to the largest present (NVFi).
     pub miou_strict: f64,
-    /// Number of scored views.
+    /// Number of views with labels, those scored.
     pub views: usize,
 }
 
@@ -52,7 +52,7 @@ impl From<SegmentScores> for Scores {
 pub struct ViewMask<'a> {
     /// The view of the data set.
     pub view: &'a View,
-    /// The rendered mask.
+    /// The mask rendered from the model.
     pub mask: Mask,
     /// Ground-truth labels at the pixels of the mask, where there are any.
     pub truth: Option<Vec<u32>>,
@@ -132,7 +132,7 @@ fn shown_as(overlap: &Overlap, k: usize) -> BTreeMap<u32, u32> {
         let taken: Vec<u32> = shown.values().copied().collect();
         move |id| !taken.contains(id)
     });
-    for id in 1..=k as u32 {
+    for id in 1..=cast::to_u32(k) {
         if shown.get(&id).is_none_or(|to| *to == 0) {
             shown.insert(id, free.next().unwrap_or(id));
         }

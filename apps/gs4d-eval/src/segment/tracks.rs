@@ -4,7 +4,7 @@
 //! displacements by blending weight ([`model_motion`]), also where these splats are occluded later.
 
 use glam::DVec2;
-use gs_core::Camera;
+use gs_core::{Camera, cast};
 use gs_physics::complexity::{Complexity, ImageTracks, STATIC_PATH, complexity};
 
 use crate::stage_motion::{Anchor, Motion, model_motion};
@@ -69,7 +69,7 @@ struct Lattice {
 impl Lattice {
     fn new(camera: &Camera, points: usize) -> Self {
         let [width, height] = [camera.width as usize, camera.height as usize];
-        let stride = (((width * height) as f64 / points.max(1) as f64).sqrt().ceil() as usize).max(1);
+        let stride = cast::to_usize(((width * height) as f64 / points.max(1) as f64).sqrt().ceil()).max(1);
         let lattice = |side: usize| (stride / 2..side).step_by(stride);
         let pixels: Vec<usize> = lattice(height).flat_map(|y| lattice(width).map(move |x| y * width + x)).collect();
         Self { size: [width, height], tracks: vec![Vec::new(); pixels.len()], pixels }

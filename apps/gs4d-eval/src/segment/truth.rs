@@ -2,8 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use gs_core::Camera;
 use gs_core::io::{Limits, npy};
+use gs_core::{Camera, cast};
 
 use super::SegmentError;
 use gs_data::{DataError, View, mask};
@@ -62,7 +62,8 @@ impl TrueLabels {
         } else {
             of_png(&file)?
         };
-        mask::check_shape(&file, [width as u32, height as u32], [view.camera.width, view.camera.height])?;
+        let got = [width, height].map(|side| u32::try_from(side).unwrap_or(u32::MAX));
+        mask::check_shape(&file, got, [view.camera.width, view.camera.height])?;
         let pixels = mask::nearest([width, height], view, camera);
         Ok(Some(pixels.map(|at| at.map_or(0, |[x, y]| ids[y * width + x])).collect()))
     }
@@ -78,7 +79,9 @@ fn of_npy(file: &Path) -> Result<LabelImage, Result<SegmentError, String>> {
         [h, w] | [h, w, 1] => (h, w),
         ref other => return Err(Err(format!("shape {other:?} is not [H, W]"))),
     };
-    let id = |v: f64| if v.fract() == 0.0 && v <= f64::from(u32::MAX) { Ok(v.max(0.0) as u32) } else { Err(v) };
+    let id = |v: f64| {
+        if v.fract() == 0.0 && v <= f64::from(u32::MAX) { Ok(cast::to_u32(cast::to_usize(v))) } else { Err(v) }
+    };
     let ids: Result<Vec<u32>, f64> = array.to_f64().into_iter().map(id).collect();
     Ok(([width, height], ids.map_err(|v| Err(format!("{v} is no label; labels are whole numbers")))?))
 }

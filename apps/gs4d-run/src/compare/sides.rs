@@ -18,7 +18,7 @@ pub enum CompareError {
     /// They differ in data or rendering conditions.
     #[error("{first} and {other} are not of the same data: {}", fields.join("; "))]
     Differ {
-        /// The first run.
+        /// The run that the others are compared with.
         first: PathBuf,
         /// The run that differs from it.
         other: PathBuf,

@@ -1,7 +1,7 @@
 //! Random points on a triangle mesh, uniform by area.
 
 use glam::{DVec3, Vec3};
-use gs_core::Rng;
+use gs_core::{Rng, cast};
 
 /// A point on a face: row of the face, and its three barycentric coordinates.
 pub type OnFace = (u32, [f32; 3]);
@@ -34,7 +34,7 @@ pub fn on_faces(vertices: &[Vec3], faces: &[[u32; 3]], n: usize, seed: u64, stre
         let face = below.partition_point(|&b| b <= at).min(faces.len() - 1);
         // Osada et al. 2002, "Shape distributions": uniform over the triangle.
         let (r, s) = (rng.uniform().sqrt(), rng.uniform());
-        (face as u32, [1.0 - r, r * (1.0 - s), r * s])
+        (cast::to_u32(face), [1.0 - r, r * (1.0 - s), r * s])
     };
     (0..n).map(point).collect()
 }

@@ -84,10 +84,8 @@ impl<'a> Cursor<'a> {
     /// A count of records of at least `least` bytes each.
     fn count(&mut self, least: usize) -> Result<usize, DataError> {
         let n = self.u64()?;
-        if n > (self.left() / least) as u64 {
-            return Err(self.truncated(n.saturating_mul(least as u64)));
-        }
-        Ok(n as usize)
+        let fits = usize::try_from(n).ok().filter(|&n| n <= self.left() / least);
+        fits.ok_or_else(|| self.truncated(n.saturating_mul(least as u64)))
     }
 
     /// Text up to a zero byte.

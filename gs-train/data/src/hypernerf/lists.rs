@@ -6,12 +6,10 @@ use std::path::{Path, PathBuf};
 use serde_json::{Map, Value};
 
 use super::super::error::{DataError, Place};
-use super::super::json::{Fields, read_object};
+use super::super::json::{Fields, read_object, whole};
 
 /// Largest `dataset.json`, `metadata.json` and split: some 20 000 images.
 const MAX_LIST_BYTES: u64 = 2 << 20;
-/// Ids are whole numbers up to this, exact in `f64` and in `u32`.
-const MAX_ID: f64 = u32::MAX as f64;
 
 /// `dataset.json`: which ids train, and which are held out.
 pub(super) struct Lists {
@@ -148,13 +146,12 @@ impl Tags {
             });
         };
         let fields = Fields::new(&self.file, id, map);
-        let whole = |key: &str, value: f64| {
-            let good = (0.0..=MAX_ID).contains(&value) && value.fract() == 0.0;
+        let id = |key: &str, value: f64| {
             let why = "ids are whole numbers from 0 to 4294967295";
-            if good { Ok(value) } else { Err(fields.fault(key, &value.to_string(), why, "correct the number")) }
+            whole(value, 0..=u32::MAX).ok_or_else(|| fields.fault(key, &value.to_string(), why, "correct the number"))
         };
-        let time = whole(self.key, fields.required_number(self.key)?)?;
-        let camera = whole("camera_id", fields.number("camera_id")?.unwrap_or(0.0))?;
-        Ok(Tag { time, camera: camera as u32 })
+        let time = id(self.key, fields.required_number(self.key)?)?;
+        let camera = id("camera_id", fields.number("camera_id")?.unwrap_or(0.0))?;
+        Ok(Tag { time: time.into(), camera })
     }
 }

@@ -26,7 +26,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use glam::Vec3;
-use gs_core::Time;
+use gs_core::{Time, cast};
 
 use super::blender::{Frame, field_of_view, pinhole, read_frame};
 use super::error::{DataError, Place};
@@ -221,7 +221,7 @@ fn number_cameras(drafts: &mut Drafts) -> usize {
     for d in drafts.train.iter_mut().chain(&mut drafts.val).chain(&mut drafts.test) {
         let (r, t) = (d.view.camera.rotation.to_cols_array(), d.view.camera.translation.to_array());
         let pose = std::array::from_fn(|i| if i < 9 { r[i] } else { t[i - 9] }.to_bits());
-        let next = known.len() as u32;
+        let next = cast::to_u32(known.len());
         d.view.camera_id = *known.entry(pose).or_insert(next);
     }
     known.len()

@@ -4,6 +4,7 @@
 //! Events of other kinds are ignored.
 
 use gs_anchor::{Adjustment, AnchorDensifyReport};
+use gs_core::cast;
 use gs_train::report::{Chart, Curve, Matrix, ReportRow, Scale, Section, Table};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -227,7 +228,9 @@ impl Journal {
             let most = p.busiest().map_or(0.0, |(_, mean)| mean).max(f32::MIN_POSITIVE);
             for (slot, mean) in p.intervals.means.iter().enumerate() {
                 let count = counts.get_mut(p.interval(slot));
-                count.into_iter().for_each(|c| *c = (FULL_COUNT * mean.unwrap_or(0.0) / most) as u32);
+                count
+                    .into_iter()
+                    .for_each(|c| *c = cast::to_u32(cast::to_usize(FULL_COUNT * mean.unwrap_or(0.0) / most)));
             }
             counts
         };

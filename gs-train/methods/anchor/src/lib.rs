@@ -4,6 +4,8 @@
 //! * [`modec`]: anchors deformed once per interval of time (GAD), their Gaussians once per timestamp (LGD), intervals that
 //!   adjust to the motion (MoDec-GS, Kwak et al. 2025).
 //! * [`journal`]: the section of the report on intervals and anchors.
+#![warn(unreachable_pub)]
+#![cfg_attr(not(test), warn(clippy::cast_possible_truncation))]
 
 use gs_train::method::MethodEntry;
 

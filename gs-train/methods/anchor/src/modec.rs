@@ -37,7 +37,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
 const PARTS: &[Part<Config>] =
     &[("gad", |c| c.global = false), ("lgd", |c| c.local = false), ("tia", |c| c.intervals.on = false)];
 
-/// The configuration.
+/// Settings of `modec`, the sections of its TOML file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Config {
@@ -47,25 +47,25 @@ pub struct Config {
     pub margin: f32,
     /// Where the first points come from.
     pub init: InitConfig,
-    /// The anchors.
+    /// Anchors, their features and their statistics.
     pub anchors: AnchorConfig,
-    /// Their decoder.
+    /// The networks from anchors to Gaussians.
     pub decoder: DecoderConfig,
     /// Logits of motion per anchor: 1 (shared) or 2.
     pub logits: usize,
-    /// The penalty on them.
+    /// The penalty on the logits of motion.
     pub sparsity: SparsityConfig,
     /// Whether anchors move, once per interval.
     pub global: bool,
     /// Whether Gaussians move, once per frame.
     pub local: bool,
-    /// Global anchor deformation.
+    /// Global anchor deformation, once per interval.
     pub gad: GadConfig,
-    /// LocalAnchors Gaussian deformation.
+    /// Local Gaussian deformation, once per frame.
     pub lgd: FourDgsConfig,
-    /// The intervals.
+    /// Temporal intervals and when they are adjusted.
     pub intervals: IntervalConfig,
-    /// Growth and pruning.
+    /// Growth and pruning of anchors.
     pub adapt: AnchorDensifyRules,
     /// The plan of the run.
     pub schedule: Schedule,

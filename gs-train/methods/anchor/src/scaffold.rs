@@ -22,17 +22,17 @@ pub const ENTRY: MethodEntry = MethodEntry {
     build,
 };
 
-/// The configuration.
+/// Settings of `scaffold`, the sections of its TOML file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Config {
     /// Where the first points come from.
     pub init: InitConfig,
-    /// The anchors.
+    /// Anchors, their features and their statistics.
     pub anchors: AnchorConfig,
-    /// Their decoder.
+    /// The networks from anchors to Gaussians.
     pub decoder: DecoderConfig,
-    /// Growth and pruning.
+    /// Growth and pruning of anchors.
     pub adapt: AnchorDensifyRules,
     /// The plan of the run.
     pub schedule: Schedule,

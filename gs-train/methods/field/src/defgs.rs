@@ -20,17 +20,17 @@ pub const ENTRY: MethodEntry = MethodEntry {
     build,
 };
 
-/// The configuration.
+/// Settings of `defgs`, the sections of its TOML file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Config {
     /// Where the first points come from.
     pub init: InitConfig,
-    /// The cloud.
+    /// The canonical cloud at its beginning.
     pub cloud: CloudConfig,
     /// Blur of training times (real captures only).
     pub anneal: Anneal,
-    /// The field.
+    /// The deformation network of place and time.
     pub field: DefGsConfig,
     /// The plan of the run.
     pub schedule: Schedule,

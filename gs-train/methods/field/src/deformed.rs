@@ -48,7 +48,7 @@ impl<F: Field> Deformed<F> {
     }
 
     /// The same without the field's regularisers before this step of the run.
-    pub fn regularised_from(mut self, step: u32) -> Self {
+    pub(crate) fn regularised_from(mut self, step: u32) -> Self {
         self.regular_from = step;
         self
     }

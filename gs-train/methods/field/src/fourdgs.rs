@@ -20,17 +20,17 @@ pub const ENTRY: MethodEntry = MethodEntry {
     build,
 };
 
-/// The configuration.
+/// Settings of `fourdgs`, the sections of its TOML file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Config {
     /// Where the first points come from.
     pub init: InitConfig,
-    /// The cloud.
+    /// The canonical cloud at its beginning.
     pub cloud: CloudConfig,
     /// The planes cover the box of the first points, enlarged on every side by this share of its diagonal.
     pub margin: f32,
-    /// The field.
+    /// Feature planes, decoder and heads of the field.
     pub field: FourDgsConfig,
     /// The plan of the run.
     pub schedule: Schedule,

@@ -57,7 +57,7 @@ pub(super) const GRID4D: &[Part<Config>] = &[
 /// Where `field.bound` is 0, half the side of the cube is the largest coordinate of a first point times this.
 const ROOM: f32 = 1.2;
 
-/// The configuration.
+/// Settings of `grid4d`, `fags` and `drk`, the sections of their TOML files.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Config {
@@ -67,7 +67,7 @@ pub struct Config {
     pub smooth_from: u32,
     /// Where the first points come from.
     pub init: InitConfig,
-    /// The cloud.
+    /// The canonical cloud at its beginning, with its kernel.
     pub cloud: CloudConfig,
     /// The field; a `bound` of 0 is replaced by one that holds the first points.
     pub field: Grid4dConfig,

@@ -8,6 +8,8 @@
 //! | [`grid4d`] | four hash grids over triples of x, y, z, t | Grid4D, Xu et al. 2024 |
 //! | [`fags`] | Grid4D with a Fourier branch, a gate, a learnt kernel profile and an amplitude-spectrum loss | FAGS |
 //! | [`drk`] | Grid4D with the kernel profile of Deformable Radial Kernels | baseline of FAGS |
+#![warn(unreachable_pub)]
+#![cfg_attr(not(test), warn(clippy::cast_possible_truncation))]
 
 use gs_train::method::MethodEntry;
 

@@ -29,13 +29,13 @@ pub const ENTRY: MethodEntry = MethodEntry {
     build,
 };
 
-/// The configuration.
+/// Settings of `static3d`, the sections of its TOML file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StaticConfig {
     /// Where the first points come from.
     pub init: InitConfig,
-    /// The cloud.
+    /// The cloud at its beginning.
     pub cloud: CloudConfig,
     /// The plan of the run.
     pub schedule: Schedule,

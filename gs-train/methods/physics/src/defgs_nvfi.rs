@@ -25,19 +25,19 @@ pub const ENTRY: MethodEntry = MethodEntry {
     build,
 };
 
-/// The configuration.
+/// Settings of `defgs-nvfi`, the sections of its TOML file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Config {
     /// Where the first points come from.
     pub init: InitConfig,
-    /// The cloud.
+    /// The canonical cloud at its beginning.
     pub cloud: CloudConfig,
-    /// The deformation field.
+    /// The deformation network of place and time.
     pub field: DefGsConfig,
-    /// The velocity field.
+    /// The velocity field that carries splats from frame to frame.
     pub velocity: VelocityConfig,
-    /// When it acts.
+    /// When the velocity field acts, and how far.
     pub physics: PhysicsConfig,
     /// The plan of the run.
     pub schedule: Schedule,

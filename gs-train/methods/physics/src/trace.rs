@@ -51,13 +51,13 @@ pub struct Config<F> {
     pub margin: f32,
     /// Where the first points come from.
     pub init: InitConfig,
-    /// The cloud.
+    /// The canonical cloud at its beginning.
     pub cloud: CloudConfig,
-    /// The deformation field.
+    /// The deformation field up to the last observed time.
     pub field: F,
-    /// The law of motion.
+    /// The law of motion that carries splats.
     pub law: LawConfig,
-    /// When it acts.
+    /// When the law of motion acts, and how far.
     pub physics: PhysicsConfig,
     /// The plan of the run.
     pub schedule: Schedule,

@@ -33,22 +33,22 @@ pub enum FrameError {
     /// Mesh, cameras and images do not fit.
     #[error(transparent)]
     Unproject(#[from] UnprojectError),
-    /// A network.
+    /// A network refuses its input.
     #[error(transparent)]
     Net(#[from] NetError),
-    /// Pose or offsets.
+    /// Pose or offsets do not fit the template.
     #[error(transparent)]
     Base(#[from] BaseError),
-    /// Texel values.
+    /// Texel values do not fit the map.
     #[error(transparent)]
     Channels(#[from] ChannelsError),
-    /// Reference Gaussians.
+    /// Reference Gaussians cannot be made.
     #[error(transparent)]
     WarmUp(#[from] WarmUpError),
     /// Colours of texels that are not seen.
     #[error(transparent)]
     Inpaint(#[from] InpaintError),
-    /// Measured points.
+    /// Measured points cannot be compared with the surface.
     #[error(transparent)]
     Chamfer(#[from] ChamferError),
     /// There are no measured points.
@@ -71,13 +71,13 @@ pub enum FrameError {
 /// A template that no texels can be laid on.
 #[derive(Debug, thiserror::Error)]
 pub enum ActorError {
-    /// Faces.
+    /// Faces of the template are invalid.
     #[error("template: {0}")]
     Mesh(#[from] MeshError),
-    /// Texture coordinates.
+    /// Texture coordinates of the template are invalid.
     #[error("template: {0}")]
     Texels(#[from] TexelError),
-    /// A setting.
+    /// A setting of the unprojection is out of its domain.
     #[error(transparent)]
     Unproject(#[from] UnprojectError),
     /// A frame of the mean texture.
@@ -87,15 +87,15 @@ pub enum ActorError {
 
 /// Everything of a person that does not depend on the timestamp.
 pub struct Actor {
-    /// The data.
+    /// Template, motions and the images of every frame.
     pub scene: Arc<AvatarScene>,
     /// Edges and rings of the template.
     pub topology: Topology,
     /// Normals of the bind pose, per vertex.
     rest_normals: Vec<Vec3>,
-    /// Texels that are unprojected.
+    /// Texels of the textures that are unprojected.
     pub fine: TexelTable,
-    /// Texels of GeoNet.
+    /// Texels of the maps of GeoNet.
     pub geo: TexelTable,
     /// Texels of GauNet: the Gaussians.
     pub gau: TexelTable,
@@ -154,10 +154,10 @@ pub struct Seen {
     pub views: Vec<f32>,
 }
 
-/// A frame before GeoNet.
+/// A frame before GeoNet: the posed template and what is seen on it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct First {
-    /// The template.
+    /// The template in the pose of this frame.
     pub posed: Posed,
     /// What is seen on it, at the size of unprojection.
     pub seen: Seen,
@@ -165,7 +165,7 @@ pub struct First {
     pub input: Vec<f32>,
 }
 
-/// A frame behind GeoNet.
+/// A frame after GeoNet: offsets, and the inputs of GauNet.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Second {
     /// `D`, metres in the bind pose, `N` rows.
@@ -228,7 +228,7 @@ impl Actor {
     }
 
     /// Bytes a prepared frame takes, roughly.
-    pub fn frame_bytes(&self) -> usize {
+    pub(crate) fn frame_bytes(&self) -> usize {
         let vertices = self.rest_normals.len() * 160;
         vertices + 16 * self.fine.len() + 24 * (self.geo.row.len() + self.gau.row.len()) + 160 * self.gau.len()
     }
@@ -345,7 +345,7 @@ impl Actor {
     ///
     /// # Errors
     /// As reading images and unprojecting them goes; as `offsets`.
-    pub fn mean_textures<const N: usize>(
+    pub(crate) fn mean_textures<const N: usize>(
         &self,
         tables: [Option<&TexelTable>; N],
         offsets: impl Fn(&AvatarFrame) -> Result<Option<Vec<Vec3>>, FrameError>,

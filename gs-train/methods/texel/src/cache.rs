@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// Values by number of frame; the oldest makes room.
-pub struct Cache<T> {
+pub(crate) struct Cache<T> {
     kept: Mutex<Kept<T>>,
     most: usize,
 }
@@ -16,7 +16,7 @@ struct Kept<T> {
 
 impl<T> Cache<T> {
     /// Room for so many, at least one.
-    pub fn new(most: usize) -> Self {
+    pub(crate) fn new(most: usize) -> Self {
         Self { kept: Mutex::new(Kept { values: BTreeMap::new(), order: VecDeque::new() }), most: most.max(1) }
     }
 
@@ -24,7 +24,7 @@ impl<T> Cache<T> {
     ///
     /// # Errors
     /// As `make`.
-    pub fn get<E>(&self, frame: u32, make: impl FnOnce() -> Result<T, E>) -> Result<Arc<T>, E> {
+    pub(crate) fn get<E>(&self, frame: u32, make: impl FnOnce() -> Result<T, E>) -> Result<Arc<T>, E> {
         if let Some(value) = self.lock().values.get(&frame) {
             return Ok(value.clone());
         }
@@ -41,8 +41,8 @@ impl<T> Cache<T> {
         Ok(value)
     }
 
-    /// Forgets all.
-    pub fn clear(&self) {
+    /// Drops all values, as after a change of parameters.
+    pub(crate) fn clear(&self) {
         let mut kept = self.lock();
         kept.values.clear();
         kept.order.clear();

@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Mode {
-    /// GauNet, from the texture.
+    /// The output of GauNet for the texture of the timestamp.
     Networks,
     /// Values of its own, the same at all timestamps.
     Direct,
@@ -40,25 +40,25 @@ pub enum ResizeRule {
     Plain,
 }
 
-/// Texels per side.
+/// Sides of the square textures and maps, texels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TextureSizes {
-    /// Of the textures unprojected.
+    /// Side of the textures that images are unprojected to.
     pub unproject: usize,
-    /// Of GeoNet's maps.
+    /// Side of GeoNet's maps.
     pub geo: usize,
     /// Of GauNet's maps: one Gaussian per valid texel.
     pub gau: usize,
 }
 
-/// The texel Gaussians.
+/// How texel Gaussians are made of values.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GaussianConfig {
     /// Degree of spherical harmonics there is room for, 0 to 3.
     pub sh_degree: u8,
-    /// How values become Gaussians.
+    /// How the values of a texel become a Gaussian.
     pub decode: DecodeOptions,
     /// Weight of the mean squared offset, per square metre.
     pub reg: f32,
@@ -74,7 +74,7 @@ pub enum DirectColor {
     Texture,
 }
 
-/// The texels' own values.
+/// Texel values that are learnt directly, without GauNet.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DirectConfig {
@@ -92,11 +92,11 @@ pub struct ReferenceConfig {
     pub spread: f32,
 }
 
-/// What is smooth.
+/// What the Laplacian term keeps smooth.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum LaplacianRule {
-    /// The deformed surface.
+    /// The deformed surface, its positions.
     Positions,
     /// What moves it: the template keeps its shape.
     Offsets,
@@ -106,13 +106,13 @@ pub enum LaplacianRule {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum PointRule {
-    /// Vertices, both ways.
+    /// Vertices of the template, distances in both directions.
     Vertices,
     /// Faces: points to the surface alone.
     Faces,
 }
 
-/// What GeoNet learns from.
+/// Terms that GeoNet learns from, and their weights.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SurfaceConfig {
@@ -120,17 +120,17 @@ pub struct SurfaceConfig {
     pub points: PointRule,
     /// How much distances of vertices along the surface count, 0 to 1.
     pub slide: f32,
-    /// Weight of the Laplacian.
+    /// Weight of the mean squared Laplacian.
     pub laplacian: f32,
-    /// What it is of.
+    /// What the Laplacian is taken of.
     pub laplacian_rule: LaplacianRule,
     /// Weight of the lengths of edges.
     pub isometry: f32,
-    /// Which edges count.
+    /// Edges whose lengths are kept.
     pub isometry_rule: IsometryRule,
-    /// Weight of neighbouring normals.
+    /// Weight of the difference of neighbouring normals.
     pub normals: f32,
-    /// Which are neighbours.
+    /// Which normals count as neighbours.
     pub normal_rule: NormalRule,
     /// Weight of the colours of texels against their mean.
     pub texture: f32,
@@ -148,13 +148,13 @@ pub struct SurfaceConfig {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum UnseenColor {
-    /// Black.
+    /// Black, as an empty texture has.
     Black,
     /// The mean over timestamps that see them, in-painted where none does.
     Mean,
 }
 
-/// GauNet beside its shape.
+/// Settings of GauNet beside the shape of the network.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GauConfig {
@@ -172,7 +172,7 @@ pub struct GauConfig {
     pub clip: f32,
 }
 
-/// The configuration.
+/// Settings of `dut`, the sections of its TOML file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Config {
@@ -182,7 +182,7 @@ pub struct Config {
     pub input: Input,
     /// Whether the networks see colours.
     pub rgb: bool,
-    /// Whether they see normals.
+    /// Whether the networks see normals.
     pub normals: bool,
     /// Whether GeoNet sees colours less their mean over the recording.
     pub centred: bool,
@@ -196,36 +196,36 @@ pub struct Config {
     pub cache_mib: u32,
     /// Points, which only the extent of the scene is read from.
     pub init: InitConfig,
-    /// Texels per side.
+    /// Sides of the textures and maps, texels.
     pub textures: TextureSizes,
-    /// The unprojection.
+    /// Visibility rule of the unprojection.
     pub unproject: UnprojectConfig,
-    /// The bounds of κ.
+    /// Bounds of the scale refinement `κ`.
     pub refine: ScaleRefineOptions,
-    /// The texel Gaussians.
+    /// How texel Gaussians are made of values.
     pub gaussians: GaussianConfig,
     /// The Gaussians that learning begins with.
     pub reference: ReferenceConfig,
-    /// The texels' own values.
+    /// Values that texels learn directly, in mode `direct`.
     pub direct: DirectConfig,
-    /// GeoNet.
+    /// Shape of GeoNet, the network of vertex offsets.
     pub geonet: GeoNetConfig,
-    /// What it learns from.
+    /// Terms that GeoNet learns from, and their weights.
     pub surface: SurfaceConfig,
-    /// GauNet.
+    /// GauNet, the network of Gaussians, and its training.
     pub gaunet: GauConfig,
     /// The plan of the run.
     pub schedule: Schedule,
 }
 
-/// What a step learns.
+/// What a step of a stage trains.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Phase {
-    /// GeoNet, from points.
+    /// GeoNet, from measured points.
     Geometry,
-    /// GauNet, from reference Gaussians.
+    /// GauNet, from reference Gaussians, without images.
     WarmUp,
-    /// Texel Gaussians, from images.
+    /// GauNet or the texels' own values, from images.
     Main,
 }
 

@@ -12,7 +12,7 @@ use gs_core::{Param, Params};
 use gs_texel::gaussians::{COLOR, Channels};
 
 /// The texels' values and what they are laid over.
-pub struct Direct {
+pub(crate) struct Direct {
     width: usize,
     texels: TexelRows,
     /// `a`, if colours follow the texture.
@@ -24,7 +24,7 @@ impl Direct {
     ///
     /// # Errors
     /// If texels have no neighbours.
-    pub fn new(config: &Config, actor: &Actor, channels: Channels) -> Result<Self, FrameError> {
+    pub(crate) fn new(config: &Config, actor: &Actor, channels: Channels) -> Result<Self, FrameError> {
         let mut rows = reference(config, actor, channels, MeanTextures::rows(&actor.mean.gau))?;
         let follows = config.direct.color == DirectColor::Texture;
         if follows {
@@ -35,7 +35,7 @@ impl Direct {
     }
 
     /// Rows `[K, width]` at a timestamp that shows `seen`.
-    pub fn rows(&self, actor: &Actor, seen: &Seen, rows: &mut Vec<f32>) {
+    pub(crate) fn rows(&self, actor: &Actor, seen: &Seen, rows: &mut Vec<f32>) {
         rows.clear();
         rows.resize(actor.gau.len() * self.width, 0.0);
         self.texels.add_to(rows);
@@ -47,7 +47,7 @@ impl Direct {
     }
 
     /// Adds to the gradients what rows of the same timestamp got.
-    pub fn backward(&mut self, actor: &Actor, seen: &Seen, d_rows: &[f32]) {
+    pub(crate) fn backward(&mut self, actor: &Actor, seen: &Seen, d_rows: &[f32]) {
         self.texels.backward(d_rows);
         let Some(mut gain) = self.gain.take() else { return };
         for (k, (grad, d)) in gain.grad.chunks_exact_mut(3).zip(d_rows.chunks_exact(self.width)).enumerate() {

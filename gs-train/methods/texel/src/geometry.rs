@@ -10,7 +10,7 @@ use super::cache::Cache;
 use super::config::{Config, LaplacianRule, PointRule, SurfaceConfig};
 use super::texture::texture_loss;
 use glam::Vec3;
-use gs_core::{Image, Param, Params};
+use gs_core::{Image, Param, Params, cast};
 use gs_data::avatar::{AvatarFrame, MeasuredPoints};
 use gs_texel::skin::{skin, skin_backward};
 use gs_texel::surface_loss::{Chamfer, Colors, Isometry, NormalConsistency, SurfaceLoss, laplacian};
@@ -21,7 +21,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 const FRAMES: usize = 256;
 
 /// GeoNet, and what it learns from.
-pub struct Geometry {
+pub(crate) struct Geometry {
     net: GeoNet,
     tape: Mutex<GeoNetTape>,
     weights: SurfaceConfig,
@@ -31,14 +31,14 @@ pub struct Geometry {
 }
 
 /// Values of the terms, weights applied.
-pub type Terms = [(&'static str, f32); 5];
+pub(crate) type Terms = [(&'static str, f32); 5];
 
 impl Geometry {
     /// A network that leaves the template as it is.
     ///
     /// # Errors
     /// If its shape does not fit.
-    pub fn new(config: &Config, actor: &Actor, seed: u64) -> Result<Self, FrameError> {
+    pub(crate) fn new(config: &Config, actor: &Actor, seed: u64) -> Result<Self, FrameError> {
         let net = GeoNet::new("geo", GeoNetConfig { inputs: 6, ..config.geonet }, seed)?;
         let mask: Vec<bool> = actor.geo.mask().iter().map(|m| *m > 0.0).collect();
         let t = &actor.scene.character.template;
@@ -57,7 +57,7 @@ impl Geometry {
     ///
     /// # Errors
     /// If the input is not finite.
-    pub fn offsets(&self, actor: &Actor, first: &First) -> Result<Vec<Vec3>, FrameError> {
+    pub(crate) fn offsets(&self, actor: &Actor, first: &First) -> Result<Vec<Vec3>, FrameError> {
         let mut tape = self.tape.lock().unwrap_or_else(PoisonError::into_inner);
         Ok(read(actor, self.net.forward(&first.input, &mut tape)?))
     }
@@ -66,7 +66,7 @@ impl Geometry {
     ///
     /// # Errors
     /// If the frame has no points or values are not finite.
-    pub fn learn(
+    pub(crate) fn learn(
         &mut self,
         actor: &Actor,
         frame: &AvatarFrame,
@@ -86,7 +86,7 @@ impl Geometry {
     ///
     /// # Errors
     /// If the frame has no points or values are not finite.
-    pub fn loss(
+    pub(crate) fn loss(
         &self,
         actor: &Actor,
         frame: &AvatarFrame,
@@ -133,13 +133,13 @@ impl Geometry {
         for (weight, loss) in [(isometry, &lengths), (normals, &creases)] {
             d_offsets.iter_mut().zip(&loss.grad).for_each(|(d, g)| *d += (f64::from(weight) * *g).as_vec3());
         }
-        let weighted = |weight: f32, loss: &SurfaceLoss| (f64::from(weight) * loss.value) as f32;
+        let weighted = |weight: f32, loss: &SurfaceLoss| cast::to_f32(f64::from(weight) * loss.value);
         let terms = [
-            ("chamfer", chamfer as f32),
+            ("chamfer", cast::to_f32(chamfer)),
             ("laplacian", weighted(lap, &smooth)),
             ("isometry", weighted(isometry, &lengths)),
             ("normals", weighted(normals, &creases)),
-            ("texture", drift as f32),
+            ("texture", cast::to_f32(drift)),
         ];
         Ok((terms, d_offsets))
     }

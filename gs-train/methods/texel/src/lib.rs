@@ -6,6 +6,8 @@
 //! ```
 //! A frame is a function of its images and its pose alone. The texel Gaussians come from GauNet, or from values of the
 //! texels' own ([`Mode::Direct`]), which need no network and say how well any network could do.
+#![warn(unreachable_pub)]
+#![cfg_attr(not(test), warn(clippy::cast_possible_truncation))]
 
 mod actor;
 mod cache;
@@ -27,7 +29,7 @@ pub use oracle::OracleOptions;
 use cache::Cache;
 use direct::Direct;
 use geometry::Geometry;
-use gs_core::{Camera, Param, Params, Rng, Splats, SplatsGrad};
+use gs_core::{Camera, Param, Params, Rng, Splats, SplatsGrad, cast};
 use gs_data::avatar::{AvatarFrame, AvatarScene};
 use gs_texel::Pose;
 use gs_texel::gaussians::{Channels, DecodeOptions, OFFSET, OPACITY, decode, decode_backward, offset_penalty};
@@ -78,7 +80,7 @@ pub struct OffsetErrors {
     pub length: [f64; 2],
 }
 
-/// The method.
+/// The method DUT: a skinned template, its networks and their training.
 pub struct Dut {
     config: Config,
     channels: Channels,
@@ -273,7 +275,7 @@ impl Dut {
         } else {
             self.render(&second, &rows, &mut d_rows, render)?;
             let penalty = offset_penalty(&rows, self.channels, self.config.gaussians.reg * share, &mut d_rows);
-            self.add_penalty("offsets", penalty as f32);
+            self.add_penalty("offsets", cast::to_f32(penalty));
         }
         match &mut self.source {
             Source::Network(net) => net.backward(&self.actor, &d_rows)?,

@@ -3,13 +3,13 @@
 use super::actor::{Actor, FrameError, MeanTextures, Second, Seen};
 use super::config::{Config, UnseenColor};
 use super::texels::{TexelRows, coefficient, reference};
-use gs_core::{Image, Param, Params};
+use gs_core::{Image, Param, Params, cast};
 use gs_texel::gaussians::{COLOR, Channels, OFFSET, warm_up};
 use gs_texel::{GauNet, GauNetConfig, GauNetTape};
 use std::sync::{Mutex, PoisonError};
 
-/// GauNet and its memory.
-pub struct Network {
+/// GauNet with the tape of one frame.
+pub(crate) struct Network {
     net: GauNet,
     tape: Mutex<GauNetTape>,
     channels: Channels,
@@ -30,7 +30,7 @@ impl Network {
     ///
     /// # Errors
     /// If its shape does not fit, or texels have no neighbours.
-    pub fn new(config: &Config, actor: &Actor, channels: Channels, seed: u64) -> Result<Self, FrameError> {
+    pub(crate) fn new(config: &Config, actor: &Actor, channels: Channels, seed: u64) -> Result<Self, FrameError> {
         let shape = GauNetConfig { inputs: 6, sh_degree: u32::from(channels.degree()), ..config.gaunet.net };
         let mut net = GauNet::new("gau", shape, seed)?;
         if config.gaunet.residual {
@@ -76,7 +76,7 @@ impl Network {
     ///
     /// # Errors
     /// If the input is not finite.
-    pub fn rows(&self, actor: &Actor, second: &Second, rows: &mut Vec<f32>) -> Result<(), FrameError> {
+    pub(crate) fn rows(&self, actor: &Actor, second: &Second, rows: &mut Vec<f32>) -> Result<(), FrameError> {
         let mut tape = self.tape.lock().unwrap_or_else(PoisonError::into_inner);
         let data = self.net.forward(&second.input, &mut tape)?.to_vec();
         let size = actor.gau.size;
@@ -94,7 +94,7 @@ impl Network {
     ///
     /// # Errors
     /// If cotangents are not finite.
-    pub fn backward(&mut self, actor: &Actor, d_rows: &[f32]) -> Result<(), FrameError> {
+    pub(crate) fn backward(&mut self, actor: &Actor, d_rows: &[f32]) -> Result<(), FrameError> {
         self.own.iter_mut().for_each(|own| own.backward(d_rows));
         let mut d_rows = d_rows.to_vec();
         self.scale_offsets(&mut d_rows);
@@ -115,7 +115,7 @@ impl Network {
     ///
     /// # Errors
     /// As [`Self::rows`].
-    pub fn warm_up(
+    pub(crate) fn warm_up(
         &self,
         actor: &Actor,
         second: &Second,
@@ -126,16 +126,16 @@ impl Network {
         let targets = self.reference(actor, &second.seen);
         let loss = warm_up::loss(rows, &targets, self.channels, d_rows)?;
         d_rows.iter_mut().for_each(|d| *d *= share);
-        Ok(loss as f32 * share)
+        Ok(cast::to_f32(loss) * share)
     }
 
     /// Shortens the gradient of all weights to the longest allowed.
-    pub fn clip(&mut self) {
+    pub(crate) fn clip(&mut self) {
         let mut square = 0.0f64;
         self.net.visit(&mut |p| square += p.grad.iter().map(|g| f64::from(*g).powi(2)).sum::<f64>());
         let (length, most) = (square.sqrt(), f64::from(self.clip));
         if most > 0.0 && length > most && length.is_finite() {
-            let factor = (most / length) as f32;
+            let factor = cast::to_f32(most / length);
             self.net.visit_mut(&mut |p| p.grad.iter_mut().for_each(|g| *g *= factor));
         }
     }

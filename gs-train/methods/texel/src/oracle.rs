@@ -7,7 +7,7 @@ use gs_core::Param;
 use gs_data::avatar::AvatarFrame;
 use gs_train::adam::{Adam, Refused, Update};
 
-/// How offsets are found.
+/// How offsets are fitted to measured points without GeoNet.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OracleOptions {
     /// Steps of each frame in each round.

@@ -2,20 +2,20 @@
 
 use super::actor::{Actor, FrameError};
 use super::config::Config;
-use gs_core::{Param, Params, sh};
+use gs_core::{Param, Params, cast, sh};
 use gs_texel::gaussians::{COLOR, Channels, OFFSET, OPACITY, QUAT, SCALE, warm_up};
 use std::ops::Range;
 
 /// The spherical harmonic of degree 0 that shows a display-encoded value.
-pub fn coefficient(v: f32) -> f32 {
-    ((f64::from(v) - 0.5) / sh::C0) as f32
+pub(crate) fn coefficient(v: f32) -> f32 {
+    cast::to_f32((f64::from(v) - 0.5) / sh::C0)
 }
 
 /// Rows `[K, width]` of the Gaussians that learning begins with, in these colours.
 ///
 /// # Errors
 /// If texels have no neighbours.
-pub fn reference(
+pub(crate) fn reference(
     config: &Config,
     actor: &Actor,
     channels: Channels,
@@ -34,7 +34,7 @@ pub fn reference(
 }
 
 /// Rows `[K, width]` in blocks by quantity, so that each has a learning rate.
-pub struct TexelRows {
+pub(crate) struct TexelRows {
     width: usize,
     /// Blocks, and the channels each has.
     blocks: Vec<(Param, Range<usize>)>,
@@ -42,7 +42,7 @@ pub struct TexelRows {
 
 impl TexelRows {
     /// Blocks that begin at `rows`.
-    pub fn new(channels: Channels, rows: &[f32]) -> Self {
+    pub(crate) fn new(channels: Channels, rows: &[f32]) -> Self {
         let width = channels.width();
         let dc = COLOR..COLOR + 3;
         let all = [
@@ -61,7 +61,7 @@ impl TexelRows {
     }
 
     /// Adds the values to rows.
-    pub fn add_to(&self, rows: &mut [f32]) {
+    pub(crate) fn add_to(&self, rows: &mut [f32]) {
         for (block, range) in &self.blocks {
             for (row, values) in rows.chunks_exact_mut(self.width).zip(block.value.chunks_exact(range.len())) {
                 row[range.clone()].iter_mut().zip(values).for_each(|(r, v)| *r += v);
@@ -70,7 +70,7 @@ impl TexelRows {
     }
 
     /// Adds what rows got to the gradients.
-    pub fn backward(&mut self, d_rows: &[f32]) {
+    pub(crate) fn backward(&mut self, d_rows: &[f32]) {
         for (block, range) in &mut self.blocks {
             for (grad, d) in block.grad.chunks_exact_mut(range.len()).zip(d_rows.chunks_exact(self.width)) {
                 grad.iter_mut().zip(&d[range.clone()]).for_each(|(g, d)| *g += d);

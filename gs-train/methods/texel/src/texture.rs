@@ -9,7 +9,7 @@
 
 use super::actor::{Actor, FrameError};
 use glam::{DMat3, DVec2, DVec3, Vec3};
-use gs_core::{Camera, Image};
+use gs_core::{Camera, Image, cast};
 use gs_texel::surface::Mesh;
 use gs_texel::surface_loss::SurfaceLoss;
 use gs_texel::unproject::{self, UnprojectConfig, unproject};
@@ -21,7 +21,7 @@ const COVERED: f32 = 0.99;
 ///
 /// # Errors
 /// If positions are not finite or images do not fit.
-pub fn texture_loss(
+pub(crate) fn texture_loss(
     actor: &Actor,
     surface: &[Vec3],
     images: &[(Camera, Image)],
@@ -62,7 +62,7 @@ fn compare(camera: &Camera, image: &Image, x: DVec3, wanted: [f32; 3]) -> Option
     if !(q.z > 0.0 && inside(at.x, image.width) && inside(at.y, image.height)) {
         return None;
     }
-    let (column, row) = (at.x as usize, at.y as usize);
+    let (column, row) = (cast::to_usize(at.x), cast::to_usize(at.y));
     let taps = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(i, j)| image.pixel(column + i, row + j));
     if taps.iter().any(|t| t[3] < COVERED) {
         return None;

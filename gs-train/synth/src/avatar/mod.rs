@@ -24,7 +24,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use gs_core::{Camera, Time};
+use gs_core::{Camera, Time, cast};
 use gs_data::avatar::layout::{Film, FilmFrame, FrameUse, Role, Shot, shot_name};
 use gs_data::avatar::{BUILTIN, MeasuredPoints, SurfacePoints, sample};
 use gs_data::json::read_object;
@@ -56,7 +56,7 @@ pub struct AvatarOptions {
     pub per_ring: u32,
     /// Number of rings, 1 to 3.
     pub rings: u32,
-    /// Number of frames.
+    /// Number of timestamps that are filmed.
     pub frames: u32,
     /// Frames per second; none: such that the frames span the motion once.
     pub fps: Option<f64>,
@@ -247,11 +247,11 @@ impl<'a> Scene<'a> {
             let (id, frame) = (i / frames, i % frames);
             let rig::Rigged { camera, role } = &self.cameras[id];
             let image = Arc::new(stages[frame].picture(camera, self.options.supersample));
-            self.shot(id as u32, frame as u32, *role, camera, ImageSource::Memory(image))
+            self.shot(cast::to_u32(id), cast::to_u32(frame), *role, camera, ImageSource::Memory(image))
         };
         let shots = (0..cameras * frames).into_par_iter().map(shot).collect();
         let film_frame = |(number, s): (usize, &PosedFrame)| FilmFrame {
-            number: number as u32,
+            number: cast::to_u32(number),
             list: s.list,
             pose: s.pose.clone(),
             true_morphs: Some(s.true_morphs.clone()),

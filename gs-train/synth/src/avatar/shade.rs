@@ -7,7 +7,7 @@
 use std::sync::Arc;
 
 use glam::{DVec3, Vec3, Vec4};
-use gs_core::{Camera, Image};
+use gs_core::{Camera, Image, cast};
 use gs_texel::Template;
 use gs_texel::bvh::Tracer;
 use gs_texel::surface::{NONE, Topology};
@@ -122,7 +122,7 @@ impl<'a> Stage<'a> {
             if !self.is_hole(hit.face, colour) {
                 return Some(self.lit(hit.face, bary, colour));
             }
-            from += direction.as_vec3() * (hit.t + z as f32 * HOLE_STEP);
+            from += direction.as_vec3() * (hit.t + cast::to_f32(z) * HOLE_STEP);
         }
         None
     }
@@ -157,7 +157,7 @@ impl<'a> Stage<'a> {
         let Some(light) = self.light else { return colour };
         let to_light = DVec3::from_array(light.direction).normalize_or_zero();
         let facing = self.normal(face, bary).as_dvec3().dot(to_light).max(0.0);
-        let factor = (light.ambient + (1.0 - light.ambient) * facing) as f32;
+        let factor = cast::to_f32(light.ambient + (1.0 - light.ambient) * facing);
         (colour.truncate() * factor).extend(colour.w)
     }
 
@@ -175,7 +175,7 @@ impl<'a> Stage<'a> {
             let bary = [hit.bary[0], hit.bary[1], 1.0 - hit.bary[0] - hit.bary[1]];
             let corners = self.template.faces[hit.face as usize].map(|v| self.surface[v as usize]);
             let position: Vec3 = corners.iter().zip(bary).map(|(&p, b)| p * b).sum();
-            maps.depth.pixel_mut(x, y)[0] = camera.to_camera(position.as_dvec3()).z as f32;
+            maps.depth.pixel_mut(x, y)[0] = cast::to_f32(camera.to_camera(position.as_dvec3()).z);
             maps.normal.pixel_mut(x, y).copy_from_slice(&self.normal(hit.face, bary).to_array());
             maps.position.pixel_mut(x, y).copy_from_slice(&position.to_array());
         }
@@ -193,7 +193,7 @@ fn straight(sum: DVec3, covered: usize, all: usize) -> [u8; 4] {
     if covered == 0 {
         return [0; 4];
     }
-    let byte = |v: f64| (255.0 * v + 0.5).clamp(0.0, 255.0) as u8;
+    let byte = |v: f64| cast::to_u8(255.0 * v + 0.5);
     let c = sum / covered as f64;
     [byte(c.x), byte(c.y), byte(c.z), byte(covered as f64 / all as f64)]
 }

@@ -22,7 +22,7 @@ pub enum Atlas {
     /// That of the file if it covers the surface without overlap, else [`Self::Repack`], else [`Self::Anew`].
     #[default]
     Auto,
-    /// That of the file.
+    /// The texture coordinates of the file, as they are.
     Painted,
     /// The texture coordinates of the file, each material in a cell of its own.
     Repack,

@@ -13,7 +13,7 @@ use crate::error::{DataError, Place};
 use crate::files::read_text;
 use crate::header::ImageHeader;
 use crate::intrinsics::Intrinsics;
-use crate::json::{Fields, quote_non_finite, read_object};
+use crate::json::{Fields, quote_non_finite, read_object, whole};
 use crate::lens::Lens;
 use crate::options::DataOptions;
 use crate::pose::{Pose, from_world_to_camera};
@@ -74,8 +74,8 @@ pub(super) fn read(file: &Path) -> Result<Vec<FilmCamera>, DataError> {
 }
 
 fn camera(fields: &Fields, dist: Option<&Value>) -> Result<FilmCamera, DataError> {
-    let id = whole(fields, "id", u32::MAX)?;
-    let [w, h] = ["w", "h"].map(|key| whole(fields, key, gs_core::camera::MAX_SIDE));
+    let id = number(fields, "id", u32::MAX)?;
+    let [w, h] = ["w", "h"].map(|key| number(fields, key, gs_core::camera::MAX_SIDE));
     let (w, h) = (w?, h?);
     let size = DVec2::new(f64::from(w), f64::from(h));
     let missing = |key, what| fields.fault(key, "missing", what, "add the field");
@@ -110,12 +110,10 @@ fn camera(fields: &Fields, dist: Option<&Value>) -> Result<FilmCamera, DataError
 }
 
 /// A whole number from 0 to `most`, which must be there.
-fn whole(fields: &Fields, key: &str, most: u32) -> Result<u32, DataError> {
+fn number(fields: &Fields, key: &str, most: u32) -> Result<u32, DataError> {
     let value = fields.required_number(key)?;
-    if value.fract() == 0.0 && (0.0..=f64::from(most)).contains(&value) {
-        return Ok(value as u32);
-    }
-    Err(fields.fault(key, &value.to_string(), "it is a whole number, not too large", "correct the number"))
+    let why = "it is a whole number, not too large";
+    whole(value, 0..=most).ok_or_else(|| fields.fault(key, &value.to_string(), why, "correct the number"))
 }
 
 /// OpenCV's `[k1, k2, p1, p2]` with or without `k3`.

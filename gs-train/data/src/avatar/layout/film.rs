@@ -28,11 +28,11 @@ const MARGIN: f32 = 0.1;
 /// The use of a camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Role {
-    /// Training views.
+    /// Its views are trained on.
     Train,
     /// Training views that are also the inputs of their frames (conditioning).
     Cond,
-    /// Held-out views.
+    /// Its views are held out.
     Test,
 }
 
@@ -68,9 +68,9 @@ pub struct FilmFrame {
 
 /// An image of a frame.
 pub struct Shot {
-    /// Number of the frame.
+    /// Number of the frame it shows.
     pub number: u32,
-    /// Role of the camera.
+    /// Role of the camera that took it.
     pub role: Role,
     /// The view; its time is not used.
     pub view: View,
@@ -80,23 +80,23 @@ pub struct Shot {
 pub struct Film {
     /// The folder; empty for films made in memory.
     pub root: PathBuf,
-    /// [`Dataset::layout`].
+    /// Becomes [`Dataset::layout`], the name of the reader.
     pub layout: &'static str,
     /// The place that errors of times name.
     pub place: Place,
-    /// Template, skeleton and motions.
+    /// Template mesh, skeleton and motions of the person.
     pub character: Character,
     /// How joint transforms are blended.
     pub skinning: Skinning,
-    /// Frames per second.
+    /// Frames per second of the recording.
     pub fps: f64,
-    /// Ascending in number.
+    /// The frames, ascending in number.
     pub frames: Vec<FilmFrame>,
     /// Camera after camera, ascending in id, each with its frames ascending in number; every number is in `frames`.
     pub shots: Vec<Shot>,
-    /// [`Dataset::has_alpha`].
+    /// Becomes [`Dataset::has_alpha`]: images carry transparency.
     pub has_alpha: bool,
-    /// [`Dataset::notes`] so far.
+    /// Assumptions of the reader so far; become [`Dataset::notes`].
     pub notes: Vec<String>,
 }
 

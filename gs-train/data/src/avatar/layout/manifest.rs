@@ -21,12 +21,12 @@ use crate::avatar::Morphs;
 use crate::avatar::{BUILTIN, BUILTINS, builtin};
 use crate::error::{DataError, Place};
 use crate::files::Root;
-use crate::json::{Fields, read_object};
+use crate::json::{Fields, read_object, whole};
 
 /// Largest file; the lists of a million frames have 7 MB.
 const MAX_BYTES: u64 = 8 << 20;
 /// Frames without a list of splits.
-const MAX_FRAMES: f64 = 1e6;
+const MAX_FRAMES: u32 = 1_000_000;
 const KEYS: [&str; 16] = [
     "version",
     "units",
@@ -83,12 +83,8 @@ impl Manifest {
         }
         let skinning = [("\"lbs\"", Skinning::Lbs), ("\"dqs\"", Skinning::Dqs)];
         let morphs = [("\"gt\"", Morphs::Gt), ("\"apply\"", Morphs::Apply), ("\"ignore\"", Morphs::Ignore)];
-        let uv_set = match f.number("uv_set")? {
-            Some(n) if n < 0.0 || n.fract() != 0.0 || n > 255.0 => {
-                return Err(f.fault("uv_set", &n.to_string(), "it is the number of a set", "give 0, 1, … or null"));
-            }
-            n => n.map(|n| n as u32),
-        };
+        let no_set = |n: f64| f.fault("uv_set", &n.to_string(), "it is the number of a set", "give 0, 1, … or null");
+        let uv_set = f.number("uv_set")?.map(|n| whole(n, 0..=255).ok_or_else(|| no_set(n))).transpose()?;
         Ok(Self {
             file: file.to_path_buf(),
             fps,
@@ -215,13 +211,13 @@ impl Range {
         let frames = map.get("frames").and_then(Value::as_object);
         let frames = frames.ok_or_else(|| f.fault("frames", "no object", why, "add the field"))?;
         let fields = Fields::new(file, "frames", frames);
-        let whole = |key: &str, least: f64, usual: f64| {
+        let number = |key: &str, least: u32, usual: f64| {
             let value = fields.number(key)?.unwrap_or(usual);
-            let good = value.fract() == 0.0 && (least..=MAX_FRAMES).contains(&value);
             let why = "start is a whole number from 0, count and step are from 1, none above a million";
-            if good { Ok(value as u32) } else { Err(fields.fault(key, &value.to_string(), why, "correct the number")) }
+            whole(value, least..=MAX_FRAMES)
+                .ok_or_else(|| fields.fault(key, &value.to_string(), why, "correct the number"))
         };
-        Ok(Self { start: whole("start", 0.0, 0.0)?, count: whole("count", 1.0, 0.0)?, step: whole("step", 1.0, 1.0)? })
+        Ok(Self { start: number("start", 0, 0.0)?, count: number("count", 1, 0.0)?, step: number("step", 1, 1.0)? })
     }
 
     fn numbers(&self) -> impl Iterator<Item = u32> {

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use glam::DVec3;
+use gs_core::cast;
 use gs_texel::{Character, Pose};
 use serde_json::value::RawValue;
 use serde_json::{Map, Value};
@@ -98,7 +99,7 @@ fn morphs(pose: &mut Pose, fields: &Fields, map: &Map<String, Value>) -> Result<
     let list = weights.as_array().filter(|l| l.len() == pose.morphs.len());
     let list = list.ok_or_else(|| fields.fault("morphs", &weights.to_string(), why, "correct the list"))?;
     for (i, (weight, value)) in pose.morphs.iter_mut().zip(list).enumerate() {
-        let number = value.as_f64().map(|v| v as f32).filter(|v| v.is_finite());
+        let number = value.as_f64().map(cast::to_f32).filter(|v| v.is_finite());
         let fault = || fields.fault(&format!("morphs[{i}]"), &value.to_string(), why, "correct the number");
         *weight = number.ok_or_else(fault)?;
     }

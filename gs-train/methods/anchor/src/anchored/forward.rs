@@ -3,7 +3,7 @@
 use super::Anchored;
 use gs_anchor::visible::{self, SUPPORT, VisibilityOptions};
 use gs_anchor::{DecodeTape, GadTape, LocalAnchors, LocalAnchorsGrad, Visible};
-use gs_core::{Camera, Geometry, GeometryRef, Splats, SplatsGrad, SplatsRef, Time};
+use gs_core::{Camera, Geometry, GeometryRef, Splats, SplatsGrad, SplatsRef, Time, cast};
 use gs_deform::{Field, HexPlaneField};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -13,7 +13,7 @@ pub(super) const ROOM: f64 = 1.5;
 /// Splats compared by one task.
 const PIECE: usize = 4096;
 
-/// Which anchors are decoded.
+/// Which anchors are decoded for a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Filter {
@@ -21,7 +21,7 @@ pub enum Filter {
     Clean,
     /// Those whose own Gaussian, before deformation, touches a tile, while training; all of them otherwise (public code).
     Ref,
-    /// All of them.
+    /// All of them, in and out of view.
     Off,
 }
 
@@ -29,7 +29,7 @@ pub enum Filter {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Statistics {
-    /// All of them.
+    /// All views of the batch.
     All,
     /// The last one (public code).
     Last,
@@ -56,7 +56,7 @@ pub(super) struct Tape {
 
 impl Tape {
     /// What is rendered, and the place for its cotangents.
-    pub fn rendered(&mut self) -> (SplatsRef<'_>, &mut SplatsGrad) {
+    pub(super) fn rendered(&mut self) -> (SplatsRef<'_>, &mut SplatsGrad) {
         let geometry = if self.moves { self.moved.view() } else { self.splats.geometry() };
         (self.splats.with_geometry(geometry), &mut self.d_splats)
     }
@@ -125,7 +125,7 @@ pub(super) fn farthest(before: GeometryRef<'_>, after: GeometryRef<'_>) -> f32 {
     let piece = |p: usize| {
         let rows = p * PIECE..before.len().min((p + 1) * PIECE);
         let grown = |i: usize| (after.scales[i] - before.scales[i]).abs().max_element();
-        rows.map(|i| after.means[i].distance(before.means[i]) + SUPPORT as f32 * grown(i)).fold(0.0, f32::max)
+        rows.map(|i| after.means[i].distance(before.means[i]) + cast::to_f32(SUPPORT) * grown(i)).fold(0.0, f32::max)
     };
     (0..before.len().div_ceil(PIECE)).into_par_iter().map(piece).reduce(|| 0.0, f32::max)
 }

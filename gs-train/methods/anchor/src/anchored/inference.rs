@@ -6,7 +6,7 @@ use super::rest::Rest;
 use glam::Vec3;
 use gs_anchor::visible::{self, VisibilityOptions};
 use gs_anchor::{DecodeTape, LocalAnchors, Visible};
-use gs_core::{Camera, Color, Geometry, GeometryRef, Splats, Time};
+use gs_core::{Camera, Color, Geometry, GeometryRef, Splats, Time, cast};
 use gs_deform::Field;
 use gs_train::capabilities::StageView;
 use std::collections::BTreeMap;
@@ -28,13 +28,13 @@ pub(super) struct Cache {
 
 impl Cache {
     /// To be called before anything it depends on changes.
-    pub fn forget(&mut self) {
+    pub(super) fn forget(&mut self) {
         self.locals.get_mut().unwrap_or_else(PoisonError::into_inner).clear();
         self.rest = None;
     }
 
     /// One that leaves what rests where it is.
-    pub fn resting(rest: Rest) -> Self {
+    pub(super) fn resting(rest: Rest) -> Self {
         Self { rest: Some(rest), ..Self::default() }
     }
 
@@ -170,7 +170,7 @@ impl Anchored {
         let (seen, tape) = self.decoded(&local, camera, None);
         let n = local.len() * self.config.offsets;
         let mut all = Splats {
-            means: (0..n as u32).map(|row| self.center(&local, row)).collect(),
+            means: (0..cast::to_u32(n)).map(|row| self.center(&local, row)).collect(),
             quats: vec![[1.0, 0.0, 0.0, 0.0]; n],
             scales: vec![Vec3::ZERO; n],
             opacities: vec![0.0; n],
@@ -184,7 +184,7 @@ impl Anchored {
             colors[row] = seen_colors[i];
         }
         all.color = Color::Rgb(colors);
-        let rows: Vec<u32> = (0..n as u32).collect();
+        let rows: Vec<u32> = (0..cast::to_u32(n)).collect();
         self.at_time(all, &rows, t)
     }
 }

@@ -20,7 +20,7 @@ use gs_anchor::{
     AnchorDensify, AnchorDensifyRules, AnchorDensifyStep, AnchorInit, AnchorShape, AnchorView, Anchors, Decoder,
     DecoderConfig, Intervals, StorageSizes, StorageTable,
 };
-use gs_core::{Camera, Param, Params, Splats};
+use gs_core::{Camera, Param, Params, Splats, cast};
 use gs_raster::ScreenStats;
 use gs_train::capabilities::{
     Bake, Capabilities, FreezeOptions, FreezeReport, GrowthLimits, Inspect, Overlay, PaperStorage, PaperStorageRow,
@@ -46,11 +46,11 @@ pub struct AnchorConfig {
     pub voxel: f32,
     /// Every so many points are used.
     pub stride: u32,
-    /// Gaussians per anchor, `k`.
+    /// Gaussians `k` that every anchor decodes to.
     pub offsets: usize,
     /// Width of the feature, `C`.
     pub features: usize,
-    /// Which anchors are decoded.
+    /// Which anchors are decoded for a frame.
     pub filter: Filter,
     /// Which views of a batch are observed for growth and intervals.
     pub statistics: Statistics,
@@ -60,23 +60,23 @@ pub struct AnchorConfig {
 
 /// What a body is built from.
 pub struct Parts {
-    /// Name of the method.
+    /// Name of the method, for errors.
     pub name: &'static str,
-    /// Anchors.
+    /// Settings of the anchors and of their statistics.
     pub anchors: AnchorConfig,
-    /// Decoder.
+    /// Settings of the networks from anchors to Gaussians.
     pub decoder: DecoderConfig,
-    /// Growth and pruning.
+    /// Thresholds and steps of growth and pruning.
     pub adapt: AnchorDensifyRules,
     /// Logits of motion per anchor, 0 to 2.
     pub dynamics: usize,
-    /// What moves.
+    /// What moves, anchors and Gaussians, and by which networks.
     pub motion: Motion,
     /// Penalty on the logits of motion.
     pub sparsity: Option<SparsityConfig>,
 }
 
-/// Anchors under training.
+/// The body of both methods: anchors, decoder and motion under training.
 pub struct Anchored {
     config: AnchorConfig,
     rules: AnchorDensifyRules,
@@ -332,10 +332,11 @@ impl Inspect for Anchored {
     /// `anchor`: Gaussians of one anchor; `interval`: which one the timestamp lies in, where there are any.
     fn overlays(&self, at: &Timestamp) -> Result<Vec<Overlay>, MethodError> {
         let k = self.config.offsets;
-        let colors = (0..self.anchors.len()).flat_map(|i| std::iter::repeat_n(label_color(i as u32 + 1), k)).collect();
+        let colors =
+            (0..self.anchors.len()).flat_map(|i| std::iter::repeat_n(label_color(cast::to_u32(i) + 1), k)).collect();
         let anchor = Overlay { name: "anchor", colors, meaning: "the Gaussians of an anchor share a colour" };
         let interval = self.motion.intervals.as_ref().filter(|_| self.at.dynamic).map(|intervals| {
-            let color = label_color(intervals.locate(at.t.normalised) as u32 + 1);
+            let color = label_color(cast::to_u32(intervals.locate(at.t.normalised)) + 1);
             let colors = vec![color; self.splat_count()];
             Overlay { name: "interval", colors, meaning: "every interval of time has a colour" }
         });

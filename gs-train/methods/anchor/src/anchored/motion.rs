@@ -2,7 +2,7 @@
 
 use gs_anchor::gad::Sparsity;
 use gs_anchor::{Anchors, Gad, Intervals};
-use gs_core::{Camera, Geometry, Param, Params, Time};
+use gs_core::{Camera, Geometry, Param, Params, Time, cast};
 use gs_deform::{Field, HexPlaneField};
 use gs_raster::ScreenStats;
 use serde::{Deserialize, Serialize};
@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SparsityConfig {
-    /// What is penalised.
+    /// Form of the penalty on a logit.
     pub kind: Sparsity,
     /// Its weight; 0: nothing is penalised.
     pub weight: f32,
@@ -22,7 +22,7 @@ pub struct SparsityConfig {
 pub struct Motion {
     /// Global anchor deformation: anchors, per interval.
     pub gad: Option<Gad>,
-    /// LocalAnchors Gaussian deformation: decoded Gaussians, per frame.
+    /// Local Gaussian deformation: decoded Gaussians, per frame.
     pub lgd: Option<HexPlaneField>,
     /// The intervals GAD is constant in.
     pub intervals: Option<Intervals>,
@@ -60,7 +60,7 @@ impl Motion {
             sum += f64::from((g[0] * half_w).hypot(g[1] * half_h));
             visible += 1;
         }
-        intervals.observe(t.normalised, sum as f32, visible, 1.0);
+        intervals.observe(t.normalised, cast::to_f32(sum), visible, 1.0);
     }
 
     /// How much each anchor takes part in the global and the local deformation, by name.

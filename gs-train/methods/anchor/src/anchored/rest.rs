@@ -17,7 +17,7 @@
 use super::Anchored;
 use glam::Vec3;
 use gs_core::nn::BLOCK;
-use gs_core::{Camera, Geometry, GeometryRef, Time};
+use gs_core::{Camera, Geometry, GeometryRef, Time, cast};
 use gs_deform::apply::{Apply, Offsets};
 use gs_deform::{Field, HexPlaneField};
 use gs_train::capabilities::{FreezeOptions, FreezeReport};
@@ -93,15 +93,22 @@ impl Poses {
 
 impl Rest {
     /// LocalAnchors factors below this count as zero.
-    pub fn below(&self) -> f32 {
+    pub(super) fn below(&self) -> f32 {
         self.below
     }
 
     /// Moves decoded Gaussians of these rows: those that rest to their baked pose, the others as the field says.
-    pub fn forward(&self, lgd: &HexPlaneField, neural: GeometryRef<'_>, rows: &[u32], t: Time, out: &mut Geometry) {
+    pub(super) fn forward(
+        &self,
+        lgd: &HexPlaneField,
+        neural: GeometryRef<'_>,
+        rows: &[u32],
+        t: Time,
+        out: &mut Geometry,
+    ) {
         self.poses.put(lgd.rule(), neural, rows, out);
         let moves = |i: &u32| !self.still[rows[*i as usize] as usize];
-        let moving: Vec<u32> = (0..rows.len() as u32).filter(moves).collect();
+        let moving: Vec<u32> = (0..cast::to_u32(rows.len())).filter(moves).collect();
         let mut moved = Geometry::default();
         lgd.forward(neural.pick(&moving).view(), t, &mut Default::default(), &mut moved);
         out.scatter(&moved, &moving);
@@ -163,7 +170,7 @@ impl Anchored {
     /// The poses of all rows at a time.
     fn poses(&self, lgd: &HexPlaneField, t: Time) -> Poses {
         let local = self.local(t);
-        let rows = (local.len() * self.config.offsets) as u32;
+        let rows = cast::to_u32(local.len() * self.config.offsets);
         let centers: Vec<Vec3> = (0..rows).into_par_iter().map(|row| self.center(&local, row)).collect();
         let mut said = Default::default();
         lgd.offsets_at(&centers, t, &mut Default::default(), &mut said);

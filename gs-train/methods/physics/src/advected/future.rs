@@ -57,7 +57,7 @@ pub(super) struct Future {
 
 impl Future {
     /// The scene that begins as `begin`, with these opacities, at time `from`.
-    pub fn new<D: Dynamics>(
+    pub(super) fn new<D: Dynamics>(
         begin: Geometry,
         opacities: &[f32],
         from: f64,
@@ -75,7 +75,7 @@ impl Future {
     }
 
     /// The splats at a time after the begin.
-    pub fn at<D: Dynamics>(&mut self, t: f64, dynamics: &D) -> Geometry {
+    pub(super) fn at<D: Dynamics>(&mut self, t: f64, dynamics: &D) -> Geometry {
         let mut moves = ParticleState::default();
         match &mut self.particles {
             Some(particles) => {

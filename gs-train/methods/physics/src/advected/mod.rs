@@ -14,7 +14,7 @@
 //! of its own only ([`Stage::field_alone`](gs_train::schedule::Stage::field_alone)), where it moves splats by itself.
 
 use glam::{DVec3, Vec3};
-use gs_core::{Camera, Color, Geometry, GeometryRef, Param, Params, Rng, Splats, SplatsGrad, Time, rot};
+use gs_core::{Camera, Color, Geometry, GeometryRef, Param, Params, Rng, Splats, SplatsGrad, Time, cast, rot};
 use gs_deform::Field;
 use gs_physics::classes::ClassRule;
 use gs_physics::{Dynamics, Motion, ParticleState, Start};
@@ -43,7 +43,7 @@ const FARTHEST: f64 = 4096.0;
 /// How far a splat goes before it tells what moves, of the extent of the scene.
 const LITTLE: f32 = 0.01;
 
-/// When physics acts.
+/// From when on, how often and how far dynamics carry splats.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PhysicsConfig {
@@ -365,7 +365,7 @@ fn middle(rest: &[Vec3], now: &[Vec3], origin: Vec3, little: f32) -> Vec3 {
 
 /// A time for the field; its clock is the normalised one.
 fn at(t: f64) -> Time {
-    Time { normalised: t as f32, seconds: t }
+    Time { normalised: cast::to_f32(t), seconds: t }
 }
 
 /// Puts splats where the dynamics carried them, turned as they turned. What a velocity field has carried beyond all numbers stays

@@ -2,7 +2,7 @@
 
 use super::Advected;
 use glam::Vec3;
-use gs_core::Splats;
+use gs_core::{Splats, cast};
 use gs_deform::Field;
 use gs_physics::{Dynamics, Motion};
 use gs_train::capabilities::{Overlay, Quantity};
@@ -30,7 +30,7 @@ impl<F: Field, D: Dynamics> Advected<F, D> {
             return self.dynamics.motions(self.start(&canonical.means, &splats.means, t));
         }
         let begin = self.deformed(canonical.geometry(), first);
-        let tau = (t - first) as f32;
+        let tau = cast::to_f32(t - first);
         self.dynamics.motions(self.start(&canonical.means, &begin.means, first)).iter().map(|m| m.from(tau)).collect()
     }
 
