@@ -98,7 +98,7 @@ struct Run {
 
 impl Run {
     fn new() -> Self {
-        let size = SynthOptions { size: 128, train_views: 40, val_views: 0, test_views: 10, ..SynthOptions::default() };
+        let size = SynthOptions::of_views(128, 40, 10);
         let data = Arc::new(synth::generate("reach", &size).expect("a scene").dataset);
         let mut config = gs_methods::registry().find("modec").and_then(|m| m.config("fast")).expect("a preset");
         overlay(&mut config, SMALL.parse().expect("TOML"));
