@@ -1,4 +1,4 @@
-//! Short runs for the tests of methods (feature `testkit`). Every function panics where it fails.
+//! Short runs for the tests and benches of methods (feature `testkit`). Every function panics where it fails.
 
 use crate::method::overlay;
 use crate::registry::Registry;
@@ -77,4 +77,19 @@ pub fn start(registry: &Registry, data: &Arc<Dataset>, method: &str, config: &to
 /// Makes steps.
 pub fn run(trainer: &mut Trainer, steps: u32) -> Vec<StepReport> {
     (0..steps).map(|_| trainer.step().expect("step")).collect()
+}
+
+/// Largest difference of a value of the state after so many steps on one thread and on two: 0 by contract.
+pub fn thread_difference(start: impl Fn() -> Trainer + Sync, steps: u32) -> f64 {
+    let [one, two] = [1, 2].map(|threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("pool");
+        pool.install(|| {
+            let mut trainer = start();
+            run(&mut trainer, steps);
+            trainer.state().tensors
+        })
+    });
+    assert!(one.iter().map(|t| (&t.0, t.1.len())).eq(two.iter().map(|t| (&t.0, t.1.len()))), "the same tensors");
+    let pairs = one.iter().zip(&two).flat_map(|(a, b)| a.1.iter().zip(&b.1));
+    pairs.map(|(a, b)| f64::from((a - b).abs())).fold(0.0, f64::max)
 }
