@@ -74,7 +74,7 @@ fn adam_rows(criterion: &mut Criterion) {
 
 /// Mean milliseconds of each phase over the last steps of a short run of the `fast` preset with 20 000 splats at 400×400.
 fn phases(method: &str, threads: usize) -> (BTreeMap<&'static str, f64>, usize) {
-    let options = SynthOptions { size: 400, train_views: 12, val_views: 0, test_views: 0, ..SynthOptions::default() };
+    let options = SynthOptions::of_views(400, 12, 0);
     let dataset = Arc::new(synth::generate("sheet", &options).expect("a scene").dataset);
     let mut config = gs_methods::registry().find(method).and_then(|m| m.config("fast")).expect("a preset");
     let still: toml::Table = "[init]\npoints = 20000\n[schedule.density]\nuntil = 0".parse().expect("TOML");

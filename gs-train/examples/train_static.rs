@@ -16,7 +16,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let preset = arguments.next().unwrap_or_else(|| "tiny".to_owned());
     let method = arguments.next().unwrap_or_else(|| "static3d".to_owned());
 
-    let options = SynthOptions { size: 96, train_views: 40, val_views: 0, test_views: 8, ..SynthOptions::default() };
+    let options = SynthOptions::of_views(96, 40, 8);
     let data = synth::generate(&scene, &options)?;
     let dataset = Arc::new(data.dataset);
     let config = gs_methods::registry().find(&method)?.config(&preset)?;

@@ -8,7 +8,7 @@
 //! * [`trainer`]: one optimiser step and the whole state in and out; [`schedule`]: stages and learning rates; [`adam`];
 //!   [`loss`]; [`densify`]: clone, split, prune; `non_finite`: gradients that are refused.
 //! * [`canonical`], [`kernel`], [`scene`]: the cloud of Gaussians that several methods share, and what it starts from.
-//! * `conformance` (cargo feature of that name): what every method must keep, as checks for its tests.
+//! * `conformance` (cargo feature of that name): what every method must keep, as checks for its tests. `testkit` (the same): short runs.
 //! * [`report`]: the section that a method adds to the report of a run.
 //! * [`checkpoint`], [`saved`]: atomic files of the whole state; [`evaluate`], [`renderer`]: scores and images of a method.
 //!
@@ -41,5 +41,7 @@ pub mod scene;
 pub mod schedule;
 pub mod step;
 pub mod still;
+#[cfg(feature = "testkit")]
+pub mod testkit;
 pub mod timestamp;
 pub mod trainer;

@@ -49,7 +49,7 @@ impl Method for Fake {
 
 /// Resting bodies.
 fn data(size: u32, views: u32) -> Arc<Dataset> {
-    let options = SynthOptions { size, train_views: views, val_views: 0, test_views: 0, ..SynthOptions::default() };
+    let options = SynthOptions::of_views(size, views, 0);
     Arc::new(gs_synth::generate("static", &options).expect("scene").dataset)
 }
 

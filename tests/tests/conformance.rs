@@ -21,12 +21,12 @@ mod stop_gradients;
 use gs_core::{Param, Params, Rng};
 use gs_data::Dataset;
 use gs_synth::SynthOptions;
-use gs_synth::avatar::{self, AvatarOptions};
+use gs_synth::testkit::{dataset, film};
 use gs_train::conformance::gradients::{BlockGradient, BlockReport, Report, Rules, View, check, check_block};
 use gs_train::conformance::{ConformanceError, Subject};
-use gs_train::method::overlay;
 use gs_train::model::Model;
 use gs_train::registry::Registry;
+use gs_train::testkit;
 use std::sync::{Arc, LazyLock};
 use stop_gradients::{Frozen, StopGradient};
 
@@ -35,41 +35,8 @@ static REGISTRY: LazyLock<Registry> = LazyLock::new(|| {
     Registry::new(known.chain([spacetime::ENTRY]).collect())
 });
 
-static BALLS: LazyLock<Arc<Dataset>> = LazyLock::new(|| {
-    let options = SynthOptions {
-        size: 32,
-        train_views: 6,
-        val_views: 0,
-        test_views: 0,
-        supersample: 2,
-        ..SynthOptions::default()
-    };
-    Arc::new(gs_synth::generate("balls", &options).expect("scene").dataset)
-});
-
-/// Growth, pruning, a reset and a change of stage in 60 steps, of so few splats that few pairs change their order in depth.
-const SHORT: &str = "
-init.points = 20
-[schedule]
-sh_every = 20
-density.from = 5
-density.until = 55
-density.every = 10
-density.reset_every = 25
-density.max_splats = 24
-";
-
-/// The same of anchors.
-const SHORT_ANCHORS: &str = "
-init.points = 20
-[adapt]
-observe_from = 0
-from = 5
-until = 55
-every = 10
-grad = 2e-5
-max_anchors = 24
-";
+static BALLS: LazyLock<Arc<Dataset>> =
+    LazyLock::new(|| dataset("balls", &SynthOptions { supersample: 2, ..SynthOptions::of_views(32, 6, 0) }));
 
 /// A method in a state, and what of it must have a gradient.
 #[derive(Clone, Copy)]
@@ -182,15 +149,12 @@ const CASES: &[Case] = &[
     },
 ];
 
-/// The `tiny` preset of a case's method, in 60 steps.
+/// The `tiny` preset of a case's method, in 60 steps, of so few splats that few pairs change their order in depth.
 fn short(case: &Case) -> toml::Table {
-    let mut config = REGISTRY.find(case.method).and_then(|m| m.config("tiny")).expect("preset");
-    let over = if config.contains_key("adapt") { SHORT_ANCHORS } else { SHORT };
-    [over, case.over].into_iter().for_each(|over| overlay(&mut config, over.parse().expect("TOML")));
-    let stages = config["schedule"]["stages"].as_table_mut().expect("stages");
-    let steps = 60 / stages.len() as i64;
-    for (_, stage) in stages.iter_mut() {
-        stage.as_table_mut().expect("stage").insert("steps".into(), steps.into());
+    let mut config = testkit::short(&REGISTRY, case.method, &["init.points = 20", case.over]);
+    match config.get_mut("adapt") {
+        Some(adapt) => adapt["max_anchors"] = 24.into(),
+        None => config["schedule"]["density"]["max_splats"] = 24.into(),
     }
     config
 }
@@ -282,41 +246,16 @@ fn every_block_is_checked_in_some_case() {
     }
 }
 
-/// Networks of 16 texels a side, one stage after the other. The penalty of offsets would be a part of the gradient that
-/// the image does not show.
+/// Networks of 16 texels a side. The penalty of offsets would be a part of the gradient that the image does not show.
 const FILM: &str = "
-cache_mib = 64
 gaussians.reg = 0.0
-[textures]
-unproject = 16
-geo = 16
-gau = 16
-[gaunet]
-residual = false
-[gaunet.net]
-width = 8
-levels = 2
-[geonet]
-width = 16
-[schedule]
-stages.geometry.steps = 5
-stages.warm_up.steps = 4
-stages.main.steps = 6
+textures = { unproject = 16, geo = 16, gau = 16 }
 ";
 
 #[test]
 fn a_filmed_person() {
-    let options = AvatarOptions {
-        template: "builtin:cylinder".into(),
-        size: 32,
-        frames: 2,
-        rings: 1,
-        points: 4000,
-        ..AvatarOptions::default()
-    };
-    let film = Arc::new(avatar::generate(&options).expect("film"));
-    let mut config = REGISTRY.find("dut").and_then(|m| m.config("tiny")).expect("preset");
-    overlay(&mut config, FILM.parse().expect("TOML"));
+    let film = film("cylinder", 32, 2);
+    let config = testkit::config(&REGISTRY, "dut", "tiny", &[testkit::SHORT_FILM, FILM]);
     let rules = Rules {
         exempt: &[("geo.", "learns in its own stage")],
         // A weight is shared by all texels: on some of them a rectifier bends within a step.

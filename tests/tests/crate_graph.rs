@@ -37,13 +37,23 @@ const APPS: &[(&str, &[&str])] = &[
     ("gs4d", &["gs4d-doctor", "gs4d-eval", "gs4d-lab", "gs4d-report", "gs4d-run", "gs4d-view"]),
 ];
 
-/// The packages of this workspace in `[dependencies]`.
-fn dependencies(folder: &str) -> BTreeSet<String> {
+fn manifest(folder: &str) -> toml::Table {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(folder).join("Cargo.toml");
     let text = std::fs::read_to_string(&file).unwrap_or_else(|e| panic!("{}: {e}", file.display()));
-    let table: toml::Table = text.parse().unwrap_or_else(|e| panic!("{}: {e}", file.display()));
+    text.parse().unwrap_or_else(|e| panic!("{}: {e}", file.display()))
+}
+
+/// The packages of this workspace in `[dependencies]`.
+fn dependencies(folder: &str) -> BTreeSet<String> {
+    let table = manifest(folder);
     let found = table.get("dependencies").and_then(toml::Value::as_table);
     found.into_iter().flatten().map(|(name, _)| name.clone()).filter(|n| n.starts_with("gs")).collect()
+}
+
+/// Folders of all members of the workspace.
+fn members() -> BTreeSet<String> {
+    let members = manifest("")["workspace"]["members"].as_array().expect("members").clone();
+    members.iter().filter_map(|m| m.as_str().map(str::to_owned)).collect()
 }
 
 #[test]
@@ -74,10 +84,20 @@ fn the_report_knows_no_method() {
 
 #[test]
 fn every_member_of_the_workspace_is_in_the_graph() {
-    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../Cargo.toml");
-    let table: toml::Table = std::fs::read_to_string(file).expect("a manifest").parse().expect("TOML");
-    let members = table["workspace"]["members"].as_array().expect("members");
-    let members: BTreeSet<String> = members.iter().filter_map(|m| m.as_str().map(str::to_owned)).collect();
     let known = GRAPH.iter().map(|g| g.1.to_owned()).chain(APPS.iter().map(|a| format!("apps/{}", a.0)));
-    assert_eq!(members, known.chain(["tests".to_owned()]).collect());
+    assert_eq!(members(), known.chain(["tests".to_owned()]).collect());
+}
+
+/// Helpers of tests are a feature `testkit`, which no build but that of tests and benches may turn on.
+#[test]
+fn testkits_are_turned_on_by_tests_alone() {
+    for folder in members() {
+        let table = manifest(&folder);
+        for part in ["dependencies", "build-dependencies", "target"] {
+            assert!(!table.get(part).is_some_and(|p| p.to_string().contains("testkit")), "{folder}, [{part}]");
+        }
+        for (name, turns_on) in table.get("features").and_then(toml::Value::as_table).into_iter().flatten() {
+            assert!(!turns_on.to_string().contains("testkit"), "{folder}, feature `{name}`");
+        }
+    }
 }

@@ -6,6 +6,7 @@ mod spacetime;
 
 use gs_data::{Dataset, ImageCache, Split};
 use gs_synth::SynthOptions;
+use gs_synth::testkit::dataset;
 use gs_train::checkpoint::Checkpoint;
 use gs_train::conformance;
 use gs_train::evaluate::evaluate;
@@ -23,11 +24,6 @@ fn registry() -> Registry {
 
 fn tiny() -> toml::Table {
     registry().find("spacetime").and_then(|m| m.config("tiny")).expect("preset")
-}
-
-/// Moving bodies.
-fn balls(options: SynthOptions) -> Arc<Dataset> {
-    Arc::new(gs_synth::generate("balls", &options).expect("scene").dataset)
 }
 
 fn start(data: &Arc<Dataset>, method: &str, config: &toml::Table) -> Trainer {
@@ -57,15 +53,8 @@ fn timeless(mut state: Checkpoint) -> Checkpoint {
 /// that of `static3d` with the same points, schedule and number of splats 20.95 dB.
 #[test]
 fn it_learns_motion_and_resumes_from_a_file() {
-    let data = balls(SynthOptions {
-        size: 48,
-        cameras: 8,
-        held_out: 2,
-        moments: 12,
-        boundary: 1.0,
-        supersample: 2,
-        ..SynthOptions::default()
-    });
+    let cameras = SynthOptions { cameras: 8, held_out: 2, moments: 12, boundary: 1.0, ..SynthOptions::default() };
+    let data = dataset("balls", &SynthOptions { size: 48, supersample: 2, ..cameras });
     let mut config = tiny();
     let mut moving = start(&data, "spacetime", &config);
     run(&mut moving, 350);
@@ -92,7 +81,7 @@ fn it_learns_motion_and_resumes_from_a_file() {
 /// Gradients, row blocks, odd times, resuming, threads and learning rates, in 60 steps with 20 to 24 splats.
 #[test]
 fn it_passes_every_check() {
-    let data = balls(SynthOptions { size: 32, train_views: 6, val_views: 0, test_views: 0, ..SynthOptions::default() });
+    let data = dataset("balls", &SynthOptions::of_views(32, 6, 0));
     let mut config = tiny();
     let short = "
         init.points = 20
@@ -121,7 +110,7 @@ fn it_brings_a_section_of_the_report() {
 /// A block that nobody gave a learning rate is found by name.
 #[test]
 fn a_forgotten_learning_rate_is_named() {
-    let data = balls(SynthOptions { size: 16, train_views: 2, val_views: 0, test_views: 0, ..SynthOptions::default() });
+    let data = dataset("balls", &SynthOptions::of_views(16, 2, 0));
     let mut config = tiny();
     config["schedule"]["lr"]["motion"].as_table_mut().expect("rates").remove("spin");
     let error = conformance::check(&registry(), "spacetime", &data, &config).expect_err("found");

@@ -22,8 +22,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 fn written(dir: &Path, name: &str) -> Arc<Dataset> {
-    let options =
-        SynthOptions { size: 48, train_views: 24, val_views: 0, test_views: 4, supersample: 2, ..Default::default() };
+    let options = SynthOptions { supersample: 2, ..SynthOptions::of_views(48, 24, 4) };
     synth::write(dir, name, &options, false).expect("a folder to write to");
     Arc::new(Dataset::open(dir, &DataOptions::default()).expect("what was written can be read"))
 }

@@ -257,7 +257,7 @@ mod tests {
 
     #[test]
     fn the_clock_is_the_one_of_the_data() {
-        let options = SynthOptions { size: 8, train_views: 5, val_views: 0, test_views: 0, ..SynthOptions::default() };
+        let options = SynthOptions::of_views(8, 5, 0);
         let mut data = generate("balls", &options).unwrap().dataset;
         assert_eq!(Clock::of(&data), None, "it repeats the normalised time");
         data.train.iter_mut().for_each(|v| v.time.seconds = 3.0 + 10.0 * f64::from(v.time.normalised));

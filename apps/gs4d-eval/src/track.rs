@@ -270,7 +270,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("track.csv");
         std::fs::write(&path, "# frame,x,y,z\n41,1,2,3\n40, 0.5,0,-1e-1\n\n").unwrap();
-        let options = SynthOptions { size: 8, train_views: 3, val_views: 0, test_views: 0, ..SynthOptions::default() };
+        let options = SynthOptions::of_views(8, 3, 0);
         let data = synth::generate("balls", &options).unwrap().dataset;
         let track = Track::read(&path, &data).unwrap();
         assert_eq!(track.places[0].1, DVec3::new(0.5, 0.0, -0.1));

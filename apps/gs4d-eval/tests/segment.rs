@@ -38,8 +38,7 @@ struct Cast {
 
 impl Cast {
     fn new(scene: &str, noise: Option<f32>) -> Self {
-        let options =
-            SynthOptions { size: SIDE, train_views: 16, val_views: 0, test_views: 2, ..SynthOptions::default() };
+        let options = SynthOptions::of_views(SIDE, 16, 2);
         let mut data = synth::generate(scene, &SynthOptions { supersample: 1, ..options }).unwrap();
         let seen = |view: &View| {
             let at = |k: u32| (f64::from(2 * (k % (SIDE / 2))) + 0.5, f64::from(2 * (k / (SIDE / 2))) + 0.5);
@@ -280,7 +279,7 @@ fn the_strongest_part_or_the_background_is_shown() {
 #[test]
 fn label_images_are_read_in_every_form_and_refused_by_name() {
     let dir = tempfile::tempdir().unwrap();
-    let options = SynthOptions { size: 64, train_views: 1, val_views: 0, test_views: 0, ..SynthOptions::default() };
+    let options = SynthOptions::of_views(64, 1, 0);
     let view = synth::generate("twins", &options).unwrap().dataset.train.remove(0);
     let camera = view.camera.clone();
     let want: Vec<u32> = (0..64 * 64).map(|k| k / 64 % 3 * 300 + k % 2).collect();

@@ -338,7 +338,7 @@ mod tests {
     fn trials_stand_once_made_and_the_budget_sets_the_steps() {
         let folder = tempfile::tempdir().unwrap();
         let data = folder.path().join("data");
-        let small = SynthOptions { size: 32, train_views: 6, val_views: 1, test_views: 2, ..SynthOptions::default() };
+        let small = SynthOptions { val_views: 1, ..SynthOptions::of_views(32, 6, 2) };
         write(&data, "static", &small, false).unwrap();
         let contest = Contest {
             registry: gs_methods::registry().clone(),
@@ -370,7 +370,7 @@ mod tests {
     fn a_contest_stops_when_asked_and_goes_on() {
         let folder = tempfile::tempdir().unwrap();
         let data = folder.path().join("data");
-        let small = SynthOptions { size: 32, train_views: 4, val_views: 1, test_views: 1, ..SynthOptions::default() };
+        let small = SynthOptions { val_views: 1, ..SynthOptions::of_views(32, 4, 1) };
         write(&data, "static", &small, false).unwrap();
         let contest = Contest {
             registry: gs_methods::registry().clone(),

@@ -318,7 +318,7 @@ mod tests {
     }
 
     fn data(dir: &Path) {
-        let o = SynthOptions { size: 24, train_views: 24, val_views: 0, test_views: 8, ..SynthOptions::default() };
+        let o = SynthOptions::of_views(24, 24, 8);
         write(dir, "balls", &o, false).unwrap();
     }
 

@@ -221,7 +221,7 @@ mod tests {
     fn each_setting_is_varied_alone_and_the_preset_is_trained_once() {
         let folder = tempfile::tempdir().unwrap();
         let data = folder.path().join("data");
-        let small = SynthOptions { size: 32, train_views: 5, val_views: 1, test_views: 1, ..SynthOptions::default() };
+        let small = SynthOptions { val_views: 1, ..SynthOptions::of_views(32, 5, 1) };
         write(&data, "static", &small, false).unwrap();
         let sweep = Sweep {
             registry: gs_methods::registry().clone(),

@@ -38,7 +38,7 @@ fn picture(id: u64) -> Value {
 fn a_watched_run_moves_on_and_ends_as_an_unwatched_one() {
     let dir = tempfile::tempdir().unwrap();
     let data = dir.path().join("data");
-    let small = SynthOptions { size: 32, train_views: 8, val_views: 0, test_views: 1, ..SynthOptions::default() };
+    let small = SynthOptions::of_views(32, 8, 1);
     synth::write(&data, "balls", &small, false).unwrap();
     for method in ["fourdgs", "modec"] {
         let mut alone = training(&data, &dir.path().join(format!("{method}-alone")), method);

@@ -7,7 +7,7 @@ use gs_data::{Dataset, ImageSource};
 use gs_synth::{SynthOptions, generate};
 
 fn scene() -> Dataset {
-    let o = SynthOptions { size: 8, train_views: 30, val_views: 1, test_views: 1, ..SynthOptions::default() };
+    let o = SynthOptions { val_views: 1, ..SynthOptions::of_views(8, 30, 1) };
     generate("static", &o).unwrap().dataset
 }
 

@@ -71,7 +71,7 @@ fn bounded<T>(file_bytes: usize, what: &str, f: impl FnOnce() -> T) -> T {
 /// A generated scene on disk: its folder and the text of its training JSON.
 fn scene() -> (tempfile::TempDir, Vec<u8>) {
     let dir = tempfile::tempdir().unwrap();
-    let o = SynthOptions { size: 12, train_views: 3, val_views: 0, test_views: 0, ..SynthOptions::default() };
+    let o = SynthOptions::of_views(12, 3, 0);
     synth::write(dir.path(), "balls", &o, false).unwrap();
     let text = std::fs::read(dir.path().join("transforms_train.json")).unwrap();
     (dir, text)

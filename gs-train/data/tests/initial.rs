@@ -9,7 +9,7 @@ use gs_synth::{SynthOptions, generate};
 use std::sync::Arc;
 
 fn options() -> SynthOptions {
-    SynthOptions { size: 64, train_views: 60, val_views: 0, test_views: 0, ..SynthOptions::default() }
+    SynthOptions::of_views(64, 60, 0)
 }
 
 #[test]

@@ -8,7 +8,7 @@ use gs_synth::{self as synth, SynthOptions};
 
 fn folder(name: &str) -> (tempfile::TempDir, Dataset) {
     let dir = tempfile::tempdir().unwrap();
-    let options = SynthOptions { size: 48, train_views: 24, val_views: 1, test_views: 1, ..Default::default() };
+    let options = SynthOptions { val_views: 1, ..SynthOptions::of_views(48, 24, 1) };
     synth::write(dir.path(), name, &options, true).unwrap();
     let data = Dataset::open(dir.path(), &DataOptions::default()).unwrap();
     (dir, data)

@@ -185,14 +185,7 @@ mod tests {
     #[test]
     fn moving_things_blur_and_held_out_views_stay_sharp() {
         let dir = tempfile::tempdir().unwrap();
-        let options = SynthOptions {
-            size: 48,
-            train_views: 4,
-            val_views: 1,
-            test_views: 1,
-            supersample: 1,
-            ..Default::default()
-        };
+        let options = SynthOptions { val_views: 1, supersample: 1, ..SynthOptions::of_views(48, 4, 1) };
         let sharp = synth::write(dir.path(), "balls", &options, false).unwrap();
         let test_file = dir.path().join("test/r_000.png");
         let before = std::fs::read(&test_file).unwrap();

@@ -5,7 +5,7 @@
 //! use gs_data::ImageCache;
 //! use gs_synth::{SynthOptions, generate};
 //!
-//! let options = SynthOptions { size: 8, train_views: 3, val_views: 0, test_views: 1, ..SynthOptions::default() };
+//! let options = SynthOptions::of_views(8, 3, 1);
 //! let scene = generate("balls", &options)?;
 //! let view = &scene.dataset.train[1];
 //! assert_eq!((view.time.normalised, scene.dataset.dynamic), (0.5, true));
@@ -58,6 +58,8 @@ pub mod motion;
 pub mod rates;
 pub mod scenes;
 mod surface;
+#[cfg(feature = "testkit")]
+pub mod testkit;
 pub mod trace;
 mod truth;
 mod viewpoints;
@@ -116,6 +118,13 @@ impl Default for SynthOptions {
             shading: 0.2,
             lens: false,
         }
+    }
+}
+
+impl SynthOptions {
+    /// Square images of `size` pixels from one moving camera: so many training and test views, no validation views.
+    pub fn of_views(size: u32, train_views: u32, test_views: u32) -> Self {
+        Self { size, train_views, val_views: 0, test_views, ..Self::default() }
     }
 }
 

@@ -24,7 +24,7 @@ const TRUTH_TIMES: u32 = 101;
 /// use gs_synth::{SynthOptions, write};
 ///
 /// # let folder = tempfile::tempdir().unwrap();
-/// let options = SynthOptions { size: 8, train_views: 2, val_views: 0, test_views: 1, ..SynthOptions::default() };
+/// let options = SynthOptions::of_views(8, 2, 1);
 /// let made = write(folder.path(), "static", &options, true)?;
 /// let read = Dataset::open(folder.path(), &DataOptions::default())?;
 /// assert_eq!((read.layout, read.train.len()), ("blender", 2));

@@ -5,7 +5,7 @@ use gs_data::{DataOptions, Dataset, ImageCache, ImageSource, ImageU8, Split};
 use gs_synth::{self as synth, SCENES, SynthOptions};
 
 fn small() -> SynthOptions {
-    SynthOptions { size: 48, train_views: 6, val_views: 2, test_views: 3, ..SynthOptions::default() }
+    SynthOptions { val_views: 2, ..SynthOptions::of_views(48, 6, 3) }
 }
 
 fn memory(source: &ImageSource) -> &ImageU8 {
@@ -231,7 +231,7 @@ fn residual(values: &[f64], cycles: f64) -> f64 {
 /// Every trajectory of "waves" is a single sinusoid of its own frequency, seen at the training times.
 #[test]
 fn waves_have_their_energy_at_their_frequencies() {
-    let o = SynthOptions { size: 8, train_views: 100, val_views: 0, test_views: 0, ..SynthOptions::default() };
+    let o = SynthOptions::of_views(8, 100, 0);
     let data = synth::generate("waves", &o).unwrap();
     assert_eq!(data.truth.options().supersample, 4, "4x4 samples although 3x3 were asked for");
     let note = "the fastest motion makes 10 cycles; 100 training times resolve it (up to 49.5 cycles)";

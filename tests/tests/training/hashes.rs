@@ -230,7 +230,7 @@ fn states_after_200_steps_have_their_stored_hashes() {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("pool");
     let mut found = Vec::new();
     for entry in gs_methods::registry() {
-        let config = if entry.needs_avatar { film_config(&[FILM_SHORT, AVATAR]) } else { plan(entry.name) };
+        let config = if entry.needs_avatar { film_config(&[SHORT_FILM, AVATAR]) } else { plan(entry.name) };
         let data = if entry.needs_avatar { &film } else { &balls };
         let (hash, edits) = pool.install(|| trained(data, entry.name, &config));
         // Anchors are added and pruned; DUT has no density control.

@@ -25,7 +25,7 @@ const SETS: [&str; 13] = [
 fn a_report_shows_where_boundaries_went() {
     let dir = tempfile::tempdir().expect("a folder");
     let (data, root) = (dir.path().join("data"), dir.path().join("run"));
-    let small = SynthOptions { size: 32, train_views: 24, val_views: 0, test_views: 1, ..SynthOptions::default() };
+    let small = SynthOptions::of_views(32, 24, 1);
     synth::write(&data, "sheet", &small, false).expect("data");
     let request = Request {
         method: "modec".into(),

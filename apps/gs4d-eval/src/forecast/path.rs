@@ -76,7 +76,7 @@ mod tests {
 
     #[test]
     fn an_orbit_looks_at_its_centre_and_comes_back() {
-        let options = SynthOptions { size: 8, train_views: 12, val_views: 0, test_views: 2, ..SynthOptions::default() };
+        let options = SynthOptions::of_views(8, 12, 2);
         let data = generate("balls", &options).unwrap().dataset;
         let cache = ImageCache::new(0, 1.0);
         let path = CameraPath::orbit(&data, &cache).unwrap();

@@ -218,7 +218,7 @@ mod tests {
 
     /// A method at its beginning, its data, and the truth.
     fn begun(name: &str) -> (Model, synth::SynthData) {
-        let options = SynthOptions { size: 48, train_views: 4, val_views: 0, test_views: 1, ..SynthOptions::default() };
+        let options = SynthOptions::of_views(48, 4, 1);
         let data = synth::generate("reach", &options).unwrap();
         let entry = gs_methods::registry().find(name).unwrap();
         let config = entry.config("tiny").unwrap();

@@ -10,7 +10,7 @@ const OPTIONS: Options = Options { split: Split::Test, background: None, shown: 
 
 fn scene(root: &Path, name: &str, size: u32) -> PathBuf {
     let data = root.join(name);
-    let options = SynthOptions { size, train_views: 6, val_views: 1, test_views: 3, ..SynthOptions::default() };
+    let options = SynthOptions { val_views: 1, ..SynthOptions::of_views(size, 6, 3) };
     write(&data, "balls", &options, false).unwrap();
     data
 }

@@ -12,7 +12,7 @@ const SIDE: u32 = 32;
 const VIEWS: u32 = 9;
 
 fn scene() -> SynthData {
-    let o = SynthOptions { size: SIDE, train_views: VIEWS, val_views: 0, test_views: 0, ..SynthOptions::default() };
+    let o = SynthOptions::of_views(SIDE, VIEWS, 0);
     synth::generate("waves", &o).unwrap()
 }
 

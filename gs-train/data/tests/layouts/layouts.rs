@@ -558,7 +558,7 @@ fn errors_of_the_operating_system_name_the_file() {
     assert!(e.to_string().contains("transforms_train.json"), "{e}");
     let file = dir.path().join("file");
     std::fs::write(&file, "x").unwrap();
-    let o = gs_synth::SynthOptions { size: 8, train_views: 1, val_views: 0, test_views: 0, ..Default::default() };
+    let o = gs_synth::SynthOptions::of_views(8, 1, 0);
     let e = gs_synth::write(&file.join("scene"), "static", &o, false).unwrap_err();
     assert_eq!((e.code(), e.exit_code()), ("io.write", 6));
 }

@@ -16,7 +16,7 @@ use gs_synth::{self as synth, SynthData, SynthOptions};
 const WHITE: [f32; 3] = [1.0; 3];
 
 fn options(lens: bool) -> SynthOptions {
-    SynthOptions { size: 160, train_views: 5, val_views: 1, test_views: 3, lens, ..SynthOptions::default() }
+    SynthOptions { val_views: 1, lens, ..SynthOptions::of_views(160, 5, 3) }
 }
 
 fn open(dir: &Path, images: &str) -> Dataset {

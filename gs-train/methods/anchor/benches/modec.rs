@@ -43,7 +43,7 @@ fn record(case: &str, variant: &str, n: usize, ms: f64, error: Option<f64>) {
     let (krate, threads) = ("gs-train", rayon::current_num_threads());
     let (case, variant, work) = (format!("modec {case}"), variant.to_owned(), n as f64);
     let line = BenchRow { krate, case, variant, n, threads, ms, work, error, error_kind: WORST };
-    line.append(env!("CARGO_MANIFEST_DIR"));
+    line.append(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."));
 }
 
 /// One saving: measures both ways, alternating, and prints their ratio.
@@ -98,7 +98,7 @@ struct Run {
 
 impl Run {
     fn new() -> Self {
-        let size = SynthOptions { size: 128, train_views: 40, val_views: 0, test_views: 10, ..SynthOptions::default() };
+        let size = SynthOptions::of_views(128, 40, 10);
         let data = Arc::new(synth::generate("reach", &size).expect("a scene").dataset);
         let mut config = gs_methods::registry().find("modec").and_then(|m| m.config("fast")).expect("a preset");
         overlay(&mut config, SMALL.parse().expect("TOML"));

@@ -10,61 +10,21 @@
 //! | centres of baked rows at times between those looked at | 1.5 × the tolerance |
 
 use gs_core::{Camera, Splats, SplatsGrad, SplatsRef, Time};
-use gs_data::Dataset;
 use gs_method_anchor::METHODS;
 use gs_raster::{ScreenStats, Workspace, render};
-use gs_synth::{self as synth, SynthOptions};
+use gs_synth::testkit::scene;
 use gs_train::capabilities::FreezeOptions;
-use gs_train::method::{MethodError, RenderView, ViewCtx, overlay};
+use gs_train::method::{MethodError, RenderView, ViewCtx};
 use gs_train::model::Model;
 use gs_train::registry::Registry;
 use gs_train::saved;
+use gs_train::testkit::{run, short, start};
 use gs_train::timestamp::Timestamp;
-use gs_train::trainer::{StepReport, TrainOptions, Trainer};
-use std::sync::Arc;
+use gs_train::trainer::{TrainOptions, Trainer};
 
 /// The methods of this crate.
 fn registry() -> Registry {
     Registry::new(METHODS.to_vec())
-}
-
-/// A generated scene of small images.
-fn scene(name: &str, size: u32, views: u32) -> Arc<Dataset> {
-    let options = SynthOptions {
-        size,
-        train_views: views,
-        val_views: 0,
-        test_views: 4,
-        supersample: 2,
-        ..SynthOptions::default()
-    };
-    Arc::new(synth::generate(name, &options).expect("generated scene").dataset)
-}
-
-/// Makes steps.
-fn run(trainer: &mut Trainer, steps: u32) -> Vec<StepReport> {
-    (0..steps).map(|_| trainer.step().expect("step")).collect()
-}
-
-/// Growth and pruning inside 60 steps.
-const SHORT: &str = "
-init.points = 150
-[adapt]
-observe_from = 0
-from = 5
-until = 55
-every = 10
-grad = 2e-5
-";
-
-/// The `tiny` preset with 60 steps in all.
-fn short(method: &str) -> toml::Table {
-    let mut config = registry().find(method).and_then(|m| m.config("tiny")).expect("preset");
-    overlay(&mut config, SHORT.parse().expect("TOML"));
-    let stages = config["schedule"]["stages"].as_table_mut().expect("stages");
-    let count = stages.len() as i64;
-    stages.iter_mut().for_each(|(_, stage)| stage["steps"] = (60 / count).into());
-    config
 }
 
 fn at(t: f32) -> Timestamp {
@@ -97,14 +57,11 @@ impl RenderView for Kept {
 }
 
 fn modec(over: &str) -> toml::Table {
-    let mut config = short("modec");
-    overlay(&mut config, over.parse().expect("TOML"));
-    config
+    short(&registry(), "modec", &[over])
 }
 
 fn trained(config: &toml::Table, steps: u32) -> Trainer {
-    let mut trainer =
-        Trainer::new(&registry(), scene("sheet", 32, 6), "modec", config, TrainOptions::default()).expect("trainer");
+    let mut trainer = start(&registry(), &scene("sheet", 32, 6), "modec", config, 0);
     run(&mut trainer, steps);
     trainer
 }
@@ -199,9 +156,7 @@ fn boundaries_move_and_are_reported() {
     let over = "[intervals]\nfrom = 1\nuntil = 30\nperiod = 10\ntau = 0.5\nstep = 0.2\nsegments = 3";
     let mut config = modec(over);
     config["schedule"]["stages"]["local"]["steps"] = 60.into();
-    let data = scene("sheet", 32, 24);
-    let mut trainer =
-        Trainer::new(&registry(), Arc::clone(&data), "modec", &config, TrainOptions::default()).expect("trainer");
+    let mut trainer = start(&registry(), &scene("sheet", 32, 24), "modec", &config, 0);
     let mut events = Vec::new();
     for _ in 0..90 {
         events.extend(trainer.step().expect("step").events);
@@ -241,15 +196,14 @@ fn folding_leaves_out_what_pictures_do_not_need() {
 
 #[test]
 fn a_static_scene_is_the_plain_scaffold() {
-    let scaffold = short("scaffold");
+    let scaffold = short(&registry(), "scaffold", &[]);
     let mut config = modec("ablate = \"gad,lgd\"");
     for part in ["init", "anchors", "decoder", "adapt", "schedule"] {
         config.insert(part.into(), scaffold[part].clone());
     }
     let data = scene("sheet", 32, 6);
     let drawn = |method: &str, config: &toml::Table| {
-        let mut trainer =
-            Trainer::new(&registry(), Arc::clone(&data), method, config, TrainOptions::default()).expect("trainer");
+        let mut trainer = start(&registry(), &data, method, config, 0);
         run(&mut trainer, 60);
         let all = data.train.iter().map(|view| splats(trainer.model(), view.time.normalised, &view.camera));
         all.collect::<Vec<_>>()

@@ -1,66 +1,23 @@
 //! Bent kernels and the parts of FAGS: what they change, and that nothing changes without them.
 
 use gs_core::Kernel;
-use gs_data::Dataset;
 use gs_method_field::METHODS;
-use gs_synth::{self as synth, SynthOptions};
+use gs_synth::testkit::scene;
 use gs_train::checkpoint::Checkpoint;
-use gs_train::method::overlay;
 use gs_train::registry::Registry;
+use gs_train::testkit::{config, run, short, start};
 use gs_train::timestamp::Timestamp;
-use gs_train::trainer::{StepReport, TrainOptions, Trainer};
-use std::sync::Arc;
+use gs_train::trainer::StepReport;
 
 /// The methods of this crate.
 fn registry() -> Registry {
     Registry::new(METHODS.to_vec())
 }
 
-/// A generated scene of small images.
-fn scene(name: &str, size: u32, views: u32) -> Arc<Dataset> {
-    let options = SynthOptions {
-        size,
-        train_views: views,
-        val_views: 0,
-        test_views: 4,
-        supersample: 2,
-        ..SynthOptions::default()
-    };
-    Arc::new(synth::generate(name, &options).expect("generated scene").dataset)
-}
-
-/// Makes steps.
-fn run(trainer: &mut Trainer, steps: u32) -> Vec<StepReport> {
-    (0..steps).map(|_| trainer.step().expect("step")).collect()
-}
-
-fn tiny(method: &str) -> toml::Table {
-    registry().find(method).and_then(|m| m.config("tiny")).expect("preset")
-}
-
-/// Growth, pruning, a reset and a change of stage inside 60 steps.
-const SHORT: &str = "
-init.points = 150
-[schedule]
-density.from = 5
-density.until = 55
-density.every = 10
-density.reset_every = 25
-density.max_splats = 300
-sh_every = 20
-";
-
 /// A run of 60 steps with growth, a reset and a change of stage, with TOML laid over its configuration.
 fn short_run(method: &str, over: &str) -> Checkpoint {
-    let data = scene("balls", 32, 7);
-    let mut config = tiny(method);
-    overlay(&mut config, SHORT.parse().expect("TOML"));
-    let stages = config["schedule"]["stages"].as_table_mut().expect("stages");
-    let count = stages.len() as i64;
-    stages.iter_mut().for_each(|(_, stage)| stage["steps"] = (60 / count).into());
-    overlay(&mut config, over.parse().expect("TOML"));
-    let options = TrainOptions { seed: 3, ..TrainOptions::default() };
-    let mut trainer = Trainer::new(&registry(), data, method, &config, options).expect("trainer");
+    let config = short(&registry(), method, &[over]);
+    let mut trainer = start(&registry(), &scene("balls", 32, 7), method, &config, 3);
     run(&mut trainer, 60);
     trainer.state()
 }
@@ -115,11 +72,8 @@ fn lambda_and_beta_are_left_out_by_name() {
 
 /// λ and β as drawn, and the smoothed loss before and after.
 fn learnt(method: &str, scene_name: &str, over: &str) -> (Vec<f32>, Vec<f32>, [f64; 2]) {
-    let data: Arc<_> = scene(scene_name, 48, 60);
-    let mut config = tiny(method);
-    overlay(&mut config, over.parse().expect("TOML"));
-    let mut trainer =
-        Trainer::new(&registry(), data.clone(), method, &config, TrainOptions::default()).expect("trainer");
+    let data = scene(scene_name, 48, 60);
+    let mut trainer = start(&registry(), &data, method, &config(&registry(), method, "tiny", &[over]), 0);
     let steps = trainer.steps().min(500);
     let reports = run(&mut trainer, steps);
     let mean = |r: &[StepReport]| r.iter().map(|r| r.loss.total).sum::<f64>() / r.len() as f64;

@@ -65,7 +65,7 @@ fn main() {
                     error: Some(l1),
                     error_kind: "mean absolute difference from the images",
                 }
-                .append(env!("CARGO_MANIFEST_DIR"));
+                .append(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."));
             }
             println!("trace / defgs, {size}x{size}, {splats} splats, {threads}t: {:.3}", rows[1][0] / rows[0][0]);
         }

@@ -2,29 +2,24 @@
 
 use gs_core::Time;
 use gs_data::{Dataset, ImageCache, Split};
-use gs_synth::{self as synth, SynthOptions};
+use gs_synth::SynthOptions;
+use gs_synth::testkit::dataset;
 use gs_train::capabilities::Particles;
 use gs_train::evaluate::evaluate;
+use gs_train::testkit::{config, run, start};
 use gs_train::timestamp::Timestamp;
-use gs_train::trainer::{StepReport, TrainOptions, Trainer};
+use gs_train::trainer::Trainer;
 use std::sync::Arc;
 
 /// A generated scene of four cameras at rest, the last quarter of the time kept for the future.
 fn mechanics(name: &str) -> Arc<Dataset> {
     let options = SynthOptions { size: 48, cameras: 4, held_out: 1, moments: 24, supersample: 2, ..Default::default() };
-    Arc::new(synth::generate(name, &options).expect("generated scene").dataset)
-}
-
-/// Makes steps.
-fn run(trainer: &mut Trainer, steps: u32) -> Vec<StepReport> {
-    (0..steps).map(|_| trainer.step().expect("step")).collect()
+    dataset(name, &options)
 }
 
 fn trainer(data: &Arc<Dataset>, method: &str, over: &str) -> Trainer {
-    let mut config = gs_methods::registry().find(method).and_then(|m| m.config("tiny")).expect("preset");
-    gs_train::method::overlay(&mut config, over.parse().expect("TOML"));
-    let options = TrainOptions { seed: 1, ..TrainOptions::default() };
-    Trainer::new(gs_methods::registry(), data.clone(), method, &config, options).expect("trainer")
+    let registry = gs_methods::registry();
+    start(registry, data, method, &config(registry, method, "tiny", &[over]), 1)
 }
 
 fn trained(data: &Arc<Dataset>, method: &str, over: &str) -> Trainer {

@@ -13,14 +13,16 @@ use gs_method_texel::{Config, Dut, METHODS};
 use gs_raster::ScreenStats;
 use gs_synth::SynthOptions;
 use gs_synth::avatar::{self, AvatarOptions, Morphs};
+use gs_synth::testkit::{dataset, film};
 use gs_train::checkpoint::Checkpoint;
 use gs_train::evaluate::evaluate;
 use gs_train::method::{Buffers, InitConfig, Method, MethodError, RenderView, SceneInfo, ViewCtx, overlay};
 use gs_train::model::Model;
 use gs_train::registry::Registry;
 use gs_train::saved;
+use gs_train::testkit::{self, SHORT_FILM as SHORT, run};
 use gs_train::timestamp::Timestamp;
-use gs_train::trainer::{StepReport, TrainError, TrainOptions, Trainer};
+use gs_train::trainer::{TrainError, TrainOptions, Trainer};
 use std::sync::Arc;
 
 /// The methods of this crate.
@@ -28,47 +30,12 @@ fn registry() -> Registry {
     Registry::new(METHODS.to_vec())
 }
 
-/// Makes steps.
-fn run(trainer: &mut Trainer, steps: u32) -> Vec<StepReport> {
-    (0..steps).map(|_| trainer.step().expect("step")).collect()
-}
-
-/// A film of a body made here.
-fn film(template: &str, size: u32, frames: u32) -> Arc<Dataset> {
-    let template = format!("builtin:{template}");
-    let options = AvatarOptions { template, size, frames, rings: 1, points: 4000, ..AvatarOptions::default() };
-    Arc::new(avatar::generate(&options).expect("film"))
-}
-
-/// Networks of 32 texels a side, one stage after the other.
-const SHORT: &str = "
-cache_mib = 64
-[textures]
-unproject = 32
-geo = 16
-gau = 32
-[gaunet]
-residual = false
-[gaunet.net]
-width = 8
-levels = 2
-[geonet]
-width = 16
-[schedule]
-stages.geometry.steps = 5
-stages.warm_up.steps = 4
-stages.main.steps = 6
-";
-
 fn config(over: &[&str]) -> toml::Table {
-    let mut config = registry().find("dut").and_then(|m| m.config("tiny")).expect("preset");
-    over.iter().for_each(|o| overlay(&mut config, o.parse().expect("TOML")));
-    config
+    testkit::config(&registry(), "dut", "tiny", over)
 }
 
 fn start(data: &Arc<Dataset>, config: &toml::Table) -> Trainer {
-    Trainer::new(&registry(), data.clone(), "dut", config, TrainOptions { seed: 3, ..TrainOptions::default() })
-        .expect("trainer")
+    testkit::start(&registry(), data, "dut", config, 3)
 }
 
 fn timeless(mut state: Checkpoint) -> Checkpoint {
@@ -92,8 +59,8 @@ stages.warm_up.steps = 0
 fn presets_build_and_every_parameter_learns() {
     let data = film("cylinder", 32, 2);
     for (preset, _) in registry().find("dut").unwrap().presets {
-        let mut config = registry().find("dut").and_then(|m| m.config(preset)).expect("preset");
-        overlay(&mut config, "textures = { unproject = 64, geo = 32, gau = 64 }".parse().unwrap());
+        let config =
+            testkit::config(&registry(), "dut", preset, &["textures = { unproject = 64, geo = 32, gau = 64 }"]);
         let trainer = start(&data, &config);
         let method = trainer.model();
         method.visit(&mut |p| assert!(method.schedule().rule(&p.name).is_some(), "{preset} {}", p.name));
@@ -244,8 +211,7 @@ fn a_small_cache_changes_nothing() {
 
 #[test]
 fn data_without_a_person_are_refused() {
-    let options = SynthOptions { size: 32, train_views: 4, ..SynthOptions::default() };
-    let data = Arc::new(gs_synth::generate("balls", &options).expect("generated scene").dataset);
+    let data = dataset("balls", &SynthOptions::of_views(32, 4, 0));
     let error = Trainer::new(&registry(), data, "dut", &config(&[]), TrainOptions::default())
         .err()
         .expect("refused")
