@@ -96,7 +96,7 @@ fn it_passes_every_check() {
 /// Its section stands in the report, which has not heard of it.
 #[test]
 fn it_brings_a_section_of_the_report() {
-    let data = balls(SynthOptions { size: 16, train_views: 2, val_views: 0, test_views: 0, ..SynthOptions::default() });
+    let data = dataset("balls", &SynthOptions::of_views(16, 2, 0));
     let method = start(&data, "spacetime", &tiny()).model().report_section(&[]).expect("a section");
     let html = Report { method, ..Report::default() }.html().expect("a page");
     for shown in ["<h2>Temporal opacity</h2>", "aria-label=\"Presence, mean over splats, against normalised time\""] {
