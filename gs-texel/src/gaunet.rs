@@ -263,11 +263,6 @@ impl GauNet {
 }
 
 impl GauNetTape {
-    /// Side of its maps in texels.
-    pub fn size(&self) -> usize {
-        self.levels[0].size()
-    }
-
     /// Memory of its maps, bytes.
     pub fn bytes(&self) -> usize {
         let double = |d: &DoubleTape| d.iter().map(UnitTape::bytes).sum::<usize>();

@@ -272,11 +272,6 @@ impl GeoNet {
 }
 
 impl GeoNetTape {
-    /// Side of its maps in texels.
-    pub fn size(&self) -> usize {
-        self.levels[0].size()
-    }
-
     /// Memory of its maps, bytes.
     pub fn bytes(&self) -> usize {
         let slots = self.doubled.iter().chain(&self.joined).chain(&self.head).map(Activation::bytes).sum::<usize>();

@@ -7,7 +7,6 @@ use crate::bvh::Tracer;
 use crate::surface::{CHUNK, Mesh, MeshError};
 use crate::texels::TexelTable;
 use crate::visibility::{PreparedView, Rule, Sample};
-use crate::zbuffer::DepthMap;
 use gs_core::camera::CameraError;
 use gs_core::{Camera, Image};
 use rayon::prelude::*;
@@ -230,8 +229,6 @@ pub struct Texture {
     pub by_view: Vec<f32>,
     /// Whether each view has at least half of the vertices in front of it; others see nothing.
     pub used: Vec<bool>,
-    /// Depth map of each view, where the rule needs one.
-    depths: Vec<Option<DepthMap>>,
 }
 
 impl Texture {
@@ -245,11 +242,6 @@ impl Texture {
     /// Share of the valid texels that at least one view sees, 0 to 1.
     pub fn coverage(&self) -> f64 {
         self.seen.iter().filter(|&&n| n > 0).count() as f64 / self.seen.len().max(1) as f64
-    }
-
-    /// The depth map of view `i`, if the rule uses one and the view is used.
-    pub fn depth(&self, i: usize) -> Option<&DepthMap> {
-        self.depths.get(i).and_then(Option::as_ref)
     }
 }
 
@@ -303,7 +295,6 @@ pub fn unproject(
         texture.by_view.extend(by_view);
     }
     texture.used = views.iter().map(|v| v.used).collect();
-    texture.depths = views.into_iter().map(|v| v.depth).collect();
     Ok(texture)
 }
 
