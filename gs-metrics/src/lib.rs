@@ -3,8 +3,8 @@
 //! | score | value | gradient | module |
 //! |---|---|---|---|
 //! | MSE, PSNR | [`mse`], [`psnr`](fn@psnr) | | [`psnr`](mod@psnr) |
-//! | SSIM, zero-padded (training loss) or valid area (published) | [`ssim`](fn@ssim) | [`ssim_with_grad`], [`Ssim`] | [`ssim`](mod@ssim) |
-//! | MS-SSIM | [`ms_ssim`](fn@ms_ssim) | [`ms_ssim_with_grad`], [`MsSsim`] | [`ms_ssim`](mod@ms_ssim) |
+//! | SSIM, zero-padded (training loss) or valid area (published) | [`ssim`](fn@ssim) | [`Ssim::value_and_grad`] | [`ssim`](mod@ssim) |
+//! | MS-SSIM | [`ms_ssim`](fn@ms_ssim) | [`MsSsim::value_and_grad`] | [`ms_ssim`](mod@ms_ssim) |
 //! | distance of amplitude spectra | [`AmplitudeLoss::value`] | [`AmplitudeLoss::value_and_grad`] | [`spectrum`] |
 //! | sharpness relative to the ground truth | [`Sharpness`] | | [`sharpness`] |
 //! | trajectories of points: temporal spectrum, second differences | [`high_energies`](trajectory::high_energies) | | [`trajectory`] |
@@ -65,13 +65,13 @@ mod window;
 pub use error::MetricError;
 pub use flow::Flow;
 pub use masked::{MaskedSsim, masked_mse, masked_psnr, masked_ssim};
-pub use ms_ssim::{MsSsim, MsSsimOptions, ms_ssim, ms_ssim_with_grad};
+pub use ms_ssim::{MsSsim, MsSsimOptions, ms_ssim};
 pub use perceptual::{masked_perceptual_proxy, perceptual_proxy};
 pub use psnr::{mse, psnr, psnr_from_mse, psnr_of_mean_mse};
 pub use quantise::Quantise;
 pub use report::{Mean, Scorer, Scores, Summary};
 pub use segmentation::{Overlap, SegmentScores, Segmentation};
 pub use sharpness::Sharpness;
-pub use spectrum::{AmplitudeLoss, AmplitudeOptions, Amplitudes, FftNorm, Reduce};
-pub use ssim::{Padding, Ssim, SsimOptions, ssim, ssim_with_grad};
+pub use spectrum::{AmplitudeLoss, AmplitudeOptions, FftNorm, Reduce};
+pub use ssim::{Padding, Ssim, SsimOptions, ssim};
 pub use tof::{Tof, TofOptions, TofScore};

@@ -202,11 +202,3 @@ fn level_factors(
 pub fn ms_ssim(a: &Image, b: &Image, options: &MsSsimOptions) -> Result<f64, MetricError> {
     MsSsim::new(*options).value(a, b)
 }
-
-/// MS-SSIM and its gradient with respect to `a`; see [`MsSsim::value_and_grad`], which keeps its buffers.
-///
-/// # Errors
-/// Those of [`MsSsim::value`].
-pub fn ms_ssim_with_grad(a: &Image, b: &Image, options: &MsSsimOptions, grad: &mut Image) -> Result<f64, MetricError> {
-    MsSsim::new(*options).value_and_grad(a, b, grad)
-}

@@ -106,18 +106,6 @@ impl Overlap {
         let pairs = rows.iter().zip(assign(&cost, rows.len(), columns.len()));
         pairs.filter_map(|(&p, t)| t.map(|t| (p, columns[t]))).filter(|&(p, t)| self.shared(p, t) > 0).collect()
     }
-
-    /// The ground-truth id of most pixels of each predicted id; the smallest one on a tie.
-    pub fn majority(&self) -> BTreeMap<u32, u32> {
-        let mut best: BTreeMap<u32, (u64, u32)> = BTreeMap::new();
-        for (&(p, t), &n) in &self.both {
-            let entry = best.entry(p).or_insert((0, t));
-            if n > entry.0 {
-                *entry = (n, t);
-            }
-        }
-        best.into_iter().map(|(p, (_, t))| (p, t)).collect()
-    }
 }
 
 /// Segmentation scores over all images, each in `[0, 1]`.

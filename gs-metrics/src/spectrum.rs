@@ -73,15 +73,6 @@ impl AmplitudeOptions {
     }
 }
 
-/// The amplitude spectrum of an image, kept to compare several images with it.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Amplitudes {
-    /// `(width, height, channels)` of the image.
-    shape: (usize, usize, usize),
-    /// Orthonormal amplitudes, `[C, W/2 + 1, H]`.
-    values: Vec<f32>,
-}
-
 /// The amplitude loss with plans and buffers kept between calls, for a training loop.
 ///
 /// ```
@@ -99,7 +90,8 @@ pub struct Amplitudes {
 pub struct AmplitudeLoss {
     options: AmplitudeOptions,
     fft: Option<Fft2>,
-    target: Amplitudes,
+    /// Orthonormal amplitudes of the second image, `[C, W/2 + 1, H]`.
+    target: Vec<f32>,
 }
 
 impl AmplitudeLoss {
@@ -124,29 +116,6 @@ impl AmplitudeLoss {
         self.evaluate(a, b, Some(grad))
     }
 
-    /// The amplitudes of an `[H, W, C]` image, for [`AmplitudeLoss::value_and_grad_to`]: about two bytes per value of the image.
-    ///
-    /// # Errors
-    /// No pixels, more than 4 channels, a value that is not finite.
-    pub fn amplitudes(&mut self, image: &Image) -> Result<Amplitudes, MetricError> {
-        let mut out = Amplitudes::default();
-        self.measure(image, &mut out)?;
-        Ok(out)
-    }
-
-    /// [`AmplitudeLoss::value_and_grad`] against an image given by its amplitudes; bitwise the same.
-    ///
-    /// # Errors
-    /// Those of [`AmplitudeLoss::value`].
-    pub fn value_and_grad_to(&mut self, a: &Image, b: &Amplitudes, grad: &mut Image) -> Result<f64, MetricError> {
-        check_image("a", a)?;
-        if a.shape() != b.shape {
-            return Err(MetricError::Shape { what: "image and amplitudes", first: a.shape(), second: b.shape });
-        }
-        let value = self.compare(a, b, Some(grad));
-        if value.is_finite() { Ok(value) } else { Err(explain_non_finite("the amplitude loss", a, a)) }
-    }
-
     fn evaluate(&mut self, a: &Image, b: &Image, grad: Option<&mut Image>) -> Result<f64, MetricError> {
         check_pair(a, b)?;
         let mut target = std::mem::take(&mut self.target);
@@ -158,15 +127,14 @@ impl AmplitudeLoss {
         }
     }
 
-    fn measure(&mut self, image: &Image, out: &mut Amplitudes) -> Result<(), MetricError> {
+    fn measure(&mut self, image: &Image, out: &mut Vec<f32>) -> Result<(), MetricError> {
         check_image("b", image)?;
         let fft = plan(&mut self.fft, image);
         let bins = fft.half() * image.height;
-        out.shape = image.shape();
-        out.values.resize(bins * image.channels, 0.0);
+        out.resize(bins * image.channels, 0.0);
         let unit = ortho(image);
         let mut sum = 0.0;
-        for (c, values) in out.values.chunks_exact_mut(bins).enumerate() {
+        for (c, values) in out.chunks_exact_mut(bins).enumerate() {
             let sums = fft.spectrum(image, c, values, false, |_, column, values| {
                 values.iter_mut().zip(&*column).for_each(|(v, f)| *v = amplitude(*f, unit));
                 values.iter().map(|v| f64::from(*v)).sum()
@@ -177,7 +145,7 @@ impl AmplitudeLoss {
     }
 
     /// The loss; not finite if a value of `a` is not finite.
-    fn compare(&mut self, a: &Image, target: &Amplitudes, mut grad: Option<&mut Image>) -> f64 {
+    fn compare(&mut self, a: &Image, target: &[f32], mut grad: Option<&mut Image>) -> f64 {
         let fft = plan(&mut self.fft, a);
         let factor = self.options.factor(a);
         let (unit, bins, invert) = (ortho(a), fft.half() * a.height, grad.is_some());
@@ -186,7 +154,7 @@ impl AmplitudeLoss {
             grad.data.resize(a.data.len(), 0.0);
         }
         let mut sum = 0.0;
-        for (c, want) in target.values.chunks_exact(bins).enumerate() {
+        for (c, want) in target.chunks_exact(bins).enumerate() {
             let height = a.height;
             let no_extra = &mut vec![(); bins];
             let sums = fft.spectrum(a, c, no_extra, invert, |kx, column, _| {

@@ -159,11 +159,3 @@ impl Ssim {
 pub fn ssim(a: &Image, b: &Image, options: &SsimOptions) -> Result<f64, MetricError> {
     Ssim::new(*options).value(a, b)
 }
-
-/// Mean SSIM and its gradient with respect to `a`; see [`Ssim::value_and_grad`], which keeps its buffers.
-///
-/// # Errors
-/// Those of [`Ssim::value`].
-pub fn ssim_with_grad(a: &Image, b: &Image, options: &SsimOptions, grad: &mut Image) -> Result<f64, MetricError> {
-    Ssim::new(*options).value_and_grad(a, b, grad)
-}

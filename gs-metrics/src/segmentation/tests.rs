@@ -93,7 +93,6 @@ fn ids_are_aligned_over_a_sequence() {
     let mut overlap = Overlap::of(&[7, 7, 7, 2, 2, 5], &[0, 0, 0, 1, 1, 1]).unwrap();
     overlap.add(&[7, 7, 2, 2, 2, 5], &[0, 0, 1, 1, 1, 1]).unwrap();
     assert_eq!(overlap.aligned(), BTreeMap::from([(7, 0), (2, 1)]));
-    assert_eq!(overlap.majority(), BTreeMap::from([(7, 0), (2, 1), (5, 1)]));
     assert_eq!((overlap.shared(5, 1), overlap.iou(5, 1), overlap.iou(99, 99)), (2, 2.0 / 7.0, 0.0));
 }
 

@@ -9,7 +9,7 @@ use crate::images::*;
 use crate::reference::*;
 use gs_core::Image;
 use gs_metrics::ms_ssim::WEIGHTS;
-use gs_metrics::{MetricError, MsSsim, MsSsimOptions, ms_ssim, ms_ssim_with_grad};
+use gs_metrics::{MetricError, MsSsim, MsSsimOptions, ms_ssim};
 
 const VALUE: f64 = 1e-7;
 const GRAD: f64 = 1e-5;
@@ -67,7 +67,7 @@ fn gradient_agrees_with_central_differences() {
         let b = with_noise(&a, 0.2, 2);
         let options = MsSsimOptions::reduced(levels);
         let mut grad = Image::default();
-        let value = ms_ssim_with_grad(&a, &b, &options, &mut grad).unwrap();
+        let value = MsSsim::new(options).value_and_grad(&a, &b, &mut grad).unwrap();
         let (a64, b64) = (Image64::from(&a), Image64::from(&b));
         assert!((value - ms_ssim64(&a64, &b64, levels)).abs() < VALUE);
         let largest = grad.data.iter().fold(0.0f32, |m, g| m.max(g.abs()));
@@ -102,10 +102,10 @@ fn five_levels_descend_along_the_gradient() {
 fn identical_clamped_and_too_small() {
     let a = scene(161, 161, 3);
     let mut grad = Image::default();
-    assert_eq!(ms_ssim_with_grad(&a, &a, &MsSsimOptions::default(), &mut grad).unwrap(), 1.0);
+    assert_eq!(MsSsim::new(MsSsimOptions::default()).value_and_grad(&a, &a, &mut grad).unwrap(), 1.0);
     let strong = noise(161, 161, 3, 0.0, 1.0, 4);
     let negative = Image { data: strong.data.iter().map(|v| 1.0 - v).collect(), ..strong.clone() };
-    assert_eq!(ms_ssim_with_grad(&strong, &negative, &MsSsimOptions::default(), &mut grad).unwrap(), 0.0);
+    assert_eq!(MsSsim::new(MsSsimOptions::default()).value_and_grad(&strong, &negative, &mut grad).unwrap(), 0.0);
     assert!(grad.data.iter().all(|g| *g == 0.0));
     let small = scene(160, 300, 3);
     let e = ms_ssim(&small, &small, &MsSsimOptions::default()).unwrap_err();
@@ -127,7 +127,7 @@ fn the_same_bits_for_any_pool() {
     let run = |threads| {
         in_pool(threads, || {
             let mut grad = Image::default();
-            let value = ms_ssim_with_grad(&a, &b, &MsSsimOptions::default(), &mut grad).unwrap();
+            let value = MsSsim::new(MsSsimOptions::default()).value_and_grad(&a, &b, &mut grad).unwrap();
             (value.to_bits(), grad.data.iter().map(|g| g.to_bits()).collect::<Vec<_>>())
         })
     };

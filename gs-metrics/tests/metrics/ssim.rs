@@ -11,7 +11,7 @@
 use crate::images::*;
 use crate::reference::*;
 use gs_core::Image;
-use gs_metrics::{MetricError, Padding, Ssim, SsimOptions, ssim, ssim_with_grad};
+use gs_metrics::{MetricError, Padding, Ssim, SsimOptions, ssim};
 
 const VALUE: f64 = 5e-8;
 const GRAD: f64 = 1e-6;
@@ -26,7 +26,7 @@ fn options(margin: usize) -> SsimOptions {
 fn errors(a: &Image, b: &Image, margin: usize) -> (f64, f64) {
     let (a64, b64) = (Image64::from(a), Image64::from(b));
     let mut grad = Image::default();
-    let value = ssim_with_grad(a, b, &options(margin), &mut grad).unwrap();
+    let value = Ssim::new(options(margin)).value_and_grad(a, b, &mut grad).unwrap();
     let plain = ssim(a, b, &options(margin)).unwrap();
     assert_eq!(value.to_bits(), plain.to_bits(), "the value does not depend on the gradient being asked for");
     let value_error = (value - mean_ssim64(&a64, &b64, margin)).abs();
@@ -102,7 +102,7 @@ fn flat_images_do_not_cancel() {
 fn identical_images_score_exactly_one_with_no_gradient() {
     for (image, margin) in [(constant(30, 30, 3, 0.9), 0), (noise(31, 29, 3, 0.0, 1.0, 1), 5), (scene(40, 40, 1), 0)] {
         let mut grad = Image::default();
-        assert_eq!(ssim_with_grad(&image, &image, &options(margin), &mut grad).unwrap(), 1.0);
+        assert_eq!(Ssim::new(options(margin)).value_and_grad(&image, &image, &mut grad).unwrap(), 1.0);
         assert!(grad.data.iter().all(|g| g.abs() < 1e-9));
     }
 }
@@ -124,7 +124,7 @@ fn the_same_bits_for_any_pool_and_for_reused_buffers() {
     let run = |threads| {
         in_pool(threads, || {
             let mut grad = Image::default();
-            let value = ssim_with_grad(&a, &b, &options(0), &mut grad).unwrap();
+            let value = Ssim::new(options(0)).value_and_grad(&a, &b, &mut grad).unwrap();
             (value.to_bits(), grad.data.iter().map(|g| g.to_bits()).collect::<Vec<_>>())
         })
     };
