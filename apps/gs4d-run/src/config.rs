@@ -16,7 +16,6 @@
 //! ```
 
 use gs_core::cast;
-use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
 use std::fmt::{self, Write as _};
@@ -115,15 +114,6 @@ fn hint(near: &[String]) -> String {
 }
 
 impl Config {
-    /// The defaults of a configuration structure.
-    ///
-    /// # Errors
-    /// If it does not serialise to a TOML table.
-    pub fn of_defaults<T: Serialize>(defaults: &T) -> Result<Self, ConfigError> {
-        let table = Table::try_from(defaults).map_err(|e| ConfigError::Invalid(e.to_string()))?;
-        Ok(Self::of_table(&table))
-    }
-
     /// Defaults written as TOML; the comment behind a value becomes its [`Setting::about`].
     ///
     /// # Errors
@@ -401,7 +391,7 @@ fn show(value: &Value) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use serde::Deserialize;
+    use serde::{Deserialize, Serialize};
 
     #[derive(Serialize, Deserialize, Debug, PartialEq)]
     #[serde(deny_unknown_fields)]
@@ -426,7 +416,7 @@ mod tests {
     }
 
     fn config() -> Config {
-        Config::of_defaults(&demo()).unwrap()
+        Config::of_table(&Table::try_from(demo()).unwrap())
     }
 
     #[test]
