@@ -34,10 +34,15 @@ pub struct Entry {
 }
 
 impl Entry {
-    /// A method with the preset of the contest and its own settings `KEY=VALUE`.
-    pub(crate) fn new(method: &str, sets: Vec<String>) -> Self {
-        let label = std::iter::once(method).chain(sets.iter().map(String::as_str)).collect::<Vec<_>>().join(" ");
-        Self { label, method: method.to_owned(), preset: None, sets }
+    /// A method with the preset of the contest and no settings of its own.
+    pub fn new(method: &str) -> Self {
+        Self { label: method.to_owned(), method: method.to_owned(), preset: None, sets: Vec::new() }
+    }
+
+    /// The same entry with one more setting `KEY=VALUE`.
+    pub(crate) fn with(&self, set: String) -> Self {
+        let label = format!("{} {set}", self.label);
+        Self { label, sets: self.sets.iter().cloned().chain([set]).collect(), ..self.clone() }
     }
 
     /// Parses `METHOD[:PRESET] [KEY=VALUE …]`.
@@ -309,6 +314,23 @@ mod tests {
     use super::*;
     use gs_synth::{SynthOptions, write};
 
+    /// A contest without entries on a small scene written below `folder`.
+    fn tiny(folder: &Path, train_views: usize, test_views: usize) -> Contest {
+        let data = folder.join("data");
+        let small = SynthOptions { val_views: 1, ..SynthOptions::of_views(32, train_views, test_views) };
+        write(&data, "static", &small, false).unwrap();
+        Contest {
+            registry: gs_methods::registry().clone(),
+            data,
+            root: folder.join("contest"),
+            preset: "tiny".into(),
+            entries: Vec::new(),
+            seeds: vec![0],
+            length: Length::Recipe,
+            sets: Vec::new(),
+        }
+    }
+
     #[test]
     fn entries_are_read_and_bad_ones_named() {
         let entry = Entry::parse(" fourdgs:tiny  schedule.lambda_dssim=0.1 ").unwrap();
@@ -337,18 +359,12 @@ mod tests {
     #[test]
     fn trials_stand_once_made_and_the_budget_sets_the_steps() {
         let folder = tempfile::tempdir().unwrap();
-        let data = folder.path().join("data");
-        let small = SynthOptions { val_views: 1, ..SynthOptions::of_views(32, 6, 2) };
-        write(&data, "static", &small, false).unwrap();
         let contest = Contest {
-            registry: gs_methods::registry().clone(),
-            data,
-            root: folder.path().join("contest"),
-            preset: "tiny".into(),
             entries: vec![Entry::parse("static3d").unwrap(), Entry::parse("static3d init.points=200").unwrap()],
             seeds: vec![0, 1],
             length: Length::Steps(20),
             sets: vec!["run.log_every=2".into()],
+            ..tiny(folder.path(), 6, 2)
         };
         let stop = AtomicBool::new(false);
         let mut trials = 0;
@@ -369,26 +385,18 @@ mod tests {
     #[test]
     fn a_contest_stops_when_asked_and_goes_on() {
         let folder = tempfile::tempdir().unwrap();
-        let data = folder.path().join("data");
-        let small = SynthOptions { val_views: 1, ..SynthOptions::of_views(32, 4, 1) };
-        write(&data, "static", &small, false).unwrap();
         let contest = Contest {
-            registry: gs_methods::registry().clone(),
-            data,
-            root: folder.path().join("contest"),
-            preset: "tiny".into(),
             entries: vec![Entry::parse("static3d").unwrap()],
             seeds: vec![3],
             length: Length::Steps(12),
-            sets: Vec::new(),
+            ..tiny(folder.path(), 4, 1)
         };
         let stop = AtomicBool::new(false);
-        let halt = |t: Event| {
+        let mut halt = |t: Event| {
             if let Event::Step(p) = t {
                 stop.store(p.step >= 5, std::sync::atomic::Ordering::Relaxed);
             }
         };
-        let mut halt = halt;
         assert!(matches!(contest.run(&stop, &mut halt), Err(ContestError::Interrupted(_))));
         let done = contest.run(&AtomicBool::new(false), &mut |_| {}).unwrap();
         assert_eq!(done[0].trials.len(), 1);

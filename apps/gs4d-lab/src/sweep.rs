@@ -5,9 +5,8 @@
 
 pub mod page;
 
-use crate::contest::{Contest, ContestError, Entry, Event, Length, Standing};
+use crate::contest::{Contest, ContestError, Entry, Event, Standing};
 use gs_train::evaluate::EvalReport;
-use gs_train::registry::Registry;
 use serde::Serialize;
 use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
@@ -45,29 +44,6 @@ impl Vary {
         }
         Ok(Self { key: key.trim().to_owned(), values })
     }
-}
-
-/// The settings of a sweep; those of [`Contest`], with one method and varied settings in place of entries.
-#[derive(Clone, Debug)]
-pub struct Sweep {
-    /// Methods to choose from.
-    pub registry: Registry,
-    /// Folder of the dataset.
-    pub data: PathBuf,
-    /// Output folder of the trials.
-    pub root: PathBuf,
-    /// Name of the method.
-    pub method: String,
-    /// The preset that settings are varied around.
-    pub preset: String,
-    /// The varied settings, one at a time.
-    pub vary: Vec<Vary>,
-    /// One trial per entry and seed.
-    pub seeds: Vec<u64>,
-    /// Length of every trial.
-    pub length: Length,
-    /// Settings of all trials, `KEY=VALUE`.
-    pub sets: Vec<String>,
 }
 
 /// A number of a row: heading, digits, value.
@@ -157,35 +133,30 @@ impl Row {
     }
 }
 
-impl Sweep {
-    /// Runs the contest; the rows are the preset, then the varied settings in order.
-    ///
-    /// # Errors
-    /// Those of [`Contest::run`]; settings are checked before anything is trained.
-    pub fn run(&self, stop: &AtomicBool, on_event: &mut dyn FnMut(Event)) -> Result<Vec<Row>, ContestError> {
-        let mut contest = Contest {
-            registry: self.registry.clone(),
-            data: self.data.clone(),
-            root: self.root.clone(),
-            preset: self.preset.clone(),
-            entries: vec![Entry::new(&self.method, Vec::new())],
-            seeds: self.seeds.clone(),
-            length: self.length,
-            sets: self.sets.clone(),
-        };
-        // Key, value and index of the entry; 0 is the preset.
-        let mut settings = Vec::new();
-        for (key, value) in self.vary.iter().flat_map(|v| v.values.iter().map(|value| (v.key.as_str(), value.as_str())))
-        {
-            let entry = Entry::new(&self.method, vec![format!("{key}={value}")]);
-            let repeats_preset = contest.same(&contest.entries[0], &entry)?;
-            settings.push((key, value, if repeats_preset { 0 } else { contest.entries.len() }));
-            contest.entries.extend((!repeats_preset).then_some(entry));
-        }
-        let standings = contest.run(stop, on_event)?;
-        let row = |&(key, value, k): &(&str, &str, usize)| Row::new(Some((key, value)), k == 0, &standings[k]);
-        Ok(std::iter::once(Row::new(None, true, &standings[0])).chain(settings.iter().map(row)).collect())
+/// Runs `base` and `base` with each value of `vary` alone, under the conditions of `contest`, whose entries do not matter. The
+/// rows are the preset (`base`), then the varied settings in order.
+///
+/// # Errors
+/// Those of [`Contest::run`]; settings are checked before anything is trained.
+pub fn sweep(
+    contest: &Contest,
+    base: &Entry,
+    vary: &[Vary],
+    stop: &AtomicBool,
+    on_event: &mut dyn FnMut(Event),
+) -> Result<Vec<Row>, ContestError> {
+    let mut contest = Contest { entries: vec![base.clone()], ..contest.clone() };
+    // Key, value and index of the entry; 0 is the preset.
+    let mut settings = Vec::new();
+    for (key, value) in vary.iter().flat_map(|v| v.values.iter().map(|value| (v.key.as_str(), value.as_str()))) {
+        let entry = base.with(format!("{key}={value}"));
+        let repeats_preset = contest.same(base, &entry)?;
+        settings.push((key, value, if repeats_preset { 0 } else { contest.entries.len() }));
+        contest.entries.extend((!repeats_preset).then_some(entry));
     }
+    let standings = contest.run(stop, on_event)?;
+    let row = |&(key, value, k): &(&str, &str, usize)| Row::new(Some((key, value)), k == 0, &standings[k]);
+    Ok(std::iter::once(Row::new(None, true, &standings[0])).chain(settings.iter().map(row)).collect())
 }
 
 /// The rows as comma-separated values with a heading, all digits.
@@ -205,6 +176,7 @@ pub fn csv(rows: &[Row]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::contest::Length;
     use gs_synth::{SynthOptions, write};
 
     #[test]
@@ -223,20 +195,21 @@ mod tests {
         let data = folder.path().join("data");
         let small = SynthOptions { val_views: 1, ..SynthOptions::of_views(32, 5, 1) };
         write(&data, "static", &small, false).unwrap();
-        let sweep = Sweep {
+        let contest = Contest {
             registry: gs_methods::registry().clone(),
             data,
             root: folder.path().join("sweep"),
-            method: "static3d".into(),
             preset: "tiny".into(),
-            vary: ["init.points=150|300", "schedule.lambda_dssim=0.5"].map(|v| Vary::parse(v).unwrap()).to_vec(),
+            entries: Vec::new(),
             seeds: vec![0],
             length: Length::Steps(6),
             sets: vec!["init.points=300".into()],
         };
+        let vary = ["init.points=150|300", "schedule.lambda_dssim=0.5"].map(|v| Vary::parse(v).unwrap());
+        let (base, go) = (Entry::new("static3d"), AtomicBool::new(false));
         let mut trials = 0;
-        let rows =
-            sweep.run(&AtomicBool::new(false), &mut |t| trials += u32::from(matches!(t, Event::Trial(_)))).unwrap();
+        let mut count = |t: Event| trials += u32::from(matches!(t, Event::Trial(_)));
+        let rows = sweep(&contest, &base, &vary, &go, &mut count).unwrap();
         let labels: Vec<String> = rows.iter().map(Row::label).collect();
         assert_eq!(labels, ["preset", "init.points=150", "init.points=300", "schedule.lambda_dssim=0.5"]);
         assert_eq!((trials, rows.iter().map(|r| r.preset).collect::<Vec<_>>()), (3, vec![true, false, true, false]));
@@ -245,7 +218,7 @@ mod tests {
         assert!(text.lines().count() == 5 && text.contains("\n\"init.points=150\","), "{text}");
         let html = crate::sweep::page::page("static3d", &rows).unwrap();
         assert!(html.contains("<svg") && html.contains("schedule.lambda_dssim=0.5") && !html.contains("<script"));
-        let wrong = Sweep { vary: vec![Vary::parse("no.such=1|2").unwrap()], ..sweep };
-        assert!(wrong.run(&AtomicBool::new(false), &mut |_| {}).is_err());
+        let wrong = [Vary::parse("no.such=1|2").unwrap()];
+        assert!(sweep(&contest, &base, &wrong, &go, &mut |_| {}).is_err());
     }
 }

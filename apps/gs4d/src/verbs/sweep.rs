@@ -6,8 +6,9 @@ use crate::answer::Answer;
 use crate::failure::Failure;
 use crate::global::Global;
 use gs4d_lab::aligned;
+use gs4d_lab::contest::{Contest, Entry};
 use gs4d_lab::sweep::page::page;
-use gs4d_lab::sweep::{Row, Sweep, Vary, csv};
+use gs4d_lab::sweep::{Row, Vary, csv, sweep};
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
@@ -35,18 +36,9 @@ impl SweepVerb {
         let length = self.trials.length();
         let Self { data, method, preset, vary, trials: Trials { seeds, sets, out: root, .. } } = self;
         let title = format!("{method}, preset {preset}");
-        let sweep = Sweep {
-            registry: gs_methods::registry().clone(),
-            data,
-            root: root.clone(),
-            method,
-            preset,
-            vary,
-            seeds,
-            length,
-            sets,
-        };
-        let rows = follow(global, |stop, on_event| sweep.run(stop, on_event))?.map_err(failure)?;
+        let (registry, base) = (gs_methods::registry().clone(), Entry::new(&method));
+        let contest = Contest { registry, data, root: root.clone(), preset, entries: Vec::new(), seeds, length, sets };
+        let rows = follow(global, |stop, on_event| sweep(&contest, &base, &vary, stop, on_event))?.map_err(failure)?;
         let json = json!({"title": title, "rows": rows});
         let html = page(&title, &rows).map_err(|e| Failure::from(gs4d_run::RunError::from(e)))?;
         for (name, content) in [("sweep.json", format!("{json:#}\n")), ("sweep.csv", csv(&rows)), ("sweep.html", html)]
