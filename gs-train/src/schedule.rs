@@ -15,6 +15,7 @@ use gs_metrics::mrf::MrfOptions;
 use gs_raster::{ClampGrad, RasterOptions};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use toml::Value;
 
 /// The plan of a run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -139,6 +140,18 @@ pub struct LearningRate {
     /// Weight decay of these parameters, times the rate, per step (AdamW).
     #[serde(default)]
     pub weight_decay: f32,
+}
+
+/// Writes out what the rates of a configuration leave out: `end` as `start`, no `steps`, not `per_extent`.
+pub(crate) fn complete_rates(config: &mut toml::Table) {
+    let groups = config.get_mut("schedule").and_then(|s| s.get_mut("lr")).and_then(Value::as_table_mut);
+    let rates = groups.into_iter().flatten().filter_map(|(_, group)| group.as_table_mut()).flatten();
+    for rate in rates.filter_map(|(_, rate)| rate.as_table_mut()) {
+        let Some(start) = rate.get("start").cloned() else { continue };
+        rate.entry("end").or_insert(start);
+        rate.entry("steps").or_insert(0.into());
+        rate.entry("per_extent").or_insert(false.into());
+    }
 }
 
 /// What lies behind the scene.

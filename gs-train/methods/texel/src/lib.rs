@@ -32,6 +32,7 @@ use gs_data::avatar::{AvatarFrame, AvatarScene};
 use gs_texel::Pose;
 use gs_texel::gaussians::{Channels, DecodeOptions, OFFSET, OPACITY, decode, decode_backward, offset_penalty};
 use gs_train::capabilities::{Capabilities, Inspect, Quantity};
+use gs_train::layers::BASE;
 use gs_train::method::{
     Buffer, BufferMut, Buffers, LossValue, Method, MethodEntry, MethodError, RenderView, SceneInfo, StepEvents,
     ViewCtx, parse_config,
@@ -43,18 +44,23 @@ use network::Network;
 use std::path::PathBuf;
 use std::sync::Arc;
 
+/// What the presets `direct`, `tiny` and `fast` share.
+const QUICK: &str = include_str!("dut.quick.toml");
+/// What the presets `tiny` and `fast` share.
+const TINY: &str = include_str!("dut.tiny.toml");
+
 /// The line in the list of methods.
 pub const ENTRY: MethodEntry = MethodEntry {
     name: "dut",
     about: "DUT: a filmed person from few cameras, by twice unprojected textures and a Gaussian per texel (Sun et al. 2025)",
-    defaults: include_str!("dut.toml"),
+    defaults: &[BASE, include_str!("dut.toml")],
     presets: &[
-        ("paper", ""),
-        ("large", include_str!("dut.large.toml")),
-        ("small", include_str!("dut.small.toml")),
-        ("fast", include_str!("dut.fast.toml")),
-        ("tiny", include_str!("dut.tiny.toml")),
-        ("direct", include_str!("dut.direct.toml")),
+        ("paper", &[]),
+        ("large", &[include_str!("dut.large.toml")]),
+        ("small", &[include_str!("dut.small.toml")]),
+        ("fast", &[QUICK, TINY, include_str!("dut.fast.toml")]),
+        ("tiny", &[QUICK, TINY]),
+        ("direct", &[QUICK, include_str!("dut.direct.toml")]),
     ],
     needs_avatar: true,
     build,
