@@ -19,8 +19,8 @@ mod texture;
 
 pub use actor::{Actor, ActorError, First, FrameError, MeanTextures, Posed, Second, Seen};
 pub use config::{
-    Config, DirectColor, DirectConfig, GauConfig, GaussianConfig, Input, LaplacianRule, Mode, Phase, PointRule,
-    ReferenceConfig, ResizeRule, SurfaceConfig, TextureSizes, UnseenColor,
+    Config, DirectColor, DirectConfig, GauConfig, GaussianConfig, Input, LaplacianRule, Mode, Phase, Plan, PointRule,
+    ReferenceConfig, ResizeRule, SurfaceConfig, TextureLoss, TextureSizes, UnseenColor,
 };
 pub use oracle::OracleOptions;
 
@@ -33,6 +33,7 @@ use gs_texel::Pose;
 use gs_texel::gaussians::{Channels, DecodeOptions, OFFSET, OPACITY, decode, decode_backward, offset_penalty};
 use gs_train::capabilities::{Capabilities, Inspect, Quantity};
 use gs_train::layers::BASE;
+use gs_train::loss::TextureTerm;
 use gs_train::method::{
     Buffer, BufferMut, Buffers, LossValue, Method, MethodEntry, MethodError, RenderView, SceneInfo, StepEvents,
     ViewCtx, parse_config,
@@ -105,8 +106,9 @@ pub struct Dut {
 
 fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
     let config: Config = parse_config(ENTRY.name, table)?;
-    let schedule = config.schedule.clone();
-    Model::new(ENTRY.name, Dut::new(config, scene)?, schedule)
+    let Plan { trainer, texture } = config.schedule.clone();
+    let model = Model::new(ENTRY.name, Dut::new(config, scene)?, trainer)?;
+    Ok(model.with_loss(texture.lambda_mrf, TextureTerm::new(texture.mrf_side)))
 }
 
 impl Dut {
@@ -362,7 +364,7 @@ impl From<MethodError> for StepError {
 impl Dut {
     /// Rendering over black, as in training.
     pub fn raster_options(&self) -> gs_raster::RasterOptions {
-        self.config.schedule.raster_options([0.0; 3])
+        self.config.schedule.trainer.raster_options([0.0; 3])
     }
 
     /// The character and what was filmed of it.
