@@ -7,7 +7,8 @@
 //!   methods are crates that depend on this one.
 //! * [`trainer`]: one optimiser step and the whole state in and out; [`schedule`]: stages and learning rates; [`adam`];
 //!   [`loss`]; [`densify`]: clone, split, prune; `non_finite`: gradients that are refused.
-//! * [`canonical`], [`kernel`], [`scene`]: the cloud of Gaussians that several methods share, and what it starts from.
+//! * [`canonical`], [`kernel`], [`scene`]: the cloud of Gaussians that several methods share, and what it starts from;
+//!   [`layers`]: the settings that several methods share.
 //! * `conformance` (cargo feature of that name): what every method must keep, as checks for its tests. `testkit` (the same): short runs.
 //! * [`report`]: the section that a method adds to the report of a run.
 //! * [`checkpoint`], [`saved`]: atomic files of the whole state; [`evaluate`], [`renderer`]: scores and images of a method.
@@ -28,6 +29,7 @@ pub mod conformance;
 pub mod densify;
 pub mod evaluate;
 pub mod kernel;
+pub mod layers;
 pub mod loss;
 pub mod method;
 pub mod model;

@@ -3,16 +3,16 @@
 //! ```text
 //! L = ω mean|x − y| + Σ_k w_k L_k(x, y)        dL/dx = ω sign(x − y) / n + Σ_k w_k dL_k/dx        sign(0) = 0
 //! ```
-//! over `n = H · W · 3` values of a render `x` and its ground truth `y`. The schedule of a method names the terms it uses:
+//! over `n = H · W · 3` values of a render `x` and its ground truth `y`. The schedule weighs the terms that every method may use:
 //!
 //! | setting | term | source |
 //! |---|---|---|
 //! | `lambda_l1` | ω; `1 − lambda_dssim` if absent | 3DGS: 0.8; MoDec-GS: 1 |
 //! | `lambda_dssim` | `1 − SSIM`, over the image, the box of what it shows, or multi-scale | 3DGS: 0.2 |
 //! | `lambda_fre` | amplitude spectra ([`gs_metrics::spectrum`]) | FAGS: 0.3 |
-//! | `lambda_mrf` | textures within the box of what the image shows ([`gs_metrics::mrf`]) | DUT: 0.01, with VGG-19 features |
 //!
-//! Terms of weight 0 are not computed. The ground truth stays 8-bit with alpha and is composited over the background here.
+//! A method adds terms of its own ([`Model::with_loss`](crate::model::Model::with_loss)), such as [`TextureTerm`] (DUT). Terms of
+//! weight 0 are not computed. The ground truth stays 8-bit with alpha and is composited over the background here.
 
 mod region;
 mod terms;

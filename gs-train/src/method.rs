@@ -10,7 +10,7 @@
 use crate::capabilities::Capabilities;
 use crate::densify::DensifyStats;
 use crate::model::Model;
-use crate::schedule::ScheduleError;
+use crate::schedule::{ScheduleError, complete_rates};
 use crate::step::StepCtx;
 use crate::timestamp::Timestamp;
 use gs_core::{Camera, Params, Splats, SplatsGrad, SplatsRef};
@@ -201,10 +201,11 @@ pub struct MethodEntry {
     pub name: &'static str,
     /// One line for people.
     pub about: &'static str,
-    /// The whole configuration as published, TOML; the source of a value stands behind it.
-    pub defaults: &'static str,
-    /// Presets: name and the values that differ from the defaults, TOML.
-    pub presets: &'static [(&'static str, &'static str)],
+    /// The configuration as published: layers of TOML, each with what differs from those before it
+    /// ([`layers`](crate::layers) has the shared ones). The source of a value stands behind it.
+    pub defaults: &'static [&'static str],
+    /// Presets: name and layers that differ from the defaults and from each other.
+    pub presets: &'static [(&'static str, &'static [&'static str])],
     /// Whether it can be built only for a filmed person: [`SceneInfo::avatar`].
     pub needs_avatar: bool,
     /// Builds the method for a scene from a resolved configuration.
@@ -223,30 +224,45 @@ impl MethodEntry {
         }
     }
 
-    /// The values of a preset that differ from the defaults, TOML.
+    /// The whole configuration as published.
     ///
     /// # Errors
-    /// If there is no such preset; the error lists those there are.
-    pub fn preset(&self, name: &str) -> Result<&'static str, MethodError> {
-        self.presets.iter().find(|p| p.0 == name).map(|p| p.1).ok_or_else(|| {
+    /// If a layer is not TOML.
+    pub fn published(&self) -> Result<toml::Table, MethodError> {
+        let mut config = self.merged(self.defaults)?;
+        complete_rates(&mut config);
+        Ok(config)
+    }
+
+    /// The values of a preset that differ from the defaults.
+    ///
+    /// # Errors
+    /// If there is no such preset (the error lists those there are), or a layer of it is not TOML.
+    pub fn preset(&self, name: &str) -> Result<toml::Table, MethodError> {
+        let found = self.presets.iter().find(|p| p.0 == name).ok_or_else(|| {
             let known: Vec<&str> = self.presets.iter().map(|p| p.0).collect();
             let why = format!("there is no preset `{name}`; choose one of {}", known.join(", "));
             MethodError::Config { method: self.name, why }
-        })
+        });
+        self.merged(found?.1)
     }
 
     /// The defaults overlaid with a preset.
     ///
     /// # Errors
-    /// If there is no such preset.
+    /// As [`Self::preset`].
     pub fn config(&self, preset: &str) -> Result<toml::Table, MethodError> {
-        let parse = |text: &str| {
-            let wrong = |e: toml::de::Error| MethodError::Config { method: self.name, why: e.to_string() };
-            text.parse::<toml::Table>().map_err(wrong)
-        };
-        let mut config = parse(self.defaults)?;
-        overlay(&mut config, parse(self.preset(preset)?)?);
+        let mut config = self.published()?;
+        overlay(&mut config, self.preset(preset)?);
         Ok(config)
+    }
+
+    fn merged(&self, layers: &[&str]) -> Result<toml::Table, MethodError> {
+        let wrong = |e: toml::de::Error| MethodError::Config { method: self.name, why: e.to_string() };
+        layers.iter().try_fold(toml::Table::new(), |mut under, layer| {
+            overlay(&mut under, layer.parse().map_err(wrong)?);
+            Ok(under)
+        })
     }
 }
 

@@ -1,6 +1,7 @@
 //! A method with the schedule it is trained by.
 
 use crate::capabilities::{Capabilities, FreezeOptions, FreezeReport, Overlay, Quantity, StageView};
+use crate::loss::{ImageLoss, LossTerm};
 use crate::method::{Method, MethodError};
 use crate::report::Section;
 use crate::schedule::Schedule;
@@ -16,6 +17,8 @@ pub struct Model {
     name: &'static str,
     method: Box<dyn Method>,
     schedule: Schedule,
+    /// Terms of the image loss beside those of the schedule, with their weights.
+    losses: Vec<(f32, Box<dyn LossTerm>)>,
 }
 
 impl Model {
@@ -25,9 +28,21 @@ impl Model {
     /// If the schedule cannot be followed.
     pub fn new(name: &'static str, method: impl Method + 'static, schedule: Schedule) -> Result<Self, MethodError> {
         schedule.check()?;
-        let mut model = Self { name, method: Box::new(method), schedule };
+        let mut model = Self { name, method: Box::new(method), schedule, losses: Vec::new() };
         model.begin_step(0);
         Ok(model)
+    }
+
+    /// The same with a term of the method's own in the image loss; at weight 0 it is not computed.
+    pub fn with_loss(mut self, weight: f32, term: impl LossTerm + 'static) -> Self {
+        self.losses.push((weight, Box::new(term)));
+        self
+    }
+
+    /// The image loss of the schedule and the terms of the method's own, which it takes from the model.
+    pub(crate) fn take_image_loss(&mut self) -> ImageLoss {
+        let own = std::mem::take(&mut self.losses);
+        own.into_iter().fold(self.schedule.image_loss(), |loss, (weight, term)| loss.with(weight, term))
     }
 
     /// Name of the method, as in `--method`.
@@ -121,7 +136,7 @@ impl Model {
     }
 
     fn with(&self, method: Box<dyn Method>) -> Self {
-        Self { name: self.name, method, schedule: self.schedule.clone() }
+        Self { name: self.name, method, schedule: self.schedule.clone(), losses: Vec::new() }
     }
 }
 

@@ -9,12 +9,12 @@
 
 use crate::adam::Update;
 use crate::densify::DensifyRules;
-use crate::loss::{Dssim, ImageLoss, SpectrumTerm, TextureTerm};
+use crate::loss::{Dssim, ImageLoss, SpectrumTerm};
 use gs_core::{Camera, Param};
-use gs_metrics::mrf::MrfOptions;
 use gs_raster::{ClampGrad, RasterOptions};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use toml::Value;
 
 /// The plan of a run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -36,15 +36,9 @@ pub struct Schedule {
     /// Views a step learns from; their losses are averaged (MoDec-GS: 4; others: 1).
     #[serde(default = "one")]
     pub batch: u32,
-    /// Weight φ of the amplitude-spectrum loss (FAGS: 0.3; others: 0).
+    /// Weight φ of the amplitude-spectrum loss, which every method may use (FAGS: 0.3; others: 0).
     #[serde(default)]
     pub lambda_fre: f32,
-    /// Weight μ of the likeness of textures over the box of what images show (DUT: 0.01, with VGG-19; others: 0).
-    #[serde(default)]
-    pub lambda_mrf: f32,
-    /// Side that box is resized to for it, pixels (DUT: 256); time grows with its fourth power.
-    #[serde(default = "mrf_side")]
-    pub mrf_side: u32,
     /// Adam updates only splats that received a gradient in this step.
     pub sparse_adam: bool,
     /// A gradient row is refused (not finite) at most for this share of rows; above it the run stops.
@@ -71,10 +65,6 @@ pub struct Schedule {
 
 fn one() -> u32 {
     1
-}
-
-fn mrf_side() -> u32 {
-    MrfOptions::default().side as u32
 }
 
 fn kerbl_dilation() -> f64 {
@@ -139,6 +129,18 @@ pub struct LearningRate {
     /// Weight decay of these parameters, times the rate, per step (AdamW).
     #[serde(default)]
     pub weight_decay: f32,
+}
+
+/// Writes out what the rates of a configuration leave out: `end` as `start`, no `steps`, not `per_extent`.
+pub(crate) fn complete_rates(config: &mut toml::Table) {
+    let groups = config.get_mut("schedule").and_then(|s| s.get_mut("lr")).and_then(Value::as_table_mut);
+    let rates = groups.into_iter().flatten().filter_map(|(_, group)| group.as_table_mut()).flatten();
+    for rate in rates.filter_map(|(_, rate)| rate.as_table_mut()) {
+        let Some(start) = rate.get("start").cloned() else { continue };
+        rate.entry("end").or_insert(start);
+        rate.entry("steps").or_insert(0.into());
+        rate.entry("per_extent").or_insert(false.into());
+    }
 }
 
 /// What lies behind the scene.
@@ -323,12 +325,11 @@ impl Schedule {
         }
     }
 
-    /// The image loss of these weights.
+    /// The image loss of these weights, without the terms of the method's own.
     pub(crate) fn image_loss(&self) -> ImageLoss {
         ImageLoss::new(self.lambda_l1.unwrap_or(1.0 - self.lambda_dssim))
             .with(self.lambda_dssim, self.dssim.term())
             .with(self.lambda_fre, Box::<SpectrumTerm>::default())
-            .with(self.lambda_mrf, Box::new(TextureTerm::new(self.mrf_side)))
     }
 
     /// How frames are rendered over a background, in training as in evaluation. Saturated splats keep learning, as in
@@ -377,9 +378,6 @@ impl Schedule {
         need(drawn < 1 << 32, "batch", self.batch.into(), "steps times batch below 2^32")?;
         let fre = self.lambda_fre;
         need(fre >= 0.0 && fre.is_finite(), "lambda_fre", fre.into(), "finite, not negative")?;
-        let mrf = self.lambda_mrf;
-        need(mrf >= 0.0 && mrf.is_finite(), "lambda_mrf", mrf.into(), "finite, not negative")?;
-        need((8..=512).contains(&self.mrf_side), "mrf_side", self.mrf_side.into(), "8 to 512")?;
         need(share(self.max_quarantine), "max_quarantine", self.max_quarantine.into(), "0 to 1")?;
         need(self.near > 0.0 && self.near.is_finite(), "near", self.near, "above 0, finite")?;
         let dilation = self.dilation;
@@ -434,8 +432,6 @@ pub(crate) mod tests {
             batch: 1,
             dssim: Dssim::Ssim,
             lambda_fre: 0.0,
-            lambda_mrf: 0.0,
-            mrf_side: 256,
             sparse_adam: false,
             max_quarantine: 1e-3,
             density: DensifyRules::kerbl2023(),
@@ -534,8 +530,6 @@ pub(crate) mod tests {
         assert_eq!(fault(&|s| s.near = -1.0), "near");
         assert_eq!(fault(&|s| s.lambda_dssim = 1.5), "lambda_dssim");
         assert_eq!(fault(&|s| s.lambda_fre = -0.1), "lambda_fre");
-        assert_eq!(fault(&|s| s.lambda_mrf = f32::NAN), "lambda_mrf");
-        assert_eq!(fault(&|s| s.mrf_side = 4), "mrf_side");
         assert_eq!(fault(&|s| s.max_quarantine = f32::NAN), "max_quarantine");
         assert_eq!(fault(&|s| rate(s, "cloud", "means").end = f32::INFINITY), "lr.cloud.means.end");
         assert_eq!(fault(&|s| rate(s, "field", "all").start = -1.0), "lr.field.all.start");

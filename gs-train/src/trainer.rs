@@ -116,7 +116,7 @@ impl Trainer {
     /// # Errors
     /// If its schedule does not fit the images or its parameters.
     pub fn with_method(
-        model: Model,
+        mut model: Model,
         dataset: Arc<Dataset>,
         scene: SceneInfo,
         options: TrainOptions,
@@ -125,7 +125,7 @@ impl Trainer {
         let images = Arc::new(ImageCache::new(options.image_bytes, 1.0));
         let order = ViewOrder::new(options.seed, dataset.train.iter().map(|v| v.time.normalised).collect());
         let (adam, pass, config, updates) =
-            (Adam::default(), RenderPass::new(model.schedule().image_loss()), toml::Table::new(), BTreeMap::new());
+            (Adam::default(), RenderPass::new(model.take_image_loss()), toml::Table::new(), BTreeMap::new());
         Ok(Self {
             model,
             dataset,

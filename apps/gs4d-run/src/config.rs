@@ -120,15 +120,21 @@ impl Config {
     /// If the text is not TOML.
     pub fn of_toml(text: &str) -> Result<Self, ConfigError> {
         let mut config = Self::of_table(&parse(text, &Source::Default)?);
-        for (key, about) in comments(text) {
-            if let Some(setting) = config.settings.get_mut(&key) {
-                setting.about = about;
-            }
-        }
+        config.describe(text);
         Ok(config)
     }
 
-    fn of_table(table: &Table) -> Self {
+    /// The comments behind the values of a TOML text become their [`Setting::about`]; a value without one has none.
+    pub(crate) fn describe(&mut self, text: &str) {
+        for (key, about) in comments(text) {
+            if let Some(setting) = self.settings.get_mut(&key) {
+                setting.about = about;
+            }
+        }
+    }
+
+    /// Defaults as a table.
+    pub(crate) fn of_table(table: &Table) -> Self {
         let setting = |value| Setting { value, source: Source::Default, about: String::new() };
         let settings = flatten(table).into_iter().map(|(k, v)| (k, setting(v))).collect();
         Self { settings, optional: BTreeMap::new() }
@@ -330,7 +336,7 @@ fn flatten(table: &Table) -> Vec<(String, Value)> {
     leaves
 }
 
-/// Comments behind values of hand-written TOML, by dotted key.
+/// Comments behind values of hand-written TOML, by dotted key; empty where there is none.
 fn comments(text: &str) -> Vec<(String, String)> {
     let mut section = String::new();
     let mut found = Vec::new();
@@ -345,11 +351,10 @@ fn comments(text: &str) -> Vec<(String, String)> {
             Some(quoted) => quoted.split_once('"').map_or("", |(_, after)| after),
             None => rest,
         };
-        if let Some((_, about)) = after_value.split_once('#') {
-            let key = key.trim();
-            let path = if section.is_empty() { key.to_owned() } else { format!("{section}.{key}") };
-            found.push((path, about.trim().to_owned()));
-        }
+        let about = after_value.split_once('#').map_or("", |(_, about)| about.trim());
+        let key = key.trim();
+        let path = if section.is_empty() { key.to_owned() } else { format!("{section}.{key}") };
+        found.push((path, about.to_owned()));
     }
     found
 }

@@ -93,8 +93,11 @@ pub struct Resolved {
 pub fn defaults(registry: &Registry, method: &str) -> Result<Config, RunError> {
     let entry = registry.find(method)?;
     let data = toml::to_string(&DataOptions::default()).map_err(|e| ConfigError::Invalid(e.to_string()))?;
-    // The method's come first: keys before the first header of its text belong to no section.
-    let mut config = Config::of_toml(&format!("{}\n{RUN_DEFAULTS}\n[data]\n{data}", entry.defaults))?;
+    let own = format!("{RUN_DEFAULTS}\n[data]\n{data}");
+    let mut table = entry.published()?;
+    table.extend(own.parse::<Table>().map_err(|e| ConfigError::Invalid(e.to_string()))?);
+    let mut config = Config::of_table(&table);
+    entry.defaults.iter().chain([&own.as_str()]).for_each(|layer| config.describe(layer));
     for (key, example) in [("data.layout", "blender"), ("data.time_range", "0..1"), ("data.images", "images")] {
         config.allow(key, example);
     }
@@ -113,8 +116,7 @@ pub fn defaults(registry: &Registry, method: &str) -> Result<Config, RunError> {
 pub fn with_preset(registry: &Registry, method: &str, preset: &str) -> Result<Config, RunError> {
     let entry = registry.find(method)?;
     let mut config = defaults(registry, method)?;
-    let text = entry.preset(preset)?;
-    config.overlay_toml(text, &Source::Preset(preset.to_owned()))?;
+    config.overlay(&entry.preset(preset)?, &Source::Preset(preset.to_owned()))?;
     config.put("run.preset", preset, Source::Default)?;
     Ok(config)
 }

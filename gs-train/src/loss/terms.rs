@@ -8,7 +8,7 @@ use gs_metrics::{AmplitudeLoss, MetricError, MsSsim, MsSsimOptions, Ssim, SsimOp
 use serde::{Deserialize, Serialize};
 
 /// A term of the image loss, with the buffers it keeps between calls.
-pub trait LossTerm: Send {
+pub trait LossTerm: Send + Sync {
     /// Its name in logs: `ssim`, `fre`, `mrf`.
     fn name(&self) -> &'static str;
 

@@ -34,8 +34,8 @@ use serde_json::Value;
 pub const ENTRY: MethodEntry = MethodEntry {
     name: "spacetime",
     about: "Spacetime Gaussians, lite: polynomial motion and temporal opacity of each splat (Li et al. 2024)",
-    defaults: include_str!("spacetime.toml"),
-    presets: &[("paper", ""), ("tiny", include_str!("spacetime.tiny.toml"))],
+    defaults: &[include_str!("spacetime.toml")],
+    presets: &[("paper", &[]), ("tiny", &[include_str!("spacetime.tiny.toml")])],
     needs_avatar: false,
     build,
 };

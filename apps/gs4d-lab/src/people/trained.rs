@@ -114,7 +114,7 @@ impl Trained {
         let config = self.config(changes)?;
         let init: InitConfig = section(ENTRY.name, &config, "init")?;
         let parsed: Config = parse_config(ENTRY.name, &config)?;
-        let schedule = parsed.schedule.clone();
+        let schedule = parsed.schedule.trainer.clone();
         let mut dut = Dut::new(parsed, &SceneInfo::of(film, &init, 0)?)?;
         let mut wrong = None;
         dut.visit_mut(&mut |p| match self.values.get(&p.name) {
@@ -138,7 +138,7 @@ impl Trained {
 
     /// [`Self::on`] as a [`Model`].
     fn model(&self, film: &Dataset, changes: &[&str]) -> Result<Model, LabError> {
-        let schedule = parse_config::<Config>(ENTRY.name, &self.config(changes)?)?.schedule;
+        let schedule = parse_config::<Config>(ENTRY.name, &self.config(changes)?)?.schedule.trainer;
         let mut model = Model::new(ENTRY.name, self.on(film, changes)?, schedule)?;
         model.begin_step(self.step);
         Ok(model)

@@ -10,9 +10,11 @@
 //! | `tia` | motion of the boundaries | without TIA |
 
 use crate::anchored::{AnchorConfig, Anchored, Motion, Parts, SparsityConfig};
+use crate::scaffold;
 use gs_anchor::{AnchorDensifyRules, AnchorShape, DecoderConfig, Gad, GadConfig, IntervalConfig, Intervals};
 use gs_deform::{Aabb, FourDgsConfig, HexPlaneField};
 use gs_train::ablate::{Ablations, Part};
+use gs_train::layers::BASE;
 use gs_train::method::{MethodEntry, MethodError, parse_config};
 use gs_train::model::Model;
 use gs_train::scene::{InitConfig, SceneInfo};
@@ -23,12 +25,12 @@ use serde::{Deserialize, Serialize};
 pub const ENTRY: MethodEntry = MethodEntry {
     name: "modec",
     about: "MoDec-GS: anchors moved per interval, their Gaussians per frame; small files (Kwak et al. 2025)",
-    defaults: include_str!("modec.toml"),
+    defaults: &[BASE, scaffold::SETTINGS, include_str!("modec.toml")],
     presets: &[
-        ("paper", ""),
-        ("ref", include_str!("modec.ref.toml")),
-        ("fast", include_str!("modec.fast.toml")),
-        ("tiny", include_str!("modec.tiny.toml")),
+        ("paper", &[]),
+        ("ref", &[include_str!("modec.ref.toml")]),
+        ("fast", &[scaffold::FAST, include_str!("modec.fast.toml")]),
+        ("tiny", &[scaffold::TINY, include_str!("modec.tiny.toml")]),
     ],
     needs_avatar: false,
     build,

@@ -2,22 +2,26 @@
 
 use crate::anchored::{AnchorConfig, Anchored, Motion, Parts};
 use gs_anchor::{AnchorDensifyRules, DecoderConfig};
+use gs_train::layers::BASE;
 use gs_train::method::{MethodEntry, MethodError, parse_config};
 use gs_train::model::Model;
 use gs_train::scene::{InitConfig, SceneInfo};
 use gs_train::schedule::Schedule;
 use serde::{Deserialize, Serialize};
 
+/// Settings of anchors, beneath those of [`modec`](super::modec), too.
+pub(super) const SETTINGS: &str = include_str!("scaffold.toml");
+/// The same of the preset `fast`.
+pub(super) const FAST: &str = include_str!("scaffold.fast.toml");
+/// The same of the preset `tiny`.
+pub(super) const TINY: &str = include_str!("scaffold.tiny.toml");
+
 /// The line in the list of methods.
 pub const ENTRY: MethodEntry = MethodEntry {
     name: "scaffold",
     about: "Scaffold-GS: anchors decoded as a camera sees them, one scaffold for all times (Lu et al. 2024)",
-    defaults: include_str!("scaffold.toml"),
-    presets: &[
-        ("paper", ""),
-        ("fast", include_str!("scaffold.fast.toml")),
-        ("tiny", include_str!("scaffold.tiny.toml")),
-    ],
+    defaults: &[BASE, SETTINGS],
+    presets: &[("paper", &[]), ("fast", &[FAST]), ("tiny", &[TINY])],
     needs_avatar: false,
     build,
 };

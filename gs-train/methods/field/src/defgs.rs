@@ -4,6 +4,7 @@ use crate::deformed::Deformed;
 use gs_deform::field::anneal::Anneal;
 use gs_deform::{DefGsConfig, DefMlp};
 use gs_train::canonical::Canonical;
+use gs_train::layers::{BASE, CLOUD, CLOUD_FAST, CLOUD_TINY, DEFORMED, FOLLOW, NETWORK, NETWORK_FAST, NETWORK_TINY};
 use gs_train::method::{MethodEntry, MethodError, parse_config};
 use gs_train::model::Model;
 use gs_train::scene::{CloudConfig, InitConfig, SceneInfo};
@@ -14,8 +15,12 @@ use serde::{Deserialize, Serialize};
 pub const ENTRY: MethodEntry = MethodEntry {
     name: "defgs",
     about: "Deformable 3D Gaussians: a cloud moved by a network of place and time (Yang et al. 2024)",
-    defaults: include_str!("defgs.toml"),
-    presets: &[("paper", ""), ("fast", include_str!("defgs.fast.toml")), ("tiny", include_str!("defgs.tiny.toml"))],
+    defaults: &[BASE, CLOUD, DEFORMED, FOLLOW, NETWORK, include_str!("defgs.toml")],
+    presets: &[
+        ("paper", &[]),
+        ("fast", &[CLOUD_FAST, NETWORK_FAST, include_str!("defgs.fast.toml")]),
+        ("tiny", &[CLOUD_TINY, NETWORK_TINY, include_str!("defgs.tiny.toml")]),
+    ],
     needs_avatar: false,
     build,
 };

@@ -1,7 +1,8 @@
 //! FAGS, frequency-aware dynamic Gaussian splatting: Grid4D with a kernel whose fall-off is learnt, a Fourier branch, a
 //! gate and a loss on amplitude spectra. Settings and body are those of [`grid4d`](super::grid4d).
 
-use crate::grid4d::{PRESETS, build_as};
+use crate::grid4d::{PRESETS, SETTINGS, build_as};
+use gs_train::layers::{BASE, CLOUD, DEFORMED};
 use gs_train::method::{MethodEntry, MethodError, SceneInfo};
 use gs_train::model::Model;
 
@@ -9,7 +10,7 @@ use gs_train::model::Model;
 pub const ENTRY: MethodEntry = MethodEntry {
     name: "fags",
     about: "FAGS: Grid4D with learnt fall-offs, a Fourier branch, a gate and a loss on spectra",
-    defaults: concat!(include_str!("fags.parts.toml"), include_str!("grid4d.toml")),
+    defaults: &[BASE, CLOUD, DEFORMED, SETTINGS, include_str!("fags.toml")],
     presets: PRESETS,
     needs_avatar: false,
     build,

@@ -4,6 +4,7 @@ use crate::deformed::Deformed;
 use gs_deform::field::anneal::Anneal;
 use gs_deform::{Aabb, FourDgsConfig, HexPlaneField};
 use gs_train::canonical::Canonical;
+use gs_train::layers::{BASE, CLOUD, CLOUD_FAST, CLOUD_TINY, PLANES, PLANES_FAST, PLANES_TINY};
 use gs_train::method::{MethodEntry, MethodError, parse_config};
 use gs_train::model::Model;
 use gs_train::scene::{CloudConfig, InitConfig, SceneInfo};
@@ -14,8 +15,12 @@ use serde::{Deserialize, Serialize};
 pub const ENTRY: MethodEntry = MethodEntry {
     name: "fourdgs",
     about: "4D Gaussian Splatting: a cloud moved by six feature planes over space and time (Wu et al. 2024)",
-    defaults: include_str!("fourdgs.toml"),
-    presets: &[("paper", ""), ("fast", include_str!("fourdgs.fast.toml")), ("tiny", include_str!("fourdgs.tiny.toml"))],
+    defaults: &[BASE, CLOUD, PLANES, include_str!("fourdgs.toml")],
+    presets: &[
+        ("paper", &[]),
+        ("fast", &[CLOUD_FAST, PLANES_FAST, include_str!("fourdgs.fast.toml")]),
+        ("tiny", &[CLOUD_TINY, PLANES_TINY, include_str!("fourdgs.tiny.toml")]),
+    ],
     needs_avatar: false,
     build,
 };

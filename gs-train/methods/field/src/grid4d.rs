@@ -8,6 +8,7 @@ use gs_deform::field::{Grid4dConfig, Grid4dField};
 use gs_train::ablate::{Ablations, Part};
 use gs_train::canonical::Canonical;
 use gs_train::kernel::KernelKind;
+use gs_train::layers::{BASE, CLOUD, CLOUD_FAST, CLOUD_TINY, DEFORMED};
 use gs_train::method::{MethodEntry, MethodError, parse_config};
 use gs_train::model::Model;
 use gs_train::scene::{CloudConfig, InitConfig, SceneInfo};
@@ -18,20 +19,26 @@ use serde::{Deserialize, Serialize};
 pub const ENTRY: MethodEntry = MethodEntry {
     name: "grid4d",
     about: "Grid4D: a cloud moved by hash grids over space and time (Xu et al. 2024)",
-    defaults: concat!(include_str!("grid4d.parts.toml"), include_str!("grid4d.toml")),
+    defaults: &[BASE, CLOUD, DEFORMED, SETTINGS],
     presets: PRESETS,
     needs_avatar: false,
     build,
 };
 
 /// Presets of everything on this body: none of them touches what tells the methods apart.
-pub(super) const PRESETS: &[(&str, &str)] = &[
-    ("paper", ""),
-    ("fast", include_str!("grid4d.fast.toml")),
-    ("tiny", include_str!("grid4d.tiny.toml")),
-    ("hypernerf", include_str!("grid4d.hypernerf.toml")),
-    ("neu3d", include_str!("grid4d.neu3d.toml")),
+pub(super) const PRESETS: &[(&str, &[&str])] = &[
+    ("paper", &[]),
+    ("fast", &[CLOUD_FAST, include_str!("grid4d.fast.toml")]),
+    ("tiny", &[CLOUD_TINY, include_str!("grid4d.tiny.toml")]),
+    ("hypernerf", &[CAPTURES, include_str!("grid4d.hypernerf.toml")]),
+    ("neu3d", &[CAPTURES, include_str!("grid4d.neu3d.toml")]),
 ];
+
+/// What the presets for real captures share.
+const CAPTURES: &str = include_str!("grid4d.captures.toml");
+
+/// Settings of this body.
+pub(super) const SETTINGS: &str = include_str!("grid4d.toml");
 
 /// Parts that may be left out of every method on this body, by the names of the table of FAGS:
 ///

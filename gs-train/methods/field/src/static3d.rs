@@ -4,6 +4,7 @@ use gs_core::{Camera, Param, Params, Splats};
 use gs_train::canonical::Canonical;
 use gs_train::capabilities::{Capabilities, Inspect, Quantity};
 use gs_train::kernel::kernel_quantities;
+use gs_train::layers::{BASE, CLOUD, CLOUD_FAST, CLOUD_TINY};
 use gs_train::method::{
     Buffer, BufferMut, Buffers, LossValue, Method, MethodEntry, MethodError, RenderView, StepEvents, ViewCtx,
     parse_config,
@@ -19,11 +20,11 @@ use serde::{Deserialize, Serialize};
 pub const ENTRY: MethodEntry = MethodEntry {
     name: "static3d",
     about: "3D Gaussian Splatting: one cloud for all times (Kerbl et al. 2023)",
-    defaults: include_str!("static3d.toml"),
+    defaults: &[BASE, CLOUD, include_str!("static3d.toml")],
     presets: &[
-        ("paper", ""),
-        ("fast", include_str!("static3d.fast.toml")),
-        ("tiny", include_str!("static3d.tiny.toml")),
+        ("paper", &[]),
+        ("fast", &[CLOUD_FAST, include_str!("static3d.fast.toml")]),
+        ("tiny", &[CLOUD_TINY, include_str!("static3d.tiny.toml")]),
     ],
     needs_avatar: false,
     build,

@@ -2,9 +2,11 @@
 //! ([`advected`](crate::advected)), with NVFi's physics-informed loss on the velocity.
 
 use crate::advected::{Advected, PhysicsConfig};
+use crate::layers::{PHYSICS, PHYSICS_FAST, PHYSICS_TINY, TRACE_NETWORK, TRACE_NETWORK_FAST};
 use gs_deform::{DefGsConfig, DefMlp};
 use gs_physics::{VelocityConfig, VelocityField};
 use gs_train::canonical::Canonical;
+use gs_train::layers::{BASE, CLOUD, CLOUD_FAST, CLOUD_TINY, DEFORMED, FOLLOW, NETWORK, NETWORK_FAST, NETWORK_TINY};
 use gs_train::method::{MethodEntry, MethodError, parse_config};
 use gs_train::model::Model;
 use gs_train::scene::{CloudConfig, InitConfig, SceneInfo};
@@ -15,11 +17,11 @@ use serde::{Deserialize, Serialize};
 pub const ENTRY: MethodEntry = MethodEntry {
     name: "defgs-nvfi",
     about: "DefGS with NVFi's velocity field and its physics-informed loss: a baseline of TRACE (Li et al. 2025)",
-    defaults: include_str!("defgs_nvfi.toml"),
+    defaults: &[BASE, CLOUD, DEFORMED, FOLLOW, NETWORK, PHYSICS, TRACE_NETWORK, include_str!("defgs_nvfi.toml")],
     presets: &[
-        ("paper", ""),
-        ("fast", include_str!("defgs_nvfi.fast.toml")),
-        ("tiny", include_str!("defgs_nvfi.tiny.toml")),
+        ("paper", &[]),
+        ("fast", &[CLOUD_FAST, NETWORK_FAST, PHYSICS_FAST, TRACE_NETWORK_FAST, include_str!("defgs_nvfi.fast.toml")]),
+        ("tiny", &[CLOUD_TINY, NETWORK_TINY, PHYSICS_TINY, include_str!("defgs_nvfi.tiny.toml")]),
     ],
     needs_avatar: false,
     build,

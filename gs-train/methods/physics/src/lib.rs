@@ -10,6 +10,7 @@ use gs_train::method::MethodEntry;
 
 pub mod advected;
 pub mod defgs_nvfi;
+mod layers;
 pub mod trace;
 pub mod trace_4dgs;
 

@@ -15,10 +15,12 @@
 //! Its other rows are settings: `physics.step_frames` and `law.order`.
 
 use crate::advected::{Advected, PhysicsConfig};
+use crate::layers::{LAW, LAW_FAST, LAW_TINY, PHYSICS, PHYSICS_FAST, PHYSICS_TINY, TRACE_NETWORK, TRACE_NETWORK_FAST};
 use gs_deform::{DefGsConfig, DefMlp, Field};
 use gs_physics::{Law, LawConfig, LawForm};
 use gs_train::ablate::{Ablations, Part};
 use gs_train::canonical::Canonical;
+use gs_train::layers::{BASE, CLOUD, CLOUD_FAST, CLOUD_TINY, DEFORMED, FOLLOW, NETWORK, NETWORK_FAST, NETWORK_TINY};
 use gs_train::method::{MethodEntry, MethodError, parse_config};
 use gs_train::model::Model;
 use gs_train::scene::{CloudConfig, InitConfig, SceneInfo};
@@ -29,12 +31,15 @@ use serde::{Deserialize, Serialize};
 pub const ENTRY: MethodEntry = MethodEntry {
     name: "trace",
     about: "TRACE: every Gaussian a rigid particle under a learnt law of motion; forecasts, segments (Li et al. 2025)",
-    defaults: include_str!("trace.toml"),
+    defaults: &[BASE, CLOUD, DEFORMED, FOLLOW, NETWORK, PHYSICS, TRACE_NETWORK, LAW],
     presets: &[
-        ("paper", ""),
-        ("parity", include_str!("trace.parity.toml")),
-        ("fast", include_str!("trace.fast.toml")),
-        ("tiny", include_str!("trace.tiny.toml")),
+        ("paper", &[]),
+        ("parity", &[include_str!("trace.parity.toml")]),
+        (
+            "fast",
+            &[CLOUD_FAST, NETWORK_FAST, PHYSICS_FAST, TRACE_NETWORK_FAST, LAW_FAST, include_str!("trace.fast.toml")],
+        ),
+        ("tiny", &[CLOUD_TINY, NETWORK_TINY, PHYSICS_TINY, LAW_TINY]),
     ],
     needs_avatar: false,
     build,

@@ -1,7 +1,9 @@
 //! TRACE on the HexPlane field of 4D Gaussian Splatting (the row TRACE_4dgs of its tables); see [`trace`](super::trace).
 
+use crate::layers::{LAW, LAW_FAST, LAW_TINY, PHYSICS, PHYSICS_FAST, PHYSICS_TINY};
 use crate::trace::{Config, build_on};
 use gs_deform::{Aabb, FourDgsConfig, HexPlaneField};
+use gs_train::layers::{BASE, CLOUD, CLOUD_FAST, CLOUD_TINY, DEFORMED, FOLLOW, PLANES, PLANES_FAST, PLANES_TINY};
 use gs_train::method::{MethodEntry, MethodError};
 use gs_train::model::Model;
 use gs_train::scene::SceneInfo;
@@ -10,11 +12,11 @@ use gs_train::scene::SceneInfo;
 pub const ENTRY: MethodEntry = MethodEntry {
     name: "trace-4dgs",
     about: "TRACE's law of motion beside the feature planes of 4D Gaussian Splatting (Li et al. 2025)",
-    defaults: include_str!("trace_4dgs.toml"),
+    defaults: &[BASE, CLOUD, DEFORMED, FOLLOW, PLANES, PHYSICS, LAW, include_str!("trace_4dgs.toml")],
     presets: &[
-        ("paper", ""),
-        ("fast", include_str!("trace_4dgs.fast.toml")),
-        ("tiny", include_str!("trace_4dgs.tiny.toml")),
+        ("paper", &[]),
+        ("fast", &[CLOUD_FAST, PLANES_FAST, PHYSICS_FAST, LAW_FAST, include_str!("trace_4dgs.fast.toml")]),
+        ("tiny", &[CLOUD_TINY, PLANES_TINY, PHYSICS_TINY, LAW_TINY, include_str!("trace_4dgs.tiny.toml")]),
     ],
     needs_avatar: false,
     build,

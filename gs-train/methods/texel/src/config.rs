@@ -173,7 +173,7 @@ pub struct GauConfig {
 }
 
 /// Settings of `dut`, the sections of its TOML file.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Config {
     /// Where texel Gaussians come from.
@@ -215,7 +215,43 @@ pub struct Config {
     /// GauNet, the network of Gaussians, and its training.
     pub gaunet: GauConfig,
     /// The plan of the run.
-    pub schedule: Schedule,
+    pub schedule: Plan,
+}
+
+/// The likeness of textures over the box of what images show.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TextureLoss {
+    /// Weight μ (the paper's code: 0.01, with VGG-19).
+    #[serde(default)]
+    pub lambda_mrf: f32,
+    /// Side that box is resized to, pixels; time grows with its fourth power.
+    #[serde(default = "mrf_side")]
+    pub mrf_side: u32,
+}
+
+fn mrf_side() -> u32 {
+    256
+}
+
+/// The section `[schedule]`: what the trainer follows, and the term that this method adds to the image loss.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(try_from = "toml::Table")]
+pub struct Plan {
+    /// The plan of the run.
+    pub trainer: Schedule,
+    /// The likeness of textures.
+    pub texture: TextureLoss,
+}
+
+impl TryFrom<toml::Table> for Plan {
+    type Error = toml::de::Error;
+
+    fn try_from(mut section: toml::Table) -> Result<Self, Self::Error> {
+        let own = ["lambda_mrf", "mrf_side"].into_iter().filter_map(|key| Some((key.to_owned(), section.remove(key)?)));
+        let own: toml::Table = own.collect();
+        Ok(Self { texture: own.try_into()?, trainer: section.try_into()? })
+    }
 }
 
 /// What a step of a stage trains.
@@ -245,13 +281,14 @@ impl Config {
     /// # Errors
     /// The first setting that does not fit.
     pub fn check(&self, method: &'static str) -> Result<(), MethodError> {
-        self.schedule.check()?;
+        let Plan { trainer: schedule, texture } = &self.schedule;
+        schedule.check()?;
         let wrong = |why: String| Err(MethodError::Config { method, why });
-        let steps = |name: &str| self.schedule.stages.get(name).map_or(0, |s| s.steps);
-        if let Some(name) = self.schedule.stages.keys().find(|n| PHASES.iter().all(|p| p.0 != n.as_str())) {
+        let steps = |name: &str| schedule.stages.get(name).map_or(0, |s| s.steps);
+        if let Some(name) = schedule.stages.keys().find(|n| PHASES.iter().all(|p| p.0 != n.as_str())) {
             return wrong(format!("schedule.stages.{name}: the stages are geometry, warm_up and main"));
         }
-        let ordered: Vec<&str> = self.schedule.ordered().into_iter().map(|s| s.0).collect();
+        let ordered: Vec<&str> = schedule.ordered().into_iter().map(|s| s.0).collect();
         let mut expected: Vec<&str> = PHASES.map(|p| p.0).into();
         expected.retain(|n| steps(n) > 0);
         if ordered != expected {
@@ -261,7 +298,7 @@ impl Config {
                 ordered.join(", ")
             ));
         }
-        if let Some((name, _)) = self.schedule.ordered().into_iter().skip(1).find(|(_, s)| !s.own_clock) {
+        if let Some((name, _)) = schedule.ordered().into_iter().skip(1).find(|(_, s)| !s.own_clock) {
             return wrong(format!(
                 "schedule.stages.{name}.own_clock: must be true, or what was learnt before goes on moving"
             ));
@@ -291,9 +328,13 @@ impl Config {
             ("surface.normals", surface.normals),
             ("surface.texture", surface.texture),
             ("surface.color", surface.color),
+            ("schedule.lambda_mrf", texture.lambda_mrf),
         ];
         if let Some((name, w)) = weights.into_iter().find(|(_, w)| !(*w >= 0.0 && w.is_finite())) {
             return wrong(format!("{name} = {w}: finite, not negative"));
+        }
+        if !(8..=512).contains(&texture.mrf_side) {
+            return wrong(format!("schedule.mrf_side = {}: 8 to 512", texture.mrf_side));
         }
         if surface.color > 0.0 && surface.points == PointRule::Vertices {
             return wrong("surface.color holds points against faces: set surface.points = \"faces\"".into());

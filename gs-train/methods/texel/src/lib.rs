@@ -21,8 +21,8 @@ mod texture;
 
 pub use actor::{Actor, ActorError, First, FrameError, MeanTextures, Posed, Second, Seen};
 pub use config::{
-    Config, DirectColor, DirectConfig, GauConfig, GaussianConfig, Input, LaplacianRule, Mode, Phase, PointRule,
-    ReferenceConfig, ResizeRule, SurfaceConfig, TextureSizes, UnseenColor,
+    Config, DirectColor, DirectConfig, GauConfig, GaussianConfig, Input, LaplacianRule, Mode, Phase, Plan, PointRule,
+    ReferenceConfig, ResizeRule, SurfaceConfig, TextureLoss, TextureSizes, UnseenColor,
 };
 pub use oracle::OracleOptions;
 
@@ -34,6 +34,8 @@ use gs_data::avatar::{AvatarFrame, AvatarScene};
 use gs_texel::Pose;
 use gs_texel::gaussians::{Channels, DecodeOptions, OFFSET, OPACITY, decode, decode_backward, offset_penalty};
 use gs_train::capabilities::{Capabilities, Inspect, Quantity};
+use gs_train::layers::BASE;
+use gs_train::loss::TextureTerm;
 use gs_train::method::{
     Buffer, BufferMut, Buffers, LossValue, Method, MethodEntry, MethodError, RenderView, SceneInfo, StepEvents,
     ViewCtx, parse_config,
@@ -45,18 +47,23 @@ use network::Network;
 use std::path::PathBuf;
 use std::sync::Arc;
 
+/// What the presets `direct`, `tiny` and `fast` share.
+const QUICK: &str = include_str!("dut.quick.toml");
+/// What the presets `tiny` and `fast` share.
+const TINY: &str = include_str!("dut.tiny.toml");
+
 /// The line in the list of methods.
 pub const ENTRY: MethodEntry = MethodEntry {
     name: "dut",
     about: "DUT: a filmed person from few cameras, by twice unprojected textures and a Gaussian per texel (Sun et al. 2025)",
-    defaults: include_str!("dut.toml"),
+    defaults: &[BASE, include_str!("dut.toml")],
     presets: &[
-        ("paper", ""),
-        ("large", include_str!("dut.large.toml")),
-        ("small", include_str!("dut.small.toml")),
-        ("fast", include_str!("dut.fast.toml")),
-        ("tiny", include_str!("dut.tiny.toml")),
-        ("direct", include_str!("dut.direct.toml")),
+        ("paper", &[]),
+        ("large", &[include_str!("dut.large.toml")]),
+        ("small", &[include_str!("dut.small.toml")]),
+        ("fast", &[QUICK, TINY, include_str!("dut.fast.toml")]),
+        ("tiny", &[QUICK, TINY]),
+        ("direct", &[QUICK, include_str!("dut.direct.toml")]),
     ],
     needs_avatar: true,
     build,
@@ -101,8 +108,9 @@ pub struct Dut {
 
 fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
     let config: Config = parse_config(ENTRY.name, table)?;
-    let schedule = config.schedule.clone();
-    Model::new(ENTRY.name, Dut::new(config, scene)?, schedule)
+    let Plan { trainer, texture } = config.schedule.clone();
+    let model = Model::new(ENTRY.name, Dut::new(config, scene)?, trainer)?;
+    Ok(model.with_loss(texture.lambda_mrf, TextureTerm::new(texture.mrf_side)))
 }
 
 impl Dut {
@@ -358,7 +366,7 @@ impl From<MethodError> for StepError {
 impl Dut {
     /// Rendering over black, as in training.
     pub fn raster_options(&self) -> gs_raster::RasterOptions {
-        self.config.schedule.raster_options([0.0; 3])
+        self.config.schedule.trainer.raster_options([0.0; 3])
     }
 
     /// The character and what was filmed of it.

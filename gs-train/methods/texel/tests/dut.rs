@@ -79,7 +79,7 @@ fn bare(data: &Dataset, config: &toml::Table, step: u32) -> Dut {
     let init: InitConfig = config["init"].clone().try_into().expect("init");
     let scene = SceneInfo::of(data, &init, 3).expect("scene");
     let config: Config = config.clone().try_into().expect("settings");
-    let at = config.schedule.at(step);
+    let at = config.schedule.trainer.at(step);
     let mut dut = Dut::new(config, &scene).expect("method");
     dut.begin_step(&at);
     dut
@@ -117,7 +117,7 @@ fn geometry_and_warm_up_have_the_gradients_of_their_losses() {
             let mut rng = Rng::new(5, &p.name, 0, 0);
             p.value.iter_mut().for_each(|v| *v += 0.02 * rng.normal());
         });
-        let ctx = config.clone().try_into::<Config>().expect("settings").schedule.at(step);
+        let ctx = config.clone().try_into::<Config>().expect("settings").schedule.trainer.at(step);
         method.begin_step(&ctx);
         unrendered(&mut method, at, &camera);
         let mut blocks = Vec::new();
@@ -240,6 +240,10 @@ fn settings_that_do_not_fit_are_refused() {
         (&["surface.color = 0.05"], "surface.points = \"faces\""),
         (&["unproject.min_cos = 2.0"], "min_cos"),
         (&["reference.opacity = 1.0"], "reference.opacity"),
+        (&["schedule.lambda_mrf = -0.1"], "schedule.lambda_mrf = -0.1"),
+        (&["schedule.lambda_mrf = nan"], "schedule.lambda_mrf"),
+        (&["schedule.mrf_side = 4"], "schedule.mrf_side = 4"),
+        (&["schedule.mrf_sid = 4"], "unknown field `mrf_sid`"),
     ] {
         let error = refuse(over);
         assert!(error.contains(why), "{over:?}: {error}");
