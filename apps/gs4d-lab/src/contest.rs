@@ -315,7 +315,7 @@ mod tests {
     use gs_synth::{SynthOptions, write};
 
     /// A contest without entries on a small scene written below `folder`.
-    fn tiny(folder: &Path, train_views: usize, test_views: usize) -> Contest {
+    fn tiny(folder: &Path, train_views: u32, test_views: u32) -> Contest {
         let data = folder.join("data");
         let small = SynthOptions { val_views: 1, ..SynthOptions::of_views(32, train_views, test_views) };
         write(&data, "static", &small, false).unwrap();

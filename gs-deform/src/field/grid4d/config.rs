@@ -127,7 +127,7 @@ pub struct ExactConfig {
     /// Run a linear Fourier branch as one small matrix from the canonical features to the head.
     pub fourier_collapse: bool,
     /// Cache the time-independent part when the same splats are evaluated at many times
-    /// ([`Grid4dField::freeze`](super::Grid4dField::freeze)).
+    /// ([`Field::forward_again`](crate::Field::forward_again)).
     pub cached_attention: bool,
 }
 

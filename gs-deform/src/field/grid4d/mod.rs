@@ -16,7 +16,7 @@
 //! * Means get gradients through the rigid motion only, not through the grids.
 //!
 //! Optimisations that are exact up to rounding ([`ExactConfig`]): one blend of the temporal grids per call, the
-//! collapsed branch, and [`Grid4dField::freeze`] for the same splats at many timestamps.
+//! collapsed branch, and [`Field::forward_again`] for the same splats at many timestamps.
 //!
 //! ```
 //! use gs_core::{Geometry, Time};

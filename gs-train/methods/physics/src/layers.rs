@@ -1,18 +1,18 @@
 //! Settings that several methods of this crate share ([`gs_train::layers`]).
 
 /// Dynamics that continue past the last training time.
-pub const PHYSICS: &str = include_str!("physics.toml");
+pub(crate) const PHYSICS: &str = include_str!("physics.toml");
 /// The same, preset `fast`.
-pub const PHYSICS_FAST: &str = include_str!("physics.fast.toml");
+pub(crate) const PHYSICS_FAST: &str = include_str!("physics.fast.toml");
 /// The same, preset `tiny`.
-pub const PHYSICS_TINY: &str = include_str!("physics.tiny.toml");
+pub(crate) const PHYSICS_TINY: &str = include_str!("physics.tiny.toml");
 /// The network of place and time as TRACE has it.
-pub const TRACE_NETWORK: &str = include_str!("network.toml");
+pub(crate) const TRACE_NETWORK: &str = include_str!("network.toml");
 /// The same, preset `fast`.
-pub const TRACE_NETWORK_FAST: &str = include_str!("network.fast.toml");
+pub(crate) const TRACE_NETWORK_FAST: &str = include_str!("network.fast.toml");
 /// TRACE's law of motion.
-pub const LAW: &str = include_str!("law.toml");
+pub(crate) const LAW: &str = include_str!("law.toml");
 /// The same, preset `fast`.
-pub const LAW_FAST: &str = include_str!("law.fast.toml");
+pub(crate) const LAW_FAST: &str = include_str!("law.fast.toml");
 /// The same, preset `tiny`.
-pub const LAW_TINY: &str = include_str!("law.tiny.toml");
+pub(crate) const LAW_TINY: &str = include_str!("law.tiny.toml");
