@@ -54,7 +54,7 @@ fn a_warm_tape_of_rendering_changes_no_bit() {
     let (registry, data) = (Registry::new(METHODS.to_vec()), scene("balls", 32, 7));
     for method in ["fourdgs", "fags"] {
         let mut trainer = start(&registry, &data, method, &short(&registry, method, &[]), 3);
-        run(&mut trainer, 60);
+        run(&mut trainer, 59);
         let (camera, times) = (&data.train[0].camera, [0.2, 0.7, 0.2]);
         let warm = times.map(|t| splats(trainer.model(), t, camera));
         assert!(warm[0] == warm[2] && warm[0] != warm[1], "{method}");
