@@ -3,11 +3,10 @@
 //! Tiles run in parallel and write the records of their own entries. Then each splat adds its records in ascending tile
 //! order, followed by the backward of projection and colour. Nothing depends on the number of threads.
 
-use crate::blend::Limits;
 use crate::blend_backward::{TileBackward, TileSpan, blend_backward};
 use crate::frame::{FrameGrad, ScreenStats};
 use crate::kernel::{Gaussian, KernelProfile, PiecewiseLinear};
-use crate::options::RasterOptions;
+use crate::options::{Limits, RasterOptions};
 use crate::project::{PixelSums, SplatGeometry, View, backward, project, sh_color_backward};
 use crate::simd;
 use crate::tiles::{Grid, LOG2_SCALE, TILE};

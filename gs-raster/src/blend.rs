@@ -8,35 +8,12 @@
 //! ```
 
 use crate::kernel::KernelProfile;
-use crate::options::RasterOptions;
+use crate::options::Limits;
 use crate::rows::{GROUP, Row, Rows};
 use crate::tiles::ProjectedSplat;
 use crate::workspace::{BLOCKS, TileState, pixel_of};
 use fearless_simd::{f32x16, mask32x16, prelude::*, u32x16};
 use std::sync::atomic::AtomicU32;
-
-/// Thresholds of the blend, rounded to `f32`; see [`RasterOptions`].
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Limits {
-    pub min_alpha: f32,
-    pub log2_min_alpha: f32,
-    pub max_alpha: f32,
-    pub stop: f32,
-    /// Whether the backward pass ignores the cap.
-    pub pass_through: bool,
-}
-
-impl Limits {
-    pub(crate) fn new(options: &RasterOptions) -> Self {
-        Self {
-            min_alpha: options.min_alpha as f32,
-            log2_min_alpha: options.min_alpha.log2() as f32,
-            max_alpha: options.max_alpha as f32,
-            stop: options.stop as f32,
-            pass_through: options.clamp_grad == crate::ClampGrad::PassThrough,
-        }
-    }
-}
 
 /// Pixel offsets of each block from the tile's first pixel, `x` then `y`, one lane per pixel.
 static PIXELS: [[[f32; 16]; 2]; BLOCKS] = {

@@ -10,8 +10,9 @@
 //! pixel state stays in the first-level cache. Each (tile, entry) pair writes its own record: there are no atomics, and
 //! the order of additions depends on the tile alone. `D`, `D_z`, `D_α` are the cotangents of colour, depth and alpha.
 
-use crate::blend::{Limits, block_pixels, log2_raw, whitened};
+use crate::blend::{block_pixels, log2_raw, whitened};
 use crate::kernel::{KernelProfile, SampleGrad};
+use crate::options::Limits;
 use crate::rows::{GROUP, Row, Rows};
 use crate::simd::LANES;
 use crate::tiles::ProjectedSplat;

@@ -1,12 +1,11 @@
 //! Tile lists against brute force: evaluating every splat at every pixel must give the same bits as the exact supports,
 //! and a box of three standard deviations must not.
 
-use crate::blend::Limits;
 use crate::forward::render_with;
 use crate::frame::Frame;
 use crate::kernel::{KernelProfile, PiecewiseLinear, ProfileConsts, Sample, SampleGrad};
 use crate::measure::{camera, scene};
-use crate::options::RasterOptions;
+use crate::options::{Limits, RasterOptions};
 use crate::rows::Row;
 use crate::tiles::LOG2_SCALE;
 use crate::workspace::Workspace;

@@ -1,9 +1,9 @@
 //! Number of splats blended into each pixel, from the tile lists of the last frame.
 
-use crate::blend::{Limits, block_pixels, log2_raw, whitened};
+use crate::blend::{block_pixels, log2_raw, whitened};
 use crate::blend_backward::TileSpan;
 use crate::kernel::{Gaussian, KernelProfile, PiecewiseLinear};
-use crate::options::RasterOptions;
+use crate::options::{Limits, RasterOptions};
 use crate::rows::{GROUP, Rows};
 use crate::simd;
 use crate::tiles::TILE;

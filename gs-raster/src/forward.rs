@@ -3,10 +3,10 @@
 //! Chunks grow geometrically. A tile whose pixels are all closed takes no further entries, so splats hidden behind it
 //! cost neither binning nor colour. The image is bit for bit the one of full lists.
 
-use crate::blend::{Limits, blend};
+use crate::blend::blend;
 use crate::frame::Frame;
 use crate::kernel::{Gaussian, KernelProfile, PiecewiseLinear};
-use crate::options::RasterOptions;
+use crate::options::{Limits, RasterOptions};
 use crate::project::{SplatGeometry, View, project, sh_color};
 use crate::simd;
 use crate::sort::{Key, sort};

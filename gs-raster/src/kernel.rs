@@ -11,7 +11,7 @@
 //! A kernel with clamped knots has `E = 1` instead, above any `|M|`. `O` is the vector exponential of the `log₂ o'` that
 //! the samples use. A row with `u = 0` takes the Gaussian's path, bit for bit.
 
-use crate::blend::Limits;
+use crate::options::Limits;
 use crate::rows::Row;
 use crate::simd;
 use crate::tiles::LOG2_SCALE;

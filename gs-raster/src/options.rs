@@ -85,3 +85,26 @@ impl Default for RasterOptions {
         }
     }
 }
+
+/// Thresholds of the blend, rounded to `f32`; see [`RasterOptions`].
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Limits {
+    pub min_alpha: f32,
+    pub log2_min_alpha: f32,
+    pub max_alpha: f32,
+    pub stop: f32,
+    /// Whether the backward pass ignores the cap.
+    pub pass_through: bool,
+}
+
+impl Limits {
+    pub(crate) fn new(options: &RasterOptions) -> Self {
+        Self {
+            min_alpha: options.min_alpha as f32,
+            log2_min_alpha: options.min_alpha.log2() as f32,
+            max_alpha: options.max_alpha as f32,
+            stop: options.stop as f32,
+            pass_through: options.clamp_grad == ClampGrad::PassThrough,
+        }
+    }
+}

@@ -1,7 +1,6 @@
 //! The cloud of Gaussians that several methods share, with its densification.
 
-use crate::capabilities::GrowthLimits;
-use crate::densify::{Densify, DensifyContext, DensifyRules, DensifyStats, GaussianRows};
+use crate::densify::{Densify, DensifyContext, DensifyRules, DensifyStats, GaussianRows, GrowthLimits};
 use crate::method::{Buffer, BufferMut, MethodError};
 use crate::scene::{self, CloudConfig, SceneInfo};
 use crate::schedule::{Background, Schedule};

@@ -1,6 +1,7 @@
 //! What only some methods offer. Each is a small trait of its own, reached through
 //! [`Method::capabilities`].
 
+use crate::densify::GrowthLimits;
 use crate::method::{Method, MethodError};
 use crate::palette::color_scale;
 use crate::report::Section;
@@ -250,15 +251,4 @@ impl PaperStorage {
     pub fn needed_bytes(&self) -> usize {
         4 * self.rows.iter().map(|r| r.needed_values).sum::<usize>()
     }
-}
-
-/// What bounds the number of splats.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct GrowthLimits {
-    /// Most splats there may be.
-    pub most: usize,
-    /// Densification begins after this step of the schedule's clock,
-    pub from: u32,
-    /// and ends before this one.
-    pub until: u32,
 }

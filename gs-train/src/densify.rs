@@ -18,8 +18,18 @@ use gs_core::{Rng, RowEdit, rot};
 use gs_raster::ScreenStats;
 use serde::{Deserialize, Serialize};
 
-use crate::capabilities::GrowthLimits;
-use crate::schedule::ScheduleError;
+use crate::error::ScheduleError;
+
+/// What bounds the number of splats.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct GrowthLimits {
+    /// Most splats there may be.
+    pub most: usize,
+    /// Densification begins after this step of the schedule's clock,
+    pub from: u32,
+    /// and ends before this one.
+    pub until: u32,
+}
 
 /// When and what to clone, split, prune and reset. Steps are those of the schedule's clock.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

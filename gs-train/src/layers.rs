@@ -1,5 +1,5 @@
 //! Settings that several methods share, as layers of TOML beneath a method's own
-//! ([`MethodEntry::defaults`](crate::method::MethodEntry::defaults)). A layer states what differs from those before it, with the
+//! ([`MethodEntry::defaults`](crate::registry::MethodEntry::defaults)). A layer states what differs from those before it, with the
 //! source of the value behind it. Of a learning rate, `end = start`, `steps = 0` and `per_extent = false` may be left out.
 //!
 //! | layer | settings of | with |

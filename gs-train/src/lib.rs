@@ -3,7 +3,7 @@
 //! ```text
 //! image, timestamp → splats → render → loss → gradients → parameters
 //! ```
-//! * [`method`]: what a method must provide ([`Method`](method::Method)) and the [`Registry`](registry::Registry) of methods;
+//! * [`method`]: what a method must provide ([`Method`](method::Method)); [`registry`]: the methods a program knows and their settings;
 //!   methods are crates that depend on this one.
 //! * [`trainer`]: one optimiser step and the whole state in and out; [`schedule`]: stages and learning rates; [`adam`];
 //!   [`loss`]; [`densify`]: clone, split, prune; `non_finite`: gradients that are refused.
@@ -27,6 +27,7 @@ pub mod checkpoint;
 #[cfg(feature = "conformance")]
 pub mod conformance;
 pub mod densify;
+pub mod error;
 pub mod evaluate;
 pub mod kernel;
 pub mod layers;

@@ -1,6 +1,12 @@
-//! The methods a program offers, by name.
+//! The methods a program offers, by name, with their settings.
 
-use crate::method::{MethodEntry, MethodError};
+use crate::error::MethodError;
+use crate::model::Model;
+use crate::scene::SceneInfo;
+use crate::schedule::complete_rates;
+use gs_data::Dataset;
+use gs_data::avatar::AvatarScene;
+use std::sync::Arc;
 
 /// A list of methods with different names. A program builds it from the crates it depends on and hands it to whatever builds
 /// methods: the trainer, the loading of checkpoints, the resolution of settings.
@@ -51,4 +57,109 @@ impl<'a> IntoIterator for &'a Registry {
     fn into_iter(self) -> Self::IntoIter {
         self.iter()
     }
+}
+
+/// Builds a method for a scene from a resolved configuration.
+pub type Build = fn(&toml::Table, &SceneInfo) -> Result<Model, MethodError>;
+
+/// What everybody else knows of a method.
+#[derive(Clone, Copy, Debug)]
+pub struct MethodEntry {
+    /// Short name, as in `--method`.
+    pub name: &'static str,
+    /// One line for people.
+    pub about: &'static str,
+    /// The configuration as published: layers of TOML, each with what differs from those before it
+    /// ([`layers`](crate::layers) has the shared ones). The source of a value stands behind it.
+    pub defaults: &'static [&'static str],
+    /// Presets: name and layers that differ from the defaults and from each other.
+    pub presets: &'static [(&'static str, &'static [&'static str])],
+    /// Whether it can be built only for a filmed person: [`SceneInfo::avatar`].
+    pub needs_avatar: bool,
+    /// Builds the method for a scene from a resolved configuration.
+    pub build: Build,
+}
+
+impl MethodEntry {
+    /// The filmed person of a data set, if this method needs one.
+    ///
+    /// # Errors
+    /// [`MethodError::NoAvatar`] if it does and the data bring none.
+    pub fn avatar(&self, dataset: &Dataset) -> Result<Option<Arc<AvatarScene>>, MethodError> {
+        match &dataset.avatar {
+            None if self.needs_avatar => Err(MethodError::NoAvatar { method: self.name, folder: dataset.root.clone() }),
+            avatar => Ok(avatar.clone().filter(|_| self.needs_avatar)),
+        }
+    }
+
+    /// The whole configuration as published.
+    ///
+    /// # Errors
+    /// If a layer is not TOML.
+    pub fn published(&self) -> Result<toml::Table, MethodError> {
+        let mut config = self.merged(self.defaults)?;
+        complete_rates(&mut config);
+        Ok(config)
+    }
+
+    /// The values of a preset that differ from the defaults.
+    ///
+    /// # Errors
+    /// If there is no such preset (the error lists those there are), or a layer of it is not TOML.
+    pub fn preset(&self, name: &str) -> Result<toml::Table, MethodError> {
+        let found = self.presets.iter().find(|p| p.0 == name).ok_or_else(|| {
+            let known: Vec<&str> = self.presets.iter().map(|p| p.0).collect();
+            let why = format!("there is no preset `{name}`; choose one of {}", known.join(", "));
+            MethodError::Config { method: self.name, why }
+        });
+        self.merged(found?.1)
+    }
+
+    /// The defaults overlaid with a preset.
+    ///
+    /// # Errors
+    /// As [`Self::preset`].
+    pub fn config(&self, preset: &str) -> Result<toml::Table, MethodError> {
+        let mut config = self.published()?;
+        overlay(&mut config, self.preset(preset)?);
+        Ok(config)
+    }
+
+    fn merged(&self, layers: &[&str]) -> Result<toml::Table, MethodError> {
+        let wrong = |e: toml::de::Error| MethodError::Config { method: self.name, why: e.to_string() };
+        layers.iter().try_fold(toml::Table::new(), |mut under, layer| {
+            overlay(&mut under, layer.parse().map_err(wrong)?);
+            Ok(under)
+        })
+    }
+}
+
+/// Lays `over` on `under`, table by table.
+pub fn overlay(under: &mut toml::Table, over: toml::Table) {
+    for (key, value) in over {
+        match (under.get_mut(&key), value) {
+            (Some(toml::Value::Table(under)), toml::Value::Table(over)) => overlay(under, over),
+            (_, value) => {
+                under.insert(key, value);
+            }
+        }
+    }
+}
+
+/// Reads a method's configuration.
+pub fn parse_config<C: serde::de::DeserializeOwned>(
+    method: &'static str,
+    table: &toml::Table,
+) -> Result<C, MethodError> {
+    table.clone().try_into().map_err(|e: toml::de::Error| MethodError::Config { method, why: e.to_string() })
+}
+
+/// Reads one section of a configuration.
+pub fn section<C: serde::de::DeserializeOwned>(
+    method: &'static str,
+    config: &toml::Table,
+    name: &str,
+) -> Result<C, MethodError> {
+    let missing = || MethodError::Config { method, why: format!("section `{name}` is missing") };
+    parse_config(method, config.get(name).and_then(toml::Value::as_table).ok_or_else(missing)?)
 }

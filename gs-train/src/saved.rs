@@ -5,9 +5,10 @@
 //! growth statistics.
 
 use crate::checkpoint::Checkpoint;
-use crate::method::{BufferMut, MethodError, SceneInfo};
+use crate::method::{BufferMut, MethodError};
 use crate::model::Model;
 use crate::registry::Registry;
+use crate::scene::SceneInfo;
 use glam::Vec3;
 use gs_core::Param;
 use gs_data::PointCloud;

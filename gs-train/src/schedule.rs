@@ -9,6 +9,7 @@
 
 use crate::adam::Update;
 use crate::densify::DensifyRules;
+use crate::error::ScheduleError;
 use crate::loss::{Dssim, ImageLoss, SpectrumTerm};
 use gs_core::{Camera, Param};
 use gs_raster::{ClampGrad, RasterOptions};
@@ -153,18 +154,6 @@ pub enum Background {
     White,
     /// Another colour each step, uniform in the unit cube; evaluation is over black.
     Random,
-}
-
-/// A schedule that cannot be followed.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error("schedule: {field} = {value} is out of range; {rule}")]
-pub struct ScheduleError {
-    /// Name of the field.
-    pub field: String,
-    /// Value met.
-    pub value: f64,
-    /// What it must satisfy.
-    pub rule: &'static str,
 }
 
 /// Where a step lies.

@@ -1,7 +1,6 @@
 //! Short runs for the tests and benches of methods (feature `testkit`). Every function panics where it fails.
 
-use crate::method::overlay;
-use crate::registry::Registry;
+use crate::registry::{Registry, overlay};
 use crate::trainer::{StepReport, TrainOptions, Trainer};
 use gs_data::Dataset;
 use std::sync::Arc;

@@ -4,8 +4,9 @@
 use gs_core::{Camera, Param, Params, Splats};
 use gs_data::Dataset;
 use gs_synth::SynthOptions;
-use gs_train::method::{Buffers, LossValue, Method, MethodError, RenderView, ViewCtx, section};
+use gs_train::method::{Buffers, LossValue, Method, MethodError, RenderView, ViewCtx};
 use gs_train::model::Model;
+use gs_train::registry::section;
 use gs_train::scene::SceneInfo;
 use gs_train::step::StepCtx;
 use gs_train::timestamp::Timestamp;

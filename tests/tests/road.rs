@@ -13,8 +13,8 @@ use gs_data::{DataOptions, Dataset, ImageCache, View};
 use gs_raster::{Frame, Workspace, render};
 use gs_synth::{self as synth, SynthOptions};
 use gs_train::checkpoint::{self, Checkpoint};
-use gs_train::method::{self as methods};
 use gs_train::model::Model;
+use gs_train::registry::overlay;
 use gs_train::saved;
 use gs_train::timestamp::Timestamp;
 use gs_train::trainer::{TrainOptions, Trainer};
@@ -33,7 +33,7 @@ fn trainer(data: &Arc<Dataset>, method: &str, steps: i64) -> Trainer {
     let share = steps / names.len() as i64;
     for name in names {
         let over = format!("[schedule.stages.{name}]\nsteps = {share}").parse().expect("TOML");
-        methods::overlay(&mut config, over);
+        overlay(&mut config, over);
     }
     Trainer::new(gs_methods::registry(), data.clone(), method, &config, TrainOptions { seed: 5, ..Default::default() })
         .expect("a trainer")

@@ -13,7 +13,7 @@ use super::{Finding, Verdict, median};
 use glam::Vec3;
 use gs_core::{Params, Rng};
 use gs_data::{Dataset, View};
-use gs_train::capabilities::GrowthLimits;
+use gs_train::densify::GrowthLimits;
 use gs_train::registry::Registry;
 use gs_train::schedule::Schedule;
 use gs_train::trainer::{TrainOptions, Trainer};

@@ -2,7 +2,7 @@
 
 use super::{Checkup, Finding, Verdict};
 use gs4d_report::ReportError;
-use gs4d_report::page::{captioned, document, escape, section, table};
+use gs4d_report::html::{captioned, document, escape, section, table};
 
 /// Renders a [`Checkup`] as one self-contained HTML page.
 ///

@@ -70,7 +70,8 @@ mod tests {
     use gs_core::{Camera, Color, Param, Params, Splats};
     use gs_raster::RasterOptions;
     use gs_train::capabilities::{Capabilities, Inspect, Quantity};
-    use gs_train::method::{Buffers, LossValue, Method, RenderView, ViewCtx, section};
+    use gs_train::method::{Buffers, LossValue, Method, RenderView, ViewCtx};
+    use gs_train::registry::section;
     use gs_train::step::StepCtx;
     use gs_train::timestamp::Timestamp;
 

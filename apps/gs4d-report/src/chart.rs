@@ -1,7 +1,7 @@
 //! Line charts as inline SVG.
 
 use super::ReportError;
-use super::page::escape;
+use super::html::escape;
 use plotters::coord::ranged1d::{AsRangedCoord, Ranged, ValueFormatter};
 use plotters::prelude::*;
 

@@ -1,7 +1,7 @@
 //! Heat maps: columns of counts, darker for larger counts.
 
 use super::ReportError;
-use super::page::{escape, picture};
+use super::html::{escape, picture};
 use gs_core::Image;
 
 /// A histogram over training steps.

@@ -19,6 +19,7 @@ pub mod chart;
 mod embed;
 pub mod error_map;
 mod heat;
+pub mod html;
 pub mod inspect;
 mod method_section;
 pub mod needs;

@@ -3,7 +3,7 @@
 use super::ReportError;
 use super::chart::chart;
 use super::heat::heat_map;
-use super::page::{collapsed, escape, section, table, wrapped};
+use super::html::{collapsed, escape, section, table, wrapped};
 use gs_train::report::{Section, Table};
 
 /// Renders the section; empty without content.

@@ -2,7 +2,7 @@
 
 use super::ReportError;
 use super::embed::reduced;
-use super::page::{escape, picture, ramp_legend, section, wrapped};
+use super::html::{escape, picture, ramp_legend, section, wrapped};
 use super::ramp::{Ramp, css_color};
 use crate::analysis::Histogram;
 use gs_core::Image;

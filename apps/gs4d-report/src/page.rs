@@ -1,46 +1,19 @@
-//! The HTML of a report, and the building blocks of all HTML pages.
+//! The HTML of a report, and charts of training.
 
 use super::chart::{Curve, Scale, chart};
-use super::embed::{Inline, reduced};
+use super::embed::reduced;
 use super::heat::heat_map;
+use super::html::{captioned, collapsed, document, escape, section, table, wrapped};
 use super::method_section::method_section;
 use super::overlay::overlays;
-use super::ramp::Ramp;
 use super::scatter::scatter;
 use super::views::{comparisons, script};
 use super::{Comparison, Report, ReportError, ReportRow, Sample};
 use crate::storage::Storage;
-use gs_core::Image;
 use std::fmt::Write as _;
 
 /// Longest side of an image of the strip, pixels.
 const MAX_STRIP_SIDE: usize = 320;
-/// Content policy that forbids to load anything.
-const POLICY: &str = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'; \
-    base-uri 'none'; form-action 'none'";
-
-const STYLE: &str = include_str!("style.css");
-
-/// Escapes text for HTML content and attributes.
-///
-/// ```
-/// assert_eq!(gs4d_report::page::escape("a < b & 'c'"), "a &lt; b &amp; &#39;c&#39;");
-/// ```
-pub fn escape(text: &str) -> String {
-    let mut out = String::with_capacity(text.len());
-    for c in text.chars() {
-        match c {
-            '&' => out.push_str("&amp;"),
-            '<' => out.push_str("&lt;"),
-            '>' => out.push_str("&gt;"),
-            '"' => out.push_str("&quot;"),
-            '\'' => out.push_str("&#39;"),
-            c => out.push(c),
-        }
-    }
-    out
-}
-
 /// Renders a report; sections without content are left out.
 pub(crate) fn page(report: &Report) -> Result<String, ReportError> {
     let parts = [
@@ -60,29 +33,6 @@ pub(crate) fn page(report: &Report) -> Result<String, ReportError> {
         script(!(report.views.is_empty() && report.future.is_empty())),
     ];
     Ok(document(&report.title, &report.subtitle, &parts.concat()))
-}
-
-/// A self-contained page around the HTML of sections. Title and subtitle are escaped here.
-pub fn document(title: &str, subtitle: &str, sections: &str) -> String {
-    let title = escape(title);
-    format!(
-        "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
-         <meta http-equiv=\"Content-Security-Policy\" content=\"{POLICY}\">\n\
-         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n<title>{title}</title>\n\
-         <style>\n{STYLE}</style>\n</head>\n<body>\n<header><h1>{title}</h1><p>{}</p></header>\n<main>\n{}</main>\n\
-         </body>\n</html>\n",
-        escape(subtitle),
-        sections
-    )
-}
-
-/// A section of HTML content with a heading; empty without content. Nothing is escaped here.
-pub fn section(heading: &str, remark: &str, content: &str) -> String {
-    if content.is_empty() {
-        return String::new();
-    }
-    let remark = if remark.is_empty() { String::new() } else { format!("<p class=\"remark\">{remark}</p>\n") };
-    format!("<section>\n<h2>{heading}</h2>\n{remark}{content}</section>\n")
 }
 
 fn figures(report: &Report) -> String {
@@ -129,46 +79,6 @@ pub fn training_charts(title: &str, scale: Scale, curves: &[(String, Vec<Sample>
     Ok(out)
 }
 
-/// A `<div>` of a class around content; empty without content.
-pub fn wrapped(class: &str, content: String) -> String {
-    if content.is_empty() { content } else { format!("<div class=\"{class}\">\n{content}</div>\n") }
-}
-
-/// An embedded `<img>` of 1, 3 or 4 channels with an alternative text.
-///
-/// # Errors
-/// If the image cannot be encoded.
-pub fn picture(image: &Image, alt: &str) -> Result<String, ReportError> {
-    let Inline { width, height, address } = Inline::of(image)?;
-    Ok(format!("<img alt=\"{}\" width=\"{width}\" height=\"{height}\" src=\"{address}\">", escape(alt)))
-}
-
-/// An embedded image with a caption below, which is its alternative text, too.
-///
-/// # Errors
-/// If the image cannot be encoded.
-pub fn captioned(image: &Image, caption: &str) -> Result<String, ReportError> {
-    Ok(format!("<span>{}<small>{}</small></span>\n", picture(image, caption)?, escape(caption)))
-}
-
-/// Content below a summary that unfolds it; empty without content. Nothing is escaped here.
-pub(super) fn collapsed(summary: &str, content: String) -> String {
-    if content.is_empty() {
-        return content;
-    }
-    format!("<details><summary>{summary}</summary>\n{content}</details>\n")
-}
-
-/// A colour map as a bar with labels below it.
-pub(super) fn ramp_legend(name: &str, ramp: &Ramp, ticks: &[String]) -> String {
-    let ticks: String = ticks.iter().map(|t| format!("<span>{}</span>", escape(t))).collect();
-    let name = escape(name);
-    format!(
-        "<div class=\"legend\"><small>{name}</small><i style=\"background:{}\"></i><small class=\"ticks\">{ticks}</small></div>\n",
-        ramp.css()
-    )
-}
-
 fn views(heading: &str, conditions: &str, views: &[Comparison]) -> Result<String, ReportError> {
     let remark = format!("The worst views first, then those in the middle. {}", escape(conditions));
     Ok(section(heading, &remark, &comparisons(views)?))
@@ -180,25 +90,6 @@ fn strip(report: &Report) -> Result<String, ReportError> {
         out += &captioned(&reduced(&still.image, MAX_STRIP_SIDE), &still.caption)?;
     }
     Ok(section("Through time", "One camera, evenly spaced times.", &wrapped("strip", out)))
-}
-
-/// A table; the columns in `numeric` are aligned right. Cells are escaped here, `head` is not. Empty without rows.
-pub fn table(head: &[&str], numeric: &[usize], rows: impl Iterator<Item = Vec<String>>) -> String {
-    let class = |i: usize| if numeric.contains(&i) { " class=\"n\"" } else { "" };
-    let mut body = String::new();
-    for row in rows {
-        let cells: Vec<_> =
-            row.iter().enumerate().map(|(i, c)| format!("<td{}>{}</td>", class(i), escape(c))).collect();
-        let _ = writeln!(body, "<tr>{}</tr>", cells.concat());
-    }
-    if body.is_empty() {
-        return body;
-    }
-    let head: Vec<_> = head.iter().enumerate().map(|(i, h)| format!("<th{}>{h}</th>", class(i))).collect();
-    format!(
-        "<div class=\"scroll\"><table>\n<thead><tr>{}</tr></thead>\n<tbody>\n{body}</tbody>\n</table></div>\n",
-        head.concat()
-    )
 }
 
 fn kernels(report: &Report) -> Result<String, ReportError> {

@@ -3,7 +3,7 @@
 //! Without scripts, and in print, the images stand side by side.
 
 use super::error_map::{ErrorScale, error};
-use super::page::{escape, picture, ramp_legend};
+use super::html::{escape, picture, ramp_legend};
 use super::ramp::Ramp;
 use super::{Comparison, ReportError};
 use gs_core::Image;

@@ -117,7 +117,8 @@ fn number(v: f32) -> String {
 mod tests {
     use super::*;
     use gs_synth::{self as synth, SynthOptions};
-    use gs_train::method::{SceneInfo, section};
+    use gs_train::registry::section;
+    use gs_train::scene::SceneInfo;
 
     fn figures(method: &str) -> Vec<OverlayFigure> {
         let options = SynthOptions { size: 32, train_views: 6, test_views: 1, ..SynthOptions::default() };

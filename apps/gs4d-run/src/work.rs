@@ -114,7 +114,8 @@ pub(crate) fn training_rows(log: &[Value]) -> Vec<ReportRow> {
 mod tests {
     use super::*;
     use gs_synth::{self as synth, SynthOptions};
-    use gs_train::method::{SceneInfo, section};
+    use gs_train::registry::section;
+    use gs_train::scene::SceneInfo;
     use serde_json::json;
 
     #[test]

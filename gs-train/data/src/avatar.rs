@@ -5,7 +5,10 @@
 //! lengths are metres.
 
 use crate::avatar::layout::points;
-use crate::{DataError, ImageCache, ImageU8, View};
+use crate::cache::ImageCache;
+use crate::error::DataError;
+use crate::pixels::ImageU8;
+use crate::view::View;
 use glam::Vec3;
 use gs_core::{Camera, Image, Time, cast};
 use gs_texel::figure::{self, Cylinder};

@@ -11,7 +11,7 @@ use super::error::DataError;
 use super::lens::undistorted;
 use super::mask;
 use super::pixels::ImageU8;
-use super::{ImageSource, View};
+use super::view::{ImageSource, View};
 
 /// Decodes images on demand and keeps the most recently used ones, bounded by bytes.
 ///

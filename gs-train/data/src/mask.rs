@@ -10,11 +10,11 @@ use std::path::Path;
 use glam::DVec2;
 use gs_core::{Camera, Image, cast};
 
-use super::View;
 use super::error::DataError;
 use super::header;
 use super::intrinsics::same_shape;
 use super::pixels::ImageU8;
+use super::view::View;
 
 /// Checks that a mask file fits images of a size, by its header alone.
 ///

@@ -7,8 +7,8 @@ use glam::Vec3;
 use gs_core::cast;
 use gs_core::io::{self, Limits};
 
-use super::PointCloud;
 use super::error::DataError;
+use super::view::PointCloud;
 
 /// Reads the points of a file; those without colours are grey.
 ///

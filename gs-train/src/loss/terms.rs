@@ -1,7 +1,7 @@
 //! Terms of the image loss beside L1.
 
 use super::Region;
-use crate::schedule::ScheduleError;
+use crate::error::ScheduleError;
 use gs_core::Image;
 use gs_metrics::mrf::{FeatureNet, Mrf, MrfOptions};
 use gs_metrics::{AmplitudeLoss, MetricError, MsSsim, MsSsimOptions, Ssim, SsimOptions};

@@ -3,10 +3,9 @@
 use crate::spacetime;
 use gs_core::{Camera, Param, Params, Splats};
 use gs_train::capabilities::Capabilities;
-use gs_train::method::{
-    Buffer, BufferMut, Buffers, LossValue, Method, MethodEntry, MethodError, RenderView, StepEvents, ViewCtx,
-};
+use gs_train::method::{Buffer, BufferMut, Buffers, LossValue, Method, MethodError, RenderView, StepEvents, ViewCtx};
 use gs_train::model::Model;
+use gs_train::registry::MethodEntry;
 use gs_train::scene::SceneInfo;
 use gs_train::step::StepCtx;
 use gs_train::timestamp::Timestamp;

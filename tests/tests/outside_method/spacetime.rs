@@ -17,11 +17,9 @@ use glam::Vec3;
 use gs_core::{Camera, Param, Params, Rng, Splats};
 use gs_train::canonical::Canonical;
 use gs_train::capabilities::{Capabilities, Inspect, Quantity};
-use gs_train::method::{
-    Buffer, BufferMut, Buffers, LossValue, Method, MethodEntry, MethodError, RenderView, StepEvents, ViewCtx,
-    parse_config,
-};
+use gs_train::method::{Buffer, BufferMut, Buffers, LossValue, Method, MethodError, RenderView, StepEvents, ViewCtx};
 use gs_train::model::Model;
+use gs_train::registry::{MethodEntry, parse_config};
 use gs_train::report::{Chart, Curve, Scale, Section};
 use gs_train::scene::{CloudConfig, InitConfig, SceneInfo};
 use gs_train::schedule::Schedule;

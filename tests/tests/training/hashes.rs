@@ -18,7 +18,7 @@ use crate::support::*;
 use fearless_simd::{Level, Simd, SimdBase, SimdFloat, dispatch, f32x16};
 use gs_data::Dataset;
 use gs_train::densify::DensifyStats;
-use gs_train::method::overlay;
+use gs_train::registry::overlay;
 use gs_train::trainer::{TrainOptions, Trainer};
 use std::sync::Arc;
 

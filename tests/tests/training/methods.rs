@@ -1,7 +1,7 @@
 //! Settings and presets of every method: layers that state only what differs, and presets that parse and build.
 
 use crate::support::*;
-use gs_train::method::overlay;
+use gs_train::registry::overlay;
 use gs_train::trainer::{TrainOptions, Trainer};
 use toml::{Table, Value};
 

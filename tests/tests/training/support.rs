@@ -3,7 +3,7 @@
 use gs_data::{Dataset, ImageCache, Split};
 pub use gs_synth::testkit::{film, scene};
 use gs_train::evaluate::evaluate;
-use gs_train::method::MethodEntry;
+use gs_train::registry::MethodEntry;
 use gs_train::testkit::{self, config};
 pub use gs_train::testkit::{SHORT_FILM, run};
 use gs_train::trainer::Trainer;

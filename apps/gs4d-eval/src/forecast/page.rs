@@ -2,7 +2,7 @@
 
 use crate::forecast::{Physics, TimestampScores};
 use gs4d_report::chart::{Curve, Scale, chart};
-use gs4d_report::page::{captioned, document, section, table, wrapped};
+use gs4d_report::html::{captioned, document, section, table, wrapped};
 use gs4d_report::{ReportError, Still};
 
 /// Renders a forecast as one self-contained HTML page.

@@ -206,7 +206,8 @@ fn estimated(earlier: &Image, later: &Image, seen: &[bool], anchor: Anchor) -> R
 mod tests {
     use super::*;
     use gs_synth::{self as synth, SynthOptions};
-    use gs_train::method::{SceneInfo, section};
+    use gs_train::registry::section;
+    use gs_train::scene::SceneInfo;
 
     const ALL: Options = Options {
         times: Vec::new(),

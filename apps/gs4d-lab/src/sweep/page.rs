@@ -3,7 +3,7 @@
 use crate::sweep::Row;
 use gs4d_report::ReportError;
 use gs4d_report::chart::{Curve, Scale, chart};
-use gs4d_report::page::{document, section, table};
+use gs4d_report::html::{document, section, table};
 use std::fmt::Write as _;
 
 /// Title of a chart and the plotted score.

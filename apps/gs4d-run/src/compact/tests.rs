@@ -2,7 +2,7 @@ use super::*;
 use glam::Vec3;
 use gs_core::Rng;
 use gs_data::PointCloud;
-use gs_train::method::SceneInfo;
+use gs_train::scene::SceneInfo;
 use gs_train::timestamp::Timestamp;
 use gs4d_report::needs::neutral_camera;
 

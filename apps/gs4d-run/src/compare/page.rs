@@ -4,7 +4,8 @@ use crate::compare::{Compared, DifferingSetting, Row, Side, ViewRenders, ViewRow
 use crate::summary::samples;
 use gs4d_report::chart::{Curve, Scale, chart};
 use gs4d_report::error_map::error;
-use gs4d_report::page::{document, escape, section, table, training_charts, wrapped};
+use gs4d_report::html::{document, escape, section, table, wrapped};
+use gs4d_report::page::training_charts;
 use gs4d_report::views::{ViewFigure, figures, script};
 use gs4d_report::{ReportError, Sample};
 

@@ -10,7 +10,7 @@ pub struct Methods {}
 impl Methods {
     pub fn run(self) -> Answer {
         let registry = gs_methods::registry();
-        let presets = |m: &gs_train::method::MethodEntry| m.presets.iter().map(|p| p.0).collect::<Vec<_>>();
+        let presets = |m: &gs_train::registry::MethodEntry| m.presets.iter().map(|p| p.0).collect::<Vec<_>>();
         let text: String = registry
             .iter()
             .map(|m| format!("{:10} {}\n{:10} presets: {}\n", m.name, m.about, "", presets(m).join(", ")))

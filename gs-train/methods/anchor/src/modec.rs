@@ -15,8 +15,9 @@ use gs_anchor::{AnchorDensifyRules, AnchorShape, DecoderConfig, Gad, GadConfig, 
 use gs_deform::{Aabb, FourDgsConfig, HexPlaneField};
 use gs_train::ablate::{Ablations, Part};
 use gs_train::layers::BASE;
-use gs_train::method::{MethodEntry, MethodError, parse_config};
+use gs_train::method::MethodError;
 use gs_train::model::Model;
+use gs_train::registry::{MethodEntry, parse_config};
 use gs_train::scene::{InitConfig, SceneInfo};
 use gs_train::schedule::Schedule;
 use serde::{Deserialize, Serialize};

@@ -3,8 +3,9 @@
 use crate::anchored::{AnchorConfig, Anchored, Motion, Parts};
 use gs_anchor::{AnchorDensifyRules, DecoderConfig};
 use gs_train::layers::BASE;
-use gs_train::method::{MethodEntry, MethodError, parse_config};
+use gs_train::method::MethodError;
 use gs_train::model::Model;
+use gs_train::registry::{MethodEntry, parse_config};
 use gs_train::scene::{InitConfig, SceneInfo};
 use gs_train::schedule::Schedule;
 use serde::{Deserialize, Serialize};

@@ -3,8 +3,10 @@
 
 use crate::grid4d::{PRESETS, SETTINGS, build_as};
 use gs_train::layers::{BASE, CLOUD, DEFORMED};
-use gs_train::method::{MethodEntry, MethodError, SceneInfo};
+use gs_train::method::MethodError;
 use gs_train::model::Model;
+use gs_train::registry::MethodEntry;
+use gs_train::scene::SceneInfo;
 
 /// The line in the list of methods.
 pub const ENTRY: MethodEntry = MethodEntry {

@@ -9,8 +9,9 @@ use gs_train::ablate::{Ablations, Part};
 use gs_train::canonical::Canonical;
 use gs_train::kernel::KernelKind;
 use gs_train::layers::{BASE, CLOUD, CLOUD_FAST, CLOUD_TINY, DEFORMED};
-use gs_train::method::{MethodEntry, MethodError, parse_config};
+use gs_train::method::MethodError;
 use gs_train::model::Model;
+use gs_train::registry::{MethodEntry, parse_config};
 use gs_train::scene::{CloudConfig, InitConfig, SceneInfo};
 use gs_train::schedule::Schedule;
 use serde::{Deserialize, Serialize};
@@ -106,7 +107,7 @@ pub(super) fn build_as(name: &'static str, table: &toml::Table, scene: &SceneInf
 mod tests {
     use super::*;
     use crate::METHODS;
-    use gs_train::method::parse_config;
+    use gs_train::registry::parse_config;
 
     fn config(method: &'static str, ablate: &str) -> Config {
         let mut table = METHODS.iter().find(|m| m.name == method).unwrap().config("tiny").unwrap();

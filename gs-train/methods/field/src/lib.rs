@@ -11,7 +11,7 @@
 #![warn(unreachable_pub)]
 #![cfg_attr(not(test), warn(clippy::cast_possible_truncation))]
 
-use gs_train::method::MethodEntry;
+use gs_train::registry::MethodEntry;
 
 pub mod defgs;
 pub mod deformed;

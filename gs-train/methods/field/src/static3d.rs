@@ -5,11 +5,9 @@ use gs_train::canonical::Canonical;
 use gs_train::capabilities::{Capabilities, Inspect, Quantity};
 use gs_train::kernel::kernel_quantities;
 use gs_train::layers::{BASE, CLOUD, CLOUD_FAST, CLOUD_TINY};
-use gs_train::method::{
-    Buffer, BufferMut, Buffers, LossValue, Method, MethodEntry, MethodError, RenderView, StepEvents, ViewCtx,
-    parse_config,
-};
+use gs_train::method::{Buffer, BufferMut, Buffers, LossValue, Method, MethodError, RenderView, StepEvents, ViewCtx};
 use gs_train::model::Model;
+use gs_train::registry::{MethodEntry, parse_config};
 use gs_train::scene::{CloudConfig, InitConfig, SceneInfo};
 use gs_train::schedule::Schedule;
 use gs_train::step::StepCtx;

@@ -4,7 +4,7 @@
 use gs_core::speed::BenchRow;
 use gs_data::Dataset;
 use gs_synth::{self as synth, SynthOptions};
-use gs_train::method::overlay;
+use gs_train::registry::overlay;
 use gs_train::trainer::{TrainOptions, Trainer};
 use std::sync::Arc;
 

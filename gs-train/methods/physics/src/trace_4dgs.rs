@@ -4,8 +4,9 @@ use crate::layers::{LAW, LAW_FAST, LAW_TINY, PHYSICS, PHYSICS_FAST, PHYSICS_TINY
 use crate::trace::{Config, build_on};
 use gs_deform::{Aabb, FourDgsConfig, HexPlaneField};
 use gs_train::layers::{BASE, CLOUD, CLOUD_FAST, CLOUD_TINY, DEFORMED, FOLLOW, PLANES, PLANES_FAST, PLANES_TINY};
-use gs_train::method::{MethodEntry, MethodError};
+use gs_train::method::MethodError;
 use gs_train::model::Model;
+use gs_train::registry::MethodEntry;
 use gs_train::scene::SceneInfo;
 
 /// The line in the list of methods.

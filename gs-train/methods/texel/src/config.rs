@@ -6,7 +6,8 @@ use gs_texel::surface_loss::{IsometryRule, NormalRule};
 use gs_texel::texels::SeamRead;
 use gs_texel::unproject::UnprojectConfig;
 use gs_texel::{GauNetConfig, GeoNetConfig};
-use gs_train::method::{InitConfig, MethodError};
+use gs_train::method::MethodError;
+use gs_train::scene::InitConfig;
 use gs_train::schedule::Schedule;
 use serde::{Deserialize, Serialize};
 

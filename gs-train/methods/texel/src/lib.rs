@@ -36,11 +36,10 @@ use gs_texel::gaussians::{Channels, DecodeOptions, OFFSET, OPACITY, decode, deco
 use gs_train::capabilities::{Capabilities, Inspect, Quantity};
 use gs_train::layers::BASE;
 use gs_train::loss::TextureTerm;
-use gs_train::method::{
-    Buffer, BufferMut, Buffers, LossValue, Method, MethodEntry, MethodError, RenderView, SceneInfo, StepEvents,
-    ViewCtx, parse_config,
-};
+use gs_train::method::{Buffer, BufferMut, Buffers, LossValue, Method, MethodError, RenderView, StepEvents, ViewCtx};
 use gs_train::model::Model;
+use gs_train::registry::{MethodEntry, parse_config};
+use gs_train::scene::SceneInfo;
 use gs_train::step::StepCtx;
 use gs_train::timestamp::Timestamp;
 use network::Network;

@@ -3,7 +3,8 @@
 use gs_data::Dataset;
 use gs_method_texel::ENTRY;
 use gs_synth::avatar::{AvatarOptions, generate};
-use gs_train::method::{MethodEntry, MethodError};
+use gs_train::method::MethodError;
+use gs_train::registry::MethodEntry;
 
 #[test]
 fn a_data_set_without_a_person_is_refused() {

@@ -23,15 +23,14 @@ use gs_anchor::{
 use gs_core::{Camera, Param, Params, Splats, cast};
 use gs_raster::ScreenStats;
 use gs_train::capabilities::{
-    Bake, Capabilities, FreezeOptions, FreezeReport, GrowthLimits, Inspect, Overlay, PaperStorage, PaperStorageRow,
-    Quantity, StageView,
+    Bake, Capabilities, FreezeOptions, FreezeReport, Inspect, Overlay, PaperStorage, PaperStorageRow, Quantity,
+    StageView,
 };
-use gs_train::densify::DensifyStats;
-use gs_train::method::{
-    Buffer, BufferMut, Buffers, LossValue, Method, MethodError, RenderView, SceneInfo, StepEvents, ViewCtx,
-};
+use gs_train::densify::{DensifyStats, GrowthLimits};
+use gs_train::method::{Buffer, BufferMut, Buffers, LossValue, Method, MethodError, RenderView, StepEvents, ViewCtx};
 use gs_train::palette::label_color;
 use gs_train::report::Section;
+use gs_train::scene::SceneInfo;
 use gs_train::step::StepCtx;
 use gs_train::timestamp::Timestamp;
 use inference::Cache;

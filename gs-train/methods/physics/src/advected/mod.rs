@@ -22,9 +22,8 @@ use gs_raster::ScreenStats;
 use gs_train::canonical::Canonical;
 use gs_train::capabilities::{Capabilities, Inspect, Overlay, ParticleSource, Particles, Quantity, StageView};
 use gs_train::kernel::kernel_quantities;
-use gs_train::method::{
-    Buffer, BufferMut, Buffers, LossValue, Method, MethodError, RenderView, SceneInfo, StepEvents, ViewCtx,
-};
+use gs_train::method::{Buffer, BufferMut, Buffers, LossValue, Method, MethodError, RenderView, StepEvents, ViewCtx};
+use gs_train::scene::SceneInfo;
 use gs_train::step::StepCtx;
 use gs_train::timestamp::Timestamp;
 use serde::{Deserialize, Serialize};

@@ -4,7 +4,7 @@ use gs_core::{Camera, SplatsRef};
 use gs_data::PointCloud;
 use gs_deform::{DefGsConfig, DefMlp};
 use gs_physics::{Motion, Twist};
-use gs_train::method::section;
+use gs_train::registry::section;
 use gs_train::scene::CloudConfig;
 use gs_train::schedule::Schedule;
 

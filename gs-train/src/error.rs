@@ -1,0 +1,81 @@
+//! Why a method cannot be built, trained or rendered, and why a schedule cannot be followed.
+
+use std::path::PathBuf;
+
+/// A method that cannot be built, trained or rendered.
+#[derive(Debug, thiserror::Error)]
+pub enum MethodError {
+    /// No method of that name.
+    #[error("there is no method `{name}`; choose one of {known}")]
+    Unknown {
+        /// Name asked for.
+        name: String,
+        /// Names there are.
+        known: String,
+    },
+    /// The configuration does not fit the method.
+    #[error("configuration of method `{method}`: {why}")]
+    Config {
+        /// Name of the method.
+        method: &'static str,
+        /// What is wrong, and where.
+        why: String,
+    },
+    /// The schedule cannot be followed.
+    #[error(transparent)]
+    Schedule(#[from] ScheduleError),
+    /// The initial points cannot be used.
+    #[error(transparent)]
+    Cloud(#[from] gs_core::cloud::CloudError),
+    /// The images the first points are carved from cannot be read.
+    #[error(transparent)]
+    Data(Box<gs_data::DataError>),
+    /// The data show no person with a template.
+    #[error(
+        "method `{method}` needs a filmed person with template and poses (layout avatar), and {} holds none; make one \
+         with `gs4d synth avatar`, or choose another method",
+        if folder.as_os_str().is_empty() { "the data set".into() } else { folder.display().to_string() }
+    )]
+    NoAvatar {
+        /// Name of the method.
+        method: &'static str,
+        /// The folder of the data.
+        folder: PathBuf,
+    },
+    /// A timestamp cannot be made into splats: an input image that cannot be read, say.
+    #[error("{0}")]
+    Render(String),
+    /// The image loss of a training view is not finite or not defined.
+    #[error(transparent)]
+    Loss(Box<gs_metrics::MetricError>),
+    /// Row blocks that belong together do not fit each other.
+    #[error(transparent)]
+    Rows(#[from] gs_core::param::RowEditError),
+    /// The scene or its initial points cannot be used.
+    #[error("scene: {0}")]
+    Scene(String),
+}
+
+impl From<gs_data::DataError> for MethodError {
+    fn from(e: gs_data::DataError) -> Self {
+        Self::Data(Box::new(e))
+    }
+}
+
+impl From<gs_metrics::MetricError> for MethodError {
+    fn from(e: gs_metrics::MetricError) -> Self {
+        Self::Loss(Box::new(e))
+    }
+}
+
+/// A schedule that cannot be followed.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("schedule: {field} = {value} is out of range; {rule}")]
+pub struct ScheduleError {
+    /// Name of the field.
+    pub field: String,
+    /// Value met.
+    pub value: f64,
+    /// What it must satisfy.
+    pub rule: &'static str,
+}
