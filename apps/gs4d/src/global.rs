@@ -1,6 +1,12 @@
 //! Flags of every verb.
 
 use clap::Args;
+use std::io::Write;
+
+/// Writes a line to stderr. That nobody reads it any more is no reason to stop.
+pub fn to_stderr(line: impl std::fmt::Display) {
+    let _ = writeln!(std::io::stderr(), "{line}");
+}
 
 /// Flags every verb takes.
 #[derive(Args, Clone, Debug)]
@@ -23,14 +29,14 @@ impl Global {
     /// A message on stderr, unless quiet.
     pub fn say(&self, message: impl std::fmt::Display) {
         if !self.quiet {
-            eprintln!("{message}");
+            to_stderr(message);
         }
     }
 
     /// A message on stderr for those who asked for detail.
     pub fn detail(&self, message: impl std::fmt::Display) {
         if self.verbose {
-            eprintln!("{message}");
+            to_stderr(message);
         }
     }
 }

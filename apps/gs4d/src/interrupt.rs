@@ -1,19 +1,37 @@
-//! Ctrl-C: the first stops the run after its step and saves it, the second ends the process (the last checkpoint stays valid).
+//! Ctrl-C, SIGTERM and SIGHUP: the first stops the run after its step and saves it, the second ends the process (the last checkpoint
+//! stays valid). Batch systems, `timeout` and `docker stop` send SIGTERM, a terminal that closes SIGHUP.
 
 use crate::failure::{Class, Failure};
+use crate::global::to_stderr;
+use signal_hook::consts::signal::{SIGHUP, SIGINT, SIGTERM};
+use signal_hook::iterator::Signals;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// A flag that the first Ctrl-C (or SIGTERM) sets. The second one ends the process.
+/// A flag that the first of these signals sets. The second one ends the process.
 pub fn flag() -> Result<Arc<AtomicBool>, Failure> {
     let stop = Arc::new(AtomicBool::new(false));
-    let set = Arc::clone(&stop);
-    let handler = move || {
-        if set.swap(true, Ordering::Relaxed) {
-            std::process::exit(Class::Interrupted as i32);
-        }
-        eprintln!("\nstopping after this step; press Ctrl-C again to stop at once");
-    };
-    ctrlc::set_handler(handler).map_err(|e| Failure::new(Class::Internal, "interrupt", e.to_string()))?;
+    listen(Arc::clone(&stop)).map_err(|e| Failure::new(Class::Internal, "interrupt", e.to_string()))?;
     Ok(stop)
+}
+
+fn listen(stop: Arc<AtomicBool>) -> std::io::Result<()> {
+    let caught = [SIGINT, SIGTERM, SIGHUP].into_iter().filter(|&signal| signal != SIGHUP || !hangup_is_ignored());
+    let mut signals = Signals::new(caught)?;
+    let each = move || {
+        for _ in signals.forever() {
+            if stop.swap(true, Ordering::Relaxed) {
+                std::process::exit(Class::Interrupted as i32);
+            }
+            to_stderr("\nstopping after this step; press Ctrl-C again to stop at once");
+        }
+    };
+    std::thread::Builder::new().name("signals".to_owned()).spawn(each).map(drop)
+}
+
+/// Whether this process was started to outlive its terminal (`nohup`). Where the system does not tell, it was not.
+fn hangup_is_ignored() -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).is_some_and(|mask| mask & 1 << (SIGHUP - 1) != 0)
 }

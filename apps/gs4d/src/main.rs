@@ -4,6 +4,8 @@
 //! 1 internal fault · 2 wrong usage · 3 invalid data · 4 numerical failure · 5 resource limit · 6 input or output ·
 //! 7 verification failed · 130 interrupted, state saved.
 
+#![warn(clippy::print_stderr, clippy::print_stdout, reason = "both panic where nobody reads them any more")]
+
 mod answer;
 mod failure;
 mod global;
@@ -13,7 +15,7 @@ mod parse;
 mod progress;
 mod verbs;
 
-use global::Global;
+use global::{Global, to_stderr};
 
 use answer::Answer;
 use clap::{Parser, Subcommand};
@@ -103,7 +105,7 @@ fn main() -> ExitCode {
         if std::thread::current().name() == Some(gs4d_view::THREAD_NAME) {
             return;
         }
-        eprintln!("error[internal]: this is a fault of gs4d; please report it with the lines above");
+        to_stderr("error[internal]: this is a fault of gs4d; please report it with the lines above");
         std::process::exit(Class::Internal as i32);
     }));
     let cli = Cli::parse();
@@ -111,7 +113,7 @@ fn main() -> ExitCode {
     let code = match run(cli).and_then(|answer| answer.print(json)) {
         Ok(()) => 0,
         Err(failure) => {
-            eprintln!("{failure}");
+            to_stderr(&failure);
             failure.class as u8
         }
     };

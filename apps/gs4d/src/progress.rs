@@ -1,5 +1,6 @@
 //! Progress on stderr: an updating line on a terminal, a plain line every ten seconds elsewhere, nothing with `--quiet`.
 
+use crate::global::to_stderr;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::IsTerminal;
 use std::time::{Duration, Instant};
@@ -36,7 +37,7 @@ impl Progress {
         let due = |last: Option<Instant>| last.is_none_or(|t| t.elapsed() >= PLAIN_EVERY) || position >= self.total;
         match self.plain {
             Some(last) if due(last) => {
-                eprintln!("{position}/{}  {}", self.total, message());
+                to_stderr(format_args!("{position}/{}  {}", self.total, message()));
                 self.plain = Some(Some(Instant::now()));
             }
             Some(_) => {}

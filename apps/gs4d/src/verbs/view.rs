@@ -3,7 +3,7 @@
 use super::render::load_splat_file;
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
-use crate::global::Global;
+use crate::global::{Global, to_stderr};
 use crate::{interrupt, parse};
 use gs4d_run::{OpenRun, Training};
 use gs4d_view::{Feed, Options, Packing, Server, Show, Stage, ViewError, start};
@@ -69,7 +69,7 @@ impl View {
 
 /// Prints the address, also with `--quiet`: it is the result.
 fn announce(server: &Server, global: &Global) {
-    eprintln!("view   {}", server.url);
+    to_stderr(format_args!("view   {}", server.url));
     global.say(format!("       from another machine: ssh -L {0}:127.0.0.1:{0} THIS_HOST", server.address.port()));
 }
 

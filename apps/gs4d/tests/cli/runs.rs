@@ -129,20 +129,45 @@ fn a_damaged_checkpoint_is_skipped_and_named() {
 #[cfg(unix)]
 #[test]
 fn an_interrupted_run_is_saved_and_goes_on() {
+    for signals in [&["-INT"][..], &["-TERM"], &["-HUP"]] {
+        interrupted_by(&[], signals);
+    }
+}
+
+/// What was started to outlive its terminal goes on when that closes.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_run_under_nohup_is_not_stopped_by_a_hangup() {
+    interrupted_by(&["nohup"], &["-HUP", "-TERM"]);
+}
+
+/// Trains below `wrapper` and sends these signals; the last one only stops the run.
+#[cfg(unix)]
+fn interrupted_by(wrapper: &[&str], signals: &[&str]) {
     use crate::support::{Call, command};
-    use std::process::Stdio;
+    use std::process::{Command, Stdio};
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("run");
     let steps = "4000";
     let base = ["train", text(data()), "-m", "static3d", "--preset", "tiny", "--steps", steps, "-o", text(&out)];
-    let child = command(&base).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let mut call = command(&base);
+    if let [program] = wrapper {
+        let mut wrapped = Command::new(program);
+        wrapped.arg(call.get_program()).args(call.get_args());
+        call = wrapped;
+    }
+    let mut child = call.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     let pid = child.id().to_string();
     let begun = std::time::Instant::now();
     while fs::metadata(out.join("log.jsonl")).map_or(0, |m| m.len()) == 0 {
         assert!(begun.elapsed().as_secs() < 60, "training does not begin");
         std::thread::sleep(std::time::Duration::from_millis(5));
     }
-    assert!(std::process::Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
+    for signal in signals {
+        assert_eq!(child.try_wait().unwrap(), None, "ended before {signal}");
+        assert!(Command::new("kill").args([*signal, &pid]).status().unwrap().success());
+        std::thread::sleep(std::time::Duration::from_millis(if signals.len() > 1 { 300 } else { 0 }));
+    }
     let call = Call::of(&child.wait_with_output().unwrap());
     call.fails(130, &["interrupted at step", "saved", &format!("gs4d resume {}", out.display())]);
     let stopped = newest(&out).meta["step"].as_u64().unwrap();
@@ -150,6 +175,25 @@ fn an_interrupted_run_is_saved_and_goes_on() {
     let target = (stopped + 7).to_string();
     good(&["resume", text(&out), "--steps", &target, "--quiet"]);
     assert_eq!(newest(&out).meta["step"].as_u64().unwrap(), stopped + 7);
+}
+
+/// A reader that goes away (`| head -1`, a lost connection) ends no training.
+#[test]
+fn closed_output_ends_no_training() {
+    use crate::support::command;
+    use std::process::Stdio;
+    let dir = tempfile::tempdir().unwrap();
+    for (name, quiet) in [("verbose", &["--verbose"][..]), ("json", &["--json"])] {
+        let out = dir.path().join(name);
+        let base = ["train", text(data()), "-m", "static3d", "--preset", "tiny", "--steps", "40", "-o", text(&out)];
+        let all = [&base[..], quiet].concat();
+        let mut child = command(&all).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        drop((child.stdout.take(), child.stderr.take()));
+        let status = child.wait().unwrap();
+        assert!(status.code().is_some(), "{name}: ended by a signal: {status}");
+        assert_eq!(newest(&out).meta["step"].as_u64(), Some(40), "{name}: {status}");
+        assert!(out.join("report.html").exists(), "{name}: {status}");
+    }
 }
 
 #[test]
