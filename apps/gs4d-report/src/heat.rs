@@ -1,7 +1,7 @@
 //! Heat maps: columns of counts, darker for larger counts.
 
 use super::ReportError;
-use super::html::{escape, picture};
+use super::html::{escape, inline_image};
 use gs_core::Image;
 
 /// A histogram over training steps.
@@ -29,8 +29,8 @@ pub(crate) fn heat_map(counts: &[Vec<u32>], alt: &str, caption: &str) -> Result<
     if image.data.is_empty() {
         return Ok(String::new());
     }
-    let picture = picture(&image, alt)?;
-    Ok(format!("<span class=\"heat\">{picture}<small>{}</small></span>\n", escape(caption)))
+    let image = inline_image(&image, alt)?;
+    Ok(format!("<span class=\"heat\">{image}<small>{}</small></span>\n", escape(caption)))
 }
 
 /// Renders columns of counts, `[bins, columns, 3]`: the square root of each count over the largest of its column gives its

@@ -64,7 +64,7 @@ pub fn wrapped(class: &str, content: String) -> String {
 ///
 /// # Errors
 /// If the image cannot be encoded.
-pub fn picture(image: &Image, alt: &str) -> Result<String, ReportError> {
+pub fn inline_image(image: &Image, alt: &str) -> Result<String, ReportError> {
     let Inline { width, height, address } = Inline::of(image)?;
     Ok(format!("<img alt=\"{}\" width=\"{width}\" height=\"{height}\" src=\"{address}\">", escape(alt)))
 }
@@ -74,7 +74,7 @@ pub fn picture(image: &Image, alt: &str) -> Result<String, ReportError> {
 /// # Errors
 /// If the image cannot be encoded.
 pub fn captioned(image: &Image, caption: &str) -> Result<String, ReportError> {
-    Ok(format!("<span>{}<small>{}</small></span>\n", picture(image, caption)?, escape(caption)))
+    Ok(format!("<span>{}<small>{}</small></span>\n", inline_image(image, caption)?, escape(caption)))
 }
 
 /// Content below a summary that unfolds it; empty without content. Nothing is escaped here.

@@ -277,7 +277,7 @@ mod tests {
         for part in ["prefers-color-scheme: dark", "@media print", "max-width: 520px", "name=\"viewport\""] {
             assert!(html.contains(part), "{part}");
         }
-        assert_eq!(html.matches("<img ").count(), html.matches("<img alt=\"").count(), "every picture has a text");
+        assert_eq!(html.matches("<img ").count(), html.matches("<img alt=\"").count(), "every image has a text");
         assert_eq!(html.matches("<svg").count(), html.matches("<svg role=\"img\" aria-label=\"").count());
         assert_eq!(full().html().unwrap(), html, "the same report is the same page");
     }

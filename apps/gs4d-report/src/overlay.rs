@@ -2,7 +2,7 @@
 
 use super::ReportError;
 use super::embed::reduced;
-use super::html::{escape, picture, ramp_legend, section, wrapped};
+use super::html::{escape, inline_image, ramp_legend, section, wrapped};
 use super::ramp::{Ramp, css_color};
 use crate::analysis::Histogram;
 use gs_core::Image;
@@ -43,7 +43,7 @@ pub(crate) fn overlays(remark: &str, figures: &[OverlayFigure]) -> Result<String
     let mut out = String::new();
     for f in figures {
         let alt = format!("the scene in the colours of {}", f.name);
-        let _ = writeln!(out, "<figure>{}", picture(&reduced(&f.image, MAX_SIDE), &alt)?);
+        let _ = writeln!(out, "<figure>{}", inline_image(&reduced(&f.image, MAX_SIDE), &alt)?);
         let _ = writeln!(out, "<figcaption>{}</figcaption>", escape(&f.name));
         out += &f.histogram.as_ref().map_or(String::new(), bars);
         out += &legend(&f.legend);

@@ -3,7 +3,7 @@
 //! Without scripts, and in print, the images stand side by side.
 
 use super::error_map::{ErrorScale, error};
-use super::html::{escape, picture, ramp_legend};
+use super::html::{escape, inline_image, ramp_legend};
 use super::ramp::Ramp;
 use super::{Comparison, ReportError};
 use gs_core::Image;
@@ -68,13 +68,13 @@ fn figure(view: &ViewFigure, scale: ErrorScale) -> Result<String, ReportError> {
     let caption = escape(view.caption);
     let mut out = format!("<figure class=\"view\" data-name=\"{caption}\"><div class=\"pictures\">\n");
     for (name, image) in &view.images {
-        let _ = writeln!(out, "<span>{}<small>{}</small></span>", picture(image, name)?, escape(name));
+        let _ = writeln!(out, "<span>{}<small>{}</small></span>", inline_image(image, name)?, escape(name));
     }
     for (name, error) in &view.errors {
         let _ = writeln!(
             out,
             "<span class=\"map\">{}<small>{}</small></span>",
-            picture(&scale.map(error), name)?,
+            inline_image(&scale.map(error), name)?,
             escape(name)
         );
     }

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use super::{GlmdError, Mean, Scores, Still, Switches, panels};
 use gs4d_report::chart::chart;
-use gs4d_report::html::{document, escape, picture as inline_image, section, table};
+use gs4d_report::html::{document, escape, inline_image, section, table};
 use gs4d_report::{Curve, ReportError, Scale};
 
 /// Most times shown on the page, evenly spread; the folder holds all.

@@ -286,7 +286,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_told_is_summed_up() {
+    fn events_are_summed_up() {
         let journal = Journal::of(&lines(Rule::Clean));
         assert_eq!((journal.passes.len(), journal.growth.len()), (2, 2), "other lines are passed over");
         let rows = journal.rows();

@@ -68,18 +68,19 @@ impl<F: Field> Deformed<F> {
     fn forward(&self, rows: GeometryRef<'_>, t: Time, out: &mut Geometry) {
         let lock = || self.rendering.lock().unwrap_or_else(PoisonError::into_inner);
         let warm = lock().take();
-        let tape = match warm {
-            Some(mut tape) => {
-                self.field.forward_again(rows, t, &mut tape, out);
-                tape
-            }
-            None => {
-                let mut tape = F::Tape::default();
-                self.field.forward(rows, t, &mut tape, out);
-                tape
-            }
-        };
+        let again = warm.is_some();
+        let mut tape = warm.unwrap_or_default();
+        match again {
+            true => self.field.forward_again(rows, t, &mut tape, out),
+            false => self.field.forward(rows, t, &mut tape, out),
+        }
         *lock() = Some(tape);
+    }
+
+    /// To be called before or after any change of a parameter.
+    fn forget(&mut self) {
+        *self.rendering.get_mut().unwrap_or_else(PoisonError::into_inner) = None;
+        self.still = None;
     }
 
     fn training_time(&self, t: Time) -> Time {
@@ -115,8 +116,7 @@ where
 {
     fn begin_step(&mut self, at: &StepCtx) {
         self.canonical.at = at.clone();
-        *self.rendering.get_mut().unwrap_or_else(PoisonError::into_inner) = None;
-        self.still = None;
+        self.forget();
     }
 
     fn splats(&self, at: &Timestamp, _camera: &Camera) -> Result<Splats, MethodError> {
@@ -152,6 +152,7 @@ where
     }
 
     fn end_step(&mut self) -> Result<StepEvents, MethodError> {
+        self.forget();
         Ok(StepEvents { densified: self.canonical.densify()?, log: Vec::new() })
     }
 
@@ -209,8 +210,8 @@ where
         let (field, mut tape) = (&self.field, F::Tape::default());
         let probe = |t: Time, moved: &mut Geometry| field.forward(canonical.geometry(), t, &mut tape, moved);
         let (still, report) = self.canonical.at.dynamic.then(|| Still::find(canonical.len(), options, probe))??;
-        let mut resting = Self::new(self.canonical.clone(), field.clone(), self.anneal, 1);
-        (resting.interval, resting.regular_from, resting.still) = (self.interval, self.regular_from, Some(still));
-        Some((Box::new(resting), report))
+        let fresh = Self::new(self.canonical.clone(), field.clone(), self.anneal, 1);
+        let (interval, regular_from) = (self.interval, self.regular_from);
+        Some((Box::new(Self { interval, regular_from, still: Some(still), ..fresh }), report))
     }
 }

@@ -48,18 +48,39 @@ fn what_rests_stays_within_its_tolerance_until_a_parameter_changes() {
     }
 }
 
-/// The second of two renders at the same time comes from a tape that the first left, at another time.
+/// A run that is rendered between its steps gives the bits of one that is not, and what a step changes is seen.
 #[test]
 fn a_warm_tape_of_rendering_changes_no_bit() {
     let (registry, data) = (Registry::new(METHODS.to_vec()), scene("balls", 32, 7));
+    let camera = &data.train[0].camera;
     for method in ["fourdgs", "fags"] {
-        let mut trainer = start(&registry, &data, method, &short(&registry, method, &[]), 3);
-        run(&mut trainer, 59);
-        let (camera, times) = (&data.train[0].camera, [0.2, 0.7, 0.2]);
-        let warm = times.map(|t| splats(trainer.model(), t, camera));
-        assert!(warm[0] == warm[2] && warm[0] != warm[1], "{method}");
-        // The tape goes with the next change of a parameter.
-        run(&mut trainer, 1);
-        assert_ne!(splats(trainer.model(), 0.2, camera), warm[0], "{method}");
+        let config = short(&registry, method, &[]);
+        let [mut rendered, mut alone] = [0, 1].map(|_| start(&registry, &data, method, &config, 3));
+        for _ in 0..60 {
+            run(&mut rendered, 1);
+            let [first, _, again] = [0.2, 0.7, 0.2].map(|t| splats(rendered.model(), t, camera));
+            assert!(first == again, "{method}");
+        }
+        run(&mut alone, 60);
+        let [a, b] = [&rendered, &alone].map(|trainer| splats(trainer.model(), 0.2, camera));
+        assert!(a == b, "{method}");
     }
+}
+
+/// The end of a step drops what was rendered before the optimiser's update.
+#[test]
+fn an_update_after_a_render_is_seen() {
+    let (registry, data) = (Registry::new(METHODS.to_vec()), scene("balls", 32, 7));
+    let camera = &data.train[0].camera;
+    let mut trainer = start(&registry, &data, "fags", &short(&registry, "fags", &[]), 3);
+    run(&mut trainer, 60);
+    let options = FreezeOptions { pixels: 1e3, shape: 1e3, ..FreezeOptions::usual(std::slice::from_ref(camera)) };
+    let (mut model, _) = trainer.model().freeze_static(&options).expect("static splats");
+    model.begin_step(60);
+    splats(&model, 0.2, camera);
+    model.visit_mut(&mut |p| p.value.iter_mut().filter(|_| p.name == "cloud.means").for_each(|v| *v += 0.1));
+    model.end_step().expect("the end of a step");
+    let after = splats(&model, 0.2, camera);
+    model.begin_step(60);
+    assert!(after == splats(&model, 0.2, camera));
 }
