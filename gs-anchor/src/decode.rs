@@ -81,6 +81,14 @@ impl Default for DecoderConfig {
     }
 }
 
+impl DecoderConfig {
+    /// Number of parameters of a decoder for such anchors; the largest number where that is beyond it.
+    pub fn param_count(&self, shape: AnchorShape) -> u64 {
+        let bank = if self.feature_bank { Bank::count(shape.features) } else { 0 };
+        Heads::count(self, shape).saturating_add(bank)
+    }
+}
+
 /// Settings or an anchor shape that no decoder can be built for.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("decoder setting `{field}` = {value} cannot be built: it must be {rule}")]

@@ -80,7 +80,7 @@ impl GadHead {
         match self {
             GadHead::Positions => 3,
             GadHead::Features => shape.features,
-            GadHead::Offsets => 3 * shape.offsets,
+            GadHead::Offsets => shape.offsets.saturating_mul(3),
             GadHead::Scales => 6,
         }
     }
@@ -110,6 +110,18 @@ impl Default for GadConfig {
         };
         let net = PlaneNetConfig { hexplane, ..PlaneNetConfig::default() };
         Self { heads: GadHead::ALL.to_vec(), dynamics: Dynamics::default(), net }
+    }
+}
+
+impl GadConfig {
+    /// The columns that change, and their widths.
+    fn widths(&self, shape: AnchorShape) -> Vec<(&'static str, usize)> {
+        self.heads.iter().map(|h| (h.name(), h.width(shape))).collect()
+    }
+
+    /// Number of parameters of the network for such anchors; the largest number where that is beyond it.
+    pub fn param_count(&self, shape: AnchorShape) -> u64 {
+        self.net.param_count(&self.widths(shape))
     }
 }
 
@@ -156,8 +168,8 @@ impl Gad {
         if !(0.0..1.0).contains(&config.dynamics.threshold) {
             return reject("threshold", config.dynamics.threshold.to_string(), "from 0 to below 1");
         }
-        let heads: Vec<(&str, usize)> = config.heads.iter().map(|h| (h.name(), h.width(shape))).collect();
-        Ok(Self { config: config.clone(), net: PlaneNet::new("gad", &config.net, &heads, aabb, seed)? })
+        let net = PlaneNet::new("gad", &config.net, &config.widths(shape), aabb, seed)?;
+        Ok(Self { config: config.clone(), net })
     }
 
     /// The settings this field was built from.

@@ -65,6 +65,9 @@ pub enum CameraError {
 
 /// Rotations may deviate this much from orthonormal (files print few digits).
 const ROTATION_TOLERANCE: f64 = 1e-3;
+/// Smallest focal length, as a share of the longer side: a field of view of 179.98°.
+pub const MIN_FOCAL: f64 = 1e-4;
+
 /// Largest image side accepted, pixels.
 pub const MAX_SIDE: u32 = 1 << 15;
 
@@ -169,7 +172,8 @@ impl Camera {
         Self { width, height, fx: self.fx * sx, fy: self.fy * sy, cx: self.cx * sx, cy: self.cy * sy, ..self.clone() }
     }
 
-    /// Verifies every field: sides 1 to [`MAX_SIDE`], positive focal lengths, a rotation that is orthonormal to 1e-3.
+    /// Verifies every field: sides 1 to [`MAX_SIDE`], focal lengths of at least [`MIN_FOCAL`] of the longer side, a rotation
+    /// that is orthonormal to 1e-3.
     ///
     /// # Errors
     /// Names the first field that is not finite or out of its domain.
@@ -180,8 +184,10 @@ impl Camera {
         for (field, v) in [("width", self.width), ("height", self.height)] {
             range(field, f64::from(v), (1..=MAX_SIDE).contains(&v), "1 to 32768 pixels")?;
         }
+        let side = f64::from(self.width.max(self.height));
         for (field, v) in [("fx", self.fx), ("fy", self.fy)] {
-            range(field, v, v > 0.0 && v < 1e9, "positive and below 1e9 pixels")?;
+            let good = v >= MIN_FOCAL * side && v < 1e9;
+            range(field, v, good, "at least a ten-thousandth of the longer side, and below 1e9 pixels")?;
         }
         for (field, v) in [("cx", self.cx), ("cy", self.cy)] {
             range(field, v, v.abs() < 1e9, "finite, magnitude below 1e9 pixels")?;

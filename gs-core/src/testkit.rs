@@ -1,7 +1,9 @@
-//! Shared captures and golden files for the tests of several crates (feature `testkit`).
+//! For the tests of several crates (feature `testkit`): shared captures and golden files, and an allocator that counts.
 //!
 //! They may not be shipped, so a fresh clone has none. The folder is `$GS4D_SHARED`, else `shared` beside the workspace.
 //! A test without its data reports that it was skipped, or fails where `GS4D_REQUIRE_SHARED` is 1.
+
+pub mod alloc;
 
 use std::io::Write;
 use std::path::PathBuf;

@@ -72,7 +72,7 @@ pub use backward::render_backward_into;
 pub use count::blend_counts;
 pub use forward::render_into;
 pub use frame::{Frame, FrameGrad, ScreenStats};
-pub use options::{ClampGrad, RasterOptions, SimdLevel};
+pub use options::{ClampGrad, OptionError, RasterOptions, SimdLevel};
 pub use workspace::Workspace;
 
 use gs_core::{Camera, SplatsGrad, SplatsRef};

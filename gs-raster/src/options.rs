@@ -86,6 +86,54 @@ impl Default for RasterOptions {
     }
 }
 
+/// An option of the rasteriser outside its domain.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("rasteriser option `{field}` = {value} is out of range: it must be {rule}")]
+pub struct OptionError {
+    /// Name of the field of [`RasterOptions`].
+    pub field: &'static str,
+    /// Value met.
+    pub value: f64,
+    /// The domain in words, after "it must be".
+    pub rule: &'static str,
+}
+
+impl RasterOptions {
+    /// Verifies every field. Rendering with options that do not pass gives pictures without meaning, but no panic.
+    ///
+    /// ```
+    /// use gs_raster::RasterOptions;
+    ///
+    /// assert!(RasterOptions::default().check().is_ok());
+    /// let none = RasterOptions { min_alpha: 0.0, ..RasterOptions::default() };
+    /// assert!(none.check().unwrap_err().to_string().contains("`min_alpha` = 0"));
+    /// ```
+    ///
+    /// # Errors
+    /// Names the first field that is out of its domain.
+    pub fn check(&self) -> Result<(), OptionError> {
+        let need = |good: bool, field, value: f64, rule| {
+            if good { Ok(()) } else { Err(OptionError { field, value, rule }) }
+        };
+        for v in self.background {
+            need(v.is_finite(), "background", v.into(), "finite")?;
+        }
+        let (near, far) = (self.near, self.far);
+        need(near > 0.0 && near.is_finite(), "near", near, "above 0 and finite")?;
+        need(far > near, "far", far, "above `near`")?;
+        let (least, most) = (self.min_alpha, self.max_alpha);
+        need(most > 0.0 && most < 1.0, "max_alpha", most, "above 0 and below 1")?;
+        need((MIN_ALPHA..=most).contains(&least), "min_alpha", least, "from 1e-6 to `max_alpha`")?;
+        need((0.0..1.0).contains(&self.stop), "stop", self.stop, "0 or more, below 1")?;
+        need(self.dilation >= 0.0 && self.dilation.is_finite(), "dilation", self.dilation, "0 or more, finite")?;
+        need(self.kernel_cut > 0.0, "kernel_cut", self.kernel_cut, "above 0")?;
+        need(self.box_sigmas > 0.0, "box_sigmas", self.box_sigmas, "above 0")
+    }
+}
+
+/// Smallest threshold of alpha: below it the extent of a splat is more than five standard deviations.
+const MIN_ALPHA: f64 = 1e-6;
+
 /// Thresholds of the blend, rounded to `f32`; see [`RasterOptions`].
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Limits {
@@ -99,9 +147,11 @@ pub(crate) struct Limits {
 
 impl Limits {
     pub(crate) fn new(options: &RasterOptions) -> Self {
+        // A threshold of 0 has no logarithm.
+        let min_alpha = options.min_alpha.max(MIN_ALPHA);
         Self {
-            min_alpha: options.min_alpha as f32,
-            log2_min_alpha: options.min_alpha.log2() as f32,
+            min_alpha: min_alpha as f32,
+            log2_min_alpha: min_alpha.log2() as f32,
             max_alpha: options.max_alpha as f32,
             stop: options.stop as f32,
             pass_through: options.clamp_grad == ClampGrad::PassThrough,

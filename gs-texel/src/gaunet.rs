@@ -83,8 +83,37 @@ impl GauNetConfig {
 
     /// Channels of a level.
     fn channels(&self, level: usize) -> usize {
-        self.width << level
+        2usize.saturating_pow(u32::try_from(level).unwrap_or(u32::MAX)).saturating_mul(self.width)
     }
+
+    /// Input channels of a level of the encoder.
+    fn below(&self, level: usize) -> usize {
+        if level == 0 { self.inputs } else { self.channels(level - 1) }
+    }
+
+    /// The last convolution.
+    fn last(&self) -> ConvSpec {
+        ConvSpec { kernel: 1, stride: 1, inputs: self.width, outputs: self.outputs(), bias: true }
+    }
+
+    /// Number of parameters of the network; the largest number where that is beyond it.
+    pub fn param_count(&self) -> u64 {
+        let double =
+            |inputs, outputs| double(inputs, outputs).map(Unit::count).into_iter().fold(0, u64::saturating_add);
+        let levels = self.levels as usize;
+        let down = (0..=levels).map(|l| double(self.below(l), self.channels(l)));
+        let up = (0..levels).map(|l| {
+            let (inputs, outputs) = (self.channels(l + 1), self.channels(l));
+            let grow = ConvSpec { kernel: 2, stride: 2, inputs, outputs, bias: true };
+            grow.count().saturating_add(double(inputs, outputs))
+        });
+        down.chain(up).fold(self.last().count(), u64::saturating_add)
+    }
+}
+
+/// The two convolutions of a level.
+fn double(inputs: usize, outputs: usize) -> [ConvSpec; 2] {
+    [inputs, outputs].map(|inputs| ConvSpec { kernel: 3, stride: 1, inputs, outputs, bias: false })
 }
 
 type Double = [Unit; 2];
@@ -141,25 +170,21 @@ impl GauNet {
     pub fn new(name: &str, config: GauNetConfig, seed: u64) -> Result<Self, NetError> {
         config.check()?;
         let double = |part: String, inputs, outputs| {
-            let unit = |i: usize, inputs| {
-                let spec = ConvSpec { kernel: 3, stride: 1, inputs, outputs, bias: false };
-                Unit::new(&format!("{name}.{part}.{i}"), spec, GROUPS, true, seed)
-            };
-            [unit(0, inputs), unit(1, outputs)]
+            let [first, second] = double(inputs, outputs);
+            let unit = |i: usize, spec| Unit::new(&format!("{name}.{part}.{i}"), spec, GROUPS, true, seed);
+            [unit(0, first), unit(1, second)]
         };
         let channels = |level: usize| config.channels(level);
-        let below = |l: usize| if l == 0 { config.inputs } else { channels(l - 1) };
         let levels = config.levels as usize;
         let up = |l: usize| {
             let double = double(format!("up{l}"), 2 * channels(l), channels(l));
             (ConvTranspose::new(&format!("{name}.up{l}.grow"), channels(l + 1), channels(l), Init::FanIn, seed), double)
         };
-        let last = ConvSpec { kernel: 1, stride: 1, inputs: config.width, outputs: config.outputs(), bias: true };
         Ok(Self {
             config,
-            down: (0..=levels).map(|l| double(format!("down{l}"), below(l), channels(l))).collect(),
+            down: (0..=levels).map(|l| double(format!("down{l}"), config.below(l), channels(l))).collect(),
             up: (0..levels).map(up).collect(),
-            out: Conv::new(&format!("{name}.out"), last, Init::FanIn, seed),
+            out: Conv::new(&format!("{name}.out"), config.last(), Init::FanIn, seed),
         })
     }
 

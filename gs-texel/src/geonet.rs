@@ -57,7 +57,43 @@ impl Default for GeoNetConfig {
     }
 }
 
+/// Sizes of the parts of a [`GeoNet`].
+struct Shape {
+    stem: ConvSpec,
+    /// Name, inputs, outputs and stride of the two residual blocks of each stage.
+    stages: [(&'static str, usize, usize, usize); 6],
+    head: [ConvSpec; 3],
+}
+
 impl GeoNetConfig {
+    fn shape(&self) -> Shape {
+        let Self { inputs, width: w, .. } = *self;
+        let (w2, w3) = (w.saturating_mul(3) / 2, w.saturating_mul(3));
+        let spec = |kernel, inputs, outputs| ConvSpec { kernel, stride: 1, inputs, outputs, bias: true };
+        Shape {
+            stem: ConvSpec { stride: 2, ..spec(5, inputs, w) },
+            stages: [
+                ("enc1", w, w, 1),
+                ("enc2", w, w2, 2),
+                ("enc3", w2, w3, 2),
+                ("dec3", w3, w3, 1),
+                ("dec2", w3.saturating_add(w2), w.saturating_mul(2), 1),
+                ("dec1", w3, w2, 1),
+            ],
+            head: [spec(3, w2.saturating_add(inputs), w), spec(3, w, w), spec(1, w, OUTPUTS)],
+        }
+    }
+
+    /// Number of parameters of the network; the largest number where that is beyond it.
+    pub fn param_count(&self) -> u64 {
+        let Shape { stem, stages, head } = self.shape();
+        let blocks = stages.map(|(_, inputs, outputs, stride)| {
+            Residual::count(inputs, outputs, stride).saturating_add(Residual::count(outputs, outputs, 1))
+        });
+        let layers = blocks.into_iter().chain(head.map(|spec| spec.count()));
+        layers.fold(Unit::count(stem), u64::saturating_add)
+    }
+
     fn check(&self) -> Result<(), NetError> {
         if self.inputs == 0 {
             return Err(NetError::Empty { net: "GeoNet", what: "input channel" });
@@ -115,31 +151,18 @@ impl GeoNet {
     /// If the width does not fit the normalisation groups, or there are no inputs or levels.
     pub fn new(name: &str, config: GeoNetConfig, seed: u64) -> Result<Self, NetError> {
         config.check()?;
-        let GeoNetConfig { inputs, width: w, .. } = config;
-        let (w2, w3) = (3 * w / 2, 3 * w);
-        let spec = |kernel, inputs, outputs| ConvSpec { kernel, stride: 1, inputs, outputs, bias: true };
-        let stage = |part: &str, inputs, outputs, stride| {
+        let Shape { stem, stages, head } = config.shape();
+        let stage = |(part, inputs, outputs, stride): (&str, usize, usize, usize)| {
             let block =
                 |i: usize, inputs, stride| Residual::new(&format!("{name}.{part}.{i}"), inputs, outputs, stride, seed);
             [block(0, inputs, stride), block(1, outputs, 1)]
         };
-        let conv = |part: &str, spec, init| Conv::new(&format!("{name}.head.{part}"), spec, init, seed);
+        let conv = |part: usize, init| Conv::new(&format!("{name}.head.{part}"), head[part], init, seed);
         Ok(Self {
             config,
-            stem: Unit::new(&format!("{name}.stem"), ConvSpec { stride: 2, ..spec(5, inputs, w) }, 8, true, seed),
-            stages: [
-                stage("enc1", w, w, 1),
-                stage("enc2", w, w2, 2),
-                stage("enc3", w2, w3, 2),
-                stage("dec3", w3, w3, 1),
-                stage("dec2", w3 + w2, 2 * w, 1),
-                stage("dec1", 2 * w + w, w2, 1),
-            ],
-            head: [
-                conv("0", spec(3, w2 + inputs, w), Init::FanIn),
-                conv("1", spec(3, w, w), Init::FanIn),
-                conv("2", spec(1, w, OUTPUTS), Init::Zero),
-            ],
+            stem: Unit::new(&format!("{name}.stem"), stem, 8, true, seed),
+            stages: stages.map(stage),
+            head: [conv(0, Init::FanIn), conv(1, Init::FanIn), conv(2, Init::Zero)],
         })
     }
 

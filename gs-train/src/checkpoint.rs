@@ -191,6 +191,10 @@ impl Checkpoint {
     /// # Errors
     /// If it cannot be read, is damaged (with the byte offset) or has another layout version.
     pub fn load(path: &Path) -> Result<Self, CheckpointError> {
+        // Opening a pipe would wait for somebody to write to it.
+        if fs::metadata(path).is_ok_and(|meta| !meta.is_file()) {
+            return Err(io_error("open", path)(io::Error::other("it is no regular file")));
+        }
         let file = File::open(path).map_err(io_error("open", path))?;
         let bytes = file.metadata().map_err(io_error("read", path))?.len();
         container::read(&mut io::BufReader::new(file), bytes).map_err(|fault| match fault {

@@ -21,6 +21,33 @@ pub enum MethodError {
         /// What is wrong, and where.
         why: String,
     },
+    /// A setting lies outside its domain.
+    #[error("setting `{key}` = {value} of method `{method}` is out of range: it must be from {low} to {high}")]
+    Domain {
+        /// Name of the method.
+        method: &'static str,
+        /// Dotted key of the setting.
+        key: String,
+        /// Value met, as text.
+        value: String,
+        /// Lowest value allowed.
+        low: f64,
+        /// Highest value allowed.
+        high: f64,
+    },
+    /// Networks and fields are larger than allowed.
+    #[error(
+        "the settings of method `{method}` ask for {count} parameters of networks and fields, and at most {limit} are \
+         allowed (what a checkpoint holds where one is read): make widths, depths, planes or tables smaller"
+    )]
+    TooLarge {
+        /// Name of the method.
+        method: &'static str,
+        /// Parameters asked for.
+        count: u64,
+        /// Parameters allowed.
+        limit: u64,
+    },
     /// The schedule cannot be followed.
     #[error(transparent)]
     Schedule(#[from] ScheduleError),

@@ -27,6 +27,7 @@ pub mod checkpoint;
 #[cfg(feature = "conformance")]
 pub mod conformance;
 pub mod densify;
+pub mod domains;
 pub mod error;
 pub mod evaluate;
 pub mod kernel;

@@ -1,5 +1,6 @@
 //! The methods a program offers, by name, with their settings.
 
+use crate::domains::{self, Domain};
 use crate::error::MethodError;
 use crate::model::Model;
 use crate::scene::SceneInfo;
@@ -74,13 +75,32 @@ pub struct MethodEntry {
     pub defaults: &'static [&'static str],
     /// Presets: name and layers that differ from the defaults and from each other.
     pub presets: &'static [(&'static str, &'static [&'static str])],
+    /// Domains of settings of its own, beside [`domains::SHARED`](crate::domains::SHARED).
+    pub domains: &'static [Domain],
     /// Whether it can be built only for a filmed person: [`SceneInfo::avatar`].
     pub needs_avatar: bool,
-    /// Builds the method for a scene from a resolved configuration.
+    /// Builds the method for a scene from a resolved configuration; [`Self::model`] checks the configuration first.
     pub build: Build,
 }
 
 impl MethodEntry {
+    /// The method for a scene, from a resolved configuration.
+    ///
+    /// # Errors
+    /// A setting outside its domain, or those of [`Self::build`].
+    pub fn model(&self, config: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
+        self.check(config)?;
+        (self.build)(config, scene)
+    }
+
+    /// Fails for the first number of a configuration outside its domain.
+    ///
+    /// # Errors
+    /// [`MethodError::Domain`].
+    pub fn check(&self, config: &toml::Table) -> Result<(), MethodError> {
+        domains::check(self.name, config, self.domains)
+    }
+
     /// The filmed person of a data set, if this method needs one.
     ///
     /// # Errors

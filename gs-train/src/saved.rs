@@ -8,7 +8,7 @@ use crate::checkpoint::Checkpoint;
 use crate::method::{BufferMut, MethodError};
 use crate::model::Model;
 use crate::registry::Registry;
-use crate::scene::SceneInfo;
+use crate::scene::{MAX_PARAMETERS, SceneInfo};
 use glam::Vec3;
 use gs_core::Param;
 use gs_data::PointCloud;
@@ -16,6 +16,9 @@ use gs_data::avatar::AvatarScene;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::sync::Arc;
+
+/// Largest number of steps of a run.
+const MAX_STEPS: u32 = 1 << 31;
 
 /// What a checkpoint says of a run beside its tensors.
 #[derive(Clone, Copy, Debug)]
@@ -137,16 +140,36 @@ pub fn load_with(
     if !(meta.extent > 0.0 && meta.extent.is_finite() && bounds.iter().all(|b| b.is_finite())) {
         return Err("meta: extent or bounds are not finite".into());
     }
+    if meta.step > MAX_STEPS {
+        return Err(format!("meta.step = {}: no run has more than {MAX_STEPS} steps", meta.step));
+    }
     // The blocks are given their rows below; one point stands in for the first cloud.
     let points = PointCloud { positions: vec![0.5 * (bounds[0] + bounds[1])], colors: vec![[0.5; 3]] };
     let Meta { extent, views, moments: timestamps, last_time, frame_interval, .. } = meta;
-    let scene = SceneInfo { points, extent, bounds, views, timestamps, last_time, frame_interval, seed, avatar };
+    let max_parameters = parameters(&checkpoint.tensors).min(MAX_PARAMETERS);
+    let scene = SceneInfo {
+        points,
+        extent,
+        bounds,
+        views,
+        timestamps,
+        last_time,
+        frame_interval,
+        seed,
+        avatar,
+        max_parameters,
+    };
     let config = config.unwrap_or(&meta.config).clone();
-    let mut model = (entry.build)(&config, &scene).map_err(|e| e.to_string())?;
+    let mut model = entry.model(&config, &scene).map_err(|e| e.to_string())?;
     restore(&mut model, &checkpoint.tensors)?;
     model.begin_step(meta.step);
     let (adam_updates, train_seconds) = (meta.adam_updates, meta.train_seconds);
     Ok(Loaded { model, config, scene, step: meta.step, adam_updates, train_seconds })
+}
+
+/// Number of parameters that a checkpoint holds, moments of the optimiser left out.
+fn parameters(tensors: &[(String, Vec<f32>)]) -> u64 {
+    tensors.iter().filter(|(name, _)| !name.contains('#')).map(|(_, values)| values.len() as u64).sum()
 }
 
 /// Fills a method's blocks and buffers. Row blocks take the number of rows of the tensors; moments and buffers of rows that

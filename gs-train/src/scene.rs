@@ -91,9 +91,24 @@ pub struct SceneInfo {
     pub seed: u64,
     /// The filmed person, where the data bring one along; not kept in checkpoints.
     pub avatar: Option<Arc<AvatarScene>>,
+    /// Parameters that networks and fields may have in all: [`MAX_PARAMETERS`], or as many as the checkpoint holds.
+    pub max_parameters: u64,
 }
 
+/// Parameters that networks and fields may have in all: 1 GiB, and three times that for gradients and moments.
+pub const MAX_PARAMETERS: u64 = 1 << 28;
+
 impl SceneInfo {
+    /// Fails if networks and fields have more parameters than are allowed. A method calls it before it builds them.
+    ///
+    /// # Errors
+    /// [`MethodError::TooLarge`] with both numbers.
+    pub fn admit(&self, method: &'static str, counts: &[u64]) -> Result<(), MethodError> {
+        let count = counts.iter().fold(0u64, |sum, n| sum.saturating_add(*n));
+        let limit = self.max_parameters;
+        if count <= limit { Ok(()) } else { Err(MethodError::TooLarge { method, count, limit }) }
+    }
+
     /// Gathers what `init` asks for from a data set.
     ///
     /// # Errors
@@ -107,7 +122,10 @@ impl SceneInfo {
         }
         let (views, timestamps, last_time, frame_interval) = Default::default();
         let avatar = dataset.avatar.clone();
-        Ok(Self { points, extent, bounds, views, timestamps, last_time, frame_interval, seed, avatar }.seen_in(dataset))
+        let max_parameters = MAX_PARAMETERS;
+        let scene =
+            Self { points, extent, bounds, views, timestamps, last_time, frame_interval, seed, avatar, max_parameters };
+        Ok(scene.seen_in(dataset))
     }
 
     /// The same scene as the training views of a data set show it, which may hold more than it was made from: its numbers of

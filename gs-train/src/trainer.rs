@@ -105,10 +105,11 @@ impl Trainer {
         options: TrainOptions,
     ) -> Result<Self, TrainError> {
         let entry = registry.find(method)?;
+        entry.check(config)?;
         let init: InitConfig = section(entry.name, config, "init")?;
         entry.avatar(&dataset)?;
         let scene = SceneInfo::of(&dataset, &init, options.seed)?;
-        let model = (entry.build)(config, &scene)?;
+        let model = entry.model(config, &scene)?;
         Ok(Self { config: config.clone(), ..Self::with_method(model, dataset, scene, options)? })
     }
 

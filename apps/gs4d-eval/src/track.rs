@@ -5,6 +5,7 @@
 //! is used. The offset of the centroid at that time is part of the error.
 
 use glam::{DMat3, DVec3};
+use gs_core::io::{Limits, read_text};
 use gs_core::{Camera, Splats, Time, cast};
 use gs_data::{Dataset, Split};
 use gs_train::method::MethodError;
@@ -92,8 +93,8 @@ impl Track {
 /// Frame and position of every line.
 fn lines(path: &Path) -> Result<Vec<(f64, DVec3)>, TrackError> {
     let name = path.display().to_string();
-    let text =
-        std::fs::read_to_string(path).map_err(|e| TrackError::Read { path: name.clone(), why: e.to_string() })?;
+    let text = read_text(path, &Limits::default());
+    let text = text.map_err(|e| TrackError::Read { path: name.clone(), why: e.to_string() })?;
     let mut all = Vec::new();
     for (i, line) in text.lines().enumerate() {
         if line.trim().is_empty() || line.trim_start().starts_with('#') {

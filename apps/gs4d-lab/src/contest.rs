@@ -11,7 +11,7 @@ use gs_train::registry::Registry;
 pub use gs4d_eval::spread::{SCORES, Score, Spread};
 use gs4d_run::folder::{LOG, METRICS};
 use gs4d_run::settings::{Request, resolve};
-use gs4d_run::{OpenRun, Outcome, Progress, Resolved, RunError, Training};
+use gs4d_run::{OpenRun, Outcome, Progress, Resolved, ResumeRequest, RunError, Training};
 use serde::Serialize;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
@@ -270,7 +270,9 @@ impl Contest {
         on_event(Event::Trial(&trial));
         // An interrupted pilot is started again: its budget is in seconds, and short.
         let training = match OpenRun::open(&self.registry, run) {
-            Ok(_) if !matches!(length, Length::Seconds(_)) => Training::resume(&self.registry, run, None, None),
+            Ok(_) if !matches!(length, Length::Seconds(_)) => {
+                Training::resume(&self.registry, run, &ResumeRequest::default())
+            }
             _ => Training::begin(run, true, resolved),
         };
         let mut training = training.map_err(failed)?;

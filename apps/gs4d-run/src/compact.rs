@@ -13,6 +13,8 @@
 //!
 //! Positions on a known lattice are stored as whole numbers, exactly. Blocks of at most [`SMALL`] values stay `f32`.
 
+use crate::{RunError, kept};
+use gs_data::View;
 use gs_train::checkpoint::{Checkpoint, CheckpointError, Coding, Encoding};
 use gs_train::model::Model;
 use gs_train::saved::{self, Loaded, RunState};
@@ -25,6 +27,8 @@ use std::path::Path;
 
 /// Key of the run's settings in `meta`, as TOML text.
 pub const SETTINGS: &str = "settings";
+/// Key of the cameras that are kept in `meta`, as camera JSON.
+pub const CAMERAS: &str = "cameras";
 /// Largest number of values of a block that is stored as `f32` in any case.
 pub const SMALL: usize = 64;
 /// Number of values of a shared block that have a quantisation range in common.
@@ -135,7 +139,8 @@ impl CompactScene {
         Self { config: config.clone(), tensors }
     }
 
-    /// Writes the file; `settings` are those of the run, the method's own included.
+    /// Writes the file. `settings` are those of the run, the method's own included; the path of its data is left out. A few
+    /// cameras of `views` are kept.
     ///
     /// # Errors
     /// As [`Checkpoint::save`]. What is at `path` is replaced.
@@ -144,14 +149,15 @@ impl CompactScene {
         path: &Path,
         loaded: &Loaded,
         settings: &toml::Table,
+        views: &[View],
         packing: Packing,
-    ) -> Result<CompactReport, CheckpointError> {
-        let settings = toml::to_string(settings).map_err(|e| CheckpointError::State(e.to_string()))?;
+    ) -> Result<CompactReport, RunError> {
         let encodings: Vec<Encoding> = self.tensors.iter().map(|t| t.encoding(packing)).collect();
-        let checkpoint = Checkpoint {
-            meta: self.meta(loaded, &settings, packing),
-            tensors: self.tensors.iter().map(|t| (t.name.clone(), t.values.clone())).collect(),
-        };
+        let mut meta = self.meta(loaded, packing);
+        meta[SETTINGS] = json!(without_path(settings)?);
+        meta[CAMERAS] = kept::keep(views)?;
+        let checkpoint =
+            Checkpoint { meta, tensors: self.tensors.iter().map(|t| (t.name.clone(), t.values.clone())).collect() };
         let bytes = checkpoint.save_packed(path, &encodings)?;
         let file = std::fs::metadata(path);
         let file = file.map_err(|source| CheckpointError::Io { action: "read", path: path.to_owned(), source })?;
@@ -163,7 +169,7 @@ impl CompactScene {
         })
     }
 
-    fn meta(&self, loaded: &Loaded, settings: &str, packing: Packing) -> Value {
+    fn meta(&self, loaded: &Loaded, packing: Packing) -> Value {
         let state = RunState {
             config: &self.config,
             scene: &loaded.scene,
@@ -172,7 +178,6 @@ impl CompactScene {
             train_seconds: loaded.train_seconds,
         };
         let mut meta = saved::save(&loaded.model, &state).meta;
-        meta[SETTINGS] = json!(settings);
         meta["packing"] = json!(packing);
         meta
     }
@@ -188,6 +193,15 @@ impl CompactScene {
         }
         blocks
     }
+}
+
+/// The settings as TOML text, without the place of the data.
+fn without_path(settings: &toml::Table) -> Result<String, CheckpointError> {
+    let mut settings = settings.clone();
+    if let Some(run) = settings.get_mut("run").and_then(toml::Value::as_table_mut) {
+        run.insert("data".into(), "".into());
+    }
+    toml::to_string(&settings).map_err(|e| CheckpointError::State(e.to_string()))
 }
 
 impl CompactTensor {

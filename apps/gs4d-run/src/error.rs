@@ -34,6 +34,42 @@ pub enum RunError {
         /// The checkpoint file without settings.
         path: PathBuf,
     },
+    /// The data of a run are not where they were, or a scene does not say where they are.
+    #[error(
+        "{}",
+        if path.as_os_str().is_empty() { "this scene does not say where its data are".to_owned() }
+        else { format!("the data of this run are not at {}", path.display()) }
+    )]
+    DataGone {
+        /// The folder they were in; empty if it is not known.
+        path: PathBuf,
+    },
+    /// The data are not those that the run began with.
+    #[error("the data at {} are not those that the run began with", path.display())]
+    DataChanged {
+        /// Folder of the data.
+        path: PathBuf,
+    },
+    /// A checkpoint of another method than the run's.
+    #[error("{} is of method {found}; this run trains {method}", path.display())]
+    OtherMethod {
+        /// The checkpoint.
+        path: PathBuf,
+        /// Its method.
+        found: String,
+        /// The method of the run.
+        method: String,
+    },
+    /// More memory is needed than may be taken.
+    #[error("{what} needs about {need_mib} MiB of memory, and {limit_mib} MiB may be taken")]
+    Memory {
+        /// What needs it.
+        what: String,
+        /// Estimate of what it needs, MiB.
+        need_mib: u64,
+        /// What may be taken, MiB.
+        limit_mib: u64,
+    },
     /// Another process holds the lock of the folder.
     #[error("another process is writing to {}", path.display())]
     Busy {

@@ -3,6 +3,7 @@
 //! ```text
 //! RUN/config.resolved.toml   every setting with its source
 //! RUN/provenance.json        version, CPU, threads, seed, digest of the data, layout, time source, split sizes
+//! RUN/cameras.json           a few of the training cameras, for where the data are not
 //! RUN/log.jsonl              one JSON object per line: step, seconds, loss terms, counts, milliseconds, memory
 //! RUN/histograms.jsonl       histograms of attributes of the splats, where the method has any
 //! RUN/journal.jsonl          events of the method (moves of interval boundaries, growth of anchors)
@@ -14,7 +15,7 @@
 //! A writer holds a lock, which the system releases when the process ends.
 
 use super::RunError;
-use gs_core::io::write_file;
+use gs_core::io::{Limits, read_text, write_file};
 use serde_json::Value;
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::Write;
@@ -34,9 +35,14 @@ pub const JOURNAL: &str = "journal.jsonl";
 pub const METRICS: &str = "metrics.json";
 /// File of the HTML report.
 pub const REPORT: &str = "report.html";
+/// File of a few of the training cameras.
+pub const CAMERAS: &str = "cameras.json";
 const LOCK: &str = ".lock";
 const CHECKPOINTS: &str = "checkpoints";
 const RENDERS: &str = "renders";
+
+/// Limits of the texts of a run. A line of a log has about 500 bytes.
+const LIMITS: Limits = Limits { max_bytes: 1 << 30, ..Limits::DEFAULT };
 
 /// A run folder, open for reading or for writing.
 #[derive(Debug)]
@@ -129,8 +135,7 @@ impl RunFolder {
     /// # Errors
     /// If the system refuses or it is not UTF-8.
     pub fn read(&self, name: &str) -> Result<String, RunError> {
-        let path = self.root.join(name);
-        fs::read_to_string(&path).map_err(|e| RunError::io("read", &path, e))
+        Ok(read_text(&self.root.join(name), &LIMITS)?)
     }
 
     /// Opens [`LOG`], [`HISTOGRAMS`] or [`JOURNAL`] to add lines.
@@ -149,10 +154,7 @@ impl RunFolder {
     /// If the system refuses; a missing file is empty.
     pub fn log_lines(&self, name: &str) -> Result<Vec<Value>, RunError> {
         let path = self.root.join(name);
-        let text = match fs::read_to_string(&path) {
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound => String::new(),
-            read => read.map_err(|e| RunError::io("read", &path, e))?,
-        };
+        let text = if path.exists() { read_text(&path, &LIMITS)? } else { String::new() };
         Ok(text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect())
     }
 
@@ -214,7 +216,7 @@ fn remove_older(root: &Path) -> Result<(), RunError> {
         gone(&path, fs::remove_dir_all(&path))?;
     }
     // The configuration goes last: until then the folder is still known as a run.
-    for file in [PROVENANCE, LOG, HISTOGRAMS, JOURNAL, METRICS, REPORT, CONFIG] {
+    for file in [PROVENANCE, CAMERAS, LOG, HISTOGRAMS, JOURNAL, METRICS, REPORT, CONFIG] {
         let path = root.join(file);
         gone(&path, fs::remove_file(&path))?;
     }

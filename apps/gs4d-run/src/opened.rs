@@ -4,8 +4,9 @@
 
 use super::folder::{self, RunFolder};
 use super::{Resolved, RunError};
-use crate::compact::SETTINGS;
-use gs_data::{Dataset, ImageCache, Split};
+use crate::compact::{CAMERAS, SETTINGS};
+use crate::kept;
+use gs_data::{Dataset, ImageCache, Split, View};
 use gs_train::checkpoint::{self, Checkpoint, Newest, Skipped};
 use gs_train::evaluate::{EvalReport, evaluate, evaluate_with_future};
 use gs_train::registry::Registry;
@@ -24,6 +25,10 @@ pub struct OpenRun {
     pub path: PathBuf,
     /// Newer checkpoints that did not verify.
     pub skipped: Vec<Skipped>,
+    /// Cameras that were kept, as JSON.
+    cameras: Option<String>,
+    /// Whether the folder of the data was given, instead of the one the run has kept.
+    moved: bool,
 }
 
 impl OpenRun {
@@ -32,33 +37,65 @@ impl OpenRun {
     /// # Errors
     /// If it is no run, or no checkpoint of it is usable; for a file, if it holds no settings and lies in no run folder.
     pub fn open(registry: &Registry, path: &Path) -> Result<Self, RunError> {
-        if path.is_file() {
-            let checkpoint = Checkpoint::load(path)?;
-            let settings = match checkpoint.meta.get(SETTINGS).and_then(Value::as_str) {
-                Some(text) => text.to_owned(),
-                None => RunFolder::around(path)?.read(folder::CONFIG)?,
-            };
-            return Self::of(
-                registry,
-                None,
-                &settings,
-                Newest { checkpoint, path: path.to_owned(), skipped: Vec::new() },
-            );
-        }
-        let folder = RunFolder::open(path)?;
-        let settings = folder.read(folder::CONFIG)?;
-        let newest = checkpoint::load_newest(&folder.checkpoints())?;
-        Self::of(registry, Some(folder), &settings, newest)
+        Self::open_with(registry, path, None)
     }
 
-    fn of(registry: &Registry, folder: Option<RunFolder>, settings: &str, newest: Newest) -> Result<Self, RunError> {
-        let resolved = Resolved::read(registry, settings, folder::CONFIG)?;
+    /// The same with the data in the folder `data`, if one is given, instead of where the run began.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub fn open_with(registry: &Registry, path: &Path, data: Option<&Path>) -> Result<Self, RunError> {
+        let (folder, newest) = if path.is_file() {
+            let checkpoint = Checkpoint::load(path)?;
+            (None, Newest { checkpoint, path: path.to_owned(), skipped: Vec::new() })
+        } else {
+            let folder = RunFolder::open(path)?;
+            let newest = checkpoint::load_newest(&folder.checkpoints())?;
+            (Some(folder), newest)
+        };
+        let meta = &newest.checkpoint.meta;
+        let (settings, cameras) = match meta.get(SETTINGS).and_then(Value::as_str).filter(|_| folder.is_none()) {
+            Some(settings) => (settings.to_owned(), meta.get(CAMERAS).map(Value::to_string)),
+            None => {
+                let around = if folder.is_none() { Some(RunFolder::around(path)?) } else { None };
+                let Some(run) = folder.as_ref().or(around.as_ref()) else {
+                    return Err(RunError::NotARun { path: path.to_owned() });
+                };
+                (run.read(folder::CONFIG)?, run.read(folder::CAMERAS).ok())
+            }
+        };
+        let mut resolved = Resolved::read(registry, &settings, folder::CONFIG)?;
+        if let Some(data) = data {
+            resolved = resolved.with_data(data)?;
+        }
+        check_method(&newest, &resolved)?;
         let entry = registry.find(&resolved.run.method)?;
         // Only a method that cannot be built without the data's template has its data opened here.
-        let avatar = if entry.needs_avatar { entry.avatar(&resolved.open_data()?)? } else { None };
+        let avatar = if entry.needs_avatar { entry.avatar(&resolved.reopen_data()?)? } else { None };
         let loaded = saved::load_with(registry, &newest.checkpoint, None, avatar)
             .map_err(gs_train::trainer::TrainError::State)?;
-        Ok(Self { folder, resolved, loaded, path: newest.path, skipped: newest.skipped })
+        let Newest { path, skipped, .. } = newest;
+        Ok(Self { folder, resolved, loaded, path, skipped, cameras, moved: data.is_some() })
+    }
+
+    /// The data set of the run.
+    ///
+    /// # Errors
+    /// If it is not where it was, or cannot be read.
+    pub fn open_data(&self) -> Result<Dataset, RunError> {
+        self.resolved.reopen_data()
+    }
+
+    /// The training views; where the data are gone, the few cameras that were kept, without images.
+    ///
+    /// # Errors
+    /// As [`Self::open_data`], if no camera was kept or the folder of the data was given.
+    pub fn training_views(&self) -> Result<Vec<View>, RunError> {
+        match (self.open_data(), &self.cameras) {
+            (Ok(dataset), _) => Ok(dataset.train),
+            (Err(_), Some(json)) if !self.moved => Ok(kept::views(json, folder::CAMERAS)?),
+            (Err(e), _) => Err(e),
+        }
     }
 
     /// The folder of the run.
@@ -100,6 +137,18 @@ impl OpenRun {
         let mut report = evaluate_with_future(method, dataset, Split::Test, self.background(), &images)?;
         report.train_seconds = Some(self.loaded.train_seconds);
         Ok(report)
+    }
+}
+
+/// Fails if a checkpoint is of another method than its run.
+pub(crate) fn check_method(newest: &Newest, resolved: &Resolved) -> Result<(), RunError> {
+    let (found, method) = (newest.checkpoint.meta["method"].as_str(), &resolved.run.method);
+    match found {
+        Some(found) if found != method => {
+            let (path, found) = (newest.path.clone(), found.to_owned());
+            Err(RunError::OtherMethod { path, found, method: method.clone() })
+        }
+        _ => Ok(()),
     }
 }
 

@@ -126,7 +126,7 @@ mod tests {
         let entry = gs_methods::registry().find(method).unwrap();
         let config = entry.config("tiny").unwrap();
         let scene = SceneInfo::of(&data, &section(entry.name, &config, "init").unwrap(), 3).unwrap();
-        let mut method = (entry.build)(&config, &scene).unwrap();
+        let mut method = entry.model(&config, &scene).unwrap();
         method.begin_step(100_000);
         overlay_figures(&method, &data.test[0], &data.test[0].camera).unwrap()
     }

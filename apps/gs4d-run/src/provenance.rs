@@ -1,9 +1,14 @@
 //! Provenance of a run: what is needed to repeat it, and the machine its seconds were measured on.
 
+use crate::RunError;
+use crate::folder::{PROVENANCE, RunFolder};
 use gs_data::{Dataset, ImageSource};
 use gs_raster::SimdLevel;
 use serde::Serialize;
-use std::fs;
+use serde_json::{Value, json};
+use std::fs::{self, File};
+use std::io::{Read, Seek, SeekFrom};
+use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 /// The machine and the program version.
@@ -30,7 +35,7 @@ pub(crate) struct DataOrigin {
     pub(crate) root: String,
     /// Name of the layout.
     pub(crate) layout: &'static str,
-    /// Hash of names, cameras, times and image paths of all views.
+    /// Hash of names, cameras, times, image paths and parts of the images of all views.
     pub(crate) digest: String,
     /// Source of the times, in words.
     pub(crate) time_source: String,
@@ -72,8 +77,68 @@ impl DataOrigin {
     }
 }
 
-/// 64-bit FNV-1a over names, cameras, times and image paths (relative to the folder) of all views: the same for the same
-/// data wherever the folder stands.
+/// Notes in the provenance that a run goes on from a step, with what data and on what machine. Gives what a user should know.
+///
+/// # Errors
+/// [`RunError::DataChanged`] if the data are not those that the run was trained on last, unless that is accepted.
+pub(crate) fn resumed(
+    folder: &RunFolder,
+    dataset: &Dataset,
+    step: u32,
+    accept_changed_data: bool,
+) -> Result<Vec<String>, RunError> {
+    // A run whose provenance was lost can go on; there is nothing to compare with.
+    let Some(mut provenance) = folder.read(PROVENANCE).ok().and_then(|t| serde_json::from_str::<Value>(&t).ok()) else {
+        return Ok(vec![format!("{PROVENANCE} cannot be read: whether the data are the same is not known")]);
+    };
+    let (machine, digest) = (Machine::here(), DataOrigin::of(dataset).digest);
+    let last = provenance["resumed"].as_array().and_then(|a| a.last()).unwrap_or(&Value::Null);
+    let before = |of_last: &Value, at_first: &Value| of_last.as_str().or(at_first.as_str()).map(str::to_owned);
+    let known_digest = before(&last["digest"], &provenance["data"]["digest"]);
+    let known_simd = before(&last["machine"]["simd"], &provenance["machine"]["simd"]);
+    let mut warnings = Vec::new();
+    if known_digest.is_some_and(|known| known != digest) {
+        if !accept_changed_data {
+            return Err(RunError::DataChanged { path: dataset.root.clone() });
+        }
+        warnings.push("the data are not those that the run began with".to_owned());
+    }
+    if let Some(known) = known_simd.filter(|known| *known != machine.simd) {
+        warnings.push(format!(
+            "the run was trained with {known}, this machine has {}: from here on its bits are not those of a run that was \
+             never interrupted",
+            machine.simd
+        ));
+    }
+    if let Some(map) = provenance.as_object_mut() {
+        let sessions = map.entry("resumed").or_insert_with(|| json!([]));
+        let session = json!({"step": step, "at": now_utc(), "machine": machine, "digest": digest});
+        sessions.as_array_mut().into_iter().for_each(|s| s.push(session.clone()));
+    }
+    folder.write(PROVENANCE, &format!("{provenance:#}\n"))?;
+    Ok(warnings)
+}
+
+/// Bytes of a file that are hashed at its beginning, its middle and its end.
+const SAMPLE: usize = 4096;
+
+/// Length of a file, and parts of it; nothing of a file that cannot be read.
+fn sample(path: &Path) -> Vec<u8> {
+    let read = || {
+        let (mut file, mut out) = (File::open(path)?, Vec::new());
+        let length = file.metadata()?.len();
+        out.extend(length.to_le_bytes());
+        for start in [0, length / 2, length.saturating_sub(SAMPLE as u64)] {
+            file.seek(SeekFrom::Start(start))?;
+            (&mut file).take(SAMPLE as u64).read_to_end(&mut out)?;
+        }
+        Ok::<_, std::io::Error>(out)
+    };
+    if path.is_file() { read().unwrap_or_default() } else { Vec::new() }
+}
+
+/// 64-bit FNV-1a over names, cameras, times, image paths (relative to the folder) and parts of the images of all views: the
+/// same for the same data wherever the folder stands.
 fn digest(dataset: &Dataset) -> String {
     let mut hash = 0xcbf2_9ce4_8422_2325u64;
     let mut feed = |bytes: &[u8]| {
@@ -86,11 +151,14 @@ fn digest(dataset: &Dataset) -> String {
         for view in views {
             feed(&[split]);
             feed(view.name.as_bytes());
-            match &view.image {
-                ImageSource::File(path) => {
-                    feed(path.strip_prefix(&dataset.root).unwrap_or(path).as_os_str().as_encoded_bytes())
+            for image in [Some(&view.image), view.mask.as_ref()].into_iter().flatten() {
+                match image {
+                    ImageSource::File(path) => {
+                        feed(path.strip_prefix(&dataset.root).unwrap_or(path).as_os_str().as_encoded_bytes());
+                        feed(&sample(path));
+                    }
+                    ImageSource::Memory(image) => feed(&image.data),
                 }
-                ImageSource::Memory(image) => feed(&image.data),
             }
             let c = &view.camera;
             feed(&[c.width, c.height].map(u32::to_le_bytes).concat());

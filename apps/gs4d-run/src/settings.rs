@@ -7,13 +7,36 @@
 
 use super::RunError;
 use crate::config::{Config, ConfigError, Source};
+use gs_core::io::{Limits, read_text};
 use gs_data::{DataOptions, Dataset, ImageCache};
+use gs_train::domains::{self, Domain, STEPS, within};
 use gs_train::registry::Registry;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use toml::{Table, Value};
 
 const RUN_DEFAULTS: &str = include_str!("defaults.toml");
+
+/// Domains of the settings of `[run]` and `[data]`.
+const DOMAINS: &[Domain] = &[
+    within("run.seed", 0.0, i64::MAX as f64),
+    within("run.log_every", 1.0, STEPS),
+    within("run.checkpoint_every", 1.0, STEPS),
+    within("run.histogram_every", 0.0, STEPS),
+    within("run.eval_every", 0.0, STEPS),
+    within("run.eval_views", 0.0, 1e6),
+    within("run.time_budget", 0.0, 1e9),
+    within("run.image_mib", 0.0, 1_048_576.0),
+    within("data.hold_out", 0.0, 1e6),
+    within("data.first_frame", 0.0, 1e9),
+    within("data.frame_count", 0.0, 1e9),
+    within("data.frame_step", 1.0, 1e9),
+    within("data.cameras", 0.0, 1e9),
+    within("data.test_cameras", 0.0, 1e9),
+    within("data.scale", 1e-6, 1.0),
+    within("data.fps", 1e-6, 1e9),
+    within("data.max_image_mib", 1.0, 1_048_576.0),
+];
 
 /// Section `[run]`: what is trained, and what is written when.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -128,7 +151,7 @@ pub fn with_preset(registry: &Registry, method: &str, preset: &str) -> Result<Co
 pub fn resolve(registry: &Registry, request: &Request) -> Result<Resolved, RunError> {
     let mut config = with_preset(registry, &request.method, &request.preset)?;
     if let Some(path) = &request.file {
-        let text = std::fs::read_to_string(path).map_err(|e| RunError::io("read", path, e))?;
+        let text = read_text(path, &Limits::default())?;
         config.overlay_toml(&text, &Source::File(path.display().to_string()))?;
     }
     let flag = |text: String| Source::Flag(text);
@@ -161,6 +184,8 @@ impl Resolved {
     /// If a value lies outside its domain.
     pub fn of(registry: &Registry, config: Config) -> Result<Self, RunError> {
         let mut table = config.table();
+        let entry = registry.find(config.get("run.method").and_then(|s| s.value.as_str()).unwrap_or_default())?;
+        domains::check(entry.name, &table, &[entry.domains, DOMAINS].concat())?;
         let mut section = |name: &str| match table.remove(name) {
             Some(Value::Table(t)) => t,
             _ => Table::new(),
@@ -169,14 +194,6 @@ impl Resolved {
         let wrong = |e: toml::de::Error| ConfigError::Invalid(e.to_string().trim().to_owned());
         let run: RunSettings = run.try_into().map_err(wrong)?;
         let data: DataOptions = data.try_into().map_err(wrong)?;
-        for (key, value) in [("run.log_every", run.log_every), ("run.checkpoint_every", run.checkpoint_every)] {
-            if value == 0 {
-                return Err(ConfigError::Invalid(format!("{key} must be at least 1")).into());
-            }
-        }
-        if run.time_budget < 0.0 {
-            return Err(ConfigError::Invalid("run.time_budget must not be negative".into()).into());
-        }
         Ok(Self { registry: registry.clone(), config, run, data, method: table })
     }
 
@@ -204,6 +221,28 @@ impl Resolved {
             return Err(ConfigError::Invalid("run.data names no folder".into()).into());
         }
         Ok(Dataset::open(Path::new(&self.run.data), &self.data)?)
+    }
+
+    /// The same settings with the data at another place.
+    ///
+    /// # Errors
+    /// As [`Self::of`].
+    pub fn with_data(&self, data: &Path) -> Result<Self, RunError> {
+        let full = std::fs::canonicalize(data).unwrap_or_else(|_| data.to_owned());
+        let mut config = self.config.clone();
+        config.put("run.data", full.display().to_string(), Source::Flag("--data".into()))?;
+        Self::of(&self.registry, config)
+    }
+
+    /// The data set of a run that was made before.
+    ///
+    /// # Errors
+    /// [`RunError::DataGone`] if there is no such folder; those of its reader.
+    pub fn reopen_data(&self) -> Result<Dataset, RunError> {
+        match Path::new(&self.run.data) {
+            path if path.is_dir() => self.open_data(),
+            path => Err(RunError::DataGone { path: path.to_owned() }),
+        }
     }
 
     /// An image cache for the data set, at full size.

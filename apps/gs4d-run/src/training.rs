@@ -2,8 +2,9 @@
 
 use super::RunError;
 use super::folder::{self, Log, RunFolder};
-use super::opened::metrics_json;
-use super::provenance::{DataOrigin, Machine, now_utc, peak_memory_mib};
+use super::kept;
+use super::opened::{check_method, metrics_json};
+use super::provenance::{self, DataOrigin, Machine, now_utc, peak_memory_mib};
 use super::settings::{self, Resolved};
 use super::summary::{ReportInput, build_report};
 use gs_core::io::write_file;
@@ -32,6 +33,21 @@ pub struct Training {
     stop_at: f64,
     /// Checkpoints that did not verify on resuming.
     skipped: Vec<Skipped>,
+    /// What a user should know of resuming.
+    warnings: Vec<String>,
+}
+
+/// How a run is resumed.
+#[derive(Clone, Debug, Default)]
+pub struct ResumeRequest {
+    /// Steps in all: the schedule is lengthened to that many ([`settings::lengthen`]).
+    pub steps: Option<u32>,
+    /// Seconds of training in this session; the run's original budget is not used again.
+    pub budget: Option<f64>,
+    /// Folder of the data, where they are not at the path the run has kept; the run keeps the new one.
+    pub data: Option<PathBuf>,
+    /// Go on with other data than the run began with.
+    pub accept_changed_data: bool,
 }
 
 /// How a training session ended.
@@ -133,33 +149,42 @@ impl Training {
             "data": DataOrigin::of(trainer.dataset()),
         });
         folder.write(folder::PROVENANCE, &format!("{provenance:#}\n"))?;
+        folder.write(folder::CAMERAS, &format!("{}\n", kept::keep(&trainer.dataset().train)?))?;
         let (log, stop_at) = (folder.log(folder::LOG)?, resolved.run.time_budget);
-        Ok(Self { trainer, resolved, folder, log, window: Window::default(), stop_at, skipped: Vec::new() })
+        let (window, skipped, warnings) = Default::default();
+        Ok(Self { trainer, resolved, folder, log, window, stop_at, skipped, warnings })
     }
 
-    /// Resumes a run from its newest checkpoint that verifies. With `steps`, the schedule is lengthened to that many
-    /// ([`settings::lengthen`]). `budget` holds for this session, in seconds; the run's original one is not used again.
+    /// Resumes a run from its newest checkpoint that verifies.
     ///
     /// # Errors
-    /// If no checkpoint is usable, the data have changed in number, or the steps cannot be made.
-    pub fn resume(registry: &Registry, root: &Path, steps: Option<u32>, budget: Option<f64>) -> Result<Self, RunError> {
+    /// If no checkpoint is usable, the data have changed, or the steps cannot be made.
+    pub fn resume(registry: &Registry, root: &Path, request: &ResumeRequest) -> Result<Self, RunError> {
         let folder = RunFolder::open_to_write(root)?;
         let newest = checkpoint::load_newest(&folder.checkpoints())?;
         let mut resolved = Resolved::read(registry, &folder.read(folder::CONFIG)?, folder::CONFIG)?;
+        check_method(&newest, &resolved)?;
+        if let Some(data) = &request.data {
+            resolved = resolved.with_data(data)?;
+        }
         let done = newest.checkpoint.meta["step"].as_u64().and_then(|s| u32::try_from(s).ok()).unwrap_or(0);
-        if let Some(steps) = steps {
+        if let Some(steps) = request.steps {
             resolved = settings::lengthen(&resolved, steps, done)?;
+        }
+        let dataset = Arc::new(resolved.reopen_data()?);
+        let warnings = provenance::resumed(&folder, &dataset, done, request.accept_changed_data)?;
+        if request.steps.is_some() || request.data.is_some() {
             folder.write(folder::CONFIG, &resolved.config.to_commented_toml())?;
         }
-        let dataset = Arc::new(resolved.open_data()?);
         let bytes = resolved.run.image_bytes();
         let trainer = Trainer::resume(registry, dataset, &newest.checkpoint, Some(&resolved.method), bytes)?;
         for name in [folder::LOG, folder::HISTOGRAMS, folder::JOURNAL] {
             folder.cut_log(name, done)?;
         }
         let log = folder.log(folder::LOG)?;
-        let stop_at = budget.map_or(0.0, |b| trainer.train_seconds() + b);
-        Ok(Self { trainer, resolved, folder, log, window: Window::default(), stop_at, skipped: newest.skipped })
+        let stop_at = request.budget.map_or(0.0, |b| trainer.train_seconds() + b);
+        let (window, skipped) = (Window::default(), newest.skipped);
+        Ok(Self { trainer, resolved, folder, log, window, stop_at, skipped, warnings })
     }
 
     /// Continues with more views and other settings ([`Trainer::with_more_views`]).
@@ -377,7 +402,12 @@ impl Training {
         &self.folder
     }
 
-    /// Checkpoints that did not verify when the run was resumed.
+    /// What a user should know of resuming: other data, another instruction set.
+    pub fn warnings(&self) -> &[String] {
+        &self.warnings
+    }
+
+    /// Checkpoints that did not verify on resuming, newest first.
     pub fn skipped(&self) -> &[Skipped] {
         &self.skipped
     }

@@ -125,7 +125,7 @@ mod tests {
         let entry = gs_methods::registry().find("static3d").unwrap();
         let config = entry.config("tiny").unwrap();
         let scene = SceneInfo::of(&data, &section("static3d", &config, "init").unwrap(), 0).unwrap();
-        let method = (entry.build)(&config, &scene).unwrap();
+        let method = entry.model(&config, &scene).unwrap();
         let camera = &data.test[0].camera;
         let mut away = camera.clone();
         away.rotation = glam::DMat3::from_diagonal(glam::DVec3::new(-1.0, 1.0, -1.0)) * away.rotation;

@@ -279,6 +279,18 @@ impl From<RunError> for Failure {
             RunError::NoSettings { .. } => {
                 Self::new(Class::Data, "run", text).remedy("give the run folder, or a file that gs4d compact made")
             }
+            RunError::DataGone { .. } => {
+                Self::new(Class::Data, "data.path", text).remedy("say where they are with --data DIR")
+            }
+            RunError::DataChanged { .. } => Self::new(Class::Data, "data.changed", text)
+                .why("the run would not be the one that it says it is")
+                .remedy("bring the data back, or go on with --accept-changed-data, which provenance.json keeps"),
+            RunError::OtherMethod { .. } => {
+                Self::new(Class::Data, "checkpoint.method", text).remedy("move the file out of the run")
+            }
+            RunError::Memory { .. } => Self::new(Class::Resource, "limits.memory", text)
+                .why("a program that takes all memory is ended by the system, with whatever else is running")
+                .remedy("make pictures smaller or splats fewer, or allow more with --max-mem MIB"),
             RunError::Busy { .. } => Self::new(Class::Io, "run.busy", text).remedy("wait for it, or stop it"),
             RunError::Steps(_) => Self::new(Class::Usage, "steps", text),
             RunError::Rounds(_) => Self::new(Class::Usage, "rounds", text),

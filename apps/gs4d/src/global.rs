@@ -1,6 +1,8 @@
 //! Flags of every verb.
 
 use clap::Args;
+use gs_core::io::Limits;
+use gs4d_run::memory::MemoryLimit;
 use std::io::Write;
 
 /// Writes a line to stderr. That nobody reads it any more is no reason to stop.
@@ -23,9 +25,22 @@ pub struct Global {
     /// Threads to use; results are the same for any number [default: all cores].
     #[arg(long, global = true, value_name = "T", value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub threads: Option<u16>,
+    /// Memory that splats and pictures may take, MiB [default: three quarters of what is free].
+    #[arg(long, global = true, value_name = "MIB", value_parser = clap::value_parser!(u64).range(1..))]
+    pub max_mem: Option<u64>,
 }
 
 impl Global {
+    /// The memory that may be taken.
+    pub fn memory(&self) -> MemoryLimit {
+        MemoryLimit::new(self.max_mem)
+    }
+
+    /// Limits of readers of splat files.
+    pub fn limits(&self) -> Limits {
+        Limits { max_memory: self.memory().bytes(), ..Limits::default() }
+    }
+
     /// A message on stderr, unless quiet.
     pub fn say(&self, message: impl std::fmt::Display) {
         if !self.quiet {

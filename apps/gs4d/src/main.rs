@@ -10,6 +10,7 @@ mod answer;
 mod failure;
 mod global;
 mod interrupt;
+mod opening;
 mod output;
 mod parse;
 mod progress;
@@ -83,7 +84,7 @@ fn run(cli: Cli) -> Result<Answer, Failure> {
         Verb::Forecast(verb) => verb.run(global),
         Verb::Glmd(verb) => verb.run(global),
         Verb::Segment(verb) => verb.run(global),
-        Verb::Inspect(verb) => verb.run(),
+        Verb::Inspect(verb) => verb.run(global),
         Verb::Compact(verb) => verb.run(global),
         Verb::Export(verb) => verb.run(global),
         Verb::Methods(verb) => Ok(verb.run()),

@@ -34,10 +34,20 @@ pub(super) struct BankGrad {
     pub(super) d_view: Vec<f32>,
 }
 
+/// Widths of the network's layers.
+fn widths(features: usize) -> [usize; 3] {
+    [4, features, 3]
+}
+
 impl Bank {
+    /// Number of parameters for features of width `features`.
+    pub(super) fn count(features: usize) -> u64 {
+        Mlp::count(&widths(features))
+    }
+
     /// For features of width `features`, a multiple of 4.
     pub(super) fn new(features: usize, seed: u64) -> Self {
-        Self { net: Mlp::new("heads.bank", &[4, features, 3], Init::FanIn, Init::FanIn, seed), features }
+        Self { net: Mlp::new("heads.bank", &widths(features), Init::FanIn, Init::FanIn, seed), features }
     }
 
     /// The entries of the feature that the three copies read for entry `i`.

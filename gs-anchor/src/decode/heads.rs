@@ -14,7 +14,7 @@ use super::DecoderConfig;
 use crate::AnchorShape;
 use gs_core::nn::dense::relu_backward;
 use gs_core::nn::gemm::{Mat, MatMut, Write, gemm};
-use gs_core::nn::{Dense, DenseGrad, Init};
+use gs_core::nn::{Dense, DenseGrad, Init, Mlp};
 use gs_core::{Param, Params, Rng};
 use std::ops::Range;
 
@@ -64,23 +64,34 @@ pub(super) struct HeadsGrad {
     pub(super) d_input: Vec<f32>,
 }
 
+/// Widths of the two layers of head `h`: inputs, hidden, outputs.
+fn widths(config: &DecoderConfig, shape: AnchorShape, h: usize) -> [usize; 3] {
+    let appearance = if h == COLOR { config.appearance } else { 0 };
+    let inputs = shape.features + 3 + usize::from(config.distance.all()[h]);
+    [inputs.saturating_add(appearance), shape.features, WIDTHS[h].saturating_mul(shape.offsets)]
+}
+
 impl Heads {
+    /// Number of parameters of the heads of such anchors.
+    pub(super) fn count(config: &DecoderConfig, shape: AnchorShape) -> u64 {
+        let heads = (0..3).map(|h| Mlp::count(&widths(config, shape, h)));
+        heads.fold(config.appearance as u64, u64::saturating_add)
+    }
+
     pub(super) fn new(config: &DecoderConfig, shape: AnchorShape, seed: u64) -> Self {
-        let (width, distance) = (shape.features, config.distance.all());
-        let inputs = |h: usize| {
-            let appearance = if h == COLOR { config.appearance } else { 0 };
-            width + 3 + usize::from(distance[h]) + appearance
+        let widths: [_; 3] = std::array::from_fn(|h| widths(config, shape, h));
+        let dense = |h: usize, layer: usize| {
+            let [i, o]: [usize; 2] = [0, 1].map(|at| widths[h][layer + at]);
+            Dense::new(&format!("heads.{}.{layer}", NAMES[h]), i, o, Init::FanIn, seed)
         };
-        let dense =
-            |h: usize, layer: usize, i, o| Dense::new(&format!("heads.{}.{layer}", NAMES[h]), i, o, Init::FanIn, seed);
         let mut rng = Rng::new(seed, "heads.appearance", 0, 0);
         let appearance = (0..config.appearance).map(|_| rng.normal()).collect();
         Self {
-            first: std::array::from_fn(|h| dense(h, 0, inputs(h), width)),
-            second: std::array::from_fn(|h| dense(h, 1, width, WIDTHS[h] * shape.offsets)),
+            first: std::array::from_fn(|h| dense(h, 0)),
+            second: std::array::from_fn(|h| dense(h, 1)),
             appearance: (config.appearance > 0).then(|| Param::shared("heads.appearance", appearance)),
-            width,
-            distance,
+            width: shape.features,
+            distance: config.distance.all(),
         }
     }
 

@@ -53,8 +53,10 @@ pub fn read_file(path: &Path, limits: &Limits) -> Result<Vec<u8>, IoError> {
     if !meta.is_file() {
         return Err(src.unsupported("a path that is not a regular file", "give a file"));
     }
-    if meta.len() > limits.max_bytes {
-        return Err(src.limit("file size", meta.len(), limits.max_bytes, "max_bytes"));
+    for (limit, name) in [(limits.max_bytes, "max_bytes"), (limits.max_memory, "max_memory")] {
+        if meta.len() > limit {
+            return Err(src.limit("file size", meta.len(), limit, name));
+        }
     }
     let mut bytes = Vec::new();
     let file = fs::File::open(path).map_err(|e| os(path, "open", e))?;
@@ -63,6 +65,15 @@ pub fn read_file(path: &Path, limits: &Limits) -> Result<Vec<u8>, IoError> {
     // A file that grows meanwhile is cut at its size when opened.
     file.take(meta.len()).read_to_end(&mut bytes).map_err(|e| os(path, "read", e))?;
     Ok(bytes)
+}
+
+/// The text of a regular file of at most `limits.max_bytes`.
+///
+/// # Errors
+/// As [`read_file`]; bytes that are no UTF-8.
+pub fn read_text(path: &Path, limits: &Limits) -> Result<String, IoError> {
+    let text = String::from_utf8(read_file(path, limits)?);
+    text.map_err(|e| os(path, "read", std::io::Error::new(std::io::ErrorKind::InvalidData, e)))
 }
 
 /// Splats from bytes; the content determines the format. `.splat` has no magic number: other content is read as `.splat`

@@ -257,8 +257,8 @@ pub fn read(bytes: &[u8], file: &str, limits: &Limits) -> Result<RawSplats, IoEr
     let primitive = reader.primitive()?;
     let position = reader.column(primitive, "POSITION", 3)?;
     let (count, means) = position.ok_or_else(|| src.missing(At::Byte(0), "POSITION", "export again"))?;
-    let rows = limits.rows(src, count)?;
     let degree = degree(primitive);
+    let rows = limits.splats(src, count, RawSplats::row_bytes(degree))?;
     let mut out = RawSplats::with_capacity(rows, degree);
     let vec3 = |values: &[f32]| values.as_chunks::<3>().0.iter().map(|v| Vec3::from_array(*v)).collect::<Vec<_>>();
     out.means = vec3(&means);

@@ -18,30 +18,45 @@ pub struct Limits {
     pub max_image_bytes: u64,
     /// Largest decoded size of a compressed file per byte of the file, above a base of 48 MiB. Default: 64.
     pub max_expansion: u64,
+    /// Largest memory that the splats of a file take, bytes: those of the file and the activated ones. Default: no limit.
+    pub max_memory: u64,
     /// Keep NaN and infinite values of splat files, arrays and EXR images instead of refusing them. Default: off.
     pub allow_non_finite: bool,
 }
 
 impl Default for Limits {
     fn default() -> Self {
-        Self {
-            max_rows: 1 << 30,
-            max_bytes: 16 << 30,
-            max_side: crate::camera::MAX_SIDE,
-            max_image_bytes: 1 << 30,
-            max_expansion: 64,
-            allow_non_finite: false,
-        }
+        Self::DEFAULT
     }
 }
 
 impl Limits {
+    /// The default, for constants.
+    pub const DEFAULT: Self = Self {
+        max_rows: 1 << 30,
+        max_bytes: 16 << 30,
+        max_side: crate::camera::MAX_SIDE,
+        max_image_bytes: 1 << 30,
+        max_expansion: 64,
+        max_memory: u64::MAX,
+        allow_non_finite: false,
+    };
+
     /// The number of rows as a `usize`, if it is allowed.
     pub(super) fn rows(&self, src: Source<'_>, rows: u64) -> Result<usize, IoError> {
         match usize::try_from(rows) {
             Ok(n) if rows <= self.max_rows => Ok(n),
             _ => Err(src.limit("rows", rows, self.max_rows, "max_rows")),
         }
+    }
+
+    /// The number of splats as a `usize`, if it and the memory for rows of `row_bytes` are allowed.
+    pub(super) fn splats(&self, src: Source<'_>, rows: u64, row_bytes: usize) -> Result<usize, IoError> {
+        let need = rows.saturating_mul(row_bytes as u64).saturating_mul(2);
+        if need > self.max_memory {
+            return Err(src.limit("memory of the splats", need, self.max_memory, "max_memory"));
+        }
+        self.rows(src, rows)
     }
 
     /// Verifies that `need` bytes of decoded data are plausible for a compressed file of `file_len` bytes.
@@ -82,6 +97,10 @@ mod tests {
         assert_eq!(tight.rows(src, 10).unwrap(), 10);
         assert!(tight.rows(src, 11).unwrap_err().to_string().contains("`max_rows`"));
         assert!(tight.rows(src, u64::MAX).is_err());
+        let little = Limits { max_memory: 1000, ..Limits::default() };
+        assert_eq!(little.splats(src, 10, 50).unwrap(), 10);
+        assert!(little.splats(src, 10, 51).unwrap_err().to_string().contains("`max_memory`"));
+        assert!(little.splats(src, u64::MAX, usize::MAX).is_err());
         assert!(tight.expansion(src, DECODE_BASE + 20, 10).is_ok());
         assert!(tight.expansion(src, DECODE_BASE + 21, 10).unwrap_err().to_string().contains("`max_expansion`"));
         assert!(tight.expansion(src, u64::MAX, usize::MAX).is_ok(), "saturates, never overflows");

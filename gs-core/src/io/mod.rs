@@ -70,6 +70,6 @@ pub mod y4m;
 pub use crate::cloud::sigmoid;
 pub use cameras::{NamedCamera, load_cameras, parse_cameras, save_cameras};
 pub use error::{At, IoError};
-pub use files::{SplatFormat, load_splats, parse_splats, read_file, save_splats, write_file, write_splats};
+pub use files::{SplatFormat, load_splats, parse_splats, read_file, read_text, save_splats, write_file, write_splats};
 pub use limits::Limits;
 pub use raw::RawSplats;

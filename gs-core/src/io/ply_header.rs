@@ -208,7 +208,7 @@ impl<'a> Header<'a> {
                 return Err(src.truncated(field, start, need, have));
             }
             if element.name == name {
-                return Ok((element, start, limits.rows(src, element.count)?));
+                return Ok((element, start, limits.splats(src, element.count, 4 * element.properties.len())?));
             }
             if self.encoding != Encoding::Ascii {
                 start = start.saturating_add(need as usize);

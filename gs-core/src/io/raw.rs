@@ -58,6 +58,11 @@ impl RawSplats {
         }
     }
 
+    /// Bytes of a row of an SH degree in all columns.
+    pub(super) fn row_bytes(degree: u8) -> usize {
+        4 * (11 + 3 * sh::coeffs(degree.min(sh::MAX_DEGREE)))
+    }
+
     /// Number of splats (rows of `means`).
     pub fn len(&self) -> usize {
         self.means.len()

@@ -38,7 +38,7 @@ pub fn read(bytes: &[u8], file: &str, limits: &Limits) -> Result<RawSplats, IoEr
         let at = At::Byte((bytes.len() - bytes.len() % ROW) as u64);
         return Err(src.malformed(at, what, "the file was cut short or is no .splat file"));
     }
-    let rows = limits.rows(src, (bytes.len() / ROW) as u64)?;
+    let rows = limits.splats(src, (bytes.len() / ROW) as u64, RawSplats::row_bytes(0))?;
     let mut out = RawSplats::with_capacity(rows, 0);
     for (row, raw) in bytes.chunks_exact(ROW).enumerate() {
         let (floats, bytes) = raw.split_at_checked(24).unwrap_or_default();

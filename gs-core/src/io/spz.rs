@@ -109,7 +109,7 @@ fn parse_header(h: &[u8; HEADER], limits: &Limits, src: Source<'_>) -> Result<Sp
         3 => Version::V3,
         other => return Err(unsupported_version(other, src)),
     };
-    let count = limits.rows(src, u32::from_le_bytes([*n0, *n1, *n2, *n3]).into())?;
+    let count = limits.splats(src, u32::from_le_bytes([*n0, *n1, *n2, *n3]).into(), RawSplats::row_bytes(*degree))?;
     if *degree > sh::MAX_DEGREE {
         return Err(src.unsupported(format!("SPZ with SH degree {degree}"), "export it with degree 3 or less"));
     }

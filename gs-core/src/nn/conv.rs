@@ -121,6 +121,15 @@ pub struct ConvSpec {
     pub bias: bool,
 }
 
+impl ConvSpec {
+    /// Number of parameters of such a layer; the largest number where that is beyond it.
+    pub fn count(&self) -> u64 {
+        let taps = (self.kernel as u64).saturating_mul(self.kernel as u64);
+        let weights = taps.saturating_mul(self.inputs as u64).saturating_mul(self.outputs as u64);
+        weights.saturating_add(if self.bias { self.outputs as u64 } else { 0 })
+    }
+}
+
 impl Conv {
     /// A layer whose parameters are `{name}.weight` and `{name}.bias`. The fan-in of its initialisation is
     /// `kernel² · inputs`.

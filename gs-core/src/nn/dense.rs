@@ -87,6 +87,11 @@ impl Dense {
         Self { weight: init("weight", inputs * outputs, w), bias: init("bias", outputs, b), inputs, outputs }
     }
 
+    /// Number of parameters of a layer, `(inputs + 1) · outputs`; the largest number where that is beyond it.
+    pub fn count(inputs: usize, outputs: usize) -> u64 {
+        (inputs as u64).saturating_add(1).saturating_mul(outputs as u64)
+    }
+
     /// The concatenation of layers of the same inputs, as one layer: outputs of the first part come first.
     ///
     /// # Panics

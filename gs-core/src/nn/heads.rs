@@ -18,6 +18,7 @@
 
 use super::dense::{Dense, DenseGrad, Init, relu_backward};
 use super::gemm::{Mat, MatMut, Write, gemm};
+use super::mlp::Mlp;
 use crate::{Param, Params};
 
 /// Networks `inputs → width → outputs` that share their input.
@@ -65,6 +66,11 @@ impl Heads {
             last: heads.iter().map(layer).collect(),
             width,
         }
+    }
+
+    /// Number of parameters of such heads; the largest number where that is beyond it.
+    pub fn count([inputs, width]: [usize; 2], heads: &[(&str, usize)]) -> u64 {
+        heads.iter().fold(0, |sum, &(_, outputs)| sum.saturating_add(Mlp::count(&[inputs, width, outputs])))
     }
 
     /// Forward of the block `x: [rows, inputs]`; results are in `tape.out`.

@@ -64,6 +64,11 @@ impl Mlp {
         Self { layers, activation: Activation::Relu, activate_last: false }
     }
 
+    /// Number of parameters of layers of the given widths; the largest number where that is beyond it.
+    pub fn count(widths: &[usize]) -> u64 {
+        widths.windows(2).fold(0, |sum, w| sum.saturating_add(Dense::count(w[0], w[1])))
+    }
+
     /// The same network with another activation than ReLU.
     pub fn with_activation(mut self, activation: Activation) -> Self {
         self.activation = activation;

@@ -4,15 +4,18 @@
 //! Run with `--features images,exr` to include the image readers.
 #![cfg(feature = "io")]
 
-mod alloc;
 mod bombs;
 mod seeds;
 
 use gs_core::Rng;
 use gs_core::io::IoError;
+use gs_core::testkit::alloc::{Counting, peak_of};
 use seeds::Parser;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::{Duration, Instant};
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
 
 /// Mutated files per reader.
 const MUTATIONS: u32 = 12_000;
@@ -25,7 +28,7 @@ const BYTES_PER_TIME: usize = 4 << 20;
 /// Runs a reader on `bytes` under the memory and time bounds.
 fn guarded(what: &str, bytes: &[u8], read: fn(&[u8]) -> Result<(), IoError>) -> Result<(), IoError> {
     let start = Instant::now();
-    let (result, peak) = alloc::peak_of(|| catch_unwind(AssertUnwindSafe(|| read(bytes))));
+    let (result, peak) = peak_of(|| catch_unwind(AssertUnwindSafe(|| read(bytes))));
     let took = start.elapsed();
     let Ok(result) = result else { panic!("{what}: panicked on {} bytes", bytes.len()) };
     assert!(peak <= 8 * bytes.len() + MEMORY_BASE, "{what}: {peak} bytes held for a file of {}", bytes.len());
@@ -173,4 +176,16 @@ fn a_non_finite_value_in_any_property_is_named() {
             assert!(text.contains(&format!("row 2, `{name}` = {value}")), "{text}");
         }
     }
+}
+
+#[test]
+fn the_counter_counts() {
+    let ((), peak) = peak_of(|| drop(std::hint::black_box(vec![0u8; 1 << 20])));
+    assert!((1 << 20..(1 << 20) + 4096).contains(&peak), "{peak}");
+    let (_, peak) = peak_of(|| {
+        let mut v: Vec<u8> = std::hint::black_box(Vec::with_capacity(1000));
+        v.reserve_exact(3000);
+        v.len()
+    });
+    assert!((4000..8000).contains(&peak), "{peak}");
 }

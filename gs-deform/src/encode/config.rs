@@ -6,7 +6,7 @@ use crate::DeformError;
 use serde::{Deserialize, Serialize};
 
 /// Largest number of values in all planes together: 2 GiB of `f32`.
-const MAX_VALUES: usize = 1 << 29;
+const MAX_VALUES: u64 = 1 << 29;
 
 /// Size and regularisers of a [`HexPlane`](super::HexPlane). The defaults are those of 4D Gaussian Splatting for
 /// synthetic scenes.
@@ -56,6 +56,16 @@ impl HexPlaneConfig {
         [x, y, z, self.time_rows()]
     }
 
+    /// Number of parameters of all planes; the largest number where that is beyond it.
+    pub fn param_count(&self) -> u64 {
+        let product = |numbers: [usize; 3]| numbers.iter().fold(1, |p: u64, &n| p.saturating_mul(n as u64));
+        let planes = self.levels.iter().flat_map(|&factor| {
+            let nodes = self.nodes(factor);
+            PAIRS.map(|(a, b)| product([nodes[a], nodes[b], self.channels]))
+        });
+        planes.fold(0, u64::saturating_add)
+    }
+
     pub(crate) fn check(&self) -> Result<(), DeformError> {
         let reject =
             |field: &'static str, value: String, rule: &'static str| Err(DeformError::Config { field, value, rule });
@@ -68,13 +78,7 @@ impl HexPlaneConfig {
         if self.channels == 0 || !self.channels.is_multiple_of(LANES) {
             return reject("channels", self.channels.to_string(), "a positive multiple of 16");
         }
-        let mut total = 0usize;
-        for &factor in &self.levels {
-            let nodes = self.nodes(factor);
-            for (a, b) in PAIRS {
-                total = total.saturating_add(nodes[a].saturating_mul(nodes[b]).saturating_mul(self.channels));
-            }
-        }
+        let total = self.param_count();
         if total > MAX_VALUES {
             return reject("resolution", format!("{total} values"), "at most 2^29 values in all planes");
         }

@@ -48,6 +48,9 @@ pub(super) struct Block {
     d: [Vec<f32>; 2],
 }
 
+/// The columns that move, and their widths.
+const HEADS: [(&str, usize); 3] = [("means", 3), ("quats", 4), ("scales", 3)];
+
 /// Parameter gradients of one chunk of blocks.
 #[derive(Clone, Debug, Default)]
 pub(super) struct ChunkGrad {
@@ -55,28 +58,51 @@ pub(super) struct ChunkGrad {
     heads: [DenseGrad; 3],
 }
 
+impl DefGsConfig {
+    /// Widths of the time network, if there is one.
+    fn time_net(&self) -> Option<[usize; 3]> {
+        let encoded = encoding::width(1, self.bands_time);
+        (self.time_hidden > 0).then_some([encoded, self.time_hidden, self.time_features])
+    }
+
+    /// Widths of the encoded position and of the time features.
+    fn inputs(&self) -> (usize, usize) {
+        let time = self.time_net().map_or(encoding::width(1, self.bands_time), |widths| widths[2]);
+        (encoding::width(3, self.bands_position), time)
+    }
+
+    /// Inputs of each hidden layer.
+    fn layer_inputs(&self) -> impl Iterator<Item = usize> {
+        let (position, time) = self.inputs();
+        (0..self.depth).map(move |i| {
+            let hidden = if i == 0 { 0 } else { self.width };
+            let input = if takes_input(self, i) { position + time } else { 0 };
+            input + hidden
+        })
+    }
+
+    /// Number of parameters of the field; the largest number where that is beyond it.
+    pub fn param_count(&self) -> u64 {
+        let time = self.time_net().map_or(0, |widths| Mlp::count(&widths));
+        let layers = self.layer_inputs().map(|inputs| Dense::count(inputs, self.width));
+        let heads = HEADS.map(|(_, outputs)| Dense::count(self.width, outputs));
+        layers.chain(heads).fold(time, u64::saturating_add)
+    }
+}
+
 impl DefNet {
     pub(super) fn new(config: &DefGsConfig, seed: u64) -> Self {
-        let position = encoding::width(3, config.bands_position);
-        let encoded_time = encoding::width(1, config.bands_time);
-        let time_net = (config.time_hidden > 0).then(|| {
-            let widths = [encoded_time, config.time_hidden, config.time_features];
-            Mlp::new("field.time", &widths, Init::FanIn, Init::FanIn, seed)
-        });
-        let time = time_net.as_ref().map_or(encoded_time, Mlp::outputs);
-        let layer = |i: usize| {
-            let hidden = if i == 0 { 0 } else { config.width };
-            let input = if takes_input(config, i) { position + time } else { 0 };
-            Dense::new(&format!("field.layer.{i}"), input + hidden, config.width, Init::FanIn, seed)
-        };
+        let time_net = config.time_net().map(|w| Mlp::new("field.time", &w, Init::FanIn, Init::FanIn, seed));
+        let layer = |(i, inputs)| Dense::new(&format!("field.layer.{i}"), inputs, config.width, Init::FanIn, seed);
         let last = if config.zero_init { Init::Zero } else { Init::FanIn };
-        let head = |name: &str, outputs| Dense::new(&format!("field.{name}"), config.width, outputs, last, seed);
+        let head =
+            |(name, outputs): (&str, usize)| Dense::new(&format!("field.{name}"), config.width, outputs, last, seed);
         Self {
             config: config.clone(),
             time_net,
-            layers: (0..config.depth).map(layer).collect(),
-            heads: [head("means", 3), head("quats", 4), head("scales", 3)],
-            inputs: (position, time),
+            layers: config.layer_inputs().enumerate().map(layer).collect(),
+            heads: HEADS.map(head),
+            inputs: config.inputs(),
         }
     }
 

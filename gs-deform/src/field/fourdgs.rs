@@ -72,6 +72,18 @@ impl FourDgsConfig {
         PlaneNetConfig { width, depth, zero_init, hexplane: hexplane.clone() }
     }
 
+    /// The columns that are moved, and their widths.
+    fn heads(&self) -> Vec<(&'static str, usize)> {
+        let wanted = [self.move_means, self.move_scales, self.move_quats];
+        let columns = [("means", 3), ("scales", 3), ("quats", 4)].into_iter().zip(wanted);
+        columns.filter_map(|(column, wanted)| wanted.then_some(column)).collect()
+    }
+
+    /// Number of parameters of the field; the largest number where that is beyond it.
+    pub fn param_count(&self) -> u64 {
+        self.net().param_count(&self.heads())
+    }
+
     /// Half the channels and planes of 48² nodes: about two thirds of the time and a third of the parameters of the
     /// default.
     pub fn fast() -> Self {
@@ -106,13 +118,11 @@ impl HexPlaneField {
     /// If a setting is out of its domain; the message names it.
     pub fn new(name: &str, config: &FourDgsConfig, aabb: Aabb, seed: u64) -> Result<Self, DeformError> {
         let wanted = [config.move_means, config.move_scales, config.move_quats];
-        let columns = [("means", 3), ("scales", 3), ("quats", 4)].into_iter().zip(wanted);
-        let columns: Vec<(&str, usize)> = columns.filter_map(|(column, wanted)| wanted.then_some(column)).collect();
         let head = |k: usize| wanted[k].then(|| wanted[..k].iter().filter(|w| **w).count());
         let limit = (config.scale_rule == ScaleRule::Add).then(|| aabb.max.distance(aabb.min));
         Ok(Self {
             config: config.clone(),
-            net: PlaneNet::new(name, &config.net(), &columns, aabb, seed)?,
+            net: PlaneNet::new(name, &config.net(), &config.heads(), aabb, seed)?,
             heads: [head(0), head(1), head(2)],
             apply: Apply { scale: config.scale_rule, quat: QuatRule::Raw, scale_limit: limit },
         })

@@ -52,6 +52,19 @@ impl Default for PlaneNetConfig {
 }
 
 impl PlaneNetConfig {
+    /// Number of parameters of a net with the given heads (name, outputs); the largest number where that is beyond it.
+    pub fn param_count(&self, heads: &[(&str, usize)]) -> u64 {
+        let layers = Mlp::count(&self.trunk()).saturating_add(Heads::count([self.width; 2], heads));
+        self.hexplane.param_count().saturating_add(layers)
+    }
+
+    /// Widths of the trunk, from the planes' features on.
+    fn trunk(&self) -> Vec<usize> {
+        let mut widths = vec![self.width; self.depth.max(1) + 1];
+        widths[0] = self.hexplane.channels * self.hexplane.levels.len();
+        widths
+    }
+
     fn check(&self) -> Result<(), DeformError> {
         if !(1..=4096).contains(&self.width) {
             return Err(DeformError::Config { field: "width", value: self.width.to_string(), rule: "1 to 4096" });
@@ -134,10 +147,8 @@ impl PlaneNet {
     ) -> Result<Self, DeformError> {
         config.check()?;
         let hexplane = HexPlane::new(&format!("{name}.planes"), &config.hexplane, aabb, seed)?;
-        let mut widths = vec![config.width; config.depth.max(1) + 1];
-        widths[0] = hexplane.width();
-        let trunk =
-            Mlp::new(&format!("{name}.trunk"), &widths, Init::Xavier, Init::Xavier, seed).with_last_activation();
+        let trunk = Mlp::new(&format!("{name}.trunk"), &config.trunk(), Init::Xavier, Init::Xavier, seed)
+            .with_last_activation();
         let last = if config.zero_init { Init::Zero } else { Init::Xavier };
         Ok(Self { hexplane, trunk, heads: Heads::new(name, [config.width; 2], heads, last, seed) })
     }

@@ -95,6 +95,22 @@ struct BlockGrad {
     out: Vec<f32>,
 }
 
+impl LawConfig {
+    /// Number of parameters of the law; the largest number where that is beyond it.
+    pub fn param_count(&self) -> u64 {
+        Mlp::count(&widths(self))
+    }
+}
+
+/// Widths of the network's layers.
+fn widths(config: &LawConfig) -> Vec<usize> {
+    let time = if config.input == LawInput::Xt { encoding::width(1, config.bands) } else { 0 };
+    let mut widths = vec![config.hidden; config.depth + 2];
+    widths[0] = encoding::width(3, config.bands) + time;
+    widths[config.depth + 1] = Form::new(config).outputs().0;
+    widths
+}
+
 impl Law {
     /// A law whose twists refer to `origin` (world units; the world's own if `local_origin` is off), integrated in steps of
     /// at most `step` (the unit of time of all calls). Parameters are named `physics.layer.…`.
@@ -104,13 +120,9 @@ impl Law {
     pub fn new(config: &LawConfig, origin: Vec3, step: f64, seed: u64) -> Result<Self, PhysicsError> {
         config.check()?;
         let form = Form::new(config);
-        let (outputs, first) = form.outputs();
-        let time = if config.input == LawInput::Xt { encoding::width(1, config.bands) } else { 0 };
-        let mut widths = vec![config.hidden; config.depth + 2];
-        widths[0] = encoding::width(3, config.bands) + time;
-        widths[config.depth + 1] = outputs;
-        let mut net =
-            Mlp::new("physics.layer", &widths, Init::FanIn, Init::FanIn, seed).with_activation(Activation::Silu);
+        let (_, first) = form.outputs();
+        let mut net = Mlp::new("physics.layer", &widths(config), Init::FanIn, Init::FanIn, seed)
+            .with_activation(Activation::Silu);
         scale_head(&mut net, first, config.head_start);
         let origin = if config.local_origin { origin } else { Vec3::ZERO };
         Ok(Self { config: config.clone(), form, rollout: Rollout { rule: config.integrator, dt: step, origin }, net })

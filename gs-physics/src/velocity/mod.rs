@@ -81,6 +81,21 @@ struct Chunk {
     grad: MlpGrad,
 }
 
+impl VelocityConfig {
+    /// Number of parameters of both networks; the largest number where that is beyond it.
+    pub fn param_count(&self) -> u64 {
+        Mlp::count(&widths(self)).saturating_mul(2)
+    }
+}
+
+/// Widths of the layers of each network.
+fn widths(config: &VelocityConfig) -> Vec<usize> {
+    let mut widths = vec![config.hidden; config.depth + 2];
+    widths[0] = evaluate::inputs(config.bands);
+    widths[config.depth + 1] = BASIS;
+    widths
+}
+
 impl VelocityField {
     /// A field for a scene within `bounds` (lowest and highest corner, world units), integrated in steps of at most `step`
     /// (the unit of time of all calls). Parameters are named `velocity.layer.…` and `acceleration.layer.…`.
@@ -89,9 +104,7 @@ impl VelocityField {
     /// If a setting or the box cannot be used; the message names it.
     pub fn new(config: &VelocityConfig, bounds: [Vec3; 2], step: f64, seed: u64) -> Result<Self, PhysicsError> {
         config.check(bounds)?;
-        let mut widths = vec![config.hidden; config.depth + 2];
-        widths[0] = evaluate::inputs(config.bands);
-        widths[config.depth + 1] = BASIS;
+        let widths = widths(config);
         let net = |name: &str, activation| {
             Mlp::new(name, &widths, Init::FanIn, Init::FanIn, seed).with_activation(activation)
         };

@@ -45,6 +45,11 @@ impl Unit {
         Self { conv, norm: GroupNorm::new(&format!("{name}.norm"), spec.outputs, groups, relu) }
     }
 
+    /// Number of parameters of such a unit.
+    pub(crate) fn count(spec: ConvSpec) -> u64 {
+        spec.count().saturating_add((spec.outputs as u64).saturating_mul(2))
+    }
+
     pub(crate) fn tape(&self, level: &Level) -> UnitTape {
         let channels = self.conv.outputs();
         UnitTape { z: level.map(channels), norm: NormTape::default(), out: Activation::new(level, channels) }
@@ -106,18 +111,29 @@ pub(crate) struct ResidualTape {
     pub(crate) out: Activation,
 }
 
+/// The convolutions of a residual block; the third only where shapes change.
+fn residual(inputs: usize, outputs: usize, stride: usize) -> (ConvSpec, ConvSpec, Option<ConvSpec>) {
+    let spec = |kernel, stride, inputs| ConvSpec { kernel, stride, inputs, outputs, bias: true };
+    let changes = inputs != outputs || stride != 1;
+    (spec(3, stride, inputs), spec(3, 1, outputs), changes.then(|| spec(1, stride, inputs)))
+}
+
 impl Residual {
     /// A block from `inputs` to `outputs` channels, with normalisation groups of eight.
     pub(crate) fn new(name: &str, inputs: usize, outputs: usize, stride: usize, seed: u64) -> Self {
-        let unit = |part: &str, kernel, stride, inputs, relu| {
-            let spec = ConvSpec { kernel, stride, inputs, outputs, bias: true };
-            Unit::new(&format!("{name}.{part}"), spec, outputs / 8, relu, seed)
-        };
+        let unit = |part: &str, spec, relu| Unit::new(&format!("{name}.{part}"), spec, outputs / 8, relu, seed);
+        let (first, second, skip) = residual(inputs, outputs, stride);
         Self {
-            first: unit("first", 3, stride, inputs, true),
-            second: unit("second", 3, 1, outputs, true),
-            skip: (inputs != outputs || stride != 1).then(|| unit("skip", 1, stride, inputs, false)),
+            first: unit("first", first, true),
+            second: unit("second", second, true),
+            skip: skip.map(|spec| unit("skip", spec, false)),
         }
+    }
+
+    /// Number of parameters of such a block.
+    pub(crate) fn count(inputs: usize, outputs: usize, stride: usize) -> u64 {
+        let (first, second, skip) = residual(inputs, outputs, stride);
+        [Some(first), Some(second), skip].into_iter().flatten().map(Unit::count).fold(0, u64::saturating_add)
     }
 
     pub(crate) fn tape(&self, to: &Level) -> ResidualTape {

@@ -1,6 +1,5 @@
 //! PNG and JPEG to 8-bit RGBA under a memory limit, in one buffer.
 
-use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
 
@@ -9,6 +8,7 @@ use image::codecs::{jpeg::JpegDecoder, png::PngDecoder};
 use image::{ColorType, ImageDecoder, Limits};
 
 use super::error::{DataError, Place};
+use super::files::open_regular;
 use super::header::{self, Format, ImageHeader};
 use super::pixels::ImageU8;
 
@@ -34,7 +34,7 @@ const BYTES_PER_FILE_BYTE: u64 = 8;
 /// `data.image` if the file is damaged or neither PNG nor JPEG, `limits.file` beyond the limit, `io.read` if it cannot be read.
 pub fn decode(file: &Path, max_bytes: Option<u64>) -> Result<ImageU8, DataError> {
     let header = header::read(file)?;
-    let open = File::open(file).map_err(|e| DataError::read(file, e))?;
+    let open = open_regular(file)?;
     let file_bytes = open.metadata().map_err(|e| DataError::read(file, e))?.len();
     let limit = max_bytes.unwrap_or(BASE_BYTES.saturating_add(file_bytes.saturating_mul(BYTES_PER_FILE_BYTE)));
     check_size(file, &header, limit)?;

@@ -73,17 +73,26 @@ impl Root {
     }
 }
 
+/// A regular file, opened. Opening a pipe would wait for somebody to write to it.
+///
+/// # Errors
+/// `io.read` if it is a pipe, a device or a folder, or cannot be opened.
+pub(crate) fn open_regular(file: &Path) -> Result<File, DataError> {
+    let failed = |e| DataError::read(file, e);
+    if !std::fs::metadata(file).map_err(failed)?.is_file() {
+        return Err(failed(std::io::Error::other("it is no regular file")));
+    }
+    File::open(file).map_err(failed)
+}
+
 /// The bytes of a file, at most `limit` of them.
 ///
 /// # Errors
 /// `limits.file` if it is larger, `io.read` if it cannot be read.
 pub(crate) fn read_bytes(file: &Path, limit: u64) -> Result<Vec<u8>, DataError> {
     let failed = |e| DataError::read(file, e);
-    let open = File::open(file).map_err(failed)?;
+    let open = open_regular(file)?;
     let meta = open.metadata().map_err(failed)?;
-    if !meta.is_file() {
-        return Err(failed(std::io::Error::other("it is no regular file")));
-    }
     let too_large = |bytes| DataError::TooLarge { place: Place::new(file, ""), bytes, limit };
     if meta.len() > limit {
         return Err(too_large(meta.len()));

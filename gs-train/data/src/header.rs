@@ -1,11 +1,11 @@
 //! The size of an image without decoding it: the PNG `IHDR` chunk (PNG specification, 11.2.2) or the JPEG frame header
 //! (ITU T.81, B.2.2).
 
-use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
 use super::error::DataError;
+use super::files::open_regular;
 
 /// Size and pixel format of an image file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -40,11 +40,7 @@ const MAX_JPEG_SEGMENTS: usize = 1000;
 /// # Errors
 /// `io.read` if the file cannot be opened, `data.image` if it is neither PNG nor JPEG or ends before its size is known.
 pub(crate) fn read(file: &Path) -> Result<ImageHeader, DataError> {
-    let open = File::open(file).map_err(|e| DataError::read(file, e))?;
-    if !open.metadata().map_err(|e| DataError::read(file, e))?.is_file() {
-        return Err(DataError::decode(file, "it is no regular file"));
-    }
-    let mut r = BufReader::new(open);
+    let mut r = BufReader::new(open_regular(file)?);
     let mut start = [0u8; 8];
     r.read_exact(&mut start).map_err(|_| DataError::decode(file, "it ends within its first 8 bytes"))?;
     let header = if start == PNG_SIGNATURE {

@@ -1,68 +1,24 @@
 //! Damaged and malicious data: any bytes give a data set or a typed error, without a panic, without a long run, and with
 //! at most eight times the size of the files plus 64 MiB of memory.
 
-// A counting allocator needs the allocator trait, which is unsafe to implement; it only forwards and counts.
-#![allow(unsafe_code, reason = "a counting allocator implements the unsafe allocator trait")]
-
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
+use gs_core::testkit::alloc::{Counting, peak_of};
 use gs_core::{Camera, Rng, Time};
 use gs_data::decode::decode;
 use gs_data::{DataError, DataOptions, Dataset, ImageCache, ImageSource, View};
 use gs_synth::{self as synth, SynthOptions};
-
-struct Counting;
-
-thread_local! {
-    static HELD: Cell<i64> = const { Cell::new(0) };
-    static PEAK: Cell<i64> = const { Cell::new(0) };
-}
-
-fn count(bytes: i64) {
-    HELD.with(|h| {
-        h.set(h.get() + bytes);
-        PEAK.with(|p| p.set(p.get().max(h.get())));
-    });
-}
-
-// SAFETY: every call is passed on to the system allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, l: Layout) -> *mut u8 {
-        count(l.size() as i64);
-        // SAFETY: the caller keeps the contract of `alloc`.
-        unsafe { System.alloc(l) }
-    }
-
-    unsafe fn dealloc(&self, p: *mut u8, l: Layout) {
-        count(-(l.size() as i64));
-        // SAFETY: `p` came from `alloc` above with this layout.
-        unsafe { System.dealloc(p, l) }
-    }
-
-    unsafe fn realloc(&self, p: *mut u8, l: Layout, size: usize) -> *mut u8 {
-        // Old and new block may exist at once.
-        count(size as i64);
-        // SAFETY: `p` came from `alloc` above with this layout.
-        let new = unsafe { System.realloc(p, l, size) };
-        count(-(l.size() as i64));
-        new
-    }
-}
 
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
 /// Runs `f` and checks memory (against the bytes of the files involved) and time.
 fn bounded<T>(file_bytes: usize, what: &str, f: impl FnOnce() -> T) -> T {
-    let before = HELD.with(Cell::get);
-    PEAK.with(|p| p.set(before));
     let start = Instant::now();
-    let out = f();
-    let (took, peak) = (start.elapsed(), PEAK.with(Cell::get) - before);
-    let limit = 8 * file_bytes as i64 + (64 << 20);
+    let (out, peak) = peak_of(f);
+    let took = start.elapsed();
+    let limit = 8 * file_bytes + (64 << 20);
     assert!(peak <= limit, "{what}: {peak} bytes for a file of {file_bytes}, limit {limit}");
     assert!(took < Duration::from_secs(10), "{what}: {took:?}");
     out

@@ -52,13 +52,13 @@ pub(super) fn write_packed(
     encodings: &[Encoding],
 ) -> io::Result<Vec<usize>> {
     write_head(out, PACKED_VERSION, meta, tensors.len())?;
-    let mut bytes = Vec::with_capacity(tensors.len());
-    for ((name, values), encoding) in tensors.iter().zip(encodings) {
-        let payload = packed::pack(values, encoding);
-        write_section(out, name, payload.len() as u64, |w| w.write_all(&payload))?;
-        bytes.push(payload.len());
+    let mut payloads: Vec<_> =
+        tensors.iter().zip(encodings).map(|((_, values), encoding)| packed::pack(values, encoding)).collect();
+    packed::pad(&mut payloads, tensors.iter().map(|(_, values)| values.len() as u64).sum());
+    for ((name, _), payload) in tensors.iter().zip(&payloads) {
+        write_section(out, name, payload.len() as u64, |w| w.write_all(payload))?;
     }
-    Ok(bytes)
+    Ok(payloads.iter().map(Vec::len).collect())
 }
 
 fn write_head(out: &mut impl Write, version: u32, meta: &[u8], tensors: usize) -> io::Result<()> {
@@ -177,7 +177,7 @@ pub(super) fn read(inner: &mut impl Read, bytes: u64) -> Result<Checkpoint, Faul
     source.expect(u64::from(sections) * SECTION_OVERHEAD, "the list of sections")?;
     let meta = read_meta(&mut source)?;
     let mut tensors = Vec::new();
-    let mut values_left = packed::MAX_VALUES;
+    let mut values_left = packed::max_values(bytes);
     for _ in 1..sections {
         tensors.push(match version {
             VERSION => read_tensor(&mut source)?,

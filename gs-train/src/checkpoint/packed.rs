@@ -22,7 +22,11 @@ use flate2::write::DeflateEncoder;
 use std::io::{Read, Write};
 
 /// Values of all tensors of a file together, at most: 4 GiB as `f32`.
-pub(super) const MAX_VALUES: u64 = 1 << 30;
+const MAX_VALUES: u64 = 1 << 30;
+/// Values that a file of any size may hold.
+const FREE_VALUES: u64 = 1 << 20;
+/// Values per byte of a file, at most, beside these.
+const VALUES_PER_BYTE: u64 = 16;
 /// Values of larger size are not quantised.
 const MAX_AFFINE: f32 = 1e30;
 /// Bytes before the body.
@@ -54,6 +58,21 @@ pub struct Encoding {
     pub group: usize,
     /// Deflate the result where that makes it smaller.
     pub deflate: bool,
+}
+
+/// Values that a file of `bytes` bytes may hold in all its tensors: a deflated body is not believed without bounds.
+pub(super) fn max_values(bytes: u64) -> u64 {
+    bytes.saturating_mul(VALUES_PER_BYTE).saturating_add(FREE_VALUES).min(MAX_VALUES)
+}
+
+/// Fills a deflated payload up with zeros, which inflating ignores, where all payloads together would hold more than
+/// [`max_values`] of them.
+pub(super) fn pad(payloads: &mut [Vec<u8>], values: u64) {
+    let bytes: usize = payloads.iter().map(Vec::len).sum();
+    let missing = values.saturating_sub(FREE_VALUES).div_ceil(VALUES_PER_BYTE).saturating_sub(bytes as u64);
+    if let Some(deflated) = payloads.iter_mut().find(|p| p.get(1) == Some(&1)) {
+        deflated.resize(deflated.len() + usize::try_from(missing).unwrap_or(0), 0);
+    }
 }
 
 /// The payload of a tensor.

@@ -34,6 +34,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
     about: "Spacetime Gaussians, lite: polynomial motion and temporal opacity of each splat (Li et al. 2024)",
     defaults: &[include_str!("spacetime.toml")],
     presets: &[("paper", &[]), ("tiny", &[include_str!("spacetime.tiny.toml")])],
+    domains: &[],
     needs_avatar: false,
     build,
 };

@@ -6,4 +6,5 @@ mod learning;
 mod methods;
 mod resume;
 mod scores;
+mod settings;
 mod support;

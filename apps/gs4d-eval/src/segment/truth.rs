@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use gs_core::io::{Limits, npy};
+use gs_core::io::{Limits, npy, read_file};
 use gs_core::{Camera, cast};
 
 use super::SegmentError;
@@ -73,7 +73,7 @@ type LabelImage = ([usize; 2], Vec<u32>);
 
 /// Reads whole numbers `[H, W]` or `[H, W, 1]`; negative ones are the background.
 fn of_npy(file: &Path) -> Result<LabelImage, Result<SegmentError, String>> {
-    let bytes = std::fs::read(file).map_err(|e| Ok(DataError::read(file, e).into()))?;
+    let bytes = read_file(file, &Limits::default()).map_err(|e| Ok(e.into()))?;
     let array = npy::read(&bytes, &file.display().to_string(), &Limits::default()).map_err(|e| Ok(e.into()))?;
     let (height, width) = match array.shape[..] {
         [h, w] | [h, w, 1] => (h, w),
@@ -89,7 +89,8 @@ fn of_npy(file: &Path) -> Result<LabelImage, Result<SegmentError, String>> {
 /// Reads grey pixels as their value (8 or 16 bits); of colour images each colour is a label.
 fn of_png(file: &Path) -> Result<LabelImage, SegmentError> {
     use image::{DynamicImage, GenericImageView};
-    let image = image::open(file).map_err(|e| DataError::decode(file, e))?;
+    let bytes = read_file(file, &Limits::default())?;
+    let image = image::load_from_memory(&bytes).map_err(|e| DataError::decode(file, e))?;
     let (width, height) = image.dimensions();
     let ids = match &image {
         DynamicImage::ImageLuma8(grey) => grey.pixels().map(|p| p.0[0].into()).collect(),

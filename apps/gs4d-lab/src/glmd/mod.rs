@@ -224,7 +224,7 @@ mod tests {
         let entry = gs_methods::registry().find(name).unwrap();
         let config = entry.config("tiny").unwrap();
         let scene = SceneInfo::of(&data.dataset, &section(entry.name, &config, "init").unwrap(), 1).unwrap();
-        let mut method = (entry.build)(&config, &scene).unwrap();
+        let mut method = entry.model(&config, &scene).unwrap();
         method.begin_step(100_000);
         (method, data)
     }

@@ -25,8 +25,9 @@ fn loaded(method: &str) -> Loaded {
         frame_interval: 0.25,
         seed: 1,
         avatar: None,
+        max_parameters: gs_train::scene::MAX_PARAMETERS,
     };
-    let mut model = (entry.build)(&config, &scene).unwrap();
+    let mut model = entry.model(&config, &scene).unwrap();
     model.visit_mut(&mut |p| {
         p.value.iter_mut().for_each(|v| *v += 0.05 * rng.normal());
         p.moment1.fill(0.5);
@@ -46,7 +47,7 @@ fn written(loaded: &Loaded, bits: Bits, deflate: bool) -> (CompactReport, Loaded
     let path = dir.path().join("scene.gs4d");
     let scene = CompactScene::of(&loaded.model, &loaded.config);
     let settings = toml::Table::from_iter([("run".to_owned(), toml::Value::from("settings"))]);
-    let report = scene.write(&path, loaded, &settings, Packing { bits, deflate }).unwrap();
+    let report = scene.write(&path, loaded, &settings, &[], Packing { bits, deflate }).unwrap();
     assert_eq!(report.file_bytes as u64, std::fs::metadata(&path).unwrap().len());
     let checkpoint = Checkpoint::load(&path).unwrap();
     assert_eq!(checkpoint.meta[SETTINGS], "run = \"settings\"\n");
@@ -123,7 +124,7 @@ fn known_lattices_and_fixed_state_stay_exact() {
     scene.tensors.extend([tensor("state", true), tensor("block", false)]);
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("scene.gs4d");
-    scene.write(&path, &loaded, &toml::Table::new(), Packing { bits: Bits::Byte, deflate: true }).unwrap();
+    scene.write(&path, &loaded, &toml::Table::new(), &[], Packing { bits: Bits::Byte, deflate: true }).unwrap();
     let back = Checkpoint::load(&path).unwrap();
     assert_eq!((back.tensor("cloud.means").unwrap(), back.tensor("state").unwrap()), (&want[..], &state[..]));
     assert_ne!(back.tensor("block").unwrap(), state);
@@ -135,7 +136,7 @@ fn a_damaged_file_is_refused_wherever_it_is_hurt() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("scene.gs4d");
     let scene = CompactScene::of(&loaded.model, &loaded.config);
-    scene.write(&path, &loaded, &toml::Table::new(), Packing { bits: Bits::Byte, deflate: true }).unwrap();
+    scene.write(&path, &loaded, &toml::Table::new(), &[], Packing { bits: Bits::Byte, deflate: true }).unwrap();
     let whole = std::fs::read(&path).unwrap();
     let hurt = dir.path().join("hurt.gs4d");
     for at in (0..whole.len()).step_by(29) {
@@ -156,7 +157,7 @@ fn a_scene_with_other_sizes_does_not_load() {
         assert!(scene.tensors.iter_mut().any(change));
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("scene.gs4d");
-        scene.write(&path, &loaded, &toml::Table::new(), Packing { bits: Bits::Half, deflate: false }).unwrap();
+        scene.write(&path, &loaded, &toml::Table::new(), &[], Packing { bits: Bits::Half, deflate: false }).unwrap();
         saved::load(gs_methods::registry(), &Checkpoint::load(&path).unwrap(), None).err().unwrap()
     };
     let shorter = |t: &mut CompactTensor| t.row_width.is_none() && t.values.pop().is_some();

@@ -55,13 +55,13 @@ pub struct Side {
 }
 
 impl Side {
-    /// Opens a run, or a checkpoint or compact scene, with its data.
+    /// Opens a run, or a checkpoint or compact scene, with its data: in the folder `data`, or where the run began.
     ///
     /// # Errors
     /// If it cannot be read, or its data are gone.
-    pub fn open(registry: &Registry, path: &Path) -> Result<Self, RunError> {
-        let run = OpenRun::open(registry, path)?;
-        let dataset = run.resolved.open_data()?;
+    pub fn open(registry: &Registry, path: &Path, data: Option<&Path>) -> Result<Self, RunError> {
+        let run = OpenRun::open_with(registry, path, data)?;
+        let dataset = run.open_data()?;
         let (log, provenance) = match run.folder() {
             Ok(folder) => (folder.log_lines(folder::LOG)?, folder.read(folder::PROVENANCE).ok()),
             Err(_) => (Vec::new(), None),

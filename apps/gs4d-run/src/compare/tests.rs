@@ -29,7 +29,7 @@ fn train(root: &Path, data: &Path, name: &str, method: &str, seed: u64, sets: &[
     let mut training = Training::begin(&out, false, resolve(gs_methods::registry(), &request).unwrap()).unwrap();
     training.train(&AtomicBool::new(false), &mut |_, _| {}).unwrap();
     drop(training);
-    Side::open(gs_methods::registry(), &out).unwrap()
+    Side::open(gs_methods::registry(), &out, None).unwrap()
 }
 
 #[test]
@@ -100,9 +100,9 @@ fn names_tell_runs_apart() {
     let of = |sides: &[Side]| names(sides);
     let a = train(dir.path(), &data, "x/run", "static3d", 0, &[]);
     let b = train(dir.path(), &data, "y/run", "static3d", 0, &[]);
-    let again = Side::open(gs_methods::registry(), &dir.path().join("y/run")).unwrap();
+    let again = Side::open(gs_methods::registry(), &dir.path().join("y/run"), None).unwrap();
     assert_eq!(of(&[a])[0], "run");
-    let a = Side::open(gs_methods::registry(), &dir.path().join("x/run")).unwrap();
+    let a = Side::open(gs_methods::registry(), &dir.path().join("x/run"), None).unwrap();
     let all = of(&[a, b, again]);
     assert!(all[0].ends_with("x/run") && all[1].ends_with("y/run (2)") && all[2].ends_with("y/run (3)"), "{all:?}");
 }

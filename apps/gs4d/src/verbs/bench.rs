@@ -4,11 +4,11 @@ use super::demo::speed_text;
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use crate::global::Global;
+use crate::opening::RunData;
 use gs_core::speed::BenchRow;
 use gs4d_lab::bench::{GROUPS, StageOptions, StageTimes, roofline, stage_times};
 use gs4d_lab::people::{LabError, Trained};
 use gs4d_report::speed_json;
-use gs4d_run::OpenRun;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
@@ -44,8 +44,8 @@ impl Bench {
     }
 
     fn stages(&self, run: &Path, global: &Global) -> Result<Answer, Failure> {
-        let run = OpenRun::open(gs_methods::registry(), run)?;
-        let film = run.resolved.open_data()?;
+        let run = RunData::default().open(run, global)?;
+        let film = run.open_data()?;
         let dut = Trained::of_run(&run)?.on(&film, &[])?;
         let (warm_up, frames, repeats) = (self.warm_up as usize, self.frames as usize, self.repeats as usize);
         let options = StageOptions { warm_up, frames, repeats, size: self.size };

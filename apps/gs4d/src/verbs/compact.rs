@@ -4,12 +4,13 @@ use super::eval::SplitName;
 use crate::answer::Answer;
 use crate::failure::Failure;
 use crate::global::Global;
+use crate::opening::RunData;
 use crate::output::check_free;
 use gs_data::Dataset;
 use gs4d_run::OpenRun;
 use gs4d_run::compact::{Bits, CompactScene, Packing};
 use serde_json::json;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Write a trained scene as one small file that renders, and report the loss in PSNR
 #[derive(clap::Args)]
@@ -35,6 +36,8 @@ pub struct Compact {
     /// Overwrite an existing file.
     #[arg(short, long)]
     force: bool,
+    #[command(flatten)]
+    place: RunData,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -60,15 +63,19 @@ impl From<BitsName> for Bits {
 impl Compact {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
         self.check_out()?;
-        let run = OpenRun::open(gs_methods::registry(), &self.run)?;
+        let run = self.place.open(&self.run, global)?;
         // Opened first, so that nothing is written if the data are missing.
-        let dataset = if self.no_eval { None } else { Some(run.resolved.open_data()?) };
+        let dataset = if self.no_eval { None } else { Some(run.open_data()?) };
         let scene = CompactScene::of(&run.loaded.model, &run.loaded.config);
         let packing = Packing { bits: self.bits.into(), deflate: !self.no_deflate };
         let before = self.psnr(&run, dataset.as_ref())?;
-        let report = scene.write(&self.out, &run.loaded, &run.resolved.config.table(), packing)?;
+        let settings = run.resolved.config.table();
+        let report =
+            scene.write(&self.out, &run.loaded, &settings, &run.training_views().unwrap_or_default(), packing)?;
         global.detail(format!("wrote {}", self.out.display()));
-        let after = self.psnr(&OpenRun::open(gs_methods::registry(), &self.out)?, dataset.as_ref())?;
+        let data = Path::new(&run.resolved.run.data);
+        let again = OpenRun::open_with(gs_methods::registry(), &self.out, Some(data))?;
+        let after = self.psnr(&again, dataset.as_ref())?;
         let change = before.zip(after).map(|(b, a)| a - b);
         let mut text = report.to_text();
         if let (Some(before), Some(after), Some(change)) = (before, after, change) {

@@ -4,6 +4,7 @@ use super::eval::SplitName;
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use crate::global::Global;
+use crate::opening::{RunData, say_skipped};
 use crate::output::check_free;
 use crate::parse;
 use gs_core::io::write_file;
@@ -39,6 +40,8 @@ pub struct Compare {
     /// Overwrite an existing file.
     #[arg(short, long)]
     force: bool,
+    #[command(flatten)]
+    place: RunData,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -54,10 +57,8 @@ impl Compare {
         check_free(self.force, "file", "name", &self.out)?;
         let mut sides = Vec::new();
         for path in &self.runs {
-            let side = Side::open(gs_methods::registry(), path)?;
-            for skipped in &side.run.skipped {
-                global.say(format!("{}: skipped {}", path.display(), skipped.why));
-            }
+            let side = Side::open(gs_methods::registry(), path, self.place.data.as_deref())?;
+            say_skipped(path, &side.run.skipped, global);
             sides.push(side);
         }
         let options = Options { split: self.split.into(), background: self.background, shown: self.views.into() };

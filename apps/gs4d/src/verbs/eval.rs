@@ -4,13 +4,13 @@ use super::train::all_scores_text;
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use crate::global::Global;
+use crate::opening::RunData;
 use crate::parse;
 use gs_data::Split;
 use gs_train::evaluate::MaskedScores;
 use gs4d_eval::compare::{Metric, SetScores};
 use gs4d_eval::folders::{FolderScores, FolderTask, Quantise, TofOptions, VideoScore, score, tof_protocol};
 use gs4d_eval::temporal;
-use gs4d_run::OpenRun;
 use gs4d_run::folder::METRICS;
 use gs4d_run::opened::metrics_json;
 use serde_json::json;
@@ -50,6 +50,8 @@ pub struct Eval {
     /// Rounding of images to 8 bit before they are scored [default: none].
     #[arg(long, value_enum)]
     quantise: Option<QuantiseName>,
+    #[command(flatten)]
+    place: RunData,
 }
 
 /// A split of the data.
@@ -144,11 +146,8 @@ impl Eval {
 
     fn of_run(&self, root: &Path, global: &Global) -> Result<Answer, Failure> {
         let tof = self.tof()?;
-        let run = OpenRun::open(gs_methods::registry(), root)?;
-        for skipped in &run.skipped {
-            global.say(format!("skipped {}", skipped.why));
-        }
-        let dataset = run.resolved.open_data()?;
+        let run = self.place.open(root, global)?;
+        let dataset = run.open_data()?;
         let background = self.background.unwrap_or_else(|| run.background());
         let split = self.split.into();
         let motion = tof.map(|options| {

@@ -4,10 +4,11 @@ use super::eval::SplitName;
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use crate::global::Global;
+use crate::opening::RunData;
 use crate::output::{check_free, create_folder};
 use crate::parse;
 use crate::progress::Progress;
-use gs_core::io::{Limits, RawSplats, SplatFormat, load_splats, save_splats, write_file};
+use gs_core::io::{RawSplats, SplatFormat, load_splats, save_splats, write_file};
 use gs_data::{Dataset, ImageCache};
 use gs_train::evaluate::{EvalReport, evaluate};
 use gs_train::timestamp::Timestamp;
@@ -46,6 +47,8 @@ pub struct Export {
     /// Overwrite existing files.
     #[arg(short, long)]
     force: bool,
+    #[command(flatten)]
+    place: RunData,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -80,7 +83,7 @@ impl Export {
         let plan = self.plan()?;
         self.check_free(&plan)?;
         let is_file = self.scene.is_file() && self.scene.extension().is_none_or(|e| e != "gs4d");
-        if is_file { self.convert(&plan) } else { self.bake(&plan, global) }
+        if is_file { self.convert(&plan, global) } else { self.bake(&plan, global) }
     }
 
     fn plan(&self) -> Result<Plan, Failure> {
@@ -111,20 +114,20 @@ impl Export {
     }
 
     /// One splat file as another.
-    fn convert(&self, plan: &Plan) -> Result<Answer, Failure> {
+    fn convert(&self, plan: &Plan, global: &Global) -> Result<Answer, Failure> {
         if self.times.is_some() || self.max_error.is_some() {
             return Err(Failure::usage(
                 "a splat file has one moment and no ground truth: --times and --max-error need a run",
             ));
         }
-        let raw = load_splats(&self.scene, &Limits::default())?;
+        let raw = load_splats(&self.scene, &global.limits())?;
         // Gaussian kernels are kept bit for bit.
         let plain = if raw.kernel.is_neutral() { raw } else { with_plain_kernel(&raw)? };
         let reduced = cut(plain, self.sh_degree);
         let Some((_, path)) = plan.files.first() else { return Err(Failure::usage("no time to write")) };
         plan.folder.as_deref().map_or(Ok(()), create_folder)?;
         save_splats(path, &reduced, self.force)?;
-        let again = load_splats(path, &Limits::default())?;
+        let again = load_splats(path, &global.limits())?;
         let text =
             format!("{} splats, SH degree {}; read back whole\n-> {}\n", again.len(), again.degree, path.display());
         Ok(Answer::new(
@@ -134,17 +137,18 @@ impl Export {
     }
 
     fn bake(&self, plan: &Plan, global: &Global) -> Result<Answer, Failure> {
-        let run = OpenRun::open(gs_methods::registry(), &self.scene)?;
-        let dataset = run.resolved.open_data()?;
-        let method = &run.loaded.model;
-        let baker = || Baker::new(method, &dataset.train, self.sh_degree);
+        let run = self.place.open(&self.scene, global)?;
+        // Opened first, so that nothing is written if the data are missing.
+        let dataset = if self.no_eval { None } else { Some(run.open_data()?) };
+        let (method, views) = (&run.loaded.model, run.training_views()?);
+        let baker = || Baker::new(method, &views, self.sh_degree);
         plan.folder.as_deref().map_or(Ok(()), create_folder)?;
         let mut progress = Progress::new(plan.files.len() as u64, "times", global.quiet);
         let mut written = Vec::new();
         for (done, (time, path)) in plan.files.iter().enumerate() {
             let raw = baker().bake(&Timestamp::normalised(*time))?;
             save_splats(path, &raw, self.force)?;
-            let again = load_splats(path, &Limits::default())?;
+            let again = load_splats(path, &global.limits())?;
             written.push(json!({"time": time, "file": path.display().to_string(), "splats": again.len()}));
             progress.at(done as u64 + 1, || format!("{} splats", again.len()));
         }
@@ -153,7 +157,7 @@ impl Export {
             let table = serde_json::to_vec_pretty(&written).unwrap_or_default();
             write_file(&folder.join(TABLE), self.force, |out| out.write_all(&table))?;
         }
-        let loss = if self.no_eval { None } else { Some(self.measure(&run, &dataset, baker(), plan.format)?) };
+        let loss = dataset.map(|data| self.measure(&run, &data, baker(), plan.format)).transpose()?;
         let bytes: u64 = plan.files.iter().filter_map(|f| f.1.metadata().ok()).map(|m| m.len()).sum();
         let mut text = format!("{} file(s), {:.2} MB, read back whole\n", plan.files.len(), bytes as f64 / 1e6);
         if let Some(loss) = &loss {

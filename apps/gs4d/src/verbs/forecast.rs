@@ -3,6 +3,7 @@
 use crate::answer::{Answer, number};
 use crate::failure::{Class, Failure};
 use crate::global::Global;
+use crate::opening::RunData;
 use crate::output::{check_free, create_folder};
 use crate::parse;
 use crate::progress::Progress;
@@ -68,12 +69,14 @@ pub struct ForecastVerb {
     /// Overwrite existing frames.
     #[arg(short, long)]
     force: bool,
+    #[command(flatten)]
+    place: RunData,
 }
 
 impl ForecastVerb {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
-        let run = OpenRun::open(gs_methods::registry(), &self.run)?;
-        let dataset = run.resolved.open_data()?;
+        let run = self.place.open(&self.run, global)?;
+        let dataset = run.open_data()?;
         let clock = Clock::of(&dataset);
         let path = self.path(&run, &dataset)?;
         let (last, interval) = (f64::from(run.loaded.scene.last_time), f64::from(run.loaded.scene.frame_interval));

@@ -3,6 +3,7 @@
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use crate::global::Global;
+use crate::opening::RunData;
 use crate::output::{check_free, create_folder};
 use crate::parse;
 use crate::progress::Progress;
@@ -48,6 +49,8 @@ pub struct Glmd {
     /// Overwrite existing files.
     #[arg(short, long)]
     force: bool,
+    #[command(flatten)]
+    place: RunData,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -79,7 +82,7 @@ impl From<GlmdError> for Failure {
 
 impl Glmd {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
-        let run = OpenRun::open(gs_methods::registry(), &self.run)?;
+        let run = self.place.open(&self.run, global)?;
         let method = &run.loaded.model;
         let camera = self.camera(&run)?;
         let masks = self.masks(&run)?;
@@ -134,7 +137,7 @@ impl Glmd {
             _ => None,
         };
         if let Some((split, k)) = self.camera.split_once(':').and_then(|(name, k)| Some((split(name)?, k))) {
-            let dataset = run.resolved.open_data()?;
+            let dataset = run.open_data()?;
             let views = dataset.views(split);
             let view = k.parse::<usize>().ok().and_then(|k| views.get(k));
             let view =

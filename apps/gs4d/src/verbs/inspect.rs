@@ -2,6 +2,8 @@
 
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
+use crate::global::Global;
+use crate::opening::RunData;
 use gs_core::io::{Limits, RawSplats, load_splats};
 use gs_data::Split;
 use gs_synth as synth;
@@ -34,23 +36,25 @@ pub struct Inspect {
     /// For a run: lowest frequency that counts as fast motion, cycles over the training span [default: moments / 4].
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=1000))]
     cutoff: Option<u32>,
+    #[command(flatten)]
+    place: RunData,
 }
 
 impl Inspect {
-    pub fn run(self) -> Result<Answer, Failure> {
+    pub fn run(self, global: &Global) -> Result<Answer, Failure> {
         let path = &self.path;
         if path.is_dir() {
-            self.run_folder(path)
+            self.run_folder(path, global)
         } else if path.extension().is_some_and(|e| e == "gs4d") {
             checkpoint_file(path)
         } else {
-            splat_file(path)
+            splat_file(path, global)
         }
     }
 }
 
-fn splat_file(path: &Path) -> Result<Answer, Failure> {
-    let limits = Limits { allow_non_finite: true, ..Limits::default() };
+fn splat_file(path: &Path, global: &Global) -> Result<Answer, Failure> {
+    let limits = Limits { allow_non_finite: true, ..global.limits() };
     let raw = load_splats(path, &limits)?;
     let bytes = file_bytes(path)?;
     let summary = SplatSummary::of(&raw);
@@ -78,8 +82,8 @@ fn checkpoint_file(path: &Path) -> Result<Answer, Failure> {
 }
 
 impl Inspect {
-    fn run_folder(&self, root: &Path) -> Result<Answer, Failure> {
-        let run = OpenRun::open(gs_methods::registry(), root)?;
+    fn run_folder(&self, root: &Path, global: &Global) -> Result<Answer, Failure> {
+        let run = self.place.open(root, global)?;
         let method = &run.loaded.model;
         let camera = neutral_camera();
         let needs = needs(method, &camera, run.loaded.scene.extent)?;
@@ -137,7 +141,7 @@ impl Inspect {
 
 /// Cost of rendering the test views (training views if there are none); `None` if the data cannot be opened.
 fn economy(run: &OpenRun) -> Option<RenderCost> {
-    let dataset = run.resolved.open_data().ok()?;
+    let dataset = run.open_data().ok()?;
     let split = if dataset.test.is_empty() { Split::Train } else { Split::Test };
     let images = run.images();
     let views: Vec<_> = dataset.views(split).iter().take(ECONOMY_VIEWS).map(|v| (images.camera(v), v.time)).collect();
@@ -153,7 +157,7 @@ fn economy(run: &OpenRun) -> Option<RenderCost> {
 fn physics(run: &OpenRun) -> Option<PhysicsReport> {
     let particles = Particles::of(&run.loaded.model)?;
     let truth = synth::truth_of(Path::new(&run.resolved.run.data))?;
-    let dataset = run.resolved.open_data().ok()?;
+    let dataset = run.open_data().ok()?;
     let same_clock = dataset.train.iter().all(|v| (f64::from(v.time.normalised) - v.time.seconds).abs() < 1e-6);
     same_clock.then(|| physics_check::check(&particles, &truth, &PhysicsOptions::of(&particles, &truth)))
 }

@@ -3,6 +3,7 @@
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use crate::global::Global;
+use crate::opening::RunData;
 use crate::output::{check_free, create_folder};
 use crate::parse;
 use crate::progress::Progress;
@@ -61,6 +62,8 @@ pub struct Render {
     /// Overwrite existing images.
     #[arg(short, long)]
     force: bool,
+    #[command(flatten)]
+    place: RunData,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -81,11 +84,11 @@ enum Scene {
 }
 
 impl Scene {
-    fn open(path: &Path) -> Result<Self, Failure> {
-        if path.is_dir() || path.extension().is_some_and(|e| e == "gs4d") {
-            return Ok(Scene::Run(Box::new(OpenRun::open(gs_methods::registry(), path)?)));
+    fn splat_count(&self) -> usize {
+        match self {
+            Scene::File(splats) => splats.len(),
+            Scene::Run(run) => run.loaded.model.splat_count(),
         }
-        Ok(Scene::File(Box::new(load_splat_file(path)?)))
     }
 
     fn options(&self) -> RasterOptions {
@@ -99,7 +102,7 @@ impl Scene {
     fn data(&self, what: &str) -> Result<Dataset, Failure> {
         match self {
             Scene::File(_) => Err(Failure::usage(format!("{what} needs a run"))),
-            Scene::Run(run) => Ok(run.resolved.open_data()?),
+            Scene::Run(run) => Ok(run.open_data()?),
         }
     }
 
@@ -107,29 +110,37 @@ impl Scene {
     fn orbit(&self) -> Result<Option<Orbit>, Failure> {
         match self {
             Scene::File(splats) => Ok(Orbit::of_splats(&splats.means)),
-            Scene::Run(run) => Ok(Orbit::of_views(&run.resolved.open_data()?.train)),
+            Scene::Run(run) => Ok(Orbit::of_views(&run.training_views()?)),
         }
     }
 
     fn render<'a>(&self, renderer: &'a mut Renderer, camera: &Camera, time: f32) -> Result<&'a Frame, MethodError> {
         Ok(match self {
             Scene::File(splats) => renderer.render(splats.view(), camera),
-            Scene::Run(run) => renderer.render(&run.loaded.model.splats(&Timestamp::normalised(time), camera)?, camera),
+            Scene::Run(run) => {
+                let splats = run.loaded.model.splats(&Timestamp::normalised(time), camera)?;
+                splats.check().map_err(|e| MethodError::Render(format!("the scene at time {time}: {e}")))?;
+                renderer.render(&splats, camera)
+            }
         })
     }
 }
 
 /// The splats of a file.
-pub fn load_splat_file(path: &Path) -> Result<Splats, Failure> {
-    let splats = load_splats(path, &Limits::default())?.to_splats();
+pub fn load_splat_file(path: &Path, global: &Global) -> Result<Splats, Failure> {
+    let splats = load_splats(path, &global.limits())?.to_splats();
     splats.map_err(|e| Failure::new(Class::Data, "data.splats", e.to_string()).place(path.display()))
 }
 
 impl Render {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
-        let scene = Scene::open(&self.scene)?;
+        let scene = self.open(global)?;
         let cameras = self.sequence(self.cameras(&scene)?)?;
-        let mut renderer = Renderer::new(self.options(&scene));
+        let memory = global.memory();
+        cameras
+            .iter()
+            .try_for_each(|c| memory.admit_picture([c.camera.width, c.camera.height], scene.splat_count()))?;
+        let mut renderer = Renderer::new(self.options(&scene)?);
         let mut progress = Progress::new(cameras.len() as u64, "images", global.quiet);
         let mut render = |done: usize, camera: &NamedCamera| {
             let frame = scene.render(&mut renderer, &camera.camera, self.time.or(camera.time).unwrap_or(0.0))?.clone();
@@ -150,6 +161,14 @@ impl Render {
         let files: Vec<String> = paths.iter().map(|p| p.display().to_string()).collect();
         let text: String = files.iter().map(|f| format!("{f}\n")).collect();
         Ok(Answer::new(text, json!({"files": files, "background": renderer.options.background})))
+    }
+
+    fn open(&self, global: &Global) -> Result<Scene, Failure> {
+        let path = &self.scene;
+        if path.is_dir() || path.extension().is_some_and(|e| e == "gs4d") {
+            return Ok(Scene::Run(Box::new(self.place.open(path, global)?)));
+        }
+        Ok(Scene::File(Box::new(load_splat_file(path, global)?)))
     }
 
     /// The cameras that were asked for.
@@ -241,12 +260,13 @@ impl Render {
         Ok(path)
     }
 
-    fn options(&self, scene: &Scene) -> RasterOptions {
+    fn options(&self, scene: &Scene) -> Result<RasterOptions, Failure> {
         let mut options = scene.options();
         options.near = self.near.unwrap_or(options.near);
         options.background = self.background.unwrap_or(options.background);
         options.antialias |= self.antialias;
-        options
+        options.check().map_err(|e| Failure::usage(e.to_string()))?;
+        Ok(options)
     }
 
     /// A distinct path in the output folder per camera; fails if one exists, unless forced.

@@ -5,8 +5,9 @@ use super::view::Watch;
 use crate::answer::Answer;
 use crate::failure::Failure;
 use crate::global::Global;
+use crate::opening::RunData;
 use crate::{interrupt, parse};
-use gs4d_run::Training;
+use gs4d_run::{ResumeRequest, Training};
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -26,14 +27,24 @@ pub struct Resume {
     #[arg(long, value_name = "TIME", value_parser = parse::duration)]
     time_budget: Option<Duration>,
     #[command(flatten)]
+    place: RunData,
+    /// Go on although the data are not those that the run began with; provenance.json keeps it.
+    #[arg(long)]
+    accept_changed_data: bool,
+    #[command(flatten)]
     watch: Watch,
 }
 
 impl Resume {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
         let stop = interrupt::flag()?;
-        let mut training =
-            Training::resume(gs_methods::registry(), &self.run, self.steps, self.time_budget.map(|d| d.as_secs_f64()))?;
+        let request = ResumeRequest {
+            steps: self.steps,
+            budget: self.time_budget.map(|d| d.as_secs_f64()),
+            data: self.place.data,
+            accept_changed_data: self.accept_changed_data,
+        };
+        let mut training = Training::resume(gs_methods::registry(), &self.run, &request)?;
         global.say(format!("going on from step {}", training.trainer().steps_done()));
         carry_on(&mut training, &self.watch, &stop, global)
     }

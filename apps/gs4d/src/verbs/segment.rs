@@ -4,6 +4,7 @@ use super::eval::SplitName;
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use crate::global::Global;
+use crate::opening::RunData;
 use crate::output::{check_free, create_folder};
 use crate::parse;
 use crate::progress::Progress;
@@ -60,6 +61,8 @@ pub struct Segment {
     /// overlays of each view; made if missing.
     #[arg(short, long, value_name = "DIR")]
     out: PathBuf,
+    #[command(flatten)]
+    place: RunData,
     /// Overwrite existing files.
     #[arg(short, long)]
     force: bool,
@@ -99,8 +102,8 @@ impl From<SegmentError> for Failure {
 
 impl Segment {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
-        let run = OpenRun::open(gs_methods::registry(), &self.run)?;
-        let dataset = run.resolved.open_data()?;
+        let run = self.place.open(&self.run, global)?;
+        let dataset = run.open_data()?;
         let split: Split = self.split.into();
         let views = self.limited(dataset.views(split))?;
         let names = stems(&views);

@@ -4,6 +4,7 @@ use super::view::{Watch, Watched};
 use crate::answer::{Answer, number};
 use crate::failure::{Class, Failure};
 use crate::global::Global;
+use crate::opening::say_skipped;
 use crate::progress::Progress;
 use crate::{interrupt, parse};
 use gs_train::evaluate::EvalReport;
@@ -134,9 +135,8 @@ pub fn drive(
 
 fn describe(training: &Training, global: &Global) {
     let data = training.trainer().dataset();
-    for skipped in training.skipped() {
-        global.say(format!("skipped {}", skipped.why));
-    }
+    say_skipped(training.folder().root(), training.skipped(), global);
+    training.warnings().iter().for_each(|w| global.say(format!("warning: {w}")));
     let run = &training.resolved().run;
     global.say(format!(
         "{} with preset {} on {} ({}): {} training, {} test views; {} steps",

@@ -4,8 +4,9 @@ use super::render::load_splat_file;
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use crate::global::{Global, to_stderr};
+use crate::opening::RunData;
 use crate::{interrupt, parse};
-use gs4d_run::{OpenRun, Training};
+use gs4d_run::Training;
 use gs4d_view::{Feed, Options, Packing, Server, Show, Stage, ViewError, start};
 use serde_json::json;
 use std::net::{IpAddr, Ipv4Addr};
@@ -31,6 +32,8 @@ pub struct View {
     /// Stop by itself after so many seconds.
     #[arg(long, value_name = "SECONDS")]
     seconds: Option<u64>,
+    #[command(flatten)]
+    place: RunData,
 }
 
 impl View {
@@ -56,14 +59,14 @@ impl View {
     fn show(&self, path: &Path, global: &Global) -> Result<Show, Failure> {
         let name = name_of(path);
         if path.is_dir() || path.extension().is_some_and(|e| e == "gs4d") {
-            let run = OpenRun::open(gs_methods::registry(), path)?;
-            let dataset = run.resolved.open_data();
+            let run = self.place.open(path, global)?;
+            let dataset = run.open_data();
             if let Err(e) = &dataset {
                 global.say(format!("warning: {name} is shown without its images: {e}"));
             }
             return Ok(Show::run(name, run, dataset.ok().as_ref()));
         }
-        Ok(Show::splats(name, load_splat_file(path)?))
+        Ok(Show::splats(name, load_splat_file(path, global)?))
     }
 }
 

@@ -1,6 +1,6 @@
 //! `gs4d compact`: a smaller file that draws and scores as the run does.
 
-use crate::support::{CAMERA, good, gs4d, run, text};
+use crate::support::{CAMERA, data, good, gs4d, run, text};
 use std::fs;
 use std::path::Path;
 
@@ -20,7 +20,7 @@ fn fewer_bits_make_smaller_files_that_score_nearly_the_same() {
         assert!(change.abs() <= allowed, "{bits} bits: {change} dB");
         sizes.push(json["file_bytes"].as_u64().unwrap());
         assert_eq!(fs::metadata(&file).unwrap().len(), sizes[sizes.len() - 1]);
-        let scores = good(&["eval", text(&file), "--json", "--quiet"]).json();
+        let scores = good(&["eval", text(&file), "--data", text(data()), "--json", "--quiet"]).json();
         assert_eq!(scores["mean"]["psnr"], json["psnr"]["after"]);
     }
     assert!(sizes[1] * 10 < sizes[0] * 7 && sizes[2] * 10 < sizes[1] * 8, "{sizes:?}");

@@ -141,3 +141,46 @@ fn cameras_are_refused_by_entry_and_field() {
     fs::remove_file(&camera).unwrap();
     gs4d(&["render", text(ply()), "--camera", text(&camera), "-o", "x"]).fails(6, &["camera.json"]);
 }
+
+#[test]
+fn more_memory_than_may_be_taken_is_refused_before_it_is_taken() {
+    let dir = tempfile::tempdir().unwrap();
+    let (camera, out) = (dir.path().join("camera.json"), dir.path().join("out"));
+    fs::write(&camera, CAMERA.replace("\"width\": 20, \"height\": 16", "\"width\": 32768, \"height\": 32768")).unwrap();
+    let picture = ["render", text(ply()), "--camera", text(&camera), "-o", text(&out), "--max-mem", "1000"];
+    gs4d(&picture).fails(5, &["limits.memory", "32768x32768", "1000 MiB", "--max-mem"]);
+    assert!(!out.exists(), "nothing was written");
+    let many = dir.path().join("many.ply");
+    fs::write(&many, tiny_ply(&vec![[0.0, 0.0, 3.0]; 20_000])).unwrap();
+    gs4d(&["inspect", text(&many), "--max-mem", "2"]).fails(5, &["limits.file", "many.ply", "memory"]);
+    assert_eq!(gs4d(&["inspect", text(&many), "--max-mem", "20"]).code, 0);
+}
+
+/// Without `--max-mem` the limit follows from the address space that the shell allows.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_small_address_space_is_no_reason_to_abort() {
+    let dir = tempfile::tempdir().unwrap();
+    let many = dir.path().join("many.ply");
+    fs::write(&many, tiny_ply(&vec![[0.0, 0.0, 3.0]; 2_000_000])).unwrap();
+    let script = format!("ulimit -v 250000; exec {} inspect {} --threads 1", env!("CARGO_BIN_EXE_gs4d"), text(&many));
+    let output = std::process::Command::new("sh").args(["-c", &script]).output().unwrap();
+    crate::support::Call::of(&output).fails(5, &["limits.file", "memory"]);
+}
+
+#[test]
+fn absurd_settings_are_refused_by_name_and_range() {
+    let dir = tempfile::tempdir().unwrap();
+    let train = |method: &str, set: &str| {
+        let out = dir.path().join("run");
+        gs4d(&["train", text(data()), "-m", method, "--preset", "tiny", "--steps", "1", "--set", set, "-o", text(&out)])
+    };
+    train("scaffold", "decoder.appearance=9223372036854775807").fails(2, &["`decoder.appearance`", "from 0 to 1024"]);
+    train("fourdgs", "field.hexplane.channels=80000").fails(2, &["`field.hexplane.channels` = 80000", "1024"]);
+    train("defgs", "init.points=4294967295").fails(2, &["`init.points`"]);
+    let out = dir.path().join("run");
+    let wide = ["--set", "field.width=4096", "--set", "field.depth=64", "-o", text(&out)];
+    let call = [&["train", text(data()), "-m", "defgs", "--preset", "tiny", "--steps", "1"][..], &wide].concat();
+    gs4d(&call).fails(2, &["parameters", "268435456"]);
+    gs4d(&["config", "fourdgs", "--set", "run.log_every=0"]).fails(2, &["`run.log_every` = 0"]);
+}

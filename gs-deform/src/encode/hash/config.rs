@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 pub(crate) const FEATURES: usize = 2;
 
 /// Largest number of values in all tables together: 2 GiB of `f32`.
-const MAX_VALUES: usize = 1 << 29;
+const MAX_VALUES: u64 = 1 << 29;
 
 /// Largest resolution: beyond it an `f32` coordinate has fewer than seven bits left inside a cell.
 const MAX_RESOLUTION: f32 = 131_072.0;
@@ -29,6 +29,17 @@ pub struct HashGridConfig {
 }
 
 impl HashGridConfig {
+    /// Number of parameters of all tables.
+    pub fn param_count(&self) -> u64 {
+        let entries = Level::all(self).iter().map(|l| l.entries as u64).sum::<u64>();
+        entries.saturating_mul(FEATURES as u64)
+    }
+
+    /// Features per point of the grid.
+    pub(crate) fn width(&self) -> usize {
+        FEATURES * self.levels
+    }
+
     pub(super) fn check(&self) -> Result<(), DeformError> {
         let reject =
             |field: &'static str, value: String, rule: &'static str| Err(DeformError::Config { field, value, rule });
@@ -43,7 +54,7 @@ impl HashGridConfig {
         if !(1..=28).contains(&self.log2_table) {
             return reject("log2_table", self.log2_table.to_string(), "between 1 and 28");
         }
-        let values = FEATURES * Level::all(self).iter().map(|l| l.entries).sum::<usize>();
+        let values = self.param_count();
         if values > MAX_VALUES {
             return reject("log2_table", format!("{values} values"), "such that all tables hold at most 2^29 values");
         }

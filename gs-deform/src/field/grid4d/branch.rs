@@ -61,9 +61,8 @@ impl Branch {
     pub(super) fn new(config: &Grid4dConfig, seed: u64) -> Self {
         let (fourier, width) = (&config.fourier, config.width);
         let name = "field.net.amplitude";
-        let widths: Vec<usize> = [&[width], &fourier.hidden[..], &[fourier.bands]].concat();
-        let concat = (fourier.fusion == Fusion::Concat)
-            .then(|| Dense::new("field.net.concat", width + 2 * fourier.bands, width, Init::FanIn, seed));
+        let joined = fourier.joined(width);
+        let concat = joined.map(|inputs| Dense::new("field.net.concat", inputs, width, Init::FanIn, seed));
         let scale = 0.9 * f64::from(config.bound);
         Self {
             amplitudes: if config.collapses() {
@@ -75,7 +74,7 @@ impl Branch {
                     seed,
                 )))
             } else {
-                Amplitudes::Full(Mlp::new(name, &widths, Init::FanIn, Init::Zero, seed))
+                Amplitudes::Full(Mlp::new(name, &fourier.amplitudes(width), Init::FanIn, Init::Zero, seed))
             },
             concat,
             fusion: fourier.fusion,

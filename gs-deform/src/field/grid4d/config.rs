@@ -2,6 +2,7 @@
 
 use crate::DeformError;
 use crate::encode::HashGridConfig;
+use gs_core::nn::{Dense, Mlp};
 use serde::{Deserialize, Serialize};
 
 /// Size and parts of the field. The default is FAGS on the grids published for D-NeRF; without [`FourierConfig::on`]
@@ -179,6 +180,22 @@ impl Grid4dConfig {
         14 + usize::from(self.gate.on)
     }
 
+    /// Features per point of the canonical grid and of the three temporal grids together.
+    pub(super) fn features(&self) -> [usize; 2] {
+        [self.canonical.width(), 3 * self.temporal.width()]
+    }
+
+    /// Number of parameters of the field; the largest number where that is beyond it.
+    pub fn param_count(&self) -> u64 {
+        let ([space, time], width) = (self.features(), self.width);
+        let grids = self.temporal.param_count().saturating_mul(3).saturating_add(self.canonical.param_count());
+        let layers = [space, time].map(|inputs| Dense::count(inputs, width)).into_iter();
+        let hidden = (0..self.depth).map(|_| Dense::count(width, width));
+        let branch = if self.fourier.on { self.fourier.param_count(width) } else { 0 };
+        let rest = [grids, branch, Dense::count(width, self.head_width())];
+        layers.chain(hidden).chain(rest).fold(0, u64::saturating_add)
+    }
+
     /// Whether the Fourier branch is evaluated as one small matrix.
     pub(super) fn collapses(&self) -> bool {
         let linear = self.depth == 0 && self.fourier.fusion == Fusion::Add && self.fourier.hidden.is_empty();
@@ -205,6 +222,21 @@ impl Grid4dConfig {
 }
 
 impl FourierConfig {
+    /// Widths of the network of the amplitudes, in a field of the given width.
+    pub(super) fn amplitudes(&self, width: usize) -> Vec<usize> {
+        [&[width], &self.hidden[..], &[self.bands]].concat()
+    }
+
+    /// Inputs of the layer that joins waves and features, if there is one.
+    pub(super) fn joined(&self, width: usize) -> Option<usize> {
+        (self.fusion == Fusion::Concat).then_some(width + 2 * self.bands)
+    }
+
+    fn param_count(&self, width: usize) -> u64 {
+        let joining = self.joined(width).map_or(0, |inputs| Dense::count(inputs, width));
+        Mlp::count(&self.amplitudes(width)).saturating_add(joining)
+    }
+
     fn check(&self, width: usize) -> Result<(), DeformError> {
         let reject = |field, value: String, rule| Err(DeformError::Config { field, value, rule });
         if !self.on {

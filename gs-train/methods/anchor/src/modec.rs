@@ -10,7 +10,7 @@
 //! | `tia` | motion of the boundaries | without TIA |
 
 use crate::anchored::{AnchorConfig, Anchored, Motion, Parts, SparsityConfig};
-use crate::scaffold;
+use crate::scaffold::{self, DOMAINS};
 use gs_anchor::{AnchorDensifyRules, AnchorShape, DecoderConfig, Gad, GadConfig, IntervalConfig, Intervals};
 use gs_deform::{Aabb, FourDgsConfig, HexPlaneField};
 use gs_train::ablate::{Ablations, Part};
@@ -33,6 +33,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
         ("fast", &[scaffold::FAST, include_str!("modec.fast.toml")]),
         ("tiny", &[scaffold::TINY, include_str!("modec.tiny.toml")]),
     ],
+    domains: DOMAINS,
     needs_avatar: false,
     build,
 };
@@ -90,6 +91,9 @@ fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
     // Without GAD nothing depends on the intervals or the logits.
     let dynamics = if config.global { config.logits } else { 0 };
     let shape = AnchorShape { offsets: config.anchors.offsets, features: config.anchors.features, dynamics };
+    let gad = if config.global { config.gad.param_count(shape) } else { 0 };
+    let lgd = if config.local { config.lgd.param_count() } else { 0 };
+    scene.admit(ENTRY.name, &[config.decoder.param_count(shape), gad, lgd])?;
     let field = |e: gs_deform::DeformError| MethodError::Config { method: ENTRY.name, why: e.to_string() };
     let gad = config.global.then(|| Gad::new(&config.gad, shape, aabb, scene.seed)).transpose().map_err(field)?;
     let lgd = config.local.then(|| HexPlaneField::new("lgd", &config.lgd, aabb, scene.seed));

@@ -1,7 +1,8 @@
 //! Scaffold-GS (Lu et al. 2024) without time: anchors decoded as a camera sees them.
 
 use crate::anchored::{AnchorConfig, Anchored, Motion, Parts};
-use gs_anchor::{AnchorDensifyRules, DecoderConfig};
+use gs_anchor::{AnchorDensifyRules, AnchorShape, DecoderConfig};
+use gs_train::domains::{Domain, STEPS, within};
 use gs_train::layers::BASE;
 use gs_train::method::MethodError;
 use gs_train::model::Model;
@@ -17,12 +18,44 @@ pub(super) const FAST: &str = include_str!("scaffold.fast.toml");
 /// The same of the preset `tiny`.
 pub(super) const TINY: &str = include_str!("scaffold.tiny.toml");
 
+/// Domains of the settings of anchors, their growth, their intervals and their motion.
+pub(super) const DOMAINS: &[Domain] = &[
+    within("anchors.features", 1.0, 1024.0),
+    within("anchors.gradient_batch", 1.0, 65_536.0),
+    within("anchors.offsets", 1.0, 64.0),
+    within("anchors.stride", 1.0, 1e9),
+    within("anchors.voxel", 0.0, 1e6),
+    within("decoder.appearance", 0.0, 1024.0),
+    within("adapt.coarsest", 1.0, 1_048_576.0),
+    within("adapt.every", 1.0, STEPS),
+    within("adapt.extent_cap_log", -80.0, 80.0),
+    within("adapt.from", 0.0, STEPS),
+    within("adapt.grad", 0.0, 1e6),
+    within("adapt.hierarchy", 1.0, 1024.0),
+    within("adapt.levels", 1.0, 8.0),
+    within("adapt.max_anchors", 1.0, (1u32 << 26) as f64),
+    within("adapt.min_opacity", 0.0, 1e3),
+    within("adapt.observe_from", 0.0, STEPS),
+    within("adapt.success", 0.0, 1.0),
+    within("adapt.until", 0.0, STEPS),
+    within("intervals.from", 0.0, STEPS),
+    within("intervals.period", 1.0, STEPS),
+    within("intervals.segments", 1.0, 4096.0),
+    within("intervals.step", 0.0, 0.5),
+    within("intervals.tau", -1e3, 1e3),
+    within("intervals.until", 0.0, STEPS),
+    within("dynamics.threshold", 0.0, 1.0),
+    within("logits", 1.0, 2.0),
+    within("sparsity.weight", 0.0, 1e4),
+];
+
 /// The line in the list of methods.
 pub const ENTRY: MethodEntry = MethodEntry {
     name: "scaffold",
     about: "Scaffold-GS: anchors decoded as a camera sees them, one scaffold for all times (Lu et al. 2024)",
     defaults: &[BASE, SETTINGS],
     presets: &[("paper", &[]), ("fast", &[FAST]), ("tiny", &[TINY])],
+    domains: DOMAINS,
     needs_avatar: false,
     build,
 };
@@ -45,6 +78,9 @@ pub struct Config {
 
 fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
     let config: Config = parse_config(ENTRY.name, table)?;
+    let AnchorConfig { offsets, features, .. } = config.anchors;
+    let shape = AnchorShape { offsets, features, dynamics: 0 };
+    scene.admit(ENTRY.name, &[config.decoder.param_count(shape)])?;
     let parts = Parts {
         name: ENTRY.name,
         anchors: config.anchors,

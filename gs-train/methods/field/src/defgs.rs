@@ -22,6 +22,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
         ("fast", &[CLOUD_FAST, NETWORK_FAST, include_str!("defgs.fast.toml")]),
         ("tiny", &[CLOUD_TINY, NETWORK_TINY, include_str!("defgs.tiny.toml")]),
     ],
+    domains: &[],
     needs_avatar: false,
     build,
 };
@@ -45,6 +46,7 @@ pub struct Config {
 fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
     let mut config: Config = parse_config(ENTRY.name, table)?;
     let wrong = |e: gs_deform::DeformError| MethodError::Config { method: ENTRY.name, why: e.to_string() };
+    scene.admit(ENTRY.name, &[config.field.param_count()])?;
     let field = DefMlp::new(&config.field, scene.seed).map_err(wrong)?;
     let canonical = Canonical::new(&config.cloud, &mut config.schedule, scene)?;
     Model::new(ENTRY.name, Deformed::new(canonical, field, config.anneal, scene.views), config.schedule)

@@ -1,7 +1,7 @@
 //! FAGS, frequency-aware dynamic Gaussian splatting: Grid4D with a kernel whose fall-off is learnt, a Fourier branch, a
 //! gate and a loss on amplitude spectra. Settings and body are those of [`grid4d`](super::grid4d).
 
-use crate::grid4d::{PRESETS, SETTINGS, build_as};
+use crate::grid4d::{DOMAINS, PRESETS, SETTINGS, build_as};
 use gs_train::layers::{BASE, CLOUD, DEFORMED};
 use gs_train::method::MethodError;
 use gs_train::model::Model;
@@ -14,6 +14,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
     about: "FAGS: Grid4D with learnt fall-offs, a Fourier branch, a gate and a loss on spectra",
     defaults: &[BASE, CLOUD, DEFORMED, SETTINGS, include_str!("fags.toml")],
     presets: PRESETS,
+    domains: DOMAINS,
     needs_avatar: false,
     build,
 };

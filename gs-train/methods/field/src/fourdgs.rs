@@ -22,6 +22,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
         ("fast", &[CLOUD_FAST, PLANES_FAST, include_str!("fourdgs.fast.toml")]),
         ("tiny", &[CLOUD_TINY, PLANES_TINY, include_str!("fourdgs.tiny.toml")]),
     ],
+    domains: &[],
     needs_avatar: false,
     build,
 };
@@ -48,6 +49,7 @@ fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
     let [min, max] = scene.bounds;
     let margin = config.margin * min.distance(max);
     let aabb = Aabb::new(min - margin, max + margin).map_err(wrong)?;
+    scene.admit(ENTRY.name, &[config.field.param_count()])?;
     let field = HexPlaneField::new("field", &config.field, aabb, scene.seed).map_err(wrong)?;
     let canonical = Canonical::new(&config.cloud, &mut config.schedule, scene)?;
     let no_anneal = Anneal { strength: 0.0, ..Anneal::default() };

@@ -7,6 +7,7 @@ use gs_deform::field::anneal::Anneal;
 use gs_deform::field::{Grid4dConfig, Grid4dField};
 use gs_train::ablate::{Ablations, Part};
 use gs_train::canonical::Canonical;
+use gs_train::domains::{Domain, STEPS, within};
 use gs_train::kernel::KernelKind;
 use gs_train::layers::{BASE, CLOUD, CLOUD_FAST, CLOUD_TINY, DEFORMED};
 use gs_train::method::MethodError;
@@ -16,12 +17,33 @@ use gs_train::scene::{CloudConfig, InitConfig, SceneInfo};
 use gs_train::schedule::Schedule;
 use serde::{Deserialize, Serialize};
 
+/// Domains of the settings of hash grids, Fourier branch and smoothness.
+pub(super) const DOMAINS: &[Domain] = &[
+    within("field.bound", 0.0, 1e6),
+    within("canonical.base", 2.0, 131_072.0),
+    within("canonical.end", 2.0, 131_072.0),
+    within("canonical.levels", 1.0, 64.0),
+    within("canonical.log2_table", 1.0, 28.0),
+    within("temporal.base", 2.0, 131_072.0),
+    within("temporal.end", 2.0, 131_072.0),
+    within("temporal.levels", 1.0, 64.0),
+    within("temporal.log2_table", 1.0, 28.0),
+    within("gate.start", 0.0, 1.0),
+    within("smooth.eps", 0.0, 1e3),
+    within("smooth.eps_t", 0.0, 1e3),
+    within("smooth.lambda_s", 0.0, 1e4),
+    within("smooth.lambda_t", 0.0, 1e4),
+    within("smooth.share", 0.0, 1.0),
+    within("smooth_from", 0.0, STEPS),
+];
+
 /// The line in the list of methods.
 pub const ENTRY: MethodEntry = MethodEntry {
     name: "grid4d",
     about: "Grid4D: a cloud moved by hash grids over space and time (Xu et al. 2024)",
     defaults: &[BASE, CLOUD, DEFORMED, SETTINGS],
     presets: PRESETS,
+    domains: DOMAINS,
     needs_avatar: false,
     build,
 };
@@ -96,6 +118,7 @@ pub(super) fn build_as(name: &'static str, table: &toml::Table, scene: &SceneInf
         config.field.bound =
             ROOM * scene.bounds.map(|corner| corner.abs().max_element()).into_iter().fold(0.0, f32::max);
     }
+    scene.admit(name, &[config.field.param_count()])?;
     let field = Grid4dField::new(&config.field, scene.seed).map_err(|e| wrong(e.to_string()))?;
     let canonical = Canonical::new(&config.cloud, &mut config.schedule, scene)?;
     let no_anneal = Anneal { strength: 0.0, ..Anneal::default() };

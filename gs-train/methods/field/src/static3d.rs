@@ -24,6 +24,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
         ("fast", &[CLOUD_FAST, include_str!("static3d.fast.toml")]),
         ("tiny", &[CLOUD_TINY, include_str!("static3d.tiny.toml")]),
     ],
+    domains: &[],
     needs_avatar: false,
     build,
 };

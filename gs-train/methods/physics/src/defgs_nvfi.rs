@@ -3,6 +3,7 @@
 
 use crate::advected::{Advected, PhysicsConfig};
 use crate::layers::{PHYSICS, PHYSICS_FAST, PHYSICS_TINY, TRACE_NETWORK, TRACE_NETWORK_FAST};
+use crate::trace::DOMAINS;
 use gs_deform::{DefGsConfig, DefMlp};
 use gs_physics::{VelocityConfig, VelocityField};
 use gs_train::canonical::Canonical;
@@ -24,6 +25,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
         ("fast", &[CLOUD_FAST, NETWORK_FAST, PHYSICS_FAST, TRACE_NETWORK_FAST, include_str!("defgs_nvfi.fast.toml")]),
         ("tiny", &[CLOUD_TINY, NETWORK_TINY, PHYSICS_TINY, include_str!("defgs_nvfi.tiny.toml")]),
     ],
+    domains: DOMAINS,
     needs_avatar: false,
     build,
 };
@@ -49,6 +51,7 @@ pub struct Config {
 fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
     let mut config: Config = parse_config(ENTRY.name, table)?;
     let wrong = |why: String| MethodError::Config { method: ENTRY.name, why };
+    scene.admit(ENTRY.name, &[config.field.param_count(), config.velocity.param_count()])?;
     let field = DefMlp::new(&config.field, scene.seed).map_err(|e| wrong(e.to_string()))?;
     let step = config.physics.step(scene);
     let velocity = VelocityField::new(&config.velocity, scene.bounds, step, scene.seed);

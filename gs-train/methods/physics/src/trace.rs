@@ -20,6 +20,7 @@ use gs_deform::{DefGsConfig, DefMlp, Field};
 use gs_physics::{Law, LawConfig, LawForm};
 use gs_train::ablate::{Ablations, Part};
 use gs_train::canonical::Canonical;
+use gs_train::domains::{Domain, within};
 use gs_train::layers::{BASE, CLOUD, CLOUD_FAST, CLOUD_TINY, DEFORMED, FOLLOW, NETWORK, NETWORK_FAST, NETWORK_TINY};
 use gs_train::method::MethodError;
 use gs_train::model::Model;
@@ -27,6 +28,31 @@ use gs_train::registry::{MethodEntry, parse_config};
 use gs_train::scene::{CloudConfig, InitConfig, SceneInfo};
 use gs_train::schedule::Schedule;
 use serde::{Deserialize, Serialize};
+
+/// Domains of the settings of laws, velocity fields and particles.
+pub(super) const DOMAINS: &[Domain] = &[
+    within("law.accel_clamp", 0.0, 1e6),
+    within("law.bands", 0.0, 24.0),
+    within("law.depth", 1.0, 64.0),
+    within("law.gain", 1e-6, 1e6),
+    within("law.head_start", 1e-6, 1e6),
+    within("law.order", 1.0, 3.0),
+    within("law.spin_gain", 1e-6, 1e6),
+    within("law.spin_order", 0.0, 3.0),
+    within("law.spin_up_weight", 0.0, 1e6),
+    within("physics.back_frames", 0.0, 1e6),
+    within("physics.bodies", 0.0, 1e6),
+    within("physics.direct", 0.0, 1.0),
+    within("physics.reach", 1.0, 1e6),
+    within("physics.slack", 0.0, 1e6),
+    within("physics.start", 0.0, 1.0),
+    within("physics.step_frames", 1e-3, 1e6),
+    within("velocity.bands", 0.0, 24.0),
+    within("velocity.depth", 1.0, 64.0),
+    within("velocity.divergence", 0.0, 1e6),
+    within("velocity.points", 0.0, 16_777_216.0),
+    within("velocity.transport", 0.0, 1e6),
+];
 
 /// The line in the list of methods.
 pub const ENTRY: MethodEntry = MethodEntry {
@@ -42,6 +68,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
         ),
         ("tiny", &[CLOUD_TINY, NETWORK_TINY, PHYSICS_TINY, LAW_TINY]),
     ],
+    domains: DOMAINS,
     needs_avatar: false,
     build,
 };
@@ -88,6 +115,7 @@ pub(super) fn build_on<F, C>(
     name: &'static str,
     table: &toml::Table,
     scene: &SceneInfo,
+    count: impl FnOnce(&C) -> u64,
     field: impl FnOnce(&Config<C>) -> Result<F, gs_deform::DeformError>,
 ) -> Result<Model, MethodError>
 where
@@ -98,6 +126,7 @@ where
     let mut config: Config<C> = parse_config(name, table)?;
     let wrong = |why: String| MethodError::Config { method: name, why };
     config.ablate.clone().apply(&Config::parts(), &mut config).map_err(wrong)?;
+    scene.admit(name, &[count(&config.field), config.law.param_count()])?;
     let field = field(&config).map_err(|e| wrong(e.to_string()))?;
     let origin = 0.5 * (scene.bounds[0] + scene.bounds[1]);
     let step = config.physics.step(scene);
@@ -108,5 +137,6 @@ where
 }
 
 fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
-    build_on(ENTRY.name, table, scene, |c: &Config<DefGsConfig>| DefMlp::new(&c.field, scene.seed))
+    let field = |c: &Config<DefGsConfig>| DefMlp::new(&c.field, scene.seed);
+    build_on(ENTRY.name, table, scene, DefGsConfig::param_count, field)
 }

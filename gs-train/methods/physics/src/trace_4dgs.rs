@@ -1,7 +1,7 @@
 //! TRACE on the HexPlane field of 4D Gaussian Splatting (the row TRACE_4dgs of its tables); see [`trace`](super::trace).
 
 use crate::layers::{LAW, LAW_FAST, LAW_TINY, PHYSICS, PHYSICS_FAST, PHYSICS_TINY};
-use crate::trace::{Config, build_on};
+use crate::trace::{Config, DOMAINS, build_on};
 use gs_deform::{Aabb, FourDgsConfig, HexPlaneField};
 use gs_train::layers::{BASE, CLOUD, CLOUD_FAST, CLOUD_TINY, DEFORMED, FOLLOW, PLANES, PLANES_FAST, PLANES_TINY};
 use gs_train::method::MethodError;
@@ -19,12 +19,13 @@ pub const ENTRY: MethodEntry = MethodEntry {
         ("fast", &[CLOUD_FAST, PLANES_FAST, PHYSICS_FAST, LAW_FAST, include_str!("trace_4dgs.fast.toml")]),
         ("tiny", &[CLOUD_TINY, PLANES_TINY, PHYSICS_TINY, LAW_TINY, include_str!("trace_4dgs.tiny.toml")]),
     ],
+    domains: DOMAINS,
     needs_avatar: false,
     build,
 };
 
 fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
-    build_on(ENTRY.name, table, scene, |c: &Config<FourDgsConfig>| {
+    build_on(ENTRY.name, table, scene, FourDgsConfig::param_count, |c: &Config<FourDgsConfig>| {
         let [min, max] = scene.bounds;
         let margin = c.margin * min.distance(max);
         let aabb = Aabb::new(min - margin, max + margin)?;

@@ -6,6 +6,7 @@ use gs_texel::surface_loss::{IsometryRule, NormalRule};
 use gs_texel::texels::SeamRead;
 use gs_texel::unproject::UnprojectConfig;
 use gs_texel::{GauNetConfig, GeoNetConfig};
+use gs_train::domains::{Domain, STEPS, within};
 use gs_train::method::MethodError;
 use gs_train::scene::InitConfig;
 use gs_train::schedule::Schedule;
@@ -267,6 +268,43 @@ pub enum Phase {
 }
 
 /// Names of the stages, in their order.
+/// Domains of the method's settings.
+pub(crate) const DOMAINS: &[Domain] = &[
+    within("cache_mib", 0.0, 1_048_576.0),
+    within("gaunet.clip", 0.0, 1e6),
+    within("gaunet.net.levels", 1.0, 8.0),
+    within("gaunet.net.width", 8.0, 512.0),
+    within("gaunet.offset_unit", 1e-6, 100.0),
+    within("gaussians.decode.scale_range", 1e-9, 1e3),
+    within("gaussians.decode.sh_active", 0.0, 3.0),
+    within("gaussians.reg", 0.0, 1e4),
+    within("gaussians.sh_degree", 0.0, 3.0),
+    within("geonet.offset_unit", 1e-6, 100.0),
+    within("geonet.width", 16.0, 512.0),
+    within("jitter", 0.0, 1e3),
+    within("reference.opacity", 0.0, 1.0),
+    within("reference.spread", 0.0, 100.0),
+    within("refine.gain", 0.0, 1e3),
+    within("refine.most", 0.0, 1e3),
+    within("lambda_mrf", 0.0, 1e4),
+    within("mrf_side", 8.0, 512.0),
+    within("surface.color", 0.0, 1e6),
+    within("surface.isometry", 0.0, 1e6),
+    within("surface.laplacian", 0.0, 1e6),
+    within("surface.normals", 0.0, 1e6),
+    within("surface.refresh", 0.0, STEPS),
+    within("surface.slide", 0.0, 1e6),
+    within("surface.texture", 0.0, 1e6),
+    within("textures.gau", 8.0, 2048.0),
+    within("textures.geo", 8.0, 2048.0),
+    within("textures.unproject", 8.0, 2048.0),
+    within("unproject.depth_tolerance", 0.0, 1e6),
+    within("unproject.min_cos", 0.0, 1.0),
+    within("unproject.min_weight", 0.0, 1.0),
+    within("unproject.near", 1e-6, 1e6),
+    within("unproject.ray_offset", 0.0, 1e6),
+];
+
 const PHASES: [(&str, Phase); 3] = [("geometry", Phase::Geometry), ("warm_up", Phase::WarmUp), ("main", Phase::Main)];
 
 impl Phase {
@@ -277,6 +315,22 @@ impl Phase {
 }
 
 impl Config {
+    /// Shape of GeoNet: its inputs are texture and normals.
+    pub(crate) fn geonet_shape(&self) -> GeoNetConfig {
+        GeoNetConfig { inputs: 6, ..self.geonet }
+    }
+
+    /// Shape of GauNet: its inputs are texture and normals, its outputs follow from the SH degree.
+    pub(crate) fn gaunet_shape(&self) -> GauNetConfig {
+        GauNetConfig { inputs: 6, sh_degree: self.gaussians.sh_degree.into(), ..self.gaunet.net }
+    }
+
+    /// Parameters of the networks that are built.
+    pub(crate) fn param_counts(&self) -> [u64; 2] {
+        let geonet = if self.input == Input::Double { self.geonet_shape().param_count() } else { 0 };
+        [geonet, if self.mode == Mode::Networks { self.gaunet_shape().param_count() } else { 0 }]
+    }
+
     /// Verifies what the parts cannot see by themselves.
     ///
     /// # Errors
@@ -333,6 +387,10 @@ impl Config {
         ];
         if let Some((name, w)) = weights.into_iter().find(|(_, w)| !(*w >= 0.0 && w.is_finite())) {
             return wrong(format!("{name} = {w}: finite, not negative"));
+        }
+        let [low, high] = self.gaussians.decode.scale_range;
+        if low > high {
+            return wrong(format!("gaussians.decode.scale_range = [{low}, {high}]: lowest first"));
         }
         if !(8..=512).contains(&texture.mrf_side) {
             return wrong(format!("schedule.mrf_side = {}: 8 to 512", texture.mrf_side));

@@ -14,7 +14,7 @@ use gs_core::{Image, Param, Params, cast};
 use gs_data::avatar::{AvatarFrame, MeasuredPoints};
 use gs_texel::skin::{skin, skin_backward};
 use gs_texel::surface_loss::{Chamfer, Colors, Isometry, NormalConsistency, SurfaceLoss, laplacian};
-use gs_texel::{GeoNet, GeoNetConfig, GeoNetTape};
+use gs_texel::{GeoNet, GeoNetTape};
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// Frames whose points are kept with their index.
@@ -39,7 +39,7 @@ impl Geometry {
     /// # Errors
     /// If its shape does not fit.
     pub(crate) fn new(config: &Config, actor: &Actor, seed: u64) -> Result<Self, FrameError> {
-        let net = GeoNet::new("geo", GeoNetConfig { inputs: 6, ..config.geonet }, seed)?;
+        let net = GeoNet::new("geo", config.geonet_shape(), seed)?;
         let mask: Vec<bool> = actor.geo.mask().iter().map(|m| *m > 0.0).collect();
         let t = &actor.scene.character.template;
         let weights = config.surface;

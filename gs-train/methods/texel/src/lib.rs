@@ -64,6 +64,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
         ("tiny", &[QUICK, TINY]),
         ("direct", &[QUICK, include_str!("dut.direct.toml")]),
     ],
+    domains: config::DOMAINS,
     needs_avatar: true,
     build,
 };
@@ -122,6 +123,7 @@ impl Dut {
         let no_avatar = || MethodError::NoAvatar { method: ENTRY.name, folder: PathBuf::new() };
         let avatar = scene.avatar.clone().ok_or_else(no_avatar)?;
         let wrong = |why: String| MethodError::Config { method: ENTRY.name, why };
+        scene.admit(ENTRY.name, &config.param_counts())?;
         let actor = Actor::new(avatar, &config).map_err(|e| MethodError::Scene(e.to_string()))?;
         let channels = Channels::new(config.gaussians.sh_degree).map_err(|e| wrong(e.to_string()))?;
         let geometry = (config.input == Input::Double).then(|| Geometry::new(&config, &actor, scene.seed));

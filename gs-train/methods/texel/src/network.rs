@@ -5,7 +5,7 @@ use super::config::{Config, UnseenColor};
 use super::texels::{TexelRows, coefficient, reference};
 use gs_core::{Image, Param, Params, cast};
 use gs_texel::gaussians::{COLOR, Channels, OFFSET, warm_up};
-use gs_texel::{GauNet, GauNetConfig, GauNetTape};
+use gs_texel::{GauNet, GauNetTape};
 use std::sync::{Mutex, PoisonError};
 
 /// GauNet with the tape of one frame.
@@ -31,8 +31,7 @@ impl Network {
     /// # Errors
     /// If its shape does not fit, or texels have no neighbours.
     pub(crate) fn new(config: &Config, actor: &Actor, channels: Channels, seed: u64) -> Result<Self, FrameError> {
-        let shape = GauNetConfig { inputs: 6, sh_degree: u32::from(channels.degree()), ..config.gaunet.net };
-        let mut net = GauNet::new("gau", shape, seed)?;
+        let mut net = GauNet::new("gau", config.gaunet_shape(), seed)?;
         if config.gaunet.residual {
             net.visit_mut(&mut |p| {
                 if p.name.starts_with("gau.out.") {

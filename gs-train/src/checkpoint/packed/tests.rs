@@ -149,3 +149,19 @@ fn sizes_and_scales_that_lie_are_told() {
     let zeros = pack(&vec![0.0; 1 << 20], &encoding(Coding::F32, 1, 0, true));
     assert!(zeros.len() < 8192 && unpack(&zeros, 1000).unwrap_err().contains("at most 1000"));
 }
+
+#[test]
+fn a_file_holds_no_more_values_than_its_bytes_allow() {
+    let zeros = vec![0.0; 4 << 20];
+    let tensors: Vec<(String, Vec<f32>)> = vec![("a".into(), zeros.clone()), ("b".into(), vec![1.0; 3])];
+    let encodings = [encoding(Coding::F16, 1, 0, true), encoding(Coding::F32, 1, 0, false)];
+    let mut file = Vec::new();
+    super::super::container::write_packed(&mut file, b"{}", &tensors, &encodings).unwrap();
+    assert!(file.len() as u64 >= (4 << 20) / VALUES_PER_BYTE - FREE_VALUES / VALUES_PER_BYTE, "{}", file.len());
+    let Ok(read) = super::super::container::read(&mut &file[..], file.len() as u64) else { panic!("refused") };
+    assert_eq!(read.tensors, tensors);
+    // The same values in as few bytes as deflate needs are not believed.
+    let payload = pack(&zeros, &encodings[0]);
+    assert!(payload.len() < 20_000);
+    assert!(unpack(&payload, max_values(payload.len() as u64)).unwrap_err().contains("at most"));
+}

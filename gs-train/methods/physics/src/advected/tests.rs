@@ -123,6 +123,7 @@ fn method(config: PhysicsConfig, zero_init: bool) -> Advected<DefMlp, OneTwist> 
         frame_interval: 0.05,
         seed: 5,
         avatar: None,
+        max_parameters: gs_train::scene::MAX_PARAMETERS,
     };
     let defgs = gs_methods::registry().find("defgs").and_then(|m| m.config("tiny")).unwrap();
     let cloud: CloudConfig = section("defgs", &defgs, "cloud").unwrap();

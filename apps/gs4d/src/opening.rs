@@ -1,0 +1,30 @@
+//! Opening runs, with what everybody should hear of it.
+
+use crate::failure::Failure;
+use crate::global::Global;
+use gs4d_run::OpenRun;
+use std::path::{Path, PathBuf};
+
+/// Where the data of a run are.
+#[derive(clap::Args, Clone, Debug, Default)]
+pub struct RunData {
+    /// Folder of the run's data, where they are not at the path that the run has kept. A compact file has kept none.
+    #[arg(long, value_name = "DIR")]
+    pub data: Option<PathBuf>,
+}
+
+impl RunData {
+    /// Opens a run, a checkpoint or a compact file; says which newer checkpoints were passed over.
+    pub fn open(&self, path: &Path, global: &Global) -> Result<OpenRun, Failure> {
+        let run = OpenRun::open_with(gs_methods::registry(), path, self.data.as_deref())?;
+        say_skipped(path, &run.skipped, global);
+        Ok(run)
+    }
+}
+
+/// Says which checkpoints of a run were passed over.
+pub fn say_skipped(run: &Path, skipped: &[gs_train::checkpoint::Skipped], global: &Global) {
+    for skipped in skipped {
+        global.say(format!("warning: {}: an older checkpoint is used; {}", run.display(), skipped.why));
+    }
+}

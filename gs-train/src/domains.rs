@@ -1,0 +1,161 @@
+//! Domains of settings: the lowest and the highest value that a configuration may give them.
+//!
+//! They are checked before a method is built, so that no number of a file or of a command line is believed further than a
+//! scene can need it. What a setting must satisfy beyond its range, or together with others, its own crate checks.
+
+use crate::method::MethodError;
+use toml::{Table, Value};
+
+/// Most entries of a list.
+const MAX_ENTRIES: usize = 4096;
+/// Most steps of anything.
+pub const STEPS: f64 = (1u64 << 31) as f64;
+
+/// The domain of every number that stands under a key.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Domain {
+    /// The end of a dotted key: `hexplane.channels` stands for `field.hexplane.channels`, too.
+    pub key: &'static str,
+    /// Lowest value.
+    pub low: f64,
+    /// Highest value.
+    pub high: f64,
+}
+
+/// A domain from the lowest to the highest value, both included.
+pub const fn within(key: &'static str, low: f64, high: f64) -> Domain {
+    Domain { key, low, high }
+}
+
+/// Domains of the settings that several methods have: those of [`layers`](crate::layers).
+pub const SHARED: &[Domain] = &[
+    within("steps", 0.0, STEPS),
+    within("order", 0.0, 1e3),
+    within("image_scale", 0.0, 1.0),
+    within("window_every", 0.0, STEPS),
+    within("window_parts", 0.0, 1e6),
+    within("start", 0.0, 1e30),
+    within("end", 0.0, 1e30),
+    within("eps", 0.0, 1.0),
+    within("weight_decay", 0.0, 1.0),
+    within("adam_eps", 0.0, 1.0),
+    within("batch", 1.0, 256.0),
+    within("dilation", 0.0, 100.0),
+    within("lambda_dssim", 0.0, 1.0),
+    within("lambda_fre", 0.0, 1e4),
+    within("lambda_l1", 0.0, 1e4),
+    within("max_quarantine", 0.0, 1.0),
+    within("near", 1e-6, 1e6),
+    within("sh_every", 0.0, STEPS),
+    within("density.dense_share", 0.0, 1e3),
+    within("density.every", 1.0, STEPS),
+    within("density.from", 0.0, STEPS),
+    within("density.grad", 0.0, 1e6),
+    within("density.max_screen", 0.0, 1e6),
+    within("density.max_splats", 1.0, (1u64 << 26) as f64),
+    within("density.max_world", 0.0, 1e6),
+    within("density.min_opacity", 0.0, 1.0),
+    within("density.reset_every", 0.0, STEPS),
+    within("density.reset_opacity", 0.0, 1.0),
+    within("density.split_factor", 1.0, 1e3),
+    within("density.until", 0.0, STEPS),
+    within("init.bound", 1e-6, 1e6),
+    within("init.points", 1.0, (1u64 << 26) as f64),
+    within("cloud.opacity", 0.0, 1.0),
+    within("cloud.sh_degree", 0.0, 3.0),
+    within("cloud.spread", 1e-3, 1e3),
+    within("kernel.beta_hi", 0.0, 1.0),
+    within("kernel.from_step", 0.0, STEPS),
+    within("anneal.strength", 0.0, 1e3),
+    within("margin", 0.0, 1e3),
+    // Networks of place and time.
+    within("width", 1.0, 4096.0),
+    within("depth", 0.0, 64.0),
+    within("skip", 0.0, 64.0),
+    within("bands", 0.0, 4096.0),
+    within("bands_position", 0.0, 24.0),
+    within("bands_time", 0.0, 24.0),
+    within("hidden", 1.0, 4096.0),
+    within("time_hidden", 0.0, 4096.0),
+    within("time_features", 1.0, 4096.0),
+    within("coordinate_scale", -1e6, 1e6),
+    // Feature planes.
+    within("hexplane.channels", 16.0, 1024.0),
+    within("hexplane.levels", 1.0, 64.0),
+    within("hexplane.resolution", 2.0, 8192.0),
+    within("hexplane.plane_tv", 0.0, 1e4),
+    within("hexplane.time_smoothness", 0.0, 1e4),
+    within("hexplane.time_l1", 0.0, 1e4),
+];
+
+/// Fails for the first number of a configuration outside its domain; a method's own domains come before the shared ones.
+///
+/// # Errors
+/// [`MethodError::Domain`] with key, value and domain.
+pub fn check(method: &'static str, config: &Table, own: &[Domain]) -> Result<(), MethodError> {
+    let mut open: Vec<(String, &Value)> = config.iter().map(|(key, value)| (key.clone(), value)).collect();
+    while let Some((key, value)) = open.pop() {
+        match value {
+            Value::Table(table) => open.extend(table.iter().map(|(k, v)| (format!("{key}.{k}"), v))),
+            Value::Array(list) if list.len() > MAX_ENTRIES => {
+                let value = format!("a list of {} entries", list.len());
+                return Err(MethodError::Domain { method, key, value, low: 0.0, high: MAX_ENTRIES as f64 });
+            }
+            Value::Array(list) => open.extend(list.iter().map(|v| (key.clone(), v))),
+            value => check_number(method, &key, value, own)?,
+        }
+    }
+    Ok(())
+}
+
+fn check_number(method: &'static str, key: &str, value: &Value, own: &[Domain]) -> Result<(), MethodError> {
+    let number = match value {
+        Value::Integer(n) => *n as f64,
+        Value::Float(x) => *x,
+        _ => return Ok(()),
+    };
+    match domain(key, own) {
+        Some(d) if !(d.low..=d.high).contains(&number) => {
+            let (key, value) = (key.to_owned(), value.to_string());
+            Err(MethodError::Domain { method, key, value, low: d.low, high: d.high })
+        }
+        _ => Ok(()),
+    }
+}
+
+/// The domain of a setting, if it has one.
+pub fn domain(key: &str, own: &[Domain]) -> Option<Domain> {
+    let ends = |d: &&Domain| key.strip_suffix(d.key).is_some_and(|rest| rest.is_empty() || rest.ends_with('.'));
+    let longest = |domains: &[Domain]| domains.iter().filter(ends).max_by_key(|d| d.key.len()).copied();
+    longest(own).or_else(|| longest(SHARED))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn error(config: &str, own: &[Domain]) -> Option<String> {
+        check("m", &config.parse().unwrap(), own).err().map(|e| e.to_string())
+    }
+
+    #[test]
+    fn a_number_outside_its_domain_is_refused_by_key_value_and_range() {
+        let message = error("[a.hexplane]\nchannels = 9223372036854775807", &[]).unwrap();
+        assert!(message.contains("`a.hexplane.channels` = 9223372036854775807") && message.contains("from 16 to 1024"));
+        assert!(error("[a.hexplane]\nresolution = [8, 8, 1]", &[]).unwrap().contains("`a.hexplane.resolution` = 1"));
+        assert!(error("near = nan", &[]).unwrap().contains("near"));
+        assert!(error("depth = -1", &[]).unwrap().contains("from 0 to 64"));
+        assert_eq!(error("depth = 64\nunknown = 1e300\nnear = 0.2\nname = \"x\"", &[]), None);
+        assert_eq!(error("my_depth = 1000", &[]), None, "another name that ends alike");
+        let long = format!("levels = {:?}", vec![1; MAX_ENTRIES + 1]);
+        assert!(error(&long, &[]).unwrap().contains("a list of 4097 entries"));
+    }
+
+    #[test]
+    fn the_longest_key_and_the_methods_own_domain_count() {
+        let own = [within("depth", 1.0, 2.0), within("net.depth", 1.0, 3.0)];
+        assert_eq!(error("[net]\ndepth = 3", &own), None);
+        assert!(error("[law]\ndepth = 3", &own).unwrap().contains("from 1 to 2"));
+        assert!(error("[density]\nevery = 0", &[]).is_some());
+    }
+}
