@@ -1,9 +1,12 @@
-//! For the tests of several crates (feature `testkit`): shared captures and golden files, and an allocator that counts.
+//! Help for the tests of several crates (feature `testkit`): shared captures and golden files, an allocator that counts
+//! ([`alloc`]), and a disk that fails ([`faults`]).
 //!
-//! They may not be shipped, so a fresh clone has none. The folder is `$GS4D_SHARED`, else `shared` beside the workspace.
+//! Captures may not be shipped, so a fresh clone has none. The folder is `$GS4D_SHARED`, else `shared` beside the workspace.
 //! A test without its data reports that it was skipped, or fails where `GS4D_REQUIRE_SHARED` is 1.
 
 pub mod alloc;
+#[cfg(feature = "io")]
+pub mod faults;
 
 use std::io::Write;
 use std::path::PathBuf;

@@ -1,8 +1,8 @@
 //! Checkpoints: the whole state of a run in one file that is either complete and verified, or not there.
 //!
 //! # Promise
-//! [`Checkpoint::save`] writes a temporary file in the same folder, flushes it to the disk, renames it over the target and
-//! flushes the folder. A process killed at any moment leaves the older file or the newer one, never a mixture.
+//! [`Checkpoint::save`] writes the file whole or not at all ([`gs_core::io::write_file`]). A process killed at any moment
+//! leaves the older file or the newer one, never a mixture.
 //! [`load_newest`] takes the newest file that verifies and tells which it skipped, and why.
 
 mod container;
@@ -11,9 +11,10 @@ mod packed;
 
 use container::Fault;
 pub use container::{PACKED_VERSION, VERSION};
+use gs_core::io::{IoError, disk, temporary_beside, write_file};
 pub use packed::{Coding, Encoding};
 use std::fs::{self, File};
-use std::io::{self, BufWriter};
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 /// Checkpoints kept in a folder by [`Checkpoint::save_step`].
@@ -41,6 +42,9 @@ pub enum CheckpointError {
         /// What the system said.
         source: io::Error,
     },
+    /// The file cannot be written.
+    #[error(transparent)]
+    Write(Box<IoError>),
     /// The bytes are not those that were written.
     #[error("{} is damaged at byte {offset}: {what}", path.display())]
     Damaged {
@@ -138,7 +142,7 @@ impl Checkpoint {
     /// # Errors
     /// If the file system refuses: what was at `path` is untouched then, and no temporary file is left.
     pub fn save(&self, path: &Path) -> Result<(), CheckpointError> {
-        self.put_in_place(path, |out, meta| container::write(out, meta, &self.tensors))
+        self.write(path, |mut out, meta| container::write(&mut out, meta, &self.tensors))
     }
 
     /// Writes the file with packed tensors, the i-th by the i-th encoding, in the same safe way; gives the bytes of each.
@@ -150,40 +154,16 @@ impl Checkpoint {
             let (n, m) = (encodings.len(), self.tensors.len());
             return Err(CheckpointError::State(format!("{n} encodings for {m} tensors")));
         }
-        self.put_in_place(path, |out, meta| container::write_packed(out, meta, &self.tensors, encodings))
+        self.write(path, |mut out, meta| container::write_packed(&mut out, meta, &self.tensors, encodings))
     }
 
-    fn put_in_place<T>(
+    fn write<T>(
         &self,
         path: &Path,
-        write: impl FnOnce(&mut BufWriter<File>, &[u8]) -> io::Result<T>,
-    ) -> Result<T, CheckpointError> {
-        let mut temporary = path.as_os_str().to_owned();
-        temporary.push(".tmp");
-        let temporary = PathBuf::from(temporary);
-        let written = self.write_file(&temporary, write).and_then(|written| {
-            fs::rename(&temporary, path).map_err(io_error("put in place", path))?;
-            sync_folder_of(path).map(|()| written)
-        });
-        if written.is_err() {
-            // The error that matters is the first; a leftover would only be ignored and removed by the next save.
-            let _ = fs::remove_file(&temporary);
-        }
-        written
-    }
-
-    fn write_file<T>(
-        &self,
-        path: &Path,
-        write: impl FnOnce(&mut BufWriter<File>, &[u8]) -> io::Result<T>,
+        content: impl FnOnce(&mut dyn Write, &[u8]) -> io::Result<T>,
     ) -> Result<T, CheckpointError> {
         let meta = serde_json::to_vec(&self.meta).map_err(|e| CheckpointError::State(e.to_string()))?;
-        let file = File::create(path).map_err(io_error("create", path))?;
-        let mut out = BufWriter::with_capacity(1 << 16, file);
-        let written = write(&mut out, &meta).map_err(io_error("write", path))?;
-        let file = out.into_inner().map_err(|e| io_error("write", path)(e.into_error()))?;
-        file.sync_all().map_err(io_error("flush to disk", path))?;
-        Ok(written)
+        write_file(path, true, |out| content(out, &meta)).map_err(|e| CheckpointError::Write(Box::new(e)))
     }
 
     /// Reads a file and verifies every byte of it.
@@ -215,7 +195,7 @@ impl Checkpoint {
         let older = steps_in(dir)?.into_iter().filter(|&s| s <= step);
         for old in older.skip(KEPT) {
             let old = dir.join(file_name(old));
-            fs::remove_file(&old).map_err(io_error("remove the older", &old))?;
+            disk::remove_file(&old).map_err(io_error("remove the older", &old))?;
         }
         Ok(path)
     }
@@ -257,25 +237,17 @@ pub fn load_newest(dir: &Path) -> Result<Newest, CheckpointError> {
     Err(CheckpointError::NoneUsable { dir: dir.to_owned(), skipped })
 }
 
-/// Makes a rename durable: the folder's own entry must reach the disk too.
-fn sync_folder_of(path: &Path) -> Result<(), CheckpointError> {
-    let folder = match path.parent() {
-        Some(p) if !p.as_os_str().is_empty() => p,
-        _ => Path::new("."),
-    };
-    if cfg!(unix) {
-        File::open(folder).and_then(|f| f.sync_all()).map_err(io_error("flush folder", folder))?;
-    }
-    Ok(())
-}
-
 /// `latest` is for people and scripts; nothing here reads it.
 #[cfg(unix)]
 fn point_latest(dir: &Path, step: u32) -> Result<(), CheckpointError> {
-    let (temporary, link) = (dir.join("latest.tmp"), dir.join("latest"));
-    let _ = fs::remove_file(&temporary);
-    std::os::unix::fs::symlink(file_name(step), &temporary).map_err(io_error("link", &temporary))?;
-    fs::rename(&temporary, &link).map_err(io_error("link", &link))
+    let link = dir.join("latest");
+    let temporary = temporary_beside(&link);
+    let linked = disk::link(&file_name(step), &temporary).and_then(|()| disk::rename(&temporary, &link));
+    linked.map_err(|e| {
+        // Best effort: the first error is the one that is returned.
+        let _ = disk::remove_file(&temporary);
+        io_error("link", &link)(e)
+    })
 }
 
 #[cfg(not(unix))]

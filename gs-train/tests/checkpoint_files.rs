@@ -1,5 +1,7 @@
 //! Checkpoints in real folders: names, the newest that verifies, refusals of the file system.
 
+use gs_core::io::IoError;
+use gs_core::testkit::faults::{Fault, Faults, with_faults};
 use gs_train::checkpoint::{Checkpoint, CheckpointError, file_name, load_newest, steps_in};
 use serde_json::json;
 use std::fs;
@@ -64,31 +66,69 @@ fn foreign_names_are_not_checkpoints() {
 fn refusals_leave_the_older_state() {
     let dir = tempfile::tempdir().unwrap();
     let error = state(1).save(&dir.path().join("no/such/folder.gs4d")).unwrap_err();
-    assert!(error.to_string().starts_with("cannot create"), "{error}");
+    assert!(error.to_string().contains("cannot create"), "{error}");
     // A folder stands where the file should go: the rename fails, and no temporary file stays behind.
     fs::create_dir(dir.path().join("taken.gs4d")).unwrap();
     fs::write(dir.path().join("taken.gs4d/keep"), b"x").unwrap();
     let error = state(1).save(&dir.path().join("taken.gs4d")).unwrap_err();
-    assert!(error.to_string().starts_with("cannot put in place"), "{error}");
+    assert!(error.to_string().contains("taken.gs4d: cannot rename"), "{error}");
     assert_eq!(names(dir.path()), ["taken.gs4d"]);
-    // The temporary name is taken by a folder: nothing can be written, the older file stays good.
-    let path = dir.path().join("run.gs4d");
-    state(5).save(&path).unwrap();
-    fs::create_dir(dir.path().join("run.gs4d.tmp")).unwrap();
-    assert!(state(6).save(&path).is_err());
-    assert_eq!(Checkpoint::load(&path).unwrap(), state(5));
     let missing = Checkpoint::load(&dir.path().join("gone.gs4d")).unwrap_err();
     assert!(missing.to_string().starts_with("cannot open"), "{missing}");
 }
 
-#[cfg(target_os = "linux")]
 #[test]
-fn a_full_disk_is_reported() {
+fn whichever_operation_fails_an_older_step_or_the_newer_is_the_newest() {
+    let fresh = || {
+        let dir = tempfile::tempdir().unwrap();
+        (1..=2).for_each(|step| drop(state(step).save_step(dir.path(), step).unwrap()));
+        dir
+    };
+    let (saved, operations) = {
+        let dir = fresh();
+        with_faults(None, || state(3).save_step(dir.path(), 3))
+    };
+    saved.unwrap();
+    assert_eq!(operations, 8, "create, write, flush, rename, flush of the folder; link, rename; removal");
+    for first in 1..=operations {
+        let dir = fresh();
+        let faults = Faults { first, count: 1, kind: Fault::Device };
+        let error = with_faults(Some(faults), || state(3).save_step(dir.path(), 3)).0.unwrap_err();
+        assert!(error.to_string().contains("cannot "), "{first}: {error}");
+        let newest = load_newest(dir.path()).unwrap();
+        assert!(newest.skipped.is_empty());
+        assert_eq!(newest.checkpoint, state(if first <= 4 { 2 } else { 3 }), "{first}");
+        assert!(names(dir.path()).iter().all(|n| !n.ends_with(".tmp")), "{first}: {:?}", names(dir.path()));
+    }
+}
+
+#[test]
+fn a_full_disk_is_reported_with_the_bytes_needed() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("run.gs4d");
     state(5).save(&path).unwrap();
-    std::os::unix::fs::symlink("/dev/full", dir.path().join("run.gs4d.tmp")).unwrap();
-    let error = state(6).save(&path).unwrap_err();
-    assert!(error.to_string().starts_with("cannot write"), "{error}");
-    assert_eq!(Checkpoint::load(&path).unwrap(), state(5));
+    let bytes = fs::metadata(&path).unwrap().len();
+    let full = Faults { first: 1, count: 100, kind: Fault::Full };
+    for first in [2, 3] {
+        let error = with_faults(Some(Faults { first, ..full }), || state(6).save(&path)).0.unwrap_err();
+        let CheckpointError::Write(full) = &error else { panic!("{error}") };
+        assert!(matches!(**full, IoError::Full { needed, .. } if needed == bytes), "{error}");
+        assert!(error.to_string().starts_with("cannot write"), "{error}");
+        assert_eq!(Checkpoint::load(&path).unwrap(), state(5));
+    }
+}
+
+#[test]
+fn writers_of_one_file_at_once_leave_a_file_that_verifies() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("scene.gs4d");
+    std::thread::scope(|scope| {
+        for step in 1..=3 {
+            let path = &path;
+            scope.spawn(move || (0..50).for_each(|_| state(step).save(path).unwrap()));
+        }
+    });
+    let left = Checkpoint::load(&path).unwrap();
+    assert!((1..=3).any(|step| left == state(step)));
+    assert_eq!(names(dir.path()), ["scene.gs4d"]);
 }

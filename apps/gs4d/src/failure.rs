@@ -145,7 +145,7 @@ impl From<IoError> for Failure {
     fn from(e: IoError) -> Self {
         let (class, id) = match &e {
             IoError::Os { source, .. } if source.kind() == std::io::ErrorKind::NotFound => (Class::Io, "io.missing"),
-            IoError::Os { .. } | IoError::Exists { .. } => (Class::Io, "io"),
+            IoError::Os { .. } | IoError::Exists { .. } | IoError::Full { .. } => (Class::Io, "io"),
             IoError::Limit { .. } => (Class::Resource, "limits.file"),
             IoError::Unsupported { .. } => (Class::Data, "data.unsupported"),
             _ => (Class::Data, "data.file"),
@@ -157,7 +157,9 @@ impl From<IoError> for Failure {
 impl From<CheckpointError> for Failure {
     fn from(e: CheckpointError) -> Self {
         let (class, id, remedy) = match &e {
-            CheckpointError::Io { .. } => (Class::Io, "checkpoint.io", "check the path and the space on the disk"),
+            CheckpointError::Io { .. } | CheckpointError::Write(_) => {
+                (Class::Io, "checkpoint.io", "check the path and the space on the disk")
+            }
             CheckpointError::Damaged { .. } | CheckpointError::NoneUsable { .. } => {
                 (Class::Data, "checkpoint.damaged", "use an older checkpoint of the run, or train again")
             }

@@ -1,6 +1,7 @@
 //! Output files and folders.
 
 use crate::failure::{Class, Failure};
+use gs_core::io::disk;
 use std::path::Path;
 
 /// Fails if one of the output files exists, unless `force` is set. `what` names the file and `choose` what `-o` gives
@@ -22,5 +23,5 @@ pub fn check_free<P: AsRef<Path>>(
 
 /// Creates a folder and those above it.
 pub fn create_folder(folder: &Path) -> Result<(), Failure> {
-    std::fs::create_dir_all(folder).map_err(|e| Failure::io("create the folder", folder, &e))
+    disk::create_folder(folder).map_err(|e| Failure::io("create the folder", folder, &e))
 }

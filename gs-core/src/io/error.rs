@@ -59,6 +59,18 @@ pub enum IoError {
         /// The error of the operating system.
         source: std::io::Error,
     },
+    /// The disk, or the share of it that the user may fill, is full.
+    #[error("cannot write {file}: {source}; {}{needed} bytes are needed", if *whole { "" } else { "more than " })]
+    Full {
+        /// Name of the file, as given by the caller.
+        file: Box<str>,
+        /// The error of the operating system.
+        source: std::io::Error,
+        /// Bytes of the file.
+        needed: u64,
+        /// Whether these are all its bytes; otherwise there are more.
+        whole: bool,
+    },
     /// The content does not follow its format.
     #[error("{file}: {format}: {what} (at {at}); {advice}")]
     Malformed {

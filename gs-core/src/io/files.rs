@@ -1,9 +1,9 @@
-//! Files: bounded reads, formats recognised by content, and writes that are complete or absent.
+//! Files of splats: bounded reads, and formats recognised by content or chosen by name.
 
 use super::error::{At, Source, os};
-use super::{IoError, Limits, RawSplats, glb, ply, splat, spz};
+use super::{IoError, Limits, RawSplats, glb, ply, splat, spz, write_file};
 use std::fs;
-use std::io::{BufWriter, Read, Write};
+use std::io::{Read, Write};
 use std::path::Path;
 
 /// A format of splat files that can be written.
@@ -148,40 +148,6 @@ pub fn write_splats(format: SplatFormat, splats: &RawSplats, out: &mut Vec<u8>) 
     write_in(format, splats, out).map_err(|e| os(Path::new(&name), "write", e))
 }
 
-/// Writes a file completely or not at all: a temporary file in the same folder, flushed to disk, then renamed. Without
-/// `overwrite` an existing target is kept (checked before and after the content is written).
-///
-/// # Errors
-/// [`IoError::Exists`], or the system's; the temporary file is removed.
-pub fn write_file(
-    path: &Path,
-    overwrite: bool,
-    content: impl FnOnce(&mut dyn Write) -> std::io::Result<()>,
-) -> Result<(), IoError> {
-    let free = || match path.symlink_metadata() {
-        Ok(_) if !overwrite => Err(IoError::Exists { file: path.display().to_string().into() }),
-        _ => Ok(()),
-    };
-    free()?;
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let temporary = path.with_file_name(format!(".{name}.{}.gs4d.tmp", std::process::id()));
-    let write = || {
-        let mut out = BufWriter::with_capacity(1 << 18, fs::File::create(&temporary)?);
-        content(&mut out)?;
-        out.flush()?;
-        out.get_ref().sync_all()
-    };
-    let result = write().map_err(|e| os(path, "write", e)).and_then(|()| {
-        free()?;
-        fs::rename(&temporary, path).map_err(|e| os(path, "rename the finished file to", e))
-    });
-    if result.is_err() {
-        // Best effort: the first error is the one that is returned.
-        let _ = fs::remove_file(&temporary);
-    }
-    result
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::raw::tests::cloud;
@@ -205,21 +171,6 @@ mod tests {
         assert!(save_splats(&dir.path().join("a.obj"), &splats, false).unwrap_err().to_string().contains(".ply"));
         let left: Vec<_> = fs::read_dir(dir.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
         assert_eq!(left.len(), 3, "no temporary file stays: {left:?}");
-    }
-
-    #[test]
-    fn a_failed_write_leaves_the_old_file() {
-        let dir = tempfile::tempdir().unwrap();
-        let path = dir.path().join("keep.txt");
-        write_file(&path, false, |out| out.write_all(b"old")).unwrap();
-        let fail = |out: &mut dyn Write| {
-            out.write_all(b"new")?;
-            Err(std::io::Error::other("stop"))
-        };
-        assert!(write_file(&path, true, fail).unwrap_err().to_string().contains("stop"));
-        assert_eq!(fs::read(&path).unwrap(), b"old");
-        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);
-        assert!(write_file(&dir.path().join("no/such/folder"), false, |_| Ok(())).is_err());
     }
 
     #[test]

@@ -50,6 +50,7 @@
 
 mod camera_json;
 pub mod cameras;
+pub mod disk;
 mod error;
 #[cfg(feature = "exr")]
 pub mod exr;
@@ -65,11 +66,15 @@ mod raw;
 pub mod splat;
 pub mod spz;
 mod spz_quat;
+mod temporary;
+mod whole;
 pub mod y4m;
 
 pub use crate::cloud::sigmoid;
 pub use cameras::{NamedCamera, load_cameras, parse_cameras, save_cameras};
 pub use error::{At, IoError};
-pub use files::{SplatFormat, load_splats, parse_splats, read_file, read_text, save_splats, write_file, write_splats};
+pub use files::{SplatFormat, load_splats, parse_splats, read_file, read_text, save_splats, write_splats};
 pub use limits::Limits;
 pub use raw::RawSplats;
+pub use temporary::{folder_of, is_temporary, remove_abandoned, temporary_beside};
+pub use whole::write_file;

@@ -4,6 +4,7 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use super::options::TimeRange;
+use gs_core::io::IoError;
 
 /// Missing files are named one by one up to this many, then counted.
 const MISSING_NAMED: usize = 20;
@@ -397,6 +398,19 @@ impl DataError {
     /// [`Self::Write`] for a file the system did not let us write.
     pub fn write(file: &Path, source: std::io::Error) -> Self {
         Self::Write { file: file.to_path_buf(), source }
+    }
+
+    /// [`Self::Write`] for a file that could not be written whole; [`Self::Occupied`] if it exists.
+    pub fn unwritten(file: &Path, error: IoError) -> Self {
+        let source = match error {
+            IoError::Exists { .. } => return Self::Occupied { path: file.to_path_buf() },
+            IoError::Os { source, .. } => source,
+            IoError::Full { source, needed, .. } => {
+                std::io::Error::new(source.kind(), format!("{source}; {needed} bytes are needed"))
+            }
+            other => std::io::Error::other(other),
+        };
+        Self::write(file, source)
     }
 
     /// [`Self::Decode`] for an image, with the decoder's message.

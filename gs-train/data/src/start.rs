@@ -203,10 +203,10 @@ pub fn write_start(dir: &Path, start: &Start, overwrite: bool) -> Result<[PathBu
     if !overwrite && (points.exists() || had.points.is_some() || had.bounds.is_some()) {
         return Err(DataError::Occupied { path: if points.exists() { points } else { scene } });
     }
-    let failed = |file: &Path, e: gs_core::io::IoError| DataError::write(file, std::io::Error::other(e.to_string()));
-    write_file(&points, overwrite, |out| ply::write_points(&start.cloud, out)).map_err(|e| failed(&points, e))?;
+    let write_points = |out: &mut dyn std::io::Write| ply::write_points(&start.cloud, out);
+    write_file(&points, overwrite, write_points).map_err(|e| DataError::unwritten(&points, e))?;
     let text = with_section(&old, start);
-    write_file(&scene, true, |out| out.write_all(text.as_bytes())).map_err(|e| failed(&scene, e))?;
+    write_file(&scene, true, |out| out.write_all(text.as_bytes())).map_err(|e| DataError::unwritten(&scene, e))?;
     Ok([points, scene])
 }
 

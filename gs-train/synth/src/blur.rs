@@ -8,7 +8,7 @@
 //! of the exposure has that share of alpha.
 
 use crate::SynthData;
-use crate::write::save_png;
+use crate::save::{save_json, save_png};
 use glam::{DQuat, DVec3};
 use gs_core::{Camera, Rng, cast};
 use gs_data::{DataError, ImageSource, ImageU8, View};
@@ -136,8 +136,7 @@ pub fn blur_training_views(dir: &Path, data: &mut SynthData, exposure: &Exposure
     let frames = exposure.length * (data.dataset.train.len().max(2) - 1) as f64;
     let about = "training views are means over the exposure; validation and test views are sharp";
     let json = serde_json::json!({"about": about, "exposure": exposure, "frames": frames});
-    let file = dir.join("exposure.json");
-    std::fs::write(&file, format!("{json:#}\n")).map_err(|e| DataError::write(&file, e))
+    save_json(&dir.join("exposure.json"), &json)
 }
 
 #[cfg(test)]

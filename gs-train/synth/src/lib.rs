@@ -56,6 +56,7 @@ pub mod maps;
 mod mechanics;
 pub mod motion;
 pub mod rates;
+mod save;
 pub mod scenes;
 mod surface;
 #[cfg(feature = "testkit")]

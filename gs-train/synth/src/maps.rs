@@ -13,15 +13,17 @@
 //! Names and folders are those of the images: with static cameras, views of the extrapolation split are in `train` and
 //! `test`, except below `labels`.
 
-use std::path::{Path, PathBuf};
+use std::io::Write;
+use std::path::Path;
 
 use gs_core::io::cameras::{NamedCamera, save_cameras};
-use gs_core::io::{IoError, npy, write_file};
+use gs_core::io::{npy, write_file};
 use gs_core::{Camera, Image, cast};
 use rayon::prelude::*;
 
 use super::body::MotionClass;
-use super::write::{save_png, splits};
+use super::save::{create_dir, save_png};
+use super::write::splits;
 use super::{SynthData, Truth};
 use gs_core::io::images::write_png;
 use gs_data::DataError;
@@ -61,7 +63,8 @@ pub fn write_maps(dir: &Path, data: &SynthData, moments: u32, overwrite: bool) -
     let named =
         |k: u32| NamedCamera { camera: camera.clone(), name: format!("t_{k:03}"), time: Some(cast::to_f32(time(k))) };
     let cameras: Vec<NamedCamera> = (0..=last).map(named).collect();
-    io_error(save_cameras(&folder.join("camera.json"), &cameras, overwrite), &folder)?;
+    let file = folder.join("camera.json");
+    save_cameras(&file, &cameras, overwrite).map_err(|e| DataError::unwritten(&file, e))?;
     (0..=last).into_par_iter().try_for_each(|k| {
         let stem = folder.join(format!("t_{k:03}"));
         save_depth_and_masks(truth, camera, time(k), &stem, overwrite)?;
@@ -91,7 +94,7 @@ fn save_depth_and_masks(truth: &Truth, camera: &Camera, t: f64, stem: &Path, ove
 fn save_mask(file: &Path, mask: &Image, overwrite: bool) -> Result<(), DataError> {
     let mut bytes = Vec::new();
     write_png(mask, &mut bytes).map_err(|e| DataError::write(file, e))?;
-    io_error(write_file(file, overwrite, |out| out.write_all(&bytes)), file)
+    write_file(file, overwrite, |out| out.write_all(&bytes)).map_err(|e| DataError::unwritten(file, e))
 }
 
 /// Sets pixels that are not `seen` to NaN.
@@ -101,20 +104,9 @@ fn set_nan(map: &mut Image, seen: &[bool]) {
     }
 }
 
-fn create_dir(folder: PathBuf) -> Result<PathBuf, DataError> {
-    std::fs::create_dir_all(&folder).map_err(|e| DataError::write(&folder, e))?;
-    Ok(folder)
-}
-
 fn save_npy(file: &Path, map: &Image, overwrite: bool) -> Result<(), DataError> {
     let shape = [map.height, map.width, map.channels];
     let shape = if map.channels == 1 { &shape[..2] } else { &shape };
-    io_error(write_file(file, overwrite, |out| npy::write(shape, &map.data, out)), file)
-}
-
-fn io_error(result: Result<(), IoError>, place: &Path) -> Result<(), DataError> {
-    result.map_err(|e| match e {
-        IoError::Exists { .. } => DataError::Occupied { path: place.to_owned() },
-        other => DataError::write(place, std::io::Error::other(other)),
-    })
+    let content = |out: &mut dyn Write| npy::write(shape, &map.data, out);
+    write_file(file, overwrite, content).map_err(|e| DataError::unwritten(file, e))
 }

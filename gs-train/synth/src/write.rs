@@ -3,13 +3,14 @@
 use std::path::Path;
 
 use glam::{DMat3, DQuat, DVec3};
-use gs_core::{Camera, cast};
+use gs_core::Camera;
 use rayon::prelude::*;
 use serde_json::{Value, json};
 
 use super::body::Body;
+use super::save::{create_dir, save, save_json, save_png};
 use super::{FOV_X, SynthData, SynthOptions, Truth, generate};
-use gs_data::{DataError, ImageSource, ImageU8, View};
+use gs_data::{DataError, ImageSource, View};
 
 /// Number of times, evenly over 0..1, at which `truth.json` gives poses.
 const TRUTH_TIMES: u32 = 101;
@@ -43,21 +44,19 @@ pub fn write(dir: &Path, name: &str, options: &SynthOptions, overwrite: bool) ->
     }
     let data = generate(name, options)?;
     for (split, views) in splits(&data) {
-        let folder = dir.join(split);
-        std::fs::create_dir_all(&folder).map_err(|e| DataError::write(&folder, e))?;
+        let folder = create_dir(dir.join(split))?;
         views.par_iter().try_for_each(|v| match &v.image {
             ImageSource::Memory(image) => save_png(&folder.join(format!("{}.png", v.name)), image),
             ImageSource::File(_) => Ok(()),
         })?;
-        write_json(&dir.join(format!("transforms_{split}.json")), &transforms(split, &views, data.truth.dynamic()))?;
+        save_json(&dir.join(format!("transforms_{split}.json")), &transforms(split, &views, data.truth.dynamic()))?;
     }
     if options.cameras > 0 && data.truth.dynamic() {
-        let file = dir.join("scene.toml");
         let text =
             format!("# Later pictures, of every camera, are the future.\n[time]\nboundary = {:?}\n", options.boundary);
-        std::fs::write(&file, text).map_err(|e| DataError::write(&file, e))?;
+        save(&dir.join("scene.toml"), text.as_bytes())?;
     }
-    write_json(&dir.join("truth.json"), &truth_json(&data.truth))?;
+    save_json(&dir.join("truth.json"), &truth_json(&data.truth))?;
     Ok(data)
 }
 
@@ -80,17 +79,6 @@ pub(super) fn check_vacant(dir: &Path, overwrite: bool) -> Result<(), DataError>
         return Err(DataError::Occupied { path: dir.to_path_buf() });
     }
     Ok(())
-}
-
-pub(super) fn save_png(file: &Path, image: &ImageU8) -> Result<(), DataError> {
-    let [width, height] = [image.width, image.height].map(cast::to_u32);
-    image::save_buffer(file, &image.data, width, height, image::ExtendedColorType::Rgba8)
-        .map_err(|e| DataError::write(file, std::io::Error::other(e)))
-}
-
-pub(super) fn write_json(file: &Path, value: &Value) -> Result<(), DataError> {
-    let text = format!("{value:#}\n");
-    std::fs::write(file, text).map_err(|e| DataError::write(file, e))
 }
 
 fn transforms(split: &str, views: &[&View], dynamic: bool) -> Value {

@@ -18,7 +18,8 @@ use gs_core::{Camera, Rng, cast};
 use rayon::prelude::*;
 use serde_json::{Map, Value, json};
 
-use super::write::{check_vacant, truth_json, write_json};
+use super::save::{create_dir, save, save_json, save_rgb};
+use super::write::{check_vacant, truth_json};
 use super::{CAMERA_RADIUS, HALF_SIDE, SynthData, SynthOptions, Truth, generate};
 use gs_data::{DataError, ImageSource, ImageU8, Lens, View};
 
@@ -53,21 +54,20 @@ pub fn write_nerfies(dir: &Path, name: &str, options: &SynthOptions, overwrite: 
     let data = generate(name, options)?;
     let entries = entries(&data, &ids);
     for folder in ["camera", "rgb/1x", "rgb/2x"] {
-        let folder = dir.join(folder);
-        std::fs::create_dir_all(&folder).map_err(|e| DataError::write(&folder, e))?;
+        create_dir(dir.join(folder))?;
     }
     entries.par_iter().try_for_each(|entry| {
-        write_json(&dir.join(format!("camera/{}.json", entry.id)), &camera(entry.view))?;
+        save_json(&dir.join(format!("camera/{}.json", entry.id)), &camera(entry.view))?;
         let ImageSource::Memory(image) = &entry.view.image else { return Ok(()) };
         let opaque = over_white(image);
         save_rgb(&dir.join(format!("rgb/1x/{}.png", entry.id)), &opaque)?;
         let half = opaque.box_downscaled(image.width / 2, image.height / 2);
         save_rgb(&dir.join(format!("rgb/2x/{}.png", entry.id)), &half)
     })?;
-    write_json(&dir.join("dataset.json"), &lists(&entries))?;
-    write_json(&dir.join("metadata.json"), &tags(&entries))?;
-    write_json(&dir.join("scene.json"), &frame())?;
-    write_json(&dir.join("truth.json"), &truth_json(&data.truth))?;
+    save_json(&dir.join("dataset.json"), &lists(&entries))?;
+    save_json(&dir.join("metadata.json"), &tags(&entries))?;
+    save_json(&dir.join("scene.json"), &frame())?;
+    save_json(&dir.join("truth.json"), &truth_json(&data.truth))?;
     save_points(&dir.join("points.npy"), &data)?;
     Ok(data)
 }
@@ -157,13 +157,6 @@ fn over_white(image: &ImageU8) -> ImageU8 {
     ImageU8 { data: image.data.chunks_exact(4).flat_map(over).collect(), ..*image }
 }
 
-fn save_rgb(file: &Path, image: &ImageU8) -> Result<(), DataError> {
-    let rgb: Vec<u8> = image.data.chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]).collect();
-    let [width, height] = [image.width, image.height].map(cast::to_u32);
-    image::save_buffer(file, &rgb, width, height, image::ExtendedColorType::Rgb8)
-        .map_err(|e| DataError::write(file, std::io::Error::other(e)))
-}
-
 /// Writes the intersections of random rays of the training cameras at time 0; no file if there are none.
 fn save_points(file: &Path, data: &SynthData) -> Result<(), DataError> {
     let each = RAYS.div_ceil(cast::to_u32(data.dataset.train.len()));
@@ -173,8 +166,8 @@ fn save_points(file: &Path, data: &SynthData) -> Result<(), DataError> {
         return Ok(());
     }
     let mut bytes = Vec::new();
-    let written = npy::write(&[points.len() / 3, 3], &points, &mut bytes);
-    written.and_then(|()| std::fs::write(file, bytes)).map_err(|e| DataError::write(file, e))
+    npy::write(&[points.len() / 3, 3], &points, &mut bytes).map_err(|e| DataError::write(file, e))?;
+    save(file, &bytes)
 }
 
 fn visible_points(truth: &Truth, number: usize, view: &View, rays: u32) -> Vec<f32> {

@@ -1,7 +1,7 @@
 //! The result of an experiment as text, Markdown, CSV, JSON and SVG charts.
 
 use crate::aligned;
-use gs_core::io::{IoError, write_file};
+use gs_core::io::{IoError, disk, write_file};
 use gs4d_report::chart::chart;
 use gs4d_report::{Curve, ReportError, Scale};
 use serde_json::{Map, Value, json};
@@ -194,7 +194,7 @@ impl Findings {
     /// If a file exists and `overwrite` is not set, a file cannot be written, or a chart cannot be encoded.
     pub fn write(&self, folder: &Path, overwrite: bool) -> Result<(), WriteError> {
         let failed = |source| IoError::Os { file: folder.display().to_string().into(), action: "create", source };
-        std::fs::create_dir_all(folder).map_err(failed)?;
+        disk::create_folder(folder).map_err(failed)?;
         let mut files = vec![
             (format!("{}.json", self.name), format!("{:#}\n", self.json())),
             (format!("{}.csv", self.name), self.csv()),

@@ -5,6 +5,7 @@ use super::train::time_text;
 use crate::answer::Answer;
 use crate::failure::Failure;
 use crate::global::Global;
+use gs_core::io::write_file;
 use gs4d_lab::aligned;
 use gs4d_lab::contest::{Contest, Entry};
 use gs4d_lab::sweep::page::page;
@@ -43,8 +44,7 @@ impl SweepVerb {
         let html = page(&title, &rows).map_err(|e| Failure::from(gs4d_run::RunError::from(e)))?;
         for (name, content) in [("sweep.json", format!("{json:#}\n")), ("sweep.csv", csv(&rows)), ("sweep.html", html)]
         {
-            let path = root.join(name);
-            std::fs::write(&path, content).map_err(|e| Failure::io("write", &path, &e))?;
+            write_file(&root.join(name), true, |out| out.write_all(content.as_bytes()))?;
         }
         Ok(Answer::new(table(&rows, &root), json))
     }

@@ -1,7 +1,7 @@
 //! Writing a generated film in the layout `avatar`.
 
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use gs_core::Camera;
 use gs_core::io::write_file;
@@ -9,7 +9,8 @@ use gs_texel::maps_exr::{Kind, Layer, save_layers};
 use rayon::prelude::*;
 use serde_json::{Value, json};
 
-use super::super::write::{check_vacant, save_png, write_json};
+use super::super::save::{create_dir, save, save_json, save_png};
+use super::super::write::check_vacant;
 use super::{Atlas, AvatarOptions, Scene};
 use gs_data::avatar::layout::{FrameUse, Role};
 use gs_data::avatar::{BUILTIN, MeasuredPoints, SurfacePoints};
@@ -48,14 +49,9 @@ pub fn write(dir: &Path, options: &AvatarOptions, truth: bool, overwrite: bool) 
         save_truth(dir, &scene)?;
     }
     let cameras = scene.cameras.iter().enumerate().map(|(id, c)| camera_json(id, &c.camera, c.role));
-    write_json(&dir.join("cameras.json"), &cameras.collect())?;
-    write_json(&dir.join("scene.json"), &scene_json(&scene, &template))?;
+    save_json(&dir.join("cameras.json"), &cameras.collect())?;
+    save_json(&dir.join("scene.json"), &scene_json(&scene, &template))?;
     film.into_dataset(&DataOptions::default())
-}
-
-fn create_dir(folder: PathBuf) -> Result<PathBuf, DataError> {
-    std::fs::create_dir_all(&folder).map_err(|e| DataError::write(&folder, e))?;
-    Ok(folder)
 }
 
 /// Copies a template's file and the files it refers to into the folder; returns the name for `scene.json`.
@@ -67,8 +63,7 @@ fn copy_template(dir: &Path, template: &str) -> Result<String, DataError> {
     let bytes = std::fs::read(from).map_err(|e| DataError::read(from, e))?;
     let binary = bytes.starts_with(b"glTF");
     let name = if binary { "actor.glb" } else { "actor.gltf" };
-    let to = dir.join(name);
-    std::fs::write(&to, &bytes).map_err(|e| DataError::write(&to, e))?;
+    save(&dir.join(name), &bytes)?;
     // A GLB's JSON chunk follows 20 bytes of headers (glTF 2.0, 4.4); its length is at byte 12.
     let length = || bytes.get(12..16).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]) as usize);
     let text = if binary { length().and_then(|n| bytes.get(20..20 + n)).unwrap_or_default() } else { &bytes[..] };
@@ -82,7 +77,7 @@ fn copy_template(dir: &Path, template: &str) -> Result<String, DataError> {
             let beside = root.resolve(uri, &place)?;
             let to = dir.join(beside.strip_prefix(folder).unwrap_or(Path::new(uri)));
             create_dir(to.parent().unwrap_or(dir).to_path_buf())?;
-            std::fs::copy(&beside, &to).map_err(|e| DataError::read(&beside, e))?;
+            save(&to, &std::fs::read(&beside).map_err(|e| DataError::read(&beside, e))?)?;
         }
     }
     Ok(name.to_owned())
@@ -92,7 +87,7 @@ fn save_points(file: &Path, points: &MeasuredPoints) -> Result<(), DataError> {
     let colors = points.colors.clone().unwrap_or_else(|| vec![[0.5; 3]; points.positions.len()]);
     let cloud = PointCloud { positions: points.positions.clone(), colors };
     let content = |out: &mut dyn Write| write_points(&cloud, out);
-    write_file(file, true, content).map_err(|e| DataError::write(file, std::io::Error::other(e)))
+    write_file(file, true, content).map_err(|e| DataError::unwritten(file, e))
 }
 
 /// Writes the ground truth at the pixel centres of every image.
@@ -112,7 +107,7 @@ fn save_truth(dir: &Path, scene: &Scene) -> Result<(), DataError> {
                 layer("N", Kind::Vector, maps.normal),
                 layer("P", Kind::Vector, maps.position),
             ];
-            save_layers(&file, &layers, true).map_err(|e| DataError::write(&file, std::io::Error::other(e)))
+            save_layers(&file, &layers, true).map_err(|e| DataError::unwritten(&file, e))
         })
     })
 }
