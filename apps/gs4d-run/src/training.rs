@@ -1,7 +1,7 @@
 //! The training loop: steps, log lines, checkpoints, evaluations, and its three outcomes.
 
 use super::RunError;
-use super::folder::{self, Log, RunFolder};
+use super::folder::{self, Beginning, Log, RunFolder};
 use super::kept;
 use super::opened::{check_method, metrics_json};
 use super::provenance::{self, DataOrigin, Machine, now_utc, peak_memory_mib};
@@ -137,8 +137,6 @@ impl Training {
     pub fn begin_on(root: &Path, overwrite: bool, resolved: Resolved, dataset: Arc<Dataset>) -> Result<Self, RunError> {
         let options = TrainOptions { seed: resolved.run.seed, image_bytes: resolved.run.image_bytes() };
         let trainer = Trainer::new(&resolved.registry, dataset, &resolved.run.method, &resolved.method, options)?;
-        let folder = RunFolder::create(root, overwrite)?;
-        folder.write(folder::CONFIG, &resolved.config.to_commented_toml())?;
         let provenance = json!({
             "machine": Machine::here(),
             "started": now_utc(),
@@ -148,8 +146,14 @@ impl Training {
             "steps": trainer.steps(),
             "data": DataOrigin::of(trainer.dataset()),
         });
-        folder.write(folder::PROVENANCE, &format!("{provenance:#}\n"))?;
-        folder.write(folder::CAMERAS, &format!("{}\n", kept::keep(&trainer.dataset().train)?))?;
+        let beginning = Beginning {
+            config: &resolved.config.to_commented_toml(),
+            provenance: &format!("{provenance:#}
+"),
+            cameras: &format!("{}
+", kept::keep(&trainer.dataset().train)?),
+        };
+        let folder = RunFolder::create(root, overwrite, &beginning)?;
         let (log, stop_at) = (folder.log(folder::LOG)?, resolved.run.time_budget);
         let (window, skipped, warnings) = Default::default();
         Ok(Self { trainer, resolved, folder, log, window, stop_at, skipped, warnings })

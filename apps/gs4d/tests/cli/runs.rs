@@ -1,6 +1,6 @@
 //! Runs: what they leave behind, scores, exact resumption, interruption.
 
-use crate::support::{STEPS, data, good, gs4d, run, text, train};
+use crate::support::{STEPS, command, data, good, gs4d, run, text, train};
 use gs_train::checkpoint::{Checkpoint, load_newest};
 use serde_json::Value;
 use std::fs;
@@ -41,6 +41,22 @@ fn a_run_folder_is_complete() {
         renders.len() == 2 && renders.iter().all(|n| n.to_str().unwrap().starts_with("step-000040_t0.")),
         "{renders:?}"
     );
+}
+
+#[test]
+fn a_run_cut_off_while_its_folder_was_made_is_begun_again() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join("run");
+    let start = ["train", text(data()), "-m", "static3d", "--preset", "tiny", "--steps", "1", "-o", text(&root), "-q"];
+    fs::create_dir_all(root.join("checkpoints")).unwrap();
+    fs::create_dir_all(root.join("renders")).unwrap();
+    fs::write(root.join(".lock"), "").unwrap();
+    good(&[&start[..], &["-f"]].concat());
+    fs::remove_dir_all(&root).unwrap();
+    let killed = command(&start).env("GS4D_FAIL_WRITE", "15:kill").output().unwrap();
+    assert!(killed.status.code().is_none() && !root.exists(), "killed before the folder has its name");
+    good(&start);
+    assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1, "nothing of the killed run is left");
 }
 
 #[test]
