@@ -14,11 +14,13 @@
 //! ```
 //! A writer holds a lock, which the system releases when the process ends.
 
+mod begin;
+
 use super::RunError;
-use gs_core::io::{Limits, disk, folder_of, is_temporary, read_text, remove_abandoned, temporary_beside, write_file};
+use super::log::Log;
+use gs_core::io::{Limits, disk, read_text, write_file};
 use serde_json::Value;
-use std::fs::{self, File, OpenOptions, TryLockError};
-use std::io::{ErrorKind, Write};
+use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};
 
 /// File of the resolved settings.
@@ -75,18 +77,7 @@ impl RunFolder {
     /// # Errors
     /// If it holds files already (without `overwrite`, or files that are not a run's), or the system refuses.
     pub fn create(root: &Path, overwrite: bool, beginning: &Beginning<'_>) -> Result<Self, RunError> {
-        let lock = match begin_beside(root, beginning)? {
-            Some(lock) => lock,
-            None => {
-                disk::create_folder(root).map_err(|e| RunError::io("create", root, e))?;
-                check_vacant(root, overwrite)?;
-                let lock = lock(root)?;
-                // Another process may have begun a run since.
-                check_vacant(root, overwrite)?;
-                fill(root, beginning)?;
-                lock
-            }
-        };
+        let lock = begin::begin(root, overwrite, beginning)?;
         Ok(Self { root: root.to_owned(), _lock: Some(lock) })
     }
 
@@ -153,14 +144,9 @@ impl RunFolder {
         Ok(read_text(&self.root.join(name), &LIMITS)?)
     }
 
-    /// Opens [`LOG`], [`HISTOGRAMS`] or [`JOURNAL`] to add lines.
-    ///
-    /// # Errors
-    /// If the system refuses.
-    pub fn log(&self, name: &str) -> Result<Log, RunError> {
-        let path = self.root.join(name);
-        let file = OpenOptions::new().append(true).create(true).open(&path);
-        Ok(Log { file: file.map_err(|e| RunError::io("open", &path, e))?, path })
+    /// [`LOG`], [`HISTOGRAMS`] or [`JOURNAL`], to add lines.
+    pub(crate) fn log(&self, name: &str) -> Log {
+        Log::new(self.root.join(name))
     }
 
     /// The lines of [`LOG`], [`HISTOGRAMS`] or [`JOURNAL`]. A line cut short by a kill is left out.
@@ -188,90 +174,8 @@ impl RunFolder {
     }
 }
 
-/// A JSON-lines file, open for appending.
-#[derive(Debug)]
-pub struct Log {
-    file: File,
-    path: PathBuf,
-}
-
-impl Log {
-    /// Adds one line in one write.
-    ///
-    /// # Errors
-    /// If the system refuses.
-    pub fn add(&mut self, line: &Value) -> Result<(), RunError> {
-        self.file.write_all(format!("{line}\n").as_bytes()).map_err(|e| RunError::io("write", &self.path, e))
-    }
-}
-
 fn is_run(root: &Path) -> bool {
     root.join(CONFIG).is_file()
-}
-
-fn is_empty(folder: &Path) -> std::io::Result<bool> {
-    Ok(fs::read_dir(folder)?.next().is_none())
-}
-
-/// Whether nothing is lost by beginning a run in a folder: it is empty, or the beginning of a run was cut off.
-fn is_vacant(root: &Path) -> std::io::Result<bool> {
-    for entry in fs::read_dir(root)? {
-        let entry = entry?;
-        let vacant = match entry.file_name().to_str() {
-            Some(LOCK | PROVENANCE | CAMERAS) => true,
-            Some(CHECKPOINTS | RENDERS) => is_empty(&entry.path())?,
-            name => name.is_some_and(is_temporary),
-        };
-        if !vacant {
-            return Ok(false);
-        }
-    }
-    Ok(true)
-}
-
-/// Refuses a folder that a run may not begin in.
-fn check_vacant(root: &Path, overwrite: bool) -> Result<(), RunError> {
-    let vacant = is_vacant(root).map_err(|e| RunError::io("list", root, e))?;
-    let is_run = is_run(root);
-    if vacant || (overwrite && is_run) { Ok(()) } else { Err(RunError::Occupied { path: root.to_owned(), is_run }) }
-}
-
-/// Makes a whole run folder beside a missing or empty one and renames it; returns its lock. `None` if there is something
-/// already, or the system cannot rename to it.
-fn begin_beside(root: &Path, beginning: &Beginning<'_>) -> Result<Option<File>, RunError> {
-    if !is_empty(root).unwrap_or_else(|e| e.kind() == ErrorKind::NotFound) || root.file_name().is_none() {
-        return Ok(None);
-    }
-    remove_abandoned(folder_of(root));
-    let stage = temporary_beside(root);
-    let made = disk::create_folder(&stage).map_err(|e| RunError::io("create", &stage, e)).and_then(|()| {
-        let lock = lock(&stage)?;
-        fill(&stage, beginning)?;
-        Ok(lock)
-    });
-    let renamed = made.map(|lock| disk::rename(&stage, root).ok().map(|()| lock));
-    match &renamed {
-        Ok(Some(_)) => disk::sync_folder(folder_of(root)).map_err(|e| RunError::io("flush the folder of", root, e))?,
-        // Best effort: the next run beside it tries again.
-        _ => drop(disk::remove_folder(&stage)),
-    }
-    renamed
-}
-
-/// Makes what a run begins with, in place of an older run; the configuration last, as it makes the folder a run.
-fn fill(folder: &Path, beginning: &Beginning<'_>) -> Result<(), RunError> {
-    if is_run(folder) {
-        remove_results(folder)?;
-    }
-    for name in [CHECKPOINTS, RENDERS] {
-        let path = folder.join(name);
-        disk::create_folder(&path).map_err(|e| RunError::io("create", &path, e))?;
-    }
-    let Beginning { config, provenance, cameras } = beginning;
-    for (name, content) in [(CAMERAS, cameras), (PROVENANCE, provenance), (CONFIG, config)] {
-        write_file(&folder.join(name), true, |out| out.write_all(content.as_bytes()))?;
-    }
-    Ok(())
 }
 
 fn lock(root: &Path) -> Result<File, RunError> {
@@ -284,116 +188,14 @@ fn lock(root: &Path) -> Result<File, RunError> {
     }
 }
 
-/// Removes the results of an older run, by name.
-fn remove_results(root: &Path) -> Result<(), RunError> {
-    for name in [METRICS, REPORT, LOG, HISTOGRAMS, JOURNAL] {
-        let path = root.join(name);
-        disk::remove_file(&path).map_err(|e| RunError::io("remove", &path, e))?;
-    }
-    for name in [CHECKPOINTS, RENDERS] {
-        let path = root.join(name);
-        disk::remove_folder(&path).map_err(|e| RunError::io("remove", &path, e))?;
-    }
-    Ok(())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use gs_core::testkit::faults::{Fault, Faults, with_faults};
     use serde_json::json;
 
     fn create(root: &Path, overwrite: bool) -> Result<RunFolder, RunError> {
         let beginning = Beginning { config: "x = 1\n", provenance: "{}\n", cameras: "[]\n" };
         RunFolder::create(root, overwrite, &beginning)
-    }
-
-    fn names(folder: &Path) -> Vec<String> {
-        let mut names: Vec<_> =
-            fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
-        names.sort();
-        names
-    }
-
-    const WHOLE: [&str; 6] = [LOCK, CAMERAS, CHECKPOINTS, CONFIG, PROVENANCE, RENDERS];
-
-    #[test]
-    fn whichever_operation_fails_a_new_folder_is_whole_or_not_there() {
-        for prepared in [false, true] {
-            for first in 1.. {
-                let dir = tempfile::tempdir().unwrap();
-                let root = dir.path().join("run");
-                if prepared {
-                    fs::create_dir(&root).unwrap();
-                }
-                let faults = Faults { first, count: 100, kind: Fault::Full };
-                let (made, operations) = with_faults(Some(faults), || create(&root, false).map(drop));
-                if operations < first {
-                    assert_eq!(operations, 21);
-                    break;
-                }
-                assert!(made.unwrap_err().to_string().contains("cannot "), "{first}");
-                let left = names(dir.path());
-                assert!(left.is_empty() || left == ["run"], "{first}: {left:?}");
-                let left = if root.exists() { names(&root) } else { Vec::new() };
-                assert!(left.is_empty() || left == WHOLE, "{first}: {left:?}");
-                create(&root, true).unwrap();
-                assert_eq!(names(&root), WHOLE);
-            }
-        }
-    }
-
-    #[test]
-    fn the_beginning_of_a_run_counts_as_empty_and_is_made_whole() {
-        let dir = tempfile::tempdir().unwrap();
-        for overwrite in [false, true] {
-            let root = dir.path().join(format!("{overwrite}"));
-            fs::create_dir_all(root.join(CHECKPOINTS)).unwrap();
-            fs::create_dir_all(root.join(RENDERS)).unwrap();
-            for name in [LOCK, PROVENANCE, ".config.resolved.toml.4194999.0.gs4d.tmp"] {
-                fs::write(root.join(name), "").unwrap();
-            }
-            create(&root, overwrite).unwrap();
-            assert_eq!(names(&root), WHOLE);
-        }
-        let root = dir.path().join("kept");
-        fs::create_dir_all(root.join(CHECKPOINTS)).unwrap();
-        fs::write(root.join(CHECKPOINTS).join("step-000001.gs4d"), "x").unwrap();
-        assert!(matches!(create(&root, true), Err(RunError::Occupied { is_run: false, .. })), "results are not lost");
-    }
-
-    #[test]
-    fn whichever_operation_fails_an_older_run_stays_a_run() {
-        for first in 1.. {
-            let dir = tempfile::tempdir().unwrap();
-            let run = create(dir.path(), false).unwrap();
-            run.write(METRICS, "{}").unwrap();
-            fs::write(dir.path().join("notes.txt"), "mine").unwrap();
-            drop(run);
-            let faults = Faults { first, count: 1, kind: Fault::Device };
-            let (made, operations) = with_faults(Some(faults), || create(dir.path(), true).map(drop));
-            if operations < first {
-                break;
-            }
-            assert!(made.unwrap_err().to_string().contains("cannot "), "{first}");
-            assert!(RunFolder::open(dir.path()).is_ok(), "{first}");
-            create(dir.path(), true).unwrap();
-            assert!(!dir.path().join(METRICS).exists() && dir.path().join("notes.txt").exists(), "{first}");
-        }
-    }
-
-    #[cfg(unix)]
-    #[test]
-    fn what_cannot_be_renamed_to_is_filled_in_place() {
-        let dir = tempfile::tempdir().unwrap();
-        let (target, root) = (dir.path().join("volume"), dir.path().join("run"));
-        fs::create_dir(&target).unwrap();
-        std::os::unix::fs::symlink(&target, &root).unwrap();
-        create(&root, false).unwrap();
-        assert_eq!(
-            (names(&root), names(dir.path())),
-            (WHOLE.map(String::from).to_vec(), vec!["run".into(), "volume".into()])
-        );
     }
 
     #[test]
@@ -432,14 +234,17 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let run = create(dir.path(), false).unwrap();
         assert!(run.log_lines(LOG).unwrap().is_empty());
-        let mut log = run.log(LOG).unwrap();
+        let ignore = |_: &str| {};
+        let mut log = run.log(LOG);
         for step in [10, 20, 30] {
-            log.add(&json!({"step": step, "loss": 0.5})).unwrap();
+            log.add(&json!({"step": step, "loss": 0.5}), &ignore);
         }
-        log.file.write_all(b"{\"step\": 40, \"lo").unwrap();
+        let mut torn = fs::read_to_string(dir.path().join(LOG)).unwrap();
+        torn.push_str("{\"step\": 40, \"lo");
+        fs::write(dir.path().join(LOG), torn).unwrap();
         assert_eq!(run.log_lines(LOG).unwrap().len(), 3);
         assert_eq!(run.cut_log(LOG, 20).unwrap().len(), 2);
-        run.log(LOG).unwrap().add(&json!({"step": 21})).unwrap();
+        run.log(LOG).add(&json!({"step": 21}), &ignore);
         let steps: Vec<_> = run.log_lines(LOG).unwrap().iter().map(|l| l["step"].as_u64().unwrap()).collect();
         assert_eq!(steps, [10, 20, 21]);
         assert!(run.cut_log(HISTOGRAMS, 20).unwrap().is_empty() && !dir.path().join(HISTOGRAMS).exists());

@@ -1,10 +1,14 @@
 //! The training loop: steps, log lines, checkpoints, evaluations, and its three outcomes.
 
+mod window;
+
 use super::RunError;
-use super::folder::{self, Beginning, Log, RunFolder};
+use super::folder::{self, Beginning, RunFolder};
 use super::kept;
+use super::log::Log;
 use super::opened::{check_method, metrics_json};
-use super::provenance::{self, DataOrigin, Machine, now_utc, peak_memory_mib};
+use super::provenance::{self, DataOrigin, Machine, now_utc};
+use super::saving::Patience;
 use super::settings::{self, Resolved};
 use super::summary::{ReportInput, build_report};
 use gs_core::io::write_file;
@@ -14,20 +18,23 @@ use gs_train::checkpoint::{self, Skipped};
 use gs_train::evaluate::{EvalReport, evaluate, evaluate_with_future};
 use gs_train::registry::Registry;
 use gs_train::renderer::file_stem;
-use gs_train::trainer::{StepReport, TrainError, TrainOptions, Trainer};
+use gs_train::trainer::{TrainError, TrainOptions, Trainer};
 use gs4d_report::analysis::Snapshot;
 use gs4d_report::png;
-use serde_json::{Value, json};
+use serde_json::json;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+use window::Window;
 
 /// A run in progress, in memory and on the disk.
 pub struct Training {
     trainer: Trainer,
     resolved: Resolved,
     folder: RunFolder,
-    log: Log,
+    logs: Logs,
+    patience: Patience,
     window: Window,
     /// Seconds of training at which this session stops; 0: never.
     stop_at: f64,
@@ -48,6 +55,20 @@ pub struct ResumeRequest {
     pub data: Option<PathBuf>,
     /// Go on with other data than the run began with.
     pub accept_changed_data: bool,
+}
+
+/// The logs of a run.
+struct Logs {
+    steps: Log,
+    histograms: Log,
+    journal: Log,
+}
+
+impl Logs {
+    fn of(folder: &RunFolder) -> Self {
+        let [steps, histograms, journal] = [folder::LOG, folder::HISTOGRAMS, folder::JOURNAL].map(|n| folder.log(n));
+        Self { steps, histograms, journal }
+    }
 }
 
 /// How a training session ended.
@@ -80,46 +101,6 @@ pub struct Progress {
     pub seconds: f64,
 }
 
-/// Sums since the last line of the log.
-#[derive(Clone, Debug, Default)]
-struct Window {
-    steps: u32,
-    loss: f64,
-    l1: f64,
-    fre: f64,
-    mrf: f64,
-    mse: f64,
-    ms: f64,
-    quarantined: u64,
-    cloned: u64,
-    split: u64,
-    pruned: u64,
-}
-
-impl Window {
-    fn add(&mut self, report: &StepReport) {
-        self.steps += 1;
-        self.loss += report.loss.total;
-        self.l1 += report.loss.l1;
-        self.fre += report.loss.term("fre").unwrap_or(0.0);
-        self.mrf += report.loss.term("mrf").unwrap_or(0.0);
-        self.mse += report.loss.mse;
-        self.ms += report.ms.total;
-        self.quarantined += u64::from(report.quarantined);
-        self.cloned += u64::from(report.adapted.cloned);
-        self.split += u64::from(report.adapted.split);
-        self.pruned += u64::from(report.adapted.pruned);
-    }
-
-    fn mean(&self, sum: f64) -> f64 {
-        sum / f64::from(self.steps.max(1))
-    }
-
-    fn psnr(&self) -> f64 {
-        gs_metrics::psnr_from_mse(self.mean(self.mse))
-    }
-}
-
 impl Training {
     /// Begins a run in a new folder.
     ///
@@ -148,15 +129,12 @@ impl Training {
         });
         let beginning = Beginning {
             config: &resolved.config.to_commented_toml(),
-            provenance: &format!("{provenance:#}
-"),
-            cameras: &format!("{}
-", kept::keep(&trainer.dataset().train)?),
+            provenance: &format!("{provenance:#}\n"),
+            cameras: &format!("{}\n", kept::keep(&trainer.dataset().train)?),
         };
         let folder = RunFolder::create(root, overwrite, &beginning)?;
-        let (log, stop_at) = (folder.log(folder::LOG)?, resolved.run.time_budget);
-        let (window, skipped, warnings) = Default::default();
-        Ok(Self { trainer, resolved, folder, log, window, stop_at, skipped, warnings })
+        let stop_at = resolved.run.time_budget;
+        Ok(Self::new(trainer, resolved, folder, stop_at))
     }
 
     /// Resumes a run from its newest checkpoint that verifies.
@@ -185,10 +163,20 @@ impl Training {
         for name in [folder::LOG, folder::HISTOGRAMS, folder::JOURNAL] {
             folder.cut_log(name, done)?;
         }
-        let log = folder.log(folder::LOG)?;
         let stop_at = request.budget.map_or(0.0, |b| trainer.train_seconds() + b);
-        let (window, skipped) = (Window::default(), newest.skipped);
-        Ok(Self { trainer, resolved, folder, log, window, stop_at, skipped, warnings })
+        Ok(Self { skipped: newest.skipped, warnings, ..Self::new(trainer, resolved, folder, stop_at) })
+    }
+
+    fn new(trainer: Trainer, resolved: Resolved, folder: RunFolder, stop_at: f64) -> Self {
+        let (logs, patience, window) = (Logs::of(&folder), Patience::default(), Window::default());
+        let (skipped, warnings) = Default::default();
+        Self { trainer, resolved, folder, logs, patience, window, stop_at, skipped, warnings }
+    }
+
+    /// Sets what happens when the disk refuses: a checkpoint is tried again after each of the `pauses` (default: 1, 5 and 20
+    /// seconds), and `warn` is told what was refused (default: a line on stderr). Lines of the logs are kept and written later.
+    pub fn when_the_disk_refuses(&mut self, pauses: Vec<Duration>, warn: impl Fn(&str) + Send + 'static) {
+        self.patience = Patience { pauses, warn: Box::new(warn) };
     }
 
     /// Continues with more views and other settings ([`Trainer::with_more_views`]).
@@ -232,8 +220,8 @@ impl Training {
             Ok(report) => report,
             Err(error) => {
                 let at = self.trainer.steps_done();
-                self.log
-                    .add(&json!({"step": at, "seconds": self.trainer.train_seconds(), "error": error.to_string()}))?;
+                let line = json!({"step": at, "seconds": self.trainer.train_seconds(), "error": error.to_string()});
+                self.logs.steps.add(&line, &self.patience.warn);
                 return Err(error.into());
             }
         };
@@ -244,14 +232,14 @@ impl Training {
         let histograms = due(run.histogram_every);
         on_step(self.progress(), &self.trainer);
         if log || report.step == self.trainer.steps() {
-            let line = self.log_line(&report);
-            self.log.add(&line)?;
+            let line = self.window.line(&report, self.trainer.train_seconds());
+            self.logs.steps.add(&line, &self.patience.warn);
             self.window = Window::default();
         }
         if histograms {
             self.log_histograms()?;
         }
-        self.log_events(&report)?;
+        report.events.iter().for_each(|line| self.logs.journal.add(line, &self.patience.warn));
         if evaluation {
             self.evaluate_while_training()?;
         }
@@ -274,31 +262,8 @@ impl Training {
         }
     }
 
-    fn log_line(&self, report: &StepReport) -> Value {
-        let w = &self.window;
-        json!({
-            "step": report.step,
-            "seconds": self.trainer.train_seconds(),
-            "stage": report.stage,
-            "loss": w.mean(w.loss),
-            "l1": w.mean(w.l1),
-            "fre": report.loss.term("fre").map(|_| w.mean(w.fre)),
-            "mrf": report.loss.term("mrf").map(|_| w.mean(w.mrf)),
-            "psnr": w.psnr(),
-            "penalties": report.penalties.iter().map(|(n, v)| ((*n).to_owned(), json!(v))).collect::<serde_json::Map<_, _>>(),
-            "splats": report.splats,
-            "cloned": w.cloned,
-            "split": w.split,
-            "pruned": w.pruned,
-            "quarantined": w.quarantined,
-            "ms_per_step": w.mean(w.ms),
-            "ms_last": report.ms,
-            "memory_mib": peak_memory_mib(),
-        })
-    }
-
     /// Adds the quantities of the splats to their own log, if the method has any.
-    fn log_histograms(&self) -> Result<(), RunError> {
+    fn log_histograms(&mut self) -> Result<(), RunError> {
         let snapshot = Snapshot::of(self.trainer.model())?;
         if snapshot.is_empty() {
             return Ok(());
@@ -306,16 +271,8 @@ impl Training {
         let mut line = json!(snapshot);
         line["step"] = json!(self.trainer.steps_done());
         line["seconds"] = json!(self.trainer.train_seconds());
-        self.folder.log(folder::HISTOGRAMS)?.add(&line)
-    }
-
-    /// Adds the events of a step to their own log.
-    fn log_events(&mut self, report: &StepReport) -> Result<(), RunError> {
-        if report.events.is_empty() {
-            return Ok(());
-        }
-        let mut log = self.folder.log(folder::JOURNAL)?;
-        report.events.iter().try_for_each(|line| log.add(line))
+        self.logs.histograms.add(&line, &self.patience.warn);
+        Ok(())
     }
 
     /// Scores a few validation views (test views are left for the end) and logs the means.
@@ -329,7 +286,8 @@ impl Training {
             "seconds": self.trainer.train_seconds(),
             "eval": {"split": report.split, "views": report.views.len(), "mean": report.mean},
         });
-        self.log.add(&line)
+        self.logs.steps.add(&line, &self.patience.warn);
+        Ok(())
     }
 
     fn background(&self) -> [f32; 3] {
@@ -383,12 +341,15 @@ impl Training {
         self.resolved.images()
     }
 
-    /// Saves the state now.
+    /// Saves the state now, and the lines of the logs that could not be written before. A checkpoint that the system refuses is
+    /// tried again ([`Training::when_the_disk_refuses`]).
     ///
     /// # Errors
-    /// If the system refuses; older checkpoints stay good.
-    pub fn save(&self) -> Result<PathBuf, RunError> {
-        Ok(self.trainer.state().save_step(&self.folder.checkpoints(), self.trainer.steps_done())?)
+    /// If the system still refuses; older checkpoints stay good.
+    pub fn save(&mut self) -> Result<PathBuf, RunError> {
+        let Logs { steps, histograms, journal } = &mut self.logs;
+        [steps, histograms, journal].into_iter().for_each(|log| log.flush(&self.patience.warn));
+        self.patience.save_step(&self.trainer.state(), &self.folder.checkpoints(), self.trainer.steps_done())
     }
 
     /// The trainer with model and optimizer state.
@@ -436,3 +397,6 @@ pub fn few_views(dataset: &Dataset, split: Split, count: usize) -> Dataset {
     }
     few
 }
+
+#[cfg(test)]
+mod tests;

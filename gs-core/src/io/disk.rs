@@ -55,6 +55,23 @@ impl DiskFile {
         fs::OpenOptions::new().append(true).create(true).open(path).map(Self)
     }
 
+    /// Bytes in the file.
+    ///
+    /// # Errors
+    /// The system's.
+    pub fn length(&self) -> io::Result<u64> {
+        Ok(self.0.metadata()?.len())
+    }
+
+    /// Removes all bytes after the first `length`.
+    ///
+    /// # Errors
+    /// The system's.
+    pub fn cut(&self, length: u64) -> io::Result<()> {
+        before(Operation::Remove)?;
+        self.0.set_len(length)
+    }
+
     /// Flushes the bytes to the disk.
     ///
     /// # Errors

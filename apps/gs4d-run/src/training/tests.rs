@@ -1,0 +1,74 @@
+use super::*;
+use crate::settings::{Request, resolve};
+use gs_core::testkit::faults::{Fault, Faults, with_faults};
+use gs_synth::{SynthOptions, write};
+use gs_train::checkpoint::{CheckpointError, load_newest, steps_in};
+use std::sync::Mutex;
+use tempfile::TempDir;
+
+/// A folder with data of 16x16 pixels.
+fn prepared() -> TempDir {
+    let dir = tempfile::tempdir().unwrap();
+    write(&dir.path().join("data"), "static", &SynthOptions::of_views(16, 3, 1), false).unwrap();
+    dir
+}
+
+/// A run of six steps that logs every step and saves every second, with the warnings it will give.
+fn begin(dir: &TempDir, tries: usize) -> (Training, Arc<Mutex<Vec<String>>>) {
+    let sets = ["run.checkpoint_every=2", "run.log_every=1", "init.points=60"].map(String::from).to_vec();
+    let (method, preset, data) = ("static3d".into(), "tiny".into(), Some(dir.path().join("data")));
+    let request = Request { method, preset, data, steps: Some(6), sets, ..Request::default() };
+    let resolved = resolve(gs_methods::registry(), &request).unwrap();
+    let mut training = Training::begin(&dir.path().join("run"), true, resolved).unwrap();
+    let warnings = Arc::new(Mutex::new(Vec::new()));
+    let told = Arc::clone(&warnings);
+    let pauses = vec![Duration::from_millis(1); tries - 1];
+    training.when_the_disk_refuses(pauses, move |text| told.lock().unwrap().push(text.to_owned()));
+    (training, warnings)
+}
+
+fn train(training: &mut Training, faults: Option<Faults>) -> (Result<Outcome, RunError>, u64) {
+    with_faults(faults, || training.train(&AtomicBool::new(false), &mut |_, _| {}))
+}
+
+fn logged(training: &Training) -> Vec<u64> {
+    let lines = training.folder.log_lines(folder::LOG).unwrap();
+    lines.iter().filter_map(|line| line["step"].as_u64()).collect()
+}
+
+#[test]
+fn a_disk_that_is_full_for_a_while_ends_no_training() {
+    let dir = prepared();
+    let (mut undisturbed, _) = begin(&dir, 4);
+    let (outcome, operations) = train(&mut undisturbed, None);
+    assert_eq!((outcome.unwrap(), logged(&undisturbed)), (Outcome::Finished, (1..=6).collect()));
+    let expected = undisturbed.trainer.state().tensors;
+    drop(undisturbed);
+    assert!(operations > 30, "{operations}");
+    for kind in [Fault::Full, Fault::Files, Fault::Device] {
+        for first in 1..=operations {
+            let (mut training, warnings) = begin(&dir, 4);
+            let (outcome, _) = train(&mut training, Some(Faults { first, count: 3, kind }));
+            let name = format!("{kind:?} from {first}: {:?}", warnings.lock().unwrap());
+            assert_eq!(outcome.unwrap(), Outcome::Finished, "{name}");
+            assert_eq!(logged(&training), (1..=6).collect::<Vec<_>>(), "{name}");
+            assert_eq!(load_newest(&training.folder.checkpoints()).unwrap().checkpoint.tensors, expected, "{name}");
+        }
+    }
+}
+
+#[test]
+fn a_disk_that_stays_full_ends_the_training_after_the_last_try() {
+    let dir = prepared();
+    let (mut training, warnings) = begin(&dir, 4);
+    // Steps 1 and 2 are logged, step 2 is saved; then the disk is full.
+    let (outcome, _) = train(&mut training, Some(Faults { first: 12, count: 10_000, kind: Fault::Full }));
+    let error = outcome.unwrap_err();
+    assert!(matches!(&error, RunError::Checkpoint(CheckpointError::Write(_))), "{error}");
+    let warnings = warnings.lock().unwrap();
+    let tries: Vec<_> = warnings.iter().filter(|w| w.contains("trying again in 0.001 s")).collect();
+    assert_eq!(tries.len(), 3, "{warnings:?}");
+    assert!(tries.iter().all(|w| w.contains("step-000004.gs4d") && w.contains("bytes are free")), "{warnings:?}");
+    assert_eq!(warnings.len(), 4, "one warning for the log: {warnings:?}");
+    assert_eq!(steps_in(&training.folder.checkpoints()).unwrap(), [2]);
+}
