@@ -192,6 +192,7 @@ fn lock(root: &Path) -> Result<File, RunError> {
 mod tests {
     use super::*;
     use serde_json::json;
+    use std::fs;
 
     fn create(root: &Path, overwrite: bool) -> Result<RunFolder, RunError> {
         let beginning = Beginning { config: "x = 1\n", provenance: "{}\n", cameras: "[]\n" };

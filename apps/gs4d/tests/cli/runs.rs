@@ -11,7 +11,7 @@ fn newest(run: &Path) -> Checkpoint {
 }
 
 /// Tensors as bits, and the parts of `meta` that do not tell the time.
-fn state(run: &Path) -> (Vec<(String, Vec<u32>)>, Value) {
+pub fn state(run: &Path) -> (Vec<(String, Vec<u32>)>, Value) {
     let checkpoint = newest(run);
     let bits = |v: &Vec<f32>| v.iter().map(|x| x.to_bits()).collect();
     let mut meta = checkpoint.meta.clone();
