@@ -6,7 +6,7 @@
 
 use gs_core::io::{Limits, load_splats};
 use gs_core::{Color, Kernel, Splats};
-use gs4d_view::{Options, Packing, Show, Stage, start};
+use gs4d_view::{Options, Packing, REQUEST_TIME, Show, Stage, start};
 use std::error::Error;
 use std::net::Ipv4Addr;
 
@@ -16,7 +16,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         None => two(),
     };
     let stage = Stage { shows: vec![Show::splats("scene".into(), splats)] };
-    let options = Options { host: Ipv4Addr::LOCALHOST.into(), port: 7007, packing: Packing::Png, share: None };
+    let (host, packing) = (Ipv4Addr::LOCALHOST.into(), Packing::Png);
+    let options = Options { host, port: 7007, packing, share: None, request_time: REQUEST_TIME };
     let server = start(stage, &options)?;
     println!("{}\nEnter ends it", server.url);
     std::io::stdin().read_line(&mut String::new())?;

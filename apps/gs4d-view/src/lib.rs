@@ -9,6 +9,9 @@
 //! * [`picture`]: from a question to pixels: colours, depth, coverage, overlays of the method, ground-truth images, differences.
 //! * [`Feed`]: a run while it trains.
 //!
+//! A training must not suffer from those who watch it: at most 64 connections are open; a request has a time limit; one image
+//! is rendered at a time and one is on its way to each browser; at most 64 MiB of answers wait for slow readers.
+//!
 //! One page of plain HTML, script and style is embedded; nothing is loaded from elsewhere.
 #![warn(unreachable_pub)]
 #![cfg_attr(not(test), warn(clippy::cast_possible_truncation))]
@@ -16,22 +19,27 @@
 mod arrows;
 mod checkpoints;
 mod choice;
+mod client;
 mod guard;
 mod legend;
 mod live;
+mod outbox;
 mod packing;
 mod pick;
 pub mod picture;
 pub mod pose;
 pub mod question;
+mod requests;
+mod routes;
 mod scene;
 mod server;
 mod shot;
 mod stage;
+mod turns;
 
 pub use live::{Feed, THREAD_NAME};
 pub use packing::Packing;
-pub use server::{Options, Server, start};
+pub use server::{Options, REQUEST_TIME, Server, start};
 pub use stage::{Show, Stage};
 
 /// Why a viewer cannot start.

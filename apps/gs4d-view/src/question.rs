@@ -171,6 +171,13 @@ impl Question {
         question.hidden.iter().chain(&question.chosen).try_for_each(Choice::check)?;
         Ok(question)
     }
+
+    /// Pixels to render.
+    pub(crate) fn work(&self) -> u64 {
+        let layers = 1 + u64::from(self.against.is_some());
+        let samples = if self.fine { 4 } else { 1 };
+        layers * samples * u64::from(self.width) * u64::from(self.height)
+    }
 }
 
 fn check_size(width: u32, height: u32) -> Result<(), String> {

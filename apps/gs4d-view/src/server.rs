@@ -1,41 +1,26 @@
-//! The server: one page, one WebSocket per browser, the newest question first.
+//! The server: its threads, its address, and what all connections share.
 
 use crate::ViewError;
 use crate::guard::Guard;
 use crate::live::{Feed, Pace, THREAD_NAME};
+use crate::outbox::Outbox;
 use crate::packing::Packing;
 use crate::picture::Renderer;
-use crate::question::{MAX_BYTES, MAX_NESTING, Question, nesting};
 use crate::stage::Stage;
-use axum::Router;
-use axum::extract::State;
-use axum::extract::ws::{CloseFrame, Message, WebSocket, WebSocketUpgrade};
-use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri, header};
-use axum::response::{IntoResponse, Response};
-use axum::routing::get;
-use gs_core::cast;
+use crate::turns::Turns;
+use crate::{requests, routes};
 use gs_data::avatar::AvatarScene;
 use gs_train::registry::Registry;
-use serde_json::{Value, json};
 use std::net::{IpAddr, SocketAddr, TcpListener};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
-use std::time::{Duration, Instant};
-use tokio::sync::{mpsc, oneshot, watch};
+use std::time::Duration;
+use tokio::sync::{Mutex, oneshot, watch};
 
 /// Ports tried after the one asked for.
 const EXTRA_PORTS: u16 = 20;
-/// Most browsers connected at once.
-const MAX_CLIENTS: usize = 32;
-/// A browser that does not take a message within this time, plus its size at [`MIN_RATE`], is disconnected.
-const SEND_TIMEOUT: Duration = Duration::from_secs(10);
-/// Bytes per second.
-const MIN_RATE: f64 = 100e3;
-/// A browser without a question for this long is disconnected.
-const IDLE_TIMEOUT: Duration = Duration::from_secs(3600);
-/// Content policy of the page: its own files, images made from answers, and the connection to this server.
-const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src blob: data:; connect-src 'self'; \
-    base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+/// Default of [`Options::request_time`].
+pub const REQUEST_TIME: Duration = Duration::from_secs(10);
 
 /// Where the server listens and how much of the machine it uses.
 #[derive(Clone, Copy, Debug)]
@@ -48,6 +33,8 @@ pub struct Options {
     pub packing: Packing,
     /// Share of the machine for rendering, on one thread; `None`: all threads without limit.
     pub share: Option<f64>,
+    /// How long a connection may last that is no WebSocket: a request that is not complete by then is not answered.
+    pub request_time: Duration,
 }
 
 /// A running viewer; dropping it stops the server.
@@ -70,6 +57,11 @@ impl Server {
         let share = self.shared.half_share.unwrap_or(1.0);
         Feed::start(registry, self.shared.clone(), avatar, share).map_err(ViewError::Threads)
     }
+
+    /// Bytes of answers that wait for browsers to read them: at most 64 MiB, or one answer.
+    pub fn queued_bytes(&self) -> usize {
+        self.shared.outbox.bytes()
+    }
 }
 
 impl Drop for Server {
@@ -87,16 +79,18 @@ impl Drop for Server {
 /// State shared by all connections.
 pub(crate) struct Shared {
     pub(crate) stage: Stage,
-    guard: Guard,
-    packing: Packing,
-    renderer: Mutex<Renderer>,
+    pub(crate) guard: Guard,
+    pub(crate) packing: Packing,
+    pub(crate) renderer: Mutex<Renderer>,
+    pub(crate) turns: Arc<Turns>,
+    pub(crate) outbox: Arc<Outbox>,
     /// Connected browsers.
     pub(crate) clients: AtomicUsize,
     /// Newest message to all browsers.
     pub(crate) news: watch::Sender<Option<String>>,
     /// Half of [`Options::share`].
     half_share: Option<f64>,
-    pace: Option<Pace>,
+    pub(crate) pace: Option<Pace>,
     /// The single render thread, if the share is limited.
     pool: Option<rayon::ThreadPool>,
 }
@@ -111,6 +105,8 @@ impl Shared {
             guard,
             packing: options.packing,
             renderer: Mutex::default(),
+            turns: Arc::default(),
+            outbox: Arc::default(),
             clients: AtomicUsize::new(0),
             news: watch::Sender::new(None),
             half_share,
@@ -126,6 +122,15 @@ impl Shared {
             None => work(),
         }
     }
+
+    /// Frees the buffers of the renderer if no browser is connected.
+    pub(crate) fn release_buffers(&self) {
+        if self.clients.load(Ordering::SeqCst) == 0
+            && let Ok(mut renderer) = self.renderer.try_lock()
+        {
+            *renderer = Renderer::default();
+        }
+    }
 }
 
 /// Starts a server in its own threads.
@@ -134,9 +139,10 @@ impl Shared {
 /// If there is no show, no free port, or threads cannot be started.
 ///
 /// ```
-/// use gs4d_view::{Options, Packing, Show, Stage, start};
+/// use gs4d_view::{Options, Packing, REQUEST_TIME, Show, Stage, start};
 /// let stage = Stage { shows: vec![Show::splats("empty".into(), gs_core::Splats::default())] };
-/// let options = Options { host: [127, 0, 0, 1].into(), port: 18_900, packing: Packing::Png, share: None };
+/// let (host, packing) = ([127, 0, 0, 1].into(), Packing::Png);
+/// let options = Options { host, port: 18_900, packing, share: None, request_time: REQUEST_TIME };
 /// let server = start(stage, &options)?;
 /// assert!(server.url.starts_with("http://127.0.0.1:189") && server.url.contains("/?k="));
 /// # Ok::<(), gs4d_view::ViewError>(())
@@ -150,7 +156,7 @@ pub fn start(stage: Stage, options: &Options) -> Result<Server, ViewError> {
     let guard = Guard::new(address);
     let url = format!("http://{address}/?k={}", guard.token());
     let shared = Arc::new(Shared::new(stage, guard, options)?);
-    let kept = shared.clone();
+    let (kept, limit) = (shared.clone(), options.request_time);
     let mut runtime = tokio::runtime::Builder::new_multi_thread();
     let runtime = runtime.worker_threads(2).thread_name(THREAD_NAME).enable_all().build();
     let runtime = runtime.map_err(ViewError::Threads)?;
@@ -159,7 +165,7 @@ pub fn start(stage: Stage, options: &Options) -> Result<Server, ViewError> {
         runtime.block_on(async {
             let Ok(listener) = tokio::net::TcpListener::from_std(listener) else { return };
             tokio::select! {
-                _ = axum::serve(listener, routes(kept)) => {}
+                () = requests::serve(listener, routes::routes(kept), limit) => {}
                 _ = stopped => {}
             }
         });
@@ -179,189 +185,4 @@ fn listen(host: IpAddr, first: u16) -> Result<TcpListener, ViewError> {
         }
     }
     Err(ViewError::Port { host, first, last, source })
-}
-
-/// Files of the page: path, content type and content.
-const FILES: [(&str, &str, &str); 5] = [
-    ("/camera.js", "text/javascript", include_str!("page/camera.js")),
-    ("/status.js", "text/javascript", include_str!("page/status.js")),
-    ("/ask.js", "text/javascript", include_str!("page/ask.js")),
-    ("/app.js", "text/javascript", include_str!("page/app.js")),
-    ("/app.css", "text/css", include_str!("page/app.css")),
-];
-
-fn routes(shared: Arc<Shared>) -> Router {
-    let mut router = Router::new().route("/", get(page)).route("/ws", get(connect));
-    for (path, kind, content) in FILES {
-        router = router.route(path, get(move |s: State<Arc<Shared>>, h: HeaderMap| file(s, h, kind, content)));
-    }
-    router.with_state(shared)
-}
-
-fn text_of(headers: &HeaderMap, name: header::HeaderName) -> Option<&str> {
-    headers.get(name).and_then(|v| v.to_str().ok())
-}
-
-/// The token in a query `k=…`.
-fn token_of(uri: &Uri) -> Option<&str> {
-    uri.query()?.split('&').find_map(|pair| pair.strip_prefix("k="))
-}
-
-fn refuse(why: &'static str) -> Response {
-    (StatusCode::FORBIDDEN, why).into_response()
-}
-
-/// A file of the page, with restrictive headers.
-async fn file(
-    State(shared): State<Arc<Shared>>,
-    headers: HeaderMap,
-    kind: &'static str,
-    content: &'static str,
-) -> Response {
-    if !shared.guard.host(text_of(&headers, header::HOST)) {
-        return refuse("this server has another name");
-    }
-    let mut response = content.into_response();
-    let set = [
-        (header::CONTENT_TYPE, kind),
-        (header::CONTENT_SECURITY_POLICY, POLICY),
-        (header::CACHE_CONTROL, "no-store"),
-        (header::REFERRER_POLICY, "no-referrer"),
-        (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
-    ];
-    for (name, value) in set {
-        response.headers_mut().insert(name, HeaderValue::from_static(value));
-    }
-    response
-}
-
-async fn page(state: State<Arc<Shared>>, headers: HeaderMap, uri: Uri) -> Response {
-    if !state.guard.knows(token_of(&uri)) {
-        return refuse("open the whole address that gs4d printed: it ends in a key");
-    }
-    file(state, headers, "text/html; charset=utf-8", include_str!("page/index.html")).await
-}
-
-async fn connect(
-    State(shared): State<Arc<Shared>>,
-    headers: HeaderMap,
-    uri: Uri,
-    upgrade: WebSocketUpgrade,
-) -> Response {
-    let guard = &shared.guard;
-    if !guard.host(text_of(&headers, header::HOST)) || !guard.origin(text_of(&headers, header::ORIGIN)) {
-        return refuse("not a page of this server");
-    }
-    if !guard.knows(token_of(&uri)) {
-        return refuse("wrong key");
-    }
-    if shared.clients.fetch_add(1, Ordering::SeqCst) >= MAX_CLIENTS {
-        shared.clients.fetch_sub(1, Ordering::SeqCst);
-        return (StatusCode::SERVICE_UNAVAILABLE, "too many viewers").into_response();
-    }
-    let upgrade = upgrade.max_message_size(MAX_BYTES).max_frame_size(MAX_BYTES);
-    let left = shared.clone();
-    upgrade
-        .on_failed_upgrade(move |_| {
-            left.clients.fetch_sub(1, Ordering::SeqCst);
-        })
-        .on_upgrade(async move |socket| {
-            serve_client(socket, &shared).await;
-            shared.clients.fetch_sub(1, Ordering::SeqCst);
-        })
-}
-
-/// Serves one browser: receives questions, of which only the newest is kept, and sends answers and news.
-async fn serve_client(mut socket: WebSocket, shared: &Arc<Shared>) {
-    let (wanted, newest) = watch::channel::<Option<Question>>(None);
-    let (done, mut answers) = mpsc::channel::<Message>(1);
-    let mut news = shared.news.subscribe();
-    let worker = tokio::spawn(answer_newest(shared.clone(), newest, done));
-    let mut greeting = shared.stage.about();
-    greeting["version"] = json!(env!("CARGO_PKG_VERSION"));
-    if send(&mut socket, text_message(&greeting)).await {
-        loop {
-            let alive = tokio::select! {
-                message = tokio::time::timeout(IDLE_TIMEOUT, socket.recv()) => match message {
-                    Ok(Some(Ok(Message::Text(text)))) if nesting(&text) > MAX_NESTING => false,
-                    Ok(Some(Ok(Message::Text(text)))) => match Question::parse(&text) {
-                        Ok(question) => {
-                            wanted.send_replace(Some(question));
-                            true
-                        }
-                        Err(why) => send(&mut socket, text_message(&json!({"error": why}))).await,
-                    },
-                    Ok(Some(Ok(Message::Ping(_) | Message::Pong(_)))) => true,
-                    _ => false,
-                },
-                Some(answer) = answers.recv() => send(&mut socket, answer).await,
-                Ok(()) = news.changed() => {
-                    let text = news.borrow_and_update().clone();
-                    send(&mut socket, Message::Text(text.unwrap_or_default().into())).await
-                }
-            };
-            if !alive {
-                break;
-            }
-        }
-    }
-    worker.abort();
-    let bye = CloseFrame { code: 1000, reason: "".into() };
-    let _ = tokio::time::timeout(SEND_TIMEOUT, socket.send(Message::Close(Some(bye)))).await;
-}
-
-/// Answers the newest question in a loop, within the share of the machine.
-async fn answer_newest(
-    shared: Arc<Shared>,
-    mut newest: watch::Receiver<Option<Question>>,
-    done: mpsc::Sender<Message>,
-) {
-    while newest.changed().await.is_ok() {
-        if let Some(pace) = &shared.pace {
-            tokio::time::sleep_until(pace.ready().into()).await;
-        }
-        let Some(question) = newest.borrow_and_update().clone() else { continue };
-        let state = shared.clone();
-        let answer = tokio::task::spawn_blocking(move || answer(&state, &question)).await;
-        let answer = answer.unwrap_or_else(|_| text_message(&json!({"error": "the image could not be rendered"})));
-        if done.send(answer).await.is_err() {
-            break;
-        }
-    }
-}
-
-/// Sends a message; false if it timed out or failed.
-async fn send(socket: &mut WebSocket, message: Message) -> bool {
-    let bytes = match &message {
-        Message::Binary(bytes) => bytes.len(),
-        _ => 0,
-    };
-    let time = SEND_TIMEOUT + Duration::from_secs_f64(bytes as f64 / MIN_RATE);
-    matches!(tokio::time::timeout(time, socket.send(message)).await, Ok(Ok(())))
-}
-
-fn text_message(value: &Value) -> Message {
-    Message::Text(value.to_string().into())
-}
-
-/// The answer as one binary message: length of the header (u32, little-endian), header (JSON), image or file.
-fn answer(shared: &Shared, question: &Question) -> Message {
-    let mut renderer = shared.renderer.lock().unwrap_or_else(PoisonError::into_inner);
-    let renderer: &mut Renderer = &mut renderer;
-    let begun = Instant::now();
-    let answer = shared.in_pool(|| renderer.answer(&shared.stage, question, shared.packing));
-    if let Some(pace) = &shared.pace {
-        pace.spent(begun.elapsed());
-    }
-    match answer {
-        Ok(answer) => {
-            let header = answer.header.to_string().into_bytes();
-            let mut bytes = Vec::with_capacity(4 + header.len() + answer.bytes.len());
-            bytes.extend(cast::to_u32(header.len()).to_le_bytes());
-            bytes.extend(header);
-            bytes.extend(answer.bytes);
-            Message::Binary(bytes.into())
-        }
-        Err(why) => text_message(&json!({"id": question.id, "error": why})),
-    }
 }

@@ -5,7 +5,7 @@ mod support;
 use gs_synth::{self as synth, SynthOptions};
 use gs_train::checkpoint::Checkpoint;
 use gs4d_run::{Outcome, Request, Training, settings};
-use gs4d_view::{Options, Packing, Show, Stage, start};
+use gs4d_view::{Options, Packing, REQUEST_TIME, Server, Show, Stage, start};
 use serde_json::{Value, json};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -30,6 +30,12 @@ fn state(training: &Training) -> Checkpoint {
     state
 }
 
+fn serve(show: Show) -> Server {
+    let (host, packing, share) = ([127, 0, 0, 1].into(), Packing::Png, Some(0.5));
+    let options = Options { host, port: 18_300, packing, share, request_time: REQUEST_TIME };
+    start(Stage { shows: vec![show] }, &options).unwrap()
+}
+
 fn picture(id: u64) -> Value {
     json!({"id": id, "what": {"show": 0, "layer": "color"}, "time": 0.4, "look": {"view": [0, 0]}, "width": 48, "height": 48})
 }
@@ -46,8 +52,7 @@ fn a_watched_run_moves_on_and_ends_as_an_unwatched_one() {
 
         let mut watched = training(&data, &dir.path().join(format!("{method}-watched")), method);
         let show = Show::live("run".into(), &watched).unwrap();
-        let options = Options { host: [127, 0, 0, 1].into(), port: 18_300, packing: Packing::Png, share: Some(0.5) };
-        let server = start(Stage { shows: vec![show] }, &options).unwrap();
+        let server = serve(show);
         let mut feed = server.feed(gs_methods::registry().clone(), None).unwrap();
         let (mut socket, about) = greeted(&server);
         assert!(about["shows"][0]["layers"].as_array().unwrap().contains(&json!("truth")));

@@ -3,12 +3,12 @@
 mod support;
 
 use gs_core::{Color, Kernel, Splats};
-use gs4d_view::{Options, Packing, Server, Show, Stage, start};
+use gs4d_view::{Options, Packing, REQUEST_TIME, Server, Show, Stage, start};
 use serde_json::{Value, json};
 use std::io::{Read, Write};
 use std::net::{IpAddr, Ipv4Addr, TcpStream};
 use std::time::{Duration, Instant};
-use support::{ask, connect, greeted, key};
+use support::{answer, ask, connect, greeted, key};
 use tungstenite::Message;
 
 const LOCAL: IpAddr = IpAddr::V4(Ipv4Addr::LOCALHOST);
@@ -26,7 +26,7 @@ fn scene() -> Splats {
 
 fn server(packing: Packing) -> Server {
     let stage = Stage { shows: vec![Show::splats("red".into(), scene())] };
-    start(stage, &Options { host: LOCAL, port: 18_200, packing, share: None }).unwrap()
+    start(stage, &Options { host: LOCAL, port: 18_200, packing, share: None, request_time: REQUEST_TIME }).unwrap()
 }
 
 /// The status line and body of a plain request.
@@ -145,10 +145,7 @@ fn floods_and_long_messages_are_bounded() {
     }
     let (mut answers, mut last) = (0, 0);
     while last != 200 {
-        let Message::Binary(bytes) = socket.read().unwrap() else { continue };
-        let length = u32::from_le_bytes(bytes[..4].try_into().unwrap()) as usize;
-        let header: Value = serde_json::from_slice(&bytes[4..4 + length]).unwrap();
-        let id = header["id"].as_u64().unwrap();
+        let id = answer(&mut socket).0["id"].as_u64().unwrap();
         assert!(id > last, "answers come in order");
         (answers, last) = (answers + 1, id);
     }

@@ -3,7 +3,7 @@
 const key = new URLSearchParams(location.search).get("k") || "";
 const FAST = 80; // milliseconds an image may take while something moves
 const COARSE = 0, REST = 1, FINE = 2;
-let socket = null, next = 1, busy = null, playing = false, moving = 0, shrink = 1, training = false, file = null, chosen = null;
+let socket = null, next = 1, busy = null, playing = false, moving = 0, shrink = 1, training = false, file = null, chosen = null, parts = [], missing = 0;
 const sides = { a: { want: null, is: -1 }, b: { want: null, is: -1 } };
 const wanted = () => (state.compare === "wipe" || state.compare === "flicker" ? ["a", "b"] : ["a"]);
 function target(side) {
@@ -60,9 +60,15 @@ function settle() {
   if (busy && performance.now() - busy.sent > 60000) busy = null;
   pump();
 }
-async function received(data) {
-  const length = new DataView(data).getUint32(0, true);
-  const header = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length))), rest = new Uint8Array(data, 4 + length);
+// An answer comes in parts: lengths of header and body (u32 each, little-endian), header (JSON), body.
+function collect(part) {
+  if (!missing) { const view = new DataView(part); parts = []; missing = 8 + view.getUint32(0, true) + view.getUint32(4, true); }
+  parts.push(part); missing -= part.byteLength;
+  if (!missing) { received(parts); parts = []; }
+}
+async function received(parts) {
+  const data = await new Blob(parts).arrayBuffer(), length = new DataView(data).getUint32(0, true);
+  const header = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 8, length))), rest = new Uint8Array(data, 8 + length);
   if (!busy || header.id !== busy.id) return;
   const { side, level, sent, thumb } = busy, spent = performance.now() - sent;
   if (sides[side]) sides[side].is = level;
@@ -88,10 +94,11 @@ function download(name, bytes) {
   $("status").textContent = `saved ${name}, ${bytes.length.toLocaleString("en")} bytes: plain Gaussians, colours as this camera sees them`;
 }
 function open() {
+  missing = 0;
   socket = new WebSocket(`ws://${location.host}/ws?k=${encodeURIComponent(key)}`);
   socket.binaryType = "arraybuffer";
   socket.onmessage = (m) => {
-    if (typeof m.data !== "string") return void received(m.data);
+    if (typeof m.data !== "string") return collect(m.data);
     const message = JSON.parse(m.data);
     if (message.shows) return begin(message);
     if (message.news) return news(message.news);

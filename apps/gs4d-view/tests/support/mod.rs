@@ -31,12 +31,21 @@ pub fn greeted(server: &Server) -> (WebSocket<TcpStream>, Value) {
 
 pub fn ask(socket: &mut WebSocket<TcpStream>, question: &Value) -> (Value, Vec<u8>) {
     socket.send(Message::Text(question.to_string().into())).unwrap();
-    match socket.read().unwrap() {
-        Message::Binary(bytes) => {
-            let length = u32::from_le_bytes(bytes[..4].try_into().unwrap()) as usize;
-            (serde_json::from_slice(&bytes[4..4 + length]).unwrap(), bytes[4 + length..].to_vec())
-        }
-        Message::Text(text) => (serde_json::from_str(&text).unwrap(), Vec::new()),
+    answer(socket)
+}
+
+/// The next answer: its header, and an image or a file, which may come in several messages.
+pub fn answer(socket: &mut WebSocket<TcpStream>) -> (Value, Vec<u8>) {
+    let mut bytes = match socket.read().unwrap() {
+        Message::Binary(bytes) => bytes.to_vec(),
+        Message::Text(text) => return (serde_json::from_str(&text).unwrap(), Vec::new()),
         other => panic!("{other:?}"),
+    };
+    let [head, body] = [0, 4].map(|at| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize);
+    while bytes.len() < 8 + head + body {
+        bytes.extend(socket.read().unwrap().into_data());
     }
+    assert_eq!(bytes.len(), 8 + head + body);
+    let image = bytes.split_off(8 + head);
+    (serde_json::from_slice(&bytes[8..]).unwrap(), image)
 }

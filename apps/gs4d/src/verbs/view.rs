@@ -7,7 +7,7 @@ use crate::global::{Global, to_stderr};
 use crate::opening::RunData;
 use crate::{interrupt, parse};
 use gs4d_run::Training;
-use gs4d_view::{Feed, Options, Packing, Server, Show, Stage, ViewError, start};
+use gs4d_view::{Feed, Options, Packing, REQUEST_TIME, Server, Show, Stage, ViewError, start};
 use serde_json::json;
 use std::net::{IpAddr, Ipv4Addr};
 use std::path::{Path, PathBuf};
@@ -40,7 +40,7 @@ impl View {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
         let shows = self.scenes.iter().map(|p| self.show(p, global)).collect::<Result<Vec<_>, _>>()?;
         let packing = if self.remote { Packing::Jpeg } else { Packing::Png };
-        let options = Options { host: self.host, port: self.port, packing, share: None };
+        let options = Options { host: self.host, port: self.port, packing, share: None, request_time: REQUEST_TIME };
         let server = start(Stage { shows }, &options)?;
         if !self.host.is_loopback() {
             global.say("warning: other machines can reach this viewer; whoever has the key below sees the scene");
@@ -104,9 +104,14 @@ impl Watch {
         let begin = || {
             let root = training.folder().root();
             let show = Show::live(name_of(root), training)?;
-            let (host, packing, share) = (Ipv4Addr::LOCALHOST.into(), Packing::Png, Some(self.view_share));
-            let server = start(Stage { shows: vec![show] }, &Options { host, port: self.view_port, packing, share });
-            let server = server.map_err(|e| e.to_string())?;
+            let options = Options {
+                host: Ipv4Addr::LOCALHOST.into(),
+                port: self.view_port,
+                packing: Packing::Png,
+                share: Some(self.view_share),
+                request_time: REQUEST_TIME,
+            };
+            let server = start(Stage { shows: vec![show] }, &options).map_err(|e| e.to_string())?;
             let feed = server
                 .feed(gs_methods::registry().clone(), training.trainer().dataset().avatar.clone())
                 .map_err(|e| e.to_string())?;
