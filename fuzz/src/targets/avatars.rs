@@ -1,0 +1,71 @@
+//! Filmed people: the files of the film, and the poses beside it.
+
+use super::{Error, Target, as_it_is, characters, folders};
+use crate::case::Case;
+use gs_synth::avatar::{Atlas, AvatarOptions, write};
+use serde_json::json;
+use std::path::Path;
+
+const POSES: &str = "poses.json";
+const POSES_BINARY: &str = "poses.bin";
+
+pub fn targets() -> Vec<Target> {
+    let one = |name, share, seeds, run| Target { name, share, seeds, repair: as_it_is, run };
+    vec![one("avatar", 8, film, open), one("poses", 8, poses, open_poses)]
+}
+
+fn open(case: &Case, dir: &Path) -> Result<(), String> {
+    let data = folders::open(case, dir, "avatar")?;
+    let scene = data.avatar.as_ref().expect("a film has its scene");
+    // The file's numbers are finite; a product of large ones need not be.
+    let finite = scene.frames.iter().all(|frame| scene.posed(frame).iter().all(|v| v.is_finite()));
+    if finite { Ok(()) } else { Err("a vertex is not finite".into()) }
+}
+
+/// Writes a film of a small rigged character.
+fn write_film(dir: &Path) -> Result<(), Error> {
+    let template = tempfile::NamedTempFile::with_suffix(".glb")?;
+    std::fs::write(template.path(), characters::small_glb())?;
+    let options = AvatarOptions {
+        template: template.path().display().to_string(),
+        atlas: Atlas::Painted,
+        per_ring: 4,
+        rings: 1,
+        frames: 2,
+        size: 16,
+        points: 4,
+        ..AvatarOptions::default()
+    };
+    write(dir, &options, false, true)?;
+    Ok(())
+}
+
+fn film(dir: &Path) -> Result<Vec<Case>, Error> {
+    write_film(dir)?;
+    let case = Case::of_folder(dir, &["scene.json", "cameras.json", "points/000000.ply"])?;
+    Ok(vec![case.with("crops.json", r#"{"0": {"1": [2, 3]}}"#)])
+}
+
+/// As [`open`], with one of the two files of poses.
+fn open_poses(case: &Case, dir: &Path) -> Result<(), String> {
+    for name in [POSES, POSES_BINARY] {
+        // It is there if the input before this one had it.
+        let _ = std::fs::remove_file(dir.join(name));
+    }
+    open(case, dir)
+}
+
+/// Poses as text and in binary.
+fn poses(dir: &Path) -> Result<Vec<Case>, Error> {
+    write_film(dir)?;
+    let node = json!({"translation": [0, 1, 0.5], "rotation": [0.9, 0.1, 0, 0], "scale": [1, 1, 2]});
+    let text = json!({"0": {"nodes": {"upper": node}, "morphs": [0.5, 0]}, "1": {"morphs": [1, 0.25]}}).to_string();
+    let name = b"lower";
+    let head = [b"GS4DPOSE", &[1u32, 1, 2, 2].map(u32::to_le_bytes).concat()[..]].concat();
+    let mut binary = [&head[..], &(name.len() as u16).to_le_bytes(), name].concat();
+    for frame in 0..2u32 {
+        binary.extend(frame.to_le_bytes());
+        binary.extend([0.0, 1.0, 0.5, 0.9, 0.1, 0.0, 0.0, 1.0, 1.0, 2.0, 0.5, 0.25].map(f32::to_le_bytes).concat());
+    }
+    Ok(vec![Case::one(POSES, text), Case::one(POSES_BINARY, binary)])
+}
