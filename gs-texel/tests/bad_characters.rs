@@ -463,6 +463,11 @@ fn obj_templates() {
     assert_eq!(c.template.corner_uvs(0).unwrap()[0], glam::Vec2::new(0.0, 1.0), "v is turned downwards");
     assert_eq!(c.template.colour(0, [0.3, 0.3, 0.4]).x, 0.8);
     assert_eq!(c.posed(&c.skeleton.rest_pose(), Skinning::Lbs), c.template.vertices);
+    for colour in ["Kd", "Kd 0.5", "Ka 0.5 0.5", "Ks 1", "Ke 1 1"] {
+        fs::write(dir.path().join("quad.mtl"), format!("newmtl red\n{colour}\n")).unwrap();
+        let error = open().unwrap_err().to_string();
+        assert!(error.contains("quad.mtl: line 2") && error.contains("a colour has three"), "{colour}: {error}");
+    }
     for (text, words) in [
         ("v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "not finite"),
         ("v 0 0 0\nv 1e999 0 0\nv 0 1 0\nf 1 2 3\n", "not finite"),

@@ -26,7 +26,7 @@ pub(super) fn read(
         if !options.textures {
             return empty;
         }
-        match folder.read(&path.to_string_lossy()) {
+        match material_file(&path.to_string_lossy(), folder) {
             Ok(text) => tobj::load_mtl_buf(&mut text.as_slice()),
             Err(e) => {
                 *refused.borrow_mut() = Some(e);
@@ -49,6 +49,22 @@ pub(super) fn read(
     }
     character.template.materials.push(Material::default());
     Ok((out, character))
+}
+
+/// The text of a material file. Refuses colours with less than three numbers, on which `tobj` panics.
+fn material_file(name: &str, folder: &Folder<'_>) -> Result<Vec<u8>, CharacterError> {
+    let text = folder.read(name)?;
+    for (k, line) in String::from_utf8_lossy(&text).lines().enumerate() {
+        let mut words = line.split_whitespace();
+        let Some(colour) = words.next().filter(|w| ["Ka", "Kd", "Ks", "Ke"].contains(w)) else { continue };
+        let numbers = words.count();
+        if numbers < 3 {
+            let what = format!("{numbers} numbers; a colour has three");
+            let place = format!("line {}, `{colour}`", k + 1);
+            return Err(CharacterError::Malformed { file: name.into(), place, what });
+        }
+    }
+    Ok(text)
 }
 
 fn static_skeleton() -> Skeleton {
