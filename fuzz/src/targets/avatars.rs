@@ -6,12 +6,13 @@ use gs_synth::avatar::{Atlas, AvatarOptions, write};
 use serde_json::json;
 use std::path::Path;
 
+const SCENE: &str = "scene.json";
 const POSES: &str = "poses.json";
 const POSES_BINARY: &str = "poses.bin";
 
 pub fn targets() -> Vec<Target> {
     let one = |name, share, seeds, run| Target { name, share, seeds, repair: as_it_is, run };
-    vec![one("avatar", 8, film, open), one("poses", 8, poses, open_poses)]
+    vec![one("avatar", 6, film, open), one("poses", 8, poses, open_poses)]
 }
 
 fn open(case: &Case, dir: &Path) -> Result<(), String> {
@@ -37,12 +38,14 @@ fn write_film(dir: &Path) -> Result<(), Error> {
         ..AvatarOptions::default()
     };
     write(dir, &options, false, true)?;
-    Ok(())
+    // The path of the template is another each time.
+    let scene = std::fs::read_to_string(dir.join(SCENE))?.replace(&options.template, "actor.glb");
+    Ok(std::fs::write(dir.join(SCENE), scene)?)
 }
 
 fn film(dir: &Path) -> Result<Vec<Case>, Error> {
     write_film(dir)?;
-    let case = Case::of_folder(dir, &["scene.json", "cameras.json", "points/000000.ply"])?;
+    let case = Case::of_folder(dir, &[SCENE, "cameras.json", "points/000000.ply"])?;
     Ok(vec![case.with("crops.json", r#"{"0": {"1": [2, 3]}}"#)])
 }
 

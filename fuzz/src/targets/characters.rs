@@ -13,7 +13,7 @@ mod small_gltf;
 pub fn targets() -> Vec<Target> {
     let one = |name, share, seeds, run| Target { name, share, seeds, repair: as_it_is, run };
     vec![
-        one("char_glb", 6, glb_seeds, |c, _| {
+        one("char_glb", 4, glb_seeds, |c, _| {
             parse_character(&glb_of(c), "a.glb", &ReadOptions::default()).map(sound).map_err(|e| e.to_string())
         }),
         one("char_gltf", 3, gltf_seeds, |c, d| load(c, d, "a.gltf")),

@@ -11,7 +11,7 @@ pub fn targets() -> Vec<Target> {
     vec![
         Target { name: "png", share: 1, seeds: png_seeds, repair: repair_png, run: |c, _| decode(c.first(), "i.png") },
         Target { name: "jpeg", share: 6, seeds: jpeg_seeds, repair: as_it_is, run: |c, _| decode(c.first(), "i.jpg") },
-        Target { name: "exr", share: 4, seeds: exr_seeds, repair: as_it_is, run: |c, _| read_exr(c.first()) },
+        Target { name: "exr", share: 3, seeds: exr_seeds, repair: as_it_is, run: |c, _| read_exr(c.first()) },
     ]
 }
 

@@ -19,18 +19,18 @@ const ARCHIVE: &str = "init_pt_cld.npz";
 pub fn targets() -> Vec<Target> {
     let one = |name, share, seeds, run| Target { name, share, seeds, repair: as_it_is, run };
     vec![
-        one("blender", 2, blender, |c, d| open(c, d, "blender").map(drop)),
-        one("nvfi", 2, folders::nvfi, |c, d| open(c, d, "nvfi").map(drop)),
+        one("blender", 3, blender, |c, d| open(c, d, "blender").map(drop)),
+        one("nvfi", 3, folders::nvfi, |c, d| open(c, d, "nvfi").map(drop)),
         one("nerfstudio", 2, folders::nerfstudio, |c, d| open(c, d, "nerfstudio").map(drop)),
         one("colmapbin", 2, folders::colmap_binary, |c, d| open(c, d, "colmap").map(drop)),
         one("colmaptxt", 2, folders::colmap_text, |c, d| open(c, d, "colmap").map(drop)),
         one("llff", 2, folders::llff, |c, d| open(c, d, "llff").map(drop)),
         one("panoptic", 2, folders::panoptic, |c, d| open(c, d, "panoptic").map(drop)),
-        Target { name: "npz", share: 2, seeds: npz, repair: repair_zip, run: open_npz },
+        Target { name: "npz", share: 6, seeds: npz, repair: repair_zip, run: open_npz },
         one("hypernerf", 3, hypernerf, |c, d| open(c, d, "hypernerf").map(drop)),
         Target {
             name: "images",
-            share: 3,
+            share: 5,
             seeds: folders::images_and_masks,
             repair: images::repair_png,
             run: open_images,

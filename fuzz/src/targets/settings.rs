@@ -14,7 +14,7 @@ thread_local! {
 
 pub fn targets() -> Vec<Target> {
     let one = |name, share, seeds, run| Target { name, share, seeds, repair: as_it_is, run };
-    vec![one("config", 2, configurations, |c, _| read_settings(c.first())), one("log", 1, logs, read_logs)]
+    vec![one("config", 2, configurations, |c, _| read_settings(c.first())), one("log", 2, logs, read_logs)]
 }
 
 fn configurations(_: &Path) -> Result<Vec<Case>, Error> {
