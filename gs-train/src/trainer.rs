@@ -182,10 +182,26 @@ impl Trainer {
         dataset: Arc<Dataset>,
         config: &toml::Table,
     ) -> Result<Self, TrainError> {
-        let scene = self.scene.clone().seen_in(&dataset);
-        let state = saved::save(&self.model, &self.run_state(config, &scene));
-        let next = Self::resume(registry, dataset, &state, None, self.options.image_bytes)?;
+        let next = Self::resume_with_more_views(registry, dataset, &self.state(), config, self.options.image_bytes)?;
         Ok(Self { images: self.images, ..next })
+    }
+
+    /// A run continued from a checkpoint on data that may hold more views ([`Trainer::with_more_views`]).
+    ///
+    /// # Errors
+    /// As [`Trainer::resume`].
+    pub fn resume_with_more_views(
+        registry: &Registry,
+        dataset: Arc<Dataset>,
+        checkpoint: &Checkpoint,
+        config: &toml::Table,
+        image_bytes: usize,
+    ) -> Result<Self, TrainError> {
+        let loaded = saved::load_with(registry, checkpoint, None, dataset.avatar.clone()).map_err(TrainError::State)?;
+        let (scene, adam_updates) = (loaded.scene.seen_in(&dataset), &loaded.adam_updates);
+        let (step, train_seconds) = (loaded.step, loaded.train_seconds);
+        let run = saved::RunState { config, scene: &scene, step, adam_updates, train_seconds };
+        Self::resume(registry, dataset, &saved::save(&loaded.model, &run), None, image_bytes)
     }
 
     /// The whole state, bit for bit.

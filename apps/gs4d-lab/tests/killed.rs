@@ -5,6 +5,7 @@ use gs_core::testkit::faults::VARIABLE;
 use gs_synth::{SynthOptions, write};
 use gs_train::checkpoint::load_newest;
 use gs4d_lab::contest::{Contest, Entry, Length};
+use gs4d_lab::continual;
 use gs4d_lab::sweep::{Vary, sweep};
 use gs4d_run::Training;
 use gs4d_run::settings::{Request, resolve};
@@ -47,10 +48,30 @@ fn contest(folder: &Path) -> Contest {
     }
 }
 
+fn rounds(folder: &Path) -> continual::Plan {
+    continual::Plan {
+        registry: gs_methods::registry().clone(),
+        request: Request {
+            method: "defgs".into(),
+            preset: "tiny".into(),
+            data: Some(folder.join("data")),
+            steps: Some(3),
+            sets: SETS.map(String::from).to_vec(),
+            ..Request::default()
+        },
+        rounds: continual::Rounds::Times { until: vec![0.4, 0.7], future: 0.2 },
+        later_steps: 2,
+        later_sets: Vec::new(),
+        score_views: 1,
+        command: String::new(),
+    }
+}
+
 fn act(experiment: &str, folder: &Path) {
     let go = AtomicBool::new(false);
     match experiment {
         "train" => train(folder),
+        "continual" => drop(continual::run(&rounds(folder), &folder.join("out"), false, &go, &mut |_| {}).unwrap()),
         "contest" => drop(contest(folder).run(&go, &mut |_| {}).unwrap()),
         _ => {
             let vary = [Vary::parse("schedule.lambda_dssim=0.5").unwrap()];
@@ -68,9 +89,9 @@ fn child() {
 }
 
 /// A folder with data of 16x16 pixels.
-fn prepared() -> TempDir {
+fn prepared(scene: &str) -> TempDir {
     let dir = tempfile::tempdir().unwrap();
-    write(&dir.path().join("data"), "static", &SynthOptions::of_views(16, 3, 1), false).unwrap();
+    write(&dir.path().join("data"), scene, &SynthOptions::of_views(16, 6, 2), false).unwrap();
     dir
 }
 
@@ -103,8 +124,8 @@ fn bits(folder: &Path) -> Vec<(PathBuf, Bits)> {
 }
 
 /// Kills the experiment at every operation from the first on and begins it again; returns the number of operations.
-fn killed_at_every_operation(experiment: &str) -> u64 {
-    let dir = prepared();
+fn killed_at_every_operation(experiment: &str, scene: &str) -> u64 {
+    let dir = prepared(scene);
     let out = dir.path().join("out");
     act(experiment, dir.path());
     let undisturbed = bits(&out);
@@ -128,15 +149,20 @@ fn killed_at_every_operation(experiment: &str) -> u64 {
 
 #[test]
 fn train_with_force_begins_again() {
-    assert!(killed_at_every_operation("train") >= 30);
+    assert!(killed_at_every_operation("train", "static") >= 30);
 }
 
 #[test]
 fn a_contest_goes_on() {
-    assert!(killed_at_every_operation("contest") >= 35);
+    assert!(killed_at_every_operation("contest", "static") >= 35);
 }
 
 #[test]
 fn a_sweep_goes_on() {
-    assert!(killed_at_every_operation("sweep") >= 70);
+    assert!(killed_at_every_operation("sweep", "static") >= 70);
+}
+
+#[test]
+fn rounds_go_on() {
+    assert!(killed_at_every_operation("continual", "balls") > 60);
 }

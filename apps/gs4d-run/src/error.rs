@@ -22,6 +22,20 @@ pub enum RunError {
         /// Whether it holds an older run, which can be overwritten on request.
         is_run: bool,
     },
+    /// The folder holds a run with other settings than those asked for.
+    #[error("{} holds a run with other settings", path.display())]
+    OtherSettings {
+        /// The folder of the run.
+        path: PathBuf,
+    },
+    /// The run is trained in rounds, and cannot be resumed without them.
+    #[error("{} is trained in rounds: go on with `{command}`", path.display())]
+    InRounds {
+        /// The folder of the run.
+        path: PathBuf,
+        /// The command that goes on with it.
+        command: String,
+    },
     /// The folder holds no run.
     #[error("{} is no run folder: it has no {}", path.display(), super::folder::CONFIG)]
     NotARun {

@@ -8,6 +8,7 @@
 //! RUN/histograms.jsonl       histograms of attributes of the splats, where the method has any
 //! RUN/journal.jsonl          events of the method (moves of interval boundaries, growth of anchors)
 //! RUN/checkpoints/           step-012000.gs4d …, latest
+//! RUN/continual.json         scores of each round, if the run is trained in rounds
 //! RUN/metrics.json           scores per view and their means
 //! RUN/renders/               images; names carry step, time and camera
 //! RUN/report.html            the report
@@ -33,6 +34,8 @@ pub const LOG: &str = "log.jsonl";
 pub const HISTOGRAMS: &str = "histograms.jsonl";
 /// File of the method's events (moves of interval boundaries, for example), one JSON object per line.
 pub const JOURNAL: &str = "journal.jsonl";
+/// File of the scores of a training in rounds, after each round.
+pub const ROUNDS: &str = "continual.json";
 /// File of the scores of the finished run.
 pub const METRICS: &str = "metrics.json";
 /// File of the HTML report.
@@ -70,9 +73,10 @@ impl RunFolder {
     /// removed first; anything else stays.
     ///
     /// A folder that is missing or empty is made beside its place and renamed, so that it is there whole or not at all. Any
-    /// other, or one that cannot be renamed to (a mount point, a link), is filled in place, and the configuration is replaced
-    /// last: killed before that, an older run keeps its configuration but has lost its results, and a folder without an older
-    /// run holds nothing but empty folders, [`PROVENANCE`], [`CAMERAS`], the lock and temporary files, which counts as empty.
+    /// other, or one that cannot be renamed to (a mount point, a link, a folder in one that is not writable), is filled in
+    /// place, and the configuration is replaced last: killed before that, an older run keeps its configuration but has lost
+    /// its results, and a folder without an older run holds nothing but empty folders, [`PROVENANCE`], [`CAMERAS`], the lock
+    /// and temporary files, which counts as empty.
     ///
     /// # Errors
     /// If it holds files already (without `overwrite`, or files that are not a run's), or the system refuses.
@@ -157,6 +161,21 @@ impl RunFolder {
         let path = self.root.join(name);
         let text = if path.exists() { read_text(&path, &LIMITS)? } else { String::new() };
         Ok(text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect())
+    }
+
+    /// What [`Training::begin_on`](crate::Training::begin_on) was given for a training in rounds: an object with the `command`
+    /// that goes on with it. `None` for any other run.
+    pub fn rounds(&self) -> Option<Value> {
+        let mut provenance: Value = serde_json::from_str(&self.read(PROVENANCE).ok()?).ok()?;
+        Some(provenance.get_mut("rounds")?.take()).filter(|rounds| !rounds.is_null())
+    }
+
+    /// Removes the lines of all logs of steps after `step`, which will be made again.
+    ///
+    /// # Errors
+    /// If the system refuses.
+    pub(crate) fn cut_logs(&self, step: u32) -> Result<(), RunError> {
+        [LOG, HISTOGRAMS, JOURNAL].into_iter().try_for_each(|name| self.cut_log(name, step).map(drop))
     }
 
     /// Removes lines of [`LOG`], [`HISTOGRAMS`] or [`JOURNAL`] of steps after `step`, which will be made again; returns the rest.

@@ -14,14 +14,14 @@ use super::summary::{ReportInput, build_report};
 use gs_core::io::write_file;
 use gs_core::speed::BenchRow;
 use gs_data::{Dataset, ImageCache, Split};
-use gs_train::checkpoint::{self, Skipped};
+use gs_train::checkpoint::{self, Newest, Skipped};
 use gs_train::evaluate::{EvalReport, evaluate, evaluate_with_future};
 use gs_train::registry::Registry;
 use gs_train::renderer::file_stem;
 use gs_train::trainer::{TrainError, TrainOptions, Trainer};
 use gs4d_report::analysis::Snapshot;
 use gs4d_report::png;
-use serde_json::json;
+use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -108,14 +108,21 @@ impl Training {
     /// If the folder is taken, the data or the method cannot be used.
     pub fn begin(root: &Path, overwrite: bool, resolved: Resolved) -> Result<Self, RunError> {
         let dataset = Arc::new(resolved.open_data()?);
-        Self::begin_on(root, overwrite, resolved, dataset)
+        Self::begin_on(root, overwrite, resolved, dataset, None)
     }
 
-    /// The same on a part of the data of the settings.
+    /// The same on a part of the data of the settings. A training in rounds gives what it needs to go on
+    /// ([`RunFolder::rounds`]).
     ///
     /// # Errors
     /// If the folder is taken or the method cannot be used.
-    pub fn begin_on(root: &Path, overwrite: bool, resolved: Resolved, dataset: Arc<Dataset>) -> Result<Self, RunError> {
+    pub fn begin_on(
+        root: &Path,
+        overwrite: bool,
+        resolved: Resolved,
+        dataset: Arc<Dataset>,
+        rounds: Option<Value>,
+    ) -> Result<Self, RunError> {
         let options = TrainOptions { seed: resolved.run.seed, image_bytes: resolved.run.image_bytes() };
         let trainer = Trainer::new(&resolved.registry, dataset, &resolved.run.method, &resolved.method, options)?;
         let provenance = json!({
@@ -126,6 +133,7 @@ impl Training {
             "seed": resolved.run.seed,
             "steps": trainer.steps(),
             "data": DataOrigin::of(trainer.dataset()),
+            "rounds": rounds,
         });
         let beginning = Beginning {
             config: &resolved.config.to_commented_toml(),
@@ -140,9 +148,13 @@ impl Training {
     /// Resumes a run from its newest checkpoint that verifies.
     ///
     /// # Errors
-    /// If no checkpoint is usable, the data have changed, or the steps cannot be made.
+    /// If no checkpoint is usable, the data have changed, the steps cannot be made, or it is trained in rounds.
     pub fn resume(registry: &Registry, root: &Path, request: &ResumeRequest) -> Result<Self, RunError> {
         let folder = RunFolder::open_to_write(root)?;
+        if let Some(rounds) = folder.rounds() {
+            let command = rounds["command"].as_str().unwrap_or("gs4d continual").to_owned();
+            return Err(RunError::InRounds { path: root.to_owned(), command });
+        }
         let newest = checkpoint::load_newest(&folder.checkpoints())?;
         let mut resolved = Resolved::read(registry, &folder.read(folder::CONFIG)?, folder::CONFIG)?;
         check_method(&newest, &resolved)?;
@@ -160,9 +172,7 @@ impl Training {
         }
         let bytes = resolved.run.image_bytes();
         let trainer = Trainer::resume(registry, dataset, &newest.checkpoint, Some(&resolved.method), bytes)?;
-        for name in [folder::LOG, folder::HISTOGRAMS, folder::JOURNAL] {
-            folder.cut_log(name, done)?;
-        }
+        folder.cut_logs(done)?;
         let stop_at = request.budget.map_or(0.0, |b| trainer.train_seconds() + b);
         Ok(Self { skipped: newest.skipped, warnings, ..Self::new(trainer, resolved, folder, stop_at) })
     }
@@ -177,6 +187,25 @@ impl Training {
     /// seconds), and `warn` is told what was refused (default: a line on stderr). Lines of the logs are kept and written later.
     pub fn when_the_disk_refuses(&mut self, pauses: Vec<Duration>, warn: impl Fn(&str) + Send + 'static) {
         self.patience = Patience { pauses, warn: Box::new(warn) };
+    }
+
+    /// Resumes a training in rounds from a checkpoint of its folder, with the settings and data of a round, which may hold more
+    /// views than the checkpoint was made with.
+    ///
+    /// # Errors
+    /// If the checkpoint does not fit the method, or something cannot be written.
+    pub fn resume_on(
+        folder: RunFolder,
+        newest: Newest,
+        resolved: Resolved,
+        dataset: Arc<Dataset>,
+    ) -> Result<Self, RunError> {
+        let (config, bytes) = (&resolved.method, resolved.run.image_bytes());
+        let state = &newest.checkpoint;
+        let trainer = Trainer::resume_with_more_views(&resolved.registry, dataset, state, config, bytes)?;
+        folder.write(folder::CONFIG, &resolved.config.to_commented_toml())?;
+        folder.cut_logs(trainer.steps_done())?;
+        Ok(Self { skipped: newest.skipped, ..Self::new(trainer, resolved, folder, 0.0) })
     }
 
     /// Continues with more views and other settings ([`Trainer::with_more_views`]).

@@ -275,6 +275,10 @@ impl From<RunError> for Failure {
                     "choose another folder with -o"
                 })
             }
+            RunError::OtherSettings { .. } => Self::new(Class::Io, "io.exists", text)
+                .why("nothing is overwritten unless asked")
+                .remedy("choose another folder with -o, or pass -f"),
+            RunError::InRounds { .. } => Self::new(Class::Usage, "rounds", text),
             RunError::NotARun { .. } => {
                 Self::new(Class::Data, "run", text).remedy("give the folder that gs4d train -o made")
             }

@@ -2,7 +2,7 @@
 
 use super::{
     Beginning, CAMERAS, CHECKPOINTS, CONFIG, HISTOGRAMS, JOURNAL, LOCK, LOG, METRICS, PROVENANCE, RENDERS, REPORT,
-    RunError, is_run, lock,
+    ROUNDS, RunError, is_run, lock,
 };
 use gs_core::io::{disk, folder_of, is_temporary, remove_abandoned, temporary_beside, write_file};
 use std::fs::{self, File};
@@ -51,18 +51,18 @@ fn check_vacant(root: &Path, overwrite: bool) -> Result<(), RunError> {
 }
 
 /// Makes a whole run folder beside a missing or empty one and renames it; returns its lock. `None` if there is something
-/// already, or the system cannot rename to it.
+/// already, an empty folder has nowhere to make another beside it, or the system cannot rename to it.
 fn begin_beside(root: &Path, beginning: &Beginning<'_>) -> Result<Option<File>, RunError> {
     if !is_empty(root).unwrap_or_else(|e| e.kind() == ErrorKind::NotFound) || root.file_name().is_none() {
         return Ok(None);
     }
     remove_abandoned(folder_of(root));
     let stage = temporary_beside(root);
-    let made = disk::create_folder(&stage).map_err(|e| RunError::io("create", &stage, e)).and_then(|()| {
-        let lock = lock(&stage)?;
-        fill(&stage, beginning)?;
-        Ok(lock)
-    });
+    match disk::create_folder(&stage) {
+        Err(_) if root.exists() => return Ok(None),
+        created => created.map_err(|e| RunError::io("create", root, e))?,
+    }
+    let made = lock(&stage).and_then(|lock| fill(&stage, beginning).map(|()| lock));
     let renamed = made.map(|lock| disk::rename(&stage, root).ok().map(|()| lock));
     match &renamed {
         Ok(Some(_)) => disk::sync_folder(folder_of(root)).map_err(|e| RunError::io("flush the folder of", root, e))?,
@@ -90,7 +90,7 @@ fn fill(folder: &Path, beginning: &Beginning<'_>) -> Result<(), RunError> {
 
 /// Removes the results of an older run, by name.
 fn remove_results(root: &Path) -> Result<(), RunError> {
-    for name in [METRICS, REPORT, LOG, HISTOGRAMS, JOURNAL] {
+    for name in [METRICS, REPORT, ROUNDS, LOG, HISTOGRAMS, JOURNAL] {
         let path = root.join(name);
         disk::remove_file(&path).map_err(|e| RunError::io("remove", &path, e))?;
     }
@@ -184,6 +184,14 @@ mod tests {
             create(dir.path(), true).unwrap();
             assert!(!dir.path().join(METRICS).exists() && dir.path().join("notes.txt").exists(), "{first}");
         }
+    }
+
+    #[test]
+    fn an_empty_folder_in_one_that_cannot_be_written_is_filled_in_place() {
+        let dir = tempfile::tempdir().unwrap();
+        let faults = Faults { first: 1, count: 1, kind: Fault::Device };
+        with_faults(Some(faults), || create(dir.path(), false)).0.unwrap();
+        assert_eq!(names(dir.path()), WHOLE);
     }
 
     #[cfg(unix)]

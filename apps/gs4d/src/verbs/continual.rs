@@ -65,7 +65,7 @@ pub struct ContinualVerb {
     /// Folder of the run; made if missing.
     #[arg(short, long, value_name = "RUN")]
     out: PathBuf,
-    /// Overwrite an older run in that folder.
+    /// Overwrite an older run in that folder. Without it, the same command goes on with a run that was interrupted.
     #[arg(short, long)]
     force: bool,
 }
@@ -97,15 +97,37 @@ impl ContinualVerb {
             later_steps: self.steps_later,
             later_sets: self.later_sets,
             score_views: self.score_views,
+            command: again(std::env::args_os().skip(1).map(|a| a.to_string_lossy().into_owned())),
         };
         match follow(&plan, &self.out, self.force, global)? {
             Some(rounds) => Ok(Answer::new(table(&rounds, &self.out), json!({"rounds": rounds}))),
             None => {
-                let kept = format!("interrupted; the rounds that were done are in {}", self.out.join(FILE).display());
-                Err(Failure::new(Class::Interrupted, "interrupted", kept).remedy("begin again with -f"))
+                let kept = format!("interrupted; what was trained is saved in {}", self.out.display());
+                Err(Failure::new(Class::Interrupted, "interrupted", kept).remedy(plan.command))
             }
         }
     }
+}
+
+/// The command with these arguments, without `-f`, which would begin anew.
+fn again(arguments: impl Iterator<Item = String>) -> String {
+    let kept = arguments.filter_map(|argument| match argument.strip_prefix('-') {
+        Some("-force") => None,
+        Some(short) if !short.starts_with('-') => {
+            // Flags without a value may be joined, and stand before one with a value.
+            let rest = short.trim_start_matches(['f', 'q', 'v']);
+            let text = short[..short.len() - rest.len()].replace('f', "") + rest;
+            (!text.is_empty()).then(|| format!("-{text}"))
+        }
+        _ => Some(argument),
+    });
+    std::iter::once("gs4d".to_owned()).chain(kept.map(quoted)).collect::<Vec<_>>().join(" ")
+}
+
+/// A word as a shell reads it back.
+fn quoted(word: String) -> String {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./,:=+@%".contains(c);
+    if !word.is_empty() && word.chars().all(plain) { word } else { format!("'{}'", word.replace('\'', r"'\''")) }
 }
 
 /// Runs the rounds with a progress line for each.
@@ -153,4 +175,19 @@ fn table(rounds: &[RoundScores], out: &Path) -> String {
     ));
     text.push_str(&format!("-> {}\n", out.join(FILE).display()));
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::again;
+
+    #[test]
+    fn the_command_that_goes_on_has_no_force_and_reads_back() {
+        let of = |words: &[&str]| again(words.iter().map(|w| (*w).to_owned()));
+        assert_eq!(
+            of(&["continual", "d", "-fo", "r", "--force", "-qf", "-mfags", "-f"]),
+            "gs4d continual d -o r -q -mfags"
+        );
+        assert_eq!(of(&["continual", "my data", "--set", "a.b=it's"]), r"gs4d continual 'my data' --set 'a.b=it'\''s'");
+    }
 }

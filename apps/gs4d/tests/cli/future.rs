@@ -1,9 +1,11 @@
 //! The future: views beyond the last training time.
 
-use crate::support::{Call, data, good, gs4d, text, train};
+use crate::support::{Call, command, data, good, gs4d, text, train};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
 use std::sync::OnceLock;
+use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
 /// A run that has seen three quarters of the sequence.
@@ -132,4 +134,55 @@ fn rounds_let_in_more_of_the_sequence() {
     wrong(&["--rounds", "0.7,0.4"]).fails(2, &["must rise"]);
     wrong(&["--frames-first", "99"]).fails(2, &["the data have"]);
     wrong(&["--rounds", "0.5", "--frames-first", "3"]).fails(2, &["cannot be used with"]);
+}
+
+/// The scores of all rounds, without the seconds.
+fn scores(mut json: Value) -> Value {
+    for round in json["rounds"].as_array_mut().unwrap() {
+        round.as_object_mut().unwrap().remove("seconds");
+    }
+    json
+}
+
+#[test]
+fn rounds_that_were_cut_off_go_on_with_the_same_command() {
+    let dir = tempfile::tempdir().unwrap();
+    let [whole, cut] = ["whole", "cut"].map(|name| dir.path().join(name));
+    let base = ["continual", text(data()), "-m", "defgs", "--preset", "tiny", "--steps-first", "4"];
+    let later = ["--steps-later", "2", "--rounds", "0.4,0.7", "--future", "0.3", "--json", "-o"];
+    let whole = good(&[&base[..], &later, &[text(&whole)]].concat()).json();
+    let again = [&base[..], &later, &[text(&cut)]].concat();
+    // In round 2, while its checkpoint is written.
+    let killed = command(&[&again[..], &["-f"]].concat()).env("GS4D_FAIL_WRITE", "40:kill").output().unwrap();
+    assert!(killed.status.code().is_none());
+    let kept: Value = serde_json::from_slice(&std::fs::read(cut.join("continual.json")).unwrap()).unwrap();
+    assert_eq!(kept["rounds"].as_array().unwrap().len(), 1);
+
+    let refused = gs4d(&["resume", text(&cut)]);
+    refused.fails(2, &[&format!("is trained in rounds: go on with `gs4d {}`", again.join(" "))]);
+    assert_eq!(refused.err.trim().lines().count(), 1, "{}", refused.err);
+    gs4d(&[&again[..], &["--score-views", "1"]].concat()).fails(6, &["holds a run with other settings", "-f"]);
+    assert_eq!(scores(good(&again).json()), scores(whole.clone()));
+    assert_eq!(scores(good(&again).json()), scores(whole), "once more changes nothing");
+}
+
+#[cfg(unix)]
+#[test]
+fn interrupted_rounds_name_the_command_that_goes_on() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("run");
+    let base =
+        ["continual", text(data()), "-m", "defgs", "--preset", "tiny", "--steps-first", "4000", "-o", text(&out)];
+    let mut begun = command(&[&base[..], &["--force"]].concat());
+    let mut child = begun.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let since = Instant::now();
+    while std::fs::metadata(out.join("log.jsonl")).map_or(0, |m| m.len()) == 0 {
+        assert!(child.try_wait().unwrap().is_none() && since.elapsed().as_secs() < 60, "training does not begin");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    let call = Call::of(&child.wait_with_output().unwrap());
+    let again = format!("gs4d {}", base.join(" "));
+    assert_eq!(call.code, 130, "{}", call.err);
+    assert!(call.err.trim().ends_with(&again), "{}", call.err);
 }

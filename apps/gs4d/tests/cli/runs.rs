@@ -162,7 +162,7 @@ fn a_run_under_nohup_is_not_stopped_by_a_hangup() {
 /// Trains below `wrapper` and sends these signals; the last one only stops the run.
 #[cfg(unix)]
 fn interrupted_by(wrapper: &[&str], signals: &[&str]) {
-    use crate::support::{Call, command};
+    use crate::support::Call;
     use std::process::{Command, Stdio};
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("run");
