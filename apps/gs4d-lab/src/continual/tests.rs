@@ -128,12 +128,13 @@ fn a_run_that_is_interrupted_goes_on_with_the_same_bits() {
     // Steps after which a session ends: each one; in every round; between rounds; before the first step.
     for (name, ends) in [("each", None), ("rounds", Some([5, 14, 19])), ("between", Some([0, 12, 17]))] {
         let root = dir.path().join(name);
-        let mut sessions = 0;
+        let (mut sessions, mut steps) = (0, Vec::new());
         let rounds = loop {
             let limit = ends.map_or(sessions + 1, |ends: [u32; 3]| ends.get(sessions as usize).copied().unwrap_or(99));
             let stop = AtomicBool::new(limit == 0);
             let made = run(&plan, &root, false, &stop, &mut |event| {
                 if let Event::Step(p) = event {
+                    steps.push(p.step);
                     stop.store(p.step >= limit, Ordering::Relaxed);
                 }
             });
@@ -143,6 +144,7 @@ fn a_run_that_is_interrupted_goes_on_with_the_same_bits() {
             }
         };
         assert_eq!(sessions, if ends.is_some() { 4 } else { 22 }, "{name}");
+        assert_eq!(steps, (1..=22).collect::<Vec<_>>(), "{name}: no step is made twice");
         assert_eq!(result(&root, &rounds), whole, "{name}");
     }
 }
