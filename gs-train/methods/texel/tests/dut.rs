@@ -236,14 +236,14 @@ fn settings_that_do_not_fit_are_refused() {
         (&["schedule.stages.main.own_clock = false"], "own_clock"),
         (&["schedule.stages.main.order = 0", "schedule.stages.geometry.order = 3"], "the order must be"),
         (&["textures.geo = 60"], "multiple of 8"),
-        (&["gaussians.sh_degree = 4"], "SH degree 4"),
-        (&["surface.isometry = -1.0"], "surface.isometry = -1"),
+        (&["gaussians.sh_degree = 4"], "`gaussians.sh_degree` = 4"),
+        (&["surface.isometry = -1.0"], "`surface.isometry` = -1"),
         (&["surface.color = 0.05"], "surface.points = \"faces\""),
         (&["unproject.min_cos = 2.0"], "min_cos"),
         (&["reference.opacity = 1.0"], "reference.opacity"),
-        (&["schedule.lambda_mrf = -0.1"], "schedule.lambda_mrf = -0.1"),
+        (&["schedule.lambda_mrf = -0.1"], "`schedule.lambda_mrf` = -0.1"),
         (&["schedule.lambda_mrf = nan"], "schedule.lambda_mrf"),
-        (&["schedule.mrf_side = 4"], "schedule.mrf_side = 4"),
+        (&["schedule.mrf_side = 4"], "`schedule.mrf_side` = 4"),
         (&["schedule.mrf_sid = 4"], "unknown field `mrf_sid`"),
     ] {
         let error = refuse(over);
