@@ -5,6 +5,7 @@
 //! ```text
 //! 16 B per parameter (value, gradient, two moments) + 3000 B per splat (projected, tile lists, tapes, cotangents)
 //! + 130 B per pixel (frame, cotangents, loss) + 24 MiB (the program)
+//! + 13 B per pixel and image of the report
 //! + decoded training images at the scale of each stage, and test images, as far as the cache keeps them
 //! ```
 //! The constants are fitted to measured peaks of `fourdgs`, `grid4d` and `modec`.
@@ -18,6 +19,7 @@ use gs_train::registry::Registry;
 use gs_train::schedule::Schedule;
 use gs_train::trainer::{TrainOptions, Trainer};
 use gs4d_run::settings::{Request, Resolved, resolve};
+use gs4d_run::summary::images_held;
 use serde::Serialize;
 use std::sync::Arc;
 use toml::{Table, Value};
@@ -33,6 +35,8 @@ const JITTER: f32 = 0.005;
 const BYTES_PER_VALUE: f64 = 16.0;
 const BYTES_PER_SPLAT: f64 = 3000.0;
 const BYTES_PER_PIXEL: f64 = 130.0;
+/// An image of the report: RGB in `f32`, and its share of the page as PNG.
+const BYTES_PER_HELD_PIXEL: f64 = 13.0;
 const PROGRAM_BYTES: f64 = 24.0 * MIB;
 const MIB: f64 = 1024.0 * 1024.0;
 
@@ -137,6 +141,7 @@ fn measure(data: &Dataset, options: &CostOptions) -> Result<Cost, String> {
     let whole = trial.trainer(trial.data.clone(), &resolved.method)?;
     let (schedule, growth) = (whole.model().schedule().clone(), whole.model().capabilities().growth);
     let few = Size::of(&whole);
+    let held = images_held(whole.model(), data).map_err(|e| e.to_string())? as f64;
     drop(whole);
     let growth = growth.filter(|g| g.most > few.splats);
     let most = growth.map_or(few.splats, |g| g.most);
@@ -157,9 +162,9 @@ fn measure(data: &Dataset, options: &CostOptions) -> Result<Cost, String> {
     }
     let (images, largest) = decoded(data, &schedule);
     let kept = images.map(|i| i.min(f64::from(resolved.run.image_mib) * MIB)).iter().sum::<f64>();
+    let pixels = (BYTES_PER_PIXEL + BYTES_PER_HELD_PIXEL * held) * largest;
     let memory = |values: f64, splats: usize| {
-        (BYTES_PER_VALUE * values + BYTES_PER_SPLAT * splats as f64 + BYTES_PER_PIXEL * largest + kept + PROGRAM_BYTES)
-            / MIB
+        (BYTES_PER_VALUE * values + BYTES_PER_SPLAT * splats as f64 + pixels + kept + PROGRAM_BYTES) / MIB
     };
     Ok(Cost {
         run: format!("{} --preset {}", options.method, options.preset),

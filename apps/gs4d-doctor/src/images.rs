@@ -1,5 +1,6 @@
 //! Checks of images: readable, not blank, no duplicates, even exposure and sharpness, plausible alpha and masks.
 
+use super::sample::Sample;
 use super::{Finding, Verdict, luma, median};
 use gs_core::cast;
 use gs_data::{Dataset, ImageCache, ImageU8, Split, View};
@@ -7,8 +8,6 @@ use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::hash::{DefaultHasher, Hasher};
 
-/// Most images that are read; of more, an evenly spaced selection.
-const MAX_IMAGES: usize = 1500;
 /// Longest side of the images in which corners are detected, pixels.
 const SMALL_SIDE: f64 = 480.0;
 /// Least standard deviation of luma (0..255) of an image that is not blank.
@@ -55,33 +54,30 @@ struct CheckedImage {
     traits: Result<Traits, (String, &'static str, String)>,
 }
 
-/// Statistics of all images that were read.
+/// Statistics of the images that were read.
 pub(super) struct ImageChecks {
     seen: Vec<CheckedImage>,
-    total: usize,
     /// Names of masks that cannot be read, and of those that are zero everywhere.
     masks: [Vec<String>; 2],
     masked: usize,
     largest: u32,
 }
 
-/// Reads images and masks of all splits.
-pub(super) fn check(data: &Dataset, images: &ImageCache) -> ImageChecks {
-    let all: Vec<(Split, usize)> =
-        Split::ALL.iter().flat_map(|&s| (0..data.views(s).len()).map(move |i| (s, i))).collect();
-    let count = all.len().min(MAX_IMAGES);
-    let chosen: Vec<(Split, usize)> = (0..count).map(|k| all[k * all.len() / count]).collect();
+/// Reads the images and masks of a sample; `max_image_mib` bounds the memory for decoding one.
+pub(super) fn check(data: &Dataset, sample: &Sample, max_image_mib: Option<u32>) -> ImageChecks {
+    // Each is read once.
+    let images = ImageCache::new(0, 1.0).with_max_image_mib(max_image_mib);
     let see = |&(split, index): &(Split, usize)| {
         let found = images.get(&data.views(split)[index]);
         let traits = found.map(|i| traits(&i)).map_err(|e| (e.to_string(), e.code(), e.fix()));
         CheckedImage { split, index, traits }
     };
-    let seen: Vec<CheckedImage> = chosen.par_iter().map(see).collect();
-    let masks = chosen.par_iter().filter_map(|&(s, i)| mask(&data.views(s)[i], images)).collect::<Vec<_>>();
+    let seen: Vec<CheckedImage> = sample.views.par_iter().map(see).collect();
+    let masks = sample.views.par_iter().filter_map(|&(s, i)| mask(&data.views(s)[i], &images)).collect::<Vec<_>>();
     let named = |empty: bool| masks.iter().filter(|m| m.1 == Some(empty)).map(|m| m.0.clone()).collect();
     let views = || Split::ALL.iter().flat_map(|&s| data.views(s));
     let largest = views().map(|v| v.camera.width.max(v.camera.height)).max().unwrap_or(1);
-    ImageChecks { seen, total: all.len(), masks: [named(false), named(true)], masked: masks.len(), largest }
+    ImageChecks { seen, masks: [named(false), named(true)], masked: masks.len(), largest }
 }
 
 /// Name of a masked view, and whether its mask is zero everywhere (`Some(true)`), cannot be read (`Some(false)`) or is right
@@ -183,8 +179,7 @@ impl ImageChecks {
                 Some((w, h)) if sizes.len() == 1 => format!("{w}x{h}"),
                 _ => format!("{} sizes", sizes.len()),
             };
-            let part = if self.seen.len() < self.total { format!(" (of {})", self.total) } else { String::new() };
-            out.push(Finding::ok("images", format!("{}{part} images can be read, {size}", self.seen.len())));
+            out.push(Finding::ok("images", format!("{} images can be read, {size}", self.seen.len())));
         }
         out.extend(self.masks(data));
         out

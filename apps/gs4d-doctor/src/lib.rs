@@ -14,6 +14,7 @@
 //!
 //! | module | checks |
 //! |---|---|
+//! | `sample` | which of many images are read |
 //! | `images` | files: readable, blank, duplicate, exposure, sharpness, alpha, masks |
 //! | `clock` | times: source, gaps, two images of one camera at one time, cameras whose clock is off |
 //! | `poses` | cameras: epipolar error of matched corners, under the poses and under other conventions |
@@ -31,6 +32,7 @@ mod images;
 mod page;
 mod pose_readings;
 mod poses;
+mod sample;
 mod silhouettes;
 mod start;
 
@@ -39,6 +41,7 @@ pub use page::page;
 
 use gs_core::Image;
 use gs_data::{Confidence, DataError, DataOptions, Dataset, ImageCache, LAYOUTS, TimeRange, detect};
+use sample::Sample;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -144,8 +147,9 @@ impl Checkup {
         format!("{}, {}", of(self.count(Verdict::Problem), "problem"), of(self.count(Verdict::Warning), "warning"))
     }
 
-    fn add(&mut self, findings: impl IntoIterator<Item = Finding>) {
-        self.findings.extend(findings);
+    /// Adds findings, each of which `tell` is given.
+    fn add(&mut self, findings: impl IntoIterator<Item = Finding>, tell: &mut dyn FnMut(&Finding)) {
+        self.findings.extend(findings.into_iter().inspect(|f| tell(f)));
     }
 }
 
@@ -154,44 +158,58 @@ impl Checkup {
 pub struct CheckOptions {
     /// Options that the reader is given.
     pub data: DataOptions,
+    /// Whether to read every image; else of many a sample, spread evenly over cameras and times. It is the same each time.
+    pub all: bool,
     /// The run whose cost is estimated; `None` skips the estimate, which trains for some steps.
     pub cost: Option<CostOptions>,
 }
 
 /// Runs all checks on a folder. Faults become findings, never errors.
 pub fn examine(dir: &Path, exam: &CheckOptions) -> Checkup {
+    examine_and_tell(dir, exam, &mut |_| ())
+}
+
+/// As [`examine`]; `tell` is given each finding as soon as its check ends.
+pub fn examine_and_tell(dir: &Path, exam: &CheckOptions, tell: &mut dyn FnMut(&Finding)) -> Checkup {
     let mut checkup = Checkup { root: dir.to_path_buf(), ..Checkup::default() };
-    let Some((data, options)) = open(dir, &exam.data, &mut checkup) else { return checkup };
+    let Some((data, options)) = open(dir, &exam.data, &mut checkup, tell) else { return checkup };
     checkup.layout = Some(data.layout);
     checkup.notes.clone_from(&data.notes);
-    let full = ImageCache::new(256 << 20, 1.0).with_max_image_mib(options.max_image_mib);
-    let checked = images::check(&data, &full);
-    checkup.add(checked.findings(&data));
-    checkup.add(clock::check(&data, &checked));
+    let sample = Sample::of(&data, exam.all);
+    checkup.add(sample.finding(), tell);
+    let checked = images::check(&data, &sample, options.max_image_mib);
+    checkup.add(checked.findings(&data), tell);
+    checkup.add(clock::check(&data, &checked), tell);
     let readable = checked.readable(&data);
     if readable.train.is_empty() {
         return checkup;
     }
     let small_images = ImageCache::new(256 << 20, checked.small_scale()).with_max_image_mib(options.max_image_mib);
     let silhouettes = silhouettes::check(&readable);
-    let (mut findings, mut figures) = poses::check(&readable, &small_images, silhouettes.as_ref());
+    let (findings, mut figures) = poses::check(&readable, &small_images, silhouettes.as_ref());
     // Points and box mean nothing under poses of another convention.
-    if !findings.iter().any(|f| f.code == "poses.convention") {
-        findings.extend(start::check(&readable));
+    let sound = !findings.iter().any(|f| f.code == "poses.convention");
+    checkup.add(findings, tell);
+    if sound {
+        checkup.add(start::check(&readable), tell);
     }
-    checkup.add(findings);
     figures.extend(figures::all(&readable, &small_images, silhouettes.as_ref()));
     checkup.figures = figures;
     if let Some(options) = &exam.cost {
         let (findings, cost) = cost::check(&readable, options);
-        checkup.add(findings);
+        checkup.add(findings, tell);
         checkup.cost = cost;
     }
     checkup
 }
 
 /// Opens a folder, with other options after a fault they get around; adds the layout and the faults to the findings.
-fn open(dir: &Path, wanted: &DataOptions, checkup: &mut Checkup) -> Option<(Dataset, DataOptions)> {
+fn open(
+    dir: &Path,
+    wanted: &DataOptions,
+    checkup: &mut Checkup,
+    tell: &mut dyn FnMut(&Finding),
+) -> Option<(Dataset, DataOptions)> {
     let mut options = wanted.clone();
     let mut faults: Vec<Finding> = Vec::new();
     let opened = loop {
@@ -207,8 +225,8 @@ fn open(dir: &Path, wanted: &DataOptions, checkup: &mut Checkup) -> Option<(Data
             }
         }
     };
-    checkup.add([layout(dir, wanted, opened.as_ref())].into_iter().flatten());
-    checkup.add(faults);
+    checkup.add(layout(dir, wanted, opened.as_ref()), tell);
+    checkup.add(faults, tell);
     opened.map(|data| (data, options))
 }
 

@@ -58,7 +58,7 @@ pub(super) fn comparisons(
 }
 
 /// Ranks that are shown: the worst, and the one or two median ones.
-fn places(n: usize) -> BTreeSet<usize> {
+pub(super) fn places(n: usize) -> BTreeSet<usize> {
     let middle = [n.saturating_sub(1) / 2, n / 2];
     (0..WORST_VIEWS).chain(middle).filter(|p| *p < n).collect()
 }

@@ -110,6 +110,21 @@ pub(crate) fn build_report(m: &ReportInput) -> Result<(Report, Vec<BenchRow>), R
     Ok((report, rows))
 }
 
+/// Number of images, `[H, W, 3]` in `f32`, that the report of a run holds at once, at most: compared views, the strip over time,
+/// overlays. An estimate of its memory counts them.
+///
+/// # Errors
+/// If the method cannot give its overlays.
+pub fn images_held(method: &Model, dataset: &Dataset) -> Result<usize, MethodError> {
+    let scored = if dataset.test.is_empty() { &dataset.train } else { &dataset.test };
+    let compared = [scored, &dataset.extrapolate].map(|views| 2 * score_table::places(views.len()).len());
+    let moving = if dataset.dynamic { STRIP_FRAMES + 1 } else { 0 };
+    let at = Timestamp::normalised(0.0);
+    let parts = usize::from(method.capabilities().particles.is_some());
+    let overlays = method.quantities(&at)?.len() + method.overlays(&at)?.len() + parts;
+    Ok(compared.iter().sum::<usize>() + moving + overlays)
+}
+
 fn data_name(m: &ReportInput) -> String {
     let path = Path::new(&m.resolved.run.data);
     let name = path.file_name().map(|n| n.to_string_lossy().into_owned());

@@ -5,7 +5,7 @@ mod starts;
 
 use folder::{Folder, blurred, copy_all, each, matrix, rows};
 use glam::{DMat4, DVec3};
-use gs4d_doctor::{CheckOptions, Checkup, CostOptions, Verdict, examine, page};
+use gs4d_doctor::{CheckOptions, Checkup, CostOptions, Verdict, examine, examine_and_tell, page};
 use serde_json::{Value, json};
 
 fn codes(c: &Checkup) -> Vec<&'static str> {
@@ -43,6 +43,48 @@ fn whole_scenes_have_no_fault() {
         assert!(html.contains("doctor") && html.matches("<img").count() >= 5, "{scene}");
         assert!(!html.contains("http://") && !html.contains("https://"));
     }
+}
+
+/// What happens between two checks shows in the later one: nothing is kept back to the end.
+#[test]
+fn each_finding_is_told_when_its_check_ends() {
+    let folder = Folder::of("static");
+    let (first, mut told) = (folder.photo(0), Vec::new());
+    let checkup = examine_and_tell(folder.dir(), &CheckOptions::default(), &mut |finding| {
+        if finding.topic == "layout" {
+            std::fs::write(&first, "no image").expect("written");
+        }
+        told.push(finding.clone());
+    });
+    must_name(&checkup, "data.image", Verdict::Problem);
+    assert_eq!(told, checkup.findings);
+}
+
+#[test]
+fn of_many_images_a_sample_is_read_unless_all_are_asked_for() {
+    let folder = Folder::of("static");
+    let names: Vec<String> = (0..320).map(|k| format!("./train/many_{k:03}")).collect();
+    names.iter().for_each(|n| drop(std::fs::copy(folder.photo(0), folder.path(&format!("{n}.png"))).expect("copied")));
+    folder.edit("train", |v| {
+        let frame = v["frames"][0].clone();
+        let named = |n: &String| {
+            let mut frame = frame.clone();
+            frame["file_path"] = json!(n);
+            frame
+        };
+        v["frames"] = names.iter().map(named).collect();
+    });
+    let read = |all: bool| examine(folder.dir(), &CheckOptions { all, ..CheckOptions::default() });
+    must_note(&read(false), "images.sample");
+    let twice = |c: &Checkup| c.findings.iter().find(|f| f.code == "images.twice").expect("copies").places.join("");
+    let read_twice = twice(&read(false)).matches(" = ").count();
+    assert!(
+        (280..300).contains(&read_twice),
+        "{read_twice} copies among 300 images, nearly all of them training views"
+    );
+    let all = read(true);
+    assert!(!all.findings.iter().any(|f| f.code == "images.sample"));
+    assert_eq!(twice(&all).matches(" = ").count(), 319);
 }
 
 #[test]

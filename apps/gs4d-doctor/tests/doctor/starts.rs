@@ -103,7 +103,8 @@ fn a_camera_that_only_turns_is_told() {
 #[test]
 fn what_is_assumed_is_told() {
     let folder = Folder::of("balls");
-    let exam = CheckOptions { data: DataOptions { time_from: TimeFrom::Order, ..Default::default() }, cost: None };
+    let exam =
+        CheckOptions { data: DataOptions { time_from: TimeFrom::Order, ..Default::default() }, ..Default::default() };
     must_note(&examine(folder.dir(), &exam), "time.assumed");
     // The files of another layout beside those of the first.
     std::fs::create_dir(folder.path("ims")).expect("folder");

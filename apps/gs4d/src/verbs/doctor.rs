@@ -5,7 +5,7 @@ use crate::failure::{Class, Failure};
 use crate::global::Global;
 use gs_core::io::write_file;
 use gs_data::DataOptions;
-use gs4d_doctor::{CheckOptions, Checkup, CostOptions, Finding, Verdict, examine, page};
+use gs4d_doctor::{CheckOptions, Checkup, CostOptions, Finding, Verdict, examine_and_tell, page};
 use gs4d_run::settings::{Request, resolve};
 use serde_json::json;
 use std::path::PathBuf;
@@ -28,6 +28,9 @@ pub struct Doctor {
     /// Its preset.
     #[arg(long, default_value = "fast")]
     preset: String,
+    /// Read every image; else of more than 300 a sample, spread evenly over cameras and times.
+    #[arg(long)]
+    all: bool,
     /// Estimate neither memory nor time.
     #[arg(long)]
     no_cost: bool,
@@ -55,7 +58,12 @@ impl Doctor {
             sets: self.sets.clone(),
             limit_mib: self.max_mem,
         };
-        let checkup = examine(&self.data, &CheckOptions { data, cost: (!self.no_cost).then_some(cost) });
+        let exam = CheckOptions { data, all: self.all, cost: (!self.no_cost).then_some(cost) };
+        let checkup = examine_and_tell(&self.data, &exam, &mut |finding| {
+            if !global.json {
+                global.say(outcome(finding));
+            }
+        });
         let html = page(&checkup).map_err(|e| Failure::new(Class::Internal, "report", e.to_string()))?;
         write_file(&self.out, self.force, |out| out.write_all(html.as_bytes()))?;
         let text = text(&checkup, &self.out.display().to_string());
@@ -97,14 +105,19 @@ fn text(c: &Checkup, page: &str) -> String {
     out + &format!("{} - see {page}\n", c.summary())
 }
 
-fn line(f: &Finding) -> String {
+/// Topic, sentence and verdict of a finding.
+fn outcome(f: &Finding) -> String {
     let word = match f.verdict {
         Verdict::Ok => "ok".to_owned(),
         Verdict::Note => "note".to_owned(),
         Verdict::Warning => format!("warning[{}]", f.code),
         Verdict::Problem => format!("problem[{}]", f.code),
     };
-    let mut out = format!("{:<9} {}  {word}\n", f.topic, f.what);
+    format!("{:<9} {}  {word}", f.topic, f.what)
+}
+
+fn line(f: &Finding) -> String {
+    let mut out = outcome(f) + "\n";
     if !f.places.is_empty() {
         out.push_str(&format!("{:<9}   in   {}\n", "", f.places.join(", ")));
     }
