@@ -18,6 +18,7 @@ use gs_train::densify::GrowthLimits;
 use gs_train::registry::Registry;
 use gs_train::schedule::Schedule;
 use gs_train::trainer::{TrainOptions, Trainer};
+use gs4d_run::memory;
 use gs4d_run::settings::{Request, Resolved, resolve};
 use gs4d_run::summary::images_held;
 use serde::Serialize;
@@ -100,7 +101,7 @@ fn findings(cost: &Cost, options: &CostOptions) -> Vec<Finding> {
     let [few, most] = cost.splats;
     let [least, whole] = cost.memory_mib;
     let text = format!("about {whole:.0} MiB with {most} splats ({:.0} MiB of images)", cost.images_mib);
-    let memory = match options.limit_mib.or_else(machine_mib) {
+    let memory = match options.limit_mib.or_else(|| memory::machine().map(|bytes| bytes as f64 / MIB)) {
         Some(limit) if whole > limit => {
             let verdict = if least > limit { Verdict::Problem } else { Verdict::Warning };
             let what = format!("{text}, {least:.0} with {few}; there are {limit:.0} MiB");
@@ -285,11 +286,4 @@ fn denser(data: &Dataset, times: usize) -> Dataset {
         }
     }
     more
-}
-
-/// Available memory of this machine, MiB; `None` where `/proc/meminfo` does not exist.
-fn machine_mib() -> Option<f64> {
-    let text = std::fs::read_to_string("/proc/meminfo").ok()?;
-    let line = text.lines().find_map(|l| l.strip_prefix("MemAvailable:"))?;
-    Some(line.trim().strip_suffix("kB")?.trim().parse::<f64>().ok()? / 1024.0)
 }

@@ -64,7 +64,9 @@ fn each_finding_is_told_when_its_check_ends() {
 fn of_many_images_a_sample_is_read_unless_all_are_asked_for() {
     let folder = Folder::of("static");
     let names: Vec<String> = (0..320).map(|k| format!("./train/many_{k:03}")).collect();
-    names.iter().for_each(|n| drop(std::fs::copy(folder.photo(0), folder.path(&format!("{n}.png"))).expect("copied")));
+    for name in &names {
+        std::fs::copy(folder.photo(0), folder.path(&format!("{name}.png"))).expect("copied");
+    }
     folder.edit("train", |v| {
         let frame = v["frames"][0].clone();
         let named = |n: &String| {
