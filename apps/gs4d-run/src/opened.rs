@@ -55,7 +55,10 @@ impl OpenRun {
         };
         let meta = &newest.checkpoint.meta;
         let (settings, cameras) = match meta.get(SETTINGS).and_then(Value::as_str).filter(|_| folder.is_none()) {
-            Some(settings) => (settings.to_owned(), meta.get(CAMERAS).map(Value::to_string)),
+            Some(settings) => {
+                let kept = meta.get(CAMERAS).filter(|c| c.as_array().is_some_and(|list| !list.is_empty()));
+                (settings.to_owned(), kept.map(Value::to_string))
+            }
             None => {
                 let around = if folder.is_none() { Some(RunFolder::around(path)?) } else { None };
                 let Some(run) = folder.as_ref().or(around.as_ref()) else {

@@ -58,6 +58,7 @@ pub fn scene(method: &str) -> Result<Loaded, Error> {
         frame_interval: 0.25,
         seed: 1,
         avatar: None,
+        max_parameters: gs_train::scene::MAX_PARAMETERS,
     };
     let model = (entry.build)(&config, &scene)?;
     let adam_updates = BTreeMap::from([("cloud.means".to_owned(), 40)]);
@@ -91,7 +92,7 @@ fn compact_files(dir: &Path) -> Result<Vec<Case>, Error> {
     let of = |(k, (_, loaded)): (usize, (&str, Loaded))| {
         let packing = Packing { bits: [Bits::Byte, Bits::Half, Bits::Full][k % 3], deflate: k % 2 == 0 };
         let compact = CompactScene::of(&loaded.model, &loaded.config);
-        compact.write(&dir.join(FILE), &loaded, &toml::Table::new(), packing)?;
+        compact.write(&dir.join(FILE), &loaded, &toml::Table::new(), &[], packing)?;
         Ok(Case::one(FILE, std::fs::read(dir.join(FILE))?))
     };
     scenes()?.into_iter().enumerate().map(of).collect()
