@@ -75,7 +75,7 @@ pub struct MethodEntry {
     pub defaults: &'static [&'static str],
     /// Presets: name and layers that differ from the defaults and from each other.
     pub presets: &'static [(&'static str, &'static [&'static str])],
-    /// Domains of settings of its own, beside [`domains::SHARED`](crate::domains::SHARED).
+    /// Domains of settings of its own, beside [`domains::SHARED`].
     pub domains: &'static [Domain],
     /// Whether it can be built only for a filmed person: [`SceneInfo::avatar`].
     pub needs_avatar: bool,
