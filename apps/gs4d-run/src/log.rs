@@ -29,7 +29,7 @@ impl Log {
         Self { path, file: None, whole: 0, torn: false, waiting: String::new(), warned: false }
     }
 
-    /// Adds one line. The first time that lines cannot be written, `warn` is told.
+    /// Adds one line. The first time that lines cannot be written, `warn` is called.
     pub(crate) fn add(&mut self, line: &Value, warn: &dyn Fn(&str)) {
         self.waiting += &format!("{line}\n");
         let too_many = self.waiting.len().saturating_sub(KEPT_BYTES);

@@ -60,9 +60,13 @@ impl OpenRun {
                 (settings.to_owned(), kept.map(Value::to_string))
             }
             None => {
-                let around = if folder.is_none() { Some(RunFolder::around(path)?) } else { None };
-                let Some(run) = folder.as_ref().or(around.as_ref()) else {
-                    return Err(RunError::NotARun { path: path.to_owned() });
+                let around;
+                let run = match &folder {
+                    Some(folder) => folder,
+                    None => {
+                        around = RunFolder::around(path)?;
+                        &around
+                    }
                 };
                 (run.read(folder::CONFIG)?, run.read(folder::CAMERAS).ok())
             }

@@ -77,7 +77,15 @@ impl DataOrigin {
     }
 }
 
-/// Notes in the provenance that a run goes on from a step, with what data and on what machine. Gives what a user should know.
+/// A session that goes on with a run.
+pub(crate) struct Session {
+    /// The provenance with an entry for this session, to be written once it has begun; `None` if there was none to be read.
+    pub(crate) provenance: Option<String>,
+    /// What a user should know.
+    pub(crate) warnings: Vec<String>,
+}
+
+/// Compares data and machine with those of the last session of a run, which goes on from a step.
 ///
 /// # Errors
 /// [`RunError::DataChanged`] if the data are not those that the run was trained on last, unless that is accepted.
@@ -86,10 +94,11 @@ pub(crate) fn resumed(
     dataset: &Dataset,
     step: u32,
     accept_changed_data: bool,
-) -> Result<Vec<String>, RunError> {
+) -> Result<Session, RunError> {
     // A run whose provenance was lost can go on; there is nothing to compare with.
     let Some(mut provenance) = folder.read(PROVENANCE).ok().and_then(|t| serde_json::from_str::<Value>(&t).ok()) else {
-        return Ok(vec![format!("{PROVENANCE} cannot be read: whether the data are the same is not known")]);
+        let warnings = vec![format!("{PROVENANCE} cannot be read: whether the data are the same is not known")];
+        return Ok(Session { provenance: None, warnings });
     };
     let (machine, digest) = (Machine::here(), DataOrigin::of(dataset).digest);
     let last = provenance["resumed"].as_array().and_then(|a| a.last()).unwrap_or(&Value::Null);
@@ -115,8 +124,7 @@ pub(crate) fn resumed(
         let session = json!({"step": step, "at": now_utc(), "machine": machine, "digest": digest});
         sessions.as_array_mut().into_iter().for_each(|s| s.push(session.clone()));
     }
-    folder.write(PROVENANCE, &format!("{provenance:#}\n"))?;
-    Ok(warnings)
+    Ok(Session { provenance: Some(format!("{provenance:#}\n")), warnings })
 }
 
 /// Bytes of a file that are hashed at its beginning, its middle and its end.

@@ -10,7 +10,7 @@ use std::time::Duration;
 pub(crate) struct Patience {
     /// How long to wait before each further try of a checkpoint.
     pub(crate) pauses: Vec<Duration>,
-    /// Is told what the disk refused.
+    /// Is called with what the disk refused.
     pub(crate) warn: Box<dyn Fn(&str) + Send>,
 }
 

@@ -166,15 +166,17 @@ impl Training {
             resolved = settings::lengthen(&resolved, steps, done)?;
         }
         let dataset = Arc::new(resolved.reopen_data()?);
-        let warnings = provenance::resumed(&folder, &dataset, done, request.accept_changed_data)?;
+        let session = provenance::resumed(&folder, &dataset, done, request.accept_changed_data)?;
+        let bytes = resolved.run.image_bytes();
+        let trainer = Trainer::resume(registry, dataset, &newest.checkpoint, Some(&resolved.method), bytes)?;
         if request.steps.is_some() || request.data.is_some() {
             folder.write(folder::CONFIG, &resolved.config.to_commented_toml())?;
         }
-        let bytes = resolved.run.image_bytes();
-        let trainer = Trainer::resume(registry, dataset, &newest.checkpoint, Some(&resolved.method), bytes)?;
+        session.provenance.map_or(Ok(()), |text| folder.write(folder::PROVENANCE, &text))?;
         folder.cut_logs(done)?;
         let stop_at = request.budget.map_or(0.0, |b| trainer.train_seconds() + b);
-        Ok(Self { skipped: newest.skipped, warnings, ..Self::new(trainer, resolved, folder, stop_at) })
+        let (skipped, warnings) = (newest.skipped, session.warnings);
+        Ok(Self { skipped, warnings, ..Self::new(trainer, resolved, folder, stop_at) })
     }
 
     fn new(trainer: Trainer, resolved: Resolved, folder: RunFolder, stop_at: f64) -> Self {
@@ -184,7 +186,7 @@ impl Training {
     }
 
     /// Sets what happens when the disk refuses: a checkpoint is tried again after each of the `pauses` (default: 1, 5 and 20
-    /// seconds), and `warn` is told what was refused (default: a line on stderr). Lines of the logs are kept and written later.
+    /// seconds), and `warn` is called with what was refused (default: a line on stderr). Lines of the logs are kept and written later.
     pub fn when_the_disk_refuses(&mut self, pauses: Vec<Duration>, warn: impl Fn(&str) + Send + 'static) {
         self.patience = Patience { pauses, warn: Box::new(warn) };
     }

@@ -22,7 +22,7 @@ pub struct Target {
     pub share: u32,
     /// Good inputs. What they need beside them is written into the folder.
     pub seeds: fn(&Path) -> Result<Vec<Case>, Error>,
-    /// Mends checksums and lengths of a mutated input, so that it comes past them.
+    /// Repairs checksums and lengths of a mutated input, so that readers go on behind them.
     pub repair: fn(&mut Case, &mut Rng),
     /// Reads an input, and holds what was read against what the reader promises: a panic is a fault of either.
     pub run: fn(&Case, &Path) -> Result<(), String>,

@@ -70,6 +70,15 @@ fn resuming_with_other_data_is_refused_or_kept_in_the_provenance() {
     assert_eq!(resume("42", &[]).code, 0);
     fs::copy(data.join("train/r_000.png"), data.join("train/r_001.png")).unwrap();
     resume("44", &[]).fails(3, &["data.changed", "--accept-changed-data"]);
+    // A session that cannot begin leaves no entry.
+    let (json, before) = (data.join("transforms_train.json"), bytes(&run.join("provenance.json")));
+    let views = bytes(&json);
+    let mut fewer: Value = serde_json::from_slice(&views).unwrap();
+    fewer["frames"].as_array_mut().unwrap().pop();
+    fs::write(&json, fewer.to_string()).unwrap();
+    resume("44", &["--accept-changed-data"]).fails(3, &["training views"]);
+    assert_eq!(bytes(&run.join("provenance.json")), before);
+    fs::write(&json, views).unwrap();
     assert_eq!(resume("44", &["--accept-changed-data"]).code, 0);
     assert_eq!(resume("46", &[]).code, 0, "the same data as the last time");
     let provenance: Value = serde_json::from_slice(&bytes(&run.join("provenance.json"))).unwrap();
