@@ -20,7 +20,9 @@
 use fearless_simd::{Level, Simd, dispatch};
 use gs_core::Param;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use std::ops::Range;
 
 /// Values per parallel piece, roughly: four arrays of this many stay in the first-level cache's neighbour.
 const PIECE: usize = 8192;
@@ -67,6 +69,15 @@ pub struct Refused {
     pub first: Option<(String, u32)>,
     /// The first shared block with such a gradient, if any: the run cannot go on.
     pub shared: Option<String>,
+}
+
+/// Rows of one block whose gradient was not finite, and which were left as they are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub(crate) struct RefusedRows {
+    /// Number of such rows.
+    pub rows: u32,
+    /// The first of them.
+    pub first: Option<u32>,
 }
 
 /// The optimiser: constants, and the number of updates each block has had.
@@ -121,6 +132,12 @@ impl Adam {
 
     /// Updates one block and clears its gradient. What was refused is added to `refused`.
     pub fn update(&mut self, p: &mut Param, update: Update, refused: &mut Refused) {
+        let rows = self.update_run(p, update, 0..p.len());
+        refused.add(p, &rows);
+    }
+
+    /// The same of a run of values, in whole rows; the others, their moments and gradients stay.
+    pub(crate) fn update_run(&mut self, p: &mut Param, update: Update, run: Range<usize>) -> RefusedRows {
         let t = match self.updates.get_mut(&p.name) {
             Some(t) => {
                 *t += 1;
@@ -145,10 +162,10 @@ impl Adam {
         let piece = width * (PIECE / width).max(1);
         let (sparse, shared, level) = (update.sparse, p.row_width.is_none(), self.level);
         let bad: Vec<(u32, Option<u32>)> = (
-            p.value.par_chunks_mut(piece),
-            p.moment1.par_chunks_mut(piece),
-            p.moment2.par_chunks_mut(piece),
-            p.grad.par_chunks_mut(piece),
+            p.value[run.clone()].par_chunks_mut(piece),
+            p.moment1[run.clone()].par_chunks_mut(piece),
+            p.moment2[run.clone()].par_chunks_mut(piece),
+            p.grad[run.clone()].par_chunks_mut(piece),
         )
             .into_par_iter()
             .map(|(value, m, v, grad)| {
@@ -164,24 +181,28 @@ impl Adam {
                 (0, None)
             })
             .collect();
-        note_refused(p, &bad, (piece / width) as u32, refused);
+        let at = |i: usize, row: u32| (run.start / width + i * (piece / width)) as u32 + row;
+        RefusedRows {
+            rows: bad.iter().map(|b| b.0).sum(),
+            first: bad.iter().enumerate().find_map(|(i, b)| b.1.map(|row| at(i, row))),
+        }
     }
 }
 
-/// Enters the counts of one block: rows refused per piece, and the first in its piece.
-fn note_refused(p: &Param, bad: &[(u32, Option<u32>)], rows_per_piece: u32, refused: &mut Refused) {
-    let rows: u32 = bad.iter().map(|b| b.0).sum();
-    if rows == 0 {
-        return;
-    }
-    let first = bad.iter().enumerate().find_map(|(i, b)| b.1.map(|row| i as u32 * rows_per_piece + row));
-    if refused.first.is_none() {
-        refused.first = first.map(|row| (p.name.clone(), row));
-    }
-    match p.row_count() {
-        None => refused.shared = refused.shared.take().or_else(|| Some(p.name.clone())),
-        Some(count) if rows > refused.rows => (refused.rows, refused.of) = (rows, count as u32),
-        Some(_) => {}
+impl Refused {
+    /// Adds the rows refused of all of a block.
+    pub(crate) fn add(&mut self, p: &Param, block: &RefusedRows) {
+        if block.rows == 0 {
+            return;
+        }
+        if self.first.is_none() {
+            self.first = block.first.map(|row| (p.name.clone(), row));
+        }
+        match p.row_count() {
+            None => self.shared = self.shared.take().or_else(|| Some(p.name.clone())),
+            Some(count) if block.rows > self.rows => (self.rows, self.of) = (block.rows, count as u32),
+            Some(_) => {}
+        }
     }
 }
 

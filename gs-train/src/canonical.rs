@@ -22,6 +22,8 @@ pub struct Canonical {
     pub d_splats: SplatsGrad,
     /// The present step.
     pub at: StepCtx,
+    /// Whether `splats` are not yet those of the present parameters.
+    stale: bool,
     rules: DensifyRules,
     white: bool,
     extent: f32,
@@ -39,8 +41,9 @@ impl Canonical {
         let cloud = scene::cloud(&scene.points, config)?;
         let densify = Densify::new(cloud.len());
         let (splats, d_splats, at) = Default::default();
+        let stale = true;
         let (rules, white) = (schedule.density.clone(), schedule.background == Background::White);
-        Ok(Self { cloud, densify, splats, d_splats, at, rules, white, extent: scene.extent, seed: scene.seed })
+        Ok(Self { cloud, densify, splats, d_splats, at, stale, rules, white, extent: scene.extent, seed: scene.seed })
     }
 
     /// The seed of the run.
@@ -55,10 +58,18 @@ impl Canonical {
         splats
     }
 
-    /// Activates the present parameters into [`Self::splats`].
+    /// A step is about to be made, or was the last one made: [`Self::splats`] are of earlier parameters.
+    pub fn begin_step(&mut self, at: &StepCtx) {
+        self.at = at.clone();
+        self.stale = true;
+    }
+
+    /// Activates the present parameters into [`Self::splats`], once for all views of a step.
     pub fn forward(&mut self) {
-        let degree = self.sh_degree();
-        self.cloud.activate(degree, &mut self.splats);
+        if std::mem::take(&mut self.stale) {
+            let degree = self.sh_degree();
+            self.cloud.activate(degree, &mut self.splats);
+        }
     }
 
     /// Pulls [`Self::d_splats`] into the gradients of the cloud.
@@ -110,15 +121,21 @@ impl Canonical {
         self.rules.growth()
     }
 
+    /// Whether [`Self::densify`] is going to read the statistics or edit rows.
+    pub fn needs_whole_rows(&self) -> bool {
+        self.densifies() && self.rules.grows_at(self.at.clock)
+    }
+
     /// The statistics of densification, for checkpoints.
     pub fn buffers(&self, f: &mut dyn FnMut(Buffer<'_>)) {
-        self.densify.columns().into_iter().for_each(|(name, values)| f(Buffer { name, row_width: Some(1), values }));
+        let buffer = |(name, merge, values)| Buffer { name, row_width: Some(1), merge, values };
+        self.densify.columns().into_iter().for_each(|column| f(buffer(column)));
     }
 
     /// The same, to be restored.
     pub fn buffers_mut(&mut self, f: &mut dyn FnMut(BufferMut<'_>)) {
-        let columns = self.densify.columns_mut();
-        columns.into_iter().for_each(|(name, values)| f(BufferMut { name, row_width: Some(1), values }));
+        let buffer = |(name, merge, values)| BufferMut { name, row_width: Some(1), merge, values };
+        self.densify.columns_mut().into_iter().for_each(|column| f(buffer(column)));
     }
 
     fn densifies(&self) -> bool {

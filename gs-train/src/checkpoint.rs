@@ -177,11 +177,21 @@ impl Checkpoint {
         }
         let file = File::open(path).map_err(io_error("open", path))?;
         let bytes = file.metadata().map_err(io_error("read", path))?.len();
-        container::read(&mut io::BufReader::new(file), bytes).map_err(|fault| match fault {
-            Fault::Io(source) => CheckpointError::Io { action: "read", path: path.to_owned(), source },
-            Fault::Version(found) => CheckpointError::Version { path: path.to_owned(), found },
-            Fault::At(offset, what) => CheckpointError::Damaged { path: path.to_owned(), offset, what },
-        })
+        container::read(&mut io::BufReader::new(file), bytes).map_err(|fault| fault.of(path))
+    }
+
+    /// The bytes of the file.
+    pub(crate) fn to_bytes(&self) -> Result<Vec<u8>, CheckpointError> {
+        let meta = serde_json::to_vec(&self.meta).map_err(|e| CheckpointError::State(e.to_string()))?;
+        let mut bytes = Vec::new();
+        let written = container::write(&mut bytes, &meta, &self.tensors);
+        written.map_err(|e| CheckpointError::State(e.to_string()))?;
+        Ok(bytes)
+    }
+
+    /// What [`Checkpoint::to_bytes`] gave.
+    pub(crate) fn from_bytes(bytes: &[u8]) -> Result<Self, CheckpointError> {
+        container::read(&mut &bytes[..], bytes.len() as u64).map_err(|fault| fault.of(Path::new("state of a run")))
     }
 
     /// Saves as `dir/step-012000.gs4d`, points `dir/latest` at it, and removes all but the [`KEPT`] newest up to this step.
@@ -198,6 +208,18 @@ impl Checkpoint {
             disk::remove_file(&old).map_err(io_error("remove the older", &old))?;
         }
         Ok(path)
+    }
+}
+
+impl Fault {
+    /// The fault with the file it was met in.
+    fn of(self, path: &Path) -> CheckpointError {
+        let path = path.to_owned();
+        match self {
+            Fault::Io(source) => CheckpointError::Io { action: "read", path, source },
+            Fault::Version(found) => CheckpointError::Version { path, found },
+            Fault::At(offset, what) => CheckpointError::Damaged { path, offset, what },
+        }
     }
 }
 

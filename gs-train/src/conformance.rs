@@ -7,6 +7,7 @@
 //! | [`Subject::times`] | splats are finite at times inside and outside `[0, 1]`, as many as [`Method::splat_count`](crate::method::Method::splat_count) says |
 //! | [`Subject::state`] | a saved state loads bit for bit, and training goes on from it bit for bit |
 //! | [`Subject::threads`] | 1, 2 and 4 threads give the same bits |
+//! | [`Subject::ranks`] | 1 and 2 ranks give the same bits, with steps of 3 views |
 //! | [`Subject::gradients`] | gradients are those of finite differences ([`gradients`]) |
 //!
 //! Each trains the method by the given configuration, so that should describe a short run in which everything happens: tens
@@ -19,6 +20,7 @@ use crate::method::MethodError;
 use crate::model::Model;
 use crate::registry::Registry;
 use crate::saved;
+use crate::testkit::on_ranks;
 use crate::timestamp::Timestamp;
 use crate::trainer::{StepReport, TrainError, TrainOptions, Trainer};
 use gradients::{Rules, View};
@@ -94,6 +96,7 @@ impl<'a> Subject<'a> {
         self.times()?;
         self.state()?;
         self.threads()?;
+        self.ranks()?;
         self.gradients()
     }
 
@@ -205,6 +208,26 @@ impl<'a> Subject<'a> {
         };
         let one = with(1)?;
         [2, 4].into_iter().try_for_each(|n| self.same("threads", format!("1 and {n} threads"), &one, &with(n)?))
+    }
+
+    /// The run ends in the same bits on 1 and 2 ranks, if a step has 3 views.
+    ///
+    /// # Errors
+    /// The first tensor and value that differ.
+    pub fn ranks(&self) -> Result<(), ConformanceError> {
+        let mut config = self.config.clone();
+        if let Some(schedule) = config.get_mut("schedule").and_then(toml::Value::as_table_mut) {
+            schedule.insert("batch".into(), 3.into());
+        }
+        let subject = Subject { config: &config, ..*self };
+        let with = |ranks: usize| {
+            on_ranks(self.registry, self.dataset, subject.start("ranks")?, ranks, |mut trainer| {
+                while subject.step("ranks", &mut trainer)?.is_some() {}
+                trainer.gather().map_err(|e| self.error("ranks", "the end".into(), e.to_string()))?;
+                Ok(trainer.state())
+            })
+        };
+        self.same("ranks", "1 and 2 ranks".into(), &with(1)?, &with(2)?)
     }
 
     /// The gradients of the model after three quarters of the run are those of finite differences.

@@ -19,6 +19,7 @@ use gs_raster::ScreenStats;
 use serde::{Deserialize, Serialize};
 
 use crate::error::ScheduleError;
+use crate::method::Merge;
 
 /// What bounds the number of splats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -218,22 +219,26 @@ impl Densify {
     /// Sets all statistics to zero, for `n` splats.
     pub fn clear(&mut self, n: usize) {
         for column in self.columns_mut() {
-            column.1.clear();
-            column.1.resize(n, 0.0);
+            column.2.clear();
+            column.2.resize(n, 0.0);
         }
     }
 
-    /// The columns with their names, for checkpoints.
-    pub fn columns(&self) -> [(&'static str, &Vec<f32>); 3] {
-        [("density.grad_sum", &self.grad_sum), ("density.seen", &self.seen), ("density.max_radius", &self.max_radius)]
+    /// The columns with their names and how views change them, for checkpoints.
+    pub fn columns(&self) -> [(&'static str, Merge, &Vec<f32>); 3] {
+        [
+            ("density.grad_sum", Merge::Sum, &self.grad_sum),
+            ("density.seen", Merge::Sum, &self.seen),
+            ("density.max_radius", Merge::Max, &self.max_radius),
+        ]
     }
 
-    /// The columns with their names, to restore them.
-    pub fn columns_mut(&mut self) -> [(&'static str, &mut Vec<f32>); 3] {
+    /// The columns of [`Self::columns`], to restore them.
+    pub fn columns_mut(&mut self) -> [(&'static str, Merge, &mut Vec<f32>); 3] {
         [
-            ("density.grad_sum", &mut self.grad_sum),
-            ("density.seen", &mut self.seen),
-            ("density.max_radius", &mut self.max_radius),
+            ("density.grad_sum", Merge::Sum, &mut self.grad_sum),
+            ("density.seen", Merge::Sum, &mut self.seen),
+            ("density.max_radius", Merge::Max, &mut self.max_radius),
         ]
     }
 

@@ -106,3 +106,11 @@ pub struct ScheduleError {
     /// What it must satisfy.
     pub rule: &'static str,
 }
+
+/// Ranks that cannot talk to each other.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("ranks cannot talk to each other: {what}; the last checkpoint is good, resume from it")]
+pub struct RanksError {
+    /// What was noticed.
+    pub what: String,
+}

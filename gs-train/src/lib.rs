@@ -11,10 +11,11 @@
 //!   [`layers`]: the settings that several methods share.
 //! * `conformance` (cargo feature of that name): what every method must keep, as checks for its tests. `testkit` (the same): short runs.
 //! * [`report`]: the section that a method adds to the report of a run.
+//! * [`ranks`]: processes that make every step together, with the bits of one.
 //! * [`checkpoint`], [`saved`]: atomic files of the whole state; [`evaluate`], [`renderer`]: scores and images of a method.
 //!
 //! # Promises
-//! A run is a function of data, configuration and seed: the same bits for any number of threads and after any
+//! A run is a function of data, configuration and seed: the same bits for any number of threads and ranks, and after any
 //! interruption. Gradients that are not finite are refused, counted and named.
 #![warn(unreachable_pub)]
 
@@ -37,6 +38,7 @@ pub mod method;
 pub mod model;
 mod non_finite;
 pub mod palette;
+pub mod ranks;
 pub mod registry;
 pub mod renderer;
 pub mod report;

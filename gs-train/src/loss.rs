@@ -25,7 +25,8 @@ use gs_data::ImageU8;
 use gs_metrics::MetricError;
 use gs_raster::FrameGrad;
 use rayon::prelude::*;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 
 /// Values per parallel piece; partial sums are added in the order of pieces.
 const PIECE: usize = 1 << 14;
@@ -35,7 +36,7 @@ const RUN: usize = 512;
 const LANES: usize = 16;
 
 /// The loss of one view, or its mean over the views of a step.
-#[derive(Clone, Debug, PartialEq, Default, Serialize)]
+#[derive(Clone, Debug, PartialEq, Default, Serialize, Deserialize)]
 pub struct LossValues {
     /// Sum of all terms, each times its weight.
     pub total: f64,
@@ -44,7 +45,7 @@ pub struct LossValues {
     /// Mean squared difference over pixels and channels.
     pub mse: f64,
     /// The other terms that were computed, by name: SSIM itself, distances.
-    pub terms: Vec<(&'static str, f64)>,
+    pub terms: Vec<(Cow<'static, str>, f64)>,
 }
 
 impl LossValues {
@@ -58,10 +59,10 @@ impl LossValues {
         self.total += view.total / n;
         self.l1 += view.l1 / n;
         self.mse += view.mse / n;
-        for &(name, value) in &view.terms {
-            match self.terms.iter_mut().find(|t| t.0 == name) {
+        for (name, value) in &view.terms {
+            match self.terms.iter_mut().find(|t| t.0 == *name) {
                 Some(sum) => sum.1 += value / n,
-                None => self.terms.push((name, value / n)),
+                None => self.terms.push((name.clone(), value / n)),
             }
         }
     }
@@ -140,7 +141,7 @@ impl ImageLoss {
             // The exact place comes from the metric's own check.
             return Err(gs_metrics::mse(rendered, target).err().unwrap_or(MetricError::Overflow { metric: "L1" }));
         }
-        Ok(LossValues { total, l1, mse, terms: values.into_iter().map(|(name, v)| (name, v.shown)).collect() })
+        Ok(LossValues { total, l1, mse, terms: values.into_iter().map(|(name, v)| (name.into(), v.shown)).collect() })
     }
 
     /// Writes the gradient of L1 and the terms, each with its factor; gives mean absolute and mean squared difference.

@@ -4,7 +4,7 @@
 //! [`MethodEntry`](crate::registry::MethodEntry). A step of training calls, in this order:
 //!
 //! ```text
-//! begin_step → step, once per view (splats → render → backward; regularisers with the last view) → Adam → end_step
+//! begin_step → step, once per view (splats → render → backward) → regularise → Adam → end_step
 //! ```
 
 use crate::capabilities::Capabilities;
@@ -30,13 +30,33 @@ pub trait Method: Params + Buffers + Send + Sync {
     fn splats(&self, at: &Timestamp, camera: &Camera) -> Result<Splats, MethodError>;
 
     /// Forward and backward of one training view: builds the splats, hands them to `render`, and adds what comes back to the
-    /// gradient of every parameter. With the last view of a step, regularisers add theirs. A view may be left unrendered.
+    /// gradient of every parameter. Views of a step may be computed by different processes, so nothing here may depend on
+    /// what another view of the step has left, and nothing else may change but gradients and buffers ([`Merge`]). A view may
+    /// be left unrendered.
     ///
-    /// Returns the regularisers, weights applied, by name.
+    /// Returns terms of the loss beside those of the image, weights and the view's share applied, by name.
     ///
     /// # Errors
     /// Those of `render`, and of inputs that cannot be read. The parameters are to be thrown away.
     fn step(&mut self, view: &ViewCtx<'_>, render: &mut dyn RenderView) -> Result<Vec<LossValue>, MethodError>;
+
+    /// Once the gradients of all views are summed: regularisers add theirs. `last` is the timestamp of the last view of the
+    /// step, which this process need not have computed.
+    ///
+    /// Returns the regularisers, weights applied, by name.
+    fn regularise(&mut self, _last: &Timestamp) -> Vec<LossValue> {
+        Vec::new()
+    }
+
+    /// Whether [`Self::regularise`] looks at the gradient of all parameters, to clip it, say. Otherwise it may only add to it.
+    fn needs_whole_gradient(&self) -> bool {
+        false
+    }
+
+    /// Whether the coming [`Self::end_step`] edits rows, or reads buffers of rows.
+    fn needs_whole_rows(&self) -> bool {
+        true
+    }
 
     /// After the optimiser's update: densification, and whatever else follows from the step's statistics.
     ///
@@ -65,7 +85,7 @@ pub struct ViewCtx<'a> {
     pub at: Timestamp,
     /// The camera, at the size of the training image.
     pub camera: &'a Camera,
-    /// Whether this is the last view of the step.
+    /// Whether this is the last view drawn for the step.
     pub last: bool,
 }
 
@@ -97,6 +117,17 @@ pub trait Buffers {
     fn buffers_mut(&mut self, _f: &mut dyn FnMut(BufferMut<'_>)) {}
 }
 
+/// How [`Method::step`] changes a buffer. Views of one step find it as the step began, or at zero, and are put together after.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Merge {
+    /// Views leave it as it is.
+    Keep,
+    /// Views add to it. A view finds zeros.
+    Sum,
+    /// Views raise values. A view finds those of the beginning of the step.
+    Max,
+}
+
 /// A named buffer.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Buffer<'a> {
@@ -104,6 +135,8 @@ pub struct Buffer<'a> {
     pub name: &'static str,
     /// `Some(w)`: `w` values per row of the row blocks; `None`: any number of values.
     pub row_width: Option<usize>,
+    /// How the views of a step change it.
+    pub merge: Merge,
     /// The values.
     pub values: &'a Vec<f32>,
 }
@@ -115,6 +148,8 @@ pub struct BufferMut<'a> {
     pub name: &'static str,
     /// As in [`Buffer`].
     pub row_width: Option<usize>,
+    /// As in [`Buffer`].
+    pub merge: Merge,
     /// The values.
     pub values: &'a mut Vec<f32>,
 }

@@ -4,12 +4,13 @@
 use glam::Vec3;
 use gs_core::SplatsGrad;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 /// Rows per parallel block.
 const BLOCK: usize = 2048;
 
 /// Gradient rows that were not finite.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub(crate) struct NonFinite {
     /// Number of rows that were set to zero.
     pub rows: u32,

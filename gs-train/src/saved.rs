@@ -194,7 +194,7 @@ fn restore(model: &mut Model, tensors: &[(String, Vec<f32>)]) -> Result<(), Stri
 }
 
 fn restore_buffer(buffer: BufferMut, tensors: &BTreeMap<&str, &Vec<f32>>, rows: usize) -> Result<(), String> {
-    let BufferMut { name, row_width, values } = buffer;
+    let BufferMut { name, row_width, values, .. } = buffer;
     let needed = row_width.map_or(values.len(), |width| rows * width);
     match tensors.get(name) {
         Some(stored) if stored.len() == needed => values.clone_from(stored),

@@ -1,9 +1,12 @@
 //! Short runs for the tests and benches of methods (feature `testkit`). Every function panics where it fails.
 
+use crate::error::RanksError;
+use crate::ranks::Ranks;
 use crate::registry::{Registry, overlay};
 use crate::trainer::{StepReport, TrainOptions, Trainer};
 use gs_data::Dataset;
-use std::sync::Arc;
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Arc, Mutex};
 
 /// Growth, pruning, a reset and steps of the SH degree inside 60 steps: of clouds …
 const SHORT_CLOUD: &str = "
@@ -91,4 +94,64 @@ pub fn thread_difference(start: impl Fn() -> Trainer + Sync, steps: u32) -> f64 
     assert!(one.iter().map(|t| (&t.0, t.1.len())).eq(two.iter().map(|t| (&t.0, t.1.len()))), "the same tensors");
     let pairs = one.iter().zip(&two).flat_map(|(a, b)| a.1.iter().zip(&b.1));
     pairs.map(|(a, b)| f64::from((a - b).abs())).fold(0.0, f64::max)
+}
+
+/// Threads as ranks: what one end of a channel between two threads sends, the other receives.
+struct Threads {
+    rank: usize,
+    to: Vec<Sender<Vec<u8>>>,
+    from: Vec<Mutex<Receiver<Vec<u8>>>>,
+}
+
+impl Ranks for Threads {
+    fn rank(&self) -> usize {
+        self.rank
+    }
+
+    fn size(&self) -> usize {
+        self.to.len()
+    }
+
+    fn exchange(&self, to: Vec<Vec<u8>>) -> Result<Vec<Vec<u8>>, RanksError> {
+        let gone = |rank: usize| RanksError { what: format!("rank {rank} is gone") };
+        for (rank, bytes) in to.into_iter().enumerate() {
+            self.to[rank].send(bytes).map_err(|_| gone(rank))?;
+        }
+        let receive = |from: &Mutex<Receiver<_>>| from.lock().ok()?.recv().ok();
+        self.from.iter().enumerate().map(|(rank, from)| receive(from).ok_or_else(|| gone(rank))).collect()
+    }
+}
+
+/// So many ranks, each for a thread of its own. One that is dropped is noticed by the others.
+pub fn threads_as_ranks(count: usize) -> Vec<Arc<dyn Ranks>> {
+    let mut ends: Vec<(Vec<_>, Vec<_>)> = (0..count).map(|_| Default::default()).collect();
+    for sender in 0..count {
+        for receiver in 0..count {
+            let (to, from) = channel();
+            ends[sender].0.push(to);
+            ends[receiver].1.push(Mutex::new(from));
+        }
+    }
+    let rank = |(rank, (to, from))| Arc::new(Threads { rank, to, from }) as Arc<dyn Ranks>;
+    ends.into_iter().enumerate().map(rank).collect()
+}
+
+/// Lets ranks make a run together, each on one thread: `lead` is called with that of the first.
+pub fn on_ranks<T: Send>(
+    registry: &Registry,
+    data: &Arc<Dataset>,
+    trainer: Trainer,
+    count: usize,
+    lead: impl FnOnce(Trainer) -> T + Send,
+) -> T {
+    let mut ranks = threads_as_ranks(count);
+    let first = ranks.remove(0);
+    let alone = || rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("pool");
+    std::thread::scope(|scope| {
+        for rank in ranks {
+            let follow = move || Trainer::join(registry, data.clone(), 64 << 20, rank).and_then(|mut t| t.follow());
+            scope.spawn(move || alone().install(follow).expect("rank"));
+        }
+        alone().install(|| lead(trainer.lead(first).expect("first rank")))
+    })
 }

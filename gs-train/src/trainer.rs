@@ -9,28 +9,35 @@ use crate::adam::{Adam, Refused, Update};
 use crate::checkpoint::Checkpoint;
 use crate::densify::DensifyStats;
 use crate::loss::LossValues;
-use crate::method::{LossValue, MethodError, ViewCtx};
+use crate::method::MethodError;
 use crate::model::Model;
 use crate::registry::{Registry, section};
 use crate::saved;
 use crate::scene::{InitConfig, SceneInfo};
 use crate::schedule::{FIELD, Schedule};
-use crate::timestamp::Timestamp;
 use gs_core::Param;
-use gs_data::{Dataset, ImageCache, View};
+use gs_data::{Dataset, ImageCache};
 use serde::Serialize;
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+mod coding;
 mod error;
+mod learn;
 mod prefetch;
 mod render_pass;
+mod share;
+mod sums;
+mod team;
 mod view_order;
 
 pub use error::TrainError;
+use learn::Learnt;
 use prefetch::Prefetch;
 pub use render_pass::Phases;
-use render_pass::{RenderPass, Stopwatch, ViewLoss, ViewPass};
+use render_pass::{RenderPass, Stopwatch};
+use team::{Command, Team};
 use view_order::ViewOrder;
 
 /// What a run needs beside data and configuration.
@@ -60,8 +67,8 @@ pub struct StepReport {
     pub view: String,
     /// Image loss, mean over the views of the batch.
     pub loss: LossValues,
-    /// Regularisers by name, weights applied.
-    pub penalties: Vec<LossValue>,
+    /// Terms of the method's own and regularisers by name, weights applied, summed over views.
+    pub penalties: Vec<(Cow<'static, str>, f32)>,
     /// Splats after the step, at most.
     pub splats: usize,
     /// Gradient rows refused because they were not finite.
@@ -90,6 +97,7 @@ pub struct Trainer {
     updates: BTreeMap<String, Option<Update>>,
     step: u32,
     seconds: f64,
+    ranks: Team,
 }
 
 impl Trainer {
@@ -142,6 +150,7 @@ impl Trainer {
             updates,
             step: 0,
             seconds: 0.0,
+            ranks: Team::default(),
         })
     }
 
@@ -204,7 +213,7 @@ impl Trainer {
         Self::resume(registry, dataset, &saved::save(&loaded.model, &run), None, image_bytes)
     }
 
-    /// The whole state, bit for bit.
+    /// The whole state, bit for bit. With ranks, [`Self::gather`] is called first.
     pub fn state(&self) -> Checkpoint {
         saved::save(&self.model, &self.run_state(&self.config, &self.scene))
     }
@@ -230,6 +239,11 @@ impl Trainer {
     /// At the end of the schedule, if an image cannot be read, or if gradients are not finite. After a numerical failure the
     /// parameters are to be thrown away.
     pub fn step(&mut self) -> Result<StepReport, TrainError> {
+        self.ask(Command::Step)?;
+        self.step_with_ranks()
+    }
+
+    fn step_with_ranks(&mut self) -> Result<StepReport, TrainError> {
         // Entered once, the pool runs a step's many short loops without a change of threads for each.
         rayon::scope(|_| self.step_in_pool())
     }
@@ -241,34 +255,37 @@ impl Trainer {
             return Err(TrainError::Finished(self.steps()));
         }
         self.begin_step(step);
-        let (loss, penalties, views) = self.learn(step)?;
-        let mut ms = loss.ms;
+        let Learnt { loss, penalties, refused: refused_in_views, views, mut ms } = self.learn(step)?;
 
         clock.lap();
-        let refused = self.update(step);
+        let refused = self.update()?;
         ms.adam = clock.lap();
         self.check_refused(&refused, step, &views)?;
 
+        if self.model.needs_whole_rows() {
+            self.share_rows()?;
+        }
         let events = self.model.end_step()?;
         ms.adapt = clock.lap();
         self.step = step;
+        self.compare_ranks()?;
         ms.total = whole.lap();
         self.seconds += ms.total * 1e-3;
         Ok(StepReport {
             step,
             stage: self.schedule().at(step).stage,
             view: views,
-            loss: loss.terms,
+            loss,
             penalties,
             splats: self.model.splat_count(),
-            quarantined: loss.non_finite.rows.max(refused.rows),
+            quarantined: refused_in_views.max(refused.rows),
             adapted: events.densified,
             events: events.log,
             ms,
         })
     }
 
-    /// The size of training images and the moments of the optimiser change at the border of stages.
+    /// The size of training images and the moments of the optimiser change at the border of stages, rates with every step.
     fn begin_step(&mut self, step: u32) {
         let scale = self.schedule().stage(step).map_or(1.0, |s| s.image_scale);
         if scale != self.images.scale() {
@@ -279,63 +296,13 @@ impl Trainer {
             self.adam.restart();
         }
         self.model.begin_step(step);
-    }
-
-    /// Gradients of the mean loss of the step's views, the regularisers, and the names of the views.
-    fn learn(&mut self, step: u32) -> Result<(ViewLoss, Vec<LossValue>, String), TrainError> {
-        let dataset = self.dataset.clone();
-        let batch = self.schedule().batch;
-        let view_of = |draw| &dataset.train[self.order.view(self.model.schedule(), draw)];
-        let views: Vec<(u32, &View)> = ((step - 1) * batch + 1..=step * batch).map(|d| (d, view_of(d))).collect();
-        for draw in step * batch + 1..=(step + 1) * batch {
-            self.prefetch.request(&self.images, view_of(draw));
-        }
-        let (mut sum, mut penalties, mut names) = (ViewLoss::default(), Vec::new(), Vec::new());
-        for (draw, view) in views {
-            let (loss, terms) = self.learn_view(view, step, draw, batch)?;
-            self.check_finite(&loss, step, view)?;
-            sum.add(&loss, f64::from(batch));
-            penalties = terms;
-            names.push(view.name.as_str());
-        }
-        Ok((sum, penalties, names.join(", ")))
-    }
-
-    /// One view, which counts with its share in the step: gradients and statistics.
-    fn learn_view(
-        &mut self,
-        view: &View,
-        step: u32,
-        draw: u32,
-        batch: u32,
-    ) -> Result<(ViewLoss, Vec<LossValue>), TrainError> {
-        let mut clock = Stopwatch::new();
-        let schedule = self.model.schedule();
-        let background = schedule.background.color(self.options.seed, draw);
-        let camera = self.images.camera(view);
-        let mut pass = ViewPass {
-            pass: &mut self.pass,
-            images: &self.images,
-            view,
-            camera: &camera,
-            options: schedule.raster_options(background),
-            share: 1.0 / batch as f32,
-            result: ViewLoss::default(),
-            data_error: None,
-        };
-        let ctx = ViewCtx { at: Timestamp::new(view.time), camera: &camera, last: draw == step * batch };
-        let terms = self.model.step(&ctx, &mut pass);
-        let ViewPass { mut result, data_error, .. } = pass;
-        if let Some(e) = data_error {
-            return Err(e.into());
-        }
-        let terms = terms.map_err(|e| match e {
-            MethodError::Loss(e) => TrainError::Numeric { step, view: view.name.clone(), what: e.to_string() },
-            other => other.into(),
-        })?;
-        let ms = &mut result.ms;
-        ms.field = clock.lap() - ms.data - ms.raster_forward - ms.loss - ms.raster_backward;
-        Ok((result, terms))
+        let (schedule, extent, updates) = (self.model.schedule(), self.scene.extent, &mut self.updates);
+        self.model.visit(&mut |p| match updates.get_mut(&p.name) {
+            Some(update) => *update = schedule.update(p, step, extent),
+            None => {
+                updates.insert(p.name.clone(), schedule.update(p, step, extent));
+            }
+        });
     }
 
     /// Optimizer steps made, those of earlier sessions included.
@@ -371,37 +338,6 @@ impl Trainer {
     /// The data set the run learns from.
     pub fn dataset(&self) -> &Arc<Dataset> {
         &self.dataset
-    }
-
-    /// Adam on every block that learns in this step.
-    fn update(&mut self, step: u32) -> Refused {
-        let mut refused = Refused::default();
-        let (schedule, extent) = (self.model.schedule(), self.scene.extent);
-        let updates = &mut self.updates;
-        self.model.visit(&mut |p| match updates.get_mut(&p.name) {
-            Some(update) => *update = schedule.update(p, step, extent),
-            None => {
-                updates.insert(p.name.clone(), schedule.update(p, step, extent));
-            }
-        });
-        let (adam, updates) = (&mut self.adam, &self.updates);
-        self.model.visit_mut(&mut |p| match updates.get(&p.name).copied().flatten() {
-            Some(update) => adam.update(p, update, &mut refused),
-            None => p.clear_grad(),
-        });
-        refused
-    }
-
-    fn check_finite(&self, loss: &ViewLoss, step: u32, view: &View) -> Result<(), TrainError> {
-        let (rows, of) = (loss.non_finite.rows, loss.splats);
-        match loss.non_finite.first {
-            Some(first) if self.too_many(rows, of) => {
-                let what =
-                    format!("{rows} of {of} splats have gradients that are not finite, the first is splat {first}");
-                Err(TrainError::Numeric { step, view: view.name.clone(), what })
-            }
-            _ => Ok(()),
-        }
     }
 
     fn check_refused(&self, refused: &Refused, step: u32, views: &str) -> Result<(), TrainError> {

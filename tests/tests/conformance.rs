@@ -199,7 +199,7 @@ impl Fixture {
 }
 
 #[test]
-fn states_threads_rows_times_and_rates() {
+fn states_threads_ranks_rows_times_and_rates() {
     for entry in REGISTRY.iter().filter(|m| !m.needs_avatar && m.name != "spacetime") {
         let case = CASES.iter().find(|c| c.method == entry.name).expect("every method has a case");
         let config = short(case);
@@ -209,7 +209,8 @@ fn states_threads_rows_times_and_rates() {
             subject.rows()?;
             subject.times()?;
             subject.state()?;
-            subject.threads()
+            subject.threads()?;
+            subject.ranks()
         };
         all().unwrap_or_else(|e| panic!("{e}"));
     }
@@ -288,6 +289,7 @@ fn broken_methods_are_found() {
     assert!(found(broken::entry::<{ broken::ROWS }>(), |s| s.rows()).starts_with("rows `time.extra` after step"));
     assert!(found(broken::entry::<{ broken::STATE }>(), |s| s.check()).starts_with("state resumed at step"));
     assert_eq!(found(broken::entry::<{ broken::THREADS }>(), |s| s.check()), "threads 1 and 2 threads");
+    assert_eq!(found(broken::entry::<{ broken::VIEWS }>(), |s| s.check()), "ranks 1 and 2 ranks");
     assert!(found(broken::entry::<{ broken::COUNT }>(), |s| s.check()).starts_with("times time -10"));
     assert_eq!(found(broken::entry::<{ broken::GRADIENTS }>(), |s| s.check()), "gradients block `motion.poly`");
 }

@@ -1,5 +1,6 @@
 //! Why training stops.
 
+use crate::error::RanksError;
 use crate::method::MethodError;
 use gs_data::DataError;
 
@@ -25,17 +26,54 @@ pub enum TrainError {
     /// A checkpoint does not fit.
     #[error("checkpoint: {0}")]
     State(String),
+    /// Another rank cannot go on.
+    #[error("rank {rank}: {what}")]
+    Rank {
+        /// Number of the rank, from 0.
+        rank: usize,
+        /// Its error.
+        what: String,
+        /// The exit code of its error.
+        code: u8,
+    },
+    /// Ranks cannot talk to each other.
+    #[error(transparent)]
+    Ranks(#[from] RanksError),
+    /// Ranks hold other parameters than the first one. They are to be thrown away.
+    #[error(
+        "after step {step} the parameters of {} differ from those of rank 0: their machines compute differently; use \
+         machines of one kind, and go back to the last checkpoint",
+        list(ranks)
+    )]
+    Diverged {
+        /// Number of the step, from 1.
+        step: u32,
+        /// The ranks that differ from the first.
+        ranks: Vec<usize>,
+    },
     /// The schedule is at its end.
     #[error("the schedule ends at step {0}; lengthen a stage to go on")]
     Finished(u32),
 }
 
+fn list(ranks: &[usize]) -> String {
+    ranks.iter().map(|rank| format!("rank {rank}")).collect::<Vec<_>>().join(", ")
+}
+
 impl TrainError {
-    /// The exit code of the command line: 3 data, 4 numerical failure, 2 wrong usage.
+    /// A message of a rank that ends too early.
+    pub(super) fn short(rank: usize) -> Self {
+        RanksError { what: format!("the message of rank {rank} is too short") }.into()
+    }
+
+    /// The exit code of the command line: 3 data, 4 numerical failure, 2 wrong usage, 6 ranks that cannot talk, 1 ranks that differ.
     pub fn exit_code(&self) -> u8 {
         match self {
             TrainError::Data(_) => 3,
             TrainError::Numeric { .. } => 4,
+            TrainError::Rank { code, .. } => *code,
+            TrainError::Ranks(_) => 6,
+            TrainError::Diverged { .. } => 1,
             TrainError::Method(_) | TrainError::State(_) | TrainError::Finished(_) => 2,
         }
     }

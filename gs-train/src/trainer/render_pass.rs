@@ -6,7 +6,8 @@ use crate::non_finite::{NonFinite, zero_non_finite};
 use gs_core::{Camera, SplatsGrad, SplatsRef};
 use gs_data::{ImageCache, View};
 use gs_raster::{Frame, FrameGrad, RasterOptions, ScreenStats, Workspace, render_backward_into, render_into};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 use std::time::Instant;
 
 /// Milliseconds of the phases of a step.
@@ -22,6 +23,8 @@ pub struct Phases {
     pub loss: f64,
     /// Backward pass of the rasteriser.
     pub raster_backward: f64,
+    /// Waiting for other ranks, and summing what they send.
+    pub exchange: f64,
     /// Update of all parameters by Adam.
     pub adam: f64,
     /// End of the step: densification, growth and pruning.
@@ -39,13 +42,17 @@ pub(super) struct RenderPass {
     loss: ImageLoss,
 }
 
-/// What rendering one view gave, or the mean over the views of a step.
-#[derive(Default)]
+/// What learning from one view gave.
+#[derive(Clone, Default, Serialize, Deserialize)]
 pub(super) struct ViewLoss {
+    /// The image loss.
     pub terms: LossValues,
+    /// Terms of the method's own, weights applied.
+    pub own: Vec<(Cow<'static, str>, f32)>,
     pub non_finite: NonFinite,
     /// Splats rendered.
     pub splats: usize,
+    #[serde(skip)]
     pub ms: Phases,
 }
 
@@ -66,23 +73,12 @@ pub(super) struct ViewPass<'a> {
 
 impl Phases {
     /// Adds the phases of another view of the same step.
-    fn add(&mut self, other: &Phases) {
+    pub(super) fn add(&mut self, other: &Phases) {
         self.data += other.data;
         self.field += other.field;
         self.raster_forward += other.raster_forward;
         self.loss += other.loss;
         self.raster_backward += other.raster_backward;
-    }
-}
-
-impl ViewLoss {
-    /// Adds one view of a batch of `batch`: terms become means, gradients that are not finite the worst of all views.
-    pub(super) fn add(&mut self, view: &ViewLoss, batch: f64) {
-        self.terms.add_mean(&view.terms, batch);
-        if view.non_finite.rows > self.non_finite.rows {
-            self.non_finite = view.non_finite;
-        }
-        self.ms.add(&view.ms);
     }
 }
 

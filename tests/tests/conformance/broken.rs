@@ -20,6 +20,8 @@ pub const THREADS: u8 = 2;
 pub const COUNT: u8 = 3;
 /// Gradients of twice the size.
 pub const GRADIENTS: u8 = 4;
+/// Gradients that depend on earlier views of the step.
+pub const VIEWS: u8 = 5;
 
 /// The method with a fault.
 pub const fn entry<const FAULT: u8>() -> MethodEntry {
@@ -30,13 +32,14 @@ struct Broken<const FAULT: u8> {
     inner: Model,
     extra: Option<Param>,
     steps: u32,
+    views: u32,
 }
 
 fn build<const FAULT: u8>(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
     let inner = (spacetime::ENTRY.build)(table, scene)?;
     let schedule = inner.schedule().clone();
     let extra = (FAULT == ROWS).then(|| Param::rows("time.extra", 1, vec![0.0; inner.splat_count()]));
-    Model::new(spacetime::ENTRY.name, Broken::<FAULT> { inner, extra, steps: 0 }, schedule)
+    Model::new(spacetime::ENTRY.name, Broken::<FAULT> { inner, extra, steps: 0, views: 0 }, schedule)
 }
 
 impl<const FAULT: u8> Params for Broken<FAULT> {
@@ -64,6 +67,7 @@ impl<const FAULT: u8> Buffers for Broken<FAULT> {
 impl<const FAULT: u8> Method for Broken<FAULT> {
     fn begin_step(&mut self, at: &StepCtx) {
         self.inner.begin_step(at.step);
+        self.views = 0;
     }
 
     fn splats(&self, at: &Timestamp, camera: &Camera) -> Result<Splats, MethodError> {
@@ -73,8 +77,10 @@ impl<const FAULT: u8> Method for Broken<FAULT> {
     fn step(&mut self, view: &ViewCtx<'_>, render: &mut dyn RenderView) -> Result<Vec<LossValue>, MethodError> {
         let losses = self.inner.step(view, render)?;
         self.steps += 1;
+        self.views += 1;
         let factor = match FAULT {
             STATE => 1.0 / self.steps as f32,
+            VIEWS => 1.0 / self.views as f32,
             THREADS => rayon::current_num_threads() as f32,
             GRADIENTS => 2.0,
             _ => 1.0,

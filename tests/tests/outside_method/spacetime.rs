@@ -159,7 +159,7 @@ impl Buffers for Spacetime {
 
 impl Method for Spacetime {
     fn begin_step(&mut self, at: &StepCtx) {
-        self.canonical.at = at.clone();
+        self.canonical.begin_step(at);
     }
 
     fn splats(&self, at: &Timestamp, _camera: &Camera) -> Result<Splats, MethodError> {
@@ -179,6 +179,10 @@ impl Method for Spacetime {
         self.canonical.backward();
         self.canonical.accumulate(stats, view.camera);
         Ok(Vec::new())
+    }
+
+    fn needs_whole_rows(&self) -> bool {
+        self.canonical.needs_whole_rows()
     }
 
     fn end_step(&mut self) -> Result<StepEvents, MethodError> {

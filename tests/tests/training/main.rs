@@ -4,6 +4,7 @@ mod hashes;
 mod journal;
 mod learning;
 mod methods;
+mod ranks;
 mod resume;
 mod scores;
 mod settings;

@@ -54,7 +54,7 @@ impl Window {
             "fre": report.loss.term("fre").map(|_| self.mean(self.fre)),
             "mrf": report.loss.term("mrf").map(|_| self.mean(self.mrf)),
             "psnr": self.psnr(),
-            "penalties": report.penalties.iter().map(|(n, v)| ((*n).to_owned(), json!(v))).collect::<serde_json::Map<_, _>>(),
+            "penalties": report.penalties.iter().map(|(n, v)| (n.to_string(), json!(v))).collect::<serde_json::Map<_, _>>(),
             "splats": report.splats,
             "cloned": self.cloned,
             "split": self.split,

@@ -25,8 +25,6 @@ pub struct Deformed<F: Field> {
     tape: F::Tape,
     moved: Geometry,
     d_canonical: Geometry,
-    /// Time of the present step.
-    t: Time,
     anneal: Anneal,
     /// Spacing of training times, normalised.
     interval: f32,
@@ -42,9 +40,9 @@ impl<F: Field> Deformed<F> {
     /// A cloud and its field; training times are blurred as `anneal` says (strength 0: not at all), `views` of them.
     pub fn new(canonical: Canonical, field: F, anneal: Anneal, views: u32) -> Self {
         let interval = 1.0 / views.max(1) as f32;
-        let (tape, moved, d_canonical, t) = Default::default();
+        let (tape, moved, d_canonical) = Default::default();
         let (rendering, still, regular_from) = Default::default();
-        Self { canonical, field, tape, moved, d_canonical, t, anneal, interval, regular_from, rendering, still }
+        Self { canonical, field, tape, moved, d_canonical, anneal, interval, regular_from, rendering, still }
     }
 
     /// The same without the field's regularisers before this step of the run.
@@ -115,7 +113,7 @@ where
     F::Tape: Sync,
 {
     fn begin_step(&mut self, at: &StepCtx) {
-        self.canonical.at = at.clone();
+        self.canonical.begin_step(at);
         self.forget();
     }
 
@@ -131,9 +129,9 @@ where
         self.canonical.forward();
         let dynamic = self.canonical.at.dynamic;
         let stats = if dynamic {
-            self.t = self.training_time(view.at.t);
+            let t = self.training_time(view.at.t);
             let Canonical { splats, d_splats, .. } = &mut self.canonical;
-            self.field.forward(splats.geometry(), self.t, &mut self.tape, &mut self.moved);
+            self.field.forward(splats.geometry(), t, &mut self.tape, &mut self.moved);
             let stats = render.render(splats.with_geometry(self.moved.view()), d_splats)?;
             self.d_canonical.reset(splats.len());
             self.field.backward(splats.geometry(), &mut self.tape, d_splats.geometry(), &mut self.d_canonical);
@@ -144,11 +142,21 @@ where
         };
         self.canonical.backward();
         self.canonical.accumulate(stats, view.camera);
+        Ok(Vec::new())
+    }
+
+    fn regularise(&mut self, last: &Timestamp) -> Vec<LossValue> {
         let step = self.canonical.at.step;
-        if !(view.last && dynamic && step >= self.regular_from) {
-            return Ok(Vec::new());
+        if !self.canonical.at.dynamic || step < self.regular_from {
+            return Vec::new();
         }
-        Ok(self.field.regularise(self.canonical.splats.geometry(), self.t, step))
+        self.canonical.forward();
+        let t = self.training_time(last.t);
+        self.field.regularise(self.canonical.splats.geometry(), t, step)
+    }
+
+    fn needs_whole_rows(&self) -> bool {
+        self.canonical.needs_whole_rows()
     }
 
     fn end_step(&mut self) -> Result<StepEvents, MethodError> {

@@ -73,7 +73,7 @@ impl Buffers for Static3d {
 
 impl Method for Static3d {
     fn begin_step(&mut self, at: &StepCtx) {
-        self.canonical.at = at.clone();
+        self.canonical.begin_step(at);
     }
 
     fn splats(&self, _at: &Timestamp, _camera: &Camera) -> Result<Splats, MethodError> {
@@ -86,6 +86,10 @@ impl Method for Static3d {
         self.canonical.backward();
         self.canonical.accumulate(stats, view.camera);
         Ok(Vec::new())
+    }
+
+    fn needs_whole_rows(&self) -> bool {
+        self.canonical.needs_whole_rows()
     }
 
     fn end_step(&mut self) -> Result<StepEvents, MethodError> {

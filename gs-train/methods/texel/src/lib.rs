@@ -36,7 +36,9 @@ use gs_texel::gaussians::{Channels, DecodeOptions, OFFSET, OPACITY, decode, deco
 use gs_train::capabilities::{Capabilities, Inspect, Quantity};
 use gs_train::layers::BASE;
 use gs_train::loss::TextureTerm;
-use gs_train::method::{Buffer, BufferMut, Buffers, LossValue, Method, MethodError, RenderView, StepEvents, ViewCtx};
+use gs_train::method::{
+    Buffer, BufferMut, Buffers, LossValue, Merge, Method, MethodError, RenderView, StepEvents, ViewCtx,
+};
 use gs_train::model::Model;
 use gs_train::registry::{MethodEntry, parse_config};
 use gs_train::scene::SceneInfo;
@@ -406,7 +408,7 @@ impl Buffers for Dut {
         let MeanTextures { geo, gau } = &self.actor.mean;
         for (name, values) in [("mean.geo", geo), ("mean.gau", gau)] {
             if !values.is_empty() {
-                f(Buffer { name, row_width: None, values });
+                f(Buffer { name, row_width: None, merge: Merge::Keep, values });
             }
         }
     }
@@ -415,7 +417,7 @@ impl Buffers for Dut {
         let MeanTextures { geo, gau } = &mut self.actor.mean;
         for (name, values) in [("mean.geo", geo), ("mean.gau", gau)] {
             if !values.is_empty() {
-                f(BufferMut { name, row_width: None, values });
+                f(BufferMut { name, row_width: None, merge: Merge::Keep, values });
             }
         }
     }
@@ -446,13 +448,22 @@ impl Method for Dut {
             StepError::Frame(e) => Self::at_frame(frame, &e),
             StepError::Render(e) => e,
         })?;
-        if !view.last {
-            return Ok(Vec::new());
-        }
+        Ok(std::mem::take(&mut self.penalties))
+    }
+
+    fn regularise(&mut self, _last: &Timestamp) -> Vec<LossValue> {
         if let Source::Network(net) = &mut self.source {
             net.clip();
         }
-        Ok(std::mem::take(&mut self.penalties))
+        Vec::new()
+    }
+
+    fn needs_whole_gradient(&self) -> bool {
+        matches!(&self.source, Source::Network(net) if net.clips())
+    }
+
+    fn needs_whole_rows(&self) -> bool {
+        false
     }
 
     fn end_step(&mut self) -> Result<StepEvents, MethodError> {

@@ -128,6 +128,11 @@ impl Network {
         Ok(cast::to_f32(loss) * share)
     }
 
+    /// Whether a gradient may be shortened.
+    pub(crate) fn clips(&self) -> bool {
+        self.clip > 0.0
+    }
+
     /// Shortens the gradient of all weights to the longest allowed.
     pub(crate) fn clip(&mut self) {
         let mut square = 0.0f64;

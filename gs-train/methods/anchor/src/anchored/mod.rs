@@ -27,7 +27,9 @@ use gs_train::capabilities::{
     StageView,
 };
 use gs_train::densify::{DensifyStats, GrowthLimits};
-use gs_train::method::{Buffer, BufferMut, Buffers, LossValue, Method, MethodError, RenderView, StepEvents, ViewCtx};
+use gs_train::method::{
+    Buffer, BufferMut, Buffers, LossValue, Merge, Method, MethodError, RenderView, StepEvents, ViewCtx,
+};
 use gs_train::palette::label_color;
 use gs_train::report::Section;
 use gs_train::scene::SceneInfo;
@@ -93,8 +95,6 @@ pub struct Anchored {
     /// Training views: public code stores a row of appearance for each.
     cameras: u32,
     at: StepCtx,
-    /// Views of the present step that were rendered.
-    rendered: u32,
     tape: Tape,
     cache: Cache,
     events: Vec<Value>,
@@ -131,7 +131,6 @@ impl Anchored {
             seed: scene.seed,
             cameras: scene.views,
             at: StepCtx::default(),
-            rendered: 0,
             tape: Tape::default(),
             cache: Cache::default(),
             events: Vec::new(),
@@ -217,25 +216,28 @@ impl Params for Anchored {
 impl Buffers for Anchored {
     fn buffers(&self, f: &mut dyn FnMut(Buffer<'_>)) {
         let rows = self.adapt.columns();
-        rows.into_iter().for_each(|(name, width, values)| f(Buffer { name, row_width: Some(width), values }));
+        let of_rows = |(name, width, values)| Buffer { name, row_width: Some(width), merge: Merge::Sum, values };
+        rows.into_iter().for_each(|column| f(of_rows(column)));
         let intervals = self.motion.intervals.iter().flat_map(|i| i.columns());
-        let own = [("anchors.voxel", &self.voxel), ("anchors.reach", &self.reach)];
-        own.into_iter().chain(intervals).for_each(|(name, values)| f(Buffer { name, row_width: None, values }));
+        let own = [("anchors.voxel", Merge::Keep, &self.voxel), ("anchors.reach", Merge::Max, &self.reach)];
+        let all = own.into_iter().chain(intervals.map(|(name, values)| (name, Merge::Sum, values)));
+        all.for_each(|(name, merge, values)| f(Buffer { name, row_width: None, merge, values }));
     }
 
     fn buffers_mut(&mut self, f: &mut dyn FnMut(BufferMut<'_>)) {
         let rows = self.adapt.columns_mut();
-        rows.into_iter().for_each(|(name, width, values)| f(BufferMut { name, row_width: Some(width), values }));
+        let of_rows = |(name, width, values)| BufferMut { name, row_width: Some(width), merge: Merge::Sum, values };
+        rows.into_iter().for_each(|column| f(of_rows(column)));
         let intervals = self.motion.intervals.iter_mut().flat_map(|i| i.columns_mut());
-        let own = [("anchors.voxel", &mut self.voxel), ("anchors.reach", &mut self.reach)];
-        own.into_iter().chain(intervals).for_each(|(name, values)| f(BufferMut { name, row_width: None, values }));
+        let own = [("anchors.voxel", Merge::Keep, &mut self.voxel), ("anchors.reach", Merge::Max, &mut self.reach)];
+        let all = own.into_iter().chain(intervals.map(|(name, values)| (name, Merge::Sum, values)));
+        all.for_each(|(name, merge, values)| f(BufferMut { name, row_width: None, merge, values }));
     }
 }
 
 impl Method for Anchored {
     fn begin_step(&mut self, at: &StepCtx) {
         self.at = at.clone();
-        self.rendered = 0;
         self.cache.forget();
     }
 
@@ -249,7 +251,22 @@ impl Method for Anchored {
         let stats = render.render(splats, d_splats)?;
         self.backward();
         self.accumulate(view, stats);
-        Ok(if view.last && self.at.dynamic { self.regularise() } else { Vec::new() })
+        Ok(Vec::new())
+    }
+
+    fn regularise(&mut self, _last: &Timestamp) -> Vec<LossValue> {
+        if !self.at.dynamic {
+            return Vec::new();
+        }
+        let mut terms = self.motion.regularise();
+        if let Some(SparsityConfig { kind, weight }) = self.sparsity.filter(|s| s.weight > 0.0) {
+            terms.push(("motion", kind.penalise(&mut self.anchors, weight)));
+        }
+        terms
+    }
+
+    fn needs_whole_rows(&self) -> bool {
+        self.rules.grows_at(self.at.clock)
     }
 
     fn end_step(&mut self) -> Result<StepEvents, MethodError> {
@@ -276,18 +293,9 @@ impl Method for Anchored {
 }
 
 impl Anchored {
-    fn regularise(&mut self) -> Vec<LossValue> {
-        let mut terms = self.motion.regularise();
-        if let Some(SparsityConfig { kind, weight }) = self.sparsity.filter(|s| s.weight > 0.0) {
-            terms.push(("motion", kind.penalise(&mut self.anchors, weight)));
-        }
-        terms
-    }
-
     /// Statistics of densification and of intervals, from one view.
     fn accumulate(&mut self, view: &ViewCtx<'_>, stats: &ScreenStats) {
-        self.rendered += 1;
-        if self.config.statistics == Statistics::Last && self.rendered < self.at.batch {
+        if self.config.statistics == Statistics::Last && !view.last {
             return;
         }
         let (clock, camera) = (self.at.clock, view.camera);

@@ -426,7 +426,7 @@ where
 {
     fn begin_step(&mut self, at: &StepCtx) {
         self.forget();
-        self.canonical.at = at.clone();
+        self.canonical.begin_step(at);
     }
 
     fn splats(&self, at: &Timestamp, _camera: &Camera) -> Result<Splats, MethodError> {
@@ -441,7 +441,26 @@ where
         };
         self.canonical.backward();
         self.canonical.accumulate(stats, view.camera);
-        Ok(if view.last { self.regularise() } else { Vec::new() })
+        Ok(Vec::new())
+    }
+
+    fn regularise(&mut self, _last: &Timestamp) -> Vec<LossValue> {
+        let step = self.canonical.at.step;
+        if !self.canonical.at.dynamic {
+            return Vec::new();
+        }
+        self.canonical.forward();
+        let t = at(self.times.last_field);
+        let mut all = match self.config.field {
+            true => self.field.regularise(self.canonical.splats.geometry(), t, step),
+            false => Vec::new(),
+        };
+        all.extend(self.dynamics.regularise(self.canonical.seed(), step));
+        all
+    }
+
+    fn needs_whole_rows(&self) -> bool {
+        self.canonical.needs_whole_rows()
     }
 
     fn end_step(&mut self) -> Result<StepEvents, MethodError> {
@@ -506,20 +525,5 @@ impl<F: Field, D: Dynamics> Advected<F, D> {
     /// The time from which the dynamics rule alone.
     fn first_ahead(&self) -> f64 {
         if self.config.field { self.times.last_field } else { 0.0 }
-    }
-
-    /// Regularisers of field and dynamics.
-    fn regularise(&mut self) -> Vec<LossValue> {
-        let step = self.canonical.at.step;
-        if !self.canonical.at.dynamic {
-            return Vec::new();
-        }
-        let t = at(self.times.last_field);
-        let mut all = match self.config.field {
-            true => self.field.regularise(self.canonical.splats.geometry(), t, step),
-            false => Vec::new(),
-        };
-        all.extend(self.dynamics.regularise(self.canonical.seed(), step));
-        all
     }
 }

@@ -303,6 +303,8 @@ fn colours_turn_with_their_splats() {
                     p.value[k] += h
                 }
             });
+            let at = m.canonical.at.clone();
+            m.begin_step(&at);
             step(&mut m)
         };
         let (hi, lo) = (at(0.5), at(-1.0));

@@ -1,0 +1,58 @@
+//! Ranks: processes that make every step of a training together.
+//!
+//! The views of a step are the leaves of an aligned binary tree ([`tree`]); a rank computes a contiguous run of them. Whole
+//! subtrees of its run it sums alone, the rest is summed by the rank that owns a row, in the order of the tree. So a sum
+//! has the same bits for any number of ranks, where a reduction of MPI has others for each.
+//!
+//! [`Alone`] is one rank; other numbers come from a program that brings [`Ranks`] of its own.
+
+pub mod tree;
+
+use crate::error::RanksError;
+use std::sync::Arc;
+
+/// Processes, or threads, that call the same functions in the same order.
+pub trait Ranks: Send + Sync {
+    /// Number of this rank, from 0.
+    fn rank(&self) -> usize;
+
+    /// Number of ranks, at least 1.
+    fn size(&self) -> usize;
+
+    /// Sends `to[r]` to every rank `r`; gives what each rank sent here, in the order of ranks.
+    ///
+    /// # Errors
+    /// If a rank cannot be reached.
+    fn exchange(&self, to: Vec<Vec<u8>>) -> Result<Vec<Vec<u8>>, RanksError>;
+
+    /// Tells every rank the same; gives what each rank told, in the order of ranks.
+    ///
+    /// # Errors
+    /// If a rank cannot be reached.
+    fn tell(&self, bytes: Vec<u8>) -> Result<Vec<Vec<u8>>, RanksError> {
+        self.exchange(vec![bytes; self.size()])
+    }
+}
+
+/// One rank.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Alone;
+
+impl Ranks for Alone {
+    fn rank(&self) -> usize {
+        0
+    }
+
+    fn size(&self) -> usize {
+        1
+    }
+
+    fn exchange(&self, to: Vec<Vec<u8>>) -> Result<Vec<Vec<u8>>, RanksError> {
+        Ok(to)
+    }
+}
+
+/// One rank, as programs pass it around.
+pub fn alone() -> Arc<dyn Ranks> {
+    Arc::new(Alone)
+}

@@ -1,0 +1,228 @@
+//! Gradients of a step: of its views, on whichever ranks these are, and of the regularisers.
+
+use super::coding::{decode, encode};
+use super::render_pass::{Phases, Stopwatch, ViewLoss, ViewPass};
+use super::sums::{Columns, Sums};
+use super::team::tell_all;
+use super::{TrainError, Trainer};
+use crate::loss::LossValues;
+use crate::method::{LossValue, MethodError, ViewCtx};
+use crate::ranks::tree::{Node, run_of};
+use crate::timestamp::Timestamp;
+use gs_data::View;
+use std::borrow::Cow;
+use std::ops::Range;
+
+/// The views of a step, in the order they are drawn: the leaves of its sums.
+struct Views<'a> {
+    step: u32,
+    /// Number of each view's draw, and the view.
+    drawn: Vec<(u32, &'a View)>,
+}
+
+impl Views<'_> {
+    fn root(&self) -> Node {
+        Node { from: 0, to: self.drawn.len() }
+    }
+
+    fn names(&self) -> String {
+        self.drawn.iter().map(|(_, view)| view.name.as_str()).collect::<Vec<_>>().join(", ")
+    }
+}
+
+/// What a step learnt.
+pub(super) struct Learnt {
+    /// Image loss, mean over the views.
+    pub loss: LossValues,
+    /// Terms of the method's own and regularisers.
+    pub penalties: Vec<(Cow<'static, str>, f32)>,
+    /// Most gradient rows of a view that were refused.
+    pub refused: u32,
+    /// Names of the views.
+    pub views: String,
+    /// Of the views of this rank.
+    pub ms: Phases,
+}
+
+impl Trainer {
+    /// Leaves the gradient of the mean loss of the step's views and of the regularisers in the model: in whole, or in the rows
+    /// that this rank owns.
+    pub(super) fn learn(&mut self, step: u32) -> Result<Learnt, TrainError> {
+        let (dataset, batch) = (self.dataset.clone(), self.schedule().batch);
+        let view_of = |draw| (draw, &dataset.train[self.order.view(self.model.schedule(), draw)]);
+        let views = Views { step, drawn: ((step - 1) * batch + 1..=step * batch).map(view_of).collect() };
+        let (rank, ranks) = (self.ranks.rank(), self.ranks.size());
+        let run = run_of(views.drawn.len(), rank, ranks);
+        for k in run.clone() {
+            self.prefetch.request(&self.images, view_of(step * batch + 1 + k as u32).1);
+        }
+        let updates = std::mem::take(&mut self.updates);
+        let whole = self.model.needs_whole_gradient();
+        let learns = |name: &str| whole || updates.get(name).is_some_and(Option::is_some);
+        let sums = Sums::new(&mut self.model, &learns);
+        let mine = self.sums_within(run, &views, &sums, &learns);
+        let mut ms = Phases::default();
+        mine.iter().flat_map(|(seen, _)| seen).for_each(|view| ms.add(&view.ms));
+        let mut clock = Stopwatch::new();
+        let (seen, parts) = match ranks {
+            1 => mine?,
+            _ => tell_all(&*self.ranks, mine).map(|(seen, parts)| (seen.concat(), parts))?,
+        };
+        self.check_views(&seen, &views)?;
+        let (sum, own) = match ranks {
+            1 => (parts.into_iter().next().unwrap_or_default(), None),
+            _ => (self.exchange_sums(parts, &views, &sums)?, Some((rank, ranks))),
+        };
+        sums.put(&mut self.model, &learns, sum, own);
+        self.share_statistics()?;
+        if whole {
+            self.share_gradients(&learns)?;
+        }
+        ms.exchange = clock.lap();
+        let last = views.drawn.last().map_or_else(Timestamp::default, |(_, view)| Timestamp::new(view.time));
+        let regularisers = self.model.regularise(&last);
+        ms.field += clock.lap();
+        self.updates = updates;
+        Ok(Learnt::of(&seen, regularisers, views.names(), ms))
+    }
+
+    /// What the views of this rank gave, and the sums at the largest nodes over them.
+    fn sums_within(
+        &mut self,
+        run: Range<usize>,
+        views: &Views<'_>,
+        sums: &Sums,
+        learns: &dyn Fn(&str) -> bool,
+    ) -> Result<(Vec<ViewLoss>, Vec<Columns>), TrainError> {
+        let mut seen = Vec::new();
+        let nodes = views.root().within(&run).into_iter();
+        let parts = nodes.map(|node| self.sum(node, views, sums, learns, &mut seen)).collect::<Result<_, _>>()?;
+        Ok((seen, parts))
+    }
+
+    /// The sum at a node whose leaves are all views of this rank; what each gave goes to `seen`.
+    fn sum(
+        &mut self,
+        node: Node,
+        views: &Views<'_>,
+        sums: &Sums,
+        learns: &dyn Fn(&str) -> bool,
+        seen: &mut Vec<ViewLoss>,
+    ) -> Result<Columns, TrainError> {
+        match node.children() {
+            None => {
+                seen.push(self.learn_view(node.from, views)?);
+                Ok(sums.take(&mut self.model, learns))
+            }
+            Some([left, right]) => {
+                let mut sum = self.sum(left, views, sums, learns, seen)?;
+                let right = self.sum(right, views, sums, learns, seen)?;
+                sums.merge(&mut sum, right);
+                Ok(sum)
+            }
+        }
+    }
+
+    /// One view, which counts with its share in the step: gradients and statistics.
+    fn learn_view(&mut self, leaf: usize, views: &Views<'_>) -> Result<ViewLoss, TrainError> {
+        let mut clock = Stopwatch::new();
+        let (draw, view) = views.drawn[leaf];
+        let schedule = self.model.schedule();
+        let background = schedule.background.color(self.options.seed, draw);
+        let camera = self.images.camera(view);
+        let mut pass = ViewPass {
+            pass: &mut self.pass,
+            images: &self.images,
+            view,
+            camera: &camera,
+            options: schedule.raster_options(background),
+            share: 1.0 / views.drawn.len() as f32,
+            result: ViewLoss::default(),
+            data_error: None,
+        };
+        let last = leaf + 1 == views.drawn.len();
+        let terms = self.model.step(&ViewCtx { at: Timestamp::new(view.time), camera: &camera, last }, &mut pass);
+        let ViewPass { mut result, data_error, .. } = pass;
+        if let Some(e) = data_error {
+            return Err(e.into());
+        }
+        let terms = terms.map_err(|e| match e {
+            MethodError::Loss(e) => {
+                TrainError::Numeric { step: views.step, view: view.name.clone(), what: e.to_string() }
+            }
+            other => other.into(),
+        })?;
+        result.own = terms.into_iter().map(|(name, value)| (name.into(), value)).collect();
+        let ms = &mut result.ms;
+        ms.field = clock.lap() - ms.data - ms.raster_forward - ms.loss - ms.raster_backward;
+        Ok(result)
+    }
+
+    /// The whole sums of the rows that this rank owns, from sums of subtrees on all ranks.
+    fn exchange_sums(&self, parts: Vec<Columns>, views: &Views<'_>, sums: &Sums) -> Result<Columns, TrainError> {
+        let (me, ranks) = (self.ranks.rank(), self.ranks.size());
+        let mut to = vec![Vec::new(); ranks];
+        for (rank, bytes) in to.iter_mut().enumerate() {
+            for part in &parts {
+                for (column, (values, shape)) in part.iter().zip(sums.shapes()).enumerate() {
+                    let own = shape.owned(rank, ranks);
+                    let known = sums.begin(column).get(own.clone()).unwrap_or_default();
+                    encode(&values[own], known, shape.unit, bytes);
+                }
+            }
+        }
+        drop(parts);
+        let known: Columns = (0..sums.shapes().len()).map(|column| self.own_begin(column, sums)).collect();
+        let mut nodes = Vec::new();
+        for (rank, bytes) in self.ranks.exchange(to)?.iter().enumerate() {
+            let mut rest = &bytes[..];
+            for node in views.root().within(&run_of(views.drawn.len(), rank, ranks)) {
+                let mut part = known.clone();
+                for (values, shape) in part.iter_mut().zip(sums.shapes()) {
+                    decode(&mut rest, values, shape.unit).map_err(|_| TrainError::short(rank))?;
+                }
+                nodes.push((node, part));
+            }
+        }
+        let mut part = |node: Node| {
+            let at = nodes.iter().position(|n| n.0 == node)?;
+            Some(nodes.swap_remove(at).1)
+        };
+        let sum = views.root().sum(&mut part, &mut |a, b| sums.merge(a, b));
+        sum.ok_or_else(|| TrainError::short(me))
+    }
+
+    /// What a view begins with in the rows of a column that this rank owns.
+    fn own_begin(&self, column: usize, sums: &Sums) -> Vec<f32> {
+        let own = sums.shapes()[column].owned(self.ranks.rank(), self.ranks.size());
+        sums.begin(column).get(own.clone()).map_or_else(|| vec![0.0; own.len()], <[f32]>::to_vec)
+    }
+
+    fn check_views(&self, seen: &[ViewLoss], views: &Views<'_>) -> Result<(), TrainError> {
+        for (loss, (_, view)) in seen.iter().zip(&views.drawn) {
+            let (rows, of) = (loss.non_finite.rows, loss.splats);
+            let Some(first) = loss.non_finite.first.filter(|_| self.too_many(rows, of)) else { continue };
+            let what = format!("{rows} of {of} splats have gradients that are not finite, the first is splat {first}");
+            return Err(TrainError::Numeric { step: views.step, view: view.name.clone(), what });
+        }
+        Ok(())
+    }
+}
+
+impl Learnt {
+    fn of(seen: &[ViewLoss], regularisers: Vec<LossValue>, views: String, ms: Phases) -> Self {
+        let mut learnt = Self { loss: LossValues::default(), penalties: Vec::new(), refused: 0, views, ms };
+        let regularisers = regularisers.into_iter().map(|(name, value)| (name.into(), value));
+        for view in seen {
+            learnt.loss.add_mean(&view.terms, seen.len() as f64);
+            learnt.refused = learnt.refused.max(view.non_finite.rows);
+        }
+        for (name, value) in seen.iter().flat_map(|view| view.own.iter().cloned()).chain(regularisers) {
+            match learnt.penalties.iter_mut().find(|p| p.0 == name) {
+                Some(sum) => sum.1 += value,
+                None => learnt.penalties.push((name, value)),
+            }
+        }
+        learnt
+    }
+}

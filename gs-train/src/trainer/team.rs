@@ -1,0 +1,158 @@
+//! Ranks that train together: the first leads, the others follow.
+
+use super::{TrainError, Trainer};
+use crate::checkpoint::{Checkpoint, CheckpointError};
+use crate::ranks::{Ranks, alone};
+use crate::registry::Registry;
+use gs_core::Params;
+use gs_data::Dataset;
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use std::ops::Deref;
+use std::sync::Arc;
+
+/// Steps between two comparisons of the parameters of all ranks.
+const COMPARED_EVERY: u32 = 100;
+
+/// What the first rank asks of the others.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) enum Command {
+    /// Make the next step.
+    Step,
+    /// Make the rows of all ranks whole.
+    Gather,
+    /// There is nothing more to do.
+    End,
+}
+
+/// The ranks of a trainer. When the first rank drops it, the others are told that nothing more is to be done.
+pub(super) struct Team {
+    ranks: Arc<dyn Ranks>,
+    leads: bool,
+}
+
+impl Default for Team {
+    fn default() -> Self {
+        Self { ranks: alone(), leads: false }
+    }
+}
+
+impl Deref for Team {
+    type Target = dyn Ranks;
+
+    fn deref(&self) -> &Self::Target {
+        &*self.ranks
+    }
+}
+
+impl Drop for Team {
+    fn drop(&mut self) {
+        if self.leads {
+            // Ranks that cannot be told have noticed.
+            let _ = tell(&*self.ranks, &Some(Command::End));
+        }
+    }
+}
+
+/// What every rank tells, in the order of ranks.
+pub(super) fn tell<T: Serialize + DeserializeOwned>(ranks: &dyn Ranks, fact: &T) -> Result<Vec<T>, TrainError> {
+    let bytes = serde_json::to_vec(fact).map_err(|e| TrainError::State(e.to_string()))?;
+    let told = ranks.tell(bytes)?.into_iter().enumerate();
+    told.map(|(rank, bytes)| serde_json::from_slice(&bytes).map_err(|_| TrainError::short(rank))).collect()
+}
+
+/// What all ranks found, in the order of ranks, and what this one keeps. If one failed, all do.
+pub(super) fn tell_all<T, U>(ranks: &dyn Ranks, mine: Result<(T, U), TrainError>) -> Result<(Vec<T>, U), TrainError>
+where
+    T: Serialize + DeserializeOwned + Clone,
+{
+    let told = mine.as_ref().map(|(fact, _)| fact.clone()).map_err(|e| (e.exit_code(), e.to_string()));
+    let told: Vec<Result<T, (u8, String)>> = tell(ranks, &told)?;
+    let (_, kept) = mine?;
+    let told = told.into_iter().enumerate();
+    let all = told.map(|(rank, told)| told.map_err(|(code, what)| TrainError::Rank { rank, what, code }));
+    Ok((all.collect::<Result<_, _>>()?, kept))
+}
+
+impl Trainer {
+    /// The same run, made by several ranks together; to be called on the first. Every other calls [`Self::join`], then
+    /// [`Self::follow`]. Parameters are the same bits as those of one rank.
+    ///
+    /// # Errors
+    /// If another rank cannot join.
+    pub fn lead(mut self, ranks: Arc<dyn Ranks>) -> Result<Self, TrainError> {
+        if ranks.size() > 1 {
+            ranks.tell(self.state().to_bytes().map_err(|e| TrainError::State(e.to_string()))?)?;
+            tell_all(&*ranks, Ok(((), ())))?;
+            self.ranks = Team { ranks, leads: true };
+        }
+        Ok(self)
+    }
+
+    /// A run that the first rank leads, on the same data; `image_bytes` as in [`TrainOptions`](super::TrainOptions).
+    ///
+    /// # Errors
+    /// If the run does not fit the data, or another rank cannot join.
+    pub fn join(
+        registry: &Registry,
+        dataset: Arc<Dataset>,
+        image_bytes: usize,
+        ranks: Arc<dyn Ranks>,
+    ) -> Result<Self, TrainError> {
+        let state = ranks.tell(Vec::new())?.into_iter().next().unwrap_or_default();
+        let wrong = |e: CheckpointError| TrainError::State(e.to_string());
+        let joined = Checkpoint::from_bytes(&state)
+            .map_err(wrong)
+            .and_then(|state| Self::resume(registry, dataset, &state, None, image_bytes));
+        let (_, mut trainer) = tell_all(&*ranks, joined.map(|trainer| ((), trainer)))?;
+        trainer.ranks = Team { ranks, leads: false };
+        Ok(trainer)
+    }
+
+    /// Does what the first rank does, until that has ended.
+    ///
+    /// # Errors
+    /// If ranks cannot talk to each other. Anything else that goes wrong is the first rank's to report.
+    pub fn follow(&mut self) -> Result<(), TrainError> {
+        loop {
+            let command = tell::<Option<Command>>(&*self.ranks, &None)?.into_iter().next().flatten();
+            let done = match command {
+                Some(Command::Step) => self.step_with_ranks().map(drop),
+                Some(Command::Gather) => self.share_rows(),
+                Some(Command::End) | None => return Ok(()),
+            };
+            if let Err(e @ TrainError::Ranks(_)) = done {
+                return Err(e);
+            }
+        }
+    }
+
+    /// Makes this rank hold the whole state, of which others own a part: to be called before [`Self::state`].
+    ///
+    /// # Errors
+    /// If ranks cannot talk to each other.
+    pub fn gather(&mut self) -> Result<(), TrainError> {
+        self.ask(Command::Gather)?;
+        self.share_rows()
+    }
+
+    /// Asks the other ranks to do the same.
+    pub(super) fn ask(&self, command: Command) -> Result<(), TrainError> {
+        if self.ranks.leads {
+            tell(&*self.ranks, &Some(command))?;
+        }
+        Ok(())
+    }
+
+    /// Every [`COMPARED_EVERY`] steps: whether all ranks hold the same parameters.
+    pub(super) fn compare_ranks(&self) -> Result<(), TrainError> {
+        if self.ranks.size() == 1 || !self.step.is_multiple_of(COMPARED_EVERY) {
+            return Ok(());
+        }
+        let mut sum = crc32fast::Hasher::new();
+        self.model.visit(&mut |p| p.value.iter().for_each(|v| sum.update(&v.to_le_bytes())));
+        let sums = tell(&*self.ranks, &sum.finalize())?;
+        let ranks: Vec<usize> = (0..sums.len()).filter(|r| sums[*r] != sums[0]).collect();
+        if ranks.is_empty() { Ok(()) } else { Err(TrainError::Diverged { step: self.step, ranks }) }
+    }
+}
