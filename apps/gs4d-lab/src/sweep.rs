@@ -5,11 +5,10 @@
 
 pub mod page;
 
-use crate::contest::{Contest, ContestError, Entry, Event, Standing};
+use crate::contest::{Contest, ContestError, Entry, Standing};
 use gs_train::evaluate::EvalReport;
 use serde::Serialize;
 use std::path::PathBuf;
-use std::sync::atomic::AtomicBool;
 
 /// A setting and the values it takes in turn.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -57,7 +56,7 @@ const COLUMNS: [Column; 8] = [
     ("MB", 3, |r| r.megabytes),
     ("seconds", 1, |r| r.seconds),
     ("splats", 0, |r| r.splats),
-    ("steps", 0, |r| Some(r.steps as f64)),
+    ("steps", 0, |r| r.steps.map(|s| s as f64)),
 ];
 
 /// One setting and its scores, means over seeds.
@@ -85,9 +84,9 @@ pub struct Row {
     pub seconds: Option<f64>,
     /// Number of splats.
     pub splats: Option<f64>,
-    /// Steps of every trial.
-    pub steps: u64,
-    /// Run folders of the trials, one per seed.
+    /// Steps of every trial; `None` without the pilot that gives them.
+    pub steps: Option<u64>,
+    /// Run folders of the trials that stand, one per seed.
     pub runs: Vec<PathBuf>,
 }
 
@@ -133,30 +132,37 @@ impl Row {
     }
 }
 
-/// Runs `base` and `base` with each value of `vary` alone, under the conditions of `contest`, whose entries do not matter. The
-/// rows are the preset (`base`), then the varied settings in order.
-///
-/// # Errors
-/// Those of [`Contest::run`]; settings are checked before anything is trained.
-pub fn sweep(
-    contest: &Contest,
-    base: &Entry,
-    vary: &[Vary],
-    stop: &AtomicBool,
-    on_event: &mut dyn FnMut(Event),
-) -> Result<Vec<Row>, ContestError> {
-    let mut contest = Contest { entries: vec![base.clone()], ..contest.clone() };
-    // Key, value and index of the entry; 0 is the preset.
-    let mut settings = Vec::new();
-    for (key, value) in vary.iter().flat_map(|v| v.values.iter().map(|value| (v.key.as_str(), value.as_str()))) {
-        let entry = base.with(format!("{key}={value}"));
-        let repeats_preset = contest.same(base, &entry)?;
-        settings.push((key, value, if repeats_preset { 0 } else { contest.entries.len() }));
-        contest.entries.extend((!repeats_preset).then_some(entry));
+/// A contest of a base and the same with each value of some settings alone.
+#[derive(Clone, Debug)]
+pub struct Sweep {
+    /// The contest; its entries are the base, then the varied settings that the base has not already.
+    pub contest: Contest,
+    /// Key, value and index of the entry; 0 is the base.
+    settings: Vec<(String, String, usize)>,
+}
+
+impl Sweep {
+    /// `base` and `base` with each value of `vary` alone, under the conditions of `contest`, whose entries do not matter.
+    ///
+    /// # Errors
+    /// If settings are invalid.
+    pub fn new(contest: Contest, base: &Entry, vary: &[Vary]) -> Result<Self, ContestError> {
+        let mut contest = Contest { entries: vec![base.clone()], ..contest };
+        let mut settings = Vec::new();
+        for (key, value) in vary.iter().flat_map(|v| v.values.iter().map(|value| (v.key.clone(), value.clone()))) {
+            let entry = base.with(format!("{key}={value}"));
+            let repeats_preset = contest.same(base, &entry)?;
+            settings.push((key, value, if repeats_preset { 0 } else { contest.entries.len() }));
+            contest.entries.extend((!repeats_preset).then_some(entry));
+        }
+        Ok(Self { contest, settings })
     }
-    let standings = contest.run(stop, on_event)?;
-    let row = |&(key, value, k): &(&str, &str, usize)| Row::new(Some((key, value)), k == 0, &standings[k]);
-    Ok(std::iter::once(Row::new(None, true, &standings[0])).chain(settings.iter().map(row)).collect())
+
+    /// The rows of the contest's standings: the preset (the base), then the varied settings in order.
+    pub fn rows(&self, standings: &[Standing]) -> Vec<Row> {
+        let row = |(key, value, k): &(String, String, usize)| Row::new(Some((key, value)), *k == 0, &standings[*k]);
+        std::iter::once(Row::new(None, true, &standings[0])).chain(self.settings.iter().map(row)).collect()
+    }
 }
 
 /// The rows as comma-separated values with a heading, all digits.
@@ -168,7 +174,8 @@ pub fn csv(rows: &[Row]) -> String {
     for r in rows {
         let numbers =
             [r.psnr, r.psnr_deviation, r.extrapolated, r.ssim, r.proxy, r.megabytes, r.seconds, r.splats].map(number);
-        out.push_str(&format!("{},{},{}\n", quoted(&r.label()), numbers.join(","), r.steps));
+        let steps = r.steps.map_or(String::new(), |s| s.to_string());
+        out.push_str(&format!("{},{},{steps}\n", quoted(&r.label()), numbers.join(",")));
     }
     out
 }
@@ -176,8 +183,9 @@ pub fn csv(rows: &[Row]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::contest::Length;
+    use crate::contest::{Event, Length};
     use gs_synth::{SynthOptions, write};
+    use std::sync::atomic::AtomicBool;
 
     #[test]
     fn settings_are_read_and_bad_ones_named() {
@@ -209,7 +217,8 @@ mod tests {
         let (base, go) = (Entry::new("static3d"), AtomicBool::new(false));
         let mut trials = 0;
         let mut count = |t: Event| trials += u32::from(matches!(t, Event::Trial(_)));
-        let rows = sweep(&contest, &base, &vary, &go, &mut count).unwrap();
+        let sweep = Sweep::new(contest.clone(), &base, &vary).unwrap();
+        let rows = sweep.rows(&sweep.contest.run(&go, &mut count).unwrap().standings);
         let labels: Vec<String> = rows.iter().map(Row::label).collect();
         assert_eq!(labels, ["preset", "init.points=150", "init.points=300", "schedule.lambda_dssim=0.5"]);
         assert_eq!((trials, rows.iter().map(|r| r.preset).collect::<Vec<_>>()), (3, vec![true, false, true, false]));
@@ -219,6 +228,6 @@ mod tests {
         let html = crate::sweep::page::page("static3d", &rows).unwrap();
         assert!(html.contains("<svg") && html.contains("schedule.lambda_dssim=0.5") && !html.contains("<script"));
         let wrong = [Vary::parse("no.such=1|2").unwrap()];
-        assert!(sweep(&contest, &base, &wrong, &go, &mut |_| {}).is_err());
+        assert!(Sweep::new(contest, &base, &wrong).is_err());
     }
 }

@@ -4,9 +4,9 @@ use gs_core::io::is_temporary;
 use gs_core::testkit::faults::VARIABLE;
 use gs_synth::{SynthOptions, write};
 use gs_train::checkpoint::load_newest;
-use gs4d_lab::contest::{Contest, Entry, Length};
+use gs4d_lab::contest::{Contest, Entry, Length, Results};
 use gs4d_lab::continual;
-use gs4d_lab::sweep::{Vary, sweep};
+use gs4d_lab::sweep::{Sweep, Vary};
 use gs4d_run::Training;
 use gs4d_run::settings::{Request, resolve};
 use std::fs;
@@ -67,15 +67,20 @@ fn rounds(folder: &Path) -> continual::Plan {
     }
 }
 
+fn finished(results: Results) {
+    assert!(results.missing.is_empty(), "{:?}", results.missing);
+}
+
 fn act(experiment: &str, folder: &Path) {
     let go = AtomicBool::new(false);
     match experiment {
         "train" => train(folder),
         "continual" => drop(continual::run(&rounds(folder), &folder.join("out"), false, &go, &mut |_| {}).unwrap()),
-        "contest" => drop(contest(folder).run(&go, &mut |_| {}).unwrap()),
+        "contest" => finished(contest(folder).run(&go, &mut |_| {}).unwrap()),
         _ => {
             let vary = [Vary::parse("schedule.lambda_dssim=0.5").unwrap()];
-            drop(sweep(&contest(folder), &Entry::new("static3d"), &vary, &go, &mut |_| {}).unwrap());
+            let sweep = Sweep::new(contest(folder), &Entry::new("static3d"), &vary).unwrap();
+            finished(sweep.contest.run(&go, &mut |_| {}).unwrap());
         }
     }
 }

@@ -28,6 +28,16 @@ pub enum RunError {
         /// The folder of the run.
         path: PathBuf,
     },
+    /// The run has not reached the end of its schedule.
+    #[error("{} is unfinished: its newest checkpoint is of step {step} of {steps}", path.display())]
+    Unfinished {
+        /// The folder of the run.
+        path: PathBuf,
+        /// Step of its newest checkpoint, 0 if there is none.
+        step: u32,
+        /// Steps of its schedule.
+        steps: u64,
+    },
     /// The run is trained in rounds, and cannot be resumed without them.
     #[error("{} is trained in rounds: go on with `{command}`", path.display())]
     InRounds {

@@ -32,4 +32,4 @@ pub use error::RunError;
 pub use folder::RunFolder;
 pub use opened::OpenRun;
 pub use settings::{Request, Resolved};
-pub use training::{Outcome, Progress, ResumeRequest, Training};
+pub use training::{Outcome, Progress, ResumeRequest, Scored, Stage, Training};

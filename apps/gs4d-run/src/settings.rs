@@ -212,6 +212,11 @@ impl Resolved {
         Self::of(registry, config)
     }
 
+    /// Whether training with the other settings gives the same run.
+    pub fn trains_as(&self, other: &Self) -> bool {
+        self.method == other.method && self.run == other.run && self.data == other.data
+    }
+
     /// The data set of these settings.
     ///
     /// # Errors

@@ -1,5 +1,6 @@
 //! The training loop: steps, log lines, checkpoints, evaluations, and its three outcomes.
 
+mod stage;
 mod window;
 
 use super::RunError;
@@ -22,6 +23,7 @@ use gs_train::trainer::{TrainError, TrainOptions, Trainer};
 use gs4d_report::analysis::Snapshot;
 use gs4d_report::png;
 use serde_json::{Value, json};
+pub use stage::{Scored, Stage};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};

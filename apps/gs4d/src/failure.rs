@@ -278,6 +278,7 @@ impl From<RunError> for Failure {
             RunError::OtherSettings { .. } => Self::new(Class::Io, "io.exists", text)
                 .why("nothing is overwritten unless asked")
                 .remedy("choose another folder with -o, or pass -f"),
+            RunError::Unfinished { .. } => Self::new(Class::Data, "run", text).remedy("gs4d resume goes on with it"),
             RunError::InRounds { .. } => Self::new(Class::Usage, "rounds", text),
             RunError::NotARun { .. } => {
                 Self::new(Class::Data, "run", text).remedy("give the folder that gs4d train -o made")

@@ -52,8 +52,9 @@ fn rows_table(rows: &[Row]) -> String {
     let (head, mut cells) = Row::table(rows, "–");
     for (cells, row) in cells.iter_mut().zip(rows) {
         cells[0].push_str(if row.repeats_preset() { " (the preset's)" } else { "" });
-        let deviation = row.psnr_deviation.filter(|d| *d > 0.0);
-        cells[1].push_str(&deviation.map_or(String::new(), |d| format!(" ± {d:.2}")));
+        if let Some(deviation) = row.psnr_deviation.filter(|d| *d > 0.0) {
+            cells[1].push_str(&format!(" ± {deviation:.2}"));
+        }
     }
     table(&head, &(1..head.len()).collect::<Vec<_>>(), cells.into_iter())
 }

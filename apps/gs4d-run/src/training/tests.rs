@@ -13,13 +13,17 @@ fn prepared() -> TempDir {
     dir
 }
 
-/// A run of six steps that logs every step and saves every second, with the warnings it will give.
-fn begin(dir: &TempDir, tries: usize) -> (Training, Arc<Mutex<Vec<String>>>) {
+/// Settings of six steps that log every step and save every second.
+fn settings(dir: &TempDir, time_budget: Option<f64>) -> Resolved {
     let sets = ["run.checkpoint_every=2", "run.log_every=1", "init.points=60"].map(String::from).to_vec();
     let (method, preset, data) = ("static3d".into(), "tiny".into(), Some(dir.path().join("data")));
-    let request = Request { method, preset, data, steps: Some(6), sets, ..Request::default() };
-    let resolved = resolve(gs_methods::registry(), &request).unwrap();
-    let mut training = Training::begin(&dir.path().join("run"), true, resolved).unwrap();
+    let request = Request { method, preset, data, steps: Some(6), time_budget, sets, ..Request::default() };
+    resolve(gs_methods::registry(), &request).unwrap()
+}
+
+/// A run of six steps, with the warnings it will give.
+fn begin(dir: &TempDir, tries: usize) -> (Training, Arc<Mutex<Vec<String>>>) {
+    let mut training = Training::begin(&dir.path().join("run"), true, settings(dir, None)).unwrap();
     let warnings = Arc::new(Mutex::new(Vec::new()));
     let told = Arc::clone(&warnings);
     let pauses = vec![Duration::from_millis(1); tries - 1];
@@ -71,4 +75,39 @@ fn a_disk_that_stays_full_ends_the_training_after_the_last_try() {
     assert!(tries.iter().all(|w| w.contains("step-000004.gs4d") && w.contains("bytes are free")), "{warnings:?}");
     assert_eq!(warnings.len(), 4, "one warning for the log: {warnings:?}");
     assert_eq!(steps_in(&training.folder.checkpoints()).unwrap(), [2]);
+}
+
+#[test]
+fn a_run_is_begun_goes_on_and_is_finished_when_its_end_is_scored() {
+    let dir = prepared();
+    let (root, plain) = (dir.path().join("run"), settings(&dir, None));
+    assert_eq!(Stage::of(&root, &plain).unwrap(), Stage::Missing);
+    let stop = AtomicBool::new(false);
+    let mut training = Training::go_on(&root, plain.clone()).unwrap();
+    training.train(&stop, &mut |p, _| stop.store(p.step == 2, Ordering::Relaxed)).unwrap();
+    training.score().unwrap();
+    drop(training);
+    assert_eq!(Stage::of(&root, &plain).unwrap(), Stage::Begun(2), "scores of step 2 are not the result");
+    let other = settings(&dir, Some(1e3));
+    assert!(matches!(Training::go_on(&root, other), Err(RunError::OtherSettings { .. })));
+
+    let mut training = Training::go_on(&root, plain.clone()).unwrap();
+    assert_eq!(training.trainer.steps_done(), 2);
+    assert_eq!(train(&mut training, None).0.unwrap(), Outcome::Finished);
+    assert_eq!(Stage::of(&root, &plain).unwrap(), Stage::Begun(6));
+    let scored = Scored { scores: training.score().unwrap(), step: 6 };
+    assert_eq!(Stage::of(&root, &plain).unwrap(), Stage::Finished(Box::new(scored)));
+}
+
+#[test]
+fn a_run_goes_on_up_to_its_own_time_budget() {
+    let dir = prepared();
+    let (root, short) = (dir.path().join("run"), settings(&dir, Some(1e-9)));
+    for _ in 0..2 {
+        let mut training = Training::go_on(&root, short.clone()).unwrap();
+        assert!(matches!(train(&mut training, None).0, Ok(Outcome::BudgetSpent(_))));
+        assert_eq!(training.trainer.steps_done(), 1, "one step spends it");
+        training.score().unwrap();
+    }
+    assert!(matches!(Stage::of(&root, &short).unwrap(), Stage::Finished(scored) if scored.step == 1));
 }

@@ -1,16 +1,15 @@
 //! `gs4d contest`: several methods or settings on the same data, with the same seeds and the same time.
 
+use super::jobs::{Jobs, with_missing};
 use super::train::time_text;
 use crate::answer::Answer;
-use crate::failure::{Class, Failure};
+use crate::failure::Failure;
 use crate::global::Global;
-use crate::progress::Progress;
-use crate::{interrupt, parse};
+use crate::parse;
 use gs4d_lab::aligned;
-use gs4d_lab::contest::{Contest, ContestError, Entry, Event, Length, SCORES, Score, Spread, Standing};
+use gs4d_lab::contest::{Contest, Entry, Length, Results, SCORES, Score, Spread, Standing};
 use serde_json::{Value, json};
 use std::path::PathBuf;
-use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 /// Compare methods or settings on the same data, with equal time and several seeds
@@ -48,6 +47,8 @@ pub struct Trials {
     /// Folder of the trials and of the results; finished trials in it are not trained again.
     #[arg(short, long, value_name = "DIR")]
     pub out: PathBuf,
+    #[command(flatten)]
+    pub jobs: Jobs,
 }
 
 impl Trials {
@@ -60,38 +61,15 @@ impl Trials {
 impl ContestVerb {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
         let length = self.trials.length();
-        let Self { data, entries, preset, trials: Trials { seeds, sets, out: root, .. } } = self;
+        let Self { data, entries, preset, trials: Trials { seeds, sets, out: root, jobs, .. } } = self;
         let contest =
             Contest { registry: gs_methods::registry().clone(), data, root, preset, entries, seeds, length, sets };
-        let standings = follow(global, |stop, on_event| contest.run(stop, on_event))?.map_err(failure)?;
-        Ok(Answer::new(table(&standings), to_json(&standings)))
-    }
-}
-
-/// Runs trials with a progress line for each, until done or interrupted.
-pub fn follow<T>(global: &Global, run: impl FnOnce(&AtomicBool, &mut dyn FnMut(Event)) -> T) -> Result<T, Failure> {
-    let stop = interrupt::flag()?;
-    let mut progress: Option<Progress> = None;
-    let result = run(&stop, &mut |event| match event {
-        Event::Trial(name) => {
-            progress.take().into_iter().for_each(Progress::finish);
-            global.say(name);
+        if let Some(list) = jobs.plan(&contest, global)? {
+            return Ok(list);
         }
-        Event::Step(p) => Progress::step(&mut progress, p, global.quiet),
-    });
-    progress.into_iter().for_each(Progress::finish);
-    Ok(result)
-}
-
-/// The failure of a trial.
-pub fn failure(e: ContestError) -> Failure {
-    let again = "the same command goes on where it stopped";
-    match e {
-        ContestError::Run { trial, source } => Failure::from(*source).why(format!("in the trial {trial}")),
-        ContestError::Other(_) => Failure::new(Class::Io, "io.exists", e.to_string())
-            .why("nothing is overwritten unless asked")
-            .remedy("choose another folder with -o"),
-        ContestError::Interrupted(_) => Failure::new(Class::Interrupted, "interrupted", e.to_string()).remedy(again),
+        let Results { standings, missing } = jobs.results(&contest, global)?;
+        let answer = Answer::new(table(&standings), with_missing(to_json(&standings), &missing));
+        jobs.judge(answer, missing, global)
     }
 }
 
@@ -103,7 +81,7 @@ fn table(standings: &[Standing]) -> String {
     let row = |s: &Standing| {
         let delta = psnr(s).zip(first).map_or("-".to_owned(), |(p, f)| format!("{:+.2}", p - f));
         let scores = scores.iter().map(|(_, digits, score)| spread_text(s.spread(score), *digits));
-        [s.label.clone(), s.steps.to_string(), delta].into_iter().chain(scores).collect()
+        [s.label.clone(), s.steps.map_or("-".to_owned(), |n| n.to_string()), delta].into_iter().chain(scores).collect()
     };
     let head: Vec<&str> = ["entry", "steps", "dB"].into_iter().chain(scores.iter().map(|s| s.0)).collect();
     let text = aligned(&head, &standings.iter().map(row).collect::<Vec<_>>(), |column| column == 0);

@@ -8,6 +8,7 @@ use crate::interrupt;
 use crate::progress::Progress;
 use gs_train::evaluate::MeanScores;
 use gs4d_lab::continual::{Event, FILE, Plan, RoundScores, Rounds, run};
+use gs4d_lab::shell_quoted;
 use gs4d_run::settings::Request;
 use serde_json::json;
 use std::path::{Path, PathBuf};
@@ -121,13 +122,7 @@ fn again(arguments: impl Iterator<Item = String>) -> String {
         }
         _ => Some(argument),
     });
-    std::iter::once("gs4d".to_owned()).chain(kept.map(quoted)).collect::<Vec<_>>().join(" ")
-}
-
-/// A word as a shell reads it back.
-fn quoted(word: String) -> String {
-    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./,:=+@%".contains(c);
-    if !word.is_empty() && word.chars().all(plain) { word } else { format!("'{}'", word.replace('\'', r"'\''")) }
+    std::iter::once("gs4d".to_owned()).chain(kept.map(shell_quoted)).collect::<Vec<_>>().join(" ")
 }
 
 /// Runs the rounds with a progress line for each.

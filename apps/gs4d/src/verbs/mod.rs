@@ -14,6 +14,7 @@ pub mod forecast;
 pub mod glmd;
 pub mod init;
 pub mod inspect;
+pub mod jobs;
 pub mod lab;
 pub mod methods;
 pub mod pose;

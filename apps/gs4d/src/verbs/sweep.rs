@@ -1,15 +1,17 @@
 //! `gs4d sweep`: one setting at a time varied around a preset.
 
-use super::contest::{Trials, failure, follow};
+use super::contest::Trials;
+use super::jobs::{failure, with_missing};
 use super::train::time_text;
 use crate::answer::Answer;
 use crate::failure::Failure;
 use crate::global::Global;
+use crate::output::create_folder;
 use gs_core::io::write_file;
 use gs4d_lab::aligned;
-use gs4d_lab::contest::{Contest, Entry};
+use gs4d_lab::contest::{Contest, Entry, Results};
 use gs4d_lab::sweep::page::page;
-use gs4d_lab::sweep::{Row, Vary, csv, sweep};
+use gs4d_lab::sweep::{Row, Sweep, Vary, csv};
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
@@ -35,18 +37,24 @@ pub struct SweepVerb {
 impl SweepVerb {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
         let length = self.trials.length();
-        let Self { data, method, preset, vary, trials: Trials { seeds, sets, out: root, .. } } = self;
+        let Self { data, method, preset, vary, trials: Trials { seeds, sets, out: root, jobs, .. } } = self;
         let title = format!("{method}, preset {preset}");
         let (registry, base) = (gs_methods::registry().clone(), Entry::new(&method));
         let contest = Contest { registry, data, root: root.clone(), preset, entries: Vec::new(), seeds, length, sets };
-        let rows = follow(global, |stop, on_event| sweep(&contest, &base, &vary, stop, on_event))?.map_err(failure)?;
-        let json = json!({"title": title, "rows": rows});
+        let sweep = Sweep::new(contest, &base, &vary).map_err(failure)?;
+        if let Some(list) = jobs.plan(&sweep.contest, global)? {
+            return Ok(list);
+        }
+        let Results { standings, missing } = jobs.results(&sweep.contest, global)?;
+        let rows = sweep.rows(&standings);
+        let json = with_missing(json!({"title": title, "rows": rows}), &missing);
         let html = page(&title, &rows).map_err(|e| Failure::from(gs4d_run::RunError::from(e)))?;
+        create_folder(&root)?;
         for (name, content) in [("sweep.json", format!("{json:#}\n")), ("sweep.csv", csv(&rows)), ("sweep.html", html)]
         {
             write_file(&root.join(name), true, |out| out.write_all(content.as_bytes()))?;
         }
-        Ok(Answer::new(table(&rows, &root), json))
+        jobs.judge(Answer::new(table(&rows, &root), json), missing, global)
     }
 }
 

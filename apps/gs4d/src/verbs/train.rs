@@ -13,8 +13,8 @@ use gs4d_run::opened::metrics_json;
 use gs4d_run::settings::{Request, resolve};
 use gs4d_run::summary::color_name;
 use gs4d_run::training::is_numeric;
-use gs4d_run::{Outcome, Training};
-use serde_json::json;
+use gs4d_run::{Outcome, Scored, Stage, Training};
+use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
@@ -52,6 +52,10 @@ pub struct Train {
     /// Overwrite an older run in that folder.
     #[arg(short, long)]
     force: bool,
+    /// Go on with a run of the same settings in that folder, begin it if there is none, do nothing if it is finished: the
+    /// same command line can be repeated until it exits with 0.
+    #[arg(long = "continue", conflicts_with = "force")]
+    go_on: bool,
     #[command(flatten)]
     watch: Watch,
 }
@@ -69,8 +73,19 @@ impl Train {
             sets: self.sets,
         };
         let resolved = resolve(gs_methods::registry(), &request)?;
+        if self.go_on
+            && let Stage::Finished(scored) = Stage::of(&self.out, &resolved)?
+        {
+            global.say(format!("nothing is left to train in {}", self.out.display()));
+            let Scored { scores, step } = *scored;
+            let json = result_json(&scores, step, &self.out, u64::from(step) >= resolved.steps());
+            return Ok(Answer::new(all_scores_text(&scores, step), json));
+        }
         let stop = interrupt::flag()?;
-        let mut training = Training::begin(&self.out, self.force, resolved)?;
+        let mut training = match self.go_on {
+            true => Training::go_on(&self.out, resolved)?,
+            false => Training::begin(&self.out, self.force, resolved)?,
+        };
         carry_on(&mut training, &self.watch, &stop, global)
     }
 }
@@ -88,9 +103,7 @@ pub fn carry_on(training: &mut Training, watch: &Watch, stop: &AtomicBool, globa
     let scores = training.score()?;
     let rows = training.report(&scores)?;
     let step = training.trainer().steps_done();
-    let mut json = metrics_json(&scores, step);
-    json["run"] = json!(root.display().to_string());
-    json["finished"] = json!(outcome == Outcome::Finished);
+    let mut json = result_json(&scores, step, &root, outcome == Outcome::Finished);
     json["speed_error"] = speed_json(&rows);
     let mut text = all_scores_text(&scores, step);
     text.push_str(&format!("report  {}\n", root.join("report.html").display()));
@@ -98,6 +111,14 @@ pub fn carry_on(training: &mut Training, watch: &Watch, stop: &AtomicBool, globa
         text.push_str(&format!("the time budget is spent; go on: {}\n", resume_command(&root)));
     }
     Ok(Answer::new(text, json))
+}
+
+/// The scores of a run with its folder, and whether its schedule is done.
+fn result_json(scores: &EvalReport, step: u32, root: &Path, finished: bool) -> Value {
+    let mut json = metrics_json(scores, step);
+    json["run"] = json!(root.display().to_string());
+    json["finished"] = json!(finished);
+    json
 }
 
 /// Trains with a progress line, and feeds the viewer if there is one.

@@ -23,23 +23,32 @@ const ADDED: [(&str, &[&str]); 6] = [
     ("resume", &["--quiet"]),
 ];
 
-fn guide() -> PathBuf {
+pub fn guide() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/guide")
 }
 
-/// The commands of the `sh` blocks of a chapter.
-fn commands(text: &str) -> Vec<String> {
-    let mut inside = false;
+/// The blocks of a language of a chapter.
+pub fn blocks(text: &str, language: &str) -> Vec<String> {
+    let (begin, mut inside) = (format!("```{language}"), false);
     let mut out = Vec::new();
     for line in text.lines() {
         match line.trim() {
-            "```sh" => inside = true,
+            mark if mark == begin => {
+                inside = true;
+                out.push(String::new());
+            }
             "```" => inside = false,
-            line if inside && !line.is_empty() => out.push(line.to_owned()),
+            _ if inside => out.last_mut().into_iter().for_each(|block| *block += &format!("{line}\n")),
             _ => {}
         }
     }
     out
+}
+
+/// The commands of the `sh` blocks of a chapter.
+fn commands(text: &str) -> Vec<String> {
+    let lines = blocks(text, "sh").concat();
+    lines.lines().map(|line| line.trim().to_owned()).filter(|line| !line.is_empty()).collect()
 }
 
 /// Words of a command line; quotes hold words together, `#` begins a remark.
@@ -83,20 +92,23 @@ fn shortened(words: &[String]) -> Vec<String> {
     out
 }
 
+/// Runs the command of a line of a chapter in a folder.
+pub fn run_line(name: &str, line: &str, folder: &Path) {
+    let words = words(line);
+    assert_eq!(words[0], "gs4d", "{name}: only commands of gs4d stand in sh blocks: {line}");
+    let short = shortened(&words[1..]);
+    let arguments: Vec<&str> = short.iter().map(String::as_str).collect();
+    let output = command(&arguments).current_dir(folder).output().expect("gs4d runs");
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{name}: `{line}` (as {short:?}) failed: {stderr}");
+}
+
 fn chapter(name: &str) {
     let text = std::fs::read_to_string(guide().join(name)).expect("chapter");
     let folder = tempfile::tempdir().expect("folder");
     let lines = commands(&text);
     assert!(!lines.is_empty(), "{name} has no commands");
-    for line in lines {
-        let words = words(&line);
-        assert_eq!(words[0], "gs4d", "{name}: only commands of gs4d stand in sh blocks: {line}");
-        let short = shortened(&words[1..]);
-        let arguments: Vec<&str> = short.iter().map(String::as_str).collect();
-        let output = command(&arguments).current_dir(folder.path()).output().expect("gs4d runs");
-        let stderr = String::from_utf8_lossy(&output.stderr);
-        assert!(output.status.success(), "{name}: `{line}` (as {short:?}) failed: {stderr}");
-    }
+    lines.iter().for_each(|line| run_line(name, line, folder.path()));
 }
 
 #[test]

@@ -2,6 +2,7 @@
 
 mod avatar;
 mod captures;
+mod cluster;
 mod compact;
 mod compare;
 mod contest;

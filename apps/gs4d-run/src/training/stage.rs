@@ -1,0 +1,78 @@
+//! How far the run of given settings has come in its folder, and going on with it.
+
+use super::{ResumeRequest, Training};
+use crate::folder::{CONFIG, METRICS, RunFolder};
+use crate::{Resolved, RunError};
+use gs_train::checkpoint;
+use gs_train::evaluate::EvalReport;
+use serde_json::Value;
+use std::path::Path;
+
+/// How far a run has come.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Stage {
+    /// There is no run in the folder.
+    Missing,
+    /// It is begun; its newest checkpoint is of this step, 0 if there is none.
+    Begun(u32),
+    /// It is trained to the end of its schedule or of its time budget, and scored.
+    Finished(Box<Scored>),
+}
+
+/// The result of a finished run.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Scored {
+    /// What [`Training::score`] gave.
+    pub scores: EvalReport,
+    /// Optimizer steps made.
+    pub step: u32,
+}
+
+impl Stage {
+    /// How far the run in a folder has come that has these settings.
+    ///
+    /// # Errors
+    /// [`RunError::OtherSettings`] if its settings are others or it is trained in rounds; if its settings cannot be read.
+    pub fn of(root: &Path, resolved: &Resolved) -> Result<Self, RunError> {
+        let folder = match RunFolder::open(root) {
+            Err(RunError::NotARun { .. }) => return Ok(Stage::Missing),
+            folder => folder?,
+        };
+        let found = Resolved::read(&resolved.registry, &folder.read(CONFIG)?, CONFIG)?;
+        if !found.trains_as(resolved) || folder.rounds().is_some() {
+            return Err(RunError::OtherSettings { path: root.to_owned() });
+        }
+        match scored(&folder, resolved) {
+            Some(scored) => Ok(Stage::Finished(Box::new(scored))),
+            None => Ok(Stage::Begun(checkpoint::steps_in(&folder.checkpoints())?.first().copied().unwrap_or(0))),
+        }
+    }
+}
+
+/// The scores of a run at the end of its training; `gs4d eval` may have scored an earlier step.
+fn scored(folder: &RunFolder, resolved: &Resolved) -> Option<Scored> {
+    let json: Value = serde_json::from_str(&folder.read(METRICS).ok()?).ok()?;
+    let step = u32::try_from(json["step"].as_u64()?).ok()?;
+    let scores: EvalReport = serde_json::from_value(json).ok()?;
+    let (budget, seconds) = (resolved.run.time_budget, scores.train_seconds.unwrap_or(0.0));
+    let ended = u64::from(step) >= resolved.steps() || budget > 0.0 && seconds >= budget;
+    ended.then_some(Scored { scores, step })
+}
+
+impl Training {
+    /// Goes on with the run of these settings in a folder, up to its own time budget if it has one; begins it if there is
+    /// none, or none that has saved anything. A finished run has nothing left to train.
+    ///
+    /// # Errors
+    /// Those of [`Stage::of`], [`Training::begin`] and [`Training::resume`].
+    pub fn go_on(root: &Path, resolved: Resolved) -> Result<Self, RunError> {
+        match Stage::of(root, &resolved)? {
+            Stage::Missing => Self::begin(root, false, resolved),
+            Stage::Begun(0) => Self::begin(root, true, resolved),
+            _ => {
+                let resumed = Self::resume(&resolved.registry, root, &ResumeRequest::default())?;
+                Ok(Self { stop_at: resolved.run.time_budget, ..resumed })
+            }
+        }
+    }
+}
