@@ -114,3 +114,12 @@ pub struct RanksError {
     /// What was noticed.
     pub what: String,
 }
+
+impl RanksError {
+    /// A message of a rank that ends too early, or says something else.
+    pub(crate) fn short(rank: usize) -> Self {
+        Self {
+            what: format!("the message of rank {rank} is not the one expected; all ranks must run the same program"),
+        }
+    }
+}

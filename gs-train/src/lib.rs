@@ -47,7 +47,7 @@ pub mod scene;
 pub mod schedule;
 pub mod step;
 pub mod still;
-#[cfg(feature = "testkit")]
+#[cfg(any(feature = "testkit", feature = "conformance"))]
 pub mod testkit;
 pub mod timestamp;
 pub mod trainer;

@@ -9,6 +9,8 @@
 pub mod tree;
 
 use crate::error::RanksError;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 use std::sync::Arc;
 
 /// Processes, or threads, that call the same functions in the same order.
@@ -55,4 +57,14 @@ impl Ranks for Alone {
 /// One rank, as programs pass it around.
 pub fn alone() -> Arc<dyn Ranks> {
     Arc::new(Alone)
+}
+
+/// What every rank tells, in the order of ranks.
+///
+/// # Errors
+/// If a rank cannot be reached, or tells something else.
+pub fn tell<T: Serialize + DeserializeOwned>(ranks: &dyn Ranks, fact: &T) -> Result<Vec<T>, RanksError> {
+    let bytes = serde_json::to_vec(fact).map_err(|e| RanksError { what: e.to_string() })?;
+    let told = ranks.tell(bytes)?.into_iter().enumerate();
+    told.map(|(rank, bytes)| serde_json::from_slice(&bytes).map_err(|_| RanksError::short(rank))).collect()
 }

@@ -149,7 +149,7 @@ pub fn on_ranks<T: Send>(
     let alone = || rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("pool");
     std::thread::scope(|scope| {
         for rank in ranks {
-            let follow = move || Trainer::join(registry, data.clone(), 64 << 20, rank).and_then(|mut t| t.follow());
+            let follow = move || Trainer::join(registry, Ok(data.clone()), 64 << 20, rank).and_then(|mut t| t.follow());
             scope.spawn(move || alone().install(follow).expect("rank"));
         }
         alone().install(|| lead(trainer.lead(first).expect("first rank")))

@@ -35,6 +35,7 @@ const APPS: &[(&str, &[&str])] = &[
     ("gs4d-lab", &["gs4d-eval", "gs4d-report", "gs4d-run"]),
     ("gs4d-view", &["gs4d-eval", "gs4d-report", "gs4d-run"]),
     ("gs4d", &["gs4d-doctor", "gs4d-eval", "gs4d-lab", "gs4d-report", "gs4d-run", "gs4d-view"]),
+    ("gs4d-mpi", &["gs4d"]),
 ];
 
 fn manifest(folder: &str) -> toml::Table {

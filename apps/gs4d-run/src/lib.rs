@@ -20,6 +20,7 @@ pub mod opened;
 pub mod orbit;
 mod overlays;
 mod provenance;
+pub mod ranks;
 mod saving;
 mod score_table;
 pub mod settings;

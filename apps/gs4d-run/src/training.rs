@@ -9,6 +9,7 @@ use super::kept;
 use super::log::Log;
 use super::opened::{check_method, metrics_json};
 use super::provenance::{self, DataOrigin, Machine, now_utc};
+use super::ranks;
 use super::saving::Patience;
 use super::settings::{self, Resolved};
 use super::summary::{ReportInput, build_report};
@@ -17,6 +18,7 @@ use gs_core::speed::BenchRow;
 use gs_data::{Dataset, ImageCache, Split};
 use gs_train::checkpoint::{self, Newest, Skipped};
 use gs_train::evaluate::{EvalReport, evaluate, evaluate_with_future};
+use gs_train::ranks::Ranks;
 use gs_train::registry::Registry;
 use gs_train::renderer::file_stem;
 use gs_train::trainer::{TrainError, TrainOptions, Trainer};
@@ -185,6 +187,19 @@ impl Training {
         let (logs, patience, window) = (Logs::of(&folder), Patience::default(), Window::default());
         let (skipped, warnings) = Default::default();
         Self { trainer, resolved, folder, logs, patience, window, stop_at, skipped, warnings }
+    }
+
+    /// The same run, trained together with the other ranks, which are in [`follow`](crate::ranks::follow). Files, reports and bits
+    /// are those of one rank.
+    ///
+    /// # Errors
+    /// If a rank cannot be reached, cannot read the data, or cannot build the method.
+    pub fn with_ranks(self, ranks: Arc<dyn Ranks>) -> Result<Self, RunError> {
+        if ranks.size() == 1 {
+            return Ok(self);
+        }
+        ranks::call(&*ranks, &self.resolved)?;
+        Ok(Self { trainer: self.trainer.lead(ranks)?, ..self })
     }
 
     /// Sets what happens when the disk refuses: a checkpoint is tried again after each of the `pauses` (default: 1, 5 and 20
@@ -382,6 +397,7 @@ impl Training {
     pub fn save(&mut self) -> Result<PathBuf, RunError> {
         let Logs { steps, histograms, journal } = &mut self.logs;
         [steps, histograms, journal].into_iter().for_each(|log| log.flush(&self.patience.warn));
+        self.trainer.gather()?;
         self.patience.save_step(&self.trainer.state(), &self.folder.checkpoints(), self.trainer.steps_done())
     }
 

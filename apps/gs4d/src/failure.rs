@@ -196,6 +196,11 @@ impl From<TrainError> for Failure {
                 .why("what is not finite spreads to everything it touches"),
             TrainError::State(_) => Self::new(Class::Data, "checkpoint.state", e.to_string())
                 .remedy("resume with the data and the version the run began with"),
+            TrainError::Rank { code, .. } => Self::new(Class::of_code(code), "rank", e.to_string())
+                .why("all ranks make every step together")
+                .remedy("see that every machine reads the same data at the same path; the last checkpoint is good"),
+            TrainError::Ranks(_) => Self::new(Class::Io, "ranks", e.to_string()),
+            TrainError::Diverged { .. } => Self::new(Class::Internal, "ranks.diverged", e.to_string()),
             TrainError::Finished(_) => {
                 Self::new(Class::Usage, "finished", e.to_string()).remedy("gs4d resume RUN --steps N")
             }

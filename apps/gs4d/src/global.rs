@@ -2,8 +2,10 @@
 
 use clap::Args;
 use gs_core::io::Limits;
+use gs_train::ranks::{Ranks, alone};
 use gs4d_run::memory::MemoryLimit;
 use std::io::Write;
+use std::sync::Arc;
 
 /// Writes a line to stderr. That nobody reads it any more is no reason to stop.
 pub fn to_stderr(line: impl std::fmt::Display) {
@@ -28,6 +30,25 @@ pub struct Global {
     /// Memory that splats and pictures may take, MiB [default: three quarters of what is free].
     #[arg(long, global = true, value_name = "MIB", value_parser = clap::value_parser!(u64).range(1..))]
     pub max_mem: Option<u64>,
+    /// The processes that train together.
+    #[arg(skip)]
+    pub ranks: Company,
+}
+
+/// Ranks; one where nothing else is said.
+#[derive(Clone)]
+pub struct Company(pub Arc<dyn Ranks>);
+
+impl Default for Company {
+    fn default() -> Self {
+        Self(alone())
+    }
+}
+
+impl std::fmt::Debug for Company {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "rank {} of {}", self.0.rank(), self.0.size())
+    }
 }
 
 impl Global {

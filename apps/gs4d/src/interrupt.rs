@@ -15,6 +15,14 @@ pub fn flag() -> Result<Arc<AtomicBool>, Failure> {
     Ok(stop)
 }
 
+/// Lets these signals pass: another process answers them.
+pub fn ignore() -> Result<(), Failure> {
+    let failed = |e: std::io::Error| Failure::new(Class::Internal, "interrupt", e.to_string());
+    let mut signals = Signals::new([SIGINT, SIGTERM, SIGHUP]).map_err(failed)?;
+    let each = move || signals.forever().for_each(drop);
+    std::thread::Builder::new().name("signals".to_owned()).spawn(each).map(drop).map_err(failed)
+}
+
 fn listen(stop: Arc<AtomicBool>) -> std::io::Result<()> {
     let caught = [SIGINT, SIGTERM, SIGHUP].into_iter().filter(|&signal| signal != SIGHUP || !hangup_is_ignored());
     let mut signals = Signals::new(caught)?;

@@ -75,15 +75,21 @@ pub fn read(bytes: &[u8], file: &str, limits: &Limits) -> Result<NpyArray, IoErr
         return Err(src.unsupported("NPY in Fortran order", "save numpy.ascontiguousarray(x)"));
     }
     let mut shape: Vec<usize> = Vec::new();
-    let mut need = item;
+    // Also of an empty array, the product of the other sides must be a number.
+    let (mut need, mut empty) = (item, false);
     for side in field(dict, "shape", src)?.split(',').map(str::trim).filter(|s| !s.is_empty()) {
         let Ok(side) = side.trim_end_matches('L').parse::<u64>() else {
             let what = format!("side `{}` of the shape", clip(side));
             return Err(src.malformed(at, what, "a side must be a whole number"));
         };
         shape.push(limits.rows(src, side)?);
-        need = need.saturating_mul(side);
+        empty |= side == 0;
+        need = need.saturating_mul(side.max(1));
     }
+    if need == u64::MAX {
+        return Err(src.malformed(at, format!("shape {shape:?}"), "an array has less than 2^64 bytes"));
+    }
+    let need = if empty { 0 } else { need };
     let data = bytes.get(start..).unwrap_or_default();
     if need > data.len() as u64 {
         return Err(src.truncated("values", start, need, data.len()));
@@ -210,6 +216,13 @@ mod tests {
     fn with_header(dict: &str, data: &[u8]) -> Vec<u8> {
         let len = (dict.len() as u16).to_le_bytes();
         [MAGIC.as_slice(), &[1, 0], &len, dict.as_bytes(), data].concat()
+    }
+
+    #[test]
+    fn the_other_sides_of_an_empty_array_are_bounded() {
+        let dict = "{'descr': '<f4', 'fortran_order': False, 'shape': (65536, 65536, 65536, 65536, 0), }";
+        let error = read_all(&with_header(dict, &[])).unwrap_err();
+        assert!(error.to_string().contains("65536"), "{error}");
     }
 
     #[test]

@@ -63,7 +63,7 @@ fn list(ranks: &[usize]) -> String {
 impl TrainError {
     /// A message of a rank that ends too early.
     pub(super) fn short(rank: usize) -> Self {
-        RanksError { what: format!("the message of rank {rank} is too short") }.into()
+        RanksError::short(rank).into()
     }
 
     /// The exit code of the command line: 3 data, 4 numerical failure, 2 wrong usage, 6 ranks that cannot talk, 1 ranks that differ.

@@ -2,11 +2,11 @@
 
 use super::coding::{decode, encode};
 use super::sums::{owned, unit};
-use super::team::tell;
 use super::{TrainError, Trainer};
 use crate::adam::{Refused, RefusedRows};
 use crate::method::Merge;
 use crate::model::Model;
+use crate::ranks::tell;
 use gs_core::{Param, Params};
 
 /// Columns that every rank holds, and of which one run is right on each.

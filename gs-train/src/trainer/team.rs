@@ -1,8 +1,8 @@
 //! Ranks that train together: the first leads, the others follow.
 
 use super::{TrainError, Trainer};
-use crate::checkpoint::{Checkpoint, CheckpointError};
-use crate::ranks::{Ranks, alone};
+use crate::checkpoint::Checkpoint;
+use crate::ranks::{Ranks, alone, tell};
 use crate::registry::Registry;
 use gs_core::Params;
 use gs_data::Dataset;
@@ -54,13 +54,6 @@ impl Drop for Team {
     }
 }
 
-/// What every rank tells, in the order of ranks.
-pub(super) fn tell<T: Serialize + DeserializeOwned>(ranks: &dyn Ranks, fact: &T) -> Result<Vec<T>, TrainError> {
-    let bytes = serde_json::to_vec(fact).map_err(|e| TrainError::State(e.to_string()))?;
-    let told = ranks.tell(bytes)?.into_iter().enumerate();
-    told.map(|(rank, bytes)| serde_json::from_slice(&bytes).map_err(|_| TrainError::short(rank))).collect()
-}
-
 /// What all ranks found, in the order of ranks, and what this one keeps. If one failed, all do.
 pub(super) fn tell_all<T, U>(ranks: &dyn Ranks, mine: Result<(T, U), TrainError>) -> Result<(Vec<T>, U), TrainError>
 where
@@ -89,21 +82,20 @@ impl Trainer {
         Ok(self)
     }
 
-    /// A run that the first rank leads, on the same data; `image_bytes` as in [`TrainOptions`](super::TrainOptions).
+    /// A run that the first rank leads, on the same data; `image_bytes` as in [`TrainOptions`](super::TrainOptions). Where the
+    /// data cannot be read, all ranks are told.
     ///
     /// # Errors
-    /// If the run does not fit the data, or another rank cannot join.
+    /// If there are no data, the run does not fit them, or another rank cannot join.
     pub fn join(
         registry: &Registry,
-        dataset: Arc<Dataset>,
+        data: Result<Arc<Dataset>, TrainError>,
         image_bytes: usize,
         ranks: Arc<dyn Ranks>,
     ) -> Result<Self, TrainError> {
         let state = ranks.tell(Vec::new())?.into_iter().next().unwrap_or_default();
-        let wrong = |e: CheckpointError| TrainError::State(e.to_string());
-        let joined = Checkpoint::from_bytes(&state)
-            .map_err(wrong)
-            .and_then(|state| Self::resume(registry, dataset, &state, None, image_bytes));
+        let state = Checkpoint::from_bytes(&state).map_err(|e| TrainError::State(e.to_string()));
+        let joined = data.and_then(|data| Self::resume(registry, data, &state?, None, image_bytes));
         let (_, mut trainer) = tell_all(&*ranks, joined.map(|trainer| ((), trainer)))?;
         trainer.ranks = Team { ranks, leads: false };
         Ok(trainer)

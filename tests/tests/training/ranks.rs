@@ -40,9 +40,9 @@ fn reached(data: &Arc<Dataset>, trainer: Trainer, ranks: usize, steps: u32) -> C
 /// The first tensor that differs.
 fn difference(a: &Checkpoint, b: &Checkpoint) -> Option<String> {
     let bits = |v: &[f32]| v.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
-    let differs = |((a, x), (b, y)): &(&(String, Vec<f32>), &(String, Vec<f32>))| a != b || bits(x) != bits(y);
-    let tensor = a.tensors.iter().zip(&b.tensors).find(differs).map(|(a, _)| a.0.clone());
-    tensor.or_else(|| (a.meta != b.meta).then(|| "meta".to_owned()))
+    let mut tensors = a.tensors.iter().zip(&b.tensors);
+    let tensor = tensors.find(|((a, x), (b, y))| a != b || bits(x) != bits(y));
+    tensor.map(|(a, _)| a.0.clone()).or_else(|| (a.meta != b.meta).then(|| "meta".to_owned()))
 }
 
 #[test]

@@ -44,7 +44,8 @@ impl Resume {
             data: self.place.data,
             accept_changed_data: self.accept_changed_data,
         };
-        let mut training = Training::resume(gs_methods::registry(), &self.run, &request)?;
+        let training = Training::resume(gs_methods::registry(), &self.run, &request)?;
+        let mut training = training.with_ranks(global.ranks.0.clone())?;
         global.say(format!("going on from step {}", training.trainer().steps_done()));
         carry_on(&mut training, &self.watch, &stop, global)
     }

@@ -82,10 +82,11 @@ impl Train {
             return Ok(Answer::new(all_scores_text(&scores, step), json));
         }
         let stop = interrupt::flag()?;
-        let mut training = match self.go_on {
+        let training = match self.go_on {
             true => Training::go_on(&self.out, resolved)?,
             false => Training::begin(&self.out, self.force, resolved)?,
         };
+        let mut training = training.with_ranks(global.ranks.0.clone())?;
         carry_on(&mut training, &self.watch, &stop, global)
     }
 }
@@ -176,6 +177,9 @@ fn describe(training: &Training, global: &Global) {
         global.say(format!("warning: {warning}"));
     }
     global.detail(format!("time: {}; threads: {}", data.time_source, rayon::current_num_threads()));
+    if global.ranks.0.size() > 1 {
+        global.say(format!("{} ranks", global.ranks.0.size()));
+    }
 }
 
 fn resume_command(root: &Path) -> String {

@@ -1,0 +1,62 @@
+//! Ranks that train one run together: the first has the run folder and decides, the others follow.
+
+use crate::{Resolved, RunError};
+use gs_train::ranks::{Ranks, tell};
+use gs_train::registry::Registry;
+use gs_train::trainer::{TrainError, Trainer};
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+
+/// What the first rank asks of the others.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+enum Work {
+    /// Train the run of these settings, a TOML text, with it.
+    Train(String),
+    /// End with this exit code.
+    End(u8),
+}
+
+/// Asks the other ranks to train the run of these settings together with the first.
+pub(crate) fn call(ranks: &dyn Ranks, resolved: &Resolved) -> Result<(), RunError> {
+    let settings = resolved.config.to_commented_toml();
+    tell(ranks, &Some(Work::Train(settings))).map_err(TrainError::from)?;
+    Ok(())
+}
+
+/// Does what the first rank asks for until that ends ([`dismiss`]); gives its exit code. What fails is told to the first rank.
+///
+/// # Errors
+/// If ranks cannot talk to each other.
+pub fn follow(registry: &Registry, ranks: &Arc<dyn Ranks>) -> Result<u8, RunError> {
+    loop {
+        let told = tell::<Option<Work>>(&**ranks, &None).map_err(TrainError::from)?;
+        match told.into_iter().next().flatten() {
+            Some(Work::Train(settings)) => train(registry, &settings, ranks)?,
+            Some(Work::End(code)) => return Ok(code),
+            None => return Ok(0),
+        }
+    }
+}
+
+/// Lets the other ranks end with an exit code.
+pub fn dismiss(ranks: &dyn Ranks, code: u8) {
+    if ranks.size() > 1 {
+        // Ranks that cannot be told have noticed.
+        let _ = tell(ranks, &Some(Work::End(code)));
+    }
+}
+
+fn train(registry: &Registry, settings: &str, ranks: &Arc<dyn Ranks>) -> Result<(), RunError> {
+    let resolved = Resolved::read(registry, settings, "settings of the first rank");
+    let image_bytes = resolved.as_ref().map_or(0, |r| r.run.image_bytes());
+    let data = resolved.and_then(|r| r.reopen_data()).map(Arc::new).map_err(|e| match e {
+        RunError::Data(e) => TrainError::Data(e),
+        RunError::Train(e) => e,
+        other => TrainError::State(other.to_string()),
+    });
+    match Trainer::join(registry, data, image_bytes, ranks.clone()).and_then(|mut trainer| trainer.follow()) {
+        Err(e @ TrainError::Ranks(_)) => Err(e.into()),
+        // The first rank knows it.
+        _ => Ok(()),
+    }
+}

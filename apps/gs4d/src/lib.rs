@@ -1,0 +1,158 @@
+//! The command line of gs4d: parses arguments, calls the libraries and prints their results. No mathematics here. A library, so that a
+//! program with other [`Ranks`] has the same command line.
+//!
+//! Results go to stdout (text, or one JSON value with `--json`), progress and messages to stderr. Exit codes: 0 done ·
+//! 1 internal fault · 2 wrong usage · 3 invalid data · 4 numerical failure · 5 resource limit · 6 input or output ·
+//! 7 verification failed · 130 interrupted, state saved.
+
+#![warn(clippy::print_stderr, clippy::print_stdout, reason = "both panic where nobody reads them any more")]
+
+mod answer;
+mod failure;
+mod global;
+mod interrupt;
+mod opening;
+mod output;
+mod parse;
+mod progress;
+mod verbs;
+
+use global::{Company, Global, to_stderr};
+
+use answer::Answer;
+use clap::{Parser, Subcommand};
+use failure::{Class, Failure};
+use gs_train::ranks::Ranks;
+use std::process::ExitCode;
+use std::sync::Arc;
+
+/// Train moving Gaussian splat scenes from images; render them from any camera at any time. On the CPU.
+#[derive(Parser)]
+#[command(name = "gs4d", version, max_term_width = 110, after_help = EXIT_CODES)]
+struct Cli {
+    #[command(subcommand)]
+    verb: Verb,
+    #[command(flatten)]
+    global: Global,
+}
+
+const EXIT_CODES: &str = "Exit codes: 0 done, 1 internal fault, 2 wrong usage, 3 invalid data, 4 numerical failure, \
+    5 resource limit, 6 input or output, 7 verification failed, 130 interrupted (state saved)";
+
+#[derive(Subcommand)]
+enum Verb {
+    Demo(verbs::demo::Demo),
+    Doctor(verbs::doctor::Doctor),
+    Init(verbs::init::Init),
+    Synth(verbs::synth::Synth),
+    Train(verbs::train::Train),
+    Resume(verbs::resume::Resume),
+    Eval(verbs::eval::Eval),
+    Compare(verbs::compare::Compare),
+    Render(verbs::render::Render),
+    View(verbs::view::View),
+    Forecast(verbs::forecast::ForecastVerb),
+    Glmd(verbs::glmd::Glmd),
+    Segment(verbs::segment::Segment),
+    Inspect(verbs::inspect::Inspect),
+    Compact(verbs::compact::Compact),
+    Export(verbs::export::Export),
+    Methods(verbs::methods::Methods),
+    Config(verbs::config::ShowConfig),
+    Contest(verbs::contest::ContestVerb),
+    Continual(verbs::continual::ContinualVerb),
+    Sweep(verbs::sweep::SweepVerb),
+    Pose(verbs::pose::PoseVerb),
+    Lab(verbs::lab::Lab),
+    Bench(verbs::bench::Bench),
+}
+
+fn set_threads(threads: Option<u16>) -> Result<(), Failure> {
+    let Some(threads) = threads else { return Ok(()) };
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads.into());
+    pool.build_global().map_err(|e| Failure::new(Class::Resource, "limits.threads", e.to_string()))
+}
+
+fn run(cli: Cli) -> Result<Answer, Failure> {
+    let global = &cli.global;
+    set_threads(global.threads)?;
+    match cli.verb {
+        Verb::Demo(verb) => verb.run(global),
+        Verb::Doctor(verb) => verb.run(global),
+        Verb::Init(verb) => verb.run(global),
+        Verb::Synth(verb) => verb.run(global),
+        Verb::Train(verb) => verb.run(global),
+        Verb::Resume(verb) => verb.run(global),
+        Verb::Eval(verb) => verb.run(global),
+        Verb::Compare(verb) => verb.run(global),
+        Verb::Render(verb) => verb.run(global),
+        Verb::View(verb) => verb.run(global),
+        Verb::Forecast(verb) => verb.run(global),
+        Verb::Glmd(verb) => verb.run(global),
+        Verb::Segment(verb) => verb.run(global),
+        Verb::Inspect(verb) => verb.run(global),
+        Verb::Compact(verb) => verb.run(global),
+        Verb::Export(verb) => verb.run(global),
+        Verb::Methods(verb) => Ok(verb.run()),
+        Verb::Config(verb) => verb.run(),
+        Verb::Contest(verb) => verb.run(global),
+        Verb::Continual(verb) => verb.run(global),
+        Verb::Sweep(verb) => verb.run(global),
+        Verb::Pose(verb) => verb.run(global),
+        Verb::Lab(verb) => verb.run(global),
+        Verb::Bench(verb) => verb.run(global),
+    }
+}
+
+/// Runs the command line of this process, with the other `ranks`; gives its exit code. `train` and `resume` are done by all ranks
+/// together, everything else by the first.
+pub fn main(ranks: Arc<dyn Ranks>) -> ExitCode {
+    let default_hook = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |info| {
+        default_hook(info);
+        // A panic in the viewer ends neither training nor the viewer.
+        if std::thread::current().name() == Some(gs4d_view::THREAD_NAME) {
+            return;
+        }
+        to_stderr("error[internal]: this is a fault of gs4d; please report it with the lines above");
+        std::process::exit(Class::Internal as i32);
+    }));
+    let code = if ranks.rank() == 0 { lead(&ranks) } else { follow(&ranks) };
+    ExitCode::from(code)
+}
+
+/// What the first rank does.
+fn lead(ranks: &Arc<dyn Ranks>) -> u8 {
+    let code = match Cli::try_parse() {
+        Err(e) => {
+            // A closed pipe (`| head`) is no failure.
+            let _ = e.print();
+            u8::try_from(e.exit_code()).unwrap_or(Class::Usage as u8)
+        }
+        Ok(mut cli) => {
+            cli.global.ranks = Company(ranks.clone());
+            let json = cli.global.json;
+            match run(cli).and_then(|answer| answer.print(json)) {
+                Ok(()) => 0,
+                Err(failure) => {
+                    to_stderr(&failure);
+                    failure.class as u8
+                }
+            }
+        }
+    };
+    gs4d_run::ranks::dismiss(&**ranks, code);
+    code
+}
+
+/// What the other ranks do: they ignore signals, which the first rank answers for all, and print nothing that it prints.
+fn follow(ranks: &Arc<dyn Ranks>) -> u8 {
+    let threads = Cli::try_parse().ok().and_then(|cli| cli.global.threads);
+    let followed = set_threads(threads)
+        .and_then(|()| interrupt::ignore())
+        .and_then(|()| gs4d_run::ranks::follow(gs_methods::registry(), ranks).map_err(Failure::from));
+    followed.unwrap_or_else(|failure| {
+        to_stderr(&failure);
+        failure.class as u8
+    })
+}
