@@ -40,6 +40,7 @@ pub const SHARED: &[Domain] = &[
     within("weight_decay", 0.0, 1.0),
     within("adam_eps", 0.0, 1.0),
     within("batch", 1.0, 256.0),
+    within("lr_batch", 1.0, 256.0),
     within("dilation", 0.0, 100.0),
     within("lambda_dssim", 0.0, 1.0),
     within("lambda_fre", 0.0, 1e4),

@@ -7,7 +7,7 @@
 //! Steps count from 1; step `s` is the one being made. Everything here is a pure function of the step, so a resumed run
 //! needs no state of its own for it.
 
-use crate::adam::Update;
+use crate::adam::{AdamOptions, Update};
 use crate::densify::DensifyRules;
 use crate::error::ScheduleError;
 use crate::loss::{Dssim, ImageLoss, SpectrumTerm};
@@ -37,6 +37,10 @@ pub struct Schedule {
     /// Views a step learns from; their losses are averaged (MoDec-GS: 4; others: 1).
     #[serde(default = "one")]
     pub batch: u32,
+    /// Views a step that learning rates and `adam_eps` are for; absent: as many as `batch`. Where the two differ, [`Self::update`]
+    /// and [`Self::adam`] follow.
+    #[serde(default)]
+    pub lr_batch: Option<u32>,
     /// Weight φ of the amplitude-spectrum loss, which every method may use (FAGS: 0.3; others: 0).
     #[serde(default)]
     pub lambda_fre: f32,
@@ -303,8 +307,22 @@ impl Schedule {
         let (rule, clock) = (self.rule(&p.name)?, self.position(step).clock);
         let eps = if rule.eps > 0.0 { rule.eps } else { self.adam_eps };
         let sparse = rule.sparse || self.sparse_adam && p.row_width.is_some();
-        Some(Update { rate: rule.at(clock, extent), eps, sparse, weight_decay: rule.weight_decay })
+        let (rate, root) = (rule.at(clock, extent), self.batches().sqrt());
+        Some(Update { rate: rate * root, eps: eps / root, sparse, weight_decay: rule.weight_decay * root })
             .filter(|u| u.rate > 0.0)
+    }
+
+    /// The optimiser's decays: those of 3DGS for the batch that rates are for. Of `r` times as many views, `β^r`; rates and weight
+    /// decay then count `√r` times, ε `1/√r` times. So moments forget, and weights decay, by the view as before, and noise moves
+    /// parameters as far (the rule of Grendel-GS, Zhao et al. 2025).
+    pub(crate) fn adam(&self) -> AdamOptions {
+        let AdamOptions { beta1, beta2 } = AdamOptions::default();
+        AdamOptions { beta1: beta1.powf(self.batches()), beta2: beta2.powf(self.batches()) }
+    }
+
+    /// How many times the batch that rates are for is drawn in a step.
+    fn batches(&self) -> f32 {
+        self.batch as f32 / self.lr_batch.unwrap_or(self.batch) as f32
     }
 
     /// Lets a parameter rest for the whole run.
@@ -363,6 +381,8 @@ impl Schedule {
         let l1 = self.lambda_l1.unwrap_or(0.0);
         need(l1 >= 0.0 && l1.is_finite(), "lambda_l1", l1.into(), "finite, not negative")?;
         need((1..=256).contains(&self.batch), "batch", self.batch.into(), "1 to 256")?;
+        let lr_batch = self.lr_batch.unwrap_or(1);
+        need((1..=256).contains(&lr_batch), "lr_batch", lr_batch.into(), "1 to 256")?;
         let drawn = total * u64::from(self.batch);
         need(drawn < 1 << 32, "batch", self.batch.into(), "steps times batch below 2^32")?;
         let fre = self.lambda_fre;
@@ -419,6 +439,7 @@ pub(crate) mod tests {
             lambda_dssim: 0.2,
             lambda_l1: None,
             batch: 1,
+            lr_batch: None,
             dssim: Dssim::Ssim,
             lambda_fre: 0.0,
             sparse_adam: false,
@@ -450,6 +471,20 @@ pub(crate) mod tests {
         assert_eq!(s.rule("field.planes.xy.0").unwrap().start, 1e-2);
         assert_eq!(s.rule("field.means.0.weight").unwrap().start, 1e-3);
         assert!(s.rule("cloud.quats").is_none());
+    }
+
+    #[test]
+    fn rates_follow_the_batch() {
+        let means = Param::rows("cloud.means", 3, vec![0.0; 3]);
+        let of = |batch, lr_batch| {
+            let s = Schedule { batch, lr_batch, adam_eps: 1e-8, ..schedule(vec![stage(10, false)]) };
+            (s.update(&means, 1, 1.0).unwrap(), s.adam())
+        };
+        let one = of(1, Some(1));
+        assert_eq!((of(4, None), of(4, Some(4))), (one, one));
+        let (update, adam) = of(4, Some(1));
+        assert_eq!((update.rate, update.eps), (one.0.rate * 2.0, one.0.eps / 2.0));
+        assert!((adam.beta1 - 0.9f32.powi(4)).abs() < 1e-6 && (adam.beta2 - 0.999f32.powi(4)).abs() < 1e-6);
     }
 
     #[test]

@@ -134,8 +134,12 @@ impl Trainer {
         check_run(&model, &dataset)?;
         let images = Arc::new(ImageCache::new(options.image_bytes, 1.0));
         let order = ViewOrder::new(options.seed, dataset.train.iter().map(|v| v.time.normalised).collect());
-        let (adam, pass, config, updates) =
-            (Adam::default(), RenderPass::new(model.take_image_loss()), toml::Table::new(), BTreeMap::new());
+        let (adam, pass, config, updates) = (
+            Adam::new(model.schedule().adam()),
+            RenderPass::new(model.take_image_loss()),
+            toml::Table::new(),
+            BTreeMap::new(),
+        );
         Ok(Self {
             model,
             dataset,

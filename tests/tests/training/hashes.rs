@@ -135,6 +135,7 @@ fn estimate_reciprocals<S: Simd>(simd: S, values: &mut [f32; 16]) {
 /// Growth, pruning and resets of clouds …
 const CLOUD: &str = "
 batch = 2
+lr_batch = 2
 density.from = 20
 density.until = 180
 density.every = 20
@@ -147,7 +148,7 @@ sh_every = 60
 
 /// … and of anchors …
 const ANCHORS: &str = "
-schedule.batch = 2
+schedule = { batch = 2, lr_batch = 2 }
 [adapt]
 observe_from = 0
 from = 20

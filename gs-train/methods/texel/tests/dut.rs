@@ -470,6 +470,7 @@ geonet.offset_unit = 0.1
 surface = {{ points = \"faces\", color = 0.05, texture = 0.0 }}
 [schedule]
 batch = 2
+lr_batch = 2
 stages.geometry.steps = {steps}
 stages.main.steps = 1
 lr.geo.all = {{ start = 3e-4, end = 1e-5, steps = {steps} }}
