@@ -9,7 +9,7 @@
 use gs_synth::SynthOptions;
 use gs_synth::avatar::{self, AvatarOptions};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output, Stdio};
+use std::process::{Child, Command, Output, Stdio};
 use std::time::Duration;
 
 const STEPS: u32 = 40;
@@ -140,9 +140,9 @@ fn a_rank_that_is_killed_costs_the_steps_since_the_last_checkpoint() {
     let (mut step, mut rng) = (0, gs_core::Rng::new(5, "kill", 0, 0));
     for kill in 0..30 {
         let mut job = on_ranks(3, &words).stderr(Stdio::null()).stdout(Stdio::null()).spawn().unwrap();
-        std::thread::sleep(Duration::from_secs_f32(rng.range(0.2, 1.2)));
-        let victim = rank_of(job.id(), rng.below(3) as usize).expect("the run is longer than 30 kills");
-        assert!(Command::new("kill").args(["-KILL", &victim]).status().unwrap().success());
+        let victim = ranks_of(&mut job, 3)[rng.below(3) as usize].clone();
+        std::thread::sleep(Duration::from_secs_f32(rng.range(0.0, 1.0)));
+        assert!(Command::new("kill").args(["-KILL", &victim]).status().unwrap().success(), "kill {kill}: it is done");
         assert!(!job.wait().unwrap().success(), "kill {kill}");
         if let Some(newest) = newest_step(&checkpoints) {
             let loaded = gs_train::checkpoint::load_newest(&checkpoints).expect("a good checkpoint");
@@ -156,10 +156,17 @@ fn a_rank_that_is_killed_costs_the_steps_since_the_last_checkpoint() {
     assert!(tensors(&place.root.join("whole")) == tensors(&place.root.join("killed")));
 }
 
-/// The process of a rank of a job, by its parent.
-fn rank_of(job: u32, rank: usize) -> Option<String> {
-    let output = Command::new("pgrep").args(["-P", &job.to_string(), "gs4d-mpi"]).output().ok()?;
-    String::from_utf8_lossy(&output.stdout).lines().nth(rank).map(str::to_owned)
+/// The processes of a job, when all are there.
+fn ranks_of(job: &mut Child, ranks: usize) -> Vec<String> {
+    loop {
+        let output = Command::new("pgrep").args(["-P", &job.id().to_string(), "gs4d-mpi"]).output().unwrap();
+        let found: Vec<String> = String::from_utf8_lossy(&output.stdout).lines().map(str::to_owned).collect();
+        if found.len() == ranks {
+            return found;
+        }
+        assert!(job.try_wait().unwrap().is_none(), "the job ended");
+        std::thread::sleep(Duration::from_millis(5));
+    }
 }
 
 #[test]

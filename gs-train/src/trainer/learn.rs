@@ -189,7 +189,9 @@ impl Trainer {
             Some(nodes.swap_remove(at).1)
         };
         let sum = views.root().sum(&mut part, &mut |a, b| sums.merge(a, b));
-        sum.ok_or_else(|| TrainError::short(me))
+        let mut sum = sum.ok_or_else(|| TrainError::short(me))?;
+        sums.merge_most(&mut sum, known);
+        Ok(sum)
     }
 
     /// What a view begins with in the rows of a column that this rank owns.

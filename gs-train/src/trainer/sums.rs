@@ -115,6 +115,15 @@ impl Sums {
         });
     }
 
+    /// Puts what this rank knows into what others found, where the largest counts: theirs begins with older values.
+    pub(super) fn merge_most(&self, into: &mut Columns, known: Columns) {
+        for ((into, known), shape) in into.iter_mut().zip(known).zip(&self.shapes) {
+            if shape.merge == Merge::Max {
+                into.iter_mut().zip(known).for_each(|(a, b)| *a = a.max(b));
+            }
+        }
+    }
+
     /// Puts the sums of further leaves together with those of earlier ones.
     pub(super) fn merge(&self, into: &mut Columns, other: Columns) {
         for ((into, other), shape) in into.iter_mut().zip(other).zip(&self.shapes) {

@@ -63,6 +63,17 @@ fn any_number_of_ranks_gives_the_same_bits() {
 }
 
 #[test]
+fn statistics_that_are_kept_for_long_are_the_same_bits_on_any_number_of_ranks() {
+    let (_, data, mut config) = runs().find(|run| run.0 == "static3d").expect("method");
+    overlay(&mut config, "schedule.density.every = 1000".parse().expect("TOML"));
+    let start = || gs_train::testkit::start(gs_methods::registry(), &data, "static3d", &config, 3);
+    let one = reached(&data, start(), 1, STEPS);
+    for ranks in [2, 4, 5] {
+        assert_eq!(difference(&one, &reached(&data, start(), ranks, STEPS)), None, "{ranks} ranks");
+    }
+}
+
+#[test]
 fn an_image_that_one_rank_cannot_read_ends_all_with_its_name() {
     let (_, data, config) = runs().find(|run| run.0 == "fourdgs").expect("method");
     let mut broken = Dataset::clone(&data);
