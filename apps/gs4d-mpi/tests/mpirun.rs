@@ -132,7 +132,7 @@ fn a_run_goes_on_with_another_number_of_ranks() {
 #[ignore = "needs Open MPI"]
 fn a_rank_that_is_killed_costs_the_steps_since_the_last_checkpoint() {
     let place = place();
-    let (steps, every) = (2000, 5);
+    let (steps, every) = (5000, 5);
     let every_few = ["--set", &format!("run.checkpoint_every={every}")];
     good(1, &place.train("fourdgs", "whole", steps, &every_few));
     let words = place.train("fourdgs", "killed", steps, &[&every_few[..], &["--continue"]].concat());
@@ -154,6 +154,26 @@ fn a_rank_that_is_killed_costs_the_steps_since_the_last_checkpoint() {
     assert!(step > 0 && step < steps);
     good(2, &words);
     assert!(tensors(&place.root.join("whole")) == tensors(&place.root.join("killed")));
+}
+
+#[test]
+#[ignore = "needs Open MPI"]
+fn a_job_that_is_told_to_stop_is_saved() {
+    let place = place();
+    good(1, &place.train("fourdgs", "whole", 1000, &["--set", "run.checkpoint_every=100000"]));
+    let words = place.train("fourdgs", "stopped", 1000, &["--continue", "--set", "run.checkpoint_every=100000"]);
+    let mut job = on_ranks(3, &words).stderr(Stdio::null()).spawn().unwrap();
+    let begun = place.root.join("stopped/log.jsonl");
+    while std::fs::metadata(&begun).map_or(0, |log| log.len()) == 0 {
+        assert!(job.try_wait().unwrap().is_none(), "the job ended");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    assert!(Command::new("kill").args(["-USR1", &job.id().to_string()]).status().unwrap().success());
+    assert_eq!(job.wait().unwrap().code(), Some(130));
+    let step = newest_step(&place.root.join("stopped/checkpoints")).expect("a checkpoint");
+    assert!(step < 1000, "{step}");
+    good(2, &words);
+    assert!(tensors(&place.root.join("whole")) == tensors(&place.root.join("stopped")));
 }
 
 /// The processes of a job, when all are there.

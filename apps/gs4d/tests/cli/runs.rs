@@ -147,7 +147,7 @@ fn a_damaged_checkpoint_is_skipped_and_named() {
 fn an_interrupted_run_is_saved_and_goes_on() {
     // These tests may themselves run where a hang-up is ignored.
     let heard: &[&str] = if cfg!(target_os = "linux") { &["env", "--default-signal=HUP"] } else { &[] };
-    for signals in [&["-INT"][..], &["-TERM"], &["-HUP"]] {
+    for signals in [&["-INT"][..], &["-TERM"], &["-HUP"], &["-USR1"]] {
         interrupted_by(heard, signals);
     }
 }
