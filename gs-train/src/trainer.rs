@@ -79,6 +79,8 @@ pub struct StepReport {
     pub events: Vec<serde_json::Value>,
     /// Time of each phase, milliseconds.
     pub ms: Phases,
+    /// Bytes that this rank sent to others.
+    pub sent_bytes: u64,
 }
 
 /// One run of a method on a data set, held in memory.
@@ -253,7 +255,7 @@ impl Trainer {
     }
 
     fn step_in_pool(&mut self) -> Result<StepReport, TrainError> {
-        let (mut clock, mut whole) = (Stopwatch::new(), Stopwatch::new());
+        let mut whole = Stopwatch::new();
         let step = self.step + 1;
         if step > self.steps() {
             return Err(TrainError::Finished(self.steps()));
@@ -261,14 +263,14 @@ impl Trainer {
         self.begin_step(step);
         let Learnt { loss, penalties, refused: refused_in_views, views, mut ms } = self.learn(step)?;
 
-        clock.lap();
-        let refused = self.update()?;
-        ms.adam = clock.lap();
+        let refused = self.update(&mut ms)?;
         self.check_refused(&refused, step, &views)?;
 
+        let mut clock = Stopwatch::new();
         if self.model.needs_whole_rows() {
             self.share_rows()?;
         }
+        ms.exchange += clock.lap();
         let events = self.model.end_step()?;
         ms.adapt = clock.lap();
         self.step = step;
@@ -286,6 +288,7 @@ impl Trainer {
             adapted: events.densified,
             events: events.log,
             ms,
+            sent_bytes: self.ranks.take_sent(),
         })
     }
 

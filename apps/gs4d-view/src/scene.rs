@@ -21,14 +21,14 @@ pub(crate) struct Scene {
 }
 
 enum Source {
-    Method(Model),
+    Method(Box<Model>),
     Splats(Box<Splats>),
 }
 
 impl Scene {
     /// A method at one step of its training.
     pub(crate) fn method(method: Model) -> Self {
-        Self::of(Source::Method(method))
+        Self::of(Source::Method(Box::new(method)))
     }
 
     /// Static splats.

@@ -1,6 +1,7 @@
 //! What ranks tell each other: rows that they own, and small facts.
 
 use super::coding::{decode, encode};
+use super::render_pass::{Phases, Stopwatch};
 use super::sums::{owned, unit};
 use super::{TrainError, Trainer};
 use crate::adam::{Refused, RefusedRows};
@@ -87,8 +88,8 @@ impl Trainer {
     }
 
     /// Adam on every block that learns in this step, in the rows that this rank owns; then all ranks have all rows.
-    pub(super) fn update(&mut self) -> Result<Refused, TrainError> {
-        let (me, ranks) = (self.ranks.rank(), self.ranks.size());
+    pub(super) fn update(&mut self, ms: &mut Phases) -> Result<Refused, TrainError> {
+        let (me, ranks, mut clock) = (self.ranks.rank(), self.ranks.size(), Stopwatch::new());
         let updates = std::mem::take(&mut self.updates);
         let learns = |name: &str| updates.get(name).is_some_and(Option::is_some);
         let (adam, mut before, mut rows) = (&mut self.adam, Vec::new(), Vec::new());
@@ -104,8 +105,10 @@ impl Trainer {
                 p.clear_grad();
             }
         });
+        ms.adam = clock.lap();
         self.share(Held::Values(&learns), Some(&before))?;
         let refused = self.refused(&rows, &learns);
+        ms.exchange += clock.lap();
         self.updates = updates;
         refused
     }

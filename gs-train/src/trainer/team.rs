@@ -2,6 +2,7 @@
 
 use super::{TrainError, Trainer};
 use crate::checkpoint::Checkpoint;
+use crate::error::RanksError;
 use crate::ranks::{Ranks, alone, tell};
 use crate::registry::Registry;
 use gs_core::Params;
@@ -10,6 +11,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::ops::Deref;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Steps between two comparisons of the parameters of all ranks.
 const COMPARED_EVERY: u32 = 100;
@@ -27,13 +29,46 @@ pub(super) enum Command {
 
 /// The ranks of a trainer. When the first rank drops it, the others are told that nothing more is to be done.
 pub(super) struct Team {
-    ranks: Arc<dyn Ranks>,
+    ranks: Counted,
     leads: bool,
+}
+
+/// Ranks, and the bytes that this one sent to others.
+struct Counted {
+    ranks: Arc<dyn Ranks>,
+    sent: AtomicU64,
+}
+
+impl Ranks for Counted {
+    fn rank(&self) -> usize {
+        self.ranks.rank()
+    }
+
+    fn size(&self) -> usize {
+        self.ranks.size()
+    }
+
+    fn exchange(&self, to: Vec<Vec<u8>>) -> Result<Vec<Vec<u8>>, RanksError> {
+        let others = to.iter().enumerate().filter(|(rank, _)| *rank != self.rank());
+        self.sent.fetch_add(others.map(|(_, bytes)| bytes.len() as u64).sum(), Ordering::Relaxed);
+        self.ranks.exchange(to)
+    }
 }
 
 impl Default for Team {
     fn default() -> Self {
-        Self { ranks: alone(), leads: false }
+        Self::new(alone(), false)
+    }
+}
+
+impl Team {
+    fn new(ranks: Arc<dyn Ranks>, leads: bool) -> Self {
+        Self { ranks: Counted { ranks, sent: AtomicU64::new(0) }, leads }
+    }
+
+    /// Bytes that this rank sent to others since the last call.
+    pub(super) fn take_sent(&self) -> u64 {
+        self.ranks.sent.swap(0, Ordering::Relaxed)
     }
 }
 
@@ -41,7 +76,7 @@ impl Deref for Team {
     type Target = dyn Ranks;
 
     fn deref(&self) -> &Self::Target {
-        &*self.ranks
+        &self.ranks
     }
 }
 
@@ -49,7 +84,7 @@ impl Drop for Team {
     fn drop(&mut self) {
         if self.leads {
             // Ranks that cannot be told have noticed.
-            let _ = tell(&*self.ranks, &Some(Command::End));
+            let _ = tell(&**self, &Some(Command::End));
         }
     }
 }
@@ -77,7 +112,7 @@ impl Trainer {
         if ranks.size() > 1 {
             ranks.tell(self.state().to_bytes().map_err(|e| TrainError::State(e.to_string()))?)?;
             tell_all(&*ranks, Ok(((), ())))?;
-            self.ranks = Team { ranks, leads: true };
+            self.ranks = Team::new(ranks, true);
         }
         Ok(self)
     }
@@ -97,7 +132,7 @@ impl Trainer {
         let state = Checkpoint::from_bytes(&state).map_err(|e| TrainError::State(e.to_string()));
         let joined = data.and_then(|data| Self::resume(registry, data, &state?, None, image_bytes));
         let (_, mut trainer) = tell_all(&*ranks, joined.map(|trainer| ((), trainer)))?;
-        trainer.ranks = Team { ranks, leads: false };
+        trainer.ranks = Team::new(ranks, false);
         Ok(trainer)
     }
 

@@ -62,6 +62,7 @@ impl Window {
             "quarantined": self.quarantined,
             "ms_per_step": self.mean(self.ms),
             "ms_last": report.ms,
+            "sent_last": report.sent_bytes,
             "memory_mib": peak_memory_mib(),
         })
     }
