@@ -66,6 +66,9 @@ impl ViewOrder {
         let (first, last) = (self.sorted.first().copied().unwrap_or(0.0), self.sorted.last().copied().unwrap_or(0.0));
         let all = Pool { to: last, until: u32::MAX };
         let Some((stage, offset)) = schedule.stage_and_offset(step) else { return all };
+        if offset >= stage.steps {
+            return all; // beyond the last step: images are read ahead
+        }
         let begin = step - 1 - offset;
         let end = (begin + stage.steps).saturating_mul(schedule.batch);
         let (parts, every) = (stage.window_parts, stage.window_every.max(1));
@@ -146,5 +149,20 @@ mod tests {
             assert_eq!(seen(from, open.min(20)).len() as u32, open.min(20), "{part}: every one at most once");
         }
         assert_eq!(seen(91, 24).len(), 24);
+    }
+
+    #[test]
+    fn views_can_be_asked_for_beyond_the_last_step() {
+        for batch in [1, 3, 8] {
+            for first_moment in [true, false] {
+                let schedule = schedule(|s| {
+                    s.batch = batch;
+                    let short = Stage { steps: 48, window_parts: 8, window_every: 100, first_moment, ..Stage::default() };
+                    s.stages = BTreeMap::from([("dynamic".to_owned(), short)]);
+                });
+                let order = order();
+                assert!((1..=60 * batch).all(|draw| order.view(&schedule, draw) < 24));
+            }
+        }
     }
 }
