@@ -10,9 +10,10 @@
 
 use crate::method::MethodError;
 use crate::model::Model;
+use crate::ranks::{Share, ShareError};
 use crate::timestamp::Timestamp;
 use gs_core::{Camera, Image, Splats};
-use gs_data::{DataError, Dataset, ImageCache, Split};
+use gs_data::{DataError, Dataset, ImageCache, Split, View};
 use gs_metrics::{
     Mean, MetricError, Scorer, Scores, Sharpness, SsimOptions, Summary, masked_mse, masked_perceptual_proxy,
     masked_ssim, psnr_from_mse,
@@ -177,6 +178,9 @@ pub enum EvalError {
         /// Why the method gave no splats.
         source: Box<MethodError>,
     },
+    /// Another rank that scores views failed.
+    #[error(transparent)]
+    Rank(#[from] ShareError),
     /// A frame cannot be compared.
     #[error("view {view}: {source}")]
     Metric {
@@ -208,13 +212,28 @@ pub fn evaluate(
     background: [f32; 3],
     images: &ImageCache,
 ) -> Result<EvalReport, EvalError> {
-    evaluate_splats(model, &|at, camera| model.splats(at, camera), dataset, split, background, images)
+    evaluate_shared(model, dataset, split, background, images, &Share::default())
+}
+
+/// The same with every view scored by one of the ranks that share the work; the report is the same on all.
+///
+/// # Errors
+/// As [`evaluate`], and if another rank fails.
+pub fn evaluate_shared(
+    model: &Model,
+    dataset: &Dataset,
+    split: Split,
+    background: [f32; 3],
+    images: &ImageCache,
+    share: &Share,
+) -> Result<EvalReport, EvalError> {
+    evaluate_splats(model, &|at, camera| model.splats(at, camera), dataset, split, background, images, share)
 }
 
 /// The same of splats that stand in for those of a model (files read back, say).
 ///
 /// # Errors
-/// As [`evaluate`].
+/// As [`evaluate_shared`].
 pub fn evaluate_splats(
     model: &Model,
     splats: &dyn Fn(&Timestamp, &Camera) -> Result<Splats, MethodError>,
@@ -222,6 +241,7 @@ pub fn evaluate_splats(
     split: Split,
     background: [f32; 3],
     images: &ImageCache,
+    share: &Share,
 ) -> Result<EvalReport, EvalError> {
     let views = dataset.views(split);
     if views.is_empty() {
@@ -230,8 +250,8 @@ pub fn evaluate_splats(
     let options = model.raster_options(background);
     let (mut workspace, mut frame, mut scorer) =
         (Workspace::new(), Frame::default(), Scorer::new(SsimOptions::default()));
-    let mut seen: Vec<Seen> = Vec::with_capacity(views.len());
-    for view in views {
+    let scored = share.each(views.len(), |k| {
+        let view = &views[k];
         let camera = images.camera(view);
         let splats = splats(&Timestamp::new(view.time), &camera);
         let splats = splats.map_err(|e| EvalError::Method { view: view.name.clone(), source: Box::new(e) })?;
@@ -240,12 +260,15 @@ pub fn evaluate_splats(
         let truth = image.over(background);
         // Of a filmed person, the person counts.
         let mask = images.mask(view)?.or_else(|| dataset.avatar.is_some().then(|| image.alpha()));
-        let scored = Seen::of(&mut scorer, &clamped(&frame), &truth, mask.as_ref());
-        seen.push(scored.map_err(|source| EvalError::Metric { view: view.name.clone(), source })?);
-    }
-    let scores: Vec<Scores> = seen.iter().map(|s| s.scores).collect();
+        let rendered = clamped(&frame);
+        let scored = scorer
+            .score(&rendered, &truth)
+            .and_then(|scores| Ok((ViewScores::of(view, &scores, &rendered, &truth, mask.as_ref())?, scores.mse)));
+        scored.map_err(|source| EvalError::Metric { view: view.name.clone(), source })
+    })?;
+    let scores: Vec<Scores> = scored.iter().map(|(view, mse)| view.with_mse(*mse)).collect();
     let summary = Summary::of(&scores);
-    let views: Vec<ViewScores> = views.iter().zip(&seen).map(|(v, s)| s.view(&v.name, v.time.normalised)).collect();
+    let views: Vec<ViewScores> = scored.into_iter().map(|(view, _)| view).collect();
     Ok(EvalReport {
         method: model.name().to_owned(),
         split: split_name(split).to_owned(),
@@ -266,17 +289,18 @@ pub fn evaluate_splats(
 /// The scores of a split and, beside them, those of the views beyond the last training time, where there are any.
 ///
 /// # Errors
-/// As [`evaluate`].
+/// As [`evaluate_shared`].
 pub fn evaluate_with_future(
     model: &Model,
     dataset: &Dataset,
     split: Split,
     background: [f32; 3],
     images: &ImageCache,
+    share: &Share,
 ) -> Result<EvalReport, EvalError> {
-    let mut report = evaluate(model, dataset, split, background, images)?;
+    let mut report = evaluate_shared(model, dataset, split, background, images, share)?;
     if !dataset.extrapolate.is_empty() {
-        let future = evaluate(model, dataset, Split::Extrapolate, background, images)?;
+        let future = evaluate_shared(model, dataset, Split::Extrapolate, background, images, share)?;
         report.extrapolate = Some(Box::new(future));
     }
     Ok(report)
@@ -295,36 +319,33 @@ fn mean_scores(summary: &Summary, views: &[ViewScores]) -> MeanScores {
     }
 }
 
-/// Everything measured on one view.
-struct Seen {
-    scores: Scores,
-    sharpness: Option<Sharpness>,
-    masked: Option<MaskedScores>,
-}
-
-impl Seen {
-    fn of(scorer: &mut Scorer, image: &Image, truth: &Image, mask: Option<&Image>) -> Result<Self, MetricError> {
+impl ViewScores {
+    fn of(
+        view: &View,
+        scores: &Scores,
+        image: &Image,
+        truth: &Image,
+        mask: Option<&Image>,
+    ) -> Result<Self, MetricError> {
+        // Images too small for a Laplacian have no sharpness.
+        let sharpness = Sharpness::of(image, truth).ok();
         Ok(Self {
-            scores: scorer.score(image, truth)?,
-            // Images too small for a Laplacian have no sharpness.
-            sharpness: Sharpness::of(image, truth).ok(),
+            name: view.name.clone(),
+            time: view.time.normalised,
+            psnr: scores.psnr.is_finite().then_some(scores.psnr),
+            ssim: scores.ssim,
+            ms_ssim: scores.ms_ssim,
+            perceptual_proxy: scores.perceptual_proxy,
+            laplacian_ratio: sharpness.and_then(|s| s.laplacian),
+            high_band_ratio: sharpness.and_then(|s| s.high_band),
             masked: mask.map(|m| MaskedScores::of(image, truth, m)).transpose()?.flatten(),
         })
     }
 
-    fn view(&self, name: &str, time: f32) -> ViewScores {
-        let s = &self.scores;
-        ViewScores {
-            name: name.to_owned(),
-            time,
-            psnr: s.psnr.is_finite().then_some(s.psnr),
-            ssim: s.ssim,
-            ms_ssim: s.ms_ssim,
-            perceptual_proxy: s.perceptual_proxy,
-            laplacian_ratio: self.sharpness.and_then(|s| s.laplacian),
-            high_band_ratio: self.sharpness.and_then(|s| s.high_band),
-            masked: self.masked,
-        }
+    /// The scores whose means are taken, with the mean squared error.
+    fn with_mse(&self, mse: f64) -> Scores {
+        let psnr = self.psnr.unwrap_or(f64::INFINITY);
+        Scores { mse, psnr, ssim: self.ssim, ms_ssim: self.ms_ssim, perceptual_proxy: self.perceptual_proxy }
     }
 }
 

@@ -47,7 +47,7 @@ pub mod scene;
 pub mod schedule;
 pub mod step;
 pub mod still;
-#[cfg(any(feature = "testkit", feature = "conformance"))]
+#[cfg(any(test, feature = "testkit", feature = "conformance"))]
 pub mod testkit;
 pub mod timestamp;
 pub mod trainer;

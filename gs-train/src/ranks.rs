@@ -4,9 +4,13 @@
 //! subtrees of its run it sums alone, the rest is summed by the rank that owns a row, in the order of the tree. So a sum
 //! has the same bits for any number of ranks, where a reduction of MPI has others for each.
 //!
-//! [`Alone`] is one rank; other numbers come from a program that brings [`Ranks`] of its own.
+//! [`Alone`] is one rank; other numbers come from a program that brings [`Ranks`] of its own. [`Share`] is for work without
+//! steps.
 
+mod share;
 pub mod tree;
+
+pub use share::{Share, ShareError};
 
 use crate::error::RanksError;
 use serde::Serialize;

@@ -105,7 +105,8 @@ fn findings(cost: &Cost, options: &CostOptions) -> Vec<Finding> {
         Some(limit) if whole > limit => {
             let verdict = if least > limit { Verdict::Problem } else { Verdict::Warning };
             let what = format!("{text}, {least:.0} with {few}; there are {limit:.0} MiB");
-            let fix = "--set data.scale=0.5, or --set run.image_mib=256, or fewer splats: --set schedule.density.max_splats=N";
+            let fix =
+                "--set data.scale=0.5, or --image-cache 256, or fewer splats: --set schedule.density.max_splats=N";
             Finding::new("memory", "memory.limit", verdict, what).fix(fix)
         }
         Some(limit) => Finding::ok("memory", format!("{text} of {limit:.0}")),

@@ -15,6 +15,7 @@ use gs_data::{Dataset, ImageCache, Split};
 use gs_train::evaluate::{EvalError, EvalReport, evaluate_splats};
 use gs_train::method::MethodError;
 use gs_train::model::Model;
+use gs_train::ranks::Share;
 use gs_train::timestamp::Timestamp;
 use std::collections::HashMap;
 use std::sync::{Mutex, PoisonError};
@@ -157,7 +158,7 @@ impl<'a> AsExported<'a> {
         Ok(splats)
     }
 
-    /// Scores of the files on a split, as [`evaluate`](gs_train::evaluate::evaluate) scores the method.
+    /// Scores of the files on a split, as [`evaluate_shared`](gs_train::evaluate::evaluate_shared) scores the method.
     ///
     /// # Errors
     /// Those of the evaluation, and of [`Self::splats`].
@@ -167,9 +168,10 @@ impl<'a> AsExported<'a> {
         split: Split,
         background: [f32; 3],
         images: &ImageCache,
+        share: &Share,
     ) -> Result<EvalReport, EvalError> {
         let splats = |at: &Timestamp, _: &Camera| self.splats(at).map_err(|e| MethodError::Render(e.to_string()));
-        evaluate_splats(self.baker.method, &splats, dataset, split, background, images)
+        evaluate_splats(self.baker.method, &splats, dataset, split, background, images, share)
     }
 
     fn round_trip(&self, at: &Timestamp) -> Result<Splats, ExportError> {

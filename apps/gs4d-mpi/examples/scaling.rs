@@ -92,8 +92,8 @@ fn main() -> Result<(), Error> {
     measured_table(&methods, cpu);
     modelled_table(&methods, cpu);
     let curves = NETWORKS.map(|(network, rate)| speedups(&methods, "fourdgs", network, rate, cpu));
-    let more = NETWORKS.map(|(network, rate)| speedups(&methods, "fags", network, rate, cpu));
-    let svg = chart("Times faster than one rank, 64 views a step", "ranks", Scale::Linear, &[curves, more].concat())?;
+    let more = NETWORKS.map(|(network, rate)| speedups(&methods, "defgs-nvfi", network, rate, cpu));
+    let svg = chart("Times faster than one rank, 64 views a step", "ranks", Scale::Log, &[curves, more].concat())?;
     std::fs::write(Path::new(&out).join("scaling.svg"), svg.ok_or("no curve")?)?;
     Ok(())
 }

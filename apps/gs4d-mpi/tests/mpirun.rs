@@ -65,12 +65,12 @@ fn on_ranks(ranks: usize, words: &[String]) -> Command {
     command
 }
 
-fn run(ranks: usize, words: &[String]) -> Output {
+fn run_on(ranks: usize, words: &[String]) -> Output {
     on_ranks(ranks, words).output().expect("mpirun: install openmpi-bin")
 }
 
 fn good(ranks: usize, words: &[String]) {
-    let output = run(ranks, words);
+    let output = run_on(ranks, words);
     assert!(output.status.success(), "{words:?} on {ranks} ranks:\n{}", String::from_utf8_lossy(&output.stderr));
 }
 
@@ -93,6 +93,48 @@ fn compare_with_one_rank(counts: &[usize]) {
             assert!(run.join("metrics.json").is_file() && run.join("report.html").is_file());
         }
     }
+}
+
+/// The files below a folder, with their bytes.
+fn files(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
+    let mut files = Vec::new();
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        files.push((path.strip_prefix(folder).unwrap().to_owned(), std::fs::read(&path).unwrap()));
+    }
+    files.sort();
+    files
+}
+
+#[test]
+#[ignore = "needs Open MPI"]
+fn renders_scores_and_files_of_three_ranks_are_those_of_one() {
+    let place = place();
+    let run = place.trained(1, "fourdgs", "run", &[]);
+    let (out, one) = (place.root.join("out"), place.root.join("one"));
+    let words = |line: &str| -> Vec<String> {
+        let all = line.replace("RUN", &run.display().to_string()).replace("OUT", &out.display().to_string());
+        all.split(' ').map(str::to_owned).collect()
+    };
+    for line in [
+        "render RUN --camera orbit --times 0..1:7 -o OUT",
+        "render RUN --camera orbit --times 0..1:7 --format y4m -o OUT",
+        "render RUN --camera dataset:0 --format exr -o OUT",
+        "export RUN --times 0..1.5:5 -o OUT",
+    ] {
+        good(1, &words(line));
+        std::fs::rename(&out, &one).unwrap();
+        good(3, &words(line));
+        assert!(!files(&one).is_empty() && files(&one) == files(&out), "{line}");
+        let again = run_on(3, &words(line));
+        let error = String::from_utf8_lossy(&again.stderr);
+        assert!(!again.status.success() && error.contains("exist"), "{error}");
+        [&one, &out].iter().for_each(|folder| std::fs::remove_dir_all(folder).unwrap());
+    }
+    let eval = words("eval RUN --json");
+    let answer = |ranks: usize| run_on(ranks, &eval).stdout;
+    let one = (answer(1), std::fs::read(run.join("metrics.json")).unwrap());
+    assert!(one == (answer(3), std::fs::read(run.join("metrics.json")).unwrap()), "eval");
 }
 
 /// The step of the newest checkpoint of a folder.
@@ -194,10 +236,10 @@ fn ranks_of(job: &mut Child, ranks: usize) -> Vec<String> {
 fn what_cannot_begin_ends_all_ranks() {
     let place = place();
     good(2, &place.train("static3d", "run", STEPS, &[]));
-    let again = run(2, &place.train("static3d", "run", STEPS, &[]));
+    let again = run_on(2, &place.train("static3d", "run", STEPS, &[]));
     assert!(!again.status.success());
     assert!(String::from_utf8_lossy(&again.stderr).contains("holds a run already"));
-    let wrong = run(2, &["train".to_owned()]);
+    let wrong = run_on(2, &["train".to_owned()]);
     assert_eq!(wrong.status.code(), Some(2), "{}", String::from_utf8_lossy(&wrong.stderr));
     good(3, &["methods".to_owned()]);
 }

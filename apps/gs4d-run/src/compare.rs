@@ -217,7 +217,7 @@ fn row(
     let method = &loaded.model;
     let mut scores = match split {
         Split::Extrapolate => evaluate(method, dataset, split, background, images)?,
-        _ => evaluate_with_future(method, dataset, split, background, images)?,
+        _ => evaluate_with_future(method, dataset, split, background, images, &side.run.share)?,
     };
     scores.train_seconds = Some(loaded.train_seconds);
     let view = dataset.views(split).first();

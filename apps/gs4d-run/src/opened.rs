@@ -8,11 +8,13 @@ use crate::compact::{CAMERAS, SETTINGS};
 use crate::kept;
 use gs_data::{Dataset, ImageCache, Split, View};
 use gs_train::checkpoint::{self, Checkpoint, Newest, Skipped};
-use gs_train::evaluate::{EvalReport, evaluate, evaluate_with_future};
+use gs_train::evaluate::{EvalReport, evaluate_shared, evaluate_with_future};
+use gs_train::ranks::Share;
 use gs_train::registry::Registry;
 use gs_train::saved::{self, Loaded};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// A run, open for reading.
 pub struct OpenRun {
@@ -25,6 +27,8 @@ pub struct OpenRun {
     pub path: PathBuf,
     /// Newer checkpoints that did not verify.
     pub skipped: Vec<Skipped>,
+    /// The ranks that score it together.
+    pub share: Arc<Share>,
     /// Cameras that were kept, as JSON.
     cameras: Option<String>,
     /// Whether the folder of the data was given, instead of the one the run has kept.
@@ -82,7 +86,8 @@ impl OpenRun {
         let loaded = saved::load_with(registry, &newest.checkpoint, None, avatar)
             .map_err(gs_train::trainer::TrainError::State)?;
         let Newest { path, skipped, .. } = newest;
-        Ok(Self { folder, resolved, loaded, path, skipped, cameras, moved: data.is_some() })
+        let (share, moved) = (Arc::default(), data.is_some());
+        Ok(Self { folder, resolved, loaded, path, skipped, share, cameras, moved })
     }
 
     /// The data set of the run.
@@ -128,7 +133,8 @@ impl OpenRun {
     /// # Errors
     /// If the split is empty or an image cannot be read.
     pub fn score(&self, dataset: &Dataset, split: Split, background: [f32; 3]) -> Result<EvalReport, RunError> {
-        let mut report = evaluate(&self.loaded.model, dataset, split, background, &self.images())?;
+        let (model, images) = (&self.loaded.model, self.images());
+        let mut report = evaluate_shared(model, dataset, split, background, &images, &self.share)?;
         report.train_seconds = Some(self.loaded.train_seconds);
         Ok(report)
     }
@@ -139,9 +145,8 @@ impl OpenRun {
     /// # Errors
     /// If there are no test views or an image cannot be read.
     pub fn score_for_folder(&self, dataset: &Dataset) -> Result<EvalReport, RunError> {
-        let method = &self.loaded.model;
-        let images = self.images();
-        let mut report = evaluate_with_future(method, dataset, Split::Test, self.background(), &images)?;
+        let (model, images, background) = (&self.loaded.model, self.images(), self.background());
+        let mut report = evaluate_with_future(model, dataset, Split::Test, background, &images, &self.share)?;
         report.train_seconds = Some(self.loaded.train_seconds);
         Ok(report)
     }

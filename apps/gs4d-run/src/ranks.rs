@@ -12,6 +12,8 @@ use std::sync::Arc;
 enum Work {
     /// Train the run of these settings, a TOML text, with it.
     Train(String),
+    /// Do a share of what the command line asks for, which is the same on all.
+    Share,
     /// End with this exit code.
     End(u8),
 }
@@ -23,15 +25,31 @@ pub(crate) fn call(ranks: &dyn Ranks, resolved: &Resolved) -> Result<(), RunErro
     Ok(())
 }
 
-/// Does what the first rank asks for until that ends ([`dismiss`]); gives its exit code. What fails is told to the first rank.
+/// Asks the other ranks to do their shares of what the command line asks for ([`gs_train::ranks::Share`]).
 ///
 /// # Errors
 /// If ranks cannot talk to each other.
-pub fn follow(registry: &Registry, ranks: &Arc<dyn Ranks>) -> Result<u8, RunError> {
+pub fn share(ranks: &dyn Ranks) -> Result<(), RunError> {
+    tell(ranks, &Some(Work::Share)).map_err(TrainError::from)?;
+    Ok(())
+}
+
+/// Does what the first rank asks for until that ends ([`dismiss`]); gives its exit code. `share` does this rank's share of what
+/// the command line asks for. What fails is told to the first rank.
+///
+/// # Errors
+/// If ranks cannot talk to each other.
+pub fn follow(registry: &Registry, ranks: &Arc<dyn Ranks>, share: impl FnOnce()) -> Result<u8, RunError> {
+    let mut share = Some(share);
     loop {
         let told = tell::<Option<Work>>(&**ranks, &None).map_err(TrainError::from)?;
         match told.into_iter().next().flatten() {
             Some(Work::Train(settings)) => train(registry, &settings, ranks)?,
+            Some(Work::Share) => {
+                if let Some(share) = share.take() {
+                    share();
+                }
+            }
             Some(Work::End(code)) => return Ok(code),
             None => return Ok(0),
         }

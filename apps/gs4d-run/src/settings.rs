@@ -214,7 +214,8 @@ impl Resolved {
 
     /// Whether training with the other settings gives the same run.
     pub fn trains_as(&self, other: &Self) -> bool {
-        self.method == other.method && self.run == other.run && self.data == other.data
+        let run = RunSettings { image_mib: other.run.image_mib, ..self.run.clone() };
+        self.method == other.method && run == other.run && self.data == other.data
     }
 
     /// The data set of these settings.
@@ -236,6 +237,16 @@ impl Resolved {
         let full = std::fs::canonicalize(data).unwrap_or_else(|_| data.to_owned());
         let mut config = self.config.clone();
         config.put("run.data", full.display().to_string(), Source::Flag("--data".into()))?;
+        Self::of(&self.registry, config)
+    }
+
+    /// The same settings with another bound of the decoded images that are kept, MiB.
+    ///
+    /// # Errors
+    /// As [`Self::of`].
+    pub fn with_image_cache(&self, mib: u32) -> Result<Self, RunError> {
+        let mut config = self.config.clone();
+        config.put("run.image_mib", i64::from(mib), Source::Flag(format!("--image-cache {mib}")))?;
         Self::of(&self.registry, config)
     }
 

@@ -19,6 +19,7 @@ use gs_data::{Dataset, ImageCache, Split};
 use gs_train::checkpoint::{self, Newest, Skipped};
 use gs_train::evaluate::{EvalReport, evaluate, evaluate_with_future};
 use gs_train::ranks::Ranks;
+use gs_train::ranks::Share;
 use gs_train::registry::Registry;
 use gs_train::renderer::file_stem;
 use gs_train::trainer::{TrainError, TrainOptions, Trainer};
@@ -57,6 +58,8 @@ pub struct ResumeRequest {
     pub budget: Option<f64>,
     /// Folder of the data, where they are not at the path the run has kept; the run keeps the new one.
     pub data: Option<PathBuf>,
+    /// Decoded images kept in memory, at most, MiB; the run keeps the number.
+    pub image_mib: Option<u32>,
     /// Go on with other data than the run began with.
     pub accept_changed_data: bool,
 }
@@ -165,6 +168,9 @@ impl Training {
         if let Some(data) = &request.data {
             resolved = resolved.with_data(data)?;
         }
+        if let Some(mib) = request.image_mib {
+            resolved = resolved.with_image_cache(mib)?;
+        }
         let done = newest.checkpoint.meta["step"].as_u64().and_then(|s| u32::try_from(s).ok()).unwrap_or(0);
         if let Some(steps) = request.steps {
             resolved = settings::lengthen(&resolved, steps, done)?;
@@ -173,7 +179,7 @@ impl Training {
         let session = provenance::resumed(&folder, &dataset, done, request.accept_changed_data)?;
         let bytes = resolved.run.image_bytes();
         let trainer = Trainer::resume(registry, dataset, &newest.checkpoint, Some(&resolved.method), bytes)?;
-        if request.steps.is_some() || request.data.is_some() {
+        if request.steps.is_some() || request.data.is_some() || request.image_mib.is_some() {
             folder.write(folder::CONFIG, &resolved.config.to_commented_toml())?;
         }
         session.provenance.map_or(Ok(()), |text| folder.write(folder::PROVENANCE, &text))?;
@@ -350,8 +356,9 @@ impl Training {
     pub fn score(&self) -> Result<EvalReport, RunError> {
         let dataset = self.trainer.dataset();
         let split = if dataset.test.is_empty() { Split::Train } else { Split::Test };
-        let images = self.images();
-        let mut report = evaluate_with_future(self.trainer.model(), dataset, split, self.background(), &images)?;
+        let (images, alone) = (self.images(), Share::default());
+        let model = self.trainer.model();
+        let mut report = evaluate_with_future(model, dataset, split, self.background(), &images, &alone)?;
         report.train_seconds = Some(self.trainer.train_seconds());
         self.folder.write(folder::METRICS, &format!("{:#}\n", metrics_json(&report, self.trainer.steps_done())))?;
         Ok(report)

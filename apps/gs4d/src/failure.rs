@@ -5,6 +5,7 @@ use gs_data::DataError;
 use gs_train::checkpoint::CheckpointError;
 use gs_train::evaluate::EvalError;
 use gs_train::method::MethodError;
+use gs_train::ranks::ShareError;
 use gs_train::trainer::TrainError;
 use gs4d_eval::folders::FolderError;
 use gs4d_eval::forecast::ForecastError;
@@ -90,6 +91,12 @@ impl Failure {
             .remedy("check the path, its permissions and the space on the disk")
     }
 
+    /// What happened, and where.
+    pub fn message(&self) -> String {
+        let Text { what, place, .. } = self.text.as_ref();
+        if place.is_empty() { what.clone() } else { format!("{what} (in {place})") }
+    }
+
     /// Adds where it happened.
     pub fn place(mut self, place: impl fmt::Display) -> Self {
         self.text.place = place.to_string();
@@ -106,6 +113,17 @@ impl Failure {
     pub fn remedy(mut self, remedy: impl fmt::Display) -> Self {
         self.text.remedy = remedy.to_string();
         self
+    }
+}
+
+impl From<ShareError> for Failure {
+    fn from(e: ShareError) -> Self {
+        match e {
+            ShareError::Ranks(_) => Self::new(Class::Io, "ranks", e.to_string()),
+            ShareError::Rank { code, .. } => Self::new(Class::of_code(code), "rank", e.to_string())
+                .why("all ranks work on one result")
+                .remedy("see that every machine reads the same files at the same paths"),
+        }
     }
 }
 
@@ -212,6 +230,7 @@ impl From<EvalError> for Failure {
     fn from(e: EvalError) -> Self {
         match e {
             EvalError::Data(e) => e.into(),
+            EvalError::Rank(e) => e.into(),
             EvalError::NoViews(_) => Self::new(Class::Data, "data.split", e.to_string()),
             EvalError::Method { .. } => Self::new(Class::Data, "method.moment", e.to_string()),
             EvalError::Metric { .. } => Self::new(Class::Data, "data.metric", e.to_string()),

@@ -2,7 +2,7 @@
 
 use clap::Args;
 use gs_core::io::Limits;
-use gs_train::ranks::{Ranks, alone};
+use gs_train::ranks::{Ranks, Share, alone};
 use gs4d_run::memory::MemoryLimit;
 use std::io::Write;
 use std::sync::Arc;
@@ -13,7 +13,7 @@ pub fn to_stderr(line: impl std::fmt::Display) {
 }
 
 /// Flags every verb takes.
-#[derive(Args, Clone, Debug)]
+#[derive(Args, Clone)]
 pub struct Global {
     /// Print the result as one JSON value on stdout.
     #[arg(long, global = true)]
@@ -31,24 +31,11 @@ pub struct Global {
     #[arg(long, global = true, value_name = "MIB", value_parser = clap::value_parser!(u64).range(1..))]
     pub max_mem: Option<u64>,
     /// The processes that train together.
+    #[arg(skip = alone())]
+    pub ranks: Arc<dyn Ranks>,
+    /// Those that render, score and export together.
     #[arg(skip)]
-    pub ranks: Company,
-}
-
-/// Ranks; one where nothing else is said.
-#[derive(Clone)]
-pub struct Company(pub Arc<dyn Ranks>);
-
-impl Default for Company {
-    fn default() -> Self {
-        Self(alone())
-    }
-}
-
-impl std::fmt::Debug for Company {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "rank {} of {}", self.0.rank(), self.0.size())
-    }
+    pub share: Arc<Share>,
 }
 
 impl Global {

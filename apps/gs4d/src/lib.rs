@@ -17,12 +17,12 @@ mod parse;
 mod progress;
 mod verbs;
 
-use global::{Company, Global, to_stderr};
+use global::{Global, to_stderr};
 
 use answer::Answer;
 use clap::{Parser, Subcommand};
 use failure::{Class, Failure};
-use gs_train::ranks::Ranks;
+use gs_train::ranks::{Ranks, Share};
 use std::process::ExitCode;
 use std::sync::Arc;
 
@@ -67,6 +67,17 @@ enum Verb {
     Bench(verbs::bench::Bench),
 }
 
+impl Verb {
+    /// Whether the ranks share what it makes.
+    fn is_shared(&self) -> bool {
+        match self {
+            Verb::Eval(verb) => verb.is_of_run(),
+            Verb::Render(_) | Verb::Export(_) => true,
+            _ => false,
+        }
+    }
+}
+
 fn set_threads(threads: Option<u16>) -> Result<(), Failure> {
     let Some(threads) = threads else { return Ok(()) };
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads.into());
@@ -75,7 +86,6 @@ fn set_threads(threads: Option<u16>) -> Result<(), Failure> {
 
 fn run(cli: Cli) -> Result<Answer, Failure> {
     let global = &cli.global;
-    set_threads(global.threads)?;
     match cli.verb {
         Verb::Demo(verb) => verb.run(global),
         Verb::Doctor(verb) => verb.run(global),
@@ -105,7 +115,7 @@ fn run(cli: Cli) -> Result<Answer, Failure> {
 }
 
 /// Runs the command line of this process, with the other `ranks`; gives its exit code. `train` and `resume` are done by all ranks
-/// together, everything else by the first.
+/// together, what `render`, `eval` and `export` make is shared among them, everything else is done by the first.
 pub fn main(ranks: Arc<dyn Ranks>) -> ExitCode {
     let default_hook = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |info| {
@@ -130,9 +140,16 @@ fn lead(ranks: &Arc<dyn Ranks>) -> u8 {
             u8::try_from(e.exit_code()).unwrap_or(Class::Usage as u8)
         }
         Ok(mut cli) => {
-            cli.global.ranks = Company(ranks.clone());
+            cli.global.ranks = ranks.clone();
             let json = cli.global.json;
-            match run(cli).and_then(|answer| answer.print(json)) {
+            let done = set_threads(cli.global.threads).and_then(|()| {
+                if !cli.verb.is_shared() {
+                    return run(cli);
+                }
+                gs4d_run::ranks::share(&**ranks)?;
+                run_shared(cli, ranks)
+            });
+            match done.and_then(|answer| answer.print(json)) {
                 Ok(()) => 0,
                 Err(failure) => {
                     to_stderr(&failure);
@@ -147,12 +164,25 @@ fn lead(ranks: &Arc<dyn Ranks>) -> u8 {
 
 /// What the other ranks do: they ignore signals, which the first rank answers for all, and print nothing that it prints.
 fn follow(ranks: &Arc<dyn Ranks>) -> u8 {
-    let threads = Cli::try_parse().ok().and_then(|cli| cli.global.threads);
-    let followed = set_threads(threads)
-        .and_then(|()| interrupt::ignore())
-        .and_then(|()| gs4d_run::ranks::follow(gs_methods::registry(), ranks).map_err(Failure::from));
+    let cli = Cli::try_parse();
+    let ready = set_threads(cli.as_ref().ok().and_then(|cli| cli.global.threads)).and_then(|()| interrupt::ignore());
+    // What fails is told to the first rank.
+    let shared = || cli.map(|cli| drop(run_shared(cli, ranks)));
+    let followed = ready.and_then(|()| Ok(gs4d_run::ranks::follow(gs_methods::registry(), ranks, || drop(shared()))?));
     followed.unwrap_or_else(|failure| {
         to_stderr(&failure);
         failure.class as u8
     })
+}
+
+/// Does a share of what all ranks make.
+fn run_shared(mut cli: Cli, ranks: &Arc<dyn Ranks>) -> Result<Answer, Failure> {
+    let share = Arc::new(Share::new(ranks.clone()));
+    cli.global.share = share.clone();
+    cli.global.quiet |= !share.leads();
+    let done = run(cli);
+    let end = share.end(done.as_ref().map(drop).map_err(|failure| (failure.class as u8, failure.message())));
+    let answer = done?;
+    end?;
+    Ok(answer)
 }

@@ -16,7 +16,8 @@ pub struct RunData {
 impl RunData {
     /// Opens a run, a checkpoint or a compact file; says which newer checkpoints were passed over.
     pub fn open(&self, path: &Path, global: &Global) -> Result<OpenRun, Failure> {
-        let run = OpenRun::open_with(gs_methods::registry(), path, self.data.as_deref())?;
+        let mut run = OpenRun::open_with(gs_methods::registry(), path, self.data.as_deref())?;
+        run.share = global.share.clone();
         say_skipped(path, &run.skipped, global);
         Ok(run)
     }

@@ -13,7 +13,8 @@ use gs_data::View;
 use std::borrow::Cow;
 use std::ops::Range;
 
-/// The views of a step, in the order they are drawn: the leaves of its sums.
+/// The views of a step, the leaves of its sums. They stand in the order of the data set, so that each rank has those of a part
+/// of it, mostly the same images in every step.
 struct Views<'a> {
     step: u32,
     /// Number of each view's draw, and the view.
@@ -23,6 +24,11 @@ struct Views<'a> {
 impl Views<'_> {
     fn root(&self) -> Node {
         Node { from: 0, to: self.drawn.len() }
+    }
+
+    /// The view that is drawn last.
+    fn last(&self) -> usize {
+        (0..self.drawn.len()).max_by_key(|leaf| self.drawn[*leaf].0).unwrap_or_default()
     }
 
     fn names(&self) -> String {
@@ -49,12 +55,17 @@ impl Trainer {
     /// that this rank owns.
     pub(super) fn learn(&mut self, step: u32) -> Result<Learnt, TrainError> {
         let (dataset, batch) = (self.dataset.clone(), self.schedule().batch);
-        let view_of = |draw| (draw, &dataset.train[self.order.view(self.model.schedule(), draw)]);
-        let views = Views { step, drawn: ((step - 1) * batch + 1..=step * batch).map(view_of).collect() };
+        let views_of = |step: u32| {
+            let view = |draw| (self.order.view(self.model.schedule(), draw), draw);
+            let mut drawn: Vec<(usize, u32)> = ((step - 1) * batch + 1..=step * batch).map(view).collect();
+            drawn.sort_unstable();
+            Views { step, drawn: drawn.into_iter().map(|(view, draw)| (draw, &dataset.train[view])).collect() }
+        };
+        let (views, next) = (views_of(step), views_of(step + 1));
         let (rank, ranks) = (self.ranks.rank(), self.ranks.size());
         let run = run_of(views.drawn.len(), rank, ranks);
         for k in run.clone() {
-            self.prefetch.request(&self.images, view_of(step * batch + 1 + k as u32).1);
+            self.prefetch.request(&self.images, next.drawn[k].1);
         }
         let updates = std::mem::take(&mut self.updates);
         let whole = self.model.needs_whole_gradient();
@@ -79,7 +90,7 @@ impl Trainer {
             self.share_gradients(&learns)?;
         }
         ms.exchange = clock.lap();
-        let last = views.drawn.last().map_or_else(Timestamp::default, |(_, view)| Timestamp::new(view.time));
+        let last = views.drawn.get(views.last()).map_or_else(Timestamp::default, |(_, view)| Timestamp::new(view.time));
         let regularisers = self.model.regularise(&last);
         ms.field += clock.lap();
         self.updates = updates;
@@ -140,7 +151,7 @@ impl Trainer {
             result: ViewLoss::default(),
             data_error: None,
         };
-        let last = leaf + 1 == views.drawn.len();
+        let last = leaf == views.last();
         let terms = self.model.step(&ViewCtx { at: Timestamp::new(view.time), camera: &camera, last }, &mut pass);
         let ViewPass { mut result, data_error, .. } = pass;
         if let Some(e) = data_error {

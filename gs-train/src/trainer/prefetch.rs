@@ -54,7 +54,7 @@ impl Worker {
     fn start(images: Arc<ImageCache>) -> Option<Self> {
         let (views, waiting) = sync_channel::<View>(WAITING);
         let cache = images.clone();
-        let decode = move || waiting.iter().for_each(|view| drop(cache.get(&view)));
+        let decode = move || waiting.iter().for_each(|view| drop(cache.decode_ahead(&view)));
         let thread = std::thread::Builder::new().name("prefetch images".into()).spawn(decode).ok()?;
         Some(Self { images, views, thread })
     }

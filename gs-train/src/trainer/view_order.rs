@@ -157,7 +157,8 @@ mod tests {
             for first_moment in [true, false] {
                 let schedule = schedule(|s| {
                     s.batch = batch;
-                    let short = Stage { steps: 48, window_parts: 8, window_every: 100, first_moment, ..Stage::default() };
+                    let short =
+                        Stage { steps: 48, window_parts: 8, window_every: 100, first_moment, ..Stage::default() };
                     s.stages = BTreeMap::from([("dynamic".to_owned(), short)]);
                 });
                 let order = order();

@@ -70,7 +70,8 @@ impl Training {
             Stage::Missing => Self::begin(root, false, resolved),
             Stage::Begun(0) => Self::begin(root, true, resolved),
             _ => {
-                let resumed = Self::resume(&resolved.registry, root, &ResumeRequest::default())?;
+                let request = ResumeRequest { image_mib: Some(resolved.run.image_mib), ..ResumeRequest::default() };
+                let resumed = Self::resume(&resolved.registry, root, &request)?;
                 Ok(Self { stop_at: resolved.run.time_budget, ..resumed })
             }
         }

@@ -131,6 +131,11 @@ impl Eval {
         }
     }
 
+    /// Whether a run is scored, not a folder.
+    pub fn is_of_run(&self) -> bool {
+        self.run.is_some()
+    }
+
     fn asks_for(&self, name: MetricName) -> bool {
         self.metrics.as_ref().is_some_and(|m| m.contains(&name))
     }
@@ -150,7 +155,7 @@ impl Eval {
         let dataset = run.open_data()?;
         let background = self.background.unwrap_or_else(|| run.background());
         let split = self.split.into();
-        let motion = tof.map(|options| {
+        let motion = tof.filter(|_| global.share.leads()).map(|options| {
             let method = &run.loaded.model;
             temporal::tof(method, &dataset, split, background, &run.images(), options).map(|s| (s, options))
         });
@@ -172,7 +177,7 @@ impl Eval {
             json["tof"] = json!(score);
             json["tof_protocol"] = json!(tof_protocol(options));
         }
-        if let Some(folder) = folder {
+        if let Some(folder) = folder.filter(|_| global.share.leads()) {
             folder.write(METRICS, &format!("{json:#}\n"))?;
             text.push_str(&format!("-> {}\n", root.join(METRICS).display()));
         }

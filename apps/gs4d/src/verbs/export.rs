@@ -10,7 +10,7 @@ use crate::parse;
 use crate::progress::Progress;
 use gs_core::io::{RawSplats, SplatFormat, load_splats, save_splats, write_file};
 use gs_data::{Dataset, ImageCache};
-use gs_train::evaluate::{EvalReport, evaluate};
+use gs_train::evaluate::{EvalReport, evaluate_shared};
 use gs_train::timestamp::Timestamp;
 use gs4d_eval::export::{AsExported, Baker, ExportError, cut};
 use gs4d_run::OpenRun;
@@ -83,6 +83,9 @@ impl Export {
         let plan = self.plan()?;
         self.check_free(&plan)?;
         let is_file = self.scene.is_file() && self.scene.extension().is_none_or(|e| e != "gs4d");
+        if is_file && !global.share.leads() {
+            return Ok(Answer::new("", Value::Null)); // the first rank's alone
+        }
         if is_file { self.convert(&plan, global) } else { self.bake(&plan, global) }
     }
 
@@ -142,20 +145,26 @@ impl Export {
         let dataset = if self.no_eval { None } else { Some(run.open_data()?) };
         let (method, views) = (&run.loaded.model, run.training_views()?);
         let baker = || Baker::new(method, &views, self.sh_degree);
+        let share = &run.share;
+        // Every rank finds its outputs free before one writes.
+        share.wait()?;
         plan.folder.as_deref().map_or(Ok(()), create_folder)?;
-        let mut progress = Progress::new(plan.files.len() as u64, "times", global.quiet);
-        let mut written = Vec::new();
-        for (done, (time, path)) in plan.files.iter().enumerate() {
+        let mine = share.run(plan.files.len());
+        let mut progress = Progress::new(mine.len() as u64, "times", global.quiet);
+        let written = share.each(plan.files.len(), |k| {
+            let (time, path) = &plan.files[k];
             let raw = baker().bake(&Timestamp::normalised(*time))?;
             save_splats(path, &raw, self.force)?;
             let again = load_splats(path, &global.limits())?;
-            written.push(json!({"time": time, "file": path.display().to_string(), "splats": again.len()}));
-            progress.at(done as u64 + 1, || format!("{} splats", again.len()));
-        }
+            progress.at((k - mine.start) as u64 + 1, || format!("{} splats", again.len()));
+            Ok::<_, Failure>(json!({"time": time, "file": path.display().to_string(), "splats": again.len()}))
+        })?;
         progress.finish();
         if let Some(folder) = &plan.folder {
             let table = serde_json::to_vec_pretty(&written).unwrap_or_default();
-            write_file(&folder.join(TABLE), self.force, |out| out.write_all(&table))?;
+            if share.leads() {
+                write_file(&folder.join(TABLE), self.force, |out| out.write_all(&table))?;
+            }
         }
         let loss = dataset.map(|data| self.measure(&run, &data, baker(), plan.format)).transpose()?;
         let bytes: u64 = plan.files.iter().filter_map(|f| f.1.metadata().ok()).map(|m| m.len()).sum();
@@ -172,8 +181,8 @@ impl Export {
     fn measure(&self, run: &OpenRun, data: &Dataset, baker: Baker<'_>, format: SplatFormat) -> Result<Loss, Failure> {
         let images: ImageCache = run.images();
         let (split, background) = (self.split.into(), run.background());
-        let before = evaluate(&run.loaded.model, data, split, background, &images)?;
-        let after = AsExported::new(baker, format).evaluate(data, split, background, &images)?;
+        let before = evaluate_shared(&run.loaded.model, data, split, background, &images, &run.share)?;
+        let after = AsExported::new(baker, format).evaluate(data, split, background, &images, &run.share)?;
         Ok(Loss::of(&before, &after))
     }
 

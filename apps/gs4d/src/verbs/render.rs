@@ -14,6 +14,7 @@ use gs_core::{Camera, Image, Splats};
 use gs_data::Dataset;
 use gs_raster::{Frame, RasterOptions};
 use gs_train::method::MethodError;
+use gs_train::ranks::Share;
 use gs_train::renderer::{Renderer, file_stem};
 use gs_train::timestamp::Timestamp;
 use gs4d_run::OpenRun;
@@ -141,20 +142,24 @@ impl Render {
             .iter()
             .try_for_each(|c| memory.admit_picture([c.camera.width, c.camera.height], scene.splat_count()))?;
         let mut renderer = Renderer::new(self.options(&scene)?);
-        let mut progress = Progress::new(cameras.len() as u64, "images", global.quiet);
-        let mut render = |done: usize, camera: &NamedCamera| {
-            let frame = scene.render(&mut renderer, &camera.camera, self.time.or(camera.time).unwrap_or(0.0))?.clone();
-            progress.at(done as u64 + 1, || camera.name.clone());
+        let share = &global.share;
+        let mut progress = Progress::new(share.run(cameras.len()).len() as u64, "images", global.quiet);
+        let mut done = 0;
+        let mut render = |k: usize| {
+            let NamedCamera { name, camera, time } = &cameras[k];
+            let frame = scene.render(&mut renderer, camera, self.time.or(*time).unwrap_or(0.0))?.clone();
+            done += 1;
+            progress.at(done, || name.clone());
             Ok(frame)
         };
         let paths = if self.format == Format::Y4m {
-            vec![self.video(&cameras, &mut render)?]
+            vec![self.video(&cameras, share, &mut render)?]
         } else {
             let paths = self.paths(&cameras)?;
+            // Every rank finds its outputs free before one writes.
+            share.wait()?;
             create_folder(&self.out)?;
-            for (done, (camera, path)) in cameras.iter().zip(&paths).enumerate() {
-                self.save(&render(done, camera)?, path)?;
-            }
+            share.each(cameras.len(), |k| self.save(&render(k)?, &paths[k]))?;
             paths
         };
         progress.finish();
@@ -227,11 +232,12 @@ impl Render {
         Ok(times.0.iter().enumerate().map(at).collect())
     }
 
-    /// All cameras as one video.
+    /// All cameras as one video, which the first rank writes.
     fn video(
         &self,
         cameras: &[NamedCamera],
-        render: &mut dyn FnMut(usize, &NamedCamera) -> Result<Frame, MethodError>,
+        share: &Share,
+        render: &mut dyn FnMut(usize) -> Result<Frame, MethodError>,
     ) -> Result<PathBuf, Failure> {
         let size = |c: &NamedCamera| (c.camera.width, c.camera.height);
         let Some(first) = cameras.first().map(size) else { return Err(Failure::usage("there is no camera")) };
@@ -241,23 +247,43 @@ impl Render {
         }
         create_folder(&self.out)?;
         let path = self.out.join("video.y4m");
+        if !share.leads() {
+            self.frames(cameras.len(), share, render, &mut |_| Ok(()))?;
+            return Ok(path);
+        }
         let mut failed = None;
         let written = write_file(&path, self.force, |out| {
             y4m::write_header(first.0 as usize, first.1 as usize, self.fps, out)?;
-            cameras.iter().enumerate().try_for_each(|(k, camera)| match render(k, camera) {
-                Ok(frame) => y4m::write_frame(&frame.rgb, out),
-                Err(e) => {
-                    let stop = std::io::Error::other(e.to_string());
-                    failed = Some(e);
-                    Err(stop)
-                }
+            let failure = |e: std::io::Error| Failure::io("write the video", &path, &e);
+            let frames = self.frames(cameras.len(), share, render, &mut |frame| out.write_all(frame).map_err(failure));
+            frames.map_err(|e| {
+                let stop = std::io::Error::other(e.message());
+                failed = Some(e);
+                stop
             })
         });
-        if let Some(e) = failed {
-            return Err(e.into());
-        }
+        failed.map_or(Ok(()), Err)?;
         written?;
         Ok(path)
+    }
+
+    /// Renders the frames of a video, each rank one of a round; `write` has the bytes of all, in their order, on the first.
+    fn frames(
+        &self,
+        count: usize,
+        share: &Share,
+        render: &mut dyn FnMut(usize) -> Result<Frame, MethodError>,
+        write: &mut dyn FnMut(&[u8]) -> Result<(), Failure>,
+    ) -> Result<(), Failure> {
+        for round in (0..count).step_by(share.size()) {
+            let mut bytes = Vec::new();
+            if let Some(k) = (round..count).nth(share.rank()) {
+                y4m::write_frame(&render(k)?.rgb, &mut bytes)
+                    .map_err(|e| Failure::io("write a frame", &self.out, &e))?;
+            }
+            share.send_to_first(bytes)?.iter().try_for_each(|frame| write(frame))?;
+        }
+        Ok(())
     }
 
     fn options(&self, scene: &Scene) -> Result<RasterOptions, Failure> {

@@ -1,6 +1,6 @@
 //! `gs4d resume`: continues a run exactly from its newest valid checkpoint.
 
-use super::train::carry_on;
+use super::train::{ImageCacheSize, carry_on};
 use super::view::Watch;
 use crate::answer::Answer;
 use crate::failure::Failure;
@@ -28,6 +28,8 @@ pub struct Resume {
     time_budget: Option<Duration>,
     #[command(flatten)]
     place: RunData,
+    #[command(flatten)]
+    images: ImageCacheSize,
     /// Go on although the data are not those that the run began with; provenance.json keeps it.
     #[arg(long)]
     accept_changed_data: bool,
@@ -42,10 +44,11 @@ impl Resume {
             steps: self.steps,
             budget: self.time_budget.map(|d| d.as_secs_f64()),
             data: self.place.data,
+            image_mib: self.images.image_cache,
             accept_changed_data: self.accept_changed_data,
         };
         let training = Training::resume(gs_methods::registry(), &self.run, &request)?;
-        let mut training = training.with_ranks(global.ranks.0.clone())?;
+        let mut training = training.with_ranks(global.ranks.clone())?;
         global.say(format!("going on from step {}", training.trainer().steps_done()));
         carry_on(&mut training, &self.watch, &stop, global)
     }

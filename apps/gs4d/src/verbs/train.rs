@@ -46,6 +46,8 @@ pub struct Train {
     /// Seed of every random number [default: 0].
     #[arg(long)]
     seed: Option<u64>,
+    #[command(flatten)]
+    images: ImageCacheSize,
     /// Folder of the run; made if missing.
     #[arg(short, long, value_name = "RUN")]
     out: PathBuf,
@@ -60,6 +62,15 @@ pub struct Train {
     watch: Watch,
 }
 
+/// How much of the data set is kept in memory.
+#[derive(clap::Args, Clone, Copy, Debug)]
+pub struct ImageCacheSize {
+    /// Decoded images kept in memory, MiB (4 bytes a pixel); the others are decoded again whenever they are drawn. Results are
+    /// the same for any number [default: 512].
+    #[arg(long, value_name = "MIB", value_parser = clap::value_parser!(u32).range(0..=1_048_576))]
+    pub image_cache: Option<u32>,
+}
+
 impl Train {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
         let request = Request {
@@ -72,7 +83,10 @@ impl Train {
             seed: self.seed,
             sets: self.sets,
         };
-        let resolved = resolve(gs_methods::registry(), &request)?;
+        let mut resolved = resolve(gs_methods::registry(), &request)?;
+        if let Some(mib) = self.images.image_cache {
+            resolved = resolved.with_image_cache(mib)?;
+        }
         if self.go_on
             && let Stage::Finished(scored) = Stage::of(&self.out, &resolved)?
         {
@@ -86,7 +100,7 @@ impl Train {
             true => Training::go_on(&self.out, resolved)?,
             false => Training::begin(&self.out, self.force, resolved)?,
         };
-        let mut training = training.with_ranks(global.ranks.0.clone())?;
+        let mut training = training.with_ranks(global.ranks.clone())?;
         carry_on(&mut training, &self.watch, &stop, global)
     }
 }
@@ -177,8 +191,8 @@ fn describe(training: &Training, global: &Global) {
         global.say(format!("warning: {warning}"));
     }
     global.detail(format!("time: {}; threads: {}", data.time_source, rayon::current_num_threads()));
-    if global.ranks.0.size() > 1 {
-        global.say(format!("{} ranks", global.ranks.0.size()));
+    if global.ranks.size() > 1 {
+        global.say(format!("{} ranks", global.ranks.size()));
     }
 }
 

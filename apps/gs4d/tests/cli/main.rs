@@ -16,6 +16,7 @@ mod guide;
 mod hostile;
 mod kill;
 mod lab;
+mod large;
 mod moved;
 mod pipes;
 mod pose;

@@ -112,6 +112,19 @@ fn resuming_is_exact_on_any_number_of_threads() {
 }
 
 #[test]
+fn the_image_cache_changes_no_bit_and_is_no_setting_of_the_recipe() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("run");
+    train(data(), &out, &["--image-cache", "0", "--time-budget", "0.001s"]);
+    good(&["resume", text(&out), "--image-cache", "1", "--time-budget", "0.001s", "--quiet"]);
+    let kept = fs::read_to_string(out.join("config.resolved.toml")).unwrap();
+    assert!(kept.contains("image_mib = 1 "), "{kept}");
+    train(data(), &out, &["--time-budget", "0.001s", "--image-cache", "2", "--continue"]);
+    good(&["resume", text(&out), "--quiet"]);
+    assert_eq!(state(&out), state(run()));
+}
+
+#[test]
 fn a_finished_run_is_lengthened() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("run");
