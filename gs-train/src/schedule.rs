@@ -383,7 +383,8 @@ impl Schedule {
         need((1..=256).contains(&self.batch), "batch", self.batch.into(), "1 to 256")?;
         let lr_batch = self.lr_batch.unwrap_or(1);
         need((1..=256).contains(&lr_batch), "lr_batch", lr_batch.into(), "1 to 256")?;
-        let drawn = total * u64::from(self.batch);
+        // Images of the step after the last may be decoded ahead.
+        let drawn = (total + 1) * u64::from(self.batch);
         need(drawn < 1 << 32, "batch", self.batch.into(), "steps times batch below 2^32")?;
         let fre = self.lambda_fre;
         need(fre >= 0.0 && fre.is_finite(), "lambda_fre", fre.into(), "finite, not negative")?;
