@@ -38,7 +38,7 @@ pub struct Schedule {
     #[serde(default = "one")]
     pub batch: u32,
     /// Views a step that learning rates and `adam_eps` are for; absent: as many as `batch`. Where the two differ, [`Self::update`]
-    /// and [`Self::adam`] follow.
+    /// and the decays of Adam follow.
     #[serde(default)]
     pub lr_batch: Option<u32>,
     /// Weight φ of the amplitude-spectrum loss, which every method may use (FAGS: 0.3; others: 0).

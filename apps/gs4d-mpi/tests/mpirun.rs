@@ -81,16 +81,26 @@ fn tensors(run: &Path) -> Vec<(String, Vec<u32>)> {
     newest.checkpoint.tensors.into_iter().map(|(name, values)| (name, bits(values))).collect()
 }
 
+/// The scores of a run, without the seconds it took.
+fn scores(run: &Path) -> serde_json::Value {
+    let text = std::fs::read_to_string(run.join("metrics.json")).unwrap();
+    let mut scores: serde_json::Value = serde_json::from_str(&text).unwrap();
+    scores.as_object_mut().unwrap().remove("train_seconds").expect("seconds");
+    scores
+}
+
 /// Runs of every method on each of these numbers of ranks end with the bits of one rank, and with its files.
 fn compare_with_one_rank(counts: &[usize]) {
     let place = place();
     for method in gs_methods::registry().iter().map(|entry| entry.name) {
         let name = |ranks: usize| format!("{method}-{ranks}");
-        let one = tensors(&place.trained(1, method, &name(1), &[]));
+        let alone = place.trained(1, method, &name(1), &[]);
+        let (one, scores) = (tensors(&alone), scores(&alone));
         for &ranks in counts {
             let run = place.trained(ranks, method, &name(ranks), &[]);
             assert!(one == tensors(&run), "{method} on {ranks} ranks");
-            assert!(run.join("metrics.json").is_file() && run.join("report.html").is_file());
+            assert_eq!(scores, self::scores(&run), "{method} on {ranks} ranks");
+            assert!(run.join("report.html").is_file());
         }
     }
 }

@@ -17,9 +17,8 @@ use gs_core::io::write_file;
 use gs_core::speed::BenchRow;
 use gs_data::{Dataset, ImageCache, Split};
 use gs_train::checkpoint::{self, Newest, Skipped};
-use gs_train::evaluate::{EvalReport, evaluate, evaluate_with_future};
+use gs_train::evaluate::{EvalReport, evaluate};
 use gs_train::ranks::Ranks;
-use gs_train::ranks::Share;
 use gs_train::registry::Registry;
 use gs_train::renderer::file_stem;
 use gs_train::trainer::{TrainError, TrainOptions, Trainer};
@@ -354,11 +353,7 @@ impl Training {
     /// # Errors
     /// If an image cannot be read or the file cannot be written.
     pub fn score(&self) -> Result<EvalReport, RunError> {
-        let dataset = self.trainer.dataset();
-        let split = if dataset.test.is_empty() { Split::Train } else { Split::Test };
-        let (images, alone) = (self.images(), Share::default());
-        let model = self.trainer.model();
-        let mut report = evaluate_with_future(model, dataset, split, self.background(), &images, &alone)?;
+        let mut report = self.trainer.evaluate(&self.images())?;
         report.train_seconds = Some(self.trainer.train_seconds());
         self.folder.write(folder::METRICS, &format!("{:#}\n", metrics_json(&report, self.trainer.steps_done())))?;
         Ok(report)

@@ -180,9 +180,5 @@ fn run_shared(mut cli: Cli, ranks: &Arc<dyn Ranks>) -> Result<Answer, Failure> {
     let share = Arc::new(Share::new(ranks.clone()));
     cli.global.share = share.clone();
     cli.global.quiet |= !share.leads();
-    let done = run(cli);
-    let end = share.end(done.as_ref().map(drop).map_err(|failure| (failure.class as u8, failure.message())));
-    let answer = done?;
-    end?;
-    Ok(answer)
+    share.finish(|_| run(cli), |failure| (failure.class as u8, failure.message()))
 }

@@ -28,15 +28,13 @@ pub enum ShareError {
 
 /// The ranks of shared work, one by default. All of them make the same calls in the same order; each does a contiguous run of the items.
 ///
-/// A rank that fails by itself leaves its work and says so with [`Share::end`]; the others hear of it at their next call.
+/// A rank that fails by itself leaves its work; the others hear of it at their next call ([`Share::finish`]).
 ///
 /// ```
 /// use gs_train::ranks::{Share, ShareError};
 ///
-/// let share = Share::default();
-/// let squares = share.each(3, |k| Ok::<_, ShareError>(k * k))?;
-/// assert_eq!(squares, [0, 1, 4]);
-/// share.end(Ok(()))?;
+/// let work = |share: &Share| share.each(3, |k| Ok::<_, ShareError>(k * k));
+/// assert_eq!(Share::default().finish(work, |e| (1, e.to_string()))?, [0, 1, 4]);
 /// # Ok::<_, ShareError>(())
 /// ```
 pub struct Share {
@@ -108,11 +106,23 @@ impl Share {
         self.meet(Ok(bytes), |rank| rank == 0)
     }
 
-    /// Ends the work: called by every rank, once, with its exit code and message if it failed.
+    /// Does `work` on all ranks, and waits for its end on all. `failure` makes exit code and message of an error, for the others.
     ///
     /// # Errors
-    /// If this rank did not fail but another did, or cannot be reached.
-    pub fn end(&self, mine: Result<(), (u8, String)>) -> Result<(), ShareError> {
+    /// Those of `work`, and if another rank failed or cannot be reached.
+    pub fn finish<T, E: From<ShareError>>(
+        &self,
+        work: impl FnOnce(&Self) -> Result<T, E>,
+        failure: impl FnOnce(&E) -> (u8, String),
+    ) -> Result<T, E> {
+        let done = work(self);
+        let ended = self.end(done.as_ref().map(drop).map_err(failure));
+        let done = done?;
+        ended?;
+        Ok(done)
+    }
+
+    fn end(&self, mine: Result<(), (u8, String)>) -> Result<(), ShareError> {
         let failed = mine.is_err();
         if self.failed.load(Ordering::Relaxed) {
             return Ok(());
@@ -162,20 +172,15 @@ mod tests {
     use super::*;
     use crate::testkit::threads_as_ranks;
 
-    /// What each of so many ranks made of some work, and of its end.
+    /// What each of so many ranks made of some work.
     fn on<T: Send>(
         count: usize,
         work: impl Fn(&Share, usize) -> Result<T, ShareError> + Sync,
-    ) -> Vec<(Result<T, ShareError>, Result<(), ShareError>)> {
+    ) -> Vec<Result<T, ShareError>> {
         std::thread::scope(|scope| {
             let work = &work;
             let rank = |(rank, ranks)| {
-                scope.spawn(move || {
-                    let share = Share::new(ranks);
-                    let done = work(&share, rank);
-                    let end = share.end(done.as_ref().map(drop).map_err(|e| (3, e.to_string())));
-                    (done, end)
-                })
+                scope.spawn(move || Share::new(ranks).finish(|share| work(share, rank), |e| (3, e.to_string())))
             };
             let threads: Vec<_> = threads_as_ranks(count).into_iter().enumerate().map(rank).collect();
             threads.into_iter().map(|t| t.join().expect("rank")).collect()
@@ -190,9 +195,8 @@ mod tests {
     fn every_rank_has_the_results_of_all_in_order() {
         for ranks in 1..=5 {
             for items in [0, 1, 3, 7] {
-                for (done, end) in on(ranks, |share, _| share.each(items, |k| Ok(0.1 * k as f64))) {
+                for done in on(ranks, |share, _| share.each(items, |k| Ok(0.1 * k as f64))) {
                     assert_eq!(done.unwrap(), (0..items).map(|k| 0.1 * k as f64).collect::<Vec<_>>());
-                    end.unwrap();
                 }
             }
         }
@@ -201,7 +205,7 @@ mod tests {
     #[test]
     fn the_first_rank_alone_receives_what_is_sent_to_it() {
         let sent = on(3, |share, rank| share.send_to_first(vec![rank as u8; rank]));
-        let received: Vec<_> = sent.into_iter().map(|(done, _)| done.unwrap()).collect();
+        let received: Vec<_> = sent.into_iter().map(Result::unwrap).collect();
         assert_eq!(received[0], [vec![], vec![1], vec![2, 2]]);
         assert_eq!(received[1..], [vec![Vec::<u8>::new(); 3], vec![Vec::new(); 3]]);
     }
@@ -218,8 +222,8 @@ mod tests {
                     share.each(6, |_| here(1))?;
                     here(2)
                 });
-                for (rank, (done, end)) in ends.into_iter().enumerate() {
-                    let error = done.and(end).expect_err("every rank ends with an error");
+                for (rank, end) in ends.into_iter().enumerate() {
+                    let error = end.expect_err("every rank ends with an error");
                     let other = matches!(&error, ShareError::Rank { rank: r, code: 3, what } if *r == failing && what.contains("a fault"));
                     assert!(
                         if rank == failing { error == fault() } else { other },

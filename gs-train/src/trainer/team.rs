@@ -3,10 +3,11 @@
 use super::{TrainError, Trainer};
 use crate::checkpoint::Checkpoint;
 use crate::error::RanksError;
-use crate::ranks::{Ranks, alone, tell};
+use crate::evaluate::{EvalError, EvalReport, evaluate_with_future};
+use crate::ranks::{Ranks, Share, ShareError, alone, tell};
 use crate::registry::Registry;
 use gs_core::Params;
-use gs_data::Dataset;
+use gs_data::{Dataset, ImageCache, Split};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::ops::Deref;
@@ -23,6 +24,8 @@ pub(super) enum Command {
     Step,
     /// Make the rows of all ranks whole.
     Gather,
+    /// Score views ([`Trainer::evaluate`]).
+    Evaluate,
     /// There is nothing more to do.
     End,
 }
@@ -146,6 +149,12 @@ impl Trainer {
             let done = match command {
                 Some(Command::Step) => self.step_with_ranks().map(drop),
                 Some(Command::Gather) => self.share_rows(),
+                Some(Command::Evaluate) => {
+                    match self.evaluate_with_ranks(&ImageCache::new(self.options.image_bytes, 1.0)) {
+                        Err(EvalError::Rank(ShareError::Ranks(e))) => Err(e.into()),
+                        _ => Ok(()),
+                    }
+                }
                 Some(Command::End) | None => return Ok(()),
             };
             if let Err(e @ TrainError::Ranks(_)) = done {
@@ -164,7 +173,26 @@ impl Trainer {
     }
 
     /// Asks the other ranks to do the same.
-    pub(super) fn ask(&self, command: Command) -> Result<(), TrainError> {
+    /// Scores the test views, or the training views where there are none, and beside them the views beyond the last training time
+    /// where there are any; the other ranks score theirs. `images` has them at full size.
+    ///
+    /// # Errors
+    /// If an image cannot be read, a frame is not finite, or a rank cannot be reached.
+    pub fn evaluate(&self, images: &ImageCache) -> Result<EvalReport, EvalError> {
+        self.ask(Command::Evaluate).map_err(ShareError::from)?;
+        self.evaluate_with_ranks(images)
+    }
+
+    fn evaluate_with_ranks(&self, images: &ImageCache) -> Result<EvalReport, EvalError> {
+        let (data, background) = (&self.dataset, self.model.background());
+        let split = if data.test.is_empty() { Split::Train } else { Split::Test };
+        Share::new(self.ranks.ranks.ranks.clone()).finish(
+            |share| evaluate_with_future(&self.model, data, split, background, images, share),
+            |e| (3, e.to_string()),
+        )
+    }
+
+    pub(super) fn ask(&self, command: Command) -> Result<(), RanksError> {
         if self.ranks.leads {
             tell(&*self.ranks, &Some(command))?;
         }
