@@ -29,14 +29,14 @@ pub trait Ranks: Send + Sync {
     ///
     /// # Errors
     /// If a rank cannot be reached.
-    fn exchange(&self, to: Vec<Vec<u8>>) -> Result<Vec<Vec<u8>>, RanksError>;
+    fn all_to_all(&self, to: Vec<Vec<u8>>) -> Result<Vec<Vec<u8>>, RanksError>;
 
-    /// Tells every rank the same; gives what each rank told, in the order of ranks.
+    /// Sends the same to every rank; gives what each rank sent, in the order of ranks.
     ///
     /// # Errors
     /// If a rank cannot be reached.
-    fn tell(&self, bytes: Vec<u8>) -> Result<Vec<Vec<u8>>, RanksError> {
-        self.exchange(vec![bytes; self.size()])
+    fn all_gather(&self, bytes: Vec<u8>) -> Result<Vec<Vec<u8>>, RanksError> {
+        self.all_to_all(vec![bytes; self.size()])
     }
 }
 
@@ -53,7 +53,7 @@ impl Ranks for Alone {
         1
     }
 
-    fn exchange(&self, to: Vec<Vec<u8>>) -> Result<Vec<Vec<u8>>, RanksError> {
+    fn all_to_all(&self, to: Vec<Vec<u8>>) -> Result<Vec<Vec<u8>>, RanksError> {
         Ok(to)
     }
 }
@@ -63,12 +63,12 @@ pub fn alone() -> Arc<dyn Ranks> {
     Arc::new(Alone)
 }
 
-/// What every rank tells, in the order of ranks.
+/// A fact of every rank, in the order of ranks, on every rank.
 ///
 /// # Errors
-/// If a rank cannot be reached, or tells something else.
-pub fn tell<T: Serialize + DeserializeOwned>(ranks: &dyn Ranks, fact: &T) -> Result<Vec<T>, RanksError> {
+/// If a rank cannot be reached, or sends something else.
+pub fn all_gather<T: Serialize + DeserializeOwned>(ranks: &dyn Ranks, fact: &T) -> Result<Vec<T>, RanksError> {
     let bytes = serde_json::to_vec(fact).map_err(|e| RanksError { what: e.to_string() })?;
-    let told = ranks.tell(bytes)?.into_iter().enumerate();
-    told.map(|(rank, bytes)| serde_json::from_slice(&bytes).map_err(|_| RanksError::short(rank))).collect()
+    let received = ranks.all_gather(bytes)?.into_iter().enumerate();
+    received.map(|(rank, bytes)| serde_json::from_slice(&bytes).map_err(|_| RanksError::short(rank))).collect()
 }

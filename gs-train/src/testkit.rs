@@ -112,7 +112,7 @@ impl Ranks for Threads {
         self.to.len()
     }
 
-    fn exchange(&self, to: Vec<Vec<u8>>) -> Result<Vec<Vec<u8>>, RanksError> {
+    fn all_to_all(&self, to: Vec<Vec<u8>>) -> Result<Vec<Vec<u8>>, RanksError> {
         let gone = |rank: usize| RanksError { what: format!("rank {rank} is gone") };
         for (rank, bytes) in to.into_iter().enumerate() {
             self.to[rank].send(bytes).map_err(|_| gone(rank))?;

@@ -19,8 +19,8 @@ fn main() -> ExitCode {
 #[cfg(not(feature = "mpi"))]
 fn main() -> ExitCode {
     // What Open MPI, MPICH and Slurm tell their processes.
-    let told = ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_NTASKS"].iter().find_map(|name| std::env::var(name).ok());
-    if told.is_some_and(|size| size.parse::<u32>().is_ok_and(|size| size > 1)) {
+    let size = ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_NTASKS"].iter().find_map(|name| std::env::var(name).ok());
+    if size.is_some_and(|size| size.parse::<u32>().is_ok_and(|size| size > 1)) {
         use std::io::Write;
         let what = "error[ranks]: this gs4d-mpi knows no MPI\n  do   cargo build --release -p gs4d-mpi --features mpi";
         let _ = writeln!(std::io::stderr(), "{what}");

@@ -40,7 +40,7 @@ fn refuse(what: &str) -> ExitCode {
 
 impl World {
     /// One call: `to[r]` goes to rank `r`.
-    fn all_to_all(to: &[&[u8]]) -> Vec<Vec<u8>> {
+    fn all_to_all_bounded(to: &[&[u8]]) -> Vec<Vec<u8>> {
         let lengths: Vec<i32> = to.iter().map(|bytes| bytes.len() as i32).collect();
         let mut arriving = vec![0i32; to.len()];
         let world = SimpleCommunicator::world();
@@ -69,7 +69,7 @@ impl Ranks for World {
         self.size
     }
 
-    fn exchange(&self, to: Vec<Vec<u8>>) -> Result<Vec<Vec<u8>>, RanksError> {
+    fn all_to_all(&self, to: Vec<Vec<u8>>) -> Result<Vec<Vec<u8>>, RanksError> {
         let most = MOST / self.size;
         let longest = to.iter().map(Vec::len).max().unwrap_or(0);
         let mut rounds = vec![0u64; self.size];
@@ -79,7 +79,7 @@ impl Ranks for World {
         for round in 0..rounds {
             let piece = |bytes: &Vec<u8>| (round * most).min(bytes.len())..((round + 1) * most).min(bytes.len());
             let pieces: Vec<&[u8]> = to.iter().map(|bytes| &bytes[piece(bytes)]).collect();
-            all.iter_mut().zip(Self::all_to_all(&pieces)).for_each(|(all, piece)| all.extend(piece));
+            all.iter_mut().zip(Self::all_to_all_bounded(&pieces)).for_each(|(all, piece)| all.extend(piece));
         }
         Ok(all)
     }

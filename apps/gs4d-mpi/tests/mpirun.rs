@@ -117,7 +117,7 @@ fn files(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
 }
 
 #[test]
-#[ignore = "needs Open MPI"]
+#[ignore = "needs Open MPI: cargo test -p gs4d-mpi --features mpi -- --ignored"]
 fn renders_scores_and_files_of_three_ranks_are_those_of_one() {
     let place = place();
     let run = place.trained(1, "fourdgs", "run", &[]);
@@ -153,19 +153,19 @@ fn newest_step(checkpoints: &Path) -> Option<u32> {
 }
 
 #[test]
-#[ignore = "needs Open MPI"]
+#[ignore = "needs Open MPI: cargo test -p gs4d-mpi --features mpi -- --ignored"]
 fn two_ranks_give_the_bits_of_one() {
     compare_with_one_rank(&[2]);
 }
 
 #[test]
-#[ignore = "needs Open MPI"]
+#[ignore = "needs Open MPI: cargo test -p gs4d-mpi --features mpi -- --ignored"]
 fn more_ranks_give_the_bits_of_one() {
     compare_with_one_rank(&[3, 4]);
 }
 
 #[test]
-#[ignore = "needs Open MPI"]
+#[ignore = "needs Open MPI: cargo test -p gs4d-mpi --features mpi -- --ignored"]
 fn a_run_goes_on_with_another_number_of_ranks() {
     let place = place();
     for method in gs_methods::registry().iter().map(|entry| entry.name) {
@@ -181,7 +181,7 @@ fn a_run_goes_on_with_another_number_of_ranks() {
 }
 
 #[test]
-#[ignore = "needs Open MPI"]
+#[ignore = "needs Open MPI: cargo test -p gs4d-mpi --features mpi -- --ignored"]
 fn a_rank_that_is_killed_costs_the_steps_since_the_last_checkpoint() {
     let place = place();
     let (steps, every) = (5000, 5);
@@ -209,7 +209,7 @@ fn a_rank_that_is_killed_costs_the_steps_since_the_last_checkpoint() {
 }
 
 #[test]
-#[ignore = "needs Open MPI"]
+#[ignore = "needs Open MPI: cargo test -p gs4d-mpi --features mpi -- --ignored"]
 fn a_job_that_is_told_to_stop_is_saved() {
     let place = place();
     good(1, &place.train("fourdgs", "whole", 1000, &["--set", "run.checkpoint_every=100000"]));
@@ -242,7 +242,7 @@ fn ranks_of(job: &mut Child, ranks: usize) -> Vec<String> {
 }
 
 #[test]
-#[ignore = "needs Open MPI"]
+#[ignore = "needs Open MPI: cargo test -p gs4d-mpi --features mpi -- --ignored"]
 fn what_cannot_begin_ends_all_ranks() {
     let place = place();
     good(2, &place.train("static3d", "run", STEPS, &[]));

@@ -17,6 +17,7 @@ use gs_data::{Dataset, ImageCache, Split, View};
 use gs_metrics::{mse, psnr_from_mse};
 use gs_train::evaluate::{EvalError, EvalReport, evaluate, evaluate_with_future};
 use gs_train::method::MethodError;
+use gs_train::ranks::Share;
 use gs_train::renderer::Renderer;
 use gs4d_eval::spread::{SCORES, Spread};
 use serde::Serialize;
@@ -217,7 +218,7 @@ fn row(
     let method = &loaded.model;
     let mut scores = match split {
         Split::Extrapolate => evaluate(method, dataset, split, background, images)?,
-        _ => evaluate_with_future(method, dataset, split, background, images, &side.run.share)?,
+        _ => evaluate_with_future(method, dataset, split, background, images, &Share::default())?,
     };
     scores.train_seconds = Some(loaded.train_seconds);
     let view = dataset.views(split).first();

@@ -1,7 +1,7 @@
 //! Ranks that train one run together: the first has the run folder and decides, the others follow.
 
 use crate::{Resolved, RunError};
-use gs_train::ranks::{Ranks, tell};
+use gs_train::ranks::{Ranks, all_gather};
 use gs_train::registry::Registry;
 use gs_train::trainer::{TrainError, Trainer};
 use serde::{Deserialize, Serialize};
@@ -21,7 +21,7 @@ enum Work {
 /// Asks the other ranks to train the run of these settings together with the first.
 pub(crate) fn call(ranks: &dyn Ranks, resolved: &Resolved) -> Result<(), RunError> {
     let settings = resolved.config.to_commented_toml();
-    tell(ranks, &Some(Work::Train(settings))).map_err(TrainError::from)?;
+    all_gather(ranks, &Some(Work::Train(settings))).map_err(TrainError::from)?;
     Ok(())
 }
 
@@ -30,7 +30,7 @@ pub(crate) fn call(ranks: &dyn Ranks, resolved: &Resolved) -> Result<(), RunErro
 /// # Errors
 /// If ranks cannot talk to each other.
 pub fn share(ranks: &dyn Ranks) -> Result<(), RunError> {
-    tell(ranks, &Some(Work::Share)).map_err(TrainError::from)?;
+    all_gather(ranks, &Some(Work::Share)).map_err(TrainError::from)?;
     Ok(())
 }
 
@@ -42,8 +42,8 @@ pub fn share(ranks: &dyn Ranks) -> Result<(), RunError> {
 pub fn follow(registry: &Registry, ranks: &Arc<dyn Ranks>, share: impl FnOnce()) -> Result<u8, RunError> {
     let mut share = Some(share);
     loop {
-        let told = tell::<Option<Work>>(&**ranks, &None).map_err(TrainError::from)?;
-        match told.into_iter().next().flatten() {
+        let received = all_gather::<Option<Work>>(&**ranks, &None).map_err(TrainError::from)?;
+        match received.into_iter().next().flatten() {
             Some(Work::Train(settings)) => train(registry, &settings, ranks)?,
             Some(Work::Share) => {
                 if let Some(share) = share.take() {
@@ -60,7 +60,7 @@ pub fn follow(registry: &Registry, ranks: &Arc<dyn Ranks>, share: impl FnOnce())
 pub fn dismiss(ranks: &dyn Ranks, code: u8) {
     if ranks.size() > 1 {
         // Ranks that cannot be told have noticed.
-        let _ = tell(ranks, &Some(Work::End(code)));
+        let _ = all_gather(ranks, &Some(Work::End(code)));
     }
 }
 

@@ -72,7 +72,8 @@ impl Verb {
     fn is_shared(&self) -> bool {
         match self {
             Verb::Eval(verb) => verb.is_of_run(),
-            Verb::Render(_) | Verb::Export(_) => true,
+            Verb::Export(verb) => !verb.is_of_file(),
+            Verb::Render(_) => true,
             _ => false,
         }
     }
@@ -166,9 +167,13 @@ fn lead(ranks: &Arc<dyn Ranks>) -> u8 {
 fn follow(ranks: &Arc<dyn Ranks>) -> u8 {
     let cli = Cli::try_parse();
     let ready = set_threads(cli.as_ref().ok().and_then(|cli| cli.global.threads)).and_then(|()| interrupt::ignore());
-    // What fails is told to the first rank.
-    let shared = || cli.map(|cli| drop(run_shared(cli, ranks)));
-    let followed = ready.and_then(|()| Ok(gs4d_run::ranks::follow(gs_methods::registry(), ranks, || drop(shared()))?));
+    let shared = || {
+        if let Ok(cli) = cli {
+            // The first rank hears of what fails.
+            let _ = run_shared(cli, ranks);
+        }
+    };
+    let followed = ready.and_then(|()| Ok(gs4d_run::ranks::follow(gs_methods::registry(), ranks, shared)?));
     followed.unwrap_or_else(|failure| {
         to_stderr(&failure);
         failure.class as u8

@@ -141,13 +141,14 @@ impl ImageCache {
         Ok(image)
     }
 
-    /// Decodes the image of a view ahead of [`Self::get`], unless it is kept or there is no room.
+    /// Decodes the image of a view ahead of [`Self::get`], unless it is kept or larger than the cache.
     ///
     /// # Errors
     /// As [`Self::get`].
     pub fn decode_ahead(&self, v: &View) -> Result<(), DataError> {
         let key = key_of(v);
-        if self.lock().images.contains_key(&key) {
+        let c = self.camera(v);
+        if 4 * c.width as usize * c.height as usize > self.max_bytes || self.lock().images.contains_key(&key) {
             return Ok(());
         }
         let image = Arc::new(self.produce(v)?);

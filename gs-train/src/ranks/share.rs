@@ -83,18 +83,18 @@ impl Share {
             return Ok(mine);
         }
         let bytes = serde_json::to_vec(&mine).map_err(|e| ShareError::from(RanksError { what: e.to_string() }))?;
-        let told = self.meet(Ok(bytes), |_| true)?.into_iter().enumerate();
+        let received = self.meet(Ok(bytes), |_| true)?.into_iter().enumerate();
         let of = |(rank, bytes): (usize, Vec<u8>)| {
             serde_json::from_slice::<Vec<T>>(&bytes).map_err(|_| ShareError::from(RanksError::short(rank)))
         };
-        Ok(told.map(of).collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect())
+        Ok(received.map(of).collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect())
     }
 
     /// Waits until all ranks have come so far.
     ///
     /// # Errors
     /// If another rank failed or cannot be reached.
-    pub fn wait(&self) -> Result<(), ShareError> {
+    pub fn barrier(&self) -> Result<(), ShareError> {
         self.meet(Ok(Vec::new()), |_| false).map(drop)
     }
 
@@ -102,7 +102,7 @@ impl Share {
     ///
     /// # Errors
     /// If another rank failed or cannot be reached.
-    pub fn send_to_first(&self, bytes: Vec<u8>) -> Result<Vec<Vec<u8>>, ShareError> {
+    pub fn gather(&self, bytes: Vec<u8>) -> Result<Vec<Vec<u8>>, ShareError> {
         self.meet(Ok(bytes), |rank| rank == 0)
     }
 
@@ -142,7 +142,7 @@ impl Share {
             Ok(_) => vec![0],
             Err((code, what)) => [&[1, *code], what.as_bytes()].concat(),
         };
-        let told = self.ranks.exchange((0..self.size()).map(message).collect()).map_err(|e| self.over(e))?;
+        let received = self.ranks.all_to_all((0..self.size()).map(message).collect()).map_err(|e| self.over(e))?;
         let read = |(rank, mut bytes): (usize, Vec<u8>)| match bytes.first() {
             Some(0) => Ok(bytes.split_off(1)),
             Some(_) if bytes.len() > 1 => {
@@ -151,7 +151,7 @@ impl Share {
             }
             _ => Err(self.over(RanksError::short(rank))),
         };
-        told.into_iter().enumerate().map(read).collect()
+        received.into_iter().enumerate().map(read).collect()
     }
 
     /// The error, after which no rank is told of another.
@@ -204,7 +204,7 @@ mod tests {
 
     #[test]
     fn the_first_rank_alone_receives_what_is_sent_to_it() {
-        let sent = on(3, |share, rank| share.send_to_first(vec![rank as u8; rank]));
+        let sent = on(3, |share, rank| share.gather(vec![rank as u8; rank]));
         let received: Vec<_> = sent.into_iter().map(Result::unwrap).collect();
         assert_eq!(received[0], [vec![], vec![1], vec![2, 2]]);
         assert_eq!(received[1..], [vec![Vec::<u8>::new(); 3], vec![Vec::new(); 3]]);
@@ -218,7 +218,7 @@ mod tests {
                 let ends = on(3, |share, rank| {
                     let here = |at| if at == place && rank == failing { Err(fault()) } else { Ok(()) };
                     here(0)?;
-                    share.wait()?;
+                    share.barrier()?;
                     share.each(6, |_| here(1))?;
                     here(2)
                 });

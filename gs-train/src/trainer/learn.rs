@@ -3,7 +3,7 @@
 use super::coding::{decode, encode};
 use super::render_pass::{Phases, Stopwatch, ViewLoss, ViewPass};
 use super::sums::{Columns, Sums};
-use super::team::tell_all;
+use super::team::all_gather_results;
 use super::{TrainError, Trainer};
 use crate::loss::LossValues;
 use crate::method::{LossValue, MethodError, ViewCtx};
@@ -77,7 +77,7 @@ impl Trainer {
         let mut clock = Stopwatch::new();
         let (seen, parts) = match ranks {
             1 => mine?,
-            _ => tell_all(&*self.ranks, mine).map(|(seen, parts)| (seen.concat(), parts))?,
+            _ => all_gather_results(&*self.ranks, mine).map(|(seen, parts)| (seen.concat(), parts))?,
         };
         self.check_views(&seen, &views)?;
         let (sum, own) = match ranks {
@@ -185,7 +185,7 @@ impl Trainer {
         drop(parts);
         let known: Columns = (0..sums.shapes().len()).map(|column| self.own_begin(column, sums)).collect();
         let mut nodes = Vec::new();
-        for (rank, bytes) in self.ranks.exchange(to)?.iter().enumerate() {
+        for (rank, bytes) in self.ranks.all_to_all(to)?.iter().enumerate() {
             let mut rest = &bytes[..];
             for node in views.root().within(&run_of(views.drawn.len(), rank, ranks)) {
                 let mut part = known.clone();

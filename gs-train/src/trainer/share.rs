@@ -7,7 +7,7 @@ use super::{TrainError, Trainer};
 use crate::adam::{Refused, RefusedRows};
 use crate::method::Merge;
 use crate::model::Model;
-use crate::ranks::tell;
+use crate::ranks::all_gather;
 use gs_core::{Param, Params};
 
 /// Columns that every rank holds, and of which one run is right on each.
@@ -72,7 +72,7 @@ impl Trainer {
             encode(&values[owned(values.len(), unit, me, ranks)], known, unit, &mut bytes);
             column += 1;
         });
-        for (rank, bytes) in self.ranks.tell(bytes)?.iter().enumerate().filter(|(rank, _)| *rank != me) {
+        for (rank, bytes) in self.ranks.all_gather(bytes)?.iter().enumerate().filter(|(rank, _)| *rank != me) {
             let (mut rest, mut result) = (&bytes[..], Ok(()));
             held.each(&mut self.model, &mut |unit, values| {
                 let len = values.len();
@@ -115,14 +115,14 @@ impl Trainer {
 
     /// The rows that all ranks refused, of those of each block that learns.
     fn refused(&self, mine: &[RefusedRows], learns: &dyn Fn(&str) -> bool) -> Result<Refused, TrainError> {
-        let told = match self.ranks.size() {
+        let received = match self.ranks.size() {
             1 => vec![mine.to_vec()],
-            _ => tell(&*self.ranks, &mine.to_vec())?,
+            _ => all_gather(&*self.ranks, &mine.to_vec())?,
         };
         let (mut refused, mut block) = (Refused::default(), 0);
         self.model.visit(&mut |p: &Param| {
             if learns(&p.name) {
-                told.iter().filter_map(|rank| rank.get(block)).for_each(|rows| refused.add(p, rows));
+                received.iter().filter_map(|rank| rank.get(block)).for_each(|rows| refused.add(p, rows));
                 block += 1;
             }
         });

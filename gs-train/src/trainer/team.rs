@@ -4,7 +4,7 @@ use super::{TrainError, Trainer};
 use crate::checkpoint::Checkpoint;
 use crate::error::RanksError;
 use crate::evaluate::{EvalError, EvalReport, evaluate_with_future};
-use crate::ranks::{Ranks, Share, ShareError, alone, tell};
+use crate::ranks::{Ranks, Share, ShareError, all_gather, alone};
 use crate::registry::Registry;
 use gs_core::Params;
 use gs_data::{Dataset, ImageCache, Split};
@@ -51,10 +51,10 @@ impl Ranks for Counted {
         self.ranks.size()
     }
 
-    fn exchange(&self, to: Vec<Vec<u8>>) -> Result<Vec<Vec<u8>>, RanksError> {
+    fn all_to_all(&self, to: Vec<Vec<u8>>) -> Result<Vec<Vec<u8>>, RanksError> {
         let others = to.iter().enumerate().filter(|(rank, _)| *rank != self.rank());
         self.sent.fetch_add(others.map(|(_, bytes)| bytes.len() as u64).sum(), Ordering::Relaxed);
-        self.ranks.exchange(to)
+        self.ranks.all_to_all(to)
     }
 }
 
@@ -67,6 +67,11 @@ impl Default for Team {
 impl Team {
     fn new(ranks: Arc<dyn Ranks>, leads: bool) -> Self {
         Self { ranks: Counted { ranks, sent: AtomicU64::new(0) }, leads }
+    }
+
+    /// The same ranks, for work without steps.
+    fn share(&self) -> Share {
+        Share::new(self.ranks.ranks.clone())
     }
 
     /// Bytes that this rank sent to others since the last call.
@@ -87,21 +92,24 @@ impl Drop for Team {
     fn drop(&mut self) {
         if self.leads {
             // Ranks that cannot be told have noticed.
-            let _ = tell(&**self, &Some(Command::End));
+            let _ = all_gather(&**self, &Some(Command::End));
         }
     }
 }
 
 /// What all ranks found, in the order of ranks, and what this one keeps. If one failed, all do.
-pub(super) fn tell_all<T, U>(ranks: &dyn Ranks, mine: Result<(T, U), TrainError>) -> Result<(Vec<T>, U), TrainError>
+pub(super) fn all_gather_results<T, U>(
+    ranks: &dyn Ranks,
+    mine: Result<(T, U), TrainError>,
+) -> Result<(Vec<T>, U), TrainError>
 where
     T: Serialize + DeserializeOwned + Clone,
 {
-    let told = mine.as_ref().map(|(fact, _)| fact.clone()).map_err(|e| (e.exit_code(), e.to_string()));
-    let told: Vec<Result<T, (u8, String)>> = tell(ranks, &told)?;
+    let sent = mine.as_ref().map(|(fact, _)| fact.clone()).map_err(|e| (e.exit_code(), e.to_string()));
+    let received: Vec<Result<T, (u8, String)>> = all_gather(ranks, &sent)?;
     let (_, kept) = mine?;
-    let told = told.into_iter().enumerate();
-    let all = told.map(|(rank, told)| told.map_err(|(code, what)| TrainError::Rank { rank, what, code }));
+    let received = received.into_iter().enumerate();
+    let all = received.map(|(rank, result)| result.map_err(|(code, what)| TrainError::Rank { rank, what, code }));
     Ok((all.collect::<Result<_, _>>()?, kept))
 }
 
@@ -113,8 +121,8 @@ impl Trainer {
     /// If another rank cannot join.
     pub fn lead(mut self, ranks: Arc<dyn Ranks>) -> Result<Self, TrainError> {
         if ranks.size() > 1 {
-            ranks.tell(self.state().to_bytes().map_err(|e| TrainError::State(e.to_string()))?)?;
-            tell_all(&*ranks, Ok(((), ())))?;
+            ranks.all_gather(self.state().to_bytes().map_err(|e| TrainError::State(e.to_string()))?)?;
+            all_gather_results(&*ranks, Ok(((), ())))?;
             self.ranks = Team::new(ranks, true);
         }
         Ok(self)
@@ -131,10 +139,10 @@ impl Trainer {
         image_bytes: usize,
         ranks: Arc<dyn Ranks>,
     ) -> Result<Self, TrainError> {
-        let state = ranks.tell(Vec::new())?.into_iter().next().unwrap_or_default();
+        let state = ranks.all_gather(Vec::new())?.into_iter().next().unwrap_or_default();
         let state = Checkpoint::from_bytes(&state).map_err(|e| TrainError::State(e.to_string()));
         let joined = data.and_then(|data| Self::resume(registry, data, &state?, None, image_bytes));
-        let (_, mut trainer) = tell_all(&*ranks, joined.map(|trainer| ((), trainer)))?;
+        let (_, mut trainer) = all_gather_results(&*ranks, joined.map(|trainer| ((), trainer)))?;
         trainer.ranks = Team::new(ranks, false);
         Ok(trainer)
     }
@@ -145,7 +153,7 @@ impl Trainer {
     /// If ranks cannot talk to each other. Anything else that goes wrong is the first rank's to report.
     pub fn follow(&mut self) -> Result<(), TrainError> {
         loop {
-            let command = tell::<Option<Command>>(&*self.ranks, &None)?.into_iter().next().flatten();
+            let command = all_gather::<Option<Command>>(&*self.ranks, &None)?.into_iter().next().flatten();
             let done = match command {
                 Some(Command::Step) => self.step_with_ranks().map(drop),
                 Some(Command::Gather) => self.share_rows(),
@@ -172,7 +180,6 @@ impl Trainer {
         self.share_rows()
     }
 
-    /// Asks the other ranks to do the same.
     /// Scores the test views, or the training views where there are none, and beside them the views beyond the last training time
     /// where there are any; the other ranks score theirs. `images` has them at full size.
     ///
@@ -186,15 +193,16 @@ impl Trainer {
     fn evaluate_with_ranks(&self, images: &ImageCache) -> Result<EvalReport, EvalError> {
         let (data, background) = (&self.dataset, self.model.background());
         let split = if data.test.is_empty() { Split::Train } else { Split::Test };
-        Share::new(self.ranks.ranks.ranks.clone()).finish(
+        self.ranks.share().finish(
             |share| evaluate_with_future(&self.model, data, split, background, images, share),
             |e| (3, e.to_string()),
         )
     }
 
+    /// Asks the other ranks to do the same.
     pub(super) fn ask(&self, command: Command) -> Result<(), RanksError> {
         if self.ranks.leads {
-            tell(&*self.ranks, &Some(command))?;
+            all_gather(&*self.ranks, &Some(command))?;
         }
         Ok(())
     }
@@ -206,7 +214,7 @@ impl Trainer {
         }
         let mut sum = crc32fast::Hasher::new();
         self.model.visit(&mut |p| p.value.iter().for_each(|v| sum.update(&v.to_le_bytes())));
-        let sums = tell(&*self.ranks, &sum.finalize())?;
+        let sums = all_gather(&*self.ranks, &sum.finalize())?;
         let ranks: Vec<usize> = (0..sums.len()).filter(|r| sums[*r] != sums[0]).collect();
         if ranks.is_empty() { Ok(()) } else { Err(TrainError::Diverged { step: self.step, ranks }) }
     }

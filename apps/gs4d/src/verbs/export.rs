@@ -82,11 +82,12 @@ impl Export {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
         let plan = self.plan()?;
         self.check_free(&plan)?;
-        let is_file = self.scene.is_file() && self.scene.extension().is_none_or(|e| e != "gs4d");
-        if is_file && !global.share.leads() {
-            return Ok(Answer::new("", Value::Null)); // the first rank's alone
-        }
-        if is_file { self.convert(&plan, global) } else { self.bake(&plan, global) }
+        if self.is_of_file() { self.convert(&plan, global) } else { self.bake(&plan, global) }
+    }
+
+    /// Whether a splat file is converted, not a run.
+    pub fn is_of_file(&self) -> bool {
+        self.scene.is_file() && self.scene.extension().is_none_or(|e| e != "gs4d")
     }
 
     fn plan(&self) -> Result<Plan, Failure> {
@@ -147,7 +148,7 @@ impl Export {
         let baker = || Baker::new(method, &views, self.sh_degree);
         let share = &run.share;
         // Every rank finds its outputs free before one writes.
-        share.wait()?;
+        share.barrier()?;
         plan.folder.as_deref().map_or(Ok(()), create_folder)?;
         let mine = share.run(plan.files.len());
         let mut progress = Progress::new(mine.len() as u64, "times", global.quiet);

@@ -157,7 +157,7 @@ impl Render {
         } else {
             let paths = self.paths(&cameras)?;
             // Every rank finds its outputs free before one writes.
-            share.wait()?;
+            share.barrier()?;
             create_folder(&self.out)?;
             share.each(cameras.len(), |k| self.save(&render(k)?, &paths[k]))?;
             paths
@@ -281,7 +281,7 @@ impl Render {
                 y4m::write_frame(&render(k)?.rgb, &mut bytes)
                     .map_err(|e| Failure::io("write a frame", &self.out, &e))?;
             }
-            share.send_to_first(bytes)?.iter().try_for_each(|frame| write(frame))?;
+            share.gather(bytes)?.iter().try_for_each(|frame| write(frame))?;
         }
         Ok(())
     }

@@ -31,7 +31,7 @@ fn make(data: &Path) {
 }
 
 #[test]
-#[ignore = "minutes: hundreds of images of two megapixels are decoded"]
+#[ignore = "minutes: cargo test -p gs4d --test cli large:: -- --ignored"]
 fn two_thousand_large_images_train_in_three_gibibytes() {
     let dir = tempfile::tempdir().unwrap();
     let data = dir.path().join("data");
