@@ -40,7 +40,8 @@ pub enum Kernel {
         /// β per splat, `[0, 1]`: share of the range of `ψ` in the middle segment.
         betas: Vec<f32>,
     },
-    /// The kernel of Deformable Radial Kernels: slopes `(1 − κ)/(1 + κ)`, `(1 + κ)/(1 − κ)`, `(1 − κ)/(1 + κ)` with
+    /// A Gaussian with a sharpness κ, as the acutance of Deformable Radial Kernels (Huang et al. 2024); their radial bases are not
+    /// here. Slopes `(1 − κ)/(1 + κ)`, `(1 + κ)/(1 − κ)`, `(1 − κ)/(1 + κ)` with
     /// knots at `(1 + κ)/4` and `(3 − κ)/4`. `κ = 0` is the Gaussian.
     Acutance {
         /// κ per splat, inside `(−1, 1)`: above 0 sharper, below 0 softer.

@@ -148,6 +148,7 @@ fn every_fusion_and_depth_agrees_with_its_reference() {
         fusion,
         bands,
         hidden: hidden.to_vec(),
+        gamma_max: 5.0,
         time: WaveTime::Scaled,
         on: true,
     };

@@ -19,6 +19,7 @@
 
 use gs_core::{Image, cast};
 use realfft::num_complex::Complex32;
+use serde::{Deserialize, Serialize};
 
 use crate::error::{MetricError, check_image, check_pair, explain_non_finite};
 use crate::fft2::Fft2;
@@ -27,7 +28,8 @@ use crate::fft2::Fft2;
 pub const MIN_AMPLITUDE: f32 = 1e-6;
 
 /// The factor of the discrete Fourier transform, for an image of `W · H` pixels; names as in `numpy.fft`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum FftNorm {
     /// `1 / √(W H)`: the root mean square of the amplitudes is that of the image.
     #[default]
@@ -39,7 +41,8 @@ pub enum FftNorm {
 }
 
 /// How the differences of all bins and channels become one number.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Reduce {
     /// Their sum divided by their number, `W · H · C`.
     #[default]
@@ -49,7 +52,8 @@ pub enum Reduce {
 }
 
 /// Options of the amplitude loss; the default is orthonormal and mean.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct AmplitudeOptions {
     /// Factor of the transform; [`FftNorm::Ortho`] by default.
     pub norm: FftNorm,

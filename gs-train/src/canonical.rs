@@ -38,6 +38,12 @@ impl Canonical {
     pub fn new(config: &CloudConfig, schedule: &mut Schedule, scene: &SceneInfo) -> Result<Self, MethodError> {
         schedule.check()?;
         config.kernel.hold_back(schedule);
+        let (points, most) = (scene.points.positions.len(), schedule.density.max_splats);
+        if points > most as usize {
+            let why =
+                format!("{points} initial points (init.points) are more than schedule.density.max_splats = {most}");
+            return Err(MethodError::Scene(why));
+        }
         let cloud = scene::cloud(&scene.points, config)?;
         let densify = Densify::new(cloud.len());
         let (splats, d_splats, at) = Default::default();
@@ -100,7 +106,7 @@ impl Canonical {
     /// If a block has no rows, or fewer than the cloud.
     pub fn densify_with(&mut self, blocks: &mut [&mut Param]) -> Result<DensifyStats, RowEditError> {
         let mut stats = DensifyStats::default();
-        if self.densifies() {
+        if self.edits() {
             let at = DensifyContext {
                 step: self.at.step,
                 clock: self.at.clock,
@@ -123,7 +129,7 @@ impl Canonical {
 
     /// Whether [`Self::densify`] is going to read the statistics or edit rows.
     pub fn needs_whole_rows(&self) -> bool {
-        self.densifies() && self.rules.grows_at(self.at.clock)
+        self.edits() && self.rules.grows_at(self.at.clock)
     }
 
     /// The statistics of densification, for checkpoints.
@@ -136,6 +142,11 @@ impl Canonical {
     pub fn buffers_mut(&mut self, f: &mut dyn FnMut(BufferMut<'_>)) {
         let buffer = |(name, merge, values)| BufferMut { name, row_width: Some(1), merge, values };
         self.densify.columns_mut().into_iter().for_each(|column| f(buffer(column)));
+    }
+
+    /// Whether the rules may edit rows in the present step.
+    fn edits(&self) -> bool {
+        self.densifies() && (self.rules.at_borders || !self.at.ends_stage)
     }
 
     fn densifies(&self) -> bool {

@@ -158,6 +158,8 @@ pub struct Particles {
     pub twists: Vec<[[f32; 3]; 6]>,
     /// The origin that twists refer to, world units.
     pub origin: Vec3,
+    /// Whether each motion is that of its particle from then on (TRACE), and not that of a flow where the particle is (NVFi).
+    pub lasting: bool,
 }
 
 /// Smaller forms of a trained scene, for rendering alone.

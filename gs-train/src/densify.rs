@@ -58,10 +58,21 @@ pub struct DensifyRules {
     pub reset_every: u32,
     /// Opacities above this are set to it.
     pub reset_opacity: f32,
-    /// Also reset at step `from` when the background is white.
+    /// Also reset at step `from` when the background is white, unless `reset_every` is 0.
     pub reset_on_white: bool,
+    /// Whether the last step of a stage may grow, prune and reset (TRACE's code: no, so that the next stage begins with what
+    /// this one has learnt).
+    #[serde(default = "yes")]
+    pub at_borders: bool,
+    /// Nothing is pruned where fewer would be left (TRACE's code: 1024).
+    #[serde(default)]
+    pub min_splats: u32,
     /// No growth beyond this many splats; the largest gradients go first.
     pub max_splats: u32,
+}
+
+fn yes() -> bool {
+    true
 }
 
 /// What a pass of density control did.
@@ -157,6 +168,8 @@ impl DensifyRules {
             reset_every: 3000,
             reset_opacity: 0.01,
             reset_on_white: true,
+            at_borders: true,
+            min_splats: 0,
             max_splats: 1_000_000,
         }
     }
@@ -173,8 +186,8 @@ impl DensifyRules {
 
     /// Whether opacities are reset at this step.
     pub(crate) fn resets_at(&self, clock: u32, white: bool) -> bool {
-        let regular = self.reset_every > 0 && clock > 0 && clock.is_multiple_of(self.reset_every);
-        clock < self.until && (regular || (white && self.reset_on_white && clock == self.from))
+        let first = white && self.reset_on_white && clock == self.from;
+        self.reset_every > 0 && (1..self.until).contains(&clock) && (clock.is_multiple_of(self.reset_every) || first)
     }
 
     /// Verifies every field.
@@ -287,7 +300,7 @@ impl Densify {
         let sizes_live = rules.reset_every > 0 && at.clock > rules.reset_every;
         let too_large = |s: f32| sizes_live && rules.max_world > 0.0 && s > rules.max_world * at.extent;
         let on_screen = |i: usize| sizes_live && rules.max_screen > 0.0 && self.max_radius[i] > rules.max_screen;
-        let faint = |i: usize| sigmoid(cloud.logit_opacities.value[i]) < rules.min_opacity;
+        let faint = |i: usize| self.seen[i] > 0.0 && sigmoid(cloud.logit_opacities.value[i]) < rules.min_opacity;
         let grows = self.growing(rules, n);
         let mut plan = Plan::default();
         let mut clones = Vec::new();
@@ -311,10 +324,11 @@ impl Densify {
         plan.stats.cloned = clones.len() as u32;
         plan.edit.append_from = clones;
         plan.edit.append_from.extend(plan.children.iter().flat_map(|&p| [p, p]));
-        if plan.edit.new_rows() == 0 {
-            return keep_the_strongest(cloud);
+        match plan.edit.new_rows() {
+            0 if rules.min_splats == 0 => keep_the_strongest(cloud),
+            left if left < rules.min_splats as usize => keep_all(n),
+            _ => plan,
         }
-        plan
     }
 
     /// Which splats are cloned or split: those of large gradient, the largest first where the cap binds.
@@ -354,6 +368,12 @@ fn place_child(cloud: &mut Cloud, row: usize, factor: f32, rng: &mut Rng) {
     for (mean, axis) in cloud.means.value[3 * row..3 * row + 3].iter_mut().zip(r) {
         *mean += axis[0] * offset[0] + axis[1] * offset[1] + axis[2] * offset[2];
     }
+}
+
+/// Every splat as it is.
+fn keep_all(n: usize) -> Plan {
+    let edit = RowEdit { keep: (0..n as u32).collect(), append_from: Vec::new() };
+    Plan { edit, ..Plan::default() }
 }
 
 /// A scene is never pruned to nothing: the splat of highest opacity stays.
@@ -440,6 +460,21 @@ mod tests {
     }
 
     #[test]
+    fn only_what_was_seen_is_pruned_and_never_below_the_least_number() {
+        let run = |seen: f32, min_splats| {
+            let mut c = cloud(&[0.001; 4]);
+            c.logit_opacities.value[..2].fill(logit(0.001));
+            let mut d = Densify::new(4);
+            let radii = vec![1.2, seen, 1.2, 1.2];
+            d.accumulate(&ScreenStats { grad_means2d: vec![[0.0; 2]; 4], radii }, 64, 64);
+            let rules = DensifyRules { min_splats, ..DensifyRules::kerbl2023() };
+            (d.densify(&rules, &AT, &mut c).unwrap().pruned, c.len())
+        };
+        assert_eq!((run(1.2, 0), run(0.0, 0)), ((2, 2), (1, 3)));
+        assert_eq!((run(1.2, 2), run(1.2, 3)), ((2, 2), (0, 4)));
+    }
+
+    #[test]
     fn the_cap_admits_the_largest_gradients() {
         let mut c = cloud(&[0.001; 4]);
         let mut d = Densify::new(4);
@@ -453,13 +488,17 @@ mod tests {
     fn something_always_stays() {
         let mut c = cloud(&[0.001; 3]);
         c.logit_opacities.value.copy_from_slice(&[-9.0, -8.0, -8.5]);
-        let did = Densify::new(3).densify(&DensifyRules::kerbl2023(), &AT, &mut c).unwrap();
+        let mut d = Densify::new(3);
+        d.accumulate(&seen(&[0.0; 3]), 64, 64);
+        let did = d.densify(&DensifyRules::kerbl2023(), &AT, &mut c).unwrap();
         assert_eq!((c.len(), c.means.value[0], did.pruned), (1, 1.0, 2));
     }
 
     #[test]
     fn resets_come_when_due() {
         let rules = DensifyRules::kerbl2023();
+        let never = DensifyRules { reset_every: 0, ..rules.clone() };
+        assert!((0..20_000).all(|clock| !never.resets_at(clock, true)));
         assert!(rules.resets_at(3000, false) && rules.resets_at(500, true));
         assert!(!rules.resets_at(500, false) && !rules.resets_at(15_000, false) && !rules.resets_at(2999, true));
         let mut c = cloud(&[0.001; 2]);

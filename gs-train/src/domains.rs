@@ -20,19 +20,33 @@ pub struct Domain {
     pub low: f64,
     /// Highest value.
     pub high: f64,
+    /// Of a number of steps that is a share of the run, so that a run of half the length has half of it: what it is never
+    /// shortened below.
+    pub length: Option<u32>,
 }
 
 /// A domain from the lowest to the highest value, both included.
 pub const fn within(key: &'static str, low: f64, high: f64) -> Domain {
-    Domain { key, low, high }
+    Domain { key, low, high, length: None }
+}
+
+/// A number of steps, at least `low`, that is a share of the run.
+pub const fn length(key: &'static str, low: f64) -> Domain {
+    Domain { key, low, high: STEPS, length: Some(0) }
+}
+
+/// Steps between two passes over statistics of steps: a share of the run. Fewer than ten steps say little.
+pub const fn interval(key: &'static str) -> Domain {
+    Domain { key, low: 1.0, high: STEPS, length: Some(10) }
 }
 
 /// Domains of the settings that several methods have: those of [`layers`](crate::layers).
 pub const SHARED: &[Domain] = &[
-    within("steps", 0.0, STEPS),
+    length("steps", 0.0),
+    length("from", 0.0),
     within("order", 0.0, 1e3),
     within("image_scale", 0.0, 1.0),
-    within("window_every", 0.0, STEPS),
+    within("window_until", 0.0, 0.7),
     within("window_parts", 0.0, 1e6),
     within("start", 0.0, 1e30),
     within("end", 0.0, 1e30),
@@ -47,26 +61,27 @@ pub const SHARED: &[Domain] = &[
     within("lambda_l1", 0.0, 1e4),
     within("max_quarantine", 0.0, 1.0),
     within("near", 1e-6, 1e6),
-    within("sh_every", 0.0, STEPS),
+    length("sh_every", 0.0),
     within("density.dense_share", 0.0, 1e3),
-    within("density.every", 1.0, STEPS),
-    within("density.from", 0.0, STEPS),
+    interval("density.every"),
+    length("density.from", 0.0),
     within("density.grad", 0.0, 1e6),
     within("density.max_screen", 0.0, 1e6),
     within("density.max_splats", 1.0, (1u64 << 26) as f64),
     within("density.max_world", 0.0, 1e6),
     within("density.min_opacity", 0.0, 1.0),
-    within("density.reset_every", 0.0, STEPS),
+    length("density.reset_every", 0.0),
+    within("density.min_splats", 0.0, (1u64 << 26) as f64),
     within("density.reset_opacity", 0.0, 1.0),
     within("density.split_factor", 1.0, 1e3),
-    within("density.until", 0.0, STEPS),
+    length("density.until", 0.0),
     within("init.bound", 1e-6, 1e6),
     within("init.points", 1.0, (1u64 << 26) as f64),
     within("cloud.opacity", 0.0, 1.0),
     within("cloud.sh_degree", 0.0, 3.0),
     within("cloud.spread", 1e-3, 1e3),
     within("kernel.beta_hi", 0.0, 1.0),
-    within("kernel.from_step", 0.0, STEPS),
+    length("kernel.from_step", 0.0),
     within("anneal.strength", 0.0, 1e3),
     within("margin", 0.0, 1e3),
     // Networks of place and time.

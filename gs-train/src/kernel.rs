@@ -16,7 +16,7 @@ pub enum KernelKind {
     Gaussian,
     /// FAGS: λ and β per splat.
     Frequency,
-    /// Deformable Radial Kernels: one acutance per splat.
+    /// One sharpness per splat: the acutance of Deformable Radial Kernels.
     Acutance,
 }
 

@@ -25,6 +25,8 @@ pub const CLOUD_TINY: &str = include_str!("layers/cloud.tiny.toml");
 pub const DEFORMED: &str = include_str!("layers/deformed.toml");
 /// Of views let in by time, and a stage in which only the field learns.
 pub const FOLLOW: &str = include_str!("layers/follow.toml");
+/// Of methods compared by what they forecast, preset `fast`: one schedule for all.
+pub const MOTION_FAST: &str = include_str!("layers/motion.fast.toml");
 /// Of the field of Deformable 3DGS.
 pub const NETWORK: &str = include_str!("layers/network.toml");
 /// Of the field of Deformable 3DGS, preset `fast`.

@@ -49,5 +49,6 @@ pub mod step;
 pub mod still;
 #[cfg(any(test, feature = "testkit", feature = "conformance"))]
 pub mod testkit;
+pub mod timeline;
 pub mod timestamp;
 pub mod trainer;

@@ -199,6 +199,7 @@ mod tests {
     use super::*;
     use gs_core::Rng;
     use gs_metrics::mrf::{FeatureNet, Mrf, MrfOptions};
+    use gs_metrics::spectrum::AmplitudeOptions;
     use gs_metrics::{AmplitudeLoss, MsSsim, Ssim, SsimOptions};
 
     fn pair() -> (Image, Image) {
@@ -257,7 +258,7 @@ mod tests {
         let (rendered, target) = pair();
         let (mut grad, mut both, mut alone) = (FrameGrad::default(), FrameGrad::default(), Image::default());
         let without = plain(0.2).evaluate_within(&rendered, &target, None, &mut grad).unwrap();
-        let mut loss = plain(0.2).with(0.3, Box::<SpectrumTerm>::default());
+        let mut loss = plain(0.2).with(0.3, Box::new(SpectrumTerm::new(AmplitudeOptions::default())));
         let with = loss.evaluate_within(&rendered, &target, None, &mut both).unwrap();
         let fre = AmplitudeLoss::default().value_and_grad(&rendered, &target, &mut alone).unwrap();
         assert_eq!((without.term("fre"), with.term("fre")), (None, Some(fre)));

@@ -115,7 +115,14 @@ impl SceneInfo {
     /// If the points asked for are not there or cannot be used.
     pub fn of(dataset: &Dataset, init: &InitConfig, seed: u64) -> Result<Self, MethodError> {
         let points = first_points(dataset, init, seed)?;
-        let bounds = bounds_of(&points).ok_or_else(|| MethodError::Scene("there is no finite initial point".into()))?;
+        let none = || MethodError::Scene("there is no finite initial point".into());
+        let mut bounds = bounds_of(&points).ok_or_else(none)?;
+        if init.first_moment {
+            // Where the scene goes after its first moment.
+            let later = first_points(dataset, &InitConfig { first_moment: false, ..init.clone() }, seed)?;
+            let [min, max] = bounds_of(&later).ok_or_else(none)?;
+            bounds = [bounds[0].min(min), bounds[1].max(max)];
+        }
         let extent = dataset.scene_extent().max(0.1 * bounds[0].distance(bounds[1]));
         if !(extent > 0.0 && extent.is_finite()) {
             return Err(MethodError::Scene(format!("its extent is {extent}; cameras and points coincide")));

@@ -12,6 +12,7 @@ use crate::densify::DensifyRules;
 use crate::error::ScheduleError;
 use crate::loss::{Dssim, ImageLoss, SpectrumTerm};
 use gs_core::{Camera, Param};
+use gs_metrics::spectrum::AmplitudeOptions;
 use gs_raster::{ClampGrad, RasterOptions};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -44,6 +45,9 @@ pub struct Schedule {
     /// Weight φ of the amplitude-spectrum loss, which every method may use (FAGS: 0.3; others: 0).
     #[serde(default)]
     pub lambda_fre: f32,
+    /// How that loss counts: the factor of the transform and the reduction over bins.
+    #[serde(default)]
+    pub fre: AmplitudeOptions,
     /// Adam updates only splats that received a gradient in this step.
     pub sparse_adam: bool,
     /// A gradient row is refused (not finite) at most for this share of rows; above it the run stops.
@@ -94,20 +98,45 @@ pub struct Stage {
     /// Learning rates and density control count steps from the start of this stage, and the optimiser forgets its
     /// moments there (4DGaussians). Otherwise they count from the start of the run (Deformable 3DGS).
     pub own_clock: bool,
-    /// Only views of the first timestamp are learnt from (TRACE's warm-up).
+    /// Only views of the first timestamp are learnt from (TRACE's warm-up), where several cameras saw it.
     #[serde(default)]
     pub first_moment: bool,
-    /// Views are let in by time: at first a part of the span, one part more every `window_every` steps (TRACE: 8). 0: all
+    /// Views are let in by time: at first a part of the span, then one part more at equal intervals (TRACE: 8 parts). 0: all
     /// views from the start.
     #[serde(default)]
     pub window_parts: u32,
-    /// Steps until the window of times grows by another part (TRACE: 1000).
+    /// Share of the stage's steps after which all parts are let in, at most [`LATEST_WINDOW`] (TRACE: 7000 of 37000 steps).
     #[serde(default)]
-    pub window_every: u32,
+    pub window_until: f64,
     /// Only the field learns, and it alone moves splats: the canonical cloud rests, so a body that moves far between frames
     /// cannot fade where it was, and dynamics take no part (ours).
     #[serde(default)]
     pub field_alone: bool,
+}
+
+/// The last 30 % of a stage learn from all of its views.
+pub const LATEST_WINDOW: f64 = 0.7;
+
+impl Stage {
+    /// How much of the span of times is let in at a step of the stage, counted from 0, and the step at which the next part
+    /// is; `None` once all is.
+    pub fn window(&self, offset: u32) -> Option<(f64, u32)> {
+        let (growths, every) = self.growths();
+        let open = 1.0 + ((f64::from(offset) + 0.5) / every).floor();
+        (open <= growths).then(|| (open / f64::from(self.window_parts), (open * every - 0.5).ceil() as u32))
+    }
+
+    /// The step of the stage, counted from 0, from which all views are let in.
+    pub fn opens(&self) -> u32 {
+        let (growths, every) = self.growths();
+        if growths > 0.0 { (growths * every - 0.5).ceil() as u32 } else { 0 }
+    }
+
+    /// How often the window grows, and after how many steps each time.
+    fn growths(&self) -> (f64, f64) {
+        let growths = f64::from(self.window_parts.saturating_sub(1));
+        (growths, self.window_until * f64::from(self.steps) / growths)
+    }
 }
 
 /// The learning rate of a group of parameters.
@@ -231,6 +260,14 @@ impl Background {
     }
 }
 
+/// Stages that have steps, with their names, in the order they are followed.
+pub(crate) fn ordered(stages: &BTreeMap<String, Stage>) -> Vec<(&str, &Stage)> {
+    let mut stages: Vec<(&str, &Stage)> =
+        stages.iter().filter(|s| s.1.steps > 0).map(|(n, s)| (n.as_str(), s)).collect();
+    stages.sort_by_key(|(_, s)| s.order);
+    stages
+}
+
 impl Schedule {
     /// Number of steps of the whole run.
     pub fn steps(&self) -> u32 {
@@ -239,10 +276,7 @@ impl Schedule {
 
     /// The stages with their names, in the order they are followed.
     pub fn ordered(&self) -> Vec<(&str, &Stage)> {
-        let mut stages: Vec<(&str, &Stage)> =
-            self.stages.iter().filter(|s| s.1.steps > 0).map(|(n, s)| (n.as_str(), s)).collect();
-        stages.sort_by_key(|(_, s)| s.order);
-        stages
+        ordered(&self.stages)
     }
 
     /// Where step `step` (from 1) lies. Steps beyond the end belong to the last stage.
@@ -275,6 +309,15 @@ impl Schedule {
         let at = self.position(step).stage;
         let before: u32 = stages.iter().take(at).map(|s| s.1.steps).sum();
         stages.get(at).map(|s| (s.1, step - 1 - before))
+    }
+
+    /// The length of the shortest run of these stages, each with its share of it, in which every one of `views` is drawn.
+    pub fn shortest(&self, views: usize) -> u64 {
+        let draws = (views as u64).div_ceil(self.batch.max(1).into());
+        let (total, stages) = (u64::from(self.steps()), self.ordered());
+        let all = stages.into_iter().filter(|(_, stage)| !stage.first_moment);
+        let open = |stage: &Stage| u64::from(stage.steps.saturating_sub(stage.opens()).max(1));
+        all.map(|(_, stage)| (draws * total).div_ceil(open(stage))).min().unwrap_or(draws)
     }
 
     /// Whether the field takes part in step `step`.
@@ -336,7 +379,7 @@ impl Schedule {
     pub(crate) fn image_loss(&self) -> ImageLoss {
         ImageLoss::new(self.lambda_l1.unwrap_or(1.0 - self.lambda_dssim))
             .with(self.lambda_dssim, self.dssim.term())
-            .with(self.lambda_fre, Box::<SpectrumTerm>::default())
+            .with(self.lambda_fre, Box::new(SpectrumTerm::new(self.fre)))
     }
 
     /// How frames are rendered over a background, in training as in evaluation. Saturated splats keep learning, as in
@@ -396,6 +439,8 @@ impl Schedule {
         for (name, s) in &self.stages {
             let good = s.image_scale > 0.0 && s.image_scale <= 1.0;
             need(good, &format!("stages.{name}.image_scale"), s.image_scale, "above 0, at most 1")?;
+            let until = s.window_until;
+            need((0.0..=LATEST_WINDOW).contains(&until), &format!("stages.{name}.window_until"), until, "0 to 0.7")?;
             let same = self.stages.values().filter(|o| o.order == s.order).count();
             need(same == 1, &format!("stages.{name}.order"), s.order.into(), "each stage needs a number of its own")?;
         }
@@ -443,6 +488,7 @@ pub(crate) mod tests {
             lr_batch: None,
             dssim: Dssim::Ssim,
             lambda_fre: 0.0,
+            fre: AmplitudeOptions::default(),
             sparse_adam: false,
             max_quarantine: 1e-3,
             density: DensifyRules::kerbl2023(),
@@ -510,6 +556,25 @@ pub(crate) mod tests {
         );
         s.freeze("cloud.means");
         assert_eq!((s.update(&means, 1, 1.0), s.update(&Param::shared("other", vec![]), 1, 1.0)), (None, None));
+    }
+
+    #[test]
+    fn windows_open_by_their_share_of_the_stage_and_runs_may_be_too_short() {
+        let windowed = |steps| Stage { window_parts: 8, window_until: 0.7, ..stage(steps, false) };
+        for steps in [1, 3, 10, 138, 1000] {
+            let stage = windowed(steps);
+            let growing: Vec<(f64, u32)> = (0..steps).map_while(|offset| stage.window(offset)).collect();
+            assert_eq!(growing.len() as u32, stage.opens(), "{steps}");
+            assert!(growing.windows(2).all(|w| w[0] <= w[1]) && stage.opens() <= steps - steps * 3 / 10);
+            assert!(growing.iter().enumerate().all(|(offset, w)| w.1 > offset as u32 && w.1 <= stage.opens()));
+        }
+        let published = Stage { window_until: 7000.0 / 37000.0, ..windowed(37_000) };
+        assert_eq!(published.window(999), Some((0.125, 1000)));
+        assert_eq!((published.window(1000), published.opens()), (Some((0.25, 2000)), 7000));
+        // 100 views: 100 steps of the stage's last 30 %, which is half of the run.
+        let first = Stage { first_moment: true, ..stage(1000, false) };
+        assert_eq!(schedule(vec![first, windowed(1000)]).shortest(100), 667);
+        assert_eq!(Schedule { batch: 4, ..schedule(vec![stage(1000, false)]) }.shortest(90), 23);
     }
 
     #[test]

@@ -23,6 +23,8 @@ pub struct StepCtx {
     pub deform_only: bool,
     /// Highest SH degree rendered, 0 to 3.
     pub sh_degree: u8,
+    /// Whether this is the last step of its stage.
+    pub ends_stage: bool,
     /// Whether the next step begins a stage with a clock of its own, before which statistics are cleared.
     pub ends_clock: bool,
 }
@@ -47,6 +49,7 @@ impl Schedule {
             dynamic: stage.is_some_and(|s| s.dynamic),
             deform_only: stage.is_some_and(|s| s.field_alone),
             sh_degree: self.sh_degree(step, MAX_SH_DEGREE),
+            ends_stage: stage.is_some_and(|s| step == before + s.steps),
             ends_clock: self.position(step + 1).fresh,
         }
     }

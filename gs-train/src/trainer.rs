@@ -370,6 +370,15 @@ impl Trainer {
 fn check_run(model: &Model, dataset: &Dataset) -> Result<(), MethodError> {
     let schedule = model.schedule();
     schedule.check_images(dataset.train.iter().map(|v| &v.camera))?;
+    let (steps, views) = (schedule.steps(), dataset.train.len());
+    let shortest = schedule.shortest(views);
+    if u64::from(steps) < shortest && schedule.ordered().iter().any(|(_, s)| s.window(0).is_some()) {
+        let why = format!(
+            "images are let in by time, and {steps} steps would never draw some of the {views} training views; --steps {shortest} \
+             draws them all"
+        );
+        return Err(MethodError::Config { method: model.name(), why });
+    }
     let mut has_field = false;
     model.visit(&mut |p| has_field |= p.name.starts_with(FIELD));
     match schedule.ordered().into_iter().find(|(_, stage)| stage.field_alone && !has_field) {

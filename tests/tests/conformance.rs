@@ -6,7 +6,7 @@
 //! | methods | block | path without gradient | what is tested |
 //! |---|---|---|---|
 //! | defgs, trace, trace-4dgs, defgs-nvfi | `cloud.means` | field and dynamics read at the centres | the rendered splats, shifted by the displacement of the centres |
-//! | grid4d, fags, drk | `cloud.means` | hash grids read at the centres | everything, with the hash tables set to zero: the field is the same rigid motion everywhere |
+//! | grid4d, fags, acutance | `cloud.means` | hash grids read at the centres | everything, with the hash tables set to zero: the field is the same rigid motion everywhere |
 //! | modec | `anchors.positions` | GAD read at the anchors | everything, with the heads of GAD set to zero |
 //! | modec | `anchors.dynamics` | the step of the mask, whose gradient is that of the logistic function | everything, with `global = "mul"`, which has no step |
 //! | trace, trace-4dgs, defgs-nvfi | `cloud.*`, `field.*` | dynamics read at the deformed splats | the splats of the field with the displacement and the turn of the dynamics frozen |
@@ -109,8 +109,8 @@ const CASES: &[Case] = &[
     Case { method: "grid4d", ..UNIFORM },
     Case { method: "fags", ..GRIDS },
     Case { method: "fags", ..UNIFORM },
-    Case { method: "drk", ..GRIDS },
-    Case { method: "drk", ..UNIFORM },
+    Case { method: "acutance", ..GRIDS },
+    Case { method: "acutance", ..UNIFORM },
     MODEC,
     Case {
         over: "gad.dynamics.global = \"mul\"",

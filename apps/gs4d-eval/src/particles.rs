@@ -16,6 +16,8 @@ pub struct Particles {
     pub motions: Vec<Motion<f32>>,
     /// The origin that twists refer to, world units.
     pub origin: Vec3,
+    /// Whether each motion is that of its particle from then on, and not that of a flow where the particle is.
+    pub lasting: bool,
 }
 
 impl Particles {
@@ -28,6 +30,6 @@ impl Particles {
             jerk: Twist { v: *ddv, w: *ddw },
         };
         let motions = found.twists.iter().map(motion).collect();
-        Some(Self { at: found.at, splats: found.splats, motions, origin: found.origin })
+        Some(Self { at: found.at, splats: found.splats, motions, origin: found.origin, lasting: found.lasting })
     }
 }

@@ -277,7 +277,7 @@ mod tests {
         splats.scales = vec![Vec3::splat(0.02); n];
         splats.opacities = vec![0.9; n];
         splats.color = Color::Rgb(vec![[0.5; 3]; n]);
-        (Particles { at, splats, motions, origin }, data.truth)
+        (Particles { at, splats, motions, origin, lasting: true }, data.truth)
     }
 
     fn report(particles: &Particles, truth: &Truth) -> PhysicsReport {

@@ -44,6 +44,9 @@ pub enum SegmentError {
     /// There are no splats, or their number changes over time.
     #[error("method `{0}` keeps its splats in no order that lasts, or has none: there are no paths to segment by")]
     NoPaths(String),
+    /// Twists are asked for, and the method learns none.
+    #[error("method `{0}` learns no twists to segment by")]
+    NoTwists(String),
     /// A ground-truth label image cannot be used.
     #[error("labels of view `{view}`: {why}")]
     Labels {

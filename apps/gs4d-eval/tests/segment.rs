@@ -135,7 +135,7 @@ impl ParticleSource for Cast {
         };
         let splats = self.splats(&Timestamp::normalised(AT as f32), &neutral_camera()).unwrap();
         let twists = self.points.iter().enumerate().map(twists).collect();
-        Particles { at: AT, splats, twists, origin: ORIGIN.as_vec3() }
+        Particles { at: AT, splats, twists, origin: ORIGIN.as_vec3(), lasting: true }
     }
 }
 

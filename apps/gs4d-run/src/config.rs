@@ -32,6 +32,8 @@ pub enum Source {
     File(String),
     /// A flag of the command line, as written.
     Flag(String),
+    /// A length in steps that another source states for a run of another length: what it states, in words.
+    Scaled(String),
 }
 
 impl fmt::Display for Source {
@@ -41,6 +43,7 @@ impl fmt::Display for Source {
             Source::Preset(name) => write!(f, "preset {name}"),
             Source::File(name) => write!(f, "file {name}"),
             Source::Flag(text) => write!(f, "flag {text}"),
+            Source::Scaled(text) => write!(f, "{text}"),
         }
     }
 }

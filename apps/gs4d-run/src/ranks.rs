@@ -20,7 +20,7 @@ enum Work {
 
 /// Asks the other ranks to train the run of these settings together with the first.
 pub(crate) fn call(ranks: &dyn Ranks, resolved: &Resolved) -> Result<(), RunError> {
-    let settings = resolved.config.to_commented_toml();
+    let settings = resolved.to_toml()?;
     all_gather(ranks, &Some(Work::Train(settings))).map_err(TrainError::from)?;
     Ok(())
 }

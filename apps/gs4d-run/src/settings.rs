@@ -1,21 +1,26 @@
 //! The settings of a run: `[run]` and `[data]` for all methods, then those of the method.
 //!
-//! Resolution: defaults ← preset ← file ← `--steps` ← `--set`. `--steps N` compresses or stretches the whole recipe: every
-//! length in steps (stages, learning-rate decays, the times of density control and SH degrees) is multiplied by
-//! `N / steps of the recipe`, so a short run goes through all phases of a long one. A finished run is lengthened instead
-//! ([`lengthen`]): only its last stage grows, so the steps already made stay valid.
+//! Resolution: defaults ← preset ← file ← `--steps` ← `--set`. Lengths in steps (learning-rate decays, the times of density
+//! control and SH degrees: [`Domain::length`]) are shares of the run: where the run gets another length than the preset or file
+//! that states them, they are scaled with it, so a short run goes through all phases of a long one. `--steps N` scales the stages;
+//! what `--set` says is taken as it stands. A finished run is lengthened instead ([`lengthen`]): only its last stage grows, so
+//! the steps already made stay valid.
 
 use super::RunError;
 use crate::config::{Config, ConfigError, Source};
 use gs_core::io::{Limits, read_text};
 use gs_data::{DataOptions, Dataset, ImageCache};
 use gs_train::domains::{self, Domain, STEPS, within};
-use gs_train::registry::Registry;
+use gs_train::registry::{Registry, section};
+use gs_train::timeline::Timeline;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use toml::{Table, Value};
 
 const RUN_DEFAULTS: &str = include_str!("defaults.toml");
+
+/// How the keys of stages begin.
+const STAGES: &str = "schedule.stages.";
 
 /// Domains of the settings of `[run]` and `[data]`.
 const DOMAINS: &[Domain] = &[
@@ -150,10 +155,12 @@ pub fn with_preset(registry: &Registry, method: &str, preset: &str) -> Result<Co
 /// Unknown method, preset or setting; a value of the wrong kind or outside its domain; an unreadable file.
 pub fn resolve(registry: &Registry, request: &Request) -> Result<Resolved, RunError> {
     let mut config = with_preset(registry, &request.method, &request.preset)?;
+    let recipe = total(&config);
     if let Some(path) = &request.file {
         let text = read_text(path, &Limits::default())?;
         config.overlay_toml(&text, &Source::File(path.display().to_string()))?;
     }
+    let filed = total(&config);
     let flag = |text: String| Source::Flag(text);
     config.put("run.method", request.method.as_str(), flag(format!("-m {}", request.method)))?;
     config.put("run.preset", request.preset.as_str(), flag(format!("--preset {}", request.preset)))?;
@@ -174,6 +181,7 @@ pub fn resolve(registry: &Registry, request: &Request) -> Result<Resolved, RunEr
     for assignment in &request.sets {
         config.set(assignment)?;
     }
+    scale_lengths(&mut config, registry.find(&request.method)?.domains, recipe, filed)?;
     Resolved::of(registry, config)
 }
 
@@ -210,6 +218,16 @@ impl Resolved {
         let mut config = defaults(registry, method)?;
         config.overlay(&table, &source)?;
         Self::of(registry, config)
+    }
+
+    /// The settings as TOML, each with its source, below the time-line of the run.
+    ///
+    /// # Errors
+    /// If the schedule cannot be read.
+    pub fn to_toml(&self) -> Result<String, RunError> {
+        let timeline: Timeline = section("schedule", &self.method, "schedule")?;
+        let timeline: String = timeline.to_string().lines().map(|line| format!("# {line}\n")).collect();
+        Ok(format!("# {} steps\n{timeline}\n{}", self.steps(), self.config.to_commented_toml()))
     }
 
     /// Whether training with the other settings gives the same run.
@@ -268,7 +286,7 @@ impl Resolved {
 
     /// Steps of the whole recipe.
     pub fn steps(&self) -> u64 {
-        stages(&self.config).iter().map(|s| s.1).sum()
+        total(&self.config)
     }
 }
 
@@ -278,8 +296,8 @@ fn stages(config: &Config) -> Vec<(String, u64)> {
     let mut stages: Vec<(u64, String, u64)> = config
         .iter()
         .filter_map(|(key, _)| {
-            let name = key.strip_prefix("schedule.stages.")?.strip_suffix(".steps")?;
-            let order = number(&format!("schedule.stages.{name}.order")).unwrap_or(0);
+            let name = key.strip_prefix(STAGES)?.strip_suffix(".steps")?;
+            let order = number(&format!("{STAGES}{name}.order")).unwrap_or(0);
             Some((order, key.to_owned(), number(key).unwrap_or(0)))
         })
         .collect();
@@ -287,7 +305,18 @@ fn stages(config: &Config) -> Vec<(String, u64)> {
     stages.into_iter().map(|(_, key, steps)| (key, steps)).collect()
 }
 
-/// Multiplies every length in steps so that the recipe has `total` steps.
+/// Steps of all stages.
+fn total(config: &Config) -> u64 {
+    stages(config).iter().map(|s| s.1).sum()
+}
+
+/// A number of steps of a run of `before` steps, in one of `after`.
+fn scaled(steps: u64, before: u64, after: u64) -> i64 {
+    let steps = (u128::from(steps) * u128::from(after)).div_ceil(u128::from(before));
+    i64::try_from(steps).unwrap_or(i64::MAX)
+}
+
+/// Scales the stages so that the run has `total` steps.
 fn stretch(config: &mut Config, total: u32) -> Result<(), RunError> {
     let source = Source::Flag(format!("--steps {total}"));
     let stages = stages(config);
@@ -295,46 +324,41 @@ fn stretch(config: &mut Config, total: u32) -> Result<(), RunError> {
     if total == 0 || before == 0 {
         return Err(RunError::Steps("--steps must be at least 1, and the recipe must have steps".into()));
     }
-    let scaled = |steps: u64| {
-        let steps = (u128::from(steps) * u128::from(total)).div_ceil(u128::from(before));
-        i64::try_from(steps).unwrap_or(i64::MAX)
-    };
     // Borders of stages are rounded, so that the stages add up exactly.
     let (mut border, mut done) = (0u64, 0i64);
     for (key, steps) in &stages {
         border += steps;
-        let end = scaled(border);
+        let end = scaled(border, before, total.into());
         config.put(key, end - done, source.clone())?;
         done = end;
-    }
-    let lengths: Vec<(String, u64)> = config
-        .iter()
-        .filter(|(key, _)| is_length(key))
-        .filter_map(|(key, s)| Some((key.to_owned(), u64::try_from(s.value.as_integer()?).ok()?)))
-        .collect();
-    for (key, steps) in lengths {
-        config.put(&key, scaled(steps), source.clone())?;
     }
     Ok(())
 }
 
-/// Whether a setting is a step number of the schedule that scales with its length (intervals of densification do not).
-fn is_length(key: &str) -> bool {
-    let times = [
-        "schedule.sh_every",
-        "schedule.density.from",
-        "schedule.density.until",
-        "schedule.density.reset_every",
-        "cloud.kernel.from_step",
-        "smooth_from",
-        "adapt.observe_from",
-        "adapt.from",
-        "adapt.until",
-        "intervals.from",
-        "intervals.until",
-        "intervals.period",
-    ];
-    times.contains(&key) || key.starts_with("schedule.lr.") && key.ends_with(".steps")
+/// Scales what the preset says for a run of `recipe` steps, and a file for one of `filed`, to the length the run has now.
+fn scale_lengths(config: &mut Config, domains: &[Domain], recipe: u64, filed: u64) -> Result<(), RunError> {
+    let after = total(config);
+    let lengths: Vec<(String, i64, Source)> = config
+        .iter()
+        .filter_map(|(key, s)| {
+            let least = u64::from(length(key, domains)?);
+            let before = match &s.source {
+                Source::Default | Source::Preset(_) => recipe,
+                Source::File(_) => filed,
+                Source::Flag(_) | Source::Scaled(_) => after,
+            };
+            let value = u64::try_from(s.value.as_integer()?).ok()?;
+            let said = Source::Scaled(format!("{}: {value} of {before} steps", s.source));
+            let least = i64::try_from(value.min(least)).unwrap_or(0);
+            (before != after && before > 0).then(|| (key.to_owned(), scaled(value, before, after).max(least), said))
+        })
+        .collect();
+    lengths.into_iter().try_for_each(|(key, value, said)| Ok(config.put(&key, value, said)?))
+}
+
+/// What a setting is never shortened below, if it is a number of steps that scales with the run. Stages are the run.
+fn length(key: &str, own: &[Domain]) -> Option<u32> {
+    domains::domain(key, own).filter(|_| !key.starts_with(STAGES))?.length
 }
 
 /// Changes the run to `total` steps by the length of its last stage.
@@ -343,7 +367,7 @@ fn is_length(key: &str) -> bool {
 /// If `done` steps were made already and more than `total`, or the last stage would begin after `total`.
 pub fn lengthen(resolved: &Resolved, total: u32, done: u32) -> Result<Resolved, RunError> {
     let stages: Vec<(String, u64)> = stages(&resolved.config).into_iter().filter(|s| s.1 > 0).collect();
-    let Some(((last, _), earlier)) = stages.split_last() else {
+    let Some(((last, was), earlier)) = stages.split_last() else {
         return Err(RunError::Steps("the recipe has no steps".into()));
     };
     let before: u64 = earlier.iter().map(|s| s.1).sum();
@@ -354,7 +378,13 @@ pub fn lengthen(resolved: &Resolved, total: u32, done: u32) -> Result<Resolved, 
         )));
     }
     let mut config = resolved.config.clone();
-    config.put(last, (u64::from(total) - before) as i64, Source::Flag(format!("resume --steps {total}")))?;
+    let (now, source) = (u64::from(total) - before, Source::Flag(format!("resume --steps {total}")));
+    config.put(last, now as i64, source.clone())?;
+    // Images that were let in stay in.
+    let until = last.replace(".steps", ".window_until");
+    if let Some(share) = config.get(&until).and_then(|s| s.value.as_float()) {
+        config.put(&until, share * *was as f64 / now as f64, source)?;
+    }
     Resolved::of(&resolved.registry, config)
 }
 
@@ -375,7 +405,7 @@ mod tests {
                 let resolved = resolve(gs_methods::registry(), &request)
                     .unwrap_or_else(|e| panic!("{} {preset}: {e}", entry.name));
                 assert!(resolved.steps() > 0, "{} {preset}", entry.name);
-                let back = Resolved::read(gs_methods::registry(), &resolved.config.to_commented_toml(), "x").unwrap();
+                let back = Resolved::read(gs_methods::registry(), &resolved.to_toml().unwrap(), "x").unwrap();
                 assert_eq!((&back.run, &back.data, &back.method), (&resolved.run, &resolved.data, &resolved.method));
             }
         }
@@ -390,7 +420,7 @@ mod tests {
         for key in ["schedule.density.until", "schedule.lr.cloud.means.steps", "schedule.sh_every"] {
             assert_eq!(value(&short, key), (value(&plain, key) + 9) / 10, "{key}");
         }
-        assert_eq!(value(&short, "schedule.density.every"), value(&plain, "schedule.density.every"));
+        assert_eq!((value(&plain, "schedule.density.every"), value(&short, "schedule.density.every")), (50, 10));
         let mut said = request(&["schedule.density.until=7"]);
         said.steps = Some(30);
         assert_eq!(
@@ -408,7 +438,27 @@ mod tests {
         for key in ["adapt.observe_from", "adapt.from", "adapt.until", "intervals.until", "intervals.period"] {
             assert_eq!(10 * value(&short, key), value(&plain, key), "{key}");
         }
-        assert_eq!(value(&short, "adapt.every"), value(&plain, "adapt.every"));
+        assert_eq!(value(&short, "adapt.every"), 10);
+    }
+
+    #[test]
+    fn lengths_are_shares_of_the_run_unless_they_are_set() {
+        let value = |sets: &[&str], key: &str| {
+            let resolved = resolve(gs_methods::registry(), &request(sets)).unwrap();
+            resolved.config.get(key).unwrap().value.as_integer().unwrap()
+        };
+        let until = "schedule.density.until";
+        assert_eq!(value(&[], until), 250);
+        assert_eq!(value(&["schedule.stages.all.steps=600"], until), 500, "twice the run");
+        assert_eq!(value(&["schedule.stages.all.steps=600", "schedule.density.until=70"], until), 70);
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("own.toml");
+        std::fs::write(&file, "[schedule.density]\nuntil = 50\n[schedule.stages.all]\nsteps = 100").unwrap();
+        let own = Request { file: Some(file), steps: Some(1000), ..request(&[]) };
+        let own = resolve(gs_methods::registry(), &own).unwrap();
+        let of = |key: &str| own.config.get(key).unwrap().clone();
+        assert_eq!((of(until).value, of("schedule.density.from").value), (Value::Integer(500), Value::Integer(167)));
+        assert!(of(until).source.to_string().ends_with("50 of 100 steps"), "{}", of(until).source);
     }
 
     #[test]

@@ -44,7 +44,7 @@ pub struct Training {
     stop_at: f64,
     /// Checkpoints that did not verify on resuming.
     skipped: Vec<Skipped>,
-    /// What a user should know of resuming.
+    /// What a user should know before it goes on.
     warnings: Vec<String>,
 }
 
@@ -75,6 +75,15 @@ impl Logs {
         let [steps, histograms, journal] = [folder::LOG, folder::HISTOGRAMS, folder::JOURNAL].map(|n| folder.log(n));
         Self { steps, histograms, journal }
     }
+}
+
+/// A warning if the run is too short to draw every training view.
+fn undrawn(trainer: &Trainer) -> Vec<String> {
+    let (steps, views) = (trainer.steps(), trainer.dataset().train.len());
+    let shortest = trainer.schedule().shortest(views);
+    let warning =
+        || format!("{steps} steps cannot draw each of the {views} training views once; --steps {shortest} does");
+    if u64::from(steps) < shortest { vec![warning()] } else { Vec::new() }
 }
 
 /// How a training session ended.
@@ -142,13 +151,14 @@ impl Training {
             "rounds": rounds,
         });
         let beginning = Beginning {
-            config: &resolved.config.to_commented_toml(),
+            config: &resolved.to_toml()?,
             provenance: &format!("{provenance:#}\n"),
             cameras: &format!("{}\n", kept::keep(&trainer.dataset().train)?),
         };
         let folder = RunFolder::create(root, overwrite, &beginning)?;
         let stop_at = resolved.run.time_budget;
-        Ok(Self::new(trainer, resolved, folder, stop_at))
+        let warnings = undrawn(&trainer);
+        Ok(Self { warnings, ..Self::new(trainer, resolved, folder, stop_at) })
     }
 
     /// Resumes a run from its newest checkpoint that verifies.
@@ -179,7 +189,7 @@ impl Training {
         let bytes = resolved.run.image_bytes();
         let trainer = Trainer::resume(registry, dataset, &newest.checkpoint, Some(&resolved.method), bytes)?;
         if request.steps.is_some() || request.data.is_some() || request.image_mib.is_some() {
-            folder.write(folder::CONFIG, &resolved.config.to_commented_toml())?;
+            folder.write(folder::CONFIG, &resolved.to_toml()?)?;
         }
         session.provenance.map_or(Ok(()), |text| folder.write(folder::PROVENANCE, &text))?;
         folder.cut_logs(done)?;
@@ -227,7 +237,7 @@ impl Training {
         let (config, bytes) = (&resolved.method, resolved.run.image_bytes());
         let state = &newest.checkpoint;
         let trainer = Trainer::resume_with_more_views(&resolved.registry, dataset, state, config, bytes)?;
-        folder.write(folder::CONFIG, &resolved.config.to_commented_toml())?;
+        folder.write(folder::CONFIG, &resolved.to_toml()?)?;
         folder.cut_logs(trainer.steps_done())?;
         Ok(Self { skipped: newest.skipped, ..Self::new(trainer, resolved, folder, 0.0) })
     }
@@ -238,7 +248,7 @@ impl Training {
     /// If the method cannot be built anew or the settings cannot be written.
     pub fn grow(self, resolved: Resolved, dataset: Arc<Dataset>) -> Result<Self, RunError> {
         let trainer = self.trainer.with_more_views(&resolved.registry, dataset, &resolved.method)?;
-        self.folder.write(folder::CONFIG, &resolved.config.to_commented_toml())?;
+        self.folder.write(folder::CONFIG, &resolved.to_toml()?)?;
         Ok(Self { trainer, resolved, window: Window::default(), ..self })
     }
 

@@ -31,7 +31,7 @@ pub enum KernelInit {
         /// Whether all splats share one λ instead of one each.
         shared_lambda: bool,
     },
-    /// The kernel of Deformable Radial Kernels, [`Kernel::Acutance`].
+    /// A sharpness per splat, [`Kernel::Acutance`].
     Acutance,
 }
 

@@ -59,7 +59,7 @@ impl<T: Real + PartialOrd> Profile<T> {
         }
     }
 
-    /// The kernel of Deformable Radial Kernels. Domain: `acutance ∈ (−1, 1)`.
+    /// A Gaussian with a sharpness, the acutance of Deformable Radial Kernels. Domain: `acutance ∈ (−1, 1)`.
     #[inline(always)]
     pub fn acutance(acutance: T) -> Self {
         let one = acutance.lit(1.0);

@@ -68,7 +68,7 @@ impl Grid4dRef {
         }
         let t = f64::from(t.normalised);
         let t = if fourier.time == WaveTime::Raw { t } else { 0.9 * f64::from(self.config.bound) * (2.0 * t - 1.0) };
-        let angle = |i: usize| std::f64::consts::PI * frequency(i, fourier.bands) * t;
+        let angle = |i: usize| std::f64::consts::PI * frequency(i, fourier.bands, fourier.gamma_max) * t;
         w.iter().enumerate().flat_map(|(i, w)| [w * angle(i).sin(), w * angle(i).cos()]).collect()
     }
 

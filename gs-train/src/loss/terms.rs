@@ -4,6 +4,7 @@ use super::Region;
 use crate::error::ScheduleError;
 use gs_core::Image;
 use gs_metrics::mrf::{FeatureNet, Mrf, MrfOptions};
+use gs_metrics::spectrum::AmplitudeOptions;
 use gs_metrics::{AmplitudeLoss, MetricError, MsSsim, MsSsimOptions, Ssim, SsimOptions};
 use serde::{Deserialize, Serialize};
 
@@ -142,8 +143,14 @@ impl LossTerm for SsimBoxTerm {
 }
 
 /// Mean difference of amplitude spectra (FAGS, eq. 10).
-#[derive(Default)]
 pub struct SpectrumTerm(AmplitudeLoss);
+
+impl SpectrumTerm {
+    /// The loss with this factor and reduction.
+    pub fn new(options: AmplitudeOptions) -> Self {
+        Self(AmplitudeLoss::new(options))
+    }
+}
 
 impl LossTerm for SpectrumTerm {
     fn name(&self) -> &'static str {

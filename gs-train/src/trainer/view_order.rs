@@ -7,7 +7,7 @@
 //! had never stopped.
 
 use crate::schedule::Schedule;
-use gs_core::Rng;
+use gs_core::{Rng, cast};
 use std::cell::Cell;
 
 /// Where views are taken from.
@@ -48,7 +48,7 @@ impl ViewOrder {
         let (mut epoch, mut begin) = if draw > last.1 { last } else { (0, 0) };
         loop {
             let pool = self.pool(schedule, begin + 1);
-            let views = self.sorted.partition_point(|&t| t <= pool.to + SLACK).max(1);
+            let views = self.views_until(pool.to).max(1);
             let end = (begin + views as u32).min(pool.until);
             if draw <= end {
                 self.last.set((epoch, begin));
@@ -71,16 +71,19 @@ impl ViewOrder {
         }
         let begin = step - 1 - offset;
         let end = (begin + stage.steps).saturating_mul(schedule.batch);
-        let (parts, every) = (stage.window_parts, stage.window_every.max(1));
-        let open = offset / every + 1;
-        if stage.first_moment {
+        if stage.first_moment && self.views_until(first) > 1 {
             Pool { to: first, until: end }
-        } else if open < parts {
-            let grows = begin.saturating_add(open.saturating_mul(every)).saturating_mul(schedule.batch);
-            Pool { to: first + (last - first) * (open as f32 / parts as f32), until: grows.min(end) }
+        } else if let Some((open, grows)) = stage.window(offset) {
+            let grows = begin.saturating_add(grows).saturating_mul(schedule.batch);
+            Pool { to: first + (last - first) * cast::to_f32(open), until: grows.min(end) }
         } else {
             all
         }
+    }
+
+    /// Number of views up to a time.
+    fn views_until(&self, limit: f32) -> usize {
+        self.sorted.partition_point(|&t| t <= limit + SLACK)
     }
 
     /// The `k`-th view, in their own order, of those up to a time.
@@ -131,7 +134,7 @@ mod tests {
         let schedule = schedule(|s| {
             let stages = &mut s.stages;
             *stages.get_mut("warm_up").unwrap() = Stage { steps: 10, first_moment: true, ..stages["warm_up"].clone() };
-            let dynamic = Stage { window_parts: 5, window_every: 20, ..stages["dynamic"].clone() };
+            let dynamic = Stage { window_parts: 5, window_until: 0.4, ..stages["dynamic"].clone() };
             *stages.get_mut("dynamic").unwrap() = dynamic;
         });
         let order = order();
@@ -152,13 +155,20 @@ mod tests {
     }
 
     #[test]
+    fn a_first_moment_of_one_view_is_no_stage_of_its_own() {
+        let order = ViewOrder::new(7, (0..24).map(|k| k as f32 / 23.0).collect());
+        let schedule = schedule(|s| s.stages.values_mut().for_each(|stage| stage.first_moment = true));
+        assert!((1..=10).map(|d| order.view(&schedule, d)).collect::<BTreeSet<_>>().len() == 10);
+    }
+
+    #[test]
     fn views_can_be_asked_for_beyond_the_last_step() {
         for batch in [1, 3, 8] {
             for first_moment in [true, false] {
                 let schedule = schedule(|s| {
                     s.batch = batch;
                     let short =
-                        Stage { steps: 48, window_parts: 8, window_every: 100, first_moment, ..Stage::default() };
+                        Stage { steps: 48, window_parts: 8, window_until: 0.7, first_moment, ..Stage::default() };
                     s.stages = BTreeMap::from([("dynamic".to_owned(), short)]);
                 });
                 let order = order();

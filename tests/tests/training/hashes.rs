@@ -40,15 +40,15 @@ const STORED: &[Stored] = &[Stored {
     states: &[
         ("static3d", 0xe4a99bf1bd138058),
         ("scaffold", 0x800e4d94772b7ae5),
-        ("defgs", 0x35f742b1fd4e5207),
+        ("defgs", 0x5e19d1af41152280),
         ("fourdgs", 0xac197aa42ec95e2b),
         ("grid4d", 0x4d26e2980550294a),
         ("fags", 0xccc2d431caac32c3),
-        ("drk", 0xfbcd49fe8f3a63d2),
+        ("acutance", 0xfbcd49fe8f3a63d2),
         ("modec", 0x019cc4520fce67cf),
-        ("trace", 0x64590047f3e70586),
-        ("trace-4dgs", 0xbf6e06ca37c4a0bf),
-        ("defgs-nvfi", 0x9e3c9a3322eddeea),
+        ("trace", 0x083dfbe6e8877273),
+        ("trace-4dgs", 0xab874f020d5f9b76),
+        ("defgs-nvfi", 0x6cd5b3f6fe06ceb9),
         ("dut", 0xe9a7c7d763f6192a),
     ],
 }];
@@ -190,8 +190,8 @@ fn plan(method: &str) -> toml::Table {
         let stage = stage.as_table_mut().expect("stage");
         let rest = if i == 0 { STEPS % count } else { 0 };
         stage.insert("steps".into(), (STEPS / count + rest).into());
-        if let Some(every) = stage.get_mut("window_every") {
-            *every = 8.into();
+        if let Some(until) = stage.get_mut("window_until") {
+            *until = 0.56.into();
         }
     }
     config["init"].as_table_mut().expect("init").insert("points".into(), 100.into());

@@ -28,7 +28,7 @@ fn motion_is_learnt() {
         psnr(&trainer, &data)
     };
     let still = scored("static3d");
-    for method in ["defgs", "fourdgs", "grid4d", "fags", "drk"] {
+    for method in ["defgs", "fourdgs", "grid4d", "fags", "acutance"] {
         let moving = scored(method);
         println!("{method}: {moving:.2} dB, a still cloud has {still:.2} dB");
         assert!(moving > still + 4.0, "{method}: {moving:.2} dB, a still cloud has {still:.2} dB");

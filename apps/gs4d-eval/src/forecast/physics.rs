@@ -138,7 +138,7 @@ mod tests {
         let means = vec![Vec3::ZERO, hub, Vec3::new(0.0, 0.0, 1.0), Vec3::new(9.0, 9.0, 9.0)];
         let opacities = vec![1.0, 1.0, 1.0, 0.0];
         let splats = Splats { means, opacities, ..Splats::default() };
-        Particles { at: 0.7, splats, motions: vec![motion; 4], origin }
+        Particles { at: 0.7, splats, motions: vec![motion; 4], origin, lasting: true }
     }
 
     #[test]

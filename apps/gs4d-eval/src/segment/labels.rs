@@ -34,6 +34,9 @@ const INITIAL_OBJECTS: usize = 8;
 pub struct Options {
     /// How many parts there are.
     pub count: Count,
+    /// What parts are told by; `None`: by twists where every particle has a lasting one of its own, else by paths, as TRACE compares
+    /// itself with fields.
+    pub by: Option<Source>,
     /// Feature vector by which twists are compared.
     pub feature: Feature,
     /// Normalised time at which motions are compared; `None`: the time of the model's particles, or `observed`.
@@ -54,6 +57,7 @@ impl Default for Options {
     fn default() -> Self {
         Self {
             count: Count::Auto,
+            by: None,
             feature: Feature::Polar,
             at: None,
             observed: 1.0,
@@ -97,7 +101,7 @@ pub struct Labels {
 /// Labels the splats of a model.
 ///
 /// # Errors
-/// If their number changes over time, there are none, or their paths are not finite.
+/// If their number changes over time, there are none, their paths are not finite, or twists are asked for that are not learnt.
 pub fn segment(method: &Model, options: &Options) -> Result<Labels, SegmentError> {
     let camera = neutral_camera();
     let no_paths = || SegmentError::NoPaths(method.name().to_owned());
@@ -112,7 +116,11 @@ pub fn segment(method: &Model, options: &Options) -> Result<Labels, SegmentError
         return Err(no_paths());
     }
     let splats = method.all_splats(&Timestamp::normalised(at), &camera)?;
-    if let Some(p) = learnt {
+    if options.by == Some(Source::Twists) && learnt.is_none() {
+        return Err(SegmentError::NoTwists(method.name().to_owned()));
+    }
+    let by_twists = |p: &Particles| options.by.map_or(p.lasting, |by| by == Source::Twists);
+    if let Some(p) = learnt.filter(by_twists) {
         let later = f64::from(at) - p.at;
         let motions = p.motions.iter().map(|m| m.from(cast::to_f32(later))).collect();
         let particles = Particles { at: at.into(), splats, motions, ..p };
@@ -121,7 +129,7 @@ pub fn segment(method: &Model, options: &Options) -> Result<Labels, SegmentError
     }
     let motions = velocities(method, at)?;
     let origin = centre(&splats.means, &splats.opacities);
-    let particles = Particles { at: at.into(), splats, motions, origin };
+    let particles = Particles { at: at.into(), splats, motions, origin, lasting: false };
     let resting = at_rest(&frames, options.static_path * radius(&particles));
     of_paths(particles, resting, &frames, options).ok_or_else(no_paths)
 }

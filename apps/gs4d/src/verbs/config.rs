@@ -1,11 +1,11 @@
-//! `gs4d config`: every setting of a method with its default, where it came from and what it is.
+//! `gs4d config`: the time-line of a run, and every setting of a method with where it came from and what it is.
 
 use crate::answer::Answer;
 use crate::failure::Failure;
 use gs4d_run::settings::{Request, resolve};
 use serde_json::json;
 
-/// Print every setting of a method as TOML, each with where it comes from
+/// Print what happens at which step, and every setting as TOML with where it comes from
 #[derive(clap::Args)]
 #[command(name = "config")]
 pub struct ShowConfig {
@@ -14,6 +14,9 @@ pub struct ShowConfig {
     /// Overlay a preset: fast, paper or tiny.
     #[arg(long, default_value = "paper")]
     preset: String,
+    /// Total number of steps; scales the whole recipe.
+    #[arg(long, value_name = "N")]
+    steps: Option<u32>,
     /// Overlay one setting, for example density.until=5000 (repeatable).
     #[arg(long = "set", value_name = "KEY=VALUE")]
     sets: Vec<String>,
@@ -21,12 +24,19 @@ pub struct ShowConfig {
 
 impl ShowConfig {
     pub fn run(self) -> Result<Answer, Failure> {
-        let request = Request { method: self.method, preset: self.preset, sets: self.sets, ..Request::default() };
-        let config = resolve(gs_methods::registry(), &request)?.config;
-        let rows: Vec<_> = config
+        let request = Request {
+            method: self.method,
+            preset: self.preset,
+            steps: self.steps,
+            sets: self.sets,
+            ..Request::default()
+        };
+        let resolved = resolve(gs_methods::registry(), &request)?;
+        let rows: Vec<_> = resolved
+            .config
             .iter()
             .map(|(key, s)| json!({"key": key, "value": s.value, "source": s.source.to_string(), "about": s.about}))
             .collect();
-        Ok(Answer::new(config.to_commented_toml(), json!(rows)))
+        Ok(Answer::new(resolved.to_toml()?, json!(rows)))
     }
 }

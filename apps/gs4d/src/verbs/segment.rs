@@ -15,7 +15,7 @@ use gs_synth as synth;
 use gs_train::evaluate::split_name;
 use gs_train::renderer::file_stem;
 use gs4d_eval::segment::{
-    self, Complexity, Count, Feature, Labels, Options, Part, Scores, SegmentError, TrueLabels, ViewMask, parts,
+    self, Complexity, Count, Feature, Labels, Options, Part, Scores, SegmentError, Source, TrueLabels, ViewMask, parts,
     scene_complexity, study,
 };
 use gs4d_run::OpenRun;
@@ -41,6 +41,9 @@ pub struct Segment {
     /// training time].
     #[arg(long, value_name = "T", allow_hyphen_values = true, value_parser = parse::finite)]
     at: Option<f32>,
+    /// What parts are told by: learnt twists, or paths (OGC) [default: twists where the method has a law of motion, else paths].
+    #[arg(long, value_enum)]
+    by: Option<By>,
     /// What twists are compared by.
     #[arg(long, value_enum, default_value_t = Compare::Polar)]
     feature: Compare,
@@ -69,6 +72,12 @@ pub struct Segment {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum By {
+    Twists,
+    Paths,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Compare {
     /// Lengths and directions, as published.
     Polar,
@@ -90,6 +99,9 @@ impl From<SegmentError> for Failure {
         match e {
             SegmentError::NoPaths(_) => Self::new(Class::Data, "segment.paths", text)
                 .remedy("give a run of a method that deforms or moves its splats, such as trace or defgs"),
+            SegmentError::NoTwists(_) => {
+                Self::new(Class::Usage, "segment.twists", text).remedy("leave --by out, or say --by paths")
+            }
             SegmentError::Labels { .. } => Self::new(Class::Data, "data.labels", text)
                 .remedy("a label image is [H, W] whole numbers, 0 the background"),
             SegmentError::Method(e) => e.into(),
@@ -134,6 +146,7 @@ impl Segment {
         let last = dataset.train.iter().map(|v| v.time.normalised).fold(0.0, f32::max);
         Options {
             count: self.k,
+            by: self.by.map(|by| if by == By::Twists { Source::Twists } else { Source::Paths }),
             feature: if self.feature == Compare::Polar { Feature::Polar } else { Feature::Plain },
             at: self.at,
             observed: last,

@@ -30,7 +30,7 @@ fn methods_and_settings_are_listed() {
             "fourdgs",
             "grid4d",
             "fags",
-            "drk",
+            "acutance",
             "modec",
             "trace",
             "trace-4dgs",

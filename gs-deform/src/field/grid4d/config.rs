@@ -44,12 +44,19 @@ pub struct FourierConfig {
     pub on: bool,
     /// Frequencies `m`; `2m` must equal the width unless the fusion is `concat`.
     pub bands: usize,
+    /// Highest frequency `γ`, half cycles per unit of time (FAGS: 8), at least 1.
+    #[serde(default = "published_gamma")]
+    pub gamma_max: f64,
     /// Time argument of the waves.
     pub time: WaveTime,
     /// How the branch is combined with the features of the grids.
     pub fusion: Fusion,
     /// Widths of the hidden layers between the spatial features and the amplitudes; empty: one linear layer.
     pub hidden: Vec<usize>,
+}
+
+fn published_gamma() -> f64 {
+    8.0
 }
 
 /// Time argument of the waves.
@@ -146,6 +153,7 @@ impl Default for Grid4dConfig {
             fourier: FourierConfig {
                 on: true,
                 bands: 128,
+                gamma_max: published_gamma(),
                 time: WaveTime::Raw,
                 fusion: Fusion::Add,
                 hidden: Vec::new(),
@@ -244,6 +252,9 @@ impl FourierConfig {
         }
         if !(1..=4096).contains(&self.bands) {
             return reject("bands", self.bands.to_string(), "1 to 4096");
+        }
+        if !(1.0..=1024.0).contains(&self.gamma_max) {
+            return reject("gamma_max", self.gamma_max.to_string(), "1 to 1024");
         }
         if self.fusion != Fusion::Concat && 2 * self.bands != width {
             return reject("bands", self.bands.to_string(), "half the width, unless the fusion is `concat`");

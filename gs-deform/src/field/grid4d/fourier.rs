@@ -1,7 +1,7 @@
 //! The Fourier branch (FAGS, Eqs. 6 and 7): waves in time whose amplitudes depend on the position.
 //!
 //! ```text
-//! γ_i = 2^{3(i−1)/(m−1)}        s_i = sin πγ_i t,  c_i = cos πγ_i t                   i = 1 … m, half a cycle to four
+//! γ_i = γ_max^{(i−1)/(m−1)}     s_i = sin πγ_i t,  c_i = cos πγ_i t                   i = 1 … m; FAGS: γ_max = 8, four cycles
 //! f_fre = [w_1 s_1, w_1 c_1, …, w_m s_m, w_m c_m]          w = amplitudes(z_s)         one row of w per splat
 //! ```
 //! **Collapse.** If the branch is linear and added right before the head (no hidden layers, one linear amplitude
@@ -26,12 +26,12 @@ pub(super) struct Waves {
 }
 
 impl Waves {
-    /// Evaluates the waves of `bands` frequencies at time `t`.
-    pub(super) fn set(&mut self, bands: usize, t: f64) {
+    /// Evaluates the waves of `bands` frequencies up to `top` at time `t`.
+    pub(super) fn set(&mut self, bands: usize, top: f64, t: f64) {
         self.sin.clear();
         self.cos.clear();
         for i in 0..bands {
-            let (sin, cos) = (std::f64::consts::PI * frequency(i, bands) * t).sin_cos();
+            let (sin, cos) = (std::f64::consts::PI * frequency(i, bands, top) * t).sin_cos();
             self.sin.push(sin as f32);
             self.cos.push(cos as f32);
         }
@@ -61,9 +61,9 @@ impl Waves {
     }
 }
 
-/// Frequency `γ` of band `i` (from 0) of `bands`, in half cycles per unit of time: 1 … 8.
-pub(crate) fn frequency(i: usize, bands: usize) -> f64 {
-    if bands > 1 { 2f64.powf(3.0 * i as f64 / (bands - 1) as f64) } else { 1.0 }
+/// Frequency `γ` of band `i` (from 0) of `bands`, in half cycles per unit of time: 1 … `top`.
+pub(crate) fn frequency(i: usize, bands: usize, top: f64) -> f64 {
+    if bands > 1 { 2f64.powf(top.log2() * i as f64 / (bands - 1) as f64) } else { 1.0 }
 }
 
 /// The layers that a collapsed branch is the product of.
@@ -165,15 +165,15 @@ mod tests {
     #[test]
     fn frequencies_run_from_one_to_eight() {
         for (i, want) in [(0, 1.0), (1, 1.016_508_34), (63, 2.805_365_95), (127, 8.0)] {
-            assert!((frequency(i, 128) - want).abs() < 1e-8, "γ_{}", i + 1);
+            assert!((frequency(i, 128, 8.0) - want).abs() < 1e-8, "γ_{}", i + 1);
         }
-        assert_eq!(frequency(0, 1), 1.0);
+        assert_eq!(frequency(0, 1, 8.0), 1.0);
     }
 
     #[test]
     fn modulation_and_its_backward_are_transposes() {
         let mut waves = Waves::default();
-        waves.set(2, 0.25);
+        waves.set(2, 8.0, 0.25);
         let (mut f, mut d) = (Vec::new(), Vec::new());
         waves.modulate(&[2.0, 3.0], &mut f);
         let root = 0.5f32.sqrt();

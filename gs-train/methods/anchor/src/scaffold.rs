@@ -2,7 +2,7 @@
 
 use crate::anchored::{AnchorConfig, Anchored, Motion, Parts};
 use gs_anchor::{AnchorDensifyRules, AnchorShape, DecoderConfig};
-use gs_train::domains::{Domain, STEPS, within};
+use gs_train::domains::{Domain, interval, length, within};
 use gs_train::layers::BASE;
 use gs_train::method::MethodError;
 use gs_train::model::Model;
@@ -27,23 +27,23 @@ pub(super) const DOMAINS: &[Domain] = &[
     within("anchors.voxel", 0.0, 1e6),
     within("decoder.appearance", 0.0, 1024.0),
     within("adapt.coarsest", 1.0, 1_048_576.0),
-    within("adapt.every", 1.0, STEPS),
+    interval("adapt.every"),
     within("adapt.extent_cap_log", -80.0, 80.0),
-    within("adapt.from", 0.0, STEPS),
+    length("adapt.from", 0.0),
     within("adapt.grad", 0.0, 1e6),
     within("adapt.hierarchy", 1.0, 1024.0),
     within("adapt.levels", 1.0, 8.0),
     within("adapt.max_anchors", 1.0, (1u32 << 26) as f64),
     within("adapt.min_opacity", 0.0, 1e3),
-    within("adapt.observe_from", 0.0, STEPS),
+    length("adapt.observe_from", 0.0),
     within("adapt.success", 0.0, 1.0),
-    within("adapt.until", 0.0, STEPS),
-    within("intervals.from", 0.0, STEPS),
-    within("intervals.period", 1.0, STEPS),
+    length("adapt.until", 0.0),
+    length("intervals.from", 0.0),
+    length("intervals.period", 1.0),
     within("intervals.segments", 1.0, 4096.0),
     within("intervals.step", 0.0, 0.5),
     within("intervals.tau", -1e3, 1e3),
-    within("intervals.until", 0.0, STEPS),
+    length("intervals.until", 0.0),
     within("dynamics.threshold", 0.0, 1.0),
     within("logits", 1.0, 2.0),
     within("sparsity.weight", 0.0, 1e4),

@@ -4,7 +4,9 @@ use crate::deformed::Deformed;
 use gs_deform::field::anneal::Anneal;
 use gs_deform::{DefGsConfig, DefMlp};
 use gs_train::canonical::Canonical;
-use gs_train::layers::{BASE, CLOUD, CLOUD_FAST, CLOUD_TINY, DEFORMED, FOLLOW, NETWORK, NETWORK_FAST, NETWORK_TINY};
+use gs_train::layers::{
+    BASE, CLOUD, CLOUD_FAST, CLOUD_TINY, DEFORMED, FOLLOW, MOTION_FAST, NETWORK, NETWORK_FAST, NETWORK_TINY,
+};
 use gs_train::method::MethodError;
 use gs_train::model::Model;
 use gs_train::registry::{MethodEntry, parse_config};
@@ -19,7 +21,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
     defaults: &[BASE, CLOUD, DEFORMED, FOLLOW, NETWORK, include_str!("defgs.toml")],
     presets: &[
         ("paper", &[]),
-        ("fast", &[CLOUD_FAST, NETWORK_FAST, include_str!("defgs.fast.toml")]),
+        ("fast", &[CLOUD_FAST, NETWORK_FAST, MOTION_FAST, include_str!("defgs.fast.toml")]),
         ("tiny", &[CLOUD_TINY, NETWORK_TINY, include_str!("defgs.tiny.toml")]),
     ],
     domains: &[],

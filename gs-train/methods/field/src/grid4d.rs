@@ -1,13 +1,13 @@
 //! Grid4D (Xu et al. 2024): a canonical cloud moved by hash grids over space and over space and time. The common body of
 //! [`fags`](super::fags), which adds a Fourier branch, a gate, a bent kernel and a loss on spectra, and of
-//! [`drk`](super::drk), which adds another kernel: one structure of settings, one way to build.
+//! [`acutance`](super::acutance), which adds another kernel: one structure of settings, one way to build.
 
 use crate::deformed::Deformed;
 use gs_deform::field::anneal::Anneal;
 use gs_deform::field::{Grid4dConfig, Grid4dField};
 use gs_train::ablate::{Ablations, Part};
 use gs_train::canonical::Canonical;
-use gs_train::domains::{Domain, STEPS, within};
+use gs_train::domains::{Domain, length, within};
 use gs_train::kernel::KernelKind;
 use gs_train::layers::{BASE, CLOUD, CLOUD_FAST, CLOUD_TINY, DEFORMED};
 use gs_train::method::MethodError;
@@ -28,13 +28,14 @@ pub(super) const DOMAINS: &[Domain] = &[
     within("temporal.end", 2.0, 131_072.0),
     within("temporal.levels", 1.0, 64.0),
     within("temporal.log2_table", 1.0, 28.0),
+    within("fourier.gamma_max", 1.0, 1024.0),
     within("gate.start", 0.0, 1.0),
     within("smooth.eps", 0.0, 1e3),
     within("smooth.eps_t", 0.0, 1e3),
     within("smooth.lambda_s", 0.0, 1e4),
     within("smooth.lambda_t", 0.0, 1e4),
     within("smooth.share", 0.0, 1.0),
-    within("smooth_from", 0.0, STEPS),
+    length("smooth_from", 0.0),
 ];
 
 /// The line in the list of methods.
@@ -87,7 +88,7 @@ pub(super) const GRID4D: &[Part<Config>] = &[
 /// Where `field.bound` is 0, half the side of the cube is the largest coordinate of a first point times this.
 const ROOM: f32 = 1.2;
 
-/// Settings of `grid4d`, `fags` and `drk`, the sections of their TOML files.
+/// Settings of `grid4d`, `fags` and `acutance`, the sections of their TOML files.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Config {

@@ -50,7 +50,8 @@ fn a_frozen_kernel_is_the_gaussian_bit_for_bit() {
 fn without_its_parts_fags_is_grid4d_bit_for_bit() {
     let plain = short_run("grid4d", "");
     let frozen = "ablate = 'hfe,gate,fre'\n[cloud.kernel]\nlearn_lambda = false";
-    for (method, over) in [("fags", frozen), ("fags", "ablate = 'fdgk,hfe,gate,fre'"), ("drk", "ablate = 'fdgk'")] {
+    for (method, over) in [("fags", frozen), ("fags", "ablate = 'fdgk,hfe,gate,fre'"), ("acutance", "ablate = 'fdgk'")]
+    {
         assert!(same(&plain, &short_run(method, over)), "{method} {over}");
     }
     for part in ["fdgk,hfe,gate", "fdgk,hfe,fre", "hfe,gate,fre"] {

@@ -2,12 +2,14 @@
 //! ([`advected`](crate::advected)), with NVFi's physics-informed loss on the velocity.
 
 use crate::advected::{Advected, PhysicsConfig};
-use crate::layers::{PHYSICS, PHYSICS_FAST, PHYSICS_TINY, TRACE_NETWORK, TRACE_NETWORK_FAST};
+use crate::layers::{PHYSICS, PHYSICS_FAST, PHYSICS_TINY, TRACE_NETWORK};
 use crate::trace::DOMAINS;
 use gs_deform::{DefGsConfig, DefMlp};
 use gs_physics::{VelocityConfig, VelocityField};
 use gs_train::canonical::Canonical;
-use gs_train::layers::{BASE, CLOUD, CLOUD_FAST, CLOUD_TINY, DEFORMED, FOLLOW, NETWORK, NETWORK_FAST, NETWORK_TINY};
+use gs_train::layers::{
+    BASE, CLOUD, CLOUD_FAST, CLOUD_TINY, DEFORMED, FOLLOW, MOTION_FAST, NETWORK, NETWORK_FAST, NETWORK_TINY,
+};
 use gs_train::method::MethodError;
 use gs_train::model::Model;
 use gs_train::registry::{MethodEntry, parse_config};
@@ -22,7 +24,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
     defaults: &[BASE, CLOUD, DEFORMED, FOLLOW, NETWORK, PHYSICS, TRACE_NETWORK, include_str!("defgs_nvfi.toml")],
     presets: &[
         ("paper", &[]),
-        ("fast", &[CLOUD_FAST, NETWORK_FAST, PHYSICS_FAST, TRACE_NETWORK_FAST, include_str!("defgs_nvfi.fast.toml")]),
+        ("fast", &[CLOUD_FAST, NETWORK_FAST, MOTION_FAST, PHYSICS_FAST, include_str!("defgs_nvfi.fast.toml")]),
         ("tiny", &[CLOUD_TINY, NETWORK_TINY, PHYSICS_TINY, include_str!("defgs_nvfi.tiny.toml")]),
     ],
     domains: DOMAINS,

@@ -8,8 +8,6 @@ pub(crate) const PHYSICS_FAST: &str = include_str!("physics.fast.toml");
 pub(crate) const PHYSICS_TINY: &str = include_str!("physics.tiny.toml");
 /// The network of place and time as TRACE has it.
 pub(crate) const TRACE_NETWORK: &str = include_str!("network.toml");
-/// The same, preset `fast`.
-pub(crate) const TRACE_NETWORK_FAST: &str = include_str!("network.fast.toml");
 /// TRACE's law of motion.
 pub(crate) const LAW: &str = include_str!("law.toml");
 /// The same, preset `fast`.

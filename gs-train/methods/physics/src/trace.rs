@@ -15,13 +15,15 @@
 //! Its other rows are settings: `physics.step_frames` and `law.order`.
 
 use crate::advected::{Advected, PhysicsConfig};
-use crate::layers::{LAW, LAW_FAST, LAW_TINY, PHYSICS, PHYSICS_FAST, PHYSICS_TINY, TRACE_NETWORK, TRACE_NETWORK_FAST};
+use crate::layers::{LAW, LAW_FAST, LAW_TINY, PHYSICS, PHYSICS_FAST, PHYSICS_TINY, TRACE_NETWORK};
 use gs_deform::{DefGsConfig, DefMlp, Field};
 use gs_physics::{Law, LawConfig, LawForm};
 use gs_train::ablate::{Ablations, Part};
 use gs_train::canonical::Canonical;
 use gs_train::domains::{Domain, within};
-use gs_train::layers::{BASE, CLOUD, CLOUD_FAST, CLOUD_TINY, DEFORMED, FOLLOW, NETWORK, NETWORK_FAST, NETWORK_TINY};
+use gs_train::layers::{
+    BASE, CLOUD, CLOUD_FAST, CLOUD_TINY, DEFORMED, FOLLOW, MOTION_FAST, NETWORK, NETWORK_FAST, NETWORK_TINY,
+};
 use gs_train::method::MethodError;
 use gs_train::model::Model;
 use gs_train::registry::{MethodEntry, parse_config};
@@ -62,10 +64,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
     presets: &[
         ("paper", &[]),
         ("parity", &[include_str!("trace.parity.toml")]),
-        (
-            "fast",
-            &[CLOUD_FAST, NETWORK_FAST, PHYSICS_FAST, TRACE_NETWORK_FAST, LAW_FAST, include_str!("trace.fast.toml")],
-        ),
+        ("fast", &[CLOUD_FAST, NETWORK_FAST, MOTION_FAST, PHYSICS_FAST, LAW_FAST]),
         ("tiny", &[CLOUD_TINY, NETWORK_TINY, PHYSICS_TINY, LAW_TINY]),
     ],
     domains: DOMAINS,
@@ -102,7 +101,10 @@ impl<F> Config<F> {
         [
             ("field", |c| c.physics.field = false),
             ("physics", |c| c.law.form = LawForm::Free),
-            ("equivalent", |c| c.law.form = LawForm::Centre15),
+            ("equivalent", |c| {
+                // The gain counts for velocities; it would multiply the centre, too.
+                (c.law.form, c.law.gain) = (LawForm::Centre15, 1.0);
+            }),
         ]
     }
 }

@@ -3,7 +3,9 @@
 use crate::layers::{LAW, LAW_FAST, LAW_TINY, PHYSICS, PHYSICS_FAST, PHYSICS_TINY};
 use crate::trace::{Config, DOMAINS, build_on};
 use gs_deform::{Aabb, FourDgsConfig, HexPlaneField};
-use gs_train::layers::{BASE, CLOUD, CLOUD_FAST, CLOUD_TINY, DEFORMED, FOLLOW, PLANES, PLANES_FAST, PLANES_TINY};
+use gs_train::layers::{
+    BASE, CLOUD, CLOUD_FAST, CLOUD_TINY, DEFORMED, FOLLOW, MOTION_FAST, PLANES, PLANES_FAST, PLANES_TINY,
+};
 use gs_train::method::MethodError;
 use gs_train::model::Model;
 use gs_train::registry::MethodEntry;
@@ -13,10 +15,10 @@ use gs_train::scene::SceneInfo;
 pub const ENTRY: MethodEntry = MethodEntry {
     name: "trace-4dgs",
     about: "TRACE's law of motion beside the feature planes of 4D Gaussian Splatting (Li et al. 2025)",
-    defaults: &[BASE, CLOUD, DEFORMED, FOLLOW, PLANES, PHYSICS, LAW, include_str!("trace_4dgs.toml")],
+    defaults: &[BASE, CLOUD, DEFORMED, FOLLOW, MOTION_FAST, PLANES, PHYSICS, LAW, include_str!("trace_4dgs.toml")],
     presets: &[
         ("paper", &[]),
-        ("fast", &[CLOUD_FAST, PLANES_FAST, PHYSICS_FAST, LAW_FAST, include_str!("trace_4dgs.fast.toml")]),
+        ("fast", &[CLOUD_FAST, PLANES_FAST, MOTION_FAST, PHYSICS_FAST, LAW_FAST, include_str!("trace_4dgs.fast.toml")]),
         ("tiny", &[CLOUD_TINY, PLANES_TINY, PHYSICS_TINY, LAW_TINY, include_str!("trace_4dgs.tiny.toml")]),
     ],
     domains: DOMAINS,

@@ -517,7 +517,8 @@ impl<F: Field, D: Dynamics> ParticleSource for Advected<F, D> {
             .iter()
             .map(|Motion { twist, rate, jerk }| [twist.v, twist.w, rate.v, rate.w, jerk.v, jerk.w])
             .collect();
-        Particles { at: self.first_ahead(), splats, twists, origin: self.dynamics.origin() }
+        let lasting = self.dynamics.motions_extrapolate();
+        Particles { at: self.first_ahead(), splats, twists, origin: self.dynamics.origin(), lasting }
     }
 }
 

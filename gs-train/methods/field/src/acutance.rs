@@ -1,4 +1,5 @@
-//! Grid4D with the kernel of Deformable Radial Kernels: one acutance per splat (the baseline "Grid4D + DRK" of FAGS).
+//! Grid4D with a sharpness per splat, the acutance of Deformable Radial Kernels (Huang et al. 2024). Their kernel has, beside it, radial
+//! bases with a length and an angle each and a blend of norms: this is a reduction, not the baseline "Grid4D + DRK" of FAGS.
 //! Settings and body are those of [`grid4d`](super::grid4d).
 
 use crate::grid4d::{DOMAINS, PRESETS, SETTINGS, build_as};
@@ -10,9 +11,9 @@ use gs_train::scene::SceneInfo;
 
 /// The line in the list of methods.
 pub const ENTRY: MethodEntry = MethodEntry {
-    name: "drk",
-    about: "Grid4D with the acutance of Deformable Radial Kernels",
-    defaults: &[BASE, CLOUD, DEFORMED, SETTINGS, include_str!("drk.toml")],
+    name: "acutance",
+    about: "Grid4D with a sharpness (acutance) per splat: a reduction of Deformable Radial Kernels",
+    defaults: &[BASE, CLOUD, DEFORMED, SETTINGS, include_str!("acutance.toml")],
     presets: PRESETS,
     domains: DOMAINS,
     needs_avatar: false,

@@ -1,0 +1,80 @@
+//! Recipes in other lengths than their own: what holds for every method at a hundredth, a tenth, once and three times its length.
+
+use gs_data::{Dataset, ImageCache, Split};
+use gs_synth::testkit::{film, scene};
+use gs_train::evaluate::evaluate;
+use gs_train::registry::MethodEntry;
+use gs_train::trainer::{TrainOptions, Trainer};
+use gs4d_run::settings::{Request, Resolved, resolve};
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+/// A recipe at a share of its length.
+fn at_length(method: &MethodEntry, preset: &str, share: f64) -> Resolved {
+    let registry = gs_methods::registry();
+    let request = |steps| Request { method: method.name.into(), preset: preset.into(), steps, ..Request::default() };
+    let own = resolve(registry, &request(None)).expect("settings").steps() as f64;
+    resolve(registry, &request(Some((own * share).ceil() as u32))).expect("settings")
+}
+
+/// PSNR over all training views, dB.
+fn psnr(trainer: &Trainer, data: &Dataset) -> f64 {
+    let (model, images) = (trainer.model(), ImageCache::new(64 << 20, 1.0));
+    let report = evaluate(model, data, Split::Train, model.background(), &images).expect("scores");
+    report.mean.psnr.expect("finite scores")
+}
+
+/// The last step of each stage.
+fn borders(trainer: &Trainer) -> Vec<u32> {
+    let stages = trainer.schedule().ordered();
+    (1..=stages.len()).map(|n| stages[..n].iter().map(|s| s.1.steps).sum()).collect()
+}
+
+/// Trains, and asserts that every view is drawn and that training views have not lost a decibel a twentieth of the run after a
+/// border of stages.
+fn trains_whole(method: &MethodEntry, preset: &str, share: f64, data: &Arc<Dataset>) {
+    let resolved = at_length(method, preset, share);
+    let options = TrainOptions { seed: 1, ..TrainOptions::default() };
+    let trainer = Trainer::new(&resolved.registry, data.clone(), method.name, &resolved.method, options);
+    let mut trainer = trainer.expect("trainer");
+    let (steps, what) = (trainer.steps(), format!("{} {preset} at {share} of its length", method.name));
+    let (borders, later) = (borders(&trainer), (steps / 20).max(1));
+    let (mut drawn, mut before) = (BTreeSet::new(), None);
+    for step in 1..=steps {
+        let report = trainer.step().expect("step");
+        drawn.extend(data.train.iter().map(|v| v.name.clone()).filter(|name| report.view.contains(name.as_str())));
+        if let Some((border, was)) = before.filter(|b: &(u32, f64)| step == b.0 + later) {
+            let now = psnr(&trainer, data);
+            assert!(
+                now > was - 1.0,
+                "{what}: {was:.2} dB after step {border}, the last of a stage, {now:.2} after {step}"
+            );
+        }
+        if borders.contains(&step) && step < steps {
+            before = Some((step, psnr(&trainer, data)));
+        }
+    }
+    assert_eq!(drawn.len(), data.train.len(), "{what}: views drawn in {steps} steps");
+    println!("{what}: {steps} steps, {:.2} dB", psnr(&trainer, data));
+}
+
+fn all(preset: &str, shares: &[f64], only: impl Fn(&MethodEntry) -> bool) {
+    let (moving, person) = (scene("balls", 32, 8), film("cylinder", 32, 2));
+    for method in gs_methods::registry().iter().filter(|m| only(m)) {
+        let data = if method.needs_avatar { &person } else { &moving };
+        shares.iter().for_each(|share| trains_whole(method, preset, *share, data));
+    }
+}
+
+#[test]
+fn short_recipes_draw_every_view_and_no_stage_undoes_the_one_before() {
+    all("fast", &[0.01], |_| true);
+    all("tiny", &[0.1], |_| true);
+    all("tiny", &[1.0], |method| !method.needs_avatar);
+}
+
+#[test]
+#[ignore = "long: cargo test --release -p gs4d-run --test lengths -- --ignored"]
+fn recipes_of_any_length_draw_every_view_and_no_stage_undoes_the_one_before() {
+    all("fast", &[0.01, 0.1, 1.0, 3.0], |_| true);
+}

@@ -1,0 +1,141 @@
+//! What happens at which step of a run, in words.
+
+use crate::densify::DensifyRules;
+use crate::schedule::{Background, LearningRate, Stage, ordered};
+use serde::Deserialize;
+use std::collections::BTreeMap;
+use std::fmt;
+
+/// Steps of a run that count from the same start, from 1.
+struct Clock {
+    begin: u32,
+    end: u32,
+}
+
+/// The time-line of a [`Schedule`](crate::schedule::Schedule), read from a section `[schedule]`, where methods may have settings of
+/// their own. Displayed: a line for each stage, then density control, SH degrees and learning rates.
+#[derive(Clone, Debug, Deserialize)]
+pub struct Timeline {
+    stages: BTreeMap<String, Stage>,
+    lr: BTreeMap<String, BTreeMap<String, LearningRate>>,
+    #[serde(default = "DensifyRules::kerbl2023")]
+    density: DensifyRules,
+    sh_every: u32,
+    background: Background,
+}
+
+impl Timeline {
+    fn clocks(&self) -> Vec<Clock> {
+        let mut clocks: Vec<Clock> = Vec::new();
+        let mut end = 0;
+        for (_, stage) in ordered(&self.stages) {
+            let begin = end + 1;
+            end += stage.steps;
+            match clocks.last_mut() {
+                Some(clock) if !stage.own_clock => clock.end = end,
+                _ => clocks.push(Clock { begin, end }),
+            }
+        }
+        clocks
+    }
+
+    fn stages(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut end = 0;
+        for (name, stage) in ordered(&self.stages) {
+            let begin = end + 1;
+            end += stage.steps;
+            writeln!(f, "{begin} to {end}: {name}{}", about(stage, begin))?;
+        }
+        Ok(())
+    }
+
+    fn density(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let rules = &self.density;
+        for Clock { begin, end } in self.clocks() {
+            let passes = (1..=end - begin + 1).filter(|&s| rules.grows_at(s));
+            let white = self.background == Background::White;
+            let resets = (1..=end - begin + 1).filter(|&s| rules.resets_at(s, white)).count();
+            if let (Some(first), Some(last)) = (passes.clone().next(), passes.clone().next_back()) {
+                let [first, last] = [first, last].map(|s| s + begin - 1);
+                writeln!(
+                    f,
+                    "{first} to {last}: {} passes of density control, {resets} opacity resets",
+                    passes.count()
+                )?;
+            }
+        }
+        Ok(())
+    }
+
+    fn rates(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (group, rates) in &self.lr {
+            for (name, LearningRate { start, end, steps, from, .. }) in rates {
+                let since = if *from > 0 { format!(" from step {from}") } else { String::new() };
+                match *steps > 0 && start != end {
+                    true => writeln!(f, "learning rate {group}.{name}{since}: {start:e} to {end:e} in {steps} steps")?,
+                    false => writeln!(f, "learning rate {group}.{name}{since}: {start:e}")?,
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+impl fmt::Display for Timeline {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.stages(f)?;
+        self.density(f)?;
+        if self.sh_every > 0 {
+            writeln!(f, "every {} steps the SH degree rises", self.sh_every)?;
+        }
+        self.rates(f)
+    }
+}
+
+/// What is particular about a stage that begins at a step.
+fn about(stage: &Stage, begin: u32) -> String {
+    let mut said = String::new();
+    let mut say = |what: &str| said = format!("{said}, {what}");
+    match (stage.dynamic, stage.field_alone) {
+        (false, _) => say("the scene rests"),
+        (true, true) => say("only the field learns"),
+        (true, false) => {}
+    }
+    if stage.first_moment {
+        say("images of the first moment");
+    }
+    if stage.window_parts > 1 {
+        let (parts, all) = (stage.window_parts, begin + stage.opens());
+        say(&format!("images let in by time in {parts} parts, all from step {all}"));
+    }
+    if stage.image_scale < 1.0 {
+        say(&format!("images at {} of their size", stage.image_scale));
+    }
+    said
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::schedule::tests::schedule;
+
+    #[test]
+    fn a_timeline_says_what_happens_when() {
+        let stage =
+            |steps, own_clock| Stage { steps, own_clock, image_scale: 1.0, dynamic: own_clock, ..Stage::default() };
+        let moving = Stage { window_parts: 5, window_until: 0.5, ..stage(4000, true) };
+        let mut schedule = schedule(vec![stage(1000, false), moving]);
+        schedule.density.from = 500;
+        schedule.density.until = 2000;
+        let text = toml::Table::try_from(&schedule).unwrap().try_into::<Timeline>().unwrap().to_string();
+        let want = "1 to 1000: s, the scene rests\n\
+            1001 to 5000: r, images let in by time in 5 parts, all from step 3001\n\
+            600 to 1000: 5 passes of density control, 0 opacity resets\n\
+            1600 to 2900: 14 passes of density control, 0 opacity resets\n\
+            every 1000 steps the SH degree rises\n\
+            learning rate cloud.means: 1.6e-4 to 1.6e-6 in 100 steps\n\
+            learning rate field.all: 1e-3\n\
+            learning rate field.planes: 1e-2\n";
+        assert_eq!(text, want);
+    }
+}
