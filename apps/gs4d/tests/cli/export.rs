@@ -93,7 +93,8 @@ fn files_become_other_files() {
 fn too_much_loss_is_an_exit_code_of_its_own() {
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("s.splat");
-    let all = ["export", text(run()), "-o", text(&file), "--quiet", "--max-error"];
+    // Rounding costs what training has fitted, on average; a held-out view may gain.
+    let all = ["export", text(run()), "-o", text(&file), "--quiet", "--split", "train", "--max-error"];
     gs4d(&[&all[..], &["0"]].concat()).fails(7, &["--max-error allows 0", "gs4d compact"]);
     assert!(file.exists(), "the file stays");
     good(&[&all[..], &["30", "-f"]].concat());

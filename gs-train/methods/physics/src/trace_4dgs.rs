@@ -15,7 +15,7 @@ use gs_train::scene::SceneInfo;
 pub const ENTRY: MethodEntry = MethodEntry {
     name: "trace-4dgs",
     about: "TRACE's law of motion beside the feature planes of 4D Gaussian Splatting (Li et al. 2025)",
-    defaults: &[BASE, CLOUD, DEFORMED, FOLLOW, MOTION_FAST, PLANES, PHYSICS, LAW, include_str!("trace_4dgs.toml")],
+    defaults: &[BASE, CLOUD, DEFORMED, FOLLOW, PLANES, PHYSICS, LAW, include_str!("trace_4dgs.toml")],
     presets: &[
         ("paper", &[]),
         ("fast", &[CLOUD_FAST, PLANES_FAST, MOTION_FAST, PHYSICS_FAST, LAW_FAST, include_str!("trace_4dgs.fast.toml")]),
