@@ -113,7 +113,8 @@ fn defgs_reference(config: DefGsConfig, t: Time) -> impl Fn(&Blocks, [f64; 3], [
         let mut h = Vec::new();
         for i in 0..config.depth {
             let joined = if i == 0 || i == config.skip + 1 { [input.clone(), h].concat() } else { h };
-            h = relu(dense(blocks, &format!("field.layer.{i}"), &joined));
+            let slope = f64::from(config.leak);
+            h = dense(blocks, &format!("field.layer.{i}"), &joined).iter().map(|v| v.max(slope * v)).collect();
         }
         let (x, r, z) =
             (dense(blocks, "field.means", &h), dense(blocks, "field.quats", &h), dense(blocks, "field.scales", &h));
@@ -256,6 +257,7 @@ fn defgs_agrees_with_its_reference() {
             1.0,
             DefGsConfig { time_hidden: 0, quat_rule: QuatRule::Compose, scale_rule: ScaleRule::Log, ..small_defgs() },
         ),
+        (7, 0.4, DefGsConfig { leak: 0.1, ..small_defgs() }),
         (2, 0.0, DefGsConfig { depth: 1, quat_rule: QuatRule::Raw, coordinate_scale: 0.3, ..small_defgs() }),
     ] {
         let reference = defgs_reference(config.clone(), time(t));
@@ -364,6 +366,7 @@ fn bad_settings_are_named() {
     config.hexplane.channels = 5;
     assert!(error(HexPlaneField::new("field", &config, Aabb::cube(1.0), 0)).contains("`channels` = 5"));
     let error = |config| DefMlp::new(&config, 0).unwrap_err().to_string();
+    assert!(error(DefGsConfig { leak: 1.5, ..Default::default() }).contains("`leak` = 1.5"));
     assert!(error(DefGsConfig { depth: 0, ..Default::default() }).contains("`depth` = 0"));
     assert!(
         error(DefGsConfig { coordinate_scale: f32::NAN, ..Default::default() }).contains("`coordinate_scale` = NaN")

@@ -237,11 +237,31 @@ pub fn relu_backward(y: &[f32], dy: &mut [f32]) {
     dispatch!(Level::new(), simd => mask(simd, y, dy));
 }
 
+/// `y ← max(y, slope · y)` in place, for slopes in 0 to 1: a unit that is never above 0 still has a gradient (Maas et al. 2013).
+pub fn leaky_relu(y: &mut [f32], slope: f32) {
+    dispatch!(Level::new(), simd => bend(simd, y, slope));
+}
+
+/// Backward of [`leaky_relu`] in place, from its **output** (the slope at 0 is `slope`).
+pub fn leaky_relu_backward(y: &[f32], slope: f32, dy: &mut [f32]) {
+    dispatch!(Level::new(), simd => lean(simd, y, slope, dy));
+}
+
 // Plain loops: each is compiled once per instruction set, at the width of its registers.
 
 #[inline(always)]
 fn clip<S: Simd>(_: S, y: &mut [f32]) {
     y.iter_mut().for_each(|v| *v = v.max(0.0));
+}
+
+#[inline(always)]
+fn bend<S: Simd>(_: S, y: &mut [f32], slope: f32) {
+    y.iter_mut().for_each(|v| *v = v.max(slope * *v));
+}
+
+#[inline(always)]
+fn lean<S: Simd>(_: S, y: &[f32], slope: f32, dy: &mut [f32]) {
+    dy.iter_mut().zip(y).for_each(|(d, y)| *d = if *y > 0.0 { *d } else { slope * *d });
 }
 
 #[inline(always)]
@@ -386,5 +406,15 @@ mod tests {
         let mut dy = [3.0, 4.0, 5.0];
         relu_backward(&y, &mut dy);
         assert_eq!(dy, [0.0, 0.0, 5.0]);
+    }
+
+    #[test]
+    fn leaky_relu_keeps_a_slope_below_zero() {
+        let mut y = [-2.0, 0.0, 2.0];
+        leaky_relu(&mut y, 0.25);
+        assert_eq!(y, [-0.5, 0.0, 2.0]);
+        let mut dy = [4.0, 4.0, 5.0];
+        leaky_relu_backward(&y, 0.25, &mut dy);
+        assert_eq!(dy, [1.0, 1.0, 5.0]);
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! e = (γ₁₀(μ), τ)        τ = W_b relu(W_a γ₆(t) + a) + b, or γ(t) itself without the time network
-//! h₀ = relu(W₀ e),  h_i = relu(W_i h_{i−1}),  h_{skip+1} = relu(W_{skip+1} (e, h_skip)),  …
+//! h₀ = σ(W₀ e),  h_i = σ(W_i h_{i−1}),  h_{skip+1} = σ(W_{skip+1} (e, h_skip)),  …        σ(y) = max(y, leak · y)
 //! δx = W_x h,  δr = W_r h,  δs = W_s h                      three linear heads (with biases)
 //! μ' = μ + δx     q' = |q| (q/|q| + δr)     s' = s + δs     (activated scales; see apply for the other rules)
 //! ```
@@ -50,6 +50,9 @@ pub struct DefGsConfig {
     pub quat_rule: QuatRule,
     /// Start the heads at zero, so that the field is the identity, instead of at random as the reference does.
     pub zero_init: bool,
+    /// Slope of hidden units below zero, 0 to 1 (published: 0, ReLU). Above 0, a unit that is never above zero still learns: small
+    /// networks under high rates otherwise lose all of theirs while little moves, and stand still ever after.
+    pub leak: f32,
 }
 
 impl Default for DefGsConfig {
@@ -66,6 +69,7 @@ impl Default for DefGsConfig {
             scale_rule: ScaleRule::Add,
             quat_rule: QuatRule::Unit,
             zero_init: true,
+            leak: 0.0,
         }
     }
 }
@@ -86,6 +90,9 @@ impl DefGsConfig {
         within("bands_time", self.bands_time, 0, 24, "0 to 24")?;
         within("time_hidden", self.time_hidden, 0, 4096, "0 to 4096")?;
         within("time_features", self.time_features, 1, 4096, "1 to 4096")?;
+        if !(0.0..=1.0).contains(&self.leak) {
+            return Err(DeformError::Config { field: "leak", value: self.leak.to_string(), rule: "0 to 1" });
+        }
         if !self.coordinate_scale.is_finite() {
             let value = self.coordinate_scale.to_string();
             return Err(DeformError::Config { field: "coordinate_scale", value, rule: "finite" });

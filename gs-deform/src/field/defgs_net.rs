@@ -3,7 +3,7 @@
 use super::defgs::DefGsConfig;
 use crate::apply::OffsetColumns;
 use glam::Vec3;
-use gs_core::nn::dense::{relu, relu_backward};
+use gs_core::nn::dense::{leaky_relu, leaky_relu_backward};
 use gs_core::nn::gemm::Write;
 use gs_core::nn::{Dense, DenseGrad, Init, Mlp, MlpGrad, MlpTape, encoding};
 use gs_core::{Param, Params, Time};
@@ -147,7 +147,7 @@ impl DefNet {
             if let Some(h) = before.last() {
                 layer.add_product(from_hidden, h, y);
             }
-            relu(y);
+            leaky_relu(y, self.config.leak);
         }
         let last = hidden.last().map_or(&[][..], Vec::as_slice);
         for (head, out) in self.heads.iter().zip([&mut offsets.means, &mut offsets.quats, &mut offsets.scales]) {
@@ -167,7 +167,7 @@ impl DefNet {
             head.backward(last, d, Some(d_out), grad);
         }
         for (i, layer) in self.layers.iter().enumerate().rev() {
-            relu_backward(&hidden[i], d_out);
+            leaky_relu_backward(&hidden[i], self.config.leak, d_out);
             let [from_position, _, from_hidden] = self.columns(i);
             let grad = &mut grad.layers[i];
             layer.backward_bias(d_out, grad);
