@@ -160,6 +160,10 @@ pub struct LearningRate {
     /// No learning before this step of the clock.
     #[serde(default)]
     pub from: u32,
+    /// The rate rises linearly over so many steps of the clock from `from` on; 0: it begins in full. Adam's first steps are as long as
+    /// any others, however little is known by then.
+    #[serde(default)]
+    pub ramp: u32,
     /// Weight decay of these parameters, times the rate, per step (AdamW).
     #[serde(default)]
     pub weight_decay: f32,
@@ -211,6 +215,7 @@ impl LearningRate {
             eps: 0.0,
             sparse: false,
             from: 0,
+            ramp: 0,
             weight_decay: 0.0,
         }
     }
@@ -237,7 +242,8 @@ impl LearningRate {
             let tau = (f64::from(step) / f64::from(self.steps)).min(1.0);
             ((1.0 - tau) * f64::from(self.start).ln() + tau * f64::from(self.end).ln()).exp()
         };
-        (rate * if self.per_extent { f64::from(extent) } else { 1.0 }) as f32
+        let risen = if self.ramp == 0 { 1.0 } else { (f64::from(step - self.from) / f64::from(self.ramp)).min(1.0) };
+        (rate * risen * if self.per_extent { f64::from(extent) } else { 1.0 }) as f32
     }
 }
 
@@ -509,6 +515,8 @@ pub(crate) mod tests {
         }
         assert!((rate.per_extent().at(50, 3.0) / 3e-3 - 1.0).abs() < 1e-6);
         assert_eq!(LearningRate::constant(0.5).at(9, 1.0), 0.5);
+        let ramp = LearningRate { from: 10, ramp: 4, ..LearningRate::constant(0.5) };
+        assert_eq!([9, 10, 11, 13, 14, 20].map(|step| ramp.at(step, 2.0)), [0.0, 0.0, 0.125, 0.375, 0.5, 0.5]);
     }
 
     #[test]

@@ -69,12 +69,14 @@ impl Timeline {
 
     fn rates(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for (group, rates) in &self.lr {
-            for (name, LearningRate { start, end, steps, from, .. }) in rates {
+            for (name, LearningRate { start, end, steps, from, ramp, .. }) in rates {
                 let since = if *from > 0 { format!(" from step {from}") } else { String::new() };
-                match *steps > 0 && start != end {
-                    true => writeln!(f, "learning rate {group}.{name}{since}: {start:e} to {end:e} in {steps} steps")?,
-                    false => writeln!(f, "learning rate {group}.{name}{since}: {start:e}")?,
-                }
+                let decay = match *steps > 0 && start != end {
+                    true => format!(" to {end:e} in {steps} steps"),
+                    false => String::new(),
+                };
+                let ramp = if *ramp > 0 { format!(", rising over {ramp} steps") } else { String::new() };
+                writeln!(f, "learning rate {group}.{name}{since}: {start:e}{decay}{ramp}")?;
             }
         }
         Ok(())

@@ -40,15 +40,15 @@ const STORED: &[Stored] = &[Stored {
     states: &[
         ("static3d", 0xe4a99bf1bd138058),
         ("scaffold", 0x800e4d94772b7ae5),
-        ("defgs", 0x5e19d1af41152280),
+        ("defgs", 0xb71a4433fec3de01),
         ("fourdgs", 0xac197aa42ec95e2b),
         ("grid4d", 0x4d26e2980550294a),
         ("fags", 0xccc2d431caac32c3),
         ("acutance", 0xfbcd49fe8f3a63d2),
         ("modec", 0x019cc4520fce67cf),
-        ("trace", 0x083dfbe6e8877273),
+        ("trace", 0xa3b9ab920d658997),
         ("trace-4dgs", 0xab874f020d5f9b76),
-        ("defgs-nvfi", 0x6cd5b3f6fe06ceb9),
+        ("defgs-nvfi", 0xac9290bdc4b7a5f4),
         ("dut", 0xe9a7c7d763f6192a),
     ],
 }];

@@ -58,7 +58,7 @@ fn a_thrown_ball_is_forecast_and_a_field_alone_cannot() {
         run(&mut trainer, 4500);
         trainer
     };
-    let (trace, field) = (fast("trace", "schedule.lr.physics.all.steps = 4500"), fast("defgs", ""));
+    let (trace, field) = (fast("trace", "schedule.lr.physics.all = { steps = 4500, ramp = 321 }"), fast("defgs", ""));
     let [inside, beyond] = [Split::Test, Split::Extrapolate].map(|s| score(&trace, &data, s));
     let alone = score(&field, &data, Split::Extrapolate);
     println!("trace {inside:.2} dB inside, {beyond:.2} beyond; defgs {alone:.2} beyond");
@@ -107,7 +107,6 @@ fn a_network_outlives_a_window_that_opens_slowly() {
         means(0.0).iter().zip(means(0.4)).map(|(a, b)| a.distance(b)).fold(0.0, f32::max)
     };
     let [relu, leaky] = [0.0, 0.1].map(way);
-    println!("{relu} {leaky}");
     assert!(leaky > 0.05, "{leaky}");
     assert_eq!(relu, 0.0, "its units are dead: nothing depends on time");
 }
