@@ -45,6 +45,7 @@ pub const SHARED: &[Domain] = &[
     length("steps", 0.0),
     length("from", 0.0),
     length("ramp", 0.0),
+    within("leak", 0.0, 1.0),
     within("order", 0.0, 1e3),
     within("image_scale", 0.0, 1.0),
     within("window_until", 0.0, 0.7),
