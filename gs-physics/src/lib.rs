@@ -44,6 +44,7 @@ mod lanes;
 pub mod law;
 pub mod pinn;
 pub mod reference;
+pub mod refit;
 pub mod rollout;
 mod scalar;
 pub mod segment;

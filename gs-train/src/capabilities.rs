@@ -144,6 +144,32 @@ pub struct StageView {
 pub trait ParticleSource {
     /// The particles at the last time the deformation is asked for.
     fn particles(&self) -> Particles;
+
+    /// Rigid bodies whose paths are known as wholes, with the error of their forecasts at these normalised times.
+    fn bodies(&self, _times: &[f64]) -> Vec<RigidBody> {
+        Vec::new()
+    }
+}
+
+/// What is known of how a rigid body goes on.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct RigidBody {
+    /// How it moves: `rest`, `coast`, `fall`, `screw`, `roll`, `throw` or `twist`.
+    pub path: &'static str,
+    /// Number of splats that follow it.
+    pub splats: usize,
+    /// Centroid when the forecast begins, world units.
+    pub centroid: [f64; 3],
+    /// Velocity of the centroid then, world units per unit of normalised time.
+    pub velocity: [f64; 3],
+    /// Angular velocity then, radians per unit of normalised time.
+    pub spin: [f64; 3],
+    /// Acceleration of the centroid then, world units per unit of normalised time squared.
+    pub acceleration: [f64; 3],
+    /// Number of frames that its path explains.
+    pub frames: usize,
+    /// Standard deviation of where its splats are forecast to be, time by time, world units.
+    pub deviations: Vec<f64>,
 }
 
 /// Splats as rigid particles: their state at one time and how they move from there.

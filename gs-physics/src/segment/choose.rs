@@ -13,11 +13,14 @@
 //! [`MergeOptions::min_share`] are outliers: they take the label of the one they fit best, without changing its twist.
 
 use super::by_weight;
+use crate::refit::cholesky;
 use crate::twist::{Motion, Twist};
 use glam::{DVec3, Vec3};
 use gs_core::cast;
 use rayon::prelude::*;
 
+/// Ridge of the normal equations, relative to their largest diagonal element.
+const RIDGE: f64 = 1e-9;
 /// Particles per rayon task.
 const BLOCK: usize = 1024;
 
@@ -50,7 +53,7 @@ pub struct TwistSums {
 
 impl TwistSums {
     /// Adds a particle at `x` (relative to the origin) with velocity `u`.
-    fn add(&mut self, weight: f64, x: DVec3, u: DVec3) {
+    pub(crate) fn add(&mut self, weight: f64, x: DVec3, u: DVec3) {
         // Rows of [I, −[x]×].
         let rows = [[1.0, 0.0, 0.0, 0.0, x.z, -x.y], [0.0, 1.0, 0.0, -x.z, 0.0, x.x], [0.0, 0.0, 1.0, x.y, -x.x, 0.0]];
         for (row, u) in rows.iter().zip(u.to_array()) {
@@ -80,38 +83,19 @@ impl TwistSums {
         if self.weight > 0.0 { self.square / self.weight } else { 0.0 }
     }
 
-    /// The least-squares twist; where particles on a line or point leave it undetermined the shortest, by a ridge of `1e-9`.
+    /// The least-squares twist; where particles on a line or point leave it undetermined the shortest, by a ridge.
     pub fn twist(&self) -> Twist<f64> {
-        let x = cholesky(self.normal, self.right);
+        let x = cholesky(self.normal, self.right, RIDGE);
         Twist { v: [x[0], x[1], x[2]], w: [x[3], x[4], x[5]] }
     }
 
     /// `R` of the module header: the weighted squared residual of [`TwistSums::twist`].
     pub fn residual(&self) -> f64 {
-        let x = cholesky(self.normal, self.right);
+        let x = cholesky(self.normal, self.right, RIDGE);
         let quadratic: f64 = (0..6).map(|i| x[i] * (0..6).map(|j| self.normal[i][j] * x[j]).sum::<f64>()).sum();
         let linear: f64 = (0..6).map(|i| x[i] * self.right[i]).sum();
         (self.square - 2.0 * linear + quadratic).max(0.0)
     }
-}
-
-/// `a⁻¹ b` of a symmetric positive semi-definite matrix with a ridge on its diagonal.
-fn cholesky(mut a: [[f64; 6]; 6], mut b: [f64; 6]) -> [f64; 6] {
-    let ridge = 1e-9 * (0..6).map(|i| a[i][i]).fold(0.0, f64::max) + f64::MIN_POSITIVE;
-    for i in 0..6 {
-        a[i][i] += ridge;
-        for j in 0..=i {
-            let sum: f64 = (0..j).map(|k| a[i][k] * a[j][k]).sum();
-            a[i][j] = if i == j { (a[i][i] - sum).max(ridge * 1e-3).sqrt() } else { (a[i][j] - sum) / a[j][j] };
-        }
-    }
-    for i in 0..6 {
-        b[i] = (b[i] - (0..i).map(|k| a[i][k] * b[k]).sum::<f64>()) / a[i][i];
-    }
-    for i in (0..6).rev() {
-        b[i] = (b[i] - (i + 1..6).map(|k| a[k][i] * b[k]).sum::<f64>()) / a[i][i];
-    }
-    b
 }
 
 /// Sums of each of `k` labels. Particles whose position or twist is not finite do not count.

@@ -1,9 +1,13 @@
 //! The HTML page of a forecast: PSNR over time beyond the last training time, and frames.
 
 use crate::forecast::{Physics, TimestampScores};
+use gs_train::capabilities::RigidBody;
 use gs4d_report::chart::{Curve, Scale, chart};
 use gs4d_report::html::{captioned, document, section, table, wrapped};
 use gs4d_report::{ReportError, Still};
+
+const BODIES: &str = "Each moves along one path, fitted to the frames before: with the standard deviation of where its splats are \
+                      forecast to be, in world units.";
 
 /// Renders a forecast as one self-contained HTML page.
 ///
@@ -14,6 +18,7 @@ pub fn page(
     moments: &[TimestampScores],
     strip: &[Still],
     physics: Option<&Physics>,
+    bodies: &[RigidBody],
 ) -> Result<String, ReportError> {
     let curve = |name: &str, psnr: fn(&TimestampScores) -> Option<f64>| Curve {
         name: name.to_owned(),
@@ -32,9 +37,20 @@ pub fn page(
         vec![s.name.to_owned(), number(s.median), number(s.p90), number(s.p99), number(s.max), s.unit.clone()]
     });
     let learnt = table(&["", "median", "90 %", "99 %", "largest", "unit"], &[1, 2, 3, 4], rows);
+    let rows = bodies.iter().map(|b| {
+        let number = |v: Option<&f64>| v.map_or_else(String::new, |v| format!("{v:.4}"));
+        let length = |v: [f64; 3]| number(Some(&v.iter().map(|v| v * v).sum::<f64>().sqrt()));
+        let [first, last] = [b.deviations.first(), b.deviations.last()].map(number);
+        let motion = [b.velocity, b.spin, b.acceleration].map(length);
+        [vec![b.path.to_owned(), b.splats.to_string(), b.frames.to_string()], motion.into(), vec![first, last]].concat()
+    });
+    let head =
+        ["path", "splats", "frames", "speed", "spin", "acceleration", "1 sigma, first frame", "1 sigma, last frame"];
+    let bodies = table(&head, &[1, 2, 3, 4, 5, 6, 7], rows);
     let parts = section("Against the truth", "Means over all views of each time.", &chart)
         + &section("Frames", "", &wrapped("strip", stills))
-        + &section("What was learnt of the motion", "Visible splats.", &learnt);
+        + &section("What was learnt of the motion", "Visible splats.", &learnt)
+        + &section("Rigid bodies", BODIES, &bodies);
     Ok(document(title, "Frames after the last training time.", &parts))
 }
 
@@ -55,10 +71,22 @@ mod tests {
         };
         let image = Image { width: 1, height: 1, channels: 3, data: vec![0.5; 3] };
         let still = Still { caption: "t = 0.8".into(), image };
-        let html = page("<b>", &[moment(0.1), moment(0.2)], &[still], None).unwrap();
+        let body = RigidBody {
+            path: "fall",
+            splats: 12,
+            centroid: [0.0; 3],
+            velocity: [3.0, 0.0, 4.0],
+            spin: [0.0; 3],
+            acceleration: [0.0, 0.0, -9.81],
+            frames: 8,
+            deviations: vec![0.01, 0.02],
+        };
+        let html = page("<b>", &[moment(0.1), moment(0.2)], &[still], None, &[body]).unwrap();
         assert_eq!((html.matches("<svg").count(), html.matches("data:image/png").count()), (1, 1));
+        let values = ["<td>fall", ">12<", ">8<", ">5.0000<", ">9.8100<", ">0.0100<", ">0.0200<"];
+        assert!(values.iter().all(|v| html.contains(v)), "{html}");
         assert!(html.contains("&lt;b&gt;") && !html.contains("What was learnt"));
-        let empty = page("x", &[], &[], None).unwrap();
+        let empty = page("x", &[], &[], None, &[]).unwrap();
         assert!(!empty.contains("<svg") && !empty.contains("<section"));
     }
 }

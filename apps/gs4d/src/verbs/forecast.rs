@@ -11,6 +11,7 @@ use gs_core::Camera;
 use gs_core::io::images::save_png;
 use gs_core::io::{Limits, cameras::load_cameras, write_file};
 use gs_data::Dataset;
+use gs_train::capabilities::RigidBody;
 use gs_train::model::Model;
 use gs_train::renderer::Renderer;
 use gs4d_eval::forecast::page::page;
@@ -108,6 +109,7 @@ impl ForecastVerb {
             progress.at(k as u64 + 1, || format!("t = {t:.3}"));
         }
         progress.finish();
+        let bodies = method.capabilities().particles.map_or_else(Vec::new, |p| p.bodies(&times));
         let particles = Particles::of(method);
         let steps = Steps::of(&run.loaded.config, run.loaded.scene.frame_interval);
         let physics = particles.map(|p| Physics::of(&p, clock, steps));
@@ -120,11 +122,13 @@ impl ForecastVerb {
             truth: truth.as_ref(),
             moments: moments.as_deref(),
             physics,
+            bodies: &bodies,
             followed,
         };
         let json = report.json(&self.run);
         write_file(&self.out.join(FILE), true, |out| writeln!(out, "{json:#}"))?;
-        let html = page(&title(&self.run), report.moments.unwrap_or_default(), &strip, report.physics.as_ref());
+        let html =
+            page(&title(&self.run), report.moments.unwrap_or_default(), &strip, report.physics.as_ref(), &bodies);
         let html = html.map_err(gs4d_run::RunError::from)?;
         write_file(&self.out.join(PAGE), true, |out| out.write_all(html.as_bytes()))?;
         Ok(Answer::new(report.text(&self.out), json))
@@ -207,6 +211,7 @@ struct Report<'a> {
     truth: Option<&'a Truth>,
     moments: Option<&'a [TimestampScores]>,
     physics: Option<Physics>,
+    bodies: &'a [RigidBody],
     followed: Option<TrackReport>,
 }
 
@@ -242,6 +247,7 @@ impl Report<'_> {
                 "views": t.report.views.len(), "mean": t.report.mean, "moments": self.moments, "protocol": t.report.protocol,
             })),
             "physics": self.physics,
+            "bodies": self.bodies,
             "track": self.followed,
         })
     }
@@ -264,6 +270,7 @@ impl Report<'_> {
         if let Some(physics) = &self.physics {
             text.push_str(&physics_table(physics));
         }
+        text.push_str(&bodies_table(self.bodies));
         text
     }
 }
@@ -279,6 +286,24 @@ fn scores_table(truth: &Truth, moments: &[TimestampScores]) -> String {
     }
     let mean = &truth.report.mean;
     text.push_str(&format!("mean of {} views: {} dB\n", truth.report.views.len(), number(mean.psnr, 2)));
+    text
+}
+
+/// Rigid bodies with the standard deviation of their place in the first and the last frame.
+fn bodies_table(bodies: &[RigidBody]) -> String {
+    let mut text = String::new();
+    for (k, b) in bodies.iter().enumerate() {
+        let ends = [b.deviations.first(), b.deviations.last()].map(|d| d.copied().unwrap_or_default());
+        text.push_str(&format!(
+            "body {}: {} splats, path {} through {} frames, off by {:.4} in the first frame, {:.4} in the last (1 sigma)\n",
+            k + 1,
+            b.splats,
+            b.path,
+            b.frames,
+            ends[0],
+            ends[1]
+        ));
+    }
     text
 }
 

@@ -4,11 +4,13 @@
 
 use super::carry;
 use glam::Vec3;
-use gs_core::Geometry;
+use gs_core::{Geometry, cast};
 use gs_physics::classes::{ClassRule, rotation_sensitivity};
 use gs_physics::groups::Groups;
+use gs_physics::refit::{Bodies, Body, Tracks};
 use gs_physics::segment::{FeatureOptions, KMeansOptions, features, kmeans};
-use gs_physics::{Dynamics, Extrapolator, Integrator, ParticleState, Start};
+use gs_physics::{Dynamics, Extrapolator, Integrator, Motion, ParticleState, Start};
+use gs_train::capabilities::RigidBody;
 
 /// What a forecast may leave out.
 #[derive(Clone, Copy, Debug)]
@@ -53,25 +55,67 @@ pub(super) struct Future {
     middle: Vec3,
     /// The particles without their own rotations, where twists rule all that follows.
     particles: Option<Extrapolator>,
+    /// The bodies whose paths were refitted.
+    bodies: Bodies,
 }
 
 impl Future {
-    /// The scene that begins as `begin`, with these opacities, at time `from`.
+    /// The scene that begins as `begin`, with these opacities, at time `from`. With `tracks`, where splats were before, the
+    /// paths of rigid bodies are refitted to them.
     pub(super) fn new<D: Dynamics>(
         begin: Geometry,
         opacities: &[f32],
         from: f64,
         middle: Vec3,
+        tracks: Option<&Tracks>,
         dynamics: &D,
         thrift: Thrift,
     ) -> Self {
-        let start = Start { x: &begin.means, t: from, middle };
+        let mut bodies = Bodies::default();
         let particles = dynamics.motion_rollout().and_then(|rollout| {
-            let (motions, still) = (dynamics.motions(start), vec![[1.0, 0.0, 0.0, 0.0]; begin.len()]);
+            let mut motions = dynamics.motions(Start { x: &begin.means, t: from, middle });
+            if let Some(tracks) = tracks {
+                bodies = Bodies::fit(tracks, opacities);
+                bodies.apply(rollout.origin, &mut motions);
+            }
+            let still = vec![[1.0, 0.0, 0.0, 0.0]; begin.len()];
             let all = Extrapolator::new(rollout, from, motions, begin.means.clone(), still).ok()?;
             thrift.spare(all, &begin, opacities, rollout.rule, rollout.origin)
         });
-        Self { begin, from, middle, particles }
+        Self { begin, from, middle, particles, bodies }
+    }
+
+    /// The scene at its begin, and the motion of every splat from there on.
+    pub(super) fn particles<D: Dynamics>(&self, dynamics: &D) -> (Geometry, Vec<Motion<f32>>) {
+        let motions = self.particles.as_ref().map(|p| p.motions().to_vec());
+        let start = Start { x: &self.begin.means, t: self.from, middle: self.middle };
+        (self.begin.clone(), motions.unwrap_or_else(|| dynamics.motions(start)))
+    }
+
+    /// The bodies whose paths were refitted.
+    pub(super) fn bodies(&self, times: &[f64]) -> Vec<RigidBody> {
+        let body = |(label, body): (usize, &Body)| {
+            let motion = body.motion(body.centroid);
+            RigidBody {
+                path: body.path.name(),
+                splats: self.bodies.of.iter().filter(|l| **l as usize == label).count(),
+                centroid: body.centroid.to_array(),
+                velocity: motion.twist.v,
+                spin: motion.twist.w,
+                acceleration: motion.acceleration([0.0; 3]),
+                frames: body.times,
+                deviations: times.iter().map(|t| body.deviation((t - self.from).max(0.0))).collect(),
+            }
+        };
+        self.bodies.list.iter().enumerate().map(body).collect()
+    }
+
+    /// Standard deviation of where each splat is forecast to be at a time, world units; none where no path was refitted.
+    pub(super) fn deviations(&self, t: f64) -> Option<Vec<f32>> {
+        let tau = (t - self.from).max(0.0);
+        let all: Vec<f32> = self.bodies.list.iter().map(|b| cast::to_f32(b.deviation(tau))).collect();
+        let of = |label: &u32| all.get(*label as usize).copied().unwrap_or_default();
+        (!all.is_empty()).then(|| self.bodies.of.iter().map(of).collect())
     }
 
     /// The splats at a time after the begin.
@@ -121,7 +165,7 @@ mod tests {
     /// How far splats are from where the law carries them, and how many need their steps.
     fn off(law: &Law, thrift: Thrift) -> (f32, usize) {
         let (mut worst, start) = (0.0f32, begin());
-        let mut future = Future::new(begin(), &[0.8; 300], FROM, Vec3::ZERO, law, thrift);
+        let mut future = Future::new(begin(), &[0.8; 300], FROM, Vec3::ZERO, None, law, thrift);
         for t in [0.95, 0.72, 0.6] {
             let mut moves = ParticleState::default();
             let from = Start { x: &start.means, t: FROM, middle: Vec3::ZERO };

@@ -17,10 +17,13 @@ use glam::{DVec3, Vec3};
 use gs_core::{Camera, Color, Geometry, GeometryRef, Param, Params, Rng, Splats, SplatsGrad, Time, cast, rot};
 use gs_deform::Field;
 use gs_physics::classes::ClassRule;
+use gs_physics::refit::Tracks;
 use gs_physics::{Dynamics, Motion, ParticleState, Start};
 use gs_raster::ScreenStats;
 use gs_train::canonical::Canonical;
-use gs_train::capabilities::{Capabilities, Inspect, Overlay, ParticleSource, Particles, Quantity, StageView};
+use gs_train::capabilities::{
+    Capabilities, Inspect, Overlay, ParticleSource, Particles, Quantity, RigidBody, StageView,
+};
 use gs_train::kernel::kernel_quantities;
 use gs_train::method::{Buffer, BufferMut, Buffers, LossValue, Method, MethodError, RenderView, StepEvents, ViewCtx};
 use gs_train::scene::SceneInfo;
@@ -39,6 +42,8 @@ use future::{Future, Thrift};
 
 /// Farthest that dynamics carry splats, in steps Δt: at timestamps beyond, the scene stands as it is there.
 const FARTHEST: f64 = 4096.0;
+/// Most frames before `T_def` that paths of bodies are refitted to.
+const TRACKED: usize = 40;
 /// How far a splat goes before it tells what moves, of the extent of the scene.
 const LITTLE: f32 = 0.01;
 
@@ -72,6 +77,9 @@ pub struct PhysicsConfig {
     /// Most bodies whose splats share one motion in a forecast, as far as `slack` allows; 0: every splat follows its own.
     #[serde(default)]
     pub bodies: u32,
+    /// Whether a forecast refits the paths of rigid bodies to all times that were seen ([`gs_physics::refit`]).
+    #[serde(default)]
+    pub refit: bool,
 }
 
 /// How timestamps that were seen are rendered.
@@ -279,14 +287,35 @@ impl<F: Field, D: Dynamics> Advected<F, D> {
 
     /// The splats at a time after `T_def`, by what is known of the future.
     fn ahead(&self, t: f64) -> Geometry {
+        self.with_future(|future| future.at(t, &self.dynamics))
+    }
+
+    /// What is known of the future, found out where it is asked for first.
+    fn with_future<T>(&self, f: impl FnOnce(&mut Future) -> T) -> T {
         let mut known = self.future.lock().unwrap_or_else(|e| e.into_inner());
-        let future = known.get_or_insert_with(|| {
-            let canonical = self.canonical.activated();
-            let begin = self.deformed(canonical.geometry(), self.times.last_field);
-            let middle = self.start(&canonical.means, &begin.means, self.times.last_field).middle;
-            Future::new(begin, &canonical.opacities, self.times.last_field, middle, &self.dynamics, self.thrift)
-        });
-        future.at(t, &self.dynamics)
+        f(known.get_or_insert_with(|| {
+            let (canonical, from) = (self.canonical.activated(), self.first_ahead());
+            let begin = self.deformed(canonical.geometry(), from);
+            let middle = self.start(&canonical.means, &begin.means, from).middle;
+            let refit = self.config.refit && self.config.field && self.dynamics.motion_rollout().is_some();
+            let tracks = refit.then(|| self.tracks(canonical.geometry()));
+            Future::new(begin, &canonical.opacities, from, middle, tracks.as_ref(), &self.dynamics, self.thrift)
+        }))
+    }
+
+    /// Where the field has splats at `T_def` and the frames before it, and how the dynamics move them there.
+    fn tracks(&self, canonical: GeometryRef<'_>) -> Tracks {
+        let Times { step, last_field, start, .. } = self.times;
+        let frame = step / f64::from(self.config.step_frames);
+        let count = cast::to_usize((last_field - start) / frame + 1e-3).min(TRACKED);
+        let taus: Vec<f64> = (0..=count).map(|k| -(k as f64) * frame).collect();
+        let frame = |tau: &f64| {
+            let means = self.deformed(canonical, last_field + tau).means;
+            let motions = self.dynamics.motions(self.start(canonical.means, &means, last_field + tau));
+            (means, motions)
+        };
+        let (means, motions) = taus.iter().map(frame).unzip();
+        Tracks { taus, means, motions, origin: self.dynamics.origin() }
     }
 
     /// Deformed splats as particles that set out at a time; `rest` are their canonical means.
@@ -510,8 +539,7 @@ where
 impl<F: Field, D: Dynamics> ParticleSource for Advected<F, D> {
     fn particles(&self) -> Particles {
         let mut splats = self.canonical.activated();
-        let moved = self.deformed(splats.geometry(), self.first_ahead());
-        let motions = self.dynamics.motions(self.start(&splats.means, &moved.means, self.first_ahead()));
+        let (moved, motions) = self.with_future(|future| future.particles(&self.dynamics));
         splats.set_geometry(moved);
         let twists = motions
             .iter()
@@ -519,6 +547,10 @@ impl<F: Field, D: Dynamics> ParticleSource for Advected<F, D> {
             .collect();
         let lasting = self.dynamics.motions_extrapolate();
         Particles { at: self.first_ahead(), splats, twists, origin: self.dynamics.origin(), lasting }
+    }
+
+    fn bodies(&self, times: &[f64]) -> Vec<RigidBody> {
+        self.with_future(|future| future.bodies(times))
     }
 }
 

@@ -29,12 +29,12 @@ impl<F: Field, D: Dynamics> Advected<F, D> {
         if t <= first || !self.dynamics.motions_extrapolate() {
             return self.dynamics.motions(self.start(&canonical.means, &splats.means, t));
         }
-        let begin = self.deformed(canonical.geometry(), first);
         let tau = cast::to_f32(t - first);
-        self.dynamics.motions(self.start(&canonical.means, &begin.means, first)).iter().map(|m| m.from(tau)).collect()
+        self.with_future(|future| future.particles(&self.dynamics)).1.iter().map(|m| m.from(tau)).collect()
     }
 
-    /// `speed`, `spin` and `acceleration` of every splat, per unit of normalised time.
+    /// `speed`, `spin` and `acceleration` of every splat, per unit of normalised time; of splats that follow a refitted path
+    /// `deviation`, the standard deviation of their place.
     pub(super) fn physical_quantities(&self, t: f64) -> Vec<Quantity> {
         if !self.canonical.at.dynamic {
             return Vec::new();
@@ -48,11 +48,16 @@ impl<F: Field, D: Dynamics> Advected<F, D> {
         let (speed, acceleration) = (of(|m, x| m.twist.velocity(x)), of(Motion::acceleration));
         let spin = motions.iter().map(|m| Vec3::from_array(m.twist.w).length()).collect();
         let quantity = |name, unit, values| Quantity { name, unit, range: None, values };
-        vec![
+        let mut all = vec![
             quantity("speed", "units/span", speed),
             quantity("spin", "rad/span", spin),
             quantity("acceleration", "units/span²", acceleration),
-        ]
+        ];
+        if t > self.first_ahead() {
+            let deviations = self.with_future(|future| future.deviations(t));
+            all.extend(deviations.map(|values| quantity("deviation", "units", values)));
+        }
+        all
     }
 
     /// `velocity` and `axis`: vectors as colours, grey for none.

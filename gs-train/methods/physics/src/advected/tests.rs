@@ -72,6 +72,7 @@ const CONFIG: PhysicsConfig = PhysicsConfig {
     turn_colours: false,
     slack: 0.0,
     bodies: 0,
+    refit: false,
 };
 
 /// The schedule of the tests: stages `warm_up` to step 120 and `dynamic` to step 1000.
