@@ -62,7 +62,8 @@ fn a_thrown_ball_is_forecast_and_a_field_alone_cannot() {
         run(&mut trainer, 4500);
         trainer
     };
-    let (trace, field) = (fast("trace", "schedule.lr.physics.all = { steps = 4500, ramp = 96 }"), fast("defgs", ""));
+    let law = "physics.refit = true\nschedule.lr.physics.all = { steps = 4500, ramp = 96 }";
+    let (trace, field) = (fast("trace", law), fast("defgs", ""));
     let [inside, beyond] = [Split::Test, Split::Extrapolate].map(|s| score(&trace, &data, s));
     let alone = score(&field, &data, Split::Extrapolate);
     println!("trace {inside:.2} dB inside, {beyond:.2} beyond; defgs {alone:.2} beyond");
