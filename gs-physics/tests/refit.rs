@@ -260,6 +260,26 @@ fn bodies_of_a_scene() {
     assert!(together < 0.02 && alone > 10.0 * together, "{alone} -> {together}");
 }
 
+/// Particles whose velocities are a third off their common twist are no body, and keep their own motion.
+#[test]
+fn what_is_not_rigid_is_no_body() {
+    let points = ball(400);
+    let own = |i: usize| if i < 200 { REST } else { COAST };
+    let seen = |share: f64| {
+        let mut seen = tracks(&points, 25, Noise { velocity: 0.001, ..NONE }, 0, |i, _| own(i));
+        let mut rng = Rng::new(1, "deforming", 0, 0);
+        for i in 200..400 {
+            let off = DVec3::new(rng.normal().into(), rng.normal().into(), rng.normal().into()) * (share * V.length());
+            seen.motions.iter_mut().for_each(|m| m[i].twist.v = (V + off).as_vec3().to_array());
+        }
+        Bodies::fit(&seen, &[0.9; 400])
+    };
+    let grouped = |bodies: &Bodies| (200..400).filter(|i| bodies.of[*i] != UNGROUPED).count();
+    let [rigid, soft] = [0.02, 0.33].map(seen);
+    assert_eq!(grouped(&rigid), 200);
+    assert!(grouped(&soft) < 20, "{}", grouped(&soft));
+}
+
 /// The same bits on any number of threads.
 #[test]
 fn threads_change_nothing() {

@@ -18,6 +18,10 @@ const FEWEST: usize = 8;
 const ROUNDS: usize = 2;
 /// A particle follows a body if its velocities are off by no more than this times what is usual in that body.
 const USUAL: f64 = 6.0;
+/// Particles of a rigid body disagree with their common twist by less than this share of their speed.
+const RIGID: f64 = 0.15;
+/// Those of a slow body, by less than this share of the speed of the fastest body.
+const STILL: f64 = 0.08;
 /// Particles that went less far than this share of the scene's radius are at rest.
 const REST: f32 = 0.01;
 
@@ -46,6 +50,8 @@ impl Bodies {
             let members = |label: usize| (0..n).filter(|i| of[*i] as usize == label).collect::<Vec<_>>();
             let all = (0..count).into_par_iter().map(members).filter(|m| m.len() >= FEWEST);
             bodies.list = all.filter_map(|m| Body::fit(tracks, &m, weights)).collect();
+            let fastest = bodies.list.iter().map(|b| b.speed).fold(0.0, f64::max);
+            bodies.list.retain(|b| b.disagreement <= (RIGID * b.speed).max(STILL * fastest));
             of = bodies.assign(tracks);
         }
         bodies.of = of;

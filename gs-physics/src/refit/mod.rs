@@ -74,6 +74,8 @@ pub struct Body {
     pub residuals: [f64; 3],
     /// Root mean square difference between velocities of its particles and their common twist, per unit of time.
     pub disagreement: f64,
+    /// Root mean square speed of its particles, per unit of time.
+    pub speed: f64,
     /// Longest step of the integration.
     step: f64,
     /// Lengths over `radius`, times over `unit`.
@@ -102,8 +104,20 @@ impl Body {
         let Candidate { path, minimum, residuals, unit, variance } = best;
         let covariance = minimum.spread.iter().map(|row| row.iter().map(|v| v * variance).collect()).collect();
         let (times, step) = (window.times, seen.taus[0] - seen.taus[1]);
-        let Seen { centroid, radius, disagreement, .. } = seen;
-        Some(Self { path, centroid, radius, times, residuals, disagreement, step, p: minimum.at, unit, covariance })
+        let Seen { centroid, radius, disagreement, speed, .. } = seen;
+        Some(Self {
+            path,
+            centroid,
+            radius,
+            times,
+            residuals,
+            disagreement,
+            speed,
+            step,
+            p: minimum.at,
+            unit,
+            covariance,
+        })
     }
 
     /// Its motion about `origin`, from `τ = 0` on.

@@ -24,6 +24,8 @@ pub(super) struct Seen {
     pub doubts: Vec<f64>,
     /// Root mean square difference between velocities of particles and those of their common twist.
     pub disagreement: f64,
+    /// Root mean square speed of particles.
+    pub speed: f64,
 }
 
 /// Places relative to the origin, and velocities there, of the particles at one time.
@@ -62,9 +64,11 @@ impl Seen {
         let radius = mean(&mut frames[0].iter().map(|(x, _)| x.distance_squared(first)));
         let doubt = |c: &Common| mean(&mut c.errors.iter().copied()) / disagreement.max(f64::MIN_POSITIVE);
         let doubts = all.iter().map(|c| if disagreement > 0.0 { doubt(c).max(LEAST_DOUBT) } else { 1.0 }).collect();
+        let fast = |f: &Moving| weighted(&own, &mut f.iter().map(|(_, u)| u.length_squared()));
+        let speed = (frames.iter().map(fast).sum::<f64>() / count as f64).sqrt();
         let rows = all.iter().map(|c| [c.row[0] - first, c.row[1], c.row[2]]).collect();
         let centroid = first + tracks.origin.as_dvec3();
-        (radius > 0.0).then(|| Self { taus: tracks.taus.clone(), centroid, radius, rows, doubts, disagreement })
+        (radius > 0.0).then(|| Self { taus: tracks.taus.clone(), centroid, radius, rows, doubts, disagreement, speed })
     }
 }
 
