@@ -62,6 +62,7 @@ fn a_thrown_ball_is_forecast_and_a_field_alone_cannot() {
         run(&mut trainer, 4500);
         trainer
     };
+    // The ramp is the share of 300 of 14000 steps; refit is not in the preset.
     let law = "physics.refit = true\nschedule.lr.physics.all = { steps = 4500, ramp = 96 }";
     let (trace, field) = (fast("trace", law), fast("defgs", ""));
     let [inside, beyond] = [Split::Test, Split::Extrapolate].map(|s| score(&trace, &data, s));
