@@ -20,24 +20,40 @@ pub struct Domain {
     pub low: f64,
     /// Highest value.
     pub high: f64,
-    /// Of a number of steps that is a share of the run, so that a run of half the length has half of it: what it is never
-    /// shortened below.
-    pub length: Option<u32>,
+    /// How the setting follows the length of the run.
+    pub scaling: Scaling,
+}
+
+/// How a setting of a preset follows the length of the run.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Scaling {
+    /// Not at all.
+    Fixed,
+    /// A number of steps that is a share of the run: a run of half the length has half of it, and never less than so many.
+    Length(u32),
+    /// A learning rate that takes a parameter as far in any run: a run of half the length has twice of it, and never more than so much.
+    Rate(f64),
 }
 
 /// A domain from the lowest to the highest value, both included.
 pub const fn within(key: &'static str, low: f64, high: f64) -> Domain {
-    Domain { key, low, high, length: None }
+    Domain { key, low, high, scaling: Scaling::Fixed }
 }
 
 /// A number of steps, at least `low`, that is a share of the run.
 pub const fn length(key: &'static str, low: f64) -> Domain {
-    Domain { key, low, high: STEPS, length: Some(0) }
+    Domain { key, low, high: STEPS, scaling: Scaling::Length(0) }
 }
 
 /// Steps between two passes over statistics of steps: a share of the run. Fewer than ten steps say little.
 pub const fn interval(key: &'static str) -> Domain {
-    Domain { key, low: 1.0, high: STEPS, length: Some(10) }
+    Domain { key, low: 1.0, high: STEPS, scaling: Scaling::Length(10) }
+}
+
+/// A learning rate that is higher in shorter runs. With Adam a logit crosses a sigmoid's range within a hundred steps of `5e-2`, so rates
+/// are not raised above.
+pub const fn rate(key: &'static str) -> Domain {
+    Domain { key, low: 0.0, high: 1e30, scaling: Scaling::Rate(5e-2) }
 }
 
 /// Domains of the settings that several methods have: those of [`layers`](crate::layers).
@@ -52,6 +68,12 @@ pub const SHARED: &[Domain] = &[
     within("window_parts", 0.0, 1e6),
     within("start", 0.0, 1e30),
     within("end", 0.0, 1e30),
+    rate("lambda.start"),
+    rate("lambda.end"),
+    rate("beta.start"),
+    rate("beta.end"),
+    rate("acutance.start"),
+    rate("acutance.end"),
     within("eps", 0.0, 1.0),
     within("weight_decay", 0.0, 1.0),
     within("adam_eps", 0.0, 1.0),

@@ -10,7 +10,7 @@ use super::RunError;
 use crate::config::{Config, ConfigError, Source};
 use gs_core::io::{Limits, read_text};
 use gs_data::{DataOptions, Dataset, ImageCache};
-use gs_train::domains::{self, Domain, STEPS, within};
+use gs_train::domains::{self, Domain, STEPS, Scaling, within};
 use gs_train::registry::{Registry, section};
 use gs_train::timeline::Timeline;
 use serde::{Deserialize, Serialize};
@@ -181,7 +181,7 @@ pub fn resolve(registry: &Registry, request: &Request) -> Result<Resolved, RunEr
     for assignment in &request.sets {
         config.set(assignment)?;
     }
-    scale_lengths(&mut config, registry.find(&request.method)?.domains, recipe, filed)?;
+    scale_settings(&mut config, registry.find(&request.method)?.domains, recipe, filed)?;
     Resolved::of(registry, config)
 }
 
@@ -336,29 +336,44 @@ fn stretch(config: &mut Config, total: u32) -> Result<(), RunError> {
 }
 
 /// Scales what the preset says for a run of `recipe` steps, and a file for one of `filed`, to the length the run has now.
-fn scale_lengths(config: &mut Config, domains: &[Domain], recipe: u64, filed: u64) -> Result<(), RunError> {
+fn scale_settings(config: &mut Config, domains: &[Domain], recipe: u64, filed: u64) -> Result<(), RunError> {
     let after = total(config);
-    let lengths: Vec<(String, i64, Source)> = config
+    let changed: Vec<(String, Value, Source)> = config
         .iter()
         .filter_map(|(key, s)| {
-            let least = u64::from(length(key, domains)?);
             let before = match &s.source {
                 Source::Default | Source::Preset(_) => recipe,
                 Source::File(_) => filed,
                 Source::Flag(_) | Source::Scaled(_) => after,
             };
-            let value = u64::try_from(s.value.as_integer()?).ok()?;
-            let said = Source::Scaled(format!("{}: {value} of {before} steps", s.source));
-            let least = i64::try_from(value.min(least)).unwrap_or(0);
-            (before != after && before > 0).then(|| (key.to_owned(), scaled(value, before, after).max(least), said))
+            let said = Source::Scaled(format!("{}: {} of {before} steps", s.source, s.value));
+            let scales = before != after && before > 0 && after > 0;
+            let value = if scales { rescaled(scaling(key, domains), &s.value, before, after) } else { None };
+            value.map(|value| (key.to_owned(), value, said))
         })
         .collect();
-    lengths.into_iter().try_for_each(|(key, value, said)| Ok(config.put(&key, value, said)?))
+    changed.into_iter().try_for_each(|(key, value, said)| Ok(config.put(&key, value, said)?))
 }
 
-/// What a setting is never shortened below, if it is a number of steps that scales with the run. Stages are the run.
-fn length(key: &str, own: &[Domain]) -> Option<u32> {
-    domains::domain(key, own).filter(|_| !key.starts_with(STAGES))?.length
+/// A setting of a run of `before` steps, in one of `after`; `None` where it does not change.
+fn rescaled(scaling: Scaling, value: &Value, before: u64, after: u64) -> Option<Value> {
+    match scaling {
+        Scaling::Fixed => None,
+        Scaling::Length(least) => {
+            let value = u64::try_from(value.as_integer()?).ok()?;
+            let least = i64::try_from(value.min(least.into())).unwrap_or(0);
+            Some(scaled(value, before, after).max(least).into())
+        }
+        Scaling::Rate(most) => {
+            let value = value.as_float()?;
+            Some((value * before as f64 / after as f64).min(most.max(value)).into())
+        }
+    }
+}
+
+/// How a setting follows the length of the run. Stages are the run.
+fn scaling(key: &str, own: &[Domain]) -> Scaling {
+    domains::domain(key, own).filter(|_| !key.starts_with(STAGES)).map_or(Scaling::Fixed, |d| d.scaling)
 }
 
 /// Changes the run to `total` steps by the length of its last stage.
@@ -459,6 +474,21 @@ mod tests {
         let of = |key: &str| own.config.get(key).unwrap().clone();
         assert_eq!((of(until).value, of("schedule.density.from").value), (Value::Integer(500), Value::Integer(167)));
         assert!(of(until).source.to_string().ends_with("50 of 100 steps"), "{}", of(until).source);
+    }
+
+    #[test]
+    fn rates_of_the_kernel_rise_in_shorter_runs_unless_they_are_set() {
+        let rate = |steps, sets: &[&str]| {
+            let request = Request { method: "fags".into(), steps, ..request(sets) };
+            let resolved = resolve(gs_methods::registry(), &request).unwrap();
+            ["lambda", "beta"].map(|key| {
+                let key = format!("schedule.lr.cloud.{key}.start");
+                resolved.config.get(&key).unwrap().value.as_float().unwrap()
+            })
+        };
+        let [plain, _] = rate(None, &[]);
+        assert_eq!((rate(Some(1600), &[]), rate(Some(1), &[])), ([plain / 2.0; 2], [5e-2; 2]), "of 800 steps");
+        assert_eq!(rate(Some(1600), &["schedule.lr.cloud.lambda.start=0.3"]), [0.3, plain / 2.0]);
     }
 
     #[test]
