@@ -18,7 +18,7 @@ pub struct LearningRate {
     pub steps: u32,
     /// Multiplied by the extent of the scene (the parameter is a length).
     pub per_extent: bool,
-    /// Adam's ε of these parameters; 0: [`Schedule::adam_eps`].
+    /// Adam's ε of these parameters; 0: [`adam_eps`](super::Schedule::adam_eps).
     #[serde(default)]
     pub eps: f32,
     /// Values that received no gradient in this step rest (tables of which a step touches hardly anything).
