@@ -1,7 +1,7 @@
 //! The settings of a run: `[run]` and `[data]` for all methods, then those of the method.
 //!
 //! Resolution: defaults ← preset ← file ← `--steps` ← `--set`. Lengths in steps (learning-rate decays, the times of density
-//! control and SH degrees: [`Domain::length`]) are shares of the run: where the run gets another length than the preset or file
+//! control and SH degrees: [`Scaling::Length`]) are shares of the run: where the run gets another length than the preset or file
 //! that states them, they are scaled with it, so a short run goes through all phases of a long one. `--steps N` scales the stages;
 //! what `--set` says is taken as it stands. A finished run is lengthened instead ([`lengthen`]): only its last stage grows, so
 //! the steps already made stay valid.

@@ -93,9 +93,9 @@ fn a_watched_training_stays_flat_and_exact() {
     let url = url[url.find("http://").unwrap()..].trim().to_owned();
     let address = url.trim_start_matches("http://").split('/').next().unwrap().to_owned();
     let (over, pictures, rounds) = (AtomicBool::new(false), AtomicU64::new(0), AtomicU64::new(0));
-    let mut memory = Vec::new();
+    let (mut memory, mut messages) = (Vec::new(), Vec::new());
     std::thread::scope(|scope| {
-        scope.spawn(|| drop(said.read_to_end(&mut Vec::new())));
+        scope.spawn(|| drop(said.read_to_end(&mut messages)));
         scope.spawn(|| {
             while !over.load(Ordering::Relaxed) {
                 pictures.fetch_add(look(&url, rounds.fetch_add(1, Ordering::Relaxed)).unwrap_or(0), Ordering::Relaxed);
@@ -112,7 +112,8 @@ fn a_watched_training_stays_flat_and_exact() {
         }
         over.store(true, Ordering::Relaxed);
     });
-    assert!(child.wait().unwrap().success(), "the watched training ends well");
+    let status = child.wait().unwrap();
+    assert!(status.success(), "the watched training ends with {status}: {}", String::from_utf8_lossy(&messages));
     let quarter = memory.len() / 4;
     let (early, late) = (median(&memory[quarter..2 * quarter]), median(&memory[3 * quarter..]));
     let (pictures, rounds) = (pictures.into_inner(), rounds.into_inner());
