@@ -124,6 +124,10 @@ pub struct TrackPoint {
     pub error: f64,
     /// The same distance for extrapolation at the velocity of the last two measurements in the training span.
     pub constant_velocity: f64,
+    /// The same for the least-squares parabola through the measurements in the training span; none for fewer than four.
+    pub measured_parabola: Option<f64>,
+    /// The same for the parabola through the body's own places at these times.
+    pub own_parabola: Option<f64>,
 }
 
 /// A model against a track.
@@ -143,11 +147,16 @@ impl TrackReport {
     /// A text table of the times after the last training time, then the accelerations.
     pub fn text(&self) -> String {
         let mut text = format!("a body of {} splats against its measured track\n", self.splats);
-        text.push_str(&format!("{:>8}  {:>6}  {:>10}  {:>17}\n", "time", "ahead", "error", "constant velocity"));
+        let heads = ["error", "constant velocity", "measured parabola", "own parabola"];
+        text.push_str(&format!("{:>8}  {:>6}", "time", "ahead"));
+        heads.iter().for_each(|head| text.push_str(&format!("  {head:>17}")));
         for m in self.moments.iter().filter(|m| m.ahead >= 0) {
-            let line = format!("{:>8.4}  {:>6}  {:>10.4}  {:>17.4}\n", m.t, m.ahead, m.error, m.constant_velocity);
-            text.push_str(&line);
+            text.push_str(&format!("\n{:>8.4}  {:>6}", m.t, m.ahead));
+            for value in [Some(m.error), Some(m.constant_velocity), m.measured_parabola, m.own_parabola] {
+                text.push_str(&value.map_or(format!("  {:>17}", "-"), |v| format!("  {v:>17.4}")));
+            }
         }
+        text.push('\n');
         for (name, a) in [("forecast", self.acceleration), ("measured", self.measured_acceleration)] {
             if let Some([x, y, z]) = a {
                 text.push_str(&format!("acceleration, {name}: {x:.2} {y:.2} {z:.2} units/s²\n"));
@@ -178,33 +187,33 @@ pub fn follow(
         Some((t, x)) if begin.normalised > t.normalised => (from - x) / f64::from(begin.normalised - t.normalised),
         _ => DVec3::ZERO,
     };
-    let moments: Vec<TrackPoint> = track
-        .places
-        .iter()
-        .enumerate()
-        .map(|(i, &(t, x))| {
-            let place = body.centre(&method.all_splats(&Timestamp::new(t), camera)?);
-            let straight = from + velocity * f64::from(t.normalised - begin.normalised);
-            Ok(TrackPoint {
-                t: t.normalised,
-                seconds: t.seconds,
-                ahead: i as i64 - anchor as i64,
-                place: place.to_array(),
-                error: place.distance(x),
-                constant_velocity: straight.distance(x),
-            })
-        })
-        .collect::<Result<_, MethodError>>()?;
-    let ahead = anchor..track.places.len();
-    let (ours, theirs) = ahead
-        .map(|i| (track.places[i].0.seconds, DVec3::from_array(moments[i].place), track.places[i].1))
-        .map(|(t, a, b)| ((t, a), (t, b)))
-        .unzip::<_, _, Vec<_>, Vec<_>>();
+    let places = track.places.iter().map(|(t, _)| Ok(body.centre(&method.all_splats(&Timestamp::new(*t), camera)?)));
+    let ours = places.collect::<Result<Vec<_>, MethodError>>()?;
+    let timed = |(i, place): (usize, &DVec3)| (track.places[i].0.seconds, *place);
+    let ours: Vec<_> = ours.iter().enumerate().map(timed).collect();
+    let theirs: Vec<_> = track.places.iter().map(|(t, x)| (t.seconds, *x)).collect();
+    let [measured, own] = [&theirs, &ours].map(|places| Parabola::through(&places[..seen]));
+    let point = |i: usize| {
+        let ((t, x), (_, place)) = (track.places[i], ours[i]);
+        let straight = from + velocity * f64::from(t.normalised - begin.normalised);
+        let off = |p: &Parabola| p.at(t.seconds).distance(x);
+        TrackPoint {
+            t: t.normalised,
+            seconds: t.seconds,
+            ahead: i as i64 - anchor as i64,
+            place: place.to_array(),
+            error: place.distance(x),
+            constant_velocity: straight.distance(x),
+            measured_parabola: measured.as_ref().map(off),
+            own_parabola: own.as_ref().map(off),
+        }
+    };
+    let acceleration = |places: &[(f64, DVec3)]| Parabola::through(&places[anchor..]).map(|p| p.acceleration());
     Ok(TrackReport {
         splats: body.rows.len(),
-        moments,
-        acceleration: acceleration(&ours).map(|a| a.to_array()),
-        measured_acceleration: acceleration(&theirs).map(|a| a.to_array()),
+        moments: (0..ours.len()).map(point).collect(),
+        acceleration: acceleration(&ours),
+        measured_acceleration: acceleration(&theirs),
     })
 }
 
@@ -232,23 +241,43 @@ impl Body {
     }
 }
 
-/// Acceleration of the least-squares parabola through `(seconds, position)`; `None` for fewer than four.
-fn acceleration(places: &[(f64, DVec3)]) -> Option<DVec3> {
-    if places.len() < 4 {
-        return None;
+/// The least-squares parabola through places and times.
+#[derive(Clone, Copy, Debug)]
+struct Parabola {
+    middle: f64,
+    /// Place, velocity and acceleration at `middle`.
+    derivatives: [DVec3; 3],
+}
+
+impl Parabola {
+    /// Through `(seconds, position)`; `None` for fewer than four, or times that do not tell a parabola.
+    fn through(places: &[(f64, DVec3)]) -> Option<Self> {
+        if places.len() < 4 {
+            return None;
+        }
+        let n = places.len() as f64;
+        let middle = places.iter().map(|p| p.0).sum::<f64>() / n;
+        let (mut normal, mut right) = (DMat3::ZERO, [DVec3::ZERO; 3]);
+        for &(t, x) in places {
+            let t = t - middle;
+            let row = DVec3::new(1.0, t, 0.5 * t * t);
+            normal += DMat3::from_cols(row * row.x, row * row.y, row * row.z);
+            (0..3).for_each(|k| right[k] += row * x[k]);
+        }
+        let inverse = normal.inverse();
+        let axes = right.map(|r| inverse * r);
+        let derivatives = [0, 1, 2].map(|k| DVec3::from_array(axes.map(|axis| axis[k])));
+        derivatives.iter().all(|d| d.is_finite()).then_some(Self { middle, derivatives })
     }
-    let n = places.len() as f64;
-    let middle = places.iter().map(|p| p.0).sum::<f64>() / n;
-    let (mut normal, mut right) = (DMat3::ZERO, [DVec3::ZERO; 3]);
-    for &(t, x) in places {
-        let t = t - middle;
-        let row = DVec3::new(1.0, t, 0.5 * t * t);
-        normal += DMat3::from_cols(row * row.x, row * row.y, row * row.z);
-        (0..3).for_each(|k| right[k] += row * x[k]);
+
+    fn at(&self, seconds: f64) -> DVec3 {
+        let (t, [x, v, a]) = (seconds - self.middle, self.derivatives);
+        x + v * t + a * (0.5 * t * t)
     }
-    let inverse = normal.inverse();
-    let a = DVec3::from_array(right.map(|r| (inverse * r).z));
-    a.is_finite().then_some(a)
+
+    fn acceleration(&self) -> [f64; 3] {
+        self.derivatives[2].to_array()
+    }
 }
 
 #[cfg(test)]
@@ -257,13 +286,16 @@ mod tests {
     use gs_synth::{self as synth, SynthOptions};
 
     #[test]
-    fn the_acceleration_of_a_parabola_is_found() {
+    fn a_parabola_is_found_and_goes_on() {
         let (a, v) = (DVec3::new(0.0, 9.81, -1.0), DVec3::new(3.0, -2.0, 0.5));
         let places: Vec<(f64, DVec3)> = (0..8)
             .map(|k| (1.5 + f64::from(k) / 30.0, v * f64::from(k) / 30.0 + a * (f64::from(k) / 30.0).powi(2) * 0.5))
             .collect();
-        assert!(acceleration(&places).unwrap().distance(a) < 1e-8);
-        assert_eq!(acceleration(&places[..3]), None);
+        let found = Parabola::through(&places[..5]).unwrap();
+        assert!(DVec3::from_array(found.acceleration()).distance(a) < 1e-8);
+        assert!(found.at(places[7].0).distance(places[7].1) < 1e-9, "and goes on");
+        assert!(Parabola::through(&places[..3]).is_none());
+        assert!(Parabola::through(&[places[0]; 5]).is_none(), "one time says nothing");
     }
 
     #[test]
