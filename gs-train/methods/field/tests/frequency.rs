@@ -84,6 +84,20 @@ fn learnt(method: &str, scene_name: &str, over: &str) -> (Vec<f32>, Vec<f32>, [f
     (lambdas, betas, loss)
 }
 
+/// FAGS weighs spectra so that they neither vanish beside L1 nor drown it.
+#[test]
+fn the_spectral_loss_is_of_the_size_of_l1() {
+    let longer = "[schedule.stages]\ndynamic.steps = 1000";
+    let config = config(&registry(), "fags", "tiny", &[longer]);
+    let mut trainer = start(&registry(), &scene("sheet", 48, 60), "fags", &config, 0);
+    let reports = run(&mut trainer, 1000);
+    let mean = |of: &dyn Fn(&StepReport) -> f64| reports[900..].iter().map(of).sum::<f64>() / 100.0;
+    let spectra = 0.3 * mean(&|r| r.loss.term("fre").expect("a term of FAGS"));
+    let share = spectra / mean(&|r| r.loss.l1);
+    println!("spectra, weighted, are {share:.2} of L1");
+    assert!((0.1..=10.0).contains(&share), "weighted, {share} of L1");
+}
+
 #[test]
 fn fall_offs_are_learnt_on_moving_and_on_still_scenes() {
     let frequency = "[cloud.kernel]\nkind = 'frequency'\n[schedule.lr.cloud]\nlambda.start = 2e-2\nbeta.start = 2e-2";
