@@ -1,6 +1,8 @@
 //! Where a step of training lies in its schedule, as a method sees it.
 
 use crate::schedule::Schedule;
+use glam::Vec3;
+use gs_core::SplatsGrad;
 
 /// One step, resolved from the schedule once.
 #[derive(Clone, Debug, PartialEq, Default)]
@@ -27,6 +29,16 @@ pub struct StepCtx {
     pub ends_stage: bool,
     /// Whether the next step begins a stage with a clock of its own, before which statistics are cleared.
     pub ends_clock: bool,
+}
+
+impl StepCtx {
+    /// While the field alone learns, it learns no sizes: splats of a body that has moved on would sooner shrink to nothing than
+    /// follow it.
+    pub fn keep_sizes(&self, d_splats: &mut SplatsGrad) {
+        if self.deform_only {
+            d_splats.scales.fill(Vec3::ZERO);
+        }
+    }
 }
 
 /// The highest SH degree there is.

@@ -130,9 +130,10 @@ where
         let dynamic = self.canonical.at.dynamic;
         let stats = if dynamic {
             let t = self.training_time(view.at.t);
-            let Canonical { splats, d_splats, .. } = &mut self.canonical;
+            let Canonical { splats, d_splats, at, .. } = &mut self.canonical;
             self.field.forward(splats.geometry(), t, &mut self.tape, &mut self.moved);
             let stats = render.render(splats.with_geometry(self.moved.view()), d_splats)?;
+            at.keep_sizes(d_splats);
             self.d_canonical.reset(splats.len());
             self.field.backward(splats.geometry(), &mut self.tape, d_splats.geometry(), &mut self.d_canonical);
             d_splats.swap_geometry(&mut self.d_canonical);

@@ -46,6 +46,8 @@ pub(super) const DOMAINS: &[Domain] = &[
     within("physics.bodies", 0.0, 1e6),
     within("physics.direct", 0.0, 1.0),
     within("physics.reach", 1.0, 1e6),
+    within("physics.settle", 0.0, 1.0),
+    within("physics.settle_frames", 0.0, 1e6),
     within("physics.slack", 0.0, 1e6),
     within("physics.start", 0.0, 1.0),
     within("physics.step_frames", 1e-3, 1e6),

@@ -7,7 +7,8 @@
 //! mean = x₀ + δx + sg(x_t − x')      q = q_phys ⊗ q_def(t') ⊗ q₀      s = s(t')
 //! ```
 //! (TRACE, its code's training loop; Δt may be drawn from several of its multiples, [`PhysicsConfig::reach`].) `sg` stops gradients: centres and offsets learn as if the physical displacement were a
-//! constant, the dynamics learn from the same cotangent at its end, and nothing flows through the place they are read at.
+//! constant, the dynamics learn from the same cotangent at its end, and nothing flows through the place they are read at. With
+//! [`PhysicsConfig::turn_gradients`] the gradient of a centre is that of a rigid motion, `x_t = R x' + b`.
 //! Moments before the first step of Δt are the field's alone.
 //!
 //! Past `T_def` the scene is rendered from the deformation at `T_def` and the dynamics; the field is read at a later time in stages
@@ -77,9 +78,21 @@ pub struct PhysicsConfig {
     /// Most bodies whose splats share one motion in a forecast, as far as `slack` allows; 0: every splat follows its own.
     #[serde(default)]
     pub bodies: u32,
-    /// Whether a forecast refits the paths of rigid bodies to all times that were seen ([`gs_physics::refit`]).
+    /// Whether a forecast refits the paths of rigid bodies to all times that were seen ([`gs_physics::refit`]); with `settle` at 0,
+    /// since it reads the dynamics at all of them.
     #[serde(default)]
     pub refit: bool,
+    /// Share of the moving stage, at its end, in which the dynamics set out from `T_def` for every image they render: forecasts
+    /// begin there, and the farther an image is from it, the more it says about velocities and accelerations. 0: never (TRACE).
+    #[serde(default)]
+    pub settle: f32,
+    /// How far before `T_def` such images may be, in intervals between frames: where motion is of one kind. 0: any.
+    #[serde(default)]
+    pub settle_frames: f32,
+    /// Whether gradients of centres are turned back with their particle (`Rᵀ g`, of a rigid motion); false: they pass as if the
+    /// displacement were a constant (TRACE), which points aside after a quarter of a turn and backwards after half of one.
+    #[serde(default)]
+    pub turn_gradients: bool,
 }
 
 /// How timestamps that were seen are rendered.
@@ -104,6 +117,14 @@ impl PhysicsConfig {
         need((0.0..1.0).contains(&self.direct), "direct", self.direct, "0 or more, below 1")?;
         need(self.back_frames >= 0.0 && self.back_frames.is_finite(), "back_frames", self.back_frames, "0 or more")?;
         need((0.0..1.0).contains(&self.start), "start", self.start, "0 or more, below 1")?;
+        need((0.0..=1.0).contains(&self.settle), "settle", self.settle, "0 to 1")?;
+        let frames = self.settle_frames;
+        need(frames >= 0.0 && frames.is_finite(), "settle_frames", frames, "0 or more")?;
+        if self.refit && self.settle > 0.0 {
+            return Err("physics.refit reads the law at all times, physics.settle trains it at the last one: \
+                        one of them, physics.refit = false or physics.settle = 0"
+                .into());
+        }
         need(self.slack >= 0.0 && self.slack.is_finite(), "slack", self.slack, "0 or more")?;
         need(self.bodies <= 1000, "bodies", self.bodies as f32, "0 to 1000")
     }
@@ -224,6 +245,9 @@ impl<F: Field, D: Dynamics> Advected<F, D> {
         if rng.uniform() < self.config.direct {
             return Span { from: t, to: t };
         }
+        if self.settles(t) {
+            return Span { from: last_field, to: t };
+        }
         let steps = 1.0 + (f64::from(rng.uniform()) * self.reach()).floor();
         let from = if forward { t - steps * step } else { t + steps * step };
         Span { from: from.clamp(start, last_field), to: t }
@@ -231,9 +255,25 @@ impl<F: Field, D: Dynamics> Advected<F, D> {
 
     /// Steps Δt that the dynamics carry splats at most in the present step of training.
     fn reach(&self) -> f64 {
+        1.0 + self.stage_share() * f64::from(self.config.reach - 1)
+    }
+
+    /// Whether the dynamics set out from `T_def` for an image at time `t` in the present step.
+    fn settles(&self, t: f64) -> bool {
+        let (Times { last_field, .. }, PhysicsConfig { settle, settle_frames, .. }) = (self.times, self.config);
+        let near = settle_frames == 0.0 || last_field - t <= f64::from(settle_frames) * self.frame() + 1e-9;
+        near && settle > 0.0 && self.stage_share() >= 1.0 - f64::from(settle)
+    }
+
+    /// Share of the present stage that is over.
+    fn stage_share(&self) -> f64 {
         let at = &self.canonical.at;
-        let open = if at.stage_steps == 0 { 1.0 } else { f64::from(at.stage_offset) / f64::from(at.stage_steps) };
-        1.0 + open * f64::from(self.config.reach - 1)
+        if at.stage_steps == 0 { 1.0 } else { f64::from(at.stage_offset) / f64::from(at.stage_steps) }
+    }
+
+    /// The interval between frames, normalised.
+    fn frame(&self) -> f64 {
+        self.times.step / f64::from(self.config.step_frames)
     }
 
     /// From where to where the dynamics act in rendering.
@@ -305,8 +345,7 @@ impl<F: Field, D: Dynamics> Advected<F, D> {
 
     /// Where the field has splats at `T_def` and the frames before it, and how the dynamics move them there.
     fn tracks(&self, canonical: GeometryRef<'_>) -> Tracks {
-        let Times { step, last_field, start, .. } = self.times;
-        let frame = step / f64::from(self.config.step_frames);
+        let (Times { last_field, start, .. }, frame) = (self.times, self.frame());
         let count = cast::to_usize((last_field - start) / frame + 1e-3).min(TRACKED);
         let taus: Vec<f64> = (0..=count).map(|k| -(k as f64) * frame).collect();
         let frame = |tau: &f64| {
@@ -331,7 +370,7 @@ impl<F: Field, D: Dynamics> Advected<F, D> {
     fn learn<'a>(&mut self, t: Time, render: &'a mut dyn RenderView) -> Result<&'a ScreenStats, MethodError> {
         let span = self.training_span(f64::from(t.normalised));
         let Scratch { field: tape, dynamics, moved, d_canonical, moves, d_moves, quats, color } = &mut self.scratch;
-        let Canonical { splats, d_splats, .. } = &mut self.canonical;
+        let Canonical { splats, d_splats, at, .. } = &mut self.canonical;
         let rest = splats.geometry();
         let field = self.config.field.then_some(&mut self.field);
         deform(field.as_deref(), rest, span.from, tape, moved);
@@ -351,11 +390,17 @@ impl<F: Field, D: Dynamics> Advected<F, D> {
             shown.color = color;
         }
         let stats = render.render(shown, d_splats)?;
+        at.keep_sizes(d_splats);
         if self.config.turn_colours {
             colours::turn_back(&splats.color, rest.quats, shown.quats, &mut d_splats.color);
         }
         if travels {
             turn_back(&moved.quats, moves, d_splats, d_moves);
+            if self.config.turn_gradients {
+                for (d, turn) in d_splats.means.iter_mut().zip(&moves.rotations) {
+                    *d = rot::to_glam(rot::normalise(*turn).wxyz).inverse() * *d;
+                }
+            }
             self.dynamics.integrate_backward(start, dynamics, d_moves);
         }
         if let Some(field) = field {

@@ -73,6 +73,9 @@ const CONFIG: PhysicsConfig = PhysicsConfig {
     slack: 0.0,
     bodies: 0,
     refit: false,
+    settle: 0.0,
+    settle_frames: 0.0,
+    turn_gradients: false,
 };
 
 /// The schedule of the tests: stages `warm_up` to step 120 and `dynamic` to step 1000.
@@ -196,6 +199,27 @@ fn the_reach_opens_over_the_stage() {
     assert!(whole[0] == 0 && whole[1..].iter().all(|n| *n > 25), "{whole:?}");
 }
 
+/// The stage has steps 121 to 1000.
+#[test]
+fn at_the_end_of_the_stage_dynamics_set_out_from_the_last_field_time() {
+    let share = |config: PhysicsConfig, t: f64, steps: std::ops::Range<u32>| {
+        let mut m = method(config, true);
+        let from_end = |step: &u32| {
+            begin(&mut m, *step);
+            m.training_span(t).from == m.times.last_field
+        };
+        steps.clone().filter(from_end).count() as f64 / steps.len() as f64
+    };
+    let settles = PhysicsConfig { settle: 0.25, ..CONFIG };
+    assert_eq!(share(settles, 0.2, 200..780), 0.0, "before");
+    assert_eq!(share(settles, 0.2, 781..1001), 1.0, "every step that the dynamics render");
+    let half = share(PhysicsConfig { direct: 0.5, ..settles }, 0.2, 781..1001);
+    assert!((0.35..0.65).contains(&half), "{half}");
+    // T_def is 0.6, a frame 0.05.
+    let near = PhysicsConfig { settle_frames: 4.0, ..settles };
+    assert_eq!([0.35, 0.4].map(|t| share(near, t, 781..1001)), [0.0, 1.0]);
+}
+
 #[test]
 fn the_first_moving_step_draws_what_the_warm_up_drew() {
     let mut m = method(CONFIG, true);
@@ -250,6 +274,31 @@ fn dynamics_learn_from_the_end_and_centres_as_if_the_displacement_were_constant(
             assert_eq!(*d, [rng.normal(), rng.normal(), rng.normal()], "the cotangent passes unchanged");
             let _skipped: [f32; 4] = std::array::from_fn(|_| rng.normal());
         }
+    }
+}
+
+/// A rigid motion takes `x` to `R x + b`: `⟨d, R x⟩ = ⟨Rᵀ d, x⟩`.
+#[test]
+fn gradients_of_centres_turn_back_with_their_particles() {
+    let mut m = method(PhysicsConfig { turn_gradients: true, ..CONFIG }, false);
+    let turn = {
+        let (mut h, mut out) = Default::default();
+        let x = [Vec3::ZERO];
+        m.dynamics.integrate(Start { x: &x, t: 0.6, middle: Vec3::ZERO }, f64::from(0.7f32), &mut h, &mut out);
+        rot::to_glam(out.rotations[0]).normalize()
+    };
+    learn(&mut m, 0.7);
+    let (mut rng, mut means) = (Rng::new(9, "weights", 0, 0), Vec::new());
+    m.canonical.cloud.visit(&mut |p| {
+        if p.name == "cloud.means" {
+            means.clone_from(&p.grad);
+        }
+    });
+    let x = Vec3::new(0.3, -0.8, 0.5);
+    for got in means.as_chunks::<3>().0 {
+        let d = Vec3::new(rng.normal(), rng.normal(), rng.normal());
+        assert!((Vec3::from_array(*got).dot(x) - d.dot(turn * x)).abs() < 1e-5, "{got:?} {d}");
+        let _skipped: [f32; 4] = std::array::from_fn(|_| rng.normal());
     }
 }
 
@@ -357,6 +406,9 @@ fn impossible_settings_are_named() {
         (PhysicsConfig { start: 1.0, ..CONFIG }, "start"),
         (PhysicsConfig { slack: -0.1, ..CONFIG }, "slack"),
         (PhysicsConfig { bodies: 1001, ..CONFIG }, "bodies"),
+        (PhysicsConfig { settle: 1.5, ..CONFIG }, "settle"),
+        (PhysicsConfig { settle_frames: -1.0, ..CONFIG }, "settle_frames"),
+        (PhysicsConfig { settle: 0.3, refit: true, ..CONFIG }, "physics.settle = 0"),
     ] {
         assert!(config.check().unwrap_err().contains(name));
     }
