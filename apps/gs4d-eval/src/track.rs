@@ -187,10 +187,8 @@ pub fn follow(
         Some((t, x)) if begin.normalised > t.normalised => (from - x) / f64::from(begin.normalised - t.normalised),
         _ => DVec3::ZERO,
     };
-    let places = track.places.iter().map(|(t, _)| Ok(body.centre(&method.all_splats(&Timestamp::new(*t), camera)?)));
-    let ours = places.collect::<Result<Vec<_>, MethodError>>()?;
-    let timed = |(i, place): (usize, &DVec3)| (track.places[i].0.seconds, *place);
-    let ours: Vec<_> = ours.iter().enumerate().map(timed).collect();
+    let own = |(t, _): &(Time, DVec3)| Ok((t.seconds, body.centre(&method.all_splats(&Timestamp::new(*t), camera)?)));
+    let ours = track.places.iter().map(own).collect::<Result<Vec<_>, MethodError>>()?;
     let theirs: Vec<_> = track.places.iter().map(|(t, x)| (t.seconds, *x)).collect();
     let [measured, own] = [&theirs, &ours].map(|places| Parabola::through(&places[..seen]));
     let point = |i: usize| {

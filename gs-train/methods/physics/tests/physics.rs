@@ -83,7 +83,7 @@ fn a_thrown_ball_is_forecast_and_a_field_alone_cannot() {
 #[test]
 fn the_path_of_a_thrown_ball_is_refitted() {
     let data = mechanics("falling");
-    // The law as it is without settling, and a ball of ten splats.
+    // Refitting wants a law that is learnt alike at all times, with the gradients as published.
     let rough = "init.points = 600\nlaw.spin_up_weight = 3e-4\nphysics = { refit = true, settle = 0.0, turn_gradients = false }";
     let trace = third(&data, "trace", &format!("{LAW}\n{rough}"));
     let truth = gs_synth::truth("falling", &options()).expect("a scene");
