@@ -29,12 +29,14 @@ pub enum Shape {
         half_width: f64,
     },
     /// A sheet over `[-x, x] × [-y, y]` whose material points move along z only:
-    /// `z = ramp(x) Σ amplitude sin(wave·(x, y) − rate·t)`, `ramp = (x/half.x + 1)/2`: it is fixed at `x = −half.x`.
+    /// `z = ramp(x) Σ amplitude sin(wave·(x, y) − pace·rate·t)`, `ramp = (x/half.x + 1)/2`: it is fixed at `x = −half.x`.
     Sheet {
         /// Half sides along x and y, world units.
         half: DVec2,
         /// Travelling waves, which add up.
         waves: &'static [Wave],
+        /// Factor on the rates of all waves.
+        pace: f64,
     },
 }
 
@@ -112,7 +114,8 @@ impl Body {
 
     /// Cycles per unit of time of its fastest periodic motion; 0 at rest.
     pub(crate) fn cycles(&self) -> f64 {
-        let own = self.shape.waves().iter().map(|w| w.rate.abs() / std::f64::consts::TAU);
+        let pace = if let Shape::Sheet { pace, .. } = self.shape { pace } else { 0.0 };
+        let own = self.shape.waves().iter().map(|w| pace * w.rate.abs() / std::f64::consts::TAU);
         own.fold(self.motion.cycles(), f64::max)
     }
 
@@ -166,17 +169,17 @@ impl Shape {
 
     /// Height of the sheet; 0 for other shapes.
     pub(crate) fn height(&self, p: DVec2, t: f64) -> f64 {
-        let Self::Sheet { half, waves } = *self else { return 0.0 };
-        let sum: f64 = waves.iter().map(|w| w.amplitude * (w.wave.dot(p) - w.rate * t).sin()).sum();
+        let Self::Sheet { half, waves, pace } = *self else { return 0.0 };
+        let sum: f64 = waves.iter().map(|w| w.amplitude * (w.wave.dot(p) - w.rate * (pace * t)).sin()).sum();
         0.5 * (p.x / half.x + 1.0) * sum
     }
 
     /// Gradient of [`Self::height`].
     pub(super) fn height_slope(&self, p: DVec2, t: f64) -> DVec2 {
-        let Self::Sheet { half, waves } = *self else { return DVec2::ZERO };
+        let Self::Sheet { half, waves, pace } = *self else { return DVec2::ZERO };
         let ramp = 0.5 * (p.x / half.x + 1.0);
         let one = |w: &Wave| {
-            let (sin, cos) = (w.wave.dot(p) - w.rate * t).sin_cos();
+            let (sin, cos) = (w.wave.dot(p) - w.rate * (pace * t)).sin_cos();
             w.wave * (w.amplitude * ramp * cos) + DVec2::X * (w.amplitude * 0.5 / half.x * sin)
         };
         waves.iter().map(one).sum()
@@ -186,7 +189,7 @@ impl Shape {
     /// a fraction of a pixel, until the sign changes; then bisects and refines by Newton's method.
     fn sheet_hit(&self, o: DVec3, d: DVec3, t: f64) -> Option<LocalHit> {
         const MIN_STEP: f64 = 4e-3;
-        let Self::Sheet { half, waves } = *self else { return None };
+        let Self::Sheet { half, waves, .. } = *self else { return None };
         let amplitude = self.amplitude();
         let (enter, leave, _) = slabs(o, d, half.extend(amplitude))?;
         let f = |s: f64| {
@@ -357,7 +360,7 @@ mod tests {
             Wave { amplitude: 0.2, wave: DVec2::new(5.0, 2.0), rate: 6.0 },
             Wave { amplitude: 0.05, wave: DVec2::new(-3.0, 6.0), rate: 11.0 },
         ];
-        let sheet = Shape::Sheet { half: DVec2::new(1.0, 0.7), waves: WAVES };
+        let sheet = Shape::Sheet { half: DVec2::new(1.0, 0.7), waves: WAVES, pace: 1.0 };
         let mut hits = 0;
         for k in 0..400 {
             let target = DVec3::new(f64::from(k % 20) / 10.0 - 0.97, f64::from(k / 20) / 15.0 - 0.66, 0.0);

@@ -63,6 +63,7 @@ mod surface;
 pub mod testkit;
 pub mod trace;
 mod truth;
+mod variant;
 mod viewpoints;
 mod write;
 mod write_nerfies;
@@ -95,12 +96,19 @@ pub struct SynthOptions {
     pub boundary: f64,
     /// Seed of the camera positions.
     pub seed: u64,
+    /// Variant of the scene: 0 as designed, others turned about z, at another pace (0.75 to 1.1), with other colours and patterns.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub variant: u64,
     /// Samples per pixel along each axis, 1 to 16; scenes with fine texture use at least [`SynthScene::least_supersample`].
     pub supersample: u32,
     /// Share of the brightness that depends on the light, 0..1. 0: every material point keeps its colour.
     pub shading: f64,
     /// Whether images have lens distortion, skew, non-square pixels and a principal point off the centre.
     pub lens: bool,
+}
+
+fn is_zero(variant: &u64) -> bool {
+    *variant == 0
 }
 
 impl Default for SynthOptions {
@@ -115,6 +123,7 @@ impl Default for SynthOptions {
             moments: 40,
             boundary: 0.75,
             seed: 0,
+            variant: 0,
             supersample: 3,
             shading: 0.2,
             lens: false,
@@ -169,7 +178,9 @@ pub fn truth(name: &str, options: &SynthOptions) -> Result<Truth, DataError> {
     })?;
     check(options)?;
     let options = &SynthOptions { supersample: options.supersample.max(scene.least_supersample), ..*options };
-    Ok(Truth::new((scene.bodies)(), scene.name, scene.dynamic, options))
+    let mut bodies = (scene.bodies)();
+    variant::vary(&mut bodies, options.variant);
+    Ok(Truth::new(bodies, scene.name, scene.dynamic, options))
 }
 
 /// The ground truth of a scene that was written to a folder, from its `truth.json`; none without that file, or if it names no
@@ -216,7 +227,9 @@ pub fn generate(name: &str, options: &SynthOptions) -> Result<SynthData, DataErr
 /// Name and seed of the scene and, where bodies move periodically, whether the timestamps resolve it: evenly spaced ones
 /// `1/(n − 1)` apart resolve up to `(n − 1)/2` cycles (Nyquist).
 fn notes(truth: &Truth, count: u32) -> Vec<String> {
-    let mut notes = vec![format!("generated scene \"{}\", seed {}", truth.scene(), truth.options().seed)];
+    let SynthOptions { seed, variant, .. } = *truth.options();
+    let variant = if variant > 0 { format!(", variant {variant}") } else { String::new() };
+    let mut notes = vec![format!("generated scene \"{}\", seed {seed}{variant}", truth.scene())];
     let fastest = truth.bodies().iter().map(|b| b.cycles()).fold(0.0, f64::max);
     if truth.dynamic() && fastest > 0.0 {
         let nyquist = 0.5 * f64::from(count.saturating_sub(1));

@@ -150,6 +150,7 @@ fn sheet() -> Vec<Body> {
         shape: Shape::Sheet {
             half: DVec2::new(1.0, 0.7),
             waves: const { &[Wave { amplitude: 0.3, wave: DVec2::new(4.5, 1.2), rate: TURN }] },
+            pace: 1.0,
         },
         motion: Motion::default(),
         colors: [[0.82, 0.30, 0.22], [0.92, 0.90, 0.80]],
@@ -235,7 +236,7 @@ fn reach() -> Vec<Body> {
         },
         Body {
             name: "cloth",
-            shape: Shape::Sheet { half: DVec2::new(0.55, 0.6), waves: CLOTH_WAVES },
+            shape: Shape::Sheet { half: DVec2::new(0.55, 0.6), waves: CLOTH_WAVES, pace: 1.0 },
             motion: hanging,
             colors: [[0.12, 0.36, 0.66], [0.85, 0.93, 0.96]],
             pattern: 12.0,

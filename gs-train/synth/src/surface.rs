@@ -73,7 +73,7 @@ mod tests {
         let wheel = body(Shape::Wheel { radius: 0.5, half_width: 0.1 });
         assert!((wheel.distance(DVec3::new(1.8, 0.0, 0.5), 0.0) - 0.5).abs() < 1e-15, "from the rim");
         assert!((wheel.distance(DVec3::new(1.3, 0.0, 0.06), 0.0) + 0.04).abs() < 1e-15, "inside");
-        let sheet = body(Shape::Sheet { half: DVec2::ONE, waves: &[] });
+        let sheet = body(Shape::Sheet { half: DVec2::ONE, waves: &[], pace: 1.0 });
         assert!((sheet.distance(DVec3::new(1.2, 0.3, -0.3), 0.0) - 0.3).abs() < 1e-15);
         assert!((sheet.distance(DVec3::new(2.4, 0.0, 0.3), 0.0) - 0.5).abs() < 1e-15);
     }
@@ -89,6 +89,6 @@ mod tests {
             let apart = |a: usize| (0..a).all(|b| (points[a] - points[b]).length() > 0.1);
             assert!((0..n).all(apart));
         }
-        assert_eq!(Shape::Sheet { half: DVec2::ONE, waves: &[] }.landmarks().len(), 9);
+        assert_eq!(Shape::Sheet { half: DVec2::ONE, waves: &[], pace: 1.0 }.landmarks().len(), 9);
     }
 }

@@ -65,6 +65,9 @@ pub struct Synth {
     /// Seed of the cameras.
     #[arg(long, default_value_t = 0)]
     seed: u64,
+    /// Variant of the scene: 0 as designed; others turned, at another pace, in other colours and patterns.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    variant: u64,
     /// Give the training views motion blur: how long the shutter is open, normalised time (0..1).
     #[arg(long, value_name = "TIME")]
     exposure: Option<f64>,
@@ -158,6 +161,7 @@ impl Synth {
             moments: self.moments,
             boundary: self.boundary,
             seed: self.seed,
+            variant: self.variant,
             lens: self.lens,
             ..default
         }
