@@ -149,6 +149,7 @@ fn every_fusion_and_depth_agrees_with_its_reference() {
         bands,
         hidden: hidden.to_vec(),
         gamma_max: 5.0,
+        gain: 0.7,
         time: WaveTime::Scaled,
         on: true,
     };

@@ -69,7 +69,8 @@ impl Grid4dRef {
         let t = f64::from(t.normalised);
         let t = if fourier.time == WaveTime::Raw { t } else { 0.9 * f64::from(self.config.bound) * (2.0 * t - 1.0) };
         let angle = |i: usize| std::f64::consts::PI * frequency(i, fourier.bands, fourier.gamma_max) * t;
-        w.iter().enumerate().flat_map(|(i, w)| [w * angle(i).sin(), w * angle(i).cos()]).collect()
+        let gain = fourier.gain;
+        w.iter().enumerate().flat_map(|(i, w)| [gain * w * angle(i).sin(), gain * w * angle(i).cos()]).collect()
     }
 
     /// The head's outputs at a point `x`, world units: `[η_raw (with a gate), ρ 4, τ 3, Δr 4, Δs 3]`.

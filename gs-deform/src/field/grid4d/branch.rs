@@ -20,6 +20,8 @@ pub(super) struct Branch {
     bands: usize,
     /// Highest frequency, half cycles per unit of time.
     top: f64,
+    /// Factor on the waves.
+    gain: f64,
     /// Slope and offset of the waves' time as a linear function of `t`.
     wave_time: [f64; 2],
 }
@@ -82,13 +84,15 @@ impl Branch {
             fusion: fourier.fusion,
             bands: fourier.bands,
             top: fourier.gamma_max,
+            gain: fourier.gain,
             wave_time: if fourier.time == WaveTime::Raw { [1.0, 0.0] } else { [2.0 * scale, -scale] },
         }
     }
 
     /// Evaluates the waves at a timestamp.
     pub(super) fn set_time(&self, t: Time, waves: &mut Waves) {
-        waves.set(self.bands, self.top, self.wave_time[0] * f64::from(t.normalised) + self.wave_time[1]);
+        let t = self.wave_time[0] * f64::from(t.normalised) + self.wave_time[1];
+        waves.set(self.bands, self.top, self.gain, t);
     }
 
     /// The amplitude layer of a collapsed branch.

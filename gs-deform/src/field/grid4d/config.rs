@@ -47,6 +47,10 @@ pub struct FourierConfig {
     /// Highest frequency `γ`, half cycles per unit of time (FAGS: 8), at least 1.
     #[serde(default = "published_gamma")]
     pub gamma_max: f64,
+    /// Factor on the waves, above 0 (FAGS: 1). Adam moves every amplitude by one rate, so a step moves the branch by about
+    /// `m` times what it moves an amplitude, at all times at once; a factor lessens that without lessening what can be fitted.
+    #[serde(default = "published_gain")]
+    pub gain: f64,
     /// Time argument of the waves.
     pub time: WaveTime,
     /// How the branch is combined with the features of the grids.
@@ -57,6 +61,10 @@ pub struct FourierConfig {
 
 fn published_gamma() -> f64 {
     8.0
+}
+
+fn published_gain() -> f64 {
+    1.0
 }
 
 /// Time argument of the waves.
@@ -154,6 +162,7 @@ impl Default for Grid4dConfig {
                 on: true,
                 bands: 128,
                 gamma_max: published_gamma(),
+                gain: published_gain(),
                 time: WaveTime::Raw,
                 fusion: Fusion::Add,
                 hidden: Vec::new(),
@@ -255,6 +264,9 @@ impl FourierConfig {
         }
         if !(1.0..=1024.0).contains(&self.gamma_max) {
             return reject("gamma_max", self.gamma_max.to_string(), "1 to 1024");
+        }
+        if !(self.gain > 0.0 && self.gain <= 1e3) {
+            return reject("gain", self.gain.to_string(), "above 0, at most 1000");
         }
         if self.fusion != Fusion::Concat && 2 * self.bands != width {
             return reject("bands", self.bands.to_string(), "half the width, unless the fusion is `concat`");

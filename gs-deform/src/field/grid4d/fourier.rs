@@ -1,7 +1,7 @@
 //! The Fourier branch (FAGS, Eqs. 6 and 7): waves in time whose amplitudes depend on the position.
 //!
 //! ```text
-//! γ_i = γ_max^{(i−1)/(m−1)}     s_i = sin πγ_i t,  c_i = cos πγ_i t                   i = 1 … m; FAGS: γ_max = 8, four cycles
+//! γ_i = γ_max^{(i−1)/(m−1)}     s_i = g sin πγ_i t,  c_i = g cos πγ_i t               i = 1 … m; FAGS: γ_max = 8, four cycles; g = 1
 //! f_fre = [w_1 s_1, w_1 c_1, …, w_m s_m, w_m c_m]          w = amplitudes(z_s)         one row of w per splat
 //! ```
 //! **Collapse.** If the branch is linear and added right before the head (no hidden layers, one linear amplitude
@@ -18,7 +18,7 @@
 use gs_core::nn::gemm::{Mat, MatMut, Write, gemm};
 use gs_core::nn::{Dense, Init};
 
-/// `sin πγ_i t` and `cos πγ_i t`, shared by all splats of a call.
+/// `g sin πγ_i t` and `g cos πγ_i t`, shared by all splats of a call.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Waves {
     sin: Vec<f32>,
@@ -26,14 +26,14 @@ pub(super) struct Waves {
 }
 
 impl Waves {
-    /// Evaluates the waves of `bands` frequencies up to `top` at time `t`.
-    pub(super) fn set(&mut self, bands: usize, top: f64, t: f64) {
+    /// Evaluates the waves of `bands` frequencies up to `top`, `gain` high, at time `t`.
+    pub(super) fn set(&mut self, bands: usize, top: f64, gain: f64, t: f64) {
         self.sin.clear();
         self.cos.clear();
         for i in 0..bands {
             let (sin, cos) = (std::f64::consts::PI * frequency(i, bands, top) * t).sin_cos();
-            self.sin.push(sin as f32);
-            self.cos.push(cos as f32);
+            self.sin.push((gain * sin) as f32);
+            self.cos.push((gain * cos) as f32);
         }
     }
 
@@ -173,7 +173,7 @@ mod tests {
     #[test]
     fn modulation_and_its_backward_are_transposes() {
         let mut waves = Waves::default();
-        waves.set(2, 8.0, 0.25);
+        waves.set(2, 8.0, 1.0, 0.25);
         let (mut f, mut d) = (Vec::new(), Vec::new());
         waves.modulate(&[2.0, 3.0], &mut f);
         let root = 0.5f32.sqrt();

@@ -29,6 +29,7 @@ pub(super) const DOMAINS: &[Domain] = &[
     within("temporal.levels", 1.0, 64.0),
     within("temporal.log2_table", 1.0, 28.0),
     within("fourier.gamma_max", 1.0, 1024.0),
+    within("fourier.gain", 1e-6, 1e3),
     within("gate.start", 0.0, 1.0),
     within("smooth.eps", 0.0, 1e3),
     within("smooth.eps_t", 0.0, 1e3),
