@@ -101,8 +101,9 @@ impl Synth {
             return Err(Failure::usage("no folder to write to").remedy(format!("gs4d synth {name} -o DIR")));
         };
         if name == avatar::NAME {
-            if self.cameras.is_some() || self.lens || self.exposure.is_some() || self.layout != Layout::Dnerf {
-                let what = "--cameras, --lens, --exposure and --layout are not for the scene avatar";
+            let of_scenes = self.cameras.is_some() || self.exposure.is_some() || self.variant != 0;
+            if of_scenes || self.lens || self.layout != Layout::Dnerf {
+                let what = "--cameras, --lens, --exposure, --variant and --layout are not for the scene avatar";
                 return Err(Failure::usage(what).remedy("choose its cameras with --cams, for example --cams 8x2"));
             }
             let Self { size, seed, truth, force, .. } = self;
