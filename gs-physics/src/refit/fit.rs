@@ -40,7 +40,7 @@ pub(super) struct Window<'a> {
 
 impl<'a> Window<'a> {
     pub(super) fn new(seen: &'a Seen, times: usize) -> Self {
-        Self { seen, times, unit: -seen.taus[times - 1] }
+        Self { seen, times, unit: seen.taus[0] - seen.taus[times - 1] }
     }
 
     /// The best path.
@@ -49,13 +49,15 @@ impl<'a> Window<'a> {
         let Some(most) = all.last() else { return self.along(Path::Rest) };
         let alike = self.alike(most);
         let count = self.times as f64 / alike;
+        let kinds = self.kinds();
         let score = |c: &Candidate| {
-            let logs = (0..3).map(|kind| 2.0 * c.residuals[kind].max(self.floor(kind)).ln()).sum::<f64>();
-            3.0 * count * logs + c.path.count() as f64 * (9.0 * count).ln()
+            let logs: f64 = kinds.iter().map(|k| 2.0 * c.residuals[*k].max(self.floor(*k)).ln()).sum();
+            3.0 * count * logs + c.path.count() as f64 * (3.0 * kinds.len() as f64 * count).ln()
         };
-        let best = all.into_iter().min_by(|a, b| score(a).total_cmp(&score(b)));
+        let best =
+            all.into_iter().filter(|c| c.path.plausible(&c.minimum.at)).min_by(|a, b| score(a).total_cmp(&score(b)));
         let best = best.unwrap_or_else(|| self.along(Path::Rest));
-        let errors = (9 * self.times) as f64;
+        let errors = (3 * self.kinds().len() * self.times) as f64;
         Candidate { variance: alike * errors / (errors - best.path.count() as f64), ..best }
     }
 
@@ -73,7 +75,8 @@ impl<'a> Window<'a> {
         let mut scales = [f64::INFINITY, 1.0, 1.0];
         for _ in 0..PASSES {
             let residuals = self.fit(path, at, &scales);
-            scales = [0, 1, 2].map(|kind| residuals.1[kind].max(self.floor(kind)));
+            scales = [f64::INFINITY; 3];
+            self.kinds().iter().for_each(|k| scales[*k] = residuals.1[*k].max(self.floor(*k)));
             at = residuals.0.at;
         }
         let (minimum, residuals) = self.fit(path, at, &scales);
@@ -83,8 +86,11 @@ impl<'a> Window<'a> {
     /// Least squares of errors over `scales`, and the root mean square errors that are left.
     fn fit(&self, path: Path, at: Vec<f64>, scales: &[f64; 3]) -> (Minimum, [f64; 3]) {
         let scaled = |e: Errors| [0, 1, 2].map(|kind| e[kind] / scales[kind]);
-        let minimum =
-            minimise(at, |p| self.errors(path, p).into_iter().flat_map(scaled).flat_map(|v| v.to_array()).collect());
+        // A centre of mass that nothing tells stays at the centroid.
+        let minimum = minimise(at, |p| {
+            let all = self.errors(path, p).into_iter().flat_map(scaled).chain([path.offset(p)]);
+            all.flat_map(|v| v.to_array()).collect()
+        });
         let left = self.errors(path, &minimum.at);
         let square = |kind: usize| left.iter().map(|e| e[kind].length_squared()).sum::<f64>() / (3 * self.times) as f64;
         (minimum, [0, 1, 2].map(|kind| square(kind).sqrt()))
@@ -100,11 +106,20 @@ impl<'a> Window<'a> {
             let spin = (*w - DVec3::from_array(twist.w)) * *radius;
             [*place - pose.centre, (*u - velocity) / doubts[k], spin / doubts[k]]
         };
-        self.rows().zip(&poses).enumerate().map(one).collect()
+        let mut all: Vec<Errors> = self.rows().zip(&poses).enumerate().map(one).collect();
+        // The place at τ = 0 is off like all others.
+        let mean = all.iter().map(|e| e[0]).sum::<DVec3>() / self.times as f64;
+        all.iter_mut().for_each(|e| e[0] -= mean);
+        all
     }
 
     fn rows(&self) -> impl Iterator<Item = &[DVec3; 3]> {
         self.seen.rows[..self.times].iter()
+    }
+
+    /// Kinds of errors that count: where places follow from velocities, images have shown the places.
+    fn kinds(&self) -> &'static [usize] {
+        if self.seen.carried { &[0, 2] } else { &[0, 1, 2] }
     }
 
     /// Number of frames that errors stay alike, by the correlation of neighbouring ones along a path.
@@ -121,7 +136,15 @@ impl<'a> Window<'a> {
 
     /// Errors that are taken for granted: rounding, and those of a law whose particles disagree.
     fn floor(&self, kind: usize) -> f64 {
-        let rounding = ROUNDING * self.seen.radius;
-        if kind == 0 { rounding } else { (rounding / self.unit).max(DOUBT * self.seen.disagreement) }
+        let Seen { radius, disagreement, carried, .. } = *self.seen;
+        let (rounding, doubt) = (ROUNDING * radius, DOUBT * disagreement);
+        match kind {
+            // The root mean square of an error of velocity times the time since.
+            0 if carried => rounding.max(doubt * self.unit / 3f64.sqrt()),
+            0 => rounding,
+            // A smooth body hardly shows how it turns.
+            2 if carried => (rounding / self.unit).max(disagreement),
+            _ => (rounding / self.unit).max(doubt),
+        }
     }
 }

@@ -1,7 +1,7 @@
 //! Rigid bodies refitted to how their particles moved: one path per body, with the error of its forecast.
 //!
 //! A law of motion is learnt one image at a time, and its values at the last time are those of a network at the edge of what it
-//! has seen. What it says of a body at all times says more. At times `τ_k ≤ 0` a body has a centroid `c_k`, and the law gives
+//! has seen. What it says of a body at all times says more. At times `τ_k` a body has a centroid `c_k`, and the law gives
 //! its particles a common twist: velocity `u_k` at the centroid and angular velocity `w_k`, by least squares. A [`Path`] of
 //! parameters `p` predicts all three, and is fitted by the likelihood of three kinds of errors of unknown variance,
 //!
@@ -9,8 +9,15 @@
 //! minimise over p   Σ_kind N ln(S_kind(p) / N),    S_c = Σ_k |c_k − c_0 − ĉ_k(p)|²,  S_u = Σ_k |u_k − û_k(c_k; p)|²,
 //!                                                  S_w = Σ_k ρ² |w_k − ŵ_k(p)|²      ρ: root mean square radius of the body
 //! ```
-//! by least squares whose weights `N / S` follow the fit. Where particles of a learnt field are material points, places are the
+//! by least squares whose weights `N / S` follow the fit, and whose errors of place are about their mean: the place at `τ = 0` is off as
+//! all others are. Where particles of a learnt field are material points, places are the
 //! most accurate and rule; where they slide over a turning body, places disagree with twists and lose their weight.
+//!
+//! Where all of it was integrated from the motions at `τ = 0` ([`Tracks::carried`]), images have shown the places, and velocities
+//! follow from them: `S_u` is left out, and errors of place count from `⅓ σ T / √3` on, where particles disagree by `σ` in velocity over
+//! a span `T` of time. A law
+//! of twists about a fixed origin has a path for every flight that images cannot tell from a parabola at seen times, and that bends ahead: with
+//! a false turn `w` it has `c‴ = w × a`.
 //!
 //! Of all paths the one of least `Σ N/L ln(S/N) + n ln(N/L)` is taken (`n` parameters; `L`: number of frames that errors stay alike,
 //! from their correlation), so that a body at rest stays at rest. `L (JᵀJ)⁻¹` is the covariance of `p`: [`Body::deviation`] carries
@@ -36,11 +43,11 @@ use path::log;
 use seen::{FEWEST, Seen};
 use solve::{Square, jacobian};
 
-/// Where particles were and how they moved: `means[k][i]` and `motions[k][i]` of particle `i` at time `taus[k]`, latest first:
-/// `taus[0] = 0`, then before it. Motions are those read at each of these times, about [`Tracks::origin`].
+/// Where particles were and how they moved: `means[k][i]` and `motions[k][i]` of particle `i` at time `taus[k]`, latest first; one of
+/// them is 0. Motions are those read at each of these times, about [`Tracks::origin`].
 #[derive(Clone, Debug, Default)]
 pub struct Tracks {
-    /// Times before the last one, descending from 0.
+    /// Times, descending at even intervals, one of them 0.
     pub taus: Vec<f64>,
     /// Positions at each, world units.
     pub means: Vec<Vec<Vec3>>,
@@ -48,6 +55,8 @@ pub struct Tracks {
     pub motions: Vec<Vec<Motion<f32>>>,
     /// The origin that motions refer to, world units.
     pub origin: Vec3,
+    /// Whether places and motions were integrated from the motions at `τ = 0`.
+    pub carried: bool,
 }
 
 /// Displacement and rotation of a body since `τ = 0`.
@@ -90,7 +99,8 @@ impl Body {
     pub fn fit(tracks: &Tracks, members: &[usize], weights: &[f32]) -> Option<Self> {
         let seen = Seen::new(tracks, members, weights)?;
         let count = seen.taus.len();
-        let mut window = Window::new(&seen, FEWEST);
+        // What follows from one motion has no older kind of motion in it.
+        let mut window = Window::new(&seen, if seen.carried { count } else { FEWEST });
         let mut best = window.best();
         let limits = window.limits(&best);
         while window.times < count {

@@ -17,6 +17,10 @@ use crate::step::{Affine, step_map};
 use crate::twist::{Motion, Twist};
 use glam::{DQuat, DVec3};
 
+/// Farthest that a centre of mass may be from the centroid of what is seen of a body, in radii. Turning about a point far away
+/// bends a path as gravity does.
+const FARTHEST: f64 = 3.0;
+
 /// How a rigid body moves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Path {
@@ -70,6 +74,16 @@ impl Path {
     /// Number of parameters.
     pub(super) fn count(self) -> usize {
         3 * self.has().iter().filter(|has| **has).count()
+    }
+
+    /// From the centroid to the centre of mass, in radii; scaled parameters.
+    pub(super) fn offset(self, p: &[f64]) -> DVec3 {
+        self.vectors(p)[4]
+    }
+
+    /// Whether the centre of mass lies about where the body is; scaled parameters.
+    pub(super) fn plausible(self, p: &[f64]) -> bool {
+        self.offset(p).length() <= FARTHEST
     }
 
     /// The parameters of a body that goes on with velocity `v` of its centroid and angular velocity `w`.

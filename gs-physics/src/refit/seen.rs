@@ -26,6 +26,8 @@ pub(super) struct Seen {
     pub disagreement: f64,
     /// Root mean square speed of particles.
     pub speed: f64,
+    /// Whether all follows from the motions at `τ = 0`.
+    pub carried: bool,
 }
 
 /// Places relative to the origin, and velocities there, of the particles at one time.
@@ -41,6 +43,7 @@ struct Common {
 impl Seen {
     pub(super) fn new(tracks: &Tracks, members: &[usize], weights: &[f32]) -> Option<Self> {
         let count = tracks.taus.len();
+        let zero = tracks.taus.iter().position(|tau| *tau == 0.0)?;
         if members.len() < 3 || count < FEWEST {
             return None;
         }
@@ -60,15 +63,16 @@ impl Seen {
         }
         let all = common(&frames, &own);
         let mean = |of: &mut dyn Iterator<Item = f64>| weighted(&own, of).sqrt();
-        let (first, disagreement) = (all[0].row[0], mean(&mut of_particles(&all).into_iter()));
-        let radius = mean(&mut frames[0].iter().map(|(x, _)| x.distance_squared(first)));
+        let (first, disagreement) = (all[zero].row[0], mean(&mut of_particles(&all).into_iter()));
+        let radius = mean(&mut frames[zero].iter().map(|(x, _)| x.distance_squared(first)));
         let doubt = |c: &Common| mean(&mut c.errors.iter().copied()) / disagreement.max(f64::MIN_POSITIVE);
         let doubts = all.iter().map(|c| if disagreement > 0.0 { doubt(c).max(LEAST_DOUBT) } else { 1.0 }).collect();
         let fast = |f: &Moving| weighted(&own, &mut f.iter().map(|(_, u)| u.length_squared()));
         let speed = (frames.iter().map(fast).sum::<f64>() / count as f64).sqrt();
         let rows = all.iter().map(|c| [c.row[0] - first, c.row[1], c.row[2]]).collect();
         let centroid = first + tracks.origin.as_dvec3();
-        (radius > 0.0).then(|| Self { taus: tracks.taus.clone(), centroid, radius, rows, doubts, disagreement, speed })
+        let (taus, carried) = (tracks.taus.clone(), tracks.carried);
+        (radius > 0.0).then_some(Self { taus, centroid, radius, rows, doubts, disagreement, speed, carried })
     }
 }
 

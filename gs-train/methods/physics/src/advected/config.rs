@@ -33,8 +33,8 @@ pub struct PhysicsConfig {
     /// Most bodies whose splats share one motion in a forecast, as far as `slack` allows; 0: every splat follows its own.
     #[serde(default)]
     pub bodies: u32,
-    /// Whether a forecast refits the paths of rigid bodies to all times that were seen ([`gs_physics::refit`]); with `settle` at 0,
-    /// since it reads the dynamics at all of them.
+    /// Whether a forecast refits the paths of rigid bodies to all times that were seen ([`gs_physics::refit`]). Where the dynamics
+    /// settle on `T_def`, they are read there alone.
     #[serde(default)]
     pub refit: bool,
     /// Share of the moving stage, at its end, in which the dynamics set out from `T_def` for every image they render: forecasts
@@ -75,11 +75,6 @@ impl PhysicsConfig {
         need((0.0..=1.0).contains(&self.settle), "settle", self.settle, "0 to 1")?;
         let frames = self.settle_frames;
         need(frames >= 0.0 && frames.is_finite(), "settle_frames", frames, "0 or more")?;
-        if self.refit && self.settle > 0.0 {
-            return Err("physics.refit reads the law at all times, physics.settle trains it at the last one: \
-                        one of them, physics.refit = false or physics.settle = 0"
-                .into());
-        }
         need(self.slack >= 0.0 && self.slack.is_finite(), "slack", self.slack, "0 or more")?;
         need(self.bodies <= 1000, "bodies", self.bodies as f32, "0 to 1000")
     }

@@ -56,6 +56,8 @@ struct Times {
     step: f64,
     /// Last time the field is read at.
     last_field: f64,
+    /// Last training time.
+    last: f64,
     /// Before this only the field moves splats.
     start: f64,
 }
@@ -65,7 +67,7 @@ impl Times {
         let step = config.step(scene);
         let back = step.max(f64::from(config.back_frames) * step / f64::from(config.step_frames));
         let last = f64::from(scene.last_time);
-        Self { step, last_field: (last - back).max(0.0), start: f64::from(config.start) * last }
+        Self { step, last_field: (last - back).max(0.0), last, start: f64::from(config.start) * last }
     }
 }
 
@@ -217,7 +219,7 @@ impl<F: Field, D: Dynamics> Advected<F, D> {
         }
         let moved = match span.from == self.times.last_field && span.to > span.from {
             true => self.ahead(span.to),
-            false => self.near(splats.geometry(), span),
+            false => self.near(&splats, span),
         };
         if self.config.turn_colours {
             colours::turn(&splats.quats, &moved.quats, &mut splats.color);
@@ -227,11 +229,11 @@ impl<F: Field, D: Dynamics> Advected<F, D> {
     }
 
     /// The splats at a time that the field is read at or near to.
-    fn near(&self, canonical: GeometryRef<'_>, span: Span) -> Geometry {
-        let mut moved = self.deformed(canonical, span.from);
+    fn near(&self, canonical: &Splats, span: Span) -> Geometry {
+        let mut moved = self.deformed(canonical.geometry(), span.from);
         if span.from != span.to {
             let (mut tape, mut moves) = Default::default();
-            let start = self.start(canonical.means, &moved.means, span.from);
+            let start = self.start(canonical, &moved.means, span.from);
             self.dynamics.integrate(start, span.to, &mut tape, &mut moves);
             carry(&mut moved, &mut moves);
         }
@@ -249,30 +251,43 @@ impl<F: Field, D: Dynamics> Advected<F, D> {
         f(known.get_or_insert_with(|| {
             let (canonical, from) = (self.canonical.activated(), self.first_ahead());
             let begin = self.deformed(canonical.geometry(), from);
-            let middle = self.start(&canonical.means, &begin.means, from).middle;
+            let middle = self.start(&canonical, &begin.means, from).middle;
             let refit = self.config.refit && self.config.field && self.dynamics.motion_rollout().is_some();
-            let tracks = refit.then(|| self.tracks(canonical.geometry()));
+            let tracks = refit.then(|| self.tracks(&canonical));
             Future::new(begin, &canonical.opacities, from, middle, tracks.as_ref(), &self.dynamics, self.thrift)
         }))
     }
 
-    /// Where the field has splats at `T_def` and the frames before it, and how the dynamics move them there.
-    fn tracks(&self, canonical: GeometryRef<'_>) -> Tracks {
-        let (Times { last_field, start, .. }, frame) = (self.times, self.frame());
-        let count = cast::to_usize((last_field - start) / frame + 1e-3).min(TRACKED);
-        let taus: Vec<f64> = (0..=count).map(|k| -(k as f64) * frame).collect();
+    /// Where splats are at `T_def` and the frames before it, and how they move there: by the field and what the dynamics say at
+    /// each time, or, where the dynamics have settled on `T_def`, by what they say there alone, up to the last training time.
+    fn tracks(&self, canonical: &Splats) -> Tracks {
+        let (Times { last_field, last, start, .. }, frame) = (self.times, self.frame());
+        let carried = self.config.settle > 0.0;
+        let frames = |span: f64| cast::to_usize(span / frame + 1e-3).min(TRACKED);
+        let ahead = if carried { frames(last - last_field) } else { 0 };
+        let count = ahead + frames(last_field - start);
+        let taus: Vec<f64> = (0..=count).map(|k| (ahead as f64 - k as f64) * frame).collect();
+        let last = self.deformed(canonical.geometry(), last_field).means;
+        let first = self.start(canonical, &last, last_field);
+        let motions = self.dynamics.motions(first);
         let frame = |tau: &f64| {
-            let means = self.deformed(canonical, last_field + tau).means;
-            let motions = self.dynamics.motions(self.start(canonical.means, &means, last_field + tau));
+            let t = last_field + tau;
+            if carried {
+                let (mut tape, mut moves) = Default::default();
+                self.dynamics.integrate(first, t, &mut tape, &mut moves);
+                return (moves.means, motions.iter().map(|m| m.from(cast::to_f32(*tau))).collect());
+            }
+            let means = self.deformed(canonical.geometry(), t).means;
+            let motions = self.dynamics.motions(self.start(canonical, &means, t));
             (means, motions)
         };
         let (means, motions) = taus.iter().map(frame).unzip();
-        Tracks { taus, means, motions, origin: self.dynamics.origin() }
+        Tracks { taus, means, motions, origin: self.dynamics.origin(), carried }
     }
 
-    /// Deformed splats as particles that set out at a time; `rest` are their canonical means.
-    fn start<'a>(&self, rest: &[Vec3], x: &'a [Vec3], t: f64) -> Start<'a> {
-        Start { x, t, middle: middle(rest, x, self.dynamics.origin(), self.little) }
+    /// Deformed splats, at `x`, as particles that set out at a time.
+    fn start<'a>(&self, canonical: &Splats, x: &'a [Vec3], t: f64) -> Start<'a> {
+        Start { x, t, middle: middle(canonical, x, self.dynamics.origin(), self.little) }
     }
 
     fn forget(&mut self) {
@@ -289,7 +304,7 @@ impl<F: Field, D: Dynamics> Advected<F, D> {
         deform(field.as_deref(), rest, span.from, tape, moved);
         let mut shown = splats.with_geometry(moved.view());
         let travels = span.from != span.to;
-        let middle = middle(rest.means, &moved.means, self.dynamics.origin(), self.little);
+        let middle = middle(splats, &moved.means, self.dynamics.origin(), self.little);
         let start = Start { x: &moved.means, t: span.from, middle };
         if travels {
             self.dynamics.integrate(start, span.to, dynamics, moves);
@@ -336,13 +351,14 @@ fn deform<F: Field>(field: Option<&F>, canonical: GeometryRef<'_>, t: f64, tape:
     }
 }
 
-/// The middle of what moved: the mean of the positions weighted by the squared distance from rest, drawn towards `origin` where
-/// splats moved by no more than `little`.
-fn middle(rest: &[Vec3], now: &[Vec3], origin: Vec3, little: f32) -> Vec3 {
+/// The middle of what moved: the mean of the positions weighted by opacity and squared distance from rest, drawn towards `origin`
+/// where splats moved by no more than `little`.
+fn middle(canonical: &Splats, now: &[Vec3], origin: Vec3, little: f32) -> Vec3 {
     let origin = origin.as_dvec3();
-    let (mut sum, mut weight) = (DVec3::ZERO, f64::from(little * little) * rest.len() as f64);
-    for (rest, now) in rest.iter().zip(now) {
-        let w = f64::from((*now - *rest).length_squared());
+    let all: f64 = canonical.opacities.iter().map(|o| f64::from(*o)).sum();
+    let (mut sum, mut weight) = (DVec3::ZERO, f64::from(little * little) * all);
+    for ((rest, now), opacity) in canonical.means.iter().zip(now).zip(&canonical.opacities) {
+        let w = f64::from(*opacity) * f64::from((*now - *rest).length_squared());
         sum += w * (now.as_dvec3() - origin);
         weight += w;
     }

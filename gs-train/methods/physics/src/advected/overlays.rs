@@ -27,7 +27,7 @@ impl<F: Field, D: Dynamics> Advected<F, D> {
         let first = self.first_ahead();
         let canonical = self.canonical.activated();
         if t <= first || !self.dynamics.motions_extrapolate() {
-            return self.dynamics.motions(self.start(&canonical.means, &splats.means, t));
+            return self.dynamics.motions(self.start(&canonical, &splats.means, t));
         }
         let tau = cast::to_f32(t - first);
         self.with_future(|future| future.particles(&self.dynamics)).1.iter().map(|m| m.from(tau)).collect()
