@@ -9,15 +9,15 @@
 //! minimise over p   Σ_kind N ln(S_kind(p) / N),    S_c = Σ_k |c_k − c_0 − ĉ_k(p)|²,  S_u = Σ_k |u_k − û_k(c_k; p)|²,
 //!                                                  S_w = Σ_k ρ² |w_k − ŵ_k(p)|²      ρ: root mean square radius of the body
 //! ```
-//! by least squares whose weights `N / S` follow the fit, and whose errors of place are about their mean: the place at `τ = 0` is off as
-//! all others are. Where particles of a learnt field are material points, places are the
-//! most accurate and rule; where they slide over a turning body, places disagree with twists and lose their weight.
+//! by least squares whose weights `N / S` follow the fit, and whose errors of place are about their mean: the place at `τ = 0` is off
+//! as all others are. A centre of mass more than three radii from the centroid is refused: turning about a point far away bends a path as gravity
+//! does. Where particles of a learnt field are material points, places are the most accurate and rule; where they slide over a turning body, places disagree with twists and lose their weight.
 //!
 //! Where all of it was integrated from the motions at `τ = 0` ([`Tracks::carried`]), images have shown the places, and velocities
-//! follow from them: `S_u` is left out, and errors of place count from `⅓ σ T / √3` on, where particles disagree by `σ` in velocity over
-//! a span `T` of time. A law
-//! of twists about a fixed origin has a path for every flight that images cannot tell from a parabola at seen times, and that bends ahead: with
-//! a false turn `w` it has `c‴ = w × a`.
+//! follow from them: `S_u` is left out, and errors of place count from `⅓ σ T / √3` on, those of turning (`ρ w`) from `σ`,
+//! where particles disagree by `σ` in velocity over a span `T` of time. So what the law says of a turn that images hardly show does not bend
+//! a path: by a law of twists about a fixed origin, a false turn `w` gives a flight `c‴ = w × a`, too little to be seen at seen times, and
+//! growing ahead.
 //!
 //! Of all paths the one of least `Σ N/L ln(S/N) + n ln(N/L)` is taken (`n` parameters; `L`: number of frames that errors stay alike,
 //! from their correlation), so that a body at rest stays at rest. `L (JᵀJ)⁻¹` is the covariance of `p`: [`Body::deviation`] carries

@@ -258,31 +258,47 @@ impl<F: Field, D: Dynamics> Advected<F, D> {
         }))
     }
 
-    /// Where splats are at `T_def` and the frames before it, and how they move there: by the field and what the dynamics say at
-    /// each time, or, where the dynamics have settled on `T_def`, by what they say there alone, up to the last training time.
+    /// Where splats are at seen frames, and how they move there.
     fn tracks(&self, canonical: &Splats) -> Tracks {
-        let (Times { last_field, last, start, .. }, frame) = (self.times, self.frame());
-        let carried = self.config.settle > 0.0;
-        let frames = |span: f64| cast::to_usize(span / frame + 1e-3).min(TRACKED);
-        let ahead = if carried { frames(last - last_field) } else { 0 };
-        let count = ahead + frames(last_field - start);
-        let taus: Vec<f64> = (0..=count).map(|k| (ahead as f64 - k as f64) * frame).collect();
-        let last = self.deformed(canonical.geometry(), last_field).means;
-        let first = self.start(canonical, &last, last_field);
-        let motions = self.dynamics.motions(first);
-        let frame = |tau: &f64| {
-            let t = last_field + tau;
-            if carried {
-                let (mut tape, mut moves) = Default::default();
-                self.dynamics.integrate(first, t, &mut tape, &mut moves);
-                return (moves.means, motions.iter().map(|m| m.from(cast::to_f32(*tau))).collect());
-            }
-            let means = self.deformed(canonical.geometry(), t).means;
-            let motions = self.dynamics.motions(self.start(canonical, &means, t));
+        if self.config.settle > 0.0 { self.carried_tracks(canonical) } else { self.field_tracks(canonical) }
+    }
+
+    /// Offsets from `T_def` of the frames that lie within `before` it and `after` it, latest first.
+    fn frames(&self, before: f64, after: f64) -> Vec<f64> {
+        let frame = self.frame();
+        let [before, after] = [before, after].map(|span| cast::to_usize(span / frame + 1e-3).min(TRACKED));
+        (0..=before + after).map(|k| (after as f64 - k as f64) * frame).collect()
+    }
+
+    /// By the field and what the dynamics say at each frame, up to `T_def`.
+    fn field_tracks(&self, canonical: &Splats) -> Tracks {
+        let Times { last_field, start, .. } = self.times;
+        let taus = self.frames(last_field - start, 0.0);
+        let at = |tau: &f64| {
+            let means = self.deformed(canonical.geometry(), last_field + tau).means;
+            let motions = self.dynamics.motions(self.start(canonical, &means, last_field + tau));
             (means, motions)
         };
-        let (means, motions) = taus.iter().map(frame).unzip();
-        Tracks { taus, means, motions, origin: self.dynamics.origin(), carried }
+        let (means, motions) = taus.iter().map(at).unzip();
+        Tracks { taus, means, motions, origin: self.dynamics.origin(), carried: false }
+    }
+
+    /// By what the dynamics say at `T_def` alone, at the frames that they have settled on.
+    fn carried_tracks(&self, canonical: &Splats) -> Tracks {
+        let Times { last_field, last, start, .. } = self.times;
+        let settled = f64::from(self.config.settle_frames) * self.frame();
+        let before = if settled > 0.0 { settled.min(last_field - start) } else { last_field - start };
+        let taus = self.frames(before, last - last_field);
+        let now = self.deformed(canonical.geometry(), last_field).means;
+        let begin = self.start(canonical, &now, last_field);
+        let motions = self.dynamics.motions(begin);
+        let at = |tau: &f64| {
+            let (mut tape, mut moves) = Default::default();
+            self.dynamics.integrate(begin, last_field + tau, &mut tape, &mut moves);
+            (moves.means, motions.iter().map(|m| m.from(cast::to_f32(*tau))).collect())
+        };
+        let (means, motions) = taus.iter().map(at).unzip();
+        Tracks { taus, means, motions, origin: self.dynamics.origin(), carried: true }
     }
 
     /// Deformed splats, at `x`, as particles that set out at a time.
