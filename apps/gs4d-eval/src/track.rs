@@ -4,6 +4,8 @@
 //! cross-section. Their weighted centroid is followed to the other times, so no track position after the last training time
 //! is used. The offset of the centroid at that time is part of the error.
 
+mod kalman;
+
 use glam::{DMat3, DVec3};
 use gs_core::io::{Limits, read_text};
 use gs_core::{Camera, Splats, Time, cast};
@@ -11,6 +13,7 @@ use gs_data::{Dataset, Split};
 use gs_train::method::MethodError;
 use gs_train::model::Model;
 use gs_train::timestamp::Timestamp;
+use kalman::Kalman;
 use serde::Serialize;
 use std::path::Path;
 
@@ -128,6 +131,9 @@ pub struct TrackPoint {
     pub measured_parabola: Option<f64>,
     /// The same for the parabola through the body's own places at these times.
     pub own_parabola: Option<f64>,
+    /// The same for a Kalman filter of nearly constant acceleration over the measurements in the training span; none for fewer than
+    /// five.
+    pub kalman: Option<f64>,
 }
 
 /// A model against a track.
@@ -147,12 +153,12 @@ impl TrackReport {
     /// A text table of the times after the last training time, then the accelerations.
     pub fn text(&self) -> String {
         let mut text = format!("a body of {} splats against its measured track\n", self.splats);
-        let heads = ["error", "constant velocity", "measured parabola", "own parabola"];
+        let heads = ["error", "constant velocity", "measured parabola", "measured Kalman", "own parabola"];
         text.push_str(&format!("{:>8}  {:>6}", "time", "ahead"));
         heads.iter().for_each(|head| text.push_str(&format!("  {head:>17}")));
         for m in self.moments.iter().filter(|m| m.ahead >= 0) {
             text.push_str(&format!("\n{:>8.4}  {:>6}", m.t, m.ahead));
-            for value in [Some(m.error), Some(m.constant_velocity), m.measured_parabola, m.own_parabola] {
+            for value in [Some(m.error), Some(m.constant_velocity), m.measured_parabola, m.kalman, m.own_parabola] {
                 text.push_str(&value.map_or(format!("  {:>17}", "-"), |v| format!("  {v:>17.4}")));
             }
         }
@@ -191,6 +197,7 @@ pub fn follow(
     let ours = track.places.iter().map(own).collect::<Result<Vec<_>, MethodError>>()?;
     let theirs: Vec<_> = track.places.iter().map(|(t, x)| (t.seconds, *x)).collect();
     let [measured, own] = [&theirs, &ours].map(|places| Parabola::through(&places[..seen]));
+    let kalman = Kalman::of(&theirs[..seen]);
     let point = |i: usize| {
         let ((t, x), (_, place)) = (track.places[i], ours[i]);
         let straight = from + velocity * f64::from(t.normalised - begin.normalised);
@@ -204,6 +211,7 @@ pub fn follow(
             constant_velocity: straight.distance(x),
             measured_parabola: measured.as_ref().map(off),
             own_parabola: own.as_ref().map(off),
+            kalman: kalman.map(|k| k.at(t.seconds).distance(x)),
         }
     };
     let acceleration = |places: &[(f64, DVec3)]| Parabola::through(&places[anchor..]).map(|p| p.acceleration());

@@ -78,7 +78,7 @@ pub(crate) fn resting_rows(method: &Model, views: &[(Camera, Time)]) -> Vec<Repo
     vec![ReportRow::new(
         "rows that could rest",
         format!("{} of {} ({share:.1} %)", report.still, report.splats),
-        &format!("within {pixels} pixels of the rendered views; left out only if asked for"),
+        &format!("within {pixels} pixels of the rendered views; left at rest by `gs4d render --static-within`"),
     )]
 }
 

@@ -73,8 +73,35 @@ fn short_recipes_draw_every_view_and_no_stage_undoes_the_one_before() {
     all("tiny", &[1.0], |method| !method.needs_avatar);
 }
 
-#[test]
-#[ignore = "long: cargo test --release -p gs4d-run --test lengths -- --ignored"]
-fn recipes_of_any_length_draw_every_view_and_no_stage_undoes_the_one_before() {
-    all("fast", &[0.01, 0.1, 1.0, 3.0], |_| true);
+/// One long test a method, so that they run side by side and by name.
+macro_rules! any_length {
+    ($($name:ident: $method:literal),* $(,)?) => {
+        $(
+            #[test]
+            #[ignore = "long: RAYON_NUM_THREADS=1 cargo test --release -p gs4d-run --test lengths -- --ignored"]
+            fn $name() {
+                all("fast", &[0.01, 0.1, 1.0, 3.0], |method| method.name == $method);
+            }
+        )*
+
+        #[test]
+        fn every_method_has_its_long_test() {
+            assert!(gs_methods::registry().iter().map(|m| m.name).eq([$($method),*]));
+        }
+    };
+}
+
+any_length! {
+    static3d: "static3d",
+    scaffold: "scaffold",
+    defgs: "defgs",
+    fourdgs: "fourdgs",
+    grid4d: "grid4d",
+    fags: "fags",
+    acutance: "acutance",
+    modec: "modec",
+    trace: "trace",
+    trace_4dgs: "trace-4dgs",
+    defgs_nvfi: "defgs-nvfi",
+    dut: "dut",
 }

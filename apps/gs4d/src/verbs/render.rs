@@ -13,6 +13,7 @@ use gs_core::io::{Limits, exr, load_splats, npy, write_file, y4m};
 use gs_core::{Camera, Image, Splats};
 use gs_data::Dataset;
 use gs_raster::{Frame, RasterOptions};
+use gs_train::capabilities::{FreezeOptions, FreezeReport};
 use gs_train::method::MethodError;
 use gs_train::ranks::Share;
 use gs_train::renderer::{Renderer, file_stem};
@@ -50,6 +51,9 @@ pub struct Render {
     /// Compensate opacities for the dilation of small splats (Mip-Splatting).
     #[arg(long)]
     antialias: bool,
+    /// Leave splats of a run at rest that move less than this on the rendered cameras over times 0 to 1, pixels; faster, not exact.
+    #[arg(long, value_name = "PIXELS", allow_hyphen_values = true, value_parser = parse::not_negative)]
+    static_within: Option<f64>,
     /// PNG: 8 bit RGB over the background. EXR, NPY: float32 RGB over the background, then alpha (premultiplied over black).
     /// Y4M: one uncompressed video, video.y4m.
     #[arg(long, value_enum, default_value_t = Format::Png)]
@@ -135,8 +139,11 @@ pub fn load_splat_file(path: &Path, global: &Global) -> Result<Splats, Failure> 
 
 impl Render {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
-        let scene = self.open(global)?;
+        let mut scene = self.open(global)?;
         let cameras = self.sequence(self.cameras(&scene)?)?;
+        if let Some(pixels) = self.static_within {
+            global.say(self.leave_at_rest(&mut scene, &cameras, pixels)?);
+        }
         let memory = global.memory();
         cameras
             .iter()
@@ -147,7 +154,7 @@ impl Render {
         let mut done = 0;
         let mut render = |k: usize| {
             let NamedCamera { name, camera, time } = &cameras[k];
-            let frame = scene.render(&mut renderer, camera, self.time.or(*time).unwrap_or(0.0))?.clone();
+            let frame = scene.render(&mut renderer, camera, self.time_of(*time))?.clone();
             done += 1;
             progress.at(done, || name.clone());
             Ok(frame)
@@ -166,6 +173,28 @@ impl Render {
         let files: Vec<String> = paths.iter().map(|p| p.display().to_string()).collect();
         let text: String = files.iter().map(|f| format!("{f}\n")).collect();
         Ok(Answer::new(text, json!({"files": files, "background": renderer.options.background})))
+    }
+
+    /// The time to render at; `own` is the camera's.
+    fn time_of(&self, own: Option<f32>) -> f32 {
+        self.time.or(own).unwrap_or(0.0)
+    }
+
+    /// Freezes static splats for the cameras; what was found, in words.
+    fn leave_at_rest(&self, scene: &mut Scene, cameras: &[NamedCamera], pixels: f64) -> Result<String, Failure> {
+        const FLAG: &str = "--static-within";
+        let Scene::Run(run) = scene else { return Err(Failure::usage(format!("{FLAG} needs a run"))) };
+        if let Some(t) = cameras.iter().map(|c| self.time_of(c.time)).find(|t| !(0.0..=1.0).contains(t)) {
+            return Err(Failure::usage(format!("{FLAG} says nothing about time {t}: motion is probed from 0 to 1")));
+        }
+        let views: Vec<Camera> = cameras.iter().map(|c| c.camera.clone()).collect();
+        let options = FreezeOptions { pixels: pixels as f32, ..FreezeOptions::usual(&views) };
+        let Some((resting, report)) = run.loaded.model.freeze_static(&options) else {
+            return Ok("no splat rests".to_owned());
+        };
+        run.loaded.model = resting;
+        let FreezeReport { still, splats, bound_pixels, probes, .. } = report;
+        Ok(format!("{still} of {splats} splats rest, at most {bound_pixels:.3} pixels off at {probes} times"))
     }
 
     fn open(&self, global: &Global) -> Result<Scene, Failure> {

@@ -97,6 +97,28 @@ fn a_run_is_drawn_at_any_time_on_any_number_of_threads() {
 }
 
 #[test]
+fn splats_of_a_run_rest_within_the_pixels_that_are_allowed() {
+    let dir = tempfile::tempdir().unwrap();
+    let camera = camera(dir.path(), &CAMERA.replace("[0,0,1,0]", "[0,0,1,4]"));
+    let call = |scene: &Path, name: &str, more: &[&str]| {
+        let out = dir.path().join(name);
+        gs4d(&[&["render", text(scene), "--camera", text(&camera), "--format", "npy", "-o", text(&out)], more].concat())
+    };
+    let draw = |name: &str, more: &[&str]| {
+        let done = call(run(), name, more);
+        assert_eq!(done.code, 0, "{}", done.err);
+        (fs::read(dir.path().join(name).join("front.npy")).unwrap(), done.err)
+    };
+    let (exact, _) = draw("exact", &["--time", "1"]);
+    assert_eq!(draw("none", &["--time", "1", "--static-within", "0"]).0, exact, "nothing rests that moves at all");
+    let (resting, said) = draw("some", &["--time", "1", "--static-within", "1000"]);
+    assert!(said.contains("splats rest, at most") && !said.contains(" 0 of"), "{said}");
+    assert_ne!(resting, exact, "what rests stands half-way");
+    call(run(), "beyond", &["--time", "1.5", "--static-within", "1"]).fails(2, &["--static-within", "1.5"]);
+    call(ply(), "file", &["--static-within", "1"]).fails(2, &["needs a run"]);
+}
+
+#[test]
 fn transforms_files_are_cameras_too() {
     let dir = tempfile::tempdir().unwrap();
     let own = data().join("transforms_test.json");
