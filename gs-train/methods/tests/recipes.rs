@@ -41,7 +41,7 @@ fn methods_compared_by_their_forecasts_share_one_recipe() {
 
 #[test]
 fn methods_on_one_body_share_one_recipe() {
-    let fags = ["cloud.kernel.kind", "field.fourier.on", "field.gate.on", "schedule.lambda_fre"];
+    let fags = ["cloud.kernel.kind", "field.gate.on", "schedule.lambda_fre"];
     for (method, own) in [("fags", &fags[..]), ("acutance", &fags[..1])] {
         let found = differences("grid4d", method);
         assert!(found.iter().eq(own), "grid4d and {method} differ in {found:?}");

@@ -50,7 +50,8 @@ pub const ENTRY: MethodEntry = MethodEntry {
     build,
 };
 
-/// Presets of everything on this body: none of them touches what tells the methods apart.
+/// Presets of everything on this body. What tells the methods apart they leave as it is, but for the Fourier branch, which `fast`
+/// has off.
 pub(super) const PRESETS: &[(&str, &[&str])] = &[
     ("paper", &[]),
     ("fast", &[CLOUD_FAST, include_str!("grid4d.fast.toml")]),
