@@ -61,6 +61,30 @@ impl LocalAnchors {
     pub fn is_empty(&self) -> bool {
         self.positions.is_empty()
     }
+
+    /// Becomes `Σ w part`, reusing memory.
+    ///
+    /// # Panics
+    /// If the parts have different numbers of anchors.
+    pub fn blend(&mut self, parts: &[(&LocalAnchors, f32)]) {
+        let Some((first, rest)) = parts.split_first() else { return };
+        let column = |to: &mut Vec<f32>, of: fn(&LocalAnchors) -> &Vec<f32>| {
+            to.clone_from(of(first.0));
+            to.par_chunks_mut(CHUNK).enumerate().for_each(|(c, to)| {
+                to.iter_mut().for_each(|v| *v *= first.1);
+                for (part, w) in rest {
+                    let from = &of(part)[c * CHUNK..c * CHUNK + to.len()];
+                    to.iter_mut().zip(from).for_each(|(v, p)| *v += w * p);
+                }
+            });
+        };
+        column(&mut self.offsets, |l| &l.offsets);
+        column(&mut self.features, |l| &l.features);
+        column(&mut self.scales, |l| &l.scales);
+        let position = |i: usize| -> Vec3 { parts.iter().map(|(part, w)| part.positions[i] * *w).sum() };
+        self.positions.clear();
+        self.positions.extend((0..first.0.len()).map(position));
+    }
 }
 
 impl LocalAnchorsGrad {
@@ -75,6 +99,20 @@ impl LocalAnchorsGrad {
         ] {
             d.clear();
             d.resize(n, 0.0);
+        }
+    }
+}
+
+impl LocalAnchorsGrad {
+    /// Becomes `by · d`, reusing memory: the cotangent of a part of [`LocalAnchors::blend`].
+    pub fn scale_from(&mut self, d: &LocalAnchorsGrad, by: f32) {
+        self.positions.clear();
+        self.positions.extend(d.positions.iter().map(|g| *g * by));
+        for (to, from) in
+            [(&mut self.offsets, &d.offsets), (&mut self.features, &d.features), (&mut self.scales, &d.scales)]
+        {
+            to.clear();
+            to.extend(from.iter().map(|g| g * by));
         }
     }
 }
@@ -115,6 +153,33 @@ mod tests {
     use super::*;
     use crate::AnchorShape;
     use gs_core::Rng;
+
+    #[test]
+    fn a_blend_and_its_cotangents_are_sums_by_weight() {
+        let shape = AnchorShape { offsets: 2, features: 3, dynamics: 0 };
+        let local = |x: f32| {
+            let mut local = LocalAnchors::default();
+            Anchors::new(shape, &[Vec3::splat(x), Vec3::ZERO], &[x, 0.0]).activate(&mut local);
+            local
+        };
+        let (a, b) = (local(0.0), local(1.0));
+        let mut mixed = local(7.0);
+        mixed.blend(&[(&a, 0.25), (&b, 0.75)]);
+        assert_eq!(mixed.positions, [Vec3::splat(0.75), Vec3::ZERO]);
+        assert!((mixed.scales[0] - (0.25 + 0.75 * 1f32.exp())).abs() < 1e-6 && mixed.scales[6..] == [1.0; 6]);
+        assert_eq!((mixed.offsets.len(), mixed.features.len()), (12, 6));
+
+        let (mut d, mut part) = <(LocalAnchorsGrad, LocalAnchorsGrad)>::default();
+        d.reset(&a);
+        (d.positions[1], d.offsets[3], d.features[2], d.scales[11]) = (Vec3::ONE, 2.0, 3.0, 4.0);
+        part.scale_from(&d, 0.5);
+        assert_eq!(
+            (part.positions[1], part.offsets[3], part.features[2], part.scales[11]),
+            (Vec3::splat(0.5), 1.0, 1.5, 2.0)
+        );
+        part.scale_from(&d, 1.0);
+        assert_eq!(part, d);
+    }
 
     #[test]
     fn activation_and_its_gradient() {

@@ -6,8 +6,8 @@
 pub struct SettingError {
     /// Name of the setting with its section: `adapt.every`.
     pub field: &'static str,
-    /// The value of the setting, out of its domain.
-    pub value: f64,
+    /// The value of the setting, as it would be written.
+    pub value: String,
     /// The domain in words: `at least 1 step`.
     pub rule: &'static str,
 }
@@ -16,8 +16,8 @@ pub struct SettingError {
 pub(crate) fn require(
     good: bool,
     field: &'static str,
-    value: impl Into<f64>,
+    value: impl ToString,
     rule: &'static str,
 ) -> Result<(), SettingError> {
-    if good { Ok(()) } else { Err(SettingError { field, value: value.into(), rule }) }
+    if good { Ok(()) } else { Err(SettingError { field, value: value.to_string(), rule }) }
 }

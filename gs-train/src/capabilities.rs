@@ -62,6 +62,11 @@ pub trait Inspect: Method {
         Ok(vec![StageView { name: "full", splats: self.splats(at, camera)?, before: None }])
     }
 
+    /// Normalised times at which what moves the scene changes: where splats may jump.
+    fn borders(&self) -> Vec<f32> {
+        Vec::new()
+    }
+
     /// Settings that have no effect or another one than they seem to, for people.
     fn warnings(&self) -> Vec<String> {
         Vec::new()

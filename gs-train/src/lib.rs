@@ -31,6 +31,7 @@ pub mod densify;
 pub mod domains;
 pub mod error;
 pub mod evaluate;
+pub mod jumps;
 pub mod kernel;
 pub mod layers;
 pub mod loss;

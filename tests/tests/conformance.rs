@@ -112,6 +112,8 @@ const CASES: &[Case] = &[
     Case { method: "acutance", ..GRIDS },
     Case { method: "acutance", ..UNIFORM },
     MODEC,
+    Case { over: "intervals.blend = \"linear\"", time: 0.5, ..MODEC },
+    Case { over: "intervals.blend = \"smooth\"", ..MODEC },
     Case {
         over: "gad.dynamics.global = \"mul\"",
         required: &["anchors.dynamics", "gad."],

@@ -8,6 +8,7 @@ use crate::ReportRow;
 use crate::inspect::{INVISIBLE_OPACITY, bytes_text};
 use glam::{DMat3, DVec3, Vec3};
 use gs_core::{Camera, Color, Params, Splats, rot};
+use gs_train::jumps::jumps;
 use gs_train::method::MethodError;
 use gs_train::model::Model;
 use gs_train::timestamp::Timestamp;
@@ -37,6 +38,12 @@ pub fn needs(method: &Model, camera: &Camera, extent: f32) -> Result<Vec<ReportR
     let mut out = vec![ReportRow::new("splats", n.to_string(), "rendered at every time")];
     if scenes.iter().all(|s| s.len() == n) {
         motion(&scenes, extent, &mut out);
+    }
+    let jumps = jumps(method, camera)?;
+    if let Some(most) = jumps.iter().max_by(|a, b| a.mean.total_cmp(&b.mean)) {
+        let text = format!("{:.2} pixels, 99 % within {:.2}, at t = {:.3}", most.mean, most.most, most.t);
+        let meaning = format!("the largest of {} where an interval of time begins, mean by opacity", jumps.len());
+        out.push(ReportRow::new("jump", text, &meaning));
     }
     let unseen = scenes.iter().fold(vec![true; n], |unseen, s| {
         unseen.iter().zip(&s.opacities).map(|(&u, &o)| u && o < INVISIBLE_OPACITY).collect()

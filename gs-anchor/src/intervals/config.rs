@@ -23,6 +23,19 @@ pub enum Statistic {
     Mean,
 }
 
+/// What frames between two canonical times have of the deformations of the anchors there.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Blend {
+    /// The deformation of the canonical time before: anchors jump where an interval begins (published).
+    #[default]
+    Hold,
+    /// A straight line from one to the next: anchors move, and turn sharply where an interval begins (ours).
+    Linear,
+    /// A cubic curve through them, with the slope between its neighbours at each (Catmull and Rom 1974; ours).
+    Smooth,
+}
+
 /// Settings of the intervals. Steps count within the stage's schedule.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -45,6 +58,9 @@ pub struct IntervalConfig {
     pub rule: Rule,
     /// The statistic of a view.
     pub statistic: Statistic,
+    /// How frames between canonical times are deformed.
+    #[serde(default)]
+    pub blend: Blend,
 }
 
 impl Default for IntervalConfig {
@@ -60,6 +76,7 @@ impl Default for IntervalConfig {
             step: 0.01,
             rule: Rule::Clean,
             statistic: Statistic::Sum,
+            blend: Blend::Hold,
         }
     }
 }
@@ -81,6 +98,9 @@ impl IntervalConfig {
         require((1..=4096).contains(&self.segments), "intervals.segments", self.segments, "1 to 4096 intervals")?;
         require(self.period > 0, "intervals.period", self.period, "at least 1 step")?;
         require(self.tau.is_finite(), "intervals.tau", self.tau, "finite")?;
+        let keys = self.rule == Rule::Clean || self.blend == Blend::Hold;
+        let blend = format!("{:?}", self.blend).to_lowercase();
+        require(keys, "intervals.blend", blend, "hold, where intervals.rule is ref")?;
         let step = self.step;
         require(
             step > 0.0 && step < 0.5,

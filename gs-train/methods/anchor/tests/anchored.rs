@@ -14,11 +14,12 @@ use gs_method_anchor::METHODS;
 use gs_raster::{ScreenStats, Workspace, render};
 use gs_synth::testkit::scene;
 use gs_train::capabilities::FreezeOptions;
+use gs_train::jumps::jumps;
 use gs_train::method::{MethodError, RenderView, ViewCtx};
 use gs_train::model::Model;
 use gs_train::registry::Registry;
 use gs_train::saved;
-use gs_train::testkit::{run, short, start};
+use gs_train::testkit::{config, run, short, start};
 use gs_train::timestamp::Timestamp;
 use gs_train::trainer::{TrainOptions, Trainer};
 
@@ -254,4 +255,23 @@ fn a_change_of_a_parameter_ends_the_rest() {
     resting.visit_mut(&mut |_| {});
     resting.begin_step(60);
     assert_eq!(splats(&resting, 0.4, camera), exact);
+}
+
+/// GAD held over each interval leaves LGD a jump to undo at every border; blended, there is none.
+#[test]
+fn key_frames_that_blend_leave_no_jump() {
+    let data = scene("reach", 48, 24);
+    let camera = &data.test[0].camera;
+    let most = |blend: &str| {
+        let over = format!("intervals.blend = \"{blend}\"");
+        let mut trainer = start(&registry(), &data, "modec", &config(&registry(), "modec", "tiny", &[&over]), 1);
+        let steps = trainer.steps();
+        run(&mut trainer, steps);
+        let all = jumps(trainer.model(), camera).expect("splats");
+        assert_eq!(all.len(), 4, "borders");
+        all.iter().map(|j| j.mean).fold(0.0, f64::max)
+    };
+    let [hold, linear, smooth] = ["hold", "linear", "smooth"].map(most);
+    println!("mean jump, pixels: hold {hold:.3}, linear {linear:.4}, smooth {smooth:.4}");
+    assert!(hold > 0.05 && linear < 0.005 && smooth < 0.005, "{hold} {linear} {smooth}");
 }

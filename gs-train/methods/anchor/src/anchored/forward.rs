@@ -1,8 +1,9 @@
 //! One view of a training step: anchors to splats, and backward.
 
 use super::Anchored;
+use super::key_frames::KeyFrames;
 use gs_anchor::visible::{self, SUPPORT, VisibilityOptions};
-use gs_anchor::{DecodeTape, GadTape, LocalAnchors, LocalAnchorsGrad, Visible};
+use gs_anchor::{DecodeTape, LocalAnchors, LocalAnchorsGrad, Visible};
 use gs_core::{Camera, Geometry, GeometryRef, Splats, SplatsGrad, SplatsRef, Time, cast};
 use gs_deform::{Field, HexPlaneField};
 use rayon::prelude::*;
@@ -40,7 +41,7 @@ pub enum Statistics {
 pub(super) struct Tape {
     pub local: LocalAnchors,
     d_local: LocalAnchorsGrad,
-    gad: GadTape,
+    keys: KeyFrames,
     pub decoded: DecodeTape,
     /// Decoded Gaussians, before LGD.
     splats: Splats,
@@ -66,10 +67,10 @@ impl Anchored {
     /// Fills the tape with the splats of a view.
     pub(super) fn forward(&mut self, t: Time, camera: &Camera) {
         let dynamic = self.dynamic();
-        let canonical = self.motion.canonical_time(t);
+        let keys = self.motion.keys(t);
         let tape = &mut self.tape;
         match &self.motion.gad {
-            Some(gad) if dynamic => gad.forward(&self.anchors, canonical, &mut tape.gad, &mut tape.local),
+            Some(gad) if dynamic => tape.keys.forward(gad, &self.anchors, &keys, &mut tape.local),
             _ => self.anchors.activate(&mut tape.local),
         }
         tape.moves = dynamic && self.motion.lgd.is_some();
@@ -114,7 +115,7 @@ impl Anchored {
         self.decoder.backward(&tape.local, &mut tape.decoded, &tape.d_splats, &mut tape.d_local);
         let dynamic = self.at.dynamic;
         match self.motion.gad.as_mut().filter(|_| dynamic) {
-            Some(gad) => gad.backward(&mut self.anchors, &mut tape.gad, &tape.d_local),
+            Some(gad) => tape.keys.backward(gad, &mut self.anchors, &tape.d_local),
             None => self.anchors.activate_backward(&tape.local, &tape.d_local),
         }
     }

@@ -55,20 +55,28 @@ impl Cache {
 }
 
 impl Anchored {
-    /// The anchors of the interval that holds `t`.
+    /// The anchors at `t`, before LGD: those of its interval, or a blend of those around it.
     pub(super) fn local(&self, t: Time) -> Arc<LocalAnchors> {
         let Some(gad) = self.motion.gad.as_ref().filter(|_| self.dynamic()) else {
             return self.cache.get(Time::default(), || self.at_rest());
         };
-        let canonical = self.motion.canonical_time(t);
-        self.cache.get(canonical, || {
+        let at = |canonical: Time| {
             let mut local = LocalAnchors::default();
             match &self.cache.rest {
                 Some(rest) => gad.forward_active(&self.anchors, canonical, rest.below(), &mut local),
                 None => gad.forward(&self.anchors, canonical, &mut Default::default(), &mut local),
             }
             local
-        })
+        };
+        let keys = self.motion.keys(t);
+        let locals: Vec<_> =
+            keys.iter().map(|(canonical, w)| (self.cache.get(*canonical, || at(*canonical)), *w)).collect();
+        if let [(local, _)] = &locals[..] {
+            return local.clone();
+        }
+        let mut blended = LocalAnchors::default();
+        blended.blend(&locals.iter().map(|(local, w)| (&**local, *w)).collect::<Vec<_>>());
+        Arc::new(blended)
     }
 
     fn at_rest(&self) -> LocalAnchors {

@@ -3,11 +3,13 @@
 //! ```text
 //! anchors → GAD(t_c) → local anchors → visible → decode → LGD(t) → splats at t → draw
 //! ```
-//! and back the same way. `t_c` is the canonical time of the interval that holds `t`. A scene at rest, and every stage that
+//! and back the same way. `t_c` is the canonical time of the interval that holds `t`, or local anchors of several such times are
+//! blended. A scene at rest, and every stage that
 //! is not dynamic, has neither GAD nor LGD. What a camera cannot see is not decoded; the image is the same.
 
 mod forward;
 mod inference;
+mod key_frames;
 mod motion;
 mod rest;
 
@@ -349,6 +351,11 @@ impl Inspect for Anchored {
         });
         let quantities = self.quantities(at)?;
         Ok(quantities.iter().map(Quantity::overlay).chain([anchor]).chain(interval).collect())
+    }
+
+    fn borders(&self) -> Vec<f32> {
+        let intervals = self.motion.intervals.as_ref().filter(|_| self.at.dynamic);
+        intervals.map_or_else(Vec::new, |i| i.starts.value[1..].to_vec())
     }
 
     fn warnings(&self) -> Vec<String> {

@@ -29,10 +29,10 @@ pub struct Motion {
 }
 
 impl Motion {
-    /// The time GAD is asked for at `t`: that of the interval, or `t` itself without intervals.
-    pub fn canonical_time(&self, t: Time) -> Time {
-        let normalised = self.intervals.as_ref().map_or(t.normalised, |i| i.canonical_time(t.normalised));
-        Time { normalised, ..t }
+    /// The times GAD is asked for at `t`, with the weights of their results: those of the intervals, or `t` itself without.
+    pub fn keys(&self, t: Time) -> Vec<(Time, f32)> {
+        let keys = self.intervals.as_ref().map_or_else(|| vec![(t.normalised, 1.0)], |i| i.keys(t.normalised));
+        keys.into_iter().map(|(normalised, w)| (Time { normalised, ..t }, w)).collect()
     }
 
     /// Regularisers of both fields: gradients are added, weighted values given.
