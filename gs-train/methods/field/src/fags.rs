@@ -1,8 +1,8 @@
 //! FAGS, frequency-aware dynamic Gaussian splatting: Grid4D with a kernel whose fall-off is learnt, a Fourier branch, a
 //! gate and a loss on amplitude spectra. Settings and body are those of [`grid4d`](super::grid4d).
 
-use crate::grid4d::{DOMAINS, PRESETS, SETTINGS, build_as};
-use gs_train::layers::{BASE, CLOUD, DEFORMED};
+use crate::grid4d::{DOMAINS, FAST_GRIDS, HYPERNERF, NEU3D, SETTINGS, TINY, build_as};
+use gs_train::layers::{BASE, CLOUD, CLOUD_FAST, DEFORMED};
 use gs_train::method::MethodError;
 use gs_train::model::Model;
 use gs_train::registry::MethodEntry;
@@ -13,7 +13,13 @@ pub const ENTRY: MethodEntry = MethodEntry {
     name: "fags",
     about: "FAGS: Grid4D with learnt fall-offs, a Fourier branch, a gate and a loss on spectra",
     defaults: &[BASE, CLOUD, DEFORMED, SETTINGS, include_str!("fags.toml")],
-    presets: PRESETS,
+    presets: &[
+        ("paper", &[]),
+        ("fast", &[CLOUD_FAST, FAST_GRIDS, include_str!("fags.fast.toml")]),
+        ("tiny", TINY),
+        ("hypernerf", HYPERNERF),
+        ("neu3d", NEU3D),
+    ],
     domains: DOMAINS,
     needs_avatar: false,
     build,

@@ -50,15 +50,15 @@ pub const ENTRY: MethodEntry = MethodEntry {
     build,
 };
 
-/// Presets of everything on this body. What tells the methods apart they leave as it is, but for the Fourier branch, which `fast`
-/// has off.
-pub(super) const PRESETS: &[(&str, &[&str])] = &[
-    ("paper", &[]),
-    ("fast", &[CLOUD_FAST, include_str!("grid4d.fast.toml")]),
-    ("tiny", &[CLOUD_TINY, include_str!("grid4d.tiny.toml")]),
-    ("hypernerf", &[CAPTURES, include_str!("grid4d.hypernerf.toml")]),
-    ("neu3d", &[CAPTURES, include_str!("grid4d.neu3d.toml")]),
-];
+/// Presets of everything on this body: none of them touches what tells the methods apart.
+pub(super) const PRESETS: &[(&str, &[&str])] =
+    &[("paper", &[]), ("fast", &[CLOUD_FAST, FAST_GRIDS]), ("tiny", TINY), ("hypernerf", HYPERNERF), ("neu3d", NEU3D)];
+
+/// What `fast` sets of this body.
+pub(super) const FAST_GRIDS: &str = include_str!("grid4d.fast.toml");
+pub(super) const TINY: &[&str] = &[CLOUD_TINY, include_str!("grid4d.tiny.toml")];
+pub(super) const HYPERNERF: &[&str] = &[CAPTURES, include_str!("grid4d.hypernerf.toml")];
+pub(super) const NEU3D: &[&str] = &[CAPTURES, include_str!("grid4d.neu3d.toml")];
 
 /// What the presets for real captures share.
 const CAPTURES: &str = include_str!("grid4d.captures.toml");
