@@ -399,6 +399,26 @@ fn normal_consistency_in_both_forms() {
     }
 }
 
+/// Folds of the surface at rest cost nothing, and pull nowhere.
+#[test]
+fn normals_from_rest_leave_the_surface_at_rest() {
+    let (rest, faces) = sheet(6, 8);
+    for rule in [NormalRule::FacePairs, NormalRule::VertexRing] {
+        let flat = NormalConsistency::new(&faces, &topology(&faces, rest.len()), rule);
+        let length = |loss: &SurfaceLoss| loss.grad.iter().map(|g| g.length_squared()).sum::<f64>().sqrt();
+        assert!(length(&flat.evaluate(&rest)) > 1e-3, "{rule:?}: folds pull");
+        let consistency = flat.from_rest(&rest);
+        let still = consistency.evaluate(&rest);
+        assert!(still.value == 0.0 && length(&still) < 1e-15, "{rule:?}: {:e}", length(&still));
+        let points = moved(&rest, 0.02, 11);
+        let loss = consistency.evaluate(&points);
+        let error = against_differences(&points, &loss.grad, |p| consistency.evaluate(p).value);
+        assert!(loss.value > 1e-4 && error < DIFFERENCE, "{rule:?}: {error:e}");
+        let production = consistency.evaluate(&narrow(&points));
+        assert!(apart(&production, &loss) < PRODUCTION, "{rule:?}: {:e}", apart(&production, &loss));
+    }
+}
+
 #[test]
 fn a_right_angled_fold_costs_one_pair() {
     let points = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::new(0.5, 0.0, 1.0)];

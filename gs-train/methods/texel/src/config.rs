@@ -134,6 +134,9 @@ pub struct SurfaceConfig {
     pub normals: f32,
     /// Which normals count as neighbours.
     pub normal_rule: NormalRule,
+    /// How neighbouring normals should differ.
+    #[serde(default)]
+    pub normal_target: NormalTarget,
     /// Weight of the colours of texels against their mean.
     pub texture: f32,
     /// Weight of the colours of measured points against those the template is painted with, where points are held against
@@ -144,6 +147,17 @@ pub struct SurfaceConfig {
     pub refresh: u32,
     /// What vertices on seams read of the map of offsets.
     pub seams: SeamRead,
+}
+
+/// How neighbouring normals of the deformed bind pose should differ.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum NormalTarget {
+    /// Not at all: folds of the template pull, too, and the template is not at rest (published).
+    #[default]
+    Flat,
+    /// As those of the template.
+    Rest,
 }
 
 /// The reference colour of texels that no camera sees at a timestamp.

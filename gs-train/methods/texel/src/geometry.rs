@@ -7,7 +7,7 @@
 
 use super::actor::{Actor, First, FrameError, MeanTextures};
 use super::cache::Cache;
-use super::config::{Config, LaplacianRule, PointRule, SurfaceConfig};
+use super::config::{Config, LaplacianRule, NormalTarget, PointRule, SurfaceConfig};
 use super::texture::texture_loss;
 use glam::Vec3;
 use gs_core::{Image, Param, Params, cast};
@@ -43,11 +43,15 @@ impl Geometry {
         let mask: Vec<bool> = actor.geo.mask().iter().map(|m| *m > 0.0).collect();
         let t = &actor.scene.character.template;
         let weights = config.surface;
+        let normals = NormalConsistency::new(&t.faces, &actor.topology, weights.normal_rule);
         Ok(Self {
             tape: Mutex::new(net.tape(actor.geo.size, Some(&mask))?),
             net,
             isometry: Isometry::new(&t.vertices, &t.faces, &actor.topology, weights.isometry_rule),
-            normals: NormalConsistency::new(&t.faces, &actor.topology, weights.normal_rule),
+            normals: match weights.normal_target {
+                NormalTarget::Flat => normals,
+                NormalTarget::Rest => normals.from_rest(&t.vertices),
+            },
             weights,
             points: Cache::new(FRAMES),
         })
@@ -175,5 +179,46 @@ impl Params for Geometry {
 
     fn visit_mut(&mut self, f: &mut dyn FnMut(&mut Param)) {
         self.net.visit_mut(f);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::config::TextureSizes;
+    use super::*;
+    use gs_synth::avatar::{AvatarOptions, generate};
+
+    /// Where the template is the truth, nothing but the points may pull at it. Folds of the template do, unless normals are held
+    /// against those at rest.
+    #[test]
+    fn regularisers_leave_the_template_as_it_is_if_normals_do() {
+        let film = AvatarOptions { template: "builtin:person".into(), size: 32, frames: 1, ..AvatarOptions::default() };
+        let scene = generate(&film).unwrap().avatar.unwrap();
+        let pull = |preset: &str, normal_target: NormalTarget| {
+            let config = gs_methods::registry().find("dut").unwrap().config(preset).unwrap();
+            let config: Config = config.try_into().unwrap();
+            let textures = TextureSizes { unproject: 64, geo: 64, gau: 64 };
+            let config = Config { textures, surface: SurfaceConfig { normal_target, ..config.surface }, ..config };
+            let actor = Actor::new(scene.clone(), &config).unwrap();
+            let geometry = Geometry::new(&config, &actor, 1).unwrap();
+            let first = actor.first(&scene.frames[0]).unwrap();
+            let template = &scene.character.template.vertices;
+            let posed = actor.surface(&first.posed, &vec![Vec3::ZERO; template.len()]);
+            let weights = geometry.weights;
+            let terms = [
+                (weights.laplacian, geometry.smooth(&actor, &first, &posed)),
+                (weights.isometry, geometry.isometry.evaluate(template)),
+                (weights.normals, geometry.normals.evaluate(template)),
+            ];
+            let longest = |(weight, loss): &(f32, SurfaceLoss)| {
+                f64::from(*weight) * loss.grad.iter().map(|g| g.length()).fold(0.0, f64::max)
+            };
+            terms.iter().map(longest).fold(0.0, f64::max)
+        };
+        for preset in ["tiny", "fast", "direct"] {
+            assert!(pull(preset, NormalTarget::Rest) < 1e-12, "{preset}: {:e}", pull(preset, NormalTarget::Rest));
+            assert!(pull(preset, NormalTarget::Flat) > 1e-6, "{preset}: {:e}", pull(preset, NormalTarget::Flat));
+        }
+        assert!(pull("paper", NormalTarget::Rest) > 1e-6, "the Laplacian of positions pulls as well");
     }
 }

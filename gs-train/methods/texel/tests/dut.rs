@@ -452,9 +452,9 @@ fn published_behaviour_can_be_asked_for() {
     assert!(raw.means == turned.means && raw.quats != turned.quats && raw.scales != turned.scales);
 }
 
-/// Trains GeoNet on eight frames that one morph moves: its offsets must be within a tenth of the true ones, over all vertices
+/// Trains GeoNet on eight frames that one morph moves: its offsets must be within this share of the true ones, over all vertices
 /// and frames, and the mean loss must fall from each sixth of the steps to the next.
-fn geonet_finds(morph: &str) {
+fn geonet_finds(morph: &str, within: f64) {
     let steps = 1400;
     let options = AvatarOptions {
         only_morphs: vec![morph.into()],
@@ -467,7 +467,7 @@ fn geonet_finds(morph: &str) {
     let over = format!(
         "
 geonet.offset_unit = 0.1
-surface = {{ points = \"faces\", color = 0.05, texture = 0.0 }}
+surface = {{ points = \"faces\", color = 0.05, texture = 0.0, normal_target = \"rest\", laplacian = 1.0 }}
 [schedule]
 batch = 2
 lr_batch = 2
@@ -493,17 +493,17 @@ lr.geo.all = {{ start = 3e-4, end = 1e-5, steps = {steps} }}
     let [all, along] = method.offset_errors().expect("frames").ratio;
     println!("{morph}: RMS error / RMS length {all:.3}, along normals {along:.3}; losses {means:?}");
     assert!(means.windows(2).all(|w| w[1] < w[0]), "{means:?}");
-    assert!(all < 0.1, "{all:.3}");
+    assert!(all < within, "{all:.3}");
 }
 
 #[test]
 #[ignore = "minutes long: cargo test -p gs-method-texel --test dut -- --ignored geonet_finds"]
 fn geonet_finds_a_morph() {
-    geonet_finds("swing");
+    geonet_finds("swing", 0.06);
 }
 
 #[test]
 #[ignore = "minutes long: cargo test -p gs-method-texel --test dut -- --ignored geonet_finds"]
 fn geonet_finds_a_small_morph() {
-    geonet_finds("breathe");
+    geonet_finds("breathe", 0.25);
 }
