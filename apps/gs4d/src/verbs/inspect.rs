@@ -85,7 +85,8 @@ impl Inspect {
     fn run_folder(&self, root: &Path, global: &Global) -> Result<Answer, Failure> {
         let run = self.place.open(root, global)?;
         let method = &run.loaded.model;
-        let camera = neutral_camera();
+        let seen = run.training_views().ok().and_then(|views| views.first().map(|view| view.camera.clone()));
+        let camera = seen.unwrap_or_else(neutral_camera);
         let needs = needs(method, &camera, run.loaded.scene.extent)?;
         let raw = RawSplats::from_splats(&method.all_splats(&Timestamp::normalised(0.0), &camera)?);
         let raw = raw.map_err(|e| Failure::new(Class::Data, "data.splats", e.to_string()).place(run.path.display()))?;
