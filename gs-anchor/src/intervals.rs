@@ -4,7 +4,8 @@
 //! b_0 = 0 < b_1 < … < b_{N−1} < b_N = 1,   interval(t) = last c with b_c ≤ t,   canonical time of t = b_interval(t)
 //! ```
 //! All frames of an interval share one deformation of the anchors, that of its canonical time, or blend those of the canonical
-//! times around them ([`Blend`]). A large gradient of the screen positions shows motion that is not modelled well: such intervals become shorter ([`Intervals::adjust`]).
+//! times around them ([`Blend`]). A large gradient of the screen positions shows motion that is not modelled well: such intervals
+//! become shorter ([`Intervals::adjust`]).
 //!
 //! [`Rule::Ref`] is the rule of the released code. There the canonical time is that of the *nearest* boundary, less
 //! `1/N` if that lies after `t`; once boundaries have moved this is generally no boundary at all, and such frames are

@@ -101,9 +101,7 @@ impl LocalAnchorsGrad {
             d.resize(n, 0.0);
         }
     }
-}
 
-impl LocalAnchorsGrad {
     /// Becomes `by · d`, reusing memory: the cotangent of a part of [`LocalAnchors::blend`].
     pub fn scale_from(&mut self, d: &LocalAnchorsGrad, by: f32) {
         self.positions.clear();
