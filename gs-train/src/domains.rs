@@ -65,6 +65,7 @@ pub const SHARED: &[Domain] = &[
     within("order", 0.0, 1e3),
     within("image_scale", 0.0, 1.0),
     within("window_until", 0.0, 0.7),
+    within("window_newest", 0.0, 0.5),
     within("window_parts", 0.0, 1e6),
     within("start", 0.0, 1e30),
     within("end", 0.0, 1e30),

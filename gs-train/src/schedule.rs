@@ -107,6 +107,10 @@ pub struct Stage {
     /// Share of the stage's steps after which all parts are let in, at most [`LATEST_WINDOW`] (TRACE: 7000 of 37000 steps).
     #[serde(default)]
     pub window_until: f64,
+    /// Share of the draws that are of the part let in last, until the next one is, at most ½ (ours: one after the other, so that a
+    /// field follows what moves). 0: all views alike.
+    #[serde(default)]
+    pub window_newest: f64,
     /// Only the field learns, and it alone moves splats: the canonical cloud rests, so a body that moves far between frames
     /// cannot fade where it was, and dynamics take no part (ours).
     #[serde(default)]
@@ -118,23 +122,37 @@ pub const LATEST_WINDOW: f64 = 0.7;
 
 impl Stage {
     /// How much of the span of times is let in at a step of the stage, counted from 0, and the step at which the next part
-    /// is; `None` once all is.
+    /// is; `None` once all is and views are drawn alike.
     pub fn window(&self, offset: u32) -> Option<(f64, u32)> {
-        let (growths, every) = self.growths();
+        let every = self.every();
         let open = 1.0 + ((f64::from(offset) + 0.5) / every).floor();
-        (open <= growths).then(|| (open / f64::from(self.window_parts), (open * every - 0.5).ceil() as u32))
+        (open <= self.windows()).then(|| (open / f64::from(self.window_parts), (open * every - 0.5).ceil() as u32))
     }
 
     /// The step of the stage, counted from 0, from which all views are let in.
     pub fn opens(&self) -> u32 {
-        let (growths, every) = self.growths();
-        if growths > 0.0 { (growths * every - 0.5).ceil() as u32 } else { 0 }
+        self.begins(f64::from(self.window_parts.saturating_sub(1)))
     }
 
-    /// How often the window grows, and after how many steps each time.
-    fn growths(&self) -> (f64, f64) {
-        let growths = f64::from(self.window_parts.saturating_sub(1));
-        (growths, self.window_until * f64::from(self.steps) / growths)
+    /// The step of the stage, counted from 0, from which all views are drawn alike.
+    fn levels(&self) -> u32 {
+        self.begins(self.windows())
+    }
+
+    /// The step at which so many windows are over.
+    fn begins(&self, windows: f64) -> u32 {
+        if windows > 0.0 { (windows * self.every() - 0.5).ceil() as u32 } else { 0 }
+    }
+
+    /// Windows that are not all views alike: where the newest part counts more, the last is one.
+    fn windows(&self) -> f64 {
+        let growths = self.window_parts.saturating_sub(1);
+        f64::from(growths + u32::from(growths > 0 && self.window_newest > 0.0))
+    }
+
+    /// Steps between two growths of the window.
+    fn every(&self) -> f64 {
+        self.window_until * f64::from(self.steps) / f64::from(self.window_parts.saturating_sub(1))
     }
 }
 
@@ -231,13 +249,19 @@ impl Schedule {
         stages.get(at).map(|s| (s.1, step - 1 - before))
     }
 
+    /// Whether the stage after that of step `step` does not draw all views from its first step on.
+    pub(crate) fn next_is_narrower(&self, step: u32) -> bool {
+        let next = self.position(step).stage + 1;
+        self.ordered().get(next).is_some_and(|(_, next)| next.first_moment || next.window(0).is_some())
+    }
+
     /// The length of the shortest run of these stages, each with its share of it, in which every one of `views` is drawn.
     pub fn shortest(&self, views: usize) -> u64 {
         let draws = (views as u64).div_ceil(self.batch.max(1).into());
         let (total, stages) = (u64::from(self.steps()), self.ordered());
         let all = stages.into_iter().filter(|(_, stage)| !stage.first_moment);
-        let open = |stage: &Stage| u64::from(stage.steps.saturating_sub(stage.opens()).max(1));
-        all.map(|(_, stage)| (draws * total).div_ceil(open(stage))).min().unwrap_or(draws)
+        let level = |stage: &Stage| u64::from(stage.steps.saturating_sub(stage.levels()).max(1));
+        all.map(|(_, stage)| (draws * total).div_ceil(level(stage))).min().unwrap_or(draws)
     }
 
     /// Whether the field takes part in step `step`.
@@ -361,6 +385,8 @@ impl Schedule {
             need(good, &format!("stages.{name}.image_scale"), s.image_scale, "above 0, at most 1")?;
             let until = s.window_until;
             need((0.0..=LATEST_WINDOW).contains(&until), &format!("stages.{name}.window_until"), until, "0 to 0.7")?;
+            let newest = s.window_newest;
+            need((0.0..=0.5).contains(&newest), &format!("stages.{name}.window_newest"), newest, "0 to 0.5")?;
             let same = self.stages.values().filter(|o| o.order == s.order).count();
             need(same == 1, &format!("stages.{name}.order"), s.order.into(), "each stage needs a number of its own")?;
         }

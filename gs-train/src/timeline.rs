@@ -109,6 +109,9 @@ fn about(stage: &Stage, begin: u32) -> String {
     if stage.window_parts > 1 {
         let (parts, all) = (stage.window_parts, begin + stage.opens());
         say(&format!("images let in by time in {parts} parts, all from step {all}"));
+        if stage.window_newest > 0.0 {
+            say(&format!("{} % of the draws of the newest part", 100.0 * stage.window_newest));
+        }
     }
     if stage.image_scale < 1.0 {
         say(&format!("images at {} of their size", stage.image_scale));

@@ -3,7 +3,7 @@
 //! Views come without replacement: every one of a pool once, in a random order of its own, then the pool is made anew.
 //! The pool is all views, or those of the first timestamp, or those up to a time that grows with the steps
 //! ([`Stage`](crate::schedule::Stage): `first_moment`, `window_parts`; TRACE). It is made anew when it grows, too: what is let
-//! in is seen at once, before it has gone far. All of it is a function of `(seed, draw)`, so a resumed run goes on as if it
+//! in is seen at once, before it has gone far, and a share of the draws may be of it alone (`window_newest`). All of it is a function of `(seed, draw)`, so a resumed run goes on as if it
 //! had never stopped.
 
 use crate::schedule::Schedule;
@@ -17,6 +17,17 @@ struct Pool {
     to: f32,
     /// The last draw before the pool is made anew, at the latest.
     until: u32,
+    /// A share of the draws, and the time that their views begin at.
+    newest: (f64, f32),
+}
+
+impl Pool {
+    /// Whether draw `at`, from 0, is one of the newest views, and how many of its kind were made before.
+    fn draw(&self, at: u32) -> (bool, u32) {
+        let newest = |draws: u32| cast::to_u32(cast::to_usize(f64::from(draws) * self.newest.0));
+        let before = newest(at);
+        if newest(at + 1) > before { (true, before) } else { (false, at - before) }
+    }
 }
 
 /// Times this close to a limit, normalised, lie inside.
@@ -52,9 +63,11 @@ impl ViewOrder {
             let end = (begin + views as u32).min(pool.until);
             if draw <= end {
                 self.last.set((epoch, begin));
-                let at = (draw - begin - 1) as usize;
-                let chosen = Rng::new(self.seed, "view-order", epoch, 0).permutation(views)[at] as usize;
-                return self.nth_within(pool.to, chosen);
+                let (newest, at) = pool.draw(draw - begin - 1);
+                let from = if newest { pool.newest.1 } else { f32::MIN };
+                let views: Vec<usize> = self.within(from, pool.to).collect();
+                let order = Rng::new(self.seed, "view-order", epoch, newest.into()).permutation(views.len());
+                return order.get(at as usize % order.len().max(1)).map_or(0, |k| views[*k as usize]);
             }
             (epoch, begin) = (epoch + 1, end);
         }
@@ -64,20 +77,24 @@ impl ViewOrder {
     fn pool(&self, schedule: &Schedule, draw: u32) -> Pool {
         let step = (draw - 1) / schedule.batch + 1;
         let (first, last) = (self.sorted.first().copied().unwrap_or(0.0), self.sorted.last().copied().unwrap_or(0.0));
-        let all = Pool { to: last, until: u32::MAX };
-        let Some((stage, offset)) = schedule.stage_and_offset(step) else { return all };
+        let up_to = |to, until| Pool { to, until, newest: (0.0, to) };
+        let Some((stage, offset)) = schedule.stage_and_offset(step) else { return up_to(last, u32::MAX) };
         if offset >= stage.steps {
-            return all; // beyond the last step: images are read ahead
+            return up_to(last, u32::MAX); // beyond the last step: images are read ahead
         }
         let begin = step - 1 - offset;
         let end = (begin + stage.steps).saturating_mul(schedule.batch);
         if stage.first_moment && self.views_until(first) > 1 {
-            Pool { to: first, until: end }
+            up_to(first, end)
         } else if let Some((open, grows)) = stage.window(offset) {
             let grows = begin.saturating_add(grows).saturating_mul(schedule.batch);
-            Pool { to: first + (last - first) * cast::to_f32(open), until: grows.min(end) }
+            let let_in = |share: f64| first + (last - first) * cast::to_f32(share);
+            let to = let_in(open);
+            let before = let_in(open - 1.0 / f64::from(stage.window_parts)) + 2.0 * SLACK;
+            let latest = self.sorted[self.views_until(to).max(1) - 1];
+            Pool { newest: (stage.window_newest, latest.min(before)), ..up_to(to, grows.min(end)) }
         } else {
-            all
+            up_to(last, if schedule.next_is_narrower(step) { end } else { u32::MAX })
         }
     }
 
@@ -86,10 +103,10 @@ impl ViewOrder {
         self.sorted.partition_point(|&t| t <= limit + SLACK)
     }
 
-    /// The `k`-th view, in their own order, of those up to a time.
-    fn nth_within(&self, limit: f32, k: usize) -> usize {
-        let inside = self.times.iter().enumerate().filter(|(_, t)| **t <= limit + SLACK);
-        inside.map(|(i, _)| i).nth(k).unwrap_or(0)
+    /// The views of these times, in their own order.
+    fn within(&self, from: f32, to: f32) -> impl Iterator<Item = usize> + '_ {
+        let within = move |t: f32| (from..=to + SLACK).contains(&t);
+        (0..self.times.len()).filter(move |i| within(self.times[*i]))
     }
 }
 
@@ -152,6 +169,38 @@ mod tests {
             assert_eq!(seen(from, open.min(20)).len() as u32, open.min(20), "{part}: every one at most once");
         }
         assert_eq!(seen(91, 24).len(), 24);
+    }
+
+    #[test]
+    fn half_of_the_draws_are_of_the_newest_part_until_all_had_their_turn() {
+        let newest = Stage {
+            steps: 200,
+            dynamic: true,
+            window_parts: 6,
+            window_until: 0.5,
+            window_newest: 0.5,
+            ..Stage::default()
+        };
+        let schedule = schedule(|s| s.stages = BTreeMap::from([("dynamic".to_owned(), newest.clone())]));
+        let order = order();
+        let moments: Vec<usize> = (1..=200).map(|draw| order.view(&schedule, draw) / 4).collect();
+        // A part of six opens every 20 steps: one timestamp of four cameras each.
+        for (part, draws) in moments[..120].chunks(20).enumerate() {
+            assert!(draws.iter().all(|m| *m <= part), "part {part}: {draws:?}");
+            let new = draws.iter().filter(|m| **m == part).count();
+            assert!((10..=if part == 0 { 20 } else { 15 }).contains(&new), "part {part}: {draws:?}");
+        }
+        let late = |part| moments[120..].iter().filter(|m| **m == part).count();
+        assert!((0..6).all(|part| (8..=20).contains(&late(part))), "{:?}", &moments[120..]);
+    }
+
+    #[test]
+    fn a_pool_of_all_views_does_not_outlast_a_stage_before_a_window() {
+        let windowed = |order, steps| Stage { order, steps, window_parts: 6, window_until: 0.5, ..Stage::default() };
+        let stages = [("follow", windowed(0, 40)), ("dynamic", windowed(1, 60))];
+        let schedule = schedule(|s| s.stages = stages.clone().map(|(name, stage)| (name.to_owned(), stage)).into());
+        let order = order();
+        assert!((41..=45).all(|draw| order.view(&schedule, draw) < 4), "the first of six parts");
     }
 
     #[test]
