@@ -9,7 +9,7 @@
 //! `d` is the unit vector from the camera centre to the anchor, `e` one learned appearance vector. All networks are
 //! `Linear · ReLU · Linear`. An extent `l'[3:6]` may be negative (deformation adds to it); only squares of scales
 //! matter, so its magnitude is written and its sign multiplies the gradient. The distance `δ` as an input and a bank of
-//! three feature resolutions are options, as published.
+//! three feature resolutions are options, as published; that a head does without `d` is ours.
 //!
 //! Anchors nearer to the camera centre than [`MIN_DISTANCE`] have no direction and are dropped.
 //!
@@ -45,10 +45,10 @@ use serde::{Deserialize, Serialize};
 /// Anchors nearer to the camera centre than this are not decoded, world units.
 pub const MIN_DISTANCE: f64 = 1e-6;
 
-/// Which heads take the distance `δ` between camera centre and anchor as input; published default: none.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct DistanceInputs {
+/// Which heads take an input.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct HeadInputs {
     /// Whether the opacity head does.
     pub opacity: bool,
     /// Whether the colour head does.
@@ -57,8 +57,14 @@ pub struct DistanceInputs {
     pub covariance: bool,
 }
 
-impl DistanceInputs {
-    fn all(self) -> [bool; 3] {
+impl HeadInputs {
+    /// No head does.
+    pub const NONE: Self = Self { opacity: false, color: false, covariance: false };
+    /// All do.
+    pub const ALL: Self = Self { opacity: true, color: true, covariance: true };
+
+    /// In the order of the heads: opacity, colour, covariance.
+    pub(crate) fn each(self) -> [bool; 3] {
         [self.opacity, self.color, self.covariance]
     }
 }
@@ -69,15 +75,18 @@ impl DistanceInputs {
 pub struct DecoderConfig {
     /// Width of the appearance vector `e`; 0: none.
     pub appearance: usize,
-    /// Which heads take the distance `δ` as input.
-    pub distance: DistanceInputs,
+    /// Which heads take the direction `d` from camera centre to anchor as input (published: all). A head that does not gives the
+    /// same to every camera.
+    pub direction: HeadInputs,
+    /// Which heads take the distance `δ` as input (published: none).
+    pub distance: HeadInputs,
     /// Blend three resolutions of the feature by view direction and distance (the width must be a multiple of 4).
     pub feature_bank: bool,
 }
 
 impl Default for DecoderConfig {
     fn default() -> Self {
-        Self { appearance: 16, distance: DistanceInputs::default(), feature_bank: false }
+        Self { appearance: 16, direction: HeadInputs::ALL, distance: HeadInputs::NONE, feature_bank: false }
     }
 }
 

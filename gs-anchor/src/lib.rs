@@ -61,7 +61,7 @@ pub mod visible;
 
 pub use adapt::{AnchorDensify, AnchorDensifyReport, AnchorDensifyRules, AnchorDensifyStep, AnchorView};
 pub use anchors::{AnchorShape, Anchors};
-pub use decode::{DecodeTape, Decoder, DecoderConfig, DecoderError, DistanceInputs, Visible};
+pub use decode::{DecodeTape, Decoder, DecoderConfig, DecoderError, HeadInputs, Visible};
 pub use gad::{Gad, GadConfig, GadHead, GadTape};
 pub use init::{AnchorInit, InitError, InitialAnchors, anchors_from_points};
 pub use intervals::{Adjustment, IntervalConfig, Intervals};

@@ -116,11 +116,10 @@ impl DecoderRef {
                 *f = (0..3).map(|m| w[m] * anchor.features[self.bank_index(m, i)]).sum();
             }
         }
-        let distances = self.config.distance;
-        let with_distance = [distances.opacity, distances.color, distances.covariance];
+        let (with_direction, with_distance) = (self.config.direction.each(), self.config.distance.each());
         let inputs: [Vec<f64>; 3] = std::array::from_fn(|h| {
             let mut x = features.clone();
-            x.extend(direction);
+            x.extend(with_direction[h].then_some(direction).into_iter().flatten());
             x.extend(with_distance[h].then_some(distance));
             if h == 1 {
                 x.extend(self.blocks.get("heads.appearance").into_iter().flatten());
@@ -179,11 +178,13 @@ impl DecoderRef {
         for h in 0..3 {
             let d_x = self.network_backward(HEADS[h], &heads.inputs[h], &d_outputs[h], grads);
             (0..c).for_each(|i| d_mixed[i] += d_x[i]);
-            (0..3).for_each(|i| d_direction[i] += d_x[c + i]);
             let appearance = if h == 1 { self.config.appearance } else { 0 };
-            if d_x.len() - appearance == c + 4 {
-                d_distance += d_x[c + 3];
+            let mut view = &d_x[c..d_x.len() - appearance];
+            if self.config.direction.each()[h] {
+                (0..3).for_each(|i| d_direction[i] += view[i]);
+                view = &view[3..];
             }
+            d_distance += view.iter().sum::<f64>();
             for i in 0..appearance {
                 add_at(grads, "heads.appearance", i, d_x[d_x.len() - appearance + i]);
             }

@@ -165,15 +165,16 @@ fn plane_values(planes: &HexPlaneConfig) -> [usize; 2] {
 
 fn decoder_rows(sizes: &StorageSizes) -> Vec<StorageRow> {
     let (k, c, decoder) = (sizes.shape.offsets, sizes.shape.features, &sizes.decoder);
-    let head = |extra: usize, distance: bool, outputs: usize| {
-        linear(c + 3 + extra + usize::from(distance), c) + linear(c, outputs)
+    let (direction, distance) = (decoder.direction.each(), decoder.distance.each());
+    let head = |h: usize, extra: usize, outputs: usize| {
+        linear(c + 3 * usize::from(direction[h]) + usize::from(distance[h]) + extra, c) + linear(c, outputs)
     };
-    let color = head(decoder.appearance, decoder.distance.color, 3 * k);
+    let color = head(1, decoder.appearance, 3 * k);
     // Folded into the bias, the appearance needs no columns of the first layer.
     let folded = color - decoder.appearance * c;
     let bank = linear(4, c) + linear(c, 3);
-    let opacity = head(0, decoder.distance.opacity, k);
-    let covariance = head(0, decoder.distance.covariance, 7 * k);
+    let opacity = head(0, 0, k);
+    let covariance = head(2, 0, 7 * k);
     let mut rows = vec![
         StorageRow::new("opacity head", opacity, opacity),
         StorageRow::new("covariance head", covariance, covariance),
@@ -191,7 +192,7 @@ fn decoder_rows(sizes: &StorageSizes) -> Vec<StorageRow> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::decode::DistanceInputs;
+    use crate::decode::HeadInputs;
 
     fn net(resolution: [usize; 4]) -> PlaneNetConfig {
         let hexplane = HexPlaneConfig { resolution, channels: 16, ..HexPlaneConfig::default() };
@@ -282,11 +283,8 @@ mod tests {
     #[test]
     fn a_static_scene_has_anchors_and_decoder_only() {
         let shape = AnchorShape { offsets: 10, features: 32, dynamics: 0 };
-        let decoder = DecoderConfig {
-            appearance: 0,
-            distance: DistanceInputs { opacity: true, color: true, covariance: true },
-            feature_bank: true,
-        };
+        let decoder =
+            DecoderConfig { appearance: 0, distance: HeadInputs::ALL, feature_bank: true, ..DecoderConfig::default() };
         let sizes = StorageSizes { shape, decoder, global: None, local: None, segments: 0, ..published(10) };
         let table = StorageTable::of(&sizes);
         let blocks: Vec<&str> = table.rows.iter().map(|r| r.block.as_str()).collect();

@@ -13,9 +13,7 @@ mod support;
 
 use glam::Vec3;
 use gs_anchor::reference::{AnchorRef, Blocks, DecoderRef, GaussianRef};
-use gs_anchor::{
-    AnchorShape, DecodeTape, Decoder, DecoderConfig, DistanceInputs, LocalAnchors, LocalAnchorsGrad, Visible,
-};
+use gs_anchor::{AnchorShape, DecodeTape, Decoder, DecoderConfig, HeadInputs, LocalAnchors, LocalAnchorsGrad, Visible};
 use gs_core::nn::BLOCK;
 use gs_core::{Color, Kernel, Params, Rng, Splats};
 use support::{EYE, assert_close, cotangent, cotangents, flat_anchor, wide};
@@ -25,13 +23,14 @@ const SHAPE: AnchorShape = AnchorShape { offsets: 4, features: 8, dynamics: 0 };
 /// Every input option on and off.
 fn configs() -> Vec<DecoderConfig> {
     let plain = DecoderConfig { appearance: 3, ..DecoderConfig::default() };
-    let all = DistanceInputs { opacity: true, color: true, covariance: true };
-    let color = DistanceInputs { color: true, ..DistanceInputs::default() };
+    let color = HeadInputs { color: true, ..HeadInputs::NONE };
     vec![
         plain.clone(),
         DecoderConfig { appearance: 0, ..plain.clone() },
         DecoderConfig { distance: color, ..plain.clone() },
-        DecoderConfig { distance: all, feature_bank: true, ..plain.clone() },
+        DecoderConfig { distance: HeadInputs::ALL, feature_bank: true, ..plain.clone() },
+        DecoderConfig { direction: color, distance: HeadInputs::ALL, ..plain.clone() },
+        DecoderConfig { direction: HeadInputs::NONE, ..plain.clone() },
         DecoderConfig { feature_bank: true, ..plain },
     ]
 }

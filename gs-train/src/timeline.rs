@@ -18,8 +18,7 @@ struct Clock {
 pub struct Timeline {
     stages: BTreeMap<String, Stage>,
     lr: BTreeMap<String, BTreeMap<String, LearningRate>>,
-    #[serde(default = "DensifyRules::kerbl2023")]
-    density: DensifyRules,
+    density: Option<DensifyRules>,
     sh_every: u32,
     background: Background,
 }
@@ -50,7 +49,7 @@ impl Timeline {
     }
 
     fn density(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let rules = &self.density;
+        let Some(rules) = &self.density else { return Ok(()) };
         for Clock { begin, end } in self.clocks() {
             let passes = (1..=end - begin + 1).filter(|&s| rules.grows_at(s));
             let white = self.background == Background::White;

@@ -2,12 +2,12 @@
 //!
 //! | head | input | outputs |
 //! |---|---|---|
-//! | opacity | `[f, d, (δ)]` | `k` |
-//! | color | `[f, d, (δ), e]` | `3k` |
-//! | covariance | `[f, d, (δ)]` | `7k` |
+//! | opacity | `[f, (d), (δ)]` | `k` |
+//! | color | `[f, (d), (δ), e]` | `3k` |
+//! | covariance | `[f, (d), (δ)]` | `7k` |
 //!
 //! All rows of a call share `e`, so it goes into a bias; what is left of the inputs is common to the three, and their
-//! first layers are one product with the rows of the three weights below each other (a head without `δ` has a column of
+//! first layers are one product with the rows of the three weights below each other (a head without `d` or `δ` has columns of
 //! zeros there). [`Fused`] is that layer, made once per call.
 
 use super::DecoderConfig;
@@ -32,7 +32,8 @@ pub(super) struct Heads {
     appearance: Option<Param>,
     /// Width `C` of the feature and of each hidden layer.
     width: usize,
-    /// Whether each head takes the distance as input.
+    /// Whether each head takes the direction, and the distance, as inputs.
+    direction: [bool; 3],
     distance: [bool; 3],
 }
 
@@ -67,7 +68,7 @@ pub(super) struct HeadsGrad {
 /// Widths of the two layers of head `h`: inputs, hidden, outputs.
 fn widths(config: &DecoderConfig, shape: AnchorShape, h: usize) -> [usize; 3] {
     let appearance = if h == COLOR { config.appearance } else { 0 };
-    let inputs = shape.features + 3 + usize::from(config.distance.all()[h]);
+    let inputs = shape.features + 3 * usize::from(config.direction.each()[h]) + usize::from(config.distance.each()[h]);
     [inputs.saturating_add(appearance), shape.features, WIDTHS[h].saturating_mul(shape.offsets)]
 }
 
@@ -91,7 +92,8 @@ impl Heads {
             second: std::array::from_fn(|h| dense(h, 1)),
             appearance: (config.appearance > 0).then(|| Param::shared("heads.appearance", appearance)),
             width: shape.features,
-            distance: config.distance.all(),
+            direction: config.direction.each(),
+            distance: config.distance.each(),
         }
     }
 
@@ -100,9 +102,16 @@ impl Heads {
         self.width + 3 + usize::from(self.distance.contains(&true))
     }
 
-    /// Number of leading values of the shared input that head `h` takes.
+    /// The values of the shared input that head `h` takes.
+    fn seen(&self, h: usize) -> impl Iterator<Item = usize> + Clone + use<> {
+        let direction = self.width..self.width + if self.direction[h] { 3 } else { 0 };
+        let distance = self.width + 3..self.width + 3 + usize::from(self.distance[h]);
+        (0..self.width).chain(direction).chain(distance)
+    }
+
+    /// How many these are.
     fn inputs_of(&self, h: usize) -> usize {
-        self.width + 3 + usize::from(self.distance[h])
+        self.width + 3 * usize::from(self.direction[h]) + usize::from(self.distance[h])
     }
 
     /// SplatRows of the appearance in the first layer of the colour head.
@@ -119,11 +128,10 @@ impl Heads {
             *layer = Dense::new("heads.first", inputs, outputs, Init::Zero, 0);
         }
         for (h, first) in self.first.iter().enumerate() {
-            let seen = self.inputs_of(h);
             let rows = layer.weight.value.chunks_exact_mut(inputs).skip(h * self.width);
             for (to, from) in rows.zip(first.weight.value.chunks_exact(first.inputs())) {
-                to[..seen].copy_from_slice(&from[..seen]);
-                to[seen..].fill(0.0);
+                to.fill(0.0);
+                self.seen(h).zip(from).for_each(|(column, w)| to[column] = *w);
             }
             let bias = match &self.appearance {
                 Some(e) if h == COLOR => {
@@ -197,12 +205,12 @@ impl Heads {
         layer.clear_grads();
         layer.add_grads(chunks.map(|g| &g.fused));
         for h in 0..3 {
-            let (seen, width) = (self.inputs_of(h), self.width);
+            let (width, seen) = (self.width, self.seen(h));
             let first = &mut self.first[h];
             let inputs = first.inputs();
             let from = layer.weight.grad.chunks_exact(layer.inputs()).skip(h * width);
             for (to, from) in first.weight.grad.chunks_exact_mut(inputs).zip(from) {
-                to.iter_mut().zip(&from[..seen]).for_each(|(t, f)| *t += f);
+                to.iter_mut().zip(seen.clone()).for_each(|(t, column)| *t += from[column]);
             }
             let d_bias = &layer.bias.grad[h * width..][..width];
             first.bias.grad.iter_mut().zip(d_bias).for_each(|(t, f)| *t += f);
