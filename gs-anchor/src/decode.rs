@@ -91,6 +91,11 @@ impl Default for DecoderConfig {
 }
 
 impl DecoderConfig {
+    /// Inputs of head `h` without appearance: the feature and what it takes of the view.
+    pub(crate) fn inputs(&self, features: usize, h: usize) -> usize {
+        features + 3 * usize::from(self.direction.each()[h]) + usize::from(self.distance.each()[h])
+    }
+
     /// Number of parameters of a decoder for such anchors; the largest number where that is beyond it.
     pub fn param_count(&self, shape: AnchorShape) -> u64 {
         let bank = if self.feature_bank { Bank::count(shape.features) } else { 0 };

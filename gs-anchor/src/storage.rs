@@ -165,10 +165,7 @@ fn plane_values(planes: &HexPlaneConfig) -> [usize; 2] {
 
 fn decoder_rows(sizes: &StorageSizes) -> Vec<StorageRow> {
     let (k, c, decoder) = (sizes.shape.offsets, sizes.shape.features, &sizes.decoder);
-    let (direction, distance) = (decoder.direction.each(), decoder.distance.each());
-    let head = |h: usize, extra: usize, outputs: usize| {
-        linear(c + 3 * usize::from(direction[h]) + usize::from(distance[h]) + extra, c) + linear(c, outputs)
-    };
+    let head = |h: usize, extra: usize, outputs: usize| linear(decoder.inputs(c, h) + extra, c) + linear(c, outputs);
     let color = head(1, decoder.appearance, 3 * k);
     // Folded into the bias, the appearance needs no columns of the first layer.
     let folded = color - decoder.appearance * c;

@@ -131,16 +131,16 @@ impl Stage {
 
     /// The step of the stage, counted from 0, from which all views are let in.
     pub fn opens(&self) -> u32 {
-        self.begins(f64::from(self.window_parts.saturating_sub(1)))
+        self.end_of(f64::from(self.window_parts.saturating_sub(1)))
     }
 
     /// The step of the stage, counted from 0, from which all views are drawn alike.
-    fn levels(&self) -> u32 {
-        self.begins(self.windows())
+    fn alike_from(&self) -> u32 {
+        self.end_of(self.windows())
     }
 
     /// The step at which so many windows are over.
-    fn begins(&self, windows: f64) -> u32 {
+    fn end_of(&self, windows: f64) -> u32 {
         if windows > 0.0 { (windows * self.every() - 0.5).ceil() as u32 } else { 0 }
     }
 
@@ -260,8 +260,8 @@ impl Schedule {
         let draws = (views as u64).div_ceil(self.batch.max(1).into());
         let (total, stages) = (u64::from(self.steps()), self.ordered());
         let all = stages.into_iter().filter(|(_, stage)| !stage.first_moment);
-        let level = |stage: &Stage| u64::from(stage.steps.saturating_sub(stage.levels()).max(1));
-        all.map(|(_, stage)| (draws * total).div_ceil(level(stage))).min().unwrap_or(draws)
+        let alike = |stage: &Stage| u64::from(stage.steps.saturating_sub(stage.alike_from()).max(1));
+        all.map(|(_, stage)| (draws * total).div_ceil(alike(stage))).min().unwrap_or(draws)
     }
 
     /// Whether the field takes part in step `step`.

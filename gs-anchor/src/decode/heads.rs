@@ -68,8 +68,11 @@ pub(super) struct HeadsGrad {
 /// Widths of the two layers of head `h`: inputs, hidden, outputs.
 fn widths(config: &DecoderConfig, shape: AnchorShape, h: usize) -> [usize; 3] {
     let appearance = if h == COLOR { config.appearance } else { 0 };
-    let inputs = shape.features + 3 * usize::from(config.direction.each()[h]) + usize::from(config.distance.each()[h]);
-    [inputs.saturating_add(appearance), shape.features, WIDTHS[h].saturating_mul(shape.offsets)]
+    [
+        config.inputs(shape.features, h).saturating_add(appearance),
+        shape.features,
+        WIDTHS[h].saturating_mul(shape.offsets),
+    ]
 }
 
 impl Heads {
@@ -111,7 +114,7 @@ impl Heads {
 
     /// How many these are.
     fn inputs_of(&self, h: usize) -> usize {
-        self.width + 3 * usize::from(self.direction[h]) + usize::from(self.distance[h])
+        self.seen(h).count()
     }
 
     /// SplatRows of the appearance in the first layer of the colour head.

@@ -3,8 +3,8 @@
 //! Views come without replacement: every one of a pool once, in a random order of its own, then the pool is made anew.
 //! The pool is all views, or those of the first timestamp, or those up to a time that grows with the steps
 //! ([`Stage`](crate::schedule::Stage): `first_moment`, `window_parts`; TRACE). It is made anew when it grows, too: what is let
-//! in is seen at once, before it has gone far, and a share of the draws may be of it alone (`window_newest`). All of it is a function of `(seed, draw)`, so a resumed run goes on as if it
-//! had never stopped.
+//! in is seen at once, before it has gone far, and a share of the draws may be of it alone (`window_newest`). All of it is a
+//! function of `(seed, draw)`, so a resumed run goes on as if it had never stopped.
 
 use crate::schedule::Schedule;
 use gs_core::{Rng, cast};
