@@ -48,12 +48,23 @@ impl Timeline {
         Ok(())
     }
 
+    /// Whether only the field learns in a step of the run, and rows stay as they are.
+    fn field_alone(&self, step: u32) -> bool {
+        let mut end = 0;
+        let stage = ordered(&self.stages).into_iter().find(|(_, stage)| {
+            end += stage.steps;
+            step <= end
+        });
+        stage.is_some_and(|(_, stage)| stage.field_alone)
+    }
+
     fn density(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Some(rules) = &self.density else { return Ok(()) };
         for Clock { begin, end } in self.clocks() {
-            let passes = (1..=end - begin + 1).filter(|&s| rules.grows_at(s));
+            let passes = (1..=end - begin + 1).filter(|&s| rules.grows_at(s) && !self.field_alone(s + begin - 1));
             let white = self.background == Background::White;
-            let resets = (1..=end - begin + 1).filter(|&s| rules.resets_at(s, white)).count();
+            let resets = |&s: &u32| rules.resets_at(s, white) && !self.field_alone(s + begin - 1);
+            let resets = (1..=end - begin + 1).filter(resets).count();
             if let (Some(first), Some(last)) = (passes.clone().next(), passes.clone().next_back()) {
                 let [first, last] = [first, last].map(|s| s + begin - 1);
                 writeln!(
@@ -121,6 +132,7 @@ fn about(stage: &Stage, begin: u32) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::schedule::Schedule;
     use crate::schedule::tests::schedule;
 
     #[test]
@@ -131,7 +143,8 @@ mod tests {
         let mut schedule = schedule(vec![stage(1000, false), moving]);
         schedule.density.from = 500;
         schedule.density.until = 2000;
-        let text = toml::Table::try_from(&schedule).unwrap().try_into::<Timeline>().unwrap().to_string();
+        let text =
+            |schedule: &Schedule| toml::Table::try_from(schedule).unwrap().try_into::<Timeline>().unwrap().to_string();
         let want = "1 to 1000: s, the scene rests\n\
             1001 to 5000: r, images let in by time in 5 parts, all from step 3001\n\
             600 to 1000: 5 passes of density control, 0 opacity resets\n\
@@ -140,6 +153,8 @@ mod tests {
             learning rate cloud.means: 1.6e-4 to 1.6e-6 in 100 steps\n\
             learning rate field.all: 1e-3\n\
             learning rate field.planes: 1e-2\n";
-        assert_eq!(text, want);
+        assert_eq!(text(&schedule), want);
+        schedule.stages.values_mut().filter(|stage| stage.dynamic).for_each(|stage| stage.field_alone = true);
+        assert!(!text(&schedule).contains("14 passes"), "no rows are edited while only the field learns");
     }
 }
