@@ -52,6 +52,7 @@ fn settings() -> Vec<(&'static str, UnprojectConfig)> {
         ("bilinear, align corners", UnprojectConfig { compat: align, ..rule(Rule::Bilinear) }),
         ("bilinear", rule(Rule::Bilinear)),
         ("four_tap", rule(Rule::FourTap)),
+        ("neighbours", rule(Rule::Neighbours)),
         ("ray", rule(Rule::Ray)),
         ("ray_footprint", rule(Rule::RayFootprint)),
         ("face_tag", rule(Rule::FaceTag)),

@@ -49,6 +49,7 @@ pub mod geonet;
 pub mod inpaint;
 #[cfg(feature = "exr")]
 pub mod maps_exr;
+mod neighbours;
 pub mod net;
 #[cfg(feature = "read")]
 pub mod read;

@@ -4,9 +4,10 @@
 //! Sums are in fixed point, so neither the order of the views nor the number of threads changes a bit.
 
 use crate::bvh::Tracer;
-use crate::surface::{CHUNK, Mesh, MeshError};
+use crate::neighbours::Neighbours;
+use crate::surface::{CHUNK, Mesh, MeshError, Topology};
 use crate::texels::TexelTable;
-use crate::visibility::{PreparedView, Rule, Sample};
+use crate::visibility::{OfMesh, PreparedView, Rule, Sample};
 use gs_core::camera::CameraError;
 use gs_core::{Camera, Image};
 use rayon::prelude::*;
@@ -127,11 +128,11 @@ impl Compat {
     }
 }
 
-/// Settings of [`unproject`]; defaults are the four-tap rule with 20 mm tolerance.
+/// Settings of [`unproject`]; the default rule is [`Rule::Neighbours`].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct UnprojectConfig {
-    /// When a texel counts as hidden. Default: [`Rule::FourTap`].
+    /// When a texel counts as hidden. Default: [`Rule::Neighbours`].
     pub rule: Rule,
     /// `δ`: minimum cosine between normal and direction to the camera, -1 to 1. Default: 0.17.
     pub min_cos: f32,
@@ -156,7 +157,7 @@ pub struct UnprojectConfig {
 impl Default for UnprojectConfig {
     fn default() -> Self {
         Self {
-            rule: Rule::FourTap,
+            rule: Rule::Neighbours,
             min_cos: 0.17,
             depth_tolerance: 0.02,
             near: 0.05,
@@ -277,7 +278,8 @@ pub fn unproject(
     check(mesh, table, views, config)?;
     let views: Vec<PreparedView<'_>> = views.par_iter().map(|view| PreparedView::new(view, mesh, config)).collect();
     let tracer = config.rule.needs_rays().then(|| Tracer::new(mesh.vertices, mesh.faces)).transpose()?;
-    let fusion = Fusion { mesh, table, views: &views, tracer: tracer.as_ref(), config };
+    let neighbours = (config.rule == Rule::Neighbours).then(|| neighbours(mesh, &views)).transpose()?;
+    let fusion = Fusion { mesh, table, views: &views, of_mesh: OfMesh { tracer, neighbours }, config };
     let kept = if config.keep_views { views.len() } else { 0 };
     let mut texture = Texture::default();
     let chunk = |chunk: usize| {
@@ -327,6 +329,18 @@ fn check(
     Ok(())
 }
 
+/// Faces near one another: those that a footprint of the coarsest view may show together.
+fn neighbours<'a>(mesh: &Mesh<'a>, views: &[PreparedView<'_>]) -> Result<Neighbours<'a>, MeshError> {
+    let topology = Topology::new(mesh.faces, mesh.vertices.len())?;
+    let length = |e: &[u32; 2]| f64::from(mesh.vertices[e[0] as usize].distance(mesh.vertices[e[1] as usize]));
+    let edge = topology.edges.iter().map(length).sum::<f64>() / topology.edges.len().max(1) as f64;
+    let pixel = views.iter().map(|v| v.pixel).fold(0.0, f64::max);
+    // A tap is up to a pixel and a half from the texel, along the diagonal of the footprint.
+    let reach = (1.5 * pixel / edge).ceil();
+    let edges = if reach.is_finite() { (reach as usize).saturating_sub(1) } else { 0 };
+    Ok(Neighbours::within(edges, mesh.faces, &topology))
+}
+
 /// The colour of one texel, fused over views.
 #[derive(Clone, Copy, Default)]
 struct Fused {
@@ -343,7 +357,7 @@ struct Fusion<'a> {
     mesh: &'a Mesh<'a>,
     table: &'a TexelTable,
     views: &'a [PreparedView<'a>],
-    tracer: Option<&'a Tracer>,
+    of_mesh: OfMesh<'a>,
     config: &'a UnprojectConfig,
 }
 
@@ -355,7 +369,7 @@ impl Fusion<'_> {
         let n = self.table.at(self.mesh.faces, self.mesh.normals, k);
         let mut sum = Sum::default();
         for (i, view) in self.views.iter().enumerate() {
-            let Some(sample) = view.sample(p, n, face, self.config, self.tracer) else { continue };
+            let Some(sample) = view.sample(p, n, face, self.config, &self.of_mesh) else { continue };
             let weight = sum.add(&sample, self.config.fuse);
             if let Some(w) = by_view.get_mut(i) {
                 *w = weight;

@@ -4,10 +4,13 @@
 //! occluded. The [`Rule`] selects the occlusion test. The tests run in that order, cheapest first: on a closed body the first
 //! rejects about three quarters of the texels.
 //!
-//! A visible point within a pixel of an occluding edge still reads the colour of the occluder there, so the whole
-//! **footprint** must be visible: exact rays alone make a worse texture than a depth map whose four taps must all agree.
+//! A visible point within a pixel of an occluding edge still reads the colour of the occluder there, so its **footprint** counts:
+//! exact rays alone make a worse texture than a depth map whose four taps must all agree. [`Rule::Neighbours`] reads the taps
+//! that show the texel's own part of the surface, and those only. It needs no tolerance in metres, which is too much where two
+//! parts of a body meet and too little where a surface slants.
 
 use crate::bvh::Tracer;
+use crate::neighbours::Neighbours;
 use crate::surface::{Mesh, NONE};
 use crate::unproject::{Compat, MaskUse, UnprojectConfig, View};
 use crate::zbuffer::{DepthMap, ProjectedMesh};
@@ -23,8 +26,12 @@ pub enum Rule {
     /// `|D(p) − z| < ε` with `D` read bilinearly (DUT, DVA).
     Bilinear,
     /// `|D_k − z| < ε` at all four taps of the footprint.
-    #[default]
     FourTap,
+    /// The nearest face at a tap is near the texel's face along the mesh: a vertex of one is a vertex of the other, or few
+    /// edges away where faces are smaller than pixels. Such taps must have more than half of the bilinear weight, and the
+    /// colour is theirs alone. The mesh must be welded.
+    #[default]
+    Neighbours,
     /// A ray to the camera centre is not blocked: exact at the point, blind to its footprint.
     Ray,
     /// [`Rule::Ray`], and rays through the four taps hit a surface within `ε` of `z`: exact, without a depth map.
@@ -37,14 +44,22 @@ pub enum Rule {
 
 impl Rule {
     /// All rules, in order of declaration.
-    pub const ALL: [Self; 6] =
-        [Self::Bilinear, Self::FourTap, Self::Ray, Self::RayFootprint, Self::FaceTag, Self::PointDistance];
+    pub const ALL: [Self; 7] = [
+        Self::Bilinear,
+        Self::FourTap,
+        Self::Neighbours,
+        Self::Ray,
+        Self::RayFootprint,
+        Self::FaceTag,
+        Self::PointDistance,
+    ];
 
     /// Name in settings files and tables, such as `four_tap`.
     pub fn name(self) -> &'static str {
         match self {
             Self::Bilinear => "bilinear",
             Self::FourTap => "four_tap",
+            Self::Neighbours => "neighbours",
             Self::Ray => "ray",
             Self::RayFootprint => "ray_footprint",
             Self::FaceTag => "face_tag",
@@ -94,7 +109,16 @@ pub(crate) struct Sample {
     pub(crate) cos: f32,
 }
 
-/// A view with what the rule needs of the mesh: a depth map, or the faces that own a pixel.
+/// Share of the bilinear weight that taps on the texel's own part of the surface must exceed.
+const LEAST_OWN: f32 = 0.5;
+
+/// What a rule needs of the mesh, the same for all views.
+pub(crate) struct OfMesh<'a> {
+    pub(crate) tracer: Option<Tracer>,
+    pub(crate) neighbours: Option<Neighbours<'a>>,
+}
+
+/// A view with what the rule needs of the mesh: a depth map, the nearest faces, or the faces that own a pixel.
 pub(crate) struct PreparedView<'a> {
     origin: Vec3,
     rotation: Mat3,
@@ -105,7 +129,10 @@ pub(crate) struct PreparedView<'a> {
     /// Whether at least half of the vertices lie in front of the camera.
     pub(crate) used: bool,
     pub(crate) depth: Option<DepthMap>,
+    nearest: Option<Vec<u32>>,
     owns_pixel: Option<Vec<bool>>,
+    /// Side of a pixel at the mean depth of the mesh, metres; 0 for a view that is not used.
+    pub(crate) pixel: f64,
 }
 
 impl<'a> PreparedView<'a> {
@@ -121,6 +148,7 @@ impl<'a> PreparedView<'a> {
             map.into_iter().filter(|&f| f != NONE).for_each(|f| owns[f as usize] = true);
             owns
         };
+        let depth = projected.corners.iter().map(|c| c.camera.z).sum::<f64>() / mesh.vertices.len().max(1) as f64;
         Self {
             origin: c.position().as_vec3(),
             rotation: c.rotation.as_mat3(),
@@ -130,7 +158,9 @@ impl<'a> PreparedView<'a> {
             mask: view.mask,
             used,
             depth: (used && config.rule.needs_depth()).then(|| projected.depth_map()),
+            nearest: (used && config.rule == Rule::Neighbours).then(|| projected.face_map()),
             owns_pixel: (used && config.rule == Rule::FaceTag).then(owns_pixel),
+            pixel: if used { depth / c.fx.max(c.fy) } else { 0.0 },
         }
     }
 
@@ -142,7 +172,7 @@ impl<'a> PreparedView<'a> {
         n: Vec3,
         face: u32,
         config: &UnprojectConfig,
-        tracer: Option<&Tracer>,
+        of_mesh: &OfMesh<'_>,
     ) -> Option<Sample> {
         let to_camera = self.origin - p;
         let cos = n.dot(to_camera) / (n.length_squared() * to_camera.length_squared()).sqrt();
@@ -152,11 +182,25 @@ impl<'a> PreparedView<'a> {
             return None;
         }
         let at = self.footprint(p, config)?;
-        let mask = self.opacity(&at, config.mask);
-        if mask <= config.mask.min_mask() || !self.unoccluded(&at, p, n, face, config, tracer) {
+        let weights = self.own_weights(&at, face, of_mesh.neighbours.as_ref())?;
+        let taps = self.taps_of_mask(&at, config.mask);
+        let mask = weights.iter().zip(taps).map(|(w, a)| w * a).sum();
+        if mask <= config.mask.min_mask() || !self.unoccluded(&at, p, n, face, config, of_mesh.tracer.as_ref()) {
             return None;
         }
-        Some(Sample { color: self.color(&at, config.mask), mask, cos })
+        Some(Sample { color: self.color(&at, weights, taps, config.mask), mask, cos })
+    }
+
+    /// The bilinear weights of the taps; with [`Rule::Neighbours`] 0 for those that show another part of the surface than
+    /// `face`, and `None` if these are half of the footprint or more.
+    #[inline]
+    fn own_weights(&self, at: &Footprint, face: u32, neighbours: Option<&Neighbours<'_>>) -> Option<[f32; 4]> {
+        let weights = at.weights();
+        let (Some(nearest), Some(neighbours)) = (&self.nearest, neighbours) else { return Some(weights) };
+        let first = at.y * self.image.width + at.x;
+        let taps = [first, first + 1, first + self.image.width, first + self.image.width + 1].map(|i| nearest[i]);
+        let own: [f32; 4] = std::array::from_fn(|k| if neighbours.are_near(taps[k], face) { weights[k] } else { 0.0 });
+        (own.iter().sum::<f32>() > LEAST_OWN).then_some(own)
     }
 
     /// The footprint of a point, `None` unless all of it lies in the frame.
@@ -199,18 +243,14 @@ impl<'a> PreparedView<'a> {
         if mode == MaskUse::Binary { taps.map(|a| if a >= 0.5 { 1.0 } else { 0.0 }) } else { taps }
     }
 
+    /// The colour of the foreground among the weighted taps, `Σ w α c / Σ w α`: the background beyond the silhouette does not
+    /// mix in.
     #[inline]
-    fn opacity(&self, at: &Footprint, mode: MaskUse) -> f32 {
-        at.weights().iter().zip(self.taps_of_mask(at, mode)).map(|(w, a)| w * a).sum()
-    }
-
-    /// The colour of the foreground, `Σ w α c / Σ w α`: the background beyond the silhouette does not mix in.
-    #[inline]
-    fn color(&self, at: &Footprint, mode: MaskUse) -> [f32; 3] {
-        let mut weights = at.weights();
+    fn color(&self, at: &Footprint, mut weights: [f32; 4], mask: [f32; 4], mode: MaskUse) -> [f32; 3] {
         if mode == MaskUse::Soft {
-            let taps = self.taps_of_mask(at, mode);
-            weights.iter_mut().zip(taps).for_each(|(w, a)| *w *= a);
+            weights.iter_mut().zip(mask).for_each(|(w, a)| *w *= a);
+        }
+        if mode == MaskUse::Soft || self.nearest.is_some() {
             let total: f32 = weights.iter().sum();
             weights.iter_mut().for_each(|w| *w /= total);
         }
@@ -244,6 +284,8 @@ impl<'a> PreparedView<'a> {
                 close(weighted.map(|(w, d)| w * d).sum())
             }
             Rule::FourTap => self.taps_of_depth(at, config.compat).into_iter().all(close),
+            // Decided by the weights of the taps.
+            Rule::Neighbours => true,
             Rule::Ray => self.ray_is_free(p, n, config, tracer),
             Rule::RayFootprint => {
                 self.ray_is_free(p, n, config, tracer)

@@ -60,6 +60,10 @@ fn depth_tests_are_fooled_within_their_tolerance_and_rays_are_not() {
         assert!(rates(0.01, r).false_visible > 0.03, "a plate at half the tolerance hides nothing from a depth map");
         assert_eq!(rates(0.03, r).false_visible, 0.0, "one beyond it does");
     }
+    for gap in [0.001, 0.01, 0.03] {
+        let own = rates(gap, Rule::Neighbours);
+        assert!(own.false_visible < 5e-4 && own.false_hidden < 3e-3, "no gap is too narrow: {gap} {own:?}");
+    }
     for gap in [0.01, 0.03] {
         let guarded = rates(gap, Rule::RayFootprint);
         assert_eq!(guarded.false_visible, 0.0);
@@ -82,4 +86,18 @@ fn rules_err_as_little_as_they_should() {
     }
     let tags = Rates::of(&seen(&figure, &cameras, 256, &rule(Rule::FaceTag)), &oracle);
     assert!(tags.false_visible > 0.001, "{tags:?}");
+}
+
+#[test]
+fn few_pixels_hide_slanted_surfaces_from_a_tolerance_and_not_from_neighbours() {
+    let figure = two_spheres();
+    // Most hidden by neighbours, least by depths.
+    for (side, own, taps) in [(48, 0.04, 0.7), (96, 0.03, 0.5), (192, 1e-3, 0.2), (512, 1e-3, 4e-3)] {
+        let cameras = ring(4, side);
+        let oracle = seen(&figure, &cameras, 256, &rule(Rule::Ray));
+        let rates = |r| Rates::of(&seen(&figure, &cameras, 256, &rule(r)), &oracle);
+        let [near, depth] = [Rule::Neighbours, Rule::FourTap].map(rates);
+        assert!(near.false_hidden < own && near.false_visible < 1e-3, "{side} {near:?}");
+        assert!(depth.false_hidden > taps, "{side} {depth:?}");
+    }
 }

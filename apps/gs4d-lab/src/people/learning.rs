@@ -88,9 +88,11 @@ pub(super) fn other_light(setup: &Setup, log: &mut Log<'_>) -> Result<Findings, 
     add("learnt", 0, &trained.scores(&first, &[])?);
     add("other", 0, &trained.scores(&other, &[])?);
     if let (None, Some(recipe)) = (&setup.run, &setup.recipe) {
-        let varied = Trained::learn(&subject.full_film, recipe, &[JITTER], log)?;
-        add("learnt, colours varied in training", 0, &varied.scores(&first, &[])?);
-        add("other, colours varied in training", 0, &varied.scores(&other, &[])?);
+        for (name, settings) in LIGHT_SETTINGS {
+            let varied = Trained::learn(&subject.full_film, recipe, settings, log)?;
+            add(&format!("learnt, {name}"), 0, &varied.scores(&first, &[])?);
+            add(&format!("other, {name}"), 0, &varied.scores(&other, &[])?);
+        }
     }
     if setup.tuning > 0 {
         let tuned = trained.fine_tune(&only_inputs(&other), setup.tuning, setup.film.seed, log)?;
@@ -99,8 +101,13 @@ pub(super) fn other_light(setup: &Setup, log: &mut Log<'_>) -> Result<Findings, 
     Ok(out)
 }
 
-/// Colour augmentation of the textures during training.
-const JITTER: &str = "jitter=0.3";
+/// What prepares a method for another light: colours of textures and images scaled at random in every step, and networks that
+/// see every frame in the mean light of the recording.
+const LIGHT_SETTINGS: [(&str, &[&str]); 3] = [
+    ("colours varied in training", &["jitter=0.3"]),
+    ("colours of textures alone varied", &["jitter=0.3", "jitter_image=false"]),
+    ("light followed", &["follow_light=true"]),
+];
 
 /// Drops test views at the times of training views.
 fn held_out(mut film: Dataset) -> Dataset {

@@ -41,7 +41,8 @@ pub(super) fn thresholds(setup: &Setup, log: &mut Log<'_>) -> Result<Findings, L
     let cases = TOLERANCES.into_iter().flat_map(|depth_tolerance| {
         COSINES.into_iter().map(move |min_cos| {
             let tolerance = format!("{:.0} mm", 1e3 * depth_tolerance);
-            let config = UnprojectConfig { min_cos, depth_tolerance, ..UnprojectConfig::default() };
+            let config =
+                UnprojectConfig { rule: Rule::FourTap, min_cos, depth_tolerance, ..UnprojectConfig::default() };
             (vec![f64::from(min_cos).into(), tolerance.into()], config)
         })
     });

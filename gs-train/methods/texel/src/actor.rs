@@ -58,7 +58,7 @@ pub enum FrameError {
     NoPoints,
     /// No camera sees anything of it.
     #[error(
-        "no conditioning camera sees any texel of it; where the template is not in metres, scale it with its cameras, or set unproject.depth_tolerance in its units"
+        "no conditioning camera sees any texel of it; check that cameras and masks are those of its images, and scale a template that is not in metres, together with its cameras"
     )]
     InpaintMethod,
     /// Its points have no colours.
@@ -110,6 +110,7 @@ pub struct Actor {
     rgb: bool,
     normals: bool,
     kappa: bool,
+    follows_light: bool,
 }
 
 /// Mean colours over the recording, three per texel; empty where nothing asks for them.
@@ -145,6 +146,11 @@ pub struct Posed {
     root_free: Vec<Vec3>,
 }
 
+/// Colours of the mean texture up to this say nothing of the light.
+const DARK: f32 = 0.1;
+/// Least and most light of a frame over that of the mean textures.
+const LIGHTS: [f32; 2] = [0.1, 10.0];
+
 /// What the cameras say about the texels of a table.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Seen {
@@ -154,13 +160,24 @@ pub struct Seen {
     pub views: Vec<f32>,
 }
 
+impl Seen {
+    /// Takes a light off the colours.
+    fn divide(&mut self, light: [f32; 3]) {
+        if light != [1.0; 3] {
+            self.colors.iter_mut().for_each(|c| c.iter_mut().zip(light).for_each(|(c, light)| *c /= light));
+        }
+    }
+}
+
 /// A frame before GeoNet: the posed template and what is seen on it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct First {
     /// The template in the pose of this frame.
     pub posed: Posed,
-    /// What is seen on it, at the size of unprojection.
+    /// What is seen on it, at the size of unprojection, in the light of the mean textures.
     pub seen: Seen,
+    /// Light of the frame over that of the mean textures, per channel; 1 unless light is followed.
+    pub light: [f32; 3],
     /// GeoNet's input, `[S, S, 6]`.
     pub input: Vec<f32>,
 }
@@ -172,8 +189,12 @@ pub struct Second {
     pub offsets: Vec<Vec3>,
     /// Where texels lie and how they are turned.
     pub base: TexelBase,
-    /// What is seen on them.
+    /// What is seen on them, in the light of the mean textures.
     pub seen: Seen,
+    /// Colours of the images over those of the Gaussians that `seen` leads to, per channel.
+    pub light: [f32; 3],
+    /// Light that [`Actor::relit`] put on `seen`, over that of the mean textures.
+    pub relit: [f32; 3],
     /// GauNet's input, `[S, S, 6]`.
     pub input: Vec<f32>,
 }
@@ -202,6 +223,7 @@ impl Actor {
             rgb: config.rgb,
             normals: config.normals,
             kappa: config.kappa,
+            follows_light: config.follow_light,
             topology,
             fine,
             geo,
@@ -215,7 +237,7 @@ impl Actor {
         };
         let wanted = [
             (double && config.centred && config.rgb).then_some(&actor.geo),
-            (of_gau || double && config.surface.texture > 0.0).then_some(&actor.gau),
+            (of_gau || config.follow_light || double && config.surface.texture > 0.0).then_some(&actor.gau),
         ];
         let [geo, gau] = actor.mean_textures(wanted, |_| Ok(None)).map_err(Box::new)?;
         actor.mean = MeanTextures { geo, gau };
@@ -293,10 +315,12 @@ impl Actor {
     /// # Errors
     /// As [`Self::look`].
     pub fn first_of(&self, posed: Posed, images: &[(Camera, Image)]) -> Result<First, FrameError> {
-        let seen = self.look(&skin(&posed.canonical, &posed.transforms), images)?;
+        let mut seen = self.look(&skin(&posed.canonical, &posed.transforms), images)?;
+        let light = self.light_of(&seen);
+        seen.divide(light);
         let middle = (!self.mean.geo.is_empty()).then(|| MeanTextures::rows(&self.mean.geo));
         let input = self.input(&self.geo, &self.resized(&seen, &self.geo), &posed, middle);
-        Ok(First { posed, seen, input })
+        Ok(First { posed, seen, light, input })
     }
 
     /// The frame behind GeoNet, whose offsets are absent if the template is believed.
@@ -319,14 +343,17 @@ impl Actor {
         images: &[(Camera, Image)],
     ) -> Result<Second, FrameError> {
         let posed = &first.posed;
-        let seen = match &offsets {
-            Some(d) => &self.look(&self.surface(posed, d), images)?,
-            None => &first.seen,
+        let look = |d: &Vec<Vec3>| {
+            let mut seen = self.look(&self.surface(posed, d), images)?;
+            seen.divide(first.light);
+            Ok::<_, FrameError>(seen)
         };
+        let again = offsets.as_ref().map(look).transpose()?;
+        let seen = self.resized(again.as_ref().unwrap_or(&first.seen), &self.gau);
         let offsets = offsets.unwrap_or_else(|| vec![Vec3::ZERO; posed.canonical.len()]);
-        let seen = self.resized(seen, &self.gau);
         let input = self.input(&self.gau, &seen, posed, None);
-        Ok(Second { base: self.base(posed, &offsets)?, offsets, seen, input })
+        let (light, relit) = (first.light, [1.0; 3]);
+        Ok(Second { base: self.base(posed, &offsets)?, offsets, seen, light, relit, input })
     }
 
     /// Where the Gaussians' texels lie.
@@ -398,9 +425,33 @@ impl Actor {
         Seen { colors, views }
     }
 
-    /// A frame behind GeoNet under another light: its colours times `gain`, at most 1.
-    pub fn relit(&self, second: &Second, gain: [f32; 3]) -> Second {
+    /// Light of a first texture over that of the mean texture, per channel: the median ratio of their colours.
+    fn light_of(&self, seen: &Seen) -> [f32; 3] {
+        if !self.follows_light || self.mean.gau.is_empty() {
+            return [1.0; 3];
+        }
+        let (seen, mean) = (self.resized(seen, &self.gau), MeanTextures::rows(&self.mean.gau));
+        std::array::from_fn(|i| {
+            let rows = seen.colors.iter().zip(&seen.views).zip(mean);
+            let bright = rows.filter(|((_, views), mean)| **views > 0.0 && mean[i] > DARK);
+            let mut ratios: Vec<f32> = bright.map(|((color, _), mean)| color[i] / mean[i]).collect();
+            if ratios.is_empty() {
+                return 1.0;
+            }
+            let middle = ratios.len() / 2;
+            let (_, median, _) = ratios.select_nth_unstable_by(middle, f32::total_cmp);
+            median.clamp(LIGHTS[0], LIGHTS[1])
+        })
+    }
+
+    /// A frame behind GeoNet under another light: its colours times `gain`, at most 1. The Gaussians are those of the recorded
+    /// light if `with_image`, which means that images are lit alike; else they are held against images as recorded.
+    pub fn relit(&self, second: &Second, gain: [f32; 3], with_image: bool) -> Second {
         let mut relit = second.clone();
+        relit.relit = gain;
+        if with_image {
+            relit.light.iter_mut().zip(gain).for_each(|(light, gain)| *light /= gain);
+        }
         let of_texels = self.gau.valid.iter().zip(&mut relit.seen.colors).zip(&second.seen.views);
         for ((&t, color), _) in of_texels.filter(|(_, views)| **views > 0.0) {
             for (i, (c, gain)) in color.iter_mut().zip(gain).enumerate() {

@@ -208,6 +208,11 @@ pub struct Config {
     pub resize: ResizeRule,
     /// Most that a step scales each colour of the Gaussians' textures by, as a logarithm; 0: not at all.
     pub jitter: f32,
+    /// Whether images are taken as scaled alike: colours follow the light. If not, Gaussians keep the recorded light whatever
+    /// the textures show.
+    pub jitter_image: bool,
+    /// Whether a frame's light is told from its colours against their mean, taken off its textures and put on its Gaussians.
+    pub follow_light: bool,
     /// Memory for frames once prepared, MiB.
     pub cache_mib: u32,
     /// Points, which only the extent of the scene is read from.

@@ -5,7 +5,7 @@
 //! h_dc(t) = b + a ∘ (T(t) − ½)/C0        T: the timestamp's texture where seen, else its mean over the recording
 //! ```
 
-use super::actor::{Actor, FrameError, MeanTextures, Seen};
+use super::actor::{Actor, FrameError, MeanTextures, Second};
 use super::config::{Config, DirectColor};
 use super::texels::{TexelRows, coefficient, reference};
 use gs_core::{Param, Params};
@@ -35,23 +35,23 @@ impl Direct {
     }
 
     /// Rows `[K, width]` at a timestamp that shows `seen`.
-    pub(crate) fn rows(&self, actor: &Actor, seen: &Seen, rows: &mut Vec<f32>) {
+    pub(crate) fn rows(&self, actor: &Actor, second: &Second, rows: &mut Vec<f32>) {
         rows.clear();
         rows.resize(actor.gau.len() * self.width, 0.0);
         self.texels.add_to(rows);
         let Some(gain) = &self.gain else { return };
         for (k, (row, a)) in rows.chunks_exact_mut(self.width).zip(gain.value.chunks_exact(3)).enumerate() {
-            let texture = texture(actor, seen, k);
+            let texture = texture(actor, second, k);
             (0..3).for_each(|i| row[COLOR + i] += a[i] * texture[i]);
         }
     }
 
     /// Adds to the gradients what rows of the same timestamp got.
-    pub(crate) fn backward(&mut self, actor: &Actor, seen: &Seen, d_rows: &[f32]) {
+    pub(crate) fn backward(&mut self, actor: &Actor, second: &Second, d_rows: &[f32]) {
         self.texels.backward(d_rows);
         let Some(mut gain) = self.gain.take() else { return };
         for (k, (grad, d)) in gain.grad.chunks_exact_mut(3).zip(d_rows.chunks_exact(self.width)).enumerate() {
-            let texture = texture(actor, seen, k);
+            let texture = texture(actor, second, k);
             (0..3).for_each(|i| grad[i] += d[COLOR + i] * texture[i]);
         }
         self.gain = Some(gain);
@@ -59,8 +59,10 @@ impl Direct {
 }
 
 /// `(T − ½)/C0` of a texel.
-fn texture(actor: &Actor, seen: &Seen, k: usize) -> [f32; 3] {
-    let color = if seen.views[k] > 0.0 { seen.colors[k] } else { MeanTextures::rows(&actor.mean.gau)[k] };
+fn texture(actor: &Actor, second: &Second, k: usize) -> [f32; 3] {
+    let Second { seen, relit, .. } = second;
+    let mean = || MeanTextures::rows(&actor.mean.gau)[k];
+    let color = if seen.views[k] > 0.0 { seen.colors[k] } else { std::array::from_fn(|i| mean()[i] * relit[i]) };
     color.map(coefficient)
 }
 

@@ -126,7 +126,8 @@ impl Geometry {
         let mut drift = 0.0;
         if self.weights.texture > 0.0 {
             let mean = MeanTextures::rows(&actor.mean.gau);
-            let texture = texture_loss(actor, &posed, &actor.images(frame)?, mean)?;
+            let lit: Vec<[f32; 3]> = mean.iter().map(|c| std::array::from_fn(|i| c[i] * first.light[i])).collect();
+            let texture = texture_loss(actor, &posed, &actor.images(frame)?, &lit)?;
             drift = f64::from(self.weights.texture) * texture.value;
             world.add(self.weights.texture.into(), &texture);
         }

@@ -14,6 +14,7 @@ mod cache;
 mod config;
 mod direct;
 mod geometry;
+mod light;
 mod network;
 mod oracle;
 mod texels;
@@ -229,7 +230,7 @@ impl Dut {
         match &self.source {
             Source::Network(net) => net.rows(&self.actor, second, rows),
             Source::Direct(direct) => {
-                direct.rows(&self.actor, &second.seen, rows);
+                direct.rows(&self.actor, second, rows);
                 Ok(())
             }
         }
@@ -240,7 +241,9 @@ impl Dut {
     /// # Errors
     /// If they are not as many as the texels.
     pub fn decode(&self, rows: &[f32], second: &Second) -> Result<Splats, FrameError> {
-        Ok(decode(rows, self.channels, &second.base, &self.decoding())?)
+        let mut splats = decode(rows, self.channels, &second.base, &self.decoding())?;
+        light::put_on(&mut splats, second.light);
+        Ok(splats)
     }
 
     fn decoding(&self) -> DecodeOptions {
@@ -290,7 +293,7 @@ impl Dut {
         }
         match &mut self.source {
             Source::Network(net) => net.backward(&self.actor, &d_rows)?,
-            Source::Direct(direct) => direct.backward(&self.actor, &second.seen, &d_rows),
+            Source::Direct(direct) => direct.backward(&self.actor, &second, &d_rows),
         }
         (self.rows, self.d_rows) = (rows, d_rows);
         Ok(())
@@ -304,7 +307,7 @@ impl Dut {
         }
         let mut rng = Rng::new(self.seed, "dut.jitter", self.at.step, number.into());
         let gain = std::array::from_fn(|_| (most * (2.0 * rng.uniform() - 1.0)).exp());
-        Arc::new(self.actor.relit(&second, gain))
+        Arc::new(self.actor.relit(&second, gain, self.config.jitter_image))
     }
 
     /// Texel values to an image and its loss, and backward.
@@ -317,6 +320,7 @@ impl Dut {
     ) -> Result<(), StepError> {
         let splats = self.decode(rows, second)?;
         render.render(splats.view(), &mut self.d_splats)?;
+        light::pull_back(&mut self.d_splats, second.light);
         Ok(decode_backward(rows, self.channels, &second.base, &self.decoding(), &self.d_splats, d_rows, None)
             .map_err(FrameError::from)?)
     }
@@ -386,7 +390,9 @@ impl Dut {
         let (second, rows) = self.texels_at(at)?;
         let frame = AvatarFrame { pose: pose.clone(), ..self.actor.frame_at(at.t).clone() };
         let base = self.actor.base(&self.actor.pose(&frame), &second.offsets)?;
-        Ok(decode(&rows, self.channels, &base, &self.decoding())?)
+        let mut splats = decode(&rows, self.channels, &base, &self.decoding())?;
+        light::put_on(&mut splats, second.light);
+        Ok(splats)
     }
 
     /// Makes the mean colours anew while GeoNet learns, if asked for.

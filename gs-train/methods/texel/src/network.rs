@@ -1,6 +1,6 @@
 //! GauNet under training: rows of texel Gaussians from a frame's second texture.
 
-use super::actor::{Actor, FrameError, MeanTextures, Second, Seen};
+use super::actor::{Actor, FrameError, MeanTextures, Second};
 use super::config::{Config, UnseenColor};
 use super::texels::{TexelRows, coefficient, reference};
 use gs_core::{Image, Param, Params, cast};
@@ -56,14 +56,15 @@ impl Network {
     }
 
     /// The Gaussians that stand for a frame's texels before anything is learnt.
-    fn reference(&self, actor: &Actor, seen: &Seen) -> Vec<f32> {
+    fn reference(&self, actor: &Actor, second: &Second) -> Vec<f32> {
+        let Second { seen, relit, .. } = second;
         let mut rows = self.reference.clone();
         let mean = MeanTextures::rows(&actor.mean.gau);
         let of_texels = rows.chunks_exact_mut(self.channels.width()).zip(seen.colors.iter().zip(&seen.views));
         for (k, (row, (color, views))) in of_texels.enumerate() {
             let color = match self.unseen {
-                _ if *views > 0.0 => color,
-                UnseenColor::Mean => &mean[k],
+                _ if *views > 0.0 => *color,
+                UnseenColor::Mean => std::array::from_fn(|i| mean[k][i] * relit[i]),
                 UnseenColor::Black => continue,
             };
             row[COLOR..COLOR + 3].copy_from_slice(&color.map(coefficient));
@@ -83,7 +84,7 @@ impl Network {
         *rows = self.channels.gather(&map, &actor.gau.valid)?;
         self.scale_offsets(rows);
         if self.residual {
-            rows.iter_mut().zip(self.reference(actor, &second.seen)).for_each(|(v, r)| *v += r);
+            rows.iter_mut().zip(self.reference(actor, second)).for_each(|(v, r)| *v += r);
         }
         self.own.iter().for_each(|own| own.add_to(rows));
         Ok(())
@@ -122,7 +123,7 @@ impl Network {
         share: f32,
         d_rows: &mut [f32],
     ) -> Result<f32, FrameError> {
-        let targets = self.reference(actor, &second.seen);
+        let targets = self.reference(actor, second);
         let loss = warm_up::loss(rows, &targets, self.channels, d_rows)?;
         d_rows.iter_mut().for_each(|d| *d *= share);
         Ok(cast::to_f32(loss) * share)

@@ -12,9 +12,9 @@ use glam::{DMat3, DVec2, DVec3, Vec3};
 use gs_core::{Camera, Image, cast};
 use gs_texel::surface::Mesh;
 use gs_texel::surface_loss::SurfaceLoss;
-use gs_texel::unproject::{self, UnprojectConfig, unproject};
+use gs_texel::unproject::{self, FuseWeight, UnprojectConfig, unproject};
 
-/// Least coverage of the pixels that are compared.
+/// Least coverage of the pixels that are compared, and least share of a footprint that shows the texel's own surface.
 const COVERED: f32 = 0.99;
 
 /// The loss of a posed surface, `N` world positions, in images, against mean colours of GauNet's texels.
@@ -31,7 +31,7 @@ pub(crate) fn texture_loss(
     let normals = actor.topology.normals(surface, faces);
     let mesh = Mesh { vertices: surface, normals: &normals, faces };
     let views: Vec<_> = images.iter().map(|(camera, image)| unproject::View { camera, image, mask: None }).collect();
-    let config = UnprojectConfig { keep_views: true, ..actor.unproject };
+    let config = UnprojectConfig { keep_views: true, fuse: FuseWeight::Mask, ..actor.unproject };
     let seen = unproject(&mesh, table, &views, &config)?.by_view;
     let mut loss = SurfaceLoss { value: 0.0, grad: vec![DVec3::ZERO; surface.len()] };
     let mut total = 0.0f64;
@@ -39,7 +39,7 @@ pub(crate) fn texture_loss(
         let corners = faces[table.tri[k] as usize];
         let bary = table.weights(k).map(f64::from);
         let x: DVec3 = corners.iter().zip(bary).map(|(v, b)| b * surface[*v as usize].as_dvec3()).sum();
-        for (weight, (camera, image)) in weights.iter().zip(images).filter(|(w, _)| **w > 0.0) {
+        for (weight, (camera, image)) in weights.iter().zip(images).filter(|(w, _)| **w >= COVERED) {
             let Some((value, d)) = compare(camera, image, x, mean[k]) else { continue };
             let weight = f64::from(*weight);
             total += weight;

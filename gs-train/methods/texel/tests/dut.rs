@@ -191,11 +191,77 @@ fn a_step_under_another_light_learns_something_else() {
     assert!(same("geo.") && same("mean.") && !same("gau.") && !same("texels."));
     let method = bare(&data, &config(&[SHORT]), 15);
     let second = method.second(&method.actor().scene.frames[0]).expect("frame");
-    assert!(method.actor().relit(&second, [1.0; 3]) == *second);
-    let bright = method.actor().relit(&second, [0.5, 1.0, 9.0]).seen.colors;
+    assert!(method.actor().relit(&second, [1.0; 3], true) == *second);
+    let bright = method.actor().relit(&second, [0.5, 1.0, 9.0], true).seen.colors;
     for ((c, d), seen) in second.seen.colors.iter().zip(&bright).zip(&second.seen.views) {
         let want = if *seen > 0.0 { [0.5 * c[0], c[1], (9.0 * c[2]).min(1.0)] } else { *c };
         assert_eq!(*d, want);
+    }
+}
+
+/// Colours of the Gaussians of a second unprojection, of degree 0.
+fn colors(method: &Dut, second: &gs_method_texel::Second) -> Vec<f32> {
+    let mut rows = Vec::new();
+    method.rows(second, &mut rows).expect("rows");
+    let splats = method.decode(&rows, second).expect("splats");
+    let gs_core::Color::Sh { coeffs, .. } = splats.color else { panic!("texel Gaussians are spherical harmonics") };
+    coeffs
+}
+
+#[test]
+fn a_method_that_shows_its_texture_has_nothing_to_learn_from_a_jittered_image() {
+    let data = film("cylinder", 32, 2);
+    // An untrained network adds nothing to the reference Gaussians, which have the colours of the texture.
+    let method = bare(&data, &config(&[SHORT, "gaunet.residual = true"]), 15);
+    let actor = method.actor();
+    let second = method.second(&actor.scene.frames[0]).expect("frame");
+    let plain = colors(&method, &second);
+    // No channel of the film is above 1 / 1.2.
+    let gain = [0.7, 1.0, 1.2];
+    let [with, without] = [true, false].map(|image| colors(&method, &actor.relit(&second, gain, image)));
+    let off = |other: &[f32], i: usize| {
+        let channel = plain.iter().zip(other).skip(i).step_by(3);
+        channel.fold(0.0f32, |worst, (a, b)| worst.max((a - b).abs()))
+    };
+    for (i, gain) in gain.into_iter().enumerate() {
+        assert!(off(&with, i) < 1e-5, "{i}: {}", off(&with, i));
+        assert_eq!(off(&without, i) > 0.1, gain != 1.0, "{i}: {}", off(&without, i));
+    }
+}
+
+#[test]
+fn a_light_that_is_followed_changes_colours_alone() {
+    let data = film("cylinder", 32, 2);
+    let method = bare(&data, &config(&[SHORT, "follow_light = true"]), 15);
+    let actor = method.actor();
+    let frame = &actor.scene.frames[0];
+    let images = actor.images(frame).expect("images");
+    let gain = [0.5, 0.8, 1.0];
+    let lit: Vec<_> = images
+        .iter()
+        .map(|(camera, image)| {
+            let mut image = image.clone();
+            image.data.chunks_exact_mut(4).for_each(|p| p[..3].iter_mut().zip(gain).for_each(|(c, g)| *c *= g));
+            (camera.clone(), image)
+        })
+        .collect();
+    let of = |images: &[_]| actor.first_of(actor.pose(frame), images).expect("first");
+    let [own, other] = [of(&images), of(&lit)];
+    for (gain, (own, other)) in gain.into_iter().zip(own.light.into_iter().zip(other.light)) {
+        assert!((own - 1.0).abs() < 0.05, "the light of the recording: {own}");
+        assert!((other / own - gain).abs() < 1e-4, "{other}");
+    }
+    let input = own.input.iter().zip(&other.input).fold(0.0f32, |worst, (a, b)| worst.max((a - b).abs()));
+    assert!(input < 1e-4, "GeoNet sees the same: {input}");
+    let second = |first, images: &[_]| {
+        let offsets = Some(vec![glam::Vec3::ZERO; actor.scene.character.template.vertices.len()]);
+        actor.second_of(first, offsets, images).expect("second")
+    };
+    let [own, other] = [colors(&method, &second(&own, &images)), colors(&method, &second(&other, &lit))];
+    let c0 = gs_core::sh::C0 as f32;
+    for (k, (a, b)) in own.iter().zip(&other).enumerate() {
+        let [a, b] = [a, b].map(|s| 0.5 + c0 * s);
+        assert!((gain[k % 3] * a - b).abs() < 1e-4, "Gaussians are lit: {k} {a} {b}");
     }
 }
 

@@ -276,8 +276,8 @@ impl<'a> Scene<'a> {
         notes.extend(self.why.iter().map(|why| format!("template: {why}")));
         if !METRES.contains(&self.length) {
             notes.push(format!(
-                "template: it is {:.3} units long, but a unit is taken for a metre: `dut` holds depths apart by \
-                 unproject.depth_tolerance (0.02) and may see nothing of it; scale the file",
+                "template: it is {:.3} units long, but a unit is taken for a metre: the lengths among the \
+                 settings of `dut`, such as unproject.near (0.05) and gaunet.offset_unit, do not fit it; scale the file",
                 self.length
             ));
         }
