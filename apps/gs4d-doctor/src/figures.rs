@@ -4,7 +4,7 @@ use super::Figure;
 use super::silhouettes::Silhouettes;
 use glam::{DVec2, DVec3, Vec3};
 use gs_core::{Image, cast};
-use gs_data::{Dataset, ImageCache, View};
+use gs_data::{Dataset, ImageCache, ImageU8, View};
 
 /// Side of a plan, pixels.
 const PLAN_SIZE: usize = 420;
@@ -37,18 +37,7 @@ fn hulls(s: &Silhouettes) -> Vec<Figure> {
     let n = s.carved.names.len();
     let show = |k: usize| {
         let (image, covered) = s.carved.shown(k);
-        let mut out = image.over([0.12; 3]);
-        for (i, (p, covered)) in image.data.chunks_exact(4).zip(covered).enumerate() {
-            let tint = match (p[3] > 127, covered) {
-                (true, true) => Some((GREEN, 0.25)),
-                (true, false) => Some((RED, 0.75)),
-                (false, true) => Some((BLUE, 0.5)),
-                (false, false) => None,
-            };
-            if let Some((color, share)) = tint {
-                blend(&mut out.data[3 * i..3 * i + 3], color, share);
-            }
-        }
+        let out = tinted(&image, covered);
         let caption = format!(
             "{}: green is carved and seen, red is seen and not carved, blue is carved and not seen (where things move: seen at another time)",
             s.carved.names[k]
@@ -57,6 +46,23 @@ fn hulls(s: &Silhouettes) -> Vec<Figure> {
     };
     let count = n.min(MAX_FIGURES);
     (0..count).map(|k| show((2 * k + 1) * n / (2 * count))).collect()
+}
+
+/// An image with what should cover its silhouette: green inside both, red in the silhouette alone, blue outside it.
+pub(super) fn tinted(image: &ImageU8, covered: impl IntoIterator<Item = bool>) -> Image {
+    let mut out = image.over([0.12; 3]);
+    for (i, (p, covered)) in image.data.chunks_exact(4).zip(covered).enumerate() {
+        let tint = match (p[3] > 127, covered) {
+            (true, true) => Some((GREEN, 0.25)),
+            (true, false) => Some((RED, 0.75)),
+            (false, true) => Some((BLUE, 0.5)),
+            (false, false) => None,
+        };
+        if let Some((color, share)) = tint {
+            blend(&mut out.data[3 * i..3 * i + 3], color, share);
+        }
+    }
+    out
 }
 
 /// An image with the points that project into it, near ones red, far ones blue.

@@ -19,6 +19,7 @@
 //! | `clock` | times: source, gaps, two images of one camera at one time, cameras whose clock is off |
 //! | `poses` | cameras: epipolar error of matched corners, under the poses and under other conventions |
 //! | `silhouettes` | cameras: the visual hull of alpha or masks must cover every silhouette |
+//! | `template` | a filmed person: the posed template must cover its silhouettes; poses, cameras and clocks that do not fit |
 //! | `start` | initial points and the scene box |
 //! | `cost` | memory and time of a training run, extrapolated from a few steps |
 #![warn(unreachable_pub)]
@@ -35,6 +36,7 @@ mod poses;
 mod sample;
 mod silhouettes;
 mod start;
+mod template;
 
 pub use cost::{Cost, CostOptions, StageCost};
 pub use page::page;
@@ -67,7 +69,7 @@ pub enum Verdict {
 /// The outcome of one check.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Finding {
-    /// What was checked: `layout`, `images`, `masks`, `time`, `split`, `poses`, `init`, `bound`, `memory`, `duration`.
+    /// What was checked: `layout`, `images`, `masks`, `time`, `split`, `poses`, `template`, `init`, `bound`, `memory`, `duration`.
     pub topic: &'static str,
     /// Stable name of the finding: `images.blank`, or the code of the reader's error.
     pub code: &'static str,
@@ -109,7 +111,7 @@ impl Finding {
 /// An image for the report that illustrates a finding.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Figure {
-    /// Topic of the findings it belongs to: `poses`, `init` or `bound`.
+    /// Topic of the findings it belongs to: `poses`, `template`, `init` or `bound`.
     pub topic: &'static str,
     /// What the image shows, for people.
     pub caption: String,
@@ -193,6 +195,9 @@ pub fn examine_and_tell(dir: &Path, exam: &CheckOptions, tell: &mut dyn FnMut(&F
     if sound {
         checkup.add(start::check(&readable), tell);
     }
+    let (findings, of_template) = template::check(&readable, &small_images);
+    checkup.add(findings, tell);
+    figures.extend(of_template);
     figures.extend(figures::all(&readable, &small_images, silhouettes.as_ref()));
     checkup.figures = figures;
     if let Some(options) = &exam.cost {

@@ -19,6 +19,7 @@ pub fn page(c: &Checkup) -> Result<String, ReportError> {
         }
         let heading = match topic {
             "poses" => "Poses against images",
+            "template" => "Template against images",
             "init" => "Points in the images",
             _ => "Cameras and box",
         };

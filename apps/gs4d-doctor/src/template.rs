@@ -1,0 +1,427 @@
+//! Checks of a filmed person: the posed template must cover the silhouettes of its images.
+//!
+//! The distance of two silhouettes is the mean distance from the outline of each to that of the other, in metres at the depth
+//! of the person. Outlines that are off everywhere mean another pose, scale or camera; the same measure with the poses
+//! of other frames tells clocks, and by the joint that moves a part of the outline which joint is off.
+
+use super::figures::tinted;
+use super::{Figure, Finding, Verdict, median};
+use glam::{DVec2, DVec3, Vec3};
+use gs_core::Camera;
+use gs_data::avatar::{AvatarFrame, AvatarScene};
+use gs_data::{Dataset, ImageCache, ImageU8, View};
+use gs_texel::surface::NONE;
+use gs_texel::zbuffer::face_map;
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// Most frames that are compared, spread evenly.
+const MAX_FRAMES: usize = 12;
+/// Frames by which poses may be early or late.
+const SHIFTS: std::ops::RangeInclusive<isize> = -4..=4;
+/// Mean distance of outlines, as a share of the template's size: up to the first it fits, above the second it does not.
+const GOOD_SHARE: f64 = 0.01;
+const BAD_SHARE: f64 = 0.03;
+/// A joint is off if its part of the outline is farther than this share of the template's size, and farther than that of the
+/// median joint by this factor.
+const JOINT_SHARE: f64 = 0.015;
+const ODD_JOINT: f64 = 3.0;
+/// Another clock must bring the outlines nearer by this factor, and by this share of the template's size.
+const CLEARLY: f64 = 0.6;
+const CLEAR_SHARE: f64 = 0.003;
+/// A camera is off if its outlines are farther apart than usual by this factor.
+const ODD_CAMERA: f64 = 2.0;
+/// Near plane of the template's silhouette, metres.
+const NEAR: f64 = 0.05;
+/// Joints and views named.
+const NAMED: usize = 3;
+
+/// What a view shows of the person.
+struct Shown {
+    camera_id: u32,
+    /// Row of the frame among those compared.
+    frame: usize,
+    name: String,
+    camera: Camera,
+    image: Arc<ImageU8>,
+    outline: Vec<DVec2>,
+}
+
+/// The template in a view.
+struct Drawn {
+    covered: Vec<bool>,
+    /// Outline pixels with the joint that moves the surface there.
+    outline: Vec<(DVec2, u32)>,
+    /// Side of a pixel at the depth of the person, metres.
+    pixel: f64,
+}
+
+/// How far the outlines of a view are apart, metres, and the same of parts of the template's outline by joint.
+struct Apart {
+    mean: f64,
+    joints: Vec<(u32, f64)>,
+}
+
+/// Compares template and images; none of data without a person, or without silhouettes.
+pub(super) fn check(data: &Dataset, small_images: &ImageCache) -> (Vec<Finding>, Vec<Figure>) {
+    let Some(scene) = data.avatar.as_deref() else { return Default::default() };
+    let rows = compared(scene);
+    let shown = silhouettes(data, scene, &rows, small_images);
+    if shown.is_empty() {
+        let what =
+            "no image has alpha or a mask with an outline, so the template cannot be held against its silhouette";
+        let fix = "add masks of the person, or images with alpha";
+        return (vec![Finding::new("template", "template.masks", Verdict::Warning, what).fix(fix)], Vec::new());
+    }
+    let check = Check::new(scene, &rows, shown);
+    (check.findings(), check.figures())
+}
+
+/// Rows of the frames that are compared.
+fn compared(scene: &AvatarScene) -> Vec<usize> {
+    let count = scene.frames.len().min(MAX_FRAMES);
+    (0..count).map(|k| (2 * k + 1) * scene.frames.len() / (2 * count)).collect()
+}
+
+/// The views of the compared frames that show an outline: those of conditioning cameras, then training views.
+fn silhouettes(data: &Dataset, scene: &AvatarScene, rows: &[usize], small_images: &ImageCache) -> Vec<Shown> {
+    let number = |at: &AvatarFrame| rows.iter().position(|&r| scene.frames[r].number == at.number);
+    let own = rows.iter().enumerate().flat_map(|(k, &r)| scene.frames[r].inputs.iter().map(move |v| (k, v)));
+    let others = data.train.iter().filter_map(|v| number(scene.frame_at(v.time)).map(|k| (k, v)));
+    let mut views: BTreeMap<(u32, usize), &View> = BTreeMap::new();
+    own.chain(others).for_each(|(k, v)| {
+        views.entry((v.camera_id, k)).or_insert(v);
+    });
+    let show = |((camera_id, frame), v): ((u32, usize), &View)| {
+        let image = AvatarScene::input_pixels(v, small_images).ok()?;
+        let inside: Vec<bool> = image.data.chunks_exact(4).map(|p| p[3] > 127).collect();
+        let outline = outline(&inside, image.width);
+        let camera = small_images.camera(v);
+        (!outline.is_empty()).then(|| Shown { camera_id, frame, name: v.name.clone(), camera, image, outline })
+    };
+    views.into_par_iter().filter_map(show).collect()
+}
+
+/// Pixels inside that have a neighbour outside, not counting the border of the image, where a silhouette is cut.
+fn outline(inside: &[bool], width: usize) -> Vec<DVec2> {
+    let height = inside.len() / width.max(1);
+    let at = |x: usize, y: usize| inside[y * width + x];
+    let mut out = Vec::new();
+    for y in 1..height.saturating_sub(1) {
+        for x in 1..width - 1 {
+            if at(x, y) && !(at(x - 1, y) && at(x + 1, y) && at(x, y - 1) && at(x, y + 1)) {
+                out.push(DVec2::new(x as f64, y as f64));
+            }
+        }
+    }
+    out
+}
+
+/// Row of the nearest of some points, of which there is one at least, and its distance, pixels.
+fn nearest(to: DVec2, among: &[DVec2]) -> (usize, f64) {
+    let squares = among.iter().map(|p| p.distance_squared(to)).enumerate();
+    let (row, square) = squares.fold((0, f64::INFINITY), |best, other| if other.1 < best.1 { other } else { best });
+    (row, square.sqrt())
+}
+
+/// The comparison of all views at their own frames, and with the poses of other frames.
+struct Check<'a> {
+    scene: &'a AvatarScene,
+    shown: Vec<Shown>,
+    drawn: Vec<Drawn>,
+    /// Per view.
+    apart: Vec<Apart>,
+    /// Per view, with the poses so many frames later ([`SHIFTS`]); infinite where there is no such frame.
+    shifted: Vec<Vec<f64>>,
+    /// Largest extent of the template, metres.
+    size: f64,
+}
+
+impl<'a> Check<'a> {
+    fn new(scene: &'a AvatarScene, rows: &[usize], shown: Vec<Shown>) -> Self {
+        let joints = dominant(scene);
+        let surfaces: Vec<Vec<Vec3>> = scene.frames.iter().map(|f| scene.posed(f)).collect();
+        let both = |s: &Shown| {
+            let drawn = draw(scene, &surfaces[rows[s.frame]], &joints, &s.camera);
+            let apart = apart(s, &drawn);
+            (drawn, apart)
+        };
+        let (drawn, apart) = shown.par_iter().map(both).unzip();
+        let shift = |s: &Shown| {
+            let at = |by| {
+                let surface = rows[s.frame].checked_add_signed(by).and_then(|row| surfaces.get(row));
+                surface.map_or(f64::INFINITY, |v| self::apart(s, &draw(scene, v, &joints, &s.camera)).mean)
+            };
+            SHIFTS.map(at).collect()
+        };
+        let shifted = shown.par_iter().map(shift).collect();
+        let rest = &scene.character.template.vertices;
+        let (low, high) = rest.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
+        let size = f64::from((high - low).max_element()).max(1e-6);
+        Self { scene, shown, drawn, apart, shifted, size }
+    }
+
+    /// Means over the views of one camera, or of all.
+    fn mean(&self, camera: Option<u32>, of: impl Fn(usize) -> f64) -> f64 {
+        let views = (0..self.shown.len()).filter(|&k| camera.is_none_or(|c| self.shown[k].camera_id == c));
+        let values: Vec<f64> = views.map(of).filter(|v| v.is_finite()).collect();
+        values.iter().sum::<f64>() / values.len() as f64
+    }
+
+    fn cameras(&self) -> Vec<u32> {
+        let mut ids: Vec<u32> = self.shown.iter().map(|s| s.camera_id).collect();
+        ids.dedup();
+        ids
+    }
+
+    /// The shift of poses that fits best, if it fits clearly better than none, with the distance then. Only views that have a
+    /// frame at the shift are compared.
+    fn clock(&self, camera: Option<u32>) -> Option<(isize, f64)> {
+        let none = SHIFTS.clone().position(|by| by == 0)?;
+        let fit = |(k, by): (usize, isize)| {
+            let with = self.mean(camera, |v| self.shifted[v][k]);
+            let without =
+                self.mean(camera, |v| if self.shifted[v][k].is_finite() { self.shifted[v][none] } else { f64::NAN });
+            (with < CLEARLY * without && without - with > CLEAR_SHARE * self.size).then_some((by, with))
+        };
+        SHIFTS.enumerate().filter_map(fit).min_by(|a, b| a.1.total_cmp(&b.1))
+    }
+
+    fn findings(&self) -> Vec<Finding> {
+        let away = self.drawn.iter().filter(|d| d.outline.is_empty()).count();
+        if 2 * away > self.drawn.len() {
+            let what = format!(
+                "the posed template lies outside {away} of {} images, or fills them: its units or the place of its root are not those \
+                 of the cameras",
+                self.drawn.len()
+            );
+            let fix = "give template, poses and cameras in the same units, metres, and one frame of reference";
+            return vec![Finding::new("template", "template.away", Verdict::Problem, what).fix(fix)];
+        }
+        let cameras = self.cameras();
+        let late: Vec<(u32, isize)> =
+            cameras.iter().filter_map(|&c| self.clock(Some(c)).map(|(by, _)| (c, by))).collect();
+        if let Some(by) = self.clock(None).map(|c| c.0).or_else(|| self.common(&late)) {
+            return vec![self.late(by)];
+        }
+        let mut out: Vec<Finding> = Vec::new();
+        if !late.is_empty() {
+            out.push(camera_clocks(&late));
+        }
+        let rest: Vec<u32> = cameras.into_iter().filter(|c| late.iter().all(|l| l.0 != *c)).collect();
+        let of: Vec<f64> = rest.iter().map(|&c| self.mean(Some(c), |k| self.apart[k].mean)).collect();
+        let usual = median(&of);
+        let enough = rest.len() > 2;
+        let is_odd = |far: f64| enough && far > ODD_CAMERA * usual && far > GOOD_SHARE * self.size;
+        let (odd, sound): (Vec<_>, Vec<_>) = rest.into_iter().zip(of).partition(|c| is_odd(c.1));
+        if !odd.is_empty() {
+            out.push(odd_cameras(&odd, usual));
+        }
+        let sound: Vec<u32> = sound.into_iter().map(|c| c.0).collect();
+        out.extend(self.fit(&sound));
+        out
+    }
+
+    /// The shift of some cameras if it is one, and the others fit with it as well as without: they do not see what moves.
+    fn common(&self, late: &[(u32, isize)]) -> Option<isize> {
+        let by = late.first()?.1;
+        let [with, without] = [by, 0].map(|by| SHIFTS.clone().position(|s| s == by));
+        let (with, without) = (with?, without?);
+        let fits = |camera: u32| {
+            let mean = |k: usize| {
+                self.mean(
+                    Some(camera),
+                    |v| if self.shifted[v][with].is_finite() { self.shifted[v][k] } else { f64::NAN },
+                )
+            };
+            mean(with) <= mean(without) + 0.5 * CLEAR_SHARE * self.size
+        };
+        let same = late.len() > 1 && late.iter().all(|l| l.1 == by);
+        (same && self.cameras().into_iter().all(fits)).then_some(by)
+    }
+
+    /// Poses of all cameras that belong to other frames.
+    fn late(&self, by: isize) -> Finding {
+        let then = SHIFTS.clone().position(|s| s == by).map_or(f64::NAN, |k| self.mean(None, |v| self.shifted[v][k]));
+        let what = format!(
+            "images show the pose of {} frame{} {}: outlines are {:.1} cm apart, and {:.1} cm with that pose",
+            by.abs(),
+            if by.abs() == 1 { "" } else { "s" },
+            if by > 0 { "later" } else { "earlier" },
+            100.0 * self.mean(None, |k| self.apart[k].mean),
+            100.0 * then
+        );
+        let fix = "shift the poses against the images by that many frames; they were cut or trimmed differently";
+        Finding::new("template", "template.time", Verdict::Problem, what).fix(fix)
+    }
+
+    /// The fit in some cameras, as a whole and by joint.
+    fn fit(&self, cameras: &[u32]) -> Vec<Finding> {
+        let views: Vec<usize> = (0..self.shown.len()).filter(|&k| cameras.contains(&self.shown[k].camera_id)).collect();
+        if views.is_empty() {
+            return Vec::new();
+        }
+        let mean = views.iter().map(|&k| self.apart[k].mean).sum::<f64>() / views.len() as f64;
+        let share = mean / self.size;
+        let text = format!(
+            "outlines of the posed template and of {} images are {:.1} cm apart in the mean ({:.1} % of its size)",
+            views.len(),
+            100.0 * mean,
+            100.0 * share
+        );
+        let joints = self.joints(&views);
+        let fix = "compare the figures; correct the poses of these joints, the scale of the template or the calibration. Offsets \
+                   learnt from images reach a few centimetres";
+        if share > GOOD_SHARE {
+            let verdict = if share > BAD_SHARE { Verdict::Problem } else { Verdict::Warning };
+            let finding = Finding::new("template", "template.fit", verdict, text + &self.scale(&views));
+            return vec![finding.at(self.named(&joints)).fix(fix)];
+        }
+        let usual = median(&joints.iter().map(|j| j.1).collect::<Vec<_>>());
+        let odd = |j: &(u32, f64)| j.1 > JOINT_SHARE * self.size && j.1 > ODD_JOINT * usual;
+        let odd: Vec<(u32, f64)> = joints.into_iter().filter(odd).collect();
+        if odd.is_empty() {
+            return vec![Finding::ok("template", text)];
+        }
+        let what = format!("{text}, but a part of it is farther off");
+        vec![Finding::new("template", "template.joint", Verdict::Warning, what).at(self.named(&odd)).fix(fix)]
+    }
+
+    /// A sentence on the scale, where silhouettes are taller or shorter than the template's.
+    fn scale(&self, views: &[usize]) -> String {
+        let tall = self.taller(views);
+        if (tall - 1.0).abs() > 0.04 {
+            format!("; silhouettes are {tall:.2} times as tall as the template's")
+        } else {
+            String::new()
+        }
+    }
+
+    /// Height of silhouettes over that of the template, the median over views.
+    fn taller(&self, views: &[usize]) -> f64 {
+        let height = |points: &mut dyn Iterator<Item = f64>| {
+            let (low, high) = points.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), y| (l.min(y), h.max(y)));
+            high - low
+        };
+        let ratio = |&k: &usize| {
+            let (s, d) = (&self.shown[k], &self.drawn[k]);
+            height(&mut s.outline.iter().map(|p| p.y)) / height(&mut d.outline.iter().map(|p| p.0.y))
+        };
+        let ratios = views.iter().map(ratio).filter(|r| r.is_finite());
+        median(&ratios.collect::<Vec<_>>())
+    }
+
+    /// How far each joint's part of the template's outline is from the image's in some views, metres, farthest first.
+    fn joints(&self, views: &[usize]) -> Vec<(u32, f64)> {
+        let mut sums: BTreeMap<u32, (f64, usize)> = BTreeMap::new();
+        for (joint, far) in views.iter().flat_map(|&k| &self.apart[k].joints) {
+            let (sum, count) = sums.entry(*joint).or_default();
+            *sum += far;
+            *count += 1;
+        }
+        let mut joints: Vec<(u32, f64)> = sums.into_iter().map(|(j, (sum, n))| (j, sum / n as f64)).collect();
+        joints.sort_by(|a, b| b.1.total_cmp(&a.1));
+        joints
+    }
+
+    /// The first few joints with their distances, for people.
+    fn named(&self, joints: &[(u32, f64)]) -> Vec<String> {
+        let skeleton = &self.scene.character.skeleton;
+        let node = |joint: u32| skeleton.joints.get(joint as usize).and_then(|j| skeleton.nodes.get(j.node as usize));
+        let text = |&(joint, far): &(u32, f64)| {
+            let name = node(joint).map(|n| n.name.clone()).filter(|n| !n.is_empty());
+            format!("{}: {:.1} cm", name.unwrap_or_else(|| format!("joint {joint}")), 100.0 * far)
+        };
+        joints.iter().take(NAMED).map(text).collect()
+    }
+
+    /// The views whose outlines are farthest apart.
+    fn figures(&self) -> Vec<Figure> {
+        let mut views: Vec<usize> = (0..self.shown.len()).collect();
+        views.sort_by(|&a, &b| self.apart[b].mean.total_cmp(&self.apart[a].mean));
+        let show = |k: usize| {
+            let (s, d) = (&self.shown[k], &self.drawn[k]);
+            let caption = format!(
+                "{}, outlines {:.1} cm apart: green is template and image, red is seen and not covered by the template, blue the reverse",
+                s.name,
+                100.0 * self.apart[k].mean
+            );
+            Figure { topic: "template", caption, image: tinted(&s.image, d.covered.iter().copied()) }
+        };
+        views.into_iter().take(NAMED).map(show).collect()
+    }
+}
+
+/// Cameras whose outlines are farther apart than usual.
+fn odd_cameras(odd: &[(u32, f64)], usual: f64) -> Finding {
+    let what = format!(
+        "outlines of template and images are {:.1} cm apart in the median camera, but farther in some: their calibration is not \
+         that of the others",
+        100.0 * usual
+    );
+    let places = odd.iter().map(|(c, far)| format!("camera {c}: {:.1} cm", 100.0 * far));
+    let finding = Finding::new("template", "template.camera", Verdict::Problem, what);
+    finding.at(places).fix("calibrate these cameras again, or leave them out")
+}
+
+/// Cameras whose images are of other frames than those of the rest.
+fn camera_clocks(late: &[(u32, isize)]) -> Finding {
+    let what = format!(
+        "{} of the cameras show the poses of other frames: their clocks are not that of the others",
+        late.len()
+    );
+    let places = late.iter().map(|(c, by)| format!("camera {c}: {by:+} frames"));
+    let finding = Finding::new("template", "template.clock", Verdict::Problem, what);
+    finding.at(places).fix("renumber the images of these cameras, or leave them out")
+}
+
+/// The joint with the largest weight at each vertex.
+fn dominant(scene: &AvatarScene) -> Vec<u32> {
+    let t = &scene.character.template;
+    let joint = |v: usize| t.weights.row(v).max_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |w| w.0);
+    (0..t.vertices.len()).map(joint).collect()
+}
+
+/// The silhouette of a posed template.
+fn draw(scene: &AvatarScene, surface: &[Vec3], joints: &[u32], camera: &Camera) -> Drawn {
+    let faces = &scene.character.template.faces;
+    let nearest = face_map(surface, faces, camera, NEAR);
+    let covered: Vec<bool> = nearest.iter().map(|f| *f != NONE).collect();
+    let width = camera.width as usize;
+    let joint = |p: &DVec2| {
+        let face = nearest[gs_core::cast::to_usize(p.y) * width + gs_core::cast::to_usize(p.x)];
+        joints[faces[face as usize][0] as usize]
+    };
+    let middle = surface.iter().map(|v| v.as_dvec3()).sum::<DVec3>() / surface.len().max(1) as f64;
+    let depth = camera.to_camera(middle).z;
+    // A camera inside or behind the template sees no outline of it.
+    let outline = if depth > NEAR { outline(&covered, width) } else { Vec::new() };
+    let outline = outline.into_iter().map(|p| (p, joint(&p))).collect();
+    Drawn { covered, outline, pixel: depth.max(NEAR) / camera.fx }
+}
+
+/// How far the outlines of image and template are apart. A template that is not in the frame is as far as the frame is wide.
+/// A point of the image's outline counts for the joint of the nearest point of the template's.
+fn apart(s: &Shown, d: &Drawn) -> Apart {
+    if d.outline.is_empty() {
+        return Apart { mean: d.pixel * f64::from(s.camera.width), joints: Vec::new() };
+    }
+    let points: Vec<DVec2> = d.outline.iter().map(|p| p.0).collect();
+    let there = d.outline.iter().map(|(p, joint)| (*joint, nearest(*p, &s.outline).1));
+    let back = s.outline.iter().map(|p| nearest(*p, &points)).map(|(k, far)| (d.outline[k].1, far));
+    let mut joints: BTreeMap<u32, (f64, usize)> = BTreeMap::new();
+    let mut means = [0.0; 2];
+    let both = there.map(|p| (0, d.outline.len(), p)).chain(back.map(|p| (1, s.outline.len(), p)));
+    for (way, count, (joint, far)) in both {
+        means[way] += far * d.pixel / count as f64;
+        let (sum, count) = joints.entry(joint).or_default();
+        *sum += far * d.pixel;
+        *count += 1;
+    }
+    let joints = joints.into_iter().map(|(joint, (sum, n))| (joint, sum / n as f64)).collect();
+    Apart { mean: 0.5 * (means[0] + means[1]), joints }
+}
+
+#[cfg(test)]
+mod tests;
