@@ -53,6 +53,7 @@ mod neighbours;
 pub mod net;
 #[cfg(feature = "read")]
 pub mod read;
+pub mod retarget;
 pub mod scale_refine;
 pub mod skeleton;
 pub mod skin;

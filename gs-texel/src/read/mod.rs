@@ -1,4 +1,4 @@
-//! Readers of characters: glTF and GLB (rigged, animated), OBJ (a static mesh on one joint).
+//! Readers of characters: glTF and GLB (rigged, animated), OBJ (a static mesh on one joint); and of motions: BVH.
 //!
 //! One invariant: **any bytes give a character or a typed error**. Files are parsed from memory. Referenced files must lie in
 //! the same folder, also after links are resolved. Every range is checked before it is read. Memory is bounded by the bytes
@@ -17,6 +17,7 @@
 mod accessors;
 mod atlas;
 mod buffers;
+mod bvh_in;
 mod clips;
 mod container;
 mod error;
@@ -27,6 +28,7 @@ mod nodes;
 mod obj_in;
 mod weld;
 
+pub use bvh_in::{Motion, load_motion, parse_motion};
 pub use error::CharacterError;
 
 use crate::character::Character;

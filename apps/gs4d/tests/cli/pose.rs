@@ -41,6 +41,32 @@ fn a_pose_is_written_as_a_mesh() {
 }
 
 #[test]
+fn a_motion_of_a_bvh_file_moves_a_character() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = character(dir.path(), "tri.bin");
+    let named = fs::read_to_string(&file).unwrap().replace(r#"{"mesh":0}"#, r#"{"name":"Pelvis","mesh":0}"#);
+    fs::write(&file, named).unwrap();
+    let (out, bvh) = (dir.path().join("a.obj"), dir.path().join("lift.bvh"));
+    let text_of = |name: &str| {
+        format!(
+            "HIERARCHY ROOT {name} {{ OFFSET 0 0 0 CHANNELS 3 Xposition Yposition Zposition }} \
+             MOTION Frames: 2 Frame Time: 1 0 0 0 0 2 0"
+        )
+    };
+    fs::write(&bvh, text_of("Hips")).unwrap();
+    let call = ["pose", text(&file), "--motion", text(&bvh), "--time", "0.5", "-o", text(&out)];
+    good(&call);
+    assert_eq!(fs::read_to_string(&out).unwrap(), "v 0 1 0\nv 1 1 0\nv 0 2 0\nf 1 2 3\n");
+    fs::write(&bvh, text_of("bone")).unwrap();
+    let again = [&call[..], &["-f"]].concat();
+    gs4d(&again).fails(3, &["no joint of the motion (bone)", "(Pelvis)", "--partner JOINT=PARTNER"]);
+    good(&[&again[..], &["--partner", "Pelvis=bone"]].concat());
+    gs4d(&[&again[..], &["--partner", "Pelvis"]].concat()).fails(2, &["JOINT=PARTNER"]);
+    fs::write(&bvh, "HIERARCHY").unwrap();
+    gs4d(&again).fails(3, &["lift.bvh: line 1: the file ends where ROOT should be"]);
+}
+
+#[test]
 fn wrong_calls_and_files_are_refused() {
     let dir = tempfile::tempdir().unwrap();
     let file = character(dir.path(), "tri.bin");

@@ -4,6 +4,8 @@
 //! version 1   units "m"   up "y"   fps   frames {start, count, step}   splits {train, test, ood}: frame numbers
 //! template    a glTF, GLB or OBJ file of the folder, or builtin:NAME      uv_set, auto_uv, repack: layout of its texture
 //! clip        a motion of the template, or null: at rest                 skinning "lbs" | "dqs"
+//! motion      a BVH file of the folder in place of clip, brought to the template's skeleton; null: none
+//! motion_names  {node of the template: joint of the motion}, where their names do not tell
 //! morph       gt: images show the motion's morphs, poses do not state them; apply: both; ignore: neither
 //! background  colour behind the person where alpha is 0: black           generated: options of the generator
 //! ```
@@ -13,6 +15,9 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use gs_core::io::Limits;
+use gs_texel::read::load_motion;
+use gs_texel::retarget::retarget;
 use gs_texel::{Character, Clip, Pose, ReadOptions, Skinning, load_character};
 use serde_json::{Map, Value};
 
@@ -27,7 +32,7 @@ use crate::json::{Fields, read_object, whole};
 const MAX_BYTES: u64 = 8 << 20;
 /// Frames without a list of splits.
 const MAX_FRAMES: u32 = 1_000_000;
-const KEYS: [&str; 16] = [
+const KEYS: [&str; 18] = [
     "version",
     "units",
     "up",
@@ -39,6 +44,8 @@ const KEYS: [&str; 16] = [
     "auto_uv",
     "repack",
     "clip",
+    "motion",
+    "motion_names",
     "skinning",
     "morph",
     "background",
@@ -61,6 +68,8 @@ pub(super) struct Manifest {
     auto_uv: bool,
     repack: bool,
     clip: Option<String>,
+    motion: Option<String>,
+    motion_names: BTreeMap<String, String>,
     morph: Morphs,
 }
 
@@ -95,6 +104,8 @@ impl Manifest {
             auto_uv: choose(&f, "auto_uv", &map, &WORDS)?.unwrap_or(false),
             repack: choose(&f, "repack", &map, &WORDS)?.unwrap_or(false),
             clip: f.text("clip")?.map(str::to_owned),
+            motion: f.text("motion")?.map(str::to_owned),
+            motion_names: partners(&f, &map)?,
             morph: choose(&f, "morph", &map, &morphs)?.unwrap_or(Morphs::Apply),
         })
     }
@@ -117,6 +128,9 @@ impl Manifest {
             let options = ReadOptions { need_uvs: true, auto_uv, repack, uv_set, ..ReadOptions::default() };
             load_character(&file, &options).map_err(|source| DataError::Character { file, source: Box::new(source) })?
         };
+        if let Some(motion) = &self.motion {
+            return self.moved(character, motion, root);
+        }
         match &self.clip {
             Some(name) if character.clip(name).is_none() => {
                 let known: Vec<&str> = character.clips.iter().map(|c| c.name.as_str()).collect();
@@ -127,9 +141,34 @@ impl Manifest {
         }
     }
 
+    /// The template with the motion of a BVH file as its last clip.
+    fn moved(&self, mut character: Character, motion: &str, root: &Root) -> Result<Character, DataError> {
+        if let Some(clip) = &self.clip {
+            return Err(self.fault(
+                "clip",
+                clip,
+                "frames are poses of one motion, and there is a motion, too",
+                "give one of them",
+            ));
+        }
+        let file = root.resolve(motion, &Place::new(&self.file, "motion"))?;
+        let read = load_motion(&file, &Limits::default());
+        let read = read.map_err(|source| DataError::Character { file, source: Box::new(source) })?;
+        let moved = retarget(&read.skeleton, &read.clip, &character.skeleton, &self.motion_names);
+        let moved = moved.map_err(|e| {
+            let fix = "give partners in motion_names: {\"node of the template\": \"joint of the motion\"}";
+            self.fault("motion", &format!("{motion}: {e}"), "its joints move those of the template", fix)
+        })?;
+        character.clips.push(moved.clip);
+        Ok(character)
+    }
+
     /// The motion; none: the template is at rest.
     pub(super) fn clip<'a>(&self, character: &'a Character) -> Option<&'a Clip> {
-        self.clip.as_ref().and_then(|name| character.clip(name))
+        match &self.motion {
+            Some(_) => character.clips.last(),
+            None => self.clip.as_ref().and_then(|name| character.clip(name)),
+        }
     }
 
     /// The pose a method may use, of the pose `shown` in the images, and the true morph weights.
@@ -141,6 +180,14 @@ impl Manifest {
             Morphs::Ignore => (Pose { morphs: rest(), locals: shown.locals }, Some(rest())),
         }
     }
+}
+
+/// `motion_names`: nodes of the template with their partners.
+fn partners(f: &Fields, map: &Map<String, Value>) -> Result<BTreeMap<String, String>, DataError> {
+    let Some(value) = map.get("motion_names").filter(|v| !v.is_null()) else { return Ok(BTreeMap::new()) };
+    let wrong = || f.fault("motion_names", &value.to_string(), "it is an object of names", "correct it");
+    let names = value.as_object().ok_or_else(wrong)?;
+    names.iter().map(|(n, m)| Some((n.clone(), m.as_str()?.to_owned()))).collect::<Option<_>>().ok_or_else(wrong)
 }
 
 /// One of several values, if the field is there.
