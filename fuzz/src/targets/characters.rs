@@ -1,7 +1,9 @@
-//! Characters: glTF, GLB and OBJ.
+//! Characters: glTF, GLB and OBJ; motions: BVH.
 
 use super::{Error, Target, as_it_is, images, splats::glb_of};
 use crate::case::Case;
+use gs_texel::read::parse_motion;
+use gs_texel::retarget::retarget;
 use gs_texel::{Character, ReadOptions, Skinning, load_character, parse_character};
 use serde_json::json;
 use std::path::Path;
@@ -18,6 +20,7 @@ pub fn targets() -> Vec<Target> {
         }),
         one("char_gltf", 3, gltf_seeds, |c, d| load(c, d, "a.gltf")),
         one("char_obj", 3, obj_seeds, |c, d| load(c, d, "a.obj")),
+        one("motion_bvh", 2, bvh_seeds, |c, _| motion(c)),
     ]
 }
 
@@ -59,6 +62,30 @@ fn obj_seeds(dir: &Path) -> Result<Vec<Case>, Error> {
         f 1/1/1 2/2/1 3/3/1 4/1/1\nf -1/-1 -2/-2 -3/-3\n";
     let mtl = "newmtl m\nKd 0.5 0.6 0.7\nd 0.5\nmap_Kd a.png\n";
     Ok(vec![Case::one("a.obj", obj).with("a.mtl", mtl)])
+}
+
+fn bvh_seeds(_: &Path) -> Result<Vec<Case>, Error> {
+    let bvh = "HIERARCHY\nROOT Hips\n{\nOFFSET 0 90 0\nCHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation\n\
+        JOINT LeftUpLeg\n{\nOFFSET 9 0 0\nCHANNELS 3 Zrotation Xrotation Yrotation\nEnd Site\n{\nOFFSET 0 -40 0\n}\n}\n}\n\
+        MOTION\nFrames: 2\nFrame Time: 0.04\n0 90 0 0 0 0 0 0 0\n1 90 2 10 20 30 -5 0 5\n";
+    Ok(vec![Case::one("a.bvh", bvh)])
+}
+
+/// A motion, brought to the skeleton of the built-in person where joints correspond.
+fn motion(case: &Case) -> Result<(), String> {
+    let m = parse_motion(case.first(), "a.bvh").map_err(|e| e.to_string())?;
+    assert!(
+        m.frame_time > 0.0
+            && m.skeleton.nodes.iter().enumerate().all(|(n, node)| node.parent.is_none_or(|p| (p as usize) < n))
+    );
+    let pose = m.clip.pose(&m.skeleton, 0.7 * m.clip.duration());
+    assert_eq!(m.skeleton.globals(&pose).len(), m.skeleton.nodes.len());
+    let person = gs_texel::figure::person();
+    if let Ok(moved) = retarget(&m.skeleton, &m.clip, &person.skeleton, &Default::default()) {
+        let values = moved.clip.channels.iter().flat_map(|c| &c.values);
+        assert!(values.clone().all(|v| v.is_finite()), "a pose that is not finite");
+    }
+    Ok(())
 }
 
 fn load(case: &Case, dir: &Path, name: &str) -> Result<(), String> {
