@@ -52,7 +52,7 @@ pub struct Intervals {
 }
 
 impl Intervals {
-    /// Equal intervals for a scene of `frames` timestamps, evenly spaced over 0 … 1.
+    /// Equal intervals, or those given, for a scene of `frames` timestamps, evenly spaced over 0 … 1.
     ///
     /// # Errors
     /// If a setting is out of its domain or `frames` is 0.
@@ -60,7 +60,10 @@ impl Intervals {
         config.check()?;
         require(frames > 0, "frames", frames, "at least 1")?;
         let n = config.segments as usize;
-        let starts = (0..n).map(|c| c as f32 / n as f32).collect();
+        let starts = match &config.starts[..] {
+            [] => (0..n).map(|c| c as f32 / n as f32).collect(),
+            given => std::iter::once(0.0).chain(given.iter().copied()).collect(),
+        };
         Ok(Self {
             config: config.clone(),
             frame: 1.0 / (frames - 1).max(1) as f32,

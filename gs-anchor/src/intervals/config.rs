@@ -44,6 +44,9 @@ pub struct IntervalConfig {
     pub on: bool,
     /// Number of intervals, `N`, 1 to 4096.
     pub segments: u32,
+    /// Boundaries at first, `b_1 < … < b_{N−1}`, normalised time; empty: equal intervals.
+    #[serde(default)]
+    pub starts: Vec<f32>,
     /// First step at which views are observed and boundaries move.
     pub from: u32,
     /// Last step at which views are observed and boundaries move.
@@ -69,6 +72,7 @@ impl Default for IntervalConfig {
         Self {
             on: true,
             segments: 8,
+            starts: Vec::new(),
             from: 500,
             until: 20_000,
             period: 1000,
@@ -96,6 +100,10 @@ impl IntervalConfig {
     /// The first setting out of its domain.
     pub fn check(&self) -> Result<(), SettingError> {
         require((1..=4096).contains(&self.segments), "intervals.segments", self.segments, "1 to 4096 intervals")?;
+        let inside = [0.0].iter().chain(&self.starts).chain(&[1.0]).is_sorted_by(|a, b| a < b);
+        let starts = self.starts.is_empty() || self.starts.len() + 1 == self.segments as usize && inside;
+        let rule = "ascending between 0 and 1, one less than intervals.segments, or empty";
+        require(starts, "intervals.starts", format!("{:?}", self.starts), rule)?;
         require(self.period > 0, "intervals.period", self.period, "at least 1 step")?;
         require(self.tau.is_finite(), "intervals.tau", self.tau, "finite")?;
         let keys = self.rule == Rule::Clean || self.blend == Blend::Hold;

@@ -212,3 +212,17 @@ fn the_released_rule_loses_frames_and_leaves_the_list() {
     };
     assert!((0..1000).any(off_list));
 }
+
+#[test]
+fn boundaries_can_be_given() {
+    let with = |starts: &[f32]| IntervalConfig { segments: 4, starts: starts.to_vec(), ..IntervalConfig::default() };
+    let given = Intervals::new(&with(&[0.5, 0.53, 0.6]), 100).unwrap();
+    assert_eq!((given.starts.value.as_slice(), given.locate(0.55)), (&[0.0, 0.5, 0.53, 0.6][..], 2));
+    assert_eq!(Intervals::new(&with(&[]), 100).unwrap().starts.value, [0.0, 0.25, 0.5, 0.75]);
+    for wrong in
+        [&[0.5, 0.6][..], &[0.6, 0.5, 0.7], &[0.0, 0.5, 0.7], &[0.2, 0.5, 1.0], &[0.2, 0.2, 0.5], &[0.2, f32::NAN, 0.5]]
+    {
+        let why = Intervals::new(&with(wrong), 100).unwrap_err().to_string();
+        assert!(why.contains("intervals.starts"), "{wrong:?}: {why}");
+    }
+}

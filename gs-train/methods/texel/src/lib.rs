@@ -49,9 +49,9 @@ use network::Network;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// What the presets `direct`, `tiny` and `fast` share.
+/// What the presets `direct`, `tiny`, `fast` and `small` share.
 const QUICK: &str = include_str!("dut.quick.toml");
-/// What the presets `tiny` and `fast` share.
+/// What the presets `tiny`, `fast` and `small` share.
 const TINY: &str = include_str!("dut.tiny.toml");
 
 /// The line in the list of methods.
@@ -62,7 +62,7 @@ pub const ENTRY: MethodEntry = MethodEntry {
     presets: &[
         ("paper", &[]),
         ("large", &[include_str!("dut.large.toml")]),
-        ("small", &[include_str!("dut.small.toml")]),
+        ("small", &[QUICK, TINY, include_str!("dut.small.toml")]),
         ("fast", &[QUICK, TINY, include_str!("dut.fast.toml")]),
         ("tiny", &[QUICK, TINY]),
         ("direct", &[QUICK, include_str!("dut.direct.toml")]),
