@@ -9,7 +9,7 @@ use gs_train::evaluate::EvalReport;
 use std::collections::BTreeMap;
 
 /// Training light of a film without one.
-const FIRST_LIGHT: Light = Light { direction: [0.5, 1.0, 0.8], ambient: 0.35 };
+const FIRST_LIGHT: Light = Light { direction: [0.5, 1.0, 0.8], ambient: 0.35, shadows: true };
 
 /// Scores on the motion of the film and on another motion.
 pub(super) fn unseen_motion(setup: &Setup, log: &mut Log<'_>) -> Result<Findings, LabError> {

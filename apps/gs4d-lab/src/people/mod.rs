@@ -171,7 +171,7 @@ impl Default for Setup {
             sizes: vec![64, 128, 256, 512],
             joint: None,
             other_clip: None,
-            other_light: Light { direction: [-1.0, 0.5, -0.4], ambient: 0.35 },
+            other_light: Light { direction: [-1.0, 0.5, -0.4], ambient: 0.35, shadows: true },
             tuning: 100,
         }
     }

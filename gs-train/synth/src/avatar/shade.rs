@@ -18,13 +18,16 @@ use gs_data::ImageU8;
 
 /// Near plane, metres.
 const NEAR: f64 = 1e-3;
+/// Distance of a shadow's ray from the surface it begins on, and its length, metres: beyond any person.
+const SHADOW_FROM: f32 = 1e-3;
+const SHADOW_TO: f32 = 10.0;
 /// A ray continues behind a hole at this share of its depth.
 const HOLE_STEP: f32 = 1e-5;
 /// Most holes that a ray passes.
 const MAX_HOLES: usize = 64;
 
 /// A static directional light and ambient light. Display-encoded colours are multiplied
-/// by `ambient + (1 − ambient) max(0, n · direction)`.
+/// by `ambient + (1 − ambient) max(0, n · direction)`, by `ambient` in shadow.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Light {
@@ -32,6 +35,9 @@ pub struct Light {
     pub direction: [f64; 3],
     /// Factor on the colour of points that face away, 0..1.
     pub ambient: f64,
+    /// Whether the surface casts shadows on itself, with sharp edges; holes in it cast them, too.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub shadows: bool,
 }
 
 /// The posed surface of a frame.
@@ -40,7 +46,7 @@ pub(super) struct Stage<'a> {
     surface: Vec<Vec3>,
     normals: Vec<Vec3>,
     light: Option<Light>,
-    /// For holes, and for [`Stage::truth`].
+    /// For holes, shadows, and [`Stage::truth`].
     tracer: Option<Arc<Tracer>>,
 }
 
@@ -60,7 +66,7 @@ impl<'a> Stage<'a> {
         let normals = topology.normals(&surface, &template.faces);
         let holed = template.materials.iter().any(|m| m.cutout.is_some());
         let mut stage = Self { template, surface, normals, light, tracer: None };
-        if holed {
+        if holed || light.is_some_and(|l| l.shadows) {
             stage.tracer = stage.trace();
         }
         stage
@@ -156,9 +162,18 @@ impl<'a> Stage<'a> {
     fn lit(&self, face: u32, bary: [f32; 3], colour: Vec4) -> Vec4 {
         let Some(light) = self.light else { return colour };
         let to_light = DVec3::from_array(light.direction).normalize_or_zero();
-        let facing = self.normal(face, bary).as_dvec3().dot(to_light).max(0.0);
-        let factor = cast::to_f32(light.ambient + (1.0 - light.ambient) * facing);
+        let normal = self.normal(face, bary);
+        let facing = normal.as_dvec3().dot(to_light).max(0.0);
+        let dark = facing > 0.0 && light.shadows && self.in_shadow(face, bary, normal, to_light.as_vec3());
+        let factor = cast::to_f32(if dark { light.ambient } else { light.ambient + (1.0 - light.ambient) * facing });
         (colour.truncate() * factor).extend(colour.w)
+    }
+
+    /// Whether the surface hides the light from a point of a face.
+    fn in_shadow(&self, face: u32, bary: [f32; 3], normal: Vec3, to_light: Vec3) -> bool {
+        let corners = self.template.faces[face as usize].map(|v| self.surface[v as usize]);
+        let from = corners.iter().zip(bary).map(|(&p, b)| p * b).sum::<Vec3>() + normal * SHADOW_FROM;
+        self.tracer.as_ref().is_some_and(|t| t.occluded(from, from + to_light * SHADOW_TO))
     }
 
     /// Depth, normal and position at pixel centres, by ray tracing, independent of the depth buffer; holes count as
@@ -264,11 +279,30 @@ mod tests {
     fn light_falls_off_with_the_cosine() {
         let template = squares(None);
         let at = |direction: [f64; 3]| {
-            let light = Light { direction, ambient: 0.25 };
+            let light = Light { direction, ambient: 0.25, shadows: false };
             stage(&template, Some(light)).picture(&camera(), 2).pixel(12, 20)[0]
         };
         assert_eq!(at([0.0, 0.0, 3.0]), 255);
         assert_eq!(at([0.0, 3f64.sqrt(), 1.0]), (255.0f64 * (0.25 + 0.75 * 0.5)).round() as u8);
         assert_eq!(at([0.0, 0.0, -1.0]), 64);
+    }
+
+    #[test]
+    fn a_surface_hides_the_light_from_what_lies_behind_it() {
+        let template = squares(None);
+        let lit = |shadows: bool, x: f32| {
+            let light = Light { direction: [1.0, 0.0, 1.0], ambient: 0.25, shadows };
+            // The point (x, -1/2) of the square behind.
+            let right = 0.5 * (x + 0.5);
+            let bary = [0.75 - right, right, 0.25];
+            stage(&template, Some(light)).color(2, bary)[1]
+        };
+        let full = 0.25 + 0.75 * 0.5f32.sqrt();
+        // The square in front is one unit nearer, so its shadow lies one unit to the left.
+        for x in [-0.45f32, -0.2, -0.05, 0.05, 0.5, 0.95] {
+            let want = if x < 0.0 { 0.25 } else { full };
+            assert!((lit(true, x) - want).abs() < 3e-3, "{x}: {}", lit(true, x));
+            assert!((lit(false, x) - full).abs() < 3e-3);
+        }
     }
 }

@@ -63,6 +63,9 @@ pub struct AvatarFlags {
     /// A light from direction X,Y,Z; AMBIENT is what a point that faces away gets [default: no light, ambient 0.3].
     #[arg(long, value_name = "X,Y,Z[,AMBIENT]", value_parser = light, allow_hyphen_values = true)]
     light: Option<Light>,
+    /// The character casts shadows on itself.
+    #[arg(long, requires = "light")]
+    shadows: bool,
     /// Points of the true surface at each frame [default: 20000].
     #[arg(long, value_name = "N")]
     points: Option<u32>,
@@ -91,8 +94,8 @@ pub fn light(text: &str) -> Result<Light, String> {
     let number = |part: &str| part.trim().parse::<f64>().ok().filter(|v| v.is_finite());
     let numbers: Option<Vec<f64>> = text.split(',').map(number).collect();
     match numbers.as_deref() {
-        Some(&[x, y, z]) => Ok(Light { direction: [x, y, z], ambient: AMBIENT }),
-        Some(&[x, y, z, ambient]) => Ok(Light { direction: [x, y, z], ambient }),
+        Some(&[x, y, z]) => Ok(Light { direction: [x, y, z], ambient: AMBIENT, shadows: false }),
+        Some(&[x, y, z, ambient]) => Ok(Light { direction: [x, y, z], ambient, shadows: false }),
         _ => Err("give a direction and perhaps a share, for example 1,2,1 or 1,2,1,0.3".to_owned()),
     }
 }
@@ -112,6 +115,7 @@ impl AvatarFlags {
             ("--morph", self.morph.is_some()),
             ("--only-morphs", !self.only_morphs.is_empty()),
             ("--light", self.light.is_some()),
+            ("--shadows", self.shadows),
             ("--points", self.points.is_some()),
             ("--supersample", self.supersample.is_some()),
         ];
@@ -148,7 +152,7 @@ impl AvatarFlags {
             supersample: self.supersample.unwrap_or(default.supersample),
             morph,
             only_morphs: self.only_morphs.clone(),
-            light: self.light,
+            light: self.light.map(|light| Light { shadows: self.shadows, ..light }),
             points: self.points.unwrap_or(default.points),
             seed,
             ..default
@@ -188,7 +192,7 @@ mod tests {
     fn values() {
         assert_eq!(rings("8x2"), Ok([8, 2]));
         assert!(["8", "x2", "8x", "8x-1", "8x2x3"].iter().all(|t| rings(t).is_err()));
-        assert_eq!(light("1,-2,0.5"), Ok(Light { direction: [1.0, -2.0, 0.5], ambient: AMBIENT }));
+        assert_eq!(light("1,-2,0.5"), Ok(Light { direction: [1.0, -2.0, 0.5], ambient: AMBIENT, shadows: false }));
         assert_eq!(light("0,1,0,0.1").map(|l| l.ambient), Ok(0.1));
         assert!(["", "1,2", "1,2,nan", "1,2,3,4,5"].iter().all(|t| light(t).is_err()));
     }
