@@ -1,6 +1,6 @@
 //! Which faces are near one another along the surface.
 
-use crate::surface::{NONE, Rows, Topology};
+use crate::surface::{MeshError, NONE, Rows, Topology};
 use rayon::prelude::*;
 
 /// Most edges that are walked from vertex to vertex.
@@ -15,16 +15,19 @@ pub(crate) struct Neighbours<'a> {
 
 impl<'a> Neighbours<'a> {
     /// Faces whose nearest vertices lie within `edges` edges of one another, at most [`MOST_EDGES`]; 0: which have a vertex in
-    /// common. The faces must name vertices of `topology`.
-    pub(crate) fn within(edges: usize, faces: &'a [[u32; 3]], topology: &Topology) -> Self {
+    /// common.
+    ///
+    /// # Errors
+    /// If a face names a vertex beyond `vertices`.
+    pub(crate) fn within(edges: usize, faces: &'a [[u32; 3]], vertices: usize) -> Result<Self, MeshError> {
         let around = (edges > 0).then(|| {
-            let vertices = topology.ring.begins.len() - 1;
+            let topology = Topology::new(faces, vertices)?;
             let near: Vec<Vec<u32>> =
-                (0..vertices).into_par_iter().map(|v| walked(v, edges.min(MOST_EDGES), topology)).collect();
+                (0..vertices).into_par_iter().map(|v| walked(v, edges.min(MOST_EDGES), &topology)).collect();
             let pairs = near.iter().enumerate().flat_map(|(v, near)| near.iter().map(move |&w| (v as u32, w)));
-            Rows::from_pairs(vertices, pairs)
+            Ok(Rows::from_pairs(vertices, pairs))
         });
-        Self { faces, around }
+        Ok(Self { faces, around: around.transpose()? })
     }
 
     /// Whether two faces are near; [`NONE`] is near nothing.
@@ -72,9 +75,8 @@ mod tests {
     #[test]
     fn faces_of_a_strip_are_near_as_far_as_edges_reach() {
         let faces = strip(20);
-        let topology = Topology::new(&faces, 22).unwrap();
         for edges in 0..4 {
-            let near = Neighbours::within(edges, &faces, &topology);
+            let near = Neighbours::within(edges, &faces, 22).unwrap();
             // A vertex in common up to two faces on; an edge of a strip reaches two vertices on.
             let reach = 2 + 2 * edges as u32;
             for b in 0..20 {
@@ -88,8 +90,7 @@ mod tests {
     fn parts_that_share_no_vertex_are_never_near() {
         let mut faces = strip(4);
         faces.extend(strip(4).into_iter().map(|f| f.map(|v| v + 6)));
-        let topology = Topology::new(&faces, 12).unwrap();
-        let near = Neighbours::within(MOST_EDGES, &faces, &topology);
+        let near = Neighbours::within(MOST_EDGES, &faces, 12).unwrap();
         assert!((0..4).all(|a| (4..8).all(|b| !near.are_near(a, b))) && near.are_near(4, 7));
         assert!(!near.are_near(NONE, 0) && !near.are_near(0, NONE) && !near.are_near(NONE, NONE));
     }

@@ -5,7 +5,7 @@
 
 use crate::bvh::Tracer;
 use crate::neighbours::Neighbours;
-use crate::surface::{CHUNK, Mesh, MeshError, Topology};
+use crate::surface::{CHUNK, Mesh, MeshError};
 use crate::texels::TexelTable;
 use crate::visibility::{OfMesh, PreparedView, Rule, Sample};
 use gs_core::camera::CameraError;
@@ -331,14 +331,14 @@ fn check(
 
 /// Faces near one another: those that a footprint of the coarsest view may show together.
 fn neighbours<'a>(mesh: &Mesh<'a>, views: &[PreparedView<'_>]) -> Result<Neighbours<'a>, MeshError> {
-    let topology = Topology::new(mesh.faces, mesh.vertices.len())?;
-    let length = |e: &[u32; 2]| f64::from(mesh.vertices[e[0] as usize].distance(mesh.vertices[e[1] as usize]));
-    let edge = topology.edges.iter().map(length).sum::<f64>() / topology.edges.len().max(1) as f64;
+    let side = |a: u32, b: u32| f64::from(mesh.vertices[a as usize].distance(mesh.vertices[b as usize]));
+    let sides = mesh.faces.iter().map(|&[a, b, c]| side(a, b) + side(b, c) + side(c, a));
+    let edge = sides.sum::<f64>() / (3 * mesh.faces.len()).max(1) as f64;
     let pixel = views.iter().map(|v| v.pixel).fold(0.0, f64::max);
     // A tap is up to a pixel and a half from the texel, along the diagonal of the footprint.
     let reach = (1.5 * pixel / edge).ceil();
     let edges = if reach.is_finite() { (reach as usize).saturating_sub(1) } else { 0 };
-    Ok(Neighbours::within(edges, mesh.faces, &topology))
+    Neighbours::within(edges, mesh.faces, mesh.vertices.len())
 }
 
 /// The colour of one texel, fused over views.
