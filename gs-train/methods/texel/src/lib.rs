@@ -42,6 +42,7 @@ use gs_train::method::{
 };
 use gs_train::model::Model;
 use gs_train::registry::{MethodEntry, parse_config};
+use gs_train::report::{ReportRow, Section};
 use gs_train::scene::SceneInfo;
 use gs_train::step::StepCtx;
 use gs_train::timestamp::Timestamp;
@@ -487,6 +488,32 @@ impl Method for Dut {
 }
 
 impl Inspect for Dut {
+    /// How well GeoNet knows the surface, where the film carries the truth.
+    fn report_section(&self, _events: &[serde_json::Value]) -> Result<Option<Section>, MethodError> {
+        if self.geometry.is_none() {
+            return Ok(None);
+        }
+        let wrong = |e| Self::at_frame(self.actor.frame_at(Default::default()), &e);
+        let OffsetErrors { ratio, length } = self.offset_errors().map_err(wrong)?;
+        if !ratio[0].is_finite() {
+            return Ok(None);
+        }
+        let along = |k: usize, what: &str| {
+            let value = format!("{:.1} % of {:.1} mm", 100.0 * ratio[k], 1e3 * length[k]);
+            ReportRow::new(
+                what,
+                value,
+                "RMS over all frames, of that of the true offsets; 100 %: the template without offsets",
+            )
+        };
+        Ok(Some(Section {
+            title: "Offsets of the template".into(),
+            rows: vec![along(0, "error of offsets"), along(1, "error along normals")],
+            json: serde_json::json!({"offsets": {"error": ratio, "length_m": length}}),
+            ..Section::default()
+        }))
+    }
+
     fn quantities(&self, at: &Timestamp) -> Result<Vec<Quantity>, MethodError> {
         let texels = self.texels_at(at);
         let (second, rows) = texels.map_err(|e| Self::at_frame(self.actor.frame_at(at.t), &e))?;

@@ -266,6 +266,22 @@ fn a_light_that_is_followed_changes_colours_alone() {
 }
 
 #[test]
+fn the_report_says_how_far_offsets_are_off_where_the_truth_is_known() {
+    let data = film("person", 32, 3);
+    let section = |over: &[&str]| {
+        let method = bare(&data, &config(over), 15);
+        let inspect = method.capabilities().inspect.expect("inspect");
+        (inspect.report_section(&[]).expect("section"), method.offset_errors())
+    };
+    let (found, errors) = section(&[SHORT]);
+    let (found, errors) = (found.expect("a film made here"), errors.expect("errors"));
+    // Before any step the network gives no offsets.
+    assert!(found.rows[0].value.starts_with("100.0 % of ") && errors.ratio == [1.0; 2], "{:?}", found.rows);
+    assert_eq!(found.json["offsets"]["length_m"][0].as_f64(), Some(errors.length[0]));
+    assert!(section(&[SHORT, "input = \"single\"\nschedule.stages.geometry.steps = 0"]).0.is_none());
+}
+
+#[test]
 fn a_small_cache_changes_nothing() {
     let data = film("cylinder", 32, 3);
     let states = ["cache_mib = 0", "cache_mib = 64"].map(|cache| {
