@@ -20,6 +20,7 @@ pub(super) const TINY: &str = include_str!("scaffold.tiny.toml");
 
 /// Domains of the settings of anchors, their growth, their intervals and their motion.
 pub(super) const DOMAINS: &[Domain] = &[
+    within("anchors.eye_noise", 0.0, 180.0),
     within("anchors.features", 1.0, 1024.0),
     within("anchors.gradient_batch", 1.0, 65_536.0),
     within("anchors.offsets", 1.0, 64.0),

@@ -275,3 +275,21 @@ fn key_frames_that_blend_leave_no_jump() {
     println!("mean jump, pixels: hold {hold:.3}, linear {linear:.4}, smooth {smooth:.4}");
     assert!(hold > 0.05 && linear < 0.005 && smooth < 0.005, "{hold} {linear} {smooth}");
 }
+
+#[test]
+fn noise_on_the_eye_changes_what_is_learnt_and_nothing_that_is_drawn() {
+    let noisy = modec("anchors.eye_noise = 15.0");
+    let data = scene("sheet", 32, 6);
+    let method = trained(&noisy, 40);
+    let plain = trained(&modec(""), 40);
+    let camera = &data.test[0].camera;
+    assert!(splats(method.model(), 0.4, camera) != splats(plain.model(), 0.4, camera), "heads learn something else");
+    // A view is the same each time it is drawn, and turns as the camera does.
+    assert!(splats(method.model(), 0.4, camera) == splats(method.model(), 0.4, camera));
+    // A run that is taken up again makes the same draws.
+    let mut first = start(&registry(), &data, "modec", &noisy, 0);
+    run(&mut first, 25);
+    let mut again = Trainer::resume(&registry(), data, &first.state(), None, 1 << 20).expect("resume");
+    run(&mut again, 15);
+    assert!(again.state().tensors == method.state().tensors);
+}

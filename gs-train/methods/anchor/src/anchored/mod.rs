@@ -18,6 +18,7 @@ pub use motion::{Motion, SparsityConfig};
 
 use crate::journal::Journal;
 use forward::Tape;
+use glam::Vec3;
 use gs_anchor::{
     AnchorDensify, AnchorDensifyRules, AnchorDensifyStep, AnchorInit, AnchorShape, AnchorView, Anchors, Decoder,
     DecoderConfig, Intervals, StorageSizes, StorageTable,
@@ -59,6 +60,9 @@ pub struct AnchorConfig {
     pub statistics: Statistics,
     /// Growth thresholds are for gradients of a mean loss over so many views.
     pub gradient_batch: u32,
+    /// While training, heads see every view from an eye that is turned about the scene's centre by a random angle of this
+    /// standard deviation, degrees: what they learn of a direction holds near it. 0: from where it was taken.
+    pub eye_noise: f32,
 }
 
 /// What a body is built from.
@@ -93,6 +97,8 @@ pub struct Anchored {
     /// Farthest any splat has been moved or grown by LGD, world units, one value.
     reach: Vec<f32>,
     diagonal: f32,
+    /// Middle of the scene's box, world units.
+    centre: Vec3,
     seed: u64,
     /// Training views: public code stores a row of appearance for each.
     cameras: u32,
@@ -130,6 +136,7 @@ impl Anchored {
             voxel: vec![first.voxel],
             reach: vec![0.0],
             diagonal: scene.bounds[0].distance(scene.bounds[1]),
+            centre: 0.5 * (scene.bounds[0] + scene.bounds[1]),
             seed: scene.seed,
             cameras: scene.views,
             at: StepCtx::default(),
