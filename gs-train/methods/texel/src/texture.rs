@@ -19,6 +19,9 @@ const COVERED: f32 = 0.99;
 
 /// The loss of a posed surface, `N` world positions, in images, against mean colours of GauNet's texels.
 ///
+/// Texels weigh `cos⁴` of the angle between normal and camera, whatever `unproject.fuse` is: a pixel of a slanted surface is the mean over
+/// `1/cos` as much of it, so its colour errs by a multiple of `1/cos²`, and weights go with the inverse variance.
+///
 /// # Errors
 /// If positions are not finite or images do not fit.
 pub(crate) fn texture_loss(
@@ -41,7 +44,9 @@ pub(crate) fn texture_loss(
         let x: DVec3 = corners.iter().zip(bary).map(|(v, b)| b * surface[*v as usize].as_dvec3()).sum();
         for (weight, (camera, image)) in weights.iter().zip(images).filter(|(w, _)| **w >= COVERED) {
             let Some((value, d)) = compare(camera, image, x, mean[k]) else { continue };
-            let weight = f64::from(*weight);
+            let n: DVec3 = corners.iter().zip(bary).map(|(v, b)| b * normals[*v as usize].as_dvec3()).sum();
+            let cos = n.normalize_or_zero().dot((camera.position() - x).normalize_or_zero()).max(0.0);
+            let weight = f64::from(*weight) * cos.powi(4);
             total += weight;
             loss.value += weight * value;
             corners.iter().zip(bary).for_each(|(v, b)| loss.grad[*v as usize] += weight * b * d);
