@@ -49,7 +49,7 @@ const STORED: &[Stored] = &[Stored {
         ("trace", 0x94ed6bd15adef324),
         ("trace-4dgs", 0xb96a47373c442548),
         ("defgs-nvfi", 0xe2673ec1f595ae73),
-        ("dut", 0xec8943836085226e),
+        ("dut", 0x48983c62e8d514d5),
     ],
 }];
 

@@ -53,7 +53,8 @@ fn visibility_is_measured_against_rays() {
     let dir = tempfile::tempdir().unwrap();
     let vis = rows("vis", dir.path(), &[]);
     let of = |name: &str| vis.iter().find(|r| r["rule"] == name).unwrap();
-    assert_eq!(vis.len(), 11);
+    assert_eq!(vis.len(), 12);
+    assert!(number(of("neighbours"), "texture dB") > number(of("four_tap"), "texture dB") + 1.0, "{vis:?}");
     assert_eq!(number(of("ray"), "false visible %") + number(of("ray"), "false hidden %"), 0.0);
     assert!(number(of("ray_footprint"), "false visible %") == 0.0);
     assert!(number(of("ray_footprint"), "texture dB") > number(of("ray"), "texture dB"));
@@ -86,8 +87,9 @@ fn methods_are_trained_for_what_needs_them() {
     assert!(ood.iter().all(|r| number(r, "in-mask PSNR") > 8.0), "{ood:?}");
     assert_eq!(ood[ood.len() - 1]["motion"], "not learnt: wave");
     let light = rows("light", dir.path(), &[&LEARN[..], &["--tuning", "5"]].concat());
-    assert_eq!((light.len(), number(&light[4], "steps under it")), (5, 5.0));
+    assert_eq!((light.len(), number(&light[8], "steps under it")), (9, 5.0));
     assert_eq!(light[3]["light"], "other, colours varied in training");
+    assert_eq!(light[7]["light"], "other, light followed");
     let parts = rows("ablate", dir.path(), &LEARN);
     assert!(parts.len() == 7 && number(&parts[0], "dB") == 0.0, "{parts:?}");
     gs4d(&["lab", "ood", "-o", text(&dir.path().join("x"))]).fails(2, &["ood", "--run", "--steps"]);
