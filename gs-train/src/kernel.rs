@@ -1,6 +1,7 @@
 //! The section `[cloud.kernel]`: the fall-off of the splats of any cloud, moving or at rest.
 
 use crate::capabilities::Quantity;
+#[cfg(feature = "cloud")]
 use crate::schedule::Schedule;
 use gs_core::Kernel;
 use gs_core::cloud::KernelInit;
@@ -66,6 +67,7 @@ impl KernelConfig {
     }
 
     /// Holds back in the schedule what does not learn, or not yet.
+    #[cfg(feature = "cloud")]
     pub(crate) fn hold_back(&self, schedule: &mut Schedule) {
         for (name, learns) in [("lambda", self.learn_lambda), ("beta", self.learn_beta), ("acutance", true)] {
             if !learns {
