@@ -85,7 +85,7 @@ fn films() -> Vec<(String, Dataset)> {
 }
 
 /// The code of every finding above a note, with the places it names.
-fn told(data: &Dataset) -> Vec<(&'static str, String)> {
+fn reported(data: &Dataset) -> Vec<(&'static str, String)> {
     let found = findings(data).into_iter().filter(|f| f.verdict > Verdict::Note);
     found.map(|f| (f.code, format!("{} {}", f.what, f.places.join(", ")))).collect()
 }
@@ -107,13 +107,13 @@ fn a_sound_film_has_no_finding_whatever_its_morphs_do() {
 fn poses_of_other_frames_are_found_with_their_number() {
     for (name, data) in films() {
         for by in [-3, -2, 2, 3] {
-            let told = told(&late(&data, by));
+            let reported = reported(&late(&data, by));
             // Two frames of a waving hand are too little for few pixels; the hand is named then.
-            let small = name == "wave 64" && told.iter().all(|t| t.0 == "template.joint" && t.1.contains("hand"));
+            let small = name == "wave 64" && reported.iter().all(|t| t.0 == "template.joint" && t.1.contains("hand"));
             let way = if by < 0 { "later" } else { "earlier" };
             let right =
                 |t: &(&str, String)| t.0 == "template.time" && t.1.contains(&format!("{} frames {way}", by.abs()));
-            assert!(told.len() == 1 && (small || right(&told[0])), "{name} {by}: {told:?}");
+            assert!(reported.len() == 1 && (small || right(&reported[0])), "{name} {by}: {reported:?}");
         }
     }
 }
@@ -126,10 +126,10 @@ fn a_joint_that_is_bent_is_named() {
                 let node = scene.character.skeleton.node(joint).expect("joint");
                 scene.frames.iter_mut().for_each(|f| f.pose.turn(node, DVec3::Z, degrees.to_radians()));
             });
-            let told = told(&bent);
+            let reported = reported(&bent);
             let part = if joint.contains("arm") { "left hand" } else { "right " };
             let right = |t: &(&str, String)| ["template.joint", "template.fit"].contains(&t.0) && t.1.contains(part);
-            assert!(told.len() == 1 && right(&told[0]), "{name} {joint} {degrees}: {told:?}");
+            assert!(reported.len() == 1 && right(&reported[0]), "{name} {joint} {degrees}: {reported:?}");
         }
     }
 }
@@ -139,9 +139,9 @@ fn a_camera_that_is_turned_or_late_is_named() {
     for (name, data) in films() {
         let id = data.train[0].camera_id;
         for degrees in [1.0, 4.0] {
-            let told = told(&with_camera(&data, id, |v, _| v.camera = turned(&v.camera, degrees)));
+            let reported = reported(&with_camera(&data, id, |v, _| v.camera = turned(&v.camera, degrees)));
             let right = |t: &(&str, String)| t.0 == "template.camera" && t.1.contains(&format!("camera {id}:"));
-            assert!(told.len() == 1 && right(&told[0]), "{name} {degrees}: {told:?}");
+            assert!(reported.len() == 1 && right(&reported[0]), "{name} {degrees}: {reported:?}");
         }
         let scene = data.avatar.clone().expect("person");
         let image = |f: &AvatarFrame| {
@@ -151,10 +151,10 @@ fn a_camera_that_is_turned_or_late_is_named() {
         let images: Vec<_> = scene.frames.iter().map(image).collect();
         for by in [-3isize, 2] {
             let of = |k: usize| images[k.saturating_add_signed(by).min(images.len() - 1)].clone();
-            let told = told(&with_camera(&data, id, |v, k| v.image = of(k)));
+            let reported = reported(&with_camera(&data, id, |v, k| v.image = of(k)));
             let right =
                 |t: &(&str, String)| t.0 == "template.clock" && t.1.contains(&format!("camera {id}: {by:+} frames"));
-            assert!(told.len() == 1 && right(&told[0]), "{name} {by}: {told:?}");
+            assert!(reported.len() == 1 && right(&reported[0]), "{name} {by}: {reported:?}");
         }
     }
 }
@@ -164,11 +164,12 @@ fn a_template_of_another_size_is_told_with_its_ratio() {
     let data = film("walk", 128, Morphs::Gt);
     for (factor, code) in [(1.12f32, "template.fit"), (0.85, "template.fit"), (100.0, "template.away")] {
         let scaled = edited(&data, |scene| scene.character.template.vertices.iter_mut().for_each(|v| *v *= factor));
-        let told = told(&scaled);
-        assert!(told.len() == 1 && told[0].0 == code, "{factor}: {told:?}");
-        let ratio = told[0].1.split("silhouettes are ").nth(1).and_then(|t| t.split(' ').next()?.parse::<f32>().ok());
+        let reported = reported(&scaled);
+        assert!(reported.len() == 1 && reported[0].0 == code, "{factor}: {reported:?}");
+        let ratio =
+            reported[0].1.split("silhouettes are ").nth(1).and_then(|t| t.split(' ').next()?.parse::<f32>().ok());
         // Of a template in centimetres the camera sees nothing whole.
-        assert!(factor > 10.0 || ratio.is_some_and(|r| (r * factor - 1.0).abs() < 0.03), "{factor}: {told:?}");
+        assert!(factor > 10.0 || ratio.is_some_and(|r| (r * factor - 1.0).abs() < 0.03), "{factor}: {reported:?}");
     }
 }
 
@@ -183,7 +184,7 @@ fn images_without_silhouettes_say_so() {
     };
     let mut data = edited(&data, |scene| scene.frames.iter_mut().flat_map(|f| &mut f.inputs).for_each(opaque));
     data.train.iter_mut().for_each(opaque);
-    assert_eq!(told(&data).iter().map(|t| t.0).collect::<Vec<_>>(), ["template.masks"]);
+    assert_eq!(reported(&data).iter().map(|t| t.0).collect::<Vec<_>>(), ["template.masks"]);
     let (found, figures) = check(&film("walk", 64, Morphs::Gt), &ImageCache::new(64 << 20, 1.0));
     assert_eq!((found.len(), figures.len()), (1, NAMED));
 }

@@ -211,7 +211,7 @@ pub struct Config {
     /// Whether images are taken as scaled alike: colours follow the light. If not, Gaussians keep the recorded light whatever
     /// the textures show.
     pub jitter_image: bool,
-    /// Whether a frame's light is told from its colours against their mean, taken off its textures and put on its Gaussians.
+    /// Whether a frame's light is estimated from its colours against their mean, taken off its textures and put on its Gaussians.
     pub follow_light: bool,
     /// Memory for frames once prepared, MiB.
     pub cache_mib: u32,
