@@ -20,6 +20,7 @@ use gs_metrics::{
 };
 use gs_raster::{Frame, Workspace, render_into};
 use serde::{Deserialize, Serialize};
+use std::sync::Arc;
 
 /// How the frames were compared, in words, for the report.
 pub const PROTOCOL: &str = "f32 frames clamped to [0, 1], not quantised; SSIM 11x11 with zero padding; perceptual_proxy is not LPIPS; masked scores \
@@ -259,11 +260,11 @@ pub fn evaluate_splats(
         let image = images.get(view)?;
         let truth = image.over(background);
         // Of a filmed person, the person counts.
-        let mask = images.mask(view)?.or_else(|| dataset.avatar.is_some().then(|| image.alpha()));
+        let mask = images.mask(view)?.or_else(|| dataset.avatar.is_some().then(|| Arc::new(image.alpha())));
         let rendered = clamped(&frame);
         let scored = scorer
             .score(&rendered, &truth)
-            .and_then(|scores| Ok((ViewScores::of(view, &scores, &rendered, &truth, mask.as_ref())?, scores.mse)));
+            .and_then(|scores| Ok((ViewScores::of(view, &scores, &rendered, &truth, mask.as_deref())?, scores.mse)));
         scored.map_err(|source| EvalError::Metric { view: view.name.clone(), source })
     })?;
     let scores: Vec<Scores> = scored.iter().map(|(view, mse)| view.with_mse(*mse)).collect();

@@ -10,10 +10,15 @@
 //! | `lambda_l1` | ω; `1 − lambda_dssim` if absent | 3DGS: 0.8; MoDec-GS: 1 |
 //! | `lambda_dssim` | `1 − SSIM`, over the image, the box of what it shows, or multi-scale | 3DGS: 0.2 |
 //! | `lambda_fre` | amplitude spectra ([`gs_metrics::spectrum`]) | FAGS: 0.3 |
+//! | `lambda_depth` | distance along the ray to a measured depth ([`GroundTruth::depth`]) | ours |
 //!
 //! A method adds terms of its own ([`Model::with_loss`](crate::model::Model::with_loss)), such as [`TextureTerm`] (DUT). Terms of
 //! weight 0 are not computed. The ground truth stays 8-bit with alpha and is composited over the background here.
+//!
+//! With a mask `m` ([`GroundTruth::mask`]) the ground truth is `m y + (1 − m) x`, and the gradient `m dL/dx`: what is rendered outside is right as it is.
 
+mod depth;
+mod mask;
 mod region;
 mod terms;
 
@@ -23,7 +28,7 @@ pub use terms::{Dssim, LossTerm, SpectrumTerm, TermValue, TextureTerm};
 use gs_core::Image;
 use gs_data::ImageU8;
 use gs_metrics::MetricError;
-use gs_raster::FrameGrad;
+use gs_raster::{Frame, FrameGrad};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
@@ -42,7 +47,7 @@ pub struct LossValues {
     pub total: f64,
     /// Mean absolute difference over pixels and channels.
     pub l1: f64,
-    /// Mean squared difference over pixels and channels.
+    /// Mean squared difference over pixels and channels; with a mask, over those inside.
     pub mse: f64,
     /// The other terms that were computed, by name: SSIM itself, distances.
     pub terms: Vec<(Cow<'static, str>, f64)>,
@@ -68,9 +73,23 @@ impl LossValues {
     }
 }
 
+/// What a frame is held against.
+#[derive(Clone, Copy)]
+pub struct GroundTruth<'a> {
+    /// The image: 8-bit RGBA, straight alpha.
+    pub image: &'a ImageU8,
+    /// What it is composited over.
+    pub background: [f32; 3],
+    /// `[H, W, 1]` in 0..1: how much each pixel counts; none: all fully.
+    pub mask: Option<&'a Image>,
+    /// `[H, W, 1]`: camera-space z in world units, 0 where it was not measured.
+    pub depth: Option<&'a Image>,
+}
+
 /// The image loss, with buffers kept between calls.
 pub struct ImageLoss {
     l1: f32,
+    depth: f32,
     terms: Vec<WeightedTerm>,
     ground_truth: Image,
 }
@@ -84,7 +103,7 @@ struct WeightedTerm {
 impl ImageLoss {
     /// `l1` times the mean absolute difference, and nothing else.
     pub fn new(l1: f32) -> Self {
-        Self { l1, terms: Vec::new(), ground_truth: Image::default() }
+        Self { l1, depth: 0.0, terms: Vec::new(), ground_truth: Image::default() }
     }
 
     /// The same with another term; one of weight 0 is left out.
@@ -95,25 +114,54 @@ impl ImageLoss {
         self
     }
 
-    /// The loss of a frame against a ground-truth image over `background`, its gradient with respect to the frame's colours
-    /// written into `grad.rgb` (alpha and depth: none).
+    /// The same with the depth of frames, where it was measured, at this weight; at 0 it is not looked at.
+    pub fn with_depth(self, weight: f32) -> Self {
+        Self { depth: weight, ..self }
+    }
+
+    /// Whether measured depth counts.
+    pub fn needs_depth(&self) -> bool {
+        self.depth > 0.0
+    }
+
+    /// The loss of a frame, its gradient with respect to the frame's colours, depth and alpha written into `grad` (empty where
+    /// nothing counts).
     ///
     /// # Errors
     /// If the shapes differ, a term is not defined for their size, or a value is not finite.
     pub fn evaluate(
         &mut self,
-        rendered: &Image,
-        ground_truth: &ImageU8,
-        background: [f32; 3],
+        frame: &Frame,
+        truth: &GroundTruth<'_>,
         grad: &mut FrameGrad,
     ) -> Result<LossValues, MetricError> {
         let mut target = std::mem::take(&mut self.ground_truth);
-        ground_truth.over_into(background, &mut target);
+        truth.image.over_into(truth.background, &mut target);
         let boxed = self.terms.iter().any(|t| t.term.needs_region());
-        let region = if boxed { Region::shown(ground_truth) } else { None };
+        let region = if boxed { Region::shown(truth.image) } else { None };
+        let rendered = &frame.rgb;
+        let (mask, measured) = (truth.mask, truth.depth.filter(|_| self.needs_depth()));
+        for (what, map) in [("rendered frame and mask", mask), ("rendered frame and depth map", measured)] {
+            let (first, second) = ((rendered.width, rendered.height, 1), map.map(Image::shape));
+            if let Some(second) = second.filter(|s| *s != first) {
+                return Err(MetricError::Shape { what, first, second });
+            }
+        }
+        if let Some(mask) = mask {
+            mask::keep_outside(mask, rendered, &mut target);
+        }
         let values = self.evaluate_within(rendered, &target, region, grad);
         self.ground_truth = target;
-        values
+        let mut values = values?;
+        if let Some(mask) = mask {
+            values.mse /= mask::apply(mask, &mut grad.rgb).max(f64::MIN_POSITIVE);
+        }
+        if let Some(measured) = measured {
+            let off = depth::evaluate(frame, measured, mask, self.depth, grad);
+            values.total += f64::from(self.depth) * off;
+            values.terms.push(("depth".into(), off));
+        }
+        Ok(values)
     }
 
     /// The same against an image of three channels, within a region; the whole image if absent.
@@ -266,6 +314,58 @@ mod tests {
         assert_eq!(with.total, without.total + f64::from(0.3f32) * fre);
         let sums = grad.rgb.iter().zip(&alone.data).map(|(g, f)| g + 0.3 * f);
         assert!(both.rgb.iter().zip(sums).all(|(b, s)| *b == s));
+    }
+
+    #[test]
+    fn outside_a_mask_nothing_counts() {
+        let frame = Frame { rgb: pair().0, alpha: vec![1.0; 37 * 23], depth: vec![2.0; 37 * 23] };
+        let bytes = |seed: u64| {
+            let mut rng = Rng::new(seed, "loss.bytes", 0, 0);
+            let data = (0..4 * 37 * 23).map(|i| if i % 4 == 3 { 255 } else { rng.below(256) as u8 }).collect();
+            ImageU8 { width: 37, height: 23, data }
+        };
+        let inside = |p: usize| p % 37 < 20;
+        let mask = Image {
+            width: 37,
+            height: 23,
+            channels: 1,
+            data: (0..37 * 23).map(|p| f32::from(u8::from(inside(p)))).collect(),
+        };
+        // Two images that differ outside the mask alone.
+        let (first, mut second) = (bytes(1), bytes(2));
+        for p in (0..37 * 23).filter(|p| inside(*p)) {
+            second.data[4 * p..4 * p + 4].copy_from_slice(&first.data[4 * p..4 * p + 4]);
+        }
+        let mut loss = plain(0.2).with_depth(0.5);
+        let mut of = |image: &ImageU8, mask: Option<&Image>, frame: &Frame, grad: &mut FrameGrad| {
+            loss.evaluate(frame, &GroundTruth { image, background: [1.0; 3], mask, depth: None }, grad).unwrap()
+        };
+        let (mut grad, mut again, mut whole) = Default::default();
+        let values = of(&first, Some(&mask), &frame, &mut grad);
+        assert_eq!(values, of(&second, Some(&mask), &frame, &mut again));
+        assert_eq!(grad, again);
+        let all = of(&first, None, &frame, &mut whole);
+        assert!(
+            values.l1 < all.l1
+                && all == of(&first, Some(&Image { data: vec![1.0; 37 * 23], ..mask.clone() }), &frame, &mut again)
+        );
+        assert!((0..37 * 23).all(|p| inside(p) || grad.rgb[3 * p..3 * p + 3] == [0.0; 3]));
+        assert!((0..37 * 23).filter(|p| inside(*p)).any(|p| grad.rgb[3 * p] != 0.0));
+        // Finite differences of a pixel inside: near the border and far from it.
+        for p in [5 * 37 + 19, 11 * 37 + 4] {
+            let h = 1e-3;
+            let mut at = |by: f32| {
+                let mut moved = frame.clone();
+                moved.rgb.data[3 * p] += by;
+                of(&first, Some(&mask), &moved, &mut FrameGrad::default()).total
+            };
+            let want = (at(h) - at(-h)) / f64::from(2.0 * h);
+            assert!((f64::from(grad.rgb[3 * p]) - want).abs() < 1e-2 * want.abs() + 1e-7, "{} {want}", grad.rgb[3 * p]);
+        }
+        let small = Image::zeros(3, 3, 1);
+        let truth = GroundTruth { image: &first, background: [1.0; 3], mask: Some(&small), depth: None };
+        let e = loss.evaluate(&frame, &truth, &mut grad).unwrap_err();
+        assert!(matches!(e, MetricError::Shape { what: "rendered frame and mask", .. }), "{e}");
     }
 
     #[test]

@@ -61,6 +61,9 @@ struct Meta {
     moments: u32,
     last_time: f32,
     frame_interval: f32,
+    /// 0 where an older file does not say.
+    #[serde(default)]
+    view_spacing: f32,
     /// As text: JSON numbers do not hold every 64-bit integer in every reader.
     seed: String,
     step: u32,
@@ -88,6 +91,7 @@ fn meta(model: &Model, run: &RunState) -> serde_json::Value {
         moments: run.scene.timestamps,
         last_time: run.scene.last_time,
         frame_interval: run.scene.frame_interval,
+        view_spacing: run.scene.view_spacing,
         seed: run.scene.seed.to_string(),
         step: run.step,
         adam_updates: run.adam_updates.clone(),
@@ -145,7 +149,7 @@ pub fn load_with(
     }
     // The blocks are given their rows below; one point stands in for the first cloud.
     let points = PointCloud { positions: vec![0.5 * (bounds[0] + bounds[1])], colors: vec![[0.5; 3]] };
-    let Meta { extent, views, moments: timestamps, last_time, frame_interval, .. } = meta;
+    let Meta { extent, views, moments: timestamps, last_time, frame_interval, view_spacing, .. } = meta;
     let max_parameters = parameters(&checkpoint.tensors).min(MAX_PARAMETERS);
     let scene = SceneInfo {
         points,
@@ -155,6 +159,7 @@ pub fn load_with(
         timestamps,
         last_time,
         frame_interval,
+        view_spacing,
         seed,
         avatar,
         max_parameters,

@@ -87,6 +87,8 @@ pub struct SceneInfo {
     pub last_time: f32,
     /// Median distance of successive training times, normalised; 0 where there is one timestamp.
     pub frame_interval: f32,
+    /// Median angle from a training camera to the nearest other, degrees ([`Dataset::view_spacing`]).
+    pub view_spacing: f32,
     /// Seed of the run, for everything random.
     pub seed: u64,
     /// The filmed person, where the data bring one along; not kept in checkpoints.
@@ -128,10 +130,22 @@ impl SceneInfo {
             return Err(MethodError::Scene(format!("its extent is {extent}; cameras and points coincide")));
         }
         let (views, timestamps, last_time, frame_interval) = Default::default();
+        let view_spacing = dataset.view_spacing();
         let avatar = dataset.avatar.clone();
         let max_parameters = MAX_PARAMETERS;
-        let scene =
-            Self { points, extent, bounds, views, timestamps, last_time, frame_interval, seed, avatar, max_parameters };
+        let scene = Self {
+            points,
+            extent,
+            bounds,
+            views,
+            timestamps,
+            last_time,
+            frame_interval,
+            view_spacing,
+            seed,
+            avatar,
+            max_parameters,
+        };
         Ok(scene.seen_in(dataset))
     }
 

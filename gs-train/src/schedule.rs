@@ -47,6 +47,9 @@ pub struct Schedule {
     /// How that loss counts: the factor of the transform and the reduction over bins.
     #[serde(default)]
     pub fre: AmplitudeOptions,
+    /// Weight of the distance to measured depth, where a view has it (ours; 0: depth maps are not read).
+    #[serde(default)]
+    pub lambda_depth: f32,
     /// Adam updates only splats that received a gradient in this step.
     pub sparse_adam: bool,
     /// A gradient row is refused (not finite) at most for this share of rows; above it the run stops.
@@ -324,6 +327,7 @@ impl Schedule {
         ImageLoss::new(self.lambda_l1.unwrap_or(1.0 - self.lambda_dssim))
             .with(self.lambda_dssim, self.dssim.term())
             .with(self.lambda_fre, Box::new(SpectrumTerm::new(self.fre)))
+            .with_depth(self.lambda_depth)
     }
 
     /// How frames are rendered over a background, in training as in evaluation. Saturated splats keep learning, as in
@@ -375,6 +379,8 @@ impl Schedule {
         need(drawn < 1 << 32, "batch", self.batch.into(), "steps times batch below 2^32")?;
         let fre = self.lambda_fre;
         need(fre >= 0.0 && fre.is_finite(), "lambda_fre", fre.into(), "finite, not negative")?;
+        let depth = self.lambda_depth;
+        need(depth >= 0.0 && depth.is_finite(), "lambda_depth", depth.into(), "finite, not negative")?;
         need(share(self.max_quarantine), "max_quarantine", self.max_quarantine.into(), "0 to 1")?;
         need(self.near > 0.0 && self.near.is_finite(), "near", self.near, "above 0, finite")?;
         let dilation = self.dilation;
@@ -435,6 +441,7 @@ pub(crate) mod tests {
             dssim: Dssim::Ssim,
             lambda_fre: 0.0,
             fre: AmplitudeOptions::default(),
+            lambda_depth: 0.0,
             sparse_adam: false,
             max_quarantine: 1e-3,
             density: DensifyRules::kerbl2023(),
@@ -556,6 +563,7 @@ pub(crate) mod tests {
         assert_eq!(fault(&|s| s.near = -1.0), "near");
         assert_eq!(fault(&|s| s.lambda_dssim = 1.5), "lambda_dssim");
         assert_eq!(fault(&|s| s.lambda_fre = -0.1), "lambda_fre");
+        assert_eq!(fault(&|s| s.lambda_depth = f32::NAN), "lambda_depth");
         assert_eq!(fault(&|s| s.max_quarantine = f32::NAN), "max_quarantine");
         assert_eq!(fault(&|s| rate(s, "cloud", "means").end = f32::INFINITY), "lr.cloud.means.end");
         assert_eq!(fault(&|s| rate(s, "field", "all").start = -1.0), "lr.field.all.start");

@@ -370,6 +370,10 @@ impl Trainer {
 fn check_run(model: &Model, dataset: &Dataset) -> Result<(), MethodError> {
     let schedule = model.schedule();
     schedule.check_images(dataset.train.iter().map(|v| &v.camera))?;
+    if schedule.lambda_depth > 0.0 && dataset.train.iter().all(|v| v.depth.is_none()) {
+        let why = "schedule.lambda_depth is above 0, and no training view has a depth map; set it 0".into();
+        return Err(MethodError::Config { method: model.name(), why });
+    }
     let (steps, views) = (schedule.steps(), dataset.train.len());
     let shortest = schedule.shortest(views);
     if u64::from(steps) < shortest && schedule.ordered().iter().any(|(_, s)| s.window(0).is_some()) {

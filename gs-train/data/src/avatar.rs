@@ -167,7 +167,7 @@ impl AvatarScene {
         let image = cache.get(view)?;
         let Some(mask) = cache.mask(view)? else { return Ok(image) };
         let mut cut = Arc::unwrap_or_clone(image);
-        for (pixel, m) in cut.data.chunks_exact_mut(4).zip(mask.data) {
+        for (pixel, m) in cut.data.chunks_exact_mut(4).zip(&mask.data) {
             pixel[3] = cast::to_u8((f32::from(pixel[3]) * m).round());
             if pixel[3] == 0 {
                 pixel[..3].fill(0);

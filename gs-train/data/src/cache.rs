@@ -54,6 +54,8 @@ pub struct ImageCache {
 #[derive(Debug, Default)]
 struct Held {
     images: HashMap<Key, Entry>,
+    /// Masks and depth maps, as many as have room; none is dropped.
+    maps: HashMap<Key, Arc<Image>>,
     bytes: usize,
     clock: u64,
     decoded: u64,
@@ -69,7 +71,7 @@ struct Entry {
 }
 
 /// What the pixels depend on: file or address, the bits of camera and lens where it is resampled, and whether alpha and the mask count.
-#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 struct Key {
     file: PathBuf,
     memory: usize,
@@ -132,7 +134,7 @@ impl ImageCache {
             check_size(v, image)?;
             return Ok(image.clone());
         }
-        let key = key_of(v);
+        let key = source_key(&v.image, v);
         if let Some(image) = self.lock().find(&key) {
             return Ok(image);
         }
@@ -146,7 +148,7 @@ impl ImageCache {
     /// # Errors
     /// As [`Self::get`].
     pub fn decode_ahead(&self, v: &View) -> Result<(), DataError> {
-        let key = key_of(v);
+        let key = source_key(&v.image, v);
         let c = self.camera(v);
         if 4 * c.width as usize * c.height as usize > self.max_bytes || self.lock().images.contains_key(&key) {
             return Ok(());
@@ -156,17 +158,46 @@ impl ImageCache {
         Ok(())
     }
 
-    /// The weights of a view's mask, `[H, W, 1]` in 0..1, at the size of [`Self::camera`]; none without a mask. Masks are
-    /// read once per view, for scores, and not kept.
+    /// Camera-space z of a view in world units, `[H, W, 1]` at the size of [`Self::camera`], 0 where nothing was measured; none
+    /// without a depth map.
+    ///
+    /// # Errors
+    /// As [`Self::get`], for the file of the depth map; `data.syntax` and `data.field` if it holds something else.
+    pub fn depth(&self, v: &View) -> Result<Option<Arc<Image>>, DataError> {
+        let Some(map) = &v.depth else { return Ok(None) };
+        self.map(Key { file: map.file.clone(), ..key_of(v) }, || map.read(v, &self.camera(v))).map(Some)
+    }
+
+    /// The weights of a view's mask, `[H, W, 1]` in 0..1, at the size of [`Self::camera`]; none without a mask.
     ///
     /// # Errors
     /// As [`Self::get`], for the mask's file.
-    pub fn mask(&self, v: &View) -> Result<Option<Image>, DataError> {
+    pub fn mask(&self, v: &View) -> Result<Option<Arc<Image>>, DataError> {
         let Some(source) = &v.mask else { return Ok(None) };
+        self.map(source_key(source, v), || self.read_mask(source, v)).map(Some)
+    }
+
+    /// A map by its key: kept, or read and kept if there is room.
+    fn map(&self, key: Key, read: impl FnOnce() -> Result<Image, DataError>) -> Result<Arc<Image>, DataError> {
+        if let Some(map) = self.lock().maps.get(&key) {
+            return Ok(map.clone());
+        }
+        let map = Arc::new(read()?);
+        let size = size_of_val(map.data.as_slice());
+        // The address of a mask in memory may come to name another.
+        let lasting = key.memory == 0;
+        let mut held = self.lock();
+        if lasting && held.bytes + size <= self.max_bytes && held.maps.insert(key, map.clone()).is_none() {
+            held.bytes += size;
+        }
+        Ok(map)
+    }
+
+    fn read_mask(&self, source: &ImageSource, v: &View) -> Result<Image, DataError> {
         let image = self.pixels(source)?;
         let want = [v.camera.width, v.camera.height];
         mask::check_shape(&file_of(source, v), [image.width, image.height].map(cast::to_u32), want)?;
-        Ok(Some(mask::weights(&image, v, &self.camera(v))))
+        Ok(mask::weights(&image, v, &self.camera(v)))
     }
 
     /// The pixels as they are stored.
@@ -244,6 +275,15 @@ impl Held {
     }
 }
 
+/// The key of pixels of a view: of its image, or its mask.
+fn source_key(source: &ImageSource, v: &View) -> Key {
+    match source {
+        ImageSource::File(file) => Key { file: file.clone(), ..key_of(v) },
+        ImageSource::Memory(image) => Key { memory: Arc::as_ptr(image).addr(), ..key_of(v) },
+    }
+}
+
+/// What pixels depend on beside where they are stored.
 fn key_of(v: &View) -> Key {
     let mut bits = [0; 10];
     if let Some(lens) = &v.lens {
@@ -251,11 +291,7 @@ fn key_of(v: &View) -> Key {
         let values = [c.fx, c.fy, c.cx, c.cy].into_iter().chain(lens.to_array());
         bits.iter_mut().zip(values).for_each(|(b, value)| *b = value.to_bits());
     }
-    let (file, memory) = match &v.image {
-        ImageSource::File(file) => (file.clone(), 0),
-        ImageSource::Memory(image) => (PathBuf::new(), Arc::as_ptr(image).addr()),
-    };
-    Key { file, memory, bits, opaque: v.opaque, cut_out: v.cut_out }
+    Key { bits, opaque: v.opaque, cut_out: v.cut_out, ..Key::default() }
 }
 
 fn check_size(v: &View, image: &ImageU8) -> Result<(), DataError> {

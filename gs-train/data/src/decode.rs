@@ -1,5 +1,6 @@
 //! PNG and JPEG to 8-bit RGBA under a memory limit, in one buffer.
 
+use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
 
@@ -34,16 +35,8 @@ const BYTES_PER_FILE_BYTE: u64 = 8;
 /// `data.image` if the file is damaged or neither PNG nor JPEG, `limits.file` beyond the limit, `io.read` if it cannot be read.
 pub fn decode(file: &Path, max_bytes: Option<u64>) -> Result<ImageU8, DataError> {
     let header = header::read(file)?;
-    let open = open_regular(file)?;
-    let file_bytes = open.metadata().map_err(|e| DataError::read(file, e))?.len();
-    let limit = max_bytes.unwrap_or(BASE_BYTES.saturating_add(file_bytes.saturating_mul(BYTES_PER_FILE_BYTE)));
-    check_size(file, &header, limit)?;
-    let mut limits = Limits::default();
-    limits.max_image_width = Some(MAX_SIDE);
-    limits.max_image_height = Some(MAX_SIDE);
-    limits.max_alloc = Some(limit);
+    let (reader, limits, limit) = limited(file, &header, max_bytes)?;
     let failed = |e: image::ImageError| DataError::decode(file, e);
-    let reader = BufReader::new(open);
     match header.format {
         Format::Png => rgba(file, PngDecoder::with_limits(reader, limits).map_err(failed)?, limit),
         Format::Jpeg => {
@@ -52,6 +45,23 @@ pub fn decode(file: &Path, max_bytes: Option<u64>) -> Result<ImageU8, DataError>
             rgba(file, decoder, limit)
         }
     }
+}
+
+/// A reader of a file, and the limits it is decoded under: the last is of memory, bytes.
+pub(crate) fn limited(
+    file: &Path,
+    header: &ImageHeader,
+    max_bytes: Option<u64>,
+) -> Result<(BufReader<File>, Limits, u64), DataError> {
+    let open = open_regular(file)?;
+    let file_bytes = open.metadata().map_err(|e| DataError::read(file, e))?.len();
+    let limit = max_bytes.unwrap_or(BASE_BYTES.saturating_add(file_bytes.saturating_mul(BYTES_PER_FILE_BYTE)));
+    check_size(file, header, limit)?;
+    let mut limits = Limits::default();
+    limits.max_image_width = Some(MAX_SIDE);
+    limits.max_image_height = Some(MAX_SIDE);
+    limits.max_alloc = Some(limit);
+    Ok((BufReader::new(open), limits, limit))
 }
 
 fn check_size(file: &Path, header: &ImageHeader, limit: u64) -> Result<(), DataError> {

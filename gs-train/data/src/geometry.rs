@@ -2,6 +2,7 @@
 
 use glam::{DMat3, DVec3, Vec3};
 use gs_core::cast;
+use rayon::prelude::*;
 
 use super::{Dataset, ImageSource, View};
 
@@ -18,6 +19,22 @@ impl Dataset {
         let mean = centres.iter().sum::<DVec3>() / centres.len().max(1) as f64;
         let radius = 1.1 * centres.iter().map(|c| (*c - mean).length()).fold(0.0, f64::max);
         if radius > 1e-6 { cast::to_f32(radius) } else { 1.0 }
+    }
+
+    /// Median angle from a training camera to the nearest other, seen from the [`focus`], degrees: how far a held-out view may lie
+    /// from what was seen. Cameras at one place count once; 0 where there is one place.
+    pub fn view_spacing(&self) -> f32 {
+        let centre = focus(&self.train);
+        let mut eyes: Vec<DVec3> = self.train.iter().map(|v| v.camera.position() - centre).collect();
+        eyes.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)).then(a.z.total_cmp(&b.z)));
+        eyes.dedup_by(|a, b| a.distance(*b) <= 1e-6 * b.length());
+        let nearest = |i: usize| {
+            let others = eyes.iter().enumerate().filter(|(k, _)| *k != i);
+            others.map(|(_, e)| eyes[i].angle_between(*e)).filter(|a| a.is_finite()).min_by(f64::total_cmp)
+        };
+        let mut angles: Vec<f64> = (0..eyes.len()).into_par_iter().filter_map(nearest).collect();
+        angles.sort_by(f64::total_cmp);
+        angles.get(angles.len() / 2).map_or(0.0, |a| cast::to_f32(a.to_degrees()))
     }
 
     /// Lower and upper corner of the scene box, world units: [`Self::bounds`]; else the box of the points without the outer

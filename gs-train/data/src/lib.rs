@@ -35,7 +35,7 @@
 //!   its own gives the smaller camera.
 //! * Images are 8-bit RGBA with straight alpha, display-encoded, row-major, origin top left ([`ImageU8`]).
 //! * [`View::mask`] says which pixels count in masked scores. Training uses all pixels, unless `data.cut_out`
-//!   makes those outside the mask transparent.
+//!   makes those outside the mask transparent or `data.mask_loss` leaves them out of the loss.
 //! * Paths inside the data stay inside the folder; no allocation trusts a size that only a header states.
 //! * Every assumption a reader makes is a line in [`Dataset::notes`]. Every error names file, field, reason and remedy ([`DataError`]).
 //!
@@ -78,6 +78,7 @@ mod boundary;
 mod cache;
 mod colmap;
 pub mod decode;
+mod depth;
 mod error;
 mod files;
 mod frames;
@@ -108,6 +109,7 @@ mod times;
 mod view;
 
 pub use cache::ImageCache;
+pub use depth::DepthMap;
 pub use error::{DataError, Place};
 pub use files::Root;
 pub use lens::Lens;
@@ -182,6 +184,9 @@ impl Dataset {
         if options.cut_out {
             data.cut_out()?;
         }
+        if options.mask_loss {
+            data.mask_loss()?;
+        }
         if scale < 1.0 {
             data.shrink(scale);
         }
@@ -203,6 +208,20 @@ impl Dataset {
         }
         let without = if left > 0 { format!("; {left} views without a mask are left out") } else { String::new() };
         self.notes.push(format!("pixels outside masks are transparent, as data.cut_out asks{without}"));
+        Ok(())
+    }
+
+    /// Marks training views whose loss counts inside their masks alone.
+    fn mask_loss(&mut self) -> Result<(), DataError> {
+        let masked = self.train.iter_mut().filter(|v| v.mask.is_some()).map(|v| v.mask_loss = true).count();
+        if masked == 0 {
+            let rule = "false where no training view has a mask".into();
+            return Err(DataError::Option { name: "data.mask_loss", value: "true".into(), rule });
+        }
+        let of = self.train.len();
+        self.notes.push(format!(
+            "of {masked} of {of} training views only pixels inside the mask train, as data.mask_loss asks"
+        ));
         Ok(())
     }
 

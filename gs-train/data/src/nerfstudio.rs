@@ -2,7 +2,8 @@
 //!
 //! Intrinsics at top level or in each frame, those of the frame first: `fl_x fl_y cx cy w h`, or `camera_angle_x` (and
 //! `camera_angle_y`), and the distortion `k1 k2 k3 p1 p2` of OpenCV. Per frame `file_path`, `transform_matrix` (camera to
-//! world, OpenGL axes) and optionally `time` and `mask_path` (white counts, black does not). `train_filenames`, `val_filenames`, `test_filenames` give the split, else
+//! world, OpenGL axes) and optionally `time`, `mask_path` (white counts, black does not) and
+//! `depth_file_path` (`.npy` or PNG of 16 bit, in millimetres unless `depth_unit_scale_factor` at top level says otherwise). `train_filenames`, `val_filenames`, `test_filenames` give the split, else
 //! every eighth view is held out. `ply_file_path` names the initial points. `applied_transform` is not used:
 //! poses and points are both in the transformed world.
 
@@ -22,7 +23,7 @@ use super::lens::Lens;
 use super::options::DataOptions;
 use super::pose::{Pose, from_opengl};
 use super::times::{Draft, Drafts, settle};
-use super::{Confidence, Dataset, ImageSource, Layout, PointCloud, View, mask, ply};
+use super::{Confidence, Dataset, DepthMap, ImageSource, Layout, PointCloud, View, mask, ply};
 
 /// The entry in [`super::LAYOUTS`].
 pub(crate) const LAYOUT: Layout = Layout {
@@ -45,6 +46,7 @@ struct Frame {
     place: Place,
     written: String,
     mask: Option<PathBuf>,
+    depth: Option<DepthMap>,
 }
 
 /// Reads a capture.
@@ -59,8 +61,9 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     let document = Document::parse(&file, &text)?;
     check_model(&document.top())?;
     let shared = PartialIntrinsics::read(&document.top())?;
+    let unit = depth_unit(&document.top())?;
     let frames =
-        (0..document.len()).map(|i| read_frame(&root, &document.frame(i)?, &shared)).collect::<Result<_, _>>()?;
+        (0..document.len()).map(|i| read_frame(&root, &document.frame(i)?, &shared, unit)).collect::<Result<_, _>>()?;
     let mut notes = Vec::new();
     let frames = with_headers(&file, frames, options, &mut notes)?;
     let has_alpha = frames.iter().any(|(_, h)| h.has_alpha);
@@ -80,6 +83,17 @@ fn check_model(top: &Fields) -> Result<(), DataError> {
     match top.text("camera_model")? {
         None | Some("OPENCV" | "PINHOLE" | "SIMPLE_PINHOLE" | "SIMPLE_RADIAL" | "RADIAL" | "PERSPECTIVE") => Ok(()),
         Some(other) => Err(DataError::CameraModel { place: top.place("camera_model"), model: other.into() }),
+    }
+}
+
+/// World units per unit of depth maps: millimetres, as nerfstudio takes them, unless the file says otherwise.
+fn depth_unit(top: &Fields) -> Result<f64, DataError> {
+    let key = "depth_unit_scale_factor";
+    match top.number(key)?.unwrap_or(1e-3) {
+        unit if unit > 0.0 => Ok(unit),
+        unit => {
+            Err(top.fault(key, &unit.to_string(), "depth is measured in it", "state world units per unit of the files"))
+        }
     }
 }
 
@@ -167,10 +181,16 @@ impl PartialIntrinsics {
     }
 }
 
-fn read_frame(root: &Root, frame: &Fields, shared: &PartialIntrinsics) -> Result<Listed<Frame>, DataError> {
+fn read_frame(
+    root: &Root,
+    frame: &Fields,
+    shared: &PartialIntrinsics,
+    depth_unit: f64,
+) -> Result<Listed<Frame>, DataError> {
     let written = frame.required_text("file_path")?.to_string();
     let (shown, path) = locate(root, &written, &frame.place("file_path"))?;
     let place = frame.place("transform_matrix");
+    let file = |key: &'static str| frame.text(key)?.map(|m| root.resolve(m, &frame.place(key))).transpose();
     let rest = Frame {
         pose: from_opengl(&frame.matrix("transform_matrix")?, &place)?,
         time: frame.number("time")?,
@@ -178,7 +198,8 @@ fn read_frame(root: &Root, frame: &Fields, shared: &PartialIntrinsics) -> Result
         time_place: frame.place("time"),
         place: frame.place(""),
         written,
-        mask: frame.text("mask_path")?.map(|m| root.resolve(m, &frame.place("mask_path"))).transpose()?,
+        mask: file("mask_path")?,
+        depth: file("depth_file_path")?.map(|file| DepthMap { file, unit: depth_unit }),
     };
     Ok(Listed { shown, path, rest })
 }
@@ -198,7 +219,8 @@ fn drafts(
         let lens = intrinsics.lens(options.undistort, &frame.place)?;
         adjusted.count(&intrinsics, &camera, rescaled, lens.as_ref());
         let mut view = View::new("", camera, Time::default(), ImageSource::File(listed.path), cast::to_u32(k));
-        view.lens = lens;
+        frame.depth.as_ref().map_or(Ok(()), DepthMap::check)?;
+        (view.lens, view.depth) = (lens, frame.depth);
         if let Some(file) = frame.mask {
             mask::check(&file, [header.width, header.height])?;
             view.mask = Some(ImageSource::File(file));

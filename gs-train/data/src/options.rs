@@ -124,6 +124,9 @@ pub struct DataOptions {
     /// Make pixels outside a view's mask transparent, so that the background of training replaces them, and leave out views
     /// without a mask.
     pub cut_out: bool,
+    /// Leave pixels outside a training view's mask out of the loss: they teach nothing, whatever is rendered there. A view without a
+    /// mask counts wholly.
+    pub mask_loss: bool,
     /// Most memory for decoding one image, MiB; none: 64 MiB plus eight times the size of its file.
     pub max_image_mib: Option<u32>,
 }
@@ -149,6 +152,7 @@ impl Default for DataOptions {
             images: None,
             scale: 1.0,
             cut_out: false,
+            mask_loss: false,
             max_image_mib: None,
         }
     }

@@ -8,18 +8,16 @@ use std::path::{Path, PathBuf};
 
 use glam::{DVec3, Vec3};
 use gs_core::Rng;
-use gs_core::io::{Limits, npy, write_file};
+use gs_core::io::write_file;
 use serde::Serialize;
 
 use super::cache::ImageCache;
-use super::error::{DataError, Place};
-use super::files::{read_bytes, read_text};
-use super::{Dataset, PointCloud, View, colmap, ply, scene_file};
+use super::error::DataError;
+use super::files::read_text;
+use super::{Dataset, DepthMap, PointCloud, View, colmap, ply, scene_file};
 
 /// File of the points in the data folder.
 const POINTS: &str = "start.ply";
-/// Largest depth map read.
-const MAX_DEPTH_BYTES: u64 = 1 << 28;
 /// Most depth maps read; of more, an even selection.
 const MAX_DEPTHS: usize = 100;
 /// Random pixels tried per point wanted, before depth maps count as empty.
@@ -129,7 +127,7 @@ impl Dataset {
 
     /// Unprojected random pixels of depth maps.
     fn depth_points(&self, n: usize, seed: u64) -> Result<Option<PointCloud>, DataError> {
-        let with: Vec<(&View, &PathBuf)> = self.train.iter().filter_map(|v| Some((v, v.depth.as_ref()?))).collect();
+        let with: Vec<(&View, &DepthMap)> = self.train.iter().filter_map(|v| Some((v, v.depth.as_ref()?))).collect();
         if with.is_empty() {
             return Ok(None);
         }
@@ -137,8 +135,8 @@ impl Dataset {
         let cache = ImageCache::new(0, 1.0);
         let mut cloud = PointCloud::default();
         for k in 0..count {
-            let (view, file) = with[k * with.len() / count];
-            let (depth, image) = (read_depth(file, view)?, cache.get(view)?);
+            let (view, map) = with[k * with.len() / count];
+            let (depth, image) = (map.read(view, &view.camera)?, cache.get(view)?);
             let wanted = (k + 1) * n / count - k * n / count;
             let mut random = Rng::new(seed, "data.depth", 0, k as u64);
             let mut left = TRIES_PER_POINT * wanted;
@@ -147,8 +145,8 @@ impl Dataset {
                 left -= 1;
                 let (x, y) = (random.below(view.camera.width) as usize, random.below(view.camera.height) as usize);
                 let [r, g, b, a] = image.pixel(x, y);
-                let z = f64::from(depth[y * view.camera.width as usize + x]);
-                if z > 0.0 && z.is_finite() && a > 127 {
+                let z = f64::from(depth.pixel(x, y)[0]);
+                if z > 0.0 && a > 127 {
                     cloud.positions.push(at_depth(view, x, y, z).as_vec3());
                     cloud.colors.push([r, g, b].map(|c| f32::from(c) / 255.0));
                 }
@@ -171,24 +169,6 @@ fn at_depth(v: &View, x: usize, y: usize, z: f64) -> DVec3 {
     let c = &v.camera;
     let ray = DVec3::new((x as f64 + 0.5 - c.cx) / c.fx, (y as f64 + 0.5 - c.cy) / c.fy, 1.0);
     c.rotation.transpose() * (ray * z - c.translation)
-}
-
-/// Camera-space z, one per pixel of the view's camera, row-major.
-fn read_depth(file: &Path, v: &View) -> Result<Vec<f32>, DataError> {
-    let bytes = read_bytes(file, MAX_DEPTH_BYTES)?;
-    let array = npy::read(&bytes, &file.display().to_string(), &Limits::default())
-        .map_err(|e| DataError::syntax(file, "", e.to_string()))?;
-    let (w, h) = (v.camera.width as usize, v.camera.height as usize);
-    let values = array.to_f32();
-    if array.shape.get(..2) != Some(&[h, w]) || values.len() != w * h {
-        return Err(DataError::Field {
-            place: Place::new(file, "shape"),
-            value: format!("{:?}, its view has {h} rows of {w}", array.shape),
-            why: "depth is per pixel",
-            fix: "leave data.scale at 1 for --from depth, or export the depth again",
-        });
-    }
-    Ok(values)
 }
 
 /// Writes points as `start.ply` and states them, and the box if there is one, in the section `[start]` of `scene.toml`. Other

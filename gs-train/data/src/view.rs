@@ -1,5 +1,6 @@
 //! What a data set is made of: views, and coloured points.
 
+use crate::depth::DepthMap;
 use crate::lens::Lens;
 use crate::pixels::ImageU8;
 use glam::Vec3;
@@ -45,14 +46,16 @@ pub struct View {
     /// Number of the physical camera where the data name one, else the index of the view in its split. Views of a static
     /// camera share it.
     pub camera_id: u32,
-    /// Which pixels count in masked scores ([`mask`](mod@crate::mask)): one channel, 0 does not count, 255 counts fully. None: all count.
+    /// Which pixels count in masked scores, and in the loss with [`Self::mask_loss`] ([`mask`](mod@crate::mask)): one channel, 0 does not count, 255 counts fully. None: all count.
     pub mask: Option<ImageSource>,
     /// Whether the alpha channel of the file is ignored and taken as 1.
     pub opaque: bool,
     /// Whether pixels outside [`Self::mask`] become transparent (`data.cut_out`).
     pub cut_out: bool,
-    /// `.npy` file `[H, W]` of camera-space z in world units, where the data have one.
-    pub depth: Option<PathBuf>,
+    /// Whether pixels outside [`Self::mask`] are left out of the loss (`data.mask_loss`).
+    pub mask_loss: bool,
+    /// Camera-space z, where the data have it.
+    pub depth: Option<DepthMap>,
     /// `.npy` file `[H, W]` of whole-number segment labels, where the data have one.
     pub labels: Option<PathBuf>,
 }
@@ -71,6 +74,7 @@ impl View {
             mask: None,
             opaque: false,
             cut_out: false,
+            mask_loss: false,
             depth: None,
             labels: None,
         }

@@ -1,9 +1,10 @@
 //! Extent, bounds and digest of a data set.
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
+use gs_core::Camera;
 use gs_data::PointCloud;
 use gs_data::geometry::focus;
-use gs_data::{Dataset, ImageSource};
+use gs_data::{Dataset, ImageSource, View};
 use gs_synth::{SynthOptions, generate};
 
 fn scene() -> Dataset {
@@ -20,6 +21,23 @@ fn cameras_on_a_hemisphere_span_their_radius() {
     let one = Dataset { train: d.train[..1].to_vec(), ..d };
     assert_eq!(one.scene_extent(), 1.0);
     assert!(focus(&one.train).is_finite());
+}
+
+#[test]
+fn spacing_of_views_is_the_angle_between_neighbours() {
+    let mut d = scene();
+    let ring = |degrees: f64| {
+        let (sin, cos) = degrees.to_radians().sin_cos();
+        let eye = DVec3::new(2.0 + 5.0 * cos, 5.0 * sin, 1.0);
+        let camera = Camera::look_at(8, 8, 0.7, eye, DVec3::new(2.0, 0.0, 1.0), DVec3::Z).unwrap();
+        View { camera, ..d.train[0].clone() }
+    };
+    // Two cameras stand at one place, as in a rig that films many moments.
+    let views: Vec<View> = [0.0, 7.0, 7.0, 14.0, 180.0].map(ring).to_vec();
+    d.train = views;
+    assert!((d.view_spacing() - 7.0).abs() < 1e-4, "{}", d.view_spacing());
+    d.train.truncate(1);
+    assert_eq!(d.view_spacing(), 0.0);
 }
 
 #[test]

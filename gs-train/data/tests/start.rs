@@ -3,7 +3,7 @@
 use glam::Vec3;
 use gs_core::io::{npy, write_file};
 use gs_data::DataOptions;
-use gs_data::{Dataset, PointCloud, StartFrom, write_start};
+use gs_data::{Dataset, DepthMap, PointCloud, StartFrom, write_start};
 use gs_synth::{self as synth, SynthOptions};
 
 fn folder(name: &str) -> (tempfile::TempDir, Dataset) {
@@ -41,7 +41,7 @@ fn depth_gives_points_on_the_surface() {
         let file = dir.path().join(format!("depth{k}.npy"));
         let depth = truth.depth(&v.camera, v.time.seconds);
         write_file(&file, true, |out| npy::write(&[depth.height, depth.width], &depth.data, out)).unwrap();
-        v.depth = Some(file);
+        v.depth = Some(DepthMap::new(file));
     }
     let start = data.start(None, 400, 0).unwrap();
     assert_eq!((start.from, start.cloud.positions.len()), (StartFrom::Depth, 400));

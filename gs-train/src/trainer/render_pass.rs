@@ -1,13 +1,14 @@
 //! The image side of a training view: splats to a frame, the frame against the ground truth, the loss back to the splats.
 
-use crate::loss::{ImageLoss, LossValues};
+use crate::loss::{GroundTruth, ImageLoss, LossValues};
 use crate::method::{MethodError, RenderView};
 use crate::non_finite::{NonFinite, zero_non_finite};
-use gs_core::{Camera, SplatsGrad, SplatsRef};
-use gs_data::{ImageCache, View};
+use gs_core::{Camera, Image, SplatsGrad, SplatsRef};
+use gs_data::{DataError, ImageCache, ImageU8, View};
 use gs_raster::{Frame, FrameGrad, RasterOptions, ScreenStats, Workspace, render_backward_into, render_into};
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
+use std::sync::Arc;
 use std::time::Instant;
 
 /// Milliseconds of the phases of a step.
@@ -68,7 +69,7 @@ pub(super) struct ViewPass<'a> {
     pub share: f32,
     pub result: ViewLoss,
     /// The error of reading the ground truth, if that failed.
-    pub data_error: Option<gs_data::DataError>,
+    pub data_error: Option<DataError>,
 }
 
 impl Phases {
@@ -95,20 +96,23 @@ impl RenderView for ViewPass<'_> {
         let RenderPass { workspace, frame, d_frame, stats, loss } = &mut *self.pass;
         let mut clock = Stopwatch::new();
         let ms = &mut self.result.ms;
-        let image = match self.images.get(self.view) {
-            Ok(image) => image,
+        let (image, mask, depth) = match read(self.images, self.view, loss.needs_depth()) {
+            Ok(read) => read,
             Err(e) => {
                 let why = MethodError::Render(e.to_string());
                 self.data_error = Some(e);
                 return Err(why);
             }
         };
+        let background = self.options.background;
+        let truth = GroundTruth { image: &image, background, mask: mask.as_deref(), depth: depth.as_deref() };
         ms.data += clock.lap();
         render_into(splats, self.camera, &self.options, workspace, frame);
         ms.raster_forward += clock.lap();
-        self.result.terms = loss.evaluate(&frame.rgb, &image, self.options.background, d_frame)?;
+        self.result.terms = loss.evaluate(frame, &truth, d_frame)?;
         if self.share != 1.0 {
-            d_frame.rgb.iter_mut().for_each(|g| *g *= self.share);
+            let FrameGrad { rgb, alpha, depth } = d_frame;
+            [rgb, alpha, depth].into_iter().flatten().for_each(|g| *g *= self.share);
         }
         ms.loss += clock.lap();
         render_backward_into(splats, self.camera, &self.options, workspace, d_frame, grad, stats);
@@ -120,6 +124,15 @@ impl RenderView for ViewPass<'_> {
         ms.raster_backward += clock.lap();
         Ok(stats)
     }
+}
+
+type Read = (Arc<ImageU8>, Option<Arc<Image>>, Option<Arc<Image>>);
+
+/// The image of a view, the mask its loss counts inside of, and its depth if that is wanted.
+fn read(images: &ImageCache, view: &View, with_depth: bool) -> Result<Read, DataError> {
+    let mask = if view.mask_loss { images.mask(view)? } else { None };
+    let depth = if with_depth { images.depth(view)? } else { None };
+    Ok((images.get(view)?, mask, depth))
 }
 
 /// Milliseconds since the last lap.

@@ -1,5 +1,6 @@
 //! Training, method by method, on generated scenes of a few dozen pixels.
 
+mod ground_truth;
 mod hashes;
 mod journal;
 mod learning;

@@ -16,7 +16,8 @@ const DENSE: &str = "points3D_downsample2.ply";
 /// `scene.json`: the frame in which the scene is trained, normalised or raw.
 pub(super) struct Frame {
     centre: DVec3,
-    scale: f64,
+    /// Units of this frame per metre of the raw one.
+    pub(super) scale: f64,
     depths: Option<[f64; 2]>,
 }
 

@@ -39,7 +39,7 @@ use super::lens::Lens;
 use super::options::{DataOptions, TimeFrom, TimeRange};
 use super::pose::{Pose, from_axes};
 use super::times::{Draft, Drafts, settle};
-use super::{Confidence, Dataset, ImageSource, Layout, View, mask};
+use super::{Confidence, Dataset, DepthMap, ImageSource, Layout, View, mask};
 
 mod frame;
 mod lists;
@@ -110,7 +110,7 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
 struct ImageAt {
     pose: Pose,
     intrinsics: Intrinsics,
-    depth: Option<PathBuf>,
+    depth: Option<DepthMap>,
     tag: Tag,
     place: Place,
     time_place: Place,
@@ -162,11 +162,11 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// The depth file of an image, at its size, if it exists.
-    fn depth(&self, id: &str, listed_at: &Place) -> Result<Option<PathBuf>, DataError> {
+    /// The depth file of an image, at its size, if it exists: metres of the raw frame.
+    fn depth(&self, id: &str, listed_at: &Place) -> Result<Option<DepthMap>, DataError> {
         let Some(size) = self.folder.strip_prefix("rgb/") else { return Ok(None) };
         let file = self.root.resolve(&format!("depth/{size}/{id}.npy"), listed_at)?;
-        Ok(file.is_file().then_some(file))
+        Ok(file.is_file().then_some(DepthMap { file, unit: self.frame.scale }))
     }
 
     fn image_at(&self, lists: &Lists, id: &str) -> Result<Listed<ImageAt>, DataError> {

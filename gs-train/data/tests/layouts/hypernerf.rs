@@ -334,8 +334,17 @@ fn dycheck_captures_have_masks_depth_and_a_clock() {
     let c = dycheck();
     let d = c.open(&DataOptions::default()).unwrap();
     assert_eq!((d.train.len(), d.test.len(), d.has_alpha), (3, 3, false));
-    assert!(d.train.iter().all(|v| v.camera_id == 0 && v.mask.is_none() && v.depth.as_ref().unwrap().is_file()));
-    assert!(d.train[1].depth.as_ref().unwrap().ends_with("depth/2x/000001.npy"));
+    assert!(d.train.iter().all(|v| v.camera_id == 0 && v.mask.is_none() && v.depth.as_ref().unwrap().file.is_file()));
+    let depth = d.train[1].depth.as_ref().unwrap();
+    assert!(depth.file.ends_with("depth/2x/000001.npy"));
+    // Metres of the raw frame, which the normalised one scales.
+    let raw = c.open(&DataOptions { normalise: false, ..Default::default() }).unwrap();
+    let ratio = d.scene_extent() / raw.scene_extent();
+    assert!(
+        (depth.unit - f64::from(ratio)).abs() < 1e-5 && raw.train[1].depth.as_ref().unwrap().unit == 1.0,
+        "{}",
+        depth.unit
+    );
     assert_eq!((d.train[2].time.normalised, d.train[2].time.seconds), (1.0, 0.2));
     let cache = ImageCache::new(1 << 20, 1.0);
     let opaque = cache.get(&d.train[0]).unwrap();

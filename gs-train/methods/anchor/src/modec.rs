@@ -93,7 +93,8 @@ fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
     let shape = AnchorShape { offsets: config.anchors.offsets, features: config.anchors.features, dynamics };
     let gad = if config.global { config.gad.param_count(shape) } else { 0 };
     let lgd = if config.local { config.lgd.param_count() } else { 0 };
-    scene.admit(ENTRY.name, &[config.decoder.param_count(shape), gad, lgd])?;
+    let decoder = config.anchors.decoder(config.decoder, scene);
+    scene.admit(ENTRY.name, &[decoder.param_count(shape), gad, lgd])?;
     let field = |e: gs_deform::DeformError| MethodError::Config { method: ENTRY.name, why: e.to_string() };
     let gad = config.global.then(|| Gad::new(&config.gad, shape, aabb, scene.seed)).transpose().map_err(field)?;
     let lgd = config.local.then(|| HexPlaneField::new("lgd", &config.lgd, aabb, scene.seed));
@@ -106,7 +107,7 @@ fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
     let parts = Parts {
         name: ENTRY.name,
         anchors: config.anchors,
-        decoder: config.decoder,
+        decoder,
         adapt: config.adapt,
         dynamics,
         motion,

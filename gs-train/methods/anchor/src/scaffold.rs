@@ -20,7 +20,7 @@ pub(super) const TINY: &str = include_str!("scaffold.tiny.toml");
 
 /// Domains of the settings of anchors, their growth, their intervals and their motion.
 pub(super) const DOMAINS: &[Domain] = &[
-    within("anchors.eye_noise", 0.0, 180.0),
+    within("anchors.direction_within", 0.0, 180.0),
     within("anchors.features", 1.0, 1024.0),
     within("anchors.gradient_batch", 1.0, 65_536.0),
     within("anchors.offsets", 1.0, 64.0),
@@ -81,11 +81,12 @@ fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
     let config: Config = parse_config(ENTRY.name, table)?;
     let AnchorConfig { offsets, features, .. } = config.anchors;
     let shape = AnchorShape { offsets, features, dynamics: 0 };
-    scene.admit(ENTRY.name, &[config.decoder.param_count(shape)])?;
+    let decoder = config.anchors.decoder(config.decoder, scene);
+    scene.admit(ENTRY.name, &[decoder.param_count(shape)])?;
     let parts = Parts {
         name: ENTRY.name,
         anchors: config.anchors,
-        decoder: config.decoder,
+        decoder,
         adapt: config.adapt,
         dynamics: 0,
         motion: Motion::default(),

@@ -277,19 +277,24 @@ fn key_frames_that_blend_leave_no_jump() {
 }
 
 #[test]
-fn noise_on_the_eye_changes_what_is_learnt_and_nothing_that_is_drawn() {
-    let noisy = modec("anchors.eye_noise = 15.0");
+fn far_between_cameras_only_colours_see_the_direction() {
     let data = scene("sheet", 32, 6);
-    let method = trained(&noisy, 40);
-    let plain = trained(&modec(""), 40);
-    let camera = &data.test[0].camera;
-    assert!(splats(method.model(), 0.4, camera) != splats(plain.model(), 0.4, camera), "heads learn something else");
-    // A view is the same each time it is drawn, and turns as the camera does.
-    assert!(splats(method.model(), 0.4, camera) == splats(method.model(), 0.4, camera));
-    // A run that is taken up again makes the same draws.
-    let mut first = start(&registry(), &data, "modec", &noisy, 0);
-    run(&mut first, 25);
-    let mut again = Trainer::resume(&registry(), data, &first.state(), None, 1 << 20).expect("resume");
-    run(&mut again, 15);
-    assert!(again.state().tensors == method.state().tensors);
+    let spacing = data.view_spacing();
+    let trained = |within: f32| {
+        let config = modec(&format!("anchors.direction_within = {within}\nanchors.filter = \"off\""));
+        let mut trainer = start(&registry(), &data, "modec", &config, 0);
+        run(&mut trainer, 40);
+        trainer
+    };
+    let same = |trainer: &Trainer| {
+        let [a, b] = [0, 1].map(|v| splats(trainer.model(), 0.4, &data.train[v].camera));
+        let colors = a.color == b.color;
+        (a.opacities == b.opacities && a.scales == b.scales && a.quats == b.quats, colors)
+    };
+    let (near, far) = (trained(spacing + 1.0), trained(spacing - 1.0));
+    assert_eq!(same(&near), (false, false), "{spacing} degrees");
+    assert_eq!(same(&far), (true, false), "{spacing} degrees");
+    // A run that is taken up again has the same heads.
+    let again = Trainer::resume(&registry(), data.clone(), &far.state(), None, 1 << 20).expect("resume");
+    assert_eq!(same(&again), (true, false));
 }

@@ -2,10 +2,9 @@
 
 use super::Anchored;
 use super::key_frames::KeyFrames;
-use glam::{DQuat, DVec3};
 use gs_anchor::visible::{self, SUPPORT, VisibilityOptions};
 use gs_anchor::{DecodeTape, LocalAnchors, LocalAnchorsGrad, Visible};
-use gs_core::{Camera, Geometry, GeometryRef, Rng, Splats, SplatsGrad, SplatsRef, Time, cast};
+use gs_core::{Camera, Geometry, GeometryRef, Splats, SplatsGrad, SplatsRef, Time, cast};
 use gs_deform::{Field, HexPlaneField};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -78,23 +77,9 @@ impl Anchored {
         while !self.forward_within(t, camera) {}
     }
 
-    /// Where heads see a view from, world units: its eye, turned about the scene's centre by [`eye_noise`](super::AnchorConfig).
-    fn eye(&self, t: Time, camera: &Camera) -> DVec3 {
-        let eye = camera.position();
-        if self.config.eye_noise == 0.0 {
-            return eye;
-        }
-        let view = u64::from(t.normalised.to_bits()) << 32 | u64::from(cast::to_f32(eye.x).to_bits());
-        let mut rng = Rng::new(self.seed, "anchors.eye", self.at.step, view);
-        let axis = DVec3::from_array(std::array::from_fn(|_| f64::from(rng.normal()))).normalize_or(DVec3::Z);
-        let angle = f64::from(self.config.eye_noise * rng.normal()).to_radians();
-        let centre = self.centre.as_dvec3();
-        centre + DQuat::from_axis_angle(axis, angle) * (eye - centre)
-    }
-
     /// Decodes and moves what the present margin lets through; false if something moved farther than that.
     fn forward_within(&mut self, t: Time, camera: &Camera) -> bool {
-        let eye = self.eye(t, camera);
+        let eye = camera.position();
         let tape = &mut self.tape;
         let margin = ROOM * f64::from(self.reach[0]);
         let visible = match self.config.filter {

@@ -18,10 +18,9 @@ pub use motion::{Motion, SparsityConfig};
 
 use crate::journal::Journal;
 use forward::Tape;
-use glam::Vec3;
 use gs_anchor::{
     AnchorDensify, AnchorDensifyRules, AnchorDensifyStep, AnchorInit, AnchorShape, AnchorView, Anchors, Decoder,
-    DecoderConfig, Intervals, StorageSizes, StorageTable,
+    DecoderConfig, HeadInputs, Intervals, StorageSizes, StorageTable,
 };
 use gs_core::{Camera, Param, Params, Splats, cast};
 use gs_raster::ScreenStats;
@@ -60,9 +59,20 @@ pub struct AnchorConfig {
     pub statistics: Statistics,
     /// Growth thresholds are for gradients of a mean loss over so many views.
     pub gradient_batch: u32,
-    /// While training, heads see every view from an eye that is turned about the scene's centre by a random angle of this
-    /// standard deviation, degrees: what they learn of a direction holds near it. 0: from where it was taken.
-    pub eye_noise: f32,
+    /// Degrees. Heads of opacity and covariance take the direction only where training cameras are nearer than this to each other
+    /// ([`SceneInfo::view_spacing`]): from far between they learn each view by heart. 180: always, as published.
+    pub direction_within: f32,
+}
+
+impl AnchorConfig {
+    /// The decoder's settings for the cameras of a scene.
+    pub(super) fn decoder(&self, config: DecoderConfig, scene: &SceneInfo) -> DecoderConfig {
+        if scene.view_spacing <= self.direction_within {
+            return config;
+        }
+        let direction = HeadInputs { color: config.direction.color, ..HeadInputs::NONE };
+        DecoderConfig { direction, ..config }
+    }
 }
 
 /// What a body is built from.
@@ -97,8 +107,6 @@ pub struct Anchored {
     /// Farthest any splat has been moved or grown by LGD, world units, one value.
     reach: Vec<f32>,
     diagonal: f32,
-    /// Middle of the scene's box, world units.
-    centre: Vec3,
     seed: u64,
     /// Training views: public code stores a row of appearance for each.
     cameras: u32,
@@ -136,7 +144,6 @@ impl Anchored {
             voxel: vec![first.voxel],
             reach: vec![0.0],
             diagonal: scene.bounds[0].distance(scene.bounds[1]),
-            centre: 0.5 * (scene.bounds[0] + scene.bounds[1]),
             seed: scene.seed,
             cameras: scene.views,
             at: StepCtx::default(),
