@@ -73,7 +73,7 @@ pub struct MethodEntry {
     /// The configuration as published: layers of TOML, each with what differs from those before it
     /// ([`layers`](crate::layers) has the shared ones). The source of a value stands behind it.
     pub defaults: &'static [&'static str],
-    /// Presets: name and layers that differ from the defaults and from each other.
+    /// Presets: name and layers that differ from the defaults and from each other. They may set options of the data, too.
     pub presets: &'static [(&'static str, &'static [&'static str])],
     /// Domains of settings of its own, beside [`domains::SHARED`].
     pub domains: &'static [Domain],
@@ -135,13 +135,14 @@ impl MethodEntry {
         self.merged(found?.1)
     }
 
-    /// The defaults overlaid with a preset.
+    /// The defaults overlaid with a preset. What it says of `data` is for the reader of data, and left out.
     ///
     /// # Errors
     /// As [`Self::preset`].
     pub fn config(&self, preset: &str) -> Result<toml::Table, MethodError> {
         let mut config = self.published()?;
         overlay(&mut config, self.preset(preset)?);
+        config.remove("data");
         Ok(config)
     }
 

@@ -427,6 +427,20 @@ mod tests {
     }
 
     #[test]
+    fn a_preset_for_a_kind_of_data_sets_how_they_are_read() {
+        let of = |preset: &str, sets: &[&str]| {
+            let sets = sets.iter().map(|s| (*s).to_owned()).collect();
+            let request = Request { method: "modec".into(), preset: preset.into(), sets, ..Request::default() };
+            resolve(gs_methods::registry(), &request).unwrap()
+        };
+        let raw = of("iphone", &[]);
+        assert!(!raw.data.normalise && of("paper", &[]).data.normalise);
+        let source = &raw.config.get("data.normalise").unwrap().source;
+        assert_eq!(source, &Source::Preset("iphone".into()));
+        assert!(of("iphone", &["data.normalise=true"]).data.normalise, "a setting wins");
+    }
+
+    #[test]
     fn steps_stretch_the_whole_recipe() {
         let plain = resolve(gs_methods::registry(), &request(&[])).unwrap();
         let short = resolve(gs_methods::registry(), &Request { steps: Some(30), ..request(&[]) }).unwrap();

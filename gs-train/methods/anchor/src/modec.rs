@@ -30,6 +30,12 @@ pub const ENTRY: MethodEntry = MethodEntry {
     presets: &[
         ("paper", &[]),
         ("ref", &[include_str!("modec.ref.toml")]),
+        ("dnerf", &[include_str!("presets/modec.dnerf.toml")]),
+        ("hypernerf", &[include_str!("presets/modec.hypernerf.toml")]),
+        ("iphone", &[include_str!("presets/modec.iphone.toml")]),
+        ("nvidia", &[include_str!("presets/modec.nvidia.toml")]),
+        ("neu3d", &[include_str!("presets/modec.neu3d.toml")]),
+        ("panoptic", &[include_str!("presets/modec.panoptic.toml")]),
         ("fast", &[scaffold::FAST, include_str!("modec.fast.toml")]),
         ("tiny", &[scaffold::TINY, include_str!("modec.tiny.toml")]),
     ],
