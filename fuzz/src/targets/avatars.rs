@@ -2,6 +2,7 @@
 
 use super::{Error, Target, as_it_is, characters, folders};
 use crate::case::Case;
+use gs_data::avatar::rig::{RigCamera, read_rig};
 use gs_synth::avatar::{Atlas, AvatarOptions, write};
 use serde_json::json;
 use std::path::Path;
@@ -12,7 +13,7 @@ const POSES_BINARY: &str = "poses.bin";
 
 pub fn targets() -> Vec<Target> {
     let one = |name, share, seeds, run| Target { name, share, seeds, repair: as_it_is, run };
-    vec![one("avatar", 6, film, open), one("poses", 8, poses, open_poses)]
+    vec![one("avatar", 6, film, open), one("poses", 8, poses, open_poses), one("rig_opencv", 2, rigs, read)]
 }
 
 fn open(case: &Case, dir: &Path) -> Result<(), String> {
@@ -56,6 +57,28 @@ fn open_poses(case: &Case, dir: &Path) -> Result<(), String> {
         let _ = std::fs::remove_file(dir.join(name));
     }
     open(case, dir)
+}
+
+fn read(case: &Case, dir: &Path) -> Result<(), String> {
+    case.write(dir).map_err(|e| format!("the work folder: {e}"))?;
+    let cameras = read_rig(dir).map_err(|e| e.to_string())?;
+    let finite = |c: &RigCamera| c.k.iter().chain(&c.dist).all(|v| v.is_finite()) && c.rotation.is_finite();
+    assert!(cameras.iter().all(|c| finite(c) && c.translation.is_finite()), "a camera that is not finite");
+    Ok(())
+}
+
+/// Two cameras in OpenCV's YAML, one turned by a matrix, one by three numbers.
+fn rigs(_dir: &Path) -> Result<Vec<Case>, Error> {
+    let head = "%YAML:1.0\n---\nnames:\n   - \"1\"\n   - \"b\"\n";
+    let matrix = |name: &str, data: &str| {
+        format!("{name}: !!opencv-matrix\n   rows: 1\n   cols: 1\n   dt: d\n   data: [ {data} ]\n")
+    };
+    let k = "5.5e+02, 0., 320., 0., 551., 240.,\n       0., 0., 1.";
+    let intri =
+        [head, &matrix("K_1", k), &matrix("K_b", k), &matrix("dist_1", "0.1, 0., 0., 0., 0."), "H_1: 8\nW_1: 9\n"];
+    let one = [matrix("Rot_1", "1., 0., 0., 0., 1., 0., 0., 0., 1."), matrix("T_1", "0., 1., 2.")].concat();
+    let other = [matrix("R_b", "0.1, -0.2, 3."), matrix("T_b", "0., -1.5, .5")].concat();
+    Ok(vec![Case::one("intri.yml", intri.concat()).with("extri.yml", [head, &one, &other].concat())])
 }
 
 /// Poses as text and in binary.

@@ -18,6 +18,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 pub mod layout;
+pub mod rig;
 pub mod sample;
 
 /// How images and poses of a film treat morph targets.

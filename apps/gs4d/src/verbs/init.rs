@@ -1,15 +1,17 @@
-//! `gs4d init`: initial points and the bounding box of the scene.
+//! `gs4d init`: initial points and the bounding box of the scene; cameras of a filmed person.
 
 use crate::answer::Answer;
 use crate::failure::Failure;
 use crate::global::Global;
 use clap::ValueEnum;
+use gs_data::avatar::layout::Role;
+use gs_data::avatar::rig::{RigOptions, WrittenCamera, write_rig};
 use gs_data::{DataOptions, Dataset, StartFrom, cube, write_start};
 use gs4d_run::settings::{Request, resolve};
 use serde_json::json;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-/// Make initial points (start.ply) and write them, and the bounding box, into the folder's scene.toml
+/// Make initial points (start.ply) and write them, and the bounding box, into the folder's scene.toml; or write a rig's cameras.json
 #[derive(clap::Args)]
 pub struct Init {
     /// The folder.
@@ -33,7 +35,20 @@ pub struct Init {
     /// A setting of the data, data.KEY=VALUE (repeatable).
     #[arg(long = "set", value_name = "KEY=VALUE")]
     sets: Vec<String>,
-    /// Overwrite start.ply and the section `start` of scene.toml.
+    /// Write cameras.json of a filmed person from another program's cameras: OpenCV's intri.yml with extri.yml beside it (EasyMocap), or
+    /// the folder of a COLMAP model with one image per camera.
+    #[arg(long, value_name = "FILE|DIR", conflicts_with_all = ["from", "bound"])]
+    cameras: Option<PathBuf>,
+    /// With --cameras: metres per unit of that file (0.001 for millimetres).
+    #[arg(long, value_name = "METRES", default_value_t = 1.0, value_parser = positive, requires = "cameras")]
+    camera_unit: f32,
+    /// With --cameras: numbers of the conditioning cameras [default: four, far from each other].
+    #[arg(long, value_name = "ID,ID", value_delimiter = ',', requires = "cameras")]
+    conditioning: Vec<u32>,
+    /// With --cameras: numbers of the cameras that are held out for scores.
+    #[arg(long, value_name = "ID,ID", value_delimiter = ',', requires = "cameras")]
+    held_out: Vec<u32>,
+    /// Overwrite start.ply and the section `start` of scene.toml, or cameras.json.
     #[arg(short, long)]
     force: bool,
 }
@@ -57,6 +72,44 @@ fn positive(text: &str) -> Result<f32, String> {
 
 impl Init {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
+        match &self.cameras {
+            Some(source) => self.rig(source),
+            None => self.points(global),
+        }
+    }
+
+    fn rig(&self, source: &Path) -> Result<Answer, Failure> {
+        let options = RigOptions {
+            unit: f64::from(self.camera_unit),
+            conditioning: self.conditioning.clone(),
+            held_out: self.held_out.clone(),
+            overwrite: self.force,
+        };
+        let cameras = write_rig(&self.data, source, &options)?;
+        let role = |role: Role| Role::NAMES.iter().find(|r| r.1 == role).map_or("", |r| r.0);
+        let line = |c: &WrittenCamera| {
+            let [w, h] = c.size;
+            format!(
+                "{:>4}  {:5}  {w}x{h}  at {:.2} m  {}  images/{:03}/\n",
+                c.id,
+                role(c.role),
+                c.position,
+                c.name,
+                c.id
+            )
+        };
+        let lines: String = cameras.iter().map(line).collect();
+        let file = self.data.join("cameras.json");
+        let text = format!(
+            "{lines}wrote {}; gs4d doctor {} holds it against the images\n",
+            file.display(),
+            self.data.display()
+        );
+        let of = |c: &WrittenCamera| json!({"id": c.id, "name": c.name, "role": role(c.role), "size": c.size, "position": c.position.to_array()});
+        Ok(Answer::new(text, json!({"file": file, "cameras": cameras.iter().map(of).collect::<Vec<_>>()})))
+    }
+
+    fn points(self, global: &Global) -> Result<Answer, Failure> {
         if let Some(other) = self.sets.iter().find(|s| !s.starts_with("data.")) {
             return Err(Failure::usage(format!("`{other}` is no setting of the data")));
         }

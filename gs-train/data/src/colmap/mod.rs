@@ -11,7 +11,11 @@ use std::path::{Path, PathBuf};
 
 use glam::{DVec2, DVec3};
 use gs_core::Time;
+#[cfg(feature = "avatar")]
+use gs_core::cast;
 
+#[cfg(feature = "avatar")]
+use super::avatar::rig::RigCamera;
 use super::error::{DataError, Place};
 use super::files::Root;
 use super::frames::{Listed, image_folder, name_views, with_headers};
@@ -154,6 +158,31 @@ pub(super) fn points_beside(dir: &Path) -> Result<Option<PointCloud>, DataError>
     Ok(None)
 }
 
+/// The cameras of a model of a rig, one image each, by the names of the images.
+///
+/// # Errors
+/// `data.layout` if there is no model; those of reading it.
+#[cfg(feature = "avatar")]
+pub(crate) fn rig(dir: &Path) -> Result<Vec<RigCamera>, DataError> {
+    let model = Model::read(dir, &MODEL_FOLDERS)?;
+    let camera = |row: &ImageRow| {
+        let at = |field: &str| Place::new(&model.images_file, format!("images[{}].{field}", row.row));
+        let Pose { rotation, translation } = pose(row, &at)?;
+        let Intrinsics { size, focal, principal, lens } = *model.intrinsics(row, &at)?;
+        let Lens { k1, k2, k3, p1, p2, skew } = lens;
+        Ok(RigCamera {
+            name: row.name.clone(),
+            size: Some([size.x, size.y].map(|side| cast::to_u32(cast::to_usize(side)))),
+            k: [focal.x, skew * focal.x, principal.x, 0.0, focal.y, principal.y, 0.0, 0.0, 1.0],
+            dist: [k1, k2, p1, p2, k3],
+            rotation,
+            translation,
+            integer_centres: false,
+        })
+    };
+    model.rows.iter().map(camera).collect()
+}
+
 /// The three files of a model.
 struct Model {
     cameras: BTreeMap<u32, Intrinsics>,
@@ -183,6 +212,16 @@ impl Model {
         Ok(Self { cameras, rows, points, images_file })
     }
 
+    /// The intrinsics of an image.
+    fn intrinsics(&self, row: &ImageRow, at: &dyn Fn(&str) -> Place) -> Result<&Intrinsics, DataError> {
+        self.cameras.get(&row.camera).ok_or_else(|| DataError::Field {
+            place: at("camera_id"),
+            value: format!("{}, which cameras does not list", row.camera),
+            why: "the image's intrinsics are unknown",
+            fix: "export cameras and images together",
+        })
+    }
+
     /// The views, split, without times, and whether their images carry alpha.
     fn drafts(
         &self,
@@ -195,11 +234,37 @@ impl Model {
         let listed = find_images(root, &self.images_file, &self.rows, &folder, notes)?;
         let listed = with_headers(&self.images_file, listed, options, notes)?;
         let has_alpha = listed.iter().any(|(_, h)| h.has_alpha);
-        let drafts = split(drafts(listed, &self.cameras, &self.images_file, options, notes)?, options, notes);
+        let drafts = split(self.listed(listed, options, notes)?, options, notes);
         if drafts.train.is_empty() {
             return Err(DataError::Empty { file: self.images_file.clone() });
         }
         Ok((drafts, has_alpha))
+    }
+
+    /// The views of listed images.
+    fn listed(
+        &self,
+        listed: Vec<(Listed<&ImageRow>, ImageHeader)>,
+        options: &DataOptions,
+        notes: &mut Vec<String>,
+    ) -> Result<Vec<Draft>, DataError> {
+        let shown: Vec<PathBuf> = listed.iter().map(|(l, _)| l.shown.clone()).collect();
+        let mut adjusted = Adjusted::default();
+        let mut drafts = Vec::with_capacity(listed.len());
+        for (listed, header) in listed {
+            let row = listed.rest;
+            let at = |field: &str| Place::new(&self.images_file, format!("images[{}].{field}", row.row));
+            let (pose, intrinsics) = (pose(row, &at)?, self.intrinsics(row, &at)?);
+            let (camera, rescaled) = intrinsics.camera(&header, &listed.path, &pose, &at("camera"))?;
+            let lens = intrinsics.lens(options.undistort, &at("camera"))?;
+            adjusted.count(intrinsics, &camera, rescaled, lens.as_ref());
+            let mut view = View::new("", camera, Time::default(), ImageSource::File(listed.path), row.camera);
+            view.lens = lens;
+            drafts.push(Draft { view, stated: None, place: at("name") });
+        }
+        notes.extend(adjusted.notes());
+        name_views(&mut drafts, &shown);
+        Ok(drafts)
     }
 }
 
@@ -235,38 +300,6 @@ fn find_images<'a>(
         notes.push(format!("{renamed} images have another extension than the model says"));
     }
     Ok(listed)
-}
-
-fn drafts(
-    listed: Vec<(Listed<&ImageRow>, ImageHeader)>,
-    cameras: &BTreeMap<u32, Intrinsics>,
-    images_file: &Path,
-    options: &DataOptions,
-    notes: &mut Vec<String>,
-) -> Result<Vec<Draft>, DataError> {
-    let shown: Vec<PathBuf> = listed.iter().map(|(l, _)| l.shown.clone()).collect();
-    let mut adjusted = Adjusted::default();
-    let mut drafts = Vec::with_capacity(listed.len());
-    for (listed, header) in listed {
-        let row = listed.rest;
-        let at = |field: &str| Place::new(images_file, format!("images[{}].{field}", row.row));
-        let pose = pose(row, &at)?;
-        let intrinsics = cameras.get(&row.camera).ok_or_else(|| DataError::Field {
-            place: at("camera_id"),
-            value: format!("{}, which cameras does not list", row.camera),
-            why: "the image's intrinsics are unknown",
-            fix: "export cameras and images together",
-        })?;
-        let (camera, rescaled) = intrinsics.camera(&header, &listed.path, &pose, &at("camera"))?;
-        let lens = intrinsics.lens(options.undistort, &at("camera"))?;
-        adjusted.count(intrinsics, &camera, rescaled, lens.as_ref());
-        let mut view = View::new("", camera, Time::default(), ImageSource::File(listed.path), row.camera);
-        view.lens = lens;
-        drafts.push(Draft { view, stated: None, place: at("name") });
-    }
-    notes.extend(adjusted.notes());
-    name_views(&mut drafts, &shown);
-    Ok(drafts)
 }
 
 fn pose(row: &ImageRow, at: &dyn Fn(&str) -> Place) -> Result<Pose, DataError> {
