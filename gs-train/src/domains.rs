@@ -122,6 +122,7 @@ pub const SHARED: &[Domain] = &[
     within("time_features", 1.0, 4096.0),
     within("coordinate_scale", -1e6, 1e6),
     // Feature planes.
+    within("rows_per_moment", 0.0, 1e3),
     within("hexplane.channels", 16.0, 1024.0),
     within("hexplane.levels", 1.0, 64.0),
     within("hexplane.resolution", 2.0, 8192.0),

@@ -61,6 +61,9 @@ struct Meta {
     moments: u32,
     last_time: f32,
     frame_interval: f32,
+    /// 0 where an older file does not say, as the next.
+    #[serde(default)]
+    first_interval: f32,
     /// 0 where an older file does not say.
     #[serde(default)]
     view_spacing: f32,
@@ -91,6 +94,7 @@ fn meta(model: &Model, run: &RunState) -> serde_json::Value {
         moments: run.scene.timestamps,
         last_time: run.scene.last_time,
         frame_interval: run.scene.frame_interval,
+        first_interval: run.scene.first_interval,
         view_spacing: run.scene.view_spacing,
         seed: run.scene.seed.to_string(),
         step: run.step,
@@ -149,7 +153,7 @@ pub fn load_with(
     }
     // The blocks are given their rows below; one point stands in for the first cloud.
     let points = PointCloud { positions: vec![0.5 * (bounds[0] + bounds[1])], colors: vec![[0.5; 3]] };
-    let Meta { extent, views, moments: timestamps, last_time, frame_interval, view_spacing, .. } = meta;
+    let Meta { extent, views, moments: timestamps, last_time, frame_interval, first_interval, view_spacing, .. } = meta;
     let max_parameters = parameters(&checkpoint.tensors).min(MAX_PARAMETERS);
     let scene = SceneInfo {
         points,
@@ -159,6 +163,7 @@ pub fn load_with(
         timestamps,
         last_time,
         frame_interval,
+        first_interval,
         view_spacing,
         seed,
         avatar,

@@ -87,6 +87,8 @@ pub struct SceneInfo {
     pub last_time: f32,
     /// Median distance of successive training times, normalised; 0 where there is one timestamp.
     pub frame_interval: f32,
+    /// [`Self::frame_interval`] of the data that the run began with: more views may come, the shape of a field stays.
+    pub first_interval: f32,
     /// Median angle from a training camera to the nearest other, degrees ([`Dataset::view_spacing`]).
     pub view_spacing: f32,
     /// Seed of the run, for everything random.
@@ -111,6 +113,11 @@ impl SceneInfo {
         if count <= limit { Ok(()) } else { Err(MethodError::TooLarge { method, count, limit }) }
     }
 
+    /// Moments of the training images that times 0 … 1 have room for, at their distance when the run began; 0 for one moment.
+    pub fn moments(&self) -> f64 {
+        if self.first_interval > 0.0 { 1.0 + 1.0 / f64::from(self.first_interval) } else { 0.0 }
+    }
+
     /// Gathers what `init` asks for from a data set.
     ///
     /// # Errors
@@ -130,6 +137,7 @@ impl SceneInfo {
             return Err(MethodError::Scene(format!("its extent is {extent}; cameras and points coincide")));
         }
         let (views, timestamps, last_time, frame_interval) = Default::default();
+        let first_interval = median_step(&times(dataset));
         let view_spacing = dataset.view_spacing();
         let avatar = dataset.avatar.clone();
         let max_parameters = MAX_PARAMETERS;
@@ -141,6 +149,7 @@ impl SceneInfo {
             timestamps,
             last_time,
             frame_interval,
+            first_interval,
             view_spacing,
             seed,
             avatar,

@@ -56,6 +56,7 @@ pub fn scene(method: &str) -> Result<Loaded, Error> {
         timestamps: 4,
         last_time: 1.0,
         frame_interval: 0.25,
+        first_interval: 0.25,
         view_spacing: 6.0,
         seed: 1,
         avatar: None,

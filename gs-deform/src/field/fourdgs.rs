@@ -21,9 +21,12 @@ use crate::encode::{HexPlane, HexPlaneConfig};
 use crate::{Aabb, DeformError};
 use glam::Vec3;
 use gs_core::nn::BLOCK;
-use gs_core::{Geometry, GeometryRef, Param, Params, Time};
+use gs_core::{Geometry, GeometryRef, Param, Params, Time, cast};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+
+/// Fewest time nodes that [`FourDgsConfig::for_moments`] leaves.
+const LEAST_ROWS: usize = 4;
 
 /// Settings of a [`HexPlaneField`]; the defaults are the published ones for synthetic scenes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -46,6 +49,9 @@ pub struct FourDgsConfig {
     pub scale_rule: ScaleRule,
     /// Sample the planes at the means as constants: no gradient through the encoder.
     pub detach_coordinates: bool,
+    /// Time nodes per moment of the training images, at most ([`Self::for_moments`]): with more the field learns each moment by itself.
+    /// 0: no limit, as published.
+    pub rows_per_moment: f64,
     /// Size and regularisers of the planes.
     pub hexplane: HexPlaneConfig,
 }
@@ -61,6 +67,7 @@ impl Default for FourDgsConfig {
             zero_init: true,
             scale_rule: ScaleRule::Log,
             detach_coordinates: false,
+            rows_per_moment: 0.0,
             hexplane: HexPlaneConfig::default(),
         }
     }
@@ -77,6 +84,23 @@ impl FourDgsConfig {
         let wanted = [self.move_means, self.move_scales, self.move_quats];
         let columns = [("means", 3), ("scales", 3), ("quats", 4)].into_iter().zip(wanted);
         columns.filter_map(|(column, wanted)| wanted.then_some(column)).collect()
+    }
+
+    /// The same for images of so many moments, spread over times 0 … 1: no more time nodes than [`Self::rows_per_moment`] allows, at least 4.
+    ///
+    /// ```
+    /// use gs_deform::FourDgsConfig;
+    ///
+    /// let config = FourDgsConfig { rows_per_moment: 0.5, ..FourDgsConfig::default() };
+    /// let rows = |moments| config.clone().for_moments(moments).hexplane.resolution[3];
+    /// assert_eq!((rows(30.0), rows(3.0), rows(400.0), rows(0.0)), (15, 4, 75, 75));
+    /// ```
+    pub fn for_moments(mut self, moments: f64) -> Self {
+        let rows = &mut self.hexplane.resolution[3];
+        if self.rows_per_moment > 0.0 && moments > 0.0 {
+            *rows = (*rows).min(cast::to_usize((self.rows_per_moment * moments).round()).max(LEAST_ROWS));
+        }
+        self
     }
 
     /// Number of parameters of the field; the largest number where that is beyond it.

@@ -98,6 +98,7 @@ fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
     let dynamics = if config.global { config.logits } else { 0 };
     let shape = AnchorShape { offsets: config.anchors.offsets, features: config.anchors.features, dynamics };
     let gad = if config.global { config.gad.param_count(shape) } else { 0 };
+    config.lgd = config.lgd.for_moments(scene.moments());
     let lgd = if config.local { config.lgd.param_count() } else { 0 };
     let decoder = config.anchors.decoder(config.decoder, scene);
     scene.admit(ENTRY.name, &[decoder.param_count(shape), gad, lgd])?;

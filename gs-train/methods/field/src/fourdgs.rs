@@ -47,6 +47,7 @@ fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
     let mut config: Config = parse_config(ENTRY.name, table)?;
     let wrong = |e: gs_deform::DeformError| MethodError::Config { method: ENTRY.name, why: e.to_string() };
     let [min, max] = scene.bounds;
+    config.field = config.field.for_moments(scene.moments());
     let margin = config.margin * min.distance(max);
     let aabb = Aabb::new(min - margin, max + margin).map_err(wrong)?;
     scene.admit(ENTRY.name, &[config.field.param_count()])?;

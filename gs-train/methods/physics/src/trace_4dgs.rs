@@ -27,10 +27,12 @@ pub const ENTRY: MethodEntry = MethodEntry {
 };
 
 fn build(table: &toml::Table, scene: &SceneInfo) -> Result<Model, MethodError> {
-    build_on(ENTRY.name, table, scene, FourDgsConfig::param_count, |c: &Config<FourDgsConfig>| {
+    let shape = |field: &FourDgsConfig| field.clone().for_moments(scene.moments());
+    let count = |field: &FourDgsConfig| shape(field).param_count();
+    build_on(ENTRY.name, table, scene, count, |c: &Config<FourDgsConfig>| {
         let [min, max] = scene.bounds;
         let margin = c.margin * min.distance(max);
         let aabb = Aabb::new(min - margin, max + margin)?;
-        HexPlaneField::new("field", &c.field, aabb, scene.seed)
+        HexPlaneField::new("field", &shape(&c.field), aabb, scene.seed)
     })
 }

@@ -125,6 +125,7 @@ fn method(config: PhysicsConfig, zero_init: bool) -> Advected<DefMlp, OneTwist> 
         timestamps: 16,
         last_time: 0.75,
         frame_interval: 0.05,
+        first_interval: 0.05,
         view_spacing: 6.0,
         seed: 5,
         avatar: None,
