@@ -2,8 +2,10 @@
 
 use crate::support::*;
 use gs_core::Rng;
+use gs_data::Dataset;
 use gs_train::checkpoint::Checkpoint;
 use gs_train::saved;
+use gs_train::testkit;
 use gs_train::trainer::{TrainOptions, Trainer};
 use std::sync::Arc;
 
@@ -37,6 +39,29 @@ fn resuming_at_any_step_continues_bit_for_bit() {
             run(&mut resumed, 60 - from);
             assert!(timeless(resumed.state()) == last, "{}: resumed at {from}", entry.name);
         }
+    }
+}
+
+/// A field has the time nodes that the moments of its first images can teach, and keeps them when more come.
+#[test]
+fn the_shape_of_a_field_stays_when_views_come() {
+    let all = scene("balls", 32, 12);
+    let first = Arc::new(Dataset { train: all.train[..6].to_vec(), ..Dataset::clone(&all) });
+    for (method, section) in [("fourdgs", "field"), ("modec", "lgd"), ("trace-4dgs", "field")] {
+        let over = format!("{section}.rows_per_moment = 0.5");
+        let config = testkit::short(gs_methods::registry(), method, &[&over]);
+        let planes = |trainer: &Trainer| {
+            let mut values = 0;
+            trainer.model().visit(&mut |p| values += if p.name.contains("planes") { p.len() } else { 0 });
+            values
+        };
+        let mut trainer = testkit::start(gs_methods::registry(), &first, method, &config, 1);
+        let few = planes(&trainer);
+        assert!(few < planes(&testkit::start(gs_methods::registry(), &first, method, &short(method), 1)), "{method}");
+        run(&mut trainer, 10);
+        let mut more = trainer.with_more_views(gs_methods::registry(), all.clone(), &config).expect("more views");
+        assert_eq!(planes(&more), few, "{method}");
+        run(&mut more, 10);
     }
 }
 
