@@ -16,7 +16,7 @@ use gs_core::{Camera, Image, Splats};
 use gs_data::{DataError, Dataset, ImageCache, Split, View};
 use gs_metrics::{
     Mean, MetricError, Scorer, Scores, Sharpness, SsimOptions, Summary, masked_mse, masked_perceptual_proxy,
-    masked_ssim, psnr_from_mse,
+    masked_ssim, person_scores, psnr_from_mse,
 };
 use gs_raster::{Frame, Workspace, render_into};
 use serde::{Deserialize, Serialize};
@@ -40,6 +40,13 @@ pub struct MaskedScores {
     pub perceptual_proxy: f64,
     /// Part of the pixels that count.
     pub part: f64,
+    /// PSNR over the whole frame, both images black outside the eroded mask: as papers on avatars report it
+    /// ([`gs_metrics::person`]), dB. Absent for no error.
+    #[serde(default)]
+    pub frame_psnr: Option<f64>,
+    /// SSIM by the same protocol, over the box of the mask.
+    #[serde(default)]
+    pub box_ssim: Option<f64>,
 }
 
 impl MaskedScores {
@@ -53,7 +60,10 @@ impl MaskedScores {
             Err(MetricError::TooSmall { .. }) => None,
             other => Some(other?),
         };
+        let person = person_scores(image, truth, mask)?;
         Ok(Some(Self {
+            frame_psnr: Some(psnr_from_mse(person.mse)).filter(|v| v.is_finite()),
+            box_ssim: person.ssim,
             psnr: Some(psnr_from_mse(mse)).filter(|v| v.is_finite()),
             ssim: ssim.map(|s| s.whole),
             ssim_seen: ssim.map(|s| s.seen),
@@ -67,6 +77,8 @@ impl MaskedScores {
         let of = |value: fn(&Self) -> Option<f64>| Mean::of(all.clone().filter_map(|s| value(&s))).value;
         Some(Self {
             part: of(|s| Some(s.part))?,
+            frame_psnr: of(|s| s.frame_psnr),
+            box_ssim: of(|s| s.box_ssim),
             psnr: of(|s| s.psnr),
             ssim: of(|s| s.ssim),
             ssim_seen: of(|s| s.ssim_seen),

@@ -34,7 +34,8 @@ pub struct Eval {
     /// Folder of their truths; files belong together by name, or by order where names differ but hold numbers.
     #[arg(long, value_name = "DIR", requires = "pred")]
     gt: Option<PathBuf>,
-    /// Folder of masks: adds scores where pixels are bright (masked PSNR, SSIM and proxy).
+    /// Folder of masks: adds scores where pixels are bright: masked PSNR, SSIM and proxy, and as papers on avatars report them PSNR of the whole
+    /// frame and SSIM of the box, black outside the eroded mask.
     #[arg(long, value_name = "DIR", requires = "pred")]
     mask: Option<PathBuf>,
     /// Metrics, separated by commas [default: those of single images; masked where there are masks]. A run always gets
@@ -230,6 +231,8 @@ fn columns(scores: &FolderScores) -> Vec<Column> {
         all.push(of("m-psnr", 3, |m| m.psnr));
         all.push(of("m-ssim", 4, |m| m.ssim));
         all.push(of("m-proxy", 4, |m| Some(m.perceptual_proxy)));
+        all.push(of("f-psnr", 3, |m| m.frame_psnr));
+        all.push(of("box-ssim", 4, |m| m.box_ssim));
     }
     if let Some(tof) = &scores.tof {
         let of = |i: usize| tof.pairs.iter().find(|p| p.frame == i).map(|p| p.tof);
