@@ -54,7 +54,7 @@ impl Dataset {
         }
     }
 
-    /// 128-bit FNV-1a, as 32 hexadecimal digits, of the layout, the views with their cameras, lenses, masks and timestamps,
+    /// 128-bit FNV-1a, as 32 hexadecimal digits, of the layout, the views with their cameras, lenses, masks, depth maps and timestamps,
     /// and the names and sizes of files (for images in memory: their pixels). The path of the folder does not count.
     pub fn digest(&self) -> String {
         let mut h = Fnv::default();
@@ -89,6 +89,7 @@ impl Dataset {
         }
         self.digest_source(h, &v.image);
         v.mask.iter().for_each(|mask| self.digest_source(h, mask));
+        v.depth.iter().for_each(|map| self.digest_source(h, &ImageSource::File(map.file.clone())));
     }
 
     fn digest_source(&self, h: &mut Fnv, source: &ImageSource) {

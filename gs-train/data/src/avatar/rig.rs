@@ -49,7 +49,7 @@ impl RigCamera {
 }
 
 /// What [`write_rig`] is asked for.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct RigOptions {
     /// Metres per unit of the file.
     pub unit: f64,
@@ -59,6 +59,12 @@ pub struct RigOptions {
     pub held_out: Vec<u32>,
     /// Whether an existing `cameras.json` may be replaced.
     pub overwrite: bool,
+}
+
+impl Default for RigOptions {
+    fn default() -> Self {
+        Self { unit: 1.0, conditioning: Vec::new(), held_out: Vec::new(), overwrite: false }
+    }
 }
 
 /// A camera as it was written.
