@@ -10,6 +10,7 @@ use crate::colmap;
 use crate::error::{DataError, Place};
 use crate::header;
 use glam::{DMat3, DQuat, DVec3};
+use gs_core::cast;
 use gs_core::io::write_file;
 use serde_json::json;
 use std::collections::BTreeSet;
@@ -201,7 +202,7 @@ fn numbers(rig: &[RigCamera]) -> Vec<u32> {
     };
     let named: Option<Vec<u32>> = rig.iter().map(|c| of(&c.name)).collect();
     let all = |ids: &Vec<u32>| ids.iter().collect::<BTreeSet<_>>().len() == ids.len();
-    named.filter(all).unwrap_or_else(|| (0..rig.len() as u32).collect())
+    named.filter(all).unwrap_or_else(|| (0..cast::to_u32(rig.len())).collect())
 }
 
 /// Four cameras, each the one farthest from those before it, of those that are not held out.
