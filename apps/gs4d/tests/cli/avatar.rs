@@ -23,7 +23,7 @@ fn a_film_is_made_and_trained_on() {
     gs4d(&["synth", "avatar", "-o", text(&film)]).fails(6, &["is not empty", "-f"]);
     let rig = film.join("intri.yml");
     gs4d(&["init", text(&film), "--cameras", text(&rig)]).fails(6, &["cameras.json"]);
-    gs4d(&["init", text(&film), "--cameras", text(&rig), "-f"]).fails(3, &["cameras"]);
+    gs4d(&["init", text(&film), "--cameras", text(&rig), "-f"]).fails(6, &["intri.yml"]);
     gs4d(&["init", text(&film), "--held-out", "1"]).fails(2, &["--cameras"]);
 }
 

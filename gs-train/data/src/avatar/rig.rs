@@ -86,11 +86,11 @@ pub struct WrittenCamera {
 /// Reads a rig: `intri.yml`, a folder that has it, or a COLMAP model (its folder, or one above).
 ///
 /// # Errors
-/// `data.path` if it is neither; `data.syntax`, `data.field` and `data.pose` name what is wrong in it; `data.camera_model` for a lens that is
+/// `data.layout` if it is neither, `io.read` if a file is missing; `data.syntax`, `data.field` and `data.pose` name what is wrong in it; `data.camera_model` for a lens that is
 /// not OpenCV's with five coefficients.
 pub fn read_rig(source: &Path) -> Result<Vec<RigCamera>, DataError> {
     let intrinsics = if source.is_dir() { source.join("intri.yml") } else { source.to_owned() };
-    if intrinsics.is_file() { easymocap(&intrinsics) } else { colmap::rig(source) }
+    if source.is_dir() && !intrinsics.is_file() { colmap::rig(source) } else { easymocap(&intrinsics) }
 }
 
 fn easymocap(file: &Path) -> Result<Vec<RigCamera>, DataError> {
@@ -172,7 +172,9 @@ pub fn write_rig(dir: &Path, source: &Path, options: &RigOptions) -> Result<Vec<
         _ => Role::Train,
     };
     let written = |(camera, id): (&RigCamera, &u32)| {
-        let size = camera.size.map_or_else(|| size_of_images(dir, source, *id, &camera.name), Ok)?;
+        let size = camera
+            .size
+            .map_or_else(|| size_of_images(&dir.join(format!("images/{id:03}")), source, &camera.name), Ok)?;
         let position = camera.position() * options.unit;
         Ok(WrittenCamera { id: *id, name: camera.name.clone(), role: role(id), size, position })
     };
@@ -220,17 +222,16 @@ fn far_apart(rig: &[RigCamera], ids: &[u32], held_out: &[u32]) -> Vec<u32> {
     chosen.into_iter().map(|(id, _)| id).collect()
 }
 
-fn size_of_images(dir: &Path, source: &Path, id: u32, name: &str) -> Result<[u32; 2], DataError> {
-    let folders = [format!("images/{id:03}"), format!("images/{name}")].map(|f| dir.join(f));
-    let first = |folder: &PathBuf| {
+/// The size of the first image in a folder.
+fn size_of_images(folder: &Path, source: &Path, name: &str) -> Result<[u32; 2], DataError> {
+    let first = || {
         let mut files: Vec<PathBuf> = std::fs::read_dir(folder).ok()?.flatten().map(|e| e.path()).collect();
         files.sort();
         files.into_iter().find_map(|file| header::read(&file).ok())
     };
-    let found = folders.iter().find_map(first);
-    found.map(|h| [h.width, h.height]).ok_or_else(|| DataError::Field {
+    first().map(|h| [h.width, h.height]).ok_or_else(|| DataError::Field {
         place: Place::new(source, format!("H_{name}, W_{name}")),
-        value: format!("missing, and {} has no image", folders[0].display()),
+        value: format!("missing, and {} has no image", folder.display()),
         why: "a camera has the size of its images",
         fix: "put the images into that folder first",
     })

@@ -3,6 +3,7 @@
 mod hypernerf;
 mod layouts;
 mod llff;
+mod maps;
 mod nerfies;
 mod nvfi;
 mod nvidia;
