@@ -69,13 +69,12 @@ pub(super) fn corners(grey: &Image, inside: &[bool]) -> Vec<Corner> {
 
 /// Matches between the corners of two images, as pairs of indices.
 pub(super) fn match_corners(a: &[Corner], b: &[Corner]) -> Vec<(usize, usize)> {
-    let forth: Vec<Option<(usize, bool)>> = a.par_iter().map(|c| best(c, b)).collect();
-    let back: Vec<Option<(usize, bool)>> = b.par_iter().map(|c| best(c, a)).collect();
-    let mutual = |(i, found): (usize, &Option<(usize, bool)>)| {
-        let (j, clear) = (*found)?;
-        (clear && back[j].is_some_and(|(k, _)| k == i)).then_some((i, j))
+    let clear = |c: &Corner, others: &[Corner]| best(c, others).filter(|(_, clear)| *clear).map(|(j, _)| j);
+    let mutual = |(i, c): (usize, &Corner)| {
+        let j = clear(c, b)?;
+        (best(&b[j], a)?.0 == i).then_some((i, j))
     };
-    forth.iter().enumerate().filter_map(mutual).collect()
+    a.par_iter().enumerate().filter_map(mutual).collect()
 }
 
 /// The index of the best match, and whether it passes both thresholds.

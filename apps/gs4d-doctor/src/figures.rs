@@ -20,7 +20,7 @@ const GREY: [f32; 3] = [0.6, 0.6, 0.65];
 
 /// Every figure except that of matched corners.
 pub(super) fn all(data: &Dataset, small_images: &ImageCache, silhouettes: Option<&Silhouettes>) -> Vec<Figure> {
-    let mut out: Vec<Figure> = silhouettes.into_iter().flat_map(hulls).collect();
+    let mut out: Vec<Figure> = silhouettes.into_iter().flat_map(|s| hulls(data, s)).collect();
     let count = data.train.len().min(MAX_FIGURES);
     let chosen = (0..count).map(|k| &data.train[(2 * k + 1) * data.train.len() / (2 * count)]);
     if let Some(points) = &data.points {
@@ -33,14 +33,14 @@ pub(super) fn all(data: &Dataset, small_images: &ImageCache, silhouettes: Option
 }
 
 /// Silhouettes with what the hull covers: green inside both, red what is not covered, blue what lies outside.
-fn hulls(s: &Silhouettes) -> Vec<Figure> {
-    let n = s.carved.names.len();
+fn hulls(data: &Dataset, s: &Silhouettes) -> Vec<Figure> {
+    let n = s.carved.silhouettes.len();
     let show = |k: usize| {
-        let (image, covered) = s.carved.shown(k);
-        let out = tinted(&image, covered);
+        let shape = &s.carved.silhouettes[k];
+        let out = tinted(&shape.image, s.carved.cover(&shape.camera));
         let caption = format!(
             "{}: green is carved and seen, red is seen and not carved, blue is carved and not seen (where things move: seen at another time)",
-            s.carved.names[k]
+            data.train[shape.index].name
         );
         Figure { topic: "poses", caption, image: out }
     };
@@ -63,6 +63,14 @@ pub(super) fn tinted(image: &ImageU8, covered: impl IntoIterator<Item = bool>) -
         }
     }
     out
+}
+
+/// An image beside a rendering of the hull from its pose.
+pub(super) fn beside_hull(image: &ImageU8, rendering: &[Option<[u8; 3]>]) -> Image {
+    let left = image.over([0.12; 3]);
+    let pixel = |c: &Option<[u8; 3]>| c.map_or([0.12; 3], |c| c.map(|v| f32::from(v) / 255.0));
+    let right = Image { data: rendering.iter().flat_map(pixel).collect(), ..left.clone() };
+    side_by_side(&left, &right, &[])
 }
 
 /// An image with the points that project into it, near ones red, far ones blue.
@@ -143,11 +151,14 @@ pub(super) fn side_by_side(a: &Image, b: &Image, marks: &[([DVec2; 2], bool)]) -
         for y in 0..image.height {
             let to = (y * width + left) * 3;
             let row = &image.data[y * image.width * 3..(y + 1) * image.width * 3];
-            out.data[to..to + row.len()].iter_mut().zip(row).for_each(|(o, v)| *o = 0.6 * v);
+            out.data[to..to + row.len()]
+                .iter_mut()
+                .zip(row)
+                .for_each(|(o, v)| *o = if marks.is_empty() { *v } else { 0.6 * v });
         }
     }
     let shift = DVec2::new(a.width as f64, 0.0);
-    for ([p, q], agrees) in marks.iter().step_by(marks.len().div_ceil(120)) {
+    for ([p, q], agrees) in marks.iter().step_by(marks.len().div_ceil(120).max(1)) {
         line(&mut out, *p, *q + shift, if *agrees { GREEN } else { RED });
     }
     out

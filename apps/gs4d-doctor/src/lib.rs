@@ -26,23 +26,34 @@
 #![cfg_attr(not(test), warn(clippy::cast_possible_truncation))]
 
 mod clock;
+mod corner_fit;
 mod cost;
+mod epipolar;
 mod features;
 mod figures;
+mod hull_fit;
 mod images;
+mod matching;
 mod page;
 mod pose_readings;
 mod poses;
+#[cfg(test)]
+mod power;
+mod refit;
+mod rig;
 mod sample;
 mod silhouettes;
 mod start;
 mod template;
+mod views;
 
 pub use cost::{Cost, CostOptions, StageCost};
-pub use page::page;
+pub use page::{is_page, page};
 
 use gs_core::Image;
-use gs_data::{Confidence, DataError, DataOptions, Dataset, ImageCache, LAYOUTS, TimeRange, detect};
+use gs_data::{
+    Confidence, DataError, DataOptions, Dataset, ImageCache, LAYOUTS, TimeRange, TimeShift, detect, write_times,
+};
 use sample::Sample;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -81,11 +92,42 @@ pub struct Finding {
     pub places: Vec<String>,
     /// A command or an edit that fixes it, where one is known.
     pub fix: Option<String>,
+    /// The setting of `scene.toml` that fixes it, where one does.
+    pub setting: Option<Setting>,
+}
+
+/// A setting of `scene.toml` that fixes a finding; [`apply`] writes it.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Setting {
+    /// `data.time_range`.
+    Range(TimeRange),
+    /// `data.time_shift`.
+    Shift(TimeShift),
+}
+
+/// Writes the settings that findings come with into `scene.toml` of a folder; those written, in words.
+///
+/// # Errors
+/// If the file cannot be read or written.
+pub fn apply(dir: &Path, findings: &[Finding]) -> Result<Vec<String>, DataError> {
+    let settings: Vec<&Setting> = findings.iter().filter_map(|f| f.setting.as_ref()).collect();
+    for setting in &settings {
+        match setting {
+            Setting::Range(range) => write_times(dir, Some(*range), None)?,
+            Setting::Shift(shift) => write_times(dir, None, Some(shift))?,
+        };
+    }
+    let text = |s: &&Setting| match s {
+        Setting::Range(range) => format!("data.time_range={range}"),
+        Setting::Shift(shift) => format!("data.time_shift={shift}"),
+    };
+    Ok(settings.iter().map(text).collect())
 }
 
 impl Finding {
     fn new(topic: &'static str, code: &'static str, verdict: Verdict, what: impl Into<String>) -> Self {
-        Self { topic, code, verdict, what: what.into(), places: Vec::new(), fix: None }
+        Self { topic, code, verdict, what: what.into(), places: Vec::new(), fix: None, setting: None }
     }
 
     fn ok(topic: &'static str, what: impl Into<String>) -> Self {
@@ -104,6 +146,11 @@ impl Finding {
 
     fn fix(mut self, fix: impl Into<String>) -> Self {
         self.fix = Some(fix.into());
+        self
+    }
+
+    fn setting(mut self, setting: Option<Setting>) -> Self {
+        self.setting = setting;
         self
     }
 }
@@ -239,10 +286,7 @@ fn open(
 fn around(e: &DataError, options: &DataOptions) -> Option<DataOptions> {
     let next = match e {
         DataError::Missing { .. } => DataOptions { allow_missing: true, ..options.clone() },
-        DataError::Time { value, range, .. } => {
-            let wide = TimeRange { start: range.start.min(*value), end: range.end.max(*value) };
-            DataOptions { time_range: Some(wide), ..options.clone() }
-        }
+        DataError::Time { span, .. } => DataOptions { time_range: Some(*span), ..options.clone() },
         _ => return None,
     };
     (next != *options).then_some(next)
@@ -259,7 +303,11 @@ fn fault(e: &DataError) -> Finding {
         _ => "layout",
     };
     let what = format!("{e} ({})", e.why());
-    let finding = Finding::new(topic, e.code(), Verdict::Problem, what).fix(e.fix());
+    let setting = match e {
+        DataError::Time { span, .. } => Some(Setting::Range(*span)),
+        _ => None,
+    };
+    let finding = Finding::new(topic, e.code(), Verdict::Problem, what).fix(e.fix()).setting(setting);
     finding.at(e.place().map(|p| p.to_string()))
 }
 

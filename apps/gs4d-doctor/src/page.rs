@@ -3,6 +3,19 @@
 use super::{Checkup, Finding, Verdict};
 use gs4d_report::ReportError;
 use gs4d_report::html::{captioned, document, escape, section, table};
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+
+/// How the page's title begins.
+const TITLE: &str = "doctor · ";
+
+/// Whether a file is a page of the doctor, which another may replace.
+pub fn is_page(path: &Path) -> bool {
+    let mut head = vec![0; 4096];
+    let read = File::open(path).and_then(|mut f| f.read(&mut head)).unwrap_or(0);
+    String::from_utf8_lossy(&head[..read]).contains(&format!("<title>{TITLE}"))
+}
 
 /// Renders a [`Checkup`] as one self-contained HTML page.
 ///
@@ -35,20 +48,25 @@ pub fn page(c: &Checkup) -> Result<String, ReportError> {
     }
     let notes = c.notes.iter().map(|n| vec![n.clone()]);
     sections += &section("What was assumed while reading", "", &table(&[""], &[], notes));
-    Ok(document(&format!("doctor · {}", c.root.display()), &c.summary(), &sections))
+    Ok(document(&format!("{TITLE}{}", c.root.display()), &c.summary(), &sections))
 }
 
+/// The table of findings; the colour of a row is that of its severity.
 fn findings(list: &[Finding]) -> String {
-    let rows = list.iter().map(|f| {
-        let places = if f.places.is_empty() { String::new() } else { format!(" [{}]", f.places.join(", ")) };
-        vec![
-            f.topic.to_owned(),
-            verdict(f.verdict).to_owned(),
-            format!("{}{places}", f.what),
-            f.fix.clone().unwrap_or_default(),
-        ]
-    });
-    table(&["topic", "", "what was found", "what to do"], &[0, 1], rows)
+    let row = |f: &Finding| {
+        let places = f.places.iter().map(|p| format!("<br>{}", escape(p))).collect::<String>();
+        let (class, what) = (verdict(f.verdict), escape(&f.what));
+        let fix = f.fix.as_deref().map_or(String::new(), escape);
+        format!(
+            "<tr class=\"{class}\"><td>{}</td><td>{class}</td><td>{what}{places}</td><td>{fix}</td></tr>\n",
+            f.topic
+        )
+    };
+    let head = "<tr><th>topic</th><th></th><th>what was found</th><th>what to do</th></tr>";
+    let rows: String = list.iter().map(row).collect();
+    format!(
+        "<div class=\"scroll\"><table class=\"findings\">\n<thead>{head}</thead>\n<tbody>\n{rows}</tbody>\n</table></div>\n"
+    )
 }
 
 /// The name of a severity in the table.

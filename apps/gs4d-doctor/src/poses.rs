@@ -1,166 +1,252 @@
-//! Checks of poses by matched corners: a match must lie on its epipolar line and in front of both cameras.
+//! Checks of poses: by matched corners, which must lie on their epipolar lines and in front of both cameras, and by silhouettes, which
+//! the visual hull must cover.
 //!
-//! With `E = [t]× R` from one camera to the other and `F = K₂⁻ᵀ E K₁⁻¹`, the error of a pair is Sampson's,
-//! `(x₂ᵀ F x₁)² / (|F x₁|² + |Fᵀ x₂|²)` with the first two entries of the lines (Hartley and Zisserman, 11.4.3). Random matches are
-//! within the tolerance in one or two cases of a hundred, so a much larger share supports the poses. The same share under
-//! other readings of the poses ([`PoseReading`]) and other focal lengths tells which fits best.
+//! Random matches are within the tolerance in one or two cases of a hundred, so a much larger share supports the poses. The same share under
+//! other readings of the poses ([`PoseReading`]) and other focal lengths tells which fits best. Where things move or texture repeats,
+//! matches disagree with sound poses as well: a view is accused only if another pose explains it ([`CornerFit`], [`HullFit`]), and
+//! faults put into the data's own poses tell what such a test can find there.
 
-use super::features::{Corner, corners, match_corners};
+use super::corner_fit::{CornerFit, Elsewhere};
+use super::epipolar::Pair;
+use super::hull_fit::{Found, HullFit, Wrong};
+use super::matching::Matches;
 use super::pose_readings::PoseReading;
 use super::silhouettes::Silhouettes;
-use super::{Figure, Finding, Verdict, figures, luma, median};
-use glam::{DMat3, DVec2, DVec3};
+use super::views::Views;
+use super::{Figure, Finding, Verdict, figures, median, rig};
+use glam::DVec2;
 use gs_core::{Camera, Image};
-use gs_data::{Dataset, ImageCache, View, geometry::focus};
-use rayon::prelude::*;
+use gs_data::{Dataset, ImageCache, Split, geometry::focus};
+use std::collections::BTreeMap;
 
-/// Most views in which corners are detected.
-const MAX_VIEWS: usize = 80;
-/// Other views that each view is matched with.
-const NEIGHBOURS: usize = 2;
-/// Least angle between two cameras seen from the scene's centre, radians: closer pairs do not constrain translations.
-const MIN_ANGLE: f64 = 0.035;
-/// Largest error of a match that agrees with the poses: a share of the longer image side, and at least so many pixels.
-const TOLERANCE_SHARE: f64 = 1.0 / 240.0;
-const MIN_TOLERANCE: f64 = 0.8;
-/// Largest angle between matched views, radians: patches seen from farther apart do not correlate.
-const MAX_ANGLE: f64 = 0.6;
-/// Least sine of the angle between two rays for a test of the side on which they meet.
-const MIN_PARALLAX: f64 = 0.005;
-/// Fewest matches for a verdict: on all views, and on one.
+/// Fewest matches for a verdict on all views.
 const MIN_PAIRS: usize = 60;
-const MIN_VIEW_PAIRS: usize = 20;
-/// Share of matches that agree: above the first poses are good, below the second they are wrong.
+/// Share of matches that agree: above the first poses are good, below the second those of a static scene are wrong.
 const GOOD_SHARE: f64 = 0.45;
 const BAD_SHARE: f64 = 0.2;
+/// Fewest matches of the median pair of a static scene whose poses are called wrong: fewer may all be chance.
+const MIN_PAIR_MATCHES: usize = 15;
 /// Factors on the focal length that are tried.
-const FOCAL_FACTORS: [f64; 8] = [0.5, 0.6, 0.7, 0.8, 1.25, 1.45, 1.7, 2.0];
+const FOCAL_FACTORS: [f64; 10] = [0.5, 0.6, 0.7, 0.77, 0.84, 1.2, 1.3, 1.45, 1.7, 2.0];
+/// Another reading or focal length must have at least this share of the matches,
+const MIN_OTHER_SHARE: f64 = 0.3;
+/// and so many times as many as now: of readings, and of focal lengths, whose matches are also compared one by one.
+const READING_GAIN: f64 = 2.0;
+const FOCAL_GAIN: f64 = 1.15;
+/// Standard deviations by which more matches are won than lost.
+const FOCAL_DEVIATIONS: f64 = 6.0;
+/// Share of the faults tried that must be found before the check is said to find them.
+const SURE: f64 = 0.9;
+/// Turns that are tried, degrees.
+const TURNS: [f64; 3] = [3.0, 5.0, 10.0];
+/// Most views accused one by one; of more, the whole is in doubt.
+const MAX_ACCUSED: f64 = 0.25;
+/// Most accused views that are shown.
+const MAX_SHOWN: usize = 6;
 
-/// Two views and the pixels of their matched corners.
-struct Match {
-    views: [usize; 2],
-    points: Vec<[DVec2; 2]>,
-}
+/// A view by split and index.
+type Place = (Split, usize);
 
-/// All matches of a data set, in pixels of the reduced images.
-struct Matches<'a> {
-    views: Vec<&'a View>,
-    cameras: Vec<Camera>,
-    pairs: Vec<Match>,
-    /// Largest error of a match that agrees, pixels.
-    tolerance: f64,
-}
-
-/// Checks poses; returns one figure of matched images.
+/// Checks poses; returns figures of matched images and of accused views.
 pub(super) fn check(
     data: &Dataset,
     small_images: &ImageCache,
     silhouettes: Option<&Silhouettes>,
 ) -> (Vec<Finding>, Vec<Figure>) {
-    let mut findings = rig(data);
-    let matches = Matches::find(data, small_images);
-    let (found, unsure) = matches.findings(small_images.scale());
+    let mut findings = rig::check(data);
+    let views = Views::of(data);
+    let middle = focus(&data.train);
+    let matches = Matches::find(views.list(data), small_images, middle);
+    let whole = matches.findings(small_images.scale(), data.dynamic);
     let by_silhouettes = silhouettes.map_or(Vec::new(), Silhouettes::findings);
+    let wrong = |f: &Finding| f.verdict == Verdict::Problem;
+    if whole.iter().chain(&by_silhouettes).any(wrong) {
+        // Views mean nothing one by one where all are wrong.
+        findings.extend(whole);
+        findings.extend(by_silhouettes);
+        return (findings, matches.figure(None, small_images).into_iter().collect());
+    }
+    let singles = Singles {
+        data,
+        views: &views,
+        corners: CornerFit::new(&matches, middle, data.dynamic),
+        hull: silhouettes.and_then(HullFit::of),
+        silhouettes,
+    };
+    let (accused, doubt) = singles.accused();
     // Silhouettes may settle what corners cannot.
-    let sound = by_silhouettes.iter().any(|f| f.verdict == Verdict::Ok);
-    if !(unsure && sound) {
-        findings.extend(found);
-    }
+    let settled = by_silhouettes.iter().any(|f| f.verdict == Verdict::Ok);
+    findings.extend(whole.into_iter().filter(|f| f.verdict == Verdict::Ok || !settled));
     findings.extend(by_silhouettes);
-    (findings, matches.figure(small_images).into_iter().collect())
+    let mut shown: Vec<Figure> = accused
+        .keys()
+        .take(MAX_SHOWN)
+        .filter_map(|p| singles.figure(*p, &accused[p], &matches, small_images))
+        .collect();
+    findings.extend(doubt);
+    findings.extend(singles.finding(&accused));
+    findings.push(singles.power(&matches));
+    shown.extend(matches.figure(None, small_images));
+    (findings, shown)
 }
 
-/// Checks of camera positions: spread, outliers, scale.
-fn rig(data: &Dataset) -> Vec<Finding> {
-    let centres: Vec<DVec3> = data.train.iter().map(|v| v.camera.position()).collect();
-    let middle = centres.iter().sum::<DVec3>() / centres.len() as f64;
-    let away: Vec<f64> = centres.iter().map(|c| c.distance(middle)).collect();
-    let (extent, usual) = (away.iter().copied().fold(0.0, f64::max), median(&away));
-    let spread = |v: &[f64]| format!("{:.3}", v.iter().copied().fold(0.0, f64::max));
-    let mut out = Vec::new();
-    if extent < 1e-6 {
-        let fix = "give images from several places; gs4d train learns no depth from one";
-        out.push(
-            Finding::new("poses", "poses.still", Verdict::Warning, "all training views are taken from one place")
-                .fix(fix),
-        );
-    } else {
-        let far: Vec<&str> = data
-            .train
-            .iter()
-            .zip(&away)
-            .filter(|(_, d)| **d > 8.0 * usual.max(1e-9))
-            .map(|(v, _)| v.name.as_str())
-            .collect();
-        if !far.is_empty() && usual > 0.0 {
-            let what = format!(
-                "{} of {} cameras stand more than eight times farther out than usual ({} against {usual:.3})",
-                far.len(),
-                centres.len(),
-                spread(&away)
-            );
-            let fix = "check the units of their translations, or remove these views";
-            out.push(Finding::new("poses", "poses.far", Verdict::Problem, what).at(far).fix(fix));
+/// What is held against single views.
+struct Singles<'a, 'm, 'v> {
+    data: &'a Dataset,
+    views: &'a Views,
+    corners: CornerFit<'m, 'v>,
+    hull: Option<HullFit<'a>>,
+    silhouettes: Option<&'a Silhouettes>,
+}
+
+impl Singles<'_, '_, '_> {
+    fn name(&self, (split, index): Place) -> &str {
+        &self.data.views(split)[index].name
+    }
+
+    /// The view of a silhouette.
+    fn of_shape(&self, k: usize) -> Place {
+        let (split, shape) = &self.silhouettes.expect("a hull was fitted to silhouettes").shapes[k];
+        (*split, shape.index)
+    }
+
+    /// Reasons by view, and a finding where so many are accused that single views cannot be the fault.
+    fn accused(&self) -> (BTreeMap<Place, Vec<String>>, Option<Finding>) {
+        let mut out: BTreeMap<Place, Vec<String>> = BTreeMap::new();
+        for wrong in self.hull.as_ref().map_or(Vec::new(), HullFit::wrong) {
+            match wrong {
+                Wrong::Exchanged(i, j) => {
+                    let [a, b] = [i, j].map(|k| self.of_shape(k));
+                    out.entry(a).or_default().push(format!("has the pose of {}", self.name(b)));
+                    out.entry(b).or_default().push(format!("has the pose of {}", self.name(a)));
+                }
+                Wrong::Turned(k, by) => {
+                    out.entry(self.of_shape(k)).or_default().push(format!("looks about {by:.0} degrees elsewhere"));
+                }
+                Wrong::Foreign(k) => {
+                    out.entry(self.of_shape(k)).or_default().push("shows something that the others do not".to_owned());
+                }
+            }
         }
+        let (mut elsewhere, asked) = self.corners.wrong();
+        // Corners of what moves agree with another pose, too, but such a view fits the hull.
+        elsewhere.retain(|e| self.doubted_by_hull(self.views.0[e.view]));
+        let many = elsewhere.len() > 3 && elsewhere.len() as f64 > MAX_ACCUSED * self.views.0.len() as f64;
+        if many {
+            let what = format!(
+                "the corners of {} of {asked} views agree with other poses than their own: the poses are not those of these images",
+                elsewhere.len()
+            );
+            let fix = "check that images and poses are in the same order, or reconstruct the poses again";
+            return (out, Some(Finding::new("poses", "poses.disagree", Verdict::Problem, what).fix(fix)));
+        }
+        for Elsewhere { view, shares: [own, other], degrees } in elsewhere {
+            let why = format!(
+                "{:.0} % of its corners agree with its pose, {:.0} % with one turned by {degrees:.0} degrees",
+                100.0 * own,
+                100.0 * other
+            );
+            out.entry(self.views.0[view]).or_default().push(why);
+        }
+        (out, None)
     }
-    let size = data.scene_extent();
-    if !(1e-3..=1e4).contains(&size) {
-        let what = format!(
-            "the cameras span {size:.3e} units: learning rates and the near plane are made for scenes of about 1 to 100"
-        );
-        out.push(
-            Finding::new("poses", "poses.scale", Verdict::Warning, what)
-                .fix("scale all translations and points by one factor"),
-        );
+
+    fn doubted_by_hull(&self, place: Place) -> bool {
+        let shapes = self.silhouettes.map_or(&[][..], |s| &s.shapes);
+        let shape = shapes.iter().position(|(split, h)| (*split, h.index) == place);
+        self.hull.as_ref().zip(shape).is_none_or(|(hull, k)| hull.is_doubtful(k))
     }
-    out
+
+    fn finding(&self, accused: &BTreeMap<Place, Vec<String>>) -> Option<Finding> {
+        if accused.is_empty() {
+            return None;
+        }
+        let split = |s: Split| match s {
+            Split::Train => "",
+            Split::Val => " (validation)",
+            Split::Test | Split::Extrapolate => " (test)",
+        };
+        let places = accused.iter().map(|(p, why)| format!("{}{}: {}", self.name(*p), split(p.0), why.join(", and ")));
+        let what = match accused.len() {
+            1 => "the image of 1 view does not fit its pose".to_owned(),
+            n => format!("the images of {n} views do not fit their poses"),
+        };
+        let fix = "compare the images with the figures; correct these poses, or remove these views from the file";
+        Some(Finding::new("poses", "poses.view", Verdict::Problem, what).at(places).fix(fix))
+    }
+
+    /// What these checks would find, by faults put into the data's own poses.
+    fn power(&self, matches: &Matches<'_>) -> Finding {
+        let by_either = |degrees: f64| {
+            let hull = self.hull.as_ref().map_or(Found::default(), |h| h.turns_found(degrees));
+            let corners = self.corners.turns_found(degrees);
+            if hull.share() > corners.share() { hull } else { corners }
+        };
+        let mut told: Vec<String> =
+            TURNS.into_iter().map(|d| by_either(d).text(&format!("turned by {d} degrees"))).collect();
+        let turned = TURNS.into_iter().any(|d| by_either(d).share() >= SURE);
+        if let Some(hull) = &self.hull {
+            told.push(hull.exchanges_found().text("exchanged for another"));
+            told.push(hull.foreign_found().text("of an image of something else"));
+        }
+        let focal = matches.focal_found();
+        let focal = if focal { "would" } else { "would not" };
+        let text =
+            format!("a single pose would be found wrong if {}; focal lengths off by a fifth {focal}", told.join(", "));
+        if turned {
+            return Finding::new("poses", "poses.power", Verdict::Ok, text);
+        }
+        Finding::new(
+            "poses",
+            "poses.unsure",
+            Verdict::Note,
+            format!("single wrong poses cannot be told from these images: {text}"),
+        )
+        .fix("look at the report's worst views after a short training: a view whose pose is wrong is among them")
+    }
+
+    /// An accused view against what the others say.
+    fn figure(&self, place: Place, why: &[String], matches: &Matches<'_>, small_images: &ImageCache) -> Option<Figure> {
+        let caption = |how: &str| format!("{}: {} ({how})", self.name(place), why.join(", and "));
+        let shape = self.silhouettes.and_then(|s| s.shapes.iter().find(|(split, h)| (*split, h.index) == place));
+        if let (Some((_, shape)), Some(s)) = (shape, self.silhouettes) {
+            let image = figures::beside_hull(&shape.image, &s.carved.render(&shape.camera));
+            return Some(Figure {
+                topic: "poses",
+                caption: caption("left the image, right what the others show from its pose"),
+                image,
+            });
+        }
+        let view = self.views.0.iter().position(|p| *p == place)?;
+        let mut figure = matches.figure(Some(view), small_images)?;
+        figure.caption = caption("corners and their partners: red ones disagree with its pose");
+        Some(figure)
+    }
 }
 
-impl<'a> Matches<'a> {
-    fn find(data: &'a Dataset, small_images: &ImageCache) -> Self {
-        let count = data.train.len().min(MAX_VIEWS);
-        let views: Vec<&View> = (0..count).map(|k| &data.train[k * data.train.len() / count]).collect();
-        let cameras: Vec<Camera> = views.iter().map(|v| small_images.camera(v)).collect();
-        let found: Vec<Vec<Corner>> = views.par_iter().map(|v| corners_of(v, small_images)).collect();
-        let mut wanted: Vec<[usize; 2]> = neighbours(&views, focus(&data.train));
-        wanted.sort_unstable();
-        wanted.dedup();
-        let of = |views: [usize; 2]| {
-            let [a, b] = views.map(|i| &found[i]);
-            let at = |c: &Corner| DVec2::from(c.at);
-            let points = match_corners(a, b).into_iter().map(|(i, j)| [at(&a[i]), at(&b[j])]).collect();
-            Match { views, points }
-        };
-        let pairs = wanted.into_iter().map(of).collect();
-        Self { tolerance: tolerance(&cameras), pairs, views, cameras }
+impl Found {
+    fn share(self) -> f64 {
+        self.found as f64 / self.tried.max(1) as f64
     }
 
-    fn count(&self) -> usize {
-        self.pairs.iter().map(|p| p.points.len()).sum()
+    /// For example `turned by 5 degrees (12 of 12 tried)`.
+    fn text(self, what: &str) -> String {
+        format!("{what} ({} of {} tried)", self.found, self.tried)
     }
+}
 
-    /// The error of each match under changed cameras; infinite behind one of them.
-    fn errors(&self, camera: &dyn Fn(&Camera) -> Camera) -> Vec<Vec<f64>> {
-        let cameras: Vec<Camera> = self.cameras.iter().map(camera).collect();
-        let of = |m: &Match| {
-            let [a, b] = m.views.map(|i| &cameras[i]);
-            let pair = Pair::new(a, b);
-            m.points.iter().map(|p| pair.error(*p)).collect()
-        };
-        self.pairs.iter().map(of).collect()
-    }
-
+impl Matches<'_> {
     fn share(&self, camera: &dyn Fn(&Camera) -> Camera) -> f64 {
         share(self.errors(camera).iter().flatten(), self.tolerance)
     }
 
-    /// Findings on the poses, and whether the matches were inconclusive.
-    fn findings(&self, scale: f64) -> (Vec<Finding>, bool) {
+    /// Findings on all poses together.
+    fn findings(&self, scale: f64, dynamic: bool) -> Vec<Finding> {
         let count = self.count();
         if count < MIN_PAIRS {
             let what =
                 format!("only {count} corners have a partner in a neighbouring image: poses cannot be checked by them");
-            return (vec![Finding::new("poses", "poses.unchecked", Verdict::Note, what)], true);
+            return vec![Finding::new("poses", "poses.unchecked", Verdict::Note, what)];
         }
         let errors = self.errors(&|c| c.clone());
         let now = share(errors.iter().flatten(), self.tolerance);
@@ -171,63 +257,74 @@ impl<'a> Matches<'a> {
             format!(", {:.2} px off (median of these, at full size)", median(&near) / scale)
         };
         let text = format!("{:.0} % of {count} matched corners agree with the poses{off}", 100.0 * now);
-        let best = |list: Vec<(f64, String, String)>| list.into_iter().max_by(|a, b| a.0.total_cmp(&b.0));
-        let readings =
-            PoseReading::ALL.iter().map(|s| (self.share(&|c| s.camera(c)), s.what().to_owned(), s.fix().to_owned()));
-        let focal = |f: f64| {
-            let other = self.share(&|c| Camera { fx: f * c.fx, fy: f * c.fy, ..c.clone() });
-            let what = format!("and focal lengths of {f} times what they are");
-            (other, what, "check the focal length, or the field of view and the size of image it belongs to".to_owned())
-        };
-        for (code, others, factor) in [
-            ("poses.convention", best(readings.collect()), 2.0),
-            ("poses.focal", best(FOCAL_FACTORS.into_iter().map(focal).collect()), 1.4),
-        ] {
-            if let Some((other, what, fix)) = others.filter(|o| o.0 >= 0.3 && o.0 > factor * now) {
-                let what = format!("{text}; with poses {what} it would be {:.0} %", 100.0 * other);
-                return (vec![Finding::new("poses", code, Verdict::Problem, what).fix(fix)], false);
-            }
-        }
-        let wrong = self.wrong_views(&errors);
-        if now >= GOOD_SHARE && !wrong.is_empty() {
-            let what = format!(
-                "{text}, but hardly any of {} views: their poses or times are not those of the others",
-                wrong.len()
-            );
-            let finding = Finding::new("poses", "poses.view", Verdict::Problem, what);
-            return (vec![finding.at(wrong).fix("correct these poses, or remove these views from the file")], false);
+        if let Some((what, other, fix)) = self.better_reading(now).or_else(|| self.better_focal(&errors)) {
+            let code = if what.starts_with("focal") { "poses.focal" } else { "poses.convention" };
+            let what = format!("{text}; with {what} it would be {:.0} %", 100.0 * other);
+            return vec![Finding::new("poses", code, Verdict::Problem, what).fix(fix)];
         }
         if now >= GOOD_SHARE {
-            return (vec![Finding::ok("poses", text)], false);
+            return vec![Finding::ok("poses", text)];
         }
-        let fix = "check at the pair of images below: if lines miss what they should meet, reconstruct the poses again";
-        let verdict = if now < BAD_SHARE { Verdict::Problem } else { Verdict::Note };
-        let why = if now < BAD_SHARE { "" } else { "; what moves, and what repeats, never agrees" };
-        (vec![Finding::new("poses", "poses.disagree", verdict, text + why).fix(fix)], false)
+        let counts: Vec<f64> = self.pairs.iter().map(|p| p.points.len() as f64).collect();
+        if now < BAD_SHARE && !dynamic && median(&counts) >= MIN_PAIR_MATCHES as f64 {
+            let fix =
+                "check at the pair of images below: if lines miss what they should meet, reconstruct the poses again";
+            return vec![Finding::new("poses", "poses.disagree", Verdict::Problem, text).fix(fix)];
+        }
+        let what = format!(
+            "{text}; what moves, and what repeats, never agrees: corners say nothing against the poses, and little for them"
+        );
+        vec![Finding::new("poses", "poses.corners", Verdict::Note, what)]
     }
 
-    /// Names of views whose matches all disagree although their neighbours agree with others.
-    fn wrong_views(&self, errors: &[Vec<f64>]) -> Vec<String> {
-        let mut sums = vec![(0usize, 0usize); self.views.len()];
-        for (m, errors) in self.pairs.iter().zip(errors) {
-            let near = errors.iter().filter(|e| **e < self.tolerance).count();
-            for i in m.views {
-                sums[i] = (sums[i].0 + near, sums[i].1 + errors.len());
+    /// Another reading of the poses that explains far more: what, its share, and what to do.
+    fn better_reading(&self, now: f64) -> Option<(String, f64, String)> {
+        let of = PoseReading::ALL.iter().map(|s| (self.share(&|c| s.camera(c)), s));
+        let (other, s) = of.max_by(|a, b| a.0.total_cmp(&b.0))?;
+        (other >= MIN_OTHER_SHARE && other > READING_GAIN * now)
+            .then(|| (format!("poses {}", s.what()), other, s.fix().to_owned()))
+    }
+
+    /// Another focal length that explains more, counted match by match (McNemar 1947).
+    fn better_focal(&self, errors: &[Vec<f64>]) -> Option<(String, f64, String)> {
+        let of = FOCAL_FACTORS.into_iter().map(|f| (self.with_focal(f), f));
+        let of = of.map(|(e, f)| (share(e.iter().flatten(), self.tolerance), f, e));
+        let (other, f, there) = of.max_by(|a, b| a.0.total_cmp(&b.0))?;
+        (other >= MIN_OTHER_SHARE && self.clearly_more(errors, &there)).then(|| {
+            let what = format!("focal lengths of {f} times what they are");
+            (what, other, "check the focal length, or the field of view and the size of image it belongs to".to_owned())
+        })
+    }
+
+    fn with_focal(&self, f: f64) -> Vec<Vec<f64>> {
+        self.errors(&|c| Camera { fx: f * c.fx, fy: f * c.fy, ..c.clone() })
+    }
+
+    /// Whether `there` has clearly more matches that agree than `here`.
+    fn clearly_more(&self, here: &[Vec<f64>], there: &[Vec<f64>]) -> bool {
+        let [mut won, mut lost, mut kept] = [0.0; 3];
+        for (a, b) in here.iter().flatten().zip(there.iter().flatten()) {
+            match (*a < self.tolerance, *b < self.tolerance) {
+                (false, true) => won += 1.0,
+                (true, false) => lost += 1.0,
+                (true, true) => kept += 1.0,
+                (false, false) => {}
             }
         }
-        let of = |i: usize| sums[i].0 as f64 / sums[i].1.max(1) as f64;
-        let bad = |i: usize| sums[i].1 >= MIN_VIEW_PAIRS && of(i) < 0.5 * BAD_SHARE;
-        let has_good_neighbour = |i: usize| {
-            let mut neighbours =
-                self.pairs.iter().filter(|m| m.views.contains(&i)).map(|m| m.views[usize::from(m.views[0] == i)]);
-            neighbours.any(|j| !bad(j))
-        };
-        (0..sums.len()).filter(|&i| bad(i) && has_good_neighbour(i)).map(|i| self.views[i].name.clone()).collect()
+        won - lost > FOCAL_DEVIATIONS * f64::sqrt(won + lost) && won + kept > FOCAL_GAIN * (lost + kept)
     }
 
-    /// The pair with the most matches, coloured by whether they agree.
-    fn figure(&self, small_images: &ImageCache) -> Option<Figure> {
-        let best = self.pairs.iter().max_by_key(|m| m.points.len()).filter(|m| m.points.len() >= 8)?;
+    /// Whether focal lengths a fifth too long or too short would be found.
+    fn focal_found(&self) -> bool {
+        let right = self.errors(&|c| c.clone());
+        share(right.iter().flatten(), self.tolerance) >= MIN_OTHER_SHARE
+            && [1.2, 1.0 / 1.2].into_iter().all(|f| self.clearly_more(&self.with_focal(f), &right))
+    }
+
+    /// The pair with the most matches, of a view or of all, coloured by whether they agree.
+    fn figure(&self, view: Option<usize>, small_images: &ImageCache) -> Option<Figure> {
+        let pairs = self.pairs.iter().filter(|m| view.is_none_or(|v| m.views.contains(&v)));
+        let best = pairs.max_by_key(|m| m.points.len()).filter(|m| m.points.len() >= 8)?;
         let images: Vec<Image> = best
             .views
             .iter()
@@ -256,93 +353,12 @@ fn share<'e>(errors: impl Iterator<Item = &'e f64>, tolerance: f64) -> f64 {
     near as f64 / all.max(1) as f64
 }
 
-/// Largest error of a match that agrees, pixels, for these cameras.
-fn tolerance(cameras: &[Camera]) -> f64 {
-    let side = cameras.iter().map(|c| c.width.max(c.height)).max().unwrap_or(1);
-    (TOLERANCE_SHARE * f64::from(side)).max(MIN_TOLERANCE)
-}
-
-/// The corners of a view's reduced image.
-fn corners_of(v: &View, small_images: &ImageCache) -> Vec<Corner> {
-    let Ok(image) = small_images.get(v) else { return Vec::new() };
-    let over = image.over([0.5; 3]);
-    let grey = over.data.as_chunks().0.iter().map(|p| luma(*p)).collect();
-    let inside: Vec<bool> = image.data.chunks_exact(4).map(|p| p[3] > 200).collect();
-    corners(&Image { width: over.width, height: over.height, channels: 1, data: grey }, &inside)
-}
-
-/// For each view the nearest others at another position, as ordered pairs.
-fn neighbours(views: &[&View], middle: DVec3) -> Vec<[usize; 2]> {
-    let towards: Vec<DVec3> = views.iter().map(|v| (v.camera.position() - middle).normalize_or_zero()).collect();
-    let apart = |i: usize, j: usize| {
-        let angle = towards[i].dot(towards[j]).clamp(-1.0, 1.0).acos();
-        let turn = views[i].camera.rotation * views[j].camera.rotation.transpose();
-        let turned = (0.5 * (turn.x_axis.x + turn.y_axis.y + turn.z_axis.z - 1.0)).clamp(-1.0, 1.0).acos();
-        let late = f64::from((views[i].time.normalised - views[j].time.normalised).abs());
-        let near = if angle < MIN_ANGLE { 1.0 } else { 0.0 };
-        let elsewhere = views[i].camera.position().distance(views[j].camera.position()) > 1e-6;
-        (elsewhere && angle.max(turned) < MAX_ANGLE).then_some(angle + turned + 3.0 * late + near)
-    };
-    let of = |i: usize| {
-        let others = (0..views.len()).filter(|&j| j != i);
-        let mut others: Vec<(f64, usize)> = others.filter_map(|j| Some((apart(i, j)?, j))).collect();
-        others.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        others.into_iter().take(NEIGHBOURS).map(move |(_, j)| [i.min(j), i.max(j)])
-    };
-    (0..views.len()).flat_map(of).collect()
-}
-
-/// The epipolar geometry of two cameras.
-struct Pair {
-    fundamental: DMat3,
-    rays: [DMat3; 2],
-    turn: DMat3,
-    shift: DVec3,
-}
-
-impl Pair {
-    fn new(a: &Camera, b: &Camera) -> Self {
-        let turn = b.rotation * a.rotation.transpose();
-        let t = b.translation - turn * a.translation;
-        let cross =
-            DMat3::from_cols(DVec3::new(0.0, t.z, -t.y), DVec3::new(-t.z, 0.0, t.x), DVec3::new(t.y, -t.x, 0.0));
-        let ray = |c: &Camera| {
-            DMat3::from_cols(DVec3::X / c.fx, DVec3::Y / c.fy, DVec3::new(-c.cx / c.fx, -c.cy / c.fy, 1.0))
-        };
-        let rays = [ray(a), ray(b)];
-        Self { fundamental: rays[1].transpose() * cross * turn * rays[0], rays, turn, shift: t }
-    }
-
-    /// Sampson distance, pixels; infinite if the point is behind a camera.
-    fn error(&self, [a, b]: [DVec2; 2]) -> f64 {
-        let (x, y) = (a.extend(1.0), b.extend(1.0));
-        let (forth, back) = (self.fundamental * x, self.fundamental.transpose() * y);
-        let lines = forth.truncate().length_squared() + back.truncate().length_squared();
-        if lines < 1e-24 {
-            return f64::INFINITY;
-        }
-        if self.behind(x, y) {
-            return f64::INFINITY;
-        }
-        y.dot(forth).abs() / lines.sqrt()
-    }
-
-    /// Whether the rays of two pixels meet behind a camera, as far as they meet at all: `z₂ r₂ = z₁ R r₁ + t`.
-    fn behind(&self, x: DVec3, y: DVec3) -> bool {
-        let (p, q) = (self.turn * (self.rays[0] * x), self.rays[1] * y);
-        let across = p.cross(q);
-        if across.length() < MIN_PARALLAX * p.length() * q.length() {
-            return false;
-        }
-        let depth = |other: DVec3| self.shift.cross(other).dot(across) / across.length_squared();
-        // From z₁ p + t = z₂ q, crossed with q and with p.
-        -depth(q) < 0.0 || -depth(p) < 0.0
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use super::super::matching::Match;
     use super::*;
+    use glam::{DMat3, DVec3};
+    use gs_data::View;
 
     fn cameras() -> [Camera; 2] {
         let look =
@@ -393,8 +409,8 @@ mod tests {
     #[track_caller]
     fn finding(mistake: impl Fn(usize, &Camera) -> Camera) -> Finding {
         let (views, cameras, pairs) = seen(mistake);
-        let matches = Matches { views: views.iter().collect(), tolerance: tolerance(&cameras), cameras, pairs };
-        matches.findings(1.0).0.remove(0)
+        let matches = Matches::of_points(views.iter().collect(), cameras, pairs);
+        matches.findings(1.0, false).remove(0)
     }
 
     #[test]
@@ -405,9 +421,21 @@ mod tests {
         for s in PoseReading::ALL {
             assert_eq!(finding(|_, c| s.camera(c)).code, "poses.convention", "{s:?}");
         }
-        let turned = glam::DMat3::from_rotation_z(0.5);
-        let one =
-            finding(|k, c| if k == 0 { Camera { rotation: turned * c.rotation, ..c.clone() } } else { c.clone() });
-        assert!(one.code == "poses.view" && one.places == ["v0"], "{one:?}");
+    }
+
+    #[test]
+    fn a_view_that_its_matches_place_elsewhere_is_told() {
+        let turned = |degrees: f64| DMat3::from_rotation_y(degrees.to_radians());
+        let mistake = |k: usize, c: &Camera| {
+            let turned = turned(6.0);
+            let there = Camera { rotation: turned * c.rotation, translation: turned * c.translation, ..c.clone() };
+            if k == 2 { there } else { c.clone() }
+        };
+        let (views, cameras, pairs) = seen(mistake);
+        let matches = Matches::of_points(views.iter().collect(), cameras, pairs);
+        let fit = CornerFit::new(&matches, DVec3::new(0.0, 0.3, 0.4), false);
+        let wrong = fit.wrong_among(&|i| matches.of_view(i));
+        assert_eq!(wrong.iter().map(|w| w.view).collect::<Vec<_>>(), [2]);
+        assert!(wrong[0].shares[1] > 0.95 && (wrong[0].degrees - 6.0).abs() < 0.1, "{wrong:?}");
     }
 }

@@ -7,7 +7,7 @@
 mod fit;
 
 use fit::Fit;
-use gs_core::io::{IoError, Limits, RawSplats, SplatFormat, parse_splats, write_splats};
+use gs_core::io::{IoError, Limits, RawSplats, SplatFormat, load_splats, parse_splats, write_splats};
 use gs_core::splats::SplatsError;
 use gs_core::{Camera, Color, Splats, sh};
 use gs_data::View;
@@ -18,6 +18,7 @@ use gs_train::model::Model;
 use gs_train::ranks::Share;
 use gs_train::timestamp::Timestamp;
 use std::collections::HashMap;
+use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
 /// Most training cameras that view-dependent splats are averaged over.
@@ -54,15 +55,19 @@ pub enum ExportError {
 pub struct Baker<'a> {
     method: &'a Model,
     cameras: Vec<Camera>,
-    degree: u8,
+    degree: Option<u8>,
 }
 
+/// Degree of the SH that are fitted to colours of a network, unless another is asked for.
+const FITTED_DEGREE: u8 = 2;
+
 impl<'a> Baker<'a> {
-    /// Bakes over up to 24 of the cameras of `views`, evenly spaced, with SH up to `degree` (clamped to 3).
-    pub fn new(method: &'a Model, views: &[View], degree: u8) -> Self {
+    /// Bakes over up to 24 of the cameras of `views`, evenly spaced, with SH up to `degree` (at most 3); none: all that there are, and of
+    /// colours that depend on the camera in another way degree 2.
+    pub fn new(method: &'a Model, views: &[View], degree: Option<u8>) -> Self {
         let kept = views.len().clamp(1, MAX_CAMERAS);
         let cameras = (0..kept).filter_map(|k| views.get(k * views.len() / kept)).map(|v| v.camera.clone()).collect();
-        Self { method, cameras, degree: degree.min(sh::MAX_DEGREE) }
+        Self { method, cameras, degree: degree.map(|d| d.min(sh::MAX_DEGREE)) }
     }
 
     /// The visible splats (opacity of at least 1/255) at a timestamp, with the raw parameters of files.
@@ -77,7 +82,7 @@ impl<'a> Baker<'a> {
             return Err(ExportError::Empty { time });
         }
         let raw = RawSplats::from_splats(&rows(&splats, &visible));
-        Ok(cut(raw.map_err(|source| ExportError::Splats { time, source })?, self.degree))
+        Ok(cut(raw.map_err(|source| ExportError::Splats { time, source })?, self.degree.unwrap_or(sh::MAX_DEGREE)))
     }
 
     /// The splats, averaged over the cameras if they depend on the camera.
@@ -92,7 +97,7 @@ impl<'a> Baker<'a> {
         if !depends {
             return Ok(splats);
         }
-        let mut fit = Fit::new(&splats, self.degree);
+        let mut fit = Fit::new(&splats, self.degree.unwrap_or(FITTED_DEGREE));
         for camera in &self.cameras {
             fit.add(&self.method.all_splats(at, camera)?, camera);
         }
@@ -130,17 +135,37 @@ pub fn cut(mut raw: RawSplats, degree: u8) -> RawSplats {
     raw
 }
 
-/// A method as its files render it: every timestamp is baked, written and read back before it is rendered.
+/// A method as its files render it: a timestamp that a written file stands for is read from that file, any other is baked, written and
+/// read back before it is rendered.
 pub struct AsExported<'a> {
     baker: Baker<'a>,
     format: SplatFormat,
+    files: Vec<(f32, PathBuf)>,
     cache: Mutex<HashMap<u32, Splats>>,
 }
+
+/// Times that differ by no more are the same, normalised.
+const SAME_TIME: f32 = 1e-5;
 
 impl<'a> AsExported<'a> {
     /// The files of a baker in a format.
     pub fn new(baker: Baker<'a>, format: SplatFormat) -> Self {
-        Self { baker, format, cache: Mutex::default() }
+        Self { baker, format, files: Vec::new(), cache: Mutex::default() }
+    }
+
+    /// The same with files that are written: of several, the nearest in time stands for every timestamp from the first to
+    /// the last, as a player would show it; a single one for its own time.
+    pub fn with_files(self, mut files: Vec<(f32, PathBuf)>) -> Self {
+        files.sort_by(|a, b| a.0.total_cmp(&b.0));
+        Self { files, ..self }
+    }
+
+    /// The file that stands for a time, normalised.
+    pub fn file_at(&self, time: f32) -> Option<&Path> {
+        let (first, last) = (self.files.first()?.0, self.files.last()?.0);
+        let within = (first - SAME_TIME..=last + SAME_TIME).contains(&time);
+        let nearest = self.files.iter().min_by(|a, b| (a.0 - time).abs().total_cmp(&(b.0 - time).abs()));
+        nearest.filter(|_| within).map(|f| f.1.as_path())
     }
 
     /// The splats of a timestamp, through the bytes of a file.
@@ -153,7 +178,11 @@ impl<'a> AsExported<'a> {
         if let Some(splats) = cache.get(&key) {
             return Ok(splats.clone());
         }
-        let splats = self.round_trip(at)?;
+        let splats = match self.file_at(at.t.normalised) {
+            Some(file) => load_splats(file, &Limits::default())?,
+            None => self.round_trip(at)?,
+        };
+        let splats = splats.to_splats().map_err(|source| ExportError::Splats { time: at.t.normalised, source })?;
         cache.insert(key, splats.clone());
         Ok(splats)
     }
@@ -174,12 +203,11 @@ impl<'a> AsExported<'a> {
         evaluate_splats(self.baker.method, &splats, dataset, split, background, images, share)
     }
 
-    fn round_trip(&self, at: &Timestamp) -> Result<Splats, ExportError> {
+    fn round_trip(&self, at: &Timestamp) -> Result<RawSplats, ExportError> {
         let mut bytes = Vec::new();
         write_splats(self.format, &self.baker.bake(at)?, &mut bytes)?;
         let name = format!("timestamp.{}", self.format.extension());
-        let raw = parse_splats(&bytes, &name, &Limits::default())?;
-        raw.to_splats().map_err(|source| ExportError::Splats { time: at.t.normalised, source })
+        Ok(parse_splats(&bytes, &name, &Limits::default())?)
     }
 }
 

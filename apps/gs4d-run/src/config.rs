@@ -101,7 +101,7 @@ pub enum ConfigError {
         why: String,
     },
     /// Not of the form `key=value`.
-    #[error("`{0}` is not of the form key=value, for example density.until=5000")]
+    #[error("`{0}` is not of the form key=value, for example schedule.density.until=5000")]
     Assignment(String),
     /// The values do not make a valid configuration (a negative count, an unknown choice).
     #[error("settings are not valid: {0}")]

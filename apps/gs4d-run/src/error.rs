@@ -74,6 +74,14 @@ pub enum RunError {
         /// Folder of the data.
         path: PathBuf,
     },
+    /// All training views have one timestamp, and the method learns motion.
+    #[error("all training views of {} have one timestamp, and {method} learns motion", path.display())]
+    Static {
+        /// Folder of the data.
+        path: PathBuf,
+        /// The method.
+        method: String,
+    },
     /// A checkpoint of another method than the run's.
     #[error("{} is of method {found}; this run trains {method}", path.display())]
     OtherMethod {

@@ -19,7 +19,7 @@ pub mod memory;
 pub mod opened;
 pub mod orbit;
 mod overlays;
-mod provenance;
+pub mod provenance;
 pub mod ranks;
 mod saving;
 mod score_table;

@@ -16,7 +16,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 pub(crate) struct Machine {
     /// Version of this crate.
     pub(crate) version: &'static str,
-    /// Commit, if `GS4D_COMMIT` was set in the build.
+    /// Commit that it was built from, where that is known.
     pub(crate) commit: Option<&'static str>,
     /// Model name of the processor.
     pub(crate) cpu: String,
@@ -47,13 +47,16 @@ pub(crate) struct DataOrigin {
     pub(crate) notes: Vec<String>,
 }
 
+/// Commit that the program was built from: of the git checkout, or of `GS4D_COMMIT` in the environment of the build.
+pub const COMMIT: Option<&str> = option_env!("GS4D_COMMIT");
+
 impl Machine {
     /// This machine, with the rayon pool in scope.
     pub(crate) fn here() -> Self {
         let level = gs_raster::simd::level(SimdLevel::Auto);
         Self {
             version: env!("CARGO_PKG_VERSION"),
-            commit: option_env!("GS4D_COMMIT"),
+            commit: COMMIT,
             cpu: cpu_name(),
             threads: rayon::current_num_threads(),
             simd: gs_raster::simd::level_name(level),

@@ -126,7 +126,12 @@ pub fn defaults(registry: &Registry, method: &str) -> Result<Config, RunError> {
     table.extend(own.parse::<Table>().map_err(|e| ConfigError::Invalid(e.to_string()))?);
     let mut config = Config::of_table(&table);
     entry.defaults.iter().chain([&own.as_str()]).for_each(|layer| config.describe(layer));
-    for (key, example) in [("data.layout", "blender"), ("data.time_range", "0..1"), ("data.images", "images")] {
+    for (key, example) in [
+        ("data.layout", "blender"),
+        ("data.time_range", "0..1"),
+        ("data.time_shift", "4:-2,17:1"),
+        ("data.images", "images"),
+    ] {
         config.allow(key, example);
     }
     for (key, example) in [("data.fps", 30.0), ("data.time_boundary", 0.75)] {
@@ -282,6 +287,36 @@ impl Resolved {
     /// An image cache for the data set, at full size.
     pub fn images(&self) -> ImageCache {
         ImageCache::new(self.run.image_bytes(), 1.0).with_max_image_mib(self.data.max_image_mib)
+    }
+
+    /// The same settings with as many initial points as `scene.toml` of the data names, at most `schedule.density.max_splats`, unless
+    /// `init.points` was asked for.
+    ///
+    /// # Errors
+    /// As [`Self::of`]; those of reading the file.
+    pub fn with_start_points(self, dataset: &Dataset) -> Result<Self, RunError> {
+        const KEY: &str = "init.points";
+        let given = self.config.get(KEY).is_none_or(|s| !matches!(s.source, Source::Default | Source::Preset(_)));
+        match &dataset.points {
+            Some(points) if !given && gs_data::has_start_points(Path::new(&self.run.data))? => {
+                let most = self.config.get("schedule.density.max_splats").and_then(|s| s.value.as_integer());
+                let count = i64::try_from(points.positions.len()).unwrap_or(i64::MAX).min(most.unwrap_or(i64::MAX));
+                let mut config = self.config.clone();
+                config.put(KEY, count, Source::File("scene.toml of the data".into()))?;
+                Self::of(&self.registry, config)
+            }
+            _ => Ok(self),
+        }
+    }
+
+    /// Whether some stage of the schedule learns motion.
+    pub fn learns_motion(&self) -> bool {
+        let stages = self.method.get("schedule").and_then(|s| s.get("stages")).and_then(toml::Value::as_table);
+        let moves = |stage: &toml::Value| {
+            let steps = stage.get("steps").and_then(toml::Value::as_integer).unwrap_or(0);
+            steps > 0 && stage.get("dynamic").and_then(toml::Value::as_bool) == Some(true)
+        };
+        stages.is_some_and(|s| s.values().any(moves))
     }
 
     /// Steps of the whole recipe.

@@ -120,9 +120,13 @@ impl Training {
     /// Begins a run in a new folder.
     ///
     /// # Errors
-    /// If the folder is taken, the data or the method cannot be used.
+    /// If the folder is taken, the data or the method cannot be used, or nothing can move in the data and the method learns motion.
     pub fn begin(root: &Path, overwrite: bool, resolved: Resolved) -> Result<Self, RunError> {
         let dataset = Arc::new(resolved.open_data()?);
+        let resolved = resolved.with_start_points(&dataset)?;
+        if !dataset.dynamic && dataset.train.len() > 1 && dataset.avatar.is_none() && resolved.learns_motion() {
+            return Err(RunError::Static { path: dataset.root.clone(), method: resolved.run.method.clone() });
+        }
         Self::begin_on(root, overwrite, resolved, dataset, None)
     }
 

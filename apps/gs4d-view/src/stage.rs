@@ -6,6 +6,7 @@ use crate::scene::Scene;
 use gs_core::{Camera, Splats};
 use gs_data::{Dataset, ImageCache, View};
 use gs_raster::RasterOptions;
+use gs4d_eval::forecast::Clock;
 use gs4d_run::orbit::middle;
 use gs4d_run::{OpenRun, Training};
 use serde_json::{Value, json};
@@ -31,7 +32,8 @@ pub struct Show {
     /// Training timestamps, normalised, ascending.
     times: Vec<f32>,
     /// Seconds from normalised time 0 to 1.
-    seconds: f64,
+    /// The data's own time at normalised 0 and 1, where it is another.
+    clock: Option<[f64; 2]>,
     background: [f32; 3],
 }
 
@@ -79,7 +81,7 @@ impl Show {
     fn new(name: String, scene: Scene, options: RasterOptions, background: [f32; 3]) -> Self {
         let (scene, times) = (RwLock::new(Arc::new(scene)), vec![0.0]);
         let (checkpoints, images) = (None, None);
-        Self { name, scene, checkpoints, options, views: Vec::new(), images, times, seconds: 1.0, background }
+        Self { name, scene, checkpoints, options, views: Vec::new(), images, times, clock: None, background }
     }
 
     fn set_data(&mut self, data: &Dataset) {
@@ -93,8 +95,7 @@ impl Show {
         let mut times: Vec<f32> = data.train.iter().map(|v| v.time.normalised).collect();
         times.sort_by(f32::total_cmp);
         times.dedup();
-        let last = data.train.iter().max_by(|a, b| a.time.normalised.total_cmp(&b.time.normalised));
-        self.seconds = last.map_or(1.0, |v| v.time.seconds / f64::from(v.time.normalised.max(1e-6)));
+        self.clock = Clock::of(data).map(|c| [c.start, c.start + c.rate]);
         let kept = times.len().min(MAX_MARKS);
         self.times = (0..kept).map(|k| times[k * times.len() / kept]).collect();
         self.times.extend(times.last().filter(|t| self.times.last() != Some(t)));
@@ -136,9 +137,9 @@ impl Show {
         self.background
     }
 
-    /// Seconds from normalised time 0 to 1.
+    /// The data's own time from normalised 0 to 1, seconds where it has any.
     pub(crate) fn seconds(&self) -> f64 {
-        self.seconds
+        self.clock.map_or(1.0, |[start, end]| end - start)
     }
 
     /// Mean interval of training timestamps, normalised.
@@ -184,7 +185,7 @@ impl Show {
         };
         let centre = self.centre();
         let mut about = json!({
-            "name": self.name, "times": self.times, "seconds": self.seconds, "moving": self.moving(),
+            "name": self.name, "times": self.times, "seconds": self.seconds(), "clock": self.clock, "moving": self.moving(),
             "views": self.views.iter().map(view).collect::<Vec<_>>(),
             "centre": centre.0, "radius": centre.1, "joints": self.newest().avatar().map(pose::joints),
         });

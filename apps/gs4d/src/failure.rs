@@ -308,11 +308,13 @@ impl From<RunError> for Failure {
                 Self::new(Class::Data, "run", text).remedy("give the folder that gs4d train -o made")
             }
             RunError::NoSettings { .. } => {
-                Self::new(Class::Data, "run", text).remedy("give the run folder, or a file that gs4d compact made")
+                Self::new(Class::Data, "run", text).remedy("give the run folder, or a .gs4d file that gs4d export made")
             }
             RunError::DataGone { .. } => {
                 Self::new(Class::Data, "data.path", text).remedy("say where they are with --data DIR")
             }
+            RunError::Static { .. } => Self::new(Class::Data, "data.static", text)
+                .remedy("give times: --set data.time_from=name (the last number of each file name) or order; or train a method without motion: -m static3d"),
             RunError::DataChanged { .. } => Self::new(Class::Data, "data.changed", text)
                 .why("the run would not be the one that it says it is")
                 .remedy("bring the data back, or go on with --accept-changed-data, which provenance.json keeps"),

@@ -8,8 +8,10 @@
 #![warn(clippy::print_stderr, clippy::print_stdout, reason = "both panic where nobody reads them any more")]
 
 mod answer;
+mod encoder;
 mod failure;
 mod global;
+mod help;
 mod interrupt;
 mod opening;
 mod output;
@@ -20,7 +22,7 @@ mod verbs;
 use global::{Global, to_stderr};
 
 use answer::Answer;
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use failure::{Class, Failure};
 use gs_train::ranks::{Ranks, Share};
 use std::process::ExitCode;
@@ -28,7 +30,7 @@ use std::sync::Arc;
 
 /// Train moving Gaussian splat scenes from images; render them from any camera at any time. On the CPU.
 #[derive(Parser)]
-#[command(name = "gs4d", version, max_term_width = 110, after_help = EXIT_CODES)]
+#[command(name = "gs4d", version = help::version(), max_term_width = 110)]
 struct Cli {
     #[command(subcommand)]
     verb: Verb,
@@ -36,35 +38,53 @@ struct Cli {
     global: Global,
 }
 
-const EXIT_CODES: &str = "Exit codes: 0 done, 1 internal fault, 2 wrong usage, 3 invalid data, 4 numerical failure, \
-    5 resource limit, 6 input or output, 7 verification failed, 130 interrupted (state saved)";
-
 #[derive(Subcommand)]
 enum Verb {
     Demo(verbs::demo::Demo),
     Doctor(verbs::doctor::Doctor),
     Init(verbs::init::Init),
-    Synth(verbs::synth::Synth),
     Train(verbs::train::Train),
     Resume(verbs::resume::Resume),
     Eval(verbs::eval::Eval),
-    Compare(verbs::compare::Compare),
     Render(verbs::render::Render),
     View(verbs::view::View),
-    Forecast(verbs::forecast::ForecastVerb),
-    Glmd(verbs::glmd::Glmd),
-    Segment(verbs::segment::Segment),
-    Inspect(verbs::inspect::Inspect),
-    Compact(verbs::compact::Compact),
     Export(verbs::export::Export),
-    Methods(verbs::methods::Methods),
-    Config(verbs::config::ShowConfig),
-    Contest(verbs::contest::ContestVerb),
+    // The others are listed in groups: `help::GROUPS`.
+    #[command(hide = true)]
+    Compare(verbs::compare::Compare),
+    #[command(hide = true)]
     Continual(verbs::continual::ContinualVerb),
-    Sweep(verbs::sweep::SweepVerb),
+    #[command(hide = true)]
+    Methods(verbs::methods::Methods),
+    #[command(hide = true)]
+    Config(verbs::config::ShowConfig),
+    #[command(hide = true)]
+    Inspect(verbs::inspect::Inspect),
+    #[command(hide = true)]
+    Forecast(verbs::forecast::ForecastVerb),
+    #[command(hide = true)]
+    Segment(verbs::segment::Segment),
+    #[command(hide = true)]
+    Glmd(verbs::glmd::Glmd),
+    #[command(hide = true)]
+    Synth(verbs::synth::Synth),
+    #[command(hide = true)]
     Pose(verbs::pose::PoseVerb),
+    #[command(hide = true)]
     Lab(verbs::lab::Lab),
+    #[command(hide = true)]
     Bench(verbs::bench::Bench),
+    #[command(hide = true)]
+    Completions(verbs::shell::Completions),
+    #[command(hide = true)]
+    Man(verbs::shell::Man),
+    // Older names.
+    #[command(hide = true)]
+    Contest(verbs::contest::ContestVerb),
+    #[command(hide = true)]
+    Sweep(verbs::sweep::SweepVerb),
+    #[command(hide = true)]
+    Compact(verbs::compact::Compact),
 }
 
 impl Verb {
@@ -102,17 +122,41 @@ fn run(cli: Cli) -> Result<Answer, Failure> {
         Verb::Glmd(verb) => verb.run(global),
         Verb::Segment(verb) => verb.run(global),
         Verb::Inspect(verb) => verb.run(global),
-        Verb::Compact(verb) => verb.run(global),
+        Verb::Completions(verb) => verb.run(),
+        Verb::Man(verb) => verb.run(),
+        Verb::Compact(verb) => renamed("compact", "export -o NAME.gs4d", global, |global| verb.run(global)),
         Verb::Export(verb) => verb.run(global),
         Verb::Methods(verb) => Ok(verb.run()),
         Verb::Config(verb) => verb.run(),
-        Verb::Contest(verb) => verb.run(global),
+        Verb::Contest(verb) => renamed("contest", "compare methods", global, |global| verb.run(global)),
         Verb::Continual(verb) => verb.run(global),
-        Verb::Sweep(verb) => verb.run(global),
+        Verb::Sweep(verb) => renamed("sweep", "compare settings", global, |global| verb.run(global)),
         Verb::Pose(verb) => verb.run(global),
         Verb::Lab(verb) => verb.run(global),
         Verb::Bench(verb) => verb.run(global),
     }
+}
+
+/// Runs a verb by its older name, and says so.
+fn renamed(
+    old: &str,
+    new: &str,
+    global: &Global,
+    run: impl FnOnce(&Global) -> Result<Answer, Failure>,
+) -> Result<Answer, Failure> {
+    global.say(format!("gs4d {old} is gs4d {new} now; the older name goes with the next version"));
+    run(global)
+}
+
+/// The whole command line, with its help.
+fn command() -> clap::Command {
+    let command = Cli::command();
+    let help = help::after(&command);
+    command.after_help(help)
+}
+
+fn parsed() -> Result<Cli, clap::Error> {
+    Cli::from_arg_matches(&command().try_get_matches()?)
 }
 
 /// Runs the command line of this process, with the other `ranks`; gives its exit code. `train` and `resume` are done by all ranks
@@ -134,7 +178,7 @@ pub fn main(ranks: Arc<dyn Ranks>) -> ExitCode {
 
 /// What the first rank does.
 fn lead(ranks: &Arc<dyn Ranks>) -> u8 {
-    let code = match Cli::try_parse() {
+    let code = match parsed() {
         Err(e) => {
             // A closed pipe (`| head`) is no failure.
             let _ = e.print();
@@ -165,7 +209,7 @@ fn lead(ranks: &Arc<dyn Ranks>) -> u8 {
 
 /// What the other ranks do: they ignore signals, which the first rank answers for all, and print nothing that it prints.
 fn follow(ranks: &Arc<dyn Ranks>) -> u8 {
-    let cli = Cli::try_parse();
+    let cli = parsed();
     let ready = set_threads(cli.as_ref().ok().and_then(|cli| cli.global.threads)).and_then(|()| interrupt::ignore());
     let shared = || {
         if let Ok(cli) = cli {

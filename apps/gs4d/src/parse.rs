@@ -70,6 +70,22 @@ pub fn color(text: &str) -> Result<[f32; 3], String> {
     }
 }
 
+/// `1920x1080`: width and height, pixels.
+pub fn size(text: &str) -> Result<[u32; 2], String> {
+    let side = |part: &str| part.trim().parse::<u32>().ok().filter(|n| (1..=MAX_SIDE).contains(n));
+    let sides = text.split_once(['x', 'X', '×']).and_then(|(w, h)| Some([side(w)?, side(h)?]));
+    sides.ok_or_else(|| format!("give WIDTHxHEIGHT with sides from 1 to {MAX_SIDE}, for example 1920x1080"))
+}
+
+/// Longest side of an image, pixels.
+const MAX_SIDE: u32 = 16_384;
+
+/// An angle of view, degrees.
+pub fn field_of_view(text: &str) -> Result<f64, String> {
+    let degrees = text.trim().parse::<f64>().ok().filter(|v| (1.0..=170.0).contains(v));
+    degrees.ok_or_else(|| "give degrees from 1 to 170, for example 60".to_owned())
+}
+
 /// A time such as `90`, `90s`, `10m` or `1.5h`.
 pub fn duration(text: &str) -> Result<Duration, String> {
     let text = text.trim();
@@ -108,6 +124,11 @@ mod tests {
         for bad in ["", "0..1", "0..1:0", "0..nan:3", "0..1:-2", "0..1:99999", "x"] {
             assert!(times(bad).is_err(), "{bad}");
         }
+        assert_eq!((size("1920x1080").unwrap(), size("7X9").unwrap()), ([1920, 1080], [7, 9]));
+        for bad in ["", "1920", "0x5", "5x", "-1x5", "99999x5", "1920x1080x3"] {
+            assert!(size(bad).is_err(), "{bad}");
+        }
+        assert!(field_of_view("60").is_ok() && field_of_view("0").is_err() && field_of_view("180").is_err());
         assert!(share("1").is_ok() && share("0").is_err() && share("1.1").is_err());
         assert!(finite("-0.5").is_ok() && finite("inf").is_err() && not_negative("-1").is_err());
     }

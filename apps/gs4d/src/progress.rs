@@ -3,10 +3,33 @@
 use crate::global::to_stderr;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::IsTerminal;
+use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::time::{Duration, Instant};
 
 /// Time between two plain lines.
 const PLAIN_EVERY: Duration = Duration::from_secs(10);
+
+/// Says every ten seconds how long something has taken, until it is dropped; nothing with `--quiet`.
+pub struct Waiting {
+    _ends: Sender<()>,
+}
+
+impl Waiting {
+    /// Says `what` at once.
+    pub fn new(what: String, quiet: bool) -> Self {
+        let (sender, ended) = channel();
+        if !quiet {
+            to_stderr(&what);
+            let start = Instant::now();
+            std::thread::spawn(move || {
+                while ended.recv_timeout(PLAIN_EVERY) == Err(RecvTimeoutError::Timeout) {
+                    to_stderr(format_args!("{what}, {:.0} s", start.elapsed().as_secs_f64()));
+                }
+            });
+        }
+        Self { _ends: sender }
+    }
+}
 
 /// A line of progress towards `total`.
 pub struct Progress {

@@ -133,16 +133,23 @@ pub enum DataError {
         what: String,
     },
     /// A training time lies outside the range.
-    #[error("frame \"{frame}\" has time {value}, the other {others} lie in {range}")]
+    #[error(
+        "frame \"{frame}\" has time {value}; {outside} of {total} training times lie outside {range}, all frames are in {span}{}",
+        guess(span)
+    )]
     Time {
         /// File, and the field inside it.
         place: Place,
         /// Name of the frame's view.
-        frame: String,
+        frame: Box<str>,
         /// The stated time, in the data's units.
         value: f64,
-        /// How many training frames lie inside.
-        others: usize,
+        /// How many of how many training frames lie outside.
+        outside: u32,
+        /// Number of training frames.
+        total: u32,
+        /// First and last time of all frames.
+        span: TimeRange,
         /// The range that training times must lie in.
         range: TimeRange,
     },
@@ -342,10 +349,7 @@ impl DataError {
             Self::Syntax { .. } | Self::Truncated { .. } => "copy or export the file again".into(),
             Self::Field { fix, .. } => (*fix).into(),
             Self::Pose { .. } => "export camera-to-world matrices without scale".into(),
-            Self::Time { value, range, .. } => {
-                let wide = TimeRange { start: range.start.min(*value), end: range.end.max(*value) };
-                format!("fix the file, or pass --set data.time_range={wide}")
-            }
+            Self::Time { span, .. } => format!("--set data.time_range={span}; or correct the file"),
             Self::Missing { .. } => "copy the files, or pass --set data.allow_missing=true to leave them out".into(),
             Self::Video { command, .. } => format!("run in that folder: {command}"),
             Self::Escape { .. } => "copy the file into the data folder and use a relative path".into(),
@@ -368,7 +372,7 @@ impl DataError {
     /// error[data.time]: frame "r_017" has time 1.3, the other 149 lie in 0..1
     ///   in   transforms_train.json, frames[17].time
     ///   why  outside the training span it would train the extrapolation range
-    ///   do   fix the file, or pass --set data.time_range=0..1.3
+    ///   do   --set data.time_range=0..1.3; or correct the file
     /// ```
     pub fn report(&self) -> String {
         let place = self.place().map_or(String::new(), |p| format!("\n  in   {p}"));
@@ -419,6 +423,18 @@ impl DataError {
     }
 }
 
+/// What times in such a range are, where their size tells.
+fn guess(span: &TimeRange) -> &'static str {
+    let whole = span.start.fract() == 0.0 && span.end.fract() == 0.0;
+    match span.end {
+        end if end > 1e14 => " (microseconds since 1970, it seems)",
+        end if end > 1e11 => " (milliseconds since 1970, it seems)",
+        end if end > 1e8 => " (seconds since 1970, it seems)",
+        end if whole && end >= 2.0 => " (frame numbers, it seems)",
+        _ => "",
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -429,15 +445,17 @@ mod tests {
             place: Place::new(Path::new("data/balls/transforms_train.json"), "frames[17].time"),
             frame: "r_017".into(),
             value: 1.3,
-            others: 149,
+            outside: 1,
+            total: 150,
+            span: TimeRange { start: 0.0, end: 1.3 },
             range: TimeRange { start: 0.0, end: 1.0 },
         };
         assert_eq!(
             e.report(),
-            "error[data.time]: frame \"r_017\" has time 1.3, the other 149 lie in 0..1\n  \
+            "error[data.time]: frame \"r_017\" has time 1.3; 1 of 150 training times lie outside 0..1, all frames are in 0..1.3\n  \
              in   data/balls/transforms_train.json, frames[17].time\n  \
              why  outside the training span it would train the extrapolation range\n  \
-             do   fix the file, or pass --set data.time_range=0..1.3"
+             do   --set data.time_range=0..1.3; or correct the file"
         );
         assert_eq!(e.exit_code(), 3);
     }

@@ -35,10 +35,14 @@ const RUN_PART: usize = 12;
 const OPAQUE: u8 = 16;
 
 /// A silhouette at reduced size with its camera.
-struct Silhouette {
-    name: String,
-    camera: Camera,
-    image: Arc<ImageU8>,
+#[derive(Clone, Debug)]
+pub struct Silhouette {
+    /// Index of its view in the list it was made of.
+    pub index: usize,
+    /// The view's camera for the reduced image.
+    pub camera: Camera,
+    /// The reduced image; its alpha is the silhouette.
+    pub image: Arc<ImageU8>,
 }
 
 /// Where a point is in a view: outside the frame or behind the camera, outside the silhouette, or inside with this colour.
@@ -50,6 +54,11 @@ enum Verdict {
 }
 
 impl Silhouette {
+    /// Which pixels are inside, row-major.
+    pub fn inside(&self) -> Vec<bool> {
+        self.image.data.chunks_exact(4).map(|p| p[3] > OPAQUE).collect()
+    }
+
     fn verdict(&self, p: DVec3) -> Verdict {
         let c = self.camera.to_camera(p);
         if c.z <= 0.0 {
@@ -126,9 +135,9 @@ impl Hull {
 
 /// A visual hull and the silhouettes that carved it; made by [`carve`].
 pub struct Carved {
-    /// Names of the views used, ascending in time.
-    pub names: Vec<String>,
-    views: Vec<Silhouette>,
+    /// The silhouettes used, ascending in time.
+    pub silhouettes: Vec<Silhouette>,
+    by_mask: bool,
     hull: Hull,
 }
 
@@ -144,78 +153,74 @@ pub fn carve(data: &Dataset, agreement: f64, camera: impl Fn(&Camera) -> Camera)
     if !data.has_alpha && data.train.iter().filter(|v| v.mask.is_some()).count() < MIN_RUN {
         return Ok(None);
     }
-    let views = silhouettes(&data.train, !data.has_alpha)?;
-    let hull = Hull::of(&views, &data, agreement);
-    Ok(Some(Carved { names: views.iter().map(|v| v.name.clone()).collect(), views, hull }))
+    let by_mask = !data.has_alpha;
+    let silhouettes = silhouettes(&data.train, by_mask)?;
+    let hull = Hull::of(&silhouettes, &data, agreement);
+    Ok(Some(Carved { silhouettes, by_mask, hull }))
 }
 
 impl Carved {
-    /// For each silhouette the share of it that the projected cells cover, and its intersection with them over their union
-    /// (IoU); both are 1 for an empty silhouette. In order of [`Self::names`].
-    pub fn fits(&self) -> Vec<[f64; 2]> {
-        let fit = |v: &Silhouette| {
-            let [mut inside, mut both, mut any] = [0usize; 3];
-            for (p, covered) in v.image.data.chunks_exact(4).zip(self.cover(v)) {
-                let solid = p[3] > OPAQUE;
-                inside += usize::from(solid);
-                both += usize::from(solid && covered);
-                any += usize::from(solid || covered);
-            }
-            let over = |n: usize| both as f64 / n as f64;
-            if inside == 0 { [1.0; 2] } else { [over(inside), over(any)] }
-        };
-        self.views.par_iter().map(fit).collect()
+    /// The silhouettes of other views, such as held-out ones, ascending in time: an even selection of many.
+    ///
+    /// # Errors
+    /// Those of decoding the images.
+    pub fn silhouettes_of(&self, views: &[View]) -> Result<Vec<Silhouette>, DataError> {
+        silhouettes(views, self.by_mask)
     }
 
-    /// Which pixels of a silhouette's image the projected cells cover, row-major.
-    fn cover(&self, v: &Silhouette) -> Vec<bool> {
-        let (w, h) = (v.image.width, v.image.height);
-        let mut covered = vec![false; w * h];
+    /// Colours of the nearest projected cells in a camera's image, display-encoded RGB; none where no cell covers a pixel.
+    /// Row-major.
+    pub fn render(&self, camera: &Camera) -> Vec<Option<[u8; 3]>> {
+        let (w, h) = (camera.width as usize, camera.height as usize);
+        let mut nearest = vec![(f32::INFINITY, [0u8; 3]); w * h];
         let half = 0.5 * f64::from(self.hull.size.max_element());
-        for (p, _) in &self.hull.cells {
-            let c = v.camera.to_camera(p.as_dvec3());
+        for (p, color) in &self.hull.cells {
+            let c = camera.to_camera(p.as_dvec3());
             if c.z <= half {
                 continue;
             }
-            let (at, r) = (v.camera.to_pixel(c), half * v.camera.fx.max(v.camera.fy) / c.z);
-            let range = |x: f64, n: usize| cast::to_usize(x - r)..cast::to_usize(x + r + 1.0).min(n);
+            let (at, r) = (camera.to_pixel(c), half * camera.fx.max(camera.fy) / c.z);
+            let (z, color) = (cast::to_f32(c.z), color.map(|v| cast::to_u8(v * 255.0)));
+            let range = |x: f64, n: usize| cast::to_usize(x - r).min(n)..cast::to_usize(x + r + 1.0).min(n);
             for y in range(at.y, h) {
-                let row = &mut covered[y * w..(y + 1) * w];
-                range(at.x, w).for_each(|x| row[x] = true);
+                let row = &mut nearest[y * w..(y + 1) * w];
+                for pixel in &mut row[range(at.x, w)] {
+                    if z < pixel.0 {
+                        *pixel = (z, color);
+                    }
+                }
             }
         }
-        covered
+        nearest.into_iter().map(|(z, color)| z.is_finite().then_some(color)).collect()
+    }
+
+    /// Which pixels of a camera's image the projected cells cover, row-major.
+    pub fn cover(&self, camera: &Camera) -> Vec<bool> {
+        self.render(camera).iter().map(Option::is_some).collect()
     }
 
     /// Centres of the kept cells, world units, and their colours, display-encoded RGB in 0..1.
     pub fn cells(&self) -> &[(Vec3, [f32; 3])] {
         &self.hull.cells
     }
-
-    /// The image of view `k` of [`Self::names`] at reduced size, and which of its pixels the projected cells cover, row-major.
-    ///
-    /// # Panics
-    /// If `k` is not below `names.len()`.
-    pub fn shown(&self, k: usize) -> (Arc<ImageU8>, Vec<bool>) {
-        (self.views[k].image.clone(), self.cover(&self.views[k]))
-    }
 }
 
 /// The views ascending in time, an even selection at reduced size; `by_mask` takes those with a mask, which becomes their alpha.
 fn silhouettes(train: &[View], by_mask: bool) -> Result<Vec<Silhouette>, DataError> {
-    let mut order: Vec<&View> = train.iter().filter(|v| !by_mask || v.mask.is_some()).collect();
-    order.sort_by(|a, b| a.time.normalised.total_cmp(&b.time.normalised));
+    let mut order: Vec<(usize, &View)> =
+        train.iter().enumerate().filter(|(_, v)| !by_mask || v.mask.is_some()).collect();
+    order.sort_by(|a, b| a.1.time.normalised.total_cmp(&b.1.time.normalised));
     let count = order.len().min(MAX_VIEWS);
-    let chosen: Vec<&View> = (0..count).map(|k| order[k * order.len() / count]).collect();
-    let largest = chosen.iter().map(|v| v.camera.width.max(v.camera.height)).max().unwrap_or(1);
+    let chosen: Vec<(usize, &View)> = (0..count).map(|k| order[k * order.len() / count]).collect();
+    let largest = chosen.iter().map(|(_, v)| v.camera.width.max(v.camera.height)).max().unwrap_or(1);
     let cache = ImageCache::new(0, IMAGE_SIDE / f64::from(largest));
-    let load = |v: &&View| {
+    let load = |&(index, v): &(usize, &View)| {
         let mut image = cache.get(v)?;
         if let Some(mask) = cache.mask(v)?.filter(|_| by_mask) {
             let pixels = Arc::make_mut(&mut image).data.chunks_exact_mut(4);
             pixels.zip(&mask.data).for_each(|(p, w)| p[3] = cast::to_u8(w * 255.0));
         }
-        Ok(Silhouette { name: v.name.clone(), camera: cache.camera(v), image })
+        Ok(Silhouette { index, camera: cache.camera(v), image })
     };
     // An indexed parallel map keeps the order; of several errors the first in order is reported.
     chosen.par_iter().map(load).collect::<Vec<_>>().into_iter().collect()

@@ -365,8 +365,12 @@ fn finite(v: &Value) -> Option<f64> {
 }
 
 fn not_finite(place: Place, v: &Value) -> DataError {
-    let value = v.as_str().map_or_else(|| shorten(&v.to_string()), shorten);
-    DataError::Field { place, value, why: "it must be a finite number", fix: "correct the number" }
+    // `quote_non_finite` made these strings.
+    let bare = v.as_str().filter(|s| ["NaN", "Infinity", "-Infinity"].contains(s));
+    let value = shorten(&bare.map_or_else(|| v.to_string(), str::to_owned));
+    let text = v.is_string() && bare.is_none();
+    let fix = if text { "write it as a number, without quotes" } else { "correct the number" };
+    DataError::Field { place, value, why: "it must be a finite number", fix }
 }
 
 /// Puts Python's bare `NaN`, `Infinity` and `-Infinity` in quotes, outside of strings.
@@ -411,7 +415,7 @@ mod tests {
         let f = d.frame(0).unwrap();
         assert_eq!((f.required_text("file_path").unwrap(), f.number("time").unwrap()), ("a", Some(0.5)));
         let e = d.frame(1).unwrap().number("time").unwrap_err();
-        assert_eq!(e.to_string(), "frames[1].time is x");
+        assert!(e.to_string() == "frames[1].time is \"x\"" && e.fix().contains("without quotes"), "{e}");
         let e = d.frame(1).unwrap().required_text("file_path").unwrap_err().to_string();
         assert_eq!(e, "frames[1].file_path is missing");
     }

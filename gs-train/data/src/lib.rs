@@ -47,6 +47,7 @@
 //!   [time]
 //!   boundary = 0.75      # data.time_boundary
 //!   range = "0..4.67"    # data.time_range
+//!   shift = "4:-2"       # data.time_shift
 //!   [start]
 //!   points = "start.ply" # instead of the layout's own points
 //!   bounds = [[-1, -1, -1], [1, 1, 1]]
@@ -103,6 +104,7 @@ pub mod ply;
 mod pose;
 mod scene_file;
 mod select;
+mod shift;
 mod start;
 mod table;
 mod times;
@@ -113,9 +115,10 @@ pub use depth::DepthMap;
 pub use error::{DataError, Place};
 pub use files::Root;
 pub use lens::Lens;
-pub use options::{DataOptions, TimeFrom, TimeRange};
+pub use options::{DataOptions, TimeFrom, TimeRange, TimeShift};
 pub use pixels::ImageU8;
-pub use start::{Start, StartFrom, cube, write_start};
+pub use scene_file::write_times;
+pub use start::{Start, StartFrom, cube, has_start_points, write_start};
 pub use view::{ImageSource, PointCloud, Split, View};
 
 /// A data set as a reader returns it, or made by hand.
@@ -160,6 +163,18 @@ impl Dataset {
     /// `data.path` if there is no folder, `data.layout` if no reader recognises it, `data.option` for an option out of its
     /// domain, `data.syntax` for a broken `scene.toml`, else the error of the reader.
     pub fn open(dir: &Path, options: &DataOptions) -> Result<Self, DataError> {
+        Self::read(dir, options, true)
+    }
+
+    /// The same without the points and the box that `scene.toml` names in `[start]`: with those of the layout.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub fn open_without_start(dir: &Path, options: &DataOptions) -> Result<Self, DataError> {
+        Self::read(dir, options, false)
+    }
+
+    fn read(dir: &Path, options: &DataOptions, with_start: bool) -> Result<Self, DataError> {
         if !dir.is_dir() {
             return Err(DataError::NotFound { path: dir.to_path_buf() });
         }
@@ -180,7 +195,9 @@ impl Dataset {
         let file = scene_file::read(dir)?;
         let options = &file.under(options);
         let mut data = (layout.open)(dir, options)?;
-        file.apply_start(&mut data)?;
+        if with_start {
+            file.apply_start(&mut data)?;
+        }
         if options.cut_out {
             data.cut_out()?;
         }

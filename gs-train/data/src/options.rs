@@ -1,5 +1,6 @@
 //! Options of readers: the section `[data]` of a run's configuration.
 
+use std::collections::BTreeMap;
 use std::fmt;
 use std::str::FromStr;
 
@@ -56,6 +57,57 @@ impl TryFrom<String> for TimeRange {
     }
 }
 
+/// Moments by which the images of cameras are moved in time, written `CAMERA:MOMENTS`, separated by commas: `4:-2,17:1`.
+///
+/// ```
+/// use gs_data::TimeShift;
+///
+/// let shift: TimeShift = "4:-2, 17:1".parse()?;
+/// assert_eq!((shift.0[&4], shift.to_string()), (-2, "4:-2,17:1".into()));
+/// assert!("4".parse::<TimeShift>().is_err());
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub struct TimeShift(
+    /// Moments by camera ([`super::View::camera_id`]): an image at the `k`-th of all timestamps gets the `k + n`-th one.
+    pub BTreeMap<u32, i32>,
+);
+
+impl fmt::Display for TimeShift {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let each: Vec<String> = self.0.iter().map(|(camera, n)| format!("{camera}:{n}")).collect();
+        f.write_str(&each.join(","))
+    }
+}
+
+impl From<TimeShift> for String {
+    fn from(s: TimeShift) -> Self {
+        s.to_string()
+    }
+}
+
+impl FromStr for TimeShift {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let wrong = || format!("\"{text}\" shifts no camera; write for example 4:-2,17:1 (camera and moments)");
+        let each = |part: &str| {
+            let (camera, moments) = part.split_once(':')?;
+            Some((camera.trim().parse().ok()?, moments.trim().parse().ok()?))
+        };
+        text.split(',').map(|part| each(part).ok_or_else(wrong)).collect::<Result<_, _>>().map(Self)
+    }
+}
+
+impl TryFrom<String> for TimeShift {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, String> {
+        text.parse()
+    }
+}
+
 /// Where the time of a frame comes from: `data.time_from`, in lower case.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -94,6 +146,9 @@ pub struct DataOptions {
     /// Frames per second for [`TimeFrom::Name`], [`TimeFrom::Order`] and layouts whose files count frames. None: the rate of
     /// the layout, else [`gs_core::Time::seconds`] equals the normalised time.
     pub fps: Option<f64>,
+    /// Cameras whose clock is early or late, and the moments by which their images are moved; images that would leave the sequence
+    /// are left out. None: the value in `scene.toml` of the data folder.
+    pub time_shift: Option<TimeShift>,
     /// Leave out views whose image is missing, with a note, instead of returning an error.
     pub allow_missing: bool,
     /// Where the data give no split: every `hold_out`-th view in order of names, starting with the first, is held out.
@@ -139,6 +194,7 @@ impl Default for DataOptions {
             time_boundary: None,
             time_from: TimeFrom::File,
             fps: None,
+            time_shift: None,
             allow_missing: false,
             hold_out: 8,
             cameras: Vec::new(),
@@ -169,6 +225,15 @@ mod tests {
         assert_eq!(r.to_string(), "0..1.3");
         for bad in ["", "0", "1..0", "0..0", "0..nan", "a..b", "0..inf"] {
             assert!(bad.parse::<TimeRange>().unwrap_err().contains("0..1.3"), "{bad}");
+        }
+    }
+
+    #[test]
+    fn shifts_are_read_as_they_are_written() {
+        let s: TimeShift = " 4:-2 , 17:+1".parse().unwrap();
+        assert_eq!((&s.0, s.to_string().as_str()), (&BTreeMap::from([(4, -2), (17, 1)]), "4:-2,17:1"));
+        for bad in ["", "4", "4:", ":2", "4:x", "-1:2", "4:2;5:1", "4=2"] {
+            assert!(bad.parse::<TimeShift>().unwrap_err().contains("4:-2,17:1"), "{bad}");
         }
     }
 

@@ -4,6 +4,7 @@
 //! [time]
 //! boundary = 0.75      # data.time_boundary
 //! range = "0..4.67"    # data.time_range
+//! shift = "4:-2,17:1"  # data.time_shift
 //!
 //! [start]
 //! points = "start.ply"                      # initial points, instead of the layout's own
@@ -11,14 +12,15 @@
 //! ```
 //! Settings of the user win. Unknown keys are refused: a misspelt boundary would train on held-out times.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use glam::Vec3;
+use gs_core::io::write_file;
 use serde::Deserialize;
 
 use super::error::{DataError, Place};
 use super::files::{Root, read_text};
-use super::options::{DataOptions, TimeRange};
+use super::options::{DataOptions, TimeRange, TimeShift};
 use super::{Dataset, ply};
 
 /// Name of the file.
@@ -48,6 +50,7 @@ pub(crate) struct StartSection {
 pub(crate) struct TimeSection {
     pub(crate) boundary: Option<f64>,
     pub(crate) range: Option<TimeRange>,
+    pub(crate) shift: Option<TimeShift>,
 }
 
 /// Reads the file of a folder; empty where there is none.
@@ -67,12 +70,53 @@ pub(crate) fn read(dir: &Path) -> Result<SceneFile, DataError> {
     })
 }
 
+/// Writes a range or shifts of times into the section `[time]` of `scene.toml`: the range in place of what is there, shifts on top of
+/// those that are there. Other lines are kept. The file's path.
+///
+/// # Errors
+/// `limits.file`, `io.read`, `io.write`; `data.syntax` for a file that cannot be read already.
+pub fn write_times(dir: &Path, range: Option<TimeRange>, shift: Option<&TimeShift>) -> Result<PathBuf, DataError> {
+    let file = dir.join(NAME);
+    let mut shifts = read(dir)?.time.shift.unwrap_or_default();
+    for (camera, n) in shift.into_iter().flat_map(|s| &s.0) {
+        *shifts.0.entry(*camera).or_default() += n;
+    }
+    let mut text = if file.exists() { read_text(&file, MAX_BYTES)? } else { String::new() };
+    let values = [("range", range.map(|r| r.to_string())), ("shift", shift.map(|_| shifts.to_string()))];
+    for (key, value) in values {
+        if let Some(value) = value {
+            text = with_line(&text, "[time]", key, &format!("{key} = \"{value}\""));
+        }
+    }
+    write_file(&file, true, |out| out.write_all(text.as_bytes())).map_err(|e| DataError::unwritten(&file, e))?;
+    Ok(file)
+}
+
+/// The text with a line of a section replaced, or added as its first; a missing section comes last.
+fn with_line(text: &str, section: &str, key: &str, line: &str) -> String {
+    let mut lines: Vec<&str> = text.lines().collect();
+    let name = |l: &str| l.trim().trim_end_matches(|c: char| c != ']').to_owned();
+    let Some(head) = lines.iter().position(|l| name(l) == section) else {
+        let gap = if text.trim().is_empty() { "" } else { "\n" };
+        return format!("{}{gap}{section}\n{line}\n", lines.iter().map(|l| format!("{l}\n")).collect::<String>());
+    };
+    let end =
+        lines[head + 1..].iter().position(|l| l.trim_start().starts_with('[')).map_or(lines.len(), |k| head + 1 + k);
+    let is_key = |l: &&str| l.split_once('=').is_some_and(|(k, _)| k.trim() == key);
+    match lines[head + 1..end].iter().position(is_key) {
+        Some(k) => lines[head + 1 + k] = line,
+        None => lines.insert(head + 1, line),
+    }
+    lines.iter().map(|l| format!("{l}\n")).collect()
+}
+
 impl SceneFile {
     /// The options; those that are not set are taken from the file.
     pub(crate) fn under(&self, options: &DataOptions) -> DataOptions {
         DataOptions {
             time_boundary: options.time_boundary.or(self.time.boundary),
             time_range: options.time_range.or(self.time.range),
+            time_shift: options.time_shift.clone().or_else(|| self.time.shift.clone()),
             ..options.clone()
         }
     }
@@ -116,12 +160,39 @@ mod tests {
 
     #[test]
     fn the_user_wins() {
-        let file = read_from(b"[time]\nboundary = 0.75\nrange = \"0..2\"\n").unwrap();
+        let file = read_from(b"[time]\nboundary = 0.75\nrange = \"0..2\"\nshift = \"4:-2\"\n").unwrap();
         let o = file.under(&DataOptions::default());
         assert_eq!((o.time_boundary, o.time_range.unwrap().end), (Some(0.75), 2.0));
+        assert_eq!(o.time_shift.unwrap().0[&4], -2);
         let asked = DataOptions { time_boundary: Some(0.5), ..DataOptions::default() };
         assert_eq!(file.under(&asked).time_boundary, Some(0.5));
         assert_eq!(SceneFile::default().under(&asked), asked);
+    }
+
+    #[test]
+    fn times_are_written_beside_what_is_there() {
+        let dir = tempfile::tempdir().unwrap();
+        let text = || std::fs::read_to_string(dir.path().join(NAME)).unwrap();
+        let (range, shift) = ("0..94".parse().unwrap(), "4:-2".parse().unwrap());
+        write_times(dir.path(), Some(range), None).unwrap();
+        assert_eq!(text(), "[time]\nrange = \"0..94\"\n");
+        std::fs::write(
+            dir.path().join(NAME),
+            "# mine\n[time] # too\nboundary = 0.5\n shift = \"1:1,4:1\"\n\n[start]\n",
+        )
+        .unwrap();
+        write_times(dir.path(), Some(range), Some(&shift)).unwrap();
+        assert_eq!(
+            text(),
+            "# mine\n[time] # too\nrange = \"0..94\"\nboundary = 0.5\nshift = \"1:1,4:-1\"\n\n[start]\n"
+        );
+        let read = read(dir.path()).unwrap().time;
+        assert_eq!((read.range, read.shift.unwrap().0[&4], read.boundary), (Some(range), -1, Some(0.5)));
+        std::fs::write(dir.path().join(NAME), "[start]\n").unwrap();
+        write_times(dir.path(), Some(range), None).unwrap();
+        assert_eq!(text(), "[start]\n\n[time]\nrange = \"0..94\"\n");
+        std::fs::write(dir.path().join(NAME), "[thyme]\n").unwrap();
+        assert_eq!(write_times(dir.path(), Some(range), None).unwrap_err().code(), "data.syntax");
     }
 
     #[test]
@@ -132,6 +203,7 @@ mod tests {
             (b"[time]\nboundary = \"0.75\"", "invalid type"),
             (b"[time]\nrange = \"2..1\"", "no time range"),
             (b"[time\n", "line 1"),
+            (b"[time]\nshift = \"4\"", "4:-2,17:1"),
             (b"[start]\npiont = 1", "piont"),
             (b"\xff", "UTF-8"),
         ] {

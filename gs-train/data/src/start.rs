@@ -190,6 +190,14 @@ pub fn write_start(dir: &Path, start: &Start, overwrite: bool) -> Result<[PathBu
     Ok([points, scene])
 }
 
+/// Whether `scene.toml` of a folder names initial points, as after [`write_start`].
+///
+/// # Errors
+/// Those of reading it.
+pub fn has_start_points(dir: &Path) -> Result<bool, DataError> {
+    Ok(scene_file::read(dir)?.start.points.is_some())
+}
+
 /// The text with its section `[start]` replaced, or with one at its end.
 fn with_section(old: &str, start: &Start) -> String {
     let mut inside = false;

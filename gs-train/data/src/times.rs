@@ -9,6 +9,7 @@ use super::boundary;
 use super::error::{DataError, Place};
 use super::options::{DataOptions, TimeFrom, TimeRange};
 use super::select::select;
+use super::shift::shift;
 use super::{Dataset, ImageSource, View};
 
 /// A view whose timestamp is not final yet.
@@ -74,7 +75,7 @@ pub(super) const SLACK: f64 = 1e-6;
 /// # Errors
 /// `data.time` if a training time lies outside [`DataOptions::time_range`] or `declared`; `data.field` if only some
 /// frames have times, or a file name holds no number when times come from names; `data.option` if no view is left by
-/// [`select`], or the boundary leaves no past or no future.
+/// [`select`] or [`shift`], or the boundary leaves no past or no future.
 pub(crate) fn settle(
     mut drafts: Drafts,
     options: &DataOptions,
@@ -83,15 +84,16 @@ pub(crate) fn settle(
     let mut notes = Vec::new();
     let source = apply_time_from(&mut drafts, options)?;
     check_all_or_none(&drafts)?;
+    shift(&mut drafts, options, &mut notes)?;
     let drafts = select(drafts, options, &mut notes)?;
     // Numbers of files are no times of the layout.
     if let Some(range) = declared.filter(|_| options.time_range.is_none() && options.time_from == TimeFrom::File) {
-        check_range(&drafts.train, range)?;
+        check_range(&drafts.train, [&drafts.val, &drafts.test], range)?;
     }
     let (drafts, future) = boundary::cut(drafts, options, &mut notes)?;
     // The user's range may end before the sequence does where a boundary holds out what is later.
     if let Some(range) = options.time_range {
-        check_range(&drafts.train, range)?;
+        check_range(&drafts.train, [&drafts.val, &drafts.test], range)?;
     }
     let (whole, beyond) = future.map_or((None, Vec::new()), |f| (Some(f.whole), f.beyond));
     let span = whole.or(options.time_range).or_else(|| span_of(&drafts.train));
@@ -182,19 +184,27 @@ fn inside(t: f64, r: TimeRange) -> bool {
     t >= r.start - slack && t <= r.end + slack
 }
 
-/// Verifies that training times lie in a range.
+/// Verifies that training times lie in a range; the error says what the times of all views are.
 ///
 /// # Errors
 /// `data.time`.
-pub(super) fn check_range(train: &[Draft], range: TimeRange) -> Result<(), DataError> {
-    let others = train.iter().filter(|d| d.stated.is_some_and(|t| inside(t, range))).count();
-    for d in train {
-        if let Some(value) = d.stated.filter(|&t| !inside(t, range)) {
-            let frame = d.view.name.clone();
-            return Err(DataError::Time { place: d.place.clone(), frame, value, others, range });
-        }
-    }
-    Ok(())
+pub(super) fn check_range(train: &[Draft], others: [&[Draft]; 2], range: TimeRange) -> Result<(), DataError> {
+    let all = train.iter().chain(others[0]).chain(others[1]);
+    let Some(first) = train.iter().find(|d| d.stated.is_some_and(|t| !inside(t, range))) else { return Ok(()) };
+    let (value, frame) = (first.stated.unwrap_or(range.start), first.view.name.as_str().into());
+    let span = span_of(all).unwrap_or(TimeRange { start: value.min(range.start), end: value.max(range.end) });
+    // Times of one recording begin where it begins: a first frame number or time above zero is an offset only where it is large.
+    let start = if span.start > 0.0 && span.start < 0.5 * span.end { 0.0 } else { span.start };
+    let span = TimeRange { start, ..span };
+    Err(DataError::Time {
+        place: first.place.clone(),
+        frame,
+        value,
+        outside: cast::to_u32(count_outside(train, range)),
+        total: cast::to_u32(train.len()),
+        span,
+        range,
+    })
 }
 
 fn count_outside(list: &[Draft], span: TimeRange) -> usize {
@@ -279,8 +289,27 @@ mod tests {
         let d = Drafts { train: drafts(&[Some(0.0), Some(1.3), Some(1.0)]), ..Default::default() };
         let unit = TimeRange { start: 0.0, end: 1.0 };
         let e = settle(d, &DataOptions::default(), Some(unit)).err().unwrap();
-        assert_eq!(e.to_string(), "frame \"r_001\" has time 1.3, the other 2 lie in 0..1");
-        assert!(e.fix().ends_with("data.time_range=0..1.3"));
+        let text = "frame \"r_001\" has time 1.3; 1 of 3 training times lie outside 0..1, all frames are in 0..1.3";
+        assert_eq!(e.to_string(), text);
+        assert!(e.fix().starts_with("--set data.time_range=0..1.3;"));
+        for (stated, range, guess) in [
+            (&[16.0, 94.0, 3.0][..], "0..94", "frame numbers"),
+            (&[1_699_999_999_000.0, 1_699_999_999_161.5], "1699999999000..1699999999161.5", "milliseconds since 1970"),
+            (&[1.7e9, 1.7e9 + 3.5], "1700000000..1700000003.5", "seconds since 1970"),
+            (&[-0.5, 0.5], "-0.5..0.5", "0.5"),
+        ] {
+            let stated: Vec<Option<f64>> = stated.iter().copied().map(Some).collect();
+            let refused = |o: &DataOptions| {
+                settle(Drafts { train: drafts(&stated), ..Default::default() }, o, Some(unit)).map(|s| s.train)
+            };
+            let e = refused(&DataOptions::default()).err().unwrap();
+            assert!(e.fix().contains(range) && e.to_string().contains(guess), "{} {}", e, e.fix());
+            // What it says to do is enough, at once, and moments stay apart.
+            let views =
+                refused(&DataOptions { time_range: Some(range.parse().unwrap()), ..Default::default() }).unwrap();
+            let last = views.iter().map(|v| v.time.normalised).fold(0.0, f32::max);
+            assert!(last == 1.0 && views[0].time.normalised != views[1].time.normalised, "{range}");
+        }
         let e = settled(&[Some(0.0), None], &[], &DataOptions::default()).err().unwrap();
         assert_eq!(e.to_string(), "frames[1].time is missing");
     }

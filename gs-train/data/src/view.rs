@@ -82,7 +82,7 @@ impl View {
 }
 
 /// Which list of a [`Dataset`](crate::Dataset) a view is in.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Split {
     /// Views that training learns from.
     Train,

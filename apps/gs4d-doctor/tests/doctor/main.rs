@@ -5,7 +5,8 @@ mod starts;
 
 use folder::{Folder, blurred, copy_all, each, matrix, rows};
 use glam::{DMat4, DVec3};
-use gs4d_doctor::{CheckOptions, Checkup, CostOptions, Verdict, examine, examine_and_tell, page};
+use gs_core::io::images::{load_image, save_png};
+use gs4d_doctor::{CheckOptions, Checkup, CostOptions, Verdict, apply, examine, examine_and_tell, page};
 use serde_json::{Value, json};
 
 fn codes(c: &Checkup) -> Vec<&'static str> {
@@ -164,7 +165,22 @@ fn single_wrong_poses_are_named() {
     let checkup = folder.look();
     let text = must_name(&checkup, "poses.view", Verdict::Problem);
     let named = |k: usize| folder.photo(k).file_stem().expect("name").to_string_lossy().into_owned();
-    assert!(text.contains(&named(7)) || text.contains(&named(38)), "{text}");
+    let [a, b] = [7, 38].map(named);
+    assert!(text.contains("2 views") && text.contains(&format!("{a}: has the pose of {b}")), "{text}");
+    assert!(checkup.figures.iter().any(|f| f.caption.starts_with(&format!("{b}: has the pose of {a}"))));
+
+    // A held-out image that shows something else.
+    let folder = Folder::of("static");
+    let test = folder.path("test/r_001.png");
+    let image = load_image(&test, &Default::default()).expect("image");
+    let (w, h) = (image.width, image.height);
+    let turned = each(&image, |x, y, _| {
+        let p = image.pixel(w - 1 - x, h - 1 - y);
+        vec![p[1], p[2], p[0], p[3]]
+    });
+    save_png(&test, &turned, true).expect("written");
+    let text = must_name(&folder.look(), "poses.view", Verdict::Problem);
+    assert!(text.contains("r_001 (test): shows something that the others do not"), "{text}");
 
     let folder = Folder::of("static");
     folder.poses(|k, m| if k == 5 { DMat4::from_translation(DVec3::splat(300.0)) * m } else { m });
@@ -263,7 +279,11 @@ fn cameras_that_run_late_are_named() {
     }
     let name = folder.photo(own[0]).file_stem().expect("name").to_string_lossy().into_owned();
     let text = must_name(&folder.look(), "time.late", Verdict::Warning);
-    assert!(text.contains(&format!("{name} (+3 moments)")), "{text}");
+    assert!(text.contains(&format!("camera 0 ({name}): +3 moments")), "{text}");
+    // What it says to set mends it, and is written on request.
+    let written = apply(folder.dir(), &folder.look().findings).expect("written");
+    assert_eq!(written, ["data.time_shift=0:-3"]);
+    assert_eq!(codes(&folder.look()), Vec::<&str>::new());
 }
 
 #[test]

@@ -60,9 +60,15 @@ function swap() {
 }
 
 // Time.
+// The data's own time, seconds unless it lies in 0..1, where files have no unit; else the normalised time alone.
+function ownTime(t) {
+  const clock = about().clock;
+  if (!clock) return "";
+  return `${(clock[0] + t * (clock[1] - clock[0])).toFixed(2)}${clock[0] >= 0 && clock[1] <= 1 ? "" : " s"}`;
+}
 function showTime() {
-  const last = about().times[about().times.length - 1];
-  $("seconds").textContent = `${(state.t * about().seconds).toFixed(2)} s  (${state.t.toFixed(3)})${state.t > last + 1e-6 ? " future" : ""}`;
+  const last = about().times[about().times.length - 1], own = ownTime(state.t);
+  $("seconds").textContent = `${own ? `${own}  (${state.t.toFixed(3)})` : state.t.toFixed(3)}${state.t > last + 1e-6 ? " future" : ""}`;
 }
 function timeline() {
   const s = about(), last = s.times[s.times.length - 1];

@@ -55,7 +55,7 @@ function describe(c) {
 }
 function inputs(i) {
   const turned = Object.entries(state.pose.turns).filter(([, a]) => a.some(Boolean)).map(([j]) => about().joints[j]);
-  const changes = [...(state.pose.from !== null ? [`the pose is that of ${(state.pose.from * about().seconds).toFixed(2)} s`] : []), ...(turned.length ? [`turned by you: ${turned.join(", ")}`] : [])];
+  const changes = [...(state.pose.from !== null ? [`the pose is that of ${ownTime(state.pose.from) || state.pose.from.toFixed(3)}`] : []), ...(turned.length ? [`turned by you: ${turned.join(", ")}`] : [])];
   $("inputs").textContent = `Colours come from the images of frame ${i.frame} (${i.images.join(", ")}); ${changes.join("; ") || "in the pose it was filmed in"}.`;
 }
 // Paths of picked splats, arrows, and cameras of the data.

@@ -1,4 +1,4 @@
-//! `gs4d compact`: a trained scene as one small file.
+//! A trained scene as one small file: `gs4d export -o NAME.gs4d`, and the older name `gs4d compact`.
 
 use super::eval::SplitName;
 use crate::answer::Answer;
@@ -17,31 +17,31 @@ use std::path::{Path, PathBuf};
 pub struct Compact {
     /// Folder of the run, or one of its checkpoints.
     #[arg(value_name = "RUN|FILE")]
-    run: PathBuf,
+    pub(super) run: PathBuf,
     /// The file to write, NAME.gs4d; gs4d eval, render and inspect read it.
     #[arg(short, long, value_name = "FILE")]
-    out: PathBuf,
+    pub(super) out: PathBuf,
     /// Bits per value: 32 exact, 16 half precision, 8 quantised; positions keep 16.
     #[arg(long, value_enum, default_value_t = BitsName::Eight)]
-    bits: BitsName,
+    pub(super) bits: BitsName,
     /// Do not deflate.
     #[arg(long)]
-    no_deflate: bool,
+    pub(super) no_deflate: bool,
     /// Views to score before and after.
     #[arg(long, value_enum, default_value_t = SplitName::Test, conflicts_with = "no_eval")]
-    split: SplitName,
+    pub(super) split: SplitName,
     /// Do not score.
     #[arg(long)]
-    no_eval: bool,
+    pub(super) no_eval: bool,
     /// Overwrite an existing file.
     #[arg(short, long)]
-    force: bool,
+    pub(super) force: bool,
     #[command(flatten)]
-    place: RunData,
+    pub(super) place: RunData,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-enum BitsName {
+pub enum BitsName {
     #[value(name = "32")]
     ThirtyTwo,
     #[value(name = "16")]

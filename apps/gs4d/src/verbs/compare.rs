@@ -1,6 +1,8 @@
 //! `gs4d compare`: two or more runs on the same data, as a table and as a page.
 
+use super::contest::ContestVerb;
 use super::eval::SplitName;
+use super::sweep::SweepVerb;
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use crate::global::Global;
@@ -15,9 +17,13 @@ use gs4d_run::compare::{CompareError, Compared, Options, Row, Side, columns, com
 use serde_json::json;
 use std::path::PathBuf;
 
-/// Compare runs of any methods on the same data: scores, paired differences, and the views they disagree about
+/// Compare runs, methods or settings on the same data: scores, paired differences, and the views they disagree about
 #[derive(clap::Args)]
+#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
 pub struct Compare {
+    #[command(subcommand)]
+    trials: Option<Trials>,
+
     /// Run folders, or .gs4d files; differences are against the first.
     #[arg(value_name = "RUN", required = true, num_args = 2..)]
     runs: Vec<PathBuf>,
@@ -44,6 +50,13 @@ pub struct Compare {
     place: RunData,
 }
 
+/// What is trained to be compared.
+#[derive(clap::Subcommand)]
+enum Trials {
+    Methods(ContestVerb),
+    Settings(SweepVerb),
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Against {
     /// The ground-truth images.
@@ -54,6 +67,14 @@ enum Against {
 
 impl Compare {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
+        match self.trials {
+            Some(Trials::Methods(verb)) => verb.run(global),
+            Some(Trials::Settings(verb)) => verb.run(global),
+            None => self.runs(global),
+        }
+    }
+
+    fn runs(self, global: &Global) -> Result<Answer, Failure> {
         check_free(self.force, "file", "name", &self.out)?;
         let mut sides = Vec::new();
         for path in &self.runs {

@@ -12,12 +12,12 @@ pub struct ShowConfig {
     /// Name of the method; gs4d methods lists them.
     method: String,
     /// Overlay a preset: fast, paper or tiny.
-    #[arg(long, default_value = "paper")]
+    #[arg(long, default_value = "fast")]
     preset: String,
     /// Total number of steps; scales the whole recipe.
     #[arg(long, value_name = "N")]
     steps: Option<u32>,
-    /// Overlay one setting, for example density.until=5000 (repeatable).
+    /// Overlay one setting, for example schedule.density.until=5000 (repeatable).
     #[arg(long = "set", value_name = "KEY=VALUE")]
     sets: Vec<String>,
 }

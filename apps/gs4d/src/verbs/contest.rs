@@ -1,13 +1,16 @@
-//! `gs4d contest`: several methods or settings on the same data, with the same seeds and the same time.
+//! `gs4d compare methods`: several methods or settings on the same data, with the same seeds and the same time.
 
 use super::jobs::{Jobs, with_missing};
 use super::train::time_text;
 use crate::answer::Answer;
 use crate::failure::Failure;
 use crate::global::Global;
+use crate::output::create_folder;
 use crate::parse;
+use gs_core::io::write_file;
 use gs4d_lab::aligned;
 use gs4d_lab::contest::{Contest, Entry, Length, Results, SCORES, Score, Spread, Standing};
+use gs4d_report::html::{self, section};
 use serde_json::{Value, json};
 use std::path::PathBuf;
 use std::time::Duration;
@@ -68,12 +71,22 @@ impl ContestVerb {
             return Ok(list);
         }
         let Results { standings, missing } = jobs.results(&contest, global)?;
-        let answer = Answer::new(table(&standings), with_missing(to_json(&standings), &missing));
+        let json = with_missing(to_json(&standings), &missing);
+        let text = table(&standings);
+        let page = page(&contest, &standings);
+        let root = &contest.root;
+        create_folder(root)?;
+        let files = [("compare.json", format!("{json:#}\n")), ("compare.csv", csv(&standings)), ("compare.html", page)];
+        for (name, content) in files {
+            write_file(&root.join(name), true, |out| out.write_all(content.as_bytes()))?;
+        }
+        let answer = Answer::new(format!("{text}-> {}\n", root.join("compare.html").display()), json);
         jobs.judge(answer, missing, global)
     }
 }
 
-fn table(standings: &[Standing]) -> String {
+/// Head and rows: entry, steps, difference of the mean PSNR to the first entry, and the scores that there are.
+fn rows(standings: &[Standing]) -> (Vec<&'static str>, Vec<Vec<String>>) {
     let scores: Vec<Score> =
         SCORES.into_iter().filter(|(_, _, score)| standings.iter().any(|s| s.spread(score).is_some())).collect();
     let psnr = |s: &Standing| s.spread(|r| r.mean.psnr).map(|p| p.mean);
@@ -83,13 +96,48 @@ fn table(standings: &[Standing]) -> String {
         let scores = scores.iter().map(|(_, digits, score)| spread_text(s.spread(score), *digits));
         [s.label.clone(), s.steps.map_or("-".to_owned(), |n| n.to_string()), delta].into_iter().chain(scores).collect()
     };
-    let head: Vec<&str> = ["entry", "steps", "dB"].into_iter().chain(scores.iter().map(|s| s.0)).collect();
-    let text = aligned(&head, &standings.iter().map(row).collect::<Vec<_>>(), |column| column == 0);
+    let head = ["entry", "steps", "dB"].into_iter().chain(scores.iter().map(|s| s.0)).collect();
+    (head, standings.iter().map(row).collect())
+}
+
+/// What the numbers of the table are.
+fn remark(standings: &[Standing]) -> String {
     let seconds: f64 = standings.iter().flat_map(|s| &s.trials).filter_map(|t| t.scores.train_seconds).sum();
-    format!(
-        "{text}dB: mean PSNR against the first entry; ± one standard deviation over seeds; {} of training\n",
-        time_text(seconds)
-    )
+    let time = time_text(seconds);
+    format!("dB: mean PSNR against the first entry; ± one standard deviation over seeds; {time} of training")
+}
+
+fn table(standings: &[Standing]) -> String {
+    let (head, rows) = rows(standings);
+    format!("{}{}\n", aligned(&head, &rows, |column| column == 0), remark(standings))
+}
+
+fn page(contest: &Contest, standings: &[Standing]) -> String {
+    let (head, rows) = rows(standings);
+    let numeric: Vec<usize> = (1..head.len()).collect();
+    let trials = standings.iter().flat_map(|s| s.trials.iter().map(move |t| (s, t)));
+    let trials = trials.map(|(s, t)| vec![s.label.clone(), t.seed.to_string(), t.run.display().to_string()]);
+    let seeds: Vec<String> = contest.seeds.iter().map(u64::to_string).collect();
+    let parts =
+        section("Scores on held-out views", &remark(standings), &html::table(&head, &numeric, rows.into_iter()))
+            + &section("Trials", "", &html::table(&["entry", "seed", "run"], &[1], trials));
+    let subtitle = format!("{} · seeds {} · preset {}", contest.data.display(), seeds.join(", "), contest.preset);
+    html::document("Methods compared", &subtitle, &parts)
+}
+
+/// One line for each entry: every score as mean and standard deviation over seeds.
+fn csv(standings: &[Standing]) -> String {
+    let names = SCORES.iter().map(|(name, ..)| format!(",{name},{name}_deviation")).collect::<String>();
+    let mut text = format!("entry,steps,seeds{names}\n");
+    for s in standings {
+        let quoted = s.label.replace('"', "\"\"");
+        let steps = s.steps.map_or(String::new(), |n| n.to_string());
+        let values = SCORES
+            .iter()
+            .map(|(_, _, score)| s.spread(score).map_or(",,".to_owned(), |v| format!(",{},{}", v.mean, v.deviation)));
+        text.push_str(&format!("\"{quoted}\",{steps},{}{}\n", s.trials.len(), values.collect::<String>()));
+    }
+    text
 }
 
 fn spread_text(spread: Option<Spread>, digits: usize) -> String {

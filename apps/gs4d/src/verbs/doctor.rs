@@ -3,12 +3,15 @@
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use crate::global::Global;
-use gs_core::io::write_file;
+use gs_core::io::{IoError, write_file};
 use gs_data::DataOptions;
-use gs4d_doctor::{CheckOptions, Checkup, CostOptions, Finding, Verdict, examine_and_tell, page};
+use gs4d_doctor::{CheckOptions, Checkup, CostOptions, Finding, Verdict, apply, examine_and_tell, is_page, page};
 use gs4d_run::settings::{Request, resolve};
 use serde_json::json;
 use std::path::PathBuf;
+
+/// Rounds of settings that are written and checked again.
+const MAX_FIXES: usize = 4;
 
 /// Check a dataset: layout, images, times, poses, points, box, memory and time; say what is wrong and how to fix it
 #[derive(clap::Args)]
@@ -40,7 +43,10 @@ pub struct Doctor {
     /// The page with images.
     #[arg(short, long, value_name = "FILE", default_value = "doctor.html")]
     out: PathBuf,
-    /// Overwrite it.
+    /// Write the settings that findings come with into scene.toml of the folder, and check again.
+    #[arg(long)]
+    fix: bool,
+    /// Overwrite a file in its place that is no page of the doctor.
     #[arg(short, long)]
     force: bool,
     /// Exit with 7 on warnings as well.
@@ -50,7 +56,34 @@ pub struct Doctor {
 
 impl Doctor {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
-        let data = self.data_options()?;
+        self.check_page()?;
+        let mut checkup = self.examine(global)?;
+        let mut written = Vec::new();
+        while self.fix && written.len() < MAX_FIXES {
+            let now = apply(&self.data, &checkup.findings)?;
+            if now.is_empty() {
+                break;
+            }
+            global.say(format!("wrote {} into scene.toml; checking again", now.join(" and ")));
+            written.extend(now);
+            checkup = self.examine(global)?;
+        }
+        let html = page(&checkup).map_err(|e| Failure::new(Class::Internal, "report", e.to_string()))?;
+        let saved = write_file(&self.out, true, |out| out.write_all(html.as_bytes()));
+        let place = self.out.display().to_string();
+        let page = saved.is_ok().then_some(place.as_str());
+        let json = json!({"checkup": checkup, "page": page, "written": written});
+        let answer = Answer::new(text(&checkup, page, &written), json);
+        if let Err(e) = saved {
+            // What was found is told all the same.
+            answer.print(global.json)?;
+            return Err(e.into());
+        }
+        self.judge(&checkup, &answer, global)?;
+        Ok(answer)
+    }
+
+    fn examine(&self, global: &Global) -> Result<Checkup, Failure> {
         let cost = CostOptions {
             registry: gs_methods::registry().clone(),
             method: self.method.clone(),
@@ -58,18 +91,20 @@ impl Doctor {
             sets: self.sets.clone(),
             limit_mib: self.max_mem,
         };
-        let exam = CheckOptions { data, all: self.all, cost: (!self.no_cost).then_some(cost) };
-        let checkup = examine_and_tell(&self.data, &exam, &mut |finding| {
+        let exam = CheckOptions { data: self.data_options()?, all: self.all, cost: (!self.no_cost).then_some(cost) };
+        Ok(examine_and_tell(&self.data, &exam, &mut |finding| {
             if !global.json {
                 global.say(outcome(finding));
             }
-        });
-        let html = page(&checkup).map_err(|e| Failure::new(Class::Internal, "report", e.to_string()))?;
-        write_file(&self.out, self.force, |out| out.write_all(html.as_bytes()))?;
-        let text = text(&checkup, &self.out.display().to_string());
-        let answer = Answer::new(text, json!({"checkup": checkup, "page": self.out.display().to_string()}));
-        self.judge(&checkup, &answer, global)?;
-        Ok(answer)
+        }))
+    }
+
+    /// Refuses, before anything is checked, to write over a file that is no page of the doctor.
+    fn check_page(&self) -> Result<(), Failure> {
+        if self.force || !self.out.exists() || is_page(&self.out) {
+            return Ok(());
+        }
+        Err(IoError::Exists { file: self.out.display().to_string().into() }.into())
     }
 
     fn data_options(&self) -> Result<DataOptions, Failure> {
@@ -97,12 +132,19 @@ impl Doctor {
 }
 
 /// Findings as lines of a table.
-fn text(c: &Checkup, page: &str) -> String {
+fn text(c: &Checkup, page: Option<&str>, written: &[String]) -> String {
     let mut out = String::new();
     for f in &c.findings {
         out.push_str(&line(f));
     }
-    out + &format!("{} - see {page}\n", c.summary())
+    if !written.is_empty() {
+        out.push_str(&format!("wrote {} into {}\n", written.join(" and "), c.root.join("scene.toml").display()));
+    }
+    let settings = c.findings.iter().filter(|f| f.setting.is_some()).count();
+    if settings > 0 {
+        out.push_str(&format!("gs4d doctor {} --fix writes what is to be set into scene.toml\n", c.root.display()));
+    }
+    out + &format!("{}{}\n", c.summary(), page.map_or(String::new(), |p| format!(" - see {p}")))
 }
 
 /// Topic, sentence and verdict of a finding.

@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 /// Score a run on its test views, or a folder of images against a folder of truths
 #[derive(clap::Args)]
 pub struct Eval {
-    /// Folder of the run, or a .gs4d file: one of its checkpoints, or what gs4d compact made.
+    /// Folder of the run, or a .gs4d file: one of its checkpoints, or what gs4d export made.
     #[arg(value_name = "RUN|FILE", required_unless_present = "pred", conflicts_with_all = ["pred", "gt", "mask", "quantise"])]
     run: Option<PathBuf>,
     /// Which views of the run's data.

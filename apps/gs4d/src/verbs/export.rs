@@ -1,5 +1,6 @@
 //! `gs4d export`: a trained scene, or a splat file, as files of plain splats.
 
+use super::compact::{BitsName, Compact};
 use super::eval::SplitName;
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
@@ -17,13 +18,14 @@ use gs4d_run::OpenRun;
 use serde_json::{Value, json};
 use std::path::PathBuf;
 
-/// Write a trained scene at one or many times as .ply, .splat, .spz or .glb, and report the loss in PSNR
+/// Write a trained scene at one or many times as .ply, .splat, .spz or .glb, or whole as .gs4d, and report the loss in PSNR
 #[derive(clap::Args)]
 pub struct Export {
     /// A run folder or .gs4d file, or a splat file to convert (.ply, .splat, .spz, .glb).
     #[arg(value_name = "RUN|SCENE")]
     scene: PathBuf,
-    /// The file to write, named by its format; with several times the folder for time-0000.EXT and times.json.
+    /// The file to write, named by its format; with several times the folder for time-0000.EXT and times.json. NAME.gs4d keeps the
+    /// moving scene whole in one small file that the other verbs open.
     #[arg(short, long, value_name = "FILE|DIR")]
     out: PathBuf,
     /// Normalised times, A..B:N or one; 0 first to 1 last training frame [default: 0].
@@ -32,9 +34,12 @@ pub struct Export {
     /// Format of the files in a folder [default: ply].
     #[arg(long, value_enum)]
     format: Option<FormatName>,
-    /// Keep spherical harmonics up to this degree; colours a network decodes per camera are fitted with it.
-    #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u8).range(0..=3))]
-    sh_degree: u8,
+    /// Keep spherical harmonics up to this degree [default: all; colours that a network decodes per camera are fitted with degree 2].
+    #[arg(long, value_parser = clap::value_parser!(u8).range(0..=3))]
+    sh_degree: Option<u8>,
+    /// Of a .gs4d file: bits per value, 32 exact, 16 half precision, 8 quantised; positions keep 16 [default: 8].
+    #[arg(long, value_enum)]
+    bits: Option<BitsName>,
     /// Views whose PSNR is measured before and after.
     #[arg(long, value_enum, default_value_t = SplitName::Test, conflicts_with = "no_eval")]
     split: SplitName,
@@ -80,6 +85,12 @@ struct Plan {
 
 impl Export {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
+        if self.is_whole() {
+            return self.whole(global);
+        }
+        if self.bits.is_some() {
+            return Err(Failure::usage("--bits is of .gs4d files"));
+        }
         let plan = self.plan()?;
         self.check_free(&plan)?;
         if self.is_of_file() { self.convert(&plan, global) } else { self.bake(&plan, global) }
@@ -90,7 +101,32 @@ impl Export {
         self.scene.is_file() && self.scene.extension().is_none_or(|e| e != "gs4d")
     }
 
+    /// Whether the moving scene is kept whole.
+    fn is_whole(&self) -> bool {
+        self.out.extension().is_some_and(|e| e == "gs4d")
+    }
+
+    fn whole(self, global: &Global) -> Result<Answer, Failure> {
+        let of_files =
+            [self.times.is_some(), self.format.is_some(), self.sh_degree.is_some(), self.max_error.is_some()];
+        if of_files.contains(&true) || self.is_of_file() {
+            return Err(Failure::usage(
+                "a .gs4d file keeps a run whole: without --times, --format, --sh-degree and --max-error",
+            ));
+        }
+        let Self { scene: run, out, bits, split, no_eval, force, place, .. } = self;
+        let bits = bits.unwrap_or(BitsName::Eight);
+        Compact { run, out, bits, no_deflate: false, split, no_eval, force, place }.run(global)
+    }
+
     fn plan(&self) -> Result<Plan, Failure> {
+        let unknown = self.out.extension().filter(|_| SplatFormat::of_path(&self.out).is_none() && !self.out.is_dir());
+        if let (Some(extension), None) = (unknown, self.format) {
+            return Err(Failure::usage(format!(
+                "no file is written as .{}: -o FILE.ply, .splat, .spz, .glb or .gs4d, or -o DIR with --format",
+                extension.display()
+            )));
+        }
         let times = self.times.as_ref().map_or_else(|| vec![0.0], |t| t.0.clone());
         let of_name = SplatFormat::of_path(&self.out);
         let asked = self.format.map(SplatFormat::from);
@@ -127,13 +163,19 @@ impl Export {
         let raw = load_splats(&self.scene, &global.limits())?;
         // Gaussian kernels are kept bit for bit.
         let plain = if raw.kernel.is_neutral() { raw } else { with_plain_kernel(&raw)? };
-        let reduced = cut(plain, self.sh_degree);
+        let before = plain.degree;
+        let reduced = cut(plain, self.sh_degree.unwrap_or(before));
         let Some((_, path)) = plan.files.first() else { return Err(Failure::usage("no time to write")) };
         plan.folder.as_deref().map_or(Ok(()), create_folder)?;
         save_splats(path, &reduced, self.force)?;
         let again = load_splats(path, &global.limits())?;
-        let text =
-            format!("{} splats, SH degree {}; read back whole\n-> {}\n", again.len(), again.degree, path.display());
+        let lost = if again.degree < before { format!(" (of {before})") } else { String::new() };
+        let text = format!(
+            "{} splats, SH degree {}{lost}; read back whole\n-> {}\n",
+            again.len(),
+            again.degree,
+            path.display()
+        );
         Ok(Answer::new(
             text,
             json!({"files": [path.display().to_string()], "splats": again.len(), "psnr": Value::Null}),
@@ -144,6 +186,10 @@ impl Export {
         let run = self.place.open(&self.scene, global)?;
         // Opened first, so that nothing is written if the data are missing.
         let dataset = if self.no_eval { None } else { Some(run.open_data()?) };
+        if let Some((time, _)) = plan.files.iter().find(|f| !(0.0..=1.0).contains(&f.0)) {
+            global
+                .say(format!("note: time {time} lies outside training (0..1): what is written there is extrapolated"));
+        }
         let (method, views) = (&run.loaded.model, run.training_views()?);
         let baker = || Baker::new(method, &views, self.sh_degree);
         let share = &run.share;
@@ -158,7 +204,9 @@ impl Export {
             save_splats(path, &raw, self.force)?;
             let again = load_splats(path, &global.limits())?;
             progress.at((k - mine.start) as u64 + 1, || format!("{} splats", again.len()));
-            Ok::<_, Failure>(json!({"time": time, "file": path.display().to_string(), "splats": again.len()}))
+            // The table lies beside the files and moves with them.
+            let file = path.file_name().map(|f| f.to_string_lossy().into_owned());
+            Ok::<_, Failure>(json!({"time": time, "file": file, "splats": again.len()}))
         })?;
         progress.finish();
         if let Some(folder) = &plan.folder {
@@ -167,7 +215,7 @@ impl Export {
                 write_file(&folder.join(TABLE), self.force, |out| out.write_all(&table))?;
             }
         }
-        let loss = dataset.map(|data| self.measure(&run, &data, baker(), plan.format)).transpose()?;
+        let loss = dataset.map(|data| self.measure(&run, &data, baker(), plan)).transpose()?;
         let bytes: u64 = plan.files.iter().filter_map(|f| f.1.metadata().ok()).map(|m| m.len()).sum();
         let mut text = format!("{} file(s), {:.2} MB, read back whole\n", plan.files.len(), bytes as f64 / 1e6);
         if let Some(loss) = &loss {
@@ -179,12 +227,14 @@ impl Export {
         Ok(Answer::new(text, answer))
     }
 
-    fn measure(&self, run: &OpenRun, data: &Dataset, baker: Baker<'_>, format: SplatFormat) -> Result<Loss, Failure> {
+    fn measure(&self, run: &OpenRun, data: &Dataset, baker: Baker<'_>, plan: &Plan) -> Result<Loss, Failure> {
         let images: ImageCache = run.images();
         let (split, background) = (self.split.into(), run.background());
         let before = evaluate_shared(&run.loaded.model, data, split, background, &images, &run.share)?;
-        let after = AsExported::new(baker, format).evaluate(data, split, background, &images, &run.share)?;
-        Ok(Loss::of(&before, &after))
+        let files = AsExported::new(baker, plan.format).with_files(plan.files.clone());
+        let after = files.evaluate(data, split, background, &images, &run.share)?;
+        let read = after.views.iter().filter(|v| files.file_at(v.time).is_some()).count();
+        Ok(Loss { read, ..Loss::of(&before, &after) })
     }
 
     fn verdict(&self, loss: Option<&Loss>) -> Result<(), Failure> {
@@ -199,7 +249,7 @@ impl Export {
         )
         .place(self.out.display())
         .why("the files are written and valid, but not as accurate as asked for")
-        .remedy("try --format ply or glb, a higher --sh-degree, or gs4d compact, which keeps the method"))
+        .remedy("try --format ply or glb, a higher --sh-degree, or -o NAME.gs4d, which keeps the method"))
     }
 }
 
@@ -220,6 +270,8 @@ struct Loss {
     worst: Option<(f64, f32)>,
     split: String,
     views: usize,
+    /// Views rendered from the written files; the others were baked at times of their own.
+    read: usize,
 }
 
 impl Loss {
@@ -232,6 +284,7 @@ impl Loss {
             worst: losses.reduce(|a, b| if b.0 > a.0 { b } else { a }),
             split: before.split.clone(),
             views: before.views.len(),
+            read: 0,
         }
     }
 
@@ -245,8 +298,12 @@ impl Loss {
             return "psnr: every view is perfect\n".to_owned();
         };
         let worst = self.worst.map_or(String::new(), |(db, t)| format!(", worst {db:.3} dB at t = {t:.3}"));
+        let how = match self.read {
+            n if n == self.views => "from the files, the nearest in time".to_owned(),
+            n => format!("{n} from the files, {} baked at times that no file has", self.views - n),
+        };
         format!(
-            "psnr over {} {} views: {before:.3} dB as trained, {after:.3} dB as written (mean loss {lost:.3} dB{worst})\n",
+            "psnr over {} {} views ({how}): {before:.3} dB as trained, {after:.3} dB as written (mean loss {lost:.3} dB{worst})\n",
             self.views, self.split
         )
     }
@@ -255,7 +312,7 @@ impl Loss {
         let worst = self.worst.map(|(db, time)| json!({"loss": db, "time": time}));
         json!({
             "before": self.before, "after": self.after, "loss": self.mean(), "worst": worst,
-            "split": self.split, "views": self.views,
+            "split": self.split, "views": self.views, "from_files": self.read,
         })
     }
 }

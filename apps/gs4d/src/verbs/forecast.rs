@@ -85,6 +85,8 @@ impl ForecastVerb {
         let times = times(from, f64::from(self.until), self.spacing(clock, interval))?;
         let files: Vec<PathBuf> = times.iter().enumerate().map(|(k, t)| self.out.join(file_name(k, *t))).collect();
         check_free(self.force, "frame", "folder", &files)?;
+        // A track that cannot be followed is told before anything is scored.
+        let followed = self.follow(&run.loaded.model, &path.at(0, 1), &dataset, run.loaded.scene.last_time)?;
         create_folder(&self.out)?;
         let (truth, background) = (self.truth(&run, &dataset)?, run.background());
         let method = &run.loaded.model;
@@ -114,7 +116,6 @@ impl ForecastVerb {
         let steps = Steps::of(&run.loaded.config, run.loaded.scene.frame_interval);
         let physics = particles.map(|p| Physics::of(&p, clock, steps));
         let moments = truth.as_ref().map(|t| t.moments(last));
-        let followed = self.follow(method, &path.at(0, 1), &dataset, run.loaded.scene.last_time)?;
         let report = Report {
             last,
             clock,

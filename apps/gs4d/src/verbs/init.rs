@@ -118,7 +118,8 @@ impl Init {
         let request = Request { method, preset: "fast".into(), sets: self.sets.clone(), ..Request::default() };
         let options = resolve(gs_methods::registry(), &request)?.data;
         let options = DataOptions { layout: self.layout.clone().or(options.layout.clone()), ..options };
-        let mut data = Dataset::open(&self.data, &options)?;
+        // Points that this command wrote before are not those of the data.
+        let mut data = Dataset::open_without_start(&self.data, &options)?;
         let bounds = self.bound.map(cube);
         data.bounds = bounds.or(data.bounds);
         let from = self.from.map(|f| match f {

@@ -21,6 +21,7 @@ pub mod pose;
 pub mod render;
 pub mod resume;
 pub mod segment;
+pub mod shell;
 pub mod sweep;
 pub mod synth;
 pub mod train;

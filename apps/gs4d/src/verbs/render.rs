@@ -1,6 +1,7 @@
 //! `gs4d render`: renders a splat file or a run from given cameras or on an orbit, as images or video.
 
 use crate::answer::Answer;
+use crate::encoder::Encoder;
 use crate::failure::{Class, Failure};
 use crate::global::Global;
 use crate::opening::RunData;
@@ -25,10 +26,10 @@ use serde_json::json;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-/// Render a splat file or a run from given cameras or around it, as PNG, EXR, NPY or video
+/// Render a splat file or a run from given cameras or around it, as PNG, EXR, NPY or video (MP4 where ffmpeg is)
 #[derive(clap::Args)]
 pub struct Render {
-    /// A .ply, .splat, .spz or .glb file, a run folder, or a .gs4d file (a checkpoint of a run, or what gs4d compact made).
+    /// A .ply, .splat, .spz or .glb file, a run folder, or a .gs4d file (a checkpoint of a run, or what gs4d export made).
     #[arg(value_name = "SCENE|RUN")]
     scene: PathBuf,
     /// Cameras: INRIA cameras.json, a transforms file, or {width,height,fx,fy,cx,cy,world_to_camera} (name, time optional), one or a list;
@@ -42,6 +43,12 @@ pub struct Render {
     /// Times of a sequence, A..B:N: one camera at all of them, or a camera each.
     #[arg(long, value_name = "A..B:N", allow_hyphen_values = true, value_parser = parse::times)]
     times: Option<parse::Times>,
+    /// Size of the images, pixels; cameras keep their vertical field of view [default: the cameras' own].
+    #[arg(long, value_name = "WxH", value_parser = parse::size)]
+    size: Option<[u32; 2]>,
+    /// Horizontal field of view, degrees [default: the cameras' own].
+    #[arg(long, value_name = "DEGREES", value_parser = parse::field_of_view)]
+    fov: Option<f64>,
     /// Splats nearer than this are not rendered, world units [default: 0.01 for files, the recipe's for runs].
     #[arg(long, allow_hyphen_values = true, value_parser = parse::not_negative)]
     near: Option<f64>,
@@ -55,7 +62,7 @@ pub struct Render {
     #[arg(long, value_name = "PIXELS", allow_hyphen_values = true, value_parser = parse::not_negative)]
     static_within: Option<f64>,
     /// PNG: 8 bit RGB over the background. EXR, NPY: float32 RGB over the background, then alpha (premultiplied over black).
-    /// Y4M: one uncompressed video, video.y4m.
+    /// Y4M: one uncompressed video, video.y4m. MP4: video.mp4 (H.264), by ffmpeg, which must be installed.
     #[arg(long, value_enum, default_value_t = Format::Png)]
     format: Format,
     /// Frames per second of a video.
@@ -77,6 +84,7 @@ enum Format {
     Exr,
     Npy,
     Y4m,
+    Mp4,
 }
 
 /// Frames of an orbit or path without `--times`.
@@ -139,8 +147,11 @@ pub fn load_splat_file(path: &Path, global: &Global) -> Result<Splats, Failure> 
 
 impl Render {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
+        if self.format == Format::Mp4 {
+            Encoder::find()?;
+        }
         let mut scene = self.open(global)?;
-        let cameras = self.sequence(self.cameras(&scene)?)?;
+        let cameras = self.sequence(self.cameras(&scene)?)?.into_iter().map(|c| self.framed(c)).collect::<Vec<_>>();
         if let Some(pixels) = self.static_within {
             global.say(self.leave_at_rest(&mut scene, &cameras, pixels)?);
         }
@@ -159,7 +170,7 @@ impl Render {
             progress.at(done, || name.clone());
             Ok(frame)
         };
-        let paths = if self.format == Format::Y4m {
+        let paths = if matches!(self.format, Format::Y4m | Format::Mp4) {
             vec![self.video(&cameras, share, &mut render)?]
         } else {
             let paths = self.paths(&cameras)?;
@@ -173,6 +184,17 @@ impl Render {
         let files: Vec<String> = paths.iter().map(|p| p.display().to_string()).collect();
         let text: String = files.iter().map(|f| format!("{f}\n")).collect();
         Ok(Answer::new(text, json!({"files": files, "background": renderer.options.background})))
+    }
+
+    /// A camera with the size and field of view that were asked for; the principal point keeps its place in the image.
+    fn framed(&self, named: NamedCamera) -> NamedCamera {
+        let c = &named.camera;
+        let [width, height] = self.size.unwrap_or([c.width, c.height]);
+        let [across, down] = [f64::from(width) / f64::from(c.width), f64::from(height) / f64::from(c.height)];
+        let focal = self.fov.map(|f| 0.5 * f64::from(width) / (0.5 * f.to_radians()).tan());
+        let (fx, fy) = focal.map_or((c.fx * down, c.fy * down), |f| (f, f * c.fy / c.fx));
+        let camera = Camera { width, height, fx, fy, cx: c.cx * across, cy: c.cy * down, ..c.clone() };
+        NamedCamera { camera, ..named }
     }
 
     /// The time to render at; `own` is the camera's.
@@ -275,9 +297,17 @@ impl Render {
             return Err(Failure::usage(what));
         }
         create_folder(&self.out)?;
-        let path = self.out.join("video.y4m");
+        let path = self.out.join(if self.format == Format::Mp4 { "video.mp4" } else { "video.y4m" });
+        check_free(self.force, "video", "folder", [&path])?;
         if !share.leads() {
             self.frames(cameras.len(), share, render, &mut |_| Ok(()))?;
+            return Ok(path);
+        }
+        if self.format == Format::Mp4 {
+            let mut encoder = Encoder::start(&path)?;
+            encoder.write(|out| y4m::write_header(first.0 as usize, first.1 as usize, self.fps, out))?;
+            self.frames(cameras.len(), share, render, &mut |frame| encoder.write(|out| out.write_all(frame)))?;
+            encoder.finish()?;
             return Ok(path);
         }
         let mut failed = None;
@@ -331,6 +361,7 @@ impl Render {
             Format::Exr => "exr",
             Format::Npy => "npy",
             Format::Y4m => "y4m",
+            Format::Mp4 => "mp4",
         };
         let mut taken = BTreeSet::new();
         let mut paths = Vec::with_capacity(cameras.len());
@@ -351,7 +382,7 @@ impl Render {
             Format::Png => save_png(path, &frame.rgb, self.force)?,
             Format::Exr => exr::save(path, &rgba(frame), self.force)?,
             Format::Npy => write_file(path, self.force, |out| npy::write_image(&rgba(frame), out))?,
-            Format::Y4m => write_file(path, self.force, |out| {
+            Format::Y4m | Format::Mp4 => write_file(path, self.force, |out| {
                 y4m::write_header(frame.rgb.width, frame.rgb.height, self.fps, out)?;
                 y4m::write_frame(&frame.rgb, out)
             })?,

@@ -1,4 +1,4 @@
-//! `gs4d sweep`: one setting at a time varied around a preset.
+//! `gs4d compare settings`: one setting at a time varied around a preset.
 
 use super::contest::Trials;
 use super::jobs::{failure, with_missing};

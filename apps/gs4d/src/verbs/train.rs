@@ -5,8 +5,9 @@ use crate::answer::{Answer, number};
 use crate::failure::{Class, Failure};
 use crate::global::Global;
 use crate::opening::say_skipped;
-use crate::progress::Progress;
+use crate::progress::{Progress, Waiting};
 use crate::{interrupt, parse};
+use gs_data::Dataset;
 use gs_train::evaluate::EvalReport;
 use gs4d_report::speed_json;
 use gs4d_run::opened::metrics_json;
@@ -34,7 +35,7 @@ pub struct Train {
     /// A TOML file of settings, laid over the preset.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// One setting, the last word, for example density.until=5000 (repeatable); gs4d config METHOD lists them.
+    /// One setting, over presets and files, for example schedule.density.until=5000 (repeatable); gs4d config METHOD lists them.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     sets: Vec<String>,
     /// Compress or stretch the recipe to so many steps.
@@ -114,8 +115,11 @@ pub fn carry_on(training: &mut Training, watch: &Watch, stop: &AtomicBool, globa
         let what = format!("interrupted at step {}; saved {}", training.trainer().steps_done(), saved.display());
         return Err(Failure::new(Class::Interrupted, "interrupted", what).remedy(resume_command(&root)));
     }
-    global.say("scoring");
+    let data = training.trainer().dataset();
+    let views = data.test.len() + data.extrapolate.len();
+    let waiting = Waiting::new(format!("scoring {views} views"), global.quiet);
     let scores = training.score()?;
+    drop(waiting);
     let rows = training.report(&scores)?;
     let step = training.trainer().steps_done();
     let mut json = result_json(&scores, step, &root, outcome == Outcome::Finished);
@@ -184,15 +188,27 @@ fn describe(training: &Training, global: &Global) {
         data.test.len(),
         training.trainer().steps()
     ));
+    global.say(format!("times: {}", times_text(data)));
     for note in &data.notes {
         global.say(format!("note: {note}"));
     }
     for warning in training.trainer().model().capabilities().inspect.map_or_else(Vec::new, |i| i.warnings()) {
         global.say(format!("warning: {warning}"));
     }
-    global.detail(format!("time: {}; threads: {}", data.time_source, rayon::current_num_threads()));
+    global.detail(format!("threads: {}", rayon::current_num_threads()));
     if global.ranks.size() > 1 {
         global.say(format!("{} ranks", global.ranks.size()));
+    }
+}
+
+/// Where the times of a data set come from, and how many of them train.
+pub fn times_text(data: &Dataset) -> String {
+    let mut times: Vec<f64> = data.train.iter().map(|v| v.time.seconds).collect();
+    times.sort_by(f64::total_cmp);
+    times.dedup();
+    match times.as_slice() {
+        [first, .., last] => format!("{} training times from {first} to {last}: {}", times.len(), data.time_source),
+        _ => data.time_source.clone(),
     }
 }
 

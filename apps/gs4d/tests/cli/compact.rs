@@ -1,4 +1,4 @@
-//! `gs4d compact`: a smaller file that draws and scores as the run does.
+//! `gs4d export -o NAME.gs4d` by its older name: a smaller file that draws and scores as the run does.
 
 use crate::support::{CAMERA, data, good, gs4d, run, text};
 use std::fs;
@@ -51,7 +51,7 @@ fn a_checkpoint_of_a_run_scores_as_the_run() {
     let dir = tempfile::tempdir().unwrap();
     let alone = dir.path().join("alone.gs4d");
     fs::copy(&newest, &alone).unwrap();
-    gs4d(&["eval", text(&alone)]).fails(3, &["holds no settings", "gs4d compact"]);
+    gs4d(&["eval", text(&alone)]).fails(3, &["holds no settings", "gs4d export"]);
 }
 
 #[test]

@@ -6,8 +6,17 @@ use crate::support::{Call, data, good, gs4d, text};
 fn trials_are_scored_kept_and_never_mixed_up() {
     let dir = tempfile::tempdir().unwrap();
     let root = dir.path().join("contest");
-    let base =
-        ["contest", text(data()), "--preset", "tiny", "-e", "static3d", "-e", "static3d schedule.lambda_dssim=0"];
+    let base = [
+        "compare",
+        "methods",
+        text(data()),
+        "--preset",
+        "tiny",
+        "-e",
+        "static3d",
+        "-e",
+        "static3d schedule.lambda_dssim=0",
+    ];
     let contest = |call: fn(&[&str]) -> Call, more: &[&str]| call(&[&base[..], &["-o", text(&root)], more].concat());
     let call = contest(good, &["--steps", "12", "--seeds", "0,1", "--json"]);
     let entries = call.json()["entries"].as_array().unwrap().clone();
@@ -17,6 +26,14 @@ fn trials_are_scored_kept_and_never_mixed_up() {
         assert!(entry["over_seeds"]["psnr"]["mean"].as_f64().unwrap() > 5.0, "{entry}");
     }
     assert!(root.join("static3d/seed-1/metrics.json").is_file());
+    let read = |name: &str| std::fs::read_to_string(root.join(name)).unwrap();
+    let table: Vec<String> = read("compare.csv").lines().map(str::to_owned).collect();
+    assert!(
+        table.len() == 3 && table[0].starts_with("entry,steps,seeds,") && table[1].starts_with("\"static3d\",12,2,")
+    );
+    let of_header = table[0].split(',').count();
+    assert!(table.iter().all(|l| l.split(',').count() == of_header), "{table:?}");
+    assert!(read("compare.html").contains("static3d schedule.lambda_dssim=0") && read("compare.json").contains("psnr"));
 
     let again = contest(good, &["--steps", "12", "--seeds", "0,1"]);
     assert!(!again.err.contains("seed-0"), "nothing is trained twice: {}", again.err);
@@ -29,8 +46,10 @@ fn trials_are_scored_kept_and_never_mixed_up() {
 fn bad_entries_are_refused_before_anything_is_trained() {
     let dir = tempfile::tempdir().unwrap();
     let root = dir.path().join("contest");
+    // By its older name.
     let with = |entry: &str| gs4d(&["contest", text(data()), "-o", text(&root), "-e", "static3d:tiny", "-e", entry]);
     with("nosuch").fails(2, &["nosuch", "static3d"]);
+    assert!(with("static3d nosuch=1").err.contains("gs4d compare methods"));
     with("static3d:quick").fails(2, &["quick", "tiny"]);
     with("static3d nosuch=1").fails(2, &["nosuch"]);
     with("static3d quick").fails(2, &["KEY=VALUE"]);

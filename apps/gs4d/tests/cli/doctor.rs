@@ -28,7 +28,6 @@ fn sound_data_have_a_page_and_a_price() {
     let told: Vec<&str> = call.err.lines().filter(|l| call.out.contains(*l)).collect();
     assert!(told.iter().any(|l| l.starts_with("layout ")) && told.iter().any(|l| l.starts_with("memory ")), "{told:?}");
     assert!(std::fs::read_to_string(&html).unwrap().contains("<img"));
-    gs4d(&all).fails(6, &["exists"]);
     assert_eq!(good(&[&all[..], &["-f", "--quiet"]].concat()).err, "");
     let call = good(&[&all[..], &["-f", "--json"]].concat());
     assert_eq!(call.err, "");
@@ -62,6 +61,75 @@ fn faults_decide_the_exit_code() {
 }
 
 #[test]
+fn the_doctor_comes_again_and_keeps_what_is_not_its_own() {
+    let dir = tempfile::tempdir().unwrap();
+    let html = dir.path().join("page.html");
+    let all = ["doctor", text(data()), "--no-cost", "-o", text(&html)];
+    good(&all);
+    good(&all);
+    std::fs::write(&html, "<title>mine</title>").unwrap();
+    let refused = gs4d(&all);
+    refused.fails(6, &["page.html", "exists"]);
+    assert!(refused.out.is_empty(), "refused before anything is checked");
+    assert_eq!(std::fs::read_to_string(&html).unwrap(), "<title>mine</title>");
+    // What was found is told even if the page cannot be written.
+    let nowhere = dir.path().join("no/such/folder/page.html");
+    let call = gs4d(&["doctor", text(data()), "--no-cost", "-o", text(&nowhere)]);
+    assert!(call.code == 6 && call.out.contains("layout"), "{} {}", call.out, call.err);
+}
+
+/// Times that are frame numbers: one proposal that is enough, which `--fix` writes.
+#[test]
+fn times_of_another_range_are_mended_on_request() {
+    let dir = tempfile::tempdir().unwrap();
+    let (folder, html) = (dir.path().join("data"), dir.path().join("doctor.html"));
+    copy(data(), &folder);
+    for split in ["train", "val", "test"] {
+        let file = folder.join(format!("transforms_{split}.json"));
+        let Ok(text) = std::fs::read_to_string(&file) else { continue };
+        let mut v: serde_json::Value = serde_json::from_str(&text).unwrap();
+        for f in v["frames"].as_array_mut().unwrap() {
+            f["time"] = serde_json::json!((94.0 * f["time"].as_f64().unwrap()).round());
+        }
+        std::fs::write(&file, v.to_string()).unwrap();
+    }
+    let train = ["train", text(&folder), "-m", "fourdgs", "--preset", "tiny", "--steps", "4", "-q", "-o"];
+    let run = dir.path().join("run");
+    gs4d(&[&train[..], &[text(&run)]].concat()).fails(3, &["data.time_range=0..94", "frame numbers"]);
+    let all = ["doctor", text(&folder), "--no-cost", "-o", text(&html)];
+    let call = gs4d(&all);
+    assert!(call.code == 3 && call.out.contains("--fix"), "{}", call.out);
+    assert_eq!(call.out.matches("problem[data.time]").count(), 1, "{}", call.out);
+    let call = good(&[&all[..], &["--fix"]].concat());
+    assert!(call.out.contains("wrote data.time_range=0..94 into"), "{}", call.out);
+    assert!(std::fs::read_to_string(folder.join("scene.toml")).unwrap().contains("range = \"0..94\""));
+    good(&[&train[..], &[text(&run)]].concat());
+}
+
+#[test]
+fn a_scene_without_times_is_no_scene_to_learn_motion_from() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path().join("data");
+    copy(data(), &folder);
+    for split in ["train", "val", "test"] {
+        let file = folder.join(format!("transforms_{split}.json"));
+        let Ok(text) = std::fs::read_to_string(&file) else { continue };
+        let mut v: serde_json::Value = serde_json::from_str(&text).unwrap();
+        v["frames"].as_array_mut().unwrap().iter_mut().for_each(|f| {
+            f.as_object_mut().unwrap().remove("time");
+        });
+        std::fs::write(&file, v.to_string()).unwrap();
+    }
+    let run = dir.path().join("run");
+    let train = |method: &str| {
+        gs4d(&["train", text(&folder), "-m", method, "--preset", "tiny", "--steps", "4", "-o", text(&run)])
+    };
+    train("fourdgs").fails(3, &["one timestamp", "data.time_from=name", "static3d"]);
+    assert!(!run.exists());
+    assert_eq!(train("static3d").code, 0);
+}
+
+#[test]
 fn points_are_made_once_and_then_begun_with() {
     let dir = tempfile::tempdir().unwrap();
     let folder = dir.path().join("data");
@@ -74,6 +142,17 @@ fn points_are_made_once_and_then_begun_with() {
     let html = dir.path().join("doctor.html");
     let call = good(&["doctor", text(&folder), "--no-cost", "-o", text(&html)]);
     assert!(call.out.contains("70 points"), "{}", call.out);
+    // Points that were made before are no points of the data.
+    assert_eq!(good(&["init", text(&folder), "--points", "90", "-f", "--json"]).json()["from"], "hull");
+    // A run begins with all of them, whatever its preset says.
+    let run = dir.path().join("run");
+    let train = ["train", text(&folder), "-m", "static3d", "--preset", "tiny", "--steps", "2", "-f", "-o", text(&run)];
+    good(&train);
+    let points = |text: &str| text.lines().find_map(|l| l.strip_prefix("points = ")).unwrap().to_owned();
+    let resolved = || std::fs::read_to_string(run.join("config.resolved.toml")).unwrap();
+    assert!(points(&resolved()).starts_with("90 ") && resolved().contains("scene.toml"), "{}", resolved());
+    good(&[&train[..], &["--set", "init.points=40"]].concat());
+    assert!(points(&resolved()).starts_with("40 "), "{}", resolved());
     gs4d(&["init", text(&folder), "--from", "depth", "-f"]).fails(2, &["no depth"]);
     gs4d(&["init", text(&folder), "--set", "run.seed=1", "-f"]).fails(2, &["run.seed"]);
     gs4d(&["init", text(&folder), "--bound", "0", "-f"]).fails(2, &["above 0"]);

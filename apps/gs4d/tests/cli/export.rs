@@ -72,8 +72,65 @@ fn a_sequence_is_a_folder_with_its_times() {
     let table: serde_json::Value = serde_json::from_slice(&fs::read(out.join("times.json")).unwrap()).unwrap();
     assert_eq!(table, answer["files"]);
     assert_eq!((table[1]["time"].as_f64(), table.as_array().unwrap().len()), (Some(0.5), 3));
+    assert_eq!(table[2]["file"], "time-0002.splat", "the folder can be moved");
     assert!(out.join("time-0002.splat").exists());
     gs4d(&all).fails(6, &["exists already", "-f"]);
+}
+
+/// What is scored is what was written, sampled in time as it was.
+#[test]
+fn a_sequence_is_scored_by_its_own_files() {
+    let dir = tempfile::tempdir().unwrap();
+    let lost = |n: usize| {
+        let (out, times) = (dir.path().join(n.to_string()), format!("0..1:{n}"));
+        let all = ["export", text(run()), "--times", &times, "--format", "ply", "-o", text(&out), "--split", "train"];
+        let answer = good(&[&all[..], &["--json"]].concat()).json();
+        assert_eq!(answer["psnr"]["from_files"], answer["psnr"]["views"], "{answer}");
+        answer["psnr"]["loss"].as_f64().unwrap()
+    };
+    let (two, many) = (lost(2), lost(33));
+    assert!(two > many + 0.01, "{two} dB with two files, {many} dB with 33");
+    let one = dir.path().join("one.ply");
+    let answer = good(&["export", text(run()), "--times", "0.4", "-o", text(&one)]).out;
+    assert!(answer.contains("baked at times that no file has"), "{answer}");
+}
+
+#[test]
+fn nothing_is_dropped_or_written_under_an_unknown_name() {
+    let dir = tempfile::tempdir().unwrap();
+    let (from, to) = (dir.path().join("a.ply"), dir.path().join("b.glb"));
+    let sh = (0..2 * 48).map(|k| 0.01 * k as f32).collect();
+    let raw = gs_core::io::RawSplats {
+        means: vec![glam::Vec3::ZERO, glam::Vec3::X],
+        quats: vec![[1.0, 0.0, 0.0, 0.0]; 2],
+        log_scales: vec![glam::Vec3::splat(-2.0); 2],
+        logit_opacities: vec![1.0; 2],
+        degree: 3,
+        sh,
+        ..Default::default()
+    };
+    gs_core::io::save_splats(&from, &raw, false).unwrap();
+    let call = good(&["export", text(&from), "-o", text(&to)]);
+    assert!(call.out.contains("SH degree 3;"), "{}", call.out);
+    let call = good(&["export", text(&from), "--sh-degree", "1", "-f", "-o", text(&to)]);
+    assert!(call.out.contains("SH degree 1 (of 3);"), "{}", call.out);
+    let odd = dir.path().join("scene.obj");
+    gs4d(&["export", text(run()), "-o", text(&odd)]).fails(2, &[".obj", ".ply", ".gs4d"]);
+    assert!(!odd.exists());
+    let beyond = good(&["export", text(run()), "--times", "1.5", "--no-eval", "-o", text(&dir.path().join("c.ply"))]);
+    assert!(beyond.err.contains("extrapolated"), "{}", beyond.err);
+}
+
+#[test]
+fn a_run_is_kept_whole_by_its_extension() {
+    let dir = tempfile::tempdir().unwrap();
+    let (file, older) = (dir.path().join("a.gs4d"), dir.path().join("b.gs4d"));
+    good(&["export", text(run()), "--no-eval", "--bits", "16", "-o", text(&file)]);
+    let call = good(&["compact", text(run()), "--no-eval", "--bits", "16", "-o", text(&older)]);
+    assert!(call.err.contains("gs4d export -o NAME.gs4d"), "{}", call.err);
+    assert_eq!(fs::read(&file).unwrap(), fs::read(&older).unwrap());
+    gs4d(&["export", text(run()), "--times", "0.5", "-o", text(&dir.path().join("c.gs4d"))]).fails(2, &["--times"]);
+    gs4d(&["export", text(run()), "--bits", "8", "-o", text(&dir.path().join("c.ply"))]).fails(2, &[".gs4d"]);
 }
 
 #[test]
@@ -95,7 +152,7 @@ fn too_much_loss_is_an_exit_code_of_its_own() {
     let file = dir.path().join("s.splat");
     // Rounding costs what training has fitted, on average; a held-out view may gain.
     let all = ["export", text(run()), "-o", text(&file), "--quiet", "--split", "train", "--max-error"];
-    gs4d(&[&all[..], &["0"]].concat()).fails(7, &["--max-error allows 0", "gs4d compact"]);
+    gs4d(&[&all[..], &["0"]].concat()).fails(7, &["--max-error allows 0", "NAME.gs4d"]);
     assert!(file.exists(), "the file stays");
     good(&[&all[..], &["30", "-f"]].concat());
     gs4d(&["export", text(run()), "-o", "x.ply", "--times", "0..1:2"]).fails(2, &["-o DIR"]);

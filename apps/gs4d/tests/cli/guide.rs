@@ -17,9 +17,9 @@ const SHORTER: [(&str, &str); 6] = [
 const ADDED: [(&str, &[&str]); 6] = [
     ("synth", &["--train-views", "12", "--val-views", "1", "--test-views", "2"]),
     ("train", &["--steps", "30"]),
-    ("doctor", &["--preset", "tiny", "-f"]),
-    ("sweep", &["--steps", "30"]),
-    ("contest", &["--steps", "30"]),
+    ("doctor", &["--preset", "tiny"]),
+    ("compare settings", &["--steps", "30"]),
+    ("compare methods", &["--steps", "30"]),
     ("resume", &["--quiet"]),
 ];
 
@@ -85,7 +85,8 @@ fn shortened(words: &[String]) -> Vec<String> {
     }
     for (verb, flags) in ADDED {
         let has = |flag: &str| out.iter().any(|w| w == flag);
-        if out[0] == verb && out.len() > 1 && !flags.iter().any(|f| f.starts_with("--") && has(f)) {
+        let named = out.iter().zip(verb.split(' ')).all(|(w, v)| w == v);
+        if named && out.len() > 1 && !flags.iter().any(|f| f.starts_with("--") && has(f)) {
             out.extend(flags.iter().map(|f| (*f).to_owned()));
         }
     }

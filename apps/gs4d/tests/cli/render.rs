@@ -1,6 +1,6 @@
 //! Pictures of splat files and runs.
 
-use crate::support::{CAMERA, data, good, gs4d, ply, run, text, tiny_ply};
+use crate::support::{CAMERA, command, data, good, gs4d, ply, run, text, tiny_ply};
 use gs_core::io::{Limits, exr, images, npy};
 use serde_json::json;
 use std::fs;
@@ -171,6 +171,58 @@ fn a_video_goes_around_the_scene_while_time_passes() {
     let frame = |k: usize| &bytes[head.len() + k * (6 + 3 * 48 * 48)..][6..6 + 48 * 48];
     assert_ne!(frame(0), frame(2), "the camera goes on");
     gs4d(&call).fails(6, &["exists"]);
+}
+
+#[test]
+fn pictures_have_the_size_and_angle_that_are_asked_for() {
+    let dir = tempfile::tempdir().unwrap();
+    let picture = |name: &str, more: &[&str]| {
+        let out = dir.path().join(name);
+        good(&[&["render", text(run()), "--camera", "dataset:0", "-o", text(&out)][..], more].concat());
+        let file = fs::read_dir(&out).unwrap().next().unwrap().unwrap().path();
+        gs_core::io::images::load_image(&file, &gs_core::io::Limits::default()).unwrap()
+    };
+    let (own, twice) = (picture("own", &[]), picture("twice", &["--size", "96x96"]));
+    assert_eq!([own.width, twice.width, twice.height], [48, 96, 96]);
+    // The same view: means over pixels agree.
+    let mean = |i: &gs_core::Image| i.data.iter().sum::<f32>() / i.data.len() as f32;
+    assert!((mean(&own) - mean(&twice)).abs() < 0.02, "{} {}", mean(&own), mean(&twice));
+    // A wider angle shows less of the object and more of what is behind it: white.
+    let wide = picture("wide", &["--fov", "90"]);
+    assert!(wide.width == 48 && mean(&wide) > mean(&own), "{} {}", mean(&wide), mean(&own));
+    assert_eq!(picture("strip", &["--size", "64x32"]).height, 32);
+    gs4d(&["render", text(run()), "--camera", "orbit", "--size", "big", "-o", "x"]).fails(2, &["1920x1080"]);
+}
+
+/// A stand-in for ffmpeg that keeps what it is given.
+#[cfg(unix)]
+#[test]
+fn a_video_is_encoded_where_there_is_an_encoder() {
+    use std::os::unix::fs::PermissionsExt;
+    let dir = tempfile::tempdir().unwrap();
+    let (bin, out) = (dir.path().join("bin"), dir.path().join("out"));
+    fs::create_dir(&bin).unwrap();
+    let all = ["render", text(run()), "--camera", "orbit", "--times", "0..1:3", "--format", "mp4", "-o", text(&out)];
+    let call = |path: &str, more: &[&str]| {
+        let output = command(&[&all[..], more].concat()).env("PATH", path).output().unwrap();
+        (output.status.code(), String::from_utf8(output.stderr).unwrap())
+    };
+    let (code, err) = call(text(&bin), &[]);
+    assert!(code == Some(2) && err.contains("ffmpeg") && err.contains("y4m") && !out.exists(), "{err}");
+    let encoder = bin.join("ffmpeg");
+    let script = "#!/bin/sh\n[ \"$1\" = -version ] && exit 0\nfor last; do :; done\n/bin/cat > \"$last\"\n";
+    fs::write(&encoder, script).unwrap();
+    fs::set_permissions(&encoder, fs::Permissions::from_mode(0o755)).unwrap();
+    let (code, err) = call(text(&bin), &[]);
+    assert_eq!(code, Some(0), "{err}");
+    let bytes = fs::read(out.join("video.mp4")).unwrap();
+    assert!(bytes.starts_with(b"YUV4MPEG2 W48 H48") && bytes.len() > 3 * 48 * 48 * 3);
+    assert_eq!(fs::read_dir(&out).unwrap().count(), 1, "nothing unfinished stays");
+    assert_eq!(call(text(&bin), &[]).0, Some(6), "nothing is overwritten");
+    fs::write(&encoder, "#!/bin/sh\n[ \"$1\" = -version ] && exit 0\n/bin/cat >/dev/null\nexit 3\n").unwrap();
+    let (code, err) = call(text(&bin), &["-f"]);
+    assert!(code == Some(6) && err.contains("ffmpeg ended with"), "{err}");
+    assert_eq!(fs::read(out.join("video.mp4")).unwrap(), bytes, "the older file stays");
 }
 
 #[test]

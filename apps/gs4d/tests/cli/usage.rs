@@ -13,7 +13,8 @@ fn wrong_use_exits_with_two() {
     gs4d(&["eval"]).fails(2, &["RUN"]);
     gs4d(&["eval", "--pred", "x"]).fails(2, &["--gt"]);
     gs4d(&["bench", "--crate", "gs-nothing"]).fails(2, &["gs-nothing", "gs-raster"]);
-    assert!(good(&["--version"]).out.starts_with("gs4d "));
+    let version = good(&["--version"]).out;
+    assert!(version.starts_with(&format!("gs4d {}", env!("CARGO_PKG_VERSION"))), "{version}");
     assert!(good(&["--help"]).out.contains("Exit codes"));
 }
 
@@ -47,6 +48,39 @@ fn methods_and_settings_are_listed() {
     assert_eq!(row("schedule.lambda_dssim")["value"], 0.5);
     assert_eq!(row("schedule.lambda_dssim")["source"], "flag --set schedule.lambda_dssim=0.5");
     assert_eq!(row("init.points")["source"], "preset tiny");
+}
+
+/// Settings that help texts give as examples exist and may have these values.
+#[test]
+fn examples_of_help_texts_are_settings() {
+    let verbs = ["train", "config", "doctor", "init", "eval", "export", "render", "compare", "continual", "forecast"];
+    let nested = [vec!["compare", "methods"], vec!["compare", "settings"]];
+    let mut tried = 0;
+    for verb in verbs.map(|v| vec![v]).into_iter().chain(nested) {
+        let help = good(&[&verb[..], &["--help"]].concat()).out;
+        let words = help.split(|c: char| c.is_whitespace() || "\"();,".contains(c));
+        for example in words.filter(|w| w.contains('=') && w.contains('.') && !w.starts_with(['-', '='])) {
+            if example.starts_with(|c: char| c.is_ascii_lowercase()) && !example.contains("KEY") {
+                let first = example.split('|').next().unwrap().trim_end_matches('.');
+                good(&["config", "fourdgs", "--set", first]);
+                tried += 1;
+            }
+        }
+    }
+    assert!(tried >= 3, "{tried}");
+}
+
+#[test]
+fn a_shell_and_man_are_told_of_every_verb() {
+    for shell in ["bash", "zsh", "fish"] {
+        let script = good(&["completions", shell]).out;
+        assert!(script.contains("gs4d") && script.contains("doctor") && script.contains("forecast"), "{shell}");
+    }
+    let dir = tempfile::tempdir().unwrap();
+    good(&["man", text(dir.path())]);
+    let page = std::fs::read_to_string(dir.path().join("gs4d-train.1")).unwrap();
+    assert!(page.contains(".TH gs4d-train") && page.contains("time\\-budget"), "{page}");
+    gs4d(&["man", text(dir.path())]).fails(6, &["exists"]);
 }
 
 #[test]

@@ -116,7 +116,7 @@ fn open(dir: &Path, options: &DataOptions) -> Result<Dataset, DataError> {
     let has_alpha = train.has_alpha;
     let virtual_time = TimeRange { start: 0.0, end: 1.0 };
     if options.time_range.is_none() {
-        check_range(&train.drafts, virtual_time)?;
+        check_range(&train.drafts, [&[], &[]], virtual_time)?;
     }
     let whole = options.time_range.unwrap_or(virtual_time);
     let boundary = options.time_boundary.unwrap_or_else(|| own_boundary(&train.drafts, &held.drafts, whole));
