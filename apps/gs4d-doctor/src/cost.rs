@@ -138,7 +138,8 @@ fn measure(data: &Dataset, options: &CostOptions) -> Result<Cost, String> {
         sets: options.sets.clone(),
         ..Request::default()
     };
-    let resolved = resolve(&options.registry, &request).map_err(|e| e.to_string())?;
+    let resolved = resolve(&options.registry, &request).and_then(|r| r.with_start_points(data));
+    let resolved = resolved.map_err(|e| e.to_string())?;
     let trial = Trial { data: Arc::new(data.clone()), resolved: &resolved };
     let whole = trial.trainer(trial.data.clone(), &resolved.method)?;
     let (schedule, growth) = (whole.model().schedule().clone(), whole.model().capabilities().growth);
@@ -175,7 +176,7 @@ fn measure(data: &Dataset, options: &CostOptions) -> Result<Cost, String> {
         seconds: [0.0, 1.0].map(|share| seconds(&stages, &schedule, growth, share)),
         stages,
         memory_mib: [memory(few.values as f64, few.splats), memory(values, most)],
-        images_mib: images.iter().sum::<f64>() / MIB,
+        images_mib: kept / MIB,
     })
 }
 

@@ -30,6 +30,8 @@ const MIN_PART: f64 = 0.35;
 const MARGIN: f64 = 1.3;
 /// Places below an accused one that says what is usual: one more may be at fault.
 const BELOW: usize = 2;
+/// A view is not exchanged if a shift gains this share of what the other's pose gains.
+const MOST_BY_SHIFT: f64 = 0.75;
 /// Fewest silhouettes that say what is usual, and that tell exchanged ones.
 const MIN_VIEWS: usize = 12;
 const MANY_VIEWS: usize = 32;
@@ -137,6 +139,16 @@ impl<'a> HullFit<'a> {
         both([self.others[i][j] - self.own(i), self.others[j][i] - self.own(j)])
     }
 
+    /// Whether a shift of one of two views explains most of what their exchange gains there: another view may stand where it
+    /// looks by chance.
+    fn is_shift(&self, [i, j]: [usize; 2]) -> bool {
+        let by_shift = |k: usize, other: usize| {
+            let (shift, exchange) = (self.shifts[k].0, self.own(k) - self.others[k][other]);
+            shift > self.shift_limit().least.max(MOST_BY_SHIFT * exchange)
+        };
+        by_shift(i, j) || by_shift(j, i)
+    }
+
     fn shift_limit(&self) -> Limit {
         if self.shapes.len() < MANY_VIEWS { SHIFT_OF_FEW } else { SHIFT }
     }
@@ -171,7 +183,7 @@ impl<'a> HullFit<'a> {
         let foreign: Vec<usize> = foreign.into_iter().filter(|k| self.fits_nowhere(*k, limit)).collect();
         let mut out: Vec<Wrong> = foreign.iter().map(|k| Wrong::Foreign(*k)).collect();
         let mut exchanges = self.exchanges();
-        exchanges.retain(|e| !e.1.iter().any(|k| foreign.contains(k)));
+        exchanges.retain(|e| !e.1.iter().any(|k| foreign.contains(k)) && !self.is_shift(e.1));
         let gains: Vec<f64> = exchanges.iter().map(|e| e.0).collect();
         let count = if all.len() < MANY_VIEWS { 0 } else { EXCHANGE.outstanding(&gains) };
         let exchanged: Vec<[usize; 2]> = exchanges[..count].iter().map(|e| e.1).collect();

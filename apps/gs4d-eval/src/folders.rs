@@ -7,11 +7,10 @@
 mod images;
 
 use crate::compare::{Comparer, Metric, SetScores};
-use gs_core::Image;
 use gs_core::io::IoError;
 use gs_metrics::{MetricError, Tof, TofScore};
 pub use gs_metrics::{Quantise, TofOptions};
-use images::{ImageFolder, load_mask, load_over};
+use images::{ImageFolder, Loaded, load_mask, load_over};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -43,8 +42,56 @@ pub struct FolderScores {
     /// Temporal metric tOF; absent if not asked for.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tof: Option<VideoScore>,
+    /// What images without alpha show where ground truth has transparent pixels; absent where it has none, or both have.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub behind: Option<Behind>,
     /// Conditions of the comparison, in words.
     pub protocol: String,
+}
+
+/// What images show where their ground truth is transparent.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Behind {
+    /// Number of such images.
+    pub images: usize,
+    /// Mean colour of their pixels there, RGB in `[0, 1]`.
+    pub color: [f64; 3],
+}
+
+impl Behind {
+    /// The largest difference of a channel to the colour that transparent pixels were put over.
+    pub fn off(&self, background: [f32; 3]) -> f64 {
+        self.color.iter().zip(background).map(|(c, b)| (c - f64::from(b)).abs()).fold(0.0, f64::max)
+    }
+}
+
+/// Sums up what images show where their ground truth is transparent.
+#[derive(Default)]
+struct Behinds {
+    images: usize,
+    pixels: usize,
+    sum: [f64; 3],
+    /// Whether any image has transparent pixels.
+    clear: bool,
+}
+
+impl Behinds {
+    fn add(&mut self, image: &Loaded, truth: &Loaded) {
+        self.clear |= !image.clear.is_empty() || !truth.clear.is_empty();
+        if truth.clear.is_empty() || !image.clear.is_empty() {
+            return;
+        }
+        self.images += 1;
+        for (p, _) in image.image.data.chunks_exact(3).zip(&truth.clear).filter(|(_, clear)| **clear) {
+            self.pixels += 1;
+            self.sum.iter_mut().zip(p).for_each(|(s, v)| *s += f64::from(*v));
+        }
+    }
+
+    fn finish(&self) -> Option<Behind> {
+        let color = self.sum.map(|s| s / self.pixels.max(1) as f64);
+        (self.pixels > 0).then_some(Behind { images: self.images, color })
+    }
 }
 
 /// Temporal metric tOF of a video.
@@ -148,8 +195,11 @@ pub fn score(task: &FolderTask) -> Result<FolderScores, FolderError> {
     let masks = masks.as_ref().map(|m| images.partners(m, true)).transpose()?;
     let mut comparer = Comparer::new(&task.metrics);
     let mut video = task.tof.map(Tof::new);
+    let mut behinds = Behinds::default();
     for (i, (image_file, truth)) in images.files().iter().zip(&truths).enumerate() {
-        let (image, truth) = read_pair(task, &image_file.path, &truth.path)?;
+        let [image, truth] = read_pair(task, &image_file.path, &truth.path)?;
+        behinds.add(&image, &truth);
+        let (image, truth) = (image.image, truth.image);
         let mask = masks.as_ref().map(|m| load_mask(&m[i].path)).transpose()?;
         let failed = |source| FolderError::Metric { path: image_file.path.clone(), source };
         comparer.add(&image_file.name, &image, &truth, mask.as_ref()).map_err(failed)?;
@@ -158,20 +208,25 @@ pub fn score(task: &FolderTask) -> Result<FolderScores, FolderError> {
     let failed = |source| FolderError::Metric { path: task.pred.clone(), source };
     let tof = video.map(Tof::finish).transpose().map_err(failed)?;
     let tof = tof.map(|t| VideoScore::new(&t, |i| &images.files()[i].name));
-    Ok(FolderScores { images: comparer.finish(), tof, protocol: protocol(task) })
+    Ok(FolderScores {
+        images: comparer.finish(),
+        tof,
+        behind: behinds.finish(),
+        protocol: protocol(task, behinds.clear),
+    })
 }
 
-fn read_pair(task: &FolderTask, pred: &Path, gt: &Path) -> Result<(Image, Image), FolderError> {
+fn read_pair(task: &FolderTask, pred: &Path, gt: &Path) -> Result<[Loaded; 2], FolderError> {
     let (mut image, mut truth) = (load_over(pred, task.background)?, load_over(gt, task.background)?);
-    task.quantise.apply(&mut image);
+    task.quantise.apply(&mut image.image);
     if task.quantise != Quantise::None {
-        Quantise::Round.apply(&mut truth);
+        Quantise::Round.apply(&mut truth.image);
     }
-    Ok((image, truth))
+    Ok([image, truth])
 }
 
 /// Conditions of the comparison, in words.
-fn protocol(task: &FolderTask) -> String {
+fn protocol(task: &FolderTask, clear: bool) -> String {
     let quantised = match task.quantise {
         Quantise::None => "values as stored",
         Quantise::Round => "rounded to 8 bit",
@@ -179,8 +234,16 @@ fn protocol(task: &FolderTask) -> String {
     };
     let mut parts =
         vec![format!("data range 1, {quantised}; SSIM 11x11 with zero padding; perceptual_proxy is not LPIPS")];
+    if clear {
+        let [r, g, b] = task.background;
+        parts.push(format!("transparent pixels over {r},{g},{b}"));
+    }
     if task.mask.is_some() {
-        parts.push("masked: PSNR over weighted pixels, SSIM by partial convolution (DyCheck)".to_owned());
+        parts.push(
+            "masked: m-psnr over weighted pixels, m-ssim by partial convolution (DyCheck); f-psnr over the whole frame with the eroded \
+             mask, box-ssim 7x7 in the mask's box"
+                .to_owned(),
+        );
     }
     parts.extend(task.tof.map(tof_protocol));
     parts.join("; ")
@@ -196,6 +259,7 @@ pub fn tof_protocol(options: TofOptions) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use gs_core::Image;
     use gs_core::io::images::save_png;
 
     /// Writes frames of a wave that moves by `speed`.
@@ -247,5 +311,33 @@ mod tests {
         assert!(e.to_string().contains("at least 6 frames"), "{e}");
         let missing = FolderTask { mask: Some(root.path().join("none")), ..task(root.path()) };
         assert!(matches!(score(&missing), Err(FolderError::List { .. })));
+    }
+
+    #[test]
+    fn what_stands_where_truth_is_transparent_is_told() {
+        let dir = tempfile::tempdir().unwrap();
+        let (pred, gt) = (dir.path().join("pred"), dir.path().join("gt"));
+        for folder in [&pred, &gt] {
+            std::fs::create_dir(folder).unwrap();
+        }
+        let truth = [0.2, 0.4, 0.6, 1.0, 0.0, 0.0, 0.0, 0.0].repeat(72);
+        let truth = Image { width: 12, height: 12, channels: 4, data: truth };
+        save_png(&gt.join("a.png"), &truth, false).unwrap();
+        let over_white = [0.2, 0.4, 0.6, 1.0, 1.0, 1.0].repeat(72);
+        let over_white = Image { width: 12, height: 12, channels: 3, data: over_white };
+        save_png(&pred.join("a.png"), &over_white, false).unwrap();
+        let scored = |background: [f32; 3], gt: &Path| {
+            let metrics = vec![Metric::Psnr];
+            let (pred, gt) = (pred.clone(), gt.to_owned());
+            score(&FolderTask { pred, gt, mask: None, metrics, tof: None, quantise: Quantise::Round, background })
+                .unwrap()
+        };
+        let black = scored([0.0; 3], &gt);
+        let behind = black.behind.unwrap();
+        assert!(behind.images == 1 && behind.color == [1.0; 3] && behind.off([0.0; 3]) > 0.99, "{behind:?}");
+        assert!(black.protocol.contains("transparent pixels over 0,0,0"), "{}", black.protocol);
+        let white = scored([1.0; 3], &gt);
+        assert!(white.behind.unwrap().off([1.0; 3]) == 0.0 && white.images.perfect_views == 1);
+        assert!(scored([0.0; 3], &pred).behind.is_none(), "nothing is transparent");
     }
 }

@@ -63,8 +63,8 @@ pub struct Setting {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Config {
     settings: BTreeMap<String, Setting>,
-    /// Keys that may be given but have no default, with an example of their kind.
-    optional: BTreeMap<String, Value>,
+    /// Keys that may be given but have no default, with an example of their kind and what they are.
+    optional: BTreeMap<String, (Value, String)>,
 }
 
 /// Settings that are not valid.
@@ -132,6 +132,8 @@ impl Config {
         for (key, about) in comments(text) {
             if let Some(setting) = self.settings.get_mut(&key) {
                 setting.about = about;
+            } else if let Some(optional) = self.optional.get_mut(&key) {
+                optional.1 = about;
             }
         }
     }
@@ -143,14 +145,16 @@ impl Config {
         Self { settings, optional: BTreeMap::new() }
     }
 
-    /// Declares a key that has no value until it is given one, of the kind of `example`.
+    /// Declares a key that has no value until it is given one, of the kind of `example`; nothing where it has a value.
     pub fn allow(&mut self, key: &str, example: impl Into<Value>) {
-        self.optional.insert(key.to_owned(), example.into());
+        if !self.settings.contains_key(key) {
+            self.optional.insert(key.to_owned(), (example.into(), String::new()));
+        }
     }
 
     /// The value, or else the example, that defines the type of a key.
     fn model(&self, key: &str) -> Option<&Value> {
-        self.settings.get(key).map(|s| &s.value).or_else(|| self.optional.get(key))
+        self.settings.get(key).map(|s| &s.value).or_else(|| self.optional.get(key).map(|o| &o.0))
     }
 
     fn keys(&self) -> impl Iterator<Item = &String> {
@@ -256,6 +260,10 @@ impl Config {
             let about = if setting.about.is_empty() { String::new() } else { format!("; {}", setting.about) };
             let line = format!("{leaf} = {}", show(&setting.value));
             lines.push((section, line, format!("# {}{about}", setting.source).replace(['\n', '\r'], " ")));
+        }
+        for (key, (example, about)) in self.optional.iter().filter(|o| !self.settings.contains_key(o.0)) {
+            let (section, leaf) = key.rsplit_once('.').map_or((None, key.as_str()), |(s, l)| (Some(s), l));
+            lines.push((section, format!("# {leaf} = {}", show(example)), format!("# not set; {about}")));
         }
         // Values of a section must not follow those of its subsections, and those without a section come first.
         lines.sort_by(|a, b| a.0.cmp(&b.0));
@@ -495,9 +503,10 @@ mod tests {
         let mut c = config();
         assert!(c.set("range=0..2").is_err());
         c.allow("range", "0..1");
-        assert!(!c.to_commented_toml().contains("range"));
+        assert!(c.to_commented_toml().contains("# range = \"0..1\""), "{}", c.to_commented_toml());
         c.set("range=0..2").unwrap();
         assert_eq!(c.get("range").unwrap().value.as_str(), Some("0..2"));
+        assert!(!c.to_commented_toml().contains("# range"));
         assert!(c.set("rnage=0..2").unwrap_err().to_string().contains("did you mean `range`?"));
     }
 

@@ -18,6 +18,8 @@ use std::path::{Path, PathBuf};
 use toml::{Table, Value};
 
 const RUN_DEFAULTS: &str = include_str!("defaults.toml");
+/// What the options of the data are; the values are examples of those that have no default.
+const DATA_ABOUT: &str = include_str!("data.toml");
 
 /// How the keys of stages begin.
 const STAGES: &str = "schedule.stages.";
@@ -126,18 +128,11 @@ pub fn defaults(registry: &Registry, method: &str) -> Result<Config, RunError> {
     table.extend(own.parse::<Table>().map_err(|e| ConfigError::Invalid(e.to_string()))?);
     let mut config = Config::of_table(&table);
     entry.defaults.iter().chain([&own.as_str()]).for_each(|layer| config.describe(layer));
-    for (key, example) in [
-        ("data.layout", "blender"),
-        ("data.time_range", "0..1"),
-        ("data.time_shift", "4:-2,17:1"),
-        ("data.images", "images"),
-    ] {
-        config.allow(key, example);
+    let about: Table = DATA_ABOUT.parse().map_err(|e: toml::de::Error| ConfigError::Invalid(e.to_string()))?;
+    for (key, example) in about.get("data").and_then(Value::as_table).into_iter().flatten() {
+        config.allow(&format!("data.{key}"), example.clone());
     }
-    for (key, example) in [("data.fps", 30.0), ("data.time_boundary", 0.75)] {
-        config.allow(key, example);
-    }
-    config.allow("data.max_image_mib", 64);
+    config.describe(DATA_ABOUT);
     config.put("run.method", method, Source::Default)?;
     Ok(config)
 }
@@ -298,7 +293,7 @@ impl Resolved {
         const KEY: &str = "init.points";
         let given = self.config.get(KEY).is_none_or(|s| !matches!(s.source, Source::Default | Source::Preset(_)));
         match &dataset.points {
-            Some(points) if !given && gs_data::has_start_points(Path::new(&self.run.data))? => {
+            Some(points) if !given && gs_data::has_start_points(&dataset.root)? => {
                 let most = self.config.get("schedule.density.max_splats").and_then(|s| s.value.as_integer());
                 let count = i64::try_from(points.positions.len()).unwrap_or(i64::MAX).min(most.unwrap_or(i64::MAX));
                 let mut config = self.config.clone();
@@ -445,6 +440,23 @@ mod tests {
     fn request(sets: &[&str]) -> Request {
         let sets = sets.iter().map(|s| (*s).to_owned()).collect();
         Request { method: "static3d".into(), preset: "tiny".into(), sets, ..Request::default() }
+    }
+
+    /// Every option of the data is described, and nothing else.
+    #[test]
+    fn options_of_the_data_say_what_they_are() {
+        let about: Table = DATA_ABOUT.parse().unwrap();
+        let all: DataOptions = about["data"].clone().try_into().unwrap();
+        // All that may be absent are given there, so that every field is written.
+        let written: Table = toml::to_string(&all).unwrap().parse().unwrap();
+        let keys = |t: &Table| t.keys().cloned().collect::<std::collections::BTreeSet<_>>();
+        assert_eq!(keys(&written), keys(about["data"].as_table().unwrap()));
+        let text = defaults(gs_methods::registry(), "fourdgs").unwrap().to_commented_toml();
+        for key in written.keys() {
+            let line = text.lines().find(|l| l.trim_start_matches("# ").starts_with(&format!("{key} = "))).unwrap();
+            assert!(line.contains("; "), "{line}");
+        }
+        assert!(text.contains("# time_range = \"0..1\""), "{text}");
     }
 
     #[test]

@@ -94,22 +94,35 @@ fn numbers(name: &str) -> Vec<(usize, String)> {
     parts.map(|p| p.trim_start_matches('0')).map(|p| (p.len(), p.to_owned())).collect()
 }
 
-/// Loads an image composited over a background, `[H, W, 3]`. PNG and JPEG have straight alpha, EXR and NPY premultiplied.
+/// An image over a background.
+pub(crate) struct Loaded {
+    /// `[H, W, 3]`.
+    pub(crate) image: Image,
+    /// Pixels that show the background alone, row-major; empty where every pixel shows something else.
+    pub(crate) clear: Vec<bool>,
+}
+
+/// Loads an image composited over a background. PNG and JPEG have straight alpha, EXR and NPY premultiplied.
 ///
 /// # Errors
 /// If the file cannot be read or is no image of 1, 3 or 4 channels.
-pub(crate) fn load_over(path: &Path, background: [f32; 3]) -> Result<Image, FolderError> {
+pub(crate) fn load_over(path: &Path, background: [f32; 3]) -> Result<Loaded, FolderError> {
     let (image, premultiplied) = load(path)?;
     let mut data = Vec::with_capacity(image.width * image.height * 3);
+    let mut clear = Vec::new();
     for p in image.data.chunks_exact(image.channels) {
         let alpha = if image.channels == 4 { p[3] } else { 1.0 };
         let weight = if premultiplied { 1.0 } else { alpha };
+        clear.push(alpha < 0.5 / 255.0);
         for c in 0..3 {
             let value = if image.channels < 3 { p[0] } else { p[c] };
             data.push(value * weight + background[c] * (1.0 - alpha));
         }
     }
-    Ok(Image { width: image.width, height: image.height, channels: 3, data })
+    if !clear.contains(&true) {
+        clear.clear();
+    }
+    Ok(Loaded { image: Image { width: image.width, height: image.height, channels: 3, data }, clear })
 }
 
 /// Loads the first channel of an image as a mask, `[H, W, 1]`; 1 for pixels that count.

@@ -13,8 +13,12 @@ use gs4d_eval::folders::{FolderScores, FolderTask, Quantise, TofOptions, VideoSc
 use gs4d_eval::temporal;
 use gs4d_run::folder::METRICS;
 use gs4d_run::opened::metrics_json;
+use gs4d_run::summary::color_name;
 use serde_json::json;
 use std::path::{Path, PathBuf};
+
+/// Difference of two backgrounds, 0..1, from which on it is told.
+const FAR_OFF: f64 = 0.04;
 
 /// Score a run on its test views, or a folder of images against a folder of truths
 #[derive(clap::Args)]
@@ -127,7 +131,7 @@ impl Eval {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
         match (&self.run, &self.pred, &self.gt) {
             (Some(run), _, _) => self.of_run(run, global),
-            (None, Some(pred), Some(gt)) => self.of_folders(pred, gt),
+            (None, Some(pred), Some(gt)) => self.of_folders(pred, gt, global),
             _ => Err(Failure::usage("give a run, or two folders with --pred and --gt")),
         }
     }
@@ -185,7 +189,7 @@ impl Eval {
         Ok(Answer::new(text, json))
     }
 
-    fn of_folders(&self, pred: &Path, gt: &Path) -> Result<Answer, Failure> {
+    fn of_folders(&self, pred: &Path, gt: &Path, global: &Global) -> Result<Answer, Failure> {
         if self.asks_for(MetricName::Masked) && self.mask.is_none() {
             return Err(Failure::usage("masked needs masks: give their folder with --mask"));
         }
@@ -201,6 +205,15 @@ impl Eval {
             background,
         };
         let scores = score(&task)?;
+        if let Some(behind) = scores.behind.filter(|b| b.off(background) > FAR_OFF) {
+            let [r, g, b] = behind.color.map(|c| (c * 100.0).round() / 100.0);
+            global.say(format!(
+                "warning: where ground truth is transparent, {} images show {r},{g},{b}, but it was put over {}: scores suffer; score with the \
+                 background that the images were rendered over: --background {r},{g},{b}",
+                behind.images,
+                color_name(background)
+            ));
+        }
         let mut json = json!(scores);
         json["pred"] = json!(pred.display().to_string());
         json["gt"] = json!(gt.display().to_string());

@@ -388,10 +388,10 @@ fn every_field_that_is_wrong_is_named() {
         (
             &(|j: &mut Value| j["frames"][2]["time"] = json!(1.3)) as &dyn Fn(&mut Value),
             "data.time",
-            "frame \"f002\" has time 1.3, the other 3 lie in 0..1",
+            "frame \"f002\" has time 1.3; 1 of 4 training times lie outside 0..1, all frames are in 0..1.3",
         ),
         (&|j| j["frames"][1]["time"] = json!("<NaN>"), "data.field", "frames[1].time is NaN"),
-        (&|j| j["frames"][1]["time"] = json!("x"), "data.field", "frames[1].time is x"),
+        (&|j| j["frames"][1]["time"] = json!("x"), "data.field", "frames[1].time is \"x\""),
         (&|j| j["frames"][1]["time"] = Value::Null, "data.field", "frames[1].time is missing"),
         (&|j| j["camera_angle_x"] = json!("<NaN>"), "data.field", "camera_angle_x is NaN"),
         (&|j| j["camera_angle_x"] = json!(3.5), "data.field", "camera_angle_x is 3.5"),

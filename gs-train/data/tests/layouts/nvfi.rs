@@ -255,7 +255,7 @@ fn every_fault_is_named() {
         (
             |s| s.train["data"]["cam_1"]["frames"][2]["time"] = json!("x"),
             "data.field",
-            "data.cam_1.frames[2].time is x",
+            "data.cam_1.frames[2].time is \"x\"",
         ),
         (|s| s.train["data"]["cam_1"]["frames"][2]["time"] = json!("<NaN>"), "data.field", "frames[2].time is NaN"),
         (|s| s.train["data"]["cam_1"]["frames"][2]["time"] = Value::Null, "data.field", "frames[2].time is missing"),
