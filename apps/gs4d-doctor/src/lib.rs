@@ -19,6 +19,7 @@
 //! | `clock` | times: source, gaps, two images of one camera at one time, cameras whose clock is off |
 //! | `poses` | cameras: epipolar error of matched corners, under the poses and under other conventions |
 //! | `silhouettes` | cameras: the visual hull of alpha or masks must cover every silhouette |
+//! | `corner_fit`, `hull_fit` | single views: another pose that explains the image far better, and which faults would be found |
 //! | `template` | a filmed person: the posed template must cover its silhouettes; poses, cameras and clocks that do not fit |
 //! | `start` | initial points and the scene box |
 //! | `cost` | memory and time of a training run, extrapolated from a few steps |
