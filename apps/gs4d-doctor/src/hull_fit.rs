@@ -35,6 +35,8 @@ const MOST_BY_SHIFT: f64 = 0.75;
 /// Fewest silhouettes that say what is usual, and that tell exchanged ones.
 const MIN_VIEWS: usize = 12;
 const MANY_VIEWS: usize = 32;
+/// Share of the exchanges tried that must be found before any view is accused of one.
+const LIKELY: f64 = 0.8;
 /// Share of the views that fit worst: others are not accused by corners either.
 const WORST: f64 = 0.1;
 /// Views that are turned, and pairs that are exchanged, to learn what would be found.
@@ -76,6 +78,13 @@ impl Limit {
     /// How many values at the head of a descending list stand out.
     fn outstanding(self, values: &[f64]) -> usize {
         (0..values.len()).take_while(|&k| values[k] > self.over(&values[k + 1..])).count()
+    }
+}
+
+impl Found {
+    /// Found of tried, 0..1.
+    pub(super) fn share(self) -> f64 {
+        self.found as f64 / self.tried.max(1) as f64
     }
 }
 
@@ -122,6 +131,11 @@ impl<'a> HullFit<'a> {
         let inner = shapes.par_iter().zip(&renderings).map(|(h, r)| h.inner_misfit(r)).collect();
         let shifts = shapes.par_iter().zip(&renderings).map(|(h, r)| h.best_shift(r)).collect();
         Some(Self { carved: &s.carved, cameras, shapes, others, inner, shifts })
+    }
+
+    /// Number of views that are compared.
+    pub(super) fn count(&self) -> usize {
+        self.shapes.len()
     }
 
     /// The misfit of a view under its own pose.
@@ -185,7 +199,8 @@ impl<'a> HullFit<'a> {
         let mut exchanges = self.exchanges();
         exchanges.retain(|e| !e.1.iter().any(|k| foreign.contains(k)) && !self.is_shift(e.1));
         let gains: Vec<f64> = exchanges.iter().map(|e| e.0).collect();
-        let count = if all.len() < MANY_VIEWS { 0 } else { EXCHANGE.outstanding(&gains) };
+        // Where many exchanges would not be told, one that is told may be chance.
+        let count = if self.exchanges_found().share() < LIKELY { 0 } else { EXCHANGE.outstanding(&gains) };
         let exchanged: Vec<[usize; 2]> = exchanges[..count].iter().map(|e| e.1).collect();
         out.extend(exchanged.iter().map(|&[i, j]| Wrong::Exchanged(i, j)));
         let named = |k: &usize| foreign.contains(k) || exchanged.as_flattened().contains(k);

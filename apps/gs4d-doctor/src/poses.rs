@@ -191,8 +191,13 @@ impl Singles<'_, '_, '_> {
         }
         let focal = matches.focal_found();
         let focal = if focal { "would" } else { "would not" };
-        let text =
-            format!("a single pose would be found wrong if {}; focal lengths off by a fifth {focal}", told.join(", "));
+        let of = [Split::Train, Split::Val, Split::Test].map(|s| self.data.views(s).len()).iter().sum::<usize>();
+        let compared = self.views.0.len().min(self.hull.as_ref().map_or(usize::MAX, HullFit::count));
+        let compared = if compared < of { format!("; {compared} of {of} views are compared") } else { String::new() };
+        let text = format!(
+            "a single pose would be found wrong if {}; focal lengths off by a fifth {focal}{compared}",
+            told.join(", ")
+        );
         if turned {
             return Finding::new("poses", "poses.power", Verdict::Ok, text);
         }
@@ -225,10 +230,6 @@ impl Singles<'_, '_, '_> {
 }
 
 impl Found {
-    fn share(self) -> f64 {
-        self.found as f64 / self.tried.max(1) as f64
-    }
-
     /// For example `turned by 5 degrees (12 of 12 tried)`.
     fn text(self, what: &str) -> String {
         format!("{what} ({} of {} tried)", self.found, self.tried)
