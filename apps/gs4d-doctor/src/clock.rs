@@ -22,7 +22,7 @@ const MIN_CORRELATION: f64 = 0.7;
 const MIN_GAIN: f64 = 0.3;
 const MIN_HALF_GAIN: f64 = 0.15;
 const MIN_LEAD: f64 = 0.1;
-/// Share of the cameras whose shift must be found before any is accused.
+/// Share of the cameras whose shift must be found before any is flagged.
 const SURE: f64 = 0.9;
 /// Cameras that run late must be fewer than this share: the others say what the time is.
 const MAX_LATE: f64 = 0.34;
@@ -141,7 +141,7 @@ impl<'a> Clocks<'a> {
     }
 
     /// Cameras that see the same changes as the others, some time steps earlier or later, and what the check can find. None is
-    /// accused where it would find few of the shifts that are put into the data's own times.
+    /// flagged where it would find few of the shifts that are put into the data's own times.
     fn findings(&self) -> (Option<Finding>, Option<Finding>) {
         let late = lags(&self.changes);
         let sound: Vec<usize> = (0..self.changes.len()).filter(|k| late.iter().all(|l| l.0 != *k)).collect();

@@ -108,7 +108,7 @@ impl<'m, 'v> CornerFit<'m, 'v> {
         })
     }
 
-    /// Turns views of the data by an angle, one at a time, and counts those that would be accused.
+    /// Turns views of the data by an angle, one at a time, and counts those that would be flagged.
     pub(super) fn turns_found(&self, degrees: f64) -> Found {
         let n = self.matches.views.len();
         let count = n.min(TRIED_VIEWS);

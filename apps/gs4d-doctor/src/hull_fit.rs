@@ -3,7 +3,7 @@
 //!
 //! The misfit of an image and a rendering of the hull is, per pixel of the silhouette: the mean difference of colours where both are, 1 where
 //! the hull is missing, and 0.25 where the hull is outside the silhouette (a moving scene's hull is the union of what was somewhere
-//! at some time). A view is accused only where another explanation fits far better than its own pose, by more than anything
+//! at some time). A view is flagged only where another explanation fits far better than its own pose, by more than anything
 //! gains in the views of the same data.
 
 use super::silhouettes::Silhouettes;
@@ -16,7 +16,7 @@ use rayon::prelude::*;
 const SIDE: usize = 64;
 /// Largest shift that is tried, in steps of one of these pixels.
 const MAX_SHIFT: isize = 8;
-/// An explanation accuses a view if it gains so many times what the views that gain most after the accused ones do, and at least so much:
+/// An explanation flags a view if it gains so many times what the views that gain most after the flagged ones do, and at least so much:
 /// shifts, exchanges of two poses, and misfits inside the silhouette of images that fit nowhere.
 const SHIFT: Limit = Limit { times: 3.0, least: 0.06 };
 /// The same of few silhouettes, whose hull is coarse.
@@ -28,16 +28,16 @@ const MIN_EACH: f64 = 0.01;
 const MIN_PART: f64 = 0.35;
 /// A fault that is tried must exceed the limit by this factor: it was not among the views that carved the hull.
 const MARGIN: f64 = 1.3;
-/// Places below an accused one that says what is usual: one more may be at fault.
+/// Places below an flagged one that says what is usual: one more may be at fault.
 const BELOW: usize = 2;
 /// A view is not exchanged if a shift gains this share of what the other's pose gains.
 const MOST_BY_SHIFT: f64 = 0.75;
 /// Fewest silhouettes that say what is usual, and that tell exchanged ones.
 const MIN_VIEWS: usize = 12;
 const MANY_VIEWS: usize = 32;
-/// Share of the exchanges tried that must be found before any view is accused of one.
+/// Share of the exchanges tried that must be found before any view is flagged of one.
 const LIKELY: f64 = 0.8;
-/// Share of the views that fit worst: others are not accused by corners either.
+/// Share of the views that fit worst: others are not flagged by corners either.
 const WORST: f64 = 0.1;
 /// Views that are turned, and pairs that are exchanged, to learn what would be found.
 const TRIED_VIEWS: usize = 12;
@@ -223,7 +223,7 @@ impl<'a> HullFit<'a> {
         (shift[0] as f64 / c.fx).hypot(shift[1] as f64 / c.fy).atan().to_degrees()
     }
 
-    /// Turns views of the data by an angle, one at a time, and counts those that would be accused.
+    /// Turns views of the data by an angle, one at a time, and counts those that would be flagged.
     pub(super) fn turns_found(&self, degrees: f64) -> Found {
         let n = self.shapes.len();
         let count = n.min(TRIED_VIEWS);

@@ -3,7 +3,7 @@
 //!
 //! Random matches are within the tolerance in one or two cases of a hundred, so a much larger share supports the poses. The same share under
 //! other readings of the poses ([`PoseReading`]) and other focal lengths tells which fits best. Where things move or texture repeats,
-//! matches disagree with sound poses as well: a view is accused only if another pose explains it ([`CornerFit`], [`HullFit`]), and
+//! matches disagree with sound poses as well: a view is flagged only if another pose explains it ([`CornerFit`], [`HullFit`]), and
 //! faults put into the data's own poses tell what such a test can find there.
 
 use super::corner_fit::{CornerFit, Elsewhere};
@@ -39,15 +39,15 @@ const FOCAL_DEVIATIONS: f64 = 6.0;
 const SURE: f64 = 0.9;
 /// Turns that are tried, degrees.
 const TURNS: [f64; 3] = [3.0, 5.0, 10.0];
-/// Most views accused one by one; of more, the whole is in doubt.
-const MAX_ACCUSED: f64 = 0.25;
-/// Most accused views that are shown.
+/// Most views flagged one by one; of more, the whole is in doubt.
+const MAX_FLAGGED: f64 = 0.25;
+/// Most flagged views that are shown.
 const MAX_SHOWN: usize = 6;
 
 /// A view by split and index.
 type Place = (Split, usize);
 
-/// Checks poses; returns figures of matched images and of accused views.
+/// Checks poses; returns figures of matched images and of flagged views.
 pub(super) fn check(
     data: &Dataset,
     small_images: &ImageCache,
@@ -70,21 +70,20 @@ pub(super) fn check(
         data,
         views: &views,
         corners: CornerFit::new(&matches, middle, data.dynamic),
-        hull: silhouettes.and_then(HullFit::of),
-        silhouettes,
+        hull: silhouettes.and_then(|s| Some((s, HullFit::of(s)?))),
     };
-    let (accused, doubt) = singles.accused();
+    let (flagged, doubt) = singles.flagged();
     // Silhouettes may settle what corners cannot.
     let settled = by_silhouettes.iter().any(|f| f.verdict == Verdict::Ok);
     findings.extend(whole.into_iter().filter(|f| f.verdict == Verdict::Ok || !settled));
     findings.extend(by_silhouettes);
-    let mut shown: Vec<Figure> = accused
+    let mut shown: Vec<Figure> = flagged
         .keys()
         .take(MAX_SHOWN)
-        .filter_map(|p| singles.figure(*p, &accused[p], &matches, small_images))
+        .filter_map(|p| singles.figure(*p, &flagged[p], &matches, small_images))
         .collect();
     findings.extend(doubt);
-    findings.extend(singles.finding(&accused));
+    findings.extend(singles.finding(&flagged));
     findings.push(singles.power(&matches));
     shown.extend(matches.figure(None, small_images));
     (findings, shown)
@@ -95,8 +94,7 @@ struct Singles<'a, 'm, 'v> {
     data: &'a Dataset,
     views: &'a Views,
     corners: CornerFit<'m, 'v>,
-    hull: Option<HullFit<'a>>,
-    silhouettes: Option<&'a Silhouettes>,
+    hull: Option<(&'a Silhouettes, HullFit<'a>)>,
 }
 
 impl Singles<'_, '_, '_> {
@@ -104,34 +102,30 @@ impl Singles<'_, '_, '_> {
         &self.data.views(split)[index].name
     }
 
-    /// The view of a silhouette.
-    fn of_shape(&self, k: usize) -> Place {
-        let (split, shape) = &self.silhouettes.expect("a hull was fitted to silhouettes").shapes[k];
-        (*split, shape.index)
-    }
-
-    /// Reasons by view, and a finding where so many are accused that single views cannot be the fault.
-    fn accused(&self) -> (BTreeMap<Place, Vec<String>>, Option<Finding>) {
+    /// Reasons by view, and a finding where so many are flagged that single views cannot be the fault.
+    fn flagged(&self) -> (BTreeMap<Place, Vec<String>>, Option<Finding>) {
         let mut out: BTreeMap<Place, Vec<String>> = BTreeMap::new();
-        for wrong in self.hull.as_ref().map_or(Vec::new(), HullFit::wrong) {
+        let by_hull = self.hull.iter().flat_map(|(s, hull)| hull.wrong().into_iter().map(move |wrong| (*s, wrong)));
+        for (s, wrong) in by_hull {
+            let place = |k: usize| (s.shapes[k].0, s.shapes[k].1.index);
             match wrong {
                 Wrong::Exchanged(i, j) => {
-                    let [a, b] = [i, j].map(|k| self.of_shape(k));
+                    let [a, b] = [i, j].map(place);
                     out.entry(a).or_default().push(format!("has the pose of {}", self.name(b)));
                     out.entry(b).or_default().push(format!("has the pose of {}", self.name(a)));
                 }
                 Wrong::Turned(k, by) => {
-                    out.entry(self.of_shape(k)).or_default().push(format!("looks about {by:.0} degrees elsewhere"));
+                    out.entry(place(k)).or_default().push(format!("looks about {by:.0} degrees elsewhere"));
                 }
                 Wrong::Foreign(k) => {
-                    out.entry(self.of_shape(k)).or_default().push("shows something that the others do not".to_owned());
+                    out.entry(place(k)).or_default().push("shows something that the others do not".to_owned());
                 }
             }
         }
         let (mut elsewhere, asked) = self.corners.wrong();
         // Corners of what moves agree with another pose, too, but such a view fits the hull.
         elsewhere.retain(|e| self.doubted_by_hull(self.views.0[e.view]));
-        let many = elsewhere.len() > 3 && elsewhere.len() as f64 > MAX_ACCUSED * self.views.0.len() as f64;
+        let many = elsewhere.len() > 3 && elsewhere.len() as f64 > MAX_FLAGGED * self.views.0.len() as f64;
         if many {
             let what = format!(
                 "the corners of {} of {asked} views agree with other poses than their own: the poses are not those of these images",
@@ -152,13 +146,13 @@ impl Singles<'_, '_, '_> {
     }
 
     fn doubted_by_hull(&self, place: Place) -> bool {
-        let shapes = self.silhouettes.map_or(&[][..], |s| &s.shapes);
-        let shape = shapes.iter().position(|(split, h)| (*split, h.index) == place);
-        self.hull.as_ref().zip(shape).is_none_or(|(hull, k)| hull.is_doubtful(k))
+        let Some((s, hull)) = &self.hull else { return true };
+        let shape = s.shapes.iter().position(|(split, h)| (*split, h.index) == place);
+        shape.is_none_or(|k| hull.is_doubtful(k))
     }
 
-    fn finding(&self, accused: &BTreeMap<Place, Vec<String>>) -> Option<Finding> {
-        if accused.is_empty() {
+    fn finding(&self, flagged: &BTreeMap<Place, Vec<String>>) -> Option<Finding> {
+        if flagged.is_empty() {
             return None;
         }
         let split = |s: Split| match s {
@@ -166,8 +160,8 @@ impl Singles<'_, '_, '_> {
             Split::Val => " (validation)",
             Split::Test | Split::Extrapolate => " (test)",
         };
-        let places = accused.iter().map(|(p, why)| format!("{}{}: {}", self.name(*p), split(p.0), why.join(", and ")));
-        let what = match accused.len() {
+        let places = flagged.iter().map(|(p, why)| format!("{}{}: {}", self.name(*p), split(p.0), why.join(", and ")));
+        let what = match flagged.len() {
             1 => "the image of 1 view does not fit its pose".to_owned(),
             n => format!("the images of {n} views do not fit their poses"),
         };
@@ -178,25 +172,26 @@ impl Singles<'_, '_, '_> {
     /// What these checks would find, by faults put into the data's own poses.
     fn power(&self, matches: &Matches<'_>) -> Finding {
         let by_either = |degrees: f64| {
-            let hull = self.hull.as_ref().map_or(Found::default(), |h| h.turns_found(degrees));
+            let hull = self.hull.as_ref().map_or(Found::default(), |(_, h)| h.turns_found(degrees));
             let corners = self.corners.turns_found(degrees);
             if hull.share() > corners.share() { hull } else { corners }
         };
-        let mut told: Vec<String> =
-            TURNS.into_iter().map(|d| by_either(d).text(&format!("turned by {d} degrees"))).collect();
-        let turned = TURNS.into_iter().any(|d| by_either(d).share() >= SURE);
-        if let Some(hull) = &self.hull {
-            told.push(hull.exchanges_found().text("exchanged for another"));
-            told.push(hull.foreign_found().text("of an image of something else"));
+        let turns = TURNS.map(by_either);
+        let turned = turns.iter().any(|found| found.share() >= SURE);
+        let mut faults: Vec<String> =
+            TURNS.iter().zip(turns).map(|(d, found)| found.text(&format!("turned by {d} degrees"))).collect();
+        if let Some((_, hull)) = &self.hull {
+            faults.push(hull.exchanges_found().text("exchanged for another"));
+            faults.push(hull.foreign_found().text("of an image of something else"));
         }
         let focal = matches.focal_found();
         let focal = if focal { "would" } else { "would not" };
         let of = [Split::Train, Split::Val, Split::Test].map(|s| self.data.views(s).len()).iter().sum::<usize>();
-        let compared = self.views.0.len().min(self.hull.as_ref().map_or(usize::MAX, HullFit::count));
+        let compared = self.views.0.len().min(self.hull.as_ref().map_or(usize::MAX, |(_, h)| h.count()));
         let compared = if compared < of { format!("; {compared} of {of} views are compared") } else { String::new() };
         let text = format!(
             "a single pose would be found wrong if {}; focal lengths off by a fifth {focal}{compared}",
-            told.join(", ")
+            faults.join(", ")
         );
         if turned {
             return Finding::new("poses", "poses.power", Verdict::Ok, text);
@@ -210,11 +205,12 @@ impl Singles<'_, '_, '_> {
         .fix("look at the report's worst views after a short training: a view whose pose is wrong is among them")
     }
 
-    /// An accused view against what the others say.
+    /// An flagged view against what the others say.
     fn figure(&self, place: Place, why: &[String], matches: &Matches<'_>, small_images: &ImageCache) -> Option<Figure> {
         let caption = |how: &str| format!("{}: {} ({how})", self.name(place), why.join(", and "));
-        let shape = self.silhouettes.and_then(|s| s.shapes.iter().find(|(split, h)| (*split, h.index) == place));
-        if let (Some((_, shape)), Some(s)) = (shape, self.silhouettes) {
+        let of_hull = self.hull.as_ref().map(|(s, _)| *s);
+        let shape = of_hull.and_then(|s| Some((s, &s.shapes.iter().find(|(split, h)| (*split, h.index) == place)?.1)));
+        if let Some((s, shape)) = shape {
             let image = figures::beside_hull(&shape.image, &s.carved.render(&shape.camera));
             return Some(Figure {
                 topic: "poses",

@@ -122,7 +122,7 @@ fn run(cli: Cli) -> Result<Answer, Failure> {
         Verb::Glmd(verb) => verb.run(global),
         Verb::Segment(verb) => verb.run(global),
         Verb::Inspect(verb) => verb.run(global),
-        Verb::Completions(verb) => verb.run(),
+        Verb::Completions(verb) => Ok(verb.run()),
         Verb::Man(verb) => verb.run(),
         Verb::Compact(verb) => renamed("compact", "export -o NAME.gs4d", global, |global| verb.run(global)),
         Verb::Export(verb) => verb.run(global),

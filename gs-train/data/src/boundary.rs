@@ -77,24 +77,10 @@ fn renamed(mut beyond: Vec<(&str, Draft)>) -> Vec<Draft> {
 mod tests {
     use super::*;
     use crate::times::settle;
-    use crate::{ImageSource, Place, View};
-    use glam::DVec3;
-    use gs_core::{Camera, Time};
 
     /// Cameras 0 to 3 at times 10, 11, …, 14; cameras 0 and 1 train, 2 watches, 3 is held out.
     fn drafts() -> Drafts {
-        let camera = Camera::look_at(2, 2, 0.7, DVec3::X, DVec3::ZERO, DVec3::Z).unwrap();
-        let draft = |k: u32| Draft {
-            view: View::new(
-                format!("r_{}", k / 4),
-                camera.clone(),
-                Time::default(),
-                ImageSource::File("a.png".into()),
-                k % 4,
-            ),
-            stated: Some(10.0 + f64::from(k / 4)),
-            place: Place::new("t.json".as_ref(), ""),
-        };
+        let draft = |k: u32| Draft::of_camera(format!("r_{}", k / 4), k % 4, 10.0 + f64::from(k / 4));
         let of = |cameras: &[u32]| (0..20).filter(|k| cameras.contains(&(k % 4))).map(draft).collect();
         Drafts { train: of(&[0, 1]), val: of(&[2]), test: of(&[3]) }
     }

@@ -108,18 +108,10 @@ fn frames(mut drafts: Drafts, options: &DataOptions) -> Result<Drafts, DataError
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{ImageSource, Place, View};
-    use glam::DVec3;
-    use gs_core::{Camera, Time};
 
     /// Cameras 0 to 3 at times 0 to 5; camera 3 is held out.
     fn drafts() -> Drafts {
-        let camera = Camera::look_at(2, 2, 0.7, DVec3::X, DVec3::ZERO, DVec3::Z).unwrap();
-        let draft = |k: u32| Draft {
-            view: View::new("v", camera.clone(), Time::default(), ImageSource::File("a.png".into()), k % 4),
-            stated: Some(f64::from(k / 4)),
-            place: Place::new("t.json".as_ref(), ""),
-        };
+        let draft = |k: u32| Draft::of_camera("v".to_owned(), k % 4, f64::from(k / 4));
         let (test, train) = (0..24).map(draft).partition(|d| d.view.camera_id == 3);
         Drafts { train, val: Vec::new(), test }
     }

@@ -41,24 +41,10 @@ pub(crate) fn shift(drafts: &mut Drafts, options: &DataOptions, notes: &mut Vec<
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{ImageSource, Place, View};
-    use glam::DVec3;
-    use gs_core::{Camera, Time};
 
     /// Cameras 0 to 2 at times 10, 12, 15, 19; camera 2 is held out.
     fn drafts() -> Drafts {
-        let camera = Camera::look_at(2, 2, 0.7, DVec3::X, DVec3::ZERO, DVec3::Z).unwrap();
-        let draft = |k: u32| Draft {
-            view: View::new(
-                format!("r_{k}"),
-                camera.clone(),
-                Time::default(),
-                ImageSource::File("a.png".into()),
-                k % 3,
-            ),
-            stated: Some([10.0, 12.0, 15.0, 19.0][k as usize / 3]),
-            place: Place::new("t.json".as_ref(), ""),
-        };
+        let draft = |k: u32| Draft::of_camera(format!("r_{k}"), k % 3, [10.0, 12.0, 15.0, 19.0][k as usize / 3]);
         let (test, train) = (0..12).map(draft).partition(|d| d.view.camera_id == 2);
         Drafts { train, val: Vec::new(), test }
     }

@@ -251,6 +251,17 @@ impl Clock {
 }
 
 #[cfg(test)]
+impl Draft {
+    /// A view of a camera at a time, without a place of its own.
+    pub(super) fn of_camera(name: String, camera_id: u32, stated: f64) -> Self {
+        let camera = gs_core::Camera::look_at(2, 2, 0.7, glam::DVec3::X, glam::DVec3::ZERO, glam::DVec3::Z);
+        let image = ImageSource::File("a.png".into());
+        let view = View::new(name, camera.expect("a camera"), Time::default(), image, camera_id);
+        Self { view, stated: Some(stated), place: Place::new("t.json".as_ref(), "") }
+    }
+}
+
+#[cfg(test)]
 mod tests {
     use super::*;
     use glam::DVec3;

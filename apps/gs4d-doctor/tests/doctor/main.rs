@@ -280,7 +280,7 @@ fn cameras_that_run_late_are_named() {
     let name = folder.photo(own[0]).file_stem().expect("name").to_string_lossy().into_owned();
     let text = must_name(&folder.look(), "time.late", Verdict::Warning);
     assert!(text.contains(&format!("camera 0 ({name}): +3 moments")), "{text}");
-    // What it says to set mends it, and is written on request.
+    // The setting it names fixes it, and is written on request.
     let written = apply(folder.dir(), &folder.look().findings).expect("written");
     assert_eq!(written, ["data.time_shift=0:-3"]);
     assert_eq!(codes(&folder.look()), Vec::<&str>::new());

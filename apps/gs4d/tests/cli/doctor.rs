@@ -80,7 +80,7 @@ fn the_doctor_comes_again_and_keeps_what_is_not_its_own() {
 
 /// Times that are frame numbers: one proposal that is enough, which `--fix` writes.
 #[test]
-fn times_of_another_range_are_mended_on_request() {
+fn times_of_another_range_are_fixed_on_request() {
     let dir = tempfile::tempdir().unwrap();
     let (folder, html) = (dir.path().join("data"), dir.path().join("doctor.html"));
     copy(data(), &folder);
