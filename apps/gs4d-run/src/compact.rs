@@ -13,8 +13,8 @@
 //!
 //! Positions on a known lattice are stored as whole numbers, exactly. Blocks of at most [`SMALL`] values stay `f32`.
 
-use crate::{RunError, kept};
-use gs_data::View;
+use crate::RunError;
+use crate::kept::Kept;
 use gs_train::checkpoint::{Checkpoint, CheckpointError, Coding, Encoding};
 use gs_train::model::Model;
 use gs_train::saved::{self, Loaded, RunState};
@@ -27,7 +27,9 @@ use std::path::Path;
 
 /// Key of the run's settings in `meta`, as TOML text.
 pub const SETTINGS: &str = "settings";
-/// Key of the cameras that are kept in `meta`, as camera JSON.
+/// Key of what is kept of the data in `meta` ([`Kept`]).
+pub const DATA: &str = "data";
+/// Key of the cameras that are kept in `meta` of files without [`DATA`], as camera JSON.
 pub const CAMERAS: &str = "cameras";
 /// Largest number of values of a block that is stored as `f32` in any case.
 pub const SMALL: usize = 64;
@@ -139,8 +141,8 @@ impl CompactScene {
         Self { config: config.clone(), tensors }
     }
 
-    /// Writes the file. `settings` are those of the run, the method's own included; the path of its data is left out. A few
-    /// cameras of `views` are kept.
+    /// Writes the file. `settings` are those of the run, the method's own included; the path of its data is left out. What `kept`
+    /// holds of its data is stored beside them.
     ///
     /// # Errors
     /// As [`Checkpoint::save`]. What is at `path` is replaced.
@@ -149,13 +151,13 @@ impl CompactScene {
         path: &Path,
         loaded: &Loaded,
         settings: &toml::Table,
-        views: &[View],
+        kept: &Kept,
         packing: Packing,
     ) -> Result<CompactReport, RunError> {
         let encodings: Vec<Encoding> = self.tensors.iter().map(|t| t.encoding(packing)).collect();
         let mut meta = self.meta(loaded, packing);
         meta[SETTINGS] = json!(without_path(settings)?);
-        meta[CAMERAS] = kept::keep(views)?;
+        meta[DATA] = kept.to_json()?;
         let checkpoint =
             Checkpoint { meta, tensors: self.tensors.iter().map(|t| (t.name.clone(), t.values.clone())).collect() };
         let bytes = checkpoint.save_packed(path, &encodings)?;

@@ -3,7 +3,7 @@
 //! ```text
 //! RUN/config.resolved.toml   every setting with its source
 //! RUN/provenance.json        version, CPU, threads, seed, digest of the data, layout, time source, split sizes
-//! RUN/cameras.json           a few of the training cameras, for where the data are not
+//! RUN/data.json              timestamps, splits and a few cameras of the data, for where the data are not
 //! RUN/log.jsonl              one JSON object per line: step, seconds, loss terms, counts, milliseconds, memory
 //! RUN/histograms.jsonl       histograms of attributes of the splats, where the method has any
 //! RUN/journal.jsonl          events of the method (moves of interval boundaries, growth of anchors)
@@ -40,7 +40,9 @@ pub const ROUNDS: &str = "continual.json";
 pub const METRICS: &str = "metrics.json";
 /// File of the HTML report.
 pub const REPORT: &str = "report.html";
-/// File of a few of the training cameras.
+/// File of what is kept of the data: timestamps, splits, a few cameras.
+pub const DATA: &str = "data.json";
+/// File of a few training cameras, in runs that have no [`DATA`].
 pub const CAMERAS: &str = "cameras.json";
 const LOCK: &str = ".lock";
 const CHECKPOINTS: &str = "checkpoints";
@@ -64,18 +66,18 @@ pub struct Beginning<'a> {
     pub config: &'a str,
     /// Content of [`PROVENANCE`].
     pub provenance: &'a str,
-    /// Content of [`CAMERAS`].
-    pub cameras: &'a str,
+    /// Content of [`DATA`].
+    pub data: &'a str,
 }
 
 impl RunFolder {
-    /// Creates a run folder with its [`CONFIG`], [`PROVENANCE`] and [`CAMERAS`]. With `overwrite`, the files of an older run in it are
+    /// Creates a run folder with its [`CONFIG`], [`PROVENANCE`] and [`DATA`]. With `overwrite`, the files of an older run in it are
     /// removed first; anything else stays.
     ///
     /// A folder that is missing or empty is made beside its place and renamed, so that it is there whole or not at all. Any
     /// other, or one that cannot be renamed to (a mount point, a link, a folder in one that is not writable), is filled in
     /// place, and the configuration is replaced last: killed before that, an older run keeps its configuration but has lost
-    /// its results, and a folder without an older run holds nothing but empty folders, [`PROVENANCE`], [`CAMERAS`], the lock
+    /// its results, and a folder without an older run holds nothing but empty folders, [`PROVENANCE`], [`DATA`], the lock
     /// and temporary files, which counts as empty.
     ///
     /// # Errors
@@ -214,7 +216,7 @@ mod tests {
     use std::fs;
 
     fn create(root: &Path, overwrite: bool) -> Result<RunFolder, RunError> {
-        let beginning = Beginning { config: "x = 1\n", provenance: "{}\n", cameras: "[]\n" };
+        let beginning = Beginning { config: "x = 1\n", provenance: "{}\n", data: "{}\n" };
         RunFolder::create(root, overwrite, &beginning)
     }
 

@@ -31,6 +31,7 @@ mod work;
 
 pub use error::RunError;
 pub use folder::RunFolder;
+pub use kept::{Kept, SplitSizes};
 pub use opened::OpenRun;
 pub use settings::{Request, Resolved};
 pub use training::{Outcome, Progress, ResumeRequest, Scored, Stage, Training};

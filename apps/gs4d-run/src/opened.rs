@@ -4,8 +4,8 @@
 
 use super::folder::{self, RunFolder};
 use super::{Resolved, RunError};
-use crate::compact::{CAMERAS, SETTINGS};
-use crate::kept;
+use crate::compact::{self, SETTINGS};
+use crate::kept::Kept;
 use gs_data::{Dataset, ImageCache, Split, View};
 use gs_train::checkpoint::{self, Checkpoint, Newest, Skipped};
 use gs_train::evaluate::{EvalReport, evaluate_shared, evaluate_with_future};
@@ -29,8 +29,8 @@ pub struct OpenRun {
     pub skipped: Vec<Skipped>,
     /// The ranks that score it together.
     pub share: Arc<Share>,
-    /// Cameras that were kept, as JSON.
-    cameras: Option<String>,
+    /// What was kept of the data, as JSON.
+    kept: Option<Value>,
     /// Whether the folder of the data was given, instead of the one the run has kept.
     moved: bool,
 }
@@ -58,10 +58,10 @@ impl OpenRun {
             (Some(folder), newest)
         };
         let meta = &newest.checkpoint.meta;
-        let (settings, cameras) = match meta.get(SETTINGS).and_then(Value::as_str).filter(|_| folder.is_none()) {
+        let (settings, kept) = match meta.get(SETTINGS).and_then(Value::as_str).filter(|_| folder.is_none()) {
             Some(settings) => {
-                let kept = meta.get(CAMERAS).filter(|c| c.as_array().is_some_and(|list| !list.is_empty()));
-                (settings.to_owned(), kept.map(Value::to_string))
+                let kept = [compact::DATA, compact::CAMERAS].iter().find_map(|key| meta.get(*key));
+                (settings.to_owned(), kept.cloned())
             }
             None => {
                 let around;
@@ -72,7 +72,8 @@ impl OpenRun {
                         &around
                     }
                 };
-                (run.read(folder::CONFIG)?, run.read(folder::CAMERAS).ok())
+                let kept = [folder::DATA, folder::CAMERAS].iter().find_map(|name| run.read(name).ok());
+                (run.read(folder::CONFIG)?, kept.and_then(|text| serde_json::from_str(&text).ok()))
             }
         };
         let mut resolved = Resolved::read(registry, &settings, folder::CONFIG)?;
@@ -87,7 +88,7 @@ impl OpenRun {
             .map_err(gs_train::trainer::TrainError::State)?;
         let Newest { path, skipped, .. } = newest;
         let (share, moved) = (Arc::default(), data.is_some());
-        Ok(Self { folder, resolved, loaded, path, skipped, share, cameras, moved })
+        Ok(Self { folder, resolved, loaded, path, skipped, share, kept, moved })
     }
 
     /// The data set of the run.
@@ -98,16 +99,28 @@ impl OpenRun {
         self.resolved.reopen_data()
     }
 
-    /// The training views; where the data are gone, the few cameras that were kept, without images.
+    /// What the run has kept of its data; of the data themselves where they can be opened.
+    ///
+    /// # Errors
+    /// As [`Self::open_data`], if nothing was kept or the folder of the data was given.
+    pub fn kept(&self) -> Result<Kept, RunError> {
+        match (self.open_data(), &self.kept) {
+            (Ok(data), _) => Ok(Kept::of(&data)),
+            (Err(_), Some(json)) if !self.moved => Ok(Kept::parse(json, folder::DATA)?),
+            (Err(e), _) => Err(e),
+        }
+    }
+
+    /// The training views; where the data are gone, the few that were kept, without images.
     ///
     /// # Errors
     /// As [`Self::open_data`], if no camera was kept or the folder of the data was given.
     pub fn training_views(&self) -> Result<Vec<View>, RunError> {
-        match (self.open_data(), &self.cameras) {
-            (Ok(dataset), _) => Ok(dataset.train),
-            (Err(_), Some(json)) if !self.moved => Ok(kept::views(json, folder::CAMERAS)?),
-            (Err(e), _) => Err(e),
-        }
+        let data = match self.open_data() {
+            Ok(data) => return Ok(data.train),
+            Err(e) => e,
+        };
+        self.kept().ok().map(|kept| kept.train).filter(|train| !train.is_empty()).ok_or(data)
     }
 
     /// The folder of the run.

@@ -5,7 +5,7 @@ mod window;
 
 use super::RunError;
 use super::folder::{self, Beginning, RunFolder};
-use super::kept;
+use super::kept::Kept;
 use super::log::Log;
 use super::opened::{check_method, metrics_json};
 use super::provenance::{self, DataOrigin, Machine, now_utc};
@@ -157,7 +157,7 @@ impl Training {
         let beginning = Beginning {
             config: &resolved.to_toml()?,
             provenance: &format!("{provenance:#}\n"),
-            cameras: &format!("{}\n", kept::keep(&trainer.dataset().train)?),
+            data: &format!("{}\n", Kept::of(trainer.dataset()).to_json()?),
         };
         let folder = RunFolder::create(root, overwrite, &beginning)?;
         let stop_at = resolved.run.time_budget;

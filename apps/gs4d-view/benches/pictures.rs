@@ -28,7 +28,7 @@ fn question(shrink: u32) -> Question {
 }
 
 fn pictures(c: &mut Criterion) {
-    let stage = Stage { shows: vec![Show::splats("scene".into(), measure::scene(SPLATS, 3))] };
+    let stage = Stage::new(vec![Show::splats("scene".into(), measure::scene(SPLATS, 3))]);
     let mut renderer = Renderer::default();
     let exact =
         |renderer: &mut Renderer, q: &Question| renderer.answer(&stage, q, Packing::Png).expect("a picture").bytes;

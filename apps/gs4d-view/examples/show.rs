@@ -15,7 +15,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         Some(path) => load_splats(path.as_ref(), &Limits::default())?.to_splats()?,
         None => two(),
     };
-    let stage = Stage { shows: vec![Show::splats("scene".into(), splats)] };
+    let stage = Stage::new(vec![Show::splats("scene".into(), splats)]);
     let (host, packing) = (Ipv4Addr::LOCALHOST.into(), Packing::Png);
     let options = Options { host, port: 7007, packing, share: None, request_time: REQUEST_TIME };
     let server = start(stage, &options)?;

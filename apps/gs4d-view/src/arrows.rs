@@ -12,7 +12,7 @@ const MIN_OPACITY: f32 = 0.1;
 /// Half width of the difference, in mean intervals of training timestamps.
 const HALF_STEP: f32 = 0.5;
 
-/// Positions and velocities (world units per second) of splats, evenly spread over those whose centres are in the image.
+/// Positions and velocities (world units per second, or per unit of normalised time where the data have no seconds) of splats, evenly spread over those whose centres are in the image.
 ///
 /// # Errors
 /// As [`Shot::all_splats`].
@@ -39,5 +39,6 @@ pub(crate) fn arrows(shot: &Shot) -> Result<Value, String> {
     let longest = velocities.iter().map(|v| v.length()).fold(0.0, f32::max);
     let line = |(&i, v): (&usize, &Vec3)| [splats.means[i].to_array(), v.to_array()];
     let lines: Vec<_> = some.iter().zip(&velocities).map(line).collect();
-    Ok(json!({"lines": lines, "longest": longest, "unit": "world units/s"}))
+    let unit = if shot.show.has_seconds() { "world units/s" } else { "world units per sequence" };
+    Ok(json!({"lines": lines, "longest": longest, "unit": unit}))
 }

@@ -1,7 +1,7 @@
 //! Splats in a box of the image: histograms of their properties, and export of those inside or of the others.
 
 use crate::legend::histogram;
-use crate::question::{Choice, Part};
+use crate::question::Choice;
 use crate::shot::{MIN_OPACITY, SelectionCache, Shot};
 use crate::stage::Stage;
 use gs_core::cast;
@@ -41,21 +41,21 @@ fn is_chosen(members: &[bool], i: usize) -> bool {
     members.get(i).copied().unwrap_or(false)
 }
 
-/// Name and bytes of a `.ply` file of the visible splats of a part, for this camera and time.
+/// Name and bytes of a `.ply` file of the visible splats inside a box, or of those outside, for this camera and time.
 ///
 /// # Errors
-/// A message, if the part is empty or a splat is invalid.
+/// A message, if there are none or a splat is invalid.
 pub(crate) fn file(
     stage: &Stage,
     shot: &Shot,
     choice: Option<&Choice>,
-    part: Part,
+    inside_box: bool,
     selections: &mut SelectionCache,
 ) -> Result<(String, Vec<u8>), String> {
     let members = choice.map(|c| selections.members(stage, &shot.scene, c)).transpose()?;
     let inside = |i: usize| members.as_ref().is_some_and(|m| is_chosen(m, i));
     let splats = shot.all_splats()?.into_owned().with_plain_kernel();
-    let wanted = |&i: &usize| splats.opacities[i] >= MIN_OPACITY && inside(i) == (part == Part::Chosen);
+    let wanted = |&i: &usize| splats.opacities[i] >= MIN_OPACITY && inside(i) == inside_box;
     let kept: Vec<usize> = (0..splats.len()).filter(wanted).collect();
     if kept.is_empty() {
         return Err("there is no splat to save".into());
@@ -63,9 +63,6 @@ pub(crate) fn file(
     let raw = RawSplats::from_splats(&rows(&splats, &kept)).map_err(|e| e.to_string())?;
     let mut bytes = Vec::new();
     ply::write(&raw, &mut bytes).map_err(|e| e.to_string())?;
-    let part = match part {
-        Part::Chosen => "chosen",
-        Part::Rest => "rest",
-    };
+    let part = if inside_box { "chosen" } else { "rest" };
     Ok((format!("{}_t{:.3}_{part}.ply", file_stem(&shot.show.name), shot.time), bytes))
 }

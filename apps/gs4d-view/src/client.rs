@@ -1,7 +1,7 @@
 //! One browser: its questions come in, of which the newest counts; answers and news go out.
 
 use crate::outbox::Sending;
-use crate::question::{MAX_NESTING, Question, nesting};
+use crate::question::{Demand, MAX_NESTING, Question, nesting};
 use crate::server::Shared;
 use axum::extract::ws::{CloseFrame, Message, WebSocket};
 use serde_json::{Value, json};
@@ -64,9 +64,13 @@ pub(crate) async fn serve(mut socket: WebSocket, shared: &Arc<Shared>) {
         }
         reads = tokio::select! {
             message = tokio::time::timeout(IDLE_TIMEOUT, socket.recv()) => match message {
-                Ok(Some(Ok(Message::Text(text)))) if nesting(&text) <= MAX_NESTING => match Question::parse(&text) {
-                    Ok(question) => {
-                        *newest.lock().unwrap_or_else(PoisonError::into_inner) = Some(question);
+                Ok(Some(Ok(Message::Text(text)))) if nesting(&text) <= MAX_NESTING => match Demand::parse(&text) {
+                    Ok(Demand::Pause { pause }) => {
+                        shared.pause(pause);
+                        true
+                    }
+                    Ok(Demand::Image(question)) => {
+                        *newest.lock().unwrap_or_else(PoisonError::into_inner) = Some(*question);
                         true
                     }
                     Err(why) => send(&mut socket, &json!({"error": why})).await,

@@ -6,7 +6,8 @@
 //! * [`Stage`] holds the [`Show`]s: runs with their data, runs under training, splat files.
 //! * [`start`] serves them: loopback, token, host and origin checks; a newer question replaces the one that waits.
 //! * [`question`]: the messages of a browser and their limits; [`pose`]: poses of an avatar.
-//! * [`picture`]: from a question to pixels: colours, depth, coverage, overlays of the method, ground-truth images, differences.
+//! * [`picture`]: from a question to pixels: colours, depth, coverage, overlays of the method, ground-truth images, differences;
+//!   [`style`]: splats, ellipsoids or points.
 //! * [`Feed`]: a run while it trains.
 //!
 //! A training must not suffer from those who watch it: at most 64 connections are open; a request has a time limit; one image
@@ -20,6 +21,8 @@ mod arrows;
 mod checkpoints;
 mod choice;
 mod client;
+mod clip;
+mod dropped;
 mod guard;
 mod legend;
 mod live;
@@ -35,6 +38,7 @@ mod scene;
 mod server;
 mod shot;
 mod stage;
+pub mod style;
 mod turns;
 
 pub use live::{Feed, THREAD_NAME};

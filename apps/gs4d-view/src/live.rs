@@ -23,6 +23,8 @@ use std::time::{Duration, Instant};
 
 /// Name of the threads of the viewer. A panic in one of them need not end the process.
 pub const THREAD_NAME: &str = "gs4d-view";
+/// How often a paused training looks whether it may go on.
+const PAUSE_STEP: Duration = Duration::from_millis(50);
 /// Least time between two copies.
 const MIN_INTERVAL: Duration = Duration::from_millis(500);
 
@@ -60,6 +62,38 @@ pub struct Feed {
     pace: Arc<Pace>,
     /// Step of the last copy.
     shown: u32,
+    history: Arc<Mutex<History>>,
+}
+
+/// Loss and PSNR of a training so far.
+#[derive(Debug)]
+pub(crate) struct History {
+    /// Step, loss and PSNR of training batches, in order; not finite values are `None`.
+    points: Vec<(u32, [Option<f64>; 2])>,
+    /// Steps between two points.
+    every: u32,
+}
+
+impl Default for History {
+    fn default() -> Self {
+        Self { points: Vec::new(), every: 1 }
+    }
+}
+
+impl History {
+    /// Most points; beyond, every second one is dropped.
+    const MOST: usize = 512;
+
+    fn add(&mut self, p: &Progress) {
+        if !p.step.is_multiple_of(self.every) {
+            return;
+        }
+        self.points.push((p.step, [p.loss, p.psnr].map(|v| Some(v).filter(|v| v.is_finite()))));
+        if self.points.len() > Self::MOST {
+            self.every *= 2;
+            self.points.retain(|(step, _)| step.is_multiple_of(self.every));
+        }
+    }
 }
 
 impl Feed {
@@ -75,14 +109,34 @@ impl Feed {
     ) -> std::io::Result<Self> {
         let (copies, received) = sync_channel(1);
         let (building, pace) = (Arc::new(AtomicBool::new(false)), Arc::new(Pace::of(share)));
-        let feed = Self { copies, shared: shared.clone(), building: building.clone(), pace: pace.clone(), shown: 0 };
-        let work = move || build(&registry, &received, &shared, avatar.as_ref(), &building, &pace);
+        let history = Arc::<Mutex<History>>::default();
+        let feed = Self {
+            copies,
+            shared: shared.clone(),
+            building: building.clone(),
+            pace: pace.clone(),
+            shown: 0,
+            history: history.clone(),
+        };
+        let work = move || build(&registry, &received, &shared, avatar.as_ref(), (&building, &pace, &history));
         std::thread::Builder::new().name(THREAD_NAME.into()).spawn(work)?;
         Ok(feed)
     }
 
+    /// Waits while a page has paused the training. It goes on when a page says so, when no page is open, or when `stop` is set.
+    pub fn wait_while_paused(&self, stop: &AtomicBool) {
+        let open = || self.shared.clients.load(Ordering::SeqCst) > 0;
+        while self.shared.paused.load(Ordering::SeqCst) && open() && !stop.load(Ordering::SeqCst) {
+            std::thread::sleep(PAUSE_STEP);
+        }
+        if self.shared.paused.load(Ordering::SeqCst) {
+            self.shared.pause(false);
+        }
+    }
+
     /// Copies the state if a browser is connected and a copy is due; call it after each step.
     pub fn offer(&mut self, progress: Progress, trainer: &Trainer) {
+        self.history.lock().unwrap_or_else(PoisonError::into_inner).add(&progress);
         let last = progress.step == progress.steps;
         let due = last || Instant::now() >= self.pace.ready();
         let connected = self.shared.clients.load(Ordering::Relaxed) > 0;
@@ -108,15 +162,14 @@ fn build(
     received: &Receiver<(Checkpoint, Progress, Duration)>,
     shared: &Shared,
     avatar: Option<&Arc<AvatarScene>>,
-    building: &AtomicBool,
-    pace: &Pace,
+    (building, pace, history): (&AtomicBool, &Pace, &Mutex<History>),
 ) {
     while let Ok((copy, progress, copied)) = received.recv() {
         let begun = Instant::now();
         let news = match shared.in_pool(|| load_with(registry, &copy, None, avatar.cloned())) {
             Ok(loaded) => {
-                shared.stage.shows[0].replace(Scene::method(loaded.model));
-                progress_message(progress, shared)
+                shared.stage.shows()[0].replace(Scene::method(loaded.model));
+                progress_message(progress, shared, history)
             }
             Err(why) => json!({"error": format!("step {} cannot be shown: {why}", progress.step)}),
         };
@@ -127,18 +180,32 @@ fn build(
 }
 
 /// The message to browsers about a new state.
-fn progress_message(p: Progress, shared: &Shared) -> Value {
-    let mut news = shared.stage.shows[0].live_info();
+fn progress_message(p: Progress, shared: &Shared, history: &Mutex<History>) -> Value {
+    let mut news = shared.stage.shows()[0].live_info();
     news["training"] = json!({
         "step": p.step, "steps": p.steps, "splats": p.splats, "seconds": p.seconds,
         "loss": Some(p.loss).filter(|v| v.is_finite()), "psnr": Some(p.psnr).filter(|v| v.is_finite()),
     });
-    json!({"news": news})
+    news["history"] = json!(history.lock().unwrap_or_else(PoisonError::into_inner).points);
+    json!({"news": news, "paused": shared.paused.load(Ordering::SeqCst)})
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_long_history_keeps_its_ends_and_its_spacing() {
+        let mut history = History::default();
+        let at = |step: u32| {
+            let (steps, splats, quarantined) = (10_000, 1, 0);
+            Progress { step, steps, loss: 1.0 / f64::from(step), psnr: f64::NAN, splats, quarantined, seconds: 0.0 }
+        };
+        (1..=10_000).for_each(|step| history.add(&at(step)));
+        assert!(history.points.len() <= History::MOST && history.points.len() > History::MOST / 4);
+        assert!(history.points.windows(2).all(|w| w[1].0 - w[0].0 == history.every));
+        assert_eq!(history.points[0].1, [Some(1.0 / f64::from(history.every)), None]);
+    }
 
     #[test]
     fn work_is_followed_by_its_rest() {

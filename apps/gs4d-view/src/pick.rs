@@ -23,9 +23,9 @@ pub(crate) fn pick(shot: &Shot, at: [f32; 2]) -> Result<Value, String> {
     let mut grey = splats.clone().into_owned();
     grey.color = Color::Rgb(vec![[0.5; 3]; splats.len()]);
     let mut workspace = Workspace::new();
-    let frame = render(&grey, &one, shot.show.options(), &mut workspace);
+    let frame = render(&grey, &one, &shot.options(), &mut workspace);
     let d = FrameGrad { rgb: vec![1.0, 0.0, 0.0], ..FrameGrad::default() };
-    let (grad, _) = render_backward(&grey, &one, shot.show.options(), &mut workspace, &d);
+    let (grad, _) = render_backward(&grey, &one, &shot.options(), &mut workspace, &d);
     let weights: Vec<f32> = grad.color.chunks_exact(3).map(|c| c[0]).collect();
     let mut order: Vec<usize> = (0..splats.len()).filter(|&i| weights[i] > 0.0).collect();
     order.sort_by(|&a, &b| weights[b].total_cmp(&weights[a]).then(a.cmp(&b)));

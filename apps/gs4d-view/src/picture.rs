@@ -1,19 +1,21 @@
 //! Answers questions: renders the layer, adds legends and scores, encodes the image.
 
 use crate::arrows::arrows;
-use crate::choice;
 use crate::legend::{grey, named, scaled};
 use crate::packing::{Packing, pack};
 use crate::pick::pick;
 use crate::pose::inputs;
-use crate::question::{Look, MAX_PIXELS, Question, Target};
+use crate::question::{Look, MAX_PIXELS, Question, Save, Target};
 use crate::shot::{MIN_OPACITY, SelectionCache, Shot};
-use crate::stage::{Show, Stage};
+use crate::stage::Stage;
+use crate::style::Style;
+use crate::{choice, clip};
 use gs_core::{Camera, Color, Image, Splats, cast};
 use gs_metrics::psnr;
-use gs_raster::{Frame, RasterOptions, Workspace, blend_counts, render_into};
+use gs_raster::{Frame, Workspace, blend_counts, render_into};
 use gs_train::evaluate::clamped;
 use gs_train::palette::color_scale;
+use gs_train::renderer::file_stem;
 use gs_train::timestamp::Timestamp;
 use gs4d_eval::segment;
 use serde_json::{Value, json};
@@ -23,11 +25,11 @@ use std::time::Instant;
 /// Quantiles of the depths of covered pixels that bound the colour scale.
 const DEPTH_QUANTILES: [f64; 2] = [0.02, 0.98];
 
-/// An image or a file, with a header for the page.
+/// An image, a file or splats, with a header for the page.
 pub struct Answer {
     /// JSON: size, milliseconds, legend, PSNR, reason of a blank image, picked splats, or the name of a file.
     pub header: Value,
-    /// A PNG, JPEG or PLY file.
+    /// A PNG, JPEG or PLY file, or the words of splats.
     pub bytes: Vec<u8>,
 }
 
@@ -46,21 +48,36 @@ impl Renderer {
     /// A message for the page: no such show, view or layer, or an image that cannot be read.
     pub fn answer(&mut self, stage: &Stage, q: &Question, packing: Packing) -> Result<Answer, String> {
         let begun = Instant::now();
-        let camera = q.look.camera(stage, q.width, q.height)?;
+        let camera = q.look.camera(stage, q.width, q.height, q.enlarges())?;
         let shot = Shot::of(stage, q, &q.what, &camera, &mut self.selections)?;
         let mut header = json!({"id": q.id, "layer": q.what.layer});
-        if let Some(part) = q.save {
-            let (name, bytes) = choice::file(stage, &shot, q.chosen.as_ref(), part, &mut self.selections)?;
-            header["file"] = json!(name);
-            return Ok(Answer { header, bytes });
+        let chosen = q.chosen.as_ref();
+        match q.save {
+            None | Some(Save::Image) => {}
+            Some(Save::Splats) => return self.splats(q, &shot, header),
+            Some(part @ (Save::Chosen | Save::Rest)) => {
+                let inside = part == Save::Chosen;
+                let (name, bytes) = choice::file(stage, &shot, chosen, inside, &mut self.selections)?;
+                header["file"] = json!(name);
+                return Ok(Answer { header, bytes });
+            }
         }
         let mut image = self.layer(stage, q, &q.what, &shot, &mut header)?;
         if let Some(other) = &q.against {
             let other_shot = Shot::of(stage, q, other, &camera, &mut self.selections)?;
             let subtracted = self.layer(stage, q, other, &other_shot, &mut json!({}))?;
-            header["psnr"] = psnr_value(&image, &subtracted);
             header["legend"] = Value::Null;
+            if q.score && matches!(q.look, Look::Free(..)) {
+                scored(&mut header, psnr_value(&image, &subtracted), &image);
+            }
             difference(&mut image, &subtracted, q.gain);
+        }
+        if q.save == Some(Save::Image) {
+            header["file"] = json!(format!("{}_{}_t{:.3}.png", file_stem(&shot.show.name), q.what.layer, q.time));
+            return Ok(Answer { bytes: pack(&image, Packing::Png)?, header });
+        }
+        if q.score && matches!(q.look, Look::View(..)) {
+            self.score(stage, q, &shot, &mut header)?;
         }
         header["width"] = json!(image.width);
         header["height"] = json!(image.height);
@@ -92,33 +109,72 @@ impl Renderer {
         let fine = q.fine && target.layer != "truth" && 4 * shot.camera.width * shot.camera.height <= MAX_PIXELS;
         let shot = if fine { &shot.with_camera(shot.camera.scaled(2.0)) } else { shot };
         let image = match target.layer.as_str() {
-            "truth" => return truth(stage, q, shot.show, &shot.camera),
+            "truth" => {
+                let (image, time) = truth(stage, q, shot)?;
+                if time != q.time {
+                    header["note"] = json!(format!("the ground truth is of time {time:.3}"));
+                }
+                return Ok(image);
+            }
             "color" => self.color(shot, header)?,
             "alpha" => {
-                self.render(&*shot.splats()?, shot);
+                self.render(shot.splats()?, shot);
                 header["legend"] = grey("alpha", &self.frame.alpha);
                 self.image(self.frame.alpha.iter().flat_map(|&a| [a; 3]).collect())
             }
             "depth" => {
-                self.render(&*shot.splats()?, shot);
+                self.render(shot.splats()?, shot);
                 self.depth(header)
             }
             "count" => self.count(shot, header)?,
-            "segment" => self.parts(shot, header)?,
-            name => self.overlay(shot, name, header)?,
+            name => {
+                let splats = painted_splats(shot, name, header)?;
+                clamped(self.render(Cow::Owned(splats), shot))
+            }
         };
-        let image = if fine { halved(&image) } else { image };
-        let has_truth = matches!(q.look, Look::View(..)) && shot.show.images().is_some();
-        if target.layer == "color" && q.against.is_none() && has_truth {
-            let camera = q.look.camera(stage, q.width, q.height)?;
-            header["psnr"] = psnr_value(&image, &truth(stage, q, shot.show, &camera)?);
-        }
-        Ok(image)
+        Ok(if fine { halved(&image) } else { image })
     }
 
-    fn render(&mut self, splats: &Splats, shot: &Shot) -> &Frame {
-        let options: &RasterOptions = shot.show.options();
-        render_into(splats, &shot.camera, options, &mut self.workspace, &mut self.frame);
+    /// The splats of a layer, for the renderer in the browser: all, in the same order at every time.
+    fn splats(&self, q: &Question, shot: &Shot, mut header: Value) -> Result<Answer, String> {
+        let splats = match q.what.layer.as_str() {
+            "color" => shot.all_splats()?.into_owned(),
+            "truth" | "depth" | "alpha" | "count" => return Err(format!("`{}` has no splats", q.what.layer)),
+            name => painted_splats(shot, name, &mut header)?,
+        };
+        header["splats"] = json!(splats.len());
+        header["background"] = json!(shot.background());
+        Ok(Answer { bytes: clip::bytes(&shot.style.of(splats, &shot.camera), &shot.camera), header })
+    }
+
+    /// PSNR at the size of the dataset's image: of the colours against the ground truth at its time, or between the two sides of
+    /// a difference. Absent where there is nothing to compare with, or the two are equal.
+    fn score(&mut self, stage: &Stage, q: &Question, shot: &Shot, header: &mut Value) -> Result<(), String> {
+        let Look::View(owner, number) = q.look else { return Ok(()) };
+        let view = stage.view(owner, number)?;
+        let plain = Question { fine: false, ..q.clone() };
+        let full = shot.with_camera(view.camera.clone());
+        let own = q.what.layer == "color" && q.time == view.time.normalised && shot.is_plain();
+        let other = match &q.against {
+            _ if full.camera.width * full.camera.height > MAX_PIXELS => return Ok(()),
+            Some(other) => {
+                let side = Shot::of(stage, q, other, &view.camera, &mut self.selections)?;
+                self.layer(stage, &plain, other, &side, &mut json!({}))?
+            }
+            None if own && stage.show(owner)?.images().is_some() => truth(stage, q, &full)?.0,
+            None => return Ok(()),
+        };
+        let image = self.layer(stage, &plain, &q.what, &full, &mut json!({}))?;
+        scored(header, psnr_value(&image, &other), &image);
+        Ok(())
+    }
+
+    fn render(&mut self, splats: Cow<'_, Splats>, shot: &Shot) -> &Frame {
+        let drawn = match shot.style {
+            Style::Splats => splats,
+            style => Cow::Owned(style.of(splats.into_owned(), &shot.camera)),
+        };
+        render_into(&*drawn, &shot.camera, &shot.options(), &mut self.workspace, &mut self.frame);
         &self.frame
     }
 
@@ -132,8 +188,8 @@ impl Renderer {
             Err(why) if shot.pose.is_some() => return Err(why),
             Err(why) => (Cow::Owned(Splats::default()), Some(why)),
         };
-        let image = clamped(self.render(&splats, shot));
         header["splats"] = json!(splats.len());
+        let image = clamped(self.render(Cow::Borrowed(&*splats), shot));
         if let Some(why) = error.or_else(|| self.blank(&splats, &shot.camera)) {
             header["blank"] = json!(why);
         }
@@ -157,51 +213,15 @@ impl Renderer {
 
     /// Number of splats blended into each pixel.
     fn count(&mut self, shot: &Shot, header: &mut Value) -> Result<Image, String> {
-        let splats = shot.splats()?;
-        self.render(&splats, shot);
-        let counts = blend_counts(splats.as_ref(), shot.show.options(), &mut self.workspace);
+        let splats = shot.style.of(shot.splats()?.into_owned(), &shot.camera);
+        render_into(&splats, &shot.camera, &shot.options(), &mut self.workspace, &mut self.frame);
+        let counts = blend_counts(&splats, &shot.options(), &mut self.workspace);
         let counts: Vec<f32> = counts.into_iter().map(|c| c as f32).collect();
         let max_count = counts.iter().copied().fold(1.0, f32::max);
         // The histogram leaves out empty pixels.
         let covered: Vec<f32> = counts.iter().copied().filter(|c| *c > 0.0).collect();
         header["legend"] = scaled("count", "splats per pixel", [0.0, max_count], &covered);
         Ok(self.image(counts.iter().flat_map(|c| color_scale(c / max_count)).collect()))
-    }
-
-    /// Rigid parts, one colour each.
-    fn parts(&mut self, shot: &Shot, header: &mut Value) -> Result<Image, String> {
-        let parts = shot.scene.parts(shot.show.observed())?;
-        let mut splats = shot.all_splats()?.into_owned();
-        let color = |part: u32| segment::color(part + 1);
-        let words = format!("rigid parts: {}, bars are their splats", parts.k);
-        header["legend"] = named("segment", &words, &parts.of, parts.k, color);
-        splats.color = Color::Rgb(parts.of.iter().map(|part| color(*part)).collect());
-        Ok(clamped(self.render(&splats, shot)))
-    }
-
-    /// A quantity or overlay of the method.
-    fn overlay(&mut self, shot: &Shot, name: &str, header: &mut Value) -> Result<Image, String> {
-        let quantities = shot.scene.quantities(shot.time)?;
-        let overlay = match quantities.iter().find(|q| q.name == name) {
-            Some(quantity) => {
-                header["legend"] = scaled(name, quantity.unit, quantity.span(), &quantity.values);
-                quantity.overlay()
-            }
-            None => {
-                let method = shot.scene.as_method().ok_or("a splat file has no such layer")?;
-                let overlays = method.overlays(&Timestamp::normalised(shot.time)).map_err(|e| e.to_string())?;
-                let found = overlays.into_iter().find(|o| o.name == name);
-                let found = found.ok_or("there is no such layer")?;
-                header["note"] = json!(found.meaning);
-                found
-            }
-        };
-        let mut splats = shot.all_splats()?.into_owned();
-        if overlay.colors.len() != splats.len() {
-            return Err(format!("`{name}` has {} values for {} splats", overlay.colors.len(), splats.len()));
-        }
-        splats.color = Color::Rgb(overlay.colors);
-        Ok(clamped(self.render(&splats, shot)))
     }
 
     /// Why the render is blank; `None` if it is not.
@@ -220,20 +240,60 @@ impl Renderer {
     }
 }
 
-/// The ground-truth image of a view over the background of a show, at the size of `camera`.
-fn truth(stage: &Stage, q: &Question, show: &Show, camera: &Camera) -> Result<Image, String> {
+/// All splats in the colours of a layer: `segment`, a quantity or an overlay of the method. Legend and note go to `header`.
+fn painted_splats(shot: &Shot, name: &str, header: &mut Value) -> Result<Splats, String> {
+    let colors = if name == "segment" { parts(shot, header)? } else { overlay(shot, name, header)? };
+    let mut splats = shot.all_splats()?.into_owned();
+    if colors.len() != splats.len() {
+        return Err(format!("`{name}` has {} values for {} splats", colors.len(), splats.len()));
+    }
+    splats.color = Color::Rgb(colors);
+    Ok(splats)
+}
+
+/// Rigid parts, one colour each.
+fn parts(shot: &Shot, header: &mut Value) -> Result<Vec<[f32; 3]>, String> {
+    let parts = shot.scene.parts(shot.show.observed())?;
+    let color = |part: u32| segment::color(part + 1);
+    let words = format!("rigid parts: {}, bars are their splats", parts.k);
+    header["legend"] = named("segment", &words, &parts.of, parts.k, color);
+    Ok(parts.of.iter().map(|part| color(*part)).collect())
+}
+
+/// A quantity or overlay of the method.
+fn overlay(shot: &Shot, name: &str, header: &mut Value) -> Result<Vec<[f32; 3]>, String> {
+    let quantities = shot.scene.quantities(shot.time)?;
+    if let Some(quantity) = quantities.iter().find(|q| q.name == name) {
+        header["legend"] = scaled(name, quantity.unit, quantity.span(), &quantity.values);
+        return Ok(quantity.overlay().colors);
+    }
+    let method = shot.scene.as_method().ok_or("a splat file has no such layer")?;
+    let overlays = method.overlays(&Timestamp::normalised(shot.time)).map_err(|e| e.to_string())?;
+    let found = overlays.into_iter().find(|o| o.name == name).ok_or("there is no such layer")?;
+    header["note"] = json!(found.meaning);
+    Ok(found.colors)
+}
+
+/// The ground-truth image of a view over the background of a shot, at the size of its camera, and its normalised time.
+fn truth(stage: &Stage, q: &Question, shot: &Shot) -> Result<(Image, f32), String> {
     let Look::View(owner, number) = q.look else {
         return Err("a ground-truth image has its own camera: choose a view".into());
     };
-    let view = stage.view(owner, number)?;
-    let images = stage.show(owner)?.images().ok_or("there are no images")?;
-    let image = images.get(view).map_err(|e| e.to_string())?;
-    Ok(image.box_downscaled(camera.width as usize, camera.height as usize).over(show.background()))
+    let (show, view) = (stage.show(owner)?, stage.view(owner, number)?);
+    let image = show.images().ok_or("there are no images")?.get(&view).map_err(|e| e.to_string())?;
+    let [width, height] = [shot.camera.width as usize, shot.camera.height as usize];
+    Ok((image.box_downscaled(width, height).over(shot.background()), view.time.normalised))
 }
 
-/// PSNR in dB; null for identical images or different sizes.
-fn psnr_value(a: &Image, b: &Image) -> Value {
-    json!(psnr(a, b).ok().filter(|v| v.is_finite()))
+/// PSNR in dB; `None` for identical images or different sizes.
+fn psnr_value(a: &Image, b: &Image) -> Option<f64> {
+    psnr(a, b).ok().filter(|v| v.is_finite())
+}
+
+/// Notes a PSNR and the size of the images it is of.
+fn scored(header: &mut Value, psnr: Option<f64>, image: &Image) {
+    header["psnr"] = json!(psnr);
+    header["scored"] = json!([image.width, image.height]);
 }
 
 /// Replaces `image` by its difference to `other`, times `gain`, around grey.

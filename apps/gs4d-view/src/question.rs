@@ -2,6 +2,7 @@
 
 use crate::pose::Posing;
 use crate::stage::Stage;
+use crate::style::{MAX_POINT, Style};
 use glam::DVec3;
 use gs_core::Camera;
 use serde::Deserialize;
@@ -19,6 +20,35 @@ pub(crate) const MAX_NESTING: usize = 16;
 const MAX_BOXES: usize = 16;
 /// Largest gain of differences.
 const MAX_GAIN: f32 = 100.0;
+
+/// A message of a browser.
+pub(crate) enum Demand {
+    /// A question.
+    Image(Box<Question>),
+    /// Pause the training, or let it go on.
+    Pause {
+        /// Whether it pauses.
+        pause: bool,
+    },
+}
+
+impl Demand {
+    /// Parses and checks a message.
+    ///
+    /// # Errors
+    /// As [`Question::parse`].
+    pub(crate) fn parse(text: &str) -> Result<Self, String> {
+        #[derive(Deserialize)]
+        #[serde(deny_unknown_fields)]
+        struct Pause {
+            pause: bool,
+        }
+        if let Ok(Pause { pause }) = serde_json::from_str(text) {
+            return Ok(Self::Pause { pause });
+        }
+        Question::parse(text).map(|q| Self::Image(Box::new(q)))
+    }
+}
 
 /// A request for an image, or for a splat file.
 #[derive(Clone, Debug, Deserialize, PartialEq)]
@@ -54,9 +84,21 @@ pub struct Question {
     /// Boxes of splats that are not rendered, at most 16.
     #[serde(default)]
     pub hidden: Vec<Choice>,
-    /// Answer with a `.ply` file of these splats instead of an image.
+    /// Answer with this instead of the image on the page.
     #[serde(default)]
-    pub save: Option<Part>,
+    pub save: Option<Save>,
+    /// How the splats are drawn. Default: as they are.
+    #[serde(default)]
+    pub style: Style,
+    /// Colour behind the scene, RGB in 0..1; `None`: that of the show.
+    #[serde(default)]
+    pub background: Option<[f32; 3]>,
+    /// Whether a view of the dataset may be rendered larger than its own image. Not for ground truth and differences.
+    #[serde(default)]
+    pub enlarge: bool,
+    /// Whether to compute the PSNR of a view of the dataset, at the size of its image.
+    #[serde(default)]
+    pub score: bool,
     /// Whether to add velocity arrows.
     #[serde(default)]
     pub arrows: bool,
@@ -110,14 +152,18 @@ pub struct Choice {
     pub at: [f32; 4],
 }
 
-/// Selects splats inside or outside a box.
+/// What is saved.
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq)]
 #[serde(rename_all = "lowercase")]
-pub enum Part {
-    /// The splats in the box.
+pub enum Save {
+    /// A `.ply` file of the splats in the box.
     Chosen,
-    /// All others that are not hidden.
+    /// A `.ply` file of all others that are not hidden.
     Rest,
+    /// The image as PNG; a view of the dataset is enlarged to its size.
+    Image,
+    /// The splats, for the renderer in the browser: 32 bytes each, with the colours of the layer.
+    Splats,
 }
 
 /// Depth of nested brackets in a text, ignoring strings.
@@ -168,8 +214,19 @@ impl Question {
         if question.pose.as_ref().is_some_and(|p| !p.is_sound()) {
             return Err("a pose turns a few joints by at most 10 radians".into());
         }
+        if question.background.is_some_and(|b| b.iter().any(|v| !(0.0..=1.0).contains(v))) {
+            return Err("a background has three values from 0 to 1".into());
+        }
+        if matches!(question.style, Style::Points(d) if !(0.5..=MAX_POINT).contains(&d)) {
+            return Err(format!("points have 0.5 to {MAX_POINT} pixels"));
+        }
         question.hidden.iter().chain(&question.chosen).try_for_each(Choice::check)?;
         Ok(question)
+    }
+
+    /// Whether a view is rendered larger than its own image, if need be.
+    pub(crate) fn enlarges(&self) -> bool {
+        (self.enlarge || self.save == Some(Save::Image)) && self.against.is_none() && self.what.layer != "truth"
     }
 
     /// Pixels to render.
@@ -201,18 +258,19 @@ impl Choice {
 }
 
 impl Look {
-    /// The camera for an image of at most `width` × `height` pixels. A view keeps its aspect ratio and is not enlarged.
+    /// The camera for an image of at most `width` × `height` pixels. A view keeps its aspect ratio; unless `enlarge`, it is not
+    /// larger than its own image.
     ///
     /// # Errors
     /// A message, if eye, target and up are not finite or not independent, or there is no such view.
-    pub(crate) fn camera(&self, stage: &Stage, width: u32, height: u32) -> Result<Camera, String> {
+    pub(crate) fn camera(&self, stage: &Stage, width: u32, height: u32, enlarge: bool) -> Result<Camera, String> {
         match self {
             Look::Free(eye, target, up, fov) => free_camera([*eye, *target, *up], *fov, width, height),
             Look::View(show, number) => {
                 let camera = &stage.view(*show, *number)?.camera;
                 let share = |have: u32, size: u32| f64::from(have) / f64::from(size);
                 let factor = share(width, camera.width).min(share(height, camera.height));
-                Ok(if factor < 1.0 { camera.scaled(factor) } else { camera.clone() })
+                Ok(if factor < 1.0 || enlarge { camera.scaled(factor) } else { camera.clone() })
             }
         }
     }
@@ -237,17 +295,17 @@ mod tests {
     }
 
     fn stage() -> Stage {
-        Stage { shows: Vec::new() }
+        Stage::new(Vec::new())
     }
 
     #[test]
     fn good_questions_are_understood() {
         let free = text(r#""look":{"free":[[0,0,-4],[0,0,0],[0,-1,0],0.8]}"#);
-        let camera = Question::parse(&free).unwrap().look.camera(&stage(), 64, 48).unwrap();
+        let camera = Question::parse(&free).unwrap().look.camera(&stage(), 64, 48, false).unwrap();
         assert_eq!((camera.width, camera.height), (64, 48));
         let view = Question::parse(&text(r#""look":{"view":[0,3]},"pick":[0.5,0.25]"#)).unwrap();
         assert_eq!((view.look.clone(), view.pick, view.gain), (Look::View(0, 3), Some([0.5, 0.25]), 1.0));
-        assert!(view.look.camera(&stage(), 64, 48).is_err());
+        assert!(view.look.camera(&stage(), 64, 48, false).is_err());
     }
 
     #[test]
@@ -269,6 +327,8 @@ mod tests {
             (chosen("[0.5,0,0.4,1]"), "box"),
             (chosen("[0,0,1,2]"), "box"),
             (view(r#","save":"/etc/passwd""#), "unknown variant"),
+            (view(r#","style":{"points":1e9}"#), "pixels"),
+            (view(r#","background":[0,0,2]"#), "background"),
             (nested, "invalid type"),
             ("x".repeat(MAX_BYTES + 1), "at most"),
         ];
@@ -278,7 +338,7 @@ mod tests {
         }
         for look in ["[[0,0,0],[0,0,0],[0,1,0],0.8]", "[[0,0,1],[0,0,0],[0,0,1],0.8]", "[[0,0,1],[0,0,0],[0,1,0],9]"] {
             let question = Question::parse(&text(&format!(r#""look":{{"free":{look}}}"#))).unwrap();
-            assert!(question.look.camera(&stage(), 64, 48).is_err(), "{look}");
+            assert!(question.look.camera(&stage(), 64, 48, false).is_err(), "{look}");
         }
     }
 

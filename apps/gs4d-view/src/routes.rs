@@ -1,14 +1,15 @@
 //! Paths of the server: the files of the page, and the WebSocket. Each is checked by the [`Guard`](crate::guard::Guard).
 
 use crate::client::{self, Place};
+use crate::dropped;
 use crate::question::MAX_BYTES;
 use crate::server::Shared;
 use axum::Router;
-use axum::extract::State;
 use axum::extract::ws::WebSocketUpgrade;
+use axum::extract::{DefaultBodyLimit, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
-use axum::routing::get;
+use axum::routing::{get, post};
 use std::sync::Arc;
 
 /// Content policy of the page: its own files, images made from answers, and the connection to this server.
@@ -16,33 +17,43 @@ const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; i
     base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
 /// Files of the page: path, content type and content.
-const FILES: [(&str, &str, &str); 5] = [
-    ("/camera.js", "text/javascript", include_str!("page/camera.js")),
-    ("/status.js", "text/javascript", include_str!("page/status.js")),
-    ("/ask.js", "text/javascript", include_str!("page/ask.js")),
+const FILES: [(&str, &str, &str); 14] = [
     ("/app.js", "text/javascript", include_str!("page/app.js")),
+    ("/ask.js", "text/javascript", include_str!("page/ask.js")),
+    ("/camera.js", "text/javascript", include_str!("page/camera.js")),
+    ("/input.js", "text/javascript", include_str!("page/input.js")),
+    ("/local.js", "text/javascript", include_str!("page/local.js")),
+    ("/overlay.js", "text/javascript", include_str!("page/overlay.js")),
+    ("/panel.js", "text/javascript", include_str!("page/panel.js")),
+    ("/selection.js", "text/javascript", include_str!("page/selection.js")),
+    ("/sort.js", "text/javascript", include_str!("page/sort.js")),
+    ("/splats.js", "text/javascript", include_str!("page/splats.js")),
+    ("/timeline.js", "text/javascript", include_str!("page/timeline.js")),
+    ("/tools.js", "text/javascript", include_str!("page/tools.js")),
+    ("/training.js", "text/javascript", include_str!("page/training.js")),
     ("/app.css", "text/css", include_str!("page/app.css")),
 ];
 
 /// All paths of the server.
 pub(crate) fn routes(shared: Arc<Shared>) -> Router {
-    let mut router = Router::new().route("/", get(page)).route("/ws", get(connect));
+    let drop = post(dropped::take).layer(DefaultBodyLimit::max(dropped::MAX_BYTES));
+    let mut router = Router::new().route("/", get(page)).route("/ws", get(connect)).route("/drop", drop);
     for (path, kind, content) in FILES {
         router = router.route(path, get(move |s: State<Arc<Shared>>, h: HeaderMap| file(s, h, kind, content)));
     }
     router.with_state(shared)
 }
 
-fn text_of(headers: &HeaderMap, name: header::HeaderName) -> Option<&str> {
+pub(crate) fn text_of(headers: &HeaderMap, name: header::HeaderName) -> Option<&str> {
     headers.get(name).and_then(|v| v.to_str().ok())
 }
 
 /// The token in a query `k=…`.
-fn token_of(uri: &Uri) -> Option<&str> {
+pub(crate) fn token_of(uri: &Uri) -> Option<&str> {
     uri.query()?.split('&').find_map(|pair| pair.strip_prefix("k="))
 }
 
-fn refuse(why: &'static str) -> Response {
+pub(crate) fn refuse(why: &'static str) -> Response {
     (StatusCode::FORBIDDEN, why).into_response()
 }
 

@@ -11,9 +11,10 @@ use crate::turns::Turns;
 use crate::{requests, routes};
 use gs_data::avatar::AvatarScene;
 use gs_train::registry::Registry;
+use serde_json::json;
 use std::net::{IpAddr, SocketAddr, TcpListener};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Duration;
 use tokio::sync::{Mutex, oneshot, watch};
 
@@ -88,6 +89,8 @@ pub(crate) struct Shared {
     pub(crate) clients: AtomicUsize,
     /// Newest message to all browsers.
     pub(crate) news: watch::Sender<Option<String>>,
+    /// Whether a page has asked the training to pause.
+    pub(crate) paused: AtomicBool,
     /// Half of [`Options::share`].
     half_share: Option<f64>,
     pub(crate) pace: Option<Pace>,
@@ -109,6 +112,7 @@ impl Shared {
             outbox: Arc::default(),
             clients: AtomicUsize::new(0),
             news: watch::Sender::new(None),
+            paused: AtomicBool::new(false),
             half_share,
             pace: half_share.map(Pace::of),
             pool: pool.map_err(|e| ViewError::Threads(std::io::Error::other(e)))?,
@@ -121,6 +125,12 @@ impl Shared {
             Some(pool) => pool.install(work),
             None => work(),
         }
+    }
+
+    /// Pauses the training or lets it go on, and tells every page.
+    pub(crate) fn pause(&self, paused: bool) {
+        self.paused.store(paused, Ordering::SeqCst);
+        self.news.send_replace(Some(json!({"paused": paused}).to_string()));
     }
 
     /// Frees the buffers of the renderer if no browser is connected.
@@ -140,7 +150,7 @@ impl Shared {
 ///
 /// ```
 /// use gs4d_view::{Options, Packing, REQUEST_TIME, Show, Stage, start};
-/// let stage = Stage { shows: vec![Show::splats("empty".into(), gs_core::Splats::default())] };
+/// let stage = Stage::new(vec![Show::splats("empty".into(), gs_core::Splats::default())]);
 /// let (host, packing) = ([127, 0, 0, 1].into(), Packing::Png);
 /// let options = Options { host, port: 18_900, packing, share: None, request_time: REQUEST_TIME };
 /// let server = start(stage, &options)?;
@@ -148,7 +158,7 @@ impl Shared {
 /// # Ok::<(), gs4d_view::ViewError>(())
 /// ```
 pub fn start(stage: Stage, options: &Options) -> Result<Server, ViewError> {
-    if stage.shows.is_empty() {
+    if stage.shows().is_empty() {
         return Err(ViewError::Nothing);
     }
     let listener = listen(options.host, options.port)?;

@@ -3,7 +3,9 @@
 use crate::question::{Choice, Question, Target};
 use crate::scene::Scene;
 use crate::stage::{Show, Stage};
+use crate::style::Style;
 use gs_core::{Camera, Splats};
+use gs_raster::RasterOptions;
 use gs_texel::Pose;
 use gs_train::timestamp::Timestamp;
 use std::borrow::Cow;
@@ -15,9 +17,10 @@ pub(crate) const MIN_OPACITY: f32 = 1.0 / 255.0;
 const CACHE_SIZE: usize = 16;
 
 /// A target with its camera and time.
-pub(crate) struct Shot<'a> {
+#[derive(Clone)]
+pub(crate) struct Shot {
     /// The show it belongs to.
-    pub(crate) show: &'a Show,
+    pub(crate) show: Arc<Show>,
     /// The state of the show.
     pub(crate) scene: Arc<Scene>,
     /// The camera.
@@ -28,15 +31,19 @@ pub(crate) struct Shot<'a> {
     pub(crate) pose: Option<Pose>,
     /// For each splat of [`Scene::all_splats`], whether it is hidden; `None` if none is.
     hidden: Option<Vec<bool>>,
+    /// How the splats are drawn.
+    pub(crate) style: Style,
+    /// Colour behind the scene; `None`: that of the show.
+    background: Option<[f32; 3]>,
 }
 
-impl<'a> Shot<'a> {
+impl Shot {
     /// A target under the camera, time, pose and hidden boxes of a question.
     ///
     /// # Errors
     /// A message, if there is no such show, checkpoint, view or joint.
     pub(crate) fn of(
-        stage: &'a Stage,
+        stage: &Stage,
         q: &Question,
         target: &Target,
         camera: &Camera,
@@ -56,13 +63,30 @@ impl<'a> Shot<'a> {
                 Some(all) => all.iter_mut().zip(members.iter()).for_each(|(h, m)| *h |= m),
             }
         }
-        Ok(Self { show, scene, camera: camera.clone(), time: q.time, pose, hidden })
+        let (style, background) = (q.style, q.background);
+        Ok(Self { show, scene, camera: camera.clone(), time: q.time, pose, hidden, style, background })
     }
 
     /// The same with another camera.
-    pub(crate) fn with_camera(&self, camera: Camera) -> Shot<'_> {
-        let (scene, pose, hidden) = (self.scene.clone(), self.pose.clone(), self.hidden.clone());
-        Shot { show: self.show, scene, camera, time: self.time, pose, hidden }
+    pub(crate) fn with_camera(&self, camera: Camera) -> Self {
+        Self { camera, ..self.clone() }
+    }
+
+    /// Whether it is what training is scored on: splats as they are, none hidden, in the pose of its time, over the show's own
+    /// background.
+    pub(crate) fn is_plain(&self) -> bool {
+        let own = self.background.is_none_or(|b| b == self.show.background());
+        own && self.style == Style::Splats && self.pose.is_none() && self.hidden.is_none()
+    }
+
+    /// Colour behind the scene, RGB in 0..1.
+    pub(crate) fn background(&self) -> [f32; 3] {
+        self.background.unwrap_or_else(|| self.show.background())
+    }
+
+    /// Render options, over [`Self::background`].
+    pub(crate) fn options(&self) -> RasterOptions {
+        RasterOptions { background: self.background(), ..self.show.options().clone() }
     }
 
     /// The splats to render.
@@ -112,7 +136,7 @@ impl SelectionCache {
         if let Some(entry) = self.entries.iter().find(|k| k.0 == scene.id && k.1 == *choice) {
             return Ok(entry.2.clone());
         }
-        let camera = choice.look.camera(stage, choice.width, choice.height)?;
+        let camera = choice.look.camera(stage, choice.width, choice.height, false)?;
         let splats = scene.all_splats(choice.time, &camera)?;
         let members = Arc::new((0..splats.len()).map(|i| is_in(&splats, i, &camera, choice.at)).collect::<Vec<_>>());
         if self.entries.len() == CACHE_SIZE {

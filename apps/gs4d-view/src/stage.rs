@@ -6,16 +6,13 @@ use crate::scene::Scene;
 use gs_core::{Camera, Splats};
 use gs_data::{Dataset, ImageCache, View};
 use gs_raster::RasterOptions;
-use gs4d_eval::forecast::Clock;
 use gs4d_run::orbit::middle;
-use gs4d_run::{OpenRun, Training};
+use gs4d_run::{Kept, OpenRun, Training};
 use serde_json::{Value, json};
 use std::sync::{Arc, PoisonError, RwLock};
 
 /// Most dataset views listed by the page, evenly spread.
 const MAX_VIEWS: usize = 200;
-/// Most marks of training timestamps on the slider.
-const MAX_MARKS: usize = 400;
 /// Image cache of a run under training, bytes.
 const LIVE_IMAGE_BYTES: usize = 64 << 20;
 
@@ -26,20 +23,22 @@ pub struct Show {
     scene: RwLock<Arc<Scene>>,
     checkpoints: Option<Checkpoints>,
     options: RasterOptions,
-    /// Dataset views listed by the page: test, extrapolation, training.
+    /// Dataset views listed by the page: the held-out ones first.
     pub(crate) views: Vec<View>,
+    /// Number of held-out views.
+    held_out: usize,
     images: Option<ImageCache>,
     /// Training timestamps, normalised, ascending.
     times: Vec<f32>,
-    /// Seconds from normalised time 0 to 1.
     /// The data's own time at normalised 0 and 1, where it is another.
     clock: Option<[f64; 2]>,
     background: [f32; 3],
 }
 
 impl Show {
-    /// A trained run; without `dataset` it has no views and no ground truth.
+    /// A trained run. Without `dataset` it has the views and timestamps that the run has kept, and no ground truth.
     pub fn run(name: String, run: OpenRun, dataset: Option<&Dataset>) -> Self {
+        let kept = dataset.is_none().then(|| run.kept().ok()).flatten();
         let background = run.background();
         let options = run.loaded.model.raster_options(background);
         let images = dataset.map(|_| run.images());
@@ -47,6 +46,7 @@ impl Show {
         let mut show = Self::new(name, Scene::method(run.loaded.model), options, background);
         (show.images, show.checkpoints) = (images, checkpoints);
         dataset.into_iter().for_each(|data| show.set_data(data));
+        kept.into_iter().for_each(|kept| show.set_kept(kept));
         show
     }
 
@@ -81,7 +81,8 @@ impl Show {
     fn new(name: String, scene: Scene, options: RasterOptions, background: [f32; 3]) -> Self {
         let (scene, times) = (RwLock::new(Arc::new(scene)), vec![0.0]);
         let (checkpoints, images) = (None, None);
-        Self { name, scene, checkpoints, options, views: Vec::new(), images, times, clock: None, background }
+        let (views, held_out, clock) = (Vec::new(), 0, None);
+        Self { name, scene, checkpoints, options, views, held_out, images, times, clock, background }
     }
 
     fn set_data(&mut self, data: &Dataset) {
@@ -89,16 +90,19 @@ impl Show {
             let kept = all.len().min(most);
             (0..kept).map(|k| all[k * all.len() / kept].clone()).collect()
         };
-        self.views = spread(&data.test, MAX_VIEWS / 2);
-        self.views.extend(spread(&data.extrapolate, MAX_VIEWS / 4));
-        self.views.extend(spread(&data.train, MAX_VIEWS - self.views.len().min(MAX_VIEWS)));
-        let mut times: Vec<f32> = data.train.iter().map(|v| v.time.normalised).collect();
-        times.sort_by(f32::total_cmp);
-        times.dedup();
-        self.clock = Clock::of(data).map(|c| [c.start, c.start + c.rate]);
-        let kept = times.len().min(MAX_MARKS);
-        self.times = (0..kept).map(|k| times[k * times.len() / kept]).collect();
-        self.times.extend(times.last().filter(|t| self.times.last() != Some(t)));
+        let kept = Kept::of(data);
+        let held_out = [spread(&data.test, MAX_VIEWS / 2), spread(&data.extrapolate, MAX_VIEWS / 4)].concat();
+        let train = spread(&data.train, MAX_VIEWS - held_out.len());
+        self.set_kept(Kept { held_out, train, ..kept });
+    }
+
+    fn set_kept(&mut self, kept: Kept) {
+        self.held_out = kept.held_out.len();
+        self.views = [kept.held_out, kept.train].concat();
+        self.clock = kept.clock;
+        if !kept.times.is_empty() {
+            self.times = kept.times;
+        }
     }
 
     /// The newest scene, or the scene at the step of a checkpoint.
@@ -142,6 +146,11 @@ impl Show {
         self.clock.map_or(1.0, |[start, end]| end - start)
     }
 
+    /// Whether the data's own time is in seconds: it is where it lies outside 0..1.
+    pub(crate) fn has_seconds(&self) -> bool {
+        self.clock.is_some_and(|[start, end]| start < 0.0 || end > 1.0)
+    }
+
     /// Mean interval of training timestamps, normalised.
     pub(crate) fn interval(&self) -> f32 {
         let [first, .., last] = self.times[..] else { return 1.0 };
@@ -173,20 +182,22 @@ impl Show {
     }
 
     /// Description for the page, as JSON.
-    fn about(&self) -> Value {
-        let view = |v: &View| {
+    pub(crate) fn about(&self) -> Value {
+        let view = |(k, v): (usize, &View)| {
             let c = &v.camera;
             let fov = 2.0 * (0.5 * f64::from(c.width) / c.fx).atan();
             let (eye, down) = (c.position(), c.rotation.row(1));
             json!({
-                "name": v.name, "time": v.time.normalised, "width": c.width, "height": c.height, "fov": fov,
+                "name": v.name, "held_out": k < self.held_out, "time": v.time.normalised, "width": c.width, "height": c.height,
+                "fov": fov, "fx": c.fx, "fy": c.fy, "cx": c.cx, "cy": c.cy,
                 "eye": eye.to_array(), "forward": c.forward().to_array(), "up": (-down).to_array(),
             })
         };
         let centre = self.centre();
         let mut about = json!({
             "name": self.name, "times": self.times, "seconds": self.seconds(), "clock": self.clock, "moving": self.moving(),
-            "views": self.views.iter().map(view).collect::<Vec<_>>(),
+            "views": self.views.iter().enumerate().map(view).collect::<Vec<_>>(),
+            "background": self.background, "borders": self.borders(),
             "centre": centre.0, "radius": centre.1, "joints": self.newest().avatar().map(pose::joints),
         });
         let live = self.live_info();
@@ -194,6 +205,11 @@ impl Show {
             about[name] = live[name].clone();
         }
         about
+    }
+
+    /// Normalised times at which the motion of the method changes: borders of its intervals.
+    fn borders(&self) -> Vec<f32> {
+        self.newest().as_method().and_then(|m| m.capabilities().inspect).map(|i| i.borders()).unwrap_or_default()
     }
 
     /// Median of the means at the first timestamp, and the radius around it that holds three quarters of them.
@@ -206,31 +222,49 @@ impl Show {
     }
 }
 
-/// All shows of a viewer.
+/// All shows of a viewer; the first is selected at the start.
 pub struct Stage {
-    /// At least one; the first is selected at the start.
-    pub shows: Vec<Show>,
+    shows: RwLock<Vec<Arc<Show>>>,
 }
 
 impl Stage {
+    /// A stage of shows.
+    pub fn new(shows: Vec<Show>) -> Self {
+        Self { shows: RwLock::new(shows.into_iter().map(Arc::new).collect()) }
+    }
+
+    /// All shows.
+    pub(crate) fn shows(&self) -> Vec<Arc<Show>> {
+        self.shows.read().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Adds a show, unless there are `most` already; its index.
+    pub(crate) fn add(&self, show: Show, most: usize) -> Option<usize> {
+        let mut shows = self.shows.write().unwrap_or_else(PoisonError::into_inner);
+        (shows.len() < most).then(|| {
+            shows.push(Arc::new(show));
+            shows.len() - 1
+        })
+    }
+
     /// First message to the page, as JSON.
     pub(crate) fn about(&self) -> Value {
-        json!({"shows": self.shows.iter().map(Show::about).collect::<Vec<_>>()})
+        json!({"shows": self.shows().iter().map(|s| s.about()).collect::<Vec<_>>()})
     }
 
     /// A show by its index.
     ///
     /// # Errors
     /// A message, if there is none.
-    pub(crate) fn show(&self, number: usize) -> Result<&Show, String> {
-        self.shows.get(number).ok_or_else(|| "there is no such show".to_owned())
+    pub(crate) fn show(&self, number: usize) -> Result<Arc<Show>, String> {
+        self.shows().get(number).cloned().ok_or_else(|| "there is no such show".to_owned())
     }
 
     /// A view of [`Show::views`] by the indices of show and view.
     ///
     /// # Errors
     /// A message, if there is none.
-    pub(crate) fn view(&self, show: usize, number: usize) -> Result<&View, String> {
-        self.show(show)?.views.get(number).ok_or_else(|| "there is no such view".to_owned())
+    pub(crate) fn view(&self, show: usize, number: usize) -> Result<View, String> {
+        self.show(show)?.views.get(number).cloned().ok_or_else(|| "there is no such view".to_owned())
     }
 }

@@ -30,7 +30,7 @@ const ADDRESS: &str = "GS4D_VIEW_TEST_ADDRESS";
 
 fn serve(show: Show, port: u16, share: Option<f64>, request_time: Duration) -> Server {
     let options = Options { host: [127, 0, 0, 1].into(), port, packing: Packing::Png, share, request_time };
-    start(Stage { shows: vec![show] }, &options).unwrap()
+    start(Stage::new(vec![show]), &options).unwrap()
 }
 
 fn open_files() -> usize {

@@ -33,7 +33,7 @@ fn state(training: &Training) -> Checkpoint {
 fn serve(show: Show) -> Server {
     let (host, packing, share) = ([127, 0, 0, 1].into(), Packing::Png, Some(0.5));
     let options = Options { host, port: 18_300, packing, share, request_time: REQUEST_TIME };
-    start(Stage { shows: vec![show] }, &options).unwrap()
+    start(Stage::new(vec![show]), &options).unwrap()
 }
 
 fn picture(id: u64) -> Value {
@@ -69,6 +69,8 @@ fn a_watched_run_moves_on_and_ends_as_an_unwatched_one() {
                         match socket.read().unwrap() {
                             Message::Text(text) => {
                                 let said: Value = serde_json::from_str(&text).unwrap();
+                                let history = said["news"]["history"].as_array().unwrap();
+                                assert!(!history.is_empty() && history[0][1][0].is_number(), "{said}");
                                 steps.push(said["news"]["training"]["step"].as_u64().unwrap());
                             }
                             Message::Binary(_) => break,
@@ -99,4 +101,37 @@ fn a_watched_run_moves_on_and_ends_as_an_unwatched_one() {
         });
         assert_eq!(state(&watched), state(&alone), "{method}");
     }
+}
+
+#[test]
+fn a_page_pauses_a_training_until_it_leaves() {
+    let dir = tempfile::tempdir().unwrap();
+    let data = dir.path().join("data");
+    synth::write(&data, "balls", &SynthOptions::of_views(32, 8, 1), false).unwrap();
+    let mut watched = training(&data, &dir.path().join("run"), "fourdgs");
+    let server = serve(Show::live("run".into(), &watched).unwrap());
+    let mut feed = server.feed(gs_methods::registry().clone(), None).unwrap();
+    let (mut socket, _) = greeted(&server);
+    socket.send(Message::Text(json!({"pause": true}).to_string().into())).unwrap();
+    loop {
+        let Message::Text(text) = socket.read().unwrap() else { continue };
+        if serde_json::from_str::<Value>(&text).unwrap()["paused"] == true {
+            break;
+        }
+    }
+    let (stop, done) = (AtomicBool::new(false), AtomicBool::new(false));
+    std::thread::scope(|scope| {
+        let run = scope.spawn(|| {
+            let outcome = watched.train(&stop, &mut |p, trainer| {
+                feed.offer(p, trainer);
+                feed.wait_while_paused(&stop);
+            });
+            done.store(true, Ordering::SeqCst);
+            outcome.unwrap()
+        });
+        std::thread::sleep(std::time::Duration::from_secs(2));
+        assert!(!done.load(Ordering::SeqCst), "a step is waited for");
+        drop(socket);
+        assert_eq!(run.join().unwrap(), Outcome::Finished);
+    });
 }

@@ -25,7 +25,7 @@ fn scene() -> Splats {
 }
 
 fn server(packing: Packing) -> Server {
-    let stage = Stage { shows: vec![Show::splats("red".into(), scene())] };
+    let stage = Stage::new(vec![Show::splats("red".into(), scene())]);
     start(stage, &Options { host: LOCAL, port: 18_200, packing, share: None, request_time: REQUEST_TIME }).unwrap()
 }
 
@@ -253,13 +253,13 @@ fn two_pictures_are_subtracted_and_fine_ones_are_means() {
         decoded.data.chunks_exact(4).map(|p| [p[0], p[1], p[2]]).collect::<Vec<_>>()
     };
     let mut with = question(1, "color");
-    (with["against"], with["gain"]) = (json!({"show": 0, "layer": "color"}), json!(8.0));
+    (with["against"], with["gain"], with["score"]) = (json!({"show": 0, "layer": "color"}), json!(8.0), json!(true));
     let (header, png) = ask(&mut socket, &with);
     assert!(header["psnr"].is_null() && pixels(&png).iter().all(|p| *p == [128; 3]), "nothing is left: {header}");
     with["against"]["layer"] = json!("alpha");
     with["gain"] = json!(1.0);
     let (header, png) = ask(&mut socket, &with);
-    assert!(header["psnr"].as_f64().unwrap() > 0.0);
+    assert!(header["psnr"].as_f64().unwrap() > 0.0 && header["scored"] == json!([64, 48]), "{header}");
     // Red over white coverage: red nearly stays, green and blue go.
     let middle = pixels(&png)[24 * 64 + 32];
     assert!((i32::from(middle[0]) - 120).abs() < 9 && middle[1] < 10, "{middle:?}");
@@ -271,6 +271,84 @@ fn two_pictures_are_subtracted_and_fine_ones_are_means() {
     assert_eq!((&header["width"], fine.len()), (&json!(64), coarse.len()));
     let apart = fine.iter().zip(&coarse).map(|(a, b)| a[0].abs_diff(b[0])).max();
     assert!(fine != coarse && apart < Some(25), "{apart:?}");
+}
+
+#[test]
+fn splats_are_sent_as_words_and_images_as_files() {
+    let server = server(Packing::Jpeg);
+    let (mut socket, _) = greeted(&server);
+    let mut with = question(1, "color");
+    with["save"] = json!("splats");
+    let (header, words) = ask(&mut socket, &with);
+    assert_eq!((&header["splats"], &header["background"], words.len()), (&json!(2), &json!([0.0, 0.0, 0.0]), 64));
+    let z = |k: usize| f32::from_le_bytes(words[32 * k + 8..32 * k + 12].try_into().unwrap());
+    assert_eq!([z(0), z(1)], [0.0, 0.5]);
+    with["what"]["layer"] = json!("depth");
+    assert!(ask(&mut socket, &with).0["error"].as_str().unwrap().contains("no splats"));
+    let mut image = question(2, "color");
+    (image["save"], image["background"]) = (json!("image"), json!([0.0, 1.0, 0.0]));
+    let (header, png) = ask(&mut socket, &image);
+    assert_eq!(header["file"], "red_color_t0.000.png");
+    let picture = gs_core::io::images::decode_rgba8(&png, "answer.png", &gs_core::io::Limits::default()).unwrap();
+    assert_eq!((picture.width, &picture.data[..3]), (64, &[0, 255, 0][..]), "the corner shows the background");
+}
+
+#[test]
+fn points_and_ellipsoids_are_opaque() {
+    let server = server(Packing::Png);
+    let (mut socket, _) = greeted(&server);
+    let mut alpha = question(1, "alpha");
+    let mut covered = |style: Value| {
+        alpha["style"] = style;
+        let (_, png) = ask(&mut socket, &alpha);
+        let picture = gs_core::io::images::decode_rgba8(&png, "answer.png", &gs_core::io::Limits::default()).unwrap();
+        let all = picture.data.chunks_exact(4);
+        (all.clone().filter(|p| p[0] > 240).count(), all.filter(|p| p[0] > 8).count())
+    };
+    let splats = covered(json!("splats"));
+    let points = covered(json!({"points": 6.0}));
+    let ellipsoids = covered(json!("ellipsoids"));
+    assert!((20..45).contains(&points.0) && points.1 < 60, "{points:?}");
+    assert!(ellipsoids.0 > 2 * points.0 && ellipsoids.1 < splats.1, "{ellipsoids:?} {splats:?}");
+}
+
+/// What a server answers to a file.
+fn post(server: &Server, path: &str, origin: Option<&str>, body: &[u8]) -> String {
+    let mut stream = TcpStream::connect(server.address).unwrap();
+    let origin = origin.map_or(String::new(), |o| format!("Origin: {o}\r\n"));
+    let (host, length) = (server.address, body.len());
+    write!(
+        stream,
+        "POST {path} HTTP/1.1\r\nHost: {host}\r\n{origin}Content-Length: {length}\r\nConnection: close\r\n\r\n"
+    )
+    .unwrap();
+    // A server that refuses does not read the body.
+    let _ = stream.write_all(body);
+    let mut answer = String::new();
+    let _ = stream.read_to_string(&mut answer);
+    answer
+}
+
+#[test]
+fn a_dropped_file_becomes_a_show_and_others_are_refused() {
+    let server = server(Packing::Png);
+    let raw = gs_core::io::RawSplats::from_splats(&scene()).unwrap();
+    let mut ply = Vec::new();
+    gs_core::io::ply::write(&raw, &mut ply).unwrap();
+    let path = |name: &str| format!("/drop?k={}&name={name}", key(&server));
+    let own = format!("http://{}", server.address);
+    for (path, origin) in [(path("a.ply"), Some("http://evil.example")), ("/drop?k=0&name=a.ply".to_owned(), None)] {
+        assert!(post(&server, &path, origin, &ply).starts_with("HTTP/1.1 403"), "{path}");
+    }
+    let answer = post(&server, &path("two.ply"), Some(&own), &ply);
+    assert!(answer.starts_with("HTTP/1.1 200") && answer.contains(r#""number":1"#), "{answer}");
+    let bad = post(&server, &path("bad.ply"), Some(&own), b"ply\nnothing");
+    assert!(bad.starts_with("HTTP/1.1 422") && bad.contains("bad.ply"), "{bad}");
+    let (mut socket, about) = greeted(&server);
+    assert_eq!(about["shows"][1]["name"], "two.ply");
+    let mut dropped = question(1, "color");
+    dropped["what"]["show"] = json!(1);
+    assert_eq!(ask(&mut socket, &dropped).0["splats"], 2);
 }
 
 #[test]

@@ -1,4 +1,5 @@
 use super::*;
+use crate::kept::Kept;
 use glam::Vec3;
 use gs_core::Rng;
 use gs_data::PointCloud;
@@ -49,7 +50,7 @@ fn written(loaded: &Loaded, bits: Bits, deflate: bool) -> (CompactReport, Loaded
     let path = dir.path().join("scene.gs4d");
     let scene = CompactScene::of(&loaded.model, &loaded.config);
     let settings = toml::Table::from_iter([("run".to_owned(), toml::Value::from("settings"))]);
-    let report = scene.write(&path, loaded, &settings, &[], Packing { bits, deflate }).unwrap();
+    let report = scene.write(&path, loaded, &settings, &Kept::default(), Packing { bits, deflate }).unwrap();
     assert_eq!(report.file_bytes as u64, std::fs::metadata(&path).unwrap().len());
     let checkpoint = Checkpoint::load(&path).unwrap();
     assert_eq!(checkpoint.meta[SETTINGS], "run = \"settings\"\n");
@@ -126,7 +127,9 @@ fn known_lattices_and_fixed_state_stay_exact() {
     scene.tensors.extend([tensor("state", true), tensor("block", false)]);
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("scene.gs4d");
-    scene.write(&path, &loaded, &toml::Table::new(), &[], Packing { bits: Bits::Byte, deflate: true }).unwrap();
+    scene
+        .write(&path, &loaded, &toml::Table::new(), &Kept::default(), Packing { bits: Bits::Byte, deflate: true })
+        .unwrap();
     let back = Checkpoint::load(&path).unwrap();
     assert_eq!((back.tensor("cloud.means").unwrap(), back.tensor("state").unwrap()), (&want[..], &state[..]));
     assert_ne!(back.tensor("block").unwrap(), state);
@@ -138,7 +141,9 @@ fn a_damaged_file_is_refused_wherever_it_is_hurt() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("scene.gs4d");
     let scene = CompactScene::of(&loaded.model, &loaded.config);
-    scene.write(&path, &loaded, &toml::Table::new(), &[], Packing { bits: Bits::Byte, deflate: true }).unwrap();
+    scene
+        .write(&path, &loaded, &toml::Table::new(), &Kept::default(), Packing { bits: Bits::Byte, deflate: true })
+        .unwrap();
     let whole = std::fs::read(&path).unwrap();
     let hurt = dir.path().join("hurt.gs4d");
     for at in (0..whole.len()).step_by(29) {
@@ -159,7 +164,9 @@ fn a_scene_with_other_sizes_does_not_load() {
         assert!(scene.tensors.iter_mut().any(change));
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("scene.gs4d");
-        scene.write(&path, &loaded, &toml::Table::new(), &[], Packing { bits: Bits::Half, deflate: false }).unwrap();
+        scene
+            .write(&path, &loaded, &toml::Table::new(), &Kept::default(), Packing { bits: Bits::Half, deflate: false })
+            .unwrap();
         saved::load(gs_methods::registry(), &Checkpoint::load(&path).unwrap(), None).err().unwrap()
     };
     let shorter = |t: &mut CompactTensor| t.row_width.is_none() && t.values.pop().is_some();

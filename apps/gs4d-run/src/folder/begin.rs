@@ -1,8 +1,8 @@
 //! Making a run folder so that it is there whole or not at all.
 
 use super::{
-    Beginning, CAMERAS, CHECKPOINTS, CONFIG, HISTOGRAMS, JOURNAL, LOCK, LOG, METRICS, PROVENANCE, RENDERS, REPORT,
-    ROUNDS, RunError, is_run, lock,
+    Beginning, CAMERAS, CHECKPOINTS, CONFIG, DATA, HISTOGRAMS, JOURNAL, LOCK, LOG, METRICS, PROVENANCE, RENDERS,
+    REPORT, ROUNDS, RunError, is_run, lock,
 };
 use gs_core::io::{disk, folder_of, is_temporary, remove_abandoned, temporary_beside, write_file};
 use std::fs::{self, File};
@@ -32,7 +32,7 @@ fn is_vacant(root: &Path) -> std::io::Result<bool> {
     for entry in fs::read_dir(root)? {
         let entry = entry?;
         let vacant = match entry.file_name().to_str() {
-            Some(LOCK | PROVENANCE | CAMERAS) => true,
+            Some(LOCK | PROVENANCE | CAMERAS | DATA) => true,
             Some(CHECKPOINTS | RENDERS) => is_empty(&entry.path())?,
             name => name.is_some_and(is_temporary),
         };
@@ -81,8 +81,8 @@ fn fill(folder: &Path, beginning: &Beginning<'_>) -> Result<(), RunError> {
         let path = folder.join(name);
         disk::create_folder(&path).map_err(|e| RunError::io("create", &path, e))?;
     }
-    let Beginning { config, provenance, cameras } = beginning;
-    for (name, content) in [(CAMERAS, cameras), (PROVENANCE, provenance), (CONFIG, config)] {
+    let Beginning { config, provenance, data } = beginning;
+    for (name, content) in [(DATA, data), (PROVENANCE, provenance), (CONFIG, config)] {
         write_file(&folder.join(name), true, |out| out.write_all(content.as_bytes()))?;
     }
     Ok(())
@@ -90,7 +90,7 @@ fn fill(folder: &Path, beginning: &Beginning<'_>) -> Result<(), RunError> {
 
 /// Removes the results of an older run, by name.
 fn remove_results(root: &Path) -> Result<(), RunError> {
-    for name in [METRICS, REPORT, ROUNDS, LOG, HISTOGRAMS, JOURNAL] {
+    for name in [CAMERAS, METRICS, REPORT, ROUNDS, LOG, HISTOGRAMS, JOURNAL] {
         let path = root.join(name);
         disk::remove_file(&path).map_err(|e| RunError::io("remove", &path, e))?;
     }
@@ -108,7 +108,7 @@ mod tests {
     use gs_core::testkit::faults::{Fault, Faults, with_faults};
 
     fn create(root: &Path, overwrite: bool) -> Result<RunFolder, RunError> {
-        let beginning = Beginning { config: "x = 1\n", provenance: "{}\n", cameras: "[]\n" };
+        let beginning = Beginning { config: "x = 1\n", provenance: "{}\n", data: "{}\n" };
         RunFolder::create(root, overwrite, &beginning)
     }
 
@@ -119,7 +119,7 @@ mod tests {
         names
     }
 
-    const WHOLE: [&str; 6] = [LOCK, CAMERAS, CHECKPOINTS, CONFIG, PROVENANCE, RENDERS];
+    const WHOLE: [&str; 6] = [LOCK, CHECKPOINTS, CONFIG, DATA, PROVENANCE, RENDERS];
 
     #[test]
     fn whichever_operation_fails_a_new_folder_is_whole_or_not_there() {

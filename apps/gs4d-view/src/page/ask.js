@@ -3,9 +3,10 @@
 const key = new URLSearchParams(location.search).get("k") || "";
 const FAST = 80; // milliseconds an image may take while something moves
 const COARSE = 0, REST = 1, FINE = 2;
-let socket = null, next = 1, busy = null, playing = false, moving = 0, shrink = 1, training = false, file = null, chosen = null, parts = [], missing = 0;
+let socket = null, next = 1, busy = null, playing = false, moving = 0, shrink = 1, live = false, file = null, chosen = null, parts = [], missing = 0;
 const sides = { a: { want: null, is: -1 }, b: { want: null, is: -1 } };
 const wanted = () => (state.compare === "wipe" || state.compare === "flicker" ? ["a", "b"] : ["a"]);
+const finest = () => (live ? REST : FINE); // a run under training gets no supersampled images
 function target(side) {
   const [show, layer, checkpoint] = state[side];
   return checkpoint >= 0 ? { show, layer, checkpoint } : { show, layer };
@@ -23,6 +24,7 @@ function pump() {
     const s = sides[side], level = s.want, question = scene(side, level);
     if (level === FINE) question.fine = true;
     if (side === "a" && level >= REST) {
+      question.score = level >= finest();
       if (state.arrows) question.arrows = true;
       if (chosen) question.chosen = chosen;
       if (s.pick) { question.pick = s.pick; s.pick = null; }
@@ -30,29 +32,48 @@ function pump() {
     s.want = null; pump.last = side;
     return send({ side, level }, question);
   }
-  const thumb = thumbs.find((t) => !t.asked);
-  if (thumb && !playing && performance.now() - moving > 500) {
-    thumb.asked = true;
-    send({ side: "thumb", thumb }, { what: { show: state.a[0], layer: "truth" }, time: 0, look: { view: [state.a[0], thumb.number] }, width: 96, height: 72 });
-  }
+  const idle = !playing && performance.now() - moving > 400 && wanted().every((s) => sides[s].is >= REST);
+  if (!idle) return;
+  const words = wantedKey();
+  if (words !== null) return send({ side: "key", at: words }, { ...scene("a", COARSE), time: words, save: "splats" });
+  const thumb = wantedThumb();
+  if (thumb) { thumb.asked = true; send({ side: "thumb", thumb }, thumb.question()); }
 }
 function scene(side, level) {
   const question = { what: target(side), time: state.t, look: look(), ...size(level) };
   if (state.compare === "difference" && side === "a") Object.assign(question, { against: target("b"), gain: state.gain });
   if (state.hidden.length) question.hidden = state.hidden;
+  const view = about().views[state.view], enlarge = !state.compare && level > COARSE;
+  if (view && enlarge && state[side][1] !== "truth") question.enlarge = true;
+  if (state.style === "points") question.style = { points: pointSize(question, question.enlarge ? Infinity : view ? view.width : Infinity) };
+  else if (state.style !== "splats") question.style = state.style;
+  if (state.back) question.background = state.back;
   const turns = Object.entries(state.pose.turns).filter(([, a]) => a.some(Boolean)).map(([j, a]) => [Number(j), a.map((d) => (d * Math.PI) / 180)]);
   if (about().joints && (turns.length || state.pose.from !== null)) question.pose = { from: state.pose.from, turns };
   return question;
+}
+// Points keep their size in the window, whatever the size of the image.
+function pointSize({ width, height }, most) {
+  const image = Math.min(most, cameraOf(width, height).width), shown = cameraOf(stage.clientWidth, stage.clientHeight).width;
+  return Math.min(32, Math.max(0.5, (state.size * image) / shown));
 }
 function send(what, question) {
   busy = { id: next++, sent: performance.now(), ...what };
   socket.send(JSON.stringify({ id: busy.id, ...question }));
 }
 function changed() { moving = performance.now(); save(); again(); }
-function again() { lines(); for (const side of ["a", "b"]) { sides[side].is = -1; document.body.dataset[side] = "waiting"; ask(side, COARSE); } }
-// Asks for what is finer than what is shown once nothing has moved for a while; a run under training gets no supersampled images.
+function again() {
+  lines();
+  const here = drawLocal();
+  for (const side of ["a", "b"]) {
+    sides[side].is = here && side === "a" ? COARSE : -1;
+    document.body.dataset[side] = here && side === "a" ? `${state.a[1]} here moving` : "waiting";
+    if (sides[side].is < COARSE) ask(side, COARSE); else sides[side].want = null;
+  }
+}
+// Asks for what is finer than what is shown once nothing has moved for a while.
 function settle() {
-  const still = performance.now() - moving, best = training || still < 600 ? REST : FINE;
+  const still = performance.now() - moving, best = still < 600 ? REST : finest();
   for (const side of wanted()) {
     const s = sides[side], idle = s.want === null && !(busy && busy.side === side);
     if (idle && s.is < best && !playing && still > 180) ask(side, Math.max(s.is + 1, REST));
@@ -70,28 +91,37 @@ async function received(parts) {
   const data = await new Blob(parts).arrayBuffer(), length = new DataView(data).getUint32(0, true);
   const header = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 8, length))), rest = new Uint8Array(data, 8 + length);
   if (!busy || header.id !== busy.id) return;
-  const { side, level, sent, thumb } = busy, spent = performance.now() - sent;
+  const { side, level, sent, thumb, at } = busy, spent = performance.now() - sent, asked = sides[side] && sides[side].is;
   if (sides[side]) sides[side].is = level;
   busy = null;
   if (side === "file") { file = null; pump(); return download(header.file, rest); }
+  if (side === "key") { gotKey(at, rest.slice().buffer, header); return pump(); }
   pump();
   if (level === COARSE) shrink = Math.min(8, Math.max(1, shrink * (spent > FAST ? 1.25 : spent < FAST / 2 ? 0.85 : 1)));
   const bitmap = await createImageBitmap(new Blob([rest])), canvas = thumb ? thumb.canvas : $(side);
+  // What has moved on meanwhile is drawn in the browser.
+  if (side === "a" && asked !== undefined && !$("local").hidden && (playing || performance.now() - moving < 150)) { sides.a.is = COARSE; return; }
   canvas.width = bitmap.width; canvas.height = bitmap.height;
   canvas.getContext("2d").drawImage(bitmap, 0, 0);
   if (thumb) return;
-  const fit = Math.min(stage.clientWidth / bitmap.width, stage.clientHeight / bitmap.height);
-  canvas.style.width = bitmap.width * fit + "px"; canvas.style.height = bitmap.height * fit + "px";
+  fit(canvas, bitmap);
+  if (side === "a") $("local").hidden = true;
   document.body.dataset[side] = `${header.layer} ${header.width}x${header.height} ${["moving", "rest", "fine"][level]}`;
   if (side === "a") showStatus(header, spent);
   place();
+}
+// Shows a canvas as large as its aspect ratio allows.
+function fit(canvas, { width, height }) {
+  const scale = Math.min(stage.clientWidth / width, stage.clientHeight / height);
+  canvas.style.width = width * scale + "px"; canvas.style.height = height * scale + "px";
 }
 function download(name, bytes) {
   const link = document.createElement("a");
   link.href = URL.createObjectURL(new Blob([bytes])); link.download = name;
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href), 10000);
-  $("status").textContent = `saved ${name}, ${bytes.length.toLocaleString("en")} bytes: plain Gaussians, colours as this camera sees them`;
+  const what = name.endsWith(".ply") ? ": plain Gaussians, colours as this camera sees them" : "";
+  $("status").textContent = `saved ${name}, ${bytes.length.toLocaleString("en")} bytes${what}`;
 }
 function open() {
   missing = 0;
@@ -101,19 +131,11 @@ function open() {
     if (typeof m.data !== "string") return collect(m.data);
     const message = JSON.parse(m.data);
     if (message.shows) return begin(message);
+    if (message.paused !== undefined) showPaused(message.paused);
     if (message.news) return news(message.news);
-    notice(message.error);
+    if (!message.error) return;
+    if (!busy || busy.side !== "key") notice(message.error); else noKeys();
     if (busy) { if (sides[busy.side]) sides[busy.side].is = FINE; if (busy.side === "file") file = null; busy = null; pump(); }
   };
-  socket.onclose = () => { notice(training ? "Training has ended, or the line is cut; trying again." : "The viewer has stopped or the line is cut; trying again."); busy = null; setTimeout(open, 2000); };
-}
-// New state of a run under training.
-function news({ layers: names, checkpoints, training: at }) {
-  training = true;
-  Object.assign(shows[0], { layers: names, checkpoints });
-  const words = [`training: step ${at.step} of ${at.steps}`, `${at.splats.toLocaleString("en")} splats`];
-  if (at.psnr !== null) words.push(`${at.psnr.toFixed(2)} dB on training views`);
-  $("training").textContent = words.join(" · "); $("training").hidden = false;
-  layers();
-  for (const side of ["a", "b"]) if (state[side][0] === 0 && state[side][2] < 0) sides[side].is = Math.min(sides[side].is, COARSE);
+  socket.onclose = () => { notice(live ? "Training has ended, or the line is cut; trying again." : "The viewer has stopped or the line is cut; trying again."); busy = null; setTimeout(open, 2000); };
 }

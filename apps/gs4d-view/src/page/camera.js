@@ -5,7 +5,7 @@ const stage = $("stage");
 let shows = [];
 const state = {
   eye: [0, 0, -4], target: [0, 0, 0], up: [0, -1, 0], fov: 0.8, t: 0, view: -1, a: [0, "color", -1], b: [0, "truth", -1], compare: "", cut: 0.5, gain: 4,
-  cameras: false, arrows: false, hidden: [], pose: { from: null, turns: {} },
+  cameras: false, arrows: false, axes: false, grid: false, style: "splats", size: 4, back: null, hidden: [], pose: { from: null, turns: {} },
 };
 const about = () => shows[state.a[0]];
 
@@ -36,7 +36,7 @@ function pan(dx, dy) {
   shift(add(right().map((v) => -v * dx * far), cross(right(), forward()).map((v) => v * dy * far)));
 }
 function dolly(factor) { leaveView(); state.eye = add(state.target, add(state.eye, state.target, -1), factor); changed(); }
-function fly(ahead, aside) { const far = 0.05 * distance(); shift(add(forward().map((v) => v * ahead * far), right(), aside * far)); }
+function walk(ahead, aside) { const far = 0.05 * distance(); shift(add(forward().map((v) => v * ahead * far), right(), aside * far)); }
 function frameScene() {
   leaveView();
   const back = unit(add(state.eye, state.target, -1));
@@ -62,7 +62,7 @@ function leaveView() {
   const shown = $("a").getBoundingClientRect().width;
   if (shown > 0) state.fov = Math.min(2.5, 2 * Math.atan((Math.tan(state.fov / 2) * stage.clientWidth) / shown));
   state.view = -1; $("view").value = "-1";
-  layers();
+  layers(); showFov();
 }
 function snap(number) {
   const v = about().views[number];
@@ -73,16 +73,23 @@ function snap(number) {
     Object.assign(state, { eye: v.eye, target: add(v.eye, v.forward, far), up: v.up, fov: v.fov, t: v.time });
     $("t").value = state.t; showTime();
   }
-  layers(); changed();
+  layers(); showFov(); changed();
 }
 const look = () => (state.view >= 0 ? { view: [state.a[0], state.view] } : { free: [state.eye, state.target, state.up, state.fov] });
 
-// A point of the world on the stage.
+// The camera of an image of at most that size: rows of the world-to-camera matrix, OpenCV axes, and the intrinsics in pixels.
+function cameraOf(width, height) {
+  const f = forward(), r = right(), d = cross(f, r), row = (v) => [...v, -dot(v, state.eye)], viewmat = [...row(r), ...row(d), ...row(f)];
+  const v = state.view >= 0 ? about().views[state.view] : null;
+  if (!v) { const focal = width / 2 / Math.tan(state.fov / 2); return { viewmat, fx: focal, fy: focal, cx: width / 2, cy: height / 2, width, height }; }
+  const s = Math.min(width / v.width, height / v.height), w = Math.max(1, Math.round(s * v.width)), h = Math.max(1, Math.round(s * v.height)), x = w / v.width, y = h / v.height;
+  return { viewmat, fx: v.fx * x, fy: v.fy * y, cx: v.cx * x, cy: v.cy * y, width: w, height: h };
+}
+// A point of the world on the stage; null behind the camera.
 function project(p) {
-  const f = forward(), r = right(), d = cross(f, r), v = add(p, state.eye, -1), z = dot(v, f);
+  const s = [stage.clientWidth, stage.clientHeight], c = cameraOf(...s), m = c.viewmat, at = (k) => m[4 * k] * p[0] + m[4 * k + 1] * p[1] + m[4 * k + 2] * p[2] + m[4 * k + 3], z = at(2);
   if (z <= 1e-6) return null;
-  const c = $("a").getBoundingClientRect(), s = stage.getBoundingClientRect(), focal = c.width / 2 / Math.tan(state.fov / 2);
-  return [c.left - s.left + c.width / 2 + (focal * dot(v, r)) / z, c.top - s.top + c.height / 2 + (focal * dot(v, d)) / z];
+  return [(s[0] - c.width) / 2 + c.cx + (c.fx * at(0)) / z, (s[1] - c.height) / 2 + c.cy + (c.fy * at(1)) / z];
 }
 // Corners of what a view of the data sees at a distance, from its eye.
 function frustum(v, far) {

@@ -70,8 +70,7 @@ impl Compact {
         let packing = Packing { bits: self.bits.into(), deflate: !self.no_deflate };
         let before = self.psnr(&run, dataset.as_ref())?;
         let settings = run.resolved.config.table();
-        let report =
-            scene.write(&self.out, &run.loaded, &settings, &run.training_views().unwrap_or_default(), packing)?;
+        let report = scene.write(&self.out, &run.loaded, &settings, &run.kept().unwrap_or_default(), packing)?;
         global.detail(format!("wrote {}", self.out.display()));
         let data = Path::new(&run.resolved.run.data);
         let again = OpenRun::open_with(gs_methods::registry(), &self.out, Some(data))?;

@@ -12,7 +12,7 @@ use gs_core::io::cameras::{NamedCamera, load_cameras};
 use gs_core::io::images::save_png;
 use gs_core::io::{Limits, exr, load_splats, npy, write_file, y4m};
 use gs_core::{Camera, Image, Splats};
-use gs_data::Dataset;
+use gs_data::{Dataset, View};
 use gs_raster::{Frame, RasterOptions};
 use gs_train::capabilities::{FreezeOptions, FreezeReport};
 use gs_train::method::MethodError;
@@ -116,6 +116,14 @@ impl Scene {
         match self {
             Scene::File(_) => Err(Failure::usage(format!("{what} needs a run"))),
             Scene::Run(run) => Ok(run.open_data()?),
+        }
+    }
+
+    /// The training views of the run, or those it has kept; `what` names the option that needs them.
+    fn training_views(&self, what: &str) -> Result<Vec<View>, Failure> {
+        match self {
+            Scene::File(_) => Err(Failure::usage(format!("{what} needs a run"))),
+            Scene::Run(run) => Ok(run.training_views()?),
         }
     }
 
@@ -242,7 +250,7 @@ impl Render {
                     let keys = load_cameras(Path::new(file), &Limits::default())?;
                     Flight::through(&keys.into_iter().map(|k| k.camera).collect::<Vec<_>>())
                 }
-                None => Flight::of_views(&scene.data("--camera path")?.train),
+                None => Flight::of_views(&scene.training_views("--camera path")?),
             };
             let flight = flight.ok_or_else(|| Failure::usage("a path leads through two cameras or more"))?;
             return Ok(self.series("path", |k, n| Some(flight.at(k as f64 / (n.max(2) - 1) as f64))));

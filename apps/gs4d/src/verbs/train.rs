@@ -152,6 +152,7 @@ pub fn drive(
     let outcome = training.train(stop, &mut |p, trainer| {
         if let Some(watched) = &mut watched {
             watched.feed.offer(p, trainer);
+            watched.feed.wait_while_paused(stop);
         }
         progress.at(u64::from(p.step), || {
             let quarantined =

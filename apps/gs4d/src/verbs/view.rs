@@ -41,7 +41,7 @@ impl View {
         let shows = self.scenes.iter().map(|p| self.show(p, global)).collect::<Result<Vec<_>, _>>()?;
         let packing = if self.remote { Packing::Jpeg } else { Packing::Png };
         let options = Options { host: self.host, port: self.port, packing, share: None, request_time: REQUEST_TIME };
-        let server = start(Stage { shows }, &options)?;
+        let server = start(Stage::new(shows), &options)?;
         if !self.host.is_loopback() {
             global.say("warning: other machines can reach this viewer; whoever has the key below sees the scene");
         }
@@ -111,7 +111,7 @@ impl Watch {
                 share: Some(self.view_share),
                 request_time: REQUEST_TIME,
             };
-            let server = start(Stage { shows: vec![show] }, &options).map_err(|e| e.to_string())?;
+            let server = start(Stage::new(vec![show]), &options).map_err(|e| e.to_string())?;
             let feed = server
                 .feed(gs_methods::registry().clone(), training.trainer().dataset().avatar.clone())
                 .map_err(|e| e.to_string())?;

@@ -13,7 +13,7 @@ use tempfile::TempDir;
 /// Whether the side of that name shows its picture at rest.
 fn at_rest(side: char) -> String {
     format!(
-        "/ (rest|fine)$/.test(document.body.dataset.{side}) && !busy && sides.{side}.want === null && sides.{side}.is >= REST"
+        "/ (rest|fine)$/.test(document.body.dataset.{side}) && sides.{side}.want === null && sides.{side}.is >= REST"
     )
 }
 
@@ -132,6 +132,16 @@ impl Desk {
         );
     }
 
+    /// Presses a button of the group Compare.
+    fn compare(&mut self, mode: &str) {
+        self.browser.eval(&format!("document.querySelector('#compare button[value=\"{mode}\"]').click()"));
+    }
+
+    /// Presses the thumbnail of a layer.
+    fn layer(&mut self, name: &str) {
+        self.browser.eval(&format!("document.querySelector('[data-layer=\"{name}\"]').click()"));
+    }
+
     /// Drags across the scene.
     fn drag(&mut self) {
         let [x, y] = self.browser.middle("stage");
@@ -159,7 +169,7 @@ fn look_at(desk: &mut Desk, url: &str, name: &str) {
     desk.open(url);
     let first = desk.browser.eval(PIXELS);
     assert!(desk.browser.eval(COLORS).as_u64() > Some(50), "{name} is blank");
-    assert!(desk.browser.eval("$('status').textContent").as_str().unwrap().contains("PSNR of this view"), "{name}");
+    desk.browser.until("$('status').textContent.includes('PSNR of this held-out view')");
     desk.shot(&format!("{name}-1-opened"));
 
     desk.drag();
@@ -176,21 +186,21 @@ fn look_at(desk: &mut Desk, url: &str, name: &str) {
     desk.shot(&format!("{name}-2-picked"));
 
     desk.browser.set("view", "0");
-    desk.browser.set("compare", "wipe");
+    desk.compare("wipe");
     desk.browser.set("layer-b", "truth");
     desk.browser.until(&at_rest('b'));
     desk.browser.until("$('label-b').textContent.endsWith('truth')");
     desk.shot(&format!("{name}-3-compared"));
-    desk.browser.set("compare", "");
+    desk.compare("");
 
     let layers = desk.browser.eval("about().layers");
     for layer in layers.as_array().unwrap().iter().filter_map(|l| l.as_str()) {
-        desk.browser.set("layer-a", layer);
+        desk.layer(layer);
         desk.browser.until(&format!("document.body.dataset.a.startsWith('{layer} ')"));
         desk.browser.until(&at_rest('a'));
     }
     desk.shot(&format!("{name}-4-{}", layers.as_array().unwrap().last().unwrap().as_str().unwrap().replace(' ', "-")));
-    desk.browser.set("layer-a", "color");
+    desk.layer("color");
     desk.browser.resize(360, 740);
     desk.browser.until(&at_rest('a'));
     let wide = desk.browser.eval("document.documentElement.scrollWidth - innerWidth");
@@ -215,20 +225,20 @@ fn checkpoints_differences_boxes_and_cameras() {
     desk.browser.set("step-a", "100");
     assert!(desk.changed(&end), "step 100 looks otherwise");
     desk.browser.set("step-a", "-1");
-    desk.browser.set("compare", "difference");
+    desk.compare("difference");
     desk.browser.set("show-b", "0");
     desk.browser.set("step-b", "100");
     desk.browser.until("$('status').textContent.includes('PSNR between the two')");
     desk.browser.until(&at_rest('a'));
     desk.shot("difference");
-    desk.browser.set("compare", "flicker");
+    desk.compare("flicker");
     desk.browser.until(&at_rest('b'));
     desk.browser.eval("stage.focus()");
     desk.browser.key("x");
     desk.browser.until("!$('b').hidden && $('label-a').textContent.includes('step 100')");
     desk.browser.key("x");
     desk.browser.until("$('b').hidden");
-    desk.browser.set("compare", "");
+    desk.compare("");
     desk.browser.until(&at_rest('a'));
 
     desk.browser.eval("stage.focus()");
@@ -237,7 +247,7 @@ fn checkpoints_differences_boxes_and_cameras() {
     desk.shot("velocities");
     desk.browser.key("v");
     desk.browser.click("cameras");
-    desk.browser.until("thumbs.length > 2 && thumbs.every((t) => t.canvas.width > 20 && t.asked)");
+    desk.browser.until("thumbs.filter((t) => t.group === 'thumbs' && t.asked && t.canvas.width === 64).length > 2");
     desk.browser.eval("stage.focus()");
     (0..12).for_each(|_| desk.browser.key("-"));
     desk.browser.until(&at_rest('a'));
@@ -249,6 +259,7 @@ fn checkpoints_differences_boxes_and_cameras() {
     desk.browser.set("view", "0");
     desk.browser.until(&at_rest('a'));
     let whole = desk.browser.eval(PIXELS);
+    desk.browser.eval("$('selecting').open = true");
     desk.browser.click("boxing");
     let [x, y] = desk.browser.middle("stage");
     desk.browser.drag(&[[x - 60.0, y - 60.0], [x, y], [x + 60.0, y + 60.0]]);
@@ -312,13 +323,127 @@ fn training_is_watched() {
     let recipe = ["-m", "fourdgs", "--preset", "fast", "--view", "--view-port", "18560", "--quiet"];
     let viewer = Viewer::start(&[&["train", text(&balls), "-o", text(&run)][..], &recipe].concat());
     desk.open(&viewer.url);
-    desk.browser.until("!$('training').hidden && $('training').textContent.includes('step')");
+    desk.browser.until("!$('training').hidden && $('progress').textContent.includes('step')");
     desk.browser.until(&at_rest('a'));
-    let (before, early) = (desk.browser.eval(PIXELS), desk.browser.eval("$('training').textContent"));
-    desk.browser.until(&format!("$('training').textContent !== {early}"));
+    let (before, early) = (desk.browser.eval(PIXELS), desk.browser.eval("$('progress').textContent"));
+    desk.browser.until(&format!("$('progress').textContent !== {early}"));
+    desk.browser.until("$('curves').children.length === 2");
     desk.browser.until(&format!("{PIXELS} !== {before}"));
     desk.shot("training");
     desk.drag();
     desk.browser.until(&at_rest('a'));
+    desk.browser.click("pause");
+    desk.browser.until("$('pause').textContent === 'Go on'");
+    std::thread::sleep(std::time::Duration::from_secs(1));
+    let paused = desk.browser.eval("$('progress').textContent");
+    std::thread::sleep(std::time::Duration::from_secs(3));
+    assert_eq!(desk.browser.eval("$('progress').textContent"), paused);
+    desk.browser.click("pause");
+    desk.browser.until(&format!("$('progress').textContent !== {paused}"));
     desk.no_complaints("training");
+}
+
+/// Width and height of a PNG.
+fn size_of(png: &Path) -> [usize; 2] {
+    let bytes = std::fs::read(png).unwrap();
+    let image = gs_core::io::images::decode_rgba8(&bytes, "saved.png", &gs_core::io::Limits::default()).unwrap();
+    [image.width, image.height]
+}
+
+/// PSNR between what the browser draws and the server's image of the same camera and time, dB.
+const APART: &str = "(async () => {
+    const shown = $('a'), { width, height } = shown, at = (c) => { const d = document.createElement('canvas');
+        d.width = width; d.height = height; const g = d.getContext('2d'); g.drawImage(c, 0, 0); return g.getImageData(0, 0, width, height).data; };
+    const server = at(shown);
+    await renderer.settled(cameraOf(width, height), state.t);
+    const here = at($('local'));
+    let sum = 0, n = 0;
+    for (let k = 0; k < here.length; k++) if (k % 4 < 3) { sum += ((here[k] - server[k]) / 255) ** 2; n++; }
+    return -10 * Math.log10(sum / n);
+})()";
+
+#[test]
+#[ignore = "a minute: cargo test -p gs4d --test browser -- --ignored --nocapture"]
+fn the_browser_draws_what_moves_as_the_server_does() {
+    let Some(mut desk) = Desk::new() else { return };
+    let balls = desk.balls();
+    for method in ["fourdgs", "fags", "modec"] {
+        let run = desk.train(&balls, method, &["--steps", "80"]);
+        let viewer = Viewer::start(&["view", text(&run), "--port", "18580"]);
+        desk.open(&viewer.url);
+        desk.browser.until("clip && clip.ready && clip.have.size === clip.times.length");
+        desk.drag();
+        // At rest and not supersampled, at the time of a key.
+        desk.browser.eval("setTime(clip.times[5])");
+        desk.browser.until("document.body.dataset.a.endsWith(' rest')");
+        let apart = desk.browser.eval(APART).as_f64().unwrap();
+        // Colours and shapes of modec's Gaussians depend on the camera: those of the clip are of the camera it was fetched for.
+        assert!(apart > if method == "modec" { 25.0 } else { 40.0 }, "{method}: {apart} dB");
+        let rate = desk.browser.eval(
+            "new Promise((done) => { let n = 0; const go = () => { orbit(0.02, 0); n++ < 90 ? requestAnimationFrame(go) : done(frames.rate()); }; go(); })",
+        );
+        println!("{method}: {apart:.1} dB from the server's image, {:.0} images a second", rate.as_f64().unwrap());
+        assert_eq!(desk.browser.eval("$('local').hidden"), false, "{method}");
+        desk.browser.until(&at_rest('a'));
+        assert_eq!(desk.browser.eval("$('local').hidden"), true, "{method}: the server's image takes its place");
+        desk.no_complaints(method);
+        desk.browser.leave();
+    }
+}
+
+#[test]
+#[ignore = "a minute: cargo test -p gs4d --test browser -- --ignored --nocapture"]
+fn images_cameras_paths_and_dropped_files() {
+    let Some(mut desk) = Desk::new() else { return };
+    let balls = desk.balls();
+    let run = desk.train(&balls, "fourdgs", &["--steps", "80"]);
+    // Without its data a run keeps time, views and background.
+    std::fs::rename(&balls, desk.dir.path().join("elsewhere")).unwrap();
+    let viewer = Viewer::start(&["view", text(&run), "--port", "18600"]);
+    desk.open(&viewer.url);
+    assert_eq!(
+        desk.browser.eval("[$('time').hidden, about().times.length, about().views.length]"),
+        serde_json::json!([false, 16, 19])
+    );
+    assert!(!desk.browser.eval("about().layers").as_array().unwrap().contains(&"truth".into()));
+    desk.shot("without-data");
+
+    desk.drag();
+    desk.browser.until(&at_rest('a'));
+    desk.browser.eval("$('picture-size').closest('details').open = true");
+    desk.browser.set("picture-size", "1280x720");
+    desk.browser.click("save-image");
+    assert_eq!(size_of(&desk.browser.downloaded(".png")), [1280, 720]);
+
+    desk.browser.eval("addBookmark()");
+    for _ in 0..3 {
+        desk.browser.click("add-key");
+        desk.drag();
+    }
+    desk.browser.until(&at_rest('a'));
+    desk.browser.click("save-path");
+    let path = format!("path:{}", desk.browser.downloaded("path.json").display());
+    let out = desk.dir.path().join("flight");
+    let size = ["--size", "64x48", "--times", "0..1:4"];
+    good(&[&["render", text(&run), "--camera", &path, "-o", text(&out)][..], &size].concat());
+    assert_eq!(std::fs::read_dir(&out).unwrap().count(), 4);
+    // The camera that was copied renders what was shown.
+    let entry = desk.browser.eval("JSON.stringify(cameraEntry())");
+    let camera = desk.dir.path().join("camera.json");
+    std::fs::write(&camera, entry.as_str().unwrap()).unwrap();
+    good(&["render", text(&run), "--camera", text(&camera), "-o", text(&desk.dir.path().join("copied"))]);
+    let copied = size_of(&desk.dir.path().join("copied/view.png"));
+    let shown = desk.browser.eval("(async () => { again(); await new Promise((r) => setTimeout(r, 600)); return [$('a').width, $('a').height]; })()");
+    assert_eq!(shown, serde_json::json!(copied));
+
+    desk.browser.eval("document.querySelector('#marks button').click()");
+    desk.browser.until(&at_rest('a'));
+    let export = desk.dir.path().join("still.ply");
+    good(&["export", text(&run), "-o", text(&export), "--no-eval"]);
+    let bytes: Vec<String> = std::fs::read(&export).unwrap().iter().map(u8::to_string).collect();
+    desk.browser.eval(&format!("dropped([new File([new Uint8Array([{}])], 'still.ply')])", bytes.join(",")));
+    desk.browser.until("shows.length === 2 && about().name === 'still.ply' && $('time').hidden");
+    desk.browser.until(&at_rest('a'));
+    assert!(desk.browser.eval(COLORS).as_u64() > Some(50));
+    desk.no_complaints("tools");
 }

@@ -44,6 +44,10 @@ fn a_scene_outlives_its_data() {
     let after = [orbit(&run, "c"), export(&run, "c.ply"), orbit(&compact, "d"), export(&compact, "d.ply")];
     assert!(before == after, "the cameras that were kept give the same files");
     good(&["view", text(&compact), "--seconds", "0", "--port", "0", "--quiet"]);
+    good(&["render", text(&compact), "--camera", "path", "--times", "0..1:2", "-o", text(&to("path"))]);
+    let kept: Value = serde_json::from_slice(&bytes(&run.join("data.json"))).unwrap();
+    assert_eq!(kept["splits"], serde_json::json!({"train": 6, "test": 2, "extrapolate": 0}));
+    assert!(kept["times"].as_array().unwrap().len() == 6 && kept["held_out"].as_array().unwrap().len() == 2, "{kept}");
     // What needs the images says where to tell their place.
     for scene in [&run, &compact] {
         gs4d(&["eval", text(scene)]).fails(3, &["data.path", "--data DIR"]);
@@ -110,7 +114,7 @@ fn with_newest(dir: &Path, bytes: &[u8]) -> PathBuf {
     for folder in ["checkpoints", "renders"] {
         fs::create_dir_all(copy.join(folder)).unwrap();
     }
-    for name in ["config.resolved.toml", "provenance.json", "cameras.json", "checkpoints/step-000040.gs4d"] {
+    for name in ["config.resolved.toml", "provenance.json", "data.json", "checkpoints/step-000040.gs4d"] {
         fs::copy(run().join(name), copy.join(name)).unwrap();
     }
     fs::write(copy.join("checkpoints/step-000050.gs4d"), bytes).unwrap();
