@@ -1,5 +1,6 @@
 //! Errors of readers: what is wrong, where, why it matters, what to do.
 
+use crate::advice;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
@@ -180,6 +181,8 @@ pub enum DataError {
         place: Place,
         /// The path as the file writes it.
         path: String,
+        /// The end of it that exists in the folder: it is a path of another machine.
+        inside: Option<Box<str>>,
     },
     /// A camera model without a reader.
     #[error("camera model {model} is not supported")]
@@ -341,8 +344,11 @@ impl DataError {
     /// What to do about it, in one clause.
     pub fn fix(&self) -> String {
         match self {
-            Self::NotFound { .. } => "check the path".into(),
-            Self::Layout { .. } => "give the folder that holds the cameras, or name its layout with --set data.layout=NAME".into(),
+            Self::NotFound { path } => advice::instead_of(path),
+            Self::Layout { path, looked_for } => match looked_for.contains("was asked for") {
+                true => "name one of these with --set data.layout=NAME, or leave it out".into(),
+                false => advice::instead_of(path),
+            },
             Self::Read { .. } | Self::Write { .. } => "check permissions and disk".into(),
             Self::Occupied { .. } => "choose another folder, or pass -f to overwrite".into(),
             Self::TooLarge { .. } => "make the file smaller, or raise --set data.max_image_mib for images".into(),
@@ -352,6 +358,7 @@ impl DataError {
             Self::Time { span, .. } => format!("--set data.time_range={span}; or correct the file"),
             Self::Missing { .. } => "copy the files, or pass --set data.allow_missing=true to leave them out".into(),
             Self::Video { command, .. } => format!("run in that folder: {command}"),
+            Self::Escape { place, path, inside: Some(inside) } => advice::relative(&place.file, path, inside),
             Self::Escape { .. } => "copy the file into the data folder and use a relative path".into(),
             Self::CameraModel { .. } => {
                 "undistort first (colmap image_undistorter), or use SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL or OPENCV"

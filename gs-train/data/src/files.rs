@@ -4,6 +4,7 @@ use std::fs::File;
 use std::io::Read;
 use std::path::{Component, Path, PathBuf};
 
+use super::advice;
 use super::error::{DataError, Place};
 
 /// A data folder inside which every path that a file mentions is resolved.
@@ -46,7 +47,10 @@ impl Root {
     /// # Errors
     /// `data.escape` if it is absolute, leaves the folder, or leaves it through a symbolic link.
     pub fn resolve(&self, written: &str, place: &Place) -> Result<PathBuf, DataError> {
-        let escape = || DataError::Escape { place: place.clone(), path: written.to_string() };
+        let escape = || {
+            let inside = advice::inside(&self.dir, written).map(String::into_boxed_str);
+            DataError::Escape { place: place.clone(), path: written.to_string(), inside }
+        };
         let unix = written.replace('\\', "/");
         let drive = unix.as_bytes().get(1) == Some(&b':');
         if drive || unix.contains("://") || unix.contains('\0') {

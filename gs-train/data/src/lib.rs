@@ -74,6 +74,7 @@ pub mod avatar {
     #[derive(Clone, Debug, PartialEq)]
     pub enum AvatarScene {}
 }
+mod advice;
 mod blender;
 mod boundary;
 mod cache;

@@ -34,10 +34,10 @@ function pump() {
   }
   const idle = !playing && performance.now() - moving > 400 && wanted().every((s) => sides[s].is >= REST);
   if (!idle) return;
-  const words = wantedKey();
-  if (words !== null) return send({ side: "key", at: words }, { ...scene("a", COARSE), time: words, save: "splats" });
-  const thumb = wantedThumb();
-  if (thumb) { thumb.asked = true; send({ side: "thumb", thumb }, thumb.question()); }
+  // What the next drag needs, then thumbnails, then what playing needs.
+  const near = wantedKey(true), thumb = near === null ? wantedThumb() : null, at = thumb ? null : near ?? wantedKey(false);
+  if (thumb) { thumb.asked = true; return send({ side: "thumb", thumb }, thumb.question()); }
+  if (at !== null) send({ side: "key", at }, { ...scene("a", COARSE), time: at, save: "splats" });
 }
 function scene(side, level) {
   const question = { what: target(side), time: state.t, look: look(), ...size(level) };

@@ -20,13 +20,15 @@ function around() {
   if (k < 0) return [times.length - 1];
   return k === 0 || Math.abs(times[k] - state.t) < 1e-6 ? [k] : [k - 1, k];
 }
-// The time of the key that is fetched next; null if there is none. Those nearest to the present time come first.
-function wantedKey() {
+// The time of the key that is fetched next; null if there is none. Those around the present time come first, or alone.
+function wantedKey(nearOnly) {
   if (!canDraw() || sides.a.is < REST) return null;
   if (!clip || clip.name !== clipName()) clip = { name: clipName(), times: keyTimes(0), count: null, have: new Set(), keys: [] };
   const open = clip.times.map((t, k) => k).filter((k) => !clip.have.has(k));
   if (!open.length || clip.failed) return null;
-  const near = around().find((k) => !clip.have.has(k)) ?? open.reduce((a, b) => (Math.abs(clip.times[b] - state.t) < Math.abs(clip.times[a] - state.t) ? b : a));
+  const next = around().find((k) => !clip.have.has(k));
+  if (next === undefined && nearOnly) return null;
+  const near = next ?? open.reduce((a, b) => (Math.abs(clip.times[b] - state.t) < Math.abs(clip.times[a] - state.t) ? b : a));
   return clip.times[near];
 }
 function noKeys() { if (clip) clip.failed = true; }

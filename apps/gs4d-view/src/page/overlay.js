@@ -15,12 +15,11 @@ function showStatus(header, spent) {
   const v = about().views[state.view], of = state.compare === "difference" ? "between the two" : `of this ${v && v.held_out ? "held-out" : "training"} view`;
   if (header.psnr) parts.push(`PSNR ${of} ${header.psnr.toFixed(2)} dB at ${header.scored.join("×")}`);
   if (state.compare === "difference") parts.push(`grey is equal, ×${state.gain}`);
-  if (header.note) parts.push(header.note);
   if (header.arrows) { [arrows, arrowsOf] = [header.arrows, [state.a[0], state.t]]; lines(); }
   if (arrows && state.arrows) parts.push(`arrows: the longest is ${number(arrows.longest)} ${arrows.unit}`);
   $("status").textContent = parts.join(" · ");
   notice(header.blank ? header.blank + ". Press F to frame the scene." : "");
-  $("legend").replaceChildren(...(header.legend ? legend(header.legend) : []));
+  $("legend").replaceChildren(...(header.legend ? legend(header.legend) : []), header.note ?? "");
   if (header.picked) picked(header.picked);
   if (header.chosen) describe(header.chosen);
   if (header.inputs) inputs(header.inputs);

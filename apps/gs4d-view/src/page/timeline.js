@@ -34,7 +34,7 @@ function timeline() {
   for (const t of ticks) put("line", { class: "tick", x1: xOf(t), x2: xOf(t), y1: 27, y2: 32 });
   for (const t of new Set(s.views.filter((v) => v.held_out).map((v) => v.time))) put("circle", { class: "held", cx: xOf(t), cy: 20, r: 1.7 });
   for (const t of s.borders) put("line", { class: "border", x1: xOf(t), x2: xOf(t), y1: 13, y2: 35 });
-  for (const t of labels(wide)) put("text", { x: xOf(t), y: 43, "text-anchor": t <= FIRST() + 1e-6 ? "start" : t >= LAST() - 1e-6 ? "end" : "middle" }).textContent = ownTime(t, 1) || +t.toFixed(2);
+  for (const t of labels(wide)) put("text", { x: xOf(t), y: 43, "text-anchor": t <= FIRST() + 1e-6 ? "start" : t >= LAST() - 1e-6 ? "end" : "middle" }).textContent = about().clock ? +Number.parseFloat(ownTime(t, 3)) : +t.toFixed(2);
   if (xOf(LAST()) - xOf(last) > 75) put("text", { x: xOf(last) + 4, y: 11 }).textContent = "extrapolated";
   const now = put("g", { class: "now" });
   now.append(svgElement("line", { class: "head", x1: 0, x2: 0, y1: 10, y2: 36 }), svgElement("path", { class: "grip", d: "M-5 4h10v5l-5 5-5-5z" }));
@@ -43,8 +43,9 @@ function timeline() {
 }
 // Times with a label, at round steps, at least 60 pixels apart.
 function labels(wide) {
-  const span = LAST() - FIRST(), step = [0.05, 0.1, 0.25, 0.5, 1].find((v) => (v / span) * wide > 60) || span;
-  return Array.from({ length: Math.floor(span / step + 1e-6) + 1 }, (_, k) => FIRST() + k * step);
+  const [from, to] = about().clock ?? [0, 1], own = (t) => from + t * (to - from), [low, high] = [own(FIRST()), own(LAST())], ten = 10 ** Math.floor(Math.log10(high - low) - 1);
+  const step = [1, 2, 5, 10, 20, 50, 100].map((v) => v * ten).find((v) => (v / (high - low)) * wide > 60) || high - low, first = Math.ceil(low / step - 1e-6);
+  return Array.from({ length: Math.max(0, Math.floor(high / step + 1e-6) - first + 1) }, (_, k) => ((first + k) * step - from) / (to - from));
 }
 function setTime(t) { state.t = Math.min(LAST(), Math.max(FIRST(), t)); $("t").value = state.t; showTime(); changed(); }
 // To the next training timestamp, or back.

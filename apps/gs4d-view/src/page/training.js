@@ -20,7 +20,7 @@ function curves(history) {
     const svg = svgElement("svg", { viewBox: `0 0 ${w} ${h}`, role: "img", "aria-label": `${name} from step ${points[0][0]} to ${end[0]}: ${number(log ? 10 ** end[1] : end[1])}` });
     const text = (at, words, anchor) => { const t = svgElement("text", { x: at[0], y: at[1], "text-anchor": anchor }); t.textContent = words; svg.append(t); };
     svg.append(svgElement("line", { class: "axis", x1: 34, x2: w - 6, y1: h - 13, y2: h - 13 }), svgElement("polyline", { points: points.map(([s, v]) => `${x(s).toFixed(1)},${y(v).toFixed(1)}`).join(" ") }));
-    for (const v of [low, high]) text([31, y(v) + 3], number(log ? 10 ** v : +v.toFixed(1)), "end");
+    for (const v of [low, high]) text([31, y(v) + 3], log ? String(+(10 ** v).toPrecision(2)) : v.toFixed(1), "end");
     text([34, h - 2], name, "start"); text([w - 6, h - 2], `step ${end[0]}`, "end");
     return svg;
   };
