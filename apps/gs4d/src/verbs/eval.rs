@@ -6,6 +6,7 @@ use crate::failure::{Class, Failure};
 use crate::global::Global;
 use crate::opening::RunData;
 use crate::parse;
+use crate::progress::Waiting;
 use gs_data::Split;
 use gs_train::evaluate::MaskedScores;
 use gs4d_eval::compare::{Metric, SetScores};
@@ -160,6 +161,8 @@ impl Eval {
         let dataset = run.open_data()?;
         let background = self.background.unwrap_or_else(|| run.background());
         let split = self.split.into();
+        let views = dataset.views(split).len();
+        let waiting = Waiting::new(format!("scoring {views} views"), global.quiet);
         let motion = tof.filter(|_| global.share.leads()).map(|options| {
             let method = &run.loaded.model;
             temporal::tof(method, &dataset, split, background, &run.images(), options).map(|s| (s, options))
@@ -171,6 +174,7 @@ impl Eval {
             Some(_) => run.score_for_folder(&dataset)?,
             None => run.score(&dataset, split, background)?,
         };
+        drop(waiting);
         if self.asks_for(MetricName::Masked) && scores.mean.masked.is_none() {
             return Err(Failure::new(Class::Data, "data.mask", "no view of this split has a mask")
                 .remedy("leave masked out of --metrics"));
@@ -183,8 +187,11 @@ impl Eval {
             json["tof_protocol"] = json!(tof_protocol(options));
         }
         if let Some(folder) = folder.filter(|_| global.share.leads()) {
-            folder.write(METRICS, &format!("{json:#}\n"))?;
-            text.push_str(&format!("-> {}\n", root.join(METRICS).display()));
+            // Scores that cannot be kept are printed all the same.
+            match folder.write(METRICS, &format!("{json:#}\n")) {
+                Ok(()) => text.push_str(&format!("-> {}\n", root.join(METRICS).display())),
+                Err(e) => global.say(format!("warning: the scores are not kept: {e}")),
+            }
         }
         Ok(Answer::new(text, json))
     }

@@ -81,3 +81,10 @@ fn some_operations_of_a_training() {
 fn every_operation_of_a_training() {
     training(1);
 }
+
+#[test]
+fn scores_that_cannot_be_kept_are_printed() {
+    let call = with_faults(&["eval", text(run()), "--json"], "1:full");
+    assert_eq!(call.code, 0, "{}", call.err);
+    assert!(call.err.contains("the scores are not kept") && call.json()["mean"]["psnr"].is_f64(), "{}", call.err);
+}
