@@ -9,6 +9,7 @@ mod optimiser;
 mod physics;
 mod raster;
 mod stages;
+mod variants;
 
 pub use stages::{STAGES, Stage, StageOptions, StageTimes, stage_times};
 

@@ -15,4 +15,4 @@ pub mod people;
 pub mod sweep;
 mod text;
 
-pub use text::{aligned, shell_quoted};
+pub use text::aligned;

@@ -1,4 +1,4 @@
-//! Text tables and command lines.
+//! Text tables.
 
 /// A table as lines of text: columns as wide as their widest cell, two spaces apart. Columns for which `left` is true are
 /// aligned to the left, the others to the right. Every row has one cell per heading.
@@ -19,15 +19,4 @@ pub fn aligned(head: &[&str], rows: &[Vec<String>], left: impl Fn(usize) -> bool
     };
     let body = rows.iter().map(|r| line(&mut r.iter().map(String::as_str)));
     std::iter::once(line(&mut head.iter().copied())).chain(body).collect()
-}
-
-/// A word as a POSIX shell reads it back.
-///
-/// ```
-/// assert_eq!(gs4d_lab::shell_quoted("data/sheet".to_owned()), "data/sheet");
-/// assert_eq!(gs4d_lab::shell_quoted("it's $5".to_owned()), r"'it'\''s $5'");
-/// ```
-pub fn shell_quoted(word: String) -> String {
-    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./,:=+@%".contains(c);
-    if !word.is_empty() && word.chars().all(plain) { word } else { format!("'{}'", word.replace('\'', r"'\''")) }
 }

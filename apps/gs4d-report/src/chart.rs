@@ -7,10 +7,16 @@ use plotters::prelude::*;
 
 pub use gs_train::report::{Curve, Scale};
 
-/// Width and height of a chart in SVG units; the page scales it.
+/// Width and height of a chart without its legend, in SVG units; the page scales it.
 const SIZE: (u32, u32) = (560, 260);
+/// Height of a row of the legend, SVG units.
+const ROW: i32 = 18;
+/// Twice the estimated width of a letter of the legend, SVG units.
+const LETTER: i32 = 15;
+/// Left end of the legend: that of the axis.
+const LEFT: i32 = 62;
 /// Colours of the lines, safe for colour-blind readers (Okabe and Ito).
-const COLORS: [RGBColor; 6] = [
+pub(super) const COLORS: [RGBColor; 6] = [
     RGBColor(0, 114, 178),
     RGBColor(213, 94, 0),
     RGBColor(0, 158, 115),
@@ -21,11 +27,11 @@ const COLORS: [RGBColor; 6] = [
 /// Colour of text; the page's style sheet replaces it in dark mode.
 pub(super) const TEXT: RGBColor = RGBColor(75, 85, 99);
 const TITLE: RGBColor = RGBColor(17, 24, 39);
-const GRID: RGBColor = RGBColor(229, 231, 235);
+pub(super) const GRID: RGBColor = RGBColor(229, 231, 235);
 /// Most points of a line; more are averaged in groups.
 const MAX_POINTS: usize = 600;
 
-/// Renders curves as an `<svg>` element; `None` if no point is left.
+/// Renders curves as an `<svg>` element; `None` if fewer than two places on the horizontal axis are left.
 ///
 /// ```
 /// use gs4d_report::chart::{Curve, Scale, chart};
@@ -49,35 +55,75 @@ pub fn chart(title: &str, x_name: &str, scale: Scale, curves: &[Curve]) -> Resul
         })
         .filter(|c| !c.points.is_empty())
         .collect();
-    let all = || curves.iter().flat_map(|c| c.points.iter());
-    let Some((x, y)) = range(all().map(|p| p.0)).zip(range(all().map(|p| p.1))) else { return Ok(None) };
+    let Some((x, y)) = ranges(&curves) else { return Ok(None) };
     let draw = |root: &Area<'_>| match scale {
-        Scale::Linear => {
-            let margin = 0.06 * (y.1 - y.0).max(1e-9 * y.1.abs()).max(1e-12);
-            lines(framed(root, title, x_name, wide(x), y.0 - margin..y.1 + margin)?, &curves)
-        }
+        Scale::Linear => lines(framed(root, title, x_name, x.0..x.1, with_margin(y))?, &curves),
         Scale::Log => {
             let (low, high) = (y.0 * 0.9, (y.1 * 1.1).max(y.0 * 1.5));
             // Over few decades, powers of two give more marks than powers of ten.
             let base = if high / low < 64.0 { 2.0 } else { 10.0 };
-            lines(framed(root, title, x_name, wide(x), (low..high).log_scale().base(base))?, &curves)
+            lines(framed(root, title, x_name, x.0..x.1, (low..high).log_scale().base(base))?, &curves)
         }
     };
-    svg(&format!("{title}, against {x_name}"), draw).map(Some)
+    svg(&format!("{title}, against {x_name}"), &entries(&curves), draw).map(Some)
 }
 
 /// The plot area of a chart.
 pub(super) type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
 
-/// An `<svg>` element that fills the width of its parent; `name` is its label for screen readers.
-pub(super) fn svg(name: &str, draw: impl FnOnce(&Area<'_>) -> Result<(), String>) -> Result<String, ReportError> {
+/// An entry of a legend.
+pub(super) type Entry = (String, RGBColor);
+
+/// The legend of curves: none for a single one, and no entry for a curve without a name.
+pub(super) fn entries(curves: &[Curve]) -> Vec<Entry> {
+    if curves.len() < 2 {
+        return Vec::new();
+    }
+    let named = curves.iter().zip(COLORS.iter().cycle()).filter(|(c, _)| !c.name.is_empty());
+    named.map(|(c, color)| (c.name.clone(), *color)).collect()
+}
+
+/// An `<svg>` element that fills the width of its parent, with a legend below the plot; `name` is its label for screen readers.
+pub(super) fn svg(
+    name: &str,
+    legend: &[Entry],
+    draw: impl FnOnce(&Area<'_>) -> Result<(), String>,
+) -> Result<String, ReportError> {
+    let (places, rows) = legend_places(legend);
+    let height = SIZE.1 + rows * ROW.unsigned_abs();
     let mut svg = String::new();
-    let root = SVGBackend::with_string(&mut svg, SIZE).into_drawing_area();
-    draw(&root).and_then(|()| root.present().map_err(|e| e.to_string())).map_err(ReportError::Chart)?;
-    drop(root);
+    let root = SVGBackend::with_string(&mut svg, (SIZE.0, height)).into_drawing_area();
+    let (plot, below) = root.split_vertically(SIZE.1);
+    let drawn = draw(&plot).and_then(|()| {
+        let text = ("sans-serif", 13).into_font().color(&TEXT);
+        for ((name, color), (x, y)) in legend.iter().zip(places) {
+            let swatch = Rectangle::new([(x, y + 3), (x + 14, y + 9)], color.filled());
+            below.draw(&swatch).map_err(|e| e.to_string())?;
+            below.draw(&Text::new(name.clone(), (x + 20, y), text.clone())).map_err(|e| e.to_string())?;
+        }
+        root.present().map_err(|e| e.to_string())
+    });
+    drawn.map_err(ReportError::Chart)?;
+    drop((plot, below, root));
     // The page sets the width; the height follows from the view box.
-    let fixed = format!("width=\"{}\" height=\"{}\" ", SIZE.0, SIZE.1);
+    let fixed = format!("width=\"{}\" height=\"{height}\" ", SIZE.0);
     Ok(svg.replacen(&fixed, &format!("role=\"img\" aria-label=\"{}\" ", escape(name)), 1))
+}
+
+/// Where the entries of a legend stand, in rows, and the number of rows.
+fn legend_places(legend: &[Entry]) -> (Vec<(i32, i32)>, u32) {
+    let (mut x, mut row) = (LEFT, 0);
+    let place = |(name, _): &Entry| {
+        let width = i32::try_from(name.chars().count()).map_or(i32::MAX / 2, |n| n.saturating_mul(LETTER) / 2 + 36);
+        if x > LEFT && x + width > SIZE.0.cast_signed() {
+            (x, row) = (LEFT, row + 1);
+        }
+        x += width;
+        (x - width, row * ROW)
+    };
+    let places: Vec<_> = legend.iter().map(place).collect();
+    let rows = places.last().map_or(0, |p| p.1.unsigned_abs() / ROW.unsigned_abs() + 1);
+    (places, rows)
 }
 
 /// A chart with axes.
@@ -136,30 +182,28 @@ where
     X: Ranged<ValueType = f64>,
     Y: Ranged<ValueType = f64>,
 {
-    let text = ("sans-serif", 13).into_font().color(&TEXT);
     for (curve, color) in curves.iter().zip(COLORS.iter().cycle()) {
         let line = LineSeries::new(curve.points.iter().copied(), color.stroke_width(2))
             .point_size(u32::from(curve.points.len() < 20) * 3);
-        let series = chart.draw_series(line).map_err(|e| e.to_string())?;
-        series
-            .label(curve.name.clone())
-            .legend(move |(x, y)| Rectangle::new([(x, y - 2), (x + 16, y + 2)], color.filled()));
-    }
-    if curves.len() > 1 && curves.iter().any(|c| !c.name.is_empty()) {
-        let mut legend = chart.configure_series_labels();
-        legend.background_style(WHITE.mix(0.85)).border_style(GRID).label_font(text);
-        legend.position(SeriesLabelPosition::LowerRight).draw().map_err(|e| e.to_string())?;
+        chart.draw_series(line).map_err(|e| e.to_string())?;
     }
     Ok(())
 }
 
-fn range(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
-    values.fold(None, |r: Option<(f64, f64)>, v| Some(r.map_or((v, v), |(lo, hi)| (lo.min(v), hi.max(v)))))
+/// The least and the greatest x and y; `None` if all points have one x.
+pub(super) fn ranges(curves: &[Curve]) -> Option<((f64, f64), (f64, f64))> {
+    let all = || curves.iter().flat_map(|c| c.points.iter());
+    range(all().map(|p| p.0)).filter(|x| x.0 < x.1).zip(range(all().map(|p| p.1)))
 }
 
-/// A range of non-zero length: an axis of length zero has no ticks.
-fn wide((lo, hi): (f64, f64)) -> std::ops::Range<f64> {
-    if hi > lo { lo..hi } else { lo - 0.5..hi + 0.5 }
+/// A vertical axis a little longer than its values.
+pub(super) fn with_margin((low, high): (f64, f64)) -> std::ops::Range<f64> {
+    let margin = 0.06 * (high - low).max(1e-9 * high.abs()).max(1e-12);
+    low - margin..high + margin
+}
+
+fn range(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
+    values.fold(None, |r: Option<(f64, f64)>, v| Some(r.map_or((v, v), |(lo, hi)| (lo.min(v), hi.max(v)))))
 }
 
 /// At most [`MAX_POINTS`] points: means of equal groups, in order.
@@ -173,7 +217,7 @@ fn thinned(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
 }
 
 /// A tick label: `1500` as `1.5k`, small numbers with few digits.
-fn short(v: f64) -> String {
+pub(super) fn short(v: f64) -> String {
     let a = v.abs();
     let text = match a {
         0.0 => return "0".to_owned(),
@@ -215,14 +259,29 @@ mod tests {
         let poor = vec![(0.0, f64::NAN), (1.0, f64::INFINITY)];
         assert_eq!(chart("t", "x", Scale::Linear, &curve(poor)).unwrap(), None);
         assert_eq!(chart("t", "x", Scale::Log, &curve(vec![(0.0, -1.0), (1.0, 0.0)])).unwrap(), None);
-        let one = chart("t", "x", Scale::Log, &curve(vec![(3.0, 0.25)])).unwrap().unwrap();
+        for alone in [vec![(3.0, 0.25)], vec![(3.0, 0.25), (3.0, 0.5)]] {
+            assert_eq!(chart("t", "x", Scale::Log, &curve(alone)).unwrap(), None, "nothing to see along the axis");
+        }
+        let two = chart("t", "x", Scale::Log, &curve(vec![(3.0, 0.25), (4.0, 0.5)])).unwrap().unwrap();
         assert!(
-            one.starts_with("<svg role=\"img\" aria-label=\"t, against x\" viewBox=")
-                && one.trim_end().ends_with("</svg>"),
-            "{one}"
+            two.starts_with("<svg role=\"img\" aria-label=\"t, against x\" viewBox=")
+                && two.trim_end().ends_with("</svg>"),
+            "{two}"
         );
         let flat = chart("a<b", "x", Scale::Linear, &curve(vec![(0.0, 0.0), (1.0, 0.0)])).unwrap().unwrap();
         assert!(flat.contains("a&lt;b"));
+    }
+
+    #[test]
+    fn a_legend_stands_below_the_plot_and_is_not_cut() {
+        let curve = |name: &str| Curve { name: name.into(), points: vec![(0.0, 0.5), (1.0, 0.25)] };
+        let of = |names: &[&str]| {
+            chart("t", "x", Scale::Linear, &names.iter().map(|n| curve(n)).collect::<Vec<_>>()).unwrap().unwrap()
+        };
+        assert!(of(&["alone"]).contains("viewBox=\"0 0 560 260\"") && !of(&["alone"]).contains("alone"));
+        assert!(of(&["a", "b", ""]).contains("viewBox=\"0 0 560 278\""));
+        let long = "a long name of a curve, which takes half a row";
+        assert!(of(&[long, long]).contains("viewBox=\"0 0 560 296\""), "two rows");
     }
 
     #[test]

@@ -20,13 +20,14 @@ pub struct HeatMap {
 /// White, blue, dark blue.
 const INKS: [[f32; 3]; 3] = [[1.0, 1.0, 1.0], [0.0, 0.447, 0.698], [0.03, 0.08, 0.2]];
 
-/// An embedded heat map of columns of counts, each from the lowest bin up, with a caption below; empty without counts.
+/// An embedded heat map of columns of counts, each from the lowest bin up, with a caption below; empty with
+/// fewer than two columns, which show no change.
 ///
 /// # Errors
 /// If the image cannot be encoded.
 pub(crate) fn heat_map(counts: &[Vec<u32>], alt: &str, caption: &str) -> Result<String, ReportError> {
     let image = heat_image(counts);
-    if image.data.is_empty() {
+    if counts.len() < 2 || image.data.is_empty() {
         return Ok(String::new());
     }
     let image = inline_image(&image, alt)?;
@@ -68,6 +69,8 @@ mod tests {
         assert_eq!(image.pixel(0, 2), INKS[0]);
         assert_eq!(image.pixel(1, 2), INKS[2]);
         assert_eq!(image.pixel(1, 1), INKS[1], "a quarter of the count has half the ink");
-        assert!(heat_image(&[]).data.is_empty());
+        let shown = |counts: &[Vec<u32>]| heat_map(counts, "a", "a").unwrap();
+        assert!(shown(&[]).is_empty() && shown(&[vec![1, 2]]).is_empty(), "nothing to compare");
+        assert!(shown(&[vec![1, 2], vec![2, 1]]).contains("<img"));
     }
 }

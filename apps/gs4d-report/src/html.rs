@@ -60,6 +60,11 @@ pub fn wrapped(class: &str, content: String) -> String {
     if content.is_empty() { content } else { format!("<div class=\"{class}\">\n{content}</div>\n") }
 }
 
+/// A chart as a figure; empty without a chart.
+pub fn figure(svg: Option<String>) -> String {
+    svg.map_or(String::new(), |svg| format!("<figure>{svg}</figure>\n"))
+}
+
 /// An embedded `<img>` of 1, 3 or 4 channels with an alternative text.
 ///
 /// # Errors
@@ -78,7 +83,7 @@ pub fn captioned(image: &Image, caption: &str) -> Result<String, ReportError> {
 }
 
 /// Content below a summary that unfolds it; empty without content. Nothing is escaped here.
-pub(crate) fn collapsed(summary: &str, content: String) -> String {
+pub fn collapsed(summary: &str, content: String) -> String {
     if content.is_empty() {
         return content;
     }
@@ -109,7 +114,7 @@ pub fn table(head: &[&str], numeric: &[usize], rows: impl Iterator<Item = Vec<St
     }
     let head: Vec<_> = head.iter().enumerate().map(|(i, h)| format!("<th{}>{h}</th>", class(i))).collect();
     format!(
-        "<div class=\"scroll\"><table>\n<thead><tr>{}</tr></thead>\n<tbody>\n{body}</tbody>\n</table></div>\n",
+        "<div class=\"scroll\" tabindex=\"0\"><table>\n<thead><tr>{}</tr></thead>\n<tbody>\n{body}</tbody>\n</table></div>\n",
         head.concat()
     )
 }

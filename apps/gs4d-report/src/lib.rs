@@ -16,6 +16,7 @@
 
 pub mod analysis;
 pub mod chart;
+mod details;
 mod embed;
 pub mod error_map;
 mod heat;
@@ -23,10 +24,10 @@ pub mod html;
 pub mod inspect;
 mod method_section;
 pub mod needs;
+pub mod over_time;
 mod overlay;
 pub mod page;
 mod ramp;
-mod scatter;
 pub mod storage;
 pub mod views;
 
@@ -39,7 +40,6 @@ pub use ramp::Ramp;
 
 use crate::storage::Storage;
 use gs_core::Image;
-use gs_core::speed::BenchRow;
 use gs_train::report::Section;
 
 /// The content of a report. Empty parts are left out of the page.
@@ -47,52 +47,60 @@ use gs_train::report::Section;
 pub struct Report {
     /// Heading, for example `bouncing · fourdgs`.
     pub title: String,
-    /// One sentence below the heading.
+    /// What was trained, below the heading: method, preset, data, steps, seed, program.
     pub subtitle: String,
-    /// Figures shown on cards below the heading.
+    /// Scores shown on cards below the heading.
     pub figures: Vec<Figure>,
     /// Conditions of the scores: split, number of views, size, background, mask.
     pub conditions: String,
     /// Conditions of the scores beyond the last training time.
     pub future_conditions: String,
-    /// Per metric: its name, mean, median, worst value, and the name of the worst view.
-    pub scores: Vec<[String; 5]>,
-    /// Training loss over steps and seconds.
-    pub loss: Vec<Sample>,
-    /// Named curves of PSNR, dB (`training views`, `val views`).
-    pub psnr: Vec<(String, Vec<Sample>)>,
-    /// Number of splats over steps and seconds.
-    pub splats: Vec<Sample>,
-    /// Renders beside ground truth: the worst views first, then the median ones.
+    /// Renders beside ground truth: a view of median score first, then the worst ones.
     pub views: Vec<Comparison>,
     /// The same for views beyond the last training time.
     pub future: Vec<Comparison>,
+    /// PSNR of every scored view against normalised time, dB.
+    pub over_time: Vec<Curve>,
+    /// First and last training time, normalised.
+    pub training_times: Option<[f64; 2]>,
+    /// Per camera, if there are several: its number, number of views, mean and worst PSNR.
+    pub cameras: Vec<[String; 4]>,
     /// The scene from one camera over time.
     pub strip: Vec<Still>,
-    /// Histograms of scalar attributes of the splats over training steps.
-    pub heat_maps: Vec<HeatMap>,
+    /// PSNR over steps and seconds, dB: of training batches, and of the views scored while training. The names say which.
+    pub psnr: Vec<(String, Vec<Sample>)>,
+    /// Training loss over steps and seconds.
+    pub loss: Vec<Sample>,
+    /// What training and rendering cost, on cards.
+    pub cost: Vec<Figure>,
+    /// Number of splats over steps and seconds.
+    pub splats: Vec<Sample>,
+    /// Parts of a training step with their milliseconds, the longest first.
+    pub phases: Vec<(String, f64)>,
     /// Renders of the splats coloured by their attributes.
     pub overlays: Vec<OverlayFigure>,
     /// View, time and background of the overlays, in words.
     pub overlay_view: String,
-    /// Statistics of motion, kernel shapes and rendering cost.
-    pub analysis: Vec<ReportRow>,
+    /// Histograms of scalar attributes of the splats over training steps.
+    pub heat_maps: Vec<HeatMap>,
     /// Renders coloured by second differences of motion.
     pub jerk: Vec<Still>,
     /// What the method itself reports.
     pub method: Option<Section>,
-    /// Statistics of the trained scene: moving, rotating, invisible splats.
+    /// Per metric: its name, mean, median, worst value, and the name of the worst view.
+    pub scores: Vec<[String; 5]>,
+    /// Statistics of the trained scene: moving, rotating, invisible splats, motion, kernel shapes.
     pub needs: Vec<ReportRow>,
     /// Work of rendering and training, and work skipped.
     pub work: Vec<ReportRow>,
     /// Bytes of the parameters by block.
     pub storage: Option<Storage>,
-    /// Milliseconds and error of variants of the renderer.
-    pub speed: Vec<BenchRow>,
     /// Per setting: key, value, source.
     pub settings: Vec<[String; 3]>,
     /// Provenance as name and value: version, machine, data.
     pub provenance: Vec<[String; 2]>,
+    /// What can be done with the run: in words, and as a command line.
+    pub commands: Vec<[String; 2]>,
 }
 
 /// A headline figure on a card.
@@ -117,6 +125,13 @@ pub struct Sample {
     pub value: f64,
 }
 
+impl Sample {
+    /// The number of the step.
+    pub(crate) fn at_step(&self) -> f64 {
+        self.step
+    }
+}
+
 /// A render beside its ground truth.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Comparison {
@@ -137,15 +152,6 @@ pub struct Still {
     pub caption: String,
     /// The image, `[H, W, 3]`.
     pub image: Image,
-}
-
-/// Benchmark rows as a JSON array.
-pub fn speed_json(rows: &[BenchRow]) -> serde_json::Value {
-    // Each row writes valid JSON of its own.
-    rows.iter()
-        .map(|r| serde_json::from_str(&r.to_json()).unwrap_or_default())
-        .collect::<Vec<serde_json::Value>>()
-        .into()
 }
 
 /// An image or chart of a report that cannot be encoded.
@@ -199,20 +205,25 @@ mod tests {
         let text = || HOSTILE.to_owned();
         let need = || ReportRow { name: text(), value: "7 < 9".into(), meaning: text() };
         let still = || Still { caption: text(), image: image.clone() };
+        let card = || Figure { value: "31.4 dB".into(), name: text(), remark: "a & b".into() };
         let view = || Comparison { name: text(), caption: text(), truth: image.clone(), render: image.clone() };
         Report {
             title: text(),
             subtitle: text(),
-            figures: vec![Figure { value: "31.4 dB".into(), name: text(), remark: "a & b".into() }],
+            figures: vec![card()],
             conditions: text(),
             future_conditions: text(),
-            scores: vec![[text(), "1".into(), "1".into(), "1".into(), text()]],
-            loss: samples.clone(),
-            psnr: vec![(text(), samples.clone()), ("val".into(), samples)],
-            splats: Vec::new(),
             views: vec![view()],
             future: vec![view()],
+            over_time: vec![Curve { name: text(), points: vec![(0.0, 20.0), (1.5, 21.0)] }],
+            training_times: Some([0.0, 1.0]),
+            cameras: vec![[text(), "1".into(), "20".into(), "20".into()]],
             strip: vec![still()],
+            psnr: vec![(text(), samples.clone()), ("val".into(), samples.clone())],
+            loss: samples,
+            cost: vec![card()],
+            splats: Vec::new(),
+            phases: vec![(text(), 3.0), ("field".into(), 1.0)],
             heat_maps: vec![HeatMap {
                 name: "lambda".into(),
                 span: [0.0, 1.0],
@@ -226,15 +237,15 @@ mod tests {
                 histogram: None,
             }],
             overlay_view: text(),
-            analysis: vec![need()],
             jerk: vec![still()],
             method: Some(method_section()),
+            scores: vec![[text(), "1".into(), "1".into(), "1".into(), text()]],
             needs: vec![need()],
             work: vec![need()],
             storage: None,
-            speed: Vec::new(),
             settings: vec![[text(), text(), text()]],
             provenance: vec![[text(), text()]],
+            commands: vec![[text(), format!("gs4d view '{HOSTILE}'")]],
         }
     }
 
@@ -254,7 +265,7 @@ mod tests {
         let pictures = html.matches("src=\"data:image/png;base64,").count();
         assert_eq!(pictures, 2 * 3 + 5, "truth, drawn and error twice; still, heat map, overlay, jerk, the method's");
         assert_eq!(html.matches("src=\"").count(), pictures, "no other source");
-        assert_eq!(html.matches("<svg").count(), 5, "loss and PSNR against steps and seconds, the method's");
+        assert_eq!(html.matches("<svg").count(), 4, "PSNR over time, PSNR and loss of training, the method's");
         assert_eq!(
             html.matches("http://").count(),
             html.matches("xmlns=\"http://").count() + html.matches("img src=http://x.y").count()
@@ -280,6 +291,45 @@ mod tests {
         assert_eq!(html.matches("<img ").count(), html.matches("<img alt=\"").count(), "every image has a text");
         assert_eq!(html.matches("<svg").count(), html.matches("<svg role=\"img\" aria-label=\"").count());
         assert_eq!(full().html().unwrap(), html, "the same report is the same page");
+    }
+
+    #[test]
+    fn what_a_reader_wants_first_comes_first() {
+        let html = full().html().unwrap();
+        let order = [
+            "class=\"cards\"",
+            "Ground truth beside render",
+            "Extrapolated views",
+            "Over time",
+            "Course of training",
+            "Cost",
+            "What the method knows of its splats",
+            "Details",
+            "Commands",
+        ];
+        let heading = |part: &&str| if part.contains('=') { (*part).to_owned() } else { format!("<h2>{part}</h2>") };
+        let places: Vec<_> = order.iter().map(|part| html.find(&heading(part)).ok_or(part).unwrap()).collect();
+        assert!(places.is_sorted(), "{places:?}");
+        assert_eq!(html.matches("<details>").count(), 6, "scores, splats, work, settings, machine, the method's");
+    }
+
+    #[test]
+    fn the_course_says_what_it_is_of_and_one_step_is_no_curve() {
+        let sample = |step: f64| Sample { step, seconds: 0.1 * step, value: 20.0 + step };
+        let page = |steps: &[f64]| {
+            let psnr = vec![("training batches".to_owned(), steps.iter().copied().map(sample).collect())];
+            Report { psnr, ..Report::default() }.html().unwrap()
+        };
+        let html = page(&[1.0, 2.0]);
+        assert!(html.contains("aria-label=\"PSNR of training batches, dB, against step\""), "{html}");
+        assert!(!page(&[1.0]).contains("<svg"));
+        let with_val = |split: &str| {
+            let curves =
+                [("training batches".to_owned(), vec![sample(1.0), sample(2.0)]), (split.into(), vec![sample(1.0)])];
+            Report { psnr: curves.into(), ..Report::default() }.html().unwrap()
+        };
+        let html = with_val("val views, held out");
+        assert!(html.contains("aria-label=\"PSNR of training batches and of val views, held out, dB, against step\""));
     }
 
     #[test]

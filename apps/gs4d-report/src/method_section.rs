@@ -3,7 +3,7 @@
 use super::ReportError;
 use super::chart::chart;
 use super::heat::heat_map;
-use super::html::{collapsed, escape, section, table, wrapped};
+use super::html::{collapsed, escape, figure, section, table, wrapped};
 use gs_train::report::{Section, Table};
 
 /// Renders the section; empty without content.
@@ -13,8 +13,7 @@ use gs_train::report::{Section, Table};
 pub(crate) fn method_section(of: &Section) -> Result<String, ReportError> {
     let mut charts = String::new();
     for c in &of.charts {
-        let svg = chart(&c.title, &c.x, c.scale, &c.curves)?;
-        charts += &svg.map_or(String::new(), |svg| format!("<figure>{svg}</figure>\n"));
+        charts += &figure(chart(&c.title, &c.x, c.scale, &c.curves)?);
     }
     for m in &of.matrices {
         charts += &heat_map(&m.columns, &m.caption, &m.caption)?;

@@ -35,11 +35,11 @@ pub enum Legend {
     Words(String),
 }
 
-/// Renders the section; empty without figures. `remark` names the view.
+/// Renders the section, with `more` content below the figures; empty without either. `remark` names the view.
 ///
 /// # Errors
 /// If an image cannot be encoded.
-pub(crate) fn overlays(remark: &str, figures: &[OverlayFigure]) -> Result<String, ReportError> {
+pub(crate) fn overlays(remark: &str, figures: &[OverlayFigure], more: &str) -> Result<String, ReportError> {
     let mut out = String::new();
     for f in figures {
         let alt = format!("the scene in the colours of {}", f.name);
@@ -49,7 +49,7 @@ pub(crate) fn overlays(remark: &str, figures: &[OverlayFigure]) -> Result<String
         out += &legend(&f.legend);
         out.push_str("</figure>\n");
     }
-    Ok(section("What the method knows of its splats", &escape(remark), &wrapped("overlays", out)))
+    Ok(section("What the method knows of its splats", &escape(remark), &(wrapped("overlays", out) + more)))
 }
 
 fn legend(legend: &Legend) -> String {
@@ -103,13 +103,13 @@ mod tests {
             figure("parts", Legend::Kinds(vec![([1.0, 0.0, 0.0], "1: a & b".into())])),
             figure("axis", Legend::Words("x is \"red\"".into())),
         ];
-        let html = overlays("At t = 0.", &all).unwrap();
+        let html = overlays("At t = 0.", &all, "").unwrap();
         assert_eq!((html.matches("<img").count(), html.matches("class=\"bars\"").count()), (3, 1));
         for text in ["&lt;speed&gt;", "1 &lt;m&gt;", "#ff0000", "1: a &amp; b", "x is &quot;red&quot;", "1 not finite"]
         {
             assert!(html.contains(text), "{text} is not in {html}");
         }
         assert!(html.contains("M0 30v-30.0h1V30z") && html.contains("M63 30v-15.0h1V30z"), "{html}");
-        assert_eq!(overlays("", &[]).unwrap(), "");
+        assert_eq!(overlays("", &[], "").unwrap(), "");
     }
 }

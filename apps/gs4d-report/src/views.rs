@@ -33,7 +33,7 @@ impl<'a> ViewFigure<'a> {
         let errors = error(&view.truth, &view.render).map(|e| ("error".to_owned(), e));
         Self {
             caption: &view.caption,
-            images: vec![("truth", &view.truth), ("render", &view.render)],
+            images: vec![("ground truth", &view.truth), ("render", &view.render)],
             errors: errors.into_iter().collect(),
         }
     }
@@ -67,16 +67,13 @@ pub(crate) fn comparisons(views: &[Comparison]) -> Result<String, ReportError> {
 fn figure(view: &ViewFigure, scale: ErrorScale) -> Result<String, ReportError> {
     let caption = escape(view.caption);
     let mut out = format!("<figure class=\"view\" data-name=\"{caption}\"><div class=\"pictures\">\n");
+    let alt = |name: &str| format!("{name}: {}", view.caption);
     for (name, image) in &view.images {
-        let _ = writeln!(out, "<span>{}<small>{}</small></span>", inline_image(image, name)?, escape(name));
+        let _ = writeln!(out, "<span>{}<small>{}</small></span>", inline_image(image, &alt(name))?, escape(name));
     }
     for (name, error) in &view.errors {
-        let _ = writeln!(
-            out,
-            "<span class=\"map\">{}<small>{}</small></span>",
-            inline_image(&scale.map(error), name)?,
-            escape(name)
-        );
+        let image = inline_image(&scale.map(error), &alt(name))?;
+        let _ = writeln!(out, "<span class=\"map\">{image}<small>{}</small></span>", escape(name));
     }
     let _ = writeln!(out, "</div><figcaption>{caption}</figcaption></figure>");
     Ok(out)

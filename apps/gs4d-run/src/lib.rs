@@ -7,6 +7,7 @@
 #![warn(unreachable_pub)]
 #![cfg_attr(not(test), warn(clippy::cast_possible_truncation))]
 
+mod commands;
 pub mod compact;
 pub mod compare;
 pub mod config;
@@ -19,16 +20,17 @@ pub mod memory;
 pub mod opened;
 pub mod orbit;
 mod overlays;
+mod per_view;
 pub mod provenance;
 pub mod ranks;
 mod saving;
 mod score_table;
 pub mod settings;
-pub mod speed;
 pub mod summary;
 pub mod training;
 mod work;
 
+pub use commands::shell_quoted;
 pub use error::RunError;
 pub use folder::RunFolder;
 pub use kept::{Kept, SplitSizes};

@@ -9,7 +9,7 @@ use gs4d_report::Comparison;
 use std::collections::BTreeSet;
 
 /// Number of worst views shown.
-const WORST_VIEWS: usize = 5;
+const WORST_VIEWS: usize = 3;
 
 /// The split of an evaluation.
 pub(crate) fn split_of(scores: &EvalReport) -> Split {
@@ -29,7 +29,7 @@ pub(crate) fn ranked<'a>(dataset: &'a Dataset, scores: &'a EvalReport) -> Vec<(&
     ranked
 }
 
-/// Renders of the worst and the median views beside ground truth.
+/// Renders of the median view and of the worst views beside ground truth.
 pub(super) fn comparisons(
     m: &ReportInput,
     renderer: &mut Renderer,
@@ -43,9 +43,9 @@ pub(super) fn comparisons(
         let truth = m.images.get(view)?.over(m.scores.background);
         let psnr = scores.psnr.map_or("perfect".to_owned(), |p| format!("{p:.2} dB"));
         let time = view.time.normalised;
-        let kind = if place < WORST_VIEWS { "worst" } else { "median" };
+        let kind = if place == median(ranked.len()) { "median" } else { "worst" };
         let caption = format!(
-            "{kind}, {} of {} · {} · t = {time:.3} · PSNR {psnr} · SSIM {:.4}",
+            "{kind}, rank {} of {} from the worst · {} · t = {time:.3} · PSNR {psnr} · SSIM {:.4}",
             place + 1,
             ranked.len(),
             view.name,
@@ -57,10 +57,15 @@ pub(super) fn comparisons(
     Ok(out)
 }
 
-/// Ranks that are shown: the worst, and the one or two median ones.
-pub(super) fn places(n: usize) -> BTreeSet<usize> {
-    let middle = [n.saturating_sub(1) / 2, n / 2];
-    (0..WORST_VIEWS).chain(middle).filter(|p| *p < n).collect()
+/// The rank of the median view, the lower one of two.
+pub(super) fn median(n: usize) -> usize {
+    n.saturating_sub(1) / 2
+}
+
+/// Ranks that are shown: the median one, then the worst.
+pub(super) fn places(n: usize) -> Vec<usize> {
+    let worst = (0..WORST_VIEWS.min(n)).filter(|p| *p != median(n));
+    (0..n).skip(median(n)).take(1).chain(worst).collect()
 }
 
 /// Conditions of scores in words: split, number of views, size, background, mask.
@@ -146,10 +151,9 @@ mod tests {
     use gs_train::evaluate::MeanScores;
 
     #[test]
-    fn the_worst_and_the_middle_are_shown_once() {
-        let shown = |n: usize| places(n).into_iter().collect::<Vec<_>>();
-        assert_eq!((shown(0), shown(1), shown(3)), (vec![], vec![0], vec![0, 1, 2]));
-        assert_eq!((shown(20), shown(21)), (vec![0, 1, 2, 3, 4, 9, 10], vec![0, 1, 2, 3, 4, 10]));
+    fn the_middle_and_the_worst_are_shown_once() {
+        assert_eq!((places(0), places(1), places(2), places(3)), (vec![], vec![0], vec![0, 1], vec![1, 0, 2]));
+        assert_eq!((places(20), places(21)), (vec![9, 0, 1, 2], vec![10, 0, 1, 2]));
     }
 
     #[test]

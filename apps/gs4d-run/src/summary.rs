@@ -1,11 +1,10 @@
-//! The report of a run: figures, curves of the log, worst and median views, a strip over time, statistics, speed against error.
+//! The report of a run: scores, median and worst views, scores over time, curves of the log, cost, statistics, commands.
 
 use super::folder::{self, RunFolder};
 use super::overlays::overlay_figures;
-use super::speed::speed_against_error;
-use super::work::{drawing_rows, resting_rows, training_rows};
-use super::{Resolved, RunError, score_table};
-use gs_core::speed::BenchRow;
+use super::provenance::COMMIT;
+use super::work::{drawing_rows, peak_memory_mib, resting_rows, step_phases, training_rows};
+use super::{Resolved, RunError, commands, per_view, score_table};
 use gs_core::{Camera, Time};
 use gs_data::{Dataset, ImageCache, View};
 use gs_raster::RasterOptions;
@@ -50,64 +49,65 @@ pub(crate) struct ReportInput<'a> {
     pub(crate) step: u32,
 }
 
-/// Builds the report, with the benchmark rows measured for it.
+/// Builds the report.
 ///
 /// # Errors
 /// If the log or an image cannot be read.
-pub(crate) fn build_report(m: &ReportInput) -> Result<(Report, Vec<BenchRow>), RunError> {
+pub(crate) fn build_report(m: &ReportInput) -> Result<Report, RunError> {
     let log = m.folder.log_lines(folder::LOG)?;
     let options = m.method.raster_options(m.scores.background);
     let mut renderer = Renderer::new(options.clone());
-    let views: Vec<&View> = score_table::ranked(m.dataset, m.scores).into_iter().map(|(view, _)| view).collect();
+    let ranked: Vec<&View> = score_table::ranked(m.dataset, m.scores).into_iter().map(|(view, _)| view).collect();
+    let future = m.scores.extrapolate.as_deref();
     let mut report = Report {
         title: format!("{} · {}", data_name(m), m.method.name()),
         subtitle: subtitle(m),
-        loss: samples(&log, |line| line["loss"].as_f64()),
-        psnr: psnr_curves(&log),
-        splats: samples(&log, |line| line["splats"].as_f64()),
+        figures: score_figures(m),
         conditions: score_table::conditions(m.dataset, m.images, m.scores),
-        future_conditions: match &m.scores.extrapolate {
-            Some(future) => score_table::conditions(m.dataset, m.images, future),
-            None => String::new(),
-        },
-        scores: score_table::score_rows(m.scores),
+        future_conditions: future.map_or(String::new(), |f| score_table::conditions(m.dataset, m.images, f)),
         views: score_table::comparisons(m, &mut renderer, m.scores)?,
-        future: match &m.scores.extrapolate {
-            Some(future) => score_table::comparisons(m, &mut renderer, future)?,
-            None => Vec::new(),
-        },
-        settings: m
-            .resolved
-            .config
-            .iter()
-            .map(|(k, s)| [k.to_owned(), s.value.to_string(), s.source.to_string()])
-            .collect(),
-        provenance: provenance(m.folder)?,
+        future: future.map_or(Ok(Vec::new()), |f| score_table::comparisons(m, &mut renderer, f))?,
+        over_time: per_view::curves(m.dataset, m.scores),
+        training_times: per_view::training_times(m.dataset),
+        cameras: per_view::cameras(m.dataset, m.scores),
+        psnr: psnr_curves(&log),
+        loss: samples(&log, |line| line["loss"].as_f64()),
+        splats: samples(&log, |line| line["splats"].as_f64()),
+        phases: step_phases(&log),
         heat_maps: heat_maps(&m.folder.log_lines(folder::HISTOGRAMS)?),
         method: m.method.report_section(&m.folder.log_lines(folder::JOURNAL)?)?,
+        scores: score_table::score_rows(m.scores),
         storage: Some(Storage::of(m.method, m.method.capabilities().inspect.and_then(|i| i.paper_storage()))),
+        settings: settings(m.resolved),
+        provenance: provenance(m.folder)?,
+        commands: commands::commands(&commands::Subject {
+            root: m.folder.root(),
+            split: &m.scores.split,
+            dynamic: m.dataset.dynamic,
+            step: m.step,
+            steps: m.resolved.steps(),
+        }),
         ..Report::default()
     };
-    if let Some(view) = views.first().copied().or(m.dataset.train.first()) {
+    let typical = ranked.get(score_table::median(ranked.len())).copied();
+    if let Some(view) = typical.or(m.dataset.train.first()) {
         let camera = m.images.camera(view);
         if m.dataset.dynamic {
             report.strip = strip(m.method, &mut renderer, &camera)?;
             report.jerk = jerk(m, view, &camera)?;
         }
         report.overlays = overlay_figures(m.method, view, &camera)?;
-        report.overlay_view = format!("{} at t = {:.3}, the worst view, over black.", view.name, view.time.normalised);
-        let seen: Vec<_> = views.iter().take(WORK_VIEWS).map(|v| (m.images.camera(v), v.time)).collect();
-        report.analysis = analysis(m, &seen, &options)?;
+        report.overlay_view =
+            format!("{} at t = {:.3}, a view of median PSNR, over black.", view.name, view.time.normalised);
+        let seen: Vec<_> = ranked.iter().take(WORK_VIEWS).map(|v| (m.images.camera(v), v.time)).collect();
+        report.needs = needs(m.method, &camera, m.extent)?;
+        report.needs.extend(analysis(m, &seen, &options)?);
         report.work = drawing_rows(m.method, &seen, &options)?;
         report.work.extend(resting_rows(m.method, &seen));
-        report.figures = figures(m, &mut renderer, view, &camera)?;
-        report.needs = needs(m.method, &camera, m.extent)?;
-        let splats = m.method.splats(&Timestamp::normalised(view.time.normalised), &camera)?;
-        report.speed = speed_against_error(&splats, &camera, &options);
+        report.cost = cost_figures(m, peak_memory_mib(&log), renderer.seconds(m.method, view, &camera)?, &camera);
     }
     report.work.extend(training_rows(&log));
-    let rows = report.speed.clone();
-    Ok((report, rows))
+    Ok(report)
 }
 
 /// Number of images, `[H, W, 3]` in `f32`, that the report of a run holds at once, at most: compared views, the strip over time,
@@ -131,50 +131,67 @@ fn data_name(m: &ReportInput) -> String {
     name.unwrap_or_else(|| m.dataset.layout.to_owned())
 }
 
+/// What was trained, in a line.
 fn subtitle(m: &ReportInput) -> String {
-    let kind = if m.dataset.dynamic { "moving" } else { "still" };
+    let (run, data) = (&m.resolved.run, m.dataset);
+    let kind = if data.dynamic { "moving" } else { "still" };
+    let commit = COMMIT.map_or(String::new(), |c| format!(", commit {c}"));
     format!(
-        "A {kind} scene from {} training views; step {}, preset {}, seed {}",
-        m.dataset.train.len(),
+        "{}, preset {}, on {} ({}): a {kind} scene from {} training views; step {} of {}, seed {}; gs4d {}{commit}",
+        m.method.name(),
+        run.preset,
+        run.data,
+        data.layout,
+        data.train.len(),
         m.step,
-        m.resolved.run.preset,
-        m.resolved.run.seed
+        m.resolved.steps(),
+        run.seed,
+        env!("CARGO_PKG_VERSION"),
     )
 }
 
-fn figures(m: &ReportInput, renderer: &mut Renderer, view: &View, camera: &Camera) -> Result<Vec<Figure>, MethodError> {
+fn figure(value: String, name: &str, remark: impl Into<String>) -> Figure {
+    Figure { value, name: name.to_owned(), remark: remark.into() }
+}
+
+fn score_figures(m: &ReportInput) -> Vec<Figure> {
     let s = m.scores;
-    let figure = |value: String, name: &str, remark: String| Figure { value, name: name.to_owned(), remark };
-    let of = score_table::conditions(m.dataset, m.images, s);
-    let frame = renderer.seconds(m.method, view, camera)?;
+    let number = score_table::number_or_dash;
+    let over = |s: &EvalReport| format!("{} {} views over {}", s.views.len(), s.split, color_name(s.background));
+    let of = over(s);
+    let mut figures = vec![figure(format!("{} dB", number(s.mean.psnr, 2)), "PSNR", format!("mean of {of}"))];
+    figures.extend(
+        s.psnr_of_mean_mse
+            .map(|p| figure(format!("{p:.2} dB"), "PSNR of the mean error", format!("one mean square over {of}"))),
+    );
+    figures.extend(s.extrapolate.as_ref().map(|f| {
+        figure(format!("{} dB", number(f.mean.psnr, 2)), "PSNR, extrapolated", format!("mean of {}", over(f)))
+    }));
+    let proxy = format!("not LPIPS, less is better; mean of {of}");
+    figures.push(figure(number(s.mean.ssim, 4), "SSIM", format!("11×11 window, zeros outside; mean of {of}")));
+    figures.push(figure(number(s.mean.perceptual_proxy, 4), "perceptual proxy", proxy));
+    figures
+}
+
+fn cost_figures(m: &ReportInput, peak_mib: Option<f64>, seconds: f64, camera: &Camera) -> Vec<Figure> {
+    let s = m.scores;
+    let bytes = bytes_text(s.parameter_bytes.try_into().unwrap_or(usize::MAX));
+    let trained = s.train_seconds.unwrap_or(0.0);
+    let per_step = format!("{} steps, {:.1} ms each", m.step, 1e3 * trained / f64::from(m.step.max(1)));
     let size =
         format!("{}×{}, field and rendering, threads: {}", camera.width, camera.height, rayon::current_num_threads());
-    let beyond = s.extrapolate.as_ref().map(|f| {
-        let of = score_table::conditions(m.dataset, m.images, f);
-        figure(
-            format!("{} dB", score_table::number_or_dash(f.mean.psnr, 2)),
-            "PSNR of the future",
-            format!("mean of {of}"),
-        )
-    });
-    let from_mean = s
-        .psnr_of_mean_mse
-        .map(|p| figure(format!("{p:.2} dB"), "PSNR of the mean error", format!("one mean square over {of}")));
-    let mut figures =
-        vec![figure(format!("{} dB", score_table::number_or_dash(s.mean.psnr, 2)), "PSNR", format!("mean of {of}"))];
-    figures.extend(from_mean.into_iter().chain(beyond));
+    let mut figures = vec![figure(format!("{trained:.1} s"), "training", per_step)];
+    figures.extend(peak_mib.map(|p| figure(format!("{p:.0} MiB"), "peak memory", "of the process, while training")));
     figures.extend([
-        figure(
-            score_table::number_or_dash(s.mean.ssim, 4),
-            "SSIM",
-            format!("11×11 window, zeros outside; mean of {of}"),
-        ),
-        figure(format!("{:.1} s", s.train_seconds.unwrap_or(0.0)), "training", format!("{} steps", m.step)),
-        figure(s.gaussians.to_string(), "splats", "in the canonical cloud".into()),
-        figure(bytes_text(s.parameter_bytes.try_into().unwrap_or(usize::MAX)), "scene", "parameters as f32".into()),
-        figure(format!("{:.2} ms", 1e3 * frame), "per frame", size),
+        figure(s.gaussians.to_string(), "splats", "in the canonical cloud"),
+        figure(bytes, "scene", "parameters as f32"),
+        figure(format!("{:.2} ms", 1e3 * seconds), "per frame", size),
     ]);
-    Ok(figures)
+    figures
+}
+
+fn settings(resolved: &Resolved) -> Vec<[String; 3]> {
+    resolved.config.iter().map(|(k, s)| [k.to_owned(), s.value.to_string(), s.source.to_string()]).collect()
 }
 
 /// `black`, `white`, or the three values of an RGB colour.
@@ -194,11 +211,13 @@ pub(crate) fn samples(log: &[Value], value: impl Fn(&Value) -> Option<f64>) -> V
     log.iter().filter_map(sample).collect()
 }
 
+/// PSNR of training batches, and of the views scored while training, where the log has any.
 fn psnr_curves(log: &[Value]) -> Vec<(String, Vec<Sample>)> {
-    let training = samples(log, |line| line["psnr"].as_f64());
-    let held_out = samples(log, |line| line["eval"]["mean"]["psnr"].as_f64());
-    let split = log.iter().find_map(|l| l["eval"]["split"].as_str()).unwrap_or("val").to_owned();
-    let curves = [("training views".to_owned(), training), (format!("{split} views, rendered anew"), held_out)];
+    let batches = samples(log, |line| line["psnr"].as_f64());
+    let scored = samples(log, |line| line["eval"]["mean"]["psnr"].as_f64());
+    let split = log.iter().find_map(|l| l["eval"]["split"].as_str()).unwrap_or("val");
+    let kind = if split == "train" { "rendered anew" } else { "held out" };
+    let curves = [("training batches".to_owned(), batches), (format!("{split} views, {kind}"), scored)];
     curves.into_iter().filter(|(_, s)| !s.is_empty()).collect()
 }
 

@@ -14,7 +14,6 @@ use super::saving::Patience;
 use super::settings::{self, Resolved};
 use super::summary::{ReportInput, build_report};
 use gs_core::io::write_file;
-use gs_core::speed::BenchRow;
 use gs_data::{Dataset, ImageCache, Split};
 use gs_train::checkpoint::{self, Newest, Skipped};
 use gs_train::evaluate::{EvalReport, evaluate};
@@ -373,12 +372,11 @@ impl Training {
         Ok(report)
     }
 
-    /// Writes `report.html` for these scores, and the renders shown in it to `renders/`; returns the benchmark rows measured
-    /// for it.
+    /// Writes `report.html` for these scores, and the renders shown in it to `renders/`.
     ///
     /// # Errors
     /// If an image cannot be read or the file cannot be written.
-    pub fn report(&self, scores: &EvalReport) -> Result<Vec<BenchRow>, RunError> {
+    pub fn report(&self, scores: &EvalReport) -> Result<(), RunError> {
         let images = self.images();
         let material = ReportInput {
             folder: &self.folder,
@@ -390,14 +388,14 @@ impl Training {
             extent: self.trainer.scene().extent,
             step: self.trainer.steps_done(),
         };
-        let (report, rows) = build_report(&material)?;
+        let report = build_report(&material)?;
         self.folder.write(folder::REPORT, &report.html()?)?;
         for view in &report.views {
             let name = format!("step-{:06}_{}.png", material.step, file_stem(&view.name));
             let bytes = png(&view.render)?;
             write_file(&self.folder.renders().join(name), true, |out| out.write_all(&bytes))?;
         }
-        Ok(rows)
+        Ok(())
     }
 
     /// The image cache of this run's data, at full size.

@@ -9,6 +9,7 @@ use gs_train::timestamp::Timestamp;
 use gs4d_report::ReportRow;
 use gs4d_report::inspect::bytes_text;
 use serde_json::Value;
+use std::collections::BTreeMap;
 
 /// Splats culled, blended and never reached in renders of some views, as rows for the report.
 pub(crate) fn drawing_rows(
@@ -82,32 +83,44 @@ pub(crate) fn resting_rows(method: &Model, views: &[(Camera, Time)]) -> Vec<Repo
     )]
 }
 
-/// Sums over the log, and milliseconds and memory of its last line.
+/// Lines of the log that steps have written.
+fn step_lines(log: &[Value]) -> impl DoubleEndedIterator<Item = &Value> {
+    log.iter().filter(|l| l["ms_per_step"].is_number())
+}
+
+/// Sums over the log.
 pub(crate) fn training_rows(log: &[Value]) -> Vec<ReportRow> {
-    let steps: Vec<&Value> = log.iter().filter(|l| l["ms_per_step"].is_number()).collect();
-    let Some(last) = steps.last() else { return Vec::new() };
-    let sum = |key: &str| steps.iter().filter_map(|l| l[key].as_u64()).sum::<u64>();
+    if step_lines(log).next().is_none() {
+        return Vec::new();
+    }
+    let sum = |key: &str| step_lines(log).filter_map(|l| l[key].as_u64()).sum::<u64>();
     let grown = format!("+{} cloned, +{} split, −{} pruned", sum("cloned"), sum("split"), sum("pruned"));
-    let mut rows = vec![
+    vec![
         ReportRow::new("density control", grown, "splats over all steps"),
         ReportRow::new("gradient rows refused", sum("quarantined").to_string(), "not finite, and so not learnt from"),
-    ];
-    let share = |(name, ms): (&String, &Value)| {
-        let ms = ms.as_f64().filter(|_| name != "total")?;
-        Some(format!("{} {ms:.2}", name.replace('_', " ")))
-    };
-    let phases: Vec<String> = last["ms_last"].as_object().into_iter().flatten().filter_map(share).collect();
-    if let Some(total) = last["ms_last"]["total"].as_f64() {
-        rows.push(ReportRow::new("the last step, ms", format!("{total:.2}"), &phases.join(", ")));
+    ]
+}
+
+/// Peak memory of the process while it trained, where the system tells, MiB.
+pub(crate) fn peak_memory_mib(log: &[Value]) -> Option<f64> {
+    step_lines(log).next_back()?["memory_mib"].as_f64()
+}
+
+/// Parts of a step with their milliseconds, means over the logged steps, the longest first; parts below 0.5 % are summed up.
+pub(crate) fn step_phases(log: &[Value]) -> Vec<(String, f64)> {
+    let mut sums = BTreeMap::<&str, f64>::new();
+    let parts = step_lines(log).flat_map(|l| l["ms_last"].as_object().into_iter().flatten());
+    for (name, ms) in parts.filter(|(name, _)| *name != "total") {
+        *sums.entry(name).or_default() += ms.as_f64().unwrap_or(0.0);
     }
-    if let Some(peak) = last["memory_mib"].as_f64() {
-        rows.push(ReportRow::new(
-            "peak memory",
-            format!("{peak:.1} MiB"),
-            "resident, of the whole process, while training",
-        ));
+    let (steps, all) = (step_lines(log).count().max(1) as f64, sums.values().sum::<f64>());
+    let (small, large): (Vec<_>, Vec<_>) = sums.into_iter().partition(|(_, ms)| *ms < 0.005 * all);
+    let mut phases: Vec<_> = large.into_iter().map(|(name, ms)| (name.replace('_', " "), ms / steps)).collect();
+    phases.sort_by(|a, b| b.1.total_cmp(&a.1));
+    if !small.is_empty() {
+        phases.push(("all else".to_owned(), small.iter().map(|p| p.1).sum::<f64>() / steps));
     }
-    rows
+    phases
 }
 
 #[cfg(test)]
@@ -147,12 +160,16 @@ mod tests {
     fn a_log_is_summed() {
         let line = |cloned: u32| {
             json!({"step": 1, "ms_per_step": 2.0, "cloned": cloned, "split": 1, "pruned": 2, "quarantined": 0,
-                "ms_last": {"field": 0.5, "raster_forward": 0.25, "total": 1.0}, "memory_mib": 20.0})
+                "ms_last": {"field": 0.5, "raster_forward": 0.25, "adapt": 0.001, "total": 1.0}, "memory_mib": 20.0})
         };
-        let rows = training_rows(&[line(3), json!({"step": 1, "eval": {}}), line(4)]);
+        let log = [line(3), json!({"step": 1, "eval": {}}), line(4)];
+        let rows = training_rows(&log);
         assert_eq!(rows[0].value, "+7 cloned, +2 split, −4 pruned");
-        assert_eq!((rows[2].value.as_str(), rows[2].meaning.as_str()), ("1.00", "field 0.50, raster forward 0.25"));
-        assert_eq!((rows[3].value.as_str(), rows.len()), ("20.0 MiB", 4));
-        assert!(training_rows(&[json!({"eval": 1})]).is_empty());
+        assert_eq!(peak_memory_mib(&log), Some(20.0));
+        let phases = step_phases(&log);
+        let expected = [("field", 0.5), ("raster forward", 0.25), ("all else", 0.001)];
+        assert_eq!(phases, expected.map(|(name, ms)| (name.to_owned(), ms)), "the longest first, the total left out");
+        let other = [json!({"eval": 1})];
+        assert!(training_rows(&other).is_empty() && step_phases(&other).is_empty());
     }
 }

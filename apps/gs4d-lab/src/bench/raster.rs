@@ -1,10 +1,10 @@
 //! Forward and backward rendering at every instruction set, on the scenes published CPU rasterisers were timed on; then the
 //! time saved and the error made by each approximation of the rasteriser.
 
+use super::variants::speed_against_error;
 use gs_core::speed::BenchRow;
 use gs_raster::measure::{camera, rows as measured, scene};
 use gs_raster::{RasterOptions, SimdLevel};
-use gs4d_run::speed::speed_against_error;
 
 /// Number of splats and side of the square image, pixels.
 const SIZES: [(usize, u32); 3] = [(1_000, 128), (10_000, 256), (100_000, 512)];

@@ -1,9 +1,8 @@
 //! One run of a contest: trained here, read back, or given as a command line.
 
 use super::{ContestError, Event, TrialError};
-use crate::text::shell_quoted;
 use gs4d_run::settings::Request;
-use gs4d_run::{Outcome, Resolved, RunError, Scored, Stage, Training};
+use gs4d_run::{Outcome, Resolved, RunError, Scored, Stage, Training, shell_quoted};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 

@@ -2,9 +2,10 @@
 
 use crate::compare::{Compared, DifferingSetting, Row, Side, ViewRenders, ViewRow, columns};
 use crate::summary::samples;
-use gs4d_report::chart::{Curve, Scale, chart};
+use gs4d_report::chart::{Curve, Scale};
 use gs4d_report::error_map::error;
-use gs4d_report::html::{document, escape, section, table, wrapped};
+use gs4d_report::html::{collapsed, document, escape, figure, section, table, wrapped};
+use gs4d_report::over_time::over_time as scores_over_time;
 use gs4d_report::page::training_charts;
 use gs4d_report::views::{ViewFigure, figures, script};
 use gs4d_report::{ReportError, Sample};
@@ -79,15 +80,12 @@ fn differences(c: &Compared) -> String {
 }
 
 fn over_time(c: &Compared) -> Result<String, ReportError> {
-    let of_run = |k: usize| {
-        let mut points: Vec<(f64, f64)> =
-            c.views.iter().filter_map(|v| Some((f64::from(v.time), v.psnr[k]?))).collect();
-        points.sort_by(|a, b| a.0.total_cmp(&b.0));
-        Curve { name: c.runs[k].name.clone(), points }
+    let of_run = |k: usize| Curve {
+        name: c.runs[k].name.clone(),
+        points: c.views.iter().filter_map(|v| Some((f64::from(v.time), v.psnr[k]?))).collect(),
     };
     let lines: Vec<Curve> = (0..c.runs.len()).map(of_run).collect();
-    let svg = chart("PSNR of each view, dB", "normalised time", Scale::Linear, &lines)?;
-    let content = svg.map_or(String::new(), |svg| format!("<div class=\"charts\"><figure>{svg}</figure></div>\n"));
+    let content = wrapped("charts", figure(scores_over_time("PSNR of each view, dB", &lines, None)?));
     Ok(section("Over time", &escape(&c.conditions), &content))
 }
 
@@ -104,7 +102,9 @@ fn disagreements(
             let errors = p.renders.iter().zip(names).skip(usize::from(against_first));
             ViewFigure {
                 caption: &p.caption,
-                images: std::iter::once(("truth", &p.truth)).chain(names.iter().copied().zip(&p.renders)).collect(),
+                images: std::iter::once(("ground truth", &p.truth))
+                    .chain(names.iter().copied().zip(&p.renders))
+                    .collect(),
                 errors: errors.filter_map(|(d, n)| Some((format!("error of {n}"), error(truth, d)?))).collect(),
             }
         })
@@ -133,7 +133,7 @@ fn curves(sides: &[Side], names: &[&str]) -> Result<String, ReportError> {
         };
         sides.iter().zip(names).map(line).collect()
     };
-    let titles = ["PSNR of training views, dB", "PSNR of held-out views while training, dB", "Splats"];
+    let titles = ["PSNR of training batches, dB", "PSNR of views scored while training, dB", "Splats"];
     let mut out = String::new();
     for (kind, title) in titles.into_iter().enumerate() {
         out += &training_charts(title, Scale::Linear, &of(kind))?;
@@ -159,8 +159,7 @@ fn each_view(c: &Compared, names: &[&str]) -> String {
     };
     let numeric: Vec<usize> = (1..head.len()).collect();
     let content = table(&head, &numeric, c.views.iter().map(row));
-    let folded = format!("<details><summary>{} views</summary>\n{content}</details>\n", c.views.len());
-    section("PSNR of each view", &escape(&c.conditions), &folded)
+    section("PSNR of each view", &escape(&c.conditions), &collapsed(&format!("{} views", c.views.len()), content))
 }
 
 fn settings(c: &Compared, names: &[&str]) -> String {
@@ -173,13 +172,13 @@ fn settings(c: &Compared, names: &[&str]) -> String {
     let content = table(&head, &[], c.settings.iter().map(row));
     let folded = match content.is_empty() {
         true => "<p>None.</p>\n".to_owned(),
-        false => format!("<details><summary>{} settings</summary>\n{content}</details>\n", c.settings.len()),
+        false => collapsed(&format!("{} settings", c.settings.len()), content),
     };
     section("Settings that differ", "", &folded)
 }
 
 fn provenance(c: &Compared) -> String {
-    let row = |r: &crate::compare::Row| {
+    let row = |r: &Row| {
         let machine = r.trained_on.clone().unwrap_or_else(|| "–".to_owned());
         vec![r.name.clone(), r.path.clone(), machine]
     };

@@ -1,6 +1,5 @@
 //! `gs4d bench`: speed against error of the crates, or the stages of a frame of a run, on this machine.
 
-use super::demo::speed_text;
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use crate::global::Global;
@@ -8,8 +7,7 @@ use crate::opening::RunData;
 use gs_core::speed::BenchRow;
 use gs4d_lab::bench::{GROUPS, StageOptions, StageTimes, roofline, stage_times};
 use gs4d_lab::people::{LabError, Trained};
-use gs4d_report::speed_json;
-use serde_json::json;
+use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
 /// Measure speed and error of rendering, metrics, fields and optimiser on this machine, or the stages of a frame of a dut run
@@ -80,5 +78,54 @@ impl Bench {
         ));
         let roofs = json!({"fma_gflops": fma, "exp2_giga_per_second": exp, "threads": rayon::current_num_threads()});
         Ok(Answer::new(text, json!({"rows": speed_json(&rows), "roofs": roofs})))
+    }
+}
+
+/// Benchmark rows as a JSON array.
+fn speed_json(rows: &[BenchRow]) -> Value {
+    // Each row writes valid JSON of its own.
+    rows.iter().map(|r| serde_json::from_str(&r.to_json()).unwrap_or_default()).collect::<Vec<Value>>().into()
+}
+
+/// The rows of speed against error as a table.
+fn speed_text(rows: &[BenchRow]) -> String {
+    let mut out = String::new();
+    for (i, r) in rows.iter().enumerate() {
+        if i == 0 {
+            out.push_str(&format!(
+                "\n{:46}{:>8}{:>10}{:>9}  {}\n",
+                "speed against error", "size", "ms", "error", "error is"
+            ));
+        }
+        let what = format!("{} · {}", r.case, r.variant);
+        let error = r.error.map_or("-".to_owned(), |e| format!("{e:.0e}"));
+        out.push_str(&format!("{what:46}{:>8}{:>10.3}{error:>9}  {}\n", r.n, r.ms, r.error_kind));
+    }
+    if !rows.is_empty() {
+        out.push('\n');
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_are_aligned() {
+        let row = BenchRow {
+            krate: "c",
+            case: "draw".into(),
+            variant: "v".into(),
+            n: 1,
+            threads: 2,
+            ms: 1.5,
+            work: 1.0,
+            error: Some(2e-7),
+            error_kind: "max",
+        };
+        let text = speed_text(&[row]);
+        assert!(text.contains("draw · v") && text.contains("1.500") && text.contains("2e-7  max"), "{text}");
+        assert!(speed_text(&[]).is_empty());
     }
 }

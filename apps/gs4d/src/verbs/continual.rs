@@ -8,8 +8,8 @@ use crate::interrupt;
 use crate::progress::Progress;
 use gs_train::evaluate::MeanScores;
 use gs4d_lab::continual::{Event, FILE, Plan, RoundScores, Rounds, run};
-use gs4d_lab::shell_quoted;
 use gs4d_run::settings::Request;
+use gs4d_run::shell_quoted;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 

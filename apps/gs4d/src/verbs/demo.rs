@@ -8,13 +8,11 @@ use crate::interrupt;
 use crate::output::create_folder;
 use gs_core::io::images::save_png;
 use gs_core::io::{RawSplats, save_splats};
-use gs_core::speed::BenchRow;
 use gs_synth::{self as synth, SynthOptions};
 use gs_train::evaluate::EvalReport;
 use gs_train::renderer::Renderer;
 use gs_train::timestamp::Timestamp;
 use gs4d_report::inspect::bytes_text;
-use gs4d_report::speed_json;
 use gs4d_run::opened::metrics_json;
 use gs4d_run::settings::{Request, resolve};
 use gs4d_run::{Outcome, Training};
@@ -75,9 +73,9 @@ impl Demo {
                 .remedy(format!("gs4d resume {}", training.folder().root().display())));
         }
         let scores = training.score()?;
-        let rows = training.report(&scores)?;
+        training.report(&scores)?;
         let files = self.write(&training)?;
-        Ok(answer(&scores, &rows, &files, training.trainer().steps_done(), begun.elapsed().as_secs_f64()))
+        Ok(answer(&scores, &files, training.trainer().steps_done(), begun.elapsed().as_secs_f64()))
     }
 
     /// Generates the data and starts a run.
@@ -129,9 +127,8 @@ impl Demo {
 }
 
 /// The table of results and the list of files.
-fn answer(scores: &EvalReport, rows: &[BenchRow], files: &[PathBuf], step: u32, seconds: f64) -> Answer {
+fn answer(scores: &EvalReport, files: &[PathBuf], step: u32, seconds: f64) -> Answer {
     let mut json = metrics_json(scores, step);
-    json["speed_error"] = speed_json(rows);
     json["seconds"] = json!(seconds);
     json["files"] = json!(files.iter().map(|f| f.display().to_string()).collect::<Vec<_>>());
     let table = [
@@ -143,52 +140,9 @@ fn answer(scores: &EvalReport, rows: &[BenchRow], files: &[PathBuf], step: u32, 
         ("scene", bytes_text(scores.parameter_bytes as usize), "all parameters as f32"),
     ];
     let mut text: String = table.iter().map(|(name, value, note)| format!("{name:10}{value:>12}  {note}\n")).collect();
-    text.push_str(&speed_text(rows));
+    text.push('\n');
     for file in files {
         text.push_str(&format!("{}\n", file.display()));
     }
     Answer::new(text, json)
-}
-
-/// The rows of speed against error as a table.
-pub fn speed_text(rows: &[BenchRow]) -> String {
-    let mut out = String::new();
-    for (i, r) in rows.iter().enumerate() {
-        if i == 0 {
-            out.push_str(&format!(
-                "\n{:46}{:>8}{:>10}{:>9}  {}\n",
-                "speed against error", "size", "ms", "error", "error is"
-            ));
-        }
-        let what = format!("{} · {}", r.case, r.variant);
-        let error = r.error.map_or("-".to_owned(), |e| format!("{e:.0e}"));
-        out.push_str(&format!("{what:46}{:>8}{:>10.3}{error:>9}  {}\n", r.n, r.ms, r.error_kind));
-    }
-    if !rows.is_empty() {
-        out.push('\n');
-    }
-    out
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn rows_are_aligned() {
-        let row = BenchRow {
-            krate: "c",
-            case: "draw".into(),
-            variant: "v".into(),
-            n: 1,
-            threads: 2,
-            ms: 1.5,
-            work: 1.0,
-            error: Some(2e-7),
-            error_kind: "max",
-        };
-        let text = speed_text(&[row]);
-        assert!(text.contains("draw · v") && text.contains("1.500") && text.contains("2e-7  max"), "{text}");
-        assert!(speed_text(&[]).is_empty());
-    }
 }

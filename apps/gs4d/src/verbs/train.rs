@@ -9,7 +9,6 @@ use crate::progress::{Progress, Waiting};
 use crate::{interrupt, parse};
 use gs_data::Dataset;
 use gs_train::evaluate::EvalReport;
-use gs4d_report::speed_json;
 use gs4d_run::opened::metrics_json;
 use gs4d_run::settings::{Request, resolve};
 use gs4d_run::summary::color_name;
@@ -120,10 +119,9 @@ pub fn carry_on(training: &mut Training, watch: &Watch, stop: &AtomicBool, globa
     let waiting = Waiting::new(format!("scoring {views} views"), global.quiet);
     let scores = training.score()?;
     drop(waiting);
-    let rows = training.report(&scores)?;
+    training.report(&scores)?;
     let step = training.trainer().steps_done();
-    let mut json = result_json(&scores, step, &root, outcome == Outcome::Finished);
-    json["speed_error"] = speed_json(&rows);
+    let json = result_json(&scores, step, &root, outcome == Outcome::Finished);
     let mut text = all_scores_text(&scores, step);
     text.push_str(&format!("report  {}\n", root.join("report.html").display()));
     if let Outcome::BudgetSpent(_) = outcome {

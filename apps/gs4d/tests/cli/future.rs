@@ -38,7 +38,8 @@ fn the_future_is_scored_beside_the_test_views() {
     assert!(both.out.contains("test · ") && both.out.contains("extrapolate · "), "{}", both.out);
     assert_eq!(file("metrics.json")["extrapolate"]["mean"], future["mean"]);
     let report = std::fs::read_to_string(run().join("report.html")).unwrap();
-    assert!(report.contains("PSNR of the future") && report.contains("<h2>The future</h2>"));
+    assert!(report.contains("PSNR, extrapolated") && report.contains("<h2>Extrapolated views</h2>"));
+    assert!(report.contains("\ntraining times\n"), "a band in the chart over time");
     assert!(file("provenance.json")["data"]["extrapolate"].as_u64() == Some(views.len() as u64));
 }
 

@@ -21,6 +21,7 @@ mod moved;
 mod pipes;
 mod pose;
 mod render;
+mod report;
 mod runs;
 mod segment;
 mod soak;

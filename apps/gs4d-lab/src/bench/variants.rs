@@ -13,7 +13,7 @@ const REPEATS: usize = 7;
 
 /// Measures variants of rendering `splats`, at a resolution reduced so that the reference takes about a second. Empty without
 /// splats.
-pub fn speed_against_error(splats: &Splats, camera: &Camera, options: &RasterOptions) -> Vec<BenchRow> {
+pub(super) fn speed_against_error(splats: &Splats, camera: &Camera, options: &RasterOptions) -> Vec<BenchRow> {
     if splats.is_empty() {
         return Vec::new();
     }
