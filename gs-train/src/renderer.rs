@@ -3,9 +3,10 @@
 use crate::evaluate::clamped;
 use crate::method::MethodError;
 use crate::model::Model;
+use crate::palette::color_scale;
 use crate::timestamp::Timestamp;
 use gs_core::speed::median_seconds;
-use gs_core::{Camera, Image, SplatsRef};
+use gs_core::{Camera, Image, SplatsRef, cast};
 use gs_data::View;
 use gs_raster::{Frame, RasterOptions, Workspace, render_into};
 
@@ -61,6 +62,28 @@ impl Renderer {
         let splats = model.splats(&Timestamp::normalised(time), camera)?;
         Ok(clamped(self.render(&splats, camera)))
     }
+}
+
+/// Quantiles of the known depths that bound their colour scale.
+const DEPTH_QUANTILES: [f64; 2] = [0.02, 0.98];
+
+/// Mean depth of what covers each pixel, world units, `[height, width]`; 0 where alpha is at most ½.
+pub fn mean_depth(frame: &Frame) -> Vec<f32> {
+    frame.depth.iter().zip(&frame.alpha).map(|(&d, &a)| if a > 0.5 { d / a } else { 0.0 }).collect()
+}
+
+/// The span of depths for a colour scale: the quantiles 0.02 and 0.98 of those above 0.
+pub fn depth_span(depths: &[f32]) -> [f32; 2] {
+    let mut known: Vec<f32> = depths.iter().copied().filter(|d| *d > 0.0).collect();
+    known.sort_by(f32::total_cmp);
+    let at = |share: f64| known.get(cast::to_usize(known.len().saturating_sub(1) as f64 * share)).copied();
+    [at(DEPTH_QUANTILES[0]).unwrap_or(0.0), at(DEPTH_QUANTILES[1]).unwrap_or(1.0)]
+}
+
+/// Colours of depths over a span: dark near, bright far, black where nothing is.
+pub fn depth_colors(depths: &[f32], [near, far]: [f32; 2]) -> Vec<f32> {
+    let color = |d: &f32| if *d > 0.0 { color_scale((d - near) / (far - near).max(1e-9)) } else { [0.0; 3] };
+    depths.iter().flat_map(color).collect()
 }
 
 /// The name of a camera or view as a file name: the last part of a path, without an image extension and without anything a file system

@@ -10,20 +10,17 @@ use crate::shot::{MIN_OPACITY, SelectionCache, Shot};
 use crate::stage::Stage;
 use crate::style::Style;
 use crate::{choice, clip};
-use gs_core::{Camera, Color, Image, Splats, cast};
+use gs_core::{Camera, Color, Image, Splats};
 use gs_metrics::psnr;
 use gs_raster::{Frame, Workspace, blend_counts, render_into};
 use gs_train::evaluate::clamped;
 use gs_train::palette::color_scale;
-use gs_train::renderer::file_stem;
+use gs_train::renderer::{depth_colors, depth_span, file_stem, mean_depth};
 use gs_train::timestamp::Timestamp;
 use gs4d_eval::segment;
 use serde_json::{Value, json};
 use std::borrow::Cow;
 use std::time::Instant;
-
-/// Quantiles of the depths of covered pixels that bound the colour scale.
-const DEPTH_QUANTILES: [f64; 2] = [0.02, 0.98];
 
 /// An image, a file or splats, with a header for the page.
 pub struct Answer {
@@ -156,7 +153,7 @@ impl Renderer {
         let full = shot.with_camera(view.camera.clone());
         let own = q.what.layer == "color" && q.time == view.time.normalised && shot.is_plain();
         let other = match &q.against {
-            _ if full.camera.width * full.camera.height > MAX_PIXELS => return Ok(()),
+            _ if u64::from(full.camera.width) * u64::from(full.camera.height) > u64::from(MAX_PIXELS) => return Ok(()),
             Some(other) => {
                 let side = Shot::of(stage, q, other, &view.camera, &mut self.selections)?;
                 self.layer(stage, &plain, other, &side, &mut json!({}))?
@@ -198,17 +195,11 @@ impl Renderer {
 
     /// Mean depth of pixels covered by more than half: dark near, bright far.
     fn depth(&self, header: &mut Value) -> Image {
-        let frame = &self.frame;
-        let mean = |(&d, &a): (&f32, &f32)| if a > 0.5 { d / a } else { f32::NAN };
-        let depths: Vec<f32> = frame.depth.iter().zip(&frame.alpha).map(mean).collect();
-        let mut known: Vec<f32> = depths.iter().copied().filter(|d| d.is_finite()).collect();
-        known.sort_by(f32::total_cmp);
-        let at = |share: f64| known.get(cast::to_usize(known.len().saturating_sub(1) as f64 * share)).copied();
-        let span = [at(DEPTH_QUANTILES[0]).unwrap_or(0.0), at(DEPTH_QUANTILES[1]).unwrap_or(1.0)];
+        let depths = mean_depth(&self.frame);
+        let span = depth_span(&depths);
+        let known: Vec<f32> = depths.iter().copied().filter(|d| *d > 0.0).collect();
         header["legend"] = scaled("depth", "world units", span, &known);
-        let share = |d: &f32| (d - span[0]) / (span[1] - span[0]).max(1e-9);
-        let color = |d: &f32| if d.is_finite() { color_scale(share(d)) } else { [0.0; 3] };
-        self.image(depths.iter().flat_map(color).collect())
+        self.image(depth_colors(&depths, span))
     }
 
     /// Number of splats blended into each pixel.

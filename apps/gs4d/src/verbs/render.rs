@@ -17,7 +17,7 @@ use gs_raster::{Frame, RasterOptions};
 use gs_train::capabilities::{FreezeOptions, FreezeReport};
 use gs_train::method::MethodError;
 use gs_train::ranks::Share;
-use gs_train::renderer::{Renderer, file_stem};
+use gs_train::renderer::{Renderer, depth_colors, depth_span, file_stem, mean_depth};
 use gs_train::timestamp::Timestamp;
 use gs4d_run::OpenRun;
 use gs4d_run::flight::Flight;
@@ -61,7 +61,12 @@ pub struct Render {
     /// Leave splats of a run at rest that move less than this on the rendered cameras over times 0 to 1, pixels; faster, not exact.
     #[arg(long, value_name = "PIXELS", allow_hyphen_values = true, value_parser = parse::not_negative)]
     static_within: Option<f64>,
+    /// What is rendered: colours; the mean depth of what covers a pixel by more than half, world units, 0 elsewhere; or alpha. PNG and videos show
+    /// depth from dark (near) to bright (far), each image over its own span.
+    #[arg(long, value_enum, default_value_t = Mode::Color)]
+    mode: Mode,
     /// PNG: 8 bit RGB over the background. EXR, NPY: float32 RGB over the background, then alpha (premultiplied over black).
+    /// Depth and alpha are one channel of float32 there.
     /// Y4M: one uncompressed video, video.y4m. MP4: video.mp4 (H.264), by ffmpeg, which must be installed.
     #[arg(long, value_enum, default_value_t = Format::Png)]
     format: Format,
@@ -85,6 +90,38 @@ enum Format {
     Npy,
     Y4m,
     Mp4,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Mode {
+    Color,
+    Depth,
+    Alpha,
+}
+
+impl Mode {
+    /// The image to look at, RGB in 0..1.
+    fn shown(self, frame: &Frame) -> Image {
+        let data = match self {
+            Mode::Color => return frame.rgb.clone(),
+            Mode::Depth => {
+                let depths = mean_depth(frame);
+                depth_colors(&depths, depth_span(&depths))
+            }
+            Mode::Alpha => frame.alpha.iter().flat_map(|&a| [a; 3]).collect(),
+        };
+        Image { width: frame.rgb.width, height: frame.rgb.height, channels: 3, data }
+    }
+
+    /// The values: RGBA of colours, one channel of the others.
+    fn values(self, frame: &Frame) -> Image {
+        let data = match self {
+            Mode::Color => return rgba(frame),
+            Mode::Depth => mean_depth(frame),
+            Mode::Alpha => frame.alpha.clone(),
+        };
+        Image { width: frame.rgb.width, height: frame.rgb.height, channels: 1, data }
+    }
 }
 
 /// Frames of an orbit or path without `--times`.
@@ -345,7 +382,7 @@ impl Render {
         for round in (0..count).step_by(share.size()) {
             let mut bytes = Vec::new();
             if let Some(k) = (round..count).nth(share.rank()) {
-                y4m::write_frame(&render(k)?.rgb, &mut bytes)
+                y4m::write_frame(&self.mode.shown(&render(k)?), &mut bytes)
                     .map_err(|e| Failure::io("write a frame", &self.out, &e))?;
             }
             share.gather(bytes)?.iter().try_for_each(|frame| write(frame))?;
@@ -387,12 +424,12 @@ impl Render {
 
     fn save(&self, frame: &Frame, path: &Path) -> Result<(), Failure> {
         match self.format {
-            Format::Png => save_png(path, &frame.rgb, self.force)?,
-            Format::Exr => exr::save(path, &rgba(frame), self.force)?,
-            Format::Npy => write_file(path, self.force, |out| npy::write_image(&rgba(frame), out))?,
+            Format::Png => save_png(path, &self.mode.shown(frame), self.force)?,
+            Format::Exr => exr::save(path, &self.mode.values(frame), self.force)?,
+            Format::Npy => write_file(path, self.force, |out| npy::write_image(&self.mode.values(frame), out))?,
             Format::Y4m | Format::Mp4 => write_file(path, self.force, |out| {
                 y4m::write_header(frame.rgb.width, frame.rgb.height, self.fps, out)?;
-                y4m::write_frame(&frame.rgb, out)
+                y4m::write_frame(&self.mode.shown(frame), out)
             })?,
         }
         Ok(())

@@ -178,7 +178,7 @@ fn look_at(desk: &mut Desk, url: &str, name: &str) {
     desk.browser.set("t", "0.6");
     let still = ["static3d", "scaffold"].contains(&name);
     assert_eq!(desk.changed(&turned), !still, "{name}: time moves what moves");
-    assert!(desk.browser.eval("$('seconds').textContent").as_str().unwrap().contains("(0.600)"));
+    assert!(desk.browser.eval("$('seconds').textContent").as_str().unwrap().contains("0.600"));
 
     let [x, y] = desk.browser.middle("stage");
     desk.browser.drag(&[[x, y]]);

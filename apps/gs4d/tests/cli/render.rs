@@ -39,6 +39,30 @@ fn every_format_holds_the_same_picture() {
 }
 
 #[test]
+fn depth_and_alpha_are_values_and_pictures() {
+    let dir = tempfile::tempdir().unwrap();
+    let camera = camera(dir.path(), CAMERA);
+    let render = |mode: &str, format: &str| {
+        let out = dir.path().join(mode);
+        good(&["render", text(ply()), "--camera", text(&camera), "--mode", mode, "--format", format, "-o", text(&out)]);
+        out.join(format!("front.{format}"))
+    };
+    let limits = Limits::default();
+    let values = |mode: &str| {
+        let array = npy::read(&fs::read(render(mode, "npy")).unwrap(), "npy", &limits).unwrap();
+        assert_eq!(array.shape, [16, 20, 1]);
+        array.to_f32()
+    };
+    let (depth, alpha) = (values("depth"), values("alpha"));
+    let middle = 8 * 20 + 10;
+    assert!(alpha[middle] > 0.5 && alpha[0] == 0.0 && depth[0] == 0.0, "nothing is in the corner");
+    assert!(depth.iter().zip(&alpha).all(|(d, a)| (*d > 0.0) == (*a > 0.5)));
+    assert_eq!(exr::load(&render("depth", "exr"), &limits).unwrap().data, depth);
+    let png = images::load_image(&render("alpha", "png"), &limits).unwrap();
+    assert!(png.data.chunks_exact(3).zip(&alpha).all(|(p, a)| (p[0] - a).abs() <= 0.5 / 255.0 + 1e-6 && p[0] == p[2]));
+}
+
+#[test]
 fn nothing_is_overwritten_unasked() {
     let dir = tempfile::tempdir().unwrap();
     let camera = camera(dir.path(), CAMERA);
