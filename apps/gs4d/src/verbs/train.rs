@@ -9,6 +9,7 @@ use crate::progress::{Progress, Waiting};
 use crate::{interrupt, parse};
 use gs_data::Dataset;
 use gs_train::evaluate::EvalReport;
+use gs4d_run::config::Source;
 use gs4d_run::opened::metrics_json;
 use gs4d_run::settings::{Request, resolve};
 use gs4d_run::summary::color_name;
@@ -191,6 +192,7 @@ fn describe(training: &Training, global: &Global) {
     for note in &data.notes {
         global.say(format!("note: {note}"));
     }
+    points_left_out(training).into_iter().for_each(|note| global.say(note));
     for warning in training.trainer().model().capabilities().inspect.map_or_else(Vec::new, |i| i.warnings()) {
         global.say(format!("warning: {warning}"));
     }
@@ -198,6 +200,18 @@ fn describe(training: &Training, global: &Global) {
     if global.ranks.size() > 1 {
         global.say(format!("{} ranks", global.ranks.size()));
     }
+}
+
+/// Says how many of the points that `gs4d init` wrote do not fit.
+fn points_left_out(training: &Training) -> Option<String> {
+    let config = &training.resolved().config;
+    let (used, source) = config.get("init.points").map(|s| (s.value.as_integer(), &s.source))?;
+    let used = used.and_then(|n| usize::try_from(n).ok()).filter(|_| matches!(source, Source::File(_)))?;
+    let have = training.trainer().dataset().points.as_ref()?.positions.len();
+    let text =
+        format!("note: training begins with {used} of the {have} points: schedule.density.max_splats allows no more");
+    (used < have && config.get("schedule.density.max_splats")?.value.as_integer() == i64::try_from(used).ok())
+        .then_some(text)
 }
 
 /// Where the times of a data set come from, and how many of them train.

@@ -151,6 +151,8 @@ fn points_are_made_once_and_then_begun_with() {
     let points = |text: &str| text.lines().find_map(|l| l.strip_prefix("points = ")).unwrap().to_owned();
     let resolved = || std::fs::read_to_string(run.join("config.resolved.toml")).unwrap();
     assert!(points(&resolved()).starts_with("90 ") && resolved().contains("scene.toml"), "{}", resolved());
+    let fewer = good(&[&train[..], &["--set", "schedule.density.max_splats=60"]].concat()).err;
+    assert!(fewer.contains("begins with 60 of the 90 points"), "{fewer}");
     good(&[&train[..], &["--set", "init.points=40"]].concat());
     assert!(points(&resolved()).starts_with("40 "), "{}", resolved());
     gs4d(&["init", text(&folder), "--from", "depth", "-f"]).fails(2, &["no depth"]);
