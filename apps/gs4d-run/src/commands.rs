@@ -1,17 +1,7 @@
 //! Command lines for a run, as its report lists them.
 
+use gs_data::shell_quoted;
 use std::path::Path;
-
-/// A word as a POSIX shell reads it back.
-///
-/// ```
-/// assert_eq!(gs4d_run::shell_quoted("data/sheet".to_owned()), "data/sheet");
-/// assert_eq!(gs4d_run::shell_quoted("it's $5".to_owned()), r"'it'\''s $5'");
-/// ```
-pub fn shell_quoted(word: String) -> String {
-    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./,:=+@%".contains(c);
-    if !word.is_empty() && word.chars().all(plain) { word } else { format!("'{}'", word.replace('\'', r"'\''")) }
-}
 
 /// What the commands of a run depend on.
 pub(crate) struct Subject<'a> {

@@ -30,9 +30,9 @@ pub mod summary;
 pub mod training;
 mod work;
 
-pub use commands::shell_quoted;
 pub use error::RunError;
 pub use folder::RunFolder;
+pub use gs_data::shell_quoted;
 pub use kept::{Kept, SplitSizes};
 pub use opened::OpenRun;
 pub use settings::{Request, Resolved};

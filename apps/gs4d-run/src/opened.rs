@@ -72,8 +72,8 @@ impl OpenRun {
                         &around
                     }
                 };
-                let kept = [folder::DATA, folder::CAMERAS].iter().find_map(|name| run.read(name).ok());
-                (run.read(folder::CONFIG)?, kept.and_then(|text| serde_json::from_str(&text).ok()))
+                let read = |name: &&str| serde_json::from_str(&run.read(name).ok()?).ok();
+                (run.read(folder::CONFIG)?, [folder::DATA, folder::CAMERAS].iter().find_map(read))
             }
         };
         let mut resolved = Resolved::read(registry, &settings, folder::CONFIG)?;

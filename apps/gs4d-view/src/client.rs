@@ -17,6 +17,8 @@ pub(crate) const MAX_CLIENTS: usize = 32;
 const SEND_TIMEOUT: Duration = Duration::from_secs(10);
 /// Bytes per second.
 const MIN_RATE: f64 = 100e3;
+/// How often a browser is asked for a sign of life, and how long it may give none.
+const PULSE: [Duration; 2] = [Duration::from_secs(10), Duration::from_secs(40)];
 /// A browser without a question for this long is disconnected.
 const IDLE_TIMEOUT: Duration = Duration::from_secs(3600);
 
@@ -54,6 +56,11 @@ pub(crate) async fn serve(mut socket: WebSocket, shared: &Arc<Shared>) {
     let mut news = shared.news.subscribe();
     let mut greeting = shared.stage.about();
     greeting["version"] = json!(env!("CARGO_PKG_VERSION"));
+    if let Value::Object(training) = shared.training() {
+        greeting.as_object_mut().into_iter().for_each(|all| all.extend(training.clone()));
+    }
+    let (mut asked, mut heard) = (Instant::now(), Instant::now());
+    let mut pulse = tokio::time::interval_at(tokio::time::Instant::now() + PULSE[0], PULSE[0]);
     let newest = Newest::default();
     let mut rendering = JoinSet::new();
     let mut reads = send(&mut socket, &greeting).await;
@@ -63,24 +70,37 @@ pub(crate) async fn serve(mut socket: WebSocket, shared: &Arc<Shared>) {
             rendering.spawn(rendered(shared.clone(), newest.clone(), pixels));
         }
         reads = tokio::select! {
-            message = tokio::time::timeout(IDLE_TIMEOUT, socket.recv()) => match message {
-                Ok(Some(Ok(Message::Text(text)))) if nesting(&text) <= MAX_NESTING => match Demand::parse(&text) {
+            message = socket.recv() => match message {
+                Some(Ok(Message::Text(text))) if nesting(&text) <= MAX_NESTING => match Demand::parse(&text) {
                     Ok(Demand::Pause { pause }) => {
                         shared.pause(pause);
                         true
                     }
                     Ok(Demand::Image(question)) => {
                         *newest.lock().unwrap_or_else(PoisonError::into_inner) = Some(*question);
+                        (asked, heard) = (Instant::now(), Instant::now());
                         true
                     }
                     Err(why) => send(&mut socket, &json!({"error": why})).await,
                 },
-                Ok(Some(Ok(Message::Ping(_) | Message::Pong(_)))) => true,
+                Some(Ok(Message::Ping(_) | Message::Pong(_))) => {
+                    heard = Instant::now();
+                    true
+                }
                 _ => break,
             },
+            _ = pulse.tick() => {
+                let dead = heard.elapsed() > PULSE[1] || asked.elapsed() > IDLE_TIMEOUT;
+                !dead && ping(&mut socket).await
+            }
             Some(answer) = rendering.join_next() => match answer {
                 Ok(Some(Answer::Text(text))) => send(&mut socket, &text).await,
-                Ok(Some(Answer::Bytes(bytes))) => send_parts(&mut socket, &bytes).await,
+                Ok(Some(Answer::Bytes(bytes))) => {
+                    let taken = send_parts(&mut socket, &bytes).await;
+                    // While an answer was on its way nothing was listened to.
+                    heard = Instant::now();
+                    taken
+                }
                 Ok(None) => true,
                 Err(_) => false,
             },
@@ -157,6 +177,10 @@ async fn send_parts(socket: &mut WebSocket, answer: &Sending) -> bool {
 
 async fn send(socket: &mut WebSocket, value: &Value) -> bool {
     send_text(socket, value.to_string()).await
+}
+
+async fn ping(socket: &mut WebSocket) -> bool {
+    matches!(tokio::time::timeout(SEND_TIMEOUT, socket.send(Message::Ping(Vec::new().into()))).await, Ok(Ok(())))
 }
 
 /// Sends a text; false if the browser does not take it.

@@ -3,21 +3,36 @@
 use crate::routes::{refuse, text_of, token_of};
 use crate::server::Shared;
 use crate::stage::Show;
-use axum::body::Bytes;
+use axum::Extension;
+use axum::body::{Body, to_bytes};
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use gs_core::io::{Limits, parse_splats};
 use serde_json::json;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Largest file, bytes.
-pub(crate) const MAX_BYTES: usize = 256 << 20;
-/// Most shows of a viewer, files that were dropped included.
-const MAX_SHOWS: usize = 32;
+const MAX_BYTES: usize = 256 << 20;
+/// Largest memory of the splats of a file, bytes.
+const MAX_MEMORY: u64 = 1 << 30;
+/// Most shows of a viewer to which files can be added.
+const MAX_SHOWS: usize = 8;
 
-/// Takes the body of a request as a splat file; its name is the query's `name`. Answers with the description of the new show.
-pub(crate) async fn take(State(shared): State<Arc<Shared>>, headers: HeaderMap, uri: Uri, body: Bytes) -> Response {
+/// Whether the connection of a request carries a file, and may therefore last longer than others.
+#[derive(Clone, Default)]
+pub(crate) struct Upload(pub(crate) Arc<AtomicBool>);
+
+/// Takes the body of a request as a splat file; its name is the query's `name`. Answers with the number of the new show and all shows.
+/// Nothing of the body is read before the request has shown the key, and one file is taken at a time.
+pub(crate) async fn take(
+    State(shared): State<Arc<Shared>>,
+    Extension(upload): Extension<Upload>,
+    headers: HeaderMap,
+    uri: Uri,
+    body: Body,
+) -> Response {
     let guard = &shared.guard;
     if !guard.host(text_of(&headers, header::HOST)) || !guard.origin(text_of(&headers, header::ORIGIN)) {
         return refuse("not a page of this server");
@@ -25,20 +40,35 @@ pub(crate) async fn take(State(shared): State<Arc<Shared>>, headers: HeaderMap, 
     if !guard.knows(token_of(&uri)) {
         return refuse("wrong key");
     }
-    let name = name_of(&uri);
-    let read = tokio::task::spawn_blocking(move || {
-        let splats = parse_splats(&body, &name, &Limits::default()).and_then(|raw| Ok(raw.to_splats()?));
-        splats.map(|s| Show::splats(name, s)).map_err(|e| e.to_string())
-    });
-    let show = match read.await {
-        Ok(Ok(show)) => show,
-        Ok(Err(why)) => return (StatusCode::UNPROCESSABLE_ENTITY, why).into_response(),
-        Err(_) => return (StatusCode::INTERNAL_SERVER_ERROR, "the file could not be read").into_response(),
+    let full = || (StatusCode::CONFLICT, format!("a viewer takes files up to {MAX_SHOWS} scenes")).into_response();
+    if shared.stage.shows().len() >= MAX_SHOWS {
+        return full();
+    }
+    upload.0.store(true, Ordering::SeqCst);
+    let _turn = shared.uploads.lock().await;
+    let Ok(bytes) = to_bytes(body, MAX_BYTES).await else {
+        return (StatusCode::PAYLOAD_TOO_LARGE, format!("a file has at most {MAX_BYTES} bytes")).into_response();
     };
-    let about = show.about();
-    match shared.stage.add(show, MAX_SHOWS) {
-        Some(number) => json!({"number": number, "show": about}).to_string().into_response(),
-        None => (StatusCode::CONFLICT, format!("a viewer shows at most {MAX_SHOWS} scenes")).into_response(),
+    let name = name_of(&uri);
+    let state = shared.clone();
+    let added = tokio::task::spawn_blocking(move || {
+        let limits = Limits { max_memory: MAX_MEMORY, ..Limits::default() };
+        let read = || parse_splats(&bytes, &name, &limits).and_then(|raw| Ok(raw.to_splats()?));
+        let splats = state.in_pool(read).map_err(|e| e.to_string())?;
+        Ok(state.stage.add(Show::splats(name.clone(), splats), MAX_SHOWS).map(|number| {
+            let mut about = state.stage.about();
+            about["number"] = json!(number);
+            about.to_string()
+        }))
+    });
+    match added.await {
+        Ok(Ok(Some(answer))) => answer.into_response(),
+        Ok(Ok(None)) => full(),
+        Ok(Err(why)) => {
+            let why: String = why;
+            (StatusCode::UNPROCESSABLE_ENTITY, why).into_response()
+        }
+        Err(_) => (StatusCode::INTERNAL_SERVER_ERROR, "the file could not be read").into_response(),
     }
 }
 

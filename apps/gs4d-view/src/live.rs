@@ -166,14 +166,18 @@ fn build(
 ) {
     while let Ok((copy, progress, copied)) = received.recv() {
         let begun = Instant::now();
-        let news = match shared.in_pool(|| load_with(registry, &copy, None, avatar.cloned())) {
+        match shared.in_pool(|| load_with(registry, &copy, None, avatar.cloned())) {
             Ok(loaded) => {
                 shared.stage.shows()[0].replace(Scene::method(loaded.model));
-                progress_message(progress, shared, history)
+                let news = progress_message(progress, shared, history);
+                *shared.last_news.lock().unwrap_or_else(PoisonError::into_inner) = Some(news);
+                shared.tell();
             }
-            Err(why) => json!({"error": format!("step {} cannot be shown: {why}", progress.step)}),
-        };
-        shared.news.send_replace(Some(news.to_string()));
+            Err(why) => {
+                let error = json!({"error": format!("step {} cannot be shown: {why}", progress.step)});
+                shared.news.send_replace(Some(error.to_string()));
+            }
+        }
         pace.spent((begun.elapsed() + copied).max(MIN_INTERVAL.mul_f64(pace.share)));
         building.store(false, Ordering::SeqCst);
     }
@@ -187,7 +191,7 @@ fn progress_message(p: Progress, shared: &Shared, history: &Mutex<History>) -> V
         "loss": Some(p.loss).filter(|v| v.is_finite()), "psnr": Some(p.psnr).filter(|v| v.is_finite()),
     });
     news["history"] = json!(history.lock().unwrap_or_else(PoisonError::into_inner).points);
-    json!({"news": news, "paused": shared.paused.load(Ordering::SeqCst)})
+    news
 }
 
 #[cfg(test)]

@@ -104,7 +104,7 @@ impl Renderer {
     ) -> Result<Image, String> {
         // Renders are averaged from twice the resolution; dataset images keep their own.
         let fine = q.fine && target.layer != "truth" && 4 * shot.camera.width * shot.camera.height <= MAX_PIXELS;
-        let shot = if fine { &shot.with_camera(shot.camera.scaled(2.0)) } else { shot };
+        let shot = if fine { &shot.doubled() } else { shot };
         let image = match target.layer.as_str() {
             "truth" => {
                 let (image, time) = truth(stage, q, shot)?;
@@ -224,7 +224,7 @@ impl Renderer {
         let faint = count(&|i| splats.opacities[i] < MIN_OPACITY);
         let behind = count(&|i| camera.to_camera(splats.means[i].as_dvec3()).z <= 0.0);
         Some(format!(
-            "nothing in sight: of {} splats {faint} are invisible at this time, {behind} lie behind the camera, the others \
+            "no splat is visible: of {} splats {faint} are invisible at this time, {behind} lie behind the camera, the others \
              outside its image",
             splats.len()
         ))

@@ -5,8 +5,8 @@ use crate::dropped;
 use crate::question::MAX_BYTES;
 use crate::server::Shared;
 use axum::Router;
+use axum::extract::State;
 use axum::extract::ws::WebSocketUpgrade;
-use axum::extract::{DefaultBodyLimit, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
@@ -36,8 +36,7 @@ const FILES: [(&str, &str, &str); 14] = [
 
 /// All paths of the server.
 pub(crate) fn routes(shared: Arc<Shared>) -> Router {
-    let drop = post(dropped::take).layer(DefaultBodyLimit::max(dropped::MAX_BYTES));
-    let mut router = Router::new().route("/", get(page)).route("/ws", get(connect)).route("/drop", drop);
+    let mut router = Router::new().route("/", get(page)).route("/ws", get(connect)).route("/drop", post(dropped::take));
     for (path, kind, content) in FILES {
         router = router.route(path, get(move |s: State<Arc<Shared>>, h: HeaderMap| file(s, h, kind, content)));
     }

@@ -49,6 +49,14 @@ impl Scene {
         }
     }
 
+    /// Number of splats, at most.
+    pub(crate) fn splat_count(&self) -> usize {
+        match &self.source {
+            Source::Method(method) => method.splat_count(),
+            Source::Splats(splats) => splats.len(),
+        }
+    }
+
     /// The avatar method; `None` for other methods.
     pub(crate) fn avatar(&self) -> Option<&Dut> {
         self.as_method().and_then(Model::concrete)

@@ -11,10 +11,10 @@ use crate::turns::Turns;
 use crate::{requests, routes};
 use gs_data::avatar::AvatarScene;
 use gs_train::registry::Registry;
-use serde_json::json;
+use serde_json::{Value, json};
 use std::net::{IpAddr, SocketAddr, TcpListener};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 use tokio::sync::{Mutex, oneshot, watch};
 
@@ -89,6 +89,10 @@ pub(crate) struct Shared {
     pub(crate) clients: AtomicUsize,
     /// Newest message to all browsers.
     pub(crate) news: watch::Sender<Option<String>>,
+    /// Held by the request whose file is taken.
+    pub(crate) uploads: Mutex<()>,
+    /// Newest state of a training, for pages that open later.
+    pub(crate) last_news: std::sync::Mutex<Option<Value>>,
     /// Whether a page has asked the training to pause.
     pub(crate) paused: AtomicBool,
     /// Half of [`Options::share`].
@@ -112,6 +116,8 @@ impl Shared {
             outbox: Arc::default(),
             clients: AtomicUsize::new(0),
             news: watch::Sender::new(None),
+            uploads: Mutex::default(),
+            last_news: std::sync::Mutex::default(),
             paused: AtomicBool::new(false),
             half_share,
             pace: half_share.map(Pace::of),
@@ -130,7 +136,22 @@ impl Shared {
     /// Pauses the training or lets it go on, and tells every page.
     pub(crate) fn pause(&self, paused: bool) {
         self.paused.store(paused, Ordering::SeqCst);
-        self.news.send_replace(Some(json!({"paused": paused}).to_string()));
+        self.tell();
+    }
+
+    /// The newest state of a training, and whether it is paused; empty without one.
+    pub(crate) fn training(&self) -> Value {
+        let news = self.last_news.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let mut all = json!({"paused": self.paused.load(Ordering::SeqCst)});
+        if let Some(news) = news {
+            all["news"] = news;
+        }
+        all
+    }
+
+    /// Sends [`Self::training`] to every page.
+    pub(crate) fn tell(&self) {
+        self.news.send_replace(Some(self.training().to_string()));
     }
 
     /// Frees the buffers of the renderer if no browser is connected.

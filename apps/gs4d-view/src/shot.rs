@@ -72,6 +72,15 @@ impl Shot {
         Self { camera, ..self.clone() }
     }
 
+    /// The same at twice the resolution, with points of the same size in the image.
+    pub(crate) fn doubled(&self) -> Self {
+        let style = match self.style {
+            Style::Points(d) => Style::Points(2.0 * d),
+            style => style,
+        };
+        Self { style, ..self.with_camera(self.camera.scaled(2.0)) }
+    }
+
     /// Whether it is what training is scored on: splats as they are, none hidden, in the pose of its time, over the show's own
     /// background.
     pub(crate) fn is_plain(&self) -> bool {

@@ -197,7 +197,7 @@ impl Show {
         let mut about = json!({
             "name": self.name, "times": self.times, "seconds": self.seconds(), "clock": self.clock, "moving": self.moving(),
             "views": self.views.iter().enumerate().map(view).collect::<Vec<_>>(),
-            "background": self.background, "borders": self.borders(),
+            "splats": self.splat_count(), "has_seconds": self.has_seconds(), "background": self.background, "borders": self.borders(),
             "centre": centre.0, "radius": centre.1, "joints": self.newest().avatar().map(pose::joints),
         });
         let live = self.live_info();
@@ -205,6 +205,11 @@ impl Show {
             about[name] = live[name].clone();
         }
         about
+    }
+
+    /// Number of splats of the newest scene, at most.
+    fn splat_count(&self) -> usize {
+        self.newest().splat_count()
     }
 
     /// Normalised times at which the motion of the method changes: borders of its intervals.

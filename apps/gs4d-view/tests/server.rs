@@ -309,6 +309,12 @@ fn points_and_ellipsoids_are_opaque() {
     let points = covered(json!({"points": 6.0}));
     let ellipsoids = covered(json!("ellipsoids"));
     assert!((20..45).contains(&points.0) && points.1 < 60, "{points:?}");
+    let mut fine = question(2, "alpha");
+    (fine["style"], fine["fine"]) = (json!({"points": 6.0}), json!(true));
+    let (_, png) = ask(&mut socket, &fine);
+    let picture = gs_core::io::images::decode_rgba8(&png, "answer.png", &gs_core::io::Limits::default()).unwrap();
+    let solid = picture.data.chunks_exact(4).filter(|p| p[0] > 128).count();
+    assert!((20..45).contains(&solid), "points keep their size where four samples make a pixel: {solid}");
     assert!(ellipsoids.0 > 2 * points.0 && ellipsoids.1 < splats.1, "{ellipsoids:?} {splats:?}");
 }
 

@@ -48,13 +48,12 @@ pub(crate) fn instead_of(path: &Path) -> String {
 /// Commands from a video to a COLMAP folder.
 fn from_videos(folder: &Path, video: &Path) -> String {
     let images = folder.join("images");
-    let frames =
-        format!("mkdir -p {0} && ffmpeg -i {1} -vf fps=5 -q:v 2 {0}/%05d.jpg", images.display(), video.display());
+    let frames = format!("mkdir -p {0} && ffmpeg -i {1} -vf fps=5 -q:v 2 {0}/%05d.jpg", quoted(&images), quoted(video));
     format!("make frames of the video, then let COLMAP find the cameras: {frames} && {}", colmap(folder, &images))
 }
 
 fn colmap(folder: &Path, images: &Path) -> String {
-    format!("colmap automatic_reconstructor --workspace_path {} --image_path {}", folder.display(), images.display())
+    format!("colmap automatic_reconstructor --workspace_path {} --image_path {}", quoted(folder), quoted(images))
 }
 
 fn shown(folder: &Path) -> String {
@@ -73,6 +72,21 @@ fn entries(folder: &Path) -> Vec<PathBuf> {
     all
 }
 
+/// A word as a POSIX shell reads it back.
+///
+/// ```
+/// assert_eq!(gs_data::shell_quoted("data/sheet".to_owned()), "data/sheet");
+/// assert_eq!(gs_data::shell_quoted("it's $5".to_owned()), r"'it'\''s $5'");
+/// ```
+pub fn shell_quoted(word: String) -> String {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./,:=+@%".contains(c);
+    if !word.is_empty() && word.chars().all(plain) { word } else { format!("'{}'", word.replace('\'', r"'\''")) }
+}
+
+fn quoted(path: &Path) -> String {
+    shell_quoted(path.to_string_lossy().into_owned())
+}
+
 /// The end of a path of another machine that exists below `root`, with `/` between names.
 pub(crate) fn inside(root: &Path, written: &str) -> Option<String> {
     let names: Vec<&str> = written.split(['/', '\\']).filter(|n| !n.is_empty() && *n != "." && *n != "..").collect();
@@ -85,7 +99,9 @@ pub(crate) fn inside(root: &Path, written: &str) -> Option<String> {
 
 /// A command that takes the folder of another machine out of the paths of a file.
 pub(crate) fn relative(file: &Path, written: &str, inside: &str) -> String {
-    let at = written.len().checked_sub(inside.len()).and_then(|n| written.get(..n)).filter(|f| !f.is_empty());
+    let end = written.replace('\\', "/");
+    let folder = end.strip_suffix(inside).filter(|f| f.ends_with('/'));
+    let at = folder.and_then(|f| written.get(..f.len())).filter(|f| !f.contains('\''));
     let Some(folder) = at else { return format!("the file is there as {inside}: use that path") };
     // Backslashes are doubled in JSON and again in the pattern; other signs of patterns are escaped.
     let escaped: String = folder
@@ -96,7 +112,7 @@ pub(crate) fn relative(file: &Path, written: &str, inside: &str) -> String {
             c => c.to_string(),
         })
         .collect();
-    format!("the file is there as {inside}; run in that folder: sed -i 's#{escaped}##g' {}", file.display())
+    format!("the file is there as {inside}; run in that folder: sed -i 's#{escaped}##g' {}", quoted(file))
 }
 
 #[cfg(test)]
@@ -148,6 +164,10 @@ mod tests {
             assert!(found.starts_with("train/r_8"), "{found}");
         }
         assert_eq!(inside(dir.path(), "/etc/passwd"), None);
+        for odd in ["/x';rm -rf ~;'/train/r_8.png", "/home/me/train//r_8.png"] {
+            let said = relative("t.json".as_ref(), odd, "train/r_8.png");
+            assert_eq!(said, "the file is there as train/r_8.png: use that path", "{odd}");
+        }
         let said = relative("t.json".as_ref(), r"C:\me\train\r_8.png", "train/r_8.png");
         assert_eq!(said, r"the file is there as train/r_8.png; run in that folder: sed -i 's#C:\\\\me\\\\##g' t.json");
     }

@@ -111,6 +111,7 @@ mod table;
 mod times;
 mod view;
 
+pub use advice::shell_quoted;
 pub use cache::ImageCache;
 pub use depth::DepthMap;
 pub use error::{DataError, Place};

@@ -18,7 +18,7 @@ function restore() {
     if (k.z >= 1 && k.z <= 16) state.size = Number(k.z);
     if (Array.isArray(k.k) && k.k.length === 3 && k.k.every((v) => v >= 0 && v <= 1)) state.back = k.k;
     if (Array.isArray(k.h)) state.hidden = k.h;
-    if (k.p && typeof k.p.turns === "object") state.pose = { from: Number.isFinite(k.p.from) ? k.p.from : null, turns: k.p.turns };
+    if (k.p && k.p.turns && typeof k.p.turns === "object") state.pose = { from: Number.isFinite(k.p.from) ? k.p.from : null, turns: k.p.turns };
     return true;
   } catch { return false; }
 }
@@ -26,6 +26,8 @@ function begin(message) {
   const first = !shows.length;
   shows = message.shows;
   notice("");
+  if (message.news) news(message.news);
+  if (message.paused !== undefined) showPaused(message.paused);
   if (!first) { layers(); again(); return; }
   document.title = `gs4d · ${shows.map((s) => s.name).join(", ")}`;
   state.b = [shows.length > 1 ? 1 : 0, shows[0].layers.includes("truth") && shows.length === 1 ? "truth" : "color", -1];
@@ -41,9 +43,9 @@ function begin(message) {
   if (known) changed(); else if (s.views.length) snap(Math.max(0, within)); else frameScene();
 }
 function tick() {
+  setTimeout(tick, 15);
   const now = performance.now();
   if (shows.length) { advance(now); flyOn(now); settle(); }
-  setTimeout(tick, 15);
 }
 new ResizeObserver(() => { if (!shows.length) return; timeline(); again(); place(); }).observe(stage);
 open();

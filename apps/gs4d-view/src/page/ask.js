@@ -2,9 +2,10 @@
 // The page requests one image at a time, the two sides in turn; a newer request of a side replaces one not yet sent.
 const key = new URLSearchParams(location.search).get("k") || "";
 const FAST = 80; // milliseconds an image may take while something moves
-const COARSE = 0, REST = 1, FINE = 2;
+const COARSE = 0, REST = 1, FINE = 2, MOST = 3840 * 2160; // levels of images; pixels of the largest
+let version = 0; // raised whenever the present image is no longer what is wanted
 let socket = null, next = 1, busy = null, playing = false, moving = 0, shrink = 1, live = false, file = null, chosen = null, parts = [], missing = 0;
-const sides = { a: { want: null, is: -1 }, b: { want: null, is: -1 } };
+const sides = { a: { want: null, is: -1, shown: 0 }, b: { want: null, is: -1, shown: 0 } };
 const wanted = () => (state.compare === "wipe" || state.compare === "flicker" ? ["a", "b"] : ["a"]);
 const finest = () => (live ? REST : FINE); // a run under training gets no supersampled images
 function target(side) {
@@ -13,7 +14,8 @@ function target(side) {
 }
 function ask(side, level) { sides[side].want = level; pump(); }
 function size(level) {
-  const factor = Math.min(devicePixelRatio || 1, 2) / (level === COARSE ? shrink : 1), side = (v) => Math.max(16, Math.round(v * factor));
+  const pixels = Math.min(devicePixelRatio || 1, 2, Math.sqrt(MOST / (stage.clientWidth * stage.clientHeight || 1)));
+  const factor = pixels / (level === COARSE ? shrink : 1), side = (v) => Math.max(16, Math.floor(v * factor));
   return { width: side(stage.clientWidth), height: side(stage.clientHeight) };
 }
 function pump() {
@@ -58,11 +60,12 @@ function pointSize({ width, height }, most) {
   return Math.min(32, Math.max(0.5, (state.size * image) / shown));
 }
 function send(what, question) {
-  busy = { id: next++, sent: performance.now(), ...what };
+  busy = { id: next++, sent: performance.now(), heard: performance.now(), version, ...what };
   socket.send(JSON.stringify({ id: busy.id, ...question }));
 }
 function changed() { moving = performance.now(); save(); again(); }
 function again() {
+  version++;
   lines();
   const here = drawLocal();
   for (const side of ["a", "b"]) {
@@ -78,29 +81,32 @@ function settle() {
     const s = sides[side], idle = s.want === null && !(busy && busy.side === side);
     if (idle && s.is < best && !playing && still > 180) ask(side, Math.max(s.is + 1, REST));
   }
-  if (busy && performance.now() - busy.sent > 60000) busy = null;
+  if (busy && performance.now() - busy.heard > 60000) { file = null; busy = null; }
   pump();
 }
 // An answer comes in parts: lengths of header and body (u32 each, little-endian), header (JSON), body.
 function collect(part) {
   if (!missing) { const view = new DataView(part); parts = []; missing = 8 + view.getUint32(0, true) + view.getUint32(4, true); }
   parts.push(part); missing -= part.byteLength;
+  if (busy) busy.heard = performance.now();
   if (!missing) { received(parts); parts = []; }
 }
 async function received(parts) {
   const data = await new Blob(parts).arrayBuffer(), length = new DataView(data).getUint32(0, true);
   const header = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 8, length))), rest = new Uint8Array(data, 8 + length);
   if (!busy || header.id !== busy.id) return;
-  const { side, level, sent, thumb, at } = busy, spent = performance.now() - sent, asked = sides[side] && sides[side].is;
-  if (sides[side]) sides[side].is = level;
+  const { side, level, sent, thumb, at } = busy, spent = performance.now() - sent, busyFor = busy.version, stale = busyFor !== version;
+  // An answer for what is no longer wanted is shown at most; what is wanted is asked for all the same.
+  if (sides[side] && !stale) sides[side].is = level;
   busy = null;
   if (side === "file") { file = null; pump(); return download(header.file, rest); }
-  if (side === "key") { gotKey(at, rest.slice().buffer, header); return pump(); }
+  if (side === "key") { gotKey(at, rest.slice().buffer, header, spent); return pump(); }
   pump();
   if (level === COARSE) shrink = Math.min(8, Math.max(1, shrink * (spent > FAST ? 1.25 : spent < FAST / 2 ? 0.85 : 1)));
   const bitmap = await createImageBitmap(new Blob([rest])), canvas = thumb ? thumb.canvas : $(side);
-  // What has moved on meanwhile is drawn in the browser.
-  if (side === "a" && asked !== undefined && !$("local").hidden && (playing || performance.now() - moving < 150)) { sides.a.is = COARSE; return; }
+  // What has moved on meanwhile is drawn in the browser; an older image does not follow a newer one.
+  if (!thumb && (header.id < sides[side].shown || (side === "a" && !$("local").hidden && busyFor !== version))) return;
+  if (!thumb) sides[side].shown = header.id;
   canvas.width = bitmap.width; canvas.height = bitmap.height;
   canvas.getContext("2d").drawImage(bitmap, 0, 0);
   if (thumb) return;
@@ -134,8 +140,9 @@ function open() {
     if (message.paused !== undefined) showPaused(message.paused);
     if (message.news) return news(message.news);
     if (!message.error) return;
-    if (!busy || busy.side !== "key") notice(message.error); else noKeys();
-    if (busy) { if (sides[busy.side]) sides[busy.side].is = FINE; if (busy.side === "file") file = null; busy = null; pump(); }
+    const ours = busy && message.id === busy.id;
+    if (ours && busy.side === "key") noKeys(); else if (!ours || busy.side !== "thumb") notice(message.error);
+    if (ours) { if (sides[busy.side]) sides[busy.side].is = FINE; if (busy.side === "file") file = null; busy = null; pump(); }
   };
-  socket.onclose = () => { notice(live ? "Training has ended, or the line is cut; trying again." : "The viewer has stopped or the line is cut; trying again."); busy = null; setTimeout(open, 2000); };
+  socket.onclose = () => { notice(live ? "Training has ended, or the connection is lost; trying again." : "The viewer has stopped or the connection is lost; trying again."); busy = null; setTimeout(open, 2000); };
 }

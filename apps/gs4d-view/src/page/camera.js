@@ -56,11 +56,16 @@ function nextUp() {
   state.up = next(k);
   changed();
 }
+// The field of view of the whole stage: wider than that of a view, whose image may be narrower.
+function stageFov() {
+  if (state.view < 0) return state.fov;
+  const v = about().views[state.view], shown = v.width * Math.min(stage.clientWidth / v.width, stage.clientHeight / v.height);
+  return Math.min(2.5, 2 * Math.atan((Math.tan(state.fov / 2) * stage.clientWidth) / Math.max(shown, 1)));
+}
 // A free camera fills the stage; what is seen keeps the size it had in the narrower image of a view.
 function leaveView() {
   if (state.view < 0) return;
-  const shown = $("a").getBoundingClientRect().width;
-  if (shown > 0) state.fov = Math.min(2.5, 2 * Math.atan((Math.tan(state.fov / 2) * stage.clientWidth) / shown));
+  state.fov = stageFov();
   state.view = -1; $("view").value = "-1";
   layers(); showFov();
 }

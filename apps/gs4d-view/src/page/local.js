@@ -1,6 +1,7 @@
 "use strict";
 // Images drawn in the browser while something moves. At rest the server's image, which is exact, takes their place.
 const WORDS = 32, MEMORY = 192 << 20, MAX_KEYS = 90; // bytes of a splat, bytes of all keys, keys
+const SLOW = 2000; // bytes a millisecond
 const PACE = 36; // milliseconds until the next image, at most
 let renderer = null, clip = null, localShrink = 1, broken = false;
 
@@ -11,7 +12,7 @@ const canDraw = () => !broken && !live && !state.compare && state.style !== "poi
 function keyTimes(count) {
   const s = about();
   if (!s.moving) return [0];
-  const most = Math.max(2, Math.min(MAX_KEYS, Math.floor(MEMORY / (WORDS * Math.max(count, 1))))), n = Math.max(2, Math.min(most, Math.ceil(1.25 * s.times.length)));
+  const most = Math.min(MAX_KEYS, Math.floor(MEMORY / (WORDS * Math.max(count, 1)))), n = Math.max(2, Math.min(most, Math.ceil(1.25 * s.times.length)));
   return Array.from({ length: n }, (_, k) => (FIRST() + ((LAST() - FIRST()) * k) / (n - 1)));
 }
 // Indices of the keys on both sides of the present time.
@@ -23,7 +24,8 @@ function around() {
 // The time of the key that is fetched next; null if there is none. Those around the present time come first, or alone.
 function wantedKey(nearOnly) {
   if (!canDraw() || sides.a.is < REST) return null;
-  if (!clip || clip.name !== clipName()) clip = { name: clipName(), times: keyTimes(0), count: null, have: new Set(), keys: [] };
+  if (about().splats * WORDS * (about().moving ? 2 : 1) > MEMORY) return null;
+  if (!clip || clip.name !== clipName()) clip = { name: clipName(), times: keyTimes(about().splats), count: null, have: new Set() };
   const open = clip.times.map((t, k) => k).filter((k) => !clip.have.has(k));
   if (!open.length || clip.failed) return null;
   const next = around().find((k) => !clip.have.has(k));
@@ -32,18 +34,19 @@ function wantedKey(nearOnly) {
   return clip.times[near];
 }
 function noKeys() { if (clip) clip.failed = true; }
-function gotKey(time, buffer, header) {
+function gotKey(time, buffer, header, spent) {
   if (!clip || clip.name !== clipName()) return;
   const words = new Uint32Array(buffer), count = words.length / 8;
   if (clip.count === null) {
     clip.count = count;
-    clip.times = keyTimes(count);
     clip.background = header.background;
-    if (count * WORDS > MEMORY || !count) return noKeys();
-    if (!renderer) try { renderer = new SplatRenderer($("local"), () => new Worker("sort.js")); renderer.onchange = () => { if (!$("local").hidden) drawLocal(); }; } catch { broken = true; return; }
+    if (!count || count * clip.times.length * WORDS > 2 * MEMORY) return noKeys();
+    if (!renderer) try { renderer = new SplatRenderer($("local"), () => new Worker("sort.js")); renderer.onchange = () => { if (sides.a.is < REST || !$("local").hidden) drawLocal(); }; } catch { broken = true; return; }
     clip.ready = false;
   }
   if (count !== clip.count) return noKeys();
+  // Over a slow line keys would be in the way of images.
+  if (buffer.byteLength / spent < SLOW && spent > 500) noKeys();
   const k = clip.times.findIndex((t) => Math.abs(t - time) < 1e-4);
   if (k < 0 || clip.have.has(k)) return;
   clip.have.add(k);
@@ -64,6 +67,7 @@ function paintLocal(begun) {
   const factor = Math.min(devicePixelRatio || 1, 2) / localShrink, side = (v) => Math.max(16, Math.round(v * factor)), camera = cameraOf(side(stage.clientWidth), side(stage.clientHeight));
   renderer.draw(camera, state.t);
   fit($("local"), camera);
+  if (!renderer.order) return;
   $("local").hidden = false;
   frames.push(begun);
   // Drawing is done elsewhere: the next picture of the page comes late where it takes long.

@@ -24,7 +24,7 @@ function showStatus(header, spent) {
   if (header.chosen) describe(header.chosen);
   if (header.inputs) inputs(header.inputs);
 }
-function notice(text) { $("notice").textContent = text; $("notice").hidden = !text; }
+function notice(text) { if (!text && performance.now() < refusedUntil) return; $("notice").textContent = text; $("notice").hidden = !text; }
 function legend(l) {
   const most = Math.max(1, ...l.bars), wide = 8 * l.bars.length, svg = svgElement("svg", { viewBox: `0 0 ${wide} ${l.colors ? 34 : 25}`, width: wide, role: "img" });
   l.bars.forEach((n, k) => {

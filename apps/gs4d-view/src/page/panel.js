@@ -121,7 +121,7 @@ for (const name of ["axes", "grid"]) $(name).addEventListener("change", (e) => {
 $("cameras").addEventListener("change", (e) => { state.cameras = e.target.checked; pictures(); lines(); save(); });
 $("arrows").addEventListener("change", (e) => { state.arrows = e.target.checked; changed(); });
 for (const side of ["a", "b"]) {
-  $("show-" + side).addEventListener("change", (e) => { state[side][0] = Number(e.target.value); state[side][2] = -1; paths = []; unchoose(); thumbs = []; showAll(); changed(); });
+  $("show-" + side).addEventListener("change", (e) => { state[side][0] = Number(e.target.value); state[side][2] = -1; paths = []; unchoose(); thumbs = []; showAll(); state.t = Math.min(LAST(), Math.max(FIRST(), state.t)); if (state.view >= 0) snap(state.view); else setTime(state.t); });
   $("step-" + side).addEventListener("change", (e) => { state[side][2] = Number(e.target.value); layers(); place(); changed(); });
 }
 $("layer-b").addEventListener("change", (e) => { state.b[1] = e.target.value; place(); changed(); });

@@ -199,7 +199,7 @@ class SplatRenderer {
     if (this.onchange) this.onchange();
   }
 
-  // One sort runs at a time; the newest wish follows it.
+  // One sort runs at a time; the newest request follows it.
   ask() {
     const { wanted, order, spare } = this;
     if (!wanted || this.asked || (order && order.id === wanted.id)) return;

@@ -8,7 +8,7 @@ const LAST = () => Math.max(1.25 * (END() - Math.max(FIRST(), 0)) + Math.max(FIR
 function ownTime(t, digits = 2) {
   const clock = about().clock;
   if (!clock) return "";
-  return `${(clock[0] + t * (clock[1] - clock[0])).toFixed(digits)}${clock[0] >= 0 && clock[1] <= 1 ? "" : " s"}`;
+  return `${(clock[0] + t * (clock[1] - clock[0])).toFixed(digits)}${about().has_seconds ? " s" : ""}`;
 }
 function showTime() {
   const own = ownTime(state.t), s = about(), beyond = state.t > END() + 1e-6 ? " future" : state.t < s.times[0] - 1e-6 ? " past" : "";
@@ -17,13 +17,13 @@ function showTime() {
   const head = $("ruler").querySelector(".now");
   if (head) head.setAttribute("transform", `translate(${xOf(state.t)} 0)`);
 }
-const xOf = (t) => 1 + ((t - FIRST()) / (LAST() - FIRST())) * Math.max(1, $("track").clientWidth - 2);
+const xOf = (t) => 1 + ((t - FIRST()) / (LAST() - FIRST() || 1)) * Math.max(1, $("track").clientWidth - 2);
 function timeline() {
   const s = about(), ruler = $("ruler"), [first, last] = [s.times[0], END()];
   $("time").hidden = !s.moving;
   for (const e of document.querySelectorAll(".moving")) e.hidden = !s.moving;
   for (const e of document.querySelectorAll(".data")) e.hidden = !s.views.length;
-  if (!s.moving) return;
+  if (!s.moving) { if (playing) play(false); return; }
   Object.assign($("t"), { min: FIRST(), max: LAST(), value: state.t });
   const all = [], put = (name, attributes) => { const e = svgElement(name, attributes); all.push(e); return e; };
   const hatch = svgElement("pattern", { id: "hatch", width: 6, height: 6, patternUnits: "userSpaceOnUse", patternTransform: "rotate(45)" });
@@ -53,7 +53,8 @@ function stepTime(by) {
   const times = about().times, next = by > 0 ? times.find((t) => t > state.t + 1e-6) : times.findLast((t) => t < state.t - 1e-6);
   setTime(next ?? state.t + 0.01 * by);
 }
-function play(on) {
+function play(asked) {
+  const on = asked && about().moving;
   playing = on; lastTick = performance.now();
   $("time").classList.toggle("playing", on); $("play").setAttribute("aria-label", on ? "Pause" : "Play");
   if (!on) changed();
@@ -61,7 +62,7 @@ function play(on) {
 function advance(now) {
   const ready = !busy && sides.a.want === null;
   if (!playing || !(ready || !$("local").hidden)) return;
-  const unit = about().clock ? about().seconds : 3; // a sequence without seconds is played in three
+  const unit = about().has_seconds ? about().seconds : 3; // a sequence without seconds is played in three
   let t = state.t + ((now - lastTick) / 1000 / Math.max(unit, 0.5)) * Number($("speed").value);
   lastTick = now;
   if (t > LAST()) { if (!looping) play(false); t = looping ? FIRST() : LAST(); }

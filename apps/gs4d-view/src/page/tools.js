@@ -3,7 +3,7 @@
 let flight = [], flying = null, bookmarks = [];
 function saveImage() {
   const choice = $("picture-size").value, [w, h] = choice.split("x").map(Number), now = size(REST);
-  const question = h ? { width: w, height: h } : { width: now.width * w, height: now.height * w };
+  const factor = h ? 1 : Math.min(w, Math.sqrt(MOST / (now.width * now.height))), question = h ? { width: w, height: h } : { width: Math.floor(now.width * factor), height: Math.floor(now.height * factor) };
   if (state.style === "points") question.style = { points: pointSize(question, Infinity) };
   file = { save: "image", fine: true, ...question };
   pump();
@@ -17,7 +17,7 @@ async function copyCamera() {
   const text = JSON.stringify(cameraEntry());
   try { await navigator.clipboard.writeText(text); $("status").textContent = "camera copied: paste it into a file for gs4d render --camera FILE"; } catch { download("camera.json", new TextEncoder().encode(text)); }
 }
-const shot = () => ({ eye: [...state.eye], target: [...state.target], up: [...state.up], fov: state.fov, t: state.t, forward: forward(), width: stage.clientWidth, height: stage.clientHeight });
+const shot = () => ({ eye: [...state.eye], target: [...state.target], up: [...state.up], fov: stageFov(), t: state.t, forward: forward(), width: stage.clientWidth, height: stage.clientHeight });
 function goTo(s) { leaveView(); Object.assign(state, { eye: [...s.eye], target: [...s.target], up: [...s.up], fov: s.fov, t: s.t }); $("t").value = state.t; showTime(); showFov(); changed(); }
 function list(id, items, drop) {
   $(id).replaceChildren(...items.map((item, k) => {
@@ -40,6 +40,7 @@ function loadBookmarks() {
 function addBookmark() { bookmarks.push(shot()); showBookmarks(); }
 function showPath() {
   list("keys", flight, (k) => { flight.splice(k, 1); showPath(); });
+  if (flight.length < 2) flying = null;
   for (const id of ["fly", "save-path", "clear-path"]) $(id).disabled = flight.length < (id === "clear-path" ? 1 : 2);
   $("path-help").hidden = flight.length < 2;
   lines();
@@ -62,21 +63,23 @@ $("fly").addEventListener("click", fly);
 $("save-path").addEventListener("click", () => download("path.json", new TextEncoder().encode(JSON.stringify(flight.map((k) => k.entry), null, 1))));
 $("clear-path").addEventListener("click", () => { flight = []; showPath(); });
 
-// Files that are dropped become shows.
+// Files that are dropped become shows. What is refused stays readable for a while.
+let refusedUntil = 0;
 async function dropped(files) {
+  const refused = [];
   for (const one of files) {
     notice(`Reading ${one.name} …`);
     try {
       const answer = await fetch(`drop?k=${encodeURIComponent(key)}&name=${encodeURIComponent(one.name)}`, { method: "POST", body: one });
-      if (!answer.ok) { notice(await answer.text()); continue; }
-      const { number, show } = await answer.json();
-      shows[number] = show;
+      if (!answer.ok) { refused.push(`${one.name}: ${await answer.text()}`); continue; }
+      const { number, shows: all } = await answer.json();
+      shows = all;
       for (const side of ["a", "b"]) options($("show-" + side), shows.map((s, k) => [k, s.name]), state[side][0]);
-      notice("");
       $("show-a").value = number; $("show-a").dispatchEvent(new Event("change"));
       frameScene();
-    } catch (e) { notice(`${one.name} cannot be sent: ${e.message}`); }
+    } catch (e) { refused.push(`${one.name} cannot be sent: ${e.message}`); }
   }
+  if (refused.length) { notice(refused.join(" · ")); refusedUntil = performance.now() + 8000; } else notice("");
 }
 for (const kind of ["dragover", "dragleave", "drop"]) document.addEventListener(kind, (e) => {
   e.preventDefault();

@@ -1,14 +1,15 @@
 "use strict";
 // A run under training: its state, its curves, and its pause.
 function news({ layers: names, checkpoints, training: at, history }) {
-  const first = !live;
+  const known = live && shows[0].checkpoints.join() === checkpoints.join() && shows[0].layers.join() === names.join();
   live = true;
   Object.assign(shows[0], { layers: names, checkpoints });
   const words = [`step ${at.step.toLocaleString("en")} of ${at.steps.toLocaleString("en")}`, `${at.splats.toLocaleString("en")} splats`];
   if (at.psnr !== null) words.push(`${at.psnr.toFixed(2)} dB of training batches`);
   $("progress").textContent = words.join(" · "); $("training").hidden = false;
-  if (first) layers();
+  if (!known) layers();
   curves(history);
+  version++;
   for (const side of ["a", "b"]) if (state[side][0] === 0 && state[side][2] < 0) sides[side].is = Math.min(sides[side].is, COARSE);
 }
 function curves(history) {

@@ -39,6 +39,7 @@ pub fn answer(socket: &mut WebSocket<TcpStream>) -> (Value, Vec<u8>) {
     let mut bytes = match socket.read().unwrap() {
         Message::Binary(bytes) => bytes.to_vec(),
         Message::Text(text) => return (serde_json::from_str(&text).unwrap(), Vec::new()),
+        Message::Ping(_) => return answer(socket),
         other => panic!("{other:?}"),
     };
     let [head, body] = [0, 4].map(|at| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize);

@@ -3,7 +3,7 @@
 use super::train::all_scores_text;
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
-use crate::global::Global;
+use crate::global::{Global, to_stderr};
 use crate::opening::RunData;
 use crate::parse;
 use crate::progress::Waiting;
@@ -190,7 +190,7 @@ impl Eval {
             // Scores that cannot be kept are printed all the same.
             match folder.write(METRICS, &format!("{json:#}\n")) {
                 Ok(()) => text.push_str(&format!("-> {}\n", root.join(METRICS).display())),
-                Err(e) => global.say(format!("warning: the scores are not kept: {e}")),
+                Err(e) => to_stderr(format_args!("warning: the scores are not kept: {e}")),
             }
         }
         Ok(Answer::new(text, json))
