@@ -265,7 +265,8 @@ mod tests {
     #[test]
     fn files_are_written_once() {
         let dir = tempfile::tempdir().unwrap();
-        let (f, folder) = (findings(), dir.path().join("a/b"));
+        let (mut f, folder) = (findings(), dir.path().join("a/b"));
+        f.rows.push(vec!["a|b".into(), 10.0.into(), 30.0.into(), None.into()]);
         Findings::vacant("probe", &folder).unwrap();
         f.write(&folder, false).unwrap();
         let names = ["probe.json", "probe.csv", "probe.md", "probe.svg"];
