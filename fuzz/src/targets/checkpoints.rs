@@ -94,7 +94,7 @@ fn compact_files(dir: &Path) -> Result<Vec<Case>, Error> {
     let of = |(k, (_, loaded)): (usize, (&str, Loaded))| {
         let packing = Packing { bits: [Bits::Byte, Bits::Half, Bits::Full][k % 3], deflate: k % 2 == 0 };
         let compact = CompactScene::of(&loaded.model, &loaded.config);
-        compact.write(&dir.join(FILE), &loaded, &toml::Table::new(), &[], packing)?;
+        compact.write(&dir.join(FILE), &loaded, &toml::Table::new(), &gs4d_run::Kept::default(), packing)?;
         Ok(Case::one(FILE, std::fs::read(dir.join(FILE))?))
     };
     scenes()?.into_iter().enumerate().map(of).collect()
