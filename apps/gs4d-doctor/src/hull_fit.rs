@@ -199,7 +199,7 @@ impl<'a> HullFit<'a> {
         let mut exchanges = self.exchanges();
         exchanges.retain(|e| !e.1.iter().any(|k| foreign.contains(k)) && !self.is_shift(e.1));
         let gains: Vec<f64> = exchanges.iter().map(|e| e.0).collect();
-        // Where many exchanges would not be told, one that is told may be chance.
+        // Where many exchanges would not be found, one that is found may be chance.
         let count = if self.exchanges_found().share() < LIKELY { 0 } else { EXCHANGE.outstanding(&gains) };
         let exchanged: Vec<[usize; 2]> = exchanges[..count].iter().map(|e| e.1).collect();
         out.extend(exchanged.iter().map(|&[i, j]| Wrong::Exchanged(i, j)));

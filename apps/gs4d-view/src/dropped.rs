@@ -1,12 +1,12 @@
 //! Splat files that are dropped onto the page: they become shows of this viewer, for all pages that open it later.
 
-use crate::routes::{refuse, text_of, token_of};
+use crate::routes::stranger;
 use crate::server::Shared;
 use crate::stage::Show;
 use axum::Extension;
 use axum::body::{Body, to_bytes};
 use axum::extract::State;
-use axum::http::{HeaderMap, StatusCode, Uri, header};
+use axum::http::{HeaderMap, StatusCode, Uri};
 use axum::response::{IntoResponse, Response};
 use gs_core::io::{Limits, parse_splats};
 use serde_json::json;
@@ -33,12 +33,8 @@ pub(crate) async fn take(
     uri: Uri,
     body: Body,
 ) -> Response {
-    let guard = &shared.guard;
-    if !guard.host(text_of(&headers, header::HOST)) || !guard.origin(text_of(&headers, header::ORIGIN)) {
-        return refuse("not a page of this server");
-    }
-    if !guard.knows(token_of(&uri)) {
-        return refuse("wrong key");
+    if let Some(refusal) = stranger(&shared, &headers, &uri) {
+        return refusal;
     }
     let full = || (StatusCode::CONFLICT, format!("a viewer takes files up to {MAX_SHOWS} scenes")).into_response();
     if shared.stage.shows().len() >= MAX_SHOWS {

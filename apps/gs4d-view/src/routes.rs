@@ -43,16 +43,25 @@ pub(crate) fn routes(shared: Arc<Shared>) -> Router {
     router.with_state(shared)
 }
 
-pub(crate) fn text_of(headers: &HeaderMap, name: header::HeaderName) -> Option<&str> {
+fn text_of(headers: &HeaderMap, name: header::HeaderName) -> Option<&str> {
     headers.get(name).and_then(|v| v.to_str().ok())
 }
 
 /// The token in a query `k=…`.
-pub(crate) fn token_of(uri: &Uri) -> Option<&str> {
+fn token_of(uri: &Uri) -> Option<&str> {
     uri.query()?.split('&').find_map(|pair| pair.strip_prefix("k="))
 }
 
-pub(crate) fn refuse(why: &'static str) -> Response {
+/// The refusal of a request that is not of a page of this server with the key.
+pub(crate) fn stranger(shared: &Shared, headers: &HeaderMap, uri: &Uri) -> Option<Response> {
+    let guard = &shared.guard;
+    if !guard.host(text_of(headers, header::HOST)) || !guard.origin(text_of(headers, header::ORIGIN)) {
+        return Some(refuse("not a page of this server"));
+    }
+    (!guard.knows(token_of(uri))).then(|| refuse("wrong key"))
+}
+
+fn refuse(why: &'static str) -> Response {
     (StatusCode::FORBIDDEN, why).into_response()
 }
 
@@ -93,12 +102,8 @@ async fn connect(
     uri: Uri,
     upgrade: WebSocketUpgrade,
 ) -> Response {
-    let guard = &shared.guard;
-    if !guard.host(text_of(&headers, header::HOST)) || !guard.origin(text_of(&headers, header::ORIGIN)) {
-        return refuse("not a page of this server");
-    }
-    if !guard.knows(token_of(&uri)) {
-        return refuse("wrong key");
+    if let Some(refusal) = stranger(&shared, &headers, &uri) {
+        return refusal;
     }
     let Some(place) = Place::take(&shared) else {
         return (StatusCode::SERVICE_UNAVAILABLE, "too many viewers").into_response();

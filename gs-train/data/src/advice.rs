@@ -3,11 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use super::detect;
+use super::frames::EXTENSIONS as IMAGES;
 
 /// Endings of videos.
 const VIDEOS: [&str; 6] = ["mp4", "mov", "avi", "mkv", "webm", "m4v"];
-/// Endings of images.
-const IMAGES: [&str; 3] = ["png", "jpg", "jpeg"];
 
 /// What to give instead of a path that is no data folder.
 pub(crate) fn instead_of(path: &Path) -> String {

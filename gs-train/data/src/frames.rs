@@ -20,7 +20,7 @@ pub(crate) struct Listed<T> {
 }
 
 /// Extensions tried for a name without one.
-const EXTENSIONS: [&str; 3] = ["png", "jpg", "jpeg"];
+pub(crate) const EXTENSIONS: [&str; 3] = ["png", "jpg", "jpeg"];
 
 /// The image a file names, relative to the folder. A name without a known extension gets the first of `.png`, `.jpg`,
 /// `.jpeg` that exists, else `.png`.

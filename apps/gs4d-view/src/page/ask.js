@@ -95,7 +95,7 @@ async function received(parts) {
   const data = await new Blob(parts).arrayBuffer(), length = new DataView(data).getUint32(0, true);
   const header = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 8, length))), rest = new Uint8Array(data, 8 + length);
   if (!busy || header.id !== busy.id) return;
-  const { side, level, sent, thumb, at } = busy, spent = performance.now() - sent, busyFor = busy.version, stale = busyFor !== version;
+  const { side, level, sent, thumb, at } = busy, spent = performance.now() - sent, asked = busy.version, stale = asked !== version;
   // An answer for what is no longer wanted is shown at most; what is wanted is asked for all the same.
   if (sides[side] && !stale) sides[side].is = level;
   busy = null;
@@ -105,7 +105,7 @@ async function received(parts) {
   if (level === COARSE) shrink = Math.min(8, Math.max(1, shrink * (spent > FAST ? 1.25 : spent < FAST / 2 ? 0.85 : 1)));
   const bitmap = await createImageBitmap(new Blob([rest])), canvas = thumb ? thumb.canvas : $(side);
   // What has moved on meanwhile is drawn in the browser; an older image does not follow a newer one.
-  if (!thumb && (header.id < sides[side].shown || (side === "a" && !$("local").hidden && busyFor !== version))) return;
+  if (!thumb && (header.id < sides[side].shown || (side === "a" && !$("local").hidden && asked !== version))) return;
   if (!thumb) sides[side].shown = header.id;
   canvas.width = bitmap.width; canvas.height = bitmap.height;
   canvas.getContext("2d").drawImage(bitmap, 0, 0);

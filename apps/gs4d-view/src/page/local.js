@@ -40,7 +40,7 @@ function gotKey(time, buffer, header, spent) {
   if (clip.count === null) {
     clip.count = count;
     clip.background = header.background;
-    if (!count || count * clip.times.length * WORDS > 2 * MEMORY) return noKeys();
+    if (!count) return noKeys();
     if (!renderer) try { renderer = new SplatRenderer($("local"), () => new Worker("sort.js")); renderer.onchange = () => { if (sides.a.is < REST || !$("local").hidden) drawLocal(); }; } catch { broken = true; return; }
     clip.ready = false;
   }

@@ -368,7 +368,9 @@ fn the_browser_draws_what_moves_as_the_server_does() {
     let Some(mut desk) = Desk::new() else { return };
     let balls = desk.balls();
     for method in ["fourdgs", "fags", "modec"] {
-        let run = desk.train(&balls, method, &["--steps", "80"]);
+        let many = ["--set", "init.points=25000", "--set", "schedule.density.max_splats=25000"];
+        let more = if method == "modec" { &[][..] } else { &many };
+        let run = desk.train(&balls, method, &[&["--steps", "80"], more].concat());
         let viewer = Viewer::start(&["view", text(&run), "--port", "18580"]);
         desk.open(&viewer.url);
         desk.browser.until("clip && clip.ready && clip.have.size === clip.times.length");
@@ -382,7 +384,9 @@ fn the_browser_draws_what_moves_as_the_server_does() {
         let rate = desk.browser.eval(
             "new Promise((done) => { let n = 0; const go = () => { orbit(0.02, 0); n++ < 90 ? requestAnimationFrame(go) : done(frames.rate()); }; go(); })",
         );
-        println!("{method}: {apart:.1} dB from the server's image, {:.0} images a second", rate.as_f64().unwrap());
+        let size = desk.browser.eval("`${about().splats} splats at ${$('local').width}x${$('local').height}`");
+        let rate = rate.as_f64().unwrap();
+        println!("{method}, {size}: {apart:.1} dB from the server's image, {rate:.0} images a second");
         assert_eq!(desk.browser.eval("$('local').hidden"), false, "{method}");
         desk.browser.until(&at_rest('a'));
         assert_eq!(desk.browser.eval("$('local').hidden"), true, "{method}: the server's image takes its place");
