@@ -17,7 +17,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use gs_core::{Camera, Image, cast};
 
-use super::decode::decode;
+use super::decode::{decode, quarter_turn, turned};
 use super::error::DataError;
 use super::lens::undistorted;
 use super::mask;
@@ -209,7 +209,7 @@ impl ImageCache {
     }
 
     fn produce(&self, v: &View) -> Result<ImageU8, DataError> {
-        let mut image = Arc::unwrap_or_clone(self.pixels(&v.image)?);
+        let mut image = upright(Arc::unwrap_or_clone(self.pixels(&v.image)?), v);
         check_size(v, &image)?;
         if v.opaque {
             image.data.chunks_exact_mut(4).for_each(|p| p[3] = 255);
@@ -294,13 +294,31 @@ fn key_of(v: &View) -> Key {
     Key { bits, opaque: v.opaque, cut_out: v.cut_out, ..Key::default() }
 }
 
+/// Width and height that the stored image of a view has.
+fn size_of(v: &View) -> [usize; 2] {
+    v.stored.unwrap_or([v.camera.width, v.camera.height]).map(|s| s as usize)
+}
+
+/// The image, turned by its EXIF orientation where the camera is upright and the stored pixels are not.
+fn upright(image: ImageU8, v: &View) -> ImageU8 {
+    match &v.image {
+        ImageSource::File(file) if image.width != image.height && [image.height, image.width] == size_of(v) => {
+            match quarter_turn(file) {
+                Some(orientation) => turned(image, orientation),
+                None => image,
+            }
+        }
+        _ => image,
+    }
+}
+
 fn check_size(v: &View, image: &ImageU8) -> Result<(), DataError> {
-    let want = v.stored.unwrap_or([v.camera.width, v.camera.height]);
-    if [image.width, image.height] == want.map(|s| s as usize) {
+    let want = size_of(v);
+    if [image.width, image.height] == want {
         return Ok(());
     }
     let got = [image.width, image.height].map(cast::to_u32);
-    Err(DataError::ImageSize { file: file_of(&v.image, v), got, want })
+    Err(DataError::ImageSize { file: file_of(&v.image, v), got, want: want.map(cast::to_u32) })
 }
 
 /// The file, or the name of the view whose pixels are in memory.

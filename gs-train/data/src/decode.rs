@@ -5,7 +5,9 @@ use std::io::BufReader;
 use std::path::Path;
 
 use gs_core::camera::MAX_SIDE;
+use gs_core::cast;
 use image::codecs::{jpeg::JpegDecoder, png::PngDecoder};
+use image::metadata::Orientation;
 use image::{ColorType, ImageDecoder, Limits};
 
 use super::error::{DataError, Place};
@@ -45,6 +47,28 @@ pub fn decode(file: &Path, max_bytes: Option<u64>) -> Result<ImageU8, DataError>
             rgba(file, decoder, limit)
         }
     }
+}
+
+/// The EXIF orientation of an image whose sides change places by it; none where there is none, or it keeps them.
+pub(crate) fn quarter_turn(file: &Path) -> Option<Orientation> {
+    use Orientation::{Rotate90, Rotate90FlipH, Rotate270, Rotate270FlipH};
+    let header = header::read(file).ok()?;
+    let (reader, limits, _) = limited(file, &header, None).ok()?;
+    let orientation = match header.format {
+        Format::Png => PngDecoder::with_limits(reader, limits).ok()?.orientation(),
+        Format::Jpeg => JpegDecoder::new(reader).ok()?.orientation(),
+    };
+    orientation.ok().filter(|o| matches!(o, Rotate90 | Rotate270 | Rotate90FlipH | Rotate270FlipH))
+}
+
+/// An image as an orientation says that it is looked at.
+pub(crate) fn turned(image: ImageU8, orientation: Orientation) -> ImageU8 {
+    let [width, height] = [image.width, image.height].map(cast::to_u32);
+    let Some(pixels) = image::RgbaImage::from_raw(width, height, image.data) else { return ImageU8::default() };
+    let mut whole = image::DynamicImage::ImageRgba8(pixels);
+    whole.apply_orientation(orientation);
+    let pixels = whole.into_rgba8();
+    ImageU8 { width: pixels.width() as usize, height: pixels.height() as usize, data: pixels.into_raw() }
 }
 
 /// A reader of a file, and the limits it is decoded under: the last is of memory, bytes.

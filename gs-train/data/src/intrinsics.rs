@@ -1,8 +1,9 @@
 //! Intrinsics as files state them, rescaled to the size of the image file.
 
-use glam::{DMat4, DVec2};
+use glam::{DMat4, DVec2, swizzles::Vec2Swizzles};
 use gs_core::{Camera, cast};
 
+use super::decode::quarter_turn;
 use super::error::{DataError, Place};
 use super::header::ImageHeader;
 use super::lens::Lens;
@@ -26,9 +27,19 @@ pub(crate) fn same_shape(a: DVec2, b: DVec2) -> bool {
     (scale.x / scale.y - 1.0).abs() <= ASPECT_SLACK
 }
 
+/// What was done to fit a camera and its image to each other.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Fitted {
+    /// The intrinsics were rescaled.
+    pub(crate) rescaled: bool,
+    /// The image is turned as its EXIF orientation says.
+    pub(crate) turned: bool,
+}
+
 impl Intrinsics {
-    /// The camera of an image, and whether its intrinsics were rescaled: each axis by the exact ratio of
-    /// sizes. The lens acts on the plane `z = 1` and does not change.
+    /// The camera of an image, and what was done to fit them: intrinsics are rescaled, each axis by the exact ratio of
+    /// sizes; an image whose sides have the wrong order is turned if its EXIF orientation says so. The lens acts on the plane
+    /// `z = 1` and does not change.
     ///
     /// # Errors
     /// `data.image_size` if the image has another shape, `data.field` if the camera is out of its domain.
@@ -38,8 +49,15 @@ impl Intrinsics {
         file: &std::path::Path,
         pose: &Pose,
         place: &Place,
-    ) -> Result<(Camera, bool), DataError> {
-        let size = DVec2::new(f64::from(header.width), f64::from(header.height));
+    ) -> Result<(Camera, Fitted), DataError> {
+        let stored = DVec2::new(f64::from(header.width), f64::from(header.height));
+        // Some programs pose the pixels as they are stored, others the upright image: the size of the camera tells.
+        let turned =
+            !same_shape(stored, self.size) && same_shape(stored.yx(), self.size) && quarter_turn(file).is_some();
+        let (size, [width, height]) = match turned {
+            true => (stored.yx(), [header.height, header.width]),
+            false => (stored, [header.width, header.height]),
+        };
         let scale = size / self.size;
         if !same_shape(size, self.size) {
             let want = [self.size.x, self.size.y].map(|side| u32::try_from(cast::to_usize(side)).unwrap_or(u32::MAX));
@@ -48,9 +66,9 @@ impl Intrinsics {
         let mut viewmat = DMat4::from_mat3(pose.rotation);
         viewmat.w_axis = pose.translation.extend(1.0);
         let (focal, principal) = (self.focal * scale, self.principal * scale);
-        let camera = Camera::from_viewmat(header.width, header.height, focal, principal, viewmat)
-            .map_err(|e| DataError::camera(place, &e))?;
-        Ok((camera, scale != DVec2::ONE))
+        let camera =
+            Camera::from_viewmat(width, height, focal, principal, viewmat).map_err(|e| DataError::camera(place, &e))?;
+        Ok((camera, Fitted { rescaled: scale != DVec2::ONE, turned }))
     }
 
     /// The lens to remove, or none for a pinhole.
@@ -74,14 +92,16 @@ impl Intrinsics {
 pub(crate) struct Adjusted {
     rescaled: usize,
     example: Option<(DVec2, [u32; 2])>,
+    turned: usize,
     undistorted: usize,
     worst_outside: f64,
 }
 
 impl Adjusted {
     /// Counts one view.
-    pub(crate) fn count(&mut self, intrinsics: &Intrinsics, camera: &Camera, rescaled: bool, lens: Option<&Lens>) {
-        if rescaled {
+    pub(crate) fn count(&mut self, intrinsics: &Intrinsics, camera: &Camera, fitted: Fitted, lens: Option<&Lens>) {
+        self.turned += usize::from(fitted.turned);
+        if fitted.rescaled {
             self.rescaled += 1;
             self.example.get_or_insert((intrinsics.size, [camera.width, camera.height]));
         }
@@ -103,6 +123,12 @@ impl Adjusted {
             notes.push(format!(
                 "{n} images differ in size from their camera ({w}x{h} against {}x{}): intrinsics rescaled",
                 to[0], to[1]
+            ));
+        }
+        if self.turned > 0 {
+            notes.push(format!(
+                "{} images lie on their side and are turned as their EXIF orientation says: their cameras are upright",
+                self.turned
             ));
         }
         if self.undistorted > 0 {

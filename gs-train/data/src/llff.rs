@@ -272,8 +272,8 @@ fn drafts(
     let mut drafts = Vec::with_capacity(listed.len());
     for (listed, header) in listed {
         let (shot, row) = (&listed.rest, &rows[listed.rest.row]);
-        let (camera, rescaled) = row.intrinsics.camera(&header, &listed.path, &row.pose, &row.place)?;
-        adjusted.count(&row.intrinsics, &camera, rescaled, None);
+        let (camera, fitted) = row.intrinsics.camera(&header, &listed.path, &row.pose, &row.place)?;
+        adjusted.count(&row.intrinsics, &camera, fitted, None);
         let view = View::new("", camera, Time::default(), ImageSource::File(listed.path), cast::to_u32(shot.row));
         drafts.push(Draft { view, stated: fps.map(|rate| shot.frame as f64 / rate), place: row.place.clone() });
     }

@@ -215,9 +215,9 @@ fn drafts(
     for (k, (listed, header)) in frames.into_iter().enumerate() {
         let frame = listed.rest;
         let intrinsics = frame.stated.complete(&header, &frame.place)?;
-        let (camera, rescaled) = intrinsics.camera(&header, &listed.path, &frame.pose, &frame.place)?;
+        let (camera, fitted) = intrinsics.camera(&header, &listed.path, &frame.pose, &frame.place)?;
         let lens = intrinsics.lens(options.undistort, &frame.place)?;
-        adjusted.count(&intrinsics, &camera, rescaled, lens.as_ref());
+        adjusted.count(&intrinsics, &camera, fitted, lens.as_ref());
         let mut view = View::new("", camera, Time::default(), ImageSource::File(listed.path), cast::to_u32(k));
         frame.depth.as_ref().map_or(Ok(()), DepthMap::check)?;
         (view.lens, view.depth) = (lens, frame.depth);

@@ -130,9 +130,9 @@ fn draft(
     adjusted: &mut Adjusted,
 ) -> Result<Draft, DataError> {
     let shot = listed.rest;
-    let (camera, rescaled) = shot.intrinsics.camera(header, &listed.path, &shot.pose, &shot.place)?;
+    let (camera, fitted) = shot.intrinsics.camera(header, &listed.path, &shot.pose, &shot.place)?;
     let lens = shot.intrinsics.lens(options.undistort, &shot.place)?;
-    adjusted.count(&shot.intrinsics, &camera, rescaled, lens.as_ref());
+    adjusted.count(&shot.intrinsics, &camera, fitted, lens.as_ref());
     if let Some(mask) = &shot.mask {
         mask::check(mask, [header.width, header.height])?;
     }

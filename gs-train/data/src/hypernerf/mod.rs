@@ -203,9 +203,9 @@ impl Reader<'_> {
         adjusted: &mut Adjusted,
     ) -> Result<Draft, DataError> {
         let shot = listed.rest;
-        let (camera, rescaled) = shot.intrinsics.camera(header, &listed.path, &shot.pose, &shot.place)?;
+        let (camera, fitted) = shot.intrinsics.camera(header, &listed.path, &shot.pose, &shot.place)?;
         let lens = shot.intrinsics.lens(self.options.undistort, &shot.place)?;
-        adjusted.count(&shot.intrinsics, &camera, rescaled, lens.as_ref());
+        adjusted.count(&shot.intrinsics, &camera, fitted, lens.as_ref());
         let mut view = View::new("", camera, Time::default(), ImageSource::File(listed.path), shot.tag.camera);
         (view.lens, view.depth, view.opaque) = (lens, shot.depth, true);
         Ok(Draft { view, stated: Some(shot.tag.time / self.rate), place: shot.time_place })

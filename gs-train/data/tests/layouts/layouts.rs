@@ -204,6 +204,44 @@ fn sizes_that_differ_rescale_intrinsics_exactly() {
     assert!(e.code() == "data.image_size" && e.to_string().contains("40x30, its camera is 200x120"), "{e}");
 }
 
+/// A JPEG file with an EXIF orientation.
+fn jpeg(pixels: &image::RgbImage, orientation: u8) -> Vec<u8> {
+    let mut out = Vec::new();
+    let mut encoder = image::codecs::jpeg::JpegEncoder::new_with_quality(&mut out, 100);
+    let exif = [b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0", [orientation, 0, 0, 0].as_slice(), &[0; 4]].concat();
+    image::ImageEncoder::set_exif_metadata(&mut encoder, exif).unwrap();
+    encoder.encode_image(pixels).unwrap();
+    out
+}
+
+#[test]
+fn images_on_their_side_are_turned_where_their_cameras_are_upright() {
+    let open = |orientation: u8, [w, h]: [u32; 2]| {
+        let f = Folder::new(9, "png");
+        let mut j = f.nerfstudio();
+        // Stored lying, 16 wide and 8 high, the left half bright.
+        let pixels = image::RgbImage::from_fn(16, 8, |x, _| image::Rgb([if x < 8 { 240 } else { 10 }; 3]));
+        for k in 0..9 {
+            f.put(&format!("images/side_{k}.jpg"), jpeg(&pixels, orientation));
+            j["frames"][k]["file_path"] = format!("images/side_{k}.jpg").into();
+        }
+        (j["w"], j["h"]) = (w.into(), h.into());
+        (j["cx"], j["cy"]) = ((f64::from(w) / 2.0).into(), (f64::from(h) / 2.0).into());
+        f.put("transforms.json", j.to_string());
+        f.open(&DataOptions::default()).map(|data| {
+            let image = ImageCache::new(1 << 20, 1.0).get(&data.train[0]).unwrap();
+            let corners = [image.pixel(1, 1)[0], image.pixel(image.width - 2, image.height - 2)[0]];
+            ([image.width, image.height], corners.map(|v| v > 128), data.notes.concat().contains("EXIF"))
+        })
+    };
+    // 6: the first row is the right side, so what is stored on the left is above.
+    assert_eq!(open(6, [8, 16]).unwrap(), ([8, 16], [true, false], true));
+    assert_eq!(open(8, [8, 16]).unwrap(), ([8, 16], [false, true], true));
+    // The camera is of the pixels as they are stored: COLMAP ignores the orientation.
+    assert_eq!(open(6, [16, 8]).unwrap(), ([16, 8], [true, false], false));
+    assert!(open(1, [8, 16]).unwrap_err().to_string().contains("16x8"));
+}
+
 #[test]
 fn colmap_text_and_binary_give_the_same_data() {
     let f = Folder::new(9, "png");
