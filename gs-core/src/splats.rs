@@ -145,6 +145,39 @@ impl Splats {
         self.view().check()
     }
 
+    /// The rows `kept`, in that order.
+    ///
+    /// # Panics
+    /// If a row is not there.
+    pub fn rows(&self, kept: &[usize]) -> Self {
+        fn pick<T: Copy>(column: &[T], kept: &[usize]) -> Vec<T> {
+            kept.iter().map(|&i| column[i]).collect()
+        }
+        let color = match &self.color {
+            Color::Rgb(rgb) => Color::Rgb(pick(rgb, kept)),
+            Color::Sh { degree, coeffs } => {
+                let width = self.color.width();
+                let row = |&i: &usize| coeffs[i * width..][..width].iter().copied();
+                Color::Sh { degree: *degree, coeffs: kept.iter().flat_map(row).collect() }
+            }
+        };
+        let kernel = match &self.kernel {
+            Kernel::Gaussian => Kernel::Gaussian,
+            Kernel::Frequency { lambdas, betas } => {
+                Kernel::Frequency { lambdas: pick(lambdas, kept), betas: pick(betas, kept) }
+            }
+            Kernel::Acutance { acutances } => Kernel::Acutance { acutances: pick(acutances, kept) },
+        };
+        Self {
+            means: pick(&self.means, kept),
+            quats: pick(&self.quats, kept),
+            scales: pick(&self.scales, kept),
+            opacities: pick(&self.opacities, kept),
+            color,
+            kernel,
+        }
+    }
+
     /// Borrows all columns.
     pub fn view(&self) -> SplatsRef<'_> {
         self.with_geometry(self.geometry())

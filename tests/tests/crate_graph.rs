@@ -29,12 +29,13 @@ const GRAPH: &[(&str, &str, &[&str])] = &[
 /// Libraries under `apps`: each may depend on every library above, and on these of its own kind.
 const APPS: &[(&str, &[&str])] = &[
     ("gs4d-report", &[]),
-    ("gs4d-eval", &["gs4d-report"]),
+    ("gs4d-player", &[]),
+    ("gs4d-eval", &["gs4d-player", "gs4d-report"]),
     ("gs4d-run", &["gs4d-eval", "gs4d-report"]),
     ("gs4d-doctor", &["gs4d-report", "gs4d-run"]),
     ("gs4d-lab", &["gs4d-eval", "gs4d-report", "gs4d-run"]),
-    ("gs4d-view", &["gs4d-eval", "gs4d-report", "gs4d-run"]),
-    ("gs4d", &["gs4d-doctor", "gs4d-eval", "gs4d-lab", "gs4d-report", "gs4d-run", "gs4d-view"]),
+    ("gs4d-view", &["gs4d-eval", "gs4d-player", "gs4d-report", "gs4d-run"]),
+    ("gs4d", &["gs4d-doctor", "gs4d-eval", "gs4d-lab", "gs4d-player", "gs4d-report", "gs4d-run", "gs4d-view"]),
     ("gs4d-mpi", &["gs4d"]),
 ];
 
@@ -74,6 +75,12 @@ fn apps_depend_on_libraries_and_on_each_other_in_one_direction() {
             assert!(order[found.as_str()] < order[name], "{name} and {found} form a circle");
         }
     }
+}
+
+/// A page that plays needs splats, no trainer.
+#[test]
+fn the_player_knows_no_trainer() {
+    assert_eq!(dependencies("apps/gs4d-player"), BTreeSet::from(["gs-core".to_owned()]));
 }
 
 /// What is particular to a method reaches the report as data of `gs_train::report`.

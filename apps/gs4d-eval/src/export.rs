@@ -2,12 +2,18 @@
 //!
 //! Files hold less than methods do. Non-Gaussian kernels become the nearest Gaussians; splats that a network decodes per camera
 //! (anchors) become their mean over the training cameras, with spherical harmonics fitted to their colours; motion becomes one
-//! file per timestamp. The loss of all this is measured by scoring renders of the bytes read back ([`AsExported`]).
+//! file per timestamp. The loss of all this is measured by scoring renders of the bytes read back ([`AsExported`]). Files may be
+//! turned so that they stand upright in viewers ([`Baker::turned`]).
 
 mod fit;
+mod player;
+
+pub use player::{evaluate_clip, frame_times};
 
 use fit::Fit;
+use glam::DVec3;
 use gs_core::io::{IoError, Limits, RawSplats, SplatFormat, load_splats, parse_splats, write_splats};
+use gs_core::rot::Mat3;
 use gs_core::splats::SplatsError;
 use gs_core::{Camera, Color, Splats, sh};
 use gs_data::View;
@@ -17,6 +23,7 @@ use gs_train::method::MethodError;
 use gs_train::model::Model;
 use gs_train::ranks::Share;
 use gs_train::timestamp::Timestamp;
+use gs4d_player::PlayerError;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
@@ -43,6 +50,9 @@ pub enum ExportError {
     /// A file cannot be written or read back.
     #[error(transparent)]
     Io(#[from] IoError),
+    /// The scene cannot become a clip.
+    #[error(transparent)]
+    Player(#[from] PlayerError),
     /// No splat is visible at this time.
     #[error("the scene has no visible splat at time {time}")]
     Empty {
@@ -56,6 +66,7 @@ pub struct Baker<'a> {
     method: &'a Model,
     cameras: Vec<Camera>,
     degree: Option<u8>,
+    turn: Option<Mat3<f64>>,
 }
 
 /// Degree of the SH that are fitted to colours of a network, unless another is asked for.
@@ -67,7 +78,12 @@ impl<'a> Baker<'a> {
     pub fn new(method: &'a Model, views: &[View], degree: Option<u8>) -> Self {
         let kept = views.len().clamp(1, MAX_CAMERAS);
         let cameras = (0..kept).filter_map(|k| views.get(k * views.len() / kept)).map(|v| v.camera.clone()).collect();
-        Self { method, cameras, degree: degree.map(|d| d.min(sh::MAX_DEGREE)) }
+        Self { method, cameras, degree: degree.map(|d| d.min(sh::MAX_DEGREE)), turn: None }
+    }
+
+    /// The same with scenes turned by a rotation, by rows ([`gs_core::io::upright`]).
+    pub fn turned(self, turn: Option<Mat3<f64>>) -> Self {
+        Self { turn, ..self }
     }
 
     /// The visible splats (opacity of at least 1/255) at a timestamp, with the raw parameters of files.
@@ -81,8 +97,33 @@ impl<'a> Baker<'a> {
         if visible.is_empty() {
             return Err(ExportError::Empty { time });
         }
-        let raw = RawSplats::from_splats(&rows(&splats, &visible));
-        Ok(cut(raw.map_err(|source| ExportError::Splats { time, source })?, self.degree.unwrap_or(sh::MAX_DEGREE)))
+        let raw = RawSplats::from_splats(&splats.rows(&visible));
+        let raw =
+            cut(raw.map_err(|source| ExportError::Splats { time, source })?, self.degree.unwrap_or(sh::MAX_DEGREE));
+        Ok(match &self.turn {
+            Some(turn) => raw.mapped(turn),
+            None => raw,
+        })
+    }
+
+    /// A scene of a file as the data have it: turned back.
+    fn turned_back(&self, raw: RawSplats) -> RawSplats {
+        match self.turn {
+            Some(turn) => raw.mapped(&std::array::from_fn(|r| turn.map(|row| row[r]))),
+            None => raw,
+        }
+    }
+
+    /// The splats with no more SH than asked for.
+    fn truncated(&self, mut splats: Splats) -> Splats {
+        let (width, most) = (splats.color.width(), self.degree.unwrap_or(sh::MAX_DEGREE));
+        if let Color::Sh { degree, coeffs } = &mut splats.color
+            && most < *degree
+        {
+            *coeffs = coeffs.chunks_exact(width).flat_map(|row| row[..3 * sh::coeffs(most)].iter().copied()).collect();
+            *degree = most;
+        }
+        splats
     }
 
     /// The splats, averaged over the cameras if they depend on the camera.
@@ -105,24 +146,11 @@ impl<'a> Baker<'a> {
     }
 }
 
-/// The rows `kept` of a scene, with the Gaussian kernel.
-pub fn rows(splats: &Splats, kept: &[usize]) -> Splats {
-    let width = splats.color.width();
-    let color = match &splats.color {
-        Color::Rgb(rgb) => Color::Rgb(kept.iter().map(|&i| rgb[i]).collect()),
-        Color::Sh { degree, coeffs } => {
-            let row = |&i: &usize| coeffs[i * width..][..width].iter().copied();
-            Color::Sh { degree: *degree, coeffs: kept.iter().flat_map(row).collect() }
-        }
-    };
-    Splats {
-        means: kept.iter().map(|&i| splats.means[i]).collect(),
-        quats: kept.iter().map(|&i| splats.quats[i]).collect(),
-        scales: kept.iter().map(|&i| splats.scales[i]).collect(),
-        opacities: kept.iter().map(|&i| splats.opacities[i]).collect(),
-        color,
-        kernel: gs_core::Kernel::Gaussian,
-    }
+/// The direction that is up in most of the views, a unit vector: the mean of what is up in each image. None without views, or if they
+/// have none in common.
+pub fn mean_up(views: &[View]) -> Option<DVec3> {
+    let sum: DVec3 = views.iter().map(|v| -v.camera.rotation.row(1)).sum();
+    (sum.length() > 0.1 * views.len() as f64).then(|| sum.normalize())
 }
 
 /// The splats with SH truncated to `degree`; unchanged if they have no more.
@@ -182,7 +210,8 @@ impl<'a> AsExported<'a> {
             Some(file) => load_splats(file, &Limits::default())?,
             None => self.round_trip(at)?,
         };
-        let splats = splats.to_splats().map_err(|source| ExportError::Splats { time: at.t.normalised, source })?;
+        let splats = self.baker.turned_back(splats).to_splats();
+        let splats = splats.map_err(|source| ExportError::Splats { time: at.t.normalised, source })?;
         cache.insert(key, splats.clone());
         Ok(splats)
     }

@@ -8,7 +8,6 @@ use gs_core::cast;
 use gs_core::io::RawSplats;
 use gs_core::io::ply;
 use gs_train::renderer::file_stem;
-use gs4d_eval::export::rows;
 use serde_json::{Value, json};
 
 /// Number of splats in a box, and histograms of their properties.
@@ -60,7 +59,7 @@ pub(crate) fn file(
     if kept.is_empty() {
         return Err("there is no splat to save".into());
     }
-    let raw = RawSplats::from_splats(&rows(&splats, &kept)).map_err(|e| e.to_string())?;
+    let raw = RawSplats::from_splats(&splats.rows(&kept)).map_err(|e| e.to_string())?;
     let mut bytes = Vec::new();
     ply::write(&raw, &mut bytes).map_err(|e| e.to_string())?;
     let part = if inside_box { "chosen" } else { "rest" };

@@ -21,7 +21,6 @@ mod arrows;
 mod checkpoints;
 mod choice;
 mod client;
-mod clip;
 mod dropped;
 mod guard;
 mod legend;

@@ -1,6 +1,7 @@
 //! Answers questions: renders the layer, adds legends and scores, encodes the image.
 
 use crate::arrows::arrows;
+use crate::choice;
 use crate::legend::{grey, named, scaled};
 use crate::packing::{Packing, pack};
 use crate::pick::pick;
@@ -9,7 +10,6 @@ use crate::question::{Look, MAX_PIXELS, Question, Save, Target};
 use crate::shot::{MIN_OPACITY, SelectionCache, Shot};
 use crate::stage::Stage;
 use crate::style::Style;
-use crate::{choice, clip};
 use gs_core::{Camera, Color, Image, Splats};
 use gs_metrics::psnr;
 use gs_raster::{Frame, Workspace, blend_counts, render_into};
@@ -141,7 +141,7 @@ impl Renderer {
         };
         header["splats"] = json!(splats.len());
         header["background"] = json!(shot.background());
-        Ok(Answer { bytes: clip::bytes(&shot.style.of(splats, &shot.camera), &shot.camera), header })
+        Ok(Answer { bytes: gs4d_player::words::bytes(&shot.style.of(splats, &shot.camera), &shot.camera), header })
     }
 
     /// PSNR at the size of the dataset's image: of the colours against the ground truth at its time, or between the two sides of

@@ -17,7 +17,7 @@ const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; i
     base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
 /// Files of the page: path, content type and content.
-const FILES: [(&str, &str, &str); 14] = [
+const FILES: [(&str, &str, &str); 15] = [
     ("/app.js", "text/javascript", include_str!("page/app.js")),
     ("/ask.js", "text/javascript", include_str!("page/ask.js")),
     ("/camera.js", "text/javascript", include_str!("page/camera.js")),
@@ -26,8 +26,9 @@ const FILES: [(&str, &str, &str); 14] = [
     ("/overlay.js", "text/javascript", include_str!("page/overlay.js")),
     ("/panel.js", "text/javascript", include_str!("page/panel.js")),
     ("/selection.js", "text/javascript", include_str!("page/selection.js")),
-    ("/sort.js", "text/javascript", include_str!("page/sort.js")),
-    ("/splats.js", "text/javascript", include_str!("page/splats.js")),
+    ("/sort.js", "text/javascript", gs4d_player::SORT_JS),
+    ("/vectors.js", "text/javascript", gs4d_player::VECTORS_JS),
+    ("/splats.js", "text/javascript", gs4d_player::SPLATS_JS),
     ("/timeline.js", "text/javascript", include_str!("page/timeline.js")),
     ("/tools.js", "text/javascript", include_str!("page/tools.js")),
     ("/training.js", "text/javascript", include_str!("page/training.js")),

@@ -18,6 +18,11 @@ pub fn not_negative(text: &str) -> Result<f64, String> {
     }
 }
 
+/// A finite number above 0.
+pub fn positive(text: &str) -> Result<f32, String> {
+    finite(text).ok().filter(|v| *v > 0.0).ok_or_else(|| "give a number above 0, for example 0.1".to_owned())
+}
+
 /// A number above 0 and up to 1, or percent.
 pub fn share(text: &str) -> Result<f64, String> {
     let text = text.trim();

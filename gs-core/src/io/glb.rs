@@ -1,8 +1,8 @@
 //! Binary glTF with the extension `KHR_gaussian_splatting`: plain Gaussians as a point primitive, exact in `f32`.
 //!
 //! The extension stores activated values: linear scales, opacities in `[0, 1]`, unit quaternions `(x, y, z, w)`; SH
-//! coefficients are one attribute each, with the signs of [`crate::sh`]. Positions keep the axes of the scene, whose up
-//! direction is unknown. `COLOR_0` holds degree 0 for viewers that render points.
+//! coefficients are one attribute each, with the signs of [`crate::sh`]. glTF's axes are left, up, front: x and y of `.ply`
+//! files change sign on the way in and out. `COLOR_0` holds degree 0 for viewers that render points.
 //!
 //! The reader takes the first primitive with the extension, from the file's own binary chunk, attributes `f32`. Node
 //! transforms are not applied; other glTF features need a glTF library.
@@ -19,6 +19,8 @@ const MAGIC: &[u8; 4] = b"glTF";
 const JSON_CHUNK: u32 = 0x4E4F_534A;
 const BINARY_CHUNK: u32 = 0x004E_4942;
 const EXTENSION: &str = "KHR_gaussian_splatting";
+/// Axes whose signs differ between `.ply` and glTF.
+const FLIPPED: [bool; 3] = [true, true, false];
 /// glTF's component type of `f32`.
 const FLOAT: u64 = 5126;
 const POINTS: u64 = 0;
@@ -119,8 +121,9 @@ pub fn write(splats: &RawSplats, out: &mut dyn Write) -> std::io::Result<()> {
     if let Some((row, column)) = splats.non_finite_rows().first() {
         return Err(invalid(format!("row {row}, `{column}` is not finite")));
     }
-    let attributes = attributes(splats);
-    let mut text = serde_json::to_vec(&document(splats, &attributes))?;
+    let turned = splats.clone().flipped(FLIPPED);
+    let attributes = attributes(&turned);
+    let mut text = serde_json::to_vec(&document(&turned, &attributes))?;
     text.resize(text.len().next_multiple_of(4), b' ');
     let binary: usize = attributes.iter().map(|a| a.values.len() * 4).sum();
     let size = |n: usize| u32::try_from(n).map_err(|_| invalid("more than 4 GiB".into()));
@@ -279,7 +282,7 @@ pub fn read(bytes: &[u8], file: &str, limits: &Limits) -> Result<RawSplats, IoEr
     let columns = names.iter().map(|n| reader.needed(primitive, n, 3, count)).collect::<Result<Vec<_>, _>>()?;
     out.sh = (0..rows).flat_map(|r| columns.iter().flat_map(move |c| c.iter().skip(3 * r).take(3).copied())).collect();
     out.refuse_non_finite(src, limits)?;
-    Ok(out)
+    Ok(out.flipped(FLIPPED))
 }
 
 /// The largest degree whose first coefficient is present, at most 3; missing lower ones are an error when read.

@@ -48,6 +48,7 @@
     deny(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing, clippy::unreachable)
 )]
 
+mod axes;
 mod camera_json;
 pub mod cameras;
 pub mod disk;
@@ -65,12 +66,14 @@ mod ply_header;
 mod raw;
 pub mod splat;
 pub mod spz;
+mod spz_container;
 mod spz_quat;
 mod temporary;
 mod whole;
 pub mod y4m;
 
 pub use crate::cloud::sigmoid;
+pub use axes::upright;
 pub use cameras::{NamedCamera, load_cameras, parse_cameras, save_cameras};
 pub use error::{At, IoError};
 pub use files::{SplatFormat, load_splats, parse_splats, read_file, read_text, save_splats, write_splats};

@@ -1,18 +1,22 @@
-//! SPZ versions 2 and 3 (Niantic): quantised splats in one gzip stream, about a tenth of the `.ply`.
+//! SPZ (Niantic): quantised splats, compressed, about a tenth of the `.ply`. Versions 2, 3 and 4 are read, 2 and 3 written.
 //!
-//! Source: README and `load-spz.cc` of nianticlabs/spz (MIT), facts only. A 16-byte header (magic `NGSP`, version, count,
-//! SH degree, fraction bits `b`, flags, 0), then one array per attribute, in this order:
+//! Source: README and `load-spz.cc` of nianticlabs/spz (MIT), facts only. A header (magic `NGSP`, version, count, SH degree,
+//! fraction bits `b`, flags), then one array per attribute, in this order:
 //!
 //! ```text
 //! positions  3 × i24   p · 2^b                       alphas     u8       255 · opacity
 //! colours    3 × u8    (0.15 f_dc + 0.5) · 255       scales     3 × u8   16 (log-scale + 10)
-//! rotations  3 bytes (v2) or 4 bytes (v3), see [`super::spz_quat`]
+//! rotations  3 bytes (v2) or 4 bytes (v3, v4), see [`super::spz_quat`]
 //! SH         3 (K − 1) × u8, colour fastest          128 f_rest + 128
 //! ```
-//! **Axes**: SPZ stores right-up-back, `.ply` holds right-down-front, so y and z change sign on the way in and out: in
-//! positions, in the quaternion's y and z, and in the SH functions odd under that half turn about x.
+//! Versions 2 and 3 are one gzip stream with a header of 16 bytes; version 4 has a header of 32 bytes and one Zstandard stream
+//! per array.
+//!
+//! **Axes**: SPZ stores right-up-back, `.ply` holds right-down-front ([`RawSplats::flipped`] in y and z), unless the extension
+//! `SPZ_ADOBE_coordinate_system` names others. Other extensions are skipped.
+//!
 //! **Losses** (half a step): position 2^−(b+1), log-scale 1/32, opacity 1/510, colour coefficient 0.0131, SH 1/32
-//! (degree 1) or 1/16 clamped to [−1, 1). Versions 1 and 4, uncompressed payloads and extensions are refused by name.
+//! (degree 1) or 1/16 clamped to [−1, 1). Version 1, uncompressed payloads and SH degree 4 are refused by name.
 //!
 //! ```
 //! use gs_core::io::{Limits, RawSplats, spz};
@@ -30,24 +34,24 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
-use super::error::{At, Source};
+use super::error::Source;
 use super::raw::finite_logit;
+use super::spz_container::unpack;
 use super::spz_quat::{decode_first_three, decode_smallest_three, encode_first_three, encode_smallest_three};
 use super::{IoError, Limits, RawSplats, sigmoid};
 use crate::{rot, sh};
-use flate2::{Compression, bufread::GzDecoder, write::GzEncoder};
-use glam::Vec3;
-use std::io::{Read, Write};
+use flate2::{Compression, write::GzEncoder};
+use glam::{DMat3, DVec3, Vec3};
+use std::io::Write;
 
-const MAGIC: &[u8; 4] = b"NGSP";
-const HEADER: usize = 16;
+pub(super) const MAGIC: &[u8; 4] = b"NGSP";
+/// Axes whose signs differ between `.ply` and `.spz`.
+const FLIPPED: [bool; 3] = [false, true, true];
 const COLOR_SCALE: f32 = 0.15;
 /// Largest magnitude of a 24-bit position.
 const FIXED_MAX: f32 = 8_388_607.0;
-/// Sign of each SH function (index k − 1) when y and z change sign.
-const SH_SIGN: [f32; 15] = [-1., -1., 1., -1., 1., 1., -1., 1., -1., 1., -1., -1., 1., -1., 1.];
 
-/// Version of the SPZ format.
+/// Version of the SPZ format to write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum Version {
     /// Version 2: rotations in three bytes.
@@ -79,8 +83,8 @@ impl Default for SpzOptions {
 /// The header of an SPZ payload.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SpzHeader {
-    /// Version of the format, 2 or 3.
-    pub version: Version,
+    /// Version of the format, 2, 3 or 4.
+    pub version: u32,
     /// Number of splats in the file.
     pub count: usize,
     /// SH degree, 0 to 3.
@@ -93,96 +97,32 @@ pub struct SpzHeader {
 
 impl SpzHeader {
     /// Bytes per splat of each array, in file order.
-    fn widths(&self) -> [usize; 6] {
-        let rotation = if self.version == Version::V2 { 3 } else { 4 };
+    pub(super) fn widths(&self) -> [usize; 6] {
+        let rotation = if self.version == 2 { 3 } else { 4 };
         [9, 1, 3, 3, rotation, 3 * (sh::coeffs(self.degree) - 1)]
     }
-}
 
-fn parse_header(h: &[u8; HEADER], limits: &Limits, src: Source<'_>) -> Result<SpzHeader, IoError> {
-    let [magic @ .., v0, v1, v2, v3, n0, n1, n2, n3, degree, fraction_bits, flags, reserved] = h;
-    if magic != MAGIC {
-        return Err(src.malformed(At::Byte(0), "the payload does not start with NGSP", "give an SPZ file"));
+    /// Bytes per splat in all arrays.
+    pub(super) fn row(&self) -> usize {
+        self.widths().iter().sum()
     }
-    let version = match u32::from_le_bytes([*v0, *v1, *v2, *v3]) {
-        2 => Version::V2,
-        3 => Version::V3,
-        other => return Err(unsupported_version(other, src)),
-    };
-    let count = limits.splats(src, u32::from_le_bytes([*n0, *n1, *n2, *n3]).into(), RawSplats::row_bytes(*degree))?;
-    if *degree > sh::MAX_DEGREE {
-        return Err(src.unsupported(format!("SPZ with SH degree {degree}"), "export it with degree 3 or less"));
-    }
-    if *fraction_bits > 23 {
-        let what = format!("{fraction_bits} fraction bits in 24-bit positions");
-        return Err(src.malformed(At::Byte(13), what, "the header is damaged"));
-    }
-    if flags & !1 != 0 {
-        let what = format!("SPZ with flags {flags:#04x} (extensions)");
-        return Err(src.unsupported(what, "export it without extensions"));
-    }
-    if *reserved != 0 {
-        return Err(src.malformed(At::Byte(15), "the reserved byte is not 0", "the header is damaged"));
-    }
-    Ok(SpzHeader { version, count, degree: *degree, fraction_bits: *fraction_bits, antialiased: flags & 1 == 1 })
-}
-
-fn unsupported_version(version: u32, src: Source<'_>) -> IoError {
-    src.unsupported(format!("SPZ version {version}"), "export it as SPZ version 2 or 3, or as PLY")
 }
 
 /// Reads an SPZ file held in memory. `file` is the name used in errors.
 ///
 /// # Errors
-/// Not gzip, damaged stream, unsupported version, degree or extension, wrong size, more than the limits allow.
+/// Neither gzip nor version 4, a damaged stream, unsupported version, degree or axes, wrong size, more than the limits allow.
 pub fn read(bytes: &[u8], file: &str, limits: &Limits) -> Result<(SpzHeader, RawSplats), IoError> {
     let src = Source { file, format: "SPZ" };
-    if let Some([v0, v1, v2, v3]) = bytes.strip_prefix(MAGIC).and_then(<[u8]>::first_chunk) {
-        return Err(match u32::from_le_bytes([*v0, *v1, *v2, *v3]) {
-            v @ (2 | 3) => {
-                let what = format!("an SPZ version {v} payload that is not compressed");
-                src.unsupported(what, "compress the file with gzip")
-            }
-            v => unsupported_version(v, src),
-        });
-    }
-    let mut stream = GzDecoder::new(bytes);
-    let mut head = [0u8; HEADER];
-    fill(&mut stream, &mut head, "header", 0, src)?;
-    let header = parse_header(&head, limits, src)?;
-    let row: usize = header.widths().iter().sum();
-    let row_decoded = row + 4 * (11 + 3 * sh::coeffs(header.degree));
-    limits.expansion(src, (header.count as u64).saturating_mul(row_decoded as u64), bytes.len())?;
-    let mut payload = vec![0u8; header.count * row];
-    fill(&mut stream, &mut payload, "splats", HEADER, src)?;
-    let end = stream.read(&mut [0u8]).map_err(|e| damaged(&e, HEADER + payload.len(), src))?;
-    if end != 0 || !stream.into_inner().is_empty() {
-        let at = At::Byte((HEADER + payload.len()) as u64);
-        return Err(src.malformed(at, "bytes follow the last array", "the count or the degree in the header is wrong"));
-    }
-    let splats = decode(&payload, &header);
+    let (header, arrays, axes) = unpack(bytes, limits, src)?;
+    let stored = decode(&arrays, &header);
+    let own = DMat3::from_diagonal(DVec3::from_array(FLIPPED.map(|f| if f { -1.0 } else { 1.0 })));
+    let splats = if axes == own.to_cols_array_2d() { stored.flipped(FLIPPED) } else { stored.mapped(&axes) };
     splats.refuse_non_finite(src, limits)?;
     Ok((header, splats))
 }
 
-/// Fills `out` from the stream; a short stream is an error with the bytes read.
-fn fill(stream: &mut impl Read, out: &mut [u8], field: &str, start: usize, src: Source<'_>) -> Result<(), IoError> {
-    let mut have = 0;
-    while let Some(rest) = out.get_mut(have..).filter(|r| !r.is_empty()) {
-        match stream.read(rest) {
-            Ok(0) => return Err(src.truncated(field, start, out.len() as u64, have)),
-            Ok(n) => have += n,
-            Err(e) => return Err(damaged(&e, start + have, src)),
-        }
-    }
-    Ok(())
-}
-
-fn damaged(error: &std::io::Error, at: usize, src: Source<'_>) -> IoError {
-    let what = format!("the gzip stream is damaged: {error}");
-    src.malformed(At::Byte(at as u64), what, "copy or export the file again")
-}
-
+/// The splats in the axes of the file.
 fn decode(payload: &[u8], header: &SpzHeader) -> RawSplats {
     let mut out = RawSplats::with_capacity(header.count, header.degree);
     let mut rest = payload;
@@ -195,26 +135,21 @@ fn decode(payload: &[u8], header: &SpzHeader) -> RawSplats {
     let step = 1.0 / (1u32 << header.fraction_bits) as f32;
     for row in positions.as_chunks::<3>().0.as_chunks::<3>().0 {
         let [x, y, z] = row.map(|[a, b, c]| (i32::from_le_bytes([0, a, b, c]) >> 8) as f32 * step);
-        out.means.push(Vec3::new(x, -y, -z));
+        out.means.push(Vec3::new(x, y, z));
     }
     out.logit_opacities.extend(alphas.iter().map(|&a| finite_logit(f32::from(a) / 255.0)));
     for &[a, b, c] in scales.as_chunks::<3>().0 {
         out.log_scales.push(Vec3::from_array([a, b, c].map(|v| f32::from(v) / 16.0 - 10.0)));
     }
-    let flip_yz = |[w, x, y, z]: [f32; 4]| [w, x, -y, -z];
     match header.version {
-        Version::V2 => out.quats.extend(rotations.as_chunks::<3>().0.iter().map(|&q| flip_yz(decode_first_three(q)))),
-        Version::V3 => {
-            out.quats.extend(rotations.as_chunks::<4>().0.iter().map(|&q| flip_yz(decode_smallest_three(q))))
-        }
+        2 => out.quats.extend(rotations.as_chunks::<3>().0.iter().map(|&q| decode_first_three(q))),
+        _ => out.quats.extend(rotations.as_chunks::<4>().0.iter().map(|&q| decode_smallest_three(q))),
     }
     let width = 3 * (sh::coeffs(header.degree) - 1);
     for (row, color) in colors.as_chunks::<3>().0.iter().enumerate() {
         out.sh.extend(color.map(|v| (f32::from(v) / 255.0 - 0.5) / COLOR_SCALE));
         let coefficients = sh.get(row * width..(row + 1) * width).unwrap_or_default();
-        for (rgb, sign) in coefficients.as_chunks::<3>().0.iter().zip(SH_SIGN) {
-            out.sh.extend(rgb.map(|v| sign * (f32::from(v) - 128.0) / 128.0));
-        }
+        out.sh.extend(coefficients.iter().map(|&v| (f32::from(v) - 128.0) / 128.0));
     }
     out
 }
@@ -260,17 +195,17 @@ pub fn write(splats: &RawSplats, options: &SpzOptions, out: &mut dyn Write) -> s
     payload.extend((if options.version == Version::V2 { 2u32 } else { 3 }).to_le_bytes());
     payload.extend(count.to_le_bytes());
     payload.extend([splats.degree, bits, u8::from(options.antialiased), 0]);
-    quantise(splats, options, bits, &mut payload);
+    quantise(&splats.clone().flipped(FLIPPED), options, bits, &mut payload);
     let mut gz = GzEncoder::new(out, Compression::new(LEVEL));
     gz.write_all(&payload)?;
     gz.finish().map(|_| ())
 }
 
-/// Appends the six arrays, quantised.
+/// Appends the six arrays of splats in the axes of the file, quantised.
 fn quantise(splats: &RawSplats, options: &SpzOptions, bits: u8, out: &mut Vec<u8>) {
     let step = (1u32 << bits) as f32;
     for mean in &splats.means {
-        for v in [mean.x, -mean.y, -mean.z] {
+        for v in mean.to_array() {
             let [a, b, c, _] = ((v * step).round() as i32).to_le_bytes();
             out.extend([a, b, c]);
         }
@@ -280,20 +215,20 @@ fn quantise(splats: &RawSplats, options: &SpzOptions, bits: u8, out: &mut Vec<u8
     out.extend(rows().flat_map(|r| r.iter().take(3)).map(|v| byte((COLOR_SCALE * v + 0.5) * 255.0)));
     out.extend(splats.log_scales.iter().flat_map(|s| s.to_array()).map(|v| byte((v + 10.0) * 16.0)));
     for quat in &splats.quats {
-        let [w, x, y, z] = match rot::normalise(*quat).wxyz {
+        let unit = match rot::normalise(*quat).wxyz {
             [0.0, 0.0, 0.0, 0.0] => [1.0, 0.0, 0.0, 0.0],
             q => q,
         };
         match options.version {
-            Version::V2 => out.extend(encode_first_three([w, x, -y, -z])),
-            Version::V3 => out.extend(encode_smallest_three([w, x, -y, -z])),
+            Version::V2 => out.extend(encode_first_three(unit)),
+            Version::V3 => out.extend(encode_smallest_three(unit)),
         }
     }
     let [first, later] = options.sh_bits;
     for row in rows() {
         let higher = row.get(3..).unwrap_or_default().as_chunks::<3>().0;
-        for (k, (rgb, sign)) in higher.iter().zip(SH_SIGN).enumerate() {
-            out.extend(rgb.map(|v| quantise_sh(sign * v, if k < 3 { first } else { later })));
+        for (k, rgb) in higher.iter().enumerate() {
+            out.extend(rgb.map(|v| quantise_sh(v, if k < 3 { first } else { later })));
         }
     }
 }
@@ -320,22 +255,14 @@ mod tests {
     }
 
     #[test]
-    fn signs_follow_from_the_basis() {
-        let d = [0.3f64, -0.5, 0.8];
-        let (plain, flipped) = (sh::basis(d, 3), sh::basis([d[0], -d[1], -d[2]], 3));
-        for k in 1..16 {
-            assert!((flipped[k] - f64::from(SH_SIGN[k - 1]) * plain[k]).abs() < 1e-12, "{k}");
-        }
-    }
-
-    #[test]
     fn round_trip_stays_within_the_declared_bounds() {
         for version in [Version::V2, Version::V3] {
             for degree in 0..=3 {
                 let splats = cloud(300, degree, 21);
                 let options = SpzOptions { version, antialiased: degree == 1, ..SpzOptions::default() };
                 let (header, again) = read_all(&encode(&splats, &options)).unwrap();
-                assert_eq!((header.version, header.fraction_bits, header.antialiased), (version, 12, degree == 1));
+                let number = if version == Version::V2 { 2 } else { 3 };
+                assert_eq!((header.version, header.fraction_bits, header.antialiased), (number, 12, degree == 1));
                 assert_eq!((again.len(), again.degree), (300, degree));
                 for i in 0..splats.len() {
                     assert!((again.means[i] - splats.means[i]).abs().max_element() <= 1.01 / 8192.0);
@@ -383,7 +310,7 @@ mod tests {
             [MAGIC.as_slice(), &version.to_le_bytes(), &count.to_le_bytes(), &tail].concat()
         };
         let error = |payload: &[u8]| read_all(payload).unwrap_err().to_string();
-        for version in [0, 1, 4, 9] {
+        for version in [0, 1, 9] {
             let text = format!("SPZ version {version} is not supported");
             assert!(error(&gzip(&header(version, 0, [0; 4]))).contains(&text));
             assert!(error(&header(version, 0, [0; 4])).contains(&text));
@@ -394,7 +321,8 @@ mod tests {
         assert!(error(&gzip(&header(3, 5, [0, 12, 0, 0]))).contains("`splats` needs 100 bytes, only 0"));
         assert!(error(&gzip(&header(3, 0, [4, 12, 0, 0]))).contains("degree 4"));
         assert!(error(&gzip(&header(3, 0, [0, 24, 0, 0]))).contains("24 fraction bits"));
-        assert!(error(&gzip(&header(3, 0, [0, 12, 2, 0]))).contains("extensions"));
+        assert!(error(&gzip(&header(4, 0, [0, 12, 0, 0]))).contains("version 4 in a gzip"));
+        assert!(error(&gzip(&header(3, 0, [0, 12, 4, 0]))).contains("flags 0x04"));
         assert!(error(&gzip(&header(3, 0, [0, 12, 0, 1]))).contains("reserved"));
         assert!(error(&gzip(b"NGSP\x02")).contains("`header` needs 16 bytes, only 5"));
         assert!(error(&gzip(b"GIFxxxxxxxxxxxxxxxxx")).contains("NGSP"));

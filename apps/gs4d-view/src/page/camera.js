@@ -1,5 +1,5 @@
 "use strict";
-// The camera and its motion: vectors, orbit, pan, fly, views of the dataset.
+// The camera and its motion: orbit, pan, fly, views of the dataset.
 const $ = (id) => document.getElementById(id);
 const stage = $("stage");
 let shows = [];
@@ -9,14 +9,6 @@ const state = {
 };
 const about = () => shows[state.a[0]];
 
-const add = (a, b, k = 1) => a.map((v, i) => v + k * b[i]);
-const dot = (a, b) => a.reduce((s, v, i) => s + v * b[i], 0);
-const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
-const unit = (a) => { const n = Math.hypot(...a); return n > 0 ? a.map((v) => v / n) : [0, 0, 1]; };
-function turn(v, axis, angle) {
-  const c = Math.cos(angle), s = Math.sin(angle), along = dot(v, axis) * (1 - c), side = cross(axis, v);
-  return v.map((x, i) => x * c + side[i] * s + axis[i] * along);
-}
 const forward = () => unit(add(state.target, state.eye, -1));
 const right = () => unit(cross(forward(), state.up));
 const distance = () => Math.hypot(...add(state.eye, state.target, -1));

@@ -2,6 +2,7 @@
 
 use super::compact::{BitsName, Compact};
 use super::eval::SplitName;
+use super::player::Player;
 use crate::answer::Answer;
 use crate::failure::{Class, Failure};
 use crate::global::Global;
@@ -9,23 +10,27 @@ use crate::opening::RunData;
 use crate::output::{check_free, create_folder};
 use crate::parse;
 use crate::progress::Progress;
-use gs_core::io::{RawSplats, SplatFormat, load_splats, save_splats, write_file};
+use glam::DVec3;
+use gs_core::io::{RawSplats, SplatFormat, load_splats, save_splats, upright, write_file};
+use gs_core::rot::Mat3;
 use gs_data::{Dataset, ImageCache};
 use gs_train::evaluate::{EvalReport, evaluate_shared};
 use gs_train::timestamp::Timestamp;
-use gs4d_eval::export::{AsExported, Baker, ExportError, cut};
+use gs4d_eval::export::{AsExported, Baker, ExportError, cut, mean_up};
+use gs4d_player::Tolerance;
 use gs4d_run::OpenRun;
 use serde_json::{Value, json};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-/// Write a trained scene at one or many times as .ply, .splat, .spz or .glb, or whole as .gs4d, and report the loss in PSNR
+/// Write a trained scene at one or many times as .ply, .splat, .spz or .glb, whole as .gs4d, or as a page that plays it (.html), and report
+/// the loss in PSNR
 #[derive(clap::Args)]
 pub struct Export {
     /// A run folder or .gs4d file, or a splat file to convert (.ply, .splat, .spz, .glb).
     #[arg(value_name = "RUN|SCENE")]
     scene: PathBuf,
     /// The file to write, named by its format; with several times the folder for time-0000.EXT and times.json. NAME.gs4d keeps the
-    /// moving scene whole in one small file that the other verbs open.
+    /// moving scene whole in one small file that the other verbs open. NAME.html is one page that plays it in any browser, without a server.
     #[arg(short, long, value_name = "FILE|DIR")]
     out: PathBuf,
     /// Normalised times, A..B:N or one; 0 first to 1 last training frame [default: 0].
@@ -37,9 +42,16 @@ pub struct Export {
     /// Keep spherical harmonics up to this degree [default: all; colours that a network decodes per camera are fitted with degree 2].
     #[arg(long, value_parser = clap::value_parser!(u8).range(0..=3))]
     sh_degree: Option<u8>,
+    /// Turn the files so that they stand upright in viewers: the direction of the data that is up, or auto for what is up in the training
+    /// images [default: as the data lie; see docs/guide/axes.md].
+    #[arg(long, value_enum, value_name = "AXIS", allow_hyphen_values = true)]
+    up: Option<Up>,
     /// Of a .gs4d file: bits per value, 32 exact, 16 half precision, 8 quantised; positions keep 16 [default: 8].
     #[arg(long, value_enum)]
     bits: Option<BitsName>,
+    /// Of a page: how far a splat may be displaced, as a share of its standard deviation in the image of the nearest camera [default: 0.1].
+    #[arg(long, value_name = "SHARE", value_parser = parse::positive)]
+    tolerance: Option<f32>,
     /// Views whose PSNR is measured before and after.
     #[arg(long, value_enum, default_value_t = SplitName::Test, conflicts_with = "no_eval")]
     split: SplitName,
@@ -64,6 +76,39 @@ enum FormatName {
     Glb,
 }
 
+/// The direction of a scene that is up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Up {
+    X,
+    #[value(name = "-x")]
+    MinusX,
+    Y,
+    #[value(name = "-y")]
+    MinusY,
+    Z,
+    #[value(name = "-z")]
+    MinusZ,
+    Auto,
+}
+
+impl Up {
+    /// The rotation that puts it up in files, by rows; `cameras` gives what is up in the training images.
+    fn turn(self, cameras: impl FnOnce() -> Option<DVec3>) -> Result<Mat3<f64>, Failure> {
+        let direction = match self {
+            Self::X => Some(DVec3::X),
+            Self::MinusX => Some(DVec3::NEG_X),
+            Self::Y => Some(DVec3::Y),
+            Self::MinusY => Some(DVec3::NEG_Y),
+            Self::Z => Some(DVec3::Z),
+            Self::MinusZ => Some(DVec3::NEG_Z),
+            Self::Auto => cameras(),
+        };
+        direction.and_then(upright).ok_or_else(|| {
+            Failure::usage("no direction is up in most training images: name it, --up x, -x, y, -y, z or -z")
+        })
+    }
+}
+
 impl From<FormatName> for SplatFormat {
     fn from(name: FormatName) -> Self {
         match name {
@@ -85,8 +130,14 @@ struct Plan {
 
 impl Export {
     pub fn run(self, global: &Global) -> Result<Answer, Failure> {
-        if self.is_whole() {
+        if self.is_named("gs4d") {
             return self.whole(global);
+        }
+        if self.is_named("html") {
+            return self.play(global);
+        }
+        if self.tolerance.is_some() {
+            return Err(Failure::usage("--tolerance is of .html pages"));
         }
         if self.bits.is_some() {
             return Err(Failure::usage("--bits is of .gs4d files"));
@@ -101,17 +152,40 @@ impl Export {
         self.scene.is_file() && self.scene.extension().is_none_or(|e| e != "gs4d")
     }
 
-    /// Whether the moving scene is kept whole.
-    fn is_whole(&self) -> bool {
-        self.out.extension().is_some_and(|e| e == "gs4d")
+    /// Whether the file to write has that extension.
+    fn is_named(&self, extension: &str) -> bool {
+        self.out.extension().is_some_and(|e| e == extension)
+    }
+
+    /// A page that plays the scene.
+    fn play(self, global: &Global) -> Result<Answer, Failure> {
+        if self.format.is_some() || self.bits.is_some() || self.up.is_some() || self.is_of_file() {
+            return Err(Failure::usage(
+                "a page plays a run, upright as its images are: without --format, --bits and --up",
+            ));
+        }
+        check_free(self.force, "file", "name", [&self.out])?;
+        let Self { scene: run, out, times, tolerance, sh_degree, split, no_eval, force, place, max_error, .. } = self;
+        let tolerance = tolerance.map_or_else(Tolerance::default, Tolerance);
+        let times = times.map(|t| t.0);
+        let player = Player { run, out: out.clone(), times, tolerance, sh_degree, split, no_eval, force, place };
+        let (answer, loss) = player.run(global)?;
+        verdict(max_error, loss.as_ref(), &out, "a smaller --tolerance, a higher --sh-degree, more --times")?;
+        Ok(answer)
     }
 
     fn whole(self, global: &Global) -> Result<Answer, Failure> {
-        let of_files =
-            [self.times.is_some(), self.format.is_some(), self.sh_degree.is_some(), self.max_error.is_some()];
+        let of_files = [
+            self.times.is_some(),
+            self.format.is_some(),
+            self.sh_degree.is_some(),
+            self.max_error.is_some(),
+            self.up.is_some(),
+            self.tolerance.is_some(),
+        ];
         if of_files.contains(&true) || self.is_of_file() {
             return Err(Failure::usage(
-                "a .gs4d file keeps a run whole: without --times, --format, --sh-degree and --max-error",
+                "a .gs4d file keeps a run whole: without --times, --format, --sh-degree, --up, --tolerance and --max-error",
             ));
         }
         let Self { scene: run, out, bits, split, no_eval, force, place, .. } = self;
@@ -123,7 +197,7 @@ impl Export {
         let unknown = self.out.extension().filter(|_| SplatFormat::of_path(&self.out).is_none() && !self.out.is_dir());
         if let (Some(extension), None) = (unknown, self.format) {
             return Err(Failure::usage(format!(
-                "no file is written as .{}: -o FILE.ply, .splat, .spz, .glb or .gs4d, or -o DIR with --format",
+                "no file is written as .{}: -o FILE.ply, .splat, .spz, .glb, .gs4d or .html, or -o DIR with --format",
                 extension.display()
             )));
         }
@@ -165,6 +239,11 @@ impl Export {
         let plain = if raw.kernel.is_neutral() { raw } else { with_plain_kernel(&raw)? };
         let before = plain.degree;
         let reduced = cut(plain, self.sh_degree.unwrap_or(before));
+        let turn = self.up.map(|up| up.turn(|| None)).transpose()?;
+        let reduced = match &turn {
+            Some(turn) => reduced.mapped(turn),
+            None => reduced,
+        };
         let Some((_, path)) = plan.files.first() else { return Err(Failure::usage("no time to write")) };
         plan.folder.as_deref().map_or(Ok(()), create_folder)?;
         save_splats(path, &reduced, self.force)?;
@@ -178,7 +257,7 @@ impl Export {
         );
         Ok(Answer::new(
             text,
-            json!({"files": [path.display().to_string()], "splats": again.len(), "psnr": Value::Null}),
+            json!({"files": [path.display().to_string()], "splats": again.len(), "rotation": turn, "psnr": Value::Null}),
         ))
     }
 
@@ -191,7 +270,8 @@ impl Export {
                 .say(format!("note: time {time} lies outside training (0..1): what is written there is extrapolated"));
         }
         let (method, views) = (&run.loaded.model, run.training_views()?);
-        let baker = || Baker::new(method, &views, self.sh_degree);
+        let turn = self.up.map(|up| up.turn(|| mean_up(&views))).transpose()?;
+        let baker = || Baker::new(method, &views, self.sh_degree).turned(turn);
         let share = &run.share;
         // Every rank finds its outputs free before one writes.
         share.barrier()?;
@@ -222,8 +302,10 @@ impl Export {
             text.push_str(&loss.to_text());
         }
         text.push_str(&format!("-> {}\n", self.out.display()));
-        let answer = json!({"files": written, "bytes": bytes, "psnr": loss.as_ref().map(Loss::to_json)});
-        self.verdict(loss.as_ref())?;
+        let answer =
+            json!({"files": written, "bytes": bytes, "rotation": turn, "psnr": loss.as_ref().map(Loss::to_json)});
+        let try_this = "--format ply or glb, a higher --sh-degree, or -o NAME.gs4d, which keeps the method";
+        verdict(self.max_error, loss.as_ref(), &self.out, try_this)?;
         Ok(Answer::new(text, answer))
     }
 
@@ -234,23 +316,24 @@ impl Export {
         let files = AsExported::new(baker, plan.format).with_files(plan.files.clone());
         let after = files.evaluate(data, split, background, &images, &run.share)?;
         let read = after.views.iter().filter(|v| files.file_at(v.time).is_some()).count();
-        Ok(Loss { read, ..Loss::of(&before, &after) })
+        Ok(Loss::of(&before, &after, read))
     }
+}
 
-    fn verdict(&self, loss: Option<&Loss>) -> Result<(), Failure> {
-        let (Some(bound), Some(lost)) = (self.max_error, loss.and_then(Loss::mean)) else { return Ok(()) };
-        if lost <= bound {
-            return Ok(());
-        }
-        Err(Failure::new(
-            Class::Verification,
-            "export.loss",
-            format!("the files lose {lost:.3} dB, --max-error allows {bound}"),
-        )
-        .place(self.out.display())
-        .why("the files are written and valid, but not as accurate as asked for")
-        .remedy("try --format ply or glb, a higher --sh-degree, or -o NAME.gs4d, which keeps the method"))
+/// Fails if the files lost more than is allowed.
+fn verdict(max_error: Option<f64>, loss: Option<&Loss>, out: &Path, try_this: &str) -> Result<(), Failure> {
+    let (Some(bound), Some(lost)) = (max_error, loss.and_then(Loss::mean)) else { return Ok(()) };
+    if lost <= bound {
+        return Ok(());
     }
+    Err(Failure::new(
+        Class::Verification,
+        "export.loss",
+        format!("the files lose {lost:.3} dB, --max-error allows {bound}"),
+    )
+    .place(out.display())
+    .why("the files are written and valid, but not as accurate as asked for")
+    .remedy(format!("try {try_this}")))
 }
 
 /// The nearest Gaussians to splats with another kernel profile.
@@ -263,7 +346,7 @@ fn with_plain_kernel(raw: &RawSplats) -> Result<RawSplats, ExportError> {
 const TABLE: &str = "times.json";
 
 /// PSNR before and after export.
-struct Loss {
+pub struct Loss {
     before: Option<f64>,
     after: Option<f64>,
     /// Largest loss of a view, dB, and its time.
@@ -275,7 +358,7 @@ struct Loss {
 }
 
 impl Loss {
-    fn of(before: &EvalReport, after: &EvalReport) -> Self {
+    pub(super) fn of(before: &EvalReport, after: &EvalReport, read: usize) -> Self {
         let pairs = before.views.iter().zip(&after.views);
         let losses = pairs.filter_map(|(b, a)| Some((b.psnr? - a.psnr?, b.time)));
         Self {
@@ -284,7 +367,7 @@ impl Loss {
             worst: losses.reduce(|a, b| if b.0 > a.0 { b } else { a }),
             split: before.split.clone(),
             views: before.views.len(),
-            read: 0,
+            read,
         }
     }
 
@@ -293,7 +376,7 @@ impl Loss {
         Some(self.before? - self.after?)
     }
 
-    fn to_text(&self) -> String {
+    pub(super) fn to_text(&self) -> String {
         let (Some(before), Some(after), Some(lost)) = (self.before, self.after, self.mean()) else {
             return "psnr: every view is perfect\n".to_owned();
         };
@@ -308,7 +391,7 @@ impl Loss {
         )
     }
 
-    fn to_json(&self) -> Value {
+    pub(super) fn to_json(&self) -> Value {
         let worst = self.worst.map(|(db, time)| json!({"loss": db, "time": time}));
         json!({
             "before": self.before, "after": self.after, "loss": self.mean(), "worst": worst,

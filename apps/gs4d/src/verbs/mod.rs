@@ -17,6 +17,7 @@ pub mod inspect;
 pub mod jobs;
 pub mod lab;
 pub mod methods;
+mod player;
 pub mod pose;
 pub mod render;
 pub mod resume;

@@ -43,7 +43,13 @@ impl Chromium {
     pub fn start(program: &Path) -> Self {
         let profile = tempfile::tempdir().unwrap();
         let mut child = Command::new(program)
-            .args(["--headless=new", "--no-sandbox", "--disable-gpu", "--remote-debugging-port=0"])
+            .args([
+                "--headless=new",
+                "--no-sandbox",
+                "--disable-gpu",
+                "--enable-unsafe-swiftshader",
+                "--remote-debugging-port=0",
+            ])
             .args(["--window-size=1000,800", "--no-first-run", "--disable-background-networking"])
             .arg(format!("--user-data-dir={}", profile.path().display()))
             .arg("about:blank")
@@ -153,7 +159,7 @@ impl Chromium {
         let begun = Instant::now();
         while self.eval(&format!("!!({expression})")) != true {
             if begun.elapsed() > PATIENCE {
-                let state = "JSON.stringify([document.body.dataset, $('notice').textContent, $('status').textContent])";
+                let state = "JSON.stringify([document.body?.dataset, document.body?.innerText.slice(0, 300)])";
                 let state = self.eval(state);
                 panic!("never true: {expression}; the page: {state}; {:?}", self.complaints);
             }
@@ -214,7 +220,7 @@ impl Chromium {
 }
 
 /// The bytes of a base64 text.
-fn base64(text: &str) -> Vec<u8> {
+pub fn base64(text: &str) -> Vec<u8> {
     let value = |c: u8| match c {
         b'A'..=b'Z' => c - b'A',
         b'a'..=b'z' => c - b'a' + 26,

@@ -3,6 +3,8 @@
 //! Screenshots are left in `tmp/browser` of the build folder. Without Chromium the tests say so and pass.
 
 mod chromium;
+mod others;
+mod player;
 
 use chromium::Chromium;
 use std::io::{BufRead, BufReader};

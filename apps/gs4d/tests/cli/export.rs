@@ -39,6 +39,25 @@ fn every_format_is_read_back_and_measured() {
 }
 
 #[test]
+fn up_turns_the_files_and_costs_nothing() {
+    let dir = tempfile::tempdir().unwrap();
+    let load = |p: &Path| gs_core::io::load_splats(p, &gs_core::io::Limits::default()).unwrap();
+    let (lying, upright) = (dir.path().join("lying.ply"), dir.path().join("upright.ply"));
+    good(&["export", text(run()), "--no-eval", "-o", text(&lying)]);
+    let json = good(&["export", text(run()), "--up", "auto", "-o", text(&upright), "--json", "--quiet"]).json();
+    assert!(json["psnr"]["loss"].as_f64().unwrap().abs() < 0.02, "{json}");
+    // The generated scene has z up; the files of viewers have −y up.
+    let up = json["rotation"].as_array().unwrap().iter().map(|row| row[2].as_f64().unwrap());
+    assert!(up.zip([0.0, -1.0, 0.0]).all(|(a, b)| (a - b).abs() < 0.2), "{json}");
+    let named = dir.path().join("named.ply");
+    good(&["export", text(&lying), "--up", "z", "-o", text(&named)]);
+    let (before, after) = (load(&lying), load(&named));
+    assert!(before.means.iter().zip(&after.means).all(|(a, b)| (a.z + b.y).abs() < 1e-5 && (a.x - b.x).abs() < 1e-5));
+    gs4d(&["export", text(&lying), "--up", "auto", "-f", "-o", text(&named)]).fails(2, &["--up x"]);
+    gs4d(&["export", text(run()), "--up", "z", "-o", text(&dir.path().join("a.gs4d"))]).fails(2, &["--up"]);
+}
+
+#[test]
 fn a_file_draws_what_the_run_draws_at_its_time() {
     let dir = tempfile::tempdir().unwrap();
     let (file, camera) = (dir.path().join("half.glb"), dir.path().join("camera.json"));

@@ -1,7 +1,7 @@
 "use strict";
 // Moving 3D Gaussian splats in WebGL2.
 //   renderer = new SplatRenderer(canvas, () => new Worker("sort.js"))    throws where WebGL2 is missing
-//   renderer.setClip({ count, keys: [{ time, words }], background })     words: 8 u32 per splat, see splatProject
+//   renderer.setClip({ count, keys: [{ time, words }], background, sh })  words: 8 u32 per splat, see splatProject
 //   renderer.addKey({ time, words })                                     at any time, in any order of times
 //   renderer.draw(camera, time)       at once, with the newest order of depths; true if that is for this camera and time
 //   renderer.settled(camera, time)    a promise of a draw that is; the image can be read in its continuation
@@ -20,9 +20,31 @@ ivec2 place(int i) { return ivec2(i % ${splatRow}, i / ${splatRow}); }
 `;
 const splatWhole = "void main() { gl_Position = vec4(gl_VertexID == 1 ? 3 : -1, gl_VertexID == 2 ? 3 : -1, 0, 1); }";
 // Words of a splat: mean (3 f32); RGBA8, alpha the opacity; quaternion w x y z (4 snorm16); log scales (3 f16), and p, v of
-// the kernel (2 unorm8 of 0 to 1/2). The covariance on the screen is L L', L = [h k; 0 l]; l = 0 marks what is not drawn.
+// the kernel (2 unorm8 of 0 to 1/2). With sh, { degree, words }, colours depend on the direction: 12 u32 per splat, 48 snorm8
+// in steps of 1/64, r g b of each coefficient; the first is added as it is. The covariance on the screen is L L', L = [h k; 0 l]; l = 0 marks what is not drawn.
 const splatProject = `
 uniform usampler2D uOrder, uFrom, uTo;
+#ifdef HARMONICS
+uniform usampler2D uSh;
+uniform vec3 uEye;
+uniform int uDegree;
+uint shWords[12];
+float shByte(int n) { return float(int(shWords[n >> 2] << uint(24 - 8 * (n & 3))) >> 24) / 64.0; }
+vec3 sh(int k) { return vec3(shByte(3 * k), shByte(3 * k + 1), shByte(3 * k + 2)); }
+vec3 harmonics(int i, vec3 d) {
+  for (int k = 0; k < 3; k++) {
+    uvec4 four = texelFetch(uSh, place(i) * ivec2(3, 1) + ivec2(k, 0), 0);
+    shWords[4 * k] = four.x; shWords[4 * k + 1] = four.y; shWords[4 * k + 2] = four.z; shWords[4 * k + 3] = four.w;
+  }
+  float x = d.x, y = d.y, z = d.z, xx = x * x, yy = y * y, zz = z * z;
+  vec3 sum = sh(0);
+  if (uDegree > 0) sum += 0.48860251 * (-y * sh(1) + z * sh(2) - x * sh(3));
+  if (uDegree > 1) sum += 1.09254843 * (x * y * sh(4) - y * z * sh(5) - x * z * sh(7)) + 0.31539157 * (2.0 * zz - xx - yy) * sh(6) + 0.54627422 * (xx - yy) * sh(8);
+  if (uDegree > 2) sum += -0.59004359 * (y * (3.0 * xx - yy) * sh(9) + x * (xx - 3.0 * yy) * sh(15)) + 2.89061144 * x * y * z * sh(10)
+    - 0.45704580 * (4.0 * zz - xx - yy) * (y * sh(11) + x * sh(13)) + 0.37317633 * z * (2.0 * zz - 3.0 * xx - 3.0 * yy) * sh(12) + 1.44530572 * z * (xx - yy) * sh(14);
+  return sum;
+}
+#endif
 uniform float uMix;
 uniform mat4x3 uView;
 uniform vec2 uFocal, uCentre;
@@ -34,11 +56,15 @@ vec4 quaternion(uvec2 v) { return vec4(unpackSnorm2x16(v.x), unpackSnorm2x16(v.y
 vec3 logScale(uvec2 v) { return vec3(unpackHalf2x16(v.x), unpackHalf2x16(v.y).x); }
 void main() {
   oPlace = oLook = uvec4(0);
-  ivec2 at = place(int(texelFetch(uOrder, ivec2(gl_FragCoord.xy), 0).r)) * ivec2(2, 1), next = at + ivec2(1, 0);
+  int row = int(texelFetch(uOrder, ivec2(gl_FragCoord.xy), 0).r);
+  ivec2 at = place(row) * ivec2(2, 1), next = at + ivec2(1, 0);
   uvec4 a = texelFetch(uFrom, at, 0), c = texelFetch(uFrom, next, 0), b = texelFetch(uTo, at, 0), d = texelFetch(uTo, next, 0);
-  vec3 t = uView * vec4(mix(uintBitsToFloat(a.xyz), uintBitsToFloat(b.xyz), uMix), 1);
+  vec3 mean = mix(uintBitsToFloat(a.xyz), uintBitsToFloat(b.xyz), uMix), t = uView * vec4(mean, 1);
   vec4 rgba = mix(bytes(a.w), bytes(b.w), uMix);
   if (!(t.z > 0.01) || rgba.a < 1.0 / 255.0) return;
+#ifdef HARMONICS
+  rgba.rgb = max(rgba.rgb + harmonics(row, normalize(mean - uEye)), 0.0);
+#endif
   vec4 q = quaternion(c.xy), r = quaternion(d.xy);
   q = normalize(mix(q, dot(q, r) < 0.0 ? -r : r, uMix));
   vec3 s = exp(mix(logScale(c.zw), logScale(d.zw), uMix));
@@ -141,7 +167,7 @@ class SplatRenderer {
 
   // Programs and textures; again after a lost context.
   build() {
-    this.project = this.program(splatWhole, splatProject);
+    this.project = { plain: null, sh: null };
     this.blend = { plain: null, bent: null };
     this.keys = new Map();
     this.frame = null;
@@ -174,16 +200,16 @@ class SplatRenderer {
   }
   free() {
     const gl = this.gl, f = this.frame;
-    for (const texture of [...this.keys.values(), ...(f ? [f.order, f.place, f.look] : [])]) gl.deleteTexture(texture);
+    for (const texture of [...this.keys.values(), ...(f ? [f.order, f.place, f.look, f.sh] : [])]) gl.deleteTexture(texture);
     if (f) gl.deleteFramebuffer(f.buffer);
     this.keys.clear(); this.frame = null;
   }
 
-  setClip({ count, keys, background = [0, 0, 0] }) {
+  setClip({ count, keys, background = [0, 0, 0], sh = null }) {
     const most = splatRow * (this.gl.getParameter(this.gl.MAX_TEXTURE_SIZE) || 2048);
     if (!(count <= most)) throw new RangeError(`${count} splats are too many for this graphics device: at most ${most}`);
     this.free();
-    this.clip = { count, keys: [], background, bent: false };
+    this.clip = { count, keys: [], background, sh, bent: false };
     Object.assign(this, { order: null, wanted: null, serial: this.serial + 1 });
     this.sorter.postMessage({ clip: this.serial, count });
     for (const key of keys) this.addKey(key);
@@ -221,22 +247,27 @@ class SplatRenderer {
     }
   }
 
+  // A texture of so many texels of four words for each splat.
+  filled(words, texels) {
+    const { gl } = this, { count } = this.clip, rows = Math.floor(count / splatRow), rest = count % splatRow, texture = this.texture(gl.RGBA32UI, texels * splatRow);
+    if (rows) gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, texels * splatRow, rows, gl.RGBA_INTEGER, gl.UNSIGNED_INT, words);
+    if (rest) gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, rows, texels * rest, 1, gl.RGBA_INTEGER, gl.UNSIGNED_INT, words, 4 * texels * splatRow * rows);
+    return texture;
+  }
   // The texture of a key.
   uploaded(key) {
-    const { gl, keys } = this, { count } = this.clip, rows = Math.floor(count / splatRow), rest = count % splatRow;
+    const { gl, keys } = this, { count } = this.clip;
     let texture = keys.get(key);
     keys.delete(key);
     if (!texture) {
       for (const [old, texture] of keys) if ((keys.size + 1) * 32 * count > splatPool && keys.size > 1) { gl.deleteTexture(texture); keys.delete(old); }
-      texture = this.texture(gl.RGBA32UI, 2 * splatRow);
-      if (rows) gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, 2 * splatRow, rows, gl.RGBA_INTEGER, gl.UNSIGNED_INT, key.words);
-      if (rest) gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, rows, 2 * rest, 1, gl.RGBA_INTEGER, gl.UNSIGNED_INT, key.words, 8 * splatRow * rows);
+      texture = this.filled(key.words, 2);
     }
     keys.set(key, texture);
     return texture;
   }
   targets() {
-    const gl = this.gl, f = { order: this.texture(gl.R32UI, splatRow), place: this.texture(gl.RGBA32UI, splatRow), look: this.texture(gl.RGBA32UI, splatRow), buffer: gl.createFramebuffer() };
+    const gl = this.gl, f = { order: this.texture(gl.R32UI, splatRow), place: this.texture(gl.RGBA32UI, splatRow), look: this.texture(gl.RGBA32UI, splatRow), sh: this.clip.sh && this.filled(this.clip.sh.words, 3), buffer: gl.createFramebuffer() };
     gl.bindFramebuffer(gl.FRAMEBUFFER, f.buffer);
     [f.place, f.look].forEach((t, k) => gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0 + k, gl.TEXTURE_2D, t, 0));
     gl.drawBuffers([gl.COLOR_ATTACHMENT0, gl.COLOR_ATTACHMENT1]);
@@ -255,8 +286,9 @@ class SplatRenderer {
       let k = 0;
       while (k < clip.keys.length - 2 && clip.keys[k + 1].time <= time) k++;
       const from = clip.keys[k], to = clip.keys[Math.min(k + 1, clip.keys.length - 1)], span = to.time - from.time;
-      const textures = [this.uploaded(from), this.uploaded(to)], f = (this.frame ??= this.targets()), { program, at } = this.project;
-      this.bind(f.order, ...textures, f.place, f.look);
+      const textures = [this.uploaded(from), this.uploaded(to)], f = (this.frame ??= this.targets());
+      const { program, at } = (this.project[clip.sh ? "sh" : "plain"] ??= this.program(splatWhole, (clip.sh ? "#define HARMONICS\n" : "") + splatProject));
+      this.bind(f.order, ...textures, f.place, f.look, f.sh);
       if (fresh) { gl.activeTexture(gl.TEXTURE0); gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, splatRow, rows, gl.RED_INTEGER, gl.UNSIGNED_INT, list); this.order.fresh = false; }
       gl.bindFramebuffer(gl.FRAMEBUFFER, f.buffer);
       gl.viewport(0, 0, splatRow, rows);
@@ -265,6 +297,10 @@ class SplatRenderer {
       gl.uniform1f(at.uMix, span > 0 ? Math.min(1, Math.max(0, (time - from.time) / span)) : 0);
       gl.uniformMatrix4x3fv(at.uView, false, [0, 1, 2, 3].flatMap((c) => [m[c], m[c + 4], m[c + 8]]));
       gl.uniform2f(at.uFocal, fx, fy); gl.uniform2f(at.uCentre, cx, cy);
+      if (clip.sh) {
+        const eye = [0, 1, 2].map((c) => -(m[c] * m[3] + m[c + 4] * m[7] + m[c + 8] * m[11]));
+        gl.uniform1i(at.uSh, 5); gl.uniform3f(at.uEye, ...eye); gl.uniform1i(at.uDegree, clip.sh.degree);
+      }
       const ex = (0.15 * width) / fx, ey = (0.15 * height) / fy;
       gl.uniform4f(at.uLimit, -cx / fx - ex, -cy / fy - ey, (width - cx) / fx + ex, (height - cy) / fy + ey);
       gl.drawArrays(gl.TRIANGLES, 0, 3);
@@ -293,6 +329,6 @@ class SplatRenderer {
     this.canvas.removeEventListener("webglcontextlost", this.lose);
     this.canvas.removeEventListener("webglcontextrestored", this.restore);
     this.free();
-    for (const { program } of [this.project, this.blend.plain, this.blend.bent].filter(Boolean)) this.gl.deleteProgram(program);
+    for (const { program } of [...Object.values(this.project), ...Object.values(this.blend)].filter(Boolean)) this.gl.deleteProgram(program);
   }
 }

@@ -15,12 +15,12 @@ use gs_core::{Camera, Color, Splats, cast, sh};
 use half::f16;
 
 /// Bytes of a splat.
-pub(crate) const BYTES: usize = 32;
+pub const BYTES: usize = 32;
 /// Knot and value of the Gaussian.
 const GAUSSIAN: [u8; 2] = [128, 128];
 
-/// The splats as bytes, in their order.
-pub(crate) fn bytes(splats: &Splats, camera: &Camera) -> Vec<u8> {
+/// The splats as bytes, in their order; colours as `camera` sees them.
+pub fn bytes(splats: &Splats, camera: &Camera) -> Vec<u8> {
     let mut out = Vec::with_capacity(BYTES * splats.len());
     let eye = camera.position().to_array();
     for i in 0..splats.len() {
@@ -67,7 +67,7 @@ fn signed(v: f32) -> i16 {
 }
 
 /// Knot and value of a profile, as shares of ½.
-fn knot(profile: Profile<f64>) -> [u8; 2] {
+pub(crate) fn knot(profile: Profile<f64>) -> [u8; 2] {
     let p = 0.5 / (1.0 + profile.kappa);
     [p, profile.foot * p].map(|v| unit(cast::to_f32(2.0 * v)))
 }

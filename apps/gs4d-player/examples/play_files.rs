@@ -1,0 +1,24 @@
+//! Splat files, one for each time, as one page: `play_files OUT.html A.ply [B.ply …]`.
+
+use gs_core::io::{Limits, load_splats};
+use gs4d_player::{Clip, Frames, Page, Start, Tolerance};
+use std::path::Path;
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let mut arguments = std::env::args().skip(1);
+    let (Some(out), files) = (arguments.next(), arguments.collect::<Vec<_>>()) else {
+        return Err("give OUT.html and at least one splat file".into());
+    };
+    let last = files.len().saturating_sub(1).max(1) as f32;
+    let times = (0..files.len()).map(|k| k as f32 / last).collect();
+    let mut splats = Vec::new();
+    for file in &files {
+        splats.push(load_splats(Path::new(file), &Limits::default())?.to_splats()?);
+    }
+    let clip = Clip::fit(&Frames::new(times, splats)?, &[], Tolerance::default());
+    let page = Page { title: out.clone(), start: Start::default(), background: [0.0; 3], clock: None };
+    let html = page.html(&clip)?;
+    std::fs::write(&out, &html)?;
+    println!("{} splats, {} of them move, {:.2} MB", clip.len(), clip.moving(), html.len() as f64 / 1e6);
+    Ok(())
+}

@@ -1,0 +1,334 @@
+//! A scene as tracks: made from frames, evaluated at any time, as bytes.
+
+use crate::fit::{Bounds, add};
+use crate::frames::{Frames, Tolerance, sizes};
+use crate::stream::{Reader, Writer};
+use crate::track::Track;
+use crate::words::knot;
+use glam::Vec3;
+use gs_core::{Camera, Color, Kernel, Splats, cast, rot, sh};
+use serde::{Deserialize, Serialize};
+
+/// Steps of an SH coefficient in 1.
+const SH_STEPS: f32 = 64.0;
+/// Shares of ½ in a byte of a knot.
+const KNOT_STEPS: f32 = 510.0;
+
+/// Colours that can be shown in place of the scene's.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Layer {
+    /// Its name, such as `velocity`.
+    pub name: String,
+    /// What the colours say, in words.
+    pub meaning: String,
+    /// One display-encoded colour per splat of the clip.
+    pub colors: Vec<[u8; 3]>,
+}
+
+/// A moving scene whose error is bounded by a [`Tolerance`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct Clip {
+    times: Vec<f32>,
+    /// Means, quaternions, natural logarithms of the scales, opacities, colours.
+    tracks: [Track; 5],
+    /// SH degree, and `[splats, (degree + 1)², 3]` in 1/64; the first coefficient is a colour to be added.
+    harmonics: Option<(u8, Vec<i8>)>,
+    knots: Option<Knots>,
+    layers: Vec<Layer>,
+}
+
+/// Knot and value of the kernel of each splat, see [`crate::words`].
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Knots {
+    kind: Kind,
+    of: Vec<[u8; 2]>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum Kind {
+    Frequency,
+    Acutance,
+}
+
+/// The part of a clip that is text.
+#[derive(Serialize, Deserialize)]
+struct Head {
+    version: u32,
+    count: usize,
+    times: Vec<f32>,
+    degree: Option<u8>,
+    kernel: Option<Kind>,
+    layers: Vec<(String, String)>,
+}
+
+const VERSION: u32 = 1;
+/// Components of each track.
+const WIDTHS: [usize; 5] = [3, 4, 3, 1, 3];
+/// Most splats of a clip.
+const MOST: usize = 1 << 24;
+
+impl Clip {
+    /// The frames within a tolerance, as the nearest of `cameras` sees them.
+    pub fn fit(frames: &Frames, cameras: &[Camera], tolerance: Tolerance) -> Self {
+        let (middle, count) = (frames.middle(), frames.len());
+        let harmonics = match &middle.color {
+            Color::Rgb(_) => None,
+            Color::Sh { degree, .. } => Some((*degree, harmonics(frames))),
+        };
+        let base = |i: usize, c: usize| {
+            harmonics.as_ref().map_or(0.0, |(d, all)| f32::from(all[i * 3 * sh::coeffs(*d) + c]) / SH_STEPS)
+        };
+        let mut tracks = WIDTHS.map(Track::new);
+        let [means, quats, log_scales, opacities, colors] = &mut tracks;
+        for (i, size) in sizes(frames, cameras).into_iter().enumerate() {
+            let largest = frames.splats.iter().fold(0.0f32, |m, s| m.max(s.opacities[i]));
+            let bounds = Bounds::new(tolerance.0, size, largest);
+            let each = |of: &dyn Fn(&Splats) -> Vec<f32>| frames.splats.iter().flat_map(of).collect::<Vec<f32>>();
+            add(means, &each(&|s| s.means[i].to_array().to_vec()), bounds.mean);
+            add(quats, &aligned(frames, i), bounds.quat);
+            let logarithm = |v: f32| v.abs().max(1e-12).ln();
+            add(log_scales, &each(&|s| s.scales[i].to_array().map(logarithm).to_vec()), bounds.log_scale);
+            add(opacities, &each(&|s| vec![s.opacities[i]]), bounds.opacity);
+            let rgb = |s: &Splats| (0..3).map(|c| (flat(&s.color, i)[c] - base(i, c)).clamp(0.0, 1.0)).collect();
+            add(colors, &each(&rgb), bounds.color);
+        }
+        let kind = match &middle.kernel {
+            Kernel::Frequency { .. } => Some(Kind::Frequency),
+            Kernel::Acutance { .. } => Some(Kind::Acutance),
+            _ => None,
+        };
+        let of = |i| middle.kernel.bend(i).map_or([128; 2], knot);
+        let knots = kind.map(|kind| Knots { kind, of: (0..count).map(of).collect() });
+        Self { times: frames.times.clone(), tracks, harmonics, knots, layers: Vec::new() }
+    }
+
+    /// The same with layers, each with a colour for every splat; others are left out.
+    pub fn with_layers(mut self, layers: Vec<Layer>) -> Self {
+        let count = self.len();
+        self.layers = layers.into_iter().filter(|l| l.colors.len() == count).collect();
+        self
+    }
+
+    /// Number of splats.
+    pub fn len(&self) -> usize {
+        self.tracks[0].exponents.len()
+    }
+
+    /// Whether there are no splats.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Normalised times of the frames.
+    pub fn times(&self) -> &[f32] {
+        &self.times
+    }
+
+    /// Keys of all means together: as many as splats where nothing moves.
+    pub fn keys(&self) -> usize {
+        self.tracks[0].frames.len()
+    }
+
+    /// Splats whose mean has more than one key.
+    pub fn moving(&self) -> usize {
+        self.tracks[0].starts.windows(2).filter(|w| w[1] - w[0] > 1).count()
+    }
+
+    /// The frame of a normalised time, in whole frames and parts of them; times outside are those of the ends.
+    fn frame(&self, time: f32) -> f32 {
+        let after = self.times.partition_point(|&t| t <= time);
+        match (after.checked_sub(1).map(|k| (k, self.times[k])), self.times.get(after)) {
+            (Some((k, a)), Some(&b)) => k as f32 + (time - a) / (b - a),
+            (Some((k, _)), None) => k as f32,
+            (None, _) => 0.0,
+        }
+    }
+
+    /// The scene at a normalised time, as the page draws it.
+    pub fn splats(&self, time: f32) -> Splats {
+        let (frame, count) = (self.frame(time), self.len());
+        let [means, quats, log_scales, opacities, colors] = &self.tracks;
+        fn column<const N: usize>(track: &Track, count: usize, frame: f32) -> Vec<[f32; N]> {
+            let value = |i| {
+                let mut out = [0.0; N];
+                track.at(i, frame, &mut out);
+                out
+            };
+            (0..count).map(value).collect()
+        }
+        let rgb: Vec<[f32; 3]> = column::<3>(colors, count, frame).into_iter().map(|c| c.map(in_bytes)).collect();
+        let color = match &self.harmonics {
+            None => Color::Rgb(rgb),
+            Some((degree, values)) => {
+                let mut coeffs: Vec<f32> = values.iter().map(|&v| f32::from(v) / SH_STEPS).collect();
+                for (row, rgb) in coeffs.chunks_exact_mut(3 * sh::coeffs(*degree)).zip(rgb) {
+                    for (base, v) in row.iter_mut().zip(rgb) {
+                        *base = (*base + v - 0.5) / cast::to_f32(sh::C0);
+                    }
+                }
+                Color::Sh { degree: *degree, coeffs }
+            }
+        };
+        Splats {
+            means: column::<3>(means, count, frame).into_iter().map(Vec3::from_array).collect(),
+            quats: column::<4>(quats, count, frame).into_iter().map(|q| rot::normalise(q).wxyz).collect(),
+            scales: column::<3>(log_scales, count, frame)
+                .into_iter()
+                .map(|s| Vec3::from_array(s.map(f32::exp)))
+                .collect(),
+            opacities: column::<1>(opacities, count, frame).into_iter().map(|[o]| in_bytes(o)).collect(),
+            color,
+            kernel: self.knots.as_ref().map_or(Kernel::Gaussian, Knots::kernel),
+        }
+    }
+
+    /// As bytes: the length of the head, the head, the tracks, harmonics, knots, layers.
+    pub(crate) fn bytes(&self) -> Result<Vec<u8>, serde_json::Error> {
+        let head = Head {
+            version: VERSION,
+            count: self.len(),
+            times: self.times.clone(),
+            degree: self.harmonics.as_ref().map(|h| h.0),
+            kernel: self.knots.as_ref().map(|k| k.kind),
+            layers: self.layers.iter().map(|l| (l.name.clone(), l.meaning.clone())).collect(),
+        };
+        let text = serde_json::to_vec(&head)?;
+        let mut out = Writer::default();
+        out.unsigned(text.len() as u32);
+        out.bytes(text);
+        self.tracks.iter().for_each(|t| t.write(&mut out));
+        if let Some((degree, values)) = &self.harmonics {
+            planes(&mut out, values.iter().map(|v| v.cast_unsigned()), 3 * sh::coeffs(*degree));
+        }
+        if let Some(knots) = &self.knots {
+            planes(&mut out, knots.of.iter().flatten().copied(), 2);
+        }
+        self.layers.iter().for_each(|l| planes(&mut out, l.colors.iter().flatten().copied(), 3));
+        Ok(out.0)
+    }
+
+    /// Reads [`Self::bytes`].
+    pub(crate) fn parse(bytes: &[u8]) -> Result<Self, String> {
+        let mut from = Reader(bytes);
+        let length = from.unsigned()? as usize;
+        let head: Head = serde_json::from_slice(from.bytes(length)?).map_err(|e| e.to_string())?;
+        let (count, frames) = (head.count, head.times.len());
+        if head.version != VERSION || head.degree.is_some_and(|d| d > sh::MAX_DEGREE) {
+            return Err(format!("version {}, degree {:?}", head.version, head.degree));
+        }
+        if count > MOST || frames == 0 || frames > usize::from(u16::MAX) || !head.times.is_sorted_by(|a, b| a < b) {
+            return Err(format!("{count} splats at {frames} times"));
+        }
+        let mut track = |width| Track::read(&mut from, width, count, frames);
+        let [a, b, c, d, e] = WIDTHS.map(&mut track);
+        let tracks = [a?, b?, c?, d?, e?];
+        let harmonics = match head.degree {
+            Some(degree) => {
+                let values = unplaned(&mut from, count, 3 * sh::coeffs(degree))?;
+                Some((degree, values.into_iter().map(u8::cast_signed).collect()))
+            }
+            None => None,
+        };
+        let knots = match head.kernel {
+            Some(kind) => Some(Knots { kind, of: unplaned(&mut from, count, 2)?.as_chunks().0.to_vec() }),
+            None => None,
+        };
+        let mut layers = Vec::new();
+        for (name, meaning) in head.layers {
+            layers.push(Layer { name, meaning, colors: unplaned(&mut from, count, 3)?.as_chunks().0.to_vec() });
+        }
+        match from.0 {
+            [] => Ok(Self { times: head.times, tracks, harmonics, knots, layers }),
+            rest => Err(format!("{} bytes too many", rest.len())),
+        }
+    }
+}
+
+/// A share of 1 rounded to 8 bits, as the page keeps it.
+fn in_bytes(v: f32) -> f32 {
+    (v.clamp(0.0, 1.0) * 255.0).round() / 255.0
+}
+
+/// Colour of degree 0 of a splat.
+fn flat(color: &Color, i: usize) -> [f32; 3] {
+    match color {
+        Color::Rgb(all) => all[i],
+        Color::Sh { coeffs, .. } => {
+            let row = &coeffs[i * color.width()..];
+            [row[0], row[1], row[2]].map(|v| 0.5 + cast::to_f32(sh::C0) * v)
+        }
+    }
+}
+
+/// The mean coefficients over time in 1/64; the first is what the colour of degree 0 exceeds 0..1 by, in the middle of its range.
+fn harmonics(frames: &Frames) -> Vec<i8> {
+    let (middle, n) = (frames.middle(), frames.splats.len() as f32);
+    let width = middle.color.width();
+    let byte = |v: f32| (v * SH_STEPS).round().clamp(-127.0, 127.0) as i8;
+    let mut out = Vec::with_capacity(width * frames.len());
+    for i in 0..frames.len() {
+        for c in 0..3 {
+            let all = frames.splats.iter().map(|s| flat(&s.color, i)[c]);
+            let [low, high] = all.fold([f32::INFINITY, f32::NEG_INFINITY], |[a, b], v| [a.min(v), b.max(v)]);
+            let inside = low >= 0.0 && high <= 1.0;
+            let half = 0.5 * (low + high);
+            out.push(if inside { 0 } else { byte(half - half.clamp(0.0, 1.0)) });
+        }
+        for k in 3..width {
+            let sum: f32 = frames.splats.iter().map(|s| s.color.as_flat()[i * width + k]).sum();
+            out.push(byte(sum / n));
+        }
+    }
+    out
+}
+
+/// Unit quaternions of a splat over the frames, each with the sign that is nearer to the one before.
+fn aligned(frames: &Frames, i: usize) -> Vec<f32> {
+    let (mut out, mut last) = (Vec::new(), [1.0, 0.0, 0.0, 0.0]);
+    for splats in &frames.splats {
+        let unit = match rot::normalise(splats.quats[i]).wxyz {
+            [0.0, 0.0, 0.0, 0.0] => last,
+            q => q,
+        };
+        let same = unit.iter().zip(last).map(|(a, b)| a * b).sum::<f32>() >= 0.0;
+        last = if same { unit } else { unit.map(|v| -v) };
+        out.extend(last);
+    }
+    out
+}
+
+impl Knots {
+    fn kernel(&self) -> Kernel {
+        let knots = || self.of.iter().map(|k| k.map(|v| f32::from(v) / KNOT_STEPS));
+        match self.kind {
+            // p = (1 + κ)/4
+            Kind::Acutance => {
+                Kernel::Acutance { acutances: knots().map(|[p, _]| (4.0 * p - 1.0).clamp(-0.999, 0.999)).collect() }
+            }
+            // v = (1 − β)/2, p = (½ + λ − β)/(1 + 2λ)
+            Kind::Frequency => {
+                let beta = |v: f32| (1.0 - 2.0 * v).clamp(0.0, 1.0);
+                let lambda = |[p, v]: [f32; 2]| {
+                    if p == v { 0.5 } else { ((beta(v) + p - 0.5) / (1.0 - 2.0 * p).max(1e-3)).clamp(0.0, 1.0) }
+                };
+                Kernel::Frequency {
+                    lambdas: knots().map(lambda).collect(),
+                    betas: knots().map(|[_, v]| beta(v)).collect(),
+                }
+            }
+        }
+    }
+}
+
+/// Appends rows of `width` bytes component by component.
+fn planes(out: &mut Writer, rows: impl Iterator<Item = u8>, width: usize) {
+    let rows: Vec<u8> = rows.collect();
+    (0..width).for_each(|c| out.bytes(rows.iter().skip(c).step_by(width).copied()));
+}
+
+/// Reads [`planes`].
+fn unplaned(from: &mut Reader<'_>, count: usize, width: usize) -> Result<Vec<u8>, String> {
+    let planes = from.bytes(count.saturating_mul(width))?;
+    Ok((0..count * width).map(|k| planes[(k % width) * count + k / width]).collect())
+}

@@ -1,0 +1,74 @@
+//! A moving scene as one web page that plays it, without a server and without a request to anywhere.
+//!
+//! ```
+//! use gs_core::{Color, Kernel, Splats};
+//! use gs4d_player::{Clip, Frames, Page, Start, Tolerance};
+//!
+//! // One red splat that moves along x, at eleven times.
+//! let at = |x: f32| Splats {
+//!     means: vec![glam::Vec3::new(x, 0.0, 4.0)],
+//!     quats: vec![[1.0, 0.0, 0.0, 0.0]],
+//!     scales: vec![glam::Vec3::splat(0.1)],
+//!     opacities: vec![0.9],
+//!     color: Color::Rgb(vec![[1.0, 0.0, 0.0]]),
+//!     kernel: Kernel::Gaussian,
+//! };
+//! let times: Vec<f32> = (0..11).map(|k| k as f32 / 10.0).collect();
+//! let frames = Frames::new(times.clone(), times.iter().map(|&t| at(t)).collect())?;
+//! let clip = Clip::fit(&frames, &[], Tolerance::default());
+//! // The motion is linear: two keys are enough, and half way is half way.
+//! assert_eq!(clip.keys(), 2);
+//! assert!((clip.splats(0.5).means[0].x - 0.5).abs() < 0.01);
+//!
+//! let html = Page { title: "one splat".into(), start: Start::default(), background: [0.0; 3], clock: None }.html(&clip)?;
+//! assert_eq!(gs4d_player::read(&html)?, clip);
+//! # Ok::<(), gs4d_player::PlayerError>(())
+//! ```
+//!
+//! # What is stored
+//! Each splat has five tracks: mean, quaternion, logarithms of the scales, opacity, colour. A track holds values at key frames of its
+//! own, as whole multiples of a power of two, with linear interpolation between them; a track that never leaves its tolerance holds one
+//! value. Spherical harmonics above degree 0 do not move: 8 bits, steps of 1/64. Kernels are kept as two bytes. Everything is deflated
+//! and written as base64.
+//!
+//! # The error bound
+//! [`Tolerance`] is a share of the standard deviation that a splat has in the image of the nearest camera, the pixel's own included:
+//! no mean is displaced by more, no scale is wrong by a larger factor, no rotation turns its ends by more. What this costs in PSNR is
+//! measured by rendering [`Clip::splats`] of the file as it was read back.
+//!
+//! # What it leaves out
+//! Harmonics that change with time are averaged over it; colours are clamped to 0..1 where they have no harmonics; the page needs
+//! WebGL2 and `DecompressionStream` (browsers since 2023).
+
+#![warn(unreachable_pub)]
+
+mod clip;
+mod fit;
+mod frames;
+mod page;
+mod stream;
+mod track;
+pub mod words;
+
+pub use clip::{Clip, Layer};
+pub use frames::{Frames, Tolerance};
+pub use page::{Page, SORT_JS, SPLATS_JS, Start, VECTORS_JS, read};
+
+/// A scene that cannot become a clip, or a page that holds none.
+#[derive(Debug, thiserror::Error)]
+pub enum PlayerError {
+    /// Frames that do not belong together.
+    #[error("frame {frame}: {what}")]
+    Frames {
+        /// Index of the frame.
+        frame: usize,
+        /// What is wrong with it.
+        what: String,
+    },
+    /// A page without a clip, or a damaged one.
+    #[error("the page cannot be read back: {0}; export it again")]
+    Damaged(String),
+    /// The clip cannot be written as text.
+    #[error("the page cannot be written: {0}")]
+    Write(String),
+}

@@ -1,0 +1,100 @@
+//! The page of `gs4d export -o NAME.html`, opened from the disk: it draws what its clip holds, plays, and shows layers.
+
+use crate::chromium::base64;
+use crate::{Desk, good, text};
+use gs_core::Camera;
+use gs_core::io::Limits;
+use gs_core::io::images::load_image;
+use gs_raster::{RasterOptions, Workspace, render};
+use gs4d_player::Clip;
+use serde_json::{Value, json};
+use std::path::{Path, PathBuf};
+
+/// The image that the page draws at rest of its own camera, 480 by 360 pixels, at the present time, and that camera.
+const DRAWN: &str = "(async () => { const c = camera(480, 360); await renderer.settled(c, state.t); return [$('image').toDataURL(), c]; })()";
+/// The pace of a camera that orbits while the scene plays, images a second.
+const PACE: &str = "new Promise((done) => { play(true); let n = 0; const go = () => { orbit(0.02, 0); n++ < 90 ? requestAnimationFrame(go) : (play(false), done(rate.get())); }; go(); })";
+
+fn number(v: &Value) -> f64 {
+    v.as_f64().unwrap()
+}
+
+/// The camera of a page, as JSON, as ours.
+fn camera(json: &Value) -> Camera {
+    let m: Vec<f64> = json["viewmat"].as_array().unwrap().iter().map(number).collect();
+    let row = |r: usize| glam::DVec3::new(m[4 * r], m[4 * r + 1], m[4 * r + 2]);
+    Camera {
+        width: 480,
+        height: 360,
+        fx: number(&json["fx"]),
+        fy: number(&json["fy"]),
+        cx: number(&json["cx"]),
+        cy: number(&json["cy"]),
+        rotation: glam::DMat3::from_cols(row(0), row(1), row(2)).transpose(),
+        translation: glam::DVec3::new(m[3], m[7], m[11]),
+    }
+}
+
+/// PSNR of what the page drew against the rasteriser's image of the clip, dB.
+fn against_rasteriser(drawn: &Value, clip: &Clip, time: f32, file: &Path) -> f64 {
+    std::fs::write(file, base64(drawn[0].as_str().unwrap().split_once(',').unwrap().1)).unwrap();
+    let (theirs, camera) = (load_image(file, &Limits::default()).unwrap(), camera(&drawn[1]));
+    let ours = render(&clip.splats(time), &camera, &RasterOptions::default(), &mut Workspace::new()).rgb;
+    let sum: f64 = (0..360 * 480)
+        .flat_map(|k| (0..3).map(move |c| (k, c)))
+        .map(|(k, c)| {
+            f64::from(theirs.pixel(k % 480, k / 480)[c] - ours.pixel(k % 480, k / 480)[c].clamp(0.0, 1.0)).powi(2)
+        })
+        .sum();
+    -10.0 * (sum / (3.0 * 360.0 * 480.0)).log10()
+}
+
+#[test]
+#[ignore = "half a minute: cargo test -p gs4d --test browser -- --ignored --nocapture page_plays"]
+fn a_page_plays_the_scene() {
+    let Some(mut desk) = Desk::new() else { return };
+    let balls = desk.balls();
+    for method in ["fourdgs", "fags", "modec", "trace-4dgs"] {
+        let many = ["--set", "init.points=25000", "--set", "schedule.density.max_splats=25000"];
+        let more = if method == "fourdgs" { &many[..] } else { &[] };
+        let run = desk.train(&balls, method, &[&["--steps", "80"], more].concat());
+        let page: PathBuf = desk.dir.path().join(format!("{method}.html"));
+        good(&["export", text(&run), "--times", "0..1:60", "-q", "-o", text(&page)]);
+        let clip = gs4d_player::read(&std::fs::read_to_string(&page).unwrap()).unwrap();
+        desk.browser.resize(1000, 800);
+        desk.browser.open(&format!("file://{}", page.display()));
+        desk.browser.until("document.body && document.body.dataset.ready === '-1'");
+        let mut worst = f64::INFINITY;
+        for (time, turn) in [(0.0f32, 0.0), (0.37, 0.3), (1.0, -0.2)] {
+            desk.browser.eval(&format!("setTime({time}); orbit({turn}, 0.1)"));
+            let drawn = desk.browser.eval(DRAWN);
+            worst = worst.min(against_rasteriser(&drawn, &clip, time, &desk.shots.join(format!("page-{method}.png"))));
+        }
+        let pace = number(&desk.browser.eval(PACE));
+        let size = desk.browser.eval("`${clip.count} splats at ${$('image').width}x${$('image').height}`");
+        let bytes = std::fs::metadata(&page).unwrap().len();
+        println!(
+            "{method}, {size}, {:.2} MB: {worst:.1} dB from the rasteriser's image, {pace:.0} images a second",
+            bytes as f64 / 1e6
+        );
+        assert!(worst > 35.0, "{method}: {worst} dB");
+        desk.browser.eval("setTime(0.5)");
+        desk.shot(&format!("page-{method}-window"));
+        let layers = desk.browser.eval("clip.layers.map((l) => l.name)");
+        assert_eq!(layers[0], "path", "{layers}");
+        let before = desk.browser.eval(DRAWN)[0].clone();
+        desk.browser.set("layer", "0");
+        desk.browser.until("document.body.dataset.ready === '0'");
+        assert_ne!(desk.browser.eval(DRAWN)[0], before, "{method}: the layer looks otherwise");
+        desk.browser.resize(390, 800);
+        desk.shot(&format!("page-{method}-phone"));
+        assert!(desk.browser.complaints.is_empty(), "{method}: {:?}", desk.browser.complaints);
+        assert_eq!(desk.browser.eval("$('notice').hidden"), json!(true));
+        assert_eq!(
+            desk.browser.eval("performance.getEntriesByType('resource').length"),
+            json!(0),
+            "{method}: nothing is fetched"
+        );
+        desk.browser.leave();
+    }
+}
