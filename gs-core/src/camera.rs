@@ -15,7 +15,7 @@
 //! # Ok::<(), gs_core::camera::CameraError>(())
 //! ```
 
-use glam::{DMat3, DMat4, DVec2, DVec3};
+use glam::{DMat3, DMat4, DQuat, DVec2, DVec3};
 
 /// A pinhole camera without distortion: image size, intrinsics in pixels, and the world→camera transform.
 #[derive(Clone, Debug, PartialEq)]
@@ -162,6 +162,27 @@ impl Camera {
     pub fn ray(&self, u: f64, v: f64) -> DVec3 {
         let d = DVec3::new((u - self.cx) / self.fx, (v - self.cy) / self.fy, 1.0);
         (self.rotation.transpose() * d).normalize_or_zero()
+    }
+
+    /// The camera turned and shifted in its own axes, a perturbation on the left of the world→camera transform:
+    /// `R' = E R` and `T' = E T + shift` with `E = exp([turn]×)`. `turn` is a rotation vector (axis times angle, radians),
+    /// `shift` in world units. A turn alone leaves [`Camera::position`] where it is.
+    ///
+    /// ```
+    /// use glam::DVec3;
+    /// use gs_core::Camera;
+    ///
+    /// let camera = Camera::look_at(64, 48, 0.7, DVec3::new(0.0, 0.0, -2.0), DVec3::ZERO, DVec3::NEG_Y)?;
+    /// // Moved by +x in its own axes, the world comes to lie one unit further right; the camera itself goes left.
+    /// let moved = camera.moved(DVec3::ZERO, DVec3::X);
+    /// assert_eq!(moved.to_camera(DVec3::ZERO), DVec3::new(1.0, 0.0, 2.0));
+    /// let turned = camera.moved(DVec3::Y * 0.1, DVec3::ZERO);
+    /// assert!((turned.position() - camera.position()).length() < 1e-12);
+    /// # Ok::<(), gs_core::camera::CameraError>(())
+    /// ```
+    pub fn moved(&self, turn: DVec3, shift: DVec3) -> Self {
+        let turn = DMat3::from_quat(DQuat::from_scaled_axis(turn));
+        Self { rotation: turn * self.rotation, translation: turn * self.translation + shift, ..self.clone() }
     }
 
     /// The same camera for an image resized by `factor` on both sides (rounded to whole pixels).

@@ -4,10 +4,11 @@
 //! order, followed by the backward of projection and colour. Nothing depends on the number of threads.
 
 use crate::blend_backward::{TileBackward, TileSpan, blend_backward};
+use crate::camera_grad::{CameraGrad, CameraSum};
 use crate::frame::{FrameGrad, ScreenStats};
 use crate::kernel::{Gaussian, KernelProfile, PiecewiseLinear};
 use crate::options::{Limits, RasterOptions};
-use crate::project::{PixelSums, SplatGeometry, View, backward, project, sh_color_backward};
+use crate::project::{self, PixelSums, SplatGeometry, View, sh_color_backward};
 use crate::simd;
 use crate::tiles::{Grid, LOG2_SCALE, TILE};
 use crate::workspace::{BLOCKS, Plane, Record, Workspace, pixel_of};
@@ -47,7 +48,49 @@ pub fn render_backward_into<'a>(
     grad: &mut SplatsGrad,
     stats: &mut ScreenStats,
 ) {
-    let (splats, w) = (splats.into(), workspace);
+    backward::<()>(splats.into(), camera, options, workspace, d, grad, stats);
+}
+
+/// [`render_backward_into`], and the gradient with respect to the camera's pose and intrinsics. `grad` and `stats` get the
+/// same bits.
+///
+/// ```
+/// use gs_core::SplatsGrad;
+/// use gs_raster::{FrameGrad, RasterOptions, ScreenStats, Workspace, measure, render, render_backward_with_camera};
+///
+/// let (splats, camera, options) = (measure::scene(100, 0), measure::camera(32), RasterOptions::default());
+/// let mut workspace = Workspace::new();
+/// let frame = render(&splats, &camera, &options, &mut workspace);
+/// let d = FrameGrad { alpha: vec![1.0; frame.alpha.len()], ..FrameGrad::default() };
+/// let (mut grad, mut stats) = (SplatsGrad::default(), ScreenStats::default());
+/// let camera_grad =
+///     render_backward_with_camera(&splats, &camera, &options, &mut workspace, &d, &mut grad, &mut stats);
+/// // Where colours do not depend on the view, a shift of the camera's T acts as the same shift of every splat.
+/// let [.., back] = camera_grad.twist(&camera);
+/// let splats_back: f64 = grad.means.iter().map(|d| camera.forward().dot(d.as_dvec3())).sum();
+/// assert!(back < 0.0 && (splats_back / back - 1.0).abs() < 1e-4); // farther away, less alpha
+/// ```
+pub fn render_backward_with_camera<'a>(
+    splats: impl Into<SplatsRef<'a>>,
+    camera: &Camera,
+    options: &RasterOptions,
+    workspace: &mut Workspace,
+    d: &FrameGrad,
+    grad: &mut SplatsGrad,
+    stats: &mut ScreenStats,
+) -> CameraGrad {
+    backward(splats.into(), camera, options, workspace, d, grad, stats)
+}
+
+fn backward<C: CameraSum>(
+    splats: SplatsRef<'_>,
+    camera: &Camera,
+    options: &RasterOptions,
+    w: &mut Workspace,
+    d: &FrameGrad,
+    grad: &mut SplatsGrad,
+    stats: &mut ScreenStats,
+) -> C {
     debug_assert_eq!((w.grid.width, w.grid.height), (camera.width as usize, camera.height as usize));
     allocate_records(w);
     let depth = !d.depth.is_empty();
@@ -65,7 +108,7 @@ pub fn render_backward_into<'a>(
         }
     }
     assign_ranks(splats.len(), w);
-    splats_backward(splats, options, w, grad, stats);
+    splats_backward(splats, options, w, grad, stats)
 }
 
 /// Allocates one record for each entry up to the last one that some pixel of its tile blended.
@@ -145,14 +188,14 @@ fn assign_ranks(n: usize, w: &mut Workspace) {
     }
 }
 
-fn splats_backward(
+fn splats_backward<C: CameraSum>(
     splats: SplatsRef<'_>,
     options: &RasterOptions,
     w: &Workspace,
     grad: &mut SplatsGrad,
     stats: &mut ScreenStats,
-) {
-    let Some(view) = &w.view else { return };
+) -> C {
+    let Some(view) = &w.view else { return C::default() };
     grad.reset(splats);
     let n = splats.len();
     stats.grad_means2d.clear();
@@ -177,12 +220,17 @@ fn splats_backward(
         stats.radii.par_chunks_mut(b),
     );
     let level = simd::level(options.simd);
-    columns.into_par_iter().enumerate().for_each(
+    let blocks = columns.into_par_iter().enumerate().map(
         |(block, (means, quats, scales, opacities, color, kernel, means2d, radii))| {
             let rows = RowsOut { first: block * b, means, quats, scales, opacities, color, kernel, means2d, radii };
-            dispatch!(level, simd => block_backward(simd, splats, options, w, view, rows));
+            dispatch!(level, simd => block_backward(simd, splats, options, w, view, rows))
         },
     );
+    let blocks: Vec<C> = blocks.collect();
+    blocks.into_iter().fold(C::default(), |mut sum, block| {
+        sum.add(block);
+        sum
+    })
 }
 
 /// Output rows of one block of splats.
@@ -199,21 +247,22 @@ struct RowsOut<'a> {
 }
 
 #[inline(always)]
-fn block_backward<S: Simd>(
+fn block_backward<S: Simd, C: CameraSum>(
     _: S,
     splats: SplatsRef<'_>,
     options: &RasterOptions,
     w: &Workspace,
     view: &View,
     out: RowsOut,
-) {
+) -> C {
+    let mut camera = C::default();
     let (width, kernel_width) = (splats.color.width(), splats.kernel.width());
     for k in 0..out.means.len() {
         let i = out.first + k;
         let Some(sums) = sum_records(w, w.rank_of[i]) else { continue };
         let geometry = SplatGeometry { mean: splats.means[i], quat: splats.quats[i], scale: splats.scales[i] };
-        let Some(footprint) = project(view, &geometry, options) else { continue };
-        let g = backward(view, &geometry, &footprint, f64::from(splats.opacities[i]), &sums, options);
+        let Some(footprint) = project::project(view, &geometry, options) else { continue };
+        let g = project::backward(view, &geometry, &footprint, f64::from(splats.opacities[i]), &sums, options);
         let d_view = color_backward(splats, view, i, &sums, &mut out.color[k * width..][..width]);
         splats.kernel.vjp(i, sums.kernel, &mut out.kernel[k * kernel_width..][..kernel_width]);
         out.means[k] = to_vec3(g.mean) + d_view;
@@ -222,7 +271,9 @@ fn block_backward<S: Simd>(
         out.opacities[k] = g.opacity as f32;
         out.means2d[k] = [g.mean2d[0] as f32, g.mean2d[1] as f32];
         out.radii[k] = footprint.radius() as f32;
+        camera.add_splat(view, splats.means[i], &footprint, &g, d_view);
     }
+    camera
 }
 
 #[inline(always)]

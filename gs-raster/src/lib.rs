@@ -1,4 +1,5 @@
-//! Differentiable rasteriser of Gaussian splats on the CPU: images forward, gradients of every parameter backward.
+//! Differentiable rasteriser of Gaussian splats on the CPU: images forward, gradients of every parameter and of the
+//! camera backward.
 //!
 //! ```
 //! use gs_raster::{FrameGrad, RasterOptions, Workspace, measure, render, render_backward};
@@ -43,8 +44,14 @@
 //! Hidden splats and closed tiles cost next to nothing and change nothing; the only approximations are those of `f32`
 //! arithmetic.
 //!
+//! # Gradients of the camera
+//! [`render_backward_with_camera`] also returns the gradient of pose and intrinsics ([`CameraGrad`]), by every path: centre and
+//! shape of the ellipse, the clamp of the Jacobian (whose bounds move with the principal point), anti-aliased opacities,
+//! the direction from which colours are seen, depth. What culls or orders splats has no gradient. Sums over splats are in
+//! `f64`, in blocks of fixed size. Whoever does not ask pays nothing.
+//!
 //! # What it leaves out
-//! Distortion, rolling shutter, depth sorting per pixel, second-order gradients, cotangents of the camera.
+//! Distortion, rolling shutter, depth sorting per pixel, second-order gradients.
 
 #![warn(unreachable_pub)]
 #![warn(clippy::allow_attributes_without_reason)]
@@ -54,6 +61,7 @@ mod blend;
 mod blend_backward;
 #[cfg(test)]
 mod brute_force;
+mod camera_grad;
 mod count;
 mod forward;
 mod frame;
@@ -68,7 +76,8 @@ mod sort;
 pub mod tiles;
 mod workspace;
 
-pub use backward::render_backward_into;
+pub use backward::{render_backward_into, render_backward_with_camera};
+pub use camera_grad::CameraGrad;
 pub use count::blend_counts;
 pub use forward::render_into;
 pub use frame::{Frame, FrameGrad, ScreenStats};

@@ -6,7 +6,8 @@
 use crate::options::{RasterOptions, SimdLevel};
 use crate::reference::{self, Cutoff, Scene};
 use crate::{
-    Frame, FrameGrad, ScreenStats, Workspace, render, render_backward, render_backward_into, render_into, simd,
+    Frame, FrameGrad, ScreenStats, Workspace, render, render_backward_into, render_backward_with_camera, render_into,
+    simd,
 };
 use fearless_simd::{dispatch, f32x16, prelude::*};
 use glam::{DMat3, DVec3, Vec3};
@@ -131,8 +132,8 @@ fn exp2_rounds<S: Simd>(simd: S, rounds: usize) -> f32 {
     (sum[0] + sum[1] + sum[2] + sum[3]).reduce_sum()
 }
 
-/// Median time of `runs` frames with the current pool, forward and forward + backward, each with its error against the
-/// `f64` reference on a smaller image of the same scene (`error_side` pixels wide).
+/// Median time of `runs` frames with the current pool: forward, forward + backward, the same with the camera's gradient.
+/// Each with its error against the `f64` reference on a smaller image of the same scene (`error_side` pixels wide).
 pub fn rows(
     case: &str,
     splats: &Splats,
@@ -140,7 +141,7 @@ pub fn rows(
     options: &RasterOptions,
     runs: usize,
     error_side: u32,
-) -> [BenchRow; 2] {
+) -> [BenchRow; 3] {
     let (mut workspace, mut frame) = (Workspace::new(), Frame::default());
     let n = (camera.width * camera.height) as usize;
     let d = FrameGrad { rgb: cotangents(3 * n), ..FrameGrad::default() };
@@ -150,8 +151,12 @@ pub fn rows(
         render_into(splats, camera, options, &mut workspace, &mut frame);
         render_backward_into(splats, camera, options, &mut workspace, &d, &mut grad, &mut stats);
     });
+    let with_camera = median_seconds(runs, || {
+        render_into(splats, camera, options, &mut workspace, &mut frame);
+        render_backward_with_camera(splats, camera, options, &mut workspace, &d, &mut grad, &mut stats);
+    });
     let small = camera.scaled(f64::from(error_side) / f64::from(camera.width));
-    let (frame_error, grad_error, blended_samples) = errors(splats, &small, options);
+    let Errors { frame: frame_error, means, camera: camera_error, blended_samples } = errors(splats, &small, options);
     let scale = n as f64 / f64::from(small.width * small.height);
     let row = |variant: &str, seconds: f64, error, error_kind| BenchRow {
         krate: "gs-raster",
@@ -166,7 +171,8 @@ pub fn rows(
     };
     [
         row("forward", forward, frame_error, "frame max abs off the cutoff band"),
-        row("forward+backward", both, grad_error, "means gradient relative L2"),
+        row("forward+backward", both, means, "means gradient relative L2"),
+        row("forward+backward+camera", with_camera, camera_error, "camera twist relative L2"),
     ]
 }
 
@@ -175,8 +181,19 @@ fn cotangents(n: usize) -> Vec<f32> {
     (0..n).map(|_| rng.range(-1.0, 1.0)).collect()
 }
 
-/// Largest frame error off the cutoff band, relative L2 of the gradient of the means, and blended samples.
-fn errors(splats: &Splats, camera: &Camera, options: &RasterOptions) -> (f64, f64, f64) {
+/// Errors of a frame and of its gradients.
+struct Errors {
+    /// Largest error of the frame off the cutoff band.
+    frame: f64,
+    /// Relative L2 of the gradient of the means.
+    means: f64,
+    /// Relative L2 of the gradient of the camera's motion.
+    camera: f64,
+    /// Number of blended samples.
+    blended_samples: f64,
+}
+
+fn errors(splats: &Splats, camera: &Camera, options: &RasterOptions) -> Errors {
     let exact = Scene::<f64>::new(splats);
     let want = reference::render(&exact, camera, options, Cutoff::Hard);
     let mut workspace = Workspace::new();
@@ -194,15 +211,21 @@ fn errors(splats: &Splats, camera: &Camera, options: &RasterOptions) -> (f64, f6
         }
     }
     let d: Vec<_> = rgb.as_chunks::<3>().0.iter().map(|d| (d.map(f64::from), 0.0, 0.0)).collect();
-    let (want_grad, _) = reference::render_backward(&exact, camera, options, Cutoff::Hard, &d);
-    let (grad, _) =
-        render_backward(splats, camera, options, &mut workspace, &FrameGrad { rgb, ..FrameGrad::default() });
-    let (mut distance, mut norm) = (0.0, 0.0);
-    for (got, want) in grad.means.iter().zip(&want_grad.means) {
-        for (g, w) in got.to_array().iter().zip(want) {
-            distance += (f64::from(*g) - w).powi(2);
-            norm += w * w;
-        }
+    let (want_grad, _, want_camera) = reference::render_backward(&exact, camera, options, Cutoff::Hard, &d);
+    let (mut grad, mut stats) = (SplatsGrad::default(), ScreenStats::default());
+    let d = FrameGrad { rgb, ..FrameGrad::default() };
+    let got_camera = render_backward_with_camera(splats, camera, options, &mut workspace, &d, &mut grad, &mut stats);
+    let got_means: Vec<f64> = grad.means.iter().flat_map(|m| m.to_array().map(f64::from)).collect();
+    Errors {
+        frame: worst,
+        means: relative_l2(&got_means, want_grad.means.as_flattened()),
+        camera: relative_l2(&got_camera.twist(camera), &want_camera.twist(camera)),
+        blended_samples: want.blended_samples as f64,
     }
-    (worst, (distance / norm.max(f64::MIN_POSITIVE)).sqrt(), want.blended_samples as f64)
+}
+
+fn relative_l2(got: &[f64], want: &[f64]) -> f64 {
+    let distance: f64 = got.iter().zip(want).map(|(g, w)| (g - w).powi(2)).sum();
+    let norm: f64 = want.iter().map(|w| w * w).sum();
+    (distance / norm.max(f64::MIN_POSITIVE)).sqrt()
 }

@@ -18,7 +18,7 @@ use gs_core::{Camera, rot, sh};
 /// A camera's constants in the form projection needs, computed once per frame.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct View {
-    rotation: [[f64; 3]; 3],
+    pub(crate) rotation: [[f64; 3]; 3],
     translation: [f64; 3],
     pub(crate) position: [f64; 3],
     focal: [f64; 2],
@@ -79,7 +79,7 @@ pub(crate) struct Footprint {
     /// Projected mean, pixels.
     pub center: [f64; 2],
     /// Mean in camera space, world units.
-    point: [f64; 3],
+    pub point: [f64; 3],
     /// Whitening: `a = w[0] dx + w[1] dy`, `b = w[2] dy`.
     pub whitening: [f64; 3],
     /// Dilated covariance `Σ'` as `xx, xy, yy`, pixels².
@@ -90,15 +90,16 @@ pub(crate) struct Footprint {
     det: f64,
     /// Anti-aliasing factor on the opacity (1 when off).
     pub compensation: f64,
-    unit: rot::UnitQuat<f64>,
+    /// The quaternion, normalised.
+    pub unit: rot::UnitQuat<f64>,
     /// `R_v R`: columns are the splat's axes in camera space.
     cam_axes: [[f64; 3]; 3],
     /// `F = J R_v R diag(s)`.
     factor: [[f64; 3]; 2],
     /// `x/z`, `y/z` clamped to the bounds.
-    clamped: [f64; 2],
+    pub clamped: [f64; 2],
     /// 1 where the clamp changed nothing, else 0.
-    unclamped: [f64; 2],
+    pub unclamped: [f64; 2],
 }
 
 /// Geometry parameters of one splat.
@@ -195,6 +196,19 @@ pub(crate) struct GeometryGrad {
     pub opacity: f64,
     /// `dL/d mean2d`, per pixel.
     pub mean2d: [f64; 2],
+    /// What reaches the camera.
+    pub in_camera: CameraSpaceGrad,
+}
+
+/// Cotangents of one splat in camera space.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct CameraSpaceGrad {
+    /// Of the mean `R_v m + t_v`.
+    pub point: [f64; 3],
+    /// Of the axes `R_v R`.
+    pub axes: [[f64; 3]; 3],
+    /// Of `f/z` and of `−f·clamp/z`, per axis.
+    pub jacobian: [[f64; 2]; 2],
 }
 
 impl Footprint {
@@ -277,6 +291,7 @@ pub(crate) fn backward(
         scale,
         opacity: if opacity > 0.0 { sums.opacity / opacity } else { 0.0 },
         mean2d,
+        in_camera: CameraSpaceGrad { point: d_point, axes: d_turned, jacobian: d_j },
     }
 }
 

@@ -166,7 +166,7 @@ fn reference_reproduces_golden_images_and_gradients() {
             let frame = reference(&g.scene, &g.camera, &options, Cutoff::Hard);
             check(format!("image{suffix}"), &reference_rgba(&frame));
             let d: Vec<_> = g.weights.as_chunks().0.iter().map(|&[r, g, b, a]| ([r, g, b], a, 0.0)).collect();
-            let (grad, _) = reference_backward(&g.scene, &g.camera, &options, Cutoff::Hard, &d);
+            let (grad, _, _) = reference_backward(&g.scene, &g.camera, &options, Cutoff::Hard, &d);
             for (column, got) in COLUMNS.iter().zip(raw_gradients(&g.scene, &grad)) {
                 check(format!("grad{suffix}_{column}"), &got);
             }

@@ -6,16 +6,27 @@
 //! | frame, on the band | 1.1/255 per flip | one sample may be in or out |
 //! | pixels on the band | 0.5 % of all | decisions within 1e-5 of a threshold are rare |
 //! | gradients per kind | cosine ≥ 0.9999, relative L2 ≤ 1e-3 | sums of f32 records in f64 |
+//! | gradient of the camera | the same, for rotation, translation, focal lengths, principal point | sums of f64 over splats |
 
 mod common;
 
+use gs_core::SplatsGrad;
 use gs_raster::reference::{Cutoff, Scene, render as reference, render_backward as reference_backward};
 use gs_raster::{
-    ClampGrad, Frame, FrameGrad, RasterOptions, SimdLevel, Workspace, blend_counts, render, render_backward,
+    ClampGrad, Frame, FrameGrad, RasterOptions, ScreenStats, SimdLevel, Workspace, blend_counts, render,
+    render_backward, render_backward_with_camera,
 };
 
 /// Pixels whose decisions lie closer than this (relative) to a threshold may flip.
 const BAND: f64 = 1e-5;
+
+/// Entries of [`gs_raster::CameraGrad::to_array`] of one unit.
+const CAMERA_KINDS: [(&str, &[usize]); 4] = [
+    ("camera rotation", &[0, 1, 2, 4, 5, 6, 8, 9, 10]),
+    ("camera translation", &[3, 7, 11]),
+    ("focal lengths", &[12, 13]),
+    ("principal point", &[14, 15]),
+];
 
 #[derive(Default)]
 struct Tally {
@@ -92,11 +103,14 @@ fn check(seed: u64, with_kernel: bool, simd: SimdLevel, tally: &mut Tally) {
         alpha: (0..n).map(|i| w[3 * n + i] * keep(i)).collect(),
         depth: (0..n).map(|i| 0.1 * w[4 * n + i] * keep(i)).collect(),
     };
-    let (got, stats) = render_backward(&case.splats, &case.camera, &options, &mut workspace, &d);
+    let (mut got, mut stats) = (SplatsGrad::default(), ScreenStats::default());
+    let (splats, camera) = (&case.splats, &case.camera);
+    let got_camera = render_backward_with_camera(splats, camera, &options, &mut workspace, &d, &mut got, &mut stats);
+    assert!((got.clone(), stats.clone()) == render_backward(splats, camera, &options, &mut workspace, &d), "{name}");
     let wide = |v: f32| f64::from(v);
     let d64: Vec<_> =
         (0..n).map(|i| ([0, 1, 2].map(|c| wide(d.rgb[3 * i + c])), wide(d.alpha[i]), wide(d.depth[i]))).collect();
-    let (want, want2d) = reference_backward(&scene, &case.camera, &options, Cutoff::Hard, &d64);
+    let (want, want2d, want_camera) = reference_backward(&scene, &case.camera, &options, Cutoff::Hard, &d64);
     let flat = |v: &[f32]| v.iter().map(|&x| f64::from(x)).collect::<Vec<_>>();
     let vec3 = |v: &[glam::Vec3]| v.iter().flat_map(|m| m.to_array()).map(f64::from).collect::<Vec<_>>();
     let kinds = [
@@ -108,7 +122,12 @@ fn check(seed: u64, with_kernel: bool, simd: SimdLevel, tally: &mut Tally) {
         ("kernel", flat(&got.kernel), want.kernel.clone()),
         ("means2d", flat(stats.grad_means2d.as_flattened()), want2d.as_flattened().to_vec()),
     ];
-    for (kind, got, want) in kinds {
+    let (got_camera, want_camera) = (got_camera.to_array(), want_camera.to_array());
+    let camera_kinds = CAMERA_KINDS.map(|(kind, entries)| {
+        let pick = |all: &[f64; 16]| entries.iter().map(|&k| all[k]).collect::<Vec<_>>();
+        (kind, pick(&got_camera), pick(&want_camera))
+    });
+    for (kind, got, want) in kinds.into_iter().chain(camera_kinds) {
         let (cosine, l2) = compare(&got, &want);
         tally.worst_cosine = tally.worst_cosine.max(1.0 - cosine);
         tally.worst_l2 = tally.worst_l2.max(l2);

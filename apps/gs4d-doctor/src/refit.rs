@@ -4,7 +4,7 @@
 //! shrinks from a tenth of the image to the tolerance, so that wrong matches lose their say (Zhou, Park and Koltun 2016).
 
 use super::epipolar::Pair;
-use glam::{DMat3, DQuat, DVec2, DVec3};
+use glam::{DVec2, DVec3};
 use gs_core::Camera;
 
 /// Scales of the weights, and steps at each.
@@ -63,9 +63,7 @@ fn descend(start: &Camera, seen: &[Seen<'_>], tolerance: f64, reach: f64) -> Cam
 
 /// A camera turned and shifted in its own axes: radians, and shares of `reach`.
 fn moved(c: &Camera, step: [f64; 6], reach: f64) -> Camera {
-    let turn = DMat3::from_quat(DQuat::from_scaled_axis(DVec3::new(step[0], step[1], step[2])));
-    let shift = DVec3::new(step[3], step[4], step[5]) * reach;
-    Camera { rotation: turn * c.rotation, translation: turn * c.translation + shift, ..c.clone() }
+    c.moved(DVec3::new(step[0], step[1], step[2]), DVec3::new(step[3], step[4], step[5]) * reach)
 }
 
 /// The step of Gauss-Newton, damped; none where matches do not determine it.

@@ -34,6 +34,7 @@ mod project;
 
 use project::{Projected, project};
 
+use crate::camera_grad::CameraGrad;
 use crate::options::RasterOptions;
 use gs_core::kernel::{Profile, acutance_vjp, frequency_vjp};
 use gs_core::{Camera, Color, Kernel, Real, Splats};
@@ -241,15 +242,15 @@ pub fn render<T: Scalar>(scene: &Scene<T>, camera: &Camera, options: &RasterOpti
 /// Cotangents of one pixel: `d_rgb`, `d_alpha`, `d_depth`.
 pub type PixelGrad<T> = ([T; 3], T, T);
 
-/// Gradient of `Σ (d_rgb·rgb + d_alpha·alpha + d_depth·depth)` with respect to every column of the scene, and with
-/// respect to the projected means, per pixel. `d_frame` has one element per pixel.
+/// Gradient of `Σ (d_rgb·rgb + d_alpha·alpha + d_depth·depth)` with respect to every column of the scene, with respect to
+/// the projected means, per pixel, and with respect to the camera. `d_frame` has one element per pixel.
 pub fn render_backward<T: Scalar>(
     scene: &Scene<T>,
     camera: &Camera,
     options: &RasterOptions,
     cutoff: Cutoff,
     d_frame: &[PixelGrad<T>],
-) -> (Scene<T>, Vec<[T; 2]>) {
+) -> (Scene<T>, Vec<[T; 2]>, CameraGrad) {
     let splats = sorted(scene, camera, options);
     let width = camera.width as usize;
     let mut sums = vec![blend::SplatSums::zero(); splats.len()];
@@ -259,12 +260,13 @@ pub fn render_backward<T: Scalar>(
     }
     let mut grad = scene.zeros_like();
     let mut grad_means2d = vec![[T::from_f64(0.0); 2]; scene.means.len()];
+    let mut camera_grad = CameraGrad::default();
     for ((index, _), s) in splats.iter().zip(&sums) {
         grad_means2d[*index] = s.mean2d;
-        project::backward(scene, *index, camera, options, s, &mut grad);
+        project::backward(scene, *index, camera, options, s, &mut grad, &mut camera_grad);
         scene.kernel_backward(*index, s.kernel, &mut grad.kernel);
     }
-    (grad, grad_means2d)
+    (grad, grad_means2d, camera_grad)
 }
 
 /// Visible splats `(index, projected)`, front to back, ties in index order.

@@ -2,6 +2,7 @@
 
 use super::blend::SplatSums;
 use super::{Scalar, Scene};
+use crate::camera_grad::CameraGrad;
 use crate::options::{FRUSTUM_MARGIN, MIN_COMPENSATION, RasterOptions};
 use gs_core::kernel::Profile;
 use gs_core::{Camera, rot, sh};
@@ -50,10 +51,12 @@ fn dot<T: Scalar>(a: [T; 3], b: [T; 3]) -> T {
 
 fn extrinsics<T: Scalar>(camera: &Camera) -> ([[T; 3]; 3], [T; 3], [T; 3]) {
     let rows = camera.rotation.transpose().to_cols_array_2d();
+    // The inverse instead of the transpose, so that the entries of the rotation can be varied one by one.
+    let position = -(camera.rotation.inverse() * camera.translation);
     (
         rows.map(|r| r.map(T::from_f64)),
         camera.translation.to_array().map(T::from_f64),
-        camera.position().to_array().map(T::from_f64),
+        position.to_array().map(T::from_f64),
     )
 }
 
@@ -155,7 +158,8 @@ pub(super) fn project<T: Scalar>(
     Some(projected)
 }
 
-/// Writes the cotangents of one splat's parameters, except the kernel's, from its sums over all pixels.
+/// Writes the cotangents of one splat's parameters, except the kernel's, from its sums over all pixels, and adds those of
+/// the camera.
 pub(super) fn backward<T: Scalar>(
     scene: &Scene<T>,
     i: usize,
@@ -163,13 +167,14 @@ pub(super) fn backward<T: Scalar>(
     options: &RasterOptions,
     sums: &SplatSums<T>,
     grad: &mut Scene<T>,
+    camera_grad: &mut CameraGrad,
 ) {
     let Some(st) = steps(scene, i, camera, options) else { return };
     let lit = T::from_f64;
     let two = lit(2.0);
     grad.opacities[i] = sums.opacity * st.compensation;
 
-    let mut d_mean = color_backward(scene, i, camera, sums.rgb, grad);
+    let d_view = color_backward(scene, i, camera, sums.rgb, grad);
     let d_cov = covariance2d_backward(scene.opacities[i], options, &st, sums);
 
     // Σ2 = F Fᵀ  →  d_F = 2 d_Σ F (d_Σ symmetric, off-diagonal halves).
@@ -194,10 +199,32 @@ pub(super) fn backward<T: Scalar>(
     grad.quats[i] = rot::normalise_backward(&st.unit, rot::matrix_backward(st.unit.wxyz, &d_rotation));
 
     let d_point = point_backward(camera, &st, &d_jacobian, sums);
-    for (k, d) in d_mean.iter_mut().enumerate() {
-        *d = (0..3).fold(*d, |sum, r| sum + st.rotation[r][k] * d_point[r]);
+    grad.means[i] = std::array::from_fn(|k| (0..3).fold(d_view[k], |sum, r| sum + st.rotation[r][k] * d_point[r]));
+
+    let wide = |v: [T; 3]| v.map(T::to_f64);
+    camera_grad.add_point(wide(d_point), wide(scene.means[i]));
+    camera_grad.add_axes(&d_turned.map(wide), &rot::matrix(st.unit.wxyz).map(wide));
+    let (_, _, position) = extrinsics::<T>(camera);
+    camera_grad.add_point(wide(st.rotation.map(|row| dot(row, d_view))), wide(position));
+    intrinsics_backward(&st, &d_jacobian, sums, camera_grad);
+}
+
+/// Adds the cotangents of focal lengths and principal point, from the screen centre and the Jacobian. Where the clamp acts,
+/// `J_a2 = (c − const)/z`.
+fn intrinsics_backward<T: Scalar>(st: &Steps<T>, d_j: &[[T; 3]; 2], sums: &SplatSums<T>, camera_grad: &mut CameraGrad) {
+    let [x, y, z] = st.camera_point;
+    let (mut focal, mut center) = ([0.0; 2], [0.0; 2]);
+    for (axis, t) in [x, y].into_iter().enumerate() {
+        let (d_u, d_aa, d_a2) = (sums.mean2d[axis], d_j[axis][axis], d_j[axis][2]);
+        let (mut d_f, mut d_c) = (d_u * t / z + d_aa / z, d_u);
+        if st.unclamped[axis] {
+            d_f = d_f - d_a2 * t / (z * z);
+        } else {
+            d_c = d_c + d_a2 / z;
+        }
+        (focal[axis], center[axis]) = (d_f.to_f64(), d_c.to_f64());
     }
-    grad.means[i] = d_mean;
+    camera_grad.add_intrinsics(focal, center);
 }
 
 /// `dL/dΣ2` as `xx, xy, yy` (the `xy` entry stands for both off-diagonals), from the conic and the compensation.
