@@ -1,7 +1,7 @@
 //! Tile lists against brute force: evaluating every splat at every pixel must give the same bits as the exact supports,
 //! and a box of three standard deviations must not.
 
-use crate::forward::render_with;
+use crate::forward::{Lists, render_with};
 use crate::frame::Frame;
 use crate::kernel::{KernelProfile, PiecewiseLinear, ProfileConsts, Sample, SampleGrad};
 use crate::measure::{camera, scene};
@@ -76,7 +76,7 @@ fn scenes() -> impl Iterator<Item = (Splats, RasterOptions)> {
 
 fn bits<K: KernelProfile>(kernel: K, splats: &Splats, options: &RasterOptions) -> Vec<u32> {
     let mut frame = Frame::default();
-    render_with(kernel, splats.view(), &camera(50), options, &mut Workspace::new(), &mut frame);
+    render_with(kernel, splats.view(), Lists::New(&camera(50)), options, &mut Workspace::new(), &mut frame);
     [frame.rgb.data, frame.alpha, frame.depth].concat().iter().map(|v| v.to_bits()).collect()
 }
 
@@ -110,7 +110,7 @@ fn the_cut_does_not_depend_on_tiles() {
         (camera.cx, camera.cy) = (camera.cx + f64::from(shift), camera.cy + f64::from(shift));
         (camera.width, camera.height) = (64 + shift, 64 + shift);
         let mut frame = Frame::default();
-        render_with(kernel, splats.view(), &camera, &options, &mut Workspace::new(), &mut frame);
+        render_with(kernel, splats.view(), Lists::New(&camera), &options, &mut Workspace::new(), &mut frame);
         frame
     };
     let base = render(0);

@@ -27,6 +27,8 @@ const MIN_CHUNK: usize = 2048;
 const MAX_BIN_TASKS: usize = 16;
 /// Fewest splats of a binning task.
 const MIN_BIN_SPLATS: usize = 128;
+/// Splats per task when the splats of a chunk get other colours.
+const RECOLOR_BLOCK: usize = 1024;
 
 /// Renders `splats` from `camera` into `frame`, reusing its memory and that of `workspace`.
 ///
@@ -50,35 +52,93 @@ pub fn render_into<'a>(
     workspace: &mut Workspace,
     frame: &mut Frame,
 ) {
-    let splats = splats.into();
+    render_lists(splats.into(), Lists::New(camera), options, workspace, frame);
+}
+
+/// The lists of splats per tile that a frame is blended from.
+#[derive(Clone, Copy)]
+pub(crate) enum Lists<'a> {
+    /// Made for this camera.
+    New(&'a Camera),
+    /// Those of the last frame; the splats differ from its splats in colour alone.
+    Kept,
+}
+
+/// [`render_into`] with the lists named.
+pub(crate) fn render_lists(
+    splats: SplatsRef<'_>,
+    lists: Lists<'_>,
+    options: &RasterOptions,
+    workspace: &mut Workspace,
+    frame: &mut Frame,
+) {
     if splats.kernel.is_neutral() {
-        render_with(Gaussian, splats, camera, options, workspace, frame);
+        render_with(Gaussian, splats, lists, options, workspace, frame);
     } else {
         let mut kernel_consts = std::mem::take(&mut workspace.kernel_consts);
         let kernel = PiecewiseLinear::new(splats.kernel, splats.len(), options.kernel_cut, &mut kernel_consts);
-        render_with(kernel, splats, camera, options, workspace, frame);
+        render_with(kernel, splats, lists, options, workspace, frame);
         workspace.kernel_consts = kernel_consts;
     }
 }
 
-/// [`render_into`] with a given kernel profile.
+/// [`render_lists`] with a given kernel profile.
 pub(crate) fn render_with<K: KernelProfile>(
     kernel: K,
     splats: SplatsRef<'_>,
-    camera: &Camera,
+    lists: Lists<'_>,
     options: &RasterOptions,
     w: &mut Workspace,
     frame: &mut Frame,
 ) {
-    let view = View::new(camera);
-    let grid = Grid::new(camera.width as usize, camera.height as usize);
-    w.grid = grid;
-    w.view = Some(view);
-    reset_tiles(&mut w.tiles, &grid);
-    depth_keys(splats, &view, options, w);
-    sort(&mut w.keys, &mut w.key_scratch, |i| view.depth(splats.means[i as usize]));
-    render_chunks(kernel, splats, options, w);
-    assemble(&w.tiles, &grid, options.background, frame);
+    match lists {
+        Lists::New(camera) => {
+            let view = View::new(camera);
+            w.grid = Grid::new(camera.width as usize, camera.height as usize);
+            w.view = Some(view);
+            reset_tiles(&mut w.tiles, &w.grid);
+            depth_keys(splats, &view, options, w);
+            sort(&mut w.keys, &mut w.key_scratch, |i| view.depth(splats.means[i as usize]));
+            render_chunks(kernel, splats, options, w);
+        }
+        Lists::Kept => {
+            recolor(splats, options, w);
+            reset_tiles(&mut w.tiles, &w.grid);
+            let (level, limits) = (simd::level(options.simd), Limits::new(options));
+            for chunk in &mut w.chunks[..w.chunk_count] {
+                blend_chunk(kernel, level, limits, &w.grid, chunk, &mut w.tiles);
+            }
+        }
+    }
+    assemble(&w.tiles, &w.grid, options.background, frame);
+}
+
+/// Gives the listed splats of the last frame the colours of `splats`, which differ from its splats in nothing else.
+pub(crate) fn recolor(splats: SplatsRef<'_>, options: &RasterOptions, w: &mut Workspace) {
+    let Some(view) = &w.view else { return };
+    let level = simd::level(options.simd);
+    for chunk in &mut w.chunks[..w.chunk_count] {
+        let blocks =
+            chunk.projected.par_chunks_mut(RECOLOR_BLOCK).zip(chunk.splat_starts.par_windows(2).chunks(RECOLOR_BLOCK));
+        blocks.for_each(
+            |(projected, spans)| dispatch!(level, simd => recolor_block(simd, splats, view, projected, &spans)),
+        );
+    }
+}
+
+#[inline(always)]
+fn recolor_block<S: Simd>(
+    _: S,
+    splats: SplatsRef<'_>,
+    view: &View,
+    projected: &mut [ProjectedSplat],
+    spans: &[&[u32]],
+) {
+    for (splat, span) in projected.iter_mut().zip(spans) {
+        if span[1] > span[0] {
+            splat.rgb = color(splats, view, splat.index);
+        }
+    }
 }
 
 fn reset_tiles(tiles: &mut Vec<TileState>, grid: &Grid) {
@@ -165,16 +225,17 @@ impl<K: KernelProfile> Scene<'_, K> {
         let support = self.kernel.support(index, log2_opacity, log2_min_alpha).min(max_support);
         ProjectedSplat::new(&footprint, log2_opacity, support, footprint.depth(), index)
     }
+}
 
-    #[inline(always)]
-    fn color(&self, index: u32) -> [f32; 3] {
-        let i = index as usize;
-        match self.splats.color {
-            Color::Rgb(rgb) => rgb[i],
-            Color::Sh { degree, coeffs } => {
-                let width = self.splats.color.width();
-                sh_color(self.splats.means[i], self.view.position, *degree, &coeffs[i * width..][..width])
-            }
+/// Colour of the splat in row `index`, seen from the camera.
+#[inline(always)]
+fn color(splats: SplatsRef<'_>, view: &View, index: u32) -> [f32; 3] {
+    let i = index as usize;
+    match splats.color {
+        Color::Rgb(rgb) => rgb[i],
+        Color::Sh { degree, coeffs } => {
+            let width = splats.color.width();
+            sh_color(splats.means[i], view.position, *degree, &coeffs[i * width..][..width])
         }
     }
 }
@@ -229,7 +290,7 @@ fn bin_block<S: Simd, K: KernelProfile>(
         });
         *count = (bin.tiles.len() - before) as u32;
         if *count > 0 {
-            *projected = ProjectedSplat { rgb: scene.color(key.index), ..splat };
+            *projected = ProjectedSplat { rgb: color(scene.splats, scene.view, key.index), ..splat };
         }
     }
 }

@@ -34,3 +34,14 @@ pub struct ScreenStats {
     /// for splats that are not visible.
     pub radii: Vec<f32>,
 }
+
+/// Where splats lie on the screen in one frame; zeros for those listed in no tile.
+#[derive(Clone, Debug, PartialEq, Default)]
+pub struct Screen {
+    /// `[n]`: projected centre, pixels.
+    pub means2d: Vec<[f32; 2]>,
+    /// `[n]`: camera depth of the mean, world units.
+    pub depths: Vec<f32>,
+    /// `[n]`: as [`ScreenStats::radii`].
+    pub radii: Vec<f32>,
+}

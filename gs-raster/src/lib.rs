@@ -50,6 +50,10 @@
 //! the direction from which colours are seen, depth. What culls or orders splats has no gradient. Sums over splats are in
 //! `f64`, in blocks of fixed size. Whoever does not ask pays nothing.
 //!
+//! # More channels
+//! [`render_channels`] and [`render_channels_backward`] take colours of any number of channels, in groups of three over one
+//! projection, order and lists.
+//!
 //! # What it leaves out
 //! Distortion, rolling shutter, depth sorting per pixel, second-order gradients.
 
@@ -62,6 +66,7 @@ mod blend_backward;
 #[cfg(test)]
 mod brute_force;
 mod camera_grad;
+pub mod channels;
 mod count;
 mod forward;
 mod frame;
@@ -78,9 +83,10 @@ mod workspace;
 
 pub use backward::{render_backward_into, render_backward_with_camera};
 pub use camera_grad::CameraGrad;
+pub use channels::{Channels, ChannelsError, render_channels, render_channels_backward};
 pub use count::blend_counts;
 pub use forward::render_into;
-pub use frame::{Frame, FrameGrad, ScreenStats};
+pub use frame::{Frame, FrameGrad, Screen, ScreenStats};
 pub use options::{ClampGrad, OptionError, RasterOptions, SimdLevel};
 pub use workspace::Workspace;
 

@@ -161,6 +161,12 @@ pub(crate) fn project(view: &View, geometry: &SplatGeometry, options: &RasterOpt
     })
 }
 
+/// Three standard deviations along the larger axis of the covariance `xx, xy, yy`.
+pub(crate) fn standard_radius([xx, xy, yy]: [f64; 3]) -> f64 {
+    let (mid, half) = (0.5 * (xx + yy), 0.5 * (xx - yy));
+    3.0 * (mid + (half * half + xy * xy).sqrt()).sqrt()
+}
+
 #[inline(always)]
 fn multiply(a: &[[f64; 3]; 3], b: &[[f64; 3]; 3]) -> [[f64; 3]; 3] {
     std::array::from_fn(|r| std::array::from_fn(|k| a[r][0] * b[0][k] + a[r][1] * b[1][k] + a[r][2] * b[2][k]))
@@ -219,9 +225,7 @@ impl Footprint {
 
     /// Three standard deviations along the larger axis, pixels; see [`crate::ScreenStats::radii`].
     pub(crate) fn radius(&self) -> f64 {
-        let [xx, xy, yy] = self.covariance;
-        let (mid, half) = (0.5 * (xx + yy), 0.5 * (xx - yy));
-        3.0 * (mid + (half * half + xy * xy).sqrt()).sqrt()
+        standard_radius(self.covariance)
     }
 
     /// `dL/dΣ2`, full symmetric: `xx, xy, yy` with one `xy` for each of the two off-diagonal entries.

@@ -6,7 +6,7 @@
 //! per side. The interval is widened by a bound on its rounding error, so a list may hold a few entries too many but
 //! misses none; each pixel applies the alpha threshold itself.
 
-use crate::project::Footprint;
+use crate::project::{Footprint, standard_radius};
 
 /// Side of a tile, pixels.
 pub const TILE: usize = 16;
@@ -70,6 +70,13 @@ impl ProjectedSplat {
             depth: depth as f32,
             index,
         })
+    }
+
+    /// Three standard deviations along the larger axis, pixels: of the covariance `W⁻¹ W⁻ᵀ`.
+    pub(crate) fn standard_radius(&self) -> f64 {
+        let [w0, w1, w2] = self.whitening.map(|w| w / LOG2_SCALE);
+        let (a, b, c) = (1.0 / w0, -w1 / (w0 * w2), 1.0 / w2);
+        standard_radius([a * a + b * b, b * c, c * c])
     }
 
     /// The visible disc relative to `origin` (pixels).

@@ -2,6 +2,7 @@
 //!
 //! An *entry* is a (tile, splat) pair; its *slot* is its position in the tile's list, counted over all chunks.
 
+use crate::frame::Screen;
 use crate::kernel::ProfileConsts;
 use crate::project::View;
 use crate::sort::Key;
@@ -172,6 +173,21 @@ impl Workspace {
     /// Sum over pixels of the tile-list entries up to the pixel's last blended one, in the last frame.
     pub fn entries_walked(&self) -> u64 {
         self.tiles.iter().flat_map(|t| t.last.as_flattened()).map(|&last| u64::from(last)).sum()
+    }
+
+    /// Where the `n` splats of the last frame lie on the screen.
+    pub fn screen(&self, n: usize) -> Screen {
+        let mut screen = Screen { means2d: vec![[0.0; 2]; n], depths: vec![0.0; n], radii: vec![0.0; n] };
+        for chunk in &self.chunks[..self.chunk_count] {
+            let listed = chunk.projected.iter().zip(chunk.splat_starts.windows(2)).filter(|(_, w)| w[0] < w[1]);
+            for (splat, _) in listed {
+                let i = splat.index as usize;
+                screen.means2d[i] = splat.center.map(|c| c as f32);
+                screen.depths[i] = splat.depth;
+                screen.radii[i] = splat.standard_radius() as f32;
+            }
+        }
+        screen
     }
 
     /// Bytes held by the main buffers.
