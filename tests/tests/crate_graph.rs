@@ -37,6 +37,7 @@ const APPS: &[(&str, &[&str])] = &[
     ("gs4d-view", &["gs4d-eval", "gs4d-player", "gs4d-report", "gs4d-run"]),
     ("gs4d", &["gs4d-doctor", "gs4d-eval", "gs4d-lab", "gs4d-player", "gs4d-report", "gs4d-run", "gs4d-view"]),
     ("gs4d-mpi", &["gs4d"]),
+    ("gs4d-py", &["gs4d-run"]),
 ];
 
 fn manifest(folder: &str) -> toml::Table {

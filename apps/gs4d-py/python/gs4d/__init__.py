@@ -1,0 +1,18 @@
+"""A differentiable Gaussian rasteriser for the CPU, with the signature of gsplat's; image metrics.
+
+``rasterization`` draws numpy arrays, ``rasterization_vjp`` also returns a function for the gradients.
+``gs4d.torch.rasterization`` and ``gs4d.jax.rasterization`` do the same in torch and JAX, which are imported when asked for.
+"""
+
+import importlib
+
+from ._metrics import ms_ssim, perceptual_proxy, psnr, ssim
+from ._raster import rasterization, rasterization_vjp
+
+__all__ = ["ms_ssim", "perceptual_proxy", "psnr", "rasterization", "rasterization_vjp", "ssim"]
+
+
+def __getattr__(name):
+    if name in ("jax", "torch"):
+        return importlib.import_module(f"gs4d.{name}")
+    raise AttributeError(f"module 'gs4d' has no attribute {name!r}")
